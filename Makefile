@@ -1,0 +1,150 @@
+# Every command of this project; `make help` lists them. Each one sets up what it needs first: the
+# virtual environment .venv, the pinned packages, and the system's OpenGL libraries.
+
+# The interpreter the virtual environment is made from; empty: the first Python 3.10-3.13 found.
+PYTHON ?=
+
+# The caller's environment must not reach into ours. PIP_USER is set because it may also stand in pip's
+# own configuration, which the environment overrides.
+unexport VIRTUAL_ENV PYTHONPATH PYTHONHOME MYPYPATH PIP_TARGET PIP_PREFIX PIP_ROOT
+export PIP_USER := 0
+export PYTHONNOUSERSITE := 1
+
+RUN := .venv/bin/python -m
+
+.DELETE_ON_ERROR:
+.PHONY: help setup demo test lint types bench fidelity clean moved
+.DEFAULT_GOAL := help
+
+help: ## this list
+	@awk -F ' *## *' '/^[a-z]+:.*## / { sub(/:.*/, "", $$1); printf "  make %-10s %s\n", $$1, $$2 }' Makefile
+
+setup: .venv/.ready ## virtual environment, packages, OpenGL libraries (all others do this by themselves)
+	@:
+
+demo: .venv/.ready ## simulate two cameras, recover their offset and pose, draw one picture (a minute)
+	@.venv/bin/ssac demo
+
+test: .venv/.ready ## the tests
+	@$(RUN) pytest
+
+lint: .venv/.ready ## ruff: rules and formatting
+	@$(RUN) ruff check
+	@$(RUN) ruff format --check
+
+types: .venv/.ready ## mypy --strict on sim, ssac and experiments
+	@$(RUN) mypy
+
+bench: .venv/.ready ## speed and memory, as ratios to the reference tools -> results/bench.csv
+	@.venv/bin/ssac bench
+
+fidelity: .venv/.ready ## the events against densely rendered references
+	@.venv/bin/ssac fidelity
+
+clean: ## remove all that make created, .venv included; results/ stays
+	rm -rf .venv build out cache *.egg-info .pytest_cache .mypy_cache .ruff_cache
+	find sim ssac experiments tests -name __pycache__ -prune -exec rm -rf {} +
+
+# --- Set-up ----------------------------------------------------------------------------------------
+
+# A virtual environment holds absolute paths, so one that was copied or moved here with the tree is
+# made anew; .ready holds the folder it was made in.
+ifneq ($(wildcard .venv/.ready),)
+ifneq ($(shell cat .venv/.ready),$(CURDIR))
+.venv/.ready: moved
+endif
+endif
+
+.venv/.ready: requirements.txt pyproject.toml
+	@PYTHON='$(PYTHON)' sh -euc "$$SETUP" </dev/null
+	@pwd -P >$@
+
+# True where something can be rendered: OSMesa (pyglet, inside pyrender, loads EGL even then), or an EGL
+# that really opens a display without a screen, as drivers are found only at run time.
+define GL_WORKS
+import ctypes, sys
+from ctypes.util import find_library
+egl = find_library("EGL")
+if not (egl and find_library("GL")):
+    sys.exit(1)
+if find_library("OSMesa"):
+    sys.exit(0)
+EGL_PLATFORM_SURFACELESS_MESA = 0x31DD
+lib = ctypes.CDLL(egl)
+lib.eglGetPlatformDisplay.restype = ctypes.c_void_p
+lib.eglGetPlatformDisplay.argtypes = [ctypes.c_uint, ctypes.c_void_p, ctypes.c_void_p]
+lib.eglInitialize.argtypes = [ctypes.c_void_p] * 3
+display = lib.eglGetPlatformDisplay(EGL_PLATFORM_SURFACELESS_MESA, None, None)
+sys.exit(not (display and lib.eglInitialize(display, None, None)))
+endef
+
+define SETUP
+fail() { printf 'make setup: %s\n' "$$*" >&2; exit 1; }
+
+# apt stays silent unless it fails. A fresh machine's package lists are empty or old, so they are
+# fetched when a package is unknown or cannot be downloaded.
+as_root=
+[ "$$(id -u)" = 0 ] || as_root="sudo -n"
+apt() { $$as_root env DEBIAN_FRONTEND=noninteractive apt-get -qq -o DPkg::Lock::Timeout=120 -o Dpkg::Use-Pty=0 "$$@"; }
+apt_works() { command -v apt-get >/dev/null && apt --version >/dev/null 2>&1; }
+apt_has_lists() { ls /var/lib/apt/lists/*_Packages* >/dev/null 2>&1; }
+apt_knows() { apt-cache show "$$1" >/dev/null 2>&1; }
+apt_install() { apt install --no-install-recommends "$$@"; }
+
+# Python: in PATH, whatever is called python3 comes first, as it is what the user means.
+supported='import sys; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 13))'
+is_supported() { "$$1" -c "$$supported" >/dev/null 2>&1; }
+find_python() {
+    for python in "$${PYTHON:-python3}" python3.13 python3.12 python3.11 python3.10; do
+        is_supported "$$python" && return
+        [ -z "$$PYTHON" ] || fail "PYTHON=$$PYTHON is not a Python 3.10-3.13"
+    done
+    python=
+}
+has_venv() { "$$python" -c 'import ensurepip, venv' >/dev/null 2>&1; }
+has_opengl() { "$$python" -c "$$GL_WORKS" >/dev/null 2>&1; }
+find_python
+
+# What the system lacks. Debian and Ubuntu ship Python's venv apart; some have a second, older Python.
+packages=
+if [ -n "$$python" ]; then
+    has_venv || packages=$$("$$python" -c 'import sys; print("python%d.%d-venv" % sys.version_info[:2])')
+fi
+if [ -z "$$python" ] || ! has_opengl; then
+    if apt_works && ! apt_has_lists; then apt update; fi
+    # Mesa 25.1 dropped OSMesa, so the newest systems have no libosmesa6: EGL does it there.
+    if apt_knows libosmesa6; then opengl=libosmesa6; else opengl="libegl-mesa0 libgl1-mesa-dri"; fi
+    packages="$$packages libegl1 libgl1 $$opengl"
+fi
+if [ -z "$$python" ]; then
+    apt_python=
+    if apt-cache show python3 2>/dev/null | grep -q '^Version: 3\.1[0-3]\.'; then
+        apt_python="python3 python3-venv"
+    else
+        for v in 3.13 3.12 3.11 3.10; do
+            if apt_knows "python$$v-venv"; then apt_python="python$$v python$$v-venv"; break; fi
+        done
+    fi
+    [ -n "$$apt_python" ] || fail "no Python 3.10-3.13 here; install one (apt-get install python3 python3-venv, if that is not newer), or name one: make PYTHON=/path/to/python3.13"
+    packages="$$apt_python $$packages"
+fi
+if [ -n "$$packages" ]; then
+    apt_works || fail "the system lacks some packages, and neither root nor sudo is at hand: apt-get install" $$packages
+    echo "make setup: installing" $$packages "(apt)" >&2
+    apt_install $$packages >/dev/null 2>&1 ||
+        log=$$(apt update 2>&1 && apt_install $$packages 2>&1) || fail "apt failed: $$log"
+    [ -n "$$python" ] || find_python
+fi
+has_venv || fail "$$python has no working venv and ensurepip"
+has_opengl || fail "OpenGL opens neither through OSMesa nor through EGL"
+
+# The virtual environment, the pins, and this project itself (editable: its source stays here). What
+# was added to .venv by hand survives a change of the pins.
+[ -z "$$PYTHON" ] && [ "$$(cat .venv/.ready 2>/dev/null)" = "$$(pwd -P)" ] && is_supported .venv/bin/python ||
+    "$$python" -m venv --clear .venv
+echo "make setup: installing Python packages into .venv ($$(.venv/bin/python --version))" >&2
+pip() { .venv/bin/python -m pip install --quiet --disable-pip-version-check --no-input --no-deps "$$@"; }
+pip -r requirements.txt
+pip --no-build-isolation --editable .
+endef
+export GL_WORKS SETUP

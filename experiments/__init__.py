@@ -1,0 +1,1 @@
+"""Where simulated recordings meet the method: the command line, the demo and the benchmarks."""
