@@ -1,0 +1,313 @@
+"""A seed, or a CSV file, to a drone's trajectory: its pose T_W_B as a smooth function of time.
+
+World frame W: origin at the point the cameras look at, x right, y forward, z up, metres.
+Body frame B: x forward, y left, z up.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline, CubicSpline
+from scipy.spatial.transform import Rotation, RotationSpline
+
+from sim.errors import SimError
+
+FloatArray = NDArray[np.float64]
+Vector3 = tuple[float, float, float]
+
+MAX_DRAWS = 100  # of a random trajectory, before its configuration is blamed
+CSV_COLUMNS = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")  # [s], [m], unit quaternion T_W_B
+MIN_CSV_ROWS = 4  # a cubic spline needs four points
+MAX_CSV_DURATION_S = 1e6  # longer than this, the times are not seconds (ESIM writes nanoseconds)
+
+
+@dataclass(frozen=True)
+class SplineConfig:
+    """A random trajectory in the manner of ESIM: random poses at regular times, then smoothed.
+
+    Sampling rate and order are ESIM's. Multipliers and `smoothing` (ESIM: 0.1) are tuned so that
+    at 90 deg, 5 m and f = 200 px the recording resembles the authors' sample in speed, visibility
+    and size of the drone (`ssac scene` prints the figures).
+    """
+
+    duration_s: float = 20.0
+    sampling_hz: float = 5.0  # random poses per second
+    order: int = 5  # of the B-spline; its degree is one less
+    segments_per_s: float = 5.0  # polynomial pieces per second: ESIM's 100 in 20 s
+    smoothing: float = 0.0036  # [s^3], weight of the integrated squared second derivative
+    multiplier_xyz_m: Vector3 = (3.2, 3.2, 3.6)
+    multiplier_rot_rad: Vector3 = (0.5, 0.5, 2.0)
+    offset_xyz_m: Vector3 = (0.0, 0.0, 0.0)
+    offset_rot_rad: Vector3 = (0.0, 0.0, 0.0)
+    max_radius_m: float = 4.0  # horizontally from the origin: keeps clear of cameras 5 m away
+
+    def __post_init__(self) -> None:
+        for name in ("duration_s", "sampling_hz", "segments_per_s", "smoothing"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value > 0):
+                raise SimError(f"{name} must be a positive number, got {value}")
+        for name in ("multiplier_xyz_m", "multiplier_rot_rad", "offset_xyz_m", "offset_rot_rad"):
+            if not np.isfinite(getattr(self, name)).all():
+                raise SimError(f"{name} must be three finite numbers, got {getattr(self, name)}")
+        if self.order < 3:
+            raise SimError(f"the spline's order must be at least 3, got {self.order}")
+        if self.duration_s * self.sampling_hz < 2:
+            raise SimError(
+                f"{self.duration_s} s at {self.sampling_hz} random poses per second is fewer than "
+                "2 poses: raise duration_s or sampling_hz"
+            )
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """A drone's pose over time, from 0 to `duration_s`."""
+
+    duration_s: float
+    position: Callable[[FloatArray], FloatArray]  # (n,) [s] -> (n, 3) [m], frame W
+    attitude: Callable[[FloatArray], Rotation]  # (n,) [s] -> n rotations, frame B to frame W
+
+    def poses(self, times_s: FloatArray) -> FloatArray:
+        """Return the drone's poses.
+
+        Parameters
+        ----------
+        times_s : (n,) array
+            Times [s], in any order, within [0, `duration_s`].
+
+        Returns
+        -------
+        (n, 4, 4) array
+            T_W_B at each time: body coordinates [m] to world coordinates [m].
+
+        Raises
+        ------
+        SimError
+            When a time lies outside the trajectory (or is NaN): nothing is extrapolated.
+        """
+        times_s = np.asarray(times_s, dtype=np.float64)
+        outside = ~((times_s >= 0.0) & (times_s <= self.duration_s))
+        if outside.any():
+            raise SimError(
+                f"the trajectory is defined from 0 to {self.duration_s:g} s, "
+                f"asked for its pose at {times_s[outside][0]:g} s"
+            )
+        T_W_B = np.zeros((len(times_s), 4, 4))
+        T_W_B[:, :3, :3] = self.attitude(times_s).as_matrix()
+        T_W_B[:, :3, 3] = self.position(times_s)
+        T_W_B[:, 3, 3] = 1.0
+        return T_W_B
+
+
+def random_spline(config: SplineConfig, rng: np.random.Generator) -> Trajectory:
+    """Draw a random smooth trajectory.
+
+    As ESIM does (Rebecq et al., ESIM: an Open Event Camera Simulator, CoRL 2018; its trajectory
+    factory): each of the six degrees of freedom (position, rotation vector) is drawn uniformly from
+    [-1, 1] at regular times, times its multiplier, plus its offset; a smoothing B-spline of these
+    values is the trajectory.
+
+    Deviation: a trajectory that leaves the circle of `max_radius_m` about the origin is drawn
+    again (one in six by default), so that the drone never flies into a camera.
+
+    Parameters
+    ----------
+    config : SplineConfig
+    rng : numpy.random.Generator
+        The only source of randomness: the same state gives the same trajectory.
+
+    Returns
+    -------
+    Trajectory
+
+    Raises
+    ------
+    SimError
+        When none of MAX_DRAWS trajectories stays within the circle.
+    """
+    n_poses = round(config.duration_s * config.sampling_hz)
+    times_s: FloatArray = np.linspace(0.0, config.duration_s, n_poses, dtype=np.float64)
+    n_segments = max(1, round(config.duration_s * config.segments_per_s))
+    multiplier = np.concatenate([config.multiplier_xyz_m, config.multiplier_rot_rad])
+    offset = np.concatenate([config.offset_xyz_m, config.offset_rot_rad])
+    for _ in range(MAX_DRAWS):
+        values = offset + multiplier * rng.uniform(-1.0, 1.0, (n_poses, 6))
+        spline = _fit_smoothing_spline(times_s, values, config.order, n_segments, config.smoothing)
+        position = BSpline(spline.t, spline.c[:, :3], spline.k)
+        rotation_vector = BSpline(spline.t, spline.c[:, 3:], spline.k)
+        check_s = np.linspace(0.0, config.duration_s, 10 * n_segments)
+        if np.hypot(*position(check_s)[:, :2].T).max() <= config.max_radius_m:
+            return Trajectory(config.duration_s, position, _RotationVectorSpline(rotation_vector))
+    raise SimError(
+        f"{MAX_DRAWS} random trajectories all went more than {config.max_radius_m:g} m away from "
+        "the origin: lower multiplier_xyz_m, raise smoothing or max_radius_m"
+    )
+
+
+def trajectory_from_csv(path: Path) -> Trajectory:
+    """Read a trajectory from a CSV file and interpolate it smoothly.
+
+    Position is a cubic spline through the rows, attitude scipy's `RotationSpline`: velocity and
+    acceleration, linear and angular, are continuous. The first row's time becomes 0.
+
+    Parameters
+    ----------
+    path : Path
+        Columns t [s], x, y, z [m], qx, qy, qz, qw (attitude T_W_B, scalar last, of any norm), in
+        this order, or in any order under a header that names them. `#` starts a comment. Note that
+        ESIM's own files have the same columns but times in nanoseconds.
+
+    Returns
+    -------
+    Trajectory
+
+    Raises
+    ------
+    SimError
+        When the file cannot be read, a column or a value is missing or is not a number, times do
+        not increase, a quaternion is zero, or there are fewer than 4 rows.
+    """
+    line_numbers, table = _read_table(path)
+    times_s, quaternions = table[:, 0], table[:, 4:]
+    for i in np.flatnonzero(np.diff(times_s) <= 0)[:1]:
+        raise SimError(
+            f"{path}, line {line_numbers[i + 1]}: times must increase from row to row, but "
+            f"{times_s[i + 1]:.9g} s follows {times_s[i]:.9g} s: sort the rows and drop repeats"
+        )
+    for i in np.flatnonzero(np.linalg.norm(quaternions, axis=1) < 1e-9)[:1]:
+        raise SimError(
+            f"{path}, line {line_numbers[i]}: the quaternion (qx, qy, qz, qw) is zero: "
+            "for no rotation write 0, 0, 0, 1"
+        )
+    times_s = times_s - times_s[0]
+    if times_s[-1] > MAX_CSV_DURATION_S:
+        raise SimError(
+            f"{path}: times must be in seconds, but the rows span {times_s[-1]:.3g} s: "
+            "divide by 1e9 if they are ESIM's nanoseconds"
+        )
+    return Trajectory(
+        duration_s=float(times_s[-1]),
+        position=CubicSpline(times_s, table[:, 1:4]),
+        attitude=RotationSpline(times_s, Rotation.from_quat(quaternions)),
+    )
+
+
+def trajectory_to_csv(trajectory: Trajectory, path: Path, rate_hz: float) -> None:
+    """Write a trajectory in the format that `trajectory_from_csv` reads.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+    path : Path
+        Overwritten when it exists.
+    rate_hz : float
+        Rows per second, at least; both ends of the trajectory are rows.
+
+    Raises
+    ------
+    SimError
+        When `rate_hz` is not positive.
+    """
+    if not rate_hz > 0:
+        raise SimError(f"rate_hz must be positive, got {rate_hz}")
+    n_rows = max(MIN_CSV_ROWS, int(np.ceil(trajectory.duration_s * rate_hz)) + 1)
+    times_s: FloatArray = np.linspace(0.0, trajectory.duration_s, n_rows, dtype=np.float64)
+    T_W_B = trajectory.poses(times_s)
+    quaternions = Rotation.from_matrix(T_W_B[:, :3, :3]).as_quat()
+    table = np.column_stack([times_s, T_W_B[:, :3, 3], quaternions])
+    # 17 digits give back every float64 exactly.
+    np.savetxt(path, table, fmt="%.17g", delimiter=",", header=",".join(CSV_COLUMNS), comments="")
+
+
+@dataclass(frozen=True)
+class _RotationVectorSpline:
+    """A spline of rotation vectors [rad] as a function from times [s] to rotations."""
+
+    rotation_vector: BSpline
+
+    def __call__(self, times_s: FloatArray) -> Rotation:
+        return Rotation.from_rotvec(self.rotation_vector(times_s))
+
+
+def _fit_smoothing_spline(
+    times_s: FloatArray, values: FloatArray, order: int, n_segments: int, smoothing: float
+) -> BSpline:
+    """Fit a B-spline to noisy values, penalising its second derivative.
+
+    The spline s, on uniform knots, minimises sum_i |s(t_i) - v_i|^2 + smoothing * integral of
+    |s''(t)|^2 dt: the functional that ESIM's lambda weighs (`initSpline3` of its B-splines).
+
+    Parameters
+    ----------
+    times_s : (n,) array
+        Increasing, from 0 to the spline's end [s].
+    values : (n, d) array
+    order, n_segments : int
+    smoothing : float
+        [s^3]
+
+    Returns
+    -------
+    BSpline
+        Of d-vectors, on [0, times_s[-1]].
+    """
+    degree = order - 1
+    segment_s = times_s[-1] / n_segments
+    knots = segment_s * np.arange(-degree, n_segments + degree + 1)
+    basis = BSpline(knots, np.eye(n_segments + degree), degree)
+
+    # The product of two second derivatives is of degree 2 (degree - 2) on each segment, for which
+    # Gauss-Legendre quadrature with degree - 1 nodes is exact.
+    nodes, weights = np.polynomial.legendre.leggauss(degree - 1)
+    nodes_s = (np.arange(n_segments)[:, None] + 0.5 * (nodes + 1.0)).ravel() * segment_s
+    weights_s = np.tile(0.5 * weights * segment_s, n_segments)
+    curvature = basis.derivative(2)(nodes_s)
+    penalty = curvature.T @ (weights_s[:, None] * curvature)
+
+    design = basis(times_s)
+    coefficients = np.linalg.solve(design.T @ design + smoothing * penalty, design.T @ values)
+    return BSpline(knots, coefficients, degree)
+
+
+def _read_table(path: Path) -> tuple[list[int], FloatArray]:
+    """Return the line number of each data row and the (n, 8) table in the order of CSV_COLUMNS."""
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise SimError(f"cannot read the trajectory {path}: {error}") from error
+    lines = [line.split("#")[0] for line in text.splitlines()]
+    rows = {
+        number: [field.strip() for field in line.split(",")]
+        for number, line in enumerate(lines, start=1)
+        if line.strip()
+    }
+    header = list(CSV_COLUMNS)
+    first = next(iter(rows), 0)
+    if rows and rows[first][0].isidentifier():  # a name, not a number
+        header = rows.pop(first)
+    wanted = ", ".join(CSV_COLUMNS)
+    missing = [name for name in CSV_COLUMNS if name not in header]
+    if missing:
+        raise SimError(
+            f"{path}, line {first}: the header lacks {', '.join(missing)}: expected {wanted}"
+        )
+    for number, fields in rows.items():
+        if len(fields) != len(header) or not all(map(_is_finite_number, fields)):
+            raise SimError(
+                f"{path}, line {number}: expected {len(header)} finite numbers with commas between "
+                f"({', '.join(header)}), got {', '.join(fields)}: correct or delete this row"
+            )
+    if len(rows) < MIN_CSV_ROWS:
+        raise SimError(f"{path}: expected {MIN_CSV_ROWS} rows or more of {wanted}, got {len(rows)}")
+    table = np.array(list(rows.values()), dtype=np.float64)
+    return list(rows), table[:, [header.index(name) for name in CSV_COLUMNS]]
+
+
+def _is_finite_number(field: str) -> bool:
+    try:
+        return math.isfinite(float(field))
+    except ValueError:
+        return False
