@@ -1,0 +1,108 @@
+"""The GL context that everything is drawn in: OSMesa where the system has it, EGL otherwise.
+
+PyOpenGL binds to one platform when it is first imported, so a process has one backend, and here one
+context, for its life.
+"""
+
+import ctypes.util
+import os
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from sim.errors import SimError
+
+BACKENDS = ("osmesa", "egl")
+_LIBRARIES = {"osmesa": "OSMesa", "egl": "EGL"}
+
+
+@dataclass(frozen=True)
+class GLContext:
+    """The open context, as it is written beside every result."""
+
+    backend: str  # "osmesa" or "egl"
+    renderer: str  # the driver's own name
+    version: str  # of OpenGL and the driver
+
+
+def open_context(backend: str = "auto") -> GLContext:
+    """Open the GL context of this process, or return the one that is open.
+
+    Parameters
+    ----------
+    backend : str
+        "osmesa", "egl" or "auto": OSMesa where the system has it, EGL otherwise.
+
+    Returns
+    -------
+    GLContext
+
+    Raises
+    ------
+    SimError
+        No usable GL library, or this process already draws with the other backend.
+    """
+    if backend not in ("auto", *BACKENDS):
+        raise SimError(f"GL backend: expected auto, osmesa or egl, got {backend!r}")
+    chosen = _backend_in_use() or (_first_available() if backend == "auto" else backend)
+    if backend not in ("auto", chosen):
+        raise SimError(
+            f"GL backend {backend}: this process already draws with {chosen}; "
+            "use the other backend in a process of its own"
+        )
+    return _open(chosen)
+
+
+def _backend_in_use() -> str | None:
+    """Return the backend that PyOpenGL is bound to, or that the user bound it to beforehand."""
+    platform = os.environ.get("PYOPENGL_PLATFORM")
+    return platform if platform in BACKENDS else None
+
+
+def _first_available() -> str:
+    for backend in BACKENDS:
+        if ctypes.util.find_library(_LIBRARIES[backend]):
+            return backend
+    raise SimError(
+        "no GL library on this machine: install one with "
+        "`apt-get install libosmesa6` or `apt-get install libegl1 libgl1 libegl-mesa0`"
+    )
+
+
+@cache
+def _open(backend: str) -> GLContext:
+    os.environ["PYOPENGL_PLATFORM"] = backend
+    os.environ.setdefault("PYGLET_HEADLESS", "1")  # pyglet 2 otherwise looks for a display
+    # Mesa's rasteriser threads do not scale; processes do, and each should keep to its core.
+    os.environ.setdefault("LP_NUM_THREADS", "0")
+    np.infty = np.inf  # type: ignore[attr-defined]  # noqa: NPY201  # pyrender predates NumPy 2
+    try:
+        import OpenGL.contextdata
+        from OpenGL import GL
+        from pyrender.offscreen import OffscreenRenderer
+
+        # pyrender's shader cache keys on this; under OSMesa it is a new pointer at each call, so
+        # that every frame compiles its shaders anew and leaks them.
+        OpenGL.contextdata.getContext = lambda context=None: 1
+        _KEEP_ALIVE.append(OffscreenRenderer(1, 1))
+        return GLContext(
+            backend=backend,
+            renderer=GL.glGetString(GL.GL_RENDERER).decode(),
+            version=GL.glGetString(GL.GL_VERSION).decode(),
+        )
+    except Exception as error:  # whatever the driver, PyOpenGL or ctypes raise
+        raise SimError(
+            f"cannot open a GL context with {backend} ({type(error).__name__}: {error}): "
+            "install libosmesa6, or libegl1 libgl1 libegl-mesa0 libgl1-mesa-dri"
+        ) from error
+
+
+def make_current() -> None:
+    """Come back to this process's context after pyrender has opened another one."""
+    for renderer in _KEEP_ALIVE:
+        renderer._platform.make_current()
+
+
+_KEEP_ALIVE: list[Any] = []

@@ -1,0 +1,209 @@
+"""Supersampling lattice: point samples of a tile in, luminance averaged over each pixel out.
+
+A regular grid of n x n samples per pixel sees an edge along the pixel rows in n steps only, and
+each step of a slowly moving edge is a burst of spurious events. Turning the grid by atan(b / a)
+makes it a rank-1 lattice: with the integer matrix A = [[a, -b], [b, a]] the samples of the image
+are the points p [px] for which q = A p is an integer. Every pixel holds exactly a^2 + b^2 of them,
+and with b = 1 no two of a pixel share a row or a column. To a rasteriser q is a plain grid.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from sim.errors import SimError
+
+IntArray = NDArray[np.int64]
+
+# A sample word is 0 where the sample sees the background, and COUNT + the luminance's code where it
+# sees the object, so a sum of words holds both the sum of codes and the number of object samples.
+FULL_CODE = 65535  # of luminance 1
+COUNT_BIT = 21
+MAX_A = 16  # codes down a pixel's column must add up to less than 2^COUNT_BIT
+
+
+@dataclass(frozen=True)
+class Lattice:
+    """Sample positions of a pixel: all p with A p integer, A = [[a, -b], [b, a]].
+
+    `Lattice(8, 0)` is the regular 8 x 8 grid, `Lattice(8, 1)` a rank-1 lattice of 65 samples.
+    """
+
+    a: int
+    b: int
+
+    def __post_init__(self) -> None:
+        if not (1 <= self.a <= MAX_A and 0 <= self.b <= 1):
+            raise SimError(
+                f"supersampling lattice: expected 1 <= a <= {MAX_A} and b = 0 or 1, "
+                f"got a = {self.a}, b = {self.b}; (8, 1) gives 65 samples per pixel"
+            )
+
+    @property
+    def samples_per_pixel(self) -> int:
+        """Number of samples that each pixel averages, a^2 + b^2."""
+        return self.a**2 + self.b**2
+
+    @property
+    def A(self) -> IntArray:  # noqa: N802
+        """Matrix (2, 2) from pixel to lattice coordinates."""
+        return np.array([[self.a, -self.b], [self.b, self.a]])
+
+    @cached_property
+    def pixel_columns(self) -> IntArray:
+        """Samples of the pixel at the origin, by lattice columns.
+
+        Returns
+        -------
+        NDArray[np.int64]
+            One row (column, first lattice row, one past the last) for each, shape (n_columns, 3).
+        """
+        reach = np.arange(-self.a - self.b, self.a + self.b + 1)
+        q = np.stack(np.meshgrid(reach, reach, indexing="ij"), axis=-1)
+        n = self.samples_per_pixel
+        # p = A^-1 q = A' q / n; a pixel is -1/2 <= p < 1/2, tested in integers.
+        twice_n_p = 2 * (q @ self.A)
+        inside = np.all((twice_n_p >= -n) & (twice_n_p < n), axis=-1)
+        used = np.flatnonzero(inside.any(axis=1))
+        first = inside[used].argmax(axis=1)
+        return np.stack(
+            [reach[used], reach[first], reach[first] + inside[used].sum(axis=1)], axis=-1
+        )
+
+    @cached_property
+    def centre(self) -> NDArray[np.float64]:
+        """Mean lattice position (2,) of a pixel's samples: where its own centre must lie."""
+        columns = self.pixel_columns
+        counts = columns[:, 2] - columns[:, 1]
+        mean_u = float((columns[:, 0] * counts).sum()) / self.samples_per_pixel
+        middle_v = (columns[:, 1] + columns[:, 2] - 1) / 2
+        return np.array([mean_u, float((middle_v * counts).sum()) / self.samples_per_pixel])
+
+    def tile_size(self, width_px: int, height_px: int) -> tuple[int, int]:
+        """Lattice (width, height) of the smallest tile that holds a crop of whole pixels."""
+        columns = self.pixel_columns
+        pixel_width = int(columns[-1, 0] - columns[0, 0]) + 1
+        pixel_height = int(columns[:, 2].max() - columns[:, 1].min())
+        return (
+            self.a * (width_px - 1) + self.b * (height_px - 1) + pixel_width,
+            self.b * (width_px - 1) + self.a * (height_px - 1) + pixel_height,
+        )
+
+    def tile_origin(self, x0_px: IntArray, y0_px: IntArray, height_px: int) -> IntArray:
+        """Lattice coordinates (n, 2) of the first sample of tiles whose crops start at (x0, y0)."""
+        columns = self.pixel_columns
+        u0 = self.a * x0_px - self.b * (y0_px + height_px - 1) + columns[0, 0]
+        v0 = self.b * x0_px + self.a * y0_px + columns[:, 1].min()
+        return np.stack([u0, v0], axis=-1)
+
+
+def average_pixels(
+    atlas: NDArray[np.uint32],
+    lattice: Lattice,
+    corners: IntArray,
+    x0_px: IntArray,
+    y0_px: IntArray,
+    size_px: tuple[int, int],
+    background: NDArray[np.float32],
+) -> NDArray[np.float32]:
+    """Average the samples of every pixel of every tile of an atlas, over the background.
+
+    Parameters
+    ----------
+    atlas : NDArray[np.uint32]
+        Sample words, shape (atlas height, atlas width).
+    lattice : Lattice
+        How the samples lie.
+    corners : NDArray[np.int64]
+        Atlas column and row at which each tile starts, shape (n, 2).
+    x0_px, y0_px : NDArray[np.int64]
+        Image column and row at which each tile's crop starts, shape (n,) [px].
+    size_px : tuple[int, int]
+        Width and height of the crops [px].
+    background : NDArray[np.float32]
+        Luminance of the empty scene, shape (image height, image width).
+
+    Returns
+    -------
+    NDArray[np.float32]
+        Luminance of the crops, shape (n, height, width).
+    """
+    width, height = size_px
+    tile_width, tile_height = lattice.tile_size(width, height)
+    columns = lattice.pixel_columns
+    u0, v0 = lattice.tile_origin(np.array(0), np.array(0), height)
+    luminance = np.empty((len(corners), height, width), np.float32)
+    # Positions below are indices into the flattened sums of one tile.
+    _average_tiles(
+        atlas,
+        corners,
+        tile_height,
+        tile_width,
+        columns[:, 1] * tile_width + columns[:, 0],
+        columns[:, 2] * tile_width + columns[:, 0],
+        -int(v0) * tile_width - int(u0),
+        lattice.b * tile_width + lattice.a,
+        lattice.a * tile_width - lattice.b,
+        lattice.samples_per_pixel,
+        x0_px,
+        y0_px,
+        background,
+        luminance,
+    )
+    return luminance
+
+
+@njit(cache=True, nogil=True)
+def _average_tiles(  # type: ignore[no-untyped-def]
+    atlas, corners, tile_height, tile_width, first, last, origin, step_x, step_y, n_samples,
+    x0_px, y0_px, background, luminance,
+):  # fmt: skip
+    sums = np.empty((tile_height + 1) * tile_width, np.uint32)
+    for k in range(corners.shape[0]):
+        column, row = corners[k, 0], corners[k, 1]
+        _sum_down(atlas[row : row + tile_height, column : column + tile_width], sums)
+        _average_tile(
+            sums, first, last, origin, step_x, step_y, n_samples,
+            background[y0_px[k] :, x0_px[k] :], luminance[k],
+        )  # fmt: skip
+
+
+@njit(cache=True, nogil=True)
+def _sum_down(tile, sums):  # type: ignore[no-untyped-def]
+    """Fill `sums` (height + 1, width) with the running sums of words down each column.
+
+    They wrap around, but the difference of two of them, over the few rows of a pixel, is exact.
+    """
+    height, width = tile.shape
+    sums[:width] = 0
+    for v in range(height):
+        above = sums[v * width : (v + 1) * width]
+        below = sums[(v + 1) * width : (v + 2) * width]
+        samples = tile[v]
+        for u in range(width):
+            below[u] = above[u] + samples[u]
+
+
+@njit(cache=True, nogil=True)
+def _average_tile(  # type: ignore[no-untyped-def]
+    sums, first, last, origin, step_x, step_y, n_samples, background, luminance
+):
+    height, width = luminance.shape
+    code_mask = np.uint32((1 << COUNT_BIT) - 1)
+    code_scale = np.float32(1.0 / (FULL_CODE * n_samples))
+    n = np.float32(n_samples)
+    for j in range(height):
+        for i in range(width):
+            at = origin + i * step_x + j * step_y
+            codes = np.uint32(0)
+            seen = np.uint32(0)
+            for c in range(first.size):
+                run = np.uint32(sums[np.uint64(at + last[c])] - sums[np.uint64(at + first[c])])
+                codes += run & code_mask
+                seen += run >> np.uint32(COUNT_BIT)
+            # Divided, not scaled: where there is no object this is the background, bit for bit.
+            share = (n - np.float32(seen)) / n
+            luminance[j, i] = np.float32(codes) * code_scale + share * background[j, i]

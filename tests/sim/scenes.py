@@ -1,0 +1,88 @@
+"""Small drones, cameras, poses and pictures that several tests of the simulator share."""
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from sim.drone import Drone, Part
+from sim.render import Crops
+from sim.rig import Camera, two_view_rig
+
+Array = NDArray[np.float64]
+Image = NDArray[np.float32]
+
+LENSES: dict[str, tuple[float, ...]] = {
+    "none": (),
+    "radtan": (-0.25, 0.06, 0.002, -0.001),
+    "equidistant": (0.05, -0.02, 0.003, 0.001),
+}
+
+
+def make_camera(model: str = "none", resolution: tuple[int, int] = (346, 260)) -> Camera:
+    """Camera 1 at (0, -5, 0), looking along +y."""
+    width, height = resolution
+    rig = two_view_rig(
+        90.0,
+        focal_px=200.0 * width / 346,
+        resolution=resolution,
+        principal_point=(width / 2, height / 2),
+        distortion_model=model,
+        distortion_coeffs=LENSES[model],
+    )
+    return rig.cameras[0]
+
+
+def box_drone(size_m: tuple[float, float, float], albedo: float = 0.2) -> Drone:
+    box = trimesh.creation.box(size_m)
+    faces = np.array(box.faces)
+    part = Part(np.array(box.vertices), faces, np.full(len(faces), albedo))
+    return Drone((part,), "box", max(size_m[:2]))
+
+
+def painted(drone: Drone, albedo: float) -> Drone:
+    """The drone in one colour: where its parts cut into each other it looks the same as ever."""
+    parts = (replace(part, albedo=np.full(len(part.faces), albedo)) for part in drone.parts)
+    return replace(drone, parts=tuple(parts))
+
+
+def poses(positions_m: Array, seed: int | None = None) -> Array:
+    """T_W_B (n, 4, 4) at these positions (n, 3), level or with random attitudes."""
+    T_W_B = np.tile(np.eye(4), (len(positions_m), 1, 1))
+    if seed is not None:
+        T_W_B[:, :3, :3] = Rotation.random(len(positions_m), random_state=seed).as_matrix()
+    T_W_B[:, :3, 3] = positions_m
+    return T_W_B
+
+
+def tumbling(n: int, seed: int, centre_m: tuple[float, ...], spread_m: tuple[float, ...]) -> Array:
+    """Random poses, uniform in a box."""
+    rng = np.random.default_rng(seed)
+    return poses(centre_m + rng.uniform(-1.0, 1.0, (n, 3)) * spread_m, seed)
+
+
+def straight(times_s: Array, start_m: tuple[float, ...], velocity_m_s: tuple[float, ...]) -> Array:
+    return poses(np.asarray(start_m) + np.outer(times_s, velocity_m_s))
+
+
+def grey(camera: Camera, luminance: float = 0.6) -> Image:
+    return np.full((camera.height, camera.width), luminance, np.float32)
+
+
+def noise_image(camera: Camera, seed: int = 0) -> Image:
+    rng = np.random.default_rng(seed)
+    return rng.random((camera.height, camera.width)).astype(np.float32)
+
+
+def whole_images(crops: Iterable[Crops], times_s: Array, background: Image) -> Image:
+    """Images (n, height, width) at all instants: the crops pasted over the background."""
+    images = np.repeat(background[None], len(times_s), axis=0)
+    for crop in crops:
+        height, width = crop.luminance.shape[1:]
+        for k, i in enumerate(np.searchsorted(times_s, crop.times_s)):
+            x0, y0 = crop.x0_px[k], crop.y0_px[k]
+            images[i, y0 : y0 + height, x0 : x0 + width] = crop.luminance[k]
+    return images
