@@ -1,0 +1,252 @@
+"""The whole chain: a configuration and a seed in, all cameras' recordings and the truth out."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.background import load_background, uniform_background
+from sim.drone import Drone, drone_from_file, quadrotor
+from sim.errors import SimError
+from sim.frames import FrameConfig, FrameExposer, Frames
+from sim.gl_context import GLContext
+from sim.render import Crops, RenderConfig, Renderer
+from sim.rig import Camera, Rig, two_view_rig
+from sim.sampling import SamplingConfig, choose_instants
+from sim.sensor import Sensor, SensorConfig
+from sim.trajectory import SplineConfig, Trajectory, random_spline, trajectory_from_csv
+
+FloatArray = NDArray[np.float64]
+
+TRUTH_HZ = 200.0  # rate at which the truth lists poses: smooth enough to interpolate
+# Branches of the seed: each random choice has a stream of its own.
+_TRAJECTORY_STREAM, _SENSOR_STREAM = 0, 1
+
+
+@dataclass(frozen=True)
+class SimConfig:
+    """Everything that a recording depends on, but for its seed."""
+
+    angle_deg: float = 90.0  # between the two lines of sight, 0 to 180 exclusive
+    t_d_s: float = 0.0  # t_cam2 = t_cam1 + t_d
+    spline: SplineConfig = field(default_factory=SplineConfig)
+    trajectory_file: Path | None = None  # CSV, instead of a random spline
+    drone_size_m: float | None = None  # None: the quadrotor's default, or the file's own size
+    drone_file: Path | None = None  # any mesh, instead of the quadrotor
+    rotor_hz: float = 0.0  # turns per second of the quadrotor's rotors
+    distance_m: float = 5.0  # of both cameras from the point they look at
+    focal_px: float = 200.0
+    resolution: tuple[int, int] = (346, 260)
+    principal_point: tuple[float, float] = (173.0, 130.0)
+    distortion_model: str = "none"
+    distortion_coeffs: tuple[float, ...] = ()
+    background_luminance: float = 0.4
+    background_files: tuple[Path, ...] = ()  # one image for all cameras, or one for each
+    sampling: SamplingConfig = field(default_factory=SamplingConfig)
+    render: RenderConfig = field(default_factory=RenderConfig)
+    sensor: SensorConfig = field(default_factory=SensorConfig)
+    frames: FrameConfig = field(default_factory=FrameConfig)
+
+
+@dataclass(frozen=True)
+class CameraRecording:
+    """What one camera recorded, on its own clock."""
+
+    camera: Camera
+    events: NDArray[Any]  # sim.sensor.EVENT_DTYPE, sorted by t
+    frames: Frames
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What an estimator is to find, and what it is scored against."""
+
+    t_d_s: float  # t_cam2 = t_cam1 + t_d
+    R: FloatArray  # (3, 3), x2 = R x1 + t
+    t: FloatArray  # (3,), unit length
+    baseline_m: float
+    times_s: FloatArray  # (n,) [s], of the scene, which is camera 1's clock
+    T_W_B: FloatArray  # (n, 4, 4), pose of the drone
+    centres_px: FloatArray  # (cameras, n, 2), image of the drone's origin; NaN behind the camera
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A simulated recording of one flight."""
+
+    cameras: tuple[CameraRecording, ...]
+    rig: Rig
+    truth: Truth
+    n_instants: int  # rendered
+    gl: GLContext
+
+
+def simulate(
+    config: SimConfig, seed: int, progress: Callable[[float], None] | None = None
+) -> Recording:
+    """Simulate one flight of one drone, seen by two cameras.
+
+    Parameters
+    ----------
+    config : SimConfig
+    seed : int
+        The only source of randomness; 0 or positive. The offset does not enter into it: recordings
+        that differ in `t_d_s` alone differ in camera 2's timestamps alone.
+    progress : Callable[[float], None], optional
+        Called now and then with the share of the work done, 0 to 1.
+
+    Returns
+    -------
+    Recording
+
+    Raises
+    ------
+    SimError
+        Input that makes no sense, or no GL.
+    """
+    if seed < 0:
+        raise SimError(f"seed: expected 0 or a positive integer, got {seed}")
+    rig = _rig(config)
+    backgrounds = _backgrounds(config, rig)
+    drone = _drone(config)
+    trajectory = _trajectory(config, seed)
+    instants_s = choose_instants(drone, rig, trajectory, config.sampling)
+    T_W_B = trajectory.poses(instants_s)
+    recorded = []
+    with Renderer(drone, config.render) as renderer:
+        for index, camera in enumerate(rig.cameras):
+            rng = np.random.default_rng(
+                np.random.SeedSequence(seed, spawn_key=(_SENSOR_STREAM, index))
+            )
+
+            def report(time_s: float, done: int = index) -> None:
+                if progress is not None:
+                    progress((done + time_s / trajectory.duration_s) / len(rig.cameras))
+
+            recorded.append(
+                _record(
+                    renderer, camera, instants_s, T_W_B, backgrounds[index], config, rng, report
+                )
+            )
+        gl = renderer.context
+    truth = _truth(rig, trajectory, config.t_d_s)
+    return Recording(tuple(recorded), rig, truth, len(instants_s), gl)
+
+
+def with_time_offset(recording: Recording, t_d_s: float) -> Recording:
+    """Return the same recording with another offset between the clocks: `t_cam2 = t_cam1 + t_d`."""
+    change_us = _microseconds(t_d_s) - _microseconds(recording.truth.t_d_s)
+    second = recording.cameras[1]
+    camera = replace(second.camera, time_offset_s=t_d_s)
+    events = second.events.copy()
+    events["t"] += change_us
+    frames = replace(second.frames, times_us=second.frames.times_us + change_us)
+    others = recording.cameras[2:]
+    return replace(
+        recording,
+        cameras=(recording.cameras[0], CameraRecording(camera, events, frames), *others),
+        rig=Rig((recording.rig.cameras[0], camera, *recording.rig.cameras[2:])),
+        truth=replace(recording.truth, t_d_s=t_d_s),
+    )
+
+
+def _record(
+    renderer: Renderer,
+    camera: Camera,
+    instants_s: FloatArray,
+    T_W_B: FloatArray,
+    background: NDArray[np.float32],
+    config: SimConfig,
+    rng: np.random.Generator,
+    report: Callable[[float], None],
+) -> CameraRecording:
+    """Render, sense and expose one camera's view, batch by batch."""
+    end_s = float(instants_s[-1])
+    sensor: Sensor | None = None
+    exposer = FrameExposer(config.frames, background, end_s)
+    for crops in renderer.crops(camera, instants_s, T_W_B, background):
+        exposer.feed(crops.times_s, crops.x0_px, crops.y0_px, crops.luminance)
+        if sensor is None:
+            starts = crops.times_s[0] == instants_s[0]  # in view from the start
+            image = _paste(crops, background) if starts else background
+            sensor = Sensor(config.sensor, image, float(instants_s[0]), rng, background)
+            crops = crops.since(1 if starts else 0)
+        if len(crops.times_s):
+            sensor.feed(crops.times_s, crops.x0_px, crops.y0_px, crops.luminance)
+            report(float(crops.times_s[-1]))
+    if sensor is None:  # never in view
+        sensor = Sensor(config.sensor, background, float(instants_s[0]), rng)
+    events = sensor.finish(end_s)
+    frames = exposer.finish()
+    report(end_s)
+    clock_us = _microseconds(camera.time_offset_s)
+    events["t"] += clock_us
+    return CameraRecording(camera, events, replace(frames, times_us=frames.times_us + clock_us))
+
+
+def _paste(crops: Crops, background: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the whole image at the first instant of the crops."""
+    image = background.copy()
+    height, width = crops.luminance.shape[1:]
+    y0, x0 = crops.y0_px[0], crops.x0_px[0]
+    image[y0 : y0 + height, x0 : x0 + width] = crops.luminance[0]
+    return image
+
+
+def _microseconds(seconds: float) -> int:
+    return round(seconds * 1e6)
+
+
+def _rig(config: SimConfig) -> Rig:
+    return two_view_rig(
+        config.angle_deg,
+        distance_m=config.distance_m,
+        focal_px=config.focal_px,
+        resolution=config.resolution,
+        principal_point=config.principal_point,
+        distortion_model=config.distortion_model,
+        distortion_coeffs=config.distortion_coeffs,
+        t_d_s=config.t_d_s,
+    )
+
+
+def _backgrounds(config: SimConfig, rig: Rig) -> list[NDArray[np.float32]]:
+    files = config.background_files
+    if len(files) not in (0, 1, len(rig.cameras)):
+        raise SimError(
+            f"background: expected one image for all cameras or one for each of the "
+            f"{len(rig.cameras)}, got {len(files)}"
+        )
+    if not files:
+        return [uniform_background(camera, config.background_luminance) for camera in rig.cameras]
+    each = files * len(rig.cameras) if len(files) == 1 else files
+    return [load_background(path, camera) for path, camera in zip(each, rig.cameras, strict=True)]
+
+
+def _drone(config: SimConfig) -> Drone:
+    if config.drone_file is not None:
+        if config.rotor_hz:
+            raise SimError("rotors spin on the built-in quadrotor only: leave out rotor_hz")
+        return drone_from_file(config.drone_file, config.drone_size_m)
+    if config.drone_size_m is None:
+        return quadrotor(rotor_hz=config.rotor_hz)
+    return quadrotor(config.drone_size_m, config.rotor_hz)
+
+
+def _trajectory(config: SimConfig, seed: int) -> Trajectory:
+    if config.trajectory_file is not None:
+        return trajectory_from_csv(config.trajectory_file)
+    stream = np.random.SeedSequence(seed, spawn_key=(_TRAJECTORY_STREAM,))
+    return random_spline(config.spline, np.random.default_rng(stream))
+
+
+def _truth(rig: Rig, trajectory: Trajectory, t_d_s: float) -> Truth:
+    R, t, baseline_m = rig.extrinsics()
+    n = max(2, int(np.ceil(trajectory.duration_s * TRUTH_HZ)) + 1)
+    times_s: FloatArray = np.linspace(0.0, trajectory.duration_s, n, dtype=np.float64)
+    T_W_B = trajectory.poses(times_s)
+    centres_px = np.stack([camera.project(T_W_B[:, :3, 3]) for camera in rig.cameras])
+    return Truth(t_d_s, R, t, baseline_m, times_s, T_W_B, centres_px)

@@ -1,0 +1,276 @@
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from numpy.typing import NDArray
+
+from sim.drone import drone_from_file
+from sim.errors import SimError
+from sim.frames import FrameConfig
+from sim.lattice import Lattice
+from sim.recording import Recording, SimConfig, simulate, with_time_offset
+from sim.render import RenderConfig
+from sim.sampling import SamplingConfig
+from sim.sensor import PRESETS
+from sim.trajectory import SplineConfig, random_spline, trajectory_to_csv
+
+pytestmark = pytest.mark.render
+
+# A second of a coarse recording: 60 ms.
+QUICK = SimConfig(
+    spline=SplineConfig(duration_s=1.0),
+    sampling=SamplingConfig(max_step_px=1.0),
+    render=RenderConfig(Lattice(3, 1)),
+    background_luminance=0.5,
+)
+SKY = 128  # its code in a frame
+
+
+def assert_same(a: Recording, b: Recording) -> None:
+    for one, other in zip(a.cameras, b.cameras, strict=True):
+        np.testing.assert_array_equal(one.events, other.events)
+        np.testing.assert_array_equal(one.frames.times_us, other.frames.times_us)
+        np.testing.assert_array_equal(one.frames.images, other.frames.images)
+        assert one.camera.time_offset_s == other.camera.time_offset_s
+    for name in ("t_d_s", "R", "t", "baseline_m", "times_s", "T_W_B", "centres_px"):
+        np.testing.assert_array_equal(getattr(a.truth, name), getattr(b.truth, name))
+
+
+def differ(a: Recording, b: Recording) -> bool:
+    return any(
+        len(one.events) != len(other.events) or bool((one.events != other.events).any())
+        for one, other in zip(a.cameras, b.cameras, strict=True)
+    )
+
+
+def skew(t: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.array([[0, -t[2], t[1]], [t[2], 0, -t[0]], [-t[1], t[0], 0]])
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_a_seed_is_a_recording(preset: str) -> None:
+    config = replace(QUICK, sensor=PRESETS[preset])
+    first, again, other = (simulate(config, seed) for seed in (3, 3, 4))
+    assert_same(first, again)
+    assert differ(first, other)
+    assert (first.truth.T_W_B != other.truth.T_W_B).any()
+    for camera in first.cameras:
+        assert len(camera.events) > 1000
+        assert np.diff(camera.events["t"]).min() >= 0
+        assert camera.events["x"].max() < 346
+        assert camera.events["y"].max() < 260
+
+
+def test_noise_differs_between_cameras_and_seeds() -> None:
+    config = replace(QUICK, sensor=replace(PRESETS["davis346"], background_hz=1.0))
+    ideal = simulate(QUICK, 3)
+    noisy = simulate(config, 3)
+    counts = [
+        np.bincount(camera.events["y"].astype(int) * 346 + camera.events["x"], minlength=89_960)
+        for camera in noisy.cameras
+    ]
+    quiet = [
+        np.bincount(camera.events["y"].astype(int) * 346 + camera.events["x"], minlength=89_960)
+        for camera in ideal.cameras
+    ]
+    still = (quiet[0] == 0) & (quiet[1] == 0)
+    noise = [count[still] for count in counts]
+    assert noise[0].mean() > 0.5  # events a pixel in a second
+    # Independent: no correlation beyond chance.
+    assert abs(np.corrcoef(noise[0], noise[1])[0, 1]) < 5 / still.sum() ** 0.5
+
+
+@pytest.mark.parametrize("t_d_s", [0.05, -0.7, 1e-6, 0.0123456])
+@pytest.mark.parametrize("preset", PRESETS)
+def test_the_offset_shifts_camera_2_and_nothing_else(t_d_s: float, preset: str) -> None:
+    config = replace(QUICK, sensor=PRESETS[preset])
+    plain = simulate(config, 5)
+    shifted = simulate(replace(config, t_d_s=t_d_s), 5)
+    shift_us = round(t_d_s * 1e6)
+    np.testing.assert_array_equal(shifted.cameras[0].events, plain.cameras[0].events)
+    moved = plain.cameras[1].events.copy()
+    moved["t"] += shift_us
+    np.testing.assert_array_equal(shifted.cameras[1].events, moved)
+    np.testing.assert_array_equal(
+        shifted.cameras[1].frames.times_us, plain.cameras[1].frames.times_us + shift_us
+    )
+    assert shifted.truth.t_d_s == t_d_s
+    assert shifted.rig.cameras[1].time_offset_s == t_d_s
+    assert_same(with_time_offset(plain, t_d_s), shifted)
+    assert_same(with_time_offset(shifted, 0.0), plain)
+    assert plain.cameras[1].events["t"].max() <= 1_000_000  # arguments stay as they are
+
+
+@pytest.mark.parametrize("angle_deg", [30.0, 90.0, 150.0])
+def test_true_centres_fulfil_the_epipolar_equation(angle_deg: float) -> None:
+    """x2' E x1 = 0 with E = [t]x R, normalised coordinates, on the drone's true centre."""
+    truth = simulate(replace(QUICK, angle_deg=angle_deg), 1).truth
+    E = skew(truth.t) @ truth.R
+    K = np.array([[200.0, 0.0, 173.0], [0.0, 200.0, 130.0], [0.0, 0.0, 1.0]])
+    x1, x2 = (
+        np.linalg.solve(K, np.column_stack([px, np.ones(len(px))]).T).T for px in truth.centres_px
+    )
+    np.testing.assert_allclose(np.einsum("ni,ij,nj->n", x2, E, x1), 0.0, atol=1e-13)  # round-off
+    assert np.linalg.norm(truth.t) == pytest.approx(1.0, abs=1e-15)
+    # Two cameras 5 m from the origin, seen from there `angle_deg` apart.
+    assert truth.baseline_m == pytest.approx(10.0 * np.sin(np.deg2rad(angle_deg / 2)))
+    assert np.degrees(np.arccos((np.trace(truth.R) - 1) / 2)) == pytest.approx(angle_deg)
+    assert (truth.times_s[0], truth.times_s[-1]) == (0.0, 1.0)
+
+
+def test_events_lie_around_the_true_centre() -> None:
+    """On camera 1's clock, and on camera 2's with the offset taken off."""
+    recording = simulate(replace(QUICK, t_d_s=0.25), 2)
+    truth = recording.truth
+    for camera, centres_px in zip(recording.cameras, truth.centres_px, strict=True):
+        scene_s = 1e-6 * camera.events["t"] - camera.camera.time_offset_s
+        assert scene_s.min() >= 0.0
+        assert scene_s.max() <= 1.0 + 1e-6
+        at = [np.interp(scene_s, truth.times_s, centres_px[:, k]) for k in (0, 1)]
+        distance_px = np.hypot(camera.events["x"] - at[0], camera.events["y"] - at[1])
+        # The 0.7 m drone is at most 0.43 m from its centre: 43 px when 2 m away.
+        depth_m = truth.T_W_B[:, :3, 3] @ camera.camera.T_C_W[2, :3] + camera.camera.T_C_W[2, 3]
+        reach_px = 200.0 * 0.43 / (np.interp(scene_s, truth.times_s, depth_m) - 0.43) + 1.0
+        assert (distance_px < reach_px).all()
+        assert np.median(distance_px) < 0.5 * np.median(reach_px)
+
+
+def test_frames_show_the_drone_where_it_was() -> None:
+    recording = simulate(replace(QUICK, t_d_s=0.25, frames=FrameConfig(20.0, 0.002)), 2)
+    truth = recording.truth
+    for camera, centres_px in zip(recording.cameras, truth.centres_px, strict=True):
+        frames = camera.frames
+        offset_us = round(1e6 * camera.camera.time_offset_s)
+        np.testing.assert_array_equal(
+            frames.times_us - offset_us, np.rint(1e6 * (np.arange(20) / 20 + 0.001))
+        )
+        assert frames.images.shape == (20, 260, 346)
+        for time_us, image in zip(frames.times_us, frames.images, strict=True):
+            scene_s = 1e-6 * (time_us - offset_us)
+            x, y = (np.interp(scene_s, truth.times_s, centres_px[:, k]) for k in (0, 1))
+            ys, xs = np.nonzero(image != SKY)
+            if 40 < x < 306 and 40 < y < 220:
+                # The middle of a 20 to 50 px silhouette is near the drone's centre.
+                assert np.hypot(xs.mean() - x, ys.mean() - y) < 10.0
+
+
+def test_a_trajectory_file_gives_the_recording_of_its_trajectory(tmp_path: Path) -> None:
+    """The spline itself and its 500 Hz table: the same to 1 um, so all but the same events."""
+    trajectory = random_spline(QUICK.spline, np.random.default_rng(8))
+    paths = [tmp_path / "coarse.csv", tmp_path / "fine.csv"]
+    for path, rate_hz in zip(paths, (500.0, 1000.0), strict=True):
+        trajectory_to_csv(trajectory, path, rate_hz)
+    coarse, fine = (simulate(replace(QUICK, trajectory_file=path), 0) for path in paths)
+    np.testing.assert_allclose(coarse.truth.T_W_B, fine.truth.T_W_B, atol=1e-6)
+    np.testing.assert_allclose(fine.truth.T_W_B, trajectory.poses(fine.truth.times_s), atol=1e-6)
+    for a, b in zip(coarse.cameras, fine.cameras, strict=True):
+        assert len(a.events) == pytest.approx(len(b.events), rel=0.01)
+    assert_same(coarse, simulate(replace(QUICK, trajectory_file=paths[0]), 0))
+
+
+def test_a_file_in_place_of_the_quadrotor(tmp_path: Path) -> None:
+    trimesh.creation.box((2.0, 1.0, 0.5)).export(tmp_path / "brick.stl")
+    config = replace(QUICK, drone_file=tmp_path / "brick.stl", drone_size_m=0.6)
+    assert drone_from_file(tmp_path / "brick.stl", 0.6).size_m == 0.6
+    recording = simulate(config, 1)
+    assert min(len(camera.events) for camera in recording.cameras) > 1000
+    with pytest.raises(SimError, match="rotors spin on the built-in quadrotor only"):
+        simulate(replace(config, rotor_hz=20.0), 1)
+
+
+def test_spinning_rotors_make_events_of_their_own() -> None:
+    config = replace(QUICK, sampling=SamplingConfig(max_step_px=2.0))
+    still, spinning = (simulate(replace(config, rotor_hz=hz), 1) for hz in (0.0, 30.0))
+    assert spinning.n_instants > 2 * still.n_instants
+    for a, b in zip(still.cameras, spinning.cameras, strict=True):
+        assert len(b.events) > 1.2 * len(a.events)
+
+
+@pytest.mark.parametrize(
+    ("lens", "coeffs"),
+    [("radtan", (-0.25, 0.06, 0.002, -0.001)), ("equidistant", (0.05, -0.02, 0.003, 0.001))],
+)
+def test_lenses(lens: str, coeffs: tuple[float, ...]) -> None:
+    config = replace(QUICK, distortion_model=lens, distortion_coeffs=coeffs)
+    bent, straight = simulate(config, 1), simulate(QUICK, 1)
+    assert differ(bent, straight)
+    assert np.nanmax(np.abs(bent.truth.centres_px - straight.truth.centres_px)) > 1.0
+
+
+def test_a_textured_background(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    walls = [rng.uniform(0.3, 0.9, (260, 346)) for _ in range(2)]
+    paths = tuple(tmp_path / f"wall{k}.npy" for k in (1, 2))
+    for path, wall in zip(paths, walls, strict=True):
+        np.save(path, wall)
+    own = simulate(replace(QUICK, background_files=paths), 1)
+    for camera, wall in zip(own.cameras, walls, strict=True):
+        code = np.rint(wall.astype(np.float32) * 255)
+        shows_wall = (camera.frames.images == code).mean()
+        assert shows_wall > 0.9
+    shared = simulate(replace(QUICK, background_files=paths[:1]), 1)
+    np.testing.assert_array_equal(shared.cameras[0].events, own.cameras[0].events)
+    assert (shared.cameras[1].frames.images[0] != own.cameras[1].frames.images[0]).any()
+
+
+def test_a_drone_that_is_never_in_view() -> None:
+    spline = replace(QUICK.spline, offset_xyz_m=(0.0, 0.0, 60.0))
+    recording = simulate(replace(QUICK, spline=spline), 1)
+    for camera in recording.cameras:
+        assert len(camera.events) == 0
+        assert (camera.frames.images == SKY).all()
+        assert len(camera.frames.images) == 50
+    noisy = simulate(replace(QUICK, spline=spline, sensor=PRESETS["davis346"]), 1)
+    # 90,000 pixels for a second, each with a leak of 0.1 Hz and shot noise of 0.25 Hz in the dark.
+    assert 10_000 < len(noisy.cameras[0].events) < 30_000
+
+
+@pytest.mark.parametrize("rate_hz", [0.0, 50.0])
+def test_frames_may_be_left_out(rate_hz: float) -> None:
+    recording = simulate(replace(QUICK, frames=FrameConfig(rate_hz)), 1)
+    assert len(recording.cameras[0].frames.images) == rate_hz
+
+
+def test_progress_goes_from_0_to_1() -> None:
+    seen: list[float] = []
+    simulate(QUICK, 1, seen.append)
+    assert seen[-1] == 1.0
+    assert all(a <= b for a, b in pairwise(seen))
+    assert min(seen) >= 0.0
+
+
+def test_the_backend_is_recorded() -> None:
+    recording = simulate(QUICK, 1)
+    assert recording.gl.backend in ("osmesa", "egl")
+    assert recording.gl.renderer
+    assert recording.n_instants > 100
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"angle_deg": 0.0}, r"between 0 and 180 deg"),
+        ({"angle_deg": 180.0}, r"between 0 and 180 deg"),
+        ({"t_d_s": np.nan}, r"offset"),
+        ({"background_luminance": 1.2}, r"background luminance"),
+        ({"background_files": (Path("a"), Path("b"), Path("c"))}, r"expected one image"),
+        ({"trajectory_file": Path("missing.csv")}, r"missing\.csv"),
+        ({"drone_file": Path("missing.stl")}, r"missing\.stl"),
+        ({"drone_size_m": -1.0}, r"drone's size"),
+        ({"distance_m": 0.5}, r"reaches into the camera"),
+        ({"distance_m": -5.0}, r"distance must be positive"),
+        ({"distortion_model": "fov"}, r"unknown distortion model"),
+        ({"focal_px": 0.0}, r"focal lengths"),
+    ],
+)
+def test_input_that_makes_no_sense(change: dict[str, object], message: str) -> None:
+    with pytest.raises(SimError, match=message):
+        simulate(replace(QUICK, **change), 1)
+
+
+def test_a_seed_is_not_negative() -> None:
+    with pytest.raises(SimError, match="seed: expected 0 or a positive integer, got -1"):
+        simulate(QUICK, -1)

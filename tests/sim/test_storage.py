@@ -1,0 +1,235 @@
+import json
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import sim.storage
+from sim.errors import SimError
+from sim.frames import Frames
+from sim.gl_context import GLContext
+from sim.recording import CameraRecording, Recording, Truth
+from sim.rig import two_view_rig
+from sim.sensor import EVENT_DTYPE
+from sim.storage import check_out_dir, save_events_text, save_recording
+from ssac.io import load_events, load_frames
+from ssac.rig_files import load_rig
+
+T_D_S = 0.05
+PROVENANCE = {"seed": 3, "angle_deg": 70.0}
+
+
+def made_up_recording(
+    n_events: int = 5000, n_frames: int = 4, first_us: int = -1_234_567, seed: int = 0
+) -> Recording:
+    """Random events, frames and poses: what is written need not have been simulated."""
+    rng = np.random.default_rng(seed)
+    rig = two_view_rig(
+        70.0, t_d_s=T_D_S, distortion_model="radtan", distortion_coeffs=(-0.1, 0.01, 0.001, 0.0)
+    )
+    cameras = []
+    for camera in rig.cameras:
+        events = np.empty(n_events, EVENT_DTYPE)
+        events["t"] = first_us + np.sort(rng.integers(0, 3_000_000, n_events))
+        events["x"], events["y"] = rng.integers(0, 346, n_events), rng.integers(0, 260, n_events)
+        events["p"] = rng.integers(0, 2, n_events)
+        times_us = first_us + 20_000 * np.arange(n_frames)
+        images = rng.integers(0, 256, (n_frames, 260, 346)).astype(np.uint8)
+        cameras.append(CameraRecording(camera, events, Frames(times_us, images, 0.005)))
+    R, t, baseline_m = rig.extrinsics()
+    T_W_B = np.tile(np.eye(4), (20, 1, 1))
+    T_W_B[:, :3, :3] = Rotation.random(20, random_state=seed).as_matrix()
+    T_W_B[:, :3, 3] = rng.uniform(-2, 2, (20, 3))
+    T_W_B[7, :3, 3] = [0.0, -9.0, 0.0]  # behind camera 1
+    centres_px = np.stack([camera.project(T_W_B[:, :3, 3]) for camera in rig.cameras])
+    truth = Truth(T_D_S, R, t, baseline_m, np.linspace(0, 1, 20), T_W_B, centres_px)
+    gl = GLContext("osmesa", "llvmpipe", "4.5")
+    return Recording(tuple(cameras), rig, truth, 321, gl)
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
+
+
+def test_the_same_recording_gives_the_same_bytes(tmp_path: Path) -> None:
+    """Time stamps within files have a resolution of a second."""
+    save_recording(made_up_recording(), tmp_path / "a", PROVENANCE, text=True)
+    time.sleep(1.1)
+    save_recording(made_up_recording(), tmp_path / "b", PROVENANCE, text=True)
+    assert contents(tmp_path / "a") == contents(tmp_path / "b")
+    assert set(contents(tmp_path / "a")) == {
+        *("cam1.h5", "cam1.txt", "cam2.h5", "cam2.txt"),
+        *("rig.yaml", "rig_extrinsics.yaml", "truth.json"),
+    }
+
+
+@pytest.mark.parametrize("n_events", [0, 1, 5000, 70_000])
+@pytest.mark.parametrize("n_frames", [0, 3])
+def test_hdf5_is_read_back(tmp_path: Path, n_events: int, n_frames: int) -> None:
+    recording = made_up_recording(n_events, n_frames)
+    save_recording(recording, tmp_path / "out", {})
+    for camera in recording.cameras:
+        path = tmp_path / "out" / f"{camera.camera.name}.h5"
+        with h5py.File(path) as file:
+            assert (file.attrs["width"], file.attrs["height"]) == (346, 260)
+            for name in ("t", "x", "y", "p"):
+                assert file[f"events/{name}"].dtype == EVENT_DTYPE[name]
+                np.testing.assert_array_equal(file[f"events/{name}"][:], camera.events[name])
+            assert ("frames" in file) == (n_frames > 0)
+        if n_events:
+            read = load_events(path)
+            np.testing.assert_array_equal(read.events, camera.events)
+            assert (read.width, read.height) == (346, 260)
+        frames = load_frames(path)
+        if n_frames:
+            assert frames is not None
+            np.testing.assert_array_equal(frames[0], camera.frames.times_us)
+            np.testing.assert_array_equal(frames[1], camera.frames.images)
+        else:
+            assert frames is None
+
+
+@pytest.mark.parametrize("first_us", [-1_234_567, -400_000, 0, 7])
+def test_esim_text_is_read_back(tmp_path: Path, first_us: int) -> None:
+    recording = made_up_recording(first_us=first_us)
+    save_recording(recording, tmp_path / "out", {}, text=True)
+    for camera in recording.cameras:
+        path = tmp_path / "out" / f"{camera.camera.name}.txt"
+        lines = path.read_text().splitlines()
+        assert lines[0] == "346 260"
+        assert len(lines) == 1 + len(camera.events)
+        t, x, y, p = lines[1].split(" ")
+        first = camera.events[0]
+        assert float(t) == first["t"] / 1e6
+        assert (int(x), int(y), int(p)) == (first["x"], first["y"], first["p"])
+        read = load_events(path)
+        np.testing.assert_array_equal(read.events, camera.events)
+        assert (read.width, read.height) == (346, 260)
+
+
+def test_esim_text_without_events(tmp_path: Path) -> None:
+    save_events_text(made_up_recording(0).cameras[0], tmp_path / "cam1.txt")
+    assert (tmp_path / "cam1.txt").read_text() == "346 260\n"
+
+
+def test_rigs_are_read_back(tmp_path: Path) -> None:
+    recording = made_up_recording()
+    save_recording(recording, tmp_path / "out", {})
+    unknown, known = (
+        load_rig(tmp_path / "out" / name) for name in ("rig.yaml", "rig_extrinsics.yaml")
+    )
+    assert unknown.T_2_1 is None
+    np.testing.assert_allclose(known.T_2_1[:3, :3], recording.truth.R, atol=1e-12)  # round-off
+    np.testing.assert_allclose(
+        known.T_2_1[:3, 3], recording.truth.t * recording.truth.baseline_m, atol=1e-12
+    )
+    for read, made in zip((known.cam1, known.cam2), recording.rig.cameras, strict=True):
+        np.testing.assert_array_equal(read.K, made.K)
+        assert (read.width, read.height) == (made.width, made.height)
+
+
+def test_estimators_cannot_read_the_truth_out_of_the_rig(tmp_path: Path) -> None:
+    save_recording(made_up_recording(), tmp_path / "out", {})
+    text = (tmp_path / "out" / "rig.yaml").read_text()
+    assert "T_cn" not in text
+    assert str(T_D_S) not in text
+
+
+def test_the_truth_is_complete(tmp_path: Path) -> None:
+    recording = made_up_recording()
+    save_recording(recording, tmp_path / "out", PROVENANCE)
+    truth = json.loads((tmp_path / "out" / "truth.json").read_text(), parse_constant=pytest.fail)
+    assert truth["t_d_s"] == T_D_S
+    np.testing.assert_array_equal(truth["R"], recording.truth.R)
+    np.testing.assert_array_equal(truth["t"], recording.truth.t)
+    assert truth["provenance"] == PROVENANCE
+    assert truth["gl"] == {"backend": "osmesa", "renderer": "llvmpipe", "version": "4.5"}
+    # Rounded to nine decimals.
+    np.testing.assert_allclose(truth["times_s"], recording.truth.times_s, atol=1e-9)
+    positions_m = np.array(truth["drone_position_W_m"])
+    np.testing.assert_allclose(positions_m, recording.truth.T_W_B[:, :3, 3], atol=1e-9)
+    np.testing.assert_allclose(
+        Rotation.from_quat(truth["drone_quaternion_W_B_xyzw"]).as_matrix(),
+        recording.truth.T_W_B[:, :3, :3],
+        atol=1e-8,
+    )
+    for name, centres_px, offset_s in zip(
+        ("cam1", "cam2"), recording.truth.centres_px, (0.0, T_D_S), strict=True
+    ):
+        camera = truth["cameras"][name]
+        assert camera["time_offset_s"] == offset_s
+        assert camera["n_events"] == 5000
+        assert np.array(camera["T_C_W"]).shape == (4, 4)
+        read_px = np.array(camera["drone_px"], dtype=float)  # null becomes NaN
+        np.testing.assert_allclose(read_px, centres_px, atol=1e-9)
+    assert truth["cameras"]["cam1"]["drone_px"][7] == [None, None]
+
+
+# --- All or nothing ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("error", [OSError("No space left on device"), KeyboardInterrupt()])
+@pytest.mark.parametrize("step", ["_save_camera", "save_events_text", "kalibr_yaml", "_truth"])
+@pytest.mark.parametrize("out", ["new", "empty", "a/b/new"])
+def test_nothing_is_left_of_a_recording_that_cannot_be_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: BaseException, step: str, out: str
+) -> None:
+    (tmp_path / "empty").mkdir()
+
+    def fail(*arguments: object, **options: object) -> None:
+        raise error
+
+    monkeypatch.setattr(sim.storage, step, fail)
+    expected = SimError if isinstance(error, OSError) else KeyboardInterrupt
+    with pytest.raises(expected):
+        save_recording(made_up_recording(50, 1), tmp_path / out, {}, text=True)
+    assert [str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*")] == ["empty"]
+
+
+def test_the_reason_is_told(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(SimError, match=r"cannot write the recording to .*file/out"):
+        save_recording(made_up_recording(5, 0), tmp_path / "file" / "out", {})
+
+
+def test_an_occupied_folder_is_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(SimError, match="is not empty: name a new folder"):
+        save_recording(made_up_recording(5, 0), tmp_path, {})
+    assert contents(tmp_path) == {"notes.txt": b"mine"}
+    with pytest.raises(SimError, match=r"notes\.txt is a file: name a folder"):
+        check_out_dir(tmp_path / "notes.txt")
+
+
+@pytest.mark.parametrize("out", ["new", "deep/er/new", "empty", "empty/"])
+def test_new_and_empty_folders_are_taken(tmp_path: Path, out: str) -> None:
+    (tmp_path / "empty").mkdir()
+    check_out_dir(tmp_path / out)
+    save_recording(made_up_recording(5, 1), tmp_path / out, {})
+    assert "truth.json" in contents(tmp_path / out)
+    assert not list(tmp_path.rglob("*.partial"))
+
+
+@pytest.mark.parametrize("out", [".", "./", "../here"])
+def test_the_present_folder_is_taken_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, out: str
+) -> None:
+    here = tmp_path / "here"
+    here.mkdir()
+    monkeypatch.chdir(here)
+    save_recording(made_up_recording(5, 1), Path(out), {})
+    assert "truth.json" in contents(Path("."))  # still the same folder
+    assert [path.name for path in tmp_path.iterdir()] == ["here"]
+
+
+def test_provenance_may_hold_what_a_configuration_holds(tmp_path: Path) -> None:
+    recording = replace(made_up_recording(5, 0), n_instants=7)
+    provenance = {"spline": {"duration_s": 20.0}, "files": ["a.csv"], "none": None, "on": True}
+    save_recording(recording, tmp_path / "out", provenance)
+    truth = json.loads((tmp_path / "out" / "truth.json").read_text())
+    assert truth["provenance"] == provenance
+    assert truth["n_instants"] == 7
