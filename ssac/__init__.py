@@ -1,0 +1,33 @@
+"""Synchronise and calibrate two event cameras from the motion of one object.
+
+Events and intrinsics in, time offset and relative pose out; nothing here knows the truth.
+"""
+
+from ssac.baselines.albl import albl
+from ssac.baselines.event_rate import event_rate
+from ssac.baselines.zncc_e import zncc_e
+from ssac.baselines.zncc_f import zncc_f
+from ssac.camera import Camera, Rig
+from ssac.errors import SsacError
+from ssac.estimate import ssac, ssac_known
+from ssac.events import EVENT_DTYPE
+from ssac.interface import Config, Estimate, Observation
+from ssac.refinement import joint, joint_known
+
+__all__ = [
+    "EVENT_DTYPE",
+    "Camera",
+    "Config",
+    "Estimate",
+    "Observation",
+    "Rig",
+    "SsacError",
+    "albl",
+    "event_rate",
+    "joint",
+    "joint_known",
+    "ssac",
+    "ssac_known",
+    "zncc_e",
+    "zncc_f",
+]

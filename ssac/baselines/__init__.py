@@ -1,0 +1,1 @@
+"""Methods that the paper compares with, or should: one file each, all with the same signature."""

@@ -1,0 +1,85 @@
+"""Two signals on one grid of time bins in, the lag of highest correlation out."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ssac.interface import Config, Estimate
+
+Array = NDArray[np.float64]
+
+_MIN_OVERLAP = 0.5  # of the shorter signal; the correlation of less is not comparable
+
+
+@dataclass(frozen=True)
+class Signal:
+    """One number per time bin; bin b covers the times from b to b + 1 bin lengths."""
+
+    first_bin: int
+    values: Array  # (n,)
+
+
+def binned(times_s: Array, values: Array | None, bin_s: float) -> Signal:
+    """Count times, or average values, in each bin between the first and the last time.
+
+    Parameters
+    ----------
+    times_s
+        Shape (n,) [s], ascending, may be empty.
+    values
+        Shape (n,), averaged in each bin, empty bins interpolated; None counts the times instead.
+    bin_s
+        Bin length [s].
+    """
+    bins = np.floor(times_s / bin_s + 1e-6).astype(np.int64)  # frame times are often exact bounds
+    if len(bins) == 0:
+        return Signal(0, np.empty(0))
+    counts = np.bincount(bins - bins[0])
+    if values is None:
+        return Signal(int(bins[0]), counts.astype(np.float64))
+    means = np.bincount(bins - bins[0], values) / np.maximum(counts, 1)
+    filled = np.flatnonzero(counts)
+    return Signal(int(bins[0]), np.interp(np.arange(len(counts)), filled, means[filled]))
+
+
+def zncc(signal1: Signal, signal2: Signal, lags: NDArray[np.int64]) -> Array:
+    """Zero-normalised cross-correlation of signal1 at bin b with signal2 at bin b + lag.
+
+    Returns
+    -------
+    NDArray[np.float64]
+        Shape of `lags`, from -1 to 1: the correlation coefficient over the bins that both signals
+        cover. NaN when these are fewer than half of the shorter signal, or a signal is constant.
+    """
+    curve = np.full(len(lags), np.nan)
+    needed = max(2.0, _MIN_OVERLAP * min(len(signal1.values), len(signal2.values)))
+    for i, lag in enumerate(lags):
+        shift = signal1.first_bin + lag - signal2.first_bin  # bin 0 of signal1 in signal2
+        start, end = max(0, -shift), min(len(signal1.values), len(signal2.values) - shift)
+        if end - start < needed:
+            continue
+        a = signal1.values[start:end] - np.mean(signal1.values[start:end])
+        b = signal2.values[start + shift : end + shift]
+        b = b - np.mean(b)
+        power = np.sqrt((a @ a) * (b @ b))
+        if power > 0.0:
+            curve[i] = a @ b / power
+    return curve
+
+
+def lags_of(config: Config, bin_s: float) -> NDArray[np.int64]:
+    """All whole lags [bins] within the search interval."""
+    low, high = config.interval_s
+    return np.arange(np.ceil(low / bin_s - 1e-9), np.floor(high / bin_s + 1e-9) + 1).astype(
+        np.int64
+    )
+
+
+def correlation_estimate(method: str, lags_s: Array, curve: Array) -> Estimate:
+    """Choose the lag of highest correlation; status "no_common_signal" when there is none."""
+    if not np.isfinite(curve).any():
+        reason = "at no lag in the interval do both signals overlap by half and vary"
+        return Estimate(method, "no_common_signal", reason, candidates_s=lags_s, costs=-curve)
+    best = int(np.nanargmax(curve))
+    return Estimate(method, t_d_s=float(lags_s[best]), candidates_s=lags_s, costs=-curve)

@@ -1,0 +1,185 @@
+"""Camera intrinsics and rigs: measured pixel coordinates in, undistorted pixel coordinates out.
+
+The lens models are Kalibr's two: "radtan" (radial-tangential, OpenCV's k1, k2, p1, p2, and k3 to k6
+where a calibration by OpenCV has them) and "equidistant" (OpenCV's fisheye k1 to k4). Undistorted
+("ideal") points keep the camera's K, so that without distortion they are the measured points.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ssac.errors import SsacError
+
+DISTORTION_LENGTHS = {"none": (0,), "radtan": (4, 5, 8), "equidistant": (4,)}
+"""Numbers of distortion coefficients that each lens model may have."""
+
+MAX_ROUND_TRIP_PX = 1e-6
+"""An undistorted point is accepted when distorting it again comes back this close [px]."""
+
+_STOP = (cv2.TERM_CRITERIA_MAX_ITER | cv2.TERM_CRITERIA_EPS, 500, 1e-7)
+
+
+@dataclass(frozen=True)
+class Camera:
+    """Intrinsics of one camera (Kalibr's pinhole model)."""
+
+    K: NDArray[np.float64]  # (3, 3) [px], pixel centres at integer coordinates
+    width: int  # [px]
+    height: int  # [px]
+    distortion_model: str = "none"  # "none", "radtan" or "equidistant"
+    distortion_coeffs: tuple[float, ...] = ()  # 4 values unless "none"; OpenCV's radtan also 5, 8
+
+
+@dataclass(frozen=True)
+class Rig:
+    """Two cameras and, where it is known, the transform from camera 1 to camera 2."""
+
+    cam1: Camera
+    cam2: Camera
+    T_2_1: NDArray[np.float64] | None = None  # (4, 4), x2 = T_2_1 x1, [m]
+
+
+def check_camera(camera: Camera, name: str = "camera") -> None:
+    """Raise SsacError unless `camera` is a usable pinhole camera; `name` starts the message."""
+    K = np.asarray(camera.K, dtype=np.float64)
+    if K.shape != (3, 3) or not np.isfinite(K).all():
+        raise SsacError(f"{name}: K must be a finite 3x3 matrix, got {K.tolist()}: calibrate again")
+    if K[0, 0] <= 0 or K[1, 1] <= 0:
+        raise SsacError(
+            f"{name}: focal lengths must be positive, got fu = {K[0, 0]:g}, fv = {K[1, 1]:g} px: "
+            "check the order [fu, fv, pu, pv] of the intrinsics"
+        )
+    if K[0, 1] != 0 or K[1, 0] != 0 or not np.array_equal(K[2], (0.0, 0.0, 1.0)):
+        raise SsacError(
+            f"{name}: K must be [[fu, 0, pu], [0, fv, pv], [0, 0, 1]], got {K.tolist()}: "
+            "calibrate with a pinhole model without skew"
+        )
+    if camera.width < 1 or camera.height < 1:
+        raise SsacError(
+            f"{name}: the resolution must be at least 1 x 1 px, got {camera.width} x "
+            f"{camera.height}: give it as [width, height]"
+        )
+    if camera.distortion_model not in DISTORTION_LENGTHS:
+        raise SsacError(
+            f"{name}: unknown distortion model {camera.distortion_model!r}: "
+            f"use one of {', '.join(DISTORTION_LENGTHS)}"
+        )
+    lengths = DISTORTION_LENGTHS[camera.distortion_model]
+    coeffs = np.asarray(camera.distortion_coeffs, dtype=np.float64)
+    if coeffs.ndim != 1 or len(coeffs) not in lengths or not np.isfinite(coeffs).all():
+        raise SsacError(
+            f"{name}: the distortion model {camera.distortion_model!r} needs "
+            f"{' or '.join(map(str, lengths))} finite coefficients, got {coeffs.tolist()}: "
+            "calibrate again"
+        )
+
+
+def undistort_points(camera: Camera, points_px: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Ideal pixel coordinates of measured points: where a lens without distortion shows them.
+
+    Parameters
+    ----------
+    camera
+        Intrinsics; the ideal points are in the image of the same K.
+    points_px
+        Measured points, shape (N, 2) [px].
+
+    Returns
+    -------
+    NDArray[np.float64]
+        Ideal points, shape (N, 2) [px]. A point that no ray reaches under the lens model (far out,
+        where a fitted polynomial turns back) becomes NaN; all others come back from
+        `distort_points` to within MAX_ROUND_TRIP_PX.
+
+    Raises
+    ------
+    SsacError
+        If the camera or the shape of the points is invalid.
+    """
+    check_camera(camera)
+    measured = _checked_points(points_px)
+    if camera.distortion_model == "none" or len(measured) == 0:
+        return measured
+    coeffs = np.array(camera.distortion_coeffs)
+    if camera.distortion_model == "radtan":
+        ideal = cv2.undistortPointsIter(
+            measured[:, None], camera.K, coeffs, np.eye(3), camera.K, _STOP
+        )
+    else:
+        ideal = cv2.fisheye.undistortPoints(
+            measured[:, None], camera.K, coeffs, P=camera.K, criteria=_STOP
+        )
+    ideal_points = np.asarray(ideal, dtype=np.float64).reshape(-1, 2)
+    round_trip_px = np.linalg.norm(distort_points(camera, ideal_points) - measured, axis=1)
+    ideal_points[~(round_trip_px <= MAX_ROUND_TRIP_PX)] = np.nan
+    return ideal_points
+
+
+def distort_points(camera: Camera, points_px: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Measured pixel coordinates of ideal points, the inverse of `undistort_points`.
+
+    Parameters
+    ----------
+    camera
+        Intrinsics.
+    points_px
+        Ideal points, shape (N, 2) [px], in the image of the same K.
+
+    Returns
+    -------
+    NDArray[np.float64]
+        Measured points, shape (N, 2) [px]; they may lie outside the sensor.
+
+    Raises
+    ------
+    SsacError
+        If the camera or the shape of the points is invalid.
+    """
+    check_camera(camera)
+    ideal = _checked_points(points_px)
+    if camera.distortion_model == "none" or len(ideal) == 0:
+        return ideal
+    coeffs = np.array(camera.distortion_coeffs)
+    rays = (ideal - camera.K[:2, 2]) / (camera.K[0, 0], camera.K[1, 1])
+    if camera.distortion_model == "radtan":
+        rays = np.column_stack([rays, np.ones(len(rays))])
+        measured, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), camera.K, coeffs)
+    else:
+        measured = cv2.fisheye.distortPoints(rays[:, None], camera.K, coeffs)
+    return np.asarray(measured, dtype=np.float64).reshape(-1, 2)
+
+
+def undistortion_map(camera: Camera) -> NDArray[np.float64]:
+    """Ideal coordinates of every pixel, so that events are undistorted by one table look-up.
+
+    Parameters
+    ----------
+    camera
+        Intrinsics.
+
+    Returns
+    -------
+    NDArray[np.float64]
+        Shape (height, width, 2) [px]: `undistortion_map(camera)[y, x]` is the ideal (x, y) of pixel
+        (x, y). NaN where `undistort_points` gives NaN: events there must be left out.
+
+    Raises
+    ------
+    SsacError
+        If the camera is invalid.
+    """
+    check_camera(camera)
+    y, x = np.mgrid[: camera.height, : camera.width]
+    pixels = np.column_stack([x.ravel(), y.ravel()]).astype(np.float64)
+    return undistort_points(camera, pixels).reshape(camera.height, camera.width, 2)
+
+
+def _checked_points(points_px: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Copy of the points as float64; SsacError unless their shape is (N, 2)."""
+    points = np.array(points_px, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 2:
+        raise SsacError(f"points must have shape (N, 2), got {points.shape}: pass one point a row")
+    return points

@@ -1,0 +1,5 @@
+"""The root of every error that `ssac` raises on purpose."""
+
+
+class SsacError(ValueError):
+    """Bad input: the message says what was expected, what came and what to do."""

@@ -1,0 +1,154 @@
+"""The event array: one structured dtype, its checks, and slices of it by time."""
+
+from bisect import bisect_left
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ssac.errors import SsacError
+
+EVENT_DTYPE = np.dtype([("t", "<i8"), ("x", "<u2"), ("y", "<u2"), ("p", "u1")])
+"""One event: `t` [us], pixel column `x`, pixel row `y`, polarity `p` (1 = brighter)."""
+
+US_PER_S = 1_000_000
+
+
+@dataclass(frozen=True)
+class EventFile:
+    """What an event file holds: the events and, where the file says so, the sensor's size."""
+
+    events: NDArray[np.void]  # EVENT_DTYPE, shape (N,), sorted by t
+    width: int | None  # [px]
+    height: int | None  # [px]
+
+
+def events_from_arrays(
+    t: ArrayLike, x: ArrayLike, y: ArrayLike, p: ArrayLike, name: str = "events"
+) -> NDArray[np.void]:
+    """Build the event array from one array per field.
+
+    Parameters
+    ----------
+    t, x, y, p
+        Time [us], pixel column and row [px] and polarity, each of shape (N,) and of an integer (or
+        boolean) dtype. The polarity of a darker event may be 0 or -1.
+    name
+        What the arrays belong to; starts the error message.
+
+    Returns
+    -------
+    NDArray[np.void]
+        Events, dtype EVENT_DTYPE, shape (N,), in the order given; `check_events` looks at the rest.
+
+    Raises
+    ------
+    SsacError
+        If the lengths differ, or a value does not fit its field.
+    """
+    columns = {"t": np.asarray(t), "x": np.asarray(x), "y": np.asarray(y), "p": np.asarray(p)}
+    check_lengths({field: column.shape for field, column in columns.items()}, name)
+    events = np.empty(len(columns["t"]), dtype=EVENT_DTYPE)
+    for field, column in columns.items():
+        events[field] = field_values(field, column, name)
+    return events
+
+
+def check_lengths(shapes: Mapping[str, tuple[int, ...]], name: str) -> None:
+    """Raise SsacError, starting with `name`, unless the shapes are 1-D and of one length."""
+    if len(set(shapes.values())) != 1 or len(shapes["t"]) != 1:
+        raise SsacError(
+            f"{name}: t, x, y and p must be of one length, got the shapes {dict(shapes)}: "
+            "the file is incomplete, record or convert it again"
+        )
+
+
+def field_values(field: str, column: NDArray[Any], name: str) -> NDArray[Any]:
+    """Values of one field, ready to be assigned to it without loss.
+
+    Parameters
+    ----------
+    field
+        "t", "x", "y" or "p".
+    column
+        Values, shape (N,), of an integer or boolean dtype; a polarity of -1 becomes 0.
+    name
+        What they belong to; starts the error message.
+
+    Raises
+    ------
+    SsacError
+        If the dtype is another, or a value does not fit the field.
+    """
+    if column.dtype.kind not in "iub":
+        raise SsacError(
+            f"{name}: {field} must hold whole numbers (t in microseconds), got values of type "
+            f"{column.dtype}: convert the file"
+        )
+    if field == "p" and column.dtype.kind == "i":
+        column = np.where(column == -1, 0, column)
+    target = EVENT_DTYPE[field]
+    if not np.can_cast(column.dtype, target) and len(column):
+        low, high = int(column.min()), int(column.max())
+        if low < np.iinfo(target).min or high > np.iinfo(target).max:
+            raise SsacError(
+                f"{name}: {field} must lie in {np.iinfo(target).min} to {np.iinfo(target).max}, "
+                f"got {low} to {high}: the file is damaged or is read in the wrong layout"
+            )
+    return column
+
+
+def check_events(
+    events: NDArray[np.void], width: int | None, height: int | None, name: str
+) -> None:
+    """Raise SsacError, starting with `name`, unless the events can be used.
+
+    Parameters
+    ----------
+    events
+        Events to check: dtype EVENT_DTYPE, not empty, sorted by time, polarity 0 or 1.
+    width, height
+        Sensor size [px] that the events must lie in; None where it is not known.
+    name
+        What the events are: a file's path, or "camera 1".
+    """
+    if events.dtype != EVENT_DTYPE or events.ndim != 1:
+        raise SsacError(
+            f"{name}: events must be a 1-D array of {EVENT_DTYPE.descr}, got {events.ndim}-D "
+            f"{events.dtype}: build it with ssac.events.events_from_arrays"
+        )
+    if len(events) == 0:
+        raise SsacError(f"{name}: there are no events: record again, or check the right file")
+    t = events["t"]
+    backwards = t[1:] < t[:-1]
+    if backwards.any():
+        i = int(np.argmax(backwards)) + 1
+        raise SsacError(
+            f"{name}: events must be sorted by time, but event {i} is at {t[i]} us, after one at "
+            f"{t[i - 1]} us: sort the file, or check that it is undamaged"
+        )
+    for field, size in (("x", width), ("y", height)):
+        if size is not None and (largest := int(events[field].max())) >= size:
+            raise SsacError(
+                f"{name}: the sensor is {width} x {height} px, but there is an event at {field} = "
+                f"{largest}: give the size of the camera that recorded the events"
+            )
+    if (largest := int(events["p"].max())) > 1:
+        raise SsacError(f"{name}: polarity must be 0 or 1, got {largest}: convert the file")
+
+
+def slice_time(events: NDArray[np.void], start_us: int, end_us: int) -> NDArray[np.void]:
+    """View of the events with start_us <= t < end_us, found by bisection; may be empty.
+
+    Parameters
+    ----------
+    events
+        Events, dtype EVENT_DTYPE, sorted by time.
+    start_us, end_us
+        Interval of time [us], open at its end.
+    """
+    t = events["t"]
+    first = bisect_left(t, start_us)
+    return events[first : bisect_left(t, end_us, lo=first)]

@@ -1,0 +1,203 @@
+"""Rig files in (Kalibr camchain YAML, OpenCV stereo YAML), the cameras' Rig out."""
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from ssac.camera import Camera, Rig, check_camera
+from ssac.errors import SsacError
+
+MAX_ROTATION_ERROR = 1e-3
+"""Largest entry of R'R - I in a rotation that was written with few digits."""
+
+# The spellings of OpenCV's stereo samples, of its documentation and of common tools.
+_OPENCV_K = ("K{}", "M{}", "cameraMatrix{}", "camera_matrix_{}")
+_OPENCV_D = ("D{}", "distCoeffs{}", "dist_coeffs_{}")
+_OPENCV_SIZE = ("size", "imageSize", "image_size")
+_OPENCV_WIDTH_HEIGHT = (
+    ("width", "height"),
+    ("imageWidth", "imageHeight"),
+    ("image_width", "image_height"),
+)
+
+
+def load_rig(path: Path | str) -> Rig:
+    """Read the two cameras of a rig, and their relative pose where the file has it.
+
+    Parameters
+    ----------
+    path
+        A Kalibr camchain file (`cam0` is camera 1, `cam1` is camera 2, whose `T_cn_cnm1` is the
+        pose), or what OpenCV's FileStorage writes after a stereo calibration: K1, D1, K2, D2 (or
+        M1, M2, cameraMatrix1, distCoeffs1, ...), the image size, and R and T where known. OpenCV's
+        files do not name their lens model: it is taken as radtan unless the key
+        `distortion_model` says `equidistant`.
+
+    Returns
+    -------
+    Rig
+        Cameras with valid intrinsics; T_2_1 in the unit of the file (Kalibr: metres).
+
+    Raises
+    ------
+    SsacError
+        If the file is missing or of another kind, a key is missing, or a value is unusable (NaN,
+        a wrong number of coefficients, a matrix that is no rotation). The message names the file.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in (".yaml", ".yml"):
+        raise SsacError(f"{path}: unknown extension {path.suffix!r} of a rig: use .yaml or .yml")
+    if not path.is_file():
+        raise SsacError(f"{path}: there is no such file: check the path")
+    try:
+        text = path.read_text(encoding="utf-8")
+        if "!!opencv-matrix" in text:
+            return _rig_from_opencv(path, text)
+        document = yaml.safe_load(text)
+    except (UnicodeDecodeError, yaml.YAMLError, cv2.error, SystemError) as error:
+        reason = " ".join(str(error).split())
+        raise SsacError(f"{path}: not a readable YAML file ({reason}): write it again") from error
+    return _rig_from_kalibr(path, document)
+
+
+def check_resolution(
+    camera: Camera, width: int | None, height: int | None, camera_name: str, events_name: str
+) -> None:
+    """Raise SsacError unless a calibration is for the resolution of the recording.
+
+    Parameters
+    ----------
+    camera
+        The calibrated camera.
+    width, height
+        Sensor size of the recording [px]; None where its file does not give it: then it passes.
+    camera_name, events_name
+        What the two are, for the message: "rig.yaml, cam0" and "cam1.h5".
+    """
+    for recorded, calibrated in ((width, camera.width), (height, camera.height)):
+        if recorded is not None and recorded != calibrated:
+            raise SsacError(
+                f"{camera_name} is calibrated at {camera.width} x {camera.height} px, but "
+                f"{events_name} was recorded at {width} x {height} px: give the rig of this "
+                "recording"
+            )
+
+
+def _rig_from_kalibr(path: Path, document: Any) -> Rig:
+    """Rig of a parsed camchain file."""
+    if not isinstance(document, Mapping) or not {"cam0", "cam1"} <= set(document):
+        raise SsacError(
+            f"{path}: expected a Kalibr camchain with cam0 and cam1, or an OpenCV stereo file: "
+            "give the result of a two-camera calibration"
+        )
+    cam1, cam2 = (_camera_from_kalibr(f"{path}, {key}", document[key]) for key in ("cam0", "cam1"))
+    if "T_cn_cnm1" not in document["cam1"]:
+        return Rig(cam1, cam2)
+    T_2_1 = _numbers(document["cam1"]["T_cn_cnm1"], (4, 4), f"{path}, cam1, T_cn_cnm1")
+    return Rig(cam1, cam2, _checked_transform(T_2_1, f"{path}, cam1, T_cn_cnm1"))
+
+
+def _camera_from_kalibr(name: str, entry: Any) -> Camera:
+    """Camera of one entry of a camchain file; `name` starts the error messages."""
+    keys = ("camera_model", "intrinsics", "distortion_model", "resolution")
+    missing = [key for key in keys if not isinstance(entry, Mapping) or key not in entry]
+    if missing:
+        raise SsacError(f"{name}: {', '.join(missing)} missing: calibrate with Kalibr, or add it")
+    if entry["camera_model"] != "pinhole":
+        raise SsacError(
+            f"{name}: camera_model must be pinhole, got {entry['camera_model']!r}: calibrate with "
+            "pinhole-radtan or pinhole-equi"
+        )
+    fu, fv, pu, pv = _numbers(entry["intrinsics"], (4,), f"{name}, intrinsics")
+    size = _numbers(entry["resolution"], (2,), f"{name}, resolution")
+    coeffs = _numbers(entry.get("distortion_coeffs") or [], (-1,), f"{name}, distortion_coeffs")
+    K = np.array([[fu, 0.0, pu], [0.0, fv, pv], [0.0, 0.0, 1.0]])
+    return _checked_camera(name, K, size, str(entry["distortion_model"]), coeffs)
+
+
+def _rig_from_opencv(path: Path, text: str) -> Rig:
+    """Rig of the text of an OpenCV stereo file."""
+    storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
+    cam1, cam2 = (_camera_from_opencv(storage, path, i) for i in (1, 2))
+    if storage.getNode("R").empty() and storage.getNode("T").empty():
+        return Rig(cam1, cam2)
+    T_2_1 = np.eye(4)
+    T_2_1[:3, :3] = _numbers(_opencv_matrix(storage, ["R"], path), (3, 3), f"{path}, R")
+    T_2_1[:3, 3] = _numbers(_opencv_matrix(storage, ["T"], path).ravel(), (3,), f"{path}, T")
+    return Rig(cam1, cam2, _checked_transform(T_2_1, f"{path}, R"))
+
+
+def _camera_from_opencv(storage: cv2.FileStorage, path: Path, i: int) -> Camera:
+    """Camera number i (1 or 2) of an OpenCV stereo file."""
+    model = storage.getNode("distortion_model").string() or "radtan"
+    K = _opencv_matrix(storage, [key.format(i) for key in _OPENCV_K], path)
+    coeffs = _opencv_matrix(storage, [key.format(i) for key in _OPENCV_D], path).ravel()
+    return _checked_camera(f"{path}, camera {i}", K, _opencv_size(storage, path), model, coeffs)
+
+
+def _opencv_matrix(storage: cv2.FileStorage, keys: list[str], path: Path) -> NDArray[np.float64]:
+    """Matrix under the first of the keys that the file has."""
+    for key in keys:
+        node = storage.getNode(key)
+        if not node.empty():
+            return np.asarray(node.mat(), dtype=np.float64)
+    raise SsacError(f"{path}: expected a matrix {' or '.join(keys)}: add it from the calibration")
+
+
+def _opencv_size(storage: cv2.FileStorage, path: Path) -> tuple[float, float]:
+    """Image width and height [px]."""
+    for key in _OPENCV_SIZE:
+        node = storage.getNode(key)
+        if node.isSeq() and node.size() == 2:
+            return node.at(0).real(), node.at(1).real()
+    for width_key, height_key in _OPENCV_WIDTH_HEIGHT:
+        width, height = storage.getNode(width_key), storage.getNode(height_key)
+        if not width.empty() and not height.empty():
+            return width.real(), height.real()
+    raise SsacError(f"{path}: the image size is missing: add the line `size: [ width, height ]`")
+
+
+def _checked_camera(
+    name: str,
+    K: NDArray[np.float64],
+    size: Iterable[float],
+    distortion_model: str,
+    coeffs: NDArray[np.float64],
+) -> Camera:
+    """Return the camera; the model "none" may come with zeros for coefficients."""
+    if distortion_model == "none" and not coeffs.any():
+        coeffs = coeffs[:0]
+    width, height = map(int, size)
+    camera = Camera(K, width, height, distortion_model, tuple(coeffs.tolist()))
+    check_camera(camera, name)
+    return camera
+
+
+def _numbers(value: Any, shape: tuple[int, ...], name: str) -> NDArray[np.float64]:
+    """Finite array of the given shape (-1: any length); SsacError otherwise."""
+    try:
+        numbers = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        numbers = np.array(np.nan)
+    right_shape = numbers.shape == shape or (shape == (-1,) and numbers.ndim == 1)
+    if not right_shape or not np.isfinite(numbers).all():
+        expected = "a list" if shape == (-1,) else " x ".join(map(str, shape))
+        raise SsacError(f"{name}: expected {expected} of finite numbers, got {value}: correct it")
+    return numbers
+
+
+def _checked_transform(T: NDArray[np.float64], name: str) -> NDArray[np.float64]:
+    """Return T unchanged; SsacError unless it is a rigid transform."""
+    R = T[:3, :3]
+    error = np.abs(R.T @ R - np.eye(3)).max()
+    if error > MAX_ROTATION_ERROR or np.linalg.det(R) < 0 or not np.array_equal(T[3], (0, 0, 0, 1)):
+        raise SsacError(
+            f"{name}: expected a rotation, got {R.tolist()} (R'R differs from I by {error:.2g}): "
+            "calibrate again"
+        )
+    return T

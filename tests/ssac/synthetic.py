@@ -1,0 +1,107 @@
+"""Known geometry in, two synthetic cameras' tracks or events out; independent of the simulator.
+
+A cloud of points flies along a random spline in front of two cameras. Each point of the cloud emits
+events at random instants at the pixel onto which it projects.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline
+
+from ssac.camera import Camera, Rig
+from ssac.events import EVENT_DTYPE
+
+Array = NDArray[np.float64]
+
+WIDTH, HEIGHT, FOCAL_PX = 346, 260, 200.0
+DISTANCE_M = 5.0  # from each camera to the point both look at
+K = np.array([[FOCAL_PX, 0.0, 173.0], [0.0, FOCAL_PX, 130.0], [0.0, 0.0, 1.0]])
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One flight before two cameras; all times are camera 1's."""
+
+    R: Array  # (3, 3), x2 = R x1 + t
+    t: Array  # (3,) [m]
+    path: BSpline  # time [s] -> position of the object in camera 1's frame [m]
+    duration_s: float
+
+    @property
+    def rig(self) -> Rig:
+        """The two cameras with their true extrinsics."""
+        T_2_1 = np.eye(4)
+        T_2_1[:3, :3], T_2_1[:3, 3] = self.R, self.t
+        camera = Camera(K, WIDTH, HEIGHT)
+        return Rig(camera, camera, T_2_1)
+
+    @property
+    def unknown_rig(self) -> Rig:
+        """The two cameras without their extrinsics."""
+        camera = Camera(K, WIDTH, HEIGHT)
+        return Rig(camera, camera)
+
+
+def make_scene(seed: int, angle_deg: float = 90.0, duration_s: float = 20.0) -> Scene:
+    """A scene with camera 2 turned about the vertical axis by `angle_deg`."""
+    rng = np.random.default_rng(seed)
+    angle = np.deg2rad(angle_deg)
+    c, s = np.cos(angle), np.sin(angle)
+    R = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+    target = np.array([0.0, 0.0, DISTANCE_M])
+    t = target - R @ target  # both cameras see the target at (0, 0, DISTANCE_M)
+    # 0.4 s between knots and a multiplier of 4.5 m: about 180 px/s, in both views 94 % of the time.
+    knots = 0.4 * np.arange(-5.0, duration_s / 0.4 + 6.0)
+    control = target + rng.uniform(-4.5, 4.5, (len(knots) - 6, 3)) * [1.0, 0.7, 0.8]
+    return Scene(R, t, BSpline(knots, control, 5), duration_s)
+
+
+def project(points_m: Array) -> Array:
+    """Pixel coordinates of points (..., 3) in a camera's own frame [m]."""
+    homogeneous = points_m @ K.T
+    return np.asarray(homogeneous[..., :2] / homogeneous[..., 2:])
+
+
+def track_pair(scene: Scene, times_s: Array) -> tuple[Array, Array]:
+    """The object's true image positions (N, 2) [px] in both views at the same instants."""
+    points_1 = scene.path(times_s)
+    return project(points_1), project(points_1 @ scene.R.T + scene.t)
+
+
+def make_events(
+    scene: Scene,
+    seed: int,
+    t_d_s: float = 0.0,
+    rate_hz: float = 25_000.0,
+    size_m: float = 0.8,
+) -> tuple[NDArray[np.void], NDArray[np.void]]:
+    """Events of both cameras; camera 2's clock reads `t_d_s` more than camera 1's."""
+    rng = np.random.default_rng((seed, 1))
+    cloud = rng.uniform(-size_m / 2, size_m / 2, (60, 3))
+    cloud -= cloud.mean(axis=0)
+    streams = []
+    for R, t, offset_s in ((np.eye(3), np.zeros(3), 0.0), (scene.R, scene.t, t_d_s)):
+        n = rng.poisson(rate_hz * scene.duration_s)
+        times_s = np.sort(rng.uniform(0.0, scene.duration_s, n))
+        points = (scene.path(times_s) + cloud[rng.integers(len(cloud), size=n)]) @ R.T + t
+        pixels = np.rint(project(points))
+        seen = (points[:, 2] > 0.1) & np.all((pixels >= 0) & (pixels < [WIDTH, HEIGHT]), axis=1)
+        events = np.zeros(int(seen.sum()), EVENT_DTYPE)
+        events["t"] = np.rint((times_s[seen] + offset_s) * 1e6)
+        events["x"], events["y"] = pixels[seen].T
+        events["p"] = rng.integers(2, size=len(events))
+        streams.append(events)
+    return streams[0], streams[1]
+
+
+def angle_deg(a: Array, b: Array) -> float:
+    """Angle between two vectors."""
+    cosine = a @ b / np.linalg.norm(a) / np.linalg.norm(b)
+    return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+
+
+def rotation_angle_deg(R: Array, S: Array) -> float:
+    """Angle of the rotation R' S."""
+    return float(np.degrees(np.arccos(np.clip((np.trace(R.T @ S) - 1.0) / 2.0, -1.0, 1.0))))

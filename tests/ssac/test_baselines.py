@@ -1,0 +1,144 @@
+"""Every baseline recovers the offset of a signal that was delayed by hand."""
+
+import numpy as np
+import pytest
+
+from ssac.baselines.albl import albl
+from ssac.baselines.correlation import Signal, binned, zncc
+from ssac.baselines.event_rate import event_rate
+from ssac.baselines.zncc_e import zncc_e
+from ssac.baselines.zncc_f import zncc_f
+from ssac.camera import Camera, Rig
+from ssac.errors import SsacError
+from ssac.events import EVENT_DTYPE
+from ssac.interface import Config, Observation
+from tests.ssac.synthetic import (
+    HEIGHT,
+    WIDTH,
+    K,
+    angle_deg,
+    make_events,
+    make_scene,
+    rotation_angle_deg,
+)
+
+CLEAN = Config(denoise=False)
+RIG = Rig(Camera(K, WIDTH, HEIGHT), Camera(K, WIDTH, HEIGHT))
+
+
+def flickering_events(rng, duration_s=10.0):
+    """Events whose rate changes at random every 50 ms."""
+    rates = rng.uniform(1_000.0, 20_000.0, int(duration_s / 0.05))
+    times_s = [0.05 * (i + rng.random(rng.poisson(0.05 * r))) for i, r in enumerate(rates)]
+    events = np.zeros(sum(map(len, times_s)), EVENT_DTYPE)
+    events["t"] = np.sort(np.concatenate(times_s)) * 1e6
+    return events
+
+
+def delayed(events, t_d_s):
+    later = events.copy()
+    later["t"] += round(t_d_s * 1e6)
+    return later
+
+
+@pytest.mark.parametrize("t_d_s", [0.0, 0.13, -0.71])
+@pytest.mark.parametrize(("method", "unit_s"), [(zncc_e, 0.010), (event_rate, 0.001)])
+def test_delayed_event_rates_are_recovered(method, unit_s, t_d_s):
+    events = flickering_events(np.random.default_rng(0))
+    estimate = method(Observation(events), Observation(delayed(events, t_d_s)), RIG, CLEAN)
+    assert estimate.status == "ok"
+    assert estimate.t_d_s == pytest.approx(t_d_s, abs=1e-9)  # a multiple of the unit
+    assert np.allclose(np.diff(estimate.candidates_s), unit_s)
+    assert np.argmin(estimate.costs) == np.argmin(np.abs(estimate.candidates_s - t_d_s))
+    assert estimate.R is None
+
+
+@pytest.mark.parametrize("method", [zncc_e, event_rate])
+def test_offsets_between_units_are_found_to_one_unit(method):
+    events = flickering_events(np.random.default_rng(1))
+    estimate = method(Observation(events), Observation(delayed(events, 0.0337)), RIG, CLEAN)
+    assert estimate.t_d_s == pytest.approx(0.0337, abs=0.01)
+
+
+@pytest.mark.parametrize("t_d_s", [0.0, 0.1, -0.5])
+def test_delayed_frames_are_recovered(t_d_s):
+    rng = np.random.default_rng(0)
+    times_s = 0.02 * np.arange(500)
+    frames = np.cumsum(rng.normal(size=(500, 4, 5)) * rng.uniform(0.1, 2.0, (500, 1, 1)), axis=0)
+    events = flickering_events(rng, duration_s=1.0)
+    cam1 = Observation(events, frames, times_s)
+    cam2 = Observation(events, frames, times_s + t_d_s)
+    estimate = zncc_f(cam1, cam2, RIG, CLEAN)
+    assert estimate.t_d_s == pytest.approx(t_d_s, abs=1e-9)
+    off_grid = Observation(events, frames, times_s + t_d_s + 0.005)
+    assert zncc_f(cam1, off_grid, RIG, CLEAN).t_d_s % 0.02 == pytest.approx(0.0, abs=1e-9) or (
+        zncc_f(cam1, off_grid, RIG, CLEAN).t_d_s % 0.02 == pytest.approx(0.02, abs=1e-9)
+    )
+
+
+@pytest.mark.parametrize("t_d_s", [0.005, 0.05, 0.2, -0.05, -0.2])
+def test_albl_recovers_offset_and_pose(t_d_s):
+    scene = make_scene(seed=0, duration_s=10.0)
+    cameras = [Observation(events) for events in make_events(scene, 0, t_d_s)]
+    estimate = albl(*cameras, scene.unknown_rig, CLEAN)
+    assert estimate.status == "ok"
+    assert estimate.t_d_s == pytest.approx(t_d_s, abs=0.001)
+    assert rotation_angle_deg(estimate.R, scene.R) < 1.5
+    assert angle_deg(estimate.t, scene.t) < 1.0
+
+
+@pytest.mark.parametrize("t_d_s", [-0.5, 0.5, -0.8, 0.8])
+@pytest.mark.parametrize("seed", range(4))
+def test_albl_recovers_a_large_offset_or_refuses(seed, t_d_s):
+    # More than the object takes to turn round, so that often no growing step leads there.
+    scene = make_scene(seed, duration_s=10.0)
+    cameras = [Observation(events) for events in make_events(scene, seed, t_d_s)]
+    estimate = albl(*cameras, scene.unknown_rig, CLEAN)
+    if estimate.status == "ok":
+        assert estimate.t_d_s == pytest.approx(t_d_s, abs=0.002)
+    else:
+        assert estimate.status == "no_convergence"
+        assert np.isnan(estimate.t_d_s)
+        assert "local optimum" in estimate.reason
+
+
+def test_zncc_is_one_for_scaled_signals_at_their_lag():
+    values = np.random.default_rng(0).normal(size=200)
+    first, second = Signal(10, values), Signal(13, 3.0 * values + 5.0)
+    curve = zncc(first, second, np.array([2, 3, 4, 150]))
+    assert curve[1] == pytest.approx(1.0)
+    assert max(curve[0], curve[2]) < 0.5
+    assert np.isnan(curve[3])  # less than half of the signals overlap
+
+
+def test_binning_counts_and_averages():
+    times_s = np.array([0.021, 0.025, 0.031, 0.055])
+    counted = binned(times_s, None, 0.01)
+    assert counted.first_bin == 2
+    assert counted.values.tolist() == [2.0, 1.0, 0.0, 1.0]
+    averaged = binned(times_s, np.array([1.0, 3.0, 4.0, 8.0]), 0.01)
+    assert averaged.values.tolist() == [2.0, 4.0, 6.0, 8.0]  # the empty bin is interpolated
+    assert len(binned(np.empty(0), None, 0.01).values) == 0
+
+
+def test_constant_signals_are_refused():
+    events = np.zeros(4_000, EVENT_DTYPE)
+    events["t"] = np.arange(4_000) * 1000 + 500
+    estimate = zncc_e(Observation(events), Observation(events), RIG, CLEAN)
+    assert estimate.status == "no_common_signal"
+    assert np.isnan(estimate.t_d_s)
+
+
+def test_zncc_f_needs_frames():
+    events = flickering_events(np.random.default_rng(0), duration_s=1.0)
+    with pytest.raises(SsacError, match="camera 1 recorded none"):
+        zncc_f(Observation(events), Observation(events), RIG, CLEAN)
+    uneven = Observation(events, np.zeros((3, 4, 5)), np.zeros(2))
+    with pytest.raises(SsacError, match="3 frames but 2 frame times"):
+        zncc_f(uneven, uneven, RIG, CLEAN)
+
+
+def test_albl_refuses_too_few_samples():
+    scene = make_scene(seed=0, duration_s=4.0)
+    cameras = [Observation(events[::100]) for events in make_events(scene, 0)]
+    assert albl(*cameras, scene.unknown_rig, CLEAN).status == "too_few_samples"

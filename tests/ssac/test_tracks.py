@@ -1,0 +1,97 @@
+"""Window means, velocities and the two rules of validity, against plain sums over the events."""
+
+import numpy as np
+import pytest
+
+from ssac.camera import Camera, undistort_points
+from ssac.events import EVENT_DTYPE
+from ssac.tracks import object_motion
+from tests.ssac.synthetic import HEIGHT, WIDTH, K, make_events, make_scene, track_pair
+
+CAMERA = Camera(K, WIDTH, HEIGHT)
+
+
+@pytest.fixture(scope="module")
+def flight():
+    scene = make_scene(seed=0, duration_s=4.0)
+    return scene, make_events(scene, seed=0)[0]
+
+
+def column_of_events(t_us, x, y):
+    events = np.zeros(len(t_us), EVENT_DTYPE)
+    events["t"], events["x"], events["y"] = t_us, x, y
+    return events
+
+
+def test_positions_are_the_means_of_the_windows(flight):
+    _, events = flight
+    times_s = np.linspace(-0.1, 4.1, 43)
+    track = object_motion(events, CAMERA).at(times_s)
+    for i, time_s in enumerate(times_s):
+        inside = np.abs(events["t"] + 0.5 - 1e6 * time_s) < 20_000  # [t - 20 ms, t + 20 ms)
+        assert track.counts[i] == inside.sum()
+        if inside.any():
+            mean = [events["x"][inside].mean(), events["y"][inside].mean()]
+            assert np.allclose(track.positions_px[i], mean, atol=1e-9)  # rounding of long sums
+        else:
+            assert np.isnan(track.positions_px[i]).all()
+            assert not track.valid[i]
+
+
+def test_velocities_follow_the_path(flight):
+    scene, events = flight
+    times_s = np.linspace(0.1, 3.9, 200)
+    motion = object_motion(events, CAMERA)
+    valid = motion.at(times_s).valid
+    truth = (track_pair(scene, times_s + 1e-4)[0] - track_pair(scene, times_s - 1e-4)[0]) / 2e-4
+    error = (motion.velocities_at(times_s) - truth)[valid]
+    # 500 events of deviation 10 px in each half, 20 ms apart: 0.45 * sqrt(2) / 0.02 = 32 px/s.
+    assert np.median(np.abs(error)) < 40.0
+    assert np.abs(np.median(error)) < 10.0
+
+
+def test_times_far_from_zero_lose_nothing(flight):
+    _, events = flight
+    later = events.copy()
+    later["t"] += 1_700_000_000_000_000  # a clock that shows the time of day in 2023
+    times_s = np.linspace(0.5, 3.5, 31)
+    near = object_motion(events, CAMERA)
+    far = object_motion(later, CAMERA)
+    # Seconds in float64 resolve 0.24 us there, so that a window may differ by one event.
+    shift = np.abs(far.at(times_s + 1.7e9).positions_px - near.at(times_s).positions_px)
+    assert np.nanmax(shift) < 0.1
+    assert np.allclose(far.velocities_at(times_s + 1.7e9), near.velocities_at(times_s), atol=10.0)
+
+
+def test_windows_with_fewer_than_n_min_events_are_invalid():
+    events = column_of_events(np.arange(0, 40_000, 200), x=100, y=100)  # 200 events in 40 ms
+    middle = np.array([0.02])
+    assert object_motion(events, CAMERA, n_min=200).at(middle).valid.all()
+    assert not object_motion(events, CAMERA, n_min=201).at(middle).valid.any()
+
+
+@pytest.mark.parametrize(("x", "y"), [(4, 100), (341, 100), (100, 4), (100, 255)])
+def test_windows_with_events_on_the_border_are_invalid(x, y):
+    t_us = np.arange(0, 40_000, 100)
+    for on_border, is_valid in ((20, True), (21, False)):  # 5 % of 400 events
+        events = column_of_events(t_us, x=100, y=100)
+        events["x"][:on_border], events["y"][:on_border] = x, y
+        assert object_motion(events, CAMERA).at(np.array([0.02])).valid[0] == is_valid
+
+
+def test_distortion_is_removed_before_the_mean():
+    camera = Camera(K, WIDTH, HEIGHT, "radtan", (-0.2, 0.05, 0.001, -0.001))
+    rng = np.random.default_rng(0)
+    events = column_of_events(
+        np.arange(0, 40_000, 50), rng.integers(20, 60, 800), rng.integers(20, 60, 800)
+    )
+    pixels = np.column_stack([events["x"], events["y"]]).astype(np.float64)
+    expected = undistort_points(camera, pixels).mean(axis=0)
+    track = object_motion(events, camera).at(np.array([0.02]))
+    assert np.allclose(track.positions_px[0], expected, atol=1e-9)
+
+
+def test_no_events_give_no_valid_sample():
+    motion = object_motion(np.zeros(0, EVENT_DTYPE), CAMERA)
+    assert not motion.at(np.array([0.0, 1.0])).valid.any()
+    assert motion.span_s[0] > motion.span_s[1]
