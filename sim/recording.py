@@ -80,7 +80,7 @@ class Recording:
     cameras: tuple[CameraRecording, ...]
     rig: Rig
     truth: Truth
-    n_instants: int  # rendered
+    n_instants: int  # chosen, over all cameras
     gl: GLContext
 
 
@@ -113,9 +113,7 @@ def simulate(
     backgrounds = _backgrounds(config, rig)
     drone = _drone(config)
     trajectory = _trajectory(config, seed)
-    instants_s = choose_instants(drone, rig, trajectory, config.sampling)
-    T_W_B = trajectory.poses(instants_s)
-    recorded = []
+    recorded, n_instants = [], 0
     with Renderer(drone, config.render) as renderer:
         for index, camera in enumerate(rig.cameras):
             rng = np.random.default_rng(
@@ -126,6 +124,9 @@ def simulate(
                 if progress is not None:
                     progress((done + time_s / trajectory.duration_s) / len(rig.cameras))
 
+            instants_s = choose_instants(drone, camera, trajectory, config.sampling)
+            n_instants += len(instants_s)
+            T_W_B = trajectory.poses(instants_s)
             recorded.append(
                 _record(
                     renderer, camera, instants_s, T_W_B, backgrounds[index], config, rng, report
@@ -133,7 +134,7 @@ def simulate(
             )
         gl = renderer.context
     truth = _truth(rig, trajectory, config.t_d_s)
-    return Recording(tuple(recorded), rig, truth, len(instants_s), gl)
+    return Recording(tuple(recorded), rig, truth, n_instants, gl)
 
 
 def with_time_offset(recording: Recording, t_d_s: float) -> Recording:

@@ -33,7 +33,7 @@ MARGIN_PX = {"none": 0.01, "radtan": 1.0, "equidistant": 1.0}
 class RenderConfig:
     """How the drone is drawn."""
 
-    lattice: Lattice = field(default_factory=lambda: Lattice(8, 1))
+    lattice: Lattice = field(default_factory=lambda: Lattice(8, 0))
     light_W: tuple[float, float, float] = (0.35, -0.4, 0.85)  # towards the light, any length
     ambient: float = 0.35  # share of the light that comes from everywhere
     backend: str = "auto"  # "auto", "osmesa" or "egl"
@@ -123,15 +123,11 @@ class Renderer:
         near_view = seen.visible.copy()
         near_view[1:] |= seen.visible[:-1]
         near_view[:-1] |= seen.visible[1:]
-        chosen = np.flatnonzero(near_view)
-        boxes = _pixel_boxes(camera, seen, chosen)
+        views = _plan(self.drone, camera, seen, np.flatnonzero(near_view), times_s, T_W_B)
         start = 0
-        while start < len(chosen):
-            stop = self._end_of_batch(boxes, start)
-            batch = chosen[start:stop]
-            yield self._draw(
-                camera, times_s[batch], T_W_B[batch], seen, batch, boxes[start:stop], background
-            )
+        while start < len(views.times_s):
+            stop = self._end_of_batch(views.boxes, start)
+            yield self._draw(camera, views.between(start, stop), background)
             start = stop
 
     def _light_in_camera(self, camera: Camera) -> FloatArray:
@@ -150,51 +146,80 @@ class Renderer:
                 return stop
             stop = start + room
 
-    def _draw(
-        self,
-        camera: Camera,
-        times_s: FloatArray,
-        T_W_B: FloatArray,
-        seen: Footprint,
-        batch: IntArray,
-        boxes: IntArray,
-        background: NDArray[np.float32],
-    ) -> Crops:
+    def _draw(self, camera: Camera, views: "_Views", background: NDArray[np.float32]) -> Crops:
         lattice = self.config.lattice
-        width, height = _crop_size(boxes)
-        x0 = np.minimum(boxes[:, 0], camera.width - width)
-        y0 = np.minimum(boxes[:, 1], camera.height - height)
+        width, height = _crop_size(views.boxes)
+        corner_px = np.minimum(views.boxes[:, :2], [camera.width - width, camera.height - height])
+        x0, y0 = corner_px[:, 0], corner_px[:, 1]
         tile = lattice.tile_size(width, height)
-        origin = lattice.tile_origin(x0, y0, height)
-        corners = _arrange(tile, len(batch))
-        visible = seen.visible[batch]
-        depth = seen.depth_m[batch][visible]
-        cut = visible & _reaches_beyond(camera, seen, batch, x0, y0, width, height)
-        T_C_P = [
-            _instances(camera, part, times_s, T_W_B, visible, corners - origin, corners)
-            for part in self.drone.parts
-        ]
+        corners = _arrange(tile, len(views.times_s))
+        shift = corners - lattice.tile_origin(x0, y0, height)
+        for matrices in views.T_C_P:
+            matrices[:, 3, :2] = shift
+            matrices[:, 3, 2:] = corners
+        # Where the outline leaves its crop, the tile must cut it off.
+        edge = corner_px + np.array([width, height]) - 0.5
+        beyond = (views.low_px < corner_px - 0.5) | (views.high_px > edge)
+        depth = views.depth_m[views.visible]
         depth_range = (0.9 * depth.min(), 1.1 * depth.max()) if len(depth) else (0.5, 1.0)
         used = corners.max(axis=0) + tile
         self._gl.use_camera(camera, lattice, self._light_in_camera(camera), self.config.ambient)
         words = self._gl.draw(
-            T_C_P, tile, (int(used[0]), int(used[1])), depth_range, clip=bool(cut.any())
+            views.T_C_P,
+            tile,
+            (int(used[0]), int(used[1])),
+            depth_range,
+            clip=bool(beyond[views.visible].any()),
         )
         luminance = average_pixels(words, lattice, corners, x0, y0, (width, height), background)
-        return Crops(times_s, x0, y0, luminance)
+        return Crops(views.times_s, x0, y0, luminance)
 
 
-def _pixel_boxes(camera: Camera, seen: Footprint, chosen: IntArray) -> IntArray:
-    """Whole pixels of the image that the outline touches: x0, y0, x1, y1 (exclusive), (n, 4)."""
-    last = np.array([camera.width - 1, camera.height - 1])
-    visible = seen.visible[chosen, None]
+@dataclass(frozen=True)
+class _Views:
+    """What drawing n instants of one camera needs."""
+
+    times_s: FloatArray  # (n,) [s]
+    visible: NDArray[np.bool_]  # (n,)
+    low_px: FloatArray  # (n, 2) least column and row that the image may touch
+    high_px: FloatArray  # (n, 2) greatest
+    depth_m: FloatArray  # (n, 2) least and greatest depth
+    boxes: IntArray  # (n, 4) x0, y0, x1, y1 (exclusive) of the whole pixels touched in the image
+    T_C_P: list[NDArray[np.float32]]  # of each part (n, 4, 4); the last row is for the tile
+
+    def between(self, start: int, stop: int) -> "_Views":
+        """Return the instants from start up to stop."""
+        k = slice(start, stop)
+        return _Views(
+            self.times_s[k],
+            self.visible[k],
+            self.low_px[k],
+            self.high_px[k],
+            self.depth_m[k],
+            self.boxes[k],
+            [matrices[k] for matrices in self.T_C_P],
+        )
+
+
+def _plan(
+    drone: Drone,
+    camera: Camera,
+    seen: Footprint,
+    chosen: IntArray,
+    times_s: FloatArray,
+    T_W_B: FloatArray,
+) -> _Views:
+    """Prepare the chosen instants for drawing."""
+    visible = seen.visible[chosen]
     margin = MARGIN_PX[camera.distortion_model]
-    low = np.where(visible, seen.low_px[chosen] - margin, 0.0)
-    high = np.where(visible, seen.high_px[chosen] + margin, 0.0)
+    low = np.where(visible[:, None], seen.low_px[chosen] - margin, 0.0)
+    high = np.where(visible[:, None], seen.high_px[chosen] + margin, 0.0)
+    last = np.array([camera.width - 1, camera.height - 1])
     first_px = np.clip(np.floor(low + 0.5), 0, last)
     last_px = np.clip(np.floor(high + 0.5), 0, last)
     boxes: IntArray = np.concatenate([first_px, last_px + 1], axis=1).astype(np.int64)
-    return boxes
+    T_C_P = [_placed(camera, part, times_s[chosen], T_W_B[chosen], visible) for part in drone.parts]
+    return _Views(times_s[chosen], visible, low, high, seen.depth_m[chosen], boxes, T_C_P)
 
 
 def _arrange(tile: tuple[int, int], n: int) -> IntArray:
@@ -210,40 +235,16 @@ def _crop_size(boxes: IntArray) -> tuple[int, int]:
     return int(size[0]), int(size[1])
 
 
-def _reaches_beyond(
-    camera: Camera,
-    seen: Footprint,
-    batch: IntArray,
-    x0: IntArray,
-    y0: IntArray,
-    width: int,
-    height: int,
-) -> NDArray[np.bool_]:
-    """Tell at which instants the outline leaves its crop, so that the tile must cut it off."""
-    margin = MARGIN_PX[camera.distortion_model]
-    low, high = seen.low_px[batch] - margin, seen.high_px[batch] + margin
-    corner = np.stack([x0, y0], axis=-1)
-    beyond: NDArray[np.bool_] = np.any(
-        (low < corner - 0.5) | (high > corner + np.array([width, height]) - 0.5), axis=-1
-    )
-    return beyond
-
-
-def _instances(
+def _placed(
     camera: Camera,
     part: Part,
     times_s: FloatArray,
     T_W_B: FloatArray,
     visible: NDArray[np.bool_],
-    shift: IntArray,
-    corners: IntArray,
 ) -> NDArray[np.float32]:
-    """Instance matrices (n, 4, 4): T_C_P above, shift and corner of the tile in the last row."""
+    """Return T_C_P (n, 4, 4) of a part; out of view it shrinks to a point and covers no sample."""
     T_W_P = T_W_B if part.joint is None else T_W_B @ part.joint.transforms(times_s)
     matrices = camera.T_C_W @ T_W_P
-    # What is out of view shrinks to a point on the axis, and covers no sample.
     matrices[~visible] = np.diag([0.0, 0.0, 0.0, 1.0])
-    matrices[~visible, 2, 3] = 1.0
-    matrices[:, 3, :2] = shift
-    matrices[:, 3, 2:] = corners
+    matrices[~visible, 2, 3] = 1.0  # on the axis, in front of the camera
     return matrices.astype(np.float32)
