@@ -68,9 +68,11 @@ def _load_array(path: Path) -> NDArray[np.float32]:
 
 
 def _load_image(path: Path) -> NDArray[np.float32]:
+    if not path.is_file():
+        raise SimError(f"cannot read the background {path}: there is no such file")
     image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
     if image is None:
-        raise SimError(f"cannot read the background {path}: no such file, or not an image")
+        raise SimError(f"cannot read the background {path}: it is not an image")
     if image.dtype.kind == "f":  # HDR formats hold linear light
         return image.astype(np.float32)
     srgb = image.astype(np.float64) / (255 if image.dtype == np.uint8 else 65535)

@@ -33,7 +33,7 @@ def event_rate(
     power = float(np.linalg.norm(rate1) * np.linalg.norm(rate2))
     curve: NDArray[np.float64] = np.full(len(lags), np.nan)
     if power > 0.0:
-        products = correlate(rate2, rate1, method="fft") / power
+        products = np.asarray(correlate(rate2, rate1, method="fft"), dtype=np.float64) / power
         shifts = correlation_lags(len(rate2), len(rate1)) + signal2.first_bin - signal1.first_bin
         curve = np.interp(lags, shifts, products, left=np.nan, right=np.nan)
     return correlation_estimate("event-rate", BIN_S * lags.astype(np.float64), curve)

@@ -1,20 +1,23 @@
 """Decomposition of F: the one of four poses with the points in front of both cameras."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from ssac.epipolar import fundamental_from_pose
-from ssac.extrinsics import depths, pose_from_fundamental, tangent_basis
-from tests.ssac.synthetic import K, make_scene, project, track_pair
+from ssac.extrinsics import depths, nearest_pose, pose_from_fundamental, tangent_basis
+from ssac.fundamental import reweighted_fundamental
+from tests.ssac.synthetic import K, angle_deg, make_scene, project, track_pair
 
 ROUNDING = 1e-7  # of an SVD of E through K, whose condition number is about 200 squared
 
 
-@pytest.mark.parametrize("angle_deg", [30.0, 90.0, 150.0])
+@pytest.mark.parametrize("angle", [30.0, 90.0, 150.0])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_pose_is_recovered_with_either_sign_of_f(angle_deg, sign):
-    scene = make_scene(seed=2, angle_deg=angle_deg)
+def test_pose_is_recovered_with_either_sign_of_f(angle, sign):
+    scene = make_scene(seed=2, angle_deg=angle)
     p1, p2 = track_pair(scene, np.linspace(0.0, 20.0, 50))
     F = sign * fundamental_from_pose(K, K, scene.R, scene.t)
     pose = pose_from_fundamental(F, K, K, p1, p2)
@@ -22,6 +25,34 @@ def test_pose_is_recovered_with_either_sign_of_f(angle_deg, sign):
     assert np.allclose(pose.t, scene.t / np.linalg.norm(scene.t), atol=ROUNDING)
     assert np.linalg.det(pose.R) == pytest.approx(1.0)
     assert pose.in_front == 1.0
+
+
+def test_the_nearest_pose_of_an_exact_f_is_its_pose():
+    scene = make_scene(seed=2)
+    p1, p2 = track_pair(scene, np.linspace(0.0, 20.0, 50))
+    for sign in (1.0, -1.0):
+        F = sign * fundamental_from_pose(K, K, scene.R, scene.t)
+        exact = pose_from_fundamental(F, K, K, p1, p2)
+        turned = Rotation.from_rotvec([0.02, -0.01, 0.03]).as_matrix() @ exact.R
+        for R in (exact.R, turned):
+            pose = nearest_pose(replace(exact, R=R), F, K, K, p1, p2)
+            assert np.allclose(pose.R, scene.R, atol=ROUNDING)
+            assert np.allclose(pose.t, scene.t / np.linalg.norm(scene.t), atol=ROUNDING)
+
+
+def test_the_nearest_pose_improves_on_the_decomposition():
+    errors_deg = []
+    for seed in range(10):
+        scene = make_scene(seed, angle_deg=30.0)
+        p1, p2 = track_pair(scene, np.linspace(0.0, 20.0, 400))
+        p1, p2 = (p + np.random.default_rng(seed).normal(0.0, 0.3, p.shape) for p in (p1, p2))
+        F = reweighted_fundamental(p1, p2)
+        pose = pose_from_fundamental(F, K, K, p1, p2)
+        nearest = nearest_pose(pose, F, K, K, p1, p2)
+        assert np.allclose(nearest.R @ nearest.R.T, np.eye(3))
+        errors_deg.append([angle_deg(p.t, scene.t) for p in (pose, nearest)])
+    decomposed, moved = np.mean(errors_deg, axis=0)
+    assert moved < 0.8 * decomposed  # half of it, over 100 seeds
 
 
 def test_swapping_the_cameras_inverts_the_pose():

@@ -95,3 +95,43 @@ def test_no_events_give_no_valid_sample():
     motion = object_motion(np.zeros(0, EVENT_DTYPE), CAMERA)
     assert not motion.at(np.array([0.0, 1.0])).valid.any()
     assert motion.span_s[0] > motion.span_s[1]
+
+
+def test_sharp_positions_weigh_cells_by_the_square_root_of_their_events():
+    t_us = np.arange(0, 40_000, 80)
+    events = column_of_events(t_us, x=np.where(np.arange(500) % 5 == 0, 110, 100), y=50)
+    motion = object_motion(events, CAMERA)
+    middle = np.array([0.02])
+    assert motion.at(middle).positions_px[0, 0] == pytest.approx(102.0)  # 400 and 100 events
+    track = motion.sharp_at(middle)
+    # The middle of the window is not that of its events: the first comes at its start.
+    assert np.allclose(track.positions_px[0], [(20 * 100 + 10 * 110) / 30, 50.0], atol=0.01)
+    assert track.sizes_px[0] == pytest.approx(10.0 * np.sqrt(2.0 / 9.0))
+    assert track.valid[0]
+
+
+def test_sharp_images_do_not_move():
+    t_us = np.arange(0, 40_000, 50)
+    events = column_of_events(t_us, x=100 + np.rint(1e-3 * t_us), y=50)  # 1000 px/s
+    track = object_motion(events, CAMERA).sharp_at(np.array([0.02]))
+    # Pixels and cells both round, by up to half a pixel, and not alike in both halves.
+    assert np.allclose(track.positions_px[0], [120.0, 50.0], atol=0.25)
+    assert track.sizes_px[0] < 1.0  # 12 px if it moved; pixels round by up to half of one
+    assert np.allclose(track.velocities_px_s[0], [1000.0, 0.0], atol=10.0)
+
+
+def test_sharp_positions_follow_the_path(flight):
+    scene, events = flight
+    times_s = np.linspace(0.1, 3.9, 200)
+    motion = object_motion(events, CAMERA)
+    track = motion.sharp_at(times_s)
+    assert np.array_equal(track.valid, motion.at(times_s).valid)
+    error = (track.positions_px - track_pair(scene, times_s)[0])[track.valid]
+    # A thousand events of deviation 10 px: 0.3 px; as much again for perspective.
+    assert np.median(np.abs(error)) < 0.6
+
+
+def test_sharp_positions_without_events_are_invalid():
+    track = object_motion(np.zeros(0, EVENT_DTYPE), CAMERA).sharp_at(np.array([0.0, 1.0]))
+    assert not track.valid.any()
+    assert np.isnan(track.positions_px).all()

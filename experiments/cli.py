@@ -1,0 +1,47 @@
+"""The `ssac` command: parse, call, print; nothing else.
+
+Progress goes to stderr, results to stdout. Exit code 0: done; 1: no reliable estimate; 2: bad usage
+or input that cannot be used, with one line that says why.
+"""
+
+import sys
+
+import typer
+
+from experiments.accuracy import accuracy_command
+from experiments.bench import bench_command
+from experiments.demo import demo_command
+from experiments.fidelity import fidelity_command
+from experiments.scene import scene_command
+from experiments.simulate import simulate_command
+from experiments.sync import BAD_INPUT, sync_command
+from sim.errors import SimError
+from ssac.errors import SsacError
+
+app = typer.Typer(
+    add_completion=False,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    help="Synchronise and calibrate two event cameras from one moving object.",
+)
+app.command("simulate")(simulate_command)
+app.command("sync")(sync_command)
+app.command("demo")(demo_command)
+app.command("scene")(scene_command)
+app.command("fidelity")(fidelity_command)
+app.command("accuracy")(accuracy_command)
+app.command("bench")(bench_command)
+
+
+def main() -> None:
+    """Run the command line; what the user got wrong is one line, anything else is our bug."""
+    try:
+        app()
+    except (SimError, SsacError) as error:
+        typer.echo(f"error: {' '.join(str(error).split())}", err=True)
+        sys.exit(BAD_INPUT)
+
+
+if __name__ == "__main__":
+    main()

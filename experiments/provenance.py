@@ -1,0 +1,73 @@
+"""What a result was made with: code, versions, GL backend, configuration."""
+
+import json
+import platform
+import subprocess
+from collections.abc import Mapping
+from dataclasses import asdict, is_dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from sim.gl_context import GLContext
+from ssac.whole_file import whole_file
+
+_PACKAGES = ("numpy", "scipy", "numba", "opencv-python-headless", "pyrender", "PyOpenGL", "trimesh")
+_ROOT = Path(__file__).resolve().parent.parent
+
+
+def plain(value: Any) -> Any:
+    """Turn nested dataclasses, tuples and paths into what JSON holds."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return plain(asdict(value))
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(item) for item in value]
+    return str(value) if isinstance(value, Path) else value
+
+
+def code_commit() -> str:
+    """Return the commit of the code, `-dirty` when files differ from it; "unknown" outside git."""
+    try:
+        result = subprocess.run(
+            ["git", "describe", "--always", "--dirty", "--abbrev=12", "--exclude=*"],
+            cwd=_ROOT, capture_output=True, text=True, check=True,
+        )  # fmt: skip
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
+    return result.stdout.strip()
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of Python and of the packages that numbers depend on."""
+    return {"python": platform.python_version(), **{name: version(name) for name in _PACKAGES}}
+
+
+def save_provenance(
+    path: Path, command: str, config: Any, wall_time_s: float, gl: GLContext | None
+) -> None:
+    """Write a result's provenance beside it, as JSON.
+
+    Parameters
+    ----------
+    path : Path
+        Of the result; the provenance goes to the same name with `.provenance.json`.
+    command : str
+        That makes the result again.
+    config : Any
+        What it was made with: dataclasses, mappings, sequences, plain values.
+    wall_time_s : float
+    gl : GLContext | None
+        Where rendering took part.
+    """
+    content = {
+        "command": command,
+        "commit": code_commit(),
+        "versions": versions(),
+        "gl": plain(gl) if gl else None,
+        "config": plain(config),
+        "wall_time_s": round(wall_time_s, 1),
+    }
+    with whole_file(path.with_suffix(".provenance.json")) as temporary:
+        temporary.write_text(json.dumps(content, indent=1) + "\n")

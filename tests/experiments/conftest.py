@@ -1,0 +1,8 @@
+import pytest
+
+from tests.experiments.recorded import Recorded, record
+
+
+@pytest.fixture(scope="session")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
+    return record(tmp_path_factory.mktemp("recorded"))

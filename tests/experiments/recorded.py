@@ -1,0 +1,73 @@
+"""Two synthetic cameras' recordings as files, for what works on paths; no OpenGL."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from ssac.events import EVENT_DTYPE
+from ssac.hdf5_files import save_events_h5
+from ssac.io import save_events_text
+from tests.ssac.synthetic import HEIGHT, WIDTH, Scene, make_events, make_scene
+
+T_D_S = 0.05
+FRAME_S = 0.02
+DURATION_S = 8.0
+
+_KALIBR = f"""\
+cam0: &camera
+  camera_model: pinhole
+  intrinsics: [200.0, 200.0, 173.0, 130.0]
+  distortion_model: none
+  distortion_coeffs: []
+  resolution: [{WIDTH}, {HEIGHT}]
+cam1:
+  <<: *camera
+"""
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """A folder with cam1.h5, cam2.h5 (events and frames), cam2.txt and two rigs."""
+
+    folder: Path
+    scene: Scene
+
+    def __truediv__(self, name: str) -> Path:
+        return self.folder / name
+
+    @property
+    def pair(self) -> tuple[str, str]:
+        return str(self / "cam1.h5"), str(self / "cam2.h5")
+
+
+def record(folder: Path) -> Recorded:
+    """Record 8 s at 90 deg; camera 2's clock reads T_D_S more than camera 1's."""
+    scene = make_scene(seed=0, duration_s=DURATION_S)
+    # As dense as a real object is, so that denoising keeps it.
+    streams = make_events(scene, seed=0, t_d_s=T_D_S, size_m=0.4)
+    for name, events, offset_s in zip(("cam1", "cam2"), streams, (0.0, T_D_S), strict=True):
+        save_events_h5(folder / f"{name}.h5", events, WIDTH, HEIGHT)
+        add_frames(folder / f"{name}.h5", offset_s)
+    save_events_text(folder / "cam2.txt", streams[1], WIDTH, HEIGHT)
+    (folder / "rig.yaml").write_text(_KALIBR)
+    T_2_1 = np.eye(4)
+    T_2_1[:3, :3], T_2_1[:3, 3] = scene.R, scene.t
+    (folder / "rig_extrinsics.yaml").write_text(f"{_KALIBR}  T_cn_cnm1: {T_2_1.tolist()}\n")
+    return Recorded(folder, scene)
+
+
+def add_frames(path: Path, offset_s: float) -> None:
+    """Frames at 50 Hz of a brightness that both cameras share, at times moved by the offset."""
+    rng = np.random.default_rng(7)
+    n = round(DURATION_S / FRAME_S)
+    grey = np.cumsum(rng.integers(-9, 10, n)) % 256
+    images = np.broadcast_to(grey[:, None, None], (n, 4, 4)).astype(np.uint8)
+    times_us = np.rint((FRAME_S * (np.arange(n) + 0.5) + offset_s) * 1e6).astype(np.int64)
+    with h5py.File(path, "a") as file:
+        file["frames/t"], file["frames/images"] = times_us, images
+
+
+def empty_events() -> np.ndarray:
+    return np.empty(0, EVENT_DTYPE)
