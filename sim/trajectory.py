@@ -8,6 +8,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from sim.errors import SimError
 
 FloatArray = NDArray[np.float64]
 Vector3 = tuple[float, float, float]
+Attitude = Callable[[FloatArray], Rotation]
 
 MAX_DRAWS = 100  # of a random trajectory, before its configuration is blamed
 CSV_COLUMNS = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")  # [s], [m], unit quaternion T_W_B
@@ -68,7 +70,7 @@ class Trajectory:
 
     duration_s: float
     position: Callable[[FloatArray], FloatArray]  # (n,) [s] -> (n, 3) [m], frame W
-    attitude: Callable[[FloatArray], Rotation]  # (n,) [s] -> n rotations, frame B to frame W
+    attitude: Attitude  # (n,) [s] -> n rotations, frame B to frame W
 
     def poses(self, times_s: FloatArray) -> FloatArray:
         """Return the drone's poses.
@@ -191,7 +193,7 @@ def trajectory_from_csv(path: Path) -> Trajectory:
     return Trajectory(
         duration_s=float(times_s[-1]),
         position=CubicSpline(times_s, table[:, 1:4]),
-        attitude=RotationSpline(times_s, Rotation.from_quat(quaternions)),
+        attitude=cast(Attitude, RotationSpline(times_s, Rotation.from_quat(quaternions))),
     )
 
 

@@ -6,7 +6,7 @@ binary searches and one difference, so that a search over thousands of offsets s
 """
 
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numba
 import numpy as np
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ssac.camera import Camera, undistortion_map
 
-_Number = TypeVar("_Number", np.int64, np.float64)
+_Integer = TypeVar("_Integer", np.int32, np.int64)
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class ObjectMotion:
     times_us: NDArray[np.int64]  # (n,) [us], sorted
     time_sums_us: NDArray[np.int64]  # (n + 1,) of times since the first event [us]
     position_sums_px: NDArray[np.float64]  # (n + 1, 2) of undistorted coordinates [px]
-    border_sums: NDArray[np.int64]  # (n + 1,) of events on the border
+    border_sums: NDArray[np.int32]  # (n + 1,) of events on the border
     half_window_s: float  # [s] on each side of a sample time
     n_min: int  # events a valid sample's window holds at least
     max_border_fraction: float  # of a valid sample's events may lie on the border
@@ -172,21 +172,24 @@ def object_motion(
     ObjectMotion
         To be sampled with `at`.
     """
+    ideal = None if camera.distortion_model == "none" else undistortion_map(camera)
+    if ideal is not None:
+        known = np.isfinite(ideal[..., 0])[events["y"], events["x"]]
+        events = events if known.all() else events[known]
     x, y = events["x"], events["y"]
     on_border = (x < border_px) | (x >= camera.width - border_px)
     on_border |= (y < border_px) | (y >= camera.height - border_px)
     times_us = np.ascontiguousarray(events["t"])
-    if camera.distortion_model == "none":
-        positions = np.stack([x, y], axis=1).astype(np.float64)
-    else:
-        positions = undistortion_map(camera)[y, x]
-        known = np.isfinite(positions[:, 0])
-        times_us, positions, on_border = times_us[known], positions[known], on_border[known]
+    # Column by column, so that no second copy of the coordinates stands in memory beside the sums.
+    position_sums_px = np.zeros((len(events) + 1, 2))
+    for axis, raw in enumerate((x, y)):
+        position_px = raw if ideal is None else ideal[y, x, axis]
+        np.cumsum(position_px, dtype=np.float64, out=position_sums_px[1:, axis])
     return ObjectMotion(
         times_us,
-        _cumulative(times_us - times_us[:1]),
-        _cumulative(positions),
-        _cumulative(on_border.astype(np.int64)),
+        _cumulative(times_us - times_us[:1], np.int64),
+        position_sums_px,
+        _cumulative(on_border, np.int32),
         half_window_s,
         n_min,
         max_border_fraction,
@@ -242,8 +245,8 @@ def _sharp_centres(
     return centres, sizes
 
 
-def _cumulative(values: NDArray[_Number]) -> NDArray[_Number]:
-    """Sum the first 0, 1, ..., n values along the first axis."""
-    sums = np.zeros((len(values) + 1, *values.shape[1:]), values.dtype)
-    np.cumsum(values, axis=0, out=sums[1:])
+def _cumulative(values: NDArray[Any], dtype: type[_Integer]) -> NDArray[_Integer]:
+    """Sum the first 0, 1, ..., n values."""
+    sums = np.zeros(len(values) + 1, dtype)
+    np.cumsum(values, dtype=dtype, out=sums[1:])
     return sums
