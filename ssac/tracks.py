@@ -6,15 +6,12 @@ binary searches and one difference, so that a search over thousands of offsets s
 """
 
 from dataclasses import dataclass
-from typing import Any, TypeVar
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from ssac.camera import Camera, undistortion_map
-
-_Integer = TypeVar("_Integer", np.int32, np.int64)
 
 
 @dataclass(frozen=True)
@@ -40,7 +37,6 @@ class ObjectMotion:
     """Cumulative sums over the n events of one camera, from which `at` reads window means."""
 
     times_us: NDArray[np.int64]  # (n,) [us], sorted
-    time_sums_us: NDArray[np.int64]  # (n + 1,) of times since the first event [us]
     position_sums_px: NDArray[np.float64]  # (n + 1, 2) of undistorted coordinates [px]
     border_sums: NDArray[np.int32]  # (n + 1,) of events on the border
     half_window_s: float  # [s] on each side of a sample time
@@ -75,7 +71,7 @@ class ObjectMotion:
         return Track(times_s, self._mean_positions(first, last), counts, valid)
 
     def velocities_at(self, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Image velocity (..., 2) [px/s] at times (...,) [s], in O(log n) per time.
+        """Image velocity (..., 2) [px/s] at times (...,) [s].
 
         The difference between the mean positions in the two halves of the window, over the
         difference between their mean times; NaN when a half is empty.
@@ -133,8 +129,8 @@ class ObjectMotion:
 
     def _mean_times(self, first: NDArray[np.intp], last: NDArray[np.intp]) -> NDArray[np.float64]:
         """Mean time (...,) [s], counted from the first event, of the same events."""
-        with np.errstate(invalid="ignore"):
-            return (self.time_sums_us[last] - self.time_sums_us[first]) / (last - first) * 1e-6
+        means_us = _mean_times_us(self.times_us, first.ravel(), last.ravel())
+        return means_us.reshape(first.shape) * 1e-6
 
 
 def object_motion(
@@ -180,6 +176,8 @@ def object_motion(
     on_border = (x < border_px) | (x >= camera.width - border_px)
     on_border |= (y < border_px) | (y >= camera.height - border_px)
     times_us = np.ascontiguousarray(events["t"])
+    border_sums = np.zeros(len(events) + 1, np.int32)
+    np.cumsum(on_border, dtype=np.int32, out=border_sums[1:])
     # Column by column, so that no second copy of the coordinates stands in memory beside the sums.
     position_sums_px = np.zeros((len(events) + 1, 2))
     for axis, raw in enumerate((x, y)):
@@ -187,13 +185,31 @@ def object_motion(
         np.cumsum(position_px, dtype=np.float64, out=position_sums_px[1:, axis])
     return ObjectMotion(
         times_us,
-        _cumulative(times_us - times_us[:1], np.int64),
         position_sums_px,
-        _cumulative(on_border, np.int32),
+        border_sums,
         half_window_s,
         n_min,
         max_border_fraction,
     )
+
+
+@numba.njit(cache=True)
+def _mean_times_us(
+    times_us: NDArray[np.int64], first: NDArray[np.intp], last: NDArray[np.intp]
+) -> NDArray[np.float64]:
+    """Mean (n,) of the times from `first` up to `last`, since the first of all; NaN of none.
+
+    Not by cumulative sums, as positions are: these means are few, and the sums would take half as
+    much memory as the events.
+    """
+    means = np.full(len(first), np.nan)
+    for i in range(len(first)):
+        if last[i] > first[i]:
+            total = 0
+            for k in range(first[i], last[i]):
+                total += times_us[k] - times_us[0]
+            means[i] = total / (last[i] - first[i])
+    return means
 
 
 @numba.njit(cache=True)
@@ -243,10 +259,3 @@ def _sharp_centres(
         centres[i, 0], centres[i, 1] = origin_x + x, origin_y + y
         sizes[i] = np.sqrt(max(sum_squares / total - x**2 - y**2, 0.0))
     return centres, sizes
-
-
-def _cumulative(values: NDArray[Any], dtype: type[_Integer]) -> NDArray[_Integer]:
-    """Sum the first 0, 1, ..., n values."""
-    sums = np.zeros(len(values) + 1, dtype)
-    np.cumsum(values, dtype=dtype, out=sums[1:])
-    return sums
