@@ -149,7 +149,7 @@ class Sensor:
         y0_px: NDArray[np.int64],
         luminance: NDArray[np.float32],
     ) -> None:
-        """Take the next instants: crops of the image, the starting image around them.
+        """Take the next instants: crops of the image, the background around them.
 
         Parameters
         ----------
