@@ -17,18 +17,27 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.patches import Patch
-from numpy.typing import NDArray
 
-from ssac.camera import Camera, Rig, undistortion_map
-from ssac.epipolar import epipolar_distance, epipolar_lines_1
-from ssac.events import US_PER_S, slice_time
-from ssac.fundamental import MIN_PAIRS
+from experiments.plot_data import (
+    Array,
+    Material,
+    clocks,
+    d_avg_px,
+    epipolar_rows,
+    has_curve,
+    has_fit,
+    has_pose,
+    plane_angles,
+    points_in_time,
+    search_curve,
+    telling_stretch,
+    undistorted,
+    window,
+)
+from ssac.camera import Rig
 from ssac.interface import Config, Estimate, Observation, object_motions
-from ssac.offset_search import mean_epipolar_distance, sample_pairs
-from ssac.tracks import ObjectMotion
 from ssac.whole_file import whole_file
 
-Array = NDArray[np.float64]
 Canvas = Figure | SubFigure
 
 FILE_SUFFIXES = (".png", ".pdf", ".svg")
@@ -39,24 +48,9 @@ ZOOM_S = 0.003
 """Half the width of the zoom around the minimum, as in the paper's Fig. 5."""
 
 _WIDTH_IN, _DPI = 9.0, 150
-_ZOOM_STEP_S, _SEARCH_STEP_S = 50e-6, 2e-3
-_STRETCH_PER_OFFSET = 20.0  # the stretch of time drawn is so many offsets long
-_STRETCH_S = (0.4, 2.0)  # and at least and at most this long
+_ZOOM_STEP_S = 50e-6
 _MAX_MARKERS = 300
-_LEGIBLE_PX = 15.0  # a distance d of this length is seen at a glance
 _AXES_WIDTH_PT = 270.0  # of one of two axes side by side
-_MAX_POINTS = 6000  # per camera: more would only blot the picture
-
-
-@dataclass(frozen=True)
-class Material:
-    """All that a figure may draw."""
-
-    estimate: Estimate
-    events: tuple[NDArray[np.void], NDArray[np.void]]  # as the method saw them
-    motions: tuple[ObjectMotion, ObjectMotion]
-    rig: Rig
-    config: Config
 
 
 def save_figures(
@@ -107,7 +101,7 @@ def draw_search(canvas: Canvas, material: Material) -> None:
     estimate, t_d_s = material.estimate, material.estimate.t_d_s
     F = estimate.F if np.isfinite(t_d_s) else None
     whole, *rest = canvas.subplots(1, 1 if F is None else 2, squeeze=False)[0]
-    offsets_s, costs = _search_curve(material)
+    offsets_s, costs = search_curve(material)
     if estimate.F is None and np.nanmin(costs) < 0.0:
         whole.plot(offsets_s, -costs, color=BLUE, lw=1)
         whole.set(ylabel="correlation", title="Correlation over the search interval")
@@ -122,7 +116,7 @@ def draw_search(canvas: Canvas, material: Material) -> None:
     for zoom in rest:
         steps = np.arange(-round(ZOOM_S / _ZOOM_STEP_S), round(ZOOM_S / _ZOOM_STEP_S) + 1)
         near_s: Array = t_d_s + _ZOOM_STEP_S * steps.astype(np.float64)
-        zoom.plot(1e3 * near_s, _d_avg_px(material, near_s), color=BLUE, lw=1)
+        zoom.plot(1e3 * near_s, d_avg_px(material, near_s), color=BLUE, lw=1)
         _mark_offset(zoom, 1e3 * t_d_s, f"$t_d$ = {1e3 * t_d_s:.3f} ms")
         zoom.ticklabel_format(useOffset=False)
         zoom.set(
@@ -134,7 +128,7 @@ def draw_search(canvas: Canvas, material: Material) -> None:
 
 def draw_epipolar(canvas: Canvas, material: Material) -> None:
     """Draw both cameras' events around one instant, with p1, p2, l1 and d."""
-    rows = _epipolar_rows(material)
+    rows = epipolar_rows(material)
     reach_px = float(np.clip(2.0 * max(row.distance_px for row in rows), 40.0, 150.0))
     for (left, right), row in zip(canvas.subplots(len(rows), 2, squeeze=False), rows, strict=True):
         _draw_events(left, material, 0, row.time_s, reach_px)
@@ -162,12 +156,12 @@ def draw_alignment(canvas: Canvas, material: Material) -> None:
     views whatever the point: only what is seen at one instant has equal angles.
     """
     t_d_s = material.estimate.t_d_s
-    start_s, length_s = _telling_stretch(material)
+    start_s, length_s = telling_stretch(material)
     clouds = [
-        _points_in_time(material, camera, start_s + offset_s, length_s)
+        points_in_time(material, camera, start_s + offset_s, length_s)
         for camera, offset_s in ((0, 0.0), (1, t_d_s))
     ]
-    for column, (name, offset_s) in enumerate(_clocks(t_d_s)):
+    for column, (name, offset_s) in enumerate(clocks(t_d_s)):
         axes = canvas.add_subplot(2, 2, 1 + column, projection="3d")
         for camera, (times_s, points) in enumerate(clouds):
             shown_s = times_s - camera * offset_s
@@ -181,7 +175,7 @@ def draw_alignment(canvas: Canvas, material: Material) -> None:
         axes.locator_params(nbins=4)
         axes.xaxis.labelpad = 10
         axes.legend(loc="upper right", fontsize="small", markerscale=12)
-    for column, (name, offset_s) in enumerate(_clocks(t_d_s)):
+    for column, (name, offset_s) in enumerate(clocks(t_d_s)):
         axes = canvas.add_subplot(2, 2, 3 + column)
         _draw_angles(axes, material, offset_s, start_s, length_s)
         axes.set(
@@ -202,19 +196,6 @@ class _Figure:
     draw: Callable[[Canvas, Material], None]
 
 
-@dataclass(frozen=True)
-class _EpipolarRow:
-    """One row of the epipolar figure: camera 2 is looked at `offset_s` after camera 1."""
-
-    name: str
-    offset_s: float
-    time_s: float  # camera 1's clock
-    p1: Array  # (2,) [px]
-    p2: Array  # (2,) [px]
-    line_1: Array  # (3,)
-    distance_px: float
-
-
 _POINT: dict[str, Any] = {
     "marker": "X",
     "markersize": 11,
@@ -226,72 +207,19 @@ _CAMERA_COLORS = (BLUE, YELLOW)
 _POLARITIES = (Patch(color=YELLOW, label="brighter"), Patch(color=BLUE, label="darker"))
 
 
-def _clocks(t_d_s: float) -> tuple[tuple[str, float], tuple[str, float]]:
-    """Name and offset of the two ways to pair the clocks."""
-    return ("clocks as recorded", 0.0), ("clocks aligned", t_d_s)
-
-
-def _search_curve(material: Material) -> tuple[Array, Array]:
-    """Offsets and costs that the method tried; d_avg of its F when it kept none."""
-    estimate = material.estimate
-    if np.isfinite(estimate.costs).any():
-        return estimate.candidates_s, estimate.costs
-    offsets_s: Array = np.arange(*material.config.interval_s, _SEARCH_STEP_S, dtype=np.float64)
-    return offsets_s, _d_avg_px(material, offsets_s)
-
-
-def _d_avg_px(material: Material, offsets_s: Array) -> Array:
-    """Eq. 4 with the F of the estimate, at each offset."""
-    F = material.estimate.F
-    if F is None:
-        return np.full(len(offsets_s), np.nan)
-    pairs = sample_pairs(*material.motions, offsets_s, material.config.n_samples)
-    return mean_epipolar_distance(F, pairs, MIN_PAIRS)
-
-
 def _mark_offset(axes: Axes, position: float, label: str) -> None:
     axes.axvline(position, color=RED, lw=1.2, ls="--", label=label, zorder=1)
     axes.locator_params("x", nbins=7)
     axes.legend(loc="best", fontsize="small")
 
 
-def _epipolar_rows(material: Material) -> list[_EpipolarRow]:
-    """Rows before and after at one sample time; only after where before no time is valid.
-
-    The time is one at which d, before, can be seen well.
-    """
-    F = np.asarray(material.estimate.F)
-    motion1, motion2 = material.motions
-    t_d_s = material.estimate.t_d_s
-    pairs = sample_pairs(motion1, motion2, np.array([t_d_s]), material.config.n_samples)
-    times_s = pairs.times_s[0, pairs.valid[0]]
-    before = motion2.at(times_s)
-    clocks = list(_clocks(t_d_s))
-    if before.valid.any() and abs(t_d_s) > 0.0:
-        times_s = times_s[before.valid]
-        distances = epipolar_distance(
-            F, motion1.at(times_s).positions_px, before.positions_px[before.valid]
-        )
-    else:
-        clocks = clocks[1:]
-        distances = epipolar_distance(F, *pairs.valid_positions(0))
-    time_s = float(times_s[np.argmin(np.abs(distances - _LEGIBLE_PX))])
-    rows = []
-    for name, offset_s in clocks:
-        p1 = motion1.at(np.array([time_s])).positions_px
-        p2 = motion2.at(np.array([time_s + offset_s])).positions_px
-        line_1, distance_px = epipolar_lines_1(F, p2)[0], float(epipolar_distance(F, p1, p2)[0])
-        rows.append(_EpipolarRow(name, offset_s, time_s, p1[0], p2[0], line_1, distance_px))
-    return rows
-
-
 def _draw_events(
     axes: Axes, material: Material, camera: int, time_s: float, reach_px: float
 ) -> None:
     """Draw the events of the window around a time as pixels, the last on top."""
-    window = _window(material, camera, time_s, material.config.half_window_s)
-    points = _undistorted(window, (material.rig.cam1, material.rig.cam2)[camera])
-    colors = np.where(window["p"] > 0, YELLOW, BLUE)
+    events = window(material, camera, time_s, material.config.half_window_s)
+    points = undistorted(events, (material.rig.cam1, material.rig.cam2)[camera])
+    colors = np.where(events["p"] > 0, YELLOW, BLUE)
     pixel_pt = 1.15 * _AXES_WIDTH_PT / (2.0 * reach_px)  # a little more, lest they leave gaps
     x, y = points.T
     axes.scatter(x, y, s=pixel_pt**2, c=colors, marker="s", linewidths=0.0, rasterized=True)
@@ -303,34 +231,14 @@ def _foot(line: Array, point: Array) -> Array:
     return np.asarray(point - (normal @ point + line[2]) / (normal @ normal) * normal)
 
 
-def _telling_stretch(material: Material) -> tuple[float, float]:
-    """Start [s], camera 1's clock, and length [s] of a stretch that both views see well.
-
-    Of all that start at a sample time: where the angle of the epipolar plane varies most.
-    """
-    t_d_s = material.estimate.t_d_s
-    length_s = float(np.clip(_STRETCH_PER_OFFSET * abs(t_d_s), *_STRETCH_S))
-    pairs = sample_pairs(*material.motions, np.array([t_d_s]), material.config.n_samples)
-    times_s, valid = pairs.times_s[0], pairs.valid[0]
-    length_s = min(length_s, float(times_s[-1] - times_s[0]))
-    angles = _plane_angles(material, 0, pairs.p1_px[0])
-    scores = []
-    for start_s in times_s[times_s <= times_s[-1] - length_s]:
-        inside = (times_s >= start_s) & (times_s <= start_s + length_s)
-        seen = inside & valid
-        spread = np.ptp(angles[seen]) if seen.any() else 0.0
-        scores.append(spread * (np.count_nonzero(seen) / np.count_nonzero(inside)) ** 2)
-    return float(times_s[int(np.argmax(scores))]), length_s
-
-
 def _draw_angles(
     axes: Axes, material: Material, offset_s: float, start_s: float, length_s: float
 ) -> None:
     """Draw the angles of both cameras' events and tracks; camera 2's moved by the offset."""
     events, colors = [], []
     for camera, shift_s in ((0, 0.0), (1, offset_s)):
-        times_s, points = _points_in_time(material, camera, start_s + shift_s, length_s)
-        events.append(np.column_stack([times_s - shift_s, _plane_angles(material, camera, points)]))
+        times_s, points = points_in_time(material, camera, start_s + shift_s, length_s)
+        events.append(np.column_stack([times_s - shift_s, plane_angles(material, camera, points)]))
         colors += [_CAMERA_COLORS[camera]] * len(times_s)
     # In random order, lest one camera cover the other.
     order = np.random.default_rng(0).permutation(len(colors))
@@ -339,52 +247,11 @@ def _draw_angles(
     grid_s: Array = np.linspace(start_s, start_s + length_s, 400, dtype=np.float64)
     for camera, shift_s, style in ((0, 0.0, "-"), (1, offset_s, "--")):
         track = material.motions[camera].at(grid_s + shift_s)
-        angles = np.where(track.valid, _plane_angles(material, camera, track.positions_px), np.nan)
+        angles = np.where(track.valid, plane_angles(material, camera, track.positions_px), np.nan)
         color, label = _CAMERA_COLORS[camera], f"camera {camera + 1}"
         axes.plot(grid_s, angles, "-", color="white", lw=4, zorder=3)
         axes.plot(grid_s, angles, style, color=color, lw=2, zorder=4, label=label)
     axes.legend(loc="best", fontsize="small")
-
-
-def _plane_angles(material: Material, camera: int, points: Array) -> Array:
-    """Angle (n,) [deg] about the baseline of the epipolar planes of undistorted points (n, 2).
-
-    Zero is the plane of camera 1's line of sight.
-    """
-    R, t = np.asarray(material.estimate.R), np.asarray(material.estimate.t)
-    K = (material.rig.cam1, material.rig.cam2)[camera].K
-    rays = np.column_stack([points, np.ones(len(points))]) @ np.linalg.inv(K).T
-    if camera == 1:
-        rays = rays @ R  # from camera 2's frame to camera 1's
-    baseline = R.T @ t
-    ahead = np.array([0.0, 0.0, 1.0]) - baseline[2] * baseline
-    ahead /= np.linalg.norm(ahead)
-    across = np.cross(ahead, baseline)
-    return np.asarray(np.degrees(np.arctan2(rays @ across, rays @ ahead)))
-
-
-def _points_in_time(
-    material: Material, camera: int, start_s: float, length_s: float
-) -> tuple[Array, Array]:
-    """Thin a stretch of events to times (n,) [s] and undistorted positions (n, 2) [px]."""
-    events = _window(material, camera, start_s + 0.5 * length_s, 0.5 * length_s)
-    events = events[:: max(1, len(events) // _MAX_POINTS)]
-    points = _undistorted(events, (material.rig.cam1, material.rig.cam2)[camera])
-    return events["t"] / US_PER_S, points
-
-
-def _window(
-    material: Material, camera: int, time_s: float, half_length_s: float
-) -> NDArray[np.void]:
-    bounds_us = (round((time_s + side * half_length_s) * US_PER_S) for side in (-1, 1))
-    return slice_time(material.events[camera], *bounds_us)
-
-
-def _undistorted(events: NDArray[np.void], camera: Camera) -> Array:
-    """Positions (n, 2) [px] without distortion; NaN where the lens model has none."""
-    if camera.distortion_model == "none":
-        return np.stack([events["x"], events["y"]], axis=1).astype(np.float64)
-    return np.asarray(undistortion_map(camera)[events["y"], events["x"]])
 
 
 def _save(page: Figure, path: Path) -> None:
@@ -392,22 +259,10 @@ def _save(page: Figure, path: Path) -> None:
         page.savefig(temporary, format=path.suffix[1:].lower(), dpi=_DPI)
 
 
-def _has_curve(material: Material) -> bool:
-    return bool(np.isfinite(material.estimate.costs).any()) or _has_fit(material)
-
-
-def _has_fit(material: Material) -> bool:
-    return material.estimate.F is not None and bool(np.isfinite(material.estimate.t_d_s))
-
-
-def _has_pose(material: Material) -> bool:
-    return _has_fit(material) and material.estimate.R is not None
-
-
 _FIGURES = (
-    _Figure("d_avg", lambda _: 3.2, _has_curve, draw_search),
+    _Figure("d_avg", lambda _: 3.2, has_curve, draw_search),
     _Figure(
-        "epipolar", lambda material: 3.6 * len(_epipolar_rows(material)), _has_fit, draw_epipolar
+        "epipolar", lambda material: 3.6 * len(epipolar_rows(material)), has_fit, draw_epipolar
     ),
-    _Figure("alignment", lambda _: 7.0, _has_pose, draw_alignment),
+    _Figure("alignment", lambda _: 7.0, has_pose, draw_alignment),
 )

@@ -59,6 +59,7 @@ STAGES = {
         "score",
         "methods",
         "load",
+        "plot_data",
         "plots",
         "sync",
         "scene",

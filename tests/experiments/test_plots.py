@@ -8,14 +8,13 @@ import pytest
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
+from experiments.plot_data import Material, plane_angles
 from experiments.plots import (
     BLUE,
     RED,
     YELLOW,
     ZOOM_S,
-    Material,
     _foot,
-    _plane_angles,
     draw_alignment,
     draw_epipolar,
     draw_search,
@@ -126,7 +125,7 @@ def test_one_point_has_one_plane_angle_in_both_views(recorded, material):
     truth = replace(material.estimate, R=scene.R, t=scene.t / np.linalg.norm(scene.t))
     p1, p2 = track_pair(scene, np.linspace(0.5, 7.5, 50))
     exact = replace(material, estimate=truth)
-    angles_1, angles_2 = _plane_angles(exact, 0, p1), _plane_angles(exact, 1, p2)
+    angles_1, angles_2 = plane_angles(exact, 0, p1), plane_angles(exact, 1, p2)
     np.testing.assert_allclose(angles_1, angles_2, atol=1e-9)
     assert np.ptp(angles_1) > 5.0
 

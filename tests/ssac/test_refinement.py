@@ -56,7 +56,7 @@ def truth_as_start(scene, t_d_s=0.05):
 
 
 def cramer_rao(scene, sigma_px, n=400):
-    """Bounds on the deviations of t_d [s], R [deg] and t [deg]: the Cramer-Rao bound for white track noise, in rays."""
+    """Cramer-Rao bounds on the deviations of t_d [s], R [deg] and t [deg], in rays."""
     times_s = (np.arange(n) + 0.5) * scene.duration_s / n
     p1, p2 = track_pair(scene, times_s)
     v2 = (track_pair(scene, times_s + 1e-4)[1] - track_pair(scene, times_s - 1e-4)[1]) / 2e-4
