@@ -13,7 +13,7 @@ export PYTHONNOUSERSITE := 1
 RUN := .venv/bin/python -m
 
 .DELETE_ON_ERROR:
-.PHONY: help setup demo test lint types bench fidelity clean moved
+.PHONY: help setup demo test lint types bench accuracy scene fidelity clean moved
 .DEFAULT_GOAL := help
 
 help: ## this list
@@ -38,7 +38,13 @@ types: .venv/.ready ## mypy --strict on sim, ssac and experiments
 bench: .venv/.ready ## speed and memory, as ratios to the reference tools -> results/bench.csv
 	@.venv/bin/ssac bench
 
-fidelity: .venv/.ready ## the events against densely rendered references
+accuracy: .venv/.ready ## mean errors of all methods at five angles (10 minutes) -> results/accuracy.csv
+	@.venv/bin/ssac accuracy
+
+scene: .venv/.ready ## how the default scene looks, beside the authors' sample (2 minutes)
+	@.venv/bin/ssac scene
+
+fidelity: .venv/.ready ## events against dense references (20 minutes) -> results/fidelity.csv
 	@.venv/bin/ssac fidelity
 
 clean: ## remove all that make created, .venv included; results/ stays
