@@ -1,5 +1,6 @@
 """A command line in, a simulated recording as a folder out: `ssac simulate`."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -74,6 +75,12 @@ def simulate_command(
         float, typer.Option(help="Of the sky where there is no image, 0 to 1.")
     ] = _DEFAULT.background_luminance,
     noise: Annotated[str, typer.Option(help=f"Sensor preset: {', '.join(PRESETS)}.")] = "ideal",
+    threshold_on: Annotated[
+        float, typer.Option(help="Contrast threshold C+, of log intensity.")
+    ] = _DEFAULT.sensor.threshold_on,
+    threshold_off: Annotated[
+        float, typer.Option(help="Contrast threshold C-.")
+    ] = _DEFAULT.sensor.threshold_off,
     frame_rate: Annotated[
         float, typer.Option(help="Intensity frames per second; 0 for none.")
     ] = _DEFAULT.frames.rate_hz,
@@ -115,7 +122,7 @@ def simulate_command(
         background_files=tuple(background or ()),
         sampling=SamplingConfig(max_step_px=max_step),
         render=RenderConfig(lattice=Lattice(*lattice), backend=gl),
-        sensor=PRESETS[noise],
+        sensor=replace(PRESETS[noise], threshold_on=threshold_on, threshold_off=threshold_off),
         frames=FrameConfig(rate_hz=frame_rate, exposure_s=exposure),
     )
     check_out_dir(out_dir)

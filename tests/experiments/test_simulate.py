@@ -68,6 +68,8 @@ def test_the_same_arguments_give_the_same_bytes(tmp_path: Path) -> None:
         (["--trajectory", "missing.csv"], "cannot read the trajectory missing.csv"),
         (["--background", "missing.png"], "missing.png"),
         (["--seed", -1], "0 or a positive integer"),
+        (["--threshold-on", 0], "threshold_on must be a positive number"),
+        (["--threshold-off", -0.2], "threshold_off must be a positive number"),
         (["--gl", "vulkan"], "expected auto, osmesa or egl"),
         (["--lattice", 0, 0], "supersampling lattice"),
     ],
