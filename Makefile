@@ -44,7 +44,7 @@ accuracy: .venv/.ready ## mean errors of all methods at five angles (10 minutes)
 scene: .venv/.ready ## how the default scene looks, beside the authors' sample (2 minutes)
 	@.venv/bin/ssac scene
 
-fidelity: .venv/.ready ## events against dense references (20 minutes) -> results/fidelity.csv
+fidelity: .venv/.ready ## events against dense references (an hour) -> results/fidelity.csv
 	@.venv/bin/ssac fidelity
 
 clean: ## remove all that make created, .venv included; results/ stays
