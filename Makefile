@@ -38,7 +38,7 @@ types: .venv/.ready ## mypy --strict on sim, ssac and experiments
 bench: .venv/.ready ## speed and memory, as ratios to the reference tools -> results/bench.csv
 	@.venv/bin/ssac bench
 
-accuracy: .venv/.ready ## mean errors of all methods at five angles (10 minutes) -> results/accuracy.csv
+accuracy: .venv/.ready ## mean errors of all methods at five angles (5 minutes) -> results/accuracy.csv
 	@.venv/bin/ssac accuracy
 
 scene: .venv/.ready ## how the default scene looks, beside the authors' sample (2 minutes)

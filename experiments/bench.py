@@ -34,6 +34,7 @@ from sim.render import RenderConfig, Renderer
 from sim.rig import two_view_rig
 from sim.sensor import Sensor, SensorConfig
 from sim.trajectory import SplineConfig, random_spline
+from ssac.whole_file import whole_file
 
 LATTICES = (SimConfig().render.lattice, Lattice(8, 1), Lattice(4, 0))
 REPEATS = 3  # the best of as many is taken
@@ -58,7 +59,8 @@ def bench_command(
         rows += _in_own_process(part)
     table = pd.DataFrame([asdict(row) | {"verdict": row.verdict} for row in rows])
     out.parent.mkdir(parents=True, exist_ok=True)
-    table.to_csv(out, index=False, float_format="%.6g")
+    with whole_file(out) as temporary:
+        table.to_csv(temporary, index=False, float_format="%.6g")
     save_provenance(out, "ssac bench", {}, time.perf_counter() - start, open_context())
     columns = ["name", "value", "unit", "mark", "verdict"]
     typer.echo(table[columns].to_string(index=False, float_format=lambda value: f"{value:.4g}"))
