@@ -18,7 +18,7 @@ from experiments.score import score
 from sim.frames import FrameConfig
 from sim.gl_context import open_context
 from sim.recording import SimConfig, simulate
-from ssac.interface import Config, usable_events
+from ssac.interface import Config, prepare
 from ssac.whole_file import whole_file
 
 ANGLES_DEG = (30.0, 60.0, 90.0, 120.0, 150.0)
@@ -89,19 +89,15 @@ def accuracy_command(
 
 
 def accuracy_rows(config: SimConfig, seed: int) -> list[dict[str, Any]]:
-    """Simulate one flight, and run each method on its events, denoised once for all of them."""
+    """Simulate one flight, and run each method on its events, prepared once for all of them."""
     recording = simulate(config, seed)
     truth = recording.truth
-    events = usable_events(*observations(recording), rig_of(recording), Config())
-    cam1, cam2 = (
-        replace(camera, events=left)
-        for camera, left in zip(observations(recording), events, strict=True)
-    )
+    cam1, cam2 = prepare(*observations(recording), rig_of(recording), Config())
     rows = []
     for name in COMPARED:
         method = METHODS[name]
         rig = rig_of(recording, with_extrinsics=method.needs_extrinsics)
-        estimate = method.estimate(cam1, cam2, rig, Config(denoise=False))
+        estimate = method.estimate(cam1, cam2, rig, Config())
         errors = score(estimate, truth.t_d_s, truth.R, truth.t)
         rows.append(
             {

@@ -11,8 +11,8 @@ from ssac.camera import Camera, Rig
 from ssac.errors import SsacError
 from ssac.estimate import ssac, ssac_known
 from ssac.events import EVENT_DTYPE
-from ssac.interface import Config, Estimate, Observation
-from ssac.refinement import joint, joint_known
+from ssac.interface import Config, Estimate, Observation, prepare
+from ssac.refinement import joint, joint_from, joint_known, joint_known_from
 
 __all__ = [
     "EVENT_DTYPE",
@@ -25,7 +25,10 @@ __all__ = [
     "albl",
     "event_rate",
     "joint",
+    "joint_from",
     "joint_known",
+    "joint_known_from",
+    "prepare",
     "ssac",
     "ssac_known",
     "zncc_e",

@@ -42,6 +42,14 @@ class Rig:
     T_2_1: NDArray[np.float64] | None = None  # (4, 4), x2 = T_2_1 x1, [m]
 
 
+def same_camera(a: Camera, b: Camera) -> bool:
+    """Whether two cameras have equal intrinsics; `==` cannot tell, as K is an array."""
+    if a is b:
+        return True
+    names = ("width", "height", "distortion_model", "distortion_coeffs")
+    return np.array_equal(a.K, b.K) and all(getattr(a, n) == getattr(b, n) for n in names)
+
+
 def check_camera(camera: Camera, name: str = "camera") -> None:
     """Raise SsacError unless `camera` is a usable pinhole camera; `name` starts the message."""
     K = np.asarray(camera.K, dtype=np.float64)

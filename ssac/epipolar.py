@@ -21,7 +21,7 @@ def fundamental_from_pose(K1: Matrix, K2: Matrix, R: Matrix, t: Matrix) -> Matri
 
 
 def fundamental_from_essential(E: Matrix, K1: Matrix, K2: Matrix) -> Matrix:
-    """F = K2^-T E K1^-1; linear in E, so it also takes derivatives of E to derivatives of F."""
+    """F = K2^-T E K1^-1; linear in E (..., 3, 3), so it also takes dE to dF."""
     return np.asarray(np.linalg.inv(K2).T @ E @ np.linalg.inv(K1))
 
 
@@ -117,6 +117,35 @@ def sampson_derivative(
         + np.sum(lines_1[:, :2] * d_lines_1[:, :2], axis=1)
     ) / norm
     return np.asarray((d_product - product / norm * d_norm) / norm)
+
+
+def sampson_gradient(F: Matrix, p1_px: Matrix, p2_px: Matrix) -> Matrix:
+    """Differentiate `sampson_distance` by the entries of F, with p1 and p2 at rest.
+
+    Parameters
+    ----------
+    F
+        Shape (3, 3).
+    p1_px, p2_px
+        Pairs, shape (N, 2) [px].
+
+    Returns
+    -------
+    NDArray[np.float64]
+        Shape (N, 3, 3): its sum with dF over both indices is `sampson_derivative` by dF.
+    """
+    products, lines_2, lines_1 = _epipolar_terms(F, p1_px, p2_px)
+    norm = _gradient_norm(lines_2, lines_1)[:, None]
+    ratio = products[:, None] / norm**2
+    ones = np.ones((len(p1_px), 1))
+    x1, x2 = np.hstack([p1_px, ones]), np.hstack([p2_px, ones])
+    by_line_2, by_line_1 = x2.copy(), ratio * lines_1
+    by_line_2[:, :2] -= ratio * lines_2[:, :2]
+    by_line_1[:, 2] = 0.0
+    return np.asarray(
+        (by_line_2[:, :, None] * x1[:, None, :] - x2[:, :, None] * by_line_1[:, None, :])
+        / norm[:, :, None]
+    )
 
 
 def _epipolar_terms(F: Matrix, p1_px: Matrix, p2_px: Matrix) -> tuple[Matrix, Matrix, Matrix]:

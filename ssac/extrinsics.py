@@ -15,8 +15,8 @@ from ssac.epipolar import (
     essential_from_fundamental,
     fundamental_from_essential,
     fundamental_from_pose,
-    sampson_derivative,
     sampson_distance,
+    sampson_gradient,
 )
 
 Array = NDArray[np.float64]
@@ -103,12 +103,9 @@ def pose_jacobian(R: Array, t: Array, K1: Array, K2: Array, p1_px: Array, p2_px:
     """Differentiate the Sampson distances by a small change of the pose: (N, 5) [px/rad]."""
     dE = [cross_matrix(t) @ cross_matrix(axis) @ R for axis in np.eye(3)]
     dE += [cross_matrix(direction) @ R for direction in tangent_basis(t)]
-    F, still = fundamental_from_pose(K1, K2, R, t), np.zeros_like(p2_px)
-    columns = [
-        sampson_derivative(F, fundamental_from_essential(d, K1, K2), p1_px, p2_px, still)
-        for d in dE
-    ]
-    return np.stack(columns, axis=1)
+    dF = fundamental_from_essential(np.stack(dE), K1, K2)
+    gradient = sampson_gradient(fundamental_from_pose(K1, K2, R, t), p1_px, p2_px)
+    return np.asarray(gradient.reshape(-1, 9) @ dF.reshape(5, 9).T)
 
 
 def moved_pose(R: Array, t: Array, step: Array) -> tuple[Array, Array]:

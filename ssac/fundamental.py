@@ -27,6 +27,7 @@ _POLISH_ITERATIONS = 8
 _RANK_TOLERANCE = 1e-12  # on coordinates of order 1
 _BLOCK = 64  # pairs counted between two looks at the count: enough for vector instructions
 _MAGSAC_THRESHOLD_PX = 1.0
+_TWO_COORDINATES = ((0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2))  # of (u, v, 1)
 
 
 def lmeds_fundamental(p1_px: Matrix, p2_px: Matrix, trials: int, seed: int = 0) -> Matrix:
@@ -94,20 +95,26 @@ def _uniform(trials: int, seed: int) -> Matrix:
     return numbers
 
 
+@numba.njit(cache=True)
 def _normalised(p1_px: Matrix, p2_px: Matrix) -> tuple[Matrix, Matrix, Matrix, Matrix]:
     """Both images' points (2, N), centred and scaled, and the transforms (3, 3) that do so.
 
     Hartley's normalisation, but with one scale for both images, which keeps Sampson distances
     proportional to those in pixels.
     """
-    centre_1, centre_2 = p1_px.mean(axis=0), p2_px.mean(axis=0)
-    x1 = np.ascontiguousarray((p1_px - centre_1).T)
-    x2 = np.ascontiguousarray((p2_px - centre_2).T)
-    scale = np.sqrt((x1.size + x2.size) / (np.vdot(x1, x1) + np.vdot(x2, x2)))
-    T1, T2 = (
-        np.array([[scale, 0.0, -scale * u], [0.0, scale, -scale * v], [0.0, 0.0, 1.0]])
-        for u, v in (centre_1, centre_2)
-    )
+    n = len(p1_px)
+    x1, x2, T1, T2 = np.empty((2, n)), np.empty((2, n)), np.eye(3), np.eye(3)
+    square = 0.0
+    for p, x, T in ((p1_px, x1, T1), (p2_px, x2, T2)):
+        for axis in range(2):
+            centre = np.mean(p[:, axis])
+            T[axis, 2] = -centre
+            for i in range(n):
+                x[axis, i] = p[i, axis] - centre
+                square += x[axis, i] ** 2
+    scale = np.sqrt(4 * n / square)
+    T1[:2] *= scale
+    T2[:2] *= scale
     return scale * x1, scale * x2, T1, T2
 
 
@@ -154,18 +161,39 @@ def _reweighted(x1: Matrix, x2: Matrix, F: Matrix) -> Matrix:
 @numba.njit(cache=True)
 def _eight_point(x1: Matrix, x2: Matrix, weights: Matrix) -> Matrix:
     """F (rank 2) near the least weighted sum of (x2' F x1)^2: the eight-point algorithm."""
-    moments = np.zeros((9, 9))
-    row = np.empty(9)
-    for i in range(x1.shape[1]):
-        _monomials(x1, x2, i, row)
-        for j in range(9):
-            for k in range(j + 1):
-                moments[j, k] += weights[i] * row[j] * row[k]  # eigh reads the lower triangle
-    _, vectors = np.linalg.eigh(moments)
+    _, vectors = np.linalg.eigh(_moments(x1, x2, weights))
     U, singular, Vt = np.linalg.svd(np.ascontiguousarray(vectors[:, 0]).reshape(3, 3))
     singular[2] = 0.0
     F: Matrix = (U * singular) @ Vt
     return F
+
+
+@numba.njit(cache=True, fastmath=True)
+def _moments(x1: Matrix, x2: Matrix, weights: Matrix) -> Matrix:
+    """Weighted sums (9, 9) of the products of two monomials, the lower triangle that eigh reads.
+
+    Such a product is one of two coordinates of x2 times one of two coordinates of x1, the third
+    coordinate being 1: six times six sums, each over whole arrays.
+    """
+    n = len(weights)
+    products_1, products_2 = np.empty((6, n)), np.empty((6, n))
+    for i in range(n):
+        u, v = x1[0, i], x1[1, i]
+        products_1[0, i], products_1[1, i], products_1[2, i] = u * u, u * v, v * v
+        products_1[3, i], products_1[4, i], products_1[5, i] = u, v, 1.0
+        u, v, w = x2[0, i], x2[1, i], weights[i]
+        products_2[0, i], products_2[1, i], products_2[2, i] = w * u * u, w * u * v, w * v * v
+        products_2[3, i], products_2[4, i], products_2[5, i] = w * u, w * v, w
+    moments = np.zeros((9, 9))
+    for k in range(6):
+        left, (a, b) = products_2[k], _TWO_COORDINATES[k]
+        for m in range(6):
+            right, (c, d) = products_1[m], _TWO_COORDINATES[m]
+            total = 0.0
+            for i in range(n):
+                total += left[i] * right[i]
+            moments[3 * a + c, 3 * b + d] = moments[3 * a + d, 3 * b + c] = total
+    return moments
 
 
 @numba.njit(cache=True)
@@ -238,7 +266,7 @@ def _sampson_terms(F: Matrix, u1: float, v1: float, u2: float, v2: float) -> tup
     return u2 * a2 + v2 * b2 + c2, a1 * a1 + b1 * b1 + a2 * a2 + b2 * b2
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, fastmath=True)
 def _solve_null_vector(A: Matrix, F: Matrix) -> bool:
     """Solve A f = 0 for f = F row by row, by Gaussian elimination of A (8, 9), row after row.
 
@@ -248,26 +276,28 @@ def _solve_null_vector(A: Matrix, F: Matrix) -> bool:
     """
     order = np.arange(9)
     for k in range(8):
-        pivot = k
-        for j in range(k + 1, 9):
-            if abs(A[k, j]) > abs(A[k, pivot]):
-                pivot = j
-        if abs(A[k, pivot]) < _RANK_TOLERANCE:
+        row, pivot, largest = A[k], k, 0.0
+        for j in range(k, 9):
+            if abs(row[j]) > largest:
+                pivot, largest = j, abs(row[j])
+        if largest < _RANK_TOLERANCE:
             return False
         if pivot != k:
             order[k], order[pivot] = order[pivot], order[k]
             for i in range(8):
                 A[i, k], A[i, pivot] = A[i, pivot], A[i, k]
+        inverse = 1.0 / row[k]
         for i in range(k + 1, 8):
-            ratio = A[i, k] / A[k, k]
+            other = A[i]  # rows by name: half the time of entries by two indices
+            ratio = other[k] * inverse
             for j in range(k + 1, 9):
-                A[i, j] -= ratio * A[k, j]
+                other[j] -= ratio * row[j]
     f = np.ones(9)
     for k in range(7, -1, -1):
-        total = A[k, 8]
+        row, total = A[k], A[k, 8]
         for j in range(k + 1, 8):
-            total += A[k, j] * f[j]
-        f[k] = -total / A[k, k]
+            total += row[j] * f[j]
+        f[k] = -total / row[k]
     for k in range(9):
         F[order[k] // 3, order[k] % 3] = f[k]
     return True

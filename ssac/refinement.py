@@ -30,9 +30,9 @@ from numpy.typing import NDArray
 
 from ssac.camera import Rig
 from ssac.epipolar import fundamental_from_pose, sampson_derivative, sampson_distance
-from ssac.estimate import algorithm_1, algorithm_2, with_fit
+from ssac.estimate import ssac, ssac_known, with_fit
 from ssac.extrinsics import moved_pose, pose_jacobian
-from ssac.interface import Config, Estimate, Observation, checked, object_motions
+from ssac.interface import Config, Estimate, Observation, checked, object_motions, prepare
 from ssac.offset_search import sample_pairs
 from ssac.tracks import ObjectMotion, SharpTrack
 
@@ -92,19 +92,42 @@ def joint(cam1: Observation, cam2: Observation, rig: Rig, config: Config | None 
         With `t_d_std_s` and `covariance`. The status may be one of Algorithm 2's, or
         "no_convergence".
     """
-    config = checked(config)
-    motion1, motion2 = object_motions(cam1, cam2, rig, config)
-    start = replace(algorithm_2(motion1, motion2, rig, config), method="joint")
-    return refine(start, motion1, motion2, rig, config)
+    cam1, cam2 = prepare(cam1, cam2, rig, config)
+    return joint_from(ssac(cam1, cam2, rig, config), cam1, cam2, rig, config)
 
 
 def joint_known(
     cam1: Observation, cam2: Observation, rig: Rig, config: Config | None = None
 ) -> Estimate:
     """Time offset alone, refined from Algorithm 1's result with the extrinsics of the rig."""
+    cam1, cam2 = prepare(cam1, cam2, rig, config)
+    return joint_known_from(ssac_known(cam1, cam2, rig, config), cam1, cam2, rig, config)
+
+
+def joint_from(
+    start: Estimate,
+    cam1: Observation,
+    cam2: Observation,
+    rig: Rig,
+    config: Config | None = None,
+) -> Estimate:
+    """As `joint`, given what `ssac` found with the same arguments: without a search of its own."""
     config = checked(config)
     motion1, motion2 = object_motions(cam1, cam2, rig, config)
-    start = replace(algorithm_1(motion1, motion2, rig, config), method="joint-known")
+    return refine(replace(start, method="joint"), motion1, motion2, rig, config)
+
+
+def joint_known_from(
+    start: Estimate,
+    cam1: Observation,
+    cam2: Observation,
+    rig: Rig,
+    config: Config | None = None,
+) -> Estimate:
+    """As `joint_known`, given what `ssac_known` found with the same arguments."""
+    config = checked(config)
+    motion1, motion2 = object_motions(cam1, cam2, rig, config)
+    start = replace(start, method="joint-known")
     return refine(start, motion1, motion2, rig, config, pose_is_known=True)
 
 

@@ -4,8 +4,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import correlate, correlation_lags
 
-from ssac.baselines.correlation import Signal, binned, correlation_estimate, lags_of
+from ssac.baselines.correlation import Signal, correlation_estimate, counted, lags_of
 from ssac.camera import Rig
+from ssac.events import US_PER_S
 from ssac.interface import Config, Estimate, Observation, checked, usable_events
 
 BIN_S = 0.001
@@ -26,8 +27,8 @@ def event_rate(
     """
     config = checked(config)
     events1, events2 = usable_events(cam1, cam2, rig, config)
-    signal1 = binned(events1["t"] * 1e-6, None, BIN_S)
-    signal2 = binned(events2["t"] * 1e-6, None, BIN_S)
+    signal1 = counted(events1["t"], round(BIN_S * US_PER_S))
+    signal2 = counted(events2["t"], round(BIN_S * US_PER_S))
     lags = lags_of(config, BIN_S)
     rate1, rate2 = _centred(signal1), _centred(signal2)
     power = float(np.linalg.norm(rate1) * np.linalg.norm(rate2))
@@ -36,7 +37,7 @@ def event_rate(
         products = np.asarray(correlate(rate2, rate1, method="fft"), dtype=np.float64) / power
         shifts = correlation_lags(len(rate2), len(rate1)) + signal2.first_bin - signal1.first_bin
         curve = np.interp(lags, shifts, products, left=np.nan, right=np.nan)
-    return correlation_estimate("event-rate", BIN_S * lags.astype(np.float64), curve)
+    return correlation_estimate("event_rate", BIN_S * lags.astype(np.float64), curve)
 
 
 def _centred(signal: Signal) -> NDArray[np.float64]:

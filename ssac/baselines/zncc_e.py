@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from ssac.baselines.correlation import binned, correlation_estimate, lags_of, zncc
+from ssac.baselines.correlation import correlation_estimate, counted, lags_of, zncc
 from ssac.camera import Rig
+from ssac.events import US_PER_S
 from ssac.interface import Config, Estimate, Observation, checked, usable_events
 
 BIN_S = 0.010
@@ -23,9 +24,9 @@ def zncc_e(
     """
     config = checked(config)
     events1, events2 = usable_events(cam1, cam2, rig, config)
-    signal1 = binned(events1["t"] * 1e-6, None, BIN_S)
-    signal2 = binned(events2["t"] * 1e-6, None, BIN_S)
+    signal1 = counted(events1["t"], round(BIN_S * US_PER_S))
+    signal2 = counted(events2["t"], round(BIN_S * US_PER_S))
     lags = lags_of(config, BIN_S)
     return correlation_estimate(
-        "zncc-e", BIN_S * lags.astype(np.float64), zncc(signal1, signal2, lags)
+        "zncc_e", BIN_S * lags.astype(np.float64), zncc(signal1, signal2, lags)
     )

@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 
-from ssac.baselines.albl import albl
-from ssac.baselines.correlation import Signal, binned, zncc
+from ssac.baselines.albl import _constraints, _Linearised, _ransac, _solve_nine, albl
+from ssac.baselines.correlation import Signal, binned, counted, zncc
 from ssac.baselines.event_rate import event_rate
 from ssac.baselines.zncc_e import zncc_e
 from ssac.baselines.zncc_f import zncc_f
 from ssac.camera import Camera, Rig
+from ssac.epipolar import sampson_distance
 from ssac.errors import SsacError
 from ssac.events import EVENT_DTYPE
 from ssac.interface import Config, Observation
@@ -20,6 +21,7 @@ from tests.ssac.synthetic import (
     make_events,
     make_scene,
     rotation_angle_deg,
+    track_pair,
 )
 
 CLEAN = Config(denoise=False)
@@ -76,6 +78,65 @@ def test_delayed_frames_are_recovered(t_d_s):
     )
 
 
+def test_frames_of_whole_numbers_change_as_much_as_the_same_in_floating_point():
+    rng = np.random.default_rng(0)
+    frames = rng.integers(0, 256, (100, 6, 7), dtype=np.uint8)  # differences beyond +-127
+    events, times_s = flickering_events(rng, duration_s=1.0), 0.02 * np.arange(100)
+    whole, floating = (
+        zncc_f(
+            Observation(events, images, times_s),
+            Observation(events, images[::-1], times_s),
+            RIG,
+            CLEAN,
+        )
+        for images in (frames, frames.astype(np.float64))
+    )
+    assert np.isfinite(whole.costs).sum() > 40
+    # Sums of whole numbers are exact. NaN where less than half overlaps.
+    assert np.array_equal(whole.costs, floating.costs, equal_nan=True)
+
+
+@pytest.mark.parametrize("shift_s", [0.0, 0.013, -0.4])
+def test_the_solver_of_albl_finds_the_shift_and_f_of_exact_pairs(shift_s):
+    scene = make_scene(seed=0)
+    rng = np.random.default_rng(0)
+    x1, x2 = (0.01 * (p - [173.0, 130.0]) for p in track_pair(scene, np.linspace(0.0, 20.0, 90)))
+    v2 = rng.normal(size=(90, 2))
+    pairs = _Linearised(x1, x2 - shift_s * v2, v2, 100.0)
+    A, B = _constraints(pairs)
+    subsets = rng.permutation(90).reshape(10, 9)
+    shifts_s, F = _solve_nine(A, B, subsets)
+    # Every subset has the true shift among its up to six; at zero the equations are singular.
+    # Random velocities of order 1, coordinates of order 1: rounding grows by the condition, 1e6.
+    nearest = np.argsort(np.abs(shifts_s - shift_s))[:10]
+    assert np.allclose(shifts_s[nearest], shift_s, atol=1e-8)
+    for f in F[nearest].reshape(-1, 9):
+        assert np.allclose((A + shift_s * B) @ f, 0.0, atol=1e-6 * np.linalg.norm(f))
+
+
+@pytest.mark.parametrize("outlier_share", [0.0, 0.3])
+def test_ransac_of_albl_finds_the_most_inliers_of_all_trials(outlier_share):
+    scene = make_scene(seed=0)
+    rng = np.random.default_rng(0)
+    x1, x2 = (0.01 * (p - [173.0, 130.0]) for p in track_pair(scene, np.linspace(0.0, 20.0, 90)))
+    x2 = x2 + rng.normal(0.0, 0.005, x2.shape)  # 0.5 px
+    bad = rng.random(90) < outlier_share
+    x2[bad] = rng.uniform(-1.5, 1.5, (bad.sum(), 2))
+    pairs = _Linearised(x1, x2, rng.normal(0.0, 2.0, (90, 2)), 100.0)
+    numbers = rng.random((200, 90))
+    found = _ransac(pairs, 0.02, numbers)
+    shifts_s, F = _solve_nine(*_constraints(pairs), np.argsort(numbers, axis=1)[:, :9])
+    shares = [
+        np.mean(np.abs(sampson_distance(f, x1, x2 + b * pairs.v2)) < 0.02)  # 2 px
+        for b, f in zip(shifts_s, F, strict=True)
+        if abs(b) <= 0.04
+    ]
+    assert found.inlier_share == max(shares)
+    assert max(shares) == 1.0 if outlier_share == 0.0 else 0.6 < max(shares) < 0.8
+    # 0.5 px of noise at 200 px/s in 60 pairs or more, six parameters: about 0.4 ms.
+    assert abs(found.shift_s) < 0.002
+
+
 @pytest.mark.parametrize("t_d_s", [0.005, 0.05, 0.2, -0.05, -0.2])
 def test_albl_recovers_offset_and_pose(t_d_s):
     scene = make_scene(seed=0, duration_s=10.0)
@@ -111,13 +172,21 @@ def test_zncc_is_one_for_scaled_signals_at_their_lag():
     assert np.isnan(curve[3])  # less than half of the signals overlap
 
 
+def test_events_are_counted_by_whole_microseconds():
+    # A time on the bound of two bins belongs to the later one, and bins go on below zero.
+    counts = counted(np.array([-10_001, -10_000, 0, 9_999, 10_000, 35_000]), 10_000)
+    assert counts.first_bin == -2
+    assert counts.values.tolist() == [1.0, 1.0, 2.0, 1.0, 0.0, 1.0]
+    assert len(counted(np.empty(0, np.int64), 10_000).values) == 0
+
+
 def test_binning_counts_and_averages():
     times_s = np.array([0.021, 0.025, 0.031, 0.055])
-    counted = binned(times_s, None, 0.01)
-    assert counted.first_bin == 2
-    assert counted.values.tolist() == [2.0, 1.0, 0.0, 1.0]
-    averaged = binned(times_s, np.array([1.0, 3.0, 4.0, 8.0]), 0.01)
-    assert averaged.values.tolist() == [2.0, 4.0, 6.0, 8.0]  # the empty bin is interpolated
+    counts = binned(times_s, None, 0.01)
+    assert counts.first_bin == 2
+    assert counts.values.tolist() == [2.0, 1.0, 0.0, 1.0]
+    means = binned(times_s, np.array([1.0, 3.0, 4.0, 8.0]), 0.01)
+    assert means.values.tolist() == [2.0, 4.0, 6.0, 8.0]  # the empty bin is interpolated
     assert len(binned(np.empty(0), None, 0.01).values) == 0
 
 

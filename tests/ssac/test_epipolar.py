@@ -13,6 +13,7 @@ from ssac.epipolar import (
     fundamental_from_pose,
     sampson_derivative,
     sampson_distance,
+    sampson_gradient,
 )
 from tests.ssac.synthetic import K, make_scene, project, track_pair
 
@@ -102,6 +103,18 @@ def test_sampson_derivative_equals_central_differences(exact):
     analytic = sampson_derivative(F, dF, p1, p2, dp2)
     # The error of central differences grows with h^2 and with rounding over h: 1e-6 of the scale.
     assert np.allclose(analytic, numeric, atol=1e-5 * np.abs(numeric).max())
+
+
+def test_sampson_gradient_sums_to_the_derivative(exact):
+    F, p1, p2 = exact
+    rng = np.random.default_rng(0)
+    p1 = p1 + rng.normal(0.0, 2.0, p1.shape)
+    dF = fundamental_from_essential(rng.normal(0.0, 1.0, (4, 3, 3)), K, K)
+    gradient = sampson_gradient(F, p1, p2)
+    for one in dF:
+        expected = sampson_derivative(F, one, p1, p2, np.zeros_like(p2))
+        summed = np.sum(gradient * one, axis=(1, 2))
+        assert np.allclose(summed, expected, atol=1e-11 * np.abs(expected).max())  # rounding
 
 
 def test_cross_matrix_is_the_cross_product():

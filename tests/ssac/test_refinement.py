@@ -1,13 +1,24 @@
 """The refinement against its own derivatives, and against the Cramer-Rao bound for white noise."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 
 from ssac.epipolar import cross_matrix, fundamental_from_pose, sampson_distance
+from ssac.estimate import ssac, ssac_known
 from ssac.interface import Config, Estimate, Observation
-from ssac.refinement import Parameters, joint, joint_known, linearise, moved, refine, sharp_pairs
+from ssac.refinement import (
+    Parameters,
+    joint,
+    joint_from,
+    joint_known,
+    joint_known_from,
+    linearise,
+    moved,
+    refine,
+    sharp_pairs,
+)
 from ssac.tracks import SharpTrack, Track
 from tests.ssac.synthetic import (
     K,
@@ -196,6 +207,24 @@ def test_a_refused_start_is_returned_as_it_is():
     estimate = joint(*cameras, scene.rig, replace(CLEAN, n_min=100_000))
     assert estimate.method == "joint"
     assert estimate.status == "too_few_samples"
+
+
+@pytest.mark.parametrize(
+    ("method", "search", "from_start"),
+    [(joint, ssac, joint_from), (joint_known, ssac_known, joint_known_from)],
+)
+def test_a_start_that_is_there_need_not_be_searched_for(method, search, from_start, monkeypatch):
+    scene = make_scene(seed=0, duration_s=6.0)
+    cameras = [Observation(events) for events in make_events(scene, 0)]
+    expected = method(*cameras, scene.rig, CLEAN)
+    start = search(*cameras, scene.rig, CLEAN)
+    for name in ("ssac", "ssac_known"):
+        monkeypatch.delattr(f"ssac.refinement.{name}")
+    estimate = from_start(start, *cameras, scene.rig, CLEAN)
+    for field in fields(expected):
+        np.testing.assert_array_equal(getattr(estimate, field.name), getattr(expected, field.name))
+    assert estimate.t_d_std_s > 0.0
+    assert start.method == search.__name__.replace("_", "-")
 
 
 def test_leaving_the_minimum_is_refused():

@@ -38,6 +38,26 @@ def test_positions_are_the_means_of_the_windows(flight):
             assert not track.valid[i]
 
 
+@pytest.mark.parametrize(
+    "t_us",
+    [
+        np.repeat(np.arange(0, 3_000_000, 30_000), 40),  # many events at one time
+        np.concatenate([np.arange(500), 2_000_000 + np.arange(3), 900_000_000 + np.arange(500)]),
+        np.array([-70_000, -20_000, -20_000, 0, 20_000]),
+        np.array([1_000_000]),
+    ],
+    ids=["repeated", "gaps", "negative", "single"],
+)
+def test_windows_are_found_in_uneven_recordings(t_us):
+    motion = object_motion(column_of_events(t_us, x=100, y=100), CAMERA)
+    # Window bounds on, just before and just after events, and far outside.
+    at_us = np.unique(t_us)[:, None] + [-20_001, -20_000, -19_999, 0, 19_999, 20_000, 20_001]
+    at_us = np.append(at_us, [-(10**12), 10**12])
+    expected = np.searchsorted(t_us, at_us + 20_000) - np.searchsorted(t_us, at_us - 20_000)
+    assert np.array_equal(motion.at(at_us * 1e-6).counts, expected)
+    assert motion.at(at_us.reshape(1, -1, 1) * 1e-6).positions_px.shape == (1, len(at_us), 1, 2)
+
+
 def test_velocities_follow_the_path(flight):
     scene, events = flight
     times_s = np.linspace(0.1, 3.9, 200)
