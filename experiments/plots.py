@@ -145,7 +145,7 @@ def draw_epipolar(canvas: Canvas, material: Material) -> None:
             axes.set(xlabel="x [px]", ylabel="y [px]", aspect="equal")
             axes.set_xlim(centre[0] - reach_px, centre[0] + reach_px)
             axes.set_ylim(centre[1] + 0.75 * reach_px, centre[1] - 0.75 * reach_px)
-    handles = [*left.get_legend_handles_labels()[0], *_POLARITIES]
+    handles = [*left.get_legend_handles_labels()[0], *POLARITIES]
     canvas.legend(handles=handles, loc="outside lower center", ncols=len(handles), fontsize="small")
 
 
@@ -204,7 +204,7 @@ _POINT: dict[str, Any] = {
     "linestyle": "none",
 }
 _CAMERA_COLORS = (BLUE, YELLOW)
-_POLARITIES = (Patch(color=YELLOW, label="brighter"), Patch(color=BLUE, label="darker"))
+POLARITIES = (Patch(color=YELLOW, label="brighter"), Patch(color=BLUE, label="darker"))
 
 
 def _mark_offset(axes: Axes, position: float, label: str) -> None:
