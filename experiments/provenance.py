@@ -44,15 +44,13 @@ def versions() -> dict[str, str]:
     return {"python": platform.python_version(), **{name: version(name) for name in _PACKAGES}}
 
 
-def save_provenance(
-    path: Path, command: str, config: Any, wall_time_s: float, gl: GLContext | None
-) -> None:
-    """Write a result's provenance beside it, as JSON.
+def provenance(
+    command: str, config: Any, wall_time_s: float, gl: GLContext | None, **more: Any
+) -> dict[str, Any]:
+    """Say what a result was made with.
 
     Parameters
     ----------
-    path : Path
-        Of the result; the provenance goes to the same name with `.provenance.json`.
     command : str
         That makes the result again.
     config : Any
@@ -60,14 +58,28 @@ def save_provenance(
     wall_time_s : float
     gl : GLContext | None
         Where rendering took part.
+    **more : Any
+        Further entries.
     """
-    content = {
+    return {
         "command": command,
         "commit": code_commit(),
         "versions": versions(),
         "gl": plain(gl) if gl else None,
         "config": plain(config),
         "wall_time_s": round(wall_time_s, 1),
+        **plain(more),
     }
+
+
+def save_provenance(
+    path: Path, command: str, config: Any, wall_time_s: float, gl: GLContext | None, **more: Any
+) -> None:
+    """Write a result's `provenance` beside it: the same name with `.provenance.json`."""
+    write_provenance(path, provenance(command, config, wall_time_s, gl, **more))
+
+
+def write_provenance(path: Path, content: Mapping[str, Any]) -> None:
+    """Write a provenance that is made already beside a result."""
     with whole_file(path.with_suffix(".provenance.json")) as temporary:
         temporary.write_text(json.dumps(content, indent=1) + "\n")
