@@ -1,7 +1,7 @@
 """Speed and memory, as ratios side by side in one run: `ssac bench`.
 
-Each part runs in a process of its own on one core, so that none sees another's memory and both GL
-backends can be compared.
+Each part runs in a process of its own on one core (the tables: on two), so that none sees another's
+memory and both GL backends can be compared.
 """
 
 import json
@@ -22,6 +22,7 @@ import typer
 from numpy.typing import NDArray
 
 from experiments.bench_sync import bench_sync
+from experiments.bench_tables import bench_tables
 from experiments.measurement import Measurement
 from experiments.provenance import save_provenance
 from sim.background import uniform_background
@@ -172,6 +173,7 @@ PARTS: dict[str, Callable[[], list[Measurement]]] = {
     "sensor": bench_sensor,
     "recording": bench_recording,
     "sync": bench_sync,
+    "tables": bench_tables,  # which has two workers
 }
 
 

@@ -29,7 +29,7 @@ def test_a_part_that_cannot_be_measured_is_a_row_and_not_a_gap() -> None:
 
 
 def test_both_backends_are_measured() -> None:
-    assert {"render-osmesa", "render-egl", "sensor", "recording", "sync"} <= set(PARTS)
+    assert {"render-osmesa", "render-egl", "sensor", "recording", "sync", "tables"} <= set(PARTS)
 
 
 @pytest.mark.render
