@@ -13,17 +13,33 @@ export PYTHONNOUSERSITE := 1
 RUN := .venv/bin/python -m
 
 .DELETE_ON_ERROR:
-.PHONY: help setup demo test lint types bench accuracy scene fidelity clean moved
+.PHONY: help setup demo tables ablations figures report verify test lint types bench accuracy scene \
+	fidelity clean-cache clean moved
 .DEFAULT_GOAL := help
 
 help: ## this list
-	@awk -F ' *## *' '/^[a-z]+:.*## / { sub(/:.*/, "", $$1); printf "  make %-10s %s\n", $$1, $$2 }' Makefile
+	@awk -F ' *## *' '/^[a-z-]+:.*## / { sub(/:.*/, "", $$1); printf "  make %-11s %s\n", $$1, $$2 }' Makefile
 
 setup: .venv/.ready ## virtual environment, packages, OpenGL libraries (all others do this by themselves)
 	@:
 
 demo: .venv/.ready ## simulate two cameras, recover their offset and pose, draw one picture (a minute)
 	@.venv/bin/ssac demo
+
+tables: .venv/.ready ## the paper's simulation tables (8 minutes from nothing) -> results/esim_*.csv
+	@.venv/bin/ssac tables
+
+ablations: .venv/.ready ## one parameter varied at a time (45 minutes) -> results/ablation_*.csv, *.png
+	@.venv/bin/ssac ablate
+
+figures: .venv/.ready ## the paper's figures, and errors against the angle -> results/*.png
+	@.venv/bin/ssac figures
+
+report: .venv/.ready ## all results on one page to look at -> out/report.html
+	@.venv/bin/ssac report
+
+verify: .venv/.ready ## a part of the tables computed anew, against results/ (a minute)
+	@.venv/bin/ssac verify
 
 test: .venv/.ready ## the tests
 	@$(RUN) pytest
@@ -46,6 +62,10 @@ scene: .venv/.ready ## how the default scene looks, beside the authors' sample (
 
 fidelity: .venv/.ready ## events against dense references (an hour) -> results/fidelity.csv
 	@.venv/bin/ssac fidelity
+
+clean-cache: ## remove the recordings and runs that tables, ablations and sweeps keep in cache/
+	@du -sh cache 2>/dev/null || true
+	rm -rf cache
 
 clean: ## remove all that make created, .venv included; results/ stays
 	rm -rf .venv build out cache *.egg-info .pytest_cache .mypy_cache .ruff_cache

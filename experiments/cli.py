@@ -8,12 +8,18 @@ import sys
 
 import typer
 
+from experiments.ablation import ablate_command
 from experiments.accuracy import accuracy_command
 from experiments.bench import bench_command
+from experiments.check import verify_command
 from experiments.demo import demo_command
 from experiments.fidelity import fidelity_command
+from experiments.figures import figures_command
+from experiments.report import report_command
+from experiments.reproduce import tables_command
 from experiments.scene import scene_command
 from experiments.simulate import simulate_command
+from experiments.sweep import merge_command, sweep_command
 from experiments.sync import BAD_INPUT, sync_command
 from sim.errors import SimError
 from ssac.errors import SsacError
@@ -27,6 +33,13 @@ app = typer.Typer(
 )
 app.command("simulate")(simulate_command)
 app.command("sync")(sync_command)
+app.command("tables")(tables_command)
+app.command("ablate")(ablate_command)
+app.command("figures")(figures_command)
+app.command("report")(report_command)
+app.command("verify")(verify_command)
+app.command("sweep")(sweep_command)
+app.command("merge")(merge_command)
 app.command("demo")(demo_command)
 app.command("scene")(scene_command)
 app.command("fidelity")(fidelity_command)
