@@ -13,7 +13,7 @@ export PYTHONNOUSERSITE := 1
 RUN := .venv/bin/python -m
 
 .DELETE_ON_ERROR:
-.PHONY: help setup demo tables ablations figures report verify test lint types bench accuracy scene \
+.PHONY: help setup demo tables ablations figures report verify test lint types bench scene \
 	fidelity clean-cache clean moved
 .DEFAULT_GOAL := help
 
@@ -53,9 +53,6 @@ types: .venv/.ready ## mypy --strict on sim, ssac and experiments
 
 bench: .venv/.ready ## speed and memory, as ratios to the reference tools -> results/bench.csv
 	@.venv/bin/ssac bench
-
-accuracy: .venv/.ready ## mean errors of all methods at five angles (5 minutes) -> results/accuracy.csv
-	@.venv/bin/ssac accuracy
 
 scene: .venv/.ready ## how the default scene looks, beside the authors' sample (2 minutes)
 	@.venv/bin/ssac scene
@@ -172,5 +169,7 @@ echo "make setup: installing Python packages into .venv ($$(.venv/bin/python --v
 pip() { .venv/bin/python -m pip install --quiet --disable-pip-version-check --no-input --no-deps "$$@"; }
 pip -r requirements.txt
 pip --no-build-isolation --editable .
+echo "make setup: compiling kernels" >&2
+.venv/bin/python -m experiments.warm_up
 endef
 export GL_WORKS SETUP

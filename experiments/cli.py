@@ -9,7 +9,6 @@ import sys
 import typer
 
 from experiments.ablation import ablate_command
-from experiments.accuracy import accuracy_command
 from experiments.bench import bench_command
 from experiments.check import verify_command
 from experiments.demo import demo_command
@@ -21,6 +20,7 @@ from experiments.scene import scene_command
 from experiments.simulate import simulate_command
 from experiments.sweep import merge_command, sweep_command
 from experiments.sync import BAD_INPUT, sync_command
+from experiments.zncc_study import zncc_study_command
 from sim.errors import SimError
 from ssac.errors import SsacError
 
@@ -43,7 +43,7 @@ app.command("merge")(merge_command)
 app.command("demo")(demo_command)
 app.command("scene")(scene_command)
 app.command("fidelity")(fidelity_command)
-app.command("accuracy")(accuracy_command)
+app.command("zncc-study")(zncc_study_command)
 app.command("bench")(bench_command)
 
 

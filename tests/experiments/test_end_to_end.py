@@ -2,7 +2,7 @@
 
 Flights of 10 s, rendered coarsely. On such short ones the means of the windows stray by 0.5 px from
 the image of a fixed point, the same way for seconds, which leaves errors of up to 0.6 ms, 0.8 deg
-and 0.5 deg in these recordings (`ssac accuracy` measures them over many flights of 20 s); the
+and 0.5 deg in these recordings (`ssac tables` measures them over many flights of 20 s); the
 tolerances are twice that.
 """
 
