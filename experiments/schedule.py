@@ -17,6 +17,8 @@ from ssac.errors import SsacError
 
 Rows = list[dict[str, Any]]
 
+WAIT_FOR_WORKERS_S = 60.0  # of a Dask scheduler: they may be on their way
+
 
 @dataclass(frozen=True)
 class Workers:
@@ -163,6 +165,14 @@ def _backend(workers: Workers) -> Iterator[None]:
         raise SsacError(
             f"no Dask scheduler answers at {workers.scheduler!r}: expected an address such as "
             f"tcp://host:8786 ({error})"
+        ) from error
+    try:
+        client.wait_for_workers(1, timeout=WAIT_FOR_WORKERS_S)
+    except OSError as error:  # TimeoutError is one
+        client.close()  # type: ignore[no-untyped-call]
+        raise SsacError(
+            f"the Dask scheduler at {workers.scheduler} has no workers: start some with "
+            f"dask worker {workers.scheduler} --nthreads 1"
         ) from error
     with client, joblib.parallel_config(backend="dask", n_jobs=-1):
         yield

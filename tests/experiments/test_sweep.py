@@ -181,6 +181,16 @@ def test_no_scheduler_is_one_line(folder, config):
         run_cells(cells, cache, Workers(scheduler="tcp://127.0.0.1:9"), show_progress=False)
 
 
+def test_a_scheduler_without_workers_is_one_line(folder, config, monkeypatch):
+    distributed = pytest.importorskip("distributed")
+    monkeypatch.setattr(schedule, "WAIT_FOR_WORKERS_S", 0.2)
+    cells, cache = load_config(config).cells(), Cache(without_runs(folder, "cache_idle"))
+    with distributed.LocalCluster(n_workers=0, processes=False, dashboard_address=None) as cluster:
+        workers = Workers(scheduler=cluster.scheduler_address)
+        with pytest.raises(SsacError, match="has no workers: start some with dask worker"):
+            run_cells(cells, cache, workers, show_progress=False)
+
+
 def test_what_is_done_is_not_done_again(config, folder, whole, monkeypatch):
     def never(*_):
         raise AssertionError("all runs are in the cache")
