@@ -89,7 +89,7 @@ OURS = (
            needs_extrinsics=True),
     Method("albl", albl, Input.TRACKS, "eigenvalue solver of Albl et al. (2017)"),
     Method("zncc_e", zncc_e, Input.RATES, "correlation of event rates, offset only"),
-    Method("zncc_f", zncc_f, Input.FRAMES, "correlation of frame changes, offset only"),
+    Method("zncc_f", zncc_f, Input.FRAMES, "correlation of frame brightness, offset only"),
     Method("event_rate", event_rate, Input.RATES, "event rates, Censi and Scaramuzza (2014)"),
 )  # fmt: skip
 

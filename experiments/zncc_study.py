@@ -6,7 +6,7 @@ the trajectory alone, gives hundreds of flights, and its factors one by one.
 
 import time
 from dataclasses import dataclass, replace
-from itertools import product
+from itertools import pairwise, product
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -126,8 +126,8 @@ def rendered_rows(scene: str, angle_deg: float, seed: int) -> list[dict[str, Any
         "zncc_f": of_estimate(zncc_f(cam1, cam2, rig, Config())),
         "zncc_e, raw events": of_estimate(zncc_e(*raw, rig, Config(denoise=False))),
     }
-    brightness = [_brightness(camera) for camera in raw]
-    found["frame brightness"] = agreement(brightness[0], brightness[1], FRAME_S)
+    changes = [_frame_changes(camera) for camera in raw]
+    found["frame changes"] = agreement(changes[0], changes[1], FRAME_S)
     for bin_s in BINS_S:
         rates = [binned(camera.events["t"] * 1e-6, None, bin_s) for camera in (cam1, cam2)]
         found[f"zncc_e, bins of {1e3 * bin_s:g} ms"] = agreement(rates[0], rates[1], bin_s)
@@ -222,12 +222,15 @@ def _flight(scene: str, duration_s: float, seed: int) -> Trajectory:
     )
 
 
-def _brightness(camera: Observation) -> Signal:
-    """Mean brightness of each frame."""
+def _frame_changes(camera: Observation) -> Signal:
+    """Mean absolute difference of each frame from the one before."""
     if camera.frames is None or camera.frame_times_s is None:
         raise SsacError("the study needs intensity frames, but the recording has none")
-    means = [np.mean(frame.astype(np.float64)) for frame in camera.frames]
-    return binned(camera.frame_times_s, np.array(means), FRAME_S)
+    changes = [
+        np.mean(np.abs(after.astype(np.float64) - before.astype(np.float64)))
+        for before, after in pairwise(camera.frames)
+    ]
+    return binned(camera.frame_times_s[1:], np.array(changes), FRAME_S)
 
 
 def _agreement(lags_s: Array, curve: Array) -> Agreement:
