@@ -42,8 +42,9 @@ def ablate_command(
     outcomes = [ablate(grid, out, Cache(cache), Workers(workers, scheduler)) for grid in grids]
     runs = pd.concat([outcome.runs for outcome in outcomes])
     recordings = sum(outcome.n_recordings for outcome in outcomes)
+    simulated = sum(outcome.n_simulated for outcome in outcomes)
     peak_mb = max(outcome.peak_mb for outcome in outcomes)
-    finish(Outcome(runs, recordings, peak_mb), Cache(cache), out)
+    finish(Outcome(runs, recordings, simulated, peak_mb), Cache(cache), out)
 
 
 def ablation_names() -> list[str]:
@@ -63,7 +64,7 @@ def ablate(grid: GridConfig, out: Path, cache: Cache, workers: Workers) -> Outco
         grid.content,
         time.perf_counter() - start,
         open_context(),
-        recordings_worked_on=outcome.n_recordings,
+        recordings_simulated=outcome.n_simulated,
     )
     if grid.figure is not None:
         # From the file, so that anyone who has it draws the same bytes.

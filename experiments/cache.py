@@ -68,7 +68,7 @@ class Cache:
             When it cannot be simulated or written.
         """
         config = replace(config, t_d_s=0.0)
-        folder = self.folder / "recordings" / recording_key(config, seed)
+        folder = self._recording_path(config, seed)
         if not folder.exists():
             provenance = {"config": plain(config), "seed": seed}
             try:
@@ -77,6 +77,10 @@ class Cache:
                 if not folder.exists():  # unless another process was first
                     raise
         return folder
+
+    def has_recording(self, config: SimConfig, seed: int) -> bool:
+        """Return whether a recording is there."""
+        return self._recording_path(config, seed).exists()
 
     def denoised(self, recording: Path, config: Any, denoise: Callable[[], Denoised]) -> Denoised:
         """Give the events that denoising leaves, kept under the denoising's source text.
@@ -122,6 +126,9 @@ class Cache:
     def size_bytes(self) -> int:
         """Return the size of all entries."""
         return sum(path.stat().st_size for path in self.folder.rglob("*") if path.is_file())
+
+    def _recording_path(self, config: SimConfig, seed: int) -> Path:
+        return self.folder / "recordings" / recording_key(config, seed)
 
     def _run_path(self, key: str) -> Path:
         return self.folder / "runs" / key[:2] / f"{key}.json"

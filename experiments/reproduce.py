@@ -37,7 +37,7 @@ def tables_command(
         {grid.name: grid.content for grid in grids},
         wall_time_s,
         open_context(),
-        recordings_worked_on=outcome.n_recordings,
+        recordings_simulated=outcome.n_simulated,
         peak_mb_per_worker=round(outcome.peak_mb),
     )
     save_results(runs_of_grid(outcome.runs), out, made_with)

@@ -246,8 +246,8 @@ def _making(provenance: Mapping[str, Any]) -> str:
     versions = ", ".join(f"{name} {version}" for name, version in packages.items())
     wall_time_s = provenance.get("wall_time_s")
     took = "" if wall_time_s is None else f" in {wall_time_s / 60:.1f} minutes"
-    if "recordings_worked_on" in provenance:
-        took += f" ({provenance['recordings_worked_on']} recordings not done before)"
+    if "recordings_simulated" in provenance:
+        took += f" ({provenance['recordings_simulated']} recordings simulated for it)"
     text = paragraph(
         f"""`{provenance.get("command", "?")}` at commit {provenance.get("commit", "?")}{took};
         rendered by {gl.get("renderer", "?")}, {gl.get("backend", "?")}; {versions}. `make verify`

@@ -39,6 +39,7 @@ class Outcome:
 
     runs: pd.DataFrame  # one row for each cell, in their order: parameters, seed, method, `Row`
     n_recordings: int  # that work was left for
+    n_simulated: int  # of these: the others were in the cache
     peak_mb: float  # of the largest worker; 0 when there was nothing left to do
 
     @property
@@ -91,6 +92,7 @@ def run_cells(
             found[index] = rows
         else:
             left.append(index)
+    n_simulated = sum(not cache.has_recording(tasks[at].sim, tasks[at].seed) for at in left)
     # The longest first, so that no worker is left alone with one at the end.
     left.sort(key=lambda index: (-_cost(tasks[index]), index))
     peak_mb = 0.0
@@ -102,7 +104,7 @@ def run_cells(
                     cache.save_run(key, row)  # a worker elsewhere has a folder of its own
             peak_mb = max(peak_mb, task_mb)
             bar.update()
-    return Outcome(_frame(cells, tasks, found), len(left), peak_mb)
+    return Outcome(_frame(cells, tasks, found), len(left), n_simulated, peak_mb)
 
 
 def _spread(

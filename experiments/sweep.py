@@ -143,7 +143,11 @@ def finish(outcome: Outcome, cache: Cache, *files: Path) -> None:
     """Say what was done; exit with 1 when runs crashed."""
     runs = outcome.runs
     failed = runs[runs["status"] != "ok"]
-    typer.echo(f"{len(runs)} runs, {outcome.n_recordings} recordings worked on", err=True)
+    typer.echo(
+        f"{len(runs)} runs; {outcome.n_recordings} recordings worked on, "
+        f"{outcome.n_simulated} of them simulated",
+        err=True,
+    )
     if outcome.peak_mb:
         typer.echo(f"peak memory of a worker: {outcome.peak_mb:.0f} MB", err=True)
     typer.echo(f"cache {cache.folder}: {cache.size_bytes() / 1e9:.2f} GB", err=True)

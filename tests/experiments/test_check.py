@@ -389,7 +389,7 @@ def test_a_small_part_is_run_from_nothing(results, runs, monkeypatch):
         assert list(cache.folder.iterdir()) == []  # nothing of an earlier run
         assert Path("cache").resolve() not in (cache.folder, *cache.folder.parents)
         folders.append(cache.folder)
-        return Outcome(again, 2, 0.0)
+        return Outcome(again, 2, 2, 0.0)
 
     monkeypatch.setattr(check, "run_cells", run_again)
     again = part_of(runs)

@@ -19,7 +19,7 @@ PROVENANCE = {
     "versions": {"numpy": "2.2.6"},
     "gl": {"backend": "osmesa", "renderer": "llvmpipe", "version": "4.5"},
     "wall_time_s": 600.0,
-    "recordings_worked_on": 100,
+    "recordings_simulated": 100,
 }
 
 
