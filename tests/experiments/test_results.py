@@ -82,8 +82,9 @@ def test_verdicts_on_the_page_are_those_of_the_comparison(files):
     for word in ("agrees", "better", "differs"):
         assert sum(row.count(word) for row in rows) == (comparison["verdict"] == word).sum()
     listed = rows_of(page, "Cells that differ")
-    assert len(listed) - 2 == (comparison["verdict"] == "differs").sum() > 0
-    assert all(row[-1] == "not known" for row in listed[2:])
+    differing = comparison[comparison["verdict"] == "differs"]
+    assert len(listed) - 2 == len(differing) > 0
+    assert [row[-1] for row in listed[2:]] == list(differing["note"].fillna("not known"))
 
 
 def test_a_cell_with_failed_runs_says_how_many_are_left(runs):
