@@ -94,7 +94,7 @@ def sanity_findings(runs: pd.DataFrame) -> list[Finding]:
     for name in POSE_ERRORS:
         impossible |= (ok[name] < 0.0) | (ok[name] > 180.0)
     failed = runs[runs["status"] != "ok"]
-    poses = ok.groupby("method")[list(POSE_ERRORS)].agg(lambda errors: errors.notna().mean())
+    poses = ok[list(POSE_ERRORS)].notna().groupby(ok["method"]).mean()
     sometimes = ((poses > 0.0) & (poses < 1.0)).any(axis=1)
     counts = runs[runs["status"] != CRASHED].groupby(["duration_s", "angle_deg", "seed"])
     several = (counts[["n_events_cam1", "n_events_cam2"]].nunique() > 1).any(axis=1)

@@ -10,6 +10,7 @@ errors, as with the correlation methods, it is wrong in about 20 %.
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -271,7 +272,7 @@ def summary_table(comparison: pd.DataFrame) -> pd.DataFrame:
     return table
 
 
-def _compared(cell: Mapping[str, float], quantity: Quantity) -> dict[str, float | int | str]:
+def _compared(cell: Mapping[Any, Any], quantity: Quantity) -> dict[str, float | int | str]:
     """Compare one number of one row of both tables."""
     n = int(cell["n_runs"] - cell[f"{quantity.method}_failed"])
     ours = Sample(cell[f"{quantity.name}_mean"], cell[f"{quantity.name}_std"], n)

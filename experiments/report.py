@@ -111,7 +111,7 @@ def _headline_html(results: Results) -> str:
     sound = means[shares.reindex(means.index) >= _SOUND_SHARE].dropna()
     if not sound.empty:
         best = str(sound["t_d_error_ms"].idxmin())
-        error_ms, r_deg, t_deg = (float(value) for value in sound.loc[best])
+        error_ms, r_deg, t_deg = map(float, np.asarray(sound.loc[best]))
         cards.append((
             f"{number(error_ms)} ms", f"mean offset error of <code>{escape(best)}</code>, the best "
             f"method that is not given the pose; rotation {number(r_deg)}&deg;, translation "
@@ -120,7 +120,7 @@ def _headline_html(results: Results) -> str:
     of_ssac = comparison[comparison["quantity"] == "ssac_t_d_error_ms"]
     if "ssac" in means.index and not of_ssac.empty:
         cards.append((
-            f"{number(float(means.loc['ssac', 't_d_error_ms']))} ms",
+            f"{number(means['t_d_error_ms'].to_dict()['ssac'])} ms",
             "mean offset error of <code>ssac</code>, the paper&rsquo;s method; the paper has "
             f"{number(float(of_ssac['published_mean'].mean()))} ms",
         ))  # fmt: skip

@@ -132,9 +132,9 @@ def _growth_rows(comparison: pd.DataFrame) -> list[list[str]]:
     chosen = comparison[comparison["quantity"].str.startswith("zncc")]
     for (name, duration_s), part in chosen.groupby(["quantity", "duration_s"]):
         means = part.groupby("angle_deg")[["ours_mean", "published_mean"]].mean()
-        first, last = means["ours_mean"].iloc[[0, -1]]
+        first, last = means["ours_mean"].iloc[0], means["ours_mean"].iloc[-1]
         met = "yes" if 10 <= first < 100 <= last < 1000 else "no"
-        label = _label(name).partition(" ")[0]
+        label = _label(str(name)).partition(" ")[0]
         for who, column, verdict in (("ours", "ours_mean", met), ("paper", "published_mean", "")):
             values = [number(value, 0) for value in means[column]]
             rows.append([label, f"{duration_s:g} s", who, *values, verdict])
