@@ -28,14 +28,22 @@ def plain(value: Any) -> Any:
 
 
 def code_commit() -> str:
-    """Return the commit of the code, `-dirty` when files differ from it; "unknown" outside git."""
+    """Return the commit of the code, `-dirty` when files differ from it; "unknown" outside git.
+
+    Files in `results` do not count: they are what is being made.
+    """
     try:
-        result = subprocess.run(
-            ["git", "describe", "--always", "--dirty", "--abbrev=12", "--exclude=*"],
-            cwd=_ROOT, capture_output=True, text=True, check=True,
-        )  # fmt: skip
+        commit = _git("rev-parse", "--short=12", "HEAD")
+        changed = _git("status", "--porcelain", "--untracked-files=no", "--", ".", ":!results")
     except (OSError, subprocess.CalledProcessError):
         return "unknown"
+    return f"{commit}-dirty" if changed else commit
+
+
+def _git(*arguments: str) -> str:
+    result = subprocess.run(
+        ["git", *arguments], cwd=_ROOT, capture_output=True, text=True, check=True
+    )
     return result.stdout.strip()
 
 
