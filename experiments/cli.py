@@ -20,6 +20,7 @@ from experiments.scene import scene_command
 from experiments.simulate import simulate_command
 from experiments.sweep import merge_command, sweep_command
 from experiments.sync import BAD_INPUT, sync_command
+from experiments.tangency_study import tangency_study_command
 from experiments.zncc_study import zncc_study_command
 from sim.errors import SimError
 from ssac.errors import SsacError
@@ -44,6 +45,7 @@ app.command("demo")(demo_command)
 app.command("scene")(scene_command)
 app.command("fidelity")(fidelity_command)
 app.command("zncc-study")(zncc_study_command)
+app.command("tangency-study")(tangency_study_command)
 app.command("bench")(bench_command)
 
 

@@ -31,10 +31,13 @@ from ssac import (
     joint_known,
     ssac,
     ssac_known,
+    tangency,
+    tangency_known,
     zncc_e,
     zncc_f,
 )
 from ssac.refinement import joint_from, joint_known_from
+from ssac.tangency import tangency_from, tangency_known_from
 
 ENTRY_POINTS = "ssac.methods"
 """The group of entry points by which other packages register methods."""
@@ -68,6 +71,7 @@ class Method:
     version: str = ""  # of another package's code, for keys of cached results; empty for ours
     starts_from: str = ""  # method whose estimate `refine` takes, to give the same as `estimate`
     refine: RefineFunction | None = None
+    experimental: bool = False  # only run by grids that name it
 
     def skip_reason(self, cam1: Observation, cam2: Observation, rig: Rig) -> str:
         """Say why the method cannot run on these data; empty when it can."""
@@ -87,6 +91,12 @@ OURS = (
     Method("ssac", ssac, Input.TRACKS, "the paper's Algorithm 2", known_variant="ssac-known"),
     Method("ssac-known", ssac_known, Input.TRACKS, "the paper's Algorithm 1",
            needs_extrinsics=True),
+    Method("tangency", tangency, Input.TRACKS, "joint, then refined by the outline's tangents",
+           known_variant="tangency-known", starts_from="ssac", refine=tangency_from,
+           experimental=True),
+    Method("tangency-known", tangency_known, Input.TRACKS,
+           "joint-known, then the offset refined by tangents", needs_extrinsics=True,
+           starts_from="ssac-known", refine=tangency_known_from, experimental=True),
     Method("albl", albl, Input.TRACKS, "eigenvalue solver of Albl et al. (2017)"),
     Method("zncc_e", zncc_e, Input.RATES, "correlation of event rates, offset only"),
     Method("zncc_f", zncc_f, Input.FRAMES, "correlation of frame brightness, offset only"),

@@ -13,6 +13,7 @@ from ssac.estimate import ssac, ssac_known
 from ssac.events import EVENT_DTYPE
 from ssac.interface import Config, Estimate, Observation, prepare
 from ssac.refinement import joint, joint_from, joint_known, joint_known_from
+from ssac.tangency import tangency, tangency_from, tangency_known, tangency_known_from
 
 __all__ = [
     "EVENT_DTYPE",
@@ -31,6 +32,10 @@ __all__ = [
     "prepare",
     "ssac",
     "ssac_known",
+    "tangency",
+    "tangency_from",
+    "tangency_known",
+    "tangency_known_from",
     "zncc_e",
     "zncc_f",
 ]

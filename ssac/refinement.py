@@ -41,7 +41,9 @@ Array = NDArray[np.float64]
 CORRELATION_TIME_S = 0.5
 """Residuals further apart than this are taken as independent in the covariance."""
 
-_CAUCHY = 2.385  # in robust standard deviations: 95 % efficiency on Gaussian noise
+CAUCHY = 2.385
+"""Where Cauchy's loss turns, in robust standard deviations: 95 % efficiency on Gaussian noise."""
+
 _TO_DEVIATION = 1.4826  # median absolute value to standard deviation of Gaussian noise
 _MAX_ITERATIONS = 20
 _LAST_STEP = 1e-6  # [s, rad]
@@ -159,7 +161,7 @@ def refine(
     for _ in range(_MAX_RESAMPLINGS):
         pairs = sharp_pairs(track1, motion2.sharp_at(times_s + parameters.t_d_s))
         sampled_t_d_s = parameters.t_d_s
-        parameters = _minimise(parameters, pairs, sampled_t_d_s, rig, free)
+        parameters = minimise(parameters, pairs, sampled_t_d_s, rig, free)
         if abs(parameters.t_d_s - start.t_d_s) > _MAX_SHIFT_S:
             reason = f"the refinement moved t_d from {start.t_d_s:.3f} to {parameters.t_d_s:.3f} s"
             return replace(start, status="no_convergence", reason=reason)
@@ -214,13 +216,18 @@ def moved(parameters: Parameters, step: Array) -> Parameters:
     return Parameters(parameters.t_d_s + float(step[0]), R, t)
 
 
-def _minimise(
-    parameters: Parameters, pairs: SharpPairs, sampled_t_d_s: float, rig: Rig, free: slice
+def minimise(
+    parameters: Parameters,
+    pairs: SharpPairs,
+    sampled_t_d_s: float,
+    rig: Rig,
+    free: slice = slice(0, 6),
+    cauchy: float = CAUCHY,
 ) -> Parameters:
     """Iterate Gauss-Newton steps of the robust least squares on pairs sampled at one offset."""
     for _ in range(_MAX_ITERATIONS):
         residuals = linearise(parameters, pairs, parameters.t_d_s - sampled_t_d_s, rig)
-        root_weights = np.sqrt(_weights(residuals.distances_px)[0])
+        root_weights = np.sqrt(_weights(residuals.distances_px, cauchy)[0])
         step = np.zeros(6)
         step[free] = np.linalg.lstsq(
             root_weights[:, None] * residuals.jacobian[:, free],
@@ -232,24 +239,42 @@ def _minimise(
     return parameters
 
 
-def sandwich_covariance(residuals: Residuals, free: slice = slice(0, 6)) -> Array:
+def sandwich_covariance(
+    residuals: Residuals, free: slice = slice(0, 6), cauchy: float = CAUCHY
+) -> Array:
     """Covariance of the free parameters that allows for residuals correlated in time.
 
     The M-estimator's H^-1 S H^-1, where S sums the products of the pairs' gradients g_i g_j' with
-    Newey and West's weights 1 - |t_i - t_j| / CORRELATION_TIME_S.
+    Newey and West's weights 1 - |t_i - t_j| / CORRELATION_TIME_S. The parameters take their degrees
+    of freedom not from n residuals but from the few stretches of that length that hold any.
     """
     J = residuals.jacobian[:, free]
-    weights, curvatures = _weights(residuals.distances_px)
+    weights, curvatures = _weights(residuals.distances_px, cauchy)
     inverse = np.linalg.pinv(J.T @ (curvatures[:, None] * J))
     gradients = J * (weights * residuals.distances_px)[:, None]
-    lags_s = np.abs(residuals.times_s[:, None] - residuals.times_s)
-    S = gradients.T @ np.maximum(1.0 - lags_s / CORRELATION_TIME_S, 0.0) @ gradients
-    n, n_parameters = J.shape
-    return np.asarray(inverse @ S @ inverse * n / (n - n_parameters))
+    S = _newey_west(residuals.times_s, gradients)
+    n_parameters = J.shape[1]
+    stretches = len(np.unique(np.floor(residuals.times_s / CORRELATION_TIME_S)))
+    m = max(stretches, n_parameters + 1)
+    return np.asarray(inverse @ S @ inverse * m / (m - n_parameters))
 
 
-def _weights(distances_px: Array) -> tuple[Array, Array]:
+def _newey_west(times_s: Array, gradients: Array) -> Array:
+    """Sum g_i g_j' (1 - |t_i - t_j| / CORRELATION_TIME_S) over all pairs nearer than that.
+
+    The weight is the share of the windows of that length with t_i in them that t_j is in too. So
+    the sum is an integral, over the window's end, of G G', where G sums the gradients within. It
+    takes memory for n gradients, not for n^2 weights.
+    """
+    bounds_s = np.concatenate([times_s, times_s + CORRELATION_TIME_S])
+    order = np.argsort(bounds_s, kind="stable")
+    within = np.cumsum(np.concatenate([gradients, -gradients])[order], axis=0)[:-1]
+    shares = np.diff(bounds_s[order]) / CORRELATION_TIME_S
+    return np.asarray(within.T @ (shares[:, None] * within))
+
+
+def _weights(distances_px: Array, cauchy: float) -> tuple[Array, Array]:
     """First derivative over distance, and second derivative, of Cauchy's loss: both (n,)."""
     scale_px = _TO_DEVIATION * np.median(np.abs(distances_px)) + 1e-12
-    squares = (distances_px / (_CAUCHY * scale_px)) ** 2
+    squares = (distances_px / (cauchy * scale_px)) ** 2
     return 1.0 / (1.0 + squares), (1.0 - squares) / (1.0 + squares) ** 2

@@ -1,0 +1,231 @@
+"""The joint refinement's result in, offset and pose from the outline's epipolar tangents out.
+
+Beyond the paper. Whatever is taken for the object's position, a mean of its events or a sharper
+one, is the image of no fixed point of it: it strays with attitude and viewpoint, and this bias, not
+noise, limits what such positions give, the more the larger the object. Its tangent epipolar planes
+are the same in both views for any shape (`outline`), so the points where they touch are pairs
+without that bias. They take the place of the positions in the refinement of `refinement`, and are
+found anew after each, as they depend on the pose a little.
+
+Errors of the outline are one-sided and long-tailed: a thin or pale tip is missed in one view and
+seen in the other. So the loss turns early, and a pair counts by how sharp its outlines are.
+"""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ssac.camera import Rig
+from ssac.epipolar import fundamental_from_pose
+from ssac.estimate import ssac, ssac_known, with_fit
+from ssac.fundamental import MIN_PAIRS
+from ssac.interface import Config, Estimate, Observation, checked, object_motions, prepare
+from ssac.outline import OutlineConfig, OutlineEvents, Tangents, near_outline, tangents
+from ssac.pencil import pencils
+from ssac.refinement import (
+    Parameters,
+    SharpPairs,
+    joint_from,
+    joint_known_from,
+    linearise,
+    minimise,
+    sandwich_covariance,
+)
+from ssac.tracks import ObjectMotion
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class TangencyConfig:
+    """How tangents are used; `docs/tangency.md` has what other values give."""
+
+    outline: OutlineConfig = field(default_factory=OutlineConfig)
+    step_s: float = 0.010  # between samples, each with two tangents, whatever `n_samples` is
+    cauchy: float = 0.5  # where the loss turns, in robust standard deviations
+    wider_cauchy: float = 1.2  # the same, as long as a round still moves the estimate far
+    sharp_px: float = 0.15  # error of a tangent that is not blurred at all
+    apart: bool = True  # each tangent is a pair; else the point midway between the two is
+
+
+_ROUNDS = 12  # of finding the tangents and refining; three are the rule
+_LAST_SHIFT_S = 1e-5  # between rounds
+_LAST_TURN = 1e-4  # [rad] of the pose, between rounds
+_FAR = 300.0  # times those last changes: then the outline is looked for among all events again
+_MAX_SHIFT_S = 0.1  # from the start; beyond it the refinement has left the minimum
+
+
+def tangency(
+    cam1: Observation, cam2: Observation, rig: Rig, config: Config | None = None
+) -> Estimate:
+    """Time offset and relative pose from epipolar tangents, starting from `refinement.joint`.
+
+    Parameters and errors as for `ssac.estimate.ssac`.
+
+    Returns
+    -------
+    Estimate
+        With `t_d_std_s` and `covariance`. `n_samples` and `d_avg_px` are of the pairs of tangents.
+        The status may be one of Algorithm 2's, or "no_convergence".
+    """
+    cam1, cam2 = prepare(cam1, cam2, rig, config)
+    return tangency_from(ssac(cam1, cam2, rig, config), cam1, cam2, rig, config)
+
+
+def tangency_known(
+    cam1: Observation, cam2: Observation, rig: Rig, config: Config | None = None
+) -> Estimate:
+    """Time offset alone, with the extrinsics of the rig, starting from `joint_known`."""
+    cam1, cam2 = prepare(cam1, cam2, rig, config)
+    return tangency_known_from(ssac_known(cam1, cam2, rig, config), cam1, cam2, rig, config)
+
+
+def tangency_from(
+    start: Estimate,
+    cam1: Observation,
+    cam2: Observation,
+    rig: Rig,
+    config: Config | None = None,
+) -> Estimate:
+    """As `tangency`, given what `ssac` found with the same arguments, without a search."""
+    start = replace(joint_from(start, cam1, cam2, rig, config), method="tangency")
+    motion1, motion2 = object_motions(cam1, cam2, rig, checked(config))
+    return refine_tangents(start, motion1, motion2, rig)
+
+
+def tangency_known_from(
+    start: Estimate,
+    cam1: Observation,
+    cam2: Observation,
+    rig: Rig,
+    config: Config | None = None,
+) -> Estimate:
+    """As `tangency_known`, given what `ssac_known` found with the same arguments."""
+    start = replace(joint_known_from(start, cam1, cam2, rig, config), method="tangency-known")
+    motion1, motion2 = object_motions(cam1, cam2, rig, checked(config))
+    return refine_tangents(start, motion1, motion2, rig, pose_is_known=True)
+
+
+def refine_tangents(
+    start: Estimate,
+    motion1: ObjectMotion,
+    motion2: ObjectMotion,
+    rig: Rig,
+    pose_is_known: bool = False,
+    config: TangencyConfig | None = None,
+) -> Estimate:
+    """Find tangents and refine offset and pose by turns, from an estimate.
+
+    Parameters
+    ----------
+    start
+        Offset and pose; returned as it is when its status is not "ok".
+    motion1, motion2, rig
+        As for `ssac.estimate.algorithm_2`.
+    pose_is_known
+        Only t_d is refined, and there is a `t_d_std_s` but no `covariance`.
+    config
+        Parameters; the defaults when None.
+    """
+    config = config or TangencyConfig()
+    if start.status != "ok" or start.R is None or start.t is None:
+        return start
+    free = slice(0, 1) if pose_is_known else slice(0, 6)
+    parameters = Parameters(start.t_d_s, start.R, start.t)
+    near: list[list[OutlineEvents]] = []
+    is_far = True  # as the start may be
+    for _ in range(_ROUNDS):
+        before = parameters
+        times_s = _sample_times(motion1, motion2, before.t_d_s, config.step_s)
+        views = list(
+            zip(
+                (motion1, motion2),
+                pencils(before.R, before.t, rig.cam1.K, rig.cam2.K),
+                (times_s, times_s + before.t_d_s),
+                strict=True,
+            )
+        )
+        if is_far:
+            near = [near_outline(*view, config.outline) for view in views]
+        found = [
+            tangents(motion, events, pencil, clock_s, config.outline)
+            for (motion, pencil, clock_s), events in zip(views, near, strict=True)
+        ]
+        pairs = tangent_pairs(times_s, found[0], found[1], config)
+        if len(pairs.times_s) < MIN_PAIRS:
+            reason = (
+                f"only {len(pairs.times_s)} tangents are seen in both views: {MIN_PAIRS} needed"
+            )
+            return replace(start, status="too_few_samples", reason=reason)
+        cauchy = config.wider_cauchy if is_far else config.cauchy
+        parameters = minimise(before, pairs, before.t_d_s, rig, free, cauchy)
+        if abs(parameters.t_d_s - start.t_d_s) > _MAX_SHIFT_S:
+            reason = f"tangency moved t_d from {start.t_d_s:.4f} to {parameters.t_d_s:.4f} s"
+            return replace(start, status="no_convergence", reason=reason)
+        if not is_far and _are_near(before, parameters):
+            break
+        is_far = not _are_near(before, parameters, _FAR)
+
+    residuals = linearise(parameters, pairs, parameters.t_d_s - before.t_d_s, rig)
+    covariance = sandwich_covariance(residuals, free, config.cauchy)
+    F = fundamental_from_pose(rig.cam1.K, rig.cam2.K, parameters.R, parameters.t)
+    return replace(
+        with_fit(start, F, residuals.p1_px, residuals.p2_px),
+        t_d_s=parameters.t_d_s,
+        t_d_std_s=float(np.sqrt(covariance[0, 0])),
+        R=parameters.R,
+        t=parameters.t,
+        covariance=None if pose_is_known else covariance,
+    )
+
+
+def tangent_pairs(
+    times_s: Array, view1: list[Tangents], view2: list[Tangents], config: TangencyConfig
+) -> SharpPairs:
+    """Pair the tangents of each side, sampled at the same n instants, where both are valid.
+
+    Their weights are the inverse of the error that the blur of both outlines lets one expect.
+    """
+    if not config.apart:
+        view1, view2 = [_midway(*view1)], [_midway(*view2)]
+    sides = list(zip(view1, view2, strict=True))
+    both = [one.valid & two.valid for one, two in sides]
+    errors_px = np.concatenate(
+        [
+            np.sqrt(config.sharp_px**2 + one.spreads_px[k] ** 2 + two.spreads_px[k] ** 2)
+            for (one, two), k in zip(sides, both, strict=True)
+        ]
+    )
+    return SharpPairs(
+        np.concatenate([times_s[k] for k in both]),
+        np.concatenate([one.points_px[k] for (one, _), k in zip(sides, both, strict=True)]),
+        np.concatenate([two.points_px[k] for (_, two), k in zip(sides, both, strict=True)]),
+        np.concatenate([two.velocities_px_s[k] for (_, two), k in zip(sides, both, strict=True)]),
+        np.median(errors_px) / errors_px if len(errors_px) else errors_px,
+    )
+
+
+def _midway(upper: Tangents, lower: Tangents) -> Tangents:
+    return Tangents(
+        0.5 * (upper.points_px + lower.points_px),
+        0.5 * (upper.velocities_px_s + lower.velocities_px_s),
+        np.hypot(upper.spreads_px, lower.spreads_px),
+        upper.valid & lower.valid,
+    )
+
+
+def _sample_times(
+    motion1: ObjectMotion, motion2: ObjectMotion, t_d_s: float, step_s: float
+) -> Array:
+    """Even times [s] of camera 1's clock that both recordings cover."""
+    (start1, end1), (start2, end2) = motion1.span_s, motion2.span_s
+    start, end = max(start1, start2 - t_d_s), min(end1, end2 - t_d_s)
+    return np.asarray(start + step_s * np.arange(max(int((end - start) / step_s), 2)))
+
+
+def _are_near(one: Parameters, other: Parameters, factor: float = 1.0) -> bool:
+    """Whether the changes from one to the other are at most `factor` times the last ones."""
+    turn = np.linalg.norm(other.R - one.R) + np.linalg.norm(other.t - one.t)
+    shift_s = abs(other.t_d_s - one.t_d_s)
+    return bool(shift_s <= factor * _LAST_SHIFT_S and turn <= factor * _LAST_TURN)
