@@ -5,6 +5,7 @@ makes it, so a change of either makes a new entry and never returns an old one.
 
     recordings/<key>/     as sim.storage writes them, with t_d = 0: ordinary input of `ssac sync`
     denoised/<key>.npz    the events that denoising leaves of them
+    brightness/<key>.npz  the mean of each of their frames
     runs/<ab>/<key>.json  one scored run of one method
 """
 
@@ -15,7 +16,7 @@ from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import lru_cache
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +43,18 @@ class Denoised(NamedTuple):
     cam1: NDArray[np.void]
     cam2: NDArray[np.void]
     n_recorded: NDArray[np.int64]  # (2,) events with noise
+
+
+class Brightness(NamedTuple):
+    """Means of the frames of both cameras, and their times [us]; empty where there are none."""
+
+    cam1: NDArray[np.float64]
+    times1_us: NDArray[np.int64]
+    cam2: NDArray[np.float64]
+    times2_us: NDArray[np.int64]
+
+
+Made = TypeVar("Made", Denoised, Brightness)
 
 
 @dataclass(frozen=True)
@@ -96,15 +109,14 @@ class Cache:
         """
         code = source_digest("ssac", ("denoise", "events"))
         key = _digest(recording.name, plain(config), code, Denoised._fields)
-        path = self.folder / "denoised" / f"{key}.npz"
-        if not path.exists():
-            path.parent.mkdir(parents=True, exist_ok=True)
-            made = denoise()
-            with whole_file(path) as temporary, temporary.open("wb") as file:
-                np.savez(file, **made._asdict())
-            return made
-        with np.load(path) as file:
-            return Denoised(*(file[name] for name in Denoised._fields))
+        return self._kept(f"denoised/{key}.npz", Denoised, denoise)
+
+    def brightness(self, recording: Path, measure: Callable[[], Brightness]) -> Brightness:
+        """Give the means of a recording's frames, which `measure` takes if it was not done before.
+
+        Reading all frames takes longer than most methods do.
+        """
+        return self._kept(f"brightness/{recording.name}.npz", Brightness, measure)
 
     def load_run(self, key: str) -> dict[str, Any] | None:
         """Return a run's row; None when there is none."""
@@ -126,6 +138,17 @@ class Cache:
     def size_bytes(self) -> int:
         """Return the size of all entries."""
         return sum(path.stat().st_size for path in self.folder.rglob("*") if path.is_file())
+
+    def _kept(self, name: str, kind: type[Made], make: Callable[[], Made]) -> Made:
+        path = self.folder / name
+        if not path.exists():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            made = make()
+            with whole_file(path) as temporary, temporary.open("wb") as file:
+                np.savez(file, **made._asdict())
+            return made
+        with np.load(path) as file:
+            return kind(*(file[field] for field in kind._fields))
 
     def _recording_path(self, config: SimConfig, seed: int) -> Path:
         return self.folder / "recordings" / recording_key(config, seed)

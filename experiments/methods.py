@@ -71,6 +71,7 @@ class Method:
     version: str = ""  # of another package's code, for keys of cached results; empty for ours
     starts_from: str = ""  # method whose estimate `refine` takes, to give the same as `estimate`
     refine: RefineFunction | None = None
+    takes_means: bool = False  # of the frames: images of one pixel give the same estimate
     experimental: bool = False  # only run by grids that name it
 
     def skip_reason(self, cam1: Observation, cam2: Observation, rig: Rig) -> str:
@@ -99,7 +100,8 @@ OURS = (
            starts_from="ssac-known", refine=tangency_known_from, experimental=True),
     Method("albl", albl, Input.TRACKS, "eigenvalue solver of Albl et al. (2017)"),
     Method("zncc_e", zncc_e, Input.RATES, "correlation of event rates, offset only"),
-    Method("zncc_f", zncc_f, Input.FRAMES, "correlation of frame brightness, offset only"),
+    Method("zncc_f", zncc_f, Input.FRAMES, "correlation of frame brightness, offset only",
+           takes_means=True),
     Method("event_rate", event_rate, Input.RATES, "event rates, Censi and Scaramuzza (2014)"),
 )  # fmt: skip
 

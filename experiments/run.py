@@ -11,11 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from experiments.cache import Cache, Denoised, recording_key, run_key
+from experiments.cache import Brightness, Cache, Denoised, recording_key, run_key
 from experiments.grid import Cell
 from experiments.methods import METHODS, Input, Method
 from experiments.score import score
 from sim.recording import SimConfig
+from ssac.baselines.zncc_f import frame_means
 from ssac.camera import Rig
 from ssac.errors import SsacError
 from ssac.events import US_PER_S
@@ -24,6 +25,8 @@ from ssac.interface import Config, Estimate, Observation, prepare, usable_events
 from ssac.rig_files import load_rig
 
 FloatArray = NDArray[np.float64]
+Frames = tuple[NDArray[np.generic] | None, FloatArray | None]
+"""Images (n, height, width) and their times (n,) [s], or neither."""
 
 CRASHED = "crashed"
 """Status of a run that could not be simulated, or whose method raised what is not an SsacError."""
@@ -200,11 +203,11 @@ def _recorded(task: Task, cells: Sequence[Cell], cache: Cache) -> Recorded:
     else:
         cam1, cam2 = _events(folder)
         n_recorded = np.array([len(cam1), len(cam2)])
-    frames = any(METHODS[cell.method].input is Input.FRAMES for cell in cells)
+    frames1, frames2 = _frames(folder, [METHODS[cell.method] for cell in cells], cache)
     config = replace(cells[0].estimator, denoise=False)
     first, second = prepare(
-        _observation(cam1, folder / "cam1.h5", frames),
-        _observation(cam2, folder / "cam2.h5", frames),
+        Observation(cam1, *frames1),
+        Observation(cam2, *frames2),
         rig,
         config,
     )
@@ -223,12 +226,32 @@ def _denoised(folder: Path, rig: Rig) -> Denoised:
     return Denoised(left1, left2, np.array([len(cam1), len(cam2)]))
 
 
-def _observation(events: NDArray[np.void], path: Path, with_frames: bool) -> Observation:
-    frames = load_frames(path) if with_frames else None
-    if frames is None:
-        return Observation(events)
-    times_us, images = frames
-    return Observation(events, images, times_us / US_PER_S)
+def _frames(folder: Path, methods: Sequence[Method], cache: Cache) -> tuple[Frames, Frames]:
+    """Frames of both cameras where a method looks at them; images of one pixel if that will do."""
+    looking = [method for method in methods if method.input is Input.FRAMES]
+    if not looking:
+        return (None, None), (None, None)
+    if all(method.takes_means for method in looking):
+        means = cache.brightness(folder, lambda: _brightness(folder))
+        return _timed(means.times1_us, means.cam1), _timed(means.times2_us, means.cam2)
+    return _timed(*_images(folder / "cam1.h5")), _timed(*_images(folder / "cam2.h5"))
+
+
+def _images(path: Path) -> tuple[NDArray[np.int64], NDArray[np.generic]]:
+    return load_frames(path) or (np.empty(0, np.int64), np.empty((0, 1, 1)))
+
+
+def _brightness(folder: Path) -> Brightness:
+    (times1_us, images1), (times2_us, images2) = (
+        _images(folder / name) for name in ("cam1.h5", "cam2.h5")
+    )
+    return Brightness(frame_means(images1), times1_us, frame_means(images2), times2_us)
+
+
+def _timed(times_us: NDArray[np.int64], images: NDArray[np.generic]) -> Frames:
+    if len(images) == 0:
+        return None, None
+    return images.reshape(len(images), *(images.shape[1:] or (1, 1))), times_us / US_PER_S
 
 
 def _as_denoised(observation: Observation) -> Observation:

@@ -45,10 +45,10 @@ def mean_brightness(observation: Observation, name: str) -> Signal:
         raise SsacError(f"zncc_f compares intensity frames, but {name} recorded none")
     if len(frames) != len(times_s):
         raise SsacError(f"{name} has {len(frames)} frames but {len(times_s)} frame times")
-    return binned(times_s, np.array([_mean(frame) for frame in frames]), FRAME_S)
+    return binned(times_s, frame_means(frames), FRAME_S)
 
 
-def _mean(frame: NDArray[np.generic]) -> float:
-    return float(np.sum(frame, dtype=np.float64 if frame.dtype.kind == "f" else np.int64)) / (
-        frame.size
-    )
+def frame_means(frames: NDArray[np.generic]) -> NDArray[np.float64]:
+    """Means (n,) of frames (n, height, width), exact for integers."""
+    kind = np.float64 if frames.dtype.kind == "f" else np.int64
+    return np.array([np.sum(frame, dtype=kind) / frame.size for frame in frames], np.float64)

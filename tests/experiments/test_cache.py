@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 
 import experiments.cache as module
-from experiments.cache import Cache, Denoised, content, recording_key, run_key, source_digest
+from experiments.cache import (
+    Brightness,
+    Cache,
+    Denoised,
+    content,
+    recording_key,
+    run_key,
+    source_digest,
+)
 from sim.errors import SimError
 from sim.recording import SimConfig
 from sim.render import RenderConfig
@@ -106,6 +114,20 @@ def test_denoised_events_come_back_as_they_went_in(tmp_path):
         assert np.array_equal(one, two)
         assert np.array_equal(one, three)
         assert three.dtype == one.dtype
+
+
+def test_brightness_is_measured_once(tmp_path):
+    cache, recording = Cache(tmp_path), tmp_path / "recordings" / "abc"
+    times_us = np.array([2_500, 22_500])
+    made = Brightness(np.array([0.1, 0.2]), times_us, np.empty(0), np.empty(0, np.int64))
+    cache.brightness(recording, lambda: made)
+
+    def never():
+        raise AssertionError("done before")
+
+    for one, other in zip(made, cache.brightness(recording, never), strict=True):
+        assert np.array_equal(one, other)
+        assert one.dtype == other.dtype
 
 
 def test_a_run_comes_back_as_it_went_in(tmp_path):

@@ -1,5 +1,6 @@
 """Grids: what a TOML may hold, and the cells that it stands for."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -7,7 +8,9 @@ import pytest
 from experiments.grid import config_names, configs_of, grid_from_content, load_config, named_config
 from experiments.methods import METHODS
 from sim.errors import SimError
+from sim.frames import FrameConfig
 from sim.recording import SimConfig
+from sim.sensor import PRESETS
 from ssac.errors import SsacError
 from ssac.interface import Config
 
@@ -48,7 +51,7 @@ def test_an_ablation_varies_what_its_figure_shows_over_enough_values(name):
     of_estimator = name in ("ablation_window", "ablation_n_min", "ablation_samples")
     assert len(values) >= (7 if of_estimator else 5)
     assert len({cell.sim.angle_deg for cell in cells}) >= 3
-    uses_tables = of_estimator or name == "ablation_angle"
+    uses_tables = of_estimator or name in ("ablation_angle", "ablation_davis346")
     assert grid.trajectories == (10 if uses_tables else 5)
 
 
@@ -58,6 +61,16 @@ def test_ablations_of_the_estimator_use_the_recordings_of_the_tables():
     for name in ("window", "n_min", "samples", "angle"):
         cells = named_config(f"ablation_{name}").cells()
         assert {(cell.sim, cell.seed) for cell in cells} <= of_tables
+
+
+def test_the_noisy_tables_have_the_preset_and_are_the_same_cells_otherwise():
+    noisy = {(cell.sim, cell.seed) for cell in named_config("ablation_davis346").cells()}
+    ideal = {
+        (replace(cell.sim, frames=FrameConfig(rate_hz=0.0), sensor=PRESETS["davis346"]), cell.seed)
+        for name in ("esim_10", "esim_20")
+        for cell in named_config(name).cells()
+    }
+    assert noisy == ideal
 
 
 def test_cells_of_one_recording_differ_in_nothing_that_is_simulated():

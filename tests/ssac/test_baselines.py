@@ -7,7 +7,7 @@ from ssac.baselines.albl import _constraints, _Linearised, _ransac, _solve_nine,
 from ssac.baselines.correlation import Signal, binned, counted, zncc
 from ssac.baselines.event_rate import event_rate
 from ssac.baselines.zncc_e import zncc_e
-from ssac.baselines.zncc_f import zncc_f
+from ssac.baselines.zncc_f import frame_means, zncc_f
 from ssac.camera import Camera, Rig
 from ssac.epipolar import sampson_distance
 from ssac.errors import SsacError
@@ -196,6 +196,20 @@ def test_constant_signals_are_refused():
     estimate = zncc_e(Observation(events), Observation(events), RIG, CLEAN)
     assert estimate.status == "no_common_signal"
     assert np.isnan(estimate.t_d_s)
+
+
+def test_zncc_f_looks_at_the_means_of_frames_only():
+    rng = np.random.default_rng(3)
+    cameras, reduced = [], []
+    for lag in (0, 5):
+        frames = rng.integers(0, 255, (300, 6, 8), dtype=np.uint8)
+        frames[:, 0, 0] = np.roll(np.linspace(0, 255, 300) % 40, lag)
+        times_s = 0.02 * np.arange(300) + 0.01
+        nothing = np.zeros(0, EVENT_DTYPE)
+        cameras.append(Observation(nothing, frames, times_s))
+        reduced.append(Observation(nothing, frame_means(frames).reshape(-1, 1, 1), times_s))
+    whole, means = zncc_f(*cameras, RIG, CLEAN), zncc_f(*reduced, RIG, CLEAN)
+    assert np.array_equal(whole.costs, means.costs)
 
 
 def test_zncc_f_needs_frames():
