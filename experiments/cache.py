@@ -116,7 +116,8 @@ class Cache:
 
         Reading all frames takes longer than most methods do.
         """
-        return self._kept(f"brightness/{recording.name}.npz", Brightness, measure)
+        key = _digest(recording.name, source_digest("ssac", ("zncc_f",)), Brightness._fields)
+        return self._kept(f"brightness/{key}.npz", Brightness, measure)
 
     def load_run(self, key: str) -> dict[str, Any] | None:
         """Return a run's row; None when there is none."""
