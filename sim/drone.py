@@ -1,6 +1,6 @@
 """A size, or a mesh file, to a drone: closed triangle meshes with albedo, some of them on joints.
 
-Body frame B: x forward, y left, z up, metres; origin at the middle of the drone.
+Body frame B: x forward, y left, z up, metres; origin within the drone.
 """
 
 from dataclasses import dataclass, replace
@@ -8,14 +8,16 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sim.errors import SimError
+from sim.shapes import beam, hexagonal_hull, pose, prism
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
+DEFAULT_SIZE_M = 0.65
 DEFAULT_ALBEDO = 0.25  # of a mesh file without colours: dark grey
 MIN_ALBEDO = 0.01  # a black face still reflects a little
 LUMINANCE_WEIGHTS = np.array([0.2126, 0.7152, 0.0722])  # of linear R, G, B (Rec. 709)
@@ -67,7 +69,29 @@ class Drone:
 
     parts: tuple[Part, ...]
     name: str
-    size_m: float  # largest horizontal extent, with what the rotors sweep
+    size_m: float  # largest horizontal extent, with what the joints sweep
+
+
+def solid(mesh: trimesh.Trimesh, albedo: float) -> Part:
+    """Return a mesh of one colour as a part."""
+    return Part(np.array(mesh.vertices), np.array(mesh.faces), np.full(len(mesh.faces), albedo))
+
+
+def join(parts: list[Part], scale: float = 1.0, joint: Joint | None = None) -> Part:
+    """Join parts into one, scaled, on the given joint."""
+    first = np.cumsum([0] + [len(part.vertices_B_m) for part in parts])
+    return Part(
+        vertices_B_m=np.concatenate([part.vertices_B_m for part in parts]) * scale,
+        faces=np.concatenate([part.faces + n for part, n in zip(parts, first, strict=False)]),
+        albedo=np.concatenate([part.albedo for part in parts]),
+        joint=joint,
+    )
+
+
+def check_size(size_m: float) -> None:
+    """Raise SimError when it is no size of a drone."""
+    if not (np.isfinite(size_m) and size_m > 0):
+        raise SimError(f"the drone's size must be a positive number of metres, got {size_m}")
 
 
 # The quadrotor's proportions, in units of its size: 2 (MOTOR_X + ROTOR_RADIUS) = 1. It is longer
@@ -82,7 +106,7 @@ ALBEDO_ARM, ALBEDO_MOTOR, ALBEDO_LEG = 0.16, 0.10, 0.14
 ALBEDO_FRONT_ROTOR, ALBEDO_REAR_ROTOR = 0.42, 0.08
 
 
-def quadrotor(size_m: float = 0.65, rotor_hz: float = 0.0) -> Drone:
+def quadrotor(size_m: float = DEFAULT_SIZE_M, rotor_hz: float = 0.0) -> Drone:
     """Build a quadrotor: shell, gimbal, four arms with motors and two-blade rotors, two skids.
 
     Its front is brighter than its back and its nose and tail differ, so that, as with a real
@@ -106,8 +130,7 @@ def quadrotor(size_m: float = 0.65, rotor_hz: float = 0.0) -> Drone:
     SimError
         When the size is not positive or the rate is not finite.
     """
-    if not (np.isfinite(size_m) and size_m > 0):
-        raise SimError(f"the drone's size must be a positive number of metres, got {size_m}")
+    check_size(size_m)
     if not np.isfinite(rotor_hz):
         raise SimError(f"the rotors' rate must be a finite number [1/s], got {rotor_hz}")
     body = _fuselage()
@@ -117,12 +140,12 @@ def quadrotor(size_m: float = 0.65, rotor_hz: float = 0.0) -> Drone:
         body += _arm(hub)
         blade = trimesh.creation.box((BLADE_LENGTH, BLADE_CHORD, BLADE_THICKNESS))
         # No two blades stand alike when at rest.
-        blade.apply_transform(_pose(hub, yaw_rad=0.5 + 0.9 * len(rotors)))
+        blade.apply_transform(pose(hub, yaw_rad=0.5 + 0.9 * len(rotors)))
         albedo = ALBEDO_FRONT_ROTOR if x_sign > 0 else ALBEDO_REAR_ROTOR
         joint = Joint(np.array([0.0, 0.0, 1.0]), hub * size_m, x_sign * y_sign * rotor_hz)
-        rotors.append(_join([_solid(blade, albedo)], size_m, joint if rotor_hz else None))
-    frame = _join(body, size_m)
-    parts = (frame, *rotors) if rotor_hz else (_join([frame, *rotors]),)
+        rotors.append(join([solid(blade, albedo)], size_m, joint if rotor_hz else None))
+    frame = join(body, size_m)
+    parts = (frame, *rotors) if rotor_hz else (join([frame, *rotors]),)
     return Drone(parts, "quadrotor", size_m)
 
 
@@ -151,9 +174,9 @@ def drone_from_file(path: Path, size_m: float | None = None) -> Drone:
         not finite, or when the size is not positive or the mesh has no horizontal extent to scale.
     """
     path = Path(path)
-    if size_m is not None and not (np.isfinite(size_m) and size_m > 0):
-        raise SimError(f"the drone's size must be a positive number of metres, got {size_m}")
-    mesh = _join([_closed(mesh) for mesh in _load_meshes(path)])
+    if size_m is not None:
+        check_size(size_m)
+    mesh = join([_closed(mesh) for mesh in _load_meshes(path)])
     low, high = mesh.vertices_B_m.min(axis=0), mesh.vertices_B_m.max(axis=0)
     extent_m = float((high - low)[:2].max())
     if extent_m <= 0.0:
@@ -172,88 +195,31 @@ def _fuselage() -> list[Part]:
         (0.1, 0.095, -0.055, 0.055),
         (0.21, 0.04, -0.025, 0.015),
     )
-    corners = [
-        (x, y, z)
-        for x, half_width, bottom, top in sections
-        for y, z in (
-            (-half_width, 0.0),
-            (half_width, 0.0),
-            (-0.6 * half_width, bottom),
-            (0.6 * half_width, bottom),
-            (-0.6 * half_width, top),
-            (0.6 * half_width, top),
-        )
-    ]
-    shell = trimesh.convex.convex_hull(np.array(corners))
-    gimbal = _prism(6, radius=0.04, length=0.07)
-    gimbal.apply_transform(_pose((0.17, 0.0, -0.075), pitch_rad=np.pi / 2))
+    shell = hexagonal_hull(sections)
+    gimbal = prism(6, radius=0.04, length=0.07)
+    gimbal.apply_transform(pose((0.17, 0.0, -0.075), pitch_rad=np.pi / 2))
     battery = trimesh.creation.box((0.13, 0.11, 0.05))
     battery.apply_translation((-0.14, 0.0, 0.05))
     pieces = [
-        _solid(shell, ALBEDO_SHELL),
-        _solid(gimbal, ALBEDO_NOSE),
-        _solid(battery, ALBEDO_TAIL),
+        solid(shell, ALBEDO_SHELL),
+        solid(gimbal, ALBEDO_NOSE),
+        solid(battery, ALBEDO_TAIL),
     ]
     for side in (1, -1):
         foot_y, foot_z = side * 0.17, -0.19
-        skid = _beam((-0.15, foot_y, foot_z), (0.17, foot_y, foot_z), 0.016)
-        struts = [_beam((x, side * 0.06, -0.04), (x, foot_y, foot_z), 0.018) for x in (-0.08, 0.1)]
-        pieces += [_solid(beam, ALBEDO_LEG) for beam in (skid, *struts)]
+        skid = beam((-0.15, foot_y, foot_z), (0.17, foot_y, foot_z), 0.016)
+        struts = [beam((x, side * 0.06, -0.04), (x, foot_y, foot_z), 0.018) for x in (-0.08, 0.1)]
+        pieces += [solid(leg, ALBEDO_LEG) for leg in (skid, *struts)]
     return pieces
 
 
 def _arm(hub: FloatArray) -> list[Part]:
     """Return the arm that carries the rotor at `hub`, and its motor."""
-    motor = _prism(5, radius=0.033, length=0.075)
+    motor = prism(5, radius=0.033, length=0.075)
     motor.apply_translation(hub - (0.0, 0.0, 0.04))
     root = np.array([0.3, 0.2, 0.0]) * hub
-    arm = _beam(root, hub - (0.0, 0.0, 0.055), 0.036)
-    return [_solid(arm, ALBEDO_ARM), _solid(motor, ALBEDO_MOTOR)]
-
-
-def _beam(start: ArrayLike, end: ArrayLike, width: float) -> trimesh.Trimesh:
-    """Return a beam between two points, its section a triangle with an edge on top."""
-    along = np.subtract(end, start)
-    length = float(np.linalg.norm(along))
-    beam = _prism(3, radius=0.62 * width, length=length)
-    beam.apply_transform(_pose((0.0, 0.0, 0.0), pitch_rad=np.pi / 2))
-    yaw_rad = float(np.arctan2(along[1], along[0]))
-    pitch_rad = -float(np.arcsin(along[2] / length))
-    beam.apply_transform(_pose(0.5 * np.add(start, end), yaw_rad, pitch_rad))
-    return beam
-
-
-def _prism(n_sides: int, radius: float, length: float) -> trimesh.Trimesh:
-    """Return a regular prism along z about the origin, of as few faces as can be."""
-    angles_rad = 2.0 * np.pi * np.arange(n_sides) / n_sides
-    ring = radius * np.column_stack([-np.cos(angles_rad), np.sin(angles_rad)])
-    ends = [np.column_stack([ring, np.full(n_sides, z)]) for z in (-length / 2, length / 2)]
-    prism: trimesh.Trimesh = trimesh.convex.convex_hull(np.concatenate(ends))
-    return prism
-
-
-def _pose(origin: ArrayLike, yaw_rad: float = 0.0, pitch_rad: float = 0.0) -> FloatArray:
-    """Return the (4, 4) transform that turns about y, then about z, then moves to `origin`."""
-    T = np.eye(4)
-    T[:3, :3] = Rotation.from_euler("ZY", [yaw_rad, pitch_rad]).as_matrix()
-    T[:3, 3] = origin
-    return T
-
-
-def _solid(mesh: trimesh.Trimesh, albedo: float) -> Part:
-    """Return a mesh of one colour as a part."""
-    return Part(np.array(mesh.vertices), np.array(mesh.faces), np.full(len(mesh.faces), albedo))
-
-
-def _join(parts: list[Part], scale: float = 1.0, joint: Joint | None = None) -> Part:
-    """Join parts into one, scaled, on the given joint."""
-    first = np.cumsum([0] + [len(part.vertices_B_m) for part in parts])
-    return Part(
-        vertices_B_m=np.concatenate([part.vertices_B_m for part in parts]) * scale,
-        faces=np.concatenate([part.faces + n for part, n in zip(parts, first, strict=False)]),
-        albedo=np.concatenate([part.albedo for part in parts]),
-        joint=joint,
-    )
+    arm = beam(root, hub - (0.0, 0.0, 0.055), 0.036)
+    return [solid(arm, ALBEDO_ARM), solid(motor, ALBEDO_MOTOR)]
 
 
 def _load_meshes(path: Path) -> list[trimesh.Trimesh]:

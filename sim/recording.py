@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.background import load_background, uniform_background
-from sim.drone import Drone, drone_from_file, quadrotor
+from sim.drone import Drone, drone_from_file
 from sim.errors import SimError
+from sim.flyers import FLAP_HZ, built_in_drone, check_drone_name
 from sim.frames import FrameConfig, FrameExposer, Frames
 from sim.gl_context import GLContext
 from sim.render import Crops, RenderConfig, Renderer
@@ -34,9 +35,11 @@ class SimConfig:
     t_d_s: float = 0.0  # t_cam2 = t_cam1 + t_d
     spline: SplineConfig = field(default_factory=SplineConfig)
     trajectory_file: Path | None = None  # CSV, instead of a random spline
-    drone_size_m: float | None = None  # None: the quadrotor's default, or the file's own size
-    drone_file: Path | None = None  # any mesh, instead of the quadrotor
+    drone: str = "quadrotor"  # one of sim.flyers.DRONES
+    drone_size_m: float | None = None  # None: the default, or the file's own size
+    drone_file: Path | None = None  # any mesh, instead of a built-in drone
     rotor_hz: float = 0.0  # turns per second of the quadrotor's rotors
+    flap_hz: float = FLAP_HZ  # beats per second of the bird's wings
     distance_m: float = 5.0  # of both cameras from the point they look at
     focal_px: float = 200.0
     resolution: tuple[int, int] = (346, 260)
@@ -49,6 +52,9 @@ class SimConfig:
     render: RenderConfig = field(default_factory=RenderConfig)
     sensor: SensorConfig = field(default_factory=SensorConfig)
     frames: FrameConfig = field(default_factory=FrameConfig)
+
+    def __post_init__(self) -> None:
+        check_drone_name(self.drone)
 
 
 @dataclass(frozen=True)
@@ -232,9 +238,7 @@ def _drone(config: SimConfig) -> Drone:
         if config.rotor_hz:
             raise SimError("rotors spin on the built-in quadrotor only: leave out rotor_hz")
         return drone_from_file(config.drone_file, config.drone_size_m)
-    if config.drone_size_m is None:
-        return quadrotor(rotor_hz=config.rotor_hz)
-    return quadrotor(config.drone_size_m, config.rotor_hz)
+    return built_in_drone(config.drone, config.drone_size_m, config.rotor_hz, config.flap_hz)
 
 
 def _trajectory(config: SimConfig, seed: int) -> Trajectory:
