@@ -14,7 +14,9 @@ STAGES = {
     "sim": (
         "errors",
         "trajectory",
+        "shapes",
         "drone",
+        "flyers",
         "rig",
         "background",
         "lattice",
