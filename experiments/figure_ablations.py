@@ -31,8 +31,10 @@ _LABELS = {
     FAILED: "failed runs [%]",
 }
 _PARTS = ("mean", "std")  # of an error's columns
-_NAMES = {"sim.angle_deg": "{:g} deg"}  # of a line, by the parameter that it stands for
+# Of a line, by the parameter that it stands for.
+_NAMES = {"sim.angle_deg": "{:g} deg", "sim.spline.duration_s": "{:g} s", "sim.drone": "{}"}
 _MARKERS = "osD^vPX"
+_DASHES = ("-", (0, (1.2, 1.2)), (0, (5.0, 1.5)), "-.")  # of a second parameter\'s values
 _LIGHTEST = 0.82  # of the colour map: what follows is too light on white
 _LOG_FROM = 8.0  # largest over least mean from which an error's axis is logarithmic
 _MAX_VALUES = 6  # of the parameter, all of which are written below the axis
@@ -68,10 +70,11 @@ def ablation_figure(means: pd.DataFrame, grid: GridConfig) -> Figure:
     figure = Figure(figsize=(WIDTH_IN, 1.1 + 2.0 * len(methods)), layout="constrained")
     rows = figure.subplots(len(methods), len(quantities), sharex=True, sharey="col", squeeze=False)
     lines = lines_of(means, others)
+    looks = _line_looks(means, others)
     for row, method in zip(rows, methods, strict=True):
         for axes, quantity in zip(row, quantities, strict=True):
             quiet_axes(axes)
-            for line, (_, part) in zip(_line_looks(len(lines)), lines, strict=True):
+            for line, (_, part) in zip(looks, lines, strict=True):
                 _draw_line(axes, part[part["method"] == method], look, quantity, line)
         row[0].set_ylabel(method, weight="bold")
     default = look.scale * default_value(look.x)
@@ -84,11 +87,17 @@ def ablation_figure(means: pd.DataFrame, grid: GridConfig) -> Figure:
     figure.supxlabel(look.label, fontsize=10)
     handles = [
         Line2D([], [], label=label, lw=1.2, ms=4.5, **line)
-        for line, (label, _) in zip(_line_looks(len(lines)), lines, strict=True)
+        for line, (label, _) in zip(looks, lines, strict=True)
     ]
     style, where = ("--", "") if _on_axis(default, look) else ("none", ", not on this axis")
     handles.append(Line2D([], [], color="0.4", ls=style, label=f"default: {default:g}{where}"))
-    figure.legend(handles=handles, loc="outside upper center", ncols=6, fontsize=9, frameon=False)
+    figure.legend(
+        handles=handles,
+        loc="outside upper center",
+        ncols=6 if len(handles) <= 6 else 4,
+        fontsize=9,
+        frameon=False,
+    )
     return figure
 
 
@@ -131,12 +140,28 @@ def lines_of(means: pd.DataFrame, others: list[str]) -> list[tuple[str, pd.DataF
     ]
 
 
-def _line_looks(n_lines: int) -> list[dict[str, Any]]:
-    """Colour and marker of each line: from dark to light, which stays in order in grey."""
-    shades = np.linspace(0.0, _LIGHTEST, n_lines)
+def _line_looks(means: pd.DataFrame, others: list[str]) -> list[dict[str, Any]]:
+    """Colour, marker and dashes of each of `lines_of`.
+
+    The first parameter sets the colour, from dark to light, which stays in order in grey. A second
+    one sets marker and dashes; the first sets the marker where it is alone.
+    """
+    if len(others) != 2:
+        n_lines = len(lines_of(means, others))
+        shades, kinds = np.linspace(0.0, _LIGHTEST, n_lines), np.arange(n_lines)
+        dashes = np.zeros(n_lines, np.intp)
+    else:
+        values = [np.unique(means[name]) for name in others]
+        steps = np.linspace(0.0, _LIGHTEST, len(values[0]))
+        shades = np.repeat(steps, len(values[1]))
+        dashes = kinds = np.tile(np.arange(len(values[1])), len(values[0]))
     return [
-        {"color": colormaps["viridis"](shade), "marker": _MARKERS[i % len(_MARKERS)]}
-        for i, shade in enumerate(shades)
+        {
+            "color": colormaps["viridis"](shade),
+            "marker": _MARKERS[kind % len(_MARKERS)],
+            "ls": _DASHES[dash % len(_DASHES)],
+        }
+        for shade, kind, dash in zip(shades, kinds, dashes, strict=True)
     ]
 
 

@@ -1,8 +1,9 @@
 """A command line in, a simulated recording as a folder out: `ssac simulate`."""
 
+import math
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from tqdm import tqdm
@@ -10,6 +11,7 @@ from tqdm import tqdm
 from experiments.provenance import plain, versions
 from experiments.scene import scene_figures, scene_table
 from sim.errors import SimError
+from sim.flyers import DRONES
 from sim.frames import FrameConfig
 from sim.lattice import Lattice
 from sim.recording import Recording, SimConfig, simulate
@@ -47,15 +49,24 @@ def simulate_command(
         typer.Option(help="CSV t,x,y,z,qx,qy,qz,qw instead of a random spline; sets the duration."),
     ] = None,
     drone: Annotated[
-        Path | None, typer.Option(help="Mesh file instead of the built-in quadrotor.")
-    ] = None,
+        str, typer.Option(help=f"{', '.join(DRONES)}, or a mesh file.")
+    ] = _DEFAULT.drone,
     drone_size: Annotated[
         float | None, typer.Option(help="Largest extent of the drone [m].")
     ] = None,
-    rotor_hz: Annotated[float, typer.Option(help="Turns per second of the rotors.")] = 0.0,
+    rotor_hz: Annotated[
+        float, typer.Option(help="Turns per second of the quadrotor's rotors.")
+    ] = 0.0,
+    flap_hz: Annotated[
+        float, typer.Option(help="Beats per second of the bird's wings.")
+    ] = _DEFAULT.flap_hz,
     distance: Annotated[
         float, typer.Option(help="Of the cameras from the point they look at [m].")
     ] = _DEFAULT.distance_m,
+    spread: Annotated[
+        float,
+        typer.Option(help="Extent of the random flight; less keeps a near drone in view."),
+    ] = 1.0,
     focal: Annotated[float, typer.Option(help="Focal length [px].")] = _DEFAULT.focal_px,
     resolution: Annotated[
         tuple[int, int], typer.Option(help="Width and height [px].")
@@ -107,11 +118,12 @@ def simulate_command(
     config = SimConfig(
         angle_deg=angle,
         t_d_s=t_d,
-        spline=SplineConfig(duration_s=duration),
+        spline=_spline(duration, spread),
         trajectory_file=trajectory,
         drone_size_m=drone_size,
-        drone_file=drone,
         rotor_hz=rotor_hz,
+        flap_hz=flap_hz,
+        **_drone(drone),
         distance_m=distance,
         focal_px=focal,
         resolution=resolution,
@@ -132,6 +144,26 @@ def simulate_command(
     typer.echo(summary(recording, out_dir))
     if figures:
         typer.echo(scene_table(scene_figures(recording)))
+
+
+def _drone(name: str) -> dict[str, Any]:
+    """Tell a built-in drone's name from a mesh file's: fields of a SimConfig."""
+    if name in DRONES:
+        return {"drone": name}
+    if not Path(name).exists():
+        raise SimError(
+            f"--drone: {name} does not exist: expected a mesh file, or one of {', '.join(DRONES)}"
+        )
+    return {"drone_file": Path(name)}
+
+
+def _spline(duration_s: float, spread: float) -> SplineConfig:
+    """Scale the default box of random positions, and the circle that keeps clear of cameras."""
+    if not (math.isfinite(spread) and spread > 0.0):
+        raise SimError(f"--spread: expected a positive number, got {spread}")
+    x, y, z = (spread * multiplier for multiplier in _DEFAULT.spline.multiplier_xyz_m)
+    radius_m = spread * _DEFAULT.spline.max_radius_m
+    return SplineConfig(duration_s, multiplier_xyz_m=(x, y, z), max_radius_m=radius_m)
 
 
 def summary(recording: Recording, out_dir: Path) -> str:

@@ -58,6 +58,17 @@ def test_the_same_arguments_give_the_same_bytes(tmp_path: Path) -> None:
     assert hashes(tmp_path / "a") == hashes(tmp_path / "b")
 
 
+@pytest.mark.render
+def test_a_bird_close_to_the_cameras(tmp_path: Path) -> None:
+    near = ["--drone", "bird", "--distance", 1.5, "--spread", 0.15]
+    result = run(tmp_path / "near", *FAST, *near)
+    assert result.exit_code == 0, result.output
+    truth = json.loads((tmp_path / "near" / "truth.json").read_text())
+    assert np.abs(truth["drone_position_W_m"]).max() < 0.2 * 3.6
+    counts = [len(load_events(tmp_path / "near" / f"cam{i}.h5").events) for i in (1, 2)]
+    assert min(counts) > 10_000
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -65,6 +76,10 @@ def test_the_same_arguments_give_the_same_bytes(tmp_path: Path) -> None:
         (["--noise", "loud"], "expected one of ideal, davis346, got 'loud'"),
         (["--duration", 0], "duration_s must be a positive number"),
         (["--drone", "missing.stl"], "missing.stl does not exist"),
+        (["--drone", "hawk"], "expected a mesh file, or one of quadrotor, bird, plane"),
+        (["--drone", "bird", "--rotor-hz", 9], "rotors spin on the built-in quadrotor only"),
+        (["--spread", 0], "--spread: expected a positive number, got 0.0"),
+        (["--distance", 1.5], "reaches into the camera"),
         (["--trajectory", "missing.csv"], "cannot read the trajectory missing.csv"),
         (["--background", "missing.png"], "missing.png"),
         (["--seed", -1], "0 or a positive integer"),
