@@ -26,7 +26,7 @@ _QUANTITIES = (
     ("t_error_deg", "error of t [deg]"),
 )
 # What is below this is drawn there.
-_LEAST = {"t_d_error_ms": 0.01, "r_error_deg": 0.03, "t_error_deg": 0.02}
+_LEAST = {"t_d_error_ms": 0.01, "r_error_deg": 0.01, "t_error_deg": 0.01}
 _ROW_HEIGHTS = (1.7, 1.0, 1.0)
 _ANGLE_STEP_DEG = 30.0
 _SHARE = 0.84  # of this step that the methods' columns take

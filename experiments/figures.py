@@ -4,7 +4,7 @@ A picture is the same bytes whenever it is made from the same runs and recording
 """
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -17,6 +17,8 @@ from matplotlib.figure import Figure
 from experiments.cache import DEFAULT_FOLDER, Cache
 from experiments.comparison import load_published
 from experiments.figure_ablations import ablation_figure
+from experiments.figure_beyond import beyond_figure
+from experiments.figure_efficiency import efficiency_figure
 from experiments.figure_errors import error_figure
 from experiments.figure_events import (
     d_avg_figure,
@@ -51,6 +53,10 @@ NOISY_FLIGHT = SimConfig(
 EPIPOLAR_T_D_S = 0.05  # at the tables' 50 ms the distance before alignment is seen at a glance
 
 
+DrawRuns = Callable[[pd.DataFrame, Mapping[float, pd.DataFrame]], Figure]
+"""From the runs of the tables, and the paper's table of each duration [s]."""
+
+
 @dataclass(frozen=True)
 class Drawing:
     """One figure: what it is made from, and who draws it."""
@@ -70,7 +76,7 @@ def figures_command(
     cache: Annotated[Path, typer.Option(help="Folder that keeps recordings.")] = DEFAULT_FOLDER,
     out: Annotated[Path, typer.Option(help="Folder for the PNGs.")] = Path("results"),
 ) -> None:
-    """Draw the paper's Fig. 3 to 5, error against angle for all methods, and every ablation."""
+    """Draw the paper's Fig. 3 to 5, errors against the angle, and every ablation."""
     start = time.perf_counter()
     chosen = choose(names or ())
     check_inputs(chosen, results)
@@ -96,7 +102,9 @@ def drawings() -> dict[str, Drawing]:
         "fig3_preprocessing": Drawing(_preprocessing, recording=NOISY_FLIGHT),
         "fig4_epipolar": Drawing(_epipolar, recording=FLIGHT),
         "fig5_d_avg": Drawing(_d_avg, recording=FLIGHT),
-        "error_vs_angle": Drawing(_errors, "runs.csv", "make tables"),
+        "error_vs_angle": Drawing(partial(_of_runs, error_figure), "runs.csv", "make tables"),
+        "beyond_paper": Drawing(partial(_of_runs, beyond_figure), "runs.csv", "make tables"),
+        "efficiency": Drawing(_efficiency, "efficiency.csv", "ssac efficiency"),
     }
     for name in config_names("ablation_"):
         listed[name] = Drawing(partial(_ablation, name), f"{name}.csv", "make ablations")
@@ -136,19 +144,25 @@ def _d_avg(_: Path, cache: Cache) -> Figure:
     return d_avg_figure(load_recording(cache.recording_folder(FLIGHT, SEED)))
 
 
-def _errors(results: Path, _: Cache) -> Figure:
+def _of_runs(draw: DrawRuns, results: Path, _: Cache) -> Figure:
     path = results / "runs.csv"
     try:
         runs = ordered_runs(runs_from_csv(path.read_text(encoding="utf-8")))
+        return draw(runs, load_published())
     except SsacError as error:
         raise SsacError(f"{path}: {error}") from error
-    return error_figure(runs, load_published())
+
+
+def _efficiency(results: Path, _: Cache) -> Figure:
+    return efficiency_figure(_table(results / "efficiency.csv"))
 
 
 def _ablation(name: str, results: Path, _: Cache) -> Figure:
-    path = results / f"{name}.csv"
+    return ablation_figure(_table(results / f"{name}.csv"), named_config(name))
+
+
+def _table(path: Path) -> pd.DataFrame:
     try:
-        means = pd.read_csv(path)
+        return pd.read_csv(path)
     except ValueError as error:  # pandas' parser errors are ValueErrors
         raise SsacError(f"{path}: cannot be read as a table: {error}") from error
-    return ablation_figure(means, named_config(name))

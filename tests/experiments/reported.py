@@ -24,7 +24,8 @@ cam0: &camera
   resolution: [{WIDTH}, {HEIGHT}]
 cam1: *camera
 """
-FIGURES = ("fig3_preprocessing", "fig4_epipolar", "fig5_d_avg", "error_vs_angle")
+FIGURES = ("fig3_preprocessing", "fig4_epipolar", "fig5_d_avg", "error_vs_angle", "beyond_paper",
+           "efficiency")  # fmt: skip
 
 
 def made_up_runs(methods: tuple[str, ...] = METHODS, flights: int = 10) -> pd.DataFrame:

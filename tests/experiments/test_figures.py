@@ -29,7 +29,8 @@ def run(*arguments: str | Path) -> str:
 
 
 def test_all_figures_are_drawn_when_none_is_named() -> None:
-    papers = ["fig3_preprocessing", "fig4_epipolar", "fig5_d_avg", "error_vs_angle"]
+    papers = ["fig3_preprocessing", "fig4_epipolar", "fig5_d_avg"]
+    papers += ["error_vs_angle", "beyond_paper", "efficiency"]
     assert list(choose([])) == [*papers, *config_names("ablation_")] == list(drawings())
     assert list(choose(["fig5_d_avg"])) == ["fig5_d_avg"]
 
@@ -77,6 +78,10 @@ def test_a_table_that_cannot_be_read_is_named(tmp_path: Path) -> None:
     (tmp_path / "ablation_size.csv").write_text("")
     with pytest.raises(SsacError, match=r"ablation_size.csv: cannot be read"):
         run("ablation_size", "--results", tmp_path, "--out", tmp_path)
+    (tmp_path / "efficiency.csv").write_text("")
+    with pytest.raises(SsacError, match=r"efficiency.csv: cannot be read"):
+        run("efficiency", "--results", tmp_path, "--out", tmp_path)
     (tmp_path / "runs.csv").write_text("a,b\n1,2\n")
-    with pytest.raises(SsacError, match=r"runs.csv: "):
-        run("error_vs_angle", "--results", tmp_path, "--out", tmp_path)
+    for name in ("error_vs_angle", "beyond_paper"):
+        with pytest.raises(SsacError, match=r"runs.csv: "):
+            run(name, "--results", tmp_path, "--out", tmp_path)
