@@ -24,7 +24,7 @@ from ssac.interface import Config, object_motions, prepare
 Array = NDArray[np.float64]
 Events = NDArray[np.void]
 
-METHOD = "joint"
+METHOD = "tangency"
 T_D_S = 0.5  # large enough that both views are plainly apart
 LENGTH_S = 5.0  # of the stretch shown, on camera 1's clock
 HALF_WINDOW_S = Config.half_window_s  # of the events whose mean is the position

@@ -11,9 +11,12 @@ import typer
 from experiments.ablation import ablate_command
 from experiments.bench import bench_command
 from experiments.check import verify_command
+from experiments.coverage import coverage_command
 from experiments.demo import demo_command
+from experiments.efficiency import efficiency_command
 from experiments.fidelity import fidelity_command
 from experiments.figures import figures_command
+from experiments.refusal import refusal_command
 from experiments.report import report_command
 from experiments.reproduce import tables_command
 from experiments.scene import scene_command
@@ -39,6 +42,7 @@ app.command("ablate")(ablate_command)
 app.command("figures")(figures_command)
 app.command("report")(report_command)
 app.command("verify")(verify_command)
+app.command("efficiency")(efficiency_command)
 app.command("sweep")(sweep_command)
 app.command("merge")(merge_command)
 app.command("demo")(demo_command)
@@ -46,6 +50,8 @@ app.command("scene")(scene_command)
 app.command("fidelity")(fidelity_command)
 app.command("zncc-study")(zncc_study_command)
 app.command("tangency-study")(tangency_study_command)
+app.command("refusal")(refusal_command)
+app.command("coverage")(coverage_command)
 app.command("bench")(bench_command)
 
 

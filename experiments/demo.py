@@ -21,7 +21,7 @@ from ssac.interface import Estimate
 FloatArray = NDArray[np.float64]
 
 DEMO = SimConfig(angle_deg=90.0, t_d_s=0.05)  # 20 s, as in the paper
-METHODS = ("ssac", "joint")
+METHODS = ("ssac", "tangency")
 
 
 def demo_command(

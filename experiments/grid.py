@@ -2,8 +2,7 @@
 
     title = "..."                        # of the figure and the report
     trajectories = 10                    # flights at each point of the grid: seeds 0, 1, ...
-    methods = ["ssac", "joint"]          # left out: every registered method, but for the
-                                         # experimental ones
+    methods = ["ssac", "joint"]          # left out: every registered method
     search_around_truth_s = [-1.0, 1.0]  # interval of the search, relative to the true offset
 
     [fixed]                              # parameters that all cells share
@@ -151,8 +150,6 @@ def grid_from_content(name: str, content: Mapping[str, Any]) -> GridConfig:
     methods = tuple(content.get("methods", METHODS))
     for method in methods:
         choose_method(method)
-    if "methods" not in content:
-        methods = tuple(name for name in methods if not METHODS[name].experimental)
     trajectories, first_seed = content.get("trajectories", 10), content.get("first_seed", 0)
     if not (isinstance(trajectories, int) and trajectories > 0):
         raise SsacError(f"trajectories must be a positive integer, got {trajectories!r}")

@@ -72,7 +72,6 @@ class Method:
     starts_from: str = ""  # method whose estimate `refine` takes, to give the same as `estimate`
     refine: RefineFunction | None = None
     takes_means: bool = False  # of the frames: images of one pixel give the same estimate
-    experimental: bool = False  # only run by grids that name it
 
     def skip_reason(self, cam1: Observation, cam2: Observation, rig: Rig) -> str:
         """Say why the method cannot run on these data; empty when it can."""
@@ -85,19 +84,18 @@ class Method:
 
 
 OURS = (
+    Method("ssac", ssac, Input.TRACKS, "the paper's Algorithm 2", known_variant="ssac-known"),
+    Method("ssac-known", ssac_known, Input.TRACKS, "the paper's Algorithm 1",
+           needs_extrinsics=True),
     Method("joint", joint, Input.TRACKS, "ssac, then offset and pose refined together",
            known_variant="joint-known", starts_from="ssac", refine=joint_from),
     Method("joint-known", joint_known, Input.TRACKS, "ssac-known, then the offset refined",
            needs_extrinsics=True, starts_from="ssac-known", refine=joint_known_from),
-    Method("ssac", ssac, Input.TRACKS, "the paper's Algorithm 2", known_variant="ssac-known"),
-    Method("ssac-known", ssac_known, Input.TRACKS, "the paper's Algorithm 1",
-           needs_extrinsics=True),
     Method("tangency", tangency, Input.TRACKS, "joint, then refined by the outline's tangents",
-           known_variant="tangency-known", starts_from="ssac", refine=tangency_from,
-           experimental=True),
+           known_variant="tangency-known", starts_from="joint", refine=tangency_from),
     Method("tangency-known", tangency_known, Input.TRACKS,
            "joint-known, then the offset refined by tangents", needs_extrinsics=True,
-           starts_from="ssac-known", refine=tangency_known_from, experimental=True),
+           starts_from="joint-known", refine=tangency_known_from),
     Method("albl", albl, Input.TRACKS, "eigenvalue solver of Albl et al. (2017)"),
     Method("zncc_e", zncc_e, Input.RATES, "correlation of event rates, offset only"),
     Method("zncc_f", zncc_f, Input.FRAMES, "correlation of frame brightness, offset only",
@@ -154,7 +152,7 @@ class Registry(Mapping[str, Method]):
 
 METHODS: Mapping[str, Method] = Registry()
 
-DEFAULT = "joint"
+DEFAULT = "tangency"
 """The most accurate method for unknown extrinsics; its `known_variant` is that for known ones."""
 
 

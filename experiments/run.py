@@ -59,6 +59,15 @@ class Row:
     r_error_deg: float = np.nan  # NaN for a method that was given the pose, as is t_error_deg
     t_error_deg: float = np.nan
     t_d_std_ms: float = np.nan
+    r_std_deg: float = np.nan  # this and those below as in `score.PoseScore`
+    t_std_deg: float = np.nan
+    r_mahalanobis: float = np.nan
+    t_mahalanobis: float = np.nan
+    r_x_normalised: float = np.nan
+    r_y_normalised: float = np.nan
+    r_z_normalised: float = np.nan
+    t_1_normalised: float = np.nan
+    t_2_normalised: float = np.nan
     n_samples: int = 0
     d_avg_px: float = np.nan
     n_events_cam1: int = 0  # as recorded
@@ -188,8 +197,9 @@ def _scored(estimate: Estimate, cell: Cell, truth: Rig) -> Row:
         np.nan if given else errors.r_error_deg,
         np.nan if given else errors.t_error_deg,
         1e3 * estimate.t_d_std_s,
-        estimate.n_samples,
-        estimate.d_avg_px,
+        n_samples=estimate.n_samples,
+        d_avg_px=estimate.d_avg_px,
+        **({} if given else vars(errors.pose)),
     )
 
 

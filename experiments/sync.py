@@ -118,7 +118,8 @@ def report_text(result: SyncResult) -> str:
     """Lay out a result for people, the sign of the offset in words."""
     estimate, rows = result.estimate, list[tuple[str, str]]()
     if estimate.status != "ok":
-        rows.append(("no estimate", f"{estimate.status}: {estimate.reason}"))
+        title = "no pose" if estimate.has_offset else "no estimate"
+        rows.append((title, f"{estimate.status}: {estimate.reason}"))
     if np.isfinite(estimate.t_d_s):
         rows += _offset_rows(estimate)
     if result.method.needs_extrinsics:
@@ -147,9 +148,13 @@ def report_json(result: SyncResult) -> dict[str, Any]:
         "method": result.method.name,
         "n_samples": estimate.n_samples if has_samples else None,
         "d_avg_px": _plain(estimate.d_avg_px),
+        "t_d_is_reliable": estimate.has_offset,
+        "alternatives_s": _plain(estimate.alternatives_s),
+        "unobservable": _plain(estimate.unobservable),
         "covariance": _plain(estimate.covariance),
         "conventions": "t_cam2 = t_cam1 + t_d; x2 = R x1 + t, |t| = 1; covariance of t_d [s], "
-        "rotation vector of exp([w]x) R [rad] and t's two tangents [rad]",
+        "rotation vector of exp([w]x) R [rad] and t's two tangents [rad]; unobservable: unit "
+        "directions in the same six",
         "search_s": list(result.config.interval_s),
         "cam1": str(cam1),
         "cam2": str(cam2),
@@ -253,8 +258,10 @@ def _offset_rows(estimate: Estimate) -> list[tuple[str, str]]:
     """Rows on the offset, its sign in words."""
     offset_ms, sigma_ms = 1e3 * estimate.t_d_s, 1e3 * estimate.t_d_std_s
     sigma = f", 1 sigma {sigma_ms:.3f} ms" if np.isfinite(sigma_ms) else ""
-    if estimate.status != "ok":
-        return [("not reliable", f"t_d = {offset_ms:.3f} ms")]
+    if not estimate.has_offset:
+        rows = [("not reliable", f"t_d = {offset_ms:.3f} ms")]
+        others = ", ".join(f"{1e3 * other_s:.0f}" for other_s in estimate.alternatives_s)
+        return rows + ([("or", f"t_d = {others} ms")] if others else [])
     more, remedy = ("more", "subtract it from") if offset_ms >= 0.0 else ("less", "add it to")
     return [
         ("time offset", f"t_d = {offset_ms:.3f} ms{sigma}"),
@@ -338,7 +345,7 @@ def _write_outputs(
                 plot, estimate, result.cam1, result.cam2, result.rig, result.config
             )
             say(", ".join(map(str, drawn)) or "nothing: the method left no curve and no track")
-    if synced is not None and estimate.status == "ok":
+    if synced is not None and estimate.has_offset:
         with clock.part("write") as say:
             # Read again, whole: what is in memory has been denoised.
             write_synced(synced, load_events(result.paths[1]), estimate.t_d_s)

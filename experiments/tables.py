@@ -17,9 +17,12 @@ from ssac.errors import SsacError
 
 RUN_COLUMNS = (
     "duration_s", "angle_deg", "t_d_ms", "seed", "method", "status", "reason", "t_d_estimate_ms",
-    "t_d_error_ms", "r_error_deg", "t_error_deg", "t_d_std_ms", "n_samples", "d_avg_px",
-    "n_events_cam1", "n_events_cam2",
+    "t_d_error_ms", "r_error_deg", "t_error_deg", "t_d_std_ms", "r_std_deg", "t_std_deg",
+    "r_mahalanobis", "t_mahalanobis", "n_samples", "d_avg_px", "n_events_cam1", "n_events_cam2",
 )  # fmt: skip
+YOUNGER = ("r_std_deg", "t_std_deg", "r_mahalanobis", "t_mahalanobis")
+"""Columns that older runs lack: there they are unknown."""
+
 KEY = ["duration_s", "angle_deg", "t_d_ms", "seed", "method"]
 """Columns that say which run a row is."""
 
@@ -36,7 +39,7 @@ def ordered_runs(runs: pd.DataFrame) -> pd.DataFrame:
     Parameters
     ----------
     runs : pd.DataFrame
-        RUN_COLUMNS, in any order of rows; further columns are dropped.
+        RUN_COLUMNS, in any order of rows; further columns are dropped, YOUNGER ones may be absent.
 
     Returns
     -------
@@ -51,7 +54,7 @@ def ordered_runs(runs: pd.DataFrame) -> pd.DataFrame:
     _check_columns(runs)
     if runs.empty:
         raise SsacError("expected runs to make a table of, got none")
-    runs = runs.loc[:, list(RUN_COLUMNS)]
+    runs = runs.reindex(columns=list(RUN_COLUMNS))
     _check_listed("there more than once", runs.loc[runs.duplicated(KEY), KEY])
     _check_listed("missing", missing_runs(runs))
     without_error = (runs["status"] == "ok") & runs["t_d_error_ms"].isna()
@@ -68,7 +71,8 @@ def runs_of_grid(rows: pd.DataFrame) -> pd.DataFrame:
     """Name the columns of a grid's rows (`schedule.run_cells`) as in `runs.csv`."""
     names = {"sim.spline.duration_s": "duration_s", "sim.angle_deg": "angle_deg"}
     runs = rows.rename(columns=names).assign(t_d_ms=1e3 * rows["sim.t_d_s"])
-    chosen: pd.DataFrame = runs[list(RUN_COLUMNS)]
+    _check_columns(runs)
+    chosen: pd.DataFrame = runs.reindex(columns=list(RUN_COLUMNS))
     return chosen
 
 
@@ -167,7 +171,9 @@ def runs_from_csv(text: str) -> pd.DataFrame:
     except ValueError as error:  # pandas' parser errors are ValueErrors
         raise SsacError(f"not a table of runs: {error}") from error
     _check_columns(numeric)
-    return numeric
+    younger = {name: np.nan for name in YOUNGER if name not in numeric}
+    whole: pd.DataFrame = numeric.assign(**younger)
+    return whole
 
 
 def describe(run: Mapping[Any, Any]) -> str:
@@ -177,7 +183,7 @@ def describe(run: Mapping[Any, Any]) -> str:
 
 
 def _check_columns(runs: pd.DataFrame) -> None:
-    absent = [column for column in RUN_COLUMNS if column not in runs]
+    absent = [name for name in RUN_COLUMNS if name not in runs and name not in YOUNGER]
     if absent:
         raise SsacError(f"runs need the columns {', '.join(RUN_COLUMNS)}; not there: {absent}")
 

@@ -15,6 +15,7 @@ from ssac.fundamental import (
     lmeds_fundamental,
     magsac_fundamental,
     reweighted_fundamental,
+    second_best,
 )
 from ssac.interface import (
     Config,
@@ -24,6 +25,19 @@ from ssac.interface import (
     known_pose,
     object_motions,
     offset_estimate,
+    refused,
+)
+from ssac.observability import (
+    Refusal,
+    View,
+    ambiguous_offset,
+    at_rest,
+    coarsest_step,
+    no_match,
+    swings,
+    too_little_motion,
+    valleys,
+    view_of,
 )
 from ssac.offset_search import (
     Cost,
@@ -34,6 +48,7 @@ from ssac.offset_search import (
     mean_epipolar_distance,
     sample_pairs,
 )
+from ssac.straight_path import straight_path
 from ssac.tracks import ObjectMotion
 
 Array = NDArray[np.float64]
@@ -41,6 +56,12 @@ Fit = Callable[[Array, Array], Array]  # pairs p1, p2 (n, 2) [px] -> F (3, 3)
 
 MIN_IN_FRONT = 0.75
 """A pose that puts a smaller share of the pairs in front of both cameras is refused."""
+
+MIN_SECOND_BEST = 7.0
+"""Pairs that another F fits less than so many times worse leave the pose open (docs/refusal.md)."""
+
+MIN_PAIRS_OF_FIT = 30
+"""Pairs at the offset found, when F is fitted to them: about four for each of its 7 parameters."""
 
 
 def ssac_known(
@@ -60,7 +81,8 @@ def ssac_known(
     Returns
     -------
     Estimate
-        With status "ok", or "no_common_time", "too_few_samples" or "search_bound".
+        With status "ok", or "no_common_time", "too_few_samples", "no_motion", "search_bound",
+        "no_match" or "ambiguous_offset".
 
     Raises
     ------
@@ -76,7 +98,8 @@ def ssac(cam1: Observation, cam2: Observation, rig: Rig, config: Config | None =
     """Time offset and relative pose: the paper's Algorithm 2.
 
     Parameters and errors as for `ssac_known`, but the rig's `T_2_1` is not used. The status may
-    also be "ambiguous_pose", with an offset but without R and t.
+    also be "too_little_motion"; or "ambiguous_pose" or "degenerate_pose", with an offset that holds
+    but without R and t.
     """
     config = checked(config)
     motion1, motion2 = object_motions(cam1, cam2, rig, config)
@@ -86,6 +109,10 @@ def ssac(cam1: Observation, cam2: Observation, rig: Rig, config: Config | None =
 def algorithm_1(motion1: ObjectMotion, motion2: ObjectMotion, rig: Rig, config: Config) -> Estimate:
     """Algorithm 1 on prepared motions; see `ssac_known`."""
     R, t = known_pose(rig)
+    views = view_of(motion1), view_of(motion2)
+    refusal = at_rest(views)
+    if refusal is not None:
+        return Estimate("ssac-known", refusal.status, refusal.reason)
     F = fundamental_from_pose(rig.cam1.K, rig.cam2.K, R, t)
 
     def d_avg_px(t_d_s: Array) -> Array:  # lines 2 to 8, for all candidates at once
@@ -93,12 +120,12 @@ def algorithm_1(motion1: ObjectMotion, motion2: ObjectMotion, rig: Rig, config: 
         return mean_epipolar_distance(F, pairs, MIN_PAIRS)
 
     candidates_s = candidate_offsets(motion1, motion2, config.interval_s)
-    search = _search(d_avg_px, d_avg_px, candidates_s, config)  # lines 1 and 10
+    search = _search(d_avg_px, d_avg_px, candidates_s, config, coarsest_step(views))  # lines 1, 10
     estimate = offset_estimate("ssac-known", search, config)
     if estimate.status != "ok":
         return estimate
     p1, p2 = pairs_at(motion1, motion2, estimate.t_d_s, config)
-    return replace(with_fit(estimate, F, p1, p2), R=R, t=t)
+    return _checked_search(replace(with_fit(estimate, F, p1, p2), R=R, t=t), views)
 
 
 def algorithm_2(motion1: ObjectMotion, motion2: ObjectMotion, rig: Rig, config: Config) -> Estimate:
@@ -113,19 +140,40 @@ def algorithm_2(motion1: ObjectMotion, motion2: ObjectMotion, rig: Rig, config: 
         pairs = sample_pairs(motion1, motion2, t_d_s, n_samples)
         return np.array([_d_avg_of_fit(fit, *pairs.valid_positions(m)) for m in range(len(t_d_s))])
 
+    views = view_of(motion1), view_of(motion2)
+    refusal = at_rest(views)
+    if refusal is not None:
+        return Estimate("ssac", refusal.status, refusal.reason)
+    view1, view2 = views
+    if view1 is not None and view2 is not None and view1.is_straight and view2.is_straight:
+        return straight_path("ssac", (view1, view2), motion1, motion2, config)
     candidates_s = candidate_offsets(motion1, motion2, config.interval_s)
     search = _search(  # lines 1 and 10; half the samples are enough to find the valley
         partial(d_avg_px, reweighted_fundamental, max(config.n_samples // 2, MIN_PAIRS)),
         partial(d_avg_px, robust_fit, config.n_samples),
         candidates_s,
         config,
+        coarsest_step(views),
     )
     estimate = offset_estimate("ssac", search, config)
     if estimate.status != "ok":
         return estimate
-    p1, p2 = pairs_at(motion1, motion2, estimate.t_d_s, config)
+    pairs = sample_pairs(motion1, motion2, np.array([estimate.t_d_s]), config.n_samples)
+    p1, p2 = pairs.valid_positions(0)
+    refusal = _too_few_for_fit(len(p1)) or too_little_motion(swings(motion1, motion2, pairs))
+    if refusal is not None:
+        return refused(estimate, refusal)
     F = robust_fit(p1, p2, config.final_trials)
-    return with_pose(with_fit(estimate, F, p1, p2), F, rig, p1, p2)  # line 11
+    estimate = _checked_search(with_fit(estimate, F, p1, p2), views)
+    if estimate.status != "ok":
+        return estimate
+    if second_best(p1, p2) < MIN_SECOND_BEST:
+        reason = (
+            "the path lies near a plane, or near another surface on which many fundamental matrices"
+            " fit as well: F leaves the pose open"
+        )
+        return replace(estimate, status="degenerate_pose", reason=reason)
+    return with_pose(estimate, F, rig, p1, p2)  # line 11
 
 
 def pairs_at(
@@ -133,6 +181,27 @@ def pairs_at(
 ) -> tuple[Array, Array]:
     """Sample the valid pairs p1 and p2 (n, 2) [px] at one offset."""
     return sample_pairs(motion1, motion2, np.array([t_d_s]), config.n_samples).valid_positions(0)
+
+
+def _checked_search(estimate: Estimate, views: tuple[View | None, View | None]) -> Estimate:
+    """Refuse an offset at which the views do not match, or that others rival."""
+    sizes_px = [np.nan if view is None else view.size_px for view in views]
+    object_px = float(np.hypot(sizes_px[0], sizes_px[1]))
+    found = valleys(estimate.candidates_s, estimate.costs, estimate.t_d_s)
+    # Of a path that leaves F open the final F may be a bad one, though others fit.
+    distance_px = min(estimate.d_avg_px, float(np.nanmin(estimate.costs)))
+    refusal = no_match(distance_px, object_px) or ambiguous_offset(found)
+    return estimate if refusal is None else refused(estimate, refusal, found)
+
+
+def _too_few_for_fit(n_pairs: int) -> Refusal | None:
+    if n_pairs >= MIN_PAIRS_OF_FIT:
+        return None
+    return Refusal(
+        "too_few_samples",
+        f"{n_pairs} sample times are valid in both views at the best offset: {MIN_PAIRS_OF_FIT}"
+        " are needed to find the pose as well",
+    )
 
 
 def with_fit(estimate: Estimate, F: Array, p1_px: Array, p2_px: Array) -> Estimate:
@@ -161,10 +230,12 @@ def with_pose(estimate: Estimate, F: Array, rig: Rig, p1_px: Array, p2_px: Array
     return replace(estimate, R=pose.R, t=pose.t)
 
 
-def _search(coarse_cost: Cost, cost: Cost, candidates_s: Array, config: Config) -> OffsetSearch:
+def _search(
+    coarse_cost: Cost, cost: Cost, candidates_s: Array, config: Config, coarsest: int
+) -> OffsetSearch:
     if config.exhaustive:
         return exhaustive_search(cost, candidates_s)
-    return coarse_to_fine_search(coarse_cost, cost, candidates_s)
+    return coarse_to_fine_search(coarse_cost, cost, candidates_s, coarsest)
 
 
 def _d_avg_of_fit(fit: Fit, p1_px: Array, p2_px: Array) -> float:

@@ -45,10 +45,12 @@ def lmeds_fundamental(p1_px: Matrix, p2_px: Matrix, trials: int, seed: int = 0) 
     Returns
     -------
     NDArray[np.float64]
-        F, shape (3, 3), rank 2.
+        F, shape (3, 3), rank 2; NaN when the pairs allow none, as those of an object at rest.
     """
     x1, x2, T1, T2 = _normalised(p1_px, p2_px)
     F = _best_subset(x1, x2, _uniform(trials, seed))
+    if not F.any():
+        return np.full((3, 3), np.nan)
     return np.asarray(T2.T @ _reweighted(x1, x2, F) @ T1)
 
 
@@ -58,8 +60,27 @@ def reweighted_fundamental(p1_px: Matrix, p2_px: Matrix) -> Matrix:
     Parameters and result as for `lmeds_fundamental`.
     """
     x1, x2, T1, T2 = _normalised(p1_px, p2_px)
+    if not (x1.any() or x2.any()):  # an object at rest
+        return np.full((3, 3), np.nan)
     F = _eight_point(x1, x2, np.ones(len(p1_px)))
     return np.asarray(T2.T @ _reweighted(x1, x2, F) @ T1)
+
+
+def second_best(p1_px: Matrix, p2_px: Matrix) -> float:
+    """How many times worse than the best F another one fits the pairs, one as unlike it as can be.
+
+    The ratio of the two least singular values of the weighted eight-point system. Near 1 the pairs
+    leave F open: those of a planar path allow a family of them, whatever the noise.
+
+    Parameters as for `lmeds_fundamental`; 1 when the pairs allow no F at all.
+    """
+    x1, x2, _, _ = _normalised(p1_px, p2_px)
+    F = _reweighted(x1, x2, _eight_point(x1, x2, np.ones(len(p1_px))))
+    squares, squared_norms = _sampson(F, x1, x2)
+    scale = _TO_DEVIATION * np.sqrt(np.median(squares)) + 1e-15
+    weights = 1.0 / (squared_norms * (1.0 + squares / (_CAUCHY * scale) ** 2))
+    least = np.linalg.eigvalsh(_moments(x1, x2, weights))
+    return float(np.sqrt(least[1] / least[0])) if least[0] > 0.0 else 1.0
 
 
 def magsac_fundamental(p1_px: Matrix, p2_px: Matrix, K1: Matrix, K2: Matrix) -> Matrix:
@@ -112,7 +133,7 @@ def _normalised(p1_px: Matrix, p2_px: Matrix) -> tuple[Matrix, Matrix, Matrix, M
             for i in range(n):
                 x[axis, i] = p[i, axis] - centre
                 square += x[axis, i] ** 2
-    scale = np.sqrt(4 * n / square)
+    scale = np.sqrt(4 * n / square) if square > 0.0 else 1.0
     T1[:2] *= scale
     T2[:2] *= scale
     return scale * x1, scale * x2, T1, T2
@@ -148,7 +169,7 @@ def _best_subset(x1: Matrix, x2: Matrix, uniform: Matrix) -> Matrix:
     return best_F
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def _reweighted(x1: Matrix, x2: Matrix, F: Matrix) -> Matrix:
     """Iterate the weighted eight-point fit with Sampson and Cauchy weights, starting from F."""
     for _ in range(_POLISH_ITERATIONS):
@@ -204,7 +225,7 @@ def _monomials(x1: Matrix, x2: Matrix, i: int, row: Matrix) -> None:
     row[6], row[7], row[8] = x1[0, i], x1[1, i], 1.0
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")  # no line at an epipole: NaN, not an exception
 def _sampson(F: Matrix, x1: Matrix, x2: Matrix) -> tuple[Matrix, Matrix]:
     """Squared Sampson distances (N,) and their squared denominators (N,)."""
     n = x1.shape[1]

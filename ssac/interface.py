@@ -15,10 +15,14 @@ from ssac.denoise import radius_filter, remove_hot_pixels
 from ssac.errors import SsacError
 from ssac.events import US_PER_S, check_events
 from ssac.fundamental import MIN_PAIRS
+from ssac.observability import Refusal, Valley
 from ssac.offset_search import OffsetSearch
 from ssac.tracks import ObjectMotion, object_motion
 
 Array = NDArray[np.float64]
+
+POSE_IS_OPEN = ("ambiguous_pose", "degenerate_pose")
+"""Statuses of estimates whose offset holds all the same."""
 
 
 @dataclass(frozen=True)
@@ -100,10 +104,17 @@ class Estimate:
     t: Array | None = None  # (3,) length 1
     F: Array | None = None  # (3, 3) p2' F p1 = 0 for undistorted pixels, norm 1
     covariance: Array | None = None  # (6, 6), parameters as in `refinement`
+    alternatives_s: Array = field(default_factory=lambda: np.empty(0))  # (k,) other offsets t_d
+    unobservable: Array = field(default_factory=lambda: np.empty((0, 6)))  # (k, 6) unit vectors
     n_samples: int = 0  # valid pairs at the offset found
     d_avg_px: float = np.nan  # the paper's Eq. 4 at the offset found
     candidates_s: Array = field(default_factory=lambda: np.empty(0))  # (M,) offsets tried
     costs: Array = field(default_factory=lambda: np.empty(0))  # (M,) d_avg [px] or -correlation
+
+    @property
+    def has_offset(self) -> bool:
+        """Whether `t_d_s` is to be relied upon: it may be though the pose is not."""
+        return self.status in ("ok", *POSE_IS_OPEN) and bool(np.isfinite(self.t_d_s))
 
 
 def checked(config: Config | None) -> Config:
@@ -263,4 +274,32 @@ def offset_estimate(method: str, search: OffsetSearch, config: Config) -> Estima
         search.t_d_s if status == "ok" else np.nan,
         candidates_s=search.candidates_s,
         costs=search.d_avg_px,
+    )
+
+
+def refused(estimate: Estimate, refusal: Refusal, found: list[Valley] | None = None) -> Estimate:
+    """Give the reason why there is no reliable offset, without what was found of the pose.
+
+    Parameters
+    ----------
+    estimate
+        What was found.
+    refusal
+        Why it is not to be relied upon.
+    found
+        Of the cost curve. With status "ambiguous_offset" the estimate keeps its offset when there
+        are other single ones beside it, which go to `alternatives_s`.
+    """
+    others_s = np.array(sorted(valley.least_s for valley in (found or [])[1:]))
+    keeps = refusal.status == "ambiguous_offset" and len(others_s) > 0
+    return replace(
+        estimate,
+        status=refusal.status,
+        reason=refusal.reason,
+        t_d_s=estimate.t_d_s if keeps else np.nan,
+        alternatives_s=others_s if keeps else np.empty(0),
+        R=None,
+        t=None,
+        t_d_std_s=np.nan,
+        covariance=None,
     )

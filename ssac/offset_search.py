@@ -20,8 +20,17 @@ Cost = Callable[[Array], Array]  # offsets (M,) [s] -> d_avg (M,) [px], NaN wher
 FINE_STEP_S = 0.001
 """Step of the paper's exhaustive search, on whose grid all candidates lie."""
 
-_STEPS = (20, 5, 1)  # in fine steps; d_avg is V-shaped to 100 ms on each side
+COARSEST = 20
+"""First step of the search from coarse to fine, in fine steps: d_avg is V-shaped to +-100 ms."""
+
+RIVAL = 3.0
+"""Offsets whose cost is below this many times the least may be the true one."""
+
+_STEPS = (5, 1)  # the next ones
 _KEPT_MINIMA = 3  # local minima of the coarse curve that are searched further
+_DEEP = 0.5  # of the median cost: local minima below it are looked at closely, lest they be rivals
+_MAX_RIVALS = 24
+_CLOSE_STEPS = 3  # on each side of a rival, in fine steps
 _FIT_STEPS = 6  # in fine steps on each side of the minimum
 _FIT_ITERATIONS = 4
 _MIN_OVERLAP = 0.5  # of the longest overlap that any offset in the interval gives
@@ -31,6 +40,7 @@ _MIN_OVERLAP = 0.5  # of the longest overlap that any offset in the interval giv
 class Pairs:
     """The object's positions in both views, paired for M offsets at N times."""
 
+    t_d_s: Array  # (M,) [s] the offsets
     times_s: Array  # (M, N) [s], camera 1's clock
     p1_px: Array  # (M, N, 2) p1(t), undistorted
     p2_px: Array  # (M, N, 2) p2(t + t_d), undistorted
@@ -70,6 +80,7 @@ def sample_pairs(
     times_s = start[:, None] + (end - start)[:, None] * fractions
     track1, track2 = motion1.at(times_s), motion2.at(times_s + t_d_s[:, None])
     return Pairs(
+        t_d_s,
         times_s,
         track1.positions_px,
         track2.positions_px,
@@ -105,11 +116,15 @@ def exhaustive_search(cost: Cost, offsets_s: Array) -> OffsetSearch:
     return _minimum(offsets_s, cost(offsets_s), np.ones(len(offsets_s), dtype=np.bool_))
 
 
-def coarse_to_fine_search(coarse_cost: Cost, cost: Cost, offsets_s: Array) -> OffsetSearch:
+def coarse_to_fine_search(
+    coarse_cost: Cost, cost: Cost, offsets_s: Array, coarsest: int = COARSEST
+) -> OffsetSearch:
     """Find what `exhaustive_search` finds from about a tenth of its candidates.
 
     Every 20 ms first, then every 5 ms around the three least local minima, both with the coarse
-    cost; then every 1 ms around the least of all with the cost itself.
+    cost; then every 1 ms around the least of all with the cost itself. The other deep minima of the
+    curve are followed to 1 ms as well, with the coarse cost: they are not candidates any more, but
+    say whether the least of all has rivals (`observability.valleys`).
 
     Parameters
     ----------
@@ -119,14 +134,17 @@ def coarse_to_fine_search(coarse_cost: Cost, cost: Cost, offsets_s: Array) -> Of
         d_avg as a function of the offset.
     offsets_s
         Candidates from `candidate_offsets`, shape (M,) [s].
+    coarsest
+        First step, in fine steps; 5 or more. Motion that turns back more often than an ordinary
+        flight has narrower valleys.
     """
-    coarsest, middle, finest = _STEPS
+    middle, finest = _STEPS
     size = len(offsets_s)
     if size == 0:
         return OffsetSearch(offsets_s, offsets_s, np.nan, False)
     d_avg_px = np.full(size, np.nan)
 
-    grid = np.append(np.arange(0, size - 1, coarsest), size - 1)
+    coarse_grid = grid = np.append(np.arange(0, size - 1, coarsest), size - 1)
     d_avg_px[grid] = coarse_cost(offsets_s[grid])
     tried = grid
     minima = _least_local_minima(d_avg_px, grid)
@@ -137,8 +155,18 @@ def coarse_to_fine_search(coarse_cost: Cost, cost: Cost, offsets_s: Array) -> Of
         best = grid[[np.nanargmin(d_avg_px[grid])]]
         reach = middle + _FIT_STEPS
         grid = _neighbourhood(best, np.arange(-reach, reach + 1, finest), size)
+        rivals = _rivals(d_avg_px, coarse_grid, best[0], coarsest)
+        for step, reach in ((middle, coarsest - middle), (finest, _CLOSE_STEPS)):
+            near = _neighbourhood(rivals, np.arange(-reach, reach + 1, step), size)
+            near = near[np.isnan(d_avg_px[near])]
+            d_avg_px[near] = coarse_cost(offsets_s[near])
+            tried = np.union1d(tried, near)
+            rivals = _least_within(d_avg_px, rivals, coarsest)
         d_avg_px[grid] = cost(offsets_s[grid])
         tried = np.union1d(tried, grid)
+        others = np.setdiff1d(_neighbourhood(rivals, np.arange(-coarsest, coarsest), size), grid)
+        others = others[d_avg_px[others] < RIVAL * np.nanmin(d_avg_px[grid], initial=np.inf)]
+        d_avg_px[others] = cost(offsets_s[others])  # lest few samples make a rival by chance
     return _minimum(offsets_s[tried], d_avg_px[tried], np.isin(tried, grid))
 
 
@@ -148,13 +176,36 @@ def _overlaps(motion1: ObjectMotion, motion2: ObjectMotion, t_d_s: Array) -> tup
     return np.maximum(start1, start2 - t_d_s), np.minimum(end1, end2 - t_d_s)
 
 
-def _least_local_minima(values: Array, indices: NDArray[np.intp]) -> NDArray[np.intp]:
+def _rivals(
+    values: Array, indices: NDArray[np.intp], best: np.intp, apart: int
+) -> NDArray[np.intp]:
+    """Find the deep local minima among the values at these ascending indices, but the best one."""
+    minima = _least_local_minima(values, indices, _MAX_RIVALS)
+    is_deep = values[minima] < _DEEP * np.nanmedian(values[indices])
+    return np.asarray(minima[is_deep & (np.abs(minima - best) > apart)])
+
+
+def _least_within(values: Array, centres: NDArray[np.intp], reach: int) -> NDArray[np.intp]:
+    """Find the index of the least known value within the reach of each centre."""
+    starts = np.maximum(centres - reach, 0)
+    return np.array(
+        [
+            start + int(np.nanargmin(values[start : centre + reach + 1]))
+            for start, centre in zip(starts, centres, strict=True)
+        ],
+        np.intp,
+    )
+
+
+def _least_local_minima(
+    values: Array, indices: NDArray[np.intp], most: int = _KEPT_MINIMA
+) -> NDArray[np.intp]:
     """Find the few least local minima among the values at these ascending indices."""
     tried = np.where(np.isnan(values[indices]), np.inf, values[indices])
     padded = np.pad(tried, 1, constant_values=np.inf)
     is_minimum = (tried <= padded[:-2]) & (tried <= padded[2:]) & np.isfinite(tried)
     minima = np.flatnonzero(is_minimum)
-    return indices[minima[np.argsort(tried[minima])[:_KEPT_MINIMA]]]
+    return indices[minima[np.argsort(tried[minima])[:most]]]
 
 
 def _neighbourhood(

@@ -1,64 +1,133 @@
-"""Events' values and even times in: values of ranks in windows, interpolation and smoothing out."""
+"""Events and a course in, their angles from it, the highest in windows, and smoothing out.
+
+Time is cut into even blocks. The highest values of a window are among the highest of its blocks, so
+that each event is looked at once, however many windows it is in.
+"""
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
 
 
-@numba.njit(cache=True)
-def interpolated_at(
-    event_times_us: NDArray[np.int64], times_s: Array, values: Array
-) -> NDArray[np.float64]:
-    """Interpolate values, known at even times, at the times of events; constant beyond the ends."""
-    out = np.empty(len(event_times_us))
-    last = len(times_s) - 1
-    per_us = 1e-6 * last / (times_s[last] - times_s[0])
-    start_us = 1e6 * times_s[0]
-    for k in range(len(event_times_us)):
-        place = min(max((event_times_us[k] - start_us) * per_us, 0.0), float(last))
-        i = min(int(place), last - 1)
-        out[k] = values[i] + (place - i) * (values[i + 1] - values[i])
+@numba.njit(cache=True, error_model="numpy")
+def angles_from_course(
+    times_us: NDArray[np.int64],
+    points_px: Array,
+    bounds: Indices,
+    edges_us: Array,
+    course: Array,
+    sine: Array,
+    cosine: Array,
+) -> Array:
+    """Tangents (n,) of the angles of n events from a course; NaN when more than 90 deg from it.
+
+    Parameters
+    ----------
+    times_us
+        Shape (n,) [us], sorted.
+    points_px
+        Shape (n, 2).
+    bounds
+        Shape (b + 1,): the events of block i are those from bounds[i] up to bounds[i + 1]. The
+        values of events in no block are not set.
+    edges_us
+        Shape (b + 1,) [us] of the blocks.
+    course
+        Shape (b + 1,) [rad] at the edges; its direction is interpolated between them.
+    sine, cosine
+        Shape (3,) each, of the pencil.
+    """
+    out = np.empty(len(times_us))
+    for i in range(len(bounds) - 1):
+        length_us = edges_us[i + 1] - edges_us[i]
+        sin_start, cos_start = np.sin(course[i]), np.cos(course[i])
+        sin_slope = (np.sin(course[i + 1]) - sin_start) / length_us
+        cos_slope = (np.cos(course[i + 1]) - cos_start) / length_us
+        for k in range(bounds[i], bounds[i + 1]):
+            x, y = points_px[k]
+            s = sine[0] * x + sine[1] * y + sine[2]
+            c = cosine[0] * x + cosine[1] * y + cosine[2]
+            age_us = times_us[k] - edges_us[i]
+            course_s = sin_start + age_us * sin_slope
+            course_c = cos_start + age_us * cos_slope
+            ahead = s * course_s + c * course_c
+            out[k] = (s * course_c - c * course_s) / ahead if ahead > 0.0 else np.nan
     return out
 
 
 @numba.njit(cache=True)
+def highest_in_blocks(
+    values: Array, bounds: Indices, side: float, depth: int
+) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+    """Highest of side * values in each of b blocks, descending: values and indices (b, depth).
+
+    Minus infinity where a block has fewer. NaN is never among them.
+    """
+    n = len(bounds) - 1
+    tops, at = np.full((n, depth), -np.inf), np.zeros((n, depth), np.intp)
+    for i in range(n):
+        for k in range(bounds[i], bounds[i + 1]):
+            if side * values[k] > tops[i, depth - 1]:
+                _insert(side * values[k], k, tops[i], at[i])
+    return tops, at
+
+
+@numba.njit(cache=True)
 def ranked_in_windows(
-    event_times_us: NDArray[np.int64],
-    values: Array,
-    middles_us: NDArray[np.int64],
-    half_us: int,
+    tops: Array,
+    at: Indices,
+    firsts: Indices,
+    length: int,
     usable: NDArray[np.bool_],
     rank: int,
     deeper_rank: int,
 ) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
-    """Values (n, 2) of two ranks from the top in each window, and the index of the first's event.
+    """Values (n, 2) of two ranks in windows of `length` blocks, and the index of the first's event.
 
     NaN and 0 where a window is not usable or has fewer events.
     """
-    n = len(middles_us)
+    n = len(firsts)
     ranked, indices = np.full((n, 2), np.nan), np.zeros(n, np.intp)
-    top, at = np.empty(deeper_rank + 1), np.empty(deeper_rank + 1, np.intp)  # descending
-    first = last = 0
+    top, top_at = np.empty(deeper_rank + 1), np.empty(deeper_rank + 1, np.intp)
     for i in range(n):
-        while first < len(values) and event_times_us[first] < middles_us[i] - half_us:
-            first += 1
-        last = max(last, first)
-        while last < len(values) and event_times_us[last] < middles_us[i] + half_us:
-            last += 1
-        if not usable[i] or last - first <= deeper_rank:
+        if not usable[i]:
             continue
         top[:] = -np.inf
-        for k in range(first, last):
-            if values[k] > top[deeper_rank]:
-                j = deeper_rank
-                while j > 0 and top[j - 1] < values[k]:
-                    top[j], at[j] = top[j - 1], at[j - 1]
-                    j -= 1
-                top[j], at[j] = values[k], k
-        ranked[i, 0], ranked[i, 1], indices[i] = top[rank], top[deeper_rank], at[rank]
+        for block in range(firsts[i], firsts[i] + length):
+            for j in range(tops.shape[1]):
+                if not tops[block, j] > top[deeper_rank]:
+                    break
+                _insert(tops[block, j], at[block, j], top, top_at)
+        if top[deeper_rank] > -np.inf:
+            ranked[i, 0], ranked[i, 1], indices[i] = top[rank], top[deeper_rank], top_at[rank]
     return ranked, indices
+
+
+@numba.njit(cache=True)
+def _insert(value: float, index: int, top: Array, at: Indices) -> None:
+    """Put a value in its place among the descending ones; the last is lost."""
+    j = len(top) - 1
+    while j > 0 and top[j - 1] < value:
+        top[j], at[j] = top[j - 1], at[j - 1]
+        j -= 1
+    top[j], at[j] = value, index
+
+
+@numba.njit(cache=True)
+def above_limit(values: Array, bounds: Indices, side: float, limits: Array) -> NDArray[np.intp]:
+    """Pick the events whose side * value is above the lower of the limits at their block's ends."""
+    found = np.empty(bounds[-1] - bounds[0], np.intp)
+    n = 0
+    for i in range(len(bounds) - 1):
+        limit = min(limits[i], limits[i + 1])
+        for k in range(bounds[i], bounds[i + 1]):
+            if side * values[k] > limit:
+                found[n] = k
+                n += 1
+    return found[:n].copy()
 
 
 @numba.njit(cache=True)

@@ -24,11 +24,14 @@ their errors.
 """
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ssac.ambiguity import settled
 from ssac.camera import Rig
+from ssac.covariance import correlated_covariance, mapped_covariance
 from ssac.epipolar import fundamental_from_pose, sampson_derivative, sampson_distance
 from ssac.estimate import ssac, ssac_known, with_fit
 from ssac.extrinsics import moved_pose, pose_jacobian
@@ -38,8 +41,20 @@ from ssac.tracks import ObjectMotion, SharpTrack
 
 Array = NDArray[np.float64]
 
-CORRELATION_TIME_S = 0.5
-"""Residuals further apart than this are taken as independent in the covariance."""
+BIAS_OFFSET, BIAS_SLOPE = 0.01, 0.04
+"""Deviations of a view's hidden bias, in sizes of the object's image: anywhere, and per unit of
+x / z and of y / z.
+
+The mean of the events lies elsewhere on the object as this is seen from elsewhere, and a change of
+pose can take such a smooth function of the image position away, so that no residual shows it. The
+two numbers are no law: they were set so that the regions of R and t hold on 126 simulated flights
+of one drone. Without them, R's normalised error there was 1.35; with them it is 1.0.
+"""
+
+KNOWN_BIAS_OFFSET = 0.03
+"""The same as BIAS_OFFSET where the pose is given and takes nothing away. In a flight at one speed
+along a line the mean of the events lay off by 0.06 for long.
+"""
 
 CAUCHY = 2.385
 """Where Cauchy's loss turns, in robust standard deviations: 95 % efficiency on Gaussian noise."""
@@ -70,6 +85,7 @@ class SharpPairs:
     p2_px: Array  # (n, 2)
     v2_px_s: Array  # (n, 2) velocity of p2
     weights: Array  # (n,) of the distances: 1 over the size of the images, with a median of 1
+    size_px: float = 0.0  # that median size, where points stray by parts of it; else 0
 
 
 @dataclass(frozen=True)
@@ -116,7 +132,8 @@ def joint_from(
     """As `joint`, given what `ssac` found with the same arguments: without a search of its own."""
     config = checked(config)
     motion1, motion2 = object_motions(cam1, cam2, rig, config)
-    return refine(replace(start, method="joint"), motion1, motion2, rig, config)
+    fit = partial(refine, motion1=motion1, motion2=motion2, rig=rig, config=config)
+    return settled(replace(start, method="joint"), fit, motion1, motion2, rig, config)
 
 
 def joint_known_from(
@@ -130,7 +147,10 @@ def joint_known_from(
     config = checked(config)
     motion1, motion2 = object_motions(cam1, cam2, rig, config)
     start = replace(start, method="joint-known")
-    return refine(start, motion1, motion2, rig, config, pose_is_known=True)
+    fit = partial(
+        refine, motion1=motion1, motion2=motion2, rig=rig, config=config, pose_is_known=True
+    )
+    return settled(start, fit, motion1, motion2, rig, config, pose_is_known=True)
 
 
 def refine(
@@ -169,8 +189,11 @@ def refine(
             break
 
     residuals = linearise(parameters, pairs, parameters.t_d_s - sampled_t_d_s, rig)
-    covariance = sandwich_covariance(residuals, free)
     F = fundamental_from_pose(rig.cam1.K, rig.cam2.K, parameters.R, parameters.t)
+    offset = KNOWN_BIAS_OFFSET if pose_is_known else BIAS_OFFSET
+    hidden_px = _hidden_errors(F, residuals, pairs.size_px, offset, rig)
+    covariance = covariance_of(residuals, free)
+    covariance = covariance + mapped_covariance(residuals.jacobian[:, free], hidden_px)
     return replace(
         with_fit(start, F, residuals.p1_px, residuals.p2_px),
         t_d_s=parameters.t_d_s,
@@ -185,12 +208,14 @@ def sharp_pairs(track1: SharpTrack, track2: SharpTrack) -> SharpPairs:
     """Pair two tracks, sampled at the same N instants, where both are valid."""
     valid = track1.valid & track2.valid
     sizes_px = np.hypot(track1.sizes_px[valid], track2.sizes_px[valid]) + 1e-12
+    size_px = float(np.median(sizes_px)) if len(sizes_px) else 0.0
     return SharpPairs(
         track1.times_s[valid],
         track1.positions_px[valid],
         track2.positions_px[valid],
         track2.velocities_px_s[valid],
-        np.median(sizes_px) / sizes_px if len(sizes_px) else sizes_px,
+        size_px / sizes_px,
+        size_px,
     )
 
 
@@ -239,38 +264,35 @@ def minimise(
     return parameters
 
 
-def sandwich_covariance(
-    residuals: Residuals, free: slice = slice(0, 6), cauchy: float = CAUCHY
-) -> Array:
-    """Covariance of the free parameters that allows for residuals correlated in time.
-
-    The M-estimator's H^-1 S H^-1, where S sums the products of the pairs' gradients g_i g_j' with
-    Newey and West's weights 1 - |t_i - t_j| / CORRELATION_TIME_S. The parameters take their degrees
-    of freedom not from n residuals but from the few stretches of that length that hold any.
-    """
-    J = residuals.jacobian[:, free]
+def covariance_of(residuals: Residuals, free: slice = slice(0, 6), cauchy: float = CAUCHY) -> Array:
+    """Covariance of the free parameters, for errors that the residuals show."""
     weights, curvatures = _weights(residuals.distances_px, cauchy)
-    inverse = np.linalg.pinv(J.T @ (curvatures[:, None] * J))
-    gradients = J * (weights * residuals.distances_px)[:, None]
-    S = _newey_west(residuals.times_s, gradients)
-    n_parameters = J.shape[1]
-    stretches = len(np.unique(np.floor(residuals.times_s / CORRELATION_TIME_S)))
-    m = max(stretches, n_parameters + 1)
-    return np.asarray(inverse @ S @ inverse * m / (m - n_parameters))
+    return correlated_covariance(
+        residuals.times_s,
+        residuals.jacobian[:, free],
+        weights * residuals.distances_px,
+        curvatures,
+    )
 
 
-def _newey_west(times_s: Array, gradients: Array) -> Array:
-    """Sum g_i g_j' (1 - |t_i - t_j| / CORRELATION_TIME_S) over all pairs nearer than that.
+def _hidden_errors(
+    F: Array, residuals: Residuals, size_px: float, offset: float, rig: Rig
+) -> Array:
+    """Give what each part of the hidden bias, one deviation of it, does to the distances: (n, 12).
 
-    The weight is the share of the windows of that length with t_i in them that t_j is in too. So
-    the sum is an integral, over the window's end, of G G', where G sums the gradients within. It
-    takes memory for n gradients, not for n^2 weights.
+    Distances are weighed by the inverse of the image's size, and the bias is a part of it: so the
+    weights drop out.
     """
-    bounds_s = np.concatenate([times_s, times_s + CORRELATION_TIME_S])
-    order = np.argsort(bounds_s, kind="stable")
-    within = np.cumsum(np.concatenate([gradients, -gradients])[order], axis=0)[:-1]
-    shares = np.diff(bounds_s[order]) / CORRELATION_TIME_S
-    return np.asarray(within.T @ (shares[:, None] * within))
+    p1, p2 = residuals.p1_px, residuals.p2_px
+    parts = []
+    for F_there, there, here, K in ((F.T, p2, p1, rig.cam1.K), (F, p1, p2, rig.cam2.K)):
+        rays = np.column_stack([here, np.ones(len(here))]) @ np.linalg.inv(K).T
+        shifts = size_px * rays * np.array([BIAS_SLOPE, BIAS_SLOPE, offset])
+        for axis in np.eye(2):
+            along = np.tile(axis, (len(here), 1))
+            by_shift = sampson_derivative(F_there, np.zeros((3, 3)), there, here, along)
+            parts.append(by_shift[:, None] * shifts)
+    return np.hstack(parts)
 
 
 def _weights(distances_px: Array, cauchy: float) -> tuple[Array, Array]:

@@ -12,25 +12,36 @@ seen in the other. So the loss turns early, and a pair counts by how sharp its o
 """
 
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ssac.ambiguity import certain, settled
 from ssac.camera import Rig
 from ssac.epipolar import fundamental_from_pose
-from ssac.estimate import ssac, ssac_known, with_fit
+from ssac.estimate import ssac, with_fit
 from ssac.fundamental import MIN_PAIRS
-from ssac.interface import Config, Estimate, Observation, checked, object_motions, prepare
+from ssac.interface import (
+    POSE_IS_OPEN,
+    Config,
+    Estimate,
+    Observation,
+    checked,
+    object_motions,
+    prepare,
+)
 from ssac.outline import OutlineConfig, OutlineEvents, Tangents, near_outline, tangents
 from ssac.pencil import pencils
 from ssac.refinement import (
     Parameters,
     SharpPairs,
-    joint_from,
-    joint_known_from,
+    covariance_of,
+    joint,
+    joint_known,
     linearise,
-    minimise,
-    sandwich_covariance,
+    moved,
+    refine,
 )
 from ssac.tracks import ObjectMotion
 
@@ -42,14 +53,17 @@ class TangencyConfig:
     """How tangents are used; `docs/tangency.md` has what other values give."""
 
     outline: OutlineConfig = field(default_factory=OutlineConfig)
-    step_s: float = 0.010  # between samples, each with two tangents, whatever `n_samples` is
+    step_s: float = 0.020  # between samples, each with two tangents, whatever `n_samples` is
     cauchy: float = 0.5  # where the loss turns, in robust standard deviations
     wider_cauchy: float = 1.2  # the same, as long as a round still moves the estimate far
-    sharp_px: float = 0.15  # error of a tangent that is not blurred at all
+    sharp_px: float = 0.05  # error of a tangent that is not blurred at all
     apart: bool = True  # each tangent is a pair; else the point midway between the two is
 
 
-_ROUNDS = 12  # of finding the tangents and refining; three are the rule
+_UNCERTAIN = ("ambiguous_offset", "degenerate_pose")
+_MAX_SIGMAS = 3.0  # of the start's offset, from where the tangents find another
+_ROUNDS = 8  # of finding the tangents and refining; four are the rule
+_STEPS = 3  # of Gauss-Newton in a round
 _LAST_SHIFT_S = 1e-5  # between rounds
 _LAST_TURN = 1e-4  # [rad] of the pose, between rounds
 _FAR = 300.0  # times those last changes: then the outline is looked for among all events again
@@ -70,7 +84,7 @@ def tangency(
         The status may be one of Algorithm 2's, or "no_convergence".
     """
     cam1, cam2 = prepare(cam1, cam2, rig, config)
-    return tangency_from(ssac(cam1, cam2, rig, config), cam1, cam2, rig, config)
+    return tangency_from(joint(cam1, cam2, rig, config), cam1, cam2, rig, config)
 
 
 def tangency_known(
@@ -78,7 +92,7 @@ def tangency_known(
 ) -> Estimate:
     """Time offset alone, with the extrinsics of the rig, starting from `joint_known`."""
     cam1, cam2 = prepare(cam1, cam2, rig, config)
-    return tangency_known_from(ssac_known(cam1, cam2, rig, config), cam1, cam2, rig, config)
+    return tangency_known_from(joint_known(cam1, cam2, rig, config), cam1, cam2, rig, config)
 
 
 def tangency_from(
@@ -88,10 +102,26 @@ def tangency_from(
     rig: Rig,
     config: Config | None = None,
 ) -> Estimate:
-    """As `tangency`, given what `ssac` found with the same arguments, without a search."""
-    start = replace(joint_from(start, cam1, cam2, rig, config), method="tangency")
-    motion1, motion2 = object_motions(cam1, cam2, rig, checked(config))
-    return refine_tangents(start, motion1, motion2, rig)
+    """As `tangency`, given what `joint` found with the same arguments."""
+    config = checked(config)
+    motion1, motion2 = object_motions(cam1, cam2, rig, config)
+    if start.status not in _UNCERTAIN:
+        start = replace(start, method="tangency")
+        return certain(refine_tangents(start, motion1, motion2, rig))
+
+    # The mean of a large or odd object's events may be too uncertain for a pose, and still be a
+    # start.
+    search = replace(ssac(cam1, cam2, rig, config), method="tangency")
+    if search.status not in ("ok", *POSE_IS_OPEN):  # then the motion leaves the offset open
+        return replace(start, method="tangency")
+
+    fit = partial(refine, motion1=motion1, motion2=motion2, rig=rig, config=config)
+    mean = settled(search, fit, motion1, motion2, rig, config, judge=lambda found: found)
+    outline = certain(refine_tangents(mean, motion1, motion2, rig))
+    strays_s = abs(outline.t_d_s - start.t_d_s)
+    if outline.status != "ok" or strays_s > _MAX_SIGMAS * start.t_d_std_s:
+        return replace(start, method="tangency")
+    return outline
 
 
 def tangency_known_from(
@@ -101,10 +131,10 @@ def tangency_known_from(
     rig: Rig,
     config: Config | None = None,
 ) -> Estimate:
-    """As `tangency_known`, given what `ssac_known` found with the same arguments."""
-    start = replace(joint_known_from(start, cam1, cam2, rig, config), method="tangency-known")
+    """As `tangency_known`, given what `joint_known` found with the same arguments."""
     motion1, motion2 = object_motions(cam1, cam2, rig, checked(config))
-    return refine_tangents(start, motion1, motion2, rig, pose_is_known=True)
+    start = replace(start, method="tangency-known")
+    return certain(refine_tangents(start, motion1, motion2, rig, pose_is_known=True))
 
 
 def refine_tangents(
@@ -135,9 +165,9 @@ def refine_tangents(
     parameters = Parameters(start.t_d_s, start.R, start.t)
     near: list[list[OutlineEvents]] = []
     is_far = True  # as the start may be
+    times_s = _sample_times(motion1, motion2, start.t_d_s, config.step_s)
     for _ in range(_ROUNDS):
         before = parameters
-        times_s = _sample_times(motion1, motion2, before.t_d_s, config.step_s)
         views = list(
             zip(
                 (motion1, motion2),
@@ -155,11 +185,13 @@ def refine_tangents(
         pairs = tangent_pairs(times_s, found[0], found[1], config)
         if len(pairs.times_s) < MIN_PAIRS:
             reason = (
-                f"only {len(pairs.times_s)} tangents are seen in both views: {MIN_PAIRS} needed"
+                f"only {len(pairs.times_s)} tangents are seen in both views, and {MIN_PAIRS} are"
+                " needed: the object is too small for an outline, take `joint`"
             )
             return replace(start, status="too_few_samples", reason=reason)
         cauchy = config.wider_cauchy if is_far else config.cauchy
-        parameters = minimise(before, pairs, before.t_d_s, rig, free, cauchy)
+        for _ in range(_STEPS):
+            parameters = _stepped(parameters, pairs, before.t_d_s, rig, free, cauchy)
         if abs(parameters.t_d_s - start.t_d_s) > _MAX_SHIFT_S:
             reason = f"tangency moved t_d from {start.t_d_s:.4f} to {parameters.t_d_s:.4f} s"
             return replace(start, status="no_convergence", reason=reason)
@@ -168,7 +200,7 @@ def refine_tangents(
         is_far = not _are_near(before, parameters, _FAR)
 
     residuals = linearise(parameters, pairs, parameters.t_d_s - before.t_d_s, rig)
-    covariance = sandwich_covariance(residuals, free, config.cauchy)
+    covariance = covariance_of(residuals, free, config.cauchy)
     F = fundamental_from_pose(rig.cam1.K, rig.cam2.K, parameters.R, parameters.t)
     return replace(
         with_fit(start, F, residuals.p1_px, residuals.p2_px),
@@ -222,6 +254,24 @@ def _sample_times(
     (start1, end1), (start2, end2) = motion1.span_s, motion2.span_s
     start, end = max(start1, start2 - t_d_s), min(end1, end2 - t_d_s)
     return np.asarray(start + step_s * np.arange(max(int((end - start) / step_s), 2)))
+
+
+def _stepped(
+    parameters: Parameters,
+    pairs: SharpPairs,
+    sampled_t_d_s: float,
+    rig: Rig,
+    free: slice,
+    cauchy: float,
+) -> Parameters:
+    """Take one Gauss-Newton step of the robust least squares on pairs sampled at one offset."""
+    residuals = linearise(parameters, pairs, parameters.t_d_s - sampled_t_d_s, rig)
+    J, distances_px = residuals.jacobian[:, free], residuals.distances_px
+    scale_px = cauchy * 1.4826 * np.median(np.abs(distances_px)) + 1e-12
+    weights = 1.0 / (1.0 + (distances_px / scale_px) ** 2)
+    step = np.zeros(6)
+    step[free] = -np.linalg.pinv(J.T @ (weights[:, None] * J)) @ (J.T @ (weights * distances_px))
+    return moved(parameters, step)
 
 
 def _are_near(one: Parameters, other: Parameters, factor: float = 1.0) -> bool:

@@ -14,7 +14,10 @@ from experiments.tables import csv_text, esim_tables, ordered_runs
 from ssac.hdf5_files import save_events_h5
 from tests.ssac.synthetic import HEIGHT, WIDTH, Scene, make_events, make_scene
 
-METHODS = ("joint", "joint-known", "ssac", "ssac-known", "albl", "zncc_e", "zncc_f", "event_rate")
+METHODS = (
+    "ssac", "ssac-known", "joint", "joint-known", "tangency", "tangency-known", "albl", "zncc_e",
+    "zncc_f", "event_rate",
+)  # fmt: skip
 RIG = f"""\
 cam0: &camera
   camera_model: pinhole

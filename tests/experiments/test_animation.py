@@ -190,5 +190,5 @@ def test_a_recording_without_an_estimate_is_refused(folder: Path, tmp_path: Path
     shutil.copytree(folder, tmp_path, dirs_exist_ok=True)
     events = load_events_h5(folder / "cam2.h5").events
     save_events_h5(tmp_path / "cam2.h5", events[: len(events) // 40], WIDTH, HEIGHT)
-    with pytest.raises(SimError, match="joint can synchronise, got"):
+    with pytest.raises(SimError, match="tangency can synchronise, got"):
         make_animation(tmp_path)

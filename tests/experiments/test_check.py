@@ -27,7 +27,7 @@ from experiments.tables import csv_text, runs_from_csv
 from ssac.errors import SsacError
 from tests.experiments.reported import made_up_runs
 
-NAMES = tuple(method.name for method in OURS if not method.experimental)
+NAMES = tuple(method.name for method in OURS)
 PROVENANCE = {"command": "ssac tables", "commit": "0123456789ab", "wall_time_s": 1.0}
 
 app = typer.Typer()

@@ -91,7 +91,7 @@ def test_without_frames_a_method_that_needs_them_is_skipped(data):
 
 def test_the_best_method_is_the_default():
     assert choose_method().name == DEFAULT
-    assert choose_method(known_extrinsics=True).name == "joint-known"
+    assert choose_method(known_extrinsics=True).name == "tangency-known"
     assert choose_method("ssac", known_extrinsics=True).name == "ssac-known"
     assert choose_method("ssac-known").name == "ssac-known"
 

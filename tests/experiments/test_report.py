@@ -254,7 +254,7 @@ def test_the_headline_is_computed(results: Results, animation: Animation) -> Non
     assert ssac[0] == f"{number(mean_ms)} ms"
     good = results.comparison["verdict"].isin(["agrees", "better"]).sum()
     assert verdicts[0] == f"{good} of 150"
-    assert counts[0] == f"{len(runs)}"
+    assert counts[0] == f"{len(runs):,}".replace(",", "&thinsp;")
     # One run in five is too few for a method to be called the best.
     runs.loc[joint & (runs["seed"] > 0), "status"] = "search_bound"
     assert "<code>joint</code>" not in headline(runs)[0][1]

@@ -9,18 +9,17 @@ from scipy.spatial.transform import Rotation
 from ssac.camera import Camera, Rig
 from ssac.epipolar import sampson_distance
 from ssac.errors import SsacError
-from ssac.estimate import ssac
 from ssac.events import EVENT_DTYPE
 from ssac.interface import Config, Estimate, Observation, object_motions
 from ssac.outline import OutlineConfig, near_outline, tangents
-from ssac.pencil import pencils
-from ssac.refinement import (
-    CORRELATION_TIME_S,
-    Residuals,
-    joint,
-    joint_known,
-    sandwich_covariance,
+from ssac.outline_kernels import (
+    above_limit,
+    angles_from_course,
+    highest_in_blocks,
+    ranked_in_windows,
 )
+from ssac.pencil import pencils
+from ssac.refinement import joint, joint_known
 from ssac.tangency import (
     TangencyConfig,
     refine_tangents,
@@ -96,10 +95,17 @@ def errors(estimate, scene):
     )
 
 
+def off_the_truth(scene):
+    """An estimate 2 ms, 1.5 deg and 1.3 deg off."""
+    turn = Rotation.from_rotvec([0.01, -0.02, 0.015]).as_matrix()
+    t = unit(unit(scene.t) + np.array([0.0, 0.02, 0.01]))
+    return Estimate("tangency", t_d_s=T_D_S + 0.002, R=turn @ scene.R, t=t)
+
+
 def found_tangents(scene, streams, rig):
     """Both views' tangents with the true pose and offset, at times in camera 1's clock."""
     motions = object_motions(*observations(*streams), rig, CLEAN)
-    times_s = np.arange(0.1, scene.duration_s - 0.1, 0.01)
+    times_s = np.arange(0.1, scene.duration_s - 0.1, TangencyConfig().step_s)
     pair = pencils(scene.R, unit(scene.t), rig.cam1.K, rig.cam2.K)
     views = []
     for motion, pencil, clock_s in zip(motions, pair, (times_s, times_s + T_D_S), strict=True):
@@ -124,6 +130,62 @@ def test_a_plane_has_the_same_angle_in_both_views():
         numeric = (first.angles(pixels + step) - first.angles(pixels - step)) / (2 * h)
         # Central differences of angles of order 1: 1e-16 / 1e-4.
         np.testing.assert_allclose(first.gradients(pixels)[:, axis], numeric, atol=1e-10)
+
+
+def in_blocks(rng, n_events, n_blocks):
+    """Sorted times [us] of events, the blocks' edges [us], and the first event from each on."""
+    times_us = np.sort(rng.integers(0, 1_000_000, n_events))
+    edges_us = np.linspace(100_000.0, 900_000.0, n_blocks + 1)
+    return times_us, edges_us, np.searchsorted(times_us, edges_us)
+
+
+def test_angles_from_a_course_are_differences_of_angles():
+    rng = np.random.default_rng(0)
+    scene = make_scene(0, angle_deg=60.0)
+    pencil, _ = pencils(scene.R, unit(scene.t), K, K)
+    times_us, edges_us, bounds = in_blocks(rng, 3000, 40)
+    points = rng.uniform([0.0, 0.0], [WIDTH, HEIGHT], (3000, 2))
+    course = pencil.angles(np.array([[WIDTH / 2, HEIGHT / 2]])) + 1e-6 * edges_us  # 1 rad/s
+    tangents_of = angles_from_course(
+        times_us, points, bounds, edges_us, course, pencil.sine, pencil.cosine
+    )
+    kept = slice(bounds[0], bounds[-1])
+    differences = pencil.angles(points) - np.interp(times_us, edges_us, course)
+    differences = (differences + np.pi) % (2 * np.pi) - np.pi
+    beyond = np.abs(differences) > np.pi / 2
+    np.testing.assert_array_equal(np.isnan(tangents_of[kept]), beyond[kept])
+    # A chord in place of an arc of 0.02 rad: 0.02^3 / 36 sqrt(3).
+    near = kept.start + np.flatnonzero(~beyond[kept])
+    np.testing.assert_allclose(np.arctan(tangents_of[near]), differences[near], rtol=0, atol=1.3e-7)
+
+
+def test_ranks_are_those_of_all_events_of_a_window():
+    rng = np.random.default_rng(1)
+    _, _, bounds = in_blocks(rng, 2000, 50)
+    values = rng.normal(size=2000)
+    values[rng.choice(2000, 50)] = np.nan
+    firsts = np.arange(0, 46, 3)
+    usable = rng.random(len(firsts)) < 0.8
+    for side in (1.0, -1.0):
+        tops = highest_in_blocks(values, bounds, side, 9)
+        ranked, indices = ranked_in_windows(*tops, firsts, 4, usable, 2, 8)
+        for i, first in enumerate(firsts):
+            window = values[bounds[first] : bounds[first + 4]]
+            descending = np.sort(side * window[np.isfinite(window)])[::-1]
+            expected = [descending[2], descending[8]] if usable[i] else [np.nan, np.nan]
+            np.testing.assert_array_equal(ranked[i], expected)
+            if usable[i]:
+                assert side * values[indices[i]] == descending[2]
+    few, _ = ranked_in_windows(*tops, firsts, 4, usable | True, 2, 8)
+    assert np.isfinite(few).all()
+    too_few = highest_in_blocks(values[:20], np.array([0, 2, 4]), 1.0, 9)
+    assert np.isnan(ranked_in_windows(*too_few, np.array([0]), 2, usable[:1] | True, 2, 8)[0]).all()
+    limits = rng.normal(size=51)
+    chosen = above_limit(values, bounds, 1.0, limits)
+    block = np.searchsorted(bounds, np.arange(2000), side="right") - 1
+    inside = (block >= 0) & (block < 50)
+    lower = np.minimum(limits[:-1], limits[1:])[np.clip(block, 0, 49)]
+    np.testing.assert_array_equal(chosen, np.flatnonzero(inside & (values > lower)))
 
 
 @pytest.mark.parametrize("scale", [1, 8])
@@ -184,17 +246,21 @@ def test_offset_and_pose_are_recovered():
 
 @pytest.mark.parametrize("size_m", [0.2, 1.6])
 def test_a_lopsided_object_biases_positions_and_not_tangents(size_m):
-    found = []
-    for seed in range(3):
+    means, outline = [], []
+    for seed in range(2):
         scene = make_scene(seed, duration_s=8.0)
         cameras = observations(*box_events(scene, seed, size_m, lopsided=3.0))
-        means, outline = (f(*cameras, scene.unknown_rig, CLEAN) for f in (joint, tangency))
-        found.append((errors(means, scene), errors(outline, scene)))
-    means, outline = np.mean(found, axis=0)
-    # A few pixels from 8 s of events: twice the table's marks, which are for means of 10 flights.
-    assert np.all(outline < [0.2, 0.4, 0.2])
+        # Whether means so biased are a start at all is for `joint` to say.
+        motions = object_motions(*cameras, scene.rig, CLEAN)
+        estimate = refine_tangents(off_the_truth(scene), *motions, scene.rig)
+        assert estimate.status == "ok"
+        outline.append(errors(estimate, scene))
+        known = joint_known(*cameras, scene.rig, CLEAN)
+        means.append(1e3 * abs(known.t_d_s - T_D_S))
+    # A few pixels from 8 s of events, and eight corners alone: three times the tables' marks.
+    assert np.all(np.mean(outline, axis=0) < [0.3, 0.6, 0.3])
     if size_m > 1.0:
-        assert np.all(means > 3.0 * outline)
+        assert np.mean(means) > 3.0 * np.mean(outline, axis=0)[0]
 
 
 def test_noise_does_not_set_the_extremes():
@@ -223,10 +289,11 @@ def test_swapping_the_cameras_negates_the_offset():
     cameras = observations(*box_events(scene, 0))
     there = tangency(*cameras, scene.unknown_rig, CLEAN)
     back = tangency(*cameras[::-1], scene.unknown_rig, CLEAN)
-    # Other windows of the same events: where the rounds stop.
-    assert back.t_d_s == pytest.approx(-there.t_d_s, abs=0.03e-3)
-    assert rotation_angle_deg(back.R, there.R.T) < 0.03
-    assert angle_deg(back.t, -there.R.T @ there.t) < 0.03
+    # Other windows of the same events, and where the rounds stop: not a deviation.
+    assert back.t_d_s == pytest.approx(-there.t_d_s, abs=there.t_d_std_s)
+    sigmas_deg = np.degrees(np.sqrt(np.diag(there.covariance)))
+    assert rotation_angle_deg(back.R, there.R.T) < np.linalg.norm(sigmas_deg[1:4])
+    assert angle_deg(back.t, -there.R.T @ there.t) < np.linalg.norm(sigmas_deg[4:])
 
 
 def test_the_start_does_not_matter():
@@ -234,10 +301,9 @@ def test_the_start_does_not_matter():
     cameras = observations(*box_events(scene, 0))
     motions = object_motions(*cameras, scene.rig, CLEAN)
     truth = Estimate("tangency", t_d_s=T_D_S, R=scene.R, t=unit(scene.t))
-    turn = Rotation.from_rotvec([0.01, -0.02, 0.015]).as_matrix()
-    t = unit(truth.t + np.array([0.0, 0.02, 0.01]))
-    off = replace(truth, t_d_s=T_D_S + 0.002, R=turn @ scene.R, t=t)
-    one, other = (refine_tangents(start, *motions, scene.rig) for start in (truth, off))
+    one, other = (
+        refine_tangents(start, *motions, scene.rig) for start in (truth, off_the_truth(scene))
+    )
     assert one.t_d_s == pytest.approx(other.t_d_s, abs=0.03e-3)  # where the rounds stop
     assert rotation_angle_deg(one.R, other.R) < 0.03
     assert angle_deg(one.t, other.t) < 0.03
@@ -259,7 +325,7 @@ def test_a_known_pose_stays_and_the_offset_gets_a_deviation():
 def test_a_start_that_is_there_need_not_be_searched_for():
     scene = make_scene(0, duration_s=6.0)
     cameras = observations(*box_events(scene, 0))
-    start = ssac(*cameras, scene.unknown_rig, CLEAN)
+    start = joint(*cameras, scene.unknown_rig, CLEAN)
     given = tangency_from(start, *cameras, scene.unknown_rig, CLEAN)
     assert given.t_d_s == tangency(*cameras, scene.unknown_rig, CLEAN).t_d_s
 
@@ -281,27 +347,3 @@ def test_no_tangents_and_a_lost_minimum_are_refused():
     far = refine_tangents(replace(truth, t_d_s=T_D_S + 0.12), *motions, scene.rig, True)
     assert far.status == "no_convergence"
     assert far.t_d_s == T_D_S + 0.12
-
-
-def test_the_sandwich_is_the_sum_over_all_pairs():
-    rng = np.random.default_rng(0)
-    n = 300
-    times_s = np.concatenate([np.linspace(0.0, 9.0, 200), np.linspace(0.0, 9.0, 100)])
-    residuals = Residuals(
-        times_s, np.zeros((n, 2)), np.zeros((n, 2)), rng.normal(size=n), rng.normal(size=(n, 6))
-    )
-    squares = (
-        residuals.distances_px / (0.5 * 1.4826 * np.median(abs(residuals.distances_px)))
-    ) ** 2
-    curvatures = (1.0 - squares) / (1.0 + squares) ** 2
-    J = residuals.jacobian
-    bread = np.linalg.inv(J.T @ (curvatures[:, None] * J))
-    gradients = J * (residuals.distances_px / (1.0 + squares))[:, None]
-    lags_s = np.abs(times_s[:, None] - times_s)
-    meat = gradients.T @ np.maximum(1.0 - lags_s / CORRELATION_TIME_S, 0.0) @ gradients
-    m = 19  # stretches of 0.5 s, the last of which holds the end alone
-    expected = bread @ meat @ bread * m / (m - 6)
-    # Rounding, and the pinch of 1e-12 that keeps the scale from being zero.
-    np.testing.assert_allclose(
-        sandwich_covariance(residuals, cauchy=0.5), expected, atol=1e-9 * np.abs(expected).max()
-    )
