@@ -24,7 +24,7 @@ from ssac.bound import Bound
 from ssac.errors import SsacError
 from tests.experiments.reported import RIG, made_up_runs, record_flight
 
-METHODS = ("joint", "joint-known", "ssac", "ssac-known", "tangency", "tangency-known", "zncc_e")
+METHODS = ("ssac", "ssac-known", "joint", "joint-known", "tangency", "tangency-known", "zncc_e")
 BOUNDED = METHODS[:-1]
 T_DS_MS = (5.0, 50.0, 500.0)
 
@@ -106,7 +106,7 @@ def test_methods_without_runs_are_named(tmp_path: Path, capsys: pytest.CaptureFi
     path.write_text(csv_text(made_up_runs(METHODS[2:], 1)))
     kept = bounded_runs(path)
     assert set(kept["method"]) == set(BOUNDED[2:])
-    assert "has no runs of joint, joint-known: left out" in capsys.readouterr().err
+    assert "has no runs of ssac, ssac-known: left out" in capsys.readouterr().err
     path.write_text(csv_text(made_up_runs(("zncc_e",), 1)))
     with pytest.raises(SsacError, match=r"runs.csv: expected runs of ssac, .*got none"):
         bounded_runs(path)
