@@ -13,8 +13,8 @@ export PYTHONNOUSERSITE := 1
 RUN := .venv/bin/python -m
 
 .DELETE_ON_ERROR:
-.PHONY: help setup demo tables ablations figures report verify test lint types bench scene \
-	fidelity clean-cache clean moved
+.PHONY: help setup demo tables ablations studies figures report verify test lint types bench \
+	scene fidelity clean-cache clean moved
 .DEFAULT_GOAL := help
 
 help: ## this list
@@ -31,6 +31,12 @@ tables: .venv/.ready ## the paper's simulation tables (8 minutes from nothing) -
 
 ablations: .venv/.ready ## one parameter varied at a time (45 minutes) -> results/ablation_*.csv, *.png
 	@.venv/bin/ssac ablate
+
+studies: .venv/.ready ## is the uncertainty honest, is the unknown refused, how near the bound (45 minutes)
+	@.venv/bin/ssac efficiency
+	@.venv/bin/ssac coverage
+	@.venv/bin/ssac refusal
+	@.venv/bin/ssac tangency-study
 
 figures: .venv/.ready ## the paper's figures, and errors against the angle -> results/*.png
 	@.venv/bin/ssac figures

@@ -25,6 +25,7 @@ from ssac.hdf5_files import FIELDS
 from ssac.interface import Config, Observation, object_motions, usable_events
 from ssac.io import load_events, save_events_h5, save_events_text
 from ssac.refinement import joint, refine
+from ssac.tangency import tangency
 
 Result = TypeVar("Result")
 
@@ -40,8 +41,8 @@ WIDTH, HEIGHT = 1280, 720
 
 
 def bench_sync() -> list[Measurement]:
-    """Measure all: see `bench_estimate` and `bench_reading`."""
-    return bench_estimate() + bench_reading()
+    """Measure all: see `bench_estimate`, `bench_tangency` and `bench_reading`."""
+    return bench_estimate() + bench_tangency() + bench_reading()
 
 
 def bench_estimate() -> list[Measurement]:
@@ -64,6 +65,19 @@ def bench_estimate() -> list[Measurement]:
         *(Measurement(f"sync: {part}", value, "s") for part, value in seconds.items()),
         Measurement("sync: all, unknown extrinsics, refined", in_all, "s", 0.3),
         Measurement("sync: all, per million events", in_all / n_events * 1e6, "s"),
+    ]
+
+
+def bench_tangency() -> list[Measurement]:
+    """Processor time of `tangency` on 20 s of the default scene: all but reading."""
+    recording = simulate(SimConfig(t_d_s=0.05, frames=FrameConfig(rate_hz=0.0)), 0)
+    cam1, cam2 = observations(recording)
+    rig = rig_of(recording)
+    in_all, _ = _best(lambda: tangency(cam1, cam2, rig))
+    n_events = (len(cam1.events) + len(cam2.events)) / 2
+    return [
+        Measurement("tangency: events per camera", n_events, "events"),
+        Measurement("tangency: all, unknown extrinsics", in_all, "s", 1.0),
     ]
 
 

@@ -34,6 +34,7 @@ from ssac.observability import (
     at_rest,
     coarsest_step,
     no_match,
+    returns_s,
     swings,
     too_little_motion,
     valleys,
@@ -120,7 +121,14 @@ def algorithm_1(motion1: ObjectMotion, motion2: ObjectMotion, rig: Rig, config: 
         return mean_epipolar_distance(F, pairs, MIN_PAIRS)
 
     candidates_s = candidate_offsets(motion1, motion2, config.interval_s)
-    search = _search(d_avg_px, d_avg_px, candidates_s, config, coarsest_step(views))  # lines 1, 10
+    search = _search(  # lines 1 and 10
+        d_avg_px,
+        d_avg_px,
+        candidates_s,
+        config,
+        coarsest_step(views),
+        returns_s(motion1, views[0], float(np.ptp(config.interval_s))),
+    )
     estimate = offset_estimate("ssac-known", search, config)
     if estimate.status != "ok":
         return estimate
@@ -154,6 +162,7 @@ def algorithm_2(motion1: ObjectMotion, motion2: ObjectMotion, rig: Rig, config: 
         candidates_s,
         config,
         coarsest_step(views),
+        returns_s(motion1, views[0], float(np.ptp(config.interval_s))),
     )
     estimate = offset_estimate("ssac", search, config)
     if estimate.status != "ok":
@@ -231,11 +240,16 @@ def with_pose(estimate: Estimate, F: Array, rig: Rig, p1_px: Array, p2_px: Array
 
 
 def _search(
-    coarse_cost: Cost, cost: Cost, candidates_s: Array, config: Config, coarsest: int
+    coarse_cost: Cost,
+    cost: Cost,
+    candidates_s: Array,
+    config: Config,
+    coarsest: int,
+    lags_s: Array,
 ) -> OffsetSearch:
     if config.exhaustive:
         return exhaustive_search(cost, candidates_s)
-    return coarse_to_fine_search(coarse_cost, cost, candidates_s, coarsest)
+    return coarse_to_fine_search(coarse_cost, cost, candidates_s, coarsest, lags_s)
 
 
 def _d_avg_of_fit(fit: Fit, p1_px: Array, p2_px: Array) -> float:

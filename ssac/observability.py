@@ -30,6 +30,9 @@ MAX_SLENDERNESS = 1.0 / 8.0
 MAX_RESIDUAL = 0.4
 """Largest mean epipolar distance over the rms size: else both views show different things."""
 
+MAX_RETURN = 0.2
+"""Mean distance of a path from itself a lag later, over its extent, of one that repeats itself."""
+
 MAX_VALLEY_S = 0.3
 """Such offsets in one piece say nothing of where in it the offset lies when they span more."""
 
@@ -38,6 +41,8 @@ ORDINARY_SWING_HZ = 2.0
 
 _LEAST_STEP = 5  # in fine steps
 _ONE_VALLEY_S = 0.05  # offsets nearer than that belong together, whatever lies between
+_RETURN_STEP_S = 0.002  # of the lags tried
+_RETURN_SAMPLES = 60  # times at which each is tried
 _VIEW_SAMPLES = 200  # of a track
 _SPEED_SAMPLES = 100  # of a path's speed
 _SIZE_SAMPLES = 16  # of the image's size, which takes a pass over the events
@@ -165,6 +170,37 @@ def coarsest_step(views: tuple[View | None, View | None]) -> int:
     """First step of the search, in fine steps: shorter for motion that turns back more often."""
     swing_hz = max((view.swing_hz for view in views if view is not None), default=0.0)
     return int(np.clip(COARSEST * ORDINARY_SWING_HZ / max(swing_hz, 1e-12), _LEAST_STEP, COARSEST))
+
+
+def returns_s(motion: ObjectMotion, view: View | None, longest_s: float) -> Array:
+    """Lags (k,) up to `longest_s` [s] after which a path that repeats itself is back on itself.
+
+    What fits at one offset then fits a lag further as well, in a valley that may be too narrow for
+    the search's first steps.
+    """
+    start_s, end_s = motion.span_s
+    n = int((end_s - start_s) / _RETURN_STEP_S) if end_s > start_s else 0
+    if view is None or n < 4:
+        return np.empty(0)
+    track = motion.at(start_s + _RETURN_STEP_S * np.arange(n, dtype=np.float64))
+    path_px = np.where(track.valid[:, None], track.positions_px, np.nan)
+    lags = np.arange(1, min(n // 2, int(longest_s / _RETURN_STEP_S) + 2))
+    here = np.linspace(0, n - 1 - lags[-1], _RETURN_SAMPLES).astype(np.intp)
+    there_px = path_px[here[:, None] + lags]
+    distances_px = np.linalg.norm(there_px - path_px[here][:, None], axis=2)
+    known = np.isfinite(distances_px)
+    distances_px = np.minimum(np.where(known, distances_px, 0.0), 2.0 * view.extent_px)
+    counts = np.count_nonzero(known, axis=0)
+    means_px = np.where(
+        counts >= _RETURN_SAMPLES // 2,
+        np.sum(distances_px, axis=0) / np.maximum(counts, 1),
+        np.inf,
+    )
+    left = np.cumsum(means_px > 0.5 * view.extent_px) > 0
+    padded = np.pad(means_px, 1, constant_values=np.inf)
+    is_least = (means_px <= padded[:-2]) & (means_px < padded[2:])
+    is_back = left & is_least & (means_px < MAX_RETURN * view.extent_px)
+    return np.asarray(_RETURN_STEP_S * lags[is_back])
 
 
 def too_little_motion(n_swings: float) -> Refusal | None:

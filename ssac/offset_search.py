@@ -117,7 +117,11 @@ def exhaustive_search(cost: Cost, offsets_s: Array) -> OffsetSearch:
 
 
 def coarse_to_fine_search(
-    coarse_cost: Cost, cost: Cost, offsets_s: Array, coarsest: int = COARSEST
+    coarse_cost: Cost,
+    cost: Cost,
+    offsets_s: Array,
+    coarsest: int = COARSEST,
+    returns_s: Array | None = None,
 ) -> OffsetSearch:
     """Find what `exhaustive_search` finds from about a tenth of its candidates.
 
@@ -137,6 +141,8 @@ def coarse_to_fine_search(
     coarsest
         First step, in fine steps; 5 or more. Motion that turns back more often than an ordinary
         flight has narrower valleys.
+    returns_s
+        Lags (k,) [s] after which the motion repeats itself: there are rivals so far from the best.
     """
     middle, finest = _STEPS
     size = len(offsets_s)
@@ -156,6 +162,9 @@ def coarse_to_fine_search(
         reach = middle + _FIT_STEPS
         grid = _neighbourhood(best, np.arange(-reach, reach + 1, finest), size)
         rivals = _rivals(d_avg_px, coarse_grid, best[0], coarsest)
+        if returns_s is not None and len(returns_s) > 0:
+            repeats = np.rint(np.concatenate([-returns_s, returns_s]) / FINE_STEP_S).astype(np.intp)
+            rivals = np.union1d(rivals, _neighbourhood(best, repeats, size))
         for step, reach in ((middle, coarsest - middle), (finest, _CLOSE_STEPS)):
             near = _neighbourhood(rivals, np.arange(-reach, reach + 1, step), size)
             near = near[np.isnan(d_avg_px[near])]

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from ssac.ambiguity import certain, settled
 from ssac.camera import Rig
+from ssac.covariance import mapped_covariance
 from ssac.epipolar import fundamental_from_pose
 from ssac.estimate import ssac, with_fit
 from ssac.fundamental import MIN_PAIRS
@@ -46,6 +47,11 @@ from ssac.refinement import (
 from ssac.tracks import ObjectMotion
 
 Array = NDArray[np.float64]
+
+
+HIDDEN_PX = 0.2
+"""Deviation of what the outlines are off by all along; where the pose is given and the motion slow
+or short, no residual shows it."""
 
 
 @dataclass(frozen=True)
@@ -201,6 +207,10 @@ def refine_tangents(
 
     residuals = linearise(parameters, pairs, parameters.t_d_s - before.t_d_s, rig)
     covariance = covariance_of(residuals, free, config.cauchy)
+    if pose_is_known:  # a free pose takes it away
+        covariance = covariance + mapped_covariance(
+            residuals.jacobian[:, free], _hidden_errors(pairs)
+        )
     F = fundamental_from_pose(rig.cam1.K, rig.cam2.K, parameters.R, parameters.t)
     return replace(
         with_fit(start, F, residuals.p1_px, residuals.p2_px),
@@ -236,6 +246,14 @@ def tangent_pairs(
         np.concatenate([two.velocities_px_s[k] for (_, two), k in zip(sides, both, strict=True)]),
         np.median(errors_px) / errors_px if len(errors_px) else errors_px,
     )
+
+
+def _hidden_errors(pairs: SharpPairs) -> Array:
+    """Give the changes (n, 2) of the residuals by such an error of the upper and lower tangents."""
+    starts = np.concatenate([[0], np.flatnonzero(np.diff(pairs.times_s) < 0.0) + 1])
+    side = np.searchsorted(starts, np.arange(len(pairs.times_s)), side="right") - 1
+    of_side = (side[:, None] == np.arange(len(starts))).astype(np.float64)
+    return np.asarray(HIDDEN_PX * pairs.weights[:, None] * of_side)
 
 
 def _midway(upper: Tangents, lower: Tangents) -> Tangents:

@@ -38,11 +38,11 @@ def make_tables(folder, monkeypatch, result):
 def test_every_table_is_written_with_its_provenance(tmp_path, monkeypatch):
     result, asked = make_tables(tmp_path, monkeypatch, outcome())
     assert result.exit_code == 0, result.output
-    assert len(asked) == 2400  # 8 methods in 300 runs each
+    assert len(asked) == 3000  # 10 methods in 300 runs each
     tables = ("runs", "comparison", "esim_10", "esim_20")
     names = {f"{name}{suffix}" for name in tables for suffix in (".csv", ".provenance.json")}
     assert {path.name for path in tmp_path.iterdir()} == names | {"README.md"}
-    assert len(pd.read_csv(tmp_path / "runs.csv")) == 2400
+    assert len(pd.read_csv(tmp_path / "runs.csv")) == 3000
     table = pd.read_csv(tmp_path / "esim_20.csv")
     assert list(table["angle_deg"]) == [angle for angle in (30, 60, 90, 120, 150) for _ in range(3)]
     assert list(table["t_d_ms"]) == [5, 50, 500] * 5

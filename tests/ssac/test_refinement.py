@@ -214,7 +214,7 @@ def test_a_known_pose_stays_and_the_offset_gets_a_deviation():
     assert estimate.method == "joint-known"
     assert np.array_equal(estimate.R, scene.R)
     assert estimate.t_d_s == pytest.approx(-0.3, abs=5 * estimate.t_d_std_s)
-    assert 0.5e-4 < estimate.t_d_std_s < 5e-4
+    assert 0.5e-4 < estimate.t_d_std_s < 2e-3  # with 0.06 sizes of 14 px for all of the flight
     assert estimate.covariance is None
 
 

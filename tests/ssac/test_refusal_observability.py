@@ -15,6 +15,7 @@ from ssac.observability import (
     ambiguous_offset,
     at_rest,
     no_match,
+    returns_s,
     swings,
     too_little_motion,
     valleys,
@@ -123,6 +124,19 @@ def test_the_search_finds_rivals_between_its_coarse_steps(rival_s):
     found = valleys(search.candidates_s, search.d_avg_px, search.t_d_s)
     assert len(found) == 2
     assert found[1].least_s == pytest.approx(rival_s, abs=1.5e-3)
+
+
+def test_a_path_that_repeats_itself_returns_after_whole_periods():
+    def path(times_s):  # 0.8 s, with the second harmonic of a path that turns back
+        return 130 + 40 * np.sin(2 * np.pi * times_s / 0.8) + 30 * np.cos(5 * np.pi * times_s)
+
+    motion = motion_along(path, wave(1.25, 0.4))
+    lags_s = returns_s(motion, view_of(motion), 2.0)
+    # Of even steps of 2 ms, and of windows that hold other events.
+    np.testing.assert_allclose(lags_s, [0.8, 1.6], atol=0.004)
+    assert len(returns_s(motion, view_of(motion), 0.5)) == 0
+    ordinary = motion_along(wave(0.31), wave(0.19, 1.0))  # 100 s until both are back
+    assert len(returns_s(ordinary, view_of(ordinary), 2.0)) == 0
 
 
 def test_a_planar_path_leaves_the_fundamental_matrix_open():
