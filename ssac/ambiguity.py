@@ -78,6 +78,7 @@ def settled(
     config: Config,
     pose_is_known: bool = False,
     judge: Callable[[Estimate], Estimate] | None = None,
+    measure: Callable[[Estimate], float] | None = None,
 ) -> Estimate:
     """Refine an estimate, from all starts that are in question, and refuse what stays open.
 
@@ -93,6 +94,9 @@ def settled(
         Only offsets are in question.
     judge
         What becomes of the one that is left; `certain` when None.
+    measure
+        How far off an estimate is [px], where that is not told by the object's positions; then it
+        also settles what the search of `start` left ambiguous.
     """
     judge = judge or certain
     if start.status == "ok":
@@ -102,7 +106,7 @@ def settled(
         starts = [] if pose_is_known else _other_side(refined, motion1, motion2, rig, config)
         if not starts:
             return judge(refined)
-        solutions = [_solution(refined, motion1, motion2, config)]
+        solutions = [_solution(refined, motion1, motion2, config, measure)]
     elif start.status == "ambiguous_offset" or _is_open(start):
         starts = _starts(start, motion1, motion2, rig, config, pose_is_known)
         solutions = []
@@ -111,11 +115,12 @@ def settled(
     for one in starts:
         refined = refine(one)
         if refined.status == "ok" and _in_front(refined, motion1, motion2, rig, config):
-            solutions.append(_solution(refined, motion1, motion2, config))
+            solutions.append(_solution(refined, motion1, motion2, config, measure))
         if len(_offsets(_rivals(_given_ones(solutions)))) >= _ENOUGH:
             break
     settled_on = _chosen(start, _given_ones(solutions), judge)
-    if start.status == "ambiguous_offset" and settled_on.has_offset and not pose_is_known:
+    is_searched = start.status == "ambiguous_offset" and measure is None
+    if is_searched and settled_on.has_offset and not pose_is_known:
         return _confirmed(settled_on, start, motion1, motion2, config)
     return settled_on
 
@@ -327,7 +332,11 @@ def _in_front(
 
 
 def _solution(
-    estimate: Estimate, motion1: ObjectMotion, motion2: ObjectMotion, config: Config
+    estimate: Estimate,
+    motion1: ObjectMotion,
+    motion2: ObjectMotion,
+    config: Config,
+    measure: Callable[[Estimate], float] | None = None,
 ) -> _Solution | None:
     """Measure how well an estimate fits."""
     pairs = sample_pairs(motion1, motion2, np.array([estimate.t_d_s]), config.n_samples)
@@ -341,7 +350,8 @@ def _solution(
     )
     trimmed = np.sort(distances)[: max(1, int(_TRIMMED * len(distances)))]
     object_px = float(np.median(np.hypot(track1.sizes_px[good], track2.sizes_px[good])))
-    return _Solution(estimate, float(np.mean(trimmed)), object_px)
+    distance_px = float(np.mean(trimmed)) if measure is None else measure(estimate)
+    return _Solution(estimate, distance_px, object_px)
 
 
 def _given_ones(solutions: list[_Solution | None]) -> list[_Solution]:

@@ -184,7 +184,7 @@ def returns_s(motion: ObjectMotion, view: View | None, longest_s: float) -> Arra
         return np.empty(0)
     track = motion.at(start_s + _RETURN_STEP_S * np.arange(n, dtype=np.float64))
     path_px = np.where(track.valid[:, None], track.positions_px, np.nan)
-    lags = np.arange(1, min(n // 2, int(longest_s / _RETURN_STEP_S) + 2))
+    lags = np.arange(1, int(min(n // 2, longest_s / _RETURN_STEP_S + 2)))
     here = np.linspace(0, n - 1 - lags[-1], _RETURN_SAMPLES).astype(np.intp)
     there_px = path_px[here[:, None] + lags]
     distances_px = np.linalg.norm(there_px - path_px[here][:, None], axis=2)

@@ -32,6 +32,7 @@ from ssac.interface import (
     object_motions,
     prepare,
 )
+from ssac.observability import returns_s, view_of
 from ssac.outline import OutlineConfig, OutlineEvents, Tangents, near_outline, tangents
 from ssac.pencil import pencils
 from ssac.refinement import (
@@ -118,10 +119,20 @@ def tangency_from(
     # The mean of a large or odd object's events may be too uncertain for a pose, and still be a
     # start.
     search = replace(ssac(cam1, cam2, rig, config), method="tangency")
-    if search.status not in ("ok", *POSE_IS_OPEN):  # then the motion leaves the offset open
-        return replace(start, method="tangency")
-
     fit = partial(refine, motion1=motion1, motion2=motion2, rig=rig, config=config)
+    if search.status not in ("ok", *POSE_IS_OPEN):
+        repeats = len(returns_s(motion1, view_of(motion1), np.inf)) > 0
+        if repeats or len(search.alternatives_s) == 0:  # the motion leaves the offset open
+            return replace(start, method="tangency")
+
+        def fit_outline(estimate: Estimate) -> Estimate:
+            return refine_tangents(fit(estimate), motion1, motion2, rig)
+
+        told = settled(
+            search, fit_outline, motion1, motion2, rig, config, measure=lambda found: found.d_avg_px
+        )
+        return told if told.status == "ok" else replace(start, method="tangency")
+
     mean = settled(search, fit, motion1, motion2, rig, config, judge=lambda found: found)
     outline = certain(refine_tangents(mean, motion1, motion2, rig))
     strays_s = abs(outline.t_d_s - start.t_d_s)
