@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ssac.offset_search import COARSEST, RIVAL, Pairs
+from ssac.offset_search import COARSEST, RIVAL, Pairs, sample_pairs
 from ssac.tracks import ObjectMotion
 
 Array = NDArray[np.float64]
@@ -156,6 +156,17 @@ def swings(motion1: ObjectMotion, motion2: ObjectMotion, pairs: Pairs, m: int = 
     ):
         counts.append(duration_s * _swing_hz(positions, motion.velocities_at(clock_s[some])))
     return min(counts)
+
+
+def lasting_share(
+    motion1: ObjectMotion, motion2: ObjectMotion, t_d_s: float, n_samples: int
+) -> float:
+    """Share, up to 1, of an object's bias that stays all along: attitudes change as it turns back.
+
+    All of it in motion too little for an unknown pose, and a tenth or so in an ordinary flight.
+    """
+    pairs = sample_pairs(motion1, motion2, np.array([t_d_s]), n_samples)
+    return float(min(1.0, (MIN_SWINGS / max(swings(motion1, motion2, pairs), 1e-12)) ** 2))
 
 
 def _swing_hz(positions_px: Array, velocities_px_s: Array) -> float:

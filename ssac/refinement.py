@@ -36,6 +36,7 @@ from ssac.epipolar import fundamental_from_pose, sampson_derivative, sampson_dis
 from ssac.estimate import ssac, ssac_known, with_fit
 from ssac.extrinsics import moved_pose, pose_jacobian
 from ssac.interface import Config, Estimate, Observation, checked, object_motions, prepare
+from ssac.observability import lasting_share
 from ssac.offset_search import sample_pairs
 from ssac.tracks import ObjectMotion, SharpTrack
 
@@ -51,9 +52,9 @@ two numbers are no law: they were set so that the regions of R and t hold on 126
 of one drone. Without them, R's normalised error there was 1.35; with them it is 1.0.
 """
 
-KNOWN_BIAS_OFFSET = 0.06
-"""The same as BIAS_OFFSET where the pose is given and takes nothing away: so far off the mean
-of the events lay for long in flights at one speed along a line.
+KNOWN_BIAS_OFFSET = 0.1
+"""The same as BIAS_OFFSET where the pose is given and takes nothing away, and the motion is too
+little for it to change: in flights at one speed along a line the mean lay off by 0.06 for long.
 """
 
 CAUCHY = 2.385
@@ -190,7 +191,10 @@ def refine(
 
     residuals = linearise(parameters, pairs, parameters.t_d_s - sampled_t_d_s, rig)
     F = fundamental_from_pose(rig.cam1.K, rig.cam2.K, parameters.R, parameters.t)
-    offset = KNOWN_BIAS_OFFSET if pose_is_known else BIAS_OFFSET
+    offset = BIAS_OFFSET
+    if pose_is_known:
+        share = lasting_share(motion1, motion2, parameters.t_d_s, config.n_samples)
+        offset = max(offset, KNOWN_BIAS_OFFSET * share)
     hidden_px = _hidden_errors(F, residuals, pairs.size_px, offset, rig)
     covariance = covariance_of(residuals, free)
     covariance = covariance + mapped_covariance(residuals.jacobian[:, free], hidden_px)

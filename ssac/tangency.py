@@ -32,7 +32,7 @@ from ssac.interface import (
     object_motions,
     prepare,
 )
-from ssac.observability import returns_s, view_of
+from ssac.observability import lasting_share, returns_s, view_of
 from ssac.outline import OutlineConfig, OutlineEvents, Tangents, near_outline, tangents
 from ssac.pencil import pencils
 from ssac.refinement import (
@@ -51,8 +51,8 @@ Array = NDArray[np.float64]
 
 
 HIDDEN_PX = 0.2
-"""Deviation of what the outlines are off by all along; where the pose is given and the motion slow
-or short, no residual shows it."""
+"""Deviation of what the outlines are off by all along, where the pose is given and the motion slow
+or short: no residual shows it."""
 
 
 @dataclass(frozen=True)
@@ -74,6 +74,7 @@ _STEPS = 3  # of Gauss-Newton in a round
 _LAST_SHIFT_S = 1e-5  # between rounds
 _LAST_TURN = 1e-4  # [rad] of the pose, between rounds
 _FAR = 300.0  # times those last changes: then the outline is looked for among all events again
+_N_OF_SHARE = 400  # samples that tell how much the object moves
 _MAX_SHIFT_S = 0.1  # from the start; beyond it the refinement has left the minimum
 
 
@@ -220,7 +221,8 @@ def refine_tangents(
     covariance = covariance_of(residuals, free, config.cauchy)
     if pose_is_known:  # a free pose takes it away
         covariance = covariance + mapped_covariance(
-            residuals.jacobian[:, free], _hidden_errors(pairs)
+            residuals.jacobian[:, free],
+            lasting_share(motion1, motion2, parameters.t_d_s, _N_OF_SHARE) * _hidden_errors(pairs),
         )
     F = fundamental_from_pose(rig.cam1.K, rig.cam2.K, parameters.R, parameters.t)
     return replace(
