@@ -29,10 +29,10 @@ demo: .venv/.ready ## simulate two cameras, recover their offset and pose, draw 
 tables: .venv/.ready ## the paper's simulation tables (8 minutes from nothing) -> results/esim_*.csv
 	@.venv/bin/ssac tables
 
-ablations: .venv/.ready ## one parameter varied at a time (45 minutes) -> results/ablation_*.csv, *.png
+ablations: .venv/.ready ## one parameter varied at a time (an hour) -> results/ablation_*.csv, *.png
 	@.venv/bin/ssac ablate
 
-studies: .venv/.ready ## is the uncertainty honest, is the unknown refused, how near the bound (45 minutes)
+studies: .venv/.ready ## is the uncertainty honest, is the unknown refused, how near the bound (30 minutes)
 	@.venv/bin/ssac efficiency
 	@.venv/bin/ssac coverage
 	@.venv/bin/ssac refusal
