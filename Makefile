@@ -26,7 +26,7 @@ setup: .venv/.ready ## virtual environment, packages, OpenGL libraries (all othe
 demo: .venv/.ready ## simulate two cameras, recover their offset and pose, draw one picture (a minute)
 	@.venv/bin/ssac demo
 
-tables: .venv/.ready ## the paper's simulation tables (8 minutes from nothing) -> results/esim_*.csv
+tables: .venv/.ready ## the paper's simulation tables (9 minutes from nothing) -> results/esim_*.csv
 	@.venv/bin/ssac tables
 
 ablations: .venv/.ready ## one parameter varied at a time (an hour) -> results/ablation_*.csv, *.png
