@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from ssac.camera import Camera, Rig, undistortion_map
 from ssac.epipolar import epipolar_distance, epipolar_lines_1
 from ssac.events import US_PER_S, slice_time
+from ssac.extrinsics import rays_of
 from ssac.fundamental import MIN_PAIRS
 from ssac.interface import Config, Estimate
 from ssac.offset_search import mean_epipolar_distance, sample_pairs
@@ -126,7 +127,7 @@ def plane_angles(material: Material, camera: int, points: Array) -> Array:
     """
     R, t = np.asarray(material.estimate.R), np.asarray(material.estimate.t)
     K = (material.rig.cam1, material.rig.cam2)[camera].K
-    rays = np.column_stack([points, np.ones(len(points))]) @ np.linalg.inv(K).T
+    rays = rays_of(K, points)
     if camera == 1:
         rays = rays @ R  # from camera 2's frame to camera 1's
     baseline = R.T @ t

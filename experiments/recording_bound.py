@@ -38,6 +38,7 @@ from ssac.outline import near_outline, tangents
 from ssac.pencil import pencils
 from ssac.refinement import sharp_pairs
 from ssac.rig_files import load_rig
+from ssac.robust import robust_deviation
 from ssac.tangency import TangencyConfig, tangent_pairs
 from ssac.tracks import ObjectMotion
 
@@ -57,8 +58,6 @@ SAMPLES = {
 """Of each method that has a bound. The others do not look at positions, or do not use F."""
 
 KNOWN_POSE = tuple(method for method in SAMPLES if method.endswith("-known"))
-
-_TO_DEVIATION = 1.4826  # median absolute value to standard deviation of Gaussian noise
 
 
 @dataclass(frozen=True)
@@ -166,11 +165,6 @@ def method_bounds(
                 least = known_pose_bound if method in KNOWN_POSE else cramer_rao_bound
                 found[method] = MethodBound(sigma_px, len(samples.times_s), least(information))
     return found
-
-
-def robust_deviation(distances_px: Array) -> float:
-    """Deviation, from zero, of Gaussian noise with the same median absolute value."""
-    return float(_TO_DEVIATION * np.median(np.abs(distances_px)))
 
 
 def mean_samples(

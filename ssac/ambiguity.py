@@ -9,16 +9,15 @@ the best of what it finds is not clearly better than another, that is said inste
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ssac.camera import Rig
-from ssac.epipolar import fundamental_from_pose, sampson_distance
-from ssac.estimate import MIN_SECOND_BEST
-from ssac.extrinsics import depths, pose_from_fundamental, tangent_basis
-from ssac.fundamental import MIN_PAIRS, reweighted_fundamental, second_best
-from ssac.interface import Config, Estimate, known_pose, refused
+from ssac.epipolar import sampson_distance
+from ssac.estimate import MIN_IN_FRONT, MIN_SECOND_BEST
+from ssac.extrinsics import rays_of, share_in_front, tangent_basis
+from ssac.fundamental import MIN_PAIRS, second_best
+from ssac.interface import POSE_IS_OPEN, Config, Estimate, known_pose, refused
 from ssac.observability import (
     MAX_VALLEY_S,
     Refusal,
@@ -29,11 +28,11 @@ from ssac.observability import (
     valleys,
 )
 from ssac.offset_search import sample_pairs
+from ssac.possible_poses import homography_poses, possible_poses
 from ssac.tracks import ObjectMotion
 
 Array = NDArray[np.float64]
 Refine = Callable[[Estimate], Estimate]  # an offset and a pose in, both refined out
-Pose = tuple[Array, Array]  # R (3, 3) and t (3,) of length 1
 
 MAX_T_D_STD_S = 0.025
 """An offset that is less certain than this is none: the search's own steps are 20 ms."""
@@ -47,7 +46,6 @@ CLEARLY = 2.0
 FLAT = 0.2
 """Median distance from a homography, over the rms size, of a path that may lie in a plane."""
 
-_MIN_IN_FRONT = 0.75  # of the pairs, as in `estimate`
 _SAME_S = 0.010  # offsets nearer than this are one
 _SAME_RAD = np.deg2rad(3.0)  # and poses
 _START_STEP_S = 0.1  # between starts within a long valley
@@ -56,10 +54,7 @@ _ENOUGH = 8  # solutions as good as the best at offsets of their own: no further
 _POSES = 2  # per offset, when several offsets are in question
 _PROBES_S = (-0.2, -0.06, 0.06, 0.2)  # where F is open: a circle has a pose for each offset
 _TRIMMED = 0.9  # share of the distances, the least, that count
-_LEAST_SHIFT = 1e-9  # a homography of less is that of a turn without a baseline
 _HOMOGRAPHY_PAIRS = 80  # enough to tell whether the path lies in a plane
-_RANSAC_PX = 1.0
-_RANSAC_SEED = 1
 
 
 @dataclass(frozen=True)
@@ -200,7 +195,7 @@ def _in_words(direction: Array, t: Array) -> str:
 def _is_open(start: Estimate) -> bool:
     """Whether F left the pose open, so that a calibrated pose may still be found."""
     return (
-        start.status in ("ambiguous_pose", "degenerate_pose")
+        start.status in POSE_IS_OPEN
         and bool(np.isfinite(start.t_d_s))
         and not np.isfinite(start.t_d_std_s)  # a straight path's offset has one
     )
@@ -228,64 +223,18 @@ def _starts(
     starts = []
     for t_d_s in offsets_s:
         pairs = sample_pairs(motion1, motion2, np.array([t_d_s]), config.n_samples)
-        poses = _given(rig) if pose_is_known else _poses(*pairs.valid_positions(0), rig)
+        poses = (
+            [known_pose(rig)] if pose_is_known else possible_poses(*pairs.valid_positions(0), rig)
+        )
         if start.status == "ambiguous_offset" or t_d_s != start.t_d_s:
             poses = poses[:_POSES]
         starts += [replace(plain, t_d_s=float(t_d_s), R=R, t=t) for R, t in poses]
     return starts
 
 
-def _given(rig: Rig) -> list[Pose]:
-    return [known_pose(rig)]
-
-
 def _within(valley: Valley) -> list[float]:
     """Offsets to start from: the least one, and more where the valley is long."""
     return [valley.least_s, *np.arange(valley.first_s, valley.last_s, _START_STEP_S)[1:].tolist()]
-
-
-def _poses(p1_px: Array, p2_px: Array, rig: Rig) -> list[Pose]:
-    """Poses that the pairs may have, of F, of E and of a homography; the best fit comes first."""
-    if len(p1_px) < MIN_PAIRS:
-        return []
-    K1, K2 = rig.cam1.K, rig.cam2.K
-    F = reweighted_fundamental(p1_px, p2_px)
-    of_F = pose_from_fundamental(F, K1, K2, p1_px, p2_px)
-    poses: list[Pose] = [(of_F.R, of_F.t)]
-    x1, x2 = _rays(p1_px, K1), _rays(p2_px, K2)
-    cv2.setRNGSeed(_RANSAC_SEED)  # or two calls give two results
-    threshold = _RANSAC_PX / float(np.sqrt(K1[0, 0] * K2[0, 0]))
-    E, _ = cv2.findEssentialMat(x1[:, :2], x2[:, :2], np.eye(3), cv2.USAC_MAGSAC, 0.999, threshold)
-    if E is not None and E.shape == (3, 3):
-        _, R, t, _ = cv2.recoverPose(E, x1[:, :2], x2[:, :2], np.eye(3))
-        poses.append((np.asarray(R, dtype=np.float64), np.asarray(t, dtype=np.float64)[:, 0]))
-    poses += _of_homography(x1, x2)[1]
-    poses = [(R, t) for R, t in poses if _share_in_front(R, t, x1, x2) >= _MIN_IN_FRONT]
-
-    def distance_px(pose: Pose) -> float:
-        F = fundamental_from_pose(K1, K2, *pose)
-        return float(np.median(np.abs(sampson_distance(F, p1_px, p2_px))))
-
-    return sorted(poses, key=distance_px)
-
-
-def _of_homography(x1: Array, x2: Array) -> tuple[float, list[Pose]]:
-    """Median distance of rays (n, 3) from the homography between them, and its poses."""
-    found, _ = cv2.findHomography(x1[:, :2], x2[:, :2], cv2.LMEDS)
-    if found is None:
-        return np.inf, []
-    H = np.asarray(found, dtype=np.float64)
-    mapped = x1 @ H.T
-    with np.errstate(divide="ignore", invalid="ignore"):
-        distances = np.linalg.norm(mapped[:, :2] / mapped[:, 2:] - x2[:, :2], axis=1)
-    _, turns, shifts, _ = cv2.decomposeHomographyMat(H, np.eye(3))
-    poses: list[Pose] = []
-    for turn, shift in zip(turns, shifts, strict=True):
-        R, t = np.asarray(turn, dtype=np.float64), np.asarray(shift, dtype=np.float64)[:, 0]
-        length = np.linalg.norm(t)
-        if length > _LEAST_SHIFT:
-            poses += [(R, t / length), (R, -t / length)]
-    return float(np.median(distances)), poses
 
 
 def _other_side(
@@ -294,27 +243,16 @@ def _other_side(
     """Start from a plane's other poses, where the path may lie in one; elsewhere nothing."""
     pairs = sample_pairs(motion1, motion2, np.array([refined.t_d_s]), config.n_samples)
     p1_px, p2_px = pairs.valid_positions(0)
-    x1, x2 = _rays(p1_px, rig.cam1.K), _rays(p2_px, rig.cam2.K)
+    x1, x2 = rays_of(rig.cam1.K, p1_px), rays_of(rig.cam2.K, p2_px)
     some = slice(None, None, max(1, len(x1) // _HOMOGRAPHY_PAIRS))
-    distance, poses = _of_homography(x1[some], x2[some])
+    distance, poses = homography_poses(x1[some], x2[some])
     times_s = pairs.times_s[0, pairs.valid[0]]
     object_px = np.hypot(size_px(motion1, times_s), size_px(motion2, times_s + refined.t_d_s))
     if distance * rig.cam2.K[0, 0] > FLAT * object_px:
         return []
     return [
-        replace(refined, R=R, t=t)
-        for R, t in poses
-        if _share_in_front(R, t, x1, x2) >= _MIN_IN_FRONT
+        replace(refined, R=R, t=t) for R, t in poses if share_in_front(R, t, x1, x2) >= MIN_IN_FRONT
     ]
-
-
-def _rays(p_px: Array, K: Array) -> Array:
-    return np.column_stack([p_px, np.ones(len(p_px))]) @ np.linalg.inv(K).T
-
-
-def _share_in_front(R: Array, t: Array, x1: Array, x2: Array) -> float:
-    depths1, depths2 = depths(R, t, x1, x2)
-    return float(np.mean((depths1 > 0.0) & (depths2 > 0.0)))
 
 
 def _in_front(
@@ -325,10 +263,10 @@ def _in_front(
         return False
     pairs = sample_pairs(motion1, motion2, np.array([estimate.t_d_s]), config.n_samples)
     p1_px, p2_px = pairs.valid_positions(0)
-    share = _share_in_front(
-        estimate.R, estimate.t, _rays(p1_px, rig.cam1.K), _rays(p2_px, rig.cam2.K)
+    share = share_in_front(
+        estimate.R, estimate.t, rays_of(rig.cam1.K, p1_px), rays_of(rig.cam2.K, p2_px)
     )
-    return share >= _MIN_IN_FRONT
+    return share >= MIN_IN_FRONT
 
 
 def _solution(

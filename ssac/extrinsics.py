@@ -58,14 +58,14 @@ def pose_from_fundamental(
     """
     U, _, Vt = np.linalg.svd(essential_from_fundamental(F, K1, K2))
     W = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    rays1, rays2 = _rays(K1, p1_px), _rays(K2, p2_px)
+    rays1, rays2 = rays_of(K1, p1_px), rays_of(K2, p2_px)
     poses = []
     for turn in (W, W.T):
         R = U @ turn @ Vt
         R = R * np.sign(np.linalg.det(R))  # E's sign is free, so U's and Vt's determinants are too
-        for t in (U[:, 2], -U[:, 2]):
-            depths1, depths2 = depths(R, t, rays1, rays2)
-            poses.append(RelativePose(R, t, float(np.mean((depths1 > 0.0) & (depths2 > 0.0)))))
+        poses += [
+            RelativePose(R, t, share_in_front(R, t, rays1, rays2)) for t in (U[:, 2], -U[:, 2])
+        ]
     return max(poses, key=lambda pose: pose.in_front)
 
 
@@ -148,6 +148,12 @@ def depths(R: Array, t: Array, rays1: Array, rays2: Array) -> tuple[Array, Array
     return depths1, depths2
 
 
-def _rays(K: Array, p_px: Array) -> Array:
+def share_in_front(R: Array, t: Array, rays1: Array, rays2: Array) -> float:
+    """Share of the pairs of rays, as for `depths`, that meet in front of both cameras."""
+    depths1, depths2 = depths(R, t, rays1, rays2)
+    return float(np.mean((depths1 > 0.0) & (depths2 > 0.0)))
+
+
+def rays_of(K: Array, p_px: Array) -> Array:
     """Directions (N, 3) with z = 1 of pixels (N, 2) [px]."""
     return np.column_stack([p_px, np.ones(len(p_px))]) @ np.linalg.inv(K).T

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssac.offset_search import COARSEST, RIVAL, Pairs, sample_pairs
+from ssac.robust import robust_deviation
 from ssac.tracks import ObjectMotion
 
 Array = NDArray[np.float64]
@@ -47,7 +48,6 @@ _VIEW_SAMPLES = 200  # of a track
 _SPEED_SAMPLES = 100  # of a path's speed
 _SIZE_SAMPLES = 16  # of the image's size, which takes a pass over the events
 _MAX_GAP_S = 0.5  # of a path that is known
-_TO_DEVIATION = 1.4826  # median absolute value to standard deviation of Gaussian noise
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ def view_of(motion: ObjectMotion) -> View | None:
     across = (positions - middle) @ axes[1]
     return View(
         extent_px=float(np.linalg.norm(deviations) / np.sqrt(len(positions))),
-        width_px=float(_TO_DEVIATION * np.median(np.abs(across))),
+        width_px=robust_deviation(across),
         length_px=float(deviations[0] / np.sqrt(len(positions))),
         size_px=size_px(motion, times_s[track.valid]),
         swing_hz=_swing_hz(positions, motion.velocities_at(times_s[track.valid])),

@@ -34,10 +34,11 @@ from ssac.camera import Rig
 from ssac.covariance import correlated_covariance, mapped_covariance
 from ssac.epipolar import fundamental_from_pose, sampson_derivative, sampson_distance
 from ssac.estimate import ssac, ssac_known, with_fit
-from ssac.extrinsics import moved_pose, pose_jacobian
+from ssac.extrinsics import moved_pose, pose_jacobian, rays_of
 from ssac.interface import Config, Estimate, Observation, checked, object_motions, prepare
 from ssac.observability import lasting_share
 from ssac.offset_search import sample_pairs
+from ssac.robust import CAUCHY, cauchy_weights
 from ssac.tracks import ObjectMotion, SharpTrack
 
 Array = NDArray[np.float64]
@@ -57,10 +58,6 @@ KNOWN_BIAS_OFFSET = 0.1
 little for it to change: in flights at one speed along a line the mean lay off by 0.06 for long.
 """
 
-CAUCHY = 2.385
-"""Where Cauchy's loss turns, in robust standard deviations: 95 % efficiency on Gaussian noise."""
-
-_TO_DEVIATION = 1.4826  # median absolute value to standard deviation of Gaussian noise
 _MAX_ITERATIONS = 20
 _LAST_STEP = 1e-6  # [s, rad]
 _MAX_RESAMPLINGS = 20
@@ -198,13 +195,20 @@ def refine(
     hidden_px = _hidden_errors(F, residuals, pairs.size_px, offset, rig)
     covariance = covariance_of(residuals, free)
     covariance = covariance + mapped_covariance(residuals.jacobian[:, free], hidden_px)
+    return refined_estimate(start, parameters, residuals, covariance, F)
+
+
+def refined_estimate(
+    start: Estimate, parameters: Parameters, residuals: Residuals, covariance: Array, F: Array
+) -> Estimate:
+    """Put the parameters found, and the covariance of those that were free, into the estimate."""
     return replace(
         with_fit(start, F, residuals.p1_px, residuals.p2_px),
         t_d_s=parameters.t_d_s,
         t_d_std_s=float(np.sqrt(covariance[0, 0])),
         R=parameters.R,
         t=parameters.t,
-        covariance=None if pose_is_known else covariance,
+        covariance=covariance if len(covariance) > 1 else None,  # t_d alone has its deviation
     )
 
 
@@ -256,7 +260,7 @@ def minimise(
     """Iterate Gauss-Newton steps of the robust least squares on pairs sampled at one offset."""
     for _ in range(_MAX_ITERATIONS):
         residuals = linearise(parameters, pairs, parameters.t_d_s - sampled_t_d_s, rig)
-        root_weights = np.sqrt(_weights(residuals.distances_px, cauchy)[0])
+        root_weights = np.sqrt(cauchy_weights(residuals.distances_px, cauchy)[0])
         step = np.zeros(6)
         step[free] = np.linalg.lstsq(
             root_weights[:, None] * residuals.jacobian[:, free],
@@ -270,7 +274,7 @@ def minimise(
 
 def covariance_of(residuals: Residuals, free: slice = slice(0, 6), cauchy: float = CAUCHY) -> Array:
     """Covariance of the free parameters, for errors that the residuals show."""
-    weights, curvatures = _weights(residuals.distances_px, cauchy)
+    weights, curvatures = cauchy_weights(residuals.distances_px, cauchy)
     return correlated_covariance(
         residuals.times_s,
         residuals.jacobian[:, free],
@@ -290,17 +294,9 @@ def _hidden_errors(
     p1, p2 = residuals.p1_px, residuals.p2_px
     parts = []
     for F_there, there, here, K in ((F.T, p2, p1, rig.cam1.K), (F, p1, p2, rig.cam2.K)):
-        rays = np.column_stack([here, np.ones(len(here))]) @ np.linalg.inv(K).T
-        shifts = size_px * rays * np.array([BIAS_SLOPE, BIAS_SLOPE, offset])
+        shifts = size_px * rays_of(K, here) * np.array([BIAS_SLOPE, BIAS_SLOPE, offset])
         for axis in np.eye(2):
             along = np.tile(axis, (len(here), 1))
             by_shift = sampson_derivative(F_there, np.zeros((3, 3)), there, here, along)
             parts.append(by_shift[:, None] * shifts)
     return np.hstack(parts)
-
-
-def _weights(distances_px: Array, cauchy: float) -> tuple[Array, Array]:
-    """First derivative over distance, and second derivative, of Cauchy's loss: both (n,)."""
-    scale_px = _TO_DEVIATION * np.median(np.abs(distances_px)) + 1e-12
-    squares = (distances_px / (cauchy * scale_px)) ** 2
-    return 1.0 / (1.0 + squares), (1.0 - squares) / (1.0 + squares) ** 2

@@ -21,13 +21,12 @@ from ssac.offset_search import (
     exhaustive_search,
     sample_pairs,
 )
+from ssac.robust import cauchy_weights
 from ssac.tracks import ObjectMotion
 
 Array = NDArray[np.float64]
 
 _STRETCH_S = 0.5  # residuals of two such stretches are taken as independent
-_CAUCHY = 2.385  # in robust standard deviations: 95 % efficiency on Gaussian noise
-_TO_DEVIATION = 1.4826  # median absolute value to standard deviation of Gaussian noise
 _ITERATIONS = 8
 _LAST_SHIFT_S = 1e-6
 _ALL_OF_THE_POSE = np.eye(6)[1:]
@@ -134,7 +133,7 @@ def _fit(line: _Line) -> Array:
     for _ in range(_ITERATIONS):
         fitted = np.asarray(np.linalg.lstsq(system * weights[:, None], y * weights)[0], np.float64)
         residuals, norms = _residuals(fitted, x, y)
-        weights = np.sqrt(_robust(residuals)) / norms
+        weights = np.sqrt(cauchy_weights(residuals)[0]) / norms
     return np.asarray(fitted)
 
 
@@ -143,11 +142,6 @@ def _residuals(fitted: Array, x: Array, y: Array) -> tuple[Array, Array]:
     a, b, c = fitted
     norms = np.sqrt((c * x + 1.0) ** 2 + (c * y - a) ** 2) + 1e-12
     return (y * (c * x + 1.0) - a * x - b) / norms, norms
-
-
-def _robust(residuals: Array) -> Array:
-    scale = _TO_DEVIATION * np.median(np.abs(residuals)) + 1e-12
-    return np.asarray(1.0 / (1.0 + (residuals / (_CAUCHY * scale)) ** 2))
 
 
 def _misfit_px(line: _Line) -> float:
@@ -175,7 +169,7 @@ def _refined(
         n_pairs = len(line.times_s)
         fitted = _fit(line)
         residuals, norms = _residuals(fitted, line.s1, line.s2)
-        weights = _robust(residuals)
+        weights = cauchy_weights(residuals)[0]
         rates = (fitted[2] * line.s1 + 1.0) * line.speeds2
         ones = np.ones(len(rates))
         jacobian = np.column_stack([rates, -line.s1, -ones, line.s1 * line.s2]) / norms[:, None]

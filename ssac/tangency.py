@@ -21,7 +21,7 @@ from ssac.ambiguity import certain, settled
 from ssac.camera import Rig
 from ssac.covariance import mapped_covariance
 from ssac.epipolar import fundamental_from_pose
-from ssac.estimate import ssac, with_fit
+from ssac.estimate import ssac
 from ssac.fundamental import MIN_PAIRS
 from ssac.interface import (
     POSE_IS_OPEN,
@@ -44,7 +44,9 @@ from ssac.refinement import (
     linearise,
     moved,
     refine,
+    refined_estimate,
 )
+from ssac.robust import cauchy_weights
 from ssac.tracks import ObjectMotion
 
 Array = NDArray[np.float64]
@@ -225,14 +227,7 @@ def refine_tangents(
             lasting_share(motion1, motion2, parameters.t_d_s, _N_OF_SHARE) * _hidden_errors(pairs),
         )
     F = fundamental_from_pose(rig.cam1.K, rig.cam2.K, parameters.R, parameters.t)
-    return replace(
-        with_fit(start, F, residuals.p1_px, residuals.p2_px),
-        t_d_s=parameters.t_d_s,
-        t_d_std_s=float(np.sqrt(covariance[0, 0])),
-        R=parameters.R,
-        t=parameters.t,
-        covariance=None if pose_is_known else covariance,
-    )
+    return refined_estimate(start, parameters, residuals, covariance, F)
 
 
 def tangent_pairs(
@@ -298,8 +293,7 @@ def _stepped(
     """Take one Gauss-Newton step of the robust least squares on pairs sampled at one offset."""
     residuals = linearise(parameters, pairs, parameters.t_d_s - sampled_t_d_s, rig)
     J, distances_px = residuals.jacobian[:, free], residuals.distances_px
-    scale_px = cauchy * 1.4826 * np.median(np.abs(distances_px)) + 1e-12
-    weights = 1.0 / (1.0 + (distances_px / scale_px) ** 2)
+    weights, _ = cauchy_weights(distances_px, cauchy)
     step = np.zeros(6)
     step[free] = -np.linalg.pinv(J.T @ (weights[:, None] * J)) @ (J.T @ (weights * distances_px))
     return moved(parameters, step)

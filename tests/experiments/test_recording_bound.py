@@ -11,7 +11,6 @@ from experiments.recording_bound import (
     mean_samples,
     method_bounds,
     recording_bounds,
-    robust_deviation,
     sharp_samples,
     tangent_samples,
 )
@@ -23,6 +22,7 @@ from ssac.camera import Camera, Rig
 from ssac.epipolar import fundamental_from_pose, sampson_distance
 from ssac.interface import Config, Observation, object_motions
 from ssac.offset_search import sample_pairs
+from ssac.robust import robust_deviation
 from ssac.tangency import TangencyConfig
 from ssac.tracks import ObjectMotion
 from tests.experiments.reported import RIG, record_flight
