@@ -12,11 +12,10 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import LogLocator, NullLocator
 
 from experiments.comparison import QUANTITIES
 from experiments.figure_errors import Means, flight_means, published_means
-from experiments.figure_style import WIDTH_IN, Look, method_looks, quiet_axes
+from experiments.figure_style import WIDTH_IN, Look, error_axes, method_looks
 from ssac.errors import SsacError
 
 METHODS = ("ssac", "joint", "tangency")
@@ -62,7 +61,7 @@ def beyond_figure(runs: pd.DataFrame, published: Mapping[float, pd.DataFrame]) -
     for row, (error, mark) in zip(grid, MARKS.items(), strict=True):
         ends = [mark]
         for axes, duration_s in zip(row, durations_s, strict=True):
-            _set_scales(axes, sorted(runs["angle_deg"].unique()))
+            error_axes(axes, sorted(runs["angle_deg"].unique()))
             axes.axhline(mark, color=_MARK_COLOR, lw=1.0, ls="--", zorder=1)
             table = published.get(float(duration_s))
             if table is not None:
@@ -102,14 +101,6 @@ def _draw(axes: Axes, means: Means, look: Look, place: int, line: str) -> list[f
     )  # fmt: skip
     middles, reach = np.array(means.means), np.array(means.standard_errors)
     return [*np.maximum(middles - reach, 0.5 * middles).tolist(), *(middles + reach).tolist()]
-
-
-def _set_scales(axes: Axes, angles_deg: list[float]) -> None:
-    quiet_axes(axes)
-    axes.set(yscale="log", xticks=angles_deg)
-    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axes.yaxis.set_minor_locator(NullLocator())
-    axes.yaxis.set_major_formatter("{x:g}")
 
 
 def _legend(looks: Mapping[str, Look]) -> list[Line2D]:

@@ -11,9 +11,8 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import LogLocator, NullLocator
 
-from experiments.figure_style import WIDTH_IN, Look, method_looks, quiet_axes
+from experiments.figure_style import WIDTH_IN, Look, error_axes, method_looks
 from experiments.tables import method_order
 
 _ROWS = (
@@ -45,7 +44,7 @@ def efficiency_figure(cells: pd.DataFrame) -> Figure:
             if cells.loc[cells["method"] == method, columns].notna().all(axis=None)
         ]
         for axes, duration_s in zip(row, durations_s, strict=True):
-            _set_scales(axes, sorted(cells["angle_deg"].unique()))
+            error_axes(axes, sorted(cells["angle_deg"].unique()))
             of_duration = cells[cells["duration_s"] == duration_s]
             for slot, method in enumerate(drawn):
                 shift_deg = _SHARE * _STEP_DEG * ((slot + 0.5) / len(drawn) - 0.5)
@@ -82,14 +81,6 @@ def _draw(
     axes.plot(
         x, errors, ls="none", marker=look.marker, ms=5, mfc=look.face, mec=look.color, zorder=4
     )
-
-
-def _set_scales(axes: Axes, angles_deg: list[float]) -> None:
-    quiet_axes(axes)
-    axes.set(yscale="log", xticks=angles_deg)
-    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axes.yaxis.set_minor_locator(NullLocator())
-    axes.yaxis.set_major_formatter("{x:g}")
 
 
 def _legend(looks: dict[str, Look]) -> list[Line2D]:

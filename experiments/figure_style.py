@@ -11,6 +11,7 @@ from pathlib import Path
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullLocator
 from PIL import Image
 
 from ssac.whole_file import whole_file
@@ -65,6 +66,15 @@ def quiet_axes(axes: Axes) -> None:
     axes.grid(axis="y", color="0.9", lw=0.6)
     axes.set_axisbelow(True)
     axes.tick_params(labelsize=8)
+
+
+def error_axes(axes: Axes, angles_deg: list[float]) -> None:
+    """Set angles below, and errors within a decade or two on a logarithmic axis."""
+    quiet_axes(axes)
+    axes.set(yscale="log", xticks=angles_deg)
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.yaxis.set_minor_locator(NullLocator())
+    axes.yaxis.set_major_formatter("{x:g}")
 
 
 def save_png(figure: Figure, path: Path) -> None:
