@@ -176,6 +176,6 @@ pip() { .venv/bin/python -m pip install --quiet --disable-pip-version-check --no
 pip -r requirements.txt
 pip --no-build-isolation --editable .
 echo "make setup: compiling kernels" >&2
-.venv/bin/python -m experiments.warm_up
+.venv/bin/python -m experiments.run.warm_up
 endef
 export GL_WORKS SETUP

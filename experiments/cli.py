@@ -8,25 +8,25 @@ import sys
 
 import typer
 
-from experiments.ablation import ablate_command
-from experiments.bench import bench_command
-from experiments.check import verify_command
-from experiments.coverage import coverage_command
-from experiments.demo import demo_command
-from experiments.efficiency import efficiency_command
-from experiments.fidelity import fidelity_command
-from experiments.figures import figures_command
-from experiments.refusal import refusal_command
-from experiments.report import report_command
-from experiments.reproduce import tables_command
-from experiments.scene import scene_command
-from experiments.simulate import simulate_command
-from experiments.sweep import merge_command, sweep_command
-from experiments.sync import BAD_INPUT, sync_command
-from experiments.tangency_study import tangency_study_command
-from experiments.zncc_study import zncc_study_command
+from experiments.bench.bench import bench_command
+from experiments.figures.figures import figures_command
+from experiments.paper.tables import tables_command
+from experiments.paper.verify import verify_command
+from experiments.report.report import report_command
+from experiments.scenes.demo import demo_command
+from experiments.scenes.fidelity import fidelity_command
+from experiments.scenes.scene import scene_command
+from experiments.scenes.simulate import simulate_command
+from experiments.studies.ablate import ablate_command
+from experiments.studies.coverage import coverage_command
+from experiments.studies.efficiency import efficiency_command
+from experiments.studies.refusal import refusal_command
+from experiments.studies.sweep import merge_command, sweep_command
+from experiments.studies.tangency import tangency_study_command
+from experiments.studies.zncc import zncc_study_command
 from sim.errors import SimError
 from ssac.errors import SsacError
+from ssac.tool.sync import BAD_INPUT, sync_command
 
 app = typer.Typer(
     add_completion=False,

@@ -8,17 +8,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.background import load_background, uniform_background
-from sim.drone import Drone, drone_from_file
 from sim.errors import SimError
-from sim.flyers import FLAP_HZ, built_in_drone, check_drone_name
-from sim.frames import FrameConfig, FrameExposer, Frames
-from sim.gl_context import GLContext
-from sim.render import Crops, RenderConfig, Renderer
-from sim.rig import Camera, Rig, two_view_rig
-from sim.sampling import SamplingConfig, choose_instants
-from sim.sensor import Sensor, SensorConfig
-from sim.trajectory import SplineConfig, Trajectory, random_spline, trajectory_from_csv
+from sim.render.gl_context import GLContext
+from sim.render.instants import SamplingConfig, choose_instants
+from sim.render.renderer import Crops, RenderConfig, Renderer
+from sim.scene.background import load_background, uniform_background
+from sim.scene.drone import Drone, drone_from_file
+from sim.scene.flyers import FLAP_HZ, built_in_drone, check_drone_name
+from sim.scene.rig import Camera, Rig, two_view_rig
+from sim.scene.trajectory import SplineConfig, Trajectory, random_spline, trajectory_from_csv
+from sim.sensor.events import Sensor, SensorConfig
+from sim.sensor.frames import FrameConfig, FrameExposer, Frames
 
 FloatArray = NDArray[np.float64]
 

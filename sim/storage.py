@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from sim.errors import SimError
 from sim.recording import CameraRecording, Recording
-from sim.rig import kalibr_yaml
+from sim.scene.rig import kalibr_yaml
 
 _DIGITS = 9  # decimals of the truth: nanometres and nanoseconds
 

@@ -8,12 +8,14 @@ from ssac.baselines.event_rate import event_rate
 from ssac.baselines.zncc_e import zncc_e
 from ssac.baselines.zncc_f import zncc_f
 from ssac.camera import Camera, Rig
+from ssac.config import Config
 from ssac.errors import SsacError
-from ssac.estimate import ssac, ssac_known
+from ssac.estimate import Estimate
 from ssac.events import EVENT_DTYPE
-from ssac.interface import Config, Estimate, Observation, prepare
-from ssac.refinement import joint, joint_from, joint_known, joint_known_from
-from ssac.tangency import tangency, tangency_from, tangency_known, tangency_known_from
+from ssac.methods.algorithms import ssac, ssac_known
+from ssac.methods.joint import joint, joint_from, joint_known, joint_known_from
+from ssac.methods.tangency import tangency, tangency_from, tangency_known, tangency_known_from
+from ssac.track.observation import Observation, prepare
 
 __all__ = [
     "EVENT_DTYPE",

@@ -191,3 +191,13 @@ def _checked_points(points_px: NDArray[np.float64]) -> NDArray[np.float64]:
     if points.ndim != 2 or points.shape[1] != 2:
         raise SsacError(f"points must have shape (N, 2), got {points.shape}: pass one point a row")
     return points
+
+
+def known_pose(rig: Rig) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """R (3, 3) and t (3,) of length 1 of the rig; SsacError when they are unknown."""
+    if rig.T_2_1 is None:
+        raise SsacError("known extrinsics were asked for, but the rig has no T_2_1")
+    length_m = np.linalg.norm(rig.T_2_1[:3, 3])
+    if not length_m > 0.0:
+        raise SsacError(f"the rig's T_2_1 must have a translation, got {rig.T_2_1[:3, 3]} m")
+    return rig.T_2_1[:3, :3], np.asarray(rig.T_2_1[:3, 3] / length_m)

@@ -1,259 +1,37 @@
-"""Two cameras' recordings in, time offset and relative pose out: the paper's Algorithms 1 and 2."""
+"""What every method gives: an offset, a pose, and how far they are to be relied upon."""
 
-from collections.abc import Callable
-from dataclasses import replace
-from functools import partial
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ssac.camera import Rig
-from ssac.epipolar import epipolar_distance, fundamental_from_pose
-from ssac.extrinsics import nearest_pose, pose_from_fundamental
-from ssac.fundamental import (
-    MIN_PAIRS,
-    lmeds_fundamental,
-    magsac_fundamental,
-    reweighted_fundamental,
-    second_best,
-)
-from ssac.interface import (
-    Config,
-    Estimate,
-    Observation,
-    checked,
-    known_pose,
-    object_motions,
-    offset_estimate,
-    refused,
-)
-from ssac.observability import (
-    Refusal,
-    View,
-    ambiguous_offset,
-    at_rest,
-    coarsest_step,
-    no_match,
-    returns_s,
-    swings,
-    too_little_motion,
-    valleys,
-    view_of,
-)
-from ssac.offset_search import (
-    Cost,
-    OffsetSearch,
-    candidate_offsets,
-    coarse_to_fine_search,
-    exhaustive_search,
-    mean_epipolar_distance,
-    sample_pairs,
-)
-from ssac.straight_path import straight_path
-from ssac.tracks import ObjectMotion
-
 Array = NDArray[np.float64]
-Fit = Callable[[Array, Array], Array]  # pairs p1, p2 (n, 2) [px] -> F (3, 3)
 
-MIN_IN_FRONT = 0.75
-"""A pose that puts a smaller share of the pairs in front of both cameras is refused."""
-
-MIN_SECOND_BEST = 7.0
-"""Pairs that another F fits less than so many times worse leave the pose open (docs/refusal.md)."""
-
-MIN_PAIRS_OF_FIT = 30
-"""Pairs at the offset found, when F is fitted to them: about four for each of its 7 parameters."""
+POSE_IS_OPEN = ("ambiguous_pose", "degenerate_pose")
+"""Statuses of estimates whose offset holds all the same."""
 
 
-def ssac_known(
-    cam1: Observation, cam2: Observation, rig: Rig, config: Config | None = None
-) -> Estimate:
-    """Time offset with the extrinsics of the rig: the paper's Algorithm 1.
+@dataclass(frozen=True)
+class Estimate:
+    """The result of any method; what a method does not estimate stays NaN or None."""
 
-    Parameters
-    ----------
-    cam1, cam2
-        What the two cameras recorded.
-    rig
-        Intrinsics and the transform `T_2_1`.
-    config
-        Parameters; the defaults when None.
+    method: str
+    status: str = "ok"  # or the name of the reason why there is no reliable estimate
+    reason: str = ""  # that reason as a sentence
+    t_d_s: float = np.nan  # t_cam2 = t_cam1 + t_d
+    t_d_std_s: float = np.nan  # standard deviation of t_d
+    R: Array | None = None  # (3, 3) x2 = R x1 + t
+    t: Array | None = None  # (3,) length 1
+    F: Array | None = None  # (3, 3) p2' F p1 = 0 for undistorted pixels, norm 1
+    covariance: Array | None = None  # (6, 6), parameters as in `refinement`
+    alternatives_s: Array = field(default_factory=lambda: np.empty(0))  # (k,) other offsets t_d
+    unobservable: Array = field(default_factory=lambda: np.empty((0, 6)))  # (k, 6) unit vectors
+    n_samples: int = 0  # valid pairs at the offset found
+    d_avg_px: float = np.nan  # the paper's Eq. 4 at the offset found
+    candidates_s: Array = field(default_factory=lambda: np.empty(0))  # (M,) offsets tried
+    costs: Array = field(default_factory=lambda: np.empty(0))  # (M,) d_avg [px] or -correlation
 
-    Returns
-    -------
-    Estimate
-        With status "ok", or "no_common_time", "too_few_samples", "no_motion", "search_bound",
-        "no_match" or "ambiguous_offset".
-
-    Raises
-    ------
-    SsacError
-        If the rig has no `T_2_1`, or a parameter makes no sense.
-    """
-    config = checked(config)
-    motion1, motion2 = object_motions(cam1, cam2, rig, config)
-    return algorithm_1(motion1, motion2, rig, config)
-
-
-def ssac(cam1: Observation, cam2: Observation, rig: Rig, config: Config | None = None) -> Estimate:
-    """Time offset and relative pose: the paper's Algorithm 2.
-
-    Parameters and errors as for `ssac_known`, but the rig's `T_2_1` is not used. The status may
-    also be "too_little_motion"; or "ambiguous_pose" or "degenerate_pose", with an offset that holds
-    but without R and t.
-    """
-    config = checked(config)
-    motion1, motion2 = object_motions(cam1, cam2, rig, config)
-    return algorithm_2(motion1, motion2, rig, config)
-
-
-def algorithm_1(motion1: ObjectMotion, motion2: ObjectMotion, rig: Rig, config: Config) -> Estimate:
-    """Algorithm 1 on prepared motions; see `ssac_known`."""
-    R, t = known_pose(rig)
-    views = view_of(motion1), view_of(motion2)
-    refusal = at_rest(views)
-    if refusal is not None:
-        return Estimate("ssac-known", refusal.status, refusal.reason)
-    F = fundamental_from_pose(rig.cam1.K, rig.cam2.K, R, t)
-
-    def d_avg_px(t_d_s: Array) -> Array:  # lines 2 to 8, for all candidates at once
-        pairs = sample_pairs(motion1, motion2, t_d_s, config.n_samples)
-        return mean_epipolar_distance(F, pairs, MIN_PAIRS)
-
-    candidates_s = candidate_offsets(motion1, motion2, config.interval_s)
-    search = _search(  # lines 1 and 10
-        d_avg_px,
-        d_avg_px,
-        candidates_s,
-        config,
-        coarsest_step(views),
-        returns_s(motion1, views[0], float(np.ptp(config.interval_s))),
-    )
-    estimate = offset_estimate("ssac-known", search, config)
-    if estimate.status != "ok":
-        return estimate
-    p1, p2 = pairs_at(motion1, motion2, estimate.t_d_s, config)
-    return _checked_search(replace(with_fit(estimate, F, p1, p2), R=R, t=t), views)
-
-
-def algorithm_2(motion1: ObjectMotion, motion2: ObjectMotion, rig: Rig, config: Config) -> Estimate:
-    """Algorithm 2 on prepared motions; see `ssac`."""
-
-    def robust_fit(p1: Array, p2: Array, trials: int = config.trials) -> Array:
-        if config.robust == "magsac":
-            return magsac_fundamental(p1, p2, rig.cam1.K, rig.cam2.K)
-        return lmeds_fundamental(p1, p2, trials, config.seed)
-
-    def d_avg_px(fit: Fit, n_samples: int, t_d_s: Array) -> Array:  # lines 2 to 9
-        pairs = sample_pairs(motion1, motion2, t_d_s, n_samples)
-        return np.array([_d_avg_of_fit(fit, *pairs.valid_positions(m)) for m in range(len(t_d_s))])
-
-    views = view_of(motion1), view_of(motion2)
-    refusal = at_rest(views)
-    if refusal is not None:
-        return Estimate("ssac", refusal.status, refusal.reason)
-    view1, view2 = views
-    if view1 is not None and view2 is not None and view1.is_straight and view2.is_straight:
-        return straight_path("ssac", (view1, view2), motion1, motion2, config)
-    candidates_s = candidate_offsets(motion1, motion2, config.interval_s)
-    search = _search(  # lines 1 and 10; half the samples are enough to find the valley
-        partial(d_avg_px, reweighted_fundamental, max(config.n_samples // 2, MIN_PAIRS)),
-        partial(d_avg_px, robust_fit, config.n_samples),
-        candidates_s,
-        config,
-        coarsest_step(views),
-        returns_s(motion1, views[0], float(np.ptp(config.interval_s))),
-    )
-    estimate = offset_estimate("ssac", search, config)
-    if estimate.status != "ok":
-        return estimate
-    pairs = sample_pairs(motion1, motion2, np.array([estimate.t_d_s]), config.n_samples)
-    p1, p2 = pairs.valid_positions(0)
-    refusal = _too_few_for_fit(len(p1)) or too_little_motion(swings(motion1, motion2, pairs))
-    if refusal is not None:
-        return refused(estimate, refusal)
-    F = robust_fit(p1, p2, config.final_trials)
-    estimate = _checked_search(with_fit(estimate, F, p1, p2), views)
-    if estimate.status != "ok":
-        return estimate
-    if second_best(p1, p2) < MIN_SECOND_BEST:
-        reason = (
-            "the path lies near a plane, or near another surface on which many fundamental matrices"
-            " fit as well: F leaves the pose open"
-        )
-        return replace(estimate, status="degenerate_pose", reason=reason)
-    return with_pose(estimate, F, rig, p1, p2)  # line 11
-
-
-def pairs_at(
-    motion1: ObjectMotion, motion2: ObjectMotion, t_d_s: float, config: Config
-) -> tuple[Array, Array]:
-    """Sample the valid pairs p1 and p2 (n, 2) [px] at one offset."""
-    return sample_pairs(motion1, motion2, np.array([t_d_s]), config.n_samples).valid_positions(0)
-
-
-def _checked_search(estimate: Estimate, views: tuple[View | None, View | None]) -> Estimate:
-    """Refuse an offset at which the views do not match, or that others rival."""
-    sizes_px = [np.nan if view is None else view.size_px for view in views]
-    object_px = float(np.hypot(sizes_px[0], sizes_px[1]))
-    found = valleys(estimate.candidates_s, estimate.costs, estimate.t_d_s)
-    # Of a path that leaves F open the final F may be a bad one, though others fit.
-    distance_px = min(estimate.d_avg_px, float(np.nanmin(estimate.costs)))
-    refusal = no_match(distance_px, object_px) or ambiguous_offset(found)
-    return estimate if refusal is None else refused(estimate, refusal, found)
-
-
-def _too_few_for_fit(n_pairs: int) -> Refusal | None:
-    if n_pairs >= MIN_PAIRS_OF_FIT:
-        return None
-    return Refusal(
-        "too_few_samples",
-        f"{n_pairs} sample times are valid in both views at the best offset: {MIN_PAIRS_OF_FIT}"
-        " are needed to find the pose as well",
-    )
-
-
-def with_fit(estimate: Estimate, F: Array, p1_px: Array, p2_px: Array) -> Estimate:
-    """Add F, and how well it fits these pairs, to the estimate."""
-    d_avg_px = float(np.mean(epipolar_distance(F, p1_px, p2_px)))
-    return replace(estimate, F=F / np.linalg.norm(F), n_samples=len(p1_px), d_avg_px=d_avg_px)
-
-
-def with_pose(estimate: Estimate, F: Array, rig: Rig, p1_px: Array, p2_px: Array) -> Estimate:
-    """Add the pose that F gives, or the status "ambiguous_pose", to the estimate.
-
-    Deviation: the paper does not say how F, which noise keeps from giving a true essential matrix,
-    is decomposed. The textbook's way, E's two singular values made equal, is followed here by
-    `nearest_pose`. Over 10 flights of 20 s at 30 deg the mean error of t is 0.32 deg with it and
-    0.69 deg without; at 90 deg 0.19 and 0.23.
-    """
-    K1, K2 = rig.cam1.K, rig.cam2.K
-    pose = pose_from_fundamental(F, K1, K2, p1_px, p2_px)
-    if pose.in_front < MIN_IN_FRONT:
-        reason = (
-            f"only {100 * pose.in_front:.0f} % of the pairs lie in front of both cameras with the"
-            f" best of the four poses; {100 * MIN_IN_FRONT:.0f} % are needed"
-        )
-        return replace(estimate, status="ambiguous_pose", reason=reason)
-    pose = nearest_pose(pose, F, K1, K2, p1_px, p2_px)
-    return replace(estimate, R=pose.R, t=pose.t)
-
-
-def _search(
-    coarse_cost: Cost,
-    cost: Cost,
-    candidates_s: Array,
-    config: Config,
-    coarsest: int,
-    lags_s: Array,
-) -> OffsetSearch:
-    if config.exhaustive:
-        return exhaustive_search(cost, candidates_s)
-    return coarse_to_fine_search(coarse_cost, cost, candidates_s, coarsest, lags_s)
-
-
-def _d_avg_of_fit(fit: Fit, p1_px: Array, p2_px: Array) -> float:
-    """d_avg [px] of Eq. 4 with the F fitted to these pairs; NaN when they are too few."""
-    if len(p1_px) < MIN_PAIRS:
-        return np.nan
-    return float(np.mean(epipolar_distance(fit(p1_px, p2_px), p1_px, p2_px)))
+    @property
+    def has_offset(self) -> bool:
+        """Whether `t_d_s` is to be relied upon: it may be though the pose is not."""
+        return self.status in ("ok", *POSE_IS_OPEN) and bool(np.isfinite(self.t_d_s))

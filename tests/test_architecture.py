@@ -8,122 +8,96 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 
-# The order in which data flow through each package. A module imports only from those before it in
-# its own package, so a new module has to be given its place here. A folder counts as one.
-STAGES = {
-    "sim": (
-        "errors",
-        "trajectory",
-        "shapes",
-        "drone",
-        "flyers",
-        "rig",
-        "background",
-        "lattice",
-        "footprint",
-        "gl_context",
-        "gl_atlas",
-        "render",
-        "gl_reference",
-        "sampling",
-        "sensor_kernels",
-        "sensor",
-        "frames",
-        "recording",
-        "storage",
-    ),
-    "ssac": (
-        "errors",
-        "whole_file",
-        "events",
-        "camera",
-        "rig_files",
-        "hdf5_files",
-        "text_files",
-        "io",
-        "denoise",
-        "tracks",
-        "epipolar",
-        "fundamental",
-        "extrinsics",
-        "robust",
-        "bound",
-        "offset_search",
-        "observability",
-        "interface",
-        "straight_path",
-        "estimate",
-        "possible_poses",
-        "ambiguity",
-        "covariance",
-        "refinement",
-        "pencil",
-        "outline_kernels",
-        "outline",
-        "tangency",
-        "uncertainty",
-        "baselines",
-    ),
-    "experiments": (
-        "measurement",
-        "provenance",
-        "bridge",
-        "score",
-        "methods",
-        "load",
-        "plot_data",
-        "plots",
-        "sync",
-        "scene",
-        "simulate",
-        "demo",
-        "fidelity",
-        "grid",
-        "cache",
-        "run",
-        "schedule",
-        "tables",
-        "comparison",
-        "markdown",
-        "results_page",
-        "results",
-        "check_files",
-        "check",
-        "figure_style",
-        "figure_events",
-        "figure_errors",
-        "figure_beyond",
-        "figure_efficiency",
-        "figure_ablations",
-        "figures",
-        "animation",
-        "animation_page",
-        "report_data",
-        "report_tables",
-        "report_chart",
-        "report",
-        "sweep",
-        "recording_bound",
-        "efficiency",
-        "ablation",
-        "coverage",
-        "reproduce",
-        "zncc_study",
-        "tangency_study",
-        "refusal_flights",
-        "refusal",
-        "warm_up",
-        "bench_sync",
-        "bench_tables",
-        "bench",
-        "cli",
-    ),
+# The floors of each package, in the order in which data flow through it, and the files of each of
+# its folders in the same order; a floor without files is a file itself. A module imports only from
+# what stands before it here, in its own package, so a new one has to be given its place.
+STAGES: dict[str, dict[str, tuple[str, ...]]] = {
+    "sim": {
+        "errors": (),
+        "scene": ("trajectory", "shapes", "drone", "flyers", "rig", "background"),
+        "render": (
+            "lattice",
+            "footprint",
+            "instants",
+            "gl_context",
+            "gl_atlas",
+            "renderer",
+            "gl_reference",
+        ),
+        "sensor": ("kernels", "events", "frames"),
+        "recording": (),
+        "storage": (),
+    },
+    "ssac": {
+        "errors": (),
+        "events": (),
+        "camera": (),
+        "config": (),
+        "estimate": (),
+        "files": ("whole_file", "rigs", "hdf5", "text", "event_files"),
+        "geometry": ("epipolar", "fundamental", "pose", "candidate_poses", "pencil", "robust"),
+        "track": ("denoise", "motion", "observation", "outline_kernels", "outline"),
+        "search": ("offset_search", "observability"),
+        "methods": (
+            "verdict",
+            "straight_path",
+            "algorithms",
+            "ambiguity",
+            "covariance",
+            "joint",
+            "tangency",
+        ),
+        "baselines": ("correlation", "event_rate", "zncc_e", "zncc_f", "albl"),
+        "tool": ("registry", "load", "plot_data", "plots", "sync"),
+    },
+    "experiments": {
+        "run": (
+            "provenance",
+            "bridge",
+            "score",
+            "grid",
+            "cache",
+            "task",
+            "schedule",
+            "command",
+            "warm_up",
+        ),
+        "scenes": ("scene", "simulate", "demo", "fidelity"),
+        "paper": (
+            "esim",
+            "comparison",
+            "markdown",
+            "page",
+            "results",
+            "tables",
+            "verify_files",
+            "verify",
+        ),
+        "figures": ("style", "events", "errors", "beyond", "efficiency", "ablations", "figures"),
+        "studies": (
+            "sweep",
+            "ablate",
+            "coverage",
+            "bound",
+            "recording_bound",
+            "efficiency",
+            "refusal_flights",
+            "refusal",
+            "tangency",
+            "zncc",
+        ),
+        "report": ("data", "tables", "chart", "animation", "animation_page", "report"),
+        "bench": ("measurement", "sync", "tables", "bench"),
+        "cli": (),
+    },
 }
 
 # What each package may import of the other two.
 MAY_IMPORT = {"sim": set(), "ssac": set(), "experiments": {"sim", "ssac"}}
 
 OPENGL = {"pyrender", "OpenGL", "pyglet"}
+
+MAX_FILES = 12  # of one folder: what a reader takes in at a glance
 
 
 def module_files() -> dict[str, Path]:
@@ -137,18 +111,17 @@ def module_files() -> dict[str, Path]:
 
 def violations(module: str, source: str) -> Iterator[str]:
     """Yield one line for each import in `source` that `module` (a dotted name) may not make."""
-    package, stage = module.split(".")[:2]
+    package = module.split(".")[0]
     for line, target in imports(source):
         if target.startswith(".") or target.endswith(".*"):
             yield f"{module}:{line} imports {target}: neither relative nor star imports"
             continue
-        root, _, inner = target.partition(".")
-        target_stage = inner.split(".")[0]
+        root = target.split(".")[0]
         if root in OPENGL:
-            if package != "sim" or not (stage == "render" or stage.startswith("gl_")):
-                yield f"{module}:{line} imports {root}: only sim.render and sim.gl_* open OpenGL"
+            if not module.startswith("sim.render."):
+                yield f"{module}:{line} imports {root}: only sim.render opens OpenGL"
         elif root == package:
-            if not flows(package, target_stage, stage):
+            if not flows(target, module):
                 yield f"{module}:{line} imports {target}, which is not to the left of it in STAGES"
         elif root in STAGES and root not in MAY_IMPORT[package]:
             yield f"{module}:{line} imports {target}: {package} does not know {root}"
@@ -166,22 +139,51 @@ def imports(source: str) -> Iterator[tuple[int, str]]:
                 yield node.lineno, f"{origin}.{alias.name}"
 
 
-def flows(package: str, origin: str, to: str) -> bool:
-    """Return whether data flow from stage `origin` to stage `to`; `__init__` is the last of all."""
-    stages = STAGES[package]
-    if origin not in stages:  # a name out of the package's own __init__
+def flows(origin: str, to: str) -> bool:
+    """Return whether data flow from a dotted import target to a module.
+
+    A package's or folder's own `__init__` is the last of it, as it lists what the others define.
+    """
+    package = to.split(".")[0]
+    floors = list(STAGES[package])
+    (floor, file), (to_floor, to_file) = place(origin), place(to)
+    if floor not in floors:  # a name out of the package's own __init__
         return False
-    if to not in stages:  # __init__, or a module that test_every_module_has_its_place complains of
+    if to_floor == "__init__":
         return True
-    in_same_folder = origin == to and (ROOT / package / to).is_dir()
-    return in_same_folder or stages.index(origin) < stages.index(to)
+    if floor != to_floor:
+        return to_floor not in floors or floors.index(floor) < floors.index(to_floor)
+    files = STAGES[package][floor]
+    if file not in files:  # a name out of the folder's own __init__
+        return False
+    return to_file not in files or files.index(file) < files.index(to_file)
 
 
-def test_every_module_has_its_place() -> None:
-    listed = {(package, stage) for package, stages in STAGES.items() for stage in stages}
-    found = {tuple(name.split(".")[:2]) for name in module_files()}
-    unlisted = {place for place in found - listed if place[1] != "__init__"}
-    assert not unlisted, f"give these a place in STAGES of {Path(__file__).name}: {unlisted}"
+def place(name: str) -> tuple[str, str]:
+    """Floor and file of a dotted name; empty where it names none."""
+    parts = [*name.split("."), "", ""]
+    return parts[1], parts[2]
+
+
+def test_every_module_has_its_place_and_every_place_a_module() -> None:
+    listed = {
+        f"{package}.{floor}" + (f".{file}" if file else "")
+        for package, floors in STAGES.items()
+        for floor, files in floors.items()
+        for file in files or ("",)
+    }
+    found = {name for name in module_files() if not name.endswith("__init__")}
+    here = f"STAGES of {Path(__file__).name}"
+    assert not found - listed, f"give these a place in {here}: {sorted(found - listed)}"
+    assert not listed - found, f"these are in {here} and nowhere else: {sorted(listed - found)}"
+
+
+@pytest.mark.parametrize("package", STAGES)
+def test_folders_are_two_levels_and_small(package: str) -> None:
+    for floor, files in STAGES[package].items():
+        assert len(files) <= MAX_FILES, f"{package}/{floor} has {len(files)} files: split by idea"
+    deeper = [name for name in module_files() if name.count(".") > 2]
+    assert not deeper, f"folders have two levels: {deeper}"
 
 
 @pytest.mark.parametrize("module", module_files())
@@ -193,23 +195,28 @@ def test_imports(module: str) -> None:
 @pytest.mark.parametrize(
     ("module", "source", "reason"),
     [
-        ("sim.sensor", "import ssac", "sim does not know ssac"),
-        ("sim.sensor", "from ssac.events import EVENT_DTYPE", "sim does not know ssac"),
-        ("sim.sensor", "from experiments import run", "sim does not know experiments"),
-        ("ssac.tracks", "import sim.rig as rig", "ssac does not know sim"),
-        ("ssac.baselines.zncc", "import experiments.score", "ssac does not know experiments"),
-        ("ssac.tracks", "def f():\n    from sim import rig", "ssac does not know sim"),
-        ("sim.sensor", "import pyrender", "only sim.render"),
-        ("sim.sensor", "from OpenGL.GL import glClear", "only sim.render"),
-        ("experiments.bench", "import pyrender", "only sim.render"),
-        ("sim.sensor", "from .errors import SimError", "neither relative"),
-        ("sim.sensor", "from . import errors", "neither relative"),
-        ("sim.sensor", "from numpy import *", "nor star"),
-        ("sim.trajectory", "from sim.render import Renderer", "not to the left"),
-        ("sim.trajectory", "from sim import render", "not to the left"),
-        ("sim.trajectory", "import sim.trajectory", "not to the left"),
-        ("sim.trajectory", "from sim import simulate", "not to the left"),
-        ("ssac.estimate", "from ssac.baselines import zncc", "not to the left"),
+        ("sim.sensor.events", "import ssac", "sim does not know ssac"),
+        ("sim.sensor.events", "from ssac.events import EVENT_DTYPE", "sim does not know ssac"),
+        ("sim.sensor.events", "from experiments import run", "sim does not know experiments"),
+        ("ssac.track.motion", "import sim.scene.rig as rig", "ssac does not know sim"),
+        ("ssac.tool.sync", "from sim.recording import simulate", "ssac does not know sim"),
+        ("ssac.tool.sync", "import experiments.run.score", "ssac does not know experiments"),
+        ("ssac.track.motion", "def f():\n    from sim import scene", "ssac does not know sim"),
+        ("sim.sensor.events", "import pyrender", "only sim.render"),
+        ("sim.sensor.events", "from OpenGL.GL import glClear", "only sim.render"),
+        ("experiments.bench.bench", "import pyrender", "only sim.render"),
+        ("sim.sensor.events", "from .kernels import follow", "neither relative"),
+        ("sim.sensor.events", "from . import kernels", "neither relative"),
+        ("sim.sensor.events", "from numpy import *", "nor star"),
+        ("sim.scene.trajectory", "from sim.render.renderer import Renderer", "not to the left"),
+        ("sim.scene.trajectory", "from sim import render", "not to the left"),
+        ("sim.scene.trajectory", "import sim.scene.trajectory", "not to the left"),
+        ("sim.scene.trajectory", "import sim.scene.drone", "not to the left"),
+        ("sim.scene.drone", "from sim.scene import Drone", "not to the left"),
+        ("sim.scene.trajectory", "from sim import simulate", "not to the left"),
+        ("ssac.methods.joint", "from ssac.baselines import zncc_e", "not to the left"),
+        ("ssac.methods.joint", "from ssac.methods.tangency import tangency", "not to the left"),
+        ("ssac.methods.joint", "from ssac.tool.registry import METHODS", "not to the left"),
         ("ssac.estimate", "import ssac", "not to the left"),
     ],
 )
@@ -221,14 +228,15 @@ def test_a_wrong_import_is_found(module: str, source: str, reason: str) -> None:
 @pytest.mark.parametrize(
     ("module", "source"),
     [
-        ("sim.render", "import pyrender\nfrom OpenGL import GL\nimport numpy as np"),
-        ("sim.gl_atlas", "import OpenGL.GL"),
-        ("sim.recording", "from sim.sensor import EVENT_DTYPE\nfrom sim import rig"),
+        ("sim.render.renderer", "import pyrender\nfrom OpenGL import GL\nimport numpy as np"),
+        ("sim.render.gl_atlas", "import OpenGL.GL"),
+        ("sim.recording", "from sim.sensor.events import EVENT_DTYPE\nfrom sim.scene import rig"),
         ("sim.__init__", "from sim.recording import simulate"),
-        ("ssac.baselines.zncc", "from ssac.baselines.signals import rate\nimport ssac.tracks"),
+        ("sim.sensor.__init__", "from sim.sensor.events import Sensor"),
+        ("ssac.baselines.zncc_e", "from ssac.baselines.event_rate import rate"),
         (
-            "experiments.run",
-            "import sim.recording\nfrom ssac.estimate import estimate",
+            "experiments.run.task",
+            "import sim.recording\nfrom ssac.methods.algorithms import ssac",
         ),
     ],
 )
@@ -237,7 +245,7 @@ def test_a_right_import_passes(module: str, source: str) -> None:
 
 
 def test_both_sides_have_the_same_events() -> None:
-    from sim.sensor import EVENT_DTYPE as SIMULATED
+    from sim.sensor.events import EVENT_DTYPE as SIMULATED
     from ssac.events import EVENT_DTYPE as READ
 
     assert SIMULATED == READ

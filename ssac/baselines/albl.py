@@ -17,12 +17,14 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from ssac.camera import Rig
-from ssac.epipolar import sampson_distance
-from ssac.estimate import pairs_at, with_fit, with_pose
-from ssac.fundamental import MIN_PAIRS, reweighted_fundamental
-from ssac.interface import Config, Estimate, Observation, checked, object_motions
-from ssac.offset_search import sample_pairs
-from ssac.tracks import ObjectMotion
+from ssac.config import Config, checked
+from ssac.estimate import Estimate
+from ssac.geometry.epipolar import sampson_distance
+from ssac.geometry.fundamental import MIN_PAIRS, reweighted_fundamental
+from ssac.methods.algorithms import pairs_at, with_fit, with_pose
+from ssac.search.offset_search import sample_pairs
+from ssac.track.motion import ObjectMotion
+from ssac.track.observation import Observation, object_motions
 
 Array = NDArray[np.float64]
 
@@ -65,7 +67,8 @@ def albl(cam1: Observation, cam2: Observation, rig: Rig, config: Config | None =
     """Time offset and relative pose by the iterated eigenvalue solver of Albl et al. (2017).
 
     The search starts in the middle of the search interval and looks at no other offset first, so
-    that it may stop at a local optimum. Parameters and errors as for `ssac.estimate.ssac`.
+    that it may stop at a local optimum. Parameters and errors as for
+    `ssac.methods.algorithms.ssac`.
 
     Deviation from Albl et al.: their image tracks are sampled per frame, ours at any time, so the
     shift is not rounded to frames; RANSAC's solution is polished by a search in b for the least

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ssac.interface import Config, Estimate
+from ssac.config import Config
+from ssac.estimate import Estimate
 
 Array = NDArray[np.float64]
 

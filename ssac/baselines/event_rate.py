@@ -6,8 +6,10 @@ from scipy.signal import correlate, correlation_lags
 
 from ssac.baselines.correlation import Signal, correlation_estimate, counted, lags_of
 from ssac.camera import Rig
+from ssac.config import Config, checked
+from ssac.estimate import Estimate
 from ssac.events import US_PER_S
-from ssac.interface import Config, Estimate, Observation, checked, usable_events
+from ssac.track.observation import Observation, usable_events
 
 BIN_S = 0.001
 """Interval in which events are counted."""
@@ -22,8 +24,8 @@ def event_rate(
     the counts, without their means, are correlated. Unlike `zncc_e` the correlation is normalised
     once for the whole recordings, not for the overlap at each lag, and the intervals are 1 ms.
 
-    Parameters and errors as for `ssac.estimate.ssac_known`; of the rig only the sensor sizes
-    matter. The resolution is one interval.
+    Parameters and errors as for `ssac.methods.algorithms.ssac_known`; of the rig only the
+    sensor sizes matter. The resolution is one interval.
     """
     config = checked(config)
     events1, events2 = usable_events(cam1, cam2, rig, config)

@@ -4,8 +4,10 @@ import numpy as np
 
 from ssac.baselines.correlation import correlation_estimate, counted, lags_of, zncc
 from ssac.camera import Rig
+from ssac.config import Config, checked
+from ssac.estimate import Estimate
 from ssac.events import US_PER_S
-from ssac.interface import Config, Estimate, Observation, checked, usable_events
+from ssac.track.observation import Observation, usable_events
 
 BIN_S = 0.010
 """Deviation: the paper gives no bin length; its errors of ZNCC_E are multiples of 10 ms."""
@@ -19,8 +21,8 @@ def zncc_e(
     After Perot et al. (2020), as the paper uses it: the number of events in bins of 10 ms, and the
     lag with the highest zero-normalised cross-correlation in the search interval.
 
-    Parameters and errors as for `ssac.estimate.ssac_known`; of the rig only the sensor sizes
-    matter. The resolution is one bin.
+    Parameters and errors as for `ssac.methods.algorithms.ssac_known`; of the rig only the
+    sensor sizes matter. The resolution is one bin.
     """
     config = checked(config)
     events1, events2 = usable_events(cam1, cam2, rig, config)

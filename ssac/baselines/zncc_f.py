@@ -5,8 +5,10 @@ from numpy.typing import NDArray
 
 from ssac.baselines.correlation import Signal, binned, correlation_estimate, lags_of, zncc
 from ssac.camera import Rig
+from ssac.config import Config, checked
 from ssac.errors import SsacError
-from ssac.interface import Config, Estimate, Observation, checked
+from ssac.estimate import Estimate
+from ssac.track.observation import Observation
 
 FRAME_S = 0.020
 """Time between frames at the paper's 50 Hz, and so the unit of the offsets found."""
@@ -23,7 +25,7 @@ def zncc_f(
     are nearest to the paper's at all angles (docs/zncc.md). Frames are put on one grid of 20 ms
     in both clocks, so that the offset found is a multiple of 20 ms, as the paper states.
 
-    Parameters as for `ssac.estimate.ssac_known`; the rig is not used.
+    Parameters as for `ssac.methods.algorithms.ssac_known`; the rig is not used.
 
     Raises
     ------

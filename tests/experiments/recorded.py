@@ -7,8 +7,8 @@ import h5py
 import numpy as np
 
 from ssac.events import EVENT_DTYPE
-from ssac.hdf5_files import save_events_h5
-from ssac.io import save_events_text
+from ssac.files.event_files import save_events_text
+from ssac.files.hdf5 import save_events_h5
 from tests.ssac.synthetic import HEIGHT, WIDTH, Scene, make_events, make_scene
 
 T_D_S = 0.05

@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 import pandas as pd
 
-from experiments.comparison import comparison_table, load_published
-from experiments.grid import config_names
-from experiments.tables import csv_text, esim_tables, ordered_runs
-from ssac.hdf5_files import save_events_h5
+from experiments.paper.comparison import comparison_table, load_published
+from experiments.paper.esim import csv_text, esim_tables, ordered_runs
+from experiments.run.grid import config_names
+from ssac.files.hdf5 import save_events_h5
 from tests.ssac.synthetic import HEIGHT, WIDTH, Scene, make_events, make_scene
 
 METHODS = (

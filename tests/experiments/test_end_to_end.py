@@ -11,16 +11,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments.bridge import observations, rig_of
-from experiments.score import angle_between_deg, rotation_angle_deg, score
-from sim.frames import FrameConfig
+from experiments.run.bridge import observations, rig_of
+from experiments.run.score import angle_between_deg, rotation_angle_deg, score
 from sim.recording import Recording, SimConfig, simulate
-from sim.sampling import SamplingConfig
-from sim.sensor import PRESETS
-from sim.trajectory import SplineConfig
-from ssac.estimate import ssac, ssac_known
-from ssac.interface import Config, Observation, usable_events
-from ssac.refinement import joint, joint_known
+from sim.render.instants import SamplingConfig
+from sim.scene.trajectory import SplineConfig
+from sim.sensor.events import PRESETS
+from sim.sensor.frames import FrameConfig
+from ssac.config import Config
+from ssac.methods.algorithms import ssac, ssac_known
+from ssac.methods.joint import joint, joint_known
+from ssac.track.observation import Observation, usable_events
 
 pytestmark = pytest.mark.render
 

@@ -8,9 +8,9 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from sim.drone import Drone, Part
-from sim.render import Crops
-from sim.rig import Camera, two_view_rig
+from sim.render.renderer import Crops
+from sim.scene.drone import Drone, Part
+from sim.scene.rig import Camera, two_view_rig
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]

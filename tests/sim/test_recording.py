@@ -7,15 +7,15 @@ import pytest
 import trimesh
 from numpy.typing import NDArray
 
-from sim.drone import drone_from_file
 from sim.errors import SimError
-from sim.frames import FrameConfig
-from sim.lattice import Lattice
 from sim.recording import Recording, SimConfig, simulate, with_time_offset
-from sim.render import RenderConfig
-from sim.sampling import SamplingConfig
-from sim.sensor import PRESETS
-from sim.trajectory import SplineConfig, random_spline, trajectory_to_csv
+from sim.render.instants import SamplingConfig
+from sim.render.lattice import Lattice
+from sim.render.renderer import RenderConfig
+from sim.scene.drone import drone_from_file
+from sim.scene.trajectory import SplineConfig, random_spline, trajectory_to_csv
+from sim.sensor.events import PRESETS
+from sim.sensor.frames import FrameConfig
 
 pytestmark = pytest.mark.render
 

@@ -10,14 +10,14 @@ from scipy.spatial.transform import Rotation
 
 import sim.storage
 from sim.errors import SimError
-from sim.frames import Frames
-from sim.gl_context import GLContext
 from sim.recording import CameraRecording, Recording, Truth
-from sim.rig import two_view_rig
-from sim.sensor import EVENT_DTYPE
+from sim.render.gl_context import GLContext
+from sim.scene.rig import two_view_rig
+from sim.sensor.events import EVENT_DTYPE
+from sim.sensor.frames import Frames
 from sim.storage import check_out_dir, save_events_text, save_recording
-from ssac.io import load_events, load_frames
-from ssac.rig_files import load_rig
+from ssac.files.event_files import load_events, load_frames
+from ssac.files.rigs import load_rig
 
 T_D_S = 0.05
 PROVENANCE = {"seed": 3, "angle_deg": 70.0}

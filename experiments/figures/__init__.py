@@ -1,0 +1,1 @@
+"""Results and recordings in, the figures of `results/` out."""

@@ -1,0 +1,215 @@
+"""An ablation's means in, its errors against the value out.
+
+A row of axes for each method, a column for each error; one line for each angle, or for whatever
+else the grid varies. Where runs failed, one more column shows their share.
+"""
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import LogLocator, NullLocator
+from numpy.typing import NDArray
+
+from experiments.figures.style import WIDTH_IN, quiet_axes
+from experiments.paper.esim import method_order
+from experiments.run.grid import FigureConfig, GridConfig, configs_of
+from sim.scene.drone import quadrotor
+from ssac.errors import SsacError
+
+FAILED = "failed"
+
+_LABELS = {
+    "t_d_error_ms": "error of $t_d$ [ms]",
+    "r_error_deg": "error of R [deg]",
+    "t_error_deg": "error of t [deg]",
+    FAILED: "failed runs [%]",
+}
+_PARTS = ("mean", "std")  # of an error's columns
+# Of a line, by the parameter that it stands for.
+_NAMES = {"sim.angle_deg": "{:g} deg", "sim.spline.duration_s": "{:g} s", "sim.drone": "{}"}
+_MARKERS = "osD^vPX"
+_DASHES = ("-", (0, (1.2, 1.2)), (0, (5.0, 1.5)), "-.")  # of a second parameter\'s values
+_LIGHTEST = 0.82  # of the colour map: what follows is too light on white
+_LOG_FROM = 8.0  # largest over least mean from which an error's axis is logarithmic
+_MAX_VALUES = 6  # of the parameter, all of which are written below the axis
+_DECADES = 1.6  # up to which an axis is labelled at 1, 2 and 5
+
+
+def ablation_figure(means: pd.DataFrame, grid: GridConfig) -> Figure:
+    """Draw an ablation.
+
+    Parameters
+    ----------
+    means
+        `results/ablation_<name>.csv`: one row for each point of the grid and method.
+    grid
+        Its configuration, with the table [figure].
+
+    Raises
+    ------
+    SsacError
+        If the configuration says nothing of a figure, or the means lack a column.
+    """
+    look = grid.figure
+    if look is None:
+        raise SsacError(f"{grid.name}: its TOML has no table [figure]: add one with x and label")
+    others = other_parameters(grid, look.x)
+    columns = [look.x, *others, "method", "n_runs", FAILED]
+    columns += [f"{error}_{part}" for error in _LABELS if error != FAILED for part in _PARTS]
+    absent = [column for column in columns if column not in means]
+    if absent:
+        raise SsacError(f"{grid.name}: its means lack the columns {', '.join(absent)}: rerun it")
+
+    methods, quantities = method_order(means["method"]), drawn_quantities(means)
+    figure = Figure(figsize=(WIDTH_IN, 1.1 + 2.0 * len(methods)), layout="constrained")
+    rows = figure.subplots(len(methods), len(quantities), sharex=True, sharey="col", squeeze=False)
+    lines = lines_of(means, others)
+    looks = _line_looks(means, others)
+    for row, method in zip(rows, methods, strict=True):
+        for axes, quantity in zip(row, quantities, strict=True):
+            quiet_axes(axes)
+            for line, (_, part) in zip(looks, lines, strict=True):
+                _draw_line(axes, part[part["method"] == method], look, quantity, line)
+        row[0].set_ylabel(method, weight="bold")
+    default = look.scale * default_value(look.x)
+    for axes, quantity in zip(rows[0], quantities, strict=True):
+        axes.set_title(_LABELS[quantity], fontsize=10)
+        _set_scales(axes, means, look, quantity)
+    if _on_axis(default, look):
+        for axes in rows.flat:
+            axes.axvline(default, color="0.4", lw=0.9, ls="--", zorder=1)
+    figure.supxlabel(look.label, fontsize=10)
+    handles = [
+        Line2D([], [], label=label, lw=1.2, ms=4.5, **line)
+        for line, (label, _) in zip(looks, lines, strict=True)
+    ]
+    style, where = ("--", "") if _on_axis(default, look) else ("none", ", not on this axis")
+    handles.append(Line2D([], [], color="0.4", ls=style, label=f"default: {default:g}{where}"))
+    figure.legend(
+        handles=handles,
+        loc="outside upper center",
+        ncols=6 if len(handles) <= 6 else 4,
+        fontsize=9,
+        frameon=False,
+    )
+    return figure
+
+
+def other_parameters(grid: GridConfig, x: str) -> list[str]:
+    """Name each axis of the grid, but for the one on which `x` moves, by its first parameter."""
+    return [next(iter(axis[0])) for axis in grid.axes if x not in axis[0]]
+
+
+def default_value(name: str) -> float:
+    """Give the default of a parameter by its dotted name, in its own unit."""
+    if name == "sim.drone_size_m":  # whose default, None, leaves it to the drone
+        return quadrotor().size_m
+    root, *path = name.split(".")
+    value: Any = dict(zip(("sim", "ssac"), configs_of({}), strict=True))[root]
+    for part in path:
+        value = getattr(value, part)
+    return float(value)
+
+
+def drawn_quantities(means: pd.DataFrame) -> list[str]:
+    """Errors that any method gives, and the share of failed runs if there is any."""
+    errors = [error for error in _LABELS if error != FAILED]
+    drawn = [error for error in errors if means[f"{error}_mean"].notna().any()]
+    return [*drawn, FAILED] if (means[FAILED] > 0).any() else drawn
+
+
+def lines_of(means: pd.DataFrame, others: list[str]) -> list[tuple[str, pd.DataFrame]]:
+    """Split the means by the other parameters: label and rows of each line."""
+    if not others:
+        return [("mean", means)]
+    return [
+        (
+            ", ".join(
+                _NAMES.get(name, f"{name} = {{}}").format(value)
+                for name, value in zip(others, values, strict=True)
+            ),
+            part,
+        )
+        for values, part in means.groupby(others, sort=True)
+    ]
+
+
+def _line_looks(means: pd.DataFrame, others: list[str]) -> list[dict[str, Any]]:
+    """Colour, marker and dashes of each of `lines_of`.
+
+    The first parameter sets the colour, from dark to light, which stays in order in grey. A second
+    one sets marker and dashes; the first sets the marker where it is alone.
+    """
+    if len(others) != 2:
+        n_lines = len(lines_of(means, others))
+        shades, kinds = np.linspace(0.0, _LIGHTEST, n_lines), np.arange(n_lines)
+        dashes = np.zeros(n_lines, np.intp)
+    else:
+        values = [np.unique(means[name]) for name in others]
+        steps = np.linspace(0.0, _LIGHTEST, len(values[0]))
+        shades = np.repeat(steps, len(values[1]))
+        dashes = kinds = np.tile(np.arange(len(values[1])), len(values[0]))
+    return [
+        {
+            "color": colormaps["viridis"](shade),
+            "marker": _MARKERS[kind % len(_MARKERS)],
+            "ls": _DASHES[dash % len(_DASHES)],
+        }
+        for shade, kind, dash in zip(shades, kinds, dashes, strict=True)
+    ]
+
+
+def _draw_line(
+    axes: Axes, rows: pd.DataFrame, look: FigureConfig, quantity: str, line: dict[str, Any]
+) -> None:
+    """Draw means and their standard errors, which on a mean of errors never reach zero."""
+    rows = rows.sort_values(look.x)
+    x = look.scale * rows[look.x].to_numpy(np.float64)
+    if quantity != FAILED and rows[f"{quantity}_mean"].isna().all():
+        return
+    if quantity == FAILED:
+        axes.plot(x, 100.0 * rows[FAILED] / rows["n_runs"], lw=1.2, ms=4.5, **line)
+        return
+    n_ok = (rows["n_runs"] - rows[FAILED]).clip(lower=1).to_numpy(np.float64)
+    mean, std = (rows[f"{quantity}_{part}"].to_numpy(np.float64) for part in _PARTS)
+    axes.errorbar(x, mean, std / np.sqrt(n_ok), lw=1.2, ms=4.5, elinewidth=0.9, **line)
+
+
+def _set_scales(axes: Axes, means: pd.DataFrame, look: FigureConfig, quantity: str) -> None:
+    """Set both axes; those of a column share them."""
+    values = look.scale * np.unique(means[look.x].to_numpy(np.float64))
+    if look.log:
+        axes.set_xscale("log")
+        _label_log_axis(axes.xaxis, values)
+    if len(values) <= _MAX_VALUES:
+        axes.set_xticks(values)
+        axes.xaxis.set_minor_locator(NullLocator())
+        axes.tick_params("x", labelsize=7)
+    if quantity == FAILED:
+        axes.set_ylim(bottom=0.0)
+        return
+    found = means[f"{quantity}_mean"].to_numpy(np.float64)
+    if np.nanmax(found) < _LOG_FROM * np.nanmin(found):
+        axes.set_ylim(bottom=0.0)
+        return
+    axes.set_yscale("log")
+    _label_log_axis(axes.yaxis, found)
+
+
+def _label_log_axis(axis: Axis, values: NDArray[np.float64]) -> None:
+    """Write plain numbers, and enough of them, on a logarithmic axis."""
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_formatter("")
+    if np.nanmax(values) < 10.0**_DECADES * np.nanmin(values):
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.set_minor_locator(NullLocator())
+
+
+def _on_axis(value: float, look: FigureConfig) -> bool:
+    return value > 0.0 or not look.log

@@ -1,0 +1,184 @@
+"""Runs and the paper's tables in, error against angle of all methods out.
+
+A point is one run, a marker the mean over flights and offsets. Runs that failed have no error; the
+legend counts them.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import LogLocator, NullLocator
+
+from experiments.figures.style import WIDTH_IN, Look, method_looks, quiet_axes
+from experiments.paper.comparison import PUBLISHED_RUNS, QUANTITIES
+from experiments.paper.esim import method_order
+
+_QUANTITIES = (
+    ("t_d_error_ms", "error of $t_d$ [ms]"),
+    ("r_error_deg", "error of R [deg]"),
+    ("t_error_deg", "error of t [deg]"),
+)
+# What is below this is drawn there.
+_LEAST = {"t_d_error_ms": 0.01, "r_error_deg": 0.01, "t_error_deg": 0.01}
+_ROW_HEIGHTS = (1.7, 1.0, 1.0)
+_ANGLE_STEP_DEG = 30.0
+_SHARE = 0.84  # of this step that the methods' columns take
+
+
+@dataclass(frozen=True)
+class Means:
+    """Means of one error by angle."""
+
+    angles_deg: tuple[float, ...]
+    means: tuple[float, ...]
+    standard_errors: tuple[float, ...]
+
+
+def error_figure(runs: pd.DataFrame, published: Mapping[float, pd.DataFrame]) -> Figure:
+    """Draw the errors of all methods against the angle, one column of axes for each duration.
+
+    Parameters
+    ----------
+    runs
+        As `experiments.paper.esim.runs_from_csv` reads them.
+    published
+        The paper's table of each duration [s].
+    """
+    durations_s = sorted(runs["duration_s"].unique())
+    methods = method_order(runs["method"])
+    looks = method_looks(methods)
+    figure = Figure(figsize=(WIDTH_IN, 9.6), layout="constrained")
+    grid = figure.subplots(
+        len(_QUANTITIES),
+        len(durations_s),
+        sharex=True,
+        sharey="row",
+        squeeze=False,
+        height_ratios=_ROW_HEIGHTS,
+    )
+    for row, (error, label) in zip(grid, _QUANTITIES, strict=True):
+        drawn = [method for method in methods if _given(runs, method, error)]
+        for axes, duration_s in zip(row, durations_s, strict=True):
+            of_duration = runs[runs["duration_s"] == duration_s]
+            table = published.get(float(duration_s))
+            for slot, method in enumerate(drawn):
+                shift_deg = _shift_deg(slot, len(drawn))
+                own = of_duration[of_duration["method"] == method]
+                _draw_method(axes, own, error, looks[method], shift_deg)
+                column = _published_column(method, error)
+                if table is not None and column:
+                    _draw_published(axes, published_means(table, column), looks[method], shift_deg)
+            _set_scales(axes, sorted(runs["angle_deg"].unique()), error)
+        row[0].set_ylabel(label)
+    for axes, duration_s in zip(grid[0], durations_s, strict=True):
+        axes.set_title(f"Recordings of {duration_s:g} s", fontsize=11)
+    for axes in grid[-1]:
+        axes.set_xlabel("angle between the lines of sight [deg]")
+    figure.legend(handles=_legend(runs, looks), loc="outside lower center", ncols=4, fontsize=8,
+                  frameon=False)  # fmt: skip
+    return figure
+
+
+def flight_means(runs: pd.DataFrame, error: str) -> Means:
+    """Mean error by angle over all runs that are "ok", and its standard error.
+
+    All offsets of a flight share its recording, so a flight counts once in the standard error.
+    """
+    ok = runs[(runs["status"] == "ok") & runs[error].notna()]
+    angles_deg, means, standard_errors = [], [], []
+    for angle_deg in sorted(ok["angle_deg"].unique()):
+        group = ok[ok["angle_deg"] == angle_deg]
+        by_flight = group.groupby("seed")[error].mean()
+        angles_deg.append(float(angle_deg))
+        means.append(float(group[error].mean()))
+        standard_errors.append(float(by_flight.std(ddof=0) / np.sqrt(len(by_flight))))
+    return Means(tuple(angles_deg), tuple(means), tuple(standard_errors))
+
+
+def published_means(table: pd.DataFrame, column: str) -> Means:
+    """Give the paper's means by angle, pooled over offsets; a flight counts once as well."""
+    angles_deg, means, standard_errors = [], [], []
+    for angle_deg in sorted(table["angle_deg"].unique()):
+        group = table[table["angle_deg"] == angle_deg]
+        angles_deg.append(float(angle_deg))
+        means.append(float(group[f"{column}_mean"].mean()))
+        variance = float((group[f"{column}_std"] ** 2).mean())
+        standard_errors.append(float(np.sqrt(variance / PUBLISHED_RUNS)))
+    return Means(tuple(angles_deg), tuple(means), tuple(standard_errors))
+
+
+def _published_column(method: str, error: str) -> str:
+    """Start of the column of the paper's tables; empty where the paper has none."""
+    columns = [q.published for q in QUANTITIES if (q.method, q.error) == (method, error)]
+    return columns[0] if columns else ""
+
+
+def _given(runs: pd.DataFrame, method: str, error: str) -> bool:
+    return bool(runs.loc[runs["method"] == method, error].notna().any())
+
+
+def _shift_deg(slot: int, n_slots: int) -> float:
+    """Shift a method's column beside the angle, so that columns do not cover each other."""
+    return _SHARE * _ANGLE_STEP_DEG * ((slot + 0.5) / n_slots - 0.5)
+
+
+def _set_scales(axes: Axes, angles_deg: list[float], error: str) -> None:
+    quiet_axes(axes)
+    axes.set(yscale="log", xticks=angles_deg)
+    axes.set_ylim(bottom=0.85 * _LEAST[error])
+    axes.yaxis.set_major_formatter("{x:g}")
+    axes.yaxis.set_minor_formatter("")
+    if error != "t_d_error_ms":  # two decades at most
+        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axes.yaxis.set_minor_locator(NullLocator())
+    for left, right in pairwise(angles_deg):
+        axes.axvline(0.5 * (left + right), color="0.9", lw=0.6, zorder=0)
+
+
+def _draw_method(axes: Axes, runs: pd.DataFrame, error: str, look: Look, shift: float) -> None:
+    ok = runs[(runs["status"] == "ok") & runs[error].notna()]
+    if ok.empty:
+        return
+    axes.plot(
+        ok["angle_deg"] + shift, ok[error].clip(lower=_LEAST[error]), ls="none", marker=".",
+        ms=3.0, mew=0.0, color=look.color, alpha=0.5, zorder=2,
+    )  # fmt: skip
+    means = flight_means(runs, error)
+    axes.errorbar(
+        np.add(means.angles_deg, shift), np.maximum(means.means, _LEAST[error]),
+        means.standard_errors, ls="-", lw=0.8,
+        color=look.color, marker=look.marker, ms=5, mfc=look.face, mec=look.color, elinewidth=1.2,
+        zorder=4,
+    )  # fmt: skip
+
+
+def _draw_published(axes: Axes, means: Means, look: Look, shift: float) -> None:
+    axes.errorbar(
+        np.add(means.angles_deg, shift), means.means, means.standard_errors, ls=":", lw=1.2,
+        color=look.color, marker="*", ms=9, mfc="white", mec=look.color, elinewidth=1.0, zorder=3,
+    )  # fmt: skip
+
+
+def _legend(runs: pd.DataFrame, looks: Mapping[str, Look]) -> list[Line2D]:
+    handles = []
+    for method, look in looks.items():
+        own = runs[runs["method"] == method]
+        failed = int((own["status"] != "ok").sum())
+        label = f"{method} ({failed} of {len(own)} failed)" if failed else method
+        handles.append(Line2D([], [], color=look.color, marker=look.marker, mfc=look.face, lw=0.8,
+                              ms=5, label=label))  # fmt: skip
+    styles: tuple[tuple[str, dict[str, Any]], ...] = (
+        ("the paper's mean", {"marker": "*", "mfc": "white", "ls": ":", "ms": 9}),
+        ("standard error of a mean", {"marker": "|", "ls": "none", "ms": 9, "mew": 1.2}),
+        ("a single run", {"marker": ".", "ls": "none", "ms": 5, "mew": 0.0}),
+    )
+    for label, style in styles:
+        handles.append(Line2D([], [], color="0.3", label=label, **style))
+    return handles

@@ -1,0 +1,201 @@
+"""Recordings in, the paper's Fig. 3, 4 and 5 out.
+
+Fig. 3  raw events, denoised events, and the object's positions p(t), in x-y-t
+Fig. 4  p1, p2, the line l1 and the distance d, before and after the clocks are aligned
+Fig. 5  d_avg over +-1 s and +-3 ms of offset, where the true offset is zero
+"""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from numpy.typing import NDArray
+
+from experiments.figures.style import WIDTH_IN, quiet_axes
+from ssac.camera import Rig, known_pose
+from ssac.config import Config
+from ssac.errors import SsacError
+from ssac.events import US_PER_S, slice_time
+from ssac.geometry.epipolar import epipolar_distance, fundamental_from_pose
+from ssac.geometry.fundamental import MIN_PAIRS, lmeds_fundamental
+from ssac.methods.algorithms import ssac
+from ssac.search.offset_search import mean_epipolar_distance, sample_pairs
+from ssac.tool.load import load_pair
+from ssac.tool.plot_data import Array, Material
+from ssac.tool.plots import BLUE, POLARITIES, YELLOW, ZOOM_S, draw_epipolar
+from ssac.tool.registry import METHODS
+from ssac.track.motion import ObjectMotion
+from ssac.track.observation import Observation, object_motions, usable_events
+
+STRETCH_S = (0.2, 2.2)
+"""Of the noisy flight, chosen by eye: a moment with too few events, then two sweeps."""
+
+SEARCH_S = 1.0
+"""Half the width of Fig. 5 (a)."""
+
+_DENOISED = Config(denoise=False)  # for events that have been denoised already
+_TRACK_STEP_S = 0.004
+_MAX_EVENTS = 15000  # drawn of the raw stretch: more would only blot the picture
+_SEARCH_STEP_S, _ZOOM_STEP_S = 5e-3, 50e-6
+
+
+@dataclass(frozen=True)
+class Pair:
+    """What two cameras recorded, and their rig with the true extrinsics."""
+
+    cam1: Observation
+    cam2: Observation
+    rig: Rig
+
+
+@dataclass(frozen=True)
+class Curve:
+    """d_avg of one way to come by F, over offsets."""
+
+    label: str
+    color: str
+    offsets_s: Array  # (n,) [s]
+    d_avg_px: Array  # (n,) [px]
+
+
+def load_recording(folder: Path, t_d_s: float = 0.0) -> Pair:
+    """Read a simulated recording, with an offset added to camera 2's clock."""
+    paths = (folder / "cam1.h5", folder / "cam2.h5", folder / "rig_extrinsics.yaml")
+    cam1, cam2, rig = load_pair(paths, METHODS["ssac-known"])
+    return Pair(cam1, cam2.delayed(t_d_s), rig)
+
+
+def denoised(pair: Pair) -> Pair:
+    """Remove the noise from both cameras' events."""
+    events1, events2 = usable_events(pair.cam1, pair.cam2, pair.rig, Config())
+    cam1, cam2 = replace(pair.cam1, events=events1), replace(pair.cam2, events=events2)
+    return Pair(cam1, cam2, pair.rig)
+
+
+def preprocessing_figure(pair: Pair) -> Figure:
+    """Draw Fig. 3: STRETCH_S of camera 1's events, raw and denoised, and the positions p(t).
+
+    Every so many events are drawn, the same share of the raw and of the denoised ones.
+    """
+    clean = denoised(pair)
+    motion, _ = object_motions(clean.cam1, clean.cam2, clean.rig, _DENOISED)
+    edges_us = [round(edge_s * US_PER_S) for edge_s in STRETCH_S]
+    raw, kept = (slice_time(one.cam1.events, *edges_us) for one in (pair, clean))
+    one_in = max(1, len(raw) // _MAX_EVENTS)
+    times_s: Array = np.arange(*STRETCH_S, _TRACK_STEP_S, dtype=np.float64)
+    track = motion.at(times_s)
+    p = np.where(track.valid[:, None], track.positions_px, np.nan)
+
+    figure = Figure(figsize=(WIDTH_IN, 3.15))
+    titles = (
+        f"(a) Raw events\n{_thousands(raw)}, one in {one_in} drawn",
+        f"(b) After denoising\n{_thousands(kept)}, one in {one_in} drawn",
+        "(c) Position p(t) of the object\n"
+        f"none where {2e3 * _DENOISED.half_window_s:g} ms hold fewer than {_DENOISED.n_min} events",
+    )
+    for number, title in enumerate(titles, start=1):
+        box = ((number - 1) / 3.0 - 0.014, 0.04, 0.31, 0.86)
+        axes: Any = figure.add_axes(box, projection="3d")
+        _x_y_t_axes(axes, pair.rig)
+        axes.set_title(title, fontsize=9, y=1.02)
+        if number < 3:
+            events = (raw, kept)[number - 1][::one_in]
+            colors = np.where(events["p"] > 0, YELLOW, BLUE)
+            points = events["t"] / US_PER_S, events["x"], events["y"]
+            axes.scatter(*points, s=1.0, c=colors, linewidths=0.0, clip_on=False)
+        else:
+            axes.plot(times_s, *p.T, color="black", lw=1.8, clip_on=False)
+    figure.legend(handles=POLARITIES, loc="lower center", ncols=2, fontsize=9, frameon=False)
+    return figure
+
+
+def epipolar_figure(pair: Pair) -> Figure:
+    """Draw Fig. 4 with the offset and the F that `ssac` finds."""
+    clean = denoised(pair)
+    parts = clean.cam1, clean.cam2, clean.rig, _DENOISED
+    estimate = ssac(*parts)
+    if estimate.status != "ok":
+        raise SsacError(f"no epipolar lines: {estimate.status}: {estimate.reason}: take another")
+    events = clean.cam1.events, clean.cam2.events
+    figure = Figure(figsize=(WIDTH_IN, 7.2), layout="constrained")
+    draw_epipolar(figure, Material(estimate, events, object_motions(*parts), clean.rig, _DENOISED))
+    return figure
+
+
+def d_avg_figure(pair: Pair) -> Figure:
+    """Draw Fig. 5: d_avg, with the pose known or not, of a pair whose clocks are equal."""
+    motions = object_motions(pair.cam1, pair.cam2, pair.rig, Config())
+    F = fundamental_from_pose(pair.rig.cam1.K, pair.rig.cam2.K, *known_pose(pair.rig))
+    figure = Figure(figsize=(WIDTH_IN, 3.3), layout="constrained")
+    whole, zoom = figure.subplots(1, 2)
+    for axes, reach_s, step_s, per_s in (
+        (whole, SEARCH_S, _SEARCH_STEP_S, 1.0),
+        (zoom, ZOOM_S, _ZOOM_STEP_S, 1e3),
+    ):
+        n_steps = round(reach_s / step_s)
+        offsets_s = step_s * np.arange(-n_steps, n_steps + 1, dtype=np.float64)
+        for curve in d_avg_curves(motions, F, offsets_s, Config()):
+            _draw_curve(axes, curve, per_s)
+        axes.axvline(0.0, color="black", lw=0.9, ls="--", label="true offset", zorder=1)
+        axes.set_xlim(-per_s * reach_s, per_s * reach_s)
+        quiet_axes(axes)
+    whole.set(xlabel="offset $t_d$ [s]", ylabel="$d_{avg}$ [px]")
+    whole.set_title("(a) From -1 s to 1 s", fontsize=10)
+    whole.set_ylim(bottom=0.0)
+    whole.locator_params("x", nbins=5)
+    zoom.set(xlabel="offset $t_d$ [ms]", ylabel="$d_{avg}$ [px]")
+    zoom.set_title("(b) From -3 ms to 3 ms", fontsize=10)
+    least = Line2D([], [], color="white", marker="o", mec="black", ms=5, label="least $d_{avg}$")
+    handles, _ = whole.get_legend_handles_labels()
+    figure.legend(handles=[*handles, least], loc="outside lower center", ncols=4, fontsize=9,
+                  frameon=False)  # fmt: skip
+    return figure
+
+
+def d_avg_curves(
+    motions: tuple[ObjectMotion, ObjectMotion], F: Array, offsets_s: Array, config: Config
+) -> tuple[Curve, Curve]:
+    """Compute d_avg with the true F (Algorithm 1) and with an F fitted at each offset (2)."""
+    pairs = sample_pairs(*motions, offsets_s, config.n_samples)
+    fitted = np.full(len(offsets_s), np.nan)
+    for m in range(len(offsets_s)):
+        p1, p2 = pairs.valid_positions(m)
+        if len(p1) >= MIN_PAIRS:
+            F_m = lmeds_fundamental(p1, p2, config.trials, config.seed)
+            fitted[m] = np.mean(epipolar_distance(F_m, p1, p2))
+    known = mean_epipolar_distance(F, pairs, MIN_PAIRS)
+    return (
+        Curve("pose known (Algorithm 1)", YELLOW, offsets_s, known),
+        Curve("pose unknown (Algorithm 2)", BLUE, offsets_s, fitted),
+    )
+
+
+def _draw_curve(axes: Axes, curve: Curve, per_s: float) -> None:
+    """Draw d_avg over the offset, in `per_s` units per second, and its least value."""
+    axes.plot(per_s * curve.offsets_s, curve.d_avg_px, color=curve.color, lw=1.4, label=curve.label)
+    best_s = float(curve.offsets_s[np.nanargmin(curve.d_avg_px)])
+    least_px = float(np.nanmin(curve.d_avg_px))
+    axes.plot(per_s * best_s, least_px, "o", color=curve.color, mec="black", ms=5, zorder=4)
+
+
+def _x_y_t_axes(axes: Any, rig: Rig) -> None:
+    """Show the whole image over time; y points down, as in the image."""
+    axes.set(xlim=STRETCH_S, ylim=(0, rig.cam1.width), zlim=(rig.cam1.height, 0))
+    axes.set_box_aspect((1.6, 1.1, 0.9), zoom=0.96)
+    axes.view_init(elev=24, azim=-62)
+    axes.set_proj_type("ortho")
+    axes.patch.set_visible(False)
+    axes.locator_params(nbins=4)
+    axes.tick_params(labelsize=7, pad=-2)
+    names = {axes.xaxis: "t [s]", axes.yaxis: "x [px]", axes.zaxis: "y [px]"}
+    for axis, label in names.items():
+        axis.set_label_text(label, fontsize=8)
+        axis.labelpad = -6
+
+
+def _thousands(events: NDArray[np.void]) -> str:
+    return f"{len(events):,}".replace(",", " ")

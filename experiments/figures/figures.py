@@ -1,0 +1,168 @@
+"""Results and recordings in, the paper's figures and those of the ablations out: `ssac figures`.
+
+A picture is the same bytes whenever it is made from the same runs and recordings.
+"""
+
+import time
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any
+
+import pandas as pd
+import typer
+from matplotlib.figure import Figure
+
+from experiments.figures.ablations import ablation_figure
+from experiments.figures.beyond import beyond_figure
+from experiments.figures.efficiency import efficiency_figure
+from experiments.figures.errors import error_figure
+from experiments.figures.events import (
+    d_avg_figure,
+    epipolar_figure,
+    load_recording,
+    preprocessing_figure,
+)
+from experiments.figures.style import save_png
+from experiments.paper.comparison import load_published
+from experiments.paper.esim import ordered_runs, runs_from_csv
+from experiments.run.cache import DEFAULT_FOLDER, Cache
+from experiments.run.grid import config_names, named_config
+from experiments.run.provenance import save_provenance
+from sim.recording import SimConfig
+from sim.render.gl_context import open_context
+from sim.sensor.events import PRESETS
+from sim.sensor.frames import FrameConfig
+from ssac.errors import SsacError
+
+SEED = 0
+"""Of both flights: the tables' first."""
+
+FLIGHT = SimConfig(angle_deg=90.0)
+"""A flight of the 20 s table."""
+
+NOISY_FLIGHT = SimConfig(
+    angle_deg=90.0,
+    spline=replace(FLIGHT.spline, duration_s=10.0),
+    sensor=PRESETS["davis346"],
+    frames=FrameConfig(rate_hz=0.0),
+)
+"""One with a sensor's noise, so that denoising has something to do."""
+
+EPIPOLAR_T_D_S = 0.05  # at the tables' 50 ms the distance before alignment is seen at a glance
+
+
+DrawRuns = Callable[[pd.DataFrame, Mapping[float, pd.DataFrame]], Figure]
+"""From the runs of the tables, and the paper's table of each duration [s]."""
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """One figure: what it is made from, and who draws it."""
+
+    draw: Callable[[Path, Cache], Figure]  # from the folder of results and the cache
+    csv: str = ""  # that it needs of that folder
+    command: str = ""  # that makes the CSV
+    recording: SimConfig | None = None  # that it needs of the cache
+
+
+def figures_command(
+    names: Annotated[
+        list[str] | None,
+        typer.Argument(help="Figures to draw, by their files' names.  [default: all]"),
+    ] = None,
+    results: Annotated[Path, typer.Option(help="Folder with the CSVs.")] = Path("results"),
+    cache: Annotated[Path, typer.Option(help="Folder that keeps recordings.")] = DEFAULT_FOLDER,
+    out: Annotated[Path, typer.Option(help="Folder for the PNGs.")] = Path("results"),
+) -> None:
+    """Draw the paper's Fig. 3 to 5, errors against the angle, and every ablation."""
+    start = time.perf_counter()
+    chosen = choose(names or ())
+    check_inputs(chosen, results)
+    out.mkdir(parents=True, exist_ok=True)
+    for name, drawing in chosen.items():
+        path = out / f"{name}.png"
+        save_png(drawing.draw(results, Cache(cache)), path)
+        typer.echo(f"written to {path}")
+    recordings = {name: one.recording for name, one in chosen.items() if one.recording}
+    config: dict[str, Any] = {"figures": list(chosen), "recordings": recordings, "seed": SEED}
+    save_provenance(
+        out / "figures.png",
+        " ".join(["ssac figures", *(names or ())]),
+        config,
+        time.perf_counter() - start,
+        open_context() if recordings else None,
+    )
+
+
+def drawings() -> dict[str, Drawing]:
+    """List every figure by the name of its file."""
+    listed = {
+        "fig3_preprocessing": Drawing(_preprocessing, recording=NOISY_FLIGHT),
+        "fig4_epipolar": Drawing(_epipolar, recording=FLIGHT),
+        "fig5_d_avg": Drawing(_d_avg, recording=FLIGHT),
+        "error_vs_angle": Drawing(partial(_of_runs, error_figure), "runs.csv", "make tables"),
+        "beyond_paper": Drawing(partial(_of_runs, beyond_figure), "runs.csv", "make tables"),
+        "efficiency": Drawing(_efficiency, "efficiency.csv", "ssac efficiency"),
+    }
+    for name in config_names("ablation_"):
+        listed[name] = Drawing(partial(_ablation, name), f"{name}.csv", "make ablations")
+    return listed
+
+
+def choose(names: Iterable[str]) -> dict[str, Drawing]:
+    """Look up figures; all of them when none is named. SsacError for an unknown name."""
+    listed = drawings()
+    for name in names:
+        if name not in listed:
+            raise SsacError(f"unknown figure {name!r}: expected some of {', '.join(listed)}")
+    return {name: listed[name] for name in names} or listed
+
+
+def check_inputs(chosen: dict[str, Drawing], results: Path) -> None:
+    """Raise SsacError, before any work is done, when a CSV is missing."""
+    for name, drawing in chosen.items():
+        path = results / drawing.csv
+        if drawing.csv and not path.is_file():
+            raise SsacError(
+                f"{path}: missing, and {name} is drawn from it: run `{drawing.command}` first, or "
+                "name the figures to draw"
+            )
+
+
+def _preprocessing(_: Path, cache: Cache) -> Figure:
+    return preprocessing_figure(load_recording(cache.recording_folder(NOISY_FLIGHT, SEED)))
+
+
+def _epipolar(_: Path, cache: Cache) -> Figure:
+    folder = cache.recording_folder(FLIGHT, SEED)
+    return epipolar_figure(load_recording(folder, EPIPOLAR_T_D_S))
+
+
+def _d_avg(_: Path, cache: Cache) -> Figure:
+    return d_avg_figure(load_recording(cache.recording_folder(FLIGHT, SEED)))
+
+
+def _of_runs(draw: DrawRuns, results: Path, _: Cache) -> Figure:
+    path = results / "runs.csv"
+    try:
+        runs = ordered_runs(runs_from_csv(path.read_text(encoding="utf-8")))
+        return draw(runs, load_published())
+    except SsacError as error:
+        raise SsacError(f"{path}: {error}") from error
+
+
+def _efficiency(results: Path, _: Cache) -> Figure:
+    return efficiency_figure(_table(results / "efficiency.csv"))
+
+
+def _ablation(name: str, results: Path, _: Cache) -> Figure:
+    return ablation_figure(_table(results / f"{name}.csv"), named_config(name))
+
+
+def _table(path: Path) -> pd.DataFrame:
+    try:
+        return pd.read_csv(path)
+    except ValueError as error:  # pandas' parser errors are ValueErrors
+        raise SsacError(f"{path}: cannot be read as a table: {error}") from error

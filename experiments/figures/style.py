@@ -1,0 +1,88 @@
+"""A drawn figure in, a small PNG, the same bytes every time, out; and looks that figures share.
+
+Colours are of Okabe and Ito's set, which stays apart for colour-blind people, beside those of
+`ssac.tool.plots`. A method that is given the extrinsics has its sibling's colour and a hollow
+marker.
+"""
+
+import io
+from dataclasses import dataclass
+from pathlib import Path
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullLocator
+from PIL import Image
+
+from ssac.files.whole_file import whole_file
+
+WIDTH_IN = 9.0
+"""Of every figure; at DPI it is as wide as a README shows."""
+
+DPI = 110
+
+_PALETTE_SIZE = 96  # colours of a PNG: a third of the bytes, and no difference to be seen
+
+
+@dataclass(frozen=True)
+class Look:
+    """How a method is drawn wherever it appears."""
+
+    color: str
+    marker: str
+    hollow: bool = False
+
+    @property
+    def face(self) -> str:
+        """Colour inside the marker."""
+        return "white" if self.hollow else self.color
+
+
+_LOOKS = {
+    "ssac": Look("#0072B2", "o"),
+    "ssac-known": Look("#0072B2", "o", hollow=True),
+    "joint": Look("#009E73", "s"),
+    "joint-known": Look("#009E73", "s", hollow=True),
+    "tangency": Look("#000000", "D"),
+    "tangency-known": Look("#000000", "D", hollow=True),
+    "albl": Look("#CC79A7", "^"),
+    "zncc_e": Look("#D55E00", "v"),
+    "zncc_f": Look("#E69F00", "P"),
+    "event_rate": Look("#777777", "X"),
+}
+_OTHERS = (Look("#882255", "<"), Look("#44AA99", ">"), Look("#999933", "p"), Look("#332288", "h"))
+
+
+def method_looks(methods: list[str]) -> dict[str, Look]:
+    """Give each method its look; methods from outside take the spare ones in turn."""
+    others = [method for method in methods if method not in _LOOKS]
+    spare = {method: _OTHERS[i % len(_OTHERS)] for i, method in enumerate(others)}
+    return {method: _LOOKS.get(method) or spare[method] for method in methods}
+
+
+def quiet_axes(axes: Axes) -> None:
+    """Leave only what is read: light horizontal lines, and no frame above and on the right."""
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.grid(axis="y", color="0.9", lw=0.6)
+    axes.set_axisbelow(True)
+    axes.tick_params(labelsize=8)
+
+
+def error_axes(axes: Axes, angles_deg: list[float]) -> None:
+    """Set angles below, and errors within a decade or two on a logarithmic axis."""
+    quiet_axes(axes)
+    axes.set(yscale="log", xticks=angles_deg)
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.yaxis.set_minor_locator(NullLocator())
+    axes.yaxis.set_major_formatter("{x:g}")
+
+
+def save_png(figure: Figure, path: Path) -> None:
+    """Write a figure as a PNG with a palette, without the time and the program's version."""
+    whole = io.BytesIO()
+    figure.savefig(whole, format="png", dpi=DPI, metadata={"Software": None})
+    whole.seek(0)
+    with Image.open(whole) as image, whole_file(path) as temporary:
+        # Without dithering, whose specks look like data.
+        small = image.convert("RGB").quantize(_PALETTE_SIZE, dither=Image.Dither.NONE)
+        small.save(temporary, format="PNG", optimize=True)

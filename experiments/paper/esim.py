@@ -1,0 +1,197 @@
+"""Runs in, the paper's simulation tables out: one row for each angle and offset.
+
+A run is one method on one flight with one offset. A table is made only from a whole grid: every
+flight with every method at every angle and offset, each once, failed runs included.
+"""
+
+from collections.abc import Iterable, Mapping
+from io import StringIO
+from itertools import product
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from ssac.errors import SsacError
+from ssac.tool.registry import METHODS
+
+RUN_COLUMNS = (
+    "duration_s", "angle_deg", "t_d_ms", "seed", "method", "status", "reason", "t_d_estimate_ms",
+    "t_d_error_ms", "r_error_deg", "t_error_deg", "t_d_std_ms", "r_std_deg", "t_std_deg",
+    "r_mahalanobis", "t_mahalanobis", "n_samples", "d_avg_px", "n_events_cam1", "n_events_cam2",
+)  # fmt: skip
+YOUNGER = ("r_std_deg", "t_std_deg", "r_mahalanobis", "t_mahalanobis")
+"""Columns that older runs lack: there they are unknown."""
+
+KEY = ["duration_s", "angle_deg", "t_d_ms", "seed", "method"]
+"""Columns that say which run a row is."""
+
+POSE_ERRORS = ("r_error_deg", "t_error_deg")
+
+_TEXT = ("method", "status", "reason")
+_WHOLE = ("seed", "n_samples", "n_events_cam1", "n_events_cam2")
+_SHOWN = 5  # runs that an error message lists
+
+
+def ordered_runs(runs: pd.DataFrame) -> pd.DataFrame:
+    """Check that the runs make a whole grid, and put them into the order of `runs.csv`.
+
+    Parameters
+    ----------
+    runs : pd.DataFrame
+        RUN_COLUMNS, in any order of rows; further columns are dropped, YOUNGER ones may be absent.
+
+    Returns
+    -------
+    pd.DataFrame
+        By duration, angle, offset, flight and method (`method_order`); counts are whole numbers.
+
+    Raises
+    ------
+    SsacError
+        If a column or a run is missing, a run is there twice, or a run that is "ok" has no error.
+    """
+    _check_columns(runs)
+    if runs.empty:
+        raise SsacError("expected runs to make a table of, got none")
+    runs = runs.reindex(columns=list(RUN_COLUMNS))
+    _check_listed("there more than once", runs.loc[runs.duplicated(KEY), KEY])
+    _check_listed("missing", missing_runs(runs))
+    without_error = (runs["status"] == "ok") & runs["t_d_error_ms"].isna()
+    _check_listed('"ok" without an error of t_d', runs.loc[without_error, KEY])
+    place = {name: number for number, name in enumerate(method_order(runs["method"]))}
+    ordered = runs.sort_values(
+        KEY, key=lambda column: column.map(place) if column.name == "method" else column
+    )
+    whole: pd.DataFrame = ordered.astype(dict.fromkeys(_WHOLE, "Int64")).reset_index(drop=True)
+    return whole
+
+
+def runs_of_grid(rows: pd.DataFrame) -> pd.DataFrame:
+    """Name the columns of a grid's rows (`schedule.run_cells`) as in `runs.csv`."""
+    names = {"sim.spline.duration_s": "duration_s", "sim.angle_deg": "angle_deg"}
+    runs = rows.rename(columns=names).assign(t_d_ms=1e3 * rows["sim.t_d_s"])
+    _check_columns(runs)
+    chosen: pd.DataFrame = runs.reindex(columns=list(RUN_COLUMNS))
+    return chosen
+
+
+def missing_runs(runs: pd.DataFrame) -> pd.DataFrame:
+    """List the runs (columns KEY) that the others of their duration imply, but that are not there.
+
+    A duration implies all combinations of its angles, offsets, flights and methods.
+    """
+    there = set(runs[KEY].itertuples(index=False, name=None))
+    implied = [
+        key
+        for duration_s, part in runs.groupby("duration_s")
+        for key in product([duration_s], *(part[column].unique() for column in KEY[1:]))
+    ]
+    missing: pd.DataFrame = pd.DataFrame([key for key in implied if key not in there], columns=KEY)
+    return missing
+
+
+def method_order(methods: Iterable[str]) -> list[str]:
+    """Order methods as the registry does; those that are not registered here come last, by name."""
+    there = set(methods)
+    return [name for name in METHODS if name in there] + sorted(there - set(METHODS))
+
+
+def pose_methods(runs: pd.DataFrame) -> list[str]:
+    """List the methods that give a pose in any run, in order."""
+    return method_order(runs.loc[runs[list(POSE_ERRORS)].notna().any(axis=1), "method"])
+
+
+def esim_table(runs: pd.DataFrame, duration_s: float) -> pd.DataFrame:
+    """Mean errors of all methods on the recordings of one duration, in the paper's row order.
+
+    Parameters
+    ----------
+    runs : pd.DataFrame
+        As `ordered_runs` takes them; those of other durations only tell which methods give a pose.
+    duration_s : float
+
+    Returns
+    -------
+    pd.DataFrame
+        Columns `angle_deg`, `t_d_ms`, `n_runs` (flights), then for each method the mean and the
+        standard deviation (over the number of runs, as in the paper) of each error, and
+        `<method>_failed`, the number of runs whose status is not "ok". These do not enter the
+        means; where no run is "ok" the means are NaN.
+    """
+    runs = ordered_runs(runs)
+    poses = pose_methods(runs)
+    of_duration = runs[runs["duration_s"] == duration_s]
+    if of_duration.empty:
+        found = ", ".join(f"{value:g}" for value in runs["duration_s"].unique())
+        raise SsacError(f"no run has a duration of {duration_s:g} s: there are {found} s")
+    rows = []
+    for (angle_deg, t_d_ms), cell in of_duration.groupby(["angle_deg", "t_d_ms"]):
+        row = {"angle_deg": angle_deg, "t_d_ms": t_d_ms, "n_runs": cell["seed"].nunique()}
+        for method in method_order(cell["method"]):
+            of_method = cell[cell["method"] == method]
+            ok = of_method[of_method["status"] == "ok"]
+            for error in ("t_d_error_ms", *(POSE_ERRORS if method in poses else ())):
+                row[f"{method}_{error}_mean"] = ok[error].mean()
+                row[f"{method}_{error}_std"] = ok[error].std(ddof=0)
+            row[f"{method}_failed"] = len(of_method) - len(ok)
+        rows.append(row)
+    table: pd.DataFrame = pd.DataFrame(rows)
+    return table
+
+
+def esim_tables(runs: pd.DataFrame) -> dict[float, pd.DataFrame]:
+    """Make the table of each duration [s] that the runs have."""
+    return {float(value): esim_table(runs, value) for value in sorted(runs["duration_s"].unique())}
+
+
+def csv_text(table: pd.DataFrame) -> str:
+    """Write a table as the project's CSV: six significant digits, an empty cell where unknown."""
+    text: str = table.to_csv(index=False, float_format="%.6g", lineterminator="\n")
+    return text
+
+
+def runs_from_csv(text: str) -> pd.DataFrame:
+    """Read `runs.csv`: the inverse of `csv_text(ordered_runs(runs))`, but for its rounding.
+
+    Raises
+    ------
+    SsacError
+        If the text is no such table.
+    """
+    # An empty cell is an unknown number, but an empty reason is just that.
+    unknown = {name: [""] for name in RUN_COLUMNS if name not in _TEXT}
+    try:
+        table = pd.read_csv(
+            StringIO(text), dtype=dict.fromkeys(_TEXT, str), keep_default_na=False,
+            na_values=unknown, float_precision="round_trip",
+        )  # fmt: skip
+        numbers = [name for name in table.columns if name not in _TEXT]
+        numeric: pd.DataFrame = table.astype(dict.fromkeys(numbers, np.float64))
+    except ValueError as error:  # pandas' parser errors are ValueErrors
+        raise SsacError(f"not a table of runs: {error}") from error
+    _check_columns(numeric)
+    younger = {name: np.nan for name in YOUNGER if name not in numeric}
+    whole: pd.DataFrame = numeric.assign(**younger)
+    return whole
+
+
+def describe(run: Mapping[Any, Any]) -> str:
+    """Name a run by its key, for messages."""
+    names = "{duration_s:g} s, {angle_deg:g} deg, t_d {t_d_ms:g} ms, flight {seed:g}, {method}"
+    return names.format_map(run)
+
+
+def _check_columns(runs: pd.DataFrame) -> None:
+    absent = [name for name in RUN_COLUMNS if name not in runs and name not in YOUNGER]
+    if absent:
+        raise SsacError(f"runs need the columns {', '.join(RUN_COLUMNS)}; not there: {absent}")
+
+
+def _check_listed(fault: str, runs: pd.DataFrame) -> None:
+    """Raise SsacError that lists the first of the runs at fault (columns KEY), if any."""
+    if runs.empty:
+        return
+    rest = f" and {len(runs) - _SHOWN} more" if len(runs) > _SHOWN else ""
+    first = "; ".join(describe(run) for run in runs.head(_SHOWN).to_dict("records"))
+    raise SsacError(f"runs {fault}: {first}{rest}")

@@ -1,0 +1,272 @@
+"""Runs, tables and comparison in; `results/README.md` out: the numbers beside the paper's, to read.
+
+Every mean in it also stands in one of the CSV files.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import pandas as pd
+
+from experiments.paper.comparison import PUBLISHED_RUNS, QUANTITIES, RULE, SIZE_RULE, summary_table
+from experiments.paper.esim import method_order, pose_methods
+from experiments.paper.markdown import markdown_table, means_with_stds, number, paragraph
+
+_LABELS = {"t_d_error_ms": "t_d [ms]", "r_error_deg": "R [deg]", "t_error_deg": "t [deg]"}
+_TANGENCY_MARKS = {"t_d_error_ms": 0.1, "r_error_deg": 0.2, "t_error_deg": 0.1}
+_VERDICTS = ("agrees", "better", "differs")
+
+Record = dict[str, Any]
+
+
+def results_page(
+    runs: pd.DataFrame,
+    tables: Mapping[float, pd.DataFrame],
+    comparison: pd.DataFrame,
+    provenance: Mapping[str, Any],
+) -> str:
+    """Write the page.
+
+    Parameters
+    ----------
+    runs : pd.DataFrame
+        As of `tables.ordered_runs`.
+    tables : Mapping[float, pd.DataFrame]
+        As of `tables.esim_tables`.
+    comparison : pd.DataFrame
+        As of `comparison.comparison_table`.
+    provenance : Mapping[str, Any]
+        Of the runs.
+    """
+    sections = [_opening(runs, tables), _against_the_paper(comparison), _marks(tables, comparison)]
+    sections += [
+        _flights(runs, duration_s, table, comparison) for duration_s, table in tables.items()
+    ]
+    sections += [_differences(comparison), _failures(runs), _making(provenance)]
+    return "\n\n".join(sections) + "\n"
+
+
+def _opening(runs: pd.DataFrame, tables: Mapping[float, pd.DataFrame]) -> str:
+    flights = " and ".join(
+        f"{of_duration['seed'].nunique()} flights of {duration_s:g} s"
+        for duration_s, of_duration in runs.groupby("duration_s")
+    )
+    files = " and ".join(f"`esim_{duration_s:g}.csv`" for duration_s in tables)
+    text = paragraph(
+        f"""{flights}, each recorded at every angle; the offset is added to camera 2's timestamps,
+        so all methods and all offsets see the same recording. Numbers are mean errors ± standard
+        deviations (over the number of runs, not one less, as the paper's are) of the runs that gave
+        an estimate. The tables are {files}; every single run is in `runs.csv`, every comparison
+        with its interval in `comparison.csv`, the paper's numbers in `published/`."""
+    )
+    return f"# The paper's simulation tables\n\n{text}"
+
+
+def _against_the_paper(comparison: pd.DataFrame) -> str:
+    rows = [
+        [
+            _label(row["quantity"]), f"{row['duration_s']:g} s", str(row["cells"]),
+            *(str(row[word]) for word in _VERDICTS), number(row["ratio"], 2),
+            f"{number(row['ratio_min'], 2)} to {number(row['ratio_max'], 2)}",
+            f"{number(100 * row['visible'], 0)} %",
+        ]
+        for row in _records(summary_table(comparison))
+    ]  # fmt: skip
+    header = ["mean error", "flights", "cells", *_VERDICTS, "ours / paper", "in single cells",
+              "visible from"]  # fmt: skip
+    return "\n\n".join(
+        [
+            "## Against the paper",
+            markdown_table(header, rows),
+            paragraph(
+                """*ours / paper*: ratio of the geometric means over the cells. *visible from*: the
+                difference that the rule just tells in the median cell, as a share of the published
+                mean; it is that large as both sides have ten runs or so in a cell."""
+            ),
+            paragraph(f"The rule for a cell. {RULE}."),
+            paragraph(
+                f"""Where both sides drew from one distribution, up to 5 % of the cells would not
+                agree, by chance; and the cells are not independent, as they share flights. The
+                published numbers rest on {PUBLISHED_RUNS} runs each. The smaller error of a
+                correlation method is called better by the same rule, though for a reproduction it
+                is a difference."""
+            ),
+        ]
+    )
+
+
+def _marks(tables: Mapping[float, pd.DataFrame], comparison: pd.DataFrame) -> str:
+    ssac = comparison[comparison["quantity"] == "ssac_t_d_error_ms"]
+    sized, lower = ssac["paper_size_or_better"] == "yes", ssac["mean_at_most_published"] == "yes"
+    missed = "; ".join(
+        f"{row['duration_s']:g} s, {row['angle_deg']:g} deg, {row['t_d_ms']:g} ms"
+        for row in _records(ssac[~sized])
+    )
+    items = [
+        f"""- `ssac`, mean t_d error of the paper's size or better: {sized.sum()} of {len(ssac)}
+        cells{f" (not: {missed})" if missed else ""}. {SIZE_RULE}. Our mean is at most the published
+        one in {lower.sum()} cells."""
+    ]
+    for error, bound in _TANGENCY_MARKS.items():
+        column = f"tangency_{error}_mean"
+        values = [table[column] for table in tables.values() if column in table]
+        if values:
+            means = pd.concat(values)
+            items.append(
+                f"""- `tangency`, mean {_LABELS[error]} error at most {bound:g}:
+                {(means <= bound).sum()} of {len(means)} cells; the largest is
+                {number(means.max(), 3)}."""
+            )
+    items.append(
+        """- `zncc_e` and `zncc_f`, mean t_d error from tens of ms at 30 deg to hundreds at 150 deg
+        (means over the offsets):"""
+    )
+    angles = [f"{angle:g} deg" for angle in sorted(comparison["angle_deg"].unique())]
+    growth = markdown_table(["method", "flights", "", *angles, "met"], _growth_rows(comparison))
+    return "\n\n".join(["## Marks", "\n".join(map(paragraph, items)), growth])
+
+
+def _growth_rows(comparison: pd.DataFrame) -> list[list[str]]:
+    """Mean errors of the correlation methods by angle, ours and the paper's."""
+    rows = []
+    chosen = comparison[comparison["quantity"].str.startswith("zncc")]
+    for (name, duration_s), part in chosen.groupby(["quantity", "duration_s"]):
+        means = part.groupby("angle_deg")[["ours_mean", "published_mean"]].mean()
+        first, last = means["ours_mean"].iloc[0], means["ours_mean"].iloc[-1]
+        met = "yes" if 10 <= first < 100 <= last < 1000 else "no"
+        label = _label(str(name)).partition(" ")[0]
+        for who, column, verdict in (("ours", "ours_mean", met), ("paper", "published_mean", "")):
+            values = [number(value, 0) for value in means[column]]
+            rows.append([label, f"{duration_s:g} s", who, *values, verdict])
+    return rows
+
+
+def _flights(
+    runs: pd.DataFrame, duration_s: float, table: pd.DataFrame, comparison: pd.DataFrame
+) -> str:
+    """Show one of the paper's tables, and the methods that it does not have."""
+    part = comparison[comparison["duration_s"] == duration_s]
+    published = {quantity.method for quantity in QUANTITIES} if len(part) else set()
+    methods = method_order(runs.loc[runs["duration_s"] == duration_s, "method"])
+    others = [name for name in methods if name not in published]
+    posed = [name for name in pose_methods(runs) if name in others]
+    pieces = [f"## Flights of {duration_s:g} s"]
+    if len(part):
+        ours = [quantity.name for quantity in QUANTITIES if quantity.method == "ssac"]
+        correlated = [quantity.name for quantity in QUANTITIES if quantity.method != "ssac"]
+        pieces += [
+            "Mean errors of the paper's methods, ours and the paper's:",
+            _beside_the_paper(part, ours, 2),
+            _beside_the_paper(part, correlated, 1),
+        ]
+    if others:
+        columns = [(name, "t_d_error_ms") for name in others]
+        pieces += ["Mean errors of t_d of the other methods:", _others(table, columns)]
+    if posed:
+        columns = [(name, error) for name in posed for error in ("r_error_deg", "t_error_deg")]
+        pieces += ["Mean errors of the pose by the other methods:", _others(table, columns)]
+    return "\n\n".join(pieces)
+
+
+def _beside_the_paper(part: pd.DataFrame, names: Sequence[str], decimals: int) -> str:
+    """Ours, the paper's and the verdict for some quantities, one row for each angle and offset."""
+    header = ["angle [deg]", "t_d [ms]"]
+    columns: list[list[str]] = []
+    for name in names:
+        chosen = part[part["quantity"] == name]
+        if chosen.empty:
+            continue
+        columns = columns or _places(chosen)
+        header += [_label(name), "paper", "verdict"]
+        columns += [
+            means_with_stds(chosen["ours_mean"], chosen["ours_std"], decimals),
+            means_with_stds(chosen["published_mean"], chosen["published_std"], decimals),
+            list(chosen["verdict"]),
+        ]
+    return markdown_table(header, list(zip(*columns, strict=True)))
+
+
+def _others(table: pd.DataFrame, errors: Sequence[tuple[str, str]]) -> str:
+    """Errors (method, error) of the table, one row for each angle and offset."""
+    header = ["angle [deg]", "t_d [ms]"]
+    columns = _places(table)
+    for method, error in errors:
+        header.append(_label(f"{method}_{error}"))
+        means, stds = (table[f"{method}_{error}_{part}"] for part in ("mean", "std"))
+        decimals = 1 if means.max() >= 10 else 3 if error == "t_d_error_ms" else 2
+        cells = means_with_stds(means, stds, decimals)
+        n_ok = table["n_runs"] - table[f"{method}_failed"]
+        columns.append(
+            [
+                cell if n == n_runs or not n else f"{cell} ({n} runs)"
+                for cell, n, n_runs in zip(cells, n_ok, table["n_runs"], strict=True)
+            ]
+        )
+    return markdown_table(header, list(zip(*columns, strict=True)))
+
+
+def _differences(comparison: pd.DataFrame) -> str:
+    """List the cells that differ, with the reasons known."""
+    rows = [
+        [
+            _label(row["quantity"]),
+            f"{row['duration_s']:g} s",
+            f"{row['angle_deg']:g}",
+            f"{row['t_d_ms']:g}",
+            number(row["ours_mean"], 3),
+            number(row["published_mean"], 2),
+            f"{number(row['difference_low'], 3)} to {number(row['difference_high'], 3)}",
+            row["note"] or "not known",
+        ]
+        for row in _records(comparison[comparison["verdict"] == "differs"])
+    ]
+    header = ["mean error", "flights", "angle [deg]", "t_d [ms]", "ours", "paper",
+              "95 % interval of the difference", "reason"]  # fmt: skip
+    return "## Cells that differ\n\n" + (markdown_table(header, rows) if rows else "None.")
+
+
+def _failures(runs: pd.DataFrame) -> str:
+    """Count the runs that gave no estimate, with one reason of each kind."""
+    failed = runs[runs["status"] != "ok"]
+    text = f"## Runs without an estimate\n\n{len(failed)} of {len(runs)}"
+    if failed.empty:
+        return text + "."
+    groups = failed.groupby(["method", "duration_s", "status"])
+    rows = [
+        [f"`{method}`", f"{duration_s:g} s", status, str(len(group)), group["reason"].iloc[0]]
+        for (method, duration_s, status), group in groups
+    ]
+    header = ["method", "flights", "status", "runs", "reason of the first"]
+    return f"{text}; they do not enter the means.\n\n{markdown_table(header, rows)}"
+
+
+def _making(provenance: Mapping[str, Any]) -> str:
+    gl = provenance.get("gl") or {}
+    packages = provenance.get("versions", {})
+    versions = ", ".join(f"{name} {version}" for name, version in packages.items())
+    wall_time_s = provenance.get("wall_time_s")
+    took = "" if wall_time_s is None else f" in {wall_time_s / 60:.1f} minutes"
+    if "recordings_simulated" in provenance:
+        took += f" ({provenance['recordings_simulated']} recordings simulated for it)"
+    text = paragraph(
+        f"""`{provenance.get("command", "?")}` at commit {provenance.get("commit", "?")}{took};
+        rendered by {gl.get("renderer", "?")}, {gl.get("backend", "?")}; {versions}. `make verify`
+        makes this page, the tables and the comparison again from `runs.csv`, and a few of the runs
+        from nothing."""
+    )
+    return f"## How it was made\n\n{text}"
+
+
+def _places(rows: pd.DataFrame) -> list[list[str]]:
+    return [[f"{value:g}" for value in rows[name]] for name in ("angle_deg", "t_d_ms")]
+
+
+def _label(name: str) -> str:
+    """Name a mean error, `<method>_<error>`, for the head of a column."""
+    error = next(error for error in _LABELS if name.endswith(f"_{error}"))
+    return f"`{name.removesuffix(f'_{error}')}` {_LABELS[error]}"
+
+
+def _records(table: pd.DataFrame) -> list[Record]:
+    """Rows as dictionaries; each column keeps its own type."""
+    return [{str(key): value for key, value in row.items()} for row in table.to_dict("records")]

@@ -1,0 +1,50 @@
+"""Nothing in, the paper's simulation tables out: `ssac tables`."""
+
+import time
+from pathlib import Path
+from typing import Annotated
+
+import pandas as pd
+import typer
+
+from experiments.paper.comparison import summary_table
+from experiments.paper.esim import runs_of_grid
+from experiments.paper.results import COMPARISON_FILE, RUNS_FILE, save_results
+from experiments.run.cache import DEFAULT_FOLDER, Cache
+from experiments.run.command import CacheOption, SchedulerOption, WorkersOption, finish
+from experiments.run.grid import named_config
+from experiments.run.provenance import provenance, write_provenance
+from experiments.run.schedule import Workers, run_cells
+from sim.render.gl_context import open_context
+
+TABLES = ("esim_10", "esim_20")
+
+
+def tables_command(
+    out: Annotated[Path, typer.Option(help="Folder for the tables.")] = Path("results"),
+    workers: WorkersOption = -1,
+    scheduler: SchedulerOption = "",
+    cache: CacheOption = DEFAULT_FOLDER,
+) -> None:
+    """Regenerate the paper's simulation tables: every method on 100 simulated recordings."""
+    start = time.perf_counter()
+    grids = [named_config(name) for name in TABLES]
+    cells = [cell for grid in grids for cell in grid.cells()]
+    outcome = run_cells(cells, Cache(cache), Workers(workers, scheduler))
+    wall_time_s = time.perf_counter() - start
+    made_with = provenance(
+        "ssac tables",
+        {grid.name: grid.content for grid in grids},
+        wall_time_s,
+        open_context(),
+        recordings_simulated=outcome.n_simulated,
+        peak_mb_per_worker=round(outcome.peak_mb),
+    )
+    save_results(runs_of_grid(outcome.runs), out, made_with)
+    names = (RUNS_FILE, COMPARISON_FILE, *(f"{grid.name}.csv" for grid in grids))
+    files = [out / name for name in names]
+    for path in files:
+        write_provenance(path, made_with)
+    typer.echo(summary_table(pd.read_csv(out / COMPARISON_FILE)).to_string(index=False))
+    typer.echo(f"{wall_time_s:.0f} s", err=True)
+    finish(outcome, Cache(cache), *files, out / "README.md")

@@ -1,0 +1,1 @@
+"""Cells in, scored rows out: recordings, cache, schedule, score, provenance."""

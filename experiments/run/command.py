@@ -1,0 +1,38 @@
+"""What all commands that run cells share: their options, and what they say at the end."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from experiments.run.cache import Cache
+from experiments.run.schedule import Outcome
+
+WorkersOption = Annotated[int, typer.Option(help="Processes; -1: one for each core.")]
+SchedulerOption = Annotated[
+    str, typer.Option(help="Address of a Dask scheduler whose workers do it instead.")
+]
+CacheOption = Annotated[Path, typer.Option(help="Folder that keeps finished recordings and runs.")]
+
+
+def finish(outcome: Outcome, cache: Cache, *files: Path) -> None:
+    """Say what was done; exit with 1 when runs crashed."""
+    runs = outcome.runs
+    failed = runs[runs["status"] != "ok"]
+    typer.echo(
+        f"{len(runs)} runs; {outcome.n_recordings} recordings worked on, "
+        f"{outcome.n_simulated} of them simulated",
+        err=True,
+    )
+    if outcome.peak_mb:
+        typer.echo(f"peak memory of a worker: {outcome.peak_mb:.0f} MB", err=True)
+    typer.echo(f"cache {cache.folder}: {cache.size_bytes() / 1e9:.2f} GB", err=True)
+    for (method, status), group in failed.groupby(["method", "status"]):
+        typer.echo(f"{method}: {len(group)} runs {status}: {group['reason'].iloc[0]}", err=True)
+    for path in files:
+        typer.echo(f"written to {path}")
+    if outcome.n_crashed:
+        typer.echo(
+            f"error: {outcome.n_crashed} runs crashed; run again to try them again", err=True
+        )
+        raise typer.Exit(1)

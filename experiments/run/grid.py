@@ -1,0 +1,294 @@
+"""A TOML file in, a list of Cells out: every run of a table, an ablation or a sweep.
+
+    title = "..."                        # of the figure and the report
+    trajectories = 10                    # flights at each point of the grid: seeds 0, 1, ...
+    methods = ["ssac", "joint"]          # left out: every registered method
+    search_around_truth_s = [-1.0, 1.0]  # interval of the search, relative to the true offset
+
+    [fixed]                              # parameters that all cells share
+    sim.spline.duration_s = 10.0
+
+    [grid]                               # parameters that vary: all combinations are run
+    sim.angle_deg = [30, 90, 150]
+    ssac.n_min = [100, 200, 400]
+
+    [together.threshold]                 # one axis of the grid on which several parameters move
+    sim.sensor.threshold_on = [0.1, 0.2]
+    sim.sensor.threshold_off = [0.1, 0.2]
+
+Parameters are the fields of `sim.recording.SimConfig` and `ssac.config.Config`, by dotted names.
+"""
+
+import sys
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from itertools import product
+from pathlib import Path
+from typing import Any, get_args, get_type_hints
+
+from sim.errors import SimError
+from sim.recording import SimConfig
+from ssac.config import Config, checked
+from ssac.errors import SsacError
+from ssac.tool.registry import METHODS, choose_method
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+CONFIGS = Path(__file__).parents[1] / "configs"
+
+_KEYS = ("title", "trajectories", "first_seed", "methods", "search_around_truth_s",
+         "fixed", "grid", "together", "figure")  # fmt: skip
+_ROOTS: dict[str, Any] = {"sim": SimConfig(), "ssac": Config()}
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One run: a method with its parameters, on one flight, with one offset."""
+
+    sim: SimConfig  # t_d_s = 0: the offset is added to the recording
+    seed: int  # of the flight; the same for all methods, offsets and values of a parameter
+    t_d_s: float
+    estimator: Config
+    method: str  # of the registry
+    parameters: Mapping[str, Any]  # dotted name -> value: all that the grid's TOML sets
+
+
+@dataclass(frozen=True)
+class FigureConfig:
+    """How an ablation is drawn."""
+
+    x: str  # dotted name of the parameter along the axis
+    label: str
+    scale: float = 1.0  # of the parameter's value, to the label's unit
+    log: bool = False
+
+
+@dataclass(frozen=True)
+class GridConfig:
+    """A table, an ablation or a sweep."""
+
+    name: str
+    title: str
+    trajectories: int
+    first_seed: int
+    methods: tuple[str, ...]
+    search_around_truth_s: tuple[float, float] | None  # None: the estimator's own interval
+    fixed: Mapping[str, Any]
+    axes: tuple[tuple[Mapping[str, Any], ...], ...]  # of each axis, its points
+    figure: FigureConfig | None = None
+    content: Mapping[str, Any] = field(default_factory=dict)  # the TOML, for provenance
+
+    @property
+    def varied(self) -> tuple[str, ...]:
+        """Names of the parameters that the grid varies."""
+        return tuple(name for axis in self.axes for name in axis[0])
+
+    def cells(self) -> list[Cell]:
+        """List all cells: the grid's points in order, then flights, then methods."""
+        return list(self._cells())
+
+    def _cells(self) -> Iterator[Cell]:
+        seeds = range(self.first_seed, self.first_seed + self.trajectories)
+        for point in product(*self.axes):
+            parameters = dict(self.fixed)
+            for part in point:
+                parameters.update(part)
+            sim, estimator = configs_of(parameters)
+            t_d_s = sim.t_d_s
+            if self.search_around_truth_s is not None:
+                low, high = self.search_around_truth_s
+                estimator = replace(estimator, interval_s=(t_d_s + low, t_d_s + high))
+            checked(estimator)
+            for seed in seeds:
+                for method in self.methods:
+                    yield Cell(replace(sim, t_d_s=0.0), seed, t_d_s, estimator, method, parameters)
+
+
+def load_config(path: Path) -> GridConfig:
+    """Read a grid.
+
+    Parameters
+    ----------
+    path : Path
+        A TOML file.
+
+    Raises
+    ------
+    SsacError
+        If the file cannot be read, or has an unknown key, method or parameter, or a value of the
+        wrong type. The message names the file and the key.
+    """
+    try:
+        with path.open("rb") as file:
+            content = tomllib.load(file)
+    except (OSError, tomllib.TOMLDecodeError) as error:
+        raise SsacError(f"{path}: cannot be read as TOML: {error}") from error
+    try:
+        return grid_from_content(path.stem, content)
+    except (SimError, SsacError) as error:
+        raise SsacError(f"{path}: {error}") from error
+
+
+def named_config(name: str) -> GridConfig:
+    """Read one of the grids that come with the project."""
+    return load_config(CONFIGS / f"{name}.toml")
+
+
+def config_names(prefix: str) -> list[str]:
+    """Names of the grids that come with the project and start so."""
+    return sorted(path.stem for path in CONFIGS.glob(f"{prefix}*.toml"))
+
+
+def grid_from_content(name: str, content: Mapping[str, Any]) -> GridConfig:
+    """Check what a TOML file holds, and build the grid; SsacError when it makes no sense."""
+    for key in content:
+        if key not in _KEYS:
+            raise SsacError(f"unknown key {key!r}: known are {', '.join(_KEYS)}")
+    methods = tuple(content.get("methods", METHODS))
+    for method in methods:
+        choose_method(method)
+    trajectories, first_seed = content.get("trajectories", 10), content.get("first_seed", 0)
+    if not (isinstance(trajectories, int) and trajectories > 0):
+        raise SsacError(f"trajectories must be a positive integer, got {trajectories!r}")
+    if not (isinstance(first_seed, int) and first_seed >= 0):
+        raise SsacError(f"first_seed must be 0 or a positive integer, got {first_seed!r}")
+    fixed = dict(_flat(content.get("fixed", {})))
+    axes = [
+        tuple({key: value} for value in _values(key, values))
+        for key, values in _flat(content.get("grid", {}))
+    ]
+    axes += [_axis(axis, dict(_flat(part))) for axis, part in content.get("together", {}).items()]
+    grid = GridConfig(
+        name,
+        str(content.get("title", name)),
+        trajectories,
+        first_seed,
+        methods,
+        _interval(content.get("search_around_truth_s")),
+        fixed,
+        tuple(axes),
+        _figure(content.get("figure")),
+        content,
+    )
+    names = [*fixed, *grid.varied]
+    for key in names:
+        if names.count(key) > 1:
+            raise SsacError(f"{key} is given more than once")
+    if grid.search_around_truth_s is not None and "ssac.interval_s" in names:
+        raise SsacError("give either search_around_truth_s or ssac.interval_s, not both")
+    if grid.figure is not None and grid.figure.x not in grid.varied:
+        raise SsacError(f"figure: x = {grid.figure.x!r} is not a parameter that the grid varies")
+    grid.cells()  # which checks every value
+    return grid
+
+
+def configs_of(parameters: Mapping[str, Any]) -> tuple[SimConfig, Config]:
+    """Set parameters, by dotted names, in the default configurations.
+
+    Raises
+    ------
+    SsacError
+        If there is no such parameter, or its value has the wrong type. A value that makes no sense
+        raises what the configuration raises.
+    """
+    roots = dict(_ROOTS)
+    for name, value in parameters.items():
+        root, _, path = name.partition(".")
+        if root not in roots or not path:
+            raise SsacError(f"unknown parameter {name!r}: expected sim.<name> or ssac.<name>")
+        roots[root] = _with_value(roots[root], path, value, name)
+    return roots["sim"], roots["ssac"]
+
+
+def _with_value(config: Any, path: str, value: Any, name: str) -> Any:
+    """Return a copy of a nested dataclass with one field, by its dotted path, set."""
+    key, _, rest = path.partition(".")
+    known = [one.name for one in fields(config)]
+    if key not in known:
+        raise SsacError(f"unknown parameter {name!r}: {key!r} is none of {', '.join(known)}")
+    if rest:
+        inner = getattr(config, key)
+        if not is_dataclass(inner):
+            raise SsacError(f"unknown parameter {name!r}: {key!r} has no parts")
+        return replace(config, **{key: _with_value(inner, rest, value, name)})
+    hint = get_type_hints(type(config))[key]
+    try:
+        return replace(config, **{key: _converted(value, hint)})
+    except TypeError as error:
+        raise SsacError(f"{name}: expected {_type_name(hint)}, got {value!r}") from error
+
+
+def _converted(value: Any, hint: Any) -> Any:
+    """Turn a value of TOML into the type of a field; TypeError when it is of another."""
+    choices = get_args(hint)
+    if getattr(hint, "__origin__", None) is tuple:
+        if not isinstance(value, (list, tuple)):
+            raise TypeError
+        kinds = choices[:1] * len(value) if choices[1:] == (...,) else choices
+        if len(kinds) != len(value):
+            raise TypeError
+        return tuple(_converted(item, kind) for item, kind in zip(value, kinds, strict=True))
+    if choices:  # a union with None, which TOML lacks
+        return _converted(value, next(kind for kind in choices if kind is not type(None)))
+    if hint is float and isinstance(value, int) and not isinstance(value, bool):
+        return float(value)
+    if hint is Path and isinstance(value, str):
+        return Path(value)
+    if not isinstance(value, hint) or (isinstance(value, bool) and hint is not bool):
+        raise TypeError
+    return value
+
+
+def _type_name(hint: Any) -> str:
+    return hint.__name__ if isinstance(hint, type) and not get_args(hint) else str(hint)
+
+
+def _flat(table: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield dotted names and values of nested tables."""
+    if not isinstance(table, Mapping):
+        raise SsacError(f"{prefix.rstrip('.') or 'fixed, grid and together'} must be tables")
+    for key, value in table.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value
+
+
+def _values(name: str, values: Any) -> list[Any]:
+    if not isinstance(values, list) or not values:
+        raise SsacError(f"{name}: expected a list of values, got {values!r}")
+    return values
+
+
+def _axis(axis: str, lists: Mapping[str, Any]) -> tuple[dict[str, Any], ...]:
+    """Build the points of an axis on which several parameters move together."""
+    lengths = {name: len(_values(name, values)) for name, values in lists.items()}
+    if len(set(lengths.values())) != 1:
+        found = ", ".join(f"{name} has {length}" for name, length in lengths.items())
+        raise SsacError(f"together.{axis}: expected lists of one length, but {found or 'none'}")
+    return tuple(
+        dict(zip(lists, values, strict=True)) for values in zip(*lists.values(), strict=True)
+    )
+
+
+def _interval(value: Any) -> tuple[float, float] | None:
+    if value is None:
+        return None
+    try:
+        low, high = (float(bound) for bound in value)
+    except (TypeError, ValueError):
+        raise SsacError(f"search_around_truth_s: expected two numbers, got {value!r}") from None
+    return low, high
+
+
+def _figure(table: Any) -> FigureConfig | None:
+    if table is None:
+        return None
+    try:
+        return FigureConfig(**table)
+    except TypeError:
+        known = ", ".join(one.name for one in fields(FigureConfig))
+        raise SsacError(f"figure: expected a table with {known}, got {table!r}") from None

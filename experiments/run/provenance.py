@@ -1,0 +1,93 @@
+"""What a result was made with: code, versions, GL backend, configuration."""
+
+import json
+import platform
+import subprocess
+from collections.abc import Mapping
+from dataclasses import asdict, is_dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from sim.render.gl_context import GLContext
+from ssac.files.whole_file import whole_file
+
+_PACKAGES = ("numpy", "scipy", "numba", "opencv-python-headless", "pyrender", "PyOpenGL", "trimesh")
+_ROOT = Path(__file__).resolve().parents[2]
+
+
+def plain(value: Any) -> Any:
+    """Turn nested dataclasses, tuples and paths into what JSON holds."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return plain(asdict(value))
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(item) for item in value]
+    return str(value) if isinstance(value, Path) else value
+
+
+def code_commit() -> str:
+    """Return the commit of the code, `-dirty` when files differ from it; "unknown" outside git.
+
+    Files in `results` do not count: they are what is being made.
+    """
+    try:
+        commit = _git("rev-parse", "--short=12", "HEAD")
+        changed = _git("status", "--porcelain", "--untracked-files=no", "--", ".", ":!results")
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
+    return f"{commit}-dirty" if changed else commit
+
+
+def _git(*arguments: str) -> str:
+    result = subprocess.run(
+        ["git", *arguments], cwd=_ROOT, capture_output=True, text=True, check=True
+    )
+    return result.stdout.strip()
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of Python and of the packages that numbers depend on."""
+    return {"python": platform.python_version(), **{name: version(name) for name in _PACKAGES}}
+
+
+def provenance(
+    command: str, config: Any, wall_time_s: float, gl: GLContext | None, **more: Any
+) -> dict[str, Any]:
+    """Say what a result was made with.
+
+    Parameters
+    ----------
+    command : str
+        That makes the result again.
+    config : Any
+        What it was made with: dataclasses, mappings, sequences, plain values.
+    wall_time_s : float
+    gl : GLContext | None
+        Where rendering took part.
+    **more : Any
+        Further entries.
+    """
+    return {
+        "command": command,
+        "commit": code_commit(),
+        "versions": versions(),
+        "gl": plain(gl) if gl else None,
+        "config": plain(config),
+        "wall_time_s": round(wall_time_s, 1),
+        **plain(more),
+    }
+
+
+def save_provenance(
+    path: Path, command: str, config: Any, wall_time_s: float, gl: GLContext | None, **more: Any
+) -> None:
+    """Write a result's `provenance` beside it: the same name with `.provenance.json`."""
+    write_provenance(path, provenance(command, config, wall_time_s, gl, **more))
+
+
+def write_provenance(path: Path, content: Mapping[str, Any]) -> None:
+    """Write a provenance that is made already beside a result."""
+    with whole_file(path.with_suffix(".provenance.json")) as temporary:
+        temporary.write_text(json.dumps(content, indent=1) + "\n")

@@ -1,0 +1,100 @@
+"""An estimate and the truth in, errors with units out, and how they compare with its deviations."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from ssac.estimate import Estimate
+from ssac.geometry.pose import tangent_basis
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Score:
+    """How far an estimate is from the truth; NaN for what it does not give."""
+
+    t_d_error_ms: float  # |estimate - truth|
+    r_error_deg: float  # angle of R_est' R_true
+    t_error_deg: float  # angle between the translation directions, sign included
+    pose: "PoseScore" = field(default_factory=lambda: PoseScore())
+
+
+@dataclass(frozen=True)
+class PoseScore:
+    """The errors of a pose beside its covariance; NaN where an estimate has none.
+
+    The five angles are those of `ssac.geometry.pose`: R's rotation vector and t's two coordinates.
+    """
+
+    r_std_deg: float = np.nan  # of R's angle: root of the trace of its covariance
+    t_std_deg: float = np.nan
+    r_mahalanobis: float = np.nan  # of R's three angles; its square is chi^2 of 3 if all is well
+    t_mahalanobis: float = np.nan  # of t's two angles
+    r_x_normalised: float = np.nan  # signed error of an angle over its deviation
+    r_y_normalised: float = np.nan
+    r_z_normalised: float = np.nan
+    t_1_normalised: float = np.nan
+    t_2_normalised: float = np.nan
+
+
+def score(estimate: Estimate, t_d_s: float, R: FloatArray, t: FloatArray) -> Score:
+    """Score an estimate.
+
+    Parameters
+    ----------
+    estimate : Estimate
+    t_d_s : float
+        True offset [s], `t_cam2 = t_cam1 + t_d`.
+    R, t : FloatArray
+        True rotation (3, 3) and translation direction (3,): x2 = R x1 + t.
+    """
+    return Score(
+        t_d_error_ms=abs(estimate.t_d_s - t_d_s) * 1e3,
+        r_error_deg=np.nan if estimate.R is None else rotation_angle_deg(estimate.R.T @ R),
+        t_error_deg=np.nan if estimate.t is None else angle_between_deg(estimate.t, t),
+        pose=pose_score(estimate, R, t),
+    )
+
+
+def pose_score(estimate: Estimate, R: FloatArray, t: FloatArray) -> PoseScore:
+    """Compare an estimate's covariance with its pose's errors; parameters as for `score`."""
+    if estimate.covariance is None or estimate.R is None or estimate.t is None:
+        return PoseScore()
+    errors_rad = pose_errors_rad(estimate.R, estimate.t, R, t)
+    covariance = estimate.covariance[1:, 1:]
+    of_r, of_t = covariance[:3, :3], covariance[3:, 3:]
+    return PoseScore(
+        float(np.rad2deg(np.sqrt(np.trace(of_r)))),
+        float(np.rad2deg(np.sqrt(np.trace(of_t)))),
+        float(np.sqrt(errors_rad[:3] @ np.linalg.solve(of_r, errors_rad[:3]))),
+        float(np.sqrt(errors_rad[3:] @ np.linalg.solve(of_t, errors_rad[3:]))),
+        *(float(value) for value in errors_rad / np.sqrt(np.diag(covariance))),
+    )
+
+
+def pose_errors_rad(
+    R: FloatArray, t: FloatArray, R_true: FloatArray, t_true: FloatArray
+) -> FloatArray:
+    """Errors (5,) of a pose as the covariance counts them, of any size.
+
+    The step that `moved_pose` would take from the estimate to the truth, negated.
+    """
+    along = tangent_basis(t) @ t_true
+    length = np.linalg.norm(along)
+    direction = along / length if length > 0.0 else np.array([1.0, 0.0])
+    turn = Rotation.from_matrix(R_true @ R.T).as_rotvec()
+    return np.asarray(-np.append(turn, np.deg2rad(angle_between_deg(t, t_true)) * direction))
+
+
+def rotation_angle_deg(R: FloatArray) -> float:
+    """Angle [deg] by which a rotation matrix (3, 3) turns, exact for small angles too."""
+    sine = 0.5 * np.linalg.norm([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    return float(np.rad2deg(np.arctan2(sine, 0.5 * (np.trace(R) - 1.0))))
+
+
+def angle_between_deg(a: FloatArray, b: FloatArray) -> float:
+    """Angle [deg] between two vectors (3,), exact for small angles too."""
+    return float(np.rad2deg(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b)))

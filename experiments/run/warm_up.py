@@ -1,0 +1,40 @@
+"""Nothing in, numba's kernels compiled into its cache: the last step of `make setup`.
+
+LLVM keeps some 200 MB in each process that compiles. Workers that find the kernels in the cache
+stay below 1 GB, and every command starts at once.
+"""
+
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+from experiments.run.cache import Cache
+from experiments.run.grid import Cell
+from experiments.run.task import Task, run_task
+from sim.recording import SimConfig
+from sim.sensor.events import PRESETS
+from ssac.config import Config
+from ssac.tool.registry import OURS
+
+
+def warm_up_tasks() -> list[Task]:
+    """Short flights, with every kind of noise and without, through all methods of ours."""
+    spline = replace(SimConfig().spline, duration_s=2.0)
+    estimator = Config(interval_s=(-0.1, 0.1))
+    tasks = []
+    for sensor in PRESETS.values():
+        sim = SimConfig(spline=spline, sensor=sensor)
+        cells = tuple(Cell(sim, 0, 0.0, estimator, method.name, {}) for method in OURS)
+        tasks.append(Task(sim, 0, cells))
+    return tasks
+
+
+def main() -> None:
+    """Run them in a folder of their own."""
+    with tempfile.TemporaryDirectory() as folder:
+        for task in warm_up_tasks():
+            run_task(task, Cache(Path(folder)))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""One recording at a time: made, shown, measured."""

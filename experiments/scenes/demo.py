@@ -1,0 +1,75 @@
+"""The main chain on one flight, from nothing to a figure: `ssac demo`."""
+
+import shutil
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from experiments.run.provenance import plain, versions
+from experiments.run.score import score
+from experiments.scenes.simulate import simulate_with_progress, summary
+from sim.recording import SimConfig, Truth
+from sim.storage import save_recording
+from ssac.estimate import Estimate
+from ssac.tool.plots import save_figures
+from ssac.tool.sync import sync
+
+FloatArray = NDArray[np.float64]
+
+DEMO = SimConfig(angle_deg=90.0, t_d_s=0.05)  # 20 s, as in the paper
+METHODS = ("ssac", "tangency")
+
+
+def demo_command(
+    out_dir: Annotated[Path, typer.Option("--out", help="Folder for the results.")] = Path(
+        "out/demo"
+    ),
+    seed: Annotated[int, typer.Option(help="Of the simulated flight.")] = 0,
+) -> None:
+    """Simulate 20 s at 90 deg with an offset of 50 ms, recover it, and draw one figure."""
+    recording = simulate_with_progress(DEMO, seed)
+    folder = out_dir / "recording"
+    shutil.rmtree(folder, ignore_errors=True)  # of an earlier demo
+    provenance = {"config": plain(DEMO), "seed": seed, "versions": versions()}
+    save_recording(recording, folder, provenance)
+    typer.echo(summary(recording, folder))
+    results = [
+        sync(folder / "cam1.h5", folder / "cam2.h5", folder / "rig.yaml", method)
+        for method in METHODS
+    ]
+    for result in results:
+        typer.echo("\n" + comparison(result.estimate, recording.truth))
+    last = results[-1]
+    figure = out_dir / "demo.png"
+    save_figures(figure, last.estimate, last.cam1, last.cam2, last.rig, last.config)
+    typer.echo(f"\nfigure: {figure}")
+
+
+def comparison(estimate: Estimate, truth: Truth) -> str:
+    """Lay an estimate out beside the truth, with its errors."""
+    if estimate.status != "ok" or estimate.R is None or estimate.t is None:
+        return f"{estimate.method}: {estimate.status}: {estimate.reason}"
+    errors = score(estimate, truth.t_d_s, truth.R, truth.t)
+    rows = [
+        ("", "estimate", "truth", "error"),
+        ("t_d", f"{1e3 * estimate.t_d_s:.3f} ms", f"{1e3 * truth.t_d_s:.3f} ms",
+         f"{errors.t_d_error_ms:.3f} ms"),
+        ("R", _vector(_rotation_vector_deg(estimate.R)) + " deg",
+         _vector(_rotation_vector_deg(truth.R)) + " deg", f"{errors.r_error_deg:.3f} deg"),
+        ("t", _vector(estimate.t), _vector(truth.t), f"{errors.t_error_deg:.3f} deg"),
+    ]  # fmt: skip
+    lines = [f"{name:4}{a:>30}{b:>30}{c:>12}" for name, a, b, c in rows]
+    head = f"{estimate.method}: {estimate.n_samples} samples, d_avg {estimate.d_avg_px:.3f} px"
+    return "\n".join([head, *lines])
+
+
+def _rotation_vector_deg(R: FloatArray) -> FloatArray:
+    return np.rad2deg(Rotation.from_matrix(R).as_rotvec())
+
+
+def _vector(values: FloatArray) -> str:
+    return " ".join(f"{value:.3f}" for value in values)

@@ -1,0 +1,139 @@
+"""A simulated recording and its truth in, its figures beside those of the authors' sample out."""
+
+from dataclasses import astuple, dataclass
+from typing import Annotated
+
+import numpy as np
+import typer
+from numpy.typing import NDArray
+
+from experiments.run.bridge import observations, rig_of
+from sim.recording import Recording, SimConfig, simulate
+from sim.sensor.frames import FrameConfig
+from ssac.config import Config
+from ssac.geometry.epipolar import epipolar_distance, fundamental_from_pose
+from ssac.search.offset_search import sample_pairs
+from ssac.track.observation import object_motions
+
+FloatArray = NDArray[np.float64]
+
+SLOPE_STEP_S = 0.010  # the slope of d_avg is read 10 ms on each side of the truth
+_WIDTH_QUANTILES = (0.01, 0.99)  # of the columns of a window's events: its width without strays
+
+AUTHORS_SAMPLE = {
+    "median image speed [px/s]": "198",
+    "sample times valid in both views": "348 of 400",
+    "mean distance, true F [px]": "0.41",
+    "median distance, true F [px]": "0.20",
+    "slope of d_avg [px per 10 ms]": "1.3",
+    "width in the event image [px]": "20-45",
+    "events per camera": "",
+}
+
+
+@dataclass(frozen=True)
+class SceneFigures:
+    """How a recording looks to the method, at the true offset and with the true F."""
+
+    speed_px_s: float  # median over both cameras
+    n_valid: int  # sample times valid in both views
+    n_samples: int
+    mean_distance_px: float  # point to epipolar line
+    median_distance_px: float
+    slope_px: float  # rise of d_avg 10 ms off the true offset
+    width_px: tuple[float, float]  # 5th and 95th percentile over the valid sample times
+    n_events: float  # mean per camera
+
+
+def scene_figures(recording: Recording, config: Config | None = None) -> SceneFigures:
+    """Measure a recording.
+
+    Parameters
+    ----------
+    recording : Recording
+    config : Config, optional
+        How the method takes its samples.
+    """
+    config = config or Config()
+    truth, rig = recording.truth, rig_of(recording)
+    cam1, cam2 = observations(recording)
+    motion1, motion2 = object_motions(cam1, cam2, rig, config)
+    F = fundamental_from_pose(rig.cam1.K, rig.cam2.K, truth.R, truth.t)
+    offsets_s = truth.t_d_s + np.array([-SLOPE_STEP_S, 0.0, SLOPE_STEP_S])
+    pairs = sample_pairs(motion1, motion2, offsets_s, config.n_samples)
+    distances = [epipolar_distance(F, *pairs.valid_positions(m)) for m in range(3)]
+    times_s = pairs.times_s[1][pairs.valid[1]]
+    velocities = [
+        motion1.velocities_at(times_s),
+        motion2.velocities_at(times_s + truth.t_d_s),
+    ]
+    widths = _widths_px(recording, times_s, config.half_window_s)
+    return SceneFigures(
+        speed_px_s=float(np.nanmedian(np.linalg.norm(velocities, axis=-1))),
+        n_valid=int(np.count_nonzero(pairs.valid[1])),
+        n_samples=config.n_samples,
+        mean_distance_px=float(np.mean(distances[1])),
+        median_distance_px=float(np.median(distances[1])),
+        slope_px=float((np.mean(distances[0]) + np.mean(distances[2])) / 2 - np.mean(distances[1])),
+        width_px=(float(np.percentile(widths, 5)), float(np.percentile(widths, 95))),
+        n_events=float(np.mean([len(camera.events) for camera in recording.cameras])),
+    )
+
+
+def scene_command(
+    seeds: Annotated[int, typer.Option(help="Flights to average over.")] = 10,
+) -> None:
+    """Print how the default scene looks to the method, beside the authors' public sample."""
+    config = SimConfig(frames=FrameConfig(rate_hz=0.0))  # the sample's angle and duration
+    rows = []
+    for seed in range(seeds):
+        typer.echo(f"flight {seed + 1} of {seeds}", err=True)
+        figures = scene_figures(simulate(config, seed))
+        rows.append(np.hstack(astuple(figures)))
+    mean = np.mean(rows, axis=0)
+    typer.echo(
+        scene_table(
+            SceneFigures(
+                speed_px_s=mean[0],
+                n_valid=round(mean[1]),
+                n_samples=round(mean[2]),
+                mean_distance_px=mean[3],
+                median_distance_px=mean[4],
+                slope_px=mean[5],
+                width_px=(mean[6], mean[7]),
+                n_events=mean[8],
+            )
+        )
+    )
+
+
+def scene_table(figures: SceneFigures) -> str:
+    """Lay the figures out beside those of the authors' sample, as a Markdown table."""
+    ours = (
+        f"{figures.speed_px_s:.0f}",
+        f"{figures.n_valid} of {figures.n_samples}",
+        f"{figures.mean_distance_px:.2f}",
+        f"{figures.median_distance_px:.2f}",
+        f"{figures.slope_px:.2f}",
+        f"{figures.width_px[0]:.0f}-{figures.width_px[1]:.0f}",
+        f"{figures.n_events:.0f}",
+    )
+    rows = [
+        f"| {name} | {theirs} | {value} |"
+        for (name, theirs), value in zip(AUTHORS_SAMPLE.items(), ours, strict=True)
+    ]
+    return "\n".join(["| quantity | authors' sample | ours |", "|---|---|---|", *rows])
+
+
+def _widths_px(recording: Recording, times_s: FloatArray, half_window_s: float) -> FloatArray:
+    """Width of the event image around each time, in each camera [px]."""
+    widths = []
+    for camera in recording.cameras[:2]:
+        t_us, x = camera.events["t"], camera.events["x"]
+        centre_us = (times_s + camera.camera.time_offset_s) * 1e6
+        first = np.searchsorted(t_us, centre_us - half_window_s * 1e6)
+        last = np.searchsorted(t_us, centre_us + half_window_s * 1e6)
+        for a, b in zip(first, last, strict=True):
+            low, high = np.quantile(x[a:b], _WIDTH_QUANTILES)
+            widths.append(high - low + 1.0)
+    return np.array(widths)

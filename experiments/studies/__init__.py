@@ -1,0 +1,1 @@
+"""Questions that many runs answer: sweeps, ablations, coverage, refusal, the bound."""

@@ -1,0 +1,221 @@
+"""Simulated runs in, how often the stated intervals hold the truth out: `ssac coverage`.
+
+An interval of t_d or of one angle is the estimate +- z deviations, z being the normal quantile; a
+region of R or t is where the Mahalanobis distance of its three or two angles is below the root of
+chi^2's quantile. All flights are ones that nothing was tuned on.
+"""
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import pandas as pd
+import typer
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from scipy.stats import beta, chi2
+
+from experiments.figures.style import WIDTH_IN, method_looks, quiet_axes, save_png
+from experiments.paper.esim import method_order
+from experiments.run.cache import DEFAULT_FOLDER, Cache
+from experiments.run.command import CacheOption, SchedulerOption, WorkersOption, finish
+from experiments.run.grid import Cell, named_config
+from experiments.run.provenance import save_provenance
+from experiments.run.schedule import Workers, run_cells
+from experiments.studies.sweep import save_csv
+from sim.render.gl_context import open_context
+
+FloatArray = NDArray[np.float64]
+
+LEVELS = (0.50, 0.68, 0.90, 0.95, 0.99)
+SAMPLING = 0.95
+"""Of the interval around an observed share, for the number of runs."""
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """What is covered or not."""
+
+    column: str  # of the runs: error over its deviation, or a Mahalanobis distance
+    parameters: int
+    label: str = ""  # of its panel in the figure; "": none
+
+
+QUANTITIES = {
+    "t_d": Quantity("t_d_normalised", 1, "$t_d$"),
+    "R": Quantity("r_mahalanobis", 3, "R, three angles"),
+    "t": Quantity("t_mahalanobis", 2, "t, two angles"),
+    "R_x": Quantity("r_x_normalised", 1),
+    "R_y": Quantity("r_y_normalised", 1),
+    "R_z": Quantity("r_z_normalised", 1),
+    "t_1": Quantity("t_1_normalised", 1),
+    "t_2": Quantity("t_2_normalised", 1),
+}
+
+
+def coverage_command(
+    flights: Annotated[
+        int | None, typer.Option(help="In all.  [default: as in the configuration]")
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("results"),
+    workers: WorkersOption = -1,
+    scheduler: SchedulerOption = "",
+    cache: CacheOption = DEFAULT_FOLDER,
+) -> None:
+    """Check on simulated flights how often the stated intervals hold the truth; CSVs, a figure."""
+    start = time.perf_counter()
+    grid = named_config("coverage")
+    grid = replace(grid, trajectories=flights or grid.trajectories)
+    cells = flown_once(grid.cells())
+    outcome = run_cells(cells, Cache(cache), Workers(workers, scheduler), grid.name)
+    runs_path, path = out / "coverage_runs.csv", out / "coverage.csv"
+    figure_path = out / "coverage.png"
+    save_csv(runs_path, outcome.runs)
+    # From the file, so that anyone who has it makes the same bytes.
+    runs = pd.read_csv(runs_path)
+    save_csv(path, coverage_table(runs))
+    save_png(coverage_figure(runs), figure_path)
+    content = {**grid.content, "trajectories": grid.trajectories}
+    command = "ssac coverage" + (f" --flights {flights}" if flights else "")
+    wall_time_s = time.perf_counter() - start
+    for written in (runs_path, path):
+        save_provenance(written, command, content, wall_time_s, open_context())
+    finish(outcome, Cache(cache), runs_path, path, figure_path)
+
+
+def flown_once(cells: Sequence[Cell]) -> list[Cell]:
+    """Leave each flight one of the angles by turns: views of one flight err alike."""
+    angles = sorted({cell.sim.angle_deg for cell in cells})
+    return [cell for cell in cells if cell.sim.angle_deg == angles[cell.seed % len(angles)]]
+
+
+def coverage_table(runs: pd.DataFrame) -> pd.DataFrame:
+    """Shares of the runs whose intervals hold the truth.
+
+    Parameters
+    ----------
+    runs : pd.DataFrame
+        Rows of `schedule.run_cells`, of `coverage.toml`'s grid.
+
+    Returns
+    -------
+    pd.DataFrame
+        For each method, quantity and angle between the cameras, all angles ("all") first:
+        `n_runs`, `refused` (status not "ok"; these do not count further), `rms_normalised` (1 if
+        the deviations are right), and for each level in per cent `coverage_<level>` with the
+        bounds `_low` and `_high` that the number of runs leaves (Clopper and Pearson, 95 %).
+    """
+    runs = runs.assign(t_d_normalised=_t_d_normalised(runs))
+    angles = {"all": runs} | {
+        f"{angle_deg:g}": part for angle_deg, part in runs.groupby("sim.angle_deg")
+    }
+    rows: list[dict[str, Any]] = []
+    for method in method_order(runs["method"]):
+        for name, quantity in QUANTITIES.items():
+            for angle, part in angles.items():
+                of_method = part[part["method"] == method]
+                row = _coverage(of_method, quantity)
+                if row:
+                    rows.append({"method": method, "quantity": name, "angle_deg": angle, **row})
+    table: pd.DataFrame = pd.DataFrame(rows)
+    return table
+
+
+def confidence(normalised: FloatArray, parameters: int) -> FloatArray:
+    """Level (n,) of the interval or region on whose border the truth lies: uniform if all is well.
+
+    Parameters
+    ----------
+    normalised
+        Errors over their deviations, or Mahalanobis distances, shape (n,).
+    parameters
+        Their number: chi^2's degrees of freedom.
+    """
+    return np.asarray(chi2.cdf(np.square(normalised), parameters))
+
+
+def sampling_bounds(n_inside: int, n_runs: int) -> tuple[float, float]:
+    """Bounds of a share, of which `n_inside` of `n_runs` were seen: Clopper and Pearson's."""
+    tail = 0.5 * (1.0 - SAMPLING)
+    low = beta.ppf(tail, n_inside, n_runs - n_inside + 1) if n_inside > 0 else 0.0
+    high = beta.ppf(1.0 - tail, n_inside + 1, n_runs - n_inside) if n_inside < n_runs else 1.0
+    return float(low), float(high)
+
+
+def coverage_figure(runs: pd.DataFrame) -> Figure:
+    """Draw observed against nominal coverage: a panel for each of t_d, R and t.
+
+    The band is where 95 % of the runs' shares would lie if the deviations were right.
+    """
+    runs = runs.assign(t_d_normalised=_t_d_normalised(runs))
+    panels = {name: quantity for name, quantity in QUANTITIES.items() if quantity.label}
+    methods = method_order(runs["method"])
+    figure = Figure(figsize=(WIDTH_IN, 3.6), layout="constrained")
+    for axes, quantity in zip(figure.subplots(1, len(panels)), panels.values(), strict=True):
+        _draw_panel(axes, runs, quantity, methods)
+    handles, labels = figure.axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=5, fontsize=8, frameon=False)
+    return figure
+
+
+def _draw_panel(axes: Axes, runs: pd.DataFrame, quantity: Quantity, methods: list[str]) -> None:
+    nominal = np.linspace(0.0, 1.0, 101)
+    looks = method_looks(methods)
+    most = 0
+    for method in methods:
+        values = _normalised(runs[runs["method"] == method], quantity)
+        if len(values) == 0:
+            continue
+        levels = confidence(values, quantity.parameters)
+        observed = np.mean(levels[:, None] <= nominal, axis=0)
+        look = looks[method]
+        style = "--" if look.hollow else "-"
+        axes.plot(100 * nominal, 100 * observed, style, color=look.color, lw=1.4, label=method)
+        most = max(most, len(values))
+    axes.plot([0, 100], [0, 100], color="0.6", lw=0.8)
+    if most:
+        half = 1.96 * np.sqrt(nominal * (1.0 - nominal) / most)
+        axes.fill_between(
+            100 * nominal, 100 * (nominal - half), 100 * (nominal + half), color="0.9", lw=0,
+            label=f"sampling error of {most} runs",
+        )  # fmt: skip
+    quiet_axes(axes)
+    axes.set(xlim=(0, 100), ylim=(0, 100), aspect="equal", xlabel="nominal coverage [%]")
+    axes.set_ylabel("observed coverage [%]")
+    axes.set_title(quantity.label, fontsize=11)
+
+
+def _coverage(runs: pd.DataFrame, quantity: Quantity) -> Mapping[str, Any]:
+    """Row of the table for runs of one method; empty when it does not give the quantity."""
+    values = _normalised(runs, quantity)
+    if len(values) == 0:
+        return {}
+    levels = confidence(values, quantity.parameters)
+    row: dict[str, Any] = {
+        "n_runs": len(runs),
+        "refused": int((runs["status"] != "ok").sum()),
+        "rms_normalised": float(np.sqrt(np.mean(values**2) / quantity.parameters)),
+    }
+    for level in LEVELS:
+        inside = int(np.sum(levels <= level))
+        name = f"coverage_{100 * level:g}"
+        row[name] = inside / len(levels)
+        row[f"{name}_low"], row[f"{name}_high"] = sampling_bounds(inside, len(levels))
+    return row
+
+
+def _normalised(runs: pd.DataFrame, quantity: Quantity) -> FloatArray:
+    """Values of a quantity over the runs that are "ok" and give it."""
+    values = runs.loc[runs["status"] == "ok", quantity.column].dropna()
+    return np.asarray(values, dtype=np.float64)
+
+
+def _t_d_normalised(runs: pd.DataFrame) -> "pd.Series[float]":
+    """Error of t_d over its stated deviation, signed."""
+    errors_ms = runs["t_d_estimate_ms"] - 1e3 * runs["sim.t_d_s"]
+    normalised: pd.Series[float] = errors_ms / runs["t_d_std_ms"]
+    return normalised

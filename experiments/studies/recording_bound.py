@@ -1,0 +1,210 @@
+"""A recording and its truth in; the Cramer-Rao bound of each kind of sample, with its noise, out.
+
+The bound is that of `experiments.studies.bound`: of the true track of the drone's origin, at the
+sample times that are valid in this recording, with white noise as large as the one measured. A
+method that weighs its samples takes their noise as sigma over the weight, whose median is 1, and so
+does the bound: binned by their weight, the tangents' noise falls from 2.3 to 0.5 of its median as
+the weights say. Sigma is the robust standard deviation (1.4826 times the median absolute value) of
+the weighed Sampson distances of the method's own samples under the true offset and pose: distances
+of positions with noise of deviation sigma in every coordinate have the deviation sigma. It holds
+all that keeps a sample from the epipolar constraint: the sensor, the few events of a window, and
+the bias of what stands for the object.
+
+An efficiency below one has three causes. The bound takes the samples' errors as independent, but
+they are mostly a bias that turns with the object: neighbouring samples correlate by 0.7 to 0.85, so
+more of them lower the bound, but hardly the error. Errors far beyond the median count little in a
+robust deviation (a tenth of the tangents err by more than three of them). And a loss that bears
+these turns early, which costs some of the rest. One above one is chance: over ten flights a root
+mean square is uncertain by a fifth. For tangents the track of the origin stands for the points
+where they touch; the bound from those is 1 to 6 % lower.
+"""
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from experiments.run.cache import Cache, Denoised
+from experiments.studies.bound import Bound, cramer_rao_bound, fisher_information, known_pose_bound
+from ssac.camera import Rig, known_pose
+from ssac.config import Config
+from ssac.files.hdf5 import load_events_h5
+from ssac.files.rigs import load_rig
+from ssac.geometry.epipolar import fundamental_from_pose, sampson_distance
+from ssac.geometry.robust import robust_deviation
+from ssac.methods.joint import Parameters, sharp_pairs
+from ssac.methods.tangency import TangencyConfig, tangents_under
+from ssac.search.offset_search import sample_pairs
+from ssac.track.motion import ObjectMotion
+from ssac.track.observation import Observation, object_motions, usable_events
+
+Array = NDArray[np.float64]
+
+MEANS, SHARP, TANGENTS = "means of the events", "sharp positions", "tangents"
+"""Kinds of samples."""
+
+SAMPLES = {
+    "ssac": MEANS,
+    "ssac-known": MEANS,
+    "joint": SHARP,
+    "joint-known": SHARP,
+    "tangency": TANGENTS,
+    "tangency-known": TANGENTS,
+}
+"""Of each method that has a bound. The others do not look at positions, or do not use F."""
+
+KNOWN_POSE = tuple(method for method in SAMPLES if method.endswith("-known"))
+
+
+@dataclass(frozen=True)
+class Samples:
+    """A method's own pairs at the true offset."""
+
+    times_s: Array  # (n,) camera 1's clock
+    p1_px: Array  # (n, 2)
+    p2_px: Array  # (n, 2)
+    weights: Array  # (n,) that the method gives them, with a median of 1
+
+
+@dataclass(frozen=True)
+class TrueMotion:
+    """The drone's flight, and where the cameras are."""
+
+    times_s: Array  # (m,) camera 1's clock
+    positions_W_m: Array  # (m, 3) of the drone's origin
+    T_C_W: Array  # (2, 4, 4)
+
+    def seen(self, camera: int, K: Array, times_s: Array) -> tuple[Array, Array]:
+        """Undistorted image positions [px] and velocities [px/s] of the drone's origin: (n, 2)."""
+        T_C_W = self.T_C_W[camera]
+        to_image = K @ T_C_W[:3, :3]
+        flight = CubicSpline(self.times_s, self.positions_W_m)
+        points = flight(times_s) @ to_image.T + K @ T_C_W[:3, 3]
+        rates = flight(times_s, 1) @ to_image.T
+        p_px = points[:, :2] / points[:, 2:]
+        return p_px, (rates[:, :2] - p_px * rates[:, 2:]) / points[:, 2:]
+
+
+@dataclass(frozen=True)
+class MethodBound:
+    """What a method could reach at best on one recording."""
+
+    sigma_px: float  # measured noise of a sample of median weight
+    n_samples: int
+    bound: Bound
+
+
+def load_truth(folder: Path) -> TrueMotion:
+    """Read the flight off the truth.json of a recording."""
+    truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
+    T_C_W = [camera["T_C_W"] for camera in truth["cameras"].values()][:2]
+    return TrueMotion(
+        np.array(truth["times_s"]), np.array(truth["drone_position_W_m"]), np.array(T_C_W)
+    )
+
+
+def recording_bounds(
+    folder: Path, cache: Cache, methods: list[str], config: Config
+) -> dict[str, MethodBound]:
+    """Give the bounds of some methods on a recording with t_d = 0.
+
+    The offset that a run adds to camera 2's timestamps moves its samples and changes nothing else,
+    so the bounds are those of all runs on this recording.
+    """
+    rig = load_rig(folder / "rig_extrinsics.yaml")
+    events = cache.denoised(folder, Config(), lambda: _denoised(folder, rig))
+    motions = object_motions(
+        Observation(events.cam1), Observation(events.cam2), rig, replace(config, denoise=False)
+    )
+    return method_bounds(methods, *motions, rig, load_truth(folder), config.n_samples)
+
+
+def method_bounds(
+    methods: list[str],
+    motion1: ObjectMotion,
+    motion2: ObjectMotion,
+    rig: Rig,
+    truth: TrueMotion,
+    n_samples: int,
+    t_d_s: float = 0.0,
+) -> dict[str, MethodBound]:
+    """Give the bounds of some methods of SAMPLES, by name.
+
+    Parameters
+    ----------
+    methods
+        Names.
+    motion1, motion2
+        The object's motion as the methods see it.
+    rig
+        With the true extrinsics.
+    truth
+        The flight.
+    n_samples
+        The paper's N; tangents have their own.
+    t_d_s
+        The true offset.
+    """
+    found, kinds = {}, {SAMPLES[method] for method in methods}
+    R, t = known_pose(rig)
+    F = fundamental_from_pose(rig.cam1.K, rig.cam2.K, R, t)
+    for kind in kinds:
+        samples = _SAMPLERS[kind](motion1, motion2, rig, n_samples, t_d_s)
+        distances_px = sampson_distance(F, samples.p1_px, samples.p2_px)
+        sigma_px = robust_deviation(samples.weights * distances_px)
+        p1_px, _ = truth.seen(0, rig.cam1.K, samples.times_s)
+        p2_px, v2_px_s = truth.seen(1, rig.cam2.K, samples.times_s)
+        noise_px = sigma_px / samples.weights
+        information = fisher_information(p1_px, p2_px, v2_px_s, R, t, rig, noise_px)
+        for method in methods:
+            if SAMPLES[method] == kind:
+                least = known_pose_bound if method in KNOWN_POSE else cramer_rao_bound
+                found[method] = MethodBound(sigma_px, len(samples.times_s), least(information))
+    return found
+
+
+def mean_samples(
+    motion1: ObjectMotion, motion2: ObjectMotion, rig: Rig, n_samples: int, t_d_s: float
+) -> Samples:
+    """Sample as Algorithms 1 and 2 do, to which all samples are alike."""
+    pairs = sample_pairs(motion1, motion2, np.array([t_d_s]), n_samples)
+    p1_px, p2_px = pairs.valid_positions(0)
+    return Samples(pairs.times_s[0, pairs.valid[0]], p1_px, p2_px, np.ones(len(p1_px)))
+
+
+def sharp_samples(
+    motion1: ObjectMotion, motion2: ObjectMotion, rig: Rig, n_samples: int, t_d_s: float
+) -> Samples:
+    """Sample as the joint refinement does."""
+    times_s = sample_pairs(motion1, motion2, np.array([t_d_s]), n_samples).times_s[0]
+    pairs = sharp_pairs(motion1.sharp_at(times_s), motion2.sharp_at(times_s + t_d_s))
+    return Samples(pairs.times_s, pairs.p1_px, pairs.p2_px, pairs.weights)
+
+
+def tangent_samples(
+    motion1: ObjectMotion, motion2: ObjectMotion, rig: Rig, n_samples: int, t_d_s: float
+) -> Samples:
+    """Sample as `tangency` does in its last round, if it has found the truth."""
+    config = TangencyConfig()
+    (start1_s, end1_s), (start2_s, end2_s) = motion1.span_s, motion2.span_s
+    times_s: Array = np.arange(
+        max(start1_s, start2_s - t_d_s),
+        min(end1_s, end2_s - t_d_s),
+        config.step_s,
+        dtype=np.float64,
+    )
+    R, t = known_pose(rig)
+    pairs, _ = tangents_under(Parameters(t_d_s, R, t), motion1, motion2, times_s, rig, config)
+    return Samples(pairs.times_s, pairs.p1_px, pairs.p2_px, pairs.weights)
+
+
+_SAMPLERS = {MEANS: mean_samples, SHARP: sharp_samples, TANGENTS: tangent_samples}
+
+
+def _denoised(folder: Path, rig: Rig) -> Denoised:
+    cam1, cam2 = (load_events_h5(folder / f"{name}.h5").events for name in ("cam1", "cam2"))
+    left1, left2 = usable_events(Observation(cam1), Observation(cam2), rig, Config())
+    return Denoised(left1, left2, np.array([len(cam1), len(cam2)]))

@@ -1,0 +1,208 @@
+"""A kind of flight, a seed and an angle in; two cameras' observations and the truth out.
+
+The kinds are those that leave the offset or the pose open, in part or in whole, and ordinary
+flights beside them. The drone turns as in ordinary flights, but four times as fast where its path
+alone makes too few events to matter.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from numpy.typing import NDArray
+
+from experiments.run.bridge import observations, rig_of
+from sim.errors import SimError
+from sim.recording import Recording, SimConfig, simulate
+from sim.scene.trajectory import SplineConfig, Trajectory, random_spline, trajectory_to_csv
+from sim.sensor.events import PRESETS
+from sim.sensor.frames import FrameConfig
+from ssac.camera import Rig
+from ssac.config import Config
+from ssac.track.observation import Observation
+
+Array = NDArray[np.float64]
+Position = Callable[[Array], Array]  # (n,) [s] -> (n, 3) [m], world frame
+
+T_D_S = 0.05
+DURATION_S = 8.0
+OTHER_FLIGHT = 50_000  # added to the seed for the flight that only camera 2 sees
+_APART_S = 60.0  # between two recordings without any common time
+_CSV_HZ = 200.0
+_OUTSIDE_S = 3.0  # an offset that the search interval does not hold
+_SHORT_S = 0.6
+_PATH_STREAM = 7  # of the seed
+
+
+@dataclass(frozen=True)
+class RefusalCase:
+    """What the methods are given, and what they are to find."""
+
+    cam1: Observation
+    cam2: Observation
+    rig: Rig  # with the true extrinsics
+    config: Config
+    t_d_s: float  # NaN: the cameras saw different objects, and any offset is wrong
+    R: Array  # (3, 3), x2 = R x1 + t
+    t: Array  # (3,) unit length
+
+
+def _random_direction(rng: np.random.Generator) -> Array:
+    direction = rng.normal(size=3)
+    return np.asarray(direction / np.linalg.norm(direction))
+
+
+def _frame(rng: np.random.Generator) -> Array:
+    """Three random orthogonal unit vectors (3, 3), one per row."""
+    return np.asarray(np.linalg.qr(rng.normal(size=(3, 3)))[0].T)
+
+
+def _stationary(rng: np.random.Generator) -> Position:
+    place = rng.uniform(-0.7, 0.7, 3)
+    return lambda times_s: np.tile(place, (len(times_s), 1))
+
+
+def _straight(rng: np.random.Generator) -> Position:
+    """Draw a straight line, along which the speed varies as in an ordinary flight."""
+    path = random_spline(SplineConfig(DURATION_S), rng).position
+    direction, middle = _random_direction(rng), rng.uniform(-0.4, 0.4, 3)
+    return lambda times_s: middle + 1.3 * path(times_s)[:, :1] * direction
+
+
+def _straight_uniform(rng: np.random.Generator) -> Position:
+    """Draw a straight line at one speed, 6.4 m in all; a part of it is in view."""
+    direction, middle = _random_direction(rng), rng.uniform(-0.4, 0.4, 3)
+    return lambda times_s: middle + 0.8 * (times_s - 0.5 * DURATION_S)[:, None] * direction
+
+
+def _circle(rng: np.random.Generator, rise_m: float = 0.0) -> Position:
+    (a, b, axis), middle = _frame(rng), rng.uniform(-0.3, 0.3, 3)
+    radius_m, period_s, phase = rng.uniform(0.8, 1.5), rng.uniform(1.5, 4.0), rng.uniform(0.0, 6.0)
+
+    def position(times_s: Array) -> Array:
+        turn = phase + 2.0 * np.pi * times_s[:, None] / period_s
+        height = rise_m * (times_s[:, None] / DURATION_S - 0.5)
+        return np.asarray(middle + radius_m * (np.cos(turn) * a + np.sin(turn) * b) + height * axis)
+
+    return position
+
+
+def _helix(rng: np.random.Generator) -> Position:
+    return _circle(rng, rise_m=2.0)
+
+
+def _planar(rng: np.random.Generator) -> Position:
+    path = random_spline(SplineConfig(DURATION_S), rng).position
+    plane, middle = _frame(rng)[:2], rng.uniform(-0.4, 0.4, 3)
+    return lambda times_s: middle + 1.2 * path(times_s)[:, :2] @ plane
+
+
+def _periodic(rng: np.random.Generator) -> Position:
+    """Draw a closed path of three harmonics, flown again and again."""
+    period_s = rng.uniform(0.7, 0.95)
+    waves = rng.normal(size=(3, 2, 3)) * np.array([0.75, 0.35, 0.2])[:, None, None]
+
+    def position(times_s: Array) -> Array:
+        turns = 2.0 * np.pi * times_s[:, None] / period_s * np.arange(1.0, 4.0)
+        return np.asarray(np.cos(turns) @ waves[:, 0] + np.sin(turns) @ waves[:, 1])
+
+    return position
+
+
+PATHS: dict[str, Callable[[np.random.Generator], Position]] = {
+    "stationary": _stationary,
+    "straight": _straight,
+    "straight-uniform": _straight_uniform,
+    "circle": _circle,
+    "helix": _helix,
+    "planar": _planar,
+    "periodic": _periodic,
+}
+"""Kinds with a path of their own."""
+
+KINDS_OF_FLIGHT: dict[str, tuple[str, ...]] = {
+    **{path: (path,) for path in PATHS},
+    "periodic": ("periodic", "periodic-wide"),
+    "slow": ("slow",),
+    "noise-kept": ("noise-kept",),
+    "ordinary": (
+        "ordinary",
+        "other-object",
+        "no-overlap",
+        "small-overlap",
+        "outside-search",
+        "short",
+        "few-samples",
+    ),
+}
+"""Kinds by the flight that they are made of: those of one flight differ in what methods get."""
+
+
+def flight_of(flight: str, seed: int, angle_deg: float) -> Recording:
+    """Simulate a flight, one of KINDS_OF_FLIGHT."""
+    spline = SplineConfig(DURATION_S)
+    config = SimConfig(
+        angle_deg=angle_deg, t_d_s=T_D_S, spline=spline, frames=FrameConfig(rate_hz=0.0)
+    )
+    if flight == "ordinary":
+        return simulate(config, seed)
+    if flight == "noise-kept":
+        return simulate(replace(config, sensor=PRESETS["davis346"]), seed)
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_PATH_STREAM,)))
+    pace = {"slow": 0.25, "stationary": 4.0, "straight-uniform": 4.0}.get(flight, 1.0)
+    random = random_spline(replace(spline, duration_s=pace * DURATION_S), rng)
+    position = PATHS[flight](rng) if flight in PATHS else _slowed(random.position, pace)
+    trajectory = Trajectory(DURATION_S, position, lambda times_s: random.attitude(pace * times_s))
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / "flight.csv"
+        trajectory_to_csv(trajectory, file, _CSV_HZ)
+        return simulate(replace(config, trajectory_file=file), seed)
+
+
+def _slowed(position: Position, pace: float) -> Position:
+    return lambda times_s: position(pace * times_s)
+
+
+def refusal_case(kind: str, recording: Recording, other: Recording | None = None) -> RefusalCase:
+    """Make of a recording what the methods are given in a kind.
+
+    Parameters
+    ----------
+    kind
+        Of the recording's flight in KINDS_OF_FLIGHT.
+    recording
+        By `flight_of`.
+    other
+        Another flight before the same cameras, which camera 2 sees in the kind "other-object".
+    """
+    cam1, cam2 = observations(recording)
+    truth, config = recording.truth, Config(denoise=kind != "noise-kept")
+    t_d_s = truth.t_d_s
+    if kind == "periodic-wide":
+        config = replace(config, interval_s=(-3.0, 3.0))
+    elif kind == "other-object":
+        if other is None:
+            raise SimError("the kind other-object needs another flight")
+        cam2 = observations(other)[1]
+    elif kind == "no-overlap":
+        cam2, t_d_s = cam2.delayed(_APART_S), t_d_s + _APART_S
+    elif kind == "small-overlap":
+        config = replace(config, interval_s=(DURATION_S - 1.0, DURATION_S - 0.1))
+    elif kind == "outside-search":
+        cam2, t_d_s = cam2.delayed(_OUTSIDE_S), t_d_s + _OUTSIDE_S
+    elif kind == "short":
+        cam1, cam2 = _shortened(cam1), _shortened(cam2)
+    elif kind == "few-samples":
+        config = replace(config, n_samples=25)
+    rig = rig_of(recording, with_extrinsics=True)
+    t_d_s = np.nan if kind == "other-object" else t_d_s
+    return RefusalCase(cam1, cam2, rig, config, t_d_s, truth.R, truth.t)
+
+
+def _shortened(camera: Observation) -> Observation:
+    """Keep the middle of a recording."""
+    middle_us = (camera.events["t"][0] + camera.events["t"][-1]) // 2
+    near = np.abs(camera.events["t"] - middle_us) < 0.5e6 * _SHORT_S
+    return Observation(camera.events[near])

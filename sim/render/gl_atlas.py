@@ -1,0 +1,256 @@
+"""The GL side of rendering: instances of the drone's parts in, the sample words of an atlas out.
+
+Meshes, buffers and shaders are pyrender's objects; the framebuffer and the draw call are ours,
+since pyrender draws one frame at a time, in 8-bit colour, and reads its depth back as well.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from sim.errors import SimError
+from sim.render.lattice import Lattice
+from sim.scene.drone import Drone, Part
+from sim.scene.rig import Camera
+
+SHADERS = Path(__file__).parent / "shaders"
+DISTORTION_MODELS = {"none": 0, "radtan": 1, "equidistant": 2}
+MAX_INSTANCES = 1024  # of one draw call
+# Under distortion a straight edge bends; pieces of this share of the drone stay straight enough.
+PIECE_OF_SIZE = 1 / 16
+_BACKGROUND = np.zeros(4, np.uint32)
+
+
+@dataclass(frozen=True)
+class _Mesh:
+    """One part on the GL side."""
+
+    primitive: Any  # pyrender.Primitive
+    n_indices: int
+    instance_buffer: int
+
+
+class Atlas:
+    """An off-screen buffer of sample words, and the drone's parts to draw into it.
+
+    Parameters
+    ----------
+    drone : Drone
+
+    Notes
+    -----
+    The process's GL context must be open (`sim.render.gl_context.open_context`).
+    """
+
+    def __init__(self, drone: Drone) -> None:
+        from OpenGL import GL
+        from pyrender.shader_program import ShaderProgramCache
+
+        self._GL = GL
+        self._drone = drone
+        self._meshes: dict[bool, list[_Mesh]] = {}  # by whether edges may bend
+        self._bends = False
+        self._camera: Camera | None = None  # whose uniforms are set
+        self._program = ShaderProgramCache(str(SHADERS)).get_program("mesh.vert", "mesh.frag")
+        self._program._add_to_context()
+        self._framebuffer = GL.glGenFramebuffers(1)
+        self._words_buffer, self._depth_buffer = GL.glGenRenderbuffers(2)
+        self._size = (0, 0)
+        self._words = np.empty(0, np.uint32)
+
+    def delete(self) -> None:
+        """Free the GL objects."""
+        GL = self._GL
+        for meshes in self._meshes.values():
+            for mesh in meshes:
+                mesh.primitive._remove_from_context()
+        self._meshes = {}
+        self._program.delete()
+        GL.glDeleteFramebuffers(1, [self._framebuffer])
+        GL.glDeleteRenderbuffers(2, [self._words_buffer, self._depth_buffer])
+
+    def use_camera(
+        self, camera: Camera, lattice: Lattice, light_C: NDArray[np.float64], ambient: float
+    ) -> None:
+        """Make this the camera of the draw calls to come; lattice and light are always the same."""
+        self._program._bind()
+        if camera is self._camera:
+            return
+        self._camera = camera
+        self._bends = camera.distortion_model != "none"
+        if self._bends not in self._meshes:
+            piece_m = self._drone.size_m * PIECE_OF_SIZE if self._bends else None
+            self._meshes[self._bends] = [_upload(part, piece_m) for part in self._drone.parts]
+        set_camera_uniforms(self._program._program_id, camera, lattice, light_C, ambient)
+
+    def draw(
+        self,
+        T_C_P: list[NDArray[np.float32]],
+        tile: tuple[int, int],
+        size: tuple[int, int],
+        depth_range_m: tuple[float, float],
+        clip: bool,
+    ) -> NDArray[np.uint32]:
+        """Draw every instance of every part.
+
+        Parameters
+        ----------
+        T_C_P : list[NDArray[np.float32]]
+            For each part, its instances' matrices (n, 4, 4): part to camera [m], and in the last
+            row the shift from lattice to atlas coordinates and the corner of the tile.
+        tile, size : tuple[int, int]
+            Width and height of a tile and of the part of the atlas in use [samples].
+        depth_range_m : tuple[float, float]
+            Depths between which everything lies [m].
+        clip : bool
+            Cut each instance off at the border of its tile.
+
+        Returns
+        -------
+        NDArray[np.uint32]
+            Sample words (`sim.render.lattice`), shape (height, width). Valid until the next call.
+        """
+        GL = self._GL
+        width, height = size
+        self._bind_framebuffer(width, height)
+        self._program._bind()
+        locate = self._program_location
+        GL.glUniform2f(locate("viewport"), width, height)
+        GL.glUniform2f(locate("tile_size"), *tile)
+        GL.glUniform2f(locate("depth_range"), *depth_range_m)
+        for plane in range(4):
+            (GL.glEnable if clip else GL.glDisable)(GL.GL_CLIP_DISTANCE0 + plane)
+        GL.glViewport(0, 0, width, height)
+        GL.glClearBufferuiv(GL.GL_COLOR, 0, _BACKGROUND)
+        GL.glClear(GL.GL_DEPTH_BUFFER_BIT)
+        for mesh, matrices in zip(self._meshes[self._bends], T_C_P, strict=True):
+            columns = np.ascontiguousarray(matrices.transpose(0, 2, 1))
+            GL.glBindBuffer(GL.GL_ARRAY_BUFFER, mesh.instance_buffer)
+            GL.glBufferSubData(GL.GL_ARRAY_BUFFER, 0, columns.nbytes, columns)
+            mesh.primitive._bind()
+            GL.glDrawElementsInstanced(
+                GL.GL_TRIANGLES, mesh.n_indices, GL.GL_UNSIGNED_INT, None, len(matrices)
+            )
+        words = self._words[: width * height].reshape(height, width)
+        GL.glReadPixels(0, 0, width, height, GL.GL_RED_INTEGER, GL.GL_UNSIGNED_INT, words)
+        return words
+
+    def _program_location(self, name: str) -> int:
+        location: int = self._GL.glGetUniformLocation(self._program._program_id, name)
+        return location
+
+    def _bind_framebuffer(self, width: int, height: int) -> None:
+        """Bind the off-screen buffer, grown to at least this size."""
+        GL = self._GL
+        GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, self._framebuffer)
+        GL.glEnable(GL.GL_DEPTH_TEST)
+        GL.glEnable(GL.GL_CULL_FACE)
+        GL.glDisable(GL.GL_BLEND)
+        GL.glDisable(GL.GL_MULTISAMPLE)
+        if width <= self._size[0] and height <= self._size[1]:
+            return
+        limit = GL.glGetIntegerv(GL.GL_MAX_RENDERBUFFER_SIZE)
+        if max(width, height) > limit:
+            raise SimError(
+                f"the drone's image needs {width} x {height} samples, this GL driver draws at most "
+                f"{limit} each way: use a coarser lattice or a smaller image"
+            )
+        self._size = (max(width, self._size[0]), max(height, self._size[1]))
+        attach_renderbuffers(self._words_buffer, self._depth_buffer, self._size)
+        self._words = np.empty(self._size[0] * self._size[1], np.uint32)
+
+
+def attach_renderbuffers(words_buffer: int, depth_buffer: int, size: tuple[int, int]) -> None:
+    """Give the bound framebuffer 32-bit sample words and a 24-bit depth buffer of this size."""
+    from OpenGL import GL
+
+    for buffer, kind, attachment in (
+        (words_buffer, GL.GL_R32UI, GL.GL_COLOR_ATTACHMENT0),
+        (depth_buffer, GL.GL_DEPTH_COMPONENT24, GL.GL_DEPTH_ATTACHMENT),
+    ):
+        GL.glBindRenderbuffer(GL.GL_RENDERBUFFER, buffer)
+        GL.glRenderbufferStorage(GL.GL_RENDERBUFFER, kind, *size)
+        GL.glFramebufferRenderbuffer(GL.GL_FRAMEBUFFER, attachment, GL.GL_RENDERBUFFER, buffer)
+    if GL.glCheckFramebufferStatus(GL.GL_FRAMEBUFFER) != GL.GL_FRAMEBUFFER_COMPLETE:
+        raise SimError(
+            "this GL driver cannot draw into a buffer of 32-bit integers: use Mesa's software "
+            "driver (libosmesa6, or libegl1 with libgl1-mesa-dri)"
+        )
+
+
+def set_camera_uniforms(
+    program_id: int,
+    camera: Camera,
+    lattice: Lattice,
+    light_C: NDArray[np.float64],
+    ambient: float,
+) -> None:
+    """Set what the shaders of `mesh.vert` need of a camera, in the program in use."""
+    from OpenGL import GL
+
+    def locate(name: str) -> int:
+        location: int = GL.glGetUniformLocation(program_id, name)
+        return location
+
+    K = camera.K
+    coeffs = camera.distortion_coeffs or (0.0, 0.0, 0.0, 0.0)
+    GL.glUniformMatrix4fv(locate("M"), 1, GL.GL_TRUE, np.eye(4, dtype=np.float32))
+    GL.glUniform4f(locate("intrinsics"), K[0, 0], K[1, 1], K[0, 2], K[1, 2])
+    GL.glUniform4f(locate("distortion"), *coeffs)
+    GL.glUniform1i(locate("distortion_model"), DISTORTION_MODELS[camera.distortion_model])
+    GL.glUniformMatrix2fv(locate("lattice"), 1, GL.GL_TRUE, lattice.A.astype(np.float32))
+    GL.glUniform2f(locate("pixel_centre"), *lattice.centre)
+    GL.glUniform3f(locate("light"), *light_C)
+    GL.glUniform1f(locate("ambient"), ambient)
+
+
+def make_primitive(part: Part, piece_m: float | None, n_instances: int | None) -> Any:
+    """Turn a part into a pyrender.Primitive with one normal and albedo per face.
+
+    Parameters
+    ----------
+    part : Part
+    piece_m : float | None
+        Split faces until no edge is longer [m]; None: leave them.
+    n_instances : int | None
+        Room for as many instances; None: pyrender's single one.
+    """
+    from pyrender.primitive import Primitive
+
+    vertices, faces, albedo = part.vertices_B_m, part.faces, part.albedo
+    if piece_m is not None:
+        vertices, faces, index = trimesh.remesh.subdivide_to_size(  # type: ignore[no-untyped-call]
+            vertices, faces, piece_m, return_index=True
+        )
+        albedo = albedo[index]
+    corners = vertices[faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    flat = length[:, 0] > 0.0  # faces without area show nothing
+    per_face = np.concatenate([normals[flat] / length[flat], albedo[flat, None]], axis=1)
+    # The image has y down where GL has it up, so what GL must see as the front is the inside.
+    rows = np.concatenate(
+        [corners[flat][:, ::-1], np.repeat(per_face[:, None], 3, axis=1)], axis=2
+    ).reshape(-1, 7)
+    unique, indices = np.unique(rows.astype(np.float32), axis=0, return_inverse=True)
+    colours = np.zeros((len(unique), 4), np.float32)
+    colours[:, 0] = unique[:, 6]
+    colours[:, 3] = 1.0
+    return Primitive(
+        unique[:, :3],
+        normals=unique[:, 3:6],
+        color_0=colours,
+        indices=indices.reshape(-1, 3),
+        poses=None if n_instances is None else np.tile(np.eye(4), (n_instances, 1, 1)),
+    )
+
+
+def _upload(part: Part, piece_m: float | None) -> _Mesh:
+    primitive = make_primitive(part, piece_m, MAX_INSTANCES)
+    primitive._add_to_context()
+    # pyrender's buffers, in the order in which it makes them: vertices, instances, indices.
+    return _Mesh(primitive, primitive.indices.size, primitive._buffers[1])

@@ -1,0 +1,1 @@
+"""What is filmed: trajectory, drone, background, and the rig of cameras that look on."""

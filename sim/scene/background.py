@@ -1,0 +1,81 @@
+"""A grey level or an image file in, the luminance of the empty scene out."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.errors import SimError
+from sim.scene.rig import Camera
+
+
+def uniform_background(camera: Camera, luminance: float) -> NDArray[np.float32]:
+    """Return an even sky, shape (height, width).
+
+    Raises
+    ------
+    SimError
+        When the luminance is not in [0, 1].
+    """
+    if not 0.0 <= luminance <= 1.0:
+        raise SimError(f"background luminance: expected 0 to 1, got {luminance}")
+    return np.full((camera.height, camera.width), luminance, np.float32)
+
+
+def load_background(path: Path, camera: Camera) -> NDArray[np.float32]:
+    """Read a static image that fills the camera's view.
+
+    Parameters
+    ----------
+    path : Path
+        An image file that OpenCV reads, taken as sRGB; or `.npy`, or an image of floating-point
+        numbers, linear luminance in [0, 1].
+    camera : Camera
+        The image must have its resolution.
+
+    Returns
+    -------
+    NDArray[np.float32]
+        Linear luminance, shape (height, width).
+
+    Raises
+    ------
+    SimError
+        When the file cannot be read, has another size, or values outside [0, 1].
+    """
+    luminance = _load_array(path) if path.suffix == ".npy" else _load_image(path)
+    wanted = (camera.height, camera.width)
+    if luminance.shape != wanted:
+        size = " x ".join(str(n) for n in luminance.shape[::-1])
+        raise SimError(
+            f"background {path}: expected {camera.width} x {camera.height} pixels as the camera "
+            f"{camera.name} has, got {size}: resize the image"
+        )
+    if not (luminance.min() >= 0.0 and luminance.max() <= 1.0):  # NaN fails too
+        raise SimError(
+            f"background {path}: expected linear luminance in [0, 1], got "
+            f"{luminance.min()} to {luminance.max()}"
+        )
+    return luminance
+
+
+def _load_array(path: Path) -> NDArray[np.float32]:
+    try:
+        return np.ascontiguousarray(np.load(path), np.float32)
+    except (OSError, ValueError) as error:
+        raise SimError(f"cannot read the background {path}: {error}") from error
+
+
+def _load_image(path: Path) -> NDArray[np.float32]:
+    if not path.is_file():
+        raise SimError(f"cannot read the background {path}: there is no such file")
+    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
+    if image is None:
+        raise SimError(f"cannot read the background {path}: it is not an image")
+    if image.dtype.kind == "f":  # HDR formats hold linear light
+        return image.astype(np.float32)
+    srgb = image.astype(np.float64) / (255 if image.dtype == np.uint8 else 65535)
+    # The transfer function of IEC 61966-2-1.
+    linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+    return linear.astype(np.float32)

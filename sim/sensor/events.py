@@ -1,0 +1,265 @@
+"""Luminance over time in, events out: the contrast-threshold model of an event camera, with noise.
+
+L = log(I + eps) is the signal of a pixel. It emits an event whenever L has moved by C+ or C- from
+the level that it memorised at its last one, and then memorises anew. Between two instants I, not L,
+is linear in time: the area of a pixel that a moving edge covers grows linearly, so the crossing has
+a closed form, and the comparison of each pixel needs no logarithm.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.errors import SimError
+from sim.sensor.kernels import NOISE_STATE_DTYPE, EventBuffer, process_ideal, process_noisy
+
+EVENT_DTYPE = np.dtype([("t", "<i8"), ("x", "<u2"), ("y", "<u2"), ("p", "u1")])
+"""One event: `t` [us], pixel column `x`, pixel row `y`, polarity `p` (1 = brighter)."""
+
+MIN_THRESHOLD = 0.01  # mismatch never makes a pixel more sensitive than this
+
+
+@dataclass(frozen=True)
+class SensorConfig:
+    """The pixel model. All noise is off by default."""
+
+    threshold_on: float = 0.25  # C+, change of log intensity
+    threshold_off: float = 0.25  # C-
+    log_eps: float = 1e-3  # added to the intensity, of [0, 1], before the logarithm
+    threshold_mismatch: float = 0.0  # standard deviation of C+ and C- over pixels, fixed in time
+    refractory_s: float = 0.0  # dead time after an event [s]; the pixel memorises anew at its end
+    leak_hz: float = 0.0  # rate of the ON events of a pixel whose memory leaks
+    shot_noise_hz: float = 0.0  # rate of noise events of a dark pixel; a quarter of it at I = 1
+    background_hz: float = 0.0  # rate of noise events of any pixel, whatever its light
+    hot_pixel_share: float = 0.0  # share of pixels that fire without cause
+    hot_pixel_hz: float = 50.0  # median rate of their ON events; log-normal over pixels
+
+    def __post_init__(self) -> None:
+        for name in ("threshold_on", "threshold_off", "log_eps"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value > 0.0):
+                raise SimError(f"sensor: {name} must be a positive number, got {value}")
+        for name in ("threshold_mismatch", "refractory_s", "leak_hz", "shot_noise_hz",
+                     "background_hz", "hot_pixel_share", "hot_pixel_hz"):  # fmt: skip
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value >= 0.0):
+                raise SimError(f"sensor: {name} must be 0 or a positive number, got {value}")
+        if self.hot_pixel_share > 1.0:
+            raise SimError(f"sensor: hot_pixel_share is a share of 1, got {self.hot_pixel_share}")
+
+    @property
+    def is_ideal_in_time(self) -> bool:
+        """Whether nothing but a change of light makes a pixel act."""
+        return not (
+            self.refractory_s
+            or self.leak_hz
+            or self.shot_noise_hz
+            or self.background_hz
+            or self.hot_pixel_share
+        )
+
+
+PRESETS = {
+    "ideal": SensorConfig(),
+    # Orders of magnitude of a DAVIS346 in daylight (Hu et al., v2e, CVPRW 2021, section 4).
+    "davis346": SensorConfig(
+        threshold_mismatch=0.03,
+        refractory_s=0.0005,
+        leak_hz=0.1,
+        shot_noise_hz=0.25,
+        hot_pixel_share=2e-4,
+    ),
+}
+
+
+class Sensor:
+    """The pixels of one camera and what each remembers.
+
+    Parameters
+    ----------
+    config : SensorConfig
+    image : NDArray[np.float32]
+        Luminance at the start, in [0, 1], shape (height, width): no event comes from it.
+    time_s : float
+        When the start is [s].
+    rng : numpy.random.Generator
+        Draws the pixels' mismatch and noise; the same state gives the same events, however the
+        recording is cut into crops.
+    background : NDArray[np.float32], optional
+        What surrounds the crops to come, same shape. Default: the image at the start.
+    """
+
+    def __init__(
+        self,
+        config: SensorConfig,
+        image: NDArray[np.float32],
+        time_s: float,
+        rng: np.random.Generator,
+        background: NDArray[np.float32] | None = None,
+    ) -> None:
+        self.config = config
+        shape = image.shape
+        self._image = np.array(image, np.float32, order="C")
+        self._background = np.ascontiguousarray(
+            self._image.copy() if background is None else background, np.float32
+        )
+        self._reference = image.astype(np.float64) + config.log_eps
+        thresholds = [
+            np.maximum(nominal + config.threshold_mismatch * rng.standard_normal(shape), low)
+            for nominal, low in (
+                (config.threshold_on, min(MIN_THRESHOLD, config.threshold_on)),
+                (config.threshold_off, min(MIN_THRESHOLD, config.threshold_off)),
+            )
+        ]
+        self._up, self._down = np.exp(thresholds[0]), np.exp(-thresholds[1])
+        self._high = (self._reference * self._up - config.log_eps).astype(np.float32)
+        self._low = (self._reference * self._down - config.log_eps).astype(np.float32)
+        self._time_s = time_s
+        # x0, y0, x1, y1 of what may differ from the background
+        self._box = np.array([0, 0, shape[1], shape[0]] if background is not None else [0] * 4)
+        self._events = EventBuffer()
+        self._noise = None if config.is_ideal_in_time else self._start_noise(time_s, rng)
+
+    def _start_noise(self, time_s: float, rng: np.random.Generator) -> NDArray[Any]:
+        """Draw what each pixel's noise starts from."""
+        config, shape = self.config, self._reference.shape
+        noise = np.zeros(shape, NOISE_STATE_DTYPE)
+        noise["time_s"] = time_s
+        noise["dead_until_s"] = -np.inf
+        noise["random"] = rng.integers(0, 2**64, shape, np.uint64)
+        is_hot = rng.random(shape) < config.hot_pixel_share
+        noise["hot_hz"] = np.where(
+            is_hot, config.hot_pixel_hz * rng.lognormal(0.0, 0.7, shape), 0.0
+        )
+        rate_hz = config.shot_noise_hz + config.background_hz + noise["hot_hz"]
+        noise["leak_per_s"] = config.leak_hz * np.log(self._up)
+        with np.errstate(divide="ignore"):
+            noise["next_s"] = time_s + rng.standard_exponential(shape) / rate_hz
+        if config.leak_hz:
+            # The pixels have leaked for long: each is somewhere between two of its leak events.
+            self._reference *= self._up ** -rng.random(shape)
+        return noise
+
+    def feed(
+        self,
+        times_s: NDArray[np.float64],
+        x0_px: NDArray[np.int64],
+        y0_px: NDArray[np.int64],
+        luminance: NDArray[np.float32],
+    ) -> None:
+        """Take the next instants: crops of the image, the background around them.
+
+        Parameters
+        ----------
+        times_s : NDArray[np.float64]
+            Shape (n,) [s], increasing, all after the instants before.
+        x0_px, y0_px : NDArray[np.int64]
+            First column and row of each crop, shape (n,).
+        luminance : NDArray[np.float32]
+            Shape (n, crop height, crop width), crops wholly within the image.
+        """
+        shared = (
+            times_s, x0_px, y0_px, luminance, self._background, self._time_s, self._box,
+            self._image, self._reference, self._up, self._down,
+        )  # fmt: skip
+        if self._noise is None:
+            levels = (self._high, self._low, self.config.log_eps)
+            self._events.follow(process_ideal, *shared, *levels)
+        else:
+            self._events.follow(process_noisy, *shared, self._noise, *self._rates())
+        self._time_s = float(times_s[-1])
+
+    def finish(self, time_s: float) -> NDArray[Any]:
+        """Hold the last image until `time_s` and return all events.
+
+        Returns
+        -------
+        NDArray
+            EVENT_DTYPE, sorted by time, then row, column and order of emission.
+        """
+        if self._noise is not None:
+            height, width = self._image.shape
+            self._box[:] = 0, 0, width, height
+            still = self._image[None].copy()
+            zero = np.zeros(1, np.int64)
+            self.feed(np.array([max(time_s, self._time_s)]), zero, zero, still)
+        t_s, x, y, p = self._events.columns()
+        events = np.empty(len(t_s), EVENT_DTYPE)
+        events["t"] = np.rint(t_s * 1e6)
+        events["x"], events["y"], events["p"] = x, y, p
+        pixel = events["y"].astype(np.int64) * self._image.shape[1] + events["x"]
+        in_order: NDArray[Any] = events[np.lexsort((pixel, events["t"]))]
+        return in_order
+
+    def _rates(self) -> tuple[float, ...]:
+        config = self.config
+        return (
+            config.log_eps,
+            config.refractory_s,
+            config.shot_noise_hz,
+            config.background_hz,
+        )
+
+
+def events_from_frames(
+    frames: NDArray[Any],
+    times_s: NDArray[np.float64],
+    config: SensorConfig | None = None,
+    rng: np.random.Generator | None = None,
+) -> NDArray[Any]:
+    """Turn a stack of frames, a user's own video for instance, into events.
+
+    Parameters
+    ----------
+    frames : NDArray
+        Shape (n, height, width): floating point in [0, 1], or unsigned integers of full scale 1.
+        Linear light: undo a video's gamma first.
+    times_s : NDArray[np.float64]
+        Shape (n,) [s], increasing.
+    config : SensorConfig, optional
+    rng : numpy.random.Generator, optional
+        Default: seeded with 0.
+
+    Returns
+    -------
+    NDArray
+        EVENT_DTYPE, sorted by time.
+
+    Raises
+    ------
+    SimError
+        Shapes that do not fit, times that do not increase, fewer than 2 frames, values outside
+        [0, 1] or not finite.
+    """
+    times_s = np.asarray(times_s, np.float64)
+    if frames.ndim != 3 or times_s.shape != frames.shape[:1] or len(times_s) < 2:
+        raise SimError(
+            "frames: expected an array (n, height, width) and n >= 2 times, "
+            f"got {frames.shape} and {times_s.shape}"
+        )
+    if not (np.isfinite(times_s).all() and (np.diff(times_s) > 0).all()):
+        raise SimError("frames: times must be finite and increase from frame to frame; sort them")
+    config = config or SensorConfig()
+    sensor = Sensor(
+        config, _unit_range(frames[0]), float(times_s[0]), rng or np.random.default_rng(0)
+    )
+    zero = np.zeros(1, np.int64)
+    for time_s, frame in zip(times_s[1:], frames[1:], strict=True):
+        sensor.feed(np.array([time_s]), zero, zero, _unit_range(frame)[None])
+    return sensor.finish(float(times_s[-1]))
+
+
+def _unit_range(frame: NDArray[Any]) -> NDArray[np.float32]:
+    """Return a frame as float32 in [0, 1]."""
+    if np.issubdtype(frame.dtype, np.unsignedinteger):
+        return np.ascontiguousarray(frame, np.float32) / np.float32(np.iinfo(frame.dtype).max)
+    image = np.ascontiguousarray(frame, np.float32)
+    low, high = image.min(), image.max()
+    if not (low >= 0.0 and high <= 1.0):  # NaN fails too
+        raise SimError(
+            f"frames: expected linear intensities in [0, 1], got values from {low} to {high}; "
+            "scale them, or pass unsigned integers"
+        )
+    return image

@@ -1,0 +1,282 @@
+"""The per-pixel loops of the sensor model, compiled."""
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+NOISE_STATE_DTYPE = np.dtype(
+    [
+        ("time_s", "f8"),  # up to when this pixel has been followed
+        ("dead_until_s", "f8"),  # end of its refractory period
+        ("next_s", "f8"),  # when its next noise event is due
+        ("hot_hz", "f8"),  # rate of a hot pixel, 0 otherwise
+        ("leak_per_s", "f8"),  # how fast its memorised log intensity sinks
+        ("random", "u8"),  # state of its own random numbers
+    ]
+)
+_BLOCK = 32  # pixels compared at once
+_SHOT_NOISE_DROP = 0.75  # of the dark rate, at full light (as in v2e)
+
+
+class EventBuffer:
+    """Events as they are emitted, in columns that grow."""
+
+    def __init__(self) -> None:
+        self.t_s = np.empty(1 << 16, np.float64)
+        self.x = np.empty(1 << 16, np.uint16)
+        self.y = np.empty(1 << 16, np.uint16)
+        self.p = np.empty(1 << 16, np.uint8)
+        self.n = 0
+
+    def follow(self, kernel: Any, *arguments: Any) -> None:
+        """Let a kernel below append its events."""
+        self.t_s, self.x, self.y, self.p, self.n = kernel(
+            *arguments, self.t_s, self.x, self.y, self.p, self.n
+        )
+
+    def columns(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
+        """Return t [s], x, y and p of all events so far."""
+        return self.t_s[: self.n], self.x[: self.n], self.y[: self.n], self.p[: self.n]
+
+
+@njit(cache=True, nogil=True)
+def _grown(t_s, x, y, p):  # type: ignore[no-untyped-def]
+    """Twice the room for events."""
+    n = t_s.size
+    new_t, new_x = np.empty(2 * n, t_s.dtype), np.empty(2 * n, x.dtype)
+    new_y, new_p = np.empty(2 * n, y.dtype), np.empty(2 * n, p.dtype)
+    new_t[:n], new_x[:n], new_y[:n], new_p[:n] = t_s, x, y, p
+    return new_t, new_x, new_y, new_p
+
+
+@njit(cache=True, nogil=True)
+def process_ideal(  # type: ignore[no-untyped-def]
+    times_s, x0_px, y0_px, luminance, background, time_s, box,
+    image, reference, up, down, high, low, eps, ev_t, ev_x, ev_y, ev_p, n,
+):  # fmt: skip
+    """Follow pixels that act on light alone; see `sim.sensor.events.Sensor.feed`."""
+    height, width = luminance.shape[1:]
+    for k in range(times_s.size):
+        t0, t1 = time_s, times_s[k]
+        cx0, cy0 = x0_px[k], y0_px[k]
+        cx1, cy1 = cx0 + width, cy0 + height
+        for y in range(min(cy0, box[1]), max(cy1, box[3])):
+            in_crop = cy0 <= y < cy1
+            in_box = box[1] <= y < box[3]
+            # Up to three runs of the row: background, crop, background.
+            for run in range(3):
+                if run == 1:
+                    if not in_crop:
+                        continue
+                    first, last = cx0, cx1
+                    source = luminance[k, y - cy0]
+                    shift = cx0
+                else:
+                    if not in_box:
+                        continue
+                    first, last = box[0], box[2]
+                    if in_crop:
+                        if run == 0:
+                            last = min(last, cx0)
+                        else:
+                            first = max(first, cx1)
+                    elif run == 2:
+                        continue
+                    source = background[y]
+                    shift = 0
+                ev_t, ev_x, ev_y, ev_p, n = _step_run(
+                    source[first - shift : last - shift], y, first, last, t0, t1,
+                    image, reference, up, down, high, low, eps, ev_t, ev_x, ev_y, ev_p, n,
+                )  # fmt: skip
+        box[0], box[1], box[2], box[3] = cx0, cy0, cx1, cy1
+        time_s = t1
+    return ev_t, ev_x, ev_y, ev_p, n
+
+
+@njit(cache=True, nogil=True)
+def _step_run(  # type: ignore[no-untyped-def]
+    source, y, first, last, t0, t1, image, reference, up, down, high, low, eps,
+    ev_t, ev_x, ev_y, ev_p, n,
+):  # fmt: skip
+    """Move a run of a row's pixels to their next light, and emit what that causes."""
+    row_image = image[y, first:last]
+    row_high, row_low = high[y, first:last], low[y, first:last]
+    # Most rows see no event at all: one look at the whole run, then at blocks of it.
+    size = source.size if _any_crossed(source, row_high, row_low) else 0
+    for start in range(0, size, _BLOCK):
+        block = source[start : start + _BLOCK]
+        if _any_crossed(block, row_high[start : start + _BLOCK], row_low[start : start + _BLOCK]):
+            for i in range(start, start + block.size):
+                i1 = np.float64(source[i])
+                if not (i1 > row_high[i] or i1 < row_low[i]):
+                    continue
+                x = first + i
+                i0 = np.float64(row_image[i])
+                per_s = (t1 - t0) / (i1 - i0)
+                while i1 > row_high[i] or i1 < row_low[i]:
+                    polarity = i1 > row_high[i]
+                    reference[y, x] *= up[y, x] if polarity else down[y, x]
+                    # At this intensity the threshold is crossed.
+                    crossing = reference[y, x] - eps
+                    if n == ev_t.size:
+                        ev_t, ev_x, ev_y, ev_p = _grown(ev_t, ev_x, ev_y, ev_p)
+                    ev_t[n] = min(max(t0 + (crossing - i0) * per_s, t0), t1)
+                    ev_x[n], ev_y[n], ev_p[n] = x, y, polarity
+                    n += 1
+                    row_high[i] = reference[y, x] * up[y, x] - eps
+                    row_low[i] = reference[y, x] * down[y, x] - eps
+    row_image[:] = source
+    return ev_t, ev_x, ev_y, ev_p, n
+
+
+@njit(cache=True, nogil=True)
+def _any_crossed(source, high, low):  # type: ignore[no-untyped-def]
+    """Tell whether any pixel's light left its two thresholds, without a branch per pixel."""
+    crossed = np.int32(0)
+    for i in range(source.size):
+        crossed |= np.int32(source[i] > high[i]) | np.int32(source[i] < low[i])
+    return crossed != 0
+
+
+@njit(cache=True, nogil=True)
+def process_noisy(  # type: ignore[no-untyped-def]
+    times_s, x0_px, y0_px, luminance, background, time_s, box,
+    image, reference, up, down, noise, eps, refractory_s, shot_hz, background_hz,
+    ev_t, ev_x, ev_y, ev_p, n,
+):  # fmt: skip
+    """Follow pixels that also leak, fire by themselves and rest after an event."""
+    height, width = luminance.shape[1:]
+    for k in range(times_s.size):
+        cx0, cy0 = x0_px[k], y0_px[k]
+        cx1, cy1 = cx0 + width, cy0 + height
+        for y in range(min(cy0, box[1]), max(cy1, box[3])):
+            for x in range(min(cx0, box[0]), max(cx1, box[2])):
+                if cy0 <= y < cy1 and cx0 <= x < cx1:
+                    value = np.float64(luminance[k, y - cy0, x - cx0])
+                else:
+                    value = np.float64(background[y, x])
+                # A pixel left alone since has seen one and the same light until now.
+                for part in range(2):
+                    end = time_s if part == 0 else times_s[k]
+                    t0 = noise[y, x].time_s
+                    if end <= t0:
+                        continue
+                    i0 = np.float64(image[y, x])
+                    i1 = i0 if part == 0 else value
+                    noise[y, x].time_s = end
+                    # Most pixels stay quiet; the rest is for those that do not.
+                    level = reference[y, x] * _decay(noise[y, x].leak_per_s * (end - t0))
+                    if (
+                        level * down[y, x] <= i1 + eps <= level * up[y, x]
+                        and noise[y, x].next_s > end
+                        and noise[y, x].dead_until_s <= t0
+                    ):
+                        reference[y, x] = level
+                        continue
+                    ev_t, ev_x, ev_y, ev_p, n = _follow(
+                        y, x, t0, end, i0, i1, reference, up, down, noise, eps, refractory_s,
+                        shot_hz, background_hz, ev_t, ev_x, ev_y, ev_p, n,
+                    )  # fmt: skip
+                image[y, x] = value
+        box[0], box[1], box[2], box[3] = cx0, cy0, cx1, cy1
+        time_s = times_s[k]
+    return ev_t, ev_x, ev_y, ev_p, n
+
+
+@njit(cache=True, nogil=True)
+def _follow(  # type: ignore[no-untyped-def]
+    y, x, t0, t1, i0, i1, reference, up, down, noise, eps, refractory_s, shot_hz, background_hz,
+    ev_t, ev_x, ev_y, ev_p, n,
+):  # fmt: skip
+    """Follow one pixel from t0 to t1 while its light goes linearly from i0 to i1.
+
+    Whatever the cause of an event, the pixel then memorises its present light, at once or at the
+    end of its refractory period.
+    """
+    state = noise[y, x]
+    slope = (i1 - i0) / (t1 - t0)
+    leak = state.leak_per_s
+    level = reference[y, x]
+    t = t0
+    while True:
+        if state.dead_until_s > t:
+            if state.dead_until_s > t1:
+                break
+            t = state.dead_until_s
+            level = i0 + slope * (t - t0) + eps
+        crossing_s, polarity = _next_crossing(
+            t, t1, i0 + slope * (t - t0), i1, level, up[y, x], down[y, x], leak, eps
+        )
+        while state.next_s < t:  # those due during the dead time are lost
+            state.next_s += _waiting_time(state, shot_hz, background_hz)
+        event_s = min(crossing_s, state.next_s)
+        if event_s > t1:
+            level *= _decay(leak * (t1 - t))
+            break
+        light = i0 + slope * (event_s - t0)
+        if state.next_s <= crossing_s:
+            state.next_s += _waiting_time(state, shot_hz, background_hz)
+            total_hz = shot_hz + background_hz + state.hot_hz
+            draw = _uniform(state) * total_hz
+            if draw < state.hot_hz:
+                polarity = True
+            elif draw < total_hz - shot_hz * _SHOT_NOISE_DROP * min(max(light, 0.0), 1.0):
+                polarity = _uniform(state) < 0.5
+            else:  # bright light has less shot noise: this one does not happen
+                level *= _decay(leak * (event_s - t))
+                t = event_s
+                continue
+        if n == ev_t.size:
+            ev_t, ev_x, ev_y, ev_p = _grown(ev_t, ev_x, ev_y, ev_p)
+        ev_t[n], ev_x[n], ev_y[n], ev_p[n] = event_s, x, y, polarity
+        n += 1
+        level = light + eps
+        t = event_s
+        if refractory_s > 0.0:
+            state.dead_until_s = event_s + refractory_s
+    reference[y, x] = level
+    return ev_t, ev_x, ev_y, ev_p, n
+
+
+@njit(cache=True, nogil=True)
+def _next_crossing(t, t1, light, light_1, level, up, down, leak, eps):  # type: ignore[no-untyped-def]
+    """Find when the light next passes a threshold: (time [s], is ON), infinity if not before t1."""
+    shrink = _decay(leak * (t1 - t))
+    for polarity in (True, False):
+        step = up if polarity else down
+        at_0, at_1 = level * step - eps, level * shrink * step - eps
+        passed = light_1 > at_1 if polarity else light_1 < at_1
+        if not passed:
+            continue
+        if light == light_1:
+            # Only the memory moves, exponentially; only an ON threshold can come closer. Without a
+            # leak, light on the threshold was within it just before, by rounding.
+            distance = np.log(level * step / (light + eps))
+            return t + (max(0.0, distance / leak) if leak > 0.0 else 0.0), polarity
+        share = (at_0 - light) / ((light_1 - light) - (at_1 - at_0))
+        return t + min(max(share, 0.0), 1.0) * (t1 - t), polarity
+    return np.inf, False
+
+
+@njit(cache=True, nogil=True)
+def _decay(x):  # type: ignore[no-untyped-def]
+    """Return exp(-x); between two instants x is tiny, and the series is exact to rounding."""
+    return 1.0 - x * (1.0 - 0.5 * x * (1.0 - x / 3.0)) if x < 1e-4 else np.exp(-x)
+
+
+@njit(cache=True, nogil=True)
+def _waiting_time(state, shot_hz, background_hz):  # type: ignore[no-untyped-def]
+    return -np.log(1.0 - _uniform(state)) / (shot_hz + background_hz + state.hot_hz)
+
+
+@njit(cache=True, nogil=True)
+def _uniform(state):  # type: ignore[no-untyped-def]
+    """Draw from [0, 1): SplitMix64 (Steele et al., OOPSLA 2014), one stream for each pixel."""
+    state.random += np.uint64(0x9E3779B97F4A7C15)
+    z = state.random
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    z = z ^ (z >> np.uint64(31))
+    return np.float64(z >> np.uint64(11)) * (1.0 / (1 << 53))

@@ -1,0 +1,41 @@
+"""The parameters of all methods, and whether they make sense."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ssac.errors import SsacError
+
+
+@dataclass(frozen=True)
+class Config:
+    """Parameters of all methods; the defaults are those of the paper and its published sample."""
+
+    interval_s: tuple[float, float] = (-1.0, 1.0)  # offsets searched, the paper's [t_b, t_e]
+    n_samples: int = 400  # sample times per candidate offset, the paper's N
+    half_window_s: float = 0.020  # of events on each side of a sample time
+    n_min: int = 200  # events that a window holds at least, the paper's N_min
+    border_px: int = 5  # width of the border in the margin rule
+    max_border_fraction: float = 0.05  # of a window's events may lie on the border
+    exhaustive: bool = False  # try an offset every 1 ms as the paper does, not coarse to fine
+    robust: str = "lmeds"  # estimator of F: "lmeds" as in the paper, or "magsac"
+    trials: int = 2000  # of LMedS at each candidate
+    final_trials: int = 12000  # of LMedS at the offset found
+    seed: int = 0  # of every random choice
+    denoise: bool = True  # first remove hot pixels and isolated events
+
+
+def checked(config: Config | None) -> Config:
+    """Return the config, or the default for None; SsacError when a value makes no sense."""
+    config = config or Config()
+    low, high = config.interval_s
+    if not (np.isfinite([low, high]).all() and low < high):
+        raise SsacError(
+            f"interval_s must be two finite offsets in ascending order, got {low, high}"
+        )
+    if config.robust not in ("lmeds", "magsac"):
+        raise SsacError(f'robust must be "lmeds" or "magsac", got "{config.robust}"')
+    for name in ("n_samples", "half_window_s", "n_min", "trials", "final_trials"):
+        if not getattr(config, name) > 0:
+            raise SsacError(f"{name} must be positive, got {getattr(config, name)}")
+    return config

@@ -1,0 +1,1 @@
+"""Event files, rig files and results between disk and memory."""

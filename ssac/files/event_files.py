@@ -1,0 +1,155 @@
+"""Event files in, events out; and events corrected to one clock, out to a file.
+
+The extension names the format. The offset between two cameras is the difference of their clocks, so
+a file is only of use when its absolute timestamps survive reading:
+
+=======  ===============================================  ==========================
+suffix   format                                           absolute time
+=======  ===============================================  ==========================
+.h5      HDF5: ours, DSEC's, Prophesee's (hdf5_files.py)  kept
+.txt     ESIM text (text_files.py)                        kept
+.csv     named columns (text_files.py)                    kept
+.aedat4  iniVation AEDAT 4                                kept
+.raw     Prophesee EVT2                                   kept
+.raw     Prophesee EVT3                                   modulo 2^24 us = 16.8 s
+.dat     Prophesee DAT                                    modulo 2^32 us = 71.6 min
+.es      Event Stream                                     only if its writer kept it
+=======  ===============================================  ==========================
+
+The last five are read by the library faery. It follows the overflows of an EVT3 or DAT clock from
+the file's start on, and adds the start back that it stores in the header of the EVT and DAT files
+it writes itself. An Event Stream file has no such place: faery and others subtract the first
+timestamp on writing, and it is lost, so a file that starts at time 0 gives a warning. RAW, DAT and
+ES files have no end mark: a truncated one is a shorter recording.
+"""
+
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import faery
+import numpy as np
+
+from ssac.errors import SsacError
+from ssac.events import EVENT_DTYPE, US_PER_S, EventFile, check_events
+from ssac.files.hdf5 import HDF5_SUFFIXES, load_events_h5, load_frames, save_events_h5
+from ssac.files.text import load_events_csv, load_events_text, save_events_text
+
+__all__ = [
+    "EventFile",
+    "load_events",
+    "load_frames",
+    "save_events_h5",
+    "save_events_text",
+    "write_synced",
+]
+
+UNKNOWN_SIZE = (65535, 65535)
+"""What faery is told to assume when a header does not give the sensor's size."""
+
+
+def load_events(path: Path | str) -> EventFile:
+    """Read an event file of any format in the table above.
+
+    Parameters
+    ----------
+    path
+        The file; its extension names its format.
+
+    Returns
+    -------
+    EventFile
+        Events, sorted, on the clock of the camera that recorded them; the sensor's size where the
+        file gives it.
+
+    Raises
+    ------
+    SsacError
+        If the file is missing, of unknown extension, empty, truncated (where that can be seen),
+        unsorted, or has events outside its own sensor. The message names the file.
+    """
+    path = Path(path)
+    reader = _READERS.get(path.suffix.lower())
+    if reader is None:
+        raise SsacError(
+            f"{path}: unknown extension {path.suffix!r}: use one of {', '.join(sorted(_READERS))}"
+        )
+    if not path.is_file():
+        raise SsacError(f"{path}: there is no such file: check the path")
+    if path.stat().st_size == 0:
+        raise SsacError(f"{path}: the file is empty (0 bytes): record or copy it again")
+    return reader(path)
+
+
+def write_synced(path: Path | str, cam2: EventFile, time_offset_s: float) -> None:
+    """Write camera 2's events on camera 1's clock, t_cam1 = t_cam2 - t_d.
+
+    Parameters
+    ----------
+    path
+        File to write, HDF5 or ESIM text by its extension.
+    cam2
+        Camera 2's events on its own clock.
+    time_offset_s
+        The offset t_d [s] with t_cam2 = t_cam1 + t_d; rounded to whole microseconds.
+
+    Raises
+    ------
+    SsacError
+        If the extension is neither HDF5's nor .txt.
+    """
+    path = Path(path)
+    writers = dict.fromkeys(HDF5_SUFFIXES, save_events_h5) | {".txt": save_events_text}
+    writer = writers.get(path.suffix.lower())
+    if writer is None:
+        raise SsacError(
+            f"{path}: cannot write the extension {path.suffix!r}: use one of "
+            f"{', '.join(sorted(writers))}"
+        )
+    events = cam2.events.copy()
+    events["t"] -= round(time_offset_s * US_PER_S)
+    writer(path, events, cam2.width, cam2.height)
+
+
+def _load_makers_file(path: Path) -> EventFile:
+    """Read a camera maker's format through faery."""
+    try:
+        if path.suffix.lower() == ".raw":
+            _check_evt_version(path)
+        stream = faery.events_stream_from_file(path, dimensions_fallback=UNKNOWN_SIZE)
+        blocks = list(stream)
+    except SsacError:
+        raise
+    except Exception as error:  # faery raises RuntimeError, AssertionError and plain Exception
+        raise SsacError(
+            f"{path}: not a complete {path.suffix} file ({error}): copy or record it again"
+        ) from error
+    # Both dtypes have the fields t, x, y, p of 8, 2, 2 and 1 bytes in this order.
+    events = np.concatenate([np.empty(0, faery.EVENTS_DTYPE), *blocks]).view(EVENT_DTYPE)
+    known = stream.dimensions() != UNKNOWN_SIZE
+    width, height = stream.dimensions() if known else (None, None)
+    check_events(events, width, height, name=str(path))
+    if path.suffix.lower() == ".es" and events["t"][0] == 0:
+        warnings.warn(
+            f"{path} starts at time 0: whoever wrote it may have subtracted its first timestamp, "
+            "and the offset found is then off by it",
+            stacklevel=3,
+        )
+    return EventFile(events, width, height)
+
+
+def _check_evt_version(path: Path) -> None:
+    """Refuse a RAW file without a version in its header, or of one that faery cannot decode."""
+    with faery.evt.Decoder(path, UNKNOWN_SIZE, None) as decoder:
+        if decoder.version not in ("evt2", "evt3"):
+            raise SsacError(
+                f"{path}: its encoding is {decoder.version}: convert it to EVT2 or EVT3"
+            )
+
+
+_READERS: dict[str, Callable[[Path], EventFile]] = {
+    **dict.fromkeys(HDF5_SUFFIXES, load_events_h5),
+    ".txt": load_events_text,
+    ".csv": load_events_csv,
+    **dict.fromkeys((".aedat4", ".raw", ".dat", ".es"), _load_makers_file),
+}

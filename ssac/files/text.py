@@ -1,0 +1,137 @@
+"""Text recordings in and out: ESIM text, and comma-separated values.
+
+ESIM text is `t x y p` per line, t in seconds, with an optional first line `width height`. The csv
+form has a first line that names its columns (t, x, y and p, in any order), t in whole microseconds;
+names may carry the sensor's size as faery writes it (`x@346`), and `on` stands for `p`. Polarity of
+a darker event is 0 or -1. Both carry absolute time. A text file has no end mark: when its last
+lines are missing it is a shorter recording.
+"""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from ssac.errors import SsacError
+from ssac.events import EVENT_DTYPE, US_PER_S, EventFile, check_events, events_from_arrays
+from ssac.files.whole_file import whole_file
+
+LINES_PER_BLOCK = 1_000_000
+"""Lines held at once, so that reading needs little more memory than the events."""
+
+
+def load_events_text(path: Path) -> EventFile:
+    """Read ESIM text.
+
+    Raises
+    ------
+    SsacError
+        If a line is not `t x y p`, or the events fail `check_events`.
+    """
+    first_line = _first_line(path).split()
+    width, height = None, None
+    if len(first_line) == 2 and all(word.isdigit() for word in first_line):
+        width, height = int(first_line[0]), int(first_line[1])
+    elif len(first_line) not in (0, 4):
+        raise SsacError(
+            f"{path}: the first line must be `t x y p` or `width height`, got "
+            f"{' '.join(first_line)[:60]!r}: convert the file"
+        )
+    events = _read_table(path, r"\s+", list("txyp"), has_header=width is not None, in_seconds=True)
+    check_events(events, width, height, name=str(path))
+    return EventFile(events, width, height)
+
+
+def load_events_csv(path: Path) -> EventFile:
+    """Read comma-separated events whose first line names the columns.
+
+    Raises
+    ------
+    SsacError
+        If the first line does not name t, x, y and p, a line does not fit it, or the events fail
+        `check_events`.
+    """
+    columns, sizes = [], {}
+    for word in _first_line(path).lower().split(","):
+        name, _, size = word.strip().partition("@")
+        columns.append("p" if name == "on" else name)
+        if size.isdigit():
+            sizes[name] = int(size)
+    if not set("txyp") <= set(columns):
+        raise SsacError(
+            f"{path}: the first line must name the columns t,x,y,p (t in microseconds), got "
+            f"{','.join(columns)[:60]!r}: add that line"
+        )
+    events = _read_table(path, ",", columns, has_header=True, in_seconds=False)
+    check_events(events, sizes.get("x"), sizes.get("y"), name=str(path))
+    return EventFile(events, sizes.get("x"), sizes.get("y"))
+
+
+def save_events_text(
+    path: Path | str, events: NDArray[np.void], width: int | None, height: int | None
+) -> None:
+    """Write ESIM text, exact to the microsecond; the file appears only when it is complete.
+
+    Parameters
+    ----------
+    path
+        File to write; one that exists is replaced.
+    events
+        Events, dtype EVENT_DTYPE, shape (N,).
+    width, height
+        Sensor size [px] for the first line; None leaves that line out.
+    """
+    with whole_file(Path(path)) as temporary, temporary.open("w", encoding="utf-8") as file:
+        if width is not None and height is not None:
+            file.write(f"{width} {height}\n")
+        for first in range(0, len(events), LINES_PER_BLOCK):
+            block = events[first : first + LINES_PER_BLOCK].tolist()
+            file.writelines(f"{t / US_PER_S:.6f} {x} {y} {p}\n" for t, x, y, p in block)
+
+
+def _first_line(path: Path) -> str:
+    """Return the first line of the file; SsacError when it is not text."""
+    try:
+        with path.open(encoding="utf-8") as file:
+            return file.readline()
+    except UnicodeDecodeError as error:
+        raise SsacError(f"{path}: not a text file: give it the extension of its format") from error
+
+
+def _read_table(
+    path: Path, separator: str, columns: list[str], has_header: bool, in_seconds: bool
+) -> NDArray[np.void]:
+    """Events of a table of numbers; times in seconds are rounded to whole microseconds."""
+    blocks: list[NDArray[np.void]] = [np.empty(0, EVENT_DTYPE)]
+    try:
+        with pd.read_csv(
+            path,
+            sep=separator,
+            names=columns,
+            usecols=list("txyp"),
+            dtype=dict.fromkeys("xyp", np.int64) | {"t": np.float64 if in_seconds else np.int64},
+            skiprows=int(has_header),
+            chunksize=LINES_PER_BLOCK,
+        ) as reader:
+            for table in reader:
+                t, x, y, p = (table[field].to_numpy() for field in "txyp")
+                if in_seconds:
+                    t = _microseconds_from_seconds(t, path)
+                blocks.append(events_from_arrays(t, x, y, p, name=str(path)))
+    except SsacError:
+        raise
+    except ValueError as error:
+        reason = " ".join(str(error).split())
+        raise SsacError(
+            f"{path}: every line must be {', '.join(columns)} in whole numbers"
+            f"{', t in seconds' if in_seconds else ''} ({reason}): complete or remove the line"
+        ) from error
+    return np.concatenate(blocks)
+
+
+def _microseconds_from_seconds(t_s: NDArray[np.float64], path: Path) -> NDArray[np.int64]:
+    """Nearest whole microseconds; SsacError for nan and inf."""
+    if not np.isfinite(t_s).all():
+        raise SsacError(f"{path}: times must be finite, got nan or inf: convert the file again")
+    return np.rint(t_s * US_PER_S).astype(np.int64)

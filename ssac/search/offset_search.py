@@ -1,0 +1,252 @@
+"""Two object motions and a cost per offset in, the offset of least cost and the cost curve out.
+
+The sign convention of the whole package: t_cam2 = t_cam1 + t_d, so that p2(t + t_d) pairs with
+p1(t), as in the paper's Eq. 3, and t_d is positive when camera 2's clock shows more.
+Deviation: the paper's Eq. 1 has the opposite sign, which contradicts its Eq. 3.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ssac.geometry.epipolar import epipolar_distance
+from ssac.track.motion import ObjectMotion
+
+Array = NDArray[np.float64]
+Cost = Callable[[Array], Array]  # offsets (M,) [s] -> d_avg (M,) [px], NaN where it has none
+
+FINE_STEP_S = 0.001
+"""Step of the paper's exhaustive search, on whose grid all candidates lie."""
+
+COARSEST = 20
+"""First step of the search from coarse to fine, in fine steps: d_avg is V-shaped to +-100 ms."""
+
+RIVAL = 3.0
+"""Offsets whose cost is below this many times the least may be the true one."""
+
+_STEPS = (5, 1)  # the next ones
+_KEPT_MINIMA = 3  # local minima of the coarse curve that are searched further
+_DEEP = 0.5  # of the median cost: local minima below it are looked at closely, lest they be rivals
+_MAX_RIVALS = 24
+_CLOSE_STEPS = 3  # on each side of a rival, in fine steps
+_FIT_STEPS = 6  # in fine steps on each side of the minimum
+_FIT_ITERATIONS = 4
+_MIN_OVERLAP = 0.5  # of the longest overlap that any offset in the interval gives
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """The object's positions in both views, paired for M offsets at N times."""
+
+    t_d_s: Array  # (M,) [s] the offsets
+    times_s: Array  # (M, N) [s], camera 1's clock
+    p1_px: Array  # (M, N, 2) p1(t), undistorted
+    p2_px: Array  # (M, N, 2) p2(t + t_d), undistorted
+    valid: NDArray[np.bool_]  # (M, N) both samples pass the rules of the paper's Sec. IV-A
+
+    def valid_positions(self, m: int) -> tuple[Array, Array]:
+        """p1 and p2 (n, 2) [px] of the valid pairs of offset m."""
+        return self.p1_px[m, self.valid[m]], self.p2_px[m, self.valid[m]]
+
+
+@dataclass(frozen=True)
+class OffsetSearch:
+    """Every candidate tried and the minimum found."""
+
+    candidates_s: Array  # (M,) [s], ascending
+    d_avg_px: Array  # (M,) [px], NaN where too few samples are valid
+    t_d_s: float  # [s] offset of least d_avg, NaN without any
+    at_bound: bool  # the least d_avg is at the first or last candidate: no minimum was enclosed
+
+
+def sample_pairs(
+    motion1: ObjectMotion, motion2: ObjectMotion, t_d_s: Array, n_samples: int
+) -> Pairs:
+    """Pair p1(t_i) with p2(t_i + t_d) at N times spread evenly over the overlap of both recordings.
+
+    Parameters
+    ----------
+    motion1, motion2
+        Of camera 1 and camera 2, each in its own clock.
+    t_d_s
+        Offsets, shape (M,) [s].
+    n_samples
+        The paper's N.
+    """
+    start, end = _overlaps(motion1, motion2, t_d_s)
+    fractions = (np.arange(n_samples) + 0.5) / n_samples
+    times_s = start[:, None] + (end - start)[:, None] * fractions
+    track1, track2 = motion1.at(times_s), motion2.at(times_s + t_d_s[:, None])
+    return Pairs(
+        t_d_s,
+        times_s,
+        track1.positions_px,
+        track2.positions_px,
+        track1.valid & track2.valid,
+    )
+
+
+def mean_epipolar_distance(F: Array, pairs: Pairs, min_pairs: int) -> Array:
+    """d_avg (M,) [px] of the paper's Eq. 4 with one F for all offsets; NaN below `min_pairs`."""
+    distances = np.where(pairs.valid, epipolar_distance(F, pairs.p1_px, pairs.p2_px), 0.0)
+    counts = np.count_nonzero(pairs.valid, axis=1)
+    return np.where(counts < min_pairs, np.nan, np.sum(distances, axis=1) / np.maximum(counts, 1))
+
+
+def candidate_offsets(
+    motion1: ObjectMotion, motion2: ObjectMotion, interval_s: tuple[float, float]
+) -> Array:
+    """Offsets [s], 1 ms apart from the interval's lower bound, at which the recordings overlap.
+
+    Deviation: the paper says nothing of offsets near which little is left of the recordings. A
+    short stretch fits almost any F, so an offset is a candidate only when its overlap is at least
+    half of the longest in the interval. Empty when no offset gives any overlap.
+    """
+    n_steps = int(np.floor((interval_s[1] - interval_s[0]) / FINE_STEP_S + 1e-9))
+    offsets = interval_s[0] + FINE_STEP_S * np.arange(n_steps + 1, dtype=np.float64)
+    start, end = _overlaps(motion1, motion2, offsets)
+    lengths = end - start
+    return offsets[(lengths > 0.0) & (lengths >= _MIN_OVERLAP * np.max(lengths, initial=0.0))]
+
+
+def exhaustive_search(cost: Cost, offsets_s: Array) -> OffsetSearch:
+    """Evaluate the cost at every offset (M,) [s], as the loops of Algorithms 1 and 2 do."""
+    return _minimum(offsets_s, cost(offsets_s), np.ones(len(offsets_s), dtype=np.bool_))
+
+
+def coarse_to_fine_search(
+    coarse_cost: Cost,
+    cost: Cost,
+    offsets_s: Array,
+    coarsest: int = COARSEST,
+    returns_s: Array | None = None,
+) -> OffsetSearch:
+    """Find what `exhaustive_search` finds from about a tenth of its candidates.
+
+    Every 20 ms first, then every 5 ms around the three least local minima, both with the coarse
+    cost; then every 1 ms around the least of all with the cost itself. The other deep minima of the
+    curve are followed to 1 ms as well, with the coarse cost: they are not candidates any more, but
+    say whether the least of all has rivals (`observability.valleys`).
+
+    Parameters
+    ----------
+    coarse_cost
+        As the cost, but may be cheaper and less robust.
+    cost
+        d_avg as a function of the offset.
+    offsets_s
+        Candidates from `candidate_offsets`, shape (M,) [s].
+    coarsest
+        First step, in fine steps; 5 or more. Motion that turns back more often than an ordinary
+        flight has narrower valleys.
+    returns_s
+        Lags (k,) [s] after which the motion repeats itself: there are rivals so far from the best.
+    """
+    middle, finest = _STEPS
+    size = len(offsets_s)
+    if size == 0:
+        return OffsetSearch(offsets_s, offsets_s, np.nan, False)
+    d_avg_px = np.full(size, np.nan)
+
+    coarse_grid = grid = np.append(np.arange(0, size - 1, coarsest), size - 1)
+    d_avg_px[grid] = coarse_cost(offsets_s[grid])
+    tried = grid
+    minima = _least_local_minima(d_avg_px, grid)
+    if len(minima) > 0:
+        grid = _neighbourhood(minima, np.arange(-coarsest, coarsest + 1, middle), size)
+        d_avg_px[grid] = coarse_cost(offsets_s[grid])
+        tried = np.union1d(tried, grid)
+        best = grid[[np.nanargmin(d_avg_px[grid])]]
+        reach = middle + _FIT_STEPS
+        grid = _neighbourhood(best, np.arange(-reach, reach + 1, finest), size)
+        rivals = _rivals(d_avg_px, coarse_grid, best[0], coarsest)
+        if returns_s is not None and len(returns_s) > 0:
+            repeats = np.rint(np.concatenate([-returns_s, returns_s]) / FINE_STEP_S).astype(np.intp)
+            rivals = np.union1d(rivals, _neighbourhood(best, repeats, size))
+        for step, reach in ((middle, coarsest - middle), (finest, _CLOSE_STEPS)):
+            near = _neighbourhood(rivals, np.arange(-reach, reach + 1, step), size)
+            near = near[np.isnan(d_avg_px[near])]
+            d_avg_px[near] = coarse_cost(offsets_s[near])
+            tried = np.union1d(tried, near)
+            rivals = _least_within(d_avg_px, rivals, coarsest)
+        d_avg_px[grid] = cost(offsets_s[grid])
+        tried = np.union1d(tried, grid)
+        others = np.setdiff1d(_neighbourhood(rivals, np.arange(-coarsest, coarsest), size), grid)
+        others = others[d_avg_px[others] < RIVAL * np.nanmin(d_avg_px[grid], initial=np.inf)]
+        d_avg_px[others] = cost(offsets_s[others])  # lest few samples make a rival by chance
+    return _minimum(offsets_s[tried], d_avg_px[tried], np.isin(tried, grid))
+
+
+def _overlaps(motion1: ObjectMotion, motion2: ObjectMotion, t_d_s: Array) -> tuple[Array, Array]:
+    """Start and end (M,) [s], in camera 1's clock, of the time that both recordings cover."""
+    (start1, end1), (start2, end2) = motion1.span_s, motion2.span_s
+    return np.maximum(start1, start2 - t_d_s), np.minimum(end1, end2 - t_d_s)
+
+
+def _rivals(
+    values: Array, indices: NDArray[np.intp], best: np.intp, apart: int
+) -> NDArray[np.intp]:
+    """Find the deep local minima among the values at these ascending indices, but the best one."""
+    minima = _least_local_minima(values, indices, _MAX_RIVALS)
+    is_deep = values[minima] < _DEEP * np.nanmedian(values[indices])
+    return np.asarray(minima[is_deep & (np.abs(minima - best) > apart)])
+
+
+def _least_within(values: Array, centres: NDArray[np.intp], reach: int) -> NDArray[np.intp]:
+    """Find the index of the least known value within the reach of each centre."""
+    starts = np.maximum(centres - reach, 0)
+    return np.array(
+        [
+            start + int(np.nanargmin(values[start : centre + reach + 1]))
+            for start, centre in zip(starts, centres, strict=True)
+        ],
+        np.intp,
+    )
+
+
+def _least_local_minima(
+    values: Array, indices: NDArray[np.intp], most: int = _KEPT_MINIMA
+) -> NDArray[np.intp]:
+    """Find the few least local minima among the values at these ascending indices."""
+    tried = np.where(np.isnan(values[indices]), np.inf, values[indices])
+    padded = np.pad(tried, 1, constant_values=np.inf)
+    is_minimum = (tried <= padded[:-2]) & (tried <= padded[2:]) & np.isfinite(tried)
+    minima = np.flatnonzero(is_minimum)
+    return indices[minima[np.argsort(tried[minima])[:most]]]
+
+
+def _neighbourhood(
+    centres: NDArray[np.intp], around: NDArray[np.intp], size: int
+) -> NDArray[np.intp]:
+    """Collect the indices at the steps `around` any centre, ascending, from 0 up to the size."""
+    indices = np.unique(centres[:, None] + around)
+    return np.asarray(indices[(indices >= 0) & (indices < size)])
+
+
+def _minimum(candidates_s: Array, d_avg_px: Array, eligible: NDArray[np.bool_]) -> OffsetSearch:
+    """Take the least of the eligible candidates, refined between candidates.
+
+    Deviation: the paper takes the best candidate. Events that enter and leave the windows make
+    d_avg jump by about 1e-3 px between offsets 10 us apart, so the minimum is read off a parabola
+    fitted to d_avg within 6 ms. Its weights fall off towards both ends of a window centred on the
+    minimum itself, so that the result does not depend on where the candidates lie.
+    """
+    values = np.where(eligible & np.isfinite(d_avg_px), d_avg_px, np.inf)
+    best = int(np.argmin(values))
+    if not np.isfinite(values[best]):
+        return OffsetSearch(candidates_s, d_avg_px, np.nan, False)
+    steps = (candidates_s - candidates_s[best]) / FINE_STEP_S
+    vertex = 0.0  # in steps from the best candidate
+    for _ in range(_FIT_ITERATIONS):
+        root_weights = np.sqrt(np.maximum(1.0 - ((steps - vertex) / _FIT_STEPS) ** 2, 0.0))
+        near = (root_weights > 0.0) & np.isfinite(values)
+        if np.count_nonzero(near) < 4:
+            break
+        curvature, slope, _ = np.polyfit(steps[near], values[near], 2, w=root_weights[near])
+        if curvature <= 0.0:
+            break
+        vertex = float(np.clip(-0.5 * slope / curvature, -0.5 * _FIT_STEPS, 0.5 * _FIT_STEPS))
+    t_d_s = float(candidates_s[best]) + FINE_STEP_S * vertex
+    return OffsetSearch(candidates_s, d_avg_px, t_d_s, best in (0, len(candidates_s) - 1))

@@ -1,0 +1,1 @@
+"""What a user runs on recordings of their own: the registry of methods, `sync`, its pictures."""

@@ -1,0 +1,269 @@
+"""The registry of methods: a name in; the callable, and what it must be given, out.
+
+To add a method of ours is to add one line to OURS. Any installed package adds its own by an entry
+point of the group `ssac.methods` (docs/methods.md). All callables have the signature of
+`ssac.methods.algorithms.ssac`: `estimate(cam1, cam2, rig, config) -> Estimate`.
+"""
+
+import hashlib
+import inspect
+import re
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from enum import Enum
+from functools import cached_property
+from importlib.machinery import EXTENSION_SUFFIXES, SOURCE_SUFFIXES
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+
+import numpy as np
+
+from ssac.baselines.albl import albl
+from ssac.baselines.event_rate import event_rate
+from ssac.baselines.zncc_e import zncc_e
+from ssac.baselines.zncc_f import zncc_f
+from ssac.camera import Rig
+from ssac.config import Config
+from ssac.errors import SsacError
+from ssac.estimate import Estimate
+from ssac.methods.algorithms import ssac, ssac_known
+from ssac.methods.joint import joint, joint_from, joint_known, joint_known_from
+from ssac.methods.tangency import (
+    tangency,
+    tangency_from,
+    tangency_known,
+    tangency_known_from,
+)
+from ssac.track.observation import Observation
+
+ENTRY_POINTS = "ssac.methods"
+"""The group of entry points by which other packages register methods."""
+
+EstimateFunction = Callable[[Observation, Observation, Rig, Config | None], Estimate]
+
+RefineFunction = Callable[[Estimate, Observation, Observation, Rig, Config | None], Estimate]
+"""An estimate of another method to start from, then as EstimateFunction."""
+
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")  # what a CSV column and a file name can hold
+
+
+class Input(Enum):
+    """What a method looks at."""
+
+    TRACKS = "object tracks"
+    RATES = "event rates"
+    FRAMES = "intensity frames"
+
+
+@dataclass(frozen=True)
+class Method:
+    """One way to find the offset, and perhaps the pose."""
+
+    name: str
+    estimate: EstimateFunction
+    input: Input
+    summary: str  # for lists and error messages
+    needs_extrinsics: bool = False  # the rig must have T_2_1
+    known_variant: str = ""  # name of the method to take in its place when the extrinsics are known
+    version: str = ""  # of another package's code, for keys of cached results; empty for ours
+    starts_from: str = ""  # method whose estimate `refine` takes, to give the same as `estimate`
+    refine: RefineFunction | None = None
+    takes_means: bool = False  # of the frames: images of one pixel give the same estimate
+
+    def skip_reason(self, cam1: Observation, cam2: Observation, rig: Rig) -> str:
+        """Say why the method cannot run on these data; empty when it can."""
+        if self.needs_extrinsics and rig.T_2_1 is None:
+            return f"{self.name} needs the extrinsics, but the rig has none"
+        for number, observation in enumerate((cam1, cam2), start=1):
+            if self.input is Input.FRAMES and observation.frames is None:
+                return f"{self.name} compares intensity frames, but camera {number} has none"
+        return ""
+
+
+OURS = (
+    Method("ssac", ssac, Input.TRACKS, "the paper's Algorithm 2", known_variant="ssac-known"),
+    Method("ssac-known", ssac_known, Input.TRACKS, "the paper's Algorithm 1",
+           needs_extrinsics=True),
+    Method("joint", joint, Input.TRACKS, "ssac, then offset and pose refined together",
+           known_variant="joint-known", starts_from="ssac", refine=joint_from),
+    Method("joint-known", joint_known, Input.TRACKS, "ssac-known, then the offset refined",
+           needs_extrinsics=True, starts_from="ssac-known", refine=joint_known_from),
+    Method("tangency", tangency, Input.TRACKS, "joint, then refined by the outline's tangents",
+           known_variant="tangency-known", starts_from="joint", refine=tangency_from),
+    Method("tangency-known", tangency_known, Input.TRACKS,
+           "joint-known, then the offset refined by tangents", needs_extrinsics=True,
+           starts_from="joint-known", refine=tangency_known_from),
+    Method("albl", albl, Input.TRACKS, "eigenvalue solver of Albl et al. (2017)"),
+    Method("zncc_e", zncc_e, Input.RATES, "correlation of event rates, offset only"),
+    Method("zncc_f", zncc_f, Input.FRAMES, "correlation of frame brightness, offset only",
+           takes_means=True),
+    Method("event_rate", event_rate, Input.RATES, "event rates, Censi and Scaramuzza (2014)"),
+)  # fmt: skip
+
+
+class Registry(Mapping[str, Method]):
+    """Our methods in their order, then those of other packages by name.
+
+    A package is imported when its method is looked up, so that a broken one stops nobody who does
+    not ask for it. The lookup raises SsacError when it is broken or its name is taken.
+    """
+
+    def __init__(self, ours: tuple[Method, ...] = OURS) -> None:
+        self._ours = {method.name: method for method in ours}
+        self._loaded: dict[str, Method] = {}
+
+    def __iter__(self) -> Iterator[str]:
+        yield from self._ours
+        yield from sorted(self._entry_points.keys() - self._ours.keys())
+
+    def __len__(self) -> int:
+        return len(self._ours.keys() | self._entry_points.keys())
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._ours or name in self._entry_points
+
+    def __getitem__(self, name: str) -> Method:
+        if name not in self._loaded:
+            self._loaded[name] = self._load(name)
+        return self._loaded[name]
+
+    @cached_property
+    def _entry_points(self) -> dict[str, list[EntryPoint]]:
+        found: dict[str, list[EntryPoint]] = {}
+        for entry in entry_points(group=ENTRY_POINTS):
+            found.setdefault(entry.name, []).append(entry)
+        return found
+
+    def _load(self, name: str) -> Method:
+        entries = self._entry_points.get(name, [])
+        owners = ["this suite"] * (name in self._ours) + sorted(map(_origin, entries))
+        if not owners:
+            raise KeyError(name)
+        if len(owners) > 1:
+            raise SsacError(
+                f"the method name {name!r} is taken twice, by {' and by '.join(owners)}: "
+                "uninstall one, or change its entry point's name"
+            )
+        return self._ours[name] if name in self._ours else _method_from(entries[0])
+
+
+METHODS: Mapping[str, Method] = Registry()
+
+DEFAULT = "tangency"
+"""The most accurate method for unknown extrinsics; its `known_variant` is that for known ones."""
+
+
+def choose_method(name: str | None = None, known_extrinsics: bool = False) -> Method:
+    """Look up a method.
+
+    Parameters
+    ----------
+    name
+        Of the registry; None for the best one.
+    known_extrinsics
+        Take the variant of the method that is given the extrinsics.
+
+    Raises
+    ------
+    SsacError
+        If there is no such method, or no variant of it that is given the extrinsics, or the package
+        that it comes from is broken.
+    """
+    method = METHODS.get(DEFAULT if name is None else name)
+    if method is None:
+        raise SsacError(f"unknown method {name!r}: use one of {', '.join(METHODS)}")
+    if not known_extrinsics or method.needs_extrinsics:
+        return method
+    if not method.known_variant:
+        usable = [other.name for other in OURS if other.needs_extrinsics]
+        raise SsacError(
+            f"{method.name} makes no use of known extrinsics: leave --known-extrinsics out, or use "
+            f"one of {', '.join(usable)}"
+        )
+    variant = METHODS.get(method.known_variant)
+    if variant is None or not variant.needs_extrinsics:
+        raise SsacError(
+            f"{method.name} names {method.known_variant!r} as its variant for known extrinsics, "
+            "which is no method with needs_extrinsics"
+        )
+    return variant
+
+
+@dataclass(frozen=True)
+class _CheckedFunction:
+    """Another package's method; crashes when what it returns would spoil a table in silence."""
+
+    function: EstimateFunction
+    origin: str
+
+    def __call__(
+        self, cam1: Observation, cam2: Observation, rig: Rig, config: Config | None = None
+    ) -> Estimate:
+        estimate = self.function(cam1, cam2, rig, config)
+        if not isinstance(estimate, Estimate):
+            raise TypeError(
+                f"{self.origin}: must return an Estimate, got {type(estimate).__name__}"
+            )
+        if estimate.status == "ok" and not np.isfinite(estimate.t_d_s):
+            raise ValueError(
+                f'{self.origin}: returned t_d_s = {estimate.t_d_s} with status "ok": give the '
+                "reason's name as the status when there is no offset"
+            )
+        return estimate
+
+
+def _method_from(entry: EntryPoint) -> Method:
+    """Import what an entry point names, a Method or a plain function, and make a Method of it."""
+    origin = _origin(entry)
+    try:
+        found = entry.load()
+    except Exception as error:  # whatever the import of someone else's code may raise
+        raise SsacError(f"{origin}: {type(error).__name__}: {error}") from error
+    if not _NAME.fullmatch(entry.name):
+        raise SsacError(f"{origin}: a method's name must match {_NAME.pattern}")
+    if not isinstance(found, Method):
+        summary = (inspect.getdoc(found) or "").partition("\n")[0].strip() or origin
+        found = Method(entry.name, found, Input.TRACKS, summary)
+    if found.name != entry.name:
+        raise SsacError(f"{origin}: the Method is named {found.name!r}: give both one name")
+    try:
+        inspect.signature(found.estimate).bind(None, None, None, None)
+    except (TypeError, ValueError) as error:
+        raise SsacError(
+            f"{origin}: expected a function of (cam1, cam2, rig, config) or a Method of one, "
+            f"got {type(found.estimate).__name__} ({error})"
+        ) from error
+    return replace(
+        found,
+        estimate=_CheckedFunction(found.estimate, origin),
+        refine=None,  # so that the check sees every estimate
+        version=" ".join(filter(None, (_distribution(entry), _code_hash(entry), found.version))),
+    )
+
+
+def _origin(entry: EntryPoint) -> str:
+    """Name an entry point for an error message."""
+    return f"{_distribution(entry)} (entry point {entry.name} = {entry.value})"
+
+
+def _distribution(entry: EntryPoint) -> str:
+    return f"{entry.dist.name} {entry.dist.version}" if entry.dist else "an unnamed package"
+
+
+def _code_hash(entry: EntryPoint) -> str:
+    """Hash an imported entry point's whole top-level package: its version says nothing of edits."""
+    top = sys.modules[entry.module.partition(".")[0]]
+    if getattr(top, "__file__", None) is None:  # a namespace package, which many may share
+        top = sys.modules[entry.module]
+    file = Path(getattr(top, "__file__", None) or "")
+    files = [file] if file.is_file() else []
+    if file.name == "__init__.py":
+        suffixes = (*SOURCE_SUFFIXES, *EXTENSION_SUFFIXES)
+        files = sorted(path for path in file.parent.rglob("*") if path.name.endswith(suffixes))
+    digest = hashlib.sha256()
+    for path in files:
+        content = path.read_bytes()
+        digest.update(f"{path.relative_to(file.parent).as_posix()} {len(content)}\n".encode())
+        digest.update(content)
+    return digest.hexdigest()[:16] if files else ""

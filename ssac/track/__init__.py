@@ -1,0 +1,1 @@
+"""Events of one camera in; the object's track and its outline out."""

@@ -1,0 +1,173 @@
+"""What two cameras recorded in; it checked, denoised and summed up for all methods out.
+
+Malformed input raises SsacError.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ssac.camera import Camera, Rig, same_camera
+from ssac.config import Config, checked
+from ssac.errors import SsacError
+from ssac.events import US_PER_S, check_events
+from ssac.track.denoise import radius_filter, remove_hot_pixels
+from ssac.track.motion import ObjectMotion, object_motion
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """What `prepare` found in one camera's events, and what from, so that it is not done again."""
+
+    events: NDArray[np.void]  # (n,) the very array of the Observation, checked against the camera
+    camera: Camera
+    denoised: bool  # as in Observation
+    border_px: int  # as in Config
+    motion: ObjectMotion  # of the events
+
+
+@dataclass(frozen=True)
+class Observation:
+    """What one camera recorded, in its own clock."""
+
+    events: NDArray[np.void]  # (n,) of EVENT_DTYPE, sorted by time
+    frames: NDArray[np.generic] | None = None  # (m, height, width) intensities, for ZNCC_F
+    frame_times_s: Array | None = None  # (m,) [s], ascending
+    prepared: Prepared | None = None  # by `prepare`; None: each method starts from the events
+
+    def __post_init__(self) -> None:
+        if self.prepared is not None and self.prepared.events is not self.events:
+            raise SsacError(
+                "a prepared Observation must keep its events, but other events were put in their"
+                " place: make a new Observation of these, and prepare it"
+            )
+
+    @property
+    def denoised(self) -> bool:
+        """Whether the noise has left the events already."""
+        return self.prepared is not None and self.prepared.denoised
+
+    def delayed(self, t_d_s: float) -> "Observation":
+        """As if the camera's clock had shown `t_d_s` [s] more; what is prepared stays so.
+
+        Events count whole microseconds, so the delay is rounded to these, for frames as well.
+        """
+        shift_us = round(t_d_s * US_PER_S)
+        events = self.events.copy()
+        events["t"] += shift_us
+        times_s, prepared = self.frame_times_s, self.prepared
+        if times_s is not None:
+            times_s = times_s + shift_us / US_PER_S
+        if prepared is not None:
+            prepared = replace(prepared, events=events, motion=prepared.motion.delayed(shift_us))
+        return Observation(events, self.frames, times_s, prepared)
+
+
+def prepare(
+    cam1: Observation, cam2: Observation, rig: Rig, config: Config | None = None
+) -> tuple[Observation, Observation]:
+    """Check, denoise and sum up the events once, for many methods and offsets.
+
+    Every method gives the same estimate for the result as for what the cameras recorded, as long
+    as the cameras, `border_px` and `denoise` stay as they are here; all else of the config may
+    change at no cost. What another camera or border needs is done again from the events left, and
+    denoising that was skipped is made up for, but noise once removed does not come back.
+
+    Parameters
+    ----------
+    cam1, cam2
+        What the two cameras recorded.
+    rig
+        Intrinsics; the extrinsics are not used.
+    config
+        Parameters; the defaults when None.
+
+    Returns
+    -------
+    tuple of Observation
+        Of camera 1 and camera 2, with `prepared`, and with the usable events as their events.
+
+    Raises
+    ------
+    SsacError
+        As `usable_events`, or if a parameter makes no sense.
+    """
+    config = checked(config)
+    events1, events2 = usable_events(cam1, cam2, rig, config)
+    return (
+        _with_preparation(cam1, events1, rig.cam1, config),
+        _with_preparation(cam2, events2, rig.cam2, config),
+    )
+
+
+def usable_events(
+    cam1: Observation, cam2: Observation, rig: Rig, config: Config
+) -> tuple[NDArray[np.void], NDArray[np.void]]:
+    """Both cameras' events, checked, and denoised (Sec. IV-A) if the config asks for it.
+
+    Raises
+    ------
+    SsacError
+        If the events of a camera are empty, unsorted or outside its sensor.
+    """
+    for name, observation, camera in (("camera 1", cam1, rig.cam1), ("camera 2", cam2, rig.cam2)):
+        if observation.prepared is None or not same_camera(observation.prepared.camera, camera):
+            check_events(observation.events, camera.width, camera.height, name)
+    return _denoised(cam1, rig.cam1, config), _denoised(cam2, rig.cam2, config)
+
+
+def object_motions(
+    cam1: Observation, cam2: Observation, rig: Rig, config: Config
+) -> tuple[ObjectMotion, ObjectMotion]:
+    """Prepare the object's motion in both views: the paper's Sec. IV-A."""
+    events1, events2 = usable_events(cam1, cam2, rig, config)
+    return _motion(cam1, events1, rig.cam1, config), _motion(cam2, events2, rig.cam2, config)
+
+
+def _denoised(observation: Observation, camera: Camera, config: Config) -> NDArray[np.void]:
+    """Events of one camera without noise if the config asks for it, else the very same array."""
+    if observation.denoised or not config.denoise:
+        return observation.events
+    return radius_filter(remove_hot_pixels(observation.events, camera.width, camera.height))
+
+
+def _motion(
+    observation: Observation, events: NDArray[np.void], camera: Camera, config: Config
+) -> ObjectMotion:
+    """Motion of the usable events: the prepared one, where it is of these events and this camera.
+
+    What it sums up does not depend on the parameters of its windows.
+    """
+    known = observation.prepared
+    if (
+        known is not None
+        and known.events is events
+        and known.border_px == config.border_px
+        and same_camera(known.camera, camera)
+    ):
+        return replace(
+            known.motion,
+            half_window_s=config.half_window_s,
+            n_min=config.n_min,
+            max_border_fraction=config.max_border_fraction,
+        )
+    return object_motion(
+        events,
+        camera,
+        half_window_s=config.half_window_s,
+        n_min=config.n_min,
+        border_px=config.border_px,
+        max_border_fraction=config.max_border_fraction,
+    )
+
+
+def _with_preparation(
+    observation: Observation, events: NDArray[np.void], camera: Camera, config: Config
+) -> Observation:
+    motion = _motion(observation, events, camera, config)
+    denoised = observation.denoised or config.denoise
+    prepared = Prepared(events, camera, denoised, config.border_px, motion)
+    return replace(observation, events=events, prepared=prepared)

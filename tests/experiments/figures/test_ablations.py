@@ -1,0 +1,170 @@
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from experiments.figures.ablations import ablation_figure, default_value, other_parameters
+from experiments.run.grid import GridConfig, config_names, named_config
+from sim.recording import SimConfig
+from ssac.config import Config
+from ssac.errors import SsacError
+
+ERRORS = ("t_d_error_ms", "r_error_deg", "t_error_deg")
+
+
+def make_means(grid: GridConfig) -> pd.DataFrame:
+    """Random means of a grid, in the columns of an ablation's CSV."""
+    rng = np.random.default_rng(0)
+    rows = []
+    for point in product(*grid.axes):
+        parameters = {name: str(value) if isinstance(value, list) else value
+                      for part in point for name, value in part.items()}  # fmt: skip
+        for method in grid.methods:
+            row = {**parameters, "method": method, "n_runs": 10, "failed": 0}
+            for error in ERRORS:
+                row[f"{error}_mean"], row[f"{error}_std"] = rng.uniform(0.1, 0.4, 2)
+            rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def drawn(axes) -> list[np.ndarray]:
+    return [np.transpose(container.lines[0].get_data()) for container in axes.containers]
+
+
+def verticals(axes) -> list[float]:
+    return [float(line.get_xdata()[0]) for line in axes.lines if line.get_linestyle() == "--"]
+
+
+@pytest.mark.parametrize("name", config_names("ablation_"))
+def test_every_ablation_of_ours_can_be_drawn(name: str) -> None:
+    grid = named_config(name)
+    means = make_means(grid)
+    figure = ablation_figure(means, grid)
+    assert grid.figure is not None
+    assert len(figure.axes) == len(ERRORS) * len(grid.methods)
+    shuffled = ablation_figure(means.sample(frac=1.0, random_state=0), grid)
+    for first, second in zip(figure.axes, shuffled.axes, strict=True):
+        np.testing.assert_array_equal(drawn(first), drawn(second))  # whatever the rows' order
+
+
+def test_a_line_holds_the_means_of_one_angle_and_method() -> None:
+    grid = named_config("ablation_window")
+    means = make_means(grid)
+    axes = ablation_figure(means, grid).axes
+    assert axes[0].get_ylabel() == "ssac"  # in the registry's order
+    for row, method in enumerate(("ssac", "joint")):
+        for column, error in enumerate(ERRORS):
+            lines = drawn(axes[len(ERRORS) * row + column])
+            for angle_deg, line in zip((30, 90, 150), lines, strict=True):
+                chosen = (means["method"] == method) & (means["sim.angle_deg"] == angle_deg)
+                expected = means[chosen]
+                np.testing.assert_allclose(line[:, 0], 1e3 * expected["ssac.half_window_s"])
+                np.testing.assert_allclose(line[:, 1], expected[f"{error}_mean"])
+
+
+def test_the_default_is_marked_in_the_axis_unit() -> None:
+    grid = named_config("ablation_window")
+    for axes in ablation_figure(make_means(grid), grid).axes:
+        assert verticals(axes) == [1e3 * Config().half_window_s]
+
+
+def test_a_default_that_a_logarithm_lacks_is_written() -> None:
+    grid = named_config("ablation_noise")
+    figure = ablation_figure(make_means(grid), grid)
+    assert not any(verticals(axes) for axes in figure.axes)
+    labels = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert labels[-1] == "default: 0, not on this axis"
+
+
+def test_defaults_are_those_of_the_configurations() -> None:
+    assert default_value("ssac.n_min") == Config().n_min
+    assert default_value("sim.spline.sampling_hz") == SimConfig().spline.sampling_hz
+    assert default_value("sim.drone_size_m") == 0.65  # None in SimConfig: the quadrotor's own
+
+
+def test_parameters_that_move_together_make_no_lines() -> None:
+    grid = named_config("ablation_resolution")
+    assert other_parameters(grid, "sim.focal_px") == ["sim.angle_deg"]
+    assert other_parameters(grid, "sim.angle_deg") == ["sim.focal_px"]
+
+
+def test_failures_have_axes_only_where_there_are_some() -> None:
+    grid = named_config("ablation_n_min")
+    means = make_means(grid)
+    last = (means["ssac.n_min"] == 1600) & (means["sim.angle_deg"] == 90)
+    means.loc[last & (means["method"] == "ssac"), "failed"] = 3
+    axes = ablation_figure(means, grid).axes
+    assert len(axes) == 8
+    assert axes[3].get_title() == "failed runs [%]"
+    shares = [line.get_ydata() for line in axes[3].lines if line.get_linestyle() == "-"]
+    assert [float(share[-1]) for share in shares] == [0.0, 30.0, 0.0]
+
+
+def test_a_point_without_any_estimate_is_a_gap() -> None:
+    grid = named_config("ablation_n_min")
+    means = make_means(grid)
+    lost = means["ssac.n_min"] == 1600
+    means.loc[lost, "failed"] = 10
+    for error in ERRORS:
+        means.loc[lost, [f"{error}_mean", f"{error}_std"]] = np.nan
+    for line in drawn(ablation_figure(means, grid).axes[0]):
+        assert np.isnan(line[-1, 1])
+        assert np.isfinite(line[:-1]).all()
+
+
+def test_standard_errors_stay_above_zero_on_a_logarithmic_axis() -> None:
+    """The deviation of n errors, none negative, is at most sqrt(n - 1) times their mean."""
+    grid = named_config("ablation_samples")
+    means = make_means(grid)
+    means["t_d_error_ms_std"] = 3.0 * means["t_d_error_ms_mean"]  # 9 runs at 0, one far off
+    means.loc[0, "t_d_error_ms_mean"], means.loc[0, "t_d_error_ms_std"] = 100.0, 300.0
+    axes = ablation_figure(means, grid).axes[0]
+    assert axes.get_yscale() == "log"
+    ends = [bars.get_segments() for container in axes.containers for bars in container.lines[2]]
+    assert np.min(np.concatenate(ends)[:, :, 1]) > 0.0
+
+
+def test_a_method_without_a_pose_leaves_its_axes_empty() -> None:
+    grid = named_config("ablation_window")
+    means = make_means(grid)
+    means.loc[means["method"] == "ssac", ["r_error_deg_mean", "r_error_deg_std"]] = np.nan
+    axes = ablation_figure(means, grid).axes
+    assert len(drawn(axes[1])) == 0
+    assert len(drawn(axes[4])) == 3
+
+
+def test_an_axis_without_angles_is_one_line() -> None:
+    grid = named_config("ablation_window")
+    alone = replace(grid, axes=tuple(axis for axis in grid.axes if "sim.angle_deg" not in axis[0]))
+    figure = ablation_figure(make_means(alone), alone)
+    assert len(drawn(figure.axes[0])) == 1
+
+
+def test_two_parameters_are_told_apart_by_colour_and_by_marker() -> None:
+    grid = named_config("ablation_object")
+    means = make_means(grid)
+    figure = ablation_figure(means, grid)
+    labels = [text.get_text() for text in figure.legends[0].get_texts()]
+    objects, angles = ("bird", "plane"), (30, 90, 150)
+    assert labels[:6] == [f"{angle} deg, {name}" for angle in angles for name in objects]
+    lines = [container.lines[0] for container in figure.axes[0].containers]
+    colors = np.array([line.get_color() for line in lines]).reshape(3, 2, 4)
+    np.testing.assert_array_equal(colors[:, 0], colors[:, 1])  # of both objects
+    assert len(np.unique(colors[:, 0], axis=0)) == 3
+    markers = [line.get_marker() for line in lines]
+    assert markers[:2] * 3 == markers
+    assert markers[0] != markers[1]
+    chosen = (means["method"] == "ssac") & (means["sim.angle_deg"] == 90)
+    expected = means[chosen & (means["sim.drone"] == "plane")].sort_values("sim.distance_m")
+    np.testing.assert_allclose(lines[3].get_ydata(), expected["t_d_error_ms_mean"])
+
+
+def test_what_cannot_be_drawn_is_named() -> None:
+    grid = named_config("ablation_window")
+    means = make_means(grid)
+    with pytest.raises(SsacError, match=r"ablation_window: its TOML has no table \[figure\]"):
+        ablation_figure(means, replace(grid, figure=None))
+    with pytest.raises(SsacError, match=r"lack the columns ssac\.half_window_s, failed"):
+        ablation_figure(means.drop(columns=["ssac.half_window_s", "failed"]), grid)

@@ -1,0 +1,115 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from experiments.figures.events import (
+    STRETCH_S,
+    d_avg_curves,
+    d_avg_figure,
+    epipolar_figure,
+    load_recording,
+    preprocessing_figure,
+)
+from ssac.camera import known_pose
+from ssac.config import Config
+from ssac.errors import SsacError
+from ssac.events import EVENT_DTYPE
+from ssac.geometry.epipolar import fundamental_from_pose
+from ssac.track.observation import object_motions
+from tests.experiments.recorded import T_D_S
+from tests.ssac.synthetic import HEIGHT, WIDTH
+
+
+@pytest.fixture(scope="module")
+def aligned(recorded):
+    """The synthetic recording with its offset taken away."""
+    return load_recording(recorded.folder, -T_D_S)
+
+
+def with_noise(pair, rate_hz: float):
+    """Add events at random pixels and times to camera 1."""
+    rng = np.random.default_rng(1)
+    n = round(rate_hz * 8.0)
+    noise = np.empty(n, EVENT_DTYPE)
+    noise["t"] = rng.integers(0, 8_000_000, n)
+    noise["x"], noise["y"] = rng.integers(0, WIDTH, n), rng.integers(0, HEIGHT, n)
+    noise["p"] = rng.integers(0, 2, n)
+    events = np.concatenate([pair.cam1.events, noise])
+    return replace(pair, cam1=replace(pair.cam1, events=events[np.argsort(events["t"])]))
+
+
+def test_an_offset_is_added_to_camera_2_only(recorded, aligned) -> None:
+    as_recorded = load_recording(recorded.folder)
+    np.testing.assert_array_equal(aligned.cam1.events, as_recorded.cam1.events)
+    shift_us = as_recorded.cam2.events["t"] - aligned.cam2.events["t"]
+    assert set(shift_us) == {round(1e6 * T_D_S)}
+
+
+def test_d_avg_is_least_at_the_true_offset(aligned) -> None:
+    motions = object_motions(aligned.cam1, aligned.cam2, aligned.rig, Config())
+    F = fundamental_from_pose(aligned.rig.cam1.K, aligned.rig.cam2.K, *known_pose(aligned.rig))
+    offsets_s = 1e-3 * np.arange(-20.0, 21.0)
+    for curve in d_avg_curves(motions, F, offsets_s, Config()):
+        best = np.argmin(curve.d_avg_px)
+        # The mean of the events is no fixed point of the object: within 2 ms of the truth.
+        assert abs(offsets_s[best]) <= 2e-3, curve.label
+        assert min(curve.d_avg_px[0], curve.d_avg_px[-1]) > 1.5 * curve.d_avg_px[best]
+
+
+def test_fig_5_shows_a_second_and_3_ms_on_each_side(aligned) -> None:
+    figure = d_avg_figure(aligned)
+    whole, zoom = figure.axes
+    for axes, reach in ((whole, 1.0), (zoom, 3.0)):
+        assert axes.get_xlim() == (-reach, reach)
+        curves = [line for line in axes.lines if len(line.get_xdata()) > 2]
+        assert len(curves) == 2
+        for curve in curves:
+            x, y = curve.get_data()
+            assert (x[0], x[-1]) == pytest.approx((-reach, reach))
+            assert np.isfinite(y).all()
+        least = [line for line in axes.lines if line.get_marker() == "o"]
+        for curve, point in zip(curves, least, strict=True):
+            assert float(point.get_ydata()[0]) == np.min(curve.get_ydata())
+
+
+def test_fig_4_shows_the_distance_before_and_after(recorded) -> None:
+    figure = epipolar_figure(load_recording(recorded.folder))
+    before, after = (
+        float(axes.get_title().split("= ")[1].removesuffix(" px")) for axes in figure.axes[::2]
+    )
+    assert after < 0.2 * before
+
+
+def test_fig_3_shows_noise_going_and_the_object_staying(aligned) -> None:
+    clean, noisy = preprocessing_figure(aligned), preprocessing_figure(with_noise(aligned, 2e4))
+    titles = [
+        [axes.get_title().split("\n")[1] for axes in figure.axes] for figure in (clean, noisy)
+    ]
+    (raw, kept), (raw_noisy, kept_noisy) = (
+        [int(text.split(",")[0].replace(" ", "")) for text in row[:2]] for row in titles
+    )
+    length_s = STRETCH_S[1] - STRETCH_S[0]
+    # Random counts: five standard deviations of a Poisson law.
+    assert raw_noisy - raw == pytest.approx(2e4 * length_s, abs=5 * np.sqrt(2e4 * length_s))
+    # What is left of the noise lies where the object's own events are: a few per cent of them.
+    assert kept <= kept_noisy < 1.05 * kept
+    for axes in noisy.axes[:2]:  # the same share is drawn of both
+        assert len(axes.collections[0].get_offsets()) <= 2 * 15000
+
+
+def test_fig_3_leaves_out_positions_that_are_not_valid(aligned) -> None:
+    events = aligned.cam1.events
+    middle_us = 1e6 * np.mean(STRETCH_S)
+    away = np.abs(events["t"] - middle_us) < 200_000  # the object stands still for 0.4 s
+    gap = replace(aligned, cam1=replace(aligned.cam1, events=events[~away]))
+    times_s, x, _ = preprocessing_figure(gap).axes[2].lines[0].get_data_3d()
+    inside = np.abs(times_s - 1e-6 * middle_us) < 0.17  # with windows of 20 ms on each side
+    assert np.isnan(x[inside]).all()
+    assert np.isfinite(x[~inside]).mean() > 0.8
+
+
+def test_fig_4_of_a_flight_without_an_estimate_says_why(aligned) -> None:
+    few = aligned.cam1.events[:100]  # fewer than a window must hold
+    with pytest.raises(SsacError, match=r"too_few_samples|no_common_time"):
+        epipolar_figure(replace(aligned, cam1=replace(aligned.cam1, events=few)))

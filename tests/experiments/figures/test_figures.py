@@ -1,0 +1,87 @@
+import json
+from pathlib import Path
+
+import pytest
+import typer
+from PIL import Image
+from typer.testing import CliRunner
+
+from experiments.figures.figures import (
+    FLIGHT,
+    NOISY_FLIGHT,
+    SEED,
+    check_inputs,
+    choose,
+    drawings,
+    figures_command,
+)
+from experiments.run.grid import config_names, named_config
+from ssac.errors import SsacError
+from tests.experiments.figures.test_ablations import make_means
+
+
+def run(*arguments: str | Path) -> str:
+    app = typer.Typer()
+    app.command()(figures_command)
+    result = CliRunner().invoke(app, [str(one) for one in arguments], catch_exceptions=False)
+    assert result.exit_code == 0
+    return result.stdout
+
+
+def test_all_figures_are_drawn_when_none_is_named() -> None:
+    papers = ["fig3_preprocessing", "fig4_epipolar", "fig5_d_avg"]
+    papers += ["error_vs_angle", "beyond_paper", "efficiency"]
+    assert list(choose([])) == [*papers, *config_names("ablation_")] == list(drawings())
+    assert list(choose(["fig5_d_avg"])) == ["fig5_d_avg"]
+
+
+def test_an_unknown_figure_is_an_error() -> None:
+    with pytest.raises(SsacError, match="unknown figure 'fig6': expected some of fig3"):
+        choose(["fig3_preprocessing", "fig6"])
+
+
+def test_a_missing_table_names_the_command_that_makes_it(tmp_path: Path) -> None:
+    with pytest.raises(SsacError, match=r"runs.csv: missing.*error_vs_angle.*`make tables`"):
+        check_inputs(choose([]), tmp_path)
+    with pytest.raises(SsacError, match=r"ablation_size.csv: missing.*`make ablations`"):
+        check_inputs(choose(["ablation_size"]), tmp_path)
+    check_inputs(choose(["fig4_epipolar"]), tmp_path)  # needs none
+
+
+def test_the_clean_flight_is_one_of_the_tables() -> None:
+    cells = named_config("esim_20").cells()
+    assert any(cell.sim == FLIGHT and cell.seed == SEED for cell in cells)
+
+
+def test_the_noisy_flight_has_noise() -> None:
+    assert NOISY_FLIGHT.sensor.shot_noise_hz > 0.0
+    assert NOISY_FLIGHT.spline.duration_s == 10.0
+
+
+def test_a_figure_is_drawn_from_its_table_the_same_every_time(tmp_path: Path) -> None:
+    make_means(named_config("ablation_size")).to_csv(tmp_path / "ablation_size.csv", index=False)
+    pictures = []
+    for out in (tmp_path / "first", tmp_path / "second"):
+        text = run("ablation_size", "--results", tmp_path, "--out", out)
+        assert text == f"written to {out / 'ablation_size.png'}\n"
+        pictures.append((out / "ablation_size.png").read_bytes())
+    assert pictures[0] == pictures[1]
+    assert len(pictures[0]) < 200_000
+    with Image.open(tmp_path / "first" / "ablation_size.png") as image:
+        assert len(image.convert("RGB").getcolors(1 << 16) or ()) > 10  # not blank
+    provenance = json.loads((tmp_path / "first" / "figures.provenance.json").read_text())
+    assert provenance["command"] == "ssac figures ablation_size"
+    assert provenance["config"]["figures"] == ["ablation_size"]
+
+
+def test_a_table_that_cannot_be_read_is_named(tmp_path: Path) -> None:
+    (tmp_path / "ablation_size.csv").write_text("")
+    with pytest.raises(SsacError, match=r"ablation_size.csv: cannot be read"):
+        run("ablation_size", "--results", tmp_path, "--out", tmp_path)
+    (tmp_path / "efficiency.csv").write_text("")
+    with pytest.raises(SsacError, match=r"efficiency.csv: cannot be read"):
+        run("efficiency", "--results", tmp_path, "--out", tmp_path)
+    (tmp_path / "runs.csv").write_text("a,b\n1,2\n")
+    for name in ("error_vs_angle", "beyond_paper"):
+        with pytest.raises(SsacError, match=r"runs.csv: "):
+            run(name, "--results", tmp_path, "--out", tmp_path)

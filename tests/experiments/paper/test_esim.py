@@ -1,0 +1,213 @@
+import numpy as np
+import pandas as pd
+import pytest
+
+from experiments.paper.comparison import load_published
+from experiments.paper.esim import (
+    RUN_COLUMNS,
+    YOUNGER,
+    csv_text,
+    esim_table,
+    esim_tables,
+    method_order,
+    missing_runs,
+    ordered_runs,
+    pose_methods,
+    runs_from_csv,
+    runs_of_grid,
+)
+from ssac.errors import SsacError
+from ssac.tool.registry import METHODS
+from tests.experiments.reported import made_up_runs
+
+
+@pytest.fixture(scope="module")
+def runs() -> pd.DataFrame:
+    return made_up_runs()
+
+
+def place(
+    runs: pd.DataFrame, method: str, duration_s: float = 10.0, angle_deg: float = 60.0,
+    t_d_ms: float = 50.0,
+) -> pd.Series:  # fmt: skip
+    """Which rows are the runs of a method in one cell of a table."""
+    return (
+        (runs["duration_s"] == duration_s)
+        & (runs["angle_deg"] == angle_deg)
+        & (runs["t_d_ms"] == t_d_ms)
+        & (runs["method"] == method)
+    )
+
+
+def cell(table: pd.DataFrame, angle_deg: float = 60.0, t_d_ms: float = 50.0) -> pd.Series:
+    return table[(table["angle_deg"] == angle_deg) & (table["t_d_ms"] == t_d_ms)].iloc[0]
+
+
+def failing(runs: pd.DataFrame, rows: pd.Series) -> pd.DataFrame:
+    """Return the runs with some of them failed."""
+    runs = runs.copy()
+    runs.loc[rows, "status"] = "search_bound"
+    return runs
+
+
+def test_the_order_of_the_rows_of_runs_changes_no_byte(runs):
+    shuffled = runs.sample(frac=1.0, random_state=1)
+    assert csv_text(ordered_runs(shuffled)) == csv_text(ordered_runs(runs))
+    for duration_s, table in esim_tables(runs).items():
+        assert csv_text(esim_table(shuffled, duration_s)) == csv_text(table)
+
+
+def test_rows_are_in_the_order_of_the_paper(runs):
+    for duration_s, published in load_published().items():
+        ours = esim_table(runs, duration_s)
+        pd.testing.assert_frame_equal(
+            ours[["angle_deg", "t_d_ms"]], published[["angle_deg", "t_d_ms"]], check_dtype=False
+        )
+
+
+def test_means_and_deviations_are_over_the_flights(runs):
+    errors = runs.loc[place(runs, "ssac"), "r_error_deg"].to_numpy()
+    row = cell(esim_table(runs, 10.0))
+    assert row["ssac_r_error_deg_mean"] == pytest.approx(np.mean(errors))
+    # Over n, not n - 1.
+    assert row["ssac_r_error_deg_std"] == pytest.approx(
+        np.sqrt(np.mean(errors**2 - errors.mean() ** 2))
+    )
+    assert row["n_runs"] == len(errors) == 10
+
+
+def test_columns_are_those_of_the_methods_in_order(runs):
+    expected = ["angle_deg", "t_d_ms", "n_runs"]
+    for name in METHODS:
+        if name not in set(runs["method"]):
+            continue
+        errors = ["t_d_error_ms"]
+        if name in ("ssac", "joint", "tangency", "albl"):
+            errors += ["r_error_deg", "t_error_deg"]
+        expected += [f"{name}_{error}_{part}" for error in errors for part in ("mean", "std")]
+        expected.append(f"{name}_failed")
+    assert list(esim_table(runs, 20.0).columns) == expected
+
+
+def test_a_method_that_gives_a_pose_at_one_duration_has_its_columns_at_all(runs):
+    runs = failing(runs, (runs["method"] == "joint") & (runs["duration_s"] == 10.0))
+    poses = ["r_error_deg", "t_error_deg"]
+    runs.loc[runs["status"] != "ok", poses] = np.nan
+    table = esim_table(runs, 10.0)
+    assert table["joint_r_error_deg_mean"].isna().all()
+    assert (table["joint_failed"] == 10).all()
+
+
+def test_methods_of_other_packages_come_last_by_name():
+    assert method_order(["zzz", "zncc_e", "aaa", "joint", "zzz"]) == [
+        "joint",
+        "zncc_e",
+        "aaa",
+        "zzz",
+    ]
+
+
+def test_a_failed_run_does_not_enter_the_means_but_is_counted(runs):
+    which = place(runs, "ssac") & (runs["seed"] == 3)
+    assert which.sum() == 1
+    before, after = (cell(esim_table(table, 10.0)) for table in (runs, failing(runs, which)))
+    left = runs.loc[place(runs, "ssac") & (runs["seed"] != 3), "t_d_error_ms"]
+    assert len(left) == 9
+    assert after["ssac_t_d_error_ms_mean"] == pytest.approx(left.mean())
+    assert (before["ssac_failed"], after["ssac_failed"]) == (0, 1)
+    assert before["n_runs"] == after["n_runs"] == 10
+    others = [name for name in before.index if not name.startswith("ssac_")]
+    pd.testing.assert_series_equal(before[others], after[others])
+
+
+@pytest.mark.parametrize("status", ["search_bound", "too_few_samples", "skipped", "crashed"])
+def test_where_no_run_is_ok_the_means_are_empty_cells(runs, status):
+    runs = runs.copy()
+    runs.loc[place(runs, "zncc_e"), "status"] = status
+    table = esim_table(runs, 10.0)
+    row = cell(table)
+    assert row["zncc_e_failed"] == 10
+    assert np.isnan(row["zncc_e_t_d_error_ms_mean"])
+    (line,) = (line for line in csv_text(table).splitlines() if line.startswith("60,50,10,"))
+    cells = dict(zip(table.columns, line.split(","), strict=True))
+    assert cells["zncc_e_t_d_error_ms_mean"] == cells["zncc_e_t_d_error_ms_std"] == ""
+
+
+@pytest.mark.parametrize("frame_of", [ordered_runs, esim_tables])
+def test_a_run_that_is_not_there_is_noticed(runs, frame_of):
+    without = runs[~(place(runs, "joint") & (runs["seed"] == 7))]
+    with pytest.raises(SsacError, match=r"missing: 10 s, 60 deg, t_d 50 ms, flight 7, joint$"):
+        frame_of(without)
+    assert len(missing_runs(without)) == 1
+    assert missing_runs(runs).empty
+
+
+def test_a_whole_cell_that_is_not_there_is_noticed(runs):
+    gone = (runs["angle_deg"] == 60.0) & (runs["t_d_ms"] == 50.0) & (runs["duration_s"] == 10.0)
+    with pytest.raises(SsacError, match="and 95 more"):  # 10 flights, 10 methods, 5 shown
+        ordered_runs(runs[~gone])
+
+
+def test_a_run_that_is_there_twice_is_noticed(runs):
+    twice = pd.concat([runs, runs[place(runs, "joint") & (runs["seed"] == 7)]])
+    with pytest.raises(SsacError, match="more than once: 10 s, 60 deg, t_d 50 ms, flight 7, joint"):
+        ordered_runs(twice)
+
+
+def test_a_run_that_is_ok_has_an_error(runs):
+    runs = runs.copy()
+    runs.loc[place(runs, "ssac") & (runs["seed"] == 0), "t_d_error_ms"] = np.nan
+    with pytest.raises(SsacError, match=r'"ok" without an error of t_d: .* flight 0, ssac'):
+        esim_table(runs, 10.0)
+
+
+def test_bad_tables_are_refused(runs):
+    with pytest.raises(SsacError, match=r"not there: \['status'\]"):
+        ordered_runs(runs.drop(columns="status"))
+    with pytest.raises(SsacError, match="got none"):
+        ordered_runs(runs.iloc[:0])
+    with pytest.raises(SsacError, match="no run has a duration of 30 s: there are 10, 20 s"):
+        esim_table(runs, 30.0)
+    with pytest.raises(SsacError, match="not a table of runs"):
+        runs_from_csv("")
+    with pytest.raises(SsacError, match=r"not there: \['duration_s'"):
+        runs_from_csv("a,b\n1,2\n")
+    with pytest.raises(SsacError, match="not a table of runs"):
+        runs_from_csv(csv_text(runs).replace("10,30,5,0,", "ten,30,5,0,"))
+
+
+def test_runs_of_before_a_column_was_there_can_be_read(runs):
+    old = runs.drop(columns=list(YOUNGER))
+    read = runs_from_csv(csv_text(old))
+    assert read[list(YOUNGER)].isna().all(axis=None)
+    assert csv_text(ordered_runs(read)) == csv_text(ordered_runs(old)) == csv_text(runs)
+
+
+def test_runs_survive_being_written_and_read(runs):
+    runs = runs.copy()
+    runs.loc[0, ["status", "reason"]] = "crashed", 'a "quoted", reason: nan'
+    text = csv_text(ordered_runs(runs))
+    read = runs_from_csv(text)
+    assert csv_text(ordered_runs(read)) == text
+    assert read.loc[0, "reason"] == 'a "quoted", reason: nan'
+    assert (read.loc[runs["status"] == "ok", "reason"] == "").all()
+    # Six significant digits; counts whole.
+    np.testing.assert_allclose(read["t_d_error_ms"], runs["t_d_error_ms"], rtol=5e-6)
+    assert (read["n_events_cam2"] == runs["n_events_cam2"]).all()
+
+
+def test_counts_are_not_rounded(runs):
+    assert ",1242193," in csv_text(ordered_runs(runs.assign(n_events_cam1=1242193.0)))
+
+
+def test_poses_tell_who_gives_one(runs):
+    assert pose_methods(runs) == ["ssac", "joint", "tangency", "albl"]
+
+
+def test_rows_of_a_grid_get_the_names_of_the_runs(runs):
+    names = {"duration_s": "sim.spline.duration_s", "angle_deg": "sim.angle_deg"}
+    rows = runs.rename(columns=names).drop(columns="t_d_ms").assign(extra=1)
+    rows["sim.t_d_s"] = runs["t_d_ms"] / 1e3
+    found = runs_of_grid(rows)
+    assert tuple(found) == RUN_COLUMNS
+    assert csv_text(ordered_runs(found)) == csv_text(runs)

@@ -1,0 +1,170 @@
+import json
+import re
+from io import StringIO
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from experiments.paper.comparison import comparison_table, load_published
+from experiments.paper.esim import esim_table, esim_tables, runs_from_csv
+from experiments.paper.markdown import markdown_table, means_with_stds, number, paragraph
+from experiments.paper.page import results_page
+from experiments.paper.results import COMPARISON_FILE, PAGE_FILE, RUNS_FILE, derived, save_results
+from tests.experiments.reported import made_up_runs
+
+PROVENANCE = {
+    "command": "ssac tables",
+    "commit": "0123456789ab",
+    "versions": {"numpy": "2.2.6"},
+    "gl": {"backend": "osmesa", "renderer": "llvmpipe", "version": "4.5"},
+    "wall_time_s": 600.0,
+    "recordings_simulated": 100,
+}
+
+
+@pytest.fixture(scope="module")
+def runs() -> pd.DataFrame:
+    return made_up_runs()
+
+
+@pytest.fixture(scope="module")
+def files(runs, tmp_path_factory) -> dict[str, str]:
+    folder = tmp_path_factory.mktemp("results") / "new"
+    save_results(runs, folder, PROVENANCE)
+    return {path.name: path.read_bytes().decode() for path in folder.iterdir()}
+
+
+def page_of(runs: pd.DataFrame) -> str:
+    tables = esim_tables(runs)
+    return results_page(runs, tables, comparison_table(tables, load_published()), PROVENANCE)
+
+
+def rows_of(page: str, heading: str) -> list[list[str]]:
+    """Cells of all tables below a heading of the page."""
+    section = page.split(f"\n## {heading}\n")[1].split("\n## ")[0]
+    lines = [line for line in section.splitlines() if line.startswith("|")]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
+
+
+def test_all_files_are_written(files):
+    assert set(files) == {RUNS_FILE, COMPARISON_FILE, PAGE_FILE, "esim_10.csv", "esim_20.csv"}
+
+
+def test_all_files_follow_from_the_text_of_the_runs(files):
+    # The provenance too as it is read from its file.
+    made = derived(files[RUNS_FILE], json.loads(json.dumps(PROVENANCE)))
+    assert made == {name: text for name, text in files.items() if name != RUNS_FILE}
+
+
+def test_the_order_of_the_runs_changes_no_byte(runs, files, tmp_path):
+    save_results(runs.sample(frac=1.0, random_state=2), tmp_path, PROVENANCE)
+    assert {path.name: path.read_bytes().decode() for path in tmp_path.iterdir()} == files
+
+
+def test_every_mean_of_the_tables_is_on_the_page(files):
+    runs = runs_from_csv(files[RUNS_FILE])
+    for duration_s in (10.0, 20.0):
+        table = esim_table(runs, duration_s)
+        rows = rows_of(files[PAGE_FILE], f"Flights of {duration_s:g} s")
+        shown = {float(cell.split(" ± ")[0]) for row in rows for cell in row if " ± " in cell}
+        means = [column for column in table if column.endswith("_mean")]
+        assert len(means) > 10
+        for value in table[means].to_numpy().ravel():
+            # Three decimals at most.
+            assert any(round(float(value), n) in shown for n in (1, 2, 3)), value
+
+
+def test_verdicts_on_the_page_are_those_of_the_comparison(files):
+    comparison = pd.read_csv(StringIO(files[COMPARISON_FILE]))
+    page = files[PAGE_FILE]
+    rows = rows_of(page, "Flights of 10 s") + rows_of(page, "Flights of 20 s")
+    for word in ("agrees", "better", "differs"):
+        assert sum(row.count(word) for row in rows) == (comparison["verdict"] == word).sum()
+    listed = rows_of(page, "Cells that differ")
+    differing = comparison[comparison["verdict"] == "differs"]
+    assert len(listed) - 2 == len(differing) > 0
+    assert [row[-1] for row in listed[2:]] == list(differing["note"].fillna("not known"))
+
+
+def test_a_cell_with_failed_runs_says_how_many_are_left(runs):
+    joint = (runs["method"] == "joint") & (runs["duration_s"] == 20.0) & (runs["t_d_ms"] == 50.0)
+    runs = runs.copy()
+    runs.loc[joint & (runs["angle_deg"] == 30.0) & (runs["seed"] < 2), "status"] = "search_bound"
+    runs.loc[joint & (runs["angle_deg"] == 60.0), "status"] = "search_bound"
+    rows = rows_of(page_of(runs), "Flights of 20 s")
+    (column,) = (row.index("`joint` t_d [ms]") for row in rows if "`joint` t_d [ms]" in row)
+    start = next(n for n, row in enumerate(rows) if "`joint` t_d [ms]" in row) + 2
+    cells = {tuple(row[:2]): row[column] for row in rows[start : start + 15]}
+    assert cells["30", "50"].endswith("(8 runs)")
+    assert cells["60", "50"] == "none"
+    assert "runs" not in cells["90", "50"]
+
+
+def test_runs_without_an_estimate_are_counted(runs):
+    failed = runs[runs["status"] != "ok"]
+    rows = rows_of(page_of(runs), "Runs without an estimate")
+    assert sum(int(row[3]) for row in rows[2:]) == len(failed) > 0
+    none = runs[runs["method"].isin(["ssac", "joint"])].reset_index(drop=True)
+    assert "\n0 of 600.\n" in page_of(none)
+
+
+def test_marks_of_tangency_appear_with_its_runs(runs, files):
+    without = runs[runs["method"] != "tangency"].reset_index(drop=True)
+    assert "`tangency`, mean" in files[PAGE_FILE]
+    assert "`tangency`, mean" not in page_of(without)
+    methods = ("ssac", "tangency", "zncc_e", "zncc_f")
+    page = page_of(made_up_runs(methods, 3).assign(t_d_error_ms=0.05, t_error_deg=0.15))
+    assert "mean t_d [ms] error at most 0.1: 30 of 30 cells; the largest is 0.050" in page
+    assert "mean t [deg] error at most 0.1: 0 of 30 cells; the largest is 0.150" in page
+
+
+@pytest.mark.parametrize(("low", "high", "met"), [(20.0, 500.0, "yes"), (200.0, 500.0, "no"),
+                                                  (20.0, 40.0, "no")])  # fmt: skip
+def test_growth_of_the_correlation_methods(runs, low, high, met):
+    runs = runs.copy()
+    zncc = runs["method"] == "zncc_e"
+    runs.loc[zncc, "t_d_error_ms"] = np.where(runs["angle_deg"] < 90.0, low, high)[zncc]
+    rows = rows_of(page_of(runs), "Marks")
+    ours = [row for row in rows if row[0] == "`zncc_e`" and row[2] == "ours"]
+    assert [row[-1] for row in ours] == [met, met]
+    assert ours[0][3] == f"{low:.0f}"
+
+
+def test_the_page_says_how_it_was_made(files):
+    text = " ".join(files[PAGE_FILE].split())
+    assert "`ssac tables` at commit 0123456789ab in 10.0 minutes (100 recordings" in text
+    assert "llvmpipe, osmesa; numpy 2.2.6" in text
+
+
+def test_a_page_without_provenance_is_still_a_page(runs):
+    tables = esim_tables(runs)
+    comparison = comparison_table(tables, load_published())
+    assert "at commit ?" in results_page(runs, tables, comparison, {"gl": None})
+
+
+def test_tables_are_aligned_as_text(files):
+    blocks = re.split(r"\n\n+", files[PAGE_FILE])
+    tables = [block.splitlines() for block in blocks if block.startswith("|")]
+    assert len(tables) > 8
+    for lines in tables:
+        assert len({len(line) for line in lines}) == 1
+    others = [line for block in blocks if not block.startswith("|") for line in block.splitlines()]
+    assert max(map(len, others)) <= 100
+
+
+def test_columns_of_numbers_are_right_and_words_left():
+    text = markdown_table(["word", "number", "empty"], [["a", "-1.5", ""], ["b|c", "none", "2 s"]])
+    assert text.splitlines() == [
+        "| word | number | empty |",
+        "| ---- | -----: | ----: |",
+        "| a    |   -1.5 |       |",
+        r"| b\|c |   none |   2 s |",
+    ]
+
+
+def test_numbers():
+    means, stds = pd.Series([1.0, 22.25, np.nan]), pd.Series([0.5, 10.0, np.nan])
+    assert means_with_stds(means, stds, 1) == ["1.0 ±  0.5", "22.2 ± 10.0", "none"]
+    assert number(np.inf, 2) == "none"
+    assert paragraph("- " + "word " * 30).splitlines()[1].startswith("  word")

@@ -1,0 +1,139 @@
+"""The cache: what an entry depends on, and that nothing is made twice or half."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import experiments.run.cache as module
+from experiments.run.cache import (
+    Brightness,
+    Cache,
+    Denoised,
+    content,
+    recording_key,
+    run_key,
+    source_digest,
+)
+from sim.errors import SimError
+from sim.recording import SimConfig
+from sim.render.renderer import RenderConfig
+from ssac.config import Config
+from ssac.events import EVENT_DTYPE
+
+pytestmark = pytest.mark.render  # a recording's key names the GL driver
+
+
+def test_every_parameter_and_the_seed_make_another_recording_but_the_offset_does_not():
+    base = recording_key(SimConfig(), 0)
+    others = [
+        recording_key(SimConfig(), 1),
+        recording_key(replace(SimConfig(), angle_deg=91.0), 0),
+        recording_key(replace(SimConfig(), sensor=replace(SimConfig().sensor, leak_hz=0.1)), 0),
+    ]
+    assert len({base, *others}) == 4
+    assert recording_key(replace(SimConfig(), t_d_s=0.5), 0) == base
+    assert recording_key(SimConfig(), 0) == base
+
+
+def test_a_file_counts_by_what_is_in_it(tmp_path):
+    one, two = tmp_path / "one.ply", tmp_path / "two.ply"
+    one.write_text("a")
+    two.write_text("a")
+    assert content(SimConfig(drone_file=one)) == content(SimConfig(drone_file=two))
+    two.write_text("b")
+    assert content(SimConfig(drone_file=one)) != content(SimConfig(drone_file=two))
+
+
+def test_every_part_makes_another_run():
+    base = ("recording", 0.05, Config(), "ssac", "")
+    other = ("other", 0.06, Config(n_min=100), "joint", "1.0")
+    keys = {run_key(*base)}
+    for at in range(len(base)):
+        keys.add(run_key(*base[:at], other[at], *base[at + 1 :]))
+    assert len(keys) == 1 + len(base)
+
+
+def test_the_code_counts_by_its_text(tmp_path, monkeypatch):
+    monkeypatch.setitem(module._FOLDERS, "toy", tmp_path)
+    digests = set()
+    for text in ("a = 1\n", "a = 2\n"):
+        (tmp_path / "code.py").write_text(text)
+        source_digest.cache_clear()
+        digests.add(source_digest("toy"))
+    (tmp_path / "notes.txt").write_text("no code")
+    source_digest.cache_clear()
+    digests.add(source_digest("toy"))
+    assert len(digests) == 2
+
+
+def test_a_recording_is_simulated_once_and_kept_as_a_whole(tmp_path, monkeypatch):
+    calls = []
+
+    def counted(config, seed):
+        calls.append((config, seed))
+        return simulate(config, seed)
+
+    simulate = module.simulate
+    monkeypatch.setattr(module, "simulate", counted)
+    spline = replace(SimConfig().spline, duration_s=0.5)
+    config = SimConfig(t_d_s=0.3, spline=spline)
+    cache = Cache(tmp_path / "cache")
+    folder = cache.recording_folder(config, 3)
+    names = {"cam1.h5", "cam2.h5", "rig.yaml", "rig_extrinsics.yaml", "truth.json"}
+    assert {path.name for path in folder.iterdir()} == names
+    assert cache.recording_folder(replace(config, t_d_s=0.0), 3) == folder
+    assert calls == [(replace(config, t_d_s=0.0), 3)]
+    assert cache.size_bytes() == sum(path.stat().st_size for path in folder.iterdir())
+
+
+def test_a_simulation_that_fails_leaves_nothing(tmp_path):
+    config = SimConfig(angle_deg=200.0)
+    with pytest.raises(SimError):
+        Cache(tmp_path).recording_folder(config, 0)
+    assert list(tmp_path.rglob("*")) == []
+
+
+def test_a_backend_that_is_not_there_is_the_simulators_error(tmp_path):
+    config = SimConfig(render=RenderConfig(backend="vulkan"))
+    with pytest.raises(SimError, match="vulkan"):
+        Cache(tmp_path).recording_folder(config, 0)
+
+
+def test_denoised_events_come_back_as_they_went_in(tmp_path):
+    cache, recording = Cache(tmp_path), tmp_path / "recordings" / "abc"
+    made = Denoised(np.zeros(3, EVENT_DTYPE), np.zeros(4, EVENT_DTYPE), np.array([5, 6]))
+    made.cam1["t"] = [1, 2, 3]
+    first = cache.denoised(recording, Config(), lambda: made)
+
+    def never():
+        raise AssertionError("done before")
+
+    again = cache.denoised(recording, Config(), never)
+    for one, two, three in zip(made, first, again, strict=True):
+        assert np.array_equal(one, two)
+        assert np.array_equal(one, three)
+        assert three.dtype == one.dtype
+
+
+def test_brightness_is_measured_once(tmp_path):
+    cache, recording = Cache(tmp_path), tmp_path / "recordings" / "abc"
+    times_us = np.array([2_500, 22_500])
+    made = Brightness(np.array([0.1, 0.2]), times_us, np.empty(0), np.empty(0, np.int64))
+    cache.brightness(recording, lambda: made)
+
+    def never():
+        raise AssertionError("done before")
+
+    for one, other in zip(made, cache.brightness(recording, never), strict=True):
+        assert np.array_equal(one, other)
+        assert one.dtype == other.dtype
+
+
+def test_a_run_comes_back_as_it_went_in(tmp_path):
+    cache = Cache(tmp_path)
+    row = {"status": "ok", "reason": "", "t_d_error_ms": 0.1 + 0.2, "r_error_deg": None}
+    assert cache.load_run("abcd") is None
+    cache.save_run("abcd", row)
+    assert cache.load_run("abcd") == row
+    assert [path.name for path in tmp_path.rglob("*") if path.is_file()] == ["abcd.json"]

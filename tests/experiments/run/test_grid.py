@@ -1,0 +1,176 @@
+"""Grids: what a TOML may hold, and the cells that it stands for."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from experiments.run.grid import (
+    config_names,
+    configs_of,
+    grid_from_content,
+    load_config,
+    named_config,
+)
+from sim.errors import SimError
+from sim.recording import SimConfig
+from sim.sensor.events import PRESETS
+from sim.sensor.frames import FrameConfig
+from ssac.config import Config
+from ssac.errors import SsacError
+from ssac.tool.registry import METHODS
+
+SMALL = {
+    "trajectories": 2,
+    "methods": ["ssac", "zncc_e"],
+    "search_around_truth_s": [-1.0, 1.0],
+    "fixed": {"sim": {"spline": {"duration_s": 10}}},
+    "grid": {"sim": {"angle_deg": [30, 90], "t_d_s": [0.005, 0.5]}},
+}
+
+
+def test_the_tables_are_the_papers_grid():
+    cells = [cell for name in ("esim_10", "esim_20") for cell in named_config(name).cells()]
+    assert {cell.method for cell in cells} == set(METHODS)
+    for method in METHODS:
+        of_method = [cell for cell in cells if cell.method == method]
+        assert len(of_method) == 300
+        assert {cell.sim.spline.duration_s for cell in of_method} == {10.0, 20.0}
+        assert {cell.sim.angle_deg for cell in of_method} == {30.0, 60.0, 90.0, 120.0, 150.0}
+        assert {cell.t_d_s for cell in of_method} == {0.005, 0.05, 0.5}
+        assert {cell.seed for cell in of_method} == set(range(10))
+    # 100 recordings: offsets and methods share theirs.
+    assert len({(cell.sim, cell.seed) for cell in cells}) == 100
+    for cell in cells:
+        low, high = cell.estimator.interval_s
+        assert (cell.t_d_s - low, high - cell.t_d_s) == pytest.approx((1.0, 1.0), abs=1e-12)
+
+
+@pytest.mark.parametrize("name", config_names("ablation_"))
+def test_an_ablation_varies_what_its_figure_shows_over_enough_values(name):
+    grid = named_config(name)
+    cells = grid.cells()
+    assert grid.figure is not None
+    assert grid.figure.x in grid.varied
+    values = {str(cell.parameters[grid.figure.x]) for cell in cells}
+    of_estimator = name in ("ablation_window", "ablation_n_min", "ablation_samples")
+    assert len(values) >= (7 if of_estimator else 5)
+    assert len({cell.sim.angle_deg for cell in cells}) >= 3
+    uses_tables = of_estimator or name in ("ablation_angle", "ablation_davis346")
+    assert grid.trajectories == (10 if uses_tables else 5)
+
+
+def test_ablations_of_the_estimator_use_the_recordings_of_the_tables():
+    of_tables = {(cell.sim, cell.seed) for cell in named_config("esim_20").cells()}
+    of_tables |= {(cell.sim, cell.seed) for cell in named_config("esim_10").cells()}
+    for name in ("window", "n_min", "samples", "angle"):
+        cells = named_config(f"ablation_{name}").cells()
+        assert {(cell.sim, cell.seed) for cell in cells} <= of_tables
+
+
+def test_the_noisy_tables_have_the_preset_and_are_the_same_cells_otherwise():
+    noisy = {(cell.sim, cell.seed) for cell in named_config("ablation_davis346").cells()}
+    ideal = {
+        (replace(cell.sim, frames=FrameConfig(rate_hz=0.0), sensor=PRESETS["davis346"]), cell.seed)
+        for name in ("esim_10", "esim_20")
+        for cell in named_config(name).cells()
+    }
+    assert noisy == ideal
+
+
+def test_cells_of_one_recording_differ_in_nothing_that_is_simulated():
+    cells = grid_from_content("small", SMALL).cells()
+    assert len(cells) == 2 * 2 * 2 * 2
+    assert all(cell.sim.t_d_s == 0.0 for cell in cells)
+    assert len({cell.sim for cell in cells}) == 2
+    first = cells[0]
+    assert (first.method, first.seed, first.t_d_s) == ("ssac", 0, 0.005)
+    assert first.parameters == {
+        "sim.spline.duration_s": 10,
+        "sim.angle_deg": 30,
+        "sim.t_d_s": 0.005,
+    }
+    assert first.estimator.interval_s == (-0.995, 1.005)
+
+
+def test_parameters_reach_the_field_that_they_name():
+    sim, estimator = configs_of(
+        {
+            "sim.render.lattice.a": 4,
+            "sim.resolution": [640, 480],
+            "sim.focal_px": 400,
+            "sim.drone_size_m": 1,
+            "sim.drone_file": "bird.ply",
+            "sim.distortion_coeffs": [0.1, 0.2, 0, 0],
+            "ssac.n_min": 50,
+            "ssac.exhaustive": True,
+            "ssac.interval_s": [-2, 2.5],
+        }
+    )
+    assert sim.render.lattice.a == 4
+    assert sim.resolution == (640, 480)
+    assert isinstance(sim.focal_px, float)
+    assert sim.drone_size_m == 1.0
+    assert sim.drone_file == Path("bird.ply")
+    assert sim.distortion_coeffs == (0.1, 0.2, 0.0, 0.0)
+    assert (estimator.n_min, estimator.exhaustive) == (50, True)
+    assert estimator.interval_s == (-2.0, 2.5)
+    assert configs_of({}) == (SimConfig(), Config())
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"trajectory": 3}, r"unknown key 'trajectory': known are title, trajectories"),
+        ({"trajectories": 0}, "trajectories must be a positive integer, got 0"),
+        ({"first_seed": -1}, "first_seed must be 0 or a positive integer, got -1"),
+        ({"methods": ["scac"]}, "unknown method 'scac': use one of"),
+        ({"search_around_truth_s": [1.0]}, "search_around_truth_s: expected two numbers"),
+        ({"fixed": {"sim": {"angel_deg": 3}}}, r"'sim.angel_deg': 'angel_deg' is none of angle"),
+        ({"fixed": {"sim": {"angle_deg": {"x": 3}}}}, "'sim.angle_deg.x': 'angle_deg' has no"),
+        ({"fixed": {"simulator": {"x": 3}}}, r"expected sim.<name> or ssac.<name>"),
+        ({"fixed": {"ssac": {"n_min": 2.5}}}, "ssac.n_min: expected int, got 2.5"),
+        ({"fixed": {"ssac": {"n_min": True}}}, "ssac.n_min: expected int, got True"),
+        ({"fixed": {"sim": {"resolution": [3]}}}, r"sim.resolution: expected tuple\[int, int\]"),
+        ({"fixed": {"sim": {"angle_deg": 30}}}, "sim.angle_deg is given more than once"),
+        ({"fixed": {"ssac": {"interval_s": [0, 1]}}}, "either search_around_truth_s or ssac.int"),
+        ({"fixed": {"ssac": {"half_window_s": -1.0}}}, "half_window_s must be positive, got -1.0"),
+        ({"grid": {"ssac": {"n_min": []}}}, "ssac.n_min: expected a list of values"),
+        ({"grid": {"ssac": {"n_min": 3}}}, "ssac.n_min: expected a list of values, got 3"),
+        (
+            {"together": {"c": {"sim": {"focal_px": [1, 2], "resolution": [[3, 4]]}}}},
+            "together.c: expected lists of one length, but sim.focal_px has 2, sim.resolution",
+        ),
+        ({"figure": {"x": "ssac.n_min", "label": ""}}, "'ssac.n_min' is not a parameter that the"),
+        ({"figure": {"y": "ssac.n_min"}}, "figure: expected a table with x, label, scale, log"),
+    ],
+)
+def test_what_makes_no_sense_is_an_error_that_says_so(change, message):
+    with pytest.raises(SsacError, match=message):
+        grid_from_content("small", SMALL | change)
+
+
+def test_a_value_that_the_simulator_refuses_names_the_file(tmp_path):
+    path = tmp_path / "bad.toml"
+    path.write_text("[fixed]\nsim.spline.duration_s = -1\n")
+    with pytest.raises(SsacError, match=r"bad\.toml: duration_s must be a positive number"):
+        load_config(path)
+    with pytest.raises(SimError):
+        configs_of({"sim.spline.duration_s": -1.0})
+
+
+def test_a_file_that_is_no_toml_names_the_file(tmp_path):
+    path = tmp_path / "bad.toml"
+    path.write_text("title = \n")
+    with pytest.raises(SsacError, match=r"bad\.toml: cannot be read as TOML"):
+        load_config(path)
+    with pytest.raises(SsacError, match=r"none\.toml: cannot be read as TOML"):
+        load_config(tmp_path / "none.toml")
+
+
+def test_parameters_that_move_together_are_one_axis():
+    together = {"camera": {"sim": {"focal_px": [100, 200], "resolution": [[173, 130], [346, 260]]}}}
+    grid = grid_from_content("small", SMALL | {"together": together})
+    pairs = {(cell.sim.focal_px, cell.sim.resolution) for cell in grid.cells()}
+    assert pairs == {(100.0, (173, 130)), (200.0, (346, 260))}
+    assert grid.varied == ("sim.angle_deg", "sim.t_d_s", "sim.focal_px", "sim.resolution")

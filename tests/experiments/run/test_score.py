@@ -1,0 +1,76 @@
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from experiments.run.score import angle_between_deg, pose_errors_rad, rotation_angle_deg, score
+from ssac.estimate import Estimate
+from ssac.geometry.pose import moved_pose
+
+
+def turn(angle_deg: float, axis: tuple[float, float, float] = (0.0, 0.6, 0.8)) -> np.ndarray:
+    return Rotation.from_rotvec(np.deg2rad(angle_deg) * np.array(axis)).as_matrix()
+
+
+@pytest.mark.parametrize("angle_deg", [0.0, 1e-7, 0.3, 90.0, 179.9999])
+def test_rotation_angle(angle_deg: float) -> None:
+    # Round-off; an arc cosine would lose angles below 1e-6 deg and near 180 deg.
+    assert rotation_angle_deg(turn(angle_deg)) == pytest.approx(angle_deg, abs=1e-10, rel=1e-9)
+
+
+def test_angle_between_vectors_minds_the_sign_and_not_the_length() -> None:
+    a = np.array([1.0, 2.0, -0.5])
+    assert angle_between_deg(a, 3.0 * a) == pytest.approx(0.0, abs=1e-10)
+    assert angle_between_deg(a, -a) == pytest.approx(180.0)
+    assert angle_between_deg(a, turn(1e-6, (0.0, 0.0, 1.0)) @ a) == pytest.approx(9.76e-7, rel=1e-2)
+
+
+def test_errors_have_their_units_and_directions() -> None:
+    R, t = turn(90.0), np.array([1.0, 0.0, 0.0])
+    estimate = Estimate("m", t_d_s=0.0498, R=R @ turn(0.5), t=-t)
+    errors = score(estimate, 0.05, R, t)
+    assert errors.t_d_error_ms == pytest.approx(0.2)
+    assert errors.r_error_deg == pytest.approx(0.5)
+    assert errors.t_error_deg == pytest.approx(180.0)
+
+
+def test_what_a_method_does_not_give_is_nan() -> None:
+    errors = score(Estimate("m", t_d_s=0.06), 0.05, np.eye(3), np.array([1.0, 0.0, 0.0]))
+    assert errors.t_d_error_ms == pytest.approx(10.0)
+    assert np.isnan(errors.r_error_deg)
+    assert np.isnan(errors.t_error_deg)
+
+
+def moved_truth(step: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return a pose, and the truth to which `step` [rad] would move it."""
+    R, t = turn(70.0), np.array([0.6, 0.0, 0.8])
+    return R, t, *moved_pose(R, t, step)
+
+
+def test_pose_errors_are_the_steps_to_the_truth() -> None:
+    step = np.array([0.002, -0.003, 0.001, 0.004, -0.002])
+    errors = pose_errors_rad(*moved_truth(step))
+    # t moves along its tangent and is then made as long as 1: the third power of 0.005.
+    np.testing.assert_allclose(errors, -step, atol=1e-7)
+
+
+def test_an_opposite_translation_is_far_off() -> None:
+    R, t, *_ = moved_truth(np.zeros(5))
+    errors = pose_errors_rad(R, t, R, -t)
+    assert np.linalg.norm(errors[3:]) == pytest.approx(np.pi)
+
+
+def test_a_pose_is_scored_against_its_covariance() -> None:
+    step = np.array([0.002, -0.003, 0.001, 0.004, -0.002])
+    R, t, R_true, t_true = moved_truth(step)
+    sigmas = np.array([1e-4, 1e-3, 1e-3, 2e-3, 1e-3, 4e-3])
+    estimate = Estimate("m", t_d_s=0.05, R=R, t=t, covariance=np.diag(sigmas**2))
+    pose = score(estimate, 0.05, R_true, t_true).pose
+    expected = -step / sigmas[1:]
+    found = [getattr(pose, f"{name}_normalised") for name in ("r_x", "r_y", "r_z", "t_1", "t_2")]
+    assert found == pytest.approx(list(expected), abs=1e-3)  # the third power, as above
+    assert pose.r_mahalanobis == pytest.approx(np.linalg.norm(expected[:3]), abs=1e-3)
+    assert pose.t_mahalanobis == pytest.approx(np.linalg.norm(expected[3:]), abs=1e-3)
+    assert pose.r_std_deg == pytest.approx(np.rad2deg(np.linalg.norm(sigmas[1:4])))
+    assert pose.t_std_deg == pytest.approx(np.rad2deg(np.linalg.norm(sigmas[4:])))
+    without = score(Estimate("m", t_d_s=0.05, R=R, t=t), 0.05, R_true, t_true).pose
+    assert np.isnan(list(vars(without).values())).all()

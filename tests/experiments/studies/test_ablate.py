@@ -1,0 +1,111 @@
+"""Ablations: what becomes of runs, and one real one on a tiny grid."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from typer.testing import CliRunner
+
+from experiments.cli import app
+from experiments.run.cache import Cache
+from experiments.run.grid import grid_from_content
+from experiments.run.schedule import Workers
+from experiments.studies.ablate import ablate, ablation_names, ablation_table
+from ssac.errors import SsacError
+
+VARIED = ("sim.angle_deg", "sim.resolution")
+
+
+def runs(**changes):
+    """Two angles, two image sizes, two flights, one method."""
+    rows = [
+        {
+            "sim.angle_deg": angle_deg,
+            "sim.resolution": resolution,
+            "seed": seed,
+            "method": "ssac",
+            "status": "ok",
+            "reason": "",
+            "t_d_error_ms": angle_deg + resolution[0] + seed,
+            "r_error_deg": 0.5 + seed,
+            "t_error_deg": np.nan,
+            "n_samples": 300 + seed,
+        }
+        for angle_deg in (30, 90)
+        for resolution in ([100, 50], [200, 100])
+        for seed in (0, 2)
+    ]
+    return pd.DataFrame(rows).assign(**changes)
+
+
+def test_each_point_is_a_row_with_the_means_of_its_flights():
+    table = ablation_table(runs(), VARIED)
+    assert list(table["sim.angle_deg"]) == [30, 30, 90, 90]
+    assert list(table["sim.resolution"]) == [(100, 50), (200, 100)] * 2
+    assert list(table["t_d_error_ms_mean"]) == [131, 231, 191, 291]
+    assert (table["t_d_error_ms_std"] == 1.0).all()
+    assert list(table["t_d_error_ms_median"]) == [131, 231, 191, 291]
+    assert (table["r_error_deg_mean"] == 1.5).all()
+    assert table["t_error_deg_mean"].isna().all()
+    assert (table["n_runs"] == 2).all()
+    assert (table["failed"] == 0).all()
+    assert (table["n_samples_mean"] == 301).all()
+
+
+def test_a_failed_run_is_counted_and_leaves_the_means():
+    table = runs()
+    table.loc[0, "status"] = "too_few_samples"
+    table.loc[[2, 3], "status"] = "search_bound"
+    means = ablation_table(table, VARIED)
+    assert list(means["n_runs"]) == [2, 2, 2, 2]
+    assert list(means["failed"]) == [1, 2, 0, 0]
+    assert means["t_d_error_ms_mean"][0] == 132
+    assert np.isnan(means["t_d_error_ms_mean"][1])
+
+
+def test_the_order_of_flights_does_not_matter():
+    shuffled = runs().sort_values("seed", kind="stable")
+    pd.testing.assert_frame_equal(
+        ablation_table(shuffled, VARIED).sort_values(list(VARIED), ignore_index=True),
+        ablation_table(runs(), VARIED).sort_values(list(VARIED), ignore_index=True),
+    )
+
+
+def test_an_unknown_ablation_lists_the_known_ones():
+    with pytest.raises(SsacError, match=r"unknown ablation 'windows': use one of .*window"):
+        CliRunner().invoke(app, ["ablate", "windows"], catch_exceptions=False)
+    assert {"window", "n_min", "samples", "contrast", "noise", "size", "speed"} <= set(
+        ablation_names()
+    )
+
+
+@pytest.mark.render
+def test_a_real_ablation_leaves_csv_figure_and_provenance(tmp_path):
+    content = {
+        "trajectories": 1,
+        "methods": ["ssac", "ssac-known"],
+        "search_around_truth_s": [-0.1, 0.1],
+        "fixed": {
+            "sim": {
+                "spline": {"duration_s": 3.0},
+                "frames": {"rate_hz": 0.0},
+                "render": {"lattice": {"a": 4}},
+                "sampling": {"max_step_px": 0.5},
+            },
+            "ssac": {"trials": 200},
+        },
+        # No window holds a million events, so that value has nothing but failures.
+        "grid": {"sim": {"angle_deg": [90]}, "ssac": {"n_min": [100, 200, 1000000]}},
+        "figure": {"x": "ssac.n_min", "label": "events", "log": True},
+    }
+    grid = grid_from_content("ablation_tiny", content)
+    outcome = ablate(grid, tmp_path, Cache(tmp_path / "cache"), Workers(1))
+    assert outcome.n_crashed == 0
+    table = pd.read_csv(tmp_path / "ablation_tiny.csv")
+    assert list(table["ssac.n_min"]) == [100, 100, 200, 200, 1000000, 1000000]
+    assert list(table["failed"]) == [0, 0, 0, 0, 1, 1]
+    # 3 s of a coarse flight: an estimate is within a few ms, or something is wrong.
+    assert (table["t_d_error_ms_mean"].dropna() < 10.0).all()
+    names = {path.name for path in tmp_path.iterdir()}
+    assert names == {
+        "ablation_tiny.csv", "ablation_tiny.png", "ablation_tiny.provenance.json", "cache",
+    }  # fmt: skip

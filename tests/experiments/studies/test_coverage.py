@@ -1,0 +1,169 @@
+"""Coverage: of errors drawn as the deviations say, of runs that fail, and of real flights."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from typer.testing import CliRunner
+
+from experiments.cli import app
+from experiments.run.grid import grid_from_content, named_config
+from experiments.studies import coverage
+from experiments.studies.coverage import (
+    LEVELS,
+    QUANTITIES,
+    confidence,
+    coverage_figure,
+    coverage_table,
+    sampling_bounds,
+)
+
+T_D_S = 0.05
+
+
+def made_up_runs(n=400, scale=1.0, seed=0):
+    """Runs of two methods at two angles; errors are `scale` of the stated deviations."""
+    rng = np.random.default_rng(seed)
+    rows = []
+    for number in range(n):
+        for method in ("joint", "joint-known"):
+            angles = scale * rng.normal(size=5)
+            error_ms = 0.2 * scale * rng.normal()
+            row = {
+                "sim.t_d_s": T_D_S,
+                "sim.angle_deg": 30.0 if number % 2 else 90.0,
+                "seed": 1000 + number // 2,
+                "method": method,
+                "status": "ok",
+                "t_d_estimate_ms": 1e3 * T_D_S + error_ms,
+                "t_d_std_ms": 0.2,
+            }
+            names = [q.column for q in QUANTITIES.values() if q.column != "t_d_normalised"]
+            known = [np.linalg.norm(angles[:3]), np.linalg.norm(angles[3:]), *angles]
+            values = known if method == "joint" else [np.nan] * 7
+            rows.append(row | dict(zip(names, values, strict=True)))
+    return pd.DataFrame(rows)
+
+
+def cells(table, quantity, method="joint", angle="all"):
+    chosen = table[
+        (table["quantity"] == quantity)
+        & (table["method"] == method)
+        & (table["angle_deg"] == angle)
+    ]
+    (row,) = chosen.to_dict("records")
+    return row
+
+
+@pytest.mark.parametrize("quantity", QUANTITIES)
+def test_right_deviations_cover_what_they_say(quantity):
+    row = cells(coverage_table(made_up_runs()), quantity)
+    assert row["n_runs"] == 400
+    assert row["refused"] == 0
+    # 400 runs: 1 / sqrt(800) of the root mean square and sqrt(p (1 - p) / 400), four times each.
+    assert row["rms_normalised"] == pytest.approx(1.0, abs=0.14)
+    for level in LEVELS:
+        name = f"coverage_{100 * level:g}"
+        assert row[name] == pytest.approx(level, abs=0.2 * np.sqrt(level * (1.0 - level)))
+        assert row[f"{name}_low"] < row[name] < row[f"{name}_high"] or row[name] == 1.0
+
+
+@pytest.mark.parametrize(("scale", "sign"), [(1.5, -1), (0.6, 1)])
+@pytest.mark.parametrize("quantity", ["t_d", "R", "t"])
+def test_wrong_deviations_are_found_out(scale, sign, quantity):
+    row = cells(coverage_table(made_up_runs(scale=scale)), quantity)
+    assert row["rms_normalised"] == pytest.approx(scale, rel=0.14)
+    assert sign * (row["coverage_68"] - 0.68) > 0.1
+    bound = row["coverage_95_low" if sign > 0 else "coverage_95_high"]
+    assert sign * (bound - 0.95) > 0.0
+
+
+def test_angles_are_told_apart_and_a_known_pose_has_no_region():
+    table = coverage_table(made_up_runs(100))
+    assert set(table["angle_deg"]) == {"all", "30", "90"}
+    assert cells(table, "t_d", angle="30")["n_runs"] == 50
+    of_known = table[table["method"] == "joint-known"]
+    assert set(of_known["quantity"]) == {"t_d"}
+
+
+def test_a_refused_run_is_counted_and_covers_nothing():
+    runs = made_up_runs(100)
+    out = runs["method"].eq("joint") & runs["seed"].lt(1005)
+    runs.loc[out, "status"] = "degenerate_pose"
+    runs.loc[out, "t_d_estimate_ms"] = 0.0  # far from the truth
+    before, after = (cells(coverage_table(table), "t_d") for table in (made_up_runs(100), runs))
+    assert (after["n_runs"], after["refused"]) == (100, 10)
+    inside = np.round(100 * before["coverage_99"]), np.round(90 * after["coverage_99"])
+    assert inside[0] - 10 <= inside[1] <= inside[0]
+
+
+def test_bounds_are_clopper_and_pearsons():
+    # Their closed forms at the ends: (1 - share)^n = 0.025, and the mirror of it for all inside.
+    assert sampling_bounds(0, 20) == pytest.approx((0.0, 1.0 - 0.025 ** (1 / 20)))
+    assert sampling_bounds(20, 20) == pytest.approx((0.025 ** (1 / 20), 1.0))
+    low, high = sampling_bounds(475, 500)
+    assert (low, high) == pytest.approx((0.927, 0.967), abs=0.001)  # their table
+
+
+def test_the_levels_of_one_two_and_three_parameters():
+    assert confidence(np.array([1.96, -1.96]), 1) == pytest.approx(0.95, abs=1e-4)
+    assert confidence(np.array([2.4477]), 2) == pytest.approx(0.95, abs=1e-4)
+    assert confidence(np.array([2.7955]), 3) == pytest.approx(0.95, abs=1e-4)
+
+
+def test_the_figure_has_a_panel_for_each_of_t_d_r_and_t():
+    figure = coverage_figure(made_up_runs(200))
+    titles = [axes.get_title() for axes in figure.axes]
+    assert titles == [q.label for q in QUANTITIES.values() if q.label]
+    for axes, n_methods in zip(figure.axes, (2, 1, 1), strict=True):
+        curves = [line for line in axes.lines if line.get_label().startswith("joint")]
+        assert len(curves) == n_methods
+        for curve in curves:
+            nominal, observed = curve.get_data()
+            assert np.all(np.diff(observed) >= 0.0)
+            # Kolmogorov's distance of 200 runs: 1.63 / sqrt(200) in one case of a hundred.
+            assert np.max(np.abs(observed - nominal)) < 11.5
+
+
+def test_the_study_is_of_flights_that_nothing_was_tuned_on():
+    cells = coverage.flown_once(named_config("coverage").cells())
+    flights = {(cell.seed, cell.sim.angle_deg) for cell in cells}
+    assert len(flights) >= 500
+    assert min(cell.seed for cell in cells) >= 1000
+
+
+def test_each_flight_is_seen_at_one_angle_and_each_angle_by_as_many():
+    cells = coverage.flown_once(named_config("coverage").cells())
+    angles = {cell.seed: cell.sim.angle_deg for cell in cells}
+    assert len({(cell.seed, cell.sim.angle_deg) for cell in cells}) == len(angles)
+    assert set(np.unique(list(angles.values()), return_counts=True)[1]) == {len(angles) // 5}
+
+
+@pytest.mark.render
+def test_a_real_study_leaves_csvs_figure_and_provenance(tmp_path, monkeypatch):
+    content = {
+        "trajectories": 5,
+        "first_seed": 1000,
+        "methods": ["joint-known", "tangency-known"],
+        "search_around_truth_s": [-0.1, 0.1],
+        "fixed": {
+            "sim": {
+                "t_d_s": T_D_S,
+                "spline": {"duration_s": 3.0},
+                "frames": {"rate_hz": 0.0},
+                "render": {"lattice": {"a": 4}},
+                "sampling": {"max_step_px": 0.5},
+            },
+            "ssac": {"trials": 200},
+        },
+        "grid": {"sim": {"angle_deg": [90]}},
+    }
+    monkeypatch.setattr(coverage, "named_config", lambda name: grid_from_content(name, content))
+    options = ["--flights", "1", "--workers", "1", "--cache", str(tmp_path / "cache")]
+    result = CliRunner().invoke(app, ["coverage", *options, "--out", str(tmp_path)])
+    assert result.exit_code == 0
+    table = pd.read_csv(tmp_path / "coverage.csv")
+    assert list(table["method"].unique()) == ["joint-known", "tangency-known"]
+    assert (table["n_runs"] == 1).all()
+    assert (tmp_path / "coverage.png").exists()
+    assert (tmp_path / "coverage_runs.provenance.json").exists()
+    assert len(pd.read_csv(tmp_path / "coverage_runs.csv")) == 2

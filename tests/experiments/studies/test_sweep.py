@@ -1,0 +1,314 @@
+"""Real sweeps over a tiny grid: any number of workers, shards, interruptions and crashes.
+
+The flights are short and coarsely rendered: what is tested is the bookkeeping, not the accuracy.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import time
+from functools import partial
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from typer.testing import CliRunner
+
+from experiments.cli import app
+from experiments.run import schedule
+from experiments.run.cache import Cache
+from experiments.run.grid import load_config
+from experiments.run.schedule import Workers, run_cells
+from experiments.run.task import CRASHED, tasks_of
+from experiments.studies.sweep import shard_cells
+from ssac.errors import SsacError
+
+pytestmark = pytest.mark.render
+
+ROOT = Path(__file__).resolve().parents[3]
+
+TOML = """
+trajectories = 3
+methods = [{methods}]
+search_around_truth_s = [-0.2, 0.2]
+
+[fixed]
+sim.spline.duration_s = 3.0
+sim.frames.rate_hz = 0.0
+sim.render.lattice.a = 4
+sim.sampling.max_step_px = 0.5
+ssac.trials = 200
+
+[grid]
+sim.angle_deg = [90]
+sim.t_d_s = [0.005, 0.05]
+"""
+
+# A plugin whose methods fail in the three ways there are; docs/methods.md tells about plugins.
+PLUGIN = """
+import os
+from ssac import SsacError
+
+def raising(cam1, cam2, rig, config=None):
+    raise RuntimeError("a bug")
+
+def refusing(cam1, cam2, rig, config=None):
+    raise SsacError("not with these data")
+
+def dying(cam1, cam2, rig, config=None):
+    os._exit(3)
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("sweep")
+
+
+@pytest.fixture(scope="module")
+def config(folder):
+    path = folder / "tiny.toml"
+    path.write_text(TOML.format(methods='"ssac", "event_rate", "zncc_f"'))
+    return path
+
+
+@pytest.fixture(scope="module")
+def whole(folder, config):
+    """The sweep in one piece, by one process."""
+    out = folder / "whole.csv"
+    result = sweep(config, out, folder / "cache", "--workers", "1")
+    assert result.exit_code == 0, result.output
+    return out
+
+
+def sweep(config, out, cache, *more):
+    arguments = ["sweep", str(config), "--out", str(out), "--cache", str(cache), *more]
+    return CliRunner().invoke(app, arguments, catch_exceptions=False)
+
+
+def without_runs(folder: Path, name: str) -> Path:
+    """Return a cache with the recordings of `folder` / cache, but no runs."""
+    cache = folder / name
+    cache.mkdir()
+    (cache / "recordings").symlink_to(folder / "cache" / "recordings")
+    return cache
+
+
+def test_every_run_is_a_row_and_every_parameter_a_column(whole):
+    runs = pd.read_csv(whole)
+    assert list(runs["cell"]) == list(range(3 * 2 * 3))
+    assert (runs["sim.spline.duration_s"] == 3.0).all()
+    assert (runs["ssac.trials"] == 200).all()
+    assert runs.groupby(["sim.t_d_s", "seed", "method"]).size().eq(1).all()
+    rates = runs[runs["method"] == "event_rate"]
+    assert (rates["status"] == "ok").all()
+    expected_ms = (1e3 * rates["sim.t_d_s"] - rates["t_d_estimate_ms"]).abs()
+    assert rates["t_d_error_ms"].to_numpy() == pytest.approx(expected_ms.to_numpy(), abs=1e-3)
+    skipped = runs[runs["method"] == "zncc_f"]
+    assert (skipped["status"] == "skipped").all()
+    assert skipped["reason"].str.contains("has none").all()
+    assert (runs["n_events_cam1"] > 0).all()
+
+
+def test_offsets_share_the_recording(whole):
+    runs = pd.read_csv(whole)
+    assert runs.groupby("seed")[["n_events_cam1", "n_events_cam2"]].nunique().eq(1).all().all()
+    # The search is around the truth, so the same events at another offset have the same error, but
+    # for the rounding of seconds in double precision.
+    errors = runs[runs["method"] == "ssac"].pivot(
+        index="seed", columns="sim.t_d_s", values="t_d_error_ms"
+    )
+    assert errors[0.005].to_numpy() == pytest.approx(errors[0.05].to_numpy(), abs=1e-3)
+
+
+def test_provenance_says_what_it_was_made_with(whole):
+    content = json.loads(whole.with_suffix(".provenance.json").read_text())
+    assert content["config"]["grid"]["trajectories"] == 3
+    assert content["gl"]["backend"] in ("osmesa", "egl")
+    assert {"commit", "versions", "wall_time_s", "command"} <= set(content)
+
+
+def test_two_processes_write_the_same_bytes(folder, config, whole):
+    out = folder / "two.csv"
+    cache = without_runs(folder, "cache_two")
+    assert sweep(config, out, cache, "--workers", "2").exit_code == 0
+    assert out.read_bytes() == whole.read_bytes()
+
+
+@pytest.fixture
+def scheduler(folder):
+    """Address of a Dask scheduler with two workers, each a process of its own."""
+    pytest.importorskip("distributed")
+    file = folder / "scheduler.json"
+    dask, local = (sys.executable, "-m", "dask"), ("--scheduler-file", str(file))
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    start = partial(
+        subprocess.Popen, env=environment, cwd=folder, stderr=subprocess.DEVNULL, text=True
+    )
+    boss = start(
+        [*dask, "scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", *local]
+    )
+    try:
+        while not file.exists():
+            assert boss.poll() is None
+            time.sleep(0.1)
+        worker = [*dask, "worker", "--nthreads", "1", "--no-dashboard", "--no-nanny", *local]
+        workers = [start(worker) for _ in range(2)]
+        try:
+            yield json.loads(file.read_text())["address"]
+        finally:
+            for process in workers:
+                process.kill()
+                process.wait()
+    finally:
+        boss.kill()
+        boss.wait()
+
+
+def test_the_workers_of_a_dask_scheduler_write_the_same_bytes(folder, config, whole, scheduler):
+    out = folder / "dask.csv"
+    cache = without_runs(folder, "cache_dask")
+    assert sweep(config, out, cache, "--scheduler", scheduler).exit_code == 0
+    assert out.read_bytes() == whole.read_bytes()
+    assert len(list((cache / "runs").rglob("*.json"))) == 3 * 2 * 3
+
+
+def test_no_scheduler_is_one_line(folder, config):
+    pytest.importorskip("distributed")
+    cells, cache = load_config(config).cells(), Cache(without_runs(folder, "cache_none"))
+    with pytest.raises(SsacError, match=r"no Dask scheduler answers at 'tcp://127.0.0.1:9'"):
+        run_cells(cells, cache, Workers(scheduler="tcp://127.0.0.1:9"), show_progress=False)
+
+
+def test_a_scheduler_without_workers_is_one_line(folder, config, monkeypatch):
+    distributed = pytest.importorskip("distributed")
+    monkeypatch.setattr(schedule, "WAIT_FOR_WORKERS_S", 0.2)
+    cells, cache = load_config(config).cells(), Cache(without_runs(folder, "cache_idle"))
+    with distributed.LocalCluster(n_workers=0, processes=False, dashboard_address=None) as cluster:
+        workers = Workers(scheduler=cluster.scheduler_address)
+        with pytest.raises(SsacError, match="has no workers: start some with dask worker"):
+            run_cells(cells, cache, workers, show_progress=False)
+
+
+def test_what_is_done_is_not_done_again(config, folder, whole, monkeypatch):
+    def never(*_):
+        raise AssertionError("all runs are in the cache")
+
+    monkeypatch.setattr("experiments.run.schedule.run_task", never)
+    out = folder / "again.csv"
+    assert sweep(config, out, folder / "cache", "--workers", "1").exit_code == 0
+    assert out.read_bytes() == whole.read_bytes()
+
+
+def test_a_stopped_sweep_goes_on_where_it_was(config, folder, whole, monkeypatch):
+    cache = without_runs(folder, "cache_stopped")
+    cells = load_config(config).cells()
+    first, *others = tasks_of(cells)
+    run_cells(first.cells, Cache(cache), Workers(1), show_progress=False)
+    seen, run_task = [], schedule.run_task
+
+    def noted(task, *rest):
+        seen.append(task.seed)
+        return run_task(task, *rest)
+
+    monkeypatch.setattr(schedule, "run_task", noted)
+    out = folder / "stopped.csv"
+    assert sweep(config, out, cache, "--workers", "1").exit_code == 0
+    assert sorted(seen) == sorted(task.seed for task in others)
+    assert out.read_bytes() == whole.read_bytes()
+
+
+@pytest.mark.parametrize("n_shards", [2, 3, 4])
+def test_shards_are_a_partition_that_splits_no_recording(config, n_shards):
+    grid = load_config(config)
+    shards = [shard_cells(grid, index + 1, n_shards) for index in range(n_shards)]
+    numbers = [number for shard in shards for number, _ in shard]
+    assert sorted(numbers) == list(range(len(grid.cells())))
+    recordings = [{(cell.sim, cell.seed) for _, cell in shard} for shard in shards]
+    assert sum(map(len, recordings)) == len(set().union(*recordings))
+
+
+def test_merged_shards_are_the_same_bytes(folder, config, whole):
+    parts = []
+    for index in (1, 2):
+        parts.append(folder / f"part{index}.csv")
+        shard = ("--shard", f"{index}/2", "--workers", "1")
+        assert sweep(config, parts[-1], folder / "cache", *shard).exit_code == 0
+    out = folder / "merged.csv"
+    arguments = ["merge", str(out), *map(str, reversed(parts))]
+    assert CliRunner().invoke(app, arguments, catch_exceptions=False).exit_code == 0
+    assert out.read_bytes() == whole.read_bytes()
+    shards = json.loads(out.with_suffix(".provenance.json").read_text())["shards"]
+    assert [one["config"]["shard"] for one in shards] == ["2/2", "1/2"]
+
+    def merge(*paths):
+        return CliRunner().invoke(app, ["merge", str(folder / "x.csv"), *map(str, paths)])
+
+    # Of three recordings with six runs each the first shard has two.
+    assert "6 of 18 cells are in none of the shards" in str(merge(parts[0]).exception)
+    assert "is in" in str(merge(parts[0], parts[0]).exception)
+    assert not (folder / "x.csv").exists()
+
+
+def test_shards_of_two_grids_do_not_merge(folder, config, whole):
+    other = folder / "other.toml"
+    other.write_text(config.read_text().replace("trajectories = 3", "trajectories = 1"))
+    out = folder / "other.csv"
+    assert sweep(other, out, folder / "cache", "--workers", "1").exit_code == 0
+    result = CliRunner().invoke(app, ["merge", str(folder / "x.csv"), str(whole), str(out)])
+    assert "is of another grid" in str(result.exception)
+    bare = folder / "bare.csv"
+    bare.write_text(whole.read_text())
+    result = CliRunner().invoke(app, ["merge", str(folder / "x.csv"), str(bare)])
+    assert "expected bare.provenance.json beside it" in str(result.exception)
+
+
+@pytest.mark.parametrize("shard", ["0/2", "3/2", "1", "a/b", "-1/2"])
+def test_a_shard_that_is_none_is_an_error(config, folder, shard):
+    result = CliRunner().invoke(app, ["sweep", str(config), "--shard", shard])
+    assert "--shard: expected i/n" in str(result.exception)
+
+
+def test_crashes_are_rows_and_the_others_go_on(folder, whole):
+    plugin = folder / "plugin"
+    info = plugin / "failing-1.0.dist-info"
+    info.mkdir(parents=True)
+    (plugin / "failing.py").write_text(PLUGIN)
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: failing\nVersion: 1.0\n")
+    names = ("raising", "refusing", "dying")
+    entries = "".join(f"{name} = failing:{name}\n" for name in names)
+    (info / "entry_points.txt").write_text(f"[ssac.methods]\n{entries}")
+    cache = without_runs(folder, "cache_crash")
+    environment = os.environ | {"PYTHONPATH": f"{plugin}{os.pathsep}{ROOT}"}
+
+    def run(*methods):
+        config = folder / "crash.toml"
+        config.write_text(TOML.format(methods=", ".join(f'"{name}"' for name in methods)))
+        out = folder / "crash.csv"
+        command = [sys.executable, "-m", "experiments.cli", "sweep", str(config)]
+        command += ["--out", str(out), "--cache", str(cache), "--workers", "2"]
+        done = subprocess.run(
+            command, env=environment, cwd=folder, capture_output=True, text=True, check=False
+        )
+        runs = pd.read_csv(out)
+        assert len(runs) == len(methods) * 3 * 2, done.stderr
+        return done, runs.groupby("method")
+
+    done, runs = run("event_rate", "raising", "refusing")
+    assert done.returncode == 1
+    assert "6 runs crashed" in done.stderr
+    assert (runs.get_group("event_rate")["status"] == "ok").all()
+    raising, refusing = runs.get_group("raising"), runs.get_group("refusing")
+    assert (raising["status"] == CRASHED).all()
+    assert (raising["reason"] == "raising: RuntimeError: a bug").all()
+    assert (refusing["status"] == "unusable").all()
+    assert (refusing["reason"] == "not with these data").all()
+
+    # A worker that dies loses what it had not done of its recording, and no other recording.
+    done, runs = run("event_rate", "dying")
+    assert done.returncode == 1
+    assert (runs.get_group("event_rate").groupby("seed")["status"].first() == "ok").all()
+    dying = runs.get_group("dying")
+    assert (dying["status"] == CRASHED).all()
+    assert dying["reason"].str.contains("worker: TerminatedWorkerError").all()

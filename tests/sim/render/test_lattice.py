@@ -1,0 +1,131 @@
+import numpy as np
+import pytest
+
+from sim.errors import SimError
+from sim.render.lattice import COUNT_BIT, FULL_CODE, Lattice, average_pixels
+
+LATTICES = [
+    Lattice(a, b) for a, b in ((1, 0), (2, 0), (5, 0), (8, 0), (1, 1), (6, 1), (7, 1), (16, 1))
+]
+IDS = [f"{lattice.a},{lattice.b}" for lattice in LATTICES]
+OBJECT = np.uint32(1 << COUNT_BIT)
+
+
+def samples(lattice: Lattice, x_px: int, y_px: int) -> np.ndarray:
+    """Lattice coordinates (n, 2) of a pixel's samples."""
+    origin = [
+        (u, v) for u, first, stop in lattice.pixel_columns for v in range(int(first), int(stop))
+    ]
+    return np.array(origin) + lattice.A @ [x_px, y_px]
+
+
+def positions_px(lattice: Lattice, q: np.ndarray) -> np.ndarray:
+    """Where in the image samples lie, as the vertex shader puts them: q = A p + centre."""
+    return np.linalg.solve(lattice.A, (q - lattice.centre).T).T
+
+
+def average(
+    lattice: Lattice, atlas: np.ndarray, size_px: tuple[int, int], background: np.ndarray
+) -> np.ndarray:
+    """The pixels of a crop at the image's corner whose tile is the whole atlas."""
+    zero = np.zeros(1, np.int64)
+    corner = np.zeros((1, 2), np.int64)
+    return average_pixels(atlas, lattice, corner, zero, zero, size_px, background)[0]
+
+
+@pytest.mark.parametrize("lattice", LATTICES, ids=IDS)
+def test_every_sample_belongs_to_exactly_one_pixel(lattice: Lattice) -> None:
+    block = [samples(lattice, x, y) for x in range(-3, 4) for y in range(-3, 4)]
+    assert {len(pixel) for pixel in block} == {lattice.a**2 + lattice.b**2}
+    owned = np.concatenate(block)
+    assert len(np.unique(owned, axis=0)) == len(owned)
+    # No sample of the middle of the block was left out.
+    reach = np.arange(-4 * lattice.a, 4 * lattice.a + 1)
+    everywhere = np.stack(np.meshgrid(reach, reach), axis=-1).reshape(-1, 2)
+    middle = everywhere[np.abs(np.linalg.solve(lattice.A, everywhere.T)).max(axis=0) < 2.0]
+    assert {tuple(q) for q in middle} <= {tuple(q) for q in owned}
+
+
+@pytest.mark.parametrize("a", [2, 6, 8, 15])
+def test_no_two_samples_of_a_turned_pixel_share_a_row_or_column(a: int) -> None:
+    lattice = Lattice(a, 1)
+    across = positions_px(lattice, samples(lattice, 0, 0)).T
+    for coordinate in across:
+        # Spaced evenly, 1 / (a^2 + 1) px apart; the tolerance is round-off.
+        np.testing.assert_allclose(np.diff(np.sort(coordinate)), 1 / (a**2 + 1), atol=1e-12)
+
+
+@pytest.mark.parametrize("lattice", LATTICES, ids=IDS)
+@pytest.mark.parametrize("size_px", [(1, 1), (5, 3), (4, 9)])
+def test_a_tile_covers_its_crop_and_nothing_else(
+    lattice: Lattice, size_px: tuple[int, int]
+) -> None:
+    width, height = size_px
+    x0, y0 = 17, -4
+    owned = np.concatenate(
+        [samples(lattice, x0 + i, y0 + j) for i in range(width) for j in range(height)]
+    )
+    (origin,) = lattice.tile_origin(np.array([x0]), np.array([y0]), height)
+    np.testing.assert_array_equal(owned.min(axis=0), origin)
+    np.testing.assert_array_equal(owned.max(axis=0) - origin + 1, lattice.tile_size(width, height))
+
+
+@pytest.mark.parametrize("lattice", LATTICES, ids=IDS)
+def test_the_average_of_a_ramp_is_its_value_at_the_pixel_centre(lattice: Lattice) -> None:
+    width, height = 6, 5
+    tile_width, tile_height = lattice.tile_size(width, height)
+    (origin,) = lattice.tile_origin(np.zeros(1, np.int64), np.zeros(1, np.int64), height)
+    q = np.stack(np.meshgrid(np.arange(tile_width), np.arange(tile_height)), axis=-1) + origin
+    p = positions_px(lattice, q.reshape(-1, 2)).reshape(q.shape)
+    ramp = np.clip(0.3 + 0.05 * p[..., 0] + 0.04 * p[..., 1], 0.0, 1.0)
+    atlas = OBJECT + np.rint(ramp * FULL_CODE).astype(np.uint32)
+    got = average(lattice, atlas, (width, height), np.zeros((height, width), np.float32))
+    x, y = np.meshgrid(np.arange(width), np.arange(height))
+    # A sample's code is rounded by half a step; float32 adds 1e-7.
+    np.testing.assert_allclose(got, 0.3 + 0.05 * x + 0.04 * y, atol=0.5 / FULL_CODE + 2e-7)
+
+
+@pytest.mark.parametrize("lattice", LATTICES, ids=IDS)
+def test_average_pixels_equals_a_brute_force_sum(lattice: Lattice) -> None:
+    rng = np.random.default_rng(1)
+    width, height = 7, 4
+    tile = np.array(lattice.tile_size(width, height))
+    corners = np.array([[0, 0], [3 + tile[0], 5], [2, 9 + tile[1]]])
+    atlas_size = corners.max(axis=0) + tile + 3
+    codes = rng.integers(0, FULL_CODE + 1, atlas_size[::-1])
+    atlas = np.where(rng.random(codes.shape) < 0.6, OBJECT + codes, 0).astype(np.uint32)
+    background = rng.random((30, 40)).astype(np.float32)
+    x0, y0 = np.array([0, 11, 33]), np.array([26, 3, 0])
+    got = average_pixels(atlas, lattice, corners, x0, y0, (width, height), background)
+    origins = lattice.tile_origin(x0, y0, height)
+    for k in range(3):
+        for j in range(height):
+            for i in range(width):
+                u, v = (samples(lattice, x0[k] + i, y0[k] + j) - origins[k] + corners[k]).T
+                words = atlas[v, u].astype(np.int64)
+                light = np.where(
+                    words > 0, (words & (OBJECT - 1)) / FULL_CODE, background[y0[k] + j, x0[k] + i]
+                )
+                assert got[k, j, i] == pytest.approx(light.mean(), abs=3e-7)  # float32
+
+
+def test_sums_down_a_high_tile_may_overflow() -> None:
+    """The count of 2048 object samples fills a word; whole images at 16 samples reach that."""
+    lattice = Lattice(16, 0)
+    width, height = 2, 200
+    atlas = np.full(lattice.tile_size(width, height)[::-1], OBJECT + 40000, np.uint32)
+    got = average(lattice, atlas, (width, height), np.ones((height, width), np.float32))
+    np.testing.assert_allclose(got, 40000 / FULL_CODE, rtol=3e-7)  # float32
+
+
+def test_brightest_light_fits_a_word() -> None:
+    lattice = Lattice(16, 1)
+    atlas = np.full(lattice.tile_size(3, 3)[::-1], OBJECT + FULL_CODE, np.uint32)
+    got = average(lattice, atlas, (3, 3), np.zeros((3, 3), np.float32))
+    np.testing.assert_allclose(got, 1.0, rtol=3e-7)  # float32
+
+
+@pytest.mark.parametrize(("a", "b"), [(0, 0), (17, 0), (8, 2), (8, -1)])
+def test_a_lattice_that_cannot_be_is_refused(a: int, b: int) -> None:
+    with pytest.raises(SimError, match=r"expected 1 <= a <= 16 and b = 0 or 1"):
+        Lattice(a, b)

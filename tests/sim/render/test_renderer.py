@@ -1,0 +1,426 @@
+import ctypes.util
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from itertools import zip_longest
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+import sim.render.renderer
+from sim.errors import SimError
+from sim.render.footprint import footprint
+from sim.render.gl_reference import PyrenderFullFrame
+from sim.render.lattice import Lattice
+from sim.render.renderer import RenderConfig, Renderer
+from sim.scene.drone import Drone, quadrotor
+from sim.scene.rig import Camera
+from tests.sim.scenes import (
+    LENSES,
+    Array,
+    Image,
+    box_drone,
+    grey,
+    make_camera,
+    noise_image,
+    painted,
+    poses,
+    straight,
+    tumbling,
+    whole_images,
+)
+
+pytestmark = pytest.mark.render
+
+HALF_VGA = (173, 130)  # a quarter of the default number of pixels, for speed
+BRIGHT = RenderConfig(ambient=1.0)
+# A hull seen from outside hides nothing of itself, whatever the depth buffer's rounding.
+BOX = box_drone((0.7, 0.5, 0.3))
+# Its parts cut into each other: which one a sample sees there depends on the rounding of depths.
+QUADROTOR = quadrotor(rotor_hz=7.0)
+
+
+def rendered(
+    drone: Drone,
+    camera: Camera,
+    times_s: Array,
+    T_W_B: Array,
+    background: Image,
+    config: RenderConfig,
+) -> Image:
+    with Renderer(drone, config) as renderer:
+        crops = renderer.crops(camera, times_s, T_W_B, background)
+        return whole_images(crops, times_s, background)
+
+
+def full_frames(
+    drone: Drone,
+    camera: Camera,
+    times_s: Array,
+    T_W_B: Array,
+    background: Image,
+    config: RenderConfig,
+) -> Image:
+    reference = PyrenderFullFrame(drone, camera, config)
+    visible = footprint(drone, camera, times_s, T_W_B).visible
+    return np.stack(
+        [
+            reference.render(float(time_s), T, background) if seen else background
+            for time_s, T, seen in zip(times_s, T_W_B, visible, strict=True)
+        ]
+    )
+
+
+# --- The same pixels as pyrender ---------------------------------------------------------------
+
+
+@pytest.mark.parametrize("lens", LENSES)
+@pytest.mark.parametrize("lattice", [Lattice(4, 0), Lattice(6, 1), Lattice(9, 1)], ids=repr)
+@pytest.mark.parametrize("drone", [BOX, painted(QUADROTOR, 0.2)], ids=["box", "quadrotor"])
+def test_same_pixels_as_pyrenders_full_frame(drone: Drone, lattice: Lattice, lens: str) -> None:
+    camera = make_camera(lens, HALF_VGA)
+    n = 12
+    times_s = np.linspace(0.0, 1.0, n)
+    T_W_B = tumbling(n, 3, (0.0, -1.0, 0.0), (1.5, 2.0, 1.0))
+    # The box is shaded; the quadrotor's rotors spin.
+    config = RenderConfig(lattice, ambient=0.3 if drone is BOX else 1.0)
+    background = noise_image(camera)
+    crops = rendered(drone, camera, times_s, T_W_B, background, config)
+    np.testing.assert_array_equal(
+        crops, full_frames(drone, camera, times_s, T_W_B, background, config)
+    )
+    assert (crops != background).any(axis=(1, 2)).all()
+
+
+@pytest.mark.parametrize("lens", LENSES)
+@pytest.mark.parametrize("lattice", [Lattice(4, 0), Lattice(6, 1)], ids=repr)
+def test_same_pixels_where_the_image_ends(lattice: Lattice, lens: str) -> None:
+    camera = make_camera(lens, HALF_VGA)
+    side = np.array([-1.0, 1.0])
+    x_m, z_m = np.meshgrid(1.6 * side, 1.2 * side)
+    centres_m = np.stack([x_m.ravel(), np.full(4, -3.1), z_m.ravel()], axis=-1)
+    T_W_B = poses(np.concatenate([centres_m * [1, 1, 0.2], centres_m * [0.3, 1, 1]]), seed=2)
+    times_s = np.arange(8.0)
+    seen = footprint(BOX, camera, times_s, T_W_B)
+    edge = np.array(HALF_VGA) - 0.5
+    assert ((seen.low_px < -0.5) | (seen.high_px > edge)).any(axis=1).sum() >= 6
+    background = noise_image(camera)
+    config = replace(BRIGHT, lattice=lattice)
+    crops = rendered(BOX, camera, times_s, T_W_B, background, config)
+    differences = crops != full_frames(BOX, camera, times_s, T_W_B, background, config)
+    # Cutting an edge off at the tile's border makes a new corner, which the rasteriser rounds to
+    # 1/256 of a sample: very seldom a sample beside the edge changes sides.
+    assert differences.sum() <= 1
+
+
+def test_parts_that_cut_into_each_other_differ_in_a_few_samples() -> None:
+    camera = make_camera(resolution=HALF_VGA)
+    times_s = np.linspace(0.0, 1.0, 30)
+    T_W_B = tumbling(30, 4, (0.0, -2.0, 0.0), (0.7, 1.0, 0.7))
+    background = grey(camera)
+    config = RenderConfig(Lattice(8, 1))
+    crops = rendered(QUADROTOR, camera, times_s, T_W_B, background, config)
+    difference = np.abs(crops - full_frames(QUADROTOR, camera, times_s, T_W_B, background, config))
+    # Depths are rounded to 24 bits: where surfaces cross, a sample in some 10^5 sees the other one.
+    assert (difference > 0).sum() <= 3
+    assert difference.max() <= 0.42 / 65 * 2  # two samples from the brightest part to black
+
+
+@pytest.mark.parametrize("a", [1, 4, 8])
+def test_silhouette_of_pyrenders_own_shaders(a: int) -> None:
+    """No line of the stock renderer's projection or scene is ours."""
+    camera = make_camera()
+    drone = painted(QUADROTOR, 1.0)
+    config = RenderConfig(Lattice(a, 0), ambient=1.0)
+    reference = PyrenderFullFrame(drone, camera, config)
+    T_W_B = tumbling(6, 5, (0.0, 0.0, 0.0), (3.0, 2.0, 2.0))
+    times_s = np.linspace(0.0, 1.0, 6)
+    nothing = grey(camera, 0.0)
+    ours = rendered(drone, camera, times_s, T_W_B, nothing, config)
+    stock = np.stack([reference.stock(t, T) for t, T in zip(times_s, T_W_B, strict=True)])
+    coverage = stock.reshape(6, camera.height, a, camera.width, a).mean(axis=(2, 4))
+    assert coverage.sum() > 300  # px
+    differing_samples = np.rint(np.abs(ours - coverage) * a**2).sum()
+    # Projections in another order of operations: float32 rounds the odd edge to the other side.
+    assert differing_samples <= 2 + 1e-4 * stock.sum()
+
+
+def test_the_stock_renderer_knows_neither_lenses_nor_turned_lattices() -> None:
+    reference = PyrenderFullFrame(BOX, make_camera("radtan"), RenderConfig(Lattice(4, 0)))
+    with pytest.raises(SimError, match="undistorted images on a regular grid only"):
+        reference.stock(0.0, np.eye(4))
+
+
+# --- One instant, one picture ------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("lens", ["none", "radtan"])
+def test_batches_do_not_show(lens: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    camera = make_camera(lens, HALF_VGA)
+    times_s = np.linspace(0.0, 1.0, 60)
+    T_W_B = straight(times_s, (-2.9, -1.0, 0.1), (5.6, -1.2, 0.2))  # in from the left, out again
+    background = noise_image(camera)
+    drone = painted(QUADROTOR, 0.2)
+    whole = rendered(drone, camera, times_s, T_W_B, background, BRIGHT)
+    parts = [
+        rendered(drone, camera, times_s[some], T_W_B[some], background, BRIGHT)
+        for some in (slice(0, 7), slice(7, 40), slice(40, 60))
+    ]
+    inside = slice(8, 52)  # not cut off by the image's border
+    np.testing.assert_array_equal(np.concatenate(parts)[inside], whole[inside])
+    for size in (100, 333, 3000):
+        monkeypatch.setattr(sim.render.renderer, "ATLAS_SIZE", size)
+        again = rendered(drone, camera, times_s, T_W_B, background, BRIGHT)
+        np.testing.assert_array_equal(again[inside], whole[inside])
+        assert (again != whole).sum() <= 1  # cut edges: see test_same_pixels_where_the_image_ends
+
+
+def test_two_cameras_may_be_rendered_in_turns() -> None:
+    cameras = [make_camera(lens, HALF_VGA) for lens in LENSES]
+    times_s = np.linspace(0.0, 1.0, 400)
+    T_W_B = straight(times_s, (-1.0, -1.0, 0.0), (2.0, 0.0, 0.3))
+    background = grey(cameras[0])
+    with Renderer(BOX) as renderer:
+        streams = [renderer.crops(camera, times_s, T_W_B, background) for camera in cameras]
+        turns = list(zip_longest(*streams))
+    assert len(turns) > 1
+    for camera, mixed in zip(cameras, zip(*turns, strict=True), strict=True):
+        np.testing.assert_array_equal(
+            whole_images(filter(None, mixed), times_s, background),
+            rendered(BOX, camera, times_s, T_W_B, background, RenderConfig()),
+        )
+
+
+def test_memory_stays_flat() -> None:
+    """Under OSMesa pyrender loses 3 MB with every frame."""
+    camera = make_camera(resolution=HALF_VGA)
+    n = 5_000
+    times_s = np.linspace(0.0, 1.0, n)
+    T_W_B = straight(times_s, (-0.5, 0.0, 0.0), (1.0, 0.0, 0.0))
+    background = grey(camera)
+    with Renderer(quadrotor(0.4), RenderConfig(Lattice(2, 1))) as renderer:
+        resident_mb = []
+        for _ in range(5):
+            for _ in renderer.crops(camera, times_s, T_W_B, background):
+                pass
+            pages = int(Path("/proc/self/statm").read_text().split()[1])
+            resident_mb.append(pages * os.sysconf("SC_PAGE_SIZE") / 1e6)
+    # 20,000 poses after the first round; the allocator may keep the odd megabyte.
+    assert resident_mb[-1] - resident_mb[0] < 4.0
+
+
+# --- Where the drone is ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_a_small_drone_lies_where_the_camera_projects_it(lens: str) -> None:
+    camera = make_camera(lens)
+    drone = box_drone((0.06, 0.06, 0.06), albedo=1.0)  # 2.4 px
+    T_W_B = tumbling(40, 6, (0.0, 0.0, 0.0), (3.5, 0.3, 2.5))
+    times_s = np.linspace(0.0, 1.0, 40)
+    config = RenderConfig(Lattice(16, 1), ambient=1.0)
+    light = rendered(drone, camera, times_s, T_W_B, grey(camera, 0.0), config)
+    mass = light.sum(axis=(1, 2))
+    x = (light.sum(axis=1) @ np.arange(camera.width)) / mass
+    y = (light.sum(axis=2) @ np.arange(camera.height)) / mass
+    # Some 1,500 samples, 1/16 px apart, see it; and near one side of a cube is larger than the far.
+    error_px = np.stack([x, y], axis=-1) - camera.project(T_W_B[:, :3, 3])
+    assert np.abs(error_px).max() < 0.05
+    assert np.abs(error_px.mean(axis=0)).max() < 0.005  # no constant shift
+
+
+@pytest.mark.parametrize("lens", ["radtan", "equidistant"])
+def test_distortion_warps_the_undistorted_image(lens: str) -> None:
+    """The other way round: every sample of the distorted image looked up in a pinhole image."""
+    camera = make_camera(lens, HALF_VGA)
+    n = 8  # samples per pixel, each way
+    border = 40  # of the pinhole image [px]: the lens sees further there
+    fine = n * (np.array(HALF_VGA) + 2 * border)
+    K = camera.K.copy()
+    K[:2] *= n
+    K[:2, 2] += n * border + (n - 1) / 2
+    pinhole = replace(
+        camera, K=K, width=int(fine[0]), height=int(fine[1]), distortion_model="none",
+        distortion_coeffs=(),
+    )  # fmt: skip
+    drone = painted(quadrotor(1.6), 0.2)
+    T_W_B = poses(np.array([[-0.9, -1.5, 0.6]]), seed=8)
+    time_s = np.zeros(1)
+    (sharp,) = rendered(
+        drone, pinhole, time_s, T_W_B, grey(pinhole), RenderConfig(Lattice(1, 0), ambient=1.0)
+    )
+    across = (np.arange(n * HALF_VGA[0]) - (n - 1) / 2) / n
+    down = (np.arange(n * HALF_VGA[1]) - (n - 1) / 2) / n
+    pixels = np.stack(np.meshgrid(across, down), axis=-1).reshape(-1, 1, 2)
+    coeffs = np.array(camera.distortion_coeffs)
+    undistort = cv2.fisheye.undistortPoints if lens == "equidistant" else cv2.undistortPoints
+    rays = undistort(pixels, camera.K, coeffs)
+    at = (rays @ K[:2, :2].T + K[:2, 2]).astype(np.float32).reshape(len(down), len(across), 2)
+    looked_up = cv2.remap(
+        sharp, at[..., 0], at[..., 1], cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE
+    )
+    expected = looked_up.reshape(HALF_VGA[1], n, HALF_VGA[0], n).mean(axis=(1, 3))
+    (got,) = rendered(
+        drone, camera, time_s, T_W_B, grey(camera), RenderConfig(Lattice(n, 0), ambient=1.0)
+    )
+    changed = np.abs(expected - 0.6) > 1e-3
+    assert changed.sum() > 200  # px
+    # 64 samples a pixel, of a contrast of 0.4. The nearest sample of the pinhole image lies up to
+    # half a sample aside, so along an edge a row of eight may differ, and mostly one does.
+    difference = np.abs(got - expected)
+    assert difference.max() <= 0.4 * 9 / 64
+    assert difference[changed].mean() < 0.4 * 1.5 / 64
+
+
+def test_a_drone_that_is_not_in_view_gives_no_crops() -> None:
+    camera = make_camera()
+    times_s = np.arange(3.0)
+    behind = straight(times_s, (0.0, -8.0, 0.0), (0.1, 0.0, 0.0))
+    beside = straight(times_s, (9.0, 0.0, 0.0), (0.1, 0.0, 0.0))
+    with Renderer(BOX) as renderer:
+        for T_W_B in (behind, beside):
+            assert list(renderer.crops(camera, times_s, T_W_B, grey(camera))) == []
+
+
+def test_leaving_and_entering_are_seen_as_a_change() -> None:
+    """The instants without the drone next to those with it are crops too, of pure background."""
+    camera = make_camera()
+    times_s = np.arange(12.0)
+    x_m = np.array([9, 9, 9, 1, 0, 9, 9, 9, 9, 1, 9, 9.0])
+    T_W_B = poses(np.stack([x_m, 0 * x_m, 0 * x_m], axis=-1))
+    background = noise_image(camera)
+    with Renderer(BOX) as renderer:
+        crops = list(renderer.crops(camera, times_s, T_W_B, background))
+    times_seen = np.concatenate([crop.times_s for crop in crops])
+    np.testing.assert_array_equal(times_seen, [2, 3, 4, 5, 8, 9, 10])
+    images = whole_images(crops, times_s, background)
+    shows_drone = (images != background).any(axis=(1, 2))
+    np.testing.assert_array_equal(np.flatnonzero(shows_drone), [3, 4, 9])
+
+
+@pytest.mark.parametrize("y_m", [-5.0, -4.9, -5.1])
+def test_a_drone_that_reaches_into_the_camera_is_refused(y_m: float) -> None:
+    camera = make_camera()
+    T_W_B = poses(np.array([[0.0, y_m, 0.0]]))
+    with (
+        Renderer(BOX) as renderer,
+        pytest.raises(SimError, match=r"cam1: at 1\.500 s the drone reaches into the camera"),
+    ):
+        next(renderer.crops(camera, np.array([1.5]), T_W_B, grey(camera)))
+
+
+@pytest.mark.parametrize("lens", ["radtan", "equidistant"])
+@pytest.mark.parametrize("z_m", [-0.8, -0.6, 0.6, 0.8])
+def test_crops_hold_edges_that_the_lens_bends(lens: str, z_m: float) -> None:
+    """An edge across half the view bows by 10 px beyond the corners of the drone's hull."""
+    camera = make_camera(lens)
+    plate = box_drone((1.5, 1.5, 0.1))
+    T_W_B = poses(np.array([[0.0, -3.0, z_m], [0.1, -3.0, z_m]]))
+    times_s = np.arange(2.0)
+    background = grey(camera)
+    config = RenderConfig(Lattice(4, 0))
+    np.testing.assert_array_equal(
+        rendered(plate, camera, times_s, T_W_B, background, config),
+        full_frames(plate, camera, times_s, T_W_B, background, config),
+    )
+
+
+# --- Light -------------------------------------------------------------------------------------
+
+
+def test_luminance_is_mixed_with_the_background_by_coverage() -> None:
+    camera = make_camera()
+    T_W_B = tumbling(5, 9, (0.0, 0.0, 0.0), (2.0, 2.0, 1.0))
+    times_s = np.arange(5.0)
+    texture = noise_image(camera)
+    white = painted(quadrotor(), 1.0)
+    coverage = rendered(white, camera, times_s, T_W_B, grey(camera, 0.0), BRIGHT)
+    textured = rendered(painted(quadrotor(), 0.25), camera, times_s, T_W_B, texture, BRIGHT)
+    expected = coverage * np.float32(0.25) + (1 - coverage) * texture
+    # Luminance 0.25 is coded to 1/65535.
+    np.testing.assert_allclose(textured, expected, atol=1e-5)
+    np.testing.assert_array_equal(textured[coverage == 0.0], np.stack([texture] * 5)[coverage == 0])
+    assert (coverage == 1.0).any()
+
+
+@pytest.mark.parametrize("lens", LENSES)
+@pytest.mark.parametrize(
+    ("light_W", "lambert"),
+    [
+        ((0.0, -3.0, 0.0), 1.0),  # from the camera
+        ((0.0, -1.0, 3.0**0.5), 0.5),  # from 60 deg above
+        ((1.0, -1.0, 0.0), 0.5**0.5),  # from 45 deg aside
+        ((0.0, 1.0, 0.0), 0.0),  # from behind
+    ],
+)
+def test_lambert(lens: str, light_W: tuple[float, float, float], lambert: float) -> None:
+    camera = make_camera(lens)
+    config = RenderConfig(light_W=light_W, ambient=0.3)
+    (image,) = rendered(
+        box_drone((1.0, 1.0, 1.0), 0.4), camera, np.zeros(1), np.eye(4)[None], grey(camera), config
+    )
+    face = image[120:141, 163:184]  # the one that the camera looks at squarely
+    # Codes are 1/65535 apart.
+    np.testing.assert_allclose(face, 0.4 * (0.3 + 0.7 * lambert), atol=1e-5)
+
+
+@pytest.mark.parametrize("ambient", [-0.1, 1.1, np.nan])
+def test_ambient_light_is_a_share(ambient: float) -> None:
+    with pytest.raises(SimError, match="ambient light: expected 0 to 1"):
+        Renderer(BOX, RenderConfig(ambient=ambient))
+
+
+# --- The other backend -------------------------------------------------------------------------
+
+COMPARED = (Lattice(6, 1), "radtan")
+OTHER_BACKEND = """
+import sys
+import numpy as np
+from tests.sim.render.test_renderer import images_to_compare
+from sim.render.gl_context import open_context
+assert open_context(sys.argv[1]).backend == sys.argv[1]
+np.save(sys.argv[2], images_to_compare())
+"""
+
+
+def images_to_compare() -> Image:
+    lattice, lens = COMPARED
+    camera = make_camera(lens, HALF_VGA)
+    T_W_B = tumbling(20, 7, (0.0, -1.0, 0.0), (2.5, 2.0, 1.5))
+    times_s = np.linspace(0.0, 1.0, 20)
+    return rendered(QUADROTOR, camera, times_s, T_W_B, noise_image(camera), RenderConfig(lattice))
+
+
+def other_backend() -> str:
+    used = sim.render.renderer.open_context().backend
+    other, library = {"osmesa": ("egl", "EGL"), "egl": ("osmesa", "OSMesa")}[used]
+    if not ctypes.util.find_library(library):
+        pytest.skip(f"this machine has no {library}")
+    return other
+
+
+def run_with(backend: str, *arguments: str) -> None:
+    environment = os.environ | {"PYOPENGL_PLATFORM": backend}
+    command = [sys.executable, *arguments]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_both_backends_agree_but_for_a_few_edge_pixels(tmp_path: Path) -> None:
+    backend = other_backend()
+    path = tmp_path / "images.npy"
+    run_with(backend, "-c", OTHER_BACKEND, backend, str(path))
+    ours, theirs = images_to_compare(), np.load(path)
+    # The same rasteriser, compiled for another framebuffer: a sample in some 10^4 may differ.
+    assert np.count_nonzero(ours != theirs) <= 5
+    assert np.abs(ours - theirs).max() <= 2 / 37
+
+
+def test_the_other_backend_keeps_the_same_laws() -> None:
+    chosen = "same_pixels or silhouette"
+    run_with(
+        other_backend(), "-m", "pytest", "-q", "-p", "no:cacheprovider", __file__, "-k", chosen
+    )

@@ -1,0 +1,163 @@
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from sim.errors import SimError
+from sim.sensor.frames import FrameConfig, FrameExposer, Frames
+
+CODE = 1.0 / 255.0
+
+
+def expose(
+    config: FrameConfig,
+    video: NDArray[np.float32],
+    times_s: NDArray[np.float64],
+    background: NDArray[np.float32] | None = None,
+) -> Frames:
+    """Feed whole images, one by one."""
+    still = np.zeros(video.shape[1:], np.float32) if background is None else background
+    exposer = FrameExposer(config, still, float(times_s[-1]))
+    zero = np.zeros(1, np.int64)
+    for time_s, image in zip(times_s, video, strict=True):
+        exposer.feed(np.array([time_s]), zero, zero, np.ascontiguousarray(image[None]))
+    return exposer.finish()
+
+
+def uneven_times(n: int, end_s: float, seed: int = 0) -> NDArray[np.float64]:
+    """Instants as adaptive sampling makes them, from 0 to the end."""
+    steps = np.random.default_rng(seed).uniform(0.1, 3.0, n - 1)
+    return np.concatenate([[0.0], np.cumsum(steps) / steps.sum() * end_s])
+
+
+@pytest.mark.parametrize("n", [2, 30, 1000])
+@pytest.mark.parametrize("exposure_s", [0.001, 0.013, 0.02])
+def test_linear_light_is_integrated_exactly(n: int, exposure_s: float) -> None:
+    """The mean over an exposure is then the light at its middle, whatever the instants."""
+    times_s = uneven_times(n, 0.5)
+    start, slope = np.array([[0.1, 0.9, 0.5]]), np.array([[1.5, -1.6, 0.0]])
+    video = (start + slope * times_s[:, None, None]).astype(np.float32)
+    background = np.full((1, 3), 0.3, np.float32)
+    frames = expose(FrameConfig(50.0, exposure_s), video, times_s, background)
+    assert frames.images.shape == (25, 1, 3)
+    middle_s = np.arange(25) / 50.0 + exposure_s / 2
+    expected = start + slope * middle_s[:, None, None]
+    # Images are rounded to half a code; float32 sums of up to 50 terms may tip that over.
+    np.testing.assert_allclose(frames.images * CODE, expected, atol=0.5 * CODE + 1e-5)
+
+
+def test_light_that_bends_is_integrated_by_the_trapezoidal_rule() -> None:
+    times_s = uneven_times(200, 0.1)
+    light = 0.5 + 0.4 * np.sin(300.0 * times_s)
+    frames = expose(FrameConfig(100.0, 0.004), light[:, None, None].astype(np.float32), times_s)
+    for k in range(10):
+        fine_s = np.linspace(k / 100, k / 100 + 0.004, 20_001)
+        expected = np.interp(fine_s, times_s, light).mean()
+        assert frames.images[k, 0, 0] * CODE == pytest.approx(expected, abs=0.5 * CODE + 1e-4)
+
+
+def test_a_moving_edge_is_blurred_over_its_path() -> None:
+    """Dark behind the edge, bright before it: a ramp as wide as the edge moved."""
+    width, speed_px_s, exposure_s = 60, 2000.0, 0.01  # 20 px within an exposure
+    times_s = np.linspace(0.0, 0.025, 501)
+    covered = np.clip(speed_px_s * times_s[:, None] - np.arange(width) + 0.5, 0.0, 1.0)
+    video = (1.0 - covered)[:, None, :].astype(np.float32)
+    frames = expose(FrameConfig(50.0, exposure_s), video, times_s, np.ones((1, width), np.float32))
+    (first,) = frames.images[:, 0]
+    ramp = first[1:20].astype(float) * CODE
+    # The pixel at x is reached at x / speed: bright for that share of the exposure.
+    np.testing.assert_allclose(ramp, np.arange(1, 20) / 20, atol=0.6 * CODE)
+    assert (first[21:] == 255).all()
+
+
+def test_timestamps_are_mid_exposure() -> None:
+    times_s = np.linspace(0.0, 1.0, 11)
+    frames = expose(FrameConfig(30.0, 0.008), np.zeros((11, 2, 2), np.float32), times_s)
+    assert frames.times_us.dtype == np.int64
+    expected_us = 1e6 * (np.arange(30) / 30.0 + 0.004)
+    np.testing.assert_array_equal(frames.times_us, np.rint(expected_us))
+    assert frames.exposure_s == 0.008
+
+
+@pytest.mark.parametrize(
+    ("duration_s", "n"), [(0.0049, 0), (0.005, 1), (0.0249, 1), (0.025, 2), (1.0, 50), (20.0, 1000)]
+)
+def test_only_whole_exposures_become_frames(duration_s: float, n: int) -> None:
+    times_s = np.array([0.0, duration_s])
+    frames = expose(FrameConfig(50.0, 0.005), np.full((2, 1, 1), 0.5, np.float32), times_s)
+    assert len(frames.times_us) == len(frames.images) == n
+    assert (frames.images == 128).all()
+
+
+@pytest.mark.parametrize("rate_hz", [3.0, 7.0, 30.0, 60.0, 1000.0 / 3.0])
+def test_the_last_frame_of_an_exposure_without_gaps(rate_hz: float) -> None:
+    times_s = np.array([0.0, 2.0])
+    config = FrameConfig(rate_hz, 1.0 / rate_hz)
+    frames = expose(config, np.full((2, 1, 1), 0.5, np.float32), times_s)
+    assert len(frames.images) == int(2.0 * rate_hz + 1e-6)
+    assert (frames.images == 128).all()
+
+
+def test_rate_zero_gives_no_frames() -> None:
+    frames = expose(FrameConfig(0.0), np.ones((3, 4, 5), np.float32), np.arange(3.0))
+    assert frames.images.shape == (0, 4, 5)
+    assert frames.times_us.shape == (0,)
+
+
+def test_crops_and_gaps_show_the_background() -> None:
+    """As the renderer gives them: crops of several sizes, none while the drone is out of view."""
+    rng = np.random.default_rng(3)
+    n, height, width = 160, 20, 25
+    background = rng.random((height, width)).astype(np.float32)
+    times_s = uneven_times(n, 0.4, seed=4)
+    video = np.repeat(background[None], n, axis=0)
+    for k in (*range(20, 60), *range(110, 150)):
+        video[k, 4 + k % 7 : 12, 3 + k % 9 : 18] = 0.1
+    whole = expose(FrameConfig(50.0, 0.012), video, times_s, background)
+    exposer = FrameExposer(FrameConfig(50.0, 0.012), background, 0.4)
+    near = [k for k in range(n) if (video[max(k - 1, 0) : k + 2] != background).any()]
+    batches = np.split(near, [11, 12, 42, 70])
+    for batch, (x0, y0, x1, y1) in zip(
+        batches, [(0, 0, 25, 20), (3, 4, 18, 12), (2, 3, 20, 12), (3, 4, 18, 13), (3, 4, 19, 12)],
+        strict=True,
+    ):  # fmt: skip
+        size = len(batch)
+        exposer.feed(
+            times_s[batch], np.full(size, x0), np.full(size, y0),
+            np.ascontiguousarray(video[batch, y0:y1, x0:x1]),
+        )  # fmt: skip
+    cropped = exposer.finish()
+    # Sums in float32, of other terms: a value near a half code may round the other way.
+    difference = np.abs(cropped.images.astype(int) - whole.images)
+    assert difference.max() <= 1
+    assert (difference > 0).mean() < 1e-3
+    away = (whole.times_us > times_s[61] * 1e6 + 6000) & (
+        whole.times_us < times_s[108] * 1e6 - 6000
+    )
+    assert away.any()
+    still = np.rint(background * 255).astype(np.uint8)
+    assert (cropped.images[away] == still).all()
+
+
+def test_frames_do_not_depend_on_who_owns_the_crops() -> None:
+    """A caller may fill the same array with the next crop."""
+    times_s = np.linspace(0.0, 0.1, 21)
+    light = np.linspace(0.0, 1.0, 21, dtype=np.float32)
+    expected = expose(FrameConfig(50.0, 0.02), light[:, None, None], times_s)
+    exposer = FrameExposer(FrameConfig(50.0, 0.02), np.zeros((1, 1), np.float32), 0.1)
+    crop, zero = np.empty((1, 1, 1), np.float32), np.zeros(1, np.int64)
+    for time_s, value in zip(times_s, light, strict=True):
+        crop[:] = value
+        exposer.feed(np.array([time_s]), zero, zero, crop)
+    np.testing.assert_array_equal(exposer.finish().images, expected.images)
+
+
+@pytest.mark.parametrize("rate_hz", [-1.0, np.nan, np.inf])
+def test_a_rate_that_cannot_be(rate_hz: float) -> None:
+    with pytest.raises(SimError, match="frames: rate_hz must be 0 or a positive number"):
+        FrameConfig(rate_hz)
+
+
+@pytest.mark.parametrize("exposure_s", [0.0, -0.001, 0.021, np.nan])
+def test_an_exposure_that_does_not_fit_its_rate(exposure_s: float) -> None:
+    with pytest.raises(SimError, match=r"at most 1 / rate_hz = 0\.02 s"):
+        FrameConfig(50.0, exposure_s)

@@ -1,0 +1,179 @@
+import cv2
+import numpy as np
+import pytest
+import yaml
+
+from ssac.camera import Camera
+from ssac.errors import SsacError
+from ssac.files.rigs import check_resolution, load_rig
+
+K = np.array([[200.0, 0.0, 173.0], [0.0, 201.0, 130.0], [0.0, 0.0, 1.0]])
+R = cv2.Rodrigues(np.array([0.1, -1.4, 0.2]))[0]
+T = np.array([4.0, 0.5, 3.0])
+T_2_1 = np.eye(4)
+T_2_1[:3, :3], T_2_1[:3, 3] = R, T
+
+
+def _kalibr():
+    """A camchain file's content, with the keys that Kalibr writes and we do not use."""
+    camera = {
+        "cam_overlaps": [1],
+        "camera_model": "pinhole",
+        "distortion_coeffs": [-0.3, 0.1, 0.001, -0.0005],
+        "distortion_model": "radtan",
+        "intrinsics": [200.0, 201.0, 173.0, 130.0],
+        "resolution": [346, 260],
+        "rostopic": "/cam0/events",
+    }
+    second = {**camera, "distortion_model": "equidistant", "T_cn_cnm1": T_2_1.tolist()}
+    return {"cam0": camera, "cam1": second}
+
+
+def _write(path, document):
+    path.write_text(yaml.safe_dump(document))
+    return path
+
+
+def test_kalibr_camchain(tmp_path):
+    rig = load_rig(_write(tmp_path / "rig.yaml", _kalibr()))
+    for camera, model in ((rig.cam1, "radtan"), (rig.cam2, "equidistant")):
+        np.testing.assert_array_equal(camera.K, K)
+        assert (camera.width, camera.height) == (346, 260)
+        assert camera.distortion_model == model
+        assert camera.distortion_coeffs == (-0.3, 0.1, 0.001, -0.0005)
+    np.testing.assert_array_equal(rig.T_2_1, T_2_1)
+
+
+@pytest.mark.parametrize("coeffs", [None, [], [0.0, 0.0, 0.0, 0.0]])
+def test_kalibr_without_distortion_or_pose(tmp_path, coeffs):
+    document = _kalibr()
+    del document["cam1"]["T_cn_cnm1"]
+    document["cam0"] |= {"distortion_model": "none", "distortion_coeffs": coeffs}
+    rig = load_rig(_write(tmp_path / "rig.yml", document))
+    assert rig.cam1.distortion_coeffs == ()
+    assert rig.T_2_1 is None
+
+
+@pytest.mark.parametrize(
+    ("camera", "key", "value", "message"),
+    [
+        ("cam0", "camera_model", "omni", "cam0: camera_model must be pinhole, got 'omni'"),
+        ("cam0", "intrinsics", [200.0, 201.0, 173.0], "cam0, intrinsics: expected 4 of finite"),
+        ("cam0", "intrinsics", [np.nan, 201.0, 173.0, 130.0], "cam0, intrinsics: expected 4 of"),
+        ("cam0", "intrinsics", [-200.0, 201.0, 173.0, 130.0], "cam0: focal lengths must be pos"),
+        ("cam0", "intrinsics", "200", "cam0, intrinsics: expected 4 of finite numbers, got 200"),
+        ("cam0", "resolution", [346], "cam0, resolution: expected 2 of finite numbers"),
+        ("cam1", "distortion_model", "fov", "cam1: unknown distortion model 'fov'"),
+        ("cam1", "distortion_coeffs", [0.1], "cam1: the distortion model 'equidistant' needs 4"),
+        ("cam1", "distortion_coeffs", [0, 0, 0, np.nan], "distortion_coeffs: expected a list of"),
+        ("cam1", "T_cn_cnm1", [[1, 0], [0, 1]], "cam1, T_cn_cnm1: expected 4 x 4 of finite"),
+        ("cam1", "T_cn_cnm1", np.diag([1, 1, -1, 1]).tolist(), "expected a rotation"),
+        ("cam1", "T_cn_cnm1", np.diag([1, 1, 2, 1]).tolist(), "R'R differs from I by 3"),
+    ],
+)
+def test_unusable_kalibr_values_are_refused(tmp_path, camera, key, value, message):
+    document = _kalibr()
+    document[camera][key] = value
+    with pytest.raises(SsacError, match=rf"rig\.yaml, .*{message}"):
+        load_rig(_write(tmp_path / "rig.yaml", document))
+
+
+@pytest.mark.parametrize("key", ["camera_model", "intrinsics", "distortion_model", "resolution"])
+def test_missing_kalibr_keys_are_named(tmp_path, key):
+    document = _kalibr()
+    del document["cam1"][key]
+    with pytest.raises(SsacError, match=rf"rig\.yaml, cam1: {key} missing"):
+        load_rig(_write(tmp_path / "rig.yaml", document))
+
+
+@pytest.mark.parametrize("content", ["", "hello", "cam0: {}", "[1, 2]"])
+def test_other_yaml_files_are_refused(tmp_path, content):
+    (tmp_path / "rig.yaml").write_text(content)
+    with pytest.raises(SsacError, match=r"rig\.yaml: expected a Kalibr camchain with cam0 and"):
+        load_rig(tmp_path / "rig.yaml")
+
+
+def test_unreadable_files_are_refused(tmp_path):
+    with pytest.raises(SsacError, match=r"unknown extension '\.json' of a rig"):
+        load_rig(tmp_path / "rig.json")
+    with pytest.raises(SsacError, match=r"rig\.yaml: there is no such file"):
+        load_rig(tmp_path / "rig.yaml")
+    (tmp_path / "rig.yaml").write_text("{:")
+    with pytest.raises(SsacError, match=r"rig\.yaml: not a readable YAML file"):
+        load_rig(tmp_path / "rig.yaml")
+    (tmp_path / "rig.yaml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(SsacError, match=r"rig\.yaml: not a readable YAML file"):
+        load_rig(tmp_path / "rig.yaml")
+
+
+def _write_opencv(path, names=("K{}", "D{}"), coeffs=(-0.3, 0.1, 0.0, 0.0, 0.02), **more):
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    for i in (1, 2):
+        storage.write(names[0].format(i), K)
+        storage.write(names[1].format(i), np.array([coeffs]))
+    for key, value in more.items():
+        storage.write(key, value)
+    storage.release()
+    return path
+
+
+POSE = {"R": R, "T": T[:, None]}
+
+
+@pytest.mark.parametrize(
+    "names", [("K{}", "D{}"), ("M{}", "D{}"), ("cameraMatrix{}", "distCoeffs{}")]
+)
+def test_opencv_stereo(tmp_path, names):
+    path = _write_opencv(tmp_path / "stereo.yml", names, **POSE)
+    path.write_text(path.read_text() + "size: [ 346, 260 ]\n")
+    rig = load_rig(path)
+    for camera in (rig.cam1, rig.cam2):
+        np.testing.assert_array_equal(camera.K, K)
+        assert (camera.width, camera.height) == (346, 260)
+        assert camera.distortion_model == "radtan"
+        assert camera.distortion_coeffs == (-0.3, 0.1, 0.0, 0.0, 0.02)
+    np.testing.assert_array_equal(rig.T_2_1, T_2_1)
+
+
+def test_opencv_fisheye_without_a_pose(tmp_path):
+    more = {"image_width": 346, "image_height": 260, "distortion_model": "equidistant"}
+    rig = load_rig(_write_opencv(tmp_path / "stereo.yaml", coeffs=(0.1, 0.0, 0.0, 0.0), **more))
+    assert rig.cam2.distortion_model == "equidistant"
+    assert (rig.cam2.width, rig.cam2.height) == (346, 260)
+    assert rig.T_2_1 is None
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("size: [ 346, 260 ]", "", "the image size is missing: add the line `size"),
+        ("K2", "Q2", "expected a matrix K2 or M2 or cameraMatrix2"),
+        ("200.", ".Nan", "camera 1: K must be a finite 3x3 matrix"),
+        ("200.", "nan", "not a readable YAML file"),
+        ("cols: 5", "cols: 6", "not a readable YAML file"),
+        ("dt: d\n   data: [ 4.", "dt: d\n   data: [ .Nan", "T: expected 3 of finite numbers"),
+    ],
+)
+def test_unusable_opencv_files_are_refused(tmp_path, old, new, message):
+    path = _write_opencv(tmp_path / "stereo.yml", **POSE)
+    text = path.read_text() + "size: [ 346, 260 ]\n"
+    assert old in text
+    path.write_text(text.replace(old, new))
+    with pytest.raises(SsacError, match=rf"stereo\.yml(: |, ){message}"):
+        load_rig(path)
+
+
+def test_a_truncated_opencv_file_is_refused(tmp_path):
+    path = _write_opencv(tmp_path / "stereo.yml", **POSE)
+    path.write_text(path.read_text()[:180])
+    with pytest.raises(SsacError, match=r"stereo\.yml: not a readable YAML file"):
+        load_rig(path)
+
+
+def test_the_resolution_must_be_the_recordings():
+    camera = Camera(K, 346, 260)
+    check_resolution(camera, 346, 260, "rig.yaml, cam0", "cam1.h5")
+    check_resolution(camera, None, None, "rig.yaml, cam0", "cam1.h5")
+    for size in ((640, 480), (346, 480)):
+        with pytest.raises(SsacError, match=r"cam0 is calibrated at 346 x 260 px, but cam1\.h5"):
+            check_resolution(camera, *size, "rig.yaml, cam0", "cam1.h5")

@@ -1,0 +1,69 @@
+"""Each estimator of F on exact, noisy and contaminated pairs."""
+
+import numpy as np
+import pytest
+
+from ssac.geometry.epipolar import epipolar_distance, fundamental_from_pose
+from ssac.geometry.fundamental import lmeds_fundamental, magsac_fundamental, reweighted_fundamental
+from tests.ssac.synthetic import HEIGHT, WIDTH, K, make_scene, track_pair
+
+ESTIMATORS = {
+    "lmeds": lambda p1, p2: lmeds_fundamental(p1, p2, trials=2000),
+    "reweighted": reweighted_fundamental,
+    "magsac": lambda p1, p2: magsac_fundamental(p1, p2, K, K),
+}
+
+
+def pairs(seed, noise_px=0.0, outlier_share=0.0):
+    scene = make_scene(seed)
+    p1, p2 = track_pair(scene, np.linspace(0.0, 20.0, 400))
+    rng = np.random.default_rng(seed)
+    p1, p2 = (p + rng.normal(0.0, noise_px, p.shape) for p in (p1, p2))
+    bad = rng.random(len(p1)) < outlier_share
+    p2[bad] = rng.uniform(0.0, [WIDTH, HEIGHT], (bad.sum(), 2))
+    return scene, p1, p2
+
+
+def distances_from_truth(F, scene):
+    """How far, in image 1, F leads exact pairs astray."""
+    p1, p2 = track_pair(scene, np.linspace(0.0, 20.0, 100))
+    return np.mean(epipolar_distance(F, p1, p2))
+
+
+@pytest.mark.parametrize("name", ESTIMATORS)
+def test_exact_pairs_give_the_exact_f(name):
+    scene, p1, p2 = pairs(seed=0)
+    F = ESTIMATORS[name](p1, p2)
+    truth = fundamental_from_pose(K, K, scene.R, scene.t)
+    cosine = np.sum(F * truth) / np.linalg.norm(F) / np.linalg.norm(truth)
+    assert abs(cosine) == pytest.approx(1.0, abs=1e-6)  # 400 pairs, rounding only
+    assert np.linalg.svd(F)[1][2] < 1e-12 * np.linalg.norm(F)
+
+
+@pytest.mark.parametrize("name", ESTIMATORS)
+def test_noise_leads_astray_by_less_than_itself(name):
+    for seed in range(3):
+        scene, p1, p2 = pairs(seed, noise_px=0.3)
+        # Seven parameters from 400 pairs: sigma sqrt(7 / 400) = 0.04 px; three times that and more.
+        assert distances_from_truth(ESTIMATORS[name](p1, p2), scene) < 0.15
+
+
+@pytest.mark.parametrize(("name", "limit_px"), [("lmeds", 0.15), ("magsac", 1.0)])
+def test_thirty_percent_of_outliers_do_no_harm(name, limit_px):
+    for seed in range(3):
+        scene, p1, p2 = pairs(seed, noise_px=0.3, outlier_share=0.3)
+        # LMedS as without outliers; MAGSAC++ keeps the noise of its best minimal sample.
+        assert distances_from_truth(ESTIMATORS[name](p1, p2), scene) < limit_px
+
+
+@pytest.mark.parametrize("name", ESTIMATORS)
+def test_every_estimator_repeats_bit_for_bit(name):
+    _, p1, p2 = pairs(seed=0, noise_px=0.3, outlier_share=0.2)
+    first = ESTIMATORS[name](p1, p2)
+    assert all(np.array_equal(ESTIMATORS[name](p1, p2), first) for _ in range(3))
+
+
+def test_the_seed_chooses_the_subsets():
+    _, p1, p2 = pairs(seed=0, noise_px=0.3, outlier_share=0.2)
+    few = [lmeds_fundamental(p1, p2, trials=5, seed=seed) for seed in (0, 1)]
+    assert not np.array_equal(*few)

@@ -1,0 +1,186 @@
+"""Covariances against dense matrices, against simulated noise, and where the data say nothing."""
+
+import itertools
+
+import numpy as np
+import pytest
+from scipy.optimize import nnls
+from scipy.stats import t as student
+
+from ssac.methods.covariance import PRIOR, TIMES_S, correlated_covariance, mapped_covariance
+
+
+def waves(times_s, p, rng):
+    """Jacobian (n, p) of derivatives that change within seconds, as an object's course does."""
+    rates_hz, phases = rng.uniform(0.1, 1.0, p), rng.uniform(0.0, 6.0, p)
+    return 1.0 + np.sin(2.0 * np.pi * rates_hz * times_s[:, None] + phases)
+
+
+def least_squares(times_s, jacobian, noise):
+    """Parameters of a fit of noise alone, and their covariance."""
+    found = np.linalg.lstsq(jacobian, noise)[0]
+    left = noise - jacobian @ found
+    return found, correlated_covariance(times_s, jacobian, left, np.ones(len(left)))
+
+
+def correlation(times_s, series, time_s):
+    """Correlations (n, n) of residuals that fade in `time_s` and only within a series."""
+    lags_s = np.abs(times_s[:, None] - times_s)
+    fading = np.exp(-lags_s / time_s) if time_s else (lags_s == 0.0).astype(float)
+    return fading * (series[:, None] == series)
+
+
+def gapped_series(rng):
+    """Instants of two series on one grid of 20 ms, a fifth of each being absent."""
+    grid_s = 3.0 + 0.02 * np.arange(150)
+    parts = [grid_s[rng.uniform(size=len(grid_s)) > 0.2] for _ in range(2)]
+    return np.concatenate(parts), np.repeat([0, 1], [len(part) for part in parts])
+
+
+def test_it_is_the_dense_estimator():
+    rng = np.random.default_rng(0)
+    times_s, series = gapped_series(rng)
+    n, p = len(times_s), 4
+    jacobian, curvatures = waves(times_s, p, rng), rng.uniform(0.5, 1.0, n)
+    kernels = [correlation(times_s, series, time_s) for time_s in TIMES_S]
+    noise = np.linalg.cholesky(kernels[0] + 2.0 * kernels[2]) @ rng.normal(size=n)
+    M = np.eye(n) - jacobian @ np.linalg.pinv(jacobian)
+    slopes = M @ noise
+    A = np.array([[np.trace(k @ M @ m @ M) for m in kernels] for k in kernels])
+    scales = np.sqrt(np.diag(A))
+    forms = np.array([slopes @ k @ slopes for k in kernels])
+    amounts = nnls(A / np.outer(scales, scales), forms / scales)[0] / scales
+    gamma = sum(a * k for a, k in zip(amounts, kernels, strict=True))
+    bread = np.linalg.inv(jacobian.T @ (curvatures[:, None] * jacobian))
+    independent = n**2 * np.sum(amounts) / np.sum(gamma)
+    widening = student.ppf(0.975, independent - p) / 1.96
+    expected = widening**2 * bread @ jacobian.T @ gamma @ jacobian @ bread
+    found = correlated_covariance(times_s, jacobian, slopes, curvatures)
+    found, expected = found[1:, 1:], expected[1:, 1:]  # without what series have in common
+    # The prior of 1e3 per parameter, and rounding.
+    np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-6 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("fades_in_s", [(0.0,), (0.1,), (0.0, 0.1, 0.4)])
+def test_intervals_and_regions_hold_the_truth(fades_in_s):
+    rng = np.random.default_rng(1)
+    times_s = np.tile(0.02 * np.arange(500), 2)
+    series = np.repeat([0, 1], 500)
+    gamma = sum(correlation(times_s, series, time_s) for time_s in fades_in_s)
+    root = np.linalg.cholesky(gamma)
+    runs, errors, distances = 300, [], []
+    for _ in range(runs):
+        jacobian = waves(times_s, 6, rng)
+        found, covariance = least_squares(times_s, jacobian, root @ rng.normal(size=1000))
+        errors.append(np.abs(found) / np.sqrt(np.diag(covariance)))
+        distances.append(found[1:] @ np.linalg.solve(covariance[1:, 1:], found[1:]))
+    # 300 runs of 6 parameters, of which perhaps 3 are independent: 95 +- 0.7 %, three times that.
+    assert np.mean(np.array(errors) < 1.96) == pytest.approx(0.95, abs=0.022)
+    # The first parameter's series look less alike than they are: 6 of 50 degrees of freedom.
+    assert np.mean(np.array(errors)[:, 0] < 1.96) > 0.89
+    # chi^2 of 5 parameters: the mean of 300 runs is known to 3.7 %, and the regions are a little
+    # too small as the covariance is not known exactly: as many degrees of freedom, once more.
+    assert np.mean(distances) == pytest.approx(5.0, rel=0.2)
+
+
+@pytest.mark.parametrize("sign", [1.0, 0.0, -0.3])
+def test_one_parameter_may_have_series_with_common_noise(sign):
+    rng = np.random.default_rng(8)
+    instants_s = 0.02 * np.arange(500)
+    root = np.linalg.cholesky(correlation(instants_s, np.zeros(500), 0.1))
+    normalised = []
+    for _ in range(400):
+        first, second = (root @ rng.normal(size=500) for _ in range(2))
+        jacobian = np.tile(waves(instants_s, 1, rng), (2, 1))
+        noise = np.concatenate([first, sign * first + (1.0 - abs(sign)) * second])
+        found, covariance = least_squares(np.tile(instants_s, 2), jacobian, noise)
+        normalised.append(found[0] / np.sqrt(covariance[0, 0]))
+    # 400 runs know the root mean square to 3.5 %. It is to be a little below 1, by Student's factor
+    # and by slow components that happen to be found.
+    assert 0.85 < np.sqrt(np.mean(np.square(normalised))) < 1.07
+
+
+def test_slow_noise_is_not_taken_for_white():
+    rng = np.random.default_rng(2)
+    times_s = 0.02 * np.arange(500)
+    root = np.linalg.cholesky(correlation(times_s, np.zeros(500), 0.2))
+    jacobian = waves(times_s, 3, rng)
+    _, covariance = least_squares(times_s, jacobian, root @ rng.normal(size=500))
+    white = np.linalg.inv(jacobian.T @ jacobian)
+    # Of the waves' slow parts 20 residuals tell as much as one: deviations 4.5 times as large.
+    assert np.all(np.diag(covariance) > 4.0 * np.diag(white))
+
+
+def test_units_and_the_order_of_series_do_not_matter():
+    rng = np.random.default_rng(3)
+    times_s, series = gapped_series(rng)
+    jacobian, noise = waves(times_s, 4, rng), rng.normal(size=len(times_s))
+    _, covariance = least_squares(times_s, jacobian, noise)
+    units = np.array([1e-2, 1.0, 10.0, 1e2])
+    _, scaled = least_squares(times_s, jacobian / units, noise)
+    # Rounding, and the prior, which is the same in the new units.
+    np.testing.assert_allclose(scaled, covariance * np.outer(units, units), rtol=1e-3)
+    turned = np.argsort(-series, kind="stable")
+    _, other = least_squares(times_s[turned], jacobian[turned], noise[turned])
+    np.testing.assert_allclose(other, covariance, rtol=1e-9)
+
+
+@pytest.mark.parametrize("share", [0.0, 1e-12])
+def test_what_the_data_do_not_tell_is_unknown(share):
+    rng = np.random.default_rng(4)
+    times_s = 0.02 * np.arange(500)
+    jacobian = waves(times_s, 3, rng)
+    jacobian[:, 2] = jacobian[:, 1] + share * jacobian[:, 2]  # only their sum is seen
+    _, covariance = least_squares(times_s, jacobian, rng.normal(size=500))
+    deviations = np.sqrt(np.diag(covariance))
+    assert deviations[0] < 1.0
+    assert np.all(deviations[1:] > 0.5 * PRIOR)
+    together = np.array([0.0, 1.0, 1.0])
+    assert together @ covariance @ together < 1e-3 * PRIOR**2  # what is seen is known
+
+
+@pytest.mark.parametrize(
+    ("n_instants", "p", "moves"), [(500, 6, False), (500, 1, False), (3, 6, True)]
+)
+def test_an_object_at_rest_and_three_pairs_tell_nothing(n_instants, p, moves):
+    rng = np.random.default_rng(9)
+    times_s = np.tile(0.02 * np.arange(n_instants), 1 if moves else 2)
+    jacobian = rng.normal(size=(len(times_s), p)) * moves
+    slopes = rng.normal(size=len(times_s))
+    covariance = correlated_covariance(times_s, jacobian, slopes, np.ones(len(times_s)))
+    assert np.all(np.sqrt(np.diag(covariance)) > 0.9 * PRIOR)
+
+
+def test_a_loss_that_is_not_curved_makes_no_small_deviation():
+    rng = np.random.default_rng(5)
+    times_s = 0.02 * np.arange(500)
+    jacobian, slopes = waves(times_s, 3, rng), rng.normal(size=500)
+    covariances = [
+        correlated_covariance(times_s, jacobian, slopes, np.full(500, curvature))
+        for curvature in (1.0, 0.2, 1e-9, -1.0)
+    ]
+    for one, other in itertools.pairwise(covariances):
+        assert np.all(np.diag(other) >= 0.99 * np.diag(one))  # the prior, once more
+
+
+def test_few_residuals_leave_the_deviation_wide():
+    rng = np.random.default_rng(6)
+    times_s = 0.02 * np.arange(8)
+    errors = []
+    for _ in range(200):
+        jacobian = rng.normal(size=(8, 6))
+        found, covariance = least_squares(times_s, jacobian, rng.normal(size=8))
+        errors.append(np.abs(found) / np.sqrt(np.diag(covariance)))
+    # Two degrees of freedom: Student's 95 % is what the deviations are made for.
+    assert np.mean(np.array(errors) < 1.96) > 0.9
+
+
+def test_errors_are_mapped_by_least_squares():
+    rng = np.random.default_rng(7)
+    jacobian = rng.normal(size=(50, 3))
+    errors = jacobian @ np.diag([2.0, 3.0])[[0, 1, 1], :]
+    np.testing.assert_allclose(
+        mapped_covariance(jacobian, errors),
+        [[4.0, 0.0, 0.0], [0.0, 9.0, 9.0], [0.0, 9.0, 9.0]],
+        atol=1e-9,  # rounding
+    )

@@ -1,0 +1,194 @@
+"""What estimates are judged by: swings, valleys, straightness, and the covariance's directions."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ssac.estimate import Estimate
+from ssac.events import EVENT_DTYPE
+from ssac.geometry.fundamental import lmeds_fundamental, reweighted_fundamental, second_best
+from ssac.methods.algorithms import MIN_SECOND_BEST
+from ssac.methods.ambiguity import MAX_POSE_STD, MAX_T_D_STD_S, certain
+from ssac.search.observability import (
+    MAX_VALLEY_S,
+    ambiguous_offset,
+    at_rest,
+    no_match,
+    returns_s,
+    swings,
+    too_little_motion,
+    valleys,
+    view_of,
+)
+from ssac.search.offset_search import RIVAL, coarse_to_fine_search, sample_pairs
+from ssac.track.motion import ObjectMotion, object_motion
+from tests.ssac.synthetic import make_scene, track_pair
+
+SCENE = make_scene(0)
+CAMERA = SCENE.rig.cam1
+OFFSETS_S = np.arange(-1.0, 1.0, 0.001)
+
+
+def motion_along(x_px, y_px, duration_s: float = 8.0, size_px: float = 6.0) -> ObjectMotion:
+    """A blob of events of this size on a path, at 25 000 events a second."""
+    rng = np.random.default_rng(0)
+    times_s = np.sort(rng.uniform(0.0, duration_s, round(25_000 * duration_s)))
+    events = np.zeros(len(times_s), EVENT_DTYPE)
+    events["t"] = np.rint(times_s * 1e6)
+    for name, path in (("x", x_px), ("y", y_px)):
+        events[name] = np.rint(path(times_s) + rng.normal(0.0, size_px, len(times_s)))
+    return object_motion(events, CAMERA)
+
+
+def wave(hz: float, phase: float = 0.0, middle_px: float = 130.0, reach_px: float = 60.0):
+    return lambda times_s: middle_px + reach_px * np.sin(2 * np.pi * hz * times_s + phase)
+
+
+def fixed(times_s):
+    return np.full_like(times_s, 130.0)
+
+
+@pytest.mark.parametrize("hz", [0.25, 0.5, 1.0])
+def test_a_sine_swings_twice_a_period(hz):
+    motion = motion_along(wave(hz), wave(hz, 1.0))
+    pairs = sample_pairs(motion, motion, np.zeros(1), 400)
+    # Rice's formula is exact for a sine over whole half periods; the window of 40 ms blurs it.
+    assert swings(motion, motion, pairs) == pytest.approx(2 * hz * 8.0, rel=0.05)
+
+
+def test_swings_count_only_what_both_cameras_see():
+    motion = motion_along(wave(1.0), wave(1.0, 1.0))
+    pairs = sample_pairs(motion, motion, np.array([6.0]), 400)
+    assert swings(motion, motion, pairs) == pytest.approx(2 * 2.0, rel=0.1)
+    assert too_little_motion(3.4) is not None
+    assert too_little_motion(3.6) is None
+
+
+def test_straightness_does_not_depend_on_direction():
+    along = view_of(motion_along(wave(0.7), wave(0.7)))
+    assert along is not None
+    assert along.is_straight
+    assert np.abs(along.direction) == pytest.approx([0.5**0.5, 0.5**0.5], abs=0.02)
+    curved = view_of(motion_along(wave(0.7), wave(1.1)))
+    assert curved is not None
+    assert not curved.is_straight
+
+
+def test_rest_is_measured_in_sizes_of_the_object():
+    for size_px in (2.0, 10.0):
+        moved_by = {}
+        for reach in (0.5, 2.0):  # times the size; rms of x and y together is the reach
+            path = wave(0.7, reach_px=reach * size_px)
+            crossing = wave(0.7, 1.5, reach_px=reach * size_px)
+            moved_by[reach] = view_of(motion_along(path, crossing, size_px=size_px))
+        # The rms size is over both axes, 2**0.5 times the deviation of one.
+        assert at_rest((moved_by[0.5], moved_by[0.5])) is not None
+        assert at_rest((moved_by[2.0], moved_by[2.0])) is None
+
+
+def test_residuals_are_measured_in_sizes_of_the_object():
+    assert no_match(1.0, 10.0) is None
+    refusal = no_match(5.0, 10.0)
+    assert refusal is not None
+    assert refusal.status == "no_match"
+
+
+def test_valleys_are_where_the_cost_is_low():
+    costs = np.full(len(OFFSETS_S), 10.0)
+    for offset_s, least in ((0.05, 1.0), (-0.7, 0.9 * RIVAL), (0.6, 1.1 * RIVAL)):
+        costs = np.minimum(costs, least + 200.0 * np.abs(OFFSETS_S - offset_s))
+    found = valleys(OFFSETS_S, costs, 0.05)
+    assert [valley.least_s for valley in found] == pytest.approx([0.05, -0.7], abs=1e-3)
+    refusal = ambiguous_offset(found)
+    assert refusal is not None
+    assert "-0.700 s" in refusal.reason
+    assert ambiguous_offset(found[:1]) is None
+
+
+def test_a_plateau_is_refused():
+    costs = np.where(np.abs(OFFSETS_S) < 0.6 * MAX_VALLEY_S, 1.0, 10.0)
+    refusal = ambiguous_offset(valleys(OFFSETS_S, costs, 0.0))
+    assert refusal is not None
+    assert refusal.status == "ambiguous_offset"
+
+
+@pytest.mark.parametrize("rival_s", [-0.613, 0.477])
+def test_the_search_finds_rivals_between_its_coarse_steps(rival_s):
+    def cost(offsets_s):
+        main, rival = np.abs(offsets_s - 0.053), np.abs(offsets_s - rival_s)
+        return np.minimum(np.minimum(0.5 + 130.0 * main, 0.6 + 130.0 * rival), 12.0)
+
+    search = coarse_to_fine_search(cost, cost, OFFSETS_S)
+    assert search.t_d_s == pytest.approx(0.053, abs=2e-3)
+    found = valleys(search.candidates_s, search.d_avg_px, search.t_d_s)
+    assert len(found) == 2
+    assert found[1].least_s == pytest.approx(rival_s, abs=1.5e-3)
+
+
+def test_a_path_that_repeats_itself_returns_after_whole_periods():
+    def path(times_s):  # 0.8 s, with the second harmonic of a path that turns back
+        return 130 + 40 * np.sin(2 * np.pi * times_s / 0.8) + 30 * np.cos(5 * np.pi * times_s)
+
+    motion = motion_along(path, wave(1.25, 0.4))
+    lags_s = returns_s(motion, view_of(motion), 2.0)
+    # Of even steps of 2 ms, and of windows that hold other events.
+    np.testing.assert_allclose(lags_s, [0.8, 1.6], atol=0.004)
+    assert len(returns_s(motion, view_of(motion), 0.5)) == 0
+    ordinary = motion_along(wave(0.31), wave(0.19, 1.0))  # 100 s until both are back
+    assert len(returns_s(ordinary, view_of(ordinary), 2.0)) == 0
+
+
+def test_a_planar_path_leaves_the_fundamental_matrix_open():
+    times_s = np.linspace(0.5, 19.5, 300)
+    rng = np.random.default_rng(1)
+    flight = track_pair(SCENE, times_s)
+    into_plane = np.array([[1.0, 0.0, 0.4], [0.0, 1.0, 0.3], [0.0, 0.0, 0.0]])
+    flat_scene = replace(SCENE, path=lambda t: SCENE.path(t) @ into_plane + [0.0, 0.0, 5.0])
+    flat = track_pair(flat_scene, times_s)
+    noisy = [[p + rng.normal(0.0, 0.3, p.shape) for p in pair] for pair in (flight, flat)]
+    assert second_best(*noisy[0]) > 2.0 * MIN_SECOND_BEST
+    # A family of two parameters fits alike; what differs is how noise falls on its members.
+    assert second_best(*noisy[1]) < MIN_SECOND_BEST
+
+
+def test_points_at_rest_allow_no_fundamental_matrix():
+    """Bug: the fit divided by zero."""
+    points = np.full((40, 2), 100.0)
+    assert np.isnan(lmeds_fundamental(points, points, trials=50)).all()
+    assert np.isnan(reweighted_fundamental(points, points)).all()
+
+
+def estimate_with(variances: list[float], t_d_std_s: float = 1e-3) -> Estimate:
+    return Estimate(
+        "joint",
+        t_d_s=0.05,
+        t_d_std_s=t_d_std_s,
+        R=np.eye(3),
+        t=np.array([1.0, 0.0, 0.0]),
+        covariance=np.diag([t_d_std_s**2, *variances]),
+    )
+
+
+def test_a_certain_estimate_stays_as_it_is():
+    estimate = estimate_with([1e-4] * 5)
+    assert certain(estimate) is estimate
+
+
+def test_an_open_direction_of_the_pose_is_named():
+    open_to = (1.1 * MAX_POSE_STD) ** 2
+    estimate = certain(estimate_with([1e-4, open_to, 1e-4, 1e-4, 1e-4]))
+    assert estimate.status == "degenerate_pose"
+    assert estimate.R is None
+    assert estimate.t is None
+    assert estimate.has_offset
+    assert estimate.t_d_s == 0.05
+    assert np.abs(estimate.unobservable) == pytest.approx(np.eye(6)[[2]])
+    assert "R about (0.00, 1.00, 0.00)" in estimate.reason.replace("-", "")
+
+
+def test_an_uncertain_offset_is_none():
+    estimate = certain(estimate_with([1e-4] * 5, 1.1 * MAX_T_D_STD_S))
+    assert estimate.status == "ambiguous_offset"
+    assert np.isnan(estimate.t_d_s)
+    assert not estimate.has_offset

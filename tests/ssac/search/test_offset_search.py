@@ -1,0 +1,114 @@
+"""The search on cost curves known in closed form, and the pairing of two motions."""
+
+import numpy as np
+import pytest
+
+from ssac.search.offset_search import (
+    candidate_offsets,
+    coarse_to_fine_search,
+    exhaustive_search,
+    mean_epipolar_distance,
+    sample_pairs,
+)
+from ssac.track.motion import object_motion
+from tests.ssac.synthetic import make_events, make_scene
+
+OFFSETS_S = np.arange(-1000, 1001) * 1e-3
+
+
+def rounded_v(centre_s, depth=0.0):
+    """1.3 px per 10 ms out to 100 ms around the centre, then a plateau: the paper's Fig. 5."""
+
+    def cost(t_d_s):
+        distance_s = np.abs(t_d_s - centre_s)
+        return np.minimum(np.sqrt(0.3**2 + (130.0 * distance_s) ** 2), 13.0) + depth
+
+    return cost
+
+
+@pytest.fixture(scope="module")
+def motions():
+    scene = make_scene(seed=0, duration_s=4.0)
+    events1, events2 = make_events(scene, seed=0, t_d_s=0.25)
+    return scene, object_motion(events1, scene.rig.cam1), object_motion(events2, scene.rig.cam2)
+
+
+@pytest.mark.parametrize("centre_s", [-0.4321, 0.0, 0.00037, 0.777])
+def test_the_minimum_is_found_between_candidates(centre_s):
+    for search in (
+        exhaustive_search(rounded_v(centre_s), OFFSETS_S),
+        coarse_to_fine_search(rounded_v(centre_s), rounded_v(centre_s), OFFSETS_S),
+    ):
+        # A parabola through 12 points of another curve: 3 us; 10 us is the resolution promised.
+        assert search.t_d_s == pytest.approx(centre_s, abs=5e-6)
+        assert not search.at_bound
+
+
+def test_the_deeper_of_two_valleys_is_found():
+    def cost(t_d_s):
+        return np.minimum(rounded_v(-0.6, depth=1.0)(t_d_s), rounded_v(0.3)(t_d_s))
+
+    assert coarse_to_fine_search(cost, cost, OFFSETS_S).t_d_s == pytest.approx(0.3, abs=5e-6)
+
+
+def test_coarse_to_fine_tries_a_tenth_of_the_candidates():
+    search = coarse_to_fine_search(rounded_v(0.1), rounded_v(0.1), OFFSETS_S)
+    assert len(search.candidates_s) < len(OFFSETS_S) / 10
+    assert np.all(np.diff(search.candidates_s) > 0.0)
+    assert np.array_equal(search.d_avg_px, rounded_v(0.1)(search.candidates_s))
+
+
+@pytest.mark.parametrize("centre_s", [-1.5, 1.2])
+def test_a_minimum_outside_the_interval_is_reported_at_its_bound(centre_s):
+    def cost(t_d_s):
+        return np.abs(t_d_s - centre_s)
+
+    assert coarse_to_fine_search(cost, cost, OFFSETS_S).at_bound
+
+
+def test_costs_without_a_number_are_passed_over():
+    def cost(t_d_s):
+        return np.where(t_d_s < 0.0, np.nan, rounded_v(0.2)(t_d_s))
+
+    assert coarse_to_fine_search(cost, cost, OFFSETS_S).t_d_s == pytest.approx(0.2, abs=5e-6)
+    nothing = coarse_to_fine_search(lambda t: t * np.nan, lambda t: t * np.nan, OFFSETS_S)
+    assert np.isnan(nothing.t_d_s)
+    assert np.isnan(coarse_to_fine_search(cost, cost, np.empty(0)).t_d_s)
+
+
+def test_pairs_obey_the_sign_convention(motions):
+    _, motion1, motion2 = motions
+    offsets_s = np.array([-0.1, 0.25])
+    pairs = sample_pairs(motion1, motion2, offsets_s, n_samples=50)
+    for m, t_d_s in enumerate(offsets_s):
+        assert np.array_equal(pairs.p1_px[m], motion1.at(pairs.times_s[m]).positions_px, True)
+        assert np.array_equal(
+            pairs.p2_px[m], motion2.at(pairs.times_s[m] + t_d_s).positions_px, True
+        )
+
+
+def test_sample_times_cover_the_overlap(motions):
+    _, motion1, motion2 = motions
+    # Camera 1 records 0 to 4 s, camera 2 0.25 to 4.25 s on its own clock.
+    for t_d_s, start, end in ((0.25, 0.0, 4.0), (1.25, 0.0, 3.0), (-0.75, 1.0, 4.0)):
+        times_s = sample_pairs(motion1, motion2, np.array([t_d_s]), 300).times_s[0]
+        assert times_s[0] == pytest.approx(start, abs=0.01)  # half a sampling step
+        assert times_s[-1] == pytest.approx(end, abs=0.01)
+
+
+def test_candidates_keep_half_of_the_longest_overlap(motions):
+    _, motion1, motion2 = motions
+    offsets_s = candidate_offsets(motion1, motion2, (-10.0, 10.0))
+    # The overlap is 4 s at 0.25 s and falls to 2 s at 2 s on either side.
+    assert offsets_s[0] == pytest.approx(-1.75, abs=0.002)
+    assert offsets_s[-1] == pytest.approx(2.25, abs=0.002)
+    assert len(candidate_offsets(motion1, motion2, (20.0, 30.0))) == 0
+
+
+def test_too_few_pairs_have_no_distance(motions):
+    _, motion1, motion2 = motions
+    pairs = sample_pairs(motion1, motion2, np.array([0.25]), n_samples=40)
+    n_valid = int(pairs.valid.sum())
+    F = np.diag([1.0, -1.0, 0.0])
+    assert np.isfinite(mean_epipolar_distance(F, pairs, min_pairs=n_valid)).all()
+    assert np.isnan(mean_epipolar_distance(F, pairs, min_pairs=n_valid + 1)).all()
