@@ -62,14 +62,14 @@ def table_cells() -> list[Cell]:
     return [
         cell
         for name in TABLES
-        for cell in replace(named_config(name), trajectories=N_FLIGHTS).cells()
+        for cell in replace(named_config(name), flights=N_FLIGHTS).cells()
         if cell.sim.angle_deg == ANGLE_DEG
     ]
 
 
 def _warm_up(count: int) -> list[Cell]:
     """List the cells of small flights, one for each worker, that load the code and its kernels."""
-    grid = replace(named_config(TABLES[0]), trajectories=2 * count)
+    grid = replace(named_config(TABLES[0]), flights=2 * count)
     short = replace(grid, fixed={"sim.spline.duration_s": 2.0})
     return [cell for cell in short.cells() if cell.sim.angle_deg == ANGLE_DEG]
 

@@ -95,7 +95,7 @@ def flight_means(runs: pd.DataFrame, error: str) -> Means:
     angles_deg, means, standard_errors = [], [], []
     for angle_deg in sorted(ok["angle_deg"].unique()):
         group = ok[ok["angle_deg"] == angle_deg]
-        by_flight = group.groupby("seed")[error].mean()
+        by_flight = group.groupby("flight")[error].mean()
         angles_deg.append(float(angle_deg))
         means.append(float(group[error].mean()))
         standard_errors.append(float(by_flight.std(ddof=0) / np.sqrt(len(by_flight))))

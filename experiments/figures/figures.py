@@ -28,16 +28,13 @@ from experiments.figures.style import save_png
 from experiments.paper.comparison import load_published
 from experiments.paper.esim import ordered_runs, runs_from_csv
 from experiments.run.cache import DEFAULT_FOLDER, Cache
-from experiments.run.grid import config_names, named_config
+from experiments.run.grid import config_names, flight_seed, named_config
 from experiments.run.provenance import save_provenance
 from sim.recording import SimConfig
 from sim.render.gl_context import open_context
 from sim.sensor.events import PRESETS
 from sim.sensor.frames import FrameConfig
 from ssac.errors import SsacError
-
-SEED = 0
-"""Of both flights: the tables' first."""
 
 FLIGHT = SimConfig(angle_deg=90.0)
 """A flight of the 20 s table."""
@@ -49,6 +46,10 @@ NOISY_FLIGHT = SimConfig(
     frames=FrameConfig(rate_hz=0.0),
 )
 """One with a sensor's noise, so that denoising has something to do."""
+
+SEED = flight_seed(20.0, 90.0, 0)
+NOISY_SEED = flight_seed(10.0, 90.0, 0)
+"""Of these flights: each is the first of its duration and angle."""
 
 EPIPOLAR_T_D_S = 0.05  # at the tables' 50 ms the distance before alignment is seen at a glance
 
@@ -86,7 +87,7 @@ def figures_command(
         save_png(drawing.draw(results, Cache(cache)), path)
         typer.echo(f"written to {path}")
     recordings = {name: one.recording for name, one in chosen.items() if one.recording}
-    config: dict[str, Any] = {"figures": list(chosen), "recordings": recordings, "seed": SEED}
+    config: dict[str, Any] = {"figures": list(chosen), "recordings": recordings, "flight": 0}
     save_provenance(
         out / "figures.png",
         " ".join(["ssac figures", *(names or ())]),
@@ -132,7 +133,7 @@ def check_inputs(chosen: dict[str, Drawing], results: Path) -> None:
 
 
 def _preprocessing(_: Path, cache: Cache) -> Figure:
-    return preprocessing_figure(load_recording(cache.recording_folder(NOISY_FLIGHT, SEED)))
+    return preprocessing_figure(load_recording(cache.recording_folder(NOISY_FLIGHT, NOISY_SEED)))
 
 
 def _epipolar(_: Path, cache: Cache) -> Figure:

@@ -16,20 +16,21 @@ from ssac.errors import SsacError
 from ssac.tool.registry import METHODS
 
 RUN_COLUMNS = (
-    "duration_s", "angle_deg", "t_d_ms", "seed", "method", "status", "reason", "t_d_estimate_ms",
-    "t_d_error_ms", "r_error_deg", "t_error_deg", "t_d_std_ms", "r_std_deg", "t_std_deg",
-    "r_mahalanobis", "t_mahalanobis", "n_samples", "d_avg_px", "n_events_cam1", "n_events_cam2",
+    "duration_s", "angle_deg", "t_d_ms", "flight", "seed", "method", "status", "reason",
+    "t_d_estimate_ms", "t_d_error_ms", "r_error_deg", "t_error_deg", "t_d_std_ms", "r_std_deg",
+    "t_std_deg", "r_mahalanobis", "t_mahalanobis", "n_samples", "d_avg_px", "n_events_cam1",
+    "n_events_cam2",
 )  # fmt: skip
 YOUNGER = ("r_std_deg", "t_std_deg", "r_mahalanobis", "t_mahalanobis")
 """Columns that older runs lack: there they are unknown."""
 
-KEY = ["duration_s", "angle_deg", "t_d_ms", "seed", "method"]
-"""Columns that say which run a row is."""
+KEY = ["duration_s", "angle_deg", "t_d_ms", "flight", "method"]
+"""Columns that say which run a row is; `seed` beside them is what `ssac simulate` makes it of."""
 
 POSE_ERRORS = ("r_error_deg", "t_error_deg")
 
 _TEXT = ("method", "status", "reason")
-_WHOLE = ("seed", "n_samples", "n_events_cam1", "n_events_cam2")
+_WHOLE = ("flight", "seed", "n_samples", "n_events_cam1", "n_events_cam2")
 _SHOWN = 5  # runs that an error message lists
 
 
@@ -127,7 +128,7 @@ def esim_table(runs: pd.DataFrame, duration_s: float) -> pd.DataFrame:
         raise SsacError(f"no run has a duration of {duration_s:g} s: there are {found} s")
     rows = []
     for (angle_deg, t_d_ms), cell in of_duration.groupby(["angle_deg", "t_d_ms"]):
-        row = {"angle_deg": angle_deg, "t_d_ms": t_d_ms, "n_runs": cell["seed"].nunique()}
+        row = {"angle_deg": angle_deg, "t_d_ms": t_d_ms, "n_runs": cell["flight"].nunique()}
         for method in method_order(cell["method"]):
             of_method = cell[cell["method"] == method]
             ok = of_method[of_method["status"] == "ok"]
@@ -178,7 +179,7 @@ def runs_from_csv(text: str) -> pd.DataFrame:
 
 def describe(run: Mapping[Any, Any]) -> str:
     """Name a run by its key, for messages."""
-    names = "{duration_s:g} s, {angle_deg:g} deg, t_d {t_d_ms:g} ms, flight {seed:g}, {method}"
+    names = "{duration_s:g} s, {angle_deg:g} deg, t_d {t_d_ms:g} ms, flight {flight:g}, {method}"
     return names.format_map(run)
 
 

@@ -48,7 +48,7 @@ def results_page(
 
 def _opening(runs: pd.DataFrame, tables: Mapping[float, pd.DataFrame]) -> str:
     flights = " and ".join(
-        f"{of_duration['seed'].nunique()} flights of {duration_s:g} s"
+        f"{of_duration['flight'].nunique()} flights of {duration_s:g} s"
         for duration_s, of_duration in runs.groupby("duration_s")
     )
     files = " and ".join(f"`esim_{duration_s:g}.csv`" for duration_s in tables)

@@ -96,7 +96,7 @@ def sanity_findings(runs: pd.DataFrame) -> list[Finding]:
     failed = runs[runs["status"] != "ok"]
     poses = ok[list(POSE_ERRORS)].notna().groupby(ok["method"]).mean()
     sometimes = ((poses > 0.0) & (poses < 1.0)).any(axis=1)
-    counts = runs[runs["status"] != CRASHED].groupby(["duration_s", "angle_deg", "seed"])
+    counts = runs[runs["status"] != CRASHED].groupby(["duration_s", "angle_deg", "flight"])
     several = (counts[["n_events_cam1", "n_events_cam2"]].nunique() > 1).any(axis=1)
     return [
         Finding("no run crashed", _described(runs[runs["status"] == CRASHED])),
@@ -107,8 +107,8 @@ def sanity_findings(runs: pd.DataFrame) -> list[Finding]:
         Finding(
             "all methods and offsets saw the same recording",
             tuple(
-                f"{duration_s:g} s, {angle_deg:g} deg, flight {seed:g}: other numbers of events"
-                for duration_s, angle_deg, seed in several.index[several]
+                f"{duration_s:g} s, {angle_deg:g} deg, flight {flight:g}: other numbers of events"
+                for duration_s, angle_deg, flight in several.index[several]
             ),
         ),
     ]
@@ -127,7 +127,7 @@ def ablation_findings(results: Path, runs: pd.DataFrame, cells: Sequence[Cell]) 
         Of the tables.
     """
     ok = runs[runs["status"] == "ok"]
-    means = ok.groupby([name for name in KEY if name != "seed"])["t_d_error_ms"].mean()
+    means = ok.groupby([name for name in KEY if name != "flight"])["t_d_error_ms"].mean()
     places = {
         (cell.sim, cell.t_d_s, cell.estimator, cell.method): (*_flight(cell)[:3], cell.method)
         for cell in cells
@@ -138,13 +138,13 @@ def ablation_findings(results: Path, runs: pd.DataFrame, cells: Sequence[Cell]) 
         if not path.exists():
             continue
         grid = named_config(name)
-        if {cell.seed for cell in grid.cells()} != {cell.seed for cell in cells}:
+        if {cell.flight for cell in grid.cells()} != {cell.flight for cell in cells}:
             continue
         found = _ablation_means(path, grid.varied)
         faults, common = [], 0
         for cell in grid.cells():
             place = places.get((cell.sim, cell.t_d_s, cell.estimator, cell.method))
-            if place is None or cell.seed != grid.first_seed:
+            if place is None or cell.flight != grid.first_flight:
                 continue
             point = (*(_shown(cell.parameters[key]) for key in grid.varied), cell.method)
             ours, table = found.get(point, np.nan), means.get(place, np.nan)
@@ -209,7 +209,7 @@ def _flight(cell: Cell) -> tuple[float, float, float, int]:
         cell.sim.spline.duration_s,
         cell.sim.angle_deg,
         round(1e3 * cell.t_d_s, 6),  # as it is read from runs.csv
-        cell.seed,
+        cell.flight,
     )
 
 

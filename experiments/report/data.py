@@ -126,7 +126,7 @@ def load_results(folder: Path) -> Results:
     ]
     for name in config_names("ablation_"):
         config = named_config(name)
-        caption = _ABLATION.format(flights=config.trajectories)
+        caption = _ABLATION.format(flights=config.flights)
         png = _read(folder / f"{name}.png", "make ablations", _png)
         figures.append(ReportFigure(config.title, caption, png))
     paths = {folder / "esim_20.provenance.json", *folder.glob("*.provenance.json")}

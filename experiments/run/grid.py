@@ -1,7 +1,7 @@
 """A TOML file in, a list of Cells out: every run of a table, an ablation or a sweep.
 
     title = "..."                        # of the figure and the report
-    trajectories = 10                    # flights at each point of the grid: seeds 0, 1, ...
+    flights = 10                         # at each point of the grid: numbers 0, 1, ...
     methods = ["ssac", "joint"]          # left out: every registered method
     search_around_truth_s = [-1.0, 1.0]  # interval of the search, relative to the true offset
 
@@ -19,6 +19,7 @@
 Parameters are the fields of `sim.recording.SimConfig` and `ssac.config.Config`, by dotted names.
 """
 
+import hashlib
 import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass, replace
@@ -39,7 +40,7 @@ else:
 
 CONFIGS = Path(__file__).parents[1] / "configs"
 
-_KEYS = ("title", "trajectories", "first_seed", "methods", "search_around_truth_s",
+_KEYS = ("title", "flights", "first_flight", "methods", "search_around_truth_s",
          "fixed", "grid", "together", "figure")  # fmt: skip
 _ROOTS: dict[str, Any] = {"sim": SimConfig(), "ssac": Config()}
 
@@ -49,7 +50,8 @@ class Cell:
     """One run: a method with its parameters, on one flight, with one offset."""
 
     sim: SimConfig  # t_d_s = 0: the offset is added to the recording
-    seed: int  # of the flight; the same for all methods, offsets and values of a parameter
+    flight: int  # its number among those of one duration and angle
+    seed: int  # as of `flight_seed`: of `sim.recording.simulate`, and of `ssac simulate --seed`
     t_d_s: float
     estimator: Config
     method: str  # of the registry
@@ -72,8 +74,8 @@ class GridConfig:
 
     name: str
     title: str
-    trajectories: int
-    first_seed: int
+    flights: int  # at each point
+    first_flight: int
     methods: tuple[str, ...]
     search_around_truth_s: tuple[float, float] | None  # None: the estimator's own interval
     fixed: Mapping[str, Any]
@@ -91,7 +93,7 @@ class GridConfig:
         return list(self._cells())
 
     def _cells(self) -> Iterator[Cell]:
-        seeds = range(self.first_seed, self.first_seed + self.trajectories)
+        flights = range(self.first_flight, self.first_flight + self.flights)
         for point in product(*self.axes):
             parameters = dict(self.fixed)
             for part in point:
@@ -102,9 +104,39 @@ class GridConfig:
                 low, high = self.search_around_truth_s
                 estimator = replace(estimator, interval_s=(t_d_s + low, t_d_s + high))
             checked(estimator)
-            for seed in seeds:
+            recorded = replace(sim, t_d_s=0.0)
+            for flight in flights:
+                seed = flight_seed(sim.spline.duration_s, sim.angle_deg, flight)
                 for method in self.methods:
-                    yield Cell(replace(sim, t_d_s=0.0), seed, t_d_s, estimator, method, parameters)
+                    yield Cell(recorded, flight, seed, t_d_s, estimator, method, parameters)
+
+
+def flight_seed(duration_s: float, angle_deg: float, flight: int, base_seed: int = 0) -> int:
+    """Give the seed of a flight: flights of another duration or angle are independent ones.
+
+    A hash, since flights of one seed are not independent: a flight of 10 s is the first half of
+    the flight of 20 s with its seed, and views of one flight from two angles err alike. The seed
+    depends on nothing else, so that all offsets, methods and other parameters of a grid, and all
+    grids with this duration and angle, see the same flights: their differences are of the
+    parameter, not of the draw.
+
+    Parameters
+    ----------
+    duration_s : float
+    angle_deg : float
+        Between the lines of sight.
+    flight : int
+        Number of the flight among those of this duration and angle.
+    base_seed : int
+        Another one gives another set of flights.
+
+    Returns
+    -------
+    int
+        Of 32 bits, the same on every machine.
+    """
+    text = f"{base_seed} {float(duration_s)!r} {float(angle_deg)!r} {flight}"
+    return int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "big")
 
 
 def load_config(path: Path) -> GridConfig:
@@ -150,11 +182,11 @@ def grid_from_content(name: str, content: Mapping[str, Any]) -> GridConfig:
     methods = tuple(content.get("methods", METHODS))
     for method in methods:
         choose_method(method)
-    trajectories, first_seed = content.get("trajectories", 10), content.get("first_seed", 0)
-    if not (isinstance(trajectories, int) and trajectories > 0):
-        raise SsacError(f"trajectories must be a positive integer, got {trajectories!r}")
-    if not (isinstance(first_seed, int) and first_seed >= 0):
-        raise SsacError(f"first_seed must be 0 or a positive integer, got {first_seed!r}")
+    flights, first_flight = content.get("flights", 10), content.get("first_flight", 0)
+    if not (isinstance(flights, int) and flights > 0):
+        raise SsacError(f"flights must be a positive integer, got {flights!r}")
+    if not (isinstance(first_flight, int) and first_flight >= 0):
+        raise SsacError(f"first_flight must be 0 or a positive integer, got {first_flight!r}")
     fixed = dict(_flat(content.get("fixed", {})))
     axes = [
         tuple({key: value} for value in _values(key, values))
@@ -164,8 +196,8 @@ def grid_from_content(name: str, content: Mapping[str, Any]) -> GridConfig:
     grid = GridConfig(
         name,
         str(content.get("title", name)),
-        trajectories,
-        first_seed,
+        flights,
+        first_flight,
         methods,
         _interval(content.get("search_around_truth_s")),
         fixed,

@@ -37,7 +37,7 @@ class Workers:
 class Outcome:
     """All rows of a grid, and how they came about."""
 
-    runs: pd.DataFrame  # one row for each cell, in their order: parameters, seed, method, `Row`
+    runs: pd.DataFrame  # one row a cell, in their order: parameters, flight, seed, method, `Row`
     n_recordings: int  # that work was left for
     n_simulated: int  # of these: the others were in the cache
     peak_mb: float  # of the largest worker; 0 when there was nothing left to do
@@ -193,7 +193,13 @@ def _frame(cells: Sequence[Cell], tasks: Sequence[Task], found: dict[int, Rows])
         for cell, row in zip(task.cells, found[index], strict=True)
     }
     table = [
-        {**cell.parameters, "seed": cell.seed, "method": cell.method, **rows[id(cell)]}
+        {
+            **cell.parameters,
+            "flight": cell.flight,
+            "seed": cell.seed,
+            "method": cell.method,
+            **rows[id(cell)],
+        }
         for cell in cells
     ]
     frame: pd.DataFrame = pd.DataFrame(table)

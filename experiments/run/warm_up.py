@@ -24,7 +24,7 @@ def warm_up_tasks() -> list[Task]:
     tasks = []
     for sensor in PRESETS.values():
         sim = SimConfig(spline=spline, sensor=sensor)
-        cells = tuple(Cell(sim, 0, 0.0, estimator, method.name, {}) for method in OURS)
+        cells = tuple(Cell(sim, 0, 0, 0.0, estimator, method.name, {}) for method in OURS)
         tasks.append(Task(sim, 0, cells))
     return tasks
 

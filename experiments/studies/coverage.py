@@ -6,7 +6,7 @@ chi^2's quantile. All flights are ones that nothing was tuned on.
 """
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -23,7 +23,7 @@ from experiments.figures.style import WIDTH_IN, method_looks, quiet_axes, save_p
 from experiments.paper.esim import method_order
 from experiments.run.cache import DEFAULT_FOLDER, Cache
 from experiments.run.command import CacheOption, SchedulerOption, WorkersOption, finish
-from experiments.run.grid import Cell, named_config
+from experiments.run.grid import named_config
 from experiments.run.provenance import save_provenance
 from experiments.run.schedule import Workers, run_cells
 from experiments.studies.sweep import save_csv
@@ -59,7 +59,7 @@ QUANTITIES = {
 
 def coverage_command(
     flights: Annotated[
-        int | None, typer.Option(help="In all.  [default: as in the configuration]")
+        int | None, typer.Option(help="At each angle.  [default: as in the configuration]")
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("results"),
     workers: WorkersOption = -1,
@@ -69,9 +69,8 @@ def coverage_command(
     """Check on simulated flights how often the stated intervals hold the truth; CSVs, a figure."""
     start = time.perf_counter()
     grid = named_config("coverage")
-    grid = replace(grid, trajectories=flights or grid.trajectories)
-    cells = flown_once(grid.cells())
-    outcome = run_cells(cells, Cache(cache), Workers(workers, scheduler), grid.name)
+    grid = replace(grid, flights=flights or grid.flights)
+    outcome = run_cells(grid.cells(), Cache(cache), Workers(workers, scheduler), grid.name)
     runs_path, path = out / "coverage_runs.csv", out / "coverage.csv"
     figure_path = out / "coverage.png"
     save_csv(runs_path, outcome.runs)
@@ -79,18 +78,12 @@ def coverage_command(
     runs = pd.read_csv(runs_path)
     save_csv(path, coverage_table(runs))
     save_png(coverage_figure(runs), figure_path)
-    content = {**grid.content, "trajectories": grid.trajectories}
+    content = {**grid.content, "flights": grid.flights}
     command = "ssac coverage" + (f" --flights {flights}" if flights else "")
     wall_time_s = time.perf_counter() - start
     for written in (runs_path, path):
         save_provenance(written, command, content, wall_time_s, open_context())
     finish(outcome, Cache(cache), runs_path, path, figure_path)
-
-
-def flown_once(cells: Sequence[Cell]) -> list[Cell]:
-    """Leave each flight one of the angles by turns: views of one flight err alike."""
-    angles = sorted({cell.sim.angle_deg for cell in cells})
-    return [cell for cell in cells if cell.sim.angle_deg == angles[cell.seed % len(angles)]]
 
 
 def coverage_table(runs: pd.DataFrame) -> pd.DataFrame:

@@ -32,9 +32,9 @@ from ssac.files.whole_file import whole_file
 TABLES = ("esim_10", "esim_20")
 
 Flight = tuple[float, float, int]
-"""Duration [s], angle [deg] and seed: what a recording is known by in `runs.csv`."""
+"""Duration [s], angle [deg] and number: what a recording is known by in `runs.csv`."""
 
-_FLIGHT = ["duration_s", "angle_deg", "seed"]
+_FLIGHT = ["duration_s", "angle_deg", "flight"]
 CELL = ("duration_s", "angle_deg", "t_d_ms", "method")
 
 UNITS = {"t_d": "ms", "r": "deg", "t": "deg"}
@@ -112,9 +112,9 @@ def flight_bounds(
     flights: list[Flight] = list(dict.fromkeys(runs[_FLIGHT].itertuples(index=False, name=None)))
     for flight in flights:
         if flight not in cells:
-            duration_s, angle_deg, seed = flight
+            duration_s, angle_deg, number = flight
             raise SsacError(
-                f"runs of {duration_s:g} s at {angle_deg:g} deg, flight {seed}: in neither of "
+                f"runs of {duration_s:g} s at {angle_deg:g} deg, flight {number}: in neither of "
                 f"{' and '.join(TABLES)}: expected the runs of `ssac tables`"
             )
     methods = method_order(runs["method"])
@@ -130,7 +130,7 @@ def flight_bounds(
 def table_flights() -> dict[Flight, Cell]:
     """Give one cell of each recording of the tables."""
     return {
-        (cell.sim.spline.duration_s, cell.sim.angle_deg, cell.seed): cell
+        (cell.sim.spline.duration_s, cell.sim.angle_deg, cell.flight): cell
         for name in TABLES
         for cell in named_config(name).cells()
     }
@@ -144,18 +144,18 @@ def runs_beside_bounds(
     Returns
     -------
     pd.DataFrame
-        `duration_s`, `angle_deg`, `t_d_ms`, `seed`, `method`, `sigma_px` (measured noise of a
+        `duration_s`, `angle_deg`, `t_d_ms`, `flight`, `method`, `sigma_px` (measured noise of a
         sample of median weight), `n_samples` (that the bound counts), and of t_d [ms], R [deg] and
         t [deg] the bound and the error; NaN for the pose where it was given.
     """
     rows = []
     for run in runs[runs["status"] == "ok"].to_dict("records"):
         method = str(run["method"])
-        found = bounds[run["duration_s"], run["angle_deg"], run["seed"]][method]
+        found = bounds[run["duration_s"], run["angle_deg"], run["flight"]][method]
         given = method in KNOWN_POSE
         rows.append(
             {
-                **{name: run[name] for name in ("duration_s", "angle_deg", "t_d_ms", "seed")},
+                **{name: run[name] for name in ("duration_s", "angle_deg", "t_d_ms", "flight")},
                 "method": method,
                 "sigma_px": found.sigma_px,
                 "n_samples": found.n_samples,

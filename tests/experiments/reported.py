@@ -10,7 +10,7 @@ import pandas as pd
 
 from experiments.paper.comparison import comparison_table, load_published
 from experiments.paper.esim import csv_text, esim_tables, ordered_runs
-from experiments.run.grid import config_names
+from experiments.run.grid import config_names, flight_seed
 from ssac.files.hdf5 import save_events_h5
 from tests.ssac.synthetic import HEIGHT, WIDTH, Scene, make_events, make_scene
 
@@ -62,7 +62,7 @@ def write_results(folder: Path, runs: pd.DataFrame) -> None:
 
 
 def _run(
-    rng: np.random.Generator, duration_s: float, angle_deg: float, t_d_ms: float, seed: int,
+    rng: np.random.Generator, duration_s: float, angle_deg: float, t_d_ms: float, flight: int,
     method: str,
 ) -> dict[str, object]:  # fmt: skip
     by_rates = method.startswith(("zncc", "event"))
@@ -74,7 +74,8 @@ def _run(
         "duration_s": duration_s,
         "angle_deg": angle_deg,
         "t_d_ms": t_d_ms,
-        "seed": seed,
+        "flight": flight,
+        "seed": flight_seed(duration_s, angle_deg, flight),
         "method": method,
         "status": "search_bound" if failed else "ok",
         "reason": f"the best offset, {rng.uniform(-1, 1):.3f} s, bounds the search" * failed,

@@ -55,5 +55,5 @@ def test_a_method_without_runs_is_left_out() -> None:
 
 def test_a_duration_that_the_paper_lacks_is_drawn_alone() -> None:
     runs: pd.DataFrame = made_up_runs(("ssac",), 2).assign(duration_s=5.0)
-    runs = runs.drop_duplicates(["angle_deg", "t_d_ms", "seed"])
+    runs = runs.drop_duplicates(["angle_deg", "t_d_ms", "flight"])
     assert len(drawn_means(beyond_figure(runs, load_published()).axes[0])) == 1

@@ -7,7 +7,7 @@ import pytest
 from experiments.figures.errors import error_figure, flight_means, published_means
 from experiments.paper.comparison import load_published
 
-ANGLES_DEG, T_DS_MS, SEEDS = (30.0, 90.0), (5.0, 50.0, 500.0), range(4)
+ANGLES_DEG, T_DS_MS, FLIGHTS = (30.0, 90.0), (5.0, 50.0, 500.0), range(4)
 POSES = ("ssac", "theirs")
 
 
@@ -15,14 +15,14 @@ def make_runs(durations_s: tuple[float, ...] = (10.0, 20.0)) -> pd.DataFrame:
     """Runs of four methods, one of which is not registered here."""
     rng = np.random.default_rng(0)
     rows = []
-    for duration_s, angle_deg, t_d_ms, seed in product(durations_s, ANGLES_DEG, T_DS_MS, SEEDS):
+    for duration_s, angle_deg, t_d_ms, flight in product(durations_s, ANGLES_DEG, T_DS_MS, FLIGHTS):
         for method in ("ssac", "ssac-known", "zncc_e", "theirs"):
             pose = rng.uniform(0.1, 0.5, 2) if method in POSES else (np.nan, np.nan)
             error_ms = rng.uniform(0.1, 0.4) * (100.0 if method == "zncc_e" else 1.0)
             rows.append(
                 {
                     "duration_s": duration_s, "angle_deg": angle_deg, "t_d_ms": t_d_ms,
-                    "seed": seed, "method": method, "status": "ok", "t_d_error_ms": error_ms,
+                    "flight": flight, "method": method, "status": "ok", "t_d_error_ms": error_ms,
                     "r_error_deg": pose[0], "t_error_deg": pose[1],
                 }
             )  # fmt: skip
@@ -52,7 +52,7 @@ def test_offsets_of_one_flight_are_no_further_flights() -> None:
     assert repeated.means == pytest.approx(once.means)
     assert repeated.standard_errors == pytest.approx(once.standard_errors)
     at_30 = runs[runs["angle_deg"] == 30.0]["r_error_deg"]
-    assert once.standard_errors[0] == pytest.approx(at_30.std(ddof=0) / np.sqrt(len(SEEDS)))
+    assert once.standard_errors[0] == pytest.approx(at_30.std(ddof=0) / np.sqrt(len(FLIGHTS)))
 
 
 def test_the_papers_means_are_pooled_over_offsets() -> None:

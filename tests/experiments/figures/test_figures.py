@@ -9,6 +9,7 @@ from typer.testing import CliRunner
 from experiments.figures.figures import (
     FLIGHT,
     NOISY_FLIGHT,
+    NOISY_SEED,
     SEED,
     check_inputs,
     choose,
@@ -51,6 +52,11 @@ def test_a_missing_table_names_the_command_that_makes_it(tmp_path: Path) -> None
 def test_the_clean_flight_is_one_of_the_tables() -> None:
     cells = named_config("esim_20").cells()
     assert any(cell.sim == FLIGHT and cell.seed == SEED for cell in cells)
+
+
+def test_the_noisy_flight_is_one_of_the_noisy_tables() -> None:
+    cells = named_config("ablation_davis346").cells()
+    assert any(cell.sim == NOISY_FLIGHT and cell.seed == NOISY_SEED for cell in cells)
 
 
 def test_the_noisy_flight_has_noise() -> None:

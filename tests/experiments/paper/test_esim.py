@@ -108,10 +108,10 @@ def test_methods_of_other_packages_come_last_by_name():
 
 
 def test_a_failed_run_does_not_enter_the_means_but_is_counted(runs):
-    which = place(runs, "ssac") & (runs["seed"] == 3)
+    which = place(runs, "ssac") & (runs["flight"] == 3)
     assert which.sum() == 1
     before, after = (cell(esim_table(table, 10.0)) for table in (runs, failing(runs, which)))
-    left = runs.loc[place(runs, "ssac") & (runs["seed"] != 3), "t_d_error_ms"]
+    left = runs.loc[place(runs, "ssac") & (runs["flight"] != 3), "t_d_error_ms"]
     assert len(left) == 9
     assert after["ssac_t_d_error_ms_mean"] == pytest.approx(left.mean())
     assert (before["ssac_failed"], after["ssac_failed"]) == (0, 1)
@@ -135,7 +135,7 @@ def test_where_no_run_is_ok_the_means_are_empty_cells(runs, status):
 
 @pytest.mark.parametrize("frame_of", [ordered_runs, esim_tables])
 def test_a_run_that_is_not_there_is_noticed(runs, frame_of):
-    without = runs[~(place(runs, "joint") & (runs["seed"] == 7))]
+    without = runs[~(place(runs, "joint") & (runs["flight"] == 7))]
     with pytest.raises(SsacError, match=r"missing: 10 s, 60 deg, t_d 50 ms, flight 7, joint$"):
         frame_of(without)
     assert len(missing_runs(without)) == 1
@@ -149,14 +149,14 @@ def test_a_whole_cell_that_is_not_there_is_noticed(runs):
 
 
 def test_a_run_that_is_there_twice_is_noticed(runs):
-    twice = pd.concat([runs, runs[place(runs, "joint") & (runs["seed"] == 7)]])
+    twice = pd.concat([runs, runs[place(runs, "joint") & (runs["flight"] == 7)]])
     with pytest.raises(SsacError, match="more than once: 10 s, 60 deg, t_d 50 ms, flight 7, joint"):
         ordered_runs(twice)
 
 
 def test_a_run_that_is_ok_has_an_error(runs):
     runs = runs.copy()
-    runs.loc[place(runs, "ssac") & (runs["seed"] == 0), "t_d_error_ms"] = np.nan
+    runs.loc[place(runs, "ssac") & (runs["flight"] == 0), "t_d_error_ms"] = np.nan
     with pytest.raises(SsacError, match=r'"ok" without an error of t_d: .* flight 0, ssac'):
         esim_table(runs, 10.0)
 

@@ -90,7 +90,7 @@ def test_verdicts_on_the_page_are_those_of_the_comparison(files):
 def test_a_cell_with_failed_runs_says_how_many_are_left(runs):
     joint = (runs["method"] == "joint") & (runs["duration_s"] == 20.0) & (runs["t_d_ms"] == 50.0)
     runs = runs.copy()
-    runs.loc[joint & (runs["angle_deg"] == 30.0) & (runs["seed"] < 2), "status"] = "search_bound"
+    runs.loc[joint & (runs["angle_deg"] == 30.0) & (runs["flight"] < 2), "status"] = "search_bound"
     runs.loc[joint & (runs["angle_deg"] == 60.0), "status"] = "search_bound"
     rows = rows_of(page_of(runs), "Flights of 20 s")
     (column,) = (row.index("`joint` t_d [ms]") for row in rows if "`joint` t_d [ms]" in row)

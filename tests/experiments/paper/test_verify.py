@@ -71,7 +71,7 @@ def change(path: Path, old: str, new: str) -> None:
 def part_of(runs: pd.DataFrame) -> pd.DataFrame:
     """Return what a run of `part_cells` gives when nothing changed, with the columns of a grid."""
     chosen = runs[
-        (runs["duration_s"] == 10.0) & runs["angle_deg"].isin([30.0, 150.0]) & (runs["seed"] == 0)
+        (runs["duration_s"] == 10.0) & runs["angle_deg"].isin([30.0, 150.0]) & (runs["flight"] == 0)
     ]
     names = {"duration_s": "sim.spline.duration_s", "angle_deg": "sim.angle_deg"}
     rows = chosen.rename(columns=names).reset_index(drop=True)
@@ -99,7 +99,7 @@ def test_a_changed_file_is_found(results, name):
 def test_a_changed_run_is_found_in_the_tables(results):
     path = results / "runs.csv"
     runs = runs_from_csv(path.read_text())
-    row = (runs["method"] == "ssac") & (runs["seed"] == 4) & (runs["duration_s"] == 20.0)
+    row = (runs["method"] == "ssac") & (runs["flight"] == 4) & (runs["duration_s"] == 20.0)
     runs.loc[row, "r_error_deg"] += 0.01
     path.write_text(csv_text(runs))
     found = {finding.what for finding in faulty(file_findings(results))}
@@ -337,7 +337,7 @@ CRASH = {"status": "crashed", "reason": "ssac: KeyError: 1", "t_d_estimate_ms": 
     "committed_edit",
     [
         lambda runs: edited(runs, **CRASH),
-        lambda runs: runs.drop(edited(runs, seed=-1).index[edited(runs, seed=-1)["seed"] == -1]),
+        lambda runs: runs.drop(runs.index[edited(runs, flight=-1)["flight"] == -1]),
         lambda runs: edited(runs, status="search_bound"),
         lambda runs: edited(runs, r_error_deg=np.nan),
     ],

@@ -24,6 +24,7 @@ from experiments.report.tables import (
     number,
 )
 from experiments.run.cache import Cache
+from experiments.run.grid import flight_seed
 from ssac.errors import SsacError
 from tests.experiments.reported import METHODS, made_up_runs, record_flight, write_results
 
@@ -256,7 +257,7 @@ def test_the_headline_is_computed(results: Results, animation: Animation) -> Non
     assert verdicts[0] == f"{good} of 150"
     assert counts[0] == f"{len(runs):,}".replace(",", "&thinsp;")
     # One run in five is too few for a method to be called the best.
-    runs.loc[joint & (runs["seed"] > 0), "status"] = "search_bound"
+    runs.loc[joint & (runs["flight"] > 0), "status"] = "search_bound"
     assert "<code>joint</code>" not in headline(runs)[0][1]
 
 
@@ -304,7 +305,8 @@ def test_the_command_writes_the_page(
     out = tmp_path / "new" / "report.html"
     report_command(folder, tmp_path / "cache", out)
     assert out.read_text(encoding="utf-8") == page
-    assert [(config.angle_deg, seed) for config, seed in asked] == [(90.0, 0)]
+    seed = flight_seed(20.0, 90.0, 0)
+    assert [(config.angle_deg, seed) for config, seed in asked] == [(90.0, seed)]
     with pytest.raises(SsacError, match="is a folder: name a file"):
         report_command(folder, tmp_path / "cache", tmp_path)
 

@@ -3,25 +3,33 @@
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from experiments.cli import app
+from experiments.run.cache import Cache
 from experiments.run.grid import (
     config_names,
     configs_of,
+    flight_seed,
     grid_from_content,
     load_config,
     named_config,
 )
+from experiments.run.schedule import Workers, run_cells
 from sim.errors import SimError
 from sim.recording import SimConfig
 from sim.sensor.events import PRESETS
 from sim.sensor.frames import FrameConfig
 from ssac.config import Config
 from ssac.errors import SsacError
+from ssac.files.hdf5 import load_events_h5
 from ssac.tool.registry import METHODS
+from ssac.track.observation import Observation
 
 SMALL = {
-    "trajectories": 2,
+    "flights": 2,
     "methods": ["ssac", "zncc_e"],
     "search_around_truth_s": [-1.0, 1.0],
     "fixed": {"sim": {"spline": {"duration_s": 10}}},
@@ -38,12 +46,78 @@ def test_the_tables_are_the_papers_grid():
         assert {cell.sim.spline.duration_s for cell in of_method} == {10.0, 20.0}
         assert {cell.sim.angle_deg for cell in of_method} == {30.0, 60.0, 90.0, 120.0, 150.0}
         assert {cell.t_d_s for cell in of_method} == {0.005, 0.05, 0.5}
-        assert {cell.seed for cell in of_method} == set(range(10))
+        assert {cell.flight for cell in of_method} == set(range(10))
     # 100 recordings: offsets and methods share theirs.
     assert len({(cell.sim, cell.seed) for cell in cells}) == 100
     for cell in cells:
         low, high = cell.estimator.interval_s
         assert (cell.t_d_s - low, high - cell.t_d_s) == pytest.approx((1.0, 1.0), abs=1e-12)
+
+
+def test_a_seed_is_a_fixed_hash_of_duration_angle_and_flight():
+    # Of the committed recordings: another hash would ask for other flights.
+    assert flight_seed(10.0, 30.0, 0) == 1328313481
+    assert flight_seed(20, 150, 9) == flight_seed(20.0, 150.0, 9) == 1883054829
+    assert flight_seed(10.0, 30.0, 0, base_seed=1) != flight_seed(10.0, 30.0, 0)
+
+
+def test_no_two_flights_that_are_called_independent_are_one():
+    flights = {
+        (cell.sim.spline.duration_s, cell.sim.angle_deg, cell.flight): cell.seed
+        for name in config_names("")
+        for cell in named_config(name).cells()
+    }
+    assert len(flights) >= 2 * 5 * 10 + 5 * 10 + 5 * 100  # tables, more flights, coverage
+    assert len(set(flights.values())) == len(flights)
+
+
+def test_studies_of_fresh_flights_have_none_of_the_tables_or_of_each_other():
+    groups = [("esim_10", "esim_20"), ("more_flights",), ("coverage",)]
+    seeds = [{cell.seed for name in names for cell in named_config(name).cells()}
+             for names in groups]  # fmt: skip
+    assert [len(group) for group in seeds] == [100, 50, 500]
+    assert len(set().union(*seeds)) == 650
+
+
+def test_a_seed_depends_on_nothing_else():
+    """So that offsets, methods and values of a parameter are compared on the same flights."""
+    content = SMALL | {"together": {"c": {"ssac": {"n_min": [1, 2]}, "sim": {"focal_px": [1, 2]}}}}
+    cells = grid_from_content("small", content).cells()
+    places = {(cell.sim.angle_deg, cell.flight) for cell in cells}
+    assert {(cell.sim.angle_deg, cell.flight, cell.seed) for cell in cells} == {
+        (angle_deg, flight, flight_seed(10.0, angle_deg, flight)) for angle_deg, flight in places
+    }
+    assert len(places) == 4
+
+
+@pytest.mark.render
+def test_a_row_is_of_the_recording_that_ssac_simulate_makes_of_its_columns(tmp_path):
+    content = {
+        "flights": 1,
+        "methods": ["event_rate"],
+        "fixed": {"sim": {"spline": {"duration_s": 0.5}}},
+        "grid": {"sim": {"angle_deg": [60], "t_d_s": [0.005]}},
+    }
+    cells = grid_from_content("short", content).cells()
+    cache = Cache(tmp_path / "cache")
+    (row,) = run_cells(cells, cache, Workers(1), show_progress=False).runs.to_dict("records")
+    options = {
+        "--angle": row["sim.angle_deg"],
+        "--duration": row["sim.spline.duration_s"],
+        "--t-d": row["sim.t_d_s"],
+        "--seed": row["seed"],
+    }
+    arguments = [str(part) for option in options.items() for part in option]
+    out = tmp_path / "out"
+    done = CliRunner().invoke(app, ["simulate", str(out), *arguments], catch_exceptions=False)
+    assert done.exit_code == 0
+    kept = cache.recording_folder(cells[0].sim, cells[0].seed)
+    for name, t_d_s in (("cam1.h5", 0.0), ("cam2.h5", row["sim.t_d_s"])):
+        simulated, cached = (
+            Observation(load_events_h5(folder / name).events) for folder in (out, kept)
+        )
+        assert len(cached.events) > 1000
+        assert np.array_equal(simulated.events, cached.delayed(t_d_s).events)
 
 
 @pytest.mark.parametrize("name", config_names("ablation_"))
@@ -57,7 +131,7 @@ def test_an_ablation_varies_what_its_figure_shows_over_enough_values(name):
     assert len(values) >= (7 if of_estimator else 5)
     assert len({cell.sim.angle_deg for cell in cells}) >= 3
     uses_tables = of_estimator or name in ("ablation_angle", "ablation_davis346")
-    assert grid.trajectories == (10 if uses_tables else 5)
+    assert grid.flights == (10 if uses_tables else 5)
 
 
 def test_ablations_of_the_estimator_use_the_recordings_of_the_tables():
@@ -84,7 +158,8 @@ def test_cells_of_one_recording_differ_in_nothing_that_is_simulated():
     assert all(cell.sim.t_d_s == 0.0 for cell in cells)
     assert len({cell.sim for cell in cells}) == 2
     first = cells[0]
-    assert (first.method, first.seed, first.t_d_s) == ("ssac", 0, 0.005)
+    assert (first.method, first.flight, first.t_d_s) == ("ssac", 0, 0.005)
+    assert first.seed == flight_seed(10, 30, 0)
     assert first.parameters == {
         "sim.spline.duration_s": 10,
         "sim.angle_deg": 30,
@@ -121,9 +196,9 @@ def test_parameters_reach_the_field_that_they_name():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"trajectory": 3}, r"unknown key 'trajectory': known are title, trajectories"),
-        ({"trajectories": 0}, "trajectories must be a positive integer, got 0"),
-        ({"first_seed": -1}, "first_seed must be 0 or a positive integer, got -1"),
+        ({"trajectory": 3}, r"unknown key 'trajectory': known are title, flights"),
+        ({"flights": 0}, "flights must be a positive integer, got 0"),
+        ({"first_flight": -1}, "first_flight must be 0 or a positive integer, got -1"),
         ({"methods": ["scac"]}, "unknown method 'scac': use one of"),
         ({"search_around_truth_s": [1.0]}, "search_around_truth_s: expected two numbers"),
         ({"fixed": {"sim": {"angel_deg": 3}}}, r"'sim.angel_deg': 'angel_deg' is none of angle"),

@@ -49,7 +49,7 @@ def test_every_run_stands_beside_the_bound_of_its_recording() -> None:
     beside = beside_bounds()
     assert len(beside) == 2 * 5 * 3 * 3 * len(BOUNDED)
     for row in beside.to_dict("records"):
-        bound = made_up_bound(row["duration_s"], row["angle_deg"], row["seed"], row["method"])
+        bound = made_up_bound(row["duration_s"], row["angle_deg"], row["flight"], row["method"])
         assert row["t_d_bound_ms"] == pytest.approx(1e3 * bound.bound.t_d_s)
         given = row["method"] in KNOWN_POSE
         assert np.isnan(row["r_bound_deg"]) == np.isnan(row["t_error_deg"]) == given
@@ -115,7 +115,7 @@ def test_methods_without_runs_are_named(tmp_path: Path, capsys: pytest.CaptureFi
 
 
 def test_a_flight_that_no_table_has_is_an_error(tmp_path: Path) -> None:
-    runs = made_up_runs(("joint",), 1).assign(seed=12345)
+    runs = made_up_runs(("joint",), 1).assign(flight=12345)
     with pytest.raises(SsacError, match=r"flight 12345: in neither of esim_10 and esim_20"):
         flight_bounds(runs, Cache(tmp_path), 1)
 

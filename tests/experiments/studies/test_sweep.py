@@ -29,7 +29,8 @@ pytestmark = pytest.mark.render
 ROOT = Path(__file__).resolve().parents[3]
 
 TOML = """
-trajectories = 3
+flights = 3
+first_flight = 1
 methods = [{methods}]
 search_around_truth_s = [-0.2, 0.2]
 
@@ -100,7 +101,7 @@ def test_every_run_is_a_row_and_every_parameter_a_column(whole):
     assert list(runs["cell"]) == list(range(3 * 2 * 3))
     assert (runs["sim.spline.duration_s"] == 3.0).all()
     assert (runs["ssac.trials"] == 200).all()
-    assert runs.groupby(["sim.t_d_s", "seed", "method"]).size().eq(1).all()
+    assert runs.groupby(["sim.t_d_s", "flight", "method"]).size().eq(1).all()
     rates = runs[runs["method"] == "event_rate"]
     assert (rates["status"] == "ok").all()
     expected_ms = (1e3 * rates["sim.t_d_s"] - rates["t_d_estimate_ms"]).abs()
@@ -113,18 +114,18 @@ def test_every_run_is_a_row_and_every_parameter_a_column(whole):
 
 def test_offsets_share_the_recording(whole):
     runs = pd.read_csv(whole)
-    assert runs.groupby("seed")[["n_events_cam1", "n_events_cam2"]].nunique().eq(1).all().all()
+    assert runs.groupby("flight")[["n_events_cam1", "n_events_cam2"]].nunique().eq(1).all().all()
     # The search is around the truth, so the same events at another offset have the same error, but
     # for the rounding of seconds in double precision.
     errors = runs[runs["method"] == "ssac"].pivot(
-        index="seed", columns="sim.t_d_s", values="t_d_error_ms"
+        index="flight", columns="sim.t_d_s", values="t_d_error_ms"
     )
     assert errors[0.005].to_numpy() == pytest.approx(errors[0.05].to_numpy(), abs=1e-3)
 
 
 def test_provenance_says_what_it_was_made_with(whole):
     content = json.loads(whole.with_suffix(".provenance.json").read_text())
-    assert content["config"]["grid"]["trajectories"] == 3
+    assert content["config"]["grid"]["flights"] == 3
     assert content["gl"]["backend"] in ("osmesa", "egl")
     assert {"commit", "versions", "wall_time_s", "command"} <= set(content)
 
@@ -253,7 +254,7 @@ def test_merged_shards_are_the_same_bytes(folder, config, whole):
 
 def test_shards_of_two_grids_do_not_merge(folder, config, whole):
     other = folder / "other.toml"
-    other.write_text(config.read_text().replace("trajectories = 3", "trajectories = 1"))
+    other.write_text(config.read_text().replace("flights = 3", "flights = 1"))
     out = folder / "other.csv"
     assert sweep(other, out, folder / "cache", "--workers", "1").exit_code == 0
     result = CliRunner().invoke(app, ["merge", str(folder / "x.csv"), str(whole), str(out)])
@@ -308,7 +309,7 @@ def test_crashes_are_rows_and_the_others_go_on(folder, whole):
     # A worker that dies loses what it had not done of its recording, and no other recording.
     done, runs = run("event_rate", "dying")
     assert done.returncode == 1
-    assert (runs.get_group("event_rate").groupby("seed")["status"].first() == "ok").all()
+    assert (runs.get_group("event_rate").groupby("flight")["status"].first() == "ok").all()
     dying = runs.get_group("dying")
     assert (dying["status"] == CRASHED).all()
     assert dying["reason"].str.contains("worker: TerminatedWorkerError").all()
