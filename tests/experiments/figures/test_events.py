@@ -17,7 +17,7 @@ from ssac.errors import SsacError
 from ssac.events import EVENT_DTYPE
 from ssac.geometry.epipolar import fundamental_from_pose
 from ssac.track.observation import object_motions
-from tests.experiments.recorded import T_D_S
+from tests.recorded import T_D_S
 from tests.ssac.synthetic import HEIGHT, WIDTH
 
 

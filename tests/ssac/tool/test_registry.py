@@ -21,7 +21,7 @@ from ssac.files.hdf5 import save_events_h5
 from ssac.tool.load import load_pair
 from ssac.tool.registry import DEFAULT, METHODS, OURS, Input, Registry, choose_method
 from ssac.track.observation import Observation
-from tests.experiments.recorded import T_D_S
+from tests.recorded import T_D_S
 from tests.ssac.synthetic import HEIGHT, WIDTH
 
 if sys.version_info >= (3, 11):

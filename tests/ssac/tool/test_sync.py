@@ -21,7 +21,7 @@ from ssac.files.event_files import load_events, save_events_text
 from ssac.files.hdf5 import save_events_h5
 from ssac.tool.plots import FILE_SUFFIXES
 from ssac.tool.sync import BAD_INPUT, NO_ESTIMATE, report_json, report_text, sync, sync_command
-from tests.experiments.recorded import T_D_S, empty_events
+from tests.recorded import T_D_S, empty_events
 from tests.ssac.synthetic import HEIGHT, WIDTH, angle_deg, rotation_angle_deg
 
 TOLERANCE_S = 3e-3  # 8 s of noisy synthetic pixels: about 1 ms

@@ -1,6 +1,6 @@
 import pytest
 
-from tests.experiments.recorded import Recorded, record
+from tests.recorded import Recorded, record
 
 
 @pytest.fixture(scope="session")
