@@ -336,7 +336,7 @@ def test_the_grid_of_the_example_is_read(example):
     folder, grid, _ = example
     script = """
 from pathlib import Path
-from experiments.grid import load_config
+from experiments.run.grid import load_config
 
 print(*[cell.method for cell in load_config(Path("angles.toml")).cells()])
 """
