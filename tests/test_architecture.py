@@ -48,6 +48,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
             "tangency",
         ),
         "baselines": ("correlation", "event_rate", "zncc_e", "zncc_f", "albl"),
+        "console": ("exits", "options", "command_line"),
         "tool": ("registry", "load", "plot_data", "plots", "sync"),
     },
     "experiments": {

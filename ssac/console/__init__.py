@@ -1,0 +1,1 @@
+"""What all commands share: how they are found, their options' ranges, their exit codes."""

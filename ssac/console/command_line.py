@@ -1,0 +1,172 @@
+"""A table of commands in, a command line out that imports a command when it is called.
+
+`ssac --help` and shell completion import none of them.
+"""
+
+import difflib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from importlib.metadata import PackageNotFoundError, version
+from typing import Annotated, Any, ClassVar
+
+import typer
+from typer.core import TyperCommand, TyperGroup
+from typer.main import get_command
+
+from ssac.console.exits import BAD_INPUT, PIPE_CLOSED, fail
+
+DISTRIBUTION = "ssac-suite"
+
+Sections = Mapping[str, Sequence[tuple[str, str]]]
+"""Lists of names with a line on each, by their headings."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One command, not yet imported.
+
+    Its module may have a function `help_sections() -> Sections` with lists for the end of its help.
+    """
+
+    name: str
+    group: str  # heading under which it is listed
+    summary: str  # one line of the list of commands
+    module: str
+    function: str
+
+
+def command_line(entries: Sequence[Entry], description: str) -> typer.Typer:
+    """Make the command line of a table of commands."""
+    table = {entry.name: entry for entry in entries}
+
+    class Commands(_LazyGroup):
+        """The group of these commands."""
+
+        entries = table
+
+    app = typer.Typer(
+        cls=Commands,
+        invoke_without_command=True,
+        pretty_exceptions_enable=False,
+        rich_markup_mode=None,
+        context_settings={"help_option_names": ["-h", "--help"]},
+        help=description,
+    )
+    app.callback()(_options_of_all)
+    return app
+
+
+def run(app: typer.Typer, args: Sequence[str], program: str) -> int:
+    """Run a command line; return its exit code, wrong usage being one line on stderr."""
+    try:
+        return get_command(app).main(list(args), program, standalone_mode=False) or 0
+    except typer.TyperException as error:
+        context = getattr(error, "ctx", None)
+        path = context.command_path if context is not None else program
+        return fail(f"{error.format_message().rstrip('.')}; see {path} --help", BAD_INPUT)
+    except SystemExit as end:
+        if isinstance(end.__context__, BrokenPipeError):  # which Typer ends with 1
+            return PIPE_CLOSED
+        raise
+
+
+# The contexts and formatters that Typer hands to these methods are of classes it does not export.
+
+
+class _LazyGroup(TyperGroup):
+    """Commands that are known by name and summary, and imported one by one."""
+
+    entries: ClassVar[Mapping[str, Entry]] = {}
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Keep the order of the table."""
+        return list(self.entries)
+
+    def get_command(self, ctx: Any, cmd_name: str) -> TyperCommand | None:
+        """Import a command."""
+        entry = self.entries.get(cmd_name)
+        if entry is not None:
+            module = import_module(entry.module)
+            sections = getattr(module, "help_sections", dict)
+            return _command(entry.name, getattr(module, entry.function), sections)
+        if not (ctx.resilient_parsing or cmd_name.startswith("-")):
+            close = difflib.get_close_matches(cmd_name, self.entries)
+            meant = f": did you mean {' or '.join(close)}?" if close else ""
+            ctx.fail(f"there is no command {cmd_name!r}{meant}")
+        return None
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """List the commands under their headings, with whole summaries."""
+        sections: dict[str, list[tuple[str, str]]] = {}
+        for entry in self.entries.values():
+            sections.setdefault(entry.group, []).append((entry.name, entry.summary))
+        _write(sections, formatter)
+
+    def shell_complete(self, ctx: Any, incomplete: str) -> list[Any]:
+        """Complete a command's name without importing any."""
+        from typer.core import CompletionItem  # type: ignore[attr-defined]
+
+        options = TyperCommand.shell_complete(self, ctx, incomplete)
+        return options + [
+            CompletionItem(entry.name, help=entry.summary)
+            for entry in self.entries.values()
+            if entry.name.startswith(incomplete)
+        ]
+
+
+class _WordyCommand(TyperCommand):
+    """A command whose usage shows arguments as they are written, and with lists below its help."""
+
+    sections: Callable[[], Sections] = dict
+
+    def collect_usage_pieces(self, ctx: Any) -> list[str]:
+        """Show a required argument without braces."""
+        return [
+            piece.replace("{", "").replace("}", "") for piece in super().collect_usage_pieces(ctx)
+        ]
+
+    def format_epilog(self, ctx: Any, formatter: Any) -> None:
+        """Add the lists."""
+        _write(self.sections(), formatter)
+
+
+def _command(
+    name: str, function: Callable[..., Any], sections: Callable[[], Sections]
+) -> _WordyCommand:
+    app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
+    app.command(name, cls=_WordyCommand)(function)
+    command = get_command(app)
+    assert isinstance(command, _WordyCommand)  # as asked for
+    command.sections = sections
+    return command
+
+
+def _write(sections: Sections, formatter: Any) -> None:
+    for heading, rows in sections.items():
+        with formatter.section(heading):
+            formatter.write_dl(rows)
+
+
+def _show_version(asked: bool) -> None:
+    if asked:
+        try:
+            number = version(DISTRIBUTION)
+        except PackageNotFoundError:
+            number = "of an unknown version: the package is not installed"
+        typer.echo(f"ssac {number}")
+        raise typer.Exit
+
+
+def _options_of_all(
+    context: typer.Context,
+    show_version: Annotated[
+        bool,
+        typer.Option(
+            "--version", callback=_show_version, is_eager=True, help="Show the version and exit."
+        ),
+    ] = False,
+) -> None:
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help(), err=True)
+        raise typer.Exit(BAD_INPUT)

@@ -1,0 +1,122 @@
+"""A command in, its exit code out: what went wrong is one line on stderr, never a traceback.
+
+Imports the standard library alone, so that it can stand guard over the imports of everything else.
+"""
+
+import os
+import platform
+import shlex
+import signal
+import sys
+import tempfile
+import traceback
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from ssac.errors import SsacError
+from ssac.files.whole_file import whole_file
+
+DONE = 0
+NO_ESTIMATE = 1
+"""The data give no reliable estimate; for `ssac verify`, something differs. Never a crash."""
+
+BAD_INPUT = 2
+"""Wrong usage, or a file that cannot be read or written."""
+
+BUG = 3
+"""A mistake of ours."""
+
+INTERRUPTED = 128 + 2
+"""Ctrl-C, as shells count it: 128 and the signal's number."""
+
+PIPE_CLOSED = 128 + 13
+"""Whoever read our output stopped reading, as `head` does."""
+
+_INSIST_S = 3.0  # enough to end worker processes and remove temporary files
+
+
+def guarded(run: Callable[[], int], blames_input: tuple[type[Exception], ...] = ()) -> int:
+    """Run a command, and turn whatever it raises into one line and an exit code.
+
+    Parameters
+    ----------
+    run
+        Returns an exit code. What it imports is guarded too.
+    blames_input
+        Errors that say what is wrong with the input, besides SsacError and OSError.
+
+    Returns
+    -------
+    int
+        For `sys.exit`.
+    """
+    faults_of_input: tuple[type[Exception], ...] = (SsacError, OSError, *blames_input)
+    try:
+        with _insistent_interrupts():
+            code = run()
+        sys.stdout.flush()
+    except KeyboardInterrupt:
+        code = INTERRUPTED
+    except BrokenPipeError:
+        # Python flushes once more when it ends, and would complain.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return PIPE_CLOSED
+    except faults_of_input as error:
+        return fail(str(error), BAD_INPUT)
+    except Exception as error:
+        return fail(_bug_line(error), BUG)
+    if code == INTERRUPTED:
+        print("interrupted", file=sys.stderr)
+    return code
+
+
+def fail(message: str, code: int) -> int:
+    """Say in one line on stderr what went wrong; give the code back."""
+    print(f"error: {' '.join(message.split())}", file=sys.stderr)
+    return code
+
+
+@contextmanager
+def _insistent_interrupts() -> Iterator[None]:
+    """Raise KeyboardInterrupt again and again after a Ctrl-C, until the block is left.
+
+    Packages that try an import and catch whatever comes of it would else swallow the only one.
+    """
+    can_insist = hasattr(signal, "setitimer")
+    if not can_insist or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        yield  # another system, or whoever started us wants no interrupts
+        return
+
+    def interrupt(*_: object) -> None:
+        signal.setitimer(signal.ITIMER_REAL, _INSIST_S)
+        raise KeyboardInterrupt
+
+    before = {
+        number: signal.signal(number, interrupt) for number in (signal.SIGINT, signal.SIGALRM)
+    }
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _bug_line(error: Exception) -> str:
+    """Write the traceback to a file of its own, and name both."""
+    what = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+    lines = [
+        f"command: {shlex.join(sys.argv)}\n",
+        f"python: {platform.python_version()} on {platform.platform()}\n\n",
+        *traceback.format_exception(error),
+    ]
+    try:
+        path = Path(tempfile.mkdtemp(prefix="ssac-bug-")) / "traceback.txt"
+        with whole_file(path) as temporary:
+            temporary.write_text("".join(lines), encoding="utf-8")
+    except OSError as unwritten:
+        where = f"the traceback could not be written ({unwritten}): {' '.join(lines)}"
+    else:
+        where = f"please report it with the traceback in {path}"
+    return f"a bug in this program, {what}; {where}"
