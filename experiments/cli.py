@@ -1,67 +1,65 @@
-"""The `ssac` command: parse, call, print; nothing else.
+"""The `ssac` command: a table of commands, each imported when it is called; nothing else.
 
-Progress goes to stderr, results to stdout. Exit code 0: done; 1: no reliable estimate; 2: bad usage
-or input that cannot be used, with one line that says why.
+Progress goes to stderr, results to stdout; the exit codes are those of `ssac.console.exits`.
 """
 
 import sys
 
-import typer
-
-from experiments.bench.bench import bench_command
-from experiments.figures.figures import figures_command
-from experiments.paper.tables import tables_command
-from experiments.paper.verify import verify_command
-from experiments.report.report import report_command
-from experiments.scenes.demo import demo_command
-from experiments.scenes.fidelity import fidelity_command
-from experiments.scenes.scene import scene_command
-from experiments.scenes.simulate import simulate_command
-from experiments.studies.ablate import ablate_command
-from experiments.studies.coverage import coverage_command
-from experiments.studies.efficiency import efficiency_command
-from experiments.studies.refusal import refusal_command
-from experiments.studies.sweep import merge_command, sweep_command
-from experiments.studies.tangency import tangency_study_command
-from experiments.studies.zncc import zncc_study_command
 from sim.errors import SimError
-from ssac.errors import SsacError
-from ssac.tool.sync import BAD_INPUT, sync_command
+from ssac.console.command_line import Entry, command_line, run
+from ssac.console.exits import guarded
+from ssac.tool.commands import SYNC, USE
 
-app = typer.Typer(
-    add_completion=False,
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,
-    help="Synchronise and calibrate two event cameras from one moving object.",
+REPRODUCE = "Reproduce"
+
+COMMANDS = (
+    Entry("simulate", USE, "A recording of one drone by two cameras, with its truth.",
+          "experiments.scenes.simulate", "simulate_command"),
+    SYNC,
+    Entry("demo", USE, "Simulate 20 s, recover offset and pose, draw one picture.",
+          "experiments.scenes.demo", "demo_command"),
+    Entry("tables", REPRODUCE, "The paper's simulation tables, all methods.",
+          "experiments.paper.tables", "tables_command"),
+    Entry("ablate", REPRODUCE, "One parameter varied at a time: mean errors and figures.",
+          "experiments.studies.ablate", "ablate_command"),
+    Entry("sweep", REPRODUCE, "Any grid over any parameters, one CSV row per run.",
+          "experiments.studies.sweep", "sweep_command"),
+    Entry("merge", REPRODUCE, "The shards of a sweep joined.",
+          "experiments.studies.sweep", "merge_command"),
+    Entry("efficiency", REPRODUCE, "Errors beside the least error that the data allow.",
+          "experiments.studies.efficiency", "efficiency_command"),
+    Entry("coverage", REPRODUCE, "How often the stated deviations hold the truth.",
+          "experiments.studies.coverage", "coverage_command"),
+    Entry("refusal", REPRODUCE, "Is refused what cannot be known?",
+          "experiments.studies.refusal", "refusal_command"),
+    Entry("tangency-study", REPRODUCE, "Variants of the method tangency compared.",
+          "experiments.studies.tangency", "tangency_study_command"),
+    Entry("zncc-study", REPRODUCE, "What event rates and frames of two views share.",
+          "experiments.studies.zncc", "zncc_study_command"),
+    Entry("fidelity", REPRODUCE, "Recordings against a far denser rendering.",
+          "experiments.scenes.fidelity", "fidelity_command"),
+    Entry("scene", REPRODUCE, "How the default scene looks, beside the authors' sample.",
+          "experiments.scenes.scene", "scene_command"),
+    Entry("figures", REPRODUCE, "The paper's figures, and errors against the angle.",
+          "experiments.figures.figures", "figures_command"),
+    Entry("report", REPRODUCE, "All results on one page to look at.",
+          "experiments.report.report", "report_command"),
+    Entry("bench", REPRODUCE, "Speed and memory beside the reference tools.",
+          "experiments.bench.bench", "bench_command"),
+    Entry("verify", REPRODUCE, "The committed results against each other and a run anew.",
+          "experiments.paper.verify", "verify_command"),
+)  # fmt: skip
+
+app = command_line(
+    COMMANDS,
+    "Synchronise and calibrate two event cameras from one moving object; simulate such recordings; "
+    "reproduce the published tables and what lies beyond.",
 )
-app.command("simulate")(simulate_command)
-app.command("sync")(sync_command)
-app.command("tables")(tables_command)
-app.command("ablate")(ablate_command)
-app.command("figures")(figures_command)
-app.command("report")(report_command)
-app.command("verify")(verify_command)
-app.command("efficiency")(efficiency_command)
-app.command("sweep")(sweep_command)
-app.command("merge")(merge_command)
-app.command("demo")(demo_command)
-app.command("scene")(scene_command)
-app.command("fidelity")(fidelity_command)
-app.command("zncc-study")(zncc_study_command)
-app.command("tangency-study")(tangency_study_command)
-app.command("refusal")(refusal_command)
-app.command("coverage")(coverage_command)
-app.command("bench")(bench_command)
 
 
 def main() -> None:
     """Run the command line; what the user got wrong is one line, anything else is our bug."""
-    try:
-        app()
-    except (SimError, SsacError) as error:
-        typer.echo(f"error: {' '.join(str(error).split())}", err=True)
-        sys.exit(BAD_INPUT)
+    sys.exit(guarded(lambda: run(app, sys.argv[1:], "ssac"), (SimError,)))
 
 
 if __name__ == "__main__":

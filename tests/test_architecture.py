@@ -49,7 +49,19 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
         ),
         "baselines": ("correlation", "event_rate", "zncc_e", "zncc_f", "albl"),
         "console": ("exits", "options", "command_line"),
-        "tool": ("registry", "load", "plot_data", "plots", "sync"),
+        "tool": (
+            "summaries",
+            "registry",
+            "load",
+            "plot_data",
+            "plots",
+            "sync",
+            "report",
+            "outputs",
+            "sync_command",
+            "commands",
+            "__main__",
+        ),
     },
     "experiments": {
         "run": (
@@ -90,6 +102,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
         "report": ("data", "tables", "chart", "animation", "animation_page", "report"),
         "bench": ("measurement", "sync", "tables", "bench"),
         "cli": (),
+        "__main__": (),
     },
 }
 

@@ -63,7 +63,8 @@ def run(app: typer.Typer, args: Sequence[str], program: str) -> int:
         return get_command(app).main(list(args), program, standalone_mode=False) or 0
     except typer.TyperException as error:
         context = getattr(error, "ctx", None)
-        path = context.command_path if context is not None else program
+        command = [arg for arg in args[:1] if not arg.startswith("-")]
+        path = context.command_path if context is not None else " ".join([program, *command])
         return fail(f"{error.format_message().rstrip('.')}; see {path} --help", BAD_INPUT)
     except SystemExit as end:
         if isinstance(end.__context__, BrokenPipeError):  # which Typer ends with 1

@@ -10,7 +10,8 @@ from ssac.errors import SsacError
 from ssac.events import US_PER_S, check_events
 from ssac.files.event_files import load_events, load_frames
 from ssac.files.rigs import check_resolution, load_rig
-from ssac.tool.registry import DEFAULT, Input, Method
+from ssac.tool.registry import Input, Method
+from ssac.tool.summaries import DEFAULT
 from ssac.track.observation import Observation
 
 Paths = tuple[Path, Path, Path]

@@ -1,8 +1,8 @@
 """The registry of methods: a name in; the callable, and what it must be given, out.
 
-To add a method of ours is to add one line to OURS. Any installed package adds its own by an entry
-point of the group `ssac.methods` (docs/methods.md). All callables have the signature of
-`ssac.methods.algorithms.ssac`: `estimate(cam1, cam2, rig, config) -> Estimate`.
+To add a method of ours is to add one line to OURS, and one to `summaries.SUMMARIES`. Any installed
+package adds its own by an entry point of the group `ssac.methods` (docs/methods.md). All callables
+are called as `ssac.methods.algorithms.ssac` is: `estimate(cam1, cam2, rig, config) -> Estimate`.
 """
 
 import hashlib
@@ -35,10 +35,8 @@ from ssac.methods.tangency import (
     tangency_known,
     tangency_known_from,
 )
+from ssac.tool.summaries import DEFAULT, ENTRY_POINTS, SUMMARIES
 from ssac.track.observation import Observation
-
-ENTRY_POINTS = "ssac.methods"
-"""The group of entry points by which other packages register methods."""
 
 EstimateFunction = Callable[[Observation, Observation, Rig, Config | None], Estimate]
 
@@ -70,6 +68,7 @@ class Method:
     starts_from: str = ""  # method whose estimate `refine` takes, to give the same as `estimate`
     refine: RefineFunction | None = None
     takes_means: bool = False  # of the frames: images of one pixel give the same estimate
+    counts: str = "pairs of positions"  # what an estimate's `n_samples` are
 
     def skip_reason(self, cam1: Observation, cam2: Observation, rig: Rig) -> str:
         """Say why the method cannot run on these data; empty when it can."""
@@ -81,24 +80,27 @@ class Method:
         return ""
 
 
+_TANGENTS = "pairs of tangents to the object's outline"
+
 OURS = (
-    Method("ssac", ssac, Input.TRACKS, "the paper's Algorithm 2", known_variant="ssac-known"),
-    Method("ssac-known", ssac_known, Input.TRACKS, "the paper's Algorithm 1",
+    Method("ssac", ssac, Input.TRACKS, SUMMARIES["ssac"], known_variant="ssac-known"),
+    Method("ssac-known", ssac_known, Input.TRACKS, SUMMARIES["ssac-known"],
            needs_extrinsics=True),
-    Method("joint", joint, Input.TRACKS, "ssac, then offset and pose refined together",
+    Method("joint", joint, Input.TRACKS, SUMMARIES["joint"],
            known_variant="joint-known", starts_from="ssac", refine=joint_from),
-    Method("joint-known", joint_known, Input.TRACKS, "ssac-known, then the offset refined",
+    Method("joint-known", joint_known, Input.TRACKS, SUMMARIES["joint-known"],
            needs_extrinsics=True, starts_from="ssac-known", refine=joint_known_from),
-    Method("tangency", tangency, Input.TRACKS, "joint, then refined by the outline's tangents",
-           known_variant="tangency-known", starts_from="joint", refine=tangency_from),
+    Method("tangency", tangency, Input.TRACKS, SUMMARIES["tangency"],
+           known_variant="tangency-known", starts_from="joint", refine=tangency_from,
+           counts=_TANGENTS),
     Method("tangency-known", tangency_known, Input.TRACKS,
-           "joint-known, then the offset refined by tangents", needs_extrinsics=True,
-           starts_from="joint-known", refine=tangency_known_from),
-    Method("albl", albl, Input.TRACKS, "eigenvalue solver of Albl et al. (2017)"),
-    Method("zncc_e", zncc_e, Input.RATES, "correlation of event rates, offset only"),
-    Method("zncc_f", zncc_f, Input.FRAMES, "correlation of frame brightness, offset only",
+           SUMMARIES["tangency-known"], needs_extrinsics=True,
+           starts_from="joint-known", refine=tangency_known_from, counts=_TANGENTS),
+    Method("albl", albl, Input.TRACKS, SUMMARIES["albl"]),
+    Method("zncc_e", zncc_e, Input.RATES, SUMMARIES["zncc_e"]),
+    Method("zncc_f", zncc_f, Input.FRAMES, SUMMARIES["zncc_f"],
            takes_means=True),
-    Method("event_rate", event_rate, Input.RATES, "event rates, Censi and Scaramuzza (2014)"),
+    Method("event_rate", event_rate, Input.RATES, SUMMARIES["event_rate"]),
 )  # fmt: skip
 
 
@@ -149,9 +151,6 @@ class Registry(Mapping[str, Method]):
 
 
 METHODS: Mapping[str, Method] = Registry()
-
-DEFAULT = "tangency"
-"""The most accurate method for unknown extrinsics; its `known_variant` is that for known ones."""
 
 
 def choose_method(name: str | None = None, known_extrinsics: bool = False) -> Method:

@@ -21,6 +21,7 @@ import typer
 def greet(
     name: Annotated[str, typer.Argument(metavar="NAME")],
     loud: Annotated[bool, typer.Option("--loud")] = False,
+    again: Annotated[str, typer.Option("--name")] = "",
 ) -> None:
     """Say hello."""
     typer.echo(f"hello {name}{'!' * loud}")
@@ -77,6 +78,7 @@ def test_the_version(capsys):
         (("greets",), "there is no command 'greets': did you mean greet?; see ssac --help"),
         (("xyz",), "there is no command 'xyz'; see ssac --help"),
         (("--xyz",), "No such option: --xyz; see ssac --help"),
+        (("greet", "--name"), "Option '--name' requires an argument; see ssac greet --help"),
         (("greet",), "Missing argument 'NAME'; see ssac greet --help"),
         (("greet", "a", "b"), "Got unexpected extra argument(s) (b); see ssac greet --help"),
     ],

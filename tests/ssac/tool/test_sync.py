@@ -1,26 +1,29 @@
 """`ssac sync`: what it finds, prints and writes, and how it refuses."""
 
+import io
 import json
 import warnings
-from dataclasses import replace
+from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
-import typer
-from typer.testing import CliRunner
 
 from sim.recording import SimConfig, simulate
 from sim.render.instants import SamplingConfig
 from sim.scene.trajectory import SplineConfig
 from sim.sensor.events import PRESETS
 from sim.storage import save_recording
+from ssac.console.exits import BAD_INPUT, NO_ESTIMATE
 from ssac.events import slice_time
 from ssac.files.event_files import load_events, save_events_text
 from ssac.files.hdf5 import save_events_h5
+from ssac.tool.__main__ import main
 from ssac.tool.plots import FILE_SUFFIXES
-from ssac.tool.sync import BAD_INPUT, NO_ESTIMATE, report_json, report_text, sync, sync_command
+from ssac.tool.report import report_json, report_text
+from ssac.tool.sync import sync
 from tests.recorded import T_D_S, empty_events
 from tests.ssac.synthetic import HEIGHT, WIDTH, angle_deg, rotation_angle_deg
 
@@ -28,10 +31,20 @@ TOLERANCE_S = 3e-3  # 8 s of noisy synthetic pixels: about 1 ms
 KEYS = {"t_d_s", "t_d_std_s", "R", "t", "status", "reason", "method", "n_samples", "d_avg_px"}
 
 
+@dataclass(frozen=True)
+class Run:
+    """What a command line gave."""
+
+    exit_code: int
+    stdout: str
+    stderr: str
+
+
 def run(*args):
-    app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
-    app.command("sync")(sync_command)
-    return CliRunner().invoke(app, [str(arg) for arg in args])
+    out, err = io.StringIO(), io.StringIO()
+    with redirect_stdout(out), redirect_stderr(err):
+        code = main(["sync", *map(str, args)])
+    return Run(code, out.getvalue(), err.getvalue())
 
 
 def read_json(path: Path):
@@ -60,6 +73,7 @@ def test_offset_and_pose_are_found(joint_run, recorded):
     result, found, _ = joint_run
     assert result.exit_code == 0, result.stderr
     assert set(found) >= KEYS
+    assert found["note"] == ""
     assert (found["status"], found["reason"], found["method"]) == ("ok", "", "tangency")
     assert abs(found["t_d_s"] - T_D_S) < TOLERANCE_S
     assert 0.0 < found["t_d_std_s"] < TOLERANCE_S
@@ -74,7 +88,7 @@ def test_results_are_on_stdout_and_progress_on_stderr(joint_run):
     shown_ms = f"{1e3 * found['t_d_s']:.3f} ms"
     assert f"t_d = {shown_ms}" in result.stdout
     assert f"camera 2's clock shows {shown_ms} more than camera 1's; subtract it" in result.stdout
-    assert f"{found['n_samples']} of 400" in result.stdout
+    assert f"{found['n_samples']} pairs of tangents to the object's outline used\n" in result.stdout
     for part in ("read", "denoise", "estimate", "write"):
         assert part not in result.stdout
         assert any(line.startswith(part) and " s  " in line for line in result.stderr.splitlines())
@@ -107,7 +121,7 @@ def test_the_function_finds_what_the_command_prints(joint_run, recorded):
 
 def test_swapped_cameras_have_the_opposite_sign(recorded):
     cam1, cam2 = recorded.pair
-    result = run(cam2, cam1, "--rig", recorded / "rig.yaml", "--method", "ssac")
+    result = run(cam2, cam1, "--rig", recorded / "rig.yaml", "--method", "joint")
     assert result.exit_code == 0
     assert "t_d = -" in result.stdout
     assert "less than camera 1's; add it to camera 2's timestamps" in result.stdout
@@ -165,6 +179,24 @@ def test_what_a_method_does_not_estimate_is_null(method, recorded, tmp_path):
     missing = ("t_d_std_s", "R", "t", "n_samples", "d_avg_px", "covariance")
     assert [found[key] for key in missing] == [None] * len(missing)
     assert ("denoise" in result.stderr) == (method != "zncc_f")
+
+
+@pytest.mark.parametrize("method", ["ssac", "albl", "zncc_e", "zncc_f", "event_rate"])
+def test_an_offset_without_a_deviation_comes_with_no_advice_to_apply_it(method, recorded, tmp_path):
+    out = tmp_path / "out.json"
+    synced = tmp_path / "synced.h5"
+    args = ("--rig", recorded / "rig.yaml", "--method", method, "--json", out)
+    result = run(*recorded.pair, *args, "--write-synced", synced)
+    assert result.exit_code == 0, result.stderr
+    assert f"{synced}, by an offset of unknown accuracy\n" in result.stderr
+    note = f"{method} states no standard deviation"
+    assert "ms, of unknown accuracy\n" in result.stdout
+    assert f"note           {note}" in result.stdout
+    assert "subtract" not in result.stdout
+    found = read_json(out)
+    assert found["t_d_std_s"] is None
+    assert found["note"].startswith(note)
+    assert found["status"] == "ok"
 
 
 def test_no_reliable_estimate_says_why(recorded, tmp_path):
@@ -262,7 +294,12 @@ BAD_INPUTS = [
     (("cam1.h5", "--method", "scac"), "unknown method 'scac': use one of ssac"),
     (("events_only.h5", "--method", "zncc_f"), "events_only.h5: zncc_f compares intensity frames"),
     (("cam1.h5", "--search", "1", "-1"), "--search: expected a smaller and a larger offset"),
-    (("cam1.h5", "--n-samples", "0"), "n_samples must be positive"),
+    (("cam1.h5", "--search", "0", "nan"), "--search: expected a smaller and a larger offset"),
+    (("cam1.h5", "--search", "0", "4000"), "at most 3600 seconds apart, got 0 4000"),
+    (("cam1.h5", "--n-samples", "0"), "--n-samples: expected 20 to 100000, got 0"),
+    (("cam1.h5", "--half-window", "20"), "--half-window: expected 0.001 to 0.25 seconds, got 20"),
+    (("cam1.h5", "--half-window", "nan"), "--half-window: expected 0.001 to 0.25 seconds"),
+    (("cam1.h5", "--n-min", "-3"), "--n-min: expected 1 to 100000, got -3"),
     (("cam1.h5", "--json", "no/such/out.json"), "out.json: not a file in a folder that exists"),
     (("cam1.h5", "--write-synced", "out.raw"), "out.raw: cannot write the extension '.raw'"),
     (("cam1.h5", "--write-synced", "cam1.h5"), "cam1.h5: is one of the inputs"),
@@ -298,19 +335,30 @@ def test_bad_input_is_refused_in_one_line(args, message, bad_folder, monkeypatch
     assert before == {path.name: path.stat().st_mtime_ns for path in bad_folder.iterdir()}
 
 
-@pytest.mark.parametrize("args", [(), ("--search", "-1"), ("--n-samples", "many")])
-def test_bad_usage_has_the_same_exit_code(args, recorded):
+@pytest.mark.parametrize(
+    ("args", "message"),
+    [
+        ((), "Missing option '--rig'"),
+        (("--search", "-1"), "Option '--search' requires 2 arguments"),
+        (("--n-samples", "many"), "Invalid value for '--n-samples'"),
+    ],
+)
+def test_bad_usage_is_refused_in_one_line(args, message, recorded):
     rig = ("--rig", recorded / "rig.yaml") if args else ()
-    assert run(*recorded.pair, *rig, *args).exit_code == BAD_INPUT
+    result = run(*recorded.pair, *rig, *args)
+    assert result.exit_code == BAD_INPUT
+    (line,) = result.stderr.splitlines()
+    assert line.startswith(f"error: {message}")
+    assert line.endswith("; see python -m ssac.tool sync --help")
 
 
 def test_options_reach_the_method(recorded):
     result = run(
         *recorded.pair, "--rig", recorded / "rig.yaml", "--no-denoise", "--n-samples", "150",
-        "--half-window", "0.01", "--n-min", "100",
+        "--half-window", "0.01", "--n-min", "100", "--method", "joint",
     )  # fmt: skip
     assert result.exit_code == 0
-    assert "of 150" in result.stdout
+    assert " pairs of positions used at 150 sample times\n" in result.stdout
     assert "denoise" not in result.stderr
 
 

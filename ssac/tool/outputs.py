@@ -1,0 +1,82 @@
+"""A result of `sync` in, the files that were asked for out: JSON, figures, synchronised events."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from ssac.errors import SsacError
+from ssac.files.event_files import load_events, write_synced
+from ssac.files.hdf5 import HDF5_SUFFIXES
+from ssac.tool.report import note, save_json
+from ssac.tool.sync import Clock, Log, SyncResult
+
+_SYNCED_SUFFIXES = (*HDF5_SUFFIXES, ".txt")
+
+
+@dataclass(frozen=True)
+class Outputs:
+    """Where to write; None: not asked for."""
+
+    json_file: Path | None = None
+    plot: Path | None = None  # a folder, or one file for all figures
+    synced: Path | None = None  # camera 2's events on camera 1's clock
+
+
+def check_outputs(inputs: tuple[Path, ...], outputs: Outputs) -> None:
+    """Raise SsacError, before any work is done, for outputs that cannot be written."""
+    synced, plot = outputs.synced, outputs.plot
+    if synced is not None and synced.suffix.lower() not in _SYNCED_SUFFIXES:
+        raise SsacError(
+            f"{synced}: cannot write the extension {synced.suffix!r}: use one of "
+            f"{', '.join(_SYNCED_SUFFIXES)}"
+        )
+    is_folder = plot is not None and not _is_figure(plot)
+    for output in (outputs.json_file, None if is_folder else plot, synced):
+        if output is None:
+            continue
+        if output.is_dir() or not output.parent.is_dir():
+            raise SsacError(f"{output}: not a file in a folder that exists: name another")
+        if any(output.exists() and path.exists() and output.samefile(path) for path in inputs):
+            raise SsacError(f"{output}: is one of the inputs and would be lost: name another file")
+
+
+def write_outputs(result: SyncResult, outputs: Outputs, log: Log) -> None:
+    """Write what was asked for and say so; synchronised events only where the offset holds."""
+    clock = Clock(log)
+    estimate, synced = result.estimate, outputs.synced
+    if outputs.json_file is not None:
+        save_json(outputs.json_file, result)
+        log(f"wrote {outputs.json_file}")
+    if outputs.plot is not None:
+        with clock.part("draw") as say:
+            say(_draw(outputs.plot, result))
+    if synced is not None and estimate.has_offset:
+        with clock.part("write") as say:
+            # Read again, whole: what is in memory has been denoised.
+            write_synced(synced, load_events(result.paths[1]), estimate.t_d_s)
+            say(f"{synced}, by an offset of unknown accuracy" if note(estimate) else str(synced))
+    elif synced is not None:
+        log(f"not written: {synced}, since there is no reliable offset")
+
+
+# Matplotlib is imported by those alone who want figures: it takes half a second.
+
+
+def _is_figure(plot: Path) -> bool:
+    """Tell a file for all figures from a folder for them; SsacError for what can be neither."""
+    from ssac.tool.plots import FILE_SUFFIXES
+
+    if plot.suffix.lower() in FILE_SUFFIXES:
+        return True
+    if plot.exists() and not plot.is_dir():
+        raise SsacError(
+            f"{plot}: exists and is no folder: name a folder, or a file ending in "
+            f"{', '.join(FILE_SUFFIXES)}"
+        )
+    return False
+
+
+def _draw(plot: Path, result: SyncResult) -> str:
+    from ssac.tool.plots import save_figures
+
+    drawn = save_figures(plot, result.estimate, result.cam1, result.cam2, result.rig, result.config)
+    return ", ".join(map(str, drawn)) or "nothing: the method left no curve and no track"

@@ -1,0 +1,146 @@
+"""A result of `sync` in, text for people and JSON for machines out."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from ssac.estimate import Estimate
+from ssac.files.whole_file import whole_file
+from ssac.tool.registry import Input, Method
+from ssac.tool.sync import SyncResult
+
+
+def report_text(result: SyncResult) -> str:
+    """Lay out a result for people, the sign of the offset in words."""
+    estimate, rows = result.estimate, list[tuple[str, str]]()
+    if estimate.status != "ok":
+        title = "no pose" if estimate.has_offset else "no estimate"
+        rows.append((title, f"{estimate.status}: {estimate.reason}"))
+    if np.isfinite(estimate.t_d_s):
+        rows += _offset_rows(estimate)
+    if note(estimate):
+        rows.append(("note", note(estimate)))
+    if result.method.needs_extrinsics:
+        rows.append(("pose", f"as given in {result.paths[2]}"))
+    elif estimate.R is not None and estimate.t is not None:
+        rows += _pose_rows(estimate.R, estimate.t, estimate.covariance)
+    if result.method.input is Input.TRACKS:
+        rows.append(("samples", _samples(result)))
+    if np.isfinite(estimate.d_avg_px):
+        rows.append(("d_avg", f"{estimate.d_avg_px:.3f} px from point to epipolar line"))
+    rows.append(("method", f"{result.method.name}: {result.method.summary}"))
+    return "\n".join(f"{name:15}{value}" for name, value in rows)
+
+
+def report_json(result: SyncResult) -> dict[str, Any]:
+    """Lay out a result for machines: units in the names, None for what is missing."""
+    estimate, (cam1, cam2, rig) = result.estimate, result.paths
+    has_samples = result.method.input is Input.TRACKS
+    return {
+        "t_d_s": _plain(estimate.t_d_s),
+        "t_d_std_s": _plain(estimate.t_d_std_s),
+        "R": _plain(estimate.R),
+        "t": _plain(estimate.t),
+        "status": estimate.status,
+        "reason": estimate.reason,
+        "note": note(estimate),
+        "method": result.method.name,
+        "n_samples": estimate.n_samples if has_samples else None,
+        "d_avg_px": _plain(estimate.d_avg_px),
+        "t_d_is_reliable": estimate.has_offset,
+        "alternatives_s": _plain(estimate.alternatives_s),
+        "unobservable": _plain(estimate.unobservable),
+        "covariance": _plain(estimate.covariance),
+        "conventions": "t_cam2 = t_cam1 + t_d; x2 = R x1 + t, |t| = 1; covariance of t_d [s], "
+        "rotation vector of exp([w]x) R [rad] and t's two tangents [rad]; unobservable: unit "
+        "directions in the same six",
+        "search_s": list(result.config.interval_s),
+        "cam1": str(cam1),
+        "cam2": str(cam2),
+        "rig": str(rig),
+        "seconds": {part: round(value, 3) for part, value in result.seconds.items()},
+    }
+
+
+def note(estimate: Estimate) -> str:
+    """Say what a user of the offset must know beside its status; empty when there is nothing."""
+    if not estimate.has_offset or np.isfinite(estimate.t_d_std_s):
+        return ""
+    return (
+        f"{estimate.method} states no standard deviation, so nothing says how far off this offset "
+        "is: compare it with that of a method that states one, such as tangency"
+    )
+
+
+def save_json(path: Path, result: SyncResult) -> None:
+    """Write `report_json`; the file appears only when it is complete."""
+    rows = [
+        f" {json.dumps(key)}: {json.dumps(value, allow_nan=False)}"
+        for key, value in report_json(result).items()
+    ]
+    with whole_file(path) as temporary:
+        temporary.write_text("{\n" + ",\n".join(rows) + "\n}\n", encoding="utf-8")
+
+
+def _offset_rows(estimate: Estimate) -> list[tuple[str, str]]:
+    """Rows on the offset, its sign in words; what to do with it only where its error is known."""
+    offset_ms, sigma_ms = 1e3 * estimate.t_d_s, 1e3 * estimate.t_d_std_s
+    if not estimate.has_offset:
+        rows = [("not reliable", f"t_d = {offset_ms:.3f} ms")]
+        others = ", ".join(f"{1e3 * other_s:.0f}" for other_s in estimate.alternatives_s)
+        return rows + ([("or", f"t_d = {others} ms")] if others else [])
+    more, remedy = ("more", "subtract it from") if offset_ms >= 0.0 else ("less", "add it to")
+    words = f"camera 2's clock shows {abs(offset_ms):.3f} ms {more} than camera 1's"
+    if not np.isfinite(sigma_ms):
+        return [("time offset", f"t_d = {offset_ms:.3f} ms, of unknown accuracy"), ("", words)]
+    return [
+        ("time offset", f"t_d = {offset_ms:.3f} ms, 1 sigma {sigma_ms:.3f} ms"),
+        ("", f"{words}; {remedy} camera 2's timestamps"),
+    ]
+
+
+def _pose_rows(
+    R: NDArray[np.float64], t: NDArray[np.float64], covariance: NDArray[np.float64] | None
+) -> list[tuple[str, str]]:
+    """Rows on the pose x2 = R x1 + t; 1 sigma is the root of the summed variances."""
+    rotation = Rotation.from_matrix(R).as_rotvec(degrees=True)
+    sigmas = ["", ""]
+    if covariance is not None and np.isfinite(covariance).all():
+        variances = np.diag(covariance)
+        sigmas = [
+            f", 1 sigma {np.degrees(np.sqrt(np.sum(variances[part]))):.3f} deg"
+            for part in (slice(1, 4), slice(4, 6))
+        ]
+    apart_deg = np.degrees(np.arccos(np.clip(R[2, 2], -1.0, 1.0)))
+    return [
+        ("lines of sight", f"{apart_deg:.2f} deg apart"),
+        ("rotation", f"vector {_vector(rotation, 3)} deg{sigmas[0]}; x2 = R x1 + t"),
+        ("translation", f"t = {_vector(t, 4)}, of unknown length{sigmas[1]}"),
+        ("", f"camera 2 lies towards {_vector(-R.T @ t, 3)} of camera 1 (right, down, forward)"),
+    ]
+
+
+def _samples(result: SyncResult) -> str:
+    """Say what the estimate rests on, in the words of its method."""
+    estimate, method = result.estimate, result.method
+    if estimate.status != "ok":  # it may have stopped before the pairs that it is named for
+        return f"{estimate.n_samples} pairs used"
+    times = "" if method.counts != Method.counts else f" at {result.config.n_samples} sample times"
+    return f"{estimate.n_samples} {method.counts} used{times}"
+
+
+def _vector(values: NDArray[np.float64], digits: int) -> str:
+    return f"({', '.join(f'{value:.{digits}f}' for value in values + 0.0)})"
+
+
+def _plain(value: float | NDArray[np.float64] | None) -> Any:
+    """Nested lists of Python numbers, None for what is missing or not finite."""
+    if value is None:
+        return None
+    if isinstance(value, np.ndarray):
+        return [_plain(part) for part in value]
+    return float(value) if np.isfinite(value) else None

@@ -1,0 +1,145 @@
+"""A command line in, offset and pose on stdout and in files out: `ssac sync`.
+
+What takes long to import is imported when the command runs, not for its help.
+"""
+
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib import import_module
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from ssac.config import Config
+from ssac.console.command_line import Sections
+from ssac.console.exits import NO_ESTIMATE
+from ssac.console.options import number
+from ssac.errors import SsacError
+from ssac.tool.summaries import DEFAULT, all_summaries
+
+MAX_SEARCH_S = 3600.0
+"""Width of a search interval that still ends: its time is proportional to it."""
+
+
+def complete_method(incomplete: str) -> list[tuple[str, str]]:
+    """List the methods for a shell that completes a name."""
+    return [pair for pair in all_summaries().items() if pair[0].startswith(incomplete)]
+
+
+def sync_command(
+    cam1: Annotated[
+        Path, typer.Argument(metavar="CAM1", help="Events of camera 1.", show_default=False)
+    ],
+    cam2: Annotated[
+        Path, typer.Argument(metavar="CAM2", help="Events of camera 2.", show_default=False)
+    ],
+    rig: Annotated[
+        Path,
+        typer.Option(
+            metavar="FILE", help="Kalibr or OpenCV YAML of both cameras.", show_default=False
+        ),
+    ],
+    known_extrinsics: Annotated[
+        bool,
+        typer.Option(
+            "--known-extrinsics", help="Use the pose that the rig file gives; find the offset."
+        ),
+    ] = False,
+    method: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME",
+            help="How to find them: see the methods below.",
+            autocompletion=complete_method,
+        ),
+    ] = DEFAULT,
+    search: Annotated[
+        tuple[float, float],
+        typer.Option(metavar="LOW HIGH", help="Least and largest offset t_d to try, in seconds."),
+    ] = Config.interval_s,
+    json_file: Annotated[
+        Path | None,
+        typer.Option("--json", metavar="FILE", help="Write the result for machines."),
+    ] = None,
+    plot: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="PATH", help="Draw the result: a folder for all figures, or .png, .pdf, .svg."
+        ),
+    ] = None,
+    write_synced: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Write camera 2's events on camera 1's clock (.h5 or .txt)."
+        ),
+    ] = None,
+    no_denoise: Annotated[
+        bool, typer.Option("--no-denoise", help="Keep hot pixels and isolated events.")
+    ] = False,
+    n_samples: Annotated[
+        int,
+        number("Times at which the object's positions are compared.", 20, 100_000, metavar="COUNT"),
+    ] = Config.n_samples,
+    half_window: Annotated[
+        float,
+        number(
+            "Events this long before and after such a time give a position.", 0.001, 0.25, "seconds"
+        ),
+    ] = Config.half_window_s,
+    n_min: Annotated[
+        int, number("Events that a position needs at least.", 1, 100_000, metavar="COUNT")
+    ] = Config.n_min,
+) -> None:
+    """Find the time offset and the relative pose of two event cameras from one moving object.
+
+    Exit code 0: done; 1: the data give no reliable estimate, the output says why; 2: wrong usage,
+    or a file that cannot be used; 3: a bug of this program; 130: interrupted.
+    """
+    if not 0.0 < search[1] - search[0] <= MAX_SEARCH_S:
+        raise SsacError(
+            "--search: expected a smaller and a larger offset, at most "
+            f"{MAX_SEARCH_S:g} seconds apart, got {search[0]:g} {search[1]:g}"
+        )
+    from ssac.tool.outputs import Outputs, check_outputs, write_outputs
+    from ssac.tool.report import report_text
+    from ssac.tool.sync import sync
+
+    outputs = Outputs(json_file, plot, write_synced)
+    config = Config(
+        interval_s=search,
+        n_samples=n_samples,
+        half_window_s=half_window,
+        n_min=n_min,
+        denoise=not no_denoise,
+    )
+    with _warnings_as_lines():
+        check_outputs((cam1, cam2, rig), outputs)
+        result = sync(cam1, cam2, rig, method, known_extrinsics, config, log=_to_stderr)
+        typer.echo(report_text(result))
+        write_outputs(result, outputs, _to_stderr)
+    if result.estimate.status != "ok":
+        raise typer.Exit(NO_ESTIMATE)
+
+
+def help_sections() -> Sections:
+    """List the methods, and what an estimate's status may be, below the help."""
+    estimate: Any = import_module("ssac.estimate")
+    statuses = [(str(status), status.meaning) for status in getattr(estimate, "Status", ())]
+    return {
+        "Methods": list(all_summaries().items()),
+        **({"Statuses": statuses} if statuses else {}),
+    }
+
+
+@contextmanager
+def _warnings_as_lines() -> Iterator[None]:
+    """Show each warning as one line on stderr."""
+    with warnings.catch_warnings():
+        warnings.showwarning = lambda message, *_, **__: _to_stderr(f"warning: {message}")
+        yield
+
+
+def _to_stderr(line: str) -> None:
+    typer.echo(line, err=True)

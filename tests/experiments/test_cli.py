@@ -1,0 +1,77 @@
+"""The table of commands: each is there, is named as its module, and ends with the right code."""
+
+import inspect
+import os
+import signal
+import subprocess
+import sys
+import time
+from importlib import import_module
+from types import SimpleNamespace
+
+import pytest
+
+from experiments import cli
+from sim.errors import SimError
+
+# A command that shares its module with another, or the module with the callable it runs.
+ELSEWHERE = {"merge": "sweep", "sync": "sync_command"}
+
+
+@pytest.mark.parametrize("entry", cli.COMMANDS, ids=lambda entry: entry.name)
+def test_every_command_is_where_its_name_says(entry):
+    function = getattr(import_module(entry.module), entry.function)
+    assert inspect.getdoc(function)
+    base = entry.name.removesuffix("-study")
+    assert entry.module.rpartition(".")[2] == ELSEWHERE.get(entry.name, base)
+    assert entry.function == f"{entry.name.replace('-', '_')}_command"
+
+
+def test_use_comes_before_reproduce_and_every_name_once():
+    names = [entry.name for entry in cli.COMMANDS]
+    assert len(set(names)) == len(names)
+    groups = [entry.group for entry in cli.COMMANDS]
+    assert groups == sorted(groups, key=("Use", "Reproduce").index)
+    assert names[:3] == ["simulate", "sync", "demo"]
+
+
+@pytest.mark.parametrize("entry", cli.COMMANDS, ids=lambda entry: entry.name)
+def test_a_summary_is_one_whole_line_of_the_list(entry):
+    widest = max(len(entry.name) for entry in cli.COMMANDS)
+    assert len(f"  {'':{widest}}  {entry.summary}") <= 80
+    assert entry.summary.endswith((".", "?"))
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "said"),
+    [
+        (SimError("no such thing"), 2, "error: no such thing\n"),
+        (ZeroDivisionError("a bug"), 3, "error: a bug in this program, ZeroDivisionError: a bug;"),
+        (KeyboardInterrupt(), 130, "interrupted\n"),
+    ],
+)
+def test_exit_codes(error, code, said, monkeypatch, capsys, tmp_path):
+    def fails() -> None:
+        raise error
+
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    monkeypatch.setitem(sys.modules, "experiments.scenes.demo", SimpleNamespace(demo_command=fails))
+    monkeypatch.setattr(sys, "argv", ["ssac", "demo"])
+    with pytest.raises(SystemExit) as end:
+        cli.main()
+    assert end.value.code == code
+    assert capsys.readouterr().err.startswith(said)
+
+
+@pytest.mark.render
+def test_an_interrupted_simulation_is_one_line_and_shows_no_bar(tmp_path):
+    command = [sys.executable, "-m", "experiments", "simulate", "out", "--duration", "60"]
+    process = subprocess.Popen(
+        command, cwd=tmp_path, stderr=subprocess.PIPE, text=True,
+        env=os.environ | {"PYTHONPATH": os.getcwd()},
+    )  # fmt: skip
+    time.sleep(4.0)  # while it imports or simulates: either way it must be one line
+    process.send_signal(signal.SIGINT)
+    assert process.communicate(timeout=120)[1] == "interrupted\n"
+    assert process.returncode == 130
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,56 @@
+"""`python -m ssac.tool` where neither the simulator nor the experiments can be imported."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+from tests.recorded import T_D_S
+
+WITHOUT = """
+import runpy
+import sys
+
+class Absent:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in ("sim", "experiments"):
+            raise ModuleNotFoundError(f"{name} is not here")
+
+sys.meta_path.insert(0, Absent())
+sys.argv[0] = "ssac.tool"
+runpy.run_module("ssac.tool", run_name="__main__", alter_sys=True)
+"""
+
+
+def tool(*args: object) -> "subprocess.CompletedProcess[str]":
+    command = [sys.executable, "-c", WITHOUT, *map(str, args)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+
+
+@pytest.mark.parametrize("method", ["tangency", "zncc_f"])
+def test_sync_needs_neither(method, recorded, tmp_path):
+    out, figures = tmp_path / "out.json", tmp_path / "figures"
+    args = ("--rig", recorded / "rig.yaml", "--method", method, "--json", out, "--plot", figures)
+    result = tool("sync", *recorded.pair, *args)
+    assert result.returncode == 0, result.stderr
+    assert abs(json.loads(out.read_text())["t_d_s"] - T_D_S) < 0.05
+    assert (figures / "d_avg.png").exists()
+
+
+def test_only_its_own_commands_are_listed():
+    result = tool("--help")
+    assert result.returncode == 0
+    assert "sync" in result.stdout
+    assert "simulate" not in result.stdout
+
+
+def test_what_is_barred_is_barred():
+    """Or else the test above would say nothing."""
+    code = WITHOUT.replace(
+        'runpy.run_module("ssac.tool"', 'import sim.errors\nrunpy.run_module("x"'
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False
+    )
+    assert "sim is not here" in result.stderr
