@@ -7,6 +7,7 @@ import typer
 
 from experiments.run.cache import Cache
 from experiments.run.schedule import Outcome
+from ssac.console.exits import BUG
 
 WorkersOption = Annotated[int, typer.Option(help="Processes; -1: one for each core.")]
 SchedulerOption = Annotated[
@@ -16,7 +17,7 @@ CacheOption = Annotated[Path, typer.Option(help="Folder that keeps finished reco
 
 
 def finish(outcome: Outcome, cache: Cache, *files: Path) -> None:
-    """Say what was done; exit with 1 when runs crashed."""
+    """Say what was done; runs that crashed are bugs of ours, and the exit code says so."""
     runs = outcome.runs
     failed = runs[runs["status"] != "ok"]
     typer.echo(
@@ -33,6 +34,8 @@ def finish(outcome: Outcome, cache: Cache, *files: Path) -> None:
         typer.echo(f"written to {path}")
     if outcome.n_crashed:
         typer.echo(
-            f"error: {outcome.n_crashed} runs crashed; run again to try them again", err=True
+            f"error: a bug in this program: {outcome.n_crashed} runs crashed, their reasons are in "
+            "the rows; run again to try them again",
+            err=True,
         )
-        raise typer.Exit(1)
+        raise typer.Exit(BUG)

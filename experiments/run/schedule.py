@@ -96,7 +96,8 @@ def run_cells(
     # The longest first, so that no worker is left alone with one at the end.
     left.sort(key=lambda index: (-_cost(tasks[index]), index))
     peak_mb = 0.0
-    with tqdm(total=len(left), desc=label, disable=not (show_progress and left)) as bar:
+    # None: no bar where stderr is no terminal.
+    with tqdm(total=len(left), desc=label, disable=None if show_progress and left else True) as bar:
         for index, rows, task_mb in _spread(tasks, left, cache, workers):
             found[index] = rows
             for key, row in zip(keys[index], rows, strict=True):

@@ -11,9 +11,10 @@ from scipy.spatial.transform import Rotation
 
 from experiments.run.provenance import plain, versions
 from experiments.run.score import score
-from experiments.scenes.simulate import simulate_with_progress, summary
+from experiments.scenes.simulate import MAX_SEED, simulate_with_progress, summary
 from sim.recording import SimConfig, Truth
 from sim.storage import save_recording
+from ssac.console.options import number
 from ssac.estimate import Estimate
 from ssac.tool.plots import save_figures
 from ssac.tool.sync import sync
@@ -25,10 +26,10 @@ METHODS = ("ssac", "tangency")
 
 
 def demo_command(
-    out_dir: Annotated[Path, typer.Option("--out", help="Folder for the results.")] = Path(
-        "out/demo"
-    ),
-    seed: Annotated[int, typer.Option(help="Of the simulated flight.")] = 0,
+    out_dir: Annotated[
+        Path, typer.Option("--out", metavar="FOLDER", help="Folder for the results.")
+    ] = Path("out/demo"),
+    seed: Annotated[int, number("Of the simulated flight.", 0, MAX_SEED)] = 0,
 ) -> None:
     """Simulate 20 s at 90 deg with an offset of 50 ms, recover it, and draw one figure."""
     recording = simulate_with_progress(DEMO, seed)

@@ -11,6 +11,7 @@ from experiments.run.bridge import observations, rig_of
 from sim.recording import Recording, SimConfig, simulate
 from sim.sensor.frames import FrameConfig
 from ssac.config import Config
+from ssac.console.options import number
 from ssac.geometry.epipolar import epipolar_distance, fundamental_from_pose
 from ssac.search.offset_search import sample_pairs
 from ssac.track.observation import object_motions
@@ -81,7 +82,7 @@ def scene_figures(recording: Recording, config: Config | None = None) -> SceneFi
 
 
 def scene_command(
-    seeds: Annotated[int, typer.Option(help="Flights to average over.")] = 10,
+    seeds: Annotated[int, number("Flights to average over.", 1, 1000, metavar="COUNT")] = 10,
 ) -> None:
     """Print how the default scene looks to the method, beside the authors' public sample."""
     config = SimConfig(frames=FrameConfig(rate_hz=0.0))  # the sample's angle and duration

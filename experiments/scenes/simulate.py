@@ -1,6 +1,5 @@
 """A command line in, a simulated recording as a folder out: `ssac simulate`."""
 
-import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -20,15 +19,19 @@ from sim.scene.trajectory import SplineConfig
 from sim.sensor.events import PRESETS
 from sim.sensor.frames import FrameConfig
 from sim.storage import check_out_dir, save_recording
+from ssac.console.options import number
+
+MAX_SEED = 2**32 - 1
 
 _DEFAULT = SimConfig()
 
 
 def simulate_with_progress(config: SimConfig, seed: int, label: str = "simulating") -> Recording:
-    """Run the simulator with a progress bar on stderr."""
-    # The delay keeps the bar from appearing before a line about bad input.
+    """Run the simulator, with a progress bar where stderr is a terminal."""
+    # The delay keeps the bar from appearing before a line about bad input, and `disable=None` where
+    # stderr is no terminal.
     style = "{l_bar}{bar}| {remaining} left"
-    with tqdm(total=100, desc=label, bar_format=style, delay=0.5) as bar:
+    with tqdm(total=100, desc=label, bar_format=style, delay=0.5, disable=None) as bar:
 
         def show(share: float) -> None:
             bar.update(round(100 * share) - bar.n)
@@ -38,74 +41,92 @@ def simulate_with_progress(config: SimConfig, seed: int, label: str = "simulatin
 
 def simulate_command(
     out_dir: Annotated[
-        Path, typer.Argument(help="New folder for the recording.", show_default=False)
+        Path,
+        typer.Argument(metavar="OUT_DIR", help="New folder for the recording.", show_default=False),
     ],
-    angle: Annotated[float, typer.Option(help="Between the two lines of sight [deg].")] = 90.0,
-    duration: Annotated[float, typer.Option(help="Of the flight [s].")] = 20.0,
-    t_d: Annotated[float, typer.Option(help="Offset: t_cam2 = t_cam1 + t_d [s].")] = 0.0,
-    seed: Annotated[int, typer.Option(help="The same seed gives the same bytes.")] = 0,
+    angle: Annotated[float, number("Between the two lines of sight.", 1, 179, "degrees")] = 90.0,
+    duration: Annotated[float, number("Of the flight.", 1, 3600, "seconds")] = 20.0,
+    t_d: Annotated[float, number("Offset: t_cam2 = t_cam1 + t_d.", -86400, 86400, "seconds")] = 0.0,
+    seed: Annotated[
+        int, number("Of all that is random: the same seed gives the same bytes.", 0, MAX_SEED)
+    ] = 0,
     trajectory: Annotated[
         Path | None,
-        typer.Option(help="CSV t,x,y,z,qx,qy,qz,qw instead of a random spline; sets the duration."),
+        typer.Option(
+            metavar="FILE",
+            help="CSV t,x,y,z,qx,qy,qz,qw instead of a random spline; sets the duration.",
+        ),
     ] = None,
     drone: Annotated[
-        str, typer.Option(help=f"{', '.join(DRONES)}, or a mesh file.")
+        str, typer.Option(metavar="NAME", help=f"{', '.join(DRONES)}, or a mesh file.")
     ] = _DEFAULT.drone,
     drone_size: Annotated[
-        float | None, typer.Option(help="Largest extent of the drone [m].")
+        float | None, number("Largest extent of the drone.", 0.01, 100, "metres")
     ] = None,
     rotor_hz: Annotated[
-        float, typer.Option(help="Turns per second of the quadrotor's rotors.")
+        float, number("Turns per second of the quadrotor's rotors.", -1000, 1000, "hertz")
     ] = 0.0,
     flap_hz: Annotated[
-        float, typer.Option(help="Beats per second of the bird's wings.")
+        float, number("Beats per second of the bird's wings.", 0, 100, "hertz")
     ] = _DEFAULT.flap_hz,
     distance: Annotated[
-        float, typer.Option(help="Of the cameras from the point they look at [m].")
+        float, number("Of the cameras from the point they look at.", 0.1, 10_000, "metres")
     ] = _DEFAULT.distance_m,
     spread: Annotated[
         float,
-        typer.Option(help="Extent of the random flight; less keeps a near drone in view."),
+        number("Extent of the random flight; less keeps a near drone in view.", 0.01, 100),
     ] = 1.0,
-    focal: Annotated[float, typer.Option(help="Focal length [px].")] = _DEFAULT.focal_px,
+    focal: Annotated[float, number("Focal length.", 10, 100_000, "pixels")] = _DEFAULT.focal_px,
     resolution: Annotated[
-        tuple[int, int], typer.Option(help="Width and height [px].")
+        tuple[int, int], number("Of each camera.", 16, 8192, "pixels", "WIDTH HEIGHT")
     ] = _DEFAULT.resolution,
     distortion_model: Annotated[
-        str, typer.Option(help="none, radtan or equidistant.")
+        str, typer.Option(metavar="NAME", help="none, radtan or equidistant.")
     ] = _DEFAULT.distortion_model,
     distortion: Annotated[
         tuple[float, float, float, float],
-        typer.Option(help="Its coefficients: k1 k2 p1 p2 (radtan) or k1 k2 k3 k4 (equidistant)."),
+        number(
+            "Its coefficients: k1 k2 p1 p2 (radtan) or k1 k2 k3 k4 (equidistant).",
+            -10,
+            10,
+            metavar="K K K K",
+        ),
     ] = (0.0, 0.0, 0.0, 0.0),
     background: Annotated[
         list[Path] | None,
-        typer.Option(help="Image behind the drone; once for all cameras, or once for each."),
+        typer.Option(
+            metavar="FILE",
+            help="Image behind the drone; once for all cameras, or once for each.",
+        ),
     ] = None,
     background_luminance: Annotated[
-        float, typer.Option(help="Of the sky where there is no image, 0 to 1.")
+        float, number("Of the sky where there is no image.", 0, 1)
     ] = _DEFAULT.background_luminance,
-    noise: Annotated[str, typer.Option(help=f"Sensor preset: {', '.join(PRESETS)}.")] = "ideal",
+    noise: Annotated[
+        str, typer.Option(metavar="NAME", help=f"Sensor preset: {', '.join(PRESETS)}.")
+    ] = "ideal",
     threshold_on: Annotated[
-        float, typer.Option(help="Contrast threshold C+, of log intensity.")
+        float, number("Contrast threshold C+, of log intensity.", 0.01, 5)
     ] = _DEFAULT.sensor.threshold_on,
     threshold_off: Annotated[
-        float, typer.Option(help="Contrast threshold C-.")
+        float, number("Contrast threshold C-.", 0.01, 5)
     ] = _DEFAULT.sensor.threshold_off,
     frame_rate: Annotated[
-        float, typer.Option(help="Intensity frames per second; 0 for none.")
+        float, number("Intensity frames per second; 0 for none.", 0, 1000, "hertz")
     ] = _DEFAULT.frames.rate_hz,
     exposure: Annotated[
-        float, typer.Option(help="Exposure time of a frame [s].")
+        float, number("Exposure time of a frame.", 1e-5, 1, "seconds")
     ] = _DEFAULT.frames.exposure_s,
     max_step: Annotated[
-        float, typer.Option(help="Largest image motion between rendered instants [px].")
+        float, number("Largest image motion between rendered instants.", 0.005, 10, "pixels")
     ] = _DEFAULT.sampling.max_step_px,
     lattice: Annotated[
         tuple[int, int],
-        typer.Option(help="Supersampling a b: a*a + b*b samples per pixel, b = 0 or 1."),
+        number("Supersampling: a*a + b*b samples per pixel, b = 0 or 1.", 0, 64, metavar="A B"),
     ] = (_DEFAULT.render.lattice.a, _DEFAULT.render.lattice.b),
-    gl: Annotated[str, typer.Option(help="GL backend: auto, osmesa or egl.")] = "auto",
+    gl: Annotated[
+        str, typer.Option(metavar="NAME", help="GL backend: auto, osmesa or egl.")
+    ] = "auto",
     text: Annotated[bool, typer.Option("--text", help="Write ESIM text files too.")] = False,
     figures: Annotated[
         bool,
@@ -159,8 +180,6 @@ def _drone(name: str) -> dict[str, Any]:
 
 def _spline(duration_s: float, spread: float) -> SplineConfig:
     """Scale the default box of random positions, and the circle that keeps clear of cameras."""
-    if not (math.isfinite(spread) and spread > 0.0):
-        raise SimError(f"--spread: expected a positive number, got {spread}")
     x, y, z = (spread * multiplier for multiplier in _DEFAULT.spline.multiplier_xyz_m)
     radius_m = spread * _DEFAULT.spline.max_radius_m
     return SplineConfig(duration_s, multiplier_xyz_m=(x, y, z), max_radius_m=radius_m)

@@ -10,6 +10,7 @@ from experiments.cli import app
 from experiments.paper import tables as reproduce
 from experiments.run.schedule import Outcome
 from experiments.run.task import CRASHED
+from ssac.console.exits import BUG
 from tests.experiments.reported import made_up_runs
 
 pytestmark = pytest.mark.render  # provenance names the GL driver
@@ -55,7 +56,7 @@ def test_crashed_runs_stand_in_the_tables_and_in_the_exit_code(tmp_path, monkeyp
     crashed = outcome()
     crashed.runs.loc[[0, 9], ["status", "reason"]] = CRASHED, "ssac: KeyError: 3"
     result, _ = make_tables(tmp_path, monkeypatch, crashed)
-    assert result.exit_code == 1
+    assert result.exit_code == BUG
     assert "2 runs crashed" in result.output
     runs = pd.read_csv(tmp_path / "runs.csv")
     assert (runs["status"] == CRASHED).sum() == 2

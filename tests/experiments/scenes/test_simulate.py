@@ -10,6 +10,7 @@ from typer.testing import CliRunner, Result
 
 from experiments.cli import app, main
 from sim.errors import SimError
+from ssac.errors import SsacError
 from ssac.files.event_files import load_events, load_frames
 from ssac.files.rigs import load_rig
 
@@ -52,7 +53,7 @@ def test_the_folder_holds_what_the_design_says(tmp_path: Path) -> None:
 
 @pytest.mark.render
 def test_the_same_arguments_give_the_same_bytes(tmp_path: Path) -> None:
-    arguments = [*FAST, "--seed", 3, "--noise", "davis346"]
+    arguments = [*FAST, "--seed", 2**32 - 1, "--noise", "davis346"]
     for name in ("a", "b"):
         assert run(tmp_path / name, *arguments).exit_code == 0
     assert hashes(tmp_path / "a") == hashes(tmp_path / "b")
@@ -72,19 +73,25 @@ def test_a_bird_close_to_the_cameras(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--angle", 180], "between 0 and 180 deg"),
+        (["--angle", 180], "--angle: expected 1 to 179 degrees, got 180"),
         (["--noise", "loud"], "expected one of ideal, davis346, got 'loud'"),
-        (["--duration", 0], "duration_s must be a positive number"),
+        (["--duration", 0], "--duration: expected 1 to 3600 seconds, got 0"),
+        (["--duration", "nan"], "--duration: expected 1 to 3600 seconds, got nan"),
+        (["--resolution", 346, 0], "--resolution: expected 16 to 8192 pixels, got 0"),
+        (["--drone-size", 0], "--drone-size: expected 0.01 to 100 metres, got 0"),
+        (["--exposure", 5], "--exposure: expected 1e-05 to 1 seconds, got 5"),
+        (["--t-d", "inf"], "--t-d: expected -86400 to 86400 seconds, got inf"),
         (["--drone", "missing.stl"], "missing.stl does not exist"),
         (["--drone", "hawk"], "expected a mesh file, or one of quadrotor, bird, plane"),
         (["--drone", "bird", "--rotor-hz", 9], "rotors spin on the built-in quadrotor only"),
-        (["--spread", 0], "--spread: expected a positive number, got 0.0"),
+        (["--spread", 0], "--spread: expected 0.01 to 100, got 0"),
         (["--distance", 1.5], "reaches into the camera"),
         (["--trajectory", "missing.csv"], "cannot read the trajectory missing.csv"),
         (["--background", "missing.png"], "missing.png"),
-        (["--seed", -1], "0 or a positive integer"),
-        (["--threshold-on", 0], "threshold_on must be a positive number"),
-        (["--threshold-off", -0.2], "threshold_off must be a positive number"),
+        (["--seed", -1], "--seed: expected 0 to 4294967295, got -1"),
+        (["--seed", 2**32], "--seed: expected 0 to 4294967295, got 4294967296"),
+        (["--threshold-on", 0], "--threshold-on: expected 0.01 to 5, got 0"),
+        (["--threshold-off", -0.2], "--threshold-off: expected 0.01 to 5, got -0.2"),
         (["--gl", "vulkan"], "expected auto, osmesa or egl"),
         (["--lattice", 0, 0], "supersampling lattice"),
     ],
@@ -93,7 +100,7 @@ def test_bad_input_is_one_error_and_leaves_nothing(
     tmp_path: Path, arguments: list[object], message: str
 ) -> None:
     result = run(tmp_path / "out", *arguments)
-    assert isinstance(result.exception, SimError)
+    assert isinstance(result.exception, (SimError, SsacError))
     assert message in str(result.exception)
     assert list(tmp_path.iterdir()) == []
 
@@ -109,11 +116,14 @@ def test_a_folder_that_is_not_empty_is_left_alone(tmp_path: Path) -> None:
 def test_the_command_line_turns_errors_into_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("sys.argv", ["ssac", "simulate", str(tmp_path / "out"), "--angle", "0"])
+    monkeypatch.setattr(
+        "sys.argv", ["ssac", "simulate", str(tmp_path / "out"), "--distance", "1.5"]
+    )
     with pytest.raises(SystemExit) as exit_info:
         main()
     assert exit_info.value.code == 2
     captured = capsys.readouterr()
     assert captured.out == ""
-    assert captured.err.startswith("error: the angle between the two lines of sight")
+    assert captured.err.startswith("error: ")
+    assert "reaches into the camera" in captured.err
     assert captured.err.count("\n") == 1
