@@ -129,7 +129,7 @@ def _samples(result: SyncResult) -> str:
     estimate, method = result.estimate, result.method
     if estimate.status != "ok":  # it may have stopped before the pairs that it is named for
         return f"{estimate.n_samples} pairs used"
-    times = "" if method.counts != Method.counts else f" at {result.config.n_samples} sample times"
+    times = "" if method.counts != Method.counts else f", of {result.config.n_samples} sample times"
     return f"{estimate.n_samples} {method.counts} used{times}"
 
 

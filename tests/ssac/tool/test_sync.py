@@ -358,7 +358,7 @@ def test_options_reach_the_method(recorded):
         "--half-window", "0.01", "--n-min", "100", "--method", "joint",
     )  # fmt: skip
     assert result.exit_code == 0
-    assert " pairs of positions used at 150 sample times\n" in result.stdout
+    assert " pairs of positions used, of 150 sample times\n" in result.stdout
     assert "denoise" not in result.stderr
 
 
