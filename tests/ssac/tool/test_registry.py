@@ -341,13 +341,13 @@ from experiments.run.grid import load_config
 print(*[cell.method for cell in load_config(Path("angles.toml")).cells()])
 """
     methods = run_python(folder, "-c", script).split()
-    each = grid["trajectories"] * len(grid["grid"]["sim"]["angle_deg"])
+    each = grid["flights"] * len(grid["grid"]["sim"]["angle_deg"])
     assert [methods.count(name) for name in grid["methods"]] == [each, each]
     assert len(methods) == 2 * each
 
 
 SWEEP = """
-trajectories = 2
+flights = 2
 methods = ["zncc_e", "track_speed"]
 [fixed]
 sim.angle_deg = 10.0
