@@ -1,13 +1,64 @@
 """What every method gives: an offset, a pose, and how far they are to be relied upon."""
 
 from dataclasses import dataclass, field
+from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-POSE_IS_OPEN = ("ambiguous_pose", "degenerate_pose")
+
+class Status(str, Enum):
+    """How far an estimate is to be relied upon; each member has its sentence in `meaning`.
+
+    A member is its own word in files, tables and comparisons: `Status.OK == "ok"`.
+    """
+
+    meaning: str  # for users
+
+    OK = "ok", "all that is given is to be relied upon"
+    NO_COMMON_TIME = "no_common_time", "at no offset searched do both cameras record at a time"
+    NO_COMMON_SIGNAL = (
+        "no_common_signal",
+        "at no lag searched do the signals of both cameras overlap by half and vary",
+    )
+    TOO_FEW_SAMPLES = (
+        "too_few_samples",
+        "the object is seen well by both cameras at too few sample times",
+    )
+    NO_MOTION = "no_motion", "the object hardly leaves its own outline, or is lost in noise"
+    TOO_LITTLE_MOTION = (
+        "too_little_motion",
+        "the object turns back too seldom to tell an offset and a pose from chance",
+    )
+    SEARCH_BOUND = "search_bound", "the best offset lies at a bound of the search: widen it"
+    NO_MATCH = "no_match", "at no offset do the two views show one object's path"
+    AMBIGUOUS_OFFSET = (
+        "ambiguous_offset",
+        "several offsets fit alike, or the motion hardly tells one from another",
+    )
+    AMBIGUOUS_POSE = "ambiguous_pose", "the offset holds, but several poses fit alike"
+    DEGENERATE_POSE = "degenerate_pose", "the offset holds, but the path leaves the pose open"
+    NO_CONVERGENCE = "no_convergence", "the iterations ran out, or left the minimum they began in"
+
+    def __new__(cls, word: str, meaning: str) -> "Status":
+        """Make a member that is its word."""
+        member = str.__new__(cls, word)
+        member._value_ = word
+        member.meaning = meaning
+        return member
+
+    def __str__(self) -> str:
+        return str(self.value)
+
+    @property
+    def has_offset(self) -> bool:
+        """Whether the offset of such an estimate holds, though its pose may be open."""
+        return self is Status.OK or self in POSE_IS_OPEN
+
+
+POSE_IS_OPEN = (Status.AMBIGUOUS_POSE, Status.DEGENERATE_POSE)
 """Statuses of estimates whose offset holds all the same."""
 
 
@@ -16,22 +67,46 @@ class Estimate:
     """The result of any method; what a method does not estimate stays NaN or None."""
 
     method: str
-    status: str = "ok"  # or the name of the reason why there is no reliable estimate
-    reason: str = ""  # that reason as a sentence
+    status: str = Status.OK  # a Status; another package's method may give a word of its own
+    reason: str = ""  # why there is no reliable estimate, as a sentence
     t_d_s: float = np.nan  # t_cam2 = t_cam1 + t_d
     t_d_std_s: float = np.nan  # standard deviation of t_d
     R: Array | None = None  # (3, 3) x2 = R x1 + t
     t: Array | None = None  # (3,) length 1
     F: Array | None = None  # (3, 3) p2' F p1 = 0 for undistorted pixels, norm 1
-    covariance: Array | None = None  # (6, 6), parameters as in `refinement`
+    covariance: Array | None = None  # (6, 6) of t_d [s] and a small change of the pose [rad]
     alternatives_s: Array = field(default_factory=lambda: np.empty(0))  # (k,) other offsets t_d
     unobservable: Array = field(default_factory=lambda: np.empty((0, 6)))  # (k, 6) unit vectors
     n_samples: int = 0  # valid pairs at the offset found
     d_avg_px: float = np.nan  # the paper's Eq. 4 at the offset found
     candidates_s: Array = field(default_factory=lambda: np.empty(0))  # (M,) offsets tried
     costs: Array = field(default_factory=lambda: np.empty(0))  # (M,) d_avg [px] or -correlation
+    start: "Estimate | None" = field(default=None, repr=False, compare=False)  # refined from it
+
+    def __post_init__(self) -> None:
+        if self.status in _MEMBERS:  # a plain word is one of ours: as its member
+            object.__setattr__(self, "status", _MEMBERS[self.status])
 
     @property
     def has_offset(self) -> bool:
         """Whether `t_d_s` is to be relied upon: it may be though the pose is not."""
-        return self.status in ("ok", *POSE_IS_OPEN) and bool(np.isfinite(self.t_d_s))
+        holds = isinstance(self.status, Status) and self.status.has_offset
+        return holds and bool(np.isfinite(self.t_d_s))
+
+    @property
+    def r_std_deg(self) -> float:
+        """Deviation [deg] of R: root of the summed variances of its three angles; NaN of none."""
+        return self._angle_std_deg(slice(1, 4))
+
+    @property
+    def t_std_deg(self) -> float:
+        """Deviation [deg] of t's direction: root of the summed variances of its two angles."""
+        return self._angle_std_deg(slice(4, 6))
+
+    def _angle_std_deg(self, part: slice) -> float:
+        if self.covariance is None:
+            return np.nan
+        return float(np.rad2deg(np.sqrt(np.sum(np.diag(self.covariance)[part]))))
+
+
+_MEMBERS: dict[str, Status] = {str(status): status for status in Status}

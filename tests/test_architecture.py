@@ -35,7 +35,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
         "config": (),
         "estimate": (),
         "files": ("whole_file", "rigs", "hdf5", "text", "event_files"),
-        "geometry": ("epipolar", "fundamental", "pose", "candidate_poses", "pencil", "robust"),
+        "geometry": ("robust", "epipolar", "fundamental", "pose", "candidate_poses", "pencil"),
         "track": ("denoise", "motion", "observation", "outline_kernels", "outline"),
         "search": ("offset_search", "observability"),
         "methods": (

@@ -4,10 +4,15 @@ Conventions after Hartley and Zisserman, for points p = (x, y) [px] taken as (x,
 p2' F p1 = 0, E = K2' F K1 = [t]x R, x2 = R x1 + t.
 """
 
+from collections.abc import Sequence
+from typing import TypeVar
+
 import numpy as np
 from numpy.typing import NDArray
 
 Matrix = NDArray[np.float64]
+Entries = Matrix | Sequence[float]
+T = TypeVar("T", float, Matrix)
 
 
 def cross_matrix(v: Matrix) -> Matrix:
@@ -70,6 +75,26 @@ def epipolar_distance(F: Matrix, p1_px: Matrix, p2_px: Matrix) -> Matrix:
         return np.asarray(np.abs(products) / np.hypot(lines[..., 0], lines[..., 1]))
 
 
+def epipolar_terms(f: Entries, u1: T, v1: T, u2: T, v2: T) -> tuple[T, T, T, T, T]:
+    """p2' F p1, and the first two coordinates of the lines F p1 in image 2 and F' p2 in image 1.
+
+    All that Sampson distances are made of. One definition for arrays and, compiled, for the kernels
+    of `fundamental`.
+
+    Parameters
+    ----------
+    f
+        The nine entries of F, row by row.
+    u1, v1, u2, v2
+        Coordinates of p1 and p2: numbers, or arrays of one shape.
+    """
+    a2 = f[0] * u1 + f[1] * v1 + f[2]
+    b2 = f[3] * u1 + f[4] * v1 + f[5]
+    a1 = f[0] * u2 + f[3] * v2 + f[6]
+    b1 = f[1] * u2 + f[4] * v2 + f[7]
+    return u2 * a2 + v2 * b2 + (f[6] * u1 + f[7] * v1 + f[8]), a2, b2, a1, b1
+
+
 def sampson_distance(F: Matrix, p1_px: Matrix, p2_px: Matrix) -> Matrix:
     """Signed Sampson distances: to first order, how far a pair is from satisfying Eq. 2.
 
@@ -86,8 +111,8 @@ def sampson_distance(F: Matrix, p1_px: Matrix, p2_px: Matrix) -> Matrix:
         Shape (N,) [px]: p2' F p1 / sqrt(|(F p1)_12|^2 + |(F' p2)_12|^2). Noise of deviation sigma
         in all four coordinates gives distances of deviation sigma.
     """
-    products, lines_2, lines_1 = _epipolar_terms(F, p1_px, p2_px)
-    return np.asarray(products / _gradient_norm(lines_2, lines_1))
+    products, gradients = _product_and_gradient(F, p1_px, p2_px)
+    return np.asarray(products / np.linalg.norm(gradients, axis=0))
 
 
 def sampson_derivative(
@@ -107,15 +132,12 @@ def sampson_derivative(
     NDArray[np.float64]
         Shape (N,) [px per unit of the parameter].
     """
-    product, lines_2, lines_1 = _epipolar_terms(F, p1_px, p2_px)
-    d_product, d_lines_2, d_lines_1 = _epipolar_terms(dF, p1_px, p2_px)
-    d_product = d_product + np.sum(lines_2[:, :2] * dp2_px, axis=1)
-    d_lines_1 = d_lines_1 + dp2_px @ F[:2]
-    norm = _gradient_norm(lines_2, lines_1)
-    d_norm = (
-        np.sum(lines_2[:, :2] * d_lines_2[:, :2], axis=1)
-        + np.sum(lines_1[:, :2] * d_lines_1[:, :2], axis=1)
-    ) / norm
+    product, gradient = _product_and_gradient(F, p1_px, p2_px)
+    d_product, d_gradient = _product_and_gradient(dF, p1_px, p2_px)
+    d_product = d_product + np.sum(gradient[:2] * dp2_px.T, axis=0)
+    d_gradient[2:] += F[:2, :2].T @ dp2_px.T
+    norm = np.linalg.norm(gradient, axis=0)
+    d_norm = np.sum(gradient * d_gradient, axis=0) / norm
     return np.asarray((d_product - product / norm * d_norm) / norm)
 
 
@@ -134,29 +156,21 @@ def sampson_gradient(F: Matrix, p1_px: Matrix, p2_px: Matrix) -> Matrix:
     NDArray[np.float64]
         Shape (N, 3, 3): its sum with dF over both indices is `sampson_derivative` by dF.
     """
-    products, lines_2, lines_1 = _epipolar_terms(F, p1_px, p2_px)
-    norm = _gradient_norm(lines_2, lines_1)[:, None]
+    products, gradients = _product_and_gradient(F, p1_px, p2_px)
+    norm = np.linalg.norm(gradients, axis=0)[:, None]
     ratio = products[:, None] / norm**2
     ones = np.ones((len(p1_px), 1))
     x1, x2 = np.hstack([p1_px, ones]), np.hstack([p2_px, ones])
-    by_line_2, by_line_1 = x2.copy(), ratio * lines_1
-    by_line_2[:, :2] -= ratio * lines_2[:, :2]
-    by_line_1[:, 2] = 0.0
+    by_line_2, by_line_1 = x2.copy(), np.zeros_like(x1)
+    by_line_2[:, :2] -= ratio * gradients[:2].T
+    by_line_1[:, :2] = ratio * gradients[2:].T
     return np.asarray(
         (by_line_2[:, :, None] * x1[:, None, :] - x2[:, :, None] * by_line_1[:, None, :])
         / norm[:, :, None]
     )
 
 
-def _epipolar_terms(F: Matrix, p1_px: Matrix, p2_px: Matrix) -> tuple[Matrix, Matrix, Matrix]:
-    """p2' F p1 (N,), lines F p1 (N, 3) in image 2 and lines F' p2 (N, 3) in image 1."""
-    lines_2 = p1_px @ F.T[:2] + F.T[2]
-    products = np.sum(lines_2[:, :2] * p2_px, axis=1) + lines_2[:, 2]
-    return products, lines_2, epipolar_lines_1(F, p2_px)
-
-
-def _gradient_norm(lines_2: Matrix, lines_1: Matrix) -> Matrix:
-    """Norm (N,) of the gradient of p2' F p1 with respect to the four coordinates."""
-    return np.asarray(
-        np.sqrt(np.sum(lines_2[:, :2] ** 2, axis=1) + np.sum(lines_1[:, :2] ** 2, axis=1))
-    )
+def _product_and_gradient(F: Matrix, p1_px: Matrix, p2_px: Matrix) -> tuple[Matrix, Matrix]:
+    """p2' F p1 (N,), and its derivatives (4, N) by the coordinates of p2 and then of p1."""
+    product, *gradient = epipolar_terms(F.ravel(), *p1_px.T, *p2_px.T)
+    return product, np.stack(gradient)

@@ -7,6 +7,7 @@ pairs, whose solution is linear, and the best one starts the reweighted least sq
 Rousseeuw's LMedS ends.
 """
 
+from collections.abc import Callable
 from functools import lru_cache
 
 import cv2
@@ -14,15 +15,14 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from ssac.geometry.epipolar import fundamental_from_essential
+from ssac.geometry.epipolar import epipolar_terms, fundamental_from_essential
+from ssac.geometry.robust import CAUCHY, TO_DEVIATION
 
 Matrix = NDArray[np.float64]
 
 MIN_PAIRS = 15
 """Fewer pairs leave too little freedom beside F's seven for a median to mean anything."""
 
-_CAUCHY = 2.385  # in robust standard deviations: 95 % efficiency on Gaussian noise
-_TO_DEVIATION = 1.4826  # median absolute value to standard deviation of Gaussian noise
 _POLISH_ITERATIONS = 8
 _RANK_TOLERANCE = 1e-12  # on coordinates of order 1
 _BLOCK = 64  # pairs counted between two looks at the count: enough for vector instructions
@@ -77,8 +77,8 @@ def second_best(p1_px: Matrix, p2_px: Matrix) -> float:
     x1, x2, _, _ = _normalised(p1_px, p2_px)
     F = _reweighted(x1, x2, _eight_point(x1, x2, np.ones(len(p1_px))))
     squares, squared_norms = _sampson(F, x1, x2)
-    scale = _TO_DEVIATION * np.sqrt(np.median(squares)) + 1e-15
-    weights = 1.0 / (squared_norms * (1.0 + squares / (_CAUCHY * scale) ** 2))
+    scale = TO_DEVIATION * np.sqrt(np.median(squares)) + 1e-15
+    weights = 1.0 / (squared_norms * (1.0 + squares / (CAUCHY * scale) ** 2))
     least = np.linalg.eigvalsh(_moments(x1, x2, weights))
     return float(np.sqrt(least[1] / least[0])) if least[0] > 0.0 else 1.0
 
@@ -174,8 +174,8 @@ def _reweighted(x1: Matrix, x2: Matrix, F: Matrix) -> Matrix:
     """Iterate the weighted eight-point fit with Sampson and Cauchy weights, starting from F."""
     for _ in range(_POLISH_ITERATIONS):
         squares, squared_norms = _sampson(F, x1, x2)
-        scale = _TO_DEVIATION * np.sqrt(np.median(squares)) + 1e-15
-        F = _eight_point(x1, x2, 1.0 / (squared_norms * (1.0 + squares / (_CAUCHY * scale) ** 2)))
+        scale = TO_DEVIATION * np.sqrt(np.median(squares)) + 1e-15
+        F = _eight_point(x1, x2, 1.0 / (squared_norms * (1.0 + squares / (CAUCHY * scale) ** 2)))
     return F
 
 
@@ -230,9 +230,10 @@ def _sampson(F: Matrix, x1: Matrix, x2: Matrix) -> tuple[Matrix, Matrix]:
     """Squared Sampson distances (N,) and their squared denominators (N,)."""
     n = x1.shape[1]
     squares, squared_norms = np.empty(n), np.empty(n)
+    f = _entries(F)
     for i in range(n):
-        product, squared_norms[i] = _sampson_terms(F, x1[0, i], x1[1, i], x2[0, i], x2[1, i])
-        squares[i] = product * product / squared_norms[i]
+        product, norm = _product_and_norm(f, x1[0, i], x1[1, i], x2[0, i], x2[1, i])
+        squares[i], squared_norms[i] = product * product / norm, norm
     return squares, squared_norms
 
 
@@ -256,35 +257,41 @@ def _has_smaller_median(limit: float, F: Matrix, x1: Matrix, x2: Matrix) -> bool
 def _count_below(limit: float, F: Matrix, x1: Matrix, x2: Matrix, first: int, last: int) -> int:
     """Pairs from `first` up to, not including, `last` with a squared distance below the limit.
 
-    As `_sampson_terms`, with F's entries and the rows of points in local variables: four times as
-    fast, as it compiles to vector instructions.
+    F's entries and the rows of points are local variables, so that the loop compiles to vector
+    instructions: four times as fast.
     """
-    a, b, c = F[0, 0], F[0, 1], F[0, 2]
-    d, e, f = F[1, 0], F[1, 1], F[1, 2]
-    g, h, k = F[2, 0], F[2, 1], F[2, 2]
+    f = _entries(F)
     u1, v1 = x1[0, first:last], x1[1, first:last]
     u2, v2 = x2[0, first:last], x2[1, first:last]
     count = 0
     for i in range(len(u1)):
-        a2 = a * u1[i] + b * v1[i] + c
-        b2 = d * u1[i] + e * v1[i] + f
-        c2 = g * u1[i] + h * v1[i] + k
-        a1 = a * u2[i] + d * v2[i] + g
-        b1 = b * u2[i] + e * v2[i] + h
-        product = u2[i] * a2 + v2[i] * b2 + c2
-        count += product * product < limit * (a1 * a1 + b1 * b1 + a2 * a2 + b2 * b2)
+        product, norm = _product_and_norm(f, u1[i], v1[i], u2[i], v2[i])
+        count += product * product < limit * norm
     return count
 
 
 @numba.njit(cache=True, fastmath=True)
-def _sampson_terms(F: Matrix, u1: float, v1: float, u2: float, v2: float) -> tuple[float, float]:
+def _entries(F: Matrix) -> tuple[float, ...]:
+    """Put the entries of F (3, 3) in a tuple, row by row."""
+    return (
+        *(F[0, 0], F[0, 1], F[0, 2]),
+        *(F[1, 0], F[1, 1], F[1, 2]),
+        *(F[2, 0], F[2, 1], F[2, 2]),
+    )
+
+
+_terms: Callable[..., tuple[float, float, float, float, float]] = numba.njit(
+    cache=True, fastmath=True
+)(epipolar_terms)
+
+
+@numba.njit(cache=True, fastmath=True)
+def _product_and_norm(
+    f: tuple[float, ...], u1: float, v1: float, u2: float, v2: float
+) -> tuple[float, float]:
     """x2' F x1 and its squared gradient norm, for the points (u1, v1) and (u2, v2)."""
-    a2 = F[0, 0] * u1 + F[0, 1] * v1 + F[0, 2]
-    b2 = F[1, 0] * u1 + F[1, 1] * v1 + F[1, 2]
-    c2 = F[2, 0] * u1 + F[2, 1] * v1 + F[2, 2]
-    a1 = F[0, 0] * u2 + F[1, 0] * v2 + F[2, 0]
-    b1 = F[0, 1] * u2 + F[1, 1] * v2 + F[2, 1]
-    return u2 * a2 + v2 * b2 + c2, a1 * a1 + b1 * b1 + a2 * a2 + b2 * b2
+    product, a2, b2, a1, b1 = _terms(f, u1, v1, u2, v2)
+    return product, a1 * a1 + b1 * b1 + a2 * a2 + b2 * b2
 
 
 @numba.njit(cache=True, fastmath=True)

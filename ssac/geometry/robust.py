@@ -8,13 +8,15 @@ Array = NDArray[np.float64]
 CAUCHY = 2.385
 """Where Cauchy's loss turns, in robust standard deviations: 95 % efficiency on Gaussian noise."""
 
-_TO_DEVIATION = 1.4826  # median absolute value to standard deviation of Gaussian noise
+TO_DEVIATION = 1.4826
+"""From the median absolute value of Gaussian noise to its standard deviation."""
+
 _LEAST_DEVIATION = 1e-12  # of residuals that are all zero
 
 
 def robust_deviation(residuals: Array) -> float:
     """Deviation, from zero, of Gaussian noise with the same median absolute value."""
-    return float(_TO_DEVIATION * np.median(np.abs(residuals)))
+    return float(TO_DEVIATION * np.median(np.abs(residuals)))
 
 
 def cauchy_weights(residuals: Array, turn: float = CAUCHY) -> tuple[Array, Array]:

@@ -1,0 +1,47 @@
+"""Statuses are words with a sentence each, and deviations have one definition."""
+
+import json
+import pickle
+
+import numpy as np
+import pytest
+
+from ssac.estimate import POSE_IS_OPEN, Estimate, Status
+
+
+def test_a_status_is_its_word_wherever_words_go():
+    assert Status.OK == "ok"
+    assert f"{Status.NO_MATCH}" == str(Status.NO_MATCH) == "no_match"
+    assert json.dumps([Status.NO_MATCH]) == '["no_match"]'
+    assert {"no_match": 1}[Status.NO_MATCH] == 1
+    assert pickle.loads(pickle.dumps(Status.NO_MATCH)) is Status.NO_MATCH
+
+
+def test_every_status_has_a_sentence_of_its_own():
+    assert len({status.meaning for status in Status}) == len(Status)
+    for status in Status:
+        assert status.value == status.name.lower()
+        assert len(status.meaning.split()) > 4
+
+
+def test_a_word_of_ours_becomes_its_status_and_another_stays():
+    assert Estimate("mine", "no_match").status is Status.NO_MATCH
+    assert Estimate("mine").status is Status.OK
+    own = Estimate("mine", "too_dark", "the sun had set", t_d_s=0.1)
+    assert own.status == "too_dark"
+    assert not own.has_offset
+
+
+@pytest.mark.parametrize("status", Status)
+def test_an_offset_holds_where_no_more_than_the_pose_is_open(status):
+    assert Estimate("mine", status, t_d_s=0.1).has_offset == (
+        status == Status.OK or status in POSE_IS_OPEN
+    )
+    assert not Estimate("mine", status).has_offset
+
+
+def test_deviations_of_the_pose_are_roots_of_summed_variances():
+    covariance = np.diag(np.deg2rad([9.0, 1.0, 2.0, 2.0, 3.0, 4.0]) ** 2)
+    estimate = Estimate("mine", covariance=covariance)
+    assert (estimate.r_std_deg, estimate.t_std_deg) == pytest.approx((3.0, 5.0))
+    assert np.isnan([Estimate("mine").r_std_deg, Estimate("mine").t_std_deg]).all()
