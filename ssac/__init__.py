@@ -1,6 +1,7 @@
 """Synchronise and calibrate two event cameras from the motion of one object.
 
-Events and intrinsics in, time offset and relative pose out; nothing here knows the truth.
+Events and intrinsics in, time offset and relative pose out; nothing here knows the truth. All that
+a method of your own needs is here too: see docs/methods.md.
 
 A name is imported when it is first asked for, so that a command line that only prints its help, or
 a caller that only reads files, does not wait for compilers and solvers.
@@ -11,58 +12,83 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from ssac.baselines.albl import albl
+    from ssac.baselines.correlation import (
+        Signal,
+        binned,
+        correlation_estimate,
+        counted,
+        lags_of,
+        zncc,
+    )
     from ssac.baselines.event_rate import event_rate
     from ssac.baselines.zncc_e import zncc_e
     from ssac.baselines.zncc_f import zncc_f
     from ssac.camera import Camera, Rig
-    from ssac.config import Config
+    from ssac.config import Config, checked
     from ssac.errors import SsacError
-    from ssac.estimate import Estimate
+    from ssac.estimate import Estimate, Status
     from ssac.events import EVENT_DTYPE
     from ssac.methods.algorithms import ssac, ssac_known
-    from ssac.methods.joint import joint, joint_from, joint_known, joint_known_from
-    from ssac.methods.tangency import tangency, tangency_from, tangency_known, tangency_known_from
-    from ssac.track.observation import Observation, prepare
+    from ssac.methods.joint import joint, joint_from, joint_known
+    from ssac.methods.tangency import tangency, tangency_from, tangency_known
+    from ssac.search.two_views import Pairs, PairsAt, TwoViews, two_views
+    from ssac.track.motion import ObjectMotion
+    from ssac.track.observation import Observation, prepare, usable_events
 
 __all__ = [
     "EVENT_DTYPE",
     "Camera",
     "Config",
     "Estimate",
+    "ObjectMotion",
     "Observation",
+    "Pairs",
+    "PairsAt",
     "Rig",
+    "Signal",
     "SsacError",
+    "Status",
+    "TwoViews",
     "albl",
+    "binned",
+    "checked",
+    "correlation_estimate",
+    "counted",
     "event_rate",
     "joint",
     "joint_from",
     "joint_known",
-    "joint_known_from",
+    "lags_of",
     "prepare",
     "ssac",
     "ssac_known",
     "tangency",
     "tangency_from",
     "tangency_known",
-    "tangency_known_from",
+    "two_views",
+    "usable_events",
+    "zncc",
     "zncc_e",
     "zncc_f",
 ]
 
 _HOMES = {
     "ssac.baselines.albl": "albl",
+    "ssac.baselines.correlation": "Signal binned correlation_estimate counted lags_of zncc",
     "ssac.baselines.event_rate": "event_rate",
     "ssac.baselines.zncc_e": "zncc_e",
     "ssac.baselines.zncc_f": "zncc_f",
     "ssac.camera": "Camera Rig",
-    "ssac.config": "Config",
+    "ssac.config": "Config checked",
     "ssac.errors": "SsacError",
-    "ssac.estimate": "Estimate",
+    "ssac.estimate": "Estimate Status",
     "ssac.events": "EVENT_DTYPE",
     "ssac.methods.algorithms": "ssac ssac_known",
-    "ssac.methods.joint": "joint joint_from joint_known joint_known_from",
-    "ssac.methods.tangency": "tangency tangency_from tangency_known tangency_known_from",
-    "ssac.track.observation": "Observation prepare",
+    "ssac.methods.joint": "joint joint_from joint_known",
+    "ssac.methods.tangency": "tangency tangency_from tangency_known",
+    "ssac.search.two_views": "Pairs PairsAt TwoViews two_views",
+    "ssac.track.motion": "ObjectMotion",
+    "ssac.track.observation": "Observation prepare usable_events",
 }
 """Where the public names are defined, as above."""
 

@@ -3,7 +3,6 @@
 import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
@@ -26,7 +25,8 @@ from ssac.files.hdf5 import FIELDS
 from ssac.methods.algorithms import algorithm_2
 from ssac.methods.joint import joint, refine
 from ssac.methods.tangency import tangency
-from ssac.track.observation import Observation, object_motions, usable_events
+from ssac.search.two_views import two_views
+from ssac.track.observation import Observation, usable_events
 
 Result = TypeVar("Result")
 
@@ -51,14 +51,13 @@ def bench_estimate() -> list[Measurement]:
     recording = simulate(SimConfig(t_d_s=0.05, frames=FrameConfig(rate_hz=0.0), sensor=SPARSE), 0)
     cam1, cam2 = observations(recording)
     rig, config = rig_of(recording), Config()
-    clean = replace(config, denoise=False)
 
     seconds: dict[str, float] = {}
     seconds["checks and filter"], events = _best(lambda: usable_events(cam1, cam2, rig, config))
-    left1, left2 = Observation(events[0]), Observation(events[1])
-    seconds["tracks"], motions = _best(lambda: object_motions(left1, left2, rig, clean))
-    seconds["search over +-1 s"], start = _best(lambda: algorithm_2(*motions, rig, config))
-    seconds["refinement"], _ = _best(lambda: refine(start, *motions, rig, config))
+    left1, left2 = (Observation(left, denoised=True) for left in events)
+    seconds["tracks"], views = _best(lambda: two_views(left1, left2, rig, config))
+    seconds["search over +-1 s"], start = _best(lambda: algorithm_2(views))
+    seconds["refinement"], _ = _best(lambda: refine(start, views))
     in_all, _ = _best(lambda: joint(cam1, cam2, rig, config))
     n_events = (len(cam1.events) + len(cam2.events)) / 2
     return [

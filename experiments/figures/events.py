@@ -5,7 +5,7 @@ Fig. 4  p1, p2, the line l1 and the distance d, before and after the clocks are 
 Fig. 5  d_avg over +-1 s and +-3 ms of offset, where the true offset is zero
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,13 +23,14 @@ from ssac.events import US_PER_S, slice_time
 from ssac.geometry.epipolar import epipolar_distance, fundamental_from_pose
 from ssac.geometry.fundamental import MIN_PAIRS, lmeds_fundamental
 from ssac.methods.algorithms import ssac
-from ssac.search.offset_search import mean_epipolar_distance, sample_pairs
+from ssac.search.offset_search import mean_epipolar_distance
+from ssac.search.two_views import TwoViews, two_views
 from ssac.tool.load import load_pair
 from ssac.tool.plot_data import Array, Material
 from ssac.tool.plots import BLUE, POLARITIES, YELLOW, ZOOM_S, draw_epipolar
 from ssac.tool.registry import METHODS
-from ssac.track.motion import ObjectMotion
-from ssac.track.observation import Observation, object_motions, usable_events
+from ssac.track.observation import Observation
+from ssac.track.observation import denoised as without_noise
 
 STRETCH_S = (0.2, 2.2)
 """Of the noisy flight, chosen by eye: a moment with too few events, then two sweeps."""
@@ -37,7 +38,6 @@ STRETCH_S = (0.2, 2.2)
 SEARCH_S = 1.0
 """Half the width of Fig. 5 (a)."""
 
-_DENOISED = Config(denoise=False)  # for events that have been denoised already
 _TRACK_STEP_S = 0.004
 _MAX_EVENTS = 15000  # drawn of the raw stretch: more would only blot the picture
 _SEARCH_STEP_S, _ZOOM_STEP_S = 5e-3, 50e-6
@@ -71,9 +71,7 @@ def load_recording(folder: Path, t_d_s: float = 0.0) -> Pair:
 
 def denoised(pair: Pair) -> Pair:
     """Remove the noise from both cameras' events."""
-    events1, events2 = usable_events(pair.cam1, pair.cam2, pair.rig, Config())
-    cam1, cam2 = replace(pair.cam1, events=events1), replace(pair.cam2, events=events2)
-    return Pair(cam1, cam2, pair.rig)
+    return Pair(*without_noise(pair.cam1, pair.cam2, pair.rig, Config()), pair.rig)
 
 
 def preprocessing_figure(pair: Pair) -> Figure:
@@ -82,7 +80,7 @@ def preprocessing_figure(pair: Pair) -> Figure:
     Every so many events are drawn, the same share of the raw and of the denoised ones.
     """
     clean = denoised(pair)
-    motion, _ = object_motions(clean.cam1, clean.cam2, clean.rig, _DENOISED)
+    motion = two_views(clean.cam1, clean.cam2, clean.rig).motion1
     edges_us = [round(edge_s * US_PER_S) for edge_s in STRETCH_S]
     raw, kept = (slice_time(one.cam1.events, *edges_us) for one in (pair, clean))
     one_in = max(1, len(raw) // _MAX_EVENTS)
@@ -95,7 +93,7 @@ def preprocessing_figure(pair: Pair) -> Figure:
         f"(a) Raw events\n{_thousands(raw)}, one in {one_in} drawn",
         f"(b) After denoising\n{_thousands(kept)}, one in {one_in} drawn",
         "(c) Position p(t) of the object\n"
-        f"none where {2e3 * _DENOISED.half_window_s:g} ms hold fewer than {_DENOISED.n_min} events",
+        f"none where {2e3 * Config.half_window_s:g} ms hold fewer than {Config.n_min} events",
     )
     for number, title in enumerate(titles, start=1):
         box = ((number - 1) / 3.0 - 0.014, 0.04, 0.31, 0.86)
@@ -116,19 +114,19 @@ def preprocessing_figure(pair: Pair) -> Figure:
 def epipolar_figure(pair: Pair) -> Figure:
     """Draw Fig. 4 with the offset and the F that `ssac` finds."""
     clean = denoised(pair)
-    parts = clean.cam1, clean.cam2, clean.rig, _DENOISED
+    parts = clean.cam1, clean.cam2, clean.rig, Config()
     estimate = ssac(*parts)
     if estimate.status != "ok":
         raise SsacError(f"no epipolar lines: {estimate.status}: {estimate.reason}: take another")
     events = clean.cam1.events, clean.cam2.events
     figure = Figure(figsize=(WIDTH_IN, 7.2), layout="constrained")
-    draw_epipolar(figure, Material(estimate, events, object_motions(*parts), clean.rig, _DENOISED))
+    draw_epipolar(figure, Material(estimate, events, two_views(*parts)))
     return figure
 
 
 def d_avg_figure(pair: Pair) -> Figure:
     """Draw Fig. 5: d_avg, with the pose known or not, of a pair whose clocks are equal."""
-    motions = object_motions(pair.cam1, pair.cam2, pair.rig, Config())
+    views = two_views(pair.cam1, pair.cam2, pair.rig)
     F = fundamental_from_pose(pair.rig.cam1.K, pair.rig.cam2.K, *known_pose(pair.rig))
     figure = Figure(figsize=(WIDTH_IN, 3.3), layout="constrained")
     whole, zoom = figure.subplots(1, 2)
@@ -138,7 +136,7 @@ def d_avg_figure(pair: Pair) -> Figure:
     ):
         n_steps = round(reach_s / step_s)
         offsets_s = step_s * np.arange(-n_steps, n_steps + 1, dtype=np.float64)
-        for curve in d_avg_curves(motions, F, offsets_s, Config()):
+        for curve in d_avg_curves(views, F, offsets_s):
             _draw_curve(axes, curve, per_s)
         axes.axvline(0.0, color="black", lw=0.9, ls="--", label="true offset", zorder=1)
         axes.set_xlim(-per_s * reach_s, per_s * reach_s)
@@ -156,11 +154,9 @@ def d_avg_figure(pair: Pair) -> Figure:
     return figure
 
 
-def d_avg_curves(
-    motions: tuple[ObjectMotion, ObjectMotion], F: Array, offsets_s: Array, config: Config
-) -> tuple[Curve, Curve]:
+def d_avg_curves(views: TwoViews, F: Array, offsets_s: Array) -> tuple[Curve, Curve]:
     """Compute d_avg with the true F (Algorithm 1) and with an F fitted at each offset (2)."""
-    pairs = sample_pairs(*motions, offsets_s, config.n_samples)
+    config, pairs = views.config, views.pairs(offsets_s)
     fitted = np.full(len(offsets_s), np.nan)
     for m in range(len(offsets_s)):
         p1, p2 = pairs.valid_positions(m)

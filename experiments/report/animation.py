@@ -17,10 +17,11 @@ from sim.errors import SimError
 from ssac.config import Config
 from ssac.events import US_PER_S, slice_time
 from ssac.geometry.epipolar import epipolar_distance
+from ssac.search.two_views import two_views
 from ssac.tool.load import load_pair
 from ssac.tool.plot_data import Material, d_avg_px
 from ssac.tool.registry import METHODS
-from ssac.track.observation import object_motions, prepare
+from ssac.track.observation import prepare
 
 Array = NDArray[np.float64]
 Events = NDArray[np.void]
@@ -128,15 +129,16 @@ def make_animation(folder: Path) -> Animation:
             f"{folder}: expected a recording that {METHOD} can synchronise, got {estimate.status} "
             f"({estimate.reason}): simulate one of 20 s at 90 deg"
         )
-    motions = object_motions(*clean, rig, config)
+    pair = two_views(*clean, rig, config)
     offsets_s: Array = np.arange(0.0, 2.0 * T_D_S + _END_S, _OFFSET_STEP_S, dtype=np.float64)
     offsets_s = np.sort(np.append(offsets_s, estimate.t_d_s))
-    material = Material(estimate, (clean[0].events, clean[1].events), motions, rig, config)
+    material = Material(estimate, (clean[0].events, clean[1].events), pair)
     start_s = _telling_start(material)
     truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
     longer_s = LENGTH_S + 2.0 * T_D_S
     views = []
-    for camera, motion, length_s in zip((cam1, cam2), motions, (LENGTH_S, longer_s), strict=True):
+    lengths_s = LENGTH_S, longer_s
+    for camera, motion, length_s in zip((cam1, cam2), material.motions, lengths_s, strict=True):
         track = motion.at(start_s + _steps(length_s))
         track_px = np.where(track.valid[:, None], track.positions_px, np.nan)
         views.append(_view(camera.events, start_s, length_s, track_px))

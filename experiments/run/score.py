@@ -67,8 +67,8 @@ def pose_score(estimate: Estimate, R: FloatArray, t: FloatArray) -> PoseScore:
     covariance = estimate.covariance[1:, 1:]
     of_r, of_t = covariance[:3, :3], covariance[3:, 3:]
     return PoseScore(
-        float(np.rad2deg(np.sqrt(np.trace(of_r)))),
-        float(np.rad2deg(np.sqrt(np.trace(of_t)))),
+        estimate.r_std_deg,
+        estimate.t_std_deg,
         float(np.sqrt(errors_rad[:3] @ np.linalg.solve(of_r, errors_rad[:3]))),
         float(np.sqrt(errors_rad[3:] @ np.linalg.solve(of_t, errors_rad[3:]))),
         *(float(value) for value in errors_rad / np.sqrt(np.diag(covariance))),

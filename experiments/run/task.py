@@ -23,7 +23,7 @@ from ssac.estimate import Estimate
 from ssac.events import US_PER_S
 from ssac.files.hdf5 import load_events_h5, load_frames
 from ssac.files.rigs import load_rig
-from ssac.tool.registry import METHODS, Input, Method
+from ssac.tool.registry import METHODS, Chain, Input, Method
 from ssac.track.observation import Observation, prepare, usable_events
 
 FloatArray = NDArray[np.float64]
@@ -37,8 +37,8 @@ UNUSABLE = "unusable"
 """Status of a run on data that the method refuses with an SsacError."""
 
 
-Estimates = dict[tuple[str, float, Config], Estimate]
-"""By method, offset and parameters: all of one recording."""
+Chains = dict[tuple[float, Config], Chain]
+"""By offset and parameters: all of one recording."""
 
 
 @dataclass(frozen=True)
@@ -134,7 +134,7 @@ def _rows(task: Task, cache: Cache) -> list[dict[str, Any]]:
     except Exception as error:  # whatever it is: the row says so, and the other recordings go on
         return [plain(_refusal(error, "recording"))] * len(task.cells)
     delayed: dict[float, Observation] = {}
-    found: Estimates = {}
+    found: Chains = {}
     for index, (key, cell) in enumerate(zip(keys, task.cells, strict=True)):
         if rows[index] is not None or recorded is None:
             continue
@@ -147,44 +147,27 @@ def _rows(task: Task, cache: Cache) -> list[dict[str, Any]]:
     return [row for row in rows if row is not None]
 
 
-def run_cell(cell: Cell, recorded: Recorded, cam2: Observation, found: Estimates) -> Row:
+def run_cell(cell: Cell, recorded: Recorded, cam2: Observation, found: Chains) -> Row:
     """Run one method on one recording, camera 2's clock being set already, and score it.
 
     What other methods `found` on the same recording spares a method that starts from there to do
-    it again; what this one finds is added.
+    it again; a chain that is missing is added.
     """
     method = METHODS[cell.method]
-    rig = _rig_for(method, recorded)
+    rig = method.rig_of(recorded.rig)
     n_cam1, n_cam2 = recorded.n_events
     reason = method.skip_reason(recorded.cam1, cam2, rig)
     if reason:
         return Row("skipped", reason, n_events_cam1=n_cam1, n_events_cam2=n_cam2)
     try:
-        estimate = _estimate(method, cell, recorded, cam2, found)
+        key = (cell.t_d_s, cell.estimator)
+        if key not in found:
+            found[key] = Chain(recorded.cam1, cam2, recorded.rig, cell.estimator)
+        estimate = found[key].estimate(method.name)
         row = _scored(estimate, cell, recorded.rig)
     except Exception as error:
         row = _refusal(error, cell.method)
     return replace(row, n_events_cam1=n_cam1, n_events_cam2=n_cam2)
-
-
-def _estimate(
-    method: Method, cell: Cell, recorded: Recorded, cam2: Observation, found: Estimates
-) -> Estimate:
-    key = (method.name, cell.t_d_s, cell.estimator)
-    if key not in found:
-        arguments = (recorded.cam1, cam2, _rig_for(method, recorded), cell.estimator)
-        if method.refine is None:
-            found[key] = method.estimate(*arguments)
-        else:
-            start = _estimate(METHODS[method.starts_from], cell, recorded, cam2, found)
-            found[key] = method.refine(start, *arguments)
-    return found[key]
-
-
-def _rig_for(method: Method, recorded: Recorded) -> Rig:
-    """Only a method that needs the extrinsics is given them."""
-    rig = recorded.rig
-    return rig if method.needs_extrinsics else Rig(rig.cam1, rig.cam2)
 
 
 def _scored(estimate: Estimate, cell: Cell, truth: Rig) -> Row:
@@ -192,7 +175,7 @@ def _scored(estimate: Estimate, cell: Cell, truth: Rig) -> Row:
     given = METHODS[cell.method].needs_extrinsics  # a pose that was given has no error
     errors = score(estimate, cell.t_d_s, T_2_1[:3, :3], T_2_1[:3, 3])
     return Row(
-        estimate.status,
+        str(estimate.status),
         estimate.reason,
         1e3 * estimate.t_d_s,
         errors.t_d_error_ms,
@@ -216,15 +199,12 @@ def _recorded(task: Task, cells: Sequence[Cell], cache: Cache) -> Recorded:
         cam1, cam2 = _events(folder)
         n_recorded = np.array([len(cam1), len(cam2)])
     frames1, frames2 = _frames(folder, [METHODS[cell.method] for cell in cells], cache)
-    config = replace(cells[0].estimator, denoise=False)
     first, second = prepare(
-        Observation(cam1, *frames1),
-        Observation(cam2, *frames2),
+        Observation(cam1, *frames1, denoised=denoise),
+        Observation(cam2, *frames2, denoised=denoise),
         rig,
-        config,
+        replace(cells[0].estimator, denoise=False),
     )
-    if denoise:  # so that no method does it once more
-        first, second = _as_denoised(first), _as_denoised(second)
     return Recorded(first, second, rig, (int(n_recorded[0]), int(n_recorded[1])))
 
 
@@ -264,12 +244,6 @@ def _timed(times_us: NDArray[np.int64], images: NDArray[np.generic]) -> Frames:
     if len(images) == 0:
         return None, None
     return images.reshape(len(images), *(images.shape[1:] or (1, 1))), times_us / US_PER_S
-
-
-def _as_denoised(observation: Observation) -> Observation:
-    if observation.prepared is None:
-        return observation
-    return replace(observation, prepared=replace(observation.prepared, denoised=True))
 
 
 def _refusal(error: Exception, where: str) -> Row:

@@ -13,8 +13,7 @@ from sim.sensor.frames import FrameConfig
 from ssac.config import Config
 from ssac.console.options import number
 from ssac.geometry.epipolar import epipolar_distance, fundamental_from_pose
-from ssac.search.offset_search import sample_pairs
-from ssac.track.observation import object_motions
+from ssac.search.two_views import two_views
 
 FloatArray = NDArray[np.float64]
 
@@ -58,15 +57,15 @@ def scene_figures(recording: Recording, config: Config | None = None) -> SceneFi
     config = config or Config()
     truth, rig = recording.truth, rig_of(recording)
     cam1, cam2 = observations(recording)
-    motion1, motion2 = object_motions(cam1, cam2, rig, config)
+    views = two_views(cam1, cam2, rig, config)
     F = fundamental_from_pose(rig.cam1.K, rig.cam2.K, truth.R, truth.t)
     offsets_s = truth.t_d_s + np.array([-SLOPE_STEP_S, 0.0, SLOPE_STEP_S])
-    pairs = sample_pairs(motion1, motion2, offsets_s, config.n_samples)
+    pairs = views.pairs(offsets_s)
     distances = [epipolar_distance(F, *pairs.valid_positions(m)) for m in range(3)]
     times_s = pairs.times_s[1][pairs.valid[1]]
     velocities = [
-        motion1.velocities_at(times_s),
-        motion2.velocities_at(times_s + truth.t_d_s),
+        views.motion1.velocities_at(times_s),
+        views.motion2.velocities_at(times_s + truth.t_d_s),
     ]
     widths = _widths_px(recording, times_s, config.half_window_s)
     return SceneFigures(

@@ -20,7 +20,7 @@ where they touch; the bound from those is 1 to 6 % lower.
 """
 
 import json
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -35,11 +35,11 @@ from ssac.files.hdf5 import load_events_h5
 from ssac.files.rigs import load_rig
 from ssac.geometry.epipolar import fundamental_from_pose, sampson_distance
 from ssac.geometry.robust import robust_deviation
-from ssac.methods.joint import Parameters, sharp_pairs
-from ssac.methods.tangency import TangencyConfig, tangents_under
-from ssac.search.offset_search import sample_pairs
-from ssac.track.motion import ObjectMotion
-from ssac.track.observation import Observation, object_motions, usable_events
+from ssac.methods.joint import sharp_pairs
+from ssac.methods.least_squares import Parameters
+from ssac.methods.tangency import TangencyConfig, tangent_times, tangents_under
+from ssac.search.two_views import TwoViews, two_views
+from ssac.track.observation import Observation, usable_events
 
 Array = NDArray[np.float64]
 
@@ -116,20 +116,12 @@ def recording_bounds(
     """
     rig = load_rig(folder / "rig_extrinsics.yaml")
     events = cache.denoised(folder, Config(), lambda: _denoised(folder, rig))
-    motions = object_motions(
-        Observation(events.cam1), Observation(events.cam2), rig, replace(config, denoise=False)
-    )
-    return method_bounds(methods, *motions, rig, load_truth(folder), config.n_samples)
+    cam1, cam2 = (Observation(left, denoised=True) for left in (events.cam1, events.cam2))
+    return method_bounds(methods, two_views(cam1, cam2, rig, config), load_truth(folder))
 
 
 def method_bounds(
-    methods: list[str],
-    motion1: ObjectMotion,
-    motion2: ObjectMotion,
-    rig: Rig,
-    truth: TrueMotion,
-    n_samples: int,
-    t_d_s: float = 0.0,
+    methods: list[str], views: TwoViews, truth: TrueMotion, t_d_s: float = 0.0
 ) -> dict[str, MethodBound]:
     """Give the bounds of some methods of SAMPLES, by name.
 
@@ -137,22 +129,18 @@ def method_bounds(
     ----------
     methods
         Names.
-    motion1, motion2
-        The object's motion as the methods see it.
-    rig
-        With the true extrinsics.
+    views
+        As the methods see them; their rig has the true extrinsics.
     truth
         The flight.
-    n_samples
-        The paper's N; tangents have their own.
     t_d_s
         The true offset.
     """
-    found, kinds = {}, {SAMPLES[method] for method in methods}
+    found, kinds, rig = {}, {SAMPLES[method] for method in methods}, views.rig
     R, t = known_pose(rig)
     F = fundamental_from_pose(rig.cam1.K, rig.cam2.K, R, t)
     for kind in kinds:
-        samples = _SAMPLERS[kind](motion1, motion2, rig, n_samples, t_d_s)
+        samples = _SAMPLERS[kind](views, t_d_s)
         distances_px = sampson_distance(F, samples.p1_px, samples.p2_px)
         sigma_px = robust_deviation(samples.weights * distances_px)
         p1_px, _ = truth.seen(0, rig.cam1.K, samples.times_s)
@@ -166,38 +154,25 @@ def method_bounds(
     return found
 
 
-def mean_samples(
-    motion1: ObjectMotion, motion2: ObjectMotion, rig: Rig, n_samples: int, t_d_s: float
-) -> Samples:
+def mean_samples(views: TwoViews, t_d_s: float) -> Samples:
     """Sample as Algorithms 1 and 2 do, to which all samples are alike."""
-    pairs = sample_pairs(motion1, motion2, np.array([t_d_s]), n_samples)
-    p1_px, p2_px = pairs.valid_positions(0)
-    return Samples(pairs.times_s[0, pairs.valid[0]], p1_px, p2_px, np.ones(len(p1_px)))
+    pairs = views.pairs_at(t_d_s)
+    return Samples(pairs.times_s, *pairs.points_px, np.ones(len(pairs)))
 
 
-def sharp_samples(
-    motion1: ObjectMotion, motion2: ObjectMotion, rig: Rig, n_samples: int, t_d_s: float
-) -> Samples:
+def sharp_samples(views: TwoViews, t_d_s: float) -> Samples:
     """Sample as the joint refinement does."""
-    times_s = sample_pairs(motion1, motion2, np.array([t_d_s]), n_samples).times_s[0]
-    pairs = sharp_pairs(motion1.sharp_at(times_s), motion2.sharp_at(times_s + t_d_s))
+    times_s = views.sample_times(np.array([t_d_s]))[0]
+    pairs, _ = sharp_pairs(*views.sharp_at(times_s, t_d_s), t_d_s)
     return Samples(pairs.times_s, pairs.p1_px, pairs.p2_px, pairs.weights)
 
 
-def tangent_samples(
-    motion1: ObjectMotion, motion2: ObjectMotion, rig: Rig, n_samples: int, t_d_s: float
-) -> Samples:
+def tangent_samples(views: TwoViews, t_d_s: float) -> Samples:
     """Sample as `tangency` does in its last round, if it has found the truth."""
     config = TangencyConfig()
-    (start1_s, end1_s), (start2_s, end2_s) = motion1.span_s, motion2.span_s
-    times_s: Array = np.arange(
-        max(start1_s, start2_s - t_d_s),
-        min(end1_s, end2_s - t_d_s),
-        config.step_s,
-        dtype=np.float64,
-    )
-    R, t = known_pose(rig)
-    pairs, _ = tangents_under(Parameters(t_d_s, R, t), motion1, motion2, times_s, rig, config)
+    R, t = known_pose(views.rig)
+    times_s = tangent_times(views, t_d_s, config)
+    pairs, _ = tangents_under(Parameters(t_d_s, R, t), views, times_s, config)
     return Samples(pairs.times_s, pairs.p1_px, pairs.p2_px, pairs.weights)
 
 

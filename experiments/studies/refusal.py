@@ -25,7 +25,7 @@ from experiments.studies.refusal_flights import (
 from sim.render.gl_context import open_context
 from ssac.estimate import Estimate
 from ssac.files.whole_file import whole_file
-from ssac.tool.registry import METHODS
+from ssac.tool.registry import METHODS, Chain
 from ssac.track.observation import prepare
 
 METHOD_NAMES = ("ssac", "joint", "tangency", "ssac-known", "joint-known", "tangency-known")
@@ -97,30 +97,17 @@ def refusal_rows(flight: str, seed: int, angle_deg: float) -> list[dict[str, Any
 def estimates_of(case: RefusalCase) -> dict[str, Estimate]:
     """Run the methods, those that refine another's estimate after that one."""
     cam1, cam2 = prepare(case.cam1, case.cam2, case.rig, case.config)
-    found: dict[str, Estimate] = {}
-    for name in METHOD_NAMES:  # in this order each finds what it starts from
-        method = METHODS[name]
-        if method.refine is None:
-            found[name] = method.estimate(cam1, cam2, case.rig, case.config)
-        else:
-            found[name] = method.refine(
-                found[method.starts_from], cam1, cam2, case.rig, case.config
-            )
-    return found
+    chain = Chain(cam1, cam2, case.rig, case.config)
+    return {name: chain.estimate(name) for name in METHOD_NAMES}
 
 
 def judged(estimate: Estimate, case: RefusalCase) -> dict[str, Any]:
     """One row: what was said, its errors, and whether it is a confident wrong answer."""
     errors = score(estimate, case.t_d_s, case.R, case.t)
     t_d_std_ms = 1e3 * estimate.t_d_std_s
-    r_std_deg = t_std_deg = np.nan
     gives_pose = not METHODS[estimate.method].needs_extrinsics and estimate.R is not None
-    if gives_pose and estimate.covariance is not None:
-        variances = np.diag(estimate.covariance)
-        r_std_deg, t_std_deg = (
-            float(np.degrees(np.sqrt(np.sum(variances[part]))))
-            for part in (slice(1, 4), slice(4, 6))
-        )
+    r_std_deg = estimate.r_std_deg if gives_pose else np.nan
+    t_std_deg = estimate.t_std_deg if gives_pose else np.nan
     pairs = [(errors.t_d_error_ms, t_d_std_ms, MAX_ERROR_MS)]
     if gives_pose:
         pairs.append((errors.r_error_deg, r_std_deg, MAX_ERROR_DEG))

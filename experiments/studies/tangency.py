@@ -25,12 +25,11 @@ from sim.recording import SimConfig, Truth, simulate
 from sim.render.gl_context import open_context
 from sim.sensor.frames import FrameConfig
 from ssac import Estimate, prepare
-from ssac.config import Config
 from ssac.files.whole_file import whole_file
-from ssac.methods.algorithms import ssac
+from ssac.methods.algorithms import algorithm_2
 from ssac.methods.joint import joint_from
 from ssac.methods.tangency import TangencyConfig, refine_tangents
-from ssac.track.observation import object_motions
+from ssac.search.two_views import two_views
 from ssac.track.outline import OutlineConfig
 
 ANGLES_DEG = (30.0, 60.0, 90.0, 120.0, 150.0)
@@ -112,12 +111,12 @@ def variant_rows(config: SimConfig, seed: int) -> list[dict[str, Any]]:
     recording = simulate(config, seed)
     rig, truth = rig_of(recording), recording.truth
     cam1, cam2 = prepare(*observations(recording), rig)
-    start = joint_from(ssac(cam1, cam2, rig), cam1, cam2, rig)
-    motions = object_motions(cam1, cam2, rig, Config())
+    views = two_views(cam1, cam2, rig)
+    start = joint_from(algorithm_2(views), views)
     rows = [_row("joint", config.angle_deg, start, truth, 0.0)]
     for name, variant in VARIANTS.items():
         started = time.process_time()
-        estimate = refine_tangents(start, *motions, rig, config=variant)
+        estimate = refine_tangents(start, views, variant)
         seconds = time.process_time() - started
         rows.append(_row(name, config.angle_deg, estimate, truth, seconds))
     return rows

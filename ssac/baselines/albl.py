@@ -17,14 +17,13 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from ssac.camera import Rig
-from ssac.config import Config, checked
-from ssac.estimate import Estimate
+from ssac.config import Config
+from ssac.estimate import Estimate, Status
 from ssac.geometry.epipolar import sampson_distance
 from ssac.geometry.fundamental import MIN_PAIRS, reweighted_fundamental
-from ssac.methods.algorithms import pairs_at, with_fit, with_pose
-from ssac.search.offset_search import sample_pairs
-from ssac.track.motion import ObjectMotion
-from ssac.track.observation import Observation, object_motions
+from ssac.methods.algorithms import with_fit, with_pose
+from ssac.search.two_views import TwoViews, on_clock_2, two_views
+from ssac.track.observation import Observation
 
 Array = NDArray[np.float64]
 
@@ -75,29 +74,28 @@ def albl(cam1: Observation, cam2: Observation, rig: Rig, config: Config | None =
     singular value of the same equations over all its inliers; and two more rounds of that follow
     at the end, whether they gain inliers or not, as all pairs may be inliers some milliseconds off.
     """
-    config = checked(config)
-    motion1, motion2 = object_motions(cam1, cam2, rig, config)
-    rng = np.random.default_rng(config.seed)
-    low, high = config.interval_s
+    views = two_views(cam1, cam2, rig, config)
+    rng = np.random.default_rng(views.config.seed)
+    low, high = views.config.interval_s
     t_d_s = 0.5 * (low + high)
     best_share = 0.0
     level = 0
     for _ in range(_MAX_ROUNDS):
         if level == len(STEPS_S):
             break
-        found = _best_shift(motion1, motion2, t_d_s, STEPS_S[level], config, rng, best_share)
+        found = _best_shift(views, t_d_s, STEPS_S[level], rng, best_share)
         if found.inlier_share > best_share and low <= t_d_s + found.shift_s <= high:
             t_d_s, best_share, level = t_d_s + found.shift_s, found.inlier_share, 0
         else:
             level += 1
     for _ in range(_LAST_ROUNDS):
-        last = _best_shift(motion1, motion2, t_d_s, STEPS_S[0], config, rng)
+        last = _best_shift(views, t_d_s, STEPS_S[0], rng)
         if abs(last.shift_s) < STEPS_S[0]:
             t_d_s += last.shift_s
-    p1, p2 = pairs_at(motion1, motion2, t_d_s, config)
+    p1, p2 = views.pairs_at(t_d_s).points_px
     if best_share == 0.0 or len(p1) < MIN_PAIRS:
         reason = f"{len(p1)} valid pairs at t_d = {t_d_s:.3f} s, {MIN_PAIRS} are needed"
-        return Estimate("albl", "too_few_samples", reason)
+        return Estimate("albl", Status.TOO_FEW_SAMPLES, reason)
     F = reweighted_fundamental(p1, p2)
     # Once more without the linearisation, which favours large shifts: a secant bends to many F.
     share = min(best_share, float(np.mean(np.abs(sampson_distance(F, p1, p2)) < _INLIER_PX)))
@@ -106,16 +104,14 @@ def albl(cam1: Observation, cam2: Observation, rig: Rig, config: Config | None =
             f"only {100 * share:.0f} % of the pairs agree on t_d = {t_d_s:.3f} s, so that it is a"
             " local optimum: search a shorter interval around the true offset"
         )
-        return Estimate("albl", "no_convergence", reason)
+        return Estimate("albl", Status.NO_CONVERGENCE, reason)
     return with_pose(with_fit(Estimate("albl", t_d_s=t_d_s), F, p1, p2), F, rig, p1, p2)
 
 
 def _best_shift(
-    motion1: ObjectMotion,
-    motion2: ObjectMotion,
+    views: TwoViews,
     t_d_s: float,
     step_s: float,
-    config: Config,
     rng: np.random.Generator,
     share_to_exceed: float = 0.0,
 ) -> _Solution:
@@ -126,7 +122,7 @@ def _best_shift(
     """
     best = _Solution(0.0, 0.0)
     for signed_s in (step_s, -step_s):
-        pairs = _linearised(motion1, motion2, t_d_s, signed_s, config)
+        pairs = _linearised(views, t_d_s, signed_s)
         if len(pairs.x1) < MIN_PAIRS:
             continue
         numbers = rng.random((_TRIALS, len(pairs.x1)))
@@ -136,12 +132,10 @@ def _best_shift(
     return best
 
 
-def _linearised(
-    motion1: ObjectMotion, motion2: ObjectMotion, t_d_s: float, step_s: float, config: Config
-) -> _Linearised:
+def _linearised(views: TwoViews, t_d_s: float, step_s: float) -> _Linearised:
     """Pairs at t_d, with the mean velocity of p2 from t + t_d to t + t_d + step."""
-    pairs = sample_pairs(motion1, motion2, np.array([t_d_s]), config.n_samples)
-    ahead = motion2.at(pairs.times_s[0] + t_d_s + step_s)
+    pairs = views.pairs(np.array([t_d_s]))
+    ahead = views.motion2.at(on_clock_2(pairs.times_s[0], t_d_s) + step_s)
     valid = pairs.valid[0] & ahead.valid
     p1, p2 = pairs.p1_px[0, valid], pairs.p2_px[0, valid]
     v2 = (ahead.positions_px[valid] - p2) / step_s

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssac.config import Config
-from ssac.estimate import Estimate
+from ssac.estimate import Estimate, Status
 
 Array = NDArray[np.float64]
 
@@ -93,6 +93,6 @@ def correlation_estimate(method: str, lags_s: Array, curve: Array) -> Estimate:
     """Choose the lag of highest correlation; status "no_common_signal" when there is none."""
     if not np.isfinite(curve).any():
         reason = "at no lag in the interval do both signals overlap by half and vary"
-        return Estimate(method, "no_common_signal", reason, candidates_s=lags_s, costs=-curve)
+        return Estimate(method, Status.NO_COMMON_SIGNAL, reason, candidates_s=lags_s, costs=-curve)
     best = int(np.nanargmax(curve))
     return Estimate(method, t_d_s=float(lags_s[best]), candidates_s=lags_s, costs=-curve)

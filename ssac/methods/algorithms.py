@@ -8,31 +8,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssac.camera import Rig, known_pose
-from ssac.config import Config, checked
-from ssac.estimate import Estimate
+from ssac.config import Config
+from ssac.estimate import Estimate, Status
 from ssac.geometry.epipolar import epipolar_distance, fundamental_from_pose
 from ssac.geometry.fundamental import (
     MIN_PAIRS,
     lmeds_fundamental,
     magsac_fundamental,
     reweighted_fundamental,
-    second_best,
 )
 from ssac.geometry.pose import MIN_IN_FRONT, nearest_pose, pose_from_fundamental
 from ssac.methods.straight_path import straight_path
 from ssac.methods.verdict import offset_estimate, refused
 from ssac.search.observability import (
     Refusal,
-    View,
     ambiguous_offset,
     at_rest,
     coarsest_step,
     no_match,
-    returns_s,
-    swings,
+    open_fundamental,
     too_little_motion,
     valleys,
-    view_of,
 )
 from ssac.search.offset_search import (
     Cost,
@@ -41,16 +37,12 @@ from ssac.search.offset_search import (
     coarse_to_fine_search,
     exhaustive_search,
     mean_epipolar_distance,
-    sample_pairs,
 )
-from ssac.track.motion import ObjectMotion
-from ssac.track.observation import Observation, object_motions
+from ssac.search.two_views import TwoViews, two_views
+from ssac.track.observation import Observation
 
 Array = NDArray[np.float64]
 Fit = Callable[[Array, Array], Array]  # pairs p1, p2 (n, 2) [px] -> F (3, 3)
-
-MIN_SECOND_BEST = 7.0
-"""Pairs that another F fits less than so many times worse leave the pose open (docs/refusal.md)."""
 
 MIN_PAIRS_OF_FIT = 30
 """Pairs at the offset found, when F is fitted to them: about four for each of its 7 parameters."""
@@ -81,9 +73,7 @@ def ssac_known(
     SsacError
         If the rig has no `T_2_1`, or a parameter makes no sense.
     """
-    config = checked(config)
-    motion1, motion2 = object_motions(cam1, cam2, rig, config)
-    return algorithm_1(motion1, motion2, rig, config)
+    return algorithm_1(two_views(cam1, cam2, rig, config, pose_is_known=True))
 
 
 def ssac(cam1: Observation, cam2: Observation, rig: Rig, config: Config | None = None) -> Estimate:
@@ -93,104 +83,93 @@ def ssac(cam1: Observation, cam2: Observation, rig: Rig, config: Config | None =
     also be "too_little_motion"; or "ambiguous_pose" or "degenerate_pose", with an offset that holds
     but without R and t.
     """
-    config = checked(config)
-    motion1, motion2 = object_motions(cam1, cam2, rig, config)
-    return algorithm_2(motion1, motion2, rig, config)
+    return algorithm_2(two_views(cam1, cam2, rig, config))
 
 
-def algorithm_1(motion1: ObjectMotion, motion2: ObjectMotion, rig: Rig, config: Config) -> Estimate:
-    """Algorithm 1 on prepared motions; see `ssac_known`."""
-    R, t = known_pose(rig)
-    views = view_of(motion1), view_of(motion2)
-    refusal = at_rest(views)
+def algorithm_1(views: TwoViews) -> Estimate:
+    """Algorithm 1 on prepared views; see `ssac_known`."""
+    R, t = known_pose(views.rig)
+    refusal = at_rest(views.views)
     if refusal is not None:
         return Estimate("ssac-known", refusal.status, refusal.reason)
-    F = fundamental_from_pose(rig.cam1.K, rig.cam2.K, R, t)
+    F = fundamental_from_pose(views.rig.cam1.K, views.rig.cam2.K, R, t)
 
     def d_avg_px(t_d_s: Array) -> Array:  # lines 2 to 8, for all candidates at once
-        pairs = sample_pairs(motion1, motion2, t_d_s, config.n_samples)
-        return mean_epipolar_distance(F, pairs, MIN_PAIRS)
+        return mean_epipolar_distance(F, views.pairs(t_d_s), MIN_PAIRS)
 
-    candidates_s = candidate_offsets(motion1, motion2, config.interval_s)
-    search = _search(  # lines 1 and 10
-        d_avg_px,
-        d_avg_px,
-        candidates_s,
-        config,
-        coarsest_step(views),
-        returns_s(motion1, views[0], float(np.ptp(config.interval_s))),
-    )
-    estimate = offset_estimate("ssac-known", search, config)
-    if estimate.status != "ok":
+    search = _search(d_avg_px, d_avg_px, views)  # lines 1 and 10
+    estimate = offset_estimate("ssac-known", search, views.config)
+    if estimate.status != Status.OK:
         return estimate
-    p1, p2 = pairs_at(motion1, motion2, estimate.t_d_s, config)
+    p1, p2 = views.pairs_at(estimate.t_d_s).points_px
     return _checked_search(replace(with_fit(estimate, F, p1, p2), R=R, t=t), views)
 
 
-def algorithm_2(motion1: ObjectMotion, motion2: ObjectMotion, rig: Rig, config: Config) -> Estimate:
-    """Algorithm 2 on prepared motions; see `ssac`."""
-
-    def robust_fit(p1: Array, p2: Array, trials: int = config.trials) -> Array:
-        if config.robust == "magsac":
-            return magsac_fundamental(p1, p2, rig.cam1.K, rig.cam2.K)
-        return lmeds_fundamental(p1, p2, trials, config.seed)
-
-    def d_avg_px(fit: Fit, n_samples: int, t_d_s: Array) -> Array:  # lines 2 to 9
-        pairs = sample_pairs(motion1, motion2, t_d_s, n_samples)
-        return np.array([_d_avg_of_fit(fit, *pairs.valid_positions(m)) for m in range(len(t_d_s))])
-
-    views = view_of(motion1), view_of(motion2)
-    refusal = at_rest(views)
+def algorithm_2(views: TwoViews) -> Estimate:
+    """Algorithm 2 on prepared views; see `ssac`."""
+    config, (view1, view2) = views.config, views.views
+    refusal = at_rest(views.views)
     if refusal is not None:
         return Estimate("ssac", refusal.status, refusal.reason)
-    view1, view2 = views
     if view1 is not None and view2 is not None and view1.is_straight and view2.is_straight:
-        return straight_path("ssac", (view1, view2), motion1, motion2, config)
-    candidates_s = candidate_offsets(motion1, motion2, config.interval_s)
+        return straight_path("ssac", views, (view1, view2))
+
+    def d_avg_px(fit: Fit, n_samples: int, t_d_s: Array) -> Array:  # lines 2 to 9
+        pairs = views.pairs(t_d_s, n_samples)
+        return np.array([_d_avg_of_fit(fit, *pairs.valid_positions(m)) for m in range(len(t_d_s))])
+
+    robust_fit = partial(_robust_fit, views=views, trials=config.trials)
     search = _search(  # lines 1 and 10; half the samples are enough to find the valley
         partial(d_avg_px, reweighted_fundamental, max(config.n_samples // 2, MIN_PAIRS)),
         partial(d_avg_px, robust_fit, config.n_samples),
-        candidates_s,
-        config,
-        coarsest_step(views),
-        returns_s(motion1, views[0], float(np.ptp(config.interval_s))),
+        views,
     )
     estimate = offset_estimate("ssac", search, config)
-    if estimate.status != "ok":
+    if estimate.status != Status.OK:
         return estimate
-    pairs = sample_pairs(motion1, motion2, np.array([estimate.t_d_s]), config.n_samples)
-    p1, p2 = pairs.valid_positions(0)
-    refusal = _too_few_for_fit(len(p1)) or too_little_motion(swings(motion1, motion2, pairs))
+    pairs = views.pairs_at(estimate.t_d_s)
+    p1, p2 = pairs.points_px
+    refusal = _too_few_for_fit(len(pairs)) or too_little_motion(views.swings(pairs))
     if refusal is not None:
         return refused(estimate, refusal)
-    F = robust_fit(p1, p2, config.final_trials)
+    F = _robust_fit(p1, p2, views, config.final_trials)
     estimate = _checked_search(with_fit(estimate, F, p1, p2), views)
-    if estimate.status != "ok":
+    if estimate.status != Status.OK:
         return estimate
-    if second_best(p1, p2) < MIN_SECOND_BEST:
-        reason = (
-            "the path lies near a plane, or near another surface on which many fundamental matrices"
-            " fit as well: F leaves the pose open"
-        )
-        return replace(estimate, status="degenerate_pose", reason=reason)
-    return with_pose(estimate, F, rig, p1, p2)  # line 11
+    refusal = open_fundamental(p1, p2)
+    if refusal is not None:
+        return replace(estimate, status=refusal.status, reason=refusal.reason)
+    return with_pose(estimate, F, views.rig, p1, p2)  # line 11
 
 
-def pairs_at(
-    motion1: ObjectMotion, motion2: ObjectMotion, t_d_s: float, config: Config
-) -> tuple[Array, Array]:
-    """Sample the valid pairs p1 and p2 (n, 2) [px] at one offset."""
-    return sample_pairs(motion1, motion2, np.array([t_d_s]), config.n_samples).valid_positions(0)
+def _search(coarse_cost: Cost, cost: Cost, views: TwoViews) -> OffsetSearch:
+    candidates_s = candidate_offsets(views)
+    if views.config.exhaustive:
+        return exhaustive_search(cost, candidates_s)
+    coarsest = coarsest_step(views.views)
+    return coarse_to_fine_search(coarse_cost, cost, candidates_s, coarsest, views.returns_s)
 
 
-def _checked_search(estimate: Estimate, views: tuple[View | None, View | None]) -> Estimate:
+def _robust_fit(p1_px: Array, p2_px: Array, views: TwoViews, trials: int) -> Array:
+    """Fit F as the config asks for."""
+    if views.config.robust == "magsac":
+        return magsac_fundamental(p1_px, p2_px, views.rig.cam1.K, views.rig.cam2.K)
+    return lmeds_fundamental(p1_px, p2_px, trials, views.config.seed)
+
+
+def _d_avg_of_fit(fit: Fit, p1_px: Array, p2_px: Array) -> float:
+    """d_avg [px] of Eq. 4 with the F fitted to these pairs; NaN when they are too few."""
+    if len(p1_px) < MIN_PAIRS:
+        return np.nan
+    return float(np.mean(epipolar_distance(fit(p1_px, p2_px), p1_px, p2_px)))
+
+
+def _checked_search(estimate: Estimate, views: TwoViews) -> Estimate:
     """Refuse an offset at which the views do not match, or that others rival."""
-    sizes_px = [np.nan if view is None else view.size_px for view in views]
-    object_px = float(np.hypot(sizes_px[0], sizes_px[1]))
     found = valleys(estimate.candidates_s, estimate.costs, estimate.t_d_s)
     # Of a path that leaves F open the final F may be a bad one, though others fit.
     distance_px = min(estimate.d_avg_px, float(np.nanmin(estimate.costs)))
-    refusal = no_match(distance_px, object_px) or ambiguous_offset(found)
+    refusal = no_match(distance_px, views.object_px) or ambiguous_offset(found)
     return estimate if refusal is None else refused(estimate, refusal, found)
 
 
@@ -198,7 +177,7 @@ def _too_few_for_fit(n_pairs: int) -> Refusal | None:
     if n_pairs >= MIN_PAIRS_OF_FIT:
         return None
     return Refusal(
-        "too_few_samples",
+        Status.TOO_FEW_SAMPLES,
         f"{n_pairs} sample times are valid in both views at the best offset: {MIN_PAIRS_OF_FIT}"
         " are needed to find the pose as well",
     )
@@ -225,26 +204,6 @@ def with_pose(estimate: Estimate, F: Array, rig: Rig, p1_px: Array, p2_px: Array
             f"only {100 * pose.in_front:.0f} % of the pairs lie in front of both cameras with the"
             f" best of the four poses; {100 * MIN_IN_FRONT:.0f} % are needed"
         )
-        return replace(estimate, status="ambiguous_pose", reason=reason)
+        return replace(estimate, status=Status.AMBIGUOUS_POSE, reason=reason)
     pose = nearest_pose(pose, F, K1, K2, p1_px, p2_px)
     return replace(estimate, R=pose.R, t=pose.t)
-
-
-def _search(
-    coarse_cost: Cost,
-    cost: Cost,
-    candidates_s: Array,
-    config: Config,
-    coarsest: int,
-    lags_s: Array,
-) -> OffsetSearch:
-    if config.exhaustive:
-        return exhaustive_search(cost, candidates_s)
-    return coarse_to_fine_search(coarse_cost, cost, candidates_s, coarsest, lags_s)
-
-
-def _d_avg_of_fit(fit: Fit, p1_px: Array, p2_px: Array) -> float:
-    """d_avg [px] of Eq. 4 with the F fitted to these pairs; NaN when they are too few."""
-    if len(p1_px) < MIN_PAIRS:
-        return np.nan
-    return float(np.mean(epipolar_distance(fit(p1_px, p2_px), p1_px, p2_px)))

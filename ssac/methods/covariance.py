@@ -2,24 +2,19 @@
 
 What is left after a robust fit is no white noise: the object's outline, and still more the mean of
 its events, strays with attitude, slowly. So n residuals tell less than n independent ones, and the
-fit takes part of the slow error away, so that they look less correlated than they are. Estimators
-that sum products of residuals at nearby instants inherit both: with Newey and West's, the 95 %
-region of R of the method `tangency` held the truth in 86 % of 65 flights of 10 and 20 s.
+fit takes part of the slow error away, so that they look less correlated than they are.
 
-Here the loss's gradients are taken to be, in each series, a stationary process, with the
-autocovariance sum_k a_k exp(-|lag| / TIMES_S[k]), a_k >= 0. The a_k are those for which the
-residuals' quadratic forms are as large as expected *after* the fit (variance components by
-moments: Rao's MINQUE). Two limits keep the result from being too sure: a direction in which the
-loss is hardly curved counts as if it were curved a little, and the degrees of freedom are those of
-independent residuals, which widens 1.96 deviations to Student's 95 %.
+The loss's gradients are taken to be, in each series, a stationary process with the autocovariance
+sum_k a_k exp(-|lag| / TIMES_S[k]), a_k >= 0. The a_k are those for which the residuals' quadratic
+forms are as large as expected *after* the fit (variance components by moments: Rao's MINQUE). Two
+limits keep the result from being too sure: a direction in which the loss is hardly curved counts as
+if it were curved a little, and the degrees of freedom are those of independent residuals, which
+widens 1.96 deviations to Student's 95 %.
 
-Series, such as the upper and the lower tangents, may have errors in common. On t_d these matter:
-its gradients on the two sides are anticorrelated over 20 to 80 ms (why is not known), and the
-variance is 0.76 of what it were otherwise. For the pose they are left out: ratios for its angles
-are as low, but with them R's coverage fell from 95 to 82 %, perhaps as the fit itself makes the
-sides look opposite. Where t_d is the only parameter, the sum of the gradients at an instant is
-itself taken for the process. These choices were made on 126 simulated flights; whether they hold is
-for other flights to say (`ssac coverage`).
+Series, such as the upper and the lower tangents, may have errors in common. Those count for the
+first parameter, t_d, and are left out for the pose. Where t_d is the only parameter, the sum of the
+gradients at an instant is itself taken for the process. `docs/uncertainty.md` has the flights on
+which this was chosen, and what was tried beside it.
 """
 
 from itertools import combinations, pairwise
@@ -36,7 +31,7 @@ TIMES_S = (0.0, 0.05, 0.2, 0.8)
 NORMAL_95 = 1.96
 
 PRIOR = 1e3
-"""Deviation [s, rad] of parameters of which the data say nothing."""
+"""Deviation [s, rad, ...] of parameters of which nothing is known but what the data say."""
 
 _LEAST_CURVATURE = 0.25  # of any direction, as a share of the mean
 _LEAST_MEAN_CURVATURE = 0.05  # of the loss, whose curvature is 1 at zero
@@ -46,7 +41,11 @@ _MAX_BINS = 20_000  # of time
 
 
 def correlated_covariance(
-    times_s: Array, jacobian: Array, slopes_px: Array, curvatures: Array
+    times_s: Array,
+    jacobian: Array,
+    slopes_px: Array,
+    curvatures: Array,
+    prior_deviations: Array | None = None,
 ) -> Array:
     """Covariance of M-estimated parameters whose residuals are correlated in time.
 
@@ -59,19 +58,22 @@ def correlated_covariance(
         parameter, and no other, it counts what the series' errors have in common.
     slopes_px, curvatures
         First and second derivatives of the loss at the residuals, each (n,).
+    prior_deviations
+        Of what is known of each parameter beside the data, shape (p,); PRIOR when None.
 
     Returns
     -------
     Array
         Shape (p, p). Its deviations are such that +-1.96 of them hold the truth in 95 %; of a
-        direction that the data do not determine, PRIOR and more.
+        direction that the data do not determine, those of the prior and more.
     """
     n, p = jacobian.shape
     curvature = max(float(np.mean(curvatures)), _LEAST_MEAN_CURVATURE)
     scale_px = max(float(np.sqrt(np.mean(slopes_px**2))), _LEAST_PX)
     # Parameters in which the residuals' derivatives are orthonormal, with p further residuals that
-    # say no more than PRIOR.
-    prior = scale_px / (curvature * PRIOR) * np.eye(p)
+    # say no more than the priors.
+    deviations = np.full(p, PRIOR) if prior_deviations is None else prior_deviations
+    prior = np.diag(scale_px / (curvature * deviations))
     Q, triangle = np.linalg.qr(np.vstack([jacobian, prior]))
     Q, Q_prior = Q[:n], Q[n:]
     left_px = slopes_px - Q @ (Q.T @ slopes_px)

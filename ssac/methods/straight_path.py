@@ -12,19 +12,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ssac.config import Config
-from ssac.estimate import Estimate
+from ssac.estimate import Estimate, Status
 from ssac.geometry.fundamental import MIN_PAIRS
 from ssac.geometry.robust import cauchy_weights
 from ssac.methods.verdict import offset_estimate, refused
-from ssac.search.observability import View, ambiguous_offset, coarsest_step, no_match, valleys
-from ssac.search.offset_search import (
-    candidate_offsets,
-    coarse_to_fine_search,
-    exhaustive_search,
-    sample_pairs,
-)
-from ssac.track.motion import ObjectMotion
+from ssac.search.observability import ambiguous_offset, coarsest_step, no_match, valleys
+from ssac.search.offset_search import candidate_offsets, coarse_to_fine_search, exhaustive_search
+from ssac.search.two_views import TwoViews, on_clock_2
+from ssac.search.view import View
 
 Array = NDArray[np.float64]
 
@@ -45,13 +40,7 @@ class _Line:
     scale_px: float  # of the unit
 
 
-def straight_path(
-    method: str,
-    views: tuple[View, View],
-    motion1: ObjectMotion,
-    motion2: ObjectMotion,
-    config: Config,
-) -> Estimate:
+def straight_path(method: str, views: TwoViews, lines: tuple[View, View]) -> Estimate:
     """Time offset of an object on a straight line; its pose is open.
 
     Parameters
@@ -59,9 +48,9 @@ def straight_path(
     method
         Name for the estimate.
     views
-        Of both motions, by `observability.view_of`, and straight.
-    motion1, motion2, config
-        As for `ssac.methods.algorithms.algorithm_2`.
+        Both views.
+    lines
+        The same summed up, and straight.
 
     Returns
     -------
@@ -70,28 +59,27 @@ def straight_path(
     """
 
     def cost_px(t_d_s: Array) -> Array:
-        lines = (_sampled(views, motion1, motion2, offset_s, config) for offset_s in t_d_s)
-        return np.array([np.nan if line is None else _misfit_px(line) for line in lines])
+        sampled = (_sampled(lines, views, offset_s) for offset_s in t_d_s)
+        return np.array([np.nan if line is None else _misfit_px(line) for line in sampled])
 
-    candidates_s = candidate_offsets(motion1, motion2, config.interval_s)
+    candidates_s = candidate_offsets(views)
     search = (
         exhaustive_search(cost_px, candidates_s)
-        if config.exhaustive
-        else coarse_to_fine_search(cost_px, cost_px, candidates_s, coarsest_step(views))
+        if views.config.exhaustive
+        else coarse_to_fine_search(cost_px, cost_px, candidates_s, coarsest_step(lines))
     )
-    estimate = offset_estimate(method, search, config)
-    if estimate.status != "ok":
+    estimate = offset_estimate(method, search, views.config)
+    if estimate.status != Status.OK:
         return estimate
     found = valleys(estimate.candidates_s, estimate.costs, estimate.t_d_s)
     misfit_px = float(cost_px(np.array([estimate.t_d_s]))[0])
-    size_px = float(np.hypot(views[0].size_px, views[1].size_px))
-    refusal = no_match(misfit_px, size_px) or ambiguous_offset(found)
+    refusal = no_match(misfit_px, views.object_px) or ambiguous_offset(found)
     if refusal is not None:
         return refused(estimate, refusal, found)
-    t_d_s, std_s, n_samples = _refined(views, motion1, motion2, estimate.t_d_s, config)
+    t_d_s, std_s, n_samples = _refined(lines, views, estimate.t_d_s)
     return replace(
         estimate,
-        status="degenerate_pose",
+        status=Status.DEGENERATE_POSE,
         reason="the object flies along a straight line, which leaves the pose open; the offset is"
         " from its speed along the line",
         t_d_s=t_d_s,
@@ -102,26 +90,18 @@ def straight_path(
     )
 
 
-def _sampled(
-    views: tuple[View, View],
-    motion1: ObjectMotion,
-    motion2: ObjectMotion,
-    t_d_s: float,
-    config: Config,
-) -> _Line | None:
+def _sampled(lines: tuple[View, View], views: TwoViews, t_d_s: float) -> _Line | None:
     """Sample the valid pairs' positions along the lines; None when they are too few."""
-    pairs = sample_pairs(motion1, motion2, np.array([t_d_s]), config.n_samples)
-    p1, p2 = pairs.valid_positions(0)
-    if len(p1) < MIN_PAIRS:
+    pairs = views.pairs_at(t_d_s)
+    if len(pairs) < MIN_PAIRS:
         return None
-    times_s = pairs.times_s[0, pairs.valid[0]]
-    scale_px = float(np.hypot(views[0].length_px, views[1].length_px))
-    velocities = motion2.velocities_at(times_s + t_d_s)
+    scale_px = float(np.hypot(lines[0].length_px, lines[1].length_px))
+    velocities = views.motion2.velocities_at(on_clock_2(pairs.times_s, t_d_s))
     return _Line(
-        times_s,
-        (p1 - views[0].middle_px) @ views[0].direction / scale_px,
-        (p2 - views[1].middle_px) @ views[1].direction / scale_px,
-        np.nan_to_num(velocities @ views[1].direction) / scale_px,
+        pairs.times_s,
+        (pairs.p1_px - lines[0].middle_px) @ lines[0].direction / scale_px,
+        (pairs.p2_px - lines[1].middle_px) @ lines[1].direction / scale_px,
+        np.nan_to_num(velocities @ lines[1].direction) / scale_px,
         scale_px,
     )
 
@@ -151,13 +131,7 @@ def _misfit_px(line: _Line) -> float:
     return float(np.mean(np.abs(_residuals(_fit(line), line.s1, line.s2)[0]))) * line.scale_px
 
 
-def _refined(
-    views: tuple[View, View],
-    motion1: ObjectMotion,
-    motion2: ObjectMotion,
-    t_d_s: float,
-    config: Config,
-) -> tuple[float, float, int]:
+def _refined(lines: tuple[View, View], views: TwoViews, t_d_s: float) -> tuple[float, float, int]:
     """Refine t_d and the projectivity together; t_d and its deviation [s], and the pairs.
 
     The deviation is from the gradients' sums over stretches of time, as residuals within one are
@@ -165,7 +139,7 @@ def _refined(
     """
     std_s, n_pairs = np.nan, 0
     for _ in range(_ITERATIONS):
-        line = _sampled(views, motion1, motion2, t_d_s, config)
+        line = _sampled(lines, views, t_d_s)
         if line is None:
             break
         n_pairs = len(line.times_s)

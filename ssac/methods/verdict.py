@@ -1,38 +1,76 @@
-"""A search, or an estimate and what speaks against it, in; an Estimate that says so, out."""
+"""An estimate, or several that fit alike, in; what is to be relied upon, or why nothing, out."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ssac.config import Config
-from ssac.estimate import Estimate
+from ssac.estimate import Estimate, Status
 from ssac.geometry.fundamental import MIN_PAIRS
-from ssac.search.observability import Refusal, Valley
+from ssac.geometry.pose import tangent_basis
+from ssac.search.observability import (
+    MAX_VALLEY_S,
+    Refusal,
+    Valley,
+    no_match,
+    open_fundamental,
+    other_offsets,
+    valleys,
+)
 from ssac.search.offset_search import OffsetSearch
+from ssac.search.two_views import TwoViews
+
+Array = NDArray[np.float64]
+
+MAX_T_D_STD_S = 0.025
+"""An offset that is less certain than this is none: the search's own steps are 20 ms."""
+
+MAX_POSE_STD = np.deg2rad(5.0)
+"""Directions of the pose less certain than this [rad] are unobservable."""
+
+CLEARLY = 2.0
+"""A solution whose distance is at most this many times the least is as good as the best."""
+
+SAME_S = 0.010
+"""Offsets nearer to each other than this are one."""
+
+_SAME_RAD = np.deg2rad(3.0)  # and poses
+_LISTED = 0.1  # length of a direction's part, of 1, that is worth its words
+
+
+@dataclass(frozen=True)
+class Solution:
+    """A refined hypothesis, and how well it fits."""
+
+    estimate: Estimate
+    distance_px: float  # mean distance from the epipolar lines
+    object_px: float  # rms size of the object's images
 
 
 def offset_estimate(method: str, search: OffsetSearch, config: Config) -> Estimate:
     """Report the offset that a search found, or why there is none to be trusted."""
     low, high = config.interval_s
     where = f"offset between {low:g} and {high:g} s"
-    status, reason = "ok", ""
+    status, reason = Status.OK, ""
     if len(search.candidates_s) == 0:
-        status, reason = "no_common_time", f"the usable events have no common time at any {where}"
+        status = Status.NO_COMMON_TIME
+        reason = f"the usable events have no common time at any {where}"
     elif np.isnan(search.t_d_s):
-        status = "too_few_samples"
+        status = Status.TOO_FEW_SAMPLES
         reason = (
             f"at no {where} are {MIN_PAIRS} of {config.n_samples} sample times valid in both views:"
             f" a window of {2e3 * config.half_window_s:g} ms must hold {config.n_min} events or"
             f" more, and at most {100 * config.max_border_fraction:g} % of them on the border"
         )
     elif search.at_bound:
-        status = "search_bound"
+        status = Status.SEARCH_BOUND
         reason = f"the best offset, {search.t_d_s:.3f} s, bounds the search: widen the interval"
     return Estimate(
         method,
         status,
         reason,
-        search.t_d_s if status == "ok" else np.nan,
+        search.t_d_s if status == Status.OK else np.nan,
         candidates_s=search.candidates_s,
         costs=search.d_avg_px,
     )
@@ -52,7 +90,7 @@ def refused(estimate: Estimate, refusal: Refusal, found: list[Valley] | None = N
         are other single ones beside it, which go to `alternatives_s`.
     """
     others_s = np.array(sorted(valley.least_s for valley in (found or [])[1:]))
-    keeps = refusal.status == "ambiguous_offset" and len(others_s) > 0
+    keeps = refusal.status == Status.AMBIGUOUS_OFFSET and len(others_s) > 0
     return replace(
         estimate,
         status=refusal.status,
@@ -64,3 +102,137 @@ def refused(estimate: Estimate, refusal: Refusal, found: list[Valley] | None = N
         t_d_std_s=np.nan,
         covariance=None,
     )
+
+
+def choose(start: Estimate, solutions: list[Solution]) -> Estimate:
+    """Take the solution that fits best, or say which others fit about as well.
+
+    Parameters
+    ----------
+    start
+        What the solutions were refined from; given back as it is when there are none.
+    solutions
+        In any order.
+    """
+    if not solutions:
+        return start
+    rivals = rivals_of(solutions)
+    best = rivals[0]
+    refusal = no_match(best.distance_px, best.object_px)
+    if refusal is not None:
+        return refused(best.estimate, refusal)
+    offsets_s = sorted(distinct_offsets(rivals)[1:])
+    if offsets_s:
+        refusal = Refusal(Status.AMBIGUOUS_OFFSET, other_offsets(offsets_s))
+        estimate = refused(best.estimate, refusal)
+        return replace(estimate, t_d_s=best.estimate.t_d_s, alternatives_s=np.array(offsets_s))
+    apart = [_apart(found.estimate, best.estimate) for found in rivals]
+    n_others = sum(angle > _SAME_RAD for angle in apart)
+    estimate = certain(best.estimate) if n_others else best.estimate
+    if n_others and estimate.has_offset:
+        reason = (
+            f"{n_others + 1} poses fit about as well, {np.degrees(max(apart)):.0f} deg apart, as"
+            " for a path in a plane; the offset is the same with each"
+        )
+        return replace(estimate, status=Status.AMBIGUOUS_POSE, reason=reason, R=None, t=None)
+    return estimate
+
+
+def rivals_of(solutions: list[Solution]) -> list[Solution]:
+    """Solutions that fit about as well as the best, which comes first."""
+    ordered = sorted(solutions, key=lambda found: found.distance_px)
+    return [one for one in ordered if one.distance_px <= CLEARLY * ordered[0].distance_px]
+
+
+def distinct_offsets(rivals: list[Solution]) -> list[float]:
+    """Offsets of solutions, those that are one left out but for the first."""
+    offsets_s: list[float] = []
+    for found in rivals:
+        if all(abs(found.estimate.t_d_s - other_s) > SAME_S for other_s in offsets_s):
+            offsets_s.append(found.estimate.t_d_s)
+    return offsets_s
+
+
+def confirmed(estimate: Estimate, start: Estimate, views: TwoViews) -> Estimate:
+    """Keep to the search's refusal where the failure of all other hypotheses says little.
+
+    On a circle F is open at any offset, so that other poses may fit that no hypothesis led to; and
+    so they may all along a valley without an end.
+
+    Parameters
+    ----------
+    estimate
+        The one that is left of those refined from `start`.
+    start
+        Of the search.
+    views
+        Both views.
+    """
+    is_searched = start.status == Status.AMBIGUOUS_OFFSET and not views.pose_is_known
+    if not (is_searched and estimate.has_offset):
+        return estimate
+    found = valleys(start.candidates_s, start.costs, estimate.t_d_s)
+    is_open = open_fundamental(*views.pairs_at(estimate.t_d_s).points_px) is not None
+    if not is_open and found[0].length_s <= MAX_VALLEY_S:
+        return estimate
+    kept = refused(estimate, Refusal(Status.AMBIGUOUS_OFFSET, start.reason))
+    return replace(kept, t_d_s=estimate.t_d_s, alternatives_s=start.alternatives_s)
+
+
+def certain(estimate: Estimate) -> Estimate:
+    """Refuse what the covariance of a refined estimate says is open; otherwise it stays as it is.
+
+    Parameters
+    ----------
+    estimate
+        With `t_d_std_s`, and with `covariance` when the pose was estimated.
+    """
+    if estimate.status != Status.OK:
+        return estimate
+    if not estimate.t_d_std_s <= MAX_T_D_STD_S:
+        reason = (
+            f"the offset has a standard deviation of {1e3 * estimate.t_d_std_s:.3g} ms, more than"
+            f" {1e3 * MAX_T_D_STD_S:.0f} ms: the motion hardly tells it"
+        )
+        return refused(estimate, Refusal(Status.AMBIGUOUS_OFFSET, reason))
+    if estimate.covariance is None or estimate.t is None:
+        return estimate
+    pose = estimate.covariance[1:, 1:]
+    variances, directions = (
+        np.linalg.eigh(pose) if np.isfinite(pose).all() else (np.full(5, np.inf), np.eye(5))
+    )
+    is_open = ~(variances <= MAX_POSE_STD**2)
+    if not is_open.any():
+        return estimate
+    unobservable = np.zeros((int(is_open.sum()), 6))
+    unobservable[:, 1:] = directions[:, is_open].T
+    worst_deg = np.degrees(np.sqrt(np.max(variances)))
+    named = "; ".join(_in_words(direction, estimate.t) for direction in unobservable)
+    reason = f"the motion leaves the pose open by {worst_deg:.0f} deg (1 sigma): {named}"
+    return replace(
+        estimate,
+        status=Status.DEGENERATE_POSE,
+        reason=reason,
+        R=None,
+        t=None,
+        unobservable=unobservable,
+    )
+
+
+def _in_words(direction: Array, t: Array) -> str:
+    """Name a direction (6,) of the parameters: the turn of R, and the shift of t."""
+    turn, shift = direction[1:4], direction[4:] @ tangent_basis(t)
+    parts = []
+    for words, vector in (("R about", turn), ("t along", shift)):
+        length = np.linalg.norm(vector)
+        if length > _LISTED:
+            parts.append(f"{words} ({', '.join(f'{x:.2f}' for x in vector / length + 0.0)})")
+    return " with ".join(parts)
+
+
+def _apart(one: Estimate, other: Estimate) -> float:
+    """Angle [rad] between two poses: the larger of R's and t's."""
+    if one.R is None or other.R is None or one.t is None or other.t is None:
+        return 0.0
+    cosine_R = (np.trace(one.R.T @ other.R) - 1.0) / 2.0
+    return float(np.max(np.arccos(np.clip([cosine_R, one.t @ other.t], -1.0, 1.0))))

@@ -1,9 +1,4 @@
-"""Two object motions and a cost per offset in, the offset of least cost and the cost curve out.
-
-The sign convention of the whole package: t_cam2 = t_cam1 + t_d, so that p2(t + t_d) pairs with
-p1(t), as in the paper's Eq. 3, and t_d is positive when camera 2's clock shows more.
-Deviation: the paper's Eq. 1 has the opposite sign, which contradicts its Eq. 3.
-"""
+"""A cost per offset in, the offset of least cost and the cost curve out."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssac.geometry.epipolar import epipolar_distance
-from ssac.track.motion import ObjectMotion
+from ssac.search.two_views import Pairs, TwoViews
 
 Array = NDArray[np.float64]
 Cost = Callable[[Array], Array]  # offsets (M,) [s] -> d_avg (M,) [px], NaN where it has none
@@ -37,21 +32,6 @@ _MIN_OVERLAP = 0.5  # of the longest overlap that any offset in the interval giv
 
 
 @dataclass(frozen=True)
-class Pairs:
-    """The object's positions in both views, paired for M offsets at N times."""
-
-    t_d_s: Array  # (M,) [s] the offsets
-    times_s: Array  # (M, N) [s], camera 1's clock
-    p1_px: Array  # (M, N, 2) p1(t), undistorted
-    p2_px: Array  # (M, N, 2) p2(t + t_d), undistorted
-    valid: NDArray[np.bool_]  # (M, N) both samples pass the rules of the paper's Sec. IV-A
-
-    def valid_positions(self, m: int) -> tuple[Array, Array]:
-        """p1 and p2 (n, 2) [px] of the valid pairs of offset m."""
-        return self.p1_px[m, self.valid[m]], self.p2_px[m, self.valid[m]]
-
-
-@dataclass(frozen=True)
 class OffsetSearch:
     """Every candidate tried and the minimum found."""
 
@@ -61,33 +41,6 @@ class OffsetSearch:
     at_bound: bool  # the least d_avg is at the first or last candidate: no minimum was enclosed
 
 
-def sample_pairs(
-    motion1: ObjectMotion, motion2: ObjectMotion, t_d_s: Array, n_samples: int
-) -> Pairs:
-    """Pair p1(t_i) with p2(t_i + t_d) at N times spread evenly over the overlap of both recordings.
-
-    Parameters
-    ----------
-    motion1, motion2
-        Of camera 1 and camera 2, each in its own clock.
-    t_d_s
-        Offsets, shape (M,) [s].
-    n_samples
-        The paper's N.
-    """
-    start, end = _overlaps(motion1, motion2, t_d_s)
-    fractions = (np.arange(n_samples) + 0.5) / n_samples
-    times_s = start[:, None] + (end - start)[:, None] * fractions
-    track1, track2 = motion1.at(times_s), motion2.at(times_s + t_d_s[:, None])
-    return Pairs(
-        t_d_s,
-        times_s,
-        track1.positions_px,
-        track2.positions_px,
-        track1.valid & track2.valid,
-    )
-
-
 def mean_epipolar_distance(F: Array, pairs: Pairs, min_pairs: int) -> Array:
     """d_avg (M,) [px] of the paper's Eq. 4 with one F for all offsets; NaN below `min_pairs`."""
     distances = np.where(pairs.valid, epipolar_distance(F, pairs.p1_px, pairs.p2_px), 0.0)
@@ -95,18 +48,17 @@ def mean_epipolar_distance(F: Array, pairs: Pairs, min_pairs: int) -> Array:
     return np.where(counts < min_pairs, np.nan, np.sum(distances, axis=1) / np.maximum(counts, 1))
 
 
-def candidate_offsets(
-    motion1: ObjectMotion, motion2: ObjectMotion, interval_s: tuple[float, float]
-) -> Array:
+def candidate_offsets(views: TwoViews) -> Array:
     """Offsets [s], 1 ms apart from the interval's lower bound, at which the recordings overlap.
 
     Deviation: the paper says nothing of offsets near which little is left of the recordings. A
     short stretch fits almost any F, so an offset is a candidate only when its overlap is at least
     half of the longest in the interval. Empty when no offset gives any overlap.
     """
-    n_steps = int(np.floor((interval_s[1] - interval_s[0]) / FINE_STEP_S + 1e-9))
-    offsets = interval_s[0] + FINE_STEP_S * np.arange(n_steps + 1, dtype=np.float64)
-    start, end = _overlaps(motion1, motion2, offsets)
+    low, high = views.config.interval_s
+    n_steps = int(np.floor((high - low) / FINE_STEP_S + 1e-9))
+    offsets = low + FINE_STEP_S * np.arange(n_steps + 1, dtype=np.float64)
+    start, end = views.overlap_s(offsets)
     lengths = end - start
     return offsets[(lengths > 0.0) & (lengths >= _MIN_OVERLAP * np.max(lengths, initial=0.0))]
 
@@ -177,12 +129,6 @@ def coarse_to_fine_search(
         others = others[d_avg_px[others] < RIVAL * np.nanmin(d_avg_px[grid], initial=np.inf)]
         d_avg_px[others] = cost(offsets_s[others])  # lest few samples make a rival by chance
     return _minimum(offsets_s[tried], d_avg_px[tried], np.isin(tried, grid))
-
-
-def _overlaps(motion1: ObjectMotion, motion2: ObjectMotion, t_d_s: Array) -> tuple[Array, Array]:
-    """Start and end (M,) [s], in camera 1's clock, of the time that both recordings cover."""
-    (start1, end1), (start2, end2) = motion1.span_s, motion2.span_s
-    return np.maximum(start1, start2 - t_d_s), np.minimum(end1, end2 - t_d_s)
 
 
 def _rivals(

@@ -12,7 +12,8 @@ from ssac.events import US_PER_S, slice_time
 from ssac.geometry.epipolar import epipolar_distance, epipolar_lines_1
 from ssac.geometry.fundamental import MIN_PAIRS
 from ssac.geometry.pose import rays_of
-from ssac.search.offset_search import mean_epipolar_distance, sample_pairs
+from ssac.search.offset_search import mean_epipolar_distance
+from ssac.search.two_views import TwoViews, on_clock_2
 from ssac.track.motion import ObjectMotion
 
 Array = NDArray[np.float64]
@@ -30,9 +31,22 @@ class Material:
 
     estimate: Estimate
     events: tuple[NDArray[np.void], NDArray[np.void]]  # as the method saw them
-    motions: tuple[ObjectMotion, ObjectMotion]
-    rig: Rig
-    config: Config
+    views: TwoViews
+
+    @property
+    def motions(self) -> tuple[ObjectMotion, ObjectMotion]:
+        """The object's motion in each view."""
+        return self.views.motion1, self.views.motion2
+
+    @property
+    def rig(self) -> Rig:
+        """Both cameras."""
+        return self.views.rig
+
+    @property
+    def config(self) -> Config:
+        """The method's parameters."""
+        return self.views.config
 
 
 @dataclass(frozen=True)
@@ -67,8 +81,7 @@ def d_avg_px(material: Material, offsets_s: Array) -> Array:
     F = material.estimate.F
     if F is None:
         return np.full(len(offsets_s), np.nan)
-    pairs = sample_pairs(*material.motions, offsets_s, material.config.n_samples)
-    return mean_epipolar_distance(F, pairs, MIN_PAIRS)
+    return mean_epipolar_distance(F, material.views.pairs(offsets_s), MIN_PAIRS)
 
 
 def epipolar_rows(material: Material) -> list[EpipolarRow]:
@@ -79,8 +92,8 @@ def epipolar_rows(material: Material) -> list[EpipolarRow]:
     F = np.asarray(material.estimate.F)
     motion1, motion2 = material.motions
     t_d_s = material.estimate.t_d_s
-    pairs = sample_pairs(motion1, motion2, np.array([t_d_s]), material.config.n_samples)
-    times_s = pairs.times_s[0, pairs.valid[0]]
+    pairs = material.views.pairs_at(t_d_s)
+    times_s = pairs.times_s
     before = motion2.at(times_s)
     pairings = list(clocks(t_d_s))
     if before.valid.any() and abs(t_d_s) > 0.0:
@@ -90,12 +103,12 @@ def epipolar_rows(material: Material) -> list[EpipolarRow]:
         )
     else:
         pairings = pairings[1:]
-        distances = epipolar_distance(F, *pairs.valid_positions(0))
+        distances = epipolar_distance(F, *pairs.points_px)
     time_s = float(times_s[np.argmin(np.abs(distances - _LEGIBLE_PX))])
     rows = []
     for name, offset_s in pairings:
         p1 = motion1.at(np.array([time_s])).positions_px
-        p2 = motion2.at(np.array([time_s + offset_s])).positions_px
+        p2 = motion2.at(on_clock_2(np.array([time_s]), offset_s)).positions_px
         line_1, distance_px = epipolar_lines_1(F, p2)[0], float(epipolar_distance(F, p1, p2)[0])
         rows.append(EpipolarRow(name, offset_s, time_s, p1[0], p2[0], line_1, distance_px))
     return rows
@@ -108,7 +121,7 @@ def telling_stretch(material: Material) -> tuple[float, float]:
     """
     t_d_s = material.estimate.t_d_s
     length_s = float(np.clip(_STRETCH_PER_OFFSET * abs(t_d_s), *_STRETCH_S))
-    pairs = sample_pairs(*material.motions, np.array([t_d_s]), material.config.n_samples)
+    pairs = material.views.pairs(np.array([t_d_s]))
     times_s, valid = pairs.times_s[0], pairs.valid[0]
     length_s = min(length_s, float(times_s[-1] - times_s[0]))
     angles = plane_angles(material, 0, pairs.p1_px[0])

@@ -9,7 +9,7 @@ P. Tol's high-contrast set, which stays apart in grey and for colour-blind peopl
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ from ssac.camera import Rig
 from ssac.config import Config
 from ssac.estimate import Estimate
 from ssac.files.whole_file import whole_file
+from ssac.search.two_views import two_views
 from ssac.tool.plot_data import (
     Array,
     Material,
@@ -38,7 +39,7 @@ from ssac.tool.plot_data import (
     undistorted,
     window,
 )
-from ssac.track.observation import Observation, object_motions
+from ssac.track.observation import Observation
 
 Canvas = Figure | SubFigure
 
@@ -68,15 +69,15 @@ def save_figures(
     estimate
         Of any method and status; a figure that it lacks the data for is left out.
     cam1, cam2, rig, config
-        What the estimate was made from, the events already denoised.
+        What the estimate was made from.
 
     Returns
     -------
     list[Path]
         The files written; none when there is nothing to draw.
     """
-    motions = object_motions(cam1, cam2, rig, replace(config, denoise=False))
-    material = Material(estimate, (cam1.events, cam2.events), motions, rig, config)
+    views = two_views(cam1, cam2, rig, config)
+    material = Material(estimate, (cam1.events, cam2.events), views)
     figures = [figure for figure in _FIGURES if figure.can_draw(material)]
     if not figures:
         return []

@@ -26,23 +26,20 @@ from ssac.baselines.zncc_f import zncc_f
 from ssac.camera import Rig
 from ssac.config import Config
 from ssac.errors import SsacError
-from ssac.estimate import Estimate
+from ssac.estimate import Estimate, Status
 from ssac.methods.algorithms import ssac, ssac_known
-from ssac.methods.joint import joint, joint_from, joint_known, joint_known_from
-from ssac.methods.tangency import (
-    tangency,
-    tangency_from,
-    tangency_known,
-    tangency_known_from,
-)
+from ssac.methods.joint import joint, joint_from, joint_known
+from ssac.methods.tangency import tangency, tangency_from, tangency_known
+from ssac.search.two_views import TwoViews, two_views
 from ssac.tool.summaries import DEFAULT, ENTRY_POINTS, SUMMARIES
 from ssac.track.observation import Observation
 
 EstimateFunction = Callable[[Observation, Observation, Rig, Config | None], Estimate]
 
-RefineFunction = Callable[[Estimate, Observation, Observation, Rig, Config | None], Estimate]
-"""An estimate of another method to start from, then as EstimateFunction."""
+RefineFunction = Callable[[Estimate, TwoViews], Estimate]
+"""An estimate of another method to start from, and the views that it was found in."""
 
+_STATUS = re.compile(r"[a-z][a-z0-9_]*")
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")  # what a CSV column and a file name can hold
 
 
@@ -70,6 +67,10 @@ class Method:
     takes_means: bool = False  # of the frames: images of one pixel give the same estimate
     counts: str = "pairs of positions"  # what an estimate's `n_samples` are
 
+    def rig_of(self, rig: Rig) -> Rig:
+        """Give the rig as the method may see it: only one that needs the extrinsics gets them."""
+        return rig if self.needs_extrinsics else Rig(rig.cam1, rig.cam2)
+
     def skip_reason(self, cam1: Observation, cam2: Observation, rig: Rig) -> str:
         """Say why the method cannot run on these data; empty when it can."""
         if self.needs_extrinsics and rig.T_2_1 is None:
@@ -89,13 +90,13 @@ OURS = (
     Method("joint", joint, Input.TRACKS, SUMMARIES["joint"],
            known_variant="joint-known", starts_from="ssac", refine=joint_from),
     Method("joint-known", joint_known, Input.TRACKS, SUMMARIES["joint-known"],
-           needs_extrinsics=True, starts_from="ssac-known", refine=joint_known_from),
+           needs_extrinsics=True, starts_from="ssac-known", refine=joint_from),
     Method("tangency", tangency, Input.TRACKS, SUMMARIES["tangency"],
            known_variant="tangency-known", starts_from="joint", refine=tangency_from,
            counts=_TANGENTS),
     Method("tangency-known", tangency_known, Input.TRACKS,
            SUMMARIES["tangency-known"], needs_extrinsics=True,
-           starts_from="joint-known", refine=tangency_known_from, counts=_TANGENTS),
+           starts_from="joint-known", refine=tangency_from, counts=_TANGENTS),
     Method("albl", albl, Input.TRACKS, SUMMARIES["albl"]),
     Method("zncc_e", zncc_e, Input.RATES, SUMMARIES["zncc_e"]),
     Method("zncc_f", zncc_f, Input.FRAMES, SUMMARIES["zncc_f"],
@@ -189,6 +190,33 @@ def choose_method(name: str | None = None, known_extrinsics: bool = False) -> Me
     return variant
 
 
+class Chain:
+    """Methods on one pair of recordings: what one starts from is found once, for all of them."""
+
+    def __init__(
+        self, cam1: Observation, cam2: Observation, rig: Rig, config: Config | None = None
+    ) -> None:
+        """Take what a method takes; the rig with its extrinsics, where they are known."""
+        self._cameras, self._rig, self._config = (cam1, cam2), rig, config
+        self._estimates: dict[str, Estimate] = {}
+        self._views: dict[bool, TwoViews] = {}
+
+    def estimate(self, name: str) -> Estimate:
+        """Give the same as the method's own `estimate`, after those that it starts from."""
+        if name not in self._estimates:
+            self._estimates[name] = self._found(METHODS[name])
+        return self._estimates[name]
+
+    def _found(self, method: Method) -> Estimate:
+        rig = method.rig_of(self._rig)
+        if method.refine is None:
+            return method.estimate(*self._cameras, rig, self._config)
+        start, known = self.estimate(method.starts_from), method.needs_extrinsics
+        if known not in self._views:
+            self._views[known] = two_views(*self._cameras, rig, self._config, known)
+        return method.refine(start, self._views[known])
+
+
 @dataclass(frozen=True)
 class _CheckedFunction:
     """Another package's method; crashes when what it returns would spoil a table in silence."""
@@ -204,7 +232,12 @@ class _CheckedFunction:
             raise TypeError(
                 f"{self.origin}: must return an Estimate, got {type(estimate).__name__}"
             )
-        if estimate.status == "ok" and not np.isfinite(estimate.t_d_s):
+        if not _STATUS.fullmatch(estimate.status):
+            raise ValueError(
+                f"{self.origin}: returned the status {str(estimate.status)!r}: give one word of "
+                f"ssac.Status, or of your own, that matches {_STATUS.pattern}"
+            )
+        if estimate.status == Status.OK and not np.isfinite(estimate.t_d_s):
             raise ValueError(
                 f'{self.origin}: returned t_d_s = {estimate.t_d_s} with status "ok": give the '
                 "reason's name as the status when there is no offset"

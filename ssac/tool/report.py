@@ -27,7 +27,7 @@ def report_text(result: SyncResult) -> str:
     if result.method.needs_extrinsics:
         rows.append(("pose", f"as given in {result.paths[2]}"))
     elif estimate.R is not None and estimate.t is not None:
-        rows += _pose_rows(estimate.R, estimate.t, estimate.covariance)
+        rows += _pose_rows(estimate.R, estimate.t, (estimate.r_std_deg, estimate.t_std_deg))
     if result.method.input is Input.TRACKS:
         rows.append(("samples", _samples(result)))
     if np.isfinite(estimate.d_avg_px):
@@ -45,7 +45,7 @@ def report_json(result: SyncResult) -> dict[str, Any]:
         "t_d_std_s": _plain(estimate.t_d_std_s),
         "R": _plain(estimate.R),
         "t": _plain(estimate.t),
-        "status": estimate.status,
+        "status": str(estimate.status),
         "reason": estimate.reason,
         "note": note(estimate),
         "method": result.method.name,
@@ -104,17 +104,11 @@ def _offset_rows(estimate: Estimate) -> list[tuple[str, str]]:
 
 
 def _pose_rows(
-    R: NDArray[np.float64], t: NDArray[np.float64], covariance: NDArray[np.float64] | None
+    R: NDArray[np.float64], t: NDArray[np.float64], stds_deg: tuple[float, float]
 ) -> list[tuple[str, str]]:
-    """Rows on the pose x2 = R x1 + t; 1 sigma is the root of the summed variances."""
+    """Rows on the pose x2 = R x1 + t, with the deviations of R and of t where they are known."""
     rotation = Rotation.from_matrix(R).as_rotvec(degrees=True)
-    sigmas = ["", ""]
-    if covariance is not None and np.isfinite(covariance).all():
-        variances = np.diag(covariance)
-        sigmas = [
-            f", 1 sigma {np.degrees(np.sqrt(np.sum(variances[part]))):.3f} deg"
-            for part in (slice(1, 4), slice(4, 6))
-        ]
+    sigmas = [f", 1 sigma {std:.3f} deg" if np.isfinite(std) else "" for std in stds_deg]
     apart_deg = np.degrees(np.arccos(np.clip(R[2, 2], -1.0, 1.0)))
     return [
         ("lines of sight", f"{apart_deg:.2f} deg apart"),

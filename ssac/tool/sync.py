@@ -10,7 +10,7 @@ Script, notebook and command line share one function::
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from ssac.camera import Rig
@@ -18,7 +18,7 @@ from ssac.config import Config, checked
 from ssac.estimate import Estimate
 from ssac.tool.load import Paths, check_common_time, check_enough_events, describe, load_pair
 from ssac.tool.registry import Input, Method, choose_method
-from ssac.track.observation import Observation, usable_events
+from ssac.track.observation import Observation, denoised
 
 Log = Callable[[str], None]
 
@@ -87,14 +87,14 @@ def sync(
     n_read = len(cam1.events), len(cam2.events)
     if chosen.input is not Input.FRAMES and config.denoise:
         with clock.part("denoise") as say:
-            events1, events2 = usable_events(cam1, cam2, rig, config)
-            cam1, cam2 = replace(cam1, events=events1), replace(cam2, events=events2)
-            say(f"{len(events1)} of {n_read[0]} and {len(events2)} of {n_read[1]} events left")
+            cam1, cam2 = denoised(cam1, cam2, rig, config)
+            left = len(cam1.events), len(cam2.events)
+            say(f"{left[0]} of {n_read[0]} and {left[1]} of {n_read[1]} events left")
     for path, camera, n in zip(paths[:2], (cam1, cam2), n_read, strict=True):
         check_enough_events(path, camera, n, chosen, config)
     check_common_time(paths, cam1, cam2, chosen, config)
     with clock.part("estimate") as say:
-        estimate = chosen.estimate(cam1, cam2, rig, replace(config, denoise=False))
+        estimate = chosen.estimate(cam1, cam2, rig, config)
         say(chosen.name)
     return SyncResult(paths, chosen, estimate, cam1, cam2, rig, config, clock.seconds)
 

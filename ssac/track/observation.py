@@ -24,7 +24,6 @@ class Prepared:
 
     events: NDArray[np.void]  # (n,) the very array of the Observation, checked against the camera
     camera: Camera
-    denoised: bool  # as in Observation
     border_px: int  # as in Config
     motion: ObjectMotion  # of the events
 
@@ -36,6 +35,7 @@ class Observation:
     events: NDArray[np.void]  # (n,) of EVENT_DTYPE, sorted by time
     frames: NDArray[np.generic] | None = None  # (m, height, width) intensities, for ZNCC_F
     frame_times_s: Array | None = None  # (m,) [s], ascending
+    denoised: bool = False  # the noise has left the events already: no method removes it again
     prepared: Prepared | None = None  # by `prepare`; None: each method starts from the events
 
     def __post_init__(self) -> None:
@@ -44,11 +44,6 @@ class Observation:
                 "a prepared Observation must keep its events, but other events were put in their"
                 " place: make a new Observation of these, and prepare it"
             )
-
-    @property
-    def denoised(self) -> bool:
-        """Whether the noise has left the events already."""
-        return self.prepared is not None and self.prepared.denoised
 
     def delayed(self, t_d_s: float) -> "Observation":
         """As if the camera's clock had shown `t_d_s` [s] more; what is prepared stays so.
@@ -63,7 +58,7 @@ class Observation:
             times_s = times_s + shift_us / US_PER_S
         if prepared is not None:
             prepared = replace(prepared, events=events, motion=prepared.motion.delayed(shift_us))
-        return Observation(events, self.frames, times_s, prepared)
+        return Observation(events, self.frames, times_s, self.denoised, prepared)
 
 
 def prepare(
@@ -96,10 +91,22 @@ def prepare(
         As `usable_events`, or if a parameter makes no sense.
     """
     config = checked(config)
-    events1, events2 = usable_events(cam1, cam2, rig, config)
+    cam1, cam2 = denoised(cam1, cam2, rig, config)
+    return _with_motion(cam1, rig.cam1, config), _with_motion(cam2, rig.cam2, config)
+
+
+def denoised(
+    cam1: Observation, cam2: Observation, rig: Rig, config: Config
+) -> tuple[Observation, Observation]:
+    """Both cameras with `usable_events`, which say of themselves whether they are denoised."""
+    events = usable_events(cam1, cam2, rig, config)
+    first, second = (
+        camera if left is camera.events else Observation(left, camera.frames, camera.frame_times_s)
+        for camera, left in zip((cam1, cam2), events, strict=True)
+    )
     return (
-        _with_preparation(cam1, events1, rig.cam1, config),
-        _with_preparation(cam2, events2, rig.cam2, config),
+        replace(first, denoised=cam1.denoised or config.denoise),
+        replace(second, denoised=cam2.denoised or config.denoise),
     )
 
 
@@ -116,7 +123,7 @@ def usable_events(
     for name, observation, camera in (("camera 1", cam1, rig.cam1), ("camera 2", cam2, rig.cam2)):
         if observation.prepared is None or not same_camera(observation.prepared.camera, camera):
             check_events(observation.events, camera.width, camera.height, name)
-    return _denoised(cam1, rig.cam1, config), _denoised(cam2, rig.cam2, config)
+    return _without_noise(cam1, rig.cam1, config), _without_noise(cam2, rig.cam2, config)
 
 
 def object_motions(
@@ -127,7 +134,7 @@ def object_motions(
     return _motion(cam1, events1, rig.cam1, config), _motion(cam2, events2, rig.cam2, config)
 
 
-def _denoised(observation: Observation, camera: Camera, config: Config) -> NDArray[np.void]:
+def _without_noise(observation: Observation, camera: Camera, config: Config) -> NDArray[np.void]:
     """Events of one camera without noise if the config asks for it, else the very same array."""
     if observation.denoised or not config.denoise:
         return observation.events
@@ -164,10 +171,7 @@ def _motion(
     )
 
 
-def _with_preparation(
-    observation: Observation, events: NDArray[np.void], camera: Camera, config: Config
-) -> Observation:
-    motion = _motion(observation, events, camera, config)
-    denoised = observation.denoised or config.denoise
-    prepared = Prepared(events, camera, denoised, config.border_px, motion)
-    return replace(observation, events=events, prepared=prepared)
+def _with_motion(observation: Observation, camera: Camera, config: Config) -> Observation:
+    motion = _motion(observation, observation.events, camera, config)
+    prepared = Prepared(observation.events, camera, config.border_px, motion)
+    return replace(observation, prepared=prepared)

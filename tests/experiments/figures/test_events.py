@@ -12,11 +12,10 @@ from experiments.figures.events import (
     preprocessing_figure,
 )
 from ssac.camera import known_pose
-from ssac.config import Config
 from ssac.errors import SsacError
 from ssac.events import EVENT_DTYPE
 from ssac.geometry.epipolar import fundamental_from_pose
-from ssac.track.observation import object_motions
+from ssac.search.two_views import two_views
 from tests.recorded import T_D_S
 from tests.ssac.synthetic import HEIGHT, WIDTH
 
@@ -47,10 +46,10 @@ def test_an_offset_is_added_to_camera_2_only(recorded, aligned) -> None:
 
 
 def test_d_avg_is_least_at_the_true_offset(aligned) -> None:
-    motions = object_motions(aligned.cam1, aligned.cam2, aligned.rig, Config())
+    views = two_views(aligned.cam1, aligned.cam2, aligned.rig)
     F = fundamental_from_pose(aligned.rig.cam1.K, aligned.rig.cam2.K, *known_pose(aligned.rig))
     offsets_s = 1e-3 * np.arange(-20.0, 21.0)
-    for curve in d_avg_curves(motions, F, offsets_s, Config()):
+    for curve in d_avg_curves(views, F, offsets_s):
         best = np.argmin(curve.d_avg_px)
         # The mean of the events is no fixed point of the object: within 2 ms of the truth.
         assert abs(offsets_s[best]) <= 2e-3, curve.label

@@ -23,9 +23,8 @@ from ssac.config import Config
 from ssac.geometry.epipolar import fundamental_from_pose, sampson_distance
 from ssac.geometry.robust import robust_deviation
 from ssac.methods.tangency import TangencyConfig
-from ssac.search.offset_search import sample_pairs
-from ssac.track.motion import ObjectMotion
-from ssac.track.observation import Observation, object_motions
+from ssac.search.two_views import TwoViews, two_views
+from ssac.track.observation import Observation
 from tests.experiments.reported import RIG, record_flight
 from tests.ssac.synthetic import HEIGHT, WIDTH, K, Scene, make_events, make_scene, track_pair
 
@@ -52,11 +51,11 @@ def observations(scene: Scene) -> tuple[Observation, Observation]:
     return Observation(first), Observation(second)
 
 
-def motions_of(
+def views_of(
     observations: tuple[Observation, Observation], scene: Scene, t_d_s: float = 0.0
-) -> tuple[ObjectMotion, ObjectMotion]:
+) -> TwoViews:
     cam1, cam2 = observations
-    return object_motions(cam1, cam2.delayed(t_d_s), scene.rig, Config(denoise=False))
+    return two_views(cam1, cam2.delayed(t_d_s), scene.rig, Config(denoise=False))
 
 
 def test_the_true_track_is_where_the_cameras_see_the_drone(scene: Scene, truth: TrueMotion) -> None:
@@ -96,10 +95,9 @@ def test_the_noise_measured_is_that_of_the_positions(scene: Scene) -> None:
 def test_the_bound_is_that_of_the_true_track_at_the_valid_times(
     scene: Scene, truth: TrueMotion, observations: tuple[Observation, Observation]
 ) -> None:
-    motions = motions_of(observations, scene)
-    found = method_bounds(["ssac", "ssac-known"], *motions, scene.rig, truth, 400)
-    pairs = sample_pairs(*motions, np.zeros(1), 400)
-    times_s = pairs.times_s[0, pairs.valid[0]]
+    views = views_of(observations, scene)
+    found = method_bounds(["ssac", "ssac-known"], views, truth)
+    times_s = views.pairs_at(0.0).times_s
     p1, p2 = track_pair(scene, times_s)
     _, v2 = truth.seen(1, K, times_s)
     t = scene.t / np.linalg.norm(scene.t)
@@ -117,8 +115,8 @@ def test_the_bound_is_that_of_the_true_track_at_the_valid_times(
 def test_each_method_has_its_own_samples(
     scene: Scene, truth: TrueMotion, observations: tuple[Observation, Observation]
 ) -> None:
-    motions = motions_of(observations, scene)
-    found = method_bounds(METHODS, *motions, scene.rig, truth, 400)
+    views = views_of(observations, scene)
+    found = method_bounds(METHODS, views, truth)
     assert set(found) == set(METHODS)
     for method in ("ssac", "joint", "tangency"):
         assert found[method].sigma_px == found[f"{method}-known"].sigma_px
@@ -135,9 +133,7 @@ def test_the_offset_moves_timestamps_and_nothing_else(
 ) -> None:
     t_d_s = 0.5
     at_zero, delayed = (
-        method_bounds(
-            METHODS, *motions_of(observations, scene, shift), scene.rig, truth, 400, shift
-        )
+        method_bounds(METHODS, views_of(observations, scene, shift), truth, shift)
         for shift in (0.0, t_d_s)
     )
     for method in METHODS:
@@ -150,9 +146,9 @@ def test_the_offset_moves_timestamps_and_nothing_else(
 def test_samples_are_of_both_views_at_one_instant(
     scene: Scene, observations: tuple[Observation, Observation]
 ) -> None:
-    motions = motions_of(observations, scene)
+    views = views_of(observations, scene)
     for sampler in (mean_samples, sharp_samples, tangent_samples):
-        samples = sampler(*motions, scene.rig, 400, 0.0)
+        samples = sampler(views, 0.0)
         assert len(samples.times_s) == len(samples.p1_px) == len(samples.p2_px) > 300
         for p_px, expected in zip(
             (samples.p1_px, samples.p2_px), track_pair(scene, samples.times_s), strict=True
@@ -177,8 +173,7 @@ def test_a_recording_has_all_that_the_bounds_need(
     found = recording_bounds(folder, Cache(tmp_path / "cache"), ["ssac"], Config())
     again = recording_bounds(folder, Cache(tmp_path / "cache"), ["ssac"], Config())
     assert found == again  # the second time from events that were denoised before
-    motions = object_motions(*observations, scene.rig, Config(denoise=True))
-    assert found == method_bounds(["ssac"], *motions, scene.rig, read, 400)
+    assert found == method_bounds(["ssac"], two_views(*observations, scene.rig), read)
 
 
 def test_the_bound_of_a_usual_flight_is_of_the_known_size() -> None:

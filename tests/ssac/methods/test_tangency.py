@@ -13,7 +13,8 @@ from ssac.estimate import Estimate
 from ssac.events import EVENT_DTYPE
 from ssac.geometry.epipolar import sampson_distance
 from ssac.geometry.pencil import pencils
-from ssac.methods.joint import joint, joint_known
+from ssac.methods.algorithms import algorithm_2
+from ssac.methods.joint import joint, joint_from, joint_known
 from ssac.methods.tangency import (
     TangencyConfig,
     refine_tangents,
@@ -22,6 +23,7 @@ from ssac.methods.tangency import (
     tangency_known,
     tangent_pairs,
 )
+from ssac.search.two_views import two_views
 from ssac.track.observation import Observation, object_motions
 from ssac.track.outline import OutlineConfig, near_outline, tangents
 from ssac.track.outline_kernels import (
@@ -221,7 +223,7 @@ def test_frontier_points_are_pairs():
     scene = make_scene(1, duration_s=6.0)
     streams = box_events(scene, 0, size_m=0.5)
     times_s, _, views = found_tangents(scene, streams, scene.unknown_rig)
-    pairs = tangent_pairs(times_s, *views, TangencyConfig())
+    pairs = tangent_pairs(times_s, *views, T_D_S, TangencyConfig())
     K_inverse = np.linalg.inv(K)
     t = unit(scene.t)
     cross = np.array([[0.0, -t[2], t[1]], [t[2], 0.0, -t[0]], [-t[1], t[0], 0.0]])
@@ -253,8 +255,8 @@ def test_a_lopsided_object_biases_positions_and_not_tangents(size_m):
         scene = make_scene(seed, duration_s=8.0)
         cameras = observations(*box_events(scene, seed, size_m, lopsided=3.0))
         # Whether means so biased are a start at all is for `joint` to say.
-        motions = object_motions(*cameras, scene.rig, CLEAN)
-        estimate = refine_tangents(off_the_truth(scene), *motions, scene.rig)
+        views = two_views(*cameras, scene.rig, CLEAN)
+        estimate = refine_tangents(off_the_truth(scene), views)
         assert estimate.status == "ok"
         outline.append(errors(estimate, scene))
         known = joint_known(*cameras, scene.rig, CLEAN)
@@ -301,11 +303,9 @@ def test_swapping_the_cameras_negates_the_offset():
 def test_the_start_does_not_matter():
     scene = make_scene(0, duration_s=8.0)
     cameras = observations(*box_events(scene, 0))
-    motions = object_motions(*cameras, scene.rig, CLEAN)
+    views = two_views(*cameras, scene.rig, CLEAN)
     truth = Estimate("tangency", t_d_s=T_D_S, R=scene.R, t=unit(scene.t))
-    one, other = (
-        refine_tangents(start, *motions, scene.rig) for start in (truth, off_the_truth(scene))
-    )
+    one, other = (refine_tangents(start, views) for start in (truth, off_the_truth(scene)))
     assert one.t_d_s == pytest.approx(other.t_d_s, abs=0.03e-3)  # where the rounds stop
     assert rotation_angle_deg(one.R, other.R) < 0.03
     assert angle_deg(one.t, other.t) < 0.03
@@ -328,7 +328,7 @@ def test_a_start_that_is_there_need_not_be_searched_for():
     scene = make_scene(0, duration_s=6.0)
     cameras = observations(*box_events(scene, 0))
     start = joint(*cameras, scene.unknown_rig, CLEAN)
-    given = tangency_from(start, *cameras, scene.unknown_rig, CLEAN)
+    given = tangency_from(start, two_views(*cameras, scene.unknown_rig, CLEAN))
     assert given.t_d_s == tangency(*cameras, scene.unknown_rig, CLEAN).t_d_s
 
 
@@ -341,11 +341,39 @@ def test_a_refused_start_is_returned_as_it_is():
 
 def test_no_tangents_and_a_lost_minimum_are_refused():
     scene = make_scene(0, duration_s=6.0)
-    motions = object_motions(*observations(*box_events(scene, 0)), scene.rig, CLEAN)
+    views = two_views(*observations(*box_events(scene, 0)), scene.rig, CLEAN)
     truth = Estimate("tangency", t_d_s=T_D_S, R=scene.R, t=unit(scene.t))
-    nowhere = refine_tangents(replace(truth, t_d_s=100.0), *motions, scene.rig)
+    nowhere = refine_tangents(replace(truth, t_d_s=100.0), views)
     assert nowhere.status == "too_few_samples"
     assert "only 0 tangents" in nowhere.reason
-    far = refine_tangents(replace(truth, t_d_s=T_D_S + 0.12), *motions, scene.rig, True)
+    views = replace(views, pose_is_known=True)
+    far = refine_tangents(replace(truth, t_d_s=T_D_S + 0.12), views)
     assert far.status == "no_convergence"
     assert far.t_d_s == T_D_S + 0.12
+
+
+def test_rounds_that_run_out_are_refused(monkeypatch):
+    """Bug: what the last round had reached was "ok"."""
+    scene = make_scene(0, duration_s=6.0)
+    views = two_views(*observations(*box_events(scene, 0)), scene.rig, CLEAN)
+    assert refine_tangents(off_the_truth(scene), views).status == "ok"
+    monkeypatch.setattr("ssac.methods.tangency._ROUNDS", 1)
+    estimate = refine_tangents(off_the_truth(scene), views)
+    assert estimate.status == "no_convergence"
+    assert "still moved" in estimate.reason
+
+
+def test_a_search_is_not_repeated_where_the_mean_is_refused(monkeypatch):
+    """Bug: where `joint` refused, the whole search was done a second time."""
+    scene = make_scene(0, duration_s=6.0)
+    views = two_views(*observations(*box_events(scene, 0)), scene.unknown_rig, CLEAN)
+    search = algorithm_2(views)
+    refused = replace(
+        joint_from(search, views), status="degenerate_pose", reason="too large", R=None, t=None
+    )
+    for name in ("algorithm_1", "algorithm_2"):
+        monkeypatch.delattr(f"ssac.methods.tangency.{name}")
+    estimate = tangency_from(refused, views)
+    assert (estimate.method, estimate.status) == ("tangency", "ok")
+    alone = tangency_from(replace(refused, start=None), views)  # nothing to go back to
+    assert alone.status == "degenerate_pose"

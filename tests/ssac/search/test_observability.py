@@ -5,23 +5,24 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ssac.config import Config
 from ssac.estimate import Estimate
 from ssac.events import EVENT_DTYPE
 from ssac.geometry.fundamental import lmeds_fundamental, reweighted_fundamental, second_best
-from ssac.methods.algorithms import MIN_SECOND_BEST
-from ssac.methods.ambiguity import MAX_POSE_STD, MAX_T_D_STD_S, certain
+from ssac.methods.verdict import MAX_POSE_STD, MAX_T_D_STD_S, certain
 from ssac.search.observability import (
     MAX_VALLEY_S,
+    MIN_SECOND_BEST,
     ambiguous_offset,
     at_rest,
     no_match,
-    returns_s,
-    swings,
+    open_fundamental,
     too_little_motion,
     valleys,
-    view_of,
 )
-from ssac.search.offset_search import RIVAL, coarse_to_fine_search, sample_pairs
+from ssac.search.offset_search import RIVAL, coarse_to_fine_search
+from ssac.search.two_views import TwoViews
+from ssac.search.view import returns_s, view_of
 from ssac.track.motion import ObjectMotion, object_motion
 from tests.ssac.synthetic import make_scene, track_pair
 
@@ -49,18 +50,21 @@ def fixed(times_s):
     return np.full_like(times_s, 130.0)
 
 
+def swings_at(t_d_s: float, motion: ObjectMotion) -> float:
+    views = TwoViews(motion, motion, SCENE.rig, Config())
+    return views.swings(views.pairs_at(t_d_s))
+
+
 @pytest.mark.parametrize("hz", [0.25, 0.5, 1.0])
 def test_a_sine_swings_twice_a_period(hz):
     motion = motion_along(wave(hz), wave(hz, 1.0))
-    pairs = sample_pairs(motion, motion, np.zeros(1), 400)
     # Rice's formula is exact for a sine over whole half periods; the window of 40 ms blurs it.
-    assert swings(motion, motion, pairs) == pytest.approx(2 * hz * 8.0, rel=0.05)
+    assert swings_at(0.0, motion) == pytest.approx(2 * hz * 8.0, rel=0.05)
 
 
 def test_swings_count_only_what_both_cameras_see():
     motion = motion_along(wave(1.0), wave(1.0, 1.0))
-    pairs = sample_pairs(motion, motion, np.array([6.0]), 400)
-    assert swings(motion, motion, pairs) == pytest.approx(2 * 2.0, rel=0.1)
+    assert swings_at(6.0, motion) == pytest.approx(2 * 2.0, rel=0.1)
     assert too_little_motion(3.4) is not None
     assert too_little_motion(3.6) is None
 
@@ -150,6 +154,10 @@ def test_a_planar_path_leaves_the_fundamental_matrix_open():
     assert second_best(*noisy[0]) > 2.0 * MIN_SECOND_BEST
     # A family of two parameters fits alike; what differs is how noise falls on its members.
     assert second_best(*noisy[1]) < MIN_SECOND_BEST
+    assert open_fundamental(*noisy[0]) is None
+    refusal = open_fundamental(*noisy[1])
+    assert refusal is not None
+    assert refusal.status == "degenerate_pose"
 
 
 def test_points_at_rest_allow_no_fundamental_matrix():

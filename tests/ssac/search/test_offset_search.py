@@ -1,15 +1,18 @@
-"""The search on cost curves known in closed form, and the pairing of two motions."""
+"""The search on cost curves known in closed form, and its candidates."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from ssac.config import Config
 from ssac.search.offset_search import (
     candidate_offsets,
     coarse_to_fine_search,
     exhaustive_search,
     mean_epipolar_distance,
-    sample_pairs,
 )
+from ssac.search.two_views import TwoViews
 from ssac.track.motion import object_motion
 from tests.ssac.synthetic import make_events, make_scene
 
@@ -27,10 +30,11 @@ def rounded_v(centre_s, depth=0.0):
 
 
 @pytest.fixture(scope="module")
-def motions():
+def views():
     scene = make_scene(seed=0, duration_s=4.0)
     events1, events2 = make_events(scene, seed=0, t_d_s=0.25)
-    return scene, object_motion(events1, scene.rig.cam1), object_motion(events2, scene.rig.cam2)
+    motions = object_motion(events1, scene.rig.cam1), object_motion(events2, scene.rig.cam2)
+    return TwoViews(*motions, scene.rig, Config())
 
 
 @pytest.mark.parametrize("centre_s", [-0.4321, 0.0, 0.00037, 0.777])
@@ -76,38 +80,20 @@ def test_costs_without_a_number_are_passed_over():
     assert np.isnan(coarse_to_fine_search(cost, cost, np.empty(0)).t_d_s)
 
 
-def test_pairs_obey_the_sign_convention(motions):
-    _, motion1, motion2 = motions
-    offsets_s = np.array([-0.1, 0.25])
-    pairs = sample_pairs(motion1, motion2, offsets_s, n_samples=50)
-    for m, t_d_s in enumerate(offsets_s):
-        assert np.array_equal(pairs.p1_px[m], motion1.at(pairs.times_s[m]).positions_px, True)
-        assert np.array_equal(
-            pairs.p2_px[m], motion2.at(pairs.times_s[m] + t_d_s).positions_px, True
-        )
-
-
-def test_sample_times_cover_the_overlap(motions):
-    _, motion1, motion2 = motions
-    # Camera 1 records 0 to 4 s, camera 2 0.25 to 4.25 s on its own clock.
-    for t_d_s, start, end in ((0.25, 0.0, 4.0), (1.25, 0.0, 3.0), (-0.75, 1.0, 4.0)):
-        times_s = sample_pairs(motion1, motion2, np.array([t_d_s]), 300).times_s[0]
-        assert times_s[0] == pytest.approx(start, abs=0.01)  # half a sampling step
-        assert times_s[-1] == pytest.approx(end, abs=0.01)
-
-
-def test_candidates_keep_half_of_the_longest_overlap(motions):
-    _, motion1, motion2 = motions
-    offsets_s = candidate_offsets(motion1, motion2, (-10.0, 10.0))
+def test_candidates_keep_half_of_the_longest_overlap(views):
+    offsets_s = candidate_offsets(searched(views, -10.0, 10.0))
     # The overlap is 4 s at 0.25 s and falls to 2 s at 2 s on either side.
     assert offsets_s[0] == pytest.approx(-1.75, abs=0.002)
     assert offsets_s[-1] == pytest.approx(2.25, abs=0.002)
-    assert len(candidate_offsets(motion1, motion2, (20.0, 30.0))) == 0
+    assert len(candidate_offsets(searched(views, 20.0, 30.0))) == 0
 
 
-def test_too_few_pairs_have_no_distance(motions):
-    _, motion1, motion2 = motions
-    pairs = sample_pairs(motion1, motion2, np.array([0.25]), n_samples=40)
+def searched(views, low_s, high_s):
+    return replace(views, config=Config(interval_s=(low_s, high_s)))
+
+
+def test_too_few_pairs_have_no_distance(views):
+    pairs = views.pairs(np.array([0.25]), n_samples=40)
     n_valid = int(pairs.valid.sum())
     F = np.diag([1.0, -1.0, 0.0])
     assert np.isfinite(mean_epipolar_distance(F, pairs, min_pairs=n_valid)).all()

@@ -12,6 +12,7 @@ from ssac.camera import Camera
 from ssac.config import Config
 from ssac.estimate import Estimate
 from ssac.geometry.epipolar import epipolar_distance
+from ssac.search.two_views import two_views
 from ssac.tool.plot_data import Material, plane_angles
 from ssac.tool.plots import (
     BLUE,
@@ -25,7 +26,6 @@ from ssac.tool.plots import (
     save_figures,
 )
 from ssac.tool.sync import sync
-from ssac.track.observation import object_motions
 from tests.ssac.synthetic import HEIGHT, WIDTH, K, track_pair
 
 
@@ -37,9 +37,10 @@ def result(recorded):
 @pytest.fixture(scope="module")
 def material(result):
     config = Config(denoise=False)
-    motions = object_motions(result.cam1, result.cam2, result.rig, config)
     events = result.cam1.events, result.cam2.events
-    return Material(result.estimate, events, motions, result.rig, config)
+    return Material(
+        result.estimate, events, two_views(result.cam1, result.cam2, result.rig, config)
+    )
 
 
 def save(target, result, estimate=None):

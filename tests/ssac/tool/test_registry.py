@@ -5,6 +5,7 @@ import os
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ from ssac.errors import SsacError
 from ssac.files.event_files import load_events
 from ssac.files.hdf5 import save_events_h5
 from ssac.tool.load import load_pair
-from ssac.tool.registry import DEFAULT, METHODS, OURS, Input, Registry, choose_method
+from ssac.tool.registry import DEFAULT, METHODS, OURS, Chain, Input, Registry, choose_method
 from ssac.track.observation import Observation
 from tests.recorded import T_D_S
 from tests.ssac.synthetic import HEIGHT, WIDTH
@@ -106,12 +107,31 @@ def test_a_variant_for_known_extrinsics_needs_them():
 @pytest.mark.parametrize("name", [name for name in METHODS if METHODS[name].refine])
 def test_a_method_that_starts_from_another_gives_the_same_with_its_estimate(name, data):
     method, config = METHODS[name], Config()
-    start = METHODS[method.starts_from].estimate(*data, config)
-    refined = method.refine(start, *data, config)
+    refined = Chain(*data, config).estimate(name)
+    assert refined.start.method == method.starts_from
     whole = method.estimate(*data, config)
     assert (refined.method, refined.status, refined.t_d_s) == (name, "ok", whole.t_d_s)
     assert np.array_equal(refined.R, whole.R)
     assert np.array_equal(refined.covariance, whole.covariance)
+
+
+def test_a_chain_finds_each_estimate_once(data, monkeypatch):
+    found = []
+
+    def counted(method):
+        def estimate(*args):
+            found.append(method.name)
+            return method.estimate(*args)
+
+        return estimate
+
+    roots = [method for method in OURS if method.refine is None]
+    chain_of = {m.name: replace(m, estimate=counted(m)) if m in roots else m for m in OURS}
+    monkeypatch.setattr(ssac.tool.registry, "METHODS", chain_of)
+    chain = Chain(*data, Config())
+    for name in ("tangency", "joint", "ssac", "joint-known", "tangency"):
+        assert chain.estimate(name).method == name
+    assert found == ["ssac", "ssac-known"]
 
 
 def test_an_unknown_name_lists_the_known_ones():
@@ -242,6 +262,7 @@ def test_two_packages_with_one_name(site):
         ("0.25", "must return an Estimate, got float"),
         ("None", "must return an Estimate, got NoneType"),
         ('Estimate("mine")', 't_d_s = nan with status "ok"'),
+        ('Estimate("mine", "it is dark")', "the status 'it is dark': give one word"),
     ],
 )
 def test_what_would_spoil_a_table_is_an_error(returned, message, site, data):

@@ -1,0 +1,215 @@
+"""Two cameras' object motions in; the object's positions in both, paired by a clock, out.
+
+The sign convention of the whole package: t_cam2 = t_cam1 + t_d, so that p2(t + t_d) pairs with
+p1(t), as in the paper's Eq. 3, and t_d is positive when camera 2's clock shows more.
+Deviation: the paper's Eq. 1 has the opposite sign, which contradicts its Eq. 3.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ssac.camera import Rig
+from ssac.config import Config, checked
+from ssac.geometry.pose import rays_of
+from ssac.search.view import View, returns_s, size_px, swing_hz, view_of
+from ssac.track.motion import ObjectMotion, SharpTrack
+from ssac.track.observation import Observation, object_motions
+
+Array = NDArray[np.float64]
+
+MIN_SWINGS = 3.5
+"""Least times to and fro that a path must go to tell F's 7 parameters and t_d: see `swings`."""
+
+_SPEED_SAMPLES = 100  # of a path's speed
+_MAX_GAP_S = 0.5  # of a path that is known
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """The object's positions in both views, paired for M offsets at N times."""
+
+    t_d_s: Array  # (M,) [s] the offsets
+    times_s: Array  # (M, N) [s], camera 1's clock
+    p1_px: Array  # (M, N, 2) p1(t), undistorted
+    p2_px: Array  # (M, N, 2) p2(t + t_d), undistorted
+    valid: NDArray[np.bool_]  # (M, N) both samples pass the rules of the paper's Sec. IV-A
+
+    def valid_positions(self, m: int) -> tuple[Array, Array]:
+        """p1 and p2 (n, 2) [px] of the valid pairs of offset m."""
+        return self.p1_px[m, self.valid[m]], self.p2_px[m, self.valid[m]]
+
+
+@dataclass(frozen=True)
+class PairsAt:
+    """The valid pairs at one offset."""
+
+    t_d_s: float
+    times_s: Array  # (n,) camera 1's clock
+    p1_px: Array  # (n, 2)
+    p2_px: Array  # (n, 2)
+
+    def __len__(self) -> int:
+        return len(self.times_s)
+
+    @property
+    def points_px(self) -> tuple[Array, Array]:
+        """p1 and p2, each (n, 2)."""
+        return self.p1_px, self.p2_px
+
+    def rays(self, rig: Rig) -> tuple[Array, Array]:
+        """Directions (n, 3), z = 1, of p1 and p2, each in its camera's frame."""
+        return rays_of(rig.cam1.K, self.p1_px), rays_of(rig.cam2.K, self.p2_px)
+
+
+@dataclass(frozen=True, eq=False)
+class TwoViews:
+    """What two cameras saw of one object, and what a method is told beside it.
+
+    Every method that looks at object tracks starts from here. Which time of camera 2 belongs to one
+    of camera 1 is said in `on_clock_2`, and nowhere else.
+    """
+
+    motion1: ObjectMotion
+    motion2: ObjectMotion
+    rig: Rig
+    config: Config
+    pose_is_known: bool = False  # the rig's extrinsics hold: only the offset is in question
+
+    @cached_property
+    def views(self) -> tuple[View | None, View | None]:
+        """Each view summed up; None without valid samples."""
+        return view_of(self.motion1), view_of(self.motion2)
+
+    @cached_property
+    def returns_s(self) -> Array:
+        """Lags (k,) [s] within the search interval after which the path repeats itself."""
+        longest_s = float(np.ptp(self.config.interval_s))
+        return returns_s(self.motion1, self.views[0], longest_s)
+
+    @cached_property
+    def repeats(self) -> bool:
+        """Whether the path repeats itself after any lag."""
+        return len(returns_s(self.motion1, self.views[0], np.inf)) > 0
+
+    @property
+    def object_px(self) -> float:
+        """Rms size of the object's images, both together; NaN where a view has none."""
+        sizes_px = [np.nan if view is None else view.size_px for view in self.views]
+        return float(np.hypot(sizes_px[0], sizes_px[1]))
+
+    def overlap_s(self, t_d_s: Array) -> tuple[Array, Array]:
+        """Start and end (M,) [s], camera 1's clock, of what both recordings cover at offsets (M,).
+
+        The end is before the start, or at it, where that is nothing.
+        """
+        (start1, end1), (start2, end2) = self.motion1.span_s, self.motion2.span_s
+        return np.maximum(start1, start2 - t_d_s), np.minimum(end1, end2 - t_d_s)
+
+    def sample_times(self, t_d_s: Array, n_samples: int | None = None) -> Array:
+        """Spread N times (M, N) [s], camera 1's clock, evenly over the overlap at offsets (M,)."""
+        n = self.config.n_samples if n_samples is None else n_samples
+        start, end = self.overlap_s(t_d_s)
+        return np.asarray(start[:, None] + (end - start)[:, None] * ((np.arange(n) + 0.5) / n))
+
+    def pairs(self, t_d_s: Array, n_samples: int | None = None) -> Pairs:
+        """Pair p1(t_i) with p2(t_i + t_d) at N times for each of the offsets (M,) [s].
+
+        Parameters
+        ----------
+        t_d_s
+            Offsets, shape (M,) [s].
+        n_samples
+            The paper's N; the config's when None.
+        """
+        times_s = self.sample_times(t_d_s, n_samples)
+        track1 = self.motion1.at(times_s)
+        track2 = self.motion2.at(on_clock_2(times_s, t_d_s[:, None]))
+        return Pairs(
+            t_d_s,
+            times_s,
+            track1.positions_px,
+            track2.positions_px,
+            track1.valid & track2.valid,
+        )
+
+    def pairs_at(self, t_d_s: float, n_samples: int | None = None) -> PairsAt:
+        """Give the valid pairs at one offset [s]."""
+        pairs = self.pairs(np.array([t_d_s]), n_samples)
+        return PairsAt(t_d_s, pairs.times_s[0, pairs.valid[0]], *pairs.valid_positions(0))
+
+    def sharp_at(self, times_s: Array, t_d_s: float) -> tuple[SharpTrack, SharpTrack]:
+        """Both views' sharp positions at times (n,) [s] of camera 1's clock."""
+        return (
+            self.motion1.sharp_at(times_s),
+            self.motion2.sharp_at(on_clock_2(times_s, t_d_s)),
+        )
+
+    def size_px_at(self, pairs: PairsAt) -> float:
+        """Rms size of the object's images at some of the pairs, both views together."""
+        size1 = size_px(self.motion1, pairs.times_s)
+        size2 = size_px(self.motion2, on_clock_2(pairs.times_s, pairs.t_d_s))
+        return float(np.hypot(size1, size2))
+
+    def swings(self, pairs: PairsAt) -> float:
+        """How many times the object goes to and fro while both see it, the fewer of two views.
+
+        A path of n swings has about 4 n independent coordinates in two views, of which the epipolar
+        constraint tests about 2 n.
+        """
+        if len(pairs) < 2:
+            return 0.0
+        duration_s = float(np.sum(np.minimum(np.diff(pairs.times_s), _MAX_GAP_S)))
+        some_s = pairs.times_s[:: -(-len(pairs) // _SPEED_SAMPLES)]
+        return min(
+            duration_s * swing_hz(positions, motion.velocities_at(clock_s))
+            for motion, clock_s, positions in (
+                (self.motion1, some_s, pairs.p1_px),
+                (self.motion2, on_clock_2(some_s, pairs.t_d_s), pairs.p2_px),
+            )
+        )
+
+    def lasting_share(self, t_d_s: float, n_samples: int | None = None) -> float:
+        """Share, up to 1, of an object's bias that stays all along.
+
+        Attitudes change as the object turns back: all of the bias stays in motion too little for an
+        unknown pose, and a tenth or so in an ordinary flight.
+        """
+        n_swings = self.swings(self.pairs_at(t_d_s, n_samples))
+        return float(min(1.0, (MIN_SWINGS / max(n_swings, 1e-12)) ** 2))
+
+
+def on_clock_2(times_s: Array, t_d_s: Array | float) -> Array:
+    """Give what camera 2's clock shows at times of camera 1's: t_cam2 = t_cam1 + t_d."""
+    return np.asarray(times_s + t_d_s)
+
+
+def two_views(
+    cam1: Observation,
+    cam2: Observation,
+    rig: Rig,
+    config: Config | None = None,
+    pose_is_known: bool = False,
+) -> TwoViews:
+    """Prepare both views of what two cameras recorded: the paper's Sec. IV-A.
+
+    Parameters
+    ----------
+    cam1, cam2
+        What the two cameras recorded.
+    rig
+        Intrinsics; the extrinsics count only where `pose_is_known`.
+    config
+        Parameters; the defaults when None.
+    pose_is_known
+        The rig's extrinsics hold, and only the offset is in question.
+
+    Raises
+    ------
+    SsacError
+        If a camera's events cannot be used, or a parameter makes no sense.
+    """
+    config = checked(config)
+    return TwoViews(*object_motions(cam1, cam2, rig, config), rig, config, pose_is_known)

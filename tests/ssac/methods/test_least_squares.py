@@ -1,0 +1,137 @@
+"""The one solver: further parameters are further columns, and priors count as they should."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ssac.geometry.epipolar import fundamental_from_pose, sampson_distance
+from ssac.geometry.robust import CAUCHY
+from ssac.methods.least_squares import (
+    FIRST_COLUMN,
+    T_D,
+    Column,
+    Parameters,
+    Prior,
+    Problem,
+    WeighedPairs,
+    covariance_of,
+    linearise,
+    moved,
+    solve,
+)
+from tests.ssac.synthetic import K, make_scene, rotation_angle_deg, track_pair
+
+SCENE = make_scene(seed=2)
+N = 400
+TIMES_S = (np.arange(N) + 0.5) * SCENE.duration_s / N
+SINCE_S = TIMES_S - np.mean(TIMES_S)
+T = SCENE.t / np.linalg.norm(SCENE.t)
+T_D_S, RATE = 0.004, 60e-6  # of camera 2's clock: 0.6 ms at both ends
+NOISE_PX = 0.1
+TURNS = {"joint": CAUCHY, "tangency": 0.5}  # where the two methods' losses turn
+
+
+def rate_problem(seed: int = 0, rate: float = RATE, noise_px: float = NOISE_PX, **options):
+    """Pairs sampled as if both clocks were one; camera 2's has an offset and a rate."""
+    p1, p2 = track_pair(SCENE, TIMES_S)
+    late_s = T_D_S + rate * SINCE_S
+    seen_at = TIMES_S - late_s  # camera 2's clock shows TIMES_S then
+    p2 = track_pair(SCENE, seen_at)[1]
+    v2 = (track_pair(SCENE, seen_at + 1e-4)[1] - track_pair(SCENE, seen_at - 1e-4)[1]) / 2e-4
+    noise = np.random.default_rng(seed).normal(0.0, noise_px, (2, N, 2))
+    pairs = WeighedPairs(TIMES_S, p1 + noise[0], p2 + noise[1], v2, np.ones(N), 0.0)
+    column = Column(np.zeros_like(p1), SINCE_S[:, None] * v2)
+    return Problem(pairs, SCENE.rig, columns=(column,), **options)
+
+
+def truth() -> Parameters:
+    return Parameters(0.0, SCENE.R, T)
+
+
+@pytest.mark.parametrize("turn", TURNS.values(), ids=TURNS)
+@pytest.mark.parametrize("pose_is_known", [False, True])
+def test_a_clock_rate_is_one_more_column(turn, pose_is_known):
+    problem = rate_problem(turn=turn, pose_is_known=pose_is_known)
+    # The loss of `tangency` turns within the noise, and its steps shrink slowly.
+    found = solve(problem, truth(), max_steps=100)
+    assert found.converged
+    covariance = covariance_of(problem, linearise(problem, found.parameters))
+    deviations = np.sqrt(np.diag(covariance))
+    assert len(deviations) == (2 if pose_is_known else 7)
+    assert found.parameters.t_d_s == pytest.approx(T_D_S, abs=4 * deviations[0])
+    assert found.parameters.columns == pytest.approx([RATE], abs=4 * deviations[-1])
+    assert 1e-6 < deviations[-1] < 0.4 * RATE  # so that it is told from none
+    without = solve(replace(problem, columns=()), truth(), max_steps=100).parameters
+    assert len(without.columns) == 0
+
+
+def test_without_noise_the_rate_is_exact():
+    found = solve(rate_problem(noise_px=0.0), truth())
+    # Points are moved along straight lines: 1 px/s^2 times (4 ms)^2 / 2 is far below that.
+    assert found.parameters.columns == pytest.approx([RATE], abs=2e-6)
+    assert found.parameters.t_d_s == pytest.approx(T_D_S, abs=2e-5)
+    assert rotation_angle_deg(found.parameters.R, SCENE.R) < 0.02
+
+
+@pytest.mark.parametrize("turn", TURNS.values(), ids=TURNS)
+def test_a_prior_weighs_as_much_as_its_deviation_says(turn):
+    free = rate_problem(turn=turn)
+    without = solve(free, truth(), max_steps=100).parameters.columns[0]
+    std = np.sqrt(covariance_of(free, linearise(free, solve(free, truth()).parameters))[-1, -1])
+    shares, stds = [], []
+    for ratio in (1e-3, 1.0, 1e3):
+        prior = Prior(FIRST_COLUMN, 0.0, ratio * std)
+        problem = rate_problem(turn=turn, priors=(prior,))
+        found = solve(problem, truth(), max_steps=100).parameters
+        shares.append(found.columns[0] / without)
+        covariance = covariance_of(problem, linearise(problem, found))
+        stds.append(np.sqrt(covariance[-1, -1]) / std)
+    assert shares[0] == pytest.approx(0.0, abs=1e-3)
+    assert 0.2 < shares[1] < 0.8  # one half, but for Student's factor and the loss's efficiency
+    assert shares[2] == pytest.approx(1.0, abs=1e-3)
+    assert stds[0] == pytest.approx(1e-3, rel=0.1)
+    assert 0.5 < stds[1] < 0.9  # 0.71
+    assert stds[2] == pytest.approx(1.0, abs=0.01)
+
+
+def test_a_prior_of_the_offset_holds_it():
+    prior = Prior(T_D, 0.001, 1e-9)
+    found = solve(rate_problem(priors=(prior,)), truth())
+    assert found.parameters.t_d_s == pytest.approx(0.001, abs=1e-7)
+
+
+def test_a_prior_of_the_pose_is_refused():
+    with pytest.raises(ValueError, match="got place 3"):
+        rate_problem(priors=(Prior(3, 0.0, 1.0),))
+
+
+def test_a_column_may_move_both_views():
+    """Focal lengths: both columns of a Jacobian by central differences."""
+    problem = rate_problem()
+    centre = K[:2, 2]
+    focal = Column(problem.pairs.p1_px - centre, 0.5 * (problem.pairs.p2_px - centre))
+    problem = replace(problem, columns=(*problem.columns, focal))
+    at = Parameters(T_D_S, SCENE.R, T, np.array([RATE, 0.01]))
+    analytic = linearise(problem, at).jacobian
+    for place, h in ((FIRST_COLUMN, 1e-6), (FIRST_COLUMN + 1, 1e-6), (T_D, 1e-6)):
+        step = h * np.eye(problem.size)[place]
+        upper, lower = (linearise(problem, moved(at, s)).distances_px for s in (step, -step))
+        numeric = (upper - lower) / (2.0 * h)
+        # Rounding of 1e-10 px over a step of 1e-6.
+        assert np.allclose(analytic[:, place], numeric, atol=1e-4 * np.abs(numeric).max())
+
+
+def test_steps_that_run_out_are_said():
+    found = solve(rate_problem(), truth(), max_steps=1)
+    assert not found.converged
+    assert solve(rate_problem(), truth(), max_steps=5, last_step=0.0).converged is False
+
+
+def test_residuals_are_weighed_sampson_distances():
+    problem = rate_problem()
+    problem = replace(problem, pairs=replace(problem.pairs, weights=np.linspace(0.5, 2.0, N)))
+    residuals = linearise(problem, replace(truth(), columns=np.zeros(1)))
+    F = fundamental_from_pose(K, K, SCENE.R, T)
+    expected = sampson_distance(F, problem.pairs.p1_px, problem.pairs.p2_px)
+    np.testing.assert_allclose(residuals.distances_px, np.linspace(0.5, 2.0, N) * expected)

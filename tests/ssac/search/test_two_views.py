@@ -1,0 +1,79 @@
+"""The pairing of two motions by a clock, and what is summed up of both views once."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import ssac.search.two_views
+from ssac.config import Config
+from ssac.search.two_views import TwoViews, two_views
+from ssac.track.motion import object_motion
+from ssac.track.observation import Observation
+from tests.ssac.synthetic import K, make_events, make_scene
+
+T_D_S = 0.25
+SCENE = make_scene(seed=0, duration_s=4.0)
+
+
+@pytest.fixture(scope="module")
+def events():
+    return make_events(SCENE, seed=0, t_d_s=T_D_S)
+
+
+@pytest.fixture(scope="module")
+def views(events):
+    motions = (object_motion(stream, SCENE.rig.cam1) for stream in events)
+    return TwoViews(*motions, SCENE.rig, Config())
+
+
+def test_pairs_obey_the_sign_convention(views):
+    offsets_s = np.array([-0.1, T_D_S])
+    pairs = views.pairs(offsets_s, n_samples=50)
+    for m, t_d_s in enumerate(offsets_s):
+        times_s = pairs.times_s[m]
+        assert np.array_equal(pairs.p1_px[m], views.motion1.at(times_s).positions_px, True)
+        assert np.array_equal(pairs.p2_px[m], views.motion2.at(times_s + t_d_s).positions_px, True)
+
+
+def test_pairs_at_one_offset_are_the_valid_ones_of_that_offset(views):
+    views = replace(views, config=Config(n_min=300))  # of which some windows hold fewer
+    views = replace(views, motion1=replace(views.motion1, n_min=900))
+    pairs, one = views.pairs(np.array([0.1, T_D_S])), views.pairs_at(T_D_S)
+    valid = pairs.valid[1]
+    assert 0 < np.count_nonzero(valid) < len(valid)
+    assert len(one) == np.count_nonzero(valid)
+    assert np.array_equal(one.times_s, pairs.times_s[1, valid])
+    for ours, theirs in zip(one.points_px, pairs.valid_positions(1), strict=True):
+        assert np.array_equal(ours, theirs)
+    rays1, _ = one.rays(SCENE.rig)
+    np.testing.assert_allclose((rays1 @ K.T)[:, :2], one.p1_px, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("t_d_s", "start_s", "end_s"), [(0.25, 0.0, 4.0), (1.25, 0.0, 3.0), (-0.75, 1.0, 4.0)]
+)
+def test_sample_times_cover_the_overlap(t_d_s, start_s, end_s, views):
+    # Camera 1 records 0 to 4 s, camera 2 0.25 to 4.25 s on its own clock.
+    times_s = views.sample_times(np.array([t_d_s]), 300)[0]
+    assert times_s[0] == pytest.approx(start_s, abs=0.01)  # half a sampling step
+    assert times_s[-1] == pytest.approx(end_s, abs=0.01)
+    assert len(views.sample_times(np.array([t_d_s]))[0]) == Config.n_samples
+
+
+def test_the_views_are_summed_up_once(events, monkeypatch):
+    """Bug: each method, and each of its steps, did it again."""
+    calls = []
+    for name in ("view_of", "returns_s"):
+        work = getattr(ssac.search.two_views, name)
+        monkeypatch.setattr(
+            ssac.search.two_views,
+            name,
+            lambda *args, work=work, name=name: calls.append(name) or work(*args),
+        )
+    views = two_views(*(Observation(stream) for stream in events), SCENE.rig)
+    for _ in range(2):
+        assert views.object_px > 0.0
+        assert len(views.returns_s) == 0
+        assert not views.repeats
+    assert calls == ["view_of", "view_of", "returns_s", "returns_s"]
