@@ -33,10 +33,7 @@ ablations: .venv/.ready ## one parameter varied at a time (an hour) -> results/a
 	@.venv/bin/ssac ablate
 
 studies: .venv/.ready ## is the uncertainty honest, is the unknown refused, how near the bound (30 minutes)
-	@.venv/bin/ssac efficiency
-	@.venv/bin/ssac coverage
-	@.venv/bin/ssac refusal
-	@.venv/bin/ssac tangency-study
+	@.venv/bin/ssac study efficiency coverage refusal tangency zncc more_flights
 
 figures: .venv/.ready ## the paper's figures, and errors against the angle -> results/*.png
 	@.venv/bin/ssac figures
@@ -64,7 +61,7 @@ scene: .venv/.ready ## how the default scene looks, beside the authors' sample (
 	@.venv/bin/ssac scene
 
 fidelity: .venv/.ready ## events against dense references (an hour) -> results/fidelity.csv
-	@.venv/bin/ssac fidelity
+	@.venv/bin/ssac study fidelity
 
 clean-cache: ## remove the recordings and runs that tables, ablations and sweeps keep in cache/
 	@du -sh cache 2>/dev/null || true

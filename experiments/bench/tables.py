@@ -38,7 +38,7 @@ def bench_tables() -> list[Measurement]:
             peak_mb = max(peak_mb, outcome.peak_mb)
             without_runs = Cache(Path(folder) / f"cached_{count}")
             without_runs.folder.mkdir()
-            for name in ("recordings", "denoised", "brightness"):
+            for name in ("recordings", "brightness"):
                 (cache.folder / name).rename(without_runs.folder / name)
             seconds["recordings cached", count], _ = _run(cells, without_runs, count)
     rows = []

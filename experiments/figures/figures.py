@@ -105,7 +105,7 @@ def drawings() -> dict[str, Drawing]:
         "fig5_d_avg": Drawing(_d_avg, recording=FLIGHT),
         "error_vs_angle": Drawing(partial(_of_runs, error_figure), "runs.csv", "make tables"),
         "beyond_paper": Drawing(partial(_of_runs, beyond_figure), "runs.csv", "make tables"),
-        "efficiency": Drawing(_efficiency, "efficiency.csv", "ssac efficiency"),
+        "efficiency": Drawing(_efficiency, "efficiency.csv", "ssac study efficiency"),
     }
     for name in config_names("ablation_"):
         listed[name] = Drawing(partial(_ablation, name), f"{name}.csv", "make ablations")

@@ -1,28 +1,27 @@
 """A configuration in; the recording or the result that was made with it before, out.
 
-Everything is addressed by its content: by all parameters and by the source text of the code that
-makes it, so a change of either makes a new entry and never returns an old one.
+Everything is addressed by its content: by all parameters and by all code that makes it
+(`experiments.run.code`), so a change of either makes a new entry and never returns an old one.
 
     recordings/<key>/     as sim.storage writes them, with t_d = 0: ordinary input of `ssac sync`
-    denoised/<key>.npz    the events that denoising leaves of them
     brightness/<key>.npz  the mean of each of their frames
-    runs/<ab>/<key>.json  one scored run of one method
+    runs/<ab>/<key>.json  one measured row
+
+Denoised events are not kept: denoising takes a third of a second for a recording of 20 s, which is
+less than what the methods take, and kept they would be three times as large as the recordings.
 """
 
 import hashlib
 import json
 from collections.abc import Callable
-from dataclasses import dataclass, fields, is_dataclass, replace
-from functools import lru_cache
-from importlib.metadata import version
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-import sim
-import ssac
+from experiments.run.code import SIM_PACKAGES, SSAC_PACKAGES, code_digest, package_versions
 from experiments.run.provenance import plain
 from sim.recording import SimConfig, simulate
 from sim.render.gl_context import open_context
@@ -31,18 +30,10 @@ from ssac.files.whole_file import whole_file
 
 DEFAULT_FOLDER = Path("cache")
 
-# Packages whose version may change a recording, or an estimate.
-_SIM_PACKAGES = ("numpy", "scipy", "numba", "pyrender", "PyOpenGL", "trimesh", "manifold3d")
-_SSAC_PACKAGES = ("numpy", "scipy", "numba", "opencv-python-headless")
-_SOURCE_SUFFIXES = (".py", ".vert", ".frag")
+RECORDING_CODE = ("sim.recording", "sim.storage")
+"""What makes a recording: nothing of `experiments`, so that recordings outlive its edits."""
 
-
-class Denoised(NamedTuple):
-    """Events of both cameras without noise."""
-
-    cam1: NDArray[np.void]
-    cam2: NDArray[np.void]
-    n_recorded: NDArray[np.int64]  # (2,) events with noise
+BRIGHTNESS_CODE = ("ssac.baselines.zncc_f", "ssac.files.hdf5")
 
 
 class Brightness(NamedTuple):
@@ -54,9 +45,6 @@ class Brightness(NamedTuple):
     times2_us: NDArray[np.int64]
 
 
-Made = TypeVar("Made", Denoised, Brightness)
-
-
 @dataclass(frozen=True)
 class Cache:
     """What earlier runs made, in one folder.
@@ -65,6 +53,7 @@ class Cache:
     """
 
     folder: Path = DEFAULT_FOLDER
+    simulated: list[Path] = field(default_factory=list, compare=False)  # by this object
 
     def recording_folder(self, config: SimConfig, seed: int) -> Path:
         """Give the folder of a recording, simulating it first if it is not there yet.
@@ -86,38 +75,27 @@ class Cache:
             provenance = {"config": plain(config), "seed": seed}
             try:
                 save_recording(simulate(config, seed), folder, provenance)
+                self.simulated.append(folder)
             except Exception:
                 if not folder.exists():  # unless another process was first
                     raise
         return folder
-
-    def has_recording(self, config: SimConfig, seed: int) -> bool:
-        """Return whether a recording is there."""
-        return self._recording_path(config, seed).exists()
-
-    def denoised(self, recording: Path, config: Any, denoise: Callable[[], Denoised]) -> Denoised:
-        """Give the events that denoising leaves, kept under the denoising's source text.
-
-        Parameters
-        ----------
-        recording : Path
-            As `recording_folder` gives it.
-        config : Any
-            All that the denoising depends on beside the recording.
-        denoise : Callable[[], Denoised]
-            Does it, where it was not done before.
-        """
-        code = source_digest("ssac", ("denoise", "events"))
-        key = _digest(recording.name, plain(config), code, Denoised._fields)
-        return self._kept(f"denoised/{key}.npz", Denoised, denoise)
 
     def brightness(self, recording: Path, measure: Callable[[], Brightness]) -> Brightness:
         """Give the means of a recording's frames, which `measure` takes if it was not done before.
 
         Reading all frames takes longer than most methods do.
         """
-        key = _digest(recording.name, source_digest("ssac", ("zncc_f",)), Brightness._fields)
-        return self._kept(f"brightness/{key}.npz", Brightness, measure)
+        key = _digest(recording.name, code_digest(*BRIGHTNESS_CODE), Brightness._fields)
+        path = self.folder / "brightness" / f"{key}.npz"
+        if not path.exists():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            made = measure()
+            with whole_file(path) as temporary, temporary.open("wb") as file:
+                np.savez(file, **made._asdict())
+            return made
+        with np.load(path) as kept:
+            return Brightness(*(kept[name] for name in Brightness._fields))
 
     def load_run(self, key: str) -> dict[str, Any] | None:
         """Return a run's row; None when there is none."""
@@ -140,17 +118,6 @@ class Cache:
         """Return the size of all entries."""
         return sum(path.stat().st_size for path in self.folder.rglob("*") if path.is_file())
 
-    def _kept(self, name: str, kind: type[Made], make: Callable[[], Made]) -> Made:
-        path = self.folder / name
-        if not path.exists():
-            path.parent.mkdir(parents=True, exist_ok=True)
-            made = make()
-            with whole_file(path) as temporary, temporary.open("wb") as file:
-                np.savez(file, **made._asdict())
-            return made
-        with np.load(path) as file:
-            return kind(*(file[field] for field in kind._fields))
-
     def _recording_path(self, config: SimConfig, seed: int) -> Path:
         return self.folder / "recordings" / recording_key(config, seed)
 
@@ -164,53 +131,25 @@ def recording_key(config: SimConfig, seed: int) -> str:
     return _digest(
         content(replace(config, t_d_s=0.0)),
         seed,
-        source_digest("sim"),
-        _versions(_SIM_PACKAGES),
+        code_digest(*RECORDING_CODE),
+        package_versions(SIM_PACKAGES),
         plain(context),
     )
 
 
-def run_key(recording: str, t_d_s: float, estimator: Any, method: str, method_code: str) -> str:
-    """Name a run by all that it depends on.
+def run_key(recordings: tuple[str, ...], inputs: Any, code: tuple[str, ...]) -> str:
+    """Name a row by all that it depends on.
 
     Parameters
     ----------
-    recording : str
-        Key of the recording.
-    t_d_s : float
-        Offset added to camera 2's clock.
-    estimator : Any
-        Parameters of the method.
-    method, method_code : str
-        The method's name, and the version of its code where that is not in `ssac`.
+    recordings : tuple[str, ...]
+        Keys of the recordings that it is measured on.
+    inputs : Any
+        Everything else that goes in: parameters, the method's name and its version.
+    code : tuple[str, ...]
+        Modules that measure it.
     """
-    return _digest(
-        recording,
-        t_d_s,
-        plain(estimator),
-        method,
-        method_code,
-        source_digest("ssac"),
-        source_digest("experiments", ("bridge", "load", "run", "score")),
-        _versions(_SSAC_PACKAGES),
-    )
-
-
-@lru_cache
-def source_digest(package: str, modules: tuple[str, ...] = ()) -> str:
-    """Digest of the source text of a package of ours, or of some of its modules."""
-    folder = _FOLDERS[package]
-    files = [
-        path
-        for path in sorted(folder.rglob("*"))
-        if path.suffix in _SOURCE_SUFFIXES and (not modules or path.stem in modules)
-    ]
-    return _digest(*[[str(path.relative_to(folder)), path.read_text()] for path in files])
-
-
-@lru_cache
-def _versions(packages: tuple[str, ...]) -> dict[str, str]:
-    return {name: version(name) for name in packages}
+    return _digest(recordings, content(inputs), code_digest(*code), package_versions(SSAC_PACKAGES))
 
 
 def content(value: Any) -> Any:
@@ -218,7 +157,7 @@ def content(value: Any) -> Any:
     if isinstance(value, Path):
         return hashlib.sha256(value.read_bytes()).hexdigest() if value.exists() else str(value)
     if is_dataclass(value) and not isinstance(value, type):
-        return {field.name: content(getattr(value, field.name)) for field in fields(value)}
+        return {one.name: content(getattr(value, one.name)) for one in fields(value)}
     if isinstance(value, (list, tuple)):
         return [content(item) for item in value]
     return value
@@ -227,10 +166,3 @@ def content(value: Any) -> Any:
 def _digest(*parts: Any) -> str:
     text = json.dumps(parts, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:24]
-
-
-_FOLDERS = {
-    "sim": Path(str(sim.__file__)).parent,
-    "ssac": Path(str(ssac.__file__)).parent,
-    "experiments": Path(__file__).parents[1],
-}

@@ -20,6 +20,7 @@ def finish(outcome: Outcome, cache: Cache, *files: Path) -> None:
     """Say what was done; runs that crashed are bugs of ours, and the exit code says so."""
     runs = outcome.runs
     failed = runs[runs["status"] != "ok"]
+    of = next((name for name in ("method", "variant", "signal") if name in failed), "status")
     typer.echo(
         f"{len(runs)} runs; {outcome.n_recordings} recordings worked on, "
         f"{outcome.n_simulated} of them simulated",
@@ -28,8 +29,8 @@ def finish(outcome: Outcome, cache: Cache, *files: Path) -> None:
     if outcome.peak_mb:
         typer.echo(f"peak memory of a worker: {outcome.peak_mb:.0f} MB", err=True)
     typer.echo(f"cache {cache.folder}: {cache.size_bytes() / 1e9:.2f} GB", err=True)
-    for (method, status), group in failed.groupby(["method", "status"]):
-        typer.echo(f"{method}: {len(group)} runs {status}: {group['reason'].iloc[0]}", err=True)
+    for (name, status), group in failed.groupby([of, "status"]):
+        typer.echo(f"{name}: {len(group)} runs {status}: {group['reason'].iloc[0]}", err=True)
     for path in files:
         typer.echo(f"written to {path}")
     if outcome.n_crashed:

@@ -57,6 +57,22 @@ class Cell:
     method: str  # of the registry
     parameters: Mapping[str, Any]  # dotted name -> value: all that the grid's TOML sets
 
+    @property
+    def recordings(self) -> tuple[tuple[SimConfig, int], ...]:
+        """The one that it is run on (`task.AnyCell`)."""
+        return ((self.sim, self.seed),)
+
+    @property
+    def columns(self) -> dict[str, Any]:
+        """Columns of its row that say which run it is."""
+        named = {"flight": self.flight, "seed": self.seed, "method": self.method}
+        return {**self.parameters, **named}
+
+    @property
+    def inputs(self) -> tuple[Any, ...]:
+        """Everything beside recording and code that its row depends on."""
+        return self.t_d_s, self.estimator, self.method, METHODS[self.method].version
+
 
 @dataclass(frozen=True)
 class FigureConfig:

@@ -4,18 +4,26 @@ import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
 
 import joblib
 import pandas as pd
 from tqdm import tqdm
 
 from experiments.run.cache import Cache
-from experiments.run.grid import Cell
-from experiments.run.task import CRASHED, Row, Task, keys_of, plain, run_task, tasks_of
+from experiments.run.scored import SCORED
+from experiments.run.task import (
+    CRASHED,
+    AnyCell,
+    Done,
+    Measure,
+    Rows,
+    Task,
+    keys_of,
+    refusal,
+    run_task,
+    tasks_of,
+)
 from ssac.errors import SsacError
-
-Rows = list[dict[str, Any]]
 
 WAIT_FOR_WORKERS_S = 60.0  # of a Dask scheduler: they may be on their way
 
@@ -35,9 +43,9 @@ class Workers:
 
 @dataclass(frozen=True)
 class Outcome:
-    """All rows of a grid, and how they came about."""
+    """All rows of some cells, and how they came about."""
 
-    runs: pd.DataFrame  # one row a cell, in their order: parameters, flight, seed, method, `Row`
+    runs: pd.DataFrame  # one row for each cell, in their order: its columns, then what was measured
     n_recordings: int  # that work was left for
     n_simulated: int  # of these: the others were in the cache
     peak_mb: float  # of the largest worker; 0 when there was nothing left to do
@@ -49,11 +57,12 @@ class Outcome:
 
 
 def run_cells(
-    cells: Sequence[Cell],
+    cells: Sequence[AnyCell],
     cache: Cache,
     workers: Workers | None = None,
     label: str = "recordings",
     show_progress: bool = True,
+    measure: Measure = SCORED,
 ) -> Outcome:
     """Run all cells that the cache does not hold, and collect the rows of all.
 
@@ -62,13 +71,15 @@ def run_cells(
 
     Parameters
     ----------
-    cells : Sequence[Cell]
+    cells : Sequence[AnyCell]
     cache : Cache
     workers : Workers | None
         One process for each core when None.
     label : str
         Of the progress bar on stderr.
     show_progress : bool
+    measure : Measure
+        What is measured of the cells: by default, how a method errs.
 
     Returns
     -------
@@ -82,7 +93,7 @@ def run_cells(
     workers = workers or Workers()
     tasks = tasks_of(cells)
     cache = Cache(cache.folder.resolve())  # the same for workers with another working directory
-    keys = [keys_of(task) for task in tasks]  # the machine's GL driver is part of them
+    keys = [keys_of(task, measure) for task in tasks]  # the machine's GL driver is part of them
     found: dict[int, Rows] = {}
     left: list[int] = []
     for index, task in enumerate(tasks):
@@ -92,62 +103,70 @@ def run_cells(
             found[index] = rows
         else:
             left.append(index)
-    n_simulated = sum(not cache.has_recording(tasks[at].sim, tasks[at].seed) for at in left)
     # The longest first, so that no worker is left alone with one at the end.
-    left.sort(key=lambda index: (-_cost(tasks[index]), index))
-    peak_mb = 0.0
-    # None: no bar where stderr is no terminal.
-    with tqdm(total=len(left), desc=label, disable=None if show_progress and left else True) as bar:
-        for index, rows, task_mb in _spread(tasks, left, cache, workers):
-            found[index] = rows
-            for key, row in zip(keys[index], rows, strict=True):
+    left.sort(key=lambda index: (-tasks[index].cost_s, index))
+    n_simulated, peak_mb = 0, 0.0
+    work = _Work(tasks, cache, measure)
+    disable = None if show_progress and left else True  # None: unless stderr is no terminal
+    with tqdm(total=len(left), desc=label, disable=disable) as bar:
+        for index, done in _spread(work, left, workers):
+            found[index] = done.rows
+            for key, row in zip(keys[index], done.rows, strict=True):
                 if row["status"] != CRASHED:
                     cache.save_run(key, row)  # a worker elsewhere has a folder of its own
-            peak_mb = max(peak_mb, task_mb)
+            n_simulated += done.n_simulated
+            peak_mb = max(peak_mb, done.peak_mb)
             bar.update()
-    return Outcome(_frame(cells, tasks, found), len(left), n_simulated, peak_mb)
+    return Outcome(_frame(cells, tasks, found, measure), len(left), n_simulated, peak_mb)
 
 
-def _spread(
-    tasks: Sequence[Task], left: Sequence[int], cache: Cache, workers: Workers
-) -> Iterator[tuple[int, Rows, float]]:
-    """Yield each task's index, rows and peak memory, in the order in which they are done."""
+@dataclass(frozen=True)
+class _Work:
+    """What is to be done, and how."""
+
+    tasks: Sequence[Task]
+    cache: Cache
+    measure: Measure
+
+
+def _spread(work: _Work, left: Sequence[int], workers: Workers) -> Iterator[tuple[int, Done]]:
+    """Yield each task's index and what it gave, in the order in which they are done."""
     with _backend(workers):
         done = set()
         try:
-            for result in _parallel(tasks, left, cache, workers.n_jobs):
+            for result in _parallel(work, left, workers.n_jobs):
                 done.add(result[0])
                 yield result
         except Exception:  # a worker died, and others with it: find out on which task
             for index in left:
                 if index not in done:
-                    yield _alone(tasks, index, cache)
+                    yield _alone(work, index)
 
 
-def _alone(tasks: Sequence[Task], index: int, cache: Cache) -> tuple[int, Rows, float]:
+def _alone(work: _Work, index: int) -> tuple[int, Done]:
     """Run a task in a worker that no other task can take down."""
     try:
         # Two jobs, since one would run in this process and take it down.
-        return next(_parallel(tasks, [index], cache, 2))
+        return next(_parallel(work, [index], 2))
     except Exception as error:
-        text = " ".join(str(error).split())
-        crashed = plain(Row(CRASHED, f"worker: {type(error).__name__}: {text}"))
-        done = [cache.load_run(key) for key in keys_of(tasks[index])]
-        return index, [crashed if row is None else row for row in done], 0.0
+        crashed = refusal(work.measure, error, "worker") | {"status": CRASHED}
+        done = [work.cache.load_run(key) for key in keys_of(work.tasks[index], work.measure)]
+        return index, Done([crashed if row is None else row for row in done], 0, 0.0)
 
 
 def _parallel(
-    tasks: Sequence[Task], indices: Sequence[int], cache: Cache, n_jobs: int | None
-) -> Iterator[tuple[int, Rows, float]]:
+    work: _Work, indices: Sequence[int], n_jobs: int | None
+) -> Iterator[tuple[int, Done]]:
     parallel = joblib.Parallel(n_jobs=n_jobs, return_as="generator_unordered", batch_size=1)
-    results: Iterator[tuple[int, Rows, float]] = parallel(
-        joblib.delayed(_indexed)(index, tasks[index], cache) for index in indices
+    results: Iterator[tuple[int, Done]] = parallel(
+        joblib.delayed(_indexed)(index, work.tasks[index], work.cache, work.measure)
+        for index in indices
     )
     return results
 
 
-def _indexed(index: int, task: Task, cache: Cache) -> tuple[int, Rows, float]:
-    return (index, *run_task(task, cache))
+def _indexed(index: int, task: Task, cache: Cache, measure: Measure) -> tuple[int, Done]:
+    return index, run_task(task, cache, measure)
 
 
 @contextmanager
@@ -181,30 +200,17 @@ def _backend(workers: Workers) -> Iterator[None]:
         yield
 
 
-def _cost(task: Task) -> float:
-    """How long a recording takes, roughly: its duration, all else being equal."""
-    return task.sim.spline.duration_s
-
-
-def _frame(cells: Sequence[Cell], tasks: Sequence[Task], found: dict[int, Rows]) -> pd.DataFrame:
-    """Put the rows in the order of the cells, and each cell's parameters before its row."""
+def _frame(
+    cells: Sequence[AnyCell], tasks: Sequence[Task], found: dict[int, Rows], measure: Measure
+) -> pd.DataFrame:
+    """Put the rows in the order of the cells, and each cell's columns before its row."""
     rows = {
         id(cell): row
         for index, task in enumerate(tasks)
         for cell, row in zip(task.cells, found[index], strict=True)
     }
-    table = [
-        {
-            **cell.parameters,
-            "flight": cell.flight,
-            "seed": cell.seed,
-            "method": cell.method,
-            **rows[id(cell)],
-        }
-        for cell in cells
-    ]
-    frame: pd.DataFrame = pd.DataFrame(table)
-    for name, value in vars(Row("")).items():
+    frame: pd.DataFrame = pd.DataFrame([{**cell.columns, **rows[id(cell)]} for cell in cells])
+    for name, value in vars(measure.row_type("")).items():
         if isinstance(value, float) and math.isnan(value):
             frame[name] = frame[name].astype(float)
     return frame

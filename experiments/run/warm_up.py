@@ -10,6 +10,7 @@ from pathlib import Path
 
 from experiments.run.cache import Cache
 from experiments.run.grid import Cell
+from experiments.run.scored import SCORED
 from experiments.run.task import Task, run_task
 from sim.recording import SimConfig
 from sim.sensor.events import PRESETS
@@ -25,7 +26,7 @@ def warm_up_tasks() -> list[Task]:
     for sensor in PRESETS.values():
         sim = SimConfig(spline=spline, sensor=sensor)
         cells = tuple(Cell(sim, 0, 0, 0.0, estimator, method.name, {}) for method in OURS)
-        tasks.append(Task(sim, 0, cells))
+        tasks.append(Task(cells))
     return tasks
 
 
@@ -33,7 +34,7 @@ def main() -> None:
     """Run them in a folder of their own."""
     with tempfile.TemporaryDirectory() as folder:
         for task in warm_up_tasks():
-            run_task(task, Cache(Path(folder)))
+            run_task(task, Cache(Path(folder)), SCORED)
 
 
 if __name__ == "__main__":

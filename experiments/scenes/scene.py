@@ -10,10 +10,12 @@ from numpy.typing import NDArray
 from experiments.run.bridge import observations, rig_of
 from sim.recording import Recording, SimConfig, simulate
 from sim.sensor.frames import FrameConfig
+from ssac.camera import Rig, known_pose
 from ssac.config import Config
 from ssac.console.options import number
 from ssac.geometry.epipolar import epipolar_distance, fundamental_from_pose
 from ssac.search.two_views import two_views
+from ssac.track.observation import Observation
 
 FloatArray = NDArray[np.float64]
 
@@ -54,20 +56,30 @@ def scene_figures(recording: Recording, config: Config | None = None) -> SceneFi
     config : Config, optional
         How the method takes its samples.
     """
+    rig = rig_of(recording, with_extrinsics=True)
+    return pair_figures(*observations(recording), rig, recording.truth.t_d_s, config)
+
+
+def pair_figures(
+    cam1: Observation, cam2: Observation, rig: Rig, t_d_s: float, config: Config | None = None
+) -> SceneFigures:
+    """Measure what two cameras recorded; the rig and the offset are the true ones."""
     config = config or Config()
-    truth, rig = recording.truth, rig_of(recording)
-    cam1, cam2 = observations(recording)
     views = two_views(cam1, cam2, rig, config)
-    F = fundamental_from_pose(rig.cam1.K, rig.cam2.K, truth.R, truth.t)
-    offsets_s = truth.t_d_s + np.array([-SLOPE_STEP_S, 0.0, SLOPE_STEP_S])
+    F = fundamental_from_pose(rig.cam1.K, rig.cam2.K, *known_pose(rig))
+    offsets_s = t_d_s + np.array([-SLOPE_STEP_S, 0.0, SLOPE_STEP_S])
     pairs = views.pairs(offsets_s)
     distances = [epipolar_distance(F, *pairs.valid_positions(m)) for m in range(3)]
     times_s = pairs.times_s[1][pairs.valid[1]]
     velocities = [
         views.motion1.velocities_at(times_s),
-        views.motion2.velocities_at(times_s + truth.t_d_s),
+        views.motion2.velocities_at(times_s + t_d_s),
     ]
-    widths = _widths_px(recording, times_s, config.half_window_s)
+    widths = [
+        width_px
+        for camera, shift_s in ((cam1, 0.0), (cam2, t_d_s))
+        for width_px in _widths_px(camera, times_s + shift_s, config.half_window_s)
+    ]
     return SceneFigures(
         speed_px_s=float(np.nanmedian(np.linalg.norm(velocities, axis=-1))),
         n_valid=int(np.count_nonzero(pairs.valid[1])),
@@ -76,7 +88,7 @@ def scene_figures(recording: Recording, config: Config | None = None) -> SceneFi
         median_distance_px=float(np.median(distances[1])),
         slope_px=float((np.mean(distances[0]) + np.mean(distances[2])) / 2 - np.mean(distances[1])),
         width_px=(float(np.percentile(widths, 5)), float(np.percentile(widths, 95))),
-        n_events=float(np.mean([len(camera.events) for camera in recording.cameras])),
+        n_events=float(np.mean([len(camera.events) for camera in (cam1, cam2)])),
     )
 
 
@@ -125,15 +137,13 @@ def scene_table(figures: SceneFigures) -> str:
     return "\n".join(["| quantity | authors' sample | ours |", "|---|---|---|", *rows])
 
 
-def _widths_px(recording: Recording, times_s: FloatArray, half_window_s: float) -> FloatArray:
-    """Width of the event image around each time, in each camera [px]."""
+def _widths_px(camera: Observation, times_s: FloatArray, half_window_s: float) -> list[float]:
+    """Width of the event image around each time on the camera's clock [px]."""
+    t_us, x = camera.events["t"], camera.events["x"]
+    first = np.searchsorted(t_us, (times_s - half_window_s) * 1e6)
+    last = np.searchsorted(t_us, (times_s + half_window_s) * 1e6)
     widths = []
-    for camera in recording.cameras[:2]:
-        t_us, x = camera.events["t"], camera.events["x"]
-        centre_us = (times_s + camera.camera.time_offset_s) * 1e6
-        first = np.searchsorted(t_us, centre_us - half_window_s * 1e6)
-        last = np.searchsorted(t_us, centre_us + half_window_s * 1e6)
-        for a, b in zip(first, last, strict=True):
-            low, high = np.quantile(x[a:b], _WIDTH_QUANTILES)
-            widths.append(high - low + 1.0)
-    return np.array(widths)
+    for a, b in zip(first, last, strict=True):
+        low, high = np.quantile(x[a:b], _WIDTH_QUANTILES)
+        widths.append(float(high - low + 1.0))
+    return widths

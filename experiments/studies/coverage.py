@@ -1,33 +1,26 @@
-"""Simulated runs in, how often the stated intervals hold the truth out: `ssac coverage`.
+"""Simulated runs in, how often the stated intervals hold the truth out.
 
 An interval of t_d or of one angle is the estimate +- z deviations, z being the normal quantile; a
 region of R or t is where the Mahalanobis distance of its three or two angles is below the root of
-chi^2's quantile. All flights are ones that nothing was tuned on.
+chi^2's quantile. All flights are ones that nothing was tuned on: configs/coverage.toml.
 """
 
-import time
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Annotated, Any
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pandas as pd
-import typer
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.stats import beta, chi2
 
-from experiments.figures.style import WIDTH_IN, method_looks, quiet_axes, save_png
+from experiments.figures.style import WIDTH_IN, method_looks, quiet_axes
 from experiments.paper.esim import method_order
-from experiments.run.cache import DEFAULT_FOLDER, Cache
-from experiments.run.command import CacheOption, SchedulerOption, WorkersOption, finish
 from experiments.run.grid import named_config
-from experiments.run.provenance import save_provenance
-from experiments.run.schedule import Workers, run_cells
-from experiments.studies.sweep import save_csv
-from sim.render.gl_context import open_context
+from experiments.studies.grids import grid_study
+from experiments.studies.study import Study
 
 FloatArray = NDArray[np.float64]
 
@@ -55,35 +48,6 @@ QUANTITIES = {
     "t_1": Quantity("t_1_normalised", 1),
     "t_2": Quantity("t_2_normalised", 1),
 }
-
-
-def coverage_command(
-    flights: Annotated[
-        int | None, typer.Option(help="At each angle.  [default: as in the configuration]")
-    ] = None,
-    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("results"),
-    workers: WorkersOption = -1,
-    scheduler: SchedulerOption = "",
-    cache: CacheOption = DEFAULT_FOLDER,
-) -> None:
-    """Check on simulated flights how often the stated intervals hold the truth; CSVs, a figure."""
-    start = time.perf_counter()
-    grid = named_config("coverage")
-    grid = replace(grid, flights=flights or grid.flights)
-    outcome = run_cells(grid.cells(), Cache(cache), Workers(workers, scheduler), grid.name)
-    runs_path, path = out / "coverage_runs.csv", out / "coverage.csv"
-    figure_path = out / "coverage.png"
-    save_csv(runs_path, outcome.runs)
-    # From the file, so that anyone who has it makes the same bytes.
-    runs = pd.read_csv(runs_path)
-    save_csv(path, coverage_table(runs))
-    save_png(coverage_figure(runs), figure_path)
-    content = {**grid.content, "flights": grid.flights}
-    command = "ssac coverage" + (f" --flights {flights}" if flights else "")
-    wall_time_s = time.perf_counter() - start
-    for written in (runs_path, path):
-        save_provenance(written, command, content, wall_time_s, open_context())
-    finish(outcome, Cache(cache), runs_path, path, figure_path)
 
 
 def coverage_table(runs: pd.DataFrame) -> pd.DataFrame:
@@ -212,3 +176,10 @@ def _t_d_normalised(runs: pd.DataFrame) -> "pd.Series[float]":
     errors_ms = runs["t_d_estimate_ms"] - 1e3 * runs["sim.t_d_s"]
     normalised: pd.Series[float] = errors_ms / runs["t_d_std_ms"]
     return normalised
+
+
+def coverage_study() -> Study:
+    """Give the study of configs/coverage.toml."""
+    return grid_study(
+        named_config("coverage"), coverage_table, lambda _, runs: coverage_figure(runs)
+    )

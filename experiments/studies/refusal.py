@@ -1,141 +1,42 @@
-"""Flights that leave something open in, what each method says of them out (docs/refusal.md).
+"""Flights that leave something open in, what each method says of them counted (docs/refusal.md).
 
-A method may refuse, in whole or in part; what it must not do is to give a confident wrong answer.
-The seeds are those of no table, and no threshold was set on them.
+Flight 1000 + 100 k + i is the i-th of the k-th kind of flight: those of no table and of no other
+study, and no threshold was set on them. The angles change from flight to flight.
 """
 
-import time
-from pathlib import Path
-from typing import Annotated, Any
-
-import joblib
-import numpy as np
 import pandas as pd
-import typer
 
-from experiments.run.provenance import save_provenance
-from experiments.run.score import score
-from experiments.studies.refusal_flights import (
-    KINDS_OF_FLIGHT,
-    OTHER_FLIGHT,
-    RefusalCase,
-    flight_of,
-    refusal_case,
-)
-from sim.render.gl_context import open_context
-from ssac.estimate import Estimate
-from ssac.files.whole_file import whole_file
-from ssac.tool.registry import METHODS, Chain
-from ssac.track.observation import prepare
+from experiments.measures.refusal import REFUSALS, RefusalCell
+from experiments.measures.refusal_flights import DURATION_S, KINDS_OF_FLIGHT, flight_config
+from experiments.run.grid import flight_seed
+from experiments.studies.study import Study
 
 METHOD_NAMES = ("ssac", "joint", "tangency", "ssac-known", "joint-known", "tangency-known")
 ANGLES_DEG = (30.0, 60.0, 90.0, 120.0, 150.0)
-FIRST_SEED = 1000
+N_FLIGHTS = 12
+"""Of each kind of flight."""
 
-MAX_SIGMAS = 5.0
-"""A larger error, with status "ok", is a confident wrong answer."""
-
-MAX_ERROR_MS, MAX_ERROR_DEG = 5.0, 5.0
-"""The same for methods that state no deviation."""
-
-_LISTED_MS = 10.0  # a listed offset is the true one when it is as near
+FIRST_FLIGHT, KIND_STEP = 1000, 100
+OTHER_FLIGHT = 50_000  # added to the number, for the flight that only camera 2 sees
 
 
-def refusal_command(
-    seeds: Annotated[int, typer.Option(help="Flights of each kind.")] = 12,
-    jobs: Annotated[int, typer.Option(help="Processes.")] = 2,
-    first_seed: Annotated[int, typer.Option(help="Of the flights.")] = FIRST_SEED,
-    out: Annotated[Path, typer.Option(help="Folder for the tables.")] = Path("results"),
-) -> None:
-    """Run all methods on flights that leave offset or pose open, and count what they say."""
-    start = time.perf_counter()
-    flights = list(KINDS_OF_FLIGHT)
-    tasks = [
-        (flight, seed, ANGLES_DEG[(2 * seed + number) % len(ANGLES_DEG)])
-        for seed in range(first_seed, first_seed + seeds)
-        for number, flight in enumerate(flights)
-    ]
-    results = joblib.Parallel(n_jobs=jobs, return_as="generator")(
-        joblib.delayed(refusal_rows)(*task) for task in tasks
-    )
-    rows: list[dict[str, Any]] = []
-    for done, part in enumerate(results, 1):
-        rows += part
-        typer.echo(f"flight {done} of {len(tasks)}", err=True)
-    runs = pd.DataFrame(rows)
-    table = refusal_table(runs)
-    out.mkdir(parents=True, exist_ok=True)
-    command = f"ssac refusal --seeds {seeds}"
-    if first_seed != FIRST_SEED:
-        command += f" --first-seed {first_seed}"
-    config = {"seeds": seeds, "first_seed": first_seed, "angles_deg": ANGLES_DEG}
-    for name, content in (("refusal_runs.csv", runs), ("refusal.csv", table)):
-        with whole_file(out / name) as temporary:
-            content.to_csv(temporary, index=False, float_format="%.4g")
-        wall_time_s = time.perf_counter() - start
-        save_provenance(out / name, command, config, wall_time_s, open_context())
-    typer.echo(table.to_string(index=False, float_format=lambda value: f"{value:.3g}"))
-    typer.echo(f"{int(runs['confident_wrong'].sum())} confident wrong answers in {len(runs)} runs")
-
-
-def refusal_rows(flight: str, seed: int, angle_deg: float) -> list[dict[str, Any]]:
-    """Simulate one flight, and run all methods on all kinds that are made of it."""
-    recording = flight_of(flight, seed, angle_deg)
-    kinds = KINDS_OF_FLIGHT[flight]
-    other = flight_of(flight, seed + OTHER_FLIGHT, angle_deg) if len(kinds) > 2 else None
-    rows = []
-    for kind in kinds:
-        case = refusal_case(kind, recording, other)
-        estimates = estimates_of(case)
-        rows += [
-            {"kind": kind, "seed": seed, "angle_deg": angle_deg, **judged(estimates[name], case)}
-            for name in METHOD_NAMES
-        ]
-    return rows
-
-
-def estimates_of(case: RefusalCase) -> dict[str, Estimate]:
-    """Run the methods, those that refine another's estimate after that one."""
-    cam1, cam2 = prepare(case.cam1, case.cam2, case.rig, case.config)
-    chain = Chain(cam1, cam2, case.rig, case.config)
-    return {name: chain.estimate(name) for name in METHOD_NAMES}
-
-
-def judged(estimate: Estimate, case: RefusalCase) -> dict[str, Any]:
-    """One row: what was said, its errors, and whether it is a confident wrong answer."""
-    errors = score(estimate, case.t_d_s, case.R, case.t)
-    t_d_std_ms = 1e3 * estimate.t_d_std_s
-    gives_pose = not METHODS[estimate.method].needs_extrinsics and estimate.R is not None
-    r_std_deg = estimate.r_std_deg if gives_pose else np.nan
-    t_std_deg = estimate.t_std_deg if gives_pose else np.nan
-    pairs = [(errors.t_d_error_ms, t_d_std_ms, MAX_ERROR_MS)]
-    if gives_pose:
-        pairs.append((errors.r_error_deg, r_std_deg, MAX_ERROR_DEG))
-        pairs.append((errors.t_error_deg, t_std_deg, MAX_ERROR_DEG))
-    sigmas = [error / std for error, std, _ in pairs if np.isfinite(std)]
-    if sigmas:
-        is_wrong = estimate.has_offset and not max(sigmas) <= MAX_SIGMAS
-    else:
-        is_wrong = estimate.status == "ok" and not all(error <= most for error, _, most in pairs)
-    offsets_s = np.append(estimate.alternatives_s, estimate.t_d_s)
-    listed = np.abs(offsets_s - case.t_d_s) < 1e-3 * _LISTED_MS
-    return {
-        "method": estimate.method,
-        "status": estimate.status,
-        "reason": estimate.reason,
-        "offset_given": estimate.has_offset,
-        "pose_given": estimate.status == "ok" and gives_pose,
-        "alternatives": len(estimate.alternatives_s),
-        "truth_among_offsets": bool(listed.any()),
-        "t_d_error_ms": errors.t_d_error_ms,
-        "r_error_deg": errors.r_error_deg if gives_pose else np.nan,
-        "t_error_deg": errors.t_error_deg if gives_pose else np.nan,
-        "t_d_std_ms": t_d_std_ms,
-        "r_std_deg": r_std_deg,
-        "t_std_deg": t_std_deg,
-        "error_sigmas": max(sigmas, default=np.nan),
-        "confident_wrong": bool(is_wrong),
-    }
+def refusal_cells(n_flights: int = N_FLIGHTS) -> list[RefusalCell]:
+    """List every method on every kind that is made of each flight."""
+    cells = []
+    for index in range(n_flights):
+        for number, (of_flight, kinds) in enumerate(KINDS_OF_FLIGHT.items()):
+            flight = FIRST_FLIGHT + KIND_STEP * number + index
+            angle_deg = ANGLES_DEG[(2 * index + number) % len(ANGLES_DEG)]
+            sim = flight_config(of_flight, angle_deg)
+            seed, other_seed = (
+                flight_seed(DURATION_S, angle_deg, one) for one in (flight, flight + OTHER_FLIGHT)
+            )
+            cells += [
+                RefusalCell(sim, flight, seed, kind, of_flight, other_seed, method)
+                for kind in kinds
+                for method in METHOD_NAMES
+            ]
+    return cells
 
 
 def refusal_table(runs: pd.DataFrame) -> pd.DataFrame:
@@ -144,7 +45,7 @@ def refusal_table(runs: pd.DataFrame) -> pd.DataFrame:
     Parameters
     ----------
     runs
-        One row per flight, kind and method, from `refusal_rows`.
+        One row per flight, kind and method: `refusal_cells`.
 
     Returns
     -------
@@ -174,3 +75,14 @@ def refusal_table(runs: pd.DataFrame) -> pd.DataFrame:
         )
     table: pd.DataFrame = pd.DataFrame(rows)
     return table
+
+
+REFUSAL = Study(
+    "refusal",
+    "What methods say of flights that leave offset or pose open",
+    refusal_cells,
+    REFUSALS,
+    refusal_table,
+    keys=("kind", "flight", "method"),
+    config={"n_flights": N_FLIGHTS, "first_flight": FIRST_FLIGHT, "angles_deg": ANGLES_DEG},
+)

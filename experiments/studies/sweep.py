@@ -1,7 +1,7 @@
-"""A grid in TOML in, a tidy CSV of all its runs out, in shards or whole: `ssac sweep`, `merge`.
+"""Any grid in TOML in, a tidy CSV of all its runs out, in shards or whole: `ssac sweep`, `merge`.
 
 Every parameter is a column under its dotted name, every run a row; `cell` numbers them over the
-whole grid, so that the rows of all shards, sorted by it, are the bytes of the sweep in one piece.
+whole grid or study, so that the rows of all shards, sorted by it, are the bytes of one piece.
 """
 
 import json
@@ -10,19 +10,27 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
-import pandas as pd
 import typer
 
-from experiments.paper.esim import csv_text
 from experiments.run.cache import DEFAULT_FOLDER, Cache
 from experiments.run.command import CacheOption, SchedulerOption, WorkersOption, finish
-from experiments.run.grid import Cell, GridConfig, grid_from_content, load_config
+from experiments.run.grid import grid_from_content, load_config
 from experiments.run.provenance import save_provenance, write_provenance
-from experiments.run.schedule import Workers, run_cells
-from experiments.run.task import tasks_of
+from experiments.run.schedule import Workers
+from experiments.run.scored import SCORED
+from experiments.studies.catalogue import STUDIES
+from experiments.studies.study import (
+    WHOLE,
+    Study,
+    numbered,
+    parse_shard,
+    run_numbered,
+    save_csv,
+    save_derived,
+    save_text,
+)
 from sim.render.gl_context import open_context
 from ssac.errors import SsacError
-from ssac.files.whole_file import whole_file
 
 
 def sweep_command(
@@ -38,16 +46,13 @@ def sweep_command(
     """Run any grid over any parameters of simulator and estimator; one CSV row per run."""
     start = time.perf_counter()
     grid = load_config(config)
-    part = _parse_shard(shard)
+    part = parse_shard(shard)
     out = out or Path("results") / f"{grid.name}.csv"
-    numbered = shard_cells(grid, *part)
-    outcome = run_cells(
-        [cell for _, cell in numbered], Cache(cache), Workers(workers, scheduler), grid.name
+    outcome = run_numbered(
+        numbered(grid.cells(), part), SCORED, Cache(cache), Workers(workers, scheduler), grid.name
     )
-    runs = outcome.runs.copy()
-    runs.insert(0, "cell", [number for number, _ in numbered])
-    save_csv(out, runs)
-    command = f"ssac sweep {config}" + (f" --shard {shard}" if part != (1, 1) else "")
+    save_csv(out, outcome.runs)
+    command = f"ssac sweep {config}" + (f" --shard {shard}" if part != WHOLE else "")
     save_provenance(
         out, command, {"grid": dict(grid.content), "name": grid.name, "shard": shard},
         time.perf_counter() - start, open_context(),
@@ -58,27 +63,24 @@ def sweep_command(
 def merge_command(
     out: Annotated[Path, typer.Argument(help="CSV to write.", show_default=False)],
     shards: Annotated[
-        list[Path], typer.Argument(help="CSVs of all shards of one grid.", show_default=False)
+        list[Path],
+        typer.Argument(help="CSVs of all shards of one grid or study.", show_default=False),
     ],
 ) -> None:
-    """Join the shards of a sweep: the same bytes as the sweep in one piece."""
-    text, provenance = merged(shards)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(out) as temporary:
-        temporary.write_text(text, encoding="utf-8")
-    write_provenance(out, provenance)
-    typer.echo(f"written to {out}")
+    """Join the shards of a sweep or study: the same bytes as in one piece.
 
-
-def shard_cells(grid: GridConfig, index: int, n_shards: int) -> list[tuple[int, Cell]]:
-    """Return the numbered cells of shard `index` (from 1): every n-th recording with all its runs.
-
-    A recording is never split, so no two shards simulate the same one.
+    Of a study, its summary and figure are made too, beside the runs.
     """
-    cells = grid.cells()
-    number = {id(cell): at for at, cell in enumerate(cells)}
-    mine = [cell for task in tasks_of(cells)[index - 1 :: n_shards] for cell in task.cells]
-    return sorted(((number[id(cell)], cell) for cell in mine), key=lambda pair: pair[0])
+    text, provenance = merged(shards)
+    study = _study_of(provenance)
+    if study is not None and out.name != study.runs_file:
+        raise SsacError(f"{out}: the runs of this study are named {study.runs_file}")
+    save_text(out, text)
+    written = [out] if study is None else [out, *save_derived(study, out.parent)]
+    for path in written:
+        if path.suffix == ".csv":
+            write_provenance(path, provenance)
+        typer.echo(f"written to {path}")
 
 
 def merged(shards: Sequence[Path]) -> tuple[str, dict[str, Any]]:
@@ -89,7 +91,7 @@ def merged(shards: Sequence[Path]) -> tuple[str, dict[str, Any]]:
     text : str
         Of the CSV.
     provenance : dict[str, Any]
-        The common grid, and the provenance of each shard.
+        What the shards have in common, and the provenance of each.
 
     Raises
     ------
@@ -97,11 +99,14 @@ def merged(shards: Sequence[Path]) -> tuple[str, dict[str, Any]]:
         If the shards are of different grids, overlap, or do not cover the grid.
     """
     provenances = [_read_provenance(path) for path in shards]
-    grids = [{key: one["config"][key] for key in ("grid", "name")} for one in provenances]
+    wholes = [
+        {key: value for key, value in one["config"].items() if key != "shard"}
+        for one in provenances
+    ]
     rows: dict[int, tuple[str, Path]] = {}
     header = ""
-    for path, grid in zip(shards, grids, strict=True):
-        if grid != grids[0]:
+    for path, whole in zip(shards, wholes, strict=True):
+        if whole != wholes[0]:
             raise SsacError(f"{path} is of another grid than {shards[0]}: merge the shards of one")
         first, *lines = path.read_text(encoding="utf-8").splitlines()
         if header and first != header:
@@ -112,7 +117,8 @@ def merged(shards: Sequence[Path]) -> tuple[str, dict[str, Any]]:
             if number in rows:
                 raise SsacError(f"cell {number} is in {rows[number][1]} and in {path}")
             rows[number] = line, path
-    n_cells = len(grid_from_content(grids[0]["name"], grids[0]["grid"]).cells())
+    provenance = {"command": "ssac merge", "config": wholes[0], "shards": provenances}
+    n_cells = _n_cells(provenance)
     missing = sorted(set(range(n_cells)) - set(rows))
     if missing:
         raise SsacError(
@@ -120,35 +126,35 @@ def merged(shards: Sequence[Path]) -> tuple[str, dict[str, Any]]:
             f"{missing[0]}: give the CSVs of all shards"
         )
     text = "\n".join([header, *(rows[number][0] for number in range(n_cells))]) + "\n"
-    return text, {"command": "ssac merge", "config": grids[0], "shards": provenances}
+    return text, provenance
 
 
-def save_csv(path: Path, table: pd.DataFrame) -> None:
-    """Write a table whole; lists become JSON."""
-    table = table.copy()
-    for name in table.columns:
-        if table[name].map(lambda value: isinstance(value, (list, tuple))).any():
-            table[name] = table[name].map(json.dumps)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(path) as temporary:
-        temporary.write_text(csv_text(table), encoding="utf-8", newline="\n")
+def _study_of(provenance: dict[str, Any]) -> Study | None:
+    """Look up the study that shards are of; None of a sweep."""
+    name = provenance["config"].get("study")
+    if name is None:
+        return None
+    if name not in STUDIES:
+        raise SsacError(f"the shards are of the study {name!r}, which is none of this version")
+    return STUDIES[name]
 
 
-def _parse_shard(text: str) -> tuple[int, int]:
-    first, _, second = text.partition("/")
-    if not (first.isdecimal() and second.isdecimal() and 1 <= int(first) <= int(second)):
-        raise SsacError(f"--shard: expected i/n with 1 <= i <= n, such as 2/8, got {text!r}")
-    return int(first), int(second)
+def _n_cells(provenance: dict[str, Any]) -> int:
+    study = _study_of(provenance)
+    if study is not None:
+        return len(study.cells())
+    config = provenance["config"]
+    return len(grid_from_content(config["name"], config["grid"]).cells())
 
 
 def _read_provenance(path: Path) -> dict[str, Any]:
     beside = path.with_suffix(".provenance.json")
     try:
         content: dict[str, Any] = json.loads(beside.read_text(encoding="utf-8"))
-        content["config"]["grid"]
+        content["config"]["shard"]
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise SsacError(
-            f"{path}: expected {beside.name} beside it, as ssac sweep writes it, to know the grid "
-            f"that it is part of ({error})"
+            f"{path}: expected {beside.name} beside it, as ssac sweep and ssac study write it, to "
+            f"know what it is part of ({error})"
         ) from error
     return content

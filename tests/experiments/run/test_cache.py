@@ -9,17 +9,14 @@ import experiments.run.cache as module
 from experiments.run.cache import (
     Brightness,
     Cache,
-    Denoised,
     content,
     recording_key,
     run_key,
-    source_digest,
 )
 from sim.errors import SimError
 from sim.recording import SimConfig
 from sim.render.renderer import RenderConfig
 from ssac.config import Config
-from ssac.events import EVENT_DTYPE
 
 pytestmark = pytest.mark.render  # a recording's key names the GL driver
 
@@ -46,25 +43,34 @@ def test_a_file_counts_by_what_is_in_it(tmp_path):
 
 
 def test_every_part_makes_another_run():
-    base = ("recording", 0.05, Config(), "ssac", "")
-    other = ("other", 0.06, Config(n_min=100), "joint", "1.0")
-    keys = {run_key(*base)}
-    for at in range(len(base)):
-        keys.add(run_key(*base[:at], other[at], *base[at + 1 :]))
-    assert len(keys) == 1 + len(base)
+    base = (("recording",), (0.05, Config(), "ssac", ""), ("experiments.run.scored",))
+    others = [
+        (("other",), *base[1:]),
+        (("recording", "other"), *base[1:]),
+        (*base[:2], ("experiments.measures.refusal",)),
+    ]
+    inputs = (0.06, Config(n_min=100), "joint", "1.0")
+    for at, value in enumerate(inputs):
+        changed = (*base[1][:at], value, *base[1][at + 1 :])
+        others.append((base[0], changed, base[2]))
+    assert len({run_key(*parts) for parts in (base, *others)}) == 1 + len(others)
 
 
-def test_the_code_counts_by_its_text(tmp_path, monkeypatch):
-    monkeypatch.setitem(module._FOLDERS, "toy", tmp_path)
-    digests = set()
-    for text in ("a = 1\n", "a = 2\n"):
-        (tmp_path / "code.py").write_text(text)
-        source_digest.cache_clear()
-        digests.add(source_digest("toy"))
-    (tmp_path / "notes.txt").write_text("no code")
-    source_digest.cache_clear()
-    digests.add(source_digest("toy"))
-    assert len(digests) == 2
+@pytest.mark.parametrize("packages", ["SIM_PACKAGES", "SSAC_PACKAGES"])
+def test_another_version_of_a_package_is_another_key(monkeypatch, packages):
+    def keys():
+        return {
+            "SIM_PACKAGES": recording_key(SimConfig(), 0),
+            "SSAC_PACKAGES": run_key((), 1, ("experiments.run.scored",)),
+        }
+
+    before, real = keys(), module.package_versions
+    listed = getattr(module, packages)
+    monkeypatch.setattr(
+        module, "package_versions",
+        lambda names: real(names) | ({"numpy": "0.1"} if names == listed else {}),
+    )  # fmt: skip
+    assert {name for name, key in keys().items() if key != before[name]} == {packages}
 
 
 def test_a_recording_is_simulated_once_and_kept_as_a_whole(tmp_path, monkeypatch):
@@ -98,22 +104,6 @@ def test_a_backend_that_is_not_there_is_the_simulators_error(tmp_path):
     config = SimConfig(render=RenderConfig(backend="vulkan"))
     with pytest.raises(SimError, match="vulkan"):
         Cache(tmp_path).recording_folder(config, 0)
-
-
-def test_denoised_events_come_back_as_they_went_in(tmp_path):
-    cache, recording = Cache(tmp_path), tmp_path / "recordings" / "abc"
-    made = Denoised(np.zeros(3, EVENT_DTYPE), np.zeros(4, EVENT_DTYPE), np.array([5, 6]))
-    made.cam1["t"] = [1, 2, 3]
-    first = cache.denoised(recording, Config(), lambda: made)
-
-    def never():
-        raise AssertionError("done before")
-
-    again = cache.denoised(recording, Config(), never)
-    for one, two, three in zip(made, first, again, strict=True):
-        assert np.array_equal(one, two)
-        assert np.array_equal(one, three)
-        assert three.dtype == one.dtype
 
 
 def test_brightness_is_measured_once(tmp_path):

@@ -3,11 +3,8 @@
 import numpy as np
 import pandas as pd
 import pytest
-from typer.testing import CliRunner
 
-from experiments.cli import app
-from experiments.run.grid import grid_from_content, named_config
-from experiments.studies import coverage
+from experiments.run.grid import named_config
 from experiments.studies.coverage import (
     LEVELS,
     QUANTITIES,
@@ -31,7 +28,7 @@ def made_up_runs(n=400, scale=1.0, seed=0):
             row = {
                 "sim.t_d_s": T_D_S,
                 "sim.angle_deg": 30.0 if number % 2 else 90.0,
-                "seed": 1000 + number // 2,
+                "flight": 1000 + number // 2,
                 "method": method,
                 "status": "ok",
                 "t_d_estimate_ms": 1e3 * T_D_S + error_ms,
@@ -87,7 +84,7 @@ def test_angles_are_told_apart_and_a_known_pose_has_no_region():
 
 def test_a_refused_run_is_counted_and_covers_nothing():
     runs = made_up_runs(100)
-    out = runs["method"].eq("joint") & runs["seed"].lt(1005)
+    out = runs["method"].eq("joint") & runs["flight"].lt(1005)
     runs.loc[out, "status"] = "degenerate_pose"
     runs.loc[out, "t_d_estimate_ms"] = 0.0  # far from the truth
     before, after = (cells(coverage_table(table), "t_d") for table in (made_up_runs(100), runs))
@@ -133,34 +130,3 @@ def test_the_study_is_of_flights_that_nothing_was_tuned_on():
 def test_each_flight_is_seen_at_one_angle_and_each_angle_by_as_many():
     angles = {cell.seed: cell.sim.angle_deg for cell in named_config("coverage").cells()}
     assert set(np.unique(list(angles.values()), return_counts=True)[1]) == {len(angles) // 5}
-
-
-@pytest.mark.render
-def test_a_real_study_leaves_csvs_figure_and_provenance(tmp_path, monkeypatch):
-    content = {
-        "flights": 5,
-        "first_flight": 1000,
-        "methods": ["joint-known", "tangency-known"],
-        "search_around_truth_s": [-0.1, 0.1],
-        "fixed": {
-            "sim": {
-                "t_d_s": T_D_S,
-                "spline": {"duration_s": 3.0},
-                "frames": {"rate_hz": 0.0},
-                "render": {"lattice": {"a": 4}},
-                "sampling": {"max_step_px": 0.5},
-            },
-            "ssac": {"trials": 200},
-        },
-        "grid": {"sim": {"angle_deg": [90]}},
-    }
-    monkeypatch.setattr(coverage, "named_config", lambda name: grid_from_content(name, content))
-    options = ["--flights", "1", "--workers", "1", "--cache", str(tmp_path / "cache")]
-    result = CliRunner().invoke(app, ["coverage", *options, "--out", str(tmp_path)])
-    assert result.exit_code == 0
-    table = pd.read_csv(tmp_path / "coverage.csv")
-    assert list(table["method"].unique()) == ["joint-known", "tangency-known"]
-    assert (table["n_runs"] == 1).all()
-    assert (tmp_path / "coverage.png").exists()
-    assert (tmp_path / "coverage_runs.provenance.json").exists()
-    assert len(pd.read_csv(tmp_path / "coverage_runs.csv")) == 2

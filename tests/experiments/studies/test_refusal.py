@@ -1,94 +1,21 @@
-"""The study's judgement of estimates: what counts as a confident wrong answer, and the table."""
+"""The study of refusals: the table, and which flights it draws."""
 
-from dataclasses import replace
-
-import numpy as np
 import pandas as pd
 import pytest
 
-from experiments.studies.refusal import METHOD_NAMES, estimates_of, judged, refusal_table
-from experiments.studies.refusal_flights import KINDS_OF_FLIGHT, PATHS, RefusalCase
-from ssac.config import Config
-from ssac.estimate import Estimate
-from ssac.track.observation import Observation
-from tests.ssac.synthetic import make_events, make_scene
-
-SCENE = make_scene(0, duration_s=2.0)
-T = SCENE.t / np.linalg.norm(SCENE.t)
-
-
-def case_of(t_d_s: float = 0.05) -> RefusalCase:
-    cam1, cam2 = (Observation(events) for events in make_events(SCENE, 0, 0.05))
-    return RefusalCase(cam1, cam2, SCENE.rig, Config(denoise=False), t_d_s, SCENE.R, T)
-
-
-def joint_estimate(error_s: float, status: str = "ok") -> Estimate:
-    return Estimate(
-        "joint",
-        status,
-        t_d_s=0.05 + error_s,
-        t_d_std_s=1e-3,
-        R=SCENE.R,
-        t=T,
-        covariance=np.diag([1e-6] + 5 * [1e-4]),
-    )
-
-
-@pytest.mark.parametrize(("error_s", "is_wrong"), [(4.9e-3, False), (5.1e-3, True)])
-def test_five_deviations_off_is_a_confident_wrong_answer(error_s, is_wrong):
-    row = judged(joint_estimate(error_s), case_of())
-    assert row["confident_wrong"] == is_wrong
-    assert row["error_sigmas"] == pytest.approx(1e3 * error_s)
-
-
-def test_a_wrong_pose_counts_as_well():
-    turned = replace(joint_estimate(0.0), R=SCENE.R @ make_scene(0, 40.0).R)
-    assert judged(turned, case_of())["confident_wrong"]
-
-
-def test_a_refused_answer_is_not_confident():
-    row = judged(joint_estimate(1.0, "ambiguous_offset"), case_of())
-    assert not row["confident_wrong"]
-    assert not row["offset_given"]
-    assert not row["pose_given"]
-
-
-def test_an_offset_given_without_a_pose_must_hold_too():
-    assert judged(joint_estimate(1.0, "degenerate_pose"), case_of())["confident_wrong"]
-
-
-def test_any_answer_for_different_objects_is_wrong():
-    assert judged(joint_estimate(0.0), case_of(np.nan))["confident_wrong"]
-    assert judged(Estimate("ssac", t_d_s=0.05), case_of(np.nan))["confident_wrong"]
-
-
-def test_the_true_offset_may_be_among_the_alternatives():
-    estimate = replace(joint_estimate(0.8, "ambiguous_offset"), alternatives_s=np.array([0.05]))
-    row = judged(estimate, case_of())
-    assert row["truth_among_offsets"]
-    assert row["alternatives"] == 1
-
-
-def test_methods_without_deviations_have_limits():
-    assert not judged(Estimate("ssac", t_d_s=0.0549), case_of())["confident_wrong"]
-    assert judged(Estimate("ssac", t_d_s=0.0551), case_of())["confident_wrong"]
-
-
-def test_every_method_answers():
-    found = estimates_of(case_of())
-    assert tuple(found) == METHOD_NAMES
-    assert [estimate.method for estimate in found.values()] == list(METHOD_NAMES)
+from experiments.measures.refusal import RefusalRow
+from experiments.studies.refusal import METHOD_NAMES, N_FLIGHTS, refusal_cells, refusal_table
 
 
 def test_the_table_counts():
-    rows = [
-        {"kind": "circle", "seed": seed, **judged(estimate, case_of())}
-        for seed, estimate in enumerate(
-            [joint_estimate(1.0, "ambiguous_offset"), joint_estimate(1e-3), joint_estimate(0.1)]
-        )
-    ]
-    table = refusal_table(pd.DataFrame(rows))
-    (row,) = table.to_dict("records")
+    said = [
+        RefusalRow("ambiguous_offset", error_sigmas=900.0, t_d_error_ms=900.0),
+        RefusalRow("ok", offset_given=True, pose_given=True, error_sigmas=1.0, t_d_error_ms=1.0),
+        RefusalRow("ok", offset_given=True, pose_given=True, error_sigmas=100.0,
+                   t_d_error_ms=100.0, confident_wrong=True),
+    ]  # fmt: skip
+    rows = [{"kind": "circle", "method": "joint", **vars(row)} for row in said]
+    (row,) = refusal_table(pd.DataFrame(rows)).to_dict("records")
     assert row["runs"] == 3
     assert row["offset_given"] == 2
     assert row["pose_given"] == 2
@@ -97,9 +24,12 @@ def test_the_table_counts():
     assert row["confident_wrong"] == 1
 
 
-def test_every_kind_has_a_flight():
-    kinds = [kind for made in KINDS_OF_FLIGHT.values() for kind in made]
-    assert len(kinds) == len(set(kinds)) == 17
-    for name, path in PATHS.items():
-        positions = path(np.random.default_rng(1))(np.linspace(0.0, 8.0, 50))
-        assert positions.shape == (50, 3), name
+def test_every_flight_is_drawn_once_and_every_kind_is_run_by_every_method():
+    cells = refusal_cells()
+    flights = {cell.seed: cell.flight for cell in cells}
+    assert len(flights) == len(set(flights.values())) == 10 * N_FLIGHTS
+    assert not set(flights) & {cell.other_seed for cell in cells}
+    assert min(flights.values()) == 1000
+    counts = pd.DataFrame([cell.columns for cell in cells]).groupby(["kind", "method"]).size()
+    assert len(counts) == 17 * len(METHOD_NAMES)
+    assert (counts == N_FLIGHTS).all()

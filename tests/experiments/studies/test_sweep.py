@@ -21,7 +21,8 @@ from experiments.run.cache import Cache
 from experiments.run.grid import load_config
 from experiments.run.schedule import Workers, run_cells
 from experiments.run.task import CRASHED, tasks_of
-from experiments.studies.sweep import shard_cells
+from experiments.studies.study import numbered
+from ssac.console.exits import BUG
 from ssac.errors import SsacError
 
 pytestmark = pytest.mark.render
@@ -210,20 +211,20 @@ def test_a_stopped_sweep_goes_on_where_it_was(config, folder, whole, monkeypatch
     seen, run_task = [], schedule.run_task
 
     def noted(task, *rest):
-        seen.append(task.seed)
+        seen.append(task.recordings)
         return run_task(task, *rest)
 
     monkeypatch.setattr(schedule, "run_task", noted)
     out = folder / "stopped.csv"
     assert sweep(config, out, cache, "--workers", "1").exit_code == 0
-    assert sorted(seen) == sorted(task.seed for task in others)
+    assert set(seen) == {task.recordings for task in others}
     assert out.read_bytes() == whole.read_bytes()
 
 
 @pytest.mark.parametrize("n_shards", [2, 3, 4])
 def test_shards_are_a_partition_that_splits_no_recording(config, n_shards):
     grid = load_config(config)
-    shards = [shard_cells(grid, index + 1, n_shards) for index in range(n_shards)]
+    shards = [numbered(grid.cells(), (index + 1, n_shards)) for index in range(n_shards)]
     numbers = [number for shard in shards for number, _ in shard]
     assert sorted(numbers) == list(range(len(grid.cells())))
     recordings = [{(cell.sim, cell.seed) for _, cell in shard} for shard in shards]
@@ -297,7 +298,7 @@ def test_crashes_are_rows_and_the_others_go_on(folder, whole):
         return done, runs.groupby("method")
 
     done, runs = run("event_rate", "raising", "refusing")
-    assert done.returncode == 1
+    assert done.returncode == BUG
     assert "6 runs crashed" in done.stderr
     assert (runs.get_group("event_rate")["status"] == "ok").all()
     raising, refusing = runs.get_group("raising"), runs.get_group("refusing")
@@ -308,7 +309,7 @@ def test_crashes_are_rows_and_the_others_go_on(folder, whole):
 
     # A worker that dies loses what it had not done of its recording, and no other recording.
     done, runs = run("event_rate", "dying")
-    assert done.returncode == 1
+    assert done.returncode == BUG
     assert (runs.get_group("event_rate").groupby("flight")["status"].first() == "ok").all()
     dying = runs.get_group("dying")
     assert (dying["status"] == CRASHED).all()

@@ -1,86 +1,29 @@
-import numpy as np
-import pytest
+"""The study of ZNCC: what becomes of its runs, and which flights it draws."""
 
-import experiments.studies.zncc
-from experiments.studies.zncc import SCENES, agreement, means, modelled_signals, rendered_rows
-from sim.scene.rig import look_at_rig
-from sim.scene.trajectory import Trajectory
-from ssac.baselines.correlation import Signal
-from ssac.baselines.zncc_e import BIN_S
+import pandas as pd
 
-DURATION_S = 10.0
-CAMERAS = dict(zip((0, 90, 180), look_at_rig((0.0, 90.0, 180.0)).cameras, strict=True))
-WANDER = np.random.default_rng(0).uniform(0.5, 3.0, (2, 6))  # angular rates [rad/s] and phases
-
-
-def wander(times_s: np.ndarray) -> np.ndarray:
-    """A smooth path along a line, within +-1.2 m, that does not repeat."""
-    return 0.2 * np.sum(np.sin(WANDER[0] * times_s[:, None] + WANDER[1]), axis=1)
-
-
-def along(direction) -> Trajectory:
-    """Fly to and fro along a direction of the world: x right, y away from camera 1, z up."""
-    return Trajectory(DURATION_S, lambda t: wander(t)[:, None] * np.array(direction), None)
-
-
-def signals(direction, angle_deg):
-    return modelled_signals(along(direction), CAMERAS[angle_deg])
-
-
-def noise(n: int = 2000) -> np.ndarray:
-    return np.random.default_rng(1).normal(size=n)
-
-
-def test_the_lag_of_a_delayed_signal_is_its_error():
-    values = noise()
-    found = agreement(Signal(0, values), Signal(35, values), BIN_S)
-    assert found.error_ms == pytest.approx(350.0)
-    late = agreement(Signal(0, values), Signal(0, values), BIN_S)
-    assert late.error_ms == 0.0
-    assert late.at_truth == pytest.approx(1.0)
-    assert late.elsewhere < 0.15  # of 200 lags of white noise, each with a spread of 2000^-0.5
-
-
-def test_vertical_motion_is_the_same_from_all_sides():
-    for name in ("rate", "speed", "distance"):
-        first, other = (signals((0, 0, 1), angle)[name] for angle in (0, 90))
-        np.testing.assert_allclose(first.values, other.values, rtol=1e-9, atol=1e-9)
-
-
-def test_horizontal_motion_is_not():
-    across, along_sight = (signals((1, 0, 0), angle)["speed"].values for angle in (0, 90))
-    assert np.max(along_sight) < 1e-6  # the root of a difference of squares
-    # Seen from the front, all of the speed but for what widens the distance: 1.2 m of 5 m aside.
-    speed = np.abs(np.gradient(wander(BIN_S * (np.arange(len(across)) + 0.5)), BIN_S))
-    np.testing.assert_allclose(across, speed, rtol=0.04)
-
-
-def test_one_camera_s_near_is_the_opposite_one_s_far():
-    near, far = (signals((0, 1, 0), angle)["distance"] for angle in (0, 180))
-    np.testing.assert_allclose(near.values**-0.5 + far.values**-0.5, 10.0)
-    assert agreement(near, far, BIN_S).at_truth < -0.9  # but for the curvature of 1 / d^2
-
-
-def test_what_is_out_of_the_image_makes_no_events():
-    aside = Trajectory(DURATION_S, lambda t: np.array([[6.0, 0.0, 0.0]]) + 0.0 * t[:, None], None)
-    assert not modelled_signals(aside, CAMERAS[0])["rate"].values.any()
+from experiments.measures.zncc import MODELLED, RENDERED
+from experiments.studies.zncc import DEFAULT, FIRST_FLIGHT, signal_cells, signal_means
 
 
 def test_means_count_the_gross_errors():
     key = {"source": "s", "scene": "c", "duration_s": 1.0, "signal": "e", "angle_deg": 30.0}
     rows = [{**key, "error_ms": error, "at_truth": 0.5} for error in (0.0, 20.0, 400.0, 100.0)]
-    (row,) = means([*rows, {**key, "angle_deg": 60.0, "error_ms": 7.0}]).iloc[:1].to_dict("records")
+    rows += [{**key, "error_ms": 900.0, "at_truth": 0.0, "status": "crashed"}]
+    rows += [{**key, "angle_deg": 60.0, "error_ms": 7.0, "at_truth": 0.1}]
+    runs = pd.DataFrame(rows).fillna({"status": "ok"}).assign(cell=1, flight=3, seed=4, reason="")
+    (row,) = signal_means(runs).iloc[:1].to_dict("records")
     assert (row["flights"], row["error_ms_mean"], row["gross_share"]) == (4, 130.0, 0.25)
     assert row["at_truth"] == 0.5
+    assert not {"cell", "flight", "seed"} & set(row)
 
 
-@pytest.mark.render
-def test_the_model_follows_the_rendered_event_rate(monkeypatch):
-    monkeypatch.setattr(experiments.studies.zncc, "RENDERED_S", 4.0)
-    rows = rendered_rows("default", 90.0, 0)
-    assert len({row["signal"] for row in rows}) == len(rows)
-    # Of the same flight, which fixes the seed as well; another flight's model has about 0.
-    assert rows[0]["model_fit"] > 0.9
-    # With four times the events' least step, the figures are still those of the authors' sample.
-    assert rows[0]["speed_px_s"] == pytest.approx(200.0, rel=0.3)
-    assert set(SCENES) >= {"default", "flatter"}
+def test_scenes_share_flights_and_no_flight_is_the_tables():
+    cells = signal_cells()
+    assert min(cell.flight for cell in cells) == FIRST_FLIGHT
+    rendered = [cell for cell in cells if cell.source == RENDERED]
+    at_90 = [{c.seed for c in rendered if c.scene == scene and c.sim.angle_deg == 90.0}
+             for scene in (DEFAULT, "no turning")]  # fmt: skip
+    assert at_90[1] < at_90[0]
+    assert len(at_90[0]) == 30
+    assert {cell.source for cell in cells} == {RENDERED, MODELLED}

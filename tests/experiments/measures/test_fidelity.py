@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from experiments.scenes.fidelity import DENSER, MATCH_WINDOW_US, compare_events, reference_config
+from experiments.measures.fidelity import DENSER, MATCH_WINDOW_US, compare_events, reference_config
 from sim.recording import SimConfig
 from sim.sensor.events import EVENT_DTYPE
 

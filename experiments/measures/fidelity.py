@@ -1,33 +1,49 @@
-"""How true the default recordings are: the same flights against a far denser rendering."""
+"""Flights in; how their recordings and those of a far denser rendering differ, out."""
 
-import time
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
-from typing import Annotated, Any
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
-import joblib
 import numpy as np
-import pandas as pd
-import typer
 from numba import njit
 from numpy.typing import NDArray
 
-from experiments.run.bridge import observations, rig_of
-from experiments.run.provenance import save_provenance
-from sim.recording import SimConfig, simulate
-from sim.render.gl_context import open_context
+from experiments.run.cache import Cache
+from experiments.run.recorded import Pair, recorded_pair
+from experiments.run.task import Flight, FlightCell, Measure
+from sim.recording import SimConfig
 from sim.render.instants import SamplingConfig
 from sim.render.lattice import Lattice
 from sim.render.renderer import RenderConfig
-from sim.sensor.frames import FrameConfig
-from ssac.files.whole_file import whole_file
-from ssac.methods.algorithms import ssac, ssac_known
-from ssac.methods.joint import joint
+from ssac.config import Config
+from ssac.tool.registry import Chain
+from ssac.track.observation import prepare
 
-METHODS = {"ssac": ssac, "ssac-known": ssac_known, "joint": joint}
+_SHARES = ("median_us", "p95_us", "spurious", "missing")  # of EventFidelity
+METHOD_NAMES = ("ssac", "ssac-known", "joint")
 DENSER = 16  # times as many instants in the reference
 REFERENCE_LATTICE = Lattice(16, 1)  # 257 samples per pixel
 MATCH_WINDOW_US = 5000  # events of one pixel and polarity further apart are not the same: 1 px here
+
+
+@dataclass(frozen=True)
+class FidelityCell(FlightCell):
+    """A flight with an offset, which is simulated twice."""
+
+    @property
+    def recordings(self) -> tuple[Flight, ...]:
+        """The recording, and its reference."""
+        return ((self.sim, self.seed), (reference_config(self.sim), self.seed))
+
+    @property
+    def columns(self) -> dict[str, Any]:
+        """Columns that say which run it is."""
+        return self.flown
+
+    @property
+    def inputs(self) -> float:
+        """The offset, which the recordings do not know."""
+        return self.sim.t_d_s
 
 
 @dataclass(frozen=True)
@@ -41,6 +57,22 @@ class EventFidelity:
     missing: float  # share of the reference's events that have no counterpart
 
 
+@dataclass(frozen=True)
+class FidelityRow:
+    """`EventFidelity`, the mean of both cameras, and how far the methods' offsets lie apart."""
+
+    status: str
+    reason: str = ""
+    n_reference: int = 0
+    median_us: float = np.nan
+    p95_us: float = np.nan
+    spurious: float = np.nan
+    missing: float = np.nan
+    ssac_t_d_difference_ms: float = np.nan
+    ssac_known_t_d_difference_ms: float = np.nan
+    joint_t_d_difference_ms: float = np.nan
+
+
 def reference_config(config: SimConfig) -> SimConfig:
     """Return the same scene, rendered 16 times more densely in time with 257 samples per pixel."""
     sampling = SamplingConfig(
@@ -51,54 +83,30 @@ def reference_config(config: SimConfig) -> SimConfig:
     return replace(config, sampling=sampling, render=render)
 
 
-def fidelity_command(
-    seeds: Annotated[int, typer.Option(help="Flights to compare.")] = 10,
-    duration: Annotated[float, typer.Option(help="Of a flight [s].")] = 20.0,
-    jobs: Annotated[int, typer.Option(help="Processes.")] = 2,
-    out: Annotated[Path, typer.Option(help="CSV to write.")] = Path("results/fidelity.csv"),
-) -> None:
-    """Compare default recordings with a reference 16 times denser in time, 257 samples per pixel.
+def load_both(cells: Sequence[FidelityCell], cache: Cache) -> tuple[Pair, Pair]:
+    """Load a recording and its reference."""
+    first, second = (recorded_pair(cache, *flight) for flight in cells[0].recordings)
+    return first, second
 
-    Each row is one flight: how its events differ from the reference's, and how far the offsets that
-    the methods estimate from the two lie apart. About 10 minutes of one core a flight.
-    """
-    start = time.perf_counter()
-    config = SimConfig(
-        spline=replace(SimConfig().spline, duration_s=duration),
-        frames=FrameConfig(rate_hz=0.0),
-        t_d_s=0.05,
+
+def fidelity_row(_: FidelityCell, both: tuple[Pair, Pair]) -> FidelityRow:
+    """Compare a recording with its reference."""
+    each = [
+        compare_events(ours.events, theirs.events)
+        for ours, theirs in zip(both[0][:2], both[1][:2], strict=True)
+    ]
+    offsets_ms = [_offsets_ms(pair) for pair in both]
+    differences_ms = [offsets_ms[0][name] - offsets_ms[1][name] for name in METHOD_NAMES]
+    return FidelityRow(
+        "ok",
+        "",
+        round(float(np.mean([camera.n_reference for camera in each]))),
+        *(float(np.mean([getattr(camera, name) for camera in each])) for name in _SHARES),
+        *differences_ms,
     )
-    rows = joblib.Parallel(n_jobs=jobs, return_as="generator")(
-        joblib.delayed(fidelity_row)(config, seed) for seed in range(seeds)
-    )
-    table = []
-    for row in rows:
-        table.append(row)
-        typer.echo(f"flight {len(table)} of {seeds}: {row}", err=True)
-    frame = pd.DataFrame(table)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(out) as temporary:
-        frame.to_csv(temporary, index=False, float_format="%.6g")
-    command = f"ssac fidelity --seeds {seeds} --duration {duration:g}"
-    save_provenance(out, command, config, time.perf_counter() - start, open_context())
-    typer.echo(frame.drop(columns="seed").abs().mean().to_string())
 
 
-def fidelity_row(config: SimConfig, seed: int) -> dict[str, float]:
-    """Compare one flight with its reference: event differences, and offsets [ms] of all methods."""
-    recording = simulate(config, seed)
-    reference = simulate(reference_config(config), seed)
-    pairs = zip(recording.cameras, reference.cameras, strict=True)
-    each = [asdict(compare_events(ours.events, theirs.events)) for ours, theirs in pairs]
-    row: dict[str, float] = {"seed": seed}
-    row |= {name: float(np.mean([camera[name] for camera in each])) for name in each[0]}
-    for name, method in METHODS.items():
-        offsets_s = [
-            method(*observations(r), rig_of(r, with_extrinsics=name == "ssac-known")).t_d_s
-            for r in (recording, reference)
-        ]
-        row[f"{name}_t_d_difference_ms"] = 1e3 * (offsets_s[0] - offsets_s[1])
-    return row
+FIDELITY = Measure(load_both, fidelity_row, FidelityRow)
 
 
 def compare_events(events: NDArray[Any], reference: NDArray[Any]) -> EventFidelity:
@@ -119,6 +127,13 @@ def compare_events(events: NDArray[Any], reference: NDArray[Any]) -> EventFideli
         spurious=1.0 - n_matched / len(events),
         missing=1.0 - n_matched / len(reference),
     )
+
+
+def _offsets_ms(pair: Pair) -> dict[str, float]:
+    """Offset [ms] that each method finds; only a method that needs the true pose is given it."""
+    config = Config()
+    chain = Chain(*prepare(pair.cam1, pair.cam2, pair.rig, config), pair.rig, config)
+    return {name: 1e3 * chain.estimate(name).t_d_s for name in METHOD_NAMES}
 
 
 def _sort_by_pixel(events: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

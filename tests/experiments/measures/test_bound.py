@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from experiments.studies.bound import Bound, cramer_rao_bound, fisher_information, known_pose_bound
+from experiments.measures.bound import Bound, cramer_rao_bound, fisher_information, known_pose_bound
 from ssac.camera import Rig
 from ssac.geometry.epipolar import cross_matrix, fundamental_from_pose, sampson_distance
 from ssac.geometry.pose import tangent_basis

@@ -1,4 +1,4 @@
-"""A kind of flight, a seed and an angle in; two cameras' observations and the truth out.
+"""A kind of flight and a seed in; two cameras' observations and the truth out.
 
 The kinds are those that leave the offset or the pose open, in part or in whole, and ordinary
 flights beside them. The drone turns as in ordinary flights, but four times as fast where its path
@@ -13,14 +13,15 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments.run.bridge import observations, rig_of
-from sim.errors import SimError
-from sim.recording import Recording, SimConfig, simulate
+from experiments.run.cache import Cache
+from experiments.run.recorded import Pair, recorded_pair
+from sim.recording import SimConfig
 from sim.scene.trajectory import SplineConfig, Trajectory, random_spline, trajectory_to_csv
 from sim.sensor.events import PRESETS
 from sim.sensor.frames import FrameConfig
-from ssac.camera import Rig
+from ssac.camera import Rig, known_pose
 from ssac.config import Config
+from ssac.errors import SsacError
 from ssac.track.observation import Observation
 
 Array = NDArray[np.float64]
@@ -28,12 +29,13 @@ Position = Callable[[Array], Array]  # (n,) [s] -> (n, 3) [m], world frame
 
 T_D_S = 0.05
 DURATION_S = 8.0
-OTHER_FLIGHT = 50_000  # added to the seed for the flight that only camera 2 sees
 _APART_S = 60.0  # between two recordings without any common time
 _CSV_HZ = 200.0
 _OUTSIDE_S = 3.0  # an offset that the search interval does not hold
 _SHORT_S = 0.6
 _PATH_STREAM = 7  # of the seed
+_PACES = {"slow": 0.25, "stationary": 4.0, "straight-uniform": 4.0}
+"""How fast the drone turns, beside ordinary flights; of "slow" also how fast it flies."""
 
 
 @dataclass(frozen=True)
@@ -140,32 +142,49 @@ KINDS_OF_FLIGHT: dict[str, tuple[str, ...]] = {
 """Kinds by the flight that they are made of: those of one flight differ in what methods get."""
 
 
-def flight_of(flight: str, seed: int, angle_deg: float) -> Recording:
-    """Simulate a flight, one of KINDS_OF_FLIGHT."""
-    spline = SplineConfig(DURATION_S)
+def flight_config(flight: str, angle_deg: float) -> SimConfig:
+    """Give the configuration of a flight of KINDS_OF_FLIGHT, but for a path of its own."""
     config = SimConfig(
-        angle_deg=angle_deg, t_d_s=T_D_S, spline=spline, frames=FrameConfig(rate_hz=0.0)
+        angle_deg=angle_deg,
+        t_d_s=T_D_S,
+        spline=SplineConfig(DURATION_S),
+        frames=FrameConfig(rate_hz=0.0),
     )
-    if flight == "ordinary":
-        return simulate(config, seed)
-    if flight == "noise-kept":
-        return simulate(replace(config, sensor=PRESETS["davis346"]), seed)
+    return replace(config, sensor=PRESETS["davis346"]) if flight == "noise-kept" else config
+
+
+def flight_of(flight: str, config: SimConfig, seed: int, cache: Cache) -> Pair:
+    """Load a flight of KINDS_OF_FLIGHT, which is simulated if it is not in the cache.
+
+    Parameters
+    ----------
+    flight
+        Its kind.
+    config
+        By `flight_config`.
+    seed
+        Draws its path.
+    cache
+        Keeps recordings by what is in their path's file, not by its name.
+    """
+    if flight not in PATHS and flight not in _PACES:
+        return recorded_pair(cache, config, seed)
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_PATH_STREAM,)))
-    pace = {"slow": 0.25, "stationary": 4.0, "straight-uniform": 4.0}.get(flight, 1.0)
-    random = random_spline(replace(spline, duration_s=pace * DURATION_S), rng)
+    pace = _PACES.get(flight, 1.0)
+    random = random_spline(replace(config.spline, duration_s=pace * DURATION_S), rng)
     position = PATHS[flight](rng) if flight in PATHS else _slowed(random.position, pace)
     trajectory = Trajectory(DURATION_S, position, lambda times_s: random.attitude(pace * times_s))
     with TemporaryDirectory() as folder:
         file = Path(folder) / "flight.csv"
         trajectory_to_csv(trajectory, file, _CSV_HZ)
-        return simulate(replace(config, trajectory_file=file), seed)
+        return recorded_pair(cache, replace(config, trajectory_file=file), seed)
 
 
 def _slowed(position: Position, pace: float) -> Position:
     return lambda times_s: position(pace * times_s)
 
 
-def refusal_case(kind: str, recording: Recording, other: Recording | None = None) -> RefusalCase:
+def refusal_case(kind: str, recording: Pair, other: Pair | None = None) -> RefusalCase:
     """Make of a recording what the methods are given in a kind.
 
     Parameters
@@ -177,15 +196,14 @@ def refusal_case(kind: str, recording: Recording, other: Recording | None = None
     other
         Another flight before the same cameras, which camera 2 sees in the kind "other-object".
     """
-    cam1, cam2 = observations(recording)
-    truth, config = recording.truth, Config(denoise=kind != "noise-kept")
-    t_d_s = truth.t_d_s
+    cam1, cam2, rig = recording
+    t_d_s, config = T_D_S, Config(denoise=kind != "noise-kept")
     if kind == "periodic-wide":
         config = replace(config, interval_s=(-3.0, 3.0))
     elif kind == "other-object":
         if other is None:
-            raise SimError("the kind other-object needs another flight")
-        cam2 = observations(other)[1]
+            raise SsacError("the kind other-object needs another flight")
+        cam2 = other.cam2
     elif kind == "no-overlap":
         cam2, t_d_s = cam2.delayed(_APART_S), t_d_s + _APART_S
     elif kind == "small-overlap":
@@ -196,9 +214,8 @@ def refusal_case(kind: str, recording: Recording, other: Recording | None = None
         cam1, cam2 = _shortened(cam1), _shortened(cam2)
     elif kind == "few-samples":
         config = replace(config, n_samples=25)
-    rig = rig_of(recording, with_extrinsics=True)
     t_d_s = np.nan if kind == "other-object" else t_d_s
-    return RefusalCase(cam1, cam2, rig, config, t_d_s, truth.R, truth.t)
+    return RefusalCase(cam1, cam2, rig, config, t_d_s, *known_pose(rig))
 
 
 def _shortened(camera: Observation) -> Observation:

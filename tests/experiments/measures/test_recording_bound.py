@@ -1,20 +1,21 @@
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from experiments.run.cache import Cache
-from experiments.studies.bound import cramer_rao_bound, fisher_information, known_pose_bound
-from experiments.studies.recording_bound import (
+from experiments.measures.bound import cramer_rao_bound, fisher_information, known_pose_bound
+from experiments.measures.bounds import BoundCell, bound_row, load_flown
+from experiments.measures.recording_bound import (
     SAMPLES,
     TrueMotion,
     load_truth,
     mean_samples,
     method_bounds,
-    recording_bounds,
     sharp_samples,
     tangent_samples,
 )
+from experiments.run.cache import Cache
 from sim.recording import SimConfig
 from sim.scene.rig import two_view_rig
 from sim.scene.trajectory import random_spline
@@ -158,7 +159,10 @@ def test_samples_are_of_both_views_at_one_instant(
 
 
 def test_a_recording_has_all_that_the_bounds_need(
-    tmp_path: Path, observations: tuple[Observation, Observation], truth: TrueMotion
+    tmp_path: Path,
+    observations: tuple[Observation, Observation],
+    truth: TrueMotion,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     folder = tmp_path / "recording"
     scene = record_flight(folder)
@@ -170,10 +174,17 @@ def test_a_recording_has_all_that_the_bounds_need(
     read = load_truth(folder)
     np.testing.assert_allclose(read.positions_W_m, truth.positions_W_m)
     np.testing.assert_allclose(read.T_C_W, truth.T_C_W)
-    found = recording_bounds(folder, Cache(tmp_path / "cache"), ["ssac"], Config())
-    again = recording_bounds(folder, Cache(tmp_path / "cache"), ["ssac"], Config())
-    assert found == again  # the second time from events that were denoised before
-    assert found == method_bounds(["ssac"], two_views(*observations, scene.rig), read)
+    monkeypatch.setattr(Cache, "recording_folder", lambda *_: folder)
+    cell = BoundCell(SimConfig(), 0, 0, Config(), "ssac")
+    row = bound_row(cell, load_flown([cell], Cache(tmp_path)))
+    views = two_views(*observations, scene.rig, Config(denoise=True))
+    expected = method_bounds(["ssac"], views, read)["ssac"]
+    assert (row.sigma_px, row.n_samples) == (expected.sigma_px, expected.n_samples)
+    assert row.t_d_bound_ms == 1e3 * expected.bound.t_d_s
+    assert row.r_bound_deg == np.rad2deg(expected.bound.R_rad)
+    known = bound_row(replace(cell, method="ssac-known"), load_flown([cell], Cache(tmp_path)))
+    assert known.t_d_bound_ms < row.t_d_bound_ms
+    assert np.isnan(known.r_bound_deg)
 
 
 def test_the_bound_of_a_usual_flight_is_of_the_known_size() -> None:

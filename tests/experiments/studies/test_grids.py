@@ -9,7 +9,8 @@ from experiments.cli import app
 from experiments.run.cache import Cache
 from experiments.run.grid import grid_from_content
 from experiments.run.schedule import Workers
-from experiments.studies.ablate import ablate, ablation_names, ablation_table
+from experiments.studies.command import save_study
+from experiments.studies.grids import ablation_names, ablation_table, means_study
 from ssac.errors import SsacError
 
 VARIED = ("sim.angle_deg", "sim.resolution")
@@ -20,7 +21,7 @@ def runs(**changes):
     rows = [
         {
             "sim.angle_deg": angle_deg,
-            "sim.resolution": resolution,
+            "sim.resolution": str(resolution),
             "flight": seed,
             "method": "ssac",
             "status": "ok",
@@ -40,7 +41,7 @@ def runs(**changes):
 def test_each_point_is_a_row_with_the_means_of_its_flights():
     table = ablation_table(runs(), VARIED)
     assert list(table["sim.angle_deg"]) == [30, 30, 90, 90]
-    assert list(table["sim.resolution"]) == [(100, 50), (200, 100)] * 2
+    assert list(table["sim.resolution"]) == ["[100, 50]", "[200, 100]"] * 2
     assert list(table["t_d_error_ms_mean"]) == [131, 231, 191, 291]
     assert (table["t_d_error_ms_std"] == 1.0).all()
     assert list(table["t_d_error_ms_median"]) == [131, 231, 191, 291]
@@ -99,7 +100,8 @@ def test_a_real_ablation_leaves_csv_figure_and_provenance(tmp_path):
         "figure": {"x": "ssac.n_min", "label": "events", "log": True},
     }
     grid = grid_from_content("ablation_tiny", content)
-    outcome = ablate(grid, tmp_path, Cache(tmp_path / "cache"), Workers(1))
+    study = means_study(grid)
+    outcome, _ = save_study(study, tmp_path, Cache(tmp_path / "cache"), Workers(1))
     assert outcome.n_crashed == 0
     table = pd.read_csv(tmp_path / "ablation_tiny.csv")
     assert list(table["ssac.n_min"]) == [100, 100, 200, 200, 1000000, 1000000]
@@ -109,4 +111,5 @@ def test_a_real_ablation_leaves_csv_figure_and_provenance(tmp_path):
     names = {path.name for path in tmp_path.iterdir()}
     assert names == {
         "ablation_tiny.csv", "ablation_tiny.png", "ablation_tiny.provenance.json", "cache",
+        "ablation_tiny_runs.csv", "ablation_tiny_runs.provenance.json",
     }  # fmt: skip

@@ -1,6 +1,6 @@
 """A recording and its truth in; the Cramer-Rao bound of each kind of sample, with its noise, out.
 
-The bound is that of `experiments.studies.bound`: of the true track of the drone's origin, at the
+The bound is that of `experiments.measures.bound`: of the true track of the drone's origin, at the
 sample times that are valid in this recording, with white noise as large as the one measured. A
 method that weighs its samples takes their noise as sigma over the weight, whose median is 1, and so
 does the bound: binned by their weight, the tangents' noise falls from 2.3 to 0.5 of its median as
@@ -27,19 +27,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from experiments.run.cache import Cache, Denoised
-from experiments.studies.bound import Bound, cramer_rao_bound, fisher_information, known_pose_bound
-from ssac.camera import Rig, known_pose
-from ssac.config import Config
-from ssac.files.hdf5 import load_events_h5
-from ssac.files.rigs import load_rig
+from experiments.measures.bound import Bound, cramer_rao_bound, fisher_information, known_pose_bound
+from ssac.camera import known_pose
 from ssac.geometry.epipolar import fundamental_from_pose, sampson_distance
 from ssac.geometry.robust import robust_deviation
 from ssac.methods.joint import sharp_pairs
 from ssac.methods.least_squares import Parameters
 from ssac.methods.tangency import TangencyConfig, tangent_times, tangents_under
-from ssac.search.two_views import TwoViews, two_views
-from ssac.track.observation import Observation, usable_events
+from ssac.search.two_views import TwoViews
 
 Array = NDArray[np.float64]
 
@@ -106,20 +101,6 @@ def load_truth(folder: Path) -> TrueMotion:
     )
 
 
-def recording_bounds(
-    folder: Path, cache: Cache, methods: list[str], config: Config
-) -> dict[str, MethodBound]:
-    """Give the bounds of some methods on a recording with t_d = 0.
-
-    The offset that a run adds to camera 2's timestamps moves its samples and changes nothing else,
-    so the bounds are those of all runs on this recording.
-    """
-    rig = load_rig(folder / "rig_extrinsics.yaml")
-    events = cache.denoised(folder, Config(), lambda: _denoised(folder, rig))
-    cam1, cam2 = (Observation(left, denoised=True) for left in (events.cam1, events.cam2))
-    return method_bounds(methods, two_views(cam1, cam2, rig, config), load_truth(folder))
-
-
 def method_bounds(
     methods: list[str], views: TwoViews, truth: TrueMotion, t_d_s: float = 0.0
 ) -> dict[str, MethodBound]:
@@ -177,9 +158,3 @@ def tangent_samples(views: TwoViews, t_d_s: float) -> Samples:
 
 
 _SAMPLERS = {MEANS: mean_samples, SHARP: sharp_samples, TANGENTS: tangent_samples}
-
-
-def _denoised(folder: Path, rig: Rig) -> Denoised:
-    cam1, cam2 = (load_events_h5(folder / f"{name}.h5").events for name in ("cam1", "cam2"))
-    left1, left2 = usable_events(Observation(cam1), Observation(cam2), rig, Config())
-    return Denoised(left1, left2, np.array([len(cam1), len(cam2)]))

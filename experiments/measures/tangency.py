@@ -1,0 +1,93 @@
+"""Flights and variants of the method `tangency` in, their errors out.
+
+All variants of a flight start from the same joint refinement.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from experiments.run.cache import Cache
+from experiments.run.recorded import recorded_pair
+from experiments.run.score import score
+from experiments.run.task import FlightCell, Measure
+from ssac.camera import Rig, known_pose
+from ssac.config import Config
+from ssac.estimate import Estimate
+from ssac.methods.algorithms import algorithm_2
+from ssac.methods.joint import joint_from
+from ssac.methods.tangency import TangencyConfig, refine_tangents
+from ssac.search.two_views import TwoViews, two_views
+from ssac.track.observation import prepare
+
+
+@dataclass(frozen=True)
+class VariantCell(FlightCell):
+    """A variant on a flight with an offset."""
+
+    variant: str
+    config: TangencyConfig | None  # None: the joint refinement, from which the others start
+
+    @property
+    def columns(self) -> dict[str, Any]:
+        """Columns that say which run it is."""
+        return {**self.flown, "variant": self.variant}
+
+    @property
+    def inputs(self) -> tuple[Any, ...]:
+        """What the row depends on beside the recording, which knows no offset."""
+        return self.sim.t_d_s, self.config
+
+
+@dataclass(frozen=True)
+class VariantRow:
+    """Errors of a variant on a flight."""
+
+    status: str
+    reason: str = ""
+    t_d_error_ms: float = np.nan
+    r_error_deg: float = np.nan
+    t_error_deg: float = np.nan
+    t_d_bias_ms: float = np.nan  # the error with its sign
+    normalised: float = np.nan  # that over its stated deviation
+
+
+@dataclass(frozen=True)
+class Started:
+    """A flight up to where the variants part."""
+
+    start: Estimate
+    views: TwoViews
+    rig: Rig  # with the true extrinsics
+
+
+def load_started(cells: Sequence[VariantCell], cache: Cache) -> Started:
+    """Run the joint refinement on a flight."""
+    raw1, raw2, rig = recorded_pair(cache, cells[0].sim, cells[0].seed)
+    blind = Rig(rig.cam1, rig.cam2)
+    cam1, cam2 = prepare(raw1, raw2, blind)
+    views = two_views(cam1, cam2, blind, Config())
+    return Started(joint_from(algorithm_2(views), views), views, rig)
+
+
+def variant_row(cell: VariantCell, started: Started) -> VariantRow:
+    """Run one variant."""
+    estimate = started.start
+    if cell.config is not None:
+        estimate = refine_tangents(estimate, started.views, cell.config)
+    errors = score(estimate, cell.sim.t_d_s, *known_pose(started.rig))
+    signed_ms = 1e3 * (estimate.t_d_s - cell.sim.t_d_s)
+    return VariantRow(
+        str(estimate.status),
+        estimate.reason,
+        errors.t_d_error_ms,
+        errors.r_error_deg,
+        errors.t_error_deg,
+        signed_ms,
+        signed_ms / (1e3 * estimate.t_d_std_s),
+    )
+
+
+VARIANT = Measure(load_started, variant_row, VariantRow)

@@ -1,0 +1,163 @@
+"""Cells of one recording in, one scored row each out: record -> estimate -> score."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from experiments.run.cache import Brightness, Cache
+from experiments.run.grid import Cell
+from experiments.run.recorded import load_pair
+from experiments.run.score import score
+from experiments.run.task import UNUSABLE, Measure
+from ssac.baselines.zncc_f import frame_means
+from ssac.camera import Rig, known_pose
+from ssac.config import Config
+from ssac.errors import SsacError
+from ssac.estimate import Estimate
+from ssac.events import US_PER_S
+from ssac.files.hdf5 import load_frames
+from ssac.tool.registry import METHODS, Chain, Input, Method
+from ssac.track.observation import Observation, prepare
+
+FloatArray = NDArray[np.float64]
+Frames = tuple[NDArray[np.generic] | None, FloatArray | None]
+"""Images (n, height, width) and their times (n,) [s], or neither."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One scored run; NaN for what the method does not give."""
+
+    status: str  # the estimate's, or "skipped", UNUSABLE, CRASHED
+    reason: str = ""
+    t_d_estimate_ms: float = np.nan
+    t_d_error_ms: float = np.nan
+    r_error_deg: float = np.nan  # NaN for a method that was given the pose, as is t_error_deg
+    t_error_deg: float = np.nan
+    t_d_std_ms: float = np.nan
+    r_std_deg: float = np.nan  # this and those below as in `score.PoseScore`
+    t_std_deg: float = np.nan
+    r_mahalanobis: float = np.nan
+    t_mahalanobis: float = np.nan
+    r_x_normalised: float = np.nan
+    r_y_normalised: float = np.nan
+    r_z_normalised: float = np.nan
+    t_1_normalised: float = np.nan
+    t_2_normalised: float = np.nan
+    n_samples: int = 0
+    d_avg_px: float = np.nan
+    n_events_cam1: int = 0  # as recorded
+    n_events_cam2: int = 0
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """A recording as the methods see it, and what they found on it so far."""
+
+    cam1: Observation
+    cam2: Observation  # on camera 1's clock
+    rig: Rig  # with the true extrinsics
+    n_events: tuple[int, int]
+    delayed: dict[float, Observation] = field(default_factory=dict)  # camera 2, last offset alone
+    chains: dict[tuple[float, Config], Chain] = field(default_factory=dict)
+
+    def cam2_at(self, t_d_s: float) -> Observation:
+        """Camera 2 as if its clock had shown `t_d_s` [s] more."""
+        if t_d_s not in self.delayed:
+            self.delayed.clear()
+            self.delayed[t_d_s] = self.cam2.delayed(t_d_s)
+        return self.delayed[t_d_s]
+
+    def chain(self, t_d_s: float, config: Config) -> Chain:
+        """Give what methods found with an offset and parameters."""
+        key = (t_d_s, config)
+        if key not in self.chains:
+            self.chains[key] = Chain(self.cam1, self.cam2_at(t_d_s), self.rig, config)
+        return self.chains[key]
+
+
+def load_recorded(cells: Sequence[Cell], cache: Cache) -> Recorded:
+    """Load what the cells need of their recording, which is simulated if it is not there yet."""
+    folder = cache.recording_folder(cells[0].sim, cells[0].seed)
+    cam1, cam2, rig = load_pair(folder)
+    frames1, frames2 = _frames(folder, [METHODS[cell.method] for cell in cells], cache)
+    # A method that wants the noise gone has that made up for, but what is gone does not come back.
+    denoise = all(cell.estimator.denoise for cell in cells)
+    first, second = prepare(
+        Observation(cam1.events, *frames1),
+        Observation(cam2.events, *frames2),
+        rig,
+        replace(cells[0].estimator, denoise=denoise),
+    )
+    return Recorded(first, second, rig, (len(cam1.events), len(cam2.events)))
+
+
+def scored_row(cell: Cell, recorded: Recorded) -> Row:
+    """Run one method on one recording, with the cell's offset, and score it.
+
+    What other methods found on the same recording spares a method that starts from there to do it
+    again.
+    """
+    method, cam2 = METHODS[cell.method], recorded.cam2_at(cell.t_d_s)
+    n_cam1, n_cam2 = recorded.n_events
+    reason = method.skip_reason(recorded.cam1, cam2, method.rig_of(recorded.rig))
+    if reason:
+        return Row("skipped", reason, n_events_cam1=n_cam1, n_events_cam2=n_cam2)
+    try:
+        estimate = recorded.chain(cell.t_d_s, cell.estimator).estimate(method.name)
+        row = _scored(estimate, cell, recorded.rig)
+    except SsacError as error:
+        row = Row(UNUSABLE, " ".join(str(error).split()))
+    return replace(row, n_events_cam1=n_cam1, n_events_cam2=n_cam2)
+
+
+SCORED = Measure(load_recorded, scored_row, Row)
+"""Of a grid's cells: tables, ablations, sweeps, coverage."""
+
+
+def _scored(estimate: Estimate, cell: Cell, truth: Rig) -> Row:
+    given = METHODS[cell.method].needs_extrinsics  # a pose that was given has no error
+    errors = score(estimate, cell.t_d_s, *known_pose(truth))
+    return Row(
+        str(estimate.status),
+        estimate.reason,
+        1e3 * estimate.t_d_s,
+        errors.t_d_error_ms,
+        np.nan if given else errors.r_error_deg,
+        np.nan if given else errors.t_error_deg,
+        1e3 * estimate.t_d_std_s,
+        n_samples=estimate.n_samples,
+        d_avg_px=estimate.d_avg_px,
+        **({} if given else vars(errors.pose)),
+    )
+
+
+def _frames(folder: Path, methods: Sequence[Method], cache: Cache) -> tuple[Frames, Frames]:
+    """Frames of both cameras where a method looks at them; images of one pixel if that will do."""
+    looking = [method for method in methods if method.input is Input.FRAMES]
+    if not looking:
+        return (None, None), (None, None)
+    if all(method.takes_means for method in looking):
+        means = cache.brightness(folder, lambda: _brightness(folder))
+        return _timed(means.times1_us, means.cam1), _timed(means.times2_us, means.cam2)
+    return _timed(*_images(folder / "cam1.h5")), _timed(*_images(folder / "cam2.h5"))
+
+
+def _images(path: Path) -> tuple[NDArray[np.int64], NDArray[np.generic]]:
+    return load_frames(path) or (np.empty(0, np.int64), np.empty((0, 1, 1)))
+
+
+def _brightness(folder: Path) -> Brightness:
+    (times1_us, images1), (times2_us, images2) = (
+        _images(folder / name) for name in ("cam1.h5", "cam2.h5")
+    )
+    return Brightness(frame_means(images1), times1_us, frame_means(images2), times2_us)
+
+
+def _timed(times_us: NDArray[np.int64], images: NDArray[np.generic]) -> Frames:
+    if len(images) == 0:
+        return None, None
+    return images.reshape(len(images), *(images.shape[1:] or (1, 1))), times_us / US_PER_S

@@ -1,0 +1,39 @@
+"""Every study that comes with the project, by name, in the order in which they are listed."""
+
+from collections.abc import Mapping
+
+from experiments.run.grid import named_config
+from experiments.studies.coverage import coverage_study
+from experiments.studies.efficiency import EFFICIENCY
+from experiments.studies.fidelity import FIDELITY_STUDY
+from experiments.studies.grids import ablation_names, ablation_study, means_study
+from experiments.studies.refusal import REFUSAL
+from experiments.studies.study import Study
+from experiments.studies.tangency import TANGENCY
+from experiments.studies.zncc import ZNCC
+from ssac.errors import SsacError
+
+ABLATIONS: Mapping[str, Study] = {name: ablation_study(name) for name in ablation_names()}
+"""By the names that `ssac ablate` takes."""
+
+STUDIES: Mapping[str, Study] = {
+    study.name: study
+    for study in (
+        EFFICIENCY,
+        coverage_study(),
+        REFUSAL,
+        TANGENCY,
+        ZNCC,
+        FIDELITY_STUDY,
+        means_study(named_config("more_flights")),
+        *ABLATIONS.values(),
+    )
+}
+
+
+def chosen_studies(names: list[str], known: Mapping[str, Study], kind: str) -> list[Study]:
+    """Look studies up; SsacError for a name that is none."""
+    unknown = [name for name in names if name not in known]
+    if unknown:
+        raise SsacError(f"unknown {kind} {unknown[0]!r}: use one of {', '.join(known)}")
+    return [known[name] for name in names]

@@ -1,0 +1,166 @@
+"""What keys depend on: each module changed in turn, and the code that a real run calls."""
+
+import ast
+import shutil
+import sys
+from pathlib import Path
+
+import pytest
+
+from experiments.measures.bounds import BOUNDS
+from experiments.measures.refusal import REFUSALS
+from experiments.run.cache import BRIGHTNESS_CODE, RECORDING_CODE, Cache
+from experiments.run.code import ROOT, SourceTree, read_source
+from experiments.run.grid import Cell
+from experiments.run.scored import SCORED
+from experiments.run.task import Task, run_task
+from sim.recording import SimConfig
+from ssac.config import Config
+from ssac.tool.registry import OURS
+from tests.experiments.reported import record_flight
+
+CODES = {
+    "recordings": RECORDING_CODE,
+    "brightness": BRIGHTNESS_CODE,
+    "runs": SCORED.code,
+    "bounds": BOUNDS.code,
+    "refusals": REFUSALS.code,
+}
+
+
+@pytest.fixture
+def tree(tmp_path: Path) -> Path:
+    """A copy of the three packages."""
+    for name in ("sim", "ssac", "experiments"):
+        shutil.copytree(ROOT / name, tmp_path / name, ignore=shutil.ignore_patterns("__pycache__"))
+    return tmp_path
+
+
+def digests(root: Path) -> dict[str, str]:
+    return {name: SourceTree(root).digest(*code) for name, code in CODES.items()}
+
+
+def changed_by(root: Path, path: str, old: str, new: str) -> set[str]:
+    """Which keys another text of one file makes new."""
+    before, file = digests(root), root / path
+    text = file.read_text()
+    assert old in text, path
+    file.write_text(text.replace(old, new))
+    after = digests(root)
+    file.write_text(text)
+    return {name for name in CODES if before[name] != after[name]}
+
+
+def test_every_module_that_an_entry_depends_on_makes_a_new_key(tree: Path) -> None:
+    before, reader = digests(tree), SourceTree(tree)
+    closures = {name: SourceTree().closure(*code) for name, code in CODES.items()}
+    for path in sorted(tree.rglob("*.py")):
+        module = ".".join(path.relative_to(tree).with_suffix("").parts)
+        module = module.removesuffix(".__init__")
+        text = path.read_text()
+        path.write_text(f"{text}\n_CHANGED = True\n")
+        reader.sources.pop(module, None)  # what it has not read before it reads now
+        after = {name: reader.digest(*code) for name, code in CODES.items()}
+        path.write_text(text)
+        reader.sources.pop(module, None)
+        for name in CODES:
+            assert (before[name] != after[name]) == (module in closures[name]), (module, name)
+
+
+@pytest.mark.parametrize(
+    ("path", "old", "new", "changed"),
+    [
+        # The two faults that the cache did not see when its keys were lists made by hand.
+        ("ssac/track/observation.py", "radius_filter(", "(", set(CODES) - {"recordings"}),
+        ("ssac/tool/registry.py", '"zncc_e", zncc_e', '"zncc_e", event_rate',
+         {"runs", "refusals"}),
+        ("experiments/run/score.py", "1e3", "1e6", {"runs", "refusals"}),
+        ("experiments/run/recorded.py", "config.t_d_s", "0.0", {"runs", "bounds", "refusals"}),
+        ("sim/sensor/kernels.py", "import", "import os\nimport", set(CODES) - {"brightness"}),
+        ("sim/render/shaders/mesh.frag", "void", "/**/ void", set(CODES) - {"brightness"}),
+        ("sim/render/gl_reference.py", "import", "import os\nimport", set()),
+        ("ssac/tool/plots.py", "import", "import os\nimport", set()),
+        ("experiments/figures/style.py", "import", "import os\nimport", set()),
+        ("experiments/studies/coverage.py", "import", "import os\nimport", set()),
+        ("experiments/measures/refusal_flights.py", "0.25", "0.5", {"refusals"}),
+        # Prose changes no number.
+        ("sim/recording.py", "The whole chain:", "Well, all of it:", set()),
+        ("ssac/camera.py", "# ", "# Well: ", set()),
+    ],
+)  # fmt: skip
+def test_what_matters_makes_new_keys_and_nothing_else(
+    tree: Path, path: str, old: str, new: str, changed: set[str]
+) -> None:
+    assert changed_by(tree, path, old, new) - changed == set()
+    assert changed_by(tree, path, old, new) >= changed
+
+
+def test_a_name_from_a_package_counts_with_the_module_that_it_comes_from(tmp_path: Path) -> None:
+    package = tmp_path / "ssac"
+    package.mkdir()
+    (package / "__init__.py").write_text("from ssac.one import first\nfrom ssac.two import second")
+    (package / "one.py").write_text("first = 1")
+    (package / "two.py").write_text("second = 2")
+    (package / "user.py").write_text("from ssac import first")
+    (package / "lazy.py").write_text('MODULES = {"second": "ssac.two:second"}')
+    (package / "dynamic.py").write_text("from ssac import third")
+    tree = SourceTree(tmp_path)
+    assert tree.closure("ssac.user") == {"ssac.user", "ssac", "ssac.one"}
+    assert tree.closure("ssac.lazy") == {"ssac.lazy", "ssac.two"}
+    assert tree.closure("ssac.dynamic") >= {"ssac.one", "ssac.two", "ssac.lazy"}
+
+
+def test_prose_does_not_count_but_code_does() -> None:
+    base = read_source("def f(x):\n    return x + 1\n").digest
+    assert read_source('"""A."""\ndef f(x):  # b\n    """C."""\n    return x + 1').digest == base
+    assert read_source("def f(x):\n    return x + 2\n").digest != base
+
+
+def test_packages_only_list_names() -> None:
+    """So that what is not taken from an `__init__` need not count."""
+    allowed = (ast.Import, ast.ImportFrom, ast.Assign, ast.Expr, ast.AnnAssign, ast.FunctionDef,
+               ast.If)  # fmt: skip
+    for package in ("sim", "ssac", "experiments"):
+        for path in (ROOT / package).rglob("__init__.py"):
+            body = ast.parse(path.read_text()).body
+            assert all(isinstance(line, allowed) for line in body), path
+
+
+def test_all_code_that_a_run_calls_is_in_its_key(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever way it is imported: a call that the imports do not show would be seen here."""
+    folder = tmp_path / "recording"
+    scene = record_flight(folder, 4.0)
+    (folder / "rig_extrinsics.yaml").write_text(_rig(scene.R, scene.t))
+    monkeypatch.setattr(Cache, "recording_folder", lambda *_: folder)
+    config = Config(interval_s=(-0.1, 0.1), denoise=False)
+    cells = [Cell(SimConfig(), 0, 0, 0.0, config, method.name, {}) for method in OURS]
+    cells += [Cell(SimConfig(), 0, 0, 0.0, Config(interval_s=(-0.1, 0.1)), "zncc_e", {})]
+    called: set[str] = set()
+    sys.setprofile(lambda frame, event, _: called.add(frame.f_code.co_filename))
+    try:
+        done = run_task(Task(tuple(cells)), Cache(tmp_path / "cache"), SCORED)
+    finally:
+        sys.setprofile(None)
+    assert {row["status"] for row in done.rows} <= {"ok", "skipped", "ambiguous_pose"}, done.rows
+    ours = {
+        ".".join(Path(file).relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+        for file in called
+        if any(file.startswith(f"{ROOT / package}/") for package in ("sim", "ssac", "experiments"))
+    }
+    assert {"ssac.methods.tangency", "experiments.run.score", "ssac.track.denoise"} <= ours
+    # What names and keeps the entries is no part of them.
+    keeping = {"experiments.run.code"}
+    assert ours - keeping - SourceTree().closure(*SCORED.code) == set()
+
+
+def _rig(R: object, t: object) -> str:
+    import numpy as np
+
+    from tests.experiments.reported import RIG
+
+    T_2_1 = np.eye(4)
+    T_2_1[:3, :3], T_2_1[:3, 3] = R, t
+    rig = RIG.replace("cam1: *camera", "cam1:\n  <<: *camera")
+    return f"{rig}  T_cn_cnm1: {T_2_1.tolist()}\n"
