@@ -91,6 +91,8 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
             "fidelity",
         ),
         "paper": (
+            "quantities",
+            "grids",
             "esim",
             "comparison",
             "markdown",

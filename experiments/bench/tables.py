@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from experiments.bench.measurement import Measurement
-from experiments.paper.tables import TABLES
+from experiments.paper.grids import TABLES
 from experiments.run.cache import Cache
 from experiments.run.grid import Cell, named_config
 from experiments.run.schedule import Outcome, Workers, run_cells

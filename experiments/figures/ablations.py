@@ -18,18 +18,14 @@ from numpy.typing import NDArray
 
 from experiments.figures.style import WIDTH_IN, quiet_axes
 from experiments.paper.esim import method_order
+from experiments.paper.quantities import ERRORS
 from experiments.run.grid import FigureConfig, GridConfig, configs_of
 from sim.scene.drone import quadrotor
 from ssac.errors import SsacError
 
 FAILED = "failed"
 
-_LABELS = {
-    "t_d_error_ms": "error of $t_d$ [ms]",
-    "r_error_deg": "error of R [deg]",
-    "t_error_deg": "error of t [deg]",
-    FAILED: "failed runs [%]",
-}
+_FAILED_LABEL = "failed runs [%]"
 _PARTS = ("mean", "std")  # of an error's columns
 # Of a line, by the parameter that it stands for.
 _NAMES = {"sim.angle_deg": "{:g} deg", "sim.spline.duration_s": "{:g} s", "sim.drone": "{}"}
@@ -61,7 +57,7 @@ def ablation_figure(means: pd.DataFrame, grid: GridConfig) -> Figure:
         raise SsacError(f"{grid.name}: its TOML has no table [figure]: add one with x and label")
     others = other_parameters(grid, look.x)
     columns = [look.x, *others, "method", "n_runs", FAILED]
-    columns += [f"{error}_{part}" for error in _LABELS if error != FAILED for part in _PARTS]
+    columns += [f"{error}_{part}" for error in ERRORS for part in _PARTS]
     absent = [column for column in columns if column not in means]
     if absent:
         raise SsacError(f"{grid.name}: its means lack the columns {', '.join(absent)}: rerun it")
@@ -79,7 +75,7 @@ def ablation_figure(means: pd.DataFrame, grid: GridConfig) -> Figure:
         row[0].set_ylabel(method, weight="bold")
     default = look.scale * default_value(look.x)
     for axes, quantity in zip(rows[0], quantities, strict=True):
-        axes.set_title(_LABELS[quantity], fontsize=10)
+        axes.set_title(ERRORS[quantity].label if quantity in ERRORS else _FAILED_LABEL, fontsize=10)
         _set_scales(axes, means, look, quantity)
     if _on_axis(default, look):
         for axes in rows.flat:
@@ -119,8 +115,7 @@ def default_value(name: str) -> float:
 
 def drawn_quantities(means: pd.DataFrame) -> list[str]:
     """Errors that any method gives, and the share of failed runs if there is any."""
-    errors = [error for error in _LABELS if error != FAILED]
-    drawn = [error for error in errors if means[f"{error}_mean"].notna().any()]
+    drawn = [error for error in ERRORS if means[f"{error}_mean"].notna().any()]
     return [*drawn, FAILED] if (means[FAILED] > 0).any() else drawn
 
 

@@ -15,20 +15,13 @@ from matplotlib.lines import Line2D
 
 from experiments.figures.errors import Means, flight_means, published_means
 from experiments.figures.style import WIDTH_IN, Look, error_axes, method_looks
-from experiments.paper.comparison import QUANTITIES
+from experiments.paper.comparison import PUBLISHED_ERRORS
+from experiments.paper.quantities import ANGLE_LABEL, ERRORS
 from ssac.errors import SsacError
 
 METHODS = ("ssac", "joint", "tangency")
 """Those without the extrinsics, from the paper's on; a refinement starts from the one before."""
 
-MARKS = {"t_d_error_ms": 0.1, "r_error_deg": 0.2, "t_error_deg": 0.1}
-"""What no cell's mean of `tangency` is to exceed."""
-
-_LABELS = {
-    "t_d_error_ms": "error of $t_d$ [ms]",
-    "r_error_deg": "error of R [deg]",
-    "t_error_deg": "error of t [deg]",
-}
 _PAPER = Look("#555555", "*", hollow=True)
 _MARK_COLOR = "#D55E00"
 _SPREAD_DEG = 2.0  # between the columns of neighbouring methods, so that bars do not cover
@@ -57,12 +50,12 @@ def beyond_figure(runs: pd.DataFrame, published: Mapping[float, pd.DataFrame]) -
     looks = method_looks(methods)
     durations_s = sorted(runs["duration_s"].unique())
     figure = Figure(figsize=(WIDTH_IN, 8.0), layout="constrained")
-    grid = figure.subplots(len(MARKS), len(durations_s), sharex=True, sharey="row", squeeze=False)
-    for row, (error, mark) in zip(grid, MARKS.items(), strict=True):
-        ends = [mark]
+    grid = figure.subplots(len(ERRORS), len(durations_s), sharex=True, sharey="row", squeeze=False)
+    for row, (error, quantity) in zip(grid, ERRORS.items(), strict=True):
+        ends = [quantity.mark]
         for axes, duration_s in zip(row, durations_s, strict=True):
             error_axes(axes, sorted(runs["angle_deg"].unique()))
-            axes.axhline(mark, color=_MARK_COLOR, lw=1.0, ls="--", zorder=1)
+            axes.axhline(quantity.mark, color=_MARK_COLOR, lw=1.0, ls="--", zorder=1)
             table = published.get(float(duration_s))
             if table is not None:
                 paper = published_means(table, _published_column(error))
@@ -72,11 +65,11 @@ def beyond_figure(runs: pd.DataFrame, published: Mapping[float, pd.DataFrame]) -
                 own = of_duration[of_duration["method"] == method]
                 ends += _draw(axes, flight_means(own, error), looks[method], place, "-")
         row[0].set_ylim(0.9 * min(ends), 1.1 * max(ends))
-        row[0].set_ylabel(_LABELS[error])
+        row[0].set_ylabel(quantity.label)
     for axes, duration_s in zip(grid[0], durations_s, strict=True):
         axes.set_title(f"Recordings of {duration_s:g} s", fontsize=11)
     for axes in grid[-1]:
-        axes.set_xlabel("angle between the lines of sight [deg]")
+        axes.set_xlabel(ANGLE_LABEL)
     figure.legend(
         handles=_legend(looks), loc="outside lower center", ncols=4, fontsize=8, frameon=False
     )
@@ -84,7 +77,7 @@ def beyond_figure(runs: pd.DataFrame, published: Mapping[float, pd.DataFrame]) -
 
 
 def _published_column(error: str) -> str:
-    return next(q.published for q in QUANTITIES if (q.method, q.error) == ("ssac", error))
+    return next(q.published for q in PUBLISHED_ERRORS if (q.method, q.error) == ("ssac", error))
 
 
 def _x(angles_deg: Any, place: int) -> Any:

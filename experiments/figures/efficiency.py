@@ -14,12 +14,8 @@ from matplotlib.lines import Line2D
 
 from experiments.figures.style import WIDTH_IN, Look, error_axes, method_looks
 from experiments.paper.esim import method_order
+from experiments.paper.quantities import ANGLE_LABEL, ERRORS
 
-_ROWS = (
-    ("t_d", "ms", "error of $t_d$ [ms]"),
-    ("r", "deg", "error of R [deg]"),
-    ("t", "deg", "error of t [deg]"),
-)
 _STEP_DEG = 30.0  # between angles
 _SHARE = 0.7  # of this step that the methods' columns take
 
@@ -35,9 +31,9 @@ def efficiency_figure(cells: pd.DataFrame) -> Figure:
     durations_s, methods = sorted(cells["duration_s"].unique()), method_order(cells["method"])
     looks = method_looks(methods)
     figure = Figure(figsize=(WIDTH_IN, 8.0), layout="constrained")
-    grid = figure.subplots(len(_ROWS), len(durations_s), sharex=True, sharey="row", squeeze=False)
-    for row, (parameter, unit, label) in zip(grid, _ROWS, strict=True):
-        columns = [f"{parameter}_{kind}_{unit}" for kind in ("bound", "rms")]
+    grid = figure.subplots(len(ERRORS), len(durations_s), sharex=True, sharey="row", squeeze=False)
+    for row, error in zip(grid, ERRORS.values(), strict=True):
+        columns = [f"{error.parameter}_{kind}_{error.unit}" for kind in ("bound", "rms")]
         drawn = [
             method
             for method in methods
@@ -50,11 +46,11 @@ def efficiency_figure(cells: pd.DataFrame) -> Figure:
                 shift_deg = _SHARE * _STEP_DEG * ((slot + 0.5) / len(drawn) - 0.5)
                 own = of_duration[of_duration["method"] == method]
                 _draw(axes, own, columns, looks[method], shift_deg)
-        row[0].set_ylabel(label)
+        row[0].set_ylabel(error.label)
     for axes, duration_s in zip(grid[0], durations_s, strict=True):
         axes.set_title(f"Recordings of {duration_s:g} s", fontsize=11)
     for axes in grid[-1]:
-        axes.set_xlabel("angle between the lines of sight [deg]")
+        axes.set_xlabel(ANGLE_LABEL)
     figure.legend(
         handles=_legend(looks), loc="outside lower center", ncols=4, fontsize=8, frameon=False
     )

@@ -17,16 +17,11 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullLocator
 
 from experiments.figures.style import WIDTH_IN, Look, method_looks, quiet_axes
-from experiments.paper.comparison import PUBLISHED_RUNS, QUANTITIES
+from experiments.paper.comparison import PUBLISHED_ERRORS, PUBLISHED_RUNS
 from experiments.paper.esim import method_order
+from experiments.paper.quantities import ANGLE_LABEL, ERRORS, T_D_ERROR
 
-_QUANTITIES = (
-    ("t_d_error_ms", "error of $t_d$ [ms]"),
-    ("r_error_deg", "error of R [deg]"),
-    ("t_error_deg", "error of t [deg]"),
-)
-# What is below this is drawn there.
-_LEAST = {"t_d_error_ms": 0.01, "r_error_deg": 0.01, "t_error_deg": 0.01}
+_LEAST = 0.01  # of each error, in its own unit: what is below is drawn there
 _ROW_HEIGHTS = (1.7, 1.0, 1.0)
 _ANGLE_STEP_DEG = 30.0
 _SHARE = 0.84  # of this step that the methods' columns take
@@ -56,14 +51,14 @@ def error_figure(runs: pd.DataFrame, published: Mapping[float, pd.DataFrame]) ->
     looks = method_looks(methods)
     figure = Figure(figsize=(WIDTH_IN, 9.6), layout="constrained")
     grid = figure.subplots(
-        len(_QUANTITIES),
+        len(ERRORS),
         len(durations_s),
         sharex=True,
         sharey="row",
         squeeze=False,
         height_ratios=_ROW_HEIGHTS,
     )
-    for row, (error, label) in zip(grid, _QUANTITIES, strict=True):
+    for row, (error, quantity) in zip(grid, ERRORS.items(), strict=True):
         drawn = [method for method in methods if _given(runs, method, error)]
         for axes, duration_s in zip(row, durations_s, strict=True):
             of_duration = runs[runs["duration_s"] == duration_s]
@@ -76,11 +71,11 @@ def error_figure(runs: pd.DataFrame, published: Mapping[float, pd.DataFrame]) ->
                 if table is not None and column:
                     _draw_published(axes, published_means(table, column), looks[method], shift_deg)
             _set_scales(axes, sorted(runs["angle_deg"].unique()), error)
-        row[0].set_ylabel(label)
+        row[0].set_ylabel(quantity.label)
     for axes, duration_s in zip(grid[0], durations_s, strict=True):
         axes.set_title(f"Recordings of {duration_s:g} s", fontsize=11)
     for axes in grid[-1]:
-        axes.set_xlabel("angle between the lines of sight [deg]")
+        axes.set_xlabel(ANGLE_LABEL)
     figure.legend(handles=_legend(runs, looks), loc="outside lower center", ncols=4, fontsize=8,
                   frameon=False)  # fmt: skip
     return figure
@@ -116,7 +111,7 @@ def published_means(table: pd.DataFrame, column: str) -> Means:
 
 def _published_column(method: str, error: str) -> str:
     """Start of the column of the paper's tables; empty where the paper has none."""
-    columns = [q.published for q in QUANTITIES if (q.method, q.error) == (method, error)]
+    columns = [q.published for q in PUBLISHED_ERRORS if (q.method, q.error) == (method, error)]
     return columns[0] if columns else ""
 
 
@@ -132,10 +127,10 @@ def _shift_deg(slot: int, n_slots: int) -> float:
 def _set_scales(axes: Axes, angles_deg: list[float], error: str) -> None:
     quiet_axes(axes)
     axes.set(yscale="log", xticks=angles_deg)
-    axes.set_ylim(bottom=0.85 * _LEAST[error])
+    axes.set_ylim(bottom=0.85 * _LEAST)
     axes.yaxis.set_major_formatter("{x:g}")
     axes.yaxis.set_minor_formatter("")
-    if error != "t_d_error_ms":  # two decades at most
+    if error != T_D_ERROR.column:  # two decades at most
         axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axes.yaxis.set_minor_locator(NullLocator())
     for left, right in pairwise(angles_deg):
@@ -147,12 +142,12 @@ def _draw_method(axes: Axes, runs: pd.DataFrame, error: str, look: Look, shift: 
     if ok.empty:
         return
     axes.plot(
-        ok["angle_deg"] + shift, ok[error].clip(lower=_LEAST[error]), ls="none", marker=".",
+        ok["angle_deg"] + shift, ok[error].clip(lower=_LEAST), ls="none", marker=".",
         ms=3.0, mew=0.0, color=look.color, alpha=0.5, zorder=2,
     )  # fmt: skip
     means = flight_means(runs, error)
     axes.errorbar(
-        np.add(means.angles_deg, shift), np.maximum(means.means, _LEAST[error]),
+        np.add(means.angles_deg, shift), np.maximum(means.means, _LEAST),
         means.standard_errors, ls="-", lw=0.8,
         color=look.color, marker=look.marker, ms=5, mfc=look.face, mec=look.color, elinewidth=1.2,
         zorder=4,

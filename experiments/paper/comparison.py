@@ -17,6 +17,8 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
+from experiments.paper.grids import table_axes
+from experiments.paper.quantities import R_ERROR, T_D_ERROR, T_ERROR
 from ssac.errors import SsacError
 
 PUBLISHED = Path(__file__).resolve().parents[2] / "results" / "published"
@@ -38,8 +40,8 @@ SIZE_RULE = (
 
 
 @dataclass(frozen=True)
-class Quantity:
-    """One published mean error."""
+class PublishedError:
+    """One mean error that the paper gives."""
 
     method: str
     error: str
@@ -52,12 +54,12 @@ class Quantity:
         return f"{self.method}_{self.error}"
 
 
-QUANTITIES = (
-    Quantity("ssac", "t_d_error_ms", "ssac_error_ms", 0.01),
-    Quantity("zncc_e", "t_d_error_ms", "zncc_e_error_ms", 0.1),
-    Quantity("zncc_f", "t_d_error_ms", "zncc_f_error_ms", 0.1),
-    Quantity("ssac", "r_error_deg", "r_error_deg", 0.01),
-    Quantity("ssac", "t_error_deg", "t_error_deg", 0.01),
+PUBLISHED_ERRORS = (
+    PublishedError("ssac", T_D_ERROR.column, "ssac_error_ms", 0.01),
+    PublishedError("zncc_e", T_D_ERROR.column, "zncc_e_error_ms", 0.1),
+    PublishedError("zncc_f", T_D_ERROR.column, "zncc_f_error_ms", 0.1),
+    PublishedError("ssac", R_ERROR.column, "r_error_deg", 0.01),
+    PublishedError("ssac", T_ERROR.column, "t_error_deg", 0.01),
 )
 
 
@@ -171,14 +173,14 @@ def load_published(folder: Path = PUBLISHED) -> dict[float, pd.DataFrame]:
         If a file cannot be read or lacks a column.
     """
     tables = {}
-    for duration_s in (10.0, 20.0):
+    for duration_s in table_axes().durations_s:
         path = folder / f"esim_{duration_s:g}.csv"
         try:
             table = pd.read_csv(path)
         except (OSError, ValueError) as error:
             raise SsacError(f"{path}: the published table cannot be read: {error}") from error
         needed = ["angle_deg", "t_d_ms"]
-        needed += [f"{q.published}_{part}" for q in QUANTITIES for part in ("mean", "std")]
+        needed += [f"{q.published}_{part}" for q in PUBLISHED_ERRORS for part in ("mean", "std")]
         absent = [column for column in needed if column not in table]
         if absent:
             raise SsacError(f"{path}: the published table lacks the columns {', '.join(absent)}")
@@ -216,7 +218,7 @@ def comparison_table(
             continue
         both = theirs.merge(tables[duration_s], on=["angle_deg", "t_d_ms"])
         for cell in both.to_dict("records"):
-            for quantity in QUANTITIES:
+            for quantity in PUBLISHED_ERRORS:
                 if f"{quantity.name}_mean" in cell:
                     place = {
                         "duration_s": duration_s,
@@ -247,7 +249,7 @@ def summary_table(comparison: pd.DataFrame) -> pd.DataFrame:
         intervals' half-widths over the published mean: a difference that a cell would just tell.
     """
     rows = []
-    place = {quantity.name: number for number, quantity in enumerate(QUANTITIES)}
+    place = {quantity.name: number for number, quantity in enumerate(PUBLISHED_ERRORS)}
     ordered = comparison.sort_values(
         ["quantity", "duration_s"],
         key=lambda column: column.map(place) if column.name == "quantity" else column,
@@ -272,7 +274,7 @@ def summary_table(comparison: pd.DataFrame) -> pd.DataFrame:
     return table
 
 
-def _compared(cell: Mapping[Any, Any], quantity: Quantity) -> dict[str, float | int | str]:
+def _compared(cell: Mapping[Any, Any], quantity: PublishedError) -> dict[str, float | int | str]:
     """Compare one number of one row of both tables."""
     n = int(cell["n_runs"] - cell[f"{quantity.method}_failed"])
     ours = Sample(cell[f"{quantity.name}_mean"], cell[f"{quantity.name}_std"], n)

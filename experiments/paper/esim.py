@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from experiments.paper.quantities import POSE_ERRORS, T_D_ERROR
 from ssac.errors import SsacError
 from ssac.tool.registry import METHODS
 
@@ -26,8 +27,6 @@ YOUNGER = ("r_std_deg", "t_std_deg", "r_mahalanobis", "t_mahalanobis")
 
 KEY = ["duration_s", "angle_deg", "t_d_ms", "flight", "method"]
 """Columns that say which run a row is; `seed` beside them is what `ssac simulate` makes it of."""
-
-POSE_ERRORS = ("r_error_deg", "t_error_deg")
 
 _TEXT = ("method", "status", "reason")
 _WHOLE = ("flight", "seed", "n_samples", "n_events_cam1", "n_events_cam2")
@@ -132,7 +131,7 @@ def esim_table(runs: pd.DataFrame, duration_s: float) -> pd.DataFrame:
         for method in method_order(cell["method"]):
             of_method = cell[cell["method"] == method]
             ok = of_method[of_method["status"] == "ok"]
-            for error in ("t_d_error_ms", *(POSE_ERRORS if method in poses else ())):
+            for error in (T_D_ERROR.column, *(POSE_ERRORS if method in poses else ())):
                 row[f"{method}_{error}_mean"] = ok[error].mean()
                 row[f"{method}_{error}_std"] = ok[error].std(ddof=0)
             row[f"{method}_failed"] = len(of_method) - len(ok)

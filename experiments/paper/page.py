@@ -8,12 +8,17 @@ from typing import Any
 
 import pandas as pd
 
-from experiments.paper.comparison import PUBLISHED_RUNS, QUANTITIES, RULE, SIZE_RULE, summary_table
+from experiments.paper.comparison import (
+    PUBLISHED_ERRORS,
+    PUBLISHED_RUNS,
+    RULE,
+    SIZE_RULE,
+    summary_table,
+)
 from experiments.paper.esim import method_order, pose_methods
 from experiments.paper.markdown import markdown_table, means_with_stds, number, paragraph
+from experiments.paper.quantities import ERRORS, POSE_ERRORS, T_D_ERROR, split_quantity
 
-_LABELS = {"t_d_error_ms": "t_d [ms]", "r_error_deg": "R [deg]", "t_error_deg": "t [deg]"}
-_TANGENCY_MARKS = {"t_d_error_ms": 0.1, "r_error_deg": 0.2, "t_error_deg": 0.1}
 _VERDICTS = ("agrees", "better", "differs")
 
 Record = dict[str, Any]
@@ -107,14 +112,14 @@ def _marks(tables: Mapping[float, pd.DataFrame], comparison: pd.DataFrame) -> st
         cells{f" (not: {missed})" if missed else ""}. {SIZE_RULE}. Our mean is at most the published
         one in {lower.sum()} cells."""
     ]
-    for error, bound in _TANGENCY_MARKS.items():
-        column = f"tangency_{error}_mean"
+    for column_of_runs, error in ERRORS.items():
+        column = f"tangency_{column_of_runs}_mean"
         values = [table[column] for table in tables.values() if column in table]
         if values:
             means = pd.concat(values)
             items.append(
-                f"""- `tangency`, mean {_LABELS[error]} error at most {bound:g}:
-                {(means <= bound).sum()} of {len(means)} cells; the largest is
+                f"""- `tangency`, mean {error.heading} error at most {error.mark:g}:
+                {(means <= error.mark).sum()} of {len(means)} cells; the largest is
                 {number(means.max(), 3)}."""
             )
     items.append(
@@ -146,24 +151,24 @@ def _flights(
 ) -> str:
     """Show one of the paper's tables, and the methods that it does not have."""
     part = comparison[comparison["duration_s"] == duration_s]
-    published = {quantity.method for quantity in QUANTITIES} if len(part) else set()
+    published = {quantity.method for quantity in PUBLISHED_ERRORS} if len(part) else set()
     methods = method_order(runs.loc[runs["duration_s"] == duration_s, "method"])
     others = [name for name in methods if name not in published]
     posed = [name for name in pose_methods(runs) if name in others]
     pieces = [f"## Flights of {duration_s:g} s"]
     if len(part):
-        ours = [quantity.name for quantity in QUANTITIES if quantity.method == "ssac"]
-        correlated = [quantity.name for quantity in QUANTITIES if quantity.method != "ssac"]
+        ours = [quantity.name for quantity in PUBLISHED_ERRORS if quantity.method == "ssac"]
+        correlated = [quantity.name for quantity in PUBLISHED_ERRORS if quantity.method != "ssac"]
         pieces += [
             "Mean errors of the paper's methods, ours and the paper's:",
             _beside_the_paper(part, ours, 2),
             _beside_the_paper(part, correlated, 1),
         ]
     if others:
-        columns = [(name, "t_d_error_ms") for name in others]
+        columns = [(name, T_D_ERROR.column) for name in others]
         pieces += ["Mean errors of t_d of the other methods:", _others(table, columns)]
     if posed:
-        columns = [(name, error) for name in posed for error in ("r_error_deg", "t_error_deg")]
+        columns = [(name, error) for name in posed for error in POSE_ERRORS]
         pieces += ["Mean errors of the pose by the other methods:", _others(table, columns)]
     return "\n\n".join(pieces)
 
@@ -193,7 +198,7 @@ def _others(table: pd.DataFrame, errors: Sequence[tuple[str, str]]) -> str:
     for method, error in errors:
         header.append(_label(f"{method}_{error}"))
         means, stds = (table[f"{method}_{error}_{part}"] for part in ("mean", "std"))
-        decimals = 1 if means.max() >= 10 else 3 if error == "t_d_error_ms" else 2
+        decimals = 1 if means.max() >= 10 else 3 if error == T_D_ERROR.column else 2
         cells = means_with_stds(means, stds, decimals)
         n_ok = table["n_runs"] - table[f"{method}_failed"]
         columns.append(
@@ -263,8 +268,8 @@ def _places(rows: pd.DataFrame) -> list[list[str]]:
 
 def _label(name: str) -> str:
     """Name a mean error, `<method>_<error>`, for the head of a column."""
-    error = next(error for error in _LABELS if name.endswith(f"_{error}"))
-    return f"`{name.removesuffix(f'_{error}')}` {_LABELS[error]}"
+    method, error = split_quantity(name)
+    return f"`{method}` {ERRORS[error].heading}"
 
 
 def _records(table: pd.DataFrame) -> list[Record]:

@@ -9,15 +9,13 @@ import typer
 
 from experiments.paper.comparison import summary_table
 from experiments.paper.esim import runs_of_grid
+from experiments.paper.grids import table_cells, table_grids
 from experiments.paper.results import COMPARISON_FILE, RUNS_FILE, save_results
 from experiments.run.cache import DEFAULT_FOLDER, Cache
 from experiments.run.command import CacheOption, SchedulerOption, WorkersOption, finish
-from experiments.run.grid import named_config
 from experiments.run.provenance import provenance, write_provenance
 from experiments.run.schedule import Workers, run_cells
 from sim.render.gl_context import open_context
-
-TABLES = ("esim_10", "esim_20")
 
 
 def tables_command(
@@ -28,9 +26,8 @@ def tables_command(
 ) -> None:
     """Regenerate the paper's simulation tables: every method on 100 simulated recordings."""
     start = time.perf_counter()
-    grids = [named_config(name) for name in TABLES]
-    cells = [cell for grid in grids for cell in grid.cells()]
-    outcome = run_cells(cells, Cache(cache), Workers(workers, scheduler))
+    grids = table_grids()
+    outcome = run_cells(table_cells(), Cache(cache), Workers(workers, scheduler))
     wall_time_s = time.perf_counter() - start
     made_with = provenance(
         "ssac tables",

@@ -15,14 +15,14 @@ import numpy as np
 import pandas as pd
 
 from experiments.paper.comparison import PUBLISHED
-from experiments.paper.esim import KEY, POSE_ERRORS, describe, runs_from_csv
+from experiments.paper.esim import KEY, describe, runs_from_csv
+from experiments.paper.grids import TABLES, offset_ms, table_cells
+from experiments.paper.quantities import POSE_ERRORS
 from experiments.paper.results import COMPARISON_FILE, PAGE_FILE, RUNS_FILE, derived
 from experiments.run.grid import Cell, config_names, named_config
 from experiments.run.task import CRASHED
 from ssac.errors import SsacError
 from ssac.tool.registry import METHODS, OURS
-
-TABLES = ("esim_10", "esim_20")
 
 PUBLISHED_SHA256 = {
     "esim_10.csv": "e4fc65f27fe6e67e162c81d89ccf66debf49f560e766675ead3288fc09b21cd7",
@@ -66,7 +66,7 @@ def file_findings(results: Path) -> list[Finding]:
         Finding(f"published/{name} is the paper's table", _published(PUBLISHED / name, digest))
         for name, digest in PUBLISHED_SHA256.items()
     ]
-    cells = [cell for name in TABLES for cell in named_config(name).cells()]
+    cells = table_cells()
     missing = Finding(f"{RUNS_FILE} has every run of {' and '.join(TABLES)}", _missing(runs, cells))
     findings += [missing, *sanity_findings(runs), *ablation_findings(results, runs, cells)]
     for name in (RUNS_FILE, COMPARISON_FILE, *(f"{table}.csv" for table in TABLES)):
@@ -208,7 +208,7 @@ def _flight(cell: Cell) -> tuple[float, float, float, int]:
     return (
         cell.sim.spline.duration_s,
         cell.sim.angle_deg,
-        round(1e3 * cell.t_d_s, 6),  # as it is read from runs.csv
+        offset_ms(cell),
         cell.flight,
     )
 

@@ -12,7 +12,9 @@ import numpy as np
 import pandas as pd
 
 from experiments.figures.style import Look, method_looks
-from experiments.report.data import DURATIONS_S, ERRORS, Results, split_quantity
+from experiments.paper.grids import table_axes
+from experiments.paper.quantities import ERRORS, split_quantity
+from experiments.report.data import Results
 from experiments.report.tables import number
 from ssac.tool.registry import METHODS
 
@@ -40,7 +42,7 @@ class _Axis:
 def chart_html(results: Results) -> str:
     """Draw one panel for each kind of error that any method gives."""
     parts = []
-    for error, (name, unit) in ERRORS.items():
+    for error, quantity in ERRORS.items():
         methods = results.methods_with(error)
         cells = {method: _cells(results, method, error) for method in methods}
         values = [mean for means in cells.values() for mean in means["mean"]]
@@ -55,7 +57,7 @@ def chart_html(results: Results) -> str:
             _row(results, method, error, cells[method], axis, looks[method]) for method in methods
         ]
         parts.append(
-            f'<figure class="chart"><figcaption>{name}: mean error [{unit}]</figcaption>'
+            f'<figure class="chart"><figcaption>Mean error: {quantity.title}</figcaption>'
             f'{"".join(rows)}<div class="lane axis">{ticks}</div></figure>'
         )
     return "".join(parts)
@@ -89,7 +91,7 @@ def _row(
     hollow = " hollow" if look.hollow else ""
     dots = []
     for cell in cells.to_dict("records"):
-        short = " short" if cell["duration_s"] == min(DURATIONS_S) else ""
+        short = " short" if cell["duration_s"] == min(table_axes().durations_s) else ""
         title = (
             f"{cell['angle_deg']:g}&deg;, t_d {cell['t_d_ms']:g} ms, {cell['duration_s']:g} s: "
             f"{number(cell['mean'])}"

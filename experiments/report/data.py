@@ -13,17 +13,10 @@ from typing import Any, TypeVar
 import pandas as pd
 
 from experiments.paper.esim import RUN_COLUMNS, runs_from_csv
+from experiments.paper.grids import table_axes
+from experiments.paper.quantities import T_D_ERROR
 from experiments.run.grid import config_names, named_config
 from ssac.errors import SsacError
-
-DURATIONS_S = (10.0, 20.0)
-
-ERRORS = {
-    "t_d_error_ms": ("Time offset", "ms"),
-    "r_error_deg": ("Rotation", "deg"),
-    "t_error_deg": ("Translation direction", "deg"),
-}
-"""Ends of the columns, what they are errors of, and the unit."""
 
 _PNG = b"\x89PNG\r\n\x1a\n"
 _COMPARED = ("duration_s", "angle_deg", "t_d_ms", "quantity", "ours_mean", "ours_std", "n",
@@ -89,7 +82,7 @@ class Results:
     @property
     def methods(self) -> list[str]:
         """Every method that any table has, in the order of its columns."""
-        end = "_t_d_error_ms_mean"
+        end = f"_{T_D_ERROR.column}_mean"
         columns = [str(column) for table in self.tables.values() for column in table]
         return list(dict.fromkeys(c.removesuffix(end) for c in columns if c.endswith(end)))
 
@@ -118,7 +111,7 @@ def load_results(folder: Path) -> Results:
     """
     tables = {
         duration_s: _read(folder / f"esim_{duration_s:g}.csv", "make tables", _table)
-        for duration_s in DURATIONS_S
+        for duration_s in table_axes().durations_s
     }
     figures = [
         ReportFigure(title, caption, _read(folder / f"{name}.png", "make figures", _png))
@@ -141,14 +134,6 @@ def load_results(folder: Path) -> Results:
         tuple(figures),
         provenance,
     )
-
-
-def split_quantity(quantity: str) -> tuple[str, str]:
-    """Split `<method>_<error>`; the error is empty when the name ends in none."""
-    for error in ERRORS:
-        if quantity.endswith(f"_{error}"):
-            return quantity.removesuffix(f"_{error}"), error
-    return quantity, ""
 
 
 def _read(path: Path, command: str, parse: Callable[[bytes], Content]) -> Content:

@@ -8,7 +8,8 @@ import numpy as np
 import pandas as pd
 
 from experiments.paper.comparison import PUBLISHED_RUNS, RULE
-from experiments.report.data import ERRORS, Results, split_quantity
+from experiments.paper.quantities import ERRORS, split_quantity
+from experiments.report.data import Results
 
 VERDICTS = {"better": "&lt;", "agrees": "&asymp;", "differs": "&ne;"}
 """Of a cell, and the sign that stands for it where colours are not seen."""
@@ -64,7 +65,7 @@ def comparison_html(results: Results) -> str:
 def methods_html(results: Results) -> str:
     """All methods: a table for each duration and kind of error, a bar behind each mean."""
     parts = []
-    for error, (name, unit) in ERRORS.items():
+    for error, quantity in ERRORS.items():
         methods = results.methods_with(error)
         if not methods:
             continue
@@ -77,7 +78,7 @@ def methods_html(results: Results) -> str:
             ]
             heads = [f'<th scope="col"><code>{escape(method)}</code></th>' for method in methods]
             parts.append(
-                f"<details><summary>{name} error [{unit}], flights of {duration_s:g} s</summary>"
+                f"<details><summary>{quantity.title}, flights of {duration_s:g} s</summary>"
                 f"{_cells_table(heads, lines, rows)}</details>"
             )
     return "".join(parts)
@@ -158,11 +159,9 @@ def _cells_table(
 
 def _quantity_head(quantity: str) -> str:
     method, error = split_quantity(quantity)
-    name, unit = ERRORS.get(error, (error, ""))
-    return (
-        f'<th scope="col"><code>{escape(method)}</code><br>'
-        f"<small>{name}{f' [{unit}]' if unit else ''}</small></th>"
-    )
+    known = ERRORS.get(error)
+    name = known.title if known else ""
+    return f'<th scope="col"><code>{escape(method)}</code><br><small>{name}</small></th>'
 
 
 def _compared(cell: Mapping[Any, Any]) -> str:

@@ -2,9 +2,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments.figures.beyond import MARKS, METHODS, beyond_figure
+from experiments.figures.beyond import METHODS, beyond_figure
 from experiments.figures.errors import flight_means, published_means
 from experiments.paper.comparison import load_published
+from experiments.paper.quantities import ERRORS
 from ssac.errors import SsacError
 from tests.experiments.reported import made_up_runs
 
@@ -20,7 +21,7 @@ def test_every_duration_and_error_has_the_paper_and_three_methods() -> None:
     figure = beyond_figure(runs, load_published())
     assert len(figure.axes) == 6
     for number, axes in enumerate(figure.axes):
-        error, duration_s = list(MARKS)[number // 2], (10.0, 20.0)[number % 2]
+        error, duration_s = list(ERRORS)[number // 2], (10.0, 20.0)[number % 2]
         paper, *ours = drawn_means(axes)
         column = {"t_d_error_ms": "ssac_error_ms"}.get(error, error)
         expected = published_means(load_published()[duration_s], column)
@@ -34,7 +35,7 @@ def test_every_duration_and_error_has_the_paper_and_three_methods() -> None:
 def test_the_marks_are_lines() -> None:
     for number, axes in enumerate(beyond_figure(made_up_runs(ALL, 2), load_published()).axes):
         levels = [line.get_ydata() for line in axes.lines if line.get_linestyle() == "--"]
-        assert [list(level) for level in levels] == [[list(MARKS.values())[number // 2]] * 2]
+        assert [list(level) for level in levels] == [[list(ERRORS.values())[number // 2].mark] * 2]
 
 
 def test_columns_of_neighbouring_angles_do_not_mix() -> None:

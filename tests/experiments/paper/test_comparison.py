@@ -7,8 +7,8 @@ from scipy.stats import ttest_ind_from_stats
 
 from experiments.paper.comparison import (
     PUBLISHED,
+    PUBLISHED_ERRORS,
     PUBLISHED_RUNS,
-    QUANTITIES,
     Reason,
     Sample,
     comparison_table,
@@ -33,7 +33,7 @@ CASES = [
 def as_ours(published: pd.DataFrame, factor: float = 1.0, n_runs: int = 10) -> pd.DataFrame:
     """Make a table of ours that has the published numbers times a factor."""
     table = published[["angle_deg", "t_d_ms"]].astype(float).assign(n_runs=n_runs)
-    for quantity in QUANTITIES:
+    for quantity in PUBLISHED_ERRORS:
         for part in ("mean", "std"):
             table[f"{quantity.name}_{part}"] = factor * published[f"{quantity.published}_{part}"]
         table[f"{quantity.method}_failed"] = 0

@@ -14,7 +14,7 @@ import pytest
 from experiments.figures.figures import drawings
 from experiments.report import report
 from experiments.report.animation import Animation, make_animation
-from experiments.report.data import Results, load_results, split_quantity
+from experiments.report.data import Results, load_results
 from experiments.report.report import report_command, report_page
 from experiments.report.tables import (
     comparison_html,
@@ -259,12 +259,6 @@ def test_the_headline_is_computed(results: Results, animation: Animation) -> Non
     # One run in five is too few for a method to be called the best.
     runs.loc[joint & (runs["flight"] > 0), "status"] = "search_bound"
     assert "<code>joint</code>" not in headline(runs)[0][1]
-
-
-def test_a_quantity_is_a_method_and_an_error() -> None:
-    assert split_quantity("ssac-known_t_d_error_ms") == ("ssac-known", "t_d_error_ms")
-    assert split_quantity("zncc_e_r_error_deg") == ("zncc_e", "r_error_deg")
-    assert split_quantity("speed") == ("speed", "")
 
 
 @pytest.mark.parametrize(

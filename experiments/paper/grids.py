@@ -1,0 +1,46 @@
+"""The configurations of the paper's tables in; their grids, cells, and the axes of both, out."""
+
+from dataclasses import dataclass
+from functools import cache
+
+from experiments.run.grid import Cell, GridConfig, named_config
+
+TABLES = ("esim_10", "esim_20")
+"""Configurations of the paper's simulation tables: one for each duration."""
+
+
+@dataclass(frozen=True)
+class TableAxes:
+    """What the tables' cells lie at, each in rising order."""
+
+    durations_s: tuple[float, ...]
+    angles_deg: tuple[float, ...]  # between the lines of sight
+    t_ds_ms: tuple[float, ...]  # offsets
+
+
+@cache
+def table_grids() -> tuple[GridConfig, ...]:
+    """Read the grids of the tables."""
+    return tuple(named_config(name) for name in TABLES)
+
+
+@cache
+def table_cells() -> tuple[Cell, ...]:
+    """List every run of the tables."""
+    return tuple(cell for grid in table_grids() for cell in grid.cells())
+
+
+@cache
+def table_axes() -> TableAxes:
+    """Give the durations, angles and offsets of the tables."""
+    cells = table_cells()
+    return TableAxes(
+        tuple(sorted({cell.sim.spline.duration_s for cell in cells})),
+        tuple(sorted({cell.sim.angle_deg for cell in cells})),
+        tuple(sorted({offset_ms(cell) for cell in cells})),
+    )
+
+
+def offset_ms(cell: Cell) -> float:
+    """Offset of a cell [ms], as it is read from `runs.csv`: of six digits."""
+    return round(1e3 * cell.t_d_s, 6)

@@ -1,0 +1,55 @@
+"""Nothing in, what runs are measured by out: columns, names, labels, units and marks."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One error of an estimate; less is better."""
+
+    parameter: str  # of the pose and the clock: start of its columns
+    unit: str  # end of its columns
+    name: str  # in a sentence
+    symbol: str  # in plain text
+    tex: str  # in a figure
+    mark: float  # that no cell's mean of `tangency` is to exceed
+
+    @property
+    def column(self) -> str:
+        """Name in tables of runs."""
+        return f"{self.parameter}_error_{self.unit}"
+
+    @property
+    def heading(self) -> str:
+        """Head of a column in plain text."""
+        return f"{self.symbol} [{self.unit}]"
+
+    @property
+    def title(self) -> str:
+        """At the head of a table or panel."""
+        return f"{self.name.capitalize()} [{self.unit}]"
+
+    @property
+    def label(self) -> str:
+        """Of a figure's axis."""
+        return f"error of {self.tex} [{self.unit}]"
+
+
+T_D_ERROR = Quantity("t_d", "ms", "time offset", "t_d", "$t_d$", 0.1)
+R_ERROR = Quantity("r", "deg", "rotation", "R", "R", 0.2)
+T_ERROR = Quantity("t", "deg", "translation direction", "t", "t", 0.1)
+
+ERRORS = {error.column: error for error in (T_D_ERROR, R_ERROR, T_ERROR)}
+"""All of them, by their columns."""
+
+POSE_ERRORS = (R_ERROR.column, T_ERROR.column)
+
+ANGLE_LABEL = "angle between the lines of sight [deg]"
+
+
+def split_quantity(text: str) -> tuple[str, str]:
+    """Split `<method>_<error>`; the error is empty when the text ends in none."""
+    for error in ERRORS:
+        if text.endswith(f"_{error}"):
+            return text.removesuffix(f"_{error}"), error
+    return text, ""
