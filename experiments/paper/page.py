@@ -53,16 +53,21 @@ def results_page(
 
 def _opening(runs: pd.DataFrame, tables: Mapping[float, pd.DataFrame]) -> str:
     flights = " and ".join(
-        f"{of_duration['flight'].nunique()} flights of {duration_s:g} s"
+        f"{of_duration['flight'].nunique()} of {duration_s:g} s"
         for duration_s, of_duration in runs.groupby("duration_s")
     )
+    n_recordings = len(runs[["duration_s", "angle_deg", "flight"]].drop_duplicates())
     files = " and ".join(f"`esim_{duration_s:g}.csv`" for duration_s in tables)
     text = paragraph(
-        f"""{flights}, each recorded at every angle; the offset is added to camera 2's timestamps,
-        so all methods and all offsets see the same recording. Numbers are mean errors ± standard
-        deviations (over the number of runs, not one less, as the paper's are) of the runs that gave
-        an estimate. The tables are {files}; every single run is in `runs.csv`, every comparison
-        with its interval in `comparison.csv`, the paper's numbers in `published/`."""
+        f"""Flights at each angle: {flights}; {n_recordings} recordings in all, each of another
+        flight. So angles and durations are independent of each other, but the offsets of an angle
+        and all methods see the same flights: an offset is added to camera 2's timestamps. The
+        recording of a row of `runs.csv` is what `ssac simulate OUT --angle ANGLE --duration
+        DURATION --t-d OFFSET --seed SEED` makes of its columns (angle_deg, duration_s, t_d_ms /
+        1000, seed). Numbers are mean errors ± standard deviations (over the number of runs, not one
+        less, as the paper's are) of the runs that gave an estimate. The tables are {files}; every
+        single run is in `runs.csv`, every comparison with its interval in `comparison.csv`, the
+        paper's numbers in `published/`."""
     )
     return f"# The paper's simulation tables\n\n{text}"
 
@@ -91,7 +96,9 @@ def _against_the_paper(comparison: pd.DataFrame) -> str:
             paragraph(f"The rule for a cell. {RULE}."),
             paragraph(
                 f"""Where both sides drew from one distribution, up to 5 % of the cells would not
-                agree, by chance; and the cells are not independent, as they share flights. The
+                agree, by chance. Cells of another angle or duration are independent of each other,
+                but the three offsets of an angle share its flights, in the paper evidently too (its
+                correlation methods err alike at 5 and 50 ms): they agree or differ together. The
                 published numbers rest on {PUBLISHED_RUNS} runs each. The smaller error of a
                 correlation method is called better by the same rule, though for a reproduction it
                 is a difference."""
@@ -256,8 +263,8 @@ def _making(provenance: Mapping[str, Any]) -> str:
     text = paragraph(
         f"""`{provenance.get("command", "?")}` at commit {provenance.get("commit", "?")}{took};
         rendered by {gl.get("renderer", "?")}, {gl.get("backend", "?")}; {versions}. `make verify`
-        makes this page, the tables and the comparison again from `runs.csv`, and a few of the runs
-        from nothing."""
+        makes this page, the tables and the comparison again from `runs.csv`, and some runs, others
+        each time, from nothing."""
     )
     return f"## How it was made\n\n{text}"
 

@@ -137,6 +137,12 @@ def test_the_page_says_how_it_was_made(files):
     assert "llvmpipe, osmesa; numpy 2.2.6" in text
 
 
+def test_the_page_says_which_flights_are_independent(files):
+    text = " ".join(files[PAGE_FILE].split())
+    assert "Flights at each angle: 10 of 10 s and 10 of 20 s; 100 recordings in all" in text
+    assert "the three offsets of an angle share its flights" in text
+
+
 def test_a_page_without_provenance_is_still_a_page(runs):
     tables = esim_tables(runs)
     comparison = comparison_table(tables, load_published())
