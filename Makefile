@@ -41,7 +41,7 @@ figures: .venv/.ready ## the paper's figures, and errors against the angle -> re
 report: .venv/.ready ## all results on one page to look at -> out/report.html
 	@.venv/bin/ssac report
 
-verify: .venv/.ready ## a part of the tables computed anew, against results/ (a minute)
+verify: .venv/.ready ## results/ whole and as it follows from its runs, some of them anew (two minutes)
 	@.venv/bin/ssac verify
 
 test: .venv/.ready ## the tests

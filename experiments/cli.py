@@ -36,8 +36,8 @@ COMMANDS = (
           "experiments.report.report", "report_command"),
     Entry("bench", REPRODUCE, "Speed and memory beside the reference tools.",
           "experiments.bench.bench", "bench_command"),
-    Entry("verify", REPRODUCE, "The committed results against each other and a run anew.",
-          "experiments.paper.verify", "verify_command"),
+    Entry("verify", REPRODUCE, "Are the results whole, do they follow from their runs?",
+          "experiments.verify.command", "verify_command"),
 )  # fmt: skip
 
 app = command_line(

@@ -98,9 +98,8 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
             "markdown",
             "page",
             "results",
+            "checksums",
             "tables",
-            "verify_files",
-            "verify",
         ),
         "figures": ("style", "events", "errors", "beyond", "efficiency", "ablations", "figures"),
         "studies": (
@@ -119,6 +118,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
         ),
         "report": ("data", "tables", "chart", "animation", "animation_page", "report"),
         "bench": ("measurement", "sync", "tables", "bench"),
+        "verify": ("finding", "manifest", "files", "derived", "sample", "recompute", "command"),
         "cli": (),
         "__main__": (),
     },

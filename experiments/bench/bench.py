@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from experiments.bench.measurement import Measurement
 from experiments.bench.sync import bench_sync
 from experiments.bench.tables import bench_tables
+from experiments.paper.checksums import record_checksums
 from experiments.run.provenance import save_provenance
 from sim.recording import SimConfig, simulate
 from sim.render.gl_context import BACKENDS, open_context
@@ -63,6 +64,7 @@ def bench_command(
     with whole_file(out) as temporary:
         table.to_csv(temporary, index=False, float_format="%.6g")
     save_provenance(out, "ssac bench", {}, time.perf_counter() - start, open_context())
+    record_checksums(out.parent, [out])
     columns = ["name", "value", "unit", "mark", "verdict"]
     typer.echo(table[columns].to_string(index=False, float_format=lambda value: f"{value:.4g}"))
 

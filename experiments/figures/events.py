@@ -5,6 +5,7 @@ Fig. 4  p1, p2, the line l1 and the distance d, before and after the clocks are 
 Fig. 5  d_avg over +-1 s and +-3 ms of offset, where the true offset is zero
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,15 +20,17 @@ from experiments.figures.style import WIDTH_IN, quiet_axes
 from ssac.camera import Rig, known_pose
 from ssac.config import Config
 from ssac.errors import SsacError
+from ssac.estimate import Estimate
 from ssac.events import US_PER_S, slice_time
 from ssac.geometry.epipolar import epipolar_distance, fundamental_from_pose
 from ssac.geometry.fundamental import MIN_PAIRS, lmeds_fundamental
 from ssac.methods.algorithms import ssac
+from ssac.methods.tangency import tangency
 from ssac.search.offset_search import mean_epipolar_distance
 from ssac.search.two_views import TwoViews, two_views
 from ssac.tool.load import load_pair
 from ssac.tool.plot_data import Array, Material
-from ssac.tool.plots import BLUE, POLARITIES, YELLOW, ZOOM_S, draw_epipolar
+from ssac.tool.plots import BLUE, POLARITIES, YELLOW, ZOOM_S, draw_alignment, draw_epipolar
 from ssac.tool.registry import METHODS
 from ssac.track.observation import Observation
 from ssac.track.observation import denoised as without_noise
@@ -113,15 +116,27 @@ def preprocessing_figure(pair: Pair) -> Figure:
 
 def epipolar_figure(pair: Pair) -> Figure:
     """Draw Fig. 4 with the offset and the F that `ssac` finds."""
+    figure = Figure(figsize=(WIDTH_IN, 7.2), layout="constrained")
+    draw_epipolar(figure, _estimated(pair, ssac))
+    return figure
+
+
+def alignment_figure(pair: Pair) -> Figure:
+    """Draw what both cameras see before and after alignment, as `tangency` finds it."""
+    figure = Figure(figsize=(WIDTH_IN, 7.0), layout="constrained")
+    draw_alignment(figure, _estimated(pair, tangency))
+    return figure
+
+
+def _estimated(pair: Pair, method: Callable[..., Estimate]) -> Material:
+    """Give what figures of an estimate are drawn from; the estimate sees no extrinsics."""
     clean = denoised(pair)
-    parts = clean.cam1, clean.cam2, clean.rig, Config()
-    estimate = ssac(*parts)
+    parts = clean.cam1, clean.cam2, Rig(clean.rig.cam1, clean.rig.cam2), Config()
+    estimate = method(*parts)
     if estimate.status != "ok":
         raise SsacError(f"no epipolar lines: {estimate.status}: {estimate.reason}: take another")
     events = clean.cam1.events, clean.cam2.events
-    figure = Figure(figsize=(WIDTH_IN, 7.2), layout="constrained")
-    draw_epipolar(figure, Material(estimate, events, two_views(*parts)))
-    return figure
+    return Material(estimate, events, two_views(*parts))
 
 
 def d_avg_figure(pair: Pair) -> Figure:

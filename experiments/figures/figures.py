@@ -1,4 +1,4 @@
-"""Results and recordings in, the paper's figures and those of the ablations out: `ssac figures`.
+"""Results and recordings in, the paper's figures and those of the tables out: `ssac figures`.
 
 A picture is the same bytes whenever it is made from the same runs and recordings.
 """
@@ -14,21 +14,21 @@ import pandas as pd
 import typer
 from matplotlib.figure import Figure
 
-from experiments.figures.ablations import ablation_figure
 from experiments.figures.beyond import beyond_figure
-from experiments.figures.efficiency import efficiency_figure
 from experiments.figures.errors import error_figure
 from experiments.figures.events import (
+    alignment_figure,
     d_avg_figure,
     epipolar_figure,
     load_recording,
     preprocessing_figure,
 )
 from experiments.figures.style import save_png
+from experiments.paper.checksums import record_checksums
 from experiments.paper.comparison import load_published
 from experiments.paper.esim import ordered_runs, runs_from_csv
 from experiments.run.cache import DEFAULT_FOLDER, Cache
-from experiments.run.grid import config_names, flight_seed, named_config
+from experiments.run.grid import flight_seed
 from experiments.run.provenance import save_provenance
 from sim.recording import SimConfig
 from sim.render.gl_context import open_context
@@ -63,9 +63,9 @@ class Drawing:
     """One figure: what it is made from, and who draws it."""
 
     draw: Callable[[Path, Cache], Figure]  # from the folder of results and the cache
-    csv: str = ""  # that it needs of that folder
+    csv: str = ""  # that it is made of, in that folder, and of nothing else
     command: str = ""  # that makes the CSV
-    recording: SimConfig | None = None  # that it needs of the cache
+    recording: SimConfig | None = None  # that it is made of
 
 
 def figures_command(
@@ -77,7 +77,7 @@ def figures_command(
     cache: Annotated[Path, typer.Option(help="Folder that keeps recordings.")] = DEFAULT_FOLDER,
     out: Annotated[Path, typer.Option(help="Folder for the PNGs.")] = Path("results"),
 ) -> None:
-    """Draw the paper's Fig. 3 to 5, errors against the angle, and every ablation."""
+    """Draw the paper's Fig. 3 to 5, and all methods' errors; studies draw their own figures."""
     start = time.perf_counter()
     chosen = choose(names or ())
     check_inputs(chosen, results)
@@ -86,30 +86,34 @@ def figures_command(
         path = out / f"{name}.png"
         save_png(drawing.draw(results, Cache(cache)), path)
         typer.echo(f"written to {path}")
-    recordings = {name: one.recording for name, one in chosen.items() if one.recording}
-    config: dict[str, Any] = {"figures": list(chosen), "recordings": recordings, "flight": 0}
+    provenance = out / "figures.png"
     save_provenance(
-        out / "figures.png",
+        provenance,
         " ".join(["ssac figures", *(names or ())]),
-        config,
+        figures_config(chosen),
         time.perf_counter() - start,
-        open_context() if recordings else None,
+        open_context(),
     )
+    written = [out / f"{name}.png" for name in chosen]
+    record_checksums(out, [*written, provenance.with_suffix(".provenance.json")])
+
+
+def figures_config(chosen: Mapping[str, Drawing]) -> dict[str, Any]:
+    """Give what figures are made with, for their provenance."""
+    recordings = {name: one.recording for name, one in chosen.items() if one.recording}
+    return {"figures": list(chosen), "recordings": recordings, "flight": 0}
 
 
 def drawings() -> dict[str, Drawing]:
     """List every figure by the name of its file."""
-    listed = {
+    return {
         "fig3_preprocessing": Drawing(_preprocessing, recording=NOISY_FLIGHT),
         "fig4_epipolar": Drawing(_epipolar, recording=FLIGHT),
         "fig5_d_avg": Drawing(_d_avg, recording=FLIGHT),
+        "alignment": Drawing(_alignment, recording=FLIGHT),
         "error_vs_angle": Drawing(partial(_of_runs, error_figure), "runs.csv", "make tables"),
         "beyond_paper": Drawing(partial(_of_runs, beyond_figure), "runs.csv", "make tables"),
-        "efficiency": Drawing(_efficiency, "efficiency.csv", "ssac study efficiency"),
     }
-    for name in config_names("ablation_"):
-        listed[name] = Drawing(partial(_ablation, name), f"{name}.csv", "make ablations")
-    return listed
 
 
 def choose(names: Iterable[str]) -> dict[str, Drawing]:
@@ -145,6 +149,11 @@ def _d_avg(_: Path, cache: Cache) -> Figure:
     return d_avg_figure(load_recording(cache.recording_folder(FLIGHT, SEED)))
 
 
+def _alignment(_: Path, cache: Cache) -> Figure:
+    folder = cache.recording_folder(FLIGHT, SEED)
+    return alignment_figure(load_recording(folder, EPIPOLAR_T_D_S))
+
+
 def _of_runs(draw: DrawRuns, results: Path, _: Cache) -> Figure:
     path = results / "runs.csv"
     try:
@@ -152,18 +161,3 @@ def _of_runs(draw: DrawRuns, results: Path, _: Cache) -> Figure:
         return draw(runs, load_published())
     except SsacError as error:
         raise SsacError(f"{path}: {error}") from error
-
-
-def _efficiency(results: Path, _: Cache) -> Figure:
-    return efficiency_figure(_table(results / "efficiency.csv"))
-
-
-def _ablation(name: str, results: Path, _: Cache) -> Figure:
-    return ablation_figure(_table(results / f"{name}.csv"), named_config(name))
-
-
-def _table(path: Path) -> pd.DataFrame:
-    try:
-        return pd.read_csv(path)
-    except ValueError as error:  # pandas' parser errors are ValueErrors
-        raise SsacError(f"{path}: cannot be read as a table: {error}") from error

@@ -77,12 +77,19 @@ def error_axes(axes: Axes, angles_deg: list[float]) -> None:
     axes.yaxis.set_major_formatter("{x:g}")
 
 
-def save_png(figure: Figure, path: Path) -> None:
-    """Write a figure as a PNG with a palette, without the time and the program's version."""
-    whole = io.BytesIO()
+def png_bytes(figure: Figure) -> bytes:
+    """Draw a figure as a PNG with a palette, without the time and the program's version."""
+    whole, small = io.BytesIO(), io.BytesIO()
     figure.savefig(whole, format="png", dpi=DPI, metadata={"Software": None})
     whole.seek(0)
-    with Image.open(whole) as image, whole_file(path) as temporary:
+    with Image.open(whole) as image:
         # Without dithering, whose specks look like data.
-        small = image.convert("RGB").quantize(_PALETTE_SIZE, dither=Image.Dither.NONE)
-        small.save(temporary, format="PNG", optimize=True)
+        reduced = image.convert("RGB").quantize(_PALETTE_SIZE, dither=Image.Dither.NONE)
+        reduced.save(small, format="PNG", optimize=True)
+    return small.getvalue()
+
+
+def save_png(figure: Figure, path: Path) -> None:
+    """Write a figure as `png_bytes` draws it."""
+    with whole_file(path) as temporary:
+        temporary.write_bytes(png_bytes(figure))

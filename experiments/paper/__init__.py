@@ -1,1 +1,1 @@
-"""Runs in, the paper's tables, their comparison and the check of all that is committed, out."""
+"""Runs in, the paper's tables, their comparison and the page of both, out."""

@@ -2,20 +2,26 @@
 
 import time
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import pandas as pd
 import typer
 
+from experiments.paper.checksums import record_checksums
 from experiments.paper.comparison import summary_table
 from experiments.paper.esim import runs_of_grid
 from experiments.paper.grids import table_cells, table_grids
-from experiments.paper.results import COMPARISON_FILE, RUNS_FILE, save_results
+from experiments.paper.results import COMPARISON_FILE, PAGE_FILE, RUNS_FILE, save_results
 from experiments.run.cache import DEFAULT_FOLDER, Cache
 from experiments.run.command import CacheOption, SchedulerOption, WorkersOption, finish
 from experiments.run.provenance import provenance, write_provenance
 from experiments.run.schedule import Workers, run_cells
 from sim.render.gl_context import open_context
+
+
+def tables_config() -> dict[str, Any]:
+    """Give what the tables are made with, for their provenance."""
+    return {grid.name: grid.content for grid in table_grids()}
 
 
 def tables_command(
@@ -31,7 +37,7 @@ def tables_command(
     wall_time_s = time.perf_counter() - start
     made_with = provenance(
         "ssac tables",
-        {grid.name: grid.content for grid in grids},
+        tables_config(),
         wall_time_s,
         open_context(),
         recordings_simulated=outcome.n_simulated,
@@ -42,6 +48,7 @@ def tables_command(
     files = [out / name for name in names]
     for path in files:
         write_provenance(path, made_with)
+    record_checksums(out, [*files, out / PAGE_FILE])
     typer.echo(summary_table(pd.read_csv(out / COMPARISON_FILE)).to_string(index=False))
     typer.echo(f"{wall_time_s:.0f} s", err=True)
-    finish(outcome, Cache(cache), *files, out / "README.md")
+    finish(outcome, Cache(cache), *files, out / PAGE_FILE)

@@ -113,10 +113,11 @@ def load_results(folder: Path) -> Results:
         duration_s: _read(folder / f"esim_{duration_s:g}.csv", "make tables", _table)
         for duration_s in table_axes().durations_s
     }
-    figures = [
-        ReportFigure(title, caption, _read(folder / f"{name}.png", "make figures", _png))
-        for name, (title, caption) in _FIGURES.items()
-    ]
+    figures = []
+    for name, (title, caption) in _FIGURES.items():
+        command = "make studies" if name == "efficiency" else "make figures"
+        png = _read(folder / f"{name}.png", command, _png)
+        figures.append(ReportFigure(title, caption, png))
     for name in config_names("ablation_"):
         config = named_config(name)
         caption = _ABLATION.format(flights=config.flights)

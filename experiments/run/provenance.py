@@ -12,7 +12,8 @@ from typing import Any
 from sim.render.gl_context import GLContext
 from ssac.files.whole_file import whole_file
 
-_PACKAGES = ("numpy", "scipy", "numba", "opencv-python-headless", "pyrender", "PyOpenGL", "trimesh")
+_PACKAGES = ("numpy", "scipy", "numba", "opencv-python-headless", "pyrender", "PyOpenGL", "trimesh",
+             "pandas", "matplotlib", "pillow")  # fmt: skip
 _ROOT = Path(__file__).resolve().parents[2]
 
 

@@ -7,6 +7,7 @@ from typing import Annotated
 import pandas as pd
 import typer
 
+from experiments.paper.checksums import record_checksums
 from experiments.run.cache import DEFAULT_FOLDER, Cache
 from experiments.run.command import CacheOption, SchedulerOption, WorkersOption, finish
 from experiments.run.provenance import save_provenance
@@ -108,6 +109,8 @@ def save_study(
                 open_context(),
                 recordings_simulated=outcome.n_simulated,
             )
+    if shard == WHOLE:
+        record_checksums(out, written)
     return outcome, written
 
 

@@ -15,8 +15,8 @@ from experiments.figures.efficiency import efficiency_figure
 from experiments.measures.bounds import BOUNDS, BoundCell
 from experiments.measures.recording_bound import SAMPLES
 from experiments.paper.esim import method_order
+from experiments.paper.grids import TABLES
 from experiments.paper.results import RUNS_FILE
-from experiments.paper.tables import TABLES
 from experiments.run.grid import named_config
 from experiments.studies.study import Study
 

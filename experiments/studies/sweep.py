@@ -12,6 +12,7 @@ from typing import Annotated, Any
 
 import typer
 
+from experiments.paper.checksums import record_checksums
 from experiments.run.cache import DEFAULT_FOLDER, Cache
 from experiments.run.command import CacheOption, SchedulerOption, WorkersOption, finish
 from experiments.run.grid import grid_from_content, load_config
@@ -81,6 +82,8 @@ def merge_command(
         if path.suffix == ".csv":
             write_provenance(path, provenance)
         typer.echo(f"written to {path}")
+    if study is not None:
+        record_checksums(out.parent, written)
 
 
 def merged(shards: Sequence[Path]) -> tuple[str, dict[str, Any]]:

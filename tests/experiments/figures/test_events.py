@@ -5,6 +5,7 @@ import pytest
 
 from experiments.figures.events import (
     STRETCH_S,
+    alignment_figure,
     d_avg_curves,
     d_avg_figure,
     epipolar_figure,
@@ -78,6 +79,15 @@ def test_fig_4_shows_the_distance_before_and_after(recorded) -> None:
         float(axes.get_title().split("= ")[1].removesuffix(" px")) for axes in figure.axes[::2]
     )
     assert after < 0.2 * before
+
+
+def test_alignment_brings_both_cameras_planes_together(recorded) -> None:
+    figure = alignment_figure(load_recording(recorded.folder))
+    recorded_apart, aligned_apart = (
+        np.nanmedian(np.abs(np.subtract(*(line.get_ydata() for line in axes.lines[-2:]))))
+        for axes in figure.axes[2:4]
+    )
+    assert aligned_apart < 0.2 * recorded_apart
 
 
 def test_fig_3_shows_noise_going_and_the_object_staying(aligned) -> None:

@@ -3,7 +3,6 @@ from pathlib import Path
 
 import pytest
 import typer
-from PIL import Image
 from typer.testing import CliRunner
 
 from experiments.figures.figures import (
@@ -16,9 +15,11 @@ from experiments.figures.figures import (
     drawings,
     figures_command,
 )
-from experiments.run.grid import config_names, named_config
+from experiments.paper.checksums import read_checksums
+from experiments.paper.esim import csv_text
+from experiments.run.grid import named_config
 from ssac.errors import SsacError
-from tests.experiments.figures.test_ablations import make_means
+from tests.experiments.reported import made_up_runs
 
 
 def run(*arguments: str | Path) -> str:
@@ -31,8 +32,8 @@ def run(*arguments: str | Path) -> str:
 
 def test_all_figures_are_drawn_when_none_is_named() -> None:
     papers = ["fig3_preprocessing", "fig4_epipolar", "fig5_d_avg"]
-    papers += ["error_vs_angle", "beyond_paper", "efficiency"]
-    assert list(choose([])) == [*papers, *config_names("ablation_")] == list(drawings())
+    papers += ["alignment", "error_vs_angle", "beyond_paper"]
+    assert list(choose([])) == papers == list(drawings())
     assert list(choose(["fig5_d_avg"])) == ["fig5_d_avg"]
 
 
@@ -44,8 +45,6 @@ def test_an_unknown_figure_is_an_error() -> None:
 def test_a_missing_table_names_the_command_that_makes_it(tmp_path: Path) -> None:
     with pytest.raises(SsacError, match=r"runs.csv: missing.*error_vs_angle.*`make tables`"):
         check_inputs(choose([]), tmp_path)
-    with pytest.raises(SsacError, match=r"ablation_size.csv: missing.*`make ablations`"):
-        check_inputs(choose(["ablation_size"]), tmp_path)
     check_inputs(choose(["fig4_epipolar"]), tmp_path)  # needs none
 
 
@@ -65,28 +64,22 @@ def test_the_noisy_flight_has_noise() -> None:
 
 
 def test_a_figure_is_drawn_from_its_table_the_same_every_time(tmp_path: Path) -> None:
-    make_means(named_config("ablation_size")).to_csv(tmp_path / "ablation_size.csv", index=False)
+    (tmp_path / "runs.csv").write_text(csv_text(made_up_runs(("ssac", "tangency"), 2)))
     pictures = []
     for out in (tmp_path / "first", tmp_path / "second"):
-        text = run("ablation_size", "--results", tmp_path, "--out", out)
-        assert text == f"written to {out / 'ablation_size.png'}\n"
-        pictures.append((out / "ablation_size.png").read_bytes())
+        text = run("beyond_paper", "--results", tmp_path, "--out", out)
+        assert text == f"written to {out / 'beyond_paper.png'}\n"
+        pictures.append((out / "beyond_paper.png").read_bytes())
     assert pictures[0] == pictures[1]
     assert len(pictures[0]) < 200_000
-    with Image.open(tmp_path / "first" / "ablation_size.png") as image:
-        assert len(image.convert("RGB").getcolors(1 << 16) or ()) > 10  # not blank
-    provenance = json.loads((tmp_path / "first" / "figures.provenance.json").read_text())
-    assert provenance["command"] == "ssac figures ablation_size"
-    assert provenance["config"]["figures"] == ["ablation_size"]
+    first = tmp_path / "first"
+    provenance = json.loads((first / "figures.provenance.json").read_text())
+    assert provenance["command"] == "ssac figures beyond_paper"
+    assert provenance["config"]["figures"] == ["beyond_paper"]
+    assert set(read_checksums(first)) == {"beyond_paper.png", "figures.provenance.json"}
 
 
 def test_a_table_that_cannot_be_read_is_named(tmp_path: Path) -> None:
-    (tmp_path / "ablation_size.csv").write_text("")
-    with pytest.raises(SsacError, match=r"ablation_size.csv: cannot be read"):
-        run("ablation_size", "--results", tmp_path, "--out", tmp_path)
-    (tmp_path / "efficiency.csv").write_text("")
-    with pytest.raises(SsacError, match=r"efficiency.csv: cannot be read"):
-        run("efficiency", "--results", tmp_path, "--out", tmp_path)
     (tmp_path / "runs.csv").write_text("a,b\n1,2\n")
     for name in ("error_vs_angle", "beyond_paper"):
         with pytest.raises(SsacError, match=r"runs.csv: "):

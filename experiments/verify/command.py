@@ -1,0 +1,74 @@
+"""The committed results in, whether they can be trusted out: `ssac verify`.
+
+Everything that must be there is, nothing else is, each file is as its command wrote it; what
+follows from the runs is made again from them; and some runs, drawn anew each time, are made again
+from nothing: simulated into a folder of their own, measured, and put beside the committed rows.
+Exit code 0: all right; 1: something differs; 2: there is no such folder.
+"""
+
+import secrets
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from experiments.run.command import WorkersOption
+from experiments.run.schedule import Workers
+from experiments.studies.catalogue import STUDIES
+from experiments.verify.derived import figure_findings, study_findings, table_findings
+from experiments.verify.files import file_findings
+from experiments.verify.finding import Finding
+from experiments.verify.manifest import manifest_of
+from experiments.verify.recompute import recomputed
+from experiments.verify.sample import SLOW, draw, sources_of
+from ssac.console.options import number
+from ssac.errors import SsacError
+
+N_RECORDINGS = 6
+"""Drawn if nothing else is said: about a minute on two cores."""
+
+
+_SEEDS = 2**32
+
+
+def verify_command(
+    results: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("results"),
+    recordings: Annotated[
+        int, number("How many are made again from nothing.", 0, 10_000, metavar="COUNT")
+    ] = N_RECORDINGS,
+    sample_seed: Annotated[
+        int | None,
+        number("Draws the same recordings again.", 0, _SEEDS - 1, default_words="a new one"),
+    ] = None,
+    slow: Annotated[
+        bool, typer.Option("--slow", help=f"Also draw from {', '.join(SLOW)}: minutes each.")
+    ] = False,
+    workers: WorkersOption = -1,
+) -> None:
+    """Check that the results are whole and follow from their runs; make some runs again."""
+    if not results.is_dir():
+        raise SsacError(f"{results}: no such folder: run `make tables studies figures bench` first")
+    failed = _report(file_findings(results, manifest_of(STUDIES)))
+    failed += _report(table_findings(results))
+    failed += _report(study_findings(results, STUDIES))
+    failed += _report(figure_findings(results, STUDIES))
+    if recordings:
+        seed = secrets.randbelow(_SEEDS) if sample_seed is None else sample_seed
+        options = f"--sample-seed {seed} --recordings {recordings}" + (" --slow" if slow else "")
+        typer.echo(f"recordings drawn by: ssac verify {options}")
+        drawn = draw(sources_of(STUDIES, slow), recordings, seed)
+        with tempfile.TemporaryDirectory(prefix="ssac-verify-") as folder:
+            failed += _report(recomputed(drawn, results, Path(folder), Workers(workers)))
+    typer.echo(f"{failed} of the checks above differ" if failed else "all of it as committed")
+    if failed:
+        raise typer.Exit(1)
+
+
+def _report(findings: Sequence[Finding]) -> int:
+    """Print findings; return how many differ."""
+    for finding in findings:
+        for line in finding.lines():
+            typer.echo(line)
+    return sum(bool(finding.faults) for finding in findings)

@@ -1,0 +1,140 @@
+"""A folder of results and its manifest in; whether it is whole and as it was written, out."""
+
+import json
+import re
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from experiments.bench.measurement import Measurement
+from experiments.paper.checksums import SUMS_FILE, read_checksums, sha256
+from experiments.run.provenance import plain, versions
+from experiments.verify.finding import Finding, found
+from experiments.verify.manifest import BENCH_FILE, PUBLISHED_SHA256, Manifest, Provenance
+from sim.render.gl_context import open_context
+from ssac.errors import SsacError
+
+_CLEAN_COMMIT = re.compile(r"[0-9a-f]{7,40}")
+_MERGED = "ssac merge"
+_SHARD = "shard"  # of a config: says which part was run, not what
+
+
+def file_findings(results: Path, manifest: Manifest) -> list[Finding]:
+    """Check that every file is there, no other, each as it was written and saying how."""
+    findings = [
+        found("every file that there must be is there", lambda: _missing(results, manifest)),
+        found("no other file is there", lambda: _others(results, manifest)),
+        found(f"all files are as {SUMS_FILE} has them", lambda: _changed(results, manifest)),
+        found("published/ holds the paper's tables", lambda: _published(results)),
+        found(f"{BENCH_FILE} is a benchmark", lambda: _bench(results / BENCH_FILE)),
+    ]
+    for one in manifest.provenances:
+        what = f"{one.name}: a clean commit, today's configuration, versions"
+        findings.append(found(what, partial(_provenance, results / one.name, one)))
+    return findings
+
+
+def read_text(path: Path) -> str:
+    """Read a file of the results; SsacError when it cannot be read."""
+    try:
+        return path.read_bytes().decode("utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise SsacError(f"{path} cannot be read: {error}") from error
+
+
+def read_provenance(path: Path) -> list[dict[str, Any]]:
+    """Read what a result was made with: once, or once for each shard that was merged."""
+    try:
+        content = json.loads(read_text(path))
+    except ValueError as error:
+        raise SsacError(f"{path} is no JSON: {error}") from error
+    if not isinstance(content, dict):
+        raise SsacError(f"{path} holds no provenance")
+    return content["shards"] if content.get("command") == _MERGED else [content]
+
+
+def made_alike(path: Path) -> bool:
+    """Return whether a result was made with the versions and the OpenGL driver that are here."""
+    here = versions(), plain(open_context())
+    return all((one.get("versions"), one.get("gl")) == here for one in read_provenance(path))
+
+
+def _missing(results: Path, manifest: Manifest) -> tuple[str, ...]:
+    names = (*manifest.files, SUMS_FILE)
+    return tuple(name for name in names if not (results / name).is_file())
+
+
+def _others(results: Path, manifest: Manifest) -> tuple[str, ...]:
+    expected = {*manifest.files, SUMS_FILE}
+    there = {p.relative_to(results).as_posix() for p in results.rglob("*") if not p.is_dir()}
+    return tuple(sorted(there - expected))
+
+
+def _changed(results: Path, manifest: Manifest) -> tuple[str, ...]:
+    sums = read_checksums(results)
+    faults = [f"{name} is not listed" for name in manifest.files if name not in sums]
+    for name, digest in sums.items():
+        path = results / name
+        if not path.is_file():
+            faults.append(f"{name} is listed, and is not there")
+        elif sha256(path) != digest:
+            faults.append(f"{name} was changed after it was written")
+    return tuple(faults)
+
+
+def _published(results: Path) -> tuple[str, ...]:
+    return tuple(
+        f"{name} was changed"
+        for name, digest in PUBLISHED_SHA256.items()
+        if sha256(results / name) != digest
+    )
+
+
+def _provenance(path: Path, expected: Provenance) -> tuple[str, ...]:
+    faults = []
+    for one in read_provenance(path):
+        commit, command = str(one.get("commit")), str(one.get("command"))
+        if not _CLEAN_COMMIT.fullmatch(commit):
+            faults.append(f"its commit is {commit}: commit the code, then make it again")
+        if command.partition(f" --{_SHARD}")[0] != expected.command:
+            faults.append(f"it was made by `{command}`, expected `{expected.command}`")
+        config = {key: value for key, value in one["config"].items() if key != _SHARD}
+        if config != expected.config:
+            wrong = sorted(
+                key
+                for key in {*config, *expected.config}
+                if config.get(key) != expected.config.get(key)
+            )
+            faults.append(f"its configuration is not today's: {', '.join(wrong)}")
+        absent = set(versions()) - set(one["versions"])
+        if absent:
+            faults.append(f"it lacks the versions of {', '.join(sorted(absent))}")
+        if not {"backend", "renderer", "version"} <= set(one["gl"] or {}):
+            faults.append("it does not say which OpenGL drew")
+        if not 0.0 <= one["wall_time_s"] < np.inf:
+            faults.append(f"it took {one['wall_time_s']} s")
+    return tuple(faults)
+
+
+def _bench(path: Path) -> tuple[str, ...]:
+    """Check shape and ranges: what was measured cannot be made again."""
+    table = pd.read_csv(path, keep_default_na=False, na_values={"value": [""], "mark": [""]})
+    columns = [*Measurement.__dataclass_fields__, "verdict"]
+    there = [str(name) for name in table]
+    if there != columns:
+        return (f"its columns are {', '.join(there)}; expected {', '.join(columns)}",)
+    twice = table.duplicated(["name", "unit"])
+    faults = [f"{name} is there twice" for name in table.loc[twice, "name"]]
+    for row in table.to_dict("records"):
+        mark = None if np.isnan(row["mark"]) else float(row["mark"])
+        one = Measurement(
+            row["name"], float(row["value"]), row["unit"], mark, bool(row["higher_is_better"])
+        )
+        if not 0.0 < one.value < np.inf:
+            faults.append(f"{one.name} is {one.value}")
+        if one.verdict != row["verdict"]:
+            faults.append(f"{one.name} is {one.value:g}, so it is not so that it {row['verdict']}")
+    return tuple(faults) if len(table) else ("it is empty",)

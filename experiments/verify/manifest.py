@@ -1,0 +1,73 @@
+"""Tables, figures and studies in; every file that the results must have, and no other, out.
+
+The list follows from the configurations and the code, never from what lies in the folder, so that
+a file that is gone leaves a gap in it.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from experiments.figures.figures import drawings, figures_config
+from experiments.paper.grids import TABLES
+from experiments.paper.results import COMPARISON_FILE, PAGE_FILE, RUNS_FILE
+from experiments.paper.tables import tables_config
+from experiments.run.provenance import plain
+from experiments.studies.study import Study
+
+PUBLISHED_SHA256 = {
+    "published/esim_10.csv": "e4fc65f27fe6e67e162c81d89ccf66debf49f560e766675ead3288fc09b21cd7",
+    "published/esim_20.csv": "e1f7cc80787b7a1d7baaae7ac3e6586780f6fdcef967e381a0861c41c390cdb7",
+}
+"""Digests of the paper's tables as they were copied."""
+
+BENCH_FILE = "bench.csv"
+FIGURES_PROVENANCE = "figures.provenance.json"
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """What a file of provenance must say."""
+
+    name: str
+    command: str  # that wrote what it stands beside
+    config: Any  # as JSON holds it
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """What a folder of results must hold."""
+
+    files: tuple[str, ...]  # all of them, without the checksums' own
+    provenances: tuple[Provenance, ...]  # of them
+
+
+def manifest_of(studies: Mapping[str, Study]) -> Manifest:
+    """List what the tables, the figures, the benchmark and these studies leave."""
+    tables = (RUNS_FILE, COMPARISON_FILE, *(f"{name}.csv" for name in TABLES))
+    made = [_beside(name, "ssac tables", tables_config()) for name in tables]
+    figures = drawings()
+    made.append(Provenance(FIGURES_PROVENANCE, "ssac figures", plain(figures_config(figures))))
+    made.append(_beside(BENCH_FILE, "ssac bench", {}))
+    files = [
+        *PUBLISHED_SHA256,
+        *tables,
+        PAGE_FILE,
+        BENCH_FILE,
+        *(f"{name}.png" for name in figures),
+    ]
+    for study in studies.values():
+        names = (study.runs_file, study.summary_file)
+        config = {"study": study.name, **study.config}
+        made += [_beside(name, study.command_line, config) for name in names]
+        files += [*names, *([study.figure_file] if study.draw else [])]
+    return Manifest((*files, *(one.name for one in made)), tuple(made))
+
+
+def _beside(name: str, command: str, config: Any) -> Provenance:
+    return Provenance(provenance_name(name), command, plain(config))
+
+
+def provenance_name(name: str) -> str:
+    """Name of the provenance beside a CSV."""
+    return name.removesuffix(".csv") + ".provenance.json"

@@ -1,0 +1,117 @@
+"""A small complete folder of results: the tables with made-up numbers, and one tiny study."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from shutil import copytree
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.figure import Figure
+
+from experiments.bench.measurement import Measurement
+from experiments.figures.figures import drawings
+from experiments.figures.style import png_bytes
+from experiments.paper.checksums import record_checksums
+from experiments.paper.comparison import PUBLISHED
+from experiments.paper.results import save_results
+from experiments.run.cache import Cache
+from experiments.run.provenance import plain, provenance, write_provenance
+from experiments.run.task import Measure
+from experiments.studies.study import Study, save_csv, save_derived
+from experiments.verify.manifest import Manifest, manifest_of
+from sim.render.gl_context import open_context
+from ssac.tool.registry import OURS
+from tests.experiments.reported import made_up_runs
+
+NAMES = tuple(method.name for method in OURS)
+
+
+@dataclass(frozen=True)
+class SquareCell:
+    number: int
+
+    @property
+    def recordings(self) -> tuple[Any, ...]:
+        return ()
+
+    @property
+    def columns(self) -> dict[str, Any]:
+        return {"number": self.number, "pair": [self.number, 1]}
+
+    @property
+    def inputs(self) -> int:
+        return self.number
+
+
+@dataclass(frozen=True)
+class SquareRow:
+    status: str
+    reason: str = ""
+    square: float = np.nan
+
+
+def load_nothing(cells: Sequence[SquareCell], cache: Cache) -> None:
+    return None
+
+
+def squared(cell: SquareCell, loaded: None) -> SquareRow:
+    return SquareRow("ok", "", float(cell.number**2))
+
+
+def drawn_squares(means: pd.DataFrame, runs: pd.DataFrame) -> Figure:
+    figure = Figure(figsize=(2, 2))
+    figure.subplots().plot(runs["number"], runs["square"] / means["square"].iloc[0])
+    return figure
+
+
+SQUARES = Study(
+    "squares",
+    "Squares of numbers",
+    lambda: [SquareCell(number) for number in range(2, 8)],
+    Measure(load_nothing, squared, SquareRow),
+    lambda runs: runs[["square"]].mean().to_frame().T,
+    keys=("number",),
+    draw=drawn_squares,
+    config={"numbers": [2, 8]},
+)
+STUDIES: Mapping[str, Study] = {SQUARES.name: SQUARES}
+
+
+@pytest.fixture(scope="session")
+def manifest() -> Manifest:
+    return manifest_of(STUDIES)
+
+
+@pytest.fixture(scope="session")
+def complete(tmp_path_factory: pytest.TempPathFactory, manifest: Manifest) -> Path:
+    """Results as all commands together leave them."""
+    folder = Path(tmp_path_factory.mktemp("verify")) / "results"
+    copytree(PUBLISHED, folder / "published")
+    made_with = provenance("ssac tables", {}, 1.0, open_context()) | {"commit": "0123456789ab"}
+    runs = made_up_runs(NAMES)
+    runs["t_d_error_ms"] = runs["t_d_error_ms"].clip(upper=900.0)  # within the search
+    runs["t_d_estimate_ms"] = runs["t_d_ms"] + runs["t_d_error_ms"]
+    save_results(runs, folder, made_with)
+    rows = [{"cell": n, **cell.columns, **vars(squared(cell, None))}
+            for n, cell in enumerate(SQUARES.cells())]  # fmt: skip
+    save_csv(folder / SQUARES.runs_file, pd.DataFrame(rows))
+    save_derived(SQUARES, folder)
+    bench = [Measurement("drawing", 2.0, "s", 3.0), Measurement("reading", 4.0, "MB/s")]
+    table = pd.DataFrame([{**vars(row), "verdict": row.verdict} for row in bench])
+    table.to_csv(folder / "bench.csv", index=False)
+    for one in manifest.provenances:
+        path = folder / one.name.replace(".provenance.json", ".csv")
+        write_provenance(path, made_with | {"command": one.command, "config": plain(one.config)})
+    for name, drawing in drawings().items():
+        figure = drawing.draw(folder, Cache()) if drawing.csv else Figure(figsize=(1, 1))
+        (folder / f"{name}.png").write_bytes(png_bytes(figure))
+    record_checksums(folder, [folder / name for name in manifest.files])
+    return folder
+
+
+@pytest.fixture
+def results(complete: Path, tmp_path: Path) -> Path:
+    return Path(copytree(complete, tmp_path / "results"))

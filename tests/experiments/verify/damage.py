@@ -1,0 +1,41 @@
+"""A file in; the same with something wrong with it, out."""
+
+import re
+from pathlib import Path
+
+from experiments.paper.checksums import SUMS_FILE
+
+_NUMBER = re.compile(r"(?<![\w.])\d+\.\d+(?![\w.])|(?<![\w.])\d+(?![\w.])")
+
+
+def delete(path: Path) -> None:
+    path.unlink()
+
+
+def double_a_number(path: Path) -> None:
+    """Double the last number that doubling changes."""
+    text = path.read_text(encoding="utf-8")
+    last = [found for found in _NUMBER.finditer(text) if float(found.group()) != 0.0][-1]
+    doubled = f"{2.0 * float(last.group()):.6g}"
+    path.write_text(text[: last.start()] + doubled + text[last.end() :], encoding="utf-8")
+
+
+def swap_two_rows(path: Path) -> None:
+    """Swap the last row with the last that is another."""
+    lines = path.read_text(encoding="utf-8").splitlines()
+    other = max(at for at, line in enumerate(lines[:-1]) if line != lines[-1])
+    lines[-1], lines[other] = lines[other], lines[-1]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def flip_a_byte(path: Path) -> None:
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.write_bytes(bytes(content))
+
+
+def damages_of(name: str) -> tuple:
+    """Give what is tried on a file of this name."""
+    if name.endswith(".png") or name == SUMS_FILE:  # whose order says nothing
+        return delete, flip_a_byte
+    return delete, double_a_number, swap_two_rows

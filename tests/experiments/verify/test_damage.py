@@ -1,0 +1,142 @@
+"""Every file of a complete folder of results is damaged in turn, and each time it is found."""
+
+from pathlib import Path
+from shutil import copytree
+
+import pytest
+
+from experiments.paper.checksums import SUMS_FILE, record_checksums
+from experiments.studies.catalogue import STUDIES as ALL_STUDIES
+from experiments.verify.derived import figure_findings, study_findings, table_findings
+from experiments.verify.files import file_findings
+from experiments.verify.finding import Finding
+from experiments.verify.manifest import Manifest, manifest_of
+from tests.experiments.verify.conftest import STUDIES
+from tests.experiments.verify.damage import damages_of, delete, double_a_number, swap_two_rows
+
+RESULTS = Path(__file__).resolve().parents[3] / "results"
+
+
+def faulty(findings: list[Finding]) -> list[str]:
+    return [finding.what for finding in findings if finding.faults]
+
+
+def all_findings(results: Path, manifest: Manifest) -> list[Finding]:
+    return [
+        *file_findings(results, manifest),
+        *table_findings(results),
+        *study_findings(results, STUDIES),
+        *figure_findings(results, STUDIES),
+    ]
+
+
+def test_complete_results_have_no_fault(complete: Path, manifest: Manifest) -> None:
+    findings = all_findings(complete, manifest)
+    assert [line for finding in findings if finding.faults for line in finding.lines()] == []
+    assert len(findings) > 25
+
+
+def test_every_damage_to_any_file_is_found(results: Path, manifest: Manifest) -> None:
+    for name in (*manifest.files, SUMS_FILE):
+        path = results / name
+        content = path.read_bytes()
+        for damage in damages_of(name):
+            damage(path)
+            assert not path.exists() or path.read_bytes() != content
+            assert faulty(file_findings(results, manifest)), f"{damage.__name__}: {name}"
+            path.write_bytes(content)
+    assert not faulty(file_findings(results, manifest))
+
+
+@pytest.mark.parametrize("damage", [delete, double_a_number, swap_two_rows])
+@pytest.mark.parametrize(
+    "name",
+    ["runs.csv", "esim_10.csv", "esim_20.csv", "comparison.csv", "README.md", "squares_runs.csv",
+     "squares.csv"],
+)  # fmt: skip
+def test_checksums_made_anew_do_not_hide_it(results: Path, name: str, damage) -> None:
+    if (name, damage) == ("squares.csv", swap_two_rows):
+        return  # it has one row
+    damage(results / name)
+    (results / SUMS_FILE).unlink()
+    record_checksums(results, [path for path in results.rglob("*") if path.is_file()])
+    squares = name.startswith("squares")
+    assert faulty(study_findings(results, STUDIES) if squares else table_findings(results))
+
+
+def test_another_picture_is_found_though_its_checksum_is_right(results: Path) -> None:
+    for name in ("squares", "beyond_paper"):
+        (results / f"{name}.png").write_bytes((results / "fig4_epipolar.png").read_bytes())
+    assert faulty(figure_findings(results, STUDIES)) == [
+        "beyond_paper.png is drawn from runs.csv",
+        "squares.png is drawn from its CSVs",
+    ]
+
+
+def test_a_file_that_no_command_leaves_is_found(results: Path, manifest: Manifest) -> None:
+    (results / "published" / "mine.csv").write_text("a\n1\n")
+    assert faulty(file_findings(results, manifest)) == ["no other file is there"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "fault"),
+    [
+        ('"0123456789ab"', '"0123456789ab-dirty"', "its commit is 0123456789ab-dirty"),
+        ('"0123456789ab"', '"unknown"', "its commit is unknown"),
+        ('"ssac study squares"', '"ssac study cubes"', "it was made by `ssac study cubes`"),
+        ('"study": "squares"', '"study": "cubes"', "its configuration is not today's: study"),
+        ('"numpy"', '"numpie"', "it lacks the versions of numpy"),
+        ('"renderer"', '"painter"', "it does not say which OpenGL drew"),
+    ],
+)
+def test_a_wrong_provenance_is_found(
+    results: Path, manifest: Manifest, old: str, new: str, fault: str
+) -> None:
+    path = results / "squares.provenance.json"
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+    record_checksums(results, [path])
+    (found,) = [one for one in file_findings(results, manifest) if one.faults]
+    assert found.what.startswith("squares.provenance.json")
+    assert found.faults[0].startswith(fault)
+
+
+def test_a_shard_alone_is_not_the_study_but_merged_shards_are(
+    results: Path, manifest: Manifest
+) -> None:
+    path = results / "squares.provenance.json"
+    text = path.read_text()
+    shards = [text.replace('"ssac study squares"', f'"ssac study squares --shard {n}/2"')
+              for n in (1, 2)]  # fmt: skip
+    path.write_text(f'{{"command": "ssac merge", "config": {{}}, "shards": [{",".join(shards)}]}}')
+    record_checksums(results, [path])
+    assert not faulty(file_findings(results, manifest))
+
+
+@pytest.mark.parametrize("bad", ["drawing,2,", "drawing,-1,s", "cost,2,s,1.0,False,meets"])
+def test_a_benchmark_that_makes_no_sense_is_found(
+    results: Path, manifest: Manifest, bad: str
+) -> None:
+    path = results / "bench.csv"
+    header, _, *rest = path.read_text().splitlines()
+    path.write_text("\n".join([header, bad, *rest]) + "\n")
+    record_checksums(results, [path])
+    assert faulty(file_findings(results, manifest)) == ["bench.csv is a benchmark"]
+
+
+@pytest.mark.skipif(
+    not (RESULTS / SUMS_FILE).is_file(), reason="no results were written since checksums are kept"
+)
+def test_every_damage_to_the_committed_results_is_found(tmp_path: Path) -> None:
+    results = Path(copytree(RESULTS, tmp_path / "results"))
+    manifest = manifest_of(ALL_STUDIES)
+    checked = Manifest(manifest.files, ())  # provenances have a test of their own
+    assert not faulty(file_findings(results, checked))
+    for name in (*manifest.files, SUMS_FILE):
+        path = results / name
+        content = path.read_bytes()
+        for damage in damages_of(name):
+            damage(path)
+            assert faulty(file_findings(results, checked)), f"{damage.__name__}: {name}"
+            path.write_bytes(content)
