@@ -34,6 +34,8 @@ COMMANDS = (
           "experiments.figures.figures", "figures_command"),
     Entry("report", REPRODUCE, "All results on one page to look at.",
           "experiments.report.report", "report_command"),
+    Entry("numbers", REPRODUCE, "The numbers that the pages quote, written from the results.",
+          "experiments.report.numbers", "numbers_command"),
     Entry("bench", REPRODUCE, "Speed and memory beside the reference tools.",
           "experiments.bench.bench", "bench_command"),
     Entry("verify", REPRODUCE, "Are the results whole, do they follow from their runs?",

@@ -1,0 +1,260 @@
+"""Results in, the numbers that the pages quote in their sentences out, each under a name.
+
+A name's function takes the committed results and gives the text as it stands in the page. Adding a
+number is adding a line to `NUMBERS`; nothing here writes or judges.
+"""
+
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
+
+import numpy as np
+from scipy.stats import gmean
+
+from experiments.report.committed import Committed
+
+ANGLES_DEG = (30, 60, 90, 120, 150)
+DURATIONS_S = (10, 20)
+METHODS = ("ssac", "ssac-known", "joint", "joint-known", "tangency", "tangency-known")
+UNITS = {"t_d_error_ms": "ms", "r_error_deg": "deg", "t_error_deg": "deg"}
+SHORT = {"t_d": "t_d_error_ms", "R": "r_error_deg", "t": "t_error_deg"}
+PUBLISHED = {  # of the quantities of comparison.csv
+    "ssac.t_d": "ssac_t_d_error_ms",
+    "ssac.R": "ssac_r_error_deg",
+    "ssac.t": "ssac_t_error_deg",
+    "zncc_e.t_d": "zncc_e_t_d_error_ms",
+    "zncc_f.t_d": "zncc_f_t_d_error_ms",
+}
+MARKS = {"t_d": 0.1, "R": 0.2, "t": 0.1}  # of the means of `tangency`, in every cell
+
+CONFIDENT_METHODS = ("ssac", "joint", "tangency", "ssac-known", "joint-known", "tangency-known")
+
+Number = Callable[[Committed], str]
+
+
+def digits(value: float, n: int = 2) -> str:
+    """Show `n` significant digits, without an exponent."""
+    if not np.isfinite(value):
+        return "none"
+    rounded = f"{value:.{n - 1}e}"
+    return f"{float(rounded):.{max(n - 1 - int(rounded.split('e')[1]), 0)}f}"
+
+
+def listed(texts: Iterable[str]) -> str:
+    """Join as in a sentence: "a, b and c"."""
+    *first, last = texts
+    return f"{', '.join(first)} and {last}" if first else last
+
+
+def verdicts(results: Committed, quantity: str) -> str:
+    """Say how many cells of a published quantity agree, are better, and differ."""
+    rows = results.rows("comparison", quantity=quantity)
+    counts = {
+        word: int((rows["verdict"] == word).sum()) for word in ("agrees", "better", "differs")
+    }
+    words = (f"{n} {_plural(word, n)}" for word, n in counts.items() if n)
+    return f"of {len(rows)} cells {listed(words)}"
+
+
+def paper_size(results: Committed) -> str:
+    """Say in how many cells the t_d error of `ssac` is of the paper's size or better."""
+    rows = results.rows("comparison", quantity="ssac_t_d_error_ms")
+    return f"{int((rows['paper_size_or_better'] == 'yes').sum())} of {len(rows)} cells"
+
+
+def ratio(results: Committed, quantity: str, duration_s: int) -> str:
+    """Ours over the paper's, of the geometric means over the cells of one table."""
+    of = {"quantity": quantity, "duration_s": duration_s}
+    ours = results.column("comparison", "ours_mean", **of)
+    return f"{gmean(ours) / gmean(results.column('comparison', 'published_mean', **of)):.2f}"
+
+
+def cell_means(results: Committed, method: str, error: str) -> list[float]:
+    """Return a method's mean errors in all cells of both tables."""
+    tables = (f"esim_{duration_s}" for duration_s in DURATIONS_S)
+    return [v for name in tables for v in results.column(name, f"{method}_{error}_mean")]
+
+
+def mean_range(results: Committed, method: str, short: str) -> str:
+    """Range of a method's mean errors over the cells of both tables."""
+    means = cell_means(results, method, SHORT[short])
+    return f"{min(means):.2f} to {max(means):.2f} {UNITS[SHORT[short]]}"
+
+
+def mark_met(results: Committed, short: str) -> str:
+    """Say in how many cells the mean error of `tangency` is at most its mark."""
+    means = cell_means(results, "tangency", SHORT[short])
+    return f"{sum(mean <= MARKS[short] for mean in means)} of {len(means)} cells"
+
+
+def largest(results: Committed, short: str) -> str:
+    """Say what the largest mean error of `tangency` in a cell is."""
+    means = cell_means(results, "tangency", SHORT[short])
+    return f"{max(means):.3f} {UNITS[SHORT[short]]}"
+
+
+def covered(results: Committed, method: str, quantity: str) -> str:
+    """Share of the flights whose 95 % interval, or region, holds the truth."""
+    of = {"method": method, "quantity": quantity, "angle_deg": "all"}
+    return f"{100 * results.value('coverage', 'coverage_95', **of):.1f} %"
+
+
+def coverage_flights(results: Committed) -> str:
+    """Count the flights of the study of coverage."""
+    of = {"method": "joint", "quantity": "t_d", "angle_deg": "all"}
+    return f"{results.value('coverage', 'n_runs', **of):.0f}"
+
+
+def means_by_angle(results: Committed, name: str, method: str) -> str:
+    """Mean errors of t_d from 30 to 150 deg, of a file of runs, those that gave an estimate."""
+    means = [
+        np.nanmean(
+            results.column(name, "t_d_error_ms", method=method, status="ok", sim__angle_deg=angle)
+        )
+        for angle in ANGLES_DEG
+    ]
+    return listed(digits(float(mean)) for mean in means) + " ms"
+
+
+def largest_with_noise(results: Committed) -> str:
+    """Largest mean error of `tangency` in a cell of the tables' flights with a DAVIS346's noise."""
+    means = results.column("ablation_davis346", "t_d_error_ms_mean", method="tangency")
+    return f"{np.nanmax(means):.2f} ms"
+
+
+def table_runs(results: Committed) -> str:
+    """Say how many runs of the tables gave an estimate."""
+    status = results.table("runs")["status"]
+    return f"{int((status == 'ok').sum())} of {len(status)} runs"
+
+
+def refusal_recordings(results: Committed) -> str:
+    """Count the recordings of the study of refusal."""
+    return str(len(results.rows("refusal_runs", method="joint")))
+
+
+def refusal_wrong(results: Committed, method: str) -> str:
+    """Count the confident wrong answers of one method in the study of refusal."""
+    return f"{results.column('refusal', 'confident_wrong', method=method).sum():.0f}"
+
+
+def ordinary_answered(results: Committed) -> str:
+    """Say how many runs of the study of refusal on ordinary flights gave an offset."""
+    rows = results.rows("refusal", kind="ordinary")
+    return f"{int(rows['offset_given'].sum())} of {int(rows['runs'].sum())}"
+
+
+def zncc_means(results: Committed, method: str, duration_s: int) -> str:
+    """Mean errors of a correlation method from 30 to 150 deg, over the table's offsets."""
+    of = {"quantity": f"{method}_t_d_error_ms", "duration_s": duration_s}
+    means = (
+        results.column("comparison", "ours_mean", angle_deg=angle, **of).mean()
+        for angle in ANGLES_DEG
+    )
+    return listed(f"{mean:.0f}" for mean in means) + " ms"
+
+
+def zncc_published(results: Committed, method: str, duration_s: int) -> str:
+    """Say the paper's, likewise."""
+    of = {"quantity": f"{method}_t_d_error_ms", "duration_s": duration_s}
+    means = (
+        results.column("comparison", "published_mean", angle_deg=angle, **of).mean()
+        for angle in ANGLES_DEG
+    )
+    return listed(f"{mean:.0f}" for mean in means) + " ms"
+
+
+def bound_share(results: Committed, method: str) -> str:
+    """Range over the cells of the bound of t_d over the error, for white noise."""
+    shares = 100 * results.column("efficiency", "t_d_efficiency", method=method)
+    return f"{shares.min():.0f} to {shares.max():.0f} %"
+
+
+def minutes(results: Committed, name: str) -> str:
+    """Wall time of the command that wrote a file, in minutes."""
+    value = results.minutes(name)
+    return f"{value:.0f}" if value >= 1.95 else f"{value:.1f}"
+
+
+def minutes_of(results: Committed, names: tuple[str, ...]) -> str:
+    """Wall time of several commands together."""
+    return f"{sum(results.minutes(name) for name in names):.0f}"
+
+
+def bench(results: Committed, row: str, scale: float = 1.0, decimals: int = 0) -> str:
+    """Return a measured figure of the benchmark."""
+    return f"{scale * results.value('bench', 'value', name=row):.{decimals}f}"
+
+
+def _plural(verdict: str, n: int) -> str:
+    one = {"agrees": "agrees", "better": "is better", "differs": "differs"}
+    many = {"agrees": "agree", "better": "are better", "differs": "differ"}
+    return one[verdict] if n == 1 else many[verdict]
+
+
+ABLATIONS = (
+    *("angle", "contrast", "davis346", "focal", "n_min", "noise"),
+    *("object", "resolution", "samples", "size", "speed", "window"),
+)
+
+_TIMED = (
+    *("bench", "comparison", "coverage", "efficiency", "fidelity", "fidelity_20s", "figures"),
+    *("more_flights", "refusal", "tangency_study", "zncc_study"),
+    *(f"ablation_{name}" for name in ABLATIONS),
+)
+
+NUMBERS: Mapping[str, Number] = {
+    "paper.size": paper_size,
+    **{f"paper.{q}": partial(verdicts, quantity=quantity) for q, quantity in PUBLISHED.items()},
+    **{
+        f"paper.ratio.{q}.{d}": partial(ratio, quantity=quantity, duration_s=d)
+        for q, quantity in PUBLISHED.items()
+        for d in DURATIONS_S
+    },
+    **{
+        f"tables.range.{m}.{s}": partial(mean_range, method=m, short=s)
+        for m in METHODS
+        for s in SHORT
+        if s == "t_d" or not m.endswith("-known")
+    },
+    "tables.runs": table_runs,
+    **{f"tables.mark.{s}": partial(mark_met, short=s) for s in SHORT},
+    **{f"tables.largest.{s}": partial(largest, short=s) for s in SHORT},
+    "coverage.flights": coverage_flights,
+    **{
+        f"coverage.{m}.{q}": partial(covered, method=m, quantity=q)
+        for m in ("joint", "tangency", "joint-known", "tangency-known")
+        for q in SHORT
+        if q == "t_d" or not m.endswith("-known")
+    },
+    **{
+        f"coverage.means.{m}": partial(means_by_angle, name="coverage_runs", method=m)
+        for m in ("joint", "tangency")
+    },
+    **{
+        f"more_flights.means.{m}": partial(means_by_angle, name="more_flights", method=m)
+        for m in ("ssac", "joint")
+    },
+    "davis346.largest": largest_with_noise,
+    "refusal.recordings": refusal_recordings,
+    **{f"refusal.wrong.{m}": partial(refusal_wrong, method=m) for m in CONFIDENT_METHODS},
+    "refusal.ordinary": ordinary_answered,
+    **{
+        f"zncc.{whose}.{m}.{d}": partial(function, method=m, duration_s=d)
+        for whose, function in (("ours", zncc_means), ("paper", zncc_published))
+        for m in ("zncc_e", "zncc_f")
+        for d in DURATIONS_S
+    },
+    **{f"bound.{m}": partial(bound_share, method=m) for m in ("ssac", "joint", "tangency")},
+    **{f"minutes.{name}": partial(minutes, name=name) for name in _TIMED},
+    "minutes.tables.cached": partial(
+        bench, row="tables, recordings cached: 100 recordings, 2 workers", scale=1 / 60, decimals=1
+    ),
+    "minutes.tables.nothing": partial(
+        bench, row="tables, from nothing: 100 recordings, 2 workers", scale=1 / 60
+    ),
+    "minutes.ablations": partial(minutes_of, names=tuple(f"ablation_{n}" for n in ABLATIONS)),
+    "minutes.studies": partial(
+        minutes_of, names=("efficiency", "coverage", "refusal", "tangency_study")
+    ),
+    "bench.sync.tangency": partial(bench, row="tangency: all, unknown extrinsics", decimals=2),
+}

@@ -1,0 +1,386 @@
+"""Results in, the tables that the pages show out as Markdown, each under a name."""
+
+from collections.abc import Callable, Mapping
+from functools import partial
+
+import numpy as np
+
+from experiments.paper.markdown import markdown_table
+from experiments.report.committed import Committed
+from experiments.report.quoted import (
+    ABLATIONS,
+    ANGLES_DEG,
+    CONFIDENT_METHODS,
+    DURATIONS_S,
+    METHODS,
+    SHORT,
+    cell_means,
+    digits,
+)
+
+Rows = list[list[str]]
+
+_ANGLE_HEADER = [f"{angle} deg" for angle in ANGLES_DEG]
+_SHOWN = {
+    # of each ablation: the columns that tell its rows apart; all else is averaged over
+    "angle": ["sim.angle_deg"],
+    "contrast": ["sim.sensor.threshold_on"],
+    "davis346": ["sim.angle_deg"],
+    "focal": ["sim.focal_px"],
+    "n_min": ["ssac.n_min"],
+    "noise": ["sim.sensor.shot_noise_hz", "sim.sensor.leak_hz"],
+    "object": ["sim.drone", "sim.distance_m"],
+    "resolution": ["sim.resolution"],
+    "samples": ["ssac.n_samples"],
+    "size": ["sim.drone_size_m"],
+    "speed": ["sim.spline.sampling_hz"],
+    "window": ["ssac.half_window_s"],
+}
+_BESIDE = {
+    # of bench.csv: row, unit, decimals and the words for it
+    "render, osmesa, 64 samples per pixel: atlas": ("poses/s", 0, "rendering, OSMesa"),
+    "render, osmesa, 64 samples per pixel: ratio": ("x", 0, "the same, over pyrender alike"),
+    "render, osmesa, 64 samples per pixel: ratio to it": ("x", 0, "... over pyrender untouched"),
+    "render, egl, 64 samples per pixel: atlas": ("poses/s", 0, "rendering, EGL"),
+    "render, egl, 64 samples per pixel: ratio": ("x", 0, "the same, over pyrender alike"),
+    "sensor, 346 x 260 float frames": ("frames/s", 0, "sensor model, full frames"),
+    "simulate a 20 s pair, frames included": ("s", 1, "a pair of 20 s simulated"),
+    "simulate a 20 s pair: peak memory": ("MB", 0, "its memory"),
+    "sync: all, unknown extrinsics, refined": ("s", 2, "`joint` on a pair of 10 s"),
+    "tangency: all, unknown extrinsics": ("s", 2, "`tangency` on a pair of 20 s"),
+    "read 10 M events, .h5: ratio": ("x", 2, "reading HDF5, over h5py"),
+    "read 10 M events, .aedat4: ratio": ("x", 2, "reading AEDAT4, over faery"),
+    "read 10 M events, .raw: ratio": ("x", 2, "reading RAW, over faery"),
+    "tables, from nothing: 100 recordings, 2 workers": ("s", 0, "the tables from nothing"),
+    "tables, recordings cached: 100 recordings, 2 workers": ("s", 0, "... recordings cached"),
+    "tables, from nothing: 1 -> 2 workers": ("x", 2, "two workers over one"),
+    "tables: peak memory of a worker": ("MB", 0, "memory of a worker"),
+}
+
+
+def methods_table(results: Committed) -> str:
+    """Mean errors of every method, the range over the cells of each table."""
+    rows: Rows = []
+    for method in (*METHODS, "albl", "zncc_e", "zncc_f", "event_rate"):
+        cells = [f"`{method}`"]
+        for error in SHORT.values():
+            has_it = f"{method}_{error}_mean" in results.table("esim_10")
+            means = cell_means(results, method, error) if has_it else [np.nan]
+            # of methods with the pose known, that of R and t is the pose they were given
+            known = method.endswith("-known") and error != "t_d_error_ms"
+            empty = known or not np.isfinite(means).any()
+            cells.append(
+                "" if empty else f"{digits(np.nanmin(means))} to {digits(np.nanmax(means))}"
+            )
+        rows.append(cells)
+    return markdown_table(["method", "t_d [ms]", "R [deg]", "t [deg]"], rows)
+
+
+def coverage_table(results: Committed) -> str:
+    """Shares of the truths in the 95 % intervals, over all angles."""
+    rows: Rows = []
+    for method in ("joint", "tangency", "joint-known", "tangency-known"):
+        of = {"method": method, "angle_deg": "all"}
+        row = results.rows("coverage", quantity="t_d", **of)
+        low, high = (100 * float(row[f"coverage_95_{end}"].iloc[0]) for end in ("low", "high"))
+        shares = [
+            f"{100 * results.value('coverage', 'coverage_95', quantity=q, **of):.1f}"
+            if q == "t_d" or not method.endswith("-known")
+            else ""
+            for q in SHORT
+        ]
+        rms = results.value("coverage", "rms_normalised", quantity="t_d", **of)
+        rows.append(
+            [f"`{method}`", shares[0], f"{low:.1f} to {high:.1f}", *shares[1:], f"{rms:.2f}"]
+        )
+    header = [
+        "method",
+        "t_d [%]",
+        "sampling [%]",
+        "R [%]",
+        "t [%]",
+        "t_d: rms of error / deviation",
+    ]
+    return markdown_table(header, rows)
+
+
+def refusal_table(results: Committed) -> str:
+    """How many offsets were given, and how many confident wrong ones, for each kind and method."""
+    table = results.table("refusal")
+    rows: Rows = []
+    for kind in dict.fromkeys(table["kind"]):
+        cells = [kind, str(int(results.rows("refusal", kind=kind, method="joint")["runs"].iloc[0]))]
+        for method in CONFIDENT_METHODS:
+            of = {"kind": kind, "method": method}
+            given = results.value("refusal", "offset_given", **of)
+            wrong = results.value("refusal", "confident_wrong", **of)
+            cells.append(f"{given:.0f}" + (f" ({wrong:.0f} wrong)" if wrong else ""))
+        rows.append(cells)
+    return markdown_table(["kind", "n", *(f"`{m}`" for m in CONFIDENT_METHODS)], rows)
+
+
+def tangency_table(results: Committed) -> str:
+    """Lay out the errors of the variants of `tangency`."""
+    table = results.table("tangency_study")
+    rows: Rows = []
+    for variant in table["variant"]:
+
+        def of(column: str, variant: str = variant) -> float:
+            return results.value("tangency_study", column, variant=variant)
+
+        rows.append(
+            [
+                f"**{variant}**" if variant == "as it is" else variant,
+                *(f"{of(c):.3f}" for c in ("t_d_error_ms", "t_d_error_ms_worst")),
+                *(f"{of(c):.3f}" for c in ("r_error_deg", "t_error_deg")),
+                f"{of('t_d_bias_ms'):+.3f}",
+                f"{of('normalised_rms'):.2f}",
+            ]
+        )
+    header = ["variant", "t_d ms", "worst angle", "R deg", "t deg", "bias ms", "error / deviation"]
+    return markdown_table(header, rows)
+
+
+def ablation_table(results: Committed, name: str) -> str:
+    """Mean errors of t_d and R over all angles, for each value of what varies, by method."""
+    stem = f"ablation_{name}"
+    table, varied = results.table(stem), _SHOWN[name]
+    methods = list(dict.fromkeys(table["method"]))
+    rows: Rows = []
+    columns = [results.texts(stem, column) for column in varied]
+    for values in dict.fromkeys(zip(*columns, strict=True)):
+        same = [row == values for row in zip(*columns, strict=True)]
+        part = table[same]
+        cells = list(values)
+        for method in methods:
+            of = part[part["method"] == method]
+            answered = int((of["n_runs"] - of["failed"]).sum())
+            shown = [
+                digits(float(of[column].mean())) if column in of else "none"
+                for column in ("t_d_error_ms_mean", "r_error_deg_mean")
+            ]
+            means = " / ".join(text for text in shown if text != "none") or "none"
+            cells.append(f"{means} ({answered}/{int(of['n_runs'].sum())})")
+        rows.append(cells)
+    return markdown_table([*(c.split(".")[-1] for c in varied), *(f"`{m}`" for m in methods)], rows)
+
+
+def fidelity_table(results: Committed) -> str:
+    """How far events and offsets are from those of the dense reference, for both durations."""
+    files = ("fidelity", "fidelity_20s")
+
+    def row(words: str, text: Callable[[str], str]) -> list[str]:
+        return [words, *map(text, files)]
+
+    def mean(name: str, column: str) -> float:
+        return float(results.column(name, column).mean())
+
+    rows: Rows = [
+        row("flights", lambda f: str(len(results.table(f)))),
+        row("event times, median [us]", lambda f: f"{mean(f, 'median_us'):.0f}"),
+        row("event times, 95th percentile [us]", lambda f: f"{mean(f, 'p95_us'):.0f}"),
+        row("spurious events [%]", lambda f: f"{100 * mean(f, 'spurious'):.1f}"),
+        row("missing events [%]", lambda f: f"{100 * mean(f, 'missing'):.1f}"),
+    ]
+    for method in ("ssac", "ssac-known", "joint"):
+        column = f"{method}_t_d_difference_ms"
+
+        def shown(name: str, column: str = column) -> str:
+            values = results.column(name, column)
+            return f"{np.abs(values).mean():.3f} ({values.mean():+.3f})"
+
+        rows.append(row(f"t_d by `{method}`, mean absolute (signed) difference [ms]", shown))
+    return markdown_table(["quantity", "10 s", "20 s"], rows)
+
+
+def bench_table(results: Committed) -> str:
+    """Lay out the main figures of the benchmark beside their marks."""
+    rows: Rows = []
+    for name, (unit, decimals, words) in _BESIDE.items():
+        row = results.rows("bench", name=name).iloc[0]
+        value, mark = float(row["value"]), float(row["mark"])
+        bound = ">=" if str(row["higher_is_better"]) == "True" else "<="
+        rows.append(
+            [
+                words,
+                f"{value:.{decimals}f} {unit}",
+                f"{bound} {mark:g} {unit}" if np.isfinite(mark) else "",
+                str(row["verdict"]) if np.isfinite(mark) else "",
+            ]
+        )
+    return markdown_table(["what", "measured", "mark", "verdict"], rows)
+
+
+def correlation_table(results: Committed) -> str:
+    """Correlation of the two views at the true lag, default scene, 20 s."""
+
+    def row(words: str, source: str, signal: str, column: str = "at_truth") -> list[str]:
+        return [words, *_by_angle(results, source, signal, column, "{:.2f}")]
+
+    rows = [
+        row("speed across the line of sight (model)", "modelled", "speed"),
+        row("1 / distance squared (model)", "modelled", "distance"),
+        row("event rate (model)", "modelled", "rate"),
+        row("event rate, rendered: `zncc_e`", "rendered", "zncc_e"),
+        row("mean brightness of a frame: `zncc_f`", "rendered", "zncc_f"),
+        row("change from frame to frame", "rendered", "frame changes"),
+        row("highest value elsewhere (event rate, model)", "modelled", "rate", "elsewhere"),
+    ]
+    return markdown_table(["", *_ANGLE_HEADER], rows)
+
+
+def further_flights_table(results: Committed) -> str:
+    """Set the tables' own flights beside further ones, at 90 deg and 20 s."""
+    cases = (
+        ("`zncc_e`, the study's ten", "rendered", "zncc_e"),
+        ("`zncc_e`, further ones", "rendered, further flights", "zncc_e"),
+        ("event rate, model", "modelled", "rate"),
+        ("change of frames, the study's ten", "rendered", "frame changes"),
+        ("change of frames, further ones", "rendered, further flights", "frame changes"),
+        ("`zncc_f`, the study's ten", "rendered", "zncc_f"),
+        ("`zncc_f`, further ones", "rendered, further flights", "zncc_f"),
+    )
+    columns = (("flights", "{:.0f}"), ("at_truth", "{:.2f}"), ("error_ms_mean", "{:.0f}"))
+    rows = []
+    for words, source, signal in cases:
+        of = {"scene": "default", "duration_s": 20, "angle_deg": 90}
+        of |= {"source": source, "signal": signal}
+        shown = [form.format(results.value("zncc_study", c, **of)) for c, form in columns]
+        gross = 100 * results.value("zncc_study", "gross_share", **of)
+        rows.append([words, *shown, f"{gross:.0f} %"])
+    header = ["90 deg, 20 s", "flights", "correlation at the true lag", "mean error [ms]"]
+    return markdown_table([*header, "errors above 100 ms"], rows)
+
+
+def vertical_table(results: Committed) -> str:
+    """Errors and correlations of the modelled event rate as the vertical motion shrinks."""
+    scenes = (
+        ("default", "3.2, 3.2, 3.6 (default)"),
+        ("vertical 3 m", "3.2, 3.2, 3.0"),
+        ("flatter", '3.4, 3.4, 3.0 ("flatter")'),
+        ("vertical 2.4 m", "3.2, 3.2, 2.4"),
+        ("vertical 1.8 m", "3.2, 3.2, 1.8"),
+        ("vertical 1.2 m", "3.2, 3.2, 1.2"),
+    )
+    rows = []
+    for duration_s in reversed(DURATIONS_S):
+        for scene, words in scenes if duration_s == 20 else scenes[:1]:
+            means, shares = (
+                _by_angle(results, "modelled", "rate", column, form, scene, duration_s)
+                for column, form in (("error_ms_mean", "{:.0f}"), ("at_truth", "{:.2f}"))
+            )
+            cells = [f"{mean} ({share})" for mean, share in zip(means, shares, strict=True)]
+            rows.append([f"{words}, {duration_s} s", *cells])
+        rows.append([f"paper, ZNCC_E, {duration_s} s", *_published(results, "zncc_e", duration_s)])
+    return markdown_table(["multipliers x, y, z [m]", *_ANGLE_HEADER], rows)
+
+
+def frames_table(results: Committed) -> str:
+    """Lay out errors and their deviations of what ZNCC_F may take of a frame, over 20 s."""
+    cases = (
+        ("1 / distance squared (model)", "modelled", "distance"),
+        ("mean brightness: `zncc_f`", "rendered", "zncc_f"),
+        ("change from frame to frame", "rendered", "frame changes"),
+    )
+    rows = []
+    for words, source, signal in cases:
+        means = _by_angle(results, source, signal, "error_ms_mean", "{:.0f}")
+        stds = _by_angle(results, source, signal, "error_ms_std", "{:.0f}")
+        cells = [f"{mean} ({std})" for mean, std in zip(means, stds, strict=True)]
+        rows.append([words, *cells])
+    rows.insert(0, ["paper, ZNCC_F", *_published(results, "zncc_f", 20)])
+    return markdown_table(["mean error (deviation) [ms]", *_ANGLE_HEADER], rows)
+
+
+def variants_table(results: Committed) -> str:
+    """Lay out what changes `zncc_e` little, over the same flights at 90 deg."""
+    of = {"scene": "default", "duration_s": 20, "angle_deg": 90, "source": "rendered"}
+    signals = ("zncc_e", *(f"zncc_e, {v}" for v in ("raw events", *_BINS)))
+    rows = [
+        [
+            signal,
+            f"{results.value('zncc_study', 'at_truth', signal=signal, **of):.2f}",
+            f"{results.value('zncc_study', 'error_ms_mean', signal=signal, **of):.0f}",
+        ]
+        for signal in signals
+    ]
+    turning = of | {"scene": "no turning"}
+    for signal in ("zncc_e", "zncc_f"):
+        at_truth, error = (
+            results.value("zncc_study", column, signal=signal, **turning)
+            for column in ("at_truth", "error_ms_mean")
+        )
+        rows.append([f"{signal}, a drone that does not turn", f"{at_truth:.2f}", f"{error:.0f}"])
+    return markdown_table(["signal", "correlation at the true lag", "mean error [ms]"], rows)
+
+
+def scenes_table(results: Committed) -> str:
+    """Set the scene, and the flatter one, beside the authors' sample, at 90 deg and 20 s."""
+    quantities = (
+        ("median image speed [px/s]", "198", "speed_px_s", "{:.0f}"),
+        ("sample times valid in both views, of 400", "348", "n_valid", "{:.0f}"),
+        ("slope of d_avg [px per 10 ms]", "1.3", "slope_px", "{:.2f}"),
+        ("`zncc_e` [ms]", "", "error_ms_mean", "{:.0f}"),
+    )
+    of = {"source": "rendered", "signal": "zncc_e", "duration_s": 20, "angle_deg": 90}
+    rows = [
+        [
+            words,
+            authors,
+            *(
+                form.format(results.value("zncc_study", column, scene=scene, **of))
+                for scene in ("default", "flatter")
+            ),
+        ]
+        for words, authors, column, form in quantities
+    ]
+    return markdown_table(["", "authors' sample", "default", "flatter"], rows)
+
+
+_BINS = ("bins of 5 ms", "bins of 20 ms", "bins of 50 ms")
+
+
+def _by_angle(
+    results: Committed,
+    source: str,
+    signal: str,
+    column: str,
+    form: str,
+    scene: str = "default",
+    duration_s: int = 20,
+) -> list[str]:
+    of = {"source": source, "signal": signal, "scene": scene, "duration_s": duration_s}
+    return [
+        form.format(results.value("zncc_study", column, angle_deg=angle, **of))
+        for angle in ANGLES_DEG
+    ]
+
+
+def _published(results: Committed, method: str, duration_s: int) -> list[str]:
+    of = {"quantity": f"{method}_t_d_error_ms", "duration_s": duration_s}
+    return [
+        " ".join(
+            form.format(
+                results.column("comparison", f"published_{c}", angle_deg=angle, **of).mean()
+            )
+            for c, form in (("mean", "{:.0f}"), ("std", "({:.0f})"))
+        )
+        for angle in ANGLES_DEG
+    ]
+
+
+TABLES: Mapping[str, Callable[[Committed], str]] = {
+    "table.methods": methods_table,
+    "table.coverage": coverage_table,
+    "table.refusal": refusal_table,
+    "table.tangency": tangency_table,
+    "table.fidelity": fidelity_table,
+    "table.bench": bench_table,
+    "table.zncc.correlation": correlation_table,
+    "table.zncc.further": further_flights_table,
+    "table.zncc.vertical": vertical_table,
+    "table.zncc.frames": frames_table,
+    "table.zncc.variants": variants_table,
+    "table.zncc.scenes": scenes_table,
+    **{f"table.ablation.{name}": partial(ablation_table, name=name) for name in ABLATIONS},
+}

@@ -1,0 +1,78 @@
+"""The pages say what is: folders, links, versions; and their lines fit."""
+
+import re
+from pathlib import Path
+
+import pytest
+import yaml
+
+from tests.test_architecture import ROOT, STAGES
+
+PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
+MAX_WIDTH = 120
+README_LINES = 120
+
+_LINK = re.compile(r"\]\(([^)#\s]+)")
+_PATH = re.compile(r"`((?:sim|ssac|experiments|tests|docs|results)/[\w./-]*)`")
+
+
+def test_the_folders_of_the_architecture_are_those_there_are() -> None:
+    text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    told = re.findall(r"^\| `((?:sim|ssac|experiments)/\w+/)` \|", text, re.MULTILINE)
+    there = [
+        f"{package}/{floor}/"
+        for package, floors in STAGES.items()
+        for floor, files in floors.items()
+        if files
+    ]
+    assert sorted(told) == sorted(there), "docs/architecture.md: the table of folders"
+
+
+def test_the_way_of_a_recording_follows_the_arrows() -> None:
+    text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    way = text.split("## The way of one recording")[1].split("##")[0]
+    packages = list(STAGES)
+    order = []
+    for path in re.findall(r"`((?:sim|ssac|experiments)/[\w/.]+)`", way):
+        package, floor, *_ = path.removesuffix(".py").strip("/").split("/")
+        order.append((packages.index(package), list(STAGES[package]).index(floor)))
+    assert len(order) > 10
+    assert order == sorted(order)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_and_paths_lead_somewhere(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    links = [link for link in _LINK.findall(text) if not link.startswith("http")]
+    assert not [link for link in links if not (page.parent / link).exists()]
+    if page.name != "CHANGELOG.md":  # which may tell of what was
+        paths = [p for p in _PATH.findall(text) if "NAME" not in p]
+        assert not [path for path in paths if not (ROOT / path).exists()]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_lines_fit(page: Path) -> None:
+    lines = page.read_text(encoding="utf-8").splitlines()
+    wide = [f"{page.name}:{i}" for i, line in enumerate(lines, 1) if len(line) > MAX_WIDTH]
+    assert not wide
+
+
+def test_the_readme_is_short_and_shows_its_first_screen() -> None:
+    lines = (ROOT / "README.md").read_text(encoding="utf-8").splitlines()
+    assert len(lines) <= README_LINES
+    first = "\n".join(lines[:20])
+    assert all(part in first for part in ("p2(t + t_d)'", "![", "make demo", "make tables"))
+
+
+def test_how_to_cite_names_this_version_and_the_paper() -> None:
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    project = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    assert f'version = "{citation["version"]}"' in project
+    assert citation["license"] == "MIT"
+    assert len(citation["preferred-citation"]["authors"]) == 5
+    assert "## [Unreleased]" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+
+
+def test_the_packages_carry_their_types() -> None:
+    for package in STAGES:
+        assert (ROOT / package / "py.typed").is_file()
