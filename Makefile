@@ -14,7 +14,7 @@ RUN := .venv/bin/python -m
 
 .DELETE_ON_ERROR:
 .PHONY: help setup demo tables ablations studies figures report verify test lint types bench \
-	scene fidelity clean-cache clean moved
+	scene fidelity docs wheel clean-cache clean moved
 .DEFAULT_GOAL := help
 
 help: ## this list
@@ -53,6 +53,12 @@ lint: .venv/.ready ## ruff: rules and formatting
 
 types: .venv/.ready ## mypy --strict on sim, ssac and experiments
 	@$(RUN) mypy
+
+docs: .venv/.ready ## API reference, the tour (executed) and the pages as HTML -> out/docs/index.html
+	@.venv/bin/python docs/build.py
+
+wheel: .venv/.ready ## the wheel, built, installed in a clean environment and used there
+	@.ci/wheel
 
 bench: .venv/.ready ## speed and memory, as ratios to the reference tools -> results/bench.csv
 	@.venv/bin/ssac bench

@@ -1,0 +1,81 @@
+"""The tour runs, the README's example prints what it shows, and pages become HTML."""
+
+import importlib.util
+import re
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def _script(name: str) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(f"docs_{name}", ROOT / "docs" / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # dataclasses look their module up
+    spec.loader.exec_module(module)
+    return module
+
+
+build, example = _script("build"), _script("example")
+
+
+def test_a_script_is_split_at_its_marks() -> None:
+    text, code = build.cells_of("# %% [markdown]\n# # Title\n#\n# words\n\n# %%\nx = 1\n")
+    assert (text.is_text, text.source, text.line) == (True, "# Title\n\nwords", 2)
+    assert (code.is_text, code.source, code.line) == (False, "x = 1", 7)
+
+
+def test_what_a_cell_prints_and_draws_is_kept() -> None:
+    script = "# %%\nprint('<hello>')\n\n# %%\nimport matplotlib.pyplot as plt\nplt.plot([1])\n"
+    html = build.tour_html(list(build.cells_of(script)))
+    assert '<pre class="printed">&lt;hello&gt;\n</pre>' in html
+    assert html.count("data:image/png;base64") == 1
+
+
+def test_an_error_in_a_cell_names_its_line() -> None:
+    cells = list(build.cells_of("# %% [markdown]\n# a\n\n# %%\nx = 1\n1 / 0\n"))
+    with pytest.raises(ZeroDivisionError) as raised:
+        build.run_cells(cells)
+    assert raised.traceback[-1].lineno == 5  # counted from 0
+
+
+def test_pages_become_html_with_tables_pictures_and_links(tmp_path: Path) -> None:
+    build.save_pages(tmp_path)
+    index = (tmp_path / "index.html").read_text(encoding="utf-8")
+    assert "<table>" in index
+    assert "docs/methods.html" in index
+    for page in tmp_path.rglob("*.html"):
+        text = page.read_text(encoding="utf-8")
+        for link in re.findall(r'(?:href|src)="(?!https?:|data:)([^"#]+)', text):
+            made_later = "tour.html" in link or "/api/" in f"/{link}"
+            assert made_later or (page.parent / link).exists(), f"{page.name}: {link}"
+
+
+@pytest.mark.render
+def test_the_tour_runs_and_finds_what_it_says() -> None:
+    cells = list(build.cells_of((ROOT / "docs" / "tour.py").read_text(encoding="utf-8")))
+    outputs = [output for output in build.run_cells(cells) if output is not None]
+    said = "".join(output.printed for output in outputs)
+    assert sum(len(output.pictures) for output in outputs) == 1
+    assert re.search(r"^status\s+ok$", said, re.MULTILINE)
+    # 6 s of flight: a few times the mean error of `tangency` over 10 s.
+    assert float(re.findall(r"^offset off by ([\d.]+) ms", said, re.MULTILINE)[0]) < 0.5
+    assert re.search(r"^ambiguous_offset\n\w", said, re.MULTILINE)
+    # Two bins of 5 ms: the drone's middle is not at one height for both cameras.
+    assert float(re.findall(r"^heights: .* off by ([\d.]+) ms", said, re.MULTILINE)[0]) <= 20
+
+
+@pytest.mark.render
+def test_the_readme_shows_what_its_example_prints() -> None:
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    # Digits depend on the GL library, so only the words are compared.
+    assert _words(example.shown_in(readme)) == _words(example.example()), "run docs/example.py"
+
+
+def _words(text: str) -> list[str]:
+    return re.sub(r"-?\d[\d.]*|\(.*llvmpipe.*\)|osmesa|egl", "#", text).split()
