@@ -52,7 +52,8 @@ def test_pages_become_html_with_tables_pictures_and_links(tmp_path: Path) -> Non
     for page in tmp_path.rglob("*.html"):
         text = page.read_text(encoding="utf-8")
         for link in re.findall(r'(?:href|src)="(?!https?:|data:)([^"#]+)', text):
-            made_later = "tour.html" in link or "/api/" in f"/{link}"
+            # The tour and the reference are built apart; results are `ssac verify`'s to check.
+            made_later = any(part in f"/{link}" for part in ("tour.html", "/api/", "/results/"))
             assert made_later or (page.parent / link).exists(), f"{page.name}: {link}"
 
 

@@ -197,8 +197,8 @@ ABLATIONS = (
 )
 
 _TIMED = (
-    *("bench", "comparison", "coverage", "efficiency", "fidelity", "fidelity_20s", "figures"),
-    *("more_flights", "refusal", "tangency_study", "zncc_study"),
+    *("bench", "comparison", "coverage", "efficiency", "fidelity", "figures"),
+    *("more_flights", "refusal", "tangency", "zncc"),
     *(f"ablation_{name}" for name in ABLATIONS),
 )
 
@@ -231,7 +231,7 @@ NUMBERS: Mapping[str, Number] = {
         for m in ("joint", "tangency")
     },
     **{
-        f"more_flights.means.{m}": partial(means_by_angle, name="more_flights", method=m)
+        f"more_flights.means.{m}": partial(means_by_angle, name="more_flights_runs", method=m)
         for m in ("ssac", "joint")
     },
     "davis346.largest": largest_with_noise,
@@ -253,8 +253,6 @@ NUMBERS: Mapping[str, Number] = {
         bench, row="tables, from nothing: 100 recordings, 2 workers", scale=1 / 60
     ),
     "minutes.ablations": partial(minutes_of, names=tuple(f"ablation_{n}" for n in ABLATIONS)),
-    "minutes.studies": partial(
-        minutes_of, names=("efficiency", "coverage", "refusal", "tangency_study")
-    ),
+    "minutes.studies": partial(minutes_of, names=("efficiency", "coverage", "refusal", "tangency")),
     "bench.sync.tangency": partial(bench, row="tangency: all, unknown extrinsics", decimals=2),
 }
