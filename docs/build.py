@@ -142,7 +142,7 @@ def markdown_html(text: str) -> str:
     """Render Markdown with tables; the comments that hold numbers stay comments."""
     from markdown_it import MarkdownIt
 
-    return MarkdownIt("commonmark", {"html": True}).enable("table").render(text)
+    return str(MarkdownIt("commonmark", {"html": True}).enable("table").render(text))
 
 
 def page_html(title: str, body: str, up: str = "") -> str:
@@ -162,12 +162,19 @@ def save_reference(out: Path) -> None:
     os.environ["PDOC_ALLOW_EXEC"] = "1"  # or it warns that a library asks for the machine's name
     import pdoc
     import pdoc.render
+    from pdoc.extract import walk_specs
 
-    pdoc.render.configure(docformat="numpy", footer_text="SSAC suite")
-    # By name, one by one: of a package whose names are public at its top pdoc takes these alone.
+    # Of a package that lists its public names pdoc shows these alone: its modules are asked for.
     files = [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
-    names = [".".join(path.relative_to(ROOT).with_suffix("").parts) for path in files]
-    pdoc.pdoc(*(name.removesuffix(".__init__") for name in names), output_directory=out)
+    wanted = list(PACKAGES)
+    found = set(walk_specs(wanted))
+    for path in files:
+        name = ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+        if name not in found:
+            wanted.append(name)
+            found.update(walk_specs([name]))
+    pdoc.render.configure(docformat="numpy", footer_text="SSAC suite")
+    pdoc.pdoc(*wanted, output_directory=out)
 
 
 if __name__ == "__main__":
