@@ -144,7 +144,13 @@ def _sort_by_pixel(events: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[np.
 
 
 @njit(cache=True)
-def _match(pixel_a, t_a, pixel_b, t_b, window_us):  # type: ignore[no-untyped-def]
+def _match(
+    pixel_a: NDArray[np.int64],
+    t_a: NDArray[np.int64],
+    pixel_b: NDArray[np.int64],
+    t_b: NDArray[np.int64],
+    window_us: int,
+) -> NDArray[np.int64]:
     """Walk along both, pixel by pixel and in order of time; return distances of pairs [us]."""
     differences = np.empty(min(t_a.size, t_b.size), np.int64)
     i = j = n = 0
