@@ -22,6 +22,7 @@ from ssac.estimate import Estimate, Status
 from ssac.geometry.epipolar import sampson_distance
 from ssac.geometry.fundamental import MIN_PAIRS, reweighted_fundamental
 from ssac.methods.algorithms import with_fit, with_pose
+from ssac.search.offset_search import candidate_offsets
 from ssac.search.two_views import TwoViews, on_clock_2, two_views
 from ssac.track.observation import Observation
 
@@ -37,7 +38,16 @@ Deviation: Albl et al. do not say when to distrust the result. In flights of 10 
 is above 0.95 at the true offset and below 0.55 where the iteration gets stuck.
 """
 
-_TRIALS = 300  # of RANSAC
+START_STEP_S = 0.12
+"""Between the offsets from which the solver may start, the odd multiples of half of it.
+
+Of ten flights of 10 s and ten of 20 s, one linearisation within 0.06 s of the true offset makes
+inliers of 95 % of the pairs or more, elsewhere of 72 % at most.
+"""
+
+_START_SECANT_S = 0.06  # as far as the nearest start may be from the true offset
+_START_TRIALS = 20  # of RANSAC at each
+_TRIALS = 300  # at each offset on the way from there
 _FIRST_TRIALS = 20  # after which all pairs may turn out to be inliers, and the rest be spared
 _INLIER_PX = 2.0  # Sampson distance
 _MAX_ROUNDS = 20
@@ -65,19 +75,26 @@ class _Solution:
 def albl(cam1: Observation, cam2: Observation, rig: Rig, config: Config | None = None) -> Estimate:
     """Time offset and relative pose by the iterated eigenvalue solver of Albl et al. (2017).
 
-    The search starts in the middle of the search interval and looks at no other offset first, so
-    that it may stop at a local optimum. Parameters and errors as for
+    The iteration may stop at a local optimum. Parameters and errors as for
     `ssac.methods.algorithms.ssac`.
 
-    Deviation from Albl et al.: their image tracks are sampled per frame, ours at any time, so the
-    shift is not rounded to frames; RANSAC's solution is polished by a search in b for the least
-    singular value of the same equations over all its inliers; and two more rounds of that follow
-    at the end, whether they gain inliers or not, as all pairs may be inliers some milliseconds off.
+    Deviation from Albl et al.: they start from a rough offset, which nobody has here. The
+    iteration starts where a first RANSAC finds most inliers, of offsets all over the search
+    interval that do not depend on where this lies. Their image tracks are sampled per frame, ours
+    at any time, so the shift is not rounded to frames; RANSAC's solution is polished by a search in
+    b for the least singular value of the same equations over all its inliers; and two more rounds
+    of that follow at the end, whether they gain inliers or not, as all pairs may be inliers some
+    milliseconds off.
     """
     views = two_views(cam1, cam2, rig, config)
+    usable_s = candidate_offsets(views)
+    if len(usable_s) == 0:
+        low, high = views.config.interval_s
+        reason = f"the events have no common time at any offset between {low:g} and {high:g} s"
+        return Estimate("albl", Status.NO_COMMON_TIME, reason)
+    low, high = float(usable_s[0]), float(usable_s[-1])
+    t_d_s = _start(views, start_offsets(low, high))
     rng = np.random.default_rng(views.config.seed)
-    low, high = views.config.interval_s
-    t_d_s = 0.5 * (low + high)
     best_share = 0.0
     level = 0
     for _ in range(_MAX_ROUNDS):
@@ -108,12 +125,42 @@ def albl(cam1: Observation, cam2: Observation, rig: Rig, config: Config | None =
     return with_pose(with_fit(Estimate("albl", t_d_s=t_d_s), F, p1, p2), F, rig, p1, p2)
 
 
+def start_offsets(low_s: float, high_s: float) -> Array:
+    """Offsets [s] to start from: odd multiples of START_STEP_S / 2 between two bounds, and these.
+
+    They are fixed to the clocks and not to the bounds, lest an interval that somebody put around
+    the offset tell where it is.
+    """
+    first, last = (round(bound_s / START_STEP_S) for bound_s in (low_s, high_s))
+    grid_s = START_STEP_S * (np.arange(first - 1, last + 2) + 0.5)
+    return np.unique(np.clip(grid_s, low_s, high_s))
+
+
+def _start(views: TwoViews, starts_s: Array) -> float:
+    """Choose the start [s] from which one linearisation makes inliers of most pairs.
+
+    The same random numbers for each, so that none depends on which others there are.
+    """
+    shares = [
+        _best_shift(
+            views,
+            float(start_s),
+            _START_SECANT_S,
+            np.random.default_rng(views.config.seed),
+            trials=_START_TRIALS,
+        ).inlier_share
+        for start_s in starts_s
+    ]
+    return float(starts_s[int(np.argmax(shares))])
+
+
 def _best_shift(
     views: TwoViews,
     t_d_s: float,
     step_s: float,
     rng: np.random.Generator,
     share_to_exceed: float = 0.0,
+    trials: int = _TRIALS,
 ) -> _Solution:
     """Find the shift with most inliers, with the secants ahead and those back in time.
 
@@ -125,7 +172,7 @@ def _best_shift(
         pairs = _linearised(views, t_d_s, signed_s)
         if len(pairs.x1) < MIN_PAIRS:
             continue
-        numbers = rng.random((_TRIALS, len(pairs.x1)))
+        numbers = rng.random((trials, len(pairs.x1)))
         if max(best.inlier_share, share_to_exceed) < 1.0:
             solution = _ransac(pairs, step_s, numbers)
             best = max(best, solution, key=lambda found: found.inlier_share)
