@@ -1,0 +1,91 @@
+"""Which of several solutions is taken and which are refused: where the thresholds of that lie."""
+
+from dataclasses import replace
+
+import pytest
+
+from ssac import Config, Estimate, Observation, joint, joint_known, prepare, ssac
+from ssac.methods.joint import joint_from
+from ssac.methods.tangency import tangency_from
+from tests.ssac.methods.test_refusal import (
+    CLEAN,
+    DURATION_S,
+    MIDDLE,
+    T_D_S,
+    circle,
+    periodic,
+    scene_of,
+    seen,
+)
+from tests.ssac.synthetic import Scene, make_events, make_scene
+
+
+def continued(method, start: Estimate, scene: Scene) -> Estimate:
+    """What a refining method makes of a start that is given."""
+    return method(start, *seen(scene), scene.rig, CLEAN)
+
+
+def nearly_periodic(stray_m: float, from_s: float = 0.0) -> Scene:
+    """Go round every 0.8 s, and from a time on stray from that by so much, never alike."""
+    wandering = make_scene(7, duration_s=DURATION_S).path
+
+    def path(times_s):
+        stray = stray_m * (times_s > from_s)[..., None]
+        return periodic(times_s) + stray * (wandering(times_s) - MIDDLE) / 2.5
+
+    return scene_of(path)
+
+
+@pytest.mark.parametrize(("stray_m", "status"), [(0.01, "ambiguous_offset"), (0.02, "ok")])
+def test_an_offset_must_fit_twice_as_well_as_any_other(stray_m, status):
+    # The mean of 1000 events is off by 0.2 px. A stray of 0.01 m, 0.4 px, less what the pose takes
+    # of it, makes an offset a turn away fit 1.1 to 2 times worse; twice that, 2 to 3.5 times.
+    scene = nearly_periodic(stray_m)
+    estimate = joint(*seen(scene), scene.rig, CLEAN)
+    assert estimate.status == status
+    assert estimate.t_d_s == pytest.approx(T_D_S, abs=5e-4)  # a few deviations of joint's
+
+
+def test_all_but_the_worst_pairs_tell_solutions_apart():
+    # For two fifths of the flight an offset a turn away fits as well as the true one.
+    scene = nearly_periodic(0.03, from_s=0.4)
+    assert joint_known(*seen(scene), scene.rig, CLEAN).status == "ok"
+
+
+def test_where_the_fundamental_matrix_is_open_other_offsets_are_tried():
+    # On a circle each offset has a pose that fits, the wrong ones at 0.1 s too.
+    scene = scene_of(circle)
+    start = Estimate("ssac", "degenerate_pose", "F is open", t_d_s=T_D_S)
+    estimate = continued(joint_from, start, scene)
+    assert estimate.status == "ambiguous_offset"
+    assert not estimate.has_offset
+
+
+@pytest.mark.parametrize(("std_s", "status"), [(0.001, "degenerate_pose"), (0.005, "ok")])
+def test_tangents_may_not_stray_far_from_a_start_they_are_to_mend(std_s, status):
+    scene = make_scene(1, duration_s=DURATION_S)
+    found = joint(*seen(scene), scene.rig, CLEAN)
+    start = replace(
+        found,
+        status="degenerate_pose",
+        reason="open",
+        t_d_s=T_D_S + 0.005,  # 5 deviations, or 1
+        t_d_std_s=std_s,
+        R=None,
+        t=None,
+    )
+    assert continued(tangency_from, start, scene).status == status
+
+
+def test_time_out_of_view_is_no_motion():
+    # 0.7 s, 8.3 s of nothing, and 0.7 s: six swings between them that nobody saw.
+    scene = make_scene(5, duration_s=12.0)
+    streams = make_events(scene, 5, T_D_S, size_m=0.4)
+    cameras = []
+    for events, offset_s in zip(streams, (0.0, T_D_S), strict=True):
+        times_s = 1e-6 * events["t"] - offset_s
+        seen_then = ((times_s > 1.0) & (times_s < 1.7)) | ((times_s > 10.0) & (times_s < 10.7))
+        cameras.append(Observation(events[seen_then]))
+    config = Config(interval_s=(T_D_S - 0.25, T_D_S + 0.25), denoise=False)
+    estimate = ssac(*prepare(*cameras, scene.rig, config), scene.rig, config)
+    assert estimate.status == "too_little_motion"
