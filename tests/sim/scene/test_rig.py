@@ -157,6 +157,19 @@ def test_distortion_that_folds_the_image_is_refused(model: str, coeffs: tuple[fl
     one_camera(model, coeffs, focal_px=2000.0)  # a narrow view never reaches the fold
 
 
+def test_a_fold_near_the_far_corner_is_refused_too() -> None:
+    # The image folds on a ring of 122 px about the principal point, here outside of it: the ring
+    # crosses the right and lower half alone.
+    with pytest.raises(SimError, match="fold the image back on itself"):
+        two_view_rig(
+            90.0,
+            resolution=(130, 100),
+            principal_point=(5.0, -30.0),
+            distortion_model="radtan",
+            distortion_coeffs=(-0.4, 0.0, 0.0, 0.0),
+        )
+
+
 # --- Kalibr's YAML ----------------------------------------------------------------------------
 
 

@@ -140,6 +140,16 @@ def test_default_keeps_clear_of_the_cameras_and_stays_upright() -> None:
     assert np.percentile(tilt_deg, 95) < 25
 
 
+def test_no_trajectory_leaves_its_circle() -> None:
+    # Narrower than usual, so that some of the first draws leave it.
+    config = replace(SHORT, max_radius_m=3.0)
+    times_s = np.linspace(0, 6, 600)
+    for seed in range(8):
+        T_W_B = spline(seed, config).poses(times_s)
+        # As above: the bulge between two instants of the check.
+        assert np.hypot(T_W_B[:, 0, 3], T_W_B[:, 1, 3]).max() < 3.01
+
+
 def test_random_spline_says_when_it_cannot_stay_near() -> None:
     with pytest.raises(SimError, match=r"all went more than 0\.1 m away.*lower multiplier_xyz_m"):
         spline(0, replace(SHORT, max_radius_m=0.1))
