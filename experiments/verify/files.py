@@ -135,6 +135,8 @@ def _bench(path: Path) -> tuple[str, ...]:
         )
         if not 0.0 < one.value < np.inf:
             faults.append(f"{one.name} is {one.value}")
+        if not (isinstance(one.unit, str) and one.unit):
+            faults.append(f"{one.name} has no unit")
         if one.verdict != row["verdict"]:
             faults.append(f"{one.name} is {one.value:g}, so it is not so that it {row['verdict']}")
     return tuple(faults) if len(table) else ("it is empty",)

@@ -34,8 +34,6 @@ EVENT_COUNTS = ("n_events_cam1", "n_events_cam2")
 COUNT_TOLERANCE = 0.02
 """Relative: twice the share of the events that was taken away."""
 
-_SIX_DIGITS = 5e-6  # relative: half a unit of the sixth
-
 
 def recomputed(
     drawn: Sequence[Drawn], results: Path, folder: Path, workers: Workers
@@ -130,4 +128,4 @@ def _alike(mine: str, other: str, tolerance: float, relative: bool) -> bool:
     except ValueError:
         return False
     reach = tolerance * abs(b) if relative else tolerance
-    return bool(np.isfinite(a) and abs(a - b) <= max(reach, _SIX_DIGITS * abs(b)))
+    return f"{a:.6g}" == f"{b:.6g}" or bool(np.isfinite(a) and abs(a - b) <= reach)

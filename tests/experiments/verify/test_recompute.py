@@ -7,6 +7,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
+from experiments.run import task
 from experiments.run.schedule import Workers
 from experiments.run.task import tasks_of
 from experiments.studies.study import CELL
@@ -66,9 +67,10 @@ def test_a_drawn_recording_of_the_tables_comes_with_every_method_and_offset(sour
 
 
 def test_runs_from_nothing_are_as_committed_and_a_doubled_number_is_found(
-    results: Path, tmp_path: Path
+    results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    drawn = [Drawn(SQUARES_SOURCE, task) for task in tasks_of(SQUARES_SOURCE.cells)]
+    monkeypatch.setattr(task, "run_key", lambda recordings, inputs, code: f"square{inputs}")
+    drawn = [Drawn(SQUARES_SOURCE, one) for one in tasks_of(SQUARES_SOURCE.cells)]
 
     def again(name: str) -> list[Finding]:
         (tmp_path / name).mkdir()
