@@ -198,7 +198,7 @@ ABLATIONS = (
 
 _TIMED = (
     *("bench", "comparison", "coverage", "efficiency", "fidelity", "figures"),
-    *("more_flights", "refusal", "tangency", "zncc"),
+    *("refusal", "tangency", "zncc"),
     *(f"ablation_{name}" for name in ABLATIONS),
 )
 
@@ -229,10 +229,6 @@ NUMBERS: Mapping[str, Number] = {
     **{
         f"coverage.means.{m}": partial(means_by_angle, name="coverage_runs", method=m)
         for m in ("joint", "tangency")
-    },
-    **{
-        f"more_flights.means.{m}": partial(means_by_angle, name="more_flights_runs", method=m)
-        for m in ("ssac", "joint")
     },
     "davis346.largest": largest_with_noise,
     "refusal.recordings": refusal_recordings,

@@ -2,11 +2,10 @@
 
 from collections.abc import Mapping
 
-from experiments.run.grid import named_config
 from experiments.studies.coverage import coverage_study
 from experiments.studies.efficiency import EFFICIENCY
 from experiments.studies.fidelity import FIDELITY_STUDY
-from experiments.studies.grids import ablation_names, ablation_study, means_study
+from experiments.studies.grids import ablation_names, ablation_study
 from experiments.studies.refusal import REFUSAL
 from experiments.studies.study import Study
 from experiments.studies.tangency import TANGENCY
@@ -25,7 +24,6 @@ STUDIES: Mapping[str, Study] = {
         TANGENCY,
         ZNCC,
         FIDELITY_STUDY,
-        means_study(named_config("more_flights")),
         *ABLATIONS.values(),
     )
 }

@@ -1,7 +1,7 @@
 """A grid in TOML in, the study of it out: a method's errors at each of its points.
 
-Ablations (configs/ablation_*.toml) and the flights beyond the tables' (configs/more_flights.toml)
-are such studies. All methods and points of a grid see the same flights.
+Ablations (configs/ablation_*.toml) are such studies. All methods and points of a grid see the same
+flights.
 """
 
 from collections.abc import Callable, Sequence

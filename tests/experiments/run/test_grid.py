@@ -67,16 +67,16 @@ def test_no_two_flights_that_are_called_independent_are_one():
         for name in config_names("")
         for cell in named_config(name).cells()
     }
-    assert len(flights) >= 2 * 5 * 10 + 5 * 10 + 5 * 100  # tables, more flights, coverage
+    assert len(flights) >= 2 * 5 * 10 + 5 * 20  # tables, coverage
     assert len(set(flights.values())) == len(flights)
 
 
 def test_studies_of_fresh_flights_have_none_of_the_tables_or_of_each_other():
-    groups = [("esim_10", "esim_20"), ("more_flights",), ("coverage",)]
+    groups = [("esim_10", "esim_20"), ("coverage",)]
     seeds = [{cell.seed for name in names for cell in named_config(name).cells()}
              for names in groups]  # fmt: skip
-    assert [len(group) for group in seeds] == [100, 50, 500]
-    assert len(set().union(*seeds)) == 650
+    assert [len(group) for group in seeds] == [100, 100]
+    assert len(set().union(*seeds)) == 200
 
 
 def test_a_seed_depends_on_nothing_else():
@@ -95,7 +95,7 @@ def test_a_row_is_of_the_recording_that_ssac_simulate_makes_of_its_columns(tmp_p
     content = {
         "flights": 1,
         "methods": ["event_rate"],
-        "fixed": {"sim": {"spline": {"duration_s": 0.5}}},
+        "fixed": {"sim": {"spline": {"duration_s": 1.0}}},
         "grid": {"sim": {"angle_deg": [60], "t_d_s": [0.005]}},
     }
     cells = grid_from_content("short", content).cells()
@@ -130,8 +130,8 @@ def test_an_ablation_varies_what_its_figure_shows_over_enough_values(name):
     of_estimator = name in ("ablation_window", "ablation_n_min", "ablation_samples")
     assert len(values) >= (7 if of_estimator else 5)
     assert len({cell.sim.angle_deg for cell in cells}) >= 3
-    uses_tables = of_estimator or name in ("ablation_angle", "ablation_davis346")
-    assert grid.flights == (10 if uses_tables else 5)
+    uses_tables = of_estimator or name == "ablation_angle"
+    assert grid.flights == (10 if uses_tables else 3 if name == "ablation_davis346" else 2)
 
 
 def test_ablations_of_the_estimator_use_the_recordings_of_the_tables():
@@ -143,11 +143,13 @@ def test_ablations_of_the_estimator_use_the_recordings_of_the_tables():
 
 
 def test_the_noisy_tables_have_the_preset_and_are_the_same_cells_otherwise():
-    noisy = {(cell.sim, cell.seed) for cell in named_config("ablation_davis346").cells()}
+    grid = named_config("ablation_davis346")
+    noisy = {(cell.sim, cell.seed) for cell in grid.cells()}
     ideal = {
         (replace(cell.sim, frames=FrameConfig(rate_hz=0.0), sensor=PRESETS["davis346"]), cell.seed)
         for name in ("esim_10", "esim_20")
         for cell in named_config(name).cells()
+        if cell.flight < grid.flights
     }
     assert noisy == ideal
 

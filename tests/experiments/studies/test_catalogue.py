@@ -13,7 +13,7 @@ from experiments.run.grid import config_names, flight_seed, named_config
 from experiments.studies.catalogue import ABLATIONS, STUDIES
 from experiments.studies.fidelity import fidelity_cells, fidelity_table
 
-OWN_FLIGHTS = ("coverage", "refusal", "tangency", "zncc", "fidelity", "more_flights")
+OWN_FLIGHTS = ("coverage", "refusal", "tangency", "zncc", "fidelity")
 """Studies whose flights are those of no table."""
 
 
