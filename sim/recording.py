@@ -97,11 +97,11 @@ def simulate(
 
     Parameters
     ----------
-    config : SimConfig
-    seed : int
+    config
+    seed
         The only source of randomness; 0 or positive. The offset does not enter into it: recordings
         that differ in `t_d_s` alone differ in camera 2's timestamps alone.
-    progress : Callable[[float], None], optional
+    progress
         Called now and then with the share of the work done, 0 to 1.
 
     Returns

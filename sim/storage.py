@@ -45,12 +45,12 @@ def save_recording(
 
     Parameters
     ----------
-    recording : Recording
-    out_dir : Path
+    recording
+    out_dir
         New, or empty. The folder appears under this name only when all of it is written.
-    provenance : dict[str, Any]
+    provenance
         What the recording was made with; goes into truth.json as it is.
-    text : bool
+    text
         Write the events as ESIM text (cam1.txt, ...) too.
 
     Raises

@@ -114,7 +114,7 @@ def compare_events(events: NDArray[Any], reference: NDArray[Any]) -> EventFideli
 
     Parameters
     ----------
-    events, reference : NDArray
+    events, reference
         EVENT_DTYPE, of the same scene.
     """
     keys = [_sort_by_pixel(e) for e in (events, reference)]

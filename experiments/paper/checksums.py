@@ -24,9 +24,9 @@ def record_checksums(folder: Path, paths: Iterable[Path]) -> None:
 
     Parameters
     ----------
-    folder : Path
+    folder
         Of the results. Several commands may write to it at once.
-    paths : Iterable[Path]
+    paths
         Files in it that were just written, each with its provenance if that lies beside it.
     """
     with _alone(folder):

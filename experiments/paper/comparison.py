@@ -129,10 +129,10 @@ def difference_interval(
 
     Parameters
     ----------
-    ours, published : Sample
-    resolution : float
+    ours, published
+    resolution
         Unit of the last printed digit of the published mean; half of it is added on both sides.
-    confidence : float
+    confidence
         Of the interval, 0 to 1.
 
     Returns
@@ -197,11 +197,11 @@ def comparison_table(
 
     Parameters
     ----------
-    tables : Mapping[float, pd.DataFrame]
+    tables
         Ours, as of `tables.esim_tables`, by duration [s].
-    published : Mapping[float, pd.DataFrame]
+    published
         The paper's, as of `load_published`.
-    reasons : tuple of Reason
+    reasons
         For the notes.
 
     Returns

@@ -38,7 +38,7 @@ def ordered_runs(runs: pd.DataFrame) -> pd.DataFrame:
 
     Parameters
     ----------
-    runs : pd.DataFrame
+    runs
         RUN_COLUMNS, in any order of rows; further columns are dropped, YOUNGER ones may be absent.
 
     Returns
@@ -107,9 +107,9 @@ def esim_table(runs: pd.DataFrame, duration_s: float) -> pd.DataFrame:
 
     Parameters
     ----------
-    runs : pd.DataFrame
+    runs
         As `ordered_runs` takes them; those of other durations only tell which methods give a pose.
-    duration_s : float
+    duration_s
 
     Returns
     -------

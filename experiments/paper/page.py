@@ -34,13 +34,13 @@ def results_page(
 
     Parameters
     ----------
-    runs : pd.DataFrame
+    runs
         As of `tables.ordered_runs`.
-    tables : Mapping[float, pd.DataFrame]
+    tables
         As of `tables.esim_tables`.
-    comparison : pd.DataFrame
+    comparison
         As of `comparison.comparison_table`.
-    provenance : Mapping[str, Any]
+    provenance
         Of the runs.
     """
     sections = [_opening(runs, tables), _against_the_paper(comparison), _marks(tables, comparison)]

@@ -25,13 +25,13 @@ def save_results(
 
     Parameters
     ----------
-    runs : pd.DataFrame
+    runs
         As `tables.ordered_runs` takes them.
-    folder : Path
+    folder
         Is made when it is not there.
-    provenance : Mapping[str, Any]
+    provenance
         What `provenance.save_provenance` writes for the runs.
-    published : Path
+    published
         Folder of the paper's tables.
     """
     folder.mkdir(parents=True, exist_ok=True)

@@ -108,7 +108,7 @@ def make_animation(folder: Path) -> Animation:
 
     Parameters
     ----------
-    folder : Path
+    folder
         A recording as `sim.storage` writes it, with t_d = 0.
 
     Raises

@@ -100,7 +100,7 @@ def load_results(folder: Path) -> Results:
 
     Parameters
     ----------
-    folder : Path
+    folder
         As `make tables ablations figures` writes it.
 
     Raises

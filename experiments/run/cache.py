@@ -60,9 +60,9 @@ class Cache:
 
         Parameters
         ----------
-        config : SimConfig
+        config
             Its `t_d_s` does not count: the recording has both clocks equal.
-        seed : int
+        seed
 
         Raises
         ------
@@ -142,11 +142,11 @@ def run_key(recordings: tuple[str, ...], inputs: Any, code: tuple[str, ...]) -> 
 
     Parameters
     ----------
-    recordings : tuple[str, ...]
+    recordings
         Keys of the recordings that it is measured on.
-    inputs : Any
+    inputs
         Everything else that goes in: parameters, the method's name and its version.
-    code : tuple[str, ...]
+    code
         Modules that measure it.
     """
     return _digest(recordings, content(inputs), code_digest(*code), package_versions(SSAC_PACKAGES))

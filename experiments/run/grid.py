@@ -138,12 +138,12 @@ def flight_seed(duration_s: float, angle_deg: float, flight: int, base_seed: int
 
     Parameters
     ----------
-    duration_s : float
-    angle_deg : float
+    duration_s
+    angle_deg
         Between the lines of sight.
-    flight : int
+    flight
         Number of the flight among those of this duration and angle.
-    base_seed : int
+    base_seed
         Another one gives another set of flights.
 
     Returns
@@ -160,7 +160,7 @@ def load_config(path: Path) -> GridConfig:
 
     Parameters
     ----------
-    path : Path
+    path
         A TOML file.
 
     Raises

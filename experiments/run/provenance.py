@@ -60,14 +60,14 @@ def provenance(
 
     Parameters
     ----------
-    command : str
+    command
         That makes the result again.
-    config : Any
+    config
         What it was made with: dataclasses, mappings, sequences, plain values.
-    wall_time_s : float
-    gl : GLContext | None
+    wall_time_s
+    gl
         Where rendering took part.
-    **more : Any
+    **more
         Further entries.
     """
     return {

@@ -71,14 +71,14 @@ def run_cells(
 
     Parameters
     ----------
-    cells : Sequence[AnyCell]
-    cache : Cache
-    workers : Workers | None
+    cells
+    cache
+    workers
         One process for each core when None.
-    label : str
+    label
         Of the progress bar on stderr.
-    show_progress : bool
-    measure : Measure
+    show_progress
+    measure
         What is measured of the cells: by default, how a method errs.
 
     Returns

@@ -45,10 +45,10 @@ def score(estimate: Estimate, t_d_s: float, R: FloatArray, t: FloatArray) -> Sco
 
     Parameters
     ----------
-    estimate : Estimate
-    t_d_s : float
+    estimate
+    t_d_s
         True offset [s], `t_cam2 = t_cam1 + t_d`.
-    R, t : FloatArray
+    R, t
         True rotation (3, 3) and translation direction (3,): x2 = R x1 + t.
     """
     return Score(

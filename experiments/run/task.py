@@ -130,10 +130,10 @@ def run_task(task: Task, cache: Cache, measure: Measure) -> Done:
 
     Parameters
     ----------
-    task : Task
-    cache : Cache
+    task
+    cache
         Is given every row as soon as it is there, but for crashed ones.
-    measure : Measure
+    measure
 
     Returns
     -------

@@ -52,8 +52,8 @@ def scene_figures(recording: Recording, config: Config | None = None) -> SceneFi
 
     Parameters
     ----------
-    recording : Recording
-    config : Config, optional
+    recording
+    config
         How the method takes its samples.
     """
     rig = rig_of(recording, with_extrinsics=True)

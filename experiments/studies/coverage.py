@@ -55,7 +55,7 @@ def coverage_table(runs: pd.DataFrame) -> pd.DataFrame:
 
     Parameters
     ----------
-    runs : pd.DataFrame
+    runs
         Rows of `schedule.run_cells`, of `coverage.toml`'s grid.
 
     Returns

@@ -46,9 +46,9 @@ def efficiency_of_runs(bounds: pd.DataFrame, runs: pd.DataFrame) -> pd.DataFrame
 
     Parameters
     ----------
-    bounds : pd.DataFrame
+    bounds
         One row for each of `bound_cells`.
-    runs : pd.DataFrame
+    runs
         results/runs.csv.
     """
     return efficiency_table(runs_beside_bounds(runs, bounds))
@@ -83,9 +83,9 @@ def efficiency_table(beside: pd.DataFrame, keys: Sequence[str] = CELL) -> pd.Dat
 
     Parameters
     ----------
-    beside : pd.DataFrame
+    beside
         As of `runs_beside_bounds`.
-    keys : Sequence[str]
+    keys
         Columns of it.
 
     Returns

@@ -64,9 +64,9 @@ def ablation_table(runs: pd.DataFrame, varied: Sequence[str]) -> pd.DataFrame:
 
     Parameters
     ----------
-    runs : pd.DataFrame
+    runs
         Rows of the grid's runs.
-    varied : Sequence[str]
+    varied
         Columns that tell the points apart.
 
     Returns

@@ -134,10 +134,10 @@ def summary_text(study: Study, runs_text: str, folder: Path) -> str:
 
     Parameters
     ----------
-    study : Study
-    runs_text : str
+    study
+    runs_text
         Of the runs' file.
-    folder : Path
+    folder
         Where the other files are that the summary is made of.
 
     Raises

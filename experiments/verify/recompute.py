@@ -42,12 +42,12 @@ def recomputed(
 
     Parameters
     ----------
-    drawn : Sequence[Drawn]
-    results : Path
+    drawn
+    results
         The committed ones.
-    folder : Path
+    folder
         An empty one, for the recordings and runs.
-    workers : Workers
+    workers
     """
     findings = []
     for source in {one.source.name: one.source for one in drawn}.values():
@@ -79,10 +79,10 @@ def row_faults(
 
     Parameters
     ----------
-    again, committed : pd.DataFrame
+    again, committed
         Of `committed` only the rows of `again` count.
-    keys : Sequence[str]
-    exactly : bool
+    keys
+    exactly
         Every column, to its digits; else those that have a tolerance.
     """
     theirs_by_key = {tuple(row[name] for name in keys): row for row in committed.to_dict("records")}

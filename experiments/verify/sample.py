@@ -77,10 +77,10 @@ def draw(sources: Sequence[Source], n_recordings: int, seed: int) -> list[Drawn]
 
     Parameters
     ----------
-    sources : Sequence[Source]
-    n_recordings : int
+    sources
+    n_recordings
         As many, or all if there are fewer.
-    seed : int
+    seed
         The same draws the same.
     """
     generator = np.random.default_rng(seed)

@@ -43,11 +43,11 @@ def footprint(drone: Drone, camera: Camera, times_s: FloatArray, T_W_B: FloatArr
 
     Parameters
     ----------
-    drone : Drone
-    camera : Camera
-    times_s : FloatArray
+    drone
+    camera
+    times_s
         Instants, shape (n,) [s]; they set the joints.
-    T_W_B : FloatArray
+    T_W_B
         Poses of the drone's body at those instants, shape (n, 4, 4).
 
     Returns

@@ -39,7 +39,7 @@ class Atlas:
 
     Parameters
     ----------
-    drone : Drone
+    drone
 
     Notes
     -----
@@ -99,14 +99,14 @@ class Atlas:
 
         Parameters
         ----------
-        T_C_P : list[NDArray[np.float32]]
+        T_C_P
             For each part, its instances' matrices (n, 4, 4): part to camera [m], and in the last
             row the shift from lattice to atlas coordinates and the corner of the tile.
-        tile, size : tuple[int, int]
+        tile, size
             Width and height of a tile and of the part of the atlas in use [samples].
-        depth_range_m : tuple[float, float]
+        depth_range_m
             Depths between which everything lies [m].
-        clip : bool
+        clip
             Cut each instance off at the border of its tile.
 
         Returns
@@ -213,10 +213,10 @@ def make_primitive(part: Part, piece_m: float | None, n_instances: int | None) -
 
     Parameters
     ----------
-    part : Part
-    piece_m : float | None
+    part
+    piece_m
         Split faces until no edge is longer [m]; None: leave them.
-    n_instances : int | None
+    n_instances
         Room for as many instances; None: pyrender's single one.
     """
     from pyrender.primitive import Primitive

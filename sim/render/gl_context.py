@@ -32,7 +32,7 @@ def open_context(backend: str = "auto") -> GLContext:
 
     Parameters
     ----------
-    backend : str
+    backend
         "osmesa", "egl" or "auto": OSMesa where the system has it, EGL otherwise.
 
     Returns

@@ -37,9 +37,9 @@ class PyrenderFullFrame:
 
     Parameters
     ----------
-    drone : Drone
-    camera : Camera
-    config : RenderConfig, optional
+    drone
+    camera
+    config
 
     Raises
     ------
@@ -85,11 +85,11 @@ class PyrenderFullFrame:
 
         Parameters
         ----------
-        time_s : float
+        time_s
             Sets the joints [s].
-        T_W_B : FloatArray
+        T_W_B
             Pose of the drone's body, shape (4, 4).
-        background : NDArray[np.float32]
+        background
             Luminance of the empty scene, shape (height, width).
 
         Returns

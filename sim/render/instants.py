@@ -41,10 +41,10 @@ def choose_instants(
 
     Parameters
     ----------
-    drone : Drone
-    camera : Camera
-    trajectory : Trajectory
-    config : SamplingConfig, optional
+    drone
+    camera
+    trajectory
+    config
 
     Returns
     -------

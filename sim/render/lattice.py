@@ -113,17 +113,17 @@ def average_pixels(
 
     Parameters
     ----------
-    atlas : NDArray[np.uint32]
+    atlas
         Sample words, shape (atlas height, atlas width).
-    lattice : Lattice
+    lattice
         How the samples lie.
-    corners : NDArray[np.int64]
+    corners
         Atlas column and row at which each tile starts, shape (n, 2).
-    x0_px, y0_px : NDArray[np.int64]
+    x0_px, y0_px
         Image column and row at which each tile's crop starts, shape (n,) [px].
-    size_px : tuple[int, int]
+    size_px
         Width and height of the crops [px].
-    background : NDArray[np.float32]
+    background
         Luminance of the empty scene, shape (image height, image width).
 
     Returns

@@ -61,8 +61,8 @@ class Renderer:
 
     Parameters
     ----------
-    drone : Drone
-    config : RenderConfig
+    drone
+    config
 
     Raises
     ------
@@ -104,12 +104,12 @@ class Renderer:
 
         Parameters
         ----------
-        camera : Camera
-        times_s : FloatArray
+        camera
+        times_s
             Increasing instants, shape (n,) [s].
-        T_W_B : FloatArray
+        T_W_B
             Pose of the drone's body at each, shape (n, 4, 4).
-        background : NDArray[np.float32]
+        background
             Luminance of the empty scene, shape (height, width).
 
         Yields

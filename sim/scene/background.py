@@ -28,10 +28,10 @@ def load_background(path: Path, camera: Camera) -> NDArray[np.float32]:
 
     Parameters
     ----------
-    path : Path
+    path
         An image file that OpenCV reads, taken as sRGB; or `.npy`, or an image of floating-point
         numbers, linear luminance in [0, 1].
-    camera : Camera
+    camera
         The image must have its resolution.
 
     Returns

@@ -114,9 +114,9 @@ def quadrotor(size_m: float = DEFAULT_SIZE_M, rotor_hz: float = 0.0) -> Drone:
 
     Parameters
     ----------
-    size_m : float
+    size_m
         Length, from the front rotors' sweep to the rear ones' [m]; the width is 9 % less.
-    rotor_hz : float
+    rotor_hz
         Turns per second of the rotors, neighbours in opposite senses. 0: they stand still, and the
         whole drone is one part; otherwise each rotor is a part on its joint.
 
@@ -154,9 +154,9 @@ def drone_from_file(path: Path, size_m: float | None = None) -> Drone:
 
     Parameters
     ----------
-    path : Path
+    path
         Any format that trimesh reads; a scene's meshes are joined. x forward, y left, z up.
-    size_m : float, optional
+    size_m
         Scale the mesh so that its larger horizontal extent is this [m]; by default the file's
         units are metres.
 

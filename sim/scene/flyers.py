@@ -35,12 +35,12 @@ def built_in_drone(
 
     Parameters
     ----------
-    name : str
-    size_m : float, optional
+    name
+    size_m
         Largest horizontal extent [m]; by default 0.65.
-    rotor_hz : float
+    rotor_hz
         Turns per second of the quadrotor's rotors.
-    flap_hz : float
+    flap_hz
         Wing beats per second of the bird.
 
     Raises
@@ -70,9 +70,9 @@ def bird(size_m: float = DEFAULT_SIZE_M, flap_hz: float = FLAP_HZ) -> Drone:
 
     Parameters
     ----------
-    size_m : float
+    size_m
         Wing span with the wings level [m].
-    flap_hz : float
+    flap_hz
         Wing beats per second, to 34 deg above and below level. 0: it glides, as one part.
 
     Returns
@@ -108,7 +108,7 @@ def plane(size_m: float = DEFAULT_SIZE_M) -> Drone:
 
     Parameters
     ----------
-    size_m : float
+    size_m
         Wing span [m]; the length is 26 % less.
 
     Returns

@@ -81,7 +81,7 @@ class Camera:
 
         Parameters
         ----------
-        points_W : (..., 3) array
+        points_W
             [m], frame W.
 
         Returns
@@ -103,7 +103,7 @@ class Camera:
 
         Parameters
         ----------
-        rays : (..., 2) array
+        rays
             x / z and y / z, frame C.
 
         Returns
@@ -211,20 +211,20 @@ def look_at_rig(
 
     Parameters
     ----------
-    angles_deg : sequence of float
+    angles_deg
         One per camera [deg], counter-clockwise seen from above: at 0 the camera stands at
         (0, -distance_m, 0), looks along +y, and the image's down is the world's -z.
-    distance_m : float
+    distance_m
         From the origin [m].
-    focal_px : float
-    resolution : (int, int)
+    focal_px
+    resolution
         Width and height [px].
-    principal_point : (float, float)
+    principal_point
         Column and row [px].
-    distortion_model : str
+    distortion_model
         "none", "radtan" or "equidistant".
-    distortion_coeffs : sequence of float
-    time_offsets_s : sequence of float, optional
+    distortion_coeffs
+    time_offsets_s
         Each camera's clock minus the world's [s]; zero by default.
 
     Returns

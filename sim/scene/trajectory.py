@@ -77,7 +77,7 @@ class Trajectory:
 
         Parameters
         ----------
-        times_s : (n,) array
+        times_s
             Times [s], in any order, within [0, `duration_s`].
 
         Returns
@@ -117,8 +117,8 @@ def random_spline(config: SplineConfig, rng: np.random.Generator) -> Trajectory:
 
     Parameters
     ----------
-    config : SplineConfig
-    rng : numpy.random.Generator
+    config
+    rng
         The only source of randomness: the same state gives the same trajectory.
 
     Returns
@@ -157,7 +157,7 @@ def trajectory_from_csv(path: Path) -> Trajectory:
 
     Parameters
     ----------
-    path : Path
+    path
         Columns t [s], x, y, z [m], qx, qy, qz, qw (attitude T_W_B, scalar last, of any norm), in
         this order, or in any order under a header that names them. `#` starts a comment. Note that
         ESIM's own files have the same columns but times in nanoseconds.
@@ -202,10 +202,10 @@ def trajectory_to_csv(trajectory: Trajectory, path: Path, rate_hz: float) -> Non
 
     Parameters
     ----------
-    trajectory : Trajectory
-    path : Path
+    trajectory
+    path
         Overwritten when it exists.
-    rate_hz : float
+    rate_hz
         Rows per second, at least; both ends of the trajectory are rows.
 
     Raises
@@ -244,11 +244,11 @@ def _fit_smoothing_spline(
 
     Parameters
     ----------
-    times_s : (n,) array
+    times_s
         Increasing, from 0 to the spline's end [s].
-    values : (n, d) array
-    order, n_segments : int
-    smoothing : float
+    values
+    order, n_segments
+    smoothing
         [s^3]
 
     Returns

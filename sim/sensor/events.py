@@ -79,15 +79,15 @@ class Sensor:
 
     Parameters
     ----------
-    config : SensorConfig
-    image : NDArray[np.float32]
+    config
+    image
         Luminance at the start, in [0, 1], shape (height, width): no event comes from it.
-    time_s : float
+    time_s
         When the start is [s].
-    rng : numpy.random.Generator
+    rng
         Draws the pixels' mismatch and noise; the same state gives the same events, however the
         recording is cut into crops.
-    background : NDArray[np.float32], optional
+    background
         What surrounds the crops to come, same shape. Default: the image at the start.
     """
 
@@ -153,11 +153,11 @@ class Sensor:
 
         Parameters
         ----------
-        times_s : NDArray[np.float64]
+        times_s
             Shape (n,) [s], increasing, all after the instants before.
-        x0_px, y0_px : NDArray[np.int64]
+        x0_px, y0_px
             First column and row of each crop, shape (n,).
-        luminance : NDArray[np.float32]
+        luminance
             Shape (n, crop height, crop width), crops wholly within the image.
         """
         shared = (
@@ -213,13 +213,13 @@ def events_from_frames(
 
     Parameters
     ----------
-    frames : NDArray
+    frames
         Shape (n, height, width): floating point in [0, 1], or unsigned integers of full scale 1.
         Linear light: undo a video's gamma first.
-    times_s : NDArray[np.float64]
+    times_s
         Shape (n,) [s], increasing.
-    config : SensorConfig, optional
-    rng : numpy.random.Generator, optional
+    config
+    rng
         Default: seeded with 0.
 
     Returns

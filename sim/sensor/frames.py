@@ -40,10 +40,10 @@ class FrameExposer:
 
     Parameters
     ----------
-    config : FrameConfig
-    background : NDArray[np.float32]
+    config
+    background
         Luminance around the crops, shape (height, width).
-    duration_s : float
+    duration_s
         Frame k is exposed from k / rate on; only frames exposed wholly before this time are taken.
     """
 
