@@ -87,8 +87,8 @@ class Reason:
 
 REASONS = (
     Reason(
-        "our views share more of the vertical motion (docs/zncc.md), and a mean of ten flights "
-        "says little more than how many of them are gross errors",
+        "a mean of ten flights says little more than how many of them are gross errors "
+        "(docs/zncc.md)",
         ("zncc_e_t_d_error_ms", "zncc_f_t_d_error_ms"),
         angles_deg=(60.0, 90.0, 120.0),
     ),
