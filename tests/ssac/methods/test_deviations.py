@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ssac import Observation, joint, joint_known, prepare, ssac, tangency, tangency_known
+from ssac import Observation, Status, joint, joint_known, prepare, ssac, tangency, tangency_known
 from ssac.geometry.epipolar import fundamental_from_pose, sampson_distance
 from ssac.geometry.pose import pose_from_fundamental
 from ssac.methods.tangency import TangencyConfig, tangent_pairs
@@ -59,7 +59,7 @@ def test_a_mean_that_strays_all_along_is_allowed_for():
     # mean of the events lay off by 0.06 for long, and ten times more would refuse every such line.
     scene, cameras = uniform_flight()
     estimate = joint_known(*cameras, scene.rig, UNIFORM)
-    assert estimate.status == "ok"
+    assert estimate.status == Status.OK
     stray_px = estimate.t_d_std_s * lever_px_s(scene)
     assert 0.06 * images_px() < stray_px < 0.2 * images_px()
     assert abs(estimate.t_d_s - T_D_S) < 2.0 * estimate.t_d_std_s
@@ -69,7 +69,7 @@ def test_an_outline_that_is_off_all_along_is_allowed_for():
     # 0.2 px on each of the two sides, which share the error of their mean.
     scene, cameras = uniform_flight()
     estimate = tangency_known(*cameras, scene.rig, UNIFORM)
-    assert estimate.status == "ok"
+    assert estimate.status == Status.OK
     stray_px = estimate.t_d_std_s * lever_px_s(scene)
     assert 0.1 < stray_px < 0.5
     assert abs(estimate.t_d_s - T_D_S) < 2.0 * estimate.t_d_std_s
@@ -117,7 +117,9 @@ def test_blurred_tangents_count_less():
     sharp, blurred = (
         Tangents(points, points, np.full(n, spread_px), valid) for spread_px in (0.0, 0.5)
     )
-    weights = tangent_pairs(times_s, [sharp, blurred], [sharp, blurred], TangencyConfig()).weights
+    weights = tangent_pairs(
+        times_s, [sharp, blurred], [sharp, blurred], 0.0, TangencyConfig()
+    ).weights
     # Errors of both views: 0.05 px of any tangent, and the blur of each.
     expected = np.sqrt(0.05**2 + 2 * 0.5**2) / 0.05
     np.testing.assert_allclose(weights[:n] / weights[n:], expected, rtol=1e-12)

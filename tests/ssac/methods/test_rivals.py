@@ -4,9 +4,19 @@ from dataclasses import replace
 
 import pytest
 
-from ssac import Config, Estimate, Observation, joint, joint_known, prepare, ssac
-from ssac.methods.joint import joint_from
-from ssac.methods.tangency import tangency_from
+from ssac import (
+    Config,
+    Estimate,
+    Observation,
+    Status,
+    joint,
+    joint_from,
+    joint_known,
+    prepare,
+    ssac,
+    tangency_from,
+    two_views,
+)
 from tests.ssac.methods.test_refusal import (
     CLEAN,
     DURATION_S,
@@ -22,7 +32,7 @@ from tests.ssac.synthetic import Scene, make_events, make_scene
 
 def continued(method, start: Estimate, scene: Scene) -> Estimate:
     """What a refining method makes of a start that is given."""
-    return method(start, *seen(scene), scene.rig, CLEAN)
+    return method(start, two_views(*seen(scene), scene.rig, CLEAN))
 
 
 def nearly_periodic(stray_m: float, from_s: float = 0.0) -> Scene:
@@ -36,7 +46,9 @@ def nearly_periodic(stray_m: float, from_s: float = 0.0) -> Scene:
     return scene_of(path)
 
 
-@pytest.mark.parametrize(("stray_m", "status"), [(0.01, "ambiguous_offset"), (0.02, "ok")])
+@pytest.mark.parametrize(
+    ("stray_m", "status"), [(0.01, Status.AMBIGUOUS_OFFSET), (0.02, Status.OK)]
+)
 def test_an_offset_must_fit_twice_as_well_as_any_other(stray_m, status):
     # The mean of 1000 events is off by 0.2 px. A stray of 0.01 m, 0.4 px, less what the pose takes
     # of it, makes an offset a turn away fit 1.1 to 2 times worse; twice that, 2 to 3.5 times.
@@ -49,25 +61,25 @@ def test_an_offset_must_fit_twice_as_well_as_any_other(stray_m, status):
 def test_all_but_the_worst_pairs_tell_solutions_apart():
     # For two fifths of the flight an offset a turn away fits as well as the true one.
     scene = nearly_periodic(0.03, from_s=0.4)
-    assert joint_known(*seen(scene), scene.rig, CLEAN).status == "ok"
+    assert joint_known(*seen(scene), scene.rig, CLEAN).status == Status.OK
 
 
 def test_where_the_fundamental_matrix_is_open_other_offsets_are_tried():
     # On a circle each offset has a pose that fits, the wrong ones at 0.1 s too.
     scene = scene_of(circle)
-    start = Estimate("ssac", "degenerate_pose", "F is open", t_d_s=T_D_S)
+    start = Estimate("ssac", Status.DEGENERATE_POSE, "F is open", t_d_s=T_D_S)
     estimate = continued(joint_from, start, scene)
-    assert estimate.status == "ambiguous_offset"
+    assert estimate.status == Status.AMBIGUOUS_OFFSET
     assert not estimate.has_offset
 
 
-@pytest.mark.parametrize(("std_s", "status"), [(0.001, "degenerate_pose"), (0.005, "ok")])
+@pytest.mark.parametrize(("std_s", "status"), [(0.001, Status.DEGENERATE_POSE), (0.005, Status.OK)])
 def test_tangents_may_not_stray_far_from_a_start_they_are_to_mend(std_s, status):
     scene = make_scene(1, duration_s=DURATION_S)
     found = joint(*seen(scene), scene.rig, CLEAN)
     start = replace(
         found,
-        status="degenerate_pose",
+        status=Status.DEGENERATE_POSE,
         reason="open",
         t_d_s=T_D_S + 0.005,  # 5 deviations, or 1
         t_d_std_s=std_s,
@@ -88,4 +100,4 @@ def test_time_out_of_view_is_no_motion():
         cameras.append(Observation(events[seen_then]))
     config = Config(interval_s=(T_D_S - 0.25, T_D_S + 0.25), denoise=False)
     estimate = ssac(*prepare(*cameras, scene.rig, config), scene.rig, config)
-    assert estimate.status == "too_little_motion"
+    assert estimate.status == Status.TOO_LITTLE_MOTION

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ssac.config import Config
-from ssac.estimate import Estimate
+from ssac.estimate import Estimate, Status
 from ssac.tool.registry import METHODS, OURS
 from ssac.track.observation import Observation, prepare
 from tests.ssac.synthetic import angle_deg, make_events, make_scene, rotation_angle_deg
@@ -45,7 +45,7 @@ def answer(name: str, shift_s: float) -> Estimate:
 @pytest.mark.parametrize("name", [method.name for method in OURS])
 def test_every_method_answers_alike_wherever_the_interval_lies(name, shift_s):
     centred, moved = answer(name, 0.0), answer(name, shift_s)
-    assert (centred.status, moved.status) == ("ok", "ok")
+    assert (centred.status, moved.status) == (Status.OK, Status.OK)
     # Counts of events jump at the candidates, which are others: 10 us are the search's resolution.
     assert moved.t_d_s == pytest.approx(centred.t_d_s, abs=0.03e-3)
     if centred.R is not None:
