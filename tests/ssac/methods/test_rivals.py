@@ -60,7 +60,7 @@ def test_an_offset_must_fit_twice_as_well_as_any_other(stray_m, status):
 
 def test_all_but_the_worst_pairs_tell_solutions_apart():
     # For two fifths of the flight an offset a turn away fits as well as the true one.
-    scene = nearly_periodic(0.03, from_s=0.4)
+    scene = nearly_periodic(0.03, from_s=0.4 * DURATION_S)
     assert joint_known(*seen(scene), scene.rig, CLEAN).status == Status.OK
 
 
