@@ -68,6 +68,8 @@ def test_kalibr_without_distortion_or_pose(tmp_path, coeffs):
         ("cam1", "distortion_coeffs", [0, 0, 0, np.nan], "distortion_coeffs: expected a list of"),
         ("cam1", "T_cn_cnm1", [[1, 0], [0, 1]], "cam1, T_cn_cnm1: expected 4 x 4 of finite"),
         ("cam1", "T_cn_cnm1", np.diag([1, 1, -1, 1]).tolist(), "expected a rotation"),
+        # A hundredth longer than a rotation; four digits are off by a ten thousandth.
+        ("cam1", "T_cn_cnm1", np.diag([1.01, 1.01, 1.01, 1]).tolist(), "differs from I by 0.02"),
         ("cam1", "T_cn_cnm1", np.diag([1, 1, 2, 1]).tolist(), "R'R differs from I by 3"),
     ],
 )

@@ -55,6 +55,17 @@ def test_the_nearest_pose_improves_on_the_decomposition():
     assert moved < 0.8 * decomposed  # half of it, over 100 seeds
 
 
+def test_the_nearest_pose_does_not_depend_on_the_sign_of_f():
+    scene = make_scene(0, angle_deg=30.0)
+    p1, p2 = track_pair(scene, np.linspace(0.0, 20.0, 400))
+    p1, p2 = (p + np.random.default_rng(0).normal(0.0, 0.3, p.shape) for p in (p1, p2))
+    F = reweighted_fundamental(p1, p2)
+    pose = pose_from_fundamental(F, K, K, p1, p2)
+    one, other = (nearest_pose(pose, sign * F, K, K, p1, p2) for sign in (1.0, -1.0))
+    assert np.allclose(one.R, other.R, atol=ROUNDING)
+    assert np.allclose(one.t, other.t, atol=ROUNDING)
+
+
 def test_swapping_the_cameras_inverts_the_pose():
     scene = make_scene(seed=3)
     p1, p2 = track_pair(scene, np.linspace(0.0, 20.0, 50))

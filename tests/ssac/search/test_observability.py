@@ -143,6 +143,27 @@ def test_a_path_that_repeats_itself_returns_after_whole_periods():
     assert len(returns_s(ordinary, view_of(ordinary), 2.0)) == 0
 
 
+@pytest.mark.parametrize(("drift_px_s", "returns"), [(7.0, True), (21.0, False)])
+def test_a_path_that_nearly_repeats_itself_returns_too(drift_px_s, returns):
+    def path(times_s):
+        return wave(1.25)(times_s) + drift_px_s * (times_s - 4.0)
+
+    motion = motion_along(path, wave(1.25, 0.4))
+    # After 0.8 s it is 6 or 17 px from where it was, of an extent of 62 to 78 px: a tenth, or over
+    # a fifth.
+    found = returns_s(motion, view_of(motion), 1.0)
+    assert (len(found) > 0) == returns
+
+
+def test_straight_is_narrow_beside_its_length_and_beside_the_object():
+    view = view_of(motion_along(wave(0.7), wave(0.7)))
+    assert view is not None
+    narrow = replace(view, width_px=5.0, length_px=60.0, size_px=40.0)
+    assert narrow.is_straight
+    assert not replace(narrow, length_px=30.0).is_straight  # an eighth of it is 4 px
+    assert not replace(narrow, size_px=10.0).is_straight  # and 0.3 of the object 3 px
+
+
 def test_a_planar_path_leaves_the_fundamental_matrix_open():
     times_s = np.linspace(0.5, 19.5, 300)
     rng = np.random.default_rng(1)

@@ -48,6 +48,15 @@ def test_the_minimum_is_found_between_candidates(centre_s):
         assert not search.at_bound
 
 
+def test_what_lies_far_from_the_minimum_does_not_move_it():
+    def cost(t_d_s):  # one side of the valley ends 10 ms from its bottom
+        return np.where(t_d_s > 0.21, 1.4, rounded_v(0.2)(t_d_s))
+
+    # The parabola reaches 6 ms to each side; to 20 ms and more it is drawn to the flat side by far
+    # more than 10 us, the resolution promised.
+    assert coarse_to_fine_search(cost, cost, OFFSETS_S).t_d_s == pytest.approx(0.2, abs=1e-5)
+
+
 def test_the_deeper_of_two_valleys_is_found():
     def cost(t_d_s):
         return np.minimum(rounded_v(-0.6, depth=1.0)(t_d_s), rounded_v(0.3)(t_d_s))

@@ -70,6 +70,15 @@ def test_velocities_follow_the_path(flight):
     assert np.abs(np.median(error)) < 10.0
 
 
+def test_velocities_do_not_depend_on_when_the_events_come():
+    # A pixel a millisecond, and ever more events: each half's mean time is late in it, as is its
+    # mean position.
+    t_ms = np.repeat(np.arange(60, 140), np.arange(1, 81) ** 2)
+    events = column_of_events(1000 * t_ms, t_ms, np.full(len(t_ms), 50))
+    velocity = object_motion(events, CAMERA).velocities_at(np.array([0.1]))[0]
+    assert velocity == pytest.approx([1000.0, 0.0], abs=1e-6)  # rounding of sums
+
+
 def test_times_far_from_zero_lose_nothing(flight):
     _, events = flight
     later = events.copy()

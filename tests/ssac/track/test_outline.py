@@ -74,3 +74,16 @@ def test_two_events_beyond_the_edge_hardly_move_it():
     disturbed = motion_of(np.append(times_s, stray_s), np.vstack([points_px, stray_px]))
     # They take two ranks, each a step of 0.075 px, and half as much again by the deeper rank.
     assert abs(np.mean(edges_px(disturbed, OutlineConfig())[0][0]) - plain) < 0.4
+
+
+def test_a_tangent_cut_off_by_the_border_is_invalid():
+    # The upper 3 px of 120 lie in the border of 5 px: too few events to drop the track's samples.
+    times_s, points_px = square(40_000.0)
+    points_px[:, 1] += HEIGHT - 2.0 - (MIDDLE_Y + SIDE_PX / 2)
+    motion = motion_of(times_s, points_px)
+    at_s = np.arange(0.1, DURATION_S - 0.1, 0.02)
+    assert motion.at(at_s).valid.all()
+    near = near_outline(motion, LEVEL, at_s, OutlineConfig())
+    upper, lower = tangents(motion, near, LEVEL, at_s, OutlineConfig())
+    assert not upper.valid.any()
+    assert lower.valid.mean() > 0.9
