@@ -13,7 +13,7 @@ from experiments.studies.study import Study
 
 METHOD_NAMES = ("ssac", "joint", "tangency", "ssac-known", "joint-known", "tangency-known")
 ANGLES_DEG = (30.0, 60.0, 90.0, 120.0, 150.0)
-N_FLIGHTS = 4
+N_FLIGHTS = 2
 """Of each kind of flight."""
 
 FIRST_FLIGHT, KIND_STEP = 1000, 100
