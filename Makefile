@@ -13,7 +13,7 @@ export PYTHONNOUSERSITE := 1
 RUN := .venv/bin/python -m
 
 .DELETE_ON_ERROR:
-.PHONY: help setup demo tables ablations studies figures report verify test lint types bench \
+.PHONY: help setup demo tables ablations studies figures numbers report verify test lint types bench \
 	scene fidelity docs wheel clean-cache clean moved
 .DEFAULT_GOAL := help
 
@@ -26,17 +26,20 @@ setup: .venv/.ready ## virtual environment, packages, OpenGL libraries (all othe
 demo: .venv/.ready ## simulate two cameras, recover their offset and pose, draw one picture (a minute)
 	@.venv/bin/ssac demo
 
-tables: .venv/.ready ## the paper's simulation tables (9 minutes from nothing) -> results/esim_*.csv
+tables: .venv/.ready ## the paper's simulation tables (10 minutes from nothing) -> results/esim_*.csv
 	@.venv/bin/ssac tables
 
-ablations: .venv/.ready ## one parameter varied at a time (an hour) -> results/ablation_*.csv, *.png
+ablations: .venv/.ready ## one parameter varied at a time (half an hour) -> results/ablation_*.csv, *.png
 	@.venv/bin/ssac ablate
 
-studies: .venv/.ready ## is the uncertainty honest, is the unknown refused, how near the bound (30 minutes)
-	@.venv/bin/ssac study efficiency coverage refusal tangency zncc more_flights
+studies: .venv/.ready ## is the uncertainty honest, is the unknown refused, how near the bound (half an hour)
+	@.venv/bin/ssac study efficiency coverage refusal tangency zncc
 
 figures: .venv/.ready ## the paper's figures, and errors against the angle -> results/*.png
 	@.venv/bin/ssac figures
+
+numbers: .venv/.ready ## the numbers that README.md and docs/ quote, as results/ has them now
+	@.venv/bin/ssac numbers
 
 report: .venv/.ready ## all results on one page to look at -> out/report.html
 	@.venv/bin/ssac report
@@ -66,7 +69,7 @@ bench: .venv/.ready ## speed and memory, as ratios to the reference tools -> res
 scene: .venv/.ready ## how the default scene looks, beside the authors' sample (2 minutes)
 	@.venv/bin/ssac scene
 
-fidelity: .venv/.ready ## events against dense references (an hour) -> results/fidelity.csv
+fidelity: .venv/.ready ## events against dense references (ten minutes a flight) -> results/fidelity.csv
 	@.venv/bin/ssac study fidelity
 
 clean-cache: ## remove the recordings and runs that tables, ablations and sweeps keep in cache/

@@ -1,8 +1,9 @@
 """The committed results in, whether they can be trusted out: `ssac verify`.
 
 Everything that must be there is, nothing else is, each file is as its command wrote it; what
-follows from the runs is made again from them; and some runs, drawn anew each time, are made again
-from nothing: simulated into a folder of their own, measured, and put beside the committed rows.
+follows from the runs is made again from them, and the numbers that pages quote are what the results
+say; and some runs, drawn anew each time, are made again from nothing: simulated into a folder of
+their own, measured, and put beside the committed rows.
 Exit code 0: all right; 1: something differs; 2: there is no such folder.
 """
 
@@ -14,12 +15,13 @@ from typing import Annotated
 
 import typer
 
+from experiments.report.numbers import pages, stale_numbers
 from experiments.run.command import WorkersOption
 from experiments.run.schedule import Workers
 from experiments.studies.catalogue import STUDIES
 from experiments.verify.derived import figure_findings, study_findings, table_findings
 from experiments.verify.files import file_findings
-from experiments.verify.finding import Finding
+from experiments.verify.finding import Finding, found
 from experiments.verify.manifest import manifest_of
 from experiments.verify.recompute import recomputed
 from experiments.verify.sample import SLOW, draw, sources_of
@@ -54,6 +56,7 @@ def verify_command(
     failed += _report(table_findings(results))
     failed += _report(study_findings(results, STUDIES))
     failed += _report(figure_findings(results, STUDIES))
+    failed += _report(page_findings(results))
     if recordings:
         seed = secrets.randbelow(_SEEDS) if sample_seed is None else sample_seed
         options = f"--sample-seed {seed} --recordings {recordings}" + (" --slow" if slow else "")
@@ -64,6 +67,14 @@ def verify_command(
     typer.echo(f"{failed} of the checks above differ" if failed else "all of it as committed")
     if failed:
         raise typer.Exit(1)
+
+
+def page_findings(results: Path) -> list[Finding]:
+    """Check the numbers that the pages beside a folder of results quote from it."""
+    root = results.resolve().parent
+    if root.joinpath("results") != results.resolve() or not pages(root):
+        return []  # results that were written elsewhere: no page quotes them
+    return [found("the pages quote the results", lambda: tuple(stale_numbers(root)))]
 
 
 def _report(findings: Sequence[Finding]) -> int:
