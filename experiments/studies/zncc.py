@@ -45,11 +45,11 @@ MODELLED_SCENES = [scene for scene in SCENES if scene != "no turning"]
 
 RENDERED_S, MODELLED_S = 20.0, (10.0, 20.0)
 FIRST_FLIGHT = 300
-N_RENDERED, N_MODELLED = 2, 100
+N_RENDERED, N_MODELLED = 10, 100
 """Flights at each scene, duration and angle."""
 
-N_MORE = {(DEFAULT, 90.0): 6}
-"""Rendered flights where two tell too little."""
+N_MORE = {(DEFAULT, 90.0): 30}
+"""Rendered flights where ten tell too little."""
 
 GROSS_MS = 100.0  # a larger error is another peak of the correlation, not the true one read badly
 MAX_STEP_PX = 1.0  # four times the default: a third of the time, correlations within 0.02 the same
