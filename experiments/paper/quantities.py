@@ -35,12 +35,15 @@ class Quantity:
         return f"error of {self.tex} [{self.unit}]"
 
 
-T_D_ERROR = Quantity("t_d", "ms", "time offset", "t_d", "$t_d$", 0.1)
-R_ERROR = Quantity("r", "deg", "rotation", "R", "R", 0.2)
-T_ERROR = Quantity("t", "deg", "translation direction", "t", "t", 0.1)
+T_D_ERROR = Quantity("t_d", "ms", "time offset", "t_d", "$t_d$", 0.05)
+R_ERROR = Quantity("r", "deg", "rotation", "R", "R", 0.1)
+T_ERROR = Quantity("t", "deg", "translation direction", "t", "t", 0.05)
 
 ERRORS = {error.column: error for error in (T_D_ERROR, R_ERROR, T_ERROR)}
 """All of them, by their columns."""
+
+NOISY_T_D_MARK_MS = 0.1
+"""The mark of t_d on the tables' flights with the noise of a DAVIS346."""
 
 POSE_ERRORS = (R_ERROR.column, T_ERROR.column)
 

@@ -10,13 +10,15 @@ from functools import partial
 import numpy as np
 from scipy.stats import gmean
 
+from experiments.paper.grids import TABLES, table_axes
+from experiments.paper.quantities import ERRORS, NOISY_T_D_MARK_MS, T_D_ERROR
 from experiments.report.committed import Committed
 
-ANGLES_DEG = (30, 60, 90, 120, 150)
-DURATIONS_S = (10, 20)
+ANGLES_DEG, DURATIONS_S = table_axes().angles_deg, table_axes().durations_s
 METHODS = ("ssac", "ssac-known", "joint", "joint-known", "tangency", "tangency-known")
-UNITS = {"t_d_error_ms": "ms", "r_error_deg": "deg", "t_error_deg": "deg"}
-SHORT = {"t_d": "t_d_error_ms", "R": "r_error_deg", "t": "t_error_deg"}
+SYMBOLS = {error.symbol: error for error in ERRORS.values()}
+"""The errors by what they are called in the names here."""
+
 PUBLISHED = {  # of the quantities of comparison.csv
     "ssac.t_d": "ssac_t_d_error_ms",
     "ssac.R": "ssac_r_error_deg",
@@ -24,8 +26,6 @@ PUBLISHED = {  # of the quantities of comparison.csv
     "zncc_e.t_d": "zncc_e_t_d_error_ms",
     "zncc_f.t_d": "zncc_f_t_d_error_ms",
 }
-MARKS = {"t_d": 0.1, "R": 0.2, "t": 0.1}  # of the means of `tangency`, in every cell
-
 CONFIDENT_METHODS = ("ssac", "joint", "tangency", "ssac-known", "joint-known", "tangency-known")
 
 Number = Callable[[Committed], str]
@@ -61,7 +61,7 @@ def paper_size(results: Committed) -> str:
     return f"{int((rows['paper_size_or_better'] == 'yes').sum())} of {len(rows)} cells"
 
 
-def ratio(results: Committed, quantity: str, duration_s: int) -> str:
+def ratio(results: Committed, quantity: str, duration_s: float) -> str:
     """Ours over the paper's, of the geometric means over the cells of one table."""
     of = {"quantity": quantity, "duration_s": duration_s}
     ours = results.column("comparison", "ours_mean", **of)
@@ -70,26 +70,32 @@ def ratio(results: Committed, quantity: str, duration_s: int) -> str:
 
 def cell_means(results: Committed, method: str, error: str) -> list[float]:
     """Return a method's mean errors in all cells of both tables."""
-    tables = (f"esim_{duration_s}" for duration_s in DURATIONS_S)
-    return [v for name in tables for v in results.column(name, f"{method}_{error}_mean")]
+    return [v for name in TABLES for v in results.column(name, f"{method}_{error}_mean")]
 
 
-def mean_range(results: Committed, method: str, short: str) -> str:
+def mean_range(results: Committed, method: str, symbol: str) -> str:
     """Range of a method's mean errors over the cells of both tables."""
-    means = cell_means(results, method, SHORT[short])
-    return f"{min(means):.2f} to {max(means):.2f} {UNITS[SHORT[short]]}"
+    error = SYMBOLS[symbol]
+    means = cell_means(results, method, error.column)
+    return f"{min(means):.2f} to {max(means):.2f} {error.unit}"
 
 
-def mark_met(results: Committed, short: str) -> str:
+def marks(_: Committed) -> str:
+    """Name the marks of the mean errors of `tangency`, which hold in every cell."""
+    return listed(f"{error.mark:g} {error.unit}" for error in ERRORS.values())
+
+
+def mark_met(results: Committed, symbol: str) -> str:
     """Say in how many cells the mean error of `tangency` is at most its mark."""
-    means = cell_means(results, "tangency", SHORT[short])
-    return f"{sum(mean <= MARKS[short] for mean in means)} of {len(means)} cells"
+    error = SYMBOLS[symbol]
+    means = cell_means(results, "tangency", error.column)
+    return f"{sum(mean <= error.mark for mean in means)} of {len(means)} cells"
 
 
-def largest(results: Committed, short: str) -> str:
+def largest(results: Committed, symbol: str) -> str:
     """Say what the largest mean error of `tangency` in a cell is."""
-    means = cell_means(results, "tangency", SHORT[short])
-    return f"{max(means):.3f} {UNITS[SHORT[short]]}"
+    error = SYMBOLS[symbol]
+    return f"{max(cell_means(results, 'tangency', error.column)):.3f} {error.unit}"
 
 
 def covered(results: Committed, method: str, quantity: str) -> str:
@@ -108,7 +114,7 @@ def means_by_angle(results: Committed, name: str, method: str) -> str:
     """Mean errors of t_d from 30 to 150 deg, of a file of runs, those that gave an estimate."""
     means = [
         np.nanmean(
-            results.column(name, "t_d_error_ms", method=method, status="ok", sim__angle_deg=angle)
+            results.column(name, T_D_ERROR.column, method=method, status="ok", sim__angle_deg=angle)
         )
         for angle in ANGLES_DEG
     ]
@@ -119,6 +125,11 @@ def largest_with_noise(results: Committed) -> str:
     """Largest mean error of `tangency` in a cell of the tables' flights with a DAVIS346's noise."""
     means = results.column("ablation_davis346", "t_d_error_ms_mean", method="tangency")
     return f"{np.nanmax(means):.2f} ms"
+
+
+def noisy_mark(_: Committed) -> str:
+    """Name the mark of t_d with a DAVIS346's noise, likewise in every cell."""
+    return f"{NOISY_T_D_MARK_MS:g} ms"
 
 
 def table_runs(results: Committed) -> str:
@@ -143,7 +154,7 @@ def ordinary_answered(results: Committed) -> str:
     return f"{int(rows['offset_given'].sum())} of {int(rows['runs'].sum())}"
 
 
-def zncc_means(results: Committed, method: str, duration_s: int) -> str:
+def zncc_means(results: Committed, method: str, duration_s: float) -> str:
     """Mean errors of a correlation method from 30 to 150 deg, over the table's offsets."""
     of = {"quantity": f"{method}_t_d_error_ms", "duration_s": duration_s}
     means = (
@@ -153,7 +164,7 @@ def zncc_means(results: Committed, method: str, duration_s: int) -> str:
     return listed(f"{mean:.0f}" for mean in means) + " ms"
 
 
-def zncc_published(results: Committed, method: str, duration_s: int) -> str:
+def zncc_published(results: Committed, method: str, duration_s: float) -> str:
     """Say the paper's, likewise."""
     of = {"quantity": f"{method}_t_d_error_ms", "duration_s": duration_s}
     means = (
@@ -206,24 +217,25 @@ NUMBERS: Mapping[str, Number] = {
     "paper.size": paper_size,
     **{f"paper.{q}": partial(verdicts, quantity=quantity) for q, quantity in PUBLISHED.items()},
     **{
-        f"paper.ratio.{q}.{d}": partial(ratio, quantity=quantity, duration_s=d)
+        f"paper.ratio.{q}.{d:g}": partial(ratio, quantity=quantity, duration_s=d)
         for q, quantity in PUBLISHED.items()
         for d in DURATIONS_S
     },
     **{
-        f"tables.range.{m}.{s}": partial(mean_range, method=m, short=s)
+        f"tables.range.{m}.{s}": partial(mean_range, method=m, symbol=s)
         for m in METHODS
-        for s in SHORT
+        for s in SYMBOLS
         if s == "t_d" or not m.endswith("-known")
     },
     "tables.runs": table_runs,
-    **{f"tables.mark.{s}": partial(mark_met, short=s) for s in SHORT},
-    **{f"tables.largest.{s}": partial(largest, short=s) for s in SHORT},
+    "tables.marks": marks,
+    **{f"tables.mark.{s}": partial(mark_met, symbol=s) for s in SYMBOLS},
+    **{f"tables.largest.{s}": partial(largest, symbol=s) for s in SYMBOLS},
     "coverage.flights": coverage_flights,
     **{
         f"coverage.{m}.{q}": partial(covered, method=m, quantity=q)
         for m in ("joint", "tangency", "joint-known", "tangency-known")
-        for q in SHORT
+        for q in SYMBOLS
         if q == "t_d" or not m.endswith("-known")
     },
     **{
@@ -231,11 +243,12 @@ NUMBERS: Mapping[str, Number] = {
         for m in ("joint", "tangency")
     },
     "davis346.largest": largest_with_noise,
+    "davis346.mark": noisy_mark,
     "refusal.recordings": refusal_recordings,
     **{f"refusal.wrong.{m}": partial(refusal_wrong, method=m) for m in CONFIDENT_METHODS},
     "refusal.ordinary": ordinary_answered,
     **{
-        f"zncc.{whose}.{m}.{d}": partial(function, method=m, duration_s=d)
+        f"zncc.{whose}.{m}.{d:g}": partial(function, method=m, duration_s=d)
         for whose, function in (("ours", zncc_means), ("paper", zncc_published))
         for m in ("zncc_e", "zncc_f")
         for d in DURATIONS_S

@@ -5,7 +5,9 @@ from functools import partial
 
 import numpy as np
 
+from experiments.paper.grids import TABLES as PAPER_TABLES
 from experiments.paper.markdown import markdown_table
+from experiments.paper.quantities import POSE_ERRORS, R_ERROR, T_D_ERROR
 from experiments.report.committed import Committed, FloatArray
 from experiments.report.quoted import (
     ABLATIONS,
@@ -13,14 +15,14 @@ from experiments.report.quoted import (
     CONFIDENT_METHODS,
     DURATIONS_S,
     METHODS,
-    SHORT,
+    SYMBOLS,
     cell_means,
     digits,
 )
 
 Rows = list[list[str]]
 
-_ANGLE_HEADER = [f"{angle} deg" for angle in ANGLES_DEG]
+_ANGLE_HEADER = [f"{angle:g} deg" for angle in ANGLES_DEG]
 _SHOWN = {
     # of each ablation: the columns that tell its rows apart; all else is averaged over
     "angle": ["sim.angle_deg"],
@@ -63,17 +65,17 @@ def methods_table(results: Committed) -> str:
     rows: Rows = []
     for method in (*METHODS, "albl", "zncc_e", "zncc_f", "event_rate"):
         cells = [f"`{method}`"]
-        for error in SHORT.values():
-            has_it = f"{method}_{error}_mean" in results.table("esim_10")
+        for error in (quantity.column for quantity in SYMBOLS.values()):
+            has_it = f"{method}_{error}_mean" in results.table(PAPER_TABLES[0])
             means = cell_means(results, method, error) if has_it else [np.nan]
             # of methods with the pose known, that of R and t is the pose they were given
-            known = method.endswith("-known") and error != "t_d_error_ms"
+            known = method.endswith("-known") and error != T_D_ERROR.column
             empty = known or not np.isfinite(means).any()
             cells.append(
                 "" if empty else f"{digits(np.nanmin(means))} to {digits(np.nanmax(means))}"
             )
         rows.append(cells)
-    return markdown_table(["method", "t_d [ms]", "R [deg]", "t [deg]"], rows)
+    return markdown_table(["method", *(error.heading for error in SYMBOLS.values())], rows)
 
 
 def coverage_table(results: Committed) -> str:
@@ -87,20 +89,14 @@ def coverage_table(results: Committed) -> str:
             f"{100 * results.value('coverage', 'coverage_95', quantity=q, **of):.1f}"
             if q == "t_d" or not method.endswith("-known")
             else ""
-            for q in SHORT
+            for q in SYMBOLS
         ]
         rms = results.value("coverage", "rms_normalised", quantity="t_d", **of)
         rows.append(
             [f"`{method}`", shares[0], f"{low:.1f} to {high:.1f}", *shares[1:], f"{rms:.2f}"]
         )
-    header = [
-        "method",
-        "t_d [%]",
-        "sampling [%]",
-        "R [%]",
-        "t [%]",
-        "t_d: rms of error / deviation",
-    ]
+    first, *others = (f"{symbol} [%]" for symbol in SYMBOLS)
+    header = ["method", first, "sampling [%]", *others, "t_d: rms of error / deviation"]
     return markdown_table(header, rows)
 
 
@@ -131,13 +127,14 @@ def tangency_table(results: Committed) -> str:
         rows.append(
             [
                 f"**{variant}**" if variant == "as it is" else variant,
-                *(f"{of(c):.3f}" for c in ("t_d_error_ms", "t_d_error_ms_worst")),
-                *(f"{of(c):.3f}" for c in ("r_error_deg", "t_error_deg")),
+                *(f"{of(c):.3f}" for c in (T_D_ERROR.column, f"{T_D_ERROR.column}_worst")),
+                *(f"{of(c):.3f}" for c in POSE_ERRORS),
                 f"{of('t_d_bias_ms'):+.3f}",
                 f"{of('normalised_rms'):.2f}",
             ]
         )
-    header = ["variant", "t_d ms", "worst angle", "R deg", "t deg", "bias ms", "error / deviation"]
+    t_d, *pose = (error.heading for error in SYMBOLS.values())
+    header = ["variant", t_d, "worst angle", *pose, "bias [ms]", "error / deviation"]
     return markdown_table(header, rows)
 
 
@@ -157,7 +154,7 @@ def ablation_table(results: Committed, name: str) -> str:
             answered = int((of["n_runs"] - of["failed"]).sum())
             shown = [
                 digits(float(of[column].mean())) if column in of else "none"
-                for column in ("t_d_error_ms_mean", "r_error_deg_mean")
+                for column in (f"{T_D_ERROR.column}_mean", f"{R_ERROR.column}_mean")
             ]
             means = " / ".join(text for text in shown if text != "none") or "none"
             cells.append(f"{means} ({answered}/{int(of['n_runs'].sum())})")
@@ -267,8 +264,10 @@ def vertical_table(results: Committed) -> str:
                 for column, form in (("error_ms_mean", "{:.0f}"), ("at_truth", "{:.2f}"))
             )
             cells = [f"{mean} ({share})" for mean, share in zip(means, shares, strict=True)]
-            rows.append([f"{words}, {duration_s} s", *cells])
-        rows.append([f"paper, ZNCC_E, {duration_s} s", *_published(results, "zncc_e", duration_s)])
+            rows.append([f"{words}, {duration_s:g} s", *cells])
+        rows.append(
+            [f"paper, ZNCC_E, {duration_s:g} s", *_published(results, "zncc_e", duration_s)]
+        )
     return markdown_table(["multipliers x, y, z [m]", *_ANGLE_HEADER], rows)
 
 
@@ -344,7 +343,7 @@ def _by_angle(
     column: str,
     form: str,
     scene: str = "default",
-    duration_s: int = 20,
+    duration_s: float = 20,
 ) -> list[str]:
     of = {"source": source, "signal": signal, "scene": scene, "duration_s": duration_s}
     return [
@@ -352,7 +351,7 @@ def _by_angle(
     ]
 
 
-def _published(results: Committed, method: str, duration_s: int) -> list[str]:
+def _published(results: Committed, method: str, duration_s: float) -> list[str]:
     of = {"quantity": f"{method}_t_d_error_ms", "duration_s": duration_s}
     return [
         " ".join(

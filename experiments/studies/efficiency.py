@@ -16,6 +16,7 @@ from experiments.measures.bounds import BOUNDS, BoundCell
 from experiments.measures.recording_bound import SAMPLES
 from experiments.paper.esim import method_order
 from experiments.paper.grids import TABLES
+from experiments.paper.quantities import ERRORS
 from experiments.paper.results import RUNS_FILE
 from experiments.run.grid import named_config
 from experiments.studies.study import Study
@@ -25,7 +26,7 @@ FLIGHT = ("duration_s", "angle_deg", "flight", "method")
 
 CELL = ("duration_s", "angle_deg", "t_d_ms", "method")
 
-UNITS = {"t_d": "ms", "r": "deg", "t": "deg"}
+UNITS = {error.parameter: error.unit for error in ERRORS.values()}
 """Of the errors of t_d, R and t."""
 
 
@@ -64,9 +65,8 @@ def runs_beside_bounds(runs: pd.DataFrame, bounds: pd.DataFrame) -> pd.DataFrame
         (measured noise of a sample of median weight), `n_samples` (that the bound counts), and of
         t_d [ms], R [deg] and t [deg] the bound and the error; NaN for the pose where it was given.
     """
-    errors = [f"{parameter}_error_{unit}" for parameter, unit in UNITS.items()]
     found = [f"{parameter}_bound_{unit}" for parameter, unit in UNITS.items()]
-    good = runs.loc[runs["status"] == "ok", [*FLIGHT, "t_d_ms", *errors]]
+    good = runs.loc[runs["status"] == "ok", [*FLIGHT, "t_d_ms", *ERRORS]]
     bounded = bounds.loc[bounds["status"] == "ok", [*FLIGHT, "sigma_px", "n_samples", *found]]
     both = good.merge(bounded, on=list(FLIGHT), how="inner", validate="many_to_one")
     place = {name: number for number, name in enumerate(method_order(both["method"]))}

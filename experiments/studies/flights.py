@@ -2,8 +2,12 @@
 
 from collections.abc import Iterable, Iterator
 
+from experiments.paper.grids import table_axes
 from experiments.run.grid import flight_seed
 from sim.recording import SimConfig
+
+ANGLES_DEG = table_axes().angles_deg
+"""Those of the tables: the studies fly at the same."""
 
 
 def drawn(sim: SimConfig, flights: Iterable[int]) -> Iterator[tuple[int, int]]:

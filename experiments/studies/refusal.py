@@ -9,10 +9,10 @@ import pandas as pd
 from experiments.measures.refusal import REFUSALS, RefusalCell
 from experiments.measures.refusal_flights import DURATION_S, KINDS_OF_FLIGHT, flight_config
 from experiments.run.grid import flight_seed
+from experiments.studies.flights import ANGLES_DEG
 from experiments.studies.study import Study
 
 METHOD_NAMES = ("ssac", "joint", "tangency", "ssac-known", "joint-known", "tangency-known")
-ANGLES_DEG = (30.0, 60.0, 90.0, 120.0, 150.0)
 N_FLIGHTS = 2
 """Of each kind of flight."""
 

@@ -13,20 +13,22 @@ from matplotlib.figure import Figure
 
 from experiments.figures.style import WIDTH_IN, method_looks, quiet_axes
 from experiments.measures.tangency import VARIANT, VariantCell
-from experiments.studies.flights import drawn
+from experiments.paper.quantities import ERRORS, R_ERROR, T_D_ERROR
+from experiments.studies.flights import ANGLES_DEG, drawn
 from experiments.studies.study import Study
 from sim.recording import SimConfig
 from sim.sensor.frames import FrameConfig
 from ssac.methods.tangency import TangencyConfig
 from ssac.track.outline import OutlineConfig
 
-ANGLES_DEG = (30.0, 60.0, 90.0, 120.0, 150.0)
 FIRST_FLIGHT, N_FLIGHTS = 100, 1
 DURATION_S = 10.0
 T_D_S = 0.05
 
 JOINT = "joint"
 """The refinement from which all variants start, beside them."""
+
+_WORST = f"{T_D_ERROR.column}_worst"
 
 
 def _outline(**changes: Any) -> TangencyConfig:
@@ -98,8 +100,8 @@ def variant_means(runs: pd.DataFrame) -> pd.DataFrame:
                 "variant": variant,
                 "runs": len(group),
                 "failed": len(group) - len(good),
-                **good[["t_d_error_ms", "r_error_deg", "t_error_deg"]].mean(),
-                "t_d_error_ms_worst": good.groupby("angle_deg")["t_d_error_ms"].mean().max(),
+                **good[list(ERRORS)].mean(),
+                _WORST: good.groupby("angle_deg")[T_D_ERROR.column].mean().max(),
                 "t_d_bias_ms": good["t_d_bias_ms"].mean(),
                 "normalised_rms": float(np.sqrt(np.mean(np.square(good["normalised"])))),
             }
@@ -120,14 +122,13 @@ def study_figure(means: pd.DataFrame) -> Figure:
     lines = np.arange(len(variants))
     figure = Figure(figsize=(WIDTH_IN, 0.8 + 0.22 * len(variants)), layout="constrained")
     axes = figure.subplots(1, 2, sharey=True)
-    labels = {"t_d_error_ms": "error of $t_d$ [ms]", "r_error_deg": "error of R [deg]"}
-    for ax, (column, label) in zip(axes, labels.items(), strict=True):
+    for ax, error in zip(axes, (T_D_ERROR, R_ERROR), strict=True):
         quiet_axes(ax)
         ax.grid(visible=False)
-        ax.barh(lines, variants[column], color=colors, height=0.7)
-        ax.axvline(float(variants.loc[as_it_is, column].iloc[0]), color="0.3", lw=0.8, ls=":")
-        ax.set_xlabel(label, fontsize=9)
-    axes[0].plot(variants["t_d_error_ms_worst"], lines, "|", color="#D55E00", ms=9, mew=1.5)
+        ax.barh(lines, variants[error.column], color=colors, height=0.7)
+        ax.axvline(float(variants.loc[as_it_is, error.column].iloc[0]), color="0.3", lw=0.8, ls=":")
+        ax.set_xlabel(error.label, fontsize=9)
+    axes[0].plot(variants[_WORST], lines, "|", color="#D55E00", ms=9, mew=1.5)
     axes[0].set_yticks(lines, variants["variant"], fontsize=8)
     axes[0].invert_yaxis()
     return figure

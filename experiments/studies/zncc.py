@@ -18,13 +18,12 @@ from experiments.measures.zncc import (
     SIGNALS,
     SignalCell,
 )
-from experiments.studies.flights import drawn
+from experiments.studies.flights import ANGLES_DEG, drawn
 from experiments.studies.study import Study
 from sim.recording import SimConfig
 from sim.render.instants import SamplingConfig
 from sim.scene.trajectory import SplineConfig
 
-ANGLES_DEG = (30.0, 60.0, 90.0, 120.0, 150.0)
 DEFAULT = "default"
 
 _DEFAULT = SplineConfig()

@@ -3,7 +3,7 @@
 import pandas as pd
 
 from experiments.measures.zncc import MODELLED, RENDERED
-from experiments.studies.zncc import DEFAULT, FIRST_FLIGHT, signal_cells, signal_means
+from experiments.studies.zncc import DEFAULT, FIRST_FLIGHT, N_MORE, signal_cells, signal_means
 
 
 def test_means_count_the_gross_errors():
@@ -25,5 +25,5 @@ def test_scenes_share_flights_and_no_flight_is_the_tables():
     at_90 = [{c.seed for c in rendered if c.scene == scene and c.sim.angle_deg == 90.0}
              for scene in (DEFAULT, "no turning")]  # fmt: skip
     assert at_90[1] < at_90[0]
-    assert len(at_90[0]) == 30
+    assert len(at_90[0]) == N_MORE[DEFAULT, 90.0]
     assert {cell.source for cell in cells} == {RENDERED, MODELLED}
