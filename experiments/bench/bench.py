@@ -51,7 +51,9 @@ ESIM_FRAMES_PER_S = 6600.0
 
 
 def bench_command(
-    out: Annotated[Path, typer.Option(help="CSV to write.")] = Path("results/bench.csv"),
+    out: Annotated[Path, typer.Option(help="CSV to write.", metavar="FILE")] = Path(
+        "results/bench.csv"
+    ),
 ) -> None:
     """Measure speed and memory, each on one core, and write them with their marks."""
     start = time.perf_counter()

@@ -71,11 +71,17 @@ class Drawing:
 def figures_command(
     names: Annotated[
         list[str] | None,
-        typer.Argument(help="Figures to draw, by their files' names.  [default: all]"),
+        typer.Argument(
+            help="Figures to draw, by their files' names.  [default: all]", metavar="NAME"
+        ),
     ] = None,
-    results: Annotated[Path, typer.Option(help="Folder with the CSVs.")] = Path("results"),
-    cache: Annotated[Path, typer.Option(help="Folder that keeps recordings.")] = DEFAULT_FOLDER,
-    out: Annotated[Path, typer.Option(help="Folder for the PNGs.")] = Path("results"),
+    results: Annotated[Path, typer.Option(help="With the CSVs.", metavar="FOLDER")] = Path(
+        "results"
+    ),
+    cache: Annotated[
+        Path, typer.Option(help="Keeps recordings.", metavar="FOLDER")
+    ] = DEFAULT_FOLDER,
+    out: Annotated[Path, typer.Option(help="For the PNGs.", metavar="FOLDER")] = Path("results"),
 ) -> None:
     """Draw the paper's Fig. 3 to 5, and all methods' errors; studies draw their own figures."""
     start = time.perf_counter()

@@ -25,12 +25,12 @@ def tables_config() -> dict[str, Any]:
 
 
 def tables_command(
-    out: Annotated[Path, typer.Option(help="Folder for the tables.")] = Path("results"),
+    out: Annotated[Path, typer.Option(help="For the tables.", metavar="FOLDER")] = Path("results"),
     workers: WorkersOption = -1,
     scheduler: SchedulerOption = "",
     cache: CacheOption = DEFAULT_FOLDER,
 ) -> None:
-    """Regenerate the paper's simulation tables: every method on 100 simulated recordings."""
+    """Regenerate the paper's simulation tables: every method on every recording."""
     start = time.perf_counter()
     grids = table_grids()
     outcome = run_cells(table_cells(), Cache(cache), Workers(workers, scheduler))

@@ -27,9 +27,9 @@ _CODE = re.compile(r"^```.*?^```|`[^`\n]*`", re.DOTALL | re.MULTILINE)
 
 
 def numbers_command(
-    root: Annotated[Path, typer.Option(help="Folder with README.md, docs/ and results/.")] = Path(
-        "."
-    ),
+    root: Annotated[
+        Path, typer.Option(help="With README.md, docs/ and results/.", metavar="FOLDER")
+    ] = Path("."),
     check: Annotated[
         bool, typer.Option("--check", help="Write nothing; fail where a number is stale.")
     ] = False,

@@ -28,10 +28,14 @@ _PAGE = files("experiments.report") / "page"
 
 def report_command(
     results: Annotated[
-        Path, typer.Option(help="Folder that `make tables ablations figures` wrote.")
+        Path, typer.Option(help="With the results, as `ssac tables` writes them.", metavar="FOLDER")
     ] = Path("results"),
-    cache: Annotated[Path, typer.Option(help="Folder of kept recordings.")] = DEFAULT_FOLDER,
-    out: Annotated[Path, typer.Option(help="HTML file to write.")] = Path("out/report.html"),
+    cache: Annotated[
+        Path, typer.Option(help="Keeps recordings.", metavar="FOLDER")
+    ] = DEFAULT_FOLDER,
+    out: Annotated[Path, typer.Option(help="HTML to write.", metavar="FILE")] = Path(
+        "out/report.html"
+    ),
 ) -> None:
     """Put the results, the figures and an animation on one HTML page that needs no other file."""
     if out.is_dir():

@@ -8,12 +8,31 @@ import typer
 from experiments.run.cache import Cache
 from experiments.run.schedule import Outcome
 from ssac.console.exits import BUG
+from ssac.errors import SsacError
 
-WorkersOption = Annotated[int, typer.Option(help="Processes; -1: one for each core.")]
-SchedulerOption = Annotated[
-    str, typer.Option(help="Address of a Dask scheduler whose workers do it instead.")
+
+def _some(workers: int) -> int:
+    """Refuse numbers of processes that nothing could run on."""
+    if workers < 1 and workers != -1:
+        raise SsacError(
+            f"--workers: expected 1 or more, or -1 for one for each core, got {workers}"
+        )
+    return workers
+
+
+WorkersOption = Annotated[
+    int,
+    typer.Option(help="Processes; -1: one for each core.", metavar="COUNT", callback=_some),
 ]
-CacheOption = Annotated[Path, typer.Option(help="Folder that keeps finished recordings and runs.")]
+SchedulerOption = Annotated[
+    str,
+    typer.Option(
+        help="Of a Dask scheduler whose workers do it instead, as host:port.", metavar="ADDRESS"
+    ),
+]
+CacheOption = Annotated[
+    Path, typer.Option(help="Keeps finished recordings and runs.", metavar="FOLDER")
+]
 
 
 def finish(outcome: Outcome, cache: Cache, *files: Path) -> None:

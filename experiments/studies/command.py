@@ -25,15 +25,19 @@ from experiments.studies.study import (
 from sim.render.gl_context import open_context
 from ssac.errors import SsacError
 
-OutOption = Annotated[Path, typer.Option(help="Folder for the CSVs and figures.")]
+OutOption = Annotated[Path, typer.Option(help="For the CSVs and figures.", metavar="FOLDER")]
 ShardOption = Annotated[
-    str, typer.Option(help="Run only part i of n, i/n, and write its runs; join by `ssac merge`.")
+    str,
+    typer.Option(
+        help="Run only part I of N, and write its runs; join by `ssac merge`.", metavar="I/N"
+    ),
 ]
 
 
 def study_command(
     names: Annotated[
-        list[str] | None, typer.Argument(help="Of studies: see --list.", show_default=False)
+        list[str] | None,
+        typer.Argument(help="Of studies: see --list.", metavar="NAME", show_default=False),
     ] = None,
     list_them: Annotated[bool, typer.Option("--list", help="List the studies.")] = False,
     shard: ShardOption = "1/1",
@@ -56,7 +60,9 @@ def study_command(
 def ablate_command(
     names: Annotated[
         list[str] | None,
-        typer.Argument(help="Of ablations, such as window.  [default: all]", show_default=False),
+        typer.Argument(
+            help="Of ablations, such as window.  [default: all]", metavar="NAME", show_default=False
+        ),
     ] = None,
     shard: ShardOption = "1/1",
     out: OutOption = Path("results"),

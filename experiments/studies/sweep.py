@@ -20,6 +20,7 @@ from experiments.run.provenance import save_provenance, write_provenance
 from experiments.run.schedule import Workers
 from experiments.run.scored import SCORED
 from experiments.studies.catalogue import STUDIES
+from experiments.studies.command import ShardOption
 from experiments.studies.study import (
     WHOLE,
     Study,
@@ -35,11 +36,14 @@ from ssac.errors import SsacError
 
 
 def sweep_command(
-    config: Annotated[Path, typer.Argument(help="TOML of the grid.", show_default=False)],
+    config: Annotated[
+        Path, typer.Argument(help="TOML of the grid.", metavar="CONFIG", show_default=False)
+    ],
     out: Annotated[
-        Path | None, typer.Option(help="CSV to write.  [default: results/<config>.csv]")
+        Path | None,
+        typer.Option(help="CSV to write.  [default: results/<config>.csv]", metavar="FILE"),
     ] = None,
-    shard: Annotated[str, typer.Option(help="Run only part i of n: i/n.")] = "1/1",
+    shard: ShardOption = "1/1",
     workers: WorkersOption = -1,
     scheduler: SchedulerOption = "",
     cache: CacheOption = DEFAULT_FOLDER,
@@ -62,10 +66,12 @@ def sweep_command(
 
 
 def merge_command(
-    out: Annotated[Path, typer.Argument(help="CSV to write.", show_default=False)],
+    out: Annotated[Path, typer.Argument(help="CSV to write.", metavar="OUT", show_default=False)],
     shards: Annotated[
         list[Path],
-        typer.Argument(help="CSVs of all shards of one grid or study.", show_default=False),
+        typer.Argument(
+            help="CSVs of all shards of one grid or study.", metavar="SHARD...", show_default=False
+        ),
     ],
 ) -> None:
     """Join the shards of a sweep or study: the same bytes as in one piece.

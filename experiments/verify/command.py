@@ -30,14 +30,15 @@ from ssac.console.options import number
 from ssac.errors import SsacError
 
 N_RECORDINGS = 6
-"""Drawn if nothing else is said: about a minute on two cores."""
-
+"""Drawn if nothing else is said."""
 
 _SEEDS = 2**32
 
 
 def verify_command(
-    results: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("results"),
+    results: Annotated[Path, typer.Option(help="With the results.", metavar="FOLDER")] = Path(
+        "results"
+    ),
     recordings: Annotated[
         int, number("How many are made again from nothing.", 0, 10_000, metavar="COUNT")
     ] = N_RECORDINGS,
