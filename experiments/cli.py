@@ -39,7 +39,7 @@ COMMANDS = (
     Entry("bench", REPRODUCE, "Speed and memory beside the reference tools.",
           "experiments.bench.bench", "bench_command"),
     Entry("verify", REPRODUCE, "Are the results whole, do they follow from their runs?",
-          "experiments.verify.command", "verify_command"),
+          "experiments.verify.verify", "verify_command"),
 )  # fmt: skip
 
 app = command_line(

@@ -129,7 +129,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
             "numbers",
         ),
         "bench": ("measurement", "sync", "tables", "bench"),
-        "verify": ("finding", "manifest", "files", "derived", "sample", "recompute", "command"),
+        "verify": ("finding", "manifest", "files", "derived", "sample", "recompute", "verify"),
         "cli": (),
         "__main__": (),
     },

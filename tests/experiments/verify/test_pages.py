@@ -1,6 +1,6 @@
 from pathlib import Path
 
-from experiments.verify.command import page_findings
+from experiments.verify.verify import page_findings
 
 
 def test_a_page_that_quotes_what_the_results_do_not_say_is_a_fault(tmp_path: Path) -> None:

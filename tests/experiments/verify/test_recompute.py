@@ -11,7 +11,7 @@ from experiments.run import task
 from experiments.run.schedule import Workers
 from experiments.run.task import tasks_of
 from experiments.studies.study import CELL
-from experiments.verify import command
+from experiments.verify import verify as command
 from experiments.verify.finding import Finding
 from experiments.verify.recompute import recomputed, row_faults, tolerances
 from experiments.verify.sample import SLOW, TABLES, Drawn, Source, draw, sources_of
