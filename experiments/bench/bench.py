@@ -185,7 +185,7 @@ def _in_own_process(part: str) -> list[Measurement]:
     """Run one part on one core in a new process."""
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     environment.pop("PYOPENGL_PLATFORM", None)
-    command = [sys.executable, "-m", "experiments.bench", part]
+    command = [sys.executable, "-m", "experiments.bench.bench", part]
     result = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     if result.returncode != 0:
         last = result.stderr.strip().splitlines()[-1:] or ["no message"]

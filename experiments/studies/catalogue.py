@@ -35,6 +35,7 @@ PENDING: Mapping[str, str] = {
     "ablation_object": _WITHOUT_RUNS,
     "ablation_size": _WITHOUT_RUNS,
     "ablation_speed": _WITHOUT_RUNS,
+    "tangency": _WITHOUT_RUNS,
     "zncc": _WITHOUT_RUNS,
 }
 """Studies of which `results/` has the summary of an earlier run, but not the runs, and why.

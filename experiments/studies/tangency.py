@@ -1,6 +1,6 @@
 """Variants of the method `tangency` on flights in, their errors and a figure of them out.
 
-docs/tangency.md reads them. All variants see the same flights, number 100 of 10 s at each angle,
+docs/tangency.md reads them. All variants see the same flights, 100 to 105 of 10 s at each angle,
 which are of no table, so that nothing is tuned on what is reported there.
 """
 
@@ -21,7 +21,7 @@ from sim.sensor.frames import FrameConfig
 from ssac.methods.tangency import TangencyConfig
 from ssac.track.outline import OutlineConfig
 
-FIRST_FLIGHT, N_FLIGHTS = 100, 1
+FIRST_FLIGHT, N_FLIGHTS = 100, 6
 DURATION_S = 10.0
 T_D_S = 0.05
 
