@@ -114,9 +114,9 @@ def test_marks_of_tangency_appear_with_its_runs(runs, files):
     assert "`tangency`, mean" in files[PAGE_FILE]
     assert "`tangency`, mean" not in page_of(without)
     methods = ("ssac", "tangency", "zncc_e", "zncc_f")
-    page = page_of(made_up_runs(methods, 3).assign(t_d_error_ms=0.05, t_error_deg=0.15))
-    assert "mean t_d [ms] error at most 0.1: 30 of 30 cells; the largest is 0.050" in page
-    assert "mean t [deg] error at most 0.1: 0 of 30 cells; the largest is 0.150" in page
+    page = page_of(made_up_runs(methods, 3).assign(t_d_error_ms=0.04, t_error_deg=0.15))
+    assert "mean t_d [ms] error at most 0.05: 30 of 30 cells; the largest is 0.040" in page
+    assert "mean t [deg] error at most 0.05: 0 of 30 cells; the largest is 0.150" in page
 
 
 @pytest.mark.parametrize(("low", "high", "met"), [(20.0, 500.0, "yes"), (200.0, 500.0, "no"),

@@ -8,6 +8,7 @@ from typer.testing import CliRunner
 
 from experiments.cli import app
 from experiments.paper import tables as reproduce
+from experiments.paper.checksums import SUMS_FILE
 from experiments.run.schedule import Outcome
 from experiments.run.task import CRASHED
 from ssac.console.exits import BUG
@@ -42,7 +43,7 @@ def test_every_table_is_written_with_its_provenance(tmp_path, monkeypatch):
     assert len(asked) == 3000  # 10 methods in 300 runs each
     tables = ("runs", "comparison", "esim_10", "esim_20")
     names = {f"{name}{suffix}" for name in tables for suffix in (".csv", ".provenance.json")}
-    assert {path.name for path in tmp_path.iterdir()} == names | {"README.md"}
+    assert {path.name for path in tmp_path.iterdir()} == names | {"README.md", SUMS_FILE}
     assert len(pd.read_csv(tmp_path / "runs.csv")) == 3000
     table = pd.read_csv(tmp_path / "esim_20.csv")
     assert list(table["angle_deg"]) == [angle for angle in (30, 60, 90, 120, 150) for _ in range(3)]

@@ -123,7 +123,7 @@ def test_the_figure_has_a_panel_for_each_of_t_d_r_and_t():
 
 def test_the_study_is_of_flights_that_nothing_was_tuned_on():
     cells = named_config("coverage").cells()
-    assert len({cell.seed for cell in cells}) >= 500
+    assert len({cell.seed for cell in cells}) >= 100
     assert min(cell.flight for cell in cells) >= 1000
 
 

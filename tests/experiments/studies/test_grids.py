@@ -6,6 +6,7 @@ import pytest
 from typer.testing import CliRunner
 
 from experiments.cli import app
+from experiments.paper.checksums import SUMS_FILE
 from experiments.run.cache import Cache
 from experiments.run.grid import grid_from_content
 from experiments.run.schedule import Workers
@@ -111,5 +112,5 @@ def test_a_real_ablation_leaves_csv_figure_and_provenance(tmp_path):
     names = {path.name for path in tmp_path.iterdir()}
     assert names == {
         "ablation_tiny.csv", "ablation_tiny.png", "ablation_tiny.provenance.json", "cache",
-        "ablation_tiny_runs.csv", "ablation_tiny_runs.provenance.json",
+        "ablation_tiny_runs.csv", "ablation_tiny_runs.provenance.json", SUMS_FILE,
     }  # fmt: skip

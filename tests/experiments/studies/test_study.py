@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 from typer.testing import CliRunner
 
 from experiments.cli import app
+from experiments.paper.checksums import SUMS_FILE
 from experiments.paper.esim import csv_text
 from experiments.run import task
 from experiments.run.cache import Cache
@@ -119,7 +120,7 @@ def test_every_cell_is_a_row_and_the_files_follow_from_it(tmp_path: Path) -> Non
     assert result.exit_code == 0, result.output
     assert {path.name for path in tmp_path.iterdir() if path.is_file()} == {
         "words_runs.csv", "words_runs.provenance.json", "words.csv", "words.provenance.json",
-        "words.png",
+        "words.png", SUMS_FILE,
     }  # fmt: skip
     text = (tmp_path / "words_runs.csv").read_text()
     first, second, *_ = text.splitlines()
