@@ -14,9 +14,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from experiments.figures.errors import Means, flight_means, published_means
-from experiments.figures.style import WIDTH_IN, Look, error_axes, method_looks
+from experiments.figures.style import WIDTH_IN, Look, error_axes, label_grid, method_looks
 from experiments.paper.comparison import PUBLISHED_ERRORS
-from experiments.paper.quantities import ANGLE_LABEL, ERRORS
+from experiments.paper.quantities import ERRORS
 from ssac.errors import SsacError
 
 METHODS = ("ssac", "joint", "tangency")
@@ -66,13 +66,7 @@ def beyond_figure(runs: pd.DataFrame, published: Mapping[float, pd.DataFrame]) -
                 ends += _draw(axes, flight_means(own, error), looks[method], place, "-")
         row[0].set_ylim(0.9 * min(ends), 1.1 * max(ends))
         row[0].set_ylabel(quantity.label)
-    for axes, duration_s in zip(grid[0], durations_s, strict=True):
-        axes.set_title(f"Recordings of {duration_s:g} s", fontsize=11)
-    for axes in grid[-1]:
-        axes.set_xlabel(ANGLE_LABEL)
-    figure.legend(
-        handles=_legend(looks), loc="outside lower center", ncols=4, fontsize=8, frameon=False
-    )
+    label_grid(figure, grid, durations_s, _legend(looks))
     return figure
 
 

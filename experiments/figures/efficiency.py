@@ -12,9 +12,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from experiments.figures.style import WIDTH_IN, Look, error_axes, method_looks
+from experiments.figures.style import WIDTH_IN, Look, error_axes, label_grid, method_looks
 from experiments.paper.esim import method_order
-from experiments.paper.quantities import ANGLE_LABEL, ERRORS
+from experiments.paper.quantities import ERRORS
 
 _STEP_DEG = 30.0  # between angles
 _SHARE = 0.7  # of this step that the methods' columns take
@@ -47,13 +47,7 @@ def efficiency_figure(cells: pd.DataFrame) -> Figure:
                 own = of_duration[of_duration["method"] == method]
                 _draw(axes, own, columns, looks[method], shift_deg)
         row[0].set_ylabel(error.label)
-    for axes, duration_s in zip(grid[0], durations_s, strict=True):
-        axes.set_title(f"Recordings of {duration_s:g} s", fontsize=11)
-    for axes in grid[-1]:
-        axes.set_xlabel(ANGLE_LABEL)
-    figure.legend(
-        handles=_legend(looks), loc="outside lower center", ncols=4, fontsize=8, frameon=False
-    )
+    label_grid(figure, grid, durations_s, _legend(looks))
     return figure
 
 

@@ -6,14 +6,19 @@ marker.
 """
 
 import io
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullLocator
+from numpy.typing import NDArray
 from PIL import Image
 
+from experiments.paper.quantities import ANGLE_LABEL
 from ssac.files.whole_file import whole_file
 
 WIDTH_IN = 9.0
@@ -75,6 +80,17 @@ def error_axes(axes: Axes, angles_deg: list[float]) -> None:
     axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axes.yaxis.set_minor_locator(NullLocator())
     axes.yaxis.set_major_formatter("{x:g}")
+
+
+def label_grid(
+    figure: Figure, grid: NDArray[Any], durations_s: Sequence[float], handles: list[Line2D]
+) -> None:
+    """Name a figure's columns by duration, its axes by the angle, and put the legend below it."""
+    for axes, duration_s in zip(grid[0], durations_s, strict=True):
+        axes.set_title(f"Recordings of {duration_s:g} s", fontsize=11)
+    for axes in grid[-1]:
+        axes.set_xlabel(ANGLE_LABEL)
+    figure.legend(handles=handles, loc="outside lower center", ncols=4, fontsize=8, frameon=False)
 
 
 def png_bytes(figure: Figure) -> bytes:
