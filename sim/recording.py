@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.errors import SimError
+from sim.render.config import RenderConfig
 from sim.render.gl_context import GLContext
 from sim.render.instants import SamplingConfig, choose_instants
-from sim.render.renderer import Crops, RenderConfig, Renderer
+from sim.render.renderer import Crops, RenderCheck, Renderer
 from sim.scene.background import load_background, uniform_background
 from sim.scene.drone import Drone, drone_from_file
 from sim.scene.flyers import FLAP_HZ, built_in_drone, check_drone_name
@@ -87,7 +88,8 @@ class Recording:
     rig: Rig
     truth: Truth
     n_instants: int  # chosen, over all cameras
-    gl: GLContext
+    gl: GLContext | None  # None: nothing was drawn with OpenGL
+    check: RenderCheck  # of the native renderer against it
 
 
 def simulate(
@@ -120,7 +122,7 @@ def simulate(
     drone = _drone(config)
     trajectory = _trajectory(config, seed)
     recorded, n_instants = [], 0
-    with Renderer(drone, config.render) as renderer:
+    with Renderer(drone, config.render, seed) as renderer:
         for index, camera in enumerate(rig.cameras):
             rng = np.random.default_rng(
                 np.random.SeedSequence(seed, spawn_key=(_SENSOR_STREAM, index))
@@ -138,9 +140,9 @@ def simulate(
                     renderer, camera, instants_s, T_W_B, backgrounds[index], config, rng, report
                 )
             )
-        gl = renderer.context
+        gl, check = renderer.context, renderer.check
     truth = _truth(rig, trajectory, config.t_d_s)
-    return Recording(tuple(recorded), rig, truth, n_instants, gl)
+    return Recording(tuple(recorded), rig, truth, n_instants, gl, check)
 
 
 def with_time_offset(recording: Recording, t_d_s: float) -> Recording:

@@ -9,6 +9,7 @@ truth.json           offset, pose, trajectory, and what the recording was made w
 import json
 import os
 import shutil
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -146,10 +147,12 @@ def _truth(recording: Recording) -> dict[str, Any]:
         "drone_position_W_m": _rounded(truth.T_W_B[:, :3, 3]),
         "drone_quaternion_W_B_xyzw": _rounded(quaternions),
         "n_instants": recording.n_instants,
-        "gl": {
-            "backend": recording.gl.backend,
-            "renderer": recording.gl.renderer,
-            "version": recording.gl.version,
+        "gl": asdict(recording.gl) if recording.gl else None,
+        # How far the native renderer was from OpenGL where both drew; 0 instants: not compared.
+        "render_check": {
+            "n_instants": recording.check.n_instants,
+            "max_difference": round(recording.check.max_difference, _DIGITS),
+            "mean_difference": round(recording.check.mean_difference, _DIGITS),
         },
     }
 

@@ -17,8 +17,13 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
         "scene": ("trajectory", "shapes", "drone", "flyers", "rig", "background"),
         "render": (
             "lattice",
+            "config",
             "footprint",
             "instants",
+            "views",
+            "faces",
+            "native_kernels",
+            "native",
             "gl_context",
             "gl_atlas",
             "renderer",

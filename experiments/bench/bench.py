@@ -27,10 +27,11 @@ from experiments.bench.tables import bench_tables
 from experiments.paper.checksums import record_checksums
 from experiments.run.provenance import save_provenance
 from sim.recording import SimConfig, simulate
+from sim.render.config import RenderConfig
 from sim.render.gl_context import BACKENDS, open_context
 from sim.render.gl_reference import PyrenderFullFrame
 from sim.render.lattice import Lattice
-from sim.render.renderer import RenderConfig, Renderer
+from sim.render.renderer import Renderer
 from sim.scene.background import uniform_background
 from sim.scene.drone import quadrotor
 from sim.scene.rig import two_view_rig

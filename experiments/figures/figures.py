@@ -31,7 +31,7 @@ from experiments.run.cache import DEFAULT_FOLDER, Cache
 from experiments.run.grid import flight_seed
 from experiments.run.provenance import save_provenance
 from sim.recording import SimConfig
-from sim.render.gl_context import open_context
+from sim.render.gl_context import context_or_none
 from sim.sensor.events import PRESETS
 from sim.sensor.frames import FrameConfig
 from ssac.errors import SsacError
@@ -98,7 +98,7 @@ def figures_command(
         " ".join(["ssac figures", *(names or ())]),
         figures_config(chosen),
         time.perf_counter() - start,
-        open_context(),
+        context_or_none(),
     )
     written = [out / f"{name}.png" for name in chosen]
     record_checksums(out, [*written, provenance.with_suffix(".provenance.json")])

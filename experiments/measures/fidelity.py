@@ -12,9 +12,9 @@ from experiments.run.cache import Cache
 from experiments.run.recorded import Pair, recorded_pair
 from experiments.run.task import Flight, FlightCell, Measure
 from sim.recording import SimConfig
+from sim.render.config import RenderConfig
 from sim.render.instants import SamplingConfig
 from sim.render.lattice import Lattice
-from sim.render.renderer import RenderConfig
 from ssac.config import Config
 from ssac.tool.registry import Chain
 from ssac.track.observation import prepare

@@ -13,10 +13,19 @@ from experiments.paper.esim import runs_of_grid
 from experiments.paper.grids import table_cells, table_grids
 from experiments.paper.results import COMPARISON_FILE, PAGE_FILE, RUNS_FILE, save_results
 from experiments.run.cache import DEFAULT_FOLDER, Cache
-from experiments.run.command import CacheOption, SchedulerOption, WorkersOption, finish
+from experiments.run.command import (
+    CacheOption,
+    CheckOption,
+    RendererOption,
+    SchedulerOption,
+    WorkersOption,
+    drawn_by,
+    finish,
+    other_than_default,
+)
 from experiments.run.provenance import provenance, write_provenance
 from experiments.run.schedule import Workers, run_cells
-from sim.render.gl_context import open_context
+from sim.render.gl_context import context_or_none
 
 
 def tables_config() -> dict[str, Any]:
@@ -29,17 +38,20 @@ def tables_command(
     workers: WorkersOption = -1,
     scheduler: SchedulerOption = "",
     cache: CacheOption = DEFAULT_FOLDER,
+    renderer: RendererOption = "native",
+    check: CheckOption = True,
 ) -> None:
     """Regenerate the paper's simulation tables: every method on every recording."""
     start = time.perf_counter()
     grids = table_grids()
-    outcome = run_cells(table_cells(), Cache(cache), Workers(workers, scheduler))
+    cells = drawn_by(table_cells(), renderer, check)
+    outcome = run_cells(cells, Cache(cache), Workers(workers, scheduler))
     wall_time_s = time.perf_counter() - start
     made_with = provenance(
-        "ssac tables",
+        " ".join(["ssac tables", *other_than_default(renderer, check)]),
         tables_config(),
         wall_time_s,
-        open_context(),
+        context_or_none(),
         recordings_simulated=outcome.n_simulated,
         peak_mb_per_worker=round(outcome.peak_mb),
     )

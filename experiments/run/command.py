@@ -1,12 +1,17 @@
 """What all commands that run cells share: their options, and what they say at the end."""
 
+from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from experiments.run.cache import Cache
+from experiments.run.grid import Cell
 from experiments.run.schedule import Outcome
+from sim.recording import SimConfig
+from sim.render.config import RENDERERS
 from ssac.console.exits import BUG
 from ssac.errors import SsacError
 
@@ -33,6 +38,32 @@ SchedulerOption = Annotated[
 CacheOption = Annotated[
     Path, typer.Option(help="Keeps finished recordings and runs.", metavar="FOLDER")
 ]
+
+RendererOption = Annotated[
+    str, typer.Option(help=f"What draws: {' or '.join(RENDERERS)} (OpenGL).", metavar="NAME")
+]
+CheckOption = Annotated[
+    bool,
+    typer.Option(
+        "--check/--no-check",
+        help="Draw some instants with OpenGL too and compare; not where there is none.",
+    ),
+]
+
+
+def drawn_by(cells: Iterable[Cell], renderer: str, check: bool) -> list[Cell]:
+    """Return the same cells, with what their recordings are drawn by."""
+
+    def drawn(sim: SimConfig) -> SimConfig:
+        return replace(sim, render=replace(sim.render, renderer=renderer, check=check))
+
+    return [replace(cell, sim=drawn(cell.sim)) for cell in cells]
+
+
+def other_than_default(renderer: str, check: bool) -> list[str]:
+    """Return the options of a command line that draws in this way."""
+    named = [] if renderer == RENDERERS[0] else ["--renderer", renderer]
+    return named if check else [*named, "--no-check"]
 
 
 def finish(outcome: Outcome, cache: Cache, *files: Path) -> None:

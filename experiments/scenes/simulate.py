@@ -11,9 +11,9 @@ from experiments.run.provenance import plain, versions
 from experiments.scenes.scene import scene_figures, scene_table
 from sim.errors import SimError
 from sim.recording import Recording, SimConfig, simulate
+from sim.render.config import RENDERERS, RenderConfig
 from sim.render.instants import SamplingConfig
 from sim.render.lattice import Lattice
-from sim.render.renderer import RenderConfig
 from sim.scene.flyers import DRONES
 from sim.scene.trajectory import SplineConfig
 from sim.sensor.events import PRESETS
@@ -124,6 +124,16 @@ def simulate_command(
         tuple[int, int],
         number("Supersampling: a*a + b*b samples per pixel, b = 0 or 1.", 0, 64, metavar="A B"),
     ] = (_DEFAULT.render.lattice.a, _DEFAULT.render.lattice.b),
+    renderer: Annotated[
+        str, typer.Option(metavar="NAME", help=f"What draws: {' or '.join(RENDERERS)} (OpenGL).")
+    ] = _DEFAULT.render.renderer,
+    check: Annotated[
+        bool,
+        typer.Option(
+            "--check/--no-check",
+            help="Draw some instants with OpenGL too and compare; not where there is none.",
+        ),
+    ] = True,
     gl: Annotated[
         str, typer.Option(metavar="NAME", help="GL backend: auto, osmesa or egl.")
     ] = "auto",
@@ -154,7 +164,7 @@ def simulate_command(
         background_luminance=background_luminance,
         background_files=tuple(background or ()),
         sampling=SamplingConfig(max_step_px=max_step),
-        render=RenderConfig(lattice=Lattice(*lattice), backend=gl),
+        render=RenderConfig(lattice=Lattice(*lattice), renderer=renderer, check=check, backend=gl),
         sensor=replace(PRESETS[noise], threshold_on=threshold_on, threshold_off=threshold_off),
         frames=FrameConfig(rate_hz=frame_rate, exposure_s=exposure),
     )
@@ -191,7 +201,21 @@ def summary(recording: Recording, out_dir: Path) -> str:
         f"{camera.camera.name}: {len(camera.events)} events, {len(camera.frames.images)} frames"
         for camera in recording.cameras
     ]
-    gl = recording.gl
-    lines.append(f"{recording.n_instants} instants rendered with {gl.backend} ({gl.renderer})")
+    lines.append(f"{recording.n_instants} instants rendered with {_drawn_by(recording)}")
     lines.append(f"written to {out_dir}")
     return "\n".join(lines)
+
+
+def _drawn_by(recording: Recording) -> str:
+    """Name what drew, and how far it was from the definition."""
+    gl, check = recording.gl, recording.check
+    by_gl = f"{gl.backend} ({gl.renderer})" if gl else ""
+    if gl and not check.n_instants:
+        return by_gl
+    compared = "not compared with OpenGL"
+    if check.n_instants:
+        compared = (
+            f"{check.n_instants} of them compared with {by_gl}: luminance differs by "
+            f"{check.mean_difference:.1e} in the mean, {check.max_difference:.1e} at most"
+        )
+    return f"the native renderer, {compared}"

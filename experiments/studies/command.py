@@ -22,7 +22,7 @@ from experiments.studies.study import (
     save_csv,
     save_derived,
 )
-from sim.render.gl_context import open_context
+from sim.render.gl_context import context_or_none
 from ssac.errors import SsacError
 
 OutOption = Annotated[Path, typer.Option(help="For the CSVs and figures.", metavar="FOLDER")]
@@ -112,7 +112,7 @@ def save_study(
                 command,
                 {"study": study.name, "shard": f"{shard[0]}/{shard[1]}", **study.config},
                 time.perf_counter() - start,
-                open_context(),
+                context_or_none(),
                 recordings_simulated=outcome.n_simulated,
             )
     if shard == WHOLE:

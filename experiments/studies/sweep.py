@@ -31,7 +31,7 @@ from experiments.studies.study import (
     save_derived,
     save_text,
 )
-from sim.render.gl_context import open_context
+from sim.render.gl_context import context_or_none
 from ssac.errors import SsacError
 
 
@@ -60,7 +60,7 @@ def sweep_command(
     command = f"ssac sweep {config}" + (f" --shard {shard}" if part != WHOLE else "")
     save_provenance(
         out, command, {"grid": dict(grid.content), "name": grid.name, "shard": shard},
-        time.perf_counter() - start, open_context(),
+        time.perf_counter() - start, context_or_none(),
     )  # fmt: skip
     finish(outcome, Cache(cache), out)
 

@@ -14,7 +14,7 @@ from experiments.paper.checksums import SUMS_FILE, read_checksums, sha256
 from experiments.run.provenance import plain, versions
 from experiments.verify.finding import Finding, found
 from experiments.verify.manifest import BENCH_FILE, PUBLISHED_SHA256, Manifest, Provenance
-from sim.render.gl_context import open_context
+from sim.render.gl_context import context_or_none
 from ssac.errors import SsacError
 
 _CLEAN_COMMIT = re.compile(r"[0-9a-f]{7,40}")
@@ -58,7 +58,8 @@ def read_provenance(path: Path) -> list[dict[str, Any]]:
 
 def made_alike(path: Path) -> bool:
     """Return whether a result was made with the versions and the OpenGL driver that are here."""
-    here = versions(), plain(open_context())
+    gl = context_or_none()
+    here = versions(), plain(gl) if gl else None
     return all((one.get("versions"), one.get("gl")) == here for one in read_provenance(path))
 
 

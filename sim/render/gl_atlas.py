@@ -9,20 +9,94 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 
 from sim.errors import SimError
-from sim.render.lattice import Lattice
+from sim.render.config import RenderConfig
+from sim.render.faces import part_faces, piece_size_m
+from sim.render.gl_context import open_context
+from sim.render.lattice import Lattice, average_pixels
+from sim.render.views import Views, crop_size
 from sim.scene.drone import Drone, Part
 from sim.scene.rig import Camera
+
+IntArray = NDArray[np.int64]
 
 SHADERS = Path(__file__).parent / "shaders"
 DISTORTION_MODELS = {"none": 0, "radtan": 1, "equidistant": 2}
 MAX_INSTANCES = 1024  # of one draw call
-# Under distortion a straight edge bends; pieces of this share of the drone stay straight enough.
-PIECE_OF_SIZE = 1 / 16
+ATLAS_SIZE = 1024  # samples each way: small enough for the processor's cache
 _BACKGROUND = np.zeros(4, np.uint32)
+
+
+class GLPainter:
+    """Draws one drone with OpenGL: what pyrender's own full frame shows, crop by crop.
+
+    One draw call renders many instants: each is an instance of the mesh, put into its own tile of
+    an atlas. The vertex shader is the camera (it projects, distorts and rounds to the rasteriser's
+    grid), so an instant has the same pixels wherever its tile lies, and the same as in a full
+    frame.
+
+    Parameters
+    ----------
+    drone
+    config
+
+    Raises
+    ------
+    SimError
+        No GL context can be opened, or it lacks what is needed.
+    """
+
+    def __init__(self, drone: Drone, config: RenderConfig) -> None:
+        self._config = config
+        self.context = open_context(config.backend)
+        self._atlas = Atlas(drone)
+
+    def room(self, width_px: int, height_px: int) -> int:
+        """Return how many instants of this size may be drawn at a time."""
+        tile = self._config.lattice.tile_size(width_px, height_px)
+        return min(MAX_INSTANCES, max(1, (ATLAS_SIZE // tile[0]) * (ATLAS_SIZE // tile[1])))
+
+    def close(self) -> None:
+        """Free what this renderer holds on the GL side."""
+        self._atlas.delete()
+
+    def paint(
+        self, camera: Camera, views: Views, corner_px: IntArray, background: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
+        """Draw crops, as `sim.render.native.NativePainter.paint` does."""
+        config, lattice = self._config, self._config.lattice
+        width, height = crop_size(views.boxes)
+        x0, y0 = corner_px[:, 0], corner_px[:, 1]
+        tile = lattice.tile_size(width, height)
+        corners = _arrange(tile, len(views.times_s))
+        shift = corners - lattice.tile_origin(x0, y0, height)
+        for matrices in views.T_C_P:
+            matrices[:, 3, :2] = shift
+            matrices[:, 3, 2:] = corners
+        # Where the outline leaves its crop, the tile must cut it off.
+        edge = corner_px + np.array([width, height]) - 0.5
+        beyond = (views.low_px < corner_px - 0.5) | (views.high_px > edge)
+        depth = views.depth_m[views.visible]
+        depth_range = (0.9 * depth.min(), 1.1 * depth.max()) if len(depth) else (0.5, 1.0)
+        used = corners.max(axis=0) + tile
+        self._atlas.use_camera(camera, lattice, config.light_in(camera), config.ambient)
+        words = self._atlas.draw(
+            views.T_C_P,
+            tile,
+            (int(used[0]), int(used[1])),
+            depth_range,
+            clip=bool(beyond[views.visible].any()),
+        )
+        return average_pixels(words, lattice, corners, x0, y0, (width, height), background)
+
+
+def _arrange(tile: tuple[int, int], n: int) -> IntArray:
+    """Place n tiles in rows: the column and row at which each starts, (n, 2)."""
+    per_row = max(1, ATLAS_SIZE // tile[0])
+    k = np.arange(n)
+    return np.stack([k % per_row * tile[0], k // per_row * tile[1]], axis=-1)
 
 
 @dataclass(frozen=True)
@@ -83,7 +157,7 @@ class Atlas:
         self._camera = camera
         self._bends = camera.distortion_model != "none"
         if self._bends not in self._meshes:
-            piece_m = self._drone.size_m * PIECE_OF_SIZE if self._bends else None
+            piece_m = piece_size_m(self._drone, camera)
             self._meshes[self._bends] = [_upload(part, piece_m) for part in self._drone.parts]
         set_camera_uniforms(self._program._program_id, camera, lattice, light_C, ambient)
 
@@ -221,22 +295,13 @@ def make_primitive(part: Part, piece_m: float | None, n_instances: int | None) -
     """
     from pyrender.primitive import Primitive
 
-    vertices, faces, albedo = part.vertices_B_m, part.faces, part.albedo
-    if piece_m is not None:
-        vertices, faces, index = trimesh.remesh.subdivide_to_size(  # type: ignore[no-untyped-call]
-            vertices, faces, piece_m, return_index=True
-        )
-        albedo = albedo[index]
-    corners = vertices[faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    flat = length[:, 0] > 0.0  # faces without area show nothing
-    per_face = np.concatenate([normals[flat] / length[flat], albedo[flat, None]], axis=1)
+    faces = part_faces(part, piece_m)
+    per_face = np.concatenate([faces.normals, faces.albedo[:, None]], axis=1)
     # The image has y down where GL has it up, so what GL must see as the front is the inside.
     rows = np.concatenate(
-        [corners[flat][:, ::-1], np.repeat(per_face[:, None], 3, axis=1)], axis=2
+        [faces.corners_m[:, ::-1], np.repeat(per_face[:, None], 3, axis=1)], axis=2
     ).reshape(-1, 7)
-    unique, indices = np.unique(rows.astype(np.float32), axis=0, return_inverse=True)
+    unique, indices = np.unique(rows, axis=0, return_inverse=True)
     colours = np.zeros((len(unique), 4), np.float32)
     colours[:, 0] = unique[:, 6]
     colours[:, 3] = 1.0

@@ -55,6 +55,14 @@ def open_context(backend: str = "auto") -> GLContext:
     return _open(chosen)
 
 
+def context_or_none(backend: str = "auto") -> GLContext | None:
+    """Open the GL context of this process, if this machine has one."""
+    try:
+        return open_context(backend)
+    except SimError:
+        return None
+
+
 def _backend_in_use() -> str | None:
     """Return the backend that PyOpenGL is bound to, or that the user bound it to beforehand."""
     platform = os.environ.get("PYOPENGL_PLATFORM")

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.errors import SimError
+from sim.render.config import RenderConfig
+from sim.render.faces import piece_size_m
 from sim.render.gl_atlas import (
-    PIECE_OF_SIZE,
     SHADERS,
     attach_renderbuffers,
     make_primitive,
@@ -21,7 +22,6 @@ from sim.render.gl_atlas import (
 )
 from sim.render.gl_context import make_current, open_context
 from sim.render.lattice import average_pixels
-from sim.render.renderer import RenderConfig
 from sim.scene.drone import Drone, Part
 from sim.scene.rig import Camera
 
@@ -59,7 +59,7 @@ class PyrenderFullFrame:
         self._size = lattice.tile_size(camera.width, camera.height)
         zero = np.zeros(1, np.int64)
         self._origin = lattice.tile_origin(zero, zero, camera.height)
-        piece_m = None if camera.distortion_model == "none" else drone.size_m * PIECE_OF_SIZE
+        piece_m = piece_size_m(drone, camera)
         # The whole image is one tile, which starts at the corner of the buffer.
         tile = np.eye(4)
         tile[3, :2], tile[3, 3] = -self._origin, 0.0

@@ -8,7 +8,7 @@ and with b = 1 no two of a pixel share a row or a column. To a rasteriser q is a
 """
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numba import njit
@@ -154,6 +154,29 @@ def average_pixels(
         luminance,
     )
     return luminance
+
+
+@lru_cache(maxsize=64)
+def pixels_of_tile(lattice: Lattice, size_px: tuple[int, int]) -> NDArray[np.int32]:
+    """Say which pixel of a crop each sample of its tile belongs to.
+
+    Returns
+    -------
+    NDArray[np.int32]
+        Row by row, shape (tile height * tile width,): the pixel's number, width times row plus
+        column, and width times height for the samples that belong to none.
+    """
+    width, height = size_px
+    tile_width, tile_height = lattice.tile_size(width, height)
+    pixel_of = np.full((tile_height, tile_width), width * height, np.int32)
+    u0, v0 = lattice.tile_origin(np.array(0), np.array(0), height)
+    column, row = np.meshgrid(np.arange(width), np.arange(height))
+    for u, first, last in lattice.pixel_columns:
+        for v in range(first, last):
+            at_u = u - u0 + lattice.a * column - lattice.b * row
+            at_v = v - v0 + lattice.b * column + lattice.a * row
+            pixel_of[at_v, at_u] = width * row + column
+    return pixel_of.ravel()
 
 
 @njit(cache=True, nogil=True)

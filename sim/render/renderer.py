@@ -1,42 +1,38 @@
 """Poses in, linear luminance of crops that follow the drone out.
 
-One draw call renders many instants: each is an instance of the mesh, put into its own tile of an
-atlas. The vertex shader is the camera (it projects, distorts and rounds to the rasteriser's grid),
-so an instant has the same pixels wherever its tile lies, and the same as in a full frame.
+Two painters draw the same samples: `native` in compiled Python, and `pyrender` with OpenGL, which
+is the definition. What the first draws is compared with the second at some instants of each
+recording.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from types import TracebackType
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim.errors import SimError
-from sim.render.footprint import Footprint, footprint
-from sim.render.gl_atlas import MAX_INSTANCES, Atlas
-from sim.render.gl_context import GLContext, open_context
-from sim.render.lattice import Lattice, average_pixels
-from sim.scene.drone import Drone, Part
+from sim.render.config import RenderConfig
+from sim.render.footprint import footprint
+from sim.render.gl_atlas import GLPainter
+from sim.render.gl_context import GLContext
+from sim.render.native import NativePainter
+from sim.render.views import Views, crop_size, plan_views
+from sim.scene.drone import Drone
 from sim.scene.rig import Camera
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-ATLAS_SIZE = 1024  # samples each way: small enough for the processor's cache
-# How far the image may lie beyond the projected hull: the rasteriser's rounding without distortion,
-# and with it the bend of an edge between two corners.
-MARGIN_PX = {"none": 0.01, "radtan": 1.0, "equidistant": 1.0}
-
-
-@dataclass(frozen=True)
-class RenderConfig:
-    """How the drone is drawn."""
-
-    lattice: Lattice = field(default_factory=lambda: Lattice(8, 0))
-    light_W: tuple[float, float, float] = (0.35, -0.4, 0.85)  # towards the light, any length
-    ambient: float = 0.35  # share of the light that comes from everywhere
-    backend: str = "auto"  # "auto", "osmesa" or "egl"
+CHECKED_INSTANTS = 25  # of each camera, drawn by both painters
+# What the two may differ by. Corners are rounded to 1/256 of a sample from double precision here
+# and from single precision there, and surfaces cut into each other where 24 bits of depth end:
+# single samples beside an edge change sides. A wrong corner or face changes many at once.
+MAX_SAMPLES_OF_PIXEL = 6  # that may change sides
+MAX_SAMPLES_PER_PIXEL = 0.01  # of all pixels that show the drone, in the mean
+MIN_SHOWN = 1000  # pixels: of fewer, a sample or two weigh too much in a mean
 
 
 @dataclass(frozen=True)
@@ -56,6 +52,36 @@ class Crops:
         return Crops(self.times_s[k:], self.x0_px[k:], self.y0_px[k:], self.luminance[k:])
 
 
+@dataclass
+class RenderCheck:
+    """How far the native renderer's pixels were from the definition's, where both drew."""
+
+    n_instants: int = 0
+    n_pixels: int = 0  # that show the drone
+    max_difference: float = 0.0  # of linear luminance
+    sum_difference: float = 0.0
+
+    @property
+    def mean_difference(self) -> float:
+        """Mean over the pixels that show the drone."""
+        return self.sum_difference / max(self.n_pixels, 1)
+
+
+class Painter(Protocol):
+    """What draws: see `sim.render.native.NativePainter`."""
+
+    def room(self, width_px: int, height_px: int) -> int:
+        """Return how many instants of this size may be drawn at a time."""
+
+    def paint(
+        self, camera: Camera, views: Views, corner_px: IntArray, background: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
+        """Draw crops."""
+
+    def close(self) -> None:
+        """Free what is held."""
+
+
 class Renderer:
     """Draws one drone; use as a context manager, or call `close`.
 
@@ -63,20 +89,31 @@ class Renderer:
     ----------
     drone
     config
+    seed
+        Of the instants that are checked.
 
     Raises
     ------
     SimError
-        No GL context can be opened, or it lacks what is needed.
+        No GL context can be opened, or it lacks what is needed. `check=False` needs none.
     """
 
-    def __init__(self, drone: Drone, config: RenderConfig | None = None) -> None:
+    def __init__(self, drone: Drone, config: RenderConfig | None = None, seed: int = 0) -> None:
         self.drone = drone
         self.config = config or RenderConfig()
-        if not 0.0 <= self.config.ambient <= 1.0:
-            raise SimError(f"ambient light: expected 0 to 1, got {self.config.ambient}")
-        self.context: GLContext = open_context(self.config.backend)
-        self._gl = Atlas(drone)
+        self.check = RenderCheck()
+        self.context: GLContext | None = None  # None: nothing was drawn with OpenGL
+        self._seed = seed
+        self._reference: GLPainter | None = None
+        self._painter: Painter
+        if self.config.renderer == "pyrender":
+            self._painter = self._reference = GLPainter(drone, self.config)
+        else:
+            self._painter = NativePainter(drone, self.config)
+            if self.config.check:
+                self._reference = GLPainter(drone, self.config)
+        if self._reference is not None:
+            self.context = self._reference.context
 
     def __enter__(self) -> "Renderer":
         return self
@@ -90,8 +127,9 @@ class Renderer:
         self.close()
 
     def close(self) -> None:
-        """Free what this renderer holds on the GL side."""
-        self._gl.delete()
+        """Free what this renderer holds."""
+        if self._reference is not None:
+            self._reference.close()
 
     def crops(
         self,
@@ -117,134 +155,88 @@ class Renderer:
         Crops
             In order of time. Instants missing from all of them show the background, and so do the
             instants before and after them.
+
+        Raises
+        ------
+        SimError
+            The two painters differ at an instant by more than rounding explains.
         """
         seen = footprint(self.drone, camera, times_s, T_W_B)
         # One more instant on each side, so that leaving and entering the view are seen as a change.
         near_view = seen.visible.copy()
         near_view[1:] |= seen.visible[:-1]
         near_view[:-1] |= seen.visible[1:]
-        views = _plan(self.drone, camera, seen, np.flatnonzero(near_view), times_s, T_W_B)
+        views = plan_views(self.drone, camera, seen, np.flatnonzero(near_view), times_s, T_W_B)
+        checked = self._checked_instants(views)
         start = 0
         while start < len(views.times_s):
             stop = self._end_of_batch(views.boxes, start)
-            yield self._draw(camera, views.between(start, stop), background)
+            batch = views.between(start, stop)
+            width, height = crop_size(batch.boxes)
+            corner_px = np.minimum(
+                batch.boxes[:, :2], [camera.width - width, camera.height - height]
+            )
+            luminance = self._painter.paint(camera, batch, corner_px, background)
+            here = checked[(checked >= start) & (checked < stop)] - start
+            if len(here):
+                self._compare(camera, batch, here, corner_px, background, luminance)
+            yield Crops(batch.times_s, corner_px[:, 0], corner_px[:, 1], luminance)
             start = stop
 
-    def _light_in_camera(self, camera: Camera) -> FloatArray:
-        light_W = np.asarray(self.config.light_W)
-        light_C: FloatArray = camera.T_C_W[:3, :3] @ (light_W / np.linalg.norm(light_W))
-        return light_C
-
     def _end_of_batch(self, boxes: IntArray, start: int) -> int:
-        """Find how many of the coming instants fit the atlas in tiles of one size."""
-        stop = min(start + MAX_INSTANCES, len(boxes))
+        """Find how many of the coming instants are painted at a time, in crops of one size."""
+        stop = len(boxes)
         while True:
-            width, height = _crop_size(boxes[start:stop])
-            tile = self.config.lattice.tile_size(width, height)
-            room = max(1, (ATLAS_SIZE // tile[0]) * (ATLAS_SIZE // tile[1]))
+            # Boxes grow with the batch, so the room for the first few bounds the room for all.
+            room = self._painter.room(*crop_size(boxes[start : min(stop, start + 1)]))
+            stop = min(stop, start + room)
+            room = self._painter.room(*crop_size(boxes[start:stop]))
             if stop - start <= room:
                 return stop
             stop = start + room
 
-    def _draw(self, camera: Camera, views: "_Views", background: NDArray[np.float32]) -> Crops:
-        lattice = self.config.lattice
-        width, height = _crop_size(views.boxes)
-        corner_px = np.minimum(views.boxes[:, :2], [camera.width - width, camera.height - height])
-        x0, y0 = corner_px[:, 0], corner_px[:, 1]
-        tile = lattice.tile_size(width, height)
-        corners = _arrange(tile, len(views.times_s))
-        shift = corners - lattice.tile_origin(x0, y0, height)
-        for matrices in views.T_C_P:
-            matrices[:, 3, :2] = shift
-            matrices[:, 3, 2:] = corners
-        # Where the outline leaves its crop, the tile must cut it off.
-        edge = corner_px + np.array([width, height]) - 0.5
-        beyond = (views.low_px < corner_px - 0.5) | (views.high_px > edge)
-        depth = views.depth_m[views.visible]
-        depth_range = (0.9 * depth.min(), 1.1 * depth.max()) if len(depth) else (0.5, 1.0)
-        used = corners.max(axis=0) + tile
-        self._gl.use_camera(camera, lattice, self._light_in_camera(camera), self.config.ambient)
-        words = self._gl.draw(
-            views.T_C_P,
-            tile,
-            (int(used[0]), int(used[1])),
-            depth_range,
-            clip=bool(beyond[views.visible].any()),
-        )
-        luminance = average_pixels(words, lattice, corners, x0, y0, (width, height), background)
-        return Crops(views.times_s, x0, y0, luminance)
+    def _checked_instants(self, views: Views) -> IntArray:
+        """Choose instants spread evenly over those in view, each within its share of them."""
+        visible = np.flatnonzero(views.visible)
+        if self._reference is None or self._painter is self._reference or not len(visible):
+            return np.empty(0, np.int64)
+        n = min(CHECKED_INSTANTS, len(visible))
+        within = np.random.default_rng(self._seed).random(n)
+        return visible[((np.arange(n) + within) * len(visible) / n).astype(np.int64)]
 
-
-@dataclass(frozen=True)
-class _Views:
-    """What drawing n instants of one camera needs."""
-
-    times_s: FloatArray  # (n,) [s]
-    visible: NDArray[np.bool_]  # (n,)
-    low_px: FloatArray  # (n, 2) least column and row that the image may touch
-    high_px: FloatArray  # (n, 2) greatest
-    depth_m: FloatArray  # (n, 2) least and greatest depth
-    boxes: IntArray  # (n, 4) x0, y0, x1, y1 (exclusive) of the whole pixels touched in the image
-    T_C_P: list[NDArray[np.float32]]  # of each part (n, 4, 4); the last row is for the tile
-
-    def between(self, start: int, stop: int) -> "_Views":
-        """Return the instants from start up to stop."""
-        k = slice(start, stop)
-        return _Views(
-            self.times_s[k],
-            self.visible[k],
-            self.low_px[k],
-            self.high_px[k],
-            self.depth_m[k],
-            self.boxes[k],
-            [matrices[k] for matrices in self.T_C_P],
-        )
-
-
-def _plan(
-    drone: Drone,
-    camera: Camera,
-    seen: Footprint,
-    chosen: IntArray,
-    times_s: FloatArray,
-    T_W_B: FloatArray,
-) -> _Views:
-    """Prepare the chosen instants for drawing."""
-    visible = seen.visible[chosen]
-    margin = MARGIN_PX[camera.distortion_model]
-    low = np.where(visible[:, None], seen.low_px[chosen] - margin, 0.0)
-    high = np.where(visible[:, None], seen.high_px[chosen] + margin, 0.0)
-    last = np.array([camera.width - 1, camera.height - 1])
-    first_px = np.clip(np.floor(low + 0.5), 0, last)
-    last_px = np.clip(np.floor(high + 0.5), 0, last)
-    boxes: IntArray = np.concatenate([first_px, last_px + 1], axis=1).astype(np.int64)
-    T_C_P = [_placed(camera, part, times_s[chosen], T_W_B[chosen], visible) for part in drone.parts]
-    return _Views(times_s[chosen], visible, low, high, seen.depth_m[chosen], boxes, T_C_P)
-
-
-def _arrange(tile: tuple[int, int], n: int) -> IntArray:
-    """Place n tiles in rows: the column and row at which each starts, (n, 2)."""
-    per_row = max(1, ATLAS_SIZE // tile[0])
-    k = np.arange(n)
-    return np.stack([k % per_row * tile[0], k // per_row * tile[1]], axis=-1)
-
-
-def _crop_size(boxes: IntArray) -> tuple[int, int]:
-    """Width and height [px] of the smallest crop that is large enough for every box."""
-    size = (boxes[:, 2:] - boxes[:, :2]).max(axis=0)
-    return int(size[0]), int(size[1])
-
-
-def _placed(
-    camera: Camera,
-    part: Part,
-    times_s: FloatArray,
-    T_W_B: FloatArray,
-    visible: NDArray[np.bool_],
-) -> NDArray[np.float32]:
-    """Return T_C_P (n, 4, 4) of a part; out of view it shrinks to a point and covers no sample."""
-    T_W_P = T_W_B if part.joint is None else T_W_B @ part.joint.transforms(times_s)
-    matrices = camera.T_C_W @ T_W_P
-    matrices[~visible] = np.diag([0.0, 0.0, 0.0, 1.0])
-    matrices[~visible, 2, 3] = 1.0  # on the axis, in front of the camera
-    return matrices.astype(np.float32)
+    def _compare(
+        self,
+        camera: Camera,
+        batch: Views,
+        here: IntArray,
+        corner_px: IntArray,
+        background: NDArray[np.float32],
+        luminance: NDArray[np.float32],
+    ) -> None:
+        """Draw some instants of a batch with OpenGL too, and add up the differences."""
+        assert self._reference is not None
+        albedo = np.concatenate([part.albedo for part in self.drone.parts])
+        contrast = max(float(albedo.max()), float(background.max()))
+        sample = contrast / self.config.lattice.samples_per_pixel
+        at_most, in_the_mean = MAX_SAMPLES_OF_PIXEL * sample, MAX_SAMPLES_PER_PIXEL * sample
+        for k in here:
+            alone = batch.chosen(np.array([k]))
+            width, height = crop_size(alone.boxes)
+            x0, y0 = alone.boxes[0, :2]
+            wanted = self._reference.paint(camera, alone, alone.boxes[:, :2], background)[0]
+            drawn = luminance[k, y0 - corner_px[k, 1] :, x0 - corner_px[k, 0] :][:height, :width]
+            difference = np.abs(drawn.astype(np.float64) - wanted)
+            behind = background[y0 : y0 + height, x0 : x0 + width]
+            shown = int(np.count_nonzero((wanted != behind) | (drawn != behind)))
+            mean = difference.sum() / max(shown, MIN_SHOWN)
+            if difference.max() > at_most or mean > in_the_mean:
+                raise SimError(
+                    f"{camera.name}: at {alone.times_s[0]:.6f} s the native renderer differs from "
+                    f"pyrender by up to {difference.max():.2g} of luminance and {mean:.2g} in mean "
+                    f"(expected at most {at_most:.2g} and {in_the_mean:.2g}): "
+                    "use --renderer pyrender, and report the scene"
+                )
+            self.check.n_instants += 1
+            self.check.n_pixels += shown
+            self.check.max_difference = max(self.check.max_difference, float(difference.max()))
+            self.check.sum_difference += float(difference.sum())

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from sim.errors import SimError
 from sim.recording import Recording, SimConfig, simulate, with_time_offset
+from sim.render.config import RenderConfig
 from sim.render.instants import SamplingConfig
 from sim.render.lattice import Lattice
-from sim.render.renderer import RenderConfig
 from sim.scene.drone import drone_from_file
 from sim.scene.trajectory import SplineConfig, random_spline, trajectory_to_csv
 from sim.sensor.events import PRESETS

@@ -12,6 +12,7 @@ import sim.storage
 from sim.errors import SimError
 from sim.recording import CameraRecording, Recording, Truth
 from sim.render.gl_context import GLContext
+from sim.render.renderer import RenderCheck
 from sim.scene.rig import two_view_rig
 from sim.sensor.events import EVENT_DTYPE
 from sim.sensor.frames import Frames
@@ -48,7 +49,7 @@ def made_up_recording(
     centres_px = np.stack([camera.project(T_W_B[:, :3, 3]) for camera in rig.cameras])
     truth = Truth(T_D_S, R, t, baseline_m, np.linspace(0, 1, 20), T_W_B, centres_px)
     gl = GLContext("osmesa", "llvmpipe", "4.5")
-    return Recording(tuple(cameras), rig, truth, 321, gl)
+    return Recording(tuple(cameras), rig, truth, 321, gl, RenderCheck(50, 9000, 0.004, 0.01))
 
 
 def contents(folder: Path) -> dict[str, bytes]:

@@ -15,7 +15,7 @@ from experiments.run.cache import (
 )
 from sim.errors import SimError
 from sim.recording import SimConfig
-from sim.render.renderer import RenderConfig
+from sim.render.config import RenderConfig
 from ssac.config import Config
 
 pytestmark = pytest.mark.render  # a recording's key names the GL driver

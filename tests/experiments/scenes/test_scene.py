@@ -3,9 +3,9 @@ import pytest
 
 from experiments.scenes.scene import AUTHORS_SAMPLE, SceneFigures, scene_figures, scene_table
 from sim.recording import Recording, SimConfig, simulate, with_time_offset
+from sim.render.config import RenderConfig
 from sim.render.instants import SamplingConfig
 from sim.render.lattice import Lattice
-from sim.render.renderer import RenderConfig
 from sim.scene.trajectory import SplineConfig
 from sim.sensor.frames import FrameConfig
 

@@ -105,7 +105,7 @@ def no_gl(monkeypatch: pytest.MonkeyPatch) -> None:
     FAULTS.clear()
     monkeypatch.setattr(task, "recording_key", lambda sim, seed: f"recording {seed}")
     monkeypatch.setattr(task, "run_key", lambda *parts: str(abs(hash(parts))))
-    monkeypatch.setattr(command, "open_context", lambda: None)
+    monkeypatch.setattr(command, "context_or_none", lambda: None)
     for module in (command, sweep):
         monkeypatch.setattr(module, "STUDIES", {"words": STUDY})
 

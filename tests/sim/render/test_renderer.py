@@ -10,12 +10,15 @@ import cv2
 import numpy as np
 import pytest
 
-import sim.render.renderer
+import sim.render.gl_atlas
+import sim.render.gl_context
+import sim.render.native
 from sim.errors import SimError
+from sim.render.config import RENDERERS, RenderConfig
 from sim.render.footprint import footprint
 from sim.render.gl_reference import PyrenderFullFrame
 from sim.render.lattice import Lattice
-from sim.render.renderer import RenderConfig, Renderer
+from sim.render.renderer import Renderer
 from sim.scene.drone import Drone, quadrotor
 from sim.scene.rig import Camera
 from tests.sim.scenes import (
@@ -43,6 +46,20 @@ BOX = box_drone((0.7, 0.5, 0.3))
 QUADROTOR = quadrotor(rotor_hz=7.0)
 
 
+@pytest.fixture(params=RENDERERS)
+def each_renderer(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """Let `rendered` draw by either."""
+    monkeypatch.setitem(DRAWN_BY, "renderer", request.param)
+    return str(request.param)
+
+
+DRAWN_BY = {"renderer": "pyrender"}
+
+
+def drawn_by(config: RenderConfig) -> RenderConfig:
+    return replace(config, renderer=DRAWN_BY["renderer"], check=False)
+
+
 def rendered(
     drone: Drone,
     camera: Camera,
@@ -51,7 +68,7 @@ def rendered(
     background: Image,
     config: RenderConfig,
 ) -> Image:
-    with Renderer(drone, config) as renderer:
+    with Renderer(drone, drawn_by(config)) as renderer:
         crops = renderer.crops(camera, times_s, T_W_B, background)
         return whole_images(crops, times_s, background)
 
@@ -157,6 +174,7 @@ def test_the_stock_renderer_knows_neither_lenses_nor_turned_lattices() -> None:
 # --- One instant, one picture ------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("each_renderer")
 @pytest.mark.parametrize("lens", ["none", "radtan"])
 def test_batches_do_not_show(lens: str, monkeypatch: pytest.MonkeyPatch) -> None:
     camera = make_camera(lens, HALF_VGA)
@@ -172,18 +190,21 @@ def test_batches_do_not_show(lens: str, monkeypatch: pytest.MonkeyPatch) -> None
     inside = slice(8, 52)  # not cut off by the image's border
     np.testing.assert_array_equal(np.concatenate(parts)[inside], whole[inside])
     for size in (100, 333, 3000):
-        monkeypatch.setattr(sim.render.renderer, "ATLAS_SIZE", size)
+        monkeypatch.setattr(sim.render.gl_atlas, "ATLAS_SIZE", size)
+        monkeypatch.setattr(sim.render.native, "BATCH", size // 30)
+        monkeypatch.setattr(sim.render.native, "BLOCK_SAMPLES", size // 2)
         again = rendered(drone, camera, times_s, T_W_B, background, BRIGHT)
         np.testing.assert_array_equal(again[inside], whole[inside])
         assert (again != whole).sum() <= 1  # cut edges: see test_same_pixels_where_the_image_ends
 
 
+@pytest.mark.usefixtures("each_renderer")
 def test_two_cameras_may_be_rendered_in_turns() -> None:
     cameras = [make_camera(lens, HALF_VGA) for lens in LENSES]
     times_s = np.linspace(0.0, 1.0, 400)
     T_W_B = straight(times_s, (-1.0, -1.0, 0.0), (2.0, 0.0, 0.3))
     background = grey(cameras[0])
-    with Renderer(BOX) as renderer:
+    with Renderer(BOX, drawn_by(RenderConfig())) as renderer:
         streams = [renderer.crops(camera, times_s, T_W_B, background) for camera in cameras]
         turns = list(zip_longest(*streams))
     assert len(turns) > 1
@@ -194,6 +215,7 @@ def test_two_cameras_may_be_rendered_in_turns() -> None:
         )
 
 
+@pytest.mark.usefixtures("each_renderer")
 def test_memory_stays_flat() -> None:
     """Under OSMesa pyrender loses 3 MB with every frame."""
     camera = make_camera(resolution=HALF_VGA)
@@ -201,7 +223,7 @@ def test_memory_stays_flat() -> None:
     times_s = np.linspace(0.0, 1.0, n)
     T_W_B = straight(times_s, (-0.5, 0.0, 0.0), (1.0, 0.0, 0.0))
     background = grey(camera)
-    with Renderer(quadrotor(0.4), RenderConfig(Lattice(2, 1))) as renderer:
+    with Renderer(quadrotor(0.4), drawn_by(RenderConfig(Lattice(2, 1)))) as renderer:
         resident_mb = []
         for _ in range(5):
             for _ in renderer.crops(camera, times_s, T_W_B, background):
@@ -215,6 +237,7 @@ def test_memory_stays_flat() -> None:
 # --- Where the drone is ------------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("each_renderer")
 @pytest.mark.parametrize("lens", LENSES)
 def test_a_small_drone_lies_where_the_camera_projects_it(lens: str) -> None:
     camera = make_camera(lens)
@@ -232,6 +255,7 @@ def test_a_small_drone_lies_where_the_camera_projects_it(lens: str) -> None:
     assert np.abs(error_px.mean(axis=0)).max() < 0.005  # no constant shift
 
 
+@pytest.mark.usefixtures("each_renderer")
 @pytest.mark.parametrize("lens", ["radtan", "equidistant"])
 def test_distortion_warps_the_undistorted_image(lens: str) -> None:
     """The other way round: every sample of the distorted image looked up in a pinhole image."""
@@ -275,16 +299,18 @@ def test_distortion_warps_the_undistorted_image(lens: str) -> None:
     assert difference[changed].mean() < 0.4 * 1.5 / 64
 
 
+@pytest.mark.usefixtures("each_renderer")
 def test_a_drone_that_is_not_in_view_gives_no_crops() -> None:
     camera = make_camera()
     times_s = np.arange(3.0)
     behind = straight(times_s, (0.0, -8.0, 0.0), (0.1, 0.0, 0.0))
     beside = straight(times_s, (9.0, 0.0, 0.0), (0.1, 0.0, 0.0))
-    with Renderer(BOX) as renderer:
+    with Renderer(BOX, drawn_by(RenderConfig())) as renderer:
         for T_W_B in (behind, beside):
             assert list(renderer.crops(camera, times_s, T_W_B, grey(camera))) == []
 
 
+@pytest.mark.usefixtures("each_renderer")
 def test_leaving_and_entering_are_seen_as_a_change() -> None:
     """The instants without the drone next to those with it are crops too, of pure background."""
     camera = make_camera()
@@ -292,7 +318,7 @@ def test_leaving_and_entering_are_seen_as_a_change() -> None:
     x_m = np.array([9, 9, 9, 1, 0, 9, 9, 9, 9, 1, 9, 9.0])
     T_W_B = poses(np.stack([x_m, 0 * x_m, 0 * x_m], axis=-1))
     background = noise_image(camera)
-    with Renderer(BOX) as renderer:
+    with Renderer(BOX, drawn_by(RenderConfig())) as renderer:
         crops = list(renderer.crops(camera, times_s, T_W_B, background))
     times_seen = np.concatenate([crop.times_s for crop in crops])
     np.testing.assert_array_equal(times_seen, [2, 3, 4, 5, 8, 9, 10])
@@ -331,6 +357,7 @@ def test_crops_hold_edges_that_the_lens_bends(lens: str, z_m: float) -> None:
 # --- Light -------------------------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("each_renderer")
 def test_luminance_is_mixed_with_the_background_by_coverage() -> None:
     camera = make_camera()
     T_W_B = tumbling(5, 9, (0.0, 0.0, 0.0), (2.0, 2.0, 1.0))
@@ -346,6 +373,7 @@ def test_luminance_is_mixed_with_the_background_by_coverage() -> None:
     assert (coverage == 1.0).any()
 
 
+@pytest.mark.usefixtures("each_renderer")
 @pytest.mark.parametrize("lens", LENSES)
 @pytest.mark.parametrize(
     ("light_W", "lambert"),
@@ -395,7 +423,7 @@ def images_to_compare() -> Image:
 
 
 def other_backend() -> str:
-    used = sim.render.renderer.open_context().backend
+    used = sim.render.gl_context.open_context().backend
     other, library = {"osmesa": ("egl", "EGL"), "egl": ("osmesa", "OSMesa")}[used]
     if not ctypes.util.find_library(library):
         pytest.skip(f"this machine has no {library}")

@@ -8,10 +8,10 @@ import trimesh
 
 from sim.errors import SimError
 from sim.recording import SimConfig, simulate
+from sim.render.config import RenderConfig
 from sim.render.footprint import footprint
 from sim.render.instants import SamplingConfig, choose_instants
 from sim.render.lattice import Lattice
-from sim.render.renderer import RenderConfig
 from sim.scene.drone import Drone, Part, quadrotor
 from sim.scene.flyers import DRONES, FLAP_RAD, bird, built_in_drone, plane
 from sim.scene.rig import two_view_rig

@@ -1,0 +1,36 @@
+"""How the drone is drawn."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.errors import SimError
+from sim.render.lattice import Lattice
+from sim.scene.rig import Camera
+
+RENDERERS = ("native", "pyrender")
+
+
+@dataclass(frozen=True)
+class RenderConfig:
+    """How the drone is drawn, and by what."""
+
+    lattice: Lattice = field(default_factory=lambda: Lattice(8, 0))
+    light_W: tuple[float, float, float] = (0.35, -0.4, 0.85)  # towards the light, any length
+    ambient: float = 0.35  # share of the light that comes from everywhere
+    renderer: str = "native"  # "native": compiled Python; "pyrender": OpenGL, the definition
+    check: bool = True  # what "native" draws, at some instants, against "pyrender"
+    backend: str = "auto"  # of OpenGL: "auto", "osmesa" or "egl"
+
+    def __post_init__(self) -> None:
+        if self.renderer not in RENDERERS:
+            raise SimError(f"unknown renderer {self.renderer!r}: use one of {', '.join(RENDERERS)}")
+        if not 0.0 <= self.ambient <= 1.0:
+            raise SimError(f"ambient light: expected 0 to 1, got {self.ambient}")
+
+    def light_in(self, camera: Camera) -> NDArray[np.float64]:
+        """Return the unit vector (3,) towards the light, in the camera's frame."""
+        light_W = np.asarray(self.light_W)
+        light_C: NDArray[np.float64] = camera.T_C_W[:3, :3] @ (light_W / np.linalg.norm(light_W))
+        return light_C

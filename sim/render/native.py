@@ -1,0 +1,120 @@
+"""The renderer in compiled Python: views in, crops out, without OpenGL.
+
+It draws what `sim.render.gl_atlas` draws, at the same samples; `sim.render.native_kernels` says
+how.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.errors import SimError
+from sim.render.config import RenderConfig
+from sim.render.faces import part_faces, piece_size_m
+from sim.render.lattice import pixels_of_tile
+from sim.render.native_kernels import paint_crops
+from sim.render.views import Views, crop_size
+from sim.scene.drone import Drone
+from sim.scene.rig import Camera
+
+IntArray = NDArray[np.int64]
+
+BATCH = 256  # instants, at most
+BATCH_PIXELS = 1 << 21  # of all their crops, at most: 8 MB
+# Samples each way that a block of pixels has, at most: its keys stay in the processor's cache.
+BLOCK_SAMPLES = 384
+_MODELS = {"none": 0, "radtan": 1, "equidistant": 2}
+
+
+class NativePainter:
+    """Draws one drone.
+
+    Parameters
+    ----------
+    drone
+    config
+    """
+
+    def __init__(self, drone: Drone, config: RenderConfig) -> None:
+        self._drone, self._config = drone, config
+        self._meshes: dict[float | None, _Mesh] = {}  # by the size of their pieces
+
+    def room(self, width_px: int, height_px: int) -> int:
+        """Return how many instants of this size may be drawn at a time."""
+        return int(min(BATCH, max(1, BATCH_PIXELS // (width_px * height_px))))
+
+    def close(self) -> None:
+        """Free nothing: all memory is Python's."""
+
+    def paint(
+        self, camera: Camera, views: Views, corner_px: IntArray, background: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
+        """Draw crops.
+
+        Parameters
+        ----------
+        camera
+        views
+            n instants.
+        corner_px
+            Column and row of each crop's first pixel, shape (n, 2).
+        background
+            Luminance of the empty scene, shape (image height, image width).
+
+        Returns
+        -------
+        NDArray[np.float32]
+            Luminance, shape (n, height, width).
+        """
+        lattice = self._config.lattice
+        width, height = crop_size(views.boxes)
+        largest = max(1, BLOCK_SAMPLES // lattice.a)
+        block_px = tuple(-(-size // -(-size // largest)) for size in (width, height))
+        tile = lattice.tile_size(*block_px)
+        mesh = self._mesh(camera)
+        K = camera.K
+        luminance = np.empty((len(views.times_s), height, width), np.float32)
+        paint_crops(  # type: ignore[no-untyped-call]
+            mesh.vertices, mesh.first_vertex, mesh.faces, mesh.normals, mesh.albedo,
+            mesh.first_face, np.stack(views.T_C_P).astype(np.float64), views.visible,
+            (K[0, 0], K[1, 1], K[0, 2], K[1, 2]), _MODELS[camera.distortion_model],
+            tuple(camera.distortion_coeffs) or (0.0, 0.0, 0.0, 0.0), (lattice.a, lattice.b),
+            tuple(lattice.centre),
+            lattice.tile_origin(corner_px[:, 0], corner_px[:, 1], block_px[1]),
+            block_px, tile, tuple(self._config.light_in(camera)), self._config.ambient,
+            pixels_of_tile(lattice, block_px), lattice.samples_per_pixel,
+            corner_px[:, 0], corner_px[:, 1], background, luminance,
+        )  # fmt: skip
+        return luminance
+
+    def _mesh(self, camera: Camera) -> "_Mesh":
+        piece_m = piece_size_m(self._drone, camera)
+        if piece_m not in self._meshes:
+            self._meshes[piece_m] = _Mesh(self._drone, piece_m)
+        return self._meshes[piece_m]
+
+
+class _Mesh:
+    """All parts of a drone in one list of faces, in double precision."""
+
+    def __init__(self, drone: Drone, piece_m: float | None) -> None:
+        parts = [part_faces(part, piece_m) for part in drone.parts]
+        vertices, faces, n_vertices = [], [], [0]
+        try:
+            for part in parts:
+                unique, index = np.unique(
+                    part.corners_m.reshape(-1, 3), axis=0, return_inverse=True
+                )
+                faces.append(index.reshape(-1, 3) + n_vertices[-1])
+                vertices.append(unique)
+                n_vertices.append(n_vertices[-1] + len(unique))
+            self.vertices = np.concatenate(vertices).astype(np.float64)
+            self.first_vertex = np.array(n_vertices)
+            self.faces = np.concatenate(faces)
+            self.first_face = np.cumsum([0] + [len(part.albedo) for part in parts])
+            self.normals = np.concatenate([part.normals for part in parts]).astype(np.float64)
+            self.albedo = np.concatenate([part.albedo for part in parts]).astype(np.float64)
+        except MemoryError as error:
+            n = sum(len(part.albedo) for part in parts)
+            raise SimError(
+                f"the drone's mesh of {n} faces does not fit the memory: simplify it"
+            ) from error

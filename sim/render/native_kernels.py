@@ -1,0 +1,372 @@
+"""Triangles in, luminance of crops out: the point-sampling rasteriser, compiled.
+
+It follows OpenGL's rules on the same grid as the shaders in `sim/render/shaders`: corners are
+rounded to 1/256 of a sample, edge functions are whole numbers, a sample on an edge belongs to the
+triangle that has the edge on its left or at its top, and 1/z is linear across a triangle. So it
+covers the samples that an OpenGL driver covers, but for a few where the driver's single precision
+rounds a corner the other way.
+
+Depth and sample word share one 64-bit key, depth above: the nearest triangle has the largest key.
+"""
+
+import numpy as np
+from numba import njit
+
+from sim.render.lattice import FULL_CODE
+
+DEPTH_BITS = 29  # of a key, above the word's 32: finer than the 24 of a depth buffer
+# A sample word is the code of the luminance and one object sample, so that a sum of words holds the
+# sum of codes, below this bit, and the number of object samples. Of 257 codes it needs 25 bits.
+COUNT_BIT = 26
+# Corners further out than this [1/256 sample] would overflow the products of the edge functions,
+# which are three times its square at most. Triangles that reach beyond it are cut first.
+GUARD = 1 << 29
+NEAR_M = 1e-3  # nearer than this nothing has an image (`sim.scene.rig.MIN_DEPTH_M`)
+MAX_CUT = 9  # corners of a triangle after one near plane and four borders
+
+
+@njit(cache=True, nogil=True)
+def paint_crops(  # type: ignore[no-untyped-def]
+    vertices, first_vertex, faces, normals, albedo, first_face, T_C_P, visible,
+    intrinsics, model, coeffs, lattice, centre, origins, block_px, tile_size,
+    light, ambient, pixel_of, n_samples, x0_px, y0_px, background, luminance,
+):  # fmt: skip
+    """Draw n instants, one crop each; `luminance` (n, height, width) takes them.
+
+    A crop is drawn in blocks of pixels, whose samples stay in the processor's cache.
+    """
+    n_vertices = vertices.shape[0]
+    height_px, width_px = luminance.shape[1:]
+    width, height = tile_size
+    keys = np.zeros(height * width, np.int64)
+    touched = np.empty((height, 2), np.int64)  # of each row, first and last sample drawn
+    touched[:, 0], touched[:, 1] = width, -1
+    # One more takes the samples of the tile that belong to no pixel of the block.
+    sums = np.zeros(block_px[0] * block_px[1] + 1, np.int64)
+    placed = np.empty((n_vertices, 4))
+    snapped = np.empty((n_vertices, 2), np.int64)
+    words = np.empty(faces.shape[0], np.int64)
+    scratch = np.empty((2, MAX_CUT, 4))
+    for k in range(luminance.shape[0]):
+        x0, y0 = x0_px[k], y0_px[k]
+        behind = background[y0 : y0 + height_px, x0 : x0 + width_px]
+        if not visible[k]:
+            luminance[k] = behind
+            continue
+        shift_u = centre[0] - origins[k, 0]
+        shift_v = centre[1] - origins[k, 1]
+        nearest, farthest, whole = _place(
+            vertices, first_vertex, T_C_P[:, k], intrinsics, model, coeffs, lattice,
+            shift_u, shift_v, placed, snapped,
+        )  # fmt: skip
+        scale = float(1 << DEPTH_BITS) / (nearest - farthest)
+        _shade(faces, first_face, normals, albedo, T_C_P[:, k], light, ambient, words)
+        for by in range(0, height_px, block_px[1]):
+            for bx in range(0, width_px, block_px[0]):
+                block_u = lattice[0] * bx - lattice[1] * by
+                block_v = lattice[1] * bx + lattice[0] * by
+                if whole:
+                    _fill_all(
+                        keys, touched, width, height, faces, snapped, placed, words,
+                        256 * block_u, 256 * block_v, farthest, scale,
+                    )  # fmt: skip
+                else:
+                    for f in range(faces.shape[0]):
+                        _fill_cut(
+                            keys, touched, width, height, placed, faces[f], intrinsics, model,
+                            coeffs, lattice, shift_u - block_u, shift_v - block_v, farthest, scale,
+                            words[f], scratch,
+                        )  # fmt: skip
+                _sum_and_clear(keys, touched, width, height, pixel_of, sums)
+                _average_and_clear(
+                    sums, block_px[0], n_samples,
+                    behind[by : by + block_px[1], bx : bx + block_px[0]],
+                    luminance[k, by : by + block_px[1], bx : bx + block_px[0]],
+                )  # fmt: skip
+
+
+@njit(cache=True, nogil=True)
+def _fill_all(  # type: ignore[no-untyped-def]
+    keys, touched, width, height, faces, snapped, placed, words, block_u, block_v, farthest, scale
+):
+    """Draw every triangle that faces the viewer, none of which needs to be cut."""
+    for f in range(faces.shape[0]):
+        i0, i1, i2 = faces[f, 0], faces[f, 1], faces[f, 2]
+        x0, y0 = snapped[i0, 0] - block_u, snapped[i0, 1] - block_v
+        x1, y1 = snapped[i1, 0] - block_u, snapped[i1, 1] - block_v
+        x2, y2 = snapped[i2, 0] - block_u, snapped[i2, 1] - block_v
+        # Outward faces are counter-clockwise to the viewer: negative, as y points down.
+        if (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0) < 0:
+            d0 = (placed[i0, 3] - farthest) * scale
+            d1 = (placed[i1, 3] - farthest) * scale
+            d2 = (placed[i2, 3] - farthest) * scale
+            _fill(keys, touched, width, height, x0, y0, x1, y1, x2, y2, d0, d1, d2, words[f])
+
+
+@njit(cache=True, nogil=True)
+def _distort(x, y, model, k):  # type: ignore[no-untyped-def]
+    """Bend a ray's slopes as the lens does: 0 none, 1 radtan, 2 equidistant."""
+    if model == 1:
+        r2 = x * x + y * y
+        radial = 1.0 + r2 * (k[0] + r2 * k[1])
+        bent_x = x * radial + 2.0 * x * y * k[2] + k[3] * (r2 + 2.0 * x * x)
+        bent_y = y * radial + 2.0 * x * y * k[3] + k[2] * (r2 + 2.0 * y * y)
+        return bent_x, bent_y
+    if model == 2:
+        r = np.sqrt(x * x + y * y)
+        if r > 1e-8:
+            theta = np.arctan(r)
+            s = theta * theta
+            scale = theta * (1.0 + s * (k[0] + s * (k[1] + s * (k[2] + s * k[3])))) / r
+            return x * scale, y * scale
+    return x, y
+
+
+@njit(cache=True, nogil=True)
+def _on_lattice(  # type: ignore[no-untyped-def]
+    x, y, inverse_z, intrinsics, model, coeffs, lattice, shift_u, shift_v
+):
+    """Return the lattice coordinates of a point's image, from the tile's first sample."""
+    dx, dy = _distort(x * inverse_z, y * inverse_z, model, coeffs)
+    u = intrinsics[0] * dx + intrinsics[2]
+    v = intrinsics[1] * dy + intrinsics[3]
+    return lattice[0] * u - lattice[1] * v + shift_u, lattice[1] * u + lattice[0] * v + shift_v
+
+
+@njit(cache=True, nogil=True)
+def _place(  # type: ignore[no-untyped-def]
+    vertices, first_vertex, T_C_P, intrinsics, model, coeffs, lattice, shift_u, shift_v,
+    placed, snapped,
+):  # fmt: skip
+    """Place vertices in the camera, `placed` (V, 4): x, y, z [m], 1/z; and on the lattice.
+
+    Returns bounds of 1/z, and whether every triangle can be drawn as it is.
+    """
+    nearest, farthest, whole = 0.0, np.inf, True
+    reach = GUARD / 256.0
+    for part in range(T_C_P.shape[0]):
+        T = T_C_P[part]
+        for i in range(first_vertex[part], first_vertex[part + 1]):
+            px, py, pz = vertices[i, 0], vertices[i, 1], vertices[i, 2]
+            x = T[0, 0] * px + T[0, 1] * py + T[0, 2] * pz + T[0, 3]
+            y = T[1, 0] * px + T[1, 1] * py + T[1, 2] * pz + T[1, 3]
+            z = T[2, 0] * px + T[2, 1] * py + T[2, 2] * pz + T[2, 3]
+            inverse = 1.0 / max(z, NEAR_M)
+            placed[i, 0], placed[i, 1], placed[i, 2], placed[i, 3] = x, y, z, inverse
+            nearest, farthest = max(nearest, inverse), min(farthest, inverse)
+            if z < NEAR_M:
+                whole = False
+                continue
+            u, v = _on_lattice(
+                x, y, inverse, intrinsics, model, coeffs, lattice, shift_u, shift_v
+            )  # fmt: skip
+            if not (abs(u) < reach and abs(v) < reach):
+                whole = False
+                continue
+            snapped[i, 0] = np.int64(np.floor(u * 256.0 + 0.5))
+            snapped[i, 1] = np.int64(np.floor(v * 256.0 + 0.5))
+    # Room at both ends, so that rounding leaves every depth within a key's bits, and above 0.
+    return 1.05 * nearest, 0.95 * farthest, whole
+
+
+@njit(cache=True, nogil=True)
+def _shade(  # type: ignore[no-untyped-def]
+    faces, first_face, normals, albedo, T_C_P, light, ambient, words
+):
+    """Give each face its sample word: one object sample of its Lambert luminance."""
+    for part in range(T_C_P.shape[0]):
+        T = T_C_P[part]
+        for f in range(first_face[part], first_face[part + 1]):
+            x, y, z = normals[f, 0], normals[f, 1], normals[f, 2]
+            nx = T[0, 0] * x + T[0, 1] * y + T[0, 2] * z
+            ny = T[1, 0] * x + T[1, 1] * y + T[1, 2] * z
+            nz = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z
+            length = np.sqrt(nx * nx + ny * ny + nz * nz)
+            lit = max((nx * light[0] + ny * light[1] + nz * light[2]) / length, 0.0)
+            luminance = min(max(albedo[f] * (ambient + (1.0 - ambient) * lit), 0.0), 1.0)
+            words[f] = (np.int64(1) << COUNT_BIT) | np.int64(luminance * FULL_CODE + 0.5)
+
+
+@njit(cache=True, nogil=True)
+def _edge(x0, y0, x1, y1, row):  # type: ignore[no-untyped-def]
+    """Return an edge's bound on the columns of a row, and how it moves from row to row.
+
+    The inside is where (x1 - x0) (256 v - y0) - (y1 - y0) (256 u - x0) >= 0, or > 0 unless the edge
+    is on the left. Dividing by 256 |y1 - y0| once, quotient and remainder then advance by sums.
+
+    Returns
+    -------
+    side, quotient, remainder, divisor, step, step_remainder
+        The inside is at u <= quotient where `side` is 1, at u >= -quotient where it is -1.
+    """
+    dx, dy = x1 - x0, y1 - y0
+    if dy == 0:  # bounds rows, not columns
+        return 0, np.int64(0), np.int64(0), np.int64(1), np.int64(0), np.int64(0)
+    side = 1 if dy > 0 else -1
+    constant = dy * x0 - dx * y0 + 256 * dx * row
+    if dy > 0:
+        constant -= 1
+    divisor = 256 * abs(dy)
+    quotient = constant // divisor
+    step = (256 * dx) // divisor
+    return side, quotient, constant - quotient * divisor, divisor, step, 256 * dx - step * divisor
+
+
+@njit(cache=True, nogil=True)
+def _fill(  # type: ignore[no-untyped-def]
+    keys, touched, width, height, x0, y0, x1, y1, x2, y2, d0, d1, d2, word
+):
+    """Draw one triangle that faces the viewer: corners [1/256 sample], their depths in key units.
+
+    `keys` holds `height` rows of `width` samples; the triangle is cut off at its border.
+    """
+    first = max(-((-min(y0, y1, y2)) // 256), 0)
+    last = min(max(y0, y1, y2) // 256, height - 1)
+    low_u = max(-((-min(x0, x1, x2)) // 256), 0)
+    high_u = min(max(x0, x1, x2) // 256, width - 1)
+    # A row through a level edge is inside where the edge is at the top. Edges run 2, 1, 0, so that
+    # their inside is positive.
+    for ya, yb, xa, xb in ((y1, y0, x1, x0), (y2, y1, x2, x1), (y0, y2, x0, x2)):
+        if ya == yb and xb < xa:
+            last = min(last, (ya - 1) // 256)
+    if first > last or low_u > high_u:
+        return
+    side_a, q_a, r_a, div_a, step_a, rest_a = _edge(x1, y1, x0, y0, first)
+    side_b, q_b, r_b, div_b, step_b, rest_b = _edge(x2, y2, x1, y1, first)
+    side_c, q_c, r_c, div_c, step_c, rest_c = _edge(x0, y0, x2, y2, first)
+    area = float((x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0))
+    du = ((d1 - d0) * (y2 - y0) - (d2 - d0) * (y1 - y0)) / area
+    dv = ((d2 - d0) * (x1 - x0) - (d1 - d0) * (x2 - x0)) / area
+    key_step = np.int64(np.rint(256.0 * du)) << 32
+    row_start = first * width
+    for v in range(first, last + 1):
+        low, high = low_u, high_u
+        if side_a > 0:
+            high = min(high, q_a)
+        elif side_a < 0:
+            low = max(low, -q_a)
+        if side_b > 0:
+            high = min(high, q_b)
+        elif side_b < 0:
+            low = max(low, -q_b)
+        if side_c > 0:
+            high = min(high, q_c)
+        elif side_c < 0:
+            low = max(low, -q_c)
+        if low <= high:
+            here = d0 + du * (256 * low - x0) + dv * (256 * v - y0)
+            key = (np.int64(here) << 32) | word
+            at = np.uint64(row_start + low)  # unsigned: no look at negative indices
+            for _ in range(high - low + 1):
+                keys[at] = max(keys[at], key)
+                key += key_step
+                at += np.uint64(1)
+            row = np.uint64(v)
+            touched[row, 0] = min(touched[row, 0], low)
+            touched[row, 1] = max(touched[row, 1], high)
+        row_start += width
+        r_a += rest_a
+        carry = np.int64(r_a >= div_a)
+        q_a += step_a + carry
+        r_a -= carry * div_a
+        r_b += rest_b
+        carry = np.int64(r_b >= div_b)
+        q_b += step_b + carry
+        r_b -= carry * div_b
+        r_c += rest_c
+        carry = np.int64(r_c >= div_c)
+        q_c += step_c + carry
+        r_c -= carry * div_c
+
+
+@njit(cache=True, nogil=True)
+def _cut(corners, n, axis, bound, sign, out):  # type: ignore[no-untyped-def]
+    """Keep the part of a polygon with sign * coordinate <= sign * bound (Sutherland & Hodgman)."""
+    kept = 0
+    for i in range(n):
+        here, there = corners[i], corners[(i + 1) % n]
+        inside = sign * (bound - here[axis])
+        beyond = sign * (bound - there[axis])
+        if inside >= 0.0:
+            out[kept] = here
+            kept += 1
+        if (inside >= 0.0) != (beyond >= 0.0):
+            share = inside / (inside - beyond)
+            out[kept] = here + share * (there - here)
+            out[kept, axis] = bound
+            kept += 1
+    return kept
+
+
+@njit(cache=True, nogil=True)
+def _fill_cut(  # type: ignore[no-untyped-def]
+    keys, touched, width, height, placed, face, intrinsics, model, coeffs, lattice,
+    shift_u, shift_v, farthest, scale, word, scratch,
+):  # fmt: skip
+    """Draw a triangle that may reach behind the camera or very far out: cut, then as a fan."""
+    a, b = scratch[0], scratch[1]
+    for n in range(3):
+        a[n] = placed[face[n]]
+    n = _cut(a, 3, 2, NEAR_M, -1.0, b)
+    for k in range(n):
+        inverse = 1.0 / b[k, 2]
+        u, v = _on_lattice(
+            b[k, 0], b[k, 1], inverse, intrinsics, model, coeffs, lattice, shift_u, shift_v
+        )
+        b[k, 0], b[k, 1], b[k, 3] = u, v, (inverse - farthest) * scale
+    # Twice the tile is far enough out that rounding the new corners moves nothing within it, and
+    # near enough that all products stay small.
+    n = _cut(b, n, 0, -2.0 * width, -1.0, a)
+    n = _cut(a, n, 0, 3.0 * width, 1.0, b)
+    n = _cut(b, n, 1, -2.0 * height, -1.0, a)
+    n = _cut(a, n, 1, 3.0 * height, 1.0, b)
+    for k in range(2, n):
+        x0, y0 = _snap(b[0, 0]), _snap(b[0, 1])
+        x1, y1 = _snap(b[k - 1, 0]), _snap(b[k - 1, 1])
+        x2, y2 = _snap(b[k, 0]), _snap(b[k, 1])
+        if (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0) < 0:
+            _fill(
+                keys, touched, width, height, x0, y0, x1, y1, x2, y2,
+                b[0, 3], b[k - 1, 3], b[k, 3], word,
+            )  # fmt: skip
+
+
+@njit(cache=True, nogil=True)
+def _snap(at):  # type: ignore[no-untyped-def]
+    return np.int64(np.floor(at * 256.0 + 0.5))
+
+
+@njit(cache=True, nogil=True)
+def _sum_and_clear(keys, touched, width, height, pixel_of, sums):  # type: ignore[no-untyped-def]
+    """Add each sample's word to its pixel's sum, and empty the keys that were drawn."""
+    for v in range(height):
+        low, high = touched[v, 0], touched[v, 1]
+        if low > high:
+            continue
+        touched[v, 0], touched[v, 1] = width, -1
+        here = np.uint64(v * width + low)
+        pixel, total = np.uint64(pixel_of[here]), np.int64(0)
+        for _ in range(high - low + 1):
+            at = np.uint64(pixel_of[here])
+            if at != pixel:
+                sums[pixel] += total
+                pixel, total = at, np.int64(0)
+            total += keys[here] & 0xFFFFFFFF
+            keys[here] = 0
+            here += np.uint64(1)
+        sums[pixel] += total
+
+
+@njit(cache=True, nogil=True)
+def _average_and_clear(sums, width, n_samples, background, image):  # type: ignore[no-untyped-def]
+    """Turn sums of words into luminance, over the background."""
+    scale = np.float32(1.0 / (FULL_CODE * n_samples))
+    n = np.float32(n_samples)
+    code_mask = (np.int64(1) << COUNT_BIT) - 1
+    for j in range(image.shape[0]):
+        for i in range(image.shape[1]):
+            total = sums[j * width + i]
+            # Divided, not scaled: where there is no object this is the background, bit for bit.
+            share = (n - np.float32(total >> COUNT_BIT)) / n
+            image[j, i] = np.float32(total & code_mask) * scale + share * background[j, i]
+    sums[:] = 0

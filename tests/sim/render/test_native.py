@@ -1,0 +1,244 @@
+"""The native renderer draws what OpenGL draws; where that has no answer, what geometry says."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import sim.render.faces
+import sim.render.renderer
+from sim.errors import SimError
+from sim.render.config import RenderConfig
+from sim.render.gl_atlas import GLPainter
+from sim.render.lattice import Lattice, pixels_of_tile
+from sim.render.native import NativePainter
+from sim.render.renderer import Renderer
+from sim.scene.drone import Drone, Part, quadrotor
+from sim.scene.rig import Camera
+from tests.sim.scenes import (
+    LENSES,
+    Array,
+    Image,
+    box_drone,
+    grey,
+    make_camera,
+    noise_image,
+    painted,
+    poses,
+    straight,
+    tumbling,
+    whole_images,
+)
+
+HALF_VGA = (173, 130)
+BOX = box_drone((0.7, 0.5, 0.3))
+NO_GL = RenderConfig(check=False)
+
+
+def drawn(
+    drone: Drone, camera: Camera, times_s: Array, T_W_B: Array, background: Image,
+    config: RenderConfig = NO_GL,
+) -> Image:  # fmt: skip
+    with Renderer(drone, config) as renderer:
+        crops = renderer.crops(camera, times_s, T_W_B, background)
+        return whole_images(crops, times_s, background)
+
+
+# --- The definition ----------------------------------------------------------------------------
+
+
+@pytest.mark.render
+@pytest.mark.parametrize("lens", LENSES)
+@pytest.mark.parametrize("lattice", [Lattice(8, 0), Lattice(6, 1), Lattice(16, 1)], ids=repr)
+@pytest.mark.parametrize(
+    "drone", [BOX, quadrotor(rotor_hz=7.0), quadrotor(1.6)], ids=["box", "spinning", "large"]
+)
+def test_draws_what_opengl_draws(drone: Drone, lattice: Lattice, lens: str) -> None:
+    camera = make_camera(lens, HALF_VGA)
+    times_s = np.linspace(0.0, 1.0, 12)
+    T_W_B = tumbling(12, 3, (0.0, -1.0, 0.0), (3.5, 2.0, 2.5))  # some beyond the image's border
+    background = noise_image(camera)
+    config = RenderConfig(lattice, check=False)
+    ours = drawn(drone, camera, times_s, T_W_B, background, config)
+    theirs = drawn(drone, camera, times_s, T_W_B, background, replace(config, renderer="pyrender"))
+    difference = np.abs(ours.astype(np.float64) - theirs)
+    shown = (theirs != background).sum()
+    assert shown > 500
+    # Corners rounded from double or from single precision to 1/256 of a sample: with 16 samples
+    # along a pixel, some 3 in 100 pixels have a sample that changes sides.
+    assert (difference > 1e-4).sum() < 0.05 * shown
+    # A code is 1/65535; a pixel has few samples that change.
+    assert difference.max() < 4 / lattice.samples_per_pixel
+    # A corner that is wrong by 1/10 of a sample fails this by a factor of ten.
+    assert difference.sum() < 5e-5 * shown
+
+
+@pytest.mark.render
+def test_the_check_compares_instants_and_says_how_far_they_were() -> None:
+    camera = make_camera()
+    times_s = np.linspace(0.0, 1.0, 300)
+    T_W_B = straight(times_s, (-1.0, 0.0, 0.0), (2.0, 0.0, 0.3))
+    with Renderer(quadrotor(), RenderConfig(), seed=5) as renderer:
+        assert (
+            sum(len(crop.times_s) for crop in renderer.crops(camera, times_s, T_W_B, grey(camera)))
+            > 0
+        )
+        check = renderer.check
+    assert check.n_instants == sim.render.renderer.CHECKED_INSTANTS
+    assert check.n_pixels > 25 * 100
+    assert 0.0 < check.mean_difference < 1e-4
+
+
+@pytest.mark.render
+def test_a_renderer_that_differs_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    paint = NativePainter.paint
+
+    def shifted(*arguments: object) -> Image:
+        return np.roll(paint(*arguments), 1, axis=2)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(NativePainter, "paint", shifted)
+    camera = make_camera()
+    T_W_B = straight(np.arange(2.0), (0.0, 0.0, 0.0), (0.2, 0.0, 0.0))
+    with (
+        Renderer(quadrotor()) as renderer,
+        pytest.raises(
+            SimError, match=r"native renderer differs from pyrender by up to 0\..*report"
+        ),
+    ):
+        list(renderer.crops(camera, np.arange(2.0), T_W_B, grey(camera)))
+
+
+def test_without_the_check_opengl_is_not_opened(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise AssertionError
+
+    monkeypatch.setattr(GLPainter, "__init__", refuse)
+    camera = make_camera()
+    assert drawn(BOX, camera, np.zeros(1), np.eye(4)[None], grey(camera)).min() < 0.6
+
+
+def test_a_renderer_that_does_not_exist_is_refused() -> None:
+    with pytest.raises(SimError, match="unknown renderer 'blender': use one of native, pyrender"):
+        RenderConfig(renderer="blender")
+
+
+# --- Laws --------------------------------------------------------------------------------------
+
+
+def cut_up(drone: Drone, n: int) -> Drone:
+    """The same surface in n * n times as many triangles, whose corners are in single precision."""
+    parts = []
+    for part in drone.parts:
+        corners = part.vertices_B_m[part.faces]
+        pieces = []
+        for i in range(n):
+            for j in range(n - i):
+                a, b, c = (
+                    corners[:, 0],
+                    corners[:, 1] - corners[:, 0],
+                    corners[:, 2] - corners[:, 0],
+                )
+                at = [a + b * (x / n) + c * (y / n) for x, y in ((i, j), (i + 1, j), (i, j + 1))]
+                pieces.append(np.stack(at, axis=1))
+                if i + j < n - 1:
+                    other = ((i + 1, j), (i + 1, j + 1), (i, j + 1))
+                    pieces.append(
+                        np.stack([a + b * (x / n) + c * (y / n) for x, y in other], axis=1)
+                    )
+        vertices = np.concatenate(pieces).reshape(-1, 3)
+        faces = np.arange(len(vertices)).reshape(-1, 3)
+        parts.append(Part(vertices, faces, np.full(len(faces), part.albedo[0])))
+    return replace(drone, parts=tuple(parts))
+
+
+def test_neighbours_share_an_edge_without_gap_or_overlap() -> None:
+    """A surface in small pieces covers the same samples but for its own, newly rounded, corners."""
+    camera = make_camera()
+    times_s = np.arange(5.0)
+    T_W_B = tumbling(5, 2, (0.0, -2.0, 0.0), (1.0, 1.0, 1.0))
+    config = RenderConfig(ambient=1.0, check=False)
+    black = grey(camera, 0.0)
+    whole = drawn(BOX, camera, times_s, T_W_B, black, config)
+    pieces = drawn(cut_up(BOX, 9), camera, times_s, T_W_B, black, config)
+    inside = whole == whole.max()
+    assert inside.sum() > 2000
+    # A gap between two pieces would show inside.
+    np.testing.assert_array_equal(pieces[inside], whole[inside])
+    assert np.abs(pieces - whole).max() <= 0.2 * 4 / 64
+
+
+@pytest.mark.parametrize("lattice", [Lattice(8, 0), Lattice(8, 1)], ids=repr)
+def test_a_wall_fills_the_view_however_far_it_reaches(lattice: Lattice) -> None:
+    """Faces 10^7 px wide, with corners behind the camera too: nothing overflows, nothing leaks."""
+    camera = make_camera(resolution=HALF_VGA)
+    config = RenderConfig(lattice, ambient=1.0, check=False)
+    with Renderer(BOX, config) as renderer:
+        views = _one_view(renderer, camera)
+    for reach_m in (10.0, 1e3, 1e5):
+        # Slanted, so that it passes the camera's plane: seen at the left, behind at the right.
+        near, far = -4.5 - reach_m, -4.5 + reach_m
+        corners = np.array(
+            [[-reach_m, far, -reach_m], [reach_m, near, -reach_m],
+             [reach_m, near, reach_m], [-reach_m, far, reach_m]]
+        )  # fmt: skip
+        wall = Drone(
+            (Part(corners, np.array([[0, 1, 2], [0, 2, 3]]), np.full(2, 0.3)),), "wall", 1.0
+        )
+        image = NativePainter(wall, config).paint(
+            camera, views, np.zeros((1, 2), np.int64), grey(camera, 0.0)
+        )[0]
+        # Where a ray meets the plane before the camera: x + y = -4.5 in the world, by geometry.
+        x, y = np.meshgrid(np.arange(HALF_VGA[0]), np.arange(HALF_VGA[1]))
+        slope_x = (x - camera.K[0, 2]) / camera.K[0, 0]
+        slope_z = -(y - camera.K[1, 2]) / camera.K[1, 1]
+        depth = 0.5 / (1.0 + slope_x)
+        hit = (
+            (depth > 0) & (np.abs(depth * slope_x) < reach_m) & (np.abs(depth * slope_z) < reach_m)
+        )
+        assert hit.mean() > 0.9
+        np.testing.assert_allclose(image[hit], 0.3, atol=2e-5)  # codes are 1/65535 apart
+
+
+def _one_view(renderer: Renderer, camera: Camera):  # type: ignore[no-untyped-def]
+    """The view of a drone that fills the whole image, in the world's own frame."""
+    from sim.render.views import Views
+
+    T_C_W = camera.T_C_W.astype(np.float32)[None]
+    box = np.array([[0, 0, camera.width, camera.height]])
+    every = np.array([[0.0, 0.0]])
+    return Views(np.zeros(1), np.ones(1, bool), every, every, every, box, [T_C_W.copy()])
+
+
+@pytest.mark.parametrize("lattice", [Lattice(1, 0), Lattice(5, 0), Lattice(5, 1)], ids=repr)
+def test_each_pixel_has_all_its_samples(lattice: Lattice) -> None:
+    pixels = pixels_of_tile(lattice, (7, 4))
+    counts = np.bincount(pixels, minlength=29)
+    np.testing.assert_array_equal(counts[:28], lattice.samples_per_pixel)
+
+
+def test_a_nearer_part_hides_a_farther_one_in_any_order() -> None:
+    camera = make_camera()
+    near, far = (
+        replace(box.parts[0], vertices_B_m=box.parts[0].vertices_B_m + np.array([0.0, y_m, 0.0]))
+        for box, y_m in (
+            (box_drone((0.5, 0.1, 0.5), 0.1), -0.5),
+            (box_drone((1.0, 0.1, 1.0), 0.8), 0.5),
+        )
+    )
+    config = RenderConfig(ambient=1.0, check=False)
+    for parts in ((near, far), (far, near)):
+        (image,) = drawn(
+            Drone(parts, "two", 1.0), camera, np.zeros(1), np.eye(4)[None], grey(camera), config
+        )
+        assert image[130, 173] == pytest.approx(0.1, abs=2e-5)
+        assert image[130, 173 + 15] == pytest.approx(0.8, abs=2e-5)
+
+
+def test_a_mesh_too_large_for_memory_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr(sim.render.faces, "_faces", full)
+    camera = make_camera()
+    with pytest.raises(SimError, match="mesh of 12 faces does not fit the memory: simplify it"):
+        drawn(painted(BOX, 0.2), camera, np.zeros(1), poses(np.zeros((1, 3))), grey(camera))
