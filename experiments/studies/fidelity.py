@@ -15,7 +15,7 @@ from sim.recording import SimConfig
 from sim.sensor.frames import FrameConfig
 
 FIRST_FLIGHT = 200
-N_FLIGHTS = {10.0: 1}
+N_FLIGHTS = {10.0: 10, 20.0: 10}
 """Flights of each duration [s]."""
 
 T_D_S = 0.05
