@@ -1,4 +1,7 @@
-"""Flights in; how their recordings and those of a far denser rendering differ, out."""
+"""Flights in; how their recordings and those of another rendering differ, out.
+
+The other is far denser in time and space, or it is drawn with OpenGL.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -20,7 +23,7 @@ from ssac.tool.registry import Chain
 from ssac.track.observation import prepare
 
 _SHARES = ("median_us", "p95_us", "spurious", "missing")  # of EventFidelity
-METHOD_NAMES = ("ssac", "ssac-known", "joint")
+METHOD_NAMES = ("ssac", "ssac-known", "joint", "tangency")
 DENSER = 16  # times as many instants in the reference
 REFERENCE_LATTICE = Lattice(16, 1)  # 257 samples per pixel
 MATCH_WINDOW_US = 5000  # events of one pixel and polarity further apart are not the same: 1 px here
@@ -30,10 +33,12 @@ MATCH_WINDOW_US = 5000  # events of one pixel and polarity further apart are not
 class FidelityCell(FlightCell):
     """A flight with an offset, which is simulated twice."""
 
+    reference: SimConfig  # of the same scene, rendered otherwise
+
     @property
     def recordings(self) -> tuple[Flight, ...]:
         """The recording, and its reference."""
-        return ((self.sim, self.seed), (reference_config(self.sim), self.seed))
+        return ((self.sim, self.seed), (self.reference, self.seed))
 
     @property
     def columns(self) -> dict[str, Any]:
@@ -71,6 +76,12 @@ class FidelityRow:
     ssac_t_d_difference_ms: float = np.nan
     ssac_known_t_d_difference_ms: float = np.nan
     joint_t_d_difference_ms: float = np.nan
+    tangency_t_d_difference_ms: float = np.nan
+
+
+def opengl_config(config: SimConfig) -> SimConfig:
+    """Return the same scene, drawn with OpenGL at the same instants and samples."""
+    return replace(config, render=replace(config.render, renderer="pyrender"))
 
 
 def reference_config(config: SimConfig) -> SimConfig:

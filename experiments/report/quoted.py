@@ -209,6 +209,7 @@ ABLATIONS = (
 
 _TIMED = (
     *("bench", "comparison", "coverage", "efficiency", "fidelity", "figures"),
+    "renderers",
     *("refusal", "tangency", "zncc"),
     *(f"ablation_{name}" for name in ABLATIONS),
 )

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 from experiments.studies.coverage import coverage_study
 from experiments.studies.efficiency import EFFICIENCY
-from experiments.studies.fidelity import FIDELITY_STUDY
+from experiments.studies.fidelity import FIDELITY_STUDY, RENDERERS_STUDY
 from experiments.studies.grids import ablation_names, ablation_study
 from experiments.studies.refusal import REFUSAL
 from experiments.studies.study import Study
@@ -24,6 +24,7 @@ STUDIES: Mapping[str, Study] = {
         TANGENCY,
         ZNCC,
         FIDELITY_STUDY,
+        RENDERERS_STUDY,
         *ABLATIONS.values(),
     )
 }

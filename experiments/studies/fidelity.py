@@ -1,15 +1,22 @@
-"""How true the default recordings are: the same flights against a far denser rendering.
+"""How true the default recordings are: the same flights against another rendering.
 
-The flights 200, 201, ... of each duration at 90 deg. A flight of 10 s takes 5 minutes of one core,
-one of 20 s takes 8; each is kept as soon as it is done.
+`fidelity` compares with a far denser one: the flights 200, 201, ... of each duration at 90 deg.
+`renderers` compares the native renderer with OpenGL: the tables' first flight of each duration and
+angle.
 """
 
 from dataclasses import replace
 
 import pandas as pd
 
-from experiments.measures.fidelity import FIDELITY, FidelityCell, FidelityRow
-from experiments.studies.flights import drawn
+from experiments.measures.fidelity import (
+    FIDELITY,
+    FidelityCell,
+    FidelityRow,
+    opengl_config,
+    reference_config,
+)
+from experiments.studies.flights import ANGLES_DEG, drawn
 from experiments.studies.study import Study
 from sim.recording import SimConfig
 from sim.sensor.frames import FrameConfig
@@ -30,7 +37,23 @@ def fidelity_cells(n_flights: dict[float, int] = N_FLIGHTS) -> list[FidelityCell
         spline = replace(SimConfig().spline, duration_s=duration_s)
         sim = SimConfig(spline=spline, frames=FrameConfig(rate_hz=0.0), t_d_s=T_D_S)
         flights = range(FIRST_FLIGHT, FIRST_FLIGHT + n)
-        cells += [FidelityCell(sim, flight, seed) for flight, seed in drawn(sim, flights)]
+        dense = reference_config(sim)
+        cells += [FidelityCell(sim, flight, seed, dense) for flight, seed in drawn(sim, flights)]
+    return cells
+
+
+def renderer_cells() -> list[FidelityCell]:
+    """List the tables' first flights, of each duration and angle."""
+    cells = []
+    for duration_s in N_FLIGHTS:
+        for angle_deg in ANGLES_DEG:
+            sim = SimConfig(
+                angle_deg=angle_deg,
+                spline=replace(SimConfig().spline, duration_s=duration_s),
+                t_d_s=T_D_S,
+            )
+            by_opengl = opengl_config(sim)
+            cells += [FidelityCell(sim, k, seed, by_opengl) for k, seed in drawn(sim, range(1))]
     return cells
 
 
@@ -63,3 +86,13 @@ FIDELITY_STUDY = Study(
     config={"n_flights": {f"{key:g} s": n for key, n in N_FLIGHTS.items()},
             "first_flight": FIRST_FLIGHT},
 )  # fmt: skip
+
+RENDERERS_STUDY = Study(
+    "renderers",
+    "Events and offsets by the native renderer against those by OpenGL",
+    renderer_cells,
+    FIDELITY,
+    fidelity_table,
+    keys=("duration_s", "angle_deg", "flight"),
+    config={"flights": 1, "durations_s": list(N_FLIGHTS), "angles_deg": ANGLES_DEG},
+)

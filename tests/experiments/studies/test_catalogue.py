@@ -67,7 +67,7 @@ def test_fidelity_sums_up_each_duration() -> None:
     ]  # fmt: skip
     rows.append({**rows[0], "status": "crashed", "median_us": 99.0})
     names = ("p95_us", "spurious", "missing", "ssac_t_d_difference_ms",
-             "ssac_known_t_d_difference_ms")  # fmt: skip
+             "ssac_known_t_d_difference_ms", "tangency_t_d_difference_ms")  # fmt: skip
     (row,) = fidelity_table(pd.DataFrame(rows).assign(**dict.fromkeys(names, 0.5))).to_dict(
         "records"
     )
