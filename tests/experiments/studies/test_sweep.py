@@ -185,7 +185,7 @@ def test_no_scheduler_is_one_line(folder, config):
 
 def test_a_scheduler_without_workers_is_one_line(folder, config, monkeypatch):
     distributed = pytest.importorskip("distributed")
-    monkeypatch.setattr(schedule, "WAIT_FOR_WORKERS_S", 0.2)
+    monkeypatch.setattr("experiments.workers.cluster.WAIT_FOR_WORKERS_S", 0.2)
     cells, cache = load_config(config).cells(), Cache(without_runs(folder, "cache_idle"))
     with distributed.LocalCluster(n_workers=0, processes=False, dashboard_address=None) as cluster:
         workers = Workers(scheduler=cluster.scheduler_address)
