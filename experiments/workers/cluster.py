@@ -1,5 +1,6 @@
 """Jobs in, what became of each out: the workers of a Dask scheduler as a crew."""
 
+import logging
 import time
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, wait
 from contextlib import suppress
@@ -52,7 +53,13 @@ class Cluster:
     def __exit__(self, *_: object) -> None:
         for future in self._running:
             future.cancel()
-        self._client.close()
+        log = logging.getLogger("distributed.client")
+        level = log.level
+        log.setLevel(logging.CRITICAL)  # it would tell at length how it cannot connect again
+        try:
+            self._client.close()
+        finally:
+            log.setLevel(level)
 
     def _result(self, future: "Future[Any]") -> Ended:
         number = self._running.pop(future)
@@ -60,8 +67,8 @@ class Cluster:
             return Ended(number, future.result())
         except CancelledError as error:
             raise SsacError(
-                f"the Dask scheduler at {self._address} has given up our jobs: what is done is in "
-                "the cache, start it again and run again"
+                f"the Dask scheduler at {self._address} is gone: what is done is in the cache, "
+                "start it again and run again"
             ) from error
         except Exception as error:
             return Ended(number, None, error)

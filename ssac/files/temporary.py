@@ -55,11 +55,11 @@ def host() -> str:
     A container counts as a machine of its own.
     """
     node = platform.node()
-    start = Path("/proc/sys/kernel/random/boot_id")
-    try:
-        place = [node, start.read_text(encoding="ascii"), os.readlink("/proc/self/ns/pid")]
-    except OSError:  # another system than Linux
-        place = [node]
+    place = [node]
+    with suppress(OSError):  # not Linux
+        place.append(Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii"))
+    with suppress(OSError):
+        place.append(os.readlink("/proc/self/ns/pid"))
     name = re.sub(r"[^A-Za-z0-9-]", "-", node)[:20]
     return f"{name}-{sha256(repr(place).encode()).hexdigest()[:8]}"
 

@@ -18,9 +18,7 @@ from experiments.run.task import CRASHED, Measure, Task, recordings_key
 from experiments.workers.claim import claimed
 from experiments.workers.crew import Alone, DiedError, Ended, done
 from sim.recording import SimConfig
-from tests.ssac.files.test_temporary import ended, made_by
-
-assert ended  # a fixture
+from tests.left_over import ended_process, made_by
 
 NUMBERS = range(6)
 
@@ -184,7 +182,8 @@ def test_what_another_run_gives_up_is_done_here(tmp_path, monkeypatch):
     assert LOADED == [1, 2, 3, 4, 5, 0]
 
 
-def test_what_killed_runs_left_is_removed(tmp_path, ended):
+def test_what_killed_runs_left_is_removed(tmp_path):
+    ended = ended_process()
     recordings, runs = tmp_path / "recordings", tmp_path / "runs"
     (recordings / "whole").mkdir(parents=True)
     (runs / "ab").mkdir(parents=True)

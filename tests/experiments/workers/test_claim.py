@@ -16,11 +16,9 @@ from experiments.workers.claim import LAPSES_S, claimed, remove_lapsed
 from experiments.workers.processes import Processes
 from tests.experiments.workers import jobs
 from tests.experiments.workers.jobs import work_off
-from tests.ssac.files.test_temporary import let_lie, made_by
+from tests.left_over import ELSEWHERE, let_lie, made_by
 
 ROOT = Path(__file__).resolve().parents[3]
-
-ELSEWHERE = "elsewhere-01234567"
 
 
 @pytest.fixture

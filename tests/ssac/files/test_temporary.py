@@ -20,29 +20,7 @@ from ssac.files.temporary import (
     this_process,
 )
 from ssac.files.whole_file import whole_file
-
-
-@pytest.fixture
-def ended() -> int:
-    """Id of a process that has ended."""
-    process = subprocess.Popen([sys.executable, "-c", ""])
-    process.wait()
-    return process.pid
-
-
-def made_by(path: Path, process: int, host: str = "") -> Path:
-    """A temporary name of another process."""
-    name = temporary_path(path).name
-    me = this_process()
-    name = name.replace(f".{me.host}.{me.process}.", f".{host or me.host}.{process}.")
-    return path.with_name(name)
-
-
-def let_lie(path: Path, idle_s: float) -> None:
-    """Make a file or folder look as if it was last written some seconds ago."""
-    then_s = time.time() - idle_s
-    for one in (path, *path.rglob("*")):
-        os.utime(one, (then_s, then_s))
+from tests.left_over import ELSEWHERE, ended_process, let_lie, made_by
 
 
 def test_no_name_is_given_twice_and_each_tells_its_maker(tmp_path: Path) -> None:
@@ -63,7 +41,7 @@ def test_equal_process_ids_on_two_hosts_are_two_makers(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     here = temporary_path(tmp_path / "a.csv")
-    monkeypatch.setattr(temporary, "host", lambda: "elsewhere-01234567")
+    monkeypatch.setattr(temporary, "host", lambda: ELSEWHERE)
     there = temporary_path(tmp_path / "a.csv")
     one, other = maker_of(here), maker_of(there)
     assert one is not None
@@ -79,8 +57,8 @@ def test_long_names_have_temporary_ones_too(tmp_path: Path, name: str) -> None:
     assert [path.name for path in tmp_path.iterdir()] == [name]
 
 
-def test_what_an_ended_process_was_writing_is_left_over(tmp_path: Path, ended: int) -> None:
-    mine, gone = temporary_path(tmp_path / "a"), made_by(tmp_path / "a", ended)
+def test_what_an_ended_process_was_writing_is_left_over(tmp_path: Path) -> None:
+    mine, gone = temporary_path(tmp_path / "a"), made_by(tmp_path / "a", ended_process())
     for path in (mine, gone):
         path.touch()
         let_lie(path, 10 * LEFT_OVER_S)  # on this host the process alone decides
@@ -99,8 +77,8 @@ def test_a_process_that_nobody_asked_how_it_ended_has_ended(tmp_path: Path) -> N
     process.wait()
 
 
-def test_on_another_host_time_decides(tmp_path: Path, ended: int) -> None:
-    folder = made_by(tmp_path / "recording", ended, "elsewhere-01234567")
+def test_on_another_host_time_decides(tmp_path: Path) -> None:
+    folder = made_by(tmp_path / "recording", ended_process(), ELSEWHERE)
     folder.mkdir()
     (folder / "cam1.h5").touch()
     assert not is_left_over(folder)
@@ -119,14 +97,15 @@ def test_time_is_that_of_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert idle_s(tmp_path / "none") == 0.0
 
 
-def test_only_what_is_left_over_is_removed(tmp_path: Path, ended: int) -> None:
+def test_only_what_is_left_over_is_removed(tmp_path: Path) -> None:
+    ended = ended_process()
     folder = made_by(tmp_path / "recording", ended)
     folder.mkdir()
     (folder / "cam1.h5").touch()
     file = made_by(tmp_path / "run.json", ended)
     file.touch()
     kept = {"mine": temporary_path(tmp_path / "recording")}
-    kept["host"] = made_by(tmp_path / "recording", ended, "elsewhere-01234567")
+    kept["host"] = made_by(tmp_path / "recording", ended, ELSEWHERE)
     kept["name"] = tmp_path / f".recording.{ended}.partial"
     kept["whole"] = tmp_path / "recording"
     for path in kept.values():
