@@ -7,7 +7,6 @@ truth.json           offset, pose, trajectory, and what the recording was made w
 """
 
 import json
-import os
 import shutil
 from dataclasses import asdict
 from pathlib import Path
@@ -19,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sim.errors import SimError
+from sim.partial import partial_path
 from sim.recording import CameraRecording, Recording
 from sim.scene.rig import kalibr_yaml
 
@@ -62,7 +62,7 @@ def save_recording(
     check_out_dir(out_dir)
     out_dir = out_dir.resolve()
     existing = next(folder for folder in out_dir.parents if folder.exists())
-    partial = existing / f".{out_dir.name}.{os.getpid()}.partial"
+    partial = partial_path(existing, out_dir.name)
     try:
         partial.mkdir()
         for camera in recording.cameras:

@@ -31,6 +31,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
         ),
         "sensor": ("kernels", "events", "frames"),
         "recording": (),
+        "partial": (),
         "storage": (),
     },
     "ssac": {
@@ -39,7 +40,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
         "camera": (),
         "config": (),
         "estimate": (),
-        "files": ("whole_file", "rigs", "hdf5", "text", "event_files"),
+        "files": ("temporary", "whole_file", "rigs", "hdf5", "text", "event_files"),
         "geometry": ("robust", "epipolar", "fundamental", "pose", "candidate_poses", "pencil"),
         "track": ("denoise", "motion", "observation", "outline_kernels", "outline"),
         "search": ("view", "two_views", "offset_search", "observability"),
@@ -70,6 +71,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
         ),
     },
     "experiments": {
+        "workers": ("claim", "crew", "processes", "cluster"),
         "run": (
             "provenance",
             "bridge",

@@ -13,7 +13,9 @@ less than what the methods take, and kept they would be three times as large as 
 
 import hashlib
 import json
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -23,9 +25,12 @@ from numpy.typing import NDArray
 
 from experiments.run.code import SIM_PACKAGES, SSAC_PACKAGES, code_digest, package_versions
 from experiments.run.provenance import plain
+from experiments.workers.claim import ASK_AGAIN_S, claimed, remove_lapsed
+from experiments.workers.claim import SUFFIX as CLAIM
 from sim.recording import SimConfig, simulate
 from sim.render.gl_context import open_context
 from sim.storage import save_recording
+from ssac.files.temporary import remove_left_over
 from ssac.files.whole_file import whole_file
 
 DEFAULT_FOLDER = Path("cache")
@@ -49,7 +54,9 @@ class Brightness(NamedTuple):
 class Cache:
     """What earlier runs made, in one folder.
 
-    Several processes may share it: entries appear whole, under names that say all about them.
+    Several processes may share it, of several hosts if the folder is on a network disk: entries
+    appear whole, under names that say all about them. What is being made is claimed
+    (`experiments.workers.claim`), so that nobody else makes it meanwhile.
     """
 
     folder: Path = DEFAULT_FOLDER
@@ -71,14 +78,12 @@ class Cache:
         """
         config = replace(config, t_d_s=0.0)
         folder = self._recording_path(config, seed)
-        if not folder.exists():
-            provenance = {"config": plain(config), "seed": seed}
-            try:
-                save_recording(simulate(config, seed), folder, provenance)
-                self.simulated.append(folder)
-            except Exception:
-                if not folder.exists():  # unless another process was first
-                    raise
+        while not folder.exists():
+            with claimed(folder.with_name(f".{folder.name}{CLAIM}")) as is_ours:
+                if not is_ours:  # another process makes it
+                    time.sleep(ASK_AGAIN_S)
+                elif not folder.exists():
+                    self._simulate(config, seed, folder)
         return folder
 
     def brightness(self, recording: Path, measure: Callable[[], Brightness]) -> Brightness:
@@ -114,9 +119,38 @@ class Cache:
         with whole_file(path) as temporary:
             temporary.write_text(json.dumps(row), encoding="utf-8")
 
+    def claim_of_runs(self, recordings: str) -> Path:
+        """Name the claim to all runs on some recordings, as `task.recordings_key` names these."""
+        return self.folder / "runs" / f".{recordings}{CLAIM}"
+
+    @contextmanager
+    def tidied(self) -> Iterator[None]:
+        """Remove what killed processes left half-made, before the block and after it."""
+        self._tidy()
+        try:
+            yield
+        finally:
+            self._tidy()
+
     def size_bytes(self) -> int:
         """Return the size of all entries."""
         return sum(path.stat().st_size for path in self.folder.rglob("*") if path.is_file())
+
+    def _simulate(self, config: SimConfig, seed: int, folder: Path) -> None:
+        provenance = {"config": plain(config), "seed": seed}
+        try:
+            save_recording(simulate(config, seed), folder, provenance)
+            self.simulated.append(folder)
+        except Exception:
+            if not folder.exists():  # unless another process was first, its claim having lapsed
+                raise
+
+    def _tidy(self) -> None:
+        runs = self.folder / "runs"
+        others = (self.folder / "recordings", self.folder / "brightness")
+        for folder in (*others, runs, *runs.glob("*")):
+            remove_left_over(folder)
+            remove_lapsed(folder)
 
     def _recording_path(self, config: SimConfig, seed: int) -> Path:
         return self.folder / "recordings" / recording_key(config, seed)

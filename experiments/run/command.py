@@ -76,6 +76,8 @@ def finish(outcome: Outcome, cache: Cache, *files: Path) -> None:
         f"{outcome.n_simulated} of them simulated",
         err=True,
     )
+    if outcome.n_deaths:
+        typer.echo(f"{outcome.n_deaths} workers died and were replaced", err=True)
     if outcome.peak_mb:
         typer.echo(f"peak memory of a worker: {outcome.peak_mb:.0f} MB", err=True)
     typer.echo(f"cache {cache.folder}: {cache.size_bytes() / 1e9:.2f} GB", err=True)

@@ -1,11 +1,18 @@
-"""Cells in, one row each out: spread over processes or a cluster, resumed where they stopped."""
+"""Cells in, one row each out: spread over processes or a cluster, resumed where they stopped.
+
+Runs that share a cache, on one host or several, share the work: each task is claimed before it is
+begun, and one that is claimed elsewhere comes last, when its rows are in the cache.
+"""
 
 import math
+import sys
+import time
+from collections import Counter, deque
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
 
-import joblib
 import pandas as pd
 from tqdm import tqdm
 
@@ -19,26 +26,27 @@ from experiments.run.task import (
     Rows,
     Task,
     keys_of,
+    recordings_key,
     refusal,
     run_task,
     tasks_of,
 )
-from ssac.errors import SsacError
+from experiments.workers.claim import ASK_AGAIN_S, claimed
+from experiments.workers.cluster import Cluster
+from experiments.workers.crew import Alone, Crew, DiedError, Job
+from experiments.workers.processes import Processes, n_cores
 
-WAIT_FOR_WORKERS_S = 60.0  # of a Dask scheduler: they may be on their way
+MAX_DEATHS = 2
+"""So many workers may die on one task; then its runs have crashed. One may have been killed for
+what others took, as when memory is short."""
 
 
 @dataclass(frozen=True)
 class Workers:
     """Who does the work."""
 
-    processes: int = -1  # on this machine; -1: one for each core
+    processes: int = -1  # on this machine; -1: one for each core; 1: this process does it itself
     scheduler: str = ""  # address of a Dask scheduler, whose workers do it instead
-
-    @property
-    def n_jobs(self) -> int | None:
-        """For joblib; None leaves it to the scheduler."""
-        return None if self.scheduler else self.processes
 
 
 @dataclass(frozen=True)
@@ -49,6 +57,7 @@ class Outcome:
     n_recordings: int  # that work was left for
     n_simulated: int  # of these: the others were in the cache
     peak_mb: float  # of the largest worker; 0 when there was nothing left to do
+    n_deaths: int = 0  # of workers of this machine, which were replaced
 
     @property
     def n_crashed(self) -> int:
@@ -66,8 +75,9 @@ def run_cells(
 ) -> Outcome:
     """Run all cells that the cache does not hold, and collect the rows of all.
 
-    Rows depend neither on the number of workers nor on what was in the cache. A run that crashed
-    is a row with its reason and is not kept, so the next call tries it again.
+    Rows depend neither on the number of workers nor on what was in the cache, nor on who else is
+    filling it. A run that crashed is a row with its reason and is not kept, so the next call tries
+    it again. When a worker dies, what it was on is run again by a new one, `MAX_DEATHS` times.
 
     Parameters
     ----------
@@ -88,7 +98,7 @@ def run_cells(
     Raises
     ------
     SsacError
-        If there is no scheduler at the address given.
+        If there is no scheduler at the address given, or it loses all its workers.
     """
     workers = workers or Workers()
     tasks = tasks_of(cells)
@@ -108,8 +118,9 @@ def run_cells(
     n_simulated, peak_mb = 0, 0.0
     work = _Work(tasks, cache, measure)
     disable = None if show_progress and left else True  # None: unless stderr is no terminal
-    with tqdm(total=len(left), desc=label, disable=disable) as bar:
-        for index, done in _spread(work, left, workers):
+    bar = tqdm(total=len(left), desc=label, disable=disable)
+    with bar, cache.tidied(), _crew(workers, len(left)) as crew:
+        for index, done in _spread(work, left, crew):
             found[index] = done.rows
             for key, row in zip(keys[index], done.rows, strict=True):
                 if row["status"] != CRASHED:
@@ -117,7 +128,8 @@ def run_cells(
             n_simulated += done.n_simulated
             peak_mb = max(peak_mb, done.peak_mb)
             bar.update()
-    return Outcome(_frame(cells, tasks, found, measure), len(left), n_simulated, peak_mb)
+    runs = _frame(cells, tasks, found, measure)
+    return Outcome(runs, len(left), n_simulated, peak_mb, work.deaths.total())
 
 
 @dataclass(frozen=True)
@@ -127,77 +139,86 @@ class _Work:
     tasks: Sequence[Task]
     cache: Cache
     measure: Measure
+    deaths: Counter[int] = field(default_factory=Counter)  # of workers, by task
+
+    def job(self, index: int) -> Job:
+        """Give what is to be done for a task."""
+        task = self.tasks[index]
+        claim = self.cache.claim_of_runs(recordings_key(task))
+        return partial(_claimed, claim, task, self.cache, self.measure)
 
 
-def _spread(work: _Work, left: Sequence[int], workers: Workers) -> Iterator[tuple[int, Done]]:
+def _crew(workers: Workers, n_tasks: int) -> Crew:
+    """Gather who does the work."""
+    if n_tasks == 0 or (workers.processes == 1 and not workers.scheduler):
+        return Alone()
+    if workers.scheduler:
+        return Cluster(workers.scheduler)
+    return Processes(n_cores() if workers.processes == -1 else workers.processes)
+
+
+def _spread(work: _Work, left: Sequence[int], crew: Crew) -> Iterator[tuple[int, Done]]:
     """Yield each task's index and what it gave, in the order in which they are done."""
-    with _backend(workers):
-        done = set()
-        try:
-            for result in _parallel(work, left, workers.n_jobs):
-                done.add(result[0])
-                yield result
-        except Exception:  # a worker died, and others with it: find out on which task
-            for index in left:
-                if index not in done:
-                    yield _alone(work, index)
+    ready = deque(left)
+    later: deque[tuple[float, int]] = deque()  # when, on our clock [s], and what
+    n_given, has_said = 0, False
+    while ready or later or n_given:
+        now_s = time.monotonic()
+        while later and later[0][0] <= now_s:
+            ready.append(later.popleft()[1])
+        while ready and crew.has_room():
+            index = ready.popleft()
+            crew.give(index, work.job(index))
+            n_given += 1
+        wait_s = later[0][0] - now_s if later and crew.has_room() else None
+        if not n_given:
+            if not has_said:
+                _say(f"waiting for what another run is on: {len(later)} recordings")
+                has_said = True
+            time.sleep(wait_s or 0.0)
+            continue
+        for index, value, error in crew.ended(wait_s):
+            n_given -= 1
+            if isinstance(error, DiedError):
+                work.deaths[index] += 1
+                is_last = work.deaths[index] == MAX_DEATHS
+                _say(f"a worker {error} on {_name(work.tasks[index])}, which is "
+                     f"{'given up' if is_last else 'run again by a new one'}")  # fmt: skip
+                if not is_last:
+                    ready.append(index)  # behind the others: what was too much may fit then
+                    continue
+                error = DiedError(f"{MAX_DEATHS} workers died of it, the last one {error}")
+            if error is not None:
+                yield index, _crashed(work, index, error)
+            elif value is None:
+                later.append((time.monotonic() + ASK_AGAIN_S, index))
+            else:
+                yield index, value
 
 
-def _alone(work: _Work, index: int) -> tuple[int, Done]:
-    """Run a task in a worker that no other task can take down."""
-    try:
-        # Two jobs, since one would run in this process and take it down.
-        return next(_parallel(work, [index], 2))
-    except Exception as error:
-        crashed = refusal(work.measure, error, "worker") | {"status": CRASHED}
-        done = [work.cache.load_run(key) for key in keys_of(work.tasks[index], work.measure)]
-        return index, Done([crashed if row is None else row for row in done], 0, 0.0)
+def _claimed(claim: Path, task: Task, cache: Cache, measure: Measure) -> Done | None:
+    """Run a task, unless another run that shares the cache is on these recordings: then None."""
+    with claimed(claim) as is_ours:
+        return run_task(task, cache, measure) if is_ours else None
 
 
-def _parallel(
-    work: _Work, indices: Sequence[int], n_jobs: int | None
-) -> Iterator[tuple[int, Done]]:
-    parallel = joblib.Parallel(n_jobs=n_jobs, return_as="generator_unordered", batch_size=1)
-    results: Iterator[tuple[int, Done]] = parallel(
-        joblib.delayed(_indexed)(index, work.tasks[index], work.cache, work.measure)
-        for index in indices
-    )
-    return results
+def _crashed(work: _Work, index: int, error: Exception) -> Done:
+    """Make the rows of a task that ended without: those that it kept before are good."""
+    crashed = refusal(work.measure, error, "worker") | {"status": CRASHED}
+    known = [work.cache.load_run(key) for key in keys_of(work.tasks[index], work.measure)]
+    return Done([crashed if row is None else row for row in known], 0, 0.0)
 
 
-def _indexed(index: int, task: Task, cache: Cache, measure: Measure) -> tuple[int, Done]:
-    return index, run_task(task, cache, measure)
+def _name(task: Task) -> str:
+    """Tell a task's flights from others, for a reader."""
+    flights = (f"{sim.spline.duration_s:g} s at {sim.angle_deg:g} deg with seed {seed}"
+               for sim, seed in task.recordings)  # fmt: skip
+    return "the flight of " + " and ".join(flights)
 
 
-@contextmanager
-def _backend(workers: Workers) -> Iterator[None]:
-    """Choose where joblib runs: processes of this machine, or the workers of a Dask scheduler."""
-    if not workers.scheduler:
-        yield
-        return
-    try:
-        from distributed import Client
-    except ImportError as error:
-        raise SsacError(
-            '--scheduler needs Dask: .venv/bin/pip install "dask[distributed]"'
-        ) from error
-    try:
-        client = Client(workers.scheduler, timeout=10)  # type: ignore[no-untyped-call]
-    except (OSError, ValueError) as error:
-        raise SsacError(
-            f"no Dask scheduler answers at {workers.scheduler!r}: expected an address such as "
-            f"tcp://host:8786 ({error})"
-        ) from error
-    try:
-        client.wait_for_workers(1, timeout=WAIT_FOR_WORKERS_S)
-    except OSError as error:  # TimeoutError is one
-        client.close()  # type: ignore[no-untyped-call]
-        raise SsacError(
-            f"the Dask scheduler at {workers.scheduler} has no workers: start some with "
-            f"dask worker {workers.scheduler} --nthreads 1"
-        ) from error
-    with client, joblib.parallel_config(backend="dask", n_jobs=-1):
-        yield
+def _say(line: str) -> None:
+    """Say something on stderr, above the bar."""
+    tqdm.write(line, file=sys.stderr)
 
 
 def _frame(

@@ -4,6 +4,7 @@ A cell is one run of anything that is measured: a method on a flight, a variant,
 cell gives one row; a cell that cannot be measured gives a row with a status and a reason.
 """
 
+import hashlib
 import resource
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -115,6 +116,12 @@ def keys_of(task: Task, measure: Measure) -> list[str]:
     """Keys of a task's cells in the cache."""
     recordings = tuple(recording_key(*recording) for recording in task.recordings)
     return [run_key(recordings, cell.inputs, measure.code) for cell in task.cells]
+
+
+def recordings_key(task: Task) -> str:
+    """Name a task by what it is measured on, whatever is measured."""
+    keys = " ".join(recording_key(*recording) for recording in task.recordings)
+    return hashlib.sha256(keys.encode()).hexdigest()[:24]
 
 
 class Done(NamedTuple):

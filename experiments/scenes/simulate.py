@@ -20,6 +20,7 @@ from sim.sensor.events import PRESETS
 from sim.sensor.frames import FrameConfig
 from sim.storage import check_out_dir, save_recording
 from ssac.console.options import number
+from ssac.files.temporary import remove_left_over
 
 MAX_SEED = 2**32 - 1
 
@@ -169,6 +170,8 @@ def simulate_command(
         frames=FrameConfig(rate_hz=frame_rate, exposure_s=exposure),
     )
     check_out_dir(out_dir)
+    existing = next(folder for folder in out_dir.resolve().parents if folder.exists())
+    remove_left_over(existing, out_dir.name)  # of a run that was killed while it wrote
     recording = simulate_with_progress(config, seed)
     provenance = {"config": plain(config), "seed": seed, "versions": versions()}
     save_recording(recording, out_dir, provenance, text)

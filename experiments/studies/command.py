@@ -127,4 +127,5 @@ def _joined(outcomes: list[Outcome]) -> Outcome:
         sum(outcome.n_recordings for outcome in outcomes),
         sum(outcome.n_simulated for outcome in outcomes),
         max(outcome.peak_mb for outcome in outcomes),
+        sum(outcome.n_deaths for outcome in outcomes),
     )

@@ -12,7 +12,7 @@ file, rounded as it is there, so that anyone who has the file makes the same byt
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -95,7 +95,7 @@ def run_numbered(
     outcome = run_cells([cell for _, cell in cells], cache, workers, label, measure=measure)
     runs = outcome.runs.copy()
     runs.insert(0, CELL, [number for number, _ in cells])
-    return Outcome(runs, outcome.n_recordings, outcome.n_simulated, outcome.peak_mb)
+    return replace(outcome, runs=runs)
 
 
 def numbered(cells: Sequence[AnyCell], shard: tuple[int, int] = WHOLE) -> list[tuple[int, AnyCell]]:

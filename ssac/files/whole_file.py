@@ -5,6 +5,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from ssac.files.temporary import temporary_path
+
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
@@ -12,7 +14,7 @@ def whole_file(path: Path) -> Iterator[Path]:
 
     If the block fails, the temporary file is removed and whatever was at `path` stays as it was.
     """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+    temporary = temporary_path(path)
     try:
         yield temporary
         os.replace(temporary, path)

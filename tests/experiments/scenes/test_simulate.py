@@ -13,6 +13,7 @@ from sim.errors import SimError
 from ssac.errors import SsacError
 from ssac.files.event_files import load_events, load_frames
 from ssac.files.rigs import load_rig
+from tests.left_over import ended_process, made_by
 
 FAST = ["--duration", "2", "--max-step", "2", "--lattice", "2", "0"]
 
@@ -54,8 +55,11 @@ def test_the_folder_holds_what_the_design_says(tmp_path: Path) -> None:
 @pytest.mark.render
 def test_the_same_arguments_give_the_same_bytes(tmp_path: Path) -> None:
     arguments = [*FAST, "--seed", 2**32 - 1, "--noise", "davis346"]
+    left = made_by(tmp_path / "b", ended_process())  # by a run that was killed
+    left.mkdir()
     for name in ("a", "b"):
         assert run(tmp_path / name, *arguments).exit_code == 0
+    assert {path.name for path in tmp_path.iterdir()} == {"a", "b"}
     assert hashes(tmp_path / "a") == hashes(tmp_path / "b")
 
 

@@ -5,6 +5,8 @@ The flights are short and coarsely rendered: what is tested is the bookkeeping, 
 
 import json
 import os
+import re
+import signal
 import subprocess
 import sys
 import time
@@ -22,7 +24,7 @@ from experiments.run.grid import load_config
 from experiments.run.schedule import Workers, run_cells
 from experiments.run.task import CRASHED, tasks_of
 from experiments.studies.study import numbered
-from ssac.console.exits import BUG
+from ssac.console.exits import BUG, INTERRUPTED
 from ssac.errors import SsacError
 
 pytestmark = pytest.mark.render
@@ -47,10 +49,15 @@ sim.angle_deg = [90]
 sim.t_d_s = [0.005, 0.05]
 """
 
-# A plugin whose methods fail in the three ways there are; docs/methods.md tells about plugins.
+# A plugin whose methods fail in the four ways there are; docs/methods.md tells about plugins.
 PLUGIN = """
 import os
+import signal
+from dataclasses import replace
+from pathlib import Path
+
 from ssac import SsacError
+from ssac.baselines.event_rate import event_rate
 
 def raising(cam1, cam2, rig, config=None):
     raise RuntimeError("a bug")
@@ -60,6 +67,13 @@ def refusing(cam1, cam2, rig, config=None):
 
 def dying(cam1, cam2, rig, config=None):
     os._exit(3)
+
+def dying_once(cam1, cam2, rig, config=None):
+    try:
+        Path(__file__).with_name("died").touch(exist_ok=False)
+    except FileExistsError:
+        return replace(event_rate(cam1, cam2, rig, config), method="dying_once")
+    os.kill(os.getpid(), signal.SIGKILL)
 """
 
 
@@ -138,13 +152,82 @@ def test_two_processes_write_the_same_bytes(folder, config, whole):
     assert out.read_bytes() == whole.read_bytes()
 
 
+@pytest.fixture(scope="module")
+def plugin(folder):
+    """A folder in which Python finds the plugin."""
+    plugin = folder / "plugin"
+    info = plugin / "failing-1.0.dist-info"
+    info.mkdir(parents=True)
+    (plugin / "failing.py").write_text(PLUGIN)
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: failing\nVersion: 1.0\n")
+    names = ("raising", "refusing", "dying", "dying_once")
+    entries = "".join(f"{name} = failing:{name}\n" for name in names)
+    (info / "entry_points.txt").write_text(f"[ssac.methods]\n{entries}")
+    return plugin
+
+
+def started(folder, plugin, config, out, cache, *more):
+    """A sweep as a process of its own, which knows the plugin's methods."""
+    command = [sys.executable, "-m", "experiments", "sweep", str(config)]
+    command += ["--out", str(out), "--cache", str(cache), *more]
+    environment = os.environ | {"PYTHONPATH": f"{plugin}{os.pathsep}{ROOT}"}
+    return subprocess.Popen(
+        command, env=environment, cwd=folder, text=True,
+        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True,
+    )  # fmt: skip
+
+
+def swept(*arguments):
+    """Run such a process; its exit code and what it said."""
+    process = started(*arguments)
+    said = process.communicate()[1]
+    return process.returncode, said
+
+
+@pytest.fixture(scope="module")
+def mortal(folder, plugin, whole):
+    """A grid whose methods kill a worker once, and its rows where none is killed."""
+    config, out = folder / "mortal.toml", folder / "mortal.csv"
+    config.write_text(TOML.format(methods='"event_rate", "dying_once"'))
+    (plugin / "died").touch()
+    cache = without_runs(folder, "cache_mortal")
+    code, said = swept(folder, plugin, config, out, cache, "--workers", "1")
+    assert code == 0, said
+    return config, out
+
+
+def test_a_worker_that_is_killed_is_replaced_and_the_bytes_are_the_same(folder, plugin, mortal):
+    config, expected = mortal
+    (plugin / "died").unlink()
+    out, cache = folder / "replaced.csv", without_runs(folder, "cache_replaced")
+    code, said = swept(folder, plugin, config, out, cache, "--workers", "2")
+    assert code == 0, said
+    assert "a worker ended by SIGKILL on the flight of 3 s at 90 deg with seed" in said
+    assert "1 workers died and were replaced" in said
+    assert (plugin / "died").exists()
+    assert out.read_bytes() == expected.read_bytes()
+
+
+def test_two_runs_that_share_a_cache_simulate_no_recording_twice(folder, plugin, config, whole):
+    cache, outs = folder / "cache_shared", (folder / "one.csv", folder / "other.csv")
+    runs = [started(folder, plugin, config, out, cache, "--workers", "1") for out in outs]
+    told = [process.communicate()[1] for process in runs]
+    assert [process.returncode for process in runs] == [0, 0], told
+    simulated = [int(re.search(r"(\d+) of them simulated", said)[1]) for said in told]
+    assert sum(simulated) == 3, told
+    for out in outs:
+        assert out.read_bytes() == whole.read_bytes()
+    assert not list(cache.rglob(".*"))  # neither claims nor anything half-made
+
+
 @pytest.fixture
-def scheduler(folder):
+def scheduler(folder, plugin):
     """Address of a Dask scheduler with two workers, each a process of its own."""
     pytest.importorskip("distributed")
     file = folder / "scheduler.json"
     dask, local = (sys.executable, "-m", "dask"), ("--scheduler-file", str(file))
-    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    file.unlink(missing_ok=True)
+    environment = os.environ | {"PYTHONPATH": f"{plugin}{os.pathsep}{ROOT}"}
     start = partial(
         subprocess.Popen, env=environment, cwd=folder, stderr=subprocess.DEVNULL, text=True
     )
@@ -176,6 +259,50 @@ def test_the_workers_of_a_dask_scheduler_write_the_same_bytes(folder, config, wh
     assert len(list((cache / "runs").rglob("*.json"))) == 3 * 2 * 3
 
 
+def test_a_dask_worker_that_is_killed_changes_no_byte(folder, plugin, mortal, scheduler):
+    config, expected = mortal
+    (plugin / "died").unlink()
+    out, cache = folder / "dask_killed.csv", without_runs(folder, "cache_dask_killed")
+    code, said = swept(folder, plugin, config, out, cache, "--scheduler", scheduler)
+    assert code == 0, said
+    assert (plugin / "died").exists()
+    assert out.read_bytes() == expected.read_bytes()
+
+
+def test_a_scheduler_that_loses_all_workers_is_one_line(folder, plugin, scheduler, monkeypatch):
+    from experiments.workers import cluster
+
+    with cluster.Cluster(scheduler) as crew:
+        monkeypatch.setattr(cluster, "WAIT_FOR_WORKERS_S", 0.2)
+        monkeypatch.setattr(cluster, "_LOOK_S", 0.1)
+        crew.give(0, partial(os._exit, 3))  # first one dies of it, then the other
+        with pytest.raises(SsacError, match="has no workers any more: what is done is in the"):
+            crew.ended(None)
+
+
+def test_a_scheduler_that_is_killed_is_one_line(folder, plugin, scheduler, capfd):
+    from experiments.workers import cluster
+
+    with cluster.Cluster(scheduler) as crew:
+        crew.give(0, partial(time.sleep, 600))
+        os.kill(crew._client.run_on_scheduler(os.getpid), signal.SIGKILL)
+        with pytest.raises(SsacError, match="is gone: what is done is in the cache"):
+            crew.ended(None)
+    assert capfd.readouterr().err == ""
+
+
+def test_an_interrupted_sweep_is_one_line_and_leaves_nothing_half_made(folder, plugin, config):
+    out, cache = folder / "interrupted.csv", folder / "cache_interrupted"
+    run = started(folder, plugin, config, out, cache, "--workers", "2")
+    while len(list(cache.glob("recordings/.*.claim"))) < 2:  # both workers simulate
+        assert run.poll() is None
+        time.sleep(0.1)
+    os.killpg(run.pid, signal.SIGINT)  # as a terminal does: to all processes in it
+    assert run.communicate()[1] == "interrupted\n"
+    assert run.returncode == INTERRUPTED
+    assert not [path for path in cache.rglob("*") if path.is_file()]
+
+
 def test_no_scheduler_is_one_line(folder, config):
     pytest.importorskip("distributed")
     cells, cache = load_config(config).cells(), Cache(without_runs(folder, "cache_none"))
@@ -185,7 +312,7 @@ def test_no_scheduler_is_one_line(folder, config):
 
 def test_a_scheduler_without_workers_is_one_line(folder, config, monkeypatch):
     distributed = pytest.importorskip("distributed")
-    monkeypatch.setattr(schedule, "WAIT_FOR_WORKERS_S", 0.2)
+    monkeypatch.setattr("experiments.workers.cluster.WAIT_FOR_WORKERS_S", 0.2)
     cells, cache = load_config(config).cells(), Cache(without_runs(folder, "cache_idle"))
     with distributed.LocalCluster(n_workers=0, processes=False, dashboard_address=None) as cluster:
         workers = Workers(scheduler=cluster.scheduler_address)
@@ -272,34 +399,22 @@ def test_a_shard_that_is_none_is_an_error(config, folder, shard):
     assert "--shard: expected i/n" in str(result.exception)
 
 
-def test_crashes_are_rows_and_the_others_go_on(folder, whole):
-    plugin = folder / "plugin"
-    info = plugin / "failing-1.0.dist-info"
-    info.mkdir(parents=True)
-    (plugin / "failing.py").write_text(PLUGIN)
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: failing\nVersion: 1.0\n")
-    names = ("raising", "refusing", "dying")
-    entries = "".join(f"{name} = failing:{name}\n" for name in names)
-    (info / "entry_points.txt").write_text(f"[ssac.methods]\n{entries}")
+def test_crashes_are_rows_and_the_others_go_on(folder, plugin, whole):
     cache = without_runs(folder, "cache_crash")
-    environment = os.environ | {"PYTHONPATH": f"{plugin}{os.pathsep}{ROOT}"}
 
-    def run(*methods):
+    def run(n_flights, *methods):
         config = folder / "crash.toml"
-        config.write_text(TOML.format(methods=", ".join(f'"{name}"' for name in methods)))
+        text = TOML.format(methods=", ".join(f'"{name}"' for name in methods))
+        config.write_text(text.replace("flights = 3", f"flights = {n_flights}"))
         out = folder / "crash.csv"
-        command = [sys.executable, "-m", "experiments.cli", "sweep", str(config)]
-        command += ["--out", str(out), "--cache", str(cache), "--workers", "2"]
-        done = subprocess.run(
-            command, env=environment, cwd=folder, capture_output=True, text=True, check=False
-        )
+        code, said = swept(folder, plugin, config, out, cache, "--workers", "2")
         runs = pd.read_csv(out)
-        assert len(runs) == len(methods) * 3 * 2, done.stderr
-        return done, runs.groupby("method")
+        assert len(runs) == len(methods) * n_flights * 2, said
+        return code, said, runs.groupby("method")
 
-    done, runs = run("event_rate", "raising", "refusing")
-    assert done.returncode == BUG
-    assert "6 runs crashed" in done.stderr
+    code, said, runs = run(1, "event_rate", "raising", "refusing")
+    assert code == BUG
+    assert "2 runs crashed" in said
     assert (runs.get_group("event_rate")["status"] == "ok").all()
     raising, refusing = runs.get_group("raising"), runs.get_group("refusing")
     assert (raising["status"] == CRASHED).all()
@@ -308,9 +423,11 @@ def test_crashes_are_rows_and_the_others_go_on(folder, whole):
     assert (refusing["reason"] == "not with these data").all()
 
     # A worker that dies loses what it had not done of its recording, and no other recording.
-    done, runs = run("event_rate", "dying")
-    assert done.returncode == BUG
+    code, said, runs = run(2, "event_rate", "dying")
+    assert code == BUG
     assert (runs.get_group("event_rate").groupby("flight")["status"].first() == "ok").all()
     dying = runs.get_group("dying")
     assert (dying["status"] == CRASHED).all()
-    assert dying["reason"].str.contains("worker: TerminatedWorkerError").all()
+    expected = "worker: DiedError: 2 workers died of it, the last one ended with code 3"
+    assert (dying["reason"] == expected).all()
+    assert "4 workers died and were replaced" in said

@@ -11,7 +11,7 @@ from ssac.tool.registry import OURS
 from ssac.tool.summaries import DEFAULT, SUMMARIES, all_summaries
 from ssac.tool.sync_command import complete_method
 
-HEAVY = {"numba", "scipy", "cv2", "pandas", "matplotlib", "h5py", "joblib", "pyrender", "trimesh"}
+HEAVY = {"numba", "scipy", "cv2", "pandas", "matplotlib", "h5py", "pyrender", "trimesh"}
 
 
 def test_the_list_is_that_of_the_registry():

@@ -1,0 +1,1 @@
+"""Who does the work: processes, the workers of a cluster, and which of them is on what."""

@@ -1,0 +1,91 @@
+"""Jobs for workers, which find them by the name of their module."""
+
+import os
+import signal
+import sys
+import time
+from functools import partial
+from pathlib import Path
+
+from experiments.workers.claim import claimed
+from experiments.workers.crew import Crew, Ended
+from experiments.workers.processes import Processes
+
+
+def square(number: int) -> int:
+    return number * number
+
+
+def who(_: int) -> int:
+    return os.getpid()
+
+
+def killed(_: int) -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def left(_: int) -> None:
+    os._exit(3)
+
+
+def faulty(_: int) -> None:
+    raise ValueError("a bug")
+
+
+def unsendable(_: int) -> object:
+    return lambda: None
+
+
+class Unreadable:
+    """Raises where it is unpickled."""
+
+    def __reduce__(self) -> object:
+        return faulty, (0,)
+
+
+def wait_for_ever(_: int) -> None:
+    print("waiting", flush=True)
+    while True:
+        time.sleep(1.0)
+
+
+def make_each_once(folder: Path, names: list[str]) -> None:
+    """Make files that others make too; note each making."""
+    left = list(names)
+    while left:
+        for name in list(left):
+            with claimed(folder / f".{name}.claim") as is_ours:
+                if not is_ours:
+                    continue
+                left.remove(name)
+                if not (folder / name).exists():
+                    with (folder / "log").open("a") as log:
+                        log.write(f"{name}\n")
+                    (folder / name).touch()
+
+
+def hold(path: Path) -> None:
+    """Claim, say so, and never give it back."""
+    with claimed(path) as is_ours:
+        print(is_ours, flush=True)
+        time.sleep(1e6)
+
+
+def work_off(crew: Crew, jobs: list) -> dict[int, Ended]:
+    """Have a crew do jobs, each one once."""
+    found, ready = {}, list(enumerate(jobs))
+    while len(found) < len(jobs):
+        while ready and crew.has_room():
+            crew.give(*ready.pop(0))
+        found |= {one.number: one for one in crew.ended(None)}
+    return found
+
+
+def main() -> None:
+    """Keep two workers busy: what a process does that is then killed."""
+    with Processes(2) as crew:
+        work_off(crew, [partial(wait_for_ever, number) for number in range(2)])
+
+
+if __name__ == "__main__":
+    main() if len(sys.argv) == 1 else hold(Path(sys.argv[1]))
