@@ -23,9 +23,9 @@ from numpy.typing import NDArray
 
 from experiments.run.code import SIM_PACKAGES, SSAC_PACKAGES, code_digest, package_versions
 from experiments.run.provenance import plain
-from sim.recording import SimConfig, simulate
+from sim.recording import SimConfig
 from sim.render.gl_context import open_context
-from sim.storage import save_recording
+from sim.storage import record
 from ssac.files.whole_file import whole_file
 
 DEFAULT_FOLDER = Path("cache")
@@ -74,7 +74,7 @@ class Cache:
         if not folder.exists():
             provenance = {"config": plain(config), "seed": seed}
             try:
-                save_recording(simulate(config, seed), folder, provenance)
+                record(config, seed, folder, provenance)
                 self.simulated.append(folder)
             except Exception:
                 if not folder.exists():  # unless another process was first
