@@ -20,7 +20,13 @@ from sim.scene.background import load_background, uniform_background
 from sim.scene.drone import Drone, drone_from_file
 from sim.scene.flyers import FLAP_HZ, built_in_drone, check_drone_name
 from sim.scene.rig import Camera, Rig, two_view_rig
-from sim.scene.trajectory import SplineConfig, Trajectory, random_spline, trajectory_from_csv
+from sim.scene.trajectory import (
+    PosesAt,
+    SplineConfig,
+    Trajectory,
+    random_spline,
+    trajectory_from_csv,
+)
 from sim.sensor.events import EVENT_DTYPE, Sensor, SensorConfig
 from sim.sensor.frames import FrameConfig, FrameExposer, Frames, Images, frame_times_us
 
@@ -203,7 +209,7 @@ def stream(
 
             instants_s = choose_instants(drone, camera, trajectory, config.sampling)
             n_instants += len(instants_s)
-            T_W_B = trajectory.poses(instants_s)
+            T_W_B = PosesAt(trajectory, instants_s)
             views = renderer.crops(camera, instants_s, T_W_B, backgrounds[index])
             _record(views, camera, instants_s, backgrounds[index], config, rng, open_sink, report)
         gl = renderer.context

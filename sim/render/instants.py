@@ -9,13 +9,12 @@ from sim.errors import SimError
 from sim.render.footprint import footprint
 from sim.scene.drone import Drone
 from sim.scene.rig import Camera
-from sim.scene.trajectory import Trajectory
+from sim.scene.trajectory import PosesAt, Trajectory
 
 FloatArray = NDArray[np.float64]
 
 PROBE_HZ = 1000.0  # how finely the motion is looked at beforehand
 PROBES_PER_TURN = 100  # and along a turn of a rotor
-_PROBES_AT_ONCE = 4096  # whose poses are in memory together
 
 
 @dataclass(frozen=True)
@@ -59,21 +58,9 @@ def choose_instants(
     probe_hz = max([PROBE_HZ, *(PROBES_PER_TURN * rate for rate in turns_hz)])
     n_probes = max(2, int(np.ceil(trajectory.duration_s * probe_hz)) + 1)
     probes_s: FloatArray = np.linspace(0.0, trajectory.duration_s, n_probes, dtype=np.float64)
-    moved_px = np.concatenate(
-        [
-            _moved_px(drone, camera, trajectory, probes_s[start : start + _PROBES_AT_ONCE + 1])
-            for start in range(0, n_probes - 1, _PROBES_AT_ONCE)
-        ]
-    )
+    moved_px = footprint(drone, camera, probes_s, PosesAt(trajectory, probes_s)).moved_px
     # Count steps: along the sum of displacements, or of time where that asks for more.
-    steps = np.maximum(moved_px / config.max_step_px, np.diff(probes_s) * config.min_rate_hz)
+    steps = np.maximum(moved_px[1:] / config.max_step_px, np.diff(probes_s) * config.min_rate_hz)
     count = np.concatenate([[0.0], np.cumsum(steps)])
     n_instants = int(np.ceil(count[-1])) + 1
     return np.interp(np.linspace(0.0, count[-1], n_instants), count, probes_s)
-
-
-def _moved_px(
-    drone: Drone, camera: Camera, trajectory: Trajectory, times_s: FloatArray
-) -> FloatArray:
-    """Displacement of the image from each time (n,) [s] to the next, shape (n - 1,) [px]."""
-    return footprint(drone, camera, times_s, trajectory.poses(times_s)).moved_px[1:]

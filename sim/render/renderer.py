@@ -19,11 +19,13 @@ from sim.render.gl_context import GLContext, open_context
 from sim.render.lattice import Lattice, average_pixels
 from sim.scene.drone import Drone, Part
 from sim.scene.rig import Camera
+from sim.scene.trajectory import PosesAt
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 ATLAS_SIZE = 1024  # samples each way: small enough for the processor's cache
+PLANNED_AT_ONCE = 4 * MAX_INSTANCES  # instants
 # How far the image may lie beyond the projected hull: the rasteriser's rounding without distortion,
 # and with it the bend of an edge between two corners.
 MARGIN_PX = {"none": 0.01, "radtan": 1.0, "equidistant": 1.0}
@@ -97,7 +99,7 @@ class Renderer:
         self,
         camera: Camera,
         times_s: FloatArray,
-        T_W_B: FloatArray,
+        T_W_B: FloatArray | PosesAt,
         background: NDArray[np.float32],
     ) -> Iterator[Crops]:
         """Render the instants at which the drone is in view, and those next to them.
@@ -123,12 +125,18 @@ class Renderer:
         near_view = seen.visible.copy()
         near_view[1:] |= seen.visible[:-1]
         near_view[:-1] |= seen.visible[1:]
-        views = _plan(self.drone, camera, seen, np.flatnonzero(near_view), times_s, T_W_B)
-        start = 0
-        while start < len(views.times_s):
-            stop = self._end_of_batch(views.boxes, start)
-            yield self._draw(camera, views.between(start, stop), background)
-            start = stop
+        chosen = np.flatnonzero(near_view)
+        while len(chosen):
+            # Not all at once, as the matrices take memory; those that more instants could still
+            # join for a batch are planned again with these.
+            views = _plan(self.drone, camera, seen, chosen[:PLANNED_AT_ONCE], times_s, T_W_B)
+            left_over = MAX_INSTANCES if len(chosen) > PLANNED_AT_ONCE else 0
+            start = 0
+            while start < len(views.times_s) - left_over:
+                stop = self._end_of_batch(views.boxes, start)
+                yield self._draw(camera, views.between(start, stop), background)
+                start = stop
+            chosen = chosen[start:]
 
     def _light_in_camera(self, camera: Camera) -> FloatArray:
         light_W = np.asarray(self.config.light_W)
@@ -207,7 +215,7 @@ def _plan(
     seen: Footprint,
     chosen: IntArray,
     times_s: FloatArray,
-    T_W_B: FloatArray,
+    T_W_B: FloatArray | PosesAt,
 ) -> _Views:
     """Prepare the chosen instants for drawing."""
     visible = seen.visible[chosen]
