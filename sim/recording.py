@@ -1,9 +1,13 @@
-"""The whole chain: a configuration and a seed in, all cameras' recordings and the truth out."""
+"""The whole chain: a configuration and a seed in, all cameras' recordings and the truth out.
 
-from collections.abc import Callable
+`stream` is the chain; it hands on frames and events as they are made. `simulate` keeps them in
+memory, `sim.storage.record` writes them to files.
+"""
+
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +21,15 @@ from sim.scene.background import load_background, uniform_background
 from sim.scene.drone import Drone, drone_from_file
 from sim.scene.flyers import FLAP_HZ, built_in_drone, check_drone_name
 from sim.scene.rig import Camera, Rig, two_view_rig
-from sim.scene.trajectory import SplineConfig, Trajectory, random_spline, trajectory_from_csv
-from sim.sensor.events import Sensor, SensorConfig
-from sim.sensor.frames import FrameConfig, FrameExposer, Frames
+from sim.scene.trajectory import (
+    PosesAt,
+    SplineConfig,
+    Trajectory,
+    random_spline,
+    trajectory_from_csv,
+)
+from sim.sensor.events import EVENT_DTYPE, Sensor, SensorConfig
+from sim.sensor.frames import FrameConfig, FrameExposer, Frames, Images, frame_times_us
 
 FloatArray = NDArray[np.float64]
 
@@ -81,6 +91,17 @@ class Truth:
 
 
 @dataclass(frozen=True)
+class Flight:
+    """All of a recording but what its cameras recorded."""
+
+    rig: Rig
+    truth: Truth
+    n_instants: int  # chosen, over all cameras
+    gl: GLContext | None  # None: nothing was drawn with OpenGL
+    check: RenderCheck  # of the native renderer against it
+
+
+@dataclass(frozen=True)
 class Recording:
     """A simulated recording of one flight."""
 
@@ -90,6 +111,29 @@ class Recording:
     n_instants: int  # chosen, over all cameras
     gl: GLContext | None  # None: nothing was drawn with OpenGL
     check: RenderCheck  # of the native renderer against it
+
+    @property
+    def flight(self) -> Flight:
+        """The same without what the cameras recorded."""
+        return Flight(self.rig, self.truth, self.n_instants, self.gl, self.check)
+
+
+class Sink(Protocol):
+    """Takes what one camera records, as it records it, on the camera's clock."""
+
+    @property
+    def images(self) -> Images:
+        """Takes each frame when its exposure closes."""
+
+    def add(self, events: NDArray[Any], /) -> None:
+        """Take the next events, of EVENT_DTYPE, all in order of time."""
+
+    def close(self) -> None:
+        """Know that the camera has recorded all."""
+
+
+OpenSink = Callable[[Camera, NDArray[np.int64], float], Sink]
+"""Opens the sink of a camera, given the times of its frames (n,) [us] and their exposure [s]."""
 
 
 def simulate(
@@ -115,13 +159,47 @@ def simulate(
     SimError
         Input that makes no sense, or no GL.
     """
+    sinks: list[_InMemory] = []
+
+    def open_sink(*about: Any) -> _InMemory:
+        sinks.append(_InMemory(*about))
+        return sinks[-1]
+
+    flight = stream(config, seed, open_sink, progress)
+    cameras = tuple(sink.recording() for sink in sinks)
+    return Recording(cameras, flight.rig, flight.truth, flight.n_instants, flight.gl, flight.check)
+
+
+def stream(
+    config: SimConfig,
+    seed: int,
+    open_sink: OpenSink,
+    progress: Callable[[float], None] | None = None,
+) -> Flight:
+    """Simulate one flight as `simulate` does, and hand on what each camera records meanwhile.
+
+    Cameras record one after the other. Memory does not grow with the duration, but for some
+    numbers per instant; with a sensor whose pixels act by themselves, for its events too.
+
+    Parameters
+    ----------
+    config, seed, progress
+        As for `simulate`.
+    open_sink
+        Called for each camera before it records.
+
+    Raises
+    ------
+    SimError
+        As `simulate`.
+    """
     if seed < 0:
         raise SimError(f"seed: expected 0 or a positive integer, got {seed}")
     rig = _rig(config)
     backgrounds = _backgrounds(config, rig)
     drone = _drone(config)
     trajectory = _trajectory(config, seed)
-    recorded, n_instants = [], 0
+    n_instants = 0
     with Renderer(drone, config.render, seed) as renderer:
         for index, camera in enumerate(rig.cameras):
             rng = np.random.default_rng(
@@ -134,15 +212,11 @@ def simulate(
 
             instants_s = choose_instants(drone, camera, trajectory, config.sampling)
             n_instants += len(instants_s)
-            T_W_B = trajectory.poses(instants_s)
-            recorded.append(
-                _record(
-                    renderer, camera, instants_s, T_W_B, backgrounds[index], config, rng, report
-                )
-            )
+            T_W_B = PosesAt(trajectory, instants_s)
+            views = renderer.crops(camera, instants_s, T_W_B, backgrounds[index])
+            _record(views, camera, instants_s, backgrounds[index], config, rng, open_sink, report)
         gl, check = renderer.context, renderer.check
-    truth = _truth(rig, trajectory, config.t_d_s)
-    return Recording(tuple(recorded), rig, truth, n_instants, gl, check)
+    return Flight(rig, _truth(rig, trajectory, config.t_d_s), n_instants, gl, check)
 
 
 def with_time_offset(recording: Recording, t_d_s: float) -> Recording:
@@ -162,21 +236,51 @@ def with_time_offset(recording: Recording, t_d_s: float) -> Recording:
     )
 
 
+class _InMemory:
+    """A sink that keeps all."""
+
+    def __init__(self, camera: Camera, times_us: NDArray[np.int64], exposure_s: float) -> None:
+        self.camera = camera
+        self.images = np.empty((len(times_us), camera.height, camera.width), np.uint8)
+        self._frames = Frames(times_us, self.images, exposure_s)
+        self._events: list[NDArray[Any]] = []
+
+    def add(self, events: NDArray[Any]) -> None:
+        """Keep events."""
+        self._events.append(events)
+
+    def close(self) -> None:
+        """Join the events."""
+        self._events = [np.concatenate([np.empty(0, EVENT_DTYPE), *self._events])]
+
+    def recording(self) -> CameraRecording:
+        """Return all that was recorded."""
+        return CameraRecording(self.camera, self._events[0], self._frames)
+
+
 def _record(
-    renderer: Renderer,
+    views: Iterator[Crops],
     camera: Camera,
     instants_s: FloatArray,
-    T_W_B: FloatArray,
     background: NDArray[np.float32],
     config: SimConfig,
     rng: np.random.Generator,
+    open_sink: OpenSink,
     report: Callable[[float], None],
-) -> CameraRecording:
-    """Render, sense and expose one camera's view, batch by batch."""
+) -> None:
+    """Sense and expose one camera's view, batch by batch."""
     end_s = float(instants_s[-1])
+    clock_us = _microseconds(camera.time_offset_s)
+    times_us = frame_times_us(config.frames, end_s)
+    sink = open_sink(camera, times_us + clock_us, config.frames.exposure_s)
+    exposer = FrameExposer(config.frames, background, len(times_us), sink.images)
+
+    def hand_on(events: NDArray[Any]) -> None:
+        events["t"] += clock_us
+        sink.add(events)
+
     sensor: Sensor | None = None
-    exposer = FrameExposer(config.frames, background, end_s)
-    for crops in renderer.crops(camera, instants_s, T_W_B, background):
+    for crops in views:
         exposer.feed(crops.times_s, crops.x0_px, crops.y0_px, crops.luminance)
         if sensor is None:
             starts = crops.times_s[0] == instants_s[0]  # in view from the start
@@ -185,15 +289,14 @@ def _record(
             crops = crops.since(1 if starts else 0)
         if len(crops.times_s):
             sensor.feed(crops.times_s, crops.x0_px, crops.y0_px, crops.luminance)
+            hand_on(sensor.take_settled())
             report(float(crops.times_s[-1]))
     if sensor is None:  # never in view
         sensor = Sensor(config.sensor, background, float(instants_s[0]), rng)
-    events = sensor.finish(end_s)
-    frames = exposer.finish()
+    hand_on(sensor.finish(end_s))
+    exposer.finish()
+    sink.close()
     report(end_s)
-    clock_us = _microseconds(camera.time_offset_s)
-    events["t"] += clock_us
-    return CameraRecording(camera, events, replace(frames, times_us=frames.times_us + clock_us))
 
 
 def _paste(crops: Crops, background: NDArray[np.float32]) -> NDArray[np.float32]:

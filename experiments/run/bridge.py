@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sim.recording import CameraRecording, Recording
+from sim.recording import CameraRecording, Flight, Recording
 from sim.scene.rig import Camera as SimCamera
 from ssac.camera import Camera, Rig
 from ssac.track.observation import Observation
@@ -14,7 +14,7 @@ def observations(recording: Recording) -> tuple[Observation, Observation]:
     return first, second
 
 
-def rig_of(recording: Recording, with_extrinsics: bool = False) -> Rig:
+def rig_of(recording: Recording | Flight, with_extrinsics: bool = False) -> Rig:
     """Return the intrinsics, and the true extrinsics only when asked for."""
     cam1, cam2 = (_camera(camera) for camera in recording.rig.cameras[:2])
     T_2_1 = recording.rig.relative_pose(0, 1) if with_extrinsics else None

@@ -27,9 +27,9 @@ from experiments.run.code import SIM_PACKAGES, SSAC_PACKAGES, code_digest, packa
 from experiments.run.provenance import plain
 from experiments.workers.claim import ASK_AGAIN_S, claimed, remove_lapsed
 from experiments.workers.claim import SUFFIX as CLAIM
-from sim.recording import SimConfig, simulate
+from sim.recording import SimConfig
 from sim.render.gl_context import open_context
-from sim.storage import save_recording
+from sim.storage import record
 from ssac.files.temporary import remove_left_over
 from ssac.files.whole_file import whole_file
 
@@ -139,7 +139,7 @@ class Cache:
     def _simulate(self, config: SimConfig, seed: int, folder: Path) -> None:
         provenance = {"config": plain(config), "seed": seed}
         try:
-            save_recording(simulate(config, seed), folder, provenance)
+            record(config, seed, folder, provenance)
             self.simulated.append(folder)
         except Exception:
             if not folder.exists():  # unless another process was first, its claim having lapsed

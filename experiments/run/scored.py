@@ -151,10 +151,11 @@ def _images(path: Path) -> tuple[NDArray[np.int64], NDArray[np.generic]]:
 
 
 def _brightness(folder: Path) -> Brightness:
-    (times1_us, images1), (times2_us, images2) = (
-        _images(folder / name) for name in ("cam1.h5", "cam2.h5")
+    none = np.empty(0, np.int64), np.empty(0)
+    (times1_us, means1), (times2_us, means2) = (
+        load_frames(folder / name, frame_means) or none for name in ("cam1.h5", "cam2.h5")
     )
-    return Brightness(frame_means(images1), times1_us, frame_means(images2), times2_us)
+    return Brightness(means1, times1_us, means2, times2_us)
 
 
 def _timed(times_us: NDArray[np.int64], images: NDArray[np.generic]) -> Frames:

@@ -9,11 +9,9 @@ import typer
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from experiments.run.provenance import plain, versions
 from experiments.run.score import score
-from experiments.scenes.simulate import MAX_SEED, simulate_with_progress, summary
+from experiments.scenes.simulate import MAX_SEED, record_with_progress, summary
 from sim.recording import SimConfig, Truth
-from sim.storage import save_recording
 from ssac.console.options import number
 from ssac.estimate import Estimate
 from ssac.tool.plots import save_figures
@@ -32,18 +30,16 @@ def demo_command(
     seed: Annotated[int, number("Of the simulated flight.", 0, MAX_SEED)] = 0,
 ) -> None:
     """Simulate 20 s at 90 deg with an offset of 50 ms, recover it, and draw one figure."""
-    recording = simulate_with_progress(DEMO, seed)
     folder = out_dir / "recording"
     shutil.rmtree(folder, ignore_errors=True)  # of an earlier demo
-    provenance = {"config": plain(DEMO), "seed": seed, "versions": versions()}
-    save_recording(recording, folder, provenance)
-    typer.echo(summary(recording, folder))
+    recorded = record_with_progress(DEMO, seed, folder)
+    typer.echo(summary(recorded, folder))
     results = [
         sync(folder / "cam1.h5", folder / "cam2.h5", folder / "rig.yaml", method)
         for method in METHODS
     ]
     for result in results:
-        typer.echo("\n" + comparison(result.estimate, recording.truth))
+        typer.echo("\n" + comparison(result.estimate, recorded.flight.truth))
     last = results[-1]
     figure = out_dir / "demo.png"
     save_figures(figure, last.estimate, last.cam1, last.cam2, last.rig, last.config)

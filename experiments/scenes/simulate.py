@@ -7,10 +7,11 @@ from typing import Annotated, Any
 import typer
 from tqdm import tqdm
 
+from experiments.run.bridge import rig_of
 from experiments.run.provenance import plain, versions
-from experiments.scenes.scene import scene_figures, scene_table
+from experiments.scenes.scene import SceneFigures, pair_figures, scene_table
 from sim.errors import SimError
-from sim.recording import Recording, SimConfig, simulate
+from sim.recording import Flight, SimConfig
 from sim.render.config import RENDERERS, RenderConfig
 from sim.render.instants import SamplingConfig
 from sim.render.lattice import Lattice
@@ -18,26 +19,31 @@ from sim.scene.flyers import DRONES
 from sim.scene.trajectory import SplineConfig
 from sim.sensor.events import PRESETS
 from sim.sensor.frames import FrameConfig
-from sim.storage import check_out_dir, save_recording
+from sim.storage import Recorded, record
 from ssac.console.options import number
+from ssac.files.hdf5 import load_events_h5
 from ssac.files.temporary import remove_left_over
+from ssac.track.observation import Observation
 
 MAX_SEED = 2**32 - 1
 
 _DEFAULT = SimConfig()
 
 
-def simulate_with_progress(config: SimConfig, seed: int, label: str = "simulating") -> Recording:
-    """Run the simulator, with a progress bar where stderr is a terminal."""
+def record_with_progress(
+    config: SimConfig, seed: int, out_dir: Path, text: bool = False
+) -> Recorded:
+    """Simulate into a folder, with a progress bar where stderr is a terminal."""
+    provenance = {"config": plain(config), "seed": seed, "versions": versions()}
     # The delay keeps the bar from appearing before a line about bad input, and `disable=None` where
     # stderr is no terminal.
     style = "{l_bar}{bar}| {remaining} left"
-    with tqdm(total=100, desc=label, bar_format=style, delay=0.5, disable=None) as bar:
+    with tqdm(total=100, desc="simulating", bar_format=style, delay=0.5, disable=None) as bar:
 
         def show(share: float) -> None:
             bar.update(round(100 * share) - bar.n)
 
-        return simulate(config, seed, show)
+        return record(config, seed, out_dir, provenance, text, show)
 
 
 def simulate_command(
@@ -169,15 +175,12 @@ def simulate_command(
         sensor=replace(PRESETS[noise], threshold_on=threshold_on, threshold_off=threshold_off),
         frames=FrameConfig(rate_hz=frame_rate, exposure_s=exposure),
     )
-    check_out_dir(out_dir)
     existing = next(folder for folder in out_dir.resolve().parents if folder.exists())
     remove_left_over(existing, out_dir.name)  # of a run that was killed while it wrote
-    recording = simulate_with_progress(config, seed)
-    provenance = {"config": plain(config), "seed": seed, "versions": versions()}
-    save_recording(recording, out_dir, provenance, text)
-    typer.echo(summary(recording, out_dir))
+    recorded = record_with_progress(config, seed, out_dir, text)
+    typer.echo(summary(recorded, out_dir))
     if figures:
-        typer.echo(scene_table(scene_figures(recording)))
+        typer.echo(scene_table(_figures(recorded, out_dir)))
 
 
 def _drone(name: str) -> dict[str, Any]:
@@ -198,20 +201,23 @@ def _spline(duration_s: float, spread: float) -> SplineConfig:
     return SplineConfig(duration_s, multiplier_xyz_m=(x, y, z), max_radius_m=radius_m)
 
 
-def summary(recording: Recording, out_dir: Path) -> str:
+def summary(recorded: Recorded, out_dir: Path) -> str:
     """Say in a few lines what was recorded and where it lies."""
+    flight = recorded.flight
     lines = [
-        f"{camera.camera.name}: {len(camera.events)} events, {len(camera.frames.images)} frames"
-        for camera in recording.cameras
+        f"{camera.name}: {n_events} events, {n_frames} frames"
+        for camera, n_events, n_frames in zip(
+            flight.rig.cameras, recorded.n_events, recorded.n_frames, strict=True
+        )
     ]
-    lines.append(f"{recording.n_instants} instants rendered with {_drawn_by(recording)}")
+    lines.append(f"{flight.n_instants} instants rendered with {_drawn_by(flight)}")
     lines.append(f"written to {out_dir}")
     return "\n".join(lines)
 
 
-def _drawn_by(recording: Recording) -> str:
+def _drawn_by(flight: Flight) -> str:
     """Name what drew, and how far it was from the definition."""
-    gl, check = recording.gl, recording.check
+    gl, check = flight.gl, flight.check
     by_gl = f"{gl.backend} ({gl.renderer})" if gl else ""
     if gl and not check.n_instants:
         return by_gl
@@ -222,3 +228,13 @@ def _drawn_by(recording: Recording) -> str:
             f"{check.mean_difference:.1e} in the mean, {check.max_difference:.1e} at most"
         )
     return f"the native renderer, {compared}"
+
+
+def _figures(recorded: Recorded, folder: Path) -> SceneFigures:
+    """Measure a recording that lies in a folder."""
+    flight = recorded.flight
+    cam1, cam2 = (
+        Observation(load_events_h5(folder / f"{camera.name}.h5").events)
+        for camera in flight.rig.cameras[:2]
+    )
+    return pair_figures(cam1, cam2, rig_of(flight, with_extrinsics=True), flight.truth.t_d_s)

@@ -9,6 +9,7 @@ from scipy.spatial import ConvexHull, QhullError
 from sim.errors import SimError
 from sim.scene.drone import Drone
 from sim.scene.rig import Camera
+from sim.scene.trajectory import PosesAt
 
 FloatArray = NDArray[np.float64]
 
@@ -38,7 +39,9 @@ def outline_points(drone: Drone, camera: Camera) -> tuple[FloatArray, ...]:
     return tuple(_hull_points(part.vertices_B_m, piece_m) for part in drone.parts)
 
 
-def footprint(drone: Drone, camera: Camera, times_s: FloatArray, T_W_B: FloatArray) -> Footprint:
+def footprint(
+    drone: Drone, camera: Camera, times_s: FloatArray, T_W_B: FloatArray | PosesAt
+) -> Footprint:
     """Find where the drone's image lies.
 
     Parameters

@@ -9,7 +9,7 @@ from sim.errors import SimError
 from sim.render.footprint import footprint
 from sim.scene.drone import Drone
 from sim.scene.rig import Camera
-from sim.scene.trajectory import Trajectory
+from sim.scene.trajectory import PosesAt, Trajectory
 
 FloatArray = NDArray[np.float64]
 
@@ -58,7 +58,7 @@ def choose_instants(
     probe_hz = max([PROBE_HZ, *(PROBES_PER_TURN * rate for rate in turns_hz)])
     n_probes = max(2, int(np.ceil(trajectory.duration_s * probe_hz)) + 1)
     probes_s: FloatArray = np.linspace(0.0, trajectory.duration_s, n_probes, dtype=np.float64)
-    moved_px = footprint(drone, camera, probes_s, trajectory.poses(probes_s)).moved_px
+    moved_px = footprint(drone, camera, probes_s, PosesAt(trajectory, probes_s)).moved_px
     # Count steps: along the sum of displacements, or of time where that asks for more.
     steps = np.maximum(moved_px[1:] / config.max_step_px, np.diff(probes_s) * config.min_rate_hz)
     count = np.concatenate([[0.0], np.cumsum(steps)])

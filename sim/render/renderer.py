@@ -16,16 +16,18 @@ from numpy.typing import NDArray
 from sim.errors import SimError
 from sim.render.config import RenderConfig
 from sim.render.footprint import footprint
-from sim.render.gl_atlas import GLPainter
+from sim.render.gl_atlas import MAX_INSTANCES, GLPainter
 from sim.render.gl_context import GLContext
 from sim.render.native import NativePainter
 from sim.render.views import Views, crop_size, plan_views
 from sim.scene.drone import Drone
 from sim.scene.rig import Camera
+from sim.scene.trajectory import PosesAt
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
+PLANNED_AT_ONCE = 4096  # instants: several batches
 CHECKED_INSTANTS = 25  # of each camera, drawn by both painters
 # What the two may differ by. Corners are rounded to 1/256 of a sample from double precision here
 # and from single precision there, and surfaces cut into each other where 24 bits of depth end:
@@ -135,7 +137,7 @@ class Renderer:
         self,
         camera: Camera,
         times_s: FloatArray,
-        T_W_B: FloatArray,
+        T_W_B: FloatArray | PosesAt,
         background: NDArray[np.float32],
     ) -> Iterator[Crops]:
         """Render the instants at which the drone is in view, and those next to them.
@@ -166,22 +168,35 @@ class Renderer:
         near_view = seen.visible.copy()
         near_view[1:] |= seen.visible[:-1]
         near_view[:-1] |= seen.visible[1:]
-        views = plan_views(self.drone, camera, seen, np.flatnonzero(near_view), times_s, T_W_B)
-        checked = self._checked_instants(views)
-        start = 0
-        while start < len(views.times_s):
-            stop = self._end_of_batch(views.boxes, start)
-            batch = views.between(start, stop)
-            width, height = crop_size(batch.boxes)
-            corner_px = np.minimum(
-                batch.boxes[:, :2], [camera.width - width, camera.height - height]
-            )
-            luminance = self._painter.paint(camera, batch, corner_px, background)
-            here = checked[(checked >= start) & (checked < stop)] - start
-            if len(here):
-                self._compare(camera, batch, here, corner_px, background, luminance)
-            yield Crops(batch.times_s, corner_px[:, 0], corner_px[:, 1], luminance)
-            start = stop
+        checked_s = times_s[self._checked(np.flatnonzero(seen.visible))]
+        chosen = np.flatnonzero(near_view)
+        while len(chosen):
+            # Not all at once, as the matrices take memory; those that more instants could still
+            # join for a batch are planned again with these.
+            views = plan_views(self.drone, camera, seen, chosen[:PLANNED_AT_ONCE], times_s, T_W_B)
+            left_over = MAX_INSTANCES if len(chosen) > PLANNED_AT_ONCE else 0
+            start = 0
+            while start < len(views.times_s) - left_over:
+                stop = self._end_of_batch(views.boxes, start)
+                yield self._drawn(camera, views.between(start, stop), background, checked_s)
+                start = stop
+            chosen = chosen[start:]
+
+    def _drawn(
+        self,
+        camera: Camera,
+        batch: Views,
+        background: NDArray[np.float32],
+        checked_s: FloatArray,
+    ) -> Crops:
+        """Draw a batch, and compare those of its instants that are to be checked."""
+        width, height = crop_size(batch.boxes)
+        corner_px = np.minimum(batch.boxes[:, :2], [camera.width - width, camera.height - height])
+        luminance = self._painter.paint(camera, batch, corner_px, background)
+        here = np.flatnonzero(np.isin(batch.times_s, checked_s))
+        if len(here):
+            self._compare(camera, batch, here, corner_px, background, luminance)
+        return Crops(batch.times_s, corner_px[:, 0], corner_px[:, 1], luminance)
 
     def _end_of_batch(self, boxes: IntArray, start: int) -> int:
         """Find how many of the coming instants are painted at a time, in crops of one size."""
@@ -195,9 +210,8 @@ class Renderer:
                 return stop
             stop = start + room
 
-    def _checked_instants(self, views: Views) -> IntArray:
+    def _checked(self, visible: IntArray) -> IntArray:
         """Choose instants spread evenly over those in view, each within its share of them."""
-        visible = np.flatnonzero(views.visible)
         if self._reference is None or self._painter is self._reference or not len(visible):
             return np.empty(0, np.int64)
         n = min(CHECKED_INSTANTS, len(visible))

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from sim.render.footprint import Footprint
 from sim.scene.drone import Drone, Part
 from sim.scene.rig import Camera
+from sim.scene.trajectory import PosesAt
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -52,7 +53,7 @@ def plan_views(
     seen: Footprint,
     chosen: IntArray,
     times_s: FloatArray,
-    T_W_B: FloatArray,
+    T_W_B: FloatArray | PosesAt,
 ) -> Views:
     """Prepare the chosen instants for drawing."""
     visible = seen.visible[chosen]

@@ -104,6 +104,18 @@ class Trajectory:
         return T_W_B
 
 
+@dataclass(frozen=True)
+class PosesAt:
+    """Poses at many times, in place of an array (n, 4, 4): made for those that are asked for."""
+
+    trajectory: Trajectory
+    times_s: FloatArray  # (n,) [s]
+
+    def __getitem__(self, which: slice | NDArray[np.int64]) -> FloatArray:
+        """Return T_W_B at the chosen ones of the times."""
+        return self.trajectory.poses(self.times_s[which])
+
+
 def random_spline(config: SplineConfig, rng: np.random.Generator) -> Trajectory:
     """Draw a random smooth trajectory.
 

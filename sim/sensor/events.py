@@ -171,8 +171,21 @@ class Sensor:
             self._events.follow(process_noisy, *shared, self._noise, *self._rates())
         self._time_s = float(times_s[-1])
 
+    def take_settled(self) -> NDArray[Any]:
+        """Return the events that no later one comes before, and forget them.
+
+        Returns
+        -------
+        NDArray
+            EVENT_DTYPE, sorted as `finish` sorts them. None where pixels act by themselves: one
+            that is left alone emits what it did meanwhile when it is next looked at.
+        """
+        if self._noise is not None:
+            return np.empty(0, EVENT_DTYPE)
+        return self._take(before_us=np.rint(self._time_s * 1e6))
+
     def finish(self, time_s: float) -> NDArray[Any]:
-        """Hold the last image until `time_s` and return all events.
+        """Hold the last image until `time_s` and return all events that were not taken yet.
 
         Returns
         -------
@@ -185,12 +198,15 @@ class Sensor:
             still = self._image[None].copy()
             zero = np.zeros(1, np.int64)
             self.feed(np.array([max(time_s, self._time_s)]), zero, zero, still)
-        t_s, x, y, p = self._events.columns()
-        events = np.empty(len(t_s), EVENT_DTYPE)
-        events["t"] = np.rint(t_s * 1e6)
-        events["x"], events["y"], events["p"] = x, y, p
-        pixel = events["y"].astype(np.int64) * self._image.shape[1] + events["x"]
-        in_order: NDArray[Any] = events[np.lexsort((pixel, events["t"]))]
+        return self._take(before_us=np.inf)
+
+    def _take(self, before_us: float) -> NDArray[Any]:
+        """Take the events before a time [us] out of the buffer, in order."""
+        t_us, x, y, p = self._events.take(before_us)
+        events = np.empty(len(t_us), EVENT_DTYPE)
+        events["t"], events["x"], events["y"], events["p"] = t_us, x, y, p
+        pixel = y.astype(np.int64) * self._image.shape[1] + x
+        in_order: NDArray[Any] = events[np.lexsort((pixel, t_us))]
         return in_order
 
     def _rates(self) -> tuple[float, ...]:

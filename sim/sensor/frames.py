@@ -1,6 +1,7 @@
-"""Luminance over time in, exposed intensity frames out."""
+"""Luminance over time in, exposed intensity frames out, each when its exposure closes."""
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numba import njit
@@ -35,6 +36,13 @@ class Frames:
     exposure_s: float  # [s]
 
 
+class Images(Protocol):
+    """Where frames go: an array (n, height, width), or what keeps them elsewhere."""
+
+    def __setitem__(self, k: int, image: NDArray[np.uint8], /) -> None:
+        """Take frame k; the array (height, width) is the caller's, and changes afterwards."""
+
+
 class FrameExposer:
     """Integrates the light of each pixel over each exposure, so that what moves is blurred.
 
@@ -43,22 +51,28 @@ class FrameExposer:
     config
     background
         Luminance around the crops, shape (height, width).
-    duration_s
-        Frame k is exposed from k / rate on; only frames exposed wholly before this time are taken.
+    n_frames
+        As many as `frame_times_us` gives.
+    images
+        Takes each frame when its exposure closes, in their order.
     """
 
     def __init__(
-        self, config: FrameConfig, background: NDArray[np.float32], duration_s: float
+        self,
+        config: FrameConfig,
+        background: NDArray[np.float32],
+        n_frames: int,
+        images: Images,
     ) -> None:
         self.config = config
-        room_s = duration_s - config.exposure_s
-        n = int(np.floor(room_s * config.rate_hz + 1e-9)) + 1 if config.rate_hz else 0
+        self._n_frames = n_frames
+        self._images = images
         self._background = background
-        still = _quantise(background)
-        self._images = np.broadcast_to(still, (max(n, 0), *still.shape)).copy()
+        self._still = _quantise(background)
+        self._image = self._still.copy()  # of the frame that closed last
         self._sum = np.zeros(background.shape, np.float32)  # difference from the background
         self._last: tuple[float, int, int, NDArray[np.float32]] | None = None
-        self._open = np.zeros(1, np.int64)  # index of the frame that is being exposed
+        self._open = 0  # index of the frame that is being exposed
 
     def feed(
         self,
@@ -71,22 +85,41 @@ class FrameExposer:
 
         Shapes as for `sim.sensor.events.Sensor.feed`. Between instants light is linear in time.
         """
-        if not len(self._images):
-            return
-        time_s, x0, y0, crop = self._last or (times_s[0], x0_px[0], y0_px[0], luminance[0])
-        _expose(
-            times_s, x0_px, y0_px, luminance, time_s, x0, y0, crop, self._background,
-            1.0 / self.config.rate_hz, self.config.exposure_s, self._open, self._sum, self._images,
+        last_s, last_x0, last_y0, last_crop = self._last or (
+            times_s[0], x0_px[0], y0_px[0], luminance[0]
         )  # fmt: skip
+        k = 0
+        while self._open < self._n_frames:
+            k, is_closed = _expose(
+                k, times_s, x0_px, y0_px, luminance, last_s, last_x0, last_y0, last_crop,
+                self._background, self._open * (1.0 / self.config.rate_hz),
+                self.config.exposure_s, self._sum,
+            )  # fmt: skip
+            if not is_closed:
+                break
+            self._close()
         self._last = float(times_s[-1]), int(x0_px[-1]), int(y0_px[-1]), luminance[-1].copy()
 
-    def finish(self) -> Frames:
-        """Return all frames; what follows the last instant is background."""
-        if self._open[0] < len(self._images):
-            _close_frame(self._open[0], self._sum, self._background, self._images)
-        starts_s = np.arange(len(self._images)) / (self.config.rate_hz or 1.0)
-        middle_us = np.rint((starts_s + 0.5 * self.config.exposure_s) * 1e6).astype(np.int64)
-        return Frames(middle_us, self._images, self.config.exposure_s)
+    def finish(self) -> None:
+        """Close what is left; what follows the last instant is background."""
+        while self._open < self._n_frames:
+            self._close()
+
+    def _close(self) -> None:
+        _develop(self._sum, self._background, self._still, self._image)
+        self._images[self._open] = self._image
+        self._open += 1
+
+
+def frame_times_us(config: FrameConfig, duration_s: float) -> NDArray[np.int64]:
+    """Middle of each exposure [us], shape (n,).
+
+    Frame k is exposed from k / rate on; only frames exposed wholly within the duration are taken.
+    """
+    room_s = duration_s - config.exposure_s
+    n = int(np.floor(room_s * config.rate_hz + 1e-9)) + 1 if config.rate_hz else 0
+    starts_s = np.arange(max(n, 0)) / (config.rate_hz or 1.0)
+    return np.rint((starts_s + 0.5 * config.exposure_s) * 1e6).astype(np.int64)
 
 
 def _quantise(image: NDArray[np.float32]) -> NDArray[np.uint8]:
@@ -98,32 +131,29 @@ def _quantise(image: NDArray[np.float32]) -> NDArray[np.uint8]:
 
 @njit(cache=True, nogil=True)
 def _expose(  # type: ignore[no-untyped-def]
-    times_s, x0_px, y0_px, luminance, last_s, last_x0, last_y0, last_crop, background,
-    period_s, exposure_s, open_frame, total, images,
+    first, times_s, x0_px, y0_px, luminance, last_s, last_x0, last_y0, last_crop, background,
+    start_s, exposure_s, total,
 ):  # fmt: skip
-    n_frames = images.shape[0]
-    for k in range(times_s.size):
+    """Add the light of the open exposure, from the interval before instant `first` on.
+
+    Returns the interval that the exposure ended in, and whether it did.
+    """
+    end_s = start_s + exposure_s
+    for k in range(first, times_s.size):
+        if k > 0:
+            last_s, last_x0, last_y0 = times_s[k - 1], x0_px[k - 1], y0_px[k - 1]
+            last_crop = luminance[k - 1]
         t0, t1 = last_s, times_s[k]
-        # Every exposure that this interval touches, in turn.
-        while open_frame[0] < n_frames:
-            start = open_frame[0] * period_s
-            end = start + exposure_s
-            if t0 >= end:
-                _close_frame(open_frame[0], total, background, images)
-                open_frame[0] += 1
-                continue
-            a, b = max(t0, start), min(t1, end)
-            if b > a:
-                # Integral of the linear interpolation over [a, b], as weights of its two ends.
-                middle = (0.5 * (a + b) - t0) / (t1 - t0)
-                weight = (b - a) / exposure_s
-                _add(total, last_crop, last_x0, last_y0, background, weight * (1.0 - middle))
-                _add(total, luminance[k], x0_px[k], y0_px[k], background, weight * middle)
-            if t1 < end:
-                break
-            _close_frame(open_frame[0], total, background, images)
-            open_frame[0] += 1
-        last_s, last_x0, last_y0, last_crop = t1, x0_px[k], y0_px[k], luminance[k]
+        a, b = max(t0, start_s), min(t1, end_s)
+        if b > a:
+            # Integral of the linear interpolation over [a, b], as weights of its two ends.
+            middle = (0.5 * (a + b) - t0) / (t1 - t0)
+            weight = (b - a) / exposure_s
+            _add(total, last_crop, last_x0, last_y0, background, weight * (1.0 - middle))
+            _add(total, luminance[k], x0_px[k], y0_px[k], background, weight * middle)
+        if t1 >= end_s:
+            return k, True
+    return times_s.size, False
 
 
 @njit(cache=True, nogil=True)
@@ -136,12 +166,14 @@ def _add(total, crop, x0, y0, background, weight):  # type: ignore[no-untyped-de
 
 
 @njit(cache=True, nogil=True)
-def _close_frame(k, total, background, images):  # type: ignore[no-untyped-def]
-    """Write frame k where its light differs from the background's, and start anew."""
+def _develop(total, background, still, image):  # type: ignore[no-untyped-def]
+    """Write the image of all the light of an exposure, and start anew."""
     height, width = total.shape
     for y in range(height):
         for x in range(width):
-            if total[y, x] != 0.0:
-                light = min(max(background[y, x] + total[y, x], np.float32(0.0)), np.float32(1.0))
-                images[k, y, x] = np.uint8(np.rint(light * np.float32(255.0)))
-                total[y, x] = 0.0
+            if total[y, x] == 0.0:
+                image[y, x] = still[y, x]
+                continue
+            light = min(max(background[y, x] + total[y, x], np.float32(0.0)), np.float32(1.0))
+            image[y, x] = np.uint8(np.rint(light * np.float32(255.0)))
+            total[y, x] = 0.0

@@ -20,6 +20,9 @@ _BLOCK = 32  # pixels compared at once
 _SHOT_NOISE_DROP = 0.75  # of the dark rate, at full light (as in v2e)
 
 
+Columns = tuple[NDArray[np.int64], NDArray[np.uint16], NDArray[np.uint16], NDArray[np.uint8]]
+
+
 class EventBuffer:
     """Events as they are emitted, in columns that grow."""
 
@@ -36,9 +39,17 @@ class EventBuffer:
             *arguments, self.t_s, self.x, self.y, self.p, self.n
         )
 
-    def columns(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
-        """Return t [s], x, y and p of all events so far."""
-        return self.t_s[: self.n], self.x[: self.n], self.y[: self.n], self.p[: self.n]
+    def take(self, before_us: float) -> Columns:
+        """Take out the events before a time [us], infinity for all: t [us], x, y and p."""
+        n = self.n
+        t_us = np.rint(self.t_s[:n] * 1e6)
+        is_taken = t_us < before_us
+        x, y, p = self.x[:n][is_taken], self.y[:n][is_taken], self.p[:n][is_taken]
+        # Those that stay keep their order of emission.
+        self.n = n - len(x)
+        for column in (self.t_s, self.x, self.y, self.p):
+            column[: self.n] = column[:n][~is_taken]
+        return t_us[is_taken].astype(np.int64), x, y, p
 
 
 @njit(cache=True, nogil=True)

@@ -30,6 +30,9 @@ BUG = 3
 INTERRUPTED = 128 + 2
 """Ctrl-C, as shells count it: 128 and the signal's number."""
 
+TERMINATED = 128 + 15
+"""SIGTERM, which `kill`, `timeout` and job schedulers send, after what was half made is removed."""
+
 PIPE_CLOSED = 128 + 13
 """Whoever read our output stopped reading, as `head` does."""
 
@@ -53,7 +56,7 @@ def guarded(run: Callable[[], int], blames_input: tuple[type[Exception], ...] = 
     """
     faults_of_input: tuple[type[Exception], ...] = (SsacError, OSError, *blames_input)
     try:
-        with _insistent_interrupts():
+        with _insistent_interrupts(), _termination_that_tidies_up():
             code = run()
         sys.stdout.flush()
     except KeyboardInterrupt:
@@ -101,6 +104,23 @@ def _insistent_interrupts() -> Iterator[None]:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+@contextmanager
+def _termination_that_tidies_up() -> Iterator[None]:
+    """Leave the block as an exception does on SIGTERM, which else ends the process on the spot."""
+
+    def end(*_: object) -> None:
+        raise SystemExit(TERMINATED)
+
+    if signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL:
+        yield  # whoever started us has other wishes
+        return
+    signal.signal(signal.SIGTERM, end)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
 def _bug_line(error: Exception) -> str:

@@ -3,16 +3,15 @@
 Three layouts are read: ours (`events/t`, `x`, `y`, `p`; the sensor's width and height as attributes
 of the file or of `events`), DSEC's (the same datasets, times relative to the dataset `t_offset`,
 blosc compression) and Prophesee's (`CD/events`, size in the attribute `geometry`). All of them
-carry absolute time.
+carry absolute time. Ours and DSEC's are compressed with codecs of the package hdf5plugin.
 """
 
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 import h5py
-import hdf5plugin  # noqa: F401  its import registers blosc and other filters with h5py
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,11 +19,19 @@ from ssac.errors import SsacError
 from ssac.events import EVENT_DTYPE, EventFile, check_events, check_lengths, field_values
 from ssac.files.whole_file import whole_file
 
+with suppress(ImportError):  # then what needs it is refused
+    import hdf5plugin  # noqa: F401  its import registers blosc and other filters with h5py
+
 HDF5_SUFFIXES = (".h5", ".hdf5")
 FIELDS = ("t", "x", "y", "p")
 
 EVENTS_PER_BLOCK = 1 << 18
 """Events read at once: few enough to stay in the processor's cache until they are in place."""
+
+BYTES_PER_BLOCK = 1 << 24
+"""Frames read at once when each of them is summed up."""
+
+_PROPHESEE_ECF = 0x8ECF  # number of the codec of Prophesee's newer HDF5 files, not in hdf5plugin
 
 
 def load_events_h5(path: Path) -> EventFile:
@@ -37,6 +44,7 @@ def load_events_h5(path: Path) -> EventFile:
     """
     with _open_h5(path) as file:
         width, height = _sensor_size(file)
+        _check_codecs(file, ("CD/events", *(f"events/{field}" for field in FIELDS)), path)
         if "CD/events" in file:
             cd = file["CD/events"]
             events = _read_blocks(len(cd), cd.__getitem__, path)
@@ -57,19 +65,24 @@ def load_events_h5(path: Path) -> EventFile:
     return EventFile(events, width, height)
 
 
-def load_frames(path: Path | str) -> tuple[NDArray[np.int64], NDArray[np.uint8]] | None:
+def load_frames(
+    path: Path | str, summary: Callable[[NDArray[np.uint8]], NDArray[Any]] | None = None
+) -> tuple[NDArray[np.int64], NDArray[Any]] | None:
     """Read the intensity frames of a recording.
 
     Parameters
     ----------
     path
         Event file; only our HDF5 layout can hold frames, in `frames/t` and `frames/images`.
+    summary
+        What to keep of frames, (k, height, width) in, (k, ...) out: called with some at a time, so
+        that never all are in memory. They are kept as they are when None.
 
     Returns
     -------
     tuple of NDArray, or None
-        Times of mid-exposure, shape (n,) [us], and images, shape (n, height, width), uint8. None
-        when the file has no frames.
+        Times of mid-exposure, shape (n,) [us], and images, shape (n, height, width), uint8, or the
+        summaries of all. None when the file has no frames.
 
     Raises
     ------
@@ -82,17 +95,20 @@ def load_frames(path: Path | str) -> tuple[NDArray[np.int64], NDArray[np.uint8]]
     with _open_h5(path) as file:
         if "frames/t" not in file or "frames/images" not in file:
             return None
-        times_us, images = file["frames/t"][:], file["frames/images"][:]
-    if images.ndim != 3 or images.dtype != np.uint8 or times_us.shape != images.shape[:1]:
-        raise SsacError(
-            f"{path}: expected frames/images as (n, height, width) uint8 with n times in frames/t, "
-            f"got {images.shape} {images.dtype} and {times_us.shape} times: write the frames again"
-        )
-    if times_us.dtype.kind not in "iu" or np.any(np.diff(times_us.astype(np.int64)) <= 0):
-        raise SsacError(
-            f"{path}: frames/t must hold increasing whole microseconds: write the frames again"
-        )
-    return times_us.astype(np.int64), images
+        _check_codecs(file, ("frames/t", "frames/images"), path)
+        times_us, images = file["frames/t"][:], file["frames/images"]
+        if images.ndim != 3 or images.dtype != np.uint8 or times_us.shape != images.shape[:1]:
+            raise SsacError(
+                f"{path}: expected frames/images as (n, height, width) uint8 with n times in "
+                f"frames/t, got {images.shape} {images.dtype} and {times_us.shape} times: write "
+                "the frames again"
+            )
+        if times_us.dtype.kind not in "iu" or np.any(np.diff(times_us.astype(np.int64)) <= 0):
+            raise SsacError(
+                f"{path}: frames/t must hold increasing whole microseconds: write the frames again"
+            )
+        kept = images[:] if summary is None else _summarised(images, summary)
+    return times_us.astype(np.int64), kept
 
 
 def save_events_h5(
@@ -130,6 +146,39 @@ def _read_blocks(
     return events
 
 
+def _summarised(
+    images: h5py.Dataset, summary: Callable[[NDArray[np.uint8]], NDArray[Any]]
+) -> NDArray[Any]:
+    """Summaries of all frames; whole chunks are read at a time, as each is decoded as a whole."""
+    n, height, width = images.shape
+    per_chunk = images.chunks[0] if images.chunks else 1
+    step = per_chunk * max(1, BYTES_PER_BLOCK // max(1, per_chunk * height * width))
+    starts = range(0, max(n, 1), step)
+    return np.concatenate([summary(images[start : start + step]) for start in starts])
+
+
+def _check_codecs(file: h5py.File, names: tuple[str, ...], path: Path) -> None:
+    """Raise SsacError when a dataset is compressed with what this HDF5 library cannot read."""
+    for name in names:
+        dataset = file.get(name)
+        if not isinstance(dataset, h5py.Dataset):
+            continue
+        filters = dataset.id.get_create_plist()
+        for k in range(filters.get_nfilters()):
+            code, _, _, codec = filters.get_filter(k)
+            if not h5py.h5z.filter_avail(code):
+                remedy = (
+                    "install Prophesee's HDF5 plugin, or convert the file to RAW"
+                    if code == _PROPHESEE_ECF
+                    else "pip install hdf5plugin"
+                )
+                known_as = codec.decode(errors="replace").partition(";")[0] or "a codec"
+                raise SsacError(
+                    f"{path}: {name} is compressed with {known_as} (number {code}), which this "
+                    f"HDF5 library does not have: {remedy}"
+                )
+
+
 @contextmanager
 def _open_h5(path: Path) -> Iterator[h5py.File]:
     """Open an HDF5 file for reading; what the library cannot read becomes one SsacError."""
@@ -139,8 +188,7 @@ def _open_h5(path: Path) -> Iterator[h5py.File]:
     except OSError as error:
         raise SsacError(
             f"{path}: not a readable HDF5 file ({error}): copy or record it again if it is "
-            "truncated; if its codec is missing (Prophesee's ECF), install the codec's HDF5 plugin "
-            "or convert the file to RAW"
+            "truncated"
         ) from error
 
 

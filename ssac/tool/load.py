@@ -3,7 +3,9 @@
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
+from ssac.baselines.zncc_f import frame_means
 from ssac.camera import Camera, Rig
 from ssac.config import Config
 from ssac.errors import SsacError
@@ -100,7 +102,7 @@ def _load_camera(path: Path, camera: Camera, camera_name: str, method: Method) -
         check_events(file.events, camera.width, camera.height, f"{path} with {camera_name}")
     if method.input is not Input.FRAMES:
         return Observation(file.events)
-    frames = load_frames(path)
+    frames = load_frames(path, _pixels_of_mean if method.takes_means else None)
     if frames is None or len(frames[0]) == 0:
         raise SsacError(
             f"{path}: {method.name} compares intensity frames, and the file has none: use a "
@@ -108,6 +110,11 @@ def _load_camera(path: Path, camera: Camera, camera_name: str, method: Method) -
         )
     times_us, images = frames
     return Observation(file.events, images, times_us / US_PER_S)
+
+
+def _pixels_of_mean(frames: NDArray[np.uint8]) -> NDArray[np.float64]:
+    """Means of frames (n, height, width), as images of one pixel (n, 1, 1)."""
+    return frame_means(frames)[:, None, None]
 
 
 def _span_s(camera: Observation, method: Method) -> tuple[float, float]:

@@ -65,14 +65,19 @@ def test_exit_codes(error, code, said, monkeypatch, capsys, tmp_path):
 
 
 @pytest.mark.render
-def test_an_interrupted_simulation_is_one_line_and_shows_no_bar(tmp_path):
+@pytest.mark.parametrize(
+    ("number", "said", "code"), [(signal.SIGINT, "interrupted\n", 130), (signal.SIGTERM, "", 143)]
+)
+def test_an_interrupted_simulation_leaves_nothing(tmp_path, number, said, code):
+    """One line at most, no bar, and none of what was written until then."""
     command = [sys.executable, "-m", "experiments", "simulate", "out", "--duration", "60"]
     process = subprocess.Popen(
         command, cwd=tmp_path, stderr=subprocess.PIPE, text=True,
         env=os.environ | {"PYTHONPATH": os.getcwd()},
     )  # fmt: skip
-    time.sleep(4.0)  # while it imports or simulates: either way it must be one line
-    process.send_signal(signal.SIGINT)
-    assert process.communicate(timeout=120)[1] == "interrupted\n"
-    assert process.returncode == 130
-    assert not (tmp_path / "out").exists()
+    while process.poll() is None and not list(tmp_path.glob("*/cam1.h5")):
+        time.sleep(0.1)
+    process.send_signal(number)
+    assert process.communicate(timeout=120)[1] == said
+    assert process.returncode == code
+    assert list(tmp_path.iterdir()) == []

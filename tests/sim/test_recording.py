@@ -8,11 +8,12 @@ import trimesh
 from numpy.typing import NDArray
 
 from sim.errors import SimError
-from sim.recording import Recording, SimConfig, simulate, with_time_offset
+from sim.recording import Recording, SimConfig, simulate, stream, with_time_offset
 from sim.render.config import RenderConfig
 from sim.render.instants import SamplingConfig
 from sim.render.lattice import Lattice
 from sim.scene.drone import drone_from_file
+from sim.scene.rig import Camera
 from sim.scene.trajectory import SplineConfig, random_spline, trajectory_to_csv
 from sim.sensor.events import PRESETS
 from sim.sensor.frames import FrameConfig
@@ -240,6 +241,45 @@ def test_progress_goes_from_0_to_1() -> None:
     assert seen[-1] == 1.0
     assert all(a <= b for a, b in pairwise(seen))
     assert min(seen) >= 0.0
+
+
+def test_what_is_recorded_is_handed_on_meanwhile() -> None:
+    """Frames one by one, events in order; little of either is left for the end of a camera."""
+    calls: list[tuple[str, str, int]] = []
+
+    class Images:
+        def __init__(self, name: str) -> None:
+            self.name = name
+
+        def __setitem__(self, k: int, image: NDArray[np.uint8]) -> None:
+            calls.append((self.name, "frame", k))
+
+    class CountingSink:
+        def __init__(self, camera: Camera, times_us: NDArray[np.int64], exposure_s: float) -> None:
+            self.name, self.n_frames, self.last_us = camera.name, len(times_us), -1
+            self.images = Images(camera.name)
+
+        def add(self, events: NDArray[np.void]) -> None:
+            assert (np.diff(events["t"], prepend=self.last_us) >= 0).all()
+            self.last_us = events["t"][-1] if len(events) else self.last_us
+            calls.append((self.name, "events", len(events)))
+
+        def close(self) -> None:
+            calls.append((self.name, "close", self.n_frames))
+
+    config = replace(QUICK, frames=FrameConfig(50.0))
+    flight, whole = stream(config, 1, CountingSink), simulate(config, 1)
+    assert flight.n_instants == whole.flight.n_instants
+    assert [name for name, what, _ in calls if what == "close"] == ["cam1", "cam2"]
+    for camera in whole.cameras:
+        mine = [call[1:] for call in calls if call[0] == camera.camera.name]
+        assert [k for what, k in mine if what == "frame"] == list(range(50))
+        batches = [n for what, n in mine if what == "events"]
+        assert sum(batches) == len(camera.events)
+        assert max(batches) < 0.5 * sum(batches)
+        first_events = mine.index(next(call for call in mine if call[0] == "events"))
+        assert ("frame", 49) in mine[first_events:]
+        assert mine[-1] == ("close", 50)
 
 
 def test_the_backend_is_recorded() -> None:

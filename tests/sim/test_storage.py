@@ -10,18 +10,29 @@ from scipy.spatial.transform import Rotation
 
 import sim.storage
 from sim.errors import SimError
-from sim.recording import CameraRecording, Recording, Truth
+from sim.recording import CameraRecording, Recording, SimConfig, Truth, simulate
+from sim.render.config import RenderConfig
 from sim.render.gl_context import GLContext
+from sim.render.instants import SamplingConfig
+from sim.render.lattice import Lattice
 from sim.render.renderer import RenderCheck
 from sim.scene.rig import two_view_rig
-from sim.sensor.events import EVENT_DTYPE
+from sim.scene.trajectory import SplineConfig
+from sim.sensor.events import EVENT_DTYPE, PRESETS
 from sim.sensor.frames import Frames
-from sim.storage import check_out_dir, save_events_text, save_recording
+from sim.storage import check_out_dir, record, save_events_text, save_recording
 from ssac.files.event_files import load_events, load_frames
 from ssac.files.rigs import load_rig
 
 T_D_S = 0.05
 PROVENANCE = {"seed": 3, "angle_deg": 70.0}
+# A second of a coarse recording: 60 ms.
+QUICK = SimConfig(
+    t_d_s=T_D_S,
+    spline=SplineConfig(duration_s=1.0),
+    sampling=SamplingConfig(max_step_px=1.0),
+    render=RenderConfig(Lattice(3, 1)),
+)
 
 
 def made_up_recording(
@@ -68,8 +79,8 @@ def test_the_same_recording_gives_the_same_bytes(tmp_path: Path) -> None:
     }
 
 
-@pytest.mark.parametrize("n_events", [0, 1, 5000, 70_000])
-@pytest.mark.parametrize("n_frames", [0, 3])
+@pytest.mark.parametrize("n_events", [0, 1, 5000, 65_536, 140_000])
+@pytest.mark.parametrize("n_frames", [0, 1, 16, 35])
 def test_hdf5_is_read_back(tmp_path: Path, n_events: int, n_frames: int) -> None:
     recording = made_up_recording(n_events, n_frames)
     save_recording(recording, tmp_path / "out", {})
@@ -113,7 +124,7 @@ def test_esim_text_is_read_back(tmp_path: Path, first_us: int) -> None:
 
 
 def test_esim_text_without_events(tmp_path: Path) -> None:
-    save_events_text(made_up_recording(0).cameras[0], tmp_path / "cam1.txt")
+    save_events_text(made_up_recording(0).rig.cameras[0], [], tmp_path / "cam1.txt")
     assert (tmp_path / "cam1.txt").read_text() == "346 260\n"
 
 
@@ -170,11 +181,42 @@ def test_the_truth_is_complete(tmp_path: Path) -> None:
     assert truth["cameras"]["cam1"]["drone_px"][7] == [None, None]
 
 
+@pytest.mark.parametrize("at_once", [1, 7, 70, 1000])
+def test_many_large_frames_are_not_waiting_for_each_other(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at_once: int
+) -> None:
+    """However few of them fit what may be in memory, they are the same frames."""
+    monkeypatch.setattr(sim.storage, "_MAX_CHUNK_BYTES", at_once * 260 * 346 // 4)
+    recording = made_up_recording(n_frames=5)
+    save_recording(recording, tmp_path / "out", {})
+    with h5py.File(tmp_path / "out" / "cam1.h5") as file:
+        images = file["frames/images"]
+        assert images.chunks[0] == min(max(at_once // 4, 1), 5)
+        np.testing.assert_array_equal(images[:], recording.cameras[0].frames.images)
+
+
+@pytest.mark.render
+@pytest.mark.parametrize("preset", PRESETS)
+def test_what_is_recorded_meanwhile_is_what_was_simulated_before(
+    tmp_path: Path, preset: str
+) -> None:
+    config = replace(QUICK, sensor=PRESETS[preset])
+    recording = simulate(config, 3)
+    save_recording(recording, tmp_path / "after", PROVENANCE, text=True)
+    recorded = record(config, 3, tmp_path / "meanwhile", PROVENANCE, text=True)
+    assert contents(tmp_path / "meanwhile") == contents(tmp_path / "after")
+    assert recorded.n_events == tuple(len(camera.events) for camera in recording.cameras)
+    assert recorded.n_frames == (50, 50)
+    assert recorded.flight.n_instants == recording.n_instants
+
+
 # --- All or nothing ----------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("error", [OSError("No space left on device"), KeyboardInterrupt()])
-@pytest.mark.parametrize("step", ["_save_camera", "save_events_text", "kalibr_yaml", "_truth"])
+@pytest.mark.parametrize(
+    "step", ["_ImageChunks", "_regrouped", "save_events_text", "kalibr_yaml", "_truth"]
+)
 @pytest.mark.parametrize("out", ["new", "empty", "a/b/new"])
 def test_nothing_is_left_of_a_recording_that_cannot_be_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: BaseException, step: str, out: str
@@ -189,6 +231,39 @@ def test_nothing_is_left_of_a_recording_that_cannot_be_written(
     with pytest.raises(expected):
         save_recording(made_up_recording(50, 1), tmp_path / out, {}, text=True)
     assert [str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*")] == ["empty"]
+
+
+@pytest.mark.render
+@pytest.mark.parametrize("error", [SimError("no"), KeyboardInterrupt()])
+@pytest.mark.parametrize("done", [0.3, 0.8, 1.0])
+def test_nothing_is_left_of_a_simulation_that_ends_early(
+    tmp_path: Path, error: BaseException, done: float
+) -> None:
+    out = tmp_path / "out"
+
+    def stop(share: float) -> None:
+        assert not out.exists()
+        if share >= done:
+            assert [path.suffix for path in tmp_path.iterdir()] == [".partial"]
+            raise error
+
+    with pytest.raises(type(error)):
+        record(QUICK, 1, out, {}, text=True, progress=stop)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.render
+def test_a_folder_that_was_filled_meanwhile_is_left_alone(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+
+    def fill(share: float) -> None:
+        out.mkdir(exist_ok=True)
+        (out / "notes.txt").write_text("mine")
+
+    with pytest.raises(SimError, match="is not empty: name a new folder"):
+        record(QUICK, 1, out, {}, progress=fill)
+    assert contents(out) == {"notes.txt": b"mine"}
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
 def test_the_reason_is_told(tmp_path: Path) -> None:

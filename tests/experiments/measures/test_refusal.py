@@ -97,14 +97,14 @@ def test_every_method_is_judged_on_every_kind_of_a_flight(kind):
 
 @pytest.mark.render
 def test_a_flight_on_a_path_of_its_own_is_simulated_once(tmp_path, monkeypatch):
-    simulated, simulate = [], cache.simulate
+    simulated, record = [], cache.record
 
-    def counted(config, seed):
+    def counted(config, seed, *rest):
         simulated.append(config.trajectory_file)
         coarse = replace(config.sampling, max_step_px=2.0)
-        return simulate(replace(config, sampling=coarse), seed)
+        return record(replace(config, sampling=coarse), seed, *rest)
 
-    monkeypatch.setattr(cache, "simulate", counted)
+    monkeypatch.setattr(cache, "record", counted)
     config = flight_config("circle", 90.0)
     first = flight_of("circle", config, 5, Cache(tmp_path))
     again = flight_of("circle", config, 5, Cache(tmp_path))

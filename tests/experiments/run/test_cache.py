@@ -76,12 +76,12 @@ def test_another_version_of_a_package_is_another_key(monkeypatch, packages):
 def test_a_recording_is_simulated_once_and_kept_as_a_whole(tmp_path, monkeypatch):
     calls = []
 
-    def counted(config, seed):
+    def counted(config, seed, *rest):
         calls.append((config, seed))
-        return simulate(config, seed)
+        return record(config, seed, *rest)
 
-    simulate = module.simulate
-    monkeypatch.setattr(module, "simulate", counted)
+    record = module.record
+    monkeypatch.setattr(module, "record", counted)
     spline = replace(SimConfig().spline, duration_s=0.5)
     config = SimConfig(t_d_s=0.3, spline=spline)
     cache = Cache(tmp_path / "cache")

@@ -13,6 +13,7 @@ import pytest
 import sim.render.gl_atlas
 import sim.render.gl_context
 import sim.render.native
+import sim.render.renderer
 from sim.errors import SimError
 from sim.render.config import RENDERERS, RenderConfig
 from sim.render.footprint import footprint
@@ -21,6 +22,7 @@ from sim.render.lattice import Lattice
 from sim.render.renderer import Renderer
 from sim.scene.drone import Drone, quadrotor
 from sim.scene.rig import Camera
+from sim.scene.trajectory import PosesAt, SplineConfig, random_spline
 from tests.sim.scenes import (
     LENSES,
     Array,
@@ -196,6 +198,27 @@ def test_batches_do_not_show(lens: str, monkeypatch: pytest.MonkeyPatch) -> None
         again = rendered(drone, camera, times_s, T_W_B, background, BRIGHT)
         np.testing.assert_array_equal(again[inside], whole[inside])
         assert (again != whole).sum() <= 1  # cut edges: see test_same_pixels_where_the_image_ends
+
+
+def test_planning_a_part_at_a_time_gives_the_same_batches(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And poses may be worked out as they are asked for."""
+    camera = make_camera("none", HALF_VGA)
+    trajectory = random_spline(SplineConfig(duration_s=2.0), np.random.default_rng(3))
+    times_s = np.linspace(0.0, 2.0, 500)
+    background = grey(camera)
+    monkeypatch.setattr(sim.render.renderer, "MAX_INSTANCES", 20)
+    monkeypatch.setattr(sim.render.native, "BATCH", 20)
+    with Renderer(QUADROTOR, RenderConfig(Lattice(2, 1), check=False)) as renderer:
+        T_W_B = trajectory.poses(times_s)
+        at_once = list(renderer.crops(camera, times_s, T_W_B, background))
+        for n in (21, 27, 64, 499):
+            monkeypatch.setattr(sim.render.renderer, "PLANNED_AT_ONCE", n)
+            poses = PosesAt(trajectory, times_s)
+            in_parts = list(renderer.crops(camera, times_s, poses, background))
+            for one, other in zip(at_once, in_parts, strict=True):
+                np.testing.assert_array_equal(one.times_s, other.times_s)
+                np.testing.assert_array_equal(one.luminance, other.luminance)
+    assert len(at_once) >= 25
 
 
 @pytest.mark.usefixtures("each_renderer")

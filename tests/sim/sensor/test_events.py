@@ -266,6 +266,25 @@ def test_one_feed_or_many(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize("step_s", [1e-3, 0.7e-6])
+def test_events_may_be_taken_as_they_settle(name: str, step_s: float) -> None:
+    """Also where many instants, and so feeds, fall into one microsecond."""
+    config = PRESETS[name]
+    video, times_s = smooth_video(50, 12, 15), step_s * np.arange(50)
+    whole = events_from_frames(video, times_s, config, rng(1))
+    sensor, taken = Sensor(config, video[0], 0.0, rng(1)), []
+    for k in range(1, 50):
+        sensor.feed(times_s[k : k + 1], ZERO, ZERO, video[k : k + 1])
+        taken.append(sensor.take_settled())
+        if len(taken[-1]):
+            assert taken[-1]["t"][-1] < np.rint(1e6 * times_s[k])
+    taken.append(sensor.finish(times_s[-1]))
+    np.testing.assert_array_equal(np.concatenate(taken), whole)
+    left_for_the_end = len(taken[-1]) / len(whole)
+    assert (left_for_the_end < 0.2) == config.is_ideal_in_time
+
+
+@pytest.mark.parametrize("name", PRESETS)
 def test_a_start_that_is_not_the_background(name: str) -> None:
     """The drone is in view from the first instant on, and then gone."""
     wall = smooth_video(1, 20, 25, 4)[0]

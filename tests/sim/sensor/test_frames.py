@@ -3,7 +3,7 @@ import pytest
 from numpy.typing import NDArray
 
 from sim.errors import SimError
-from sim.sensor.frames import FrameConfig, FrameExposer, Frames
+from sim.sensor.frames import FrameConfig, FrameExposer, Frames, frame_times_us
 
 CODE = 1.0 / 255.0
 
@@ -16,11 +16,22 @@ def expose(
 ) -> Frames:
     """Feed whole images, one by one."""
     still = np.zeros(video.shape[1:], np.float32) if background is None else background
-    exposer = FrameExposer(config, still, float(times_s[-1]))
+    exposer, frames = exposer_in_memory(config, still, float(times_s[-1]))
     zero = np.zeros(1, np.int64)
     for time_s, image in zip(times_s, video, strict=True):
         exposer.feed(np.array([time_s]), zero, zero, np.ascontiguousarray(image[None]))
-    return exposer.finish()
+    exposer.finish()
+    return frames
+
+
+def exposer_in_memory(
+    config: FrameConfig, background: NDArray[np.float32], duration_s: float
+) -> tuple[FrameExposer, Frames]:
+    """Frames that are filled in as they are exposed; no value stays as it is."""
+    times_us = frame_times_us(config, duration_s)
+    images = np.full((len(times_us), *background.shape), 77, np.uint8)
+    exposer = FrameExposer(config, background, len(times_us), images)
+    return exposer, Frames(times_us, images, config.exposure_s)
 
 
 def uneven_times(n: int, end_s: float, seed: int = 0) -> NDArray[np.float64]:
@@ -113,7 +124,7 @@ def test_crops_and_gaps_show_the_background() -> None:
     for k in (*range(20, 60), *range(110, 150)):
         video[k, 4 + k % 7 : 12, 3 + k % 9 : 18] = 0.1
     whole = expose(FrameConfig(50.0, 0.012), video, times_s, background)
-    exposer = FrameExposer(FrameConfig(50.0, 0.012), background, 0.4)
+    exposer, cropped = exposer_in_memory(FrameConfig(50.0, 0.012), background, 0.4)
     near = [k for k in range(n) if (video[max(k - 1, 0) : k + 2] != background).any()]
     batches = np.split(near, [11, 12, 42, 70])
     for batch, (x0, y0, x1, y1) in zip(
@@ -125,7 +136,7 @@ def test_crops_and_gaps_show_the_background() -> None:
             times_s[batch], np.full(size, x0), np.full(size, y0),
             np.ascontiguousarray(video[batch, y0:y1, x0:x1]),
         )  # fmt: skip
-    cropped = exposer.finish()
+    exposer.finish()
     # Sums in float32, of other terms: a value near a half code may round the other way.
     difference = np.abs(cropped.images.astype(int) - whole.images)
     assert difference.max() <= 1
@@ -143,12 +154,36 @@ def test_frames_do_not_depend_on_who_owns_the_crops() -> None:
     times_s = np.linspace(0.0, 0.1, 21)
     light = np.linspace(0.0, 1.0, 21, dtype=np.float32)
     expected = expose(FrameConfig(50.0, 0.02), light[:, None, None], times_s)
-    exposer = FrameExposer(FrameConfig(50.0, 0.02), np.zeros((1, 1), np.float32), 0.1)
+    exposer, frames = exposer_in_memory(FrameConfig(50.0, 0.02), np.zeros((1, 1), np.float32), 0.1)
     crop, zero = np.empty((1, 1, 1), np.float32), np.zeros(1, np.int64)
     for time_s, value in zip(times_s, light, strict=True):
         crop[:] = value
         exposer.feed(np.array([time_s]), zero, zero, crop)
-    np.testing.assert_array_equal(exposer.finish().images, expected.images)
+    exposer.finish()
+    np.testing.assert_array_equal(frames.images, expected.images)
+
+
+@pytest.mark.parametrize("batch", [1, 7, 201])
+def test_a_frame_is_handed_on_as_its_exposure_closes(batch: int) -> None:
+    """Once, in order, and before anything later is looked at; a gap closes many at a time."""
+    taken: list[int] = []
+
+    class Images:
+        def __setitem__(self, k: int, image: NDArray[np.uint8]) -> None:
+            taken.append(k)
+
+    config, end_s = FrameConfig(50.0, 0.005), 2.0
+    times_s = np.concatenate([uneven_times(100, 0.8), 1.2 + uneven_times(101, 0.8, seed=1)])
+    n = len(frame_times_us(config, end_s))
+    exposer = FrameExposer(config, np.zeros((2, 3), np.float32), n, Images())
+    for first in range(0, len(times_s), batch):
+        some_s = times_s[first : first + batch]
+        zero = np.zeros(len(some_s), np.int64)
+        exposer.feed(some_s, zero, zero, np.full((len(some_s), 2, 3), 0.5, np.float32))
+        closed = int(np.count_nonzero(np.arange(n) / 50.0 + 0.005 <= some_s[-1]))
+        assert taken == list(range(closed))
+    exposer.finish()
+    assert taken == list(range(n))
 
 
 @pytest.mark.parametrize("rate_hz", [-1.0, np.nan, np.inf])

@@ -126,6 +126,7 @@ def test_an_interrupt_that_an_import_swallows_comes_again():
 
 
 def test_the_signals_of_the_caller_are_left_as_they_were():
-    before = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGALRM)
+    numbers = (signal.SIGINT, signal.SIGALRM, signal.SIGTERM)
+    before = [signal.getsignal(number) for number in numbers]
     guarded(raising(KeyboardInterrupt()))
-    assert (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGALRM)) == before
+    assert [signal.getsignal(number) for number in numbers] == before

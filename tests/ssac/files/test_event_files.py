@@ -1,4 +1,6 @@
 import os
+import subprocess
+import sys
 import tracemalloc
 import warnings
 
@@ -11,6 +13,7 @@ from faery.file_encoder import events_to_file
 
 from ssac.errors import SsacError
 from ssac.events import EVENT_DTYPE, EventFile, events_from_arrays
+from ssac.files import hdf5
 from ssac.files.event_files import (
     load_events,
     load_frames,
@@ -325,3 +328,68 @@ def test_unusable_frames_are_refused(tmp_path, times_us, images, message):
     _write_frames(tmp_path / "cam1.h5", times_us, images)
     with pytest.raises(SsacError, match=message):
         load_frames(tmp_path / "cam1.h5")
+
+
+def test_frames_may_be_summed_up_a_few_at_a_time(tmp_path, monkeypatch):
+    images = np.random.default_rng(0).integers(0, 256, (23, HEIGHT, WIDTH)).astype(np.uint8)
+    path = tmp_path / "cam1.h5"
+    _write_h5(path, _random_events())
+    with h5py.File(path, "a") as file:
+        file["frames/t"] = 20_000 * np.arange(23)
+        file.create_dataset("frames/images", data=images, chunks=(4, HEIGHT, WIDTH))
+    monkeypatch.setattr(hdf5, "BYTES_PER_BLOCK", 9 * HEIGHT * WIDTH)
+    sizes = []
+
+    def largest(some):
+        sizes.append(len(some))
+        return some.max(axis=(1, 2))
+
+    times_us, summaries = load_frames(path, largest)
+    np.testing.assert_array_equal(times_us, 20_000 * np.arange(23))
+    np.testing.assert_array_equal(summaries, images.max(axis=(1, 2)))
+    assert sizes == [8, 8, 7]  # whole chunks
+
+
+_READ_WITHOUT_THE_PLUGIN = """
+import sys
+sys.modules["hdf5plugin"] = None
+from ssac.errors import SsacError
+from ssac.files.event_files import load_events, load_frames
+print(len(load_events(sys.argv[1]).events))
+for load in (load_events, load_frames):
+    try:
+        load(sys.argv[2])
+    except SsacError as error:
+        print(error)
+"""
+
+
+def test_a_codec_that_is_not_installed_is_named_with_its_package(tmp_path):
+    events = _random_events()
+    plain, ours = tmp_path / "plain.h5", tmp_path / "ours.h5"
+    _write_h5(plain, events)
+    with h5py.File(ours, "w") as file:
+        for field in ("t", "x", "y", "p"):
+            file.create_dataset(f"events/{field}", data=events[field], **hdf5plugin.Blosc())
+        file["frames/t"] = [0]
+        file.create_dataset("frames/images", shape=(1, 4, 5), dtype="u1", **hdf5plugin.Zstd())
+    command = [sys.executable, "-c", _READ_WITHOUT_THE_PLUGIN, plain, ours]
+    result = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert result.stdout.splitlines() == [
+        str(len(events)),
+        f"{ours}: events/t is compressed with blosc (number 32001), which this HDF5 library does "
+        "not have: pip install hdf5plugin",
+        f"{ours}: frames/images is compressed with HDF5 zstd filter (number 32015), which this "
+        "HDF5 library does not have: pip install hdf5plugin",
+    ]
+
+
+def test_prophesees_own_codec_is_not_in_that_package(tmp_path, monkeypatch):
+    path = tmp_path / "cam1.h5"
+    events = _random_events()
+    with h5py.File(path, "w") as file:
+        file.create_dataset("CD/events", data=events, **hdf5plugin.Blosc())
+    monkeypatch.setattr(hdf5, "_PROPHESEE_ECF", 32001)
+    monkeypatch.setattr(h5py.h5z, "filter_avail", lambda code: False)
+    with pytest.raises(SsacError, match="install Prophesee's HDF5 plugin, or convert the file"):
+        load_events(path)
