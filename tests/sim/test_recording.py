@@ -7,6 +7,7 @@ import pytest
 import trimesh
 from numpy.typing import NDArray
 
+import sim.render.native
 from sim.errors import SimError
 from sim.recording import Recording, SimConfig, simulate, stream, with_time_offset
 from sim.render.config import RenderConfig
@@ -243,7 +244,8 @@ def test_progress_goes_from_0_to_1() -> None:
     assert min(seen) >= 0.0
 
 
-def test_what_is_recorded_is_handed_on_meanwhile() -> None:
+def test_what_is_recorded_is_handed_on_meanwhile(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sim.render.native, "BATCH", 32)  # of the few instants that there are
     """Frames one by one, events in order; little of either is left for the end of a camera."""
     calls: list[tuple[str, str, int]] = []
 
