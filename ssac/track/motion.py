@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssac.camera import Camera, undistortion_map
+from ssac.track.denoise import chosen_events, of_pixels
 
 _EVENTS_PER_SLICE = 16
 
@@ -191,21 +192,15 @@ def object_motion(
     ObjectMotion
         To be sampled with `at`.
     """
-    ideal = None if camera.distortion_model == "none" else undistortion_map(camera)
-    if ideal is not None:
-        known = np.isfinite(ideal[..., 0])[events["y"], events["x"]]
-        events = events if known.all() else events[known]
-    x, y = events["x"], events["y"]
-    on_border = (x < border_px) | (x >= camera.width - border_px)
-    on_border |= (y < border_px) | (y >= camera.height - border_px)
+    ideal = None
+    if camera.distortion_model != "none":
+        ideal = undistortion_map(camera)
+        known = of_pixels(np.isfinite(ideal[..., 0]), events["x"], events["y"])
+        events = events if known.all() else chosen_events(events, known)
     times_us = np.ascontiguousarray(events["t"])
-    border_sums = np.zeros(len(events) + 1, np.int32)
-    np.cumsum(on_border, dtype=np.int32, out=border_sums[1:])
-    # Column by column, so that no second copy of the coordinates stands in memory beside the sums.
-    position_sums_px = np.zeros((len(events) + 1, 2))
-    for axis, raw in enumerate((x, y)):
-        position_px = raw if ideal is None else ideal[y, x, axis]
-        np.cumsum(position_px, dtype=np.float64, out=position_sums_px[1:, axis])
+    position_sums_px, border_sums = _sums(
+        events["x"], events["y"], ideal, camera.width, camera.height, border_px
+    )
     slice_bits, slice_starts = _slices(times_us)
     return ObjectMotion(
         times_us,
@@ -230,6 +225,37 @@ def _slices(times_us: NDArray[np.int64]) -> tuple[int, NDArray[np.int32]]:
         bits += 1
     bounds_us = times_us[0] + (np.arange(1, (length_us >> bits) + 1, dtype=np.int64) << bits)
     return bits, np.concatenate([[0], np.searchsorted(times_us, bounds_us), [n]]).astype(np.int32)
+
+
+@numba.njit(cache=True)
+def _sums(
+    x: NDArray[np.uint16],
+    y: NDArray[np.uint16],
+    ideal: NDArray[np.float64] | None,
+    width: int,
+    height: int,
+    border_px: int,
+) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Sum up positions (n + 1, 2) [px], and the events on the border (n + 1,), before each event.
+
+    The last sums are of all. Where each pixel is imaged without distortion is in `ideal` (height,
+    width, 2); None: where it is. One pass, without other arrays as long as the events.
+    """
+    n = len(x)
+    position_sums_px, border_sums = np.zeros((n + 1, 2)), np.zeros(n + 1, np.int32)
+    for i in range(n):
+        column, row = np.int64(x[i]), np.int64(y[i])
+        if ideal is None:
+            position_sums_px[i + 1, 0] = position_sums_px[i, 0] + column
+            position_sums_px[i + 1, 1] = position_sums_px[i, 1] + row
+        else:
+            for axis in range(2):
+                position_sums_px[i + 1, axis] = position_sums_px[i, axis] + ideal[row, column, axis]
+        is_inside = (border_px <= column < width - border_px) and (
+            border_px <= row < height - border_px
+        )
+        border_sums[i + 1] = border_sums[i] + (not is_inside)
+    return position_sums_px, border_sums
 
 
 @numba.njit(cache=True)
