@@ -14,6 +14,13 @@ from numpy.typing import NDArray
 from ssac.camera import Camera, undistortion_map
 from ssac.track.denoise import chosen_events, of_pixels
 
+TIE_US = 1e-3
+"""Far more than times in seconds lose by rounding, far less than lies between even samples.
+
+Even samples often fall half-way between two microseconds, or on an event. Which one they are taken
+for must not depend on the clock's zero.
+"""
+
 _EVENTS_PER_SLICE = 16
 
 
@@ -137,10 +144,8 @@ class ObjectMotion:
 
     def _indices(self, times_s: NDArray[np.float64], side: int) -> NDArray[np.intp]:
         """Index of the first event at or after each time, moved by -1, 0 or +1 half-windows."""
-        times_us = np.rint((times_s + side * self.half_window_s) * 1e6).astype(np.int64)
-        indices = _first_from_each(
-            times_us.ravel(), self.times_us, self.slice_bits, self.slice_starts
-        )
+        wanted_s = (times_s + side * self.half_window_s).ravel()
+        indices = _first_from_each(wanted_s, self.times_us, self.slice_bits, self.slice_starts)
         return indices.reshape(times_s.shape)
 
     def _mean_positions(
@@ -259,6 +264,12 @@ def _sums(
 
 
 @numba.njit(cache=True)
+def _whole_us(time_s: float) -> np.int64:
+    """Round a time to whole microseconds; up, where it is half-way."""
+    return np.int64(np.floor(1e6 * time_s + (0.5 + TIE_US)))
+
+
+@numba.njit(cache=True)
 def _first_from(
     time_us: np.int64,
     times_us: NDArray[np.int64],
@@ -288,14 +299,14 @@ def _first_from(
 
 @numba.njit(cache=True)
 def _first_from_each(
-    wanted_us: NDArray[np.int64],
+    wanted_s: NDArray[np.float64],
     times_us: NDArray[np.int64],
     slice_bits: int,
     slice_starts: NDArray[np.int32],
 ) -> NDArray[np.intp]:
-    indices = np.empty(len(wanted_us), np.intp)
-    for i in range(len(wanted_us)):
-        indices[i] = _first_from(wanted_us[i], times_us, slice_bits, slice_starts)
+    indices = np.empty(len(wanted_s), np.intp)
+    for i in range(len(wanted_s)):
+        indices[i] = _first_from(_whole_us(wanted_s[i]), times_us, slice_bits, slice_starts)
     return indices
 
 
@@ -317,8 +328,8 @@ def _window_sums(
     means = np.empty((n, 2))
     counts, on_border = np.empty(n, np.int64), np.empty(n, np.int64)
     for i in range(n):
-        start_us = np.int64(np.rint((middles_s[i] - half_window_s) * 1e6))
-        end_us = np.int64(np.rint((middles_s[i] + half_window_s) * 1e6))
+        start_us = _whole_us(middles_s[i] - half_window_s)
+        end_us = _whole_us(middles_s[i] + half_window_s)
         first = _first_from(start_us, times_us, slice_bits, slice_starts)
         last = _first_from(end_us, times_us, slice_bits, slice_starts)
         counts[i] = last - first

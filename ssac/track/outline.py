@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter1d
 
 from ssac.geometry.pencil import Pencil
-from ssac.track.motion import ObjectMotion
+from ssac.track.motion import TIE_US, ObjectMotion
 from ssac.track.outline_kernels import (
     above_limit,
     angles_from_course,
@@ -209,7 +209,7 @@ class _Blocks:
         padding = max(round(1e6 * longest_s / length_us), 1)
         numbers = np.arange(-padding, _BLOCKS_PER_STEP * (n - 1) + padding + 1)
         edges_us = 1e6 * times_s[0] + length_us * numbers
-        bounds = np.searchsorted(events_us, edges_us)
+        bounds = np.searchsorted(events_us, edges_us - TIE_US)
         return _Blocks(events_us, times_s, padding, edges_us, bounds)
 
     def at_edges(self, values: Array) -> Array:

@@ -11,6 +11,12 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
+_TIE = 1e-12
+"""Differences of tangents that rounding may make: the earlier event then counts as the higher.
+
+Two events of one instant on one epipolar line are a tie, as such a line may be a row of pixels.
+"""
+
 
 @numba.njit(cache=True, error_model="numpy")
 def angles_from_course(
@@ -74,9 +80,9 @@ def outermost_from_course(
             y = position_sums_px[k + 1, 1] - position_sums_px[k, 1]
             value = _tangent(x, y, times_us[k] - edges_us[i], line, sine, cosine)
             out[k] = value
-            if value > tops[0, i, depth - 1]:
+            if value > tops[0, i, depth - 1] + _TIE:
                 _insert(value, k, tops[0, i], at[0, i])
-            if -value > tops[1, i, depth - 1]:
+            if -value > tops[1, i, depth - 1] + _TIE:
                 _insert(-value, k, tops[1, i], at[1, i])
     return out, tops, at
 
@@ -121,7 +127,7 @@ def highest_in_blocks(
     tops, at = np.full((n, depth), -np.inf), np.zeros((n, depth), np.intp)
     for i in range(n):
         for k in range(bounds[i], bounds[i + 1]):
-            if side * values[k] > tops[i, depth - 1]:
+            if side * values[k] > tops[i, depth - 1] + _TIE:
                 _insert(side * values[k], k, tops[i], at[i])
     return tops, at
 
@@ -149,7 +155,7 @@ def ranked_in_windows(
         top[:] = -np.inf
         for block in range(firsts[i], firsts[i] + length):
             for j in range(tops.shape[1]):
-                if not tops[block, j] > top[deeper_rank]:
+                if not tops[block, j] > top[deeper_rank] + _TIE:
                     break
                 _insert(tops[block, j], at[block, j], top, top_at)
         if top[deeper_rank] > -np.inf:
@@ -161,7 +167,7 @@ def ranked_in_windows(
 def _insert(value: float, index: int, top: Array, at: Indices) -> None:
     """Put a value in its place among the descending ones; the last is lost."""
     j = len(top) - 1
-    while j > 0 and top[j - 1] < value:
+    while j > 0 and top[j - 1] < value - _TIE:
         top[j], at[j] = top[j - 1], at[j - 1]
         j -= 1
     top[j], at[j] = value, index
