@@ -1,6 +1,6 @@
 """What every method gives: an offset, a pose, and how far they are to be relied upon."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 
 import numpy as np
@@ -102,6 +102,16 @@ class Estimate:
     def t_std_deg(self) -> float:
         """Deviation [deg] of t's direction: root of the summed variances of its two angles."""
         return self._angle_std_deg(slice(4, 6))
+
+    def delayed(self, t_d_s: float) -> "Estimate":
+        """As if camera 2's clock had shown `t_d_s` [s] more; its reason is left as it is."""
+        return replace(
+            self,
+            t_d_s=self.t_d_s + t_d_s,
+            alternatives_s=self.alternatives_s + t_d_s,
+            candidates_s=self.candidates_s + t_d_s,
+            start=None if self.start is None else self.start.delayed(t_d_s),
+        )
 
     def _angle_std_deg(self, part: slice) -> float:
         if self.covariance is None:

@@ -12,6 +12,7 @@ of p2 where the solver changes it: whoever calls samples anew until nothing chan
 
 from dataclasses import dataclass, field
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -170,7 +171,7 @@ def solve(
             system = np.vstack([system, prior_system[:, free]])
             target = np.append(target, prior_target)
         step = np.zeros(problem.size)
-        step[free] = np.linalg.lstsq(system, target)[0]
+        step[free] = _least_squares(system, target)
         parameters, change = moved(parameters, step), change + step
         if np.linalg.norm(step) < last_step:
             return Solution(parameters, True, change, step)
@@ -250,6 +251,49 @@ def still_moves(change: Array, problem: Problem, covariance: Array) -> bool:
     """
     deviations = np.sqrt(np.diag(covariance))
     return bool(np.any(np.abs(change[problem.free]) > MAX_LAST_CHANGE * deviations))
+
+
+def _least_squares(system: Array, target: Array) -> Array:
+    """Solve as `np.linalg.lstsq` does, for many rows (n, f) of few columns.
+
+    Householder's reflections leave a triangle with the system's own singular values. BLAS would do
+    so with all its threads, most of which would wait.
+    """
+    n, f = system.shape
+    if n <= f + 1:
+        return np.asarray(np.linalg.lstsq(system, target)[0])
+    triangle = _triangle(np.ascontiguousarray(np.vstack([system.T, target])))
+    rcond = float(np.finfo(np.float64).eps) * n
+    return np.asarray(np.linalg.lstsq(triangle[:f, :f], triangle[:f, f], rcond)[0])
+
+
+@numba.njit(cache=True)
+def _triangle(columns: Array) -> Array:
+    """R (k, k) of the QR decomposition of k columns of n rows, k < n; they, (k, n), are lost."""
+    k = len(columns)
+    triangle = np.zeros((k, k))
+    for i in range(k):
+        vector = columns[i, i:]
+        norm = np.sqrt(_product(vector, vector))
+        triangle[i, i] = -norm if vector[0] > 0.0 else norm
+        vector[0] -= triangle[i, i]
+        square = _product(vector, vector)
+        for j in range(i + 1, k):
+            other = columns[j, i:]
+            if square > 0.0:
+                ratio = 2.0 * _product(vector, other) / square
+                for row in range(len(other)):
+                    other[row] -= ratio * vector[row]
+            triangle[i, j] = other[0]
+    return triangle
+
+
+@numba.njit(cache=True, fastmath={"reassoc", "contract"})  # sums by vector instructions
+def _product(one: Array, other: Array) -> float:
+    total = 0.0
+    for i in range(len(one)):
+        total += one[i] * other[i]
+    return total
 
 
 def _with_columns(start: Parameters, problem: Problem) -> Parameters:

@@ -65,6 +65,7 @@ class Method:
     starts_from: str = ""  # method whose estimate `refine` takes, to give the same as `estimate`
     refine: RefineFunction | None = None
     takes_means: bool = False  # of the frames: images of one pixel give the same estimate
+    follows_clock: bool = False  # what camera 2's clock shows more, t_d gains: nothing else changes
     counts: str = "pairs of positions"  # what an estimate's `n_samples` are
 
     def rig_of(self, rig: Rig) -> Rig:
@@ -84,19 +85,20 @@ class Method:
 _TANGENTS = "pairs of tangents to the object's outline"
 
 OURS = (
-    Method("ssac", ssac, Input.TRACKS, SUMMARIES["ssac"], known_variant="ssac-known"),
+    Method("ssac", ssac, Input.TRACKS, SUMMARIES["ssac"],
+           known_variant="ssac-known", follows_clock=True),
     Method("ssac-known", ssac_known, Input.TRACKS, SUMMARIES["ssac-known"],
-           needs_extrinsics=True),
-    Method("joint", joint, Input.TRACKS, SUMMARIES["joint"],
-           known_variant="joint-known", starts_from="ssac", refine=joint_from),
+           needs_extrinsics=True, follows_clock=True),
+    Method("joint", joint, Input.TRACKS, SUMMARIES["joint"], known_variant="joint-known",
+           starts_from="ssac", refine=joint_from, follows_clock=True),
     Method("joint-known", joint_known, Input.TRACKS, SUMMARIES["joint-known"],
-           needs_extrinsics=True, starts_from="ssac-known", refine=joint_from),
+           needs_extrinsics=True, starts_from="ssac-known", refine=joint_from, follows_clock=True),
     Method("tangency", tangency, Input.TRACKS, SUMMARIES["tangency"],
            known_variant="tangency-known", starts_from="joint", refine=tangency_from,
-           counts=_TANGENTS),
+           follows_clock=True, counts=_TANGENTS),
     Method("tangency-known", tangency_known, Input.TRACKS,
-           SUMMARIES["tangency-known"], needs_extrinsics=True,
-           starts_from="joint-known", refine=tangency_from, counts=_TANGENTS),
+           SUMMARIES["tangency-known"], needs_extrinsics=True, starts_from="joint-known",
+           refine=tangency_from, follows_clock=True, counts=_TANGENTS),
     Method("albl", albl, Input.TRACKS, SUMMARIES["albl"]),
     Method("zncc_e", zncc_e, Input.RATES, SUMMARIES["zncc_e"]),
     Method("zncc_f", zncc_f, Input.FRAMES, SUMMARIES["zncc_f"],

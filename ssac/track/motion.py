@@ -12,6 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssac.camera import Camera, undistortion_map
+from ssac.track.denoise import chosen_events, of_pixels
+
+TIE_US = 1e-3
+"""Far more than times in seconds lose by rounding, far less than lies between even samples.
+
+Even samples often fall half-way between two microseconds, or on an event. Which one they are taken
+for must not depend on the clock's zero.
+"""
 
 _EVENTS_PER_SLICE = 16
 
@@ -136,10 +144,8 @@ class ObjectMotion:
 
     def _indices(self, times_s: NDArray[np.float64], side: int) -> NDArray[np.intp]:
         """Index of the first event at or after each time, moved by -1, 0 or +1 half-windows."""
-        times_us = np.rint((times_s + side * self.half_window_s) * 1e6).astype(np.int64)
-        indices = _first_from_each(
-            times_us.ravel(), self.times_us, self.slice_bits, self.slice_starts
-        )
+        wanted_s = (times_s + side * self.half_window_s).ravel()
+        indices = _first_from_each(wanted_s, self.times_us, self.slice_bits, self.slice_starts)
         return indices.reshape(times_s.shape)
 
     def _mean_positions(
@@ -191,21 +197,15 @@ def object_motion(
     ObjectMotion
         To be sampled with `at`.
     """
-    ideal = None if camera.distortion_model == "none" else undistortion_map(camera)
-    if ideal is not None:
-        known = np.isfinite(ideal[..., 0])[events["y"], events["x"]]
-        events = events if known.all() else events[known]
-    x, y = events["x"], events["y"]
-    on_border = (x < border_px) | (x >= camera.width - border_px)
-    on_border |= (y < border_px) | (y >= camera.height - border_px)
+    ideal = None
+    if camera.distortion_model != "none":
+        ideal = undistortion_map(camera)
+        known = of_pixels(np.isfinite(ideal[..., 0]), events["x"], events["y"])
+        events = events if known.all() else chosen_events(events, known)
     times_us = np.ascontiguousarray(events["t"])
-    border_sums = np.zeros(len(events) + 1, np.int32)
-    np.cumsum(on_border, dtype=np.int32, out=border_sums[1:])
-    # Column by column, so that no second copy of the coordinates stands in memory beside the sums.
-    position_sums_px = np.zeros((len(events) + 1, 2))
-    for axis, raw in enumerate((x, y)):
-        position_px = raw if ideal is None else ideal[y, x, axis]
-        np.cumsum(position_px, dtype=np.float64, out=position_sums_px[1:, axis])
+    position_sums_px, border_sums = _sums(
+        events["x"], events["y"], ideal, camera.width, camera.height, border_px
+    )
     slice_bits, slice_starts = _slices(times_us)
     return ObjectMotion(
         times_us,
@@ -230,6 +230,43 @@ def _slices(times_us: NDArray[np.int64]) -> tuple[int, NDArray[np.int32]]:
         bits += 1
     bounds_us = times_us[0] + (np.arange(1, (length_us >> bits) + 1, dtype=np.int64) << bits)
     return bits, np.concatenate([[0], np.searchsorted(times_us, bounds_us), [n]]).astype(np.int32)
+
+
+@numba.njit(cache=True)
+def _sums(
+    x: NDArray[np.uint16],
+    y: NDArray[np.uint16],
+    ideal: NDArray[np.float64] | None,
+    width: int,
+    height: int,
+    border_px: int,
+) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Sum up positions (n + 1, 2) [px], and the events on the border (n + 1,), before each event.
+
+    The last sums are of all. Where each pixel is imaged without distortion is in `ideal` (height,
+    width, 2); None: where it is. One pass, without other arrays as long as the events.
+    """
+    n = len(x)
+    position_sums_px, border_sums = np.zeros((n + 1, 2)), np.zeros(n + 1, np.int32)
+    for i in range(n):
+        column, row = np.int64(x[i]), np.int64(y[i])
+        if ideal is None:
+            position_sums_px[i + 1, 0] = position_sums_px[i, 0] + column
+            position_sums_px[i + 1, 1] = position_sums_px[i, 1] + row
+        else:
+            for axis in range(2):
+                position_sums_px[i + 1, axis] = position_sums_px[i, axis] + ideal[row, column, axis]
+        is_inside = (border_px <= column < width - border_px) and (
+            border_px <= row < height - border_px
+        )
+        border_sums[i + 1] = border_sums[i] + (not is_inside)
+    return position_sums_px, border_sums
+
+
+@numba.njit(cache=True)
+def _whole_us(time_s: float) -> np.int64:
+    """Round a time to whole microseconds; up, where it is half-way."""
+    return np.int64(np.floor(1e6 * time_s + (0.5 + TIE_US)))
 
 
 @numba.njit(cache=True)
@@ -262,14 +299,14 @@ def _first_from(
 
 @numba.njit(cache=True)
 def _first_from_each(
-    wanted_us: NDArray[np.int64],
+    wanted_s: NDArray[np.float64],
     times_us: NDArray[np.int64],
     slice_bits: int,
     slice_starts: NDArray[np.int32],
 ) -> NDArray[np.intp]:
-    indices = np.empty(len(wanted_us), np.intp)
-    for i in range(len(wanted_us)):
-        indices[i] = _first_from(wanted_us[i], times_us, slice_bits, slice_starts)
+    indices = np.empty(len(wanted_s), np.intp)
+    for i in range(len(wanted_s)):
+        indices[i] = _first_from(_whole_us(wanted_s[i]), times_us, slice_bits, slice_starts)
     return indices
 
 
@@ -291,8 +328,8 @@ def _window_sums(
     means = np.empty((n, 2))
     counts, on_border = np.empty(n, np.int64), np.empty(n, np.int64)
     for i in range(n):
-        start_us = np.int64(np.rint((middles_s[i] - half_window_s) * 1e6))
-        end_us = np.int64(np.rint((middles_s[i] + half_window_s) * 1e6))
+        start_us = _whole_us(middles_s[i] - half_window_s)
+        end_us = _whole_us(middles_s[i] + half_window_s)
         first = _first_from(start_us, times_us, slice_bits, slice_starts)
         last = _first_from(end_us, times_us, slice_bits, slice_starts)
         counts[i] = last - first

@@ -120,18 +120,26 @@ def usable_events(
     SsacError
         If the events of a camera are empty, unsorted or outside its sensor.
     """
-    for name, observation, camera in (("camera 1", cam1, rig.cam1), ("camera 2", cam2, rig.cam2)):
-        if observation.prepared is None or not same_camera(observation.prepared.camera, camera):
-            check_events(observation.events, camera.width, camera.height, name)
+    _check(cam1, cam2, rig)
     return _without_noise(cam1, rig.cam1, config), _without_noise(cam2, rig.cam2, config)
 
 
 def object_motions(
     cam1: Observation, cam2: Observation, rig: Rig, config: Config
 ) -> tuple[ObjectMotion, ObjectMotion]:
-    """Prepare the object's motion in both views: the paper's Sec. IV-A."""
-    events1, events2 = usable_events(cam1, cam2, rig, config)
-    return _motion(cam1, events1, rig.cam1, config), _motion(cam2, events2, rig.cam2, config)
+    """Prepare the object's motion in both views: the paper's Sec. IV-A.
+
+    Raises as `usable_events` does. One camera's denoised events are gone before the other's come.
+    """
+    _check(cam1, cam2, rig)
+    return _motion(cam1, rig.cam1, config), _motion(cam2, rig.cam2, config)
+
+
+def _check(cam1: Observation, cam2: Observation, rig: Rig) -> None:
+    """Refuse events that cannot be used."""
+    for name, observation, camera in (("camera 1", cam1, rig.cam1), ("camera 2", cam2, rig.cam2)):
+        if observation.prepared is None or not same_camera(observation.prepared.camera, camera):
+            check_events(observation.events, camera.width, camera.height, name)
 
 
 def _without_noise(observation: Observation, camera: Camera, config: Config) -> NDArray[np.void]:
@@ -141,13 +149,12 @@ def _without_noise(observation: Observation, camera: Camera, config: Config) -> 
     return radius_filter(remove_hot_pixels(observation.events, camera.width, camera.height))
 
 
-def _motion(
-    observation: Observation, events: NDArray[np.void], camera: Camera, config: Config
-) -> ObjectMotion:
+def _motion(observation: Observation, camera: Camera, config: Config) -> ObjectMotion:
     """Motion of the usable events: the prepared one, where it is of these events and this camera.
 
     What it sums up does not depend on the parameters of its windows.
     """
+    events = _without_noise(observation, camera, config)
     known = observation.prepared
     if (
         known is not None
@@ -172,6 +179,6 @@ def _motion(
 
 
 def _with_motion(observation: Observation, camera: Camera, config: Config) -> Observation:
-    motion = _motion(observation, observation.events, camera, config)
+    motion = _motion(observation, camera, config)
     prepared = Prepared(observation.events, camera, config.border_px, motion)
     return replace(observation, prepared=prepared)

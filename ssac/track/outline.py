@@ -18,12 +18,14 @@ from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter1d
 
 from ssac.geometry.pencil import Pencil
-from ssac.track.motion import ObjectMotion
+from ssac.track.motion import TIE_US, ObjectMotion
 from ssac.track.outline_kernels import (
     above_limit,
     angles_from_course,
+    events_at,
     highest_in_blocks,
     local_parabolas,
+    outermost_from_course,
     ranked_in_windows,
 )
 
@@ -83,19 +85,25 @@ def near_outline(
     These few are all that `tangents` needs, also for a pencil and times a little different.
     """
     course = _Course.of(motion, pencil, times_s)
-    points_px = np.diff(motion.position_sums_px, axis=0)
     blocks = _Blocks.of(motion.times_us, times_s, config)
-    values = blocks.angles(points_px, course.angles_rad, pencil)
+    values, tops, at = outermost_from_course(
+        motion.times_us,
+        motion.position_sums_px,
+        blocks.bounds,
+        blocks.edges_us,
+        blocks.at_edges(course.angles_rad),
+        pencil.sine,
+        pencil.cosine,
+        config.deeper_rank + 1,
+    )
     kept = []
-    for side in (1.0, -1.0):
-        rough = blocks.highest(values, side, config.rough_half_window_s, course.valid, config)
+    for k, side in enumerate((1.0, -1.0)):
+        rough = blocks.extremes(tops[k], at[k], config.rough_half_window_s, course.valid, config)
         rough_rad = _within(rough.angles_rad, config.max_angle_rad)
         lowest_rad = _filled(times_s, rough_rad) - config.rough_margin_px * course.rad_per_px
         chosen = above_limit(values, blocks.bounds, side, blocks.at_edges(np.tan(lowest_rad)))
         events = OutlineEvents(
-            motion.times_us[chosen],
-            points_px[chosen],
-            motion.border_sums[chosen + 1] > motion.border_sums[chosen],
+            *events_at(chosen, motion.times_us, motion.position_sums_px, motion.border_sums),
             course.smoothed(rough_rad, config) if config.passes else np.zeros(len(times_s)),
         )
         for _ in range(config.passes - 1):
@@ -201,7 +209,7 @@ class _Blocks:
         padding = max(round(1e6 * longest_s / length_us), 1)
         numbers = np.arange(-padding, _BLOCKS_PER_STEP * (n - 1) + padding + 1)
         edges_us = 1e6 * times_s[0] + length_us * numbers
-        bounds = np.searchsorted(events_us, edges_us)
+        bounds = np.searchsorted(events_us, edges_us - TIE_US)
         return _Blocks(events_us, times_s, padding, edges_us, bounds)
 
     def at_edges(self, values: Array) -> Array:
@@ -221,8 +229,8 @@ class _Blocks:
             pencil.cosine,
         )
 
-    def highest(
-        self, values: Array, side: float, half_window_s: float, usable: Mask, config: OutlineConfig
+    def extremes(
+        self, tops: Array, at: Indices, half_window_s: float, usable: Mask, config: OutlineConfig
     ) -> _Extremes:
         """Find how far up the outline reaches in the windows about the usable samples.
 
@@ -231,7 +239,6 @@ class _Blocks:
         """
         half = max(round(1e6 * half_window_s / (self.edges_us[1] - self.edges_us[0])), 1)
         firsts = self.padding + _BLOCKS_PER_STEP * np.arange(len(self.times_s)) - half
-        tops, at = highest_in_blocks(values, self.bounds, side, config.deeper_rank + 1)
         ranked, indices = ranked_in_windows(
             tops, at, firsts, 2 * half, usable, config.rank, config.deeper_rank
         )
@@ -247,7 +254,8 @@ def _ranked(
     blocks = _Blocks.of(events.times_us, course.times_s, config)
     course_rad = course.angles_rad + side * events.course_rad
     values = blocks.angles(events.points_px, course_rad, pencil)
-    return blocks, values, blocks.highest(values, side, config.half_window_s, course.valid, config)
+    tops, at = highest_in_blocks(values, blocks.bounds, side, config.deeper_rank + 1)
+    return blocks, values, blocks.extremes(tops, at, config.half_window_s, course.valid, config)
 
 
 def _followed(

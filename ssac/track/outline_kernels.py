@@ -11,6 +11,12 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
+_TIE = 1e-12
+"""Differences of tangents that rounding may make: the earlier event then counts as the higher.
+
+Two events of one instant on one epipolar line are a tie, as such a line may be a row of pixels.
+"""
+
 
 @numba.njit(cache=True, error_model="numpy")
 def angles_from_course(
@@ -42,20 +48,71 @@ def angles_from_course(
     """
     out = np.empty(len(times_us))
     for i in range(len(bounds) - 1):
-        length_us = edges_us[i + 1] - edges_us[i]
-        sin_start, cos_start = np.sin(course[i]), np.cos(course[i])
-        sin_slope = (np.sin(course[i + 1]) - sin_start) / length_us
-        cos_slope = (np.cos(course[i + 1]) - cos_start) / length_us
+        line = _course_of_block(edges_us, course, i)
         for k in range(bounds[i], bounds[i + 1]):
-            x, y = points_px[k]
-            s = sine[0] * x + sine[1] * y + sine[2]
-            c = cosine[0] * x + cosine[1] * y + cosine[2]
             age_us = times_us[k] - edges_us[i]
-            course_s = sin_start + age_us * sin_slope
-            course_c = cos_start + age_us * cos_slope
-            ahead = s * course_s + c * course_c
-            out[k] = (s * course_c - c * course_s) / ahead if ahead > 0.0 else np.nan
+            out[k] = _tangent(points_px[k, 0], points_px[k, 1], age_us, line, sine, cosine)
     return out
+
+
+@numba.njit(cache=True, error_model="numpy")
+def outermost_from_course(
+    times_us: NDArray[np.int64],
+    position_sums_px: Array,
+    bounds: Indices,
+    edges_us: Array,
+    course: Array,
+    sine: Array,
+    cosine: Array,
+    depth: int,
+) -> tuple[Array, NDArray[np.float64], NDArray[np.intp]]:
+    """`angles_from_course` (n,), and `highest_in_blocks` (2, b, depth) of them for sides 1 and -1.
+
+    In one pass over all events, whose positions come as sums (n + 1, 2) [px].
+    """
+    out = np.empty(len(times_us))
+    n = len(bounds) - 1
+    tops, at = np.full((2, n, depth), -np.inf), np.zeros((2, n, depth), np.intp)
+    for i in range(n):
+        line = _course_of_block(edges_us, course, i)
+        for k in range(bounds[i], bounds[i + 1]):
+            x = position_sums_px[k + 1, 0] - position_sums_px[k, 0]
+            y = position_sums_px[k + 1, 1] - position_sums_px[k, 1]
+            value = _tangent(x, y, times_us[k] - edges_us[i], line, sine, cosine)
+            out[k] = value
+            if value > tops[0, i, depth - 1] + _TIE:
+                _insert(value, k, tops[0, i], at[0, i])
+            if -value > tops[1, i, depth - 1] + _TIE:
+                _insert(-value, k, tops[1, i], at[1, i])
+    return out, tops, at
+
+
+@numba.njit(cache=True)
+def _course_of_block(edges_us: Array, course: Array, i: int) -> tuple[float, float, float, float]:
+    """Sine and cosine of the course at the start of block i, and their slopes [1/us]."""
+    length_us = edges_us[i + 1] - edges_us[i]
+    sin_start, cos_start = np.sin(course[i]), np.cos(course[i])
+    sin_slope = (np.sin(course[i + 1]) - sin_start) / length_us
+    cos_slope = (np.cos(course[i + 1]) - cos_start) / length_us
+    return sin_start, sin_slope, cos_start, cos_slope
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _tangent(
+    x: float,
+    y: float,
+    age_us: float,
+    line: tuple[float, float, float, float],
+    sine: Array,
+    cosine: Array,
+) -> float:
+    """Tangent of the angle of a point [px] from the course in its block; NaN beyond 90 deg."""
+    s = sine[0] * x + sine[1] * y + sine[2]
+    c = cosine[0] * x + cosine[1] * y + cosine[2]
+    course_s = line[0] + age_us * line[1]
+    course_c = line[2] + age_us * line[3]
+    ahead = s * course_s + c * course_c
+    return (s * course_c - c * course_s) / ahead if ahead > 0.0 else np.nan
 
 
 @numba.njit(cache=True)
@@ -70,7 +127,7 @@ def highest_in_blocks(
     tops, at = np.full((n, depth), -np.inf), np.zeros((n, depth), np.intp)
     for i in range(n):
         for k in range(bounds[i], bounds[i + 1]):
-            if side * values[k] > tops[i, depth - 1]:
+            if side * values[k] > tops[i, depth - 1] + _TIE:
                 _insert(side * values[k], k, tops[i], at[i])
     return tops, at
 
@@ -98,7 +155,7 @@ def ranked_in_windows(
         top[:] = -np.inf
         for block in range(firsts[i], firsts[i] + length):
             for j in range(tops.shape[1]):
-                if not tops[block, j] > top[deeper_rank]:
+                if not tops[block, j] > top[deeper_rank] + _TIE:
                     break
                 _insert(tops[block, j], at[block, j], top, top_at)
         if top[deeper_rank] > -np.inf:
@@ -110,7 +167,7 @@ def ranked_in_windows(
 def _insert(value: float, index: int, top: Array, at: Indices) -> None:
     """Put a value in its place among the descending ones; the last is lost."""
     j = len(top) - 1
-    while j > 0 and top[j - 1] < value:
+    while j > 0 and top[j - 1] < value - _TIE:
         top[j], at[j] = top[j - 1], at[j - 1]
         j -= 1
     top[j], at[j] = value, index
@@ -119,7 +176,12 @@ def _insert(value: float, index: int, top: Array, at: Indices) -> None:
 @numba.njit(cache=True)
 def above_limit(values: Array, bounds: Indices, side: float, limits: Array) -> NDArray[np.intp]:
     """Pick the events whose side * value is above the lower of the limits at their block's ends."""
-    found = np.empty(bounds[-1] - bounds[0], np.intp)
+    n = 0
+    for i in range(len(bounds) - 1):
+        limit = min(limits[i], limits[i + 1])
+        for k in range(bounds[i], bounds[i + 1]):
+            n += side * values[k] > limit
+    found = np.empty(n, np.intp)
     n = 0
     for i in range(len(bounds) - 1):
         limit = min(limits[i], limits[i + 1])
@@ -127,7 +189,26 @@ def above_limit(values: Array, bounds: Indices, side: float, limits: Array) -> N
             if side * values[k] > limit:
                 found[n] = k
                 n += 1
-    return found[:n].copy()
+    return found
+
+
+@numba.njit(cache=True)
+def events_at(
+    chosen: Indices,
+    times_us: NDArray[np.int64],
+    position_sums_px: Array,
+    border_sums: NDArray[np.int32],
+) -> tuple[NDArray[np.int64], Array, NDArray[np.bool_]]:
+    """Gather chosen events: times (m,) [us], positions (m, 2) [px], whether on the border (m,)."""
+    m = len(chosen)
+    times, points, on_border = np.empty(m, np.int64), np.empty((m, 2)), np.empty(m, np.bool_)
+    for i in range(m):
+        k = chosen[i]
+        times[i] = times_us[k]
+        points[i, 0] = position_sums_px[k + 1, 0] - position_sums_px[k, 0]
+        points[i, 1] = position_sums_px[k + 1, 1] - position_sums_px[k, 1]
+        on_border[i] = border_sums[k + 1] > border_sums[k]
+    return times, points, on_border
 
 
 @numba.njit(cache=True)

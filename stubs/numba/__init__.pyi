@@ -11,7 +11,7 @@ def njit(function: _F) -> _F: ...
 def njit(
     *,
     cache: bool = False,
-    fastmath: bool = False,
+    fastmath: bool | set[str] = False,
     nogil: bool = False,
     error_model: Literal["python", "numpy"] = "python",
 ) -> Callable[[_F], _F]: ...

@@ -45,3 +45,17 @@ def test_deviations_of_the_pose_are_roots_of_summed_variances():
     estimate = Estimate("mine", covariance=covariance)
     assert (estimate.r_std_deg, estimate.t_std_deg) == pytest.approx((3.0, 5.0))
     assert np.isnan([Estimate("mine").r_std_deg, Estimate("mine").t_std_deg]).all()
+
+
+def test_a_delay_moves_all_offsets_of_an_estimate():
+    start = Estimate("search", t_d_s=0.1, candidates_s=np.array([0.0, 0.1]))
+    estimate = Estimate(
+        "mine", t_d_s=0.11, t_d_std_s=0.02, alternatives_s=np.array([0.4]), start=start
+    )
+    delayed = estimate.delayed(0.5)
+    assert delayed.t_d_s == pytest.approx(0.61)
+    assert delayed.t_d_std_s == 0.02
+    assert delayed.alternatives_s == pytest.approx([0.9])
+    assert delayed.start.t_d_s == pytest.approx(0.6)
+    assert delayed.start.candidates_s == pytest.approx([0.5, 0.6])
+    assert np.isnan(Estimate("mine").delayed(0.5).t_d_s)

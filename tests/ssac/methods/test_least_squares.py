@@ -15,6 +15,7 @@ from ssac.methods.least_squares import (
     Prior,
     Problem,
     WeighedPairs,
+    _least_squares,
     covariance_of,
     linearise,
     moved,
@@ -135,3 +136,14 @@ def test_residuals_are_weighed_sampson_distances():
     F = fundamental_from_pose(K, K, SCENE.R, T)
     expected = sampson_distance(F, problem.pairs.p1_px, problem.pairs.p2_px)
     np.testing.assert_allclose(residuals.distances_px, np.linspace(0.5, 2.0, N) * expected)
+
+
+@pytest.mark.parametrize("n", [2000, 15, 7, 6])
+@pytest.mark.parametrize("rank", [6, 5])
+def test_steps_are_those_of_the_system_itself(n, rank):
+    rng = np.random.default_rng(n)
+    system = rng.normal(size=(n, rank)) @ rng.normal(size=(rank, 6)) * 10.0 ** np.arange(6)
+    target = rng.normal(size=n)
+    expected = np.linalg.lstsq(system, target)[0]  # the shortest, where several fit
+    # Rounding, magnified by the spread of the columns.
+    np.testing.assert_allclose(_least_squares(system, target), expected, rtol=1e-6, atol=1e-12)

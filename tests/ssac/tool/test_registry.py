@@ -115,6 +115,23 @@ def test_a_method_that_starts_from_another_gives_the_same_with_its_estimate(name
     assert np.array_equal(refined.covariance, whole.covariance)
 
 
+@pytest.mark.parametrize("delay_s", [-0.3, 0.005, 0.5])
+@pytest.mark.parametrize("name", [name for name in METHODS if METHODS[name].follows_clock])
+def test_a_delay_of_camera_2_moves_the_offset_and_nothing_else(name, delay_s, data):
+    cam1, cam2, rig = data
+    config = Config(interval_s=(-0.4, 0.5))
+    delayed = replace(config, interval_s=(-0.4 + delay_s, 0.5 + delay_s))
+    expected = METHODS[name].estimate(cam1, cam2, rig, config).delayed(delay_s)
+    estimate = METHODS[name].estimate(cam1, cam2.delayed(delay_s), rig, delayed)
+    assert (estimate.status, estimate.n_samples) == ("ok", expected.n_samples)
+    for field in ("t_d_s", "t_d_std_s", "R", "t", "covariance", "candidates_s", "costs"):
+        found, wanted = getattr(estimate, field), getattr(expected, field)
+        assert (found is None) == (wanted is None)
+        if wanted is not None:
+            # Rounding of times in seconds; events may not enter or leave the windows by it.
+            np.testing.assert_allclose(found, wanted, rtol=1e-7, atol=1e-10)
+
+
 def test_a_chain_finds_each_estimate_once(data, monkeypatch):
     found = []
 

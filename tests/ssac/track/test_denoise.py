@@ -45,6 +45,17 @@ def test_equals_a_k_d_tree_with_events_at_one_instant_and_on_the_boundary():
     np.testing.assert_array_equal(radius_filter(events), _tree_filter(events, 5.0, 1.0, 20))
 
 
+@pytest.mark.parametrize("gap_us", [4000, 9000, 60_000, 10_000_000_000])
+def test_equals_a_k_d_tree_across_gaps_in_time(gap_us):
+    # Bursts of very unlike density: what is left of one must not count in the next.
+    bursts, first_us = [], 0
+    for n, duration_us in ((9000, 12_000), (40, 3000), (12_000, 5000), (3000, 30_000)):
+        bursts.append(_random_events(n, duration_us, n, first_us))
+        first_us += duration_us + gap_us
+    events = np.concatenate(bursts)
+    np.testing.assert_array_equal(radius_filter(events), _tree_filter(events, 5.0, 1.0, 20))
+
+
 def test_neighbours_must_be_as_many_as_asked():
     events = events_from_arrays(np.arange(21), [3] * 21, [4] * 21, [1] * 21)
     assert len(radius_filter(events)) == 21

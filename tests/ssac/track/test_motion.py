@@ -164,3 +164,13 @@ def test_sharp_positions_without_events_are_invalid():
     track = object_motion(np.zeros(0, EVENT_DTYPE), CAMERA).sharp_at(np.array([0.0, 1.0]))
     assert not track.valid.any()
     assert np.isnan(track.positions_px).all()
+
+
+@pytest.mark.parametrize("shift_us", [5_000, 500_000, -123_457, 3_600_000_000])
+def test_samples_half_way_between_microseconds_do_not_depend_on_the_clocks_zero(flight, shift_us):
+    _, events = flight
+    motion = object_motion(events, CAMERA)
+    times_s = (np.arange(0, 4_000_000, 997) + 0.5) * 1e-6
+    track, delayed = motion.at(times_s), motion.delayed(shift_us).at(times_s + 1e-6 * shift_us)
+    np.testing.assert_array_equal(delayed.counts, track.counts)
+    np.testing.assert_array_equal(delayed.positions_px, track.positions_px)

@@ -10,6 +10,7 @@ from ssac.events import EVENT_DTYPE
 from ssac.geometry.pencil import Pencil
 from ssac.track.motion import object_motion
 from ssac.track.outline import OutlineConfig, near_outline, tangents
+from ssac.track.outline_kernels import highest_in_blocks
 
 WIDTH, HEIGHT, FOCAL_PX = 2000, 1000, 1000.0
 SIDE_PX, MIDDLE_Y = 120.0, 500.0
@@ -87,3 +88,16 @@ def test_a_tangent_cut_off_by_the_border_is_invalid():
     upper, lower = tangents(motion, near, LEVEL, at_s, OutlineConfig())
     assert not upper.valid.any()
     assert lower.valid.mean() > 0.9
+
+
+def test_simultaneous_events_on_one_line_are_ranked_alike_whatever_rounding_does():
+    # All events of a row are at one angle: which of them counts must not hang on the last bit.
+    n, n_blocks = 400, 20
+    values = np.repeat(np.random.default_rng(0).normal(size=n // 4), 4)
+    bounds = np.linspace(0, n, n_blocks + 1).astype(np.intp)
+    for seed in range(5):
+        noise = 1e-15 * np.random.default_rng(seed).normal(size=n)
+        for side in (1.0, -1.0):
+            _, exact = highest_in_blocks(values, bounds, side, 9)
+            _, noisy = highest_in_blocks(values + noise, bounds, side, 9)
+            np.testing.assert_array_equal(noisy, exact)

@@ -1,0 +1,128 @@
+"""Offsets of one flight share a run, and a guard makes some of them in full; no OpenGL."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from experiments.run import scored
+from experiments.run.grid import Cell, flight_seed
+from experiments.run.scored import GUARDED, Recorded, is_guarded, scored_row
+from sim.recording import SimConfig
+from ssac.config import Config
+from ssac.errors import SsacError
+from ssac.estimate import Estimate
+from ssac.tool.load import load_pair
+from ssac.tool.registry import METHODS, Input, Method
+from ssac.track.observation import prepare
+
+OFFSETS_S = (0.005, 0.05, 0.5)
+
+
+@pytest.fixture(scope="module")
+def pair(recorded):
+    paths = (recorded / "cam1.h5", recorded / "cam2.h5", recorded / "rig_extrinsics.yaml")
+    cam1, cam2, rig = load_pair(paths, METHODS["zncc_f"])
+    n_events = len(cam1.events), len(cam2.events)
+    return Recorded(*prepare(cam1, cam2, rig), rig, n_events)
+
+
+@pytest.fixture
+def fresh(pair):
+    return replace(pair, delayed={}, chains={})
+
+
+def cell_of(method: str, t_d_s: float, seed: int = 0) -> Cell:
+    config = Config(interval_s=(t_d_s - 1.0, t_d_s + 1.0))
+    return Cell(SimConfig(), 0, seed, t_d_s, config, method, {"sim.t_d_s": t_d_s})
+
+
+def unguarded(t_d_s: float) -> int:
+    return next(seed for seed in range(100) if not is_guarded(cell_of("mine", t_d_s, seed)))
+
+
+def with_method(monkeypatch, estimate, **fields):
+    method = Method("mine", estimate, Input.TRACKS, "A method of a test.", **fields)
+    methods = {**METHODS, "mine": method}
+    monkeypatch.setattr("ssac.tool.registry.METHODS", methods)
+    monkeypatch.setattr(scored, "METHODS", methods)
+
+
+@pytest.mark.parametrize("method", ["ssac", "joint", "tangency-known"])
+def test_a_row_is_that_of_the_run_in_full_whatever_else_is_measured(method, fresh, pair):
+    for t_d_s in OFFSETS_S:
+        cell = cell_of(method, t_d_s, unguarded(t_d_s))
+        row = scored_row(cell, fresh)
+        alone = scored_row(cell, replace(pair, delayed={}, chains={}))
+        whole = METHODS[method].estimate(
+            pair.cam1,
+            pair.cam2.delayed(t_d_s),
+            METHODS[method].rig_of(pair.rig),
+            cell.estimator,
+        )
+        assert row.status == "ok"
+        # Rounding of times in seconds.
+        assert row.t_d_estimate_ms == pytest.approx(1e3 * whole.t_d_s, abs=1e-6)
+        assert repr(row) == repr(alone)  # as text, since NaN is not itself
+        assert row.n_samples == whole.n_samples
+
+
+@pytest.mark.parametrize(("follows", "runs"), [(True, 1), (False, 3)])
+def test_offsets_share_a_run_of_a_method_that_follows_the_clock(follows, runs, fresh, monkeypatch):
+    starts_s = []
+
+    def mine(cam1, cam2, rig, config=None):
+        starts_s.append(cam2.events["t"][0] * 1e-6)
+        return Estimate("mine", t_d_s=float(starts_s[-1]))
+
+    with_method(monkeypatch, mine, follows_clock=follows)
+    offsets_ms = [
+        scored_row(cell_of("mine", t_d_s, unguarded(t_d_s)), fresh).t_d_estimate_ms
+        for t_d_s in OFFSETS_S
+    ]
+    assert len(starts_s) == runs
+    assert np.diff(offsets_ms) == pytest.approx([45.0, 450.0])
+
+
+def test_a_refusal_is_made_anew_since_it_names_offsets(fresh, monkeypatch):
+    def mine(cam1, cam2, rig, config=None):
+        return Estimate("mine", "search_bound", f"from {config.interval_s[0]:.3f} s on")
+
+    with_method(monkeypatch, mine, follows_clock=True)
+    row = scored_row(cell_of("mine", 0.5, unguarded(0.5)), fresh)
+    assert (row.status, row.reason) == ("search_bound", "from -0.500 s on")
+
+
+def test_an_unusable_recording_is_so_at_all_offsets(fresh, monkeypatch):
+    def mine(cam1, cam2, rig, config=None):
+        raise SsacError("too dark")
+
+    with_method(monkeypatch, mine, follows_clock=True)
+    rows = [scored_row(cell_of("mine", t_d_s), fresh) for t_d_s in OFFSETS_S]
+    assert {(row.status, row.reason) for row in rows} == {("unusable", "too dark")}
+
+
+@pytest.mark.parametrize("field", ["t_d_s", "R", "status"])
+def test_the_guard_stops_a_method_that_does_not_follow_the_clock(field, fresh, monkeypatch):
+    def mine(cam1, cam2, rig, config=None):
+        shown_s = cam2.events["t"][0] * 1e-6
+        estimate = Estimate("mine", t_d_s=shown_s, R=np.eye(3), t=np.array([1.0, 0.0, 0.0]))
+        late = shown_s > 0.1 + fresh.cam2.events["t"][0] * 1e-6
+        wrong = {"t_d_s": shown_s + 2e-9, "R": np.eye(3) + 2e-9, "status": "no_match"}
+        return replace(estimate, **{field: wrong[field]}) if late else estimate
+
+    with_method(monkeypatch, mine, follows_clock=True)
+    seed = next(seed for seed in range(100) if is_guarded(cell_of("mine", 0.5, seed)))
+    with pytest.raises(ArithmeticError, match=f"differs in {field}"):
+        scored_row(cell_of("mine", 0.5, seed), fresh)
+    free = scored_row(cell_of("mine", 0.5, unguarded(0.5)), fresh)
+    assert free.status == "ok"
+
+
+def test_one_offset_in_ten_is_guarded_for_all_methods_alike():
+    seeds = [flight_seed(10.0, 90.0, flight) for flight in range(400)]
+    chosen = [is_guarded(cell_of("ssac", t_d_s, seed)) for seed in seeds for t_d_s in OFFSETS_S]
+    alike = [is_guarded(cell_of("joint", t_d_s, seed)) for seed in seeds for t_d_s in OFFSETS_S]
+    assert chosen == alike
+    # Four deviations of 1200 draws.
+    assert np.mean(chosen) == pytest.approx(1.0 / GUARDED, abs=4 * np.sqrt(0.09 / 1200))
