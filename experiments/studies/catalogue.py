@@ -29,16 +29,7 @@ STUDIES: Mapping[str, Study] = {
     )
 }
 
-_WITHOUT_RUNS = "made before studies kept their runs, by code that gave the same estimates"
-
-PENDING: Mapping[str, str] = {
-    "ablation_davis346": _WITHOUT_RUNS,
-    "ablation_object": _WITHOUT_RUNS,
-    "ablation_size": _WITHOUT_RUNS,
-    "ablation_speed": _WITHOUT_RUNS,
-    "tangency": _WITHOUT_RUNS,
-    "zncc": _WITHOUT_RUNS,
-}
+PENDING: Mapping[str, str] = {}
 """Studies of which `results/` has the summary of an earlier run, but not the runs, and why.
 
 Nothing else may be missing: `ssac verify` names these each time, and refuses one of them that has

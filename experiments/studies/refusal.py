@@ -13,7 +13,7 @@ from experiments.studies.flights import ANGLES_DEG
 from experiments.studies.study import Study
 
 METHOD_NAMES = ("ssac", "joint", "tangency", "ssac-known", "joint-known", "tangency-known")
-N_FLIGHTS = 12
+N_FLIGHTS = 2
 """Of each kind of flight."""
 
 FIRST_FLIGHT, KIND_STEP = 1000, 100
