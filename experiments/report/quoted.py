@@ -13,6 +13,8 @@ from scipy.stats import gmean
 from experiments.paper.grids import TABLES, table_axes
 from experiments.paper.quantities import ERRORS, NOISY_T_D_MARK_MS, T_D_ERROR
 from experiments.report.committed import Committed
+from experiments.studies.catalogue import ABLATIONS
+from experiments.studies.refusal import METHOD_NAMES as REFUSING_METHODS
 
 ANGLES_DEG, DURATIONS_S = table_axes().angles_deg, table_axes().durations_s
 METHODS = ("ssac", "ssac-known", "joint", "joint-known", "tangency", "tangency-known")
@@ -26,7 +28,6 @@ PUBLISHED = {  # of the quantities of comparison.csv
     "zncc_e.t_d": "zncc_e_t_d_error_ms",
     "zncc_f.t_d": "zncc_f_t_d_error_ms",
 }
-CONFIDENT_METHODS = ("ssac", "joint", "tangency", "ssac-known", "joint-known", "tangency-known")
 
 Number = Callable[[Committed], str]
 
@@ -202,11 +203,6 @@ def _plural(verdict: str, n: int) -> str:
     return one[verdict] if n == 1 else many[verdict]
 
 
-ABLATIONS = (
-    *("angle", "contrast", "davis346", "focal", "n_min", "noise"),
-    *("object", "resolution", "samples", "size", "speed", "window"),
-)
-
 _TIMED = (
     *("bench", "comparison", "coverage", "efficiency", "fidelity", "figures"),
     "renderers",
@@ -246,7 +242,7 @@ NUMBERS: Mapping[str, Number] = {
     "davis346.largest": largest_with_noise,
     "davis346.mark": noisy_mark,
     "refusal.recordings": refusal_recordings,
-    **{f"refusal.wrong.{m}": partial(refusal_wrong, method=m) for m in CONFIDENT_METHODS},
+    **{f"refusal.wrong.{m}": partial(refusal_wrong, method=m) for m in REFUSING_METHODS},
     "refusal.ordinary": ordinary_answered,
     **{
         f"zncc.{whose}.{m}.{d:g}": partial(function, method=m, duration_s=d)

@@ -5,20 +5,21 @@ from functools import partial
 
 import numpy as np
 
+from experiments.measures.fidelity import METHOD_NAMES as COMPARED_METHODS
 from experiments.paper.grids import TABLES as PAPER_TABLES
 from experiments.paper.markdown import markdown_table
 from experiments.paper.quantities import POSE_ERRORS, R_ERROR, T_D_ERROR
 from experiments.report.committed import Committed, FloatArray
 from experiments.report.quoted import (
-    ABLATIONS,
     ANGLES_DEG,
-    CONFIDENT_METHODS,
     DURATIONS_S,
     METHODS,
     SYMBOLS,
     cell_means,
     digits,
 )
+from experiments.studies.catalogue import ABLATIONS
+from experiments.studies.refusal import METHOD_NAMES as REFUSING_METHODS
 
 Rows = list[list[str]]
 
@@ -109,13 +110,13 @@ def refusal_table(results: Committed) -> str:
     rows: Rows = []
     for kind in dict.fromkeys(table["kind"]):
         cells = [kind, str(int(results.rows("refusal", kind=kind, method="joint")["runs"].iloc[0]))]
-        for method in CONFIDENT_METHODS:
+        for method in REFUSING_METHODS:
             of = {"kind": kind, "method": method}
             given = results.value("refusal", "offset_given", **of)
             wrong = results.value("refusal", "confident_wrong", **of)
             cells.append(f"{given:.0f}" + (f" ({wrong:.0f} wrong)" if wrong else ""))
         rows.append(cells)
-    return markdown_table(["kind", "n", *(f"`{m}`" for m in CONFIDENT_METHODS)], rows)
+    return markdown_table(["kind", "n", *(f"`{m}`" for m in REFUSING_METHODS)], rows)
 
 
 def tangency_table(results: Committed) -> str:
@@ -186,7 +187,7 @@ def fidelity_table(results: Committed, study: str = "fidelity") -> str:
         row("spurious events [%]", "spurious", 100, 1),
         row("missing events [%]", "missing", 100, 1),
     ]
-    for method in ("ssac", "ssac-known", "joint", "tangency"):
+    for method in COMPARED_METHODS:
         column = f"{method.replace('-', '_')}_t_d_difference_ms"
         cells = [f"t_d by `{method}`, mean absolute (signed) difference [ms]"]
         for duration_s in durations_s:
