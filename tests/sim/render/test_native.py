@@ -90,6 +90,18 @@ def test_the_check_compares_instants_and_says_how_far_they_were() -> None:
 
 
 @pytest.mark.render
+def test_edges_along_the_lattice_pass_the_check() -> None:
+    """Rounded to the other side, they take a row of samples along in each pixel that they pass."""
+    camera = make_camera()
+    times_s = np.linspace(0.0, 1.0, 25)
+    for start, step in (((-0.5, 0.0, 0.2), (1.0, 0.0, 0.0)), ((0.0, -2.0, 0.0), (0.0, 1.0, 0.0))):
+        T_W_B = straight(times_s, start, step)
+        with Renderer(BOX, RenderConfig()) as renderer:
+            list(renderer.crops(camera, times_s, T_W_B, grey(camera)))
+            assert renderer.check.n_instants == 25
+
+
+@pytest.mark.render
 def test_a_renderer_that_differs_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     paint = NativePainter.paint
 
