@@ -43,7 +43,7 @@ def remove_hot_pixels(
     NDArray[np.void]
         The events of all other pixels, in the same order.
     """
-    counts = _eventsof_pixels(events["x"], events["y"], width, height)
+    counts = _event_counts(events["x"], events["y"], width, height)
     rows, columns = np.nonzero(counts >= min_events)
     around = np.lib.stride_tricks.sliding_window_view(np.pad(counts, 2), (5, 5))[rows, columns]
     own = counts[rows, columns][:, None, None]
@@ -56,7 +56,7 @@ def remove_hot_pixels(
 
 
 @numba.njit(cache=True)
-def _eventsof_pixels(
+def _event_counts(
     x: NDArray[np.uint16], y: NDArray[np.uint16], width: int, height: int
 ) -> NDArray[np.int64]:
     """Count the events of each pixel (height, width)."""
