@@ -22,7 +22,7 @@ from sim.recording import SimConfig
 from sim.sensor.frames import FrameConfig
 
 FIRST_FLIGHT = 200
-N_FLIGHTS = {10.0: 3, 20.0: 2}
+N_FLIGHTS = {10.0: 2, 20.0: 1}
 """Flights of each duration [s]."""
 
 T_D_S = 0.05

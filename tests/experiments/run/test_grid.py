@@ -130,7 +130,7 @@ def test_an_ablation_varies_what_its_figure_shows_over_enough_values(name):
     of_estimator = name in ("ablation_window", "ablation_n_min", "ablation_samples")
     assert len(values) >= (7 if of_estimator else 5)
     assert len({cell.sim.angle_deg for cell in cells}) >= 3
-    uses_tables = of_estimator or name in ("ablation_angle", "ablation_davis346")
+    uses_tables = of_estimator or name == "ablation_angle"
     assert grid.flights == 10 if uses_tables else grid.flights >= 1
 
 
