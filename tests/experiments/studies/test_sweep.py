@@ -291,9 +291,11 @@ def test_a_scheduler_that_is_killed_is_one_line(folder, plugin, scheduler, capfd
     assert capfd.readouterr().err == ""
 
 
-def test_an_interrupted_sweep_is_one_line_and_leaves_nothing_half_made(folder, plugin, config):
+def test_an_interrupted_sweep_is_one_line_and_leaves_nothing_half_made(folder, plugin):
     out, cache = folder / "interrupted.csv", folder / "cache_interrupted"
-    run = started(folder, plugin, config, out, cache, "--workers", "2")
+    longer = folder / "longer.toml"  # so that both are at it when they are interrupted
+    longer.write_text(TOML.format(methods='"ssac"').replace("duration_s = 3.0", "duration_s = 300"))
+    run = started(folder, plugin, longer, out, cache, "--workers", "2")
     while len(list(cache.glob("recordings/.*.claim"))) < 2:  # both workers simulate
         assert run.poll() is None
         time.sleep(0.1)
