@@ -9,6 +9,7 @@ import os
 import resource
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import asdict, replace
@@ -26,7 +27,7 @@ from experiments.bench.sync import bench_sync
 from experiments.bench.tables import bench_tables
 from experiments.paper.checksums import record_checksums
 from experiments.run.provenance import save_provenance
-from sim.recording import SimConfig, simulate
+from sim.recording import SimConfig
 from sim.render.config import RenderConfig
 from sim.render.gl_context import BACKENDS, open_context
 from sim.render.gl_reference import PyrenderFullFrame
@@ -37,6 +38,7 @@ from sim.scene.drone import quadrotor
 from sim.scene.rig import two_view_rig
 from sim.scene.trajectory import SplineConfig, random_spline
 from sim.sensor.events import Sensor, SensorConfig
+from sim.storage import record
 from ssac.files.whole_file import whole_file
 
 _NATIVE = "native"
@@ -175,17 +177,18 @@ def bench_sensor() -> list[Measurement]:
 
 
 def bench_recording() -> list[Measurement]:
-    """Wall time and peak memory of the default 20 s pair, frames included."""
-    config = SimConfig()
-    simulate(SimConfig(spline=SplineConfig(duration_s=1.0)), 0)  # compiles the kernels
-    start = time.perf_counter()
-    recording = simulate(config, 0)
-    seconds = time.perf_counter() - start
-    n_events = sum(len(camera.events) for camera in recording.cameras)
+    """Wall time and peak memory of the default 20 s pair, frames and writing it included."""
+    short = SimConfig(spline=SplineConfig(duration_s=1.0))
+    with tempfile.TemporaryDirectory() as folder:
+        record(short, 0, Path(folder) / "short", {})  # loads the kernels
+        start = time.perf_counter()
+        recorded = record(SimConfig(), 0, Path(folder) / "pair", {})
+        seconds = time.perf_counter() - start
+    instants, events = recorded.flight.n_instants, sum(recorded.n_events)
     return [
         Measurement("simulate a 20 s pair, frames included", seconds, "s", 3.0),
-        Measurement("simulate a 20 s pair: instants", recording.n_instants, "instants"),
-        Measurement("simulate a 20 s pair: events", n_events, "events"),
+        Measurement("simulate a 20 s pair: instants", instants, "instants"),
+        Measurement("simulate a 20 s pair: events", events, "events"),
         Measurement("simulate a 20 s pair: peak memory", _peak_memory_mb(), "MB", 450.0),
     ]
 
