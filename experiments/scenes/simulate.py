@@ -210,24 +210,22 @@ def summary(recorded: Recorded, out_dir: Path) -> str:
             flight.rig.cameras, recorded.n_events, recorded.n_frames, strict=True
         )
     ]
-    lines.append(f"{flight.n_instants} instants rendered with {_drawn_by(flight)}")
+    lines.extend(_drawn_by(flight))
     lines.append(f"written to {out_dir}")
     return "\n".join(lines)
 
 
-def _drawn_by(flight: Flight) -> str:
+def _drawn_by(flight: Flight) -> list[str]:
     """Name what drew, and how far it was from the definition."""
     gl, check = flight.gl, flight.check
-    by_gl = f"{gl.backend} ({gl.renderer})" if gl else ""
-    if gl and not check.n_instants:
-        return by_gl
-    compared = "not compared with OpenGL"
-    if check.n_instants:
-        compared = (
-            f"{check.n_instants} of them compared with {by_gl}: luminance differs by "
-            f"{check.mean_difference:.1e} in the mean, {check.max_difference:.1e} at most"
-        )
-    return f"the native renderer, {compared}"
+    by_gl = f"{gl.backend} ({gl.renderer})" if gl else "the native renderer"
+    if not check.n_instants:
+        return [f"{flight.n_instants} instants rendered with {by_gl}"]
+    return [
+        f"{flight.n_instants} instants rendered with the native renderer",
+        f"{check.n_instants} of them with {by_gl} too: luminance differs by "
+        f"{check.mean_difference:.0e} in the mean, {check.max_difference:.0e} at most",
+    ]
 
 
 def _figures(recorded: Recorded, folder: Path) -> SceneFigures:
