@@ -10,6 +10,8 @@ from sim.render.lattice import Lattice
 from sim.scene.rig import Camera
 
 RENDERERS = ("native", "pyrender")
+DISTORTION_MODELS = {"none": 0, "radtan": 1, "equidistant": 2}
+"""Numbers by which shaders and kernels know them."""
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,7 @@
 """A part of the drone in, its faces as every renderer draws them out."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,11 +50,18 @@ def part_faces(part: Part, piece_m: float | None) -> Faces:
     SimError
         The mesh does not fit the memory.
     """
-    try:
+    with in_memory(len(part.faces)):
         return _faces(part, piece_m)
+
+
+@contextmanager
+def in_memory(n_faces: int) -> Iterator[None]:
+    """Refuse a mesh of so many faces that the memory does not hold."""
+    try:
+        yield
     except MemoryError as error:
         raise SimError(
-            f"the drone's mesh of {len(part.faces)} faces does not fit the memory: simplify it"
+            f"the drone's mesh of {n_faces} faces does not fit the memory: simplify it"
         ) from error
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.errors import SimError
-from sim.render.config import RenderConfig
+from sim.render.config import DISTORTION_MODELS, RenderConfig
 from sim.render.faces import part_faces, piece_size_m
 from sim.render.gl_context import open_context
 from sim.render.lattice import Lattice, average_pixels
@@ -23,7 +23,6 @@ from sim.scene.rig import Camera
 IntArray = NDArray[np.int64]
 
 SHADERS = Path(__file__).parent / "shaders"
-DISTORTION_MODELS = {"none": 0, "radtan": 1, "equidistant": 2}
 MAX_INSTANCES = 1024  # of one draw call
 ATLAS_SIZE = 1024  # samples each way: small enough for the processor's cache
 _BACKGROUND = np.zeros(4, np.uint32)
@@ -59,7 +58,7 @@ class GLPainter:
         return min(MAX_INSTANCES, max(1, (ATLAS_SIZE // tile[0]) * (ATLAS_SIZE // tile[1])))
 
     def close(self) -> None:
-        """Free what this renderer holds on the GL side."""
+        """Free what it holds on the GL side."""
         self._atlas.delete()
 
     def paint(

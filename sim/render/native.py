@@ -7,9 +7,8 @@ how.
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.errors import SimError
-from sim.render.config import RenderConfig
-from sim.render.faces import part_faces, piece_size_m
+from sim.render.config import DISTORTION_MODELS, RenderConfig
+from sim.render.faces import in_memory, part_faces, piece_size_m
 from sim.render.lattice import pixels_of_tile
 from sim.render.native_kernels import paint_crops
 from sim.render.views import Views, crop_size
@@ -22,7 +21,6 @@ BATCH = 256  # instants, at most
 BATCH_PIXELS = 1 << 21  # of all their crops, at most: 8 MB
 # Samples each way that a block of pixels has, at most: its keys stay in the processor's cache.
 BLOCK_SAMPLES = 384
-_MODELS = {"none": 0, "radtan": 1, "equidistant": 2}
 
 
 class NativePainter:
@@ -41,9 +39,6 @@ class NativePainter:
     def room(self, width_px: int, height_px: int) -> int:
         """Return how many instants of this size may be drawn at a time."""
         return int(min(BATCH, max(1, BATCH_PIXELS // (width_px * height_px))))
-
-    def close(self) -> None:
-        """Free nothing: all memory is Python's."""
 
     def paint(
         self, camera: Camera, views: Views, corner_px: IntArray, background: NDArray[np.float32]
@@ -76,7 +71,7 @@ class NativePainter:
         paint_crops(  # type: ignore[no-untyped-call]
             mesh.vertices, mesh.first_vertex, mesh.faces, mesh.normals, mesh.albedo,
             mesh.first_face, np.stack(views.T_C_P).astype(np.float64), views.visible,
-            (K[0, 0], K[1, 1], K[0, 2], K[1, 2]), _MODELS[camera.distortion_model],
+            (K[0, 0], K[1, 1], K[0, 2], K[1, 2]), DISTORTION_MODELS[camera.distortion_model],
             tuple(camera.distortion_coeffs) or (0.0, 0.0, 0.0, 0.0), (lattice.a, lattice.b),
             tuple(lattice.centre),
             lattice.tile_origin(corner_px[:, 0], corner_px[:, 1], block_px[1]),
@@ -99,7 +94,7 @@ class _Mesh:
     def __init__(self, drone: Drone, piece_m: float | None) -> None:
         parts = [part_faces(part, piece_m) for part in drone.parts]
         vertices, faces, n_vertices = [], [], [0]
-        try:
+        with in_memory(sum(len(part.albedo) for part in parts)):
             for part in parts:
                 unique, index = np.unique(
                     part.corners_m.reshape(-1, 3), axis=0, return_inverse=True
@@ -113,8 +108,3 @@ class _Mesh:
             self.first_face = np.cumsum([0] + [len(part.albedo) for part in parts])
             self.normals = np.concatenate([part.normals for part in parts]).astype(np.float64)
             self.albedo = np.concatenate([part.albedo for part in parts]).astype(np.float64)
-        except MemoryError as error:
-            n = sum(len(part.albedo) for part in parts)
-            raise SimError(
-                f"the drone's mesh of {n} faces does not fit the memory: simplify it"
-            ) from error

@@ -13,6 +13,7 @@ import numpy as np
 from numba import njit
 
 from sim.render.lattice import FULL_CODE
+from sim.scene.rig import MIN_DEPTH_M
 
 DEPTH_BITS = 29  # of a key, above the word's 32: finer than the 24 of a depth buffer
 # A sample word is the code of the luminance and one object sample, so that a sum of words holds the
@@ -21,7 +22,6 @@ COUNT_BIT = 26
 # Corners further out than this [1/256 sample] would overflow the products of the edge functions,
 # which are three times its square at most. Triangles that reach beyond it are cut first.
 GUARD = 1 << 29
-NEAR_M = 1e-3  # nearer than this nothing has an image (`sim.scene.rig.MIN_DEPTH_M`)
 MAX_CUT = 9  # corners of a triangle after one near plane and four borders
 
 
@@ -134,6 +134,12 @@ def _on_lattice(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
+def _snap(at):  # type: ignore[no-untyped-def]
+    """Round a lattice coordinate to 1/256."""
+    return np.int64(np.floor(at * 256.0 + 0.5))
+
+
+@njit(cache=True, nogil=True)
 def _place(  # type: ignore[no-untyped-def]
     vertices, first_vertex, T_C_P, intrinsics, model, coeffs, lattice, shift_u, shift_v,
     placed, snapped,
@@ -151,10 +157,10 @@ def _place(  # type: ignore[no-untyped-def]
             x = T[0, 0] * px + T[0, 1] * py + T[0, 2] * pz + T[0, 3]
             y = T[1, 0] * px + T[1, 1] * py + T[1, 2] * pz + T[1, 3]
             z = T[2, 0] * px + T[2, 1] * py + T[2, 2] * pz + T[2, 3]
-            inverse = 1.0 / max(z, NEAR_M)
+            inverse = 1.0 / max(z, MIN_DEPTH_M)
             placed[i, 0], placed[i, 1], placed[i, 2], placed[i, 3] = x, y, z, inverse
             nearest, farthest = max(nearest, inverse), min(farthest, inverse)
-            if z < NEAR_M:
+            if z < MIN_DEPTH_M:
                 whole = False
                 continue
             u, v = _on_lattice(
@@ -163,8 +169,7 @@ def _place(  # type: ignore[no-untyped-def]
             if not (abs(u) < reach and abs(v) < reach):
                 whole = False
                 continue
-            snapped[i, 0] = np.int64(np.floor(u * 256.0 + 0.5))
-            snapped[i, 1] = np.int64(np.floor(v * 256.0 + 0.5))
+            snapped[i, 0], snapped[i, 1] = _snap(u), _snap(v)
     # Room at both ends, so that rounding leaves every depth within a key's bits, and above 0.
     return 1.05 * nearest, 0.95 * farthest, whole
 
@@ -307,7 +312,7 @@ def _fill_cut(  # type: ignore[no-untyped-def]
     a, b = scratch[0], scratch[1]
     for n in range(3):
         a[n] = placed[face[n]]
-    n = _cut(a, 3, 2, NEAR_M, -1.0, b)
+    n = _cut(a, 3, 2, MIN_DEPTH_M, -1.0, b)
     for k in range(n):
         inverse = 1.0 / b[k, 2]
         u, v = _on_lattice(
@@ -329,11 +334,6 @@ def _fill_cut(  # type: ignore[no-untyped-def]
                 keys, touched, width, height, x0, y0, x1, y1, x2, y2,
                 b[0, 3], b[k - 1, 3], b[k, 3], word,
             )  # fmt: skip
-
-
-@njit(cache=True, nogil=True)
-def _snap(at):  # type: ignore[no-untyped-def]
-    return np.int64(np.floor(at * 256.0 + 0.5))
 
 
 @njit(cache=True, nogil=True)

@@ -81,9 +81,6 @@ class Painter(Protocol):
     ) -> NDArray[np.float32]:
         """Draw crops."""
 
-    def close(self) -> None:
-        """Free what is held."""
-
 
 class Renderer:
     """Draws one drone; use as a context manager, or call `close`.
@@ -201,15 +198,11 @@ class Renderer:
 
     def _end_of_batch(self, boxes: IntArray, start: int) -> int:
         """Find how many of the coming instants are painted at a time, in crops of one size."""
-        stop = len(boxes)
-        while True:
-            # Boxes grow with the batch, so the room for the first few bounds the room for all.
-            room = self._painter.room(*crop_size(boxes[start : min(stop, start + 1)]))
-            stop = min(stop, start + room)
-            room = self._painter.room(*crop_size(boxes[start:stop]))
-            if stop - start <= room:
-                return stop
+        # The crop grows with the batch, so the first one's room bounds that of all.
+        stop = min(len(boxes), start + self._painter.room(*crop_size(boxes[start : start + 1])))
+        while (room := self._painter.room(*crop_size(boxes[start:stop]))) < stop - start:
             stop = start + room
+        return stop
 
     def _checked(self, visible: IntArray) -> IntArray:
         """Choose instants spread evenly over those in view, each within its share of them."""
