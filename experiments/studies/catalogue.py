@@ -29,13 +29,6 @@ STUDIES: Mapping[str, Study] = {
     )
 }
 
-PENDING: Mapping[str, str] = {}
-"""Studies of which `results/` has the summary of an earlier run, but not the runs, and why.
-
-Nothing else may be missing: `ssac verify` names these each time, and refuses one of them that has
-runs. `ssac study` or `ssac ablate` makes them; then the name goes from here.
-"""
-
 
 def chosen_studies(names: list[str], known: Mapping[str, Study], kind: str) -> list[Study]:
     """Look studies up; SsacError for a name that is none."""

@@ -4,7 +4,7 @@ The list follows from the configurations and the code, never from what lies in t
 a file that is gone leaves a gap in it.
 """
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -42,17 +42,8 @@ class Manifest:
     provenances: tuple[Provenance, ...]  # of them
 
 
-def manifest_of(studies: Mapping[str, Study], pending: Collection[str] = ()) -> Manifest:
-    """List what the tables, the figures, the benchmark and these studies leave.
-
-    Parameters
-    ----------
-    studies
-        By name.
-    pending
-        Those of them of which an earlier run left the summary and no runs: their provenance is of
-        code and configurations that are no more.
-    """
+def manifest_of(studies: Mapping[str, Study]) -> Manifest:
+    """List what the tables, the figures, the benchmark and these studies leave."""
     tables = (RUNS_FILE, COMPARISON_FILE, *(f"{name}.csv" for name in TABLES))
     made = [_beside(name, "ssac tables", tables_config()) for name in tables]
     figures = drawings()
@@ -66,10 +57,6 @@ def manifest_of(studies: Mapping[str, Study], pending: Collection[str] = ()) -> 
         *(f"{name}.png" for name in figures),
     ]
     for study in studies.values():
-        if study.name in pending:
-            earlier = (study.summary_file, provenance_name(study.summary_file))
-            files += [*earlier, *([study.figure_file] if study.draw else [])]
-            continue
         names = (study.runs_file, study.summary_file)
         config = {"study": study.name, **study.config}
         made += [_beside(name, study.command_line, config) for name in names]

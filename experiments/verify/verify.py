@@ -4,7 +4,6 @@ Everything that must be there is, nothing else is, each file is as its command w
 follows from the runs is made again from them, and the numbers that pages quote are what the results
 say; and some runs, drawn anew each time, are made again from nothing: simulated into a folder of
 their own, measured, and put beside the committed rows.
-Studies whose runs are still to be made (`PENDING` of the catalogue) are named each time.
 Exit code 0: all right; 1: something differs; 2: there is no such folder.
 """
 
@@ -19,7 +18,7 @@ import typer
 from experiments.report.numbers import pages, stale_numbers
 from experiments.run.command import WorkersOption
 from experiments.run.schedule import Workers
-from experiments.studies.catalogue import PENDING, STUDIES
+from experiments.studies.catalogue import STUDIES
 from experiments.verify.derived import figure_findings, study_findings, table_findings
 from experiments.verify.files import file_findings
 from experiments.verify.finding import Finding, found
@@ -54,21 +53,18 @@ def verify_command(
     """Check that the results are whole and follow from their runs; make some runs again."""
     if not results.is_dir():
         raise SsacError(f"{results}: no such folder: run `make tables studies figures bench` first")
-    studies = {name: study for name, study in STUDIES.items() if name not in PENDING}
-    failed = _report(file_findings(results, manifest_of(STUDIES, PENDING)))
+    failed = _report(file_findings(results, manifest_of(STUDIES)))
     failed += _report(table_findings(results))
-    failed += _report(study_findings(results, studies))
-    failed += _report(figure_findings(results, studies))
+    failed += _report(study_findings(results, STUDIES))
+    failed += _report(figure_findings(results, STUDIES))
     failed += _report(page_findings(results))
     if recordings:
         seed = secrets.randbelow(_SEEDS) if sample_seed is None else sample_seed
         options = f"--sample-seed {seed} --recordings {recordings}" + (" --slow" if slow else "")
         typer.echo(f"recordings drawn by: ssac verify {options}")
-        drawn = draw(sources_of(studies, slow), recordings, seed)
+        drawn = draw(sources_of(STUDIES, slow), recordings, seed)
         with tempfile.TemporaryDirectory(prefix="ssac-verify-") as folder:
             failed += _report(recomputed(drawn, results, Path(folder), Workers(workers)))
-    for name, reason in PENDING.items():
-        typer.echo(f"{'pending':8}{name}: its runs are to be made: {reason}")
     typer.echo(f"{failed} of the checks above differ" if failed else "all of it as committed")
     if failed:
         raise typer.Exit(1)

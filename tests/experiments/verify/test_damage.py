@@ -6,7 +6,6 @@ from shutil import copytree
 import pytest
 
 from experiments.paper.checksums import SUMS_FILE, record_checksums
-from experiments.studies.catalogue import PENDING
 from experiments.studies.catalogue import STUDIES as ALL_STUDIES
 from experiments.verify.derived import figure_findings, study_findings, table_findings
 from experiments.verify.files import file_findings
@@ -126,24 +125,12 @@ def test_a_benchmark_that_makes_no_sense_is_found(
     assert faulty(file_findings(results, manifest)) == ["bench.csv is a benchmark"]
 
 
-def test_of_a_pending_study_the_summary_must_be_there_and_no_runs(results: Path) -> None:
-    pending = manifest_of(STUDIES, {"squares"})
-    assert faulty(file_findings(results, pending)) == ["no other file is there"]
-    (results / "squares_runs.csv").unlink()
-    (results / "squares_runs.provenance.json").unlink()
-    record_checksums(results, [])
-    assert not faulty(file_findings(results, pending))
-    (results / "squares.csv").unlink()
-    assert "every file that there must be is there" in faulty(file_findings(results, pending))
-    assert set(PENDING) < set(ALL_STUDIES)
-
-
 @pytest.mark.skipif(
     not (RESULTS / SUMS_FILE).is_file(), reason="no results were written since checksums are kept"
 )
 def test_every_damage_to_the_committed_results_is_found(tmp_path: Path) -> None:
     results = Path(copytree(RESULTS, tmp_path / "results"))
-    manifest = manifest_of(ALL_STUDIES, PENDING)
+    manifest = manifest_of(ALL_STUDIES)
     checked = Manifest(manifest.files, ())  # provenances have a test of their own
     assert not faulty(file_findings(results, checked))
     for name in (*manifest.files, SUMS_FILE):

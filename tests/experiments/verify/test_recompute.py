@@ -170,7 +170,6 @@ def test_the_command_says_what_it_drew_and_fails_on_a_difference(
         return []
 
     monkeypatch.setattr(command, "STUDIES", STUDIES)
-    monkeypatch.setattr(command, "PENDING", {})
     monkeypatch.setattr(command, "recomputed", again)
     code, output = verify(results, "--recordings", "3")
     assert code == 0, output
