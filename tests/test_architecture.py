@@ -42,7 +42,14 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
         "estimate": (),
         "files": ("temporary", "whole_file", "rigs", "hdf5", "text", "event_files"),
         "geometry": ("robust", "epipolar", "fundamental", "pose", "candidate_poses", "pencil"),
-        "track": ("denoise", "motion", "observation", "outline_kernels", "outline"),
+        "track": (
+            "denoise",
+            "motion_kernels",
+            "motion",
+            "observation",
+            "outline_kernels",
+            "outline",
+        ),
         "search": ("view", "two_views", "offset_search", "observability"),
         "methods": (
             "verdict",

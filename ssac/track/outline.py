@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter1d
 
 from ssac.geometry.pencil import Pencil
-from ssac.track.motion import TIE_US, ObjectMotion
+from ssac.track.motion import ObjectMotion
+from ssac.track.motion_kernels import TIE_US
 from ssac.track.outline_kernels import (
     above_limit,
     angles_from_course,
