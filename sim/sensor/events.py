@@ -105,7 +105,7 @@ class Sensor:
         self._background = np.ascontiguousarray(
             self._image.copy() if background is None else background, np.float32
         )
-        self._reference = image.astype(np.float64) + config.log_eps
+        self._reference = self._image.astype(np.float64) + config.log_eps
         thresholds = [
             np.maximum(nominal + config.threshold_mismatch * rng.standard_normal(shape), low)
             for nominal, low in (
@@ -161,8 +161,8 @@ class Sensor:
             Shape (n, crop height, crop width), crops wholly within the image.
         """
         shared = (
-            times_s, x0_px, y0_px, luminance, self._background, self._time_s, self._box,
-            self._image, self._reference, self._up, self._down,
+            times_s, x0_px, y0_px, np.ascontiguousarray(luminance), self._background,
+            self._time_s, self._box, self._image, self._reference, self._up, self._down,
         )  # fmt: skip
         if self._noise is None:
             levels = (self._high, self._low, self.config.log_eps)

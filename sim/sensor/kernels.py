@@ -16,7 +16,6 @@ NOISE_STATE_DTYPE = np.dtype(
         ("random", "u8"),  # state of its own random numbers
     ]
 )
-_BLOCK = 32  # pixels compared at once
 _SHOT_NOISE_DROP = 0.75  # of the dark rate, at full light (as in v2e)
 
 
@@ -68,87 +67,94 @@ def process_ideal(  # type: ignore[no-untyped-def]
     image, reference, up, down, high, low, eps, ev_t, ev_x, ev_y, ev_p, n,
 ):  # fmt: skip
     """Follow pixels that act on light alone; see `sim.sensor.events.Sensor.feed`."""
-    height, width = luminance.shape[1:]
-    for k in range(times_s.size):
+    k = 0
+    while True:
+        k, time_s, n = _follow_light(
+            k, times_s, x0_px, y0_px, luminance.shape[1], luminance.shape[2], image.shape[1],
+            luminance.reshape(-1), background.reshape(-1), time_s, box, image.reshape(-1),
+            reference.reshape(-1), up.reshape(-1), down.reshape(-1), high.reshape(-1),
+            low.reshape(-1), eps, ev_t, ev_x, ev_y, ev_p, n,
+        )  # fmt: skip
+        if k == times_s.size:
+            return ev_t, ev_x, ev_y, ev_p, n
+        ev_t, ev_x, ev_y, ev_p = _grown(ev_t, ev_x, ev_y, ev_p)
+
+
+@njit(cache=True, nogil=True)
+def _follow_light(  # type: ignore[no-untyped-def]
+    first, times_s, x0_px, y0_px, height, width, image_width, luminance, background, time_s, box,
+    image, reference, up, down, high, low, eps, ev_t, ev_x, ev_y, ev_p, n,
+):  # fmt: skip
+    """Follow pixels from instant `first` on, all arrays flat, until the room for events ends.
+
+    Returns the instant at which it did, the time [s] up to which all pixels were followed, and the
+    number of events. Taken up again there, it goes on as if nothing had been: pixels that were
+    followed already are within their thresholds.
+    """
+    row = np.empty(image_width, np.float32)
+    found = np.empty(image_width + 1, np.int64)
+    for k in range(first, times_s.size):
         t0, t1 = time_s, times_s[k]
         cx0, cy0 = x0_px[k], y0_px[k]
         cx1, cy1 = cx0 + width, cy0 + height
         for y in range(min(cy0, box[1]), max(cy1, box[3])):
             in_crop = cy0 <= y < cy1
             in_box = box[1] <= y < box[3]
-            # Up to three runs of the row: background, crop, background.
-            for run in range(3):
-                if run == 1:
-                    if not in_crop:
-                        continue
-                    first, last = cx0, cx1
-                    source = luminance[k, y - cy0]
-                    shift = cx0
-                else:
-                    if not in_box:
-                        continue
-                    first, last = box[0], box[2]
-                    if in_crop:
-                        if run == 0:
-                            last = min(last, cx0)
-                        else:
-                            first = max(first, cx1)
-                    elif run == 2:
-                        continue
-                    source = background[y]
-                    shift = 0
-                ev_t, ev_x, ev_y, ev_p, n = _step_run(
-                    source[first - shift : last - shift], y, first, last, t0, t1,
-                    image, reference, up, down, high, low, eps, ev_t, ev_x, ev_y, ev_p, n,
-                )  # fmt: skip
+            # What lies between box and crop, if anything does, is and stays background.
+            x0, x1 = image_width, np.int64(0)
+            if in_box:
+                x0, x1 = box[0], box[2]
+            if in_crop:
+                x0, x1 = min(x0, cx0), max(x1, cx1)
+            if x0 >= x1:
+                continue
+            start = np.uint64(y * image_width + x0)
+            size = np.uint64(x1 - x0)
+            if in_crop:
+                source = np.uint64((k * height + y - cy0) * width)
+                left, right = np.uint64(cx0 - x0), np.uint64(cx1 - x0)
+                for i in range(np.uint64(0), left):
+                    row[i] = background[start + i]
+                for i in range(left, right):
+                    row[i] = luminance[source + (i - left)]
+                for i in range(right, size):
+                    row[i] = background[start + i]
+            else:
+                for i in range(np.uint64(0), size):
+                    row[i] = background[start + i]
+            n_found = np.uint64(0)
+            for i in range(np.uint64(0), size):
+                at = start + i
+                found[n_found] = i
+                n_found += np.uint64((row[i] > high[at]) | (row[i] < low[at]))
+            for j in range(np.uint64(0), n_found):
+                i = np.uint64(found[j])
+                at = start + i
+                i0, i1 = np.float64(image[at]), np.float64(row[i])
+                per_s = (t1 - t0) / (i1 - i0)
+                x = x0 + np.int64(i)
+                memory, step_up, step_down = reference[at], up[at], down[at]
+                above, below = high[at], low[at]
+                while i1 > above or i1 < below:
+                    if n == ev_t.size:
+                        reference[at], high[at], low[at] = memory, above, below
+                        return k, time_s, n
+                    polarity = i1 > above
+                    memory *= step_up if polarity else step_down
+                    # At this intensity the threshold is crossed.
+                    crossing = memory - eps
+                    e = np.uint64(n)
+                    ev_t[e] = min(max(t0 + (crossing - i0) * per_s, t0), t1)
+                    ev_x[e], ev_y[e], ev_p[e] = x, y, polarity
+                    n += 1
+                    above = np.float32(memory * step_up - eps)
+                    below = np.float32(memory * step_down - eps)
+                reference[at], high[at], low[at] = memory, above, below
+            for i in range(np.uint64(0), size):
+                image[start + i] = row[i]
         box[0], box[1], box[2], box[3] = cx0, cy0, cx1, cy1
         time_s = t1
-    return ev_t, ev_x, ev_y, ev_p, n
-
-
-@njit(cache=True, nogil=True)
-def _step_run(  # type: ignore[no-untyped-def]
-    source, y, first, last, t0, t1, image, reference, up, down, high, low, eps,
-    ev_t, ev_x, ev_y, ev_p, n,
-):  # fmt: skip
-    """Move a run of a row's pixels to their next light, and emit what that causes."""
-    row_image = image[y, first:last]
-    row_high, row_low = high[y, first:last], low[y, first:last]
-    # Most rows see no event at all: one look at the whole run, then at blocks of it.
-    size = source.size if _any_crossed(source, row_high, row_low) else 0
-    for start in range(0, size, _BLOCK):
-        block = source[start : start + _BLOCK]
-        if _any_crossed(block, row_high[start : start + _BLOCK], row_low[start : start + _BLOCK]):
-            for i in range(start, start + block.size):
-                i1 = np.float64(source[i])
-                if not (i1 > row_high[i] or i1 < row_low[i]):
-                    continue
-                x = first + i
-                i0 = np.float64(row_image[i])
-                per_s = (t1 - t0) / (i1 - i0)
-                while i1 > row_high[i] or i1 < row_low[i]:
-                    polarity = i1 > row_high[i]
-                    reference[y, x] *= up[y, x] if polarity else down[y, x]
-                    # At this intensity the threshold is crossed.
-                    crossing = reference[y, x] - eps
-                    if n == ev_t.size:
-                        ev_t, ev_x, ev_y, ev_p = _grown(ev_t, ev_x, ev_y, ev_p)
-                    ev_t[n] = min(max(t0 + (crossing - i0) * per_s, t0), t1)
-                    ev_x[n], ev_y[n], ev_p[n] = x, y, polarity
-                    n += 1
-                    row_high[i] = reference[y, x] * up[y, x] - eps
-                    row_low[i] = reference[y, x] * down[y, x] - eps
-    row_image[:] = source
-    return ev_t, ev_x, ev_y, ev_p, n
-
-
-@njit(cache=True, nogil=True)
-def _any_crossed(source, high, low):  # type: ignore[no-untyped-def]
-    """Tell whether any pixel's light left its two thresholds, without a branch per pixel."""
-    crossed = np.int32(0)
-    for i in range(source.size):
-        crossed |= np.int32(source[i] > high[i]) | np.int32(source[i] < low[i])
-    return crossed != 0
+    return times_s.size, time_s, n
 
 
 @njit(cache=True, nogil=True)
