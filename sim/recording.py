@@ -12,6 +12,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.clock import Drift, Jump, drift_of
 from sim.errors import SimError
 from sim.render.config import RenderConfig
 from sim.render.gl_context import GLContext
@@ -44,6 +45,8 @@ class SimConfig:
 
     angle_deg: float = 90.0  # between the two lines of sight, 0 to 180 exclusive
     t_d_s: float = 0.0  # t_cam2 = t_cam1 + t_d
+    skew_ppm: float = 0.0  # by which camera 2's clock runs fast; t_d then holds in mid-recording
+    clock_jump: Jump | None = None  # of camera 2's clock: when, and by how much more it shows [s]
     spline: SplineConfig = field(default_factory=SplineConfig)
     trajectory_file: Path | None = None  # CSV, instead of a random spline
     drone: str = "quadrotor"  # one of sim.flyers.DRONES
@@ -88,6 +91,7 @@ class Truth:
     times_s: FloatArray  # (n,) [s], of the scene, which is camera 1's clock
     T_W_B: FloatArray  # (n, 4, 4), pose of the drone
     centres_px: FloatArray  # (cameras, n, 2), image of the drone's origin; NaN behind the camera
+    drift: Drift = field(default_factory=Drift)  # of camera 2's clock, beside t_d
 
 
 @dataclass(frozen=True)
@@ -199,6 +203,7 @@ def stream(
     backgrounds = _backgrounds(config, rig)
     drone = _drone(config)
     trajectory = _trajectory(config, seed)
+    drift = drift_of(config.skew_ppm, config.clock_jump, trajectory.duration_s)
     n_instants = 0
     with Renderer(drone, config.render, seed) as renderer:
         for index, camera in enumerate(rig.cameras):
@@ -214,9 +219,20 @@ def stream(
             n_instants += len(instants_s)
             T_W_B = PosesAt(trajectory, instants_s)
             views = renderer.crops(camera, instants_s, T_W_B, backgrounds[index])
-            _record(views, camera, instants_s, backgrounds[index], config, rng, open_sink, report)
+            strays = drift if index == 1 else Drift()
+            _record(
+                views,
+                camera,
+                strays,
+                instants_s,
+                backgrounds[index],
+                config,
+                rng,
+                open_sink,
+                report,
+            )
         gl, check = renderer.context, renderer.check
-    return Flight(rig, _truth(rig, trajectory, config.t_d_s), n_instants, gl, check)
+    return Flight(rig, _truth(rig, trajectory, config.t_d_s, drift), n_instants, gl, check)
 
 
 def with_time_offset(recording: Recording, t_d_s: float) -> Recording:
@@ -261,6 +277,7 @@ class _InMemory:
 def _record(
     views: Iterator[Crops],
     camera: Camera,
+    drift: Drift,
     instants_s: FloatArray,
     background: NDArray[np.float32],
     config: SimConfig,
@@ -272,11 +289,12 @@ def _record(
     end_s = float(instants_s[-1])
     clock_us = _microseconds(camera.time_offset_s)
     times_us = frame_times_us(config.frames, end_s)
-    sink = open_sink(camera, times_us + clock_us, config.frames.exposure_s)
+    stamps_us = times_us + drift.added_us(times_us) + clock_us
+    sink = open_sink(camera, stamps_us, config.frames.exposure_s)
     exposer = FrameExposer(config.frames, background, len(times_us), sink.images)
 
     def hand_on(events: NDArray[Any]) -> None:
-        events["t"] += clock_us
+        events["t"] += drift.added_us(events["t"]) + clock_us
         sink.add(events)
 
     sensor: Sensor | None = None
@@ -353,10 +371,10 @@ def _trajectory(config: SimConfig, seed: int) -> Trajectory:
     return random_spline(config.spline, np.random.default_rng(stream))
 
 
-def _truth(rig: Rig, trajectory: Trajectory, t_d_s: float) -> Truth:
+def _truth(rig: Rig, trajectory: Trajectory, t_d_s: float, drift: Drift) -> Truth:
     R, t, baseline_m = rig.extrinsics()
     n = max(2, int(np.ceil(trajectory.duration_s * TRUTH_HZ)) + 1)
     times_s: FloatArray = np.linspace(0.0, trajectory.duration_s, n, dtype=np.float64)
     T_W_B = trajectory.poses(times_s)
     centres_px = np.stack([camera.project(T_W_B[:, :3, 3]) for camera in rig.cameras])
-    return Truth(t_d_s, R, t, baseline_m, times_s, T_W_B, centres_px)
+    return Truth(t_d_s, R, t, baseline_m, times_s, T_W_B, centres_px, drift)

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from sim.clock import Drift
 from sim.errors import SimError
 from sim.partial import partial_path
 from sim.recording import Flight, Recording, SimConfig, stream
@@ -318,10 +319,14 @@ def _truth(recorded: Recorded) -> dict[str, Any]:
     quaternions = Rotation.from_matrix(truth.T_W_B[:, :3, :3]).as_quat()
     return {
         "t_d_s": truth.t_d_s,
+        "skew_ppm": truth.drift.skew_ppm,
+        "t_ref_s": truth.drift.t_ref_s,
+        "clock_jump": _jump(truth.drift),
         "R": truth.R.tolist(),
         "t": truth.t.tolist(),
         "baseline_m": truth.baseline_m,
-        "conventions": "t_cam2 = t_cam1 + t_d; x2 = R x1 + t, |t| = 1; times on camera 1's clock",
+        "conventions": "t_cam2 = t_cam1 + t_d + skew (t_cam1 - t_ref), and a jump's size from then"
+        " on; x2 = R x1 + t, |t| = 1; times on camera 1's clock",
         "cameras": {
             camera.name: {
                 "time_offset_s": camera.time_offset_s,
@@ -345,6 +350,13 @@ def _truth(recorded: Recorded) -> dict[str, Any]:
             "mean_difference": round(flight.check.mean_difference, _DIGITS),
         },
     }
+
+
+def _jump(drift: Drift) -> dict[str, float] | None:
+    if drift.jump is None:
+        return None
+    at_s, size_s = drift.jump
+    return {"at_s": at_s, "size_s": size_s}
 
 
 def _rounded(values: NDArray[np.float64]) -> list[Any]:

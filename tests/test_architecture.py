@@ -30,6 +30,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
             "gl_reference",
         ),
         "sensor": ("kernels", "events", "frames"),
+        "clock": (),
         "recording": (),
         "partial": (),
         "storage": (),

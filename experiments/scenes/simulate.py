@@ -10,6 +10,7 @@ from tqdm import tqdm
 from experiments.run.bridge import rig_of
 from experiments.run.provenance import plain, versions
 from experiments.scenes.scene import SceneFigures, pair_figures, scene_table
+from sim.clock import MAX_SKEW_PPM
 from sim.errors import SimError
 from sim.recording import Flight, SimConfig
 from sim.render.config import RENDERERS, RenderConfig
@@ -54,6 +55,21 @@ def simulate_command(
     angle: Annotated[float, number("Between the two lines of sight.", 1, 179, "degrees")] = 90.0,
     duration: Annotated[float, number("Of the flight.", 1, 3600, "seconds")] = 20.0,
     t_d: Annotated[float, number("Offset: t_cam2 = t_cam1 + t_d.", -86400, 86400, "seconds")] = 0.0,
+    skew_ppm: Annotated[
+        float,
+        number(
+            "Camera 2's clock runs fast by this share; t_d then holds in the middle.",
+            -MAX_SKEW_PPM,
+            MAX_SKEW_PPM,
+            "ppm",
+        ),
+    ] = 0.0,
+    clock_jump: Annotated[
+        tuple[float, float] | None,
+        typer.Option(
+            metavar="T S", help="From T seconds on camera 2's clock shows S seconds more, S > 0."
+        ),
+    ] = None,
     seed: Annotated[
         int, number("Of all that is random: the same seed gives the same bytes.", 0, MAX_SEED)
     ] = 0,
@@ -156,6 +172,8 @@ def simulate_command(
     config = SimConfig(
         angle_deg=angle,
         t_d_s=t_d,
+        skew_ppm=skew_ppm,
+        clock_jump=clock_jump,
         spline=_spline(duration, spread),
         trajectory_file=trajectory,
         drone_size_m=drone_size,
