@@ -5,7 +5,7 @@ where a calibration by OpenCV has them) and "equidistant" (OpenCV's fisheye k1 t
 ("ideal") points keep the camera's K, so that without distortion they are the measured points.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -15,6 +15,12 @@ from ssac.errors import SsacError
 
 DISTORTION_LENGTHS = {"none": (0,), "radtan": (4, 5, 8), "equidistant": (4,)}
 """Numbers of distortion coefficients that each lens model may have."""
+
+GOOD_FOCAL = 0.001
+"""Deviation of a focal length, as a share of it, where a good calibration says nothing of it."""
+
+GOOD_CENTRE_PX = 0.3
+"""The same of each coordinate of the principal point."""
 
 MAX_ROUND_TRIP_PX = 1e-6
 """An undistorted point is accepted when distorting it again comes back this close [px]."""
@@ -31,6 +37,7 @@ class Camera:
     height: int  # [px]
     distortion_model: str = "none"  # "none", "radtan" or "equidistant"
     distortion_coeffs: tuple[float, ...] = ()  # 4 values unless "none"; OpenCV's radtan also 5, 8
+    intrinsics_std_px: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)  # of fu, fv, pu, pv; 0: exact
 
 
 @dataclass(frozen=True)
@@ -42,8 +49,27 @@ class Rig:
     T_2_1: NDArray[np.float64] | None = None  # (4, 4), x2 = T_2_1 x1, [m]
 
 
+def with_deviations(
+    camera: Camera, focal: float = GOOD_FOCAL, centre_px: float = GOOD_CENTRE_PX
+) -> Camera:
+    """Give a camera whose intrinsics are known to a share of the focal lengths, and to pixels.
+
+    Parameters
+    ----------
+    camera
+        Any.
+    focal
+        Deviation of both focal lengths, as a share of them.
+    centre_px
+        Deviation of both coordinates of the principal point [px].
+    """
+    fu_px, fv_px = float(camera.K[0, 0]), float(camera.K[1, 1])
+    deviations_px = (focal * fu_px, focal * fv_px, centre_px, centre_px)
+    return replace(camera, intrinsics_std_px=deviations_px)
+
+
 def same_camera(a: Camera, b: Camera) -> bool:
-    """Whether two cameras have equal intrinsics; `==` cannot tell, as K is an array."""
+    """Whether two cameras map points alike; `==` cannot tell, as K is an array."""
     if a is b:
         return True
     names = ("width", "height", "distortion_model", "distortion_coeffs")
@@ -82,6 +108,12 @@ def check_camera(camera: Camera, name: str = "camera") -> None:
             f"{name}: the distortion model {camera.distortion_model!r} needs "
             f"{' or '.join(map(str, lengths))} finite coefficients, got {coeffs.tolist()}: "
             "calibrate again"
+        )
+    deviations = np.asarray(camera.intrinsics_std_px, dtype=np.float64)
+    if deviations.shape != (4,) or not (np.isfinite(deviations) & (deviations >= 0.0)).all():
+        raise SsacError(
+            f"{name}: intrinsics_std must be 4 deviations of fu, fv, pu, pv [px], none negative, "
+            f"got {deviations.tolist()}: give 0 for exact ones"
         )
 
 

@@ -310,6 +310,7 @@ def kalibr_yaml(rig: Rig, with_extrinsics: bool) -> str:
         entry: dict[str, object] = {
             "camera_model": "pinhole",
             "intrinsics": [float(k) for k in (K[0, 0], K[1, 1], K[0, 2], K[1, 2])],
+            "intrinsics_std": [0.0, 0.0, 0.0, 0.0],  # [px] they are the ones simulated with
             "distortion_model": camera.distortion_model,
             "distortion_coeffs": [float(c) for c in camera.distortion_coeffs],
             "resolution": [camera.width, camera.height],

@@ -1,6 +1,7 @@
 """Rig files in (Kalibr camchain YAML, OpenCV stereo YAML), the cameras' Rig out."""
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from ssac.camera import Camera, Rig, check_camera
+from ssac.camera import Camera, Rig, check_camera, with_deviations
 from ssac.errors import SsacError
 
 MAX_ROTATION_ERROR = 1e-3
@@ -41,7 +42,9 @@ def load_rig(path: Path | str) -> Rig:
     Returns
     -------
     Rig
-        Cameras with valid intrinsics; T_2_1 in the unit of the file (Kalibr: metres).
+        Cameras with valid intrinsics; T_2_1 in the unit of the file (Kalibr: metres). Their
+        deviations are those of a camera's key `intrinsics_std` (fu, fv, pu, pv [px], 0 for exact
+        ones), and of a good calibration where there is none (`ssac.camera.with_deviations`).
 
     Raises
     ------
@@ -117,7 +120,10 @@ def _camera_from_kalibr(name: str, entry: Any) -> Camera:
     size = _numbers(entry["resolution"], (2,), f"{name}, resolution")
     coeffs = _numbers(entry.get("distortion_coeffs") or [], (-1,), f"{name}, distortion_coeffs")
     K = np.array([[fu, 0.0, pu], [0.0, fv, pv], [0.0, 0.0, 1.0]])
-    return _checked_camera(name, K, size, str(entry["distortion_model"]), coeffs)
+    deviations = None
+    if "intrinsics_std" in entry:
+        deviations = _numbers(entry["intrinsics_std"], (4,), f"{name}, intrinsics_std")
+    return _checked_camera(name, K, size, str(entry["distortion_model"]), coeffs, deviations)
 
 
 def _rig_from_opencv(path: Path, text: str) -> Rig:
@@ -168,14 +174,17 @@ def _checked_camera(
     size: Iterable[float],
     distortion_model: str,
     coeffs: NDArray[np.float64],
+    deviations_px: NDArray[np.float64] | None = None,
 ) -> Camera:
     """Return the camera; the model "none" may come with zeros for coefficients."""
     if distortion_model == "none" and not coeffs.any():
         coeffs = coeffs[:0]
     width, height = map(int, size)
     camera = Camera(K, width, height, distortion_model, tuple(coeffs.tolist()))
+    if deviations_px is not None:
+        camera = replace(camera, intrinsics_std_px=tuple(deviations_px.tolist()))
     check_camera(camera, name)
-    return camera
+    return with_deviations(camera) if deviations_px is None else camera
 
 
 def _numbers(value: Any, shape: tuple[int, ...], name: str) -> NDArray[np.float64]:

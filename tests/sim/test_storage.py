@@ -142,6 +142,7 @@ def test_rigs_are_read_back(tmp_path: Path) -> None:
     for read, made in zip((known.cam1, known.cam2), recording.rig.cameras, strict=True):
         np.testing.assert_array_equal(read.K, made.K)
         assert (read.width, read.height) == (made.width, made.height)
+        assert read.intrinsics_std_px == (0.0, 0.0, 0.0, 0.0)  # exact: nothing is to be allowed for
 
 
 def test_estimators_cannot_read_the_truth_out_of_the_rig(tmp_path: Path) -> None:

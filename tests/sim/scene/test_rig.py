@@ -180,6 +180,7 @@ def test_kalibr_camchain() -> None:
     assert chain["cam0"] == {
         "camera_model": "pinhole",
         "intrinsics": [200.0, 200.0, 173.0, 130.0],
+        "intrinsics_std": [0.0, 0.0, 0.0, 0.0],
         "distortion_model": "radtan",
         "distortion_coeffs": list(RADTAN),
         "resolution": [346, 260],

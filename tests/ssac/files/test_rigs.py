@@ -44,6 +44,17 @@ def test_kalibr_camchain(tmp_path):
     np.testing.assert_array_equal(rig.T_2_1, T_2_1)
 
 
+def test_deviations_of_the_intrinsics(tmp_path):
+    # Where a file says nothing: 0.1 % of the focal lengths of 200 and 201 px, 0.3 px of the centre.
+    rig = load_rig(_write(tmp_path / "rig.yaml", _kalibr()))
+    np.testing.assert_allclose(rig.cam1.intrinsics_std_px, (0.200, 0.201, 0.3, 0.3), rtol=1e-12)
+    document = _kalibr()
+    document["cam0"]["intrinsics_std"] = [2, 2.5, 3, 0]
+    rig = load_rig(_write(tmp_path / "rig.yaml", document))
+    assert rig.cam1.intrinsics_std_px == (2.0, 2.5, 3.0, 0.0)
+    np.testing.assert_allclose(rig.cam2.intrinsics_std_px, (0.200, 0.201, 0.3, 0.3), rtol=1e-12)
+
+
 @pytest.mark.parametrize("coeffs", [None, [], [0.0, 0.0, 0.0, 0.0]])
 def test_kalibr_without_distortion_or_pose(tmp_path, coeffs):
     document = _kalibr()
@@ -62,6 +73,8 @@ def test_kalibr_without_distortion_or_pose(tmp_path, coeffs):
         ("cam0", "intrinsics", [np.nan, 201.0, 173.0, 130.0], "cam0, intrinsics: expected 4 of"),
         ("cam0", "intrinsics", [-200.0, 201.0, 173.0, 130.0], "cam0: focal lengths must be pos"),
         ("cam0", "intrinsics", "200", "cam0, intrinsics: expected 4 of finite numbers, got 200"),
+        ("cam0", "intrinsics_std", [0.1], "cam0, intrinsics_std: expected 4 of finite num"),
+        ("cam0", "intrinsics_std", [0, 0, 0, -1], "cam0: intrinsics_std must be 4 devi"),
         ("cam0", "resolution", [346], "cam0, resolution: expected 2 of finite numbers"),
         ("cam1", "distortion_model", "fov", "cam1: unknown distortion model 'fov'"),
         ("cam1", "distortion_coeffs", [0.1], "cam1: the distortion model 'equidistant' needs 4"),
