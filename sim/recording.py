@@ -52,7 +52,7 @@ class SimConfig:
     drone: str = "quadrotor"  # one of sim.flyers.DRONES
     drone_size_m: float | None = None  # None: the default, or the file's own size
     drone_file: Path | None = None  # any mesh, instead of a built-in drone
-    rotor_hz: float = 0.0  # turns per second of the quadrotor's rotors
+    rotor_hz: float = 0.0  # turns per second of a quadrotor's rotors
     flap_hz: float = FLAP_HZ  # beats per second of the bird's wings
     distance_m: float = 5.0  # of both cameras from the point they look at
     focal_px: float = 200.0
@@ -359,7 +359,7 @@ def _backgrounds(config: SimConfig, rig: Rig) -> list[NDArray[np.float32]]:
 def _drone(config: SimConfig) -> Drone:
     if config.drone_file is not None:
         if config.rotor_hz:
-            raise SimError("rotors spin on the built-in quadrotor only: leave out rotor_hz")
+            raise SimError("rotors spin on the built-in quadrotors only: leave out rotor_hz")
         return drone_from_file(config.drone_file, config.drone_size_m)
     return built_in_drone(config.drone, config.drone_size_m, config.rotor_hz, config.flap_hz)
 

@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parents[1]
 STAGES: dict[str, dict[str, tuple[str, ...]]] = {
     "sim": {
         "errors": (),
-        "scene": ("trajectory", "shapes", "drone", "flyers", "rig", "background"),
+        "scene": ("trajectory", "shapes", "drone", "two_tone", "flyers", "rig", "background"),
         "render": (
             "lattice",
             "config",

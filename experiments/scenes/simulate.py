@@ -87,7 +87,7 @@ def simulate_command(
         float | None, number("Largest extent of the drone.", 0.01, 100, "metres")
     ] = None,
     rotor_hz: Annotated[
-        float, number("Turns per second of the quadrotor's rotors.", -1000, 1000, "hertz")
+        float, number("Turns per second of a quadrotor's rotors.", -1000, 1000, "hertz")
     ] = 0.0,
     flap_hz: Annotated[
         float, number("Beats per second of the bird's wings.", 0, 100, "hertz")

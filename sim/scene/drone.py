@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sim.errors import SimError
-from sim.scene.shapes import beam, hexagonal_hull, pose, prism
+from sim.scene.shapes import hexagonal_hull, pose, prism
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -94,23 +94,30 @@ def check_size(size_m: float) -> None:
         raise SimError(f"the drone's size must be a positive number of metres, got {size_m}")
 
 
-# The quadrotor's proportions, in units of its size: 2 (MOTOR_X + ROTOR_RADIUS) = 1. It is longer
+# Proportions of quadrotors, in units of their size: 2 (MOTOR_X + ROTOR_RADIUS) = 1. They are longer
 # than wide, as real ones are.
 MOTOR_X, MOTOR_Y = 0.335, 0.29
 ROTOR_RADIUS = 0.165
-ROTOR_Z = 0.075
 BLADE_CHORD, BLADE_THICKNESS = 0.034, 0.008
 BLADE_LENGTH = ((2.0 * ROTOR_RADIUS) ** 2 - BLADE_CHORD**2) ** 0.5  # its corners on the circle
-ALBEDO_SHELL, ALBEDO_NOSE, ALBEDO_TAIL = 0.22, 0.38, 0.12
-ALBEDO_ARM, ALBEDO_MOTOR, ALBEDO_LEG = 0.16, 0.10, 0.14
-ALBEDO_FRONT_ROTOR, ALBEDO_REAR_ROTOR = 0.42, 0.08
+# In this order neighbours are neighbours, and turn in opposite senses.
+CORNERS = ((1, 1), (1, -1), (-1, -1), (-1, 1))  # signs of x and y
+
+# The default quadrotor's own.
+ALBEDO_BLACK = 0.10  # of all of it: black plastic
+BLADE_YAW_RAD = 0.5  # at rest, of the rotor at the front left; the others are its mirror images
+BLADE_Z = 0.033  # on top of the motors
+MOTOR_RADIUS, MOTOR_HEIGHT = 0.03, 0.06
+ARM_WIDTH, ARM_HEIGHT = 0.034, 0.026
+LEG_RADIUS, LEG_REACH = 0.025, 0.07  # stout: a thin leg's end makes few events
 
 
 def quadrotor(size_m: float = DEFAULT_SIZE_M, rotor_hz: float = 0.0) -> Drone:
-    """Build a quadrotor: shell, gimbal, four arms with motors and two-blade rotors, two skids.
+    """Build a quadrotor: shell, four level arms with motors, legs and two-blade rotors.
 
-    Its front is brighter than its back and its nose and tail differ, so that, as with a real
-    drone, the mean of its events is not the image of any fixed point of it.
+    It is flat, black all over, and its own mirror image from front to back and from left to right,
+    blades at rest included: the mean of its events is then near the image of one point of it,
+    from wherever it is seen. `sim.scene.two_tone` has one that is neither.
 
     Parameters
     ----------
@@ -123,7 +130,53 @@ def quadrotor(size_m: float = DEFAULT_SIZE_M, rotor_hz: float = 0.0) -> Drone:
     Returns
     -------
     Drone
-        About 280 faces, in outward-facing closed pieces.
+        About 270 faces, in outward-facing closed pieces.
+
+    Raises
+    ------
+    SimError
+        When the size is not positive or the rate is not finite.
+    """
+    shell = hexagonal_hull(
+        (
+            (-0.19, 0.045, -0.018, 0.018),
+            (-0.09, 0.095, -0.04, 0.04),
+            (0.09, 0.095, -0.04, 0.04),
+            (0.19, 0.045, -0.018, 0.018),
+        )
+    )
+    frame, blades = [solid(shell, ALBEDO_BLACK)], []
+    for x_sign, y_sign in CORNERS:
+        hub = np.array([x_sign * MOTOR_X, y_sign * MOTOR_Y, BLADE_Z])
+        frame += [solid(mesh, ALBEDO_BLACK) for mesh in _level_arm(hub * (1.0, 1.0, 0.0))]
+        blades.append(Blades(hub, x_sign * y_sign * BLADE_YAW_RAD, ALBEDO_BLACK))
+    return with_rotors("quadrotor", size_m, frame, blades, rotor_hz)
+
+
+@dataclass(frozen=True)
+class Blades:
+    """The two blades of a rotor, in units of the drone's size."""
+
+    hub_B: FloatArray  # (3,), frame B
+    yaw_rad: float  # at rest
+    albedo: float
+
+
+def with_rotors(
+    name: str, size_m: float, frame: list[Part], rotors: list[Blades], rotor_hz: float
+) -> Drone:
+    """Put four rotors on a frame.
+
+    Parameters
+    ----------
+    name, size_m
+        Of the drone.
+    frame
+        All else, in units of the size.
+    rotors
+        In the order of CORNERS.
+    rotor_hz
+        As of `quadrotor`.
 
     Raises
     ------
@@ -133,20 +186,15 @@ def quadrotor(size_m: float = DEFAULT_SIZE_M, rotor_hz: float = 0.0) -> Drone:
     check_size(size_m)
     if not np.isfinite(rotor_hz):
         raise SimError(f"the rotors' rate must be a finite number [1/s], got {rotor_hz}")
-    body = _fuselage()
-    rotors: list[Part] = []
-    for x_sign, y_sign in ((1, 1), (1, -1), (-1, -1), (-1, 1)):
-        hub = np.array([x_sign * MOTOR_X, y_sign * MOTOR_Y, ROTOR_Z])
-        body += _arm(hub)
-        blade = trimesh.creation.box((BLADE_LENGTH, BLADE_CHORD, BLADE_THICKNESS))
-        # No two blades stand alike when at rest.
-        blade.apply_transform(pose(hub, yaw_rad=0.5 + 0.9 * len(rotors)))
-        albedo = ALBEDO_FRONT_ROTOR if x_sign > 0 else ALBEDO_REAR_ROTOR
-        joint = Joint(np.array([0.0, 0.0, 1.0]), hub * size_m, x_sign * y_sign * rotor_hz)
-        rotors.append(join([solid(blade, albedo)], size_m, joint if rotor_hz else None))
-    frame = join(body, size_m)
-    parts = (frame, *rotors) if rotor_hz else (join([frame, *rotors]),)
-    return Drone(parts, "quadrotor", size_m)
+    parts = []
+    for rotor, (x_sign, y_sign) in zip(rotors, CORNERS, strict=True):
+        blades = trimesh.creation.box((BLADE_LENGTH, BLADE_CHORD, BLADE_THICKNESS))
+        blades.apply_transform(pose(rotor.hub_B, rotor.yaw_rad))
+        joint = Joint(np.array([0.0, 0.0, 1.0]), rotor.hub_B * size_m, x_sign * y_sign * rotor_hz)
+        parts.append(join([solid(blades, rotor.albedo)], size_m, joint if rotor_hz else None))
+    body = join(frame, size_m)
+    whole = (body, *parts) if rotor_hz else (join([body, *parts]),)
+    return Drone(whole, name, size_m)
 
 
 def drone_from_file(path: Path, size_m: float | None = None) -> Drone:
@@ -186,40 +234,17 @@ def drone_from_file(path: Path, size_m: float | None = None) -> Drone:
     return Drone((centred,), path.stem, extent_m * scale)
 
 
-def _fuselage() -> list[Part]:
-    """Return shell, nose, tail and the two landing skids."""
-    # The shell is the hull of four hexagonal cross sections: x, half width, bottom, top.
-    sections = (
-        (-0.2, 0.055, -0.02, 0.03),
-        (-0.09, 0.1, -0.055, 0.065),
-        (0.1, 0.095, -0.055, 0.055),
-        (0.21, 0.04, -0.025, 0.015),
-    )
-    shell = hexagonal_hull(sections)
-    gimbal = prism(6, radius=0.04, length=0.07)
-    gimbal.apply_transform(pose((0.17, 0.0, -0.075), pitch_rad=np.pi / 2))
-    battery = trimesh.creation.box((0.13, 0.11, 0.05))
-    battery.apply_translation((-0.14, 0.0, 0.05))
-    pieces = [
-        solid(shell, ALBEDO_SHELL),
-        solid(gimbal, ALBEDO_NOSE),
-        solid(battery, ALBEDO_TAIL),
-    ]
-    for side in (1, -1):
-        foot_y, foot_z = side * 0.17, -0.19
-        skid = beam((-0.15, foot_y, foot_z), (0.17, foot_y, foot_z), 0.016)
-        struts = [beam((x, side * 0.06, -0.04), (x, foot_y, foot_z), 0.018) for x in (-0.08, 0.1)]
-        pieces += [solid(leg, ALBEDO_LEG) for leg in (skid, *struts)]
-    return pieces
-
-
-def _arm(hub: FloatArray) -> list[Part]:
-    """Return the arm that carries the rotor at `hub`, and its motor."""
-    motor = prism(5, radius=0.033, length=0.075)
-    motor.apply_translation(hub - (0.0, 0.0, 0.04))
-    root = np.array([0.3, 0.2, 0.0]) * hub
-    arm = beam(root, hub - (0.0, 0.0, 0.055), 0.036)
-    return [solid(arm, ALBEDO_ARM), solid(motor, ALBEDO_MOTOR)]
+def _level_arm(hub: FloatArray) -> list[trimesh.Trimesh]:
+    """Return the arm that ends at `hub`, the motor about its end, and the leg below it."""
+    motor = prism(6, MOTOR_RADIUS, MOTOR_HEIGHT)
+    motor.apply_translation(hub)
+    root = 0.2 * hub  # within the shell
+    arm = trimesh.creation.box((np.linalg.norm(hub - root), ARM_WIDTH, ARM_HEIGHT))
+    arm.apply_transform(pose(0.5 * (hub + root), yaw_rad=float(np.arctan2(hub[1], hub[0]))))
+    inside = 0.5 * MOTOR_HEIGHT - 0.01  # from the arm's middle down to the leg's upper end
+    leg = prism(4, LEG_RADIUS, LEG_REACH - inside)
+    leg.apply_translation(hub - (0.0, 0.0, 0.5 * (LEG_REACH + inside)))
+    return [arm, motor, leg]
 
 
 def _load_meshes(path: Path) -> list[trimesh.Trimesh]:

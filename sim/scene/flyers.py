@@ -1,4 +1,4 @@
-"""A name and a size to a drone that is built in code: the quadrotor, a bird or a plane.
+"""A name and a size to a drone that is built in code: two quadrotors, a bird or a plane.
 
 What the paper's method takes for granted, that the mean of an object's events is the image of one
 of its points, holds for a small or symmetric object. The bird and the plane are neither: their
@@ -12,8 +12,10 @@ from numpy.typing import NDArray
 from sim.errors import SimError
 from sim.scene.drone import DEFAULT_SIZE_M, Drone, Joint, Part, check_size, join, quadrotor, solid
 from sim.scene.shapes import beam, hexagonal_hull, panel, pose, prism
+from sim.scene.two_tone import two_tone
 
-DRONES = ("quadrotor", "bird", "plane")
+QUADROTORS = {"quadrotor": quadrotor, "two-tone": two_tone}
+DRONES = (*QUADROTORS, "bird", "plane")
 
 # Lengths below are in units of the wing span, which is the size.
 SHOULDER = np.array([0.03, 0.035, 0.025])  # about which the left wing flaps
@@ -39,7 +41,7 @@ def built_in_drone(
     size_m
         Largest horizontal extent [m]; by default 0.65.
     rotor_hz
-        Turns per second of the quadrotor's rotors.
+        Turns per second of a quadrotor's rotors.
     flap_hz
         Wing beats per second of the bird.
 
@@ -49,14 +51,15 @@ def built_in_drone(
         For an unknown name, a size or rate that makes no sense, or rotors on what has none.
     """
     check_drone_name(name)
-    if rotor_hz and name != "quadrotor":
+    if rotor_hz and name not in QUADROTORS:
         raise SimError(
-            f"rotors spin on the built-in quadrotor only, not on a {name}: leave out rotor_hz"
+            f"rotors spin on the built-in quadrotors only ({', '.join(QUADROTORS)}), not on a "
+            f"{name}: leave out rotor_hz"
         )
     size_m = DEFAULT_SIZE_M if size_m is None else size_m
-    if name == "bird":
-        return bird(size_m, flap_hz)
-    return plane(size_m) if name == "plane" else quadrotor(size_m, rotor_hz)
+    if name in QUADROTORS:
+        return QUADROTORS[name](size_m, rotor_hz)
+    return bird(size_m, flap_hz) if name == "bird" else plane(size_m)
 
 
 def check_drone_name(name: str) -> None:

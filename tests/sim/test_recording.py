@@ -179,7 +179,7 @@ def test_a_file_in_place_of_the_quadrotor(tmp_path: Path) -> None:
     assert drone_from_file(tmp_path / "brick.stl", 0.6).size_m == 0.6
     recording = simulate(config, 1)
     assert min(len(camera.events) for camera in recording.cameras) > 1000
-    with pytest.raises(SimError, match="rotors spin on the built-in quadrotor only"):
+    with pytest.raises(SimError, match="rotors spin on the built-in quadrotors only"):
         simulate(replace(config, rotor_hz=20.0), 1)
 
 

@@ -147,18 +147,18 @@ def test_two_parameters_are_told_apart_by_colour_and_by_marker() -> None:
     means = make_means(grid)
     figure = ablation_figure(means, grid)
     labels = [text.get_text() for text in figure.legends[0].get_texts()]
-    objects, angles = ("bird", "plane"), (30, 90, 150)
-    assert labels[:6] == [f"{angle} deg, {name}" for angle in angles for name in objects]
+    objects, angles = ("bird", "plane", "quadrotor", "two-tone"), (30, 90, 150)
+    assert labels[:12] == [f"{angle} deg, {name}" for angle in angles for name in objects]
     lines = [container.lines[0] for container in figure.axes[0].containers]
-    colors = np.array([line.get_color() for line in lines]).reshape(3, 2, 4)
-    np.testing.assert_array_equal(colors[:, 0], colors[:, 1])  # of both objects
+    colors = np.array([line.get_color() for line in lines]).reshape(3, 4, 4)
+    np.testing.assert_array_equal(colors[:, :1].repeat(4, axis=1), colors)  # of all objects
     assert len(np.unique(colors[:, 0], axis=0)) == 3
     markers = [line.get_marker() for line in lines]
-    assert markers[:2] * 3 == markers
-    assert markers[0] != markers[1]
+    assert markers[:4] * 3 == markers
+    assert len(set(markers[:4])) == 4
     chosen = (means["method"] == "ssac") & (means["sim.angle_deg"] == 90)
     expected = means[chosen & (means["sim.drone"] == "plane")].sort_values("sim.distance_m")
-    np.testing.assert_allclose(lines[3].get_ydata(), expected["t_d_error_ms_mean"])
+    np.testing.assert_allclose(lines[5].get_ydata(), expected["t_d_error_ms_mean"])
 
 
 def test_what_cannot_be_drawn_is_named() -> None:

@@ -12,8 +12,8 @@ from sim.render.config import RenderConfig
 from sim.render.footprint import footprint
 from sim.render.instants import SamplingConfig, choose_instants
 from sim.render.lattice import Lattice
-from sim.scene.drone import Drone, Part, quadrotor
-from sim.scene.flyers import DRONES, FLAP_RAD, bird, built_in_drone, plane
+from sim.scene.drone import Drone, Part
+from sim.scene.flyers import DRONES, FLAP_RAD, QUADROTORS, bird, built_in_drone, plane
 from sim.scene.rig import two_view_rig
 from sim.scene.trajectory import SplineConfig, random_spline
 
@@ -53,8 +53,8 @@ def test_size_is_the_largest_horizontal_extent_and_scales_all(name: str) -> None
     assert (small.name, small.size_m, large.size_m) == (name, 0.5, 1.5)
     np.testing.assert_allclose(3.0 * vertices_m(small), vertices_m(large), atol=1e-15)  # round-off
     length, width, height = np.ptp(vertices_m(large), axis=0)
-    # The quadrotor's blades at rest do not reach the end of their sweep.
-    assert max(length, width) == pytest.approx(1.5, rel=0.1 if name == "quadrotor" else 1e-12)
+    # A quadrotor's blades at rest do not reach the end of their sweep.
+    assert max(length, width) == pytest.approx(1.5, rel=0.1 if name in QUADROTORS else 1e-12)
     assert height < 0.5 * max(length, width)
 
 
@@ -71,12 +71,10 @@ def test_bird_and_plane_are_not_symmetric(drone: Drone) -> None:
     assert abs(low[0] + high[0]) > 0.02 * drone.size_m  # the origin is not in the middle
 
 
-def test_the_built_in_quadrotor_is_the_quadrotor() -> None:
-    for mine, theirs in zip(
-        built_in_drone("quadrotor", 1.0, rotor_hz=40.0).parts,
-        quadrotor(1.0, 40.0).parts,
-        strict=True,
-    ):
+@pytest.mark.parametrize("name", QUADROTORS)
+def test_the_built_in_quadrotors(name: str) -> None:
+    by_name, built = built_in_drone(name, 1.0, rotor_hz=40.0), QUADROTORS[name](1.0, 40.0)
+    for mine, theirs in zip(by_name.parts, built.parts, strict=True):
         np.testing.assert_array_equal(mine.vertices_B_m, theirs.vertices_B_m)
         np.testing.assert_array_equal(mine.faces, theirs.faces)
 
@@ -140,7 +138,7 @@ def test_a_drone_by_its_name() -> None:
 
 
 def test_an_unknown_name() -> None:
-    message = "drone: expected one of quadrotor, bird, plane, got 'hawk'"
+    message = "drone: expected one of quadrotor, two-tone, bird, plane, got 'hawk'"
     with pytest.raises(SimError, match=message):
         SimConfig(drone="hawk")
     with pytest.raises(SimError, match=message):
@@ -150,7 +148,7 @@ def test_an_unknown_name() -> None:
 @pytest.mark.parametrize("name", ["bird", "plane"])
 def test_rotors_on_what_has_none(name: str) -> None:
     with pytest.raises(
-        SimError, match=f"rotors spin on the built-in quadrotor only, not on a {name}"
+        SimError, match=rf"on the built-in quadrotors only \(quadrotor, two-tone\), not on a {name}"
     ):
         built_in_drone(name, rotor_hz=20.0)
 
