@@ -157,26 +157,55 @@ def average_pixels(
 
 
 @lru_cache(maxsize=64)
+def runs_of_tile(
+    lattice: Lattice, size_px: tuple[int, int]
+) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]:
+    """Say which runs of samples along the rows of a crop's tile belong to one pixel.
+
+    Returns
+    -------
+    run_of
+        The run of each sample, row by row, shape (tile height * tile width,).
+    start
+        The first sample of each run, and one past the last run's, shape (n_runs + 1,).
+    pixel
+        The pixel of each run, shape (n_runs,), numbered as by `pixels_of_tile`.
+    """
+    pixel_of = pixels_of_tile(lattice, size_px)
+    is_first = np.ones(pixel_of.shape, np.bool_)
+    is_first[:, 1:] = pixel_of[:, 1:] != pixel_of[:, :-1]
+    start = np.flatnonzero(is_first)
+    run_of = np.cumsum(is_first.ravel(), dtype=np.int32) - np.int32(1)
+    return run_of, np.append(start, pixel_of.size).astype(np.int32), pixel_of.ravel()[start]
+
+
 def pixels_of_tile(lattice: Lattice, size_px: tuple[int, int]) -> NDArray[np.int32]:
     """Say which pixel of a crop each sample of its tile belongs to.
 
     Returns
     -------
     NDArray[np.int32]
-        Row by row, shape (tile height * tile width,): the pixel's number, width times row plus
-        column, and width times height for the samples that belong to none.
+        Shape (tile height, tile width): the pixel's number, width times row plus column, and width
+        times height for the samples that belong to none.
     """
     width, height = size_px
     tile_width, tile_height = lattice.tile_size(width, height)
     pixel_of = np.full((tile_height, tile_width), width * height, np.int32)
     u0, v0 = lattice.tile_origin(np.array(0), np.array(0), height)
-    column, row = np.meshgrid(np.arange(width), np.arange(height))
-    for u, first, last in lattice.pixel_columns:
-        for v in range(first, last):
-            at_u = u - u0 + lattice.a * column - lattice.b * row
-            at_v = v - v0 + lattice.b * column + lattice.a * row
-            pixel_of[at_v, at_u] = width * row + column
-    return pixel_of.ravel()
+    columns = lattice.pixel_columns - np.array([u0, v0, v0])
+    _number_samples(columns, lattice.a, lattice.b, width, height, pixel_of)
+    return pixel_of
+
+
+@njit(cache=True, nogil=True)
+def _number_samples(columns, a, b, width, height, pixel_of):  # type: ignore[no-untyped-def]
+    """Write each pixel's number at its samples, given those of the first pixel of the tile."""
+    for j in range(height):
+        for i in range(width):
+            for c in range(columns.shape[0]):
+                u = columns[c, 0] + a * i - b * j
+                for v in range(columns[c, 1] + b * i + a * j, columns[c, 2] + b * i + a * j):
+                    pixel_of[v, u] = width * j + i
 
 
 @njit(cache=True, nogil=True)

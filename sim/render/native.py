@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from sim.render.config import DISTORTION_MODELS, RenderConfig
 from sim.render.faces import in_memory, part_faces, piece_size_m
-from sim.render.lattice import pixels_of_tile
+from sim.render.lattice import runs_of_tile
 from sim.render.native_kernels import paint_crops
 from sim.render.views import Views, crop_size
 from sim.scene.drone import Drone
@@ -76,7 +76,7 @@ class NativePainter:
             tuple(lattice.centre),
             lattice.tile_origin(corner_px[:, 0], corner_px[:, 1], block_px[1]),
             block_px, tile, tuple(self._config.light_in(camera)), self._config.ambient,
-            pixels_of_tile(lattice, block_px), lattice.samples_per_pixel,
+            runs_of_tile(lattice, block_px), lattice.samples_per_pixel,
             corner_px[:, 0], corner_px[:, 1], background, luminance,
         )  # fmt: skip
         return luminance

@@ -29,7 +29,7 @@ MAX_CUT = 9  # corners of a triangle after one near plane and four borders
 def paint_crops(  # type: ignore[no-untyped-def]
     vertices, first_vertex, faces, normals, albedo, first_face, T_C_P, visible,
     intrinsics, model, coeffs, lattice, centre, origins, block_px, tile_size,
-    light, ambient, pixel_of, n_samples, x0_px, y0_px, background, luminance,
+    light, ambient, runs, n_samples, x0_px, y0_px, background, luminance,
 ):  # fmt: skip
     """Draw n instants, one crop each; `luminance` (n, height, width) takes them.
 
@@ -77,7 +77,7 @@ def paint_crops(  # type: ignore[no-untyped-def]
                             coeffs, lattice, shift_u - block_u, shift_v - block_v, farthest, scale,
                             words[f], scratch,
                         )  # fmt: skip
-                _sum_and_clear(keys, touched, width, height, pixel_of, sums)
+                _sum_and_clear(keys, touched, width, height, runs, sums)
                 _average_and_clear(
                     sums, block_px[0], n_samples,
                     behind[by : by + block_px[1], bx : bx + block_px[0]],
@@ -337,24 +337,25 @@ def _fill_cut(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _sum_and_clear(keys, touched, width, height, pixel_of, sums):  # type: ignore[no-untyped-def]
+def _sum_and_clear(keys, touched, width, height, runs, sums):  # type: ignore[no-untyped-def]
     """Add each sample's word to its pixel's sum, and empty the keys that were drawn."""
+    run_of, run_start, run_pixel = runs
     for v in range(height):
         low, high = touched[v, 0], touched[v, 1]
         if low > high:
             continue
         touched[v, 0], touched[v, 1] = width, -1
-        here = np.uint64(v * width + low)
-        pixel, total = np.uint64(pixel_of[here]), np.int64(0)
-        for _ in range(high - low + 1):
-            at = np.uint64(pixel_of[here])
-            if at != pixel:
-                sums[pixel] += total
-                pixel, total = at, np.int64(0)
-            total += keys[here] & 0xFFFFFFFF
-            keys[here] = 0
-            here += np.uint64(1)
-        sums[pixel] += total
+        here, end = np.uint64(v * width + low), np.uint64(v * width + high + 1)
+        run = np.uint64(run_of[here])
+        while here < end:
+            stop = min(np.uint64(run_start[run + np.uint64(1)]), end)
+            total = np.int64(0)
+            for at in range(here, stop):
+                total += keys[at] & 0xFFFFFFFF
+                keys[at] = 0
+            sums[np.uint64(run_pixel[run])] += total
+            run += np.uint64(1)
+            here = stop
 
 
 @njit(cache=True, nogil=True)

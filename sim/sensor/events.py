@@ -205,8 +205,10 @@ class Sensor:
         t_us, x, y, p = self._events.take(before_us)
         events = np.empty(len(t_us), EVENT_DTYPE)
         events["t"], events["x"], events["y"], events["p"] = t_us, x, y, p
-        pixel = y.astype(np.int64) * self._image.shape[1] + x
-        in_order: NDArray[Any] = events[np.lexsort((pixel, t_us))]
+        height, width = self._image.shape
+        # One key for time, row and column: far quicker to sort than two.
+        key = t_us * (height * width) + (y.astype(np.int64) * width + x)
+        in_order: NDArray[Any] = events[np.argsort(key, kind="stable")]
         return in_order
 
     def _rates(self) -> tuple[float, ...]:

@@ -10,7 +10,7 @@ import sim.render.renderer
 from sim.errors import SimError
 from sim.render.config import RenderConfig
 from sim.render.gl_atlas import GLPainter
-from sim.render.lattice import Lattice, pixels_of_tile
+from sim.render.lattice import Lattice, pixels_of_tile, runs_of_tile
 from sim.render.native import NativePainter
 from sim.render.renderer import Renderer
 from sim.scene.drone import Drone, Part, quadrotor
@@ -224,8 +224,18 @@ def _one_view(renderer: Renderer, camera: Camera):  # type: ignore[no-untyped-de
 @pytest.mark.parametrize("lattice", [Lattice(1, 0), Lattice(5, 0), Lattice(5, 1)], ids=repr)
 def test_each_pixel_has_all_its_samples(lattice: Lattice) -> None:
     pixels = pixels_of_tile(lattice, (7, 4))
-    counts = np.bincount(pixels, minlength=29)
+    counts = np.bincount(pixels.ravel(), minlength=29)
     np.testing.assert_array_equal(counts[:28], lattice.samples_per_pixel)
+
+
+@pytest.mark.parametrize("lattice", [Lattice(1, 0), Lattice(5, 0), Lattice(5, 1)], ids=repr)
+def test_a_run_of_samples_lies_in_one_pixel_and_one_row(lattice: Lattice) -> None:
+    pixels = pixels_of_tile(lattice, (7, 4))
+    run_of, start, pixel = runs_of_tile(lattice, (7, 4))
+    np.testing.assert_array_equal(pixel[run_of], pixels.ravel())
+    np.testing.assert_array_equal(np.repeat(np.arange(len(pixel)), np.diff(start)), run_of)
+    row = np.arange(pixels.size) // pixels.shape[1]
+    np.testing.assert_array_equal(row[start[:-1]], row[start[1:] - 1])
 
 
 def test_a_nearer_part_hides_a_farther_one_in_any_order() -> None:
