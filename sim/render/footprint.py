@@ -15,7 +15,7 @@ FloatArray = NDArray[np.float64]
 
 # An edge across half the view bows by some 10 px under strong distortion, this piece of it by 0.6.
 _PIECE_OF_SIZE = 1 / 4
-_CHUNK = 4096  # instants projected at a time, to bound memory
+_CHUNK = 1024  # instants projected at a time, to bound memory
 
 
 @dataclass(frozen=True)
