@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from experiments.paper.quantities import POSE_ERRORS, T_D_ERROR
+from experiments.paper.quantities import ERRORS, POSE_ERRORS, T_D_ERROR
 from ssac.errors import SsacError
 from ssac.tool.registry import METHODS
 
@@ -128,13 +128,16 @@ def esim_table(runs: pd.DataFrame, duration_s: float) -> pd.DataFrame:
     rows = []
     for (angle_deg, t_d_ms), cell in of_duration.groupby(["angle_deg", "t_d_ms"]):
         row = {"angle_deg": angle_deg, "t_d_ms": t_d_ms, "n_runs": cell["flight"].nunique()}
-        for method in method_order(cell["method"]):
-            of_method = cell[cell["method"] == method]
-            ok = of_method[of_method["status"] == "ok"]
+        # NumPy, as pandas takes 1 ms for each of the thousands of selections.
+        of, is_ok = cell["method"].to_numpy(), cell["status"].to_numpy() == "ok"
+        errors = {name: cell[name].to_numpy(np.float64) for name in ERRORS}
+        for method in method_order(of):
+            mine = of == method
             for error in (T_D_ERROR.column, *(POSE_ERRORS if method in poses else ())):
-                row[f"{method}_{error}_mean"] = ok[error].mean()
-                row[f"{method}_{error}_std"] = ok[error].std(ddof=0)
-            row[f"{method}_failed"] = len(of_method) - len(ok)
+                values = errors[error][mine & is_ok & np.isfinite(errors[error])]
+                row[f"{method}_{error}_mean"] = values.mean() if len(values) else np.nan
+                row[f"{method}_{error}_std"] = values.std() if len(values) else np.nan
+            row[f"{method}_failed"] = int((mine & ~is_ok).sum())
         rows.append(row)
     table: pd.DataFrame = pd.DataFrame(rows)
     return table
