@@ -5,6 +5,8 @@ negative, and skewed; but they are so on both sides, and the difference of two m
 it: where both sides draw from one distribution, however skewed, the rule is wrong in at most 5 % of
 the cells (tested). To compare logarithms would seem more natural, yet where a few runs are gross
 errors, as with the correlation methods, it is wrong in about 20 %.
+
+Our flights may be more than the paper's; each verdict is also given by our first as many alone.
 """
 
 from collections.abc import Mapping
@@ -14,7 +16,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from scipy.stats import t as student
 
 from experiments.paper.grids import table_axes
@@ -87,7 +88,7 @@ class Reason:
 
 REASONS = (
     Reason(
-        "a mean of ten flights says little more than how many of them are gross errors "
+        "the paper's mean of ten flights says little more than how many are gross errors "
         "(docs/zncc.md)",
         ("zncc_e_t_d_error_ms", "zncc_f_t_d_error_ms"),
         angles_deg=(60.0, 90.0, 120.0),
@@ -192,6 +193,7 @@ def comparison_table(
     tables: Mapping[float, pd.DataFrame],
     published: Mapping[float, pd.DataFrame],
     reasons: tuple[Reason, ...] = REASONS,
+    first: Mapping[float, pd.DataFrame] | None = None,
 ) -> pd.DataFrame:
     """Compare cell by cell.
 
@@ -203,21 +205,31 @@ def comparison_table(
         The paper's, as of `load_published`.
     reasons
         For the notes.
+    first
+        Ours of the first PUBLISHED_RUNS flights alone, by duration [s]; where there are no further
+        ones, they are `tables` and need not be given.
 
     Returns
     -------
     pd.DataFrame
         One row for each number that both have, in the paper's order of rows: duration, angle,
-        offset, quantity (`method_error`), both means and deviations, our runs that are "ok", the
-        ends of the 95 % interval of the difference, the verdict, whether our mean is of the
-        paper's size or better (SIZE_RULE), whether it is at most the published mean, and a note.
+        offset, quantity (`method_error`), both means and deviations, our runs that are "ok"
+        (`n_ours`), the ends of the 95 % interval of the difference, the verdict, whether our mean
+        is of the paper's size or better (SIZE_RULE), whether it is at most the published mean, our
+        numbers, interval and verdict by the first flights alone (`first_*`), and a note.
     """
+    first = tables if first is None else first
     rows = []
     for duration_s, theirs in published.items():
         if duration_s not in tables:
             continue
-        both = theirs.merge(tables[duration_s], on=["angle_deg", "t_d_ms"])
-        for cell in both.to_dict("records"):
+        place_of_cell = ["angle_deg", "t_d_ms"]
+        both = theirs.merge(tables[duration_s], on=place_of_cell)
+        if duration_s not in first:
+            raise SsacError(f"the first {PUBLISHED_RUNS} flights of {duration_s:g} s are not there")
+        early = theirs.merge(first[duration_s], on=place_of_cell)
+        pairs = zip(both.to_dict("records"), early.to_dict("records"), strict=True)
+        for cell, first_cell in pairs:
             for quantity in PUBLISHED_ERRORS:
                 if f"{quantity.name}_mean" in cell:
                     place = {
@@ -226,7 +238,7 @@ def comparison_table(
                         "t_d_ms": float(cell["t_d_ms"]),
                         "quantity": quantity.name,
                     }
-                    rows.append({**place, **_compared(cell, quantity)})
+                    rows.append({**place, **_compared(cell, first_cell, quantity)})
     if not rows:
         raise SsacError("our tables and the published ones have no cell in common")
     table: pd.DataFrame = pd.DataFrame(rows)
@@ -238,55 +250,21 @@ def comparison_table(
     return table
 
 
-def summary_table(comparison: pd.DataFrame) -> pd.DataFrame:
-    """Sum up each quantity over the cells of a duration.
-
-    Returns
-    -------
-    pd.DataFrame
-        By quantity and duration: the number of cells and of each verdict; the geometric mean, the
-        least and the largest of the ratios of our mean to the published one; and the median of the
-        intervals' half-widths over the published mean: a difference that a cell would just tell.
-    """
-    rows = []
-    place = {quantity.name: number for number, quantity in enumerate(PUBLISHED_ERRORS)}
-    ordered = comparison.sort_values(
-        ["quantity", "duration_s"],
-        key=lambda column: column.map(place) if column.name == "quantity" else column,
-    )
-    for (name, duration_s), part in ordered.groupby(["quantity", "duration_s"], sort=False):
-        ratios = part["ours_mean"] / part["published_mean"]
-        half_widths = (part["difference_high"] - part["difference_low"]) / 2
-        verdicts = part["verdict"].value_counts()
-        rows.append(
-            {
-                "quantity": name,
-                "duration_s": duration_s,
-                "cells": len(part),
-                **{word: int(verdicts.get(word, 0)) for word in ("agrees", "better", "differs")},
-                "ratio": _geometric_mean(ratios.to_numpy()),
-                "ratio_min": ratios.min(),
-                "ratio_max": ratios.max(),
-                "visible": (half_widths / part["published_mean"]).median(),
-            }
-        )
-    table: pd.DataFrame = pd.DataFrame(rows)
-    return table
-
-
-def _compared(cell: Mapping[Any, Any], quantity: PublishedError) -> dict[str, float | int | str]:
+def _compared(
+    cell: Mapping[Any, Any], first_cell: Mapping[Any, Any], quantity: PublishedError
+) -> dict[str, float | int | str]:
     """Compare one number of one row of both tables."""
-    n = int(cell["n_runs"] - cell[f"{quantity.method}_failed"])
-    ours = Sample(cell[f"{quantity.name}_mean"], cell[f"{quantity.name}_std"], n)
+    ours, first = (_ours(row, quantity) for row in (cell, first_cell))
     published = Sample(
         cell[f"{quantity.published}_mean"], cell[f"{quantity.published}_std"], PUBLISHED_RUNS
     )
     low, high = difference_interval(ours, published, quantity.resolution, 0.95)
     low_one_sided, _ = difference_interval(ours, published, quantity.resolution, 0.90)
+    first_low, first_high = difference_interval(first, published, quantity.resolution, 0.95)
     return {
         "ours_mean": ours.mean,
         "ours_std": ours.std,
-        "n": n,
+        "n_ours": ours.n,
         "published_mean": published.mean,
         "published_std": published.std,
         "difference_low": low,
@@ -294,10 +272,16 @@ def _compared(cell: Mapping[Any, Any], quantity: PublishedError) -> dict[str, fl
         "verdict": verdict_of((low, high)),
         "paper_size_or_better": "yes" if low_one_sided <= 0.0 else "no",
         "mean_at_most_published": "yes" if ours.mean <= published.mean else "no",
+        "first_mean": first.mean,
+        "first_std": first.std,
+        "first_n": first.n,
+        "first_low": first_low,
+        "first_high": first_high,
+        "first_verdict": verdict_of((first_low, first_high)),
     }
 
 
-def _geometric_mean(values: NDArray[np.float64]) -> float:
-    """Geometric mean; 0 where a value is 0, NaN where one is unknown."""
-    with np.errstate(divide="ignore"):
-        return float(np.exp(np.mean(np.log(values))))
+def _ours(cell: Mapping[Any, Any], quantity: PublishedError) -> Sample:
+    """Give what a row of our table knows of a quantity; a method may lack it in few flights."""
+    mean, std = (float(cell.get(f"{quantity.name}_{part}", np.nan)) for part in ("mean", "std"))
+    return Sample(mean, std, int(cell["n_runs"] - cell[f"{quantity.method}_failed"]))

@@ -10,12 +10,19 @@ from typing import Any
 
 import pandas as pd
 
-from experiments.paper.comparison import PUBLISHED, comparison_table, load_published
+from experiments.paper.comparison import (
+    PUBLISHED,
+    PUBLISHED_RUNS,
+    comparison_table,
+    load_published,
+)
 from experiments.paper.esim import csv_text, esim_tables, ordered_runs, runs_from_csv
 from experiments.paper.page import results_page
+from experiments.paper.summary import summary_table
 from ssac.files.whole_file import whole_file
 
 RUNS_FILE, COMPARISON_FILE, PAGE_FILE = "runs.csv", "comparison.csv", "README.md"
+SUMMARY_FILE = "comparison_summary.csv"
 
 
 def save_results(
@@ -53,8 +60,17 @@ def derived(
     """
     runs = ordered_runs(runs_from_csv(runs_text))
     tables = esim_tables(runs)
-    comparison = comparison_table(tables, load_published(published))
+    comparison = compared_runs(runs, tables, published)
     files = {f"esim_{duration_s:g}.csv": csv_text(table) for duration_s, table in tables.items()}
     files[COMPARISON_FILE] = csv_text(comparison)
+    files[SUMMARY_FILE] = csv_text(summary_table(comparison))
     files[PAGE_FILE] = results_page(runs, tables, comparison, provenance)
     return files
+
+
+def compared_runs(
+    runs: pd.DataFrame, tables: Mapping[float, pd.DataFrame], published: Path = PUBLISHED
+) -> pd.DataFrame:
+    """Compare the tables of all flights, and of the first as many as the paper's, with its own."""
+    first = esim_tables(runs[runs["flight"] < PUBLISHED_RUNS])
+    return comparison_table(tables, load_published(published), first=first)

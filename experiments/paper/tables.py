@@ -8,10 +8,15 @@ import pandas as pd
 import typer
 
 from experiments.paper.checksums import record_checksums
-from experiments.paper.comparison import summary_table
 from experiments.paper.esim import runs_of_grid
 from experiments.paper.grids import table_cells, table_grids
-from experiments.paper.results import COMPARISON_FILE, PAGE_FILE, RUNS_FILE, save_results
+from experiments.paper.results import (
+    COMPARISON_FILE,
+    PAGE_FILE,
+    RUNS_FILE,
+    SUMMARY_FILE,
+    save_results,
+)
 from experiments.run.cache import DEFAULT_FOLDER, Cache
 from experiments.run.command import (
     CacheOption,
@@ -56,11 +61,11 @@ def tables_command(
         peak_mb_per_worker=round(outcome.peak_mb),
     )
     save_results(runs_of_grid(outcome.runs), out, made_with)
-    names = (RUNS_FILE, COMPARISON_FILE, *(f"{grid.name}.csv" for grid in grids))
+    names = (RUNS_FILE, COMPARISON_FILE, SUMMARY_FILE, *(f"{grid.name}.csv" for grid in grids))
     files = [out / name for name in names]
     for path in files:
         write_provenance(path, made_with)
     record_checksums(out, [*files, out / PAGE_FILE])
-    typer.echo(summary_table(pd.read_csv(out / COMPARISON_FILE)).to_string(index=False))
+    typer.echo(pd.read_csv(out / SUMMARY_FILE).to_string(index=False))
     typer.echo(f"{wall_time_s:.0f} s", err=True)
     finish(outcome, Cache(cache), *files, out / PAGE_FILE)

@@ -19,7 +19,7 @@ from experiments.run.grid import config_names, named_config
 from ssac.errors import SsacError
 
 _PNG = b"\x89PNG\r\n\x1a\n"
-_COMPARED = ("duration_s", "angle_deg", "t_d_ms", "quantity", "ours_mean", "ours_std", "n",
+_COMPARED = ("duration_s", "angle_deg", "t_d_ms", "quantity", "ours_mean", "ours_std", "n_ours",
              "published_mean", "published_std", "verdict")  # fmt: skip
 _ABLATION = "Mean errors of {flights} flights at each value and angle."
 _FIGURES = {

@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 from scipy.stats import gmean
 
-from experiments.paper.grids import TABLES, table_axes
+from experiments.paper.grids import TABLES, table_axes, table_grids
 from experiments.paper.quantities import ERRORS, NOISY_T_D_MARK_MS, T_D_ERROR
 from experiments.report.committed import Committed
 from experiments.studies.catalogue import ABLATIONS
@@ -67,6 +67,20 @@ def ratio(results: Committed, quantity: str, duration_s: float) -> str:
     of = {"quantity": quantity, "duration_s": duration_s}
     ours = results.column("comparison", "ours_mean", **of)
     return f"{gmean(ours) / gmean(results.column('comparison', 'published_mean', **of)):.2f}"
+
+
+def ratio_interval(results: Committed, quantity: str, duration_s: float) -> str:
+    """Say between which ratios `ratio` lies with 95 %."""
+    of = {"quantity": quantity, "duration_s": duration_s}
+    value = results.value("comparison_summary", "ratio", **of)
+    factor = results.value("comparison_summary", "factor", **of)
+    return f"{value / factor:.2f} to {value * factor:.2f}"
+
+
+def changed(results: Committed, quantity: str) -> str:
+    """Say in how many cells our first flights alone, as many as the paper's, judge otherwise."""
+    rows = results.rows("comparison", quantity=quantity)
+    return f"{int((rows['verdict'] != rows['first_verdict']).sum())} of {len(rows)} cells"
 
 
 def cell_means(results: Committed, method: str, error: str) -> list[float]:
@@ -197,6 +211,12 @@ def bench(results: Committed, row: str, scale: float = 1.0, decimals: int = 0) -
     return f"{scale * results.value('bench', 'value', name=row):.{decimals}f}"
 
 
+def minutes_of_tables(results: Committed, what: str, decimals: int = 0) -> str:
+    """Wall time of all recordings of the tables, by that of the benchmark's for each."""
+    n_recordings = sum(grid.flights * len(ANGLES_DEG) for grid in table_grids())
+    return bench(results, f"tables, {what}: 2 workers", n_recordings / 60, decimals)
+
+
 def _plural(verdict: str, n: int) -> str:
     one = {"agrees": "agrees", "better": "is better", "differs": "differs"}
     many = {"agrees": "agree", "better": "are better", "differs": "differ"}
@@ -213,8 +233,10 @@ _TIMED = (
 NUMBERS: Mapping[str, Number] = {
     "paper.size": paper_size,
     **{f"paper.{q}": partial(verdicts, quantity=quantity) for q, quantity in PUBLISHED.items()},
+    **{f"paper.changed.{q}": partial(changed, quantity=name) for q, name in PUBLISHED.items()},
     **{
-        f"paper.ratio.{q}.{d:g}": partial(ratio, quantity=quantity, duration_s=d)
+        f"paper.{what}.{q}.{d:g}": partial(function, quantity=quantity, duration_s=d)
+        for what, function in (("ratio", ratio), ("interval", ratio_interval))
         for q, quantity in PUBLISHED.items()
         for d in DURATIONS_S
     },
@@ -252,12 +274,8 @@ NUMBERS: Mapping[str, Number] = {
     },
     **{f"bound.{m}": partial(bound_share, method=m) for m in ("ssac", "joint", "tangency")},
     **{f"minutes.{name}": partial(minutes, name=name) for name in _TIMED},
-    "minutes.tables.cached": partial(
-        bench, row="tables, recordings cached: 100 recordings, 2 workers", scale=1 / 60, decimals=1
-    ),
-    "minutes.tables.nothing": partial(
-        bench, row="tables, from nothing: 100 recordings, 2 workers", scale=1 / 60
-    ),
+    "minutes.tables.cached": partial(minutes_of_tables, what="recordings cached", decimals=1),
+    "minutes.tables.nothing": partial(minutes_of_tables, what="from nothing"),
     "minutes.ablations": partial(minutes_of, names=tuple(f"ablation_{n}" for n in ABLATIONS)),
     "minutes.studies": partial(minutes_of, names=("efficiency", "coverage", "refusal", "tangency")),
     "bench.sync.tangency": partial(bench, row="tangency: all, unknown extrinsics", decimals=2),

@@ -173,7 +173,7 @@ def _compared(cell: Mapping[Any, Any]) -> str:
         for side in ("ours", "published")
     )
     note = str(cell.get("note") or "")
-    title = escape(f"{verdict}, {cell['n']} of our runs{f': {note}' if note else ''}")
+    title = escape(f"{verdict}, {cell['n_ours']} of our runs{f': {note}' if note else ''}")
     return (
         f'<td class="{escape(verdict)}" title="{title}"><b>{ours}</b><i>{sign}</i>'
         f"<small>{theirs}</small></td>"

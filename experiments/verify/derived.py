@@ -14,7 +14,13 @@ from experiments.paper.comparison import PUBLISHED
 from experiments.paper.esim import KEY, csv_text, describe, ordered_runs, runs_from_csv
 from experiments.paper.grids import TABLES, offset_ms, table_cells
 from experiments.paper.quantities import POSE_ERRORS
-from experiments.paper.results import COMPARISON_FILE, PAGE_FILE, RUNS_FILE, derived
+from experiments.paper.results import (
+    COMPARISON_FILE,
+    PAGE_FILE,
+    RUNS_FILE,
+    SUMMARY_FILE,
+    derived,
+)
 from experiments.run.cache import Cache
 from experiments.run.grid import Cell
 from experiments.run.provenance import versions
@@ -59,7 +65,7 @@ def table_findings(results: Path) -> list[Finding]:
             lambda: text_difference(text(), csv_text(ordered_runs(runs()))),
         ),
     ]
-    names = (*(f"{table}.csv" for table in TABLES), COMPARISON_FILE, PAGE_FILE)
+    names = (*(f"{table}.csv" for table in TABLES), COMPARISON_FILE, SUMMARY_FILE, PAGE_FILE)
     findings += [found(f"{n} follows from {RUNS_FILE}", partial(follows, n)) for n in names]
     return findings if whole.faults else findings + sanity_findings(runs())
 
@@ -137,7 +143,8 @@ def _missing(runs: pd.DataFrame, cells: Sequence[Cell] | None = None) -> tuple[s
     seeds = {table_key(cell): cell.seed for cell in cells}
     flights = {key[:-1]: seed for key, seed in seeds.items()}
     there = list(runs[KEY].itertuples(index=False, name=None))
-    faults = [("is missing", key) for key in seeds if key[-1] in ours and key not in set(there)]
+    known = set(there)
+    faults = [("is missing", key) for key in seeds if key[-1] in ours and key not in known]
     faults += [("is there twice", key) for key, count in Counter(there).items() if count > 1]
     faults += [
         ("is in no grid", key)

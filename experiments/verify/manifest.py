@@ -10,7 +10,7 @@ from typing import Any
 
 from experiments.figures.figures import drawings, figures_config
 from experiments.paper.grids import TABLES
-from experiments.paper.results import COMPARISON_FILE, PAGE_FILE, RUNS_FILE
+from experiments.paper.results import COMPARISON_FILE, PAGE_FILE, RUNS_FILE, SUMMARY_FILE
 from experiments.paper.tables import tables_config
 from experiments.run.provenance import plain
 from experiments.studies.study import Study
@@ -44,7 +44,7 @@ class Manifest:
 
 def manifest_of(studies: Mapping[str, Study]) -> Manifest:
     """List what the tables, the figures, the benchmark and these studies leave."""
-    tables = (RUNS_FILE, COMPARISON_FILE, *(f"{name}.csv" for name in TABLES))
+    tables = (RUNS_FILE, COMPARISON_FILE, SUMMARY_FILE, *(f"{name}.csv" for name in TABLES))
     made = [_beside(name, "ssac tables", tables_config()) for name in tables]
     figures = drawings()
     made.append(Provenance(FIGURES_PROVENANCE, "ssac figures", plain(figures_config(figures))))

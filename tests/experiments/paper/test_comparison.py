@@ -14,10 +14,10 @@ from experiments.paper.comparison import (
     comparison_table,
     difference_interval,
     load_published,
-    summary_table,
     verdict_of,
 )
 from experiments.paper.esim import csv_text, esim_tables
+from experiments.paper.summary import summary_table
 from ssac.errors import SsacError
 from tests.experiments.reported import made_up_runs
 
@@ -197,7 +197,9 @@ def test_failed_runs_count_for_n():
     ours = as_ours(published[10.0])
     ours.loc[0, "ssac_failed"] = 3
     table = comparison_table({10.0: ours}, published)
-    first = table[(table["angle_deg"] == 30) & (table["t_d_ms"] == 5)].set_index("quantity")["n"]
+    first = table[(table["angle_deg"] == 30) & (table["t_d_ms"] == 5)].set_index("quantity")[
+        "n_ours"
+    ]
     assert dict(first) == {
         "ssac_t_d_error_ms": 7, "zncc_e_t_d_error_ms": 10, "zncc_f_t_d_error_ms": 10,
         "ssac_r_error_deg": 7, "ssac_t_error_deg": 7,
@@ -251,6 +253,21 @@ def test_methods_without_runs_are_left_out_and_nothing_in_common_is_an_error():
     assert {name.partition("_")[0] for name in table["quantity"]} == {"ssac"}
     with pytest.raises(SsacError, match="no cell in common"):
         comparison_table(esim_tables(made_up_runs(("joint",), 2)), load_published())
+
+
+def test_the_first_flights_alone_have_a_verdict_of_their_own():
+    published = load_published()
+    first = {duration_s: as_ours(table, 1.3) for duration_s, table in published.items()}
+    all_of = {key: as_ours(table, 1.3, 1000) for key, table in published.items()}
+    table = comparison_table(all_of, published, (), first)
+    alone = comparison_table(first, published, ())
+    for name, of_first in (("verdict", "first_verdict"), ("difference_low", "first_low"),
+                           ("n_ours", "first_n"), ("ours_mean", "first_mean")):  # fmt: skip
+        assert list(table[of_first]) == list(alone[name]) == list(alone[of_first])
+    wide, narrow = (table[f"{of}_high"] - table[f"{of}_low"] for of in ("first", "difference"))
+    assert (narrow <= wide).all()
+    with pytest.raises(SsacError, match="the first 10 flights of 20 s are not there"):
+        comparison_table(all_of, published, (), {10.0: first[10.0]})
 
 
 def test_an_unusable_published_table_is_named(tmp_path):

@@ -10,7 +10,15 @@ from experiments.paper.comparison import comparison_table, load_published
 from experiments.paper.esim import esim_table, esim_tables, runs_from_csv
 from experiments.paper.markdown import markdown_table, means_with_stds, number, paragraph
 from experiments.paper.page import results_page
-from experiments.paper.results import COMPARISON_FILE, PAGE_FILE, RUNS_FILE, derived, save_results
+from experiments.paper.results import (
+    COMPARISON_FILE,
+    PAGE_FILE,
+    RUNS_FILE,
+    SUMMARY_FILE,
+    compared_runs,
+    derived,
+    save_results,
+)
 from tests.experiments.reported import made_up_runs
 
 PROVENANCE = {
@@ -37,7 +45,7 @@ def files(runs, tmp_path_factory) -> dict[str, str]:
 
 def page_of(runs: pd.DataFrame) -> str:
     tables = esim_tables(runs)
-    return results_page(runs, tables, comparison_table(tables, load_published()), PROVENANCE)
+    return results_page(runs, tables, compared_runs(runs, tables), PROVENANCE)
 
 
 def rows_of(page: str, heading: str) -> list[list[str]]:
@@ -48,7 +56,8 @@ def rows_of(page: str, heading: str) -> list[list[str]]:
 
 
 def test_all_files_are_written(files):
-    assert set(files) == {RUNS_FILE, COMPARISON_FILE, PAGE_FILE, "esim_10.csv", "esim_20.csv"}
+    tables = {"esim_10.csv", "esim_20.csv"}
+    assert set(files) == {RUNS_FILE, COMPARISON_FILE, SUMMARY_FILE, PAGE_FILE} | tables
 
 
 def test_all_files_follow_from_the_text_of_the_runs(files):
@@ -85,6 +94,31 @@ def test_verdicts_on_the_page_are_those_of_the_comparison(files):
     differing = comparison[comparison["verdict"] == "differs"]
     assert len(listed) - 2 == len(differing) > 0
     assert [row[-1] for row in listed[2:]] == list(differing["note"].fillna("not known"))
+
+
+def test_further_flights_have_a_section_that_lists_every_changed_verdict(files):
+    heading = "What our further flights tell"
+    assert heading not in files[PAGE_FILE]
+    runs = made_up_runs(("ssac", "zncc_e"), 14)
+    comparison = compared_runs(runs, esim_tables(runs))
+    changed = comparison[comparison["verdict"] != comparison["first_verdict"]]
+    rows = rows_of(page_of(runs), heading)
+    split = next(n for n, row in enumerate(rows) if row[-1] == "cells")
+    assert sum(int(row[5]) for row in rows[2:split]) == len(changed) > 0
+    listed = [cell for row in rows[split + 2 :] for cell in row[-1].split("; ")]
+    assert sum(len(cell.split(",")) for cell in listed) == len(changed)
+    # By the first ten alone the numbers are those of a table of ten flights.
+    ten = runs[runs["flight"] < 10]
+    alone = comparison_table(esim_tables(ten), load_published())
+    assert list(comparison["first_verdict"]) == list(alone["verdict"])
+    np.testing.assert_array_equal(comparison["first_mean"], alone["ours_mean"])
+
+
+def test_the_mark_of_the_ratio_counts_each_error_of_ssac_in_each_table(files):
+    summary = pd.read_csv(StringIO(files[SUMMARY_FILE]))
+    ratios = summary.loc[summary["quantity"].str.startswith("ssac"), "ratio"]
+    text = " ".join(files[PAGE_FILE].split())
+    assert f"over the cells of a table at most 1: {(ratios <= 1).sum()} of 6 (t_d " in text
 
 
 def test_a_cell_with_failed_runs_says_how_many_are_left(runs):

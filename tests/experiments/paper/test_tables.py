@@ -40,8 +40,8 @@ def make_tables(folder, monkeypatch, result):
 def test_every_table_is_written_with_its_provenance(tmp_path, monkeypatch):
     result, asked = make_tables(tmp_path, monkeypatch, outcome())
     assert result.exit_code == 0, result.output
-    assert len(asked) == 3000  # 10 methods in 300 runs each
-    tables = ("runs", "comparison", "esim_10", "esim_20")
+    assert len(asked) == 9000  # 10 methods in 900 runs each
+    tables = ("runs", "comparison", "comparison_summary", "esim_10", "esim_20")
     names = {f"{name}{suffix}" for name in tables for suffix in (".csv", ".provenance.json")}
     assert {path.name for path in tmp_path.iterdir()} == names | {"README.md", SUMS_FILE}
     assert len(pd.read_csv(tmp_path / "runs.csv")) == 3000

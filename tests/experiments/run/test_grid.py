@@ -42,13 +42,13 @@ def test_the_tables_are_the_papers_grid():
     assert {cell.method for cell in cells} == set(METHODS)
     for method in METHODS:
         of_method = [cell for cell in cells if cell.method == method]
-        assert len(of_method) == 300
+        assert len(of_method) == 900
         assert {cell.sim.spline.duration_s for cell in of_method} == {10.0, 20.0}
         assert {cell.sim.angle_deg for cell in of_method} == {30.0, 60.0, 90.0, 120.0, 150.0}
         assert {cell.t_d_s for cell in of_method} == {0.005, 0.05, 0.5}
-        assert {cell.flight for cell in of_method} == set(range(10))
-    # 100 recordings: offsets and methods share theirs.
-    assert len({(cell.sim, cell.seed) for cell in cells}) == 100
+        assert {cell.flight for cell in of_method} == set(range(30))
+    # 300 recordings: offsets and methods share theirs.
+    assert len({(cell.sim, cell.seed) for cell in cells}) == 300
     for cell in cells:
         low, high = cell.estimator.interval_s
         assert (cell.t_d_s - low, high - cell.t_d_s) == pytest.approx((1.0, 1.0), abs=1e-12)
@@ -67,7 +67,7 @@ def test_no_two_flights_that_are_called_independent_are_one():
         for name in config_names("")
         for cell in named_config(name).cells()
     }
-    assert len(flights) >= 2 * 5 * 10 + 5 * 20  # tables, coverage
+    assert len(flights) >= 2 * 5 * 30 + 5 * 20  # tables, coverage
     assert len(set(flights.values())) == len(flights)
 
 
@@ -75,8 +75,8 @@ def test_studies_of_fresh_flights_have_none_of_the_tables_or_of_each_other():
     groups = [("esim_10", "esim_20"), ("coverage",)]
     seeds = [{cell.seed for name in names for cell in named_config(name).cells()}
              for names in groups]  # fmt: skip
-    assert [len(group) for group in seeds] == [100, 100]
-    assert len(set().union(*seeds)) == 200
+    assert len(seeds[0]) == 300
+    assert len(set().union(*seeds)) == sum(map(len, seeds))
 
 
 def test_a_seed_depends_on_nothing_else():
@@ -131,7 +131,7 @@ def test_an_ablation_varies_what_its_figure_shows_over_enough_values(name):
     assert len(values) >= (7 if of_estimator else 5)
     assert len({cell.sim.angle_deg for cell in cells}) >= 3
     uses_tables = of_estimator or name == "ablation_angle"
-    assert grid.flights == 10 if uses_tables else grid.flights >= 1
+    assert grid.flights >= 10 if uses_tables else grid.flights >= 1
 
 
 def test_ablations_of_the_estimator_use_the_recordings_of_the_tables():

@@ -1,6 +1,6 @@
 """A small complete folder of results: the tables with made-up numbers, and one tiny study."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from shutil import copytree
@@ -16,17 +16,21 @@ from experiments.figures.figures import drawings
 from experiments.figures.style import png_bytes
 from experiments.paper.checksums import record_checksums
 from experiments.paper.comparison import PUBLISHED
+from experiments.paper.grids import table_cells
 from experiments.paper.results import save_results
 from experiments.run.cache import Cache
 from experiments.run.provenance import plain, provenance, write_provenance
 from experiments.run.task import Measure
 from experiments.studies.study import Study, save_csv, save_derived
+from experiments.verify import derived, sample
 from experiments.verify.manifest import Manifest, manifest_of
 from sim.render.gl_context import open_context
 from ssac.tool.registry import OURS
 from tests.experiments.reported import made_up_runs
 
 NAMES = tuple(method.name for method in OURS)
+N_FLIGHTS = 12
+"""Of a cell of the tables here, some more than the paper's: few, as all is made many times."""
 
 
 @dataclass(frozen=True)
@@ -80,6 +84,16 @@ SQUARES = Study(
 STUDIES: Mapping[str, Study] = {SQUARES.name: SQUARES}
 
 
+@pytest.fixture(scope="session", autouse=True)
+def few_flights() -> Iterator[None]:
+    """Let the tables have fewer flights than they have."""
+    few = [cell for cell in table_cells() if cell.flight < N_FLIGHTS]
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (derived, sample):
+            patch.setattr(module, "table_cells", lambda: few)
+        yield
+
+
 @pytest.fixture(scope="session")
 def manifest() -> Manifest:
     return manifest_of(STUDIES)
@@ -91,7 +105,7 @@ def complete(tmp_path_factory: pytest.TempPathFactory, manifest: Manifest) -> Pa
     folder = Path(tmp_path_factory.mktemp("verify")) / "results"
     copytree(PUBLISHED, folder / "published")
     made_with = provenance("ssac tables", {}, 1.0, open_context()) | {"commit": "0123456789ab"}
-    runs = made_up_runs(NAMES)
+    runs = made_up_runs(NAMES, N_FLIGHTS)
     runs["t_d_error_ms"] = runs["t_d_error_ms"].clip(upper=900.0)  # within the search
     runs["t_d_estimate_ms"] = runs["t_d_ms"] + runs["t_d_error_ms"]
     save_results(runs, folder, made_with)

@@ -8,9 +8,14 @@ from experiments.paper.esim import csv_text, runs_from_csv
 from experiments.run.grid import named_config
 from experiments.studies.grids import ablation_study
 from experiments.studies.study import save_csv
-from experiments.verify.derived import sanity_findings, study_findings, table_findings, table_key
+from experiments.verify.derived import (
+    sanity_findings,
+    study_findings,
+    table_findings,
+    table_key,
+)
 from experiments.verify.finding import Finding, text_difference
-from tests.experiments.verify.conftest import NAMES
+from tests.experiments.verify.conftest import N_FLIGHTS, NAMES
 
 
 @pytest.fixture
@@ -25,7 +30,7 @@ def faulty(findings: list[Finding]) -> list[Finding]:
 # --- Runs ---
 
 
-LAST = f"20 s, 150 deg, t_d 500 ms, flight 9, {NAMES[-1]}"
+LAST = f"20 s, 150 deg, t_d 500 ms, flight {N_FLIGHTS - 1}, {NAMES[-1]}"
 
 
 @pytest.mark.parametrize(

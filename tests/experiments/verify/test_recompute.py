@@ -17,7 +17,7 @@ from experiments.verify.recompute import recomputed, row_faults, tolerances
 from experiments.verify.sample import SLOW, TABLES, Drawn, Source, draw, sources_of
 from ssac.errors import SsacError
 from ssac.tool.registry import METHODS
-from tests.experiments.verify.conftest import NAMES, SQUARES, STUDIES
+from tests.experiments.verify.conftest import N_FLIGHTS, NAMES, SQUARES, STUDIES
 from tests.experiments.verify.damage import double_a_number
 
 SQUARES_SOURCE = Source("squares", SQUARES.runs_file, SQUARES.cells(), SQUARES.measure, (CELL,))
@@ -38,12 +38,12 @@ def names(drawn: list[Drawn]) -> list[tuple]:
 def test_the_same_seed_draws_the_same_and_another_others(sources) -> None:
     assert names(draw(sources, 6, 7)) == names(draw(sources, 6, 7))
     seen = {place for seed in range(20) for place in names(draw(sources, 6, seed))}
-    assert len(seen) > 30  # of 100 recordings: no fixed part
+    assert len(seen) > 30  # of 120 recordings: no fixed part
 
 
 def test_every_recording_can_be_drawn_and_none_twice(sources) -> None:
     everything = names(draw(sources, 1000, 0))
-    assert len(everything) == len(set(everything)) == 100 + 1
+    assert len(everything) == len(set(everything)) == 2 * 5 * N_FLIGHTS + 1
     assert {name for name, _ in everything} == {TABLES, "squares"}
 
 
