@@ -87,5 +87,6 @@ def _changes(comparison: pd.DataFrame) -> list[list[str]]:
             f"{angle_deg:g}: {', '.join(f'{t_d_ms:g}' for t_d_ms in at_angle['t_d_ms'])}"
             for angle_deg, at_angle in part.groupby("angle_deg")
         ]
-        rows.append([label(quantity), f"{duration_s:g} s", before, after, "; ".join(cells)])
+        start = [label(str(quantity)), f"{duration_s:g} s", str(before), str(after)]
+        rows.append([*start, "; ".join(cells)])
     return rows

@@ -85,7 +85,8 @@ def ratio_factor(part: pd.DataFrame, sides: Sequence[str] = ("published", "ours"
     float
         At least 1; NaN where a cell has fewer than two runs or a mean of 0.
     """
-    runs = {"published": PUBLISHED_RUNS, "ours": part["n_ours"], "first": part["first_n"]}
+    published: pd.Series = pd.Series(PUBLISHED_RUNS, part.index)
+    runs = {"published": published, "ours": part["n_ours"], "first": part["first_n"]}
     angles_deg = part["angle_deg"].to_numpy()
     variance = 0.0
     for side in sides:
@@ -102,13 +103,11 @@ def geometric_mean(values: FloatArray) -> float:
         return float(np.exp(np.mean(np.log(values))))
 
 
-def _relative_errors(means: pd.Series, stds: pd.Series, n: pd.Series | int) -> FloatArray:
+def _relative_errors(means: pd.Series, stds: pd.Series, n: pd.Series) -> FloatArray:
     """Give standard errors of means over the means; NaN of a mean of 0 or of one run."""
-    freedom = np.broadcast_to(np.asarray(n, np.float64) - 1, means.shape)  # stds are over n
-    known = (means.to_numpy() > 0.0) & (freedom > 0.0)
-    errors = np.full(means.shape, np.nan)
-    errors[known] = stds[known] / (means[known] * np.sqrt(freedom[known]))
-    return errors
+    known = (means > 0.0) & (n > 1)
+    errors: pd.Series = stds / (means * np.sqrt((n - 1).where(known)))  # stds are over n
+    return np.asarray(errors, np.float64)
 
 
 def _counts(verdicts: pd.Series) -> dict[str, int]:
