@@ -26,7 +26,7 @@ setup: .venv/.ready ## virtual environment, packages, OpenGL libraries (all othe
 demo: .venv/.ready ## simulate two cameras, recover their offset and pose, draw one picture (a minute)
 	@.venv/bin/ssac demo
 
-tables: .venv/.ready ## the paper's simulation tables (10 minutes from nothing) -> results/esim_*.csv
+tables: .venv/.ready ## the paper's simulation tables, 300 recordings (20 minutes from nothing) -> results/esim_*.csv
 	@.venv/bin/ssac tables
 
 ablations: .venv/.ready ## one parameter varied at a time (half an hour) -> results/ablation_*.csv, *.png
@@ -69,7 +69,7 @@ bench: .venv/.ready ## speed and memory, as ratios to the reference tools -> res
 scene: .venv/.ready ## how the default scene looks, beside the authors' sample (2 minutes)
 	@.venv/bin/ssac scene
 
-fidelity: .venv/.ready ## events against dense references (ten minutes a flight) -> results/fidelity.csv
+fidelity: .venv/.ready ## events against dense references, 20 flights (a minute each) -> results/fidelity.csv
 	@.venv/bin/ssac study fidelity
 
 clean-cache: ## remove the recordings and runs that tables, ablations and sweeps keep in cache/

@@ -19,6 +19,7 @@ from experiments.report.quoted import (
     digits,
 )
 from experiments.studies.catalogue import ABLATIONS
+from experiments.studies.fidelity import DIFFERENCES, MARKS_MS
 from experiments.studies.refusal import METHOD_NAMES as REFUSING_METHODS
 
 Rows = list[list[str]]
@@ -179,7 +180,8 @@ def fidelity_table(results: Committed, study: str = "fidelity") -> str:
         return results.column(runs, column, duration_s=duration_s, status="ok")
 
     # The two renderers differ by far less than the dense reference from either.
-    decimals = 3 if study == "fidelity" else 5
+    dense = study == "fidelity"
+    decimals = 3 if dense else 5
     rows: Rows = [
         ["flights", *(str(len(ok(duration_s, "median_us"))) for duration_s in durations_s)],
         row("event times, median [us]", "median_us"),
@@ -187,13 +189,15 @@ def fidelity_table(results: Committed, study: str = "fidelity") -> str:
         row("spurious events [%]", "spurious", 100, 1),
         row("missing events [%]", "missing", 100, 1),
     ]
-    for method in COMPARED_METHODS:
-        column = f"{method.replace('-', '_')}_t_d_difference_ms"
-        cells = [f"t_d by `{method}`, mean absolute (signed) difference [ms]"]
+    for method, column in zip(COMPARED_METHODS, DIFFERENCES, strict=True):
+        mark = f", mark {MARKS_MS[method]:g}" if dense and method in MARKS_MS else ""
+        cells = [f"t_d by `{method}`: mean difference (largest){mark} [ms]"]
         for duration_s in durations_s:
-            values = ok(duration_s, column)
-            mean = f"{np.abs(values).mean():.{decimals}f}"
-            cells.append(f"{mean} ({values.mean():+.{decimals}f})")
+            sizes = np.abs(ok(duration_s, column))
+            mean = f"{sizes.mean():.{decimals}f}"
+            if len(sizes) > 1:
+                mean += f" ± {sizes.std(ddof=1) / len(sizes) ** 0.5:.{decimals}f}"
+            cells.append(f"{mean} ({sizes.max():.{decimals}f})")
         rows.append(cells)
     return markdown_table(["quantity", *(f"{d:g} s" for d in durations_s)], rows)
 

@@ -1,8 +1,7 @@
 """How true the default recordings are: the same flights against another rendering.
 
 `fidelity` compares with a far denser one: the flights 200, 201, ... of each duration at 90 deg.
-`renderers` compares the native renderer with OpenGL: the tables' first flight of each duration and
-angle.
+`renderers` compares the tables by either renderer: their first flights of each duration and angle.
 """
 
 from dataclasses import replace
@@ -11,23 +10,35 @@ import pandas as pd
 
 from experiments.measures.fidelity import (
     FIDELITY,
+    METHOD_NAMES,
     FidelityCell,
-    FidelityRow,
     opengl_config,
     reference_config,
 )
-from experiments.studies.flights import ANGLES_DEG, drawn
+from experiments.studies.flights import ANGLES_DEG, DURATIONS_S, drawn
 from experiments.studies.study import Study
 from sim.recording import SimConfig
 from sim.sensor.frames import FrameConfig
 
 FIRST_FLIGHT = 200
-N_FLIGHTS = {10.0: 2, 20.0: 1}
+N_FLIGHTS = {10.0: 10, 20.0: 10}
 """Flights of each duration [s]."""
+
+RENDERER_FLIGHTS = 3
+"""Of each duration and angle."""
+
+MARKS_MS = {"ssac": 0.02, "joint": 0.02, "tangency": 0.015}
+"""The mean absolute difference of t_d from the dense reference is to be at most this."""
+
+RENDERER_TOLERANCE_MS = 0.005
+"""The same between the renderers, for every method: half a digit of the paper's tables of t_d."""
 
 T_D_S = 0.05
 
-_MEASURED = [name for name in vars(FidelityRow("")) if name not in ("status", "reason")]
+DIFFERENCES = tuple(f"{name.replace('-', '_')}_t_d_difference_ms" for name in METHOD_NAMES)
+"""Columns of the methods' differences of t_d; in the means they have no signs."""
+
+_EVENTS = ("median_us", "p95_us", "spurious", "missing")
 
 
 def fidelity_cells(n_flights: dict[float, int] = N_FLIGHTS) -> list[FidelityCell]:
@@ -43,9 +54,9 @@ def fidelity_cells(n_flights: dict[float, int] = N_FLIGHTS) -> list[FidelityCell
 
 
 def renderer_cells() -> list[FidelityCell]:
-    """List the tables' first flights, of each duration and angle."""
+    """List the tables' first flights of each duration and angle, RENDERER_FLIGHTS of them."""
     cells = []
-    for duration_s in N_FLIGHTS:
+    for duration_s in DURATIONS_S:
         for angle_deg in ANGLES_DEG:
             sim = SimConfig(
                 angle_deg=angle_deg,
@@ -53,7 +64,8 @@ def renderer_cells() -> list[FidelityCell]:
                 t_d_s=T_D_S,
             )
             by_opengl = opengl_config(sim)
-            cells += [FidelityCell(sim, k, seed, by_opengl) for k, seed in drawn(sim, range(1))]
+            flights = drawn(sim, range(RENDERER_FLIGHTS))
+            cells += [FidelityCell(sim, flight, seed, by_opengl) for flight, seed in flights]
     return cells
 
 
@@ -63,15 +75,22 @@ def fidelity_table(runs: pd.DataFrame) -> pd.DataFrame:
     Returns
     -------
     pd.DataFrame
-        One row for each duration: flights, `failed`, the means of how the events differ, and the
-        means of the methods' differences without their signs.
+        One row for each duration: flights, `failed`, the means of how the events differ, and for
+        each method the mean of its differences of t_d without their signs, the standard error of
+        that mean (`_se_ms`; NaN of one flight) and the largest of them (`_max_ms`).
     """
     rows = []
     for duration_s, group in runs.groupby("duration_s", sort=False):
         ok = group[group["status"] == "ok"]
-        means = ok[_MEASURED].abs().mean()
         row = {"duration_s": duration_s, "n_runs": len(group), "failed": len(group) - len(ok)}
-        rows.append({**row, **means, "n_reference": round(means["n_reference"])})
+        row |= {"n_reference": round(ok["n_reference"].mean()) if len(ok) else 0}
+        row |= {name: ok[name].mean() for name in _EVENTS}
+        for name in DIFFERENCES:
+            sizes = ok[name].abs()
+            start = name.removesuffix("_ms")
+            row[name] = sizes.mean()
+            row |= {f"{start}_se_ms": sizes.sem(), f"{start}_max_ms": sizes.max()}
+        rows.append(row)
     table: pd.DataFrame = pd.DataFrame(rows)
     return table
 
@@ -89,10 +108,10 @@ FIDELITY_STUDY = Study(
 
 RENDERERS_STUDY = Study(
     "renderers",
-    "Events and offsets by the native renderer against those by OpenGL",
+    "The tables' events and offsets by the native renderer against those by OpenGL",
     renderer_cells,
     FIDELITY,
     fidelity_table,
     keys=("duration_s", "angle_deg", "flight"),
-    config={"flights": 1, "durations_s": list(N_FLIGHTS), "angles_deg": ANGLES_DEG},
+    config={"flights": RENDERER_FLIGHTS, "durations_s": DURATIONS_S, "angles_deg": ANGLES_DEG},
 )

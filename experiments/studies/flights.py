@@ -9,6 +9,9 @@ from sim.recording import SimConfig
 ANGLES_DEG = table_axes().angles_deg
 """Those of the tables: the studies fly at the same."""
 
+DURATIONS_S = table_axes().durations_s
+"""Of the tables."""
+
 
 def drawn(sim: SimConfig, flights: Iterable[int]) -> Iterator[tuple[int, int]]:
     """Yield (number, seed) of flights of the duration and angle of a configuration."""

@@ -26,6 +26,7 @@ from experiments.run.grid import Cell
 from experiments.run.provenance import versions
 from experiments.run.scored import SCORED
 from experiments.run.task import CRASHED
+from experiments.studies.fidelity import DIFFERENCES, RENDERER_TOLERANCE_MS, RENDERERS_STUDY
 from experiments.studies.study import Study, read_table, summary_text
 from experiments.verify.files import read_provenance, read_text
 from experiments.verify.finding import Finding, found, text_difference
@@ -82,6 +83,14 @@ def study_findings(results: Path, studies: Mapping[str, Study]) -> list[Finding]
             what = f"{study.runs_file} has the rows of {RUNS_FILE} where the runs are the same"
             findings.append(found(what, partial(_unlike_the_tables, results, study)))
     return findings
+
+
+def renderer_findings(results: Path, studies: Mapping[str, Study]) -> list[Finding]:
+    """Check that the tables by either renderer agree within the tolerance."""
+    if RENDERERS_STUDY.name not in studies:
+        return []
+    what = f"the renderers' mean difference of t_d is at most {RENDERER_TOLERANCE_MS:g} ms"
+    return [found(what, partial(_unlike_by_renderer, results))]
 
 
 def figure_findings(results: Path, studies: Mapping[str, Study]) -> list[Finding]:
@@ -189,6 +198,16 @@ def _unlike_the_tables(results: Path, study: Study) -> tuple[str, ...]:
 def _other_summary(results: Path, study: Study) -> tuple[str, ...]:
     made = summary_text(study, read_text(results / study.runs_file), results)
     return text_difference(read_text(results / study.summary_file), made)
+
+
+def _unlike_by_renderer(results: Path) -> tuple[str, ...]:
+    table = read_table(read_text(results / RENDERERS_STUDY.summary_file))
+    return tuple(
+        f"{row['duration_s']:g} s: {name} is {row[name]:g}"
+        for row in table.to_dict("records")
+        for name in DIFFERENCES
+        if not row[name] <= RENDERER_TOLERANCE_MS
+    )
 
 
 def _not_as_written(path: Path) -> tuple[str, ...]:

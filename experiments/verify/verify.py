@@ -19,7 +19,12 @@ from experiments.report.numbers import pages, stale_numbers
 from experiments.run.command import WorkersOption
 from experiments.run.schedule import Workers
 from experiments.studies.catalogue import STUDIES
-from experiments.verify.derived import figure_findings, study_findings, table_findings
+from experiments.verify.derived import (
+    figure_findings,
+    renderer_findings,
+    study_findings,
+    table_findings,
+)
 from experiments.verify.files import file_findings
 from experiments.verify.finding import Finding, found
 from experiments.verify.manifest import manifest_of
@@ -56,6 +61,7 @@ def verify_command(
     failed = _report(file_findings(results, manifest_of(STUDIES)))
     failed += _report(table_findings(results))
     failed += _report(study_findings(results, STUDIES))
+    failed += _report(renderer_findings(results, STUDIES))
     failed += _report(figure_findings(results, STUDIES))
     failed += _report(page_findings(results))
     if recordings:

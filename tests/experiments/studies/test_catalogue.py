@@ -2,8 +2,10 @@
 
 import ast
 from collections import defaultdict
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -11,7 +13,13 @@ from experiments.measures import recording_bound
 from experiments.run.code import ROOT
 from experiments.run.grid import config_names, flight_seed, named_config
 from experiments.studies.catalogue import ABLATIONS, STUDIES
-from experiments.studies.fidelity import fidelity_cells, fidelity_table
+from experiments.studies.fidelity import (
+    DIFFERENCES,
+    RENDERER_FLIGHTS,
+    fidelity_cells,
+    fidelity_table,
+    renderer_cells,
+)
 
 OWN_FLIGHTS = ("coverage", "refusal", "tangency", "zncc", "fidelity")
 """Studies whose flights are those of no table."""
@@ -72,4 +80,30 @@ def test_fidelity_sums_up_each_duration() -> None:
         "records"
     )
     assert (row["n_runs"], row["failed"], row["n_reference"], row["median_us"]) == (3, 1, 10, 40.0)
-    assert row["joint_t_d_difference_ms"] == 0.02
+    assert row["joint_t_d_difference_ms"] == row["joint_t_d_difference_max_ms"] == 0.02
+    assert row["joint_t_d_difference_se_ms"] == 0.0  # both are as large
+
+
+def test_a_mean_difference_comes_with_its_standard_error_and_the_largest() -> None:
+    sizes = np.array([0.01, 0.03, 0.02, 0.06])
+    values = dict.fromkeys(DIFFERENCES, sizes * [1, -1, 1, -1])
+    runs = pd.DataFrame({"duration_s": 20.0, "status": "ok", "n_reference": 5, "median_us": 1.0,
+                         "p95_us": 2.0, "spurious": 0.0, "missing": 0.0, **values})  # fmt: skip
+    (row,) = fidelity_table(runs).to_dict("records")
+    for name in DIFFERENCES:
+        start = name.removesuffix("_ms")
+        assert row[name] == pytest.approx(0.03)
+        assert row[f"{start}_se_ms"] == pytest.approx(sizes.std(ddof=1) / 2)
+        assert row[f"{start}_max_ms"] == 0.06
+    (alone,) = fidelity_table(runs.iloc[:1]).to_dict("records")
+    assert np.isnan(alone["ssac_t_d_difference_se_ms"])  # one flight does not tell
+
+
+def test_the_renderers_are_compared_on_flights_of_the_tables() -> None:
+    cells = renderer_cells()
+    assert len(cells) == 2 * 5 * RENDERER_FLIGHTS
+    of_tables = {(c.sim, c.seed) for t in ("esim_10", "esim_20") for c in named_config(t).cells()}
+    for cell in cells:
+        assert (replace(cell.sim, t_d_s=0.0), cell.seed) in of_tables
+        render = cell.reference.render
+        assert render == replace(cell.sim.render, renderer="pyrender") != cell.sim.render

@@ -65,7 +65,7 @@ class WordRow:
 
 
 LOADED: list[str] = []
-FAULTS: dict[str, Exception] = {}
+FAULTS: dict[str, BaseException] = {}
 
 
 def load_word(cells: Sequence[WordCell], _: Cache) -> str:
@@ -141,6 +141,20 @@ def test_what_is_done_is_not_done_again(tmp_path: Path) -> None:
     again = run_study(STUDY, Cache(tmp_path), Workers(1))
     assert LOADED == []
     pd.testing.assert_frame_equal(first.runs, again.runs)
+
+
+def test_an_interrupted_study_goes_on_where_it_was(tmp_path: Path) -> None:
+    FAULTS["three"] = KeyboardInterrupt()
+    with pytest.raises(KeyboardInterrupt):
+        run_study(STUDY, Cache(tmp_path), Workers(1))
+    done = LOADED[:-1]
+    assert LOADED[-1] == "three"
+    assert done
+    FAULTS.clear()
+    LOADED.clear()
+    runs = run_study(STUDY, Cache(tmp_path), Workers(1)).runs
+    assert sorted(LOADED) == sorted(set(WORDS) - set(done))
+    assert list(runs["status"]) == ["ok"] * 8
 
 
 def test_a_crash_is_a_row_and_leaves_the_others(tmp_path: Path) -> None:

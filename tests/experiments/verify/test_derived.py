@@ -1,14 +1,18 @@
 """What follows from the runs: tables with runs too few or too many, and impossible runs."""
 
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 import pytest
 
 from experiments.paper.esim import csv_text, runs_from_csv
 from experiments.run.grid import named_config
+from experiments.studies.fidelity import DIFFERENCES, RENDERER_TOLERANCE_MS, RENDERERS_STUDY
 from experiments.studies.grids import ablation_study
 from experiments.studies.study import save_csv
 from experiments.verify.derived import (
+    renderer_findings,
     sanity_findings,
     study_findings,
     table_findings,
@@ -16,6 +20,8 @@ from experiments.verify.derived import (
 )
 from experiments.verify.finding import Finding, text_difference
 from tests.experiments.verify.conftest import N_FLIGHTS, NAMES
+
+RESULTS = Path(__file__).resolve().parents[3] / "results"
 
 
 @pytest.fixture
@@ -121,6 +127,27 @@ def test_estimates_of_six_digits_are_equal_enough(runs):
     place = runs.index[(runs["method"] == "zncc_e") & (runs["t_d_ms"] == 500.0)][0]
     runs.loc[place, ["t_d_error_ms", "t_d_estimate_ms"]] = 912.345, 1412.345
     assert faulty(sanity_findings(runs_from_csv(csv_text(runs)))) == []
+
+
+# --- Renderers ---
+
+
+def test_renderers_that_differ_beyond_the_tolerance_are_found(tmp_path):
+    near = dict.fromkeys(DIFFERENCES, 0.9 * RENDERER_TOLERANCE_MS)
+    far = {**near, DIFFERENCES[-1]: 1.1 * RENDERER_TOLERANCE_MS}
+    table = pd.DataFrame([{"duration_s": 10.0, **near}, {"duration_s": 20.0, **near}])
+    studies = {RENDERERS_STUDY.name: RENDERERS_STUDY}
+    assert renderer_findings(tmp_path, {}) == []
+    assert faulty(renderer_findings(tmp_path, studies))  # not there
+    save_csv(tmp_path / "renderers.csv", table)
+    assert not faulty(renderer_findings(tmp_path, studies))
+    save_csv(tmp_path / "renderers.csv", pd.DataFrame([{"duration_s": 10.0, **far}]))
+    (found,) = faulty(renderer_findings(tmp_path, studies))
+    assert found.faults == ("10 s: tangency_t_d_difference_ms is 0.0055",)
+
+
+def test_the_committed_renderers_agree():
+    assert not faulty(renderer_findings(RESULTS, {RENDERERS_STUDY.name: RENDERERS_STUDY}))
 
 
 # --- Runs that a study shares with the tables ---
