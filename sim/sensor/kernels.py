@@ -128,11 +128,11 @@ def _follow_light(  # type: ignore[no-untyped-def]
                 found[n_found] = i
                 n_found += np.uint64((row[i] > high[at]) | (row[i] < low[at]))
             for j in range(np.uint64(0), n_found):
-                i = np.uint64(found[j])
-                at = start + i
-                i0, i1 = np.float64(image[at]), np.float64(row[i])
+                column = np.uint64(found[j])
+                at = start + column
+                i0, i1 = np.float64(image[at]), np.float64(row[column])
                 per_s = (t1 - t0) / (i1 - i0)
-                x = x0 + np.int64(i)
+                x = x0 + np.int64(column)
                 memory, step_up, step_down = reference[at], up[at], down[at]
                 above, below = high[at], low[at]
                 while i1 > above or i1 < below:
