@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.errors import SimError
-from sim.render.lattice import Lattice
+from sim.render.lattice import GL_MAX_A, Lattice
 from sim.scene.rig import Camera
 
 RENDERERS = ("native", "pyrender")
@@ -18,7 +18,7 @@ DISTORTION_MODELS = {"none": 0, "radtan": 1, "equidistant": 2}
 class RenderConfig:
     """How the drone is drawn, and by what."""
 
-    lattice: Lattice = field(default_factory=lambda: Lattice(8, 0))
+    lattice: Lattice = field(default_factory=lambda: Lattice(16, 1))
     light_W: tuple[float, float, float] = (0.35, -0.4, 0.85)  # towards the light, any length
     ambient: float = 0.35  # share of the light that comes from everywhere
     renderer: str = "native"  # "native": compiled Python; "pyrender": OpenGL, the definition
@@ -28,6 +28,11 @@ class RenderConfig:
     def __post_init__(self) -> None:
         if self.renderer not in RENDERERS:
             raise SimError(f"unknown renderer {self.renderer!r}: use one of {', '.join(RENDERERS)}")
+        if self.lattice.a > GL_MAX_A and (self.renderer == "pyrender" or self.check):
+            raise SimError(
+                f"OpenGL draws lattices up to a = {GL_MAX_A}, got a = {self.lattice.a}: use the "
+                "native renderer without its check"
+            )
         if not 0.0 <= self.ambient <= 1.0:
             raise SimError(f"ambient light: expected 0 to 1, got {self.ambient}")
 

@@ -22,7 +22,8 @@ IntArray = NDArray[np.int64]
 # sees the object, so a sum of words holds both the sum of codes and the number of object samples.
 FULL_CODE = 65535  # of luminance 1
 COUNT_BIT = 21
-MAX_A = 16  # codes down a pixel's column must add up to less than 2^COUNT_BIT
+GL_MAX_A = 16  # codes down a pixel's column must add up to less than 2^COUNT_BIT
+MAX_A = 31  # codes of a pixel must add up to less than the native renderer's 2^26
 
 
 @dataclass(frozen=True)

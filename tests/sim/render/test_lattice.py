@@ -1,7 +1,10 @@
+from typing import Any
+
 import numpy as np
 import pytest
 
 from sim.errors import SimError
+from sim.render.config import RenderConfig
 from sim.render.lattice import COUNT_BIT, FULL_CODE, Lattice, average_pixels
 
 LATTICES = [
@@ -125,7 +128,16 @@ def test_brightest_light_fits_a_word() -> None:
     np.testing.assert_allclose(got, 1.0, rtol=3e-7)  # float32
 
 
-@pytest.mark.parametrize(("a", "b"), [(0, 0), (17, 0), (8, 2), (8, -1)])
+@pytest.mark.parametrize(("a", "b"), [(0, 0), (32, 0), (8, 2), (8, -1)])
 def test_a_lattice_that_cannot_be_is_refused(a: int, b: int) -> None:
-    with pytest.raises(SimError, match=r"expected 1 <= a <= 16 and b = 0 or 1"):
+    with pytest.raises(SimError, match=r"expected 1 <= a <= 31 and b = 0 or 1"):
         Lattice(a, b)
+
+
+@pytest.mark.parametrize("config", [{"renderer": "pyrender", "check": False}, {"check": True}])
+def test_a_lattice_too_dense_for_opengl_is_the_native_renderers_alone(
+    config: dict[str, Any],
+) -> None:
+    with pytest.raises(SimError, match=r"OpenGL draws lattices up to a = 16, got a = 17"):
+        RenderConfig(Lattice(17, 1), **config)
+    assert RenderConfig(Lattice(17, 1), check=False).lattice.samples_per_pixel == 290

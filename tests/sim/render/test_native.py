@@ -85,7 +85,7 @@ def test_the_check_compares_instants_and_says_how_far_they_were() -> None:
         )
         check = renderer.check
     assert check.n_instants == sim.render.renderer.CHECKED_INSTANTS
-    assert check.n_pixels > 25 * 100
+    assert check.n_pixels > 25 * 50  # a flat drone from its side, 36 px wide
     assert 0.0 < check.mean_difference < 1e-4
 
 
