@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from experiments.run.bridge import observations, rig_of
 from sim.recording import Recording, SimConfig, simulate
+from sim.scene.flyers import DRONES
 from sim.sensor.frames import FrameConfig
 from ssac.camera import Rig, known_pose
 from ssac.config import Config
@@ -94,13 +95,18 @@ def pair_figures(
 
 def scene_command(
     seeds: Annotated[int, number("Flights to average over.", 1, 1000, metavar="COUNT")] = 10,
+    first_seed: Annotated[int, number("Seed of the first flight.", 0, 2**32 - 1)] = 0,
+    drone: Annotated[
+        str, typer.Option(metavar="NAME", help=f"{', '.join(DRONES)}.")
+    ] = SimConfig.drone,
 ) -> None:
     """Print how the default scene looks to the method, beside the authors' public sample."""
-    config = SimConfig(frames=FrameConfig(rate_hz=0.0))  # the sample's angle and duration
+    # The sample's angle and duration.
+    config = SimConfig(drone=drone, frames=FrameConfig(rate_hz=0.0))
     rows = []
-    for seed in range(seeds):
-        typer.echo(f"flight {seed + 1} of {seeds}", err=True)
-        figures = scene_figures(simulate(config, seed))
+    for flight in range(seeds):
+        typer.echo(f"flight {flight + 1} of {seeds}", err=True)
+        figures = scene_figures(simulate(config, first_seed + flight))
         rows.append(np.hstack(astuple(figures)))
     mean = np.mean(rows, axis=0)
     typer.echo(
