@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from experiments.scenes import scene
 from experiments.scenes.scene import AUTHORS_SAMPLE, SceneFigures, scene_figures, scene_table
 from sim.recording import Recording, SimConfig, simulate, with_time_offset
 from sim.render.config import RenderConfig
@@ -38,6 +39,19 @@ def test_figures_are_those_of_the_truth(recording: Recording) -> None:
 def test_figures_do_not_depend_on_the_offset(recording: Recording) -> None:
     early, late = (scene_figures(with_time_offset(recording, t_d_s)) for t_d_s in (0.0, 0.25))
     assert early == late
+
+
+def test_the_command_flies_what_it_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    flown = []
+
+    def take(config: SimConfig, seed: int) -> SceneFigures:
+        flown.append((config.drone, config.angle_deg, config.spline.duration_s, seed))
+        return SceneFigures(198.0, 348, 400, 0.41, 0.2, 1.3, (20.0, 45.0), 1e6)
+
+    monkeypatch.setattr(scene, "simulate", take)
+    monkeypatch.setattr(scene, "scene_figures", lambda figures: figures)
+    scene.scene_command(seeds=2, first_seed=9100, drone="two-tone")
+    assert flown == [("two-tone", 90.0, 20.0, seed) for seed in (9100, 9101)]
 
 
 def test_the_table_has_a_row_for_each_figure() -> None:
