@@ -24,7 +24,7 @@ from ssac.track.observation import prepare
 
 _SHARES = ("median_us", "p95_us", "spurious", "missing")  # of EventFidelity
 METHOD_NAMES = ("ssac", "ssac-known", "joint", "tangency")
-DENSER = 16  # times as many instants in the reference
+DENSER = 8  # times as many instants in the reference
 REFERENCE_LATTICE = Lattice(31, 1)  # 962 samples per pixel, none of them where ours are
 MATCH_WINDOW_US = 5000  # events of one pixel and polarity further apart are not the same: 1 px here
 
@@ -85,7 +85,7 @@ def opengl_config(config: SimConfig) -> SimConfig:
 
 
 def reference_config(config: SimConfig) -> SimConfig:
-    """Return the same scene, rendered 16 times more densely in time with 962 samples per pixel.
+    """Return the same scene, rendered 8 times more densely in time with 962 samples per pixel.
 
     OpenGL cannot draw as many, so nothing is checked against it.
     """

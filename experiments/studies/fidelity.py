@@ -97,7 +97,7 @@ def fidelity_table(runs: pd.DataFrame) -> pd.DataFrame:
 
 FIDELITY_STUDY = Study(
     "fidelity",
-    "Events and offsets against a reference 16 times denser in time, 962 samples per pixel",
+    "Events and offsets against a reference 8 times denser in time, 962 samples per pixel",
     fidelity_cells,
     FIDELITY,
     fidelity_table,

@@ -239,7 +239,8 @@ def _level_arm(hub: FloatArray) -> list[trimesh.Trimesh]:
     motor = prism(6, MOTOR_RADIUS, MOTOR_HEIGHT)
     motor.apply_translation(hub)
     root = 0.2 * hub  # within the shell
-    arm = trimesh.creation.box((np.linalg.norm(hub - root), ARM_WIDTH, ARM_HEIGHT))
+    length = float(np.linalg.norm(hub - root))
+    arm = trimesh.creation.box((length, ARM_WIDTH, ARM_HEIGHT))
     arm.apply_transform(pose(0.5 * (hub + root), yaw_rad=float(np.arctan2(hub[1], hub[0]))))
     inside = 0.5 * MOTOR_HEIGHT - 0.01  # from the arm's middle down to the leg's upper end
     leg = prism(4, LEG_RADIUS, LEG_REACH - inside)

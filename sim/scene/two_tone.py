@@ -49,7 +49,8 @@ def two_tone(size_m: float = DEFAULT_SIZE_M, rotor_hz: float = 0.0) -> Drone:
     SimError
         When the size is not positive or the rate is not finite.
     """
-    frame, rotors = _fuselage(), []
+    frame = _fuselage()
+    rotors: list[Blades] = []
     for x_sign, y_sign in CORNERS:
         hub = np.array([x_sign * MOTOR_X, y_sign * MOTOR_Y, ROTOR_Z])
         frame += _arm(hub)
