@@ -44,12 +44,7 @@ def remove_hot_pixels(
         The events of all other pixels, in the same order.
     """
     counts = _event_counts(events["x"], events["y"], width, height)
-    rows, columns = np.nonzero(counts >= min_events)
-    around = np.lib.stride_tricks.sliding_window_view(np.pad(counts, 2), (5, 5))[rows, columns]
-    own = counts[rows, columns][:, None, None]
-    companions = np.count_nonzero(around * count_ratio >= own, axis=(1, 2)) - 1
-    hot = np.zeros((height, width), dtype=bool)
-    hot[rows, columns] = companions < min_companions
+    hot = _lone_pixels(counts, min_events, count_ratio, min_companions)
     if not hot.any():
         return events
     return chosen_events(events, of_pixels(~hot, events["x"], events["y"]))
@@ -64,6 +59,29 @@ def _event_counts(
     for i in range(len(x)):
         counts[y[i], x[i]] += 1
     return counts
+
+
+@numba.njit(cache=True)
+def _lone_pixels(
+    counts: NDArray[np.int64], min_events: int, count_ratio: float, min_companions: int
+) -> NDArray[np.bool_]:
+    """Whether each pixel (height, width) has many events, and too few of those around it have.
+
+    Pixel by pixel: the neighbourhoods of all of them side by side would be 25 times the sensor.
+    """
+    height, width = counts.shape
+    lone = np.zeros((height, width), np.bool_)
+    for row in range(height):
+        for column in range(width):
+            own = counts[row, column]
+            if own < min_events:
+                continue
+            n_companions = -1  # the pixel finds itself
+            for i in range(max(row - 2, 0), min(row + 3, height)):
+                for j in range(max(column - 2, 0), min(column + 3, width)):
+                    n_companions += counts[i, j] * count_ratio >= own
+            lone[row, column] = n_companions < min_companions
+    return lone
 
 
 @numba.njit(cache=True)
