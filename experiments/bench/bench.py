@@ -5,9 +5,6 @@ memory and both GL backends can be compared.
 """
 
 import json
-import os
-import resource
-import subprocess
 import sys
 import tempfile
 import time
@@ -15,18 +12,31 @@ from collections.abc import Callable
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 import pandas as pd
 import typer
 from numpy.typing import NDArray
 
-from experiments.bench.measurement import Measurement
+from experiments.bench.growth import (
+    Extent,
+    bench_config,
+    growth_rows,
+    measure_growth,
+    points_of,
+)
+from experiments.bench.measurement import Measurement, best_rate, peak_memory_mb
+from experiments.bench.process import in_own_process
+from experiments.bench.reading import bench_reading
+from experiments.bench.sensor import bench_sensor
 from experiments.bench.sync import bench_sync
 from experiments.bench.tables import bench_tables
+from experiments.figures.growth import growth_figure
+from experiments.figures.style import save_png
 from experiments.paper.checksums import record_checksums
 from experiments.run.provenance import save_provenance
+from experiments.studies.study import read_table, save_csv
 from sim.recording import SimConfig
 from sim.render.config import RenderConfig
 from sim.render.gl_context import BACKENDS, open_context
@@ -37,27 +47,24 @@ from sim.scene.background import uniform_background
 from sim.scene.drone import quadrotor
 from sim.scene.rig import two_view_rig
 from sim.scene.trajectory import SplineConfig, random_spline
-from sim.sensor.events import Sensor, SensorConfig
 from sim.storage import record
-from ssac.files.whole_file import whole_file
+from ssac.errors import SsacError
 
 _NATIVE = "native"
 LATTICES = (SimConfig().render.lattice, Lattice(8, 1), Lattice(4, 0), Lattice(16, 1))
 REPEATS = 3  # the best of as many is taken
 N_POSES = 4000  # of our renderer
 N_FULL_FRAMES = 24  # of pyrender's, on poses spread over the same flight
-N_SENSOR_FRAMES = 1000
-OBJECT_SPEED_PX_S = 200.0
-SENSOR_STEP_PX = 0.2  # between the frames that the sensor model is timed on
-
-# ESIM's C++ core (esim_py) on 346 x 260 frames, one core of a machine like ours.
-ESIM_FRAMES_PER_S = 6600.0
 
 
 def bench_command(
     out: Annotated[Path, typer.Option(help="CSV to write.", metavar="FILE")] = Path(
         "results/bench.csv"
     ),
+    growth: Annotated[
+        Extent,
+        typer.Option(help="Pairs of up to 50 million events a camera, or of up to 10."),
+    ] = Extent.FULL,
 ) -> None:
     """Measure speed and memory, each on one core, and write them with their marks."""
     start = time.perf_counter()
@@ -65,14 +72,28 @@ def bench_command(
     for part in PARTS:
         typer.echo(f"measuring {part} ...", err=True)
         rows += _in_own_process(part)
+    grown = measure_growth(points_of(growth), lambda line: typer.echo(line, err=True))
+    rows += growth_rows(grown)
     table = pd.DataFrame([asdict(row) | {"verdict": row.verdict} for row in rows])
-    out.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(out) as temporary:
-        table.to_csv(temporary, index=False, float_format="%.6g")
-    save_provenance(out, "ssac bench", {}, time.perf_counter() - start, open_context())
-    record_checksums(out.parent, [out])
+    made = _save(table, grown, out)
+    command = "ssac bench" if growth is Extent.FULL else f"ssac bench --growth {growth.value}"
+    for path in made:
+        if path.suffix == ".csv":
+            wall_time_s = time.perf_counter() - start
+            save_provenance(path, command, bench_config(growth), wall_time_s, open_context())
+    record_checksums(out.parent, made)
     columns = ["name", "value", "unit", "mark", "verdict"]
     typer.echo(table[columns].to_string(index=False, float_format=lambda value: f"{value:.4g}"))
+
+
+def _save(table: pd.DataFrame, grown: pd.DataFrame, out: Path) -> list[Path]:
+    """Write the benchmark, and beside it how it grows, as numbers and drawn from these."""
+    growth_csv = out.with_name(f"{out.stem}_growth.csv")
+    growth_png = growth_csv.with_suffix(".png")
+    save_csv(out, table)
+    save_csv(growth_csv, grown)
+    save_png(growth_figure(read_table(growth_csv.read_text(encoding="utf-8"))), growth_png)
+    return [out, growth_csv, growth_png]
 
 
 def bench_render(by: str) -> list[Measurement]:
@@ -103,7 +124,7 @@ def bench_render(by: str) -> list[Measurement]:
                 batches = renderer.crops(camera, times_s, T_W_B, background)
                 return sum(len(batch.times_s) for batch in batches)
 
-            return _best_rate(crops)
+            return best_rate(crops, REPEATS)
 
     rows = []
     for lattice in LATTICES:
@@ -124,7 +145,7 @@ def bench_render(by: str) -> list[Measurement]:
                 reference.stock(float(times_s[k]), T_W_B[k])
             return len(some)
 
-        theirs_per_s = _best_rate(theirs)
+        theirs_per_s = best_rate(theirs, REPEATS)
         label = f"render, {by}, {lattice.samples_per_pixel} samples per pixel"
         is_default = lattice == SimConfig().render.lattice
         rows += [
@@ -136,44 +157,14 @@ def bench_render(by: str) -> list[Measurement]:
             ratio = ours_per_s / crops_per_s(with_gl)
             rows.append(Measurement(f"{label}: ratio to OpenGL's crops", ratio, "x", 4.0, True))
         if lattice.b == 0:  # pyrender itself knows regular grids only
-            untouched_per_s = _best_rate(untouched)
+            untouched_per_s = best_rate(untouched, REPEATS)
             rows += [
                 Measurement(f"{label}: pyrender untouched", untouched_per_s, "poses/s"),
                 Measurement(f"{label}: ratio to it", ours_per_s / untouched_per_s, "x", 50.0, True),
             ]
         if is_default:
-            rows.append(Measurement(f"{label}: peak memory", _peak_memory_mb(), "MB"))
+            rows.append(Measurement(f"{label}: peak memory", peak_memory_mb(), "MB"))
     return rows
-
-
-def bench_sensor() -> list[Measurement]:
-    """Frames and events per second of the sensor model, on full frames and on crops of them."""
-    frames, times_s, x0, y0, crops = _moving_object()
-    background = frames[0].copy()
-    zero = np.zeros(len(times_s) - 1, np.int64)
-    n_events = 0
-
-    def run(x: Any, y: Any, luminance: Any) -> int:
-        nonlocal n_events
-        rng = np.random.default_rng(0)
-        sensor = Sensor(SensorConfig(), frames[0], float(times_s[0]), rng, background)
-        sensor.feed(times_s[1:], x, y, luminance)
-        n_events = len(sensor.finish(float(times_s[-1])))
-        return len(times_s) - 1
-
-    full_per_s = _best_rate(lambda: run(zero, zero, frames[1:]))
-    events_per_frame = n_events / (len(times_s) - 1)
-    crops_per_s = _best_rate(lambda: run(x0[1:], y0[1:], crops[1:]))
-    size = f"{frames.shape[2]} x {frames.shape[1]}"
-    return [
-        Measurement(
-            f"sensor, {size} float frames", full_per_s, "frames/s", ESIM_FRAMES_PER_S, True
-        ),
-        Measurement(f"sensor, {size} float frames", full_per_s * events_per_frame, "events/s"),
-        Measurement("sensor, crops that follow the object", crops_per_s, "frames/s"),
-        Measurement("sensor, crops: events", crops_per_s * events_per_frame, "events/s"),
-        Measurement("sensor, crops / full frames", crops_per_s / full_per_s, "x"),
-    ]
 
 
 def bench_recording() -> list[Measurement]:
@@ -189,7 +180,7 @@ def bench_recording() -> list[Measurement]:
         Measurement("simulate a 20 s pair, frames included", seconds, "s", 3.0),
         Measurement("simulate a 20 s pair: instants", instants, "instants"),
         Measurement("simulate a 20 s pair: events", events, "events"),
-        Measurement("simulate a 20 s pair: peak memory", _peak_memory_mb(), "MB", 450.0),
+        Measurement("simulate a 20 s pair: peak memory", peak_memory_mb(), "MB", 450.0),
     ]
 
 
@@ -198,64 +189,19 @@ PARTS: dict[str, Callable[[], list[Measurement]]] = {
     "sensor": bench_sensor,
     "recording": bench_recording,
     "sync": bench_sync,
+    "reading": bench_reading,
     "tables": bench_tables,  # which has two workers
 }
 
 
 def _in_own_process(part: str) -> list[Measurement]:
-    """Run one part on one core in a new process."""
-    environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-    environment.pop("PYOPENGL_PLATFORM", None)
-    command = [sys.executable, "-m", "experiments.bench.bench", part]
-    result = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
-    if result.returncode != 0:
-        last = result.stderr.strip().splitlines()[-1:] or ["no message"]
-        typer.echo(f"{part} could not be measured: {last[0]}", err=True)
-        return [Measurement(f"{part}: not measured ({last[0]})", float("nan"), "")]
-    return [Measurement(**row) for row in json.loads(result.stdout)]
-
-
-def _best_rate(work: Callable[[], int]) -> float:
-    """Return how much work is done per second of processor time, at best, after a warm-up."""
-    work()
-    rates = []
-    for _ in range(REPEATS):
-        start = time.process_time()
-        done = work()
-        rates.append(done / (time.process_time() - start))
-    return max(rates)
-
-
-def _peak_memory_mb() -> float:
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
-
-
-def _moving_object() -> tuple[NDArray[np.float32], NDArray[np.float64], Any, Any, Any]:
-    """Return frames of the default drone at 200 px/s, their times, and crops of them."""
-    rig = two_view_rig(90.0)
-    camera, drone = rig.cameras[0], quadrotor()
-    n = N_SENSOR_FRAMES
-    step_s = SENSOR_STEP_PX / OBJECT_SPEED_PX_S
-    times_s: NDArray[np.float64] = np.linspace(0.0, (n - 1) * step_s, n, dtype=np.float64)
-    depth_m, focal_px = 5.0, float(camera.K[0, 0])
-    T_W_B = np.tile(np.eye(4), (n, 1, 1))
-    T_W_B[:, 0, 3] = (np.arange(n) - n / 2) * SENSOR_STEP_PX * depth_m / focal_px
-    background = uniform_background(camera, 0.4)
-    frames = np.repeat(background[None], n, axis=0)
-    x0, y0 = np.zeros(n, np.int64), np.zeros(n, np.int64)
-    with Renderer(drone) as renderer:
-        batches = list(renderer.crops(camera, times_s, T_W_B, background))
-    width = max(batch.luminance.shape[2] for batch in batches)
-    height = max(batch.luminance.shape[1] for batch in batches)
-    k = 0
-    for batch in batches:
-        h, w = batch.luminance.shape[1:]
-        for x, y, luminance in zip(batch.x0_px, batch.y0_px, batch.luminance, strict=True):
-            frames[k, y : y + h, x : x + w] = luminance
-            x0[k], y0[k] = min(x, camera.width - width), min(y, camera.height - height)
-            k += 1
-    crops = np.stack([frames[k, y0[k] : y0[k] + height, x0[k] : x0[k] + width] for k in range(n)])
-    return frames, times_s, x0, y0, crops
+    """Measure one part; where it fails, a row says so."""
+    try:
+        rows = in_own_process("experiments.bench.bench", part)
+    except SsacError as error:
+        typer.echo(f"{part} could not be measured: {error}", err=True)
+        return [Measurement(f"{part}: not measured ({error})", float("nan"), "")]
+    return [Measurement(**row) for row in rows]
 
 
 if __name__ == "__main__":

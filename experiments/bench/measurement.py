@@ -1,6 +1,12 @@
-"""One line of the benchmark."""
+"""One line of the benchmark, and how its time and memory are taken."""
 
+import resource
+import time
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TypeVar
+
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
@@ -20,3 +26,30 @@ class Measurement:
             return ""
         met = self.value >= self.mark if self.higher_is_better else self.value <= self.mark
         return "meets" if met else "misses"
+
+
+def best_rate(work: Callable[[], int], repeats: int) -> float:
+    """Return how much work is done per second of processor time, at best, after a warm-up."""
+    work()
+    rates = []
+    for _ in range(repeats):
+        start = time.process_time()
+        done = work()
+        rates.append(done / (time.process_time() - start))
+    return max(rates)
+
+
+def best_seconds(work: Callable[[], Result], repeats: int) -> tuple[float, Result]:
+    """Least processor time [s] of a few runs after a warm-up, and the result."""
+    result = work()
+    seconds = []
+    for _ in range(repeats):
+        start = time.process_time()
+        result = work()
+        seconds.append(time.process_time() - start)
+    return min(seconds), result
+
+
+def peak_memory_mb() -> float:
+    """Return the most memory that this process has had."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0

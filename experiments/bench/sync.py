@@ -1,193 +1,83 @@
-"""The estimator's speed, part by part, and that of reading event files: rows of `ssac bench`."""
+"""A pair of 20 s in; how long `ssac sync` takes for it, by method and by stage, out."""
 
 import tempfile
-import time
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
 
-import faery
-import h5py
-import numpy as np
-import pandas as pd
-from numpy.typing import NDArray
-
-from experiments.bench.measurement import Measurement
-from experiments.run.bridge import observations, rig_of
-from sim.recording import SimConfig, simulate
-from sim.sensor.events import SensorConfig
-from sim.sensor.frames import FrameConfig
+from experiments.bench.measurement import Measurement, best_seconds
+from sim.recording import SimConfig
+from sim.storage import record
 from ssac.config import Config
-from ssac.events import EVENT_DTYPE
-from ssac.files.event_files import load_events, save_events_h5, save_events_text
-from ssac.files.hdf5 import FIELDS
+from ssac.errors import SsacError
 from ssac.methods.algorithms import algorithm_2
-from ssac.methods.joint import joint, refine
-from ssac.methods.tangency import tangency
+from ssac.methods.joint import joint_from
+from ssac.methods.least_squares import Parameters
+from ssac.methods.tangency import (
+    TangencyConfig,
+    refine_tangents,
+    tangent_times,
+    tangents_under,
+)
 from ssac.search.two_views import two_views
+from ssac.tool.load import Paths, load_pair
+from ssac.tool.registry import OURS, Method, choose_method
 from ssac.track.observation import Observation, usable_events
 
-Result = TypeVar("Result")
-
-SPARSE = SensorConfig(threshold_on=0.40, threshold_off=0.40)
-"""20 s of the default scene then make 0.56 million events per camera; the mark is for 0.5."""
-
 REPEATS = 5  # the best of as many is taken
-READ_REPEATS = 3
-N_READ = 10_000_000
-N_READ_TEXT = 2_000_000  # text is slow to write
-FAERY_SUFFIXES = (".aedat4", ".raw", ".dat", ".es")
-WIDTH, HEIGHT = 1280, 720
+
+MARKS_S = {"joint": 0.2, "tangency": 0.35}
+"""Of all but reading, for 1.1 million events a camera."""
 
 
-def bench_sync() -> list[Measurement]:
-    """Measure all: see `bench_estimate`, `bench_tangency` and `bench_reading`."""
-    return bench_estimate() + bench_tangency() + bench_reading()
+def bench_sync(config: SimConfig | None = None) -> list[Measurement]:
+    """Processor time of `ssac sync` on files of one pair: by default, of 20 s.
+
+    Stages are those of `tangency`, in their order. The outlines are the events near both tangents,
+    found among all of them; tangents alone are found in these. The refinement does both, each some
+    times, and solves for offset and pose. Methods take events in memory, noise and all.
+    """
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name) / "pair"
+        record(config or SimConfig(t_d_s=0.05), 0, folder, {})
+        paths = folder / "cam1.h5", folder / "cam2.h5", folder / "rig_extrinsics.yaml"
+        return _stages(paths) + [_whole(method, paths) for method in OURS]
 
 
-def bench_estimate() -> list[Measurement]:
-    """Processor time of `joint`, and of its parts, on events in memory."""
-    recording = simulate(SimConfig(t_d_s=0.05, frames=FrameConfig(rate_hz=0.0), sensor=SPARSE), 0)
-    cam1, cam2 = observations(recording)
-    rig, config = rig_of(recording), Config()
-
+def _stages(paths: Paths) -> list[Measurement]:
+    config, outline = Config(), TangencyConfig()
     seconds: dict[str, float] = {}
-    seconds["checks and filter"], events = _best(lambda: usable_events(cam1, cam2, rig, config))
-    left1, left2 = (Observation(left, denoised=True) for left in events)
-    seconds["tracks"], views = _best(lambda: two_views(left1, left2, rig, config))
-    seconds["search over +-1 s"], start = _best(lambda: algorithm_2(views))
-    seconds["refinement"], _ = _best(lambda: refine(start, views))
-    in_all, _ = _best(lambda: joint(cam1, cam2, rig, config))
+    read = partial(load_pair, paths, choose_method("tangency", known_extrinsics=False))
+    seconds["reading"], (cam1, cam2, rig) = best_seconds(read, REPEATS)
+    filtered = partial(usable_events, cam1, cam2, rig, config)
+    seconds["checks and denoising"], events = best_seconds(filtered, REPEATS)
+    left = [Observation(one, denoised=True) for one in events]
+    tracks = partial(two_views, left[0], left[1], rig, config)
+    seconds["tracks"], views = best_seconds(tracks, REPEATS)
+    search = partial(algorithm_2, views)
+    seconds["search over +-1 s"], found = best_seconds(search, REPEATS)
+    seconds["joint refinement"], start = best_seconds(partial(joint_from, found, views), REPEATS)
+    R, t = start.R, start.t
+    if R is None or t is None:
+        raise SsacError(f"joint found no pose in the benchmark's pair: {start.reason}")
+    parameters = Parameters(start.t_d_s, R, t)
+    times_s = tangent_times(views, start.t_d_s, outline)
+    under = partial(tangents_under, parameters, views, times_s, outline)
+    seconds["outlines and tangents"], (_, near) = best_seconds(under, REPEATS)
+    seconds["tangents alone"], _ = best_seconds(partial(under, near), REPEATS)
+    refinement = partial(refine_tangents, start, views)
+    seconds["tangency refinement"], _ = best_seconds(refinement, REPEATS)
     n_events = (len(cam1.events) + len(cam2.events)) / 2
     return [
         Measurement("sync: events per camera", n_events, "events"),
-        *(Measurement(f"sync: {part}", value, "s") for part, value in seconds.items()),
-        Measurement("sync: all, unknown extrinsics, refined", in_all, "s", 0.3),
-        Measurement("sync: all, per million events", in_all / n_events * 1e6, "s"),
+        *(Measurement(f"sync, stage: {stage}", value, "s") for stage, value in seconds.items()),
     ]
 
 
-def bench_tangency() -> list[Measurement]:
-    """Processor time of `tangency` on 20 s of the default scene: all but reading."""
-    recording = simulate(SimConfig(t_d_s=0.05, frames=FrameConfig(rate_hz=0.0)), 0)
-    cam1, cam2 = observations(recording)
-    rig = rig_of(recording)
-    in_all, _ = _best(lambda: tangency(cam1, cam2, rig))
-    n_events = (len(cam1.events) + len(cam2.events)) / 2
-    return [
-        Measurement("tangency: events per camera", n_events, "events"),
-        Measurement("tangency: all, unknown extrinsics", in_all, "s", 1.0),
-    ]
-
-
-def bench_reading() -> list[Measurement]:
-    """Time to read events with `load_events`, beside the library's own read of the same file.
-
-    The library's own read ends, as ours does, with all events in one array in memory: faery's
-    blocks joined; h5py's and pandas' four columns copied into the structured array.
-    """
-    rows = []
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        events = _random_events(N_READ)
-        for suffix, (write, read) in _LIBRARIES.items():
-            path = folder / f"events{suffix}"
-            used = events[:N_READ_TEXT] if suffix in (".csv", ".txt") else events
-            write(path, used)
-            label = f"read {len(used) / 1e6:g} M events, {suffix}"
-            rows += _compare(label, partial(load_events, path), partial(read, path))
-            if suffix == ".h5":
-                bare, _ = _best(partial(_bare_columns, path), READ_REPEATS)
-                rows.append(Measurement(f"{label}: h5py's columns, not in one array", bare, "s"))
-            path.unlink()
-    return rows
-
-
-def _compare(
-    label: str, ours: Callable[[], object], theirs: Callable[[], object]
-) -> list[Measurement]:
-    ours_s, _ = _best(ours, READ_REPEATS)
-    theirs_s, _ = _best(theirs, READ_REPEATS)
-    return [
-        Measurement(label, ours_s, "s"),
-        Measurement(f"{label}: the library's own read", theirs_s, "s"),
-        Measurement(f"{label}: ratio", ours_s / theirs_s, "x", 2.0),
-    ]
-
-
-def _best(work: Callable[[], Result], repeats: int = REPEATS) -> tuple[float, Result]:
-    """Least processor time [s] of a few runs after a warm-up, and the result."""
-    result = work()
-    seconds = []
-    for _ in range(repeats):
-        start = time.process_time()
-        result = work()
-        seconds.append(time.process_time() - start)
-    return min(seconds), result
-
-
-def _random_events(n: int) -> NDArray[np.void]:
-    """Events of an HD sensor in random places, 1 us apart or 0."""
-    rng = np.random.default_rng(0)
-    events = np.empty(n, EVENT_DTYPE)
-    events["t"] = 1_000_000 + np.cumsum(rng.integers(0, 2, n))
-    events["x"], events["y"] = rng.integers(0, WIDTH, n), rng.integers(0, HEIGHT, n)
-    events["p"] = rng.integers(0, 2, n)
-    return events
-
-
-def _write_h5(path: Path, events: NDArray[np.void]) -> None:
-    save_events_h5(path, events, WIDTH, HEIGHT)
-
-
-def _write_with_faery(path: Path, events: NDArray[np.void]) -> None:
-    stream = faery.events_stream_from_array(events.view(faery.EVENTS_DTYPE), (WIDTH, HEIGHT))
-    stream.to_file(path)
-
-
-def _write_csv(path: Path, events: NDArray[np.void]) -> None:
-    pd.DataFrame(events).to_csv(path, index=False)
-
-
-def _write_text(path: Path, events: NDArray[np.void]) -> None:
-    save_events_text(path, events, None, None)
-
-
-def _columns_by_h5py(path: Path) -> NDArray[np.void]:
-    with h5py.File(path) as file:
-        events = np.empty(len(file["events/t"]), EVENT_DTYPE)
-        for field in FIELDS:
-            events[field] = file[f"events/{field}"][:]
-    return events
-
-
-def _bare_columns(path: Path) -> list[NDArray[Any]]:
-    with h5py.File(path) as file:
-        return [file[f"events/{field}"][:] for field in FIELDS]
-
-
-def _read_with_faery(path: Path) -> NDArray[np.void]:
-    blocks = list(faery.events_stream_from_file(path, dimensions_fallback=(WIDTH, HEIGHT)))
-    return np.concatenate(blocks)
-
-
-def _columns_by_pandas(path: Path, separator: str) -> NDArray[np.void]:
-    has_header = separator == ","
-    table = pd.read_csv(path, sep=separator, names=list(FIELDS), skiprows=int(has_header))
-    events = np.empty(len(table), EVENT_DTYPE)
-    for field in FIELDS:
-        events[field] = table[field] if has_header or field != "t" else table[field] * 1e6
-    return events
-
-
-Write = Callable[[Path, NDArray[np.void]], None]
-Read = Callable[[Path], NDArray[np.void]]
-
-_LIBRARIES: dict[str, tuple[Write, Read]] = {
-    ".h5": (_write_h5, _columns_by_h5py),
-    **dict.fromkeys(FAERY_SUFFIXES, (_write_with_faery, _read_with_faery)),
-    ".csv": (_write_csv, partial(_columns_by_pandas, separator=",")),
-    ".txt": (_write_text, partial(_columns_by_pandas, separator=r"\s+")),
-}
-"""For each format, how it is written, and how its library reads it."""
+def _whole(method: Method, paths: Paths) -> Measurement:
+    """Time a method on what was read."""
+    cam1, cam2, rig = load_pair(paths, method)
+    work = partial(method.estimate, cam1, cam2, method.rig_of(rig), Config())
+    in_all, _ = best_seconds(work, REPEATS)
+    return Measurement(
+        f"sync, {method.name}: all but reading", in_all, "s", MARKS_S.get(method.name)
+    )

@@ -31,6 +31,12 @@ def table_cells() -> tuple[Cell, ...]:
 
 
 @cache
+def n_recordings() -> int:
+    """Count the recordings of the tables; a flight's offsets share one."""
+    return len({(cell.sim, cell.seed) for cell in table_cells()})
+
+
+@cache
 def table_axes() -> TableAxes:
     """Give the durations, angles and offsets of the tables."""
     cells = table_cells()

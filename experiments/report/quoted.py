@@ -274,9 +274,14 @@ NUMBERS: Mapping[str, Number] = {
     },
     **{f"bound.{m}": partial(bound_share, method=m) for m in ("ssac", "joint", "tangency")},
     **{f"minutes.{name}": partial(minutes, name=name) for name in _TIMED},
-    "minutes.tables.cached": partial(minutes_of_tables, what="recordings cached", decimals=1),
-    "minutes.tables.nothing": partial(minutes_of_tables, what="from nothing"),
+    "minutes.tables.cached": partial(
+        bench, row="tables, recordings cached: all, 2 workers", scale=1 / 60, decimals=1
+    ),
+    "minutes.tables.nothing": partial(
+        bench, row="tables, from nothing: all, 2 workers", scale=1 / 60
+    ),
     "minutes.ablations": partial(minutes_of, names=tuple(f"ablation_{n}" for n in ABLATIONS)),
     "minutes.studies": partial(minutes_of, names=("efficiency", "coverage", "refusal", "tangency")),
-    "bench.sync.tangency": partial(bench, row="tangency: all, unknown extrinsics", decimals=2),
+    "bench.recordings": partial(bench, row="tables: recordings"),
+    "bench.sync.tangency": partial(bench, row="sync, tangency: all but reading", decimals=2),
 }
