@@ -211,12 +211,6 @@ def bench(results: Committed, row: str, scale: float = 1.0, decimals: int = 0) -
     return f"{scale * results.value('bench', 'value', name=row):.{decimals}f}"
 
 
-def minutes_of_tables(results: Committed, what: str, decimals: int = 0) -> str:
-    """Wall time of all recordings of the tables, by that of the benchmark's for each."""
-    n_recordings = sum(grid.flights * len(ANGLES_DEG) for grid in table_grids())
-    return bench(results, f"tables, {what}: 2 workers", n_recordings / 60, decimals)
-
-
 def _plural(verdict: str, n: int) -> str:
     one = {"agrees": "agrees", "better": "is better", "differs": "differs"}
     many = {"agrees": "agree", "better": "are better", "differs": "differ"}

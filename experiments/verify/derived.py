@@ -9,6 +9,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from experiments.figures.figures import drawings
+from experiments.figures.growth import growth_figure
 from experiments.figures.style import png_bytes
 from experiments.paper.comparison import PUBLISHED
 from experiments.paper.esim import KEY, csv_text, describe, ordered_runs, runs_from_csv
@@ -30,7 +31,12 @@ from experiments.studies.fidelity import DIFFERENCES, RENDERER_TOLERANCE_MS, REN
 from experiments.studies.study import Study, read_table, summary_text
 from experiments.verify.files import read_provenance, read_text
 from experiments.verify.finding import Finding, found, text_difference
-from experiments.verify.manifest import FIGURES_PROVENANCE, provenance_name
+from experiments.verify.manifest import (
+    FIGURES_PROVENANCE,
+    GROWTH_FIGURE,
+    GROWTH_FILE,
+    provenance_name,
+)
 from ssac.errors import SsacError
 from ssac.tool.registry import METHODS, OURS
 
@@ -101,6 +107,9 @@ def figure_findings(results: Path, studies: Mapping[str, Study]) -> list[Finding
             draw = partial(drawing.draw, results, Cache())  # which it does not look at
             check = partial(_other_picture, results, f"{name}.png", FIGURES_PROVENANCE, draw)
             findings.append(found(f"{name}.png is drawn from {drawing.csv}", check))
+    beside = provenance_name(GROWTH_FILE)
+    check = partial(_other_picture, results, GROWTH_FIGURE, beside, partial(_grown, results))
+    findings.append(found(f"{GROWTH_FIGURE} is drawn from {GROWTH_FILE}", check))
     for study in studies.values():
         if study.draw is not None:
             name, beside = study.figure_file, provenance_name(study.summary_file)
@@ -220,6 +229,10 @@ def _drawn(results: Path, study: Study) -> Figure:
         raise SsacError(f"{study.name} has no figure")
     texts = (read_text(results / name) for name in (study.summary_file, study.runs_file))
     return study.draw(*(read_table(text) for text in texts))
+
+
+def _grown(results: Path) -> Figure:
+    return growth_figure(read_table(read_text(results / GROWTH_FILE)))
 
 
 def _other_picture(

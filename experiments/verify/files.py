@@ -9,13 +9,22 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from experiments.bench.growth import COLUMNS as GROWTH_COLUMNS
+from experiments.bench.growth import POINTS, STEPS
 from experiments.bench.measurement import Measurement
 from experiments.paper.checksums import SUMS_FILE, read_checksums, sha256
 from experiments.run.provenance import plain, versions
 from experiments.verify.finding import Finding, found
-from experiments.verify.manifest import BENCH_FILE, PUBLISHED_SHA256, Manifest, Provenance
+from experiments.verify.manifest import (
+    BENCH_FILE,
+    GROWTH_FILE,
+    PUBLISHED_SHA256,
+    Manifest,
+    Provenance,
+)
 from sim.render.gl_context import context_or_none
 from ssac.errors import SsacError
+from ssac.estimate import Status
 
 _CLEAN_COMMIT = re.compile(r"[0-9a-f]{7,40}")
 _MERGED = "ssac merge"
@@ -30,6 +39,7 @@ def file_findings(results: Path, manifest: Manifest) -> list[Finding]:
         found(f"all files are as {SUMS_FILE} has them", lambda: _changed(results, manifest)),
         found("published/ holds the paper's tables", lambda: _published(results)),
         found(f"{BENCH_FILE} is a benchmark", lambda: _bench(results / BENCH_FILE)),
+        found(f"{GROWTH_FILE} has every point", lambda: _growth(results / GROWTH_FILE)),
     ]
     for one in manifest.provenances:
         what = f"{one.name}: a clean commit, today's configuration, versions"
@@ -141,3 +151,26 @@ def _bench(path: Path) -> tuple[str, ...]:
         if one.verdict != row["verdict"]:
             faults.append(f"{one.name} is {one.value:g}, so it is not so that it {row['verdict']}")
     return tuple(faults) if len(table) else ("it is empty",)
+
+
+def _growth(path: Path) -> tuple[str, ...]:
+    """Check that both steps of each point were measured, and that the pair was synchronised."""
+    table = pd.read_csv(path, keep_default_na=False, na_values={"t_d_error_ms": [""]})
+    there = [str(name) for name in table]
+    if there != list(GROWTH_COLUMNS):
+        return (f"its columns are {', '.join(there)}; expected {', '.join(GROWTH_COLUMNS)}",)
+    rows = zip(table["sensor"], table["duration_s"], table["step"], strict=True)
+    expected = [(one.sensor, one.duration_s, step) for one in POINTS for step in STEPS]
+    if list(rows) != expected:
+        return (f"its points are not the {len(expected)} of today's benchmark",)
+    faults = []
+    for row in table.to_dict("records"):
+        name = f"{row['sensor']}, {row['duration_s']:g} s, {row['step']}"
+        if row["status"] != Status.OK.value:
+            faults.append(f"{name}: {row['status']}")
+        faults += [
+            f"{name}: {column} is {row[column]}"
+            for column in ("events_per_camera", "wall_s", "cpu_s", "peak_mb")
+            if not 0.0 < float(row[column] or "nan") < np.inf
+        ]
+    return tuple(faults)

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from experiments.bench.growth import Extent, bench_config
 from experiments.figures.figures import drawings, figures_config
 from experiments.paper.grids import TABLES
 from experiments.paper.results import COMPARISON_FILE, PAGE_FILE, RUNS_FILE, SUMMARY_FILE
@@ -21,7 +22,7 @@ PUBLISHED_SHA256 = {
 }
 """Digests of the paper's tables as they were copied."""
 
-BENCH_FILE = "bench.csv"
+BENCH_FILE, GROWTH_FILE, GROWTH_FIGURE = "bench.csv", "bench_growth.csv", "bench_growth.png"
 FIGURES_PROVENANCE = "figures.provenance.json"
 
 
@@ -48,12 +49,14 @@ def manifest_of(studies: Mapping[str, Study]) -> Manifest:
     made = [_beside(name, "ssac tables", tables_config()) for name in tables]
     figures = drawings()
     made.append(Provenance(FIGURES_PROVENANCE, "ssac figures", plain(figures_config(figures))))
-    made.append(_beside(BENCH_FILE, "ssac bench", {}))
+    measured = (BENCH_FILE, GROWTH_FILE)
+    made += [_beside(name, "ssac bench", bench_config(Extent.FULL)) for name in measured]
     files = [
         *PUBLISHED_SHA256,
         *tables,
         PAGE_FILE,
-        BENCH_FILE,
+        *measured,
+        GROWTH_FIGURE,
         *(f"{name}.png" for name in figures),
     ]
     for study in studies.values():

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 
 from experiments.bench.measurement import Measurement
 from experiments.figures.figures import drawings
+from experiments.figures.growth import growth_figure
 from experiments.figures.style import png_bytes
 from experiments.paper.checksums import record_checksums
 from experiments.paper.comparison import PUBLISHED
@@ -21,11 +22,12 @@ from experiments.paper.results import save_results
 from experiments.run.cache import Cache
 from experiments.run.provenance import plain, provenance, write_provenance
 from experiments.run.task import Measure
-from experiments.studies.study import Study, save_csv, save_derived
+from experiments.studies.study import Study, read_table, save_csv, save_derived
 from experiments.verify import derived, sample
 from experiments.verify.manifest import Manifest, manifest_of
 from sim.render.gl_context import open_context
 from ssac.tool.registry import OURS
+from tests.experiments.grown import made_up_growth
 from tests.experiments.reported import made_up_runs
 
 NAMES = tuple(method.name for method in OURS)
@@ -116,12 +118,15 @@ def complete(tmp_path_factory: pytest.TempPathFactory, manifest: Manifest) -> Pa
     bench = [Measurement("drawing", 2.0, "s", 3.0), Measurement("reading", 4.0, "MB/s")]
     table = pd.DataFrame([{**vars(row), "verdict": row.verdict} for row in bench])
     table.to_csv(folder / "bench.csv", index=False)
+    save_csv(folder / "bench_growth.csv", made_up_growth())
     for one in manifest.provenances:
         path = folder / one.name.replace(".provenance.json", ".csv")
         write_provenance(path, made_with | {"command": one.command, "config": plain(one.config)})
     for name, drawing in drawings().items():
         figure = drawing.draw(folder, Cache()) if drawing.csv else Figure(figsize=(1, 1))
         (folder / f"{name}.png").write_bytes(png_bytes(figure))
+    figure = growth_figure(read_table((folder / "bench_growth.csv").read_text()))
+    (folder / "bench_growth.png").write_bytes(png_bytes(figure))
     record_checksums(folder, [folder / name for name in manifest.files])
     return folder
 

@@ -126,6 +126,28 @@ def test_a_benchmark_that_makes_no_sense_is_found(
     assert faulty(file_findings(results, manifest)) == ["bench.csv is a benchmark"]
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "fault"),
+    [
+        ("\n346 x 260,5,", "\n346 x 260,7,", "its points are not the 16 of today's benchmark"),
+        (",ok,0.01\n", ",no_match,\n", "346 x 260, 5 s, synchronise: no_match"),
+        ("peak_mb", "peak", "its columns are sensor, "),
+        ("simulate,250000,", "simulate,,", "346 x 260, 5 s, simulate: events_per_camera is "),
+    ],
+)
+def test_a_growth_that_lacks_a_point_is_found(
+    results: Path, manifest: Manifest, old: str, new: str, fault: str
+) -> None:
+    path = results / "bench_growth.csv"
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+    record_checksums(results, [path])
+    (found,) = [one for one in file_findings(results, manifest) if one.faults]
+    assert found.what == "bench_growth.csv has every point"
+    assert found.faults[0].startswith(fault)
+
+
 @pytest.mark.skipif(
     SUMMARY_FILE not in read_checksums(RESULTS),
     reason=f"no tables were written since {SUMMARY_FILE} is one of their files",
