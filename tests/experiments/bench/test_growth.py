@@ -1,13 +1,20 @@
+import json
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 import pytest
+import typer
+from typer.testing import CliRunner
 
+from experiments.bench.bench import bench_command
 from experiments.bench.growth import (
     COLUMNS,
     POINTS,
     STEPS,
     Extent,
     Point,
+    bench_config,
     exponent,
     growth_rows,
     measure_growth,
@@ -15,6 +22,8 @@ from experiments.bench.growth import (
 )
 from experiments.figures.growth import growth_figure
 from experiments.figures.style import png_bytes
+from experiments.paper.checksums import read_checksums
+from experiments.studies.study import read_table
 from tests.experiments.grown import made_up_growth
 
 
@@ -95,3 +104,30 @@ def test_a_step_that_fails_says_why() -> None:
 
 def test_every_point_is_listed_once() -> None:
     assert len({(one.sensor, one.duration_s) for one in POINTS}) == len(POINTS) == 8
+
+
+@pytest.mark.parametrize(("extent", "command"), [("full", ""), ("short", " --growth short")])
+def test_the_command_writes_numbers_figure_and_what_they_were_made_with(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, extent: str, command: str
+) -> None:
+    monkeypatch.setattr("experiments.bench.bench.PARTS", {})
+    monkeypatch.setattr("experiments.bench.bench.measure_growth", lambda *_: made_up_growth())
+    app = typer.Typer()
+    app.command()(bench_command)
+    arguments = ["--out", str(tmp_path / "bench.csv"), "--growth", extent]
+    result = CliRunner().invoke(app, arguments, catch_exceptions=False)
+    assert result.exit_code == 0
+    assert "growth, largest pair: synchronise, peak memory" in result.stdout
+    names = {"bench.csv", "bench_growth.csv", "bench_growth.png"}
+    for name in ("bench", "bench_growth"):
+        provenance = json.loads((tmp_path / f"{name}.provenance.json").read_text())
+        names.add(f"{name}.provenance.json")
+        assert provenance["command"] == f"ssac bench{command}"
+        assert provenance["config"] == bench_config(Extent(extent))
+    assert (
+        set(read_checksums(tmp_path))
+        == names
+        == {p.name for p in tmp_path.iterdir()} - {"SHA256SUMS"}
+    )
+    table = read_table((tmp_path / "bench_growth.csv").read_text())
+    assert (tmp_path / "bench_growth.png").read_bytes() == png_bytes(growth_figure(table))
