@@ -46,6 +46,8 @@ MIN_MARKED_EVENTS = 50e6  # that the largest point has, to be held against these
 
 T_D_S = 0.05
 
+_HELD = {SIMULATE: 1, SYNCHRONISE: 2}  # cameras whose events are in memory at a time
+
 
 class Extent(str, Enum):
     """How far the growth is followed."""
@@ -140,9 +142,6 @@ def growth_rows(table: pd.DataFrame) -> list[Measurement]:
         value, mark = _bytes_of_event(of_step), MARKS_BYTES.get(str(step))
         rows.append(Measurement(f"{name}, memory of an event", value, "B", mark))
     return rows + _largest(table)
-
-
-_HELD = {SIMULATE: 1, SYNCHRONISE: 2}  # cameras whose events are in memory at a time
 
 
 def exponent(events: "pd.Series[float]", values: "pd.Series[float]") -> float:

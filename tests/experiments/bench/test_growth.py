@@ -85,13 +85,13 @@ def test_nothing_measured_is_drawn_and_summed_up_as_nothing() -> None:
 def test_each_step_of_a_point_is_measured_in_a_process_of_its_own() -> None:
     point = Point(96, 72, 60.0, 0.5, 1e4)
     said: list[str] = []
-    table = measure_growth((point, point), said.append)
+    table = measure_growth((point,), said.append)
     assert tuple(table) == COLUMNS
-    assert list(table["step"]) == 2 * list(STEPS)
-    assert len(said) == 4
+    assert list(table["step"]) == list(STEPS)
+    assert len(said) == 2
     assert (table[["wall_s", "cpu_s", "peak_mb"]] > 0.0).all(axis=None)
-    assert list(table["status"][::2]) == ["ok", "ok"]
-    assert (table["status"][1::2] != "").all()  # half a second tells no offset
+    assert table["status"][0] == "ok"
+    assert table["status"][1] not in ("ok", "")  # half a second tells no offset
     assert len(set(table["events_per_camera"])) == 1
 
 
