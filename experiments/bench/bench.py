@@ -51,7 +51,7 @@ from sim.storage import record
 from ssac.errors import SsacError
 
 _NATIVE = "native"
-LATTICES = (SimConfig().render.lattice, Lattice(8, 1), Lattice(4, 0), Lattice(16, 1))
+LATTICES = (SimConfig().render.lattice, Lattice(8, 0), Lattice(8, 1), Lattice(4, 0))
 REPEATS = 3  # the best of as many is taken
 N_POSES = 4000  # of our renderer
 N_FULL_FRAMES = 24  # of pyrender's, on poses spread over the same flight

@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 from scipy.stats import gmean
 
-from experiments.paper.grids import TABLES, table_axes, table_grids
+from experiments.paper.grids import TABLES, table_axes
 from experiments.paper.quantities import ERRORS, NOISY_T_D_MARK_MS, T_D_ERROR
 from experiments.report.committed import Committed
 from experiments.studies.catalogue import ABLATIONS

@@ -42,14 +42,14 @@ _SHOWN = {
 }
 _BESIDE = {
     # of bench.csv: row, unit, decimals and the words for it
-    "render, native, 64 samples per pixel: crops": ("poses/s", 0, "rendering, native"),
-    "render, native, 64 samples per pixel: ratio to OpenGL's crops": ("x", 1, "... over OpenGL"),
-    "render, native, 64 samples per pixel: ratio": ("x", 0, "... over pyrender alike"),
-    "render, native, 64 samples per pixel: ratio to it": ("x", 0, "... over pyrender untouched"),
-    "render, osmesa, 64 samples per pixel: crops": ("poses/s", 0, "rendering, OSMesa"),
-    "render, osmesa, 64 samples per pixel: ratio": ("x", 0, "the same, over pyrender alike"),
-    "render, egl, 64 samples per pixel: crops": ("poses/s", 0, "rendering, EGL"),
-    "render, egl, 64 samples per pixel: ratio": ("x", 0, "the same, over pyrender alike"),
+    "render, native, 257 samples per pixel: crops": ("poses/s", 0, "rendering, native"),
+    "render, native, 257 samples per pixel: ratio to OpenGL's crops": ("x", 1, "... over OpenGL"),
+    "render, native, 257 samples per pixel: ratio": ("x", 0, "... over pyrender alike"),
+    "render, native, 257 samples per pixel: ratio to it": ("x", 0, "... over pyrender untouched"),
+    "render, osmesa, 257 samples per pixel: crops": ("poses/s", 0, "rendering, OSMesa"),
+    "render, osmesa, 257 samples per pixel: ratio": ("x", 0, "the same, over pyrender alike"),
+    "render, egl, 257 samples per pixel: crops": ("poses/s", 0, "rendering, EGL"),
+    "render, egl, 257 samples per pixel: ratio": ("x", 0, "the same, over pyrender alike"),
     "sensor, 346 x 260 float frames": ("frames/s", 0, "sensor model, full frames"),
     "sensor over eventify-dvs": ("x", 1, "... over eventify-dvs' NumPy"),
     "sensor over ESIM's core, quoted": ("x", 2, "... over ESIM's C++, as quoted"),
