@@ -79,6 +79,7 @@ class Estimate:
     unobservable: Array = field(default_factory=lambda: np.empty((0, 6)))  # (k, 6) unit vectors
     n_samples: int = 0  # valid pairs at the offset found
     d_avg_px: float = np.nan  # the paper's Eq. 4 at the offset found
+    against_intrinsics: float = 0.0  # deviations of the rig's intrinsics from those that fit best
     candidates_s: Array = field(default_factory=lambda: np.empty(0))  # (M,) offsets tried
     costs: Array = field(default_factory=lambda: np.empty(0))  # (M,) d_avg [px] or -correlation
     start: "Estimate | None" = field(default=None, repr=False, compare=False)  # refined from it

@@ -59,6 +59,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
             "hypotheses",
             "covariance",
             "least_squares",
+            "intrinsics",
             "joint",
             "tangency",
         ),

@@ -46,6 +46,7 @@ def correlated_covariance(
     slopes_px: Array,
     curvatures: Array,
     prior_deviations: Array | None = None,
+    repeated: float = 1.0,
 ) -> Array:
     """Covariance of M-estimated parameters whose residuals are correlated in time.
 
@@ -60,6 +61,8 @@ def correlated_covariance(
         First and second derivatives of the loss at the residuals, each (n,).
     prior_deviations
         Of what is known of each parameter beside the data, shape (p,); PRIOR when None.
+    repeated
+        Residuals that told as much as one did, by which the fit weighed the priors (`repeats`).
 
     Returns
     -------
@@ -73,7 +76,7 @@ def correlated_covariance(
     # Parameters in which the residuals' derivatives are orthonormal, with p further residuals that
     # say no more than the priors.
     deviations = np.full(p, PRIOR) if prior_deviations is None else prior_deviations
-    prior = np.diag(scale_px / (curvature * deviations))
+    prior = np.diag(np.sqrt(repeated) * scale_px / (curvature * deviations))
     Q, triangle = np.linalg.qr(np.vstack([jacobian, prior]))
     Q, Q_prior = Q[:n], Q[n:]
     left_px = slopes_px - Q @ (Q.T @ slopes_px)
@@ -81,7 +84,7 @@ def correlated_covariance(
     several = bool(np.any(np.diff(times_s) < 0.0))
     if several and p == 1:
         meat, independent = _sum_variance(times_s, Q[:, 0] * left_px)
-    meat = meat + scale_px**2 * Q_prior.T @ Q_prior
+    meat = meat + repeated * scale_px**2 * Q_prior.T @ Q_prior
     bread = Q.T @ (curvatures[:, None] * Q) + curvature * Q_prior.T @ Q_prior
     shares, axes = np.linalg.eigh(bread)
     inverse = axes / np.maximum(shares, _LEAST_CURVATURE * curvature) @ axes.T
@@ -89,8 +92,22 @@ def correlated_covariance(
     factors = np.ones(p)
     if several and p > 1:
         factors[0] = np.sqrt(_common_factor(times_s, Q @ root[0] * left_px))
-    factors *= float(stdtrit(max(independent - p, 1.0), 0.975)) / NORMAL_95
+    told = p - float(np.sum(Q_prior**2))  # parameters that are from the data, not from the priors
+    factors *= float(stdtrit(max(independent - told, 1.0), 0.975)) / NORMAL_95
     return np.asarray(np.outer(factors, factors) * (root @ meat @ root.T))
+
+
+def repeats(times_s: Array, jacobian: Array, slopes_px: Array) -> float:
+    """How many of a fit's residuals tell as much as an independent one, at least 1.
+
+    Parameters
+    ----------
+    times_s, jacobian, slopes_px
+        As for `correlated_covariance`.
+    """
+    Q = np.linalg.qr(jacobian)[0]
+    independent = _gradient_covariance(times_s, Q, slopes_px - Q @ (Q.T @ slopes_px))[1]
+    return max(len(times_s) / independent, 1.0) if independent > 0.0 else 1.0
 
 
 def mapped_covariance(jacobian: Array, errors_px: Array) -> Array:

@@ -21,14 +21,15 @@ from ssac.estimate import Estimate, Status
 from ssac.geometry.epipolar import fundamental_from_pose, sampson_derivative
 from ssac.geometry.pose import rays_of
 from ssac.methods.algorithms import algorithm_1, algorithm_2, with_fit
-from ssac.methods.covariance import mapped_covariance
 from ssac.methods.hypotheses import settled, sharp_solution
+from ssac.methods.intrinsics import Allowance, evidence, fundamental_of
 from ssac.methods.least_squares import (
     Parameters,
     Problem,
     Residuals,
     WeighedPairs,
     covariance_of,
+    hidden_covariance,
     linearise,
     solve,
     still_moves,
@@ -108,18 +109,19 @@ def refine(start: Estimate, views: TwoViews) -> Estimate:
     parameters = Parameters(start.t_d_s, start.R, start.t)
     times_s = views.sample_times(np.array([start.t_d_s]))[0]
     track1 = views.motion1.sharp_at(times_s)
-    settles = False
+    allowance, settles = Allowance(views.rig), False
     for _ in range(_MAX_RESAMPLINGS):
         track2 = views.motion2.sharp_at(on_clock_2(times_s, parameters.t_d_s))
         pairs, size_px = sharp_pairs(track1, track2, parameters.t_d_s)
-        problem = Problem(pairs, views.rig, views.pose_is_known)
+        problem = allowance.added(Problem(pairs, views.rig, views.pose_is_known))
         found = solve(problem, parameters)
         parameters = found.parameters
         if has_left(start, parameters):
             return astray(start, parameters)
-        settles = abs(parameters.t_d_s - pairs.t_d_s) < _LAST_SHIFT_S
+        settles = allowance.is_made and abs(parameters.t_d_s - pairs.t_d_s) < _LAST_SHIFT_S
         if settles:
             break
+        allowance.learn(problem, parameters)
 
     residuals = linearise(problem, parameters)
     offset = BIAS_OFFSET
@@ -128,30 +130,35 @@ def refine(start: Estimate, views: TwoViews) -> Estimate:
     F = _fundamental(parameters, views.rig)
     hidden_px = _hidden_errors(F, residuals, size_px, offset, views.rig)
     covariance = covariance_of(problem, residuals)
-    covariance = covariance + mapped_covariance(residuals.jacobian[:, problem.free], hidden_px)
+    covariance = covariance + hidden_covariance(problem, residuals, hidden_px)
     unfinished = [] if settles else [found.change]
     unfinished += [] if found.converged else [found.last_step]
     if any(still_moves(change, problem, covariance) for change in unfinished):
         return unsettled(start, _MAX_RESAMPLINGS)
-    return refined_estimate(start, views, parameters, residuals, covariance)
+    return refined_estimate(start, problem, parameters, residuals, covariance, hidden_px)
 
 
 def refined_estimate(
     start: Estimate,
-    views: TwoViews,
+    problem: Problem,
     parameters: Parameters,
     residuals: Residuals,
     covariance: Array,
+    hidden_px: Array | None = None,
 ) -> Estimate:
     """Put the parameters found, and the covariance of those that were free, into the estimate."""
-    F = _fundamental(parameters, views.rig)
+    F = _fundamental(parameters, problem.rig)  # of the points with all that is allowed for
+    fitted = with_fit(start, F, residuals.p1_px, residuals.p2_px)
+    F = fundamental_of(problem, parameters)
     return replace(
-        with_fit(start, F, residuals.p1_px, residuals.p2_px),
+        fitted,
+        F=F / np.linalg.norm(F),
         t_d_s=parameters.t_d_s,
         t_d_std_s=float(np.sqrt(covariance[0, 0])),
         R=parameters.R,
         t=parameters.t,
-        covariance=None if views.pose_is_known else covariance[:6, :6],
+        covariance=None if problem.pose_is_known else covariance[:6, :6],
+        against_intrinsics=evidence(problem, residuals, parameters, hidden_px),
     )
 
 

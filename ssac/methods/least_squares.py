@@ -20,7 +20,7 @@ from ssac.camera import Rig
 from ssac.geometry.epipolar import fundamental_from_pose, sampson_derivative, sampson_distance
 from ssac.geometry.pose import moved_pose, pose_jacobian
 from ssac.geometry.robust import CAUCHY, cauchy_weights, robust_deviation
-from ssac.methods.covariance import PRIOR, correlated_covariance
+from ssac.methods.covariance import PRIOR, correlated_covariance, mapped_covariance
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -96,6 +96,7 @@ class Problem:
     columns: tuple[Column, ...] = ()
     priors: tuple[Prior, ...] = ()
     turn: float = CAUCHY  # where the loss turns, in robust standard deviations
+    repeated: float = 1.0  # residuals that tell as much as an independent one: weighs the priors
 
     def __post_init__(self) -> None:
         for prior in self.priors:
@@ -234,6 +235,30 @@ def covariance_of(problem: Problem, residuals: Residuals) -> Array:
         weights * residuals.distances_px,
         curvatures,
         deviations[problem.free],
+        problem.repeated,
+    )
+
+
+def hidden_covariance(problem: Problem, residuals: Residuals, errors_px: Array) -> Array:
+    """Covariance (f, f) of the free parameters by errors that no residual shows.
+
+    Parameters
+    ----------
+    problem, residuals
+        As for `covariance_of`.
+    errors_px
+        As for `mapped_covariance`, shape (n, m) [px].
+    """
+    system = residuals.jacobian[:, problem.free]
+    if not problem.priors:
+        return mapped_covariance(system, errors_px)
+    scale_px = np.sqrt(problem.repeated) * robust_deviation(residuals.distances_px)
+    places = [prior.place for prior in problem.priors]
+    deviations = np.array([prior.deviation for prior in problem.priors])
+    rows = np.eye(problem.size)[places] * (scale_px / deviations)[:, None]
+    nothing = np.zeros((len(rows), errors_px.shape[1]))
+    return mapped_covariance(
+        np.vstack([system, rows[:, problem.free]]), np.vstack([errors_px, nothing])
     )
 
 
@@ -307,9 +332,9 @@ def _prior_rows(
 ) -> tuple[Array, Array]:
     """Give the priors' rows (q, p) of the system and their targets (q,), in pixels.
 
-    One deviation of a prior counts as much as one robust deviation of the residuals.
+    One deviation of a prior counts as much as one robust deviation of independent residuals.
     """
-    scale_px = robust_deviation(residuals.distances_px)
+    scale_px = np.sqrt(problem.repeated) * robust_deviation(residuals.distances_px)
     values = np.concatenate([[parameters.t_d_s], np.zeros(FIRST_COLUMN - 1), parameters.columns])
     places = [prior.place for prior in problem.priors]
     deviations = np.array([prior.deviation for prior in problem.priors])

@@ -23,14 +23,15 @@ from ssac.estimate import POSE_IS_OPEN, Estimate, Status
 from ssac.geometry.fundamental import MIN_PAIRS
 from ssac.geometry.pencil import pencils
 from ssac.methods.algorithms import algorithm_1, algorithm_2
-from ssac.methods.covariance import mapped_covariance
 from ssac.methods.hypotheses import settled, sharp_solution
+from ssac.methods.intrinsics import Allowance
 from ssac.methods.joint import astray, has_left, joint_from, refine, refined_estimate, unsettled
 from ssac.methods.least_squares import (
     Parameters,
     Problem,
     WeighedPairs,
     covariance_of,
+    hidden_covariance,
     linearise,
     solve,
     still_moves,
@@ -158,6 +159,7 @@ def refine_tangents(
     parameters = Parameters(start.t_d_s, start.R, start.t)
     near: list[list[OutlineEvents]] | None = None
     is_far, settles = True, False  # as the start may be
+    allowance = Allowance(views.rig)
     times_s = tangent_times(views, start.t_d_s, config)
     for _ in range(_ROUNDS):
         before = parameters
@@ -169,27 +171,29 @@ def refine_tangents(
             )
             return replace(start, status=Status.TOO_FEW_SAMPLES, reason=reason)
         turn = config.wider_cauchy if is_far else config.cauchy
-        problem = Problem(pairs, views.rig, views.pose_is_known, turn=turn)
+        problem = allowance.added(Problem(pairs, views.rig, views.pose_is_known, turn=turn))
         found = solve(problem, before, _STEPS, last_step=0.0)
         parameters = found.parameters
         if has_left(start, parameters):
             return astray(start, parameters)
-        settles = not is_far and _are_near(before, parameters)
+        settles = not is_far and allowance.is_made and _are_near(before, parameters)
         if settles:
             break
         is_far = not _are_near(before, parameters, _FAR)
+        if not is_far:
+            allowance.learn(problem, parameters)
 
     problem = replace(problem, turn=config.cauchy)
     residuals = linearise(problem, parameters)
     covariance = covariance_of(problem, residuals)
+    hidden_px: Array | None = None
     if views.pose_is_known:  # a free pose takes it away
         share = views.lasting_share(parameters.t_d_s, _N_OF_SHARE)
-        covariance = covariance + mapped_covariance(
-            residuals.jacobian[:, problem.free], share * _hidden_errors(pairs)
-        )
+        hidden_px = share * _hidden_errors(pairs)
+        covariance = covariance + hidden_covariance(problem, residuals, hidden_px)
     if not settles and still_moves(found.change, problem, covariance):
         return unsettled(start, _ROUNDS)
-    return refined_estimate(start, views, parameters, residuals, covariance)
+    return refined_estimate(start, problem, parameters, residuals, covariance, hidden_px)
 
 
 def tangent_times(views: TwoViews, t_d_s: float, config: TangencyConfig) -> Array:

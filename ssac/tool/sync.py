@@ -10,10 +10,10 @@ Script, notebook and command line share one function::
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from ssac.camera import Rig
+from ssac.camera import Rig, with_deviations
 from ssac.config import Config, checked
 from ssac.estimate import Estimate
 from ssac.tool.load import Paths, check_common_time, check_enough_events, describe, load_pair
@@ -47,6 +47,8 @@ def sync(
     known_extrinsics: bool = False,
     config: Config | None = None,
     log: Log | None = None,
+    focal_std: float | None = None,
+    centre_std_px: float | None = None,
 ) -> SyncResult:
     """Estimate the offset and the pose between two recorded cameras.
 
@@ -64,6 +66,9 @@ def sync(
         Parameters of the method; None for the defaults.
     log
         Called with a line of progress after each part.
+    focal_std, centre_std_px
+        Deviations of both cameras' focal lengths, as a share of them, and of both coordinates of
+        their principal points [px]: in place of those of the rig file, where not None.
 
     Returns
     -------
@@ -82,6 +87,7 @@ def sync(
 
     with clock.part("read") as say:
         cam1, cam2, rig = load_pair(paths, chosen)
+        rig = _restated(rig, focal_std, centre_std_px)
         say(describe(cam1, paths[0]))
         say(describe(cam2, paths[1]))
     n_read = len(cam1.events), len(cam2.events)
@@ -97,6 +103,18 @@ def sync(
         estimate = chosen.estimate(cam1, cam2, rig, config)
         say(chosen.name)
     return SyncResult(paths, chosen, estimate, cam1, cam2, rig, config, clock.seconds)
+
+
+def _restated(rig: Rig, focal: float | None, centre_px: float | None) -> Rig:
+    """Give the rig with other deviations of its intrinsics, where they are not None."""
+    cameras = []
+    for camera in (rig.cam1, rig.cam2):
+        said = camera.intrinsics_std_px
+        other = with_deviations(camera, focal or 0.0, centre_px or 0.0).intrinsics_std_px
+        focals = said[:2] if focal is None else other[:2]
+        centre = said[2:] if centre_px is None else other[2:]
+        cameras.append(replace(camera, intrinsics_std_px=focals + centre))
+    return replace(rig, cam1=cameras[0], cam2=cameras[1])
 
 
 class Clock:

@@ -75,6 +75,18 @@ def sync_command(
             metavar="FILE", help="Write camera 2's events on camera 1's clock (.h5 or .txt)."
         ),
     ] = None,
+    focal_std: Annotated[
+        float | None,
+        number(
+            "Deviation of both cameras' focal lengths, in place of the rig's.", 0.0, 20.0, "percent"
+        ),
+    ] = None,
+    centre_std: Annotated[
+        float | None,
+        number(
+            "Deviation of both cameras' principal points, in place of the rig's.", 0.0, 100.0, "px"
+        ),
+    ] = None,
     no_denoise: Annotated[
         bool, typer.Option("--no-denoise", help="Keep hot pixels and isolated events.")
     ] = False,
@@ -116,7 +128,17 @@ def sync_command(
     )
     with _warnings_as_lines():
         check_outputs((cam1, cam2, rig), outputs)
-        result = sync(cam1, cam2, rig, method, known_extrinsics, config, log=_to_stderr)
+        result = sync(
+            cam1,
+            cam2,
+            rig,
+            method,
+            known_extrinsics,
+            config,
+            log=_to_stderr,
+            focal_std=None if focal_std is None else 0.01 * focal_std,
+            centre_std_px=centre_std,
+        )
         typer.echo(report_text(result))
         write_outputs(result, outputs, _to_stderr)
     if result.estimate.status != "ok":

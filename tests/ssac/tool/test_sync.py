@@ -352,6 +352,19 @@ def test_bad_usage_is_refused_in_one_line(args, message, recorded):
     assert line.endswith("; see python -m ssac.tool sync --help")
 
 
+def test_deviations_of_the_intrinsics_widen_those_of_the_pose(recorded, tmp_path):
+    found = []
+    for focal, centre in (("0", "0"), ("1", "3")):
+        out = tmp_path / "out.json"
+        result = run(
+            *recorded.pair, "--rig", recorded / "rig.yaml", "--method", "joint", "--json", out,
+            "--focal-std", focal, "--centre-std", centre,
+        )  # fmt: skip
+        assert result.exit_code == 0
+        found.append(np.sqrt(np.diag(read_json(out)["covariance"]))[1:])
+    assert np.all(found[1] > found[0])
+
+
 def test_options_reach_the_method(recorded):
     result = run(
         *recorded.pair, "--rig", recorded / "rig.yaml", "--no-denoise", "--n-samples", "150",

@@ -1,0 +1,204 @@
+"""Deviations of a rig's intrinsics in; what allows for them in a fit, and speaks against them, out.
+
+Each of a camera's fu, fv, pu and pv whose deviation is not 0 is one more `Column` with a `Prior`.
+Two views of one path tell two combinations of the eight at most, as F has seven parameters and the
+pose takes five: the rest of what is said of them are the priors. So a column for each of the four
+numbers, as the rig file has a deviation for each, costs nothing, and a common scale in place of fu
+and fv would leave out the ratio of the two, which is what the views tell best.
+
+Values are shares of the focal length along their axis: a value s makes fu to (1 + s) fu, or moves
+pu by s fu.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ssac.camera import Camera, Rig, distort_points
+from ssac.geometry.epipolar import fundamental_from_pose
+from ssac.geometry.robust import cauchy_weights
+from ssac.methods.covariance import repeats
+from ssac.methods.least_squares import (
+    Column,
+    Parameters,
+    Prior,
+    Problem,
+    Residuals,
+    covariance_of,
+    hidden_covariance,
+    linearise,
+)
+
+Array = NDArray[np.float64]
+
+_STEP_PX = 0.5  # for the derivative of a lens
+_TOLD = 2  # combinations of the intrinsics that two views of one path tell, the pose being free
+_TOLD_KNOWN = 7  # and when it is given
+_LEAST = 1e-6  # of a combination's effect, over that of the first, which is then told by nothing
+
+
+@dataclass(frozen=True)
+class Uncertain:
+    """One number of a camera that is not exactly known."""
+
+    camera: int  # 0 or 1
+    place: int  # of fu, fv, pu, pv
+    deviation: float  # as a share of the focal length along its axis
+
+
+def uncertain_ones(rig: Rig) -> tuple[Uncertain, ...]:
+    """Numbers of both cameras that are not exact."""
+    found = []
+    for n, camera in enumerate((rig.cam1, rig.cam2)):
+        for place, std_px in enumerate(camera.intrinsics_std_px):
+            focal_px = float(camera.K[place % 2, place % 2])
+            found += [Uncertain(n, place, std_px / focal_px)] if std_px > 0.0 else []
+    return tuple(found)
+
+
+class Allowance:
+    """What a refinement allows for: nothing at first, until a fit tells what the priors weigh."""
+
+    def __init__(self, rig: Rig) -> None:
+        self._uncertain = uncertain_ones(rig)
+        self._repeated: float | None = None
+
+    @property
+    def is_made(self) -> bool:
+        """Whether problems now have all that is to be allowed for."""
+        return not self._uncertain or self._repeated is not None
+
+    def learn(self, problem: Problem, parameters: Parameters) -> None:
+        """Take from a fit how many of its residuals tell as much as an independent one."""
+        if self.is_made:
+            return
+        residuals = linearise(problem, parameters)
+        weights = cauchy_weights(residuals.distances_px, problem.turn)[0]
+        self._repeated = repeats(
+            residuals.times_s,
+            residuals.jacobian[:, problem.free],
+            weights * residuals.distances_px,
+        )
+
+    def added(self, problem: Problem) -> Problem:
+        """Add the uncertain intrinsics to a problem, as columns with priors, once that is known."""
+        if not self._uncertain or self._repeated is None:
+            return problem
+        first = problem.size
+        priors = [Prior(first + k, 0.0, one.deviation) for k, one in enumerate(self._uncertain)]
+        return replace(
+            problem,
+            columns=(*problem.columns, *columns_of(problem)),
+            priors=(*problem.priors, *priors),
+            repeated=self._repeated,
+        )
+
+
+def columns_of(problem: Problem) -> tuple[Column, ...]:
+    """Give the moves of a problem's points by each of its rig's uncertain intrinsics."""
+    cameras = problem.rig.cam1, problem.rig.cam2
+    points = problem.pairs.p1_px, problem.pairs.p2_px
+    moves = [moves_of(camera, p_px) for camera, p_px in zip(cameras, points, strict=True)]
+    found = []
+    for one in uncertain_ones(problem.rig):
+        both = [np.zeros_like(p_px) for p_px in points]
+        both[one.camera] = moves[one.camera][one.place]
+        found.append(Column(both[0], both[1]))
+    return tuple(found)
+
+
+def moves_of(camera: Camera, points_px: Array) -> Array:
+    """Give how points move when the intrinsics that they were undistorted with change.
+
+    A measured pixel m = c + f d(r) stays where it is: so the ray r changes by
+    -(f J)^-1 (dc + df d(r)), with the lens's derivative J = dd/dr.
+
+    Parameters
+    ----------
+    camera
+        Its intrinsics.
+    points_px
+        Ideal points, shape (n, 2) [px].
+
+    Returns
+    -------
+    Array
+        Shape (4, n, 2) [px]: for a value of one of fu, fv, pu, pv, in the image of the same K.
+    """
+    centre, focal = camera.K[:2, 2], np.diag(camera.K)[:2]
+    measured = distort_points(camera, points_px)
+    shifts = np.zeros((4, len(points_px), 2))
+    for axis in (0, 1):
+        shifts[axis, :, axis] = -(measured[:, axis] - centre[axis])
+        shifts[2 + axis, :, axis] = -focal[axis]
+    if camera.distortion_model == "none" or len(points_px) == 0:
+        return shifts
+    derivatives = [
+        (distort_points(camera, points_px + step) - distort_points(camera, points_px - step))
+        / (2.0 * _STEP_PX)
+        for step in _STEP_PX * np.eye(2)
+    ]
+    lens = np.stack(derivatives, axis=2)  # (n, 2, 2) of the measured by the ideal points
+    return np.asarray(np.einsum("nij,knj->kni", np.linalg.inv(lens), shifts))
+
+
+def fundamental_of(problem: Problem, parameters: Parameters) -> Array:
+    """F (3, 3) of the undistorted points as they came, with the intrinsics that were found."""
+    cameras = [problem.rig.cam1.K.copy(), problem.rig.cam2.K.copy()]
+    n = _n_columns(problem)
+    for one, value in zip(uncertain_ones(problem.rig)[:n], parameters.columns[-n:], strict=True):
+        K, axis = cameras[one.camera], one.place % 2
+        K[axis, axis if one.place < 2 else 2] += value * K[axis, axis]
+    return fundamental_from_pose(cameras[0], cameras[1], parameters.R, parameters.t)
+
+
+def evidence(
+    problem: Problem, residuals: Residuals, parameters: Parameters, hidden_px: Array | None = None
+) -> float:
+    """Give how many deviations the intrinsics that fit best are from those of the rig.
+
+    Of each combination that the views tell, the value that fits best by itself is compared with its
+    deviation: the prior's and that of the fit together.
+
+    Parameters
+    ----------
+    problem
+        With what `Allowance` adds; the result is 0 without.
+    residuals, parameters
+        At its solution.
+    hidden_px
+        Errors that no residual shows, as for `hidden_covariance`.
+    """
+    n = _n_columns(problem)
+    if n == 0:
+        return 0.0
+    first = problem.size - n
+    deviations = np.array([prior.deviation for prior in problem.priors[-n:]])
+    others = residuals.jacobian[:, [place for place in problem.free if place < first]]
+    effects = residuals.jacobian[:, first:] * deviations
+    left = effects - others @ np.linalg.lstsq(others, effects)[0]
+    _, sizes, axes = np.linalg.svd(left, full_matrices=False)
+    told = _TOLD_KNOWN if problem.pose_is_known else _TOLD
+    roots = np.sqrt(cauchy_weights(residuals.distances_px, problem.turn)[0])
+    worst = 0.0
+    for axis in axes[:told][sizes[:told] > _LEAST * sizes[0]]:
+        # One combination in place of all, and without a prior.
+        one = replace(problem, columns=problem.columns[: 1 - n or None], priors=problem.priors[:-n])
+        alone = replace(
+            residuals, jacobian=np.column_stack([residuals.jacobian[:, :first], effects @ axis])
+        )
+        free = alone.jacobian[:, one.free]
+        step = np.linalg.lstsq(roots[:, None] * free, -roots * residuals.distances_px)[0][-1]
+        covariance = covariance_of(one, alone)
+        if hidden_px is not None:
+            covariance = covariance + hidden_covariance(one, alone, hidden_px)
+        value = float(axis @ (parameters.columns[-n:] / deviations) + step)
+        worst = max(worst, abs(value) / float(np.sqrt(1.0 + covariance[-1, -1])))
+    return worst
+
+
+def _n_columns(problem: Problem) -> int:
+    """How many of a problem's columns, the last ones, are of intrinsics."""
+    n = len(uncertain_ones(problem.rig))
+    return n if len(problem.columns) >= n else 0
