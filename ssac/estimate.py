@@ -40,6 +40,10 @@ class Status(str, Enum):
     )
     AMBIGUOUS_POSE = "ambiguous_pose", "the offset holds, but several poses fit alike"
     DEGENERATE_POSE = "degenerate_pose", "the offset holds, but the path leaves the pose open"
+    POOR_FIT = (
+        "poor_fit",
+        "what was refined fits far worse than one object seen by calibrated cameras does",
+    )
     NO_CONVERGENCE = "no_convergence", "the iterations ran out, or left the minimum they began in"
 
     def __new__(cls, word: str, meaning: str) -> "Status":
@@ -79,7 +83,7 @@ class Estimate:
     unobservable: Array = field(default_factory=lambda: np.empty((0, 6)))  # (k, 6) unit vectors
     n_samples: int = 0  # valid pairs at the offset found
     d_avg_px: float = np.nan  # the paper's Eq. 4 at the offset found
-    against_intrinsics: float = 0.0  # deviations of the rig's intrinsics from those that fit best
+    doubt: str = ""  # what is not ordinary in the last step's fit, as a sentence
     candidates_s: Array = field(default_factory=lambda: np.empty(0))  # (M,) offsets tried
     costs: Array = field(default_factory=lambda: np.empty(0))  # (M,) d_avg [px] or -correlation
     start: "Estimate | None" = field(default=None, repr=False, compare=False)  # refined from it

@@ -34,7 +34,7 @@ from ssac.methods.least_squares import (
     solve,
     still_moves,
 )
-from ssac.methods.verdict import certain, confirmed
+from ssac.methods.verdict import certain, confirmed, doubt, is_spread
 from ssac.search.two_views import TwoViews, on_clock_2, two_views
 from ssac.track.motion import SharpTrack
 from ssac.track.observation import Observation
@@ -58,6 +58,7 @@ MAX_SHIFT_S = 0.1
 """A refinement that moves the offset further than this has left the minimum."""
 
 _MAX_RESAMPLINGS = 20
+_LAST_HOPE = 2  # round after which one that is far from any ordinary fit is given up
 _LAST_SHIFT_S = 1e-5  # events that enter the windows move the minimum about as far
 _LEAST_SIZE_PX = 1e-12
 
@@ -110,7 +111,7 @@ def refine(start: Estimate, views: TwoViews) -> Estimate:
     times_s = views.sample_times(np.array([start.t_d_s]))[0]
     track1 = views.motion1.sharp_at(times_s)
     allowance, settles = Allowance(views.rig), False
-    for _ in range(_MAX_RESAMPLINGS):
+    for round_ in range(_MAX_RESAMPLINGS):
         track2 = views.motion2.sharp_at(on_clock_2(times_s, parameters.t_d_s))
         pairs, size_px = sharp_pairs(track1, track2, parameters.t_d_s)
         problem = allowance.added(Problem(pairs, views.rig, views.pose_is_known))
@@ -121,6 +122,11 @@ def refine(start: Estimate, views: TwoViews) -> Estimate:
         settles = allowance.is_made and abs(parameters.t_d_s - pairs.t_d_s) < _LAST_SHIFT_S
         if settles:
             break
+        if round_ == _LAST_HOPE:
+            distances_px = linearise(problem, parameters).distances_px
+            if is_spread(distances_px, size_px):
+                reason = doubt(distances_px, size_px)
+                return replace(start, status=Status.POOR_FIT, reason=reason, R=None, t=None)
         allowance.learn(problem, parameters)
 
     residuals = linearise(problem, parameters)
@@ -135,7 +141,7 @@ def refine(start: Estimate, views: TwoViews) -> Estimate:
     unfinished += [] if found.converged else [found.last_step]
     if any(still_moves(change, problem, covariance) for change in unfinished):
         return unsettled(start, _MAX_RESAMPLINGS)
-    return refined_estimate(start, problem, parameters, residuals, covariance, hidden_px)
+    return refined_estimate(start, problem, parameters, residuals, covariance, size_px, hidden_px)
 
 
 def refined_estimate(
@@ -144,6 +150,7 @@ def refined_estimate(
     parameters: Parameters,
     residuals: Residuals,
     covariance: Array,
+    object_px: float,
     hidden_px: Array | None = None,
 ) -> Estimate:
     """Put the parameters found, and the covariance of those that were free, into the estimate."""
@@ -158,7 +165,11 @@ def refined_estimate(
         R=parameters.R,
         t=parameters.t,
         covariance=None if problem.pose_is_known else covariance[:6, :6],
-        against_intrinsics=evidence(problem, residuals, parameters, hidden_px),
+        doubt=doubt(
+            residuals.distances_px,
+            object_px,
+            evidence(problem, residuals, parameters, hidden_px),
+        ),
     )
 
 

@@ -61,7 +61,7 @@ class TangencyConfig:
     apart: bool = True  # each tangent is a pair; else the point midway between the two is
 
 
-_UNCERTAIN = (Status.AMBIGUOUS_OFFSET, Status.DEGENERATE_POSE)
+_UNCERTAIN = (Status.AMBIGUOUS_OFFSET, Status.DEGENERATE_POSE, Status.POOR_FIT)
 _MAX_SIGMAS = 3.0  # from the start's offset to the tangents', in deviations of the start's
 _ROUNDS = 8  # of finding the tangents and refining; four are the rule
 _STEPS = 3  # of Gauss-Newton in a round: the tangents move more than a fourth would
@@ -193,7 +193,9 @@ def refine_tangents(
         covariance = covariance + hidden_covariance(problem, residuals, hidden_px)
     if not settles and still_moves(found.change, problem, covariance):
         return unsettled(start, _ROUNDS)
-    return refined_estimate(start, problem, parameters, residuals, covariance, hidden_px)
+    return refined_estimate(
+        start, problem, parameters, residuals, covariance, views.object_px, hidden_px
+    )
 
 
 def tangent_times(views: TwoViews, t_d_s: float, config: TangencyConfig) -> Array:

@@ -9,6 +9,7 @@ from ssac.config import Config
 from ssac.estimate import Estimate, Status
 from ssac.geometry.fundamental import MIN_PAIRS
 from ssac.geometry.pose import tangent_basis
+from ssac.geometry.robust import robust_deviation
 from ssac.search.observability import (
     MAX_VALLEY_S,
     Refusal,
@@ -34,6 +35,19 @@ CLEARLY = 2.0
 
 SAME_S = 0.010
 """Offsets nearer to each other than this are one."""
+
+MAX_SPREAD = 0.12
+"""Largest robust deviation of the last step's distances, over the object's rms size."""
+
+MAX_TAIL = 1.8
+"""Largest mean of those distances over their robust deviation (0.8 for normal errors), where the
+mean is not small anyway."""
+
+SMALL_PX, SMALL = 0.2, 0.06
+"""A mean distance up to SMALL_PX and SMALL times the object's rms size is small."""
+
+MAX_AGAINST = 3.5
+"""Deviations from the rig's intrinsics to those that fit best, beyond which these are not it."""
 
 _SAME_RAD = np.deg2rad(3.0)  # and poses
 _LISTED = 0.1  # length of a direction's part, of 1, that is worth its words
@@ -179,8 +193,48 @@ def confirmed(estimate: Estimate, start: Estimate, views: TwoViews) -> Estimate:
     return replace(kept, t_d_s=estimate.t_d_s, alternatives_s=start.alternatives_s)
 
 
+def doubt(distances_px: Array, object_px: float, against_intrinsics: float = 0.0) -> str:
+    """Say what is not ordinary in a fit's last step; empty when all is.
+
+    Of one object, most pairs lie within a small part of its size from their epipolar lines, and the
+    few others not far beyond. A second moving thing pulls the positions away for a while: then
+    those others lie far out, or all do.
+
+    Parameters
+    ----------
+    distances_px
+        Signed and weighed, shape (n,), of the parameters found.
+    object_px
+        Rms size of the object's images, both together.
+    against_intrinsics
+        Of `ssac.methods.intrinsics.evidence`.
+    """
+    mean_px, spread_px = float(np.mean(np.abs(distances_px))), robust_deviation(distances_px)
+    has_tail = mean_px > MAX_TAIL * spread_px and mean_px > SMALL_PX + SMALL * object_px
+    if has_tail or is_spread(distances_px, object_px):
+        share = np.mean(np.abs(distances_px) > 3.0 * spread_px)
+        return (
+            f"pairs lie {mean_px:.2f} px from their epipolar lines on average (robust deviation"
+            f" {spread_px:.2f} px, {100 * share:.0f} % beyond three of them), far for an object of"
+            f" {object_px:.1f} px rms: something else moves in view, a clock jumps, or the"
+            " calibration is of other cameras"
+        )
+    if against_intrinsics > MAX_AGAINST:
+        return (
+            f"other intrinsics fit better, {against_intrinsics:.1f} of their stated deviations from"
+            " the rig's: calibrate again, or state larger ones (intrinsics_std, --focal-std,"
+            " --centre-std)"
+        )
+    return ""
+
+
+def is_spread(distances_px: Array, object_px: float) -> bool:
+    """Whether most pairs lie far from their epipolar lines, for an object of that size."""
+    return robust_deviation(distances_px) > MAX_SPREAD * object_px
+
+
 def certain(estimate: Estimate) -> Estimate:
-    """Refuse what the covariance of a refined estimate says is open; otherwise it stays as it is.
+    """Refuse a refined estimate that fits poorly, or that its covariance says is open.
 
     Parameters
     ----------
@@ -189,6 +243,8 @@ def certain(estimate: Estimate) -> Estimate:
     """
     if estimate.status != Status.OK:
         return estimate
+    if estimate.doubt:
+        return replace(estimate, status=Status.POOR_FIT, reason=estimate.doubt, R=None, t=None)
     if not estimate.t_d_std_s <= MAX_T_D_STD_S:
         reason = (
             f"the offset has a standard deviation of {1e3 * estimate.t_d_std_s:.3g} ms, more than"
