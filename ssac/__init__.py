@@ -24,9 +24,10 @@ if TYPE_CHECKING:
     from ssac.baselines.zncc_e import zncc_e
     from ssac.baselines.zncc_f import zncc_f
     from ssac.camera import Camera, Rig
+    from ssac.clock import Clock
     from ssac.config import Config, checked
     from ssac.errors import SsacError
-    from ssac.estimate import Estimate, Status
+    from ssac.estimate import ClockJump, Estimate, Status
     from ssac.events import EVENT_DTYPE
     from ssac.methods.algorithms import ssac, ssac_known
     from ssac.methods.joint import joint, joint_from, joint_known
@@ -38,6 +39,8 @@ if TYPE_CHECKING:
 __all__ = [
     "EVENT_DTYPE",
     "Camera",
+    "Clock",
+    "ClockJump",
     "Config",
     "Estimate",
     "ObjectMotion",
@@ -79,9 +82,10 @@ _HOMES = {
     "ssac.baselines.zncc_e": "zncc_e",
     "ssac.baselines.zncc_f": "zncc_f",
     "ssac.camera": "Camera Rig",
+    "ssac.clock": "Clock",
     "ssac.config": "Config checked",
     "ssac.errors": "SsacError",
-    "ssac.estimate": "Estimate Status",
+    "ssac.estimate": "ClockJump Estimate Status",
     "ssac.events": "EVENT_DTYPE",
     "ssac.methods.algorithms": "ssac ssac_known",
     "ssac.methods.joint": "joint joint_from joint_known",

@@ -6,6 +6,11 @@ import numpy as np
 
 from ssac.errors import SsacError
 
+CLOCKS = ("affine", "pieces")
+
+MAX_SKEW_PPM = 100_000.0
+"""Largest deviation of a skew beforehand."""
+
 
 @dataclass(frozen=True)
 class Config:
@@ -23,6 +28,8 @@ class Config:
     final_trials: int = 12000  # of LMedS at the offset found
     seed: int = 0  # of every random choice
     denoise: bool = True  # first remove hot pixels and isolated events
+    skew_prior_ppm: float = 50.0  # deviation of the clocks' skew beforehand; 0: they run alike
+    clock: str = "affine"  # or "pieces": its skew changes slowly; both beyond the paper's methods
 
 
 def checked(config: Config | None) -> Config:
@@ -35,6 +42,14 @@ def checked(config: Config | None) -> Config:
         )
     if config.robust not in ("lmeds", "magsac"):
         raise SsacError(f'robust must be "lmeds" or "magsac", got "{config.robust}"')
+    if config.clock not in CLOCKS:
+        raise SsacError(f'clock must be {" or ".join(CLOCKS)}, got "{config.clock}"')
+    if not 0.0 <= config.skew_prior_ppm <= MAX_SKEW_PPM:
+        raise SsacError(
+            f"skew_prior_ppm must be 0 to {MAX_SKEW_PPM:g}, got {config.skew_prior_ppm}"
+        )
+    if config.clock == "pieces" and not config.skew_prior_ppm:
+        raise SsacError("a clock of pieces has a skew: its prior must be above 0 ppm, got 0")
     for name in ("n_samples", "half_window_s", "n_min", "trials", "final_trials"):
         if not getattr(config, name) > 0:
             raise SsacError(f"{name} must be positive, got {getattr(config, name)}")

@@ -6,6 +6,8 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
+from ssac.clock import Clock
+
 Array = NDArray[np.float64]
 
 
@@ -44,6 +46,7 @@ class Status(str, Enum):
         "poor_fit",
         "what was refined fits far worse than one object seen by calibrated cameras does",
     )
+    CLOCK_JUMP = "clock_jump", "camera 2's clock jumps: no one offset holds all along"
     NO_CONVERGENCE = "no_convergence", "the iterations ran out, or left the minimum they began in"
 
     def __new__(cls, word: str, meaning: str) -> "Status":
@@ -67,13 +70,28 @@ POSE_IS_OPEN = (Status.AMBIGUOUS_POSE, Status.DEGENERATE_POSE)
 
 
 @dataclass(frozen=True)
+class ClockJump:
+    """Where camera 2's clock jumps, and the offsets on both sides."""
+
+    at_s: float  # camera 1's clock
+    size_s: float  # what camera 2's clock shows more from then on
+    size_std_s: float
+    before_s: float  # t_d
+    after_s: float
+
+    def delayed(self, t_d_s: float) -> "ClockJump":
+        """As if camera 2's clock had shown `t_d_s` [s] more."""
+        return replace(self, before_s=self.before_s + t_d_s, after_s=self.after_s + t_d_s)
+
+
+@dataclass(frozen=True)
 class Estimate:
     """The result of any method; what a method does not estimate stays NaN or None."""
 
     method: str
     status: str = Status.OK  # a Status; another package's method may give a word of its own
     reason: str = ""  # why there is no reliable estimate, as a sentence
-    t_d_s: float = np.nan  # t_cam2 = t_cam1 + t_d
+    t_d_s: float = np.nan  # t_cam2 = t_cam1 + t_d, + skew (t_cam1 - t_ref) where there is one
     t_d_std_s: float = np.nan  # standard deviation of t_d
     R: Array | None = None  # (3, 3) x2 = R x1 + t
     t: Array | None = None  # (3,) length 1
@@ -81,6 +99,14 @@ class Estimate:
     covariance: Array | None = None  # (6, 6) of t_d [s] and a small change of the pose [rad]
     alternatives_s: Array = field(default_factory=lambda: np.empty(0))  # (k,) other offsets t_d
     unobservable: Array = field(default_factory=lambda: np.empty((0, 6)))  # (k, 6) unit vectors
+    t_ref_s: float = np.nan  # camera 1's clock; NaN where both clocks are taken to run alike
+    skew_ppm: float = np.nan  # by which camera 2's clock runs fast
+    skew_std_ppm: float = np.nan
+    clock_covariance: Array | None = None  # (2, 2) of t_d [s] and the skew [s/s]
+    knots_s: Array = field(default_factory=lambda: np.empty(0))  # (k,) as of `ssac.clock.Clock`
+    strays_s: Array = field(default_factory=lambda: np.empty(0))  # (k,)
+    strays_std_s: Array = field(default_factory=lambda: np.empty(0))  # (k,) with t_d's and skew's
+    jump: ClockJump | None = None  # with status "clock_jump"
     n_samples: int = 0  # valid pairs at the offset found
     d_avg_px: float = np.nan  # the paper's Eq. 4 at the offset found
     doubt: str = ""  # what is not ordinary in the last step's fit, as a sentence
@@ -99,6 +125,23 @@ class Estimate:
         return holds and bool(np.isfinite(self.t_d_s))
 
     @property
+    def clock(self) -> Clock:
+        """Both clocks, to convert times with."""
+        if not np.isfinite(self.skew_ppm):
+            return Clock(self.t_d_s)
+        return Clock(self.t_d_s, self.skew_ppm, self.t_ref_s, self.knots_s, self.strays_s)
+
+    def clock_std_s(self, times_s: Array) -> Array:
+        """Deviation (n,) [s] of what `clock` shows at times (n,) [s] of camera 1's clock."""
+        if self.clock_covariance is None:
+            return np.full(np.shape(times_s), self.t_d_std_s)
+        if len(self.knots_s):
+            return np.asarray(np.interp(times_s, self.knots_s, self.strays_std_s))
+        (var_t_d, both), (_, var_skew) = self.clock_covariance
+        since_s = np.asarray(times_s) - self.t_ref_s
+        return np.asarray(np.sqrt(var_t_d + 2.0 * both * since_s + var_skew * since_s**2))
+
+    @property
     def r_std_deg(self) -> float:
         """Deviation [deg] of R: root of the summed variances of its three angles; NaN of none."""
         return self._angle_std_deg(slice(1, 4))
@@ -115,6 +158,7 @@ class Estimate:
             t_d_s=self.t_d_s + t_d_s,
             alternatives_s=self.alternatives_s + t_d_s,
             candidates_s=self.candidates_s + t_d_s,
+            jump=None if self.jump is None else self.jump.delayed(t_d_s),
             start=None if self.start is None else self.start.delayed(t_d_s),
         )
 

@@ -30,6 +30,7 @@ from pathlib import Path
 import faery
 import numpy as np
 
+from ssac.clock import Clock
 from ssac.errors import SsacError
 from ssac.events import EVENT_DTYPE, US_PER_S, EventFile, check_events
 from ssac.files.hdf5 import HDF5_SUFFIXES, load_events_h5, load_frames, save_events_h5
@@ -81,8 +82,8 @@ def load_events(path: Path | str) -> EventFile:
     return reader(path)
 
 
-def write_synced(path: Path | str, cam2: EventFile, time_offset_s: float) -> None:
-    """Write camera 2's events on camera 1's clock, t_cam1 = t_cam2 - t_d.
+def write_synced(path: Path | str, cam2: EventFile, clock: Clock) -> None:
+    """Write camera 2's events on camera 1's clock.
 
     Parameters
     ----------
@@ -90,8 +91,8 @@ def write_synced(path: Path | str, cam2: EventFile, time_offset_s: float) -> Non
         File to write, HDF5 or ESIM text by its extension.
     cam2
         Camera 2's events on its own clock.
-    time_offset_s
-        The offset t_d [s] with t_cam2 = t_cam1 + t_d; rounded to whole microseconds.
+    clock
+        Camera 2's; what it shows is rounded to whole microseconds.
 
     Raises
     ------
@@ -107,7 +108,10 @@ def write_synced(path: Path | str, cam2: EventFile, time_offset_s: float) -> Non
             f"{', '.join(sorted(writers))}"
         )
     events = cam2.events.copy()
-    events["t"] -= round(time_offset_s * US_PER_S)
+    if clock.is_delay:
+        events["t"] -= round(clock.t_d_s * US_PER_S)
+    else:
+        events["t"] = np.rint(US_PER_S * clock.cam1_from_cam2(events["t"] / US_PER_S))
     writer(path, events, cam2.width, cam2.height)
 
 

@@ -12,9 +12,9 @@ if it were curved a little, and the degrees of freedom are those of independent 
 widens 1.96 deviations to Student's 95 %.
 
 Series, such as the upper and the lower tangents, may have errors in common. Those count for the
-first parameter, t_d, and are left out for the pose. Where t_d is the only parameter, the sum of the
-gradients at an instant is itself taken for the process. `docs/uncertainty.md` has the flights on
-which this was chosen, and what was tried beside it.
+parameters of the clock, t_d first, and are left out for the pose. Where there are no others, the
+sum of the gradients at an instant is itself taken for the process. `docs/uncertainty.md` has the
+flights on which this was chosen, and what was tried beside it.
 """
 
 from itertools import combinations, pairwise
@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
 
 TIMES_S = (0.0, 0.05, 0.2, 0.8)
 """Times [s] in which the components of the correlation fade; 0 is white noise."""
@@ -47,6 +48,7 @@ def correlated_covariance(
     curvatures: Array,
     prior_deviations: Array | None = None,
     repeated: float = 1.0,
+    common: Indices | None = None,
 ) -> Array:
     """Covariance of M-estimated parameters whose residuals are correlated in time.
 
@@ -55,14 +57,16 @@ def correlated_covariance(
     times_s
         Of the residuals, shape (n,) [s]: one series after another, each ascending.
     jacobian
-        Derivatives of the residuals by the parameters, shape (n, p) [px per unit]. For the first
-        parameter, and no other, it counts what the series' errors have in common.
+        Derivatives of the residuals by the parameters, shape (n, p) [px per unit].
     slopes_px, curvatures
         First and second derivatives of the loss at the residuals, each (n,).
     prior_deviations
         Of what is known of each parameter beside the data, shape (p,); PRIOR when None.
     repeated
         Residuals that told as much as one did, by which the fit weighed the priors (`repeats`).
+    common
+        Places (c,) of the parameters for which it counts what the series' errors have in common;
+        the first when None.
 
     Returns
     -------
@@ -82,16 +86,19 @@ def correlated_covariance(
     left_px = slopes_px - Q @ (Q.T @ slopes_px)
     meat, independent = _gradient_covariance(times_s, Q, left_px)
     several = bool(np.any(np.diff(times_s) < 0.0))
-    if several and p == 1:
-        meat, independent = _sum_variance(times_s, Q[:, 0] * left_px)
+    common = np.zeros(1, np.intp) if common is None else common
+    is_clock = len(common) == p  # and nothing else: the pose is known
+    if several and is_clock:
+        meat, independent = _clock_variance(times_s, Q, left_px, meat)
     meat = meat + repeated * scale_px**2 * Q_prior.T @ Q_prior
     bread = Q.T @ (curvatures[:, None] * Q) + curvature * Q_prior.T @ Q_prior
     shares, axes = np.linalg.eigh(bread)
     inverse = axes / np.maximum(shares, _LEAST_CURVATURE * curvature) @ axes.T
     root = np.linalg.solve(triangle, inverse)
     factors = np.ones(p)
-    if several and p > 1:
-        factors[0] = np.sqrt(_common_factor(times_s, Q @ root[0] * left_px))
+    if several and not is_clock:
+        for k in common:
+            factors[k] = np.sqrt(_common_factor(times_s, Q @ root[k] * left_px))
     told = p - float(np.sum(Q_prior**2))  # parameters that are from the data, not from the priors
     factors *= float(stdtrit(max(independent - told, 1.0), 0.975)) / NORMAL_95
     return np.asarray(np.outer(factors, factors) * (root @ meat @ root.T))
@@ -179,6 +186,19 @@ def _common_factor(times_s: Array, effects: Array) -> float:
     if not apart > 0.0:
         return 1.0
     return max(float(_sum_variance(times_s, effects)[0][0, 0] / apart), _LEAST_COMMON)
+
+
+def _clock_variance(times_s: Array, Q: Array, left_px: Array, apart: Array) -> tuple[Array, float]:
+    """As `_gradient_covariance` of some gradients, their sum at an instant being the process.
+
+    `apart` (p, p) is what it is with independent series: it gives the correlations.
+    """
+    found = [_sum_variance(times_s, column * left_px) for column in Q.T]
+    if len(found) == 1:
+        return found[0]
+    variances = np.array([variance[0, 0] for variance, _ in found])
+    deviations = np.sqrt(variances / np.maximum(np.diag(apart), 1e-300))
+    return apart * np.outer(deviations, deviations), min(independent for _, independent in found)
 
 
 def _sum_variance(times_s: Array, effects: Array) -> tuple[Array, float]:

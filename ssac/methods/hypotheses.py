@@ -120,6 +120,7 @@ def refined(
 
 def sharp_solution(estimate: Estimate, views: TwoViews) -> Solution | None:
     """Weigh an estimate by the trimmed mean Sampson distance of the sharp positions."""
+    views = views.under(estimate.clock)
     pairs = views.pairs_at(estimate.t_d_s)
     track1, track2 = views.sharp_at(pairs.times_s, estimate.t_d_s)
     good = track1.valid & track2.valid
@@ -166,6 +167,7 @@ def _poses_at(t_d_s: float, views: TwoViews) -> list[Pose]:
 
 def _other_poses_of_a_plane(start: Estimate, views: TwoViews) -> list[Estimate]:
     """Give the poses of the homography between the views, where the path may lie in a plane."""
+    views = views.under(start.clock)
     pairs = views.pairs_at(start.t_d_s)
     x1, x2 = pairs.rays(views.rig)
     some = slice(None, None, max(1, len(x1) // _HOMOGRAPHY_PAIRS))
@@ -181,7 +183,7 @@ def _in_front(estimate: Estimate, views: TwoViews) -> bool:
     """Whether an estimate puts the object in front of both cameras."""
     if estimate.R is None or estimate.t is None:
         return False
-    rays1, rays2 = views.pairs_at(estimate.t_d_s).rays(views.rig)
+    rays1, rays2 = views.under(estimate.clock).pairs_at(estimate.t_d_s).rays(views.rig)
     return share_in_front(estimate.R, estimate.t, rays1, rays2) >= MIN_IN_FRONT
 
 

@@ -104,7 +104,7 @@ def columns_of(problem: Problem) -> tuple[Column, ...]:
     for one in uncertain_ones(problem.rig):
         both = [np.zeros_like(p_px) for p_px in points]
         both[one.camera] = moves[one.camera][one.place]
-        found.append(Column(both[0], both[1]))
+        found.append(Column(both[0], both[1], is_of_camera=True))
     return tuple(found)
 
 
@@ -147,7 +147,8 @@ def fundamental_of(problem: Problem, parameters: Parameters) -> Array:
     """F (3, 3) of the undistorted points as they came, with the intrinsics that were found."""
     cameras = [problem.rig.cam1.K.copy(), problem.rig.cam2.K.copy()]
     n = _n_columns(problem)
-    for one, value in zip(uncertain_ones(problem.rig)[:n], parameters.columns[-n:], strict=True):
+    values = parameters.columns[len(parameters.columns) - n :]
+    for one, value in zip(uncertain_ones(problem.rig)[:n], values, strict=True):
         K, axis = cameras[one.camera], one.place % 2
         K[axis, axis if one.place < 2 else 2] += value * K[axis, axis]
     return fundamental_from_pose(cameras[0], cameras[1], parameters.R, parameters.t)
@@ -200,5 +201,4 @@ def evidence(
 
 def _n_columns(problem: Problem) -> int:
     """How many of a problem's columns, the last ones, are of intrinsics."""
-    n = len(uncertain_ones(problem.rig))
-    return n if len(problem.columns) >= n else 0
+    return sum(column.is_of_camera for column in problem.columns)

@@ -21,6 +21,8 @@ from ssac.estimate import Estimate, Status
 from ssac.geometry.epipolar import fundamental_from_pose, sampson_derivative
 from ssac.geometry.pose import rays_of
 from ssac.methods.algorithms import algorithm_1, algorithm_2, with_fit
+from ssac.methods.clock_jump import checked_clock
+from ssac.methods.clock_model import clock_model
 from ssac.methods.hypotheses import settled, sharp_solution
 from ssac.methods.intrinsics import Allowance, evidence, fundamental_of
 from ssac.methods.least_squares import (
@@ -35,7 +37,7 @@ from ssac.methods.least_squares import (
     still_moves,
 )
 from ssac.methods.verdict import certain, confirmed, doubt, is_spread
-from ssac.search.two_views import TwoViews, on_clock_2, two_views
+from ssac.search.two_views import TwoViews, two_views
 from ssac.track.motion import SharpTrack
 from ssac.track.observation import Observation
 
@@ -61,6 +63,9 @@ _MAX_RESAMPLINGS = 20
 _LAST_HOPE = 2  # round after which one that is far from any ordinary fit is given up
 _LAST_SHIFT_S = 1e-5  # events that enter the windows move the minimum about as far
 _LEAST_SIZE_PX = 1e-12
+
+LAST_STRAY_S = 3e-5
+"""The same of a clock's other parameters, rms over the recording, which are less certain."""
 
 
 def joint(cam1: Observation, cam2: Observation, rig: Rig, config: Config | None = None) -> Estimate:
@@ -107,24 +112,31 @@ def refine(start: Estimate, views: TwoViews) -> Estimate:
     """
     if start.status != Status.OK or start.R is None or start.t is None:
         return start
-    parameters = Parameters(start.t_d_s, start.R, start.t)
+    model = clock_model(views, start)
+    parameters = Parameters(start.t_d_s, start.R, start.t, model.start(start))
     times_s = views.sample_times(np.array([start.t_d_s]))[0]
     track1 = views.motion1.sharp_at(times_s)
     allowance, settles = Allowance(views.rig), False
     for round_ in range(_MAX_RESAMPLINGS):
-        track2 = views.motion2.sharp_at(on_clock_2(times_s, parameters.t_d_s))
-        pairs, size_px = sharp_pairs(track1, track2, parameters.t_d_s)
-        problem = allowance.added(Problem(pairs, views.rig, views.pose_is_known))
-        found = solve(problem, parameters)
+        before = parameters
+        track2 = views.motion2.sharp_at(model.clock(before).cam2_from_cam1(times_s))
+        pairs, size_px = sharp_pairs(track1, track2, before.t_d_s)
+        problem = Problem(pairs, views.rig, views.pose_is_known)
+        problem = allowance.added(model.problem(pairs, before, problem))
+        found = solve(problem, before)
         parameters = found.parameters
         if has_left(start, parameters):
             return astray(start, parameters)
-        settles = allowance.is_made and abs(parameters.t_d_s - pairs.t_d_s) < _LAST_SHIFT_S
+        settles = allowance.is_made and abs(parameters.t_d_s - before.t_d_s) < _LAST_SHIFT_S
+        settles = settles and model.moved_s(before, parameters) < LAST_STRAY_S
         if settles:
             break
         if round_ == _LAST_HOPE:
             distances_px = linearise(problem, parameters).distances_px
             if is_spread(distances_px, size_px):
+                found_by = checked_clock(start, model, problem, parameters)
+                if found_by.status == Status.CLOCK_JUMP:
+                    return found_by
                 reason = doubt(distances_px, size_px)
                 return replace(start, status=Status.POOR_FIT, reason=reason, R=None, t=None)
         allowance.learn(problem, parameters)
@@ -132,7 +144,8 @@ def refine(start: Estimate, views: TwoViews) -> Estimate:
     residuals = linearise(problem, parameters)
     offset = BIAS_OFFSET
     if views.pose_is_known:
-        offset = max(offset, KNOWN_BIAS_OFFSET * views.lasting_share(parameters.t_d_s))
+        seen = views.under(model.clock(parameters))
+        offset = max(offset, KNOWN_BIAS_OFFSET * seen.lasting_share(parameters.t_d_s))
     F = _fundamental(parameters, views.rig)
     hidden_px = _hidden_errors(F, residuals, size_px, offset, views.rig)
     covariance = covariance_of(problem, residuals)
@@ -141,7 +154,11 @@ def refine(start: Estimate, views: TwoViews) -> Estimate:
     unfinished += [] if found.converged else [found.last_step]
     if any(still_moves(change, problem, covariance) for change in unfinished):
         return unsettled(start, _MAX_RESAMPLINGS)
-    return refined_estimate(start, problem, parameters, residuals, covariance, size_px, hidden_px)
+    found_by = model.told(start, parameters, problem, covariance)
+    told = refined_estimate(
+        found_by, problem, parameters, residuals, covariance, size_px, hidden_px
+    )
+    return checked_clock(told, model, problem, parameters)
 
 
 def refined_estimate(

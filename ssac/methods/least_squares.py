@@ -75,6 +75,9 @@ class Column:
 
     dp1_px: Array  # (n, 2) for a value of one
     dp2_px: Array  # (n, 2)
+    at: float = 0.0  # value with which the points were sampled
+    is_of_clock: bool = False  # a change of what camera 2's clock shows, as the offset is
+    is_of_camera: bool = False  # an uncertain number of a camera
 
 
 @dataclass(frozen=True)
@@ -116,6 +119,12 @@ class Problem:
         """Places of the parameters that are estimated."""
         held = range(T_D + 1, FIRST_COLUMN) if self.pose_is_known else ()
         return np.setdiff1d(np.arange(self.size), held)
+
+    @property
+    def of_clock(self) -> list[int]:
+        """Places of the parameters that say what camera 2's clock shows."""
+        more = [k for k, column in enumerate(self.columns, FIRST_COLUMN) if column.is_of_clock]
+        return [T_D, *more]
 
 
 @dataclass(frozen=True)
@@ -168,7 +177,7 @@ def solve(
         system = root_weights[:, None] * residuals.jacobian[:, free]
         target = -root_weights * residuals.distances_px
         if problem.priors:
-            prior_system, prior_target = _prior_rows(problem, parameters, residuals)
+            prior_system, prior_target = prior_rows(problem, parameters, residuals)
             system = np.vstack([system, prior_system[:, free]])
             target = np.append(target, prior_target)
         step = np.zeros(problem.size)
@@ -185,6 +194,7 @@ def linearise(problem: Problem, parameters: Parameters) -> Residuals:
     R, t = parameters.R, parameters.t
     p1, p2 = pairs.p1_px, pairs.p2_px + (parameters.t_d_s - pairs.t_d_s) * pairs.v2_px_s
     for column, value in zip(problem.columns, parameters.columns, strict=True):
+        value -= column.at
         p1, p2 = p1 + value * column.dp1_px, p2 + value * column.dp2_px
     F = fundamental_from_pose(K1, K2, R, t)
     jacobian = np.column_stack(
@@ -236,30 +246,28 @@ def covariance_of(problem: Problem, residuals: Residuals) -> Array:
         curvatures,
         deviations[problem.free],
         problem.repeated,
+        np.flatnonzero([place in problem.of_clock for place in problem.free]),
     )
 
 
 def hidden_covariance(problem: Problem, residuals: Residuals, errors_px: Array) -> Array:
-    """Covariance (f, f) of the free parameters by errors that no residual shows.
+    """Covariance (f, f) of the f free parameters, of errors that no residual shows.
 
     Parameters
     ----------
-    problem, residuals
-        As for `covariance_of`.
+    problem
+        The one that was solved.
+    residuals
+        At its solution.
     errors_px
-        As for `mapped_covariance`, shape (n, m) [px].
+        Changes of the distances by one deviation of each error, shape (n, m) [px].
     """
     system = residuals.jacobian[:, problem.free]
-    if not problem.priors:
-        return mapped_covariance(system, errors_px)
-    scale_px = np.sqrt(problem.repeated) * robust_deviation(residuals.distances_px)
-    places = [prior.place for prior in problem.priors]
-    deviations = np.array([prior.deviation for prior in problem.priors])
-    rows = np.eye(problem.size)[places] * (scale_px / deviations)[:, None]
-    nothing = np.zeros((len(rows), errors_px.shape[1]))
-    return mapped_covariance(
-        np.vstack([system, rows[:, problem.free]]), np.vstack([errors_px, nothing])
-    )
+    if problem.priors:
+        rows = _prior_weights(problem, residuals)[:, problem.free]
+        system = np.vstack([system, rows])
+        errors_px = np.vstack([errors_px, np.zeros((len(rows), errors_px.shape[1]))])
+    return mapped_covariance(system, errors_px)
 
 
 def still_moves(change: Array, problem: Problem, covariance: Array) -> bool:
@@ -324,20 +332,30 @@ def _product(one: Array, other: Array) -> float:
 def _with_columns(start: Parameters, problem: Problem) -> Parameters:
     if len(start.columns) == len(problem.columns):
         return start
-    return Parameters(start.t_d_s, start.R, start.t, np.zeros(len(problem.columns)))
+    columns = np.zeros(len(problem.columns))
+    kept = start.columns[: len(columns)]
+    columns[: len(kept)] = kept
+    return Parameters(start.t_d_s, start.R, start.t, columns)
 
 
-def _prior_rows(
+def prior_rows(
     problem: Problem, parameters: Parameters, residuals: Residuals
 ) -> tuple[Array, Array]:
     """Give the priors' rows (q, p) of the system and their targets (q,), in pixels.
 
     One deviation of a prior counts as much as one robust deviation of independent residuals.
     """
-    scale_px = np.sqrt(problem.repeated) * robust_deviation(residuals.distances_px)
     values = np.concatenate([[parameters.t_d_s], np.zeros(FIRST_COLUMN - 1), parameters.columns])
+    means = np.zeros(problem.size)
+    for prior in problem.priors:
+        means[prior.place] = prior.value
+    rows = _prior_weights(problem, residuals)
+    return rows, rows @ (means - values)
+
+
+def _prior_weights(problem: Problem, residuals: Residuals) -> Array:
+    """Give the priors' rows (q, p) of the system."""
+    scale_px = np.sqrt(problem.repeated) * robust_deviation(residuals.distances_px)
     places = [prior.place for prior in problem.priors]
     deviations = np.array([prior.deviation for prior in problem.priors])
-    means = np.array([prior.value for prior in problem.priors])
-    rows = np.eye(problem.size)[places] * (scale_px / deviations)[:, None]
-    return rows, scale_px * (means - values[places]) / deviations
+    return np.eye(problem.size)[places] * (scale_px / deviations)[:, None]

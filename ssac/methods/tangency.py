@@ -23,9 +23,19 @@ from ssac.estimate import POSE_IS_OPEN, Estimate, Status
 from ssac.geometry.fundamental import MIN_PAIRS
 from ssac.geometry.pencil import pencils
 from ssac.methods.algorithms import algorithm_1, algorithm_2
+from ssac.methods.clock_jump import checked_clock
+from ssac.methods.clock_model import clock_model
 from ssac.methods.hypotheses import settled, sharp_solution
 from ssac.methods.intrinsics import Allowance
-from ssac.methods.joint import astray, has_left, joint_from, refine, refined_estimate, unsettled
+from ssac.methods.joint import (
+    LAST_STRAY_S,
+    astray,
+    has_left,
+    joint_from,
+    refine,
+    refined_estimate,
+    unsettled,
+)
 from ssac.methods.least_squares import (
     Parameters,
     Problem,
@@ -37,7 +47,7 @@ from ssac.methods.least_squares import (
     still_moves,
 )
 from ssac.methods.verdict import Solution, certain
-from ssac.search.two_views import TwoViews, on_clock_2, two_views
+from ssac.search.two_views import TwoViews, two_views
 from ssac.track.observation import Observation
 from ssac.track.outline import OutlineConfig, OutlineEvents, Tangents, near_outline, tangents
 
@@ -156,14 +166,16 @@ def refine_tangents(
     config = config or TangencyConfig()
     if start.status != Status.OK or start.R is None or start.t is None:
         return start
-    parameters = Parameters(start.t_d_s, start.R, start.t)
+    model = clock_model(views, start)
+    parameters = Parameters(start.t_d_s, start.R, start.t, model.start(start))
     near: list[list[OutlineEvents]] | None = None
     is_far, settles = True, False  # as the start may be
     allowance = Allowance(views.rig)
     times_s = tangent_times(views, start.t_d_s, config)
     for _ in range(_ROUNDS):
         before = parameters
-        pairs, near = tangents_under(before, views, times_s, config, None if is_far else near)
+        seen = views.under(model.clock(before))
+        pairs, near = tangents_under(before, seen, times_s, config, None if is_far else near)
         if len(pairs.times_s) < MIN_PAIRS:
             reason = (
                 f"only {len(pairs.times_s)} tangents are seen in both views, and {MIN_PAIRS} are"
@@ -171,15 +183,18 @@ def refine_tangents(
             )
             return replace(start, status=Status.TOO_FEW_SAMPLES, reason=reason)
         turn = config.wider_cauchy if is_far else config.cauchy
-        problem = allowance.added(Problem(pairs, views.rig, views.pose_is_known, turn=turn))
+        problem = Problem(pairs, views.rig, views.pose_is_known, turn=turn)
+        problem = allowance.added(model.problem(pairs, before, problem))
         found = solve(problem, before, _STEPS, last_step=0.0)
         parameters = found.parameters
         if has_left(start, parameters):
             return astray(start, parameters)
+        stray_s = model.moved_s(before, parameters)
         settles = not is_far and allowance.is_made and _are_near(before, parameters)
+        settles = settles and stray_s <= LAST_STRAY_S
         if settles:
             break
-        is_far = not _are_near(before, parameters, _FAR)
+        is_far = not _are_near(before, parameters, _FAR) or stray_s > _FAR * LAST_STRAY_S
         if not is_far:
             allowance.learn(problem, parameters)
 
@@ -188,14 +203,16 @@ def refine_tangents(
     covariance = covariance_of(problem, residuals)
     hidden_px: Array | None = None
     if views.pose_is_known:  # a free pose takes it away
-        share = views.lasting_share(parameters.t_d_s, _N_OF_SHARE)
+        share = seen.lasting_share(parameters.t_d_s, _N_OF_SHARE)
         hidden_px = share * _hidden_errors(pairs)
         covariance = covariance + hidden_covariance(problem, residuals, hidden_px)
     if not settles and still_moves(found.change, problem, covariance):
         return unsettled(start, _ROUNDS)
-    return refined_estimate(
-        start, problem, parameters, residuals, covariance, views.object_px, hidden_px
+    found_by = model.told(start, parameters, problem, covariance)
+    told = refined_estimate(
+        found_by, problem, parameters, residuals, covariance, views.object_px, hidden_px
     )
+    return checked_clock(told, model, problem, parameters)
 
 
 def tangent_times(views: TwoViews, t_d_s: float, config: TangencyConfig) -> Array:
@@ -236,7 +253,7 @@ def tangents_under(
         zip(
             (views.motion1, views.motion2),
             pencils(parameters.R, parameters.t, rig.cam1.K, rig.cam2.K),
-            (times_s, on_clock_2(times_s, parameters.t_d_s)),
+            (times_s, views.on_clock_2(times_s, parameters.t_d_s)),
             strict=True,
         )
     )

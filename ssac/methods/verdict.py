@@ -115,6 +115,13 @@ def refused(estimate: Estimate, refusal: Refusal, found: list[Valley] | None = N
         t=None,
         t_d_std_s=np.nan,
         covariance=None,
+        t_ref_s=np.nan,
+        skew_ppm=np.nan,
+        skew_std_ppm=np.nan,
+        clock_covariance=None,
+        knots_s=np.empty(0),
+        strays_s=np.empty(0),
+        strays_std_s=np.empty(0),
     )
 
 
@@ -186,7 +193,8 @@ def confirmed(estimate: Estimate, start: Estimate, views: TwoViews) -> Estimate:
     if not (is_searched and estimate.has_offset):
         return estimate
     found = valleys(start.candidates_s, start.costs, estimate.t_d_s)
-    is_open = open_fundamental(*views.pairs_at(estimate.t_d_s).points_px) is not None
+    at = views.under(estimate.clock).pairs_at(estimate.t_d_s)
+    is_open = open_fundamental(*at.points_px) is not None
     if not is_open and found[0].length_s <= MAX_VALLEY_S:
         return estimate
     kept = refused(estimate, Refusal(Status.AMBIGUOUS_OFFSET, start.reason))

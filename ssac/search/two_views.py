@@ -5,13 +5,14 @@ p1(t), as in the paper's Eq. 3, and t_d is positive when camera 2's clock shows 
 Deviation: the paper's Eq. 1 has the opposite sign, which contradicts its Eq. 3.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ssac.camera import Rig
+from ssac.clock import Clock
 from ssac.config import Config, checked
 from ssac.geometry.pose import rays_of
 from ssac.search.view import View, returns_s, size_px, swing_hz, view_of
@@ -69,7 +70,7 @@ class TwoViews:
     """What two cameras saw of one object, and what a method is told beside it.
 
     Every method that looks at object tracks starts from here. Which time of camera 2 belongs to one
-    of camera 1 is said in `on_clock_2`, and nowhere else.
+    of camera 1 is said in `TwoViews.on_clock_2`, and nowhere else.
     """
 
     motion1: ObjectMotion
@@ -77,6 +78,18 @@ class TwoViews:
     rig: Rig
     config: Config
     pose_is_known: bool = False  # the rig's extrinsics hold: only the offset is in question
+    clock: Clock = field(default_factory=Clock)  # of camera 2, beside the offset that is tried
+
+    def under(self, clock: Clock) -> "TwoViews":
+        """Return the same views with the skew and the strays of a clock, and any offset."""
+        if clock.is_delay and self.clock.is_delay:
+            return self
+        return replace(self, clock=replace(clock, t_d_s=0.0))
+
+    def on_clock_2(self, times_s: Array, t_d_s: Array | float) -> Array:
+        """Give what camera 2's clock shows at times of camera 1's, with an offset that is tried."""
+        shown_s = on_clock_2(times_s, t_d_s)
+        return shown_s if self.clock.is_delay else shown_s + self.clock.added_s(times_s)
 
     @cached_property
     def views(self) -> tuple[View | None, View | None]:
@@ -126,7 +139,7 @@ class TwoViews:
         """
         times_s = self.sample_times(t_d_s, n_samples)
         track1 = self.motion1.at(times_s)
-        track2 = self.motion2.at(on_clock_2(times_s, t_d_s[:, None]))
+        track2 = self.motion2.at(self.on_clock_2(times_s, t_d_s[:, None]))
         return Pairs(
             t_d_s,
             times_s,
@@ -144,13 +157,13 @@ class TwoViews:
         """Both views' sharp positions at times (n,) [s] of camera 1's clock."""
         return (
             self.motion1.sharp_at(times_s),
-            self.motion2.sharp_at(on_clock_2(times_s, t_d_s)),
+            self.motion2.sharp_at(self.on_clock_2(times_s, t_d_s)),
         )
 
     def size_px_at(self, pairs: PairsAt) -> float:
         """Rms size of the object's images at some of the pairs, both views together."""
         size1 = size_px(self.motion1, pairs.times_s)
-        size2 = size_px(self.motion2, on_clock_2(pairs.times_s, pairs.t_d_s))
+        size2 = size_px(self.motion2, self.on_clock_2(pairs.times_s, pairs.t_d_s))
         return float(np.hypot(size1, size2))
 
     def swings(self, pairs: PairsAt) -> float:
@@ -167,7 +180,7 @@ class TwoViews:
             duration_s * swing_hz(positions, motion.velocities_at(clock_s))
             for motion, clock_s, positions in (
                 (self.motion1, some_s, pairs.p1_px),
-                (self.motion2, on_clock_2(some_s, pairs.t_d_s), pairs.p2_px),
+                (self.motion2, self.on_clock_2(some_s, pairs.t_d_s), pairs.p2_px),
             )
         )
 
@@ -182,7 +195,7 @@ class TwoViews:
 
 
 def on_clock_2(times_s: Array, t_d_s: Array | float) -> Array:
-    """Give what camera 2's clock shows at times of camera 1's: t_cam2 = t_cam1 + t_d."""
+    """Give what camera 2's clock shows where both run alike: t_cam2 = t_cam1 + t_d."""
     return np.asarray(times_s + t_d_s)
 
 

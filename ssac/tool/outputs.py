@@ -52,7 +52,7 @@ def write_outputs(result: SyncResult, outputs: Outputs, log: Log) -> None:
     if synced is not None and estimate.has_offset:
         with clock.part("write") as say:
             # Read again, whole: what is in memory has been denoised.
-            write_synced(synced, load_events(result.paths[1]), estimate.t_d_s)
+            write_synced(synced, load_events(result.paths[1]), estimate.clock)
             say(f"{synced}, by an offset of unknown accuracy" if note(estimate) else str(synced))
     elif synced is not None:
         log(f"not written: {synced}, since there is no reliable offset")

@@ -13,7 +13,7 @@ from ssac.geometry.epipolar import epipolar_distance, epipolar_lines_1
 from ssac.geometry.fundamental import MIN_PAIRS
 from ssac.geometry.pose import rays_of
 from ssac.search.offset_search import mean_epipolar_distance
-from ssac.search.two_views import TwoViews, on_clock_2
+from ssac.search.two_views import TwoViews
 from ssac.track.motion import ObjectMotion
 
 Array = NDArray[np.float64]
@@ -108,7 +108,7 @@ def epipolar_rows(material: Material) -> list[EpipolarRow]:
     rows = []
     for name, offset_s in pairings:
         p1 = motion1.at(np.array([time_s])).positions_px
-        p2 = motion2.at(on_clock_2(np.array([time_s]), offset_s)).positions_px
+        p2 = motion2.at(material.views.on_clock_2(np.array([time_s]), offset_s)).positions_px
         line_1, distance_px = epipolar_lines_1(F, p2)[0], float(epipolar_distance(F, p1, p2)[0])
         rows.append(EpipolarRow(name, offset_s, time_s, p1[0], p2[0], line_1, distance_px))
     return rows

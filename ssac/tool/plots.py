@@ -76,7 +76,7 @@ def save_figures(
     list[Path]
         The files written; none when there is nothing to draw.
     """
-    views = two_views(cam1, cam2, rig, config)
+    views = two_views(cam1, cam2, rig, config).under(estimate.clock)
     material = Material(estimate, (cam1.events, cam2.events), views)
     figures = [figure for figure in _FIGURES if figure.can_draw(material)]
     if not figures:

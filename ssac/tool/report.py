@@ -1,6 +1,7 @@
 """A result of `sync` in, text for people and JSON for machines out."""
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -8,10 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from ssac.config import Config
 from ssac.estimate import Estimate
 from ssac.files.whole_file import whole_file
 from ssac.tool.registry import Input, Method
 from ssac.tool.sync import SyncResult
+
+_FAR = 3.0  # times what was expected of a skew
 
 
 def report_text(result: SyncResult) -> str:
@@ -21,7 +25,7 @@ def report_text(result: SyncResult) -> str:
         title = "no pose" if estimate.has_offset else "no estimate"
         rows.append((title, f"{estimate.status}: {estimate.reason}"))
     if np.isfinite(estimate.t_d_s):
-        rows += _offset_rows(estimate)
+        rows += _offset_rows(estimate) + _skew_rows(estimate, result.config)
     if note(estimate):
         rows.append(("note", note(estimate)))
     if result.method.needs_extrinsics:
@@ -43,6 +47,9 @@ def report_json(result: SyncResult) -> dict[str, Any]:
     return {
         "t_d_s": _plain(estimate.t_d_s),
         "t_d_std_s": _plain(estimate.t_d_std_s),
+        "t_ref_s": _plain(estimate.t_ref_s),
+        "skew_ppm": _plain(estimate.skew_ppm),
+        "skew_std_ppm": _plain(estimate.skew_std_ppm),
         "R": _plain(estimate.R),
         "t": _plain(estimate.t),
         "status": str(estimate.status),
@@ -55,7 +62,11 @@ def report_json(result: SyncResult) -> dict[str, Any]:
         "alternatives_s": _plain(estimate.alternatives_s),
         "unobservable": _plain(estimate.unobservable),
         "covariance": _plain(estimate.covariance),
-        "conventions": "t_cam2 = t_cam1 + t_d; x2 = R x1 + t, |t| = 1; covariance of t_d [s], "
+        "clock_covariance": _plain(estimate.clock_covariance),
+        "clock_knots": _knots(estimate),
+        "clock_jump": None if estimate.jump is None else asdict(estimate.jump),
+        "conventions": "t_cam2 = t_cam1 + t_d + skew (t_cam1 - t_ref), and what it strays at knots,"
+        " linear in between; x2 = R x1 + t, |t| = 1; covariance of t_d [s], "
         "rotation vector of exp([w]x) R [rad] and t's two tangents [rad]; unobservable: unit "
         "directions in the same six",
         "search_s": list(result.config.interval_s),
@@ -100,6 +111,33 @@ def _offset_rows(estimate: Estimate) -> list[tuple[str, str]]:
     return [
         ("time offset", f"t_d = {offset_ms:.3f} ms, 1 sigma {sigma_ms:.3f} ms"),
         ("", f"{words}; {remedy} camera 2's timestamps"),
+    ]
+
+
+def _skew_rows(estimate: Estimate, config: Config) -> list[tuple[str, str]]:
+    """Rows on the skew, where it was estimated."""
+    if not (estimate.has_offset and estimate.skew_std_ppm > 0.0):
+        return []
+    fast, ppm = ("fast" if estimate.skew_ppm >= 0.0 else "slow"), abs(estimate.skew_ppm)
+    rows = [
+        ("clock skew", f"{estimate.skew_ppm:+.1f} ppm, 1 sigma {estimate.skew_std_ppm:.1f} ppm"),
+        ("", f"camera 2's clock runs {fast}; t_d holds at {estimate.t_ref_s:.3f} s of camera 1's"),
+    ]
+    if len(estimate.knots_s):
+        most_ms = 1e3 * float(np.max(np.abs(estimate.strays_s)))
+        rows.append(("", f"and strays by up to {most_ms:.3f} ms, {len(estimate.knots_s)} knots"))
+    if ppm > _FAR * config.skew_prior_ppm:
+        prior = f"{config.skew_prior_ppm:g} ppm expected of such clocks"
+        rows.append(("", f"far beyond the {prior}: see --skew-prior"))
+    return rows
+
+
+def _knots(estimate: Estimate) -> list[dict[str, float]]:
+    """List what the clock strays at each knot, with the deviation of all it shows there."""
+    columns = estimate.knots_s, estimate.strays_s, estimate.strays_std_s
+    return [
+        {"t_s": t_s, "stray_s": stray_s, "std_s": std_s}
+        for t_s, stray_s, std_s in zip(*(column.tolist() for column in columns), strict=True)
     ]
 
 

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 
 import typer
 
-from ssac.config import Config
+from ssac.config import CLOCKS, MAX_SKEW_PPM, Config
 from ssac.console.command_line import Sections
 from ssac.console.exits import NO_ESTIMATE
 from ssac.console.options import number
@@ -59,6 +59,21 @@ def sync_command(
         tuple[float, float],
         typer.Option(metavar="LOW HIGH", help="Least and largest offset t_d to try, in seconds."),
     ] = Config.interval_s,
+    skew_prior: Annotated[
+        float,
+        number(
+            "Deviation of the clocks' skew beforehand; phones need 1000; 0: they run alike.",
+            0,
+            MAX_SKEW_PPM,
+            "ppm",
+        ),
+    ] = Config.skew_prior_ppm,
+    clock: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME", help="affine; or pieces, where the skew itself changes, as in phones."
+        ),
+    ] = Config.clock,
     json_file: Annotated[
         Path | None,
         typer.Option("--json", metavar="FILE", help="Write the result for machines."),
@@ -114,6 +129,8 @@ def sync_command(
             "--search: expected a smaller and a larger offset, at most "
             f"{MAX_SEARCH_S:g} seconds apart, got {search[0]:g} {search[1]:g}"
         )
+    if clock not in CLOCKS:
+        raise SsacError(f"--clock: expected {' or '.join(CLOCKS)}, got {clock}")
     from ssac.tool.outputs import Outputs, check_outputs, write_outputs
     from ssac.tool.report import report_text
     from ssac.tool.sync import sync
@@ -125,6 +142,8 @@ def sync_command(
         half_window_s=half_window,
         n_min=n_min,
         denoise=not no_denoise,
+        skew_prior_ppm=skew_prior,
+        clock=clock,
     )
     with _warnings_as_lines():
         check_outputs((cam1, cam2, rig), outputs)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from faery.file_encoder import events_to_file
 
+from ssac.clock import Clock
 from ssac.errors import SsacError
 from ssac.events import EVENT_DTYPE, EventFile, events_from_arrays
 from ssac.files import hdf5
@@ -284,15 +285,25 @@ def test_write_synced_puts_camera_2_on_camera_1s_clock(tmp_path, name, time_offs
     cam1 = _random_events()
     cam2 = cam1.copy()
     cam2["t"] += round(time_offset_s * 1e6)
-    write_synced(tmp_path / name, EventFile(cam2, WIDTH, HEIGHT), time_offset_s)
+    write_synced(tmp_path / name, EventFile(cam2, WIDTH, HEIGHT), Clock(time_offset_s))
     file = load_events(tmp_path / name)
     np.testing.assert_array_equal(file.events, cam1)
     assert (file.width, file.height) == (WIDTH, HEIGHT)
 
 
+def test_write_synced_takes_the_skew_away_too(tmp_path):
+    cam1 = _random_events()
+    clock = Clock(0.05, 800.0, 0.5)
+    cam2 = cam1.copy()
+    cam2["t"] = np.rint(1e6 * clock.cam2_from_cam1(cam1["t"] * 1e-6))
+    write_synced(tmp_path / "synced.h5", EventFile(cam2, WIDTH, HEIGHT), clock)
+    after = load_events(tmp_path / "synced.h5").events["t"]
+    assert np.abs(after - cam1["t"]).max() <= 1  # both conversions round
+
+
 def test_write_synced_refuses_other_formats(tmp_path):
     with pytest.raises(SsacError, match=r"cannot write the extension '\.raw': use one of"):
-        write_synced(tmp_path / "a.raw", EventFile(_random_events(), None, None), 0.0)
+        write_synced(tmp_path / "a.raw", EventFile(_random_events(), None, None), Clock())
 
 
 def _write_frames(path, times_us, images):

@@ -1,0 +1,74 @@
+"""A clock's offset, skew and strays in, times of camera 1 as camera 2 shows them, and back, out.
+
+The sign convention of the whole package, with t_ref on camera 1's clock:
+
+    t_cam2 = t_cam1 + t_d + skew (t_cam1 - t_ref)
+
+A clock that is not affine strays from this by a piecewise linear function of t_cam1.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+PPM = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Clock:
+    """What camera 2's clock shows; the default shows the same as camera 1's."""
+
+    t_d_s: float = 0.0  # what it shows more at t_ref, but for what it strays there
+    skew_ppm: float = 0.0  # by which it runs fast
+    t_ref_s: float = 0.0  # camera 1's clock
+    knots_s: Array = field(default_factory=lambda: np.empty(0))  # (k,) ascending, camera 1's clock
+    strays_s: Array = field(default_factory=lambda: np.empty(0))  # (k,) what it shows more there
+
+    @property
+    def is_delay(self) -> bool:
+        """Whether it differs from camera 1's by nothing but an offset."""
+        return not self.skew_ppm and not len(self.knots_s)
+
+    def added_s(self, times_s: Array) -> Array:
+        """Give what it shows more (...,) [s], the offset apart, at times of camera 1's clock.
+
+        Between knots the strays are linear; before the first and after the last they stay.
+        """
+        added_s = PPM * self.skew_ppm * (times_s - self.t_ref_s)
+        if len(self.knots_s):
+            added_s = added_s + np.interp(times_s, self.knots_s, self.strays_s)
+        return np.asarray(added_s)
+
+    def cam2_from_cam1(self, times_s: Array | float) -> Array:
+        """Give what camera 2's clock shows (...,) [s] at times of camera 1's."""
+        times_s = np.asarray(times_s, np.float64)
+        shown_s = times_s + self.t_d_s
+        return np.asarray(shown_s if self.is_delay else shown_s + self.added_s(times_s))
+
+    def cam1_from_cam2(self, times_s: Array | float) -> Array:
+        """Give what camera 1's clock shows (...,) [s] at times of camera 2's."""
+        delayed_s = np.asarray(times_s, np.float64) - self.t_d_s
+        if self.is_delay:
+            return np.asarray(delayed_s)
+        rate = 1.0 + PPM * self.skew_ppm
+        # Linear from knot to knot as its inverse is: what is to be taken away, as of camera 2.
+        knots_s, strays_s = self.knots_s, self.strays_s
+        if not len(knots_s):
+            return np.asarray(self.t_ref_s + (delayed_s - self.t_ref_s) / rate)
+        shown_s = self.t_ref_s + rate * (knots_s - self.t_ref_s) + strays_s
+        strayed_s = np.interp(delayed_s, shown_s, strays_s)
+        return np.asarray(self.t_ref_s + (delayed_s - strayed_s - self.t_ref_s) / rate)
+
+    def inverse(self) -> "Clock":
+        """Give camera 1's clock as camera 2 sees it, with t_ref on camera 2's."""
+        rate = 1.0 + PPM * self.skew_ppm
+        return Clock(
+            -self.t_d_s,
+            (1.0 / rate - 1.0) / PPM,
+            self.t_ref_s + self.t_d_s,
+            self.cam2_from_cam1(self.knots_s),
+            -self.strays_s / rate,
+        )
