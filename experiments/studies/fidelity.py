@@ -21,10 +21,10 @@ from sim.recording import SimConfig
 from sim.sensor.frames import FrameConfig
 
 FIRST_FLIGHT = 200
-N_FLIGHTS = {10.0: 10, 20.0: 10}
+N_FLIGHTS = {10.0: 10, 20.0: 5}
 """Flights of each duration [s]."""
 
-RENDERER_FLIGHTS = 3
+RENDERER_FLIGHTS = 1
 """Of each duration and angle."""
 
 MARKS_MS = {"ssac": 0.02, "joint": 0.02, "tangency": 0.015}
