@@ -45,6 +45,11 @@ class ClockModel:
     knots_s: Array = field(default_factory=lambda: np.empty(0))  # (k,)
     modes: Array = field(default_factory=lambda: np.empty((0, 0)))  # (k, m - 1) strays by one
 
+    @property
+    def has_priors(self) -> bool:
+        """Whether anything but the offset is to be found."""
+        return len(self.deviations) > 0
+
     def clock(self, parameters: Parameters) -> Clock:
         """Give the clock of some parameters."""
         values = self.values(parameters)

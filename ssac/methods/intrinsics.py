@@ -58,16 +58,28 @@ def uncertain_ones(rig: Rig) -> tuple[Uncertain, ...]:
 
 
 class Allowance:
-    """What a refinement allows for: nothing at first, until a fit tells what the priors weigh."""
+    """What a refinement allows for, once a fit has told what the priors weigh.
 
-    def __init__(self, rig: Rig) -> None:
+    Until then a clock's priors weigh as if all residuals were independent, and intrinsics are
+    exact.
+
+    Parameters
+    ----------
+    rig
+        With the deviations of its intrinsics.
+    has_priors
+        Whether problems have priors of their own, as that of a clock.
+    """
+
+    def __init__(self, rig: Rig, has_priors: bool = False) -> None:
         self._uncertain = uncertain_ones(rig)
+        self._has_priors = has_priors or bool(self._uncertain)
         self._repeated: float | None = None
 
     @property
     def is_made(self) -> bool:
         """Whether problems now have all that is to be allowed for."""
-        return not self._uncertain or self._repeated is not None
+        return not self._has_priors or self._repeated is not None
 
     def learn(self, problem: Problem, parameters: Parameters) -> None:
         """Take from a fit how many of its residuals tell as much as an independent one."""
@@ -82,8 +94,8 @@ class Allowance:
         )
 
     def added(self, problem: Problem) -> Problem:
-        """Add the uncertain intrinsics to a problem, as columns with priors, once that is known."""
-        if not self._uncertain or self._repeated is None:
+        """Add to a problem what its priors weigh, and the uncertain intrinsics, once it is known."""
+        if self._repeated is None:
             return problem
         first = problem.size
         priors = [Prior(first + k, 0.0, one.deviation) for k, one in enumerate(self._uncertain)]

@@ -116,7 +116,7 @@ def refine(start: Estimate, views: TwoViews) -> Estimate:
     parameters = Parameters(start.t_d_s, start.R, start.t, model.start(start))
     times_s = views.sample_times(np.array([start.t_d_s]))[0]
     track1 = views.motion1.sharp_at(times_s)
-    allowance, settles = Allowance(views.rig), False
+    allowance, settles = Allowance(views.rig, model.has_priors), False
     for round_ in range(_MAX_RESAMPLINGS):
         before = parameters
         track2 = views.motion2.sharp_at(model.clock(before).cam2_from_cam1(times_s))

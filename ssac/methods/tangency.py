@@ -170,7 +170,7 @@ def refine_tangents(
     parameters = Parameters(start.t_d_s, start.R, start.t, model.start(start))
     near: list[list[OutlineEvents]] | None = None
     is_far, settles = True, False  # as the start may be
-    allowance = Allowance(views.rig)
+    allowance = Allowance(views.rig, model.has_priors)
     times_s = tangent_times(views, start.t_d_s, config)
     for _ in range(_ROUNDS):
         before = parameters
