@@ -99,7 +99,8 @@ def correlated_covariance(
     if several and not is_clock:
         for k in common:
             factors[k] = np.sqrt(_common_factor(times_s, Q @ root[k] * left_px))
-    told = p - float(np.sum(Q_prior**2))  # parameters that are from the data, not from the priors
+    # Parameters, or parts of them, that are from the data and not from what was known beforehand.
+    told = p - float(np.sum(Q_prior[deviations < PRIOR] ** 2))
     factors *= float(stdtrit(max(independent - told, 1.0), 0.975)) / NORMAL_95
     return np.asarray(np.outer(factors, factors) * (root @ meat @ root.T))
 

@@ -94,7 +94,7 @@ class Allowance:
         )
 
     def added(self, problem: Problem) -> Problem:
-        """Add to a problem what its priors weigh, and the uncertain intrinsics, once it is known."""
+        """Add what its priors weigh, and the uncertain intrinsics, to a problem, once known."""
         if self._repeated is None:
             return problem
         first = problem.size
