@@ -34,7 +34,6 @@ Array = NDArray[np.float64]
 
 _STEP_PX = 0.5  # for the derivative of a lens
 _TOLD = 2  # combinations of the intrinsics that two views of one path tell, the pose being free
-_TOLD_KNOWN = 7  # and when it is given
 _LEAST = 1e-6  # of a combination's effect, over that of the first, which is then told by nothing
 
 
@@ -177,14 +176,15 @@ def evidence(
     Parameters
     ----------
     problem
-        With what `Allowance` adds; the result is 0 without.
+        With what `Allowance` adds; the result is 0 without. It is 0 with a known pose too, where a
+        bias of the positions, or of the pose, speaks as loud as one of the intrinsics.
     residuals, parameters
         At its solution.
     hidden_px
         Errors that no residual shows, as for `hidden_covariance`.
     """
     n = _n_columns(problem)
-    if n == 0:
+    if n == 0 or problem.pose_is_known:
         return 0.0
     first = problem.size - n
     deviations = np.array([prior.deviation for prior in problem.priors[-n:]])
@@ -192,10 +192,9 @@ def evidence(
     effects = residuals.jacobian[:, first:] * deviations
     left = effects - others @ np.linalg.lstsq(others, effects)[0]
     _, sizes, axes = np.linalg.svd(left, full_matrices=False)
-    told = _TOLD_KNOWN if problem.pose_is_known else _TOLD
     roots = np.sqrt(cauchy_weights(residuals.distances_px, problem.turn)[0])
     worst = 0.0
-    for axis in axes[:told][sizes[:told] > _LEAST * sizes[0]]:
+    for axis in axes[:_TOLD][sizes[:_TOLD] > _LEAST * sizes[0]]:
         # One combination in place of all, and without a prior.
         one = replace(problem, columns=problem.columns[: 1 - n or None], priors=problem.priors[:-n])
         alone = replace(
