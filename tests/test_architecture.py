@@ -63,6 +63,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
             "intrinsics",
             "clock_model",
             "clock_jump",
+            "skew_search",
             "joint",
             "tangency",
         ),

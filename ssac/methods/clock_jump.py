@@ -30,17 +30,18 @@ from ssac.search.observability import Refusal
 Array = NDArray[np.float64]
 
 MIN_SIGMAS = 6.0
-"""A step is a jump from so many of its deviations on; in 40 ordinary flights it had 4.7 at most."""
+"""A step is a jump from so many of its deviations on; in 80 ordinary flights it has 4.7 at most."""
 
-LESS_SIGMAS = 4.2
+LESS_SIGMAS = 4.5
 """The same where the fit's skew is `FAR` deviations of its prior or more: a jump bends it so."""
 
-FAR = 4.0
+FAR = 3.0
 
-MIN_SIZE_S = 0.001
+MIN_SIZE_S = 0.002
 """Smallest jump that is told: an object's bias makes smaller ones of its own."""
 
-_STEP_S = 1.0  # between instants that are tried, and from the ends
+_STEP_S = 1.0  # between instants that are tried
+_MARGIN_S = 2.0  # from both ends: a bias does not average out in less
 _MAX_TRIED = 200
 _NEAR_S = 2.0  # of the best of these, the jump is looked for closely
 _ROUNDS = 3
@@ -99,11 +100,11 @@ def _likely(problem: Problem, parameters: Parameters) -> float | None:
     """
     residuals = linearise(problem, parameters)
     times_s = residuals.times_s
-    first_s, last_s = float(np.min(times_s)), float(np.max(times_s))
-    n = min(int((last_s - first_s) / _STEP_S) - 1, _MAX_TRIED)
-    if n < 1:
+    first_s, last_s = float(np.min(times_s)) + _MARGIN_S, float(np.max(times_s)) - _MARGIN_S
+    if not last_s > first_s:
         return None
-    tried_s = np.linspace(first_s, last_s, n + 2)[1:-1]
+    n = min(int((last_s - first_s) / _STEP_S) + 1, _MAX_TRIED)
+    tried_s = np.linspace(first_s, last_s, n)
     root_weights = np.sqrt(cauchy_weights(residuals.distances_px, problem.turn)[0])
     system = root_weights[:, None] * residuals.jacobian[:, problem.free]
     left = root_weights * residuals.distances_px
@@ -140,14 +141,16 @@ def _instant(problem: Problem, found: Parameters, at_s: float) -> float:
         linearise(everywhere, replace(found, columns=np.append(before[:-1], size)))
         for size in (0.0, after)
     )
+    first_s, last_s = np.min(without.times_s) + _MARGIN_S, np.max(without.times_s) - _MARGIN_S
     inside = np.abs(without.times_s - at_s) <= _NEAR_S
+    inside &= (without.times_s >= first_s) & (without.times_s <= last_s)
     order = np.argsort(without.times_s[inside], kind="stable")
     left_px = [one.distances_px[inside][order] for one in (without, with_it)]
     scale_px = robust_deviation(linearise(problem, found).distances_px)
     losses = [np.log1p((left / max(scale_px, 1e-12)) ** 2) for left in left_px]
     total = np.concatenate([[0.0], np.cumsum(losses[0] - losses[1])])
     times_s = without.times_s[inside][order]
-    return float(times_s[min(int(np.argmin(total)), len(times_s) - 1)])
+    return float(times_s[min(int(np.argmin(total)), len(times_s) - 1)]) if len(times_s) else at_s
 
 
 def _all_along(problem: Problem) -> Column:

@@ -36,6 +36,7 @@ from ssac.methods.least_squares import (
     solve,
     still_moves,
 )
+from ssac.methods.skew_search import with_coarse_skew
 from ssac.methods.verdict import certain, confirmed, doubt, is_spread
 from ssac.search.two_views import TwoViews, two_views
 from ssac.track.motion import SharpTrack
@@ -94,6 +95,7 @@ def joint_known(
 def joint_from(start: Estimate, views: TwoViews) -> Estimate:
     """As `joint` and `joint_known`, given what Algorithm 2 or 1 found in the same views."""
     name = "joint-known" if views.pose_is_known else "joint"
+    start = with_coarse_skew(start, views)
     start = replace(start, method=name, start=start)
     best = settled(start, views, partial(refine, views=views), partial(sharp_solution, views=views))
     return confirmed(certain(best), start, views)
