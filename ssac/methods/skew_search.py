@@ -7,11 +7,14 @@ search is repeated with skews so near to each other that the ends differ by litt
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ssac.clock import PPM, Clock
 from ssac.estimate import POSE_IS_OPEN, Estimate, Status
 from ssac.methods.algorithms import algorithm_1, algorithm_2
 from ssac.search.two_views import TwoViews
+
+Array = NDArray[np.float64]
 
 MAX_END_S = 0.020
 """What a skew may be off by at both ends: from twice as far the refinements still converge."""
@@ -51,7 +54,7 @@ def with_coarse_skew(start: Estimate, views: TwoViews) -> Estimate:
     return min(fits, key=lambda one: one.d_avg_px, default=start)
 
 
-def _skews_ppm(start: Estimate, views: TwoViews) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+def _skews_ppm(start: Estimate, views: TwoViews) -> Array:
     """Give the skews to be tried, zero among them."""
     (first_s,), (last_s,) = views.overlap_s(np.array([_offset_s(start, views)]))
     half_s = 0.5 * float(last_s - first_s)
@@ -59,7 +62,7 @@ def _skews_ppm(start: Estimate, views: TwoViews) -> np.ndarray[tuple[int], np.dt
     if not most_s > 2.0 * MAX_END_S:
         return np.zeros(1)
     n = int(min(np.ceil(most_s / (2.0 * MAX_END_S)), _MAX_SKEWS // 2))
-    return np.arange(-n, n + 1) * (2.0 * MAX_END_S / (PPM * half_s))
+    return np.asarray(np.arange(-n, n + 1) * (2.0 * MAX_END_S / (PPM * half_s)), np.float64)
 
 
 def _middle_s(estimate: Estimate, views: TwoViews) -> float:

@@ -18,6 +18,7 @@ from sim.sensor.events import PRESETS
 from sim.storage import save_recording
 from ssac.clock import Clock
 from ssac.console.exits import BAD_INPUT, NO_ESTIMATE
+from ssac.estimate import ClockJump, Estimate
 from ssac.events import slice_time
 from ssac.files.event_files import load_events, save_events_text
 from ssac.files.hdf5 import save_events_h5
@@ -258,6 +259,42 @@ def test_an_offset_that_holds_is_given_without_a_pose(recorded):
     assert report["unobservable"] == direction.tolist()
 
 
+def test_clocks_are_told(recorded):
+    result = sync(recorded / "cam1.h5", recorded / "cam2.h5", recorded / "rig.yaml", "ssac")
+    plain = report_json(result)
+    names = ("t_ref_s", "skew_ppm", "skew_std_ppm", "clock_covariance", "clock_jump")
+    assert [plain[name] for name in names] == [None] * 5  # the paper's takes them to run alike
+    assert plain["clock_knots"] == []
+    knots_s = np.array([0.0, 5.0, 10.0])
+    wandering = replace(
+        result.estimate,
+        t_ref_s=5.0,
+        skew_ppm=-400.0,
+        skew_std_ppm=2.5,
+        knots_s=knots_s,
+        strays_s=np.array([0.001, -0.002, 0.001]),
+        strays_std_s=np.full(3, 1e-4),
+    )
+    text = report_text(replace(result, estimate=wandering))
+    assert "clock skew     -400.0 ppm, 1 sigma 2.5 ppm\n" in text
+    assert "camera 2's clock runs slow; t_d holds at 5.000 s of camera 1's\n" in text
+    assert "and strays by up to 2.000 ms, 3 knots\n" in text
+    assert "far beyond the 50 ppm expected of such clocks: see --skew-prior\n" in text
+    report = report_json(replace(result, estimate=wandering))
+    assert (report["t_ref_s"], report["skew_ppm"], report["skew_std_ppm"]) == (5.0, -400.0, 2.5)
+    assert report["clock_knots"][1] == {"t_s": 5.0, "stray_s": -0.002, "std_s": 1e-4}
+    jump = ClockJump(3.0, 0.02, 0.001, 0.05, 0.07)
+    jumping = Estimate("joint", "clock_jump", "so it is", jump=jump)
+    assert report_text(replace(result, estimate=jumping)).startswith(
+        "no estimate    clock_jump: so"
+    )
+    report = report_json(replace(result, estimate=jumping))
+    assert report["clock_jump"] == {
+        "at_s": 3.0, "size_s": 0.02, "size_std_s": 0.001, "before_s": 0.05, "after_s": 0.07,
+    }  # fmt: skip
+    assert (report["t_d_s"], report["t_d_is_reliable"]) == (None, False)
+
+
 def make_bad_inputs(recorded, folder: Path):
     """File names of camera 1's events and the rig, or options, and what the error must say."""
     (folder / "zero.h5").write_bytes(b"")
@@ -297,6 +334,9 @@ BAD_INPUTS = [
     (("events_only.h5", "--method", "zncc_f"), "events_only.h5: zncc_f compares intensity frames"),
     (("cam1.h5", "--search", "1", "-1"), "--search: expected a smaller and a larger offset"),
     (("cam1.h5", "--search", "0", "nan"), "--search: expected a smaller and a larger offset"),
+    (("cam1.h5", "--skew-prior", "-1"), "--skew-prior: expected 0 to 100000 ppm, got -1"),
+    (("cam1.h5", "--clock", "quartz"), "--clock: expected affine or pieces, got quartz"),
+    (("cam1.h5", "--clock", "pieces", "--skew-prior", "0"), "its prior must be above 0 ppm"),
     (("cam1.h5", "--search", "0", "4000"), "at most 3600 seconds apart, got 0 4000"),
     (("cam1.h5", "--n-samples", "0"), "--n-samples: expected 20 to 100000, got 0"),
     (("cam1.h5", "--half-window", "20"), "--half-window: expected 0.001 to 0.25 seconds, got 20"),
