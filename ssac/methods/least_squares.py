@@ -355,7 +355,7 @@ def prior_rows(
 
 def _prior_weights(problem: Problem, residuals: Residuals) -> Array:
     """Give the priors' rows (q, p) of the system."""
-    scale_px = np.sqrt(problem.repeated) * robust_deviation(residuals.distances_px)
+    scale_px = float(np.sqrt(problem.repeated)) * robust_deviation(residuals.distances_px)
     places = [prior.place for prior in problem.priors]
     deviations = np.array([prior.deviation for prior in problem.priors])
     return np.eye(problem.size)[places] * (scale_px / deviations)[:, None]
