@@ -118,12 +118,13 @@ def coverage_table(results: Committed) -> str:
             else ""
             for q in SYMBOLS
         ]
+        skew = f"{100 * results.value('coverage', 'coverage_95', quantity='skew', **of):.1f}"
         rms = results.value("coverage", "rms_normalised", quantity="t_d", **of)
         rows.append(
-            [f"`{method}`", shares[0], f"{low:.1f} to {high:.1f}", *shares[1:], f"{rms:.2f}"]
+            [f"`{method}`", shares[0], f"{low:.1f} to {high:.1f}", *shares[1:], skew, f"{rms:.2f}"]
         )
     first, *others = (f"{symbol} [%]" for symbol in SYMBOLS)
-    header = ["method", first, "sampling [%]", *others, "t_d: rms of error / deviation"]
+    header = ["method", first, "sampling [%]", *others, "skew [%]", "t_d: rms of error / deviation"]
     return markdown_table(header, rows)
 
 

@@ -47,6 +47,7 @@ QUANTITIES = {
     "R_z": Quantity("r_z_normalised", 1),
     "t_1": Quantity("t_1_normalised", 1),
     "t_2": Quantity("t_2_normalised", 1),
+    "skew": Quantity("skew_normalised", 1),
 }
 
 
@@ -66,7 +67,7 @@ def coverage_table(runs: pd.DataFrame) -> pd.DataFrame:
         the deviations are right), and for each level in per cent `coverage_<level>` with the
         bounds `_low` and `_high` that the number of runs leaves (Clopper and Pearson, 95 %).
     """
-    runs = runs.assign(t_d_normalised=_t_d_normalised(runs))
+    runs = _with_clocks(runs)
     angles = {"all": runs} | {
         f"{angle_deg:g}": part for angle_deg, part in runs.groupby("sim.angle_deg")
     }
@@ -108,7 +109,7 @@ def coverage_figure(runs: pd.DataFrame) -> Figure:
 
     The band is where 95 % of the runs' shares would lie if the deviations were right.
     """
-    runs = runs.assign(t_d_normalised=_t_d_normalised(runs))
+    runs = _with_clocks(runs)
     panels = {name: quantity for name, quantity in QUANTITIES.items() if quantity.label}
     methods = method_order(runs["method"])
     figure = Figure(figsize=(WIDTH_IN, 3.6), layout="constrained")
@@ -171,11 +172,13 @@ def _normalised(runs: pd.DataFrame, quantity: Quantity) -> FloatArray:
     return np.asarray(values, dtype=np.float64)
 
 
-def _t_d_normalised(runs: pd.DataFrame) -> "pd.Series[float]":
-    """Error of t_d over its stated deviation, signed."""
+def _with_clocks(runs: pd.DataFrame) -> pd.DataFrame:
+    """Add the errors of t_d, signed, and of the skew over their stated deviations."""
     errors_ms = runs["t_d_estimate_ms"] - 1e3 * runs["sim.t_d_s"]
-    normalised: pd.Series[float] = errors_ms / runs["t_d_std_ms"]
-    return normalised
+    return runs.assign(
+        t_d_normalised=errors_ms / runs["t_d_std_ms"],
+        skew_normalised=runs["skew_error_ppm"] / runs["skew_std_ppm"],
+    )
 
 
 def coverage_study() -> Study:

@@ -15,6 +15,7 @@ from experiments.studies.coverage import (
 )
 
 T_D_S = 0.05
+OF_CLOCKS = {"t_d", "skew"}  # what is found where the pose is known
 
 
 def made_up_runs(n=400, scale=1.0, seed=0):
@@ -33,8 +34,10 @@ def made_up_runs(n=400, scale=1.0, seed=0):
                 "status": "ok",
                 "t_d_estimate_ms": 1e3 * T_D_S + error_ms,
                 "t_d_std_ms": 0.2,
+                "skew_error_ppm": abs(30.0 * scale * rng.normal()),
+                "skew_std_ppm": 30.0,
             }
-            names = [q.column for q in QUANTITIES.values() if q.column != "t_d_normalised"]
+            names = [q.column for name, q in QUANTITIES.items() if name not in OF_CLOCKS]
             known = [np.linalg.norm(angles[:3]), np.linalg.norm(angles[3:]), *angles]
             values = known if method == "joint" else [np.nan] * 7
             rows.append(row | dict(zip(names, values, strict=True)))
@@ -79,7 +82,7 @@ def test_angles_are_told_apart_and_a_known_pose_has_no_region():
     assert set(table["angle_deg"]) == {"all", "30", "90"}
     assert cells(table, "t_d", angle="30")["n_runs"] == 50
     of_known = table[table["method"] == "joint-known"]
-    assert set(of_known["quantity"]) == {"t_d"}
+    assert set(of_known["quantity"]) == OF_CLOCKS
 
 
 def test_a_refused_run_is_counted_and_covers_nothing():
