@@ -47,7 +47,7 @@ FIRST_FLIGHT = 300
 N_RENDERED, N_MODELLED = 10, 100
 """Flights at each scene, duration and angle."""
 
-N_MORE = {(DEFAULT, 90.0): 30}
+N_MORE = {(DEFAULT, 90.0): 20}
 """Rendered flights where ten tell too little."""
 
 GROSS_MS = 100.0  # a larger error is another peak of the correlation, not the true one read badly
