@@ -42,6 +42,6 @@ def test_provenance_holds_all_that_a_result_depends_on(tmp_path: Path) -> None:
 
 def test_plain_keeps_structure(tmp_path: Path) -> None:
     assert plain({"a": (1, tmp_path), 2: [None]}) == {"a": [1, str(tmp_path)], "2": [None]}
-    assert plain(SimConfig())["render"]["lattice"] == {"a": 8, "b": 0}
+    assert plain(SimConfig())["render"]["lattice"] == {"a": 16, "b": 1}
     with pytest.raises(KeyError):
         plain(SimConfig())["no such key"]

@@ -8,6 +8,7 @@ import pytest
 
 from experiments.figures.efficiency import efficiency_figure, pooled
 from experiments.measures.recording_bound import KNOWN_POSE, SAMPLES
+from experiments.paper.grids import table_grids
 from experiments.studies.efficiency import (
     bound_cells,
     efficiency_of_runs,
@@ -105,8 +106,9 @@ def test_a_flight_without_a_bound_is_left_out() -> None:
 
 def test_every_flight_of_the_tables_has_a_bound_for_each_method() -> None:
     cells = bound_cells()
-    assert len(cells) == len(SAMPLES) * 2 * 5 * 10
-    assert len({cell.recordings for cell in cells}) == 100
+    n_recordings = sum(5 * grid.flights for grid in table_grids())
+    assert len(cells) == len(SAMPLES) * n_recordings
+    assert len({cell.recordings for cell in cells}) == n_recordings
 
 
 def test_the_figure_shows_bound_and_error_of_each_method_and_angle() -> None:
