@@ -66,7 +66,7 @@ wheel: .venv/.ready ## the wheel, built, installed in a clean environment and us
 # A peer of the sensor model, which nothing else needs: without it a row of the benchmark says so.
 PEER := eventify-dvs==0.2.0
 
-bench: .venv/.ready ## speed, memory and their growth, as ratios (20 minutes) -> results/bench*.csv
+bench: .venv/.ready ## speed, memory and their growth, as ratios (13 minutes) -> results/bench*.csv
 	@.venv/bin/python -m pip install --quiet --disable-pip-version-check --no-input --no-deps $(PEER) \
 		2>/dev/null || echo 'make bench: $(PEER) cannot be installed, so it is not measured' >&2
 	@.venv/bin/ssac bench

@@ -20,6 +20,7 @@ import typer
 from numpy.typing import NDArray
 
 from experiments.bench.growth import (
+    COMMITTED,
     Extent,
     bench_config,
     growth_rows,
@@ -64,7 +65,7 @@ def bench_command(
     growth: Annotated[
         Extent,
         typer.Option(help="Pairs of up to 50 million events a camera, or of up to 10."),
-    ] = Extent.FULL,
+    ] = COMMITTED,
 ) -> None:
     """Measure speed and memory, each on one core, and write them with their marks."""
     start = time.perf_counter()
@@ -76,7 +77,7 @@ def bench_command(
     rows += growth_rows(grown)
     table = pd.DataFrame([asdict(row) | {"verdict": row.verdict} for row in rows])
     made = _save(table, grown, out)
-    command = "ssac bench" if growth is Extent.FULL else f"ssac bench --growth {growth.value}"
+    command = "ssac bench" if growth is COMMITTED else f"ssac bench --growth {growth.value}"
     for path in made:
         if path.suffix == ".csv":
             wall_time_s = time.perf_counter() - start

@@ -92,6 +92,10 @@ POINTS = tuple(
 )
 
 
+COMMITTED = Extent.SHORT
+"""How far `make bench` and `results/` go: the rest takes two thirds of the time."""
+
+
 def points_of(extent: Extent) -> tuple[Point, ...]:
     """List the points of a run, the smallest first."""
     limit = SHORT_EVENTS if extent is Extent.SHORT else np.inf

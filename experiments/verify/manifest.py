@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from experiments.bench.growth import Extent, bench_config
+from experiments.bench.growth import COMMITTED, bench_config
 from experiments.figures.figures import drawings, figures_config
 from experiments.paper.grids import TABLES
 from experiments.paper.results import COMPARISON_FILE, PAGE_FILE, RUNS_FILE, SUMMARY_FILE
@@ -50,7 +50,7 @@ def manifest_of(studies: Mapping[str, Study]) -> Manifest:
     figures = drawings()
     made.append(Provenance(FIGURES_PROVENANCE, "ssac figures", plain(figures_config(figures))))
     measured = (BENCH_FILE, GROWTH_FILE)
-    made += [_beside(name, "ssac bench", bench_config(Extent.FULL)) for name in measured]
+    made += [_beside(name, "ssac bench", bench_config(COMMITTED)) for name in measured]
     files = [
         *PUBLISHED_SHA256,
         *tables,

@@ -106,7 +106,7 @@ def test_every_point_is_listed_once() -> None:
     assert len({(one.sensor, one.duration_s) for one in POINTS}) == len(POINTS) == 8
 
 
-@pytest.mark.parametrize(("extent", "command"), [("full", ""), ("short", " --growth short")])
+@pytest.mark.parametrize(("extent", "command"), [("short", ""), ("full", " --growth full")])
 def test_the_command_writes_numbers_figure_and_what_they_were_made_with(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, extent: str, command: str
 ) -> None:
