@@ -14,7 +14,7 @@ RUN := .venv/bin/python -m
 
 .DELETE_ON_ERROR:
 .PHONY: help setup demo tables ablations studies figures numbers report verify test lint types bench \
-	scene fidelity docs wheel clean-cache clean moved
+	scene fidelity real docs wheel clean-cache clean moved
 .DEFAULT_GOAL := help
 
 help: ## this list
@@ -76,6 +76,9 @@ scene: .venv/.ready ## how the default scene looks, beside the authors' sample (
 
 fidelity: .venv/.ready ## events against dense references, 20 flights (a minute each) -> results/fidelity.csv
 	@.venv/bin/ssac study fidelity
+
+real: .venv/.ready ## all pairs of DATA, the drone-tracking data sets, which you fetch -> results/real_pairs.csv
+	@.venv/bin/ssac real $(DATA)
 
 clean-cache: ## remove the recordings and runs that tables, ablations and sweeps keep in cache/
 	@du -sh cache 2>/dev/null || true

@@ -8,7 +8,7 @@ import sys
 from sim.errors import SimError
 from ssac.console.command_line import Entry, command_line, run
 from ssac.console.exits import guarded
-from ssac.tool.commands import SYNC, USE
+from ssac.tool.commands import IMPORT, SYNC, TRACK, USE
 
 REPRODUCE = "Reproduce"
 
@@ -16,6 +16,8 @@ COMMANDS = (
     Entry("simulate", USE, "A recording of one drone by two cameras, with its truth.",
           "experiments.scenes.simulate", "simulate_command"),
     SYNC,
+    TRACK,
+    IMPORT,
     Entry("demo", USE, "Simulate 20 s, recover offset and pose, draw one picture.",
           "experiments.scenes.demo", "demo_command"),
     Entry("tables", REPRODUCE, "The paper's simulation tables, all methods.",
@@ -36,6 +38,8 @@ COMMANDS = (
           "experiments.report.report", "report_command"),
     Entry("numbers", REPRODUCE, "The numbers that the pages quote, written from the results.",
           "experiments.report.numbers", "numbers_command"),
+    Entry("real", REPRODUCE, "All pairs of cameras of public data sets, which you fetch.",
+          "experiments.real.real_command", "real_command"),
     Entry("bench", REPRODUCE, "Speed and memory beside the reference tools.",
           "experiments.bench.bench", "bench_command"),
     Entry("verify", REPRODUCE, "Are the results whole, do they follow from their runs?",

@@ -38,6 +38,7 @@ class Camera:
     distortion_model: str = "none"  # "none", "radtan" or "equidistant"
     distortion_coeffs: tuple[float, ...] = ()  # 4 values unless "none"; OpenCV's radtan also 5, 8
     intrinsics_std_px: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)  # of fu, fv, pu, pv; 0: exact
+    readout_s: float = 0.0  # rolling shutter: from the first row's exposure to the last one's [s]
 
 
 @dataclass(frozen=True)
@@ -72,7 +73,7 @@ def same_camera(a: Camera, b: Camera) -> bool:
     """Whether two cameras map points alike; `==` cannot tell, as K is an array."""
     if a is b:
         return True
-    names = ("width", "height", "distortion_model", "distortion_coeffs")
+    names = ("width", "height", "distortion_model", "distortion_coeffs", "readout_s")
     return np.array_equal(a.K, b.K) and all(getattr(a, n) == getattr(b, n) for n in names)
 
 

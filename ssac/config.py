@@ -27,8 +27,11 @@ class Config:
     trials: int = 2000  # of LMedS at each candidate
     final_trials: int = 12000  # of LMedS at the offset found
     seed: int = 0  # of every random choice
+    min_swings: float = 3.5  # times to and fro that tell F's 7 parameters and t_d from chance
+    max_valley_s: float = 0.3  # longest valley of the cost curve whose middle is an offset
     denoise: bool = True  # first remove hot pixels and isolated events
     skew_prior_ppm: float = 50.0  # deviation of the clocks' skew beforehand; 0: they run alike
+    search_skews: bool = True  # where they matter; no: a search of all offsets found the rate
     clock: str = "affine"  # or "pieces": its skew changes slowly; both beyond the paper's methods
 
 

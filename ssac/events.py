@@ -15,6 +15,15 @@ EVENT_DTYPE = np.dtype([("t", "<i8"), ("x", "<u2"), ("y", "<u2"), ("p", "u1")])
 
 US_PER_S = 1_000_000
 
+WRAP_S = 2**24 * 1e-6
+"""After this time a counter of 24 bits that counts microseconds begins anew."""
+
+QUANTA_S = (0.010, 0.001)
+"""Steps to which recorders are known to round times."""
+
+_ENOUGH = 20  # times that tell a grid from chance
+_WHOLE = 1e-6  # as far from a whole number as a file's last digit may bring it
+
 
 @dataclass(frozen=True)
 class EventFile:
@@ -125,6 +134,8 @@ def check_events(
     backwards = t[1:] < t[:-1]
     if backwards.any():
         i = int(np.argmax(backwards)) + 1
+        if wrapped(t[i - 1] / US_PER_S, t[i] / US_PER_S):
+            raise SsacError(f"{name}: {wrap_message(f'event {i}')}")
         raise SsacError(
             f"{name}: events must be sorted by time, but event {i} is at {t[i]} us, after one at "
             f"{t[i - 1]} us: sort the file, or check that it is undamaged"
@@ -137,6 +148,37 @@ def check_events(
             )
     if (largest := int(events["p"].max())) > 1:
         raise SsacError(f"{name}: polarity must be 0 or 1, got {largest}: convert the file")
+
+
+def wrapped(earlier_s: float, later_s: float) -> bool:
+    """Whether a clock that goes back from one time to the other is a counter of 24 bits."""
+    return 0.5 * WRAP_S < earlier_s - later_s <= WRAP_S
+
+
+def wrap_message(place: str) -> str:
+    """Say what to do with a counter that begins anew."""
+    return (
+        f"the clock begins anew at {place}, as a counter of 24 bits does every {WRAP_S:.3f} s: add "
+        f"{2**24} us to all times from there on, and so at each further one; do not sort"
+    )
+
+
+def is_whole(values: NDArray[np.float64]) -> bool:
+    """Whether all values (n,) are whole numbers, but for rounding."""
+    return bool(np.all(np.abs(values - np.rint(values)) < _WHOLE * np.maximum(np.abs(values), 1.0)))
+
+
+def time_quantum_s(times_s: NDArray[np.float64]) -> float:
+    """Step [s] to which times (n,) were rounded: one of QUANTA_S; 0 where they are finer.
+
+    Even times whose own step is a whole number of such steps, as of 25 frames a second, are exact.
+    """
+    if len(times_s) < _ENOUGH or not is_whole(times_s[:_ENOUGH] / QUANTA_S[-1]):
+        return 0.0
+    quantum_s = next((step_s for step_s in QUANTA_S if is_whole(times_s / step_s)), 0.0)
+    gaps_s = np.diff(times_s)
+    least_s = float(np.min(gaps_s))
+    return 0.0 if least_s > 0.0 and is_whole(gaps_s / least_s) else quantum_s
 
 
 def slice_time(events: NDArray[np.void], start_us: int, end_us: int) -> NDArray[np.void]:

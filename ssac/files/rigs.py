@@ -1,5 +1,6 @@
 """Rig files in (Kalibr camchain YAML, OpenCV stereo YAML), the cameras' Rig out."""
 
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -13,10 +14,17 @@ from numpy.typing import NDArray
 from ssac.camera import Camera, Rig, check_camera, with_deviations
 from ssac.errors import SsacError
 
+MAX_READOUT_S = 0.2
+"""Longest readout of a rolling shutter: of the slowest sensors of still cameras."""
+
+_PLUMB_BOB = 5
+_CAMERA = re.compile(r"cam\d+")
+
 MAX_ROTATION_ERROR = 1e-3
 """Largest entry of R'R - I in a rotation that was written with few digits."""
 
 # The spellings of OpenCV's stereo samples, of its documentation and of common tools.
+_KALIBR_MODELS = {"plumb_bob": "radtan"}  # names of one lens model
 _OPENCV_K = ("K{}", "M{}", "cameraMatrix{}", "camera_matrix_{}")
 _OPENCV_D = ("D{}", "distCoeffs{}", "dist_coeffs_{}")
 _OPENCV_SIZE = ("size", "imageSize", "image_size")
@@ -27,17 +35,19 @@ _OPENCV_WIDTH_HEIGHT = (
 )
 
 
-def load_rig(path: Path | str) -> Rig:
-    """Read the two cameras of a rig, and their relative pose where the file has it.
+def load_rig(path: Path | str, cameras: tuple[int, int] = (1, 2)) -> Rig:
+    """Read two cameras of a rig, and their relative pose where the file has it.
 
     Parameters
     ----------
     path
-        A Kalibr camchain file (`cam0` is camera 1, `cam1` is camera 2, whose `T_cn_cnm1` is the
-        pose), or what OpenCV's FileStorage writes after a stereo calibration: K1, D1, K2, D2 (or
-        M1, M2, cameraMatrix1, distCoeffs1, ...), the image size, and R and T where known. OpenCV's
-        files do not name their lens model: it is taken as radtan unless the key
-        `distortion_model` says `equidistant`.
+        A Kalibr camchain file (`cam0` is camera 1, `cam1` is camera 2 and so on; the `T_cn_cnm1`
+        of a camera is its pose from the one before), or what OpenCV's FileStorage writes after a
+        stereo calibration: K1, D1, K2, D2 (or M1, M2, cameraMatrix1, distCoeffs1, ...), the image
+        size, and R and T where known. OpenCV's files do not name their lens model: it is taken as
+        radtan unless the key `distortion_model` says `equidistant`.
+    cameras
+        Numbers of the two that are to be cameras 1 and 2, from 1 on.
 
     Returns
     -------
@@ -60,12 +70,17 @@ def load_rig(path: Path | str) -> Rig:
     try:
         text = path.read_text(encoding="utf-8")
         if "!!opencv-matrix" in text:
-            return _rig_from_opencv(path, text)
+            return _rig_from_opencv(path, text, cameras)
         document = yaml.safe_load(text)
     except (UnicodeDecodeError, yaml.YAMLError, cv2.error, SystemError) as error:
         reason = " ".join(str(error).split())
         raise SsacError(f"{path}: not a readable YAML file ({reason}): write it again") from error
-    return _rig_from_kalibr(path, document)
+    return _rig_from_kalibr(path, document, cameras)
+
+
+def load_camera(path: Path | str, number: int) -> Camera:
+    """Read one camera of a rig, by its number from 1 on; as `load_rig`, and so are its errors."""
+    return load_rig(path, (number, number)).cam1
 
 
 def check_resolution(
@@ -91,18 +106,31 @@ def check_resolution(
             )
 
 
-def _rig_from_kalibr(path: Path, document: Any) -> Rig:
-    """Rig of a parsed camchain file."""
-    if not isinstance(document, Mapping) or not {"cam0", "cam1"} <= set(document):
+def _rig_from_kalibr(path: Path, document: Any, cameras: tuple[int, int]) -> Rig:
+    """Rig of two cameras of a parsed camchain file."""
+    known = [key for key in document if _CAMERA.fullmatch(str(key))] if _is_map(document) else []
+    if not known:
         raise SsacError(
             f"{path}: expected a Kalibr camchain with cam0 and cam1, or an OpenCV stereo file: "
             "give the result of a two-camera calibration"
         )
-    cam1, cam2 = (_camera_from_kalibr(f"{path}, {key}", document[key]) for key in ("cam0", "cam1"))
-    if "T_cn_cnm1" not in document["cam1"]:
+    keys = [f"cam{number - 1}" for number in cameras]
+    for number, key in zip(cameras, keys, strict=True):
+        if key not in known:
+            raise SsacError(
+                f"{path}: there is no {key} for camera {number}, only {', '.join(sorted(known))}: "
+                "add it, or give the number of another camera"
+            )
+    cam1, cam2 = (_camera_from_kalibr(f"{path}, {key}", document[key]) for key in keys)
+    steps = [f"cam{k}" for k in range(*sorted(cameras))]
+    if not steps or not all("T_cn_cnm1" in document.get(key, {}) for key in steps):
         return Rig(cam1, cam2)
-    T_2_1 = _numbers(document["cam1"]["T_cn_cnm1"], (4, 4), f"{path}, cam1, T_cn_cnm1")
-    return Rig(cam1, cam2, _checked_transform(T_2_1, f"{path}, cam1, T_cn_cnm1"))
+    T = np.eye(4)
+    for key in steps:
+        name = f"{path}, {key}, T_cn_cnm1"
+        step = _numbers(document[key]["T_cn_cnm1"], (4, 4), name)
+        T = _checked_transform(step, name) @ T
+    return Rig(cam1, cam2, T if cameras[0] < cameras[1] else np.asarray(np.linalg.inv(T)))
 
 
 def _camera_from_kalibr(name: str, entry: Any) -> Camera:
@@ -120,22 +148,53 @@ def _camera_from_kalibr(name: str, entry: Any) -> Camera:
     size = _numbers(entry["resolution"], (2,), f"{name}, resolution")
     coeffs = _numbers(entry.get("distortion_coeffs") or [], (-1,), f"{name}, distortion_coeffs")
     K = np.array([[fu, 0.0, pu], [0.0, fv, pv], [0.0, 0.0, 1.0]])
+    model = str(entry["distortion_model"])
+    if model == "plumb_bob" and len(coeffs) != _PLUMB_BOB:
+        raise SsacError(
+            f"{name}: plumb_bob needs {_PLUMB_BOB} coefficients k1 k2 p1 p2 k3, got {len(coeffs)}: "
+            "add those missing, as 0 where they are"
+        )
     deviations = None
     if "intrinsics_std" in entry:
         deviations = _numbers(entry["intrinsics_std"], (4,), f"{name}, intrinsics_std")
-    return _checked_camera(name, K, size, str(entry["distortion_model"]), coeffs, deviations)
+    model = _KALIBR_MODELS.get(model, model)
+    camera = _checked_camera(name, K, size, model, coeffs, deviations)
+    return replace(camera, readout_s=_readout_s(name, entry))
 
 
-def _rig_from_opencv(path: Path, text: str) -> Rig:
+def _readout_s(name: str, entry: Mapping[str, Any]) -> float:
+    """Readout [s] of a camera's rolling shutter; 0, a global one, where its entry has none."""
+    if entry.get("readout_s") is None:
+        return 0.0
+    readout_s = float(_numbers(entry["readout_s"], (), f"{name}, readout_s"))
+    if not 0.0 <= readout_s <= MAX_READOUT_S:
+        raise SsacError(
+            f"{name}, readout_s: expected 0 to {MAX_READOUT_S:g} s from the first row to the "
+            f"last, got {readout_s:g}: give seconds"
+        )
+    return readout_s
+
+
+def _is_map(document: Any) -> bool:
+    return isinstance(document, Mapping)
+
+
+def _rig_from_opencv(path: Path, text: str, cameras: tuple[int, int]) -> Rig:
     """Rig of the text of an OpenCV stereo file."""
+    if not set(cameras) <= {1, 2}:
+        raise SsacError(
+            f"{path}: an OpenCV stereo file has cameras 1 and 2, but camera {max(cameras)} was "
+            "asked for: give a Kalibr camchain of all cameras"
+        )
     storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
-    cam1, cam2 = (_camera_from_opencv(storage, path, i) for i in (1, 2))
-    if storage.getNode("R").empty() and storage.getNode("T").empty():
+    cam1, cam2 = (_camera_from_opencv(storage, path, i) for i in cameras)
+    if cameras[0] == cameras[1] or (storage.getNode("R").empty() and storage.getNode("T").empty()):
         return Rig(cam1, cam2)
     T_2_1 = np.eye(4)
     T_2_1[:3, :3] = _numbers(_opencv_matrix(storage, ["R"], path), (3, 3), f"{path}, R")
     T_2_1[:3, 3] = _numbers(_opencv_matrix(storage, ["T"], path).ravel(), (3,), f"{path}, T")
-    return Rig(cam1, cam2, _checked_transform(T_2_1, f"{path}, R"))
+    T_2_1 = _checked_transform(T_2_1, f"{path}, R")
+    return Rig(cam1, cam2, T_2_1 if cameras == (1, 2) else np.asarray(np.linalg.inv(T_2_1)))
 
 
 def _camera_from_opencv(storage: cv2.FileStorage, path: Path, i: int) -> Camera:

@@ -17,6 +17,9 @@ from ssac.errors import SsacError
 from ssac.events import EVENT_DTYPE, US_PER_S, EventFile, check_events, events_from_arrays
 from ssac.files.whole_file import whole_file
 
+MAX_WHOLE_S = 1000.0
+"""Times in seconds that go further than this and are all whole are none of seconds."""
+
 LINES_PER_BLOCK = 1_000_000
 """Lines held at once, so that reading needs little more memory than the events."""
 
@@ -60,8 +63,8 @@ def load_events_csv(path: Path) -> EventFile:
             sizes[name] = int(size)
     if not set("txyp") <= set(columns):
         raise SsacError(
-            f"{path}: the first line must name the columns t,x,y,p (t in microseconds), got "
-            f"{','.join(columns)[:60]!r}: add that line"
+            f"{path}: the first line must name the columns t,x,y,p (t in microseconds) of events, "
+            f"or t_s,x_px,y_px of a track, got {','.join(columns)[:60]!r}: add that line"
         )
     events = _read_table(path, ",", columns, has_header=True, in_seconds=False)
     check_events(events, sizes.get("x"), sizes.get("y"), name=str(path))
@@ -134,4 +137,9 @@ def _microseconds_from_seconds(t_s: NDArray[np.float64], path: Path) -> NDArray[
     """Nearest whole microseconds; SsacError for nan and inf."""
     if not np.isfinite(t_s).all():
         raise SsacError(f"{path}: times must be finite, got nan or inf: convert the file again")
+    if len(t_s) > 1 and t_s[-1] - t_s[0] > MAX_WHOLE_S and np.array_equal(t_s, np.rint(t_s)):
+        raise SsacError(
+            f"{path}: t must be in seconds, but all times are whole numbers, up to {t_s[-1]:.0f}, "
+            "as of microseconds: divide them by 1000000"
+        )
     return np.rint(t_s * US_PER_S).astype(np.int64)

@@ -66,6 +66,23 @@ def reweighted_fundamental(p1_px: Matrix, p2_px: Matrix) -> Matrix:
     return np.asarray(T2.T @ _reweighted(x1, x2, F) @ T1)
 
 
+@numba.njit(cache=True, error_model="numpy")
+def median_after_fit(p1_px: Matrix, p2_px: Matrix, iterations: int) -> float:
+    """Median Sampson distance [px] of pairs (n, 2) from the F that fits most of them.
+
+    As `reweighted_fundamental`, in fewer iterations, for loops that are compiled.
+    """
+    x1, x2, T1, _ = _normalised(p1_px, p2_px)
+    F = _eight_point(x1, x2, np.ones(x1.shape[1]))
+    for _ in range(iterations):
+        squares, squared_norms = _sampson(F, x1, x2)
+        scale = TO_DEVIATION * np.sqrt(np.median(squares)) + 1e-15
+        F = _eight_point(x1, x2, 1.0 / (squared_norms * (1.0 + squares / (CAUCHY * scale) ** 2)))
+    squares, _ = _sampson(F, x1, x2)
+    median_px: float = np.sqrt(np.median(squares)) / T1[0, 0]
+    return median_px
+
+
 def second_best(p1_px: Matrix, p2_px: Matrix) -> float:
     """How many times worse than the best F another one fits the pairs, one as unlike it as can be.
 

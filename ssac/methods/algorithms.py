@@ -129,7 +129,9 @@ def algorithm_2(views: TwoViews) -> Estimate:
         return estimate
     pairs = views.pairs_at(estimate.t_d_s)
     p1, p2 = pairs.points_px
-    refusal = _too_few_for_fit(len(pairs)) or too_little_motion(views.swings(pairs))
+    refusal = _too_few_for_fit(len(pairs)) or too_little_motion(
+        views.swings(pairs), config.min_swings
+    )
     if refusal is not None:
         return refused(estimate, refusal)
     F = _robust_fit(p1, p2, views, config.final_trials)
@@ -169,7 +171,9 @@ def _checked_search(estimate: Estimate, views: TwoViews) -> Estimate:
     found = valleys(estimate.candidates_s, estimate.costs, estimate.t_d_s)
     # Of a path that leaves F open the final F may be a bad one, though others fit.
     distance_px = min(estimate.d_avg_px, float(np.nanmin(estimate.costs)))
-    refusal = no_match(distance_px, views.object_px) or ambiguous_offset(found)
+    refusal = no_match(distance_px, views.object_px) or ambiguous_offset(
+        found, views.config.max_valley_s
+    )
     return estimate if refusal is None else refused(estimate, refusal, found)
 
 

@@ -39,7 +39,7 @@ def with_coarse_skew(start: Estimate, views: TwoViews) -> Estimate:
     Estimate
         The one that fits best; `start` itself where no skew matters, or none fits.
     """
-    skews_ppm = _skews_ppm(start, views)
+    skews_ppm = _skews_ppm(start, views) if views.config.search_skews else np.zeros(1)
     if len(skews_ppm) < 2:
         return start
     search = algorithm_1 if views.pose_is_known else algorithm_2

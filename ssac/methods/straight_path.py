@@ -73,7 +73,9 @@ def straight_path(method: str, views: TwoViews, lines: tuple[View, View]) -> Est
         return estimate
     found = valleys(estimate.candidates_s, estimate.costs, estimate.t_d_s)
     misfit_px = float(cost_px(np.array([estimate.t_d_s]))[0])
-    refusal = no_match(misfit_px, views.object_px) or ambiguous_offset(found)
+    refusal = no_match(misfit_px, views.object_px) or ambiguous_offset(
+        found, views.config.max_valley_s
+    )
     if refusal is not None:
         return refused(estimate, refusal, found)
     t_d_s, std_s, n_samples = _refined(lines, views, estimate.t_d_s)

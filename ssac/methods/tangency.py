@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from ssac.camera import Rig
 from ssac.config import Config
+from ssac.errors import SsacError
 from ssac.estimate import POSE_IS_OPEN, Estimate, Status
 from ssac.geometry.fundamental import MIN_PAIRS
 from ssac.geometry.pencil import pencils
@@ -48,6 +49,7 @@ from ssac.methods.least_squares import (
 )
 from ssac.methods.verdict import Solution, certain
 from ssac.search.two_views import TwoViews, two_views
+from ssac.track.motion import ObjectMotion
 from ssac.track.observation import Observation
 from ssac.track.outline import OutlineConfig, OutlineEvents, Tangents, near_outline, tangents
 
@@ -251,7 +253,7 @@ def tangents_under(
     rig = views.rig
     sides = list(
         zip(
-            (views.motion1, views.motion2),
+            _of_events(views),
             pencils(parameters.R, parameters.t, rig.cam1.K, rig.cam2.K),
             (times_s, views.on_clock_2(times_s, parameters.t_d_s)),
             strict=True,
@@ -264,6 +266,16 @@ def tangents_under(
         for (motion, pencil, clock_s), events in zip(sides, near, strict=True)
     ]
     return tangent_pairs(times_s, found[0], found[1], parameters.t_d_s, config), near
+
+
+def _of_events(views: TwoViews) -> tuple[ObjectMotion, ObjectMotion]:
+    """Give both motions; SsacError for a track of points, which has no outline."""
+    one, other = views.motion1, views.motion2
+    if not (isinstance(one, ObjectMotion) and isinstance(other, ObjectMotion)):
+        raise SsacError(
+            "tangents are found among events, and a camera gave a track of points: use joint"
+        )
+    return one, other
 
 
 def tangent_pairs(

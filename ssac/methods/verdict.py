@@ -11,7 +11,6 @@ from ssac.geometry.fundamental import MIN_PAIRS
 from ssac.geometry.pose import tangent_basis
 from ssac.geometry.robust import robust_deviation
 from ssac.search.observability import (
-    MAX_VALLEY_S,
     Refusal,
     Valley,
     no_match,
@@ -195,7 +194,7 @@ def confirmed(estimate: Estimate, start: Estimate, views: TwoViews) -> Estimate:
     found = valleys(start.candidates_s, start.costs, estimate.t_d_s)
     at = views.under(estimate.clock).pairs_at(estimate.t_d_s)
     is_open = open_fundamental(*at.points_px) is not None
-    if not is_open and found[0].length_s <= MAX_VALLEY_S:
+    if not is_open and found[0].length_s <= views.config.max_valley_s:
         return estimate
     kept = refused(estimate, Refusal(Status.AMBIGUOUS_OFFSET, start.reason))
     return replace(kept, t_d_s=estimate.t_d_s, alternatives_s=start.alternatives_s)

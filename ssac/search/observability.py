@@ -77,14 +77,14 @@ def coarsest_step(views: tuple[View | None, View | None]) -> int:
     return int(np.clip(COARSEST * ORDINARY_SWING_HZ / max(swing_hz, 1e-12), _LEAST_STEP, COARSEST))
 
 
-def too_little_motion(n_swings: float) -> Refusal | None:
+def too_little_motion(n_swings: float, least: float = MIN_SWINGS) -> Refusal | None:
     """Refuse a path too short to tell an offset and a pose from chance."""
-    if n_swings >= MIN_SWINGS:
+    if n_swings >= least:
         return None
     return Refusal(
         Status.TOO_LITTLE_MOTION,
         f"the object goes to and fro {n_swings:.1f} times while both cameras see it, and"
-        f" {MIN_SWINGS} are needed to tell offset and pose: record longer, or a livelier flight",
+        f" {least} are needed to tell offset and pose: record longer, or a livelier flight",
     )
 
 
@@ -141,12 +141,12 @@ def valleys(candidates_s: Array, costs: Array, t_d_s: float) -> list[Valley]:
     )
 
 
-def ambiguous_offset(found: list[Valley]) -> Refusal | None:
+def ambiguous_offset(found: list[Valley], longest_s: float = MAX_VALLEY_S) -> Refusal | None:
     """Refuse a cost curve with several valleys as deep as each other, or one without an end."""
     alternatives_s = sorted(valley.least_s for valley in found[1:])
     if alternatives_s:
         return Refusal(Status.AMBIGUOUS_OFFSET, other_offsets(alternatives_s))
-    if found[0].length_s > MAX_VALLEY_S:
+    if found[0].length_s > longest_s:
         return Refusal(
             Status.AMBIGUOUS_OFFSET,
             f"all offsets from {found[0].first_s:.2f} to {found[0].last_s:.2f} s fit alike: uniform"

@@ -15,8 +15,9 @@ from ssac.camera import Rig
 from ssac.clock import Clock
 from ssac.config import Config, checked
 from ssac.geometry.pose import rays_of
+from ssac.search.seen import MOST, Seen, seen_by_both, seen_of
 from ssac.search.view import View, returns_s, size_px, swing_hz, view_of
-from ssac.track.motion import ObjectMotion, SharpTrack
+from ssac.track.motion import Motion, SharpTrack
 from ssac.track.observation import Observation, object_motions
 
 Array = NDArray[np.float64]
@@ -73,8 +74,8 @@ class TwoViews:
     of camera 1 is said in `TwoViews.on_clock_2`, and nowhere else.
     """
 
-    motion1: ObjectMotion
-    motion2: ObjectMotion
+    motion1: Motion
+    motion2: Motion
     rig: Rig
     config: Config
     pose_is_known: bool = False  # the rig's extrinsics hold: only the offset is in question
@@ -107,6 +108,17 @@ class TwoViews:
         """Whether the path repeats itself after any lag."""
         return len(returns_s(self.motion1, self.views[0], np.inf)) > 0
 
+    @cached_property
+    def seen(self) -> tuple[Seen, Seen] | None:
+        """When each camera sees the object; None where both do so most of the time."""
+        if any(motion.span_s[1] <= motion.span_s[0] for motion in (self.motion1, self.motion2)):
+            return None
+        one, other = seen_of(self.motion1), seen_of(self.motion2)
+        if one.share + other.share - 1.0 >= MOST:
+            return None
+        step_s = max(one.step_s, other.step_s)
+        return seen_of(self.motion1, step_s), seen_of(self.motion2, step_s)
+
     @property
     def object_px(self) -> float:
         """Rms size of the object's images, both together; NaN where a view has none."""
@@ -122,10 +134,20 @@ class TwoViews:
         return np.maximum(start1, start2 - t_d_s), np.minimum(end1, end2 - t_d_s)
 
     def sample_times(self, t_d_s: Array, n_samples: int | None = None) -> Array:
-        """Spread N times (M, N) [s], camera 1's clock, evenly over the overlap at offsets (M,)."""
+        """Spread N times (M, N) [s], camera 1's clock, evenly over the overlap at offsets (M,).
+
+        Deviation: where both cameras see the object in less than half of that, evenly over the time
+        in which they do. The paper's samples would then nearly all fail.
+        """
         n = self.config.n_samples if n_samples is None else n_samples
         start, end = self.overlap_s(t_d_s)
-        return np.asarray(start[:, None] + (end - start)[:, None] * ((np.arange(n) + 0.5) / n))
+        times_s = start[:, None] + (end - start)[:, None] * ((np.arange(n) + 0.5) / n)
+        if self.seen is not None:
+            for m, offset_s in enumerate(t_d_s):
+                seen_s = seen_by_both(*self.seen, float(offset_s), n)
+                if seen_s is not None:
+                    times_s[m] = seen_s
+        return np.asarray(times_s)
 
     def pairs(self, t_d_s: Array, n_samples: int | None = None) -> Pairs:
         """Pair p1(t_i) with p2(t_i + t_d) at N times for each of the offsets (M,) [s].

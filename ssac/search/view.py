@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssac.geometry.robust import robust_deviation
-from ssac.track.motion import ObjectMotion
+from ssac.search.seen import MOST, seen_of, seen_times
+from ssac.track.motion import Motion
 
 Array = NDArray[np.float64]
 
@@ -20,6 +21,7 @@ MAX_RETURN = 0.2
 """Mean distance of a path from itself a lag later, over its extent, of one that repeats itself."""
 
 _RETURN_STEP_S = 0.002  # of the lags tried
+_MAX_RETURN_STEPS = 120_000  # of a path: of one longer than 4 minutes they are longer
 _RETURN_SAMPLES = 60  # times at which each is tried
 _VIEW_SAMPLES = 200  # of a track
 _SIZE_SAMPLES = 16  # of the image's size, which takes a pass over the events
@@ -44,13 +46,16 @@ class View:
         return self.width_px < limit_px
 
 
-def view_of(motion: ObjectMotion) -> View | None:
+def view_of(motion: Motion) -> View | None:
     """Sum up a track; None when it has no two valid samples."""
     start_s, end_s = motion.span_s
     if not end_s > start_s:
         return None
     times_s = start_s + (end_s - start_s) * (np.arange(_VIEW_SAMPLES) + 0.5) / _VIEW_SAMPLES
     track = motion.at(times_s)
+    if np.mean(track.valid) < MOST:
+        times_s = seen_times(seen_of(motion), _VIEW_SAMPLES)
+        track = motion.at(times_s)
     positions = track.positions_px[track.valid]
     if len(positions) < 2:
         return None
@@ -68,7 +73,7 @@ def view_of(motion: ObjectMotion) -> View | None:
     )
 
 
-def size_px(motion: ObjectMotion, times_s: Array) -> float:
+def size_px(motion: Motion, times_s: Array) -> float:
     """Median rms size of the object's image over some of the times; NaN of none."""
     some_s = times_s[:: max(1, len(times_s) // _SIZE_SAMPLES)]
     sizes = motion.sharp_at(some_s).sizes_px
@@ -88,19 +93,20 @@ def swing_hz(positions_px: Array, velocities_px_s: Array) -> float:
     return float(speed_px_s / (np.pi * extent_px))
 
 
-def returns_s(motion: ObjectMotion, view: View | None, longest_s: float) -> Array:
+def returns_s(motion: Motion, view: View | None, longest_s: float) -> Array:
     """Lags (k,) up to `longest_s` [s] after which a path that repeats itself is back on itself.
 
     What fits at one offset then fits a lag further as well, in a valley that may be too narrow for
     the search's first steps.
     """
     start_s, end_s = motion.span_s
-    n = int((end_s - start_s) / _RETURN_STEP_S) if end_s > start_s else 0
+    step_s = max(_RETURN_STEP_S, (end_s - start_s) / _MAX_RETURN_STEPS)
+    n = int((end_s - start_s) / step_s) if end_s > start_s else 0
     if view is None or n < 4:
         return np.empty(0)
-    track = motion.at(start_s + _RETURN_STEP_S * np.arange(n, dtype=np.float64))
+    track = motion.at(start_s + step_s * np.arange(n, dtype=np.float64))
     path_px = np.where(track.valid[:, None], track.positions_px, np.nan)
-    lags = np.arange(1, int(min(n // 2, longest_s / _RETURN_STEP_S + 2)))
+    lags = np.arange(1, int(min(n // 2, longest_s / step_s + 2)))
     here = np.linspace(0, n - 1 - lags[-1], _RETURN_SAMPLES).astype(np.intp)
     there_px = path_px[here[:, None] + lags]
     distances_px = np.linalg.norm(there_px - path_px[here][:, None], axis=2)
@@ -116,4 +122,4 @@ def returns_s(motion: ObjectMotion, view: View | None, longest_s: float) -> Arra
     padded = np.pad(means_px, 1, constant_values=np.inf)
     is_least = (means_px <= padded[:-2]) & (means_px < padded[2:])
     is_back = left & is_least & (means_px < MAX_RETURN * view.extent_px)
-    return np.asarray(_RETURN_STEP_S * lags[is_back])
+    return np.asarray(step_s * lags[is_back])

@@ -13,4 +13,20 @@ SYNC = Entry(
     "sync_command",
 )
 
-COMMANDS = (SYNC,)
+TRACK = Entry(
+    "track",
+    USE,
+    "The object's path in one camera's events, as a track file.",
+    "ssac.convert.track_command",
+    "track_command",
+)
+
+IMPORT = Entry(
+    "import",
+    USE,
+    "A public data set as track files and a rig.",
+    "ssac.convert.import_command",
+    "import_command",
+)
+
+COMMANDS = (SYNC, TRACK, IMPORT)

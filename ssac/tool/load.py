@@ -1,5 +1,6 @@
 """Paths of two event files and a rig in, two Observations that fit the rig and the method out."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,26 +10,37 @@ from ssac.baselines.zncc_f import frame_means
 from ssac.camera import Camera, Rig
 from ssac.config import Config
 from ssac.errors import SsacError
-from ssac.events import US_PER_S, check_events
+from ssac.estimate import Estimate
+from ssac.events import US_PER_S, check_events, time_quantum_s
 from ssac.files.event_files import load_events, load_frames
 from ssac.files.rigs import check_resolution, load_rig
+from ssac.files.track_files import is_track_file, load_track
+from ssac.points import check_track
 from ssac.tool.registry import Input, Method
 from ssac.tool.summaries import DEFAULT
-from ssac.track.observation import Observation
+from ssac.track.observation import Observation, tracked
+from ssac.track.point_motion import check_readout
+
+_FEW = 1000  # events of which one is off a coarse grid, unless all are on it
 
 Paths = tuple[Path, Path, Path]
 """Camera 1's events, camera 2's events, rig."""
 
 
-def load_pair(paths: Paths, method: Method) -> tuple[Observation, Observation, Rig]:
+def load_pair(
+    paths: Paths, method: Method, cameras: tuple[int, int] = (1, 2)
+) -> tuple[Observation, Observation, Rig]:
     """Read what two cameras recorded.
 
     Parameters
     ----------
     paths
-        Events of any format that `ssac.files.event_files.load_events` reads; Kalibr or OpenCV YAML.
+        Events of any format that `ssac.files.event_files.load_events` reads, or tracks as
+        `ssac.files.track_files` has them; Kalibr or OpenCV YAML.
     method
         Frames are read only for a method that compares frames.
+    cameras
+        Numbers of the two in the rig, from 1 on.
 
     Raises
     ------
@@ -38,20 +50,27 @@ def load_pair(paths: Paths, method: Method) -> tuple[Observation, Observation, R
     """
     if paths[0].exists() and paths[1].exists() and paths[0].samefile(paths[1]):
         raise SsacError(f"{paths[0]}: given for both cameras: give each camera's own file")
-    rig = load_rig(paths[2])
+    if cameras[0] == cameras[1]:
+        raise SsacError(f"camera {cameras[0]} of {paths[2]} is given for both: name two cameras")
+    for path in paths[:2]:
+        if method.without_tracks and is_track_file(path):
+            raise SsacError(f"{path}: is a track of points; {method.without_tracks}")
+    rig = load_rig(paths[2], cameras)
     if method.needs_extrinsics and rig.T_2_1 is None:
         raise SsacError(
             f"{paths[2]}: {method.name} needs the extrinsics (T_cn_cnm1 of cam1 in a Kalibr file, "
             "R and T in OpenCV's): add them, or leave --known-extrinsics out"
         )
-    cam1 = _load_camera(paths[0], rig.cam1, f"camera 1 of {paths[2]}", method)
-    cam2 = _load_camera(paths[1], rig.cam2, f"camera 2 of {paths[2]}", method)
+    cam1 = _load_camera(paths[0], rig.cam1, f"camera {cameras[0]} of {paths[2]}", method)
+    cam2 = _load_camera(paths[1], rig.cam2, f"camera {cameras[1]} of {paths[2]}", method)
     return cam1, cam2, rig
 
 
 def describe(camera: Observation, path: Path) -> str:
     """Say in a line what a file holds."""
-    start_s, end_s = camera.events["t"][[0, -1]] / US_PER_S
+    start_s, end_s = camera.span_s
+    if camera.track is not None:
+        return f"{path}: {len(camera.track)} points from {start_s:.3f} to {end_s:.3f} s"
     return f"{path}: {len(camera.events)} events from {start_s:.3f} to {end_s:.3f} s"
 
 
@@ -59,7 +78,7 @@ def check_enough_events(
     path: Path, camera: Observation, n_read: int, method: Method, config: Config
 ) -> None:
     """Raise SsacError when the events of one file, `n_read` before denoising, cannot suffice."""
-    if method.input is Input.FRAMES:
+    if method.input is Input.FRAMES or camera.track is not None:
         return
     left = f"denoising left {len(camera.events)} of {n_read} events"
     if len(camera.events) == 0:
@@ -78,14 +97,21 @@ def check_enough_events(
         )
 
 
+def has_common_time(cam1: Observation, cam2: Observation, method: Method, config: Config) -> bool:
+    """Whether the recordings have common time at any offset searched."""
+    (start1, end1), (start2, end2) = _span_s(cam1, method), _span_s(cam2, method)
+    low, high = config.interval_s
+    return low < end2 - start1 and start2 - end1 < high
+
+
 def check_common_time(
     paths: Paths, cam1: Observation, cam2: Observation, method: Method, config: Config
 ) -> None:
     """Raise SsacError when the recordings have no common time at any offset searched."""
+    if has_common_time(cam1, cam2, method, config):
+        return
     (start1, end1), (start2, end2) = _span_s(cam1, method), _span_s(cam2, method)
     low, high = config.interval_s
-    if low < end2 - start1 and start2 - end1 < high:
-        return
     shift_s = start2 - start1
     raise SsacError(
         f"{paths[0]} ({start1:.3f} to {end1:.3f} s) and {paths[1]} ({start2:.3f} to {end2:.3f} s) "
@@ -94,8 +120,56 @@ def check_common_time(
     )
 
 
+def quantum_s(camera: Observation) -> float:
+    """Step [s] to which a camera's times were rounded: 10 or 1 ms, or 0."""
+    if camera.track is not None:
+        return time_quantum_s(camera.track.times_s)
+    some_us = camera.events["t"][:_FEW]
+    if len(some_us) == 0 or np.any(some_us % 1000):
+        return 0.0
+    return time_quantum_s(camera.events["t"] / US_PER_S)
+
+
+def rounded(path: Path, step_s: float) -> str:
+    """Warn of times that were rounded to steps [s]."""
+    return (
+        f"{path}: all times are whole {1e3 * step_s:g} ms: whoever wrote it rounded them, and by so"
+        " much the offset may be off; its deviation is widened"
+    )
+
+
+def less_sure(estimate: Estimate, quanta_s: tuple[float, float]) -> Estimate:
+    """Widen the offset's deviation by what the rounding of times may shift it.
+
+    Times cut off below a step of q are late by q / 2 on average, rounded ones are not: +-1.96
+    deviations of an even distribution of width q hold both.
+    """
+    hidden = sum(step_s**2 for step_s in quanta_s) / 12.0
+    if hidden == 0.0 or not np.isfinite(estimate.t_d_std_s):
+        return estimate
+    covariance = estimate.covariance
+    if covariance is not None:
+        covariance = covariance.copy()
+        covariance[0, 0] += hidden
+    of_clock = estimate.clock_covariance
+    if of_clock is not None:
+        of_clock = of_clock + np.diag([hidden, 0.0])
+    return replace(
+        estimate,
+        t_d_std_s=float(np.hypot(estimate.t_d_std_s, hidden**0.5)),
+        covariance=covariance,
+        clock_covariance=of_clock,
+        strays_std_s=np.hypot(estimate.strays_std_s, hidden**0.5),
+    )
+
+
 def _load_camera(path: Path, camera: Camera, camera_name: str, method: Method) -> Observation:
     """Read what one camera recorded, and check it against its calibration."""
+    if is_track_file(path):
+        track = load_track(path)
+        check_track(track, camera.width, camera.height, f"{path} with {camera_name}")
+        check_readout(track.times_s, camera.readout_s, f"{path} with {camera_name}")
+        return tracked(track)
     file = load_events(path)
     check_resolution(camera, file.width, file.height, camera_name, str(path))
     if file.width is None or file.height is None:
@@ -121,5 +195,4 @@ def _span_s(camera: Observation, method: Method) -> tuple[float, float]:
     """First and last time [s] of what the method looks at."""
     if method.input is Input.FRAMES and camera.frame_times_s is not None:
         return float(camera.frame_times_s[0]), float(camera.frame_times_s[-1])
-    start, end = camera.events["t"][[0, -1]]
-    return float(start) / US_PER_S, float(end) / US_PER_S
+    return camera.span_s

@@ -1,12 +1,15 @@
 """A result of `sync` in, the files that were asked for out: JSON, figures, synchronised events."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+
+import numpy as np
 
 from ssac.errors import SsacError
 from ssac.files.event_files import load_events, write_synced
 from ssac.files.hdf5 import HDF5_SUFFIXES
-from ssac.tool.report import note, save_json
+from ssac.files.track_files import TRACK_SUFFIX, is_track_file, load_track, save_track
+from ssac.tool.report import save_json
 from ssac.tool.sync import Clock, Log, SyncResult
 
 _SYNCED_SUFFIXES = (*HDF5_SUFFIXES, ".txt")
@@ -24,10 +27,11 @@ class Outputs:
 def check_outputs(inputs: tuple[Path, ...], outputs: Outputs) -> None:
     """Raise SsacError, before any work is done, for outputs that cannot be written."""
     synced, plot = outputs.synced, outputs.plot
-    if synced is not None and synced.suffix.lower() not in _SYNCED_SUFFIXES:
+    suffixes = (TRACK_SUFFIX,) if is_track_file(inputs[1]) else _SYNCED_SUFFIXES
+    if synced is not None and synced.suffix.lower() not in suffixes:
         raise SsacError(
             f"{synced}: cannot write the extension {synced.suffix!r}: use one of "
-            f"{', '.join(_SYNCED_SUFFIXES)}"
+            f"{', '.join(suffixes)}"
         )
     is_folder = plot is not None and not _is_figure(plot)
     for output in (outputs.json_file, None if is_folder else plot, synced):
@@ -52,10 +56,21 @@ def write_outputs(result: SyncResult, outputs: Outputs, log: Log) -> None:
     if synced is not None and estimate.has_offset:
         with clock.part("write") as say:
             # Read again, whole: what is in memory has been denoised.
-            write_synced(synced, load_events(result.paths[1]), estimate.clock)
-            say(f"{synced}, by an offset of unknown accuracy" if note(estimate) else str(synced))
+            _write_synced(synced, result)
+            known = np.isfinite(estimate.t_d_std_s)
+            say(str(synced) if known else f"{synced}, by an offset of unknown accuracy")
     elif synced is not None:
         log(f"not written: {synced}, since there is no reliable offset")
+
+
+def _write_synced(path: Path, result: SyncResult) -> None:
+    """Write camera 2's events or points on camera 1's clock."""
+    clock = result.estimate.clock
+    if not is_track_file(result.paths[1]):
+        write_synced(path, load_events(result.paths[1]), clock)
+        return
+    track = load_track(result.paths[1])
+    save_track(path, replace(track, times_s=clock.cam1_from_cam2(track.times_s)))
 
 
 # Matplotlib is imported by those alone who want figures: it takes half a second.

@@ -14,7 +14,7 @@ from ssac.geometry.fundamental import MIN_PAIRS
 from ssac.geometry.pose import rays_of
 from ssac.search.offset_search import mean_epipolar_distance
 from ssac.search.two_views import TwoViews
-from ssac.track.motion import ObjectMotion
+from ssac.track.motion import Motion
 
 Array = NDArray[np.float64]
 
@@ -34,7 +34,7 @@ class Material:
     views: TwoViews
 
     @property
-    def motions(self) -> tuple[ObjectMotion, ObjectMotion]:
+    def motions(self) -> tuple[Motion, Motion]:
         """The object's motion in each view."""
         return self.views.motion1, self.views.motion2
 

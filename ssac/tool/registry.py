@@ -31,7 +31,7 @@ from ssac.methods.algorithms import ssac, ssac_known
 from ssac.methods.joint import joint, joint_from, joint_known
 from ssac.methods.tangency import tangency, tangency_from, tangency_known
 from ssac.search.two_views import TwoViews, two_views
-from ssac.tool.summaries import DEFAULT, ENTRY_POINTS, SUMMARIES
+from ssac.tool.summaries import DEFAULT, ENTRY_POINTS, OF_TRACKS, SUMMARIES
 from ssac.track.observation import Observation
 
 EstimateFunction = Callable[[Observation, Observation, Rig, Config | None], Estimate]
@@ -67,16 +67,27 @@ class Method:
     takes_means: bool = False  # of the frames: images of one pixel give the same estimate
     follows_clock: bool = False  # what camera 2's clock shows more, t_d gains: nothing else changes
     counts: str = "pairs of positions"  # what an estimate's `n_samples` are
+    needs_events: bool = False  # a track of points in their place is not enough
 
     def rig_of(self, rig: Rig) -> Rig:
         """Give the rig as the method may see it: only one that needs the extrinsics gets them."""
         return rig if self.needs_extrinsics else Rig(rig.cam1, rig.cam2)
+
+    @property
+    def without_tracks(self) -> str:
+        """Say why the method cannot use a track of points; empty when it can."""
+        if self.input is Input.TRACKS and not self.needs_events:
+            return ""
+        needs = "events" if self.input is Input.TRACKS else self.input.value
+        return f"{self.name} needs {needs}, which a track has not: use {OF_TRACKS}"
 
     def skip_reason(self, cam1: Observation, cam2: Observation, rig: Rig) -> str:
         """Say why the method cannot run on these data; empty when it can."""
         if self.needs_extrinsics and rig.T_2_1 is None:
             return f"{self.name} needs the extrinsics, but the rig has none"
         for number, observation in enumerate((cam1, cam2), start=1):
+            if observation.track is not None and self.without_tracks:
+                return f"camera {number} gave a track of points: {self.without_tracks}"
             if self.input is Input.FRAMES and observation.frames is None:
                 return f"{self.name} compares intensity frames, but camera {number} has none"
         return ""
@@ -95,10 +106,10 @@ OURS = (
            needs_extrinsics=True, starts_from="ssac-known", refine=joint_from, follows_clock=True),
     Method("tangency", tangency, Input.TRACKS, SUMMARIES["tangency"],
            known_variant="tangency-known", starts_from="joint", refine=tangency_from,
-           follows_clock=True, counts=_TANGENTS),
+           follows_clock=True, counts=_TANGENTS, needs_events=True),
     Method("tangency-known", tangency_known, Input.TRACKS,
            SUMMARIES["tangency-known"], needs_extrinsics=True, starts_from="joint-known",
-           refine=tangency_from, follows_clock=True, counts=_TANGENTS),
+           refine=tangency_from, follows_clock=True, counts=_TANGENTS, needs_events=True),
     Method("albl", albl, Input.TRACKS, SUMMARIES["albl"]),
     Method("zncc_e", zncc_e, Input.RATES, SUMMARIES["zncc_e"]),
     Method("zncc_f", zncc_f, Input.FRAMES, SUMMARIES["zncc_f"],

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from ssac.config import Config
 from ssac.estimate import Estimate
 from ssac.files.whole_file import whole_file
 from ssac.tool.registry import Input, Method
@@ -25,9 +24,9 @@ def report_text(result: SyncResult) -> str:
         title = "no pose" if estimate.has_offset else "no estimate"
         rows.append((title, f"{estimate.status}: {estimate.reason}"))
     if np.isfinite(estimate.t_d_s):
-        rows += _offset_rows(estimate) + _skew_rows(estimate, result.config)
-    if note(estimate):
-        rows.append(("note", note(estimate)))
+        rows += _offset_rows(estimate) + _skew_rows(estimate, result)
+    if note(result):
+        rows.append(("note", note(result)))
     if result.method.needs_extrinsics:
         rows.append(("pose", f"as given in {result.paths[2]}"))
     elif estimate.R is not None and estimate.t is not None:
@@ -54,7 +53,7 @@ def report_json(result: SyncResult) -> dict[str, Any]:
         "t": _plain(estimate.t),
         "status": str(estimate.status),
         "reason": estimate.reason,
-        "note": note(estimate),
+        "note": note(result),
         "method": result.method.name,
         "n_samples": estimate.n_samples if has_samples else None,
         "d_avg_px": _plain(estimate.d_avg_px),
@@ -77,8 +76,14 @@ def report_json(result: SyncResult) -> dict[str, Any]:
     }
 
 
-def note(estimate: Estimate) -> str:
+def note(result: SyncResult) -> str:
     """Say what a user of the offset must know beside its status; empty when there is nothing."""
+    estimate = result.estimate
+    if result.wanders:
+        return (
+            "no one skew fits these tracks: a clock wanders, as those of phones do, and is followed"
+            " piece by piece (--clock pieces); the offset alone holds at its time only"
+        )
     if not estimate.has_offset or np.isfinite(estimate.t_d_std_s):
         return ""
     return (
@@ -114,19 +119,25 @@ def _offset_rows(estimate: Estimate) -> list[tuple[str, str]]:
     ]
 
 
-def _skew_rows(estimate: Estimate, config: Config) -> list[tuple[str, str]]:
+def _skew_rows(estimate: Estimate, result: SyncResult) -> list[tuple[str, str]]:
     """Rows on the skew, where it was estimated."""
-    if not (estimate.has_offset and estimate.skew_std_ppm > 0.0):
+    if not (
+        estimate.has_offset and np.isfinite(estimate.skew_ppm) and estimate.skew_std_ppm != 0.0
+    ):
         return []
+    std_ppm = estimate.skew_std_ppm
+    sigma = f", 1 sigma {std_ppm:.1f} ppm" if np.isfinite(std_ppm) else ""
     fast, ppm = ("fast" if estimate.skew_ppm >= 0.0 else "slow"), abs(estimate.skew_ppm)
     rows = [
-        ("clock skew", f"{estimate.skew_ppm:+.1f} ppm, 1 sigma {estimate.skew_std_ppm:.1f} ppm"),
+        ("clock skew", f"{estimate.skew_ppm:+.1f} ppm{sigma}"),
         ("", f"camera 2's clock runs {fast}; t_d holds at {estimate.t_ref_s:.3f} s of camera 1's"),
     ]
     if len(estimate.knots_s):
         most_ms = 1e3 * float(np.max(np.abs(estimate.strays_s)))
         rows.append(("", f"and strays by up to {most_ms:.3f} ms, {len(estimate.knots_s)} knots"))
-    if ppm > _FAR * config.skew_prior_ppm:
+    is_found = result.guess is not None and result.guess.rate != 1.0  # before the prior held
+    config = result.config
+    if ppm > _FAR * config.skew_prior_ppm and not is_found:
         prior = f"{config.skew_prior_ppm:g} ppm expected of such clocks"
         rows.append(("", f"far beyond the {prior}: see --skew-prior"))
     return rows

@@ -8,6 +8,9 @@ ENTRY_POINTS = "ssac.methods"
 DEFAULT = "tangency"
 """The most accurate method for unknown extrinsics; its `known_variant` is that for known ones."""
 
+OF_TRACKS = "joint"
+"""The most accurate method where a camera gave a track of points."""
+
 SUMMARIES = {
     "ssac": "the paper's Algorithm 2",
     "ssac-known": "the paper's Algorithm 1",

@@ -17,7 +17,12 @@ from ssac.console.command_line import Sections
 from ssac.console.exits import NO_ESTIMATE
 from ssac.console.options import number
 from ssac.errors import SsacError
-from ssac.tool.summaries import DEFAULT, all_summaries
+from ssac.tool.summaries import DEFAULT, OF_TRACKS, all_summaries
+
+_SEARCH_DEFAULT = (
+    f"{Config.interval_s[0]:g} {Config.interval_s[1]:g}; all where a file is a track, or where "
+    "that leaves no common time"
+)
 
 MAX_SEARCH_S = 3600.0
 """Width of a search interval that still ends: its time is proportional to it."""
@@ -30,10 +35,12 @@ def complete_method(incomplete: str) -> list[tuple[str, str]]:
 
 def sync_command(
     cam1: Annotated[
-        Path, typer.Argument(metavar="CAM1", help="Events of camera 1.", show_default=False)
+        Path,
+        typer.Argument(metavar="CAM1", help="Events, or a track, of camera 1.", show_default=False),
     ],
     cam2: Annotated[
-        Path, typer.Argument(metavar="CAM2", help="Events of camera 2.", show_default=False)
+        Path,
+        typer.Argument(metavar="CAM2", help="Events, or a track, of camera 2.", show_default=False),
     ],
     rig: Annotated[
         Path,
@@ -48,26 +55,51 @@ def sync_command(
         ),
     ] = False,
     method: Annotated[
-        str,
+        str | None,
         typer.Option(
             metavar="NAME",
             help="How to find them: see the methods below.",
             autocompletion=complete_method,
+            show_default=f"{DEFAULT}; {OF_TRACKS} where a file is a track",
         ),
-    ] = DEFAULT,
+    ] = None,
+    cameras: Annotated[
+        tuple[int, int],
+        typer.Option(metavar="I J", help="Which cameras of the rig they are, from 1 on."),
+    ] = (1, 2),
     search: Annotated[
-        tuple[float, float],
-        typer.Option(metavar="LOW HIGH", help="Least and largest offset t_d to try, in seconds."),
-    ] = Config.interval_s,
+        tuple[float, float] | None,
+        typer.Option(
+            metavar="LOW HIGH",
+            help="Least and largest offset t_d to try, in seconds.",
+            show_default=_SEARCH_DEFAULT,
+        ),
+    ] = None,
+    search_all: Annotated[
+        bool,
+        typer.Option(
+            "--search-all", help="Try every offset that leaves the cameras enough common time."
+        ),
+    ] = False,
+    rate_range: Annotated[
+        tuple[float, float] | None,
+        typer.Option(
+            metavar="LOW HIGH",
+            help="As --search-all, and camera 2's clock may run so many times as fast as camera 1's"
+            ": where a frame rate is unknown.",
+            show_default=False,
+        ),
+    ] = None,
     skew_prior: Annotated[
-        float,
+        float | None,
         number(
             "Deviation of the clocks' skew beforehand; phones need 1000; 0: they run alike.",
             0,
             MAX_SKEW_PPM,
             "ppm",
+            default_words=f"{Config.skew_prior_ppm:g}; 1000 where a file is a track",
         ),
-    ] = Config.skew_prior_ppm,
+    ] = None,
     clock: Annotated[
         str,
         typer.Option(
@@ -87,7 +119,8 @@ def sync_command(
     write_synced: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE", help="Write camera 2's events on camera 1's clock (.h5 or .txt)."
+            metavar="FILE",
+            help="Write camera 2's events (.h5, .txt) or track (.csv) on camera 1's clock.",
         ),
     ] = None,
     focal_std: Annotated[
@@ -119,25 +152,32 @@ def sync_command(
         int, number("Events that a position needs at least.", 1, 100_000, metavar="COUNT")
     ] = Config.n_min,
 ) -> None:
-    """Find the time offset and the relative pose of two event cameras from one moving object.
+    """Find the time offset and the relative pose of two cameras from one moving object.
 
     Exit code 0: done; 1: the data give no reliable estimate, the output says why; 2: wrong usage,
     or a file that cannot be used; 3: a bug of this program; 130: interrupted.
     """
-    if not 0.0 < search[1] - search[0] <= MAX_SEARCH_S:
+    if search is not None and (search_all or rate_range is not None):
+        raise SsacError("--search: not with --search-all or --rate-range, which try every offset")
+    if search is not None and not 0.0 < search[1] - search[0] <= MAX_SEARCH_S:
         raise SsacError(
             "--search: expected a smaller and a larger offset, at most "
             f"{MAX_SEARCH_S:g} seconds apart, got {search[0]:g} {search[1]:g}"
         )
     if clock not in CLOCKS:
         raise SsacError(f"--clock: expected {' or '.join(CLOCKS)}, got {clock}")
+    from ssac.files.track_files import is_track_file
+    from ssac.tool.everywhere import SKEW_PRIOR_PPM
     from ssac.tool.outputs import Outputs, check_outputs, write_outputs
     from ssac.tool.report import report_text
     from ssac.tool.sync import sync
 
     outputs = Outputs(json_file, plot, write_synced)
+    if skew_prior is None:
+        has_track = is_track_file(cam1) or is_track_file(cam2)
+        skew_prior = SKEW_PRIOR_PPM if has_track else Config.skew_prior_ppm
     config = Config(
-        interval_s=search,
+        interval_s=search or Config.interval_s,
         n_samples=n_samples,
         half_window_s=half_window,
         n_min=n_min,
@@ -155,6 +195,9 @@ def sync_command(
             known_extrinsics,
             config,
             log=_to_stderr,
+            cameras=cameras,
+            search_all=True if search_all else None if search is None else False,
+            rate_range=rate_range,
             focal_std=None if focal_std is None else 0.01 * focal_std,
             centre_std_px=centre_std,
         )

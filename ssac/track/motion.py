@@ -6,6 +6,7 @@ binary searches and one difference, so that a search over thousands of offsets s
 """
 
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +40,23 @@ class SharpTrack(Track):
 
     velocities_px_s: NDArray[np.float64]  # (..., 2)
     sizes_px: NDArray[np.float64]  # (...,) root mean square distance of the image from its position
+
+
+class Motion(Protocol):
+    """One camera's view of the object, to be sampled at any times: of events or of points."""
+
+    @property
+    def span_s(self) -> tuple[float, float]:
+        """Times of the first and last event or point [s]."""
+
+    def at(self, times_s: NDArray[np.float64]) -> Track:
+        """Positions at times (...,) [s]."""
+
+    def velocities_at(self, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Image velocities (..., 2) [px/s] at times (...,) [s]."""
+
+    def sharp_at(self, times_s: NDArray[np.float64]) -> SharpTrack:
+        """Sharp positions, velocities and sizes at times (n,) [s]."""
 
 
 @dataclass(frozen=True)

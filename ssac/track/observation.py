@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 from ssac.camera import Camera, Rig, same_camera
 from ssac.config import Config, checked
 from ssac.errors import SsacError
-from ssac.events import US_PER_S, check_events
+from ssac.events import EVENT_DTYPE, US_PER_S, check_events
+from ssac.points import PointTrack, check_track
 from ssac.track.denoise import radius_filter, remove_hot_pixels
-from ssac.track.motion import ObjectMotion, object_motion
+from ssac.track.motion import Motion, ObjectMotion, object_motion
+from ssac.track.point_motion import point_motion
 
 Array = NDArray[np.float64]
 
@@ -37,6 +39,7 @@ class Observation:
     frame_times_s: Array | None = None  # (m,) [s], ascending
     denoised: bool = False  # the noise has left the events already: no method removes it again
     prepared: Prepared | None = None  # by `prepare`; None: each method starts from the events
+    track: PointTrack | None = None  # in place of events, of which there are then none
 
     def __post_init__(self) -> None:
         if self.prepared is not None and self.prepared.events is not self.events:
@@ -58,7 +61,26 @@ class Observation:
             times_s = times_s + shift_us / US_PER_S
         if prepared is not None:
             prepared = replace(prepared, events=events, motion=prepared.motion.delayed(shift_us))
-        return Observation(events, self.frames, times_s, self.denoised, prepared)
+        track = self.track
+        if track is not None:
+            track = replace(track, times_s=track.times_s + shift_us / US_PER_S)
+        return Observation(events, self.frames, times_s, self.denoised, prepared, track)
+
+    @property
+    def span_s(self) -> tuple[float, float]:
+        """Times [s] of the first and the last event or point; (inf, -inf) of none."""
+        if self.track is not None:
+            times_s = self.track.times_s
+            return (float(times_s[0]), float(times_s[-1])) if len(times_s) else (np.inf, -np.inf)
+        if len(self.events) == 0:
+            return np.inf, -np.inf
+        start_us, end_us = self.events["t"][[0, -1]]
+        return float(start_us) / US_PER_S, float(end_us) / US_PER_S
+
+
+def tracked(track: PointTrack) -> Observation:
+    """Observe with a camera of any kind, which gave a track in place of events."""
+    return Observation(np.empty(0, EVENT_DTYPE), denoised=True, track=track)
 
 
 def prepare(
@@ -126,7 +148,7 @@ def usable_events(
 
 def object_motions(
     cam1: Observation, cam2: Observation, rig: Rig, config: Config
-) -> tuple[ObjectMotion, ObjectMotion]:
+) -> tuple[Motion, Motion]:
     """Prepare the object's motion in both views: the paper's Sec. IV-A.
 
     Raises as `usable_events` does. One camera's denoised events are gone before the other's come.
@@ -138,7 +160,9 @@ def object_motions(
 def _check(cam1: Observation, cam2: Observation, rig: Rig) -> None:
     """Refuse events that cannot be used."""
     for name, observation, camera in (("camera 1", cam1, rig.cam1), ("camera 2", cam2, rig.cam2)):
-        if observation.prepared is None or not same_camera(observation.prepared.camera, camera):
+        if observation.track is not None:
+            check_track(observation.track, camera.width, camera.height, name)
+        elif observation.prepared is None or not same_camera(observation.prepared.camera, camera):
             check_events(observation.events, camera.width, camera.height, name)
 
 
@@ -149,7 +173,13 @@ def _without_noise(observation: Observation, camera: Camera, config: Config) -> 
     return radius_filter(remove_hot_pixels(observation.events, camera.width, camera.height))
 
 
-def _motion(observation: Observation, camera: Camera, config: Config) -> ObjectMotion:
+def _motion(observation: Observation, camera: Camera, config: Config) -> Motion:
+    if observation.track is not None:
+        return point_motion(observation.track, camera, config.half_window_s)
+    return _motion_of_events(observation, camera, config)
+
+
+def _motion_of_events(observation: Observation, camera: Camera, config: Config) -> ObjectMotion:
     """Motion of the usable events: the prepared one, where it is of these events and this camera.
 
     What it sums up does not depend on the parameters of its windows.
@@ -179,6 +209,8 @@ def _motion(observation: Observation, camera: Camera, config: Config) -> ObjectM
 
 
 def _with_motion(observation: Observation, camera: Camera, config: Config) -> Observation:
-    motion = _motion(observation, camera, config)
+    if observation.track is not None:
+        return observation
+    motion = _motion_of_events(observation, camera, config)
     prepared = Prepared(observation.events, camera, config.border_px, motion)
     return replace(observation, prepared=prepared)

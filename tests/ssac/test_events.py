@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 
 from ssac.errors import SsacError
-from ssac.events import EVENT_DTYPE, check_events, events_from_arrays, slice_time
+from ssac.events import (
+    EVENT_DTYPE,
+    check_events,
+    events_from_arrays,
+    slice_time,
+    time_quantum_s,
+)
 
 
 def _events(t):
@@ -96,3 +102,25 @@ def test_consecutive_slices_make_the_whole():
 def test_a_slice_is_a_view():
     events = _events([0, 1, 2, 3])
     assert np.shares_memory(slice_time(events, 1, 3), events)
+
+
+def test_a_counter_of_24_bits_is_named_and_not_to_be_sorted():
+    times_us = np.array([1, 2**24 - 5, 3], np.int64)
+    events = events_from_arrays(times_us, *np.zeros((3, 3), np.int64))
+    with pytest.raises(SsacError, match=r"begins anew at event 2, .* 24 bits .*; do not sort"):
+        check_events(events, None, None, "cam1.h5")
+
+
+@pytest.mark.parametrize(
+    ("times_s", "quantum_s"),
+    [
+        (np.floor(np.arange(0, 3, 1 / 30) * 1e3) / 1e3, 0.001),
+        (np.floor(np.arange(0, 3, 1 / 30) * 1e2) / 1e2, 0.010),
+        (np.floor(np.sort(np.random.default_rng(0).random(500)) * 1e3) / 1e3, 0.001),
+        (np.arange(0, 3, 1 / 25), 0.0),  # whole milliseconds by the frame rate
+        (np.arange(0, 3, 1 / 30), 0.0),
+        (np.arange(5.0), 0.0),  # too few to tell
+    ],
+)
+def test_times_that_were_cut_off_are_told_from_even_ones(times_s, quantum_s):
+    assert time_quantum_s(times_s) == quantum_s

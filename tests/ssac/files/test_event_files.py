@@ -404,3 +404,10 @@ def test_prophesees_own_codec_is_not_in_that_package(tmp_path, monkeypatch):
     monkeypatch.setattr(h5py.h5z, "filter_avail", lambda code: False)
     with pytest.raises(SsacError, match="install Prophesee's HDF5 plugin, or convert the file"):
         load_events(path)
+
+
+def test_microseconds_in_a_file_of_seconds_are_named(tmp_path):
+    path = tmp_path / "cam1.txt"
+    path.write_text("".join(f"{t} 1 2 1\n" for t in range(0, 2_000_000, 1000)))
+    with pytest.raises(SsacError, match="t must be in seconds, but all times are whole numbers"):
+        load_events(path)

@@ -5,7 +5,7 @@ import yaml
 
 from ssac.camera import Camera
 from ssac.errors import SsacError
-from ssac.files.rigs import check_resolution, load_rig
+from ssac.files.rigs import check_resolution, load_camera, load_rig
 
 K = np.array([[200.0, 0.0, 173.0], [0.0, 201.0, 130.0], [0.0, 0.0, 1.0]])
 R = cv2.Rodrigues(np.array([0.1, -1.4, 0.2]))[0]
@@ -101,7 +101,7 @@ def test_missing_kalibr_keys_are_named(tmp_path, key):
         load_rig(_write(tmp_path / "rig.yaml", document))
 
 
-@pytest.mark.parametrize("content", ["", "hello", "cam0: {}", "[1, 2]"])
+@pytest.mark.parametrize("content", ["", "hello", "camera: {}", "[1, 2]"])
 def test_other_yaml_files_are_refused(tmp_path, content):
     (tmp_path / "rig.yaml").write_text(content)
     with pytest.raises(SsacError, match=r"rig\.yaml: expected a Kalibr camchain with cam0 and"):
@@ -192,3 +192,50 @@ def test_the_resolution_must_be_the_recordings():
     for size in ((640, 480), (346, 480)):
         with pytest.raises(SsacError, match=r"cam0 is calibrated at 346 x 260 px, but cam1\.h5"):
             check_resolution(camera, *size, "rig.yaml, cam0", "cam1.h5")
+
+
+def test_a_camchain_of_several_cameras_gives_any_two_of_them(tmp_path):
+    document = _kalibr()
+    document["cam2"] = {**document["cam1"], "intrinsics": [300.0, 301.0, 173.0, 130.0]}
+    path = _write(tmp_path / "rig.yaml", document)
+    rig = load_rig(path, (1, 3))
+    assert rig.cam2.K[0, 0] == 300.0
+    np.testing.assert_allclose(rig.T_2_1, T_2_1 @ T_2_1, atol=1e-12)  # step by step
+    np.testing.assert_allclose(load_rig(path, (3, 1)).T_2_1 @ rig.T_2_1, np.eye(4), atol=1e-9)
+    assert load_camera(path, 3).K[0, 0] == 300.0
+    with pytest.raises(SsacError, match="there is no cam3 for camera 4, only cam0, cam1, cam2"):
+        load_rig(path, (1, 4))
+
+
+def test_plumb_bob_is_radtan_with_five_coefficients(tmp_path):
+    document, coeffs = _kalibr(), [-0.3, 0.1, 0.001, -0.0005, 0.02]
+    document["cam0"] |= {"distortion_model": "plumb_bob", "distortion_coeffs": coeffs}
+    camera = load_rig(_write(tmp_path / "rig.yaml", document)).cam1
+    assert (camera.distortion_model, camera.distortion_coeffs) == ("radtan", tuple(coeffs))
+    document["cam0"]["distortion_coeffs"] = coeffs[:4]
+    with pytest.raises(SsacError, match="plumb_bob needs 5 coefficients"):
+        load_rig(_write(tmp_path / "rig.yaml", document))
+
+
+def test_a_shutter_and_the_calibrations_deviations_are_kept(tmp_path):
+    document = _kalibr()
+    document["cam0"] |= {"readout_s": 0.02, "intrinsics_std": [0.5, 0.6, 0.3, 0.4]}
+    rig = load_rig(_write(tmp_path / "rig.yaml", document))
+    assert (rig.cam1.readout_s, rig.cam1.intrinsics_std_px) == (0.02, (0.5, 0.6, 0.3, 0.4))
+    assert (rig.cam2.readout_s, rig.cam2.intrinsics_std_px) == (0.0, (0.2, 0.201, 0.3, 0.3))
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        ("readout_s", -0.01, "readout_s: expected 0 to 0.2 s"),
+        ("readout_s", "fast", "readout_s: expected"),
+        ("intrinsics_std", [0.1, 0.1], "intrinsics_std: expected 4 of finite numbers"),
+        ("intrinsics_std", [0.1, 0.1, -1.0, 0.1], "intrinsics_std must be 4 deviations"),
+    ],
+)
+def test_bad_optional_keys_are_named(tmp_path, key, value, message):
+    document = _kalibr()
+    document["cam1"][key] = value
+    with pytest.raises(SsacError, match=message):
+        load_rig(_write(tmp_path / "rig.yaml", document))

@@ -38,7 +38,8 @@ class WhiteNoiseMotion:
         return track_pair(self.scene, times_s - self.t_d_s)[self.view]
 
     def at(self, times_s):
-        positions = self._true(times_s) + self.noise_px
+        noise_px = self.noise_px if len(times_s) == len(self.noise_px) else 0.0  # looked at only
+        positions = self._true(times_s) + noise_px
         counts = np.full(times_s.shape, 1000)
         return Track(times_s, positions, counts, np.ones(times_s.shape, dtype=bool))
 

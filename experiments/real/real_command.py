@@ -1,0 +1,45 @@
+"""A folder of public data sets in, `real_pairs.csv` and `real_triples.csv` out: `ssac real`."""
+
+import tempfile
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from experiments.real.pairs import DATA_SETS, UNKNOWN_RATES, run_pairs
+from experiments.run.provenance import save_provenance
+from ssac.errors import SsacError
+from ssac.files.whole_file import whole_file
+
+RESULTS = Path("results")
+
+
+def real_command(
+    data: Annotated[
+        Path,
+        typer.Argument(
+            metavar="DATA", help="Folder with dataset1 ... and calibration.", show_default=False
+        ),
+    ],
+    out: Annotated[
+        Path, typer.Option(metavar="FOLDER", help="Where to write both tables.")
+    ] = RESULTS,
+) -> None:
+    """Synchronise every pair of cameras of the drone-tracking data sets 1, 2 and 4.
+
+    The data are not part of this suite: github.com/CenekAlbl/drone-tracking-datasets.
+    """
+    if not out.is_dir():
+        raise SsacError(f"{out}: there is no such folder: make it, or name another")
+    start = time.perf_counter()
+    with tempfile.TemporaryDirectory() as work:
+        pairs, triples = run_pairs(data, Path(work), lambda line: typer.echo(line, err=True))
+    seconds = time.perf_counter() - start
+    config = {"data_sets": DATA_SETS, "rates": UNKNOWN_RATES}
+    for name, table in (("real_pairs.csv", pairs), ("real_triples.csv", triples)):
+        with whole_file(out / name) as temporary:
+            table.to_csv(temporary, index=False, float_format="%.6g", lineterminator="\n")
+        save_provenance(out / name, "make real DATA=...", config, seconds, None)
+    answered = pairs.status == "ok"
+    typer.echo(f"{answered.sum()} of {len(pairs)} pairs answered; {out / 'real_pairs.csv'}")

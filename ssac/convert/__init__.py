@@ -1,0 +1,1 @@
+"""Recordings in one form in, the same in another out."""

@@ -1,0 +1,67 @@
+"""A command line in, a track file out: `ssac track`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ssac.config import Config
+from ssac.console.options import number
+from ssac.errors import SsacError
+
+MAX_CAMERA = 1000
+
+
+def track_command(
+    cam: Annotated[
+        Path, typer.Argument(metavar="CAM", help="Events of one camera.", show_default=False)
+    ],
+    rig: Annotated[
+        Path, typer.Option(metavar="FILE", help="Kalibr or OpenCV YAML.", show_default=False)
+    ],
+    out: Annotated[
+        Path, typer.Option(metavar="FILE", help="Track to write (.csv).", show_default=False)
+    ],
+    camera: Annotated[
+        int, number("Which camera of the rig it is.", 1, MAX_CAMERA, metavar="K")
+    ] = 1,
+    no_denoise: Annotated[
+        bool, typer.Option("--no-denoise", help="Keep hot pixels and isolated events.")
+    ] = False,
+    half_window: Annotated[
+        float,
+        number("Events this long before and after a time give a point.", 0.001, 0.25, "seconds"),
+    ] = Config.half_window_s,
+    n_min: Annotated[
+        int, number("Events that a point needs at least.", 1, 100_000, metavar="COUNT")
+    ] = Config.n_min,
+) -> None:
+    """Write the path of the one moving object as a track file: t_s,x_px,y_px,sigma_px."""
+    from ssac.convert.events_as_track import track_of_events
+    from ssac.events import check_events
+    from ssac.files.event_files import load_events
+    from ssac.files.rigs import check_resolution, load_camera
+    from ssac.files.track_files import TRACK_SUFFIX, is_track_file, save_track
+    from ssac.track.observation import Observation
+
+    if out.suffix.lower() != TRACK_SUFFIX:
+        raise SsacError(f"{out}: a track is written as {TRACK_SUFFIX}: name such a file")
+    if out.is_dir() or not out.parent.is_dir():
+        raise SsacError(f"{out}: not a file in a folder that exists: name another")
+    if is_track_file(cam):
+        raise SsacError(f"{cam}: is a track already: give a camera's events")
+    if out.exists() and cam.exists() and out.samefile(cam):
+        raise SsacError(f"{out}: is the input and would be lost: name another file")
+    calibrated, name = load_camera(rig, camera), f"camera {camera} of {rig}"
+    file = load_events(cam)
+    check_resolution(calibrated, file.width, file.height, name, str(cam))
+    check_events(file.events, calibrated.width, calibrated.height, f"{cam} with {name}")
+    config = Config(half_window_s=half_window, n_min=n_min, denoise=not no_denoise)
+    try:
+        track = track_of_events(Observation(file.events), calibrated, config)
+    except SsacError as error:
+        raise SsacError(f"{cam}: {error}") from error
+    save_track(out, track)
+    typer.echo(
+        f"{out}: {len(track)} points from {track.times_s[0]:.3f} to {track.times_s[-1]:.3f} s"
+    )

@@ -1,0 +1,85 @@
+"""Track files in and out: comma-separated `t_s,x_px,y_px`, and optionally `sigma_px`.
+
+Times are seconds on the camera's own clock, pixels those of the distorted image, one object, rows
+in time order; where it was not seen, rows are missing.
+"""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from ssac.errors import SsacError
+from ssac.files.whole_file import whole_file
+from ssac.points import PointTrack
+
+TRACK_COLUMNS = ("t_s", "x_px", "y_px")
+TRACK_SUFFIX = ".csv"
+_SIGMA = "sigma_px"
+
+
+def is_track_file(path: Path) -> bool:
+    """Whether a file is a track by its extension and its first line."""
+    if path.suffix.lower() != TRACK_SUFFIX or not path.is_file():
+        return False
+    with path.open("rb") as file:
+        first = file.readline(256).decode("utf-8", "replace")
+    return not set(_names(first)).isdisjoint(TRACK_COLUMNS)
+
+
+def load_track(path: Path | str) -> PointTrack:
+    """Read a track file; `ssac.points.check_track` looks at what stands in it.
+
+    Raises
+    ------
+    SsacError
+        If the file is missing, its first line does not name the columns, or a row is not of
+        numbers. The message names the file.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise SsacError(f"{path}: there is no such file: check the path")
+    try:
+        with path.open(encoding="utf-8") as file:
+            names = _names(file.readline())
+        if not set(TRACK_COLUMNS) <= set(names):
+            raise SsacError(
+                f"{path}: the first line of a track must name the columns "
+                f"{','.join(TRACK_COLUMNS)}, got {','.join(names)[:60]!r}: add that line"
+            )
+        wanted = [*TRACK_COLUMNS, *([_SIGMA] if _SIGMA in names else [])]
+        table = pd.read_csv(path, names=names, usecols=wanted, skiprows=1, skipinitialspace=True)
+        columns = {name: table[name].to_numpy(dtype=np.float64) for name in wanted}
+    except ValueError as error:  # pandas' own errors and those of decoding are of this kind
+        if isinstance(error, SsacError):
+            raise
+        reason = " ".join(str(error).split())
+        raise SsacError(
+            f"{path}: every row of a track must be numbers ({reason}): correct or remove the row"
+        ) from error
+    points = np.column_stack([columns["x_px"], columns["y_px"]])
+    return PointTrack(columns["t_s"], points, columns.get(_SIGMA))
+
+
+def save_track(path: Path | str, track: PointTrack) -> None:
+    """Write a track file, times to 0.1 us and pixels to 1e-4; it appears when it is complete."""
+    names = [*TRACK_COLUMNS]
+    columns = [track.times_s, *track.points_px.T]
+    formats = ["%.7f", "%.4f", "%.4f"]
+    if track.sigmas_px is not None:
+        names.append(_SIGMA)
+        columns.append(track.sigmas_px)
+        formats.append("%.4f")
+    with whole_file(Path(path)) as temporary:
+        np.savetxt(
+            temporary,
+            np.column_stack(columns),
+            fmt=formats,
+            delimiter=",",
+            header=",".join(names),
+            comments="",
+        )
+
+
+def _names(line: str) -> list[str]:
+    return [word.strip().lower().lstrip("\ufeff") for word in line.split(",")]

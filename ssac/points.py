@@ -1,0 +1,85 @@
+"""The point track: where one object was seen, point by point, by a camera of any kind."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ssac.errors import SsacError
+from ssac.events import is_whole, wrap_message, wrapped
+
+Array = NDArray[np.float64]
+
+_MIN_MOTION_S = 100.0  # between two points: no track of an object has its points so far apart
+
+
+@dataclass(frozen=True)
+class PointTrack:
+    """Positions of one object in one camera's image, in its own clock."""
+
+    times_s: Array  # (n,) [s], ascending
+    points_px: Array  # (n, 2) in the distorted image
+    sigmas_px: Array | None = None  # (n,) deviation of each coordinate; None: not known
+
+    def __len__(self) -> int:
+        return len(self.times_s)
+
+
+def check_track(track: PointTrack, width: int, height: int, name: str) -> None:
+    """Raise SsacError, starting with `name`, unless a track can be used.
+
+    Parameters
+    ----------
+    track
+        Track to check: finite, in time order, in the image.
+    width, height
+        Size of the image [px].
+    name
+        What the track is: a file's path, or "camera 1".
+    """
+    times_s, points = track.times_s, track.points_px
+    if len(times_s) == 0:
+        raise SsacError(f"{name}: there are no points: track again, or check the right file")
+    sigmas = np.ones(len(times_s)) if track.sigmas_px is None else track.sigmas_px
+    finite = np.isfinite(times_s) & np.isfinite(points).all(axis=1) & np.isfinite(sigmas)
+    if not finite.all():
+        raise SsacError(
+            f"{name}: point {_first(~finite)} has a value that is no finite number: leave out the "
+            "rows in which the object was not seen"
+        )
+    _check_order(times_s, name)
+    if len(times_s) > 2 and is_whole(times_s) and np.median(np.diff(times_s)) > _MIN_MOTION_S:
+        raise SsacError(
+            f"{name}: the times are whole numbers up to {times_s[-1]:.0f}, as of microseconds or "
+            "milliseconds: give t_s in seconds"
+        )
+    low, high = -0.5, np.array([width, height]) - 0.5  # pixel centres are at whole coordinates
+    inside = np.all((points >= low) & (points <= high), axis=1)
+    if not inside.all():
+        x, y = points[~inside][0]
+        raise SsacError(
+            f"{name}: the image is {width} x {height} px, but point {_first(~inside)} is at "
+            f"({x:g}, {y:g}): give the rig of this camera, and leave out where nothing was seen"
+        )
+    if not (sigmas > 0.0).all():
+        raise SsacError(
+            f"{name}: sigma_px must be positive, got {sigmas.min():g} at point "
+            f"{_first(~(sigmas > 0.0))}: correct it, or leave the column out"
+        )
+
+
+def _check_order(times_s: Array, name: str) -> None:
+    backwards = np.diff(times_s) <= 0.0
+    if not backwards.any():
+        return
+    k = int(np.argmax(backwards)) + 1
+    if wrapped(times_s[k - 1], times_s[k]):
+        raise SsacError(f"{name}: {wrap_message(f'point {k}')}")
+    raise SsacError(
+        f"{name}: rows must be in time order, but point {k} is at {times_s[k]:g} s, after one at "
+        f"{times_s[k - 1]:g} s: sort the rows, one object and one point a time"
+    )
+
+
+def _first(is_bad: NDArray[np.bool_]) -> int:
+    return int(np.argmax(is_bad))

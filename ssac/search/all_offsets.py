@@ -1,0 +1,345 @@
+"""Two object motions in, the offsets at which they may show one path out, of all there are.
+
+For recordings of which nothing is known but that they overlap. Every offset that leaves enough
+common time is tried on a grid whose step follows from the paths' speed, with an F fitted at each;
+the best few are refined, and so is the rate of camera 2's clock where it is in question. The cost
+of an offset is its `all_kernels.relative_cost`, times by how many times less common path it leaves
+than the most that any offset does: a short piece of path fits many another by chance.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ssac.search.all_kernels import costs_at_lags, moving_pairs, relative_cost, width_of
+from ssac.track.motion import Motion
+
+Array = NDArray[np.float64]
+Progress = Callable[[float], None]  # called with the share that is done
+
+RIVAL = 2.0
+"""Refined offsets whose cost is below this many times the least may be the true one."""
+
+MAX_COST = 0.12
+"""Cost of the best offset above which the views show no one path."""
+
+RATE_FREEDOM = 2e-3
+"""How far the rate of a frame camera may be from what is said, as a share."""
+
+_STEP_WIDTHS = 0.16  # step of the offset, in times in which a path goes its own width
+_STEPS_S = (0.005, 0.5)
+_RATE_SCAN_STEP = 2.0  # of the offset, where many rates are tried, in ordinary steps
+_RATE_STEPS = 4.0  # by which a step of the rate moves the ends of the common time
+_MOVED = 0.02  # of a path's extent, between samples that count
+_PAIRS, _RATE_PAIRS = 150, 64  # of a fit
+_ITERATIONS, _RATE_ITERATIONS, _FINE_ITERATIONS = 4, 1, 6
+_LEAST_PAIRS = 40
+_LEAST_SHARE = 0.15  # of the pairs that the longest common path has
+_GUESSES = 12
+_APART_STEPS = 5.0
+_LAST_STEP_S = 1e-3
+_CHUNK = 256  # lags between two calls of `progress`
+_WORTH = 0.85  # of the cost at the rate that is said: less is worth another
+_SPEED_SAMPLES = 2000
+
+
+@dataclass(frozen=True)
+class Guess:
+    """An offset at which both views may show one path."""
+
+    t_d_s: float  # at t_ref
+    t_ref_s: float  # camera 1's clock: the middle of the common time
+    rate: float  # camera 2's clock runs so many times as fast
+    cost: float
+    common_s: float  # time that both see the object in motion
+    lag_s: float  # t_cam2 / rate = t_cam1 + lag
+
+    @property
+    def skew_ppm(self) -> float:
+        """By which camera 2's clock runs fast."""
+        return 1e6 * (self.rate - 1.0)
+
+
+@dataclass(frozen=True)
+class AllOffsets:
+    """What the search over all offsets found."""
+
+    candidates_s: Array  # (m,) offsets tried, ascending, at the best rate
+    costs: Array  # (m,) NaN where too little common path is left
+    guesses: list[Guess]  # the best first; each further than some steps from the others
+    step_s: float
+
+    @property
+    def rivals(self) -> list[Guess]:
+        """Other guesses that are about as good as the best."""
+        return [g for g in self.guesses[1:] if g.cost < RIVAL * self.guesses[0].cost]
+
+
+def search_all_offsets(
+    motion1: Motion,
+    motion2: Motion,
+    rate_range: tuple[float, float] = (1.0, 1.0),
+    rate_freedom: float = 0.0,
+    progress: Progress | None = None,
+) -> AllOffsets:
+    """Try every offset that leaves enough common path, in time linear in their number.
+
+    Parameters
+    ----------
+    motion1, motion2
+        Of both cameras.
+    rate_range
+        Least and largest rate of camera 2's clock, by camera 1's; tried in steps that move the ends
+        of the common time by a few steps of the offset.
+    rate_freedom
+        Share by which a guess may be refined away from its rate.
+    progress
+        Called now and then with the share that is done.
+    """
+    step_s = min(_step_s(motion1), _step_s(motion2))
+    if not np.isfinite(step_s):
+        return AllOffsets(np.empty(0), np.empty(0), [], 0.0)
+    several = rate_range[0] < rate_range[1]
+    if several:
+        step_s *= _RATE_SCAN_STEP
+    rates = _rates(rate_range, step_s, motion1, motion2)
+    fit = _Fit(_RATE_PAIRS, _RATE_ITERATIONS) if several else _Fit(_PAIRS, _ITERATIONS)
+    n_scans = len(rates) + several
+    one = _grid(motion1, step_s)
+    scans = [
+        _scan(one, _grid(motion2, step_s, rate), rate, fit, _part(progress, k, n_scans))
+        for k, rate in enumerate(rates)
+    ]
+    freedom = max(rate_freedom, 0.5 * (rates[1] / rates[0] - 1.0)) if several else rate_freedom
+    guesses = _guesses(scans, one, motion2, step_s, freedom)
+    shown = scans[0]
+    if several and guesses:  # the curve at the best rate, with all pairs
+        step_s /= _RATE_SCAN_STEP
+        one = _grid(motion1, step_s)
+        rate, said = guesses[0].rate, _part(progress, len(rates), n_scans)
+        shown = _scan(one, _grid(motion2, step_s, rate), rate, _Fit(_PAIRS, _ITERATIONS), said)
+    return AllOffsets(_offset_s(shown, one, step_s), shown.costs, guesses, step_s)
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """How thoroughly F is fitted."""
+
+    n_pairs: int
+    iterations: int
+
+
+@dataclass(frozen=True)
+class _Grid:
+    """A track sampled at whole steps of time."""
+
+    first: int  # steps from time zero
+    p_px: Array  # (n, 2)
+    valid: NDArray[np.bool_]  # (n,)
+    least_px: float  # that it moves between samples that count
+
+
+@dataclass(frozen=True)
+class _Scan:
+    """Costs at all lags, for one rate of camera 2's clock."""
+
+    rate: float
+    lags: NDArray[np.int64]  # (m,) of the grids' indices
+    shift: int  # to be added to a lag for steps of time
+    costs: Array  # (m,) for comparison: the less common path, the more
+    most: int  # samples that count, at the best of the lags
+
+
+def _step_s(motion: Motion) -> float:
+    """Step of the offset [s] in which a path goes a share of its width; inf of none."""
+    start_s, end_s = motion.span_s
+    if not end_s > start_s:
+        return np.inf
+    times_s = start_s + (end_s - start_s) * (np.arange(_SPEED_SAMPLES) + 0.5) / _SPEED_SAMPLES
+    valid = motion.at(times_s).valid
+    positions = motion.at(times_s[valid]).positions_px
+    speeds = np.linalg.norm(motion.velocities_at(times_s[valid]), axis=1)
+    speeds = speeds[np.isfinite(speeds)]
+    if len(speeds) < 2:
+        return np.inf
+    speed = float(np.sqrt(np.mean(speeds**2)))
+    return float(np.clip(_STEP_WIDTHS * width_of(positions) / max(speed, 1e-9), *_STEPS_S))
+
+
+def _rates(
+    rate_range: tuple[float, float], step_s: float, motion1: Motion, motion2: Motion
+) -> list[float]:
+    low, high = rate_range
+    if not low < high:
+        return [low]
+    half_s = 0.5 * min(float(np.ptp(motion1.span_s)), float(np.ptp(motion2.span_s)))
+    n = int(np.ceil(np.log(high / low) * half_s / (_RATE_STEPS * step_s))) + 1
+    return [float(rate) for rate in np.geomspace(low, high, max(n, 2))]
+
+
+def _grid(motion: Motion, step_s: float, rate: float = 1.0) -> _Grid:
+    """Sample a track at whole steps of a clock that runs `rate` times slower than its own."""
+    start_s, end_s = motion.span_s
+    first, last = int(np.ceil(start_s / (rate * step_s))), int(end_s / (rate * step_s))
+    track = motion.at(rate * step_s * np.arange(first, last + 1, dtype=np.float64))
+    seen = track.positions_px[track.valid]
+    extent_px = float(np.sum(np.std(seen, axis=0))) if len(seen) else 0.0
+    positions = np.where(track.valid[:, None], track.positions_px, 0.0)
+    return _Grid(first, positions, track.valid, _MOVED * extent_px)
+
+
+def _scan(one: _Grid, other: _Grid, rate: float, fit: _Fit, progress: Progress | None) -> _Scan:
+    lags = np.arange(-len(one.valid) + 1, len(other.valid), dtype=np.int64)
+    least = _LEAST_PAIRS
+    costs, counts = np.full(len(lags), np.nan), np.zeros(len(lags), np.int64)
+    for start in range(0, len(lags), _CHUNK):
+        part = slice(start, start + _CHUNK)
+        costs[part], counts[part] = costs_at_lags(
+            one.p_px,
+            one.valid,
+            other.p_px,
+            other.valid,
+            lags[part],
+            (one.least_px, other.least_px),
+            fit.n_pairs,
+            least,
+            fit.iterations,
+        )
+        if progress is not None:
+            progress(min(1.0, (start + _CHUNK) / len(lags)))
+    most = int(np.max(counts, initial=0))
+    enough = counts >= max(least, _LEAST_SHARE * most)
+    weighed = np.where(enough, costs * most / np.maximum(counts, 1), np.nan)
+    return _Scan(rate, lags, other.first - one.first, weighed, most)
+
+
+def _guesses(
+    scans: list[_Scan], one: _Grid, motion2: Motion, step_s: float, freedom: float
+) -> list[Guess]:
+    """Refine the least minima of all scans, and sort them; the nearest to each other are one."""
+    most = max(scan.most for scan in scans)
+    starts = sorted(
+        (float(scan.costs[m]) * most / max(scan.most, 1), k, m)
+        for k, scan in enumerate(scans)
+        for m in _local_minima(scan.costs)
+    )
+    tried: list[tuple[float, float]] = []
+    found: list[Guess] = []
+    for _, k, m in starts:
+        scan = scans[k]
+        lag_s = step_s * float(scan.lags[m] + scan.shift)
+        if any(
+            abs(lag_s - other_s) < _APART_STEPS * step_s and abs(scan.rate / rate - 1.0) <= freedom
+            for other_s, rate in tried
+        ):
+            continue
+        tried.append((lag_s, scan.rate))
+        guess = _refined(one, motion2, step_s, int(scan.lags[m]), scan, freedom, most)
+        if guess is not None:
+            found.append(guess)
+        if len(tried) >= _GUESSES:
+            break
+    found.sort(key=lambda guess: guess.cost)
+    apart: list[Guess] = []
+    for guess in found:
+        if all(abs(guess.lag_s - other.lag_s) > _APART_STEPS * step_s for other in apart):
+            apart.append(guess)
+    return apart
+
+
+def _refined(
+    one: _Grid,
+    motion2: Motion,
+    step_s: float,
+    lag: int,
+    scan: _Scan,
+    freedom: float,
+    most: int,
+) -> Guess | None:
+    """Refine an offset, and the rate where it is free, by ever shorter steps."""
+    other = _grid(motion2, step_s, scan.rate)
+    chosen = np.empty(len(one.valid), np.int64)
+    first, last = max(0, -lag), min(len(one.valid), len(other.valid) - lag)
+    count = moving_pairs(
+        one.p_px,
+        one.valid,
+        other.p_px,
+        other.valid,
+        lag,
+        first,
+        last,
+        (one.least_px, other.least_px),
+        chosen,
+    )
+    places = chosen[np.arange(min(count, 2 * _PAIRS)) * count // max(min(count, 2 * _PAIRS), 1)]
+    if len(places) < _LEAST_PAIRS:
+        return None
+    times_s = step_s * (one.first + places).astype(np.float64)
+    t_ref_s = 0.5 * float(times_s[0] + times_s[-1])
+    p1 = one.p_px[places]
+
+    def cost(t_d_s: float, rate: float) -> float:
+        track = motion2.at(t_ref_s + t_d_s + rate * (times_s - t_ref_s))
+        if np.count_nonzero(track.valid) < max(_LEAST_PAIRS, len(times_s) // 2):
+            return np.inf
+        value = relative_cost(p1[track.valid], track.positions_px[track.valid], _FINE_ITERATIONS)
+        return float(value) if np.isfinite(value) else np.inf
+
+    t_d_s = scan.rate * (t_ref_s + step_s * (lag + scan.shift)) - t_ref_s
+    best = _compass(cost, (t_d_s, scan.rate), (0.5 * step_s, 0.0))
+    half_s = 0.5 * float(times_s[-1] - times_s[0])
+    if freedom > 0.0:
+        step = min(0.5 * freedom, 2.0 * step_s / half_s)
+        starts = [scan.rate * (1.0 + part * freedom) for part in (-0.5, 0.0, 0.5)]
+        free = min(_compass(cost, (best[1][0], rate), (0.5 * step_s, step)) for rate in starts)
+        if free[0] < _WORTH * best[0] and abs(free[1][1] / scan.rate - 1.0) <= freedom:
+            best = free
+    (t_d_s, rate), value = best[1], best[0]
+    if not np.isfinite(value):
+        return None
+    lag_s = (t_ref_s + t_d_s) / rate - t_ref_s
+    return Guess(t_d_s, t_ref_s, rate, value * most / count, step_s * count, lag_s)
+
+
+def _compass(
+    cost: Callable[[float, float], float], start: tuple[float, float], steps: tuple[float, float]
+) -> tuple[float, tuple[float, float]]:
+    """Least cost along two axes, by steps to and fro that are halved where none leads down."""
+    best, (offset_s, rate) = cost(*start), start
+    step_s, step = steps
+    while step_s > _LAST_STEP_S:
+        tries = [(offset_s + step_s, rate), (offset_s - step_s, rate)]
+        if step > 0.0:
+            tries += [(offset_s, rate + step), (offset_s, rate - step)]
+        values = [cost(*place) for place in tries]
+        least = int(np.argmin(values))
+        if values[least] < best:
+            best, (offset_s, rate) = values[least], tries[least]
+        else:
+            step_s, step = 0.5 * step_s, 0.5 * step
+    return best, (offset_s, rate)
+
+
+def _local_minima(costs: Array) -> list[int]:
+    """Places of the few least local minima."""
+    known = np.where(np.isfinite(costs), costs, np.inf)
+    padded = np.pad(known, 1, constant_values=np.inf)
+    is_least = (known <= padded[:-2]) & (known < padded[2:]) & np.isfinite(known)
+    places = np.flatnonzero(is_least)
+    return [int(m) for m in places[np.argsort(known[places])[:_GUESSES]]]
+
+
+def _offset_s(scan: _Scan, one: _Grid, step_s: float) -> Array:
+    """Offsets t_d (m,) [s] of a scan's lags, at the middle of camera 1's recording."""
+    middle_s = step_s * (one.first + 0.5 * len(one.valid))
+    lags_s = step_s * (scan.lags + scan.shift).astype(np.float64)
+    return np.asarray(scan.rate * (middle_s + lags_s) - middle_s)
+
+
+def _part(progress: Progress | None, k: int, n: int) -> Progress | None:
+    """Progress of part k of n."""
+    if progress is None:
+        return None
+    return lambda share: progress((k + share) / n)

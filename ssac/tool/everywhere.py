@@ -1,0 +1,193 @@
+"""Two cameras of which no offset is known in; the offset to start a method from, or a refusal, out.
+
+The search over all offsets (`ssac.search.all_offsets`) finds offset and rate of camera 2's clock
+roughly. A method then sees camera 2 on a clock without that rate, and searches near that offset;
+its answer is put on camera 2's own clock again.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ssac.camera import Rig
+from ssac.clock import PPM
+from ssac.config import Config
+from ssac.estimate import Estimate, Status
+from ssac.events import US_PER_S
+from ssac.search.all_offsets import (
+    MAX_COST,
+    RATE_FREEDOM,
+    AllOffsets,
+    Guess,
+    Progress,
+    search_all_offsets,
+)
+from ssac.search.two_views import two_views
+from ssac.track.observation import Observation
+
+SKEW_PRIOR_PPM = 1000.0
+"""Deviation of the skew beforehand where a camera gave a track: phones and camcorders."""
+
+REACH_S, REACH_STEPS = 0.5, 4.0
+"""A method searches this far on each side of the offset found, or so many of the search's steps."""
+
+UNIQUE_SWINGS = 2.0
+"""Times to and fro that are enough where no other offset of all fits nearly as well: chance would
+have made several fit."""
+
+
+@dataclass(frozen=True)
+class Start:
+    """Where a method is to begin, or why none is to."""
+
+    found: AllOffsets
+    refusal: Estimate | None = None
+    tried_rates: bool = False  # so the guess's is about right
+
+    @property
+    def guess(self) -> Guess:
+        """The best offset of all."""
+        return self.found.guesses[0]
+
+    @property
+    def anchor_s(self) -> float:
+        """Camera 2's clock at the reference time of the guess."""
+        return self.guess.t_ref_s + self.guess.t_d_s
+
+    def config(self, config: Config) -> Config:
+        """Search near the guess."""
+        reach_s, t_d_s = max(REACH_S, REACH_STEPS * self.found.step_s), self.guess.t_d_s
+        return replace(
+            config,
+            interval_s=(t_d_s - reach_s, t_d_s + reach_s),
+            max_valley_s=max(config.max_valley_s, 2.0 * reach_s),
+            min_swings=min(config.min_swings, UNIQUE_SWINGS),
+            search_skews=config.search_skews and not self.tried_rates,
+        )
+
+    def as_seen(self, cam2: Observation) -> Observation:
+        """Camera 2 on a clock that runs as camera 1's, as far as the guess tells."""
+        return cam2 if self.guess.rate == 1.0 else at_rate(cam2, self.guess.rate, self.anchor_s)
+
+    def as_recorded(self, estimate: Estimate) -> Estimate:
+        """Put an estimate on camera 2's own clock.
+
+        Camera 2 as seen shows t'; its own clock shows anchor + rate (t' - anchor).
+        """
+        rate, anchor_s = self.guess.rate, self.anchor_s
+        if rate == 1.0:
+            return estimate
+        has_skew = bool(np.isfinite(estimate.skew_ppm))
+        t_ref_s = estimate.t_ref_s if has_skew else self.guess.t_ref_s
+        seen_rate = 1.0 + PPM * estimate.skew_ppm if has_skew else 1.0
+
+        def offset_s(seen_s: Any, at_s: float = t_ref_s) -> Any:
+            return rate * seen_s + (rate - 1.0) * (at_s - anchor_s)
+
+        covariance, of_clock, jump = estimate.covariance, estimate.clock_covariance, estimate.jump
+        if covariance is not None:
+            factors = np.array([rate, 1.0, 1.0, 1.0, 1.0, 1.0])
+            covariance = covariance * np.outer(factors, factors)
+        if jump is not None:
+            jump = replace(
+                jump,
+                size_s=rate * jump.size_s,
+                size_std_s=rate * jump.size_std_s,
+                before_s=offset_s(jump.before_s, jump.at_s),
+                after_s=offset_s(jump.after_s, jump.at_s),
+            )
+        return replace(
+            estimate,
+            t_d_s=offset_s(estimate.t_d_s),
+            t_d_std_s=rate * estimate.t_d_std_s,
+            t_ref_s=t_ref_s,
+            skew_ppm=(rate * seen_rate - 1.0) / PPM,
+            skew_std_ppm=rate * estimate.skew_std_ppm,
+            covariance=covariance,
+            clock_covariance=None if of_clock is None else rate**2 * of_clock,
+            strays_s=rate * estimate.strays_s,
+            strays_std_s=rate * estimate.strays_std_s,
+            jump=jump,
+            alternatives_s=offset_s(estimate.alternatives_s),
+            candidates_s=offset_s(estimate.candidates_s),
+        )
+
+
+def find_start(
+    cam1: Observation,
+    cam2: Observation,
+    rig: Rig,
+    config: Config,
+    method: str,
+    rate_range: tuple[float, float] | None = None,
+    progress: Progress | None = None,
+) -> Start:
+    """Search all offsets, and all rates of a range, for where to begin.
+
+    Parameters
+    ----------
+    cam1, cam2, rig, config
+        As a method takes them.
+    method
+        Name for a refusal.
+    rate_range
+        Rates of camera 2's clock, by camera 1's; None where both are about right.
+    progress
+        Called now and then with the share that is done.
+    """
+    views = two_views(cam1, cam2, rig, config)
+    freedom = RATE_FREEDOM if cam1.track is not None or cam2.track is not None else 0.0
+    found = search_all_offsets(
+        views.motion1,
+        views.motion2,
+        rate_range or (1.0, 1.0),
+        freedom,
+        progress,
+    )
+    return Start(found, _refusal(found, method), freedom > 0.0 or rate_range is not None)
+
+
+def at_rate(cam2: Observation, rate: float, anchor_s: float) -> Observation:
+    """Camera 2 on a clock that runs 1 / rate times as fast and shows the same at the anchor."""
+    events, track = cam2.events, cam2.track
+    if track is not None:
+        track = replace(track, times_s=anchor_s + (track.times_s - anchor_s) / rate)
+    elif len(events):
+        events = events.copy()
+        anchor_us = anchor_s * US_PER_S
+        events["t"] = np.rint(anchor_us + (events["t"] - anchor_us) / rate).astype(np.int64)
+    return Observation(events, denoised=cam2.denoised, track=track)
+
+
+def _refusal(found: AllOffsets, method: str) -> Estimate | None:
+    """Refuse what no offset of all explains, or several do."""
+    nothing = Estimate(method, candidates_s=found.candidates_s, costs=found.costs)
+    if not found.guesses:
+        return replace(
+            nothing,
+            status=Status.TOO_FEW_SAMPLES,
+            reason="at no offset do both cameras see the object move for long enough to compare "
+            "its paths: check that they saw one flight",
+        )
+    best, rivals = found.guesses[0], found.rivals
+    if best.cost > MAX_COST:
+        return replace(
+            nothing,
+            status=Status.NO_MATCH,
+            reason=f"at the best of all offsets, {best.t_d_s:.1f} s, the two paths still disagree "
+            f"by {100.0 * best.cost:.0f} % of their width: the cameras see different objects, too "
+            "little of one flight, or a clock runs at a rate of its own (--rate-range)",
+        )
+    if rivals:
+        others = ", ".join(f"{guess.t_d_s:.1f}" for guess in rivals[:5])
+        return replace(
+            nothing,
+            status=Status.AMBIGUOUS_OFFSET,
+            reason=f"of all offsets {best.t_d_s:.1f} s fits best, and {others} s about as well: "
+            "too little of one flight is common, or a clock runs at a rate of its own "
+            "(--rate-range)",
+            t_d_s=best.t_d_s,
+            alternatives_s=np.array([guess.t_d_s for guess in rivals]),
+        )
+    return None

@@ -1,0 +1,177 @@
+"""`ssac sync` and `ssac track` on track files: what they find, and what they refuse."""
+
+import io
+import json
+import warnings
+from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import yaml
+
+from ssac.files.track_files import load_track, save_track
+from ssac.tool.__main__ import main
+from ssac.tool.sync import sync
+from tests.recorded import T_D_S
+from tests.ssac.synthetic import angle_deg, rotation_angle_deg
+from tests.ssac.tracks import rig_document, save_pair
+
+WIDE = 4.0  # deviations: a right answer is further off in 1 of 16,000
+
+
+@pytest.fixture(scope="module")
+def pair(tmp_path_factory):
+    return save_pair(tmp_path_factory.mktemp("tracks"))
+
+
+def run(*args):
+    out, err = io.StringIO(), io.StringIO()
+    with redirect_stdout(out), redirect_stderr(err):
+        code = main([*map(str, args)])
+    return code, out.getvalue(), err.getvalue()
+
+
+def answer(pair, *more, out):
+    code, _, err = run("sync", *pair.args, "--json", out, *more)
+    assert code == 0, err
+    return json.loads(out.read_text())
+
+
+def test_two_tracks_are_synchronised_from_nothing(pair, tmp_path):
+    found = answer(pair, out=tmp_path / "out.json")
+    assert (found["status"], found["method"]) == ("ok", "joint")
+    assert abs(found["t_d_s"] - pair.t_d_s) < WIDE * found["t_d_std_s"]
+    assert found["t_d_std_s"] < 2e-3  # 0.3 px at 180 px/s are 1.7 ms for one of hundreds of points
+    assert rotation_angle_deg(np.array(found["R"]), pair.scene.R) < 1.0
+    assert angle_deg(np.array(found["t"]), pair.scene.t) < 1.0
+
+
+def test_a_synced_track_has_no_offset_left(pair, tmp_path):
+    answer(pair, "--write-synced", tmp_path / "synced.csv", out=tmp_path / "out.json")
+    again = sync(pair.folder / "cam1.csv", tmp_path / "synced.csv", pair.folder / "rig.yaml")
+    assert abs(again.estimate.t_d_s) < WIDE * again.estimate.t_d_std_s
+
+
+def test_an_unknown_frame_rate_is_found(tmp_path):
+    rate = 0.71  # frames that were counted at 21.3 Hz, taken for 30
+    pair = save_pair(tmp_path, t_d_s=3.0, rate=rate)
+    found = answer(pair, "--rate-range", 0.6, 0.8, out=tmp_path / "out.json")
+    # The clock shows rate (t + offset).
+    true_s = rate * (found["t_ref_s"] + pair.t_d_s) - found["t_ref_s"]
+    assert found["skew_ppm"] == pytest.approx(1e6 * (rate - 1.0), abs=2000.0)  # 20 ms over 10 s
+    assert abs(found["t_d_s"] - true_s) < 0.02
+
+
+def test_a_rolling_shutter_is_taken_out(tmp_path):
+    readout_s = 0.03  # half of it is the mean shift: 15 ms
+    pair = save_pair(tmp_path, readout_s=readout_s)
+    result = sync(*(pair.folder / name for name in ("cam1.csv", "cam2.csv", "rig.yaml")))
+    assert abs(result.estimate.t_d_s - pair.t_d_s) < WIDE * result.estimate.t_d_std_s
+
+
+def test_events_and_a_track_of_events_may_be_mixed(recorded, tmp_path):
+    track = tmp_path / "cam1.csv"
+    code, out, err = run("track", recorded.pair[0], "--rig", recorded / "rig.yaml", "--out", track)
+    assert code == 0, err
+    assert "points from" in out
+    for files in ((track, recorded.pair[1]), recorded.pair):
+        result = sync(*files, recorded / "rig.yaml", "joint", search_all=True)
+        assert result.estimate.status == "ok"
+        assert result.estimate.t_d_s == pytest.approx(T_D_S, abs=3e-3)  # as for two event files
+
+
+@pytest.mark.parametrize("method", ["tangency", "zncc_e", "zncc_f", "event_rate"])
+def test_methods_of_events_say_so(pair, method):
+    code, _, err = run("sync", *pair.args, "--method", method)
+    assert code == 2
+    assert err.count("\n") == 1
+    assert "track" in err
+    assert "use joint" in err
+
+
+def _lines(text):
+    return lambda lines: [lines[0], text, *lines[1:]]
+
+
+BAD = {
+    "no header": (lambda lines: lines[1:], "first line must name the columns"),
+    "half a header": (lambda lines: ["t_s,x_px", *lines[1:]], "must name the columns"),
+    "unsorted": (lambda lines: [lines[0], *reversed(lines[1:])], "must be in time order"),
+    "twice": (lambda lines: [*lines[:3], lines[2], *lines[3:]], "must be in time order"),
+    "NaN": (_lines("-1,nan,3"), "no finite number"),
+    "text": (_lines("-1,here,3"), "must be numbers"),
+    "empty field": (_lines("-1,,3"), "no finite number"),
+    "outside": (_lines("-1,346,3"), "the image is 346 x 260 px"),
+    "nothing": (lambda lines: lines[:1], "there are no points"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_tracks_are_one_line(pair, tmp_path, name):
+    change, message = BAD[name]
+    bad = tmp_path / "bad.csv"
+    bad.write_text("\n".join(change((pair.folder / "cam1.csv").read_text().splitlines())) + "\n")
+    code, _, err = run("sync", bad, pair.folder / "cam2.csv", "--rig", pair.folder / "rig.yaml")
+    assert (code, err.count("\n")) == (2, 1), err
+    assert "bad.csv" in err
+    assert message in err
+
+
+def test_microseconds_and_counters_that_wrap_are_named(pair, tmp_path):
+    track = load_track(pair.folder / "cam1.csv")
+    whole = replace(track, times_s=np.rint(1e6 * track.times_s))
+    around = replace(track, times_s=track.times_s % (2**24 * 1e-6))
+    for bad, message in ((whole, "give t_s in seconds"), (around, "counter of 24 bits")):
+        save_track(tmp_path / "bad.csv", bad)
+        args = (tmp_path / "bad.csv", pair.folder / "cam2.csv", "--rig", pair.folder / "rig.yaml")
+        code, _, err = run("sync", *args)
+        assert (code, err.count("\n")) == (2, 1), err
+        assert message in err
+
+
+@pytest.mark.parametrize(
+    ("keys", "more", "message"),
+    [
+        ({"readout_s": 0.05}, (), "readout_s is 50 ms, but frames follow each other in"),
+        ({"readout_s": 33}, (), "give seconds"),
+        ({}, ("--cameras", 1, 3), "there is no cam2 for camera 3"),
+        ({}, ("--cameras", 2, 2), "given for both"),
+        ({}, ("--search-all", "--search", -1, 1), "--search: not with"),
+        ({}, ("--rate-range", 2, 1), "ascending order"),
+    ],
+)
+def test_bad_rigs_and_searches_are_one_line(pair, tmp_path, keys, more, message):
+    rig = tmp_path / "rig.yaml"
+    rig.write_text(yaml.safe_dump(rig_document(**keys)))
+    code, _, err = run("sync", *pair.args[:2], "--rig", rig, *more)
+    assert (code, err.count("\n")) == (2, 1), err
+    assert message in err
+
+
+def test_one_file_for_both_cameras_is_refused(pair):
+    code, _, err = run("sync", pair.args[0], pair.args[0], *pair.args[2:])
+    assert (code, err.count("\n")) == (2, 1)
+    assert "given for both cameras" in err
+
+
+@pytest.mark.parametrize("step_s", [0.001, 0.01])
+def test_times_cut_off_are_noticed_and_make_the_offset_less_sure(pair, tmp_path, step_s):
+    track = load_track(pair.folder / "cam1.csv")
+    times_s = np.floor(track.times_s / step_s + 1e-9) * step_s
+    save_track(tmp_path / "cam1.csv", replace(track, times_s=times_s))
+    others = (pair.folder / "cam2.csv", pair.folder / "rig.yaml")
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        result = sync(tmp_path / "cam1.csv", *others)
+    assert f"all times are whole {1e3 * step_s:g} ms" in str(said[0].message)
+    assert result.estimate.t_d_std_s > step_s / 12**0.5
+    assert abs(result.estimate.t_d_s - pair.t_d_s) < WIDE * result.estimate.t_d_std_s
+
+
+def test_paths_of_different_flights_are_refused(pair, tmp_path):
+    other = save_pair(tmp_path, seed=9)
+    args = (pair.args[0], other.args[1], *pair.args[2:])
+    code, out, _ = run("sync", *args)
+    assert code == 1
+    assert "no_match" in out or "ambiguous_offset" in out
