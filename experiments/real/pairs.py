@@ -26,6 +26,16 @@ UNKNOWN_RATES = {(4, 3): (0.6, 0.8)}
 """Cameras whose frames were counted at another rate than their calibration says, and the rates that
 are tried: data set 4's camera 3 counts native frames, some 18 to 24 a second, and says 30."""
 
+PAIRS_FILE, TRIPLES_FILE = "real_pairs.csv", "real_triples.csv"
+COMMAND = "make real DATA=..."
+
+PAIR_COLUMNS = (
+    "data_set", "camera_1", "camera_2", "models", "status", "clock", "t_d_s", "t_d_std_ms",
+    "t_ref_s", "skew_ppm", "skew_std_ppm", "most_stray_ms", "readout_1_ms", "readout_2_ms",
+    "residual_px", "n_samples", "reason", "from_truth_ms", "seconds", "closure_ms",
+)  # fmt: skip
+TRIPLE_COLUMNS = ("data_set", "cameras", "closure_ms")
+
 _NUMBERS = re.compile(r"^\|\s*\d+\s*\|(.*)\|\s*$")
 
 
@@ -110,7 +120,13 @@ def run_pairs(
             {"data_set": number, "cameras": "-".join(map(str, triple)), "closure_ms": 1e3 * value}
             for triple, value in found.items()
         ]
-    return pd.DataFrame(pairs), pd.DataFrame(triples)
+    return pd.DataFrame(pairs, columns=PAIR_COLUMNS), pd.DataFrame(triples, columns=TRIPLE_COLUMNS)
+
+
+def real_config() -> dict[str, Any]:
+    """Give what all pairs are made with, for provenance."""
+    rates = {f"data set {number}, camera {k}": rate for (number, k), rate in UNKNOWN_RATES.items()}
+    return {"data_sets": DATA_SETS, "rates": rates}
 
 
 def _of_data_set(

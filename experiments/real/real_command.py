@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from experiments.real.pairs import DATA_SETS, UNKNOWN_RATES, run_pairs
+from experiments.paper.checksums import record_checksums
+from experiments.real.pairs import COMMAND, PAIRS_FILE, TRIPLES_FILE, real_config, run_pairs
 from experiments.run.provenance import save_provenance
 from ssac.errors import SsacError
 from ssac.files.whole_file import whole_file
@@ -36,10 +37,10 @@ def real_command(
     with tempfile.TemporaryDirectory() as work:
         pairs, triples = run_pairs(data, Path(work), lambda line: typer.echo(line, err=True))
     seconds = time.perf_counter() - start
-    config = {"data_sets": DATA_SETS, "rates": UNKNOWN_RATES}
-    for name, table in (("real_pairs.csv", pairs), ("real_triples.csv", triples)):
+    for name, table in ((PAIRS_FILE, pairs), (TRIPLES_FILE, triples)):
         with whole_file(out / name) as temporary:
-            table.to_csv(temporary, index=False, float_format="%.6g", lineterminator="\n")
-        save_provenance(out / name, "make real DATA=...", config, seconds, None)
+            table.to_csv(temporary, index=False, float_format="%.8g", lineterminator="\n")
+        save_provenance(out / name, COMMAND, real_config(), seconds, None)
+    record_checksums(out, [out / PAIRS_FILE, out / TRIPLES_FILE])
     answered = pairs.status == "ok"
-    typer.echo(f"{answered.sum()} of {len(pairs)} pairs answered; {out / 'real_pairs.csv'}")
+    typer.echo(f"{answered.sum()} of {len(pairs)} pairs answered; {out / PAIRS_FILE}")

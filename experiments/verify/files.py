@@ -13,6 +13,7 @@ from experiments.bench.growth import COLUMNS as GROWTH_COLUMNS
 from experiments.bench.growth import POINTS, STEPS
 from experiments.bench.measurement import Measurement
 from experiments.paper.checksums import SUMS_FILE, read_checksums, sha256
+from experiments.real.pairs import PAIRS_FILE
 from experiments.run.provenance import plain, versions
 from experiments.verify.finding import Finding, found
 from experiments.verify.manifest import (
@@ -22,6 +23,7 @@ from experiments.verify.manifest import (
     Manifest,
     Provenance,
 )
+from experiments.verify.real import real_faults
 from sim.render.gl_context import context_or_none
 from ssac.errors import SsacError
 from ssac.estimate import Status
@@ -33,6 +35,8 @@ _SHARD = "shard"  # of a config: says which part was run, not what
 
 def file_findings(results: Path, manifest: Manifest) -> list[Finding]:
     """Check that every file is there, no other, each as it was written and saying how."""
+    has_real = manifest.of(results) is not manifest
+    manifest = manifest.of(results)
     findings = [
         found("every file that there must be is there", lambda: _missing(results, manifest)),
         found("no other file is there", lambda: _others(results, manifest)),
@@ -41,6 +45,8 @@ def file_findings(results: Path, manifest: Manifest) -> list[Finding]:
         found(f"{BENCH_FILE} is a benchmark", lambda: _bench(results / BENCH_FILE)),
         found(f"{GROWTH_FILE} has every point", lambda: _growth(results / GROWTH_FILE)),
     ]
+    if has_real:
+        findings.append(found(f"{PAIRS_FILE} makes sense", lambda: real_faults(results)))
     for one in manifest.provenances:
         what = f"{one.name}: a clean commit, today's configuration, versions"
         findings.append(found(what, partial(_provenance, results / one.name, one)))
@@ -123,7 +129,8 @@ def _provenance(path: Path, expected: Provenance) -> tuple[str, ...]:
         absent = set(versions()) - set(one["versions"])
         if absent:
             faults.append(f"it lacks the versions of {', '.join(sorted(absent))}")
-        if not {"backend", "renderer", "version"} <= set(one["gl"] or {}):
+        has_gl = {"backend", "renderer", "version"} <= set(one["gl"] or {})
+        if expected.is_drawn and not has_gl:
             faults.append("it does not say which OpenGL drew")
         if not 0.0 <= one["wall_time_s"] < np.inf:
             faults.append(f"it took {one['wall_time_s']} s")

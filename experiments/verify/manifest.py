@@ -6,6 +6,7 @@ a file that is gone leaves a gap in it.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from experiments.bench.growth import COMMITTED, bench_config
@@ -13,6 +14,7 @@ from experiments.figures.figures import drawings, figures_config
 from experiments.paper.grids import TABLES
 from experiments.paper.results import COMPARISON_FILE, PAGE_FILE, RUNS_FILE, SUMMARY_FILE
 from experiments.paper.tables import tables_config
+from experiments.real.pairs import COMMAND, PAIRS_FILE, TRIPLES_FILE, real_config
 from experiments.run.provenance import plain
 from experiments.studies.study import Study
 
@@ -33,6 +35,7 @@ class Provenance:
     name: str
     command: str  # that wrote what it stands beside
     config: Any  # as JSON holds it
+    is_drawn: bool = True  # by OpenGL, at least in part
 
 
 @dataclass(frozen=True)
@@ -41,6 +44,14 @@ class Manifest:
 
     files: tuple[str, ...]  # all of them, without the checksums' own
     provenances: tuple[Provenance, ...]  # of them
+    optional: "Manifest | None" = None  # what may be there beside it, whole or not at all
+
+    def of(self, results: Path) -> "Manifest":
+        """Give all that this folder must hold: what is optional too, once some of it is there."""
+        more = self.optional
+        if more is None or not any((results / name).is_file() for name in more.files):
+            return self
+        return Manifest((*self.files, *more.files), (*self.provenances, *more.provenances))
 
 
 def manifest_of(studies: Mapping[str, Study]) -> Manifest:
@@ -64,7 +75,15 @@ def manifest_of(studies: Mapping[str, Study]) -> Manifest:
         config = {"study": study.name, **study.config}
         made += [_beside(name, study.command_line, config) for name in names]
         files += [*names, *([study.figure_file] if study.draw else [])]
-    return Manifest((*files, *(one.name for one in made)), tuple(made))
+    return Manifest((*files, *(one.name for one in made)), tuple(made), _real())
+
+
+def _real() -> Manifest:
+    """List what public data leave that are not ours to ship: who has them may make it."""
+    tables = PAIRS_FILE, TRIPLES_FILE
+    config = plain(real_config())
+    made = tuple(Provenance(provenance_name(name), COMMAND, config, False) for name in tables)
+    return Manifest((*tables, *(one.name for one in made)), made)
 
 
 def _beside(name: str, command: str, config: Any) -> Provenance:

@@ -10,8 +10,12 @@ import numpy as np
 import pytest
 import yaml
 
+from ssac.config import Config
+from ssac.estimate import Estimate, Status
 from ssac.files.track_files import load_track, save_track
 from ssac.tool.__main__ import main
+from ssac.tool.registry import choose_method
+from ssac.tool.report import note
 from ssac.tool.sync import sync
 from tests.recorded import T_D_S
 from tests.ssac.synthetic import angle_deg, rotation_angle_deg
@@ -68,6 +72,41 @@ def test_a_rolling_shutter_is_taken_out(tmp_path):
     pair = save_pair(tmp_path, readout_s=readout_s)
     result = sync(*(pair.folder / name for name in ("cam1.csv", "cam2.csv", "rig.yaml")))
     assert abs(result.estimate.t_d_s - pair.t_d_s) < WIDE * result.estimate.t_d_std_s
+
+
+JUMPS, POOR, OK = Status.CLOCK_JUMP, Status.POOR_FIT, Status.OK
+
+
+@pytest.mark.parametrize(
+    ("affine", "pieces", "prior_ppm", "clocks", "given"),
+    [
+        (JUMPS, OK, 1000.0, ["affine", "pieces"], OK),
+        (POOR, Status.AMBIGUOUS_POSE, 1000.0, ["affine", "pieces"], Status.AMBIGUOUS_POSE),
+        (JUMPS, POOR, 1000.0, ["affine", "pieces"], JUMPS),  # the first reason is the better one
+        (JUMPS, OK, 0.0, ["affine"], JUMPS),  # said to run alike
+        (Status.NO_MATCH, OK, 1000.0, ["affine"], Status.NO_MATCH),
+        (OK, OK, 1000.0, ["affine"], OK),
+    ],
+)
+def test_a_clock_of_pieces_is_tried_before_a_track_is_refused(
+    pair, monkeypatch, affine, pieces, prior_ppm, clocks, given
+):
+    tried = []
+
+    def estimate(cam1, cam2, rig, config):
+        tried.append(config.clock)
+        status = affine if config.clock == "affine" else pieces
+        return Estimate("joint", status, t_d_s=7.3, t_d_std_s=1e-3)
+
+    method = replace(choose_method("joint"), estimate=estimate)
+    monkeypatch.setattr("ssac.tool.sync.choose_method", lambda *names: method)
+    files = (pair.folder / name for name in ("cam1.csv", "cam2.csv", "rig.yaml"))
+    config = Config(interval_s=(7.0, 8.0), skew_prior_ppm=prior_ppm)
+    result = sync(*files, config=config, search_all=False)
+    assert (tried, result.estimate.status) == (clocks, given)
+    assert result.wanders == (given not in (affine, JUMPS))
+    assert result.config.clock == ("pieces" if result.wanders else "affine")
+    assert ("a clock wanders" in note(result)) == result.wanders
 
 
 def test_events_and_a_track_of_events_may_be_mixed(recorded, tmp_path):
