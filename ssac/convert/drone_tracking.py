@@ -27,6 +27,10 @@ KEYFRAMES = {4: 4}
 """Data sets of which only every so manieth frame was labelled; those between are interpolated, and
 would make deviations too small."""
 
+FOCAL_STD, CENTRE_STD_PX = 0.005, 3.0
+"""How well phones and camcorders keep a calibration, with focus and stabilisation: between a good
+and a careless one. What a good one allows for, cameras 0 and 1 of data set 1 contradict."""
+
 _LATER = 3  # first data set of the second calibrations
 _LINE = re.compile(r"cam(\d+)\s*-\s*(\S+)")
 
@@ -112,6 +116,7 @@ def _calibration(folder: Path, model: str, number: int) -> tuple[dict[str, Any],
         "distortion_model": "plumb_bob" if len(coeffs) == 5 else "radtan",
         "distortion_coeffs": coeffs,
         "resolution": resolution,
+        "intrinsics_std": [FOCAL_STD * fu, FOCAL_STD * fv, CENTRE_STD_PX, CENTRE_STD_PX],
     }
     return entry, fps
 
