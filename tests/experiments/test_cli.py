@@ -17,6 +17,7 @@ from sim.errors import SimError
 # A command that shares its module with another, or the module with the callable it runs.
 ELSEWHERE = {
     "merge": "sweep", "sync": "sync_command", "study": "command", "ablate": "command",
+    "track": "track_command", "import": "import_command", "real": "real_command",
 }  # fmt: skip
 
 
