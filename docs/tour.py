@@ -93,10 +93,10 @@ from tempfile import TemporaryDirectory
 
 from scipy.spatial.transform import Rotation
 
-times_s = np.arange(0, 5, 0.01)
+times_s = np.arange(0, 8, 0.01)
 angles = 2 * np.pi * times_s
 circle_m = np.column_stack([0.6 * np.cos(angles), 0.6 * np.sin(angles), 0 * angles])
-turning = Rotation.from_rotvec(np.outer(4 * times_s, [0.3, 0.2, 1])).as_quat()
+turning = Rotation.from_rotvec(np.outer(angles, [0, 0, 1])).as_quat()
 with TemporaryDirectory() as folder:
     path = Path(folder) / "circle.csv"
     table = np.column_stack([times_s, circle_m, turning])

@@ -45,7 +45,11 @@ _BESIDE = {
     "render, native, 257 samples per pixel: crops": ("poses/s", 0, "rendering, native"),
     "render, native, 257 samples per pixel: ratio to OpenGL's crops": ("x", 1, "... over OpenGL"),
     "render, native, 257 samples per pixel: ratio": ("x", 0, "... over pyrender alike"),
-    "render, native, 257 samples per pixel: ratio to it": ("x", 0, "... over pyrender untouched"),
+    "render, native, 64 samples per pixel: ratio to it": (
+        "x",
+        0,
+        "64 samples, over pyrender untouched",
+    ),
     "render, osmesa, 257 samples per pixel: crops": ("poses/s", 0, "rendering, OSMesa"),
     "render, osmesa, 257 samples per pixel: ratio": ("x", 0, "the same, over pyrender alike"),
     "render, egl, 257 samples per pixel: crops": ("poses/s", 0, "rendering, EGL"),

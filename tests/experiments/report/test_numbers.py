@@ -56,7 +56,7 @@ def root(tmp_path: Path) -> Path:
             "coverage_95_high": 0.99,
         }
         for method in METHODS
-        for quantity in ("t_d", "R", "t")
+        for quantity in ("t_d", "R", "t", "skew")
         for angle in ("30", "all")
     ]
     pd.DataFrame(rows).to_csv(tmp_path / "results" / "coverage.csv", index=False)
