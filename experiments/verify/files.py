@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from experiments.bench.growth import COLUMNS as GROWTH_COLUMNS
-from experiments.bench.growth import POINTS, STEPS
+from experiments.bench.growth import COMMITTED, STEPS, points_of
 from experiments.bench.measurement import Measurement
 from experiments.paper.checksums import SUMS_FILE, read_checksums, sha256
 from experiments.real.pairs import PAIRS_FILE
@@ -167,7 +167,9 @@ def _growth(path: Path) -> tuple[str, ...]:
     if there != list(GROWTH_COLUMNS):
         return (f"its columns are {', '.join(there)}; expected {', '.join(GROWTH_COLUMNS)}",)
     rows = zip(table["sensor"], table["duration_s"], table["step"], strict=True)
-    expected = [(one.sensor, one.duration_s, step) for one in POINTS for step in STEPS]
+    expected = [
+        (one.sensor, one.duration_s, step) for one in points_of(COMMITTED) for step in STEPS
+    ]
     if list(rows) != expected:
         return (f"its points are not the {len(expected)} of today's benchmark",)
     faults = []

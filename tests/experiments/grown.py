@@ -3,13 +3,13 @@
 import numpy as np
 import pandas as pd
 
-from experiments.bench.growth import COLUMNS, POINTS
+from experiments.bench.growth import COLUMNS, POINTS, Point
 
 
-def made_up_growth() -> pd.DataFrame:
-    """Return every point, linear in its events: 26 B of one to simulate it, 45 to synchronise."""
+def made_up_growth(points: tuple[Point, ...] = POINTS) -> pd.DataFrame:
+    """Return some points, linear in its events: 26 B of one to simulate it, 45 to synchronise."""
     rows = []
-    for point in POINTS:
+    for point in points:
         n = point.events_per_s * point.duration_s
         of_point = (point.sensor, point.duration_s)
         s1, s2 = 0.1 + 7e-6 * n, 0.1 + 6e-7 * n

@@ -11,6 +11,7 @@ import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 
+from experiments.bench.growth import COMMITTED, points_of
 from experiments.bench.measurement import Measurement
 from experiments.figures.figures import drawings
 from experiments.figures.growth import growth_figure
@@ -118,7 +119,7 @@ def complete(tmp_path_factory: pytest.TempPathFactory, manifest: Manifest) -> Pa
     bench = [Measurement("drawing", 2.0, "s", 3.0), Measurement("reading", 4.0, "MB/s")]
     table = pd.DataFrame([{**vars(row), "verdict": row.verdict} for row in bench])
     table.to_csv(folder / "bench.csv", index=False)
-    save_csv(folder / "bench_growth.csv", made_up_growth())
+    save_csv(folder / "bench_growth.csv", made_up_growth(points_of(COMMITTED)))
     for one in manifest.provenances:
         path = folder / one.name.replace(".provenance.json", ".csv")
         write_provenance(path, made_with | {"command": one.command, "config": plain(one.config)})
