@@ -182,6 +182,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
             "report",
             "committed",
             "quoted",
+            "quoted_zncc",
             "quoted_tables",
             "numbers",
         ),

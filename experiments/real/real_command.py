@@ -11,6 +11,7 @@ from experiments.paper.checksums import record_checksums
 from experiments.real.pairs import COMMAND, PAIRS_FILE, TRIPLES_FILE, real_config, run_pairs
 from experiments.run.provenance import save_provenance
 from ssac.errors import SsacError
+from ssac.estimate import Status
 from ssac.files.whole_file import whole_file
 
 RESULTS = Path("results")
@@ -42,5 +43,5 @@ def real_command(
             table.to_csv(temporary, index=False, float_format="%.8g", lineterminator="\n")
         save_provenance(out / name, COMMAND, real_config(), seconds, None)
     record_checksums(out, [out / PAIRS_FILE, out / TRIPLES_FILE])
-    answered = pairs.status == "ok"
+    answered = pairs.status == Status.OK
     typer.echo(f"{answered.sum()} of {len(pairs)} pairs answered; {out / PAIRS_FILE}")

@@ -1,13 +1,12 @@
 """Events of one camera in, the track of the object out."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ssac.camera import Camera, Rig, distort_points
 from ssac.config import Config
 from ssac.errors import SsacError
 from ssac.points import PointTrack
-from ssac.search.seen import Seen, seen_of
+from ssac.search.seen import seen_of, seen_times
 from ssac.track.motion import object_motion
 from ssac.track.observation import Observation, usable_events
 
@@ -61,7 +60,8 @@ def track_of_events(
         config.border_px,
         config.max_border_fraction,
     )
-    times_s = _times_s(seen_of(motion, step_s)) if len(events) else np.empty(0)
+    seen = seen_of(motion, step_s)
+    times_s = seen_times(seen, int(np.count_nonzero(seen.valid)))
     sharp = motion.sharp_at(times_s)
     points = np.full((len(times_s), 2), np.nan)
     points[sharp.valid] = distort_points(camera, sharp.positions_px[sharp.valid])
@@ -74,8 +74,3 @@ def track_of_events(
         )
     sigmas = np.maximum(STRAY_SIZES * sharp.sizes_px[good], _LEAST_SIGMA_PX)
     return PointTrack(times_s[good], points[good], sigmas)
-
-
-def _times_s(seen: Seen) -> NDArray[np.float64]:
-    steps = np.flatnonzero(seen.valid).astype(np.float64)
-    return np.asarray(seen.start_s + seen.step_s * (steps + 0.5))

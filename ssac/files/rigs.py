@@ -23,8 +23,8 @@ _CAMERA = re.compile(r"cam\d+")
 MAX_ROTATION_ERROR = 1e-3
 """Largest entry of R'R - I in a rotation that was written with few digits."""
 
-# The spellings of OpenCV's stereo samples, of its documentation and of common tools.
 _KALIBR_MODELS = {"plumb_bob": "radtan"}  # names of one lens model
+# The spellings of OpenCV's stereo samples, of its documentation and of common tools.
 _OPENCV_K = ("K{}", "M{}", "cameraMatrix{}", "camera_matrix_{}")
 _OPENCV_D = ("D{}", "distCoeffs{}", "dist_coeffs_{}")
 _OPENCV_SIZE = ("size", "imageSize", "image_size")
@@ -108,20 +108,21 @@ def check_resolution(
 
 def _rig_from_kalibr(path: Path, document: Any, cameras: tuple[int, int]) -> Rig:
     """Rig of two cameras of a parsed camchain file."""
-    known = [key for key in document if _CAMERA.fullmatch(str(key))] if _is_map(document) else []
+    keys = document if isinstance(document, Mapping) else ()
+    known = [key for key in keys if _CAMERA.fullmatch(str(key))]
     if not known:
         raise SsacError(
             f"{path}: expected a Kalibr camchain with cam0 and cam1, or an OpenCV stereo file: "
             "give the result of a two-camera calibration"
         )
-    keys = [f"cam{number - 1}" for number in cameras]
-    for number, key in zip(cameras, keys, strict=True):
+    wanted = [f"cam{number - 1}" for number in cameras]
+    for number, key in zip(cameras, wanted, strict=True):
         if key not in known:
             raise SsacError(
                 f"{path}: there is no {key} for camera {number}, only {', '.join(sorted(known))}: "
                 "add it, or give the number of another camera"
             )
-    cam1, cam2 = (_camera_from_kalibr(f"{path}, {key}", document[key]) for key in keys)
+    cam1, cam2 = (_camera_from_kalibr(f"{path}, {key}", document[key]) for key in wanted)
     steps = [f"cam{k}" for k in range(*sorted(cameras))]
     if not steps or not all("T_cn_cnm1" in document.get(key, {}) for key in steps):
         return Rig(cam1, cam2)
@@ -173,10 +174,6 @@ def _readout_s(name: str, entry: Mapping[str, Any]) -> float:
             f"last, got {readout_s:g}: give seconds"
         )
     return readout_s
-
-
-def _is_map(document: Any) -> bool:
-    return isinstance(document, Mapping)
 
 
 def _rig_from_opencv(path: Path, text: str, cameras: tuple[int, int]) -> Rig:

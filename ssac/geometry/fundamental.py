@@ -73,11 +73,7 @@ def median_after_fit(p1_px: Matrix, p2_px: Matrix, iterations: int) -> float:
     As `reweighted_fundamental`, in fewer iterations, for loops that are compiled.
     """
     x1, x2, T1, _ = _normalised(p1_px, p2_px)
-    F = _eight_point(x1, x2, np.ones(x1.shape[1]))
-    for _ in range(iterations):
-        squares, squared_norms = _sampson(F, x1, x2)
-        scale = TO_DEVIATION * np.sqrt(np.median(squares)) + 1e-15
-        F = _eight_point(x1, x2, 1.0 / (squared_norms * (1.0 + squares / (CAUCHY * scale) ** 2)))
+    F = _reweighted(x1, x2, _eight_point(x1, x2, np.ones(x1.shape[1])), iterations)
     squares, _ = _sampson(F, x1, x2)
     median_px: float = np.sqrt(np.median(squares)) / T1[0, 0]
     return median_px
@@ -187,9 +183,9 @@ def _best_subset(x1: Matrix, x2: Matrix, uniform: Matrix) -> Matrix:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _reweighted(x1: Matrix, x2: Matrix, F: Matrix) -> Matrix:
+def _reweighted(x1: Matrix, x2: Matrix, F: Matrix, iterations: int = _POLISH_ITERATIONS) -> Matrix:
     """Iterate the weighted eight-point fit with Sampson and Cauchy weights, starting from F."""
-    for _ in range(_POLISH_ITERATIONS):
+    for _ in range(iterations):
         squares, squared_norms = _sampson(F, x1, x2)
         scale = TO_DEVIATION * np.sqrt(np.median(squares)) + 1e-15
         F = _eight_point(x1, x2, 1.0 / (squared_norms * (1.0 + squares / (CAUCHY * scale) ** 2)))

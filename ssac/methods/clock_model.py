@@ -27,7 +27,7 @@ from ssac.search.two_views import TwoViews
 Array = NDArray[np.float64]
 
 PIECE_S = 5.0
-"""Length of a piece of a clock, and of those in which jumps are looked for."""
+"""Length of a piece of a clock."""
 
 ROUGHNESS_PPM = 200.0
 """Deviation of the change of a phone's skew from one piece to the next, beforehand."""

@@ -18,7 +18,7 @@ from ssac.geometry.robust import cauchy_weights
 from ssac.methods.verdict import offset_estimate, refused
 from ssac.search.observability import ambiguous_offset, coarsest_step, no_match, valleys
 from ssac.search.offset_search import candidate_offsets, coarse_to_fine_search, exhaustive_search
-from ssac.search.two_views import TwoViews, on_clock_2
+from ssac.search.two_views import TwoViews
 from ssac.search.view import View
 
 Array = NDArray[np.float64]
@@ -98,7 +98,7 @@ def _sampled(lines: tuple[View, View], views: TwoViews, t_d_s: float) -> _Line |
     if len(pairs) < MIN_PAIRS:
         return None
     scale_px = float(np.hypot(lines[0].length_px, lines[1].length_px))
-    velocities = views.motion2.velocities_at(on_clock_2(pairs.times_s, t_d_s))
+    velocities = views.motion2.velocities_at(views.on_clock_2(pairs.times_s, t_d_s))
     return _Line(
         pairs.times_s,
         (pairs.p1_px - lines[0].middle_px) @ lines[0].direction / scale_px,

@@ -89,7 +89,7 @@ class TwoViews:
 
     def on_clock_2(self, times_s: Array, t_d_s: Array | float) -> Array:
         """Give what camera 2's clock shows at times of camera 1's, with an offset that is tried."""
-        shown_s = on_clock_2(times_s, t_d_s)
+        shown_s = np.asarray(times_s + t_d_s)
         return shown_s if self.clock.is_delay else shown_s + self.clock.added_s(times_s)
 
     @cached_property
@@ -214,11 +214,6 @@ class TwoViews:
         """
         n_swings = self.swings(self.pairs_at(t_d_s, n_samples))
         return float(min(1.0, (MIN_SWINGS / max(n_swings, 1e-12)) ** 2))
-
-
-def on_clock_2(times_s: Array, t_d_s: Array | float) -> Array:
-    """Give what camera 2's clock shows where both run alike: t_cam2 = t_cam1 + t_d."""
-    return np.asarray(times_s + t_d_s)
 
 
 def two_views(
