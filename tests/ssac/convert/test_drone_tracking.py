@@ -1,10 +1,8 @@
 """A folder in the layout of the public data sets, of our own making: read and synchronised."""
 
-import io
 import json
 import os
 import shutil
-from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +15,7 @@ from ssac.convert.drone_tracking import import_data_set
 from ssac.errors import SsacError
 from ssac.files.rigs import load_camera
 from ssac.files.track_files import load_track
-from ssac.tool.__main__ import main
+from tests.ssac.command import run
 from tests.ssac.synthetic import HEIGHT, WIDTH, K, make_scene
 from tests.ssac.tracks import FPS, frame_track
 
@@ -54,13 +52,6 @@ def data(tmp_path_factory):
         }
         (root / "calibration" / model / f"{model}.json").write_text(json.dumps(calibration))
     return root
-
-
-def run(*args):
-    out, err = io.StringIO(), io.StringIO()
-    with redirect_stdout(out), redirect_stderr(err):
-        code = main([*map(str, args)])
-    return code, out.getvalue(), err.getvalue()
 
 
 def test_a_data_set_becomes_tracks_and_a_rig(data, tmp_path):

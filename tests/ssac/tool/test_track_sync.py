@@ -1,9 +1,7 @@
 """`ssac sync` and `ssac track` on track files: what they find, and what they refuse."""
 
-import io
 import json
 import warnings
-from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import replace
 
 import numpy as np
@@ -13,11 +11,11 @@ import yaml
 from ssac.config import Config
 from ssac.estimate import Estimate, Status
 from ssac.files.track_files import load_track, save_track
-from ssac.tool.__main__ import main
 from ssac.tool.registry import choose_method
 from ssac.tool.report import note
 from ssac.tool.sync import sync
 from tests.recorded import T_D_S
+from tests.ssac.command import run
 from tests.ssac.synthetic import angle_deg, rotation_angle_deg
 from tests.ssac.tracks import rig_document, save_pair
 
@@ -27,13 +25,6 @@ WIDE = 4.0  # deviations: a right answer is further off in 1 of 16,000
 @pytest.fixture(scope="module")
 def pair(tmp_path_factory):
     return save_pair(tmp_path_factory.mktemp("tracks"))
-
-
-def run(*args):
-    out, err = io.StringIO(), io.StringIO()
-    with redirect_stdout(out), redirect_stderr(err):
-        code = main([*map(str, args)])
-    return code, out.getvalue(), err.getvalue()
 
 
 def answer(pair, *more, out):

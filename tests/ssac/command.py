@@ -1,0 +1,35 @@
+"""A command line of `python -m ssac.tool`, run within the test."""
+
+import io
+import json
+from contextlib import redirect_stderr, redirect_stdout
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from ssac.tool.__main__ import main
+
+
+class Run(NamedTuple):
+    """What a command line gave."""
+
+    exit_code: int
+    stdout: str
+    stderr: str
+
+
+def run(*args: object) -> Run:
+    out, err = io.StringIO(), io.StringIO()
+    with redirect_stdout(out), redirect_stderr(err):
+        code = main([*map(str, args)])
+    return Run(code, out.getvalue(), err.getvalue())
+
+
+run_sync = partial(run, "sync")
+
+
+def read_json(path: Path) -> Any:
+    def refuse(constant: str) -> None:
+        raise ValueError(f"{constant} is not JSON")
+
+    return json.loads(path.read_text(), parse_constant=refuse)

@@ -1,0 +1,112 @@
+"""`ssac sync` on input and options that it cannot use: one line each."""
+
+from pathlib import Path
+
+import h5py
+import pytest
+
+from ssac.console.exits import BAD_INPUT
+from ssac.files.event_files import load_events, save_events_text
+from ssac.files.hdf5 import save_events_h5
+from tests.recorded import empty_events
+from tests.ssac.command import run_sync
+from tests.ssac.synthetic import HEIGHT, WIDTH
+
+
+def make_bad_inputs(recorded, folder: Path):
+    """File names of camera 1's events and the rig, or options, and what the error must say."""
+    (folder / "zero.h5").write_bytes(b"")
+    (folder / "truncated.h5").write_bytes((recorded / "cam1.h5").read_bytes()[:50_000])
+    (folder / "events.foo").write_bytes(b"1")
+    save_events_h5(folder / "no_events.h5", empty_events(), WIDTH, HEIGHT)
+    (folder / "unsorted.txt").write_text(f"{WIDTH} {HEIGHT}\n0.2 1 1 1\n0.1 1 1 1\n")
+    (folder / "outside.txt").write_text("0.1 400 1 1\n0.2 1 1 1\n")
+    (folder / "isolated.txt").write_text(f"{WIDTH} {HEIGHT}\n0.1 1 1 1\n0.2 1 1 1\n")
+    events = load_events(recorded / "cam1.h5").events
+    save_events_text(folder / "sparse.txt", events[::8], WIDTH, HEIGHT)
+    late = events.copy()
+    late["t"] += 60_000_000
+    save_events_h5(folder / "late.h5", late, WIDTH, HEIGHT)
+    rig = (recorded / "rig.yaml").read_text()
+    (folder / "large.yaml").write_text(rig.replace(f"[{WIDTH}, {HEIGHT}]", "[640, 480]"))
+    (folder / "nan.yaml").write_text(rig.replace("173.0", ".nan"))
+
+
+BAD_INPUTS = [
+    (("missing.h5",), "missing.h5: there is no such file"),
+    (("zero.h5",), "zero.h5: the file is empty"),
+    (("truncated.h5",), "truncated.h5: not a readable HDF5 file"),
+    (("events.foo",), "events.foo: unknown extension '.foo': use one of"),
+    (("no_events.h5",), "no_events.h5: there are no events"),
+    (("unsorted.txt",), "unsorted.txt: events must be sorted by time"),
+    (("outside.txt",), "outside.txt with camera 1 of .*: the sensor is 346 x 260 px"),
+    (("isolated.txt",), "isolated.txt: denoising left 0 of 2 events"),
+    (("sparse.txt",), "sparse.txt: no window of 40 ms holds 200 events"),
+    (("late.h5", "--search", "-1", "1"), r"late.h5 .60.* have no common time .* --search -6.*"),
+    (("cam2.h5",), "cam2.h5: given for both cameras"),
+    (("cam1.h5", "--rig", "large.yaml"), "large.yaml is calibrated at 640 x 480 px, but .*cam1.h5"),
+    (("cam1.h5", "--rig", "nan.yaml"), "nan.yaml, cam0, intrinsics: expected 4 of finite numbers"),
+    (("cam1.h5", "--rig", "cam1.h5"), "cam1.h5: unknown extension '.h5' of a rig"),
+    (("cam1.h5", "--known-extrinsics"), "rig.yaml: tangency-known needs the extrinsics"),
+    (("cam1.h5", "--method", "scac"), "unknown method 'scac': use one of ssac"),
+    (("events_only.h5", "--method", "zncc_f"), "events_only.h5: zncc_f compares intensity frames"),
+    (("cam1.h5", "--search", "1", "-1"), "--search: expected a smaller and a larger offset"),
+    (("cam1.h5", "--search", "0", "nan"), "--search: expected a smaller and a larger offset"),
+    (("cam1.h5", "--skew-prior", "-1"), "--skew-prior: expected 0 to 100000 ppm, got -1"),
+    (("cam1.h5", "--clock", "quartz"), "--clock: expected affine or pieces, got quartz"),
+    (("cam1.h5", "--clock", "pieces", "--skew-prior", "0"), "its prior must be above 0 ppm"),
+    (("cam1.h5", "--search", "0", "4000"), "at most 3600 seconds apart, got 0 4000"),
+    (("cam1.h5", "--n-samples", "0"), "--n-samples: expected 20 to 100000, got 0"),
+    (("cam1.h5", "--half-window", "20"), "--half-window: expected 0.001 to 0.25 seconds, got 20"),
+    (("cam1.h5", "--half-window", "nan"), "--half-window: expected 0.001 to 0.25 seconds"),
+    (("cam1.h5", "--n-min", "-3"), "--n-min: expected 1 to 100000, got -3"),
+    (("cam1.h5", "--json", "no/such/out.json"), "out.json: not a file in a folder that exists"),
+    (("cam1.h5", "--write-synced", "out.raw"), "out.raw: cannot write the extension '.raw'"),
+    (("cam1.h5", "--write-synced", "cam1.h5"), "cam1.h5: is one of the inputs"),
+    (("cam1.h5", "--plot", "cam1.h5"), "cam1.h5: exists and is no folder"),
+]
+
+
+@pytest.fixture(scope="module")
+def bad_folder(recorded, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("bad")
+    for name in ("cam1.h5", "cam2.h5", "rig.yaml"):
+        (folder / name).write_bytes((recorded / name).read_bytes())
+    (folder / "events_only.h5").write_bytes((recorded / "cam1.h5").read_bytes())
+    with h5py.File(folder / "events_only.h5", "a") as file:
+        del file["frames"]
+    make_bad_inputs(recorded, folder)
+    return folder
+
+
+@pytest.mark.parametrize(("args", "message"), BAD_INPUTS, ids=lambda value: " ".join(value))
+def test_bad_input_is_refused_in_one_line(args, message, bad_folder, monkeypatch):
+    monkeypatch.chdir(bad_folder)
+    before = {path.name: path.stat().st_mtime_ns for path in bad_folder.iterdir()}
+    rig = () if "--rig" in args else ("--rig", "rig.yaml")
+    result = run_sync(args[0], "cam2.h5", *args[1:], *rig)
+    assert result.exit_code == BAD_INPUT
+    assert result.stdout == ""
+    *progress, last = result.stderr.splitlines()
+    assert not any("error" in line for line in progress)
+    assert last.startswith("error: ")
+    with pytest.raises(ValueError, match=message):
+        raise ValueError(last)
+    assert before == {path.name: path.stat().st_mtime_ns for path in bad_folder.iterdir()}
+
+
+@pytest.mark.parametrize(
+    ("args", "message"),
+    [
+        ((), "Missing option '--rig'"),
+        (("--search", "-1"), "Option '--search' requires 2 arguments"),
+        (("--n-samples", "many"), "Invalid value for '--n-samples'"),
+    ],
+)
+def test_bad_usage_is_refused_in_one_line(args, message, recorded):
+    rig = ("--rig", recorded / "rig.yaml") if args else ()
+    result = run_sync(*recorded.pair, *rig, *args)
+    assert result.exit_code == BAD_INPUT
+    (line,) = result.stderr.splitlines()
+    assert line.startswith(f"error: {message}")
+    assert line.endswith("; see python -m ssac.tool sync --help")
