@@ -22,7 +22,7 @@ from ssac.config import Config
 from ssac.tool.registry import Chain
 from ssac.track.observation import prepare
 
-_SHARES = ("median_us", "p95_us", "spurious", "missing")  # of EventFidelity
+SHARES = ("median_us", "p95_us", "spurious", "missing")  # of EventFidelity
 METHOD_NAMES = ("ssac", "ssac-known", "joint", "tangency")
 DENSER = 8  # times as many instants in the reference
 REFERENCE_LATTICE = Lattice(31, 1)  # 962 samples per pixel, none of them where ours are
@@ -115,7 +115,7 @@ def fidelity_row(_: FidelityCell, both: tuple[Pair, Pair]) -> FidelityRow:
         "ok",
         "",
         round(float(np.mean([camera.n_reference for camera in each]))),
-        *(float(np.mean([getattr(camera, name) for camera in each])) for name in _SHARES),
+        *(float(np.mean([getattr(camera, name) for camera in each])) for name in SHARES),
         *differences_ms,
     )
 

@@ -11,6 +11,7 @@ import pandas as pd
 from experiments.measures.fidelity import (
     FIDELITY,
     METHOD_NAMES,
+    SHARES,
     FidelityCell,
     opengl_config,
     reference_config,
@@ -37,8 +38,6 @@ T_D_S = 0.05
 
 DIFFERENCES = tuple(f"{name.replace('-', '_')}_t_d_difference_ms" for name in METHOD_NAMES)
 """Columns of the methods' differences of t_d; in the means they have no signs."""
-
-_EVENTS = ("median_us", "p95_us", "spurious", "missing")
 
 
 def fidelity_cells(n_flights: dict[float, int] = N_FLIGHTS) -> list[FidelityCell]:
@@ -84,7 +83,7 @@ def fidelity_table(runs: pd.DataFrame) -> pd.DataFrame:
         ok = group[group["status"] == "ok"]
         row = {"duration_s": duration_s, "n_runs": len(group), "failed": len(group) - len(ok)}
         row |= {"n_reference": round(ok["n_reference"].mean()) if len(ok) else 0}
-        row |= {name: ok[name].mean() for name in _EVENTS}
+        row |= {name: ok[name].mean() for name in SHARES}
         for name in DIFFERENCES:
             sizes = ok[name].abs()
             start = name.removesuffix("_ms")
