@@ -47,8 +47,8 @@ report: .venv/.ready ## all results on one page to look at -> out/report.html
 verify: .venv/.ready ## results/ whole and as it follows from its runs, some of them anew (two minutes)
 	@.venv/bin/ssac verify
 
-test: .venv/.ready ## the tests
-	@$(RUN) pytest
+test: .venv/.ready ## the tests, in a process for each core
+	@$(RUN) pytest --numprocesses auto --maxprocesses 4 --dist loadfile
 
 lint: .venv/.ready ## ruff: rules and formatting
 	@$(RUN) ruff check
