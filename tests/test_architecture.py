@@ -52,7 +52,15 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
             "event_files",
             "track_files",
         ),
-        "geometry": ("robust", "epipolar", "fundamental", "pose", "candidate_poses", "pencil"),
+        "geometry": (
+            "robust",
+            "epipolar",
+            "fundamental",
+            "pose",
+            "problem",
+            "candidate_poses",
+            "pencil",
+        ),
         "track": (
             "denoise",
             "motion_kernels",

@@ -9,9 +9,9 @@ from sim.recording import SimConfig
 from sim.storage import record
 from ssac.config import Config
 from ssac.errors import SsacError
+from ssac.geometry.problem import Parameters
 from ssac.methods.algorithms import algorithm_2
 from ssac.methods.joint import joint_from
-from ssac.methods.least_squares import Parameters
 from ssac.methods.tangency import (
     TangencyConfig,
     refine_tangents,

@@ -30,9 +30,9 @@ from scipy.interpolate import CubicSpline
 from experiments.measures.bound import Bound, cramer_rao_bound, fisher_information, known_pose_bound
 from ssac.camera import known_pose
 from ssac.geometry.epipolar import fundamental_from_pose, sampson_distance
+from ssac.geometry.problem import Parameters
 from ssac.geometry.robust import robust_deviation
 from ssac.methods.joint import sharp_pairs
-from ssac.methods.least_squares import Parameters
 from ssac.methods.tangency import TangencyConfig, tangent_times, tangents_under
 from ssac.search.two_views import TwoViews
 

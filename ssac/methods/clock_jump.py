@@ -12,18 +12,10 @@ from numpy.typing import NDArray
 
 from ssac.clock import PPM
 from ssac.estimate import ClockJump, Estimate, Status
-from ssac.geometry.robust import CAUCHY, cauchy_weights, robust_deviation
+from ssac.geometry.problem import Column, Parameters, Problem, linearise
+from ssac.geometry.robust import CAUCHY, robust_deviation
 from ssac.methods.clock_model import ClockModel
-from ssac.methods.least_squares import (
-    T_D,
-    Column,
-    Parameters,
-    Problem,
-    covariance_of,
-    linearise,
-    prior_rows,
-    solve,
-)
+from ssac.methods.least_squares import covariance_of, solve, weighed_system
 from ssac.methods.verdict import refused
 from ssac.search.observability import Refusal
 
@@ -105,15 +97,11 @@ def _likely(problem: Problem, parameters: Parameters) -> float | None:
         return None
     n = min(int((last_s - first_s) / _STEP_S) + 1, _MAX_TRIED)
     tried_s = np.linspace(first_s, last_s, n)
-    root_weights = np.sqrt(cauchy_weights(residuals.distances_px, problem.turn)[0])
-    system = root_weights[:, None] * residuals.jacobian[:, problem.free]
-    left = root_weights * residuals.distances_px
-    steps = (root_weights * residuals.jacobian[:, T_D])[:, None] * (times_s[:, None] >= tried_s)
-    if problem.priors:
-        rows, target = prior_rows(problem, parameters, residuals)
-        system = np.vstack([system, rows[:, problem.free]])
-        left = np.append(left, -target)
-        steps = np.vstack([steps, np.zeros((len(rows), len(tried_s)))])
+    system, target = weighed_system(problem, parameters, residuals)
+    left = -target
+    # A step moves the later pairs as the offset, the first of the parameters, does, and no prior.
+    steps: Array = np.zeros((len(system), n))
+    steps[: len(times_s)] = system[: len(times_s), :1] * (times_s[:, None] >= tried_s)
     Q = np.linalg.qr(system)[0]
     steps = steps - Q @ (Q.T @ steps)
     norms = np.maximum(np.linalg.norm(steps, axis=0), 1e-9 * np.linalg.norm(left) + 1e-300)

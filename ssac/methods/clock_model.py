@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ssac.clock import PPM, Clock
 from ssac.estimate import Estimate
-from ssac.methods.least_squares import (
+from ssac.geometry.problem import (
     FIRST_COLUMN,
     T_D,
     Column,

@@ -17,18 +17,10 @@ from numpy.typing import NDArray
 
 from ssac.camera import Camera, Rig, distort_points
 from ssac.geometry.epipolar import fundamental_from_pose
+from ssac.geometry.problem import Column, Parameters, Prior, Problem, Residuals, linearise
 from ssac.geometry.robust import cauchy_weights
 from ssac.methods.covariance import repeats
-from ssac.methods.least_squares import (
-    Column,
-    Parameters,
-    Prior,
-    Problem,
-    Residuals,
-    covariance_of,
-    hidden_covariance,
-    linearise,
-)
+from ssac.methods.least_squares import covariance_of, hidden_covariance
 
 Array = NDArray[np.float64]
 

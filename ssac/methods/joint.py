@@ -20,22 +20,13 @@ from ssac.config import Config
 from ssac.estimate import Estimate, Status
 from ssac.geometry.epipolar import fundamental_from_pose, sampson_derivative
 from ssac.geometry.pose import rays_of
+from ssac.geometry.problem import Parameters, Problem, Residuals, WeighedPairs, linearise
 from ssac.methods.algorithms import algorithm_1, algorithm_2, with_fit
 from ssac.methods.clock_jump import checked_clock
 from ssac.methods.clock_model import clock_model
 from ssac.methods.hypotheses import settled, sharp_solution
 from ssac.methods.intrinsics import Allowance, evidence, fundamental_of
-from ssac.methods.least_squares import (
-    Parameters,
-    Problem,
-    Residuals,
-    WeighedPairs,
-    covariance_of,
-    hidden_covariance,
-    linearise,
-    solve,
-    still_moves,
-)
+from ssac.methods.least_squares import covariance_of, hidden_covariance, solve, still_moves
 from ssac.methods.skew_search import with_coarse_skew
 from ssac.methods.verdict import certain, confirmed, doubt, is_spread
 from ssac.search.two_views import TwoViews, two_views

@@ -8,7 +8,8 @@ from experiments.measures.bound import Bound, cramer_rao_bound, fisher_informati
 from ssac.camera import Rig
 from ssac.geometry.epipolar import cross_matrix, fundamental_from_pose, sampson_distance
 from ssac.geometry.pose import tangent_basis
-from ssac.methods.least_squares import Parameters, Problem, WeighedPairs, moved, solve
+from ssac.geometry.problem import Parameters, Problem, WeighedPairs, moved
+from ssac.methods.least_squares import solve
 from tests.ssac.synthetic import (
     HEIGHT,
     WIDTH,

@@ -8,6 +8,7 @@ import pytest
 from ssac import Observation, joint, joint_known, prepare, tangency
 from ssac.camera import Camera, Rig, distort_points, undistort_points, with_deviations
 from ssac.geometry.epipolar import fundamental_from_pose, sampson_distance
+from ssac.geometry.problem import FIRST_COLUMN, Parameters, Problem, WeighedPairs, linearise
 from ssac.methods.intrinsics import (
     Allowance,
     columns_of,
@@ -16,15 +17,7 @@ from ssac.methods.intrinsics import (
     moves_of,
     uncertain_ones,
 )
-from ssac.methods.least_squares import (
-    FIRST_COLUMN,
-    Parameters,
-    Problem,
-    WeighedPairs,
-    covariance_of,
-    linearise,
-    solve,
-)
+from ssac.methods.least_squares import covariance_of, solve
 from tests.ssac.synthetic import (
     HEIGHT,
     WIDTH,

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from ssac.geometry.epipolar import fundamental_from_pose, sampson_distance
-from ssac.geometry.robust import CAUCHY
-from ssac.methods.least_squares import (
+from ssac.geometry.problem import (
     FIRST_COLUMN,
     T_D,
     Column,
@@ -15,12 +14,11 @@ from ssac.methods.least_squares import (
     Prior,
     Problem,
     WeighedPairs,
-    _least_squares,
-    covariance_of,
     linearise,
     moved,
-    solve,
 )
+from ssac.geometry.robust import CAUCHY
+from ssac.methods.least_squares import _least_squares, covariance_of, solve
 from tests.ssac.synthetic import K, make_scene, rotation_angle_deg, track_pair
 
 SCENE = make_scene(seed=2)
