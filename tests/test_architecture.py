@@ -34,6 +34,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
         "recording": (),
         "partial": (),
         "storage": (),
+        "disturb": ("config", "pixels", "movers", "clutter", "record"),
     },
     "ssac": {
         "errors": (),
@@ -133,7 +134,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
             "command",
             "warm_up",
         ),
-        "scenes": ("scene", "simulate", "demo"),
+        "scenes": ("scene", "disturb_options", "simulate", "demo"),
         "measures": (
             "bound",
             "recording_bound",

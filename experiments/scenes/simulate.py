@@ -9,8 +9,19 @@ from tqdm import tqdm
 
 from experiments.run.bridge import rig_of
 from experiments.run.provenance import plain, versions
+from experiments.scenes.disturb_options import (
+    BranchesOption,
+    HotClustersOption,
+    IntrinsicsErrorOption,
+    LampOption,
+    NoiseOption,
+    PeopleOption,
+    SecondObjectOption,
+)
 from experiments.scenes.scene import SceneFigures, pair_figures, scene_table
 from sim.clock import MAX_SKEW_PPM
+from sim.disturb.config import DisturbConfig
+from sim.disturb.record import record_disturbed
 from sim.errors import SimError
 from sim.recording import Flight, SimConfig
 from sim.render.config import RENDERERS, RenderConfig
@@ -32,7 +43,11 @@ _DEFAULT = SimConfig()
 
 
 def record_with_progress(
-    config: SimConfig, seed: int, out_dir: Path, text: bool = False
+    config: SimConfig,
+    seed: int,
+    out_dir: Path,
+    text: bool = False,
+    disturb: DisturbConfig | None = None,
 ) -> Recorded:
     """Simulate into a folder, with a progress bar where stderr is a terminal."""
     provenance = {"config": plain(config), "seed": seed, "versions": versions()}
@@ -44,7 +59,9 @@ def record_with_progress(
         def show(share: float) -> None:
             bar.update(round(100 * share) - bar.n)
 
-        return record(config, seed, out_dir, provenance, text, show)
+        if disturb is None or disturb.is_none:
+            return record(config, seed, out_dir, provenance, text, show)
+        return record_disturbed(config, disturb, seed, out_dir, provenance, text, show)
 
 
 def simulate_command(
@@ -128,6 +145,13 @@ def simulate_command(
     noise: Annotated[
         str, typer.Option(metavar="NAME", help=f"Sensor preset: {', '.join(PRESETS)}.")
     ] = "ideal",
+    lamp: LampOption = 0,
+    hot_clusters: HotClustersOption = 0,
+    noise_hz: NoiseOption = 0.0,
+    branches: BranchesOption = 0,
+    people: PeopleOption = 0,
+    second_object: SecondObjectOption = 0.0,
+    intrinsics_error: IntrinsicsErrorOption = (0.0, 0.0),
     threshold_on: Annotated[
         float, number("Contrast threshold C+, of log intensity.", 0.01, 5)
     ] = _DEFAULT.sensor.threshold_on,
@@ -193,9 +217,12 @@ def simulate_command(
         sensor=replace(PRESETS[noise], threshold_on=threshold_on, threshold_off=threshold_off),
         frames=FrameConfig(rate_hz=frame_rate, exposure_s=exposure),
     )
+    disturb = DisturbConfig(
+        lamp, hot_clusters, noise_hz, branches, people, second_object, intrinsics_error
+    )
     existing = next(folder for folder in out_dir.resolve().parents if folder.exists())
     remove_left_over(existing, out_dir.name)  # of a run that was killed while it wrote
-    recorded = record_with_progress(config, seed, out_dir, text)
+    recorded = record_with_progress(config, seed, out_dir, text, disturb)
     typer.echo(summary(recorded, out_dir))
     if figures:
         typer.echo(scene_table(_figures(recorded, out_dir)))
