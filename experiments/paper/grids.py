@@ -1,9 +1,11 @@
 """The configurations of the paper's tables in; their grids, cells, and the axes of both, out."""
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cache
 
-from experiments.run.grid import Cell, GridConfig, named_config
+from experiments.run.grid import Cell, GridConfig, flight_seed, named_config
+from sim.recording import SimConfig
 
 TABLES = ("esim_10", "esim_20")
 """Configurations of the paper's simulation tables: one for each duration."""
@@ -50,3 +52,16 @@ def table_axes() -> TableAxes:
 def offset_ms(cell: Cell) -> float:
     """Offset of a cell [ms], as it is read from `runs.csv`: of six digits."""
     return round(1e3 * cell.t_d_s, 6)
+
+
+def drawn(sim: SimConfig, flights: Iterable[int]) -> Iterator[tuple[int, int]]:
+    """Yield (number, seed) of flights of the duration and angle of a configuration."""
+    for flight in flights:
+        yield flight, flight_seed(sim.spline.duration_s, sim.angle_deg, flight)
+
+
+ANGLES_DEG = table_axes().angles_deg
+"""Those of the tables: the studies fly at the same."""
+
+DURATIONS_S = table_axes().durations_s
+"""Of the tables."""

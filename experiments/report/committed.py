@@ -21,6 +21,10 @@ class Committed:
     folder: Path
     _tables: dict[str, pd.DataFrame] = field(default_factory=dict, repr=False)
 
+    def has(self, name: str) -> bool:
+        """Return whether there is `<name>.csv`."""
+        return (self.folder / f"{name}.csv").is_file()
+
     def table(self, name: str) -> pd.DataFrame:
         """Read `<name>.csv`.
 

@@ -10,13 +10,12 @@ from functools import partial
 import numpy as np
 from scipy.stats import gmean
 
-from experiments.paper.grids import TABLES, table_axes
+from experiments.paper.grids import ANGLES_DEG, DURATIONS_S, TABLES
 from experiments.paper.quantities import ERRORS, NOISY_T_D_MARK_MS, T_D_ERROR
 from experiments.report.committed import Committed
-from experiments.studies.catalogue import ABLATIONS
+from experiments.studies.catalogue import ABLATIONS, OPTIONAL
 from experiments.studies.refusal import METHOD_NAMES as REFUSING_METHODS
 
-ANGLES_DEG, DURATIONS_S = table_axes().angles_deg, table_axes().durations_s
 METHODS = ("ssac", "ssac-known", "joint", "joint-known", "tangency", "tangency-known")
 SYMBOLS = {error.symbol: error for error in ERRORS.values()}
 """The errors by what they are called in the names here."""
@@ -202,8 +201,9 @@ def minutes(results: Committed, name: str) -> str:
 
 
 def minutes_of(results: Committed, names: tuple[str, ...]) -> str:
-    """Wall time of several commands together."""
-    return f"{sum(results.minutes(name) for name in names):.0f}"
+    """Wall time of several commands together, without optional ones that were not run."""
+    run = [name for name in names if name not in OPTIONAL or results.has(name)]
+    return f"{sum(results.minutes(name) for name in run):.0f}"
 
 
 def bench(results: Committed, row: str, scale: float = 1.0, decimals: int = 0) -> str:
@@ -220,7 +220,7 @@ def _plural(verdict: str, n: int) -> str:
 _TIMED = (
     *("bench", "comparison", "coverage", "efficiency", "fidelity", "figures"),
     "renderers",
-    *("refusal", "tangency", "zncc"),
+    *("refusal", "imperfect", "tangency", "zncc"),
     *(f"ablation_{name}" for name in ABLATIONS),
 )
 

@@ -16,6 +16,7 @@ from experiments.report.quoted import (
     cell_means,
     digits,
 )
+from experiments.report.quoted_imperfect import imperfect_table
 from experiments.report.quoted_zncc import ZNCC_TABLES
 from experiments.studies.catalogue import ABLATIONS
 from experiments.studies.fidelity import DIFFERENCES, MARKS_MS
@@ -255,6 +256,7 @@ TABLES: Mapping[str, Callable[[Committed], str]] = {
     "table.methods": methods_table,
     "table.coverage": coverage_table,
     "table.refusal": refusal_table,
+    "table.imperfect": imperfect_table,
     "table.tangency": tangency_table,
     "table.fidelity": fidelity_table,
     "table.renderers": partial(fidelity_table, study="renderers"),

@@ -1,11 +1,13 @@
 """Every study that comes with the project, by name, in the order in which they are listed."""
 
 from collections.abc import Mapping
+from pathlib import Path
 
 from experiments.studies.coverage import coverage_study
 from experiments.studies.efficiency import EFFICIENCY
 from experiments.studies.fidelity import FIDELITY_STUDY, RENDERERS_STUDY
 from experiments.studies.grids import ablation_names, ablation_study
+from experiments.studies.imperfect import IMPERFECT
 from experiments.studies.refusal import REFUSAL
 from experiments.studies.study import Study
 from experiments.studies.tangency import TANGENCY
@@ -21,6 +23,7 @@ STUDIES: Mapping[str, Study] = {
         EFFICIENCY,
         coverage_study(),
         REFUSAL,
+        IMPERFECT,
         TANGENCY,
         ZNCC,
         FIDELITY_STUDY,
@@ -28,6 +31,22 @@ STUDIES: Mapping[str, Study] = {
         *ABLATIONS.values(),
     )
 }
+
+
+OPTIONAL = ("imperfect",)
+"""Studies that a folder of results may lack; if it has a file of one, it must have them all."""
+
+
+def studies_in(results: Path) -> Mapping[str, Study]:
+    """Leave out the optional studies of which a folder holds no file."""
+
+    def is_there(study: Study) -> bool:
+        names = (study.runs_file, study.summary_file, study.figure_file)
+        return any((results / name).is_file() for name in names)
+
+    return {
+        name: study for name, study in STUDIES.items() if name not in OPTIONAL or is_there(study)
+    }
 
 
 def chosen_studies(names: list[str], known: Mapping[str, Study], kind: str) -> list[Study]:

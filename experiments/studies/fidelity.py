@@ -16,7 +16,7 @@ from experiments.measures.fidelity import (
     opengl_config,
     reference_config,
 )
-from experiments.studies.flights import ANGLES_DEG, DURATIONS_S, drawn
+from experiments.paper.grids import ANGLES_DEG, DURATIONS_S, drawn
 from experiments.studies.study import Study
 from sim.recording import SimConfig
 from sim.sensor.frames import FrameConfig

@@ -8,8 +8,8 @@ import pandas as pd
 
 from experiments.measures.refusal import REFUSALS, RefusalCell
 from experiments.measures.refusal_flights import DURATION_S, KINDS_OF_FLIGHT, flight_config
+from experiments.paper.grids import ANGLES_DEG
 from experiments.run.grid import flight_seed
-from experiments.studies.flights import ANGLES_DEG
 from experiments.studies.study import Study
 
 METHOD_NAMES = ("ssac", "joint", "tangency", "ssac-known", "joint-known", "tangency-known")

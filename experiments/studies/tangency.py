@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 
 from experiments.figures.style import WIDTH_IN, method_looks, quiet_axes
 from experiments.measures.tangency import VARIANT, VariantCell
+from experiments.paper.grids import ANGLES_DEG, drawn
 from experiments.paper.quantities import ERRORS, R_ERROR, T_D_ERROR
-from experiments.studies.flights import ANGLES_DEG, drawn
 from experiments.studies.study import Study
 from sim.recording import SimConfig
 from sim.sensor.frames import FrameConfig

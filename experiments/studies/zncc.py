@@ -18,7 +18,7 @@ from experiments.measures.zncc import (
     SIGNALS,
     SignalCell,
 )
-from experiments.studies.flights import ANGLES_DEG, drawn
+from experiments.paper.grids import ANGLES_DEG, drawn
 from experiments.studies.study import Study
 from sim.recording import SimConfig
 from sim.render.instants import SamplingConfig

@@ -18,7 +18,7 @@ import typer
 from experiments.report.numbers import pages, stale_numbers
 from experiments.run.command import WorkersOption
 from experiments.run.schedule import Workers
-from experiments.studies.catalogue import STUDIES
+from experiments.studies.catalogue import studies_in
 from experiments.verify.derived import (
     figure_findings,
     renderer_findings,
@@ -58,17 +58,18 @@ def verify_command(
     """Check that the results are whole and follow from their runs; make some runs again."""
     if not results.is_dir():
         raise SsacError(f"{results}: no such folder: run `make tables studies figures bench` first")
-    failed = _report(file_findings(results, manifest_of(STUDIES)))
+    studies = studies_in(results)
+    failed = _report(file_findings(results, manifest_of(studies)))
     failed += _report(table_findings(results))
-    failed += _report(study_findings(results, STUDIES))
-    failed += _report(renderer_findings(results, STUDIES))
-    failed += _report(figure_findings(results, STUDIES))
+    failed += _report(study_findings(results, studies))
+    failed += _report(renderer_findings(results, studies))
+    failed += _report(figure_findings(results, studies))
     failed += _report(page_findings(results))
     if recordings:
         seed = secrets.randbelow(_SEEDS) if sample_seed is None else sample_seed
         options = f"--sample-seed {seed} --recordings {recordings}" + (" --slow" if slow else "")
         typer.echo(f"recordings drawn by: ssac verify {options}")
-        drawn = draw(sources_of(STUDIES, slow), recordings, seed)
+        drawn = draw(sources_of(studies, slow), recordings, seed)
         with tempfile.TemporaryDirectory(prefix="ssac-verify-") as folder:
             failed += _report(recomputed(drawn, results, Path(folder), Workers(workers)))
     typer.echo(f"{failed} of the checks above differ" if failed else "all of it as committed")
