@@ -4,6 +4,7 @@ A row of axes for each method, a column for each error; one line for each angle,
 else the grid varies. Where runs failed, one more column shows their share.
 """
 
+import re
 from typing import Any
 
 import numpy as np
@@ -125,14 +126,18 @@ def lines_of(means: pd.DataFrame, others: list[str]) -> list[tuple[str, pd.DataF
         return [("mean", means)]
     return [
         (
-            ", ".join(
-                _NAMES.get(name, f"{name} = {{}}").format(value)
-                for name, value in zip(others, values, strict=True)
-            ),
+            ", ".join(_line_name(name, value) for name, value in zip(others, values, strict=True)),
             part,
         )
         for values, part in means.groupby(others, sort=True)
     ]
+
+
+def _line_name(name: str, value: Any) -> str:
+    """Say in words which value of a parameter a line is of."""
+    if name == "sim.background_files":  # a list, as text
+        return ", ".join(re.findall(r"([\w-]+)\.\w+", str(value))) or "even sky"
+    return _NAMES.get(name, f"{name} = {{}}").format(value)
 
 
 def _line_looks(means: pd.DataFrame, others: list[str]) -> list[dict[str, Any]]:

@@ -18,7 +18,7 @@ from experiments.report.quoted import (
 )
 from experiments.report.quoted_imperfect import imperfect_table
 from experiments.report.quoted_zncc import ZNCC_TABLES
-from experiments.studies.catalogue import ABLATIONS
+from experiments.studies.catalogue import ABLATIONS, OPTIONAL
 from experiments.studies.fidelity import DIFFERENCES, MARKS_MS
 from experiments.studies.refusal import METHOD_NAMES as REFUSING_METHODS
 
@@ -27,6 +27,8 @@ Rows = list[list[str]]
 _SHOWN = {
     # of each ablation: the columns that tell its rows apart; all else is averaged over
     "angle": ["sim.angle_deg"],
+    "background": ["sim.background_files"],
+    "brightness": ["sim.background_luminance"],
     "contrast": ["sim.sensor.threshold_on"],
     "davis346": ["sim.angle_deg"],
     "focal": ["sim.focal_px"],
@@ -34,6 +36,7 @@ _SHOWN = {
     "noise": ["sim.sensor.shot_noise_hz", "sim.sensor.leak_hz"],
     "object": ["sim.drone", "sim.distance_m"],
     "resolution": ["sim.resolution"],
+    "rotors": ["sim.rotor_hz"],
     "samples": ["ssac.n_samples"],
     "size": ["sim.drone_size_m"],
     "speed": ["sim.spline.sampling_hz"],
@@ -170,8 +173,13 @@ def tangency_table(results: Committed) -> str:
 
 
 def ablation_table(results: Committed, name: str) -> str:
-    """Mean errors of t_d and R over all angles, for each value of what varies, by method."""
+    """Mean errors of t_d and R over all angles, for each value of what varies, by method.
+
+    Empty where an optional one was not run.
+    """
     stem = f"ablation_{name}"
+    if stem in OPTIONAL and not results.has(stem):
+        return ""
     table, varied = results.table(stem), _SHOWN[name]
     methods = list(dict.fromkeys(table["method"]))
     rows: Rows = []

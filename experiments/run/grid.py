@@ -16,7 +16,8 @@
     sim.sensor.threshold_on = [0.1, 0.2]
     sim.sensor.threshold_off = [0.1, 0.2]
 
-Parameters are the fields of `sim.recording.SimConfig` and `ssac.config.Config`, by dotted names.
+Parameters are the fields of `sim.recording.SimConfig` and `ssac.config.Config`, by dotted names. A
+file is one that comes with the project ("backgrounds/leaves.png"), or else where its path leads.
 """
 
 import hashlib
@@ -284,7 +285,7 @@ def _converted(value: Any, hint: Any) -> Any:
     if hint is float and isinstance(value, int) and not isinstance(value, bool):
         return float(value)
     if hint is Path and isinstance(value, str):
-        return Path(value)
+        return CONFIGS / value if (CONFIGS / value).is_file() else Path(value)
     if not isinstance(value, hint) or (isinstance(value, bool) and hint is not bool):
         raise TypeError
     return value

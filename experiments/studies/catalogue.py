@@ -33,7 +33,7 @@ STUDIES: Mapping[str, Study] = {
 }
 
 
-OPTIONAL = ("imperfect",)
+OPTIONAL = ("imperfect", "ablation_background", "ablation_brightness", "ablation_rotors")
 """Studies that a folder of results may lack; if it has a file of one, it must have them all."""
 
 

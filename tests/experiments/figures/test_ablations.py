@@ -142,6 +142,14 @@ def test_an_axis_without_angles_is_one_line() -> None:
     assert len(drawn(figure.axes[0])) == 1
 
 
+def test_a_line_of_a_picture_bears_its_name() -> None:
+    grid = named_config("ablation_background")
+    figure = ablation_figure(make_means(grid), grid)
+    labels = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert sorted(labels[:4]) == ["clouds", "even sky", "houses", "leaves"]
+    assert labels[4] == "default: 90"
+
+
 def test_two_parameters_are_told_apart_by_colour_and_by_marker() -> None:
     grid = named_config("ablation_object")
     means = make_means(grid)

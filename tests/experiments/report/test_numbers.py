@@ -162,3 +162,15 @@ def test_listed() -> None:
 
 def test_the_command_is_there() -> None:
     assert any(command.name == "numbers" for command in COMMANDS)
+
+
+def test_an_optional_ablation_quotes_nothing_until_it_is_there(tmp_path: Path) -> None:
+    results = Committed(tmp_path)
+    assert TABLES["table.ablation.rotors"](results) == ""
+    with pytest.raises(SsacError, match="no such file: a page quotes it"):
+        TABLES["table.ablation.noise"](results)
+    rows = [{"sim.rotor_hz": hz, "method": "joint", "n_runs": 2, "failed": 0,
+             "t_d_error_ms_mean": 0.2, "r_error_deg_mean": 0.1} for hz in (0, 60)]  # fmt: skip
+    pd.DataFrame(rows).to_csv(tmp_path / "ablation_rotors.csv", index=False)
+    last = TABLES["table.ablation.rotors"](Committed(tmp_path)).splitlines()[-1]
+    assert last.split()[1:4] == ["60", "|", "0.20"]

@@ -8,7 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from experiments.cli import app
-from experiments.run.cache import Cache
+from experiments.run.cache import Cache, content
 from experiments.run.grid import (
     config_names,
     configs_of,
@@ -128,10 +128,21 @@ def test_an_ablation_varies_what_its_figure_shows_over_enough_values(name):
     assert grid.figure.x in grid.varied
     values = {str(cell.parameters[grid.figure.x]) for cell in cells}
     of_estimator = name in ("ablation_window", "ablation_n_min", "ablation_samples")
-    assert len(values) >= (7 if of_estimator else 5)
-    assert len({cell.sim.angle_deg for cell in cells}) >= 3
+    of_scene = name in ("ablation_rotors", "ablation_brightness")  # at one angle
+    pictures = name == "ablation_background"  # a line each, over the angle
+    assert len(values) >= (7 if of_estimator else 3 if pictures else 5)
+    assert len({cell.sim.angle_deg for cell in cells}) >= (1 if of_scene else 3)
     uses_tables = of_estimator or name == "ablation_angle"
     assert grid.flights >= 10 if uses_tables else grid.flights >= 1
+
+
+def test_a_file_of_the_project_is_found_from_any_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    files = {file for cell in named_config("ablation_background").cells()
+             for file in cell.sim.background_files}  # fmt: skip
+    assert {file.stem for file in files} == {"clouds", "houses", "leaves"}
+    assert all(file.is_file() for file in files)
+    assert len({content(file) for file in files}) == 3  # what a recording is kept by
 
 
 def test_ablations_of_the_estimator_use_the_recordings_of_the_tables():
