@@ -14,9 +14,11 @@ import yaml
 from sim.disturb.clutter import clutter, merged, second_seed, thinned, wrong_intrinsics
 from sim.disturb.config import DisturbConfig
 from sim.disturb.pixels import View
+from sim.errors import SimError
 from sim.partial import partial_path
 from sim.recording import CameraRecording, Recording, SimConfig, simulate
 from sim.scene.rig import kalibr_yaml
+from sim.sensor.frames import FrameConfig
 from sim.storage import Recorded, check_out_dir, save_recording
 
 Progress = Callable[[float], None]
@@ -46,18 +48,26 @@ def record_disturbed(
     Raises
     ------
     SimError
-        As `record` does, or when a disturbance does not fit into the view.
+        As `record` does, when a disturbance does not fit into the view, or when the trajectory of
+        a second object is a file's.
     """
     check_out_dir(out_dir)
+    if disturb.second_object and config.trajectory_file is not None:
+        raise SimError(
+            "the second object flies at random, but the trajectory is a file's, which both would "
+            "fly: leave out one of them"
+        )
     n_flights = 2 if disturb.second_object else 1
 
-    def flight(index: int, of_seed: int) -> Recording:
+    def flight(index: int, of_config: SimConfig, of_seed: int) -> Recording:
         if progress is None:
-            return simulate(config, of_seed)
-        return simulate(config, of_seed, lambda share: progress((index + share) / n_flights))
+            return simulate(of_config, of_seed)
+        return simulate(of_config, of_seed, lambda share: progress((index + share) / n_flights))
 
-    recording = flight(0, seed)
-    second = flight(1, second_seed(seed)) if disturb.second_object else None
+    recording, second = flight(0, config, seed), None
+    if disturb.second_object:
+        without_frames = replace(config, frames=FrameConfig(rate_hz=0.0))
+        second = flight(1, without_frames, second_seed(seed))
     recording = disturbed(recording, disturb, seed, second)
     true = {camera.name: camera.K.tolist() for camera in recording.rig.cameras}
     spoilt = {"disturbances": asdict(disturb), "true_K": true}

@@ -79,6 +79,7 @@ def test_a_second_flight_is_seen_by_both_and_the_rig_is_wrong_as_stated(tmp_path
         (["--lamp", 101], "--lamp: expected 0 to 100 pixels, got 101"),
         (["--noise-hz", -1], "--noise-hz: expected 0 to 100 hertz, got -1"),
         (["--second-object", 2], "--second-object: expected 0 to 1, got 2"),
+        (["--second-object", 1, "--trajectory", "flight.csv"], "leave out one of them"),
         (["--intrinsics-error", 11, 0], "intrinsics_error needs 0 to 10 %"),
         (["--lamp", 20, "--resolution", 16, 16, "--focal", 10, "--duration", 1,
           "--frame-rate", 0], "a lamp of 20 x 20 px does not fit into a view of 16 x 16 px"),
