@@ -6,6 +6,9 @@ import numpy as np
 
 from ssac.errors import SsacError
 
+N_MIN = 200
+"""Events that a window holds at least, the paper's N_min."""
+
 CLOCKS = ("affine", "pieces")
 
 MAX_SKEW_PPM = 100_000.0
@@ -19,7 +22,8 @@ class Config:
     interval_s: tuple[float, float] = (-1.0, 1.0)  # offsets searched, the paper's [t_b, t_e]
     n_samples: int = 400  # sample times per candidate offset, the paper's N
     half_window_s: float = 0.020  # of events on each side of a sample time
-    n_min: int = 200  # events that a window holds at least, the paper's N_min
+    n_min: int | None = None  # events that a window holds at least; None: N_MIN, fewer if thin
+    n_neighbours: int | None = None  # of an event that is kept; None: by noise and density
     border_px: int = 5  # width of the border in the margin rule
     max_border_fraction: float = 0.05  # of a window's events may lie on the border
     exhaustive: bool = False  # try an offset every 1 ms as the paper does, not coarse to fine
@@ -53,7 +57,8 @@ def checked(config: Config | None) -> Config:
         )
     if config.clock == "pieces" and not config.skew_prior_ppm:
         raise SsacError("a clock of pieces has a skew: its prior must be above 0 ppm, got 0")
-    for name in ("n_samples", "half_window_s", "n_min", "trials", "final_trials"):
-        if not getattr(config, name) > 0:
-            raise SsacError(f"{name} must be positive, got {getattr(config, name)}")
+    for name in ("n_samples", "half_window_s", "n_min", "n_neighbours", "trials", "final_trials"):
+        value = getattr(config, name)
+        if value is not None and not value > 0:
+            raise SsacError(f"{name} must be positive, got {value}")
     return config

@@ -63,6 +63,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
             "pencil",
         ),
         "track": (
+            "clutter",
             "denoise",
             "motion_kernels",
             "motion",

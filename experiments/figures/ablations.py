@@ -22,6 +22,7 @@ from experiments.paper.esim import method_order
 from experiments.paper.quantities import ERRORS
 from experiments.run.grid import FigureConfig, GridConfig, configs_of
 from sim.scene.drone import quadrotor
+from ssac.config import N_MIN
 from ssac.errors import SsacError
 
 FAILED = "failed"
@@ -107,6 +108,8 @@ def default_value(name: str) -> float:
     """Give the default of a parameter by its dotted name, in its own unit."""
     if name == "sim.drone_size_m":  # whose default, None, leaves it to the drone
         return quadrotor().size_m
+    if name == "ssac.n_min":  # whose default, None, may leave it to a thin object
+        return N_MIN
     root, *path = name.split(".")
     value: Any = dict(zip(("sim", "ssac"), configs_of({}), strict=True))[root]
     for part in path:

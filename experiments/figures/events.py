@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from experiments.figures.style import WIDTH_IN, quiet_axes
 from ssac.camera import Rig, known_pose
-from ssac.config import Config
+from ssac.config import N_MIN, Config
 from ssac.errors import SsacError
 from ssac.estimate import Estimate
 from ssac.events import US_PER_S, slice_time
@@ -96,7 +96,7 @@ def preprocessing_figure(pair: Pair) -> Figure:
         f"(a) Raw events\n{_thousands(raw)}, one in {one_in} drawn",
         f"(b) After denoising\n{_thousands(kept)}, one in {one_in} drawn",
         "(c) Position p(t) of the object\n"
-        f"none where {2e3 * Config.half_window_s:g} ms hold fewer than {Config.n_min} events",
+        f"none where {2e3 * Config.half_window_s:g} ms hold fewer than {N_MIN} events",
     )
     for number, title in enumerate(titles, start=1):
         box = ((number - 1) / 3.0 - 0.014, 0.04, 0.31, 0.86)

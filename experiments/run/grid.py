@@ -292,7 +292,10 @@ def _converted(value: Any, hint: Any) -> Any:
 
 
 def _type_name(hint: Any) -> str:
-    return hint.__name__ if isinstance(hint, type) and not get_args(hint) else str(hint)
+    choices = [kind for kind in get_args(hint) if kind is not type(None)]
+    if len(choices) == 1:  # a union with None, which TOML lacks
+        return _type_name(choices[0])
+    return hint.__name__ if isinstance(hint, type) and not choices else str(hint)
 
 
 def _flat(table: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:

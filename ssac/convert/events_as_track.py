@@ -7,8 +7,7 @@ from ssac.config import Config
 from ssac.errors import SsacError
 from ssac.points import PointTrack
 from ssac.search.seen import seen_of, seen_times
-from ssac.track.motion import object_motion
-from ssac.track.observation import Observation, usable_events
+from ssac.track.observation import Observation, denoised, object_motions
 
 STEP_S = 0.01
 """Time between points: half of a window's half, so that a track loses nothing of the motion."""
@@ -51,15 +50,9 @@ def track_of_events(
         If the events cannot be used, or show no object anywhere.
     """
     config = config or Config()
-    events = usable_events(observation, observation, Rig(camera, camera), config)[0]
-    motion = object_motion(
-        events,
-        camera,
-        config.half_window_s,
-        config.n_min,
-        config.border_px,
-        config.max_border_fraction,
-    )
+    rig = Rig(camera, camera)
+    clean = denoised(observation, observation, rig, config)[0]
+    motion = object_motions(clean, clean, rig, config)[0]
     seen = seen_of(motion, step_s)
     times_s = seen_times(seen, int(np.count_nonzero(seen.valid)))
     sharp = motion.sharp_at(times_s)
@@ -69,8 +62,8 @@ def track_of_events(
     good = sharp.valid & np.all((points >= -0.5) & (points <= size - 0.5), axis=1)
     if not good.any():
         raise SsacError(
-            f"no window of {2e3 * config.half_window_s:g} ms shows an object: {len(events)} events "
-            "are left after denoising; record closer to it, or give a smaller --n-min"
+            f"no window of {2e3 * config.half_window_s:g} ms shows an object: {len(clean.events)} "
+            "events are left after denoising; record closer to it, or give a smaller --n-min"
         )
     sigmas = np.maximum(STRAY_SIZES * sharp.sizes_px[good], _LEAST_SIGMA_PX)
     return PointTrack(times_s[good], points[good], sigmas)

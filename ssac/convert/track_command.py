@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from ssac.config import Config
+from ssac.config import N_MIN, Config
 from ssac.console.options import number
 from ssac.errors import SsacError
 
@@ -33,8 +33,15 @@ def track_command(
         number("Events this long before and after a time give a point.", 0.001, 0.25, "seconds"),
     ] = Config.half_window_s,
     n_min: Annotated[
-        int, number("Events that a point needs at least.", 1, 100_000, metavar="COUNT")
-    ] = Config.n_min,
+        int | None,
+        number(
+            "Events that a point needs at least.",
+            1,
+            100_000,
+            metavar="COUNT",
+            default_words=f"{N_MIN}; fewer of a thin object",
+        ),
+    ] = None,
 ) -> None:
     """Write the path of the one moving object as a track file: t_s,x_px,y_px,sigma_px."""
     from ssac.convert.events_as_track import track_of_events

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ssac.config import Config
+from ssac.config import N_MIN, Config
 from ssac.estimate import Estimate, Status
 from ssac.geometry.fundamental import MIN_PAIRS
 from ssac.geometry.pose import tangent_basis
@@ -73,8 +73,9 @@ def offset_estimate(method: str, search: OffsetSearch, config: Config) -> Estima
         status = Status.TOO_FEW_SAMPLES
         reason = (
             f"at no {where} are {MIN_PAIRS} of {config.n_samples} sample times valid in both views:"
-            f" a window of {2e3 * config.half_window_s:g} ms must hold {config.n_min} events or"
-            f" more, and at most {100 * config.max_border_fraction:g} % of them on the border"
+            f" a window of {2e3 * config.half_window_s:g} ms must hold"
+            f" {config.n_min or N_MIN} events or more (fewer of a thin object), and at most"
+            f" {100 * config.max_border_fraction:g} % of them on the border"
         )
     elif search.at_bound:
         status = Status.SEARCH_BOUND

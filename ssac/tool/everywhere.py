@@ -157,7 +157,7 @@ def at_rate(cam2: Observation, rate: float, anchor_s: float) -> Observation:
         events = events.copy()
         anchor_us = anchor_s * US_PER_S
         events["t"] = np.rint(anchor_us + (events["t"] - anchor_us) / rate).astype(np.int64)
-    return Observation(events, denoised=cam2.denoised, track=track)
+    return Observation(events, denoised=cam2.denoised, track=track, clutter=cam2.clutter)
 
 
 def _refusal(found: AllOffsets, method: str) -> Estimate | None:

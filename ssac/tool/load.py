@@ -81,13 +81,15 @@ def check_enough_events(
     if method.input is Input.FRAMES or camera.track is not None:
         return
     left = f"denoising left {len(camera.events)} of {n_read} events"
+    if camera.clutter is not None and camera.clutter.masked_events:
+        left += f", of which {camera.clutter.masked_events} were of lamps and hot pixels"
     if len(camera.events) == 0:
         raise SsacError(
             f"{path}: {left}: check that an object moves in this recording, or try --no-denoise"
         )
     if method.input is not Input.TRACKS:
         return
-    t_us, n_min = camera.events["t"], config.n_min
+    t_us, n_min = camera.events["t"], camera.n_min(config)
     window_us = 2 * config.half_window_s * US_PER_S
     if len(t_us) < n_min or np.min(t_us[n_min - 1 :] - t_us[: len(t_us) - n_min + 1]) > window_us:
         raise SsacError(

@@ -13,6 +13,7 @@ from ssac.estimate import Estimate
 from ssac.files.whole_file import whole_file
 from ssac.tool.registry import Input, Method
 from ssac.tool.sync import SyncResult
+from ssac.track.observation import Observation
 
 _FAR = 3.0  # times what was expected of a skew
 
@@ -33,6 +34,7 @@ def report_text(result: SyncResult) -> str:
         rows += _pose_rows(estimate.R, estimate.t, (estimate.r_std_deg, estimate.t_std_deg))
     if result.method.input is Input.TRACKS:
         rows.append(("samples", _samples(result)))
+    rows += [("clutter", f"camera {k}: {words}") for k, words in _clutter_words(result)]
     if np.isfinite(estimate.d_avg_px):
         rows.append(("d_avg", f"{estimate.d_avg_px:.3f} px from point to epipolar line"))
     rows.append(("method", f"{result.method.name}: {result.method.summary}"))
@@ -64,6 +66,7 @@ def report_json(result: SyncResult) -> dict[str, Any]:
         "clock_covariance": _plain(estimate.clock_covariance),
         "clock_knots": _knots(estimate),
         "clock_jump": None if estimate.jump is None else asdict(estimate.jump),
+        "clutter": [_of_clutter(camera, result) for camera in (result.cam1, result.cam2)],
         "conventions": "t_cam2 = t_cam1 + t_d + skew (t_cam1 - t_ref), and what it strays at knots,"
         " linear in between; x2 = R x1 + t, |t| = 1; covariance of t_d [s], "
         "rotation vector of exp([w]x) R [rad] and t's two tangents [rad]; unobservable: unit "
@@ -83,6 +86,11 @@ def note(result: SyncResult) -> str:
         return (
             "no one skew fits these tracks: a clock wanders, as those of phones do, and is followed"
             " piece by piece (--clock pieces); the offset alone holds at its time only"
+        )
+    if estimate.has_offset and _is_start(result):
+        return (
+            "the object is too small for an outline that says more than the mean of its events:"
+            f" this is the answer of {result.method.starts_from}"
         )
     if not estimate.has_offset or np.isfinite(estimate.t_d_std_s):
         return ""
@@ -172,8 +180,44 @@ def _samples(result: SyncResult) -> str:
     estimate, method = result.estimate, result.method
     if estimate.status != "ok":  # it may have stopped before the pairs that it is named for
         return f"{estimate.n_samples} pairs used"
-    times = "" if method.counts != Method.counts else f", of {result.config.n_samples} sample times"
-    return f"{estimate.n_samples} {method.counts} used{times}"
+    counts = Method.counts if _is_start(result) else method.counts
+    times = "" if counts != Method.counts else f", of {result.config.n_samples} sample times"
+    return f"{estimate.n_samples} {counts} used{times}"
+
+
+def _is_start(result: SyncResult) -> bool:
+    """Whether a method of tangents gave what it started from."""
+    estimate, method = result.estimate, result.method
+    start = estimate.start
+    return method.needs_events and start is not None and start.t_d_s == estimate.t_d_s
+
+
+def _clutter_words(result: SyncResult) -> list[tuple[int, str]]:
+    """Say of each camera, from 1 on, what was masked or filtered in another way than usual."""
+    found = []
+    for number, camera in enumerate((result.cam1, result.cam2), start=1):
+        clutter, parts = camera.clutter, list[str]()
+        if clutter is not None and clutter.masked_pixels:
+            parts.append(
+                f"{clutter.masked_pixels} px that fire by themselves masked"
+                f" ({clutter.masked_events} events)"
+            )
+        if clutter is not None and clutter.is_adapted:
+            parts.append(
+                f"with a background of {clutter.background_hz:.2g} Hz/px an event needs"
+                f" {clutter.n_neighbours} others within {clutter.radius_px:g} px, ms, and a"
+                f" position {camera.n_min(result.config)} events"
+            )
+        if parts:
+            found.append((number, "; ".join(parts)))
+    return found
+
+
+def _of_clutter(camera: Observation, result: SyncResult) -> dict[str, float] | None:
+    """Give what denoising did to a camera's events; None where it did nothing, as to a track."""
+    if camera.clutter is None:
+        return None
+    return asdict(camera.clutter) | {"n_min": camera.n_min(result.config)}
 
 
 def _vector(values: NDArray[np.float64], digits: int) -> str:

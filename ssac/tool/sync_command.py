@@ -12,7 +12,7 @@ from typing import Annotated, Any
 
 import typer
 
-from ssac.config import CLOCKS, MAX_SKEW_PPM, Config
+from ssac.config import CLOCKS, MAX_SKEW_PPM, N_MIN, Config
 from ssac.console.command_line import Sections
 from ssac.console.exits import NO_ESTIMATE
 from ssac.console.options import number
@@ -149,8 +149,25 @@ def sync_command(
         ),
     ] = Config.half_window_s,
     n_min: Annotated[
-        int, number("Events that a position needs at least.", 1, 100_000, metavar="COUNT")
-    ] = Config.n_min,
+        int | None,
+        number(
+            "Events that a position needs at least.",
+            1,
+            100_000,
+            metavar="COUNT",
+            default_words=f"{N_MIN}; fewer of a thin object",
+        ),
+    ] = None,
+    neighbours: Annotated[
+        int | None,
+        number(
+            "Other events within 5 px, 5 ms that keep an event from being taken for noise.",
+            1,
+            1000,
+            metavar="COUNT",
+            default_words="20; by the noise that is there, and for a thin object fewer",
+        ),
+    ] = None,
 ) -> None:
     """Find the time offset and the relative pose of two cameras from one moving object.
 
@@ -181,6 +198,7 @@ def sync_command(
         n_samples=n_samples,
         half_window_s=half_window,
         n_min=n_min,
+        n_neighbours=neighbours,
         denoise=not no_denoise,
         skew_prior_ppm=skew_prior,
         clock=clock,

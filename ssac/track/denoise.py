@@ -1,120 +1,152 @@
-"""Events in, the events of the moving object out: hot pixels and isolated events removed."""
+"""Events in, the events of the moving object out: what fires by itself, or alone, removed.
+
+How many neighbours an event needs follows from the noise that is there, and from how many events
+the object makes; the paper's 20 are what an ordinary drone in ordinary light needs.
+"""
+
+from dataclasses import dataclass
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import poisson
+
+from ssac.config import N_MIN
+from ssac.track.clutter import activity, chosen_events, masked_pixels, of_pixels
 
 US_PER_MS = 1000.0
+
+PAPER_PX, PAPER_NEIGHBOURS = 5.0, 20
+"""The paper's ball [px, ms] and the neighbours in it."""
+
+NEAR_PX, NEAR_NEIGHBOURS = 3.0, 12
+"""The same where there is much noise: what lies beside the object by chance, a large ball keeps."""
+
+NOISY_HZ = 1.0
+"""Background of a pixel from which the small ball is taken."""
+
+MOST = 0.9
+"""Share of an object's events that have more neighbours, where these are asked for."""
+
+LEAST_NEIGHBOURS = 5
+"""However little noise there is."""
+
+THIN = 2.0
+"""An object of fewer events in a window than so many times the paper's N_min is thin."""
+
+_LEAST_N_MIN = 20
+_SHARE_N_MIN = 0.25  # of a thin object's events in a window
+_WINDOW_S = 0.040  # whatever the config's is: what is prepared must not depend on that
+_SAMPLES = 1000  # of windows
 
 _SLOTS = 16  # of time, on each side, in the box that is counted
 _BOX = 0.4  # half the side of the box that is counted, over the radius: it settles most events
 
 
-def remove_hot_pixels(
-    events: NDArray[np.void],
-    width: int,
-    height: int,
-    min_events: int = 50,
-    count_ratio: float = 8.0,
-    min_companions: int = 2,
-) -> NDArray[np.void]:
-    """Events without those of pixels that fire by themselves.
+@dataclass(frozen=True)
+class Clutter:
+    """What was done to the events of one camera, and why."""
 
-    A pixel is hot when it has many events and fewer than `min_companions` of the 24 pixels around
-    it have a comparable number. Whatever the object does, its image is larger than a pixel and an
-    edge of it that passes, or stays, leaves similar counts along itself; a hot pixel stands alone.
+    masked_pixels: int  # which fire by themselves: lamps and hot pixels
+    masked_events: int
+    background_hz: float  # of an ordinary pixel
+    radius_px: float  # of the radius filter's ball, and in ms
+    n_neighbours: int  # that an event needs in it
+    n_min: int  # events that a window holds at least, unless the config says how many
+
+    @property
+    def is_adapted(self) -> bool:
+        """Whether the paper's values were left."""
+        used = self.radius_px, self.n_neighbours, self.n_min
+        return used != (PAPER_PX, PAPER_NEIGHBOURS, N_MIN)
+
+
+def without_noise(
+    events: NDArray[np.void], width: int, height: int, n_neighbours: int | None = None
+) -> tuple[NDArray[np.void], Clutter]:
+    """Remove what fires by itself, then what fires alone.
 
     Parameters
     ----------
     events
-        Events, dtype EVENT_DTYPE, shape (N,).
+        Events, dtype EVENT_DTYPE, shape (N,), sorted by time.
     width, height
         Sensor size [px].
-    min_events
-        Pixels with fewer events are never called hot.
-    count_ratio
-        Another pixel is comparable when its count times this ratio reaches the pixel's own.
-    min_companions
-        Comparable pixels that make a pixel part of an image; so up to this many hot pixels side by
-        side are still found.
+    n_neighbours
+        That an event needs in the paper's ball. None: the paper's, in little noise; in more than
+        NOISY_HZ the smaller ball; fewer, if noise allows it, where the object is thin.
 
     Returns
     -------
-    NDArray[np.void]
-        The events of all other pixels, in the same order.
+    tuple
+        The events left, in the same order, and what was done.
     """
-    counts = _event_counts(events["x"], events["y"], width, height)
-    hot = _lone_pixels(counts, min_events, count_ratio, min_companions)
-    if not hot.any():
-        return events
-    return chosen_events(events, of_pixels(~hot, events["x"], events["y"]))
+    found = activity(events, width, height)
+    mask = masked_pixels(found)
+    n_all, hz = len(events), found.background_hz
+    if mask.any():
+        events = chosen_events(events, of_pixels(~mask, events["x"], events["y"]))
+    n_masked = n_all - len(events)
+    radius_px, n = PAPER_PX, n_neighbours or PAPER_NEIGHBOURS
+    if n_neighbours is None and hz > NOISY_HZ:
+        radius_px, n = NEAR_PX, least_neighbours(hz, width * height, NEAR_PX, NEAR_NEIGHBOURS)
+        left = radius_filter(events, radius_px, n_neighbours=n)
+        fewer = radius_filter(left, radius_px, n_neighbours=NEAR_NEIGHBOURS)
+        if len(fewer) > MOST * len(left):
+            left, n = fewer, NEAR_NEIGHBOURS
+    else:
+        left = radius_filter(events, n_neighbours=n)
+        if n_neighbours is None and _is_thin(left):
+            n = least_neighbours(hz, width * height, PAPER_PX, PAPER_NEIGHBOURS)
+            left = radius_filter(events, n_neighbours=n)
+    n_min = N_MIN
+    if _is_thin(left):
+        n_min = int(np.clip(_SHARE_N_MIN * events_per_window(left), _LEAST_N_MIN, N_MIN))
+    return left, Clutter(int(mask.sum()), n_masked, hz, radius_px, n, n_min)
 
 
-@numba.njit(cache=True)
-def _event_counts(
-    x: NDArray[np.uint16], y: NDArray[np.uint16], width: int, height: int
-) -> NDArray[np.int64]:
-    """Count the events of each pixel (height, width)."""
-    counts = np.zeros((height, width), np.int64)
-    for i in range(len(x)):
-        counts[y[i], x[i]] += 1
-    return counts
+def least_neighbours(background_hz: float, n_pixels: int, radius_px: float, most: int) -> int:
+    """Fewest neighbours that leave at most one event of the noise in a window, up to `most`.
 
-
-@numba.njit(cache=True)
-def _lone_pixels(
-    counts: NDArray[np.int64], min_events: int, count_ratio: float, min_companions: int
-) -> NDArray[np.bool_]:
-    """Whether each pixel (height, width) has many events, and too few of those around it have.
-
-    Pixel by pixel: the neighbourhoods of all of them side by side would be 25 times the sensor.
+    Parameters
+    ----------
+    background_hz
+        Of each pixel, at random times.
+    n_pixels
+        Of the sensor.
+    radius_px
+        Of the ball [px, ms].
+    most
+        Given where even that many leave more.
     """
-    height, width = counts.shape
-    lone = np.zeros((height, width), np.bool_)
-    for row in range(height):
-        for column in range(width):
-            own = counts[row, column]
-            if own < min_events:
-                continue
-            n_companions = -1  # the pixel finds itself
-            for i in range(max(row - 2, 0), min(row + 3, height)):
-                for j in range(max(column - 2, 0), min(column + 3, width)):
-                    n_companions += counts[i, j] * count_ratio >= own
-            lone[row, column] = n_companions < min_companions
-    return lone
+    in_ball = background_hz * 4.0 / 3.0 * np.pi * radius_px**3 / US_PER_MS
+    in_window = background_hz * n_pixels * _WINDOW_S
+    for n in range(LEAST_NEIGHBOURS, most):
+        if in_window * poisson.sf(n - 1, in_ball) <= 1.0:
+            return n
+    return most
 
 
-@numba.njit(cache=True)
-def chosen_events(events: NDArray[np.void], chosen: NDArray[np.bool_]) -> NDArray[np.void]:
-    """Copy the events (n,) where `chosen` (n,) holds: as indexing does, but four times as fast."""
-    n = 0
-    for i in range(len(chosen)):
-        n += chosen[i]
-    found = np.empty(n, events.dtype)
-    n = 0
-    for i in range(len(chosen)):
-        if chosen[i]:
-            found[n] = events[i]
-            n += 1
-    return found
+def events_per_window(events: NDArray[np.void]) -> float:
+    """Median number of events within 20 ms of one of them; 0 of none."""
+    t = events["t"]
+    if len(t) == 0:
+        return 0.0
+    some = t[:: -(-len(t) // _SAMPLES)]
+    half_us = round(0.5e6 * _WINDOW_S)
+    counts = np.searchsorted(t, some + half_us) - np.searchsorted(t, some - half_us)
+    return float(np.median(counts))
 
 
-@numba.njit(cache=True)
-def of_pixels(
-    chosen: NDArray[np.bool_], x: NDArray[np.uint16], y: NDArray[np.uint16]
-) -> NDArray[np.bool_]:
-    """Whether each event (n,) is of a chosen pixel (height, width), with no other array (n,)."""
-    found = np.empty(len(x), np.bool_)
-    for i in range(len(x)):
-        found[i] = chosen[y[i], x[i]]
-    return found
+def _is_thin(events: NDArray[np.void]) -> bool:
+    return events_per_window(events) < THIN * N_MIN
 
 
 def radius_filter(
     events: NDArray[np.void],
-    radius_px: float = 5.0,
+    radius_px: float = PAPER_PX,
     ms_per_unit: float = 1.0,
-    n_neighbours: int = 20,
+    n_neighbours: int = PAPER_NEIGHBOURS,
 ) -> NDArray[np.void]:
     """Events with enough neighbours in a ball of x-y-t space, as the paper's authors filter.
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssac.camera import Camera, undistortion_map
-from ssac.track.denoise import chosen_events, of_pixels
+from ssac.track.clutter import chosen_events, of_pixels
 from ssac.track.motion_kernels import (
     cumulative_sums,
     first_from_each,

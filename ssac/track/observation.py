@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssac.camera import Camera, Rig, same_camera
-from ssac.config import Config, checked
+from ssac.config import N_MIN, Config, checked
 from ssac.errors import SsacError
 from ssac.events import EVENT_DTYPE, US_PER_S, check_events
 from ssac.points import PointTrack, check_track
-from ssac.track.denoise import radius_filter, remove_hot_pixels
+from ssac.track.denoise import Clutter, without_noise
 from ssac.track.motion import Motion, ObjectMotion, object_motion
 from ssac.track.point_motion import point_motion
 
@@ -40,6 +40,7 @@ class Observation:
     denoised: bool = False  # the noise has left the events already: no method removes it again
     prepared: Prepared | None = None  # by `prepare`; None: each method starts from the events
     track: PointTrack | None = None  # in place of events, of which there are then none
+    clutter: Clutter | None = None  # what denoising did here; None: nothing yet, or elsewhere
 
     def __post_init__(self) -> None:
         if self.prepared is not None and self.prepared.events is not self.events:
@@ -64,7 +65,14 @@ class Observation:
         track = self.track
         if track is not None:
             track = replace(track, times_s=track.times_s + shift_us / US_PER_S)
-        return Observation(events, self.frames, times_s, self.denoised, prepared, track)
+        found = prepared, track, self.clutter
+        return Observation(events, self.frames, times_s, self.denoised, *found)
+
+    def n_min(self, config: Config) -> int:
+        """Events that a window holds at least: the config's, or as denoising found."""
+        if config.n_min is not None:
+            return config.n_min
+        return N_MIN if self.clutter is None else self.clutter.n_min
 
     @property
     def span_s(self) -> tuple[float, float]:
@@ -89,9 +97,9 @@ def prepare(
     """Check, denoise and sum up the events once, for many methods and offsets.
 
     Every method gives the same estimate for the result as for what the cameras recorded, as long
-    as the cameras, `border_px` and `denoise` stay as they are here; all else of the config may
-    change at no cost. What another camera or border needs is done again from the events left, and
-    denoising that was skipped is made up for, but noise once removed does not come back.
+    as the cameras, `border_px`, `denoise` and `n_neighbours` stay as they are here; all else of the
+    config may change at no cost. What another camera or border needs is done again from the events
+    left, and denoising that was skipped is made up for, but noise once removed does not come back.
 
     Parameters
     ----------
@@ -120,16 +128,12 @@ def prepare(
 def denoised(
     cam1: Observation, cam2: Observation, rig: Rig, config: Config
 ) -> tuple[Observation, Observation]:
-    """Both cameras with `usable_events`, which say of themselves whether they are denoised."""
-    events = usable_events(cam1, cam2, rig, config)
-    first, second = (
-        camera if left is camera.events else Observation(left, camera.frames, camera.frame_times_s)
-        for camera, left in zip((cam1, cam2), events, strict=True)
-    )
-    return (
-        replace(first, denoised=cam1.denoised or config.denoise),
-        replace(second, denoised=cam2.denoised or config.denoise),
-    )
+    """Both cameras with `usable_events`, which say of themselves what was done to them.
+
+    Raises as `usable_events` does.
+    """
+    _check(cam1, cam2, rig)
+    return _denoised(cam1, rig.cam1, config), _denoised(cam2, rig.cam2, config)
 
 
 def usable_events(
@@ -142,8 +146,8 @@ def usable_events(
     SsacError
         If the events of a camera are empty, unsorted or outside its sensor.
     """
-    _check(cam1, cam2, rig)
-    return _without_noise(cam1, rig.cam1, config), _without_noise(cam2, rig.cam2, config)
+    first, second = denoised(cam1, cam2, rig, config)
+    return first.events, second.events
 
 
 def object_motions(
@@ -166,11 +170,16 @@ def _check(cam1: Observation, cam2: Observation, rig: Rig) -> None:
             check_events(observation.events, camera.width, camera.height, name)
 
 
-def _without_noise(observation: Observation, camera: Camera, config: Config) -> NDArray[np.void]:
-    """Events of one camera without noise if the config asks for it, else the very same array."""
+def _denoised(observation: Observation, camera: Camera, config: Config) -> Observation:
+    """One camera without noise if the config asks for it, else the very same observation."""
     if observation.denoised or not config.denoise:
-        return observation.events
-    return radius_filter(remove_hot_pixels(observation.events, camera.width, camera.height))
+        return observation
+    events, clutter = without_noise(
+        observation.events, camera.width, camera.height, config.n_neighbours
+    )
+    return Observation(
+        events, observation.frames, observation.frame_times_s, denoised=True, clutter=clutter
+    )
 
 
 def _motion(observation: Observation, camera: Camera, config: Config) -> Motion:
@@ -184,25 +193,24 @@ def _motion_of_events(observation: Observation, camera: Camera, config: Config) 
 
     What it sums up does not depend on the parameters of its windows.
     """
-    events = _without_noise(observation, camera, config)
-    known = observation.prepared
+    observation = _denoised(observation, camera, config)
+    known, n_min = observation.prepared, observation.n_min(config)
     if (
         known is not None
-        and known.events is events
         and known.border_px == config.border_px
         and same_camera(known.camera, camera)
     ):
         return replace(
             known.motion,
             half_window_s=config.half_window_s,
-            n_min=config.n_min,
+            n_min=n_min,
             max_border_fraction=config.max_border_fraction,
         )
     return object_motion(
-        events,
+        observation.events,
         camera,
         half_window_s=config.half_window_s,
-        n_min=config.n_min,
+        n_min=n_min,
         border_px=config.border_px,
         max_border_fraction=config.max_border_fraction,
     )

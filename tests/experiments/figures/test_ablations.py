@@ -8,7 +8,7 @@ import pytest
 from experiments.figures.ablations import ablation_figure, default_value, other_parameters
 from experiments.run.grid import GridConfig, config_names, named_config
 from sim.recording import SimConfig
-from ssac.config import Config
+from ssac.config import N_MIN, Config
 from ssac.errors import SsacError
 
 ERRORS = ("t_d_error_ms", "r_error_deg", "t_error_deg")
@@ -79,7 +79,7 @@ def test_a_default_that_a_logarithm_lacks_is_written() -> None:
 
 
 def test_defaults_are_those_of_the_configurations() -> None:
-    assert default_value("ssac.n_min") == Config().n_min
+    assert default_value("ssac.n_min") == N_MIN
     assert default_value("sim.spline.sampling_hz") == SimConfig().spline.sampling_hz
     assert default_value("sim.drone_size_m") == 0.65  # None in SimConfig: the quadrotor's own
 

@@ -41,7 +41,7 @@ BAD_INPUTS = [
     (("unsorted.txt",), "unsorted.txt: events must be sorted by time"),
     (("outside.txt",), "outside.txt with camera 1 of .*: the sensor is 346 x 260 px"),
     (("isolated.txt",), "isolated.txt: denoising left 0 of 2 events"),
-    (("sparse.txt",), "sparse.txt: no window of 40 ms holds 200 events"),
+    (("sparse.txt", "--n-min", "200"), "sparse.txt: no window of 40 ms holds 200 events"),
     (("late.h5", "--search", "-1", "1"), r"late.h5 .60.* have no common time .* --search -6.*"),
     (("cam2.h5",), "cam2.h5: given for both cameras"),
     (("cam1.h5", "--rig", "large.yaml"), "large.yaml is calibrated at 640 x 480 px, but .*cam1.h5"),

@@ -7,6 +7,7 @@ import numpy as np
 from ssac.estimate import ClockJump, Estimate
 from ssac.tool.report import report_json, report_text
 from ssac.tool.sync import sync
+from ssac.track.denoise import Clutter
 
 
 def test_an_unreliable_offset_is_not_explained_as_if_it_held(recorded):
@@ -83,3 +84,34 @@ def test_clocks_are_told(recorded):
         "at_s": 3.0, "size_s": 0.02, "size_std_s": 0.001, "before_s": 0.05, "after_s": 0.07,
     }  # fmt: skip
     assert (report["t_d_s"], report["t_d_is_reliable"]) == (None, False)
+
+
+def test_clutter_is_told(recorded):
+    result = sync(recorded / "cam1.h5", recorded / "cam2.h5", recorded / "rig.yaml", "ssac")
+    assert "clutter" not in report_text(result)
+    plain = report_json(result)["clutter"]
+    assert [camera["masked_pixels"] for camera in plain] == [0, 0]
+    assert [(camera["n_neighbours"], camera["n_min"]) for camera in plain] == [(20, 200)] * 2
+    lamp = replace(result.cam1, clutter=Clutter(36, 7200, 0.2, 5.0, 20, 200))
+    noisy = replace(result.cam2, clutter=Clutter(0, 0, 9.8, 3.0, 12, 150))
+    text = report_text(replace(result, cam1=lamp, cam2=noisy))
+    assert "clutter        camera 1: 36 px that fire by themselves masked (7200 events)\n" in text
+    assert (
+        "clutter        camera 2: with a background of 9.8 Hz/px an event needs 12 others within"
+        " 3 px, ms, and a position 150 events\n"
+    ) in text
+    other = replace(result.config, n_min=30)
+    found = report_json(replace(result, cam2=noisy, config=other))["clutter"][1]
+    assert found == {
+        "masked_pixels": 0, "masked_events": 0, "background_hz": 9.8, "radius_px": 3.0,
+        "n_neighbours": 12, "n_min": 30,
+    }  # fmt: skip
+
+
+def test_a_start_that_is_the_answer_is_called_so(recorded):
+    result = sync(recorded / "cam1.h5", recorded / "cam2.h5", recorded / "rig.yaml")
+    assert "tangents to the object" in report_text(result)
+    estimate = replace(result.estimate, start=result.estimate)
+    text = report_text(replace(result, estimate=estimate))
+    assert "note           the object is too small for an outline" in text
+    assert "pairs of positions used, of 400 sample times" in text

@@ -2,8 +2,19 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from ssac.config import N_MIN
 from ssac.events import EVENT_DTYPE, events_from_arrays
-from ssac.track.denoise import radius_filter, remove_hot_pixels
+from ssac.track.denoise import (
+    LEAST_NEIGHBOURS,
+    NEAR_NEIGHBOURS,
+    NEAR_PX,
+    PAPER_NEIGHBOURS,
+    PAPER_PX,
+    least_neighbours,
+    radius_filter,
+    without_noise,
+)
+from tests.ssac.cluttered import merged
 
 WIDTH, HEIGHT = 64, 48
 
@@ -72,34 +83,60 @@ def test_filtering_what_is_dense_changes_nothing_and_leaves_the_input_alone():
 def test_no_events():
     none = np.empty(0, EVENT_DTYPE)
     assert len(radius_filter(none)) == 0
-    assert len(remove_hot_pixels(none, WIDTH, HEIGHT)) == 0
+    assert len(without_noise(none, WIDTH, HEIGHT)[0]) == 0
 
 
-def _merged(*parts):
-    events = np.concatenate(parts)
-    return events[np.argsort(events["t"], kind="stable")]
+def test_noise_alone_leaves_at_most_an_event_in_a_window():
+    for hz in (0.2, 2.0, 10.0):
+        n = least_neighbours(hz, WIDTH * HEIGHT, PAPER_PX, 1000)
+        noise = _random_events(round(hz * WIDTH * HEIGHT * 20), 20_000_000)
+        # One in each of the 500 windows is the limit, and Poisson's deviation of 500 is 22; the
+        # events of one ball are kept together, so three times that.
+        assert len(radius_filter(noise, n_neighbours=n)) < 500 + 3 * 22
+        assert n >= LEAST_NEIGHBOURS
+        assert least_neighbours(hz, WIDTH * HEIGHT, PAPER_PX, 6) <= 6
 
 
-def _pixel_events(x, y, n):
-    t = np.sort(np.random.default_rng(x + 100 * y).integers(0, 1_000_000, n))
-    return events_from_arrays(t, np.full(n, x), np.full(n, y), np.ones(n, int))
+def _small_object(n, seed=3):
+    """Events of something 3 px wide that goes round in 10 s, and where it is."""
+    rng = np.random.default_rng(seed)
+    t = np.sort(rng.integers(0, 10_000_000, n))
+    turn = 2e-6 * np.pi * t / 2.0
+    x, y = 32 + 20 * np.cos(turn), 24 + 15 * np.sin(2 * turn)
+    return events_from_arrays(
+        t,
+        np.rint(x + rng.uniform(-1.5, 1.5, n)).astype(int),
+        np.rint(y + rng.uniform(-1.5, 1.5, n)).astype(int),
+        rng.integers(0, 2, n),
+    )
 
 
-@pytest.mark.parametrize(
-    "pixels",
-    [[(10, 10)], [(10, 10), (11, 10)], [(0, 0), (63, 47)], [(30, 5), (31, 6)]],
-)
-def test_hot_pixels_go_and_background_noise_stays(pixels):
-    noise = _random_events(3000, 1_000_000)
-    hot = _merged(*(_pixel_events(x, y, 800) for x, y in pixels))
-    kept = remove_hot_pixels(_merged(noise, hot), WIDTH, HEIGHT)
-    at_hot = np.isin(noise["y"] * WIDTH + noise["x"], [y * WIDTH + x for x, y in pixels])
-    np.testing.assert_array_equal(np.sort(kept), np.sort(noise[~at_hot]))
+def test_a_thin_object_needs_fewer_neighbours_and_a_dense_one_those_of_the_paper():
+    noise = _random_events(round(0.2 * WIDTH * HEIGHT * 10), 10_000_000)
+    thin, dense = _small_object(15_000), _small_object(200_000)
+    left, found = without_noise(merged(thin, noise), WIDTH, HEIGHT)
+    assert (found.radius_px, found.n_neighbours) == (PAPER_PX, LEAST_NEIGHBOURS)
+    assert found.is_adapted
+    # 60 events in 40 ms: a quarter of them, but at least 20.
+    assert found.n_min == 20
+    assert abs(len(left) - len(thin)) < 0.1 * len(thin)  # the paper's 20 leave none
+    assert len(radius_filter(merged(thin, noise))) < 0.1 * len(thin)
+    left, found = without_noise(merged(dense, noise), WIDTH, HEIGHT)
+    assert (found.n_neighbours, found.n_min, found.is_adapted) == (PAPER_NEIGHBOURS, N_MIN, False)
+    np.testing.assert_array_equal(left, radius_filter(merged(dense, noise)))
 
 
-def test_the_object_stays():
-    # A thin bar that sweeps, and then stands still and flickers for most of the recording.
-    sweep = [_pixel_events(x, y, 6) for x in range(5, 50) for y in range(10, 25)]
-    stand = [_pixel_events(50, y, 700) for y in range(10, 25)]
-    events = _merged(*sweep, *stand)
-    np.testing.assert_array_equal(remove_hot_pixels(events, WIDTH, HEIGHT), events)
+def test_much_noise_takes_the_near_ball():
+    noise = _random_events(round(10.0 * WIDTH * HEIGHT * 10), 10_000_000)
+    dense = _small_object(200_000)
+    left, found = without_noise(merged(dense, noise), WIDTH, HEIGHT)
+    assert (found.radius_px, found.n_neighbours, found.n_min) == (NEAR_PX, NEAR_NEIGHBOURS, N_MIN)
+    far = radius_filter(merged(dense, noise))
+    assert len(dense) < len(left) < len(far)  # less of the noise beside the object is left
+
+
+def test_what_is_asked_for_is_done():
+    thin = _small_object(15_000)
+    left, found = without_noise(thin, WIDTH, HEIGHT, n_neighbours=9)
+    assert (found.radius_px, found.n_neighbours) == (PAPER_PX, 9)
+    np.testing.assert_array_equal(left, radius_filter(thin, n_neighbours=9))

@@ -84,7 +84,7 @@ def test_nothing_is_done_twice(prepared, scene, monkeypatch):
     def again(*_, **__):
         raise AssertionError("this was prepared")
 
-    for work in ("check_events", "remove_hot_pixels", "radius_filter", "object_motion"):
+    for work in ("check_events", "without_noise", "object_motion"):
         monkeypatch.setattr(ssac.track.observation, work, again)
     later = [camera.delayed(0.1) for camera in prepared]
     other_windows = Config(half_window_s=0.01, n_min=50, max_border_fraction=0.2, n_samples=100)
