@@ -65,6 +65,10 @@ class TangencyConfig:
     apart: bool = True  # each tangent is a pair; else the point midway between the two is
 
 
+LEAST_PX = 3.5
+"""Rms size of the object's images, both together, from which they have an outline: below, tangents
+rest on single pixels, and err more than the mean of the events."""
+
 _UNCERTAIN = (Status.AMBIGUOUS_OFFSET, Status.DEGENERATE_POSE, Status.POOR_FIT)
 _MAX_SIGMAS = 3.0  # from the start's offset to the tangents', in deviations of the start's
 _ROUNDS = 8  # of finding the tangents and refining; four are the rule
@@ -105,10 +109,14 @@ def tangency_from(start: Estimate, views: TwoViews) -> Estimate:
 
     The mean of a large or odd object's events may be too uncertain for a pose, and still be a start
     for the tangents: where `joint` refuses, they are tried from the search that it started from.
+    The mean of a tiny object's events, less than some 7 px wide, is better than its outline: there
+    the start is the answer.
     """
     name = "tangency-known" if views.pose_is_known else "tangency"
     search = start.start
     start = replace(start, method=name, start=start)
+    if views.object_px < LEAST_PX:
+        return start
     if views.pose_is_known or start.status not in _UNCERTAIN or search is None:
         return certain(refine_tangents(start, views))
     search = replace(search, method=name, start=start)
