@@ -22,6 +22,9 @@ GOOD_FOCAL = 0.001
 GOOD_CENTRE_PX = 0.3
 """The same of each coordinate of the principal point."""
 
+MAX_PIXELS = 200_000_000
+"""Of a camera: more than any has, and as many as tables of all pixels leave memory for."""
+
 MAX_ROUND_TRIP_PX = 1e-6
 """An undistorted point is accepted when distorting it again comes back this close [px]."""
 
@@ -92,10 +95,10 @@ def check_camera(camera: Camera, name: str = "camera") -> None:
             f"{name}: K must be [[fu, 0, pu], [0, fv, pv], [0, 0, 1]], got {K.tolist()}: "
             "calibrate with a pinhole model without skew"
         )
-    if camera.width < 1 or camera.height < 1:
+    if camera.width < 1 or camera.height < 1 or camera.width * camera.height > MAX_PIXELS:
         raise SsacError(
-            f"{name}: the resolution must be at least 1 x 1 px, got {camera.width} x "
-            f"{camera.height}: give it as [width, height]"
+            f"{name}: the resolution must be at least 1 x 1 px and at most {MAX_PIXELS} pixels, "
+            f"got {camera.width} x {camera.height}: give it as [width, height]"
         )
     if camera.distortion_model not in DISTORTION_LENGTHS:
         raise SsacError(

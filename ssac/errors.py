@@ -3,3 +3,7 @@
 
 class SsacError(ValueError):
     """Bad input: the message says what was expected, what came and what to do."""
+
+
+class WriteError(SsacError):
+    """Something cannot be written: a full disk, no permission. Nothing is wrong with the data."""

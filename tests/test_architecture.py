@@ -47,6 +47,11 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
         "files": (
             "temporary",
             "whole_file",
+            "net",
+            "words",
+            "aedat4",
+            "damage",
+            "stored",
             "rigs",
             "hdf5",
             "text",

@@ -10,6 +10,7 @@ import signal
 import sys
 import tempfile
 import traceback
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -81,6 +82,16 @@ def fail(message: str, code: int) -> int:
 
 
 @contextmanager
+def warnings_as_lines() -> Iterator[None]:
+    """Show each warning as one line on stderr."""
+    with warnings.catch_warnings():
+        warnings.showwarning = lambda message, *_, **__: print(
+            f"warning: {' '.join(str(message).split())}", file=sys.stderr
+        )
+        yield
+
+
+@contextmanager
 def _insistent_interrupts() -> Iterator[None]:
     """Raise KeyboardInterrupt again and again after a Ctrl-C, until the block is left.
 
@@ -111,6 +122,7 @@ def _termination_that_tidies_up() -> Iterator[None]:
     """Leave the block as an exception does on SIGTERM, which else ends the process on the spot."""
 
     def end(*_: object) -> None:
+        os.write(2, b"terminated\n")
         raise SystemExit(TERMINATED)
 
     if signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL:

@@ -16,6 +16,7 @@ import yaml
 from numpy.typing import NDArray
 
 from ssac.errors import SsacError
+from ssac.files.net import readable
 from ssac.files.track_files import save_track
 from ssac.files.whole_file import whole_file
 from ssac.points import PointTrack
@@ -60,7 +61,8 @@ def load_data_set(folder: Path) -> list[ImportedCamera]:
         raise SsacError(
             f"{folder}: expected a data set with cameras.txt and detections/: give such a folder"
         )
-    rows = _LINE.findall(listing.read_text(encoding="utf-8"))
+    with readable(listing, "a list of cameras"):
+        rows = _LINE.findall(listing.read_text(encoding="utf-8"))
     if not rows:
         raise SsacError(f"{listing}: expected lines like `cam0 - gopro3`: get the file again")
     number = int("".join(re.findall(r"\d+$", folder.resolve().name)) or 0)
@@ -105,7 +107,7 @@ def _calibration(folder: Path, model: str, number: int) -> tuple[dict[str, Any],
         resolution = [int(value) for value in found["resolution"]]
         fps = float(found["fps"])
         fu, fv, pu, pv = (float(K[i, j]) for i, j in ((0, 0), (1, 1), (0, 2), (1, 2)))
-    except (OSError, ValueError, KeyError, TypeError, IndexError) as error:
+    except (OSError, ArithmeticError, ValueError, LookupError, TypeError, RecursionError) as error:
         raise SsacError(
             f"{path}: expected a calibration with K-matrix, distCoeff, fps and resolution "
             f"({type(error).__name__}: {error}): get the file again"

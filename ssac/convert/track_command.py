@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from ssac.config import N_MIN, Config
+from ssac.console.exits import warnings_as_lines
 from ssac.console.options import number
 from ssac.errors import SsacError
 
@@ -28,6 +29,18 @@ def track_command(
     no_denoise: Annotated[
         bool, typer.Option("--no-denoise", help="Keep hot pixels and isolated events.")
     ] = False,
+    allow_damaged: Annotated[
+        bool,
+        typer.Option(
+            "--allow-damaged", help="Read what is left of a damaged event file, with a warning."
+        ),
+    ] = False,
+    sort: Annotated[
+        bool,
+        typer.Option(
+            "--sort", help="Sort events that are out of order by less than a millisecond."
+        ),
+    ] = False,
     half_window: Annotated[
         float,
         number("Events this long before and after a time give a point.", 0.001, 0.25, "seconds"),
@@ -46,21 +59,25 @@ def track_command(
     """Write the path of the one moving object as a track file: t_s,x_px,y_px,sigma_px."""
     from ssac.convert.events_as_track import track_of_events
     from ssac.events import check_events
+    from ssac.files.damage import Reading
     from ssac.files.event_files import load_events
     from ssac.files.rigs import check_resolution, load_camera
     from ssac.files.track_files import TRACK_SUFFIX, is_track_file, save_track
+    from ssac.files.whole_file import check_writable
     from ssac.track.observation import Observation
 
     if out.suffix.lower() != TRACK_SUFFIX:
         raise SsacError(f"{out}: a track is written as {TRACK_SUFFIX}: name such a file")
     if out.is_dir() or not out.parent.is_dir():
         raise SsacError(f"{out}: not a file in a folder that exists: name another")
+    check_writable(out)
     if is_track_file(cam):
         raise SsacError(f"{cam}: is a track already: give a camera's events")
     if out.exists() and cam.exists() and out.samefile(cam):
         raise SsacError(f"{out}: is the input and would be lost: name another file")
     calibrated, name = load_camera(rig, camera), f"camera {camera} of {rig}"
-    file = load_events(cam)
+    with warnings_as_lines():
+        file = load_events(cam, Reading(allow_damaged, sort))
     check_resolution(calibrated, file.width, file.height, name, str(cam))
     check_events(file.events, calibrated.width, calibrated.height, f"{cam} with {name}")
     config = Config(half_window_s=half_window, n_min=n_min, denoise=not no_denoise)

@@ -20,24 +20,33 @@ The last five are read by the library faery. It follows the overflows of an EVT3
 the file's start on, and adds the start back that it stores in the header of the EVT and DAT files
 it writes itself. An Event Stream file has no such place: faery and others subtract the first
 timestamp on writing, and it is lost, so a file that starts at time 0 gives a warning. RAW, DAT and
-ES files have no end mark: a truncated one is a shorter recording.
+ES files have no end mark: a truncated one is a shorter recording. What is damaged in the middle
+faery passes over, or is taken down by it, so this is looked at before (`words`, `aedat4`).
 """
 
 import warnings
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
+from typing import Any
 
 import faery
 import numpy as np
+from numpy.typing import NDArray
 
 from ssac.clock import Clock
 from ssac.errors import SsacError
-from ssac.events import EVENT_DTYPE, US_PER_S, EventFile, check_events
+from ssac.events import EVENT_DTYPE, US_PER_S, EventFile
+from ssac.files.aedat4 import check_packets
+from ssac.files.damage import STRICT, Reading, checked_file, refuse_damaged
 from ssac.files.hdf5 import HDF5_SUFFIXES, load_events_h5, load_frames, save_events_h5
+from ssac.files.net import brief, readable, silenced
 from ssac.files.text import load_events_csv, load_events_text, save_events_text
+from ssac.files.words import dat_signs, raw_signs
 
 __all__ = [
     "EventFile",
+    "Reading",
     "load_events",
     "load_frames",
     "save_events_h5",
@@ -45,17 +54,21 @@ __all__ = [
     "write_synced",
 ]
 
+_ENDS = (KeyboardInterrupt, SystemExit)
+
 UNKNOWN_SIZE = (65535, 65535)
 """What faery is told to assume when a header does not give the sensor's size."""
 
 
-def load_events(path: Path | str) -> EventFile:
+def load_events(path: Path | str, reading: Reading = STRICT) -> EventFile:
     """Read an event file of any format in the table above.
 
     Parameters
     ----------
     path
         The file; its extension names its format.
+    reading
+        What may be made of a file that is damaged or unsorted.
 
     Returns
     -------
@@ -67,7 +80,7 @@ def load_events(path: Path | str) -> EventFile:
     ------
     SsacError
         If the file is missing, of unknown extension, empty, truncated (where that can be seen),
-        unsorted, or has events outside its own sensor. The message names the file.
+        unsorted, damaged, or has events outside its own sensor. The message names the file.
     """
     path = Path(path)
     reader = _READERS.get(path.suffix.lower())
@@ -79,7 +92,7 @@ def load_events(path: Path | str) -> EventFile:
         raise SsacError(f"{path}: there is no such file: check the path")
     if path.stat().st_size == 0:
         raise SsacError(f"{path}: the file is empty (0 bytes): record or copy it again")
-    return reader(path)
+    return reader(path, reading)
 
 
 def write_synced(path: Path | str, cam2: EventFile, clock: Clock) -> None:
@@ -115,43 +128,67 @@ def write_synced(path: Path | str, cam2: EventFile, clock: Clock) -> None:
     writer(path, events, cam2.width, cam2.height)
 
 
-def _load_makers_file(path: Path) -> EventFile:
+def _load_makers_file(path: Path, reading: Reading) -> EventFile:
     """Read a camera maker's format through faery."""
-    try:
-        if path.suffix.lower() == ".raw":
-            _check_evt_version(path)
-        stream = faery.events_stream_from_file(path, dimensions_fallback=UNKNOWN_SIZE)
-        blocks = list(stream)
-    except SsacError:
-        raise
-    except Exception as error:  # faery raises RuntimeError, AssertionError and plain Exception
-        raise SsacError(
-            f"{path}: not a complete {path.suffix} file ({error}): copy or record it again"
-        ) from error
+    refuse_damaged(path, _signs(path), reading)
+    blocks, size_px = _decoded(path, reading)
     # Both dtypes have the fields t, x, y, p of 8, 2, 2 and 1 bytes in this order.
     events = np.concatenate([np.empty(0, faery.EVENTS_DTYPE), *blocks]).view(EVENT_DTYPE)
-    known = stream.dimensions() != UNKNOWN_SIZE
-    width, height = stream.dimensions() if known else (None, None)
-    check_events(events, width, height, name=str(path))
-    if path.suffix.lower() == ".es" and events["t"][0] == 0:
+    file = checked_file(events, size_px, path, reading)
+    if path.suffix.lower() == ".es" and file.events["t"][0] == 0:
         warnings.warn(
             f"{path} starts at time 0: whoever wrote it may have subtracted its first timestamp, "
             "and the offset found is then off by it",
             stacklevel=3,
         )
-    return EventFile(events, width, height)
+    return file
 
 
-def _check_evt_version(path: Path) -> None:
-    """Refuse a RAW file without a version in its header, or of one that faery cannot decode."""
-    with faery.evt.Decoder(path, UNKNOWN_SIZE, None) as decoder:
-        if decoder.version not in ("evt2", "evt3"):
-            raise SsacError(
-                f"{path}: its encoding is {decoder.version}: convert it to EVT2 or EVT3"
+def _decoded(
+    path: Path, reading: Reading
+) -> tuple[list[NDArray[Any]], tuple[int | None, int | None]]:
+    """Blocks of events of faery's dtype, and the sensor's size; fewer where that is allowed."""
+    blocks: list[NDArray[Any]] = []
+    with _net(path), silenced():
+        stream = faery.events_stream_from_file(path, dimensions_fallback=UNKNOWN_SIZE)
+        width, height = stream.dimensions()
+        try:
+            blocks.extend(stream)
+        except BaseException as error:  # the library's panics are no Exception
+            if not blocks or not reading.allow_damaged or isinstance(error, _ENDS):
+                raise
+            n_read = sum(map(len, blocks))
+            warnings.warn(
+                f"{path} can be read no further than its first {n_read} events ({brief(error)})",
+                stacklevel=4,
             )
+    return blocks, (None, None) if (width, height) == UNKNOWN_SIZE else (width, height)
 
 
-_READERS: dict[str, Callable[[Path], EventFile]] = {
+def _net(path: Path) -> AbstractContextManager[None]:
+    return readable(path, f"a complete {path.suffix} file")
+
+
+def _signs(path: Path) -> list[str]:
+    """Look for damage that faery passes over, or that would take it down."""
+    suffix = path.suffix.lower()
+    if suffix == ".aedat4":
+        return check_packets(path)
+    if suffix == ".dat":
+        return dat_signs(path)
+    return raw_signs(path, _evt_version(path)) if suffix == ".raw" else []
+
+
+def _evt_version(path: Path) -> str:
+    """Version in a RAW file's header; SsacError without one that faery can decode."""
+    with _net(path), silenced(), faery.evt.Decoder(path, UNKNOWN_SIZE, None) as decoder:
+        version = str(decoder.version)
+    if version not in ("evt2", "evt3"):
+        raise SsacError(f"{path}: its encoding is {version}: convert it to EVT2 or EVT3")
+    return version
+
+
+_READERS: dict[str, Callable[[Path, Reading], EventFile]] = {
     **dict.fromkeys(HDF5_SUFFIXES, load_events_h5),
     ".txt": load_events_text,
     ".csv": load_events_csv,

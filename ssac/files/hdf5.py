@@ -16,8 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssac.errors import SsacError
-from ssac.events import EVENT_DTYPE, EventFile, check_events, check_lengths, field_values
-from ssac.files.whole_file import whole_file
+from ssac.events import EVENT_DTYPE, EventFile, check_lengths, field_values
+from ssac.files.damage import STRICT, Reading, checked_file, refuse_damaged
+from ssac.files.net import readable
+from ssac.files.stored import brief_list, dataset, sensor_size, signs_of_loss
+from ssac.files.whole_file import check_writable, whole_file
 
 with suppress(ImportError):  # then what needs it is refused
     import hdf5plugin  # noqa: F401  its import registers blosc and other filters with h5py
@@ -31,38 +34,44 @@ EVENTS_PER_BLOCK = 1 << 18
 BYTES_PER_BLOCK = 1 << 24
 """Frames read at once when each of them is summed up."""
 
-_PROPHESEE_ECF = 0x8ECF  # number of the codec of Prophesee's newer HDF5 files, not in hdf5plugin
+_MAX_OFFSET_US = 2.0**60
 
 
-def load_events_h5(path: Path) -> EventFile:
+def load_events_h5(path: Path, reading: Reading = STRICT) -> EventFile:
     """Read the events of an HDF5 file in any of the three layouts.
 
     Raises
     ------
     SsacError
-        If the file is damaged, in another layout, or its events fail `check_events`.
+        If the file is damaged, in another layout, or its events fail `checked_file`.
     """
     with _open_h5(path) as file:
-        width, height = _sensor_size(file)
-        _check_codecs(file, ("CD/events", *(f"events/{field}" for field in FIELDS)), path)
-        if "CD/events" in file:
-            cd = file["CD/events"]
+        size_px = sensor_size(file, path)
+        cd = dataset(file, "CD/events", path)
+        columns = {field: dataset(file, f"events/{field}", path) for field in FIELDS}
+        if cd is not None:
+            names = cd.dtype.names or ()
+            if cd.ndim != 1 or not set(FIELDS) <= set(names):
+                raise SsacError(
+                    f"{path}: CD/events must be a list of x, y, p, t, got the shape {cd.shape} of "
+                    f"{cd.dtype}: convert it again"
+                )
+            refuse_damaged(path, signs_of_loss(cd), reading)
             events = _read_blocks(len(cd), cd.__getitem__, path)
-        elif all(f"events/{field}" in file for field in FIELDS):
-            columns = {field: file[f"events/{field}"] for field in FIELDS}
+        elif all(column is not None for column in columns.values()):
             check_lengths({field: column.shape for field, column in columns.items()}, str(path))
+            signs = [sign for column in columns.values() for sign in signs_of_loss(column)]
+            refuse_damaged(path, signs, reading)
             events = _read_blocks(
                 len(columns["t"]), lambda block: {f: columns[f][block] for f in FIELDS}, path
             )
-            if "t_offset" in file:
-                events["t"] += int(file["t_offset"][()])
+            events["t"] += _offset_us(file, path)
         else:
             raise SsacError(
                 f"{path}: expected the datasets events/t, events/x, events/y, events/p, or "
-                f"CD/events; the file has {sorted(file)}: convert it to one of these layouts"
+                f"CD/events; the file has {brief_list(file)}: convert it to one of these layouts"
             )
-    check_events(events, width, height, name=str(path))
-    return EventFile(events, width, height)
+    return checked_file(events, size_px, path, reading)
 
 
 def load_frames(
@@ -93,10 +102,11 @@ def load_frames(
     if path.suffix.lower() not in HDF5_SUFFIXES:
         return None
     with _open_h5(path) as file:
-        if "frames/t" not in file or "frames/images" not in file:
+        times, images = (dataset(file, f"frames/{name}", path) for name in ("t", "images"))
+        if times is None or images is None:
             return None
-        _check_codecs(file, ("frames/t", "frames/images"), path)
-        times_us, images = file["frames/t"][:], file["frames/images"]
+        refuse_damaged(path, [*signs_of_loss(times), *signs_of_loss(images)], STRICT)
+        times_us = times[:] if times.ndim == 1 else np.empty(times.shape)
         if images.ndim != 3 or images.dtype != np.uint8 or times_us.shape != images.shape[:1]:
             raise SsacError(
                 f"{path}: expected frames/images as (n, height, width) uint8 with n times in "
@@ -125,6 +135,7 @@ def save_events_h5(
     width, height
         Sensor size [px]; None leaves the attribute out.
     """
+    check_writable(Path(path), EVENT_DTYPE.itemsize * len(events))
     with whole_file(Path(path)) as temporary, h5py.File(temporary, "w") as file:
         for field in FIELDS:
             file[f"events/{field}"] = events[field]
@@ -157,49 +168,26 @@ def _summarised(
     return np.concatenate([summary(images[start : start + step]) for start in starts])
 
 
-def _check_codecs(file: h5py.File, names: tuple[str, ...], path: Path) -> None:
-    """Raise SsacError when a dataset is compressed with what this HDF5 library cannot read."""
-    for name in names:
-        dataset = file.get(name)
-        if not isinstance(dataset, h5py.Dataset):
-            continue
-        filters = dataset.id.get_create_plist()
-        for k in range(filters.get_nfilters()):
-            code, _, _, codec = filters.get_filter(k)
-            if not h5py.h5z.filter_avail(code):
-                remedy = (
-                    "install Prophesee's HDF5 plugin, or convert the file to RAW"
-                    if code == _PROPHESEE_ECF
-                    else "pip install hdf5plugin"
-                )
-                known_as = codec.decode(errors="replace").partition(";")[0] or "a codec"
-                raise SsacError(
-                    f"{path}: {name} is compressed with {known_as} (number {code}), which this "
-                    f"HDF5 library does not have: {remedy}"
-                )
-
-
 @contextmanager
 def _open_h5(path: Path) -> Iterator[h5py.File]:
     """Open an HDF5 file for reading; what the library cannot read becomes one SsacError."""
-    try:
-        with h5py.File(path, "r") as file:
-            yield file
-    except OSError as error:
+    with readable(path, "a readable HDF5 file"), h5py.File(path, "r") as file:
+        yield file
+
+
+def _offset_us(file: h5py.File, path: Path) -> int:
+    """Time [us] that DSEC's times are relative to; 0 where there is none."""
+    offset = dataset(file, "t_offset", path)
+    if offset is None:
+        return 0
+    if offset.size != 1 or offset.dtype.kind not in "iuf":
         raise SsacError(
-            f"{path}: not a readable HDF5 file ({error}): copy or record it again if it is "
-            "truncated"
-        ) from error
-
-
-def _sensor_size(file: h5py.File) -> tuple[int | None, int | None]:
-    """Width and height [px] from the file's attributes; None where they are missing."""
-    if "geometry" in file.attrs:
-        geometry = file.attrs["geometry"]
-        text = geometry.decode() if isinstance(geometry, bytes) else str(geometry)
-        columns, rows = text.split("x")
-        return int(columns), int(rows)
-    group = file.get("events", file)
-    sizes = [file.attrs.get(key, group.attrs.get(key)) for key in ("width", "height")]
-    width, height = (None if size is None else int(size) for size in sizes)
-    return width, height
+            f"{path}: t_offset must be one number of microseconds, got the shape {offset.shape} of "
+            f"{offset.dtype}: convert it again"
+        )
+    value = float(np.ravel(offset[()])[0])
+    if not abs(value) < _MAX_OFFSET_US:  # NaN is not either
+        raise SsacError(
+            f"{path}: t_offset must be a time in microseconds, got {value:g}: convert it again"
+        )
+    return int(np.ravel(offset[()])[0])

@@ -1,6 +1,7 @@
 """Rig files in (Kalibr camchain YAML, OpenCV stereo YAML), the cameras' Rig out."""
 
 import re
+import reprlib
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -13,11 +14,16 @@ from numpy.typing import NDArray
 
 from ssac.camera import Camera, Rig, check_camera, with_deviations
 from ssac.errors import SsacError
+from ssac.files.net import readable, silenced
 
 MAX_READOUT_S = 0.2
 """Longest readout of a rolling shutter: of the slowest sensors of still cameras."""
 
+MAX_BYTES = 1 << 20
+"""Of a rig file: of a hundred cameras it has less."""
+
 _PLUMB_BOB = 5
+_MOST_COEFFICIENTS = 14  # of a lens model, of OpenCV
 _CAMERA = re.compile(r"cam\d+")
 
 MAX_ROTATION_ERROR = 1e-3
@@ -67,15 +73,13 @@ def load_rig(path: Path | str, cameras: tuple[int, int] = (1, 2)) -> Rig:
         raise SsacError(f"{path}: unknown extension {path.suffix!r} of a rig: use .yaml or .yml")
     if not path.is_file():
         raise SsacError(f"{path}: there is no such file: check the path")
-    try:
+    if path.stat().st_size > MAX_BYTES:
+        raise SsacError(f"{path}: is no rig, which has less than {MAX_BYTES} bytes: check the path")
+    with readable(path, "a readable YAML file of a rig"), silenced():
         text = path.read_text(encoding="utf-8")
         if "!!opencv-matrix" in text:
             return _rig_from_opencv(path, text, cameras)
-        document = yaml.safe_load(text)
-    except (UnicodeDecodeError, yaml.YAMLError, cv2.error, SystemError) as error:
-        reason = " ".join(str(error).split())
-        raise SsacError(f"{path}: not a readable YAML file ({reason}): write it again") from error
-    return _rig_from_kalibr(path, document, cameras)
+        return _rig_from_kalibr(path, yaml.safe_load(text), cameras)
 
 
 def load_camera(path: Path | str, number: int) -> Camera:
@@ -142,14 +146,16 @@ def _camera_from_kalibr(name: str, entry: Any) -> Camera:
         raise SsacError(f"{name}: {', '.join(missing)} missing: calibrate with Kalibr, or add it")
     if entry["camera_model"] != "pinhole":
         raise SsacError(
-            f"{name}: camera_model must be pinhole, got {entry['camera_model']!r}: calibrate with "
+            f"{name}: camera_model must be pinhole, got "
+            f"{_shown(entry['camera_model'])!r}: calibrate with "
             "pinhole-radtan or pinhole-equi"
         )
     fu, fv, pu, pv = _numbers(entry["intrinsics"], (4,), f"{name}, intrinsics")
     size = _numbers(entry["resolution"], (2,), f"{name}, resolution")
     coeffs = _numbers(entry.get("distortion_coeffs") or [], (-1,), f"{name}, distortion_coeffs")
     K = np.array([[fu, 0.0, pu], [0.0, fv, pv], [0.0, 0.0, 1.0]])
-    model = str(entry["distortion_model"])
+    model = entry["distortion_model"]
+    model = model if isinstance(model, str) else _shown(model)
     if model == "plumb_bob" and len(coeffs) != _PLUMB_BOB:
         raise SsacError(
             f"{name}: plumb_bob needs {_PLUMB_BOB} coefficients k1 k2 p1 p2 k3, got {len(coeffs)}: "
@@ -246,14 +252,34 @@ def _checked_camera(
 def _numbers(value: Any, shape: tuple[int, ...], name: str) -> NDArray[np.float64]:
     """Finite array of the given shape (-1: any length); SsacError otherwise."""
     try:
-        numbers = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
+        numbers = np.array(value if _is_shaped(value, shape) else np.nan, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError):
         numbers = np.array(np.nan)
-    right_shape = numbers.shape == shape or (shape == (-1,) and numbers.ndim == 1)
-    if not right_shape or not np.isfinite(numbers).all():
+    if not np.isfinite(numbers).all():
         expected = "a list" if shape == (-1,) else " x ".join(map(str, shape))
-        raise SsacError(f"{name}: expected {expected} of finite numbers, got {value}: correct it")
+        raise SsacError(
+            f"{name}: expected {expected} of finite numbers, got {_shown(value)}: correct it"
+        )
     return numbers
+
+
+def _shown(value: Any) -> str:
+    """Show a few letters of what stood in a file."""
+    short = reprlib.Repr()
+    short.maxlevel = 2  # YAML's lists may be nested without end
+    return value[:40] if isinstance(value, str) else short.repr(value)[:200]
+
+
+def _is_shaped(value: Any, shape: tuple[int, ...]) -> bool:
+    """Whether lists in lists are of a shape, seen before they are made: YAML's may be endless."""
+    if isinstance(value, np.ndarray):
+        return bool(value.shape == shape)
+    if not shape:
+        return isinstance(value, (int, float, str))
+    if not isinstance(value, (list, tuple)):
+        return False
+    right = len(value) <= _MOST_COEFFICIENTS if shape[0] == -1 else len(value) == shape[0]
+    return right and all(_is_shaped(item, shape[1:]) for item in value)
 
 
 def _checked_transform(T: NDArray[np.float64], name: str) -> NDArray[np.float64]:

@@ -7,6 +7,7 @@ a darker event is 0 or -1. Both carry absolute time. A text file has no end mark
 lines are missing it is a shorter recording.
 """
 
+import csv
 from pathlib import Path
 
 import numpy as np
@@ -14,23 +15,29 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from ssac.errors import SsacError
-from ssac.events import EVENT_DTYPE, US_PER_S, EventFile, check_events, events_from_arrays
+from ssac.events import EVENT_DTYPE, US_PER_S, EventFile, events_from_arrays
+from ssac.files.damage import STRICT, Reading, checked_file
+from ssac.files.net import brief, readable
 from ssac.files.whole_file import whole_file
 
 MAX_WHOLE_S = 1000.0
 """Times in seconds that go further than this and are all whole are none of seconds."""
 
+_LONGEST_LINE = 4096  # letters of a first line
+_BYTES_PER_BLOCK = 1 << 22
+_MAX_S = 2.0**62 / US_PER_S  # what a time in whole microseconds holds
+
 LINES_PER_BLOCK = 1_000_000
 """Lines held at once, so that reading needs little more memory than the events."""
 
 
-def load_events_text(path: Path) -> EventFile:
+def load_events_text(path: Path, reading: Reading = STRICT) -> EventFile:
     """Read ESIM text.
 
     Raises
     ------
     SsacError
-        If a line is not `t x y p`, or the events fail `check_events`.
+        If a line is not `t x y p`, or the events fail `checked_file`.
     """
     first_line = _first_line(path).split()
     width, height = None, None
@@ -42,18 +49,17 @@ def load_events_text(path: Path) -> EventFile:
             f"{' '.join(first_line)[:60]!r}: convert the file"
         )
     events = _read_table(path, r"\s+", list("txyp"), has_header=width is not None, in_seconds=True)
-    check_events(events, width, height, name=str(path))
-    return EventFile(events, width, height)
+    return checked_file(events, (width, height), path, reading, is_text=True)
 
 
-def load_events_csv(path: Path) -> EventFile:
+def load_events_csv(path: Path, reading: Reading = STRICT) -> EventFile:
     """Read comma-separated events whose first line names the columns.
 
     Raises
     ------
     SsacError
         If the first line does not name t, x, y and p, a line does not fit it, or the events fail
-        `check_events`.
+        `checked_file`.
     """
     columns, sizes = [], {}
     for word in _first_line(path).lower().split(","):
@@ -67,8 +73,8 @@ def load_events_csv(path: Path) -> EventFile:
             f"or t_s,x_px,y_px of a track, got {','.join(columns)[:60]!r}: add that line"
         )
     events = _read_table(path, ",", columns, has_header=True, in_seconds=False)
-    check_events(events, sizes.get("x"), sizes.get("y"), name=str(path))
-    return EventFile(events, sizes.get("x"), sizes.get("y"))
+    size_px = sizes.get("x"), sizes.get("y")
+    return checked_file(events, size_px, path, reading, is_text=True)
 
 
 def save_events_text(
@@ -95,11 +101,24 @@ def save_events_text(
 
 def _first_line(path: Path) -> str:
     """Return the first line of the file; SsacError when it is not text."""
+    check_text(path)
     try:
         with path.open(encoding="utf-8") as file:
-            return file.readline()
+            return file.readline(_LONGEST_LINE)
     except UnicodeDecodeError as error:
         raise SsacError(f"{path}: not a text file: give it the extension of its format") from error
+
+
+def check_text(path: Path) -> None:
+    """Raise SsacError when a file has zero bytes, which a reader of text takes for its end."""
+    with readable(path, "a readable file"), path.open("rb") as file:
+        while block := file.read(_BYTES_PER_BLOCK):
+            at = block.find(b"\0")
+            if at >= 0:
+                raise SsacError(
+                    f"{path}: not a text file: byte {file.tell() - len(block) + at} is zero, as "
+                    "where a disk was full or a copy broke off: copy or record it again"
+                )
 
 
 def _read_table(
@@ -116,6 +135,8 @@ def _read_table(
             dtype=dict.fromkeys("xyp", np.int64) | {"t": np.float64 if in_seconds else np.int64},
             skiprows=int(has_header),
             chunksize=LINES_PER_BLOCK,
+            quoting=csv.QUOTE_NONE,  # else a stray quotation mark swallows lines
+            index_col=False,
         ) as reader:
             for table in reader:
                 t, x, y, p = (table[field].to_numpy() for field in "txyp")
@@ -124,19 +145,22 @@ def _read_table(
                 blocks.append(events_from_arrays(t, x, y, p, name=str(path)))
     except SsacError:
         raise
-    except ValueError as error:
-        reason = " ".join(str(error).split())
+    except (ValueError, OverflowError) as error:
         raise SsacError(
-            f"{path}: every line must be {', '.join(columns)} in whole numbers"
-            f"{', t in seconds' if in_seconds else ''} ({reason}): complete or remove the line"
+            f"{path}: every line must be {', '.join(columns)[:60]} in whole numbers"
+            f"{', t in seconds' if in_seconds else ''} ({brief(error)}): complete or remove the "
+            "line"
         ) from error
     return np.concatenate(blocks)
 
 
 def _microseconds_from_seconds(t_s: NDArray[np.float64], path: Path) -> NDArray[np.int64]:
     """Nearest whole microseconds; SsacError for nan and inf."""
-    if not np.isfinite(t_s).all():
-        raise SsacError(f"{path}: times must be finite, got nan or inf: convert the file again")
+    if not (np.abs(t_s) < _MAX_S).all():  # NaN is not either
+        raise SsacError(
+            f"{path}: times must be finite, got nan, inf or more than {_MAX_S:g} s: convert the "
+            "file again"
+        )
     if len(t_s) > 1 and t_s[-1] - t_s[0] > MAX_WHOLE_S and np.array_equal(t_s, np.rint(t_s)):
         raise SsacError(
             f"{path}: t must be in seconds, but all times are whole numbers, up to {t_s[-1]:.0f}, "

@@ -4,18 +4,22 @@ Times are seconds on the camera's own clock, pixels those of the distorted image
 in time order; where it was not seen, rows are missing.
 """
 
+import csv
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
 from ssac.errors import SsacError
+from ssac.files.net import readable
+from ssac.files.text import check_text
 from ssac.files.whole_file import whole_file
 from ssac.points import PointTrack
 
 TRACK_COLUMNS = ("t_s", "x_px", "y_px")
 TRACK_SUFFIX = ".csv"
 _SIGMA = "sigma_px"
+_LONGEST_LINE = 4096
 
 
 def is_track_file(path: Path) -> bool:
@@ -39,24 +43,26 @@ def load_track(path: Path | str) -> PointTrack:
     path = Path(path)
     if not path.is_file():
         raise SsacError(f"{path}: there is no such file: check the path")
-    try:
+    check_text(path)
+    with readable(path, "a track file, every row of which must be numbers"):
         with path.open(encoding="utf-8") as file:
-            names = _names(file.readline())
+            names = _names(file.readline(_LONGEST_LINE))
         if not set(TRACK_COLUMNS) <= set(names):
             raise SsacError(
                 f"{path}: the first line of a track must name the columns "
                 f"{','.join(TRACK_COLUMNS)}, got {','.join(names)[:60]!r}: add that line"
             )
         wanted = [*TRACK_COLUMNS, *([_SIGMA] if _SIGMA in names else [])]
-        table = pd.read_csv(path, names=names, usecols=wanted, skiprows=1, skipinitialspace=True)
+        table = pd.read_csv(
+            path,
+            names=names,
+            usecols=wanted,
+            skiprows=1,
+            skipinitialspace=True,
+            quoting=csv.QUOTE_NONE,
+            index_col=False,
+        )
         columns = {name: table[name].to_numpy(dtype=np.float64) for name in wanted}
-    except ValueError as error:  # pandas' own errors and those of decoding are of this kind
-        if isinstance(error, SsacError):
-            raise
-        reason = " ".join(str(error).split())
-        raise SsacError(
-            f"{path}: every row of a track must be numbers ({reason}): correct or remove the row"
-        ) from error
     points = np.column_stack([columns["x_px"], columns["y_px"]])
     return PointTrack(columns["t_s"], points, columns.get(_SIGMA))
 

@@ -1,11 +1,17 @@
 """A path in; a file that appears under it only when it is complete."""
 
 import os
+import resource
+import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from ssac.errors import WriteError
 from ssac.files.temporary import temporary_path
+
+LEAST_FREE_BYTES = 1 << 20
+"""Less space than that is a full disk: results are smaller, but there are several."""
 
 
 @contextmanager
@@ -13,10 +19,61 @@ def whole_file(path: Path) -> Iterator[Path]:
     """Give a temporary name in the same folder to write to; rename it to `path` at the end.
 
     If the block fails, the temporary file is removed and whatever was at `path` stays as it was.
+
+    Raises
+    ------
+    WriteError
+        If it cannot be written, as on a full disk. The message names `path`.
     """
     temporary = temporary_path(path)
     try:
         yield temporary
         os.replace(temporary, path)
+    except OSError as error:
+        if error.filename is not None and str(error.filename) != str(temporary):
+            raise  # about another file
+        raise WriteError(
+            f"{path}: could not be written ({error.strerror or ' '.join(str(error).split())}): "
+            "make room, or name another place"
+        ) from error
     finally:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):  # of a disk that is gone
+            temporary.unlink(missing_ok=True)
+
+
+def check_writable(path: Path, n_bytes: int = 0) -> None:
+    """Raise WriteError, before any work is done, when a file could not be written.
+
+    Parameters
+    ----------
+    path
+        Of the file; its folder may have to be made.
+    n_bytes
+        Its size, where that is known.
+    """
+    if path.is_dir():
+        raise WriteError(f"{path}: is a folder: name a file to write")
+    check_folder(path.parent, n_bytes)
+
+
+def check_folder(folder: Path, n_bytes: int = 0) -> None:
+    """Raise WriteError when files could not be written into a folder, which may have to be made."""
+    there = folder.absolute()
+    while not there.exists():
+        there = there.parent
+    if not there.is_dir():
+        raise WriteError(f"{folder}: {there} is a file: name a folder")
+    if not os.access(there, os.W_OK | os.X_OK):
+        raise WriteError(f"{folder}: {there} cannot be written to: name another place")
+    free, needed = shutil.disk_usage(there).free, max(n_bytes, LEAST_FREE_BYTES)
+    if free < needed:
+        raise WriteError(
+            f"{folder}: {free} bytes are free on this disk, and {needed} are needed: make room, or "
+            "name another place"
+        )
+    limit = resource.getrlimit(resource.RLIMIT_FSIZE)[0]
+    if limit != resource.RLIM_INFINITY and limit < needed:
+        raise WriteError(
+            f"{folder}: files may have {limit} bytes here, and {needed} are needed: raise the limit"
+            " (ulimit -f)"
+        )

@@ -12,6 +12,7 @@ from ssac.config import Config
 from ssac.errors import SsacError
 from ssac.estimate import Estimate
 from ssac.events import US_PER_S, check_events, time_quantum_s
+from ssac.files.damage import STRICT, Reading
 from ssac.files.event_files import load_events, load_frames
 from ssac.files.rigs import check_resolution, load_rig
 from ssac.files.track_files import is_track_file, load_track
@@ -28,7 +29,7 @@ Paths = tuple[Path, Path, Path]
 
 
 def load_pair(
-    paths: Paths, method: Method, cameras: tuple[int, int] = (1, 2)
+    paths: Paths, method: Method, cameras: tuple[int, int] = (1, 2), reading: Reading = STRICT
 ) -> tuple[Observation, Observation, Rig]:
     """Read what two cameras recorded.
 
@@ -41,6 +42,8 @@ def load_pair(
         Frames are read only for a method that compares frames.
     cameras
         Numbers of the two in the rig, from 1 on.
+    reading
+        What may be made of event files that are damaged or unsorted.
 
     Raises
     ------
@@ -61,8 +64,9 @@ def load_pair(
             f"{paths[2]}: {method.name} needs the extrinsics (T_cn_cnm1 of cam1 in a Kalibr file, "
             "R and T in OpenCV's): add them, or leave --known-extrinsics out"
         )
-    cam1 = _load_camera(paths[0], rig.cam1, f"camera {cameras[0]} of {paths[2]}", method)
-    cam2 = _load_camera(paths[1], rig.cam2, f"camera {cameras[1]} of {paths[2]}", method)
+    cam1 = _load_camera(paths[0], rig.cam1, f"camera {cameras[0]} of {paths[2]}", method, reading)
+    cam2 = _load_camera(paths[1], rig.cam2, f"camera {cameras[1]} of {paths[2]}", method, reading)
+    _check_two(cam1, cam2, paths)
     return cam1, cam2, rig
 
 
@@ -165,14 +169,16 @@ def less_sure(estimate: Estimate, quanta_s: tuple[float, float]) -> Estimate:
     )
 
 
-def _load_camera(path: Path, camera: Camera, camera_name: str, method: Method) -> Observation:
+def _load_camera(
+    path: Path, camera: Camera, camera_name: str, method: Method, reading: Reading
+) -> Observation:
     """Read what one camera recorded, and check it against its calibration."""
     if is_track_file(path):
         track = load_track(path)
         check_track(track, camera.width, camera.height, f"{path} with {camera_name}")
         check_readout(track.times_s, camera.readout_s, f"{path} with {camera_name}")
         return tracked(track)
-    file = load_events(path)
+    file = load_events(path, reading)
     check_resolution(camera, file.width, file.height, camera_name, str(path))
     if file.width is None or file.height is None:
         check_events(file.events, camera.width, camera.height, f"{path} with {camera_name}")
@@ -186,6 +192,25 @@ def _load_camera(path: Path, camera: Camera, camera_name: str, method: Method) -
         )
     times_us, images = frames
     return Observation(file.events, images, times_us / US_PER_S)
+
+
+def _check_two(cam1: Observation, cam2: Observation, paths: Paths) -> None:
+    """Raise SsacError when two files hold what one camera saw, be it at other times.
+
+    There is no baseline then, and any translation fits.
+    """
+    if cam1.track is not None and cam2.track is not None:
+        same = np.array_equal(cam1.track.points_px, cam2.track.points_px)
+    else:
+        events1, events2 = cam1.events, cam2.events
+        same = 0 < len(events1) == len(events2) and all(
+            np.array_equal(events1[field], events2[field]) for field in "xy"
+        )
+    if same:
+        raise SsacError(
+            f"{paths[0]} and {paths[1]} hold the same points: one is a copy of the other, and "
+            "there is no baseline between a camera and itself: give each camera's own file"
+        )
 
 
 def _pixels_of_mean(frames: NDArray[np.uint8]) -> NDArray[np.float64]:

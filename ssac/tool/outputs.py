@@ -9,6 +9,7 @@ from ssac.errors import SsacError
 from ssac.files.event_files import load_events, write_synced
 from ssac.files.hdf5 import HDF5_SUFFIXES
 from ssac.files.track_files import TRACK_SUFFIX, is_track_file, load_track, save_track
+from ssac.files.whole_file import check_writable
 from ssac.tool.report import save_json
 from ssac.tool.sync import Clock, Log, SyncResult
 
@@ -41,6 +42,7 @@ def check_outputs(inputs: tuple[Path, ...], outputs: Outputs) -> None:
             raise SsacError(f"{output}: not a file in a folder that exists: name another")
         if any(output.exists() and path.exists() and output.samefile(path) for path in inputs):
             raise SsacError(f"{output}: is one of the inputs and would be lost: name another file")
+        check_writable(output)
 
 
 def write_outputs(result: SyncResult, outputs: Outputs, log: Log) -> None:
@@ -67,7 +69,7 @@ def _write_synced(path: Path, result: SyncResult) -> None:
     """Write camera 2's events or points on camera 1's clock."""
     clock = result.estimate.clock
     if not is_track_file(result.paths[1]):
-        write_synced(path, load_events(result.paths[1]), clock)
+        write_synced(path, load_events(result.paths[1], result.reading), clock)
         return
     track = load_track(result.paths[1])
     save_track(path, replace(track, times_s=clock.cam1_from_cam2(track.times_s)))

@@ -21,6 +21,7 @@ from ssac.camera import Rig, with_deviations
 from ssac.config import Config, checked
 from ssac.errors import SsacError
 from ssac.estimate import Estimate, Status
+from ssac.files.damage import STRICT, Reading
 from ssac.files.track_files import is_track_file
 from ssac.search.all_offsets import Guess
 from ssac.tool.everywhere import SKEW_PRIOR_PPM, Start, find_start
@@ -64,6 +65,7 @@ class SyncResult:
     seconds: dict[str, float]  # by part, in the order they ran
     guess: Guess | None = None  # that the search over all offsets began with
     wanders: bool = False  # one skew did not fit a track, so its clock is of pieces unasked
+    reading: Reading = STRICT  # of the event files
 
 
 def sync(
@@ -80,6 +82,7 @@ def sync(
     rate_range: tuple[float, float] | None = None,
     focal_std: float | None = None,
     centre_std_px: float | None = None,
+    reading: Reading = STRICT,
 ) -> SyncResult:
     """Estimate the offset and the pose between two recorded cameras.
 
@@ -109,6 +112,8 @@ def sync(
     focal_std, centre_std_px
         Deviations of both cameras' focal lengths, as a share of them, and of both coordinates of
         their principal points [px]: in place of those of the rig file, where not None.
+    reading
+        What may be made of event files that are damaged or unsorted.
 
     Returns
     -------
@@ -129,7 +134,7 @@ def sync(
     clock = Clock(log or (lambda line: None))
 
     with clock.part("read") as say:
-        cam1, cam2, rig = load_pair(paths, chosen, cameras)
+        cam1, cam2, rig = load_pair(paths, chosen, cameras, reading)
         rig = _restated(rig, focal_std, centre_std_px)
         say(describe(cam1, paths[0]))
         say(describe(cam2, paths[1]))
@@ -156,7 +161,9 @@ def sync(
     else:
         check_common_time(paths, cam1, cam2, chosen, config)
     if start is not None and start.refusal is not None:
-        return SyncResult(paths, chosen, start.refusal, cam1, cam2, rig, config, clock.seconds)
+        return SyncResult(
+            paths, chosen, start.refusal, cam1, cam2, rig, config, clock.seconds, reading=reading
+        )
     with clock.part("estimate") as say:
         run = partial(_estimate, chosen, cam1, cam2, rig, start=start)
         estimate, wanders = run(config=config), False
@@ -169,7 +176,7 @@ def sync(
     guess = None if start is None else start.guess
     estimate = less_sure(estimate, quanta_s)
     read = paths, chosen, estimate, cam1, cam2, rig
-    return SyncResult(*read, config, clock.seconds, guess, wanders)
+    return SyncResult(*read, config, clock.seconds, guess, wanders, reading)
 
 
 def _may_wander(estimate: Estimate, config: Config) -> bool:

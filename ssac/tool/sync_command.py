@@ -3,9 +3,6 @@
 What takes long to import is imported when the command runs, not for its help.
 """
 
-import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any
@@ -14,7 +11,7 @@ import typer
 
 from ssac.config import CLOCKS, MAX_SKEW_PPM, N_MIN, Config
 from ssac.console.command_line import Sections
-from ssac.console.exits import NO_ESTIMATE
+from ssac.console.exits import NO_ESTIMATE, warnings_as_lines
 from ssac.console.options import number
 from ssac.errors import SsacError
 from ssac.tool.summaries import DEFAULT, OF_TRACKS, all_summaries
@@ -138,6 +135,18 @@ def sync_command(
     no_denoise: Annotated[
         bool, typer.Option("--no-denoise", help="Keep hot pixels and isolated events.")
     ] = False,
+    allow_damaged: Annotated[
+        bool,
+        typer.Option(
+            "--allow-damaged", help="Read what is left of a damaged event file, with a warning."
+        ),
+    ] = False,
+    sort: Annotated[
+        bool,
+        typer.Option(
+            "--sort", help="Sort events that are out of order by less than a millisecond."
+        ),
+    ] = False,
     n_samples: Annotated[
         int,
         number("Times at which the object's positions are compared.", 20, 100_000, metavar="COUNT"),
@@ -183,6 +192,7 @@ def sync_command(
         )
     if clock not in CLOCKS:
         raise SsacError(f"--clock: expected {' or '.join(CLOCKS)}, got {clock}")
+    from ssac.files.damage import Reading
     from ssac.files.track_files import is_track_file
     from ssac.tool.everywhere import SKEW_PRIOR_PPM
     from ssac.tool.outputs import Outputs, check_outputs, write_outputs
@@ -203,7 +213,7 @@ def sync_command(
         skew_prior_ppm=skew_prior,
         clock=clock,
     )
-    with _warnings_as_lines():
+    with warnings_as_lines():
         check_outputs((cam1, cam2, rig), outputs)
         result = sync(
             cam1,
@@ -218,6 +228,7 @@ def sync_command(
             rate_range=rate_range,
             focal_std=None if focal_std is None else 0.01 * focal_std,
             centre_std_px=centre_std,
+            reading=Reading(allow_damaged, sort),
         )
         typer.echo(report_text(result))
         write_outputs(result, outputs, _to_stderr)
@@ -233,14 +244,6 @@ def help_sections() -> Sections:
         "Methods": list(all_summaries().items()),
         **({"Statuses": statuses} if statuses else {}),
     }
-
-
-@contextmanager
-def _warnings_as_lines() -> Iterator[None]:
-    """Show each warning as one line on stderr."""
-    with warnings.catch_warnings():
-        warnings.showwarning = lambda message, *_, **__: _to_stderr(f"warning: {message}")
-        yield
 
 
 def _to_stderr(line: str) -> None:

@@ -14,7 +14,7 @@ from faery.file_encoder import events_to_file
 from ssac.clock import Clock
 from ssac.errors import SsacError
 from ssac.events import EVENT_DTYPE, EventFile, events_from_arrays
-from ssac.files import hdf5
+from ssac.files import hdf5, stored
 from ssac.files.event_files import (
     load_events,
     load_frames,
@@ -194,7 +194,7 @@ def test_text_longer_than_a_block(tmp_path, monkeypatch):
         ("a.h5", "hello", r"a\.h5: not a readable HDF5 file"),
         ("a.raw", "hello", r"a\.raw: not a complete \.raw file \(.*no version information"),
         ("a.raw", "% evt 2.1\n% end\n" + 64 * "a", r"a\.raw: its encoding is evt2\.1: convert"),
-        ("a.dat", "hello", r"a\.dat: not a complete \.dat file"),
+        ("a.dat", "hello", r"a\.dat: is damaged: 3 bytes beyond the last whole word of 8"),
         ("a.es", "hello there, world", r"a\.es: not a complete \.es file"),
         ("a.aedat4", "hello there, world", r"a\.aedat4: not a complete \.aedat4 file"),
         ("a.txt", "346 260\n", r"a\.txt: there are no events"),
@@ -229,7 +229,10 @@ def test_a_missing_file_is_refused(tmp_path):
 
 @pytest.mark.parametrize(
     ("suffix", "write", "message"),
-    [(".h5", _write_h5, "truncated"), (".aedat4", _write_faery(), "not a complete .aedat4 file")],
+    [
+        (".h5", _write_h5, "truncated"),
+        (".aedat4", _write_faery(), "is damaged: the table of its packets is at byte"),
+    ],
 )
 def test_truncated_files_are_refused(tmp_path, suffix, write, message):
     path = tmp_path / f"cam1{suffix}"
@@ -400,7 +403,7 @@ def test_prophesees_own_codec_is_not_in_that_package(tmp_path, monkeypatch):
     events = _random_events()
     with h5py.File(path, "w") as file:
         file.create_dataset("CD/events", data=events, **hdf5plugin.Blosc())
-    monkeypatch.setattr(hdf5, "_PROPHESEE_ECF", 32001)
+    monkeypatch.setattr(stored, "_PROPHESEE_ECF", 32001)
     monkeypatch.setattr(h5py.h5z, "filter_avail", lambda code: False)
     with pytest.raises(SsacError, match="install Prophesee's HDF5 plugin, or convert the file"):
         load_events(path)

@@ -224,7 +224,7 @@ def test_one_file_holds_all_figures(suffix, recorded, tmp_path):
 
 
 def test_a_warning_is_one_line(recorded, tmp_path, monkeypatch):
-    def warn_and_load(path):
+    def warn_and_load(path, reading):
         warnings.warn(f"{path} starts at time 0", stacklevel=2)
         return load_events(path)
 

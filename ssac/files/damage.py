@@ -1,0 +1,231 @@
+"""Events as a file's reader gave them, and signs of damage, in; events that can be used out.
+
+A file with signs of damage is refused: what is left of it is not what was recorded. Whoever wants
+that nevertheless says so (`Reading.allow_damaged`), and is told how much was lost. Events that are
+out of order by microseconds, as some cameras' drivers write them, are another matter: they are
+sorted where that is asked for (`Reading.sort`).
+"""
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from ssac.errors import SsacError
+from ssac.events import US_PER_S, EventFile, check_events, wrap_message, wrapped
+from ssac.files.words import REPEATED
+
+MAX_GAP_S = 3600.0
+"""Longest time without an event in one file: no recording pauses for longer."""
+
+SORTED_US = 1000
+"""Events are out of order by less where a driver mixed them up; by more in a damaged file."""
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What may be made of an event file that is not as it should be."""
+
+    allow_damaged: bool = False  # read what is left, and warn
+    sort: bool = False  # put events in order that are out of it by less than SORTED_US
+
+
+STRICT = Reading()
+
+
+def refuse_damaged(path: Path, signs: Sequence[str], reading: Reading) -> None:
+    """Raise SsacError for a file with signs of damage, or warn where it is to be read anyway."""
+    if not signs:
+        return
+    found = "; ".join(signs)
+    if not reading.allow_damaged:
+        raise SsacError(
+            f"{path}: is damaged: {found}: copy or record it again, or read what is left of it "
+            "with --allow-damaged"
+        )
+    warnings.warn(f"{path} is damaged, and what is left of it is read: {found}", stacklevel=3)
+
+
+def checked_file(
+    events: NDArray[np.void],
+    size_px: tuple[int | None, int | None],
+    path: Path,
+    reading: Reading,
+    is_text: bool = False,
+) -> EventFile:
+    """Give the events of a file that can be used, or refuse it.
+
+    Parameters
+    ----------
+    events
+        Events, dtype EVENT_DTYPE, shape (N,), as they stand in the file.
+    size_px
+        Width and height of the sensor; None where the file does not say.
+    path, reading
+    is_text
+        Whether it is text, whose times may be rounded, so that one event may stand there often.
+
+    Returns
+    -------
+    EventFile
+        All of them in a file that is whole; else what `reading` allows to be made of it.
+
+    Raises
+    ------
+    SsacError
+        If time runs back or leaps, one event stands there many times, or events lie outside the
+        sensor, and that is not allowed; or if there are none.
+    """
+    events = _in_order(events, path, reading, is_text)
+    if reading.allow_damaged:
+        events = _inside(events, size_px, path)
+    check_events(events, *size_px, name=str(path))
+    return EventFile(events, *size_px)
+
+
+def _in_order(
+    events: NDArray[np.void], path: Path, reading: Reading, is_text: bool
+) -> NDArray[np.void]:
+    n_back, first_back, most_back_us, n_leaps, n_repeated = _order(
+        events["t"],
+        events["x"],
+        events["y"],
+        REPEATED,
+        round(MAX_GAP_S * US_PER_S),
+    )
+    if n_back and not n_leaps and most_back_us < SORTED_US:
+        events = _sorted(events, path, int(n_back), int(most_back_us), reading)
+        n_back = 0
+    elif n_back and not reading.allow_damaged:
+        _refuse_unsorted(events["t"], int(first_back), path)
+    signs: list[str] = []
+    if n_leaps:
+        signs.append(f"{n_leaps} leaps of time by more than {MAX_GAP_S:g} s")
+    if n_repeated and not is_text:
+        signs.append(f"{n_repeated} events stand there {REPEATED} times in a row or more")
+    if n_back or n_leaps:
+        kept = _longest(events, round(MAX_GAP_S * US_PER_S)) if reading.allow_damaged else events
+        if len(kept) < len(events):
+            lost = len(events) - len(kept)
+            signs.append(
+                f"time runs back or leaps: {lost} of {len(events)} events "
+                f"({100.0 * lost / len(events):.2g} %) are left out"
+            )
+        events = kept
+    refuse_damaged(path, signs, reading)
+    return events
+
+
+def _inside(
+    events: NDArray[np.void], size_px: tuple[int | None, int | None], path: Path
+) -> NDArray[np.void]:
+    """Leave out events that lie outside the sensor, or of no polarity, and warn."""
+    keep = events["p"] <= 1
+    for field, size in zip("xy", size_px, strict=True):
+        if size is not None:
+            keep &= events[field] < size
+    n_lost = len(events) - int(np.count_nonzero(keep))
+    if not n_lost:
+        return events
+    warnings.warn(
+        f"{path}: {n_lost} of {len(events)} events lie outside the sensor, or have no polarity, "
+        "and are left out",
+        stacklevel=4,
+    )
+    return events[keep]
+
+
+def _sorted(
+    events: NDArray[np.void], path: Path, n_back: int, most_back_us: int, reading: Reading
+) -> NDArray[np.void]:
+    """Sort events that are nearly in order, where that is asked for; equal times keep theirs."""
+    if not reading.sort:
+        raise SsacError(
+            f"{path}: events must be sorted by time, but {n_back} of {len(events)} come up to "
+            f"{most_back_us} us too late: sort them with --sort"
+        )
+    warnings.warn(
+        f"{path}: {n_back} of {len(events)} events came up to {most_back_us} us too late and were "
+        "sorted",
+        stacklevel=4,
+    )
+    return events[np.argsort(events["t"], kind="stable")]
+
+
+def _refuse_unsorted(t: NDArray[np.int64], i: int, path: Path) -> None:
+    if wrapped(t[i - 1] / US_PER_S, t[i] / US_PER_S):
+        raise SsacError(f"{path}: {wrap_message(f'event {i}')}")
+    raise SsacError(
+        f"{path}: events must be sorted by time, but event {i} is at {t[i]} us, after one at "
+        f"{t[i - 1]} us: sort the file, or check that it is undamaged (--allow-damaged reads what "
+        "is in order)"
+    )
+
+
+@numba.njit(cache=True)
+def _order(
+    t: NDArray[np.int64],
+    x: NDArray[np.uint16],
+    y: NDArray[np.uint16],
+    repeated: int,
+    longest_us: int,
+) -> tuple[int, int, int, int, int]:
+    """Count times that run back, the first of them, by how much [us], leaps, repeated events."""
+    n_back = first_back = most_back = n_leaps = n_repeated = 0
+    run, latest = 1, t[0] if len(t) else 0
+    for i in range(1, len(t)):
+        if t[i] < t[i - 1]:
+            if n_back == 0:
+                first_back = i
+            n_back += 1
+        elif t[i] == t[i - 1] and x[i] == x[i - 1] and y[i] == y[i - 1]:
+            run += 1
+            n_repeated += repeated if run == repeated else run > repeated
+            continue
+        elif t[i] - t[i - 1] > longest_us or t[i] - t[i - 1] < 0:  # the latter beyond int64
+            n_leaps += 1
+        run = 1
+        most_back = max(most_back, latest - t[i])
+        latest = max(latest, t[i])
+    return n_back, first_back, most_back, n_leaps, n_repeated
+
+
+def _longest(events: NDArray[np.void], longest_us: int) -> NDArray[np.void]:
+    """Keep as many events as are in order; of the parts between leaps of time, the largest."""
+    if len(events) == 0:
+        return events
+    events = events[_in_sequence(events["t"])]
+    ends = np.append(1 + np.flatnonzero(np.diff(events["t"]) > longest_us), len(events))
+    starts = np.append(0, ends[:-1])
+    k = int(np.argmax(ends - starts))
+    return events[starts[k] : ends[k]]
+
+
+@numba.njit(cache=True)
+def _in_sequence(t: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Mark the longest subsequence of times (n,) that never runs back."""
+    n = len(t)
+    last = np.empty(n, np.int64)  # of sequences by length: that which ends earliest
+    before = np.empty(n, np.int64)
+    length = 0
+    for i in range(n):
+        low, high = 0, length
+        while low < high:
+            middle = (low + high) // 2
+            if t[last[middle]] <= t[i]:
+                low = middle + 1
+            else:
+                high = middle
+        before[i] = last[low - 1] if low else -1
+        last[low] = i
+        length = max(length, low + 1)
+    keep = np.zeros(n, np.bool_)
+    i = last[length - 1]
+    while i >= 0:
+        keep[i] = True
+        i = before[i]
+    return keep
