@@ -125,7 +125,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
         ),
     },
     "experiments": {
-        "workers": ("claim", "crew", "processes", "cluster"),
+        "workers": ("claim", "sound", "crew", "processes", "cluster"),
         "run": (
             "provenance",
             "bridge",

@@ -31,6 +31,7 @@ from experiments.run.command import (
 from experiments.run.provenance import provenance, write_provenance
 from experiments.run.schedule import Workers, run_cells
 from sim.render.gl_context import context_or_none
+from ssac.files.whole_file import check_folder
 
 
 def tables_config() -> dict[str, Any]:
@@ -47,6 +48,7 @@ def tables_command(
     check: CheckOption = True,
 ) -> None:
     """Regenerate the paper's simulation tables: every method on every recording."""
+    check_folder(out)
     start = time.perf_counter()
     grids = table_grids()
     cells = drawn_by(table_cells(), renderer, check)

@@ -1,11 +1,22 @@
 """Where `sim` meets `ssac`: a simulated recording in, what an estimator is given out."""
 
+import warnings
+from pathlib import Path
+
 import numpy as np
 
-from sim.recording import CameraRecording, Flight, Recording
+from sim.errors import SimError
+from sim.recording import CameraRecording, Flight, Recording, SimConfig
+from sim.scene.drone import drone_from_file
 from sim.scene.rig import Camera as SimCamera
 from ssac.camera import Camera, Rig
+from ssac.errors import SsacError
+from ssac.files.net import readable
 from ssac.track.observation import Observation
+
+_SHARE_OF_FRAMES = 0.1  # what the codec leaves of them
+_EVENT_BYTES_PER_S = 200_000.0  # of 60,000 events a second and camera, at 3 bytes each
+_TRUTH_BYTES_PER_S = 100_000.0
 
 
 def observations(recording: Recording) -> tuple[Observation, Observation]:
@@ -19,6 +30,26 @@ def rig_of(recording: Recording | Flight, with_extrinsics: bool = False) -> Rig:
     cam1, cam2 = (_camera(camera) for camera in recording.rig.cameras[:2])
     T_2_1 = recording.rig.relative_pose(0, 1) if with_extrinsics else None
     return Rig(cam1, cam2, T_2_1)
+
+
+def check_mesh(path: Path) -> None:
+    """Raise SsacError, before any work is done, for a drone's mesh that cannot be used."""
+    with readable(path, "the mesh of a drone"), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the error says it
+        try:
+            drone_from_file(path)
+        except SimError as error:
+            raise SsacError(str(error)) from error
+
+
+def recording_bytes(config: SimConfig) -> int:
+    """Space that a recording takes at most, both cameras and truth: a rough bound.
+
+    A disk that runs full while HDF5 writes ends the process, so that it must not come to this.
+    """
+    frames = config.frames.rate_hz * config.resolution[0] * config.resolution[1]
+    per_s = 2.0 * (_SHARE_OF_FRAMES * frames + _EVENT_BYTES_PER_S) + _TRUTH_BYTES_PER_S
+    return round(config.spline.duration_s * per_s)
 
 
 def _observation(recording: CameraRecording) -> Observation:

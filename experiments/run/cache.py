@@ -5,7 +5,9 @@ Everything is addressed by its content: by all parameters and by all code that m
 
     recordings/<key>/     as sim.storage writes them, with t_d = 0: ordinary input of `ssac sync`
     brightness/<key>.npz  the mean of each of their frames
-    runs/<ab>/<key>.json  one measured row
+    recordings/<key>.sha256  checksums of its files
+    runs/<ab>/<key>.json  one measured row, and its checksum
+    damaged/              entries that were not what had been written (`experiments.workers.sound`)
 
 Denoised events are not kept: denoising takes a third of a second for a recording of 20 s, which is
 less than what the methods take, and kept they would be three times as large as the recordings.
@@ -23,15 +25,18 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from experiments.run.bridge import recording_bytes
 from experiments.run.code import SIM_PACKAGES, SSAC_PACKAGES, code_digest, package_versions
 from experiments.run.provenance import plain
 from experiments.workers.claim import ASK_AGAIN_S, claimed, remove_lapsed
 from experiments.workers.claim import SUFFIX as CLAIM
+from experiments.workers.sound import is_sound, row_of_text, save_sums, set_aside, text_of_row
 from sim.recording import SimConfig
 from sim.render.gl_context import open_context
 from sim.storage import record
+from ssac.errors import WriteError
 from ssac.files.temporary import remove_left_over
-from ssac.files.whole_file import whole_file
+from ssac.files.whole_file import check_folder, whole_file
 
 DEFAULT_FOLDER = Path("cache")
 
@@ -61,6 +66,7 @@ class Cache:
 
     folder: Path = DEFAULT_FOLDER
     simulated: list[Path] = field(default_factory=list, compare=False)  # by this object
+    sound: set[Path] = field(default_factory=set, compare=False)  # recordings it has looked at
 
     def recording_folder(self, config: SimConfig, seed: int) -> Path:
         """Give the folder of a recording, simulating it first if it is not there yet.
@@ -74,11 +80,13 @@ class Cache:
         Raises
         ------
         SimError
-            When it cannot be simulated or written.
+            When it cannot be simulated.
+        WriteError
+            When it cannot be written, or there is no room for it.
         """
         config = replace(config, t_d_s=0.0)
         folder = self._recording_path(config, seed)
-        while not folder.exists():
+        while not self._is_kept(folder):
             with claimed(folder.with_name(f".{folder.name}{CLAIM}")) as is_ours:
                 if not is_ours:  # another process makes it
                     time.sleep(ASK_AGAIN_S)
@@ -93,21 +101,26 @@ class Cache:
         """
         key = _digest(recording.name, code_digest(*BRIGHTNESS_CODE), Brightness._fields)
         path = self.folder / "brightness" / f"{key}.npz"
-        if not path.exists():
-            path.parent.mkdir(parents=True, exist_ok=True)
-            made = measure()
-            with whole_file(path) as temporary, temporary.open("wb") as file:
-                np.savez(file, **made._asdict())
-            return made
-        with np.load(path) as kept:
-            return Brightness(*(kept[name] for name in Brightness._fields))
+        if path.exists():
+            try:
+                with np.load(path) as kept:  # whose parts have checksums
+                    return Brightness(*(kept[name] for name in Brightness._fields))
+            except Exception:  # of zip, of the format, of what stands in it
+                set_aside(path, self.folder)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        made = measure()
+        with whole_file(path) as temporary, temporary.open("wb") as file:
+            np.savez(file, **made._asdict())
+        return made
 
     def load_run(self, key: str) -> dict[str, Any] | None:
         """Return a run's row; None when there is none."""
         path = self._run_path(key)
         if not path.exists():
             return None
-        row: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        row = row_of_text(path.read_bytes())
+        if row is None:
+            set_aside(path, self.folder)
         return row
 
     def save_run(self, key: str, row: dict[str, Any]) -> None:
@@ -117,7 +130,7 @@ class Cache:
             return
         path.parent.mkdir(parents=True, exist_ok=True)
         with whole_file(path) as temporary:
-            temporary.write_text(json.dumps(row), encoding="utf-8")
+            temporary.write_text(text_of_row(row), encoding="utf-8")
 
     def claim_of_runs(self, recordings: str) -> Path:
         """Name the claim to all runs on some recordings, as `task.recordings_key` names these."""
@@ -136,12 +149,26 @@ class Cache:
         """Return the size of all entries."""
         return sum(path.stat().st_size for path in self.folder.rglob("*") if path.is_file())
 
+    def _is_kept(self, folder: Path) -> bool:
+        """Whether a recording is there and whole; a damaged one is moved aside."""
+        if folder not in self.sound and folder.exists():
+            if not is_sound(folder):
+                set_aside(folder, self.folder)
+                return False
+            self.sound.add(folder)
+        return folder.exists()
+
     def _simulate(self, config: SimConfig, seed: int, folder: Path) -> None:
         provenance = {"config": plain(config), "seed": seed}
+        check_folder(folder.parent, recording_bytes(config))
         try:
             record(config, seed, folder, provenance)
+            save_sums(folder)
+            self.sound.add(folder)
             self.simulated.append(folder)
-        except Exception:
+        except Exception as error:
+            if isinstance(error.__cause__, OSError):
+                raise WriteError(str(error)) from error
             if not folder.exists():  # unless another process was first, its claim having lapsed
                 raise
 

@@ -21,6 +21,7 @@ file is one that comes with the project ("backgrounds/leaves.png"), or else wher
 """
 
 import hashlib
+import math
 import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass, replace
@@ -32,6 +33,7 @@ from sim.errors import SimError
 from sim.recording import SimConfig
 from ssac.config import Config, checked
 from ssac.errors import SsacError
+from ssac.files.net import brief
 from ssac.tool.registry import METHODS, choose_method
 
 if sys.version_info >= (3, 11):
@@ -40,6 +42,12 @@ else:
     import tomli as tomllib
 
 CONFIGS = Path(__file__).parents[1] / "configs"
+
+MAX_CELLS = 1_000_000
+"""Runs of a grid: those of a year."""
+
+MAX_DURATION_S = 3600.0
+"""Of a flight, as of `ssac simulate`."""
 
 _KEYS = ("title", "flights", "first_flight", "methods", "search_around_truth_s",
          "fixed", "grid", "together", "figure")  # fmt: skip
@@ -121,6 +129,11 @@ class GridConfig:
                 low, high = self.search_around_truth_s
                 estimator = replace(estimator, interval_s=(t_d_s + low, t_d_s + high))
             checked(estimator)
+            if not 0.0 < sim.spline.duration_s <= MAX_DURATION_S:
+                raise SsacError(
+                    f"sim.spline.duration_s: expected up to {MAX_DURATION_S:g} s, got "
+                    f"{sim.spline.duration_s:g}"
+                )
             recorded = replace(sim, t_d_s=0.0)
             for flight in flights:
                 seed = flight_seed(sim.spline.duration_s, sim.angle_deg, flight)
@@ -173,12 +186,14 @@ def load_config(path: Path) -> GridConfig:
     try:
         with path.open("rb") as file:
             content = tomllib.load(file)
-    except (OSError, tomllib.TOMLDecodeError) as error:
-        raise SsacError(f"{path}: cannot be read as TOML: {error}") from error
+    except (OSError, ValueError, RecursionError) as error:  # of its syntax, or not UTF-8
+        raise SsacError(f"{path}: cannot be read as TOML: {brief(error)}") from error
     try:
         return grid_from_content(path.stem, content)
     except (SimError, SsacError) as error:
         raise SsacError(f"{path}: {error}") from error
+    except (TypeError, ValueError, OverflowError, RecursionError) as error:
+        raise SsacError(f"{path}: a value makes no sense: {brief(error)}") from error
 
 
 def named_config(name: str) -> GridConfig:
@@ -196,26 +211,36 @@ def grid_from_content(name: str, content: Mapping[str, Any]) -> GridConfig:
     for key in content:
         if key not in _KEYS:
             raise SsacError(f"unknown key {key!r}: known are {', '.join(_KEYS)}")
-    methods = tuple(content.get("methods", METHODS))
+    methods = content.get("methods", tuple(METHODS))
+    if not (methods and isinstance(methods, (list, tuple))):
+        raise SsacError(f"methods must be a list of names, got {methods!r}")
     for method in methods:
+        if not isinstance(method, str):
+            raise SsacError(f"methods must be a list of names, got {method!r} in it")
         choose_method(method)
     flights, first_flight = content.get("flights", 10), content.get("first_flight", 0)
-    if not (isinstance(flights, int) and flights > 0):
+    if not (_is_count(flights) and flights > 0):
         raise SsacError(f"flights must be a positive integer, got {flights!r}")
-    if not (isinstance(first_flight, int) and first_flight >= 0):
+    if not (_is_count(first_flight) and 0 <= first_flight <= MAX_CELLS):
         raise SsacError(f"first_flight must be 0 or a positive integer, got {first_flight!r}")
     fixed = dict(_flat(content.get("fixed", {})))
     axes = [
         tuple({key: value} for value in _values(key, values))
         for key, values in _flat(content.get("grid", {}))
     ]
-    axes += [_axis(axis, dict(_flat(part))) for axis, part in content.get("together", {}).items()]
+    together = content.get("together", {})
+    if not isinstance(together, Mapping):
+        raise SsacError(f"together must be a table of tables, got {together!r}")
+    axes += [_axis(axis, dict(_flat(part))) for axis, part in together.items()]
+    n_cells = flights * len(methods) * math.prod(map(len, axes))
+    if n_cells > MAX_CELLS:
+        raise SsacError(f"the grid has {n_cells} runs, and {MAX_CELLS} are the most: split it")
     grid = GridConfig(
         name,
         str(content.get("title", name)),
         flights,
         first_flight,
-        methods,
+        tuple(methods),
         _interval(content.get("search_around_truth_s")),
         fixed,
         tuple(axes),
@@ -324,6 +349,10 @@ def _axis(axis: str, lists: Mapping[str, Any]) -> tuple[dict[str, Any], ...]:
     return tuple(
         dict(zip(lists, values, strict=True)) for values in zip(*lists.values(), strict=True)
     )
+
+
+def _is_count(value: Any) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool)
 
 
 def _interval(value: Any) -> tuple[float, float] | None:

@@ -8,7 +8,8 @@ import math
 import sys
 import time
 from collections import Counter, deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Sequence, Sized
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -35,6 +36,8 @@ from experiments.workers.claim import ASK_AGAIN_S, claimed
 from experiments.workers.cluster import Cluster
 from experiments.workers.crew import Alone, Crew, DiedError, Job
 from experiments.workers.processes import Processes, n_cores
+from ssac.errors import WriteError
+from ssac.files.whole_file import check_folder
 
 MAX_DEATHS = 2
 """So many workers may die on one task; then its runs have crashed. One may have been killed for
@@ -98,7 +101,8 @@ def run_cells(
     Raises
     ------
     SsacError
-        If there is no scheduler at the address given, or it loses all its workers.
+        If there is no scheduler at the address given, or it loses all its workers, or the cache
+        cannot be written to.
     """
     workers = workers or Workers()
     tasks = tasks_of(cells)
@@ -119,7 +123,9 @@ def run_cells(
     work = _Work(tasks, cache, measure)
     disable = None if show_progress and left else True  # None: unless stderr is no terminal
     bar = tqdm(total=len(left), desc=label, disable=disable)
-    with bar, cache.tidied(), _crew(workers, len(left)) as crew:
+    if left:
+        check_folder(cache.folder)
+    with _resumable(found, tasks, cache), bar, cache.tidied(), _crew(workers, len(left)) as crew:
         for index, done in _spread(work, left, crew):
             found[index] = done.rows
             for key, row in zip(keys[index], done.rows, strict=True):
@@ -130,6 +136,19 @@ def run_cells(
             bar.update()
     runs = _frame(cells, tasks, found, measure)
     return Outcome(runs, len(left), n_simulated, peak_mb, work.deaths.total())
+
+
+@contextmanager
+def _resumable(found: Sized, tasks: Sized, cache: Cache) -> Iterator[None]:
+    """Say how to go on when the block is interrupted or terminated."""
+    try:
+        yield
+    except (KeyboardInterrupt, SystemExit, WriteError):
+        _say(
+            f"stopped: {len(found)} of {len(tasks)} recordings are done and kept in {cache.folder};"
+            " the same command goes on from there"
+        )
+        raise
 
 
 @dataclass(frozen=True)
@@ -179,6 +198,8 @@ def _spread(work: _Work, left: Sequence[int], crew: Crew) -> Iterator[tuple[int,
             continue
         for index, value, error in crew.ended(wait_s):
             n_given -= 1
+            if isinstance(error, WriteError):
+                raise error
             if isinstance(error, DiedError):
                 work.deaths[index] += 1
                 is_last = work.deaths[index] == MAX_DEATHS

@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from experiments.run.cache import Cache, recording_key, run_key
 from sim.recording import SimConfig
-from ssac.errors import SsacError
+from ssac.errors import SsacError, WriteError
 
 CRASHED = "crashed"
 """Status of a run that could not be simulated, or whose measure raised what is not an SsacError."""
@@ -146,6 +146,11 @@ def run_task(task: Task, cache: Cache, measure: Measure) -> Done:
     -------
     Done
         Nothing that a cell does raises.
+
+    Raises
+    ------
+    WriteError
+        If the cache cannot be written to.
     """
     with threadpool_limits(1):  # one worker a core, and sums in the same order everywhere
         n_before = len(cache.simulated)
@@ -162,6 +167,8 @@ def _rows(task: Task, cache: Cache, measure: Measure) -> Rows:
         rows = [cache.load_run(key) for key in keys]
         missing = [cell for cell, row in zip(task.cells, rows, strict=True) if row is None]
         loaded = measure.load(missing, cache) if missing else None
+    except WriteError:  # the others cannot be written either
+        raise
     except Exception as error:  # whatever it is: the row says so, and the other recordings go on
         failed = refusal(measure, error, "recording")
         return [failed if row is None else row for row in rows]

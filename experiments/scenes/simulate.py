@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import typer
 from tqdm import tqdm
 
-from experiments.run.bridge import rig_of
+from experiments.run.bridge import check_mesh, recording_bytes, rig_of
 from experiments.run.provenance import plain, versions
 from experiments.scenes.disturb_options import (
     BranchesOption,
@@ -35,6 +35,7 @@ from sim.storage import Recorded, record
 from ssac.console.options import number
 from ssac.files.hdf5 import load_events_h5
 from ssac.files.temporary import remove_left_over
+from ssac.files.whole_file import check_folder
 from ssac.track.observation import Observation
 
 MAX_SEED = 2**32 - 1
@@ -220,6 +221,7 @@ def simulate_command(
     disturb = DisturbConfig(
         lamp, hot_clusters, noise_hz, branches, people, second_object, intrinsics_error
     )
+    check_folder(out_dir, recording_bytes(config))
     existing = next(folder for folder in out_dir.resolve().parents if folder.exists())
     remove_left_over(existing, out_dir.name)  # of a run that was killed while it wrote
     recorded = record_with_progress(config, seed, out_dir, text, disturb)
@@ -236,6 +238,7 @@ def _drone(name: str) -> dict[str, Any]:
         raise SimError(
             f"--drone: {name} does not exist: expected a mesh file, or one of {', '.join(DRONES)}"
         )
+    check_mesh(Path(name))
     return {"drone_file": Path(name)}
 
 

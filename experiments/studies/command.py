@@ -24,6 +24,7 @@ from experiments.studies.study import (
 )
 from sim.render.gl_context import context_or_none
 from ssac.errors import SsacError
+from ssac.files.whole_file import check_folder
 
 OutOption = Annotated[Path, typer.Option(help="For the CSVs and figures.", metavar="FOLDER")]
 ShardOption = Annotated[
@@ -80,6 +81,7 @@ def run_studies(
 ) -> None:
     """Run studies one after the other, and write the files of each as soon as it is done."""
     part = parse_shard(shard)
+    check_folder(out)
     if part == WHOLE:
         for study in studies:
             read_others(study, out)  # before hours of work

@@ -33,6 +33,7 @@ from experiments.studies.study import (
 )
 from sim.render.gl_context import context_or_none
 from ssac.errors import SsacError
+from ssac.files.whole_file import check_writable
 
 
 def sweep_command(
@@ -53,6 +54,7 @@ def sweep_command(
     grid = load_config(config)
     part = parse_shard(shard)
     out = out or Path("results") / f"{grid.name}.csv"
+    check_writable(out)
     outcome = run_numbered(
         numbered(grid.cells(), part), SCORED, Cache(cache), Workers(workers, scheduler), grid.name
     )
@@ -78,6 +80,7 @@ def merge_command(
 
     Of a study, its summary and figure are made too, beside the runs.
     """
+    check_writable(out)
     text, provenance = merged(shards)
     study = _study_of(provenance)
     if study is not None and out.name != study.runs_file:
@@ -117,12 +120,12 @@ def merged(shards: Sequence[Path]) -> tuple[str, dict[str, Any]]:
     for path, whole in zip(shards, wholes, strict=True):
         if whole != wholes[0]:
             raise SsacError(f"{path} is of another grid than {shards[0]}: merge the shards of one")
-        first, *lines = path.read_text(encoding="utf-8").splitlines()
+        first, *lines = _lines(path)
         if header and first != header:
             raise SsacError(f"{path} has other columns than {shards[0]}: was the code the same?")
         header = first
         for line in lines:
-            number = int(line.partition(",")[0])
+            number = _number(line, path)
             if number in rows:
                 raise SsacError(f"cell {number} is in {rows[number][1]} and in {path}")
             rows[number] = line, path
@@ -136,6 +139,25 @@ def merged(shards: Sequence[Path]) -> tuple[str, dict[str, Any]]:
         )
     text = "\n".join([header, *(rows[number][0] for number in range(n_cells))]) + "\n"
     return text, provenance
+
+
+def _lines(path: Path) -> list[str]:
+    try:
+        lines = path.read_bytes().decode("utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise SsacError(f"{path}: cannot be read ({error}): run this shard again") from error
+    if not lines:
+        raise SsacError(f"{path}: is empty: run this shard again")
+    return lines
+
+
+def _number(line: str, path: Path) -> int:
+    first = line.partition(",")[0]
+    if not (first.isascii() and first.isdecimal()):
+        raise SsacError(
+            f"{path}: a row begins with {first[:40]!r}, no cell's number: run this shard again"
+        )
+    return int(first)
 
 
 def _study_of(provenance: dict[str, Any]) -> Study | None:
@@ -161,6 +183,8 @@ def _read_provenance(path: Path) -> dict[str, Any]:
     try:
         content: dict[str, Any] = json.loads(beside.read_text(encoding="utf-8"))
         content["config"]["shard"]
+        if not isinstance(content["config"], dict):
+            raise TypeError("config is no table")
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise SsacError(
             f"{path}: expected {beside.name} beside it, as ssac sweep and ssac study write it, to "

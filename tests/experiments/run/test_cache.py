@@ -90,7 +90,9 @@ def test_a_recording_is_simulated_once_and_kept_as_a_whole(tmp_path, monkeypatch
     assert {path.name for path in folder.iterdir()} == names
     assert cache.recording_folder(replace(config, t_d_s=0.0), 3) == folder
     assert calls == [(replace(config, t_d_s=0.0), 3)]
-    assert cache.size_bytes() == sum(path.stat().st_size for path in folder.iterdir())
+    assert cache.size_bytes() == sum(
+        path.stat().st_size for path in (tmp_path / "cache").rglob("*") if path.is_file()
+    )
 
 
 def test_a_simulation_that_fails_leaves_nothing(tmp_path):
