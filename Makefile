@@ -14,7 +14,7 @@ RUN := .venv/bin/python -m
 
 .DELETE_ON_ERROR:
 .PHONY: help setup demo tables ablations studies figures numbers report verify test lint types bench \
-	scene fidelity real docs wheel clean-cache clean moved
+	torture scene fidelity real docs wheel clean-cache clean moved
 .DEFAULT_GOAL := help
 
 help: ## this list
@@ -65,6 +65,9 @@ wheel: .venv/.ready ## the wheel, built, installed in a clean environment and us
 
 # A peer of the sensor model, which nothing else needs: without it a row of the benchmark says so.
 PEER := eventify-dvs==0.2.0
+
+torture: .venv/.ready ## 20,000 damaged inputs of all kinds and 50 kills (an hour) -> results/reliability.csv
+	@.venv/bin/ssac torture --kills 50 $$([ "$$(id -u)" = 0 ] && echo --full-disks 20)
 
 bench: .venv/.ready ## speed, memory and their growth, as ratios (13 minutes) -> results/bench*.csv
 	@.venv/bin/python -m pip install --quiet --disable-pip-version-check --no-input --no-deps $(PEER) \

@@ -40,6 +40,8 @@ COMMANDS = (
           "experiments.report.numbers", "numbers_command"),
     Entry("real", REPRODUCE, "All pairs of cameras of public data sets, which you fetch.",
           "experiments.real.real_command", "real_command"),
+    Entry("torture", REPRODUCE, "Inputs damaged in all ways: what becomes of them.",
+          "experiments.torture.command", "torture_command"),
     Entry("bench", REPRODUCE, "Speed and memory beside the reference tools.",
           "experiments.bench.bench", "bench_command"),
     Entry("verify", REPRODUCE, "Are the results whole, do they follow from their runs?",

@@ -215,6 +215,15 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
             "growth",
             "bench",
         ),
+        "torture": (
+            "victims",
+            "mutations",
+            "structure",
+            "case",
+            "campaign",
+            "faults",
+            "command",
+        ),
         "verify": (
             "finding",
             "manifest",

@@ -17,7 +17,8 @@ from sim.errors import SimError
 # A command that shares its module with another, or the module with the callable it runs.
 ELSEWHERE = {
     "merge": "sweep", "sync": "sync_command", "study": "command", "ablate": "command",
-    "track": "track_command", "import": "import_command", "real": "real_command",
+    "torture": "command", "track": "track_command", "import": "import_command",
+    "real": "real_command",
 }  # fmt: skip
 
 
@@ -67,7 +68,8 @@ def test_exit_codes(error, code, said, monkeypatch, capsys, tmp_path):
 
 @pytest.mark.render
 @pytest.mark.parametrize(
-    ("number", "said", "code"), [(signal.SIGINT, "interrupted\n", 130), (signal.SIGTERM, "", 143)]
+    ("number", "said", "code"),
+    [(signal.SIGINT, "interrupted\n", 130), (signal.SIGTERM, "terminated\n", 143)],
 )
 def test_an_interrupted_simulation_leaves_nothing(tmp_path, number, said, code):
     """One line at most, no bar, and none of what was written until then."""

@@ -1,0 +1,1 @@
+"""Damaged inputs, full disks and killed processes: what becomes of them."""

@@ -1,0 +1,299 @@
+"""A folder in; a good input of each kind in it out, and what is done with one: the same by a user.
+
+What is done returns how many events were read, or rows, or 1: what a damaged input is held against.
+"""
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import h5py
+import hdf5plugin
+import numpy as np
+from faery import EVENTS_DTYPE
+from faery.file_encoder import events_to_file
+from numpy.typing import NDArray
+
+from experiments.measures.recording_bound import load_truth
+from experiments.run.bridge import check_mesh
+from experiments.run.cache import Brightness, Cache
+from experiments.run.grid import CONFIGS, load_config
+from experiments.workers.sound import is_sound, save_sums
+from sim.scene.drone import quadrotor
+from sim.scene.trajectory import trajectory_from_csv
+from ssac.events import EVENT_DTYPE
+from ssac.files.event_files import load_events, save_events_h5, save_events_text
+from ssac.files.rigs import load_rig
+from ssac.files.track_files import load_track, save_track
+from ssac.points import PointTrack, check_track
+
+WIDTH, HEIGHT = 346, 260
+N_EVENTS = 3000
+
+_RIG = """\
+cam0:
+  camera_model: pinhole
+  intrinsics: [200.0, 201.0, 173.0, 130.0]
+  distortion_model: radtan
+  distortion_coeffs: [-0.1, 0.01, 0.0005, -0.0005]
+  resolution: [346, 260]
+  readout_s: 0.01
+cam1:
+  camera_model: pinhole
+  intrinsics: [200.0, 201.0, 173.0, 130.0]
+  distortion_model: equidistant
+  distortion_coeffs: [-0.1, 0.01, 0.0005, -0.0005]
+  resolution: [346, 260]
+  T_cn_cnm1:
+  - [0.0, 0.0, 1.0, -5.0]
+  - [0.0, 1.0, 0.0, 0.0]
+  - [-1.0, 0.0, 0.0, 5.0]
+  - [0.0, 0.0, 0.0, 1.0]
+"""
+
+
+@dataclass(frozen=True)
+class Victim:
+    """An input that is whole, and what is done with it or with a damaged one."""
+
+    kind: str
+    path: Path
+    use: Callable[[Path], int]
+    good: int  # what `use` returns for the whole one
+    is_text: bool = False  # so that it is damaged by its words too
+    has_end: bool = True  # no: a truncated one is a shorter recording
+
+
+def victims(folder: Path) -> list[Victim]:
+    """Write a good input of each kind."""
+    events = _events()
+    found = [*_event_files(folder, events), *_small_files(folder), *_entries(folder, events)]
+    for victim in found:
+        if victim.use(victim.path) != victim.good:
+            raise AssertionError(f"{victim.kind}: the whole one must be read as it is")
+    return found
+
+
+def _events() -> NDArray[np.void]:
+    """Events of a second as of a camera that was switched on 20 s before: an object and noise."""
+    rng = np.random.default_rng(0)
+    events = np.empty(N_EVENTS, EVENT_DTYPE)
+    events["t"] = 20_000_000 + np.sort(rng.integers(0, 1_000_000, N_EVENTS))
+    middle = 60 + 200 * np.linspace(0.0, 1.0, N_EVENTS)
+    events["x"] = np.clip(rng.normal(middle, 10.0), 0, WIDTH - 1)
+    events["y"] = np.clip(rng.normal(130.0, 10.0, N_EVENTS), 0, HEIGHT - 1)
+    events["p"] = rng.integers(0, 2, N_EVENTS)
+    return events
+
+
+def _event_files(folder: Path, events: NDArray[np.void]) -> list[Victim]:
+    def with_faery(path: Path, version: Any = None) -> Path:
+        zero = path.suffix != ".es"
+        size = (WIDTH, HEIGHT)
+        events_to_file(
+            iter([events.astype(EVENTS_DTYPE)]),
+            path,
+            dimensions=size,
+            version=version,
+            zero_t0=zero,
+        )
+        return path
+
+    folder.mkdir(parents=True, exist_ok=True)
+    save_events_h5(folder / "plain.h5", events, WIDTH, HEIGHT)
+    _save_dsec(folder / "dsec.h5", events)
+    save_events_text(folder / "esim.txt", events, WIDTH, HEIGHT)
+    _save_evt2(folder / "camera_evt2.raw", events)
+    _save_evt3(folder / "camera_evt3.raw", events)
+    _save_prophesee(folder / "prophesee.hdf5", events)
+    made = {
+        "hdf5": folder / "plain.h5",
+        "hdf5 dsec": folder / "dsec.h5",
+        "hdf5 prophesee": folder / "prophesee.hdf5",
+        "esim text": folder / "esim.txt",
+        "csv": with_faery(folder / "events.csv"),
+        "aedat4": with_faery(folder / "events.aedat4"),
+        "evt2": with_faery(folder / "evt2.raw", "evt2"),
+        "evt3": with_faery(folder / "evt3.raw", "evt3"),
+        "evt2 camera": folder / "camera_evt2.raw",
+        "evt3 camera": folder / "camera_evt3.raw",
+        "dat": with_faery(folder / "events.dat", "dat2"),
+        "es": with_faery(folder / "events.es"),
+    }
+    is_text = {"esim text", "csv"}
+    has_end = {"hdf5", "hdf5 dsec", "hdf5 prophesee", "aedat4"}
+    return [
+        Victim(kind, path, _n_events, len(events), kind in is_text, kind in has_end)
+        for kind, path in made.items()
+    ]
+
+
+def _n_events(path: Path) -> int:
+    return len(load_events(path).events)
+
+
+def _save_dsec(path: Path, events: NDArray[np.void]) -> None:
+    with h5py.File(path, "w") as file:
+        blosc = hdf5plugin.Blosc(cname="zstd")
+        t = (events["t"] - 20_000_000).astype(np.uint32)
+        for name, column in (("t", t), ("x", events["x"]), ("y", events["y"]), ("p", events["p"])):
+            file.create_dataset(f"events/{name}", data=column, chunks=(500,), **blosc)
+        file["t_offset"] = 20_000_000
+
+
+def _save_prophesee(path: Path, events: NDArray[np.void]) -> None:
+    with h5py.File(path, "w") as file:
+        dtype = np.dtype([("x", "<u2"), ("y", "<u2"), ("p", "<i2"), ("t", "<i8")], align=True)
+        data = events[["x", "y", "p", "t"]].astype(dtype)
+        file.create_dataset("CD/events", data=data, chunks=(500,), compression="gzip")
+        file.attrs["geometry"] = np.bytes_(f"{WIDTH}x{HEIGHT}")
+
+
+def _save_evt2(path: Path, events: NDArray[np.void]) -> None:
+    """Write a TIME_HIGH every 16 us, as cameras do, up to the last event."""
+    words: list[int] = []
+    beat = 0
+    for t, x, y, p in events.tolist():
+        beat = max(beat, (t >> 4) - 4)
+        while beat <= t >> 4:
+            words.append(0x8 << 28 | beat >> 2)
+            beat += 1
+        words.append(p << 28 | (t & 0x3F) << 22 | x << 11 | y)
+    header = f"% evt 2.0\n% format EVT2;width={WIDTH};height={HEIGHT}\n% end\n".encode()
+    path.write_bytes(header + np.array(words, "<u4").tobytes())
+
+
+def _save_evt3(path: Path, events: NDArray[np.void]) -> None:
+    """Write a TIME_HIGH, of 4.096 ms, eight times each, from the start of the camera on."""
+    words: list[int] = []
+    beat = 0
+    for t, x, y, p in events.tolist():
+        while beat <= t >> 9:
+            words.append(0x8 << 12 | beat >> 3 & 0xFFF)
+            beat += 1
+        words += [0x6 << 12 | t & 0xFFF, y, 0x2 << 12 | p << 11 | x]
+    header = f"% evt 3.0\n% format EVT3;width={WIDTH};height={HEIGHT}\n% end\n".encode()
+    path.write_bytes(header + np.array(words, "<u2").tobytes())
+
+
+def _small_files(folder: Path) -> list[Victim]:
+    times_s = np.arange(250) / 25.0
+    points = np.column_stack([100.0 + 10.0 * times_s, 130.0 + 5.0 * np.sin(times_s)])
+    save_track(folder / "track.csv", PointTrack(times_s, points, np.full(len(times_s), 0.3)))
+    (folder / "rig.yaml").write_text(_RIG, encoding="utf-8")
+    flight = "".join(f"{t:.3f},{t:.4f},0.5,1.0,0,0,0,1\n" for t in 0.1 * np.arange(40))
+    (folder / "flight.csv").write_text("t,x,y,z,qx,qy,qz,qw\n" + flight, encoding="utf-8")
+    config = (CONFIGS / "ablation_window.toml").read_text(encoding="utf-8")
+    (folder / "grid.toml").write_text(config, encoding="utf-8")
+    (part,) = quadrotor().parts
+    vertices = "".join(f"v {x:.5f} {y:.5f} {z:.5f}\n" for x, y, z in part.vertices_B_m)
+    faces = "".join(f"f {a} {b} {c}\n" for a, b, c in part.faces + 1)
+    (folder / "drone.obj").write_text(vertices + faces, encoding="utf-8")
+    (folder / "recording").mkdir(exist_ok=True)
+    truth = {
+        "times_s": times_s.tolist(),
+        "drone_position_W_m": np.column_stack([points, times_s]).tolist(),
+        "cameras": {name: {"T_C_W": np.eye(4).tolist()} for name in ("cam1", "cam2")},
+    }
+    (folder / "recording" / "truth.json").write_text(json.dumps(truth), encoding="utf-8")
+    return [
+        Victim("track", folder / "track.csv", _n_points, len(times_s), True, False),
+        Victim("rig", folder / "rig.yaml", _use_rig, 1, True),
+        Victim("trajectory", folder / "flight.csv", _use_trajectory, 1, True),
+        Victim("grid", folder / "grid.toml", _use_grid, 1, True),
+        Victim("mesh", folder / "drone.obj", _use_mesh, 1, True),
+        Victim("truth", folder / "recording" / "truth.json", _use_truth, 1, True),
+    ]
+
+
+def _n_points(path: Path) -> int:
+    track = load_track(path)
+    check_track(track, WIDTH, HEIGHT, str(path))
+    return len(track)
+
+
+def _use_rig(path: Path) -> int:
+    load_rig(path)
+    return 1
+
+
+def _use_trajectory(path: Path) -> int:
+    trajectory_from_csv(path)
+    return 1
+
+
+def _use_grid(path: Path) -> int:
+    load_config(path)
+    return 1
+
+
+def _use_mesh(path: Path) -> int:
+    check_mesh(path)
+    return 1
+
+
+def _use_truth(path: Path) -> int:
+    renamed = path.with_name("truth.json")
+    if renamed != path:
+        path.rename(renamed)
+    load_truth(renamed.parent)
+    return 1
+
+
+_ROW = {"status": "ok", "reason": "", "t_d_error_ms": 0.12345, "n_samples": 348}
+_MEANS = Brightness(np.arange(50) / 50.0, np.arange(50), np.arange(50) / 50.0, np.arange(50))
+
+
+def _entries(folder: Path, events: NDArray[np.void]) -> list[Victim]:
+    """Entries of a cache: a damaged one must not be used."""
+    cache = Cache(folder / "cache")
+    cache.save_run("abcd", _ROW)
+    made = folder / "cache" / "recordings" / "abcd"
+    cache.brightness(made, lambda: _MEANS)
+    (means,) = (folder / "cache" / "brightness").iterdir()
+    made.mkdir(parents=True)
+    save_events_h5(made / "cam1.h5", events, WIDTH, HEIGHT)
+    return [
+        Victim("cached row", folder / "cache" / "runs" / "ab" / "abcd.json", _use_row, 1),
+        Victim("cached brightness", means, _use_brightness, 1),
+        Victim("cached recording", made / "cam1.h5", _use_recording, 1),
+    ]
+
+
+def _use_row(path: Path) -> int:
+    """Read a row back: the same one, or none."""
+    cache = Cache(path.parent / "cache")
+    put = cache.folder / "runs" / "ab" / "abcd.json"
+    put.parent.mkdir(parents=True, exist_ok=True)
+    put.write_bytes(path.read_bytes())
+    row = cache.load_run("abcd")
+    if row not in (None, _ROW):
+        raise AssertionError("a damaged row is used")
+    return 1
+
+
+def _use_brightness(path: Path) -> int:
+    cache = Cache(path.parent / "cache")
+    recording = cache.folder / "recordings" / "abcd"
+    cache.brightness(recording, lambda: _MEANS)
+    (put,) = (cache.folder / "brightness").iterdir()
+    put.write_bytes(path.read_bytes())
+    for kept, made in zip(cache.brightness(recording, lambda: _MEANS), _MEANS, strict=True):
+        if not np.array_equal(kept, made):
+            raise AssertionError("damaged means are used")
+    return 1
+
+
+def _use_recording(path: Path) -> int:
+    """Look at a recording whose checksums are those of the whole one."""
+    whole = path.parent / "recording"
+    whole.mkdir(exist_ok=True)
+    save_events_h5(whole / "cam1.h5", _events(), WIDTH, HEIGHT)
+    save_sums(whole)
+    expected = (whole / "cam1.h5").read_bytes()
+    (whole / "cam1.h5").write_bytes(path.read_bytes())
+    if is_sound(whole) and path.read_bytes() != expected:
+        raise AssertionError("a damaged recording is used")
+    return 1
