@@ -25,6 +25,12 @@ GOOD_CENTRE_PX = 0.3
 MAX_PIXELS = 200_000_000
 """Of a camera: more than any has, and as many as tables of all pixels leave memory for."""
 
+MAX_READOUT_S = 0.2
+"""Longest readout of a rolling shutter: of the slowest sensors of still cameras."""
+
+READOUT_STD_S = 0.015
+"""Deviation from 0 of a readout of which nothing is known: phones have 10 to 30 ms."""
+
 MAX_ROUND_TRIP_PX = 1e-6
 """An undistorted point is accepted when distorting it again comes back this close [px]."""
 
@@ -41,7 +47,8 @@ class Camera:
     distortion_model: str = "none"  # "none", "radtan" or "equidistant"
     distortion_coeffs: tuple[float, ...] = ()  # 4 values unless "none"; OpenCV's radtan also 5, 8
     intrinsics_std_px: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)  # of fu, fv, pu, pv; 0: exact
-    readout_s: float = 0.0  # rolling shutter: from the first row's exposure to the last one's [s]
+    readout_s: float | None = None  # rolling shutter: first row to last [s]; None: not known, as 0
+    readout_std_s: float = 0.0  # of what is known of it beforehand; 0: it is not to be estimated
 
 
 @dataclass(frozen=True)
@@ -76,8 +83,10 @@ def same_camera(a: Camera, b: Camera) -> bool:
     """Whether two cameras map points alike; `==` cannot tell, as K is an array."""
     if a is b:
         return True
-    names = ("width", "height", "distortion_model", "distortion_coeffs", "readout_s")
-    return np.array_equal(a.K, b.K) and all(getattr(a, n) == getattr(b, n) for n in names)
+    names = ("width", "height", "distortion_model", "distortion_coeffs")
+    shutters = ("readout_s", "readout_std_s")
+    same = all(getattr(a, name) == getattr(b, name) for name in names + shutters)
+    return same and np.array_equal(a.K, b.K)
 
 
 def check_camera(camera: Camera, name: str = "camera") -> None:

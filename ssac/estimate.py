@@ -84,6 +84,10 @@ class ClockJump:
         return replace(self, before_s=self.before_s + t_d_s, after_s=self.after_s + t_d_s)
 
 
+def _unknown() -> Array:
+    return np.full(2, np.nan)
+
+
 @dataclass(frozen=True)
 class Estimate:
     """The result of any method; what a method does not estimate stays NaN or None."""
@@ -106,6 +110,8 @@ class Estimate:
     knots_s: Array = field(default_factory=lambda: np.empty(0))  # (k,) as of `ssac.clock.Clock`
     strays_s: Array = field(default_factory=lambda: np.empty(0))  # (k,)
     strays_std_s: Array = field(default_factory=lambda: np.empty(0))  # (k,) with t_d's and skew's
+    readouts_s: Array = field(default_factory=_unknown)  # (2,) of rolling shutters; NaN: not known
+    readouts_std_s: Array = field(default_factory=_unknown)  # (2,) 0 where the rig says it
     jump: ClockJump | None = None  # with status "clock_jump"
     n_samples: int = 0  # valid pairs at the offset found
     d_avg_px: float = np.nan  # the paper's Eq. 4 at the offset found

@@ -82,6 +82,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
             "seen",
             "view",
             "two_views",
+            "shutters",
             "offset_search",
             "observability",
             "all_kernels",

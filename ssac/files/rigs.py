@@ -12,12 +12,9 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from ssac.camera import Camera, Rig, check_camera, with_deviations
+from ssac.camera import MAX_READOUT_S, Camera, Rig, check_camera, with_deviations
 from ssac.errors import SsacError
 from ssac.files.net import readable, silenced
-
-MAX_READOUT_S = 0.2
-"""Longest readout of a rolling shutter: of the slowest sensors of still cameras."""
 
 MAX_BYTES = 1 << 20
 """Of a rig file: of a hundred cameras it has less."""
@@ -169,10 +166,10 @@ def _camera_from_kalibr(name: str, entry: Any) -> Camera:
     return replace(camera, readout_s=_readout_s(name, entry))
 
 
-def _readout_s(name: str, entry: Mapping[str, Any]) -> float:
-    """Readout [s] of a camera's rolling shutter; 0, a global one, where its entry has none."""
+def _readout_s(name: str, entry: Mapping[str, Any]) -> float | None:
+    """Readout [s] of a rolling shutter, 0 of a global one; None where the entry has none."""
     if entry.get("readout_s") is None:
-        return 0.0
+        return None
     readout_s = float(_numbers(entry["readout_s"], (), f"{name}, readout_s"))
     if not 0.0 <= readout_s <= MAX_READOUT_S:
         raise SsacError(

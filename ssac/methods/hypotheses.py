@@ -21,6 +21,7 @@ from ssac.geometry.fundamental import MIN_PAIRS
 from ssac.geometry.pose import MIN_IN_FRONT, share_in_front
 from ssac.methods.verdict import Solution, choose, distinct_offsets, rivals_of
 from ssac.search.observability import Valley, valleys
+from ssac.search.shutters import shutters_of
 from ssac.search.two_views import TwoViews
 
 Array = NDArray[np.float64]
@@ -120,7 +121,7 @@ def refined(
 
 def sharp_solution(estimate: Estimate, views: TwoViews) -> Solution | None:
     """Weigh an estimate by the trimmed mean Sampson distance of the sharp positions."""
-    views = views.under(estimate.clock)
+    views = shutters_of(views).told(views, estimate).under(estimate.clock)
     pairs = views.pairs_at(estimate.t_d_s)
     track1, track2 = views.sharp_at(pairs.times_s, estimate.t_d_s)
     good = track1.valid & track2.valid

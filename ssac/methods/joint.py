@@ -26,7 +26,7 @@ from ssac.methods.clock_jump import checked_clock
 from ssac.methods.clock_model import clock_model
 from ssac.methods.hypotheses import settled, sharp_solution
 from ssac.methods.intrinsics import Allowance, evidence, fundamental_of
-from ssac.methods.least_squares import covariance_of, hidden_covariance, solve, still_moves
+from ssac.methods.least_squares import covariance_of, hidden_covariance, still_moves
 from ssac.methods.skew_search import with_coarse_skew
 from ssac.methods.verdict import certain, confirmed, doubt, is_spread
 from ssac.search.two_views import TwoViews, two_views
@@ -108,15 +108,15 @@ def refine(start: Estimate, views: TwoViews) -> Estimate:
     model = clock_model(views, start)
     parameters = Parameters(start.t_d_s, start.R, start.t, model.start(start))
     times_s = views.sample_times(np.array([start.t_d_s]))[0]
-    track1 = views.motion1.sharp_at(times_s)
     allowance, settles = Allowance(views.rig, model.has_priors), False
     for round_ in range(_MAX_RESAMPLINGS):
         before = parameters
-        track2 = views.motion2.sharp_at(model.clock(before).cam2_from_cam1(times_s))
-        pairs, size_px = sharp_pairs(track1, track2, before.t_d_s)
+        seen = model.views(views, before)
+        tracks = seen.sharp_at(times_s, before.t_d_s)
+        pairs, size_px = sharp_pairs(*tracks, before.t_d_s)
         problem = Problem(pairs, views.rig, views.pose_is_known)
-        problem = allowance.added(model.problem(pairs, before, problem))
-        found = solve(problem, before)
+        problem = allowance.added(model.problem(pairs, before, problem, seen))
+        found = model.solve(problem, before)
         parameters = found.parameters
         if has_left(start, parameters):
             return astray(start, parameters)
@@ -137,7 +137,7 @@ def refine(start: Estimate, views: TwoViews) -> Estimate:
     residuals = linearise(problem, parameters)
     offset = BIAS_OFFSET
     if views.pose_is_known:
-        seen = views.under(model.clock(parameters))
+        seen = model.views(views, parameters)
         offset = max(offset, KNOWN_BIAS_OFFSET * seen.lasting_share(parameters.t_d_s))
     F = _fundamental(parameters, views.rig)
     hidden_px = _hidden_errors(F, residuals, size_px, offset, views.rig)

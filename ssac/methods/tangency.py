@@ -186,7 +186,7 @@ def refine_tangents(
             return replace(start, status=Status.TOO_FEW_SAMPLES, reason=reason)
         turn = config.wider_cauchy if is_far else config.cauchy
         problem = Problem(pairs, views.rig, views.pose_is_known, turn=turn)
-        problem = allowance.added(model.problem(pairs, before, problem))
+        problem = allowance.added(model.problem(pairs, before, problem, seen))
         found = solve(problem, before, _STEPS, last_step=0.0)
         parameters = found.parameters
         if has_left(start, parameters):

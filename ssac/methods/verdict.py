@@ -122,6 +122,8 @@ def refused(estimate: Estimate, refusal: Refusal, found: list[Valley] | None = N
         knots_s=np.empty(0),
         strays_s=np.empty(0),
         strays_std_s=np.empty(0),
+        readouts_s=np.full(2, np.nan),
+        readouts_std_s=np.full(2, np.nan),
     )
 
 

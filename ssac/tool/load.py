@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssac.baselines.zncc_f import frame_means
-from ssac.camera import Camera, Rig
+from ssac.camera import READOUT_STD_S, Camera, Rig
 from ssac.config import Config
 from ssac.errors import SsacError
 from ssac.estimate import Estimate
@@ -18,7 +18,7 @@ from ssac.files.rigs import check_resolution, load_rig
 from ssac.files.track_files import is_track_file, load_track
 from ssac.points import check_track
 from ssac.tool.registry import Input, Method
-from ssac.tool.summaries import DEFAULT
+from ssac.tool.summaries import DEFAULT, OF_TRACKS
 from ssac.track.observation import Observation, tracked
 from ssac.track.point_motion import check_readout
 
@@ -126,6 +126,30 @@ def check_common_time(
     )
 
 
+def check_shutters(method: Method, is_asked: bool, has_track: bool) -> None:
+    """Raise SsacError where a readout is to be estimated that cannot be."""
+    if is_asked and not has_track:
+        raise SsacError(
+            "--estimate-readout: expected a track of a frame camera, got events only, which no "
+            "shutter reads out: leave it out"
+        )
+    if is_asked and not method.finds_readout:
+        raise SsacError(
+            f"--estimate-readout: {method.name} takes shutters as the rig says: use {OF_TRACKS}"
+        )
+
+
+def to_be_read_out(rig: Rig, *observations: Observation) -> Rig:
+    """Give the rig with what is known of readouts of tracks that it does not state."""
+    cameras = [
+        replace(camera, readout_std_s=READOUT_STD_S)
+        if seen.track is not None and camera.readout_s is None
+        else camera
+        for camera, seen in zip((rig.cam1, rig.cam2), observations, strict=True)
+    ]
+    return replace(rig, cam1=cameras[0], cam2=cameras[1])
+
+
 def quantum_s(camera: Observation) -> float:
     """Step [s] to which a camera's times were rounded: 10 or 1 ms, or 0."""
     if camera.track is not None:
@@ -176,7 +200,7 @@ def _load_camera(
     if is_track_file(path):
         track = load_track(path)
         check_track(track, camera.width, camera.height, f"{path} with {camera_name}")
-        check_readout(track.times_s, camera.readout_s, f"{path} with {camera_name}")
+        check_readout(track.times_s, camera.readout_s or 0.0, f"{path} with {camera_name}")
         return tracked(track)
     file = load_events(path, reading)
     check_resolution(camera, file.width, file.height, camera_name, str(path))

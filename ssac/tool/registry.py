@@ -68,6 +68,7 @@ class Method:
     follows_clock: bool = False  # what camera 2's clock shows more, t_d gains: nothing else changes
     counts: str = "pairs of positions"  # what an estimate's `n_samples` are
     needs_events: bool = False  # a track of points in their place is not enough
+    finds_readout: bool = False  # of a rolling shutter that the rig does not state
 
     def rig_of(self, rig: Rig) -> Rig:
         """Give the rig as the method may see it: only one that needs the extrinsics gets them."""
@@ -101,9 +102,10 @@ OURS = (
     Method("ssac-known", ssac_known, Input.TRACKS, SUMMARIES["ssac-known"],
            needs_extrinsics=True, follows_clock=True),
     Method("joint", joint, Input.TRACKS, SUMMARIES["joint"], known_variant="joint-known",
-           starts_from="ssac", refine=joint_from, follows_clock=True),
+           starts_from="ssac", refine=joint_from, follows_clock=True, finds_readout=True),
     Method("joint-known", joint_known, Input.TRACKS, SUMMARIES["joint-known"],
-           needs_extrinsics=True, starts_from="ssac-known", refine=joint_from, follows_clock=True),
+           needs_extrinsics=True, starts_from="ssac-known", refine=joint_from, follows_clock=True,
+           finds_readout=True),
     Method("tangency", tangency, Input.TRACKS, SUMMARIES["tangency"],
            known_variant="tangency-known", starts_from="joint", refine=tangency_from,
            follows_clock=True, counts=_TANGENTS, needs_events=True),

@@ -25,7 +25,7 @@ def report_text(result: SyncResult) -> str:
         title = "no pose" if estimate.has_offset else "no estimate"
         rows.append((title, f"{estimate.status}: {estimate.reason}"))
     if np.isfinite(estimate.t_d_s):
-        rows += _offset_rows(estimate) + _skew_rows(estimate, result)
+        rows += _offset_rows(estimate) + _skew_rows(estimate, result) + _readout_rows(estimate)
     if note(result):
         rows.append(("note", note(result)))
     if result.method.needs_extrinsics:
@@ -51,6 +51,8 @@ def report_json(result: SyncResult) -> dict[str, Any]:
         "t_ref_s": _plain(estimate.t_ref_s),
         "skew_ppm": _plain(estimate.skew_ppm),
         "skew_std_ppm": _plain(estimate.skew_std_ppm),
+        "readout_s": _plain(estimate.readouts_s),
+        "readout_std_s": _plain(estimate.readouts_std_s),
         "R": _plain(estimate.R),
         "t": _plain(estimate.t),
         "status": str(estimate.status),
@@ -70,7 +72,7 @@ def report_json(result: SyncResult) -> dict[str, Any]:
         "conventions": "t_cam2 = t_cam1 + t_d + skew (t_cam1 - t_ref), and what it strays at knots,"
         " linear in between; x2 = R x1 + t, |t| = 1; covariance of t_d [s], "
         "rotation vector of exp([w]x) R [rad] and t's two tangents [rad]; unobservable: unit "
-        "directions in the same six",
+        "directions in the same six; readouts of camera 1 and 2, null: not known, taken for 0",
         "search_s": list(result.config.interval_s),
         "cam1": str(cam1),
         "cam2": str(cam2),
@@ -81,22 +83,38 @@ def report_json(result: SyncResult) -> dict[str, Any]:
 
 def note(result: SyncResult) -> str:
     """Say what a user of the offset must know beside its status; empty when there is nothing."""
-    estimate = result.estimate
+    estimate, said = result.estimate, list[str]()
     if result.wanders:
-        return (
+        said.append(
             "no one skew fits these tracks: a clock wanders, as those of phones do, and is followed"
             " piece by piece (--clock pieces); the offset alone holds at its time only"
         )
-    if estimate.has_offset and _is_start(result):
-        return (
+    if not estimate.has_offset:
+        return "; ".join(said)
+    if _is_start(result):
+        said.append(
             "the object is too small for an outline that says more than the mean of its events:"
             f" this is the answer of {result.method.starts_from}"
         )
-    if not estimate.has_offset or np.isfinite(estimate.t_d_std_s):
-        return ""
-    return (
-        f"{estimate.method} states no standard deviation, so nothing says how far off this offset "
-        "is: compare it with that of a method that states one, such as tangency"
+    if not np.isfinite(estimate.t_d_std_s):
+        said.append(
+            f"{estimate.method} states no standard deviation, so nothing says how far off this "
+            "offset is: compare it with that of a method that states one, such as tangency"
+        )
+    elif taken_for_global(result):
+        said.append(
+            "the rig states no readout_s, so shutters are taken for global ones; rolling ones shift"
+            " the offset by up to their readout, beyond its deviation: see --estimate-readout"
+        )
+    return "; ".join(said)
+
+
+def taken_for_global(result: SyncResult) -> bool:
+    """Whether a camera with a track has a shutter of which nothing is said."""
+    cameras = (result.rig.cam1, result.cam1), (result.rig.cam2, result.cam2)
+    return any(
+        seen.track is not None and camera.readout_s is None and not camera.readout_std_s
+        for camera, seen in cameras
     )
 
 
@@ -149,6 +167,18 @@ def _skew_rows(estimate: Estimate, result: SyncResult) -> list[tuple[str, str]]:
         prior = f"{config.skew_prior_ppm:g} ppm expected of such clocks"
         rows.append(("", f"far beyond the {prior}: see --skew-prior"))
     return rows
+
+
+def _readout_rows(estimate: Estimate) -> list[tuple[str, str]]:
+    """Row on the rolling shutters that were estimated."""
+    found = [
+        f"camera {number} {1e3 * readout_s:.1f} ms, 1 sigma {1e3 * std_s:.1f} ms"
+        for number, readout_s, std_s in zip(
+            (1, 2), estimate.readouts_s, estimate.readouts_std_s, strict=True
+        )
+        if std_s > 0.0
+    ]
+    return [("readout", "; ".join(found))] if found else []
 
 
 def _knots(estimate: Estimate) -> list[dict[str, float]]:

@@ -29,12 +29,14 @@ from ssac.tool.load import (
     Paths,
     check_common_time,
     check_enough_events,
+    check_shutters,
     describe,
     has_common_time,
     less_sure,
     load_pair,
     quantum_s,
     rounded,
+    to_be_read_out,
 )
 from ssac.tool.registry import Input, Method, choose_method
 from ssac.tool.summaries import DEFAULT, OF_TRACKS
@@ -83,6 +85,7 @@ def sync(
     focal_std: float | None = None,
     centre_std_px: float | None = None,
     reading: Reading = STRICT,
+    estimate_readout: bool = False,
 ) -> SyncResult:
     """Estimate the offset and the pose between two recorded cameras.
 
@@ -114,6 +117,8 @@ def sync(
         their principal points [px]: in place of those of the rig file, where not None.
     reading
         What may be made of event files that are damaged or unsorted.
+    estimate_readout
+        Find the readouts of rolling shutters that the rig does not state, of cameras with a track.
 
     Returns
     -------
@@ -131,11 +136,13 @@ def sync(
     default = Config(skew_prior_ppm=SKEW_PRIOR_PPM) if has_track else None
     config = checked(config or default)
     _check_search(chosen, search_all, rate_range)
+    check_shutters(chosen, estimate_readout, has_track)
     clock = Clock(log or (lambda line: None))
 
     with clock.part("read") as say:
         cam1, cam2, rig = load_pair(paths, chosen, cameras, reading)
         rig = _restated(rig, focal_std, centre_std_px)
+        rig = to_be_read_out(rig, cam1, cam2) if estimate_readout else rig
         say(describe(cam1, paths[0]))
         say(describe(cam2, paths[1]))
     quanta_s = quantum_s(cam1), quantum_s(cam2)

@@ -103,6 +103,13 @@ def sync_command(
             metavar="NAME", help="affine; or pieces, where the skew itself changes, as in phones."
         ),
     ] = Config.clock,
+    estimate_readout: Annotated[
+        bool,
+        typer.Option(
+            "--estimate-readout",
+            help="Find the readouts of rolling shutters, of tracks, that the rig does not state.",
+        ),
+    ] = False,
     json_file: Annotated[
         Path | None,
         typer.Option("--json", metavar="FILE", help="Write the result for machines."),
@@ -229,6 +236,7 @@ def sync_command(
             focal_std=None if focal_std is None else 0.01 * focal_std,
             centre_std_px=centre_std,
             reading=Reading(allow_damaged, sort),
+            estimate_readout=estimate_readout,
         )
         typer.echo(report_text(result))
         write_outputs(result, outputs, _to_stderr)

@@ -43,6 +43,14 @@ class PointMotion:
     size_px: float  # that stands for the object's
     half_window_s: float
     max_gap_s: float
+    rows: Array  # (n,) of a rolling shutter: 0 for the image's first row, 1 for its last
+    readout_s: float = 0.0  # with which the times are of these rows
+
+    @property
+    def interval_s(self) -> float:
+        """Least time [s] from one frame to the next; infinite of one."""
+        frames_s = self.times_s - self.readout_s * self.rows
+        return float(np.min(np.diff(frames_s), initial=np.inf))
 
     @property
     def span_s(self) -> tuple[float, float]:
@@ -54,6 +62,11 @@ class PointMotion:
     def delayed(self, shift_us: int) -> "PointMotion":
         """As if the camera's clock had shown `shift_us` [us] more."""
         return replace(self, times_s=self.times_s + 1e-6 * shift_us)
+
+    def read_out(self, readout_s: float) -> "PointMotion":
+        """As if the rolling shutter took `readout_s` [s] from the first row to the last."""
+        later_s = (readout_s - self.readout_s) * self.rows
+        return replace(self, times_s=self.times_s + later_s, readout_s=readout_s)
 
     def at(self, times_s: Array) -> Track:
         """Sample the track at times (...,) [s]; invalid in gaps and beyond the ends."""
@@ -114,12 +127,14 @@ def point_motion(
     """
     times_s = track.times_s
     interval_s = float(np.median(np.diff(times_s))) if len(times_s) > 1 else 0.0
-    check_readout(times_s, camera.readout_s, name)
-    if camera.readout_s:
-        times_s = times_s + camera.readout_s * track.points_px[:, 1] / max(camera.height - 1, 1)
+    readout_s = camera.readout_s or 0.0
+    check_readout(times_s, readout_s, name)
+    rows = track.points_px[:, 1] / max(camera.height - 1, 1)
+    if readout_s:
+        times_s = times_s + readout_s * rows
     points = undistort_points(camera, track.points_px)
     known = np.isfinite(points[:, 0])
-    times_s, points = times_s[known], points[known]
+    times_s, points, rows = times_s[known], points[known], rows[known]
     half_window_s = max(half_window_s, WINDOW_INTERVALS * interval_s)
     max_gap_s = MAX_GAP_INTERVALS * max(interval_s, half_window_s / WINDOW_INTERVALS)
     sigmas = np.ones(len(times_s)) if track.sigmas_px is None else track.sigmas_px[known]
@@ -127,7 +142,7 @@ def point_motion(
         sigmas = sigmas * _noise_px(times_s, points, max_gap_s)
     typical_px = float(np.median(sigmas)) if len(sigmas) else _LEAST_SIGMA_PX
     size_px = max(SIZE_SIGMAS * typical_px, SIZE_WIDTHS * camera.width)
-    return PointMotion(times_s, points, sigmas, size_px, half_window_s, max_gap_s)
+    return PointMotion(times_s, points, sigmas, size_px, half_window_s, max_gap_s, rows, readout_s)
 
 
 def check_readout(times_s: Array, readout_s: float, name: str) -> None:

@@ -222,7 +222,7 @@ def test_a_shutter_and_the_calibrations_deviations_are_kept(tmp_path):
     document["cam0"] |= {"readout_s": 0.02, "intrinsics_std": [0.5, 0.6, 0.3, 0.4]}
     rig = load_rig(_write(tmp_path / "rig.yaml", document))
     assert (rig.cam1.readout_s, rig.cam1.intrinsics_std_px) == (0.02, (0.5, 0.6, 0.3, 0.4))
-    assert (rig.cam2.readout_s, rig.cam2.intrinsics_std_px) == (0.0, (0.2, 0.201, 0.3, 0.3))
+    assert (rig.cam2.readout_s, rig.cam2.intrinsics_std_px) == (None, (0.2, 0.201, 0.3, 0.3))
 
 
 @pytest.mark.parametrize(
