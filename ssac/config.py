@@ -37,6 +37,7 @@ class Config:
     skew_prior_ppm: float = 50.0  # deviation of the clocks' skew beforehand; 0: they run alike
     search_skews: bool = True  # where they matter; no: a search of all offsets found the rate
     clock: str = "affine"  # or "pieces": its skew changes slowly; both beyond the paper's methods
+    roughness_ppm: float = 200.0  # deviation of that change from one piece to the next, beforehand
 
 
 def checked(config: Config | None) -> Config:
@@ -54,6 +55,10 @@ def checked(config: Config | None) -> Config:
     if not 0.0 <= config.skew_prior_ppm <= MAX_SKEW_PPM:
         raise SsacError(
             f"skew_prior_ppm must be 0 to {MAX_SKEW_PPM:g}, got {config.skew_prior_ppm}"
+        )
+    if not 0.0 < config.roughness_ppm <= MAX_SKEW_PPM:
+        raise SsacError(
+            f"roughness_ppm must be above 0 and up to {MAX_SKEW_PPM:g}, got {config.roughness_ppm}"
         )
     if config.clock == "pieces" and not config.skew_prior_ppm:
         raise SsacError("a clock of pieces has a skew: its prior must be above 0 ppm, got 0")

@@ -205,7 +205,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
             "quoted_tables",
             "numbers",
         ),
-        "real": ("closure", "pairs", "real_command"),
+        "real": ("closure", "pairs", "drawing", "real_command"),
         "bench": (
             "measurement",
             "process",

@@ -14,11 +14,16 @@ from numpy.typing import NDArray
 
 from experiments.real.closure import closures_s
 from ssac.clock import Clock
+from ssac.config import Config
 from ssac.convert.drone_tracking import ImportedCamera, import_data_set
 from ssac.errors import SsacError
+from ssac.estimate import Estimate
+from ssac.search.all_offsets import AllOffsets
+from ssac.tool.everywhere import SKEW_PRIOR_PPM, Start
 from ssac.tool.sync import SyncResult, sync
 
 Array = NDArray[np.float64]
+Row = dict[str, Any]
 
 DATA_SETS = (1, 2, 4)
 
@@ -26,15 +31,24 @@ UNKNOWN_RATES = {(4, 3): (0.6, 0.8)}
 """Cameras whose frames were counted at another rate than their calibration says, and the rates that
 are tried: data set 4's camera 3 counts native frames, some 18 to 24 a second, and says 30."""
 
-PAIRS_FILE, TRIPLES_FILE = "real_pairs.csv", "real_triples.csv"
+VARIABLE_RATES = {(4, 2), (4, 3)}
+"""Phones whose frame rate varied by far, as the data set's README says: their clocks, which count
+frames, wander by a tenth of a second."""
+
+VARIABLE_CLOCK = Config(skew_prior_ppm=SKEW_PRIOR_PPM, clock="pieces", roughness_ppm=2000.0)
+"""How clocks of pairs with such a camera are followed."""
+
+PAIRS_FILE, TRIPLES_FILE, STRAYS_FILE = "real_pairs.csv", "real_triples.csv", "real_strays.csv"
 COMMAND = "make real DATA=..."
 
 PAIR_COLUMNS = (
     "data_set", "camera_1", "camera_2", "models", "status", "clock", "t_d_s", "t_d_std_ms",
-    "t_ref_s", "skew_ppm", "skew_std_ppm", "most_stray_ms", "readout_1_ms", "readout_2_ms",
+    "t_ref_s", "skew_ppm", "skew_std_ppm", "most_stray_ms", "readout_1_ms",
+    "readout_1_std_ms", "readout_2_ms", "readout_2_std_ms", "by_readouts_ms", "global_std_ms",
     "residual_px", "n_samples", "reason", "from_truth_ms", "seconds", "closure_ms",
 )  # fmt: skip
 TRIPLE_COLUMNS = ("data_set", "cameras", "closure_ms")
+STRAY_COLUMNS = ("data_set", "camera_1", "camera_2", "t_s", "stray_ms", "std_ms")
 
 _NUMBERS = re.compile(r"^\|\s*\d+\s*\|(.*)\|\s*$")
 
@@ -79,7 +93,7 @@ def load_truth(folder: Path) -> Truth | None:
 
 def run_pairs(
     data: Path, work: Path, log: Callable[[str], None], data_sets: tuple[int, ...] = DATA_SETS
-) -> tuple[pd.DataFrame, pd.DataFrame]:
+) -> dict[str, pd.DataFrame]:
     """Synchronise every pair of cameras of some data sets.
 
     Parameters
@@ -95,10 +109,11 @@ def run_pairs(
 
     Returns
     -------
-    tuple of pd.DataFrame
-        A row for each pair, and one for each triple of which all pairs are answered.
+    dict of pd.DataFrame
+        By file: a row for each pair; one for each triple of which all pairs are answered; and one
+        for each knot of a clock that wanders.
     """
-    pairs, triples = [], []
+    pairs, triples, strays = list[Row](), list[Row](), list[Row]()
     for number in data_sets:
         folder = data / f"dataset{number}"
         if not folder.is_dir():
@@ -106,10 +121,11 @@ def run_pairs(
         cameras = import_data_set(folder, work / folder.name)
         truth, clocks = load_truth(folder), dict[tuple[int, int], Clock]()
         rows = []
-        for row, clock in _of_data_set(number, cameras, work / folder.name, truth, log):
+        for row, estimate, clock in _of_data_set(number, cameras, work / folder.name, truth, log):
             rows.append(row)
             if clock is not None:
                 clocks[row["camera_1"], row["camera_2"]] = clock
+            strays += _strays(row, estimate)
         found = closures_s(clocks)
         for row in rows:
             both = {row["camera_1"], row["camera_2"]}
@@ -120,13 +136,23 @@ def run_pairs(
             {"data_set": number, "cameras": "-".join(map(str, triple)), "closure_ms": 1e3 * value}
             for triple, value in found.items()
         ]
-    return pd.DataFrame(pairs, columns=PAIR_COLUMNS), pd.DataFrame(triples, columns=TRIPLE_COLUMNS)
+    return {
+        PAIRS_FILE: pd.DataFrame(pairs, columns=PAIR_COLUMNS),
+        TRIPLES_FILE: pd.DataFrame(triples, columns=TRIPLE_COLUMNS),
+        STRAYS_FILE: pd.DataFrame(strays, columns=STRAY_COLUMNS),
+    }
 
 
 def real_config() -> dict[str, Any]:
     """Give what all pairs are made with, for provenance."""
     rates = {f"data set {number}, camera {k}": rate for (number, k), rate in UNKNOWN_RATES.items()}
-    return {"data_sets": DATA_SETS, "rates": rates}
+    variable = [f"data set {number}, camera {k}" for number, k in sorted(VARIABLE_RATES)]
+    roughness_ppm = VARIABLE_CLOCK.roughness_ppm
+    return {
+        "data_sets": DATA_SETS,
+        "rates": rates,
+        "variable_rates": {"cameras": variable, "roughness_ppm": roughness_ppm},
+    }
 
 
 def _of_data_set(
@@ -135,16 +161,19 @@ def _of_data_set(
     folder: Path,
     truth: Truth | None,
     log: Callable[[str], None],
-) -> Iterator[tuple[dict[str, Any], Clock | None]]:
+) -> Iterator[tuple[Row, Estimate, Clock | None]]:
     for i, j in combinations(range(len(cameras)), 2):
         start = time.perf_counter()
+        varies = bool({(number, i), (number, j)} & VARIABLE_RATES)
         result = sync(
             folder / f"{cameras[i].name}.csv",
             folder / f"{cameras[j].name}.csv",
             folder / "rig.yaml",
+            config=VARIABLE_CLOCK if varies else None,
             cameras=(i + 1, j + 1),
             search_all=True,
             rate_range=_rate_range(number, i, j),
+            estimate_readout=True,
         )
         seconds = time.perf_counter() - start
         estimate, guess = result.estimate, result.guess
@@ -157,8 +186,8 @@ def _of_data_set(
             true_s = truth.t_d_s(i, j, fps, t_ref_s)
             off_ms = 1e3 * (estimate.t_d_s - true_s)
         models = f"{cameras[i].model} {cameras[j].model}"
-        row = {"data_set": number, "camera_1": i, "camera_2": j, "models": models}
-        row |= _figures(result, t_ref_s)
+        row: Row = {"data_set": number, "camera_1": i, "camera_2": j, "models": models}
+        row |= _figures(result, t_ref_s) | _effect_of_readouts(result)
         row |= {"from_truth_ms": off_ms, "seconds": round(seconds, 1)}
         log(
             f"{number}: {i} {j} {estimate.status}, {result.config.clock}, t_d {estimate.t_d_s:.4f}"
@@ -168,10 +197,39 @@ def _of_data_set(
         clock = None
         if guess is not None and estimate.has_offset:
             clock = replace(estimate.clock, t_ref_s=t_ref_s)  # of a mere delay too: when to close
-        yield row, clock
+        yield row, estimate, clock
 
 
-def _figures(result: SyncResult, t_ref_s: float) -> dict[str, Any]:
+def _effect_of_readouts(result: SyncResult) -> Row:
+    """Say where the offset were with shutters taken for global ones, and how sure it would be."""
+    if result.guess is None or not result.estimate.has_offset:
+        return {"by_readouts_ms": np.nan, "global_std_ms": np.nan}
+    cameras = [replace(one, readout_std_s=0.0) for one in (result.rig.cam1, result.rig.cam2)]
+    start = Start(AllOffsets(np.empty(0), np.empty(0), [result.guess], 0.0))
+    other = start.as_recorded(
+        result.method.estimate(
+            result.cam1,
+            start.as_seen(result.cam2),
+            replace(result.rig, cam1=cameras[0], cam2=cameras[1]),
+            result.config,
+        )
+    )
+    return {
+        "by_readouts_ms": 1e3 * (result.estimate.t_d_s - other.t_d_s),
+        "global_std_ms": 1e3 * other.t_d_std_s,
+    }
+
+
+def _strays(row: Row, estimate: Estimate) -> list[Row]:
+    pair = {name: row[name] for name in STRAY_COLUMNS[:3]}
+    columns = estimate.knots_s, 1e3 * estimate.strays_s, 1e3 * estimate.strays_std_s
+    return [
+        pair | dict(zip(STRAY_COLUMNS[3:], knot, strict=True))
+        for knot in zip(*columns, strict=True)
+    ]
+
+
+def _figures(result: SyncResult, t_ref_s: float) -> Row:
     estimate = result.estimate
     strays_ms = 1e3 * np.abs(estimate.strays_s)
     return {
@@ -184,7 +242,9 @@ def _figures(result: SyncResult, t_ref_s: float) -> dict[str, Any]:
         "skew_std_ppm": estimate.skew_std_ppm,
         "most_stray_ms": float(np.max(strays_ms, initial=0.0)),
         "readout_1_ms": 1e3 * estimate.readouts_s[0],
+        "readout_1_std_ms": 1e3 * estimate.readouts_std_s[0],
         "readout_2_ms": 1e3 * estimate.readouts_s[1],
+        "readout_2_std_ms": 1e3 * estimate.readouts_std_s[1],
         "residual_px": estimate.d_avg_px,
         "n_samples": estimate.n_samples,
         "reason": estimate.reason,

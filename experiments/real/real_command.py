@@ -1,4 +1,4 @@
-"""A folder of public data sets in, `real_pairs.csv` and `real_triples.csv` out: `ssac real`."""
+"""A folder of public data sets in, what is found on their pairs and a figure out: `ssac real`."""
 
 import tempfile
 import time
@@ -7,8 +7,10 @@ from typing import Annotated
 
 import typer
 
+from experiments.figures.style import save_png
 from experiments.paper.checksums import record_checksums
-from experiments.real.pairs import COMMAND, PAIRS_FILE, TRIPLES_FILE, real_config, run_pairs
+from experiments.real.drawing import FIGURE, real_figure
+from experiments.real.pairs import COMMAND, PAIRS_FILE, STRAYS_FILE, real_config, run_pairs
 from experiments.run.provenance import save_provenance
 from ssac.errors import SsacError
 from ssac.estimate import Status
@@ -25,7 +27,7 @@ def real_command(
         ),
     ],
     out: Annotated[
-        Path, typer.Option(metavar="FOLDER", help="Where to write both tables.")
+        Path, typer.Option(metavar="FOLDER", help="Where to write the tables.")
     ] = RESULTS,
 ) -> None:
     """Synchronise every pair of cameras of the drone-tracking data sets 1, 2 and 4.
@@ -36,12 +38,14 @@ def real_command(
         raise SsacError(f"{out}: there is no such folder: make it, or name another")
     start = time.perf_counter()
     with tempfile.TemporaryDirectory() as work:
-        pairs, triples = run_pairs(data, Path(work), lambda line: typer.echo(line, err=True))
+        tables = run_pairs(data, Path(work), lambda line: typer.echo(line, err=True))
     seconds = time.perf_counter() - start
-    for name, table in ((PAIRS_FILE, pairs), (TRIPLES_FILE, triples)):
+    for name, table in tables.items():
         with whole_file(out / name) as temporary:
             table.to_csv(temporary, index=False, float_format="%.8g", lineterminator="\n")
         save_provenance(out / name, COMMAND, real_config(), seconds, None)
-    record_checksums(out, [out / PAIRS_FILE, out / TRIPLES_FILE])
-    answered = pairs.status == Status.OK
-    typer.echo(f"{answered.sum()} of {len(pairs)} pairs answered; {out / PAIRS_FILE}")
+    save_png(real_figure(tables[PAIRS_FILE], tables[STRAYS_FILE]), out / FIGURE)
+    record_checksums(out, [out / FIGURE, *(out / name for name in tables)])
+    statuses = tables[PAIRS_FILE].status
+    answered = statuses.isin([str(status) for status in Status if status.has_offset]).sum()
+    typer.echo(f"{answered} of {len(statuses)} pairs answered; {out / PAIRS_FILE}")

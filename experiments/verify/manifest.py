@@ -14,7 +14,8 @@ from experiments.figures.figures import drawings, figures_config
 from experiments.paper.grids import TABLES
 from experiments.paper.results import COMPARISON_FILE, PAGE_FILE, RUNS_FILE, SUMMARY_FILE
 from experiments.paper.tables import tables_config
-from experiments.real.pairs import COMMAND, PAIRS_FILE, TRIPLES_FILE, real_config
+from experiments.real.drawing import FIGURE as REAL_FIGURE
+from experiments.real.pairs import COMMAND, PAIRS_FILE, STRAYS_FILE, TRIPLES_FILE, real_config
 from experiments.run.provenance import plain
 from experiments.studies.study import Study
 
@@ -80,10 +81,10 @@ def manifest_of(studies: Mapping[str, Study]) -> Manifest:
 
 def _real() -> Manifest:
     """List what public data leave that are not ours to ship: who has them may make it."""
-    tables = PAIRS_FILE, TRIPLES_FILE
+    tables = PAIRS_FILE, TRIPLES_FILE, STRAYS_FILE
     config = plain(real_config())
     made = tuple(Provenance(provenance_name(name), COMMAND, config, False) for name in tables)
-    return Manifest((*tables, *(one.name for one in made)), made)
+    return Manifest((*tables, REAL_FIGURE, *(one.name for one in made)), made)
 
 
 def _beside(name: str, command: str, config: Any) -> Provenance:

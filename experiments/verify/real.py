@@ -15,6 +15,8 @@ from experiments.real.pairs import (
     DATA_SETS,
     PAIR_COLUMNS,
     PAIRS_FILE,
+    STRAY_COLUMNS,
+    STRAYS_FILE,
     TRIPLE_COLUMNS,
     TRIPLES_FILE,
 )
@@ -27,14 +29,16 @@ Key = tuple[int, int, int]  # data set and two cameras
 
 
 def real_faults(results: Path) -> tuple[str, ...]:
-    """Check both tables' shape, and that triples and pairs say the same."""
+    """Check the tables' shape, and that they say the same."""
     pairs = pd.read_csv(results / PAIRS_FILE, keep_default_na=False, na_values=[""])
     triples = pd.read_csv(results / TRIPLES_FILE, dtype={"cameras": str})
-    for table, columns in ((pairs, PAIR_COLUMNS), (triples, TRIPLE_COLUMNS)):
+    strays = pd.read_csv(results / STRAYS_FILE)
+    expected = (pairs, PAIR_COLUMNS), (triples, TRIPLE_COLUMNS), (strays, STRAY_COLUMNS)
+    for table, columns in expected:
         there = [str(name) for name in table]
         if there != list(columns):
             return (f"columns are {', '.join(there)}; expected {', '.join(columns)}",)
-    return (*_pair_faults(pairs), *_triple_faults(pairs, triples))
+    return (*_pair_faults(pairs), *_triple_faults(pairs, triples), *_stray_faults(pairs, strays))
 
 
 def _pair_faults(pairs: pd.DataFrame) -> Iterator[str]:
@@ -87,6 +91,18 @@ def _triple_faults(pairs: pd.DataFrame, triples: pd.DataFrame) -> Iterator[str]:
         told_ms, most_ms = row["closure_ms"], closures_ms.get(_key(row), np.nan)
         if not np.isclose(told_ms, most_ms, rtol=_LAST_DIGIT, atol=1e-6, equal_nan=True):
             yield f"{_key(row)}: its closure is {told_ms} ms, by the triples {most_ms} ms"
+
+
+def _stray_faults(pairs: pd.DataFrame, strays: pd.DataFrame) -> Iterator[str]:
+    most_ms: dict[Key, float] = {}
+    for row in strays.to_dict("records"):
+        most_ms[_key(row)] = max(most_ms.get(_key(row), 0.0), abs(row["stray_ms"]))
+    for row in pairs.to_dict("records"):
+        told_ms, stray_ms = row["most_stray_ms"], most_ms.pop(_key(row), 0.0)
+        if not np.isclose(told_ms, stray_ms, rtol=_LAST_DIGIT):
+            yield f"{_key(row)}: it strays by {told_ms} ms, by its knots {stray_ms} ms"
+    if most_ms:
+        yield f"{STRAYS_FILE} has pairs that are none: {', '.join(map(str, most_ms))}"
 
 
 def _has_offset(row: dict[Any, Any]) -> bool:

@@ -34,9 +34,6 @@ Array = NDArray[np.float64]
 PIECE_S = 5.0
 """Length of a piece of a clock."""
 
-ROUGHNESS_PPM = 200.0
-"""Deviation of the change of a phone's skew from one piece to the next, beforehand."""
-
 _MAX_PIECES = 40
 _HELD_S = 1e-6  # deviation of a readout that is held at a bound
 
@@ -223,12 +220,12 @@ def clock_model(views: TwoViews, start: Estimate) -> ClockModel:
     if config.clock != "pieces" or n_pieces < 2 or not len(skew):
         return ClockModel(t_ref_s, half_s, skew, shutters=shutters_of(views))
     knots_s: Array = np.linspace(t_ref_s - half_s, t_ref_s + half_s, n_pieces + 1, dtype=np.float64)
-    modes, deviations = _modes(knots_s)
+    modes, deviations = _modes(knots_s, config.roughness_ppm)
     deviations = np.append(skew, deviations)
     return ClockModel(t_ref_s, half_s, deviations, knots_s, modes, shutters_of(views))
 
 
-def _modes(knots_s: Array) -> tuple[Array, Array]:
+def _modes(knots_s: Array, roughness_ppm: float) -> tuple[Array, Array]:
     """Give modes (k, k - 2) of rms 1 without offset and skew, and their deviations (k - 2,) [s]."""
     k = len(knots_s)
     step_s = float(knots_s[1] - knots_s[0])
@@ -236,4 +233,4 @@ def _modes(knots_s: Array) -> tuple[Array, Array]:
     affine = np.column_stack([np.ones(k), knots_s - np.mean(knots_s)])
     rest = np.linalg.qr(affine, mode="complete")[0][:, 2:]
     amounts, axes = np.linalg.eigh(rest.T @ roughness.T @ roughness @ rest)
-    return rest @ axes * np.sqrt(k), PPM * ROUGHNESS_PPM / np.sqrt(k * amounts)
+    return rest @ axes * np.sqrt(k), PPM * roughness_ppm / np.sqrt(k * amounts)

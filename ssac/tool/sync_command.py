@@ -103,6 +103,16 @@ def sync_command(
             metavar="NAME", help="affine; or pieces, where the skew itself changes, as in phones."
         ),
     ] = Config.clock,
+    roughness: Annotated[
+        float,
+        number(
+            "Deviation of a wandering clock's skew from 5 s to 5 s; frame rates that vary need"
+            " 2000.",
+            1,
+            MAX_SKEW_PPM,
+            "ppm",
+        ),
+    ] = Config.roughness_ppm,
     estimate_readout: Annotated[
         bool,
         typer.Option(
@@ -219,6 +229,7 @@ def sync_command(
         denoise=not no_denoise,
         skew_prior_ppm=skew_prior,
         clock=clock,
+        roughness_ppm=roughness,
     )
     with warnings_as_lines():
         check_outputs((cam1, cam2, rig), outputs)

@@ -7,11 +7,14 @@ import pandas as pd
 import pytest
 
 from experiments.paper.checksums import record_checksums
+from experiments.real.drawing import FIGURE
 from experiments.real.pairs import (
     COMMAND,
     DATA_SETS,
     PAIR_COLUMNS,
     PAIRS_FILE,
+    STRAY_COLUMNS,
+    STRAYS_FILE,
     TRIPLE_COLUMNS,
     TRIPLES_FILE,
     real_config,
@@ -33,17 +36,22 @@ def folder(tmp_path: Path) -> Path:
             row = dict.fromkeys(PAIR_COLUMNS, 1.0)
             row |= {"data_set": number, "camera_1": i, "camera_2": j, "models": "a b"}
             row |= {"status": "ok", "clock": "affine", "reason": "", "closure_ms": 2.5}
+            row["most_stray_ms"] = 1.5 if i else 0.0
             if number == DATA_SETS[-1]:
                 row["closure_ms"] = float("nan")
             if (number, i, j) == refused:
                 row |= {"status": "clock_jump", "reason": "it jumps", "t_d_s": float("nan")}
             rows.append(row)
     triples = [(number, "0-1-2", -2.5) for number in DATA_SETS[:-1]]
+    strays = [(number, 1, 2, t_s, -0.5 * t_s, 0.1) for number in DATA_SETS for t_s in (2.0, 3.0)]
+    save_csv(tmp_path / STRAYS_FILE, pd.DataFrame(strays, columns=STRAY_COLUMNS))
     save_csv(tmp_path / PAIRS_FILE, pd.DataFrame(rows, columns=PAIR_COLUMNS))
     save_csv(tmp_path / TRIPLES_FILE, pd.DataFrame(triples, columns=TRIPLE_COLUMNS))
-    for name in (PAIRS_FILE, TRIPLES_FILE):
+    for name in (PAIRS_FILE, TRIPLES_FILE, STRAYS_FILE):
         save_provenance(tmp_path / name, COMMAND, real_config(), 1.0, None)
-    record_checksums(tmp_path, [tmp_path / PAIRS_FILE, tmp_path / TRIPLES_FILE])
+    (tmp_path / FIGURE).write_bytes(b"drawn")
+    names = PAIRS_FILE, TRIPLES_FILE, STRAYS_FILE, FIGURE
+    record_checksums(tmp_path, [tmp_path / name for name in names])
     return tmp_path
 
 
@@ -62,6 +70,8 @@ def test_tables_that_agree_have_no_fault(folder: Path) -> None:
         (PAIRS_FILE, "it jumps", "", "data set 4, cameras 1 2: clock_jump, and it does not say"),
         (PAIRS_FILE, ",2.5\n", ",3.5\n", "(1, 0, 1): its closure is 3.5 ms"),
         (TRIPLES_FILE, "1,0-1-2,-2.5\n", "", "real_triples.csv has not each triple"),
+        (STRAYS_FILE, "4,1,2,3,-1.5", "4,1,2,3,1.75", "(4, 1, 2): it strays by 1.5 ms"),
+        (STRAYS_FILE, "4,1,2,3,-1.5", "4,1,3,3,-1.5", "real_strays.csv has pairs that"),
         (TRIPLES_FILE, "2,0-1-2,-2.5", "2,0-1-2,4", "(2, 0, 1): its closure is 2.5 ms"),
     ],
 )

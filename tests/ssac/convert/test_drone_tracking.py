@@ -6,10 +6,19 @@ import shutil
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from experiments.real.closure import closures_s
-from experiments.real.pairs import load_truth, run_pairs
+from experiments.real.drawing import real_figure
+from experiments.real.pairs import (
+    PAIRS_FILE,
+    STRAY_COLUMNS,
+    STRAYS_FILE,
+    TRIPLES_FILE,
+    load_truth,
+    run_pairs,
+)
 from ssac.clock import Clock
 from ssac.convert.drone_tracking import import_data_set
 from ssac.errors import SsacError
@@ -75,12 +84,18 @@ def test_only_labelled_frames_of_data_set_4_are_kept(data, tmp_path):
 
 
 def test_all_pairs_are_run_and_say_what_they_rest_on(data, tmp_path):
-    pairs, triples = run_pairs(data, tmp_path, lambda line: None, (2,))
-    (row,) = pairs.to_dict("records")
+    tables = run_pairs(data, tmp_path, lambda line: None, (2,))
+    (row,) = tables[PAIRS_FILE].to_dict("records")
     assert row["status"] == "ok"
     # Labels are put on whole frames: +-0.13 frames of either camera, at most 10 ms together.
     assert abs(row["t_d_s"] - OFFSET_S) < 0.01
-    assert len(triples) == 0
+    assert 0.0 <= row["readout_1_ms"] < 4.0 * row["readout_1_std_ms"]  # none, in truth
+    assert row["t_d_std_ms"] > row["global_std_ms"]  # less is known where readouts are not
+    assert [len(tables[name]) for name in (TRIPLES_FILE, STRAYS_FILE)] == [0, 0]
+    strays = pd.DataFrame([(2, 0, 1, 3.0, 1.0, 0.5)], columns=STRAY_COLUMNS)
+    one, other = real_figure(tables[PAIRS_FILE], strays).axes
+    assert [label.get_text() for label in one.get_xticklabels()] == ["2: 0-1"]
+    assert [line.get_label() for line in other.lines] == ["2: 0-1"]
 
 
 @pytest.mark.parametrize(
@@ -122,7 +137,7 @@ def test_published_clocks_are_read(tmp_path):
 
 @pytest.mark.skipif(not DATA, reason="SSAC_DRONE_TRACKING names no folder with the data sets")
 def test_triples_of_the_real_data_close(tmp_path):
-    _, triples = run_pairs(Path(DATA), tmp_path, lambda line: None, (1, 2))
+    triples = run_pairs(Path(DATA), tmp_path, lambda line: None, (1, 2))[TRIPLES_FILE]
     assert len(triples) == 8
     assert triples.closure_ms.abs().max() < 30.0  # the mark
 
