@@ -109,27 +109,8 @@ class ClockModel:
             Prior(FIRST_COLUMN + k, 0.0, float(deviation))
             for k, deviation in enumerate(self.deviations)
         )
-        if not self.shutters.cameras:
-            return replace(problem, columns=columns, priors=priors)
-        times_s = pairs.times_s, self.clock(parameters).cam2_from_cam1(pairs.times_s)
-        shutters, first = self.shutters, FIRST_COLUMN + len(priors)
-        return replace(
-            problem,
-            columns=columns
-            + tuple(
-                Column(*moves, float(value))
-                for moves, value in zip(
-                    shutters.moves(views, times_s), self.readouts_s(parameters), strict=True
-                )
-            ),
-            priors=priors
-            + tuple(
-                Prior(first + k, *map(float, known))
-                for k, known in enumerate(
-                    zip(shutters.expected_s, shutters.deviations_s, strict=True)
-                )
-            ),
-        )
+        more, known = self._of_shutters(pairs, parameters, views)
+        return replace(problem, columns=columns + more, priors=priors + known)
 
     def solve(self, problem: Problem, start: Parameters) -> Solution:
         """Solve a problem with readouts that are not beyond their bounds, but held at these."""
@@ -179,6 +160,21 @@ class ClockModel:
             strays_s=clock.strays_s,
             strays_std_s=np.sqrt(np.einsum("ik,ij,jk->k", by, covariance, by)),
         )
+
+    def _of_shutters(
+        self, pairs: WeighedPairs, parameters: Parameters, views: TwoViews
+    ) -> tuple[tuple[Column, ...], tuple[Prior, ...]]:
+        """Give columns and priors (k,) of readouts that are to be estimated."""
+        shutters, first = self.shutters, FIRST_COLUMN + len(self.deviations)
+        if not shutters.cameras:
+            return (), ()
+        times_s = pairs.times_s, self.clock(parameters).cam2_from_cam1(pairs.times_s)
+        moves = zip(
+            shutters.moves(views, times_s), self.readouts_s(parameters).tolist(), strict=True
+        )
+        beforehand = zip(shutters.expected_s.tolist(), shutters.deviations_s.tolist(), strict=True)
+        columns = tuple(Column(*both_px, value) for both_px, value in moves)
+        return columns, tuple(Prior(first + k, *known) for k, known in enumerate(beforehand))
 
     def _with_readouts(
         self, estimate: Estimate, parameters: Parameters, problem: Problem, covariance: Array

@@ -106,8 +106,7 @@ def sync_command(
     roughness: Annotated[
         float,
         number(
-            "Deviation of a wandering clock's skew from 5 s to 5 s; frame rates that vary need"
-            " 2000.",
+            "Deviation of a piece's skew from that of the last; variable frame rates need 6000.",
             1,
             MAX_SKEW_PPM,
             "ppm",

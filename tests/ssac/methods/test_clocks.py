@@ -126,6 +126,23 @@ def test_a_clock_of_pieces_follows_one_that_wanders():
     assert np.std(errors_s) < 0.6 * np.std(wanders.added_s(times_s) - line(times_s))
 
 
+def test_a_rougher_clock_follows_better_what_frames_of_a_varying_rate_show():
+    knots_s = np.arange(0.0, SCENE.duration_s + 1.0, PIECE_S)
+    # The skew changes by 1000 ppm twice, as where every 1000th frame is missed for 10 s.
+    varies = Clock(0.05, 0.0, MIDDLE_S, knots_s, 0.005 * np.sign(knots_s - MIDDLE_S))
+    options = {"skew_prior_ppm": 1000.0, "clock": "pieces"}
+    times_s = np.linspace(0.0, SCENE.duration_s, 50)
+    errors_s = {}
+    for roughness_ppm in (200.0, 2000.0):
+        found = refine(START, views_of(varies, **options, roughness_ppm=roughness_ppm))
+        assert found.status == "ok"
+        errors_s[roughness_ppm] = found.clock.cam2_from_cam1(times_s) - varies.cam2_from_cam1(
+            times_s
+        )
+    assert (np.abs(errors_s[2000.0]) < 4.0 * found.clock_std_s(times_s)).all()
+    assert np.std(errors_s[2000.0]) < 0.8 * np.std(errors_s[200.0])
+
+
 def test_strays_have_no_offset_and_no_skew_of_their_own():
     model = clock_model(views_of(Clock(0.05), clock="pieces"), START)
     affine = np.column_stack([np.ones(len(model.knots_s)), model.knots_s])
@@ -144,6 +161,7 @@ def test_strays_have_no_offset_and_no_skew_of_their_own():
         ({"skew_prior_ppm": -1.0}, "skew_prior_ppm must be 0 to 100000, got -1"),
         ({"skew_prior_ppm": np.nan}, "got nan"),
         ({"clock": "quartz"}, 'clock must be affine or pieces, got "quartz"'),
+        ({"roughness_ppm": 0.0}, "roughness_ppm must be above 0 and up to 100000, got 0"),
         ({"clock": "pieces", "skew_prior_ppm": 0.0}, "its prior must be above 0 ppm"),
     ],
 )
