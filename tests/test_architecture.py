@@ -110,6 +110,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
             "track_command",
             "import_command",
         ),
+        "path": ("align", "tum"),
         "tool": (
             "summaries",
             "registry",

@@ -1,0 +1,205 @@
+"""Paths in space in and out: TUM files, `t x y z qx qy qz qw`, and comma-separated values.
+
+The csv form has a first line that names its columns: `t_s,x_m,y_m,z_m`, and optionally the
+deviations `sigma_x_m,sigma_y_m,sigma_z_m`; `x`, `y` and `z` are taken too. A TUM file has no place
+for deviations, and its orientation is not read and is written as none, `0 0 0 1`. Of a path whose
+scale is unknown the unit is not a metre but the distance between cameras 1 and 2.
+"""
+
+import pathlib
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ssac.errors import SsacError
+from ssac.files.whole_file import whole_file
+
+Array = NDArray[np.float64]
+
+PATH_COLUMNS = ("t_s", "x_m", "y_m", "z_m")
+DEVIATION_COLUMNS = ("sigma_x_m", "sigma_y_m", "sigma_z_m")
+CSV_SUFFIX = ".csv"
+
+_OTHER_NAMES = {"t": "t_s", "time_s": "t_s", "x": "x_m", "y": "y_m", "z": "z_m"}
+_GLOBE = ("lat", "lon", "lng")
+_TUM_COLUMNS = 8
+_MAX_STEP_S = 1000.0  # between two points, in the middle: times that go further are none of seconds
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """Where the object was."""
+
+    times_s: Array  # (n,) ascending
+    positions_m: Array  # (n, 3)
+    deviations_m: Array | None = None  # (n, 3) along x, y and z; None: not known
+
+    def __len__(self) -> int:
+        return len(self.times_s)
+
+
+def read_path(file: pathlib.Path | str) -> Path:
+    """Read a path with times, TUM or comma-separated.
+
+    Raises
+    ------
+    SsacError
+        If the file is missing, has no times, is not of numbers, is not in time order, or has
+        degrees of latitude and longitude. The message names the file.
+    """
+    times_s, positions, deviations = read_points(file)
+    if times_s is None:
+        raise SsacError(
+            f"{file}: a path needs times: put t_s (seconds) before x y z, as its first column"
+        )
+    return Path(times_s, positions, deviations)
+
+
+def read_points(file: pathlib.Path | str) -> tuple[Array | None, Array, Array | None]:
+    """Read a path as times (n,) [s], positions (n, 3) and deviations (n, 3) of them.
+
+    Times are None where the file has none, `x y z` in each row; deviations likewise.
+
+    Raises
+    ------
+    SsacError
+        As `read_path`, but for missing times.
+    """
+    file = pathlib.Path(file)
+    if not file.is_file():
+        raise SsacError(f"{file}: there is no such file: check the path")
+    columns = _columns(file)
+    rows = np.column_stack([*columns.values()])
+    finite = np.isfinite(rows).all(axis=1)
+    if not finite.all():
+        raise SsacError(
+            f"{file}: point {int(np.argmin(finite))} has a value that is no finite number: leave "
+            "the row out"
+        )
+    times_s = columns.get(PATH_COLUMNS[0])
+    positions = np.column_stack([columns[name] for name in PATH_COLUMNS[1:]])
+    _check_metres(positions, file)
+    if times_s is not None:
+        _check_times(times_s, file)
+    deviations = None
+    if set(DEVIATION_COLUMNS) <= set(columns):
+        deviations = np.column_stack([columns[name] for name in DEVIATION_COLUMNS])
+    return times_s, positions, deviations
+
+
+def write_path(file: pathlib.Path | str, path: Path) -> None:
+    """Write a path, comma-separated where the name ends so, else as TUM; it appears complete."""
+    file = pathlib.Path(file)
+    columns = [path.times_s, *path.positions_m.T]
+    if file.suffix.lower() == CSV_SUFFIX:
+        names = [*PATH_COLUMNS]
+        if path.deviations_m is not None:
+            names += DEVIATION_COLUMNS
+            columns += [*path.deviations_m.T]
+        header, separator, form = ",".join(names), ",", ["%.7f"] + ["%.9g"] * (len(columns) - 1)
+    else:
+        columns += [np.zeros(len(path)), np.zeros(len(path)), np.zeros(len(path))]
+        columns += [np.ones(len(path))]
+        header, separator, form = "", " ", ["%.7f"] + ["%.9g"] * 3 + ["%.0f"] * 4
+    with whole_file(file) as temporary:
+        np.savetxt(
+            temporary,
+            np.column_stack(columns),
+            fmt=form,
+            delimiter=separator,
+            header=header,
+            comments="",
+        )
+
+
+def _columns(file: pathlib.Path) -> dict[str, Array]:
+    """Give the file's columns (n,) under our names; n > 0, and others are left out."""
+    try:
+        lines = [line.strip() for line in file.read_text(encoding="utf-8-sig").splitlines()]
+    except UnicodeDecodeError as error:
+        raise SsacError(f"{file}: not a text file: give a path as TUM or csv") from error
+    rows = [_words(line) for line in lines if line and not line.startswith("#")]
+    has_header = bool(rows) and not all(map(_is_number, rows[0]))
+    if len(rows) <= has_header:
+        raise SsacError(f"{file}: there are no points: give a path of some")
+    names = _names(rows[0], file) if has_header else _names_of(len(rows[0]), file)
+    kept = {
+        name: names.index(name) for name in (*PATH_COLUMNS, *DEVIATION_COLUMNS) if name in names
+    }
+    numbers = np.empty((len(rows) - has_header, len(kept)))
+    for k, row in enumerate(rows[has_header:]):
+        if len(row) != len(names) or not all(_is_number(row[column]) for column in kept.values()):
+            raise SsacError(
+                f"{file}: every row of a path must be {len(names)} numbers, but point {k} is "
+                f"{' '.join(row)[:60]!r}: correct or remove the row"
+            )
+        numbers[k] = [float(row[column]) for column in kept.values()]
+    return dict(zip(kept, numbers.T, strict=True))
+
+
+def _words(line: str) -> list[str]:
+    return [word.strip() for word in line.split(",")] if "," in line else line.split()
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+def _names(words: list[str], file: pathlib.Path) -> list[str]:
+    """Our names of the columns that a first line names."""
+    names = [_OTHER_NAMES.get(word.lower(), word.lower()) for word in words]
+    if any(name.startswith(_GLOBE) for name in names):
+        raise SsacError(
+            f"{file}: positions must be metres in a local frame, got {','.join(words)[:60]!r}: "
+            "turn latitude and longitude into east and north"
+        )
+    if not set(PATH_COLUMNS[1:]) <= set(names):
+        raise SsacError(
+            f"{file}: the first line of a path must name the columns {','.join(PATH_COLUMNS)}, got "
+            f"{','.join(words)[:60]!r}: add that line"
+        )
+    return names
+
+
+def _names_of(n_columns: int, file: pathlib.Path) -> list[str]:
+    """Names of the columns of a file that names none."""
+    if n_columns == len(PATH_COLUMNS) - 1:
+        return [*PATH_COLUMNS[1:]]
+    if n_columns in (len(PATH_COLUMNS), _TUM_COLUMNS):
+        return [*PATH_COLUMNS, "qx", "qy", "qz", "qw"][:n_columns]
+    raise SsacError(
+        f"{file}: a row of a path is `t x y z qx qy qz qw`, `t x y z` or `x y z`, got {n_columns} "
+        "numbers: convert the file"
+    )
+
+
+def _check_times(times_s: Array, file: pathlib.Path) -> None:
+    steps_s = np.diff(times_s)
+    if (steps_s <= 0.0).any():
+        k = int(np.argmax(steps_s <= 0.0)) + 1
+        raise SsacError(
+            f"{file}: rows must be in time order, but point {k} is at {times_s[k]:.10g} s, after "
+            f"one at {times_s[k - 1]:.10g} s: sort the rows, one point a time"
+        )
+    if len(steps_s) and np.median(steps_s) > _MAX_STEP_S:
+        raise SsacError(
+            f"{file}: points are {np.median(steps_s):g} s apart, as if times were of microseconds "
+            "or the like: give seconds"
+        )
+
+
+def _check_metres(positions: Array, file: pathlib.Path) -> None:
+    """Raise SsacError for what looks like degrees beside metres of height."""
+    spans = np.ptp(positions, axis=0)
+    level = np.abs(positions[:, :2]).max(axis=0)
+    is_globe = level.max() <= 180.0 and level.min() > 0.0 and 0.0 < spans[:2].max() < 0.05
+    if is_globe and spans[2] > 100.0 * spans[:2].max():
+        raise SsacError(
+            f"{file}: x and y stay within {spans[:2].max():.2g} while z moves by {spans[2]:.2g}, "
+            "as of degrees and metres: turn latitude and longitude into east and north in metres"
+        )
