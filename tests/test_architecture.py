@@ -110,7 +110,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
             "track_command",
             "import_command",
         ),
-        "path": ("align", "tum"),
+        "path": ("align", "tum", "interpolation", "shift_grid", "time_search"),
         "tool": (
             "summaries",
             "registry",
