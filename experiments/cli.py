@@ -8,7 +8,7 @@ import sys
 from sim.errors import SimError
 from ssac.console.command_line import Entry, command_line, run
 from ssac.console.exits import guarded
-from ssac.tool.commands import IMPORT, SYNC, TRACK, USE
+from ssac.tool.commands import COMPARE, IMPORT, SYNC, TRACK, USE
 
 REPRODUCE = "Reproduce"
 
@@ -20,6 +20,7 @@ COMMANDS = (
           "experiments.scenes.demo", "demo_command"),
     TRACK,
     IMPORT,
+    COMPARE,
     Entry("tables", REPRODUCE, "The paper's simulation tables, all methods.",
           "experiments.paper.tables", "tables_command"),
     Entry("study", REPRODUCE, "Studies beyond the tables: all runs, summary, figure.",

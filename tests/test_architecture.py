@@ -111,6 +111,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
             "import_command",
         ),
         "path": ("align", "tum", "interpolation", "shift_grid", "time_search"),
+        "compare": ("icp", "comparison", "figure", "compare_command"),
         "tool": (
             "summaries",
             "registry",

@@ -63,18 +63,14 @@ def track_command(
     from ssac.files.event_files import load_events
     from ssac.files.rigs import check_resolution, load_camera
     from ssac.files.track_files import TRACK_SUFFIX, is_track_file, save_track
-    from ssac.files.whole_file import check_writable
+    from ssac.files.whole_file import check_target
     from ssac.track.observation import Observation
 
     if out.suffix.lower() != TRACK_SUFFIX:
         raise SsacError(f"{out}: a track is written as {TRACK_SUFFIX}: name such a file")
-    if out.is_dir() or not out.parent.is_dir():
-        raise SsacError(f"{out}: not a file in a folder that exists: name another")
-    check_writable(out)
+    check_target(out, (cam,))
     if is_track_file(cam):
         raise SsacError(f"{cam}: is a track already: give a camera's events")
-    if out.exists() and cam.exists() and out.samefile(cam):
-        raise SsacError(f"{out}: is the input and would be lost: name another file")
     calibrated, name = load_camera(rig, camera), f"camera {camera} of {rig}"
     with warnings_as_lines():
         file = load_events(cam, Reading(allow_damaged, sort))

@@ -1,17 +1,26 @@
-"""A path in; a file that appears under it only when it is complete."""
+"""A path in; a file that appears under it only when it is complete, and not over an input."""
 
 import os
 import resource
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from ssac.errors import WriteError
+from ssac.errors import SsacError, WriteError
 from ssac.files.temporary import temporary_path
 
 LEAST_FREE_BYTES = 1 << 20
 """Less space than that is a full disk: results are smaller, but there are several."""
+
+
+def check_target(output: Path, inputs: Iterable[Path]) -> None:
+    """Raise SsacError, before any work is done, unless a file can be written and is no input."""
+    if output.is_dir() or not output.parent.is_dir():
+        raise SsacError(f"{output}: not a file in a folder that exists: name another")
+    if any(output.exists() and path.exists() and output.samefile(path) for path in inputs):
+        raise SsacError(f"{output}: is one of the inputs and would be lost: name another file")
+    check_writable(output)
 
 
 @contextmanager

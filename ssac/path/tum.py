@@ -2,8 +2,8 @@
 
 The csv form has a first line that names its columns: `t_s,x_m,y_m,z_m`, and optionally the
 deviations `sigma_x_m,sigma_y_m,sigma_z_m`; `x`, `y` and `z` are taken too. A TUM file has no place
-for deviations, and its orientation is not read and is written as none, `0 0 0 1`. Of a path whose
-scale is unknown the unit is not a metre but the distance between cameras 1 and 2.
+for deviations; where the attitude is unknown it says `0 0 0 1` in each row. Of a path whose scale
+is unknown the unit is not a metre but the distance between cameras 1 and 2.
 """
 
 import pathlib
@@ -19,11 +19,13 @@ Array = NDArray[np.float64]
 
 PATH_COLUMNS = ("t_s", "x_m", "y_m", "z_m")
 DEVIATION_COLUMNS = ("sigma_x_m", "sigma_y_m", "sigma_z_m")
+ATTITUDE_COLUMNS = ("qx", "qy", "qz", "qw")
 CSV_SUFFIX = ".csv"
 
 _OTHER_NAMES = {"t": "t_s", "time_s": "t_s", "x": "x_m", "y": "y_m", "z": "z_m"}
 _GLOBE = ("lat", "lon", "lng")
-_TUM_COLUMNS = 8
+_TUM_COLUMNS = (*PATH_COLUMNS, *ATTITUDE_COLUMNS)
+_NO_ATTITUDE = (0.0, 0.0, 0.0, 1.0)
 _MAX_STEP_S = 1000.0  # between two points, in the middle: times that go further are none of seconds
 
 
@@ -31,40 +33,36 @@ _MAX_STEP_S = 1000.0  # between two points, in the middle: times that go further
 class Path:
     """Where the object was."""
 
-    times_s: Array  # (n,) ascending
+    times_s: Array  # (n,) ascending; all NaN: not known
     positions_m: Array  # (n, 3)
     deviations_m: Array | None = None  # (n, 3) along x, y and z; None: not known
+    quaternions: Array | None = None  # (n, 4) qx, qy, qz, qw: body to frame; None: not known
 
     def __len__(self) -> int:
         return len(self.times_s)
 
-
-def read_path(file: pathlib.Path | str) -> Path:
-    """Read a path with times, TUM or comma-separated.
-
-    Raises
-    ------
-    SsacError
-        If the file is missing, has no times, is not of numbers, is not in time order, or has
-        degrees of latitude and longitude. The message names the file.
-    """
-    times_s, positions, deviations = read_points(file)
-    if times_s is None:
-        raise SsacError(
-            f"{file}: a path needs times: put t_s (seconds) before x y z, as its first column"
-        )
-    return Path(times_s, positions, deviations)
+    @property
+    def has_times(self) -> bool:
+        """Whether it is known when the object was where."""
+        return bool(np.isfinite(self.times_s).all())
 
 
-def read_points(file: pathlib.Path | str) -> tuple[Array | None, Array, Array | None]:
-    """Read a path as times (n,) [s], positions (n, 3) and deviations (n, 3) of them.
+def read_path(file: pathlib.Path | str, needs_times: bool = True) -> Path:
+    """Read a path, TUM or comma-separated.
 
-    Times are None where the file has none, `x y z` in each row; deviations likewise.
+    Parameters
+    ----------
+    file
+        Rows `t x y z qx qy qz qw`, `t x y z` or, where no times are needed, `x y z`; or a csv file
+        whose first line names its columns.
+    needs_times
+        Whether a path without times is refused.
 
     Raises
     ------
     SsacError
-        As `read_path`, but for missing times.
+        If the file is missing, is not of numbers, is not in time order, or has degrees of latitude
+        and longitude. The message names the file.
     """
     file = pathlib.Path(file)
     if not file.is_file():
@@ -78,14 +76,32 @@ def read_points(file: pathlib.Path | str) -> tuple[Array | None, Array, Array | 
             "the row out"
         )
     times_s = columns.get(PATH_COLUMNS[0])
-    positions = np.column_stack([columns[name] for name in PATH_COLUMNS[1:]])
-    _check_metres(positions, file)
     if times_s is not None:
         _check_times(times_s, file)
-    deviations = None
-    if set(DEVIATION_COLUMNS) <= set(columns):
-        deviations = np.column_stack([columns[name] for name in DEVIATION_COLUMNS])
-    return times_s, positions, deviations
+    elif needs_times:
+        raise SsacError(
+            f"{file}: a path needs times: put t_s (seconds) before x y z, as its first column"
+        )
+    positions = _stacked(columns, PATH_COLUMNS[1:])
+    assert positions is not None  # every form that is read has them
+    _check_metres(positions, file)
+    quaternions = _stacked(columns, ATTITUDE_COLUMNS)
+    if quaternions is not None and np.all(quaternions == _NO_ATTITUDE):
+        quaternions = None
+    if quaternions is not None and not np.linalg.norm(quaternions, axis=1).all():
+        raise SsacError(f"{file}: a quaternion is zero: for no attitude write 0 0 0 1 in each row")
+    return Path(
+        np.full(len(positions), np.nan) if times_s is None else times_s,
+        positions,
+        _stacked(columns, DEVIATION_COLUMNS),
+        quaternions,
+    )
+
+
+def _stacked(columns: dict[str, Array], names: tuple[str, ...]) -> Array | None:
+    """Columns side by side (n, k); None unless all are there."""
+    there = set(names) <= set(columns)
+    return np.column_stack([columns[name] for name in names]) if there else None
 
 
 def write_path(file: pathlib.Path | str, path: Path) -> None:
@@ -99,9 +115,9 @@ def write_path(file: pathlib.Path | str, path: Path) -> None:
             columns += [*path.deviations_m.T]
         header, separator, form = ",".join(names), ",", ["%.7f"] + ["%.9g"] * (len(columns) - 1)
     else:
-        columns += [np.zeros(len(path)), np.zeros(len(path)), np.zeros(len(path))]
-        columns += [np.ones(len(path))]
-        header, separator, form = "", " ", ["%.7f"] + ["%.9g"] * 3 + ["%.0f"] * 4
+        none = np.tile(_NO_ATTITUDE, (len(path), 1))
+        columns += [*(none if path.quaternions is None else path.quaternions).T]
+        header, separator, form = "", " ", ["%.7f"] + ["%.9g"] * 7
     with whole_file(file) as temporary:
         np.savetxt(
             temporary,
@@ -124,9 +140,8 @@ def _columns(file: pathlib.Path) -> dict[str, Array]:
     if len(rows) <= has_header:
         raise SsacError(f"{file}: there are no points: give a path of some")
     names = _names(rows[0], file) if has_header else _names_of(len(rows[0]), file)
-    kept = {
-        name: names.index(name) for name in (*PATH_COLUMNS, *DEVIATION_COLUMNS) if name in names
-    }
+    wanted = (*PATH_COLUMNS, *DEVIATION_COLUMNS, *ATTITUDE_COLUMNS)
+    kept = {name: names.index(name) for name in wanted if name in names}
     numbers = np.empty((len(rows) - has_header, len(kept)))
     for k, row in enumerate(rows[has_header:]):
         if len(row) != len(names) or not all(_is_number(row[column]) for column in kept.values()):
@@ -170,8 +185,8 @@ def _names_of(n_columns: int, file: pathlib.Path) -> list[str]:
     """Names of the columns of a file that names none."""
     if n_columns == len(PATH_COLUMNS) - 1:
         return [*PATH_COLUMNS[1:]]
-    if n_columns in (len(PATH_COLUMNS), _TUM_COLUMNS):
-        return [*PATH_COLUMNS, "qx", "qy", "qz", "qw"][:n_columns]
+    if n_columns in (len(PATH_COLUMNS), len(_TUM_COLUMNS)):
+        return [*_TUM_COLUMNS[:n_columns]]
     raise SsacError(
         f"{file}: a row of a path is `t x y z qx qy qz qw`, `t x y z` or `x y z`, got {n_columns} "
         "numbers: convert the file"

@@ -29,4 +29,12 @@ IMPORT = Entry(
     "import_command",
 )
 
-COMMANDS = (SYNC, TRACK, IMPORT)
+COMPARE = Entry(
+    "compare",
+    USE,
+    "How far a path in space is from the truth.",
+    "ssac.compare.compare_command",
+    "compare_command",
+)
+
+COMMANDS = (SYNC, TRACK, IMPORT, COMPARE)

@@ -1,10 +1,12 @@
 """Paths are written and read back, and what is no path in metres over seconds is refused."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from ssac.errors import SsacError
-from ssac.path.tum import Path, read_path, read_points, write_path
+from ssac.path.tum import Path, read_path, write_path
 
 TIMES_S = 1.7e9 + np.arange(50) * 0.2  # as of a receiver that counts from 1970
 
@@ -53,10 +55,17 @@ def test_forms_that_are_read(tmp_path, text):
 
 def test_positions_alone_are_read_where_no_times_are_needed(tmp_path):
     (tmp_path / "path").write_text("1 2 3\n2 2 4\n")
-    times_s, positions, deviations = read_points(tmp_path / "path")
-    assert times_s is None
-    assert deviations is None
-    np.testing.assert_array_equal(positions, [[1.0, 2.0, 3.0], [2.0, 2.0, 4.0]])
+    path = read_path(tmp_path / "path", needs_times=False)
+    assert not path.has_times
+    np.testing.assert_array_equal(path.positions_m, [[1.0, 2.0, 3.0], [2.0, 2.0, 4.0]])
+
+
+def test_an_attitude_survives_and_no_attitude_is_none(tmp_path):
+    turned = np.tile([0.0, 0.6, 0.0, 0.8], (50, 1))
+    write_path(tmp_path / "path.tum", replace(_path(), quaternions=turned))
+    np.testing.assert_array_equal(read_path(tmp_path / "path.tum").quaternions, turned)
+    write_path(tmp_path / "path.tum", _path())
+    assert read_path(tmp_path / "path.tum").quaternions is None
 
 
 @pytest.mark.parametrize(
@@ -76,6 +85,7 @@ def test_positions_alone_are_read_where_no_times_are_needed(tmp_path):
         ("0 47.1 8.2 400\n1 47.1001 8.2001 420\n", "as of degrees"),
         ("t_s,east,north,up\n0,1,2,3\n", "must name the columns"),
         ("0 1 2 3\n200000 1 2 4\n", "give seconds"),
+        ("0 1 2 3 0 0 0 1\n1 1 2 4 0 0 0 0\n", "quaternion is zero"),
     ],
 )
 def test_what_is_no_path_is_refused_in_one_line(tmp_path, text, reason):

@@ -1,0 +1,1 @@
+"""A path beside a truth: how far they are apart, in time and as shapes."""

@@ -1,0 +1,106 @@
+"""A command line in, the difference between two paths out: `ssac compare`."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ssac.console.options import number
+from ssac.errors import SsacError
+
+SCALES = ("unknown", "known")
+
+
+def compare_command(
+    estimate: Annotated[
+        Path, typer.Argument(metavar="ESTIMATE", help="Path that was found.", show_default=False)
+    ],
+    truth: Annotated[
+        Path,
+        typer.Argument(metavar="TRUTH", help="Path by satellite or the like.", show_default=False),
+    ],
+    scale: Annotated[
+        str, typer.Option(metavar="|".join(SCALES), help="Whether the estimate is in metres.")
+    ] = SCALES[0],
+    max_shift: Annotated[
+        float | None,
+        number(
+            "Shifts of the truth's clock that are tried, to both sides.",
+            0,
+            1e10,
+            "seconds",
+            default_words="all that leave enough common time",
+        ),
+    ] = None,
+    rate_std: Annotated[
+        float,
+        number(
+            "Prior deviation of the rate between the clocks; 0: they run alike.", 0, 10_000, "ppm"
+        ),
+    ] = 50.0,
+    lever_arm: Annotated[
+        tuple[float, float, float] | None,
+        number(
+            "Where the truth's antenna is in the body: forward, left, up. Needs its attitude.",
+            -100,
+            100,
+            "metres",
+            metavar="X Y Z",
+        ),
+    ] = None,
+    plot: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Figure to draw (.png, .pdf, .svg).")
+    ] = None,
+    json_file: Annotated[
+        Path | None, typer.Option("--json", metavar="FILE", help="All numbers, for machines.")
+    ] = None,
+) -> None:
+    """Say how far a path is from the truth, at equal times and as a shape.
+
+    Paths are TUM (t x y z qx qy qz qw), csv (t_s,x_m,y_m,z_m) or rows of x y z. Frame, scale, time
+    shift and clock rate are found.
+    """
+    from ssac.compare.comparison import compare
+    from ssac.files.whole_file import check_target, whole_file
+    from ssac.path.tum import read_path
+
+    if scale not in SCALES:
+        raise SsacError(f"--scale: expected {' or '.join(SCALES)}, got {scale!r}")
+    for output in (plot, json_file):
+        if output is not None:
+            check_target(output, (estimate, truth))
+    if plot is not None:
+        from ssac.compare.figure import FILE_SUFFIXES, save_figure
+
+        if plot.suffix.lower() not in FILE_SUFFIXES:
+            raise SsacError(f"{plot}: a figure is a file ending in {', '.join(FILE_SUFFIXES)}")
+    paths = read_path(estimate, needs_times=False), read_path(truth, needs_times=False)
+    found = compare(*paths, scale == "unknown", max_shift, rate_std, lever_arm)
+    if json_file is not None:
+        text = json.dumps(found.figures(), indent=1, allow_nan=False) + "\n"
+        with whole_file(json_file) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+    if plot is not None:
+        save_figure(plot, found)
+    if found.in_time is None:
+        typer.echo("at equal times  no: there are no times in both")
+    else:
+        clock = found.in_time.clock
+        typer.echo(
+            f"clock           truth = estimate {clock.t_d_s:+.4f} s, {clock.skew_ppm:+.1f} ppm; "
+            f"holds at {clock.t_ref_s:.3f} s of the estimate's"
+        )
+        typer.echo(
+            f"at equal times  {_told(found.in_time.figures())}, "
+            f"{100.0 * found.in_time.coverage:.1f} % of the truth's covered, "
+            f"{100.0 * found.in_time.explained:.2f} % of its motion explained"
+        )
+    typer.echo(f"as shapes, ICP  {_told(found.as_shape.figures())}")
+
+
+def _told(figures: dict[str, float | int]) -> str:
+    return (
+        "RMSE {rmse_m:.4f} m, median {median_m:.4f} m, max {max_m:.4f} m, scale {scale:.6g}, "
+        "{n_samples} samples"
+    ).format(**figures)

@@ -1,0 +1,71 @@
+"""A comparison in; the paper's Fig. 7, the path beside the truth, out."""
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure, SubFigure
+from numpy.typing import NDArray
+
+from ssac.compare.comparison import Comparison, InTime
+from ssac.files.whole_file import whole_file
+
+Array = NDArray[np.float64]
+
+FILE_SUFFIXES = (".png", ".pdf", ".svg")
+
+BLUE, YELLOW, RED = "#004488", "#DDAA33", "#BB5566"
+"""Of the truth, the estimate and their difference: P. Tol's high-contrast set."""
+
+_HEIGHT_IN, _WIDTH_IN, _WIDTH_OF_SHAPE_IN, _DPI = 6.5, 12.0, 6.0, 130
+
+
+def save_figure(file: Path, comparison: Comparison) -> None:
+    """Draw both paths in space and, where there are times, x, y and z with their differences."""
+    in_time = comparison.in_time
+    width_in = _WIDTH_OF_SHAPE_IN if in_time is None else _WIDTH_IN
+    page = Figure(figsize=(width_in, _HEIGHT_IN), layout="constrained")
+    if in_time is None:
+        _draw_shape(page, comparison)
+    else:
+        left, right = page.subfigures(1, 2)
+        _draw_shape(left, comparison)
+        _draw_over_time(right, in_time)
+    with whole_file(file) as temporary:
+        page.savefig(temporary, format=file.suffix[1:].lower(), dpi=_DPI)
+
+
+def _draw_shape(canvas: Figure | SubFigure, comparison: Comparison) -> None:
+    axes = canvas.add_subplot(projection="3d")
+    axes.plot(*comparison.truth_m.T, color=BLUE, lw=1.2, label="truth")
+    axes.plot(*comparison.estimate_m.T, color=YELLOW, lw=1.2, label="estimate")
+    axes.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
+    axes.set_box_aspect(np.maximum(np.ptp(comparison.truth_m, axis=0), 1e-9))
+    axes.legend(loc="upper right", fontsize="small")
+    if comparison.in_time is None:
+        axes.set_title(f"RMSE {comparison.as_shape.rmse_m:.3f} m (ICP)", fontsize="medium")
+    else:
+        axes.set_title(
+            f"RMSE {comparison.in_time.rmse_m:.3f} m at equal times, "
+            f"{comparison.as_shape.rmse_m:.3f} m by ICP",
+            fontsize="medium",
+        )
+
+
+def _draw_over_time(canvas: Figure | SubFigure, found: InTime) -> None:
+    rows = canvas.subplots(6, 1, sharex=True, gridspec_kw={"height_ratios": [2, 1] * 3})
+    times_s = found.times_s - found.times_s[0]
+    gaps = np.flatnonzero(np.diff(times_s) > 1.5 * np.median(np.diff(times_s))) + 1
+
+    def broken(values: Array) -> Array:  # a line does not cross a gap
+        return np.asarray(np.insert(values, gaps, np.nan))
+
+    for k, name in enumerate("xyz"):
+        path, difference = rows[2 * k], rows[2 * k + 1]
+        path.plot(broken(times_s), broken(found.truth_m[:, k]), color=BLUE, lw=1.2)
+        path.plot(broken(times_s), broken(found.estimate_m[:, k]), color=YELLOW, lw=1.0)
+        path.set_ylabel(f"{name} [m]")
+        off_cm = 100.0 * (found.estimate_m[:, k] - found.truth_m[:, k])
+        difference.plot(broken(times_s), broken(off_cm), color=RED, lw=0.8)
+        difference.axhline(0.0, color="grey", lw=0.5)
+        difference.set_ylabel("off [cm]", fontsize="small")
+    rows[-1].set_xlabel("time of the truth since the first common sample [s]")
