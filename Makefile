@@ -14,7 +14,7 @@ RUN := .venv/bin/python -m
 
 .DELETE_ON_ERROR:
 .PHONY: help setup demo tables ablations studies figures numbers report verify test lint types bench \
-	torture scene fidelity real docs wheel clean-cache clean moved
+	torture scene fidelity real outdoor docs wheel clean-cache clean moved
 .DEFAULT_GOAL := help
 
 help: ## this list
@@ -82,6 +82,9 @@ fidelity: .venv/.ready ## events against dense references, 20 flights (a minute 
 
 real: .venv/.ready ## all pairs of DATA, the drone-tracking data sets, which you fetch -> results/real_pairs.csv
 	@.venv/bin/ssac real $(DATA)
+
+outdoor: .venv/.ready ## the paper's outdoor set-up, 10 flights of 120 s (2 minutes each) -> results/outdoor.csv
+	@.venv/bin/ssac outdoor
 
 clean-cache: ## remove the recordings and runs that tables, ablations and sweeps keep in cache/
 	@du -sh cache 2>/dev/null || true

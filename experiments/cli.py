@@ -43,6 +43,8 @@ COMMANDS = (
           "experiments.real.real_command", "real_command"),
     Entry("torture", REPRODUCE, "Inputs damaged in all ways: what becomes of them.",
           "experiments.torture.command", "torture_command"),
+    Entry("outdoor", REPRODUCE, "The paper's outdoor set-up simulated: clocks, pose, the path.",
+          "experiments.outdoor.outdoor_command", "outdoor_command"),
     Entry("bench", REPRODUCE, "Speed and memory beside the reference tools.",
           "experiments.bench.bench", "bench_command"),
     Entry("verify", REPRODUCE, "Are the results whole, do they follow from their runs?",

@@ -208,6 +208,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
             "numbers",
         ),
         "real": ("closure", "pairs", "drawing", "real_command"),
+        "outdoor": ("flights", "twin", "outdoor_command"),
         "bench": (
             "measurement",
             "process",

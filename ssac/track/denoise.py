@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.stats import poisson
 
 from ssac.config import N_MIN
-from ssac.track.clutter import activity, chosen_events, masked_pixels, of_pixels
+from ssac.track.clutter import activity, chosen_events, masked_pixels, unmasked
 
 US_PER_MS = 1000.0
 
@@ -84,8 +84,7 @@ def without_noise(
     found = activity(events, width, height)
     mask = masked_pixels(found)
     n_all, hz = len(events), found.background_hz
-    if mask.any():
-        events = chosen_events(events, of_pixels(~mask, events["x"], events["y"]))
+    events = unmasked(events, mask)
     n_masked = n_all - len(events)
     radius_px, n = PAPER_PX, n_neighbours or PAPER_NEIGHBOURS
     if n_neighbours is None and hz > NOISY_HZ:

@@ -18,7 +18,7 @@ from sim.errors import SimError
 ELSEWHERE = {
     "merge": "sweep", "sync": "sync_command", "study": "command", "ablate": "command",
     "torture": "command", "track": "track_command", "import": "import_command",
-    "real": "real_command", "compare": "compare_command",
+    "real": "real_command", "compare": "compare_command", "outdoor": "outdoor_command",
 }  # fmt: skip
 
 

@@ -1,0 +1,95 @@
+"""A command line in, the outdoor twin's tables and figure out: `ssac outdoor`."""
+
+import time
+from pathlib import Path
+from typing import Annotated, Any
+
+import pandas as pd
+import typer
+
+from experiments.outdoor.flights import DURATION_S, N_FLIGHTS, load_truth, outdoor_config, seed_of
+from experiments.outdoor.twin import COLUMNS, KINDS, compared, estimated, twin_row
+from experiments.run.cache import DEFAULT_FOLDER, Cache, recording_key, run_key
+from experiments.run.command import CacheOption
+from experiments.run.provenance import save_provenance
+from ssac.compare.figure import save_figure
+from ssac.console.options import number
+from ssac.errors import SsacError
+from ssac.files.whole_file import whole_file
+
+COMMAND = "ssac outdoor"
+RUNS_FILE, ORACLE_FILE, FIGURE_FILE = "outdoor.csv", "outdoor_oracle.csv", "outdoor.png"
+
+_CODE = ("experiments.outdoor.twin",)
+_MEASURED = [name for name in COLUMNS if name not in ("flight", "kind", "status", "reason")]
+
+
+def outdoor_command(
+    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Where to write.")] = Path("results"),
+    flights: Annotated[int, number("Flights.", 1, 1000, metavar="COUNT")] = N_FLIGHTS,
+    duration: Annotated[float, number("Of each flight.", 10, 3600, "seconds")] = DURATION_S,
+    cache: CacheOption = DEFAULT_FOLDER,
+) -> None:
+    """Simulate the paper's outdoor set-up, and find clocks, pose and the drone's path.
+
+    What is finished is kept in the cache, so that an interrupted run goes on where it was.
+    """
+    if not out.is_dir():
+        raise SsacError(f"{out}: there is no such folder: make it, or name another")
+    start, kept = time.perf_counter(), Cache(cache)
+    rows = [
+        _row(kept, duration, flight, kind, lambda line: typer.echo(line, err=True))
+        for flight in range(flights)
+        for kind in KINDS
+    ]
+    runs = pd.DataFrame(rows, columns=COLUMNS)
+    seconds = time.perf_counter() - start
+    for name, table in ((RUNS_FILE, runs), (ORACLE_FILE, oracle_table(runs))):
+        with whole_file(out / name) as temporary:
+            table.to_csv(temporary, index=False, float_format="%.6g", lineterminator="\n")
+        save_provenance(out / name, COMMAND, outdoor_settings(flights, duration), seconds, None)
+    written = [out / RUNS_FILE, out / ORACLE_FILE, *_drawn(kept, duration, out / FIGURE_FILE)]
+    typer.echo(oracle_table(runs).to_string(index=False, float_format="%.3g"))
+    typer.echo(f"written to {', '.join(map(str, written))}")
+
+
+def outdoor_settings(flights: int = N_FLIGHTS, duration_s: float = DURATION_S) -> dict[str, Any]:
+    """Give what the tables are made with, for provenance."""
+    return {"flights": flights, "kinds": KINDS, "sim": outdoor_config(duration_s)}
+
+
+def oracle_table(runs: pd.DataFrame) -> pd.DataFrame:
+    """Give means over the flights that were answered, and how many these are, by kind."""
+    table = []
+    for kind, group in runs.groupby("kind", sort=False):
+        answered = group[group.rmse_m.notna()]
+        means = {name: answered[name].mean() for name in _MEASURED}
+        table.append({"kind": kind, "answered": len(answered), "of": len(group), **means})
+    return pd.DataFrame(table)
+
+
+def _row(cache: Cache, duration_s: float, flight: int, kind: str, log: Any) -> dict[str, Any]:
+    """Give a row from the cache, or make it."""
+    config, seed = outdoor_config(duration_s), seed_of(flight)
+    key = run_key((recording_key(config, seed),), ("outdoor", flight, kind), _CODE)
+    row = cache.load_run(key)
+    if row is None:
+        folder = cache.recording_folder(config, seed)
+        made = twin_row(folder, config, load_truth(folder), flight, kind)
+        row = {name: None if value != value else value for name, value in made.items()}  # NaN
+        cache.save_run(key, row)
+    log(f"flight {flight}, {kind}: {row['status']}, path RMSE {row['rmse_m']} m")
+    return row
+
+
+def _drawn(cache: Cache, duration_s: float, file: Path) -> list[Path]:
+    """Draw the first flight, as recorded, beside its RTK; no figure where it was refused."""
+    file.unlink(missing_ok=True)
+    config = outdoor_config(duration_s)
+    folder = cache.recording_folder(config, seed_of(0))
+    truth = load_truth(folder)
+    _, path = estimated(folder, config, truth, 0, KINDS[0])
+    if path is None:
+        return []
+    save_figure(file, compared(path, truth, 0))
+    return [file]

@@ -1,0 +1,203 @@
+"""A simulated outdoor flight in, what is found of it beside its truth out.
+
+Each kind takes one thing from the truth, so that one sees what it costs not to know it.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from experiments.outdoor.flights import LEVER_ARM_M, Truth, calibrated, rtk_of
+from experiments.run.score import score
+from sim.recording import SimConfig
+from sim.scene.rig import kalibr_yaml, two_view_rig
+from ssac.clock import Clock
+from ssac.compare.comparison import Comparison, compare
+from ssac.config import Config
+from ssac.events import EventFile
+from ssac.files.event_files import load_events, write_synced
+from ssac.files.track_files import save_track
+from ssac.geometry.pose import depths
+from ssac.path.interpolation import smoothed
+from ssac.path.tum import Path as SpacePath
+from ssac.points import PointTrack
+from ssac.search.two_views import two_views
+from ssac.tool.sync import SyncResult, sync
+from ssac.track.clutter import activity, masked_pixels, unmasked
+from ssac.track.denoise import radius_filter
+
+Array = NDArray[np.float64]
+
+KINDS = ("as_recorded", "true_tracks", "true_pose", "true_intrinsics", "all_true")
+
+N_NEIGHBOURS, MS_PER_UNIT = 8, 8.0
+"""Of the radius filter: an image of 6 px that moves by 60 px/s has some 500 events a second, and
+none has the paper authors' 20 neighbours within 5 ms. Noise has one in this larger ball."""
+
+COLUMNS = (
+    "flight", "kind", "status", "t_d_error_ms", "t_d_std_ms", "skew_error_ppm", "skew_std_ppm",
+    "r_error_deg", "r_std_deg", "t_error_deg", "t_std_deg", "rmse_m", "median_m", "max_m",
+    "icp_rmse_m", "scale_error_percent", "rtk_samples", "coverage", "reason",
+)  # fmt: skip
+
+_CONFIG = Config(denoise=False, n_min=20, half_window_s=0.05, n_samples=1200)  # of a small drone
+_PATH_HZ = 50.0
+_BETWEEN_S = 0.00031  # after the truth's samples: times of whole milliseconds look rounded
+_OF_TRUTH = 4  # truth's samples, at 200 Hz, from one of a true track to the next
+
+
+def twin_row(
+    folder: Path, config: SimConfig, truth: Truth, flight: int, kind: str
+) -> dict[str, Any]:
+    """Estimate clocks, pose and path of one flight and compare them with the truth.
+
+    Parameters
+    ----------
+    folder
+        Of the recording, both clocks equal but for the skew.
+    config
+        It was simulated with.
+    truth
+        Its truth, with the offset that camera 2's clock is given here.
+    flight
+        Number of the flight.
+    kind
+        One of `KINDS`.
+    """
+    found, path = estimated(folder, config, truth, flight, kind)
+    estimate = found.estimate
+    row: dict[str, Any] = {"flight": flight, "kind": kind, "status": str(estimate.status)}
+    row |= {"reason": estimate.reason}
+    if not estimate.has_offset or path is None:
+        return {name: row.get(name, np.nan) for name in COLUMNS}
+    errors = score(estimate, estimate.t_d_s, truth.R, truth.t)
+    error_s = estimate.clock.cam2_from_cam1(estimate.t_ref_s) - truth.clock.cam2_from_cam1(
+        estimate.t_ref_s
+    )
+    row |= {
+        "t_d_error_ms": 1e3 * abs(float(error_s)),
+        "t_d_std_ms": 1e3 * estimate.t_d_std_s,
+        "skew_error_ppm": abs(estimate.skew_ppm - truth.clock.skew_ppm),
+        "skew_std_ppm": estimate.skew_std_ppm,
+        "r_error_deg": errors.r_error_deg,
+        "r_std_deg": estimate.r_std_deg,
+        "t_error_deg": errors.t_error_deg,
+        "t_std_deg": estimate.t_std_deg,
+    }
+    row |= _path_figures(compared(path, truth, flight), truth)
+    return {name: row[name] for name in COLUMNS}
+
+
+def estimated(
+    folder: Path, config: SimConfig, truth: Truth, flight: int, kind: str
+) -> tuple[SyncResult, SpacePath | None]:
+    """Find clocks, pose and path [baselines, camera 1's frame] of a flight."""
+    exact = kind in ("true_intrinsics", "all_true")
+    with TemporaryDirectory() as name:
+        work = Path(name)
+        _write_rig(work / "rig.yaml", config, flight, exact)
+        if kind in ("true_tracks", "all_true"):
+            names = _write_tracks(work, config, truth)
+        else:
+            names = _write_events(work, folder, truth)
+        cam1, cam2 = work / names[0], work / names[1]
+        found = sync(cam1, cam2, work / "rig.yaml", config=_CONFIG, search_all=True)
+    if not found.estimate.has_offset:
+        return found, None
+    pose = found.estimate.R, found.estimate.t
+    if kind in ("true_pose", "all_true"):
+        pose = truth.R, truth.t
+    if pose[0] is None or pose[1] is None:
+        return found, None
+    return found, triangulated(found, pose[0], pose[1])
+
+
+def triangulated(found: SyncResult, R: Array, t: Array) -> SpacePath | None:
+    """Triangulate both tracks, smoothed in time; None of too few points in front of both cameras.
+
+    The mean of the two points where the rays pass closest, in camera 1's frame, on its clock.
+    """
+    estimate, rig = found.estimate, found.rig
+    views = two_views(found.cam1, found.cam2, rig, found.config).under(estimate.clock)
+    start_s, end_s = views.overlap_s(np.array([estimate.t_d_s]))
+    n_samples = int(_PATH_HZ * (end_s[0] - start_s[0]))
+    pairs = views.pairs_at(estimate.t_d_s, n_samples)
+    rays1, rays2 = pairs.rays(rig)
+    depths1, depths2 = depths(R, t, rays1, rays2)
+    before = (depths1 > 0.0) & (depths2 > 0.0) & np.isfinite(depths1 * depths2)
+    if before.sum() < 100:
+        return None
+    first = depths1[:, None] * rays1
+    second = (depths2[:, None] * rays2 - t) @ R
+    rough = SpacePath(pairs.times_s[before], (0.5 * (first + second))[before])
+    return replace(rough, positions_m=smoothed(rough).at(rough.times_s))
+
+
+def compared(path: SpacePath, truth: Truth, flight: int) -> Comparison:
+    """Compare a path with the flight's RTK, whose lever arm is known."""
+    return compare(path, rtk_of(truth, flight), lever_arm_m=LEVER_ARM_M)
+
+
+def _path_figures(found: Comparison, truth: Truth) -> dict[str, Any]:
+    assert found.in_time is not None  # both paths have times
+    figures = found.in_time.figures()
+    return {
+        "rmse_m": figures["rmse_m"],
+        "median_m": figures["median_m"],
+        "max_m": figures["max_m"],
+        "icp_rmse_m": found.as_shape.rmse_m,
+        "scale_error_percent": 100.0 * abs(figures["scale"] / truth.baseline_m - 1.0),
+        "rtk_samples": figures["n_samples"],
+        "coverage": found.in_time.coverage,
+    }
+
+
+def _write_rig(path: Path, config: SimConfig, flight: int, exact: bool) -> None:
+    """Write the rig as the estimator is given it: exact, or with a calibration's errors."""
+    chain: dict[str, Any] = {}
+    cameras = (config, config) if exact else calibrated(config, flight)
+    for n, camera in enumerate(cameras):
+        rig = two_view_rig(
+            camera.angle_deg,
+            focal_px=camera.focal_px,
+            resolution=camera.resolution,
+            principal_point=camera.principal_point,
+        )
+        entry = yaml.safe_load(kalibr_yaml(rig, with_extrinsics=False))[f"cam{n}"]
+        if not exact:
+            del entry["intrinsics_std"]  # a good calibration's are the default
+        chain[f"cam{n}"] = entry
+    path.write_text(yaml.safe_dump(chain), encoding="utf-8")
+
+
+def _write_events(work: Path, folder: Path, truth: Truth) -> tuple[str, str]:
+    """Write both cameras' denoised events, camera 2's with its offset."""
+    offset = Clock(-truth.clock.t_d_s)  # the recording has the skew already
+    for name, clock in (("cam1.h5", Clock()), ("cam2.h5", offset)):
+        file = load_events(folder / name)
+        assert file.width is not None  # our own files have both
+        assert file.height is not None
+        masked = masked_pixels(activity(file.events, file.width, file.height))
+        events = unmasked(file.events, masked)
+        events = radius_filter(events, ms_per_unit=MS_PER_UNIT, n_neighbours=N_NEIGHBOURS)
+        write_synced(work / name, EventFile(events, file.width, file.height), clock)
+    return "cam1.h5", "cam2.h5"
+
+
+def _write_tracks(work: Path, config: SimConfig, truth: Truth) -> tuple[str, str]:
+    """Write the images of the drone's origin as both cameras' tracks."""
+    names = "cam1.csv", "cam2.csv"
+    moved_s = truth.times_s + _BETWEEN_S
+    times_s = moved_s, truth.clock.cam2_from_cam1(moved_s)
+    last = np.array(config.resolution) - 1.0
+    for name, shown_s, centres_px in zip(names, times_s, truth.centres_px, strict=True):
+        centres_px = centres_px + _BETWEEN_S * np.gradient(centres_px, truth.times_s, axis=0)
+        inside = np.all((centres_px >= 0.0) & (centres_px <= last), axis=1)
+        kept = np.flatnonzero(inside)[::_OF_TRUTH]
+        save_track(work / name, PointTrack(shown_s[kept], centres_px[kept]))
+    return names
