@@ -9,6 +9,7 @@ import typer
 
 from experiments.outdoor.flights import DURATION_S, N_FLIGHTS, load_truth, outdoor_config, seed_of
 from experiments.outdoor.twin import COLUMNS, KINDS, compared, estimated, twin_row
+from experiments.paper.checksums import record_checksums
 from experiments.run.cache import DEFAULT_FOLDER, Cache, recording_key, run_key
 from experiments.run.command import CacheOption
 from experiments.run.provenance import save_provenance
@@ -49,6 +50,7 @@ def outdoor_command(
             table.to_csv(temporary, index=False, float_format="%.6g", lineterminator="\n")
         save_provenance(out / name, COMMAND, outdoor_settings(flights, duration), seconds, None)
     written = [out / RUNS_FILE, out / ORACLE_FILE, *_drawn(kept, duration, out / FIGURE_FILE)]
+    record_checksums(out, written)
     typer.echo(oracle_table(runs).to_string(index=False, float_format="%.3g"))
     typer.echo(f"written to {', '.join(map(str, written))}")
 

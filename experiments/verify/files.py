@@ -35,7 +35,6 @@ _SHARD = "shard"  # of a config: says which part was run, not what
 
 def file_findings(results: Path, manifest: Manifest) -> list[Finding]:
     """Check that every file is there, no other, each as it was written and saying how."""
-    has_real = manifest.of(results) is not manifest
     manifest = manifest.of(results)
     findings = [
         found("every file that there must be is there", lambda: _missing(results, manifest)),
@@ -45,7 +44,7 @@ def file_findings(results: Path, manifest: Manifest) -> list[Finding]:
         found(f"{BENCH_FILE} is a benchmark", lambda: _bench(results / BENCH_FILE)),
         found(f"{GROWTH_FILE} has every point", lambda: _growth(results / GROWTH_FILE)),
     ]
-    if has_real:
+    if PAIRS_FILE in manifest.files:
         findings.append(found(f"{PAIRS_FILE} makes sense", lambda: real_faults(results)))
     for one in manifest.provenances:
         what = f"{one.name}: a clean commit, today's configuration, versions"

@@ -11,6 +11,13 @@ from typing import Any
 
 from experiments.bench.growth import COMMITTED, bench_config
 from experiments.figures.figures import drawings, figures_config
+from experiments.outdoor.outdoor_command import COMMAND as OUTDOOR_COMMAND
+from experiments.outdoor.outdoor_command import (
+    FIGURE_FILE,
+    ORACLE_FILE,
+    outdoor_settings,
+)
+from experiments.outdoor.outdoor_command import RUNS_FILE as OUTDOOR_FILE
 from experiments.paper.grids import TABLES
 from experiments.paper.results import COMPARISON_FILE, PAGE_FILE, RUNS_FILE, SUMMARY_FILE
 from experiments.paper.tables import tables_config
@@ -45,14 +52,16 @@ class Manifest:
 
     files: tuple[str, ...]  # all of them, without the checksums' own
     provenances: tuple[Provenance, ...]  # of them
-    optional: "Manifest | None" = None  # what may be there beside it, whole or not at all
+    optional: tuple["Manifest", ...] = ()  # each may be there beside it, whole or not at all
 
     def of(self, results: Path) -> "Manifest":
         """Give all that this folder must hold: what is optional too, once some of it is there."""
-        more = self.optional
-        if more is None or not any((results / name).is_file() for name in more.files):
-            return self
-        return Manifest((*self.files, *more.files), (*self.provenances, *more.provenances))
+        whole = Manifest(self.files, self.provenances)
+        for more in self.optional:
+            if any((results / name).is_file() for name in more.files):
+                provenances = (*whole.provenances, *more.provenances)
+                whole = Manifest((*whole.files, *more.files), provenances)
+        return whole
 
 
 def manifest_of(studies: Mapping[str, Study]) -> Manifest:
@@ -76,7 +85,7 @@ def manifest_of(studies: Mapping[str, Study]) -> Manifest:
         config = {"study": study.name, **study.config}
         made += [_beside(name, study.command_line, config) for name in names]
         files += [*names, *([study.figure_file] if study.draw else [])]
-    return Manifest((*files, *(one.name for one in made)), tuple(made), _real())
+    return Manifest((*files, *(one.name for one in made)), tuple(made), (_real(), _outdoor()))
 
 
 def _real() -> Manifest:
@@ -85,6 +94,16 @@ def _real() -> Manifest:
     config = plain(real_config())
     made = tuple(Provenance(provenance_name(name), COMMAND, config, False) for name in tables)
     return Manifest((*tables, REAL_FIGURE, *(one.name for one in made)), made)
+
+
+def _outdoor() -> Manifest:
+    """List what the outdoor twin leaves, which takes long and no other result needs."""
+    tables = OUTDOOR_FILE, ORACLE_FILE
+    config = plain(outdoor_settings())
+    made = tuple(
+        Provenance(provenance_name(name), OUTDOOR_COMMAND, config, False) for name in tables
+    )
+    return Manifest((*tables, FIGURE_FILE, *(one.name for one in made)), made)
 
 
 def _beside(name: str, command: str, config: Any) -> Provenance:

@@ -16,6 +16,8 @@ FILE_SUFFIXES = (".png", ".pdf", ".svg")
 BLUE, YELLOW, RED = "#004488", "#DDAA33", "#BB5566"
 """Of the truth, the estimate and their difference: P. Tol's high-contrast set."""
 
+_GAP_STEPS, _USUAL_PERCENT = 4.0, 95.0  # a step that is so many times the usual one is a gap
+
 _HEIGHT_IN, _WIDTH_IN, _WIDTH_OF_SHAPE_IN, _DPI = 6.5, 12.0, 6.0, 130
 
 
@@ -36,8 +38,8 @@ def save_figure(file: Path, comparison: Comparison) -> None:
 
 def _draw_shape(canvas: Figure | SubFigure, comparison: Comparison) -> None:
     axes = canvas.add_subplot(projection="3d")
-    axes.plot(*comparison.truth_m.T, color=BLUE, lw=1.2, label="truth")
-    axes.plot(*comparison.estimate_m.T, color=YELLOW, lw=1.2, label="estimate")
+    axes.plot(*_broken(comparison.truth_m).T, color=BLUE, lw=1.2, label="truth")
+    axes.plot(*_broken(comparison.estimate_m).T, color=YELLOW, lw=1.2, label="estimate")
     axes.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
     axes.set_box_aspect(np.maximum(np.ptp(comparison.truth_m, axis=0), 1e-9))
     axes.legend(loc="upper right", fontsize="small")
@@ -49,6 +51,13 @@ def _draw_shape(canvas: Figure | SubFigure, comparison: Comparison) -> None:
             f"{comparison.as_shape.rmse_m:.3f} m by ICP",
             fontsize="medium",
         )
+
+
+def _broken(points: Array) -> Array:
+    """Points (n, 3) with NaN where one is so far from the last that there is a gap between."""
+    steps_m = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    usual_m = float(np.percentile(steps_m, _USUAL_PERCENT)) if len(steps_m) else 0.0
+    return np.insert(points, np.flatnonzero(steps_m > _GAP_STEPS * usual_m) + 1, np.nan, axis=0)
 
 
 def _draw_over_time(canvas: Figure | SubFigure, found: InTime) -> None:
