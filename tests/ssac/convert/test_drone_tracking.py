@@ -4,6 +4,7 @@ import json
 import os
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -13,6 +14,7 @@ from experiments.real.closure import closures_s
 from experiments.real.drawing import real_figure
 from experiments.real.pairs import (
     PAIRS_FILE,
+    ROUGHNESSES_PPM,
     STRAY_COLUMNS,
     STRAYS_FILE,
     TRIPLES_FILE,
@@ -22,6 +24,7 @@ from experiments.real.pairs import (
 from ssac.clock import Clock
 from ssac.convert.drone_tracking import import_data_set
 from ssac.errors import SsacError
+from ssac.estimate import Estimate
 from ssac.files.rigs import load_camera
 from ssac.files.track_files import load_track
 from tests.ssac.command import run
@@ -96,6 +99,20 @@ def test_all_pairs_are_run_and_say_what_they_rest_on(data, tmp_path):
     one, other = real_figure(tables[PAIRS_FILE], strays).axes
     assert [label.get_text() for label in one.get_xticklabels()] == ["2: 0-1"]
     assert [line.get_label() for line in other.lines] == ["2: 0-1"]
+
+
+def test_clocks_of_varying_rates_are_followed_ever_more_roughly(data, tmp_path, monkeypatch):
+    tried = []
+
+    def refused(*paths, config, **more):
+        tried.append((config.clock, config.roughness_ppm))
+        return SimpleNamespace(estimate=Estimate("joint", "clock_jump"), guess=None, config=config)
+
+    monkeypatch.setattr("experiments.real.pairs.sync", refused)
+    monkeypatch.setattr("experiments.real.pairs.VARIABLE_RATES", {(2, 1)})
+    (row,) = run_pairs(data, tmp_path, lambda line: None, (2,))[PAIRS_FILE].to_dict("records")
+    assert tried == [("pieces", one) for one in sorted(ROUGHNESSES_PPM)]
+    assert row["status"] == "clock_jump"
 
 
 @pytest.mark.parametrize(
