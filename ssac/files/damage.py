@@ -36,6 +36,8 @@ class Reading:
 
 STRICT = Reading()
 
+_ANY_SIZE = 1 << 16  # of a sensor [px]: all that an event's field holds
+
 
 def refuse_damaged(path: Path, signs: Sequence[str], reading: Reading) -> None:
     """Raise SsacError for a file with signs of damage, or warn where it is to be read anyway."""
@@ -80,6 +82,12 @@ def checked_file(
         If time runs back or leaps, one event stands there many times, or events lie outside the
         sensor, and that is not allowed; or if there are none.
     """
+    t, x, y, p = (events[field] for field in ("t", "x", "y", "p"))
+    width, height = (_ANY_SIZE if size is None else size for size in size_px)
+    longest_us = round(MAX_GAP_S * US_PER_S)
+    most_equal = len(events) if is_text else REPEATED - 1
+    if _is_whole(t, x, y, p, width, height, longest_us, most_equal):
+        return EventFile(events, *size_px)
     events = _in_order(events, path, reading, is_text)
     if reading.allow_damaged:
         events = _inside(events, size_px, path)
@@ -164,6 +172,30 @@ def _refuse_unsorted(t: NDArray[np.int64], i: int, path: Path) -> None:
         f"{t[i - 1]} us: sort the file, or check that it is undamaged (--allow-damaged reads what "
         "is in order)"
     )
+
+
+@numba.njit(cache=True)
+def _is_whole(
+    t: NDArray[np.int64],
+    x: NDArray[np.uint16],
+    y: NDArray[np.uint16],
+    p: NDArray[np.uint8],
+    width: int,
+    height: int,
+    longest_us: int,
+    most_equal: int,
+) -> bool:
+    """Whether nothing of all that is looked at is wrong: one pass, for nearly every file."""
+    if len(t) == 0:
+        return False
+    run, is_good = 1, bool(x[0] < width and y[0] < height and p[0] <= 1)
+    for i in range(1, len(t)):
+        gap_us = t[i] - t[i - 1]
+        is_good &= bool(0 <= gap_us <= longest_us and p[i] <= 1)
+        is_good &= bool(x[i] < width and y[i] < height)
+        run = run + 1 if gap_us == 0 and x[i] == x[i - 1] and y[i] == y[i - 1] else 1
+        is_good &= run <= most_equal
+    return is_good
 
 
 @numba.njit(cache=True)

@@ -23,6 +23,8 @@ REPEATED = 32
 
 _KINDS = ("words that mean nothing", "times that run back", "leaps of the clock", "repeated words")
 
+_OF_EVENTS = 1 << 0x0 | 1 << 0x2 | 1 << 0x3 | 1 << 0x6  # kinds of EVT3 words: y, x, x, time
+
 _SLACK_EVT3 = 16  # steps of 4.1 ms that the clock of a busy sensor may leave out
 
 
@@ -65,8 +67,8 @@ def _words(path: Path, dtype: np.dtype[Any], n_about: int) -> tuple[NDArray[Any]
         count = n_bytes // dtype.itemsize
         if not count:
             return np.empty(0, dtype), n_bytes
-        mapped = np.memmap(path, dtype, "r", start, (count,))
-    return np.asarray(mapped), n_bytes - count * dtype.itemsize
+        words = np.fromfile(path, dtype, count, offset=start)
+    return words, n_bytes - len(words) * dtype.itemsize
 
 
 def _said(counts: NDArray[np.int64], n_words: int, rest: int, size: int) -> list[str]:
@@ -119,7 +121,13 @@ def _signs_of_evt3(words: NDArray[np.uint16], repeated: int) -> NDArray[np.int64
     for i in range(len(words)):
         word = int(words[i])
         kind = word >> 12
-        if kind == 0x8:
+        if _OF_EVENTS >> kind & 1:  # first, as nearly all words are of these kinds
+            if word == before:
+                run += 1
+                signs[3] += repeated if run == repeated else run > repeated
+            else:
+                run = 1
+        elif kind == 0x8:
             new = word & 0xFFF
             if high >= 0:
                 step = (new - high) & 0xFFF
@@ -128,9 +136,6 @@ def _signs_of_evt3(words: NDArray[np.uint16], repeated: int) -> NDArray[np.int64
                 signs[1] += step >= 0x800
                 signs[2] += _SLACK_EVT3 < step < 0x800
             high = new
-        elif kind == 0x0 or kind == 0x2 or kind == 0x3 or kind == 0x6:
-            run = run + 1 if word == before else 1
-            signs[3] += repeated if run == repeated else run > repeated
         elif kind == 0x7 or kind == 0xF:
             signs[0] += not (previous == 0xE or previous == 0x7 or previous == 0xF)
         elif not (kind == 0x4 or kind == 0x5 or kind == 0xA or kind == 0xE):
@@ -151,8 +156,12 @@ def _signs_of_dat(words: NDArray[np.uint64], repeated: int) -> NDArray[np.int64]
         word = words[i]
         time_us = int(word & np.uint64(0xFFFFFFFF))
         signs[0] += (word >> np.uint64(60)) > np.uint64(1)
-        signs[1] += time_us < last_us and last_us - time_us <= 1 << 31
-        run = run + 1 if i and word == before else 1
-        signs[3] += repeated if run == repeated else run > repeated
+        if time_us < last_us:
+            signs[1] += last_us - time_us <= 1 << 31  # else the counter began anew
+        if i and word == before:
+            run += 1
+            signs[3] += repeated if run == repeated else run > repeated
+        else:
+            run = 1
         before, last_us = word, time_us
     return signs

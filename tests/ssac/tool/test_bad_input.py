@@ -29,6 +29,9 @@ def make_bad_inputs(recorded, folder: Path):
     save_events_h5(folder / "late.h5", late, WIDTH, HEIGHT)
     rig = (recorded / "rig.yaml").read_text()
     (folder / "large.yaml").write_text(rig.replace(f"[{WIDTH}, {HEIGHT}]", "[640, 480]"))
+    copied = load_events(recorded / "cam2.h5").events
+    copied["t"] += 20_000  # another clock makes no other camera of it
+    save_events_h5(folder / "copy.h5", copied, WIDTH, HEIGHT)
     (folder / "nan.yaml").write_text(rig.replace("173.0", ".nan"))
 
 
@@ -44,6 +47,9 @@ BAD_INPUTS = [
     (("sparse.txt", "--n-min", "200"), "sparse.txt: no window of 40 ms holds 200 events"),
     (("late.h5", "--search", "-1", "1"), r"late.h5 .60.* have no common time .* --search -6.*"),
     (("cam2.h5",), "cam2.h5: given for both cameras"),
+    (("copy.h5",), "copy.h5 and cam2.h5 hold the same points: one is a copy of the other"),
+    (("cam1.h5", "--search", "-1e9", "1e9"), "--search: expected a smaller and a larger offset"),
+    (("cam1.h5", "--n-samples", "100000000"), "--n-samples: expected 20 to 100000, got 1000"),
     (("cam1.h5", "--rig", "large.yaml"), "large.yaml is calibrated at 640 x 480 px, but .*cam1.h5"),
     (("cam1.h5", "--rig", "nan.yaml"), "nan.yaml, cam0, intrinsics: expected 4 of finite numbers"),
     (("cam1.h5", "--rig", "cam1.h5"), "cam1.h5: unknown extension '.h5' of a rig"),
