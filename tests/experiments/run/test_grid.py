@@ -212,7 +212,13 @@ def test_parameters_reach_the_field_that_they_name():
         ({"trajectory": 3}, r"unknown key 'trajectory': known are title, flights"),
         ({"flights": 0}, "flights must be a positive integer, got 0"),
         ({"first_flight": -1}, "first_flight must be 0 or a positive integer, got -1"),
+        ({"flights": True}, "flights must be a positive integer, got True"),
+        ({"flights": 4_294_967_296}, r"the grid has .* runs, and 1000000 are the most"),
         ({"methods": ["scac"]}, "unknown method 'scac': use one of"),
+        ({"methods": 3}, "methods must be a list of names, got 3"),
+        ({"methods": [3]}, "methods must be a list of names, got 3 in it"),
+        ({"together": 3}, "together must be a table of tables, got 3"),
+        ({"fixed": 3}, "fixed, grid and together must be tables"),
         ({"search_around_truth_s": [1.0]}, "search_around_truth_s: expected two numbers"),
         ({"fixed": {"sim": {"angel_deg": 3}}}, r"'sim.angel_deg': 'angel_deg' is none of angle"),
         ({"fixed": {"sim": {"angle_deg": {"x": 3}}}}, "'sim.angle_deg.x': 'angle_deg' has no"),
@@ -254,6 +260,9 @@ def test_a_file_that_is_no_toml_names_the_file(tmp_path):
         load_config(path)
     with pytest.raises(SsacError, match=r"none\.toml: cannot be read as TOML"):
         load_config(tmp_path / "none.toml")
+    path.write_bytes(b'title = "\xff"\n')
+    with pytest.raises(SsacError, match=r"bad\.toml: cannot be read as TOML: .* can't decode"):
+        load_config(path)
 
 
 def test_parameters_that_move_together_are_one_axis():
