@@ -150,14 +150,17 @@ def find_start(
 
 def at_rate(cam2: Observation, rate: float, anchor_s: float) -> Observation:
     """Camera 2 on a clock that runs 1 / rate times as fast and shows the same at the anchor."""
-    events, track = cam2.events, cam2.track
+    events, track, gaps_us = cam2.events, cam2.track, cam2.gaps_us
     if track is not None:
         track = replace(track, times_s=anchor_s + (track.times_s - anchor_s) / rate)
     elif len(events):
         events = events.copy()
         anchor_us = anchor_s * US_PER_S
         events["t"] = np.rint(anchor_us + (events["t"] - anchor_us) / rate).astype(np.int64)
-    return Observation(events, denoised=cam2.denoised, track=track, clutter=cam2.clutter)
+        gaps_us = np.rint(anchor_us + (gaps_us - anchor_us) / rate).astype(np.int64)
+    return Observation(
+        events, denoised=cam2.denoised, track=track, clutter=cam2.clutter, gaps_us=gaps_us
+    )
 
 
 def _refusal(found: AllOffsets, method: str) -> Estimate | None:

@@ -5,7 +5,7 @@ of the events in a short window around it. Cumulative sums over the events make 
 binary searches and one difference, so that a search over thousands of offsets stays cheap.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -22,6 +22,11 @@ from ssac.track.motion_kernels import (
 )
 
 _EVENTS_PER_SLICE = 16
+
+
+def no_gaps() -> NDArray[np.int64]:
+    """Give the gaps (0, 2) of a recording of which nothing was taken out."""
+    return np.empty((0, 2), np.int64)
 
 
 @dataclass(frozen=True)
@@ -71,6 +76,7 @@ class ObjectMotion:
     half_window_s: float  # [s] on each side of a sample time
     n_min: int  # events a valid sample's window holds at least
     max_border_fraction: float  # of a valid sample's events may lie on the border
+    gaps_us: NDArray[np.int64] = field(default_factory=no_gaps)  # (g, 2) as of `Observation`
 
     @property
     def span_s(self) -> tuple[float, float]:
@@ -81,7 +87,7 @@ class ObjectMotion:
 
     def delayed(self, shift_us: int) -> "ObjectMotion":
         """As if the camera's clock had shown `shift_us` [us] more."""
-        return replace(self, times_us=self.times_us + shift_us)
+        return replace(self, times_us=self.times_us + shift_us, gaps_us=self.gaps_us + shift_us)
 
     def at(self, times_s: NDArray[np.float64]) -> Track:
         """Sample the object's motion, in about constant time per sample.
@@ -95,7 +101,8 @@ class ObjectMotion:
         -------
         Track
             A sample is valid when its window holds at least `n_min` events, of which at most
-            `max_border_fraction` lie on the border: the two rules of the paper's Sec. IV-A.
+            `max_border_fraction` lie on the border: the two rules of the paper's Sec. IV-A. It also
+            must not reach into a gap.
         """
         positions_px, counts, on_border = window_sums(
             self.times_us,
@@ -107,6 +114,8 @@ class ObjectMotion:
             self.half_window_s,
         )
         valid = (counts >= self.n_min) & (on_border <= self.max_border_fraction * counts)
+        if len(self.gaps_us):
+            valid &= ~self._reach_into_gaps(times_s.ravel())
         shape = times_s.shape
         return Track(
             times_s,
@@ -158,6 +167,14 @@ class ObjectMotion:
             velocities[moving] * 1e-6,
         )
         return SharpTrack(times_s, positions, track.counts, track.valid & moving, velocities, sizes)
+
+    def _reach_into_gaps(self, times_s: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Whether the windows about times (n,) [s] hold a part of a gap."""
+        starts_us, ends_us = self.gaps_us.T
+        half_us = 1e6 * self.half_window_s
+        following = np.searchsorted(ends_us, 1e6 * times_s - half_us, side="right")
+        next_us = np.append(starts_us, np.iinfo(np.int64).max)[following]
+        return np.asarray(next_us < 1e6 * times_s + half_us)
 
     def _indices(self, times_s: NDArray[np.float64], side: int) -> NDArray[np.intp]:
         """Index of the first event at or after each time, moved by -1, 0 or +1 half-windows."""

@@ -3,7 +3,7 @@
 Malformed input raises SsacError.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from ssac.errors import SsacError
 from ssac.events import EVENT_DTYPE, US_PER_S, check_events
 from ssac.points import PointTrack, check_track
 from ssac.track.denoise import Clutter, without_noise
-from ssac.track.motion import Motion, ObjectMotion, object_motion
+from ssac.track.motion import Motion, ObjectMotion, no_gaps, object_motion
 from ssac.track.point_motion import point_motion
 
 Array = NDArray[np.float64]
@@ -41,6 +41,9 @@ class Observation:
     prepared: Prepared | None = None  # by `prepare`; None: each method starts from the events
     track: PointTrack | None = None  # in place of events, of which there are then none
     clutter: Clutter | None = None  # what denoising did here; None: nothing yet, or elsewhere
+    gaps_us: NDArray[np.int64] = field(default_factory=no_gaps)
+    """Times (g, 2) [us], ascending, from and up to which events of the object were taken out with
+    others: windows that reach into them hold a part of what was seen."""
 
     def __post_init__(self) -> None:
         if self.prepared is not None and self.prepared.events is not self.events:
@@ -65,7 +68,8 @@ class Observation:
         track = self.track
         if track is not None:
             track = replace(track, times_s=track.times_s + shift_us / US_PER_S)
-        found = prepared, track, self.clutter
+        gaps_us = self.gaps_us + shift_us
+        found = prepared, track, self.clutter, gaps_us
         return Observation(events, self.frames, times_s, self.denoised, *found)
 
     def n_min(self, config: Config) -> int:
@@ -178,7 +182,12 @@ def _denoised(observation: Observation, camera: Camera, config: Config) -> Obser
         observation.events, camera.width, camera.height, config.n_neighbours
     )
     return Observation(
-        events, observation.frames, observation.frame_times_s, denoised=True, clutter=clutter
+        events,
+        observation.frames,
+        observation.frame_times_s,
+        denoised=True,
+        clutter=clutter,
+        gaps_us=observation.gaps_us,
     )
 
 
@@ -206,7 +215,7 @@ def _motion_of_events(observation: Observation, camera: Camera, config: Config) 
             n_min=n_min,
             max_border_fraction=config.max_border_fraction,
         )
-    return object_motion(
+    motion = object_motion(
         observation.events,
         camera,
         half_window_s=config.half_window_s,
@@ -214,6 +223,7 @@ def _motion_of_events(observation: Observation, camera: Camera, config: Config) 
         border_px=config.border_px,
         max_border_fraction=config.max_border_fraction,
     )
+    return replace(motion, gaps_us=observation.gaps_us)
 
 
 def _with_motion(observation: Observation, camera: Camera, config: Config) -> Observation:

@@ -1,5 +1,7 @@
 """Window means, velocities and the two rules of validity, against plain sums over the events."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -106,6 +108,19 @@ def test_windows_with_events_on_the_border_are_invalid(x, y):
         events = column_of_events(t_us, x=100, y=100)
         events["x"][:on_border], events["y"][:on_border] = x, y
         assert object_motion(events, CAMERA).at(np.array([0.02])).valid[0] == is_valid
+
+
+def test_windows_that_reach_into_gaps_are_invalid():
+    events = column_of_events(np.arange(0, 400_000, 100), x=100, y=100)
+    whole = object_motion(events, CAMERA)
+    gaps_us = np.array([[-(2**61), 50_000], [200_000, 220_000], [350_000, 2**61]])
+    motion = replace(whole, gaps_us=gaps_us)
+    times_s = np.array([0.069, 0.070, 0.180, 0.181, 0.210, 0.239, 0.240, 0.330, 0.331])
+    assert whole.at(times_s).valid.all()
+    expected = [False, True, True, False, False, False, True, True, False]
+    assert motion.at(times_s).valid.tolist() == expected
+    later = motion.delayed(1_000_000)
+    assert later.at(times_s + 1.0).valid.tolist() == expected
 
 
 def test_distortion_is_removed_before_the_mean():
