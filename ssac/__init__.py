@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from ssac.methods.algorithms import ssac, ssac_known
     from ssac.methods.joint import joint, joint_from, joint_known
     from ssac.methods.tangency import tangency, tangency_from, tangency_known
+    from ssac.search.one_object import OneObject, one_object
     from ssac.search.two_views import Pairs, PairsAt, TwoViews, two_views
     from ssac.track.motion import ObjectMotion
     from ssac.track.observation import Observation, prepare, usable_events
@@ -45,6 +46,7 @@ __all__ = [
     "Estimate",
     "ObjectMotion",
     "Observation",
+    "OneObject",
     "Pairs",
     "PairsAt",
     "Rig",
@@ -62,6 +64,7 @@ __all__ = [
     "joint_from",
     "joint_known",
     "lags_of",
+    "one_object",
     "prepare",
     "ssac",
     "ssac_known",
@@ -90,6 +93,7 @@ _HOMES = {
     "ssac.methods.algorithms": "ssac ssac_known",
     "ssac.methods.joint": "joint joint_from joint_known",
     "ssac.methods.tangency": "tangency tangency_from tangency_known",
+    "ssac.search.one_object": "OneObject one_object",
     "ssac.search.two_views": "Pairs PairsAt TwoViews two_views",
     "ssac.track.motion": "ObjectMotion",
     "ssac.track.observation": "Observation prepare usable_events",

@@ -42,6 +42,10 @@ class Status(str, Enum):
     )
     AMBIGUOUS_POSE = "ambiguous_pose", "the offset holds, but several poses fit alike"
     DEGENERATE_POSE = "degenerate_pose", "the offset holds, but the path leaves the pose open"
+    SEVERAL_OBJECTS = (
+        "several_objects",
+        "several things move, and no pair of them in both views is clearly one object",
+    )
     POOR_FIT = (
         "poor_fit",
         "what was refined fits far worse than one object seen by calibrated cameras does",

@@ -90,6 +90,8 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
             "observability",
             "all_kernels",
             "all_offsets",
+            "object_search",
+            "one_object",
         ),
         "methods": (
             "verdict",

@@ -24,12 +24,13 @@ from ssac.baselines.event_rate import event_rate
 from ssac.baselines.zncc_e import zncc_e
 from ssac.baselines.zncc_f import zncc_f
 from ssac.camera import Rig
-from ssac.config import Config
+from ssac.config import Config, checked
 from ssac.errors import SsacError
 from ssac.estimate import Estimate, Status
 from ssac.methods.algorithms import ssac, ssac_known
 from ssac.methods.joint import joint, joint_from, joint_known
 from ssac.methods.tangency import tangency, tangency_from, tangency_known
+from ssac.search.one_object import OneObject, one_object
 from ssac.search.two_views import TwoViews, two_views
 from ssac.tool.summaries import DEFAULT, ENTRY_POINTS, OF_TRACKS, SUMMARIES
 from ssac.track.observation import Observation
@@ -69,6 +70,7 @@ class Method:
     counts: str = "pairs of positions"  # what an estimate's `n_samples` are
     needs_events: bool = False  # a track of points in their place is not enough
     finds_readout: bool = False  # of a rolling shutter that the rig does not state
+    of_one_object: bool = False  # of several things that move, it is given the events of one
 
     def rig_of(self, rig: Rig) -> Rig:
         """Give the rig as the method may see it: only one that needs the extrinsics gets them."""
@@ -98,20 +100,22 @@ _TANGENTS = "pairs of tangents to the object's outline"
 
 OURS = (
     Method("ssac", ssac, Input.TRACKS, SUMMARIES["ssac"],
-           known_variant="ssac-known", follows_clock=True),
+           known_variant="ssac-known", follows_clock=True, of_one_object=True),
     Method("ssac-known", ssac_known, Input.TRACKS, SUMMARIES["ssac-known"],
-           needs_extrinsics=True, follows_clock=True),
+           needs_extrinsics=True, follows_clock=True, of_one_object=True),
     Method("joint", joint, Input.TRACKS, SUMMARIES["joint"], known_variant="joint-known",
-           starts_from="ssac", refine=joint_from, follows_clock=True, finds_readout=True),
+           starts_from="ssac", refine=joint_from, follows_clock=True, finds_readout=True,
+           of_one_object=True),
     Method("joint-known", joint_known, Input.TRACKS, SUMMARIES["joint-known"],
            needs_extrinsics=True, starts_from="ssac-known", refine=joint_from, follows_clock=True,
-           finds_readout=True),
+           finds_readout=True, of_one_object=True),
     Method("tangency", tangency, Input.TRACKS, SUMMARIES["tangency"],
            known_variant="tangency-known", starts_from="joint", refine=tangency_from,
-           follows_clock=True, counts=_TANGENTS, needs_events=True),
+           follows_clock=True, counts=_TANGENTS, needs_events=True, of_one_object=True),
     Method("tangency-known", tangency_known, Input.TRACKS,
            SUMMARIES["tangency-known"], needs_extrinsics=True, starts_from="joint-known",
-           refine=tangency_from, follows_clock=True, counts=_TANGENTS, needs_events=True),
+           refine=tangency_from, follows_clock=True, counts=_TANGENTS, needs_events=True,
+           of_one_object=True),
     Method("albl", albl, Input.TRACKS, SUMMARIES["albl"]),
     Method("zncc_e", zncc_e, Input.RATES, SUMMARIES["zncc_e"]),
     Method("zncc_f", zncc_f, Input.FRAMES, SUMMARIES["zncc_f"],
@@ -217,19 +221,31 @@ class Chain:
         self._views: dict[bool, TwoViews] = {}
 
     def estimate(self, name: str) -> Estimate:
-        """Give the same as the method's own `estimate`, after those that it starts from."""
+        """Give the same as the method's own `estimate`, after those that it starts from.
+
+        Where the cameras saw several things, a method that is `of_one_object` gets one of them.
+        """
         if name not in self._estimates:
             self._estimates[name] = self._found(METHODS[name])
         return self._estimates[name]
 
     def _found(self, method: Method) -> Estimate:
-        rig = method.rig_of(self._rig)
+        rig, cameras = method.rig_of(self._rig), self._cameras
+        if method.of_one_object:
+            refusal = self._one_object.refused(method.name)
+            if refusal is not None:
+                return refusal
+            cameras = self._one_object.cam1, self._one_object.cam2
         if method.refine is None:
-            return method.estimate(*self._cameras, rig, self._config)
+            return method.estimate(*cameras, rig, self._config)
         start, known = self.estimate(method.starts_from), method.needs_extrinsics
         if known not in self._views:
-            self._views[known] = two_views(*self._cameras, rig, self._config, known)
+            self._views[known] = two_views(*cameras, rig, self._config, known)
         return method.refine(start, self._views[known])
+
+    @cached_property
+    def _one_object(self) -> OneObject:
+        return one_object(*self._cameras, self._rig, checked(self._config))
 
 
 @dataclass(frozen=True)

@@ -26,6 +26,8 @@ def report_text(result: SyncResult) -> str:
         rows.append((title, f"{estimate.status}: {estimate.reason}"))
     if np.isfinite(estimate.t_d_s):
         rows += _offset_rows(estimate) + _skew_rows(estimate, result) + _readout_rows(estimate)
+    if _objects(result):
+        rows.append(("objects", _objects(result)))
     if note(result):
         rows.append(("note", note(result)))
     if result.method.needs_extrinsics:
@@ -67,6 +69,7 @@ def report_json(result: SyncResult) -> dict[str, Any]:
         "covariance": _plain(estimate.covariance),
         "clock_covariance": _plain(estimate.clock_covariance),
         "clock_knots": _knots(estimate),
+        "objects": None if result.objects is None else [asdict(used) for used in result.objects],
         "clock_jump": None if estimate.jump is None else asdict(estimate.jump),
         "clutter": [_of_clutter(camera, result) for camera in (result.cam1, result.cam2)],
         "conventions": "t_cam2 = t_cam1 + t_d + skew (t_cam1 - t_ref), and what it strays at knots,"
@@ -116,6 +119,18 @@ def taken_for_global(result: SyncResult) -> bool:
         seen.track is not None and camera.readout_s is None and not camera.readout_std_s
         for camera, seen in cameras
     )
+
+
+def _objects(result: SyncResult) -> str:
+    """Say what was seen beside the object; empty where that was one thing at a time."""
+    if result.objects is None or all(used.seen == 1 for used in result.objects):
+        return ""
+    parts = [
+        f"camera {number} sees {used.seen}"
+        + (f", {100.0 * used.share:.0f} % of its events used" if used.share > 0.0 else "")
+        for number, used in enumerate(result.objects, start=1)
+    ]
+    return "; ".join(parts)
 
 
 def save_json(path: Path, result: SyncResult) -> None:

@@ -24,6 +24,7 @@ from ssac.estimate import Estimate, Status
 from ssac.files.damage import STRICT, Reading
 from ssac.files.track_files import is_track_file
 from ssac.search.all_offsets import Guess
+from ssac.search.one_object import ObjectsUsed, one_object
 from ssac.tool.everywhere import SKEW_PRIOR_PPM, Start, find_start
 from ssac.tool.load import (
     Paths,
@@ -68,6 +69,7 @@ class SyncResult:
     guess: Guess | None = None  # that the search over all offsets began with
     wanders: bool = False  # one skew did not fit a track, so its clock is of pieces unasked
     reading: Reading = STRICT  # of the event files
+    objects: tuple[ObjectsUsed, ObjectsUsed] | None = None  # that the cameras saw, if looked for
 
 
 def sync(
@@ -157,19 +159,40 @@ def sync(
             say(f"{left[0]} of {n_read[0]} and {left[1]} of {n_read[1]} events left")
     for path, camera, n in zip(paths[:2], (cam1, cam2), n_read, strict=True):
         check_enough_events(path, camera, n, chosen, config)
+    everywhere = _searches_all(cam1, cam2, chosen, config, search_all, rate_range)
+    if not everywhere:
+        check_common_time(paths, cam1, cam2, chosen, config)
+    objects: tuple[ObjectsUsed, ObjectsUsed] | None = None
+    if chosen.of_one_object and rate_range is None:
+        with clock.part("objects") as say:
+            one = one_object(cam1, cam2, rig, config, everywhere)
+            cam1, cam2, objects = one.cam1, one.cam2, one.objects
+            say(one.words)
+        refusal = one.refused(chosen.name)
+        if refusal is not None:
+            return SyncResult(
+                paths, chosen, refusal, cam1, cam2, rig, config, clock.seconds, objects=objects
+            )
     start: Start | None = None
-    if _searches_all(cam1, cam2, chosen, config, search_all, rate_range):
+    if everywhere:
         with clock.part("search") as say:
             progress = _progress(log) if log else None
             start = find_start(cam1, cam2, rig, config, chosen.name, rate_range, progress)
             say(_told(start))
         if start.found.guesses:
             config = start.config(config)
-    else:
-        check_common_time(paths, cam1, cam2, chosen, config)
     if start is not None and start.refusal is not None:
         return SyncResult(
-            paths, chosen, start.refusal, cam1, cam2, rig, config, clock.seconds, reading=reading
+            paths,
+            chosen,
+            start.refusal,
+            cam1,
+            cam2,
+            rig,
+            config,
+            clock.seconds,
+            reading=reading,
+            objects=objects,
         )
     with clock.part("estimate") as say:
         run = partial(_estimate, chosen, cam1, cam2, rig, start=start)
@@ -183,7 +206,7 @@ def sync(
     guess = None if start is None else start.guess
     estimate = less_sure(estimate, quanta_s)
     read = paths, chosen, estimate, cam1, cam2, rig
-    return SyncResult(*read, config, clock.seconds, guess, wanders, reading)
+    return SyncResult(*read, config, clock.seconds, guess, wanders, reading, objects)
 
 
 def _may_wander(estimate: Estimate, config: Config) -> bool:

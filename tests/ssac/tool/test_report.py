@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from ssac.estimate import ClockJump, Estimate
+from ssac.search.one_object import ObjectsUsed
 from ssac.tool.report import report_json, report_text
 from ssac.tool.sync import sync
 from ssac.track.denoise import Clutter
@@ -115,3 +116,17 @@ def test_a_start_that_is_the_answer_is_called_so(recorded):
     text = report_text(replace(result, estimate=estimate))
     assert "note           the object is too small for an outline" in text
     assert "pairs of positions used, of 400 sample times" in text
+
+
+def test_several_things_are_told(recorded):
+    result = sync(recorded / "cam1.h5", recorded / "cam2.h5", recorded / "rig.yaml", "ssac")
+    assert report_json(result)["objects"] == [{"seen": 1, "share": 1.0}] * 2
+    assert "objects" not in report_text(result)
+    crowded = replace(result, objects=(ObjectsUsed(3, 0.25), ObjectsUsed(1, 1.0)))
+    row = "objects        camera 1 sees 3, 25 % of its events used; camera 2 sees 1, 100 % of"
+    assert row in report_text(crowded)
+    assert report_json(crowded)["objects"][0] == {"seen": 3, "share": 0.25}
+    refused = replace(result, objects=(ObjectsUsed(3, 0.0), ObjectsUsed(2, 0.0)))
+    assert "objects        camera 1 sees 3; camera 2 sees 2\n" in report_text(refused)
+    # A method that looks at no object says nothing of them.
+    assert report_json(replace(result, objects=None))["objects"] is None

@@ -88,7 +88,7 @@ def test_the_function_finds_what_the_command_prints(joint_run, recorded):
     assert report_text(result) == joint_run[0].stdout.rstrip("\n")
     untimed = {key: value for key, value in joint_run[1].items() if key != "seconds"}
     report = report_json(result)
-    assert set(report.pop("seconds")) == {"read", "denoise", "estimate"}
+    assert set(report.pop("seconds")) == {"read", "denoise", "objects", "estimate"}
     assert report == untimed
 
 
