@@ -127,17 +127,21 @@ def _read_table(
     """Events of a table of numbers; times in seconds are rounded to whole microseconds."""
     blocks: list[NDArray[np.void]] = [np.empty(0, EVENT_DTYPE)]
     try:
-        with pd.read_csv(
-            path,
-            sep=separator,
-            names=columns,
-            usecols=list("txyp"),
-            dtype=dict.fromkeys("xyp", np.int64) | {"t": np.float64 if in_seconds else np.int64},
-            skiprows=int(has_header),
-            chunksize=LINES_PER_BLOCK,
-            quoting=csv.QUOTE_NONE,  # else a stray quotation mark swallows lines
-            index_col=False,
-        ) as reader:
+        with (
+            np.errstate(invalid="ignore"),
+            pd.read_csv(  # the error says it
+                path,
+                sep=separator,
+                names=columns,
+                usecols=list("txyp"),
+                dtype=dict.fromkeys("xyp", np.int64)
+                | {"t": np.float64 if in_seconds else np.int64},
+                skiprows=int(has_header),
+                chunksize=LINES_PER_BLOCK,
+                quoting=csv.QUOTE_NONE,  # else a stray quotation mark swallows lines
+                index_col=False,
+            ) as reader,
+        ):
             for table in reader:
                 t, x, y, p = (table[field].to_numpy() for field in "txyp")
                 if in_seconds:
