@@ -171,7 +171,16 @@ def sync(
         refusal = one.refused(chosen.name)
         if refusal is not None:
             return SyncResult(
-                paths, chosen, refusal, cam1, cam2, rig, config, clock.seconds, objects=objects
+                paths,
+                chosen,
+                refusal,
+                cam1,
+                cam2,
+                rig,
+                config,
+                clock.seconds,
+                reading=reading,
+                objects=objects,
             )
     start: Start | None = None
     if everywhere:
