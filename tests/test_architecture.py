@@ -108,6 +108,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
             "tangency",
         ),
         "baselines": ("correlation", "event_rate", "zncc_e", "zncc_f", "albl"),
+        "plot": ("plot_data", "plots"),
         "console": ("exits", "options", "command_line"),
         "convert": (
             "events_as_track",
@@ -121,8 +122,6 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
             "summaries",
             "registry",
             "load",
-            "plot_data",
-            "plots",
             "everywhere",
             "sync",
             "report",

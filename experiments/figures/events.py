@@ -26,11 +26,11 @@ from ssac.geometry.epipolar import epipolar_distance, fundamental_from_pose
 from ssac.geometry.fundamental import MIN_PAIRS, lmeds_fundamental
 from ssac.methods.algorithms import ssac
 from ssac.methods.tangency import tangency
+from ssac.plot.plot_data import Array, Material
+from ssac.plot.plots import BLUE, POLARITIES, YELLOW, ZOOM_S, draw_alignment, draw_epipolar
 from ssac.search.offset_search import mean_epipolar_distance
 from ssac.search.two_views import TwoViews, two_views
 from ssac.tool.load import load_pair
-from ssac.tool.plot_data import Array, Material
-from ssac.tool.plots import BLUE, POLARITIES, YELLOW, ZOOM_S, draw_alignment, draw_epipolar
 from ssac.tool.registry import METHODS
 from ssac.track.observation import Observation
 from ssac.track.observation import denoised as without_noise

@@ -17,9 +17,9 @@ from sim.errors import SimError
 from ssac.config import Config
 from ssac.events import US_PER_S, slice_time
 from ssac.geometry.epipolar import epipolar_distance
+from ssac.plot.plot_data import Material, d_avg_px
 from ssac.search.two_views import two_views
 from ssac.tool.load import load_pair
-from ssac.tool.plot_data import Material, d_avg_px
 from ssac.tool.registry import METHODS
 from ssac.track.observation import prepare
 

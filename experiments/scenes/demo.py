@@ -14,7 +14,7 @@ from experiments.scenes.simulate import MAX_SEED, record_with_progress, summary
 from sim.recording import SimConfig, Truth
 from ssac.console.options import number
 from ssac.estimate import Estimate
-from ssac.tool.plots import save_figures
+from ssac.plot.plots import save_figures
 from ssac.tool.sync import sync
 
 FloatArray = NDArray[np.float64]

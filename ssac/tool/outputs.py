@@ -80,7 +80,7 @@ def _write_synced(path: Path, result: SyncResult) -> None:
 
 def _is_figure(plot: Path) -> bool:
     """Tell a file for all figures from a folder for them; SsacError for what can be neither."""
-    from ssac.tool.plots import FILE_SUFFIXES
+    from ssac.plot.plots import FILE_SUFFIXES
 
     if plot.suffix.lower() in FILE_SUFFIXES:
         return True
@@ -93,7 +93,7 @@ def _is_figure(plot: Path) -> bool:
 
 
 def _draw(plot: Path, result: SyncResult) -> str:
-    from ssac.tool.plots import save_figures
+    from ssac.plot.plots import save_figures
 
     drawn = save_figures(plot, result.estimate, result.cam1, result.cam2, result.rig, result.config)
     return ", ".join(map(str, drawn)) or "nothing: the method left no curve and no track"

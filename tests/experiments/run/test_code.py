@@ -79,7 +79,7 @@ def test_every_module_that_an_entry_depends_on_makes_a_new_key(tree: Path) -> No
         ("sim/sensor/kernels.py", "import", "import os\nimport", set(CODES) - {"brightness"}),
         ("sim/render/shaders/mesh.frag", "void", "/**/ void", set(CODES) - {"brightness"}),
         ("sim/render/gl_reference.py", "import", "import os\nimport", set()),
-        ("ssac/tool/plots.py", "import", "import os\nimport", set()),
+        ("ssac/plot/plots.py", "import", "import os\nimport", set()),
         ("experiments/figures/style.py", "import", "import os\nimport", set()),
         ("experiments/studies/coverage.py", "import", "import os\nimport", set()),
         ("experiments/measures/refusal_flights.py", "0.25", "0.5", {"refusals"}),

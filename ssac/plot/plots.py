@@ -22,8 +22,7 @@ from ssac.camera import Rig
 from ssac.config import Config
 from ssac.estimate import Estimate
 from ssac.files.whole_file import whole_file
-from ssac.search.two_views import two_views
-from ssac.tool.plot_data import (
+from ssac.plot.plot_data import (
     Array,
     Material,
     clocks,
@@ -39,6 +38,7 @@ from ssac.tool.plot_data import (
     undistorted,
     window,
 )
+from ssac.search.two_views import two_views
 from ssac.track.observation import Observation
 
 Canvas = Figure | SubFigure

@@ -12,9 +12,8 @@ from ssac.camera import Camera
 from ssac.config import Config
 from ssac.estimate import Estimate
 from ssac.geometry.epipolar import epipolar_distance
-from ssac.search.two_views import two_views
-from ssac.tool.plot_data import Material, plane_angles
-from ssac.tool.plots import (
+from ssac.plot.plot_data import Material, plane_angles
+from ssac.plot.plots import (
     BLUE,
     RED,
     YELLOW,
@@ -25,6 +24,7 @@ from ssac.tool.plots import (
     draw_search,
     save_figures,
 )
+from ssac.search.two_views import two_views
 from ssac.tool.sync import sync
 from tests.ssac.synthetic import HEIGHT, WIDTH, K, track_pair
 
