@@ -1,0 +1,1 @@
+"""Many cameras: what their pairs told in; clocks and poses of all, and the path, out."""

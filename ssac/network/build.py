@@ -1,0 +1,193 @@
+"""Cameras and what their pairs tell in; the network of all that fit, with its path, out."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ssac.network.adjustment import adjust
+from ssac.network.graph import Link, Pair, supports
+from ssac.network.linear import Network, fit_of
+from ssac.network.normal import Solved
+from ssac.network.placing import Placed, grown, place_all, rebased
+from ssac.network.sightings import Sightings, is_near
+from ssac.network.state import (
+    CameraState,
+    Priors,
+    network_times,
+    with_strays,
+)
+from ssac.network.triangulation import first_path, triangulate
+from ssac.path.spline import knots_for
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+KNOT_INTERVALS = 4.0
+"""Time between knots, in intervals between the sightings of the slowest camera but one."""
+
+GATE = 6.0
+"""Deviations from its place at which a sighting is left out, at last."""
+
+PIECE_S = 5.0
+"""Time between the knots of a clock that may stray."""
+
+_KNOT_STEPS_S = (0.02, 0.4)
+_MOST_PIECES = 100
+_MAX_GAP_S = 1.0  # without sightings of two cameras, in which there are no knots
+_FIRST_SIGMA = 0.004  # of the image's width
+_MISFIT = 8.0  # times the median deviation of the other cameras, or more, of one that does not fit
+_LEAST_MISFIT = 0.004  # of the image's width
+
+
+@dataclass(frozen=True, eq=False)
+class Built:
+    """A network, what it was made of, and what stayed out of it."""
+
+    members: list[int]  # cameras in it, in input order; the first is its reference
+    cameras: list[Sightings]  # theirs
+    priors: list[Priors]
+    network: Network
+    solved: Solved
+    enabled: list[Mask]  # sightings that count
+    misfits: list[int]  # cameras of the group that fit nowhere
+
+
+def build(
+    cameras: list[Sightings],
+    links: Mapping[Pair, Link],
+    group: list[int],
+    priors: list[Priors],
+    distance: float = 1.0,
+) -> Built | None:
+    """Build the network of a group of cameras.
+
+    Parameters
+    ----------
+    cameras
+        All of them.
+    links
+        What their pairs tell.
+    group
+        The numbers of those that are to be in it.
+    priors
+        What is known of each camera beforehand.
+    distance
+        Between the group's first two cameras that fit.
+
+    Returns
+    -------
+    Built or None
+        None where no pair of the group gives a path.
+    """
+    trust = supports(links)
+    placed = place_all(cameras, links, group, trust)
+    if placed is None:
+        return None
+    both = dict(links) | {(b, a): link.reversed() for (a, b), link in links.items()}
+    built = _first(placed, cameras, priors, distance)
+    more = grown(Placed(_states(built), placed.inliers), cameras, both, group)
+    if len(more.states) > len(built.members):
+        built = _first(more, cameras, priors, distance)
+    while len(built.members) > 2:
+        worst = _misfit(built)
+        if worst is None:
+            break
+        states = _states(built)
+        del states[worst]
+        built = _first(Placed(states, 0), cameras, priors, distance)
+    built = _whole(built)
+    misfits = [k for k in group if k not in built.members]
+    return replace(built, misfits=misfits)
+
+
+def supported(
+    states: list[CameraState], cameras: list[Sightings], reach_s: float
+) -> tuple[list[Array], list[Mask]]:
+    """Give each camera's sightings' network times, and which of them another camera shares."""
+    times = [network_times(state, seen) for state, seen in zip(states, cameras, strict=True)]
+    masks = list[Mask]()
+    for k, own_s in enumerate(times):
+        near: Mask = np.zeros(len(own_s), dtype=np.bool_)
+        for j, other_s in enumerate(times):
+            if j != k:
+                near |= is_near(own_s, other_s, max(reach_s, 2.5 * cameras[j].interval_s))
+        masks.append(near)
+    return times, masks
+
+
+def knot_step_s(cameras: list[Sightings]) -> float:
+    """Time [s] between knots: dense, as the path's smoothness is told by the data."""
+    intervals = sorted(seen.interval_s for seen in cameras)
+    return float(np.clip(KNOT_INTERVALS * intervals[-2], *_KNOT_STEPS_S))
+
+
+def _states(built: Built) -> dict[int, CameraState]:
+    return dict(zip(built.members, built.network.states, strict=True))
+
+
+def _first(
+    placed: Placed, cameras: list[Sightings], priors: list[Priors], distance: float
+) -> Built:
+    """Adjust clocks and poses alone, with affine clocks, from where the cameras were placed."""
+    members = sorted(placed.states)
+    states = rebased(placed.states, members[0])
+    apart = float(np.linalg.norm(states[members[1]].t))
+    listed = [
+        replace(states[k], t=states[k].t * distance / apart if apart > 0.0 else states[k].t)
+        for k in members
+    ]
+    theirs = [cameras[k] for k in members]
+    step_s = knot_step_s(theirs)
+    times, masks = supported(listed, theirs, step_s)
+    shared_s = np.concatenate([t[mask] for t, mask in zip(times, masks, strict=True)])
+    knots_s = knots_for(shared_s, step_s, _MAX_GAP_S)
+    sample_s = np.sort(shared_s)[:: max(1, len(shared_s) // (4 * len(knots_s)))]
+    points = triangulate(listed, theirs, sample_s)
+    known = np.isfinite(points[:, 0])
+    path, jerk = first_path(knots_s, sample_s[known], points[known])
+    sigmas = np.array([_FIRST_SIGMA * seen.camera.width for seen in theirs])
+    network = Network(listed, path, sigmas, jerk, 1, distance)
+    theirs_priors = [
+        replace(priors[k], expected_rate=state.rate if abs(state.rate) > 0.01 else 0.0)
+        for k, state in zip(members, listed, strict=True)
+    ]
+    network, solved = adjust(network, theirs, theirs_priors, masks, 6, with_intrinsics=False)
+    return Built(members, theirs, theirs_priors, network, solved, masks, [])
+
+
+def _misfit(built: Built) -> int | None:
+    """Give the camera that fits far worse than the others, if one does."""
+    widths = [seen.camera.width for seen in built.cameras]
+    rms = np.array(
+        [
+            fit_of(built.network, k, seen, built.enabled[k]).rms_px / widths[k]
+            for k, seen in enumerate(built.cameras)
+        ]
+    )
+    worst = int(np.argmax(rms))
+    others = float(np.median(np.delete(rms, worst)))
+    if rms[worst] > max(_MISFIT * others, _LEAST_MISFIT):
+        return built.members[worst]
+    return None
+
+
+def _whole(built: Built) -> Built:
+    """Adjust all that there is, and leave out at last what is far off its place."""
+    network = built.network
+    states = [
+        with_strays(state, seen, PIECE_S, _MOST_PIECES) if seen.has_frames else state
+        for state, seen in zip(network.states, built.cameras, strict=True)
+    ]
+    network = replace(network, states=states)
+    network, solved = adjust(network, built.cameras, built.priors, built.enabled)
+    masks = supported(network.states, built.cameras, knot_step_s(built.cameras))[1]
+    enabled = []
+    for k, seen in enumerate(built.cameras):
+        fit = fit_of(network, k, seen, masks[k])
+        share = seen.sigmas_px / np.median(seen.sigmas_px) * network.sigmas_px[k]
+        off = np.linalg.norm(fit.residuals_px, axis=1) / share
+        enabled.append(fit.used & (off < GATE))
+    network, solved = adjust(network, built.cameras, built.priors, enabled)
+    return replace(built, network=network, solved=solved, enabled=enabled)

@@ -1,0 +1,218 @@
+"""Pairs of cameras in; a first clock and pose for every camera that fits them, out.
+
+Each pair with a pose is tried as a seed: the path that it gives is shown to all others, and the one
+on which the most others find their place wins. No camera's error can thus spoil the rest.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ssac.network.graph import Link, Pair
+from ssac.network.sightings import Sightings
+from ssac.network.state import CameraState, start_state
+from ssac.network.triangulation import triangulate
+
+Array = NDArray[np.float64]
+
+LEAST_INLIERS, LEAST_SHARE = 30, 0.4
+"""Sample times, and the share of all common ones, at which a camera must see the path in place."""
+
+_SAMPLES = 500
+_OFF_WIDTHS = 0.015  # of a point from its place in the image, in widths of this
+_SEED_SHARE = 0.5  # of a seed's common samples that are to be in front of both cameras
+_TRIALS = 400
+_MOST_SEEDS = 30
+_ENOUGH_SEEDS = 4  # of which the best is good enough where all cameras found their place
+
+
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """Cameras with a first clock and pose; network time is that of the seed's first camera."""
+
+    states: dict[int, CameraState]
+    inliers: int  # sample times at which they see the path in place, over all of them
+
+    @property
+    def merit(self) -> tuple[int, int]:
+        """More cameras count first, then more sightings in place."""
+        return len(self.states), self.inliers
+
+
+def place_all(
+    cameras: list[Sightings],
+    links: Mapping[Pair, Link],
+    members: list[int],
+    trust: Mapping[Pair, int],
+) -> Placed | None:
+    """Place as many cameras of a group as fit; None where no pair gives a path."""
+    both = dict(links) | {(b, a): link.reversed() for (a, b), link in links.items()}
+    seeds = [
+        pair
+        for pair, link in links.items()
+        if set(pair) <= set(members) and link.is_reliable and link.R is not None
+    ]
+    seeds.sort(key=lambda pair: (-trust[pair], links[pair].cost))
+    best: Placed | None = None
+    for pair in seeds[:_MOST_SEEDS]:
+        placed = _seed(cameras, pair, links[pair])
+        if placed is None:
+            continue
+        placed = grown(placed, cameras, both, members)
+        if best is None or placed.merit > best.merit:
+            best = placed
+        if len(placed.states) == len(members) and seeds.index(pair) >= _ENOUGH_SEEDS:
+            break
+    return best
+
+
+def grown(
+    placed: Placed, cameras: list[Sightings], links: Mapping[Pair, Link], members: list[int]
+) -> Placed:
+    """Add the cameras that see the path of those placed, the best first, as long as any fits."""
+    while True:
+        left = [k for k in members if k not in placed.states]
+        times_s, points = _path_samples(placed, cameras)
+        found = [
+            (inliers, k, state)
+            for k in left
+            for inliers, state in [_best_fit(k, placed, cameras, links, times_s, points)]
+            if state is not None
+        ]
+        if not found:
+            return placed
+        inliers, k, state = max(found, key=lambda each: each[0])
+        placed = Placed(placed.states | {k: state}, placed.inliers + inliers)
+
+
+def rebased(states: dict[int, CameraState], reference: int) -> dict[int, CameraState]:
+    """Put affine clocks and poses into the clock and the frame of one camera."""
+    base = states[reference]
+    alpha = 1.0 / (1.0 - base.rate)
+    beta_s = float(base.own_from_network(np.zeros(1))[0])
+    found = {}
+    for k, state in states.items():
+        middle_s = state.middle_s
+        delay_s = middle_s - alpha * (middle_s - state.delay_s) - beta_s
+        R = state.R @ base.R.T
+        found[k] = replace(
+            state,
+            delay_s=delay_s,
+            rate=1.0 - alpha * (1.0 - state.rate),
+            R=R,
+            t=state.t - R @ base.t,
+        )
+    return found
+
+
+def _seed(cameras: list[Sightings], pair: Pair, link: Link) -> Placed | None:
+    """Place a pair, and see that its path is in front of both."""
+    a, b = pair
+    first = start_state(cameras[a], 0.0, 0.0, np.eye(3), np.zeros(3))
+    if link.R is None or link.t is None:
+        return None
+    second = _with_clock(start_state(cameras[b], 0.0, 0.0, link.R, link.t), link, first)
+    placed = Placed({a: first, b: second}, 0)
+    times_s = _common_times(placed, cameras)
+    if not len(times_s):
+        return None
+    points = triangulate([first, second], [cameras[a], cameras[b]], times_s)
+    inliers = int(np.count_nonzero(np.isfinite(points[:, 0])))
+    if inliers < max(LEAST_INLIERS, _SEED_SHARE * len(times_s)):
+        return None
+    return Placed(placed.states, 2 * inliers)
+
+
+def _with_clock(state: CameraState, link: Link, other: CameraState) -> CameraState:
+    """Give a camera the clock that a link from another, placed one tells."""
+    away_s = 1.0 + abs(state.middle_s) * 1e-3
+    own_s = state.middle_s + away_s * np.array([-1.0, 1.0])
+    passed_s = other.network_from_own(link.clock.cam1_from_cam2(own_s))
+    rate = 1.0 - float(passed_s[1] - passed_s[0]) / (2.0 * away_s)
+    return replace(state, delay_s=state.middle_s - float(np.mean(passed_s)), rate=rate)
+
+
+def _common_times(placed: Placed, cameras: list[Sightings]) -> Array:
+    """Give network times (n,) at which at least two of the cameras placed see the object."""
+    spans = [
+        state.network_from_own(np.array(cameras[k].span_s)) for k, state in placed.states.items()
+    ]
+    start_s, end_s = min(span[0] for span in spans), max(span[1] for span in spans)
+    times_s = np.linspace(start_s, end_s, 8 * _SAMPLES, dtype=np.float64)
+    seen = [
+        cameras[k].motion.at(state.own_from_network(times_s)).valid
+        for k, state in placed.states.items()
+    ]
+    times_s = times_s[np.count_nonzero(seen, axis=0) >= 2]
+    return np.asarray(times_s[:: max(1, len(times_s) // _SAMPLES)])
+
+
+def _path_samples(placed: Placed, cameras: list[Sightings]) -> tuple[Array, Array]:
+    times_s = _common_times(placed, cameras)
+    points = triangulate(list(placed.states.values()), [cameras[k] for k in placed.states], times_s)
+    known = np.isfinite(points[:, 0])
+    return times_s[known], points[known]
+
+
+def _best_fit(
+    k: int,
+    placed: Placed,
+    cameras: list[Sightings],
+    links: Mapping[Pair, Link],
+    times_s: Array,
+    points: Array,
+) -> tuple[int, CameraState | None]:
+    """Find a camera's place on a path, with the clock of each of its links to those placed."""
+    best, found = 0, None
+    for other, state in placed.states.items():
+        link = links.get((other, k))
+        if link is None:
+            continue
+        start = _with_clock(start_state(cameras[k], 0.0, 0.0, np.eye(3), np.zeros(3)), link, state)
+        inliers, fitted = resected(start, cameras[k], times_s, points)
+        if fitted is not None and inliers > best:
+            best, found = inliers, fitted
+    return best, found
+
+
+def resected(
+    state: CameraState, seen: Sightings, times_s: Array, points: Array
+) -> tuple[int, CameraState | None]:
+    """Find a camera's pose from points (n, 3) at the network's times, with the clock it has.
+
+    Returns
+    -------
+    tuple
+        At how many times it sees the path in place, and its state; 0 and None where it does not.
+    """
+    track = seen.motion.at(state.own_from_network(times_s))
+    valid = track.valid
+    n = int(np.count_nonzero(valid))
+    if n < LEAST_INLIERS:
+        return 0, None
+    world, image = points[valid], track.positions_px[valid]
+    scale = float(np.median(np.linalg.norm(world - np.median(world, axis=0), axis=1))) + 1e-12
+    world = np.ascontiguousarray(world / scale)
+    off_px = _OFF_WIDTHS * seen.camera.width
+    try:
+        is_found, turn, shift, chosen = cv2.solvePnPRansac(
+            world, np.ascontiguousarray(image), seen.camera.K, None, iterationsCount=_TRIALS,
+            reprojectionError=off_px, confidence=0.9999, flags=cv2.SOLVEPNP_SQPNP,
+        )  # fmt: skip
+    except cv2.error:
+        return 0, None
+    if not is_found or chosen is None or len(chosen) < max(LEAST_INLIERS, LEAST_SHARE * n):
+        return 0, None
+    places = chosen.ravel()
+    turn, shift = cv2.solvePnPRefineLM(
+        world[places], image[places], seen.camera.K, None, turn, shift
+    )
+    R = np.asarray(cv2.Rodrigues(turn)[0], dtype=np.float64)
+    t = np.asarray(shift, dtype=np.float64).ravel()
+    depths = world[places] @ R[2] + t[2]
+    if np.mean(depths > 0.0) < 0.9:
+        return 0, None
+    return len(places), replace(state, R=R, t=scale * t)

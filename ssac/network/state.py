@@ -1,0 +1,167 @@
+"""One camera's clock, pose and intrinsics, as numbers; what they make of a path, and derivatives.
+
+The network's time is that of its first camera's clock, strays apart. A sighting that a camera's
+clock shows at time T, in a share y of the image's rows, is of the network's time
+
+    t = T + readout y - delay - rate (T - T_mid) - stray(T),
+
+linear in all that is to be found. Strays are linear between knots, without offset or slope.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from ssac.clock import PPM
+from ssac.network.sightings import Sightings
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+DELAY, RATE, READOUT = 0, 1, 2
+ROTATION, TRANSLATION, FOCAL, CENTRE = slice(3, 6), slice(6, 9), slice(9, 11), slice(11, 13)
+STRAYS = 13  # the first of them
+"""Places of a camera's parameters."""
+
+LEAST_DEPTH = 1e-6
+"""Depth, in the path's unit, below which a point is not in front of a camera."""
+
+
+@dataclass(frozen=True, eq=False)
+class CameraState:
+    """What is known of one camera of a network."""
+
+    delay_s: float
+    rate: float  # by which share of its own time its clock is fast
+    middle_s: float  # T_mid, its own clock
+    readout_s: float  # beside what its rig says
+    R: Array  # (3, 3) x = R X + t, X in the network's frame
+    t: Array  # (3,)
+    focal: Array  # (2,) change of fu and fv, as a share
+    centre_px: Array  # (2,) change of pu and pv
+    knots_s: Array  # (k,) its own clock; empty: its clock is affine
+    strays_s: Array  # (k,)
+
+    @property
+    def size(self) -> int:
+        """Count its parameters."""
+        return STRAYS + len(self.strays_s)
+
+    @property
+    def centre(self) -> Array:
+        """Where it stands (3,) in the network's frame."""
+        return np.asarray(-self.R.T @ self.t)
+
+    def network_from_own(self, times_s: Array) -> Array:
+        """Give the network's time (n,) [s] of what its clock shows; of the image's first row."""
+        passed_s = times_s - self.delay_s - self.rate * (times_s - self.middle_s)
+        if len(self.knots_s):
+            passed_s = passed_s - np.interp(times_s, self.knots_s, self.strays_s)
+        return np.asarray(passed_s)
+
+    def own_from_network(self, times_s: Array) -> Array:
+        """Give what its clock shows (n,) [s] at the network's times."""
+        affine_s = times_s + self.delay_s - self.rate * self.middle_s
+        own_s = affine_s / (1.0 - self.rate)
+        for _ in range(3 if len(self.knots_s) else 0):  # strays change slowly
+            strays_s = np.interp(own_s, self.knots_s, self.strays_s)
+            own_s = (affine_s + strays_s) / (1.0 - self.rate)
+        return np.asarray(own_s)
+
+    def moved(self, step: Array) -> "CameraState":
+        """Apply a change (size,) of the parameters."""
+        return replace(
+            self,
+            delay_s=self.delay_s + float(step[DELAY]),
+            rate=self.rate + float(step[RATE]),
+            readout_s=self.readout_s + float(step[READOUT]),
+            R=Rotation.from_rotvec(step[ROTATION]).as_matrix() @ self.R,
+            t=self.t + step[TRANSLATION],
+            focal=self.focal + step[FOCAL],
+            centre_px=self.centre_px + step[CENTRE],
+            strays_s=self.strays_s + step[STRAYS:],
+        )
+
+
+def start_state(seen: Sightings, delay_s: float, rate: float, R: Array, t: Array) -> CameraState:
+    """Give the state of a camera with a clock, a pose, and the intrinsics of its rig."""
+    none = np.zeros(2)
+    nothing = np.empty(0)
+    return CameraState(delay_s, rate, seen.middle_s, 0.0, R, t, none, none, nothing, nothing)
+
+
+def with_strays(state: CameraState, seen: Sightings, piece_s: float, most: int) -> CameraState:
+    """Let its clock stray between knots some seconds apart, as far as it records."""
+    start_s, end_s = seen.span_s
+    n = int(np.clip(np.rint((end_s - start_s) / piece_s), 0, most))
+    if n < 2:
+        return state
+    knots_s = np.linspace(start_s, end_s, n + 1, dtype=np.float64)
+    return replace(state, knots_s=knots_s, strays_s=np.zeros(n + 1))
+
+
+def network_times(state: CameraState, seen: Sightings) -> Array:
+    """Give the network's time (n,) [s] of each sighting."""
+    return state.network_from_own(seen.times_s) + state.readout_s * seen.rows
+
+
+@dataclass(frozen=True, eq=False)
+class Projected:
+    """Where a camera is to see points of the path, and what changes that."""
+
+    points_px: Array  # (n, 2)
+    depths: Array  # (n,)
+    by_point: Array  # (n, 2, 3)
+    by_camera: Array  # (n, 2, p) of the parameters at `columns`
+    columns: Indices  # (n, p) places among the camera's own
+
+
+def projected(state: CameraState, seen: Sightings, points: Array, velocities: Array) -> Projected:
+    """Project the path's points (n, 3), one for each sighting, with velocities (n, 3) there."""
+    K, n = seen.camera.K, len(points)
+    turned = points @ state.R.T
+    local = turned + state.t
+    depths = local[:, 2]
+    safe = np.where(depths > LEAST_DEPTH, depths, 1.0)
+    x = local[:, :2] / safe[:, None]
+    lengths_px = np.array([K[0, 0], K[1, 1]]) * (1.0 + state.focal)
+    by_local = np.zeros((n, 2, 3))
+    by_local[:, 0, 0], by_local[:, 1, 1] = lengths_px[0] / safe, lengths_px[1] / safe
+    by_local[:, :, 2] = -lengths_px * x / safe[:, None]
+    by_point = by_local @ state.R
+    by_time = np.einsum("nij,nj->ni", by_point, velocities)
+    p = STRAYS + (2 if len(state.knots_s) else 0)
+    by_camera = np.zeros((n, 2, p))
+    by_camera[:, :, DELAY] = -by_time
+    by_camera[:, :, RATE] = -by_time * (seen.times_s - state.middle_s)[:, None]
+    by_camera[:, :, READOUT] = by_time * seen.rows[:, None]
+    by_camera[:, :, ROTATION] = np.cross(by_local, turned[:, None, :], axis=2) * -1.0
+    by_camera[:, :, TRANSLATION] = by_local
+    by_camera[:, 0, FOCAL.start] = K[0, 0] * x[:, 0]
+    by_camera[:, 1, FOCAL.start + 1] = K[1, 1] * x[:, 1]
+    by_camera[:, 0, CENTRE.start] = by_camera[:, 1, CENTRE.start + 1] = 1.0
+    columns = np.tile(np.arange(p), (n, 1))
+    if len(state.knots_s):
+        k = len(state.knots_s)
+        piece = np.clip(np.searchsorted(state.knots_s, seen.times_s, "right") - 1, 0, k - 2)
+        low, high = state.knots_s[piece], state.knots_s[piece + 1]
+        share = np.clip((seen.times_s - low) / (high - low), 0.0, 1.0)
+        by_camera[:, :, STRAYS] = -by_time * (1.0 - share)[:, None]
+        by_camera[:, :, STRAYS + 1] = -by_time * share[:, None]
+        columns[:, STRAYS], columns[:, STRAYS + 1] = STRAYS + piece, STRAYS + piece + 1
+    points_px = lengths_px * x + K[:2, 2] + state.centre_px
+    return Projected(points_px, depths, by_point, by_camera, columns.astype(np.int64))
+
+
+@dataclass(frozen=True)
+class Priors:
+    """Deviations of what is known of a camera beforehand."""
+
+    rate: float = 1000.0 * PPM
+    readout_s: float = 0.01
+    focal: tuple[float, float] = (0.0, 0.0)  # 0: exact
+    centre_px: tuple[float, float] = (0.0, 0.0)
+    roughness: float = 200.0 * PPM  # change of the rate from one piece of its clock to the next
+    expected_rate: float = 0.0

@@ -1,0 +1,81 @@
+"""One flight, of our own making, before many frame cameras; and what their pairs would tell."""
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from scipy.interpolate import BSpline
+from scipy.spatial.transform import Rotation
+
+from ssac.camera import Camera
+from ssac.clock import Clock
+from ssac.network.graph import Link, Pair
+from ssac.network.sightings import Sightings, sightings
+from ssac.points import PointTrack
+
+DURATION_S, FPS, NOISE_PX = 16.0, 20.0, 0.4
+CAMERA = Camera(np.array([[900.0, 0.0, 480.0], [0.0, 900.0, 300.0], [0.0, 0.0, 1.0]]), 960, 600)
+
+
+@dataclass(frozen=True)
+class Flight:
+    """Cameras round a flight, and what is true of them."""
+
+    seen: list[Sightings]
+    delays_s: np.ndarray  # (c,) each clock shows so much more than the first
+    skews_ppm: np.ndarray  # (c,)
+    poses: list[tuple[np.ndarray, np.ndarray]]  # x_k = R X + t, X in the first camera's frame
+    path: BSpline  # in the first camera's frame and on its clock [m]
+
+    def link(self, a: int, b: int, off_s: float = 0.0, rng=None) -> Link:
+        """What a pair tells, off by so much; its pose by half a degree."""
+        (R_a, t_a), (R_b, t_b) = self.poses[a], self.poses[b]
+        R = R_b @ R_a.T
+        t = t_b - R @ t_a
+        if rng is not None:
+            R = Rotation.from_rotvec(rng.normal(0.0, 0.01, 3)).as_matrix() @ R
+        clock = Clock(self.delays_s[b] - self.delays_s[a] + off_s, 0.0, 8.0 + self.delays_s[a])
+        return Link(clock, True, 0.003, R, t / np.linalg.norm(t))
+
+    def links(self, seed: int = 0) -> dict[Pair, Link]:
+        """What all pairs tell, offsets good to some 5 ms."""
+        rng = np.random.default_rng(seed)
+        pairs = combinations(range(len(self.seen)), 2)
+        return {(a, b): self.link(a, b, rng.normal(0.0, 0.005), rng) for a, b in pairs}
+
+    def shown_s(self, k: int, time_s: float) -> float:
+        """What camera k's clock shows more than the first's."""
+        return float(self.delays_s[k] + 1e-6 * self.skews_ppm[k] * (time_s - 8.0))
+
+    @property
+    def distance_m(self) -> float:
+        """Between the first two cameras."""
+        return float(np.linalg.norm(self.poses[1][1]))
+
+
+def make_flight(n_cameras: int = 4, seed: int = 0, noise_px: float = NOISE_PX) -> Flight:
+    """Make a flight; the noise differs by the seed, all else stays."""
+    rng = np.random.default_rng(5)
+    knots_s = 0.8 * np.arange(-5.0, DURATION_S / 0.8 + 6.0)
+    spread = rng.uniform(-1.0, 1.0, (len(knots_s) - 6, 3)) * [7.0, 5.0, 7.0]
+    from_world = []
+    for angle in np.deg2rad(np.linspace(-60.0, 60.0, n_cameras)):
+        R = Rotation.from_euler("y", angle).as_matrix()
+        from_world.append((R, np.array([0.0, 0.0, 20.0])))
+    R_1, t_1 = from_world[0]
+    poses = [(R @ R_1.T, t - R @ R_1.T @ t_1) for R, t in from_world]
+    path = BSpline(knots_s, spread @ R_1.T + t_1, 5)
+    delays_s = np.concatenate([[0.0], rng.uniform(-30.0, 30.0, n_cameras - 1)])
+    skews_ppm = np.concatenate([[0.0], rng.normal(0.0, 30.0, n_cameras - 1)])
+    noise = np.random.default_rng([seed, 7])
+    seen = []
+    for k, (R, t) in enumerate(poses):
+        times_s = np.arange(0.3, DURATION_S - 0.3, 1.0 / FPS) + 0.013 * k
+        local = path(times_s) @ R.T + t
+        pixels = local @ CAMERA.K.T
+        pixels = pixels[:, :2] / pixels[:, 2:] + noise.normal(0.0, noise_px, (len(times_s), 2))
+        inside = np.all((pixels > 0.0) & (pixels < [959.0, 599.0]), axis=1)
+        shown_s = times_s + delays_s[k] + 1e-6 * skews_ppm[k] * (times_s - 8.0)
+        track = PointTrack(shown_s[inside], pixels[inside])
+        seen.append(sightings(track, CAMERA, f"cam{k + 1}", has_frames=False))
+    return Flight(seen, delays_s, skews_ppm, poses, path)
