@@ -140,6 +140,8 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
             "sync",
             "report",
             "outputs",
+            "many",
+            "many_report",
             "sync_command",
             "commands",
             "__main__",

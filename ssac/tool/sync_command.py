@@ -45,6 +45,10 @@ def sync_command(
             metavar="FILE", help="Kalibr or OpenCV YAML of both cameras.", show_default=False
         ),
     ],
+    more: Annotated[
+        list[Path] | None,
+        typer.Argument(metavar="CAM3 ...", help="Of more cameras.", show_default=False),
+    ] = None,
     known_extrinsics: Annotated[
         bool,
         typer.Option(
@@ -136,6 +140,16 @@ def sync_command(
             help="Write camera 2's events (.h5, .txt) or track (.csv) on camera 1's clock.",
         ),
     ] = None,
+    trajectory: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Write the object's path: .csv with deviations, else TUM."
+        ),
+    ] = None,
+    distance: Annotated[
+        float | None,
+        number("Between cameras 1 and 2, for the scale of all.", 1e-3, 1e6, "m"),
+    ] = None,
     focal_std: Annotated[
         float | None,
         number(
@@ -194,7 +208,7 @@ def sync_command(
         ),
     ] = None,
 ) -> None:
-    """Find the time offset and the relative pose of two cameras from one moving object.
+    """Find the time offset and the relative pose of two cameras, or more, from one moving object.
 
     Exit code 0: done; 1: the data give no reliable estimate, the output says why; 2: wrong usage,
     or a file that cannot be used; 3: a bug of this program; 130: interrupted.
@@ -217,7 +231,7 @@ def sync_command(
 
     outputs = Outputs(json_file, plot, write_synced)
     if skew_prior is None:
-        has_track = is_track_file(cam1) or is_track_file(cam2)
+        has_track = any(map(is_track_file, (cam1, cam2, *(more or ()))))
         skew_prior = SKEW_PRIOR_PPM if has_track else Config.skew_prior_ppm
     config = Config(
         interval_s=search or Config.interval_s,
@@ -232,6 +246,19 @@ def sync_command(
     )
     with warnings_as_lines():
         check_outputs((cam1, cam2, rig), outputs)
+        if trajectory is not None:
+            check_outputs((cam1, cam2, rig), Outputs(trajectory))
+        if more:
+            for_two = {
+                "--search": search,
+                "--rate-range": rate_range,
+                "--plot": plot,
+                "--write-synced": write_synced,
+                "--known-extrinsics": known_extrinsics,
+            }
+            _check_for_two([name for name, value in for_two.items() if value])
+            _many([cam1, cam2, *more], rig, method, config, json_file, trajectory, distance)
+            return
         result = sync(
             cam1,
             cam2,
@@ -250,7 +277,44 @@ def sync_command(
         )
         typer.echo(report_text(result))
         write_outputs(result, outputs, _to_stderr)
+        if trajectory is not None:
+            from ssac.tool.many import solve_pairs, write_paths
+
+            answer = solve_pairs([cam1, cam2], {(0, 1): result}, result.config, distance)
+            write_paths(trajectory, answer, _to_stderr)
     if result.estimate.status != "ok":
+        raise typer.Exit(NO_ESTIMATE)
+
+
+def _check_for_two(given: list[str]) -> None:
+    """Refuse options that are of two cameras."""
+    if given:
+        raise SsacError(
+            f"{given[0]}: is for two cameras, and more were given: leave it out, or give two"
+        )
+
+
+def _many(
+    paths: list[Path],
+    rig: Path,
+    method: str | None,
+    config: Config,
+    json_file: Path | None,
+    trajectory: Path | None,
+    distance_m: float | None,
+) -> None:
+    """Solve more than two cameras, print and write what is found."""
+    from ssac.tool.many import sync_all, write_paths
+    from ssac.tool.many_report import many_text, save_many
+
+    result = sync_all(paths, rig, method, config, _to_stderr, distance_m)
+    typer.echo(many_text(result))
+    if json_file is not None:
+        save_many(json_file, result)
+        _to_stderr(f"wrote {json_file}")
+    if trajectory is not None:
+        write_paths(trajectory, result.answer, _to_stderr)
+    if result.answer.status != "ok":
         raise typer.Exit(NO_ESTIMATE)
 
 

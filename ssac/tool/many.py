@@ -1,0 +1,146 @@
+"""Files of many cameras and a rig in; every pair synchronised, and all solved at once, out."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from pathlib import Path
+
+from ssac.camera import Camera
+from ssac.config import Config
+from ssac.convert.events_as_track import track_of_events
+from ssac.errors import SsacError
+from ssac.files.track_files import is_track_file
+from ssac.network.graph import Link, Pair
+from ssac.network.sightings import Sightings, sightings
+from ssac.network.solve import NetworkAnswer, link_of, solve_network
+from ssac.path.tum import write_path
+from ssac.points import PointTrack
+from ssac.tool.everywhere import SKEW_PRIOR_PPM
+from ssac.tool.sync import Clock, Log, SyncResult, sync
+from ssac.track.observation import Observation
+
+Sync = Callable[[int, int], SyncResult]
+"""Synchronises cameras a and b of the files, counted from 0."""
+
+
+@dataclass(frozen=True)
+class ManyResult:
+    """What is found of many cameras, what it was made from, and how long it took."""
+
+    paths: list[Path]
+    rig: Path
+    answer: NetworkAnswer
+    pairs: dict[Pair, SyncResult]
+    distance_m: float | None  # between the first two cameras; None: of unknown length, 1
+    seconds: dict[str, float]
+
+
+def sync_all(
+    paths: Sequence[Path],
+    rig_path: Path,
+    method: str | None = None,
+    config: Config | None = None,
+    log: Log | None = None,
+    distance_m: float | None = None,
+) -> ManyResult:
+    """Synchronise and calibrate many cameras, and find the path that they saw.
+
+    Parameters
+    ----------
+    paths
+        Event or track files, in the order of the rig's cameras.
+    rig_path
+        Camchain with the intrinsics of all.
+    method, config
+        As of `ssac.tool.sync.sync`, for each pair.
+    log
+        Called with a line of progress after each pair.
+    distance_m
+        Between the first two cameras, where it is known.
+
+    Raises
+    ------
+    SsacError
+        If a file cannot be used, or is given twice.
+    """
+    _check_files(paths)
+
+    def run(a: int, b: int) -> SyncResult:
+        return sync(paths[a], paths[b], rig_path, method, config=config, cameras=(a + 1, b + 1))
+
+    clock, pairs = Clock(log or (lambda line: None)), dict[Pair, SyncResult]()
+    for a, b in combinations(range(len(paths)), 2):
+        with clock.part(f"{a + 1}-{b + 1}") as say:
+            pairs[a, b] = run(a, b)
+            say(_told(pairs[a, b]))
+    with clock.part("network") as say:
+        answer = solve_pairs(paths, pairs, config, distance_m)
+        say(", ".join(f"{camera.name} {camera.status}" for camera in answer.cameras))
+    return ManyResult(list(paths), rig_path, answer, pairs, distance_m, clock.seconds)
+
+
+def solve_pairs(
+    paths: Sequence[Path],
+    pairs: dict[Pair, SyncResult],
+    config: Config | None = None,
+    distance_m: float | None = None,
+) -> NetworkAnswer:
+    """Solve all cameras at once, from what every pair gave; as `sync_all`."""
+    seen = [_sightings(k, paths[k], pairs) for k in range(len(paths))]
+    links = dict[Pair, Link]()
+    for pair, result in pairs.items():
+        link = link_of(result.estimate, result.guess)
+        if link is not None:
+            links[pair] = link
+    has_frames = any(camera.has_frames for camera in seen)
+    prior_ppm = SKEW_PRIOR_PPM if has_frames else Config.skew_prior_ppm
+    if config is not None:
+        prior_ppm = config.skew_prior_ppm
+    return solve_network(seen, links, prior_ppm, distance_m or 1.0)
+
+
+def write_paths(file: Path, answer: NetworkAnswer, log: Log) -> None:
+    """Write the path of the first group, and say so; that of another group beside it."""
+    for k, found in enumerate(answer.paths):
+        other = file if k == 0 else file.with_name(f"{file.stem}-{k + 1}{file.suffix}")
+        write_path(other, found.path)
+        spans = ", ".join(f"{start_s:.3f} to {end_s:.3f} s" for start_s, end_s in found.spans_s)
+        log(f"wrote {other}: {len(found.path)} samples, which hold from {spans}")
+    if not answer.paths:
+        log(f"not written: {file}, since no cameras see the object's path together")
+
+
+def _sightings(k: int, path: Path, pairs: dict[Pair, SyncResult]) -> Sightings:
+    """Take what a camera saw from any of its pairs."""
+    (a, _), result = next((pair, result) for pair, result in pairs.items() if k in pair)
+    observation, camera = (
+        (result.cam1, result.rig.cam1) if k == a else (result.cam2, result.rig.cam2)
+    )
+    track = observation.track
+    if track is None:
+        track = _followed(observation, camera, path, result.config)
+    return sightings(track, camera, path.stem, has_frames=is_track_file(path))
+
+
+def _followed(observation: Observation, camera: Camera, path: Path, config: Config) -> PointTrack:
+    """Follow the object through events; an error names the file."""
+    try:
+        return track_of_events(observation, camera, config)
+    except SsacError as error:
+        raise SsacError(f"{path}: {error}") from error
+
+
+def _check_files(paths: Sequence[Path]) -> None:
+    for a, b in combinations(range(len(paths)), 2):
+        if paths[a].exists() and paths[b].exists() and paths[a].samefile(paths[b]):
+            raise SsacError(
+                f"{paths[a]}: given for cameras {a + 1} and {b + 1}: give each camera's own file"
+            )
+
+
+def _told(result: SyncResult) -> str:
+    estimate = result.estimate
+    if not estimate.has_offset:
+        return str(estimate.status)
+    sigma_ms = 1e3 * estimate.t_d_std_s
+    return f"{estimate.status}, t_d {estimate.t_d_s:.4f} s, 1 sigma {sigma_ms:.2f} ms"

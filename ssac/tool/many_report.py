@@ -1,0 +1,131 @@
+"""A result of many cameras in, text for people and JSON for machines out."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ssac.estimate import Status
+from ssac.files.whole_file import whole_file
+from ssac.network.answers import CameraAnswer
+from ssac.tool.many import ManyResult
+from ssac.tool.report import _plain as plain
+
+
+def many_text(result: ManyResult) -> str:
+    """Lay out what is found of many cameras for people."""
+    answer, rows = result.answer, list[tuple[str, str]]()
+    if answer.reason:
+        rows.append(("incomplete", answer.reason))
+    for camera in answer.cameras:
+        rows += _camera_rows(camera)
+    for (a, b), off_s in answer.wrong_pairs.items():
+        rows.append(("wrong pair", f"{a + 1} and {b + 1}: its clock is {off_s:+.3f} s off"))
+    unit = "m" if result.distance_m else "distances of the first two cameras"
+    for k, found in enumerate(answer.paths):
+        spread = (
+            np.median(found.path.deviations_m, axis=0)
+            if found.path.deviations_m is not None
+            else []
+        )
+        sigma = ", ".join(f"{value:.2g}" for value in spread)
+        rows.append((f"path {k + 1}", f"{len(found.path)} samples, 1 sigma ({sigma}), in {unit}"))
+        for start_s, end_s in found.spans_s:
+            rows.append(("", f"holds from {start_s:.3f} to {end_s:.3f} s"))
+    return "\n".join(f"{name:15}{value}" for name, value in rows)
+
+
+def many_json(result: ManyResult) -> dict[str, Any]:
+    """Lay out what is found of many cameras for machines; None for what is missing."""
+    answer = result.answer
+    return {
+        "status": str(answer.status),
+        "reason": answer.reason,
+        "cameras": [
+            _camera(camera, path) for camera, path in zip(answer.cameras, result.paths, strict=True)
+        ],
+        "pairs": [
+            {
+                "cameras": [a + 1, b + 1],
+                "status": str(pair.estimate.status),
+                "reason": pair.estimate.reason,
+                "t_d_s": plain(pair.estimate.t_d_s),
+                "t_d_std_s": plain(pair.estimate.t_d_std_s),
+                "contradicted_by_s": answer.wrong_pairs.get((a, b)),
+            }
+            for (a, b), pair in result.pairs.items()
+        ],
+        "closures": [
+            {"cameras": [k + 1 for k in triple], "closure_s": off_s}
+            for triple, off_s in answer.closures_s.items()
+        ],
+        "groups": [
+            {
+                "cameras": [k + 1 for k in built.members],
+                "n_path": len(found.path),
+                "path_spans_s": plain(found.spans_s),
+            }
+            for built, found in zip(answer.built, answer.paths, strict=True)
+        ],
+        "scale_is_known": result.distance_m is not None,
+        "conventions": "of each group's first camera, 1: t_camK = t_cam1 + t_d + skew (t_cam1 - "
+        "t_ref), and what it strays at knots, linear in between; x_K = R x_1 + t, |t| of the "
+        "second camera is 1, or metres where the scale is known",
+        "rig": str(result.rig),
+        "seconds": {part: round(value, 3) for part, value in result.seconds.items()},
+    }
+
+
+def save_many(path: Path, result: ManyResult) -> None:
+    """Write `many_json`; the file appears only when it is complete."""
+    with whole_file(path) as temporary:
+        text = json.dumps(many_json(result), indent=1, allow_nan=False)
+        temporary.write_text(text + "\n", encoding="utf-8")
+
+
+def _camera(camera: CameraAnswer, path: Path) -> dict[str, Any]:
+    return {
+        "name": camera.name,
+        "file": str(path),
+        "status": str(camera.status),
+        "reason": camera.reason,
+        "group": camera.group or None,
+        "t_d_s": plain(camera.t_d_s),
+        "t_d_std_s": plain(camera.t_d_std_s),
+        "t_ref_s": plain(camera.t_ref_s),
+        "skew_ppm": plain(camera.skew_ppm),
+        "skew_std_ppm": plain(camera.skew_std_ppm),
+        "readout_s": plain(camera.readout_s),
+        "readout_std_s": plain(camera.readout_std_s),
+        "R": plain(camera.R),
+        "t": plain(camera.t),
+        "r_std_deg": plain(camera.r_std_deg),
+        "t_std": plain(camera.t_std),
+        "clock_knots": [
+            {"t_s": t_s, "stray_s": stray_s}
+            for t_s, stray_s in zip(camera.knots_s.tolist(), camera.strays_s.tolist(), strict=True)
+        ],
+        "n_samples": camera.n_samples,
+        "rms_px": plain(camera.rms_px),
+    }
+
+
+def _camera_rows(camera: CameraAnswer) -> list[tuple[str, str]]:
+    if camera.status != Status.OK or camera.R is None or camera.t is None:
+        return [(camera.name, f"{camera.status}: {camera.reason}")]
+    stands = "({})".format(", ".join(f"{value:.3f}" for value in -camera.R.T @ camera.t))
+    turn_deg = np.degrees(Rotation.from_matrix(camera.R).magnitude())
+    used = f"{camera.n_samples} of {camera.n_seen} sightings used, {camera.rms_px:.2f} px"
+    if not camera.t_d_std_s > 0.0:
+        return [(camera.name, f"the first of group {camera.group}"), ("", used)]
+    return [
+        (
+            camera.name,
+            f"t_d = {1e3 * camera.t_d_s:.2f} ms, 1 sigma {1e3 * camera.t_d_std_s:.2f} ms, at "
+            f"{camera.t_ref_s:.2f} s; skew {camera.skew_ppm:+.1f} ppm, 1 sigma "
+            f"{camera.skew_std_ppm:.1f}",
+        ),
+        ("", f"at {stands}, turned by {turn_deg:.2f} deg, 1 sigma {camera.r_std_deg:.3f}; {used}"),
+    ]

@@ -1,0 +1,70 @@
+"""`ssac sync` of three cameras, and the path of two: files in, files out."""
+
+import json
+
+import numpy as np
+import pytest
+import yaml
+
+from ssac.files.track_files import save_track
+from ssac.path.tum import read_path
+from ssac.points import PointTrack
+from tests.ssac.command import run
+from tests.ssac.network.flights import DURATION_S, make_flight
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """Three tracks of one flight and their rig."""
+    folder, flight = tmp_path_factory.mktemp("many"), make_flight(3)
+    entry = {
+        "camera_model": "pinhole",
+        "intrinsics": [900.0, 900.0, 480.0, 300.0],
+        "distortion_model": "none",
+        "resolution": [960, 600],
+        "intrinsics_std": [0.0, 0.0, 0.0, 0.0],
+    }
+    for k, seen in enumerate(flight.seen):
+        save_track(folder / f"cam{k + 1}.csv", PointTrack(seen.times_s, seen.points_px))
+    rig = {f"cam{k}": entry for k in range(3)}
+    (folder / "rig.yaml").write_text(yaml.safe_dump(rig))
+    return folder, flight
+
+
+def test_three_cameras(files, tmp_path):
+    folder, flight = files
+    cameras = [folder / f"cam{k}.csv" for k in (1, 2, 3)]
+    out, path_file = tmp_path / "out.json", tmp_path / "path.tum"
+    args = ("--rig", folder / "rig.yaml", "--json", out, "--trajectory", path_file)
+    code, text, err = run("sync", *cameras, *args, "--distance", flight.distance_m)
+    assert code == 0, err
+    assert "cam3" in text
+    found = json.loads(out.read_text())
+    assert [camera["status"] for camera in found["cameras"]] == ["ok"] * 3
+    for k, camera in enumerate(found["cameras"][1:], 1):
+        true_s = flight.shown_s(k, camera["t_ref_s"])
+        # Frames' readouts are not known, and 10 ms of them are allowed for.
+        assert abs(camera["t_d_s"] - true_s) < 4.0 * camera["t_d_std_s"]
+        assert camera["t_d_std_s"] < 0.02
+    assert np.linalg.norm(found["cameras"][1]["t"]) == pytest.approx(flight.distance_m, rel=1e-4)
+    path = read_path(path_file)
+    off_m = np.linalg.norm(path.positions_m - flight.path(path.times_s), axis=1)
+    assert np.sqrt(np.mean(off_m**2)) < 0.1  # 5 ms of readouts, at some 5 m/s, and 9 mm of noise
+    assert np.ptp(path.times_s) > 0.7 * DURATION_S  # all three see it most of the time
+
+
+def test_what_is_for_two_cameras_is_refused_for_more(files):
+    folder, _ = files
+    cameras = [folder / f"cam{k}.csv" for k in (1, 2, 3)]
+    code, _, err = run("sync", *cameras, "--rig", folder / "rig.yaml", "--search", -1, 1)
+    assert code == 2
+    assert "--search: is for two cameras" in err
+
+
+def test_a_camera_twice_is_one_line(files):
+    folder, _ = files
+    cameras = [folder / f"cam{k}.csv" for k in (1, 2, 1)]
+    code, _, err = run("sync", *cameras, "--rig", folder / "rig.yaml")
+    assert code == 2
+    assert "given for cameras 1 and 3" in err
+    assert err.strip().count("\n") == 0
