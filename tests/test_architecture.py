@@ -117,7 +117,6 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
             "import_command",
         ),
         "path": ("align", "tum", "spline", "interpolation", "shift_grid", "time_search"),
-        "compare": ("icp", "comparison", "figure", "compare_command"),
         "network": (
             "sightings",
             "state",
@@ -132,6 +131,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
             "answers",
             "solve",
         ),
+        "compare": ("icp", "comparison", "frame", "figure", "compare_command"),
         "tool": (
             "summaries",
             "registry",

@@ -19,6 +19,7 @@ from ssac.network.state import (
     network_times,
 )
 from ssac.network.triangulation import LEAST_ANGLE_DEG
+from ssac.path.align import Similarity
 from ssac.path.spline import basis
 from ssac.path.tum import Path
 
@@ -133,17 +134,23 @@ def seen_at(built: Built, times_s: Array) -> Mask:
     return np.asarray(holds & (times_s >= knots_s[0]) & (times_s <= knots_s[-1]))
 
 
-def path_at(built: Built, times_s: Array) -> Path:
-    """Give the path at times (n,), with its deviations, wherever it holds or not."""
+def path_at(built: Built, times_s: Array, frame: Similarity | None = None) -> Path:
+    """Give the path at times (n,), with its deviations, wherever it holds or not.
+
+    In the frame of the first camera, or in one that a similarity takes that to.
+    """
     network = built.network
     first, weights = basis(network.path.knots_s, times_s)
     covariances = built.solved.path_covariances(first, weights) * network.repeats
-    deviations = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
-    return Path(times_s, network.path.at(times_s), deviations)
+    points = network.path.at(times_s)
+    if frame is not None:
+        points = frame.apply(points)
+        covariances = frame.scale**2 * frame.R @ covariances @ frame.R.T
+    return Path(times_s, points, np.sqrt(np.diagonal(covariances, axis1=1, axis2=2)))
 
 
-def path_of(built: Built) -> PathAnswer:
-    """Sample the path evenly where it holds."""
+def path_of(built: Built, frame: Similarity | None = None) -> PathAnswer:
+    """Sample the path evenly where it holds; in a frame as of `path_at`."""
     knots_s = built.network.path.knots_s
     step_s = max(_STEP_S, min(seen.interval_s for seen in built.cameras))
     times_s = np.arange(knots_s[0], knots_s[-1] + 0.5 * step_s, step_s)
@@ -151,7 +158,7 @@ def path_of(built: Built) -> PathAnswer:
     holds = seen_at(built, times_s)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], holds, [False]]).astype(int)))
     spans_s = np.column_stack([times_s[edges[::2]], times_s[edges[1::2] - 1]])
-    return PathAnswer(path_at(built, times_s[holds]), spans_s)
+    return PathAnswer(path_at(built, times_s[holds], frame), spans_s)
 
 
 def left_out(seen: Sightings, group: int, reason: str) -> CameraAnswer:

@@ -6,6 +6,7 @@ from itertools import combinations
 from pathlib import Path
 
 from ssac.camera import Camera
+from ssac.compare.frame import Ground, ground_of_positions, ground_of_rtk, in_frame
 from ssac.config import Config
 from ssac.convert.events_as_track import track_of_events
 from ssac.errors import SsacError
@@ -24,6 +25,18 @@ Sync = Callable[[int, int], SyncResult]
 
 
 @dataclass(frozen=True)
+class Known:
+    """What is known of the scale and the frame: one of these at most."""
+
+    distance_m: float | None = None  # between the first two cameras
+    positions: Path | None = None  # of the cameras
+    rtk: Path | None = None  # the object's own path, on a clock of its own
+
+
+NOTHING = Known()
+
+
+@dataclass(frozen=True)
 class ManyResult:
     """What is found of many cameras, what it was made from, and how long it took."""
 
@@ -31,7 +44,8 @@ class ManyResult:
     rig: Path
     answer: NetworkAnswer
     pairs: dict[Pair, SyncResult]
-    distance_m: float | None  # between the first two cameras; None: of unknown length, 1
+    scale_is_known: bool  # lengths are metres; no: distances of the first two cameras
+    ground: Ground | None  # the frame of cameras and path; None: the first camera's
     seconds: dict[str, float]
 
 
@@ -41,7 +55,7 @@ def sync_all(
     method: str | None = None,
     config: Config | None = None,
     log: Log | None = None,
-    distance_m: float | None = None,
+    known: Known = NOTHING,
 ) -> ManyResult:
     """Synchronise and calibrate many cameras, and find the path that they saw.
 
@@ -55,13 +69,13 @@ def sync_all(
         As of `ssac.tool.sync.sync`, for each pair.
     log
         Called with a line of progress after each pair.
-    distance_m
-        Between the first two cameras, where it is known.
+    known
+        Of scale and frame.
 
     Raises
     ------
     SsacError
-        If a file cannot be used, or is given twice.
+        If a file cannot be used, is given twice, or contradicts what is found.
     """
     _check_files(paths)
 
@@ -74,9 +88,41 @@ def sync_all(
             pairs[a, b] = run(a, b)
             say(_told(pairs[a, b]))
     with clock.part("network") as say:
-        answer = solve_pairs(paths, pairs, config, distance_m)
+        answer = solve_pairs(paths, pairs, config, known.distance_m)
+        answer, ground = grounded(answer, known)
         say(", ".join(f"{camera.name} {camera.status}" for camera in answer.cameras))
-    return ManyResult(list(paths), rig_path, answer, pairs, distance_m, clock.seconds)
+    in_metres = ground is not None or known.distance_m is not None
+    return ManyResult(list(paths), rig_path, answer, pairs, in_metres, ground, clock.seconds)
+
+
+def grounded(answer: NetworkAnswer, known: Known) -> tuple[NetworkAnswer, Ground | None]:
+    """Put an answer into the frame that is known, where one is."""
+    if known.positions is not None:
+        ground = ground_of_positions(answer, known.positions)
+    elif known.rtk is not None:
+        ground = ground_of_rtk(answer, known.rtk)
+    else:
+        return answer, None
+    return in_frame(answer, ground), ground
+
+
+def known_of(distance_m: float | None, positions: Path | None, rtk: Path | None) -> Known:
+    """Sum up options on the scale and the frame; SsacError where there are two."""
+    given = {"--distance": distance_m, "--positions": positions, "--rtk": rtk}
+    names = [name for name, value in given.items() if value is not None]
+    if len(names) > 1:
+        raise SsacError(
+            f"{names[0]}: not with {names[1]}, as each sets the scale: give the better one alone"
+        )
+    return Known(distance_m, positions, rtk)
+
+
+def check_for_two(given: list[str]) -> None:
+    """Refuse options that are of two cameras."""
+    if given:
+        raise SsacError(
+            f"{given[0]}: is for two cameras, and more were given: leave it out, or give two"
+        )
 
 
 def solve_pairs(

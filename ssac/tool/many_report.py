@@ -10,8 +10,9 @@ from scipy.spatial.transform import Rotation
 from ssac.estimate import Status
 from ssac.files.whole_file import whole_file
 from ssac.network.answers import CameraAnswer
-from ssac.tool.many import ManyResult
+from ssac.tool.many import ManyResult, write_paths
 from ssac.tool.report import _plain as plain
+from ssac.tool.sync import Log
 
 
 def many_text(result: ManyResult) -> str:
@@ -19,11 +20,13 @@ def many_text(result: ManyResult) -> str:
     answer, rows = result.answer, list[tuple[str, str]]()
     if answer.reason:
         rows.append(("incomplete", answer.reason))
+    if result.ground is not None:
+        rows.append(("frame", result.ground.said))
     for camera in answer.cameras:
         rows += _camera_rows(camera)
     for (a, b), off_s in answer.wrong_pairs.items():
         rows.append(("wrong pair", f"{a + 1} and {b + 1}: its clock is {off_s:+.3f} s off"))
-    unit = "m" if result.distance_m else "distances of the first two cameras"
+    unit = "m" if result.scale_is_known else "distances of the first two cameras"
     for k, found in enumerate(answer.paths):
         spread = (
             np.median(found.path.deviations_m, axis=0)
@@ -69,13 +72,25 @@ def many_json(result: ManyResult) -> dict[str, Any]:
             }
             for built, found in zip(answer.built, answer.paths, strict=True)
         ],
-        "scale_is_known": result.distance_m is not None,
+        "scale_is_known": result.scale_is_known,
+        "frame": "of each group's first camera" if result.ground is None else result.ground.said,
         "conventions": "of each group's first camera, 1: t_camK = t_cam1 + t_d + skew (t_cam1 - "
-        "t_ref), and what it strays at knots, linear in between; x_K = R x_1 + t, |t| of the "
-        "second camera is 1, or metres where the scale is known",
+        "t_ref), and what it strays at knots, linear in between; x_K = R X + t, X in the frame, "
+        "|t| of the second camera is 1, or metres where the scale is known",
         "rig": str(result.rig),
         "seconds": {part: round(value, 3) for part, value in result.seconds.items()},
     }
+
+
+def write_many(
+    result: ManyResult, json_file: Path | None, trajectory: Path | None, log: Log
+) -> None:
+    """Write what was asked for, and say so."""
+    if json_file is not None:
+        save_many(json_file, result)
+        log(f"wrote {json_file}")
+    if trajectory is not None:
+        write_paths(trajectory, result.answer, log)
 
 
 def save_many(path: Path, result: ManyResult) -> None:

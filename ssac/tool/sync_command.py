@@ -150,6 +150,16 @@ def sync_command(
         float | None,
         number("Between cameras 1 and 2, for the scale of all.", 1e-3, 1e6, "m"),
     ] = None,
+    positions: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Where cameras stand, camera,x_m,y_m,z_m: the frame of all."
+        ),
+    ] = None,
+    rtk: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="The object's path by RTK, on its own clock: likewise."),
+    ] = None,
     focal_std: Annotated[
         float | None,
         number(
@@ -225,6 +235,8 @@ def sync_command(
     from ssac.files.damage import Reading
     from ssac.files.track_files import is_track_file
     from ssac.tool.everywhere import SKEW_PRIOR_PPM
+    from ssac.tool.many import check_for_two, grounded, known_of, solve_pairs, sync_all, write_paths
+    from ssac.tool.many_report import many_text, write_many
     from ssac.tool.outputs import Outputs, check_outputs, write_outputs
     from ssac.tool.report import report_text
     from ssac.tool.sync import sync
@@ -248,6 +260,7 @@ def sync_command(
         check_outputs((cam1, cam2, rig), outputs)
         if trajectory is not None:
             check_outputs((cam1, cam2, rig), Outputs(trajectory))
+        known = known_of(distance, positions, rtk)
         if more:
             for_two = {
                 "--search": search,
@@ -256,8 +269,12 @@ def sync_command(
                 "--write-synced": write_synced,
                 "--known-extrinsics": known_extrinsics,
             }
-            _check_for_two([name for name, value in for_two.items() if value])
-            _many([cam1, cam2, *more], rig, method, config, json_file, trajectory, distance)
+            check_for_two([name for name, value in for_two.items() if value])
+            every = sync_all([cam1, cam2, *more], rig, method, config, _to_stderr, known)
+            typer.echo(many_text(every))
+            write_many(every, json_file, trajectory, _to_stderr)
+            if every.answer.status != "ok":
+                raise typer.Exit(NO_ESTIMATE)
             return
         result = sync(
             cam1,
@@ -278,43 +295,9 @@ def sync_command(
         typer.echo(report_text(result))
         write_outputs(result, outputs, _to_stderr)
         if trajectory is not None:
-            from ssac.tool.many import solve_pairs, write_paths
-
             answer = solve_pairs([cam1, cam2], {(0, 1): result}, result.config, distance)
-            write_paths(trajectory, answer, _to_stderr)
+            write_paths(trajectory, grounded(answer, known)[0], _to_stderr)
     if result.estimate.status != "ok":
-        raise typer.Exit(NO_ESTIMATE)
-
-
-def _check_for_two(given: list[str]) -> None:
-    """Refuse options that are of two cameras."""
-    if given:
-        raise SsacError(
-            f"{given[0]}: is for two cameras, and more were given: leave it out, or give two"
-        )
-
-
-def _many(
-    paths: list[Path],
-    rig: Path,
-    method: str | None,
-    config: Config,
-    json_file: Path | None,
-    trajectory: Path | None,
-    distance_m: float | None,
-) -> None:
-    """Solve more than two cameras, print and write what is found."""
-    from ssac.tool.many import sync_all, write_paths
-    from ssac.tool.many_report import many_text, save_many
-
-    result = sync_all(paths, rig, method, config, _to_stderr, distance_m)
-    typer.echo(many_text(result))
-    if json_file is not None:
-        save_many(json_file, result)
-        _to_stderr(f"wrote {json_file}")
-    if trajectory is not None:
-        write_paths(trajectory, result.answer, _to_stderr)
-    if result.answer.status != "ok":
         raise typer.Exit(NO_ESTIMATE)
 
 
