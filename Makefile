@@ -80,7 +80,7 @@ scene: .venv/.ready ## how the default scene looks, beside the authors' sample (
 fidelity: .venv/.ready ## events against dense references, 20 flights (a minute each) -> results/fidelity.csv
 	@.venv/bin/ssac study fidelity
 
-real: .venv/.ready ## all pairs of DATA, the drone-tracking data sets, which you fetch -> results/real_pairs.csv
+real: .venv/.ready ## pairs, and paths of all cameras, of DATA, the drone-tracking data sets, which you fetch -> results/real_*.csv
 	@.venv/bin/ssac real $(DATA)
 
 outdoor: .venv/.ready ## the paper's outdoor set-up, 10 flights of 120 s (2 minutes each) -> results/outdoor.csv

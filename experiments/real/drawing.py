@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 from experiments.figures.style import WIDTH_IN, quiet_axes
 
-FIGURE = "real_offsets.png"
+OFFSETS_FIGURE = "real_offsets.png"
 
 _COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#000000", "#777777")
 

@@ -21,8 +21,16 @@ from experiments.outdoor.outdoor_command import RUNS_FILE as OUTDOOR_FILE
 from experiments.paper.grids import TABLES
 from experiments.paper.results import COMPARISON_FILE, PAGE_FILE, RUNS_FILE, SUMMARY_FILE
 from experiments.paper.tables import tables_config
-from experiments.real.drawing import FIGURE as REAL_FIGURE
-from experiments.real.pairs import COMMAND, PAIRS_FILE, STRAYS_FILE, TRIPLES_FILE, real_config
+from experiments.real.drawing import OFFSETS_FIGURE
+from experiments.real.pairs import (
+    COMMAND,
+    DATA_SETS,
+    PAIRS_FILE,
+    STRAYS_FILE,
+    TRIPLES_FILE,
+    real_config,
+)
+from experiments.real.paths import PATH_FIGURE, PATHS_FILE
 from experiments.run.provenance import plain
 from experiments.studies.study import Study
 
@@ -90,10 +98,11 @@ def manifest_of(studies: Mapping[str, Study]) -> Manifest:
 
 def _real() -> Manifest:
     """List what public data leave that are not ours to ship: who has them may make it."""
-    tables = PAIRS_FILE, TRIPLES_FILE, STRAYS_FILE
+    tables = PAIRS_FILE, TRIPLES_FILE, STRAYS_FILE, PATHS_FILE
+    figures = [OFFSETS_FIGURE, *(PATH_FIGURE.format(number) for number in DATA_SETS)]
     config = plain(real_config())
     made = tuple(Provenance(provenance_name(name), COMMAND, config, False) for name in tables)
-    return Manifest((*tables, REAL_FIGURE, *(one.name for one in made)), made)
+    return Manifest((*tables, *figures, *(one.name for one in made)), made)
 
 
 def _outdoor() -> Manifest:

@@ -20,6 +20,8 @@ from experiments.real.pairs import (
     TRIPLE_COLUMNS,
     TRIPLES_FILE,
 )
+from experiments.real.paths import COLUMNS as PATH_COLUMNS
+from experiments.real.paths import PATHS_FILE
 from ssac.config import CLOCKS
 from ssac.estimate import Status
 
@@ -38,7 +40,13 @@ def real_faults(results: Path) -> tuple[str, ...]:
         there = [str(name) for name in table]
         if there != list(columns):
             return (f"columns are {', '.join(there)}; expected {', '.join(columns)}",)
-    return (*_pair_faults(pairs), *_triple_faults(pairs, triples), *_stray_faults(pairs, strays))
+    paths = pd.read_csv(results / PATHS_FILE)
+    return (
+        *_pair_faults(pairs),
+        *_triple_faults(pairs, triples),
+        *_stray_faults(pairs, strays),
+        *_path_faults(paths),
+    )
 
 
 def _pair_faults(pairs: pd.DataFrame) -> Iterator[str]:
@@ -66,6 +74,18 @@ def _pair_faults(pairs: pd.DataFrame) -> Iterator[str]:
             )
         elif not isinstance(row["reason"], str):
             yield f"{name}: {row['status']}, and it does not say why"
+
+
+def _path_faults(paths: pd.DataFrame) -> Iterator[str]:
+    there = [str(name) for name in paths]
+    if there != list(PATH_COLUMNS):
+        yield f"columns of {PATHS_FILE} are {', '.join(there)}; expected {', '.join(PATH_COLUMNS)}"
+    elif list(paths.data_set) != list(DATA_SETS):
+        yield f"{PATHS_FILE} has not each data set once"
+    else:
+        for row in paths.to_dict("records"):
+            if not row["mean_m"] <= row["rmse_m"] <= row["max_m"]:
+                yield f"data set {row['data_set']}: its distances are no mean, RMSE and maximum"
 
 
 def _triple_faults(pairs: pd.DataFrame, triples: pd.DataFrame) -> Iterator[str]:

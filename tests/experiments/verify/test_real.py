@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from experiments.paper.checksums import record_checksums
-from experiments.real.drawing import FIGURE
+from experiments.real.drawing import OFFSETS_FIGURE
 from experiments.real.pairs import (
     COMMAND,
     DATA_SETS,
@@ -19,6 +19,8 @@ from experiments.real.pairs import (
     TRIPLES_FILE,
     real_config,
 )
+from experiments.real.paths import COLUMNS as PATH_COLUMNS
+from experiments.real.paths import PATH_FIGURE, PATHS_FILE
 from experiments.run.provenance import save_provenance
 from experiments.studies.study import save_csv
 from experiments.verify.files import file_findings
@@ -47,10 +49,15 @@ def folder(tmp_path: Path) -> Path:
     save_csv(tmp_path / STRAYS_FILE, pd.DataFrame(strays, columns=STRAY_COLUMNS))
     save_csv(tmp_path / PAIRS_FILE, pd.DataFrame(rows, columns=PAIR_COLUMNS))
     save_csv(tmp_path / TRIPLES_FILE, pd.DataFrame(triples, columns=TRIPLE_COLUMNS))
-    for name in (PAIRS_FILE, TRIPLES_FILE, STRAYS_FILE):
+    paths = [dict.fromkeys(PATH_COLUMNS, 0.5) | {"data_set": number} for number in DATA_SETS]
+    save_csv(tmp_path / PATHS_FILE, pd.DataFrame(paths, columns=PATH_COLUMNS))
+    tables = PAIRS_FILE, TRIPLES_FILE, STRAYS_FILE, PATHS_FILE
+    for name in tables:
         save_provenance(tmp_path / name, COMMAND, real_config(), 1.0, None)
-    (tmp_path / FIGURE).write_bytes(b"drawn")
-    names = PAIRS_FILE, TRIPLES_FILE, STRAYS_FILE, FIGURE
+    figures = OFFSETS_FIGURE, *map(PATH_FIGURE.format, DATA_SETS)
+    for name in figures:
+        (tmp_path / name).write_bytes(b"drawn")
+    names = *tables, *figures
     record_checksums(tmp_path, [tmp_path / name for name in names])
     return tmp_path
 
@@ -72,6 +79,8 @@ def test_tables_that_agree_have_no_fault(folder: Path) -> None:
         (TRIPLES_FILE, "1,0-1-2,-2.5\n", "", "real_triples.csv has not each triple"),
         (STRAYS_FILE, "4,1,2,3,-1.5", "4,1,2,3,1.75", "(4, 1, 2): it strays by 1.5 ms"),
         (STRAYS_FILE, "4,1,2,3,-1.5", "4,1,3,3,-1.5", "real_strays.csv has pairs that"),
+        (PATHS_FILE, "\n2,", "\n3,", "real_paths.csv has not each data set once"),
+        (PATHS_FILE, "\n2,0.5,0.5,0.5,0.5,", "\n2,0.5,0.5,0.4,0.5,", "data set 2: its distances"),
         (TRIPLES_FILE, "2,0-1-2,-2.5", "2,0-1-2,4", "(2, 0, 1): its closure is 2.5 ms"),
     ],
 )
