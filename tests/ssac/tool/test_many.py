@@ -68,3 +68,17 @@ def test_a_camera_twice_is_one_line(files):
     assert code == 2
     assert "given for cameras 1 and 3" in err
     assert err.strip().count("\n") == 0
+
+
+def test_two_cameras_write_a_path_with_deviations(files, tmp_path):
+    folder, flight = files
+    cameras, out = [folder / f"cam{k}.csv" for k in (1, 2)], tmp_path / "path.csv"
+    args = ("--rig", folder / "rig.yaml", "--trajectory", out, "--distance", flight.distance_m)
+    code, text, err = run("sync", *cameras, *args)
+    assert code == 0, err
+    assert "time offset" in text
+    assert "which hold from" in err
+    path = read_path(out)
+    off_m = np.linalg.norm(path.positions_m - flight.path(path.times_s), axis=1)
+    assert np.sqrt(np.mean(off_m**2)) < 0.15  # as of three cameras, and one less to hold them
+    assert path.deviations_m.shape == path.positions_m.shape
