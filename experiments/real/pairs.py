@@ -12,12 +12,12 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from experiments.real.closure import closures_s
 from ssac.clock import Clock
 from ssac.config import Config
 from ssac.convert.drone_tracking import ImportedCamera, import_data_set
 from ssac.errors import SsacError
 from ssac.estimate import Estimate
+from ssac.network.graph import closures_s
 from ssac.search.all_offsets import AllOffsets
 from ssac.tool.everywhere import SKEW_PRIOR_PPM, Start
 from ssac.tool.sync import SyncResult, sync
@@ -172,7 +172,7 @@ def _of_data_set(
                 config=config,
                 cameras=(i + 1, j + 1),
                 search_all=True,
-                rate_range=_rate_range(number, i, j),
+                rate_range=rate_range(number, i, j),
                 estimate_readout=True,
             )
             if result.estimate.has_offset:
@@ -263,7 +263,7 @@ def _configs(number: int, i: int, j: int) -> list[Config | None]:
     ]
 
 
-def _rate_range(number: int, i: int, j: int) -> tuple[float, float] | None:
+def rate_range(number: int, i: int, j: int) -> tuple[float, float] | None:
     """Rates that are tried of camera j's clock by camera i's; None where both are known."""
     low, high = UNKNOWN_RATES.get((number, j), (1.0, 1.0))
     slow, fast = UNKNOWN_RATES.get((number, i), (1.0, 1.0))

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from experiments.real.pairs import DATA_SETS, UNKNOWN_RATES, Truth, load_truth
+from experiments.real.pairs import DATA_SETS, VARIABLE_RATES, Truth, load_truth, rate_range
 from ssac.compare.comparison import Comparison, compare
 from ssac.convert.drone_tracking import ImportedCamera, import_data_set
 from ssac.errors import SsacError
@@ -27,9 +27,6 @@ PATH_FIGURE = "real_path_{}.png"
 
 RTK_S = 0.2
 """Time between two samples of RTK; data set 4 counts them, and leaves some out."""
-
-VARIABLE_RATES = {(4, 2), (4, 3)}
-"""Cameras that counted native frames of a rate that varies: the published clocks are of others."""
 
 COLUMNS = (
     "data_set", "cameras", "left_out", "rmse_m", "mean_m", "median_m", "max_m", "n_rtk", "coverage",
@@ -103,16 +100,13 @@ def _pairs(number: int, cameras: list[ImportedCamera], own: Path) -> dict[Pair, 
     """Synchronise every pair from nothing."""
     found = {}
     for a, b in combinations(range(len(cameras)), 2):
-        slow, fast = UNKNOWN_RATES.get((number, a), (1.0, 1.0))
-        low, high = UNKNOWN_RATES.get((number, b), (1.0, 1.0))
-        rates = (low / fast, high / slow)
         found[a, b] = sync(
             own / f"{cameras[a].name}.csv",
             own / f"{cameras[b].name}.csv",
             own / "rig.yaml",
             cameras=(a + 1, b + 1),
             search_all=True,
-            rate_range=rates if rates[0] < rates[1] else None,
+            rate_range=rate_range(number, a, b),
         )
     return found
 

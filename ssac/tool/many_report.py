@@ -11,7 +11,7 @@ from ssac.estimate import Status
 from ssac.files.whole_file import whole_file
 from ssac.network.answers import CameraAnswer
 from ssac.tool.many import ManyResult, write_paths
-from ssac.tool.report import _plain as plain
+from ssac.tool.report import plain
 from ssac.tool.sync import Log
 
 

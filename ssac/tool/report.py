@@ -48,26 +48,26 @@ def report_json(result: SyncResult) -> dict[str, Any]:
     estimate, (cam1, cam2, rig) = result.estimate, result.paths
     has_samples = result.method.input is Input.TRACKS
     return {
-        "t_d_s": _plain(estimate.t_d_s),
-        "t_d_std_s": _plain(estimate.t_d_std_s),
-        "t_ref_s": _plain(estimate.t_ref_s),
-        "skew_ppm": _plain(estimate.skew_ppm),
-        "skew_std_ppm": _plain(estimate.skew_std_ppm),
-        "readout_s": _plain(estimate.readouts_s),
-        "readout_std_s": _plain(estimate.readouts_std_s),
-        "R": _plain(estimate.R),
-        "t": _plain(estimate.t),
+        "t_d_s": plain(estimate.t_d_s),
+        "t_d_std_s": plain(estimate.t_d_std_s),
+        "t_ref_s": plain(estimate.t_ref_s),
+        "skew_ppm": plain(estimate.skew_ppm),
+        "skew_std_ppm": plain(estimate.skew_std_ppm),
+        "readout_s": plain(estimate.readouts_s),
+        "readout_std_s": plain(estimate.readouts_std_s),
+        "R": plain(estimate.R),
+        "t": plain(estimate.t),
         "status": str(estimate.status),
         "reason": estimate.reason,
         "note": note(result),
         "method": result.method.name,
         "n_samples": estimate.n_samples if has_samples else None,
-        "d_avg_px": _plain(estimate.d_avg_px),
+        "d_avg_px": plain(estimate.d_avg_px),
         "t_d_is_reliable": estimate.has_offset,
-        "alternatives_s": _plain(estimate.alternatives_s),
-        "unobservable": _plain(estimate.unobservable),
-        "covariance": _plain(estimate.covariance),
-        "clock_covariance": _plain(estimate.clock_covariance),
+        "alternatives_s": plain(estimate.alternatives_s),
+        "unobservable": plain(estimate.unobservable),
+        "covariance": plain(estimate.covariance),
+        "clock_covariance": plain(estimate.clock_covariance),
         "clock_knots": _knots(estimate),
         "objects": None if result.objects is None else [asdict(used) for used in result.objects],
         "clock_jump": None if estimate.jump is None else asdict(estimate.jump),
@@ -269,10 +269,10 @@ def _vector(values: NDArray[np.float64], digits: int) -> str:
     return f"({', '.join(f'{value:.{digits}f}' for value in values + 0.0)})"
 
 
-def _plain(value: float | NDArray[np.float64] | None) -> Any:
+def plain(value: float | NDArray[np.float64] | None) -> Any:
     """Nested lists of Python numbers, None for what is missing or not finite."""
     if value is None:
         return None
     if isinstance(value, np.ndarray):
-        return [_plain(part) for part in value]
+        return [plain(part) for part in value]
     return float(value) if np.isfinite(value) else None

@@ -10,7 +10,6 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments.real.closure import closures_s
 from experiments.real.drawing import real_figure
 from experiments.real.pairs import (
     PAIRS_FILE,
@@ -27,6 +26,7 @@ from ssac.errors import SsacError
 from ssac.estimate import Estimate
 from ssac.files.rigs import load_camera
 from ssac.files.track_files import load_track
+from ssac.network.graph import closures_s
 from tests.ssac.command import run
 from tests.ssac.synthetic import HEIGHT, WIDTH, K, make_scene
 from tests.ssac.tracks import FPS, frame_track
