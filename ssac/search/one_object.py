@@ -94,10 +94,11 @@ def one_object(
     cameras = denoised(cam1, cam2, rig, config)
     both = list(zip(cameras, (rig.cam1, rig.cam2), strict=True))
     as_it_is = OneObject(*cameras, (ObjectsUsed(1, 1.0), ObjectsUsed(1, 1.0)))
-    if not any(seen.denoised and seem_several(seen.events, camera) for seen, camera in both):
+    seem = [seen.denoised and seem_several(seen.events, camera) for seen, camera in both]
+    if not any(seem):
         return as_it_is
     objects = [_objects(*one) for one in both]
-    if not any(one.are_several for one in objects):
+    if not any(one.are_several for one, several in zip(objects, seem, strict=True) if several):
         return as_it_is
     start_s = 1e-6 * (objects[1].start_us - objects[0].start_us)  # of camera 2 after camera 1
     low_s, high_s = config.interval_s

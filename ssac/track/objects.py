@@ -36,6 +36,7 @@ _REACH_PX, _REACH = 10.0, 0.4  # of a blob from where a path leads: plus a share
 _GROWTH = 1.5  # of an image's size from bin to bin
 _MARGIN_PX = 4.0  # around a blob
 _LEAST_BINS = 5  # of a piece
+_LASTING_BINS = 75  # of the longest piece; of a near drone's parts it had 50 at most
 _OWN_WAY_PX, _OWN_WAY = 6.0, 0.2  # by which the gap of two things changes: plus a share of it
 _MEMORY = 4  # bins that tell a path's velocity
 _TOGETHER = 20  # bins after which two things that met have parted, or one is gone
@@ -124,6 +125,9 @@ def objects_of(events: NDArray[np.void], camera: Camera) -> Objects:
     ]
     share_apart = _bins_of_their_own_way(pieces) / len(bounds)
     are_several = share_still > SEVERAL or share_apart > 0.5 * SEVERAL
+    # Of a large object that comes apart now here and now there, no part lasts.
+    longest = max((len(piece.positions_px) for piece in pieces), default=0)
+    are_several = are_several and longest >= _LASTING_BINS
     return Objects(int(events["t"][0]), are_several, n_seen, pieces, labels)
 
 
