@@ -128,7 +128,7 @@ def test_points_of_the_wrong_shape_are_refused():
         (Camera(np.where(K == 173, np.nan, K), 346, 260), "K must be a finite 3x3 matrix"),
         (Camera(np.diag([-200.0, 200.0, 1.0]), 346, 260), "focal lengths must be positive"),
         (Camera(K + np.eye(3, k=1), 346, 260), "without skew"),
-        (Camera(K, 0, 260), "resolution must be at least 1 x 1 px, got 0 x 260"),
+        (Camera(K, 0, 260), "at least 1 x 1 px and at most 200000000 pixels, got 0 x 260"),
         (_camera("fov", (0.9,)), "unknown distortion model 'fov': use one of none, radtan"),
         (_camera("radtan", (0.1,)), "'radtan' needs 4 or 5 or 8 finite coefficients"),
         (_camera("equidistant", (0, 0, 0, np.nan)), "'equidistant' needs 4 finite coefficients"),

@@ -291,7 +291,7 @@ def test_a_scheduler_that_is_killed_is_one_line(folder, plugin, scheduler, capfd
     assert capfd.readouterr().err == ""
 
 
-def test_an_interrupted_sweep_is_one_line_and_leaves_nothing_half_made(folder, plugin):
+def test_an_interrupted_sweep_says_how_to_go_on_and_leaves_nothing_half_made(folder, plugin):
     out, cache = folder / "interrupted.csv", folder / "cache_interrupted"
     longer = folder / "longer.toml"  # so that both are at it when they are interrupted
     longer.write_text(TOML.format(methods='"ssac"').replace("duration_s = 3.0", "duration_s = 300"))
@@ -300,7 +300,10 @@ def test_an_interrupted_sweep_is_one_line_and_leaves_nothing_half_made(folder, p
         assert run.poll() is None
         time.sleep(0.1)
     os.killpg(run.pid, signal.SIGINT)  # as a terminal does: to all processes in it
-    assert run.communicate()[1] == "interrupted\n"
+    assert run.communicate()[1] == (
+        f"stopped: 0 of 3 recordings are done and kept in {cache}; the same command goes on from"
+        " there\ninterrupted\n"
+    )
     assert run.returncode == INTERRUPTED
     assert not [path for path in cache.rglob("*") if path.is_file()]
 
