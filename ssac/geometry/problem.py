@@ -75,6 +75,7 @@ class Prior:
     place: int  # T_D, or from FIRST_COLUMN on
     value: float
     deviation: float  # in the parameter's unit
+    scale_px: float = np.nan  # what one deviation counts as; NaN: as an independent residual
 
 
 @dataclass(frozen=True)
@@ -87,7 +88,6 @@ class Problem:
     columns: tuple[Column, ...] = ()
     priors: tuple[Prior, ...] = ()
     turn: float = CAUCHY  # where the loss turns, in robust standard deviations
-    repeated: float = 1.0  # residuals that tell as much as an independent one: weighs the priors
 
     def __post_init__(self) -> None:
         for prior in self.priors:

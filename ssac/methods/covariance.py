@@ -47,7 +47,7 @@ def correlated_covariance(
     slopes_px: Array,
     curvatures: Array,
     prior_deviations: Array | None = None,
-    repeated: float = 1.0,
+    prior_scales_px: Array | None = None,
     common: Indices | None = None,
 ) -> Array:
     """Covariance of M-estimated parameters whose residuals are correlated in time.
@@ -62,8 +62,9 @@ def correlated_covariance(
         First and second derivatives of the loss at the residuals, each (n,).
     prior_deviations
         Of what is known of each parameter beside the data, shape (p,); PRIOR when None.
-    repeated
-        Residuals that told as much as one did, by which the fit weighed the priors (`repeats`).
+    prior_scales_px
+        What one of those deviations counted as in the fit, shape (p,) [px]; as a residual that is
+        independent of the others where it is NaN, and everywhere when None.
     common
         Places (c,) of the parameters for which it counts what the series' errors have in common;
         the first when None.
@@ -75,12 +76,14 @@ def correlated_covariance(
         direction that the data do not determine, those of the prior and more.
     """
     n, p = jacobian.shape
-    curvature = max(float(np.mean(curvatures)), _LEAST_MEAN_CURVATURE)
+    curvature = mean_curvature(curvatures)
     scale_px = max(float(np.sqrt(np.mean(slopes_px**2))), _LEAST_PX)
     # Parameters in which the residuals' derivatives are orthonormal, with p further residuals that
     # say no more than the priors.
     deviations = np.full(p, PRIOR) if prior_deviations is None else prior_deviations
-    prior = np.diag(np.sqrt(repeated) * scale_px / (curvature * deviations))
+    scales_px = np.full(p, np.nan) if prior_scales_px is None else prior_scales_px
+    scales_px = np.where(np.isfinite(scales_px), scales_px, scale_px / np.sqrt(curvature))
+    prior = np.diag(scales_px / (np.sqrt(curvature) * deviations))
     Q, triangle = np.linalg.qr(np.vstack([jacobian, prior]))
     Q, Q_prior = Q[:n], Q[n:]
     left_px = slopes_px - Q @ (Q.T @ slopes_px)
@@ -90,19 +93,34 @@ def correlated_covariance(
     is_clock = len(common) == p  # and nothing else: the pose is known
     if several and is_clock:
         meat, independent = _clock_variance(times_s, Q, left_px, meat)
-    meat = meat + repeated * scale_px**2 * Q_prior.T @ Q_prior
+    meat = meat + curvature * Q_prior.T @ (scales_px[:, None] ** 2 * Q_prior)
     bread = Q.T @ (curvatures[:, None] * Q) + curvature * Q_prior.T @ Q_prior
-    shares, axes = np.linalg.eigh(bread)
-    inverse = axes / np.maximum(shares, _LEAST_CURVATURE * curvature) @ axes.T
-    root = np.linalg.solve(triangle, inverse)
+    root = np.linalg.solve(triangle, bounded_inverse(bread, curvature))
     factors = np.ones(p)
     if several and not is_clock:
         for k in common:
-            factors[k] = np.sqrt(_common_factor(times_s, Q @ root[k] * left_px))
+            factor = _common_factor(times_s, Q @ root[k] * left_px)
+            # What is in common to all series makes no rate of a clock surer, as it drifts with it.
+            factors[k] = np.sqrt(factor if k == common[0] else max(factor, 1.0))
     # Parameters, or parts of them, that are from the data and not from what was known beforehand.
     told = p - float(np.sum(Q_prior[deviations < PRIOR] ** 2))
     factors *= float(stdtrit(max(independent - told, 1.0), 0.975)) / NORMAL_95
     return np.asarray(np.outer(factors, factors) * (root @ meat @ root.T))
+
+
+def mean_curvature(curvatures: Array) -> float:
+    """Mean of a loss's second derivatives (n,), which is not taken for less than a little."""
+    return max(float(np.mean(curvatures)), _LEAST_MEAN_CURVATURE)
+
+
+def bounded_inverse(bread: Array, curvature: float) -> Array:
+    """Inverse (p, p) of the sum of a loss's curvatures along p orthonormal directions.
+
+    A direction in which the loss is hardly curved, or bent downwards by chance, counts as if it
+    were curved a little: by a share of the mean curvature.
+    """
+    shares, axes = np.linalg.eigh(bread)
+    return np.asarray(axes / np.maximum(shares, _LEAST_CURVATURE * curvature) @ axes.T)
 
 
 def repeats(times_s: Array, jacobian: Array, slopes_px: Array) -> float:

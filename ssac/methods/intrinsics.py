@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from ssac.camera import Camera, Rig, distort_points
 from ssac.geometry.epipolar import fundamental_from_pose
 from ssac.geometry.problem import Column, Parameters, Prior, Problem, Residuals, linearise
-from ssac.geometry.robust import cauchy_weights
+from ssac.geometry.robust import cauchy_weights, robust_deviation
 from ssac.methods.covariance import repeats
-from ssac.methods.least_squares import covariance_of, hidden_covariance
+from ssac.methods.least_squares import covariance_of, fair_scales, hidden_covariance
 
 Array = NDArray[np.float64]
 
@@ -65,36 +65,52 @@ class Allowance:
     def __init__(self, rig: Rig, has_priors: bool = False) -> None:
         self._uncertain = uncertain_ones(rig)
         self._has_priors = has_priors or bool(self._uncertain)
-        self._repeated: float | None = None
+        self._clock_px: Array | None = None  # (m,) what its priors' deviations count as
+        self._intrinsics_px = 0.0  # the same of the intrinsics
 
     @property
     def is_made(self) -> bool:
         """Whether problems now have all that is to be allowed for."""
-        return not self._has_priors or self._repeated is not None
+        return not self._has_priors or self._clock_px is not None
 
     def learn(self, problem: Problem, parameters: Parameters) -> None:
-        """Take from a fit how many of its residuals tell as much as an independent one."""
+        """Take from a fit, whose loss turns where the last one's will, what priors weigh.
+
+        A clock's weigh against what the residuals tell of that very parameter. Of each of the
+        intrinsics they tell next to nothing: these weigh by how many residuals tell as much as an
+        independent one.
+        """
         if self.is_made:
             return
         residuals = linearise(problem, parameters)
+        scales_px = fair_scales(problem, residuals)
+        places = [prior.place for prior in problem.priors]
+        self._clock_px = scales_px[np.searchsorted(problem.free, places)]
         weights = cauchy_weights(residuals.distances_px, problem.turn)[0]
-        self._repeated = repeats(
+        repeated = repeats(
             residuals.times_s,
             residuals.jacobian[:, problem.free],
             weights * residuals.distances_px,
         )
+        self._intrinsics_px = np.sqrt(repeated) * robust_deviation(residuals.distances_px)
 
     def added(self, problem: Problem) -> Problem:
         """Add what its priors weigh, and the uncertain intrinsics, to a problem, once known."""
-        if self._repeated is None:
+        if self._clock_px is None:
             return problem
         first = problem.size
-        priors = [Prior(first + k, 0.0, one.deviation) for k, one in enumerate(self._uncertain)]
+        of_clock = [
+            replace(prior, scale_px=float(scale_px))
+            for prior, scale_px in zip(problem.priors, self._clock_px, strict=True)
+        ]
+        of_cameras = [
+            Prior(first + k, 0.0, one.deviation, self._intrinsics_px)
+            for k, one in enumerate(self._uncertain)
+        ]
         return replace(
             problem,
             columns=(*problem.columns, *columns_of(problem)),
-            priors=(*problem.priors, *priors),
-            repeated=self._repeated,
+            priors=(*of_clock, *of_cameras),
         )
 
 

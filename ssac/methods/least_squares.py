@@ -5,15 +5,28 @@ and one more residual for each prior. Pairs are moved along where the solver cha
 whoever calls samples anew until nothing changes.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from ssac.geometry.problem import FIRST_COLUMN, Parameters, Problem, Residuals, linearise, moved
+from ssac.geometry.problem import (
+    FIRST_COLUMN,
+    Parameters,
+    Problem,
+    Residuals,
+    linearise,
+    moved,
+)
 from ssac.geometry.robust import cauchy_weights, robust_deviation
-from ssac.methods.covariance import PRIOR, correlated_covariance, mapped_covariance
+from ssac.methods.covariance import (
+    PRIOR,
+    bounded_inverse,
+    correlated_covariance,
+    mapped_covariance,
+    mean_curvature,
+)
 
 Array = NDArray[np.float64]
 
@@ -105,18 +118,41 @@ def covariance_of(problem: Problem, residuals: Residuals) -> Array:
         At its solution.
     """
     weights, curvatures = cauchy_weights(residuals.distances_px, problem.turn)
-    deviations = np.full(problem.size, PRIOR)
+    deviations, scales_px = np.full(problem.size, PRIOR), np.full(problem.size, np.nan)
     for prior in problem.priors:
-        deviations[prior.place] = prior.deviation
+        deviations[prior.place], scales_px[prior.place] = prior.deviation, prior.scale_px
     return correlated_covariance(
         residuals.times_s,
         residuals.jacobian[:, problem.free],
         weights * residuals.distances_px,
         curvatures,
         deviations[problem.free],
-        problem.repeated,
+        scales_px[problem.free],
         np.flatnonzero([place in problem.of_clock for place in problem.free]),
     )
+
+
+def fair_scales(problem: Problem, residuals: Residuals) -> Array:
+    """Give what one deviation of a prior is to count as, by free parameter: shape (f,) [px].
+
+    Residuals whose errors are correlated tell less of a parameter than so many independent ones,
+    and of each another share of it, by how its derivative goes with time. With these scales a prior
+    and the data share in a parameter by their variances.
+
+    Parameters
+    ----------
+    problem
+        The one that was solved; its priors do not count.
+    residuals
+        At its solution.
+    """
+    variances = np.diag(covariance_of(replace(problem, priors=()), residuals))
+    curvatures = cauchy_weights(residuals.distances_px, problem.turn)[1]
+    Q, triangle = np.linalg.qr(residuals.jacobian[:, problem.free])
+    inverse = bounded_inverse(Q.T @ (curvatures[:, None] * Q), mean_curvature(curvatures))
+    back = np.linalg.pinv(triangle)
+    independent = np.einsum("ij,jk,ik->i", back, inverse, back)  # variances, of residuals of 1 px
+    return np.asarray(np.sqrt(variances / np.maximum(independent, np.finfo(np.float64).tiny)))
 
 
 def hidden_covariance(problem: Problem, residuals: Residuals, errors_px: Array) -> Array:
@@ -209,7 +245,9 @@ def _with_columns(start: Parameters, problem: Problem) -> Parameters:
 
 def _prior_weights(problem: Problem, residuals: Residuals) -> Array:
     """Give the priors' rows (q, p) of the system."""
-    scale_px = float(np.sqrt(problem.repeated)) * robust_deviation(residuals.distances_px)
     places = [prior.place for prior in problem.priors]
     deviations = np.array([prior.deviation for prior in problem.priors])
-    return np.eye(problem.size)[places] * (scale_px / deviations)[:, None]
+    scales_px = np.array([prior.scale_px for prior in problem.priors])
+    independent = robust_deviation(residuals.distances_px)
+    scales_px = np.where(np.isfinite(scales_px), scales_px, independent)
+    return np.asarray(np.eye(problem.size)[places] * (scales_px / deviations)[:, None])

@@ -198,7 +198,7 @@ def refine_tangents(
             break
         is_far = not _are_near(before, parameters, _FAR) or stray_s > _FAR * LAST_STRAY_S
         if not is_far:
-            allowance.learn(problem, parameters)
+            allowance.learn(replace(problem, turn=config.cauchy), parameters)
 
     problem = replace(problem, turn=config.cauchy)
     residuals = linearise(problem, parameters)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from ssac.geometry.epipolar import fundamental_from_pose, sampson_distance
 from ssac.geometry.problem import (
@@ -18,7 +19,7 @@ from ssac.geometry.problem import (
     moved,
 )
 from ssac.geometry.robust import CAUCHY
-from ssac.methods.least_squares import _least_squares, covariance_of, solve
+from ssac.methods.least_squares import _least_squares, covariance_of, fair_scales, solve
 from tests.ssac.synthetic import K, make_scene, rotation_angle_deg, track_pair
 
 SCENE = make_scene(seed=2)
@@ -31,14 +32,23 @@ NOISE_PX = 0.1
 TURNS = {"joint": CAUCHY, "tangency": 0.5}  # where the two methods' losses turn
 
 
-def rate_problem(seed: int = 0, rate: float = RATE, noise_px: float = NOISE_PX, **options):
-    """Pairs sampled as if both clocks were one; camera 2's has an offset and a rate."""
+def rate_problem(
+    seed: int = 0, rate: float = RATE, noise_px: float = NOISE_PX, fades_in: float = 0.0, **options
+):
+    """Pairs sampled as if both clocks were one; camera 2's has an offset and a rate.
+
+    Their noise has the deviation `noise_px`, and fades in so many samples.
+    """
     p1, p2 = track_pair(SCENE, TIMES_S)
     late_s = T_D_S + rate * SINCE_S
     seen_at = TIMES_S - late_s  # camera 2's clock shows TIMES_S then
     p2 = track_pair(SCENE, seen_at)[1]
     v2 = (track_pair(SCENE, seen_at + 1e-4)[1] - track_pair(SCENE, seen_at - 1e-4)[1]) / 2e-4
     noise = np.random.default_rng(seed).normal(0.0, noise_px, (2, N, 2))
+    if fades_in:
+        kept = np.exp(-1.0 / fades_in)
+        noise[:, 1:] *= np.sqrt(1.0 - kept**2)
+        noise = lfilter([1.0], [1.0, -kept], noise, axis=1)
     pairs = WeighedPairs(TIMES_S, p1 + noise[0], p2 + noise[1], v2, np.ones(N), 0.0)
     column = Column(np.zeros_like(p1), SINCE_S[:, None] * v2)
     return Problem(pairs, SCENE.rig, columns=(column,), **options)
@@ -92,6 +102,33 @@ def test_a_prior_weighs_as_much_as_its_deviation_says(turn):
     assert stds[0] == pytest.approx(1e-3, rel=0.1)
     assert 0.5 < stds[1] < 0.9  # 0.71
     assert stds[2] == pytest.approx(1.0, abs=0.01)
+
+
+@pytest.mark.parametrize("turn", TURNS.values(), ids=TURNS)
+@pytest.mark.parametrize("fades_in", [0.0, 20.0], ids=["white", "slow"])
+def test_a_fair_prior_and_the_data_share_by_their_variances(fades_in, turn):
+    shares = []
+    for seed in range(6):
+        free = rate_problem(seed, turn=turn, fades_in=fades_in)
+        found = solve(free, truth(), max_steps=100).parameters
+        residuals = linearise(free, found)
+        std = np.sqrt(covariance_of(free, residuals)[-1, -1])
+        assert 0.05 * RATE < std < RATE  # neither tells all
+        prior = Prior(FIRST_COLUMN, 0.0, std, fair_scales(free, residuals)[-1])
+        held = solve(replace(free, priors=(prior,)), truth(), max_steps=100).parameters
+        shares.append(held.columns[0] / found.columns[0])
+    # One half each. A loss that turns within slow noise has several minima, and a prior may leave
+    # one for another: hence the median.
+    assert np.median(shares) == pytest.approx(0.5, abs=0.1)
+
+
+def test_an_unfair_prior_is_outvoted_by_slow_errors():
+    """The same with what one independent residual would count: so the test above can fail."""
+    free = rate_problem(fades_in=20.0)
+    found = solve(free, truth(), max_steps=100).parameters
+    std = np.sqrt(covariance_of(free, linearise(free, found))[-1, -1])
+    held = solve(replace(free, priors=(Prior(FIRST_COLUMN, 0.0, std),)), truth()).parameters
+    assert held.columns[0] / found.columns[0] > 0.8
 
 
 def test_a_prior_of_the_offset_holds_it():
