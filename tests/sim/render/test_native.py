@@ -15,9 +15,9 @@ from sim.render.native import NativePainter
 from sim.render.renderer import Renderer
 from sim.scene.drone import Drone, Part, quadrotor
 from sim.scene.rig import Camera
+from tests.sim.render.drawing import BOX, HALF_VGA, drawn
 from tests.sim.scenes import (
     LENSES,
-    Array,
     Image,
     box_drone,
     grey,
@@ -27,21 +27,9 @@ from tests.sim.scenes import (
     poses,
     straight,
     tumbling,
-    whole_images,
 )
 
-HALF_VGA = (173, 130)
-BOX = box_drone((0.7, 0.5, 0.3))
 NO_GL = RenderConfig(check=False)
-
-
-def drawn(
-    drone: Drone, camera: Camera, times_s: Array, T_W_B: Array, background: Image,
-    config: RenderConfig = NO_GL,
-) -> Image:  # fmt: skip
-    with Renderer(drone, config) as renderer:
-        crops = renderer.crops(camera, times_s, T_W_B, background)
-        return whole_images(crops, times_s, background)
 
 
 # --- The definition ----------------------------------------------------------------------------
@@ -126,7 +114,7 @@ def test_without_the_check_opengl_is_not_opened(monkeypatch: pytest.MonkeyPatch)
 
     monkeypatch.setattr(GLPainter, "__init__", refuse)
     camera = make_camera()
-    assert drawn(BOX, camera, np.zeros(1), np.eye(4)[None], grey(camera)).min() < 0.6
+    assert drawn(BOX, camera, np.zeros(1), np.eye(4)[None], grey(camera), NO_GL).min() < 0.6
 
 
 def test_a_renderer_that_does_not_exist_is_refused() -> None:
@@ -263,4 +251,4 @@ def test_a_mesh_too_large_for_memory_is_refused(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(sim.render.faces, "_faces", full)
     camera = make_camera()
     with pytest.raises(SimError, match="mesh of 12 faces does not fit the memory: simplify it"):
-        drawn(painted(BOX, 0.2), camera, np.zeros(1), poses(np.zeros((1, 3))), grey(camera))
+        drawn(painted(BOX, 0.2), camera, np.zeros(1), poses(np.zeros((1, 3))), grey(camera), NO_GL)

@@ -1,45 +1,28 @@
-"""A contract over our methods, the choice of a method, and methods of other packages."""
+"""A contract over our methods, and the choice of a method."""
 
-import json
-import os
-import re
-import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 
 import ssac.tool.registry
-from experiments.paper.esim import esim_table, runs_of_grid
 from ssac.camera import Rig
 from ssac.config import Config
 from ssac.errors import SsacError
-from ssac.files.event_files import load_events
-from ssac.files.hdf5 import save_events_h5
 from ssac.tool.load import load_pair
-from ssac.tool.registry import DEFAULT, METHODS, OURS, Chain, Input, Registry, choose_method
+from ssac.tool.registry import DEFAULT, METHODS, OURS, Chain, Input, choose_method
 from ssac.track.observation import Observation
 from tests.recorded import T_D_S
-from tests.ssac.synthetic import HEIGHT, WIDTH
 
 if sys.version_info >= (3, 11):
-    import tomllib
+    pass
 else:
-    import tomli as tomllib
+    pass
 
 ROOT = Path(__file__).resolve().parents[3]
 NAMES = [method.name for method in OURS]
-
-GOOD = '''
-from ssac import Estimate
-
-def estimate(cam1, cam2, rig, config=None):
-    """Always the same."""
-    return Estimate("mine", t_d_s=0.25)
-'''
 
 
 @pytest.fixture(scope="module")
@@ -159,264 +142,3 @@ def test_an_unknown_name_lists_the_known_ones():
 def test_extrinsics_are_not_dropped_in_silence():
     with pytest.raises(SsacError, match="zncc_e makes no use of known extrinsics"):
         choose_method("zncc_e", known_extrinsics=True)
-
-
-# --- Methods of other packages ---
-
-
-def install(folder: Path, package: str, entry: str, source: str = GOOD, version: str = "1.2"):
-    """Put a module, and the metadata that an installer writes, into a folder of sys.path."""
-    (folder / f"{package}.py").write_text(source)
-    info = folder / f"{package}-{version}.dist-info"
-    info.mkdir(exist_ok=True)
-    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: {version}\n")
-    (info / "entry_points.txt").write_text(f"[ssac.methods]\n{entry}\n")
-
-
-@pytest.fixture
-def site(tmp_path, monkeypatch):
-    """A folder of sys.path; what is imported from it is forgotten afterwards."""
-    folder = tmp_path / "site"
-    folder.mkdir()
-    monkeypatch.syspath_prepend(folder)
-    before = set(sys.modules)
-    yield folder
-    for name in set(sys.modules) - before:
-        if str(folder) in str(getattr(sys.modules[name], "__file__", "")):
-            del sys.modules[name]
-
-
-def test_ours_come_first_then_others_by_name(site):
-    others = [name for name in Registry() if name not in NAMES]  # of this environment
-    install(site, "package_a", "zz = package_a:estimate")
-    install(site, "package_b", "aa = package_b:estimate")
-    registry = Registry()
-    assert list(registry) == [*NAMES, *sorted([*others, "aa", "zz"])]
-    assert len(registry) == len(list(registry))
-    assert "aa" in registry
-    assert registry.get("ab") is None
-
-
-def test_a_function_is_a_method_of_tracks(site):
-    install(site, "plain", "mine = plain:estimate")
-    method = Registry()["mine"]
-    assert (method.name, method.input, method.summary) == ("mine", Input.TRACKS, "Always the same.")
-    assert not method.needs_extrinsics
-    assert re.fullmatch(r"plain 1\.2 [0-9a-f]{16}", method.version)
-
-
-def test_a_method_object_says_the_rest(site):
-    source = GOOD + (
-        "from ssac.tool.registry import Input, Method\n"
-        'M = Method("mine", estimate, Input.RATES, "sums up", needs_extrinsics=True, version="w3")'
-    )
-    install(site, "whole", "mine = whole:M", source)
-    method = Registry()["mine"]
-    assert (method.input, method.summary, method.needs_extrinsics) == (Input.RATES, "sums up", True)
-    assert re.fullmatch(r"whole 1\.2 [0-9a-f]{16} w3", method.version)
-
-
-def test_a_method_of_a_package_runs(site, data):
-    install(site, "plain", "mine = plain:estimate")
-    assert Registry()["mine"].estimate(*data, None).t_d_s == 0.25
-
-
-BROKEN = {
-    "a missing module": ("mine = broken:f", "import no_such_module", "ModuleNotFoundError"),
-    "a syntax error": ("mine = broken:f", "def f(:", "SyntaxError"),
-    "an error of its own": ("mine = broken:f", "1 / 0", "ZeroDivisionError: division by zero"),
-    "a missing name": ("mine = broken:f", "", "AttributeError"),
-    "no function": ("mine = broken:f", "f = 3", "expected a function of .* got int"),
-    "other arguments": ("mine = broken:f", "def f(a, b): pass", "expected a function of"),
-    "a class": ("mine = broken:f", "class f: pass", "expected a function of"),
-    "a bad name": ("my/ne = broken:estimate", GOOD, "a method's name must match"),
-    "two names": (
-        "mine = broken:M",
-        GOOD
-        + "from ssac.tool.registry import Input, Method\n"
-        + 'M = Method("yours", estimate, Input.TRACKS, "")',
-        "the Method is named 'yours': give both one name",
-    ),
-}
-
-
-@pytest.mark.parametrize("case", BROKEN)
-def test_a_broken_package_is_named_when_it_is_asked_for_only(case, site):
-    entry, source, message = BROKEN[case]
-    name = entry.partition(" = ")[0]
-    install(site, "broken", entry, source)
-    install(site, "sound", "sound = sound:estimate")
-    registry = Registry()
-    assert name in registry
-    assert name in list(registry)
-    assert registry["ssac"].name == "ssac"
-    assert registry["sound"].name == "sound"
-    origin = re.escape(f"broken 1.2 (entry point {entry})")
-    for _ in range(2):  # not only the first time
-        with pytest.raises(SsacError, match=f"{origin}: .*{message}"):
-            registry[name]
-
-
-def test_a_name_of_ours_is_not_given_away(site):
-    install(site, "greedy", "ssac = greedy:estimate")
-    registry = Registry()
-    assert registry["joint"].name == "joint"
-    assert list(registry).count("ssac") == 1
-    with pytest.raises(SsacError, match=r"'ssac' is taken twice, by this suite and by greedy 1\.2"):
-        registry["ssac"]
-
-
-def test_two_packages_with_one_name(site):
-    install(site, "second", "mine = second:estimate")
-    install(site, "first", "mine = first:estimate")
-    with pytest.raises(SsacError, match=r"by first 1\.2 .* and by second 1\.2 \(entry point mine"):
-        Registry()["mine"]
-
-
-@pytest.mark.parametrize(
-    ("returned", "message"),
-    [
-        ("0.25", "must return an Estimate, got float"),
-        ("None", "must return an Estimate, got NoneType"),
-        ('Estimate("mine")', 't_d_s = nan with status "ok"'),
-        ('Estimate("mine", "it is dark")', "the status 'it is dark': give one word"),
-    ],
-)
-def test_what_would_spoil_a_table_is_an_error(returned, message, site, data):
-    install(site, "careless", "mine = careless:estimate", GOOD.replace(
-        'Estimate("mine", t_d_s=0.25)', returned))  # fmt: skip
-    # No SsacError, which would blame the data: the run counts as crashed.
-    with pytest.raises((TypeError, ValueError), match=rf"careless 1\.2 \(entry .*{message}"):
-        Registry()["mine"].estimate(*data, None)
-
-
-def test_the_version_follows_every_source_file(site):
-    def version_after(change):
-        change()
-        for name in [name for name in sys.modules if name.startswith("parts")]:
-            del sys.modules[name]
-        return Registry()["mine"].version
-
-    package = site / "parts"
-    package.mkdir()
-    (package / "__init__.py").write_text("")
-    (package / "method.py").write_text(GOOD)
-    install(site, "other", "mine = parts.method:estimate")
-    first = version_after(lambda: None)
-    assert version_after(lambda: (package / "notes.txt").write_text("no code")) == first
-    edited = version_after(lambda: (package / "helper.py").write_text("x = 1"))
-    again = version_after(lambda: (package / "helper.py").write_text("x = 2"))
-    moved = version_after(lambda: (package / "helper.py").rename(package / "helped.py"))
-    assert len({first, edited, again, moved}) == 4
-
-
-def test_a_variant_that_is_not_there_is_an_error(site, monkeypatch):
-    source = GOOD + (
-        "from ssac.tool.registry import Input, Method\n"
-        'M = Method("mine", estimate, Input.TRACKS, "", known_variant="mine-known")'
-    )
-    install(site, "halved", "mine = halved:M", source)
-    monkeypatch.setattr(ssac.tool.registry, "METHODS", Registry())
-    assert choose_method("mine").name == "mine"
-    with pytest.raises(SsacError, match="mine names 'mine-known' as its variant"):
-        choose_method("mine", known_extrinsics=True)
-
-
-# --- The example of docs/methods.md ---
-
-
-@pytest.fixture(scope="module")
-def example(tmp_path_factory):
-    """Its code blocks, and a folder where it is installed as its pyproject.toml says."""
-    text = (ROOT / "docs" / "methods.md").read_text()
-    pyproject, grid = (tomllib.loads(block) for block in code_blocks(text, "toml"))
-    module, method_object = code_blocks(text, "python")
-    (entry,) = pyproject["project"]["entry-points"]["ssac.methods"].items()
-    (name,) = pyproject["tool"]["setuptools"]["py-modules"]
-    folder = tmp_path_factory.mktemp("example")
-    install(folder, name, " = ".join(entry), module, pyproject["project"]["version"])
-    (folder / "angles.toml").write_text(code_blocks(text, "toml")[1])
-    return folder, grid, method_object
-
-
-def code_blocks(text: str, language: str) -> list[str]:
-    return re.findall(rf"^```{language}\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
-
-
-def run_python(folder: Path, *args: str) -> str:
-    """Run Python as a user does who has the folder's packages installed."""
-    path = os.pathsep.join([str(folder), str(ROOT)])
-    command = [sys.executable, *args]
-    result = subprocess.run(
-        command, env={**os.environ, "PYTHONPATH": path}, cwd=folder, capture_output=True, text=True
-    )
-    assert result.returncode == 0, result.stderr
-    return result.stdout
-
-
-def test_the_example_finds_the_offset_of_equal_views(example, recorded, tmp_path):
-    """Both cameras see the same, so that the image speeds are equal at the true offset."""
-    folder, _, _ = example
-    events = load_events(recorded / "cam1.h5").events.copy()
-    events["t"] += 250_000
-    events = np.delete(events, slice(None, None, 100))  # or else it is refused as a copy
-    save_events_h5(tmp_path / "later.h5", events, WIDTH, HEIGHT)
-    out = tmp_path / "out.json"
-    args = (recorded / "cam1.h5", tmp_path / "later.h5", "--rig", recorded / "rig.yaml")
-    options = ("--method", "track_speed", "--json", out)
-    shown = run_python(folder, "-m", "experiments.cli", "sync", *map(str, (*args, *options)))
-    assert "track_speed: Correlation of the object's image speeds, offset only." in shown
-    found = json.loads(out.read_text())
-    assert found["method"] == "track_speed"
-    assert found["t_d_s"] == pytest.approx(0.25, abs=1e-9)  # a whole number of its steps
-
-
-def test_the_grid_of_the_example_is_read(example):
-    folder, grid, _ = example
-    script = """
-from pathlib import Path
-from experiments.run.grid import load_config
-
-print(*[cell.method for cell in load_config(Path("angles.toml")).cells()])
-"""
-    methods = run_python(folder, "-c", script).split()
-    each = grid["flights"] * len(grid["grid"]["sim"]["angle_deg"])
-    assert [methods.count(name) for name in grid["methods"]] == [each, each]
-    assert len(methods) == 2 * each
-
-
-SWEEP = """
-flights = 2
-methods = ["zncc_e", "track_speed"]
-[fixed]
-sim.angle_deg = 10.0
-sim.t_d_s = 0.05
-sim.spline.duration_s = 3.0
-sim.sampling.max_step_px = 1.0
-sim.frames.rate_hz = 0.0
-"""
-
-
-@pytest.mark.render
-def test_the_example_runs_in_a_sweep_and_has_its_columns_in_a_table(example, tmp_path):
-    """In two processes, which find the package by themselves."""
-    (tmp_path / "two.toml").write_text(SWEEP)
-    out = tmp_path / "two.csv"
-    options = ("--out", out, "--cache", tmp_path / "cache", "--workers", 2)
-    args = ("sweep", tmp_path / "two.toml", *options)
-    run_python(example[0], "-m", "experiments.cli", *map(str, args))
-    rows = pd.read_csv(out)
-    assert rows["method"].tolist() == ["zncc_e", "track_speed"] * 2
-    assert set(rows["status"]) == {"ok"}
-    table = esim_table(runs_of_grid(rows), 3.0)
-    assert table["track_speed_failed"].tolist() == [0]
-    # From views 10 deg apart: the image speeds are all but equal, and 1 s off they are not.
-    assert table["track_speed_t_d_error_ms_mean"].item() < 50.0
-
-
-def test_the_example_as_an_object(example, site):
-    folder, _, method_object = example
-    source = (folder / "track_speed.py").read_text() + method_object
-    install(site, "track_speed", "track_speed = track_speed:METHOD", source)
-    method = Registry()["track_speed"]
-    assert method.summary == "correlation of the object's image speeds, offset only"

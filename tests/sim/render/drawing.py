@@ -1,0 +1,75 @@
+"""A drone, drawn by the renderer that a test asks for, and by pyrender a whole frame at a time."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from sim.render.config import RenderConfig
+from sim.render.footprint import footprint
+from sim.render.gl_reference import PyrenderFullFrame
+from sim.render.renderer import Renderer
+from sim.scene.drone import Drone, quadrotor
+from sim.scene.rig import Camera
+from tests.sim.scenes import (
+    Array,
+    Image,
+    box_drone,
+    whole_images,
+)
+
+HALF_VGA = (173, 130)  # a quarter of the default number of pixels, for speed
+BRIGHT = RenderConfig(ambient=1.0)
+# A hull seen from outside hides nothing of itself, whatever the depth buffer's rounding.
+BOX = box_drone((0.7, 0.5, 0.3))
+# Its parts cut into each other: which one a sample sees there depends on the rounding of depths.
+QUADROTOR = quadrotor(rotor_hz=7.0)
+
+DRAWN_BY = {"renderer": "pyrender"}  # of `rendered`
+
+
+def drawn_by(config: RenderConfig) -> RenderConfig:
+    return replace(config, renderer=DRAWN_BY["renderer"], check=False)
+
+
+def drawn(
+    drone: Drone,
+    camera: Camera,
+    times_s: Array,
+    T_W_B: Array,
+    background: Image,
+    config: RenderConfig,
+) -> Image:
+    """Draw whole images."""
+    with Renderer(drone, config) as renderer:
+        crops = renderer.crops(camera, times_s, T_W_B, background)
+        return whole_images(crops, times_s, background)
+
+
+def rendered(
+    drone: Drone,
+    camera: Camera,
+    times_s: Array,
+    T_W_B: Array,
+    background: Image,
+    config: RenderConfig,
+) -> Image:
+    """Draw whole images by the renderer that is asked for, unchecked."""
+    return drawn(drone, camera, times_s, T_W_B, background, drawn_by(config))
+
+
+def full_frames(
+    drone: Drone,
+    camera: Camera,
+    times_s: Array,
+    T_W_B: Array,
+    background: Image,
+    config: RenderConfig,
+) -> Image:
+    reference = PyrenderFullFrame(drone, camera, config)
+    visible = footprint(drone, camera, times_s, T_W_B).visible
+    return np.stack(
+        [
+            reference.render(float(time_s), T, background) if seen else background
+            for time_s, T, seen in zip(times_s, T_W_B, visible, strict=True)
+        ]
+    )
