@@ -76,16 +76,14 @@ class Allowance:
     def learn(self, problem: Problem, parameters: Parameters) -> None:
         """Take from a fit, whose loss turns where the last one's will, what priors weigh.
 
-        A clock's weigh against what the residuals tell of that very parameter. Of each of the
-        intrinsics they tell next to nothing: these weigh by how many residuals tell as much as an
+        A skew's weighs against what the residuals tell of that very parameter. Of each of the
+        intrinsics, of readouts and of what a clock strays they tell next to nothing, or nothing
+        without the priors of the others: these weigh by how many residuals tell as much as an
         independent one.
         """
         if self.is_made:
             return
         residuals = linearise(problem, parameters)
-        scales_px = fair_scales(problem, residuals)
-        places = [prior.place for prior in problem.priors]
-        self._clock_px = scales_px[np.searchsorted(problem.free, places)]
         weights = cauchy_weights(residuals.distances_px, problem.turn)[0]
         repeated = repeats(
             residuals.times_s,
@@ -93,6 +91,11 @@ class Allowance:
             weights * residuals.distances_px,
         )
         self._intrinsics_px = np.sqrt(repeated) * robust_deviation(residuals.distances_px)
+        self._clock_px = np.full(len(problem.priors), self._intrinsics_px)
+        if len(problem.of_clock) > 1:
+            skew = replace(problem, columns=problem.columns[:1], priors=problem.priors[:1])
+            alone = replace(residuals, jacobian=residuals.jacobian[:, : skew.size])
+            self._clock_px[0] = fair_scales(skew, alone)[-1]
 
     def added(self, problem: Problem) -> Problem:
         """Add what its priors weigh, and the uncertain intrinsics, to a problem, once known."""

@@ -1,6 +1,6 @@
 """Uncertain intrinsics: what they move, that stated deviations grow by them, and what is told."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -8,7 +8,14 @@ import pytest
 from ssac import Observation, joint, joint_known, prepare, tangency
 from ssac.camera import Camera, Rig, distort_points, undistort_points, with_deviations
 from ssac.geometry.epipolar import fundamental_from_pose, sampson_distance
-from ssac.geometry.problem import FIRST_COLUMN, Parameters, Problem, WeighedPairs, linearise
+from ssac.geometry.problem import (
+    FIRST_COLUMN,
+    Parameters,
+    Problem,
+    WeighedPairs,
+    linearise,
+)
+from ssac.methods.clock_model import ClockModel, _modes
 from ssac.methods.intrinsics import (
     Allowance,
     columns_of,
@@ -159,6 +166,29 @@ def test_drawn_errors_are_within_the_stated_deviations(seed):
     F = fundamental_of(problem, found)
     p1, p2 = track_pair(SCENE, TIMES_S)
     assert np.median(np.abs(sampson_distance(F, p1, p2))) < 0.1  # of 0.3 px noise at 400 pairs
+
+
+@pytest.mark.parametrize("gap", [0.0, 0.4])
+def test_what_a_clock_strays_unseen_makes_no_prior_heavy(gap):
+    """Within a gap the data leave strays open; modes go all along, so each has a part in it."""
+    problem, noise_px = problem_of(rig_of(0.0, 0.0), 0.3), 0.3
+    kept = np.abs(TIMES_S - np.mean(TIMES_S)) >= 0.5 * gap * np.ptp(TIMES_S)
+    columns = {field.name: getattr(problem.pairs, field.name) for field in fields(problem.pairs)}
+    arrays = {name: values[kept] for name, values in columns.items() if np.ndim(values)}
+    pairs = replace(problem.pairs, **arrays)
+    knots_s = np.linspace(TIMES_S[0], TIMES_S[-1], 41)
+    modes, deviations_s = _modes(knots_s, 2000.0)
+    middle_s, half_s = float(np.mean(TIMES_S)), 0.5 * float(np.ptp(TIMES_S))
+    model = ClockModel(middle_s, half_s, np.append(1e-3, deviations_s), knots_s, modes)
+    start = replace(TRUTH, columns=np.zeros(len(model.deviations)))
+    problem = model.problem(pairs, start, replace(problem, pairs=pairs), views=None)
+    first = solve(problem, start, max_steps=50).parameters
+    allowance = Allowance(problem.rig, has_priors=True)
+    allowance.learn(problem, first)
+    scales_px = np.array([prior.scale_px for prior in allowance.added(problem).priors])
+    # White noise: each residual is independent, so that a prior counts as one. The fit takes up a
+    # tenth of the noise, and the correlations of what is left are known to some 10 %.
+    assert scales_px == pytest.approx(np.full(len(scales_px), noise_px), rel=0.3)
 
 
 def test_swapping_the_cameras_states_the_same():
