@@ -9,7 +9,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve, cho_solve_banded, cholesky_banded
+from scipy.linalg import (
+    cho_factor,
+    cho_solve,
+    cho_solve_banded,
+    cholesky_banded,
+    solve_triangular,
+)
 
 from ssac.network.kernels import BAND, add_sightings, inverse_band, point_covariances
 from ssac.path.spline import ORDER
@@ -93,13 +99,17 @@ class Solved:
 
     def path_covariances(self, first: Indices, weights: Array, with_cameras: bool = True) -> Array:
         """Covariances (n, 3, 3) of the path's points, as of `basis`; of known cameras if not."""
-        found = np.asarray(point_covariances(first, weights, inverse_band(self.factor)))
-        if not with_cameras or not len(self.free):
-            return found
-        spread = self.spread.reshape(-1, 3, len(self.free))
-        by_border = np.einsum("na,naxf->nxf", weights, spread[first[:, None] + np.arange(ORDER)])
-        inverse = cho_solve(self.schur, np.eye(len(self.free)))
-        return np.asarray(found + np.einsum("nxf,fg,nyg->nxy", by_border, inverse, by_border))
+        inverse = np.asarray(inverse_band(self.factor), np.float64)
+        if with_cameras and len(self.free):
+            # What the cameras add is spread S^-1 spread', of which points need the band alone.
+            chol, low = self.schur
+            half = solve_triangular(chol, self.spread.T, lower=low)
+            m = half.shape[1]
+            for down in range(BAND):
+                inverse[down, : m - down] += np.einsum(
+                    "fi,fi->i", half[:, : m - down], half[:, down:]
+                )
+        return np.asarray(point_covariances(first, weights, inverse))
 
 
 def solve(normal: Normal, free: Indices, damping: float = 0.0) -> Solved:

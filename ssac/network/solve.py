@@ -6,7 +6,7 @@ from itertools import combinations
 
 import numpy as np
 
-from ssac.camera import Camera
+from ssac.camera import READOUT_STD_S, Camera
 from ssac.clock import PPM, Clock
 from ssac.estimate import Estimate, Status
 from ssac.network.answers import CameraAnswer, PathAnswer, answer_of, left_out, path_of
@@ -15,9 +15,6 @@ from ssac.network.graph import MAX_CLOSURE_S, Link, Pair, Triple, closures_s, gr
 from ssac.network.sightings import Sightings
 from ssac.network.state import Priors
 from ssac.search.all_offsets import Guess
-
-READOUT_STD_S = 0.01
-"""Deviation of the readout of a camera with frames, where the rig says nothing of it."""
 
 
 @dataclass(frozen=True, eq=False)
