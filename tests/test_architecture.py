@@ -227,7 +227,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
             "quoted_tables",
             "numbers",
         ),
-        "real": ("pairs", "paths", "drawing", "real_command"),
+        "real": ("data_sets", "pairs", "paths", "drawing", "real_command"),
         "outdoor": ("flights", "twin", "outdoor_command"),
         "bench": (
             "measurement",

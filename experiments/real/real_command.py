@@ -9,9 +9,10 @@ import typer
 
 from experiments.figures.style import save_png
 from experiments.paper.checksums import record_checksums
+from experiments.real.data_sets import COMMAND, DataSet, data_sets, real_config
 from experiments.real.drawing import OFFSETS_FIGURE, real_figure
-from experiments.real.pairs import COMMAND, PAIRS_FILE, STRAYS_FILE, real_config, run_pairs
-from experiments.real.paths import PATH_FIGURE, PATHS_FILE, run_paths
+from experiments.real.pairs import PAIRS_FILE, STRAYS_FILE, pair_tables
+from experiments.real.paths import PATH_FIGURE, PATHS_FILE, Row, path_of, path_table
 from experiments.run.provenance import save_provenance
 from ssac.compare.figure import save_figure
 from ssac.errors import SsacError
@@ -38,21 +39,33 @@ def real_command(
     """
     if not out.is_dir():
         raise SsacError(f"{out}: there is no such folder: make it, or name another")
-    start = time.perf_counter()
+    start_s, paths = time.perf_counter(), list[Row]()
+    sets, written = list[DataSet](), list[Path]()
     with tempfile.TemporaryDirectory() as work:
-        tables = run_pairs(data, Path(work), lambda line: typer.echo(line, err=True))
-        paths, found = run_paths(data, Path(work), lambda line: typer.echo(line, err=True))
-    seconds = time.perf_counter() - start
-    tables = {**tables, PATHS_FILE: paths}
+        for one in data_sets(data, Path(work), _say):
+            sets.append(one)
+            row, comparison = path_of(one)
+            paths.append(row)
+            written.append(out / PATH_FIGURE.format(one.number))
+            save_figure(written[-1], comparison)
+            _say(
+                f"{one.number}: {row['cameras']} cameras, RMSE {row['rmse_m']:.3f} m at "
+                f"{row['n_rtk']} samples of RTK, {row['network_s']:.0f} s"
+            )
+    tables = {**pair_tables(sets), PATHS_FILE: path_table(paths)}
+    seconds = time.perf_counter() - start_s
     for name, table in tables.items():
         with whole_file(out / name) as temporary:
             table.to_csv(temporary, index=False, float_format="%.8g", lineterminator="\n")
         save_provenance(out / name, COMMAND, real_config(), seconds, None)
-    save_png(real_figure(tables[PAIRS_FILE], tables[STRAYS_FILE]), out / OFFSETS_FIGURE)
-    figures = [out / PATH_FIGURE.format(number) for number in found]
-    for figure, comparison in zip(figures, found.values(), strict=True):
-        save_figure(figure, comparison)
-    record_checksums(out, [*(out / name for name in tables), out / OFFSETS_FIGURE, *figures])
+        written.append(out / name)
+    written.append(out / OFFSETS_FIGURE)
+    save_png(real_figure(tables[PAIRS_FILE], tables[STRAYS_FILE]), written[-1])
+    record_checksums(out, written)
     statuses = tables[PAIRS_FILE].status
     answered = statuses.isin([str(status) for status in Status if status.has_offset]).sum()
     typer.echo(f"{answered} of {len(statuses)} pairs answered; {out / PAIRS_FILE}")
+
+
+def _say(line: str) -> None:
+    typer.echo(line, err=True)

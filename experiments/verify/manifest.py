@@ -21,15 +21,9 @@ from experiments.outdoor.outdoor_command import RUNS_FILE as OUTDOOR_FILE
 from experiments.paper.grids import TABLES
 from experiments.paper.results import COMPARISON_FILE, PAGE_FILE, RUNS_FILE, SUMMARY_FILE
 from experiments.paper.tables import tables_config
+from experiments.real.data_sets import COMMAND, DATA_SETS, real_config
 from experiments.real.drawing import OFFSETS_FIGURE
-from experiments.real.pairs import (
-    COMMAND,
-    DATA_SETS,
-    PAIRS_FILE,
-    STRAYS_FILE,
-    TRIPLES_FILE,
-    real_config,
-)
+from experiments.real.pairs import PAIRS_FILE, STRAYS_FILE, TRIPLES_FILE
 from experiments.real.paths import PATH_FIGURE, PATHS_FILE
 from experiments.run.provenance import plain
 from experiments.studies.study import Study

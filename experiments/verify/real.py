@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from experiments.real.data_sets import DATA_SETS
 from experiments.real.pairs import (
-    DATA_SETS,
     PAIR_COLUMNS,
     PAIRS_FILE,
     STRAY_COLUMNS,

@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.real.paths import load_rtk, run_paths
+from experiments.real.data_sets import data_sets, load_rtk
+from experiments.real.paths import path_of
 from ssac.errors import SsacError
 
 DATA = os.environ.get("SSAC_DRONE_TRACKING", "")  # a folder with dataset1 ...; not ours to ship
@@ -37,9 +38,8 @@ def test_other_tables_are_refused(tmp_path):
 
 @pytest.mark.skipif(not DATA, reason="SSAC_DRONE_TRACKING names no folder with the data sets")
 def test_the_first_real_flight_is_found_from_nothing(tmp_path):
-    table, comparisons = run_paths(Path(DATA), tmp_path, lambda line: None, (1,))
-    (row,) = table.to_dict("records")
+    (one,) = data_sets(Path(DATA), tmp_path, lambda line: None, (1,))
+    row, _ = path_of(one)
     assert row["cameras"] == 4
     assert row["rmse_m"] <= 0.045  # the mark of DESIGN 8
     assert row["n_rtk"] >= 608  # mvus' coverage
-    assert list(comparisons) == [1]

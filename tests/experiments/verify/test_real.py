@@ -7,17 +7,15 @@ import pandas as pd
 import pytest
 
 from experiments.paper.checksums import record_checksums
+from experiments.real.data_sets import COMMAND, DATA_SETS, real_config
 from experiments.real.drawing import OFFSETS_FIGURE
 from experiments.real.pairs import (
-    COMMAND,
-    DATA_SETS,
     PAIR_COLUMNS,
     PAIRS_FILE,
     STRAY_COLUMNS,
     STRAYS_FILE,
     TRIPLE_COLUMNS,
     TRIPLES_FILE,
-    real_config,
 )
 from experiments.real.paths import COLUMNS as PATH_COLUMNS
 from experiments.real.paths import PATH_FIGURE, PATHS_FILE

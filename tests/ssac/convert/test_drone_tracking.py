@@ -10,15 +10,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from experiments.real.data_sets import ROUGHNESSES_PPM, data_sets, load_truth
 from experiments.real.drawing import real_figure
 from experiments.real.pairs import (
     PAIRS_FILE,
-    ROUGHNESSES_PPM,
     STRAY_COLUMNS,
     STRAYS_FILE,
     TRIPLES_FILE,
-    load_truth,
-    run_pairs,
+    pair_tables,
 )
 from ssac.clock import Clock
 from ssac.convert.drone_tracking import import_data_set
@@ -86,8 +85,13 @@ def test_only_labelled_frames_of_data_set_4_are_kept(data, tmp_path):
         assert set(np.rint(camera.track.times_s * fps).astype(int) % 4) == {1}
 
 
+def run_pairs(data, work, numbers):
+    """Give the tables of all pairs of some data sets."""
+    return pair_tables(data_sets(data, work, lambda line: None, numbers))
+
+
 def test_all_pairs_are_run_and_say_what_they_rest_on(data, tmp_path):
-    tables = run_pairs(data, tmp_path, lambda line: None, (2,))
+    tables = run_pairs(data, tmp_path, (2,))
     (row,) = tables[PAIRS_FILE].to_dict("records")
     assert row["status"] == "ok"
     # Labels are put on whole frames: +-0.13 frames of either camera, at most 10 ms together.
@@ -108,9 +112,9 @@ def test_clocks_of_varying_rates_are_followed_ever_more_roughly(data, tmp_path, 
         tried.append((config.clock, config.roughness_ppm))
         return SimpleNamespace(estimate=Estimate("joint", "clock_jump"), guess=None, config=config)
 
-    monkeypatch.setattr("experiments.real.pairs.sync", refused)
-    monkeypatch.setattr("experiments.real.pairs.VARIABLE_RATES", {(2, 1)})
-    (row,) = run_pairs(data, tmp_path, lambda line: None, (2,))[PAIRS_FILE].to_dict("records")
+    monkeypatch.setattr("experiments.real.data_sets.sync", refused)
+    monkeypatch.setattr("experiments.real.data_sets.VARIABLE_RATES", {(2, 1)})
+    (row,) = run_pairs(data, tmp_path, (2,))[PAIRS_FILE].to_dict("records")
     assert tried == [("pieces", one) for one in sorted(ROUGHNESSES_PPM)]
     assert row["status"] == "clock_jump"
 
@@ -154,11 +158,11 @@ def test_published_clocks_are_read(tmp_path):
 
 @pytest.mark.skipif(not DATA, reason="SSAC_DRONE_TRACKING names no folder with the data sets")
 def test_triples_of_the_real_data_close(tmp_path):
-    triples = run_pairs(Path(DATA), tmp_path, lambda line: None, (1, 2))[TRIPLES_FILE]
+    triples = run_pairs(Path(DATA), tmp_path, (1, 2))[TRIPLES_FILE]
     assert len(triples) == 8
     assert triples.closure_ms.abs().max() < 30.0  # the mark
 
 
 def test_a_missing_folder_is_named(tmp_path):
     with pytest.raises(SsacError, match="there is no such folder"):
-        run_pairs(tmp_path, tmp_path, lambda line: None)
+        run_pairs(tmp_path, tmp_path, (1,))
