@@ -104,7 +104,7 @@ class Solved:
             # What the cameras add is spread S^-1 spread', of which points need the band alone.
             chol, low = self.schur
             half = solve_triangular(chol, self.spread.T, lower=low)
-            m = half.shape[1]
+            m = len(self.spread)
             for down in range(BAND):
                 inverse[down, : m - down] += np.einsum(
                     "fi,fi->i", half[:, : m - down], half[:, down:]
