@@ -87,11 +87,13 @@ def manifest_of(studies: Mapping[str, Study]) -> Manifest:
         config = {"study": study.name, **study.config}
         made += [_beside(name, study.command_line, config) for name in names]
         files += [*names, *([study.figure_file] if study.draw else [])]
-    return Manifest((*files, *(one.name for one in made)), tuple(made), (_real(), _outdoor()))
+    real = of_real_data()
+    files = [*files, *(one.name for one in made), *real.files]
+    return Manifest(tuple(files), (*made, *real.provenances), (_outdoor(),))
 
 
-def _real() -> Manifest:
-    """List what public data leave that are not ours to ship: who has them may make it."""
+def of_real_data() -> Manifest:
+    """List what public data leave that are not ours to ship: who has them may make it again."""
     tables = PAIRS_FILE, TRIPLES_FILE, STRAYS_FILE, PATHS_FILE
     figures = [OFFSETS_FIGURE, *(PATH_FIGURE.format(number) for number in DATA_SETS)]
     config = plain(real_config())

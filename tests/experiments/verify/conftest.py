@@ -28,6 +28,7 @@ from experiments.verify import derived, sample
 from experiments.verify.manifest import Manifest, manifest_of
 from sim.render.gl_context import open_context
 from ssac.tool.registry import OURS
+from tests.experiments.flown import write_made_up_flights
 from tests.experiments.grown import made_up_growth
 from tests.experiments.reported import made_up_runs
 
@@ -120,6 +121,7 @@ def complete(tmp_path_factory: pytest.TempPathFactory, manifest: Manifest) -> Pa
     table = pd.DataFrame([{**vars(row), "verdict": row.verdict} for row in bench])
     table.to_csv(folder / "bench.csv", index=False)
     save_csv(folder / "bench_growth.csv", made_up_growth(points_of(COMMITTED)))
+    write_made_up_flights(folder)
     for one in manifest.provenances:
         path = folder / one.name.replace(".provenance.json", ".csv")
         write_provenance(path, made_with | {"command": one.command, "config": plain(one.config)})

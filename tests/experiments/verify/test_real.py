@@ -1,61 +1,27 @@
-"""Tables of the public drone tracks, made up: they may be absent, but not in part nor wrong."""
+"""Tables of the public drone tracks, made up: they are part of the results, and make sense."""
 
-from itertools import combinations
 from pathlib import Path
 
-import pandas as pd
 import pytest
 
 from experiments.paper.checksums import record_checksums
-from experiments.real.data_sets import COMMAND, DATA_SETS, real_config
-from experiments.real.drawing import OFFSETS_FIGURE
-from experiments.real.pairs import (
-    PAIR_COLUMNS,
-    PAIRS_FILE,
-    STRAY_COLUMNS,
-    STRAYS_FILE,
-    TRIPLE_COLUMNS,
-    TRIPLES_FILE,
-)
-from experiments.real.paths import COLUMNS as PATH_COLUMNS
-from experiments.real.paths import PATH_FIGURE, PATHS_FILE
+from experiments.real.data_sets import COMMAND, real_config
+from experiments.real.pairs import PAIRS_FILE, STRAYS_FILE, TRIPLES_FILE
+from experiments.real.paths import PATHS_FILE
 from experiments.run.provenance import save_provenance
-from experiments.studies.study import save_csv
 from experiments.verify.files import file_findings
-from experiments.verify.manifest import Manifest, manifest_of
+from experiments.verify.manifest import Manifest, manifest_of, of_real_data
 from experiments.verify.real import real_faults
+from tests.experiments.flown import write_made_up_flights
 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """Give three cameras in each data set; of the last a pair is refused."""
-    refused = (DATA_SETS[-1], 1, 2)
-    rows = []
-    for number in DATA_SETS:
-        for i, j in combinations(range(3), 2):
-            row = dict.fromkeys(PAIR_COLUMNS, 1.0)
-            row |= {"data_set": number, "camera_1": i, "camera_2": j, "models": "a b"}
-            row |= {"status": "ok", "clock": "affine", "reason": "", "closure_ms": 2.5}
-            row["most_stray_ms"] = 1.5 if i else 0.0
-            if number == DATA_SETS[-1]:
-                row["closure_ms"] = float("nan")
-            if (number, i, j) == refused:
-                row |= {"status": "clock_jump", "reason": "it jumps", "t_d_s": float("nan")}
-            rows.append(row)
-    triples = [(number, "0-1-2", -2.5) for number in DATA_SETS[:-1]]
-    strays = [(number, 1, 2, t_s, -0.5 * t_s, 0.1) for number in DATA_SETS for t_s in (2.0, 3.0)]
-    save_csv(tmp_path / STRAYS_FILE, pd.DataFrame(strays, columns=STRAY_COLUMNS))
-    save_csv(tmp_path / PAIRS_FILE, pd.DataFrame(rows, columns=PAIR_COLUMNS))
-    save_csv(tmp_path / TRIPLES_FILE, pd.DataFrame(triples, columns=TRIPLE_COLUMNS))
-    paths = [dict.fromkeys(PATH_COLUMNS, 0.5) | {"data_set": number} for number in DATA_SETS]
-    save_csv(tmp_path / PATHS_FILE, pd.DataFrame(paths, columns=PATH_COLUMNS))
-    tables = PAIRS_FILE, TRIPLES_FILE, STRAYS_FILE, PATHS_FILE
-    for name in tables:
+    """Give a folder with nothing but the tables and figures of real data, made up."""
+    write_made_up_flights(tmp_path)
+    for name in (PAIRS_FILE, TRIPLES_FILE, STRAYS_FILE, PATHS_FILE):
         save_provenance(tmp_path / name, COMMAND, real_config(), 1.0, None)
-    figures = OFFSETS_FIGURE, *map(PATH_FIGURE.format, DATA_SETS)
-    for name in figures:
-        (tmp_path / name).write_bytes(b"drawn")
-    names = *tables, *figures
+    names = [name for name in of_real_data().files if not name.endswith(".json")]
     record_checksums(tmp_path, [tmp_path / name for name in names])
     return tmp_path
 
@@ -90,10 +56,21 @@ def test_what_makes_no_sense_is_found(folder, name, old, new, fault) -> None:
     assert any(one.startswith(fault) for one in faults), faults
 
 
-def test_both_tables_are_there_with_all_they_need_or_none_is(folder: Path) -> None:
-    more, *_ = manifest_of({}).optional
+def test_real_results_are_there_as_all_others_are() -> None:
+    assert set(of_real_data().files) <= set(manifest_of({}).files)
+
+
+def test_what_is_optional_is_there_whole_or_not_at_all(folder: Path) -> None:
+    more = of_real_data()
     manifest = Manifest((), (), (more,))
     assert not manifest.of(folder / "elsewhere").files
+    (folder / TRIPLES_FILE).unlink()
+    assert manifest.of(folder).files == more.files
+
+
+def test_files_that_are_gone_or_changed_are_found(folder: Path) -> None:
+    more = of_real_data()
+    manifest = Manifest(more.files, more.provenances)
     found = {one.what: one.faults for one in file_findings(folder, manifest)}
     assert not found["no other file is there"]
     assert not found["every file that there must be is there"]
