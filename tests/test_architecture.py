@@ -213,6 +213,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
             "command",
             "sweep",
         ),
+        "real": ("data_sets", "pairs", "paths", "drawing", "real_command"),
         "report": (
             "data",
             "tables",
@@ -221,13 +222,12 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
             "animation_page",
             "report",
             "committed",
+            "quoted_real",
             "quoted",
             "quoted_zncc",
-            "quoted_imperfect",
             "quoted_tables",
             "numbers",
         ),
-        "real": ("data_sets", "pairs", "paths", "drawing", "real_command"),
         "outdoor": ("flights", "twin", "outdoor_command"),
         "bench": (
             "measurement",

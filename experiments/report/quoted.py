@@ -13,6 +13,7 @@ from scipy.stats import gmean
 from experiments.paper.grids import ANGLES_DEG, DURATIONS_S, TABLES
 from experiments.paper.quantities import ERRORS, NOISY_T_D_MARK_MS, T_D_ERROR
 from experiments.report.committed import Committed
+from experiments.report.quoted_real import REAL_NUMBERS
 from experiments.studies.catalogue import ABLATIONS, OPTIONAL
 from experiments.studies.refusal import METHOD_NAMES as REFUSING_METHODS
 
@@ -278,4 +279,5 @@ NUMBERS: Mapping[str, Number] = {
     "minutes.studies": partial(minutes_of, names=("efficiency", "coverage", "refusal", "tangency")),
     "bench.recordings": partial(bench, row="tables: recordings"),
     "bench.sync.tangency": partial(bench, row="sync, tangency: all but reading", decimals=2),
+    **REAL_NUMBERS,
 }

@@ -16,7 +16,7 @@ from experiments.report.quoted import (
     cell_means,
     digits,
 )
-from experiments.report.quoted_imperfect import imperfect_table
+from experiments.report.quoted_real import REAL_TABLES
 from experiments.report.quoted_zncc import ZNCC_TABLES
 from experiments.studies.catalogue import ABLATIONS, OPTIONAL
 from experiments.studies.fidelity import DIFFERENCES, MARKS_MS
@@ -264,11 +264,11 @@ TABLES: Mapping[str, Callable[[Committed], str]] = {
     "table.methods": methods_table,
     "table.coverage": coverage_table,
     "table.refusal": refusal_table,
-    "table.imperfect": imperfect_table,
     "table.tangency": tangency_table,
     "table.fidelity": fidelity_table,
     "table.renderers": partial(fidelity_table, study="renderers"),
     "table.bench": bench_table,
     **ZNCC_TABLES,
+    **REAL_TABLES,
     **{f"table.ablation.{name}": partial(ablation_table, name=name) for name in ABLATIONS},
 }
