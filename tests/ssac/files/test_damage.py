@@ -94,6 +94,18 @@ def test_a_size_in_an_aedat4_header_takes_no_memory(tmp_path):
         load_events(path)
 
 
+def test_an_aedat4_header_whose_xml_cannot_be_parsed_is_refused(tmp_path):
+    path = tmp_path / "cam1.aedat4"
+    events = make_events().astype(EVENTS_DTYPE)
+    events_to_file(iter([events]), path, dimensions=(WIDTH, HEIGHT))
+    whole = path.read_bytes()
+    for old, new in ((b"string", b"str\xe9ng"), (b"</dv>", b"</dw>"), (b'"2.0"', b'"2.0<')):
+        assert old in whole
+        path.write_bytes(whole.replace(old, new, 1))
+        with pytest.raises(SsacError, match=r"cam1\.aedat4: .* its header's XML: "):
+            load_events(path, ALLOWED)  # of the first the library would end the process
+
+
 def test_events_late_by_microseconds_are_sorted_only_when_asked(tmp_path):
     events = make_events()
     mixed = events.copy()
