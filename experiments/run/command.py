@@ -10,10 +10,14 @@ import typer
 from experiments.run.cache import Cache
 from experiments.run.grid import Cell
 from experiments.run.schedule import Outcome
+from experiments.run.task import CRASHED
 from sim.recording import SimConfig
 from sim.render.config import RENDERERS
 from ssac.console.exits import BUG
 from ssac.errors import SsacError
+
+NOT_SIMULATED = "recording: SimError: "
+"""Begins the reason of a run of which the simulator says that its configuration makes no sense."""
 
 
 def _some(workers: int) -> int:
@@ -67,7 +71,13 @@ def other_than_default(renderer: str, check: bool) -> list[str]:
 
 
 def finish(outcome: Outcome, cache: Cache, *files: Path) -> None:
-    """Say what was done; runs that crashed are bugs of ours, and the exit code says so."""
+    """Say what was done, and whether runs crashed, which is a bug of ours.
+
+    Raises
+    ------
+    SsacError
+        If runs have no recording, as nothing can be simulated of what the configuration asks for.
+    """
     runs = outcome.runs
     failed = runs[runs["status"] != "ok"]
     of = next((name for name in ("method", "variant", "signal") if name in failed), "status")
@@ -85,6 +95,11 @@ def finish(outcome: Outcome, cache: Cache, *files: Path) -> None:
         typer.echo(f"{name}: {len(group)} runs {status}: {group['reason'].iloc[0]}", err=True)
     for path in files:
         typer.echo(f"written to {path}")
+    crashed = runs[runs["status"] == CRASHED]
+    refused = crashed[crashed["reason"].astype(str).str.startswith(NOT_SIMULATED)]
+    if len(crashed) and len(refused) == len(crashed):
+        reason = str(refused["reason"].iloc[0]).removeprefix(NOT_SIMULATED)
+        raise SsacError(f"{len(refused)} runs have no recording, the first of them: {reason}")
     if outcome.n_crashed:
         typer.echo(
             f"error: a bug in this program: {outcome.n_crashed} runs crashed, their reasons are in "

@@ -13,6 +13,7 @@ from typing import Annotated, Any
 import typer
 
 from experiments.paper.checksums import record_checksums
+from experiments.run.bridge import check_mesh
 from experiments.run.cache import DEFAULT_FOLDER, Cache
 from experiments.run.command import CacheOption, SchedulerOption, WorkersOption, finish
 from experiments.run.grid import grid_from_content, load_config
@@ -55,8 +56,11 @@ def sweep_command(
     part = parse_shard(shard)
     out = out or Path("results") / f"{grid.name}.csv"
     check_writable(out)
+    cells = grid.cells()
+    for mesh in {cell.sim.drone_file for cell in cells if cell.sim.drone_file is not None}:
+        check_mesh(mesh)
     outcome = run_numbered(
-        numbered(grid.cells(), part), SCORED, Cache(cache), Workers(workers, scheduler), grid.name
+        numbered(cells, part), SCORED, Cache(cache), Workers(workers, scheduler), grid.name
     )
     save_csv(out, outcome.runs)
     command = f"ssac sweep {config}" + (f" --shard {shard}" if part != WHOLE else "")

@@ -1,11 +1,20 @@
 """What commands that run cells share."""
 
+from pathlib import Path
+
+import pandas as pd
 import pytest
+import typer
 
 from experiments.paper.grids import table_cells
-from experiments.run.command import drawn_by, other_than_default
+from experiments.run.cache import Cache
+from experiments.run.command import drawn_by, finish, other_than_default
+from experiments.run.schedule import Outcome
+from experiments.run.task import CRASHED
 from sim.errors import SimError
 from sim.render.config import RENDERERS
+from ssac.console.exits import BUG
+from ssac.errors import SsacError
 
 
 @pytest.mark.parametrize("renderer", RENDERERS)
@@ -26,3 +35,16 @@ def test_an_unknown_renderer_is_refused() -> None:
 def test_a_provenance_names_only_what_is_not_the_default() -> None:
     assert other_than_default("native", True) == []
     assert other_than_default("pyrender", False) == ["--renderer", "pyrender", "--no-check"]
+
+
+def test_what_cannot_be_simulated_is_the_inputs_fault_and_what_crashed_is_ours(
+    tmp_path: Path,
+) -> None:
+    not_simulated, crashed = "recording: SimError: a.obj has no faces", "ssac: KeyError: 3"
+    runs = pd.DataFrame({"status": ["ok", CRASHED], "reason": ["", not_simulated]})
+    with pytest.raises(SsacError, match=r"1 runs have no recording, the first .*: a\.obj has no"):
+        finish(Outcome(runs, 1, 0, 0.0), Cache(tmp_path))
+    runs = pd.DataFrame({"status": [CRASHED, CRASHED], "reason": [crashed, not_simulated]})
+    with pytest.raises(typer.Exit) as ended:
+        finish(Outcome(runs, 1, 0, 0.0), Cache(tmp_path))
+    assert ended.value.exit_code == BUG
