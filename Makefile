@@ -66,8 +66,10 @@ wheel: .venv/.ready ## the wheel, built, installed in a clean environment and us
 # A peer of the sensor model, which nothing else needs: without it a row of the benchmark says so.
 PEER := eventify-dvs==0.2.0
 
-torture: .venv/.ready ## 20,000 damaged inputs of all kinds and 50 kills (an hour) -> results/reliability.csv
-	@.venv/bin/ssac torture --kills 50 $$([ "$$(id -u)" = 0 ] && echo --full-disks 20)
+torture: .venv/.ready ## 20,000 damaged inputs, killed and disturbed sweeps (half an hour) -> results/reliability.csv
+	@.venv/bin/python -c 'import distributed' 2>/dev/null || \
+		.venv/bin/python -m pip install --quiet --disable-pip-version-check --no-input 'dask[distributed]'
+	@.venv/bin/ssac torture
 
 bench: .venv/.ready ## speed, memory and their growth, as ratios (13 minutes) -> results/bench*.csv
 	@.venv/bin/python -m pip install --quiet --disable-pip-version-check --no-input --no-deps $(PEER) \

@@ -1,40 +1,36 @@
-"""A seed and a number of cases in, how many ended how, by kind of input, out."""
+"""A seed and a number of cases in, what became of each damaged input out."""
 
 import shutil
-from collections import Counter
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 from tqdm import tqdm
 
-from experiments.torture.case import Case, Ended, in_own_process, outcome
+from experiments.run.cache import Cache, run_key
+from experiments.torture.case import MAX_S, Ended, Forked, outcome
 from experiments.torture.mutations import OF_BYTES, OF_TEXT
+from experiments.torture.reliability import Case
 from experiments.torture.structure import restructured
 from experiments.torture.victims import Victim, victims
 
-OUTCOMES = (
-    "refused",  # in one line that names the file
-    "warned",  # read, and it was said what is wrong
-    "read",  # all of it, but for 1 %
-    "shorter",  # cut off, of a format without an end mark
-    "right",  # after a kill, or with a full disk: what another run then makes of it
-    "silently_fewer",  # over 1 % fewer, without a word
-    "unclear",  # refused in several lines, or without the file's name
-    "traceback",
-    "abort",
-    "hang",
-    "over_memory",
-    "wrong",  # other bytes than those of an undisturbed run, or something left over
-)
-BAD = OUTCOMES[OUTCOMES.index("unclear") :]
-"""Outcomes that must not be."""
+CASES_PER_ENTRY = 100
+"""Cases that are kept together: so many at most are lost when a campaign is stopped."""
+
+ALLOWED = ", allowed"
+"""Behind a damage: read with `--allow-damaged`."""
+
+_CODE = ("experiments.torture.campaign",)
 
 
-def campaign(n_cases: int, seed: int, folder: Path, show_progress: bool = False) -> list[Case]:
+def campaign(
+    n_cases: int, seed: int, folder: Path, cache: Cache, show_progress: bool = False
+) -> Iterator[Case]:
     """Damage inputs of all kinds in turn.
+
+    What is finished is kept in the cache under all code that it depends on, so that a campaign
+    that was stopped goes on where it was.
 
     Parameters
     ----------
@@ -43,27 +39,22 @@ def campaign(n_cases: int, seed: int, folder: Path, show_progress: bool = False)
         The same one gives the same damages.
     folder
         To work in.
+    cache
     show_progress
         On stderr, where it is a terminal.
     """
     whole = victims(folder / "whole")
-    numbers = tqdm(range(n_cases), desc="torture", disable=None if show_progress else True)
-    return [_case(whole[k % len(whole)], k, seed, folder / "damaged") for k in numbers]
-
-
-def table(cases: list[Case]) -> pd.DataFrame:
-    """Count outcomes by kind of input, and of all."""
-    counts = Counter((case.kind, case.outcome) for case in cases)
-    rows = list(_rows(list(dict.fromkeys(case.kind for case in cases)), counts))
-    frame = pd.DataFrame(rows, columns=["input", "cases", *OUTCOMES])
-    frame.loc[len(frame)] = ["all", *frame.drop(columns="input").sum()]
-    return frame
-
-
-def _rows(kinds: list[str], counts: Counter[tuple[str, str]]) -> Iterator[list[object]]:
-    for kind in kinds:
-        of_kind = [counts[kind, name] for name in OUTCOMES]
-        yield [kind, sum(of_kind), *of_kind]
+    with tqdm(total=n_cases, desc="torture", disable=None if show_progress else True) as bar:
+        for first in range(0, n_cases, CASES_PER_ENTRY):
+            numbers = range(first, min(first + CASES_PER_ENTRY, n_cases))
+            key = run_key((), ("torture", seed, numbers.start, numbers.stop), _CODE)
+            row = cache.load_run(key)
+            if row is None:
+                cases = [_case(whole[k % len(whole)], k, seed, folder / "damaged") for k in numbers]
+                row = {"cases": cases}
+                cache.save_run(key, row)
+            yield from (Case(*case) for case in row["cases"])
+            bar.update(len(numbers))
 
 
 def _case(victim: Victim, number: int, seed: int, folder: Path) -> Case:
@@ -72,10 +63,13 @@ def _case(victim: Victim, number: int, seed: int, folder: Path) -> Case:
     folder.mkdir(parents=True)
     path = folder / victim.path.name
     damage = _damaged(victim, path, rng)
-    ended = in_own_process(partial(victim.use, path), folder)
+    is_allowed = victim.use_damaged is not None and rng.integers(3) == 0
+    use = victim.use_damaged if is_allowed and victim.use_damaged else victim.use
+    ended = Forked(partial(use, path), folder).ended(MAX_S)
     found = outcome(ended, path.name, victim.good)
     if found == "silently_fewer" and damage == "cut" and not victim.has_end:
         found = "shorter"
+    damage += ALLOWED if is_allowed else ""
     return Case(victim.kind, damage, number, found, _last_words(ended))
 
 

@@ -12,7 +12,6 @@ import tempfile
 import time
 import warnings
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -24,16 +23,6 @@ MAX_BYTES = 2 << 30
 """Of memory, beyond what the process had when it was forked."""
 
 
-class Case(NamedTuple):
-    """One damaged input, or one disturbance."""
-
-    kind: str
-    damage: str
-    number: int
-    outcome: str  # as of `campaign.OUTCOMES`
-    said: str  # on stderr
-
-
 class Ended(NamedTuple):
     """How a case ended."""
 
@@ -43,37 +32,46 @@ class Ended(NamedTuple):
     is_late: bool  # and was killed
 
 
-def in_own_process(work: Callable[[], int], folder: Path) -> Ended:
-    """Do something as a command of ours would, with limits of time and memory.
+class Forked:
+    """A process, forked from this one, that does one thing as a command of ours would."""
 
-    Parameters
-    ----------
-    work
-        Returns a number.
-    folder
-        For temporary files and for tracebacks.
-    """
-    reading, writing = os.pipe()
-    with tempfile.TemporaryFile(dir=folder) as stderr:
+    def __init__(self, work: Callable[[], int], folder: Path) -> None:
+        """Begin.
+
+        Parameters
+        ----------
+        work
+            Returns a number.
+        folder
+            For temporary files and for tracebacks.
+        """
+        self._reading, writing = os.pipe()
+        self._stderr = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115  closed in `ended`
         sys.stdout.flush()
         sys.stderr.flush()
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", DeprecationWarning)  # of forks where there are threads
-            process = os.fork()
-        if process == 0:
-            os.close(reading)
-            _child(work, folder, stderr.fileno(), writing)
+            self.pid = os.fork()
+        if self.pid == 0:
+            os.close(self._reading)
+            _child(work, folder, self._stderr.fileno(), writing)
         os.close(writing)
-        is_late = not _closed_within(reading, MAX_S)
-        if is_late:
-            os.kill(process, signal.SIGKILL)
-        said = os.read(reading, 64) if not is_late else b""
-        os.close(reading)
-        _, status = os.waitpid(process, 0)
-        stderr.seek(0)
-        text = stderr.read(100_000).decode("utf-8", "replace")
-    value = int(said) if said else None
-    return Ended(os.waitstatus_to_exitcode(status), text, value, is_late)
+
+    def ended(self, within_s: float) -> Ended:
+        """Wait for its end, or bring it about when it takes longer."""
+        said, is_late = b"", True
+        try:
+            said, is_late = _read_to_end(self._reading, within_s)
+        finally:
+            if is_late:
+                os.kill(self.pid, signal.SIGKILL)
+            os.close(self._reading)
+            _, status = os.waitpid(self.pid, 0)
+        with self._stderr as stderr:
+            stderr.seek(0)
+            text = stderr.read(100_000).decode("utf-8", "replace")
+        value = int(said) if said else None
+        return Ended(os.waitstatus_to_exitcode(status), text, value, is_late)
 
 
 def outcome(ended: Ended, name: str, good: int) -> str:
@@ -98,7 +96,8 @@ def outcome(ended: Ended, name: str, good: int) -> str:
     if ended.code == BUG or "Traceback" in ended.stderr:
         return "traceback"
     if ended.code == BAD_INPUT:
-        is_clear = len(lines) == 1 and lines[0].startswith("error: ") and name in lines[0]
+        errors = [line for line in lines if not line.startswith("warning: ")]
+        is_clear = len(errors) == 1 and errors[0].startswith("error: ") and name in errors[0]
         return "refused" if is_clear else "unclear"
     if ended.code != DONE or ended.value is None:
         return "abort"
@@ -113,6 +112,8 @@ def _child(work: Callable[[], int], folder: Path, stderr: int, writing: int) -> 
     """Do it and end: nothing of the parent may run on."""
     code = BUG
     try:
+        os.setsid()  # a group of its own
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         os.dup2(stderr, 2)
         sys.stderr = os.fdopen(2, "w", closefd=False)
         tempfile.tempdir = str(folder)
@@ -133,10 +134,13 @@ def _child(work: Callable[[], int], folder: Path, stderr: int, writing: int) -> 
         os._exit(code)
 
 
-def _closed_within(descriptor: int, seconds: float) -> bool:
-    """Wait until a pipe has something to read, or its other end is closed."""
-    until_s = time.monotonic() + seconds
+def _read_to_end(descriptor: int, seconds: float) -> tuple[bytes, bool]:
+    """Read a pipe until its other end is closed; and whether that takes longer than it may."""
+    until_s, said = time.monotonic() + seconds, b""
     while (left_s := until_s - time.monotonic()) > 0:
-        with suppress(InterruptedError):
-            return bool(select.select([descriptor], [], [], left_s)[0])
-    return False
+        if select.select([descriptor], [], [], left_s)[0]:
+            part = os.read(descriptor, 64)
+            if not part:
+                return said, False
+            said += part
+    return said, True

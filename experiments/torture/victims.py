@@ -6,6 +6,7 @@ What is done returns how many events were read, or rows, or 1: what a damaged in
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ from experiments.workers.sound import is_sound, save_sums
 from sim.scene.drone import quadrotor
 from sim.scene.trajectory import trajectory_from_csv
 from ssac.events import EVENT_DTYPE
+from ssac.files.damage import STRICT, Reading
 from ssac.files.event_files import load_events, save_events_h5, save_events_text
 from ssac.files.rigs import load_rig
 from ssac.files.track_files import load_track, save_track
@@ -64,6 +66,7 @@ class Victim:
     good: int  # what `use` returns for the whole one
     is_text: bool = False  # so that it is damaged by its words too
     has_end: bool = True  # no: a truncated one is a shorter recording
+    use_damaged: Callable[[Path], int] | None = None  # the same by who allows for damage
 
 
 def victims(folder: Path) -> list[Victim]:
@@ -125,13 +128,21 @@ def _event_files(folder: Path, events: NDArray[np.void]) -> list[Victim]:
     is_text = {"esim text", "csv"}
     has_end = {"hdf5", "hdf5 dsec", "hdf5 prophesee", "aedat4"}
     return [
-        Victim(kind, path, _n_events, len(events), kind in is_text, kind in has_end)
+        Victim(
+            kind,
+            path,
+            _n_events,
+            len(events),
+            kind in is_text,
+            kind in has_end,
+            partial(_n_events, reading=Reading(allow_damaged=True, sort=True)),
+        )
         for kind, path in made.items()
     ]
 
 
-def _n_events(path: Path) -> int:
-    return len(load_events(path).events)
+def _n_events(path: Path, reading: Reading = STRICT) -> int:
+    return len(load_events(path, reading).events)
 
 
 def _save_dsec(path: Path, events: NDArray[np.void]) -> None:
@@ -187,10 +198,7 @@ def _small_files(folder: Path) -> list[Victim]:
     (folder / "flight.csv").write_text("t,x,y,z,qx,qy,qz,qw\n" + flight, encoding="utf-8")
     config = (CONFIGS / "ablation_window.toml").read_text(encoding="utf-8")
     (folder / "grid.toml").write_text(config, encoding="utf-8")
-    (part,) = quadrotor().parts
-    vertices = "".join(f"v {x:.5f} {y:.5f} {z:.5f}\n" for x, y, z in part.vertices_B_m)
-    faces = "".join(f"f {a} {b} {c}\n" for a, b, c in part.faces + 1)
-    (folder / "drone.obj").write_text(vertices + faces, encoding="utf-8")
+    save_mesh(folder / "drone.obj")
     (folder / "recording").mkdir(exist_ok=True)
     truth = {
         "times_s": times_s.tolist(),
@@ -206,6 +214,14 @@ def _small_files(folder: Path) -> list[Victim]:
         Victim("mesh", folder / "drone.obj", _use_mesh, 1, True),
         Victim("truth", folder / "recording" / "truth.json", _use_truth, 1, True),
     ]
+
+
+def save_mesh(path: Path) -> None:
+    """Write the drone as an OBJ file."""
+    (part,) = quadrotor().parts
+    vertices = "".join(f"v {x:.5f} {y:.5f} {z:.5f}\n" for x, y, z in part.vertices_B_m)
+    faces = "".join(f"f {a} {b} {c}\n" for a, b, c in part.faces + 1)
+    path.write_text(vertices + faces, encoding="utf-8")
 
 
 def _n_points(path: Path) -> int:

@@ -15,6 +15,8 @@ from experiments.bench.measurement import Measurement
 from experiments.paper.checksums import SUMS_FILE, read_checksums, sha256
 from experiments.real.pairs import PAIRS_FILE
 from experiments.run.provenance import plain, versions
+from experiments.torture.reliability import CSV_FILE as RELIABILITY_FILE
+from experiments.torture.reliability import reliability_faults
 from experiments.verify.finding import Finding, found
 from experiments.verify.manifest import (
     BENCH_FILE,
@@ -46,6 +48,9 @@ def file_findings(results: Path, manifest: Manifest) -> list[Finding]:
     ]
     if PAIRS_FILE in manifest.files:
         findings.append(found(f"{PAIRS_FILE} makes sense", lambda: real_faults(results)))
+    if RELIABILITY_FILE in manifest.files:
+        what = f"{RELIABILITY_FILE}: every case is there, and none ended as it must not"
+        findings.append(found(what, lambda: reliability_faults(results)))
     for one in manifest.provenances:
         what = f"{one.name}: a clean commit, today's configuration, versions"
         findings.append(found(what, partial(_provenance, results / one.name, one)))

@@ -27,6 +27,9 @@ from experiments.real.pairs import PAIRS_FILE, STRAYS_FILE, TRIPLES_FILE
 from experiments.real.paths import PATH_FIGURE, PATHS_FILE
 from experiments.run.provenance import plain
 from experiments.studies.study import Study
+from experiments.torture.reliability import COMMAND as TORTURE_COMMAND
+from experiments.torture.reliability import CSV_FILE as RELIABILITY_FILE
+from experiments.torture.reliability import reliability_config
 
 PUBLISHED_SHA256 = {
     "published/esim_10.csv": "e4fc65f27fe6e67e162c81d89ccf66debf49f560e766675ead3288fc09b21cd7",
@@ -89,7 +92,7 @@ def manifest_of(studies: Mapping[str, Study]) -> Manifest:
         files += [*names, *([study.figure_file] if study.draw else [])]
     real = of_real_data()
     files = [*files, *(one.name for one in made), *real.files]
-    return Manifest(tuple(files), (*made, *real.provenances), (_outdoor(),))
+    return Manifest(tuple(files), (*made, *real.provenances), (_outdoor(), _reliability()))
 
 
 def of_real_data() -> Manifest:
@@ -109,6 +112,13 @@ def _outdoor() -> Manifest:
         Provenance(provenance_name(name), OUTDOOR_COMMAND, config, False) for name in tables
     )
     return Manifest((*tables, FIGURE_FILE, *(one.name for one in made)), made)
+
+
+def _reliability() -> Manifest:
+    """List what damaged inputs and disturbed sweeps leave, which a change of anything may move."""
+    beside = provenance_name(RELIABILITY_FILE)
+    made = Provenance(beside, TORTURE_COMMAND, reliability_config(), False)
+    return Manifest((RELIABILITY_FILE, beside), (made,))
 
 
 def _beside(name: str, command: str, config: Any) -> Provenance:

@@ -3,25 +3,59 @@
 import os
 import signal
 import time
+from dataclasses import replace
+from functools import partial
+from itertools import islice
 
 import numpy as np
 import pytest
 
-from experiments.torture import case
-from experiments.torture.campaign import BAD, OUTCOMES, campaign, table
-from experiments.torture.case import Case, Ended, in_own_process, outcome
+from experiments.run.cache import Cache
+from experiments.torture import campaign as module
+from experiments.torture.campaign import campaign
+from experiments.torture.case import Ended, Forked, outcome
+from experiments.torture.reliability import (
+    BAD,
+    COMMITTED,
+    CSV_FILE,
+    EVENT_FILES,
+    OTHER_INPUTS,
+    OUTCOMES,
+    Case,
+    reliability_faults,
+    reliability_table,
+    silent_share,
+)
+from experiments.torture.sweeps import CSV, begin, write_grid
 from ssac.errors import SsacError
 
 N_CASES = 126  # six of each kind of input
 
 
 def test_no_damaged_input_ends_as_it_must_not(tmp_path):
-    cases = campaign(N_CASES, 1, tmp_path)
-    assert len({one.kind for one in cases}) == 21
+    cases = list(campaign(N_CASES, 1, tmp_path, Cache(tmp_path / "cache")))
+    assert {one.kind for one in cases} == {*EVENT_FILES, *OTHER_INPUTS}
     bad = [one for one in cases if one.outcome in (*BAD, "silently_fewer")]
     assert not bad
     refused = sum(one.outcome == "refused" for one in cases)
     assert N_CASES // 4 < refused < N_CASES  # damage is done, and not all of it can be seen
+
+
+def test_a_campaign_that_was_stopped_goes_on_where_it_was(tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "CASES_PER_ENTRY", 4)
+    cache = Cache(tmp_path / "cache")
+    some = list(islice(campaign(12, 5, tmp_path / "first", cache), 5))  # then it is stopped
+    assert len(list((cache.folder / "runs").rglob("*.json"))) == 2
+    monkeypatch.setattr(module, "_case", partial(_other_case, module._case))
+    cases = list(campaign(12, 5, tmp_path / "again", cache))
+    assert cases[:8] == some + cases[5:8]
+    assert [one.said == "anew" for one in cases] == 8 * [False] + 4 * [True]
+    other = list(campaign(4, 5, tmp_path / "other", Cache(tmp_path / "none")))
+    assert [one.damage for one in other] == [one.damage for one in cases[:4]]  # of the seed alone
+
+
+def _other_case(make, *arguments):
+    return make(*arguments)._replace(said="anew")
 
 
 def _said(line, error=SsacError):
@@ -58,9 +92,9 @@ def _slow():
         (_slow, "hang"),
     ],
 )
-def test_each_outcome_is_told_from_the_others(work, expected, tmp_path, monkeypatch):
-    monkeypatch.setattr(case, "MAX_S", 0.3 if work is _slow else 20.0)
-    assert outcome(in_own_process(work, tmp_path), "a.h5", 100) == expected
+def test_each_outcome_is_told_from_the_others(work, expected, tmp_path):
+    ended = Forked(work, tmp_path).ended(0.3 if work is _slow else 20.0)
+    assert outcome(ended, "a.h5", 100) == expected
 
 
 def test_a_warning_is_none_of_silence():
@@ -69,7 +103,47 @@ def test_a_warning_is_none_of_silence():
 
 def test_the_table_counts_every_case_once():
     cases = [Case("a", "flip", k, OUTCOMES[k % 3], "") for k in range(7)]
-    counts = table([*cases, Case("b", "cut", 7, "shorter", "")])
+    counts = reliability_table([*cases, Case("b", "cut", 7, "shorter", "")])
     assert counts["input"].tolist() == ["a", "b", "all"]
     assert counts["cases"].tolist() == [7, 1, 8]
     assert (counts[list(OUTCOMES)].sum(axis=1) == counts["cases"]).all()
+
+
+def _whole_campaign():
+    counts = COMMITTED.counts()
+    return [
+        Case(kind, "flip", k, "refused" if kind in EVENT_FILES else "right", "")
+        for kind, n in counts.items()
+        for k in range(n)
+    ]
+
+
+def _faults(folder, cases):
+    reliability_table(cases).to_csv(folder / CSV_FILE, index=False)
+    return reliability_faults(folder)
+
+
+def test_the_committed_table_is_held_against_the_campaign_and_its_marks(tmp_path):
+    cases = _whole_campaign()
+    assert _faults(tmp_path, cases) == ()
+    assert "its kinds and cases are not" in _faults(tmp_path, cases[1:])[0]
+    assert _faults(tmp_path, [cases[0]._replace(outcome="hang"), *cases[1:]]) == ("hang: 1",)
+    n_files = sum(COMMITTED.counts()[kind] for kind in EVENT_FILES)
+    for n, is_fault in ((n_files // 200, False), (n_files // 200 + 2, True)):
+        silent = [one._replace(outcome="silently_fewer") for one in cases[:n]]
+        assert bool(_faults(tmp_path, [*silent, *cases[n:]])) == is_fault
+        assert silent_share(reliability_table([*silent, *cases[n:]])) == n / n_files
+
+
+def test_the_disturbances_do_not_change_the_cases():
+    fewer = replace(COMMITTED, kills=0, full_disks=0, others=0).counts()
+    assert sum(fewer.values()) == COMMITTED.cases
+
+
+def test_a_damaged_mesh_in_a_grid_is_one_line(tmp_path):
+    mesh = tmp_path / "drone.obj"
+    mesh.write_text("v 0 0\nf 1 2 3\n", encoding="utf-8")
+    grid = write_grid(tmp_path, f"sim.drone_file = {str(mesh)!r}\n")
+    ended = begin(grid, tmp_path, is_forked=True).ended(60.0)
+    assert outcome(ended, mesh.name, 0) == "refused"
+    assert not (tmp_path / CSV).exists()
