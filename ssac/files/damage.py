@@ -188,14 +188,20 @@ def _is_whole(
     """Whether nothing of all that is looked at is wrong: one pass, for nearly every file."""
     if len(t) == 0:
         return False
-    run, is_good = 1, bool(x[0] < width and y[0] < height and p[0] <= 1)
-    for i in range(1, len(t)):
-        gap_us = t[i] - t[i - 1]
-        is_good &= bool(0 <= gap_us <= longest_us and p[i] <= 1)
-        is_good &= bool(x[i] < width and y[i] < height)
-        run = run + 1 if gap_us == 0 and x[i] == x[i - 1] and y[i] == y[i - 1] else 1
-        is_good &= run <= most_equal
-    return is_good
+    is_bad, run = False, 1
+    t_before, x_before, y_before = t[0], -1, -1  # kept: an index less one costs a test of its own
+    for i in range(len(t)):
+        t_us, column, row = t[i], int(x[i]), int(y[i])
+        gap_us = t_us - t_before
+        is_bad |= (gap_us < 0) | (gap_us > longest_us)  # none of these branches
+        is_bad |= (column >= width) | (row >= height) | (p[i] > 1)
+        if gap_us == 0 and column == x_before and row == y_before:
+            run += 1
+            is_bad |= run > most_equal
+        else:
+            run = 1
+        t_before, x_before, y_before = t_us, column, row
+    return not is_bad
 
 
 @numba.njit(cache=True)

@@ -65,7 +65,9 @@ def load_events_h5(path: Path, reading: Reading = STRICT) -> EventFile:
             events = _read_blocks(
                 len(columns["t"]), lambda block: {f: columns[f][block] for f in FIELDS}, path
             )
-            events["t"] += _offset_us(file, path)
+            offset_us = _offset_us(file, path)
+            if offset_us:
+                events["t"] += offset_us
         else:
             raise SsacError(
                 f"{path}: expected the datasets events/t, events/x, events/y, events/p, or "
