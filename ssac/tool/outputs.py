@@ -9,7 +9,7 @@ from ssac.errors import SsacError
 from ssac.files.event_files import load_events, write_synced
 from ssac.files.hdf5 import HDF5_SUFFIXES
 from ssac.files.track_files import TRACK_SUFFIX, is_track_file, load_track, save_track
-from ssac.files.whole_file import check_writable
+from ssac.files.whole_file import check_target
 from ssac.tool.report import save_json
 from ssac.tool.sync import Clock, Log, SyncResult
 
@@ -36,13 +36,8 @@ def check_outputs(inputs: tuple[Path, ...], outputs: Outputs) -> None:
         )
     is_folder = plot is not None and not _is_figure(plot)
     for output in (outputs.json_file, None if is_folder else plot, synced):
-        if output is None:
-            continue
-        if output.is_dir() or not output.parent.is_dir():
-            raise SsacError(f"{output}: not a file in a folder that exists: name another")
-        if any(output.exists() and path.exists() and output.samefile(path) for path in inputs):
-            raise SsacError(f"{output}: is one of the inputs and would be lost: name another file")
-        check_writable(output)
+        if output is not None:
+            check_target(output, inputs)
 
 
 def write_outputs(result: SyncResult, outputs: Outputs, log: Log) -> None:
