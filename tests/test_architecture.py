@@ -109,7 +109,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
         ),
         "baselines": ("correlation", "event_rate", "zncc_e", "zncc_f", "albl"),
         "plot": ("plot_data", "plots"),
-        "console": ("exits", "options", "command_line"),
+        "console": ("exits", "options", "event_options", "command_line"),
         "convert": (
             "events_as_track",
             "drone_tracking",

@@ -5,7 +5,8 @@ from typing import Annotated
 
 import typer
 
-from ssac.config import N_MIN, Config
+from ssac.config import Config
+from ssac.console.event_options import AllowDamaged, NoDenoise, Sort, n_min_of
 from ssac.console.exits import warnings_as_lines
 from ssac.console.options import number
 from ssac.errors import SsacError
@@ -26,35 +27,14 @@ def track_command(
     camera: Annotated[
         int, number("Which camera of the rig it is.", 1, MAX_CAMERA, metavar="K")
     ] = 1,
-    no_denoise: Annotated[
-        bool, typer.Option("--no-denoise", help="Keep hot pixels and isolated events.")
-    ] = False,
-    allow_damaged: Annotated[
-        bool,
-        typer.Option(
-            "--allow-damaged", help="Read what is left of a damaged event file, with a warning."
-        ),
-    ] = False,
-    sort: Annotated[
-        bool,
-        typer.Option(
-            "--sort", help="Sort events that are out of order by less than a millisecond."
-        ),
-    ] = False,
+    no_denoise: NoDenoise = False,
+    allow_damaged: AllowDamaged = False,
+    sort: Sort = False,
     half_window: Annotated[
         float,
         number("Events this long before and after a time give a point.", 0.001, 0.25, "seconds"),
     ] = Config.half_window_s,
-    n_min: Annotated[
-        int | None,
-        number(
-            "Events that a point needs at least.",
-            1,
-            100_000,
-            metavar="COUNT",
-            default_words=f"{N_MIN}; fewer of a thin object",
-        ),
-    ] = None,
+    n_min: Annotated[int | None, n_min_of("a point")] = None,
 ) -> None:
     """Write the path of the one moving object as a track file: t_s,x_px,y_px,sigma_px."""
     from ssac.convert.events_as_track import track_of_events

@@ -9,8 +9,9 @@ from typing import Annotated, Any
 
 import typer
 
-from ssac.config import CLOCKS, MAX_SKEW_PPM, N_MIN, Config
+from ssac.config import CLOCKS, MAX_SKEW_PPM, Config
 from ssac.console.command_line import Sections
+from ssac.console.event_options import AllowDamaged, NoDenoise, Sort, n_min_of
 from ssac.console.exits import NO_ESTIMATE, warnings_as_lines
 from ssac.console.options import number
 from ssac.errors import SsacError
@@ -172,21 +173,9 @@ def sync_command(
             "Deviation of both cameras' principal points, in place of the rig's.", 0.0, 100.0, "px"
         ),
     ] = None,
-    no_denoise: Annotated[
-        bool, typer.Option("--no-denoise", help="Keep hot pixels and isolated events.")
-    ] = False,
-    allow_damaged: Annotated[
-        bool,
-        typer.Option(
-            "--allow-damaged", help="Read what is left of a damaged event file, with a warning."
-        ),
-    ] = False,
-    sort: Annotated[
-        bool,
-        typer.Option(
-            "--sort", help="Sort events that are out of order by less than a millisecond."
-        ),
-    ] = False,
+    no_denoise: NoDenoise = False,
+    allow_damaged: AllowDamaged = False,
+    sort: Sort = False,
     n_samples: Annotated[
         int,
         number("Times at which the object's positions are compared.", 20, 100_000, metavar="COUNT"),
@@ -197,16 +186,7 @@ def sync_command(
             "Events this long before and after such a time give a position.", 0.001, 0.25, "seconds"
         ),
     ] = Config.half_window_s,
-    n_min: Annotated[
-        int | None,
-        number(
-            "Events that a position needs at least.",
-            1,
-            100_000,
-            metavar="COUNT",
-            default_words=f"{N_MIN}; fewer of a thin object",
-        ),
-    ] = None,
+    n_min: Annotated[int | None, n_min_of("a position")] = None,
     neighbours: Annotated[
         int | None,
         number(
