@@ -1,6 +1,7 @@
 """A flight's number in; its simulated recording, its truth and its RTK out.
 
-Two DAVIS346 with 8 mm lenses 20 m apart, a drone of 0.5 m some 15 to 60 m away. The sky is even:
+Two DAVIS346 with 8 mm lenses 20 m apart, and a third 20 m further on; a drone of 0.5 m some 15 to
+60 m away. The third is the second camera of another recording of the same flight. The sky is even:
 the simulator's backgrounds stand still, so clouds would make no events but where the drone passes.
 """
 
@@ -25,6 +26,7 @@ N_FLIGHTS = 10
 DURATION_S = 120.0
 T_D_S = 3.217
 SKEW_PPM = 30.0
+THIRD_T_D_S, THIRD_SKEW_PPM = -7.3, -20.0
 BASELINE_M = 20.0
 DISTANCE_M = 35.0
 FOCAL_PX = 432.0  # 8 mm over pixels of 18.5 um
@@ -78,6 +80,13 @@ def outdoor_config(duration_s: float = DURATION_S) -> SimConfig:
     )
 
 
+def third_config(config: SimConfig) -> SimConfig:
+    """Give the set-up of the first camera and the third, which is as far from the second as it."""
+    return replace(
+        config, angle_deg=2.0 * config.angle_deg, t_d_s=THIRD_T_D_S, skew_ppm=THIRD_SKEW_PPM
+    )
+
+
 def seed_of(flight: int) -> int:
     """Seed of a flight, from 0 on."""
     return _FIRST_SEED + flight
@@ -115,11 +124,11 @@ def rtk_of(truth: Truth, flight: int) -> SpacePath:
     return SpacePath(shown_s, antenna_m + noise_m, quaternions=truth.quaternions[nearest])
 
 
-def calibrated(config: SimConfig, flight: int) -> tuple[SimConfig, SimConfig]:
-    """Give both cameras' intrinsics as a calibration would: with its errors."""
+def calibrated(config: SimConfig, flight: int) -> tuple[SimConfig, ...]:
+    """Give the three cameras' intrinsics as a calibration would: with its errors."""
     rng = np.random.default_rng([_STREAM, flight, 1])
     cameras = []
-    for _ in range(2):
+    for _ in range(3):
         focal = 1.0 + rng.normal(0.0, FOCAL_STD)
         du_px, dv_px = rng.normal(0.0, CENTRE_STD_PX, 2)
         u_px, v_px = config.principal_point
@@ -127,4 +136,4 @@ def calibrated(config: SimConfig, flight: int) -> tuple[SimConfig, SimConfig]:
         cameras.append(
             replace(config, focal_px=float(config.focal_px * focal), principal_point=centre)
         )
-    return cameras[0], cameras[1]
+    return tuple(cameras)

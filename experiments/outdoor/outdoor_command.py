@@ -7,7 +7,16 @@ from typing import Annotated, Any
 import pandas as pd
 import typer
 
-from experiments.outdoor.flights import DURATION_S, N_FLIGHTS, load_truth, outdoor_config, seed_of
+from experiments.outdoor.flights import (
+    DURATION_S,
+    N_FLIGHTS,
+    THIRD_T_D_S,
+    load_truth,
+    outdoor_config,
+    seed_of,
+    third_config,
+)
+from experiments.outdoor.third import THREE_CAMERAS, three_row
 from experiments.outdoor.twin import COLUMNS, KINDS, compared, estimated, twin_row
 from experiments.paper.checksums import record_checksums
 from experiments.run.cache import DEFAULT_FOLDER, Cache, recording_key, run_key
@@ -21,7 +30,7 @@ from ssac.files.whole_file import whole_file
 COMMAND = "ssac outdoor"
 RUNS_FILE, ORACLE_FILE, FIGURE_FILE = "outdoor.csv", "outdoor_oracle.csv", "outdoor.png"
 
-_CODE = ("experiments.outdoor.twin",)
+_CODE = ("experiments.outdoor.third",)
 _MEASURED = [name for name in COLUMNS if name not in ("flight", "kind", "status", "reason")]
 
 
@@ -29,6 +38,9 @@ def outdoor_command(
     out: Annotated[Path, typer.Option(metavar="FOLDER", help="Where to write.")] = Path("results"),
     flights: Annotated[int, number("Flights.", 1, 1000, metavar="COUNT")] = N_FLIGHTS,
     duration: Annotated[float, number("Of each flight.", 10, 3600, "seconds")] = DURATION_S,
+    third: Annotated[
+        bool, typer.Option("--third/--no-third", help="Also with a third camera.")
+    ] = True,
     cache: CacheOption = DEFAULT_FOLDER,
 ) -> None:
     """Simulate the paper's outdoor set-up, and find clocks, pose and the drone's path.
@@ -41,23 +53,32 @@ def outdoor_command(
     rows = [
         _row(kept, duration, flight, kind, lambda line: typer.echo(line, err=True))
         for flight in range(flights)
-        for kind in KINDS
+        for kind in kinds_of(third)
     ]
     runs = pd.DataFrame(rows, columns=COLUMNS)
     seconds = time.perf_counter() - start
     for name, table in ((RUNS_FILE, runs), (ORACLE_FILE, oracle_table(runs))):
         with whole_file(out / name) as temporary:
             table.to_csv(temporary, index=False, float_format="%.6g", lineterminator="\n")
-        save_provenance(out / name, COMMAND, outdoor_settings(flights, duration), seconds, None)
+        save_provenance(
+            out / name, COMMAND, outdoor_settings(flights, duration, third), seconds, None
+        )
     written = [out / RUNS_FILE, out / ORACLE_FILE, *_drawn(kept, duration, out / FIGURE_FILE)]
     record_checksums(out, written)
     typer.echo(oracle_table(runs).to_string(index=False, float_format="%.3g"))
     typer.echo(f"written to {', '.join(map(str, written))}")
 
 
-def outdoor_settings(flights: int = N_FLIGHTS, duration_s: float = DURATION_S) -> dict[str, Any]:
+def kinds_of(third: bool = True) -> tuple[str, ...]:
+    """List the kinds of rows of a flight."""
+    return (*KINDS, THREE_CAMERAS) if third else KINDS
+
+
+def outdoor_settings(
+    flights: int = N_FLIGHTS, duration_s: float = DURATION_S, third: bool = True
+) -> dict[str, Any]:
     """Give what the tables are made with, for provenance."""
-    return {"flights": flights, "kinds": KINDS, "sim": outdoor_config(duration_s)}
+    return {"flights": flights, "kinds": kinds_of(third), "sim": outdoor_config(duration_s)}
 
 
 def oracle_table(runs: pd.DataFrame) -> pd.DataFrame:
@@ -73,11 +94,19 @@ def oracle_table(runs: pd.DataFrame) -> pd.DataFrame:
 def _row(cache: Cache, duration_s: float, flight: int, kind: str, log: Any) -> dict[str, Any]:
     """Give a row from the cache, or make it."""
     config, seed = outdoor_config(duration_s), seed_of(flight)
-    key = run_key((recording_key(config, seed),), ("outdoor", flight, kind), _CODE)
+    with_third = [third_config(config)] if kind == THREE_CAMERAS else []
+    recordings = tuple(recording_key(each, seed) for each in (config, *with_third))
+    key = run_key(recordings, ("outdoor", flight, kind), _CODE)
     row = cache.load_run(key)
     if row is None:
         folder = cache.recording_folder(config, seed)
-        made = twin_row(folder, config, load_truth(folder), flight, kind)
+        truth = load_truth(folder)
+        if with_third:
+            other = cache.recording_folder(with_third[0], seed)
+            truths = truth, load_truth(other, THIRD_T_D_S)
+            made = three_row((folder, other), config, truths, flight)
+        else:
+            made = twin_row(folder, config, truth, flight, kind)
         row = {name: None if value != value else value for name, value in made.items()}  # NaN
         cache.save_run(key, row)
     log(f"flight {flight}, {kind}: {row['status']}, path RMSE {row['rmse_m']} m")

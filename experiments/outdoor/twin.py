@@ -3,6 +3,7 @@
 Each kind takes one thing from the truth, so that one sees what it costs not to know it.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -34,6 +35,7 @@ from ssac.track.denoise import radius_filter
 Array = NDArray[np.float64]
 
 KINDS = ("as_recorded", "true_tracks", "true_pose", "true_intrinsics", "all_true")
+"""Of two cameras."""
 
 N_NEIGHBOURS, MS_PER_UNIT = 8, 8.0
 """Of the radius filter: an image of 6 px that moves by 60 px/s has some 500 events a second, and
@@ -45,7 +47,7 @@ COLUMNS = (
     "icp_rmse_m", "scale_error_percent", "rtk_samples", "coverage", "reason",
 )  # fmt: skip
 
-_CONFIG = Config(denoise=False, n_min=20, half_window_s=0.05, n_samples=1200)  # of a small drone
+CONFIG = Config(denoise=False, n_min=8, half_window_s=0.05, n_samples=1200)  # of a small drone
 _PATH_HZ = 50.0
 _BETWEEN_S = 0.00031  # after the truth's samples: times of whole milliseconds look rounded
 _OF_TRUTH = 4  # truth's samples, at 200 Hz, from one of a true track to the next
@@ -89,7 +91,7 @@ def twin_row(
         "t_error_deg": errors.t_error_deg,
         "t_std_deg": estimate.t_std_deg,
     }
-    row |= _path_figures(compared(path, truth, flight), truth)
+    row |= path_figures(compared(path, truth, flight), truth)
     return {name: row[name] for name in COLUMNS}
 
 
@@ -100,13 +102,13 @@ def estimated(
     exact = kind in ("true_intrinsics", "all_true")
     with TemporaryDirectory() as name:
         work = Path(name)
-        _write_rig(work / "rig.yaml", config, flight, exact)
+        write_rig(work / "rig.yaml", (config,) * 2 if exact else calibrated(config, flight)[:2])
         if kind in ("true_tracks", "all_true"):
             names = _write_tracks(work, config, truth)
         else:
-            names = _write_events(work, folder, truth)
+            names = write_events(work, folder, truth)
         cam1, cam2 = work / names[0], work / names[1]
-        found = sync(cam1, cam2, work / "rig.yaml", config=_CONFIG, search_all=True)
+        found = sync(cam1, cam2, work / "rig.yaml", config=CONFIG, search_all=True)
     if not found.estimate.has_offset:
         return found, None
     pose = found.estimate.R, found.estimate.t
@@ -143,7 +145,8 @@ def compared(path: SpacePath, truth: Truth, flight: int) -> Comparison:
     return compare(path, rtk_of(truth, flight), lever_arm_m=LEVER_ARM_M)
 
 
-def _path_figures(found: Comparison, truth: Truth) -> dict[str, Any]:
+def path_figures(found: Comparison, truth: Truth) -> dict[str, Any]:
+    """Give the columns of a row that tell of the path."""
     assert found.in_time is not None  # both paths have times
     figures = found.in_time.figures()
     return {
@@ -157,10 +160,10 @@ def _path_figures(found: Comparison, truth: Truth) -> dict[str, Any]:
     }
 
 
-def _write_rig(path: Path, config: SimConfig, flight: int, exact: bool) -> None:
-    """Write the rig as the estimator is given it: exact, or with a calibration's errors."""
+def write_rig(path: Path, cameras: Sequence[SimConfig]) -> None:
+    """Write a rig as the estimator is given it; intrinsics that differ are a calibration's."""
+    exact = all(camera == cameras[0] for camera in cameras)
     chain: dict[str, Any] = {}
-    cameras = (config, config) if exact else calibrated(config, flight)
     for n, camera in enumerate(cameras):
         rig = two_view_rig(
             camera.angle_deg,
@@ -168,14 +171,14 @@ def _write_rig(path: Path, config: SimConfig, flight: int, exact: bool) -> None:
             resolution=camera.resolution,
             principal_point=camera.principal_point,
         )
-        entry = yaml.safe_load(kalibr_yaml(rig, with_extrinsics=False))[f"cam{n}"]
+        entry = yaml.safe_load(kalibr_yaml(rig, with_extrinsics=False))["cam0"]
         if not exact:
             del entry["intrinsics_std"]  # a good calibration's are the default
         chain[f"cam{n}"] = entry
     path.write_text(yaml.safe_dump(chain), encoding="utf-8")
 
 
-def _write_events(work: Path, folder: Path, truth: Truth) -> tuple[str, str]:
+def write_events(work: Path, folder: Path, truth: Truth) -> tuple[str, str]:
     """Write both cameras' denoised events, camera 2's with its offset."""
     offset = Clock(-truth.clock.t_d_s)  # the recording has the skew already
     for name, clock in (("cam1.h5", Clock()), ("cam2.h5", offset)):
