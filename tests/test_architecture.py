@@ -120,12 +120,12 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
         "network": (
             "sightings",
             "state",
+            "graph",
             "kernels",
             "normal",
             "triangulation",
             "linear",
             "adjustment",
-            "graph",
             "placing",
             "build",
             "answers",
@@ -228,7 +228,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
             "quoted_tables",
             "numbers",
         ),
-        "outdoor": ("flights", "twin", "outdoor_command"),
+        "outdoor": ("flights", "twin", "third", "outdoor_command"),
         "bench": (
             "measurement",
             "process",

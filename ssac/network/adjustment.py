@@ -40,6 +40,7 @@ Indices = NDArray[np.int64]
 _LEAST_SHARE = 0.3  # of the cameras' median deviation: no camera's is less
 _LEAST_PX = 0.01
 _MOST_LAGS, _NO_CORRELATION = 500, 0.05
+_LONGEST_STEP_S = 0.5  # between knots; there is a gap where it is longer
 _ROUNDS, _STEPS = 12, 6
 _SETTLED = 3e-4  # share by which the cost changes in a round of a solution that has settled
 _DAMPING = 1e-4
@@ -208,6 +209,7 @@ def _weighed(
         lever = lever / (share * network.sigmas_px[k]) ** 2
         left = max(0.1, 1.0 - 0.5 * float(np.median(lever)))
         sigmas[k] = deviation_px(over) / np.sqrt(left)
+    sigmas = _alike(sigmas, cameras)
     least = max(_LEAST_SHARE * float(np.median(sigmas)), _LEAST_PX)
     first, weights = jerks(network.path.knots_s)
     coefficients = network.path.coefficients
@@ -216,12 +218,46 @@ def _weighed(
     trace = np.trace(unsure, axis1=1, axis2=2)
     told = 3.0 * len(first) - float(np.sum(trace)) / network.jerk**2
     jerk = float(np.sqrt(np.sum(values**2) / max(told, 1.0)))
+    mean = float(np.mean(repeats)) if repeats else 1.0
     return replace(
         network,
         sigmas_px=np.maximum(sigmas, least),
         jerk=max(jerk, 1e-12),
-        repeats=float(np.mean(repeats)) if repeats else 1.0,
+        repeats=mean,
+        lasting=1.0 + (mean - 1.0) * _taken_up(network, cameras, enabled),
     )
+
+
+def _alike(sigmas_px: Array, cameras: list[Sightings]) -> Array:
+    """Give event cameras the deviations that they have of themselves, times one common factor.
+
+    The mean of the events strays by a share of the image's size in all of them. Each for itself,
+    the two whose errors the path takes up best would soon seem to be without any.
+    """
+    of_events = np.flatnonzero([not seen.has_frames for seen in cameras])
+    if not len(of_events):
+        return sigmas_px
+    own_px = np.array([float(np.median(seen.sigmas_px)) for seen in cameras])
+    factors = sigmas_px[of_events] / own_px[of_events]
+    found = sigmas_px.copy()
+    found[of_events] = np.sqrt(np.mean(factors**2)) * own_px[of_events]
+    return found
+
+
+def _taken_up(network: Network, cameras: list[Sightings], enabled: list[Mask]) -> float:
+    """Give how much larger slow errors are, as variances, than the residuals show them.
+
+    The path follows them in three of the directions in which they are: two for each camera that
+    sees the object.
+    """
+    steps_s = np.diff(network.path.knots_s)
+    covered_s = float(np.sum(steps_s[steps_s <= _LONGEST_STEP_S]))
+    seen_s = sum(
+        seen.interval_s * float(np.count_nonzero(mask))
+        for seen, mask in zip(cameras, enabled, strict=True)
+    )
+    directions = max(2.0 * seen_s / max(covered_s, seen_s / len(cameras)), 4.0)
+    return directions / (directions - 3.0)
 
 
 def repeats_of(times_s: Array, residuals: Array) -> float:

@@ -83,7 +83,7 @@ def answer_of(built: Built, k: int, group: int) -> CameraAnswer:
     own_s = (t_ref_s + state.delay_s - state.rate * state.middle_s) / (1.0 - state.rate)
     at = int(border_offsets(network)[k])
     covariance = built.solved.border_covariance()[at : at + state.size, at : at + state.size]
-    covariance = covariance * network.repeats
+    covariance = covariance * network.lasting
     by = np.zeros(state.size)
     by[DELAY], by[RATE] = 1.0, own_s - state.middle_s
     by /= 1.0 - state.rate
@@ -141,7 +141,7 @@ def path_at(built: Built, times_s: Array, frame: Similarity | None = None) -> Pa
     """
     network = built.network
     first, weights = basis(network.path.knots_s, times_s)
-    covariances = built.solved.path_covariances(first, weights) * network.repeats
+    covariances = built.solved.path_covariances(first, weights) * network.lasting
     points = network.path.at(times_s)
     if frame is not None:
         points = frame.apply(points)

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssac.network.adjustment import adjust
-from ssac.network.graph import Link, Pair, supports
+from ssac.network.graph import Link, Pair, agreeing, supports
 from ssac.network.linear import Network, fit_of
 from ssac.network.normal import Solved
 from ssac.network.placing import Placed, grown, place_all, rebased
@@ -97,7 +97,7 @@ def build(
         states = _states(built)
         del states[worst]
         built = _first(Placed(states, 0), cameras, priors, distance)
-    built = _whole(built)
+    built = _whole(built, links)
     misfits = [k for k in group if k not in built.members]
     return replace(built, misfits=misfits)
 
@@ -173,8 +173,11 @@ def _misfit(built: Built) -> int | None:
     return None
 
 
-def _whole(built: Built) -> Built:
-    """Adjust all that there is, and leave out at last what is far off its place."""
+def _whole(built: Built, links: Mapping[Pair, Link]) -> Built:
+    """Adjust all that there is, and leave out at last what is far off its place.
+
+    What pairs tell enters last, so that one that is wrong shows.
+    """
     network = built.network
     states = [
         with_strays(state, seen, PIECE_S, _MOST_PIECES) if seen.has_frames else state
@@ -189,5 +192,7 @@ def _whole(built: Built) -> Built:
         share = seen.sigmas_px / np.median(seen.sigmas_px) * network.sigmas_px[k]
         off = np.linalg.norm(fit.residuals_px, axis=1) / share
         enabled.append(fit.used & (off < GATE))
+    told = {pair: link.told for pair, link in links.items() if link.told is not None}
+    network = replace(network, told=agreeing(told, built.members, network.states))
     network, solved = adjust(network, built.cameras, built.priors, enabled)
     return replace(built, network=network, solved=solved, enabled=enabled)

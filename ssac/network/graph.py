@@ -1,4 +1,9 @@
-"""Clocks found pair by pair in; which of them contradict each other, and who is connected, out."""
+"""What pairs tell in; which contradict each other, who is connected, and rows for the others, out.
+
+The tangents of an object's outline are two-view constraints without the bias that limits the mean
+of its events, which is what the network's sightings are. All tangents of a pair of event cameras
+enter at once: by the clock and the pose that fit them best, and by the covariance of these.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -6,8 +11,13 @@ from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
+from scipy.spatial.transform import Rotation
 
-from ssac.clock import Clock
+from ssac.clock import PPM, Clock
+from ssac.estimate import Estimate, Status
+from ssac.geometry.pose import tangent_basis
+from ssac.network.state import DELAY, RATE, ROTATION, TRANSLATION, CameraState
 
 Array = NDArray[np.float64]
 Pair = tuple[int, int]
@@ -16,6 +26,64 @@ Triple = tuple[int, int, int]
 MAX_CLOSURE_S = 0.25
 """Three clocks that go round to within this agree: readouts and wandering clocks stay below it, and
 an offset found by chance is off by seconds."""
+
+
+MAX_OFF_S, MAX_TURN_DEG = 0.02, 5.0
+"""A pair that is further off where the sightings put its cameras is wrong, and left out."""
+
+_SIZE = 7  # offset, turn, direction, skew
+_STEPS = {DELAY: 1e-6, RATE: 1e-9} | {
+    place: 1e-6 for part in (ROTATION, TRANSLATION) for place in range(part.start, part.stop)
+}
+"""By place of a camera's parameters: steps of the derivatives, all of functions nearly linear."""
+
+
+@dataclass(frozen=True, eq=False)
+class PairTold:
+    """Clock and pose of camera b by camera a, and how sure they are."""
+
+    clock: Clock
+    R: Array  # (3, 3) x_b = R x_a + t
+    t: Array  # (3,) of length 1
+    factor: Array  # (7, 7) lower: of the covariance of offset [s], turn, direction [rad], skew
+
+    def off(self, a: CameraState, b: CameraState) -> Array:
+        """Give what it tells less what two states say (7,): of offset, turn, direction and skew."""
+        own_s = np.array([self.clock.t_ref_s])
+        shown_s = b.own_from_network(a.network_from_own(own_s))
+        R = b.R @ a.R.T
+        t = b.t - R @ a.t
+        t = t / np.linalg.norm(t)
+        return np.concatenate(
+            [
+                self.clock.cam2_from_cam1(own_s) - shown_s,
+                Rotation.from_matrix(self.R @ R.T).as_rotvec(),
+                tangent_basis(self.t) @ (self.t - t),
+                [PPM * self.clock.skew_ppm - (1.0 - a.rate) / (1.0 - b.rate) + 1.0],
+            ]
+        )
+
+    def fits(self, a: CameraState, b: CameraState) -> bool:
+        """Whether two states are near what it tells."""
+        off = self.off(a, b)
+        turn_deg = np.rad2deg(np.linalg.norm(off[1:4]))
+        return bool(abs(off[0]) < MAX_OFF_S and turn_deg < MAX_TURN_DEG)
+
+    def rows(self, a: CameraState, b: CameraState) -> tuple[Array, Array, Array]:
+        """Give derivatives (7, s) by a's and by b's parameters, and residuals (7,), all weighed."""
+        off = self.off(a, b)
+        by_a, by_b = np.zeros((_SIZE, a.size)), np.zeros((_SIZE, b.size))
+        for place, size in _STEPS.items():
+            for by, state, pair in (
+                (by_a, a, lambda moved: (moved, b)),
+                (by_b, b, lambda moved: (a, moved)),
+            ):
+                step = np.zeros(state.size)
+                step[place] = size
+                ahead, behind = (self.off(*pair(state.moved(way))) for way in (step, -step))
+                by[:, place] = (behind - ahead) / (2.0 * size)  # of what the states say
+        weighed = [solve_triangular(self.factor, each, lower=True) for each in (by_a, by_b, off)]
+        return weighed[0], weighed[1], weighed[2]
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,6 +97,7 @@ class Link:
     t: Array | None = None  # (3,) of length 1
     status: str = "ok"
     reason: str = ""
+    told: PairTold | None = None  # of two event cameras: how sure clock and pose are
 
     def reversed(self) -> "Link":
         """Give what the pair (b, a) tells."""
@@ -85,3 +154,37 @@ def groups(n_cameras: int, links: Mapping[Pair, Link]) -> list[list[int]]:
     for camera in range(n_cameras):
         found.setdefault(root(camera), []).append(camera)
     return sorted(found.values(), key=lambda group: (-len(group), group))
+
+
+def told_by(estimate: Estimate) -> PairTold | None:
+    """Take what an estimate tells of clock and pose; None of one without their covariance."""
+    known = estimate.covariance, estimate.R, estimate.t
+    if estimate.status != Status.OK or any(part is None for part in known):
+        return None
+    if not (np.isfinite(estimate.t_ref_s) and estimate.skew_std_ppm > 0.0):
+        return None
+    assert estimate.covariance is not None  # as was just seen
+    assert estimate.R is not None
+    assert estimate.t is not None
+    covariance = np.zeros((_SIZE, _SIZE))
+    covariance[:-1, :-1] = estimate.covariance
+    covariance[-1, -1] = (PPM * estimate.skew_std_ppm) ** 2
+    deviations = np.sqrt(np.diag(covariance))
+    try:  # scaled, as seconds and radians are of very different size
+        factor = np.linalg.cholesky(covariance / np.outer(deviations, deviations))
+    except np.linalg.LinAlgError:
+        return None
+    clock = Clock(estimate.t_d_s, estimate.skew_ppm, estimate.t_ref_s)
+    return PairTold(clock, estimate.R, estimate.t, deviations[:, None] * factor)
+
+
+def agreeing(
+    told: Mapping[Pair, PairTold], members: list[int], states: list[CameraState]
+) -> dict[Pair, PairTold]:
+    """Give the pairs of members that tell nearly what the states say, by places among these."""
+    places = {k: place for place, k in enumerate(members)}
+    return {
+        (places[a], places[b]): one
+        for (a, b), one in told.items()
+        if a in places and b in places and one.fits(states[places[a]], states[places[b]])
+    }

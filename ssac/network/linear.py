@@ -1,11 +1,13 @@
 """A network and sightings in; residuals, their derivatives, and what is known beforehand, out."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ssac.geometry.robust import TO_DEVIATION
+from ssac.network.graph import Pair, PairTold
 from ssac.network.normal import Linear
 from ssac.network.sightings import Sightings
 from ssac.network.state import (
@@ -47,6 +49,8 @@ class Network:
     scale_camera: int  # whose distance from the first sets the scale
     distance: float = 1.0  # that
     repeats: float = 1.0  # sightings that tell as much as an independent one: errors last
+    lasting: float = 1.0  # the same, with what the path takes up of such errors
+    told: Mapping[Pair, PairTold] = field(default_factory=dict)  # by pairs of states
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,6 +142,15 @@ def known(
             for mode in (np.full(n, 1.0 / n), slope / np.sum(slope**2)):
                 value = float(mode @ state.strays_s)
                 add(places, mode / _HELD_STRAY_S, -value / _HELD_STRAY_S)
+    for (a, b), pair in network.told.items():
+        by_a, by_b, off = pair.rows(network.states[a], network.states[b])
+        counts = np.sqrt(network.lasting)
+        for i in range(len(off)):
+            row = np.zeros(int(offsets[-1]))
+            row[offsets[a] : offsets[a + 1]] = counts * by_a[i]
+            row[offsets[b] : offsets[b + 1]] = counts * by_b[i]
+            rows.append(row)
+            residuals.append(float(counts * off[i]))
     k = network.scale_camera
     t = network.states[k].t
     length = float(np.linalg.norm(t))

@@ -11,7 +11,7 @@ from ssac.clock import PPM, Clock
 from ssac.estimate import Estimate, Status
 from ssac.network.answers import CameraAnswer, PathAnswer, answer_of, left_out, path_of
 from ssac.network.build import Built, build
-from ssac.network.graph import MAX_CLOSURE_S, Link, Pair, Triple, closures_s, groups
+from ssac.network.graph import MAX_CLOSURE_S, Link, Pair, Triple, closures_s, groups, told_by
 from ssac.network.sightings import Sightings
 from ssac.network.state import Priors
 from ssac.search.all_offsets import Guess
@@ -51,8 +51,11 @@ class NetworkAnswer:
         return "; ".join(said)
 
 
-def link_of(estimate: Estimate, guess: Guess | None) -> Link | None:
-    """Say what a pair's estimate tells the network; None where it tells nothing."""
+def link_of(estimate: Estimate, guess: Guess | None, of_events: bool = False) -> Link | None:
+    """Say what a pair's estimate tells the network; None where it tells nothing.
+
+    That of two event cameras tells of more than their sightings, and enters the adjustment too.
+    """
     reliable = estimate.has_offset
     if reliable:
         t_ref_s = estimate.t_ref_s
@@ -67,7 +70,8 @@ def link_of(estimate: Estimate, guess: Guess | None) -> Link | None:
     is_ok = estimate.status == Status.OK
     cost = guess.cost if guess is not None else estimate.d_avg_px
     pose = (estimate.R, estimate.t) if is_ok else (None, None)
-    return Link(clock, reliable, cost, *pose, str(estimate.status), estimate.reason)
+    told = told_by(estimate) if of_events else None
+    return Link(clock, reliable, cost, *pose, str(estimate.status), estimate.reason, told)
 
 
 def priors_of(camera: Camera, has_frames: bool, skew_prior_ppm: float) -> Priors:

@@ -135,7 +135,8 @@ def solve_pairs(
     seen = [_sightings(k, paths[k], pairs) for k in range(len(paths))]
     links = dict[Pair, Link]()
     for pair, result in pairs.items():
-        link = link_of(result.estimate, result.guess)
+        of_events = not any(seen[k].has_frames for k in pair)
+        link = link_of(result.estimate, result.guess, of_events)
         if link is not None:
             links[pair] = link
     has_frames = any(camera.has_frames for camera in seen)

@@ -1,0 +1,81 @@
+"""What pairs of event cameras tell: its derivatives, its weight, and that a wrong pair is none."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from ssac.clock import Clock
+from ssac.estimate import Estimate
+from ssac.network.graph import PairTold, told_by
+from ssac.network.solve import solve_network
+from ssac.network.state import start_state
+from tests.ssac.network.flights import make_flight
+
+DEVIATIONS = np.array([1e-6, 1e-5, 1e-5, 1e-5, 1e-5, 1e-5, 1e-6])
+"""Far below what the flight's sightings tell: 1 us, 0.6 mdeg and 1 ppm."""
+
+
+def true_pair(flight, a, b, off_s=0.0, turn_rad=0.0):
+    """What a pair without errors tells, or with those given."""
+    link = flight.link(a, b)
+    R = Rotation.from_rotvec([0.0, turn_rad, 0.0]).as_matrix() @ link.R
+    skew_ppm = flight.skews_ppm[b] - flight.skews_ppm[a]
+    at_s = 8.0 + flight.delays_s[a]  # in the middle of the flight, on a's clock
+    clock = Clock(flight.delays_s[b] - flight.delays_s[a] + off_s, skew_ppm, at_s)
+    return PairTold(clock, R, link.t, np.diag(DEVIATIONS))
+
+
+def test_derivatives_are_those_of_differences() -> None:
+    flight = make_flight(3)
+    a, b = (
+        start_state(flight.seen[k], flight.delays_s[k], 1e-5 * k, *flight.poses[k]) for k in (1, 2)
+    )
+    told = replace(true_pair(flight, 1, 2, 1e-3, 1e-2), factor=np.eye(7))
+    by_a, by_b, off = told.rows(a, b)
+    rng = np.random.default_rng(0)
+    step_a, step_b = (1e-5 * rng.normal(size=state.size) for state in (a, b))
+    step_a[1], step_b[1] = 1e-7, -2e-7  # rates
+    linear = off - by_a @ step_a - by_b @ step_b
+    # Second order in steps of 1e-5, of which some are multiplied by the baseline's inverse.
+    assert told.off(a.moved(step_a), b.moved(step_b)) == pytest.approx(linear, abs=1e-8)
+
+
+def test_sure_pairs_carry_clocks_and_poses() -> None:
+    flight = make_flight(3)
+    links = {
+        pair: replace(link, told=true_pair(flight, *pair)) for pair, link in flight.links().items()
+    }
+    found = solve_network(flight.seen, links, 50.0, flight.distance_m)
+    for k, camera in enumerate(found.cameras[1:], 1):
+        # What is told is true and sure: some deviations are left of it.
+        assert abs(camera.t_d_s - flight.shown_s(k, camera.t_ref_s)) < 1e-5
+        turn = Rotation.from_matrix(camera.R @ flight.poses[k][0].T).magnitude()
+        assert turn < 1e-4
+        assert camera.t_d_std_s < 1e-5
+
+
+def test_a_pair_that_the_sightings_contradict_is_left_out() -> None:
+    flight = make_flight(3)
+    wrong = true_pair(flight, 1, 2, turn_rad=0.2)
+    links = flight.links()
+    links[1, 2] = replace(links[1, 2], told=wrong)
+    found = solve_network(flight.seen, links, 50.0, flight.distance_m)
+    without = solve_network(flight.seen, flight.links(), 50.0, flight.distance_m)
+    assert not found.built[0].network.told
+    for mine, other in zip(found.cameras, without.cameras, strict=True):
+        assert pytest.approx(other.R) == mine.R
+
+
+def test_an_estimate_without_its_covariance_tells_nothing_more() -> None:
+    whole = Estimate(
+        "tangency", t_d_s=1.0, R=np.eye(3), t=np.array([1.0, 0.0, 0.0]), t_ref_s=2.0,
+        skew_ppm=3.0, skew_std_ppm=4.0, covariance=np.diag(DEVIATIONS[:6] ** 2),
+    )  # fmt: skip
+    told = told_by(whole)
+    assert told is not None
+    assert np.diag(told.factor)[:6] == pytest.approx(DEVIATIONS[:6])
+    assert told.factor[6, 6] == pytest.approx(4e-6)
+    for missing in ({"covariance": None}, {"skew_std_ppm": 0.0}, {"status": "poor_fit"}):
+        assert told_by(replace(whole, **missing)) is None
