@@ -71,8 +71,19 @@ def ground_of_positions(answer: NetworkAnswer, file: Path) -> Ground:
     return Ground(found, f"cameras stand within {rms_m:.3f} m of their given positions")
 
 
-def ground_of_rtk(answer: NetworkAnswer, file: Path) -> Ground:
+def ground_of_rtk(
+    answer: NetworkAnswer, file: Path, lever_arm_m: tuple[float, float, float] | None = None
+) -> Ground:
     """Lay the path over one of RTK, whose clock is free.
+
+    Parameters
+    ----------
+    answer
+        Of the network.
+    file
+        RTK's path; with its attitude where there is a lever arm.
+    lever_arm_m
+        Where the antenna is in the body: forward, left, up. The path is then of the body's origin.
 
     Raises
     ------
@@ -81,7 +92,8 @@ def ground_of_rtk(answer: NetworkAnswer, file: Path) -> Ground:
     """
     if not answer.paths:
         raise SsacError(f"{file}: there is no path to lay over it: {answer.reason}")
-    found = compare(answer.paths[0].path, read_path(file), rate_std_ppm=RTK_RATE_STD_PPM).in_time
+    path, rtk = answer.paths[0].path, read_path(file)
+    found = compare(path, rtk, rate_std_ppm=RTK_RATE_STD_PPM, lever_arm_m=lever_arm_m).in_time
     if found is None or found.explained < LEAST_EXPLAINED:
         share = 0.0 if found is None else found.explained
         raise SsacError(

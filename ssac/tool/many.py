@@ -10,6 +10,7 @@ from ssac.compare.frame import Ground, ground_of_positions, ground_of_rtk, in_fr
 from ssac.config import Config
 from ssac.convert.events_as_track import track_of_events
 from ssac.errors import SsacError
+from ssac.files.damage import STRICT, Reading
 from ssac.files.track_files import is_track_file
 from ssac.network.graph import Link, Pair
 from ssac.network.sightings import Sightings, sightings
@@ -31,6 +32,7 @@ class Known:
     distance_m: float | None = None  # between the first two cameras
     positions: Path | None = None  # of the cameras
     rtk: Path | None = None  # the object's own path, on a clock of its own
+    lever_arm_m: tuple[float, float, float] | None = None  # where RTK's antenna is in the body
 
 
 NOTHING = Known()
@@ -56,6 +58,8 @@ def sync_all(
     config: Config | None = None,
     log: Log | None = None,
     known: Known = NOTHING,
+    search_all: bool | None = None,
+    reading: Reading = STRICT,
 ) -> ManyResult:
     """Synchronise and calibrate many cameras, and find the path that they saw.
 
@@ -71,6 +75,8 @@ def sync_all(
         Called with a line of progress after each pair.
     known
         Of scale and frame.
+    search_all, reading
+        As of `ssac.tool.sync.sync`.
 
     Raises
     ------
@@ -80,7 +86,16 @@ def sync_all(
     _check_files(paths)
 
     def run(a: int, b: int) -> SyncResult:
-        return sync(paths[a], paths[b], rig_path, method, config=config, cameras=(a + 1, b + 1))
+        return sync(
+            paths[a],
+            paths[b],
+            rig_path,
+            method,
+            config=config,
+            cameras=(a + 1, b + 1),
+            search_all=search_all,
+            reading=reading,
+        )
 
     clock, pairs = Clock(log or (lambda line: None)), dict[Pair, SyncResult]()
     for a, b in combinations(range(len(paths)), 2):
@@ -100,21 +115,28 @@ def grounded(answer: NetworkAnswer, known: Known) -> tuple[NetworkAnswer, Ground
     if known.positions is not None:
         ground = ground_of_positions(answer, known.positions)
     elif known.rtk is not None:
-        ground = ground_of_rtk(answer, known.rtk)
+        ground = ground_of_rtk(answer, known.rtk, known.lever_arm_m)
     else:
         return answer, None
     return in_frame(answer, ground), ground
 
 
-def known_of(distance_m: float | None, positions: Path | None, rtk: Path | None) -> Known:
-    """Sum up options on the scale and the frame; SsacError where there are two."""
+def known_of(
+    distance_m: float | None,
+    positions: Path | None,
+    rtk: Path | None,
+    lever_arm_m: tuple[float, float, float] | None = None,
+) -> Known:
+    """Sum up options on the scale and the frame; SsacError where they do not go together."""
     given = {"--distance": distance_m, "--positions": positions, "--rtk": rtk}
     names = [name for name, value in given.items() if value is not None]
     if len(names) > 1:
         raise SsacError(
             f"{names[0]}: not with {names[1]}, as each sets the scale: give the better one alone"
         )
-    return Known(distance_m, positions, rtk)
+    if lever_arm_m is not None and rtk is None:
+        raise SsacError("--lever-arm: is of RTK's antenna: give --rtk too, or leave it out")
+    return Known(distance_m, positions, rtk, lever_arm_m)
 
 
 def check_for_two(given: list[str]) -> None:

@@ -161,6 +161,16 @@ def sync_command(
         Path | None,
         typer.Option(metavar="FILE", help="The object's path by RTK, on its own clock: likewise."),
     ] = None,
+    lever_arm: Annotated[
+        tuple[float, float, float] | None,
+        number(
+            "Where RTK's antenna is in the body: forward, left, up. Needs its attitude.",
+            -100,
+            100,
+            "metres",
+            metavar="X Y Z",
+        ),
+    ] = None,
     focal_std: Annotated[
         float | None,
         number(
@@ -240,7 +250,7 @@ def sync_command(
         check_outputs((cam1, cam2, rig), outputs)
         if trajectory is not None:
             check_outputs((cam1, cam2, rig), Outputs(trajectory))
-        known = known_of(distance, positions, rtk)
+        known = known_of(distance, positions, rtk, lever_arm)
         if more:
             for_two = {
                 "--search": search,
@@ -248,9 +258,14 @@ def sync_command(
                 "--plot": plot,
                 "--write-synced": write_synced,
                 "--known-extrinsics": known_extrinsics,
+                "--estimate-readout": estimate_readout,
+                "--focal-std": focal_std is not None,
+                "--centre-std": centre_std is not None,
             }
             check_for_two([name for name, value in for_two.items() if value])
-            every = sync_all([cam1, cam2, *more], rig, method, config, _to_stderr, known)
+            files, as_read = [cam1, cam2, *more], Reading(allow_damaged, sort)
+            everywhere = search_all or None
+            every = sync_all(files, rig, method, config, _to_stderr, known, everywhere, as_read)
             typer.echo(many_text(every))
             write_many(every, json_file, trajectory, _to_stderr)
             if every.answer.status != "ok":

@@ -60,6 +60,32 @@ def test_rtk_gives_them_too_whatever_its_clock_shows(solved, tmp_path):
     assert "77.7" in ground.said
 
 
+def test_the_lever_arm_of_rtk_is_taken_away(solved, tmp_path):
+    flight, answer = solved
+    times_s, arm_m = np.arange(0.0, DURATION_S, 0.2), (0.3, -0.2, 0.5)
+    yaw_rad = 3.0 * np.sin(0.7 * times_s)  # so that the alignment cannot take it
+    turns = Rotation.from_euler("z", yaw_rad)
+    body_m = flight.path(times_s) @ TURN.T + SHIFT_M
+    antenna = Path(times_s + 5.0, body_m + turns.apply(arm_m), quaternions=turns.as_quat())
+    write_path(tmp_path / "rtk.tum", antenna)
+    ground = ground_of_rtk(answer, tmp_path / "rtk.tum", arm_m)
+    assert off_m(flight, in_frame(answer, ground)) < 0.05  # as without an arm
+    assert off_m(flight, in_frame(answer, ground_of_rtk(answer, tmp_path / "rtk.tum"))) > 0.1
+    write_path(tmp_path / "rtk.csv", Path(antenna.times_s, antenna.positions_m))
+    with pytest.raises(SsacError, match="lever arm turns with the body"):
+        ground_of_rtk(answer, tmp_path / "rtk.csv", arm_m)
+
+
+def test_rtk_in_degrees_or_without_times_is_one_line(solved, tmp_path):
+    _, answer = solved
+    (tmp_path / "rtk.csv").write_text("t_s,lat,lon,alt_m\n0,47.1,8.2,400\n")
+    with pytest.raises(SsacError, match="latitude and longitude"):
+        ground_of_rtk(answer, tmp_path / "rtk.csv")
+    (tmp_path / "rtk.csv").write_text("x_m,y_m,z_m\n1,2,3\n2,2,4\n")
+    with pytest.raises(SsacError, match="needs times"):
+        ground_of_rtk(answer, tmp_path / "rtk.csv")
+
+
 def test_positions_that_contradict_the_poses_are_one_line(solved, tmp_path):
     flight, answer = solved
     write_positions(tmp_path / "positions.csv", centres_m(flight)[[1, 0, 3, 2]] * [1.0, 3.0, 1.0])

@@ -61,6 +61,36 @@ def test_what_is_for_two_cameras_is_refused_for_more(files):
     assert "--search: is for two cameras" in err
 
 
+@pytest.mark.parametrize(
+    ("args", "said"),
+    [
+        (("--lever-arm", 0, 0, 1), "give --rtk too"),
+        (("--distance", 3, "--rtk", "rtk.csv"), "--distance: not with --rtk"),
+        (("--focal-std", 1), "--focal-std: is for two cameras"),
+    ],
+)
+def test_options_that_do_not_go_together_are_one_line(files, args, said):
+    folder, _ = files
+    cameras = [folder / f"cam{k}.csv" for k in (1, 2, 3)]
+    code, _, err = run("sync", *cameras, "--rig", folder / "rig.yaml", *args)
+    assert code == 2
+    assert said in err
+    assert err.strip().count("\n") == 0
+
+
+def test_cameras_that_share_no_time_are_told_and_not_averaged_in(files, tmp_path):
+    folder, _ = files
+    late = tmp_path / "late.csv"  # some seconds of another object: they fit nowhere
+    times_s = 1000.0 + 0.05 * np.arange(60)
+    points_px = 300.0 + 100.0 * np.column_stack([np.cos(9.0 * times_s), np.sin(7.0 * times_s)])
+    save_track(late, PointTrack(times_s, points_px))
+    cameras = [folder / "cam1.csv", folder / "cam2.csv", late]
+    code, text, err = run("sync", *cameras, "--rig", folder / "rig.yaml")
+    assert code == 1, err
+    assert "late" in text
+    assert "no_match" in text
+
+
 def test_a_camera_twice_is_one_line(files):
     folder, _ = files
     cameras = [folder / f"cam{k}.csv" for k in (1, 2, 1)]
