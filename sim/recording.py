@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.clock import Drift, Jump, drift_of
+from sim.effects.camera import CameraEffects, check_gap
+from sim.effects.config import SensorEffects
 from sim.errors import SimError
 from sim.render.config import RenderConfig
 from sim.render.gl_context import GLContext
@@ -66,9 +68,11 @@ class SimConfig:
     render: RenderConfig = field(default_factory=RenderConfig)
     sensor: SensorConfig = field(default_factory=SensorConfig)
     frames: FrameConfig = field(default_factory=FrameConfig)
+    effects: SensorEffects = field(default_factory=SensorEffects)
 
     def __post_init__(self) -> None:
         check_drone_name(self.drone)
+        check_gap(self.effects, self.frames)
 
 
 @dataclass(frozen=True)
@@ -220,12 +224,15 @@ def stream(
             T_W_B = PosesAt(trajectory, instants_s)
             views = renderer.crops(camera, instants_s, T_W_B, backgrounds[index])
             strays = drift if index == 1 else Drift()
+            effects = CameraEffects(
+                config.effects, config.sensor, config.frames, backgrounds[index], seed, index
+            )
             _record(
                 views,
                 camera,
                 strays,
                 instants_s,
-                backgrounds[index],
+                effects,
                 config,
                 rng,
                 open_sink,
@@ -279,7 +286,7 @@ def _record(
     camera: Camera,
     drift: Drift,
     instants_s: FloatArray,
-    background: NDArray[np.float32],
+    effects: CameraEffects,
     config: SimConfig,
     rng: np.random.Generator,
     open_sink: OpenSink,
@@ -288,30 +295,32 @@ def _record(
     """Sense and expose one camera's view, batch by batch."""
     end_s = float(instants_s[-1])
     clock_us = _microseconds(camera.time_offset_s)
-    times_us = frame_times_us(config.frames, end_s)
+    times_us = frame_times_us(config.frames, end_s, effects.frame_start_s)
     stamps_us = times_us + drift.added_us(times_us) + clock_us
     sink = open_sink(camera, stamps_us, config.frames.exposure_s)
-    exposer = FrameExposer(config.frames, background, len(times_us), sink.images)
+    background, images = effects.background, effects.images(sink.images)
+    exposer = FrameExposer(config.frames, background, len(times_us), images, effects.frame_start_s)
 
     def hand_on(events: NDArray[Any]) -> None:
         events["t"] += drift.added_us(events["t"]) + clock_us
         sink.add(events)
 
     sensor: Sensor | None = None
-    for crops in views:
+    for sharp in views:
+        crops = effects.through_lens(sharp)
         exposer.feed(crops.times_s, crops.x0_px, crops.y0_px, crops.luminance)
         if sensor is None:
             starts = crops.times_s[0] == instants_s[0]  # in view from the start
             image = _paste(crops, background) if starts else background
-            sensor = Sensor(config.sensor, image, float(instants_s[0]), rng, background)
+            sensor = effects.start_sensor(image, float(instants_s[0]), rng, background)
             crops = crops.since(1 if starts else 0)
         if len(crops.times_s):
             sensor.feed(crops.times_s, crops.x0_px, crops.y0_px, crops.luminance)
             hand_on(sensor.take_settled())
             report(float(crops.times_s[-1]))
     if sensor is None:  # never in view
-        sensor = Sensor(config.sensor, background, float(instants_s[0]), rng)
-    hand_on(sensor.finish(end_s))
+        sensor = effects.start_sensor(background, float(instants_s[0]), rng)
+    hand_on(effects.read_out(sensor.finish(end_s), end_s))
     exposer.finish()
     sink.close()
     report(end_s)

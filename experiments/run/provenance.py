@@ -4,7 +4,7 @@ import json
 import platform
 import subprocess
 from collections.abc import Mapping
-from dataclasses import asdict, is_dataclass
+from dataclasses import fields, is_dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -18,9 +18,15 @@ _ROOT = Path(__file__).resolve().parents[2]
 
 
 def plain(value: Any) -> Any:
-    """Turn nested dataclasses, tuples and paths into what JSON holds."""
+    """Turn nested dataclasses, tuples and paths into what JSON holds.
+
+    Parts of a configuration that say of themselves that they do nothing are left out: a new one
+    changes no provenance of what it has no part in.
+    """
     if is_dataclass(value) and not isinstance(value, type):
-        return plain(asdict(value))
+        parts = {one.name: getattr(value, one.name) for one in fields(value)}
+        acting = {name: part for name, part in parts.items() if not getattr(part, "is_none", False)}
+        return plain(acting)
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):

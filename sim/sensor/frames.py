@@ -55,6 +55,8 @@ class FrameExposer:
         As many as `frame_times_us` gives.
     images
         Takes each frame when its exposure closes, in their order.
+    start_s
+        When the first exposure begins [s].
     """
 
     def __init__(
@@ -63,8 +65,10 @@ class FrameExposer:
         background: NDArray[np.float32],
         n_frames: int,
         images: Images,
+        start_s: float = 0.0,
     ) -> None:
         self.config = config
+        self._start_s = start_s
         self._n_frames = n_frames
         self._images = images
         self._background = background
@@ -92,7 +96,7 @@ class FrameExposer:
         while self._open < self._n_frames:
             k, is_closed = _expose(
                 k, times_s, x0_px, y0_px, luminance, last_s, last_x0, last_y0, last_crop,
-                self._background, self._open * (1.0 / self.config.rate_hz),
+                self._background, self._start_s + self._open * (1.0 / self.config.rate_hz),
                 self.config.exposure_s, self._sum,
             )  # fmt: skip
             if not is_closed:
@@ -111,14 +115,17 @@ class FrameExposer:
         self._open += 1
 
 
-def frame_times_us(config: FrameConfig, duration_s: float) -> NDArray[np.int64]:
+def frame_times_us(
+    config: FrameConfig, duration_s: float, start_s: float = 0.0
+) -> NDArray[np.int64]:
     """Middle of each exposure [us], shape (n,).
 
-    Frame k is exposed from k / rate on; only frames exposed wholly within the duration are taken.
+    Frame k is exposed from start_s + k / rate on; only frames exposed wholly within the duration
+    are taken.
     """
-    room_s = duration_s - config.exposure_s
+    room_s = duration_s - config.exposure_s - start_s
     n = int(np.floor(room_s * config.rate_hz + 1e-9)) + 1 if config.rate_hz else 0
-    starts_s = np.arange(max(n, 0)) / (config.rate_hz or 1.0)
+    starts_s = start_s + np.arange(max(n, 0)) / (config.rate_hz or 1.0)
     return np.rint((starts_s + 0.5 * config.exposure_s) * 1e6).astype(np.int64)
 
 

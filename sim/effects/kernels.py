@@ -1,0 +1,281 @@
+"""The per-pixel loops of a sensor with effects, compiled.
+
+A pixel whose light stays is left alone, and followed when its light next changes: its signal
+(`sim.effects.course`) is exact whatever the steps, and noise has no memory.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from sim.effects.course import (
+    able_from,
+    course_of,
+    crossing_of,
+    receptor,
+    settled_from,
+    signal_at,
+    turn_of,
+)
+from sim.sensor.kernels import _decay, _grown, _uniform
+
+PIXEL_DTYPE = np.dtype(
+    [
+        ("up", "f8"),  # exp(C+)
+        ("down", "f8"),  # exp(-C-)
+        ("level", "f8"),  # memorised luminance, with eps
+        ("time_s", "f8"),  # up to when this pixel has been followed
+        ("signal", "f8"),  # P there, without flicker
+        ("dead_until_s", "f8"),  # end of its refractory period
+        ("budget", "f8"),  # noise events that are yet to be expected until its next one
+        ("hot_hz", "f8"),  # rate of a hot pixel, 0 otherwise
+        ("noisiness", "f8"),  # its noise rates over the nominal ones
+        ("leak_per_s", "f8"),  # how fast its memorised log intensity sinks, until its next event
+        ("mean_leak_per_s", "f8"),  # the same in the mean
+        ("random", "u8"),  # state of its own random numbers
+    ]
+)
+_SHOT_NOISE_DROP = 0.75  # of `shot_noise_hz`, at full light, as in `sim.sensor.kernels`
+
+
+class PixelRates(NamedTuple):
+    """What all pixels of a camera share."""
+
+    eps: float
+    lux: float  # of luminance 1
+    refractory_s: float
+    shot_hz: float
+    background_hz: float
+    dim_on_share: float  # of the shot noise in dim light
+    leak_jitter: float
+    cutoff_hz_per_lux: float
+    cutoff_min_hz: float
+    cutoff_max_hz: float
+    flicker_depth: float
+    flicker_rad_s: float
+    flicker_rad: float  # phase at time 0
+    latency_s: float
+    latency_lux_s: float
+    jitter_s: float
+    jitter_lux_s: float
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def follow_changes(  # type: ignore[no-untyped-def]
+    times_s, x0_px, y0_px, luminance, background, time_s, box, image, pixels, rates, dim_hz,
+    ev_t, ev_x, ev_y, ev_p, n,
+):  # fmt: skip
+    """Follow the pixels whose light changes; see `sim.sensor.events.Sensor.feed`."""
+    height, width = luminance.shape[1:]
+    loud = np.empty((image.size, 2), np.int64)
+    before = np.empty(image.size, np.float32)
+    for k in range(times_s.size):
+        n_loud = _follow_quiet(
+            luminance[k], x0_px[k], y0_px[k], background, time_s, times_s[k], box, image, pixels,
+            rates, dim_hz, loud, before,
+        )  # fmt: skip
+        for j in range(n_loud):
+            y, x = loud[j]
+            i0, i1 = np.float64(before[j]), np.float64(image[y, x])
+            if pixels[y, x].time_s < time_s:
+                ev_t, ev_x, ev_y, ev_p, n = _follow(
+                    y, x, time_s, i0, i0, pixels, rates, dim_hz, ev_t, ev_x, ev_y, ev_p, n
+                )
+            ev_t, ev_x, ev_y, ev_p, n = _follow(
+                y, x, times_s[k], i0, i1, pixels, rates, dim_hz, ev_t, ev_x, ev_y, ev_p, n
+            )
+        x0, y0 = x0_px[k], y0_px[k]
+        box[0], box[1], box[2], box[3] = x0, y0, x0 + width, y0 + height
+        time_s = times_s[k]
+    return ev_t, ev_x, ev_y, ev_p, n
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _follow_quiet(  # type: ignore[no-untyped-def]
+    crop, cx0, cy0, background, t0, t1, box, image, pixels, rates, dim_hz, loud, before
+):
+    """Take the image of the next instant, and follow the pixels that change without an event.
+
+    Returns how many are left to be followed, whose rows, columns and luminance before are in
+    `loud` and `before`.
+    """
+    cx1, cy1 = cx0 + crop.shape[1], cy0 + crop.shape[0]
+    n_loud = 0
+    for y in range(min(cy0, box[1]), max(cy1, box[3])):
+        for x in range(min(cx0, box[0]), max(cx1, box[2])):
+            in_crop = cy0 <= y < cy1 and cx0 <= x < cx1
+            value = crop[y - cy0, x - cx0] if in_crop else background[y, x]
+            old = image[y, x]
+            if value == old:
+                continue
+            image[y, x] = value
+            i0, i1, state = np.float64(old), np.float64(value), pixels[y, x]
+            is_quiet = state.time_s >= t0 or _stays_quiet(state, t0, i0, i0, rates, dim_hz)
+            if is_quiet and _stays_quiet(state, t1, i0, i1, rates, dim_hz):
+                continue
+            loud[n_loud, 0], loud[n_loud, 1], before[n_loud] = y, x, old
+            n_loud += 1
+    return n_loud
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def follow_all(  # type: ignore[no-untyped-def]
+    time_s, image, pixels, rates, dim_hz, ev_t, ev_x, ev_y, ev_p, n
+):
+    """Follow all pixels, whose light stays, up to a time."""
+    for y in range(image.shape[0]):
+        for x in range(image.shape[1]):
+            i, state = np.float64(image[y, x]), pixels[y, x]
+            if state.time_s < time_s and not _stays_quiet(state, time_s, i, i, rates, dim_hz):
+                ev_t, ev_x, ev_y, ev_p, n = _follow(
+                    y, x, time_s, i, i, pixels, rates, dim_hz, ev_t, ev_x, ev_y, ev_p, n
+                )
+    return ev_t, ev_x, ev_y, ev_p, n
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _stays_quiet(state, t1, i0, i1, rates, dim_hz):  # type: ignore[no-untyped-def]
+    """Follow a pixel up to t1 if its signal is monotone and stays between the thresholds.
+
+    Returns whether it does; if not, nothing has changed. Most intervals of most pixels are so.
+    """
+    t = state.time_s
+    if state.dead_until_s > t:
+        return False
+    middle = 0.5 * (i0 + i1)
+    expected = _noise_hz(middle, state, rates, dim_hz) * (t1 - t)
+    if state.budget <= expected:
+        return False
+    course = course_of(t, t1, i0, i1, state.signal, rates)
+    signal = i1
+    if course.k > 0.0:
+        left = course.c * np.exp(-course.k * (t1 - t))
+        signal += left - course.slope / course.k
+        # P turns where its slope changes sign.
+        if (course.slope - course.k * course.c) * (course.slope - course.k * left) < 0.0:
+            return False
+    high = max(state.signal, signal) * (1.0 + course.depth) + rates.eps
+    low = min(state.signal, signal) * (1.0 - course.depth) + rates.eps
+    last = state.level * _decay(state.leak_per_s * (t1 - t))
+    if low < state.level * state.down or high > last * state.up:
+        return False
+    state.level, state.signal, state.time_s = last, signal, t1
+    state.budget -= expected
+    return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _follow(  # type: ignore[no-untyped-def]
+    y, x, t1, i0, i1, pixels, rates, dim_hz, ev_t, ev_x, ev_y, ev_p, n
+):
+    """Follow one pixel up to t1 while its luminance goes linearly from i0 to i1.
+
+    Whatever the cause of an event, the pixel then memorises its present signal, at once or at the
+    end of its refractory period.
+    """
+    state = pixels[y, x]
+    t = state.time_s
+    middle = 0.5 * (i0 + i1)
+    course = course_of(t, t1, i0, i1, state.signal, rates)
+    step_up, step_down = state.up, state.down
+    noise_hz = _noise_hz(middle, state, rates, dim_hz)
+    leak = state.leak_per_s
+    level = state.level
+    turn_s = turn_of(course)
+    settled_s = settled_from(course, i1 + rates.eps) if i0 == i1 else np.inf
+    while t < t1:
+        if state.dead_until_s > t:
+            if state.dead_until_s >= t1:
+                break  # noise has no memory: what would fall due meanwhile is lost
+            t = state.dead_until_s
+            level = signal_at(t, course) + rates.eps
+        stop = t1
+        if t < turn_s < stop:
+            stop = turn_s
+        if t < settled_s < stop:
+            stop = settled_s
+        noise_s = t + max(state.budget, 0.0) / noise_hz if noise_hz > 0.0 else np.inf
+        stop = min(stop, noise_s)
+        if course.depth > 0.0:
+            able_s = able_from(t, level, step_up, step_down, leak, i1, rates.eps, course)
+            if t >= settled_s and able_s > t:  # flicker alone passes no threshold until then
+                stop = min(stop, able_s)
+            else:
+                half = np.floor((course.rad_s * t + course.rad) / np.pi + 1e-9) + 1.0
+                stop = min(stop, (half * np.pi - course.rad) / course.rad_s)
+        crossing_s, polarity = crossing_of(
+            t, stop, level, step_up, step_down, leak, rates.eps, course
+        )
+        if crossing_s <= stop:
+            state.budget -= noise_hz * (crossing_s - t)
+            t = crossing_s
+        else:
+            state.budget -= noise_hz * (stop - t)
+            level *= _decay(leak * (stop - t))
+            t = stop
+            if t < noise_s:
+                continue
+            state.budget = -np.log(1.0 - _uniform(state))
+            polarity = _noise_polarity(middle, noise_hz, state, rates, dim_hz)
+        signal = signal_at(t, course)
+        if n == ev_t.size:
+            ev_t, ev_x, ev_y, ev_p = _grown(ev_t, ev_x, ev_y, ev_p)
+        ev_t[n] = t + _delay(signal + rates.eps, state, rates)
+        ev_x[n], ev_y[n], ev_p[n] = x, y, polarity
+        n += 1
+        level = signal + rates.eps
+        if rates.refractory_s > 0.0:
+            state.dead_until_s = t + rates.refractory_s
+        if rates.leak_jitter > 0.0:
+            late = max(1.0 + rates.leak_jitter * _normal(state), 0.1)
+            leak = state.mean_leak_per_s / late
+            state.leak_per_s = leak
+    state.level, state.signal, state.time_s = level, receptor(t1, course), t1
+    return ev_t, ev_x, ev_y, ev_p, n
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _noise_hz(luminance, state, rates, dim_hz):  # type: ignore[no-untyped-def]
+    """Rate of a pixel's noise events of all causes."""
+    nominal_hz = _shot_hz(luminance, rates) + _dim_hz(luminance, dim_hz)
+    return state.noisiness * nominal_hz + state.hot_hz + rates.background_hz
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _shot_hz(luminance, rates):  # type: ignore[no-untyped-def]
+    return rates.shot_hz * (1.0 - _SHOT_NOISE_DROP * min(max(luminance, 0.0), 1.0))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _dim_hz(luminance, dim_hz):  # type: ignore[no-untyped-def]
+    """Look the shot noise in dim light up in its table over luminance, 0 to 1."""
+    at = min(max(luminance, 0.0), 1.0) * (dim_hz.size - 1)
+    k = min(np.int64(at), dim_hz.size - 2)
+    return dim_hz[k] + (at - k) * (dim_hz[k + 1] - dim_hz[k])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _noise_polarity(luminance, noise_hz, state, rates, dim_hz):  # type: ignore[no-untyped-def]
+    """Draw the polarity of a noise event: hot pixels are ON, shot noise is either."""
+    draw = _uniform(state) * noise_hz - state.hot_hz
+    if draw < 0.0:
+        return True
+    is_dim = draw < state.noisiness * _dim_hz(luminance, dim_hz)
+    return _uniform(state) < (rates.dim_on_share if is_dim else 0.5)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _delay(light, state, rates):  # type: ignore[no-untyped-def]
+    """Draw how much later than its crossing an event is stamped [s]."""
+    lux = rates.lux * light
+    delay_s = rates.latency_s + rates.latency_lux_s / lux
+    deviation_s = rates.jitter_s + rates.jitter_lux_s / lux
+    return delay_s + deviation_s * _normal(state) if deviation_s > 0.0 else delay_s
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _normal(state):  # type: ignore[no-untyped-def]
+    """Draw from the standard normal distribution (Box and Muller)."""
+    radius = np.sqrt(-2.0 * np.log(1.0 - _uniform(state)))
+    return radius * np.cos(2.0 * np.pi * _uniform(state))

@@ -1,0 +1,181 @@
+"""Luminance over time in, events out: the pixels of `sim.sensor.events`, as bad as real ones."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.effects.config import DIM_LUX, SensorEffects
+from sim.effects.kernels import PIXEL_DTYPE, PixelRates, follow_all, follow_changes
+from sim.errors import SimError
+from sim.sensor.events import Sensor, SensorConfig
+
+CLUSTER_PX = 3  # side of a hot cluster
+_TABLE = 4097  # steps of a quarter of `log_eps`: 1 % off at most between two
+CLUSTER_SPREAD = 0.7  # of the rate's logarithm over pixels, as of single hot pixels
+
+
+class EffectsSensor(Sensor):
+    """The pixels of one camera, with the effects that act within a pixel.
+
+    They have seen their first image for long, and memorised it at the start.
+
+    Parameters
+    ----------
+    config
+    effects
+        Of this camera (`SensorEffects.of_camera`).
+    image, time_s, rng, background
+        As for `Sensor`.
+    effects_rng
+        Draws what the effects add to `config`: with all of them off, mismatch and hot pixels are
+        those of a `Sensor` with the same `rng`.
+    flicker_rad
+        Phase of the lamps at time 0.
+
+    Raises
+    ------
+    SimError
+        When the image is smaller than a hot cluster.
+    """
+
+    def __init__(
+        self,
+        config: SensorConfig,
+        effects: SensorEffects,
+        image: NDArray[np.float32],
+        time_s: float,
+        rng: np.random.Generator,
+        background: NDArray[np.float32] | None = None,
+        effects_rng: np.random.Generator | None = None,
+        flicker_rad: float = 0.0,
+    ) -> None:
+        super().__init__(config, image, time_s, rng, background)
+        if self._noise is None:
+            self._noise = self._start_noise(time_s, rng)
+        effects_rng = effects_rng or np.random.default_rng(0)
+        self._pixels = _start(self._noise, config, effects, self._up, self._image, effects_rng)
+        lit = self._image * _flicker_at(time_s, self._image, config, effects, flicker_rad)
+        level = self._reference * (lit + config.log_eps) / (self._image + config.log_eps)
+        self._pixels["down"], self._pixels["level"] = self._down, level
+        self._dim_hz = _dim_noise_hz(config, effects)
+        self._rates_of_all = _rates(config, effects, flicker_rad)
+
+    def feed(
+        self,
+        times_s: NDArray[np.float64],
+        x0_px: NDArray[np.int64],
+        y0_px: NDArray[np.int64],
+        luminance: NDArray[np.float32],
+    ) -> None:
+        """Take the next instants: crops of the image, the background around them."""
+        self._events.follow(
+            follow_changes, times_s, x0_px, y0_px, np.ascontiguousarray(luminance),
+            self._background, self._time_s, self._box, self._image, self._pixels,
+            self._rates_of_all, self._dim_hz,
+        )  # fmt: skip
+        self._time_s = float(times_s[-1])
+
+    def finish(self, time_s: float) -> NDArray[Any]:
+        """Hold the last image until `time_s` and return all events.
+
+        Returns
+        -------
+        NDArray
+            EVENT_DTYPE, sorted by time, then row, column and order of emission. Latency may put
+            some after `time_s`, and jitter some before the start.
+        """
+        self._time_s = max(time_s, self._time_s)
+        self._events.follow(
+            follow_all, self._time_s, self._image, self._pixels, self._rates_of_all, self._dim_hz
+        )  # fmt: skip
+        return self._take(before_us=np.inf)
+
+
+def _start(
+    noise: NDArray[Any],
+    config: SensorConfig,
+    effects: SensorEffects,
+    up: NDArray[np.float64],
+    image: NDArray[np.float32],
+    rng: np.random.Generator,
+) -> NDArray[Any]:
+    """Draw what each pixel starts from, beside what the sensor without effects draws."""
+    pixels = np.zeros(image.shape, PIXEL_DTYPE)
+    for name in ("time_s", "dead_until_s", "hot_hz", "random"):
+        pixels[name] = noise[name]
+    pixels["up"], pixels["signal"] = up, image
+    pixels["budget"] = rng.standard_exponential(image.shape)
+    spread = np.log(10.0) * effects.noise_spread_decades
+    # Log-normal about the nominal rate, as in v2e; divided by its mean, so that rates hold.
+    pixels["noisiness"] = rng.lognormal(-0.5 * spread**2, spread, image.shape)
+    pixels["mean_leak_per_s"] = config.leak_hz * np.log(up) * pixels["noisiness"]
+    late = np.maximum(1.0 + effects.leak_jitter * rng.standard_normal(image.shape), 0.1)
+    pixels["leak_per_s"] = pixels["mean_leak_per_s"] / late
+    for _ in range(effects.hot_clusters):
+        height, width = image.shape
+        if min(height, width) < CLUSTER_PX:
+            raise SimError(
+                f"effects: a hot cluster of {CLUSTER_PX} x {CLUSTER_PX} px does not fit into "
+                f"{width} x {height} px: leave out hot_clusters"
+            )
+        y0 = int(rng.integers(0, height - CLUSTER_PX + 1))
+        x0 = int(rng.integers(0, width - CLUSTER_PX + 1))
+        pixels["hot_hz"][y0 : y0 + CLUSTER_PX, x0 : x0 + CLUSTER_PX] = (
+            effects.hot_cluster_hz * rng.lognormal(0.0, CLUSTER_SPREAD, (CLUSTER_PX, CLUSTER_PX))
+        )
+    return pixels
+
+
+def _flicker_at(
+    time_s: float,
+    image: NDArray[np.float32],
+    config: SensorConfig,
+    effects: SensorEffects,
+    flicker_rad: float,
+) -> NDArray[np.float64]:
+    """Give what flicker multiplies each pixel's signal by, (height, width)."""
+    rad_s = 2.0 * np.pi * effects.flicker_hz
+    rad: NDArray[np.float64] = np.full(image.shape, rad_s * time_s + flicker_rad)
+    depth: Any = effects.flicker_depth
+    if effects.cutoff_hz_per_lux:
+        lux = effects.illuminance_lux * (image.astype(np.float64) + config.log_eps)
+        low_hz, high_hz = effects.cutoff_min_hz, effects.cutoff_max_hz
+        ratio = effects.flicker_hz / np.clip(effects.cutoff_hz_per_lux * lux, low_hz, high_hz)
+        rad, depth = rad - np.arctan(ratio), depth / np.hypot(1.0, ratio)
+    factor: NDArray[np.float64] = 1.0 + depth * np.cos(rad)
+    return factor
+
+
+def _dim_noise_hz(config: SensorConfig, effects: SensorEffects) -> NDArray[np.float64]:
+    """Tabulate the shot noise in dim light over luminance, 0 to 1."""
+    luminance = np.linspace(0.0, 1.0, _TABLE)
+    lux = effects.illuminance_lux * (luminance + config.log_eps)
+    dim_hz = effects.dim_noise_on_hz + effects.dim_noise_off_hz
+    rates_hz: NDArray[np.float64] = dim_hz * np.maximum(lux / DIM_LUX, 1.0) ** (
+        -effects.dim_noise_exponent
+    )
+    return rates_hz
+
+
+def _rates(config: SensorConfig, effects: SensorEffects, flicker_rad: float) -> PixelRates:
+    dim_hz = effects.dim_noise_on_hz + effects.dim_noise_off_hz
+    return PixelRates(
+        eps=config.log_eps,
+        lux=effects.illuminance_lux,
+        refractory_s=config.refractory_s,
+        shot_hz=config.shot_noise_hz,
+        background_hz=config.background_hz,
+        dim_on_share=effects.dim_noise_on_hz / dim_hz if dim_hz else 0.0,
+        leak_jitter=effects.leak_jitter,
+        cutoff_hz_per_lux=effects.cutoff_hz_per_lux,
+        cutoff_min_hz=effects.cutoff_min_hz,
+        cutoff_max_hz=effects.cutoff_max_hz,
+        flicker_depth=effects.flicker_depth,
+        flicker_rad_s=2.0 * np.pi * effects.flicker_hz,
+        flicker_rad=flicker_rad,
+        latency_s=effects.latency_s,
+        latency_lux_s=effects.latency_lux_s,
+        jitter_s=effects.jitter_s,
+        jitter_lux_s=effects.jitter_lux_s,
+    )
