@@ -1,6 +1,5 @@
 """A command line in, a simulated recording as a folder out: `ssac simulate`."""
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -18,6 +17,14 @@ from experiments.scenes.disturb_options import (
     PeopleOption,
     SecondObjectOption,
 )
+from experiments.scenes.effects_options import (
+    IDEAL,
+    EffectOption,
+    IlluminanceOption,
+    NoiseNameOption,
+    PresetOption,
+    chosen_sensor,
+)
 from experiments.scenes.scene import SceneFigures, pair_figures, scene_table
 from sim.clock import MAX_SKEW_PPM
 from sim.disturb.config import DisturbConfig
@@ -29,7 +36,6 @@ from sim.render.instants import SamplingConfig
 from sim.render.lattice import Lattice
 from sim.scene.flyers import DRONES
 from sim.scene.trajectory import SplineConfig
-from sim.sensor.events import PRESETS
 from sim.sensor.frames import FrameConfig
 from sim.storage import Recorded, record
 from ssac.console.options import number
@@ -143,9 +149,10 @@ def simulate_command(
     background_luminance: Annotated[
         float, number("Of the sky where there is no image.", 0, 1)
     ] = _DEFAULT.background_luminance,
-    noise: Annotated[
-        str, typer.Option(metavar="NAME", help=f"Sensor preset: {', '.join(PRESETS)}.")
-    ] = "ideal",
+    preset: PresetOption = None,
+    illuminance: IlluminanceOption = None,
+    effect: EffectOption = None,
+    noise: NoiseNameOption = IDEAL,
     lamp: LampOption = 0,
     hot_clusters: HotClustersOption = 0,
     noise_hz: NoiseOption = 0.0,
@@ -154,11 +161,17 @@ def simulate_command(
     second_object: SecondObjectOption = 0.0,
     intrinsics_error: IntrinsicsErrorOption = (0.0, 0.0),
     threshold_on: Annotated[
-        float, number("Contrast threshold C+, of log intensity.", 0.01, 5)
-    ] = _DEFAULT.sensor.threshold_on,
+        float | None,
+        number(
+            f"Contrast threshold C+, of log intensity; {_DEFAULT.sensor.threshold_on:g} or the "
+            "preset's where not given.",
+            0.01,
+            5,
+        ),
+    ] = None,
     threshold_off: Annotated[
-        float, number("Contrast threshold C-.", 0.01, 5)
-    ] = _DEFAULT.sensor.threshold_off,
+        float | None, number("Contrast threshold C-, by the same rule.", 0.01, 5)
+    ] = None,
     frame_rate: Annotated[
         float, number("Intensity frames per second; 0 for none.", 0, 1000, "hertz")
     ] = _DEFAULT.frames.rate_hz,
@@ -192,8 +205,7 @@ def simulate_command(
     ] = False,
 ) -> None:
     """Simulate two event cameras that watch one drone, and write the recording as a folder."""
-    if noise not in PRESETS:
-        raise SimError(f"--noise: expected one of {', '.join(PRESETS)}, got {noise!r}")
+    chosen = chosen_sensor(preset, noise, threshold_on, threshold_off, illuminance, effect or ())
     config = SimConfig(
         angle_deg=angle,
         t_d_s=t_d,
@@ -215,8 +227,9 @@ def simulate_command(
         background_files=tuple(background or ()),
         sampling=SamplingConfig(max_step_px=max_step),
         render=RenderConfig(lattice=Lattice(*lattice), renderer=renderer, check=check, backend=gl),
-        sensor=replace(PRESETS[noise], threshold_on=threshold_on, threshold_off=threshold_off),
+        sensor=chosen.sensor,
         frames=FrameConfig(rate_hz=frame_rate, exposure_s=exposure),
+        effects=chosen.effects,
     )
     disturb = DisturbConfig(
         lamp, hot_clusters, noise_hz, branches, people, second_object, intrinsics_error

@@ -109,7 +109,9 @@ class CameraEffects:
             events = without_gaps(events, 1e6 * ends_s, 1e6 * effects.frame_gap_s)
         if effects.readout_hz:
             events = queued(events, effects.readout_hz, effects.readout_queue)
-        return events[(events["t"] >= 0) & (events["t"] <= np.rint(1e6 * end_s))]
+        is_within = (events["t"] >= 0) & (events["t"] <= np.rint(1e6 * end_s))
+        recorded: NDArray[Any] = events[is_within]
+        return recorded
 
     def images(self, images: Images) -> Images:
         """Give what takes frames without effects and hands them on with theirs."""
