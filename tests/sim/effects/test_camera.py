@@ -1,6 +1,7 @@
 """Lens and frames; configurations and presets; what a seed draws; recordings with effects."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -187,3 +188,11 @@ def test_one_seed_one_recording() -> None:
         assert (np.diff(a.events["t"]) >= 0).all()
         assert len(a.events) != len(c.events) or (a.events != c.events).any()
         assert len(a.events) > 500
+
+
+def test_the_page_names_every_effect_and_preset() -> None:
+    page = (Path(__file__).parents[3] / "docs" / "physical.md").read_text(encoding="utf-8")
+    shared = ("illuminance_lux", "camera2_light")
+    missing = [name for name in (*vars(SensorEffects()), *SENSOR_PRESETS) if f"`{name}`" not in page
+               and not (name in shared and name in page)]  # fmt: skip
+    assert not missing
