@@ -19,6 +19,7 @@ from ssac.camera import Rig
 from ssac.config import Config
 from ssac.estimate import Estimate, Status
 from ssac.geometry.epipolar import fundamental_from_pose, sampson_derivative
+from ssac.geometry.fundamental import MIN_PAIRS
 from ssac.geometry.pose import rays_of
 from ssac.geometry.problem import Parameters, Problem, Residuals, WeighedPairs, linearise
 from ssac.methods.algorithms import algorithm_1, algorithm_2, with_fit
@@ -114,6 +115,8 @@ def refine(start: Estimate, views: TwoViews) -> Estimate:
         seen = model.views(views, before)
         tracks = seen.sharp_at(times_s, before.t_d_s)
         pairs, size_px = sharp_pairs(*tracks, before.t_d_s)
+        if len(pairs.times_s) < MIN_PAIRS:
+            return _unseen(start, before, len(pairs.times_s))
         problem = Problem(pairs, views.rig, views.pose_is_known)
         problem = allowance.added(model.problem(pairs, before, problem, seen))
         found = model.solve(problem, before)
@@ -193,6 +196,15 @@ def astray(start: Estimate, parameters: Parameters) -> Estimate:
     reason = (
         f"the refinement moved t_d from {start.t_d_s:.3f} to {parameters.t_d_s:.3f} s, further than"
         f" {1e3 * MAX_SHIFT_S:.0f} ms"
+    )
+    return replace(start, status=Status.NO_CONVERGENCE, reason=reason)
+
+
+def _unseen(start: Estimate, parameters: Parameters, n_pairs: int) -> Estimate:
+    # Views that are cut in pieces share next to nothing at some offsets.
+    reason = (
+        f"the refinement moved t_d from {start.t_d_s:.3f} to {parameters.t_d_s:.3f} s, where only"
+        f" {n_pairs} sample times are valid in both views, and {MIN_PAIRS} are needed"
     )
     return replace(start, status=Status.NO_CONVERGENCE, reason=reason)
 

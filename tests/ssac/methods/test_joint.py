@@ -248,6 +248,24 @@ def test_leaving_the_minimum_is_refused():
     assert "moved t_d from 0.180" in estimate.reason
 
 
+def test_going_where_the_views_share_nothing_is_refused(monkeypatch):
+    """Bug: a refinement of a circling drone reached an offset without a pair, and fell over."""
+    scene = make_scene(seed=0)
+    views = noisy_views(scene, np.random.default_rng(0), sigma_px=0.3)
+    start = replace(truth_as_start(scene), t_d_s=0.06)
+    seen = views.motion2.sharp_at
+
+    def unseen_at_the_truth(times_s):
+        track = seen(times_s)
+        first_s = views.sample_times(np.array([start.t_d_s]))[0] + start.t_d_s
+        return replace(track, valid=track.valid & np.isin(times_s, first_s))
+
+    monkeypatch.setattr(views.motion2, "sharp_at", unseen_at_the_truth)
+    estimate = refine(start, views)
+    assert estimate.status == "no_convergence"
+    assert "only 0 sample times are valid in both views" in estimate.reason
+
+
 @pytest.mark.parametrize(
     ("name", "fewer"), [("joint._MAX_RESAMPLINGS", 1), ("clock_model.solve", 1)]
 )
