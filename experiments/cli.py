@@ -38,7 +38,7 @@ COMMANDS = (
     Entry("report", REPRODUCE, "All results on one page to look at.",
           "experiments.report.report", "report_command"),
     Entry("numbers", REPRODUCE, "The numbers that the pages quote, written from the results.",
-          "experiments.report.numbers", "numbers_command"),
+          "experiments.quoted.numbers", "numbers_command"),
     Entry("real", REPRODUCE, "All pairs of cameras of public data sets, which you fetch.",
           "experiments.real.real_command", "real_command"),
     Entry("torture", REPRODUCE, "Inputs damaged in all ways: what becomes of them.",

@@ -225,6 +225,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
             "sweep",
         ),
         "real": ("data_sets", "pairs", "paths", "drawing", "real_command"),
+        "quoted": ("committed", "real", "cells", "zncc", "campaigns", "tables", "numbers"),
         "report": (
             "data",
             "tables",
@@ -232,12 +233,6 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
             "animation",
             "animation_page",
             "report",
-            "committed",
-            "quoted_real",
-            "quoted",
-            "quoted_zncc",
-            "quoted_tables",
-            "numbers",
         ),
         "outdoor": ("flights", "twin", "third", "outdoor_command"),
         "bench": (

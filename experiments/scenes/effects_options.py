@@ -88,7 +88,7 @@ def chosen_sensor(
 def _parsed(effect: str) -> tuple[str, Any]:
     """Read a name and a value: a field of `SensorEffects`."""
     name, equals, text = (part.strip() for part in effect.partition("="))
-    types = {one.name: type(one.default) for one in fields(SensorEffects)}
+    types = {one.name: type(getattr(SensorEffects(), one.name)) for one in fields(SensorEffects)}
     if not equals or name not in types:
         raise SimError(
             f"--effect: expected NAME=VALUE with a name of {', '.join(types)}, got {effect!r}"

@@ -15,7 +15,7 @@ from typing import Annotated
 
 import typer
 
-from experiments.report.numbers import pages, stale_numbers
+from experiments.quoted.numbers import pages, stale_numbers
 from experiments.run.command import WorkersOption
 from experiments.run.schedule import Workers
 from experiments.studies.catalogue import studies_in

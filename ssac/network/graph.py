@@ -82,8 +82,9 @@ class PairTold:
                 step[place] = size
                 ahead, behind = (self.off(*pair(state.moved(way))) for way in (step, -step))
                 by[:, place] = (behind - ahead) / (2.0 * size)  # of what the states say
-        weighed = [solve_triangular(self.factor, each, lower=True) for each in (by_a, by_b, off)]
-        return weighed[0], weighed[1], weighed[2]
+        beside = np.column_stack([by_a, by_b, off])
+        weighed = np.asarray(solve_triangular(self.factor, beside, lower=True), dtype=np.float64)
+        return weighed[:, : a.size], weighed[:, a.size : -1], weighed[:, -1]
 
 
 @dataclass(frozen=True, eq=False)

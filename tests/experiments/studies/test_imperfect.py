@@ -8,8 +8,8 @@ import pytest
 
 from experiments.measures.imperfect import ImperfectRow
 from experiments.measures.imperfect_kinds import KINDS
-from experiments.report.committed import Committed
-from experiments.report.quoted_real import imperfect_table as quoted_table
+from experiments.quoted.committed import Committed
+from experiments.quoted.real import imperfect_table as quoted_table
 from experiments.studies.imperfect import (
     ALL,
     FIRST_FLIGHT,

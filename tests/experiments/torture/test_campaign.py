@@ -10,6 +10,8 @@ from itertools import islice
 import numpy as np
 import pytest
 
+from experiments.quoted.committed import Committed
+from experiments.quoted.tables import TABLES
 from experiments.run.cache import Cache
 from experiments.torture import campaign as module
 from experiments.torture.campaign import campaign
@@ -133,6 +135,21 @@ def test_the_committed_table_is_held_against_the_campaign_and_its_marks(tmp_path
         silent = [one._replace(outcome="silently_fewer") for one in cases[:n]]
         assert bool(_faults(tmp_path, [*silent, *cases[n:]])) == is_fault
         assert silent_share(reliability_table([*silent, *cases[n:]])) == n / n_files
+
+
+def test_the_page_shows_the_committed_table_and_nothing_where_there_is_none(tmp_path):
+    show = TABLES["table.reliability"]
+    assert show(Committed(tmp_path)) == ""
+    cases = [Case("es", name, k, name, "") for k, name in enumerate(OUTCOMES)]
+    reliability_table(cases).to_csv(tmp_path / CSV_FILE, index=False)
+    rows = show(Committed(tmp_path)).splitlines()
+    n_good = len(OUTCOMES) - len(BAD)
+    assert [word.strip() for word in rows[-1].split("|")[1:-1]] == [
+        "all",
+        str(len(OUTCOMES)),
+        *n_good * ["1"],
+        str(len(BAD)),
+    ]
 
 
 def test_the_disturbances_do_not_change_the_cases():

@@ -9,15 +9,16 @@ from experiments.measures.fidelity import METHOD_NAMES as COMPARED_METHODS
 from experiments.paper.grids import TABLES as PAPER_TABLES
 from experiments.paper.markdown import markdown_table
 from experiments.paper.quantities import POSE_ERRORS, R_ERROR, T_D_ERROR
-from experiments.report.committed import Committed, FloatArray
-from experiments.report.quoted import (
+from experiments.quoted.campaigns import CAMPAIGN_TABLES
+from experiments.quoted.cells import (
     METHODS,
     SYMBOLS,
     cell_means,
     digits,
 )
-from experiments.report.quoted_real import REAL_TABLES
-from experiments.report.quoted_zncc import ZNCC_TABLES
+from experiments.quoted.committed import Committed, FloatArray
+from experiments.quoted.real import REAL_TABLES
+from experiments.quoted.zncc import ZNCC_TABLES
 from experiments.studies.catalogue import ABLATIONS, OPTIONAL
 from experiments.studies.fidelity import DIFFERENCES, MARKS_MS
 from experiments.studies.refusal import METHOD_NAMES as REFUSING_METHODS
@@ -268,6 +269,7 @@ TABLES: Mapping[str, Callable[[Committed], str]] = {
     "table.fidelity": fidelity_table,
     "table.renderers": partial(fidelity_table, study="renderers"),
     "table.bench": bench_table,
+    **CAMPAIGN_TABLES,
     **ZNCC_TABLES,
     **REAL_TABLES,
     **{f"table.ablation.{name}": partial(ablation_table, name=name) for name in ABLATIONS},

@@ -12,8 +12,8 @@ from scipy.stats import gmean
 
 from experiments.paper.grids import ANGLES_DEG, DURATIONS_S, TABLES
 from experiments.paper.quantities import ERRORS, NOISY_T_D_MARK_MS, T_D_ERROR
-from experiments.report.committed import Committed
-from experiments.report.quoted_real import REAL_NUMBERS
+from experiments.quoted.committed import Committed
+from experiments.quoted.real import REAL_NUMBERS
 from experiments.studies.catalogue import ABLATIONS, OPTIONAL
 from experiments.studies.refusal import METHOD_NAMES as REFUSING_METHODS
 

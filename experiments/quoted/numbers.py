@@ -15,9 +15,9 @@ from typing import Annotated
 
 import typer
 
-from experiments.report.committed import Committed
-from experiments.report.quoted import NUMBERS, Number
-from experiments.report.quoted_tables import TABLES
+from experiments.quoted.cells import NUMBERS, Number
+from experiments.quoted.committed import Committed
+from experiments.quoted.tables import TABLES
 from ssac.errors import SsacError
 from ssac.files.whole_file import whole_file
 

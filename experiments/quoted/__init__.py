@@ -1,0 +1,1 @@
+"""Committed results in, the numbers and tables that the pages quote out."""
