@@ -42,8 +42,21 @@ _TRAJECTORY_STREAM, _SENSOR_STREAM = 0, 1
 
 
 @dataclass(frozen=True)
+class Scene:
+    """What is filmed, and from where."""
+
+    rig: Rig
+    backgrounds: tuple[NDArray[np.float32], ...]  # luminance of the empty view of each camera
+    drone: Drone
+    trajectory: Trajectory
+
+
+@dataclass(frozen=True)
 class SimConfig:
-    """Everything that a recording depends on, but for its seed."""
+    """Everything that a recording depends on, but for its seed.
+
+    A set-up of another kind is a subclass with a `scene` of its own.
+    """
 
     angle_deg: float = 90.0  # between the two lines of sight, 0 to 180 exclusive
     t_d_s: float = 0.0  # t_cam2 = t_cam1 + t_d
@@ -73,6 +86,11 @@ class SimConfig:
     def __post_init__(self) -> None:
         check_drone_name(self.drone)
         check_gap(self.effects, self.frames)
+
+    def scene(self, seed: int) -> Scene:
+        """Build what is filmed with a seed."""
+        rig = _rig(self)
+        return Scene(rig, tuple(_backgrounds(self, rig)), _drone(self), _trajectory(self, seed))
 
 
 @dataclass(frozen=True)
@@ -203,10 +221,9 @@ def stream(
     """
     if seed < 0:
         raise SimError(f"seed: expected 0 or a positive integer, got {seed}")
-    rig = _rig(config)
-    backgrounds = _backgrounds(config, rig)
-    drone = _drone(config)
-    trajectory = _trajectory(config, seed)
+    scene = config.scene(seed)
+    rig, backgrounds, trajectory = scene.rig, scene.backgrounds, scene.trajectory
+    drone = scene.drone
     drift = drift_of(config.skew_ppm, config.clock_jump, trajectory.duration_s)
     n_instants = 0
     with Renderer(drone, config.render, seed) as renderer:

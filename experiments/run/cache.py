@@ -193,7 +193,7 @@ def recording_key(config: SimConfig, seed: int) -> str:
     return _digest(
         content(replace(config, t_d_s=0.0)),
         seed,
-        code_digest(*RECORDING_CODE),
+        code_digest(*RECORDING_CODE, type(config).__module__),  # whose scene it is
         package_versions(SIM_PACKAGES),
         plain(context) if context else None,
     )
