@@ -14,7 +14,18 @@ ROOT = Path(__file__).resolve().parents[1]
 STAGES: dict[str, dict[str, tuple[str, ...]]] = {
     "sim": {
         "errors": (),
-        "scene": ("trajectory", "shapes", "drone", "two_tone", "flyers", "rig", "background"),
+        "scene": (
+            "trajectory",
+            "pendulum",
+            "shapes",
+            "drone",
+            "two_tone",
+            "printed",
+            "flyers",
+            "rig",
+            "background",
+            "wall",
+        ),
         "render": (
             "lattice",
             "config",
@@ -46,6 +57,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
         "partial": (),
         "storage": (),
         "disturb": ("config", "pixels", "movers", "clutter", "record"),
+        "twin": ("bench", "calibration", "room"),
     },
     "ssac": {
         "errors": (),

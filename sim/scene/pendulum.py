@@ -1,0 +1,246 @@
+"""A seed to the motion of what hangs on a wire from a moving hand: a trajectory.
+
+The wire is straight and of constant length, without mass; the body hangs along it, turns about it
+and rocks a little. The hand draws a random smooth path. Frames as in `sim.scene.trajectory`.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline, CubicSpline, make_interp_spline
+from scipy.spatial.transform import Rotation
+
+from sim.errors import SimError
+from sim.scene.trajectory import MAX_DRAWS, Trajectory, Vector3
+
+FloatArray = NDArray[np.float64]
+
+GRAVITY_M_S2 = 9.81
+STEPS_HZ = 500.0  # of the solution: a swing takes a second
+_N_WAVES = 3  # that a twist or a rocking is the sum of
+_SPREAD = 0.3  # of their frequencies, as a share
+
+
+@dataclass(frozen=True)
+class PendulumConfig:
+    """How a hand swings a small model, so that it moves about the middle of both views."""
+
+    length_m: float = 0.45  # of the wire
+    damping_per_s: float = 0.15  # of the swing, by the air
+    start_rad: float = 0.15  # deviation of both components of the first deflection
+    hand_m: Vector3 = (0.06, 0.06, 0.12)  # of the hand's random places; a hand also lifts
+    hand_hz: float = 2.0  # random places per second, on a smooth curve
+    twist_hz: float = 0.3  # about the wire
+    twist_rad: float = 1.2  # deviation
+    rocking_hz: float = 5.0  # of the body about where the wire holds it
+    rocking_rad: float = 0.05  # deviation
+    max_radius_m: float = 0.22  # of the model from the point that the cameras look at
+
+    def __post_init__(self) -> None:
+        for name in ("length_m", "hand_hz", "twist_hz", "rocking_hz", "max_radius_m"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value > 0.0):
+                raise SimError(f"pendulum: {name} must be a positive number, got {value}")
+        for name in ("damping_per_s", "start_rad", "twist_rad", "rocking_rad"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value >= 0.0):
+                raise SimError(f"pendulum: {name} must be 0 or a positive number, got {value}")
+        if not (np.isfinite(self.hand_m).all() and min(self.hand_m) >= 0.0):
+            raise SimError(
+                f"pendulum: hand_m must be three numbers, 0 or positive, got {self.hand_m}"
+            )
+
+
+@dataclass(frozen=True)
+class Hanging:
+    """A body on a wire, and where the wire is held."""
+
+    trajectory: Trajectory
+    hand: BSpline  # times [s] -> (n, 3) [m], frame W
+    wire: CubicSpline  # times [s] -> (n, 3), unit, from the hand to the body
+
+
+def hanging(config: PendulumConfig, duration_s: float, rng: np.random.Generator) -> Hanging:
+    """Draw the motion of a hanging body.
+
+    Parameters
+    ----------
+    config
+    duration_s
+    rng
+        The only source of randomness.
+
+    Returns
+    -------
+    Hanging
+        Motions that leave the ball of `max_radius_m` about the origin, or in which the wire would
+        go slack, are drawn again.
+
+    Raises
+    ------
+    SimError
+        When the duration is not positive, or none of MAX_DRAWS motions stays within the ball.
+    """
+    if not (np.isfinite(duration_s) and duration_s > 0.0):
+        raise SimError(f"pendulum: the duration must be a positive number, got {duration_s}")
+    for _ in range(MAX_DRAWS):
+        drawn = _draw(config, duration_s, rng)
+        if drawn is not None:
+            return drawn
+    raise SimError(
+        f"{MAX_DRAWS} random swings all went more than {config.max_radius_m:g} m away from the "
+        "point that the cameras look at: lower hand_m or start_rad, or raise max_radius_m"
+    )
+
+
+def swing(
+    length_m: float,
+    damping_per_s: float,
+    hand_m_s2: FloatArray,
+    start: FloatArray,
+    step_s: float,
+) -> FloatArray:
+    """Solve the motion of a point that hangs on a straight wire from a moving hand.
+
+    With q the unit vector along the wire, a the hand's acceleration and g gravity's,
+    q'' = ((g - a) - ((g - a) . q) q) / L - |q'|^2 q - c q', by Runge and Kutta's fourth order.
+
+    Parameters
+    ----------
+    length_m, damping_per_s
+        L [m] and c [1/s].
+    hand_m_s2
+        a, (2 n + 1, 3) [m/s^2], at every half step.
+    start
+        q and q' [1/s] at first, (6,).
+    step_s
+
+    Returns
+    -------
+    (n + 1, 6) array
+        q and q', after every step.
+    """
+    hand_m_s2 = np.ascontiguousarray(hand_m_s2)
+    return _runge_kutta(length_m, damping_per_s, hand_m_s2, start, step_s)
+
+
+@njit(cache=True, nogil=True)
+def _rate(length: float, damping: float, hand: FloatArray, state: FloatArray) -> FloatArray:
+    """Give the derivative (6,) of q and q'."""
+    q, dq = state[:3], state[3:]
+    pull = -hand
+    pull[2] -= GRAVITY_M_S2
+    along = pull - (pull * q).sum() * q
+    rate = np.empty(6)
+    rate[:3] = dq
+    rate[3:] = along / length - (dq * dq).sum() * q - damping * dq
+    return rate
+
+
+@njit(cache=True, nogil=True)
+def _runge_kutta(
+    length: float, damping: float, hand: FloatArray, start: FloatArray, step: float
+) -> FloatArray:
+    n = hand.shape[0] // 2
+    states = np.empty((n + 1, 6))
+    states[0] = start
+    for k in range(n):
+        state = states[k]
+        first = _rate(length, damping, hand[2 * k], state)
+        second = _rate(length, damping, hand[2 * k + 1], state + 0.5 * step * first)
+        third = _rate(length, damping, hand[2 * k + 1], state + 0.5 * step * second)
+        fourth = _rate(length, damping, hand[2 * k + 2], state + step * third)
+        after = state + step / 6.0 * (first + 2.0 * second + 2.0 * third + fourth)
+        after[:3] /= np.sqrt((after[:3] * after[:3]).sum())
+        states[k + 1] = after
+    return states
+
+
+def _draw(config: PendulumConfig, duration_s: float, rng: np.random.Generator) -> Hanging | None:
+    """Draw a motion; None where it leaves the ball or the wire goes slack."""
+    n_places = max(6, int(np.ceil(duration_s * config.hand_hz)) + 4)
+    places_s = np.arange(n_places) / config.hand_hz - 1.5 / config.hand_hz  # around the recording
+    above_m = np.array([0.0, 0.0, config.length_m])
+    places_m = above_m + rng.uniform(-1.0, 1.0, (n_places, 3)) * config.hand_m
+    rough = make_interp_spline(places_s, places_m, k=3)
+    # As control points of a curve, not points on it, they make a smooth path.
+    hand = BSpline(rough.t, places_m, 3)
+    tilt_rad = config.start_rad * rng.standard_normal(2)
+    q = np.array([np.sin(tilt_rad[0]), np.sin(tilt_rad[1]), -1.0])
+    q /= np.linalg.norm(q)
+    sideways = np.append(rng.standard_normal(2), 0.0)
+    dq = (
+        config.start_rad * np.sqrt(GRAVITY_M_S2 / config.length_m) * (sideways - (sideways @ q) * q)
+    )
+    waves = [
+        _waves(hz, rad, rng)
+        for hz, rad in (
+            (config.twist_hz, config.twist_rad),
+            (config.rocking_hz, config.rocking_rad),
+            (config.rocking_hz, config.rocking_rad),
+        )
+    ]
+    halves_s: FloatArray = np.linspace(
+        0.0, duration_s, 2 * max(4, int(np.ceil(duration_s * STEPS_HZ))) + 1, dtype=np.float64
+    )
+    times_s = halves_s[::2]
+    states = swing(
+        config.length_m, config.damping_per_s, hand(halves_s, 2), np.append(q, dq), times_s[1]
+    )
+    q, dq = states[:, :3], states[:, 3:]
+    pull = -hand(times_s, 2) - np.array([0.0, 0.0, GRAVITY_M_S2])
+    tension = np.sum(pull * q, axis=1) + config.length_m * np.sum(dq * dq, axis=1)
+    places = hand(times_s) + config.length_m * q
+    if tension.min() <= 0.0 or np.linalg.norm(places, axis=1).max() > config.max_radius_m:
+        return None
+    wire = CubicSpline(times_s, q)
+    position = CubicSpline(times_s, places)
+    trajectory = Trajectory(duration_s, position, _Attitude(wire, tuple(waves)))
+    return Hanging(trajectory, hand, wire)
+
+
+@dataclass(frozen=True)
+class _Waves:
+    """A sum of sines of random phases."""
+
+    amplitudes: FloatArray
+    rates_hz: FloatArray
+    phases_rad: FloatArray
+
+    def __call__(self, times_s: FloatArray) -> FloatArray:
+        """Value at times (n,) [s]."""
+        angles = 2.0 * np.pi * np.multiply.outer(times_s, self.rates_hz) + self.phases_rad
+        summed: FloatArray = np.sin(angles) @ self.amplitudes
+        return summed
+
+
+def _waves(rate_hz: float, deviation: float, rng: np.random.Generator) -> _Waves:
+    amplitudes = np.full(_N_WAVES, deviation * np.sqrt(2.0 / _N_WAVES))
+    rates_hz = rate_hz * (1.0 + _SPREAD * rng.uniform(-1.0, 1.0, _N_WAVES))
+    return _Waves(amplitudes, rates_hz, rng.uniform(0.0, 2.0 * np.pi, _N_WAVES))
+
+
+@dataclass(frozen=True)
+class _Attitude:
+    """Upright along the wire, turned about it, and rocking."""
+
+    wire: CubicSpline
+    waves: tuple[_Waves, ...]  # twist, and rocking about the body's x and y
+
+    def __call__(self, times_s: FloatArray) -> Rotation:
+        """Rotations body to world at times (n,) [s]."""
+        times_s = np.asarray(times_s, np.float64)
+        up = -self.wire(times_s)
+        up /= np.linalg.norm(up, axis=-1, keepdims=True)
+        # The least turn that takes the world's z to the wire.
+        axis = np.stack([-up[..., 1], up[..., 0], np.zeros_like(up[..., 0])], axis=-1)
+        sine = np.linalg.norm(axis, axis=-1, keepdims=True)
+        angle = np.arctan2(sine, up[..., 2:])
+        tilt = Rotation.from_rotvec(axis * np.divide(angle, sine, out=np.ones_like(sine),
+                                                     where=sine > 1e-12))  # fmt: skip
+        twist, about_x, about_y = (wave(times_s) for wave in self.waves)
+        turn = Rotation.from_euler("z", twist)
+        rocking = np.stack([about_x, about_y, np.zeros_like(about_x)], axis=-1)
+        return tilt * turn * Rotation.from_rotvec(rocking)

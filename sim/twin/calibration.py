@@ -1,0 +1,242 @@
+"""A rig in; what Zhang's method finds of it from views of a chessboard out.
+
+The board's corners are projected, not drawn: a corner detector's error stands for all else. OpenCV
+then calibrates each camera by itself, and the pose of both from views that they share.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from sim.errors import SimError
+from sim.scene.rig import Camera, Rig
+
+FloatArray = NDArray[np.float64]
+
+MAX_TRIES = 20_000  # of places for the board, before the set-up is blamed
+MIN_COSINE = 0.17  # of the angle at which a camera sees the board: flatter, no corner is found
+
+_MARGIN_PX = 4.0  # a corner nearer to the border is not found
+
+
+@dataclass(frozen=True)
+class CalibrationConfig:
+    """How a bench is calibrated (Zhang, A flexible new technique, PAMI 2000)."""
+
+    corners: tuple[int, int] = (9, 6)  # of the board, inner ones
+    square_m: float = 0.025
+    n_views: int = 30  # of each camera by itself
+    n_shared: int = 20  # of both at once
+    corner_std_px: float = 0.2  # of each found corner, in each direction
+    distance_m: tuple[float, float] = (0.3, 0.7)  # of the board from a camera by itself
+    max_tilt_deg: float = 45.0  # of the board against a camera by itself
+    shared_tilt_deg: float = 15.0  # deviation about each axis, from facing both cameras alike
+    shared_m: float = 0.05  # deviation of the board's places from what both cameras look at
+
+    def __post_init__(self) -> None:
+        if min(self.corners) < 3 or min(self.n_views, self.n_shared) < 3:
+            raise SimError(
+                f"calibration: expected a board of 3 x 3 corners or more and 3 views or more, got "
+                f"{self.corners}, {self.n_views} and {self.n_shared}"
+            )
+        if not (np.isfinite(self.corner_std_px) and self.corner_std_px >= 0.0):
+            raise SimError(
+                f"calibration: corner_std_px must be 0 or a positive number, got "
+                f"{self.corner_std_px}"
+            )
+
+
+@dataclass(frozen=True)
+class CalibratedCamera:
+    """Intrinsics as they were found."""
+
+    K: FloatArray  # (3, 3) [px]
+    distortion_coeffs: tuple[float, ...]  # of the camera's own model
+    intrinsics_std_px: tuple[float, float, float, float]  # stated, of fu, fv, pu, pv
+    rms_px: float  # of the corners
+
+
+def exact(camera: Camera) -> CalibratedCamera:
+    """Give a camera's true intrinsics."""
+    return CalibratedCamera(camera.K, camera.distortion_coeffs, (0.0, 0.0, 0.0, 0.0), 0.0)
+
+
+def calibrated_camera(
+    camera: Camera, config: CalibrationConfig, rng: np.random.Generator
+) -> CalibratedCamera:
+    """Calibrate a camera by itself.
+
+    Parameters
+    ----------
+    camera
+        Of the model "radtan" or "none".
+    config
+    rng
+        Draws the board's places and the corners' errors.
+
+    Raises
+    ------
+    SimError
+        When the camera has another lens, or the board does not fit into its view.
+    """
+    _check_lens(camera)
+    board = _board(config)
+    views = _own_views(camera, board, config, rng)
+    corners = [_found(camera, points, config, rng) for points in views]
+    flags = cv2.CALIB_FIX_K3
+    if camera.distortion_model == "none":
+        flags |= cv2.CALIB_FIX_K1 | cv2.CALIB_FIX_K2 | cv2.CALIB_ZERO_TANGENT_DIST
+    rms_px, K, coeffs, _, _, deviations, _, _ = cv2.calibrateCameraExtended(
+        [board.astype(np.float32)] * len(views),
+        corners,
+        (camera.width, camera.height),
+        None,
+        None,
+        flags=flags,
+        criteria=_STOP,
+    )  # type: ignore[call-overload]
+    n_coeffs = len(camera.distortion_coeffs)
+    fu, fv, pu, pv = (float(value) for value in np.ravel(deviations)[:4])
+    found = tuple(float(value) for value in np.ravel(coeffs)[:n_coeffs])
+    return CalibratedCamera(np.asarray(K, np.float64), found, (fu, fv, pu, pv), float(rms_px))
+
+
+def calibrated_pose(
+    rig: Rig,
+    cameras: Sequence[CalibratedCamera],
+    config: CalibrationConfig,
+    rng: np.random.Generator,
+) -> FloatArray:
+    """Find T_2_1 (4, 4), camera 1 [m] to camera 2 [m], from views that both cameras share.
+
+    Parameters
+    ----------
+    rig
+        Of two cameras that look at the world's origin.
+    cameras
+        Their intrinsics as they are known, which stay as they are.
+    config, rng
+        As of `calibrated_camera`.
+
+    Raises
+    ------
+    SimError
+        As `calibrated_camera`.
+    """
+    if len(rig.cameras) != 2:
+        raise SimError(f"calibration: expected two cameras, got {len(rig.cameras)}")
+    for camera in rig.cameras:
+        _check_lens(camera)
+    board = _board(config)
+    seen = _shared_views(rig, board, config, rng)
+    corners = [[_found(camera, points, config, rng) for points in seen] for camera in rig.cameras]
+    intrinsics = [
+        value
+        for one in cameras
+        for value in (one.K.copy(), np.array(one.distortion_coeffs or (0.0,) * 4))
+    ]
+    _, *_, R, t, _, _ = cv2.stereoCalibrate(
+        [board.astype(np.float32)] * len(seen),
+        *corners,
+        *intrinsics,
+        (rig.cameras[0].width, rig.cameras[0].height),
+        flags=cv2.CALIB_FIX_INTRINSIC,
+        criteria=_STOP,
+    )  # type: ignore[call-overload]
+    T_2_1 = np.eye(4)
+    T_2_1[:3, :3], T_2_1[:3, 3] = R, t.ravel()
+    return T_2_1
+
+
+_STOP = (cv2.TERM_CRITERIA_MAX_ITER | cv2.TERM_CRITERIA_EPS, 200, 1e-10)
+
+
+def _check_lens(camera: Camera) -> None:
+    if camera.distortion_model == "equidistant":
+        raise SimError(f"calibration: {camera.name} must have a lens of the model radtan or none")
+
+
+def _board(config: CalibrationConfig) -> FloatArray:
+    """Corners (n, 3) [m] on the plane z = 0 of the board, about its middle."""
+    columns, rows = config.corners
+    grid = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).reshape(-1, 2)
+    flat = config.square_m * (grid - 0.5 * np.array([columns - 1, rows - 1]))
+    return np.column_stack([flat, np.zeros(len(flat))])
+
+
+def _own_views(
+    camera: Camera, board: FloatArray, config: CalibrationConfig, rng: np.random.Generator
+) -> list[FloatArray]:
+    """Hold the board before one camera; its corners (n, 3) [m] in the world, view by view."""
+    T_W_C = np.linalg.inv(camera.T_C_W)
+    half = 0.5 * np.array([camera.width, camera.height]) / camera.K[0, 0]
+    views: list[FloatArray] = []
+    for _ in range(MAX_TRIES):
+        if len(views) == config.n_views:
+            return views
+        depth_m = rng.uniform(*config.distance_m)
+        place = np.append(rng.uniform(-0.8, 0.8, 2) * half, 1.0) * depth_m
+        axis = np.append(rng.standard_normal(2), 0.0)
+        tilt = np.deg2rad(rng.uniform(0.0, config.max_tilt_deg)) * axis / np.linalg.norm(axis)
+        roll = (0.0, 0.0, rng.uniform(-0.5, 0.5))
+        turn = Rotation.from_rotvec(tilt) * Rotation.from_rotvec(roll)
+        points_C = board @ turn.as_matrix().T + place
+        points_W = points_C @ T_W_C[:3, :3].T + T_W_C[:3, 3]
+        if _is_seen(camera, points_W):
+            views.append(points_W)
+    raise _too_large(camera)
+
+
+def _shared_views(
+    rig: Rig, board: FloatArray, config: CalibrationConfig, rng: np.random.Generator
+) -> list[FloatArray]:
+    """Hold the board so that both cameras see it, its normal about midway between them."""
+    centres = [-camera.T_C_W[:3, :3].T @ camera.T_C_W[:3, 3] for camera in rig.cameras]
+    towards = sum(centre / np.linalg.norm(centre) for centre in centres)
+    # The board's z points away from the cameras, its y down.
+    z = -towards / np.linalg.norm(towards)
+    x = np.cross((0.0, 0.0, -1.0), z)
+    x /= np.linalg.norm(x)
+    facing = Rotation.from_matrix(np.column_stack([x, np.cross(z, x), z]))
+    views: list[FloatArray] = []
+    for _ in range(MAX_TRIES):
+        if len(views) == config.n_shared:
+            return views
+        tilt = np.deg2rad(config.shared_tilt_deg) * rng.standard_normal(3)
+        turn = facing * Rotation.from_rotvec(tilt)
+        points_W = board @ turn.as_matrix().T + config.shared_m * rng.standard_normal(3)
+        middle = points_W.mean(axis=0)
+        normal = -turn.as_matrix()[:, 2]
+        cosines = [
+            normal @ (centre - middle) / np.linalg.norm(centre - middle) for centre in centres
+        ]
+        if min(cosines) > MIN_COSINE and all(_is_seen(c, points_W) for c in rig.cameras):
+            views.append(points_W)
+    raise _too_large(rig.cameras[0])
+
+
+def _is_seen(camera: Camera, points_W: FloatArray) -> bool:
+    """Whether all corners are in view."""
+    pixels = camera.project(points_W)
+    last = np.array([camera.width - 1, camera.height - 1]) - _MARGIN_PX
+    return bool(((pixels >= _MARGIN_PX) & (pixels <= last)).all())  # NaN fails too
+
+
+def _found(
+    camera: Camera, points_W: FloatArray, config: CalibrationConfig, rng: np.random.Generator
+) -> NDArray[np.float32]:
+    """Find the corners (n, 1, 2) [px] of a view."""
+    pixels = camera.project(points_W)
+    pixels = pixels + config.corner_std_px * rng.standard_normal(pixels.shape)
+    return pixels.astype(np.float32)[:, None]
+
+
+def _too_large(camera: Camera) -> SimError:
+    return SimError(
+        f"calibration: of {MAX_TRIES} places for the board too few are in view of {camera.name}: "
+        "take a smaller one, or hold it elsewhere"
+    )

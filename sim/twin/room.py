@@ -1,0 +1,205 @@
+"""A scene on the bench in; the events of the room about it, its light, shadows and the wire, out.
+
+They are drawn apart from the drone's and added to them: neither hides the other.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.disturb.clutter import merged
+from sim.disturb.pixels import View
+from sim.errors import SimError
+from sim.recording import Scene
+from sim.scene.pendulum import Hanging
+from sim.scene.printed import HEIGHT, SIZE_M
+from sim.scene.rig import Camera
+from sim.sensor.events import Sensor, SensorConfig
+
+FloatArray = NDArray[np.float64]
+
+FRAMES_HZ = 50.0  # at which slow light is followed; linear in between
+_BATCH = 25  # frames in memory
+_WAVES = 5  # that the changes of the light are the sum of
+_LIGHT_HZ = (0.05, 0.6)  # of them: clouds, people who pass a window
+_SHADOW_RADIUS_PX, _PENUMBRA_PX = 45.0, 18.0  # of a hand's, far from the wall
+_SHADOW_OFF_PX = (30.0, 60.0)  # below and beside the hand's own image
+_WIRE_STEP_S = 2e-3
+_WIRE_POINTS = 40  # along the wire, which a lens bends
+_WIRE_CONTRAST = 0.8  # share of the wall's light that the wire keeps back
+
+# Branches of the seed, beside those of `sim.twin.bench`.
+_LIGHT_STREAM, _SHADOW_STREAM, _WIRE_STREAM, _PHASE_STREAM = 40, 41, 42, 43
+
+
+@dataclass(frozen=True)
+class RoomConfig:
+    """What a room does to a recording; nothing by default."""
+
+    light_std: float = 0.0  # deviation of the logarithm of a light that changes slowly
+    shadow: float = 0.0  # share of the light that the shadow of a hand takes from the wall
+    wire_m: float = 0.0  # thickness of the wire
+
+    def __post_init__(self) -> None:
+        for name in ("light_std", "wire_m"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value >= 0.0):
+                raise SimError(f"room: {name} must be 0 or a positive number, got {value}")
+        if not 0.0 <= self.shadow < 1.0:
+            raise SimError(f"room: shadow is a share, 0 to less than 1, got {self.shadow}")
+
+
+def room_events(
+    config: RoomConfig, scene: Scene, hanging: Hanging, sensor: SensorConfig, seed: int, index: int
+) -> NDArray[Any]:
+    """Draw what a room makes a camera see beside the drone.
+
+    Parameters
+    ----------
+    config
+    scene, hanging
+        What is filmed, and where the wire is held.
+    sensor
+        Whose thresholds count.
+    seed
+        Of the recording. The light is one for both cameras, all else is each one's own.
+    index
+        Of the camera.
+
+    Returns
+    -------
+    NDArray[Any]
+        Of sim.sensor.EVENT_DTYPE, in order of time; the scene's clock.
+    """
+    camera = scene.rig.cameras[index]
+    view = View(camera.width, camera.height, scene.trajectory.duration_s)
+    streams = []
+    if config.light_std or config.shadow:
+        streams.append(_lit(config, view, scene, hanging, sensor, seed, index))
+    if config.wire_m:
+        rng = _rng(seed, _WIRE_STREAM, index)
+        streams.append(_wire(config, view, camera, hanging, sensor, rng))
+    nothing = view.events(*(np.empty(0),) * 3, np.empty(0, bool))
+    return merged(nothing, *streams)
+
+
+def wire_contrast(config: RoomConfig, camera: Camera, depth_m: float) -> float:
+    """Change of a pixel's logarithm where the wire, thinner than a pixel, passes it."""
+    share = min(1.0, config.wire_m * float(camera.K[0, 0]) / depth_m)
+    return float(-np.log1p(-_WIRE_CONTRAST * share))
+
+
+def _lit(
+    config: RoomConfig,
+    view: View,
+    scene: Scene,
+    hanging: Hanging,
+    sensor: SensorConfig,
+    seed: int,
+    index: int,
+) -> NDArray[Any]:
+    """Let the light on the wall change, and a shadow pass over it."""
+    wall = scene.backgrounds[index]
+    phases = _rng(seed, _PHASE_STREAM, index).uniform(-0.95, 0.95, wall.shape)
+    threshold = min(sensor.threshold_on, sensor.threshold_off)
+    # Each pixel remembers a level of its own, from what it saw before.
+    before = np.clip(wall * np.exp(phases * threshold), 0.0, 1.0).astype(np.float32)
+    ideal = SensorConfig(sensor.threshold_on, sensor.threshold_off, sensor.log_eps,
+                         sensor.threshold_mismatch)  # fmt: skip
+    pixels = Sensor(ideal, before, 0.0, _rng(seed, _PHASE_STREAM, index, 1))
+    corner = np.zeros(_BATCH, np.int64)
+    for times_s, images in _frames(config, view, scene, hanging, seed, index):
+        pixels.feed(times_s, corner[: len(times_s)], corner[: len(times_s)], images)
+    return pixels.finish(view.duration_s)
+
+
+def _frames(
+    config: RoomConfig, view: View, scene: Scene, hanging: Hanging, seed: int, index: int
+) -> Iterator[tuple[FloatArray, NDArray[np.float32]]]:
+    """Yield times (n,) [s] and luminance (n, height, width) of the wall, in batches."""
+    n = max(2, int(np.ceil(view.duration_s * FRAMES_HZ)))
+    times_s: FloatArray = view.duration_s * np.arange(1, n + 1) / n
+    gains = np.exp(_light(config.light_std, times_s, _rng(seed, _LIGHT_STREAM)))
+    centres = scene.rig.cameras[index].project(hanging.hand(times_s))
+    side = _rng(seed, _SHADOW_STREAM, index).choice((-1.0, 1.0))
+    centres = centres + np.array([side * _SHADOW_OFF_PX[1], _SHADOW_OFF_PX[0]])
+    rows, columns = np.indices((view.height, view.width), sparse=True)
+    wall = scene.backgrounds[index]
+    for start in range(0, n, _BATCH):
+        chunk = slice(start, start + _BATCH)
+        u, v = (centres[chunk, k, None, None] for k in (0, 1))
+        images = gains[chunk, None, None] * wall
+        if config.shadow:
+            far_px = np.hypot(columns - u, rows - v) - _SHADOW_RADIUS_PX
+            images = images * (1.0 - config.shadow / (1.0 + np.exp(4.0 * far_px / _PENUMBRA_PX)))
+        yield times_s[chunk], np.clip(images, 0.0, 1.0).astype(np.float32)
+
+
+def _light(deviation: float, times_s: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Logarithm (n,) of the light, a sum of slow waves that starts at 0."""
+    low, high = (float(np.log(rate_hz)) for rate_hz in _LIGHT_HZ)
+    rates_hz = np.exp(rng.uniform(low, high, _WAVES))
+    phases = rng.uniform(0.0, 2.0 * np.pi, _WAVES)
+    waves = np.sin(2.0 * np.pi * np.multiply.outer(times_s, rates_hz) + phases)
+    changes: FloatArray = deviation * np.sqrt(2.0 / _WAVES) * (waves - np.sin(phases)).sum(axis=1)
+    return changes
+
+
+def _wire(
+    config: RoomConfig,
+    view: View,
+    camera: Camera,
+    hanging: Hanging,
+    sensor: SensorConfig,
+    rng: np.random.Generator,
+) -> NDArray[Any]:
+    """Let each pixel that the wire passes darken and brighten, if that is enough for an event."""
+    n = max(2, int(np.ceil(view.duration_s / _WIRE_STEP_S)))
+    times_s: FloatArray = np.linspace(0.0, view.duration_s, n + 1, dtype=np.float64)
+    columns = wire_columns(camera, hanging, times_s, view.height)
+    pixels = np.floor(columns + 0.5)
+    with np.errstate(invalid="ignore"):
+        k, rows = np.nonzero(np.abs(np.diff(pixels, axis=0)) > 0.0)
+    first, last = columns[k, rows], columns[k + 1, rows]
+    forward = last > first
+    border = np.where(forward, pixels[k + 1, rows], pixels[k, rows]) - 0.5
+    crossed_s = times_s[k] + (times_s[k + 1] - times_s[k]) * (border - first) / (last - first)
+    depth_m = float((camera.T_C_W @ np.append(hanging.trajectory.position(times_s).mean(axis=0),
+                                              1.0))[2])  # fmt: skip
+    contrast = wire_contrast(config, camera, depth_m)
+    streams = []
+    for brighter, entered in ((False, pixels[k + 1, rows]), (True, pixels[k, rows])):
+        threshold = sensor.threshold_on if brighter else sensor.threshold_off
+        fires = rng.random(len(k)) < contrast / threshold  # from any level that it remembers
+        streams.append(
+            view.events(
+                crossed_s[fires],
+                entered[fires],
+                rows[fires].astype(np.float64),
+                np.full(int(fires.sum()), brighter),
+            )
+        )
+    return np.concatenate(streams)
+
+
+def wire_columns(camera: Camera, hanging: Hanging, times_s: FloatArray, height: int) -> FloatArray:
+    """Column [px] at which the wire crosses each row of the view, (n, height); NaN where not."""
+    hands = hanging.hand(times_s)
+    tops = hanging.trajectory.position(times_s) - 0.5 * HEIGHT * SIZE_M * hanging.wire(times_s)
+    shares = np.linspace(0.0, 1.0, _WIRE_POINTS)[:, None]
+    rows = np.arange(height, dtype=np.float64)
+    columns = np.full((len(times_s), height), np.nan)
+    for k, (hand, top) in enumerate(zip(hands, tops, strict=True)):
+        u, v = camera.project(hand + shares * (top - hand)).T
+        known = np.isfinite(v)
+        u, v = u[known], v[known]
+        if len(v) > 1 and (np.diff(v) > 0.0).all():  # downwards
+            columns[k] = np.interp(rows, v, u, left=np.nan, right=np.nan)
+    return columns
+
+
+def _rng(seed: int, *stream: int) -> np.random.Generator:
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=stream))
