@@ -236,6 +236,16 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
             "command",
             "sweep",
         ),
+        "physical": (
+            "imperfections",
+            "measure",
+            "cells",
+            "mini",
+            "budget",
+            "latency",
+            "catalogue",
+            "physical_command",
+        ),
         "real": ("data_sets", "pairs", "paths", "drawing", "real_command"),
         "quoted": ("committed", "real", "cells", "zncc", "campaigns", "tables", "numbers"),
         "report": (

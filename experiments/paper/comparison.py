@@ -9,7 +9,7 @@ errors, as with the correlation methods, it is wrong in about 20 %.
 Our flights may be more than the paper's; each verdict is also given by our first as many alone.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -168,8 +168,23 @@ def verdict_of(interval: tuple[float, float]) -> str:
     return "agrees" if low <= 0.0 <= high else "differs"
 
 
-def load_published(folder: Path = PUBLISHED) -> dict[float, pd.DataFrame]:
-    """Read the paper's simulation tables, by duration [s].
+def load_published(
+    folder: Path = PUBLISHED,
+    name: str = "esim",
+    durations_s: Sequence[float] | None = None,
+    errors: tuple[PublishedError, ...] = PUBLISHED_ERRORS,
+) -> dict[float, pd.DataFrame]:
+    """Read the paper's tables, by duration [s].
+
+    Parameters
+    ----------
+    folder
+    name
+        Start of their files' names.
+    durations_s
+        By default those of the simulation tables.
+    errors
+        That they must have.
 
     Raises
     ------
@@ -177,14 +192,14 @@ def load_published(folder: Path = PUBLISHED) -> dict[float, pd.DataFrame]:
         If a file cannot be read or lacks a column.
     """
     tables = {}
-    for duration_s in table_axes().durations_s:
-        path = folder / f"esim_{duration_s:g}.csv"
+    for duration_s in table_axes().durations_s if durations_s is None else durations_s:
+        path = folder / f"{name}_{duration_s:g}.csv"
         try:
             table = pd.read_csv(path)
         except (OSError, ValueError) as error:
             raise SsacError(f"{path}: the published table cannot be read: {error}") from error
         needed = ["angle_deg", "t_d_ms"]
-        needed += [f"{q.published}_{part}" for q in PUBLISHED_ERRORS for part in ("mean", "std")]
+        needed += [f"{q.published}_{part}" for q in errors for part in ("mean", "std")]
         absent = [column for column in needed if column not in table]
         if absent:
             raise SsacError(f"{path}: the published table lacks the columns {', '.join(absent)}")
@@ -197,6 +212,7 @@ def comparison_table(
     published: Mapping[float, pd.DataFrame],
     reasons: tuple[Reason, ...] = REASONS,
     first: Mapping[float, pd.DataFrame] | None = None,
+    errors: tuple[PublishedError, ...] = PUBLISHED_ERRORS,
 ) -> pd.DataFrame:
     """Compare cell by cell.
 
@@ -211,6 +227,8 @@ def comparison_table(
     first
         Ours of the first PUBLISHED_RUNS flights alone, by duration [s]; where there are no further
         ones, they are `tables` and need not be given.
+    errors
+        That are compared.
 
     Returns
     -------
@@ -233,7 +251,7 @@ def comparison_table(
         early = theirs.merge(first[duration_s], on=place_of_cell)
         pairs = zip(both.to_dict("records"), early.to_dict("records"), strict=True)
         for cell, first_cell in pairs:
-            for quantity in PUBLISHED_ERRORS:
+            for quantity in errors:
                 if f"{quantity.name}_mean" in cell:
                     place = {
                         "duration_s": duration_s,

@@ -98,7 +98,7 @@ def load_recorded(cells: Sequence[Cell], cache: Cache) -> Recorded:
     """Load what the cells need of their recording, which is simulated if it is not there yet."""
     folder = cache.recording_folder(cells[0].sim, cells[0].seed)
     cam1, cam2, rig = load_pair(folder)
-    frames1, frames2 = _frames(folder, [METHODS[cell.method] for cell in cells], cache)
+    frames1, frames2 = frames_of(folder, [METHODS[cell.method] for cell in cells], cache)
     # A method that wants the noise gone has that made up for, but what is gone does not come back.
     denoise = all(cell.estimator.denoise for cell in cells)
     first, second = prepare(
@@ -211,7 +211,7 @@ def _scored(estimate: Estimate, cell: Cell, truth: Rig) -> Row:
     )
 
 
-def _frames(folder: Path, methods: Sequence[Method], cache: Cache) -> tuple[Frames, Frames]:
+def frames_of(folder: Path, methods: Sequence[Method], cache: Cache) -> tuple[Frames, Frames]:
     """Frames of both cameras where a method looks at them; images of one pixel if that will do."""
     looking = [method for method in methods if method.input is Input.FRAMES]
     if not looking:

@@ -22,6 +22,8 @@ from experiments.paper.results import (
     SUMMARY_FILE,
     derived,
 )
+from experiments.physical.mini import COMPARISON_FILE as PHYSICAL_COMPARISON
+from experiments.physical.mini import comparison_text
 from experiments.run.cache import Cache
 from experiments.run.grid import Cell
 from experiments.run.provenance import versions
@@ -97,6 +99,15 @@ def renderer_findings(results: Path, studies: Mapping[str, Study]) -> list[Findi
         return []
     what = f"the renderers' mean difference of t_d is at most {RENDERER_TOLERANCE_MS:g} ms"
     return [found(what, partial(_unlike_by_renderer, results))]
+
+
+def physical_findings(results: Path) -> list[Finding]:
+    """Check that the comparison of the physical tables follows from them, where it is there."""
+    path = results / PHYSICAL_COMPARISON
+    if not path.is_file():
+        return []
+    what = f"{path.name} follows from the physical tables"
+    return [found(what, lambda: text_difference(read_text(path), comparison_text(results)))]
 
 
 def figure_findings(results: Path, studies: Mapping[str, Study]) -> list[Finding]:

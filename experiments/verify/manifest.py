@@ -21,6 +21,9 @@ from experiments.outdoor.outdoor_command import RUNS_FILE as OUTDOOR_FILE
 from experiments.paper.grids import TABLES
 from experiments.paper.results import COMPARISON_FILE, PAGE_FILE, RUNS_FILE, SUMMARY_FILE
 from experiments.paper.tables import tables_config
+from experiments.physical.mini import COMMAND as PHYSICAL_COMMAND
+from experiments.physical.mini import COMPARISON_FILE as PHYSICAL_COMPARISON
+from experiments.physical.mini import MINI, mini_config
 from experiments.real.data_sets import COMMAND, DATA_SETS, real_config
 from experiments.real.drawing import OFFSETS_FIGURE
 from experiments.real.pairs import PAIRS_FILE, STRAYS_FILE, TRIPLES_FILE
@@ -92,7 +95,9 @@ def manifest_of(studies: Mapping[str, Study]) -> Manifest:
         files += [*names, *([study.figure_file] if study.draw else [])]
     real = of_real_data()
     files = [*files, *(one.name for one in made), *real.files]
-    return Manifest(tuple(files), (*made, *real.provenances), (_outdoor(), _reliability()))
+    return Manifest(
+        tuple(files), (*made, *real.provenances), (_outdoor(), _reliability(), _physical())
+    )
 
 
 def of_real_data() -> Manifest:
@@ -119,6 +124,13 @@ def _reliability() -> Manifest:
     beside = provenance_name(RELIABILITY_FILE)
     made = Provenance(beside, TORTURE_COMMAND, reliability_config(), False)
     return Manifest((RELIABILITY_FILE, beside), (made,))
+
+
+def _physical() -> Manifest:
+    """List the physical twin's tables and how they compare; its studies have files of their own."""
+    tables = tuple(study.summary_file for study in MINI.values())
+    made = _beside(PHYSICAL_COMPARISON, PHYSICAL_COMMAND, mini_config())
+    return Manifest((*tables, PHYSICAL_COMPARISON, made.name), (made,))
 
 
 def _beside(name: str, command: str, config: Any) -> Provenance:

@@ -22,7 +22,7 @@ from sim.sensor.frames import FrameConfig
 
 FloatArray = NDArray[np.float64]
 
-FOCAL_PX = 270.0  # a lens of 5 mm over pixels of 18.5 um
+FOCAL_PX = 300.0  # a lens of 5.5 mm over pixels of 18.5 um
 DISTORTION = (-0.35, 0.13, 5e-4, -3e-4)  # of such a lens: k1, k2, p1, p2
 _FOCAL_STD, _CENTRE_STD_PX, _DISTORTION_STD = 0.01, 3.0, 0.01  # of the lenses of a series
 _AIM_STD_DEG = 2.0  # of a camera's attitude about each axis, put up by hand
@@ -39,7 +39,7 @@ class TwinConfig(SimConfig):
     focal_px: float = FOCAL_PX
     distortion_model: str = "radtan"
     distortion_coeffs: tuple[float, ...] = DISTORTION
-    distances_m: tuple[float, float] = (0.5, 0.6)  # of the cameras from what they look at
+    distances_m: tuple[float, float] = (0.45, 0.5)  # of the cameras from what they look at
     setup_seed: int = 0
     pendulum: PendulumConfig = field(default_factory=PendulumConfig)
     textured: bool = True  # walls behind; else an even grey

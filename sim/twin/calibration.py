@@ -4,7 +4,8 @@ The board's corners are projected, not drawn: a corner detector's error stands f
 then calibrates each camera by itself, and the pose of both from views that they share.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import cv2
@@ -32,7 +33,7 @@ class CalibrationConfig:
     n_views: int = 30  # of each camera by itself
     n_shared: int = 20  # of both at once
     corner_std_px: float = 0.2  # of each found corner, in each direction
-    distance_m: tuple[float, float] = (0.3, 0.7)  # of the board from a camera by itself
+    distance_m: tuple[float, float] = (0.35, 0.7)  # of the board from a camera by itself
     max_tilt_deg: float = 45.0  # of the board against a camera by itself
     shared_tilt_deg: float = 15.0  # deviation about each axis, from facing both cameras alike
     shared_m: float = 0.05  # deviation of the board's places from what both cameras look at
@@ -90,15 +91,16 @@ def calibrated_camera(
     flags = cv2.CALIB_FIX_K3
     if camera.distortion_model == "none":
         flags |= cv2.CALIB_FIX_K1 | cv2.CALIB_FIX_K2 | cv2.CALIB_ZERO_TANGENT_DIST
-    rms_px, K, coeffs, _, _, deviations, _, _ = cv2.calibrateCameraExtended(
-        [board.astype(np.float32)] * len(views),
-        corners,
-        (camera.width, camera.height),
-        None,
-        None,
-        flags=flags,
-        criteria=_STOP,
-    )  # type: ignore[call-overload]
+    with _one_thread():
+        rms_px, K, coeffs, _, _, deviations, _, _ = cv2.calibrateCameraExtended(
+            [board.astype(np.float32)] * len(views),
+            corners,
+            (camera.width, camera.height),
+            None,
+            None,
+            flags=flags,
+            criteria=_STOP,
+        )  # type: ignore[call-overload]
     n_coeffs = len(camera.distortion_coeffs)
     fu, fv, pu, pv = (float(value) for value in np.ravel(deviations)[:4])
     found = tuple(float(value) for value in np.ravel(coeffs)[:n_coeffs])
@@ -139,20 +141,32 @@ def calibrated_pose(
         for one in cameras
         for value in (one.K.copy(), np.array(one.distortion_coeffs or (0.0,) * 4))
     ]
-    _, *_, R, t, _, _ = cv2.stereoCalibrate(
-        [board.astype(np.float32)] * len(seen),
-        *corners,
-        *intrinsics,
-        (rig.cameras[0].width, rig.cameras[0].height),
-        flags=cv2.CALIB_FIX_INTRINSIC,
-        criteria=_STOP,
-    )  # type: ignore[call-overload]
+    with _one_thread():
+        *_, R, t, _, _ = cv2.stereoCalibrate(
+            [board.astype(np.float32)] * len(seen),
+            *corners,
+            *intrinsics,
+            (rig.cameras[0].width, rig.cameras[0].height),
+            flags=cv2.CALIB_FIX_INTRINSIC,
+            criteria=_STOP,
+        )  # type: ignore[call-overload]
     T_2_1 = np.eye(4)
     T_2_1[:3, :3], T_2_1[:3, 3] = R, t.ravel()
     return T_2_1
 
 
 _STOP = (cv2.TERM_CRITERIA_MAX_ITER | cv2.TERM_CRITERIA_EPS, 200, 1e-10)
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Let OpenCV add up in one order: several threads differ in the last digits."""
+    n_threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(n_threads)
 
 
 def _check_lens(camera: Camera) -> None:

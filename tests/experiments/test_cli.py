@@ -19,6 +19,7 @@ ELSEWHERE = {
     "merge": "sweep", "sync": "sync_command", "study": "command", "ablate": "command",
     "torture": "command", "track": "track_command", "import": "import_command",
     "real": "real_command", "compare": "compare_command", "outdoor": "outdoor_command",
+    "physical": "physical_command",
 }  # fmt: skip
 
 

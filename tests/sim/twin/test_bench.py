@@ -61,8 +61,8 @@ def test_both_cameras_see_the_drone_where_the_truth_says() -> None:
             for k in (0, 1)
         ]
         far_px = np.hypot(events["x"] - centres[0], events["y"] - centres[1])
-        # 3 cm at 0.4 m or more and 270 px are 20 px across, so 10 and a diagonal's part around it.
-        assert np.quantile(far_px, 0.999) < 16.0
+        # 3 cm at 0.35 m or more and 300 px are 26 px across, 36 px diagonally: 18 px to a corner.
+        assert np.quantile(far_px, 0.999) < 20.0
 
 
 def test_a_bench_that_cannot_be_is_refused() -> None:
@@ -88,7 +88,7 @@ def test_the_events_of_all_pixels_rebuild_one_course_of_the_light() -> None:
     events = events_of(RoomConfig(light_std=0.3), threshold_on=threshold, threshold_off=threshold)
     net = np.zeros((260, 346), np.int64)
     np.add.at(net, (events["y"], events["x"]), 2 * events["p"].astype(np.int64) - 1)
-    assert np.abs(np.median(net)) > 2  # the light did change
+    assert np.abs(np.median(net)) >= 2  # the light did change
     # Each remembers a level less than a threshold from the light, at first and at last.
     assert np.ptp(net) <= 4
     other = events_of(RoomConfig(light_std=0.3), 1, threshold_on=threshold, threshold_off=threshold)

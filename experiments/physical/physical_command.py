@@ -1,0 +1,86 @@
+"""A command line in, the physical twin's tables, error budget and figures out: `ssac physical`."""
+
+import time
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from experiments.paper.checksums import record_checksums
+from experiments.physical.budget import budget_study
+from experiments.physical.latency import latency_study
+from experiments.physical.mini import (
+    COMMAND,
+    COMPARISON_FILE,
+    DURATIONS_S,
+    comparison_text,
+    mini_study,
+)
+from experiments.run.cache import DEFAULT_FOLDER, Cache
+from experiments.run.command import CacheOption, SchedulerOption, WorkersOption
+from experiments.run.provenance import save_provenance
+from experiments.run.schedule import Workers
+from experiments.studies.command import run_studies
+from experiments.studies.study import Study, save_text
+from sim.render.gl_context import context_or_none
+from ssac.console.options import number
+from ssac.errors import SsacError
+
+PARTS: Mapping[str, tuple[Callable[..., Study], ...]] = {
+    "tables": tuple(partial(mini_study, duration_s) for duration_s in DURATIONS_S),
+    "budget": (budget_study,),
+    "latency": (latency_study,),
+}
+
+
+def physical_command(
+    parts: Annotated[
+        list[str] | None,
+        typer.Argument(
+            help=f"Of {', '.join(PARTS)}.  [default: all]", metavar="PART", show_default=False
+        ),
+    ] = None,
+    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Where to write.")] = Path("results"),
+    recordings: Annotated[
+        int | None,
+        number(
+            "At each point, for a trial.", 1, 1000, metavar="COUNT", default_words="the study's"
+        ),
+    ] = None,
+    workers: WorkersOption = -1,
+    scheduler: SchedulerOption = "",
+    cache: CacheOption = DEFAULT_FOLDER,
+) -> None:
+    """Simulate the paper's small-scale physical set-up: its tables, and what each fault costs.
+
+    What is finished is kept in the cache, so that an interrupted run goes on where it was.
+    """
+    chosen = parts or list(PARTS)
+    unknown = [name for name in chosen if name not in PARTS]
+    if unknown:
+        raise SsacError(f"unknown part {unknown[0]!r}: use one of {', '.join(PARTS)}")
+    if not out.is_dir():
+        raise SsacError(f"{out}: there is no such folder: make it, or name another")
+    start = time.perf_counter()
+    for part in chosen:
+        run_studies(_studies(part, recordings), out, Cache(cache), Workers(workers, scheduler))
+        if part == "tables":
+            _save_comparison(out, recordings, time.perf_counter() - start)
+
+
+def _studies(part: str, recordings: int | None) -> list[Study]:
+    if recordings is None:
+        return [make() for make in PARTS[part]]
+    return [make(recordings, f"{COMMAND} --recordings {recordings}") for make in PARTS[part]]
+
+
+def _save_comparison(out: Path, recordings: int | None, seconds: float) -> None:
+    path = out / COMPARISON_FILE
+    save_text(path, comparison_text(out))
+    command = COMMAND if recordings is None else f"{COMMAND} --recordings {recordings}"
+    config = {one.name: one.config for one in _studies("tables", recordings)}
+    save_provenance(path, command, config, seconds, context_or_none())
+    record_checksums(out, [path])
+    typer.echo(f"written to {path}")
