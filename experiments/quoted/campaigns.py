@@ -50,10 +50,11 @@ def reliability_table(results: Committed) -> str:
         return ""
     table = results.table("reliability")
     shown = ("refused", "warned", "read", "shorter", "right", "silently_fewer")
-    other = [name for name in table if name not in ("input", "cases", *shown)]
+    other = [str(name) for name in table if name not in ("input", "cases", *shown)]
     rows = []
-    for _, row in table.iterrows():
-        counts = [row["cases"], *(row[name] for name in shown), row[other].sum()]
+    for row in table.to_dict("records"):
+        must_not_be = sum(row[name] for name in other)
+        counts = [row["cases"], *(row[name] for name in shown), must_not_be]
         rows.append([str(row["input"]), *(f"{int(count)}" for count in counts)])
     header = ["input", "cases", *(name.replace("_", " ") for name in shown), "must not be"]
     return markdown_table(header, rows)

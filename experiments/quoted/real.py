@@ -191,7 +191,8 @@ def _closures_ms(results: Committed, number: int) -> FloatArray:
 def _constant(results: Committed) -> pd.DataFrame:
     """Give the answered pairs with published clocks of which both cameras' rates are constant."""
     rows = results.rows(PAIRS, data_set=WITH_TRUTH)
-    return rows[~_varies(rows) & _has_offset(rows) & np.isfinite(rows["from_truth_ms"])]
+    kept: pd.Series[bool] = ~_varies(rows) & _has_offset(rows) & rows["from_truth_ms"].notna()
+    return rows[kept]
 
 
 def _varies(rows: pd.DataFrame) -> "pd.Series[bool]":

@@ -143,14 +143,14 @@ def known(
                 value = float(mode @ state.strays_s)
                 add(places, mode / _HELD_STRAY_S, -value / _HELD_STRAY_S)
     for (a, b), pair in network.told.items():
-        by_a, by_b, told = pair.rows(network.states[a], network.states[b])
+        by_a, by_b, off_by = pair.rows(network.states[a], network.states[b])
         counts = np.sqrt(network.lasting)
-        for i in range(len(told)):
+        for i in range(len(off_by)):
             row = np.zeros(int(offsets[-1]))
             row[offsets[a] : offsets[a + 1]] = counts * by_a[i]
             row[offsets[b] : offsets[b + 1]] = counts * by_b[i]
             rows.append(row)
-            residuals.append(float(counts * told[i]))
+            residuals.append(float(counts * off_by[i]))
     k = network.scale_camera
     t = network.states[k].t
     length = float(np.linalg.norm(t))
