@@ -1,6 +1,6 @@
 """Tasks to rows: what is claimed elsewhere, what dies, and what a killed run left; no OpenGL.
 
-Real processes that share a cache or die are in `test_sweep.py`.
+Real processes that share a cache or die are in `tests/experiments/sweep`.
 """
 
 from collections.abc import Sequence
