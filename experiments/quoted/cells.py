@@ -14,7 +14,7 @@ from experiments.paper.grids import ANGLES_DEG, DURATIONS_S, TABLES
 from experiments.paper.quantities import ERRORS, NOISY_T_D_MARK_MS, T_D_ERROR
 from experiments.quoted.committed import Committed
 from experiments.quoted.real import REAL_NUMBERS
-from experiments.studies.catalogue import ABLATIONS, OPTIONAL
+from experiments.studies.catalogue import ABLATIONS
 from experiments.studies.refusal import METHOD_NAMES as REFUSING_METHODS
 
 METHODS = ("ssac", "ssac-known", "joint", "joint-known", "tangency", "tangency-known")
@@ -202,9 +202,8 @@ def minutes(results: Committed, name: str) -> str:
 
 
 def minutes_of(results: Committed, names: tuple[str, ...]) -> str:
-    """Wall time of several commands together, without optional ones that were not run."""
-    run = [name for name in names if name not in OPTIONAL or results.has(name)]
-    return f"{sum(results.minutes(name) for name in run):.0f}"
+    """Wall time of several commands together."""
+    return f"{sum(results.minutes(name) for name in names):.0f}"
 
 
 def bench(results: Committed, row: str, scale: float = 1.0, decimals: int = 0) -> str:
@@ -275,7 +274,6 @@ NUMBERS: Mapping[str, Number] = {
     "minutes.tables.nothing": partial(
         bench, row="tables, from nothing: all, 2 workers", scale=1 / 60
     ),
-    "minutes.ablations": partial(minutes_of, names=tuple(f"ablation_{n}" for n in ABLATIONS)),
     "minutes.studies": partial(minutes_of, names=("efficiency", "coverage", "refusal", "tangency")),
     "bench.recordings": partial(bench, row="tables: recordings"),
     "bench.sync.tangency": partial(bench, row="sync, tangency: all but reading", decimals=2),

@@ -1,7 +1,8 @@
 """Results in, what the pages say of imperfect recordings and of the public drone tracks out."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from functools import partial
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -15,7 +16,7 @@ from ssac.clock import PPM
 from ssac.estimate import Status
 
 SHOWN = ("joint", "tangency")
-"""Methods of the rows of single kinds; all of them have one over all kinds."""
+"""Methods of the rows of single kinds; over all kinds all of them have one."""
 
 
 PAIRS, TRIPLES, PATHS = "real_pairs", "real_triples", "real_paths"
@@ -29,35 +30,37 @@ WITH_TRUTH, SHIFTED = 4, 1
 
 
 def imperfect_table(results: Committed) -> str:
-    """How many were answered and why others were not, and how many of the answers held.
-
-    Empty where the study was not run.
-    """
-    if not results.has(IMPERFECT.name):
-        return ""
+    """Say of all kinds together how many were answered, and how many of the answers held."""
     table = results.table(IMPERFECT.name)
     rows = []
-    for _, row in table.iterrows():
-        if row["kind"] != ALL and row["method"] not in SHOWN:
-            continue
-        refused = "" if pd.isna(row["refused"]) else str(row["refused"]).replace(":", " ")
-        shares = (_share(row, name, with_bounds=row["kind"] == ALL) for name in HELD)
+    for row in table[table["kind"] == ALL].to_dict("records"):
+        shares = (_share(row, name, with_bounds=True) for name in HELD)
         rows.append(
-            [
-                str(row["kind"]),
-                f"`{row['method']}`",
-                f"{row['answered']:.0f} of {row['runs']:.0f}",
-                refused.replace("_", " "),
-                *shares,
-                f"{row['confident_wrong']:.0f}",
-            ]
+            [f"`{row['method']}`", _answered(row), *shares, f"{row['confident_wrong']:.0f}"]
         )
     quantities = (f"{name} [%]" for name in HELD)
-    header = ["kind", "method", "answered", "refused", *quantities, "confident wrong"]
-    return markdown_table(header, rows)
+    return markdown_table(["method", "answered", *quantities, "confident wrong"], rows)
 
 
-def _share(row: "pd.Series[float]", name: str, with_bounds: bool) -> str:
+def kinds_table(results: Committed) -> str:
+    """Say of each kind how many were answered and why others were not, and how many held."""
+    table = results.table(IMPERFECT.name)
+    rows = []
+    for row in table[(table["kind"] != ALL) & table["method"].isin(SHOWN)].to_dict("records"):
+        refused = "" if pd.isna(row["refused"]) else str(row["refused"]).replace(":", " ")
+        shares = (_share(row, name, with_bounds=False) for name in HELD)
+        refused = refused.replace("_", " ")
+        wrong = f"{row['confident_wrong']:.0f}"
+        rows.append([row["kind"], f"`{row['method']}`", _answered(row), refused, *shares, wrong])
+    quantities = (f"{name} [%]" for name in HELD)
+    return markdown_table(["kind", "method", "answered", "refused", *quantities, "wrong"], rows)
+
+
+def _answered(row: Mapping[Hashable, Any]) -> str:
+    return f"{row['answered']:.0f} of {row['runs']:.0f}"
+
+
+def _share(row: Mapping[Hashable, Any], name: str, with_bounds: bool) -> str:
     """Share of the answers that held; with what the number of runs leaves open, where asked for."""
     n_given, share = int(row[f"{name}_given"]), float(row[f"{name}_held"])
     if not np.isfinite(share):
@@ -65,7 +68,16 @@ def _share(row: "pd.Series[float]", name: str, with_bounds: bool) -> str:
     if not with_bounds:
         return f"{100 * share:.0f}"
     low, high = sampling_bounds(round(share * n_given), n_given)
-    return f"{100 * share:.1f} ({100 * low:.1f} to {100 * high:.1f})"
+    return f"{100 * share:.0f} ({100 * low:.0f} to {100 * high:.0f})"
+
+
+def of_imperfect(results: Committed, column: str, method: str) -> str:
+    """Count the imperfect recordings, those answered, or those whose truth an interval holds."""
+    of = {"kind": ALL, "method": method}
+    value = results.value(IMPERFECT.name, column, **of)
+    if column.endswith("_held"):
+        value *= results.value(IMPERFECT.name, column.replace("_held", "_given"), **of)
+    return f"{value:.0f}"
 
 
 def answered(results: Committed, number: int) -> str:
@@ -152,8 +164,8 @@ def pairs_table(results: Committed) -> str:
                 f"{seconds[tried].max():.0f} s" if tried.any() else "",
             ]
         )
-    header = ["data set", "pairs answered", "triples, most that one does not close"]
-    header += ["median deviation", "longest pair", "longest with a search of rates"]
+    header = ["data set", "pairs answered", "triples, most open"]
+    header += ["median deviation", "longest pair", "with a search of rates"]
     return markdown_table(header, body)
 
 
@@ -176,9 +188,8 @@ def paths_table(results: Committed) -> str:
                 f"{rmse_m:.3f} m, {n_rtk}",
             ]
         )
-    header = ["data set", "cameras", "RMSE / median / largest distance from RTK"]
-    header += ["samples of RTK", "share of the flight", "clocks off the published, at most"]
-    header += ["residual", "pairs + network", "mvus: RMSE, samples"]
+    header = ["set", "cameras", "RMSE / median / most", "RTK", "seen", "clocks off", "residual"]
+    header += ["time", "mvus: RMSE, RTK"]
     return markdown_table(header, body)
 
 
@@ -209,6 +220,16 @@ def _has_offset(rows: pd.DataFrame) -> "pd.Series[bool]":
 
 
 REAL_NUMBERS: Mapping[str, Callable[[Committed], str]] = {
+    "imperfect.runs": partial(of_imperfect, column="runs", method="tangency"),
+    **{
+        f"imperfect.{name}.{method}": partial(of_imperfect, column=column, method=method)
+        for method in SHOWN
+        for name, column in {
+            "answered": "answered",
+            "wrong": "confident_wrong",
+            **{f"held.{quantity}": f"{quantity}_held" for quantity in HELD},
+        }.items()
+    },
     **{f"real.answered.{n}": partial(answered, number=n) for n in DATA_SETS},
     **{f"real.closure.{n}": partial(largest_closure, number=n) for n in DATA_SETS},
     "real.off": partial(largest_difference, with_shifted=True),
@@ -223,6 +244,7 @@ REAL_NUMBERS: Mapping[str, Callable[[Committed], str]] = {
 
 REAL_TABLES: Mapping[str, Callable[[Committed], str]] = {
     "table.imperfect": imperfect_table,
+    "table.imperfect.kinds": kinds_table,
     "table.real.pairs": pairs_table,
     "table.real.paths": paths_table,
 }

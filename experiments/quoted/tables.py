@@ -19,7 +19,7 @@ from experiments.quoted.cells import (
 from experiments.quoted.committed import Committed, FloatArray
 from experiments.quoted.real import REAL_TABLES
 from experiments.quoted.zncc import ZNCC_TABLES
-from experiments.studies.catalogue import ABLATIONS, OPTIONAL
+from experiments.studies.catalogue import ABLATIONS
 from experiments.studies.fidelity import DIFFERENCES, MARKS_MS
 from experiments.studies.refusal import METHOD_NAMES as REFUSING_METHODS
 
@@ -174,13 +174,8 @@ def tangency_table(results: Committed) -> str:
 
 
 def ablation_table(results: Committed, name: str) -> str:
-    """Mean errors of t_d and R over all angles, for each value of what varies, by method.
-
-    Empty where an optional one was not run.
-    """
+    """Mean errors of t_d and R over all angles, for each value of what varies, by method."""
     stem = f"ablation_{name}"
-    if stem in OPTIONAL and not results.has(stem):
-        return ""
     table, varied = results.table(stem), _SHOWN[name]
     methods = list(dict.fromkeys(table["method"]))
     rows: Rows = []

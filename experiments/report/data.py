@@ -16,7 +16,6 @@ from experiments.paper.esim import RUN_COLUMNS, runs_from_csv
 from experiments.paper.grids import table_axes
 from experiments.paper.quantities import T_D_ERROR
 from experiments.run.grid import config_names, named_config
-from experiments.studies.catalogue import OPTIONAL
 from ssac.errors import SsacError
 
 _PNG = b"\x89PNG\r\n\x1a\n"
@@ -120,8 +119,6 @@ def load_results(folder: Path) -> Results:
         png = _read(folder / f"{name}.png", command, _png)
         figures.append(ReportFigure(title, caption, png))
     for name in config_names("ablation_"):
-        if name in OPTIONAL and not (folder / f"{name}.png").is_file():
-            continue
         config = named_config(name)
         caption = _ABLATION.format(flights=config.flights)
         png = _read(folder / f"{name}.png", "make ablations", _png)

@@ -1,7 +1,6 @@
 """Every study that comes with the project, by name, in the order in which they are listed."""
 
 from collections.abc import Mapping
-from pathlib import Path
 
 from experiments.studies.coverage import coverage_study
 from experiments.studies.efficiency import EFFICIENCY
@@ -31,22 +30,6 @@ STUDIES: Mapping[str, Study] = {
         *ABLATIONS.values(),
     )
 }
-
-
-OPTIONAL = ("imperfect", "ablation_background", "ablation_brightness", "ablation_rotors")
-"""Studies that a folder of results may lack; if it has a file of one, it must have them all."""
-
-
-def studies_in(results: Path) -> Mapping[str, Study]:
-    """Leave out the optional studies of which a folder holds no file."""
-
-    def is_there(study: Study) -> bool:
-        names = (study.runs_file, study.summary_file, study.figure_file)
-        return any((results / name).is_file() for name in names)
-
-    return {
-        name: study for name, study in STUDIES.items() if name not in OPTIONAL or is_there(study)
-    }
 
 
 def chosen_studies(names: list[str], known: Mapping[str, Study], kind: str) -> list[Study]:

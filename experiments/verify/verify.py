@@ -19,7 +19,7 @@ from experiments.physical.catalogue import physical_in
 from experiments.quoted.numbers import pages, stale_numbers
 from experiments.run.command import WorkersOption
 from experiments.run.schedule import Workers
-from experiments.studies.catalogue import studies_in
+from experiments.studies.catalogue import STUDIES
 from experiments.verify.derived import (
     figure_findings,
     physical_findings,
@@ -60,7 +60,7 @@ def verify_command(
     """Check that the results are whole and follow from their runs; make some runs again."""
     if not results.is_dir():
         raise SsacError(f"{results}: no such folder: run `make tables studies figures bench` first")
-    studies = {**studies_in(results), **physical_in(results)}
+    studies = {**STUDIES, **physical_in(results)}
     failed = _report(file_findings(results, manifest_of(studies)))
     failed += _report(table_findings(results))
     failed += _report(study_findings(results, studies))

@@ -164,11 +164,9 @@ def test_the_command_is_there() -> None:
     assert any(command.name == "numbers" for command in COMMANDS)
 
 
-def test_an_optional_ablation_quotes_nothing_until_it_is_there(tmp_path: Path) -> None:
-    results = Committed(tmp_path)
-    assert TABLES["table.ablation.rotors"](results) == ""
+def test_an_ablation_that_is_not_there_is_named_by_the_page_that_quotes_it(tmp_path: Path) -> None:
     with pytest.raises(SsacError, match="no such file: a page quotes it"):
-        TABLES["table.ablation.noise"](results)
+        TABLES["table.ablation.rotors"](Committed(tmp_path))
     rows = [{"sim.rotor_hz": hz, "method": "joint", "n_runs": 2, "failed": 0,
              "t_d_error_ms_mean": 0.2, "r_error_deg_mean": 0.1} for hz in (0, 60)]  # fmt: skip
     pd.DataFrame(rows).to_csv(tmp_path / "ablation_rotors.csv", index=False)

@@ -184,12 +184,6 @@ def test_the_figures_are_those_that_are_drawn(results: Results, page: str) -> No
     assert results.figures[0].size_px == (60, 30)
 
 
-def test_an_ablation_that_may_be_absent_is_left_out(folder: Path, tmp_path: Path) -> None:
-    shutil.copytree(folder, tmp_path, dirs_exist_ok=True)
-    (tmp_path / "ablation_rotors.png").unlink()
-    assert len(load_results(tmp_path).figures) == len(load_results(folder).figures) - 1
-
-
 @pytest.mark.parametrize(
     ("name", "command"),
     [

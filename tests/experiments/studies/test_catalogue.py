@@ -12,7 +12,7 @@ import pytest
 from experiments.measures import recording_bound
 from experiments.run.code import ROOT
 from experiments.run.grid import config_names, flight_seed, named_config
-from experiments.studies.catalogue import ABLATIONS, OPTIONAL, STUDIES, studies_in
+from experiments.studies.catalogue import ABLATIONS, STUDIES
 from experiments.studies.fidelity import (
     DIFFERENCES,
     RENDERER_FLIGHTS,
@@ -107,13 +107,3 @@ def test_the_renderers_are_compared_on_flights_of_the_tables() -> None:
         assert (replace(cell.sim, t_d_s=0.0), cell.seed) in of_tables
         render = cell.reference.render
         assert render == replace(cell.sim.render, renderer="pyrender") != cell.sim.render
-
-
-def test_an_optional_study_is_left_out_until_a_file_of_it_is_there(tmp_path: Path) -> None:
-    always = {name for name in STUDIES if name not in OPTIONAL}
-    assert set(studies_in(tmp_path)) == always
-    for name in OPTIONAL:
-        (tmp_path / STUDIES[name].summary_file).write_text("")
-        always.add(name)
-        assert set(studies_in(tmp_path)) == always
-    assert list(studies_in(tmp_path)) == list(STUDIES)

@@ -9,7 +9,7 @@ import pytest
 from experiments.measures.imperfect import ImperfectRow
 from experiments.measures.imperfect_kinds import KINDS
 from experiments.quoted.committed import Committed
-from experiments.quoted.real import imperfect_table as quoted_table
+from experiments.quoted.real import REAL_TABLES
 from experiments.studies.imperfect import (
     ALL,
     FIRST_FLIGHT,
@@ -79,14 +79,18 @@ def test_the_table_counts_what_held_and_what_was_wrong() -> None:
     assert np.isnan(known["R_held"])
 
 
-def test_the_docs_quote_nothing_until_the_study_was_run(tmp_path: Path) -> None:
-    assert quoted_table(Committed(tmp_path)) == ""
+def test_the_docs_show_all_kinds_and_of_each_two_methods(tmp_path: Path) -> None:
     save_csv(tmp_path / "imperfect.csv", imperfect_table(RUNS))
-    lines = quoted_table(Committed(tmp_path)).splitlines()
-    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
-    assert cells[0] == ["kind", "method", "answered", "refused", "t_d [%]", "skew [%]", "R [%]",
-                        "t [%]", "confident wrong"]  # fmt: skip
-    assert cells[2][:5] == [ALL, "`joint`", "3 of 4", "no match 1", "66.7 (9.4 to 99.2)"]
-    (lamp,) = [row for row in cells if row[0] == "lamp 6 px"]
-    assert lamp[4:] == ["67", "100", "50", "50", "1"]
-    assert not [row for row in cells if row[0] == "skew"]  # by a method that has no row of its own
+    together = cells_of(REAL_TABLES["table.imperfect"](Committed(tmp_path)))
+    quantities = ["t_d [%]", "skew [%]", "R [%]", "t [%]"]
+    assert together[0] == ["method", "answered", *quantities, "confident wrong"]
+    assert together[2][:3] == ["`joint`", "3 of 4", "67 (9 to 99)"]
+    kinds = cells_of(REAL_TABLES["table.imperfect.kinds"](Committed(tmp_path)))
+    assert kinds[0] == ["kind", "method", "answered", "refused", *quantities, "wrong"]
+    (lamp,) = [row for row in kinds if row[0] == "lamp 6 px"]
+    assert lamp[3:] == ["no match 1", "67", "100", "50", "50", "1"]
+    assert not [row for row in kinds if row[0] == "skew"]  # by a method that has no row of its own
+
+
+def cells_of(table: str) -> list[list[str]]:
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines()]

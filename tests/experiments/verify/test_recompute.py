@@ -169,7 +169,7 @@ def test_the_command_says_what_it_drew_and_fails_on_a_difference(
         seen.append(names(drawn))
         return []
 
-    monkeypatch.setattr(command, "studies_in", lambda _: STUDIES)
+    monkeypatch.setattr(command, "STUDIES", STUDIES)
     monkeypatch.setattr(command, "recomputed", again)
     code, output = verify(results, "--recordings", "3")
     assert code == 0, output
