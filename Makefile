@@ -14,7 +14,7 @@ RUN := .venv/bin/python -m
 
 .DELETE_ON_ERROR:
 .PHONY: help setup demo tables ablations studies figures numbers report verify test lint types bench \
-	torture scene fidelity real outdoor physical docs wheel clean-cache clean moved
+	audit torture scene fidelity real outdoor physical docs wheel clean-cache clean moved
 .DEFAULT_GOAL := help
 
 help: ## this list
@@ -33,7 +33,7 @@ ablations: .venv/.ready ## one parameter varied at a time (half an hour) -> resu
 	@.venv/bin/ssac ablate
 
 studies: .venv/.ready ## is the uncertainty honest, is the unknown refused, how near the bound (half an hour)
-	@.venv/bin/ssac study efficiency coverage refusal tangency zncc
+	@.venv/bin/ssac study efficiency coverage refusal imperfect tangency zncc
 
 figures: .venv/.ready ## the paper's figures, and errors against the angle -> results/*.png
 	@.venv/bin/ssac figures
@@ -65,6 +65,11 @@ wheel: .venv/.ready ## the wheel, built, installed in a clean environment and us
 
 # A peer of the sensor model, which nothing else needs: without it a row of the benchmark says so.
 PEER := eventify-dvs==0.2.0
+
+audit: .venv/.ready ## known flaws of the pinned packages, by pip-audit: needs the package index's own service
+	@.venv/bin/python -m venv --clear out/audit
+	@out/audit/bin/python -m pip install --quiet --disable-pip-version-check --no-input pip-audit==2.10.1
+	@out/audit/bin/pip-audit --requirement requirements.txt --no-deps --disable-pip --strict --progress-spinner off
 
 torture: .venv/.ready ## 20,000 damaged inputs, killed and disturbed sweeps (half an hour) -> results/reliability.csv
 	@.venv/bin/python -c 'import distributed' 2>/dev/null || \
