@@ -14,7 +14,7 @@ RUN := .venv/bin/python -m
 
 .DELETE_ON_ERROR:
 .PHONY: help setup demo tables ablations studies figures numbers report verify test lint types bench \
-	audit torture scene fidelity real outdoor physical docs wheel clean-cache clean moved
+	audit torture scene fidelity real outdoor network physical docs wheel clean-cache clean moved
 .DEFAULT_GOAL := help
 
 help: ## this list
@@ -92,6 +92,9 @@ real: .venv/.ready ## pairs, and paths of all cameras, of DATA, the drone-tracki
 
 outdoor: .venv/.ready ## the paper's outdoor set-up, 10 flights of 120 s (2 minutes each) -> results/outdoor.csv
 	@.venv/bin/ssac outdoor
+
+network: .venv/.ready ## many cameras at once: errors of four, growth with eight (half an hour) -> results/network*.csv
+	@.venv/bin/ssac network
 
 physical: .venv/.ready ## the paper's small-scale set-up, its tables and an error budget (hours) -> results/mini_*.csv
 	@.venv/bin/ssac physical

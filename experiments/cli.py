@@ -45,6 +45,8 @@ COMMANDS = (
           "experiments.torture.command", "torture_command"),
     Entry("outdoor", REPRODUCE, "The paper's outdoor set-up simulated: clocks, pose, the path.",
           "experiments.outdoor.outdoor_command", "outdoor_command"),
+    Entry("network", REPRODUCE, "Many cameras at once: errors of four, growth with eight.",
+          "experiments.network.network_command", "network_command"),
     Entry("physical", REPRODUCE, "The paper's small-scale set-up: its tables, an error budget.",
           "experiments.physical.physical_command", "physical_command"),
     Entry("bench", REPRODUCE, "Speed and memory beside the reference tools.",

@@ -267,6 +267,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
             "growth",
             "bench",
         ),
+        "network": ("cameras", "measure", "four", "long_flights", "network_command"),
         "torture": (
             "reliability",
             "victims",

@@ -192,15 +192,31 @@ def write_events(work: Path, folder: Path, truth: Truth) -> tuple[str, str]:
     return "cam1.h5", "cam2.h5"
 
 
+def true_track(
+    times_s: Array, centres_px: Array, clock: Clock, resolution: tuple[int, int], every: int
+) -> PointTrack:
+    """Give the images (n, 2) of the drone's origin at times (n,) as a camera's track.
+
+    Parameters
+    ----------
+    times_s, centres_px
+        Of the truth, on camera 1's clock.
+    clock
+        The camera's.
+    resolution
+        Of its image: what is outside is left out.
+    every
+        Samples of the truth from one point to the next.
+    """
+    centres_px = centres_px + _BETWEEN_S * np.gradient(centres_px, times_s, axis=0)
+    inside = np.all((centres_px >= 0.0) & (centres_px <= np.array(resolution) - 1.0), axis=1)
+    kept = np.flatnonzero(inside)[::every]
+    return PointTrack(clock.cam2_from_cam1(times_s[kept] + _BETWEEN_S), centres_px[kept])
+
+
 def _write_tracks(work: Path, config: SimConfig, truth: Truth) -> tuple[str, str]:
     """Write the images of the drone's origin as both cameras' tracks."""
     names = "cam1.csv", "cam2.csv"
-    moved_s = truth.times_s + _BETWEEN_S
-    times_s = moved_s, truth.clock.cam2_from_cam1(moved_s)
-    last = np.array(config.resolution) - 1.0
-    for name, shown_s, centres_px in zip(names, times_s, truth.centres_px, strict=True):
-        centres_px = centres_px + _BETWEEN_S * np.gradient(centres_px, truth.times_s, axis=0)
-        inside = np.all((centres_px >= 0.0) & (centres_px <= last), axis=1)
-        kept = np.flatnonzero(inside)[::_OF_TRUTH]
-        save_track(work / name, PointTrack(shown_s[kept], centres_px[kept]))
+    for name, clock, px in zip(names, (Clock(), truth.clock), truth.centres_px, strict=True):
+        save_track(work / name, true_track(truth.times_s, px, clock, config.resolution, _OF_TRUTH))
     return names

@@ -44,6 +44,56 @@ def outdoor_table(results: Committed) -> str:
     return markdown_table(header, rows)
 
 
+def network_table(results: Committed) -> str:
+    """Lay out what four event cameras gave, with their events and with true tracks.
+
+    Empty where it was not run. Errors are means with the largest; of the stated regions of 95 % how
+    many hold the truth, of the path the share of its coordinates.
+    """
+    if not results.has("network"):
+        return ""
+    rows = []
+    for row in results.table("network").to_dict("records"):
+        held = ", ".join(f"{row[f'{name}_held']:.0f}" for name in ("t_d", "skew", "r", "t"))
+        rows.append(
+            [
+                str(row["kind"]).replace("_", " "),
+                *(
+                    f"{digits(row[name])} ({digits(row[f'{name}_most'])})"
+                    for name in ("t_d_error_ms", "r_error_deg", "t_error_deg")
+                ),
+                f"{held} of {row['told']:.0f}",
+                f"{digits(row['path_rmse_mm'])} ({digits(row['path_rmse_mm_most'])})",
+                digits(row["path_point_rmse_mm"]),
+                f"{100 * row['path_held']:.0f}",
+            ]
+        )
+    header = [
+        *("tracks", "t_d [ms] (most)", "R [deg] (most)", "t [deg] (most)", "held: t_d, skew, R, t"),
+        *("path [mm] (most)", "nearest point [mm]", "path held [%]"),
+    ]
+    return markdown_table(header, rows)
+
+
+def network_growth_table(results: Committed) -> str:
+    """Lay out time and memory of ever longer flights before eight cameras; empty where not run."""
+    if not results.has("network_growth"):
+        return ""
+    rows = [
+        [
+            *(f"{row[name]:.0f}" for name in ("duration_s", "points", "wall_s", "cpu_s")),
+            *(f"{row[name]:.0f}" for name in ("pairs_s", "network_s", "peak_mb")),
+            *(digits(row[name]) for name in ("t_d_error_ms", "path_rmse_m")),
+        ]
+        for row in results.table("network_growth").to_dict("records")
+    ]
+    header = [
+        *("flight [s]", "points", "wall [s]", "one core [s]", "pairs [s]", "network [s]"),
+        *("memory [MB]", "t_d, most [ms]", "path [m]"),
+    ]
+    return markdown_table(header, rows)
+
+
 def reliability_table(results: Committed) -> str:
     """Count how damaged inputs and disturbed sweeps ended; empty where none were tried."""
     if not results.has("reliability"):
@@ -61,6 +111,8 @@ def reliability_table(results: Committed) -> str:
 
 
 CAMPAIGN_TABLES: Mapping[str, Callable[[Committed], str]] = {
+    "table.network": network_table,
+    "table.network.growth": network_growth_table,
     "table.outdoor": outdoor_table,
     "table.reliability": reliability_table,
 }

@@ -11,6 +11,9 @@ from typing import Any
 
 from experiments.bench.growth import COMMITTED, bench_config
 from experiments.figures.figures import drawings, figures_config
+from experiments.network.four import COMMAND as NETWORK_COMMAND
+from experiments.network.long_flights import growth_config
+from experiments.network.network_command import GROWTH_FILE as NETWORK_GROWTH_FILE
 from experiments.outdoor.outdoor_command import COMMAND as OUTDOOR_COMMAND
 from experiments.outdoor.outdoor_command import (
     FIGURE_FILE,
@@ -96,7 +99,9 @@ def manifest_of(studies: Mapping[str, Study]) -> Manifest:
     real = of_real_data()
     files = [*files, *(one.name for one in made), *real.files]
     return Manifest(
-        tuple(files), (*made, *real.provenances), (_outdoor(), _reliability(), _physical())
+        tuple(files),
+        (*made, *real.provenances),
+        (_outdoor(), _reliability(), _physical(), _network_growth()),
     )
 
 
@@ -131,6 +136,12 @@ def _physical() -> Manifest:
     tables = tuple(study.summary_file for study in MINI.values())
     made = _beside(PHYSICAL_COMPARISON, PHYSICAL_COMMAND, mini_config())
     return Manifest((*tables, PHYSICAL_COMPARISON, made.name), (made,))
+
+
+def _network_growth() -> Manifest:
+    """List what the growth with eight cameras leaves, all of which is time and memory."""
+    made = _beside(NETWORK_GROWTH_FILE, NETWORK_COMMAND, growth_config())
+    return Manifest((NETWORK_GROWTH_FILE, made.name), (made,))
 
 
 def _beside(name: str, command: str, config: Any) -> Provenance:

@@ -15,6 +15,7 @@ from typing import Annotated
 
 import typer
 
+from experiments.network.four import network_in
 from experiments.physical.catalogue import physical_in
 from experiments.quoted.numbers import pages, stale_numbers
 from experiments.run.command import WorkersOption
@@ -60,7 +61,7 @@ def verify_command(
     """Check that the results are whole and follow from their runs; make some runs again."""
     if not results.is_dir():
         raise SsacError(f"{results}: no such folder: run `make tables studies figures bench` first")
-    studies = {**STUDIES, **physical_in(results)}
+    studies = {**STUDIES, **physical_in(results), **network_in(results)}
     failed = _report(file_findings(results, manifest_of(studies)))
     failed += _report(table_findings(results))
     failed += _report(study_findings(results, studies))

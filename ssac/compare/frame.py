@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ssac.compare.comparison import compare
+from ssac.compare.comparison import compare, without_lever_arm
 from ssac.errors import SsacError
 from ssac.estimate import Status
 from ssac.network.answers import CameraAnswer, path_of
@@ -106,6 +106,13 @@ def ground_of_rtk(
         f"RTK is {found.rmse_m:.3f} m off rms at {len(found.distances_m)} samples; its clock shows "
         f"{clock.t_d_s:.3f} s more at {clock.t_ref_s:.2f} s, and runs {clock.skew_ppm:+.1f} ppm",
     )
+
+
+def check_rtk(file: Path, lever_arm_m: tuple[float, float, float] | None = None) -> None:
+    """Raise SsacError unless a file is a path in metres, with times, and what a lever arm needs."""
+    rtk = read_path(file)
+    if lever_arm_m is not None:
+        without_lever_arm(rtk, lever_arm_m)
 
 
 def in_frame(answer: NetworkAnswer, ground: Ground) -> NetworkAnswer:

@@ -5,6 +5,7 @@ of its events, which is what the network's sightings are. All tangents of a pair
 enter at once: by the clock and the pose that fit them best, and by the covariance of these.
 """
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import combinations
@@ -189,3 +190,12 @@ def agreeing(
         for (a, b), one in told.items()
         if a in places and b in places and one.fits(states[places[a]], states[places[b]])
     }
+
+
+def shared_by(told: Mapping[Pair, PairTold]) -> dict[Pair, float]:
+    """Say for how many, of pairs that tell as much, each stands: the mean of both cameras' pairs.
+
+    All pairs of a camera look at one and the same outline, whose errors they share.
+    """
+    counts = Counter(camera for pair in told for camera in pair)
+    return {(a, b): 0.5 * (counts[a] + counts[b]) for a, b in told}

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssac.geometry.robust import TO_DEVIATION
-from ssac.network.graph import Pair, PairTold
+from ssac.network.graph import Pair, PairTold, shared_by
 from ssac.network.normal import Linear
 from ssac.network.sightings import Sightings
 from ssac.network.state import (
@@ -142,9 +142,10 @@ def known(
             for mode in (np.full(n, 1.0 / n), slope / np.sum(slope**2)):
                 value = float(mode @ state.strays_s)
                 add(places, mode / _HELD_STRAY_S, -value / _HELD_STRAY_S)
+    alike = shared_by(network.told)
     for (a, b), pair in network.told.items():
         by_a, by_b, off_by = pair.rows(network.states[a], network.states[b])
-        counts = np.sqrt(network.lasting)
+        counts = np.sqrt(network.lasting / alike[a, b])
         for i in range(len(off_by)):
             row = np.zeros(int(offsets[-1]))
             row[offsets[a] : offsets[a + 1]] = counts * by_a[i]

@@ -6,11 +6,19 @@ from itertools import combinations
 from pathlib import Path
 
 from ssac.camera import Camera
-from ssac.compare.frame import Ground, ground_of_positions, ground_of_rtk, in_frame
+from ssac.compare.frame import (
+    Ground,
+    check_rtk,
+    ground_of_positions,
+    ground_of_rtk,
+    in_frame,
+    load_positions,
+)
 from ssac.config import Config
 from ssac.convert.events_as_track import track_of_events
 from ssac.errors import SsacError
 from ssac.files.damage import STRICT, Reading
+from ssac.files.rigs import load_rig
 from ssac.files.track_files import is_track_file
 from ssac.network.graph import Link, Pair
 from ssac.network.sightings import Sightings, sightings
@@ -84,6 +92,7 @@ def sync_all(
         If a file cannot be used, is given twice, or contradicts what is found.
     """
     _check_files(paths)
+    load_rig(rig_path, (1, len(paths)))  # has as many cameras
 
     def run(a: int, b: int) -> SyncResult:
         return sync(
@@ -127,7 +136,13 @@ def known_of(
     rtk: Path | None,
     lever_arm_m: tuple[float, float, float] | None = None,
 ) -> Known:
-    """Sum up options on the scale and the frame; SsacError where they do not go together."""
+    """Sum up options on the scale and the frame, before the work of hours begins.
+
+    Raises
+    ------
+    SsacError
+        Where they do not go together, or a file cannot be used.
+    """
     given = {"--distance": distance_m, "--positions": positions, "--rtk": rtk}
     names = [name for name, value in given.items() if value is not None]
     if len(names) > 1:
@@ -136,6 +151,10 @@ def known_of(
         )
     if lever_arm_m is not None and rtk is None:
         raise SsacError("--lever-arm: is of RTK's antenna: give --rtk too, or leave it out")
+    if positions is not None:
+        load_positions(positions)
+    if rtk is not None:
+        check_rtk(rtk, lever_arm_m)
     return Known(distance_m, positions, rtk, lever_arm_m)
 
 

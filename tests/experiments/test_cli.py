@@ -18,7 +18,8 @@ from sim.errors import SimError
 ELSEWHERE = {
     "merge": "sweep", "sync": "sync_command", "study": "command", "ablate": "command",
     "torture": "command", "track": "track_command", "import": "import_command",
-    "real": "real_command", "compare": "compare_command", "outdoor": "outdoor_command",
+    "real": "real_command", "compare": "compare_command", "network": "network_command",
+    "outdoor": "outdoor_command",
     "physical": "physical_command",
 }  # fmt: skip
 

@@ -1,6 +1,7 @@
 """What pairs of event cameras tell: its derivatives, its weight, and that a wrong pair is none."""
 
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from ssac.clock import Clock
 from ssac.estimate import Estimate
-from ssac.network.graph import PairTold, told_by
+from ssac.network.graph import PairTold, shared_by, told_by
 from ssac.network.solve import solve_network
 from ssac.network.state import start_state
 from tests.ssac.network.flights import make_flight
@@ -79,3 +80,13 @@ def test_an_estimate_without_its_covariance_tells_nothing_more() -> None:
     assert told.factor[6, 6] == pytest.approx(4e-6)
     for missing in ({"covariance": None}, {"skew_std_ppm": 0.0}, {"status": "poor_fit"}):
         assert told_by(replace(whole, **missing)) is None
+
+
+def test_pairs_that_share_views_tell_less_than_pairs_that_share_none():
+    flight = make_flight()
+    told = {(a, b): true_pair(flight, a, b) for a, b in combinations(range(4), 2)}
+    # Each camera's outline is in three pairs, of six.
+    assert shared_by(told) == dict.fromkeys(told, 3.0)
+    assert shared_by({(0, 1): told[0, 1], (2, 3): told[2, 3]}) == {(0, 1): 1.0, (2, 3): 1.0}
+    assert shared_by({(0, 1): told[0, 1], (1, 2): told[1, 2]}) == {(0, 1): 1.5, (1, 2): 1.5}
+    assert shared_by({}) == {}

@@ -78,6 +78,40 @@ def test_options_that_do_not_go_together_are_one_line(files, args, said):
     assert err.strip().count("\n") == 0
 
 
+@pytest.mark.parametrize(
+    ("text", "args", "said"),
+    [
+        ("t_s,lat,lon,alt\n0,47,8,400\n", ("--rtk",), "turn latitude and longitude"),
+        ("x_m,y_m,z_m\n0,47,8\n", ("--rtk",), "needs times"),
+        ("t_s,x_m,y_m,z_m\n0,1,2,3\n", ("--lever-arm", 0, 0, 1, "--rtk"), "no attitude"),
+        ("camera,x_m,y_m,z_m\n1,0,0,0\n1,1,0,0\n", ("--positions",), "camera 1 is there twice"),
+        (None, ("--positions",), "there is no such file"),
+    ],
+)
+def test_what_cannot_be_used_is_told_before_any_work(files, tmp_path, text, args, said):
+    folder, _ = files
+    given = tmp_path / "given.csv"
+    if text is not None:
+        given.write_text(text)
+    cameras = [folder / f"cam{k}.csv" for k in (1, 2, 3)]
+    code, _, err = run("sync", *cameras, "--rig", folder / "rig.yaml", *args, given)
+    assert code == 2
+    assert said in err
+    assert err.strip().count("\n") == 0  # no pair's progress before it
+
+
+def test_a_rig_of_fewer_cameras_is_told_before_any_work(files, tmp_path):
+    folder, _ = files
+    rig = yaml.safe_load((folder / "rig.yaml").read_text())
+    del rig["cam2"]
+    (tmp_path / "rig.yaml").write_text(yaml.safe_dump(rig))
+    cameras = [folder / f"cam{k}.csv" for k in (1, 2, 3)]
+    code, _, err = run("sync", *cameras, "--rig", tmp_path / "rig.yaml")
+    assert code == 2
+    assert "there is no cam2 for camera 3" in err
+    assert err.strip().count("\n") == 0
+
+
 def test_cameras_that_share_no_time_are_told_and_not_averaged_in(files, tmp_path):
     folder, _ = files
     late = tmp_path / "late.csv"  # some seconds of another object: they fit nowhere

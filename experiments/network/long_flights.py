@@ -1,0 +1,169 @@
+"""Ever longer flights before eight frame cameras in; time and memory of solving them at once, out.
+
+The cameras' tracks are projections of a random spline with noise: no events, and nothing is drawn.
+Each flight is solved as `ssac sync` of its files does it, in a process of its own on one core,
+after a short one that loads the kernels.
+"""
+
+import json
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import yaml
+from numpy.typing import NDArray
+
+from experiments.bench.measurement import peak_memory_mb
+from experiments.bench.process import in_own_process
+from sim.scene.rig import Rig, kalibr_yaml, look_at_rig
+from sim.scene.trajectory import SplineConfig, random_spline
+from ssac.clock import Clock
+from ssac.errors import SsacError
+from ssac.estimate import Status
+from ssac.files.track_files import save_track
+from ssac.points import PointTrack
+from ssac.tool.many import ManyResult, sync_all
+
+Array = NDArray[np.float64]
+
+N_CAMERAS = 8
+FRAMES_HZ = 60.0
+DURATIONS_S = (150.0, 300.0, 600.0)
+NOISE_PX = 0.5
+MARK_S, MARK_MB = 600.0, 4096.0
+"""Of the longest flight."""
+
+COLUMNS = (
+    "duration_s", "cameras", "points", "wall_s", "cpu_s", "pairs_s", "network_s", "peak_mb",
+    "status", "t_d_error_ms", "path_rmse_m",
+)  # fmt: skip
+"""Of the table: a row for each flight; the largest error of a clock, and the path's."""
+
+_SEED = 74_000
+_SHORT_S = 20.0
+_OFFSETS_S, _SKEWS_PPM = 20.0, 20.0  # of the clocks, at most and as a deviation
+_SPLINE = SplineConfig(
+    sampling_hz=1.0,
+    segments_per_s=1.0,
+    smoothing=2.0,  # s^3: turns within some seconds, at 5 m/s or so
+    multiplier_xyz_m=(24.0, 24.0, 10.0),
+    max_radius_m=20.0,
+)
+
+
+def network_growth(durations_s: tuple[float, ...], say: Callable[[str], None]) -> pd.DataFrame:
+    """Measure each duration: a row each, with what went wrong as its `status`."""
+    rows = []
+    for duration_s in durations_s:
+        say(f"solving {N_CAMERAS} cameras over {duration_s:g} s ...")
+        row: dict[str, Any] = dict.fromkeys(COLUMNS, np.nan)
+        row |= {"duration_s": duration_s, "cameras": N_CAMERAS}
+        try:
+            row |= in_own_process("experiments.network.long_flights", f"{duration_s:g}")
+        except SsacError as error:
+            row["status"] = f"not measured ({error})"
+        rows.append(row)
+    return pd.DataFrame(rows, columns=COLUMNS)
+
+
+def growth_config() -> dict[str, Any]:
+    """Give what the table is made with, for its provenance."""
+    return {
+        "durations_s": DURATIONS_S, "cameras": N_CAMERAS, "frames_hz": FRAMES_HZ,
+        "noise_px": NOISE_PX, "seed": _SEED, "spline": _SPLINE,
+    }  # fmt: skip
+
+
+def write_tracks(folder: Path, duration_s: float) -> tuple[list[Path], list[Clock]]:
+    """Write the rig and a track for each camera of a flight; give their files and true clocks."""
+    rng = np.random.default_rng([_SEED, 1])
+    rig = _rig()
+    flight = random_spline(replace(_SPLINE, duration_s=duration_s), np.random.default_rng(_SEED))
+    offsets_s = np.append(0.0, rng.uniform(-_OFFSETS_S, _OFFSETS_S, N_CAMERAS - 1))
+    skews_ppm = np.append(0.0, rng.normal(0.0, _SKEWS_PPM, N_CAMERAS - 1))
+    clocks = [
+        Clock(float(offset_s), float(skew_ppm), 0.5 * duration_s)
+        for offset_s, skew_ppm in zip(offsets_s, skews_ppm, strict=True)
+    ]
+    files = []
+    for k, (camera, clock) in enumerate(zip(rig.cameras, clocks, strict=True)):
+        first_s = rng.uniform(0.0, 1.0 / FRAMES_HZ)
+        times_s: Array = first_s + np.arange(int(FRAMES_HZ * duration_s) - 1) / FRAMES_HZ
+        points_px: Array = camera.project(flight.poses(times_s)[:, :3, 3])
+        points_px = points_px + rng.normal(0.0, NOISE_PX, points_px.shape)
+        inside = np.all((points_px >= 0) & (points_px <= (camera.width - 1, camera.height - 1)), 1)
+        files.append(folder / f"cam{k + 1}.csv")
+        shown_s = clock.cam2_from_cam1(times_s)
+        save_track(files[-1], PointTrack(shown_s[inside], points_px[inside]))
+    chain = yaml.safe_load(kalibr_yaml(rig, with_extrinsics=False))
+    for entry in chain.values():
+        entry["readout_s"] = 0.0  # global shutters
+    (folder / "rig.yaml").write_text(yaml.safe_dump(chain), encoding="utf-8")
+    return files, clocks
+
+
+def _rig() -> Rig:
+    return look_at_rig(
+        [*np.linspace(0.0, 315.0, N_CAMERAS)],
+        distance_m=35.0,
+        focal_px=900.0,
+        resolution=(1280, 720),
+        principal_point=(640.0, 360.0),
+    )
+
+
+def _measured(duration_s: float) -> dict[str, Any]:
+    """Solve a flight in this process."""
+    with tempfile.TemporaryDirectory() as name:
+        short, whole = Path(name) / "short", Path(name) / "whole"
+        for folder in (short, whole):
+            folder.mkdir()
+        files, clocks = write_tracks(whole, duration_s)
+        sync_all(write_tracks(short, _SHORT_S)[0][:3], short / "rig.yaml")
+        wall_s, cpu_s = time.perf_counter(), time.process_time()
+        found = sync_all(files, whole / "rig.yaml")
+        wall_s, cpu_s = time.perf_counter() - wall_s, time.process_time() - cpu_s
+        peak_mb = peak_memory_mb()
+    parts = found.seconds
+    return {
+        "points": sum(camera.n_seen for camera in found.answer.cameras),
+        "wall_s": wall_s,
+        "cpu_s": cpu_s,
+        "pairs_s": sum(seconds for part, seconds in parts.items() if part != "network"),
+        "network_s": parts["network"],
+        "peak_mb": peak_mb,
+        "status": str(found.answer.status),
+        **(_errors(found, clocks, duration_s) if found.answer.status == Status.OK else {}),
+    }
+
+
+def _errors(found: ManyResult, clocks: list[Clock], duration_s: float) -> dict[str, float]:
+    """Give the largest error of a clock, and the path's in the first camera's frame."""
+    errors_s = [
+        camera.t_d_s - (float(clock.cam2_from_cam1(camera.t_ref_s)) - camera.t_ref_s)
+        for camera, clock in zip(found.answer.cameras, clocks, strict=True)
+    ]
+    rig = _rig()
+    T_1_W = rig.cameras[0].T_C_W
+    flight = random_spline(replace(_SPLINE, duration_s=duration_s), np.random.default_rng(_SEED))
+    path = found.answer.paths[0].path
+    true_m = (
+        flight.poses(np.clip(path.times_s, 0.0, duration_s))[:, :3, 3] @ T_1_W[:3, :3].T
+        + T_1_W[:3, 3]
+    )
+    baseline_m = float(np.linalg.norm(rig.relative_pose(0, 1)[:3, 3]))
+    off_m = np.linalg.norm(baseline_m * path.positions_m - true_m, axis=1)
+    return {
+        "t_d_error_ms": 1e3 * float(np.max(np.abs(errors_s))),
+        "path_rmse_m": float(np.sqrt(np.mean(off_m**2))),
+    }
+
+
+if __name__ == "__main__":
+    print(json.dumps(_measured(float(sys.argv[1]))))

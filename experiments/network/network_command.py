@@ -1,0 +1,59 @@
+"""A command line in, tables of networks of cameras out: `ssac network`."""
+
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from experiments.network.four import COMMAND, N_FLIGHTS, four_cameras
+from experiments.network.long_flights import DURATIONS_S, growth_config, network_growth
+from experiments.paper.checksums import record_checksums
+from experiments.run.cache import DEFAULT_FOLDER, Cache
+from experiments.run.command import CacheOption, SchedulerOption, WorkersOption
+from experiments.run.provenance import save_provenance
+from experiments.run.schedule import Workers
+from experiments.studies.command import run_studies
+from experiments.studies.study import save_csv
+from ssac.console.options import number
+from ssac.errors import SsacError
+
+GROWTH_FILE = "network_growth.csv"
+PARTS = ("four", "growth")
+
+
+def network_command(
+    parts: Annotated[
+        list[str] | None,
+        typer.Argument(
+            help=f"Of {', '.join(PARTS)}.  [default: all]", metavar="PART", show_default=False
+        ),
+    ] = None,
+    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Where to write.")] = Path("results"),
+    flights: Annotated[int, number("Before four cameras.", 1, 1000, metavar="COUNT")] = N_FLIGHTS,
+    workers: WorkersOption = -1,
+    scheduler: SchedulerOption = "",
+    cache: CacheOption = DEFAULT_FOLDER,
+) -> None:
+    """Solve many cameras at once: four of events, and how time grows with eight of frames.
+
+    What is finished of the former is kept in the cache, so that an interrupted run goes on.
+    """
+    chosen = parts or list(PARTS)
+    unknown = [name for name in chosen if name not in PARTS]
+    if unknown:
+        raise SsacError(f"unknown part {unknown[0]!r}: use one of {', '.join(PARTS)}")
+    if not out.is_dir():
+        raise SsacError(f"{out}: there is no such folder: make it, or name another")
+    if "four" in chosen:
+        command = COMMAND if flights == N_FLIGHTS else f"{COMMAND} --flights {flights}"
+        study = four_cameras(flights, command)
+        run_studies([study], out, Cache(cache), Workers(workers, scheduler))
+    if "growth" in chosen:
+        start, path = time.perf_counter(), out / GROWTH_FILE
+        table = network_growth(DURATIONS_S, lambda line: typer.echo(line, err=True))
+        save_csv(path, table)
+        save_provenance(path, COMMAND, growth_config(), time.perf_counter() - start, None)
+        record_checksums(out, [path])
+        typer.echo(table.to_string(index=False, float_format="%.4g"))
+        typer.echo(f"written to {path}")
