@@ -91,16 +91,20 @@ def calibrated_camera(
     flags = cv2.CALIB_FIX_K3
     if camera.distortion_model == "none":
         flags |= cv2.CALIB_FIX_K1 | cv2.CALIB_FIX_K2 | cv2.CALIB_ZERO_TANGENT_DIST
+    K, coeffs = None, None
     with _one_thread():
-        rms_px, K, coeffs, _, _, deviations, _, _ = cv2.calibrateCameraExtended(
-            [board.astype(np.float32)] * len(views),
-            corners,
-            (camera.width, camera.height),
-            None,
-            None,
-            flags=flags,
-            criteria=_STOP,
-        )  # type: ignore[call-overload]
+        # Twice: where the first finds a flat board's other, mirrored pose in a view and stays
+        # there, the second places each board anew by the intrinsics that were found.
+        for start in (0, cv2.CALIB_USE_INTRINSIC_GUESS):
+            rms_px, K, coeffs, _, _, deviations, _, _ = cv2.calibrateCameraExtended(
+                [board.astype(np.float32)] * len(views),
+                corners,
+                (camera.width, camera.height),
+                K,
+                coeffs,
+                flags=flags | start,
+                criteria=_STOP,
+            )  # type: ignore[call-overload]
     n_coeffs = len(camera.distortion_coeffs)
     fu, fv, pu, pv = (float(value) for value in np.ravel(deviations)[:4])
     found = tuple(float(value) for value in np.ravel(coeffs)[:n_coeffs])

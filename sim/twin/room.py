@@ -26,7 +26,8 @@ _BATCH = 25  # frames in memory
 _WAVES = 5  # that the changes of the light are the sum of
 _LIGHT_HZ = (0.05, 0.6)  # of them: clouds, people who pass a window
 _SHADOW_RADIUS_PX, _PENUMBRA_PX = 45.0, 18.0  # of a hand's, far from the wall
-_SHADOW_OFF_PX = (30.0, 60.0)  # below and beside the hand's own image
+# Below and beside the hand's own image, which is above the view: the lamp is higher than the hand.
+_SHADOW_OFF_PX = (200.0, 60.0)
 _WIRE_STEP_S = 2e-3
 _WIRE_POINTS = 40  # along the wire, which a lens bends
 _WIRE_CONTRAST = 0.8  # share of the wall's light that the wire keeps back
