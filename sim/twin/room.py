@@ -127,16 +127,18 @@ def _frames(
     centres = scene.rig.cameras[index].project(hanging.hand(times_s))
     side = _rng(seed, _SHADOW_STREAM, index).choice((-1.0, 1.0))
     centres = centres + np.array([side * _SHADOW_OFF_PX[1], _SHADOW_OFF_PX[0]])
-    rows, columns = np.indices((view.height, view.width), sparse=True)
+    rows, columns = np.indices((view.height, view.width), dtype=np.float32, sparse=True)
+    gains, centres = gains.astype(np.float32), centres.astype(np.float32)
     wall = scene.backgrounds[index]
     for start in range(0, n, _BATCH):
         chunk = slice(start, start + _BATCH)
         u, v = (centres[chunk, k, None, None] for k in (0, 1))
         images = gains[chunk, None, None] * wall
         if config.shadow:
-            far_px = np.hypot(columns - u, rows - v) - _SHADOW_RADIUS_PX
-            images = images * (1.0 - config.shadow / (1.0 + np.exp(4.0 * far_px / _PENUMBRA_PX)))
-        yield times_s[chunk], np.clip(images, 0.0, 1.0).astype(np.float32)
+            far_px = np.hypot(columns - u, rows - v) - np.float32(_SHADOW_RADIUS_PX)
+            edge = np.exp(far_px * np.float32(4.0 / _PENUMBRA_PX))
+            images *= 1.0 - np.float32(config.shadow) / (1.0 + edge)
+        yield times_s[chunk], np.clip(images, 0.0, 1.0, dtype=np.float32)
 
 
 def _light(deviation: float, times_s: FloatArray, rng: np.random.Generator) -> FloatArray:
@@ -193,8 +195,9 @@ def wire_columns(camera: Camera, hanging: Hanging, times_s: FloatArray, height: 
     shares = np.linspace(0.0, 1.0, _WIRE_POINTS)[:, None]
     rows = np.arange(height, dtype=np.float64)
     columns = np.full((len(times_s), height), np.nan)
-    for k, (hand, top) in enumerate(zip(hands, tops, strict=True)):
-        u, v = camera.project(hand + shares * (top - hand)).T
+    points = hands[:, None] + shares * (tops - hands)[:, None]
+    images = camera.project(points.reshape(-1, 3)).reshape(*points.shape[:2], 2)
+    for k, (u, v) in enumerate(images.transpose(0, 2, 1)):
         known = np.isfinite(v)
         u, v = u[known], v[known]
         if len(v) > 1 and (np.diff(v) > 0.0).all():  # downwards

@@ -46,8 +46,12 @@ def test_a_short_recording_gives_its_offset_and_kinds_of_it_share_it(tmp_path: P
     assert outcome.n_simulated == 1
     assert (runs["status"] == "ok").all(), runs["reason"]
     assert (runs["seed"] == motion_seed(DURATION_S, ANGLE_DEG, FLIGHT)).all()
-    # Six seconds of an ideal bench leave some 0.3 ms; ten times that is another thing.
-    assert runs["t_d_error_ms"].max() < 3.0
+    # Of six seconds on an ideal bench, `ssac` leaves 0.2 to 1.6 ms (four recordings): a drone of
+    # 26 px moves a pixel in 6 ms, and its middle is no point of it. Twice the most, for any method.
+    assert runs["t_d_error_ms"].max() < 3.3
+    # `tangency`, which states 0.04 to 0.07 ms, leaves up to 0.09: five of its deviations.
+    ideal = (runs["kind"] == NONE) & (runs["method"] == "tangency")
+    assert runs.loc[ideal, "t_d_error_ms"].max() < 0.3
     # The offsets of a recording differ in the clock alone, which the methods follow exactly.
     errors = runs.pivot_table(index=["kind", "method"], columns="t_d_ms", values="t_d_error_ms")
     np.testing.assert_allclose(errors[5.0], errors[50.0], atol=1e-6)
