@@ -13,13 +13,14 @@ from experiments.paper.esim import csv_text
 from experiments.physical.budget import budget_figure, budget_table
 from experiments.physical.catalogue import PHYSICAL_STUDIES, physical_in
 from experiments.physical.cells import cells_of, motion_seed, setup_seed
-from experiments.physical.imperfections import KINDS, NONE, bench_of, only
+from experiments.physical.imperfections import ANGLES_DEG, KINDS, NONE, bench_of, only
 from experiments.physical.latency import RATIOS, latency_cells, latency_figure, latency_table
 from experiments.physical.measure import PHYSICAL
 from experiments.physical.mini import (
     DURATIONS_S,
     comparison_text,
     mini_cells,
+    mini_figure,
     published_tables,
 )
 from experiments.run.cache import Cache
@@ -95,6 +96,21 @@ def test_the_papers_own_tables_agree_with_themselves(tmp_path: Path) -> None:
     comparison = pd.read_csv(StringIO(comparison_text(tmp_path)))
     assert len(comparison) == len(DURATIONS_S) * 12 * 3
     assert (comparison["verdict"] == "agrees").all()
+
+
+def test_a_table_is_drawn_beside_what_the_paper_has_of_it() -> None:
+    runs = pd.DataFrame(
+        [
+            {"duration_s": 10.0, "angle_deg": angle_deg, "flight": flight, "method": method,
+             "status": "ok", "t_d_error_ms": 0.5, "r_error_deg": 1.0, "t_error_deg": 1.0}
+            for angle_deg in ANGLES_DEG
+            for flight in range(2)
+            for method in ("ssac", "zncc_e")  # of which the paper has no physical table
+        ]
+    )  # fmt: skip
+    axes = mini_figure(runs, runs).axes
+    stars = [[line for line in one.get_lines() if line.get_marker() == "*"] for one in axes]
+    assert [len(lines) for lines in stars] == [1, 1, 1]
 
 
 def runs_of(rows: list[dict]) -> pd.DataFrame:
