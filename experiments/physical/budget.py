@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator
 
 from experiments.figures.style import WIDTH_IN, method_looks, quiet_axes
 from experiments.paper.quantities import ERRORS, T_D_ERROR
@@ -120,6 +121,7 @@ def budget_figure(summary: pd.DataFrame, _: pd.DataFrame) -> Figure:
             axes.axvline(values[NONE], color="0.3", lw=0.8, ls=":", label="none")
             axes.axvline(values[ALL], color="0.3", lw=0.8, ls="--", label="all")
             axes.set(xscale="log")
+            axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
             axes.xaxis.set_major_formatter("{x:g}")
             axes.xaxis.set_minor_formatter("")
             axes.set_xlabel(quantity.label, fontsize=9)
