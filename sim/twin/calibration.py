@@ -7,6 +7,7 @@ then calibrates each camera by itself, and the pose of both from views that they
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -91,7 +92,8 @@ def calibrated_camera(
     flags = cv2.CALIB_FIX_K3
     if camera.distortion_model == "none":
         flags |= cv2.CALIB_FIX_K1 | cv2.CALIB_FIX_K2 | cv2.CALIB_ZERO_TANGENT_DIST
-    K, coeffs = None, None
+    K: Any = None
+    coeffs: Any = None
     with _one_thread():
         # Twice: where the first finds a flat board's other, mirrored pose in a view and stays
         # there, the second places each board anew by the intrinsics that were found.
@@ -104,7 +106,7 @@ def calibrated_camera(
                 coeffs,
                 flags=flags | start,
                 criteria=_STOP,
-            )  # type: ignore[call-overload]
+            )
     n_coeffs = len(camera.distortion_coeffs)
     fu, fv, pu, pv = (float(value) for value in np.ravel(deviations)[:4])
     found = tuple(float(value) for value in np.ravel(coeffs)[:n_coeffs])
