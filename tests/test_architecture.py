@@ -247,7 +247,16 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
             "physical_command",
         ),
         "real": ("data_sets", "pairs", "paths", "drawing", "real_command"),
-        "quoted": ("committed", "real", "cells", "zncc", "campaigns", "tables", "numbers"),
+        "quoted": (
+            "committed",
+            "real",
+            "cells",
+            "zncc",
+            "physical",
+            "campaigns",
+            "tables",
+            "numbers",
+        ),
         "report": (
             "data",
             "tables",

@@ -23,8 +23,8 @@ from experiments.paper.quantities import ANGLE_LABEL, ERRORS, T_D_ERROR
 
 _LEAST = 0.01  # of each error, in its own unit: what is below is drawn there
 _ROW_HEIGHTS = (1.7, 1.0, 1.0)
-_ANGLE_STEP_DEG = 30.0
-_SHARE = 0.84  # of this step that the methods' columns take
+_ANGLE_STEP_DEG = 30.0  # at most
+_SHARE = 0.84  # of the least step between angles that the methods' columns take
 
 
 @dataclass(frozen=True)
@@ -47,6 +47,8 @@ def error_figure(runs: pd.DataFrame, published: Mapping[float, pd.DataFrame]) ->
         The paper's table of each duration [s].
     """
     durations_s = sorted(runs["duration_s"].unique())
+    # The methods' columns are beside the angle, so that they do not cover each other.
+    step_deg = float(np.diff(sorted(runs["angle_deg"].unique())).min(initial=_ANGLE_STEP_DEG))
     methods = method_order(runs["method"])
     looks = method_looks(methods)
     figure = Figure(figsize=(WIDTH_IN, 9.6), layout="constrained")
@@ -64,11 +66,11 @@ def error_figure(runs: pd.DataFrame, published: Mapping[float, pd.DataFrame]) ->
             of_duration = runs[runs["duration_s"] == duration_s]
             table = published.get(float(duration_s))
             for slot, method in enumerate(drawn):
-                shift_deg = _shift_deg(slot, len(drawn))
+                shift_deg = step_deg * _SHARE * ((slot + 0.5) / len(drawn) - 0.5)
                 own = of_duration[of_duration["method"] == method]
                 _draw_method(axes, own, error, looks[method], shift_deg)
                 column = _published_column(method, error)
-                if table is not None and column:
+                if table is not None and f"{column}_mean" in table:
                     _draw_published(axes, published_means(table, column), looks[method], shift_deg)
             _set_scales(axes, sorted(runs["angle_deg"].unique()), error)
         row[0].set_ylabel(quantity.label)
@@ -117,11 +119,6 @@ def _published_column(method: str, error: str) -> str:
 
 def _given(runs: pd.DataFrame, method: str, error: str) -> bool:
     return bool(runs.loc[runs["method"] == method, error].notna().any())
-
-
-def _shift_deg(slot: int, n_slots: int) -> float:
-    """Shift a method's column beside the angle, so that columns do not cover each other."""
-    return _SHARE * _ANGLE_STEP_DEG * ((slot + 0.5) / n_slots - 0.5)
 
 
 def _set_scales(axes: Axes, angles_deg: list[float], error: str) -> None:

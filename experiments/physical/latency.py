@@ -18,9 +18,11 @@ from experiments.physical.measure import PHYSICAL, PhysicalCell
 from experiments.physical.mini import COMMAND
 from experiments.studies.study import Study
 
-N_RECORDINGS = 5
+N_RECORDINGS = 2
+"""Each at all ratios, so that these differ in the light alone."""
+
 FIRST_FLIGHT = 30_000  # of no table
-DURATION_S, ANGLE_DEG, T_D_MS = 10.0, 95.18, 50.0
+DURATION_S, ANGLE_DEG, T_D_MS = 6.0, 95.18, 50.0
 METHOD = "tangency"
 
 RATIOS = (0.03125, 0.125, 0.5, 1.0, 2.0, 8.0, 32.0)

@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping
 from experiments.paper.markdown import markdown_table
 from experiments.quoted.cells import digits
 from experiments.quoted.committed import Committed
+from experiments.quoted.physical import PHYSICAL_TABLES
 
 
 def outdoor_table(results: Committed) -> str:
@@ -115,4 +116,5 @@ CAMPAIGN_TABLES: Mapping[str, Callable[[Committed], str]] = {
     "table.network.growth": network_growth_table,
     "table.outdoor": outdoor_table,
     "table.reliability": reliability_table,
+    **PHYSICAL_TABLES,
 }

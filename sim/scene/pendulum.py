@@ -30,13 +30,13 @@ class PendulumConfig:
     length_m: float = 0.45  # of the wire
     damping_per_s: float = 0.15  # of the swing, by the air
     start_rad: float = 0.15  # deviation of both components of the first deflection
-    hand_m: Vector3 = (0.06, 0.06, 0.09)  # of the hand's random places; a hand also lifts
+    hand_m: Vector3 = (0.05, 0.05, 0.18)  # of the hand's random places; it swings, but must lift
     hand_hz: float = 2.0  # random places per second, on a smooth curve
     twist_hz: float = 0.3  # about the wire
     twist_rad: float = 1.2  # deviation
     rocking_hz: float = 5.0  # of the body about where the wire holds it
     rocking_rad: float = 0.05  # deviation
-    max_radius_m: float = 0.2  # of the model from the point that the cameras look at
+    max_radius_m: float = 0.22  # of the model from the point that the cameras look at
 
     def __post_init__(self) -> None:
         for name in ("length_m", "hand_hz", "twist_hz", "rocking_hz", "max_radius_m"):

@@ -7,6 +7,7 @@ then calibrates each camera by itself, and the pose of both from views that they
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -91,16 +92,21 @@ def calibrated_camera(
     flags = cv2.CALIB_FIX_K3
     if camera.distortion_model == "none":
         flags |= cv2.CALIB_FIX_K1 | cv2.CALIB_FIX_K2 | cv2.CALIB_ZERO_TANGENT_DIST
+    K: Any = None
+    coeffs: Any = None
     with _one_thread():
-        rms_px, K, coeffs, _, _, deviations, _, _ = cv2.calibrateCameraExtended(
-            [board.astype(np.float32)] * len(views),
-            corners,
-            (camera.width, camera.height),
-            None,
-            None,
-            flags=flags,
-            criteria=_STOP,
-        )  # type: ignore[call-overload]
+        # Twice: where the first finds a flat board's other, mirrored pose in a view and stays
+        # there, the second places each board anew by the intrinsics that were found.
+        for start in (0, cv2.CALIB_USE_INTRINSIC_GUESS):
+            rms_px, K, coeffs, _, _, deviations, _, _ = cv2.calibrateCameraExtended(
+                [board.astype(np.float32)] * len(views),
+                corners,
+                (camera.width, camera.height),
+                K,
+                coeffs,
+                flags=flags | start,
+                criteria=_STOP,
+            )
     n_coeffs = len(camera.distortion_coeffs)
     fu, fv, pu, pv = (float(value) for value in np.ravel(deviations)[:4])
     found = tuple(float(value) for value in np.ravel(coeffs)[:n_coeffs])

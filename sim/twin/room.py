@@ -26,7 +26,8 @@ _BATCH = 25  # frames in memory
 _WAVES = 5  # that the changes of the light are the sum of
 _LIGHT_HZ = (0.05, 0.6)  # of them: clouds, people who pass a window
 _SHADOW_RADIUS_PX, _PENUMBRA_PX = 45.0, 18.0  # of a hand's, far from the wall
-_SHADOW_OFF_PX = (30.0, 60.0)  # below and beside the hand's own image
+# Below and beside the hand's own image, which is above the view: the lamp is higher than the hand.
+_SHADOW_OFF_PX = (200.0, 60.0)
 _WIRE_STEP_S = 2e-3
 _WIRE_POINTS = 40  # along the wire, which a lens bends
 _WIRE_CONTRAST = 0.8  # share of the wall's light that the wire keeps back
@@ -126,16 +127,18 @@ def _frames(
     centres = scene.rig.cameras[index].project(hanging.hand(times_s))
     side = _rng(seed, _SHADOW_STREAM, index).choice((-1.0, 1.0))
     centres = centres + np.array([side * _SHADOW_OFF_PX[1], _SHADOW_OFF_PX[0]])
-    rows, columns = np.indices((view.height, view.width), sparse=True)
+    rows, columns = np.indices((view.height, view.width), dtype=np.float32, sparse=True)
+    gains, centres = gains.astype(np.float32), centres.astype(np.float32)
     wall = scene.backgrounds[index]
     for start in range(0, n, _BATCH):
         chunk = slice(start, start + _BATCH)
         u, v = (centres[chunk, k, None, None] for k in (0, 1))
         images = gains[chunk, None, None] * wall
         if config.shadow:
-            far_px = np.hypot(columns - u, rows - v) - _SHADOW_RADIUS_PX
-            images = images * (1.0 - config.shadow / (1.0 + np.exp(4.0 * far_px / _PENUMBRA_PX)))
-        yield times_s[chunk], np.clip(images, 0.0, 1.0).astype(np.float32)
+            far_px = np.hypot(columns - u, rows - v) - np.float32(_SHADOW_RADIUS_PX)
+            edge = np.exp(far_px * np.float32(4.0 / _PENUMBRA_PX))
+            images *= 1.0 - np.float32(config.shadow) / (1.0 + edge)
+        yield times_s[chunk], np.clip(images, 0.0, 1.0, dtype=np.float32)
 
 
 def _light(deviation: float, times_s: FloatArray, rng: np.random.Generator) -> FloatArray:
@@ -192,8 +195,9 @@ def wire_columns(camera: Camera, hanging: Hanging, times_s: FloatArray, height: 
     shares = np.linspace(0.0, 1.0, _WIRE_POINTS)[:, None]
     rows = np.arange(height, dtype=np.float64)
     columns = np.full((len(times_s), height), np.nan)
-    for k, (hand, top) in enumerate(zip(hands, tops, strict=True)):
-        u, v = camera.project(hand + shares * (top - hand)).T
+    points = hands[:, None] + shares * (tops - hands)[:, None]
+    images = camera.project(points.reshape(-1, 3)).reshape(*points.shape[:2], 2)
+    for k, (u, v) in enumerate(images.transpose(0, 2, 1)):
         known = np.isfinite(v)
         u, v = u[known], v[known]
         if len(v) > 1 and (np.diff(v) > 0.0).all():  # downwards

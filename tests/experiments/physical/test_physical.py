@@ -13,13 +13,14 @@ from experiments.paper.esim import csv_text
 from experiments.physical.budget import budget_figure, budget_table
 from experiments.physical.catalogue import PHYSICAL_STUDIES, physical_in
 from experiments.physical.cells import cells_of, motion_seed, setup_seed
-from experiments.physical.imperfections import KINDS, NONE, bench_of, only
+from experiments.physical.imperfections import ANGLES_DEG, KINDS, NONE, bench_of, only
 from experiments.physical.latency import RATIOS, latency_cells, latency_figure, latency_table
 from experiments.physical.measure import PHYSICAL
 from experiments.physical.mini import (
     DURATIONS_S,
     comparison_text,
     mini_cells,
+    mini_figure,
     published_tables,
 )
 from experiments.run.cache import Cache
@@ -46,8 +47,12 @@ def test_a_short_recording_gives_its_offset_and_kinds_of_it_share_it(tmp_path: P
     assert outcome.n_simulated == 1
     assert (runs["status"] == "ok").all(), runs["reason"]
     assert (runs["seed"] == motion_seed(DURATION_S, ANGLE_DEG, FLIGHT)).all()
-    # Six seconds of an ideal bench leave some 0.3 ms; ten times that is another thing.
-    assert runs["t_d_error_ms"].max() < 3.0
+    # Of six seconds on an ideal bench, `ssac` leaves 0.2 to 1.6 ms (four recordings): a drone of
+    # 26 px moves a pixel in 6 ms, and its middle is no point of it. Twice the most, for any method.
+    assert runs["t_d_error_ms"].max() < 3.3
+    # `tangency`, which states 0.04 to 0.07 ms, leaves up to 0.09: five of its deviations.
+    ideal = (runs["kind"] == NONE) & (runs["method"] == "tangency")
+    assert runs.loc[ideal, "t_d_error_ms"].max() < 0.3
     # The offsets of a recording differ in the clock alone, which the methods follow exactly.
     errors = runs.pivot_table(index=["kind", "method"], columns="t_d_ms", values="t_d_error_ms")
     np.testing.assert_allclose(errors[5.0], errors[50.0], atol=1e-6)
@@ -91,6 +96,21 @@ def test_the_papers_own_tables_agree_with_themselves(tmp_path: Path) -> None:
     comparison = pd.read_csv(StringIO(comparison_text(tmp_path)))
     assert len(comparison) == len(DURATIONS_S) * 12 * 3
     assert (comparison["verdict"] == "agrees").all()
+
+
+def test_a_table_is_drawn_beside_what_the_paper_has_of_it() -> None:
+    runs = pd.DataFrame(
+        [
+            {"duration_s": 10.0, "angle_deg": angle_deg, "flight": flight, "method": method,
+             "status": "ok", "t_d_error_ms": 0.5, "r_error_deg": 1.0, "t_error_deg": 1.0}
+            for angle_deg in ANGLES_DEG
+            for flight in range(2)
+            for method in ("ssac", "zncc_e")  # of which the paper has no physical table
+        ]
+    )  # fmt: skip
+    axes = mini_figure(runs, runs).axes
+    stars = [[line for line in one.get_lines() if line.get_marker() == "*"] for one in axes]
+    assert [len(lines) for lines in stars] == [1, 1, 1]
 
 
 def runs_of(rows: list[dict]) -> pd.DataFrame:

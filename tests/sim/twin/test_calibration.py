@@ -38,7 +38,8 @@ def test_intrinsics_err_by_their_stated_deviations() -> None:
         found = calibrated_camera(camera, config, np.random.default_rng(seed))
         errors = (found.K - camera.K)[[0, 1, 0, 1], [0, 1, 2, 2]]
         normalised.append(errors / found.intrinsics_std_px)
-        # The rms over both coordinates of all corners, less what 100 parameters take of 3240.
+        # The rms over both coordinates of all corners, less what 188 parameters take of 3240.
+        # Seed 23 has a view whose mirrored pose OpenCV's first pass keeps, at 0.41 px.
         assert found.rms_px == pytest.approx(np.sqrt(2.0) * config.corner_std_px, rel=0.1)
     # 24 draws of 1: their root mean square is 1 but for 15 % (1 sigma); fu and fv go together.
     rms = np.sqrt(np.mean(np.square(normalised), axis=0))
