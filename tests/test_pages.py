@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from tests.test_architecture import ROOT, STAGES
+from tests.stages import STAGES
+from tests.test_architecture import ROOT
 
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
 MAX_WIDTH = 120
