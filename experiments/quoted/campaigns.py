@@ -58,11 +58,11 @@ def network_table(results: Committed) -> str:
             [
                 str(row["kind"]).replace("_", " "),
                 *(
-                    f"{digits(row[name])} ({digits(row[f'{name}_most'])})"
+                    f"{row[name]:.3f} ({row[f'{name}_most']:.3f})"
                     for name in ("t_d_error_ms", "r_error_deg", "t_error_deg")
                 ),
                 held,
-                f"{digits(row['path_rmse_mm'])} ({digits(row['path_rmse_mm_most'])})",
+                f"{row['path_rmse_mm']:.1f} ({row['path_rmse_mm_most']:.1f})",
                 digits(row["path_point_rmse_mm"]),
                 f"{100 * row['path_held']:.0f}",
             ]
