@@ -18,7 +18,7 @@ from experiments.studies.study import Study
 from ssac.estimate import Status
 
 COMMAND = "ssac network"
-N_FLIGHTS, FIRST_SEED = 6, 73_000
+N_FLIGHTS, FIRST_SEED = 4, 73_000
 LEVEL = 0.95
 
 _HELD = {"t_d_normalised": 1, "skew_normalised": 1, "r_mahalanobis": 3, "t_mahalanobis": 2}

@@ -11,8 +11,8 @@ from experiments.quoted.physical import PHYSICAL_TABLES
 def outdoor_table(results: Committed) -> str:
     """Lay out what the outdoor twin's flights gave, by what was taken from the truth.
 
-    Empty where it was not run. Errors are means, with the largest of the path; of t_d and skew how
-    many of the stated 95 % intervals hold the truth.
+    Empty where it was not run. Errors are means, in brackets the path's largest; of t_d and skew
+    how many of the stated 95 % intervals hold the truth.
     """
     if not results.has("outdoor"):
         return ""
@@ -27,20 +27,18 @@ def outdoor_table(results: Committed) -> str:
             [
                 str(kind).replace("_", " "),
                 f"{len(given)} of {len(flights)}",
-                *(
-                    digits(float(given[column].mean()))
-                    for column in ("t_d_error_ms", "skew_error_ppm", "r_error_deg", "t_error_deg")
-                ),
+                f"{given['t_d_error_ms'].mean():.3f}",
+                f"{given['skew_error_ppm'].mean():.2f}",
+                *(f"{given[f'{name}_error_deg'].mean():.3f}" for name in ("r", "t")),
                 ", ".join(held),
                 f"{given['rmse_m'].mean():.3f} ({given['rmse_m'].max():.3f})",
                 f"{given['icp_rmse_m'].mean():.3f}",
-                f"{given['scale_error_percent'].mean():.2f}",
                 f"{100 * given['coverage'].mean():.0f}",
             ]
         )
     header = [
         *("known", "answered", "t_d [ms]", "skew [ppm]", "R [deg]", "t [deg]", "held"),
-        *("path [m] (most)", "ICP [m]", "scale [%]", "seen [%]"),
+        *("path [m]", "ICP [m]", "seen [%]"),
     ]
     return markdown_table(header, rows)
 
@@ -48,30 +46,31 @@ def outdoor_table(results: Committed) -> str:
 def network_table(results: Committed) -> str:
     """Lay out what four event cameras gave, with their events and with true tracks.
 
-    Empty where it was not run. Errors are means with the largest; of the stated regions of 95 % how
-    many hold the truth, of the path the share of its coordinates.
+    Empty where it was not run. Errors are means, in brackets the largest; of the stated regions of
+    95 % how many hold the truth, of the path the share of its coordinates.
     """
     if not results.has("network"):
         return ""
-    rows = []
+    rows, told = [], 0
     for row in results.table("network").to_dict("records"):
+        told = int(row["told"])
         held = ", ".join(f"{row[f'{name}_held']:.0f}" for name in ("t_d", "skew", "r", "t"))
         rows.append(
             [
                 str(row["kind"]).replace("_", " "),
                 *(
-                    f"{digits(row[name])} ({digits(row[f'{name}_most'])})"
+                    f"{row[name]:.3f} ({row[f'{name}_most']:.3f})"
                     for name in ("t_d_error_ms", "r_error_deg", "t_error_deg")
                 ),
-                f"{held} of {row['told']:.0f}",
-                f"{digits(row['path_rmse_mm'])} ({digits(row['path_rmse_mm_most'])})",
+                held,
+                f"{row['path_rmse_mm']:.1f} ({row['path_rmse_mm_most']:.1f})",
                 digits(row["path_point_rmse_mm"]),
                 f"{100 * row['path_held']:.0f}",
             ]
         )
     header = [
-        *("tracks", "t_d [ms] (most)", "R [deg] (most)", "t [deg] (most)", "held: t_d, skew, R, t"),
-        *("path [mm] (most)", "nearest point [mm]", "path held [%]"),
+        *("tracks", "t_d [ms]", "R [deg]", "t [deg]", f"held of {told}"),
+        *("path [mm]", "nearest", "held [%]"),
     ]
     return markdown_table(header, rows)
 

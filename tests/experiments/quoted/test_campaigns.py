@@ -24,8 +24,9 @@ def test_four_cameras_are_told_with_the_largest_errors_and_what_held(tmp_path) -
     lines = CAMPAIGN_TABLES["table.network"](Committed(tmp_path)).strip().splitlines()
     assert len(lines) == 4
     assert "as recorded" in lines[2]
-    assert "0.30 (0.40)" in lines[2]  # of 0.2, 0.3 and 0.4 ms
-    assert "6, 0, 0, 0 of 6" in lines[2]  # regions that are not stated hold nothing
+    assert "0.300 (0.400)" in lines[2]  # of 0.2, 0.3 and 0.4 ms
+    assert "held of 6" in lines[0]
+    assert "6, 0, 0, 0" in lines[2]  # regions that are not stated hold nothing
     assert "4.5 (5.0)" in lines[2]
     assert lines[2].rstrip(" |").endswith("90")
 
