@@ -3,8 +3,6 @@
 Flights are those of no other table; what `ssac.network` does was tuned on none of them.
 """
 
-from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -86,8 +84,5 @@ def four_cameras(n_flights: int = N_FLIGHTS, command: str = COMMAND) -> Study:
     )  # fmt: skip
 
 
-def network_in(results: Path) -> Mapping[str, Study]:
-    """Give the study if a folder of results, which may lack it, holds a file of it."""
-    study = four_cameras()
-    files = (study.runs_file, study.summary_file)
-    return {study.name: study} if any((results / file).is_file() for file in files) else {}
+FOUR_CAMERAS = four_cameras()
+"""As it is committed."""

@@ -31,8 +31,8 @@ FLICKER_DEPTH = 0.05  # of lamps at the mains that pass for steady ones
 CAMERA2_LIGHT = 0.7  # apertures that were set by eye: half a stop
 
 # A quarter of other studies' samples a pixel, and steps as long as ESIM's: half the time. Of the
-# real bench, whose lens blurs by 0.5 px, the events change by less than a per cent in number; of an
-# ideal one by 4, at edges that light what another edge is about to cover.
+# real bench, whose lens blurs by 0.5 px, the events change by some per cent in number (1 to 2.6 on
+# trials); of an ideal one by 4, at edges that light what another edge is about to cover.
 RENDER = RenderConfig(lattice=Lattice(8, 1), check=False)
 SAMPLING = SamplingConfig(max_step_px=0.5)
 

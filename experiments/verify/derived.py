@@ -37,6 +37,7 @@ from experiments.verify.manifest import (
     FIGURES_PROVENANCE,
     GROWTH_FIGURE,
     GROWTH_FILE,
+    Manifest,
     provenance_name,
 )
 from ssac.errors import SsacError
@@ -101,11 +102,11 @@ def renderer_findings(results: Path, studies: Mapping[str, Study]) -> list[Findi
     return [found(what, partial(_unlike_by_renderer, results))]
 
 
-def physical_findings(results: Path) -> list[Finding]:
-    """Check that the comparison of the physical tables follows from them, where it is there."""
-    path = results / PHYSICAL_COMPARISON
-    if not path.is_file():
+def physical_findings(results: Path, manifest: Manifest) -> list[Finding]:
+    """Check that the comparison of the physical tables follows from them, where it must be."""
+    if PHYSICAL_COMPARISON not in manifest.files:
         return []
+    path = results / PHYSICAL_COMPARISON
     what = f"{path.name} follows from the physical tables"
     return [found(what, lambda: text_difference(read_text(path), comparison_text(results)))]
 

@@ -4,7 +4,7 @@ The list follows from the configurations and the code, never from what lies in t
 a file that is gone leaves a gap in it.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,7 +26,7 @@ from experiments.paper.results import COMPARISON_FILE, PAGE_FILE, RUNS_FILE, SUM
 from experiments.paper.tables import tables_config
 from experiments.physical.mini import COMMAND as PHYSICAL_COMMAND
 from experiments.physical.mini import COMPARISON_FILE as PHYSICAL_COMPARISON
-from experiments.physical.mini import MINI, mini_config
+from experiments.physical.mini import mini_config
 from experiments.real.data_sets import COMMAND, DATA_SETS, real_config
 from experiments.real.drawing import OFFSETS_FIGURE
 from experiments.real.pairs import PAIRS_FILE, STRAYS_FILE, TRIPLES_FILE
@@ -75,8 +75,13 @@ class Manifest:
         return whole
 
 
-def manifest_of(studies: Mapping[str, Study]) -> Manifest:
-    """List what the tables, the figures, the benchmark and these studies leave."""
+def campaigns() -> tuple[Manifest, ...]:
+    """List what other commands leave, one by one: outdoors, in torture and on the bench."""
+    return _outdoor(), _reliability(), _physical()
+
+
+def manifest_of(studies: Mapping[str, Study], others: Iterable[Manifest] = ()) -> Manifest:
+    """List what tables, figures, the benchmark, real data, these studies and others leave."""
     tables = (RUNS_FILE, COMPARISON_FILE, SUMMARY_FILE, *(f"{name}.csv" for name in TABLES))
     made = [_beside(name, "ssac tables", tables_config()) for name in tables]
     figures = drawings()
@@ -96,13 +101,11 @@ def manifest_of(studies: Mapping[str, Study]) -> Manifest:
         config = {"study": study.name, **study.config}
         made += [_beside(name, study.command_line, config) for name in names]
         files += [*names, *([study.figure_file] if study.draw else [])]
-    real = of_real_data()
-    files = [*files, *(one.name for one in made), *real.files]
-    return Manifest(
-        tuple(files),
-        (*made, *real.provenances),
-        (_outdoor(), _reliability(), _physical(), _network_growth()),
-    )
+    files += [one.name for one in made]
+    for more in (of_real_data(), *others):
+        files += more.files
+        made += more.provenances
+    return Manifest(tuple(files), tuple(made), (_network_growth(),))
 
 
 def of_real_data() -> Manifest:
@@ -115,7 +118,7 @@ def of_real_data() -> Manifest:
 
 
 def _outdoor() -> Manifest:
-    """List what the outdoor twin leaves, which takes long and no other result needs."""
+    """List what the outdoor twin leaves."""
     tables = OUTDOOR_FILE, ORACLE_FILE
     config = plain(outdoor_settings())
     made = tuple(
@@ -132,10 +135,9 @@ def _reliability() -> Manifest:
 
 
 def _physical() -> Manifest:
-    """List the physical twin's tables and how they compare; its studies have files of their own."""
-    tables = tuple(study.summary_file for study in MINI.values())
+    """List how the physical twin's tables compare; its studies have files of their own."""
     made = _beside(PHYSICAL_COMPARISON, PHYSICAL_COMMAND, mini_config())
-    return Manifest((*tables, PHYSICAL_COMPARISON, made.name), (made,))
+    return Manifest((PHYSICAL_COMPARISON, made.name), (made,))
 
 
 def _network_growth() -> Manifest:

@@ -9,18 +9,19 @@ Exit code 0: all right; 1: something differs; 2: there is no such folder.
 
 import secrets
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from experiments.network.four import network_in
-from experiments.physical.catalogue import physical_in
+from experiments.network.four import FOUR_CAMERAS
+from experiments.physical.catalogue import PHYSICAL_STUDIES
 from experiments.quoted.numbers import pages, stale_numbers
 from experiments.run.command import WorkersOption
 from experiments.run.schedule import Workers
 from experiments.studies.catalogue import STUDIES
+from experiments.studies.study import Study
 from experiments.verify.derived import (
     figure_findings,
     physical_findings,
@@ -30,7 +31,7 @@ from experiments.verify.derived import (
 )
 from experiments.verify.files import file_findings
 from experiments.verify.finding import Finding, found
-from experiments.verify.manifest import manifest_of
+from experiments.verify.manifest import campaigns, manifest_of
 from experiments.verify.recompute import recomputed
 from experiments.verify.sample import SLOW, draw, sources_of
 from ssac.console.options import number
@@ -40,6 +41,13 @@ N_RECORDINGS = 6
 """Drawn if nothing else is said."""
 
 _SEEDS = 2**32
+
+ALL_STUDIES: Mapping[str, Study] = {
+    **STUDIES,
+    **PHYSICAL_STUDIES,
+    FOUR_CAMERAS.name: FOUR_CAMERAS,
+}
+CAMPAIGNS = campaigns()
 
 
 def verify_command(
@@ -61,19 +69,19 @@ def verify_command(
     """Check that the results are whole and follow from their runs; make some runs again."""
     if not results.is_dir():
         raise SsacError(f"{results}: no such folder: run `make tables studies figures bench` first")
-    studies = {**STUDIES, **physical_in(results), **network_in(results)}
-    failed = _report(file_findings(results, manifest_of(studies)))
+    manifest = manifest_of(ALL_STUDIES, CAMPAIGNS)
+    failed = _report(file_findings(results, manifest))
     failed += _report(table_findings(results))
-    failed += _report(study_findings(results, studies))
-    failed += _report(renderer_findings(results, studies))
-    failed += _report(physical_findings(results))
-    failed += _report(figure_findings(results, studies))
+    failed += _report(study_findings(results, ALL_STUDIES))
+    failed += _report(renderer_findings(results, ALL_STUDIES))
+    failed += _report(physical_findings(results, manifest))
+    failed += _report(figure_findings(results, ALL_STUDIES))
     failed += _report(page_findings(results))
     if recordings:
         seed = secrets.randbelow(_SEEDS) if sample_seed is None else sample_seed
         options = f"--sample-seed {seed} --recordings {recordings}" + (" --slow" if slow else "")
         typer.echo(f"recordings drawn by: ssac verify {options}")
-        drawn = draw(sources_of(studies, slow), recordings, seed)
+        drawn = draw(sources_of(ALL_STUDIES, slow), recordings, seed)
         with tempfile.TemporaryDirectory(prefix="ssac-verify-") as folder:
             failed += _report(recomputed(drawn, results, Path(folder), Workers(workers)))
     typer.echo(f"{failed} of the checks above differ" if failed else "all of it as committed")

@@ -6,7 +6,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from experiments.network.cameras import ANGLE_DEG, N_CAMERAS, FourCameras, Truth
-from experiments.network.four import LEVEL, camera_cells, camera_table, four_cameras, network_in
+from experiments.network.four import LEVEL, camera_cells, camera_table, four_cameras
 from experiments.network.long_flights import FRAMES_HZ, NOISE_PX, network_growth, write_tracks
 from experiments.network.measure import CameraRow, path_off_best_point_m
 from experiments.run.cache import recording_key
@@ -70,12 +70,6 @@ def test_the_table_counts_what_intervals_hold(tmp_path) -> None:
     assert list(table["t_held"]) == [0, 0]
     assert table["t_d_error_ms_most"].max() == N_CAMERAS
     assert 0.0 < LEVEL < 1.0
-
-
-def test_the_study_is_looked_for_where_it_left_files_only(tmp_path) -> None:
-    assert network_in(tmp_path) == {}
-    (tmp_path / four_cameras().summary_file).touch()
-    assert list(network_in(tmp_path)) == ["network"]
 
 
 def test_tracks_of_long_flights_are_of_one_path_and_of_their_clocks(tmp_path) -> None:

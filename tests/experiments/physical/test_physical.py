@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from experiments.cli import app
 from experiments.paper.esim import csv_text
 from experiments.physical.budget import budget_figure, budget_table
-from experiments.physical.catalogue import PHYSICAL_STUDIES, physical_in
+from experiments.physical.catalogue import PHYSICAL_STUDIES
 from experiments.physical.cells import cells_of, motion_seed, setup_seed
 from experiments.physical.imperfections import ANGLES_DEG, KINDS, NONE, bench_of, only
 from experiments.physical.latency import RATIOS, latency_cells, latency_figure, latency_table
@@ -163,12 +163,6 @@ def test_a_ratio_and_its_inverse_are_the_same_cameras_with_their_lights_swapped(
         for cell in latency_cells(1)
     }
     assert {(second, first) for first, second in lights} == lights
-
-
-def test_a_folder_without_the_twins_results_has_none_of_its_studies(tmp_path: Path) -> None:
-    assert physical_in(tmp_path) == {}
-    (tmp_path / "error_budget.csv").write_text("")
-    assert list(physical_in(tmp_path)) == ["error_budget"]
 
 
 def test_a_part_or_a_folder_that_is_not_there_is_refused(tmp_path: Path) -> None:

@@ -188,6 +188,6 @@ def test_the_outdoor_table_counts_what_held_and_is_empty_without_results(tmp_pat
         cell.strip()
         for cell in TABLES["table.outdoor"](Committed(tmp_path)).splitlines()[-1].split("|")
     ]
-    assert cells[1:4] == ["as recorded", "2 of 3", "2.0"]
+    assert cells[1:4] == ["as recorded", "2 of 3", "2.000"]
     assert "1, 2" in cells  # 3 ms are no 1.96 deviations of 1 ms
     assert "1.500 (2.000)" in cells

@@ -169,7 +169,8 @@ def test_the_command_says_what_it_drew_and_fails_on_a_difference(
         seen.append(names(drawn))
         return []
 
-    monkeypatch.setattr(command, "STUDIES", STUDIES)
+    monkeypatch.setattr(command, "ALL_STUDIES", STUDIES)
+    monkeypatch.setattr(command, "CAMPAIGNS", ())
     monkeypatch.setattr(command, "recomputed", again)
     code, output = verify(results, "--recordings", "3")
     assert code == 0, output
