@@ -47,7 +47,10 @@ def test_every_method_answers_alike_wherever_the_interval_lies(name, shift_s):
     centred, moved = answer(name, 0.0), answer(name, shift_s)
     assert (centred.status, moved.status) == (Status.OK, Status.OK)
     # Counts of events jump at the candidates, which are others: 10 us are the search's resolution.
-    assert moved.t_d_s == pytest.approx(centred.t_d_s, abs=0.03e-3)
+    # Samples begin where the search ended, so their windows hold other events; where a free skew
+    # makes t_d uncertain (0.6 ms with a known pose here) that moves it by a part of its deviation.
+    part_s = 0.1 * centred.t_d_std_s if np.isfinite(centred.t_d_std_s) else 0.0
+    assert moved.t_d_s == pytest.approx(centred.t_d_s, abs=max(0.03e-3, part_s))
     if centred.R is not None:
         assert rotation_angle_deg(moved.R, centred.R) < 0.02
         assert angle_deg(moved.t, centred.t) < 0.02
