@@ -142,8 +142,9 @@ def _physical() -> Manifest:
 
 def _network_growth() -> Manifest:
     """List what the growth with eight cameras leaves, all of which is time and memory."""
-    made = _beside(NETWORK_GROWTH_FILE, NETWORK_COMMAND, growth_config())
-    return Manifest((NETWORK_GROWTH_FILE, made.name), (made,))
+    beside = provenance_name(NETWORK_GROWTH_FILE)
+    made = Provenance(beside, NETWORK_COMMAND, plain(growth_config()), False)
+    return Manifest((NETWORK_GROWTH_FILE, beside), (made,))
 
 
 def _beside(name: str, command: str, config: Any) -> Provenance:
