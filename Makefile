@@ -76,7 +76,7 @@ torture: .venv/.ready ## 20,000 damaged inputs, killed and disturbed sweeps (hal
 		.venv/bin/python -m pip install --quiet --disable-pip-version-check --no-input 'dask[distributed]'
 	@.venv/bin/ssac torture
 
-bench: .venv/.ready ## speed, memory and their growth, as ratios (13 minutes) -> results/bench*.csv
+bench: .venv/.ready ## speed, memory and their growth, as ratios (15 minutes) -> results/bench*.csv
 	@.venv/bin/python -m pip install --quiet --disable-pip-version-check --no-input --no-deps $(PEER) \
 		2>/dev/null || echo 'make bench: $(PEER) cannot be installed, so it is not measured' >&2
 	@.venv/bin/ssac bench

@@ -20,8 +20,9 @@ import typer
 from numpy.typing import NDArray
 
 from experiments.bench.growth import (
-    COMMITTED,
+    DEFAULT,
     Extent,
+    bench_command_line,
     bench_config,
     growth_rows,
     measure_growth,
@@ -65,7 +66,7 @@ def bench_command(
     growth: Annotated[
         Extent,
         typer.Option(help="Pairs of up to 50 million events a camera, or of up to 10."),
-    ] = COMMITTED,
+    ] = DEFAULT,
 ) -> None:
     """Measure speed and memory, each on one core, and write them with their marks."""
     start = time.perf_counter()
@@ -77,11 +78,11 @@ def bench_command(
     rows += growth_rows(grown)
     table = pd.DataFrame([asdict(row) | {"verdict": row.verdict} for row in rows])
     made = _save(table, grown, out)
-    command = "ssac bench" if growth is COMMITTED else f"ssac bench --growth {growth.value}"
     for path in made:
         if path.suffix == ".csv":
             wall_time_s = time.perf_counter() - start
-            save_provenance(path, command, bench_config(growth), wall_time_s, open_context())
+            command, config = bench_command_line(growth), bench_config(growth)
+            save_provenance(path, command, config, wall_time_s, open_context())
     record_checksums(out.parent, made)
     columns = ["name", "value", "unit", "mark", "verdict"]
     typer.echo(table[columns].to_string(index=False, float_format=lambda value: f"{value:.4g}"))

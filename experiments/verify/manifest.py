@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from experiments.bench.growth import COMMITTED, bench_config
+from experiments.bench.growth import COMMITTED, bench_command_line, bench_config
 from experiments.figures.figures import drawings, figures_config
 from experiments.network.four import COMMAND as NETWORK_COMMAND
 from experiments.network.long_flights import growth_config
@@ -87,7 +87,8 @@ def manifest_of(studies: Mapping[str, Study], others: Iterable[Manifest] = ()) -
     figures = drawings()
     made.append(Provenance(FIGURES_PROVENANCE, "ssac figures", plain(figures_config(figures))))
     measured = (BENCH_FILE, GROWTH_FILE)
-    made += [_beside(name, "ssac bench", bench_config(COMMITTED)) for name in measured]
+    line = bench_command_line(COMMITTED)
+    made += [_beside(name, line, bench_config(COMMITTED)) for name in measured]
     files = [
         *PUBLISHED_SHA256,
         *tables,
