@@ -1,6 +1,6 @@
 """Imperfect recordings in, how often the stated intervals hold all the same out, kind by kind.
 
-Flight 30000 + 30 k + i is the i-th of the k-th round: of no table and of no other study, and no
+Flight 31000 + 30 k + i is the i-th of the k-th round: of no table and of no other study, and no
 threshold was set on them. The angles change from flight to flight.
 """
 
@@ -20,13 +20,13 @@ from experiments.studies.coverage import QUANTITIES, Quantity, confidence
 from experiments.studies.study import Study
 
 METHOD_NAMES = ("joint", "tangency", "joint-known", "tangency-known")
-N_ROUNDS = 1
-"""Of all kinds, on new flights; twelve are 648 recordings."""
+N_ROUNDS = 3
+"""Of all kinds, on new flights: 162 recordings, 648 runs."""
 
 N_ORDINARY = 2
 """Ordinary flights of a round, each of which has all their kinds; of the other scenes one."""
 
-FIRST_FLIGHT, ROUND_STEP = 30_000, 30
+FIRST_FLIGHT, ROUND_STEP = 31_000, 30
 OTHER_FLIGHT = 20  # added to the number, for the flight of the second object
 
 HELD = {name: QUANTITIES[name] for name in ("t_d", "skew", "R", "t")}
