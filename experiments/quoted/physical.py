@@ -12,10 +12,10 @@ from experiments.paper.markdown import markdown_table
 from experiments.paper.quantities import ERRORS
 from experiments.quoted.cells import digits
 from experiments.quoted.committed import Committed
+from ssac.methods.covariance import NORMAL_95
 
 METHODS = ("ssac", "joint", "tangency")
 DURATIONS_S = (10, 20)
-SIGMAS_95 = 1.96
 
 _SYMBOLS = {quantity.symbol: name for name, quantity in ERRORS.items()}
 _ONLY, _ALL_BUT = "only ", "all but "
@@ -86,7 +86,7 @@ def mini_held(results: Committed) -> str:
         for method in METHODS[1:]:
             mine = one_offset[one_offset["method"] == method]
             ok = mine[mine["status"] == "ok"]
-            held = ok["t_d_error_ms"] <= SIGMAS_95 * ok["t_d_std_ms"]
+            held = ok["t_d_error_ms"] <= NORMAL_95 * ok["t_d_std_ms"]
             rows.append(
                 [
                     f"{duration_s}",
