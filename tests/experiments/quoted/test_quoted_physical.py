@@ -15,12 +15,6 @@ def cells_of(table: str, line: int) -> list[str]:
     return [cell.strip() for cell in table.splitlines()[line].strip("|").split("|")]
 
 
-def test_what_was_not_run_is_not_shown(tmp_path: Path) -> None:
-    assert [table(Committed(tmp_path)) for table in PHYSICAL_TABLES.values()] == [""] * len(
-        PHYSICAL_TABLES
-    )
-
-
 def test_tables_beside_the_papers_have_its_means_ours_and_the_verdicts(tmp_path: Path) -> None:
     comparison = [
         {"duration_s": duration_s, "angle_deg": 43.14, "t_d_ms": t_d_ms,
