@@ -12,10 +12,12 @@ from experiments.paper.checksums import record_checksums
 from experiments.run.cache import DEFAULT_FOLDER, Cache
 from experiments.run.command import (
     CacheOption,
+    OutOption,
     SchedulerOption,
     WorkersOption,
     check_is_folder,
     chosen_parts,
+    parts_argument,
 )
 from experiments.run.provenance import save_provenance
 from experiments.run.schedule import Workers
@@ -28,13 +30,8 @@ PARTS = ("four", "growth")
 
 
 def network_command(
-    parts: Annotated[
-        list[str] | None,
-        typer.Argument(
-            help=f"Of {', '.join(PARTS)}.  [default: all]", metavar="PART", show_default=False
-        ),
-    ] = None,
-    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Where to write.")] = Path("results"),
+    parts: Annotated[list[str] | None, parts_argument(PARTS)] = None,
+    out: OutOption = Path("results"),
     flights: Annotated[int, number("Before four cameras.", 1, 1000, metavar="COUNT")] = N_FLIGHTS,
     workers: WorkersOption = -1,
     scheduler: SchedulerOption = "",

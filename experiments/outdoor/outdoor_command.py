@@ -20,7 +20,7 @@ from experiments.outdoor.third import THREE_CAMERAS, three_row
 from experiments.outdoor.twin import COLUMNS, KINDS, compared, estimated, twin_row
 from experiments.paper.checksums import record_checksums
 from experiments.run.cache import DEFAULT_FOLDER, Cache, recording_key, run_key
-from experiments.run.command import CacheOption, check_is_folder
+from experiments.run.command import CacheOption, OutOption, check_is_folder
 from experiments.run.provenance import save_provenance
 from ssac.compare.figure import save_figure
 from ssac.console.options import number
@@ -34,7 +34,7 @@ _MEASURED = [name for name in COLUMNS if name not in ("flight", "kind", "status"
 
 
 def outdoor_command(
-    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Where to write.")] = Path("results"),
+    out: OutOption = Path("results"),
     flights: Annotated[int, number("Flights.", 1, 1000, metavar="COUNT")] = N_FLIGHTS,
     duration: Annotated[float, number("Of each flight.", 10, 3600, "seconds")] = DURATION_S,
     third: Annotated[

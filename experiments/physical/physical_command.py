@@ -21,10 +21,12 @@ from experiments.physical.mini import (
 from experiments.run.cache import DEFAULT_FOLDER, Cache
 from experiments.run.command import (
     CacheOption,
+    OutOption,
     SchedulerOption,
     WorkersOption,
     check_is_folder,
     chosen_parts,
+    parts_argument,
 )
 from experiments.run.provenance import save_provenance
 from experiments.run.schedule import Workers
@@ -41,13 +43,8 @@ PARTS: Mapping[str, tuple[Callable[..., Study], ...]] = {
 
 
 def physical_command(
-    parts: Annotated[
-        list[str] | None,
-        typer.Argument(
-            help=f"Of {', '.join(PARTS)}.  [default: all]", metavar="PART", show_default=False
-        ),
-    ] = None,
-    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Where to write.")] = Path("results"),
+    parts: Annotated[list[str] | None, parts_argument(PARTS)] = None,
+    out: OutOption = Path("results"),
     recordings: Annotated[
         int | None,
         number(

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -39,6 +39,7 @@ SchedulerOption = Annotated[
         help="Of a Dask scheduler whose workers do it instead, as host:port.", metavar="ADDRESS"
     ),
 ]
+OutOption = Annotated[Path, typer.Option(metavar="FOLDER", help="Where to write.")]
 CacheOption = Annotated[
     Path, typer.Option(help="Keeps finished recordings and runs.", metavar="FOLDER")
 ]
@@ -53,6 +54,13 @@ CheckOption = Annotated[
         help="Draw some instants with OpenGL too and compare; not where there is none.",
     ),
 ]
+
+
+def parts_argument(parts: Iterable[str]) -> Any:
+    """Make the argument that names some parts of a command; `chosen_parts` reads it."""
+    return typer.Argument(
+        help=f"Of {', '.join(parts)}.  [default: all]", metavar="PART", show_default=False
+    )
 
 
 def chosen_parts(named: Sequence[str] | None, parts: Iterable[str]) -> list[str]:
