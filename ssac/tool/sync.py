@@ -183,7 +183,7 @@ def sync(
         with clock.part("search") as say:
             progress = _progress(log) if log else None
             start = find_start(cam1, cam2, rig, config, chosen.name, rate_range, progress)
-            say(_told(start))
+            say(start.words)
         if start.found.guesses:
             config = start.config(config)
     if start is not None and start.refusal is not None:
@@ -266,19 +266,6 @@ def _progress(log: Log) -> Callable[[float], None]:
             log(f"search   {100.0 * share:4.0f} %")
 
     return report
-
-
-def _told(start: Start) -> str:
-    """Say what the search over all offsets found."""
-    if not start.found.guesses:
-        return "no offset leaves enough common path"
-    guess, others = start.guess, start.found.guesses[1:]
-    rate = "" if guess.rate == 1.0 else f", camera 2's clock {guess.rate:.6g} times as fast"
-    second = f"; the next best fits {others[0].cost / guess.cost:.1f} times worse" if others else ""
-    return (
-        f"{len(start.found.candidates_s)} offsets, {start.found.step_s:.3g} s apart: "
-        f"{guess.t_d_s:.2f} s{rate}{second}"
-    )
 
 
 def _restated(rig: Rig, focal: float | None, centre_px: float | None) -> Rig:
