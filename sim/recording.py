@@ -31,14 +31,17 @@ from sim.scene.trajectory import (
     random_spline,
     trajectory_from_csv,
 )
+from sim.seeds import generator
 from sim.sensor.events import EVENT_DTYPE, Sensor, SensorConfig
 from sim.sensor.frames import FrameConfig, FrameExposer, Frames, Images, frame_times_us
 
 FloatArray = NDArray[np.float64]
 
 TRUTH_HZ = 200.0  # rate at which the truth lists poses: smooth enough to interpolate
-# Branches of the seed: each random choice has a stream of its own.
-_TRAJECTORY_STREAM, _SENSOR_STREAM = 0, 1
+TRAJECTORY_STREAM = 0
+"""Branch of the seed that draws the path; see `sim.seeds`."""
+
+_SENSOR_STREAM = 1
 
 
 @dataclass(frozen=True)
@@ -228,9 +231,7 @@ def stream(
     n_instants = 0
     with Renderer(drone, config.render, seed) as renderer:
         for index, camera in enumerate(rig.cameras):
-            rng = np.random.default_rng(
-                np.random.SeedSequence(seed, spawn_key=(_SENSOR_STREAM, index))
-            )
+            rng = generator(seed, _SENSOR_STREAM, index)
 
             def report(time_s: float, done: int = index) -> None:
                 if progress is not None:
@@ -393,8 +394,7 @@ def _drone(config: SimConfig) -> Drone:
 def _trajectory(config: SimConfig, seed: int) -> Trajectory:
     if config.trajectory_file is not None:
         return trajectory_from_csv(config.trajectory_file)
-    stream = np.random.SeedSequence(seed, spawn_key=(_TRAJECTORY_STREAM,))
-    return random_spline(config.spline, np.random.default_rng(stream))
+    return random_spline(config.spline, generator(seed, TRAJECTORY_STREAM))
 
 
 def _truth(rig: Rig, trajectory: Trajectory, t_d_s: float, drift: Drift) -> Truth:

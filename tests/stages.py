@@ -6,6 +6,7 @@
 STAGES: dict[str, dict[str, tuple[str, ...]]] = {
     "sim": {
         "errors": (),
+        "seeds": (),
         "scene": (
             "trajectory",
             "pendulum",
