@@ -46,6 +46,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
             "camera",
         ),
         "clock": (),
+        "recorded": (),
         "recording": (),
         "partial": (),
         "storage": (),

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sim.errors import SimError
-from sim.recording import Scene, SimConfig
+from sim.recording import Scene, SimConfig, two_view_rig_of
 from sim.scene.background import uniform_background
 from sim.scene.pendulum import Hanging, PendulumConfig, hanging
 from sim.scene.printed import SIZE_M, printed
-from sim.scene.rig import Camera, Rig, two_view_rig
+from sim.scene.rig import Camera, Rig
 from sim.scene.wall import MEAN_LUMINANCE, wall
 from sim.seeds import generator
 from sim.sensor.frames import FrameConfig
@@ -75,19 +75,11 @@ def bench_rig(config: TwinConfig) -> Rig:
     The lines of sight are `angle_deg` apart all the same, as that is what was measured: a camera
     is turned about the point that it looks at, not about itself, but for its roll.
     """
-    ideal = two_view_rig(
-        config.angle_deg,
-        focal_px=config.focal_px,
-        resolution=config.resolution,
-        principal_point=config.principal_point,
-        distortion_model=config.distortion_model,
-        distortion_coeffs=config.distortion_coeffs,
-        t_d_s=config.t_d_s,
-    )
+    ideal = two_view_rig_of(config).cameras
     rng = generator(config.setup_seed, _CAMERA_STREAM)
     cameras = [
         _put_up(camera, distance_m, rng)
-        for camera, distance_m in zip(ideal.cameras, config.distances_m, strict=True)
+        for camera, distance_m in zip(ideal, config.distances_m, strict=True)
     ]
     return Rig(tuple(cameras))
 
