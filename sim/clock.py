@@ -78,3 +78,8 @@ def drift_of(skew_ppm: float, jump: Jump | None, duration_s: float) -> Drift:
                 " set back are out of order; a jump forwards with the cameras swapped is the same"
             )
     return Drift(skew_ppm, duration_s / 2.0, jump)
+
+
+def microseconds(seconds: float) -> int:
+    """Return the nearest number of whole microseconds, which is what clocks show."""
+    return round(seconds * 1e6)

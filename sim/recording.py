@@ -5,21 +5,21 @@ memory, `sim.storage.record` writes them to files.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.clock import Drift, Jump, drift_of
+from sim.clock import Drift, Jump, drift_of, microseconds
 from sim.effects.camera import CameraEffects, check_gap
 from sim.effects.config import SensorEffects
 from sim.errors import SimError
+from sim.recorded import Flight, InMemory, OpenSink, Recording, truth_of
 from sim.render.config import RenderConfig
-from sim.render.gl_context import GLContext
 from sim.render.instants import SamplingConfig, choose_instants
-from sim.render.renderer import Crops, RenderCheck, Renderer
+from sim.render.renderer import Crops, Renderer
 from sim.scene.background import load_background, uniform_background
 from sim.scene.drone import Drone, drone_from_file
 from sim.scene.flyers import FLAP_HZ, built_in_drone, check_drone_name
@@ -31,14 +31,16 @@ from sim.scene.trajectory import (
     random_spline,
     trajectory_from_csv,
 )
-from sim.sensor.events import EVENT_DTYPE, Sensor, SensorConfig
-from sim.sensor.frames import FrameConfig, FrameExposer, Frames, Images, frame_times_us
+from sim.seeds import generator
+from sim.sensor.events import Sensor, SensorConfig
+from sim.sensor.frames import FrameConfig, FrameExposer, frame_times_us
 
 FloatArray = NDArray[np.float64]
 
-TRUTH_HZ = 200.0  # rate at which the truth lists poses: smooth enough to interpolate
-# Branches of the seed: each random choice has a stream of its own.
-_TRAJECTORY_STREAM, _SENSOR_STREAM = 0, 1
+TRAJECTORY_STREAM = 0
+"""Branch of the seed that draws the path; see `sim.seeds`."""
+
+_SENSOR_STREAM = 1
 
 
 @dataclass(frozen=True)
@@ -89,77 +91,22 @@ class SimConfig:
 
     def scene(self, seed: int) -> Scene:
         """Build what is filmed with a seed."""
-        rig = _rig(self)
+        rig = two_view_rig_of(self)
         return Scene(rig, tuple(_backgrounds(self, rig)), _drone(self), _trajectory(self, seed))
 
 
-@dataclass(frozen=True)
-class CameraRecording:
-    """What one camera recorded, on its own clock."""
-
-    camera: Camera
-    events: NDArray[Any]  # sim.sensor.EVENT_DTYPE, sorted by t
-    frames: Frames
-
-
-@dataclass(frozen=True)
-class Truth:
-    """What an estimator is to find, and what it is scored against."""
-
-    t_d_s: float  # t_cam2 = t_cam1 + t_d
-    R: FloatArray  # (3, 3), x2 = R x1 + t
-    t: FloatArray  # (3,), unit length
-    baseline_m: float
-    times_s: FloatArray  # (n,) [s], of the scene, which is camera 1's clock
-    T_W_B: FloatArray  # (n, 4, 4), pose of the drone
-    centres_px: FloatArray  # (cameras, n, 2), image of the drone's origin; NaN behind the camera
-    drift: Drift = field(default_factory=Drift)  # of camera 2's clock, beside t_d
-
-
-@dataclass(frozen=True)
-class Flight:
-    """All of a recording but what its cameras recorded."""
-
-    rig: Rig
-    truth: Truth
-    n_instants: int  # chosen, over all cameras
-    gl: GLContext | None  # None: nothing was drawn with OpenGL
-    check: RenderCheck  # of the native renderer against it
-
-
-@dataclass(frozen=True)
-class Recording:
-    """A simulated recording of one flight."""
-
-    cameras: tuple[CameraRecording, ...]
-    rig: Rig
-    truth: Truth
-    n_instants: int  # chosen, over all cameras
-    gl: GLContext | None  # None: nothing was drawn with OpenGL
-    check: RenderCheck  # of the native renderer against it
-
-    @property
-    def flight(self) -> Flight:
-        """The same without what the cameras recorded."""
-        return Flight(self.rig, self.truth, self.n_instants, self.gl, self.check)
-
-
-class Sink(Protocol):
-    """Takes what one camera records, as it records it, on the camera's clock."""
-
-    @property
-    def images(self) -> Images:
-        """Takes each frame when its exposure closes."""
-
-    def add(self, events: NDArray[Any], /) -> None:
-        """Take the next events, of EVENT_DTYPE, all in order of time."""
-
-    def close(self) -> None:
-        """Know that the camera has recorded all."""
-
-
-OpenSink = Callable[[Camera, NDArray[np.int64], float], Sink]
-"""Opens the sink of a camera, given the times of its frames (n,) [us] and their exposure [s]."""
+def two_view_rig_of(config: SimConfig) -> Rig:
+    """Place the two cameras of a configuration, each with its lens and clock."""
+    return two_view_rig(
+        config.angle_deg,
+        distance_m=config.distance_m,
+        focal_px=config.focal_px,
+        resolution=config.resolution,
+        principal_point=config.principal_point,
+        distortion_model=config.distortion_model,
+        distortion_coeffs=config.distortion_coeffs,
+        t_d_s=config.t_d_s,
+    )
 
 
 def simulate(
@@ -185,10 +132,10 @@ def simulate(
     SimError
         Input that makes no sense, or no GL.
     """
-    sinks: list[_InMemory] = []
+    sinks: list[InMemory] = []
 
-    def open_sink(*about: Any) -> _InMemory:
-        sinks.append(_InMemory(*about))
+    def open_sink(*about: Any) -> InMemory:
+        sinks.append(InMemory(*about))
         return sinks[-1]
 
     flight = stream(config, seed, open_sink, progress)
@@ -228,9 +175,7 @@ def stream(
     n_instants = 0
     with Renderer(drone, config.render, seed) as renderer:
         for index, camera in enumerate(rig.cameras):
-            rng = np.random.default_rng(
-                np.random.SeedSequence(seed, spawn_key=(_SENSOR_STREAM, index))
-            )
+            rng = generator(seed, _SENSOR_STREAM, index)
 
             def report(time_s: float, done: int = index) -> None:
                 if progress is not None:
@@ -256,46 +201,7 @@ def stream(
                 report,
             )
         gl, check = renderer.context, renderer.check
-    return Flight(rig, _truth(rig, trajectory, config.t_d_s, drift), n_instants, gl, check)
-
-
-def with_time_offset(recording: Recording, t_d_s: float) -> Recording:
-    """Return the same recording with another offset between the clocks: `t_cam2 = t_cam1 + t_d`."""
-    change_us = _microseconds(t_d_s) - _microseconds(recording.truth.t_d_s)
-    second = recording.cameras[1]
-    camera = replace(second.camera, time_offset_s=t_d_s)
-    events = second.events.copy()
-    events["t"] += change_us
-    frames = replace(second.frames, times_us=second.frames.times_us + change_us)
-    others = recording.cameras[2:]
-    return replace(
-        recording,
-        cameras=(recording.cameras[0], CameraRecording(camera, events, frames), *others),
-        rig=Rig((recording.rig.cameras[0], camera, *recording.rig.cameras[2:])),
-        truth=replace(recording.truth, t_d_s=t_d_s),
-    )
-
-
-class _InMemory:
-    """A sink that keeps all."""
-
-    def __init__(self, camera: Camera, times_us: NDArray[np.int64], exposure_s: float) -> None:
-        self.camera = camera
-        self.images = np.empty((len(times_us), camera.height, camera.width), np.uint8)
-        self._frames = Frames(times_us, self.images, exposure_s)
-        self._events: list[NDArray[Any]] = []
-
-    def add(self, events: NDArray[Any]) -> None:
-        """Keep events."""
-        self._events.append(events)
-
-    def close(self) -> None:
-        """Join the events."""
-        self._events = [np.concatenate([np.empty(0, EVENT_DTYPE), *self._events])]
-
-    def recording(self) -> CameraRecording:
-        """Return all that was recorded."""
-        return CameraRecording(self.camera, self._events[0], self._frames)
+    return Flight(rig, truth_of(rig, trajectory, config.t_d_s, drift), n_instants, gl, check)
 
 
 def _record(
@@ -311,7 +217,7 @@ def _record(
 ) -> None:
     """Sense and expose one camera's view, batch by batch."""
     end_s = float(instants_s[-1])
-    clock_us = _microseconds(camera.time_offset_s)
+    clock_us = microseconds(camera.time_offset_s)
     times_us = frame_times_us(config.frames, end_s, effects.frame_start_s)
     stamps_us = times_us + drift.added_us(times_us) + clock_us
     sink = open_sink(camera, stamps_us, config.frames.exposure_s)
@@ -352,23 +258,6 @@ def _paste(crops: Crops, background: NDArray[np.float32]) -> NDArray[np.float32]
     return image
 
 
-def _microseconds(seconds: float) -> int:
-    return round(seconds * 1e6)
-
-
-def _rig(config: SimConfig) -> Rig:
-    return two_view_rig(
-        config.angle_deg,
-        distance_m=config.distance_m,
-        focal_px=config.focal_px,
-        resolution=config.resolution,
-        principal_point=config.principal_point,
-        distortion_model=config.distortion_model,
-        distortion_coeffs=config.distortion_coeffs,
-        t_d_s=config.t_d_s,
-    )
-
-
 def _backgrounds(config: SimConfig, rig: Rig) -> list[NDArray[np.float32]]:
     files = config.background_files
     if len(files) not in (0, 1, len(rig.cameras)):
@@ -393,14 +282,4 @@ def _drone(config: SimConfig) -> Drone:
 def _trajectory(config: SimConfig, seed: int) -> Trajectory:
     if config.trajectory_file is not None:
         return trajectory_from_csv(config.trajectory_file)
-    stream = np.random.SeedSequence(seed, spawn_key=(_TRAJECTORY_STREAM,))
-    return random_spline(config.spline, np.random.default_rng(stream))
-
-
-def _truth(rig: Rig, trajectory: Trajectory, t_d_s: float, drift: Drift) -> Truth:
-    R, t, baseline_m = rig.extrinsics()
-    n = max(2, int(np.ceil(trajectory.duration_s * TRUTH_HZ)) + 1)
-    times_s: FloatArray = np.linspace(0.0, trajectory.duration_s, n, dtype=np.float64)
-    T_W_B = trajectory.poses(times_s)
-    centres_px = np.stack([camera.project(T_W_B[:, :3, 3]) for camera in rig.cameras])
-    return Truth(t_d_s, R, t, baseline_m, times_s, T_W_B, centres_px, drift)
+    return random_spline(config.spline, generator(seed, TRAJECTORY_STREAM))

@@ -27,7 +27,8 @@ from scipy.spatial.transform import Rotation
 from sim.clock import Drift
 from sim.errors import SimError
 from sim.partial import partial_path
-from sim.recording import Flight, Recording, SimConfig, stream
+from sim.recorded import Flight, Recording
+from sim.recording import SimConfig, stream
 from sim.scene.rig import Camera, kalibr_yaml
 from sim.sensor.events import EVENT_DTYPE
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import h5py
 import numpy as np
+from numpy.typing import NDArray
 
 from ssac.events import EVENT_DTYPE
 from ssac.files.event_files import save_events_text
@@ -15,7 +16,7 @@ T_D_S = 0.05
 FRAME_S = 0.02
 DURATION_S = 8.0
 
-_KALIBR = f"""\
+KALIBR = f"""\
 cam0: &camera
   camera_model: pinhole
   intrinsics: [200.0, 200.0, 173.0, 130.0]
@@ -25,6 +26,13 @@ cam0: &camera
 cam1:
   <<: *camera
 """
+
+
+def kalibr_with_pose(R: NDArray[np.float64], t: NDArray[np.float64]) -> str:
+    """Return the rig's text with what turns camera 1's coordinates into camera 2's."""
+    T_2_1 = np.eye(4)
+    T_2_1[:3, :3], T_2_1[:3, 3] = R, t
+    return f"{KALIBR}  T_cn_cnm1: {T_2_1.tolist()}\n"
 
 
 @dataclass(frozen=True)
@@ -51,10 +59,8 @@ def record(folder: Path) -> Recorded:
         save_events_h5(folder / f"{name}.h5", events, WIDTH, HEIGHT)
         add_frames(folder / f"{name}.h5", offset_s)
     save_events_text(folder / "cam2.txt", streams[1], WIDTH, HEIGHT)
-    (folder / "rig.yaml").write_text(_KALIBR)
-    T_2_1 = np.eye(4)
-    T_2_1[:3, :3], T_2_1[:3, 3] = scene.R, scene.t
-    (folder / "rig_extrinsics.yaml").write_text(f"{_KALIBR}  T_cn_cnm1: {T_2_1.tolist()}\n")
+    (folder / "rig.yaml").write_text(KALIBR)
+    (folder / "rig_extrinsics.yaml").write_text(kalibr_with_pose(scene.R, scene.t))
     return Recorded(folder, scene)
 
 

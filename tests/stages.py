@@ -6,6 +6,7 @@
 STAGES: dict[str, dict[str, tuple[str, ...]]] = {
     "sim": {
         "errors": (),
+        "seeds": (),
         "scene": (
             "trajectory",
             "pendulum",
@@ -45,6 +46,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
             "camera",
         ),
         "clock": (),
+        "recorded": (),
         "recording": (),
         "partial": (),
         "storage": (),

@@ -7,11 +7,10 @@ the skew and the error of the intrinsics, is drawn from the deviations that stan
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-import numpy as np
-
 from sim.disturb.config import DisturbConfig
 from sim.recording import SimConfig
 from sim.scene.trajectory import SplineConfig
+from sim.seeds import generator
 from sim.sensor.events import PRESETS
 from sim.sensor.frames import FrameConfig
 
@@ -39,8 +38,7 @@ class Kind:
 
     def skew_ppm(self, seed: int) -> float:
         """Draw the skew of a flight's recordings of this kind."""
-        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_SKEW_STREAM,)))
-        return self.skew_std_ppm * float(rng.standard_normal())
+        return self.skew_std_ppm * float(generator(seed, _SKEW_STREAM).standard_normal())
 
 
 def _scenes() -> dict[str, SimConfig]:

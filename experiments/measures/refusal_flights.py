@@ -17,6 +17,7 @@ from experiments.run.cache import Cache
 from experiments.run.recorded import Pair, recorded_pair
 from sim.recording import SimConfig
 from sim.scene.trajectory import SplineConfig, Trajectory, random_spline, trajectory_to_csv
+from sim.seeds import generator
 from sim.sensor.events import PRESETS
 from sim.sensor.frames import FrameConfig
 from ssac.camera import Rig, known_pose
@@ -169,7 +170,7 @@ def flight_of(flight: str, config: SimConfig, seed: int, cache: Cache) -> Pair:
     """
     if flight not in PATHS and flight not in _PACES:
         return recorded_pair(cache, config, seed)
-    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_PATH_STREAM,)))
+    rng = generator(seed, _PATH_STREAM)
     pace = _PACES.get(flight, 1.0)
     random = random_spline(replace(config.spline, duration_s=pace * DURATION_S), rng)
     position = PATHS[flight](rng) if flight in PATHS else _slowed(random.position, pace)

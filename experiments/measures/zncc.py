@@ -18,9 +18,10 @@ from experiments.run.cache import Cache
 from experiments.run.recorded import Pair, load_pair
 from experiments.run.task import FlightCell, Measure
 from experiments.scenes.scene import SceneFigures, pair_figures
-from sim.recording import SimConfig
+from sim.recording import TRAJECTORY_STREAM, SimConfig
 from sim.scene.rig import Camera, look_at_rig
 from sim.scene.trajectory import Trajectory, random_spline
+from sim.seeds import generator
 from ssac.baselines.correlation import Signal, binned, lags_of, zncc
 from ssac.baselines.zncc_e import BIN_S, zncc_e
 from ssac.baselines.zncc_f import FRAME_S, zncc_f
@@ -178,8 +179,7 @@ def rendered_agreement(signal: str, flight: SignalFlight) -> Agreement:
 
 def flown(sim: SimConfig, seed: int) -> Trajectory:
     """Draw the trajectory that `simulate` flies."""
-    stream = np.random.SeedSequence(seed, spawn_key=(0,))
-    return random_spline(sim.spline, np.random.default_rng(stream))
+    return random_spline(sim.spline, generator(seed, TRAJECTORY_STREAM))
 
 
 def modelled_signals(trajectory: Trajectory, camera: Camera) -> dict[str, Signal]:

@@ -10,26 +10,28 @@ from experiments.network.four import COMMAND, N_FLIGHTS, four_cameras
 from experiments.network.long_flights import DURATIONS_S, growth_config, network_growth
 from experiments.paper.checksums import record_checksums
 from experiments.run.cache import DEFAULT_FOLDER, Cache
-from experiments.run.command import CacheOption, SchedulerOption, WorkersOption
+from experiments.run.command import (
+    CacheOption,
+    OutOption,
+    SchedulerOption,
+    WorkersOption,
+    check_is_folder,
+    chosen_parts,
+    parts_argument,
+)
 from experiments.run.provenance import save_provenance
 from experiments.run.schedule import Workers
 from experiments.studies.command import run_studies
 from experiments.studies.study import save_csv
 from ssac.console.options import number
-from ssac.errors import SsacError
 
 GROWTH_FILE = "network_growth.csv"
 PARTS = ("four", "growth")
 
 
 def network_command(
-    parts: Annotated[
-        list[str] | None,
-        typer.Argument(
-            help=f"Of {', '.join(PARTS)}.  [default: all]", metavar="PART", show_default=False
-        ),
-    ] = None,
-    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Where to write.")] = Path("results"),
+    parts: Annotated[list[str] | None, parts_argument(PARTS)] = None,
+    out: OutOption = Path("results"),
     flights: Annotated[int, number("Before four cameras.", 1, 1000, metavar="COUNT")] = N_FLIGHTS,
     workers: WorkersOption = -1,
     scheduler: SchedulerOption = "",
@@ -39,12 +41,8 @@ def network_command(
 
     What is finished of the former is kept in the cache, so that an interrupted run goes on.
     """
-    chosen = parts or list(PARTS)
-    unknown = [name for name in chosen if name not in PARTS]
-    if unknown:
-        raise SsacError(f"unknown part {unknown[0]!r}: use one of {', '.join(PARTS)}")
-    if not out.is_dir():
-        raise SsacError(f"{out}: there is no such folder: make it, or name another")
+    chosen = chosen_parts(parts, PARTS)
+    check_is_folder(out)
     if "four" in chosen:
         command = COMMAND if flights == N_FLIGHTS else f"{COMMAND} --flights {flights}"
         study = four_cameras(flights, command)

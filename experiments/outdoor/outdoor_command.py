@@ -20,11 +20,10 @@ from experiments.outdoor.third import THREE_CAMERAS, three_row
 from experiments.outdoor.twin import COLUMNS, KINDS, compared, estimated, twin_row
 from experiments.paper.checksums import record_checksums
 from experiments.run.cache import DEFAULT_FOLDER, Cache, recording_key, run_key
-from experiments.run.command import CacheOption
+from experiments.run.command import CacheOption, OutOption, check_is_folder
 from experiments.run.provenance import save_provenance
 from ssac.compare.figure import save_figure
 from ssac.console.options import number
-from ssac.errors import SsacError
 from ssac.files.whole_file import whole_file
 
 COMMAND = "ssac outdoor"
@@ -35,7 +34,7 @@ _MEASURED = [name for name in COLUMNS if name not in ("flight", "kind", "status"
 
 
 def outdoor_command(
-    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Where to write.")] = Path("results"),
+    out: OutOption = Path("results"),
     flights: Annotated[int, number("Flights.", 1, 1000, metavar="COUNT")] = N_FLIGHTS,
     duration: Annotated[float, number("Of each flight.", 10, 3600, "seconds")] = DURATION_S,
     third: Annotated[
@@ -47,8 +46,7 @@ def outdoor_command(
 
     What is finished is kept in the cache, so that an interrupted run goes on where it was.
     """
-    if not out.is_dir():
-        raise SsacError(f"{out}: there is no such folder: make it, or name another")
+    check_is_folder(out)
     start, kept = time.perf_counter(), Cache(cache)
     rows = [
         _row(kept, duration, flight, kind, lambda line: typer.echo(line, err=True))

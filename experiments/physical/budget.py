@@ -29,6 +29,7 @@ from experiments.physical.imperfections import (
 from experiments.physical.measure import PHYSICAL, PhysicalCell
 from experiments.physical.mini import COMMAND
 from experiments.studies.study import Study
+from ssac.methods.covariance import NORMAL_95
 
 N_RECORDINGS = 1
 """Of each angle, and each of all kinds. 24 of the 34 kinds are simulated apart: half an hour a
@@ -38,8 +39,6 @@ FIRST_FLIGHT = 20_000  # of no table
 DURATION_S = 6.0
 T_D_MS = 50.0
 METHOD_NAMES = ("ssac", "joint", "tangency")
-
-_SIGMAS_95 = 1.959964
 
 
 def budget_cells(n_recordings: int = N_RECORDINGS) -> list[PhysicalCell]:
@@ -86,7 +85,7 @@ def budget_table(runs: pd.DataFrame) -> pd.DataFrame:
             row[f"{error}_std"] = ok[error].std(ddof=0)
         row["t_d_bias_ms"] = (ok["t_d_estimate_ms"] - ok["t_d_ms"]).mean()
         stated = ok[np.isfinite(ok["t_d_std_ms"].astype(float))]
-        held = stated["t_d_error_ms"] <= _SIGMAS_95 * stated["t_d_std_ms"]
+        held = stated["t_d_error_ms"] <= NORMAL_95 * stated["t_d_std_ms"]
         row["t_d_held"] = held.mean() if len(stated) else np.nan
         rows.append(row)
     table: pd.DataFrame = pd.DataFrame(rows)

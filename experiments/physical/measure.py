@@ -9,8 +9,6 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any
 
-import numpy as np
-
 from experiments.physical.imperfections import SetUp
 from experiments.run.cache import Cache
 from experiments.run.grid import Cell
@@ -20,6 +18,7 @@ from experiments.run.task import Measure
 from sim.disturb.clutter import merged
 from sim.effects.config import SensorEffects
 from sim.scene.trajectory import SplineConfig
+from sim.seeds import generator
 from sim.sensor.events import SensorConfig
 from sim.twin.bench import TwinConfig, bench_rig, hanging_of
 from sim.twin.calibration import CalibrationConfig, calibrated_camera, calibrated_pose, exact
@@ -94,14 +93,14 @@ def _known_rig(
 ) -> Rig:
     rig = bench_rig(sim)
     cameras = [
-        calibrated_camera(camera, config, _rng(sim.setup_seed, _INTRINSICS_STREAM, index))
+        calibrated_camera(camera, config, generator(sim.setup_seed, _INTRINSICS_STREAM, index))
         if is_calibrated
         else exact(camera)
         for index, camera in enumerate(rig.cameras)
     ]
     T_2_1 = rig.relative_pose(0, 1)
     if is_truth_calibrated:
-        T_2_1 = calibrated_pose(rig, cameras, config, _rng(sim.setup_seed, _POSE_STREAM))
+        T_2_1 = calibrated_pose(rig, cameras, config, generator(sim.setup_seed, _POSE_STREAM))
     first, second = (
         Camera(
             one.K,
@@ -135,7 +134,3 @@ def _recorded(cell: PhysicalCell, flown: Flown) -> Recorded:
     n_events = len(cameras[0].events), len(cameras[1].events)
     first, second = prepare(cameras[0], cameras[1], rig, cell.estimator)
     return Recorded(first, second, rig, n_events)
-
-
-def _rng(seed: int, *stream: int) -> np.random.Generator:
-    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=stream))

@@ -19,14 +19,21 @@ from experiments.physical.mini import (
     mini_study,
 )
 from experiments.run.cache import DEFAULT_FOLDER, Cache
-from experiments.run.command import CacheOption, SchedulerOption, WorkersOption
+from experiments.run.command import (
+    CacheOption,
+    OutOption,
+    SchedulerOption,
+    WorkersOption,
+    check_is_folder,
+    chosen_parts,
+    parts_argument,
+)
 from experiments.run.provenance import save_provenance
 from experiments.run.schedule import Workers
 from experiments.studies.command import run_studies
 from experiments.studies.study import Study, save_text
 from sim.render.gl_context import context_or_none
 from ssac.console.options import number
-from ssac.errors import SsacError
 
 PARTS: Mapping[str, tuple[Callable[..., Study], ...]] = {
     "tables": tuple(partial(mini_study, duration_s) for duration_s in DURATIONS_S),
@@ -36,13 +43,8 @@ PARTS: Mapping[str, tuple[Callable[..., Study], ...]] = {
 
 
 def physical_command(
-    parts: Annotated[
-        list[str] | None,
-        typer.Argument(
-            help=f"Of {', '.join(PARTS)}.  [default: all]", metavar="PART", show_default=False
-        ),
-    ] = None,
-    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Where to write.")] = Path("results"),
+    parts: Annotated[list[str] | None, parts_argument(PARTS)] = None,
+    out: OutOption = Path("results"),
     recordings: Annotated[
         int | None,
         number(
@@ -57,12 +59,8 @@ def physical_command(
 
     What is finished is kept in the cache, so that an interrupted run goes on where it was.
     """
-    chosen = parts or list(PARTS)
-    unknown = [name for name in chosen if name not in PARTS]
-    if unknown:
-        raise SsacError(f"unknown part {unknown[0]!r}: use one of {', '.join(PARTS)}")
-    if not out.is_dir():
-        raise SsacError(f"{out}: there is no such folder: make it, or name another")
+    chosen = chosen_parts(parts, PARTS)
+    check_is_folder(out)
     start = time.perf_counter()
     for part in chosen:
         run_studies(_studies(part, recordings), out, Cache(cache), Workers(workers, scheduler))

@@ -6,6 +6,7 @@ from experiments.paper.markdown import markdown_table
 from experiments.quoted.cells import digits
 from experiments.quoted.committed import Committed
 from experiments.quoted.physical import PHYSICAL_TABLES
+from ssac.methods.covariance import NORMAL_95
 
 
 def outdoor_table(results: Committed) -> str:
@@ -20,7 +21,7 @@ def outdoor_table(results: Committed) -> str:
     for kind, flights in results.table("outdoor").groupby("kind", sort=False):
         given = flights[flights["rmse_m"].notna()]
         held = (
-            f"{(given[f'{name}_error_{unit}'] <= 1.96 * given[f'{name}_std_{unit}']).sum()}"
+            f"{(given[f'{name}_error_{unit}'] <= NORMAL_95 * given[f'{name}_std_{unit}']).sum()}"
             for name, unit in (("t_d", "ms"), ("skew", "ppm"))
         )
         rows.append(

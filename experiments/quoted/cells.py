@@ -169,22 +169,11 @@ def ordinary_answered(results: Committed) -> str:
     return f"{int(rows['offset_given'].sum())} of {int(rows['runs'].sum())}"
 
 
-def zncc_means(results: Committed, method: str, duration_s: float) -> str:
+def zncc_means(results: Committed, column: str, method: str, duration_s: float) -> str:
     """Mean errors of a correlation method from 30 to 150 deg, over the table's offsets."""
     of = {"quantity": f"{method}_t_d_error_ms", "duration_s": duration_s}
     means = (
-        results.column("comparison", "ours_mean", angle_deg=angle, **of).mean()
-        for angle in ANGLES_DEG
-    )
-    return listed(f"{mean:.0f}" for mean in means) + " ms"
-
-
-def zncc_published(results: Committed, method: str, duration_s: float) -> str:
-    """Say the paper's, likewise."""
-    of = {"quantity": f"{method}_t_d_error_ms", "duration_s": duration_s}
-    means = (
-        results.column("comparison", "published_mean", angle_deg=angle, **of).mean()
-        for angle in ANGLES_DEG
+        results.column("comparison", column, angle_deg=angle, **of).mean() for angle in ANGLES_DEG
     )
     return listed(f"{mean:.0f}" for mean in means) + " ms"
 
@@ -261,8 +250,8 @@ NUMBERS: Mapping[str, Number] = {
     **{f"refusal.wrong.{m}": partial(refusal_wrong, method=m) for m in REFUSING_METHODS},
     "refusal.ordinary": ordinary_answered,
     **{
-        f"zncc.{whose}.{m}.{d:g}": partial(function, method=m, duration_s=d)
-        for whose, function in (("ours", zncc_means), ("paper", zncc_published))
+        f"zncc.{whose}.{m}.{d:g}": partial(zncc_means, column=column, method=m, duration_s=d)
+        for whose, column in (("ours", "ours_mean"), ("paper", "published_mean"))
         for m in ("zncc_e", "zncc_f")
         for d in DURATIONS_S
     },

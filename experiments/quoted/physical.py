@@ -10,15 +10,15 @@ import pandas as pd
 
 from experiments.paper.markdown import markdown_table
 from experiments.paper.quantities import ERRORS
+from experiments.physical.budget import METHOD_NAMES
+from experiments.physical.imperfections import ALL, NONE, all_but, only
+from experiments.physical.mini import DURATIONS_S
 from experiments.quoted.cells import digits
 from experiments.quoted.committed import Committed
-
-METHODS = ("ssac", "joint", "tangency")
-DURATIONS_S = (10, 20)
-SIGMAS_95 = 1.96
+from ssac.methods.covariance import NORMAL_95
 
 _SYMBOLS = {quantity.symbol: name for name, quantity in ERRORS.items()}
-_ONLY, _ALL_BUT = "only ", "all but "
+_ONLY = only("")  # begins the names of these kinds
 
 
 def mini_table(results: Committed) -> str:
@@ -31,20 +31,20 @@ def mini_table(results: Committed) -> str:
     comparison, rows = results.table("mini_comparison"), []
     for duration_s in DURATIONS_S:
         of_duration = comparison[comparison["duration_s"] == duration_s]
-        table = results.table(f"mini_{duration_s}")
+        table = results.table(f"mini_{duration_s:g}")
         for angle_deg, cells in of_duration.groupby("angle_deg", sort=False):
             published = cells.groupby("quantity")["published_mean"].mean()
             ours = table[table["angle_deg"] == angle_deg].mean(numeric_only=True)
             rows.append(
                 [
-                    f"{duration_s}",
+                    f"{duration_s:g}",
                     f"{angle_deg:g}",
                     _slashed(published[f"ssac_{error}"] for error in ERRORS),
                     *(_slashed(ours[f"{name}_{error}_mean"] for error in ERRORS)
-                      for name in METHODS),
+                      for name in METHOD_NAMES),
                 ]
             )  # fmt: skip
-    return markdown_table(["s", "deg", "the paper's SSAC", *(f"`{m}`" for m in METHODS)], rows)
+    return markdown_table(["s", "deg", "the paper's SSAC", *(f"`{m}`" for m in METHOD_NAMES)], rows)
 
 
 def mini_verdicts(results: Committed) -> str:
@@ -58,12 +58,12 @@ def mini_verdicts(results: Committed) -> str:
                 (comparison["quantity"] == f"ssac_{error}")
                 & (comparison["duration_s"] == duration_s)
             ]
-            table = results.table(f"mini_{duration_s}")
+            table = results.table(f"mini_{duration_s:g}")
             halved = 2.0 * table[f"tangency_{error}_mean"] <= table[f"ssac_{error}_mean"]
             rows.append(
                 [
                     symbol,
-                    f"{duration_s}",
+                    f"{duration_s:g}",
                     f"{len(cells)}",
                     *(f"{(cells['verdict'] == word).sum()}"
                       for word in ("agrees", "better", "differs")),
@@ -81,15 +81,15 @@ def mini_held(results: Committed) -> str:
         return ""
     rows = []
     for duration_s in DURATIONS_S:
-        runs = results.table(f"mini_{duration_s}_runs")
+        runs = results.table(f"mini_{duration_s:g}_runs")
         one_offset = runs[runs["t_d_ms"] == runs["t_d_ms"].min()]
-        for method in METHODS[1:]:
+        for method in METHOD_NAMES[1:]:
             mine = one_offset[one_offset["method"] == method]
             ok = mine[mine["status"] == "ok"]
-            held = ok["t_d_error_ms"] <= SIGMAS_95 * ok["t_d_std_ms"]
+            held = ok["t_d_error_ms"] <= NORMAL_95 * ok["t_d_std_ms"]
             rows.append(
                 [
-                    f"{duration_s}",
+                    f"{duration_s:g}",
                     f"`{method}`",
                     f"{len(ok)} of {len(mine)}",
                     f"{100.0 * held.mean():.0f}",
@@ -109,19 +109,19 @@ def budget_table(results: Committed, symbol: str) -> str:
     kinds = list(means.index.get_level_values("kind").unique())
     names = [kind.removeprefix(_ONLY) for kind in kinds if kind.startswith(_ONLY)]
     # The bench without, and with all of them: at the place of what each row changes.
-    ends = (["nothing", "none", "all"], *([name, _ONLY + name, _ALL_BUT + name] for name in names))
+    ends = (["nothing", NONE, ALL], *([name, only(name), all_but(name)] for name in names))
     rows = [
         [
             name,
             *(
                 digits(float(means[(kind, method)]))
-                for method in METHODS
+                for method in METHOD_NAMES
                 for kind in (alone, without)
             ),
         ]
         for name, alone, without in ends
     ]
-    header = [text for method in METHODS for text in (f"`{method}`: alone", "all but")]
+    header = [text for method in METHOD_NAMES for text in (f"`{method}`: alone", "all but")]
     return markdown_table(["imperfection", *header], rows)
 
 
@@ -131,9 +131,9 @@ def budget_by_angle(results: Committed) -> str:
         return ""
     table, rows = results.table("error_budget"), []
     for angle_deg in table["angle_deg"].unique():
-        for kind in ("none", "all"):
+        for kind in (NONE, ALL):
             row = [f"{angle_deg:g}", kind]
-            for method in METHODS:
+            for method in METHOD_NAMES:
                 of = {"angle_deg": angle_deg, "kind": kind, "method": method}
                 row.append(
                     _slashed(
@@ -141,7 +141,7 @@ def budget_by_angle(results: Committed) -> str:
                     )
                 )
             rows.append(row)
-    return markdown_table(["deg", "bench", *(f"`{method}`" for method in METHODS)], rows)
+    return markdown_table(["deg", "bench", *(f"`{method}`" for method in METHOD_NAMES)], rows)
 
 
 def latency_table(results: Committed) -> str:

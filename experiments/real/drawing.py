@@ -6,6 +6,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from experiments.figures.style import WIDTH_IN, quiet_axes
+from ssac.methods.covariance import NORMAL_95
 
 OFFSETS_FIGURE = "real_offsets.png"
 
@@ -35,7 +36,7 @@ def _draw_readouts(axes: Axes, pairs: pd.DataFrame) -> None:
         (-0.15, 0.0 * moved_ms, "global_std_ms", "shutters taken for global ones"),
         (0.15, moved_ms, "t_d_std_ms", "readouts estimated"),
     ):
-        error_ms = 1.96 * pairs[column].to_numpy()
+        error_ms = NORMAL_95 * pairs[column].to_numpy()
         color = _COLORS[int(shift < 0.0)]
         axes.errorbar(
             places + shift, offset_ms, error_ms, fmt="o", ms=3, lw=1.0, color=color, label=label

@@ -13,9 +13,9 @@ from experiments.real.data_sets import COMMAND, DataSet, data_sets, real_config
 from experiments.real.drawing import OFFSETS_FIGURE, real_figure
 from experiments.real.pairs import PAIRS_FILE, STRAYS_FILE, pair_tables
 from experiments.real.paths import PATH_FIGURE, PATHS_FILE, Row, path_of, path_table
+from experiments.run.command import check_is_folder
 from experiments.run.provenance import save_provenance
 from ssac.compare.figure import save_figure
-from ssac.errors import SsacError
 from ssac.estimate import Status
 from ssac.files.whole_file import whole_file
 
@@ -37,8 +37,7 @@ def real_command(
 
     The data are not part of this suite: github.com/CenekAlbl/drone-tracking-datasets.
     """
-    if not out.is_dir():
-        raise SsacError(f"{out}: there is no such folder: make it, or name another")
+    check_is_folder(out)
     start_s, paths = time.perf_counter(), list[Row]()
     sets, written = list[DataSet](), list[Path]()
     with tempfile.TemporaryDirectory() as work:

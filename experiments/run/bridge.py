@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from sim.errors import SimError
-from sim.recording import CameraRecording, Flight, Recording, SimConfig
+from sim.recorded import CameraRecording, Flight, Recording
+from sim.recording import SimConfig
 from sim.scene.drone import drone_from_file
 from sim.scene.rig import Camera as SimCamera
 from ssac.camera import Camera, Rig

@@ -1,9 +1,9 @@
-"""What all commands that run cells share: their options, and what they say at the end."""
+"""What commands that make results share: options, what they check, what they say at the end."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -39,6 +39,7 @@ SchedulerOption = Annotated[
         help="Of a Dask scheduler whose workers do it instead, as host:port.", metavar="ADDRESS"
     ),
 ]
+OutOption = Annotated[Path, typer.Option(metavar="FOLDER", help="Where to write.")]
 CacheOption = Annotated[
     Path, typer.Option(help="Keeps finished recordings and runs.", metavar="FOLDER")
 ]
@@ -53,6 +54,34 @@ CheckOption = Annotated[
         help="Draw some instants with OpenGL too and compare; not where there is none.",
     ),
 ]
+
+
+def parts_argument(parts: Iterable[str]) -> Any:
+    """Make the argument that names some parts of a command; `chosen_parts` reads it."""
+    return typer.Argument(
+        help=f"Of {', '.join(parts)}.  [default: all]", metavar="PART", show_default=False
+    )
+
+
+def chosen_parts(named: Sequence[str] | None, parts: Iterable[str]) -> list[str]:
+    """Return the parts of a command that were named, all where none was.
+
+    Raises
+    ------
+    SsacError
+        If there is no such part.
+    """
+    known = list(parts)
+    unknown = [name for name in named or () if name not in known]
+    if unknown:
+        raise SsacError(f"unknown part {unknown[0]!r}: use one of {', '.join(known)}")
+    return list(named or known)
+
+
+def check_is_folder(out: Path) -> None:
+    """Refuse to begin work whose results would have no place; SsacError says so."""
+    if not out.is_dir():
+        raise SsacError(f"{out}: there is no such folder: make it, or name another")
 
 
 def drawn_by(cells: Iterable[Cell], renderer: str, check: bool) -> list[Cell]:

@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from experiments.run.score import score
 from experiments.scenes.simulate import MAX_SEED, record_with_progress, summary
-from sim.recording import SimConfig, Truth
+from sim.recorded import Truth
+from sim.recording import SimConfig
 from ssac.console.options import number
 from ssac.estimate import Estimate
 from ssac.plot.plots import save_figures

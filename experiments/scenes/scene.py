@@ -8,7 +8,8 @@ import typer
 from numpy.typing import NDArray
 
 from experiments.run.bridge import observations, rig_of
-from sim.recording import Recording, SimConfig, simulate
+from sim.recorded import Recording
+from sim.recording import SimConfig, simulate
 from sim.scene.flyers import DRONES
 from sim.sensor.frames import FrameConfig
 from ssac.camera import Rig, known_pose

@@ -30,7 +30,8 @@ from sim.clock import MAX_SKEW_PPM
 from sim.disturb.config import DisturbConfig
 from sim.disturb.record import record_disturbed
 from sim.errors import SimError
-from sim.recording import Flight, SimConfig
+from sim.recorded import Flight
+from sim.recording import SimConfig
 from sim.render.config import RENDERERS, RenderConfig
 from sim.render.instants import SamplingConfig
 from sim.render.lattice import Lattice

@@ -21,6 +21,7 @@ from experiments.paper.esim import method_order
 from experiments.run.grid import named_config
 from experiments.studies.grids import grid_study
 from experiments.studies.study import Study
+from ssac.methods.covariance import NORMAL_95
 
 FloatArray = NDArray[np.float64]
 
@@ -136,7 +137,7 @@ def _draw_panel(axes: Axes, runs: pd.DataFrame, quantity: Quantity, methods: lis
         most = max(most, len(values))
     axes.plot([0, 100], [0, 100], color="0.6", lw=0.8)
     if most:
-        half = 1.96 * np.sqrt(nominal * (1.0 - nominal) / most)
+        half = NORMAL_95 * np.sqrt(nominal * (1.0 - nominal) / most)
         axes.fill_between(
             100 * nominal, 100 * (nominal - half), 100 * (nominal + half), color="0.9", lw=0,
             label=f"sampling error of {most} runs",

@@ -208,10 +208,10 @@ def _small_files(folder: Path) -> list[Victim]:
     (folder / "recording" / "truth.json").write_text(json.dumps(truth), encoding="utf-8")
     return [
         Victim("track", folder / "track.csv", _n_points, len(times_s), True, False),
-        Victim("rig", folder / "rig.yaml", _use_rig, 1, True),
-        Victim("trajectory", folder / "flight.csv", _use_trajectory, 1, True),
-        Victim("grid", folder / "grid.toml", _use_grid, 1, True),
-        Victim("mesh", folder / "drone.obj", _use_mesh, 1, True),
+        Victim("rig", folder / "rig.yaml", partial(_used, load_rig), 1, True),
+        Victim("trajectory", folder / "flight.csv", partial(_used, trajectory_from_csv), 1, True),
+        Victim("grid", folder / "grid.toml", partial(_used, load_config), 1, True),
+        Victim("mesh", folder / "drone.obj", partial(_used, check_mesh), 1, True),
         Victim("truth", folder / "recording" / "truth.json", _use_truth, 1, True),
     ]
 
@@ -230,23 +230,8 @@ def _n_points(path: Path) -> int:
     return len(track)
 
 
-def _use_rig(path: Path) -> int:
-    load_rig(path)
-    return 1
-
-
-def _use_trajectory(path: Path) -> int:
-    trajectory_from_csv(path)
-    return 1
-
-
-def _use_grid(path: Path) -> int:
-    load_config(path)
-    return 1
-
-
-def _use_mesh(path: Path) -> int:
-    check_mesh(path)
+def _used(read: Callable[[Path], object], path: Path) -> int:
+    read(path)
     return 1
 
 

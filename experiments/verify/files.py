@@ -37,7 +37,6 @@ _SHARD = "shard"  # of a config: says which part was run, not what
 
 def file_findings(results: Path, manifest: Manifest) -> list[Finding]:
     """Check that every file is there, no other, each as it was written and saying how."""
-    manifest = manifest.of(results)
     findings = [
         found("every file that there must be is there", lambda: _missing(results, manifest)),
         found("no other file is there", lambda: _others(results, manifest)),

@@ -6,7 +6,6 @@ a file that is gone leaves a gap in it.
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from experiments.bench.growth import COMMITTED, bench_command_line, bench_config
@@ -63,21 +62,11 @@ class Manifest:
 
     files: tuple[str, ...]  # all of them, without the checksums' own
     provenances: tuple[Provenance, ...]  # of them
-    optional: tuple["Manifest", ...] = ()  # each may be there beside it, whole or not at all
-
-    def of(self, results: Path) -> "Manifest":
-        """Give all that this folder must hold: what is optional too, once some of it is there."""
-        whole = Manifest(self.files, self.provenances)
-        for more in self.optional:
-            if any((results / name).is_file() for name in more.files):
-                provenances = (*whole.provenances, *more.provenances)
-                whole = Manifest((*whole.files, *more.files), provenances)
-        return whole
 
 
 def campaigns() -> tuple[Manifest, ...]:
-    """List what other commands leave, one by one: outdoors, in torture and on the bench."""
-    return _outdoor(), _reliability(), _physical()
+    """List what other commands leave, one by one: of outdoors, torture, the bench and networks."""
+    return _outdoor(), _reliability(), _physical(), _network_growth()
 
 
 def manifest_of(studies: Mapping[str, Study], others: Iterable[Manifest] = ()) -> Manifest:
@@ -106,7 +95,7 @@ def manifest_of(studies: Mapping[str, Study], others: Iterable[Manifest] = ()) -
     for more in (of_real_data(), *others):
         files += more.files
         made += more.provenances
-    return Manifest(tuple(files), tuple(made), (_network_growth(),))
+    return Manifest(tuple(files), tuple(made))
 
 
 def of_real_data() -> Manifest:

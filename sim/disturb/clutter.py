@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from sim.disturb.config import DisturbConfig
 from sim.disturb.movers import branches, people
 from sim.disturb.pixels import View, hot_clusters, lamp, noise
+from sim.seeds import generator, sequence
 from sim.sensor.events import EVENT_DTYPE
 
 FloatArray = NDArray[np.float64]
@@ -23,7 +24,7 @@ _SECOND, _INTRINSICS, *_CLUTTER = range(7)
 
 def second_seed(seed: int) -> int:
     """Seed of the flight of the second object in a recording with a seed."""
-    return int(_sequence(seed, _SECOND).generate_state(1)[0])
+    return int(sequence(seed, _STREAM, _SECOND).generate_state(1)[0])
 
 
 def clutter(config: DisturbConfig, view: View, seed: int, camera: int) -> NDArray[Any]:
@@ -58,13 +59,13 @@ def clutter(config: DisturbConfig, view: View, seed: int, camera: int) -> NDArra
     parts: list[NDArray[Any]] = [np.empty(0, EVENT_DTYPE)]
     for stream, (draw, amount) in zip(_CLUTTER, kinds, strict=True):
         if amount:
-            parts.append(draw(view, amount, _rng(seed, stream, camera)))
+            parts.append(draw(view, amount, generator(seed, _STREAM, stream, camera)))
     return merged(*parts)
 
 
 def thinned(events: NDArray[Any], share: float, seed: int, camera: int) -> NDArray[Any]:
     """Keep a share of the events of a second object, drawn at random."""
-    return events[_rng(seed, _SECOND, camera).random(len(events)) < share]
+    return events[generator(seed, _STREAM, _SECOND, camera).random(len(events)) < share]
 
 
 def merged(*streams: NDArray[Any]) -> NDArray[Any]:
@@ -97,15 +98,7 @@ def wrong_intrinsics(
     percent, centre_px = config.intrinsics_error
     focal = 0.01 * percent
     deviations_px = np.array([focal * K[0, 0], focal * K[1, 1], centre_px, centre_px])
-    errors_px = deviations_px * _rng(seed, _INTRINSICS, camera).standard_normal(4)
+    errors_px = deviations_px * generator(seed, _STREAM, _INTRINSICS, camera).standard_normal(4)
     wrong = K.copy()
     wrong[[0, 1, 0, 1], [0, 1, 2, 2]] += errors_px
     return wrong, deviations_px
-
-
-def _rng(seed: int, stream: int, camera: int) -> np.random.Generator:
-    return np.random.default_rng(_sequence(seed, stream, camera))
-
-
-def _sequence(seed: int, *stream: int) -> np.random.SeedSequence:
-    return np.random.SeedSequence(seed, spawn_key=(_STREAM, *stream))

@@ -16,7 +16,8 @@ from sim.disturb.config import DisturbConfig
 from sim.disturb.pixels import View
 from sim.errors import SimError
 from sim.partial import partial_path
-from sim.recording import CameraRecording, Recording, SimConfig, simulate
+from sim.recorded import CameraRecording, Recording
+from sim.recording import SimConfig, simulate
 from sim.scene.rig import kalibr_yaml
 from sim.sensor.frames import FrameConfig
 from sim.storage import Recorded, check_out_dir, save_recording

@@ -12,6 +12,7 @@ from sim.effects.pixels import EffectsSensor
 from sim.effects.readout import queued, without_gaps
 from sim.errors import SimError
 from sim.render.renderer import Crops
+from sim.seeds import generator
 from sim.sensor.events import Sensor, SensorConfig
 from sim.sensor.frames import FrameConfig, Images
 
@@ -123,8 +124,7 @@ class CameraEffects:
         return NoisyImages(images, *about, rng, self.flicker_rad)
 
     def _rng(self, stream: int, index: int) -> np.random.Generator:
-        key = (_STREAM, stream, index)
-        return np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=key))
+        return generator(self._seed, _STREAM, stream, index)
 
 
 def check_gap(effects: SensorEffects, frames: FrameConfig) -> None:

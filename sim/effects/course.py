@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from sim.sensor.kernels import _decay
+from sim.sensor.kernels import decay
 
 _TOLERANCE_S = 1e-8  # of crossing times, which are rounded to microseconds
 _SETTLED = 1e-7  # of the light: a photoreceptor that is as near has arrived
@@ -103,7 +103,7 @@ def crossing_of(t, stop, level, up, down, leak, eps, course):  # type: ignore[no
     The signal is monotone from t to stop; the level sinks. The root is bracketed and found by
     false position, the end that stays being weighed down (Illinois).
     """
-    sunk = level * _decay(leak * (stop - t))
+    sunk = level * decay(leak * (stop - t))
     at_0, at_1 = signal_at(t, course) + eps, signal_at(stop, course) + eps
     for polarity in (True, False):
         sign, step = (1.0, up) if polarity else (-1.0, down)
@@ -118,7 +118,7 @@ def crossing_of(t, stop, level, up, down, leak, eps, course):  # type: ignore[no
         side = 0
         while abs(s - last) > _TOLERANCE_S:
             last, s = s, a + (b - a) * f_a / (f_a - f_b)
-            now = level * _decay(leak * (s - t))
+            now = level * decay(leak * (s - t))
             f_s = sign * (signal_at(s, course) + eps - now * step)
             if f_s > 0.0:
                 b, f_b = s, f_s

@@ -18,7 +18,7 @@ from sim.effects.course import (
     signal_at,
     turn_of,
 )
-from sim.sensor.kernels import _decay, _grown, _uniform
+from sim.sensor.kernels import decay, grown, uniform
 
 PIXEL_DTYPE = np.dtype(
     [
@@ -157,7 +157,7 @@ def _stays_quiet(state, t1, i0, i1, rates, dim_hz):  # type: ignore[no-untyped-d
             return False
     high = max(state.signal, signal) * (1.0 + course.depth) + rates.eps
     low = min(state.signal, signal) * (1.0 - course.depth) + rates.eps
-    last = state.level * _decay(state.leak_per_s * (t1 - t))
+    last = state.level * decay(state.leak_per_s * (t1 - t))
     if low < state.level * state.down or high > last * state.up:
         return False
     state.level, state.signal, state.time_s = last, signal, t1
@@ -212,15 +212,15 @@ def _follow(  # type: ignore[no-untyped-def]
             t = crossing_s
         else:
             state.budget -= noise_hz * (stop - t)
-            level *= _decay(leak * (stop - t))
+            level *= decay(leak * (stop - t))
             t = stop
             if t < noise_s:
                 continue
-            state.budget = -np.log(1.0 - _uniform(state))
+            state.budget = -np.log(1.0 - uniform(state))
             polarity = _noise_polarity(middle, noise_hz, state, rates, dim_hz)
         signal = signal_at(t, course)
         if n == ev_t.size:
-            ev_t, ev_x, ev_y, ev_p = _grown(ev_t, ev_x, ev_y, ev_p)
+            ev_t, ev_x, ev_y, ev_p = grown(ev_t, ev_x, ev_y, ev_p)
         ev_t[n] = t + _delay(signal + rates.eps, state, rates)
         ev_x[n], ev_y[n], ev_p[n] = x, y, polarity
         n += 1
@@ -258,11 +258,11 @@ def _dim_hz(luminance, dim_hz):  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True, error_model="numpy")
 def _noise_polarity(luminance, noise_hz, state, rates, dim_hz):  # type: ignore[no-untyped-def]
     """Draw the polarity of a noise event: hot pixels are ON, shot noise is either."""
-    draw = _uniform(state) * noise_hz - state.hot_hz
+    draw = uniform(state) * noise_hz - state.hot_hz
     if draw < 0.0:
         return True
     is_dim = draw < state.noisiness * _dim_hz(luminance, dim_hz)
-    return _uniform(state) < (rates.dim_on_share if is_dim else 0.5)
+    return uniform(state) < (rates.dim_on_share if is_dim else 0.5)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -277,5 +277,5 @@ def _delay(light, state, rates):  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True, error_model="numpy")
 def _normal(state):  # type: ignore[no-untyped-def]
     """Draw from the standard normal distribution (Box and Muller)."""
-    radius = np.sqrt(-2.0 * np.log(1.0 - _uniform(state)))
-    return radius * np.cos(2.0 * np.pi * _uniform(state))
+    radius = np.sqrt(-2.0 * np.log(1.0 - uniform(state)))
+    return radius * np.cos(2.0 * np.pi * uniform(state))

@@ -52,7 +52,7 @@ class EventBuffer:
 
 
 @njit(cache=True, nogil=True)
-def _grown(t_s, x, y, p):  # type: ignore[no-untyped-def]
+def grown(t_s, x, y, p):  # type: ignore[no-untyped-def]
     """Twice the room for events."""
     n = t_s.size
     new_t, new_x = np.empty(2 * n, t_s.dtype), np.empty(2 * n, x.dtype)
@@ -77,7 +77,7 @@ def process_ideal(  # type: ignore[no-untyped-def]
         )  # fmt: skip
         if k == times_s.size:
             return ev_t, ev_x, ev_y, ev_p, n
-        ev_t, ev_x, ev_y, ev_p = _grown(ev_t, ev_x, ev_y, ev_p)
+        ev_t, ev_x, ev_y, ev_p = grown(ev_t, ev_x, ev_y, ev_p)
 
 
 @njit(cache=True, nogil=True)
@@ -184,7 +184,7 @@ def process_noisy(  # type: ignore[no-untyped-def]
                     i1 = i0 if part == 0 else value
                     noise[y, x].time_s = end
                     # Most pixels stay quiet; the rest is for those that do not.
-                    level = reference[y, x] * _decay(noise[y, x].leak_per_s * (end - t0))
+                    level = reference[y, x] * decay(noise[y, x].leak_per_s * (end - t0))
                     if (
                         level * down[y, x] <= i1 + eps <= level * up[y, x]
                         and noise[y, x].next_s > end
@@ -230,23 +230,23 @@ def _follow(  # type: ignore[no-untyped-def]
             state.next_s += _waiting_time(state, shot_hz, background_hz)
         event_s = min(crossing_s, state.next_s)
         if event_s > t1:
-            level *= _decay(leak * (t1 - t))
+            level *= decay(leak * (t1 - t))
             break
         light = i0 + slope * (event_s - t0)
         if state.next_s <= crossing_s:
             state.next_s += _waiting_time(state, shot_hz, background_hz)
             total_hz = shot_hz + background_hz + state.hot_hz
-            draw = _uniform(state) * total_hz
+            draw = uniform(state) * total_hz
             if draw < state.hot_hz:
                 polarity = True
             elif draw < total_hz - shot_hz * _SHOT_NOISE_DROP * min(max(light, 0.0), 1.0):
-                polarity = _uniform(state) < 0.5
+                polarity = uniform(state) < 0.5
             else:  # bright light has less shot noise: this one does not happen
-                level *= _decay(leak * (event_s - t))
+                level *= decay(leak * (event_s - t))
                 t = event_s
                 continue
         if n == ev_t.size:
-            ev_t, ev_x, ev_y, ev_p = _grown(ev_t, ev_x, ev_y, ev_p)
+            ev_t, ev_x, ev_y, ev_p = grown(ev_t, ev_x, ev_y, ev_p)
         ev_t[n], ev_x[n], ev_y[n], ev_p[n] = event_s, x, y, polarity
         n += 1
         level = light + eps
@@ -260,7 +260,7 @@ def _follow(  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True)
 def _next_crossing(t, t1, light, light_1, level, up, down, leak, eps):  # type: ignore[no-untyped-def]
     """Find when the light next passes a threshold: (time [s], is ON), infinity if not before t1."""
-    shrink = _decay(leak * (t1 - t))
+    shrink = decay(leak * (t1 - t))
     for polarity in (True, False):
         step = up if polarity else down
         at_0, at_1 = level * step - eps, level * shrink * step - eps
@@ -278,18 +278,18 @@ def _next_crossing(t, t1, light, light_1, level, up, down, leak, eps):  # type: 
 
 
 @njit(cache=True, nogil=True)
-def _decay(x):  # type: ignore[no-untyped-def]
+def decay(x):  # type: ignore[no-untyped-def]
     """Return exp(-x); between two instants x is tiny, and the series is exact to rounding."""
     return 1.0 - x * (1.0 - 0.5 * x * (1.0 - x / 3.0)) if x < 1e-4 else np.exp(-x)
 
 
 @njit(cache=True, nogil=True)
 def _waiting_time(state, shot_hz, background_hz):  # type: ignore[no-untyped-def]
-    return -np.log(1.0 - _uniform(state)) / (shot_hz + background_hz + state.hot_hz)
+    return -np.log(1.0 - uniform(state)) / (shot_hz + background_hz + state.hot_hz)
 
 
 @njit(cache=True, nogil=True)
-def _uniform(state):  # type: ignore[no-untyped-def]
+def uniform(state):  # type: ignore[no-untyped-def]
     """Draw from [0, 1): SplitMix64 (Steele et al., OOPSLA 2014), one stream for each pixel."""
     state.random += np.uint64(0x9E3779B97F4A7C15)
     z = state.random

@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sim.errors import SimError
-from sim.recording import Scene, SimConfig
+from sim.recording import Scene, SimConfig, two_view_rig_of
 from sim.scene.background import uniform_background
 from sim.scene.pendulum import Hanging, PendulumConfig, hanging
 from sim.scene.printed import SIZE_M, printed
-from sim.scene.rig import Camera, Rig, two_view_rig
+from sim.scene.rig import Camera, Rig
 from sim.scene.wall import MEAN_LUMINANCE, wall
+from sim.seeds import generator
 from sim.sensor.frames import FrameConfig
 
 FloatArray = NDArray[np.float64]
@@ -64,8 +65,8 @@ class TwinConfig(SimConfig):
 
 def hanging_of(config: TwinConfig, seed: int) -> Hanging:
     """Draw the motion of a recording."""
-    stream = np.random.SeedSequence(seed, spawn_key=(_MOTION_STREAM,))
-    return hanging(config.pendulum, config.spline.duration_s, np.random.default_rng(stream))
+    rng = generator(seed, _MOTION_STREAM)
+    return hanging(config.pendulum, config.spline.duration_s, rng)
 
 
 def bench_rig(config: TwinConfig) -> Rig:
@@ -74,19 +75,11 @@ def bench_rig(config: TwinConfig) -> Rig:
     The lines of sight are `angle_deg` apart all the same, as that is what was measured: a camera
     is turned about the point that it looks at, not about itself, but for its roll.
     """
-    ideal = two_view_rig(
-        config.angle_deg,
-        focal_px=config.focal_px,
-        resolution=config.resolution,
-        principal_point=config.principal_point,
-        distortion_model=config.distortion_model,
-        distortion_coeffs=config.distortion_coeffs,
-        t_d_s=config.t_d_s,
-    )
-    rng = _rng(config, _CAMERA_STREAM)
+    ideal = two_view_rig_of(config).cameras
+    rng = generator(config.setup_seed, _CAMERA_STREAM)
     cameras = [
         _put_up(camera, distance_m, rng)
-        for camera, distance_m in zip(ideal.cameras, config.distances_m, strict=True)
+        for camera, distance_m in zip(ideal, config.distances_m, strict=True)
     ]
     return Rig(tuple(cameras))
 
@@ -95,12 +88,8 @@ def bench_walls(config: TwinConfig, rig: Rig) -> tuple[NDArray[np.float32], ...]
     """Draw what stands behind in the view of each camera."""
     if not config.textured:
         return tuple(uniform_background(camera, MEAN_LUMINANCE) for camera in rig.cameras)
-    rng = _rng(config, _WALL_STREAM)
+    rng = generator(config.setup_seed, _WALL_STREAM)
     return tuple(wall(camera.width, camera.height, rng) for camera in rig.cameras)
-
-
-def _rng(config: TwinConfig, stream: int) -> np.random.Generator:
-    return np.random.default_rng(np.random.SeedSequence(config.setup_seed, spawn_key=(stream,)))
 
 
 def _put_up(camera: Camera, distance_m: float, rng: np.random.Generator) -> Camera:

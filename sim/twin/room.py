@@ -17,6 +17,7 @@ from sim.recording import Scene
 from sim.scene.pendulum import Hanging
 from sim.scene.printed import HEIGHT, SIZE_M
 from sim.scene.rig import Camera
+from sim.seeds import generator
 from sim.sensor.events import Sensor, SensorConfig
 
 FloatArray = NDArray[np.float64]
@@ -81,7 +82,7 @@ def room_events(
     if config.light_std or config.shadow:
         streams.append(_lit(config, view, scene, hanging, sensor, seed, index))
     if config.wire_m:
-        rng = _rng(seed, _WIRE_STREAM, index)
+        rng = generator(seed, _WIRE_STREAM, index)
         streams.append(_wire(config, view, camera, hanging, sensor, rng))
     nothing = view.events(*(np.empty(0),) * 3, np.empty(0, bool))
     return merged(nothing, *streams)
@@ -104,13 +105,13 @@ def _lit(
 ) -> NDArray[Any]:
     """Let the light on the wall change, and a shadow pass over it."""
     wall = scene.backgrounds[index]
-    phases = _rng(seed, _PHASE_STREAM, index).uniform(-0.95, 0.95, wall.shape)
+    phases = generator(seed, _PHASE_STREAM, index).uniform(-0.95, 0.95, wall.shape)
     threshold = min(sensor.threshold_on, sensor.threshold_off)
     # Each pixel remembers a level of its own, from what it saw before.
     before = np.clip(wall * np.exp(phases * threshold), 0.0, 1.0).astype(np.float32)
     ideal = SensorConfig(sensor.threshold_on, sensor.threshold_off, sensor.log_eps,
                          sensor.threshold_mismatch)  # fmt: skip
-    pixels = Sensor(ideal, before, 0.0, _rng(seed, _PHASE_STREAM, index, 1))
+    pixels = Sensor(ideal, before, 0.0, generator(seed, _PHASE_STREAM, index, 1))
     corner = np.zeros(_BATCH, np.int64)
     for times_s, images in _frames(config, view, scene, hanging, seed, index):
         pixels.feed(times_s, corner[: len(times_s)], corner[: len(times_s)], images)
@@ -123,9 +124,9 @@ def _frames(
     """Yield times (n,) [s] and luminance (n, height, width) of the wall, in batches."""
     n = max(2, int(np.ceil(view.duration_s * FRAMES_HZ)))
     times_s: FloatArray = view.duration_s * np.arange(1, n + 1) / n
-    gains = np.exp(_light(config.light_std, times_s, _rng(seed, _LIGHT_STREAM)))
+    gains = np.exp(_light(config.light_std, times_s, generator(seed, _LIGHT_STREAM)))
     centres = scene.rig.cameras[index].project(hanging.hand(times_s))
-    side = _rng(seed, _SHADOW_STREAM, index).choice((-1.0, 1.0))
+    side = generator(seed, _SHADOW_STREAM, index).choice((-1.0, 1.0))
     centres = centres + np.array([side * _SHADOW_OFF_PX[1], _SHADOW_OFF_PX[0]])
     rows, columns = np.indices((view.height, view.width), dtype=np.float32, sparse=True)
     gains, centres = gains.astype(np.float32), centres.astype(np.float32)
@@ -203,7 +204,3 @@ def wire_columns(camera: Camera, hanging: Hanging, times_s: FloatArray, height: 
         if len(v) > 1 and (np.diff(v) > 0.0).all():  # downwards
             columns[k] = np.interp(rows, v, u, left=np.nan, right=np.nan)
     return columns
-
-
-def _rng(seed: int, *stream: int) -> np.random.Generator:
-    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=stream))

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from ssac.errors import SsacError
 from ssac.files.net import readable
+from ssac.files.text import is_number
 from ssac.files.track_files import save_track
 from ssac.files.whole_file import whole_file
 from ssac.points import PointTrack
@@ -128,7 +129,7 @@ def _detections(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
         rows = [line.split() for line in lines if line.strip()]
-        if rows and not _is_number(rows[0][0]):
+        if rows and not is_number(rows[0][0]):
             rows = rows[1:]
         table = np.array(rows, dtype=np.float64).reshape(-1, 3)
     except (OSError, ValueError) as error:
@@ -136,11 +137,3 @@ def _detections(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
             f"{path}: expected lines `frame x y` ({error}): get the file again"
         ) from error
     return table[:, 0], table[:, 1:]
-
-
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True

@@ -121,6 +121,15 @@ def check_text(path: Path) -> None:
                 )
 
 
+def is_number(word: str) -> bool:
+    """Return whether a word is a number, as `float` reads it: "nan" and "1e3" are."""
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
 def _read_table(
     path: Path, separator: str, columns: list[str], has_header: bool, in_seconds: bool
 ) -> NDArray[np.void]:

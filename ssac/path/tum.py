@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssac.errors import SsacError
+from ssac.files.text import is_number
 from ssac.files.whole_file import whole_file
 
 Array = NDArray[np.float64]
@@ -136,7 +137,7 @@ def _columns(file: pathlib.Path) -> dict[str, Array]:
     except UnicodeDecodeError as error:
         raise SsacError(f"{file}: not a text file: give a path as TUM or csv") from error
     rows = [_words(line) for line in lines if line and not line.startswith("#")]
-    has_header = bool(rows) and not all(map(_is_number, rows[0]))
+    has_header = bool(rows) and not all(map(is_number, rows[0]))
     if len(rows) <= has_header:
         raise SsacError(f"{file}: there are no points: give a path of some")
     names = _names(rows[0], file) if has_header else _names_of(len(rows[0]), file)
@@ -144,7 +145,7 @@ def _columns(file: pathlib.Path) -> dict[str, Array]:
     kept = {name: names.index(name) for name in wanted if name in names}
     numbers = np.empty((len(rows) - has_header, len(kept)))
     for k, row in enumerate(rows[has_header:]):
-        if len(row) != len(names) or not all(_is_number(row[column]) for column in kept.values()):
+        if len(row) != len(names) or not all(is_number(row[column]) for column in kept.values()):
             raise SsacError(
                 f"{file}: every row of a path must be {len(names)} numbers, but point {k} is "
                 f"{' '.join(row)[:60]!r}: correct or remove the row"
@@ -155,14 +156,6 @@ def _columns(file: pathlib.Path) -> dict[str, Array]:
 
 def _words(line: str) -> list[str]:
     return [word.strip() for word in line.split(",")] if "," in line else line.split()
-
-
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
 
 
 def _names(words: list[str], file: pathlib.Path) -> list[str]:

@@ -55,6 +55,21 @@ class Start:
         """Camera 2's clock at the reference time of the guess."""
         return self.guess.t_ref_s + self.guess.t_d_s
 
+    @property
+    def words(self) -> str:
+        """Say what the search over all offsets found."""
+        if not self.found.guesses:
+            return "no offset leaves enough common path"
+        guess, others = self.guess, self.found.guesses[1:]
+        rate = "" if guess.rate == 1.0 else f", camera 2's clock {guess.rate:.6g} times as fast"
+        second = (
+            f"; the next best fits {others[0].cost / guess.cost:.1f} times worse" if others else ""
+        )
+        return (
+            f"{len(self.found.candidates_s)} offsets, {self.found.step_s:.3g} s apart: "
+            f"{guess.t_d_s:.2f} s{rate}{second}"
+        )
+
     def config(self, config: Config) -> Config:
         """Search near the guess."""
         reach_s, t_d_s = max(REACH_S, REACH_STEPS * self.found.step_s), self.guess.t_d_s

@@ -1,6 +1,6 @@
 """Files of many cameras and a rig in; every pair synchronised, and all solved at once, out."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
@@ -28,9 +28,6 @@ from ssac.points import PointTrack
 from ssac.tool.everywhere import SKEW_PRIOR_PPM
 from ssac.tool.sync import Clock, Log, SyncResult, sync
 from ssac.track.observation import Observation
-
-Sync = Callable[[int, int], SyncResult]
-"""Synchronises cameras a and b of the files, counted from 0."""
 
 
 @dataclass(frozen=True)
@@ -94,22 +91,19 @@ def sync_all(
     _check_files(paths)
     load_rig(rig_path, (1, len(paths)))  # has as many cameras
 
-    def run(a: int, b: int) -> SyncResult:
-        return sync(
-            paths[a],
-            paths[b],
-            rig_path,
-            method,
-            config=config,
-            cameras=(a + 1, b + 1),
-            search_all=search_all,
-            reading=reading,
-        )
-
     clock, pairs = Clock(log or (lambda line: None)), dict[Pair, SyncResult]()
     for a, b in combinations(range(len(paths)), 2):
         with clock.part(f"{a + 1}-{b + 1}") as say:
-            pairs[a, b] = run(a, b)
+            pairs[a, b] = sync(
+                paths[a],
+                paths[b],
+                rig_path,
+                method,
+                config=config,
+                cameras=(a + 1, b + 1),
+                search_all=search_all,
+                reading=reading,
+            )
             say(_told(pairs[a, b]))
     with clock.part("network") as say:
         answer = solve_pairs(paths, pairs, config, known.distance_m)

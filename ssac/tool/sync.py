@@ -163,6 +163,13 @@ def sync(
     if not everywhere:
         check_common_time(paths, cam1, cam2, chosen, config)
     objects: tuple[ObjectsUsed, ObjectsUsed] | None = None
+
+    def result(
+        estimate: Estimate, config: Config, guess: Guess | None = None, wanders: bool = False
+    ) -> SyncResult:
+        read = paths, chosen, estimate, cam1, cam2, rig
+        return SyncResult(*read, config, clock.seconds, guess, wanders, reading, objects)
+
     if chosen.of_one_object and rate_range is None:
         with clock.part("objects") as say:
             one = one_object(cam1, cam2, rig, config, everywhere)
@@ -170,39 +177,17 @@ def sync(
             say(one.words)
         refusal = one.refused(chosen.name)
         if refusal is not None:
-            return SyncResult(
-                paths,
-                chosen,
-                refusal,
-                cam1,
-                cam2,
-                rig,
-                config,
-                clock.seconds,
-                reading=reading,
-                objects=objects,
-            )
+            return result(refusal, config)
     start: Start | None = None
     if everywhere:
         with clock.part("search") as say:
             progress = _progress(log) if log else None
             start = find_start(cam1, cam2, rig, config, chosen.name, rate_range, progress)
-            say(_told(start))
+            say(start.words)
         if start.found.guesses:
             config = start.config(config)
     if start is not None and start.refusal is not None:
-        return SyncResult(
-            paths,
-            chosen,
-            start.refusal,
-            cam1,
-            cam2,
-            rig,
-            config,
-            clock.seconds,
-            reading=reading,
-            objects=objects,
-        )
+        return result(start.refusal, config)
     with clock.part("estimate") as say:
         run = partial(_estimate, chosen, cam1, cam2, rig, start=start)
         estimate, wanders = run(config=config), False
@@ -213,9 +198,7 @@ def sync(
                 config = replace(config, clock=WANDERING)
         say(f"{chosen.name}, with a clock that wanders" if wanders else chosen.name)
     guess = None if start is None else start.guess
-    estimate = less_sure(estimate, quanta_s)
-    read = paths, chosen, estimate, cam1, cam2, rig
-    return SyncResult(*read, config, clock.seconds, guess, wanders, reading, objects)
+    return result(less_sure(estimate, quanta_s), config, guess, wanders)
 
 
 def _may_wander(estimate: Estimate, config: Config) -> bool:
@@ -283,19 +266,6 @@ def _progress(log: Log) -> Callable[[float], None]:
             log(f"search   {100.0 * share:4.0f} %")
 
     return report
-
-
-def _told(start: Start) -> str:
-    """Say what the search over all offsets found."""
-    if not start.found.guesses:
-        return "no offset leaves enough common path"
-    guess, others = start.guess, start.found.guesses[1:]
-    rate = "" if guess.rate == 1.0 else f", camera 2's clock {guess.rate:.6g} times as fast"
-    second = f"; the next best fits {others[0].cost / guess.cost:.1f} times worse" if others else ""
-    return (
-        f"{len(start.found.candidates_s)} offsets, {start.found.step_s:.3g} s apart: "
-        f"{guess.t_d_s:.2f} s{rate}{second}"
-    )
 
 
 def _restated(rig: Rig, focal: float | None, centre_px: float | None) -> Rig:

@@ -12,21 +12,13 @@ from experiments.paper.comparison import comparison_table, load_published
 from experiments.paper.esim import csv_text, esim_tables, ordered_runs
 from experiments.run.grid import config_names, flight_seed
 from ssac.files.hdf5 import save_events_h5
+from tests.recorded import KALIBR
 from tests.ssac.synthetic import HEIGHT, WIDTH, Scene, make_events, make_scene
 
 METHODS = (
     "ssac", "ssac-known", "joint", "joint-known", "tangency", "tangency-known", "albl", "zncc_e",
     "zncc_f", "event_rate",
 )  # fmt: skip
-RIG = f"""\
-cam0: &camera
-  camera_model: pinhole
-  intrinsics: [200.0, 200.0, 173.0, 130.0]
-  distortion_model: none
-  distortion_coeffs: []
-  resolution: [{WIDTH}, {HEIGHT}]
-cam1: *camera
-"""
 FIGURES = ("fig3_preprocessing", "fig4_epipolar", "fig5_d_avg", "error_vs_angle", "beyond_paper",
            "efficiency")  # fmt: skip
 
@@ -97,7 +89,7 @@ def record_flight(folder: Path, duration_s: float = 10.0) -> Scene:
     scene = make_scene(seed=0, duration_s=duration_s)
     for name, events in zip(("cam1", "cam2"), make_events(scene, 0, size_m=0.4), strict=True):
         save_events_h5(folder / f"{name}.h5", events, WIDTH, HEIGHT)
-    (folder / "rig.yaml").write_text(RIG)
+    (folder / "rig.yaml").write_text(KALIBR)
     T_2_1 = np.eye(4)
     T_2_1[:3, :3], T_2_1[:3, 3] = scene.R, scene.t
     times_s = np.linspace(0.0, duration_s, 2001)

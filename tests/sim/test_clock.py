@@ -7,7 +7,8 @@ import pytest
 
 from sim.clock import Drift, drift_of
 from sim.errors import SimError
-from sim.recording import SimConfig, simulate, with_time_offset
+from sim.recorded import with_time_offset
+from sim.recording import SimConfig, simulate
 from sim.render.config import RenderConfig
 from sim.render.instants import SamplingConfig
 from sim.render.lattice import Lattice

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 import sim.render.native
 from sim.errors import SimError
-from sim.recording import Recording, SimConfig, simulate, stream, with_time_offset
+from sim.recorded import Recording, with_time_offset
+from sim.recording import SimConfig, simulate, stream
 from sim.render.config import RenderConfig
 from sim.render.instants import SamplingConfig
 from sim.render.lattice import Lattice

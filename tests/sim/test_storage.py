@@ -10,7 +10,8 @@ from scipy.spatial.transform import Rotation
 
 import sim.storage
 from sim.errors import SimError
-from sim.recording import CameraRecording, Recording, SimConfig, Truth, simulate
+from sim.recorded import CameraRecording, Recording, Truth
+from sim.recording import SimConfig, simulate
 from sim.render.config import RenderConfig
 from sim.render.gl_context import GLContext
 from sim.render.instants import SamplingConfig

@@ -26,7 +26,8 @@ from ssac.geometry.robust import robust_deviation
 from ssac.methods.tangency import TangencyConfig
 from ssac.search.two_views import TwoViews, two_views
 from ssac.track.observation import Observation
-from tests.experiments.reported import RIG, record_flight
+from tests.experiments.reported import record_flight
+from tests.recorded import kalibr_with_pose
 from tests.ssac.synthetic import HEIGHT, WIDTH, K, Scene, make_events, make_scene, track_pair
 
 METHODS = list(SAMPLES)
@@ -166,11 +167,7 @@ def test_a_recording_has_all_that_the_bounds_need(
 ) -> None:
     folder = tmp_path / "recording"
     scene = record_flight(folder)
-    T_2_1 = np.eye(4)
-    T_2_1[:3, :3], T_2_1[:3, 3] = scene.R, scene.t
-    (folder / "rig_extrinsics.yaml").write_text(
-        RIG.replace("cam1: *camera", "cam1:\n  <<: *camera") + f"  T_cn_cnm1: {T_2_1.tolist()}\n"
-    )
+    (folder / "rig_extrinsics.yaml").write_text(kalibr_with_pose(scene.R, scene.t))
     read = load_truth(folder)
     np.testing.assert_allclose(read.positions_W_m, truth.positions_W_m)
     np.testing.assert_allclose(read.T_C_W, truth.T_C_W)

@@ -14,6 +14,22 @@ def test_campaigns_that_were_not_run_leave_no_table(tmp_path) -> None:
         assert table(Committed(tmp_path)) == ""
 
 
+def test_outdoors_is_counted_what_held(tmp_path) -> None:
+    row = dict.fromkeys(
+        ("t_d_error_ms", "t_d_std_ms", "skew_error_ppm", "skew_std_ppm", "r_error_deg",
+         "t_error_deg", "rmse_m", "icp_rmse_m", "scale_error_percent", "coverage"), 1.0,
+    )  # fmt: skip
+    rows = [row, row | {"t_d_error_ms": 3.0, "rmse_m": 2.0}, row | {"rmse_m": None}]
+    pd.DataFrame([{"kind": "as_recorded"} | each for each in rows]).to_csv(
+        tmp_path / "outdoor.csv", index=False
+    )
+    line = CAMPAIGN_TABLES["table.outdoor"](Committed(tmp_path)).splitlines()[-1]
+    cells = [cell.strip() for cell in line.split("|")]
+    assert cells[1:4] == ["as recorded", "2 of 3", "2.000"]
+    assert "1, 2" in cells  # 3 ms are no 1.96 deviations of 1 ms
+    assert "1.500 (2.000)" in cells
+
+
 def test_four_cameras_are_told_with_the_largest_errors_and_what_held(tmp_path) -> None:
     rows = []
     for cell in camera_cells(2):

@@ -172,22 +172,3 @@ def test_an_ablation_that_is_not_there_is_named_by_the_page_that_quotes_it(tmp_p
     pd.DataFrame(rows).to_csv(tmp_path / "ablation_rotors.csv", index=False)
     last = TABLES["table.ablation.rotors"](Committed(tmp_path)).splitlines()[-1]
     assert last.split()[1:4] == ["60", "|", "0.20"]
-
-
-def test_the_outdoor_table_counts_what_held_and_is_empty_without_results(tmp_path):
-    assert TABLES["table.outdoor"](Committed(tmp_path)) == ""
-    row = dict.fromkeys(
-        ("t_d_error_ms", "t_d_std_ms", "skew_error_ppm", "skew_std_ppm", "r_error_deg",
-         "t_error_deg", "rmse_m", "icp_rmse_m", "scale_error_percent", "coverage"), 1.0,
-    )  # fmt: skip
-    rows = [row, row | {"t_d_error_ms": 3.0, "rmse_m": 2.0}, row | {"rmse_m": None}]
-    pd.DataFrame([{"kind": "as_recorded"} | each for each in rows]).to_csv(
-        tmp_path / "outdoor.csv", index=False
-    )
-    cells = [
-        cell.strip()
-        for cell in TABLES["table.outdoor"](Committed(tmp_path)).splitlines()[-1].split("|")
-    ]
-    assert cells[1:4] == ["as recorded", "2 of 3", "2.000"]
-    assert "1, 2" in cells  # 3 ms are no 1.96 deviations of 1 ms
-    assert "1.500 (2.000)" in cells

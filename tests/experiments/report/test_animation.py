@@ -36,18 +36,6 @@ from tests.ssac.synthetic import HEIGHT, WIDTH, K
 TICKS = 1 << 13
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("flight")
-    record_flight(folder)
-    return folder
-
-
-@pytest.fixture(scope="module")
-def animation(folder: Path) -> Animation:
-    return make_animation(folder)
-
-
 def test_the_offset_that_was_put_in_is_found(animation: Animation) -> None:
     # The synthetic tracks have about 1 px of noise at 180 px/s: 6 ms in one pair, 1 ms in hundreds.
     assert animation.t_d_s == pytest.approx(T_D_S, abs=1e-3)
@@ -91,9 +79,9 @@ def test_both_sights_meet_in_the_point_that_both_cameras_look_at(animation: Anim
     np.testing.assert_allclose(*(plan.cameras_m + 5.0 * plan.sights), atol=1e-9)
 
 
-def test_thinning_keeps_the_last_event_of_a_pixel(animation: Animation, folder: Path) -> None:
+def test_thinning_keeps_the_last_event_of_a_pixel(animation: Animation, flight: Path) -> None:
     view = animation.views[0]
-    events = load_events_h5(folder / "cam1.h5").events
+    events = load_events_h5(flight / "cam1.h5").events
     times_us = np.rint((view.times_s + animation.start_s) * 1e6).astype(np.int64)
     assert (np.diff(times_us) >= 0).all()
     all_of = {(t, x, y) for t, x, y in zip(events["t"], events["x"], events["y"], strict=True)}
@@ -186,9 +174,9 @@ def test_a_short_recording_is_refused(tmp_path: Path) -> None:
         make_animation(tmp_path)
 
 
-def test_a_recording_without_an_estimate_is_refused(folder: Path, tmp_path: Path) -> None:
-    shutil.copytree(folder, tmp_path, dirs_exist_ok=True)
-    events = load_events_h5(folder / "cam2.h5").events
+def test_a_recording_without_an_estimate_is_refused(flight: Path, tmp_path: Path) -> None:
+    shutil.copytree(flight, tmp_path, dirs_exist_ok=True)
+    events = load_events_h5(flight / "cam2.h5").events
     save_events_h5(tmp_path / "cam2.h5", events[: len(events) // 40], WIDTH, HEIGHT)
     with pytest.raises(SimError, match="tangency can synchronise, got"):
         make_animation(tmp_path)

@@ -27,7 +27,7 @@ from experiments.run.cache import Cache
 from experiments.run.grid import flight_seed
 from experiments.studies.catalogue import ABLATIONS
 from ssac.errors import SsacError
-from tests.experiments.reported import METHODS, made_up_runs, record_flight, write_results
+from tests.experiments.reported import METHODS, made_up_runs, write_results
 
 VOID = {"meta", "link", "img", "br", "input"}
 PAGE = Path(report.__file__).parent / "page"
@@ -43,18 +43,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def results(folder: Path) -> Results:
     return load_results(folder)
-
-
-@pytest.fixture(scope="module")
-def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("flight")
-    record_flight(folder)
-    return folder
-
-
-@pytest.fixture(scope="module")
-def animation(flight: Path) -> Animation:
-    return make_animation(flight)
 
 
 @pytest.fixture(scope="module")

@@ -18,6 +18,7 @@ from sim.recording import SimConfig
 from ssac.config import Config
 from ssac.tool.registry import OURS
 from tests.experiments.reported import record_flight
+from tests.recorded import kalibr_with_pose
 
 CODES = {
     "recordings": RECORDING_CODE,
@@ -132,7 +133,7 @@ def test_all_code_that_a_run_calls_is_in_its_key(
     """Whatever way it is imported: a call that the imports do not show would be seen here."""
     folder = tmp_path / "recording"
     scene = record_flight(folder, 4.0)
-    (folder / "rig_extrinsics.yaml").write_text(_rig(scene.R, scene.t))
+    (folder / "rig_extrinsics.yaml").write_text(kalibr_with_pose(scene.R, scene.t))
     monkeypatch.setattr(Cache, "recording_folder", lambda *_: folder)
     config = Config(interval_s=(-0.1, 0.1), denoise=False)
     cells = [Cell(SimConfig(), 0, 0, 0.0, config, method.name, {}) for method in OURS]
@@ -153,14 +154,3 @@ def test_all_code_that_a_run_calls_is_in_its_key(
     # What names and keeps the entries is no part of them.
     keeping = {"experiments.run.code"}
     assert ours - keeping - SourceTree().closure(*SCORED.code) == set()
-
-
-def _rig(R: object, t: object) -> str:
-    import numpy as np
-
-    from tests.experiments.reported import RIG
-
-    T_2_1 = np.eye(4)
-    T_2_1[:3, :3], T_2_1[:3, 3] = R, t
-    rig = RIG.replace("cam1: *camera", "cam1:\n  <<: *camera")
-    return f"{rig}  T_cn_cnm1: {T_2_1.tolist()}\n"

@@ -8,7 +8,7 @@ import typer
 
 from experiments.paper.grids import table_cells
 from experiments.run.cache import Cache
-from experiments.run.command import drawn_by, finish, other_than_default
+from experiments.run.command import chosen_parts, drawn_by, finish, other_than_default
 from experiments.run.schedule import Outcome
 from experiments.run.task import CRASHED
 from sim.errors import SimError
@@ -35,6 +35,14 @@ def test_an_unknown_renderer_is_refused() -> None:
 def test_a_provenance_names_only_what_is_not_the_default() -> None:
     assert other_than_default("native", True) == []
     assert other_than_default("pyrender", False) == ["--renderer", "pyrender", "--no-check"]
+
+
+def test_parts_are_done_in_the_order_in_which_they_were_named_and_all_without_a_name() -> None:
+    parts = {"four": 1, "growth": 2}
+    assert chosen_parts(None, parts) == chosen_parts([], parts) == ["four", "growth"]
+    assert chosen_parts(["growth", "four"], parts) == ["growth", "four"]
+    with pytest.raises(SsacError, match="unknown part 'five': use one of four, growth"):
+        chosen_parts(["four", "five"], parts)
 
 
 def test_what_cannot_be_simulated_is_the_inputs_fault_and_what_crashed_is_ours(

@@ -5,7 +5,8 @@ import pytest
 
 from experiments.run.provenance import code_commit, plain, save_provenance, versions
 from experiments.scenes.demo import comparison
-from sim.recording import SimConfig, Truth
+from sim.recorded import Truth
+from sim.recording import SimConfig
 from ssac.estimate import Estimate
 
 TRUTH = Truth(

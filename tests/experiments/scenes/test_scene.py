@@ -3,7 +3,8 @@ import pytest
 
 from experiments.scenes import scene
 from experiments.scenes.scene import AUTHORS_SAMPLE, SceneFigures, scene_figures, scene_table
-from sim.recording import Recording, SimConfig, simulate, with_time_offset
+from sim.recorded import Recording, with_time_offset
+from sim.recording import SimConfig, simulate
 from sim.render.config import RenderConfig
 from sim.render.instants import SamplingConfig
 from sim.render.lattice import Lattice

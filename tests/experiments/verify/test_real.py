@@ -60,14 +60,6 @@ def test_real_results_are_there_as_all_others_are() -> None:
     assert set(of_real_data().files) <= set(manifest_of({}).files)
 
 
-def test_what_is_optional_is_there_whole_or_not_at_all(folder: Path) -> None:
-    more = of_real_data()
-    manifest = Manifest((), (), (more,))
-    assert not manifest.of(folder / "elsewhere").files
-    (folder / TRIPLES_FILE).unlink()
-    assert manifest.of(folder).files == more.files
-
-
 def test_files_that_are_gone_or_changed_are_found(folder: Path) -> None:
     more = of_real_data()
     manifest = Manifest(more.files, more.provenances)

@@ -13,7 +13,8 @@ from sim.effects.config import SensorEffects
 from sim.effects.lens import blurred_crops, blurred_image, point_spread
 from sim.effects.presets import SENSOR_PRESETS, sensor_preset
 from sim.errors import SimError
-from sim.recording import Recording, SimConfig, simulate
+from sim.recorded import Recording
+from sim.recording import SimConfig, simulate
 from sim.render.config import RenderConfig
 from sim.render.renderer import Crops
 from sim.scene.trajectory import SplineConfig
