@@ -52,8 +52,7 @@ def kinds_table(results: Committed) -> str:
         refused = refused.replace("_", " ")
         wrong = f"{row['confident_wrong']:.0f}"
         rows.append([row["kind"], f"`{row['method']}`", _answered(row), refused, *shares, wrong])
-    quantities = (f"{name} [%]" for name in HELD)
-    return markdown_table(["kind", "method", "answered", "refused", *quantities, "wrong"], rows)
+    return markdown_table(["kind", "method", "answered", "refused", *HELD, "wrong"], rows)
 
 
 def _answered(row: Mapping[Hashable, Any]) -> str:
