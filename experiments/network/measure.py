@@ -6,7 +6,6 @@ images of the drone's origin in place of the events, so that one sees what the t
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from itertools import combinations
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -18,21 +17,20 @@ from scipy.spatial.transform import Rotation
 from experiments.network.cameras import N_CAMERAS, T_D_S, Truth, load_truth
 from experiments.outdoor.twin import true_track
 from experiments.run.cache import Cache
+from experiments.run.score import angle_between_deg
 from experiments.run.task import FlightCell, Measure
 from ssac.clock import Clock
-from ssac.config import Config
 from ssac.estimate import Status
 from ssac.files.event_files import load_events, write_synced
 from ssac.files.track_files import save_track
 from ssac.geometry.pose import tangent_basis
-from ssac.network.graph import Pair
+from ssac.methods.covariance import NORMAL_95
 from ssac.network.linear import border_offsets
 from ssac.network.solve import NetworkAnswer
 from ssac.network.state import ROTATION, TRANSLATION
 from ssac.path.align import similarity
 from ssac.path.tum import Path as SpacePath
-from ssac.tool.many import solve_pairs
-from ssac.tool.sync import SyncResult, sync
+from ssac.tool.many import sync_all
 
 Array = NDArray[np.float64]
 
@@ -40,7 +38,6 @@ AS_RECORDED, TRUE_TRACKS = "as_recorded", "true_tracks"
 KINDS = (AS_RECORDED, TRUE_TRACKS)
 
 _ARM_ROUNDS = 40  # of the similarity and the lever arm in turn
-_SIGMAS = 1.96  # of an interval of 95 %
 
 
 @dataclass(frozen=True)
@@ -121,10 +118,7 @@ def solved(kind: str, flown: FlownBefore) -> NetworkAnswer:
     """Synchronise every pair and solve all, as `ssac sync` of four files does."""
     with TemporaryDirectory() as name:
         files = [_written(Path(name), kind, k, flown) for k in range(N_CAMERAS)]
-        rig, pairs = flown.folder / "rig.yaml", dict[Pair, SyncResult]()
-        for a, b in combinations(range(N_CAMERAS), 2):
-            pairs[a, b] = sync(files[a], files[b], rig, cameras=(a + 1, b + 1))
-        return solve_pairs(files, pairs, Config())
+        return sync_all(files, flown.folder / "rig.yaml").answer
 
 
 def _written(work: Path, kind: str, k: int, flown: FlownBefore) -> Path:
@@ -165,9 +159,7 @@ def _pose_figures(answer: NetworkAnswer, k: int, truth: Truth) -> dict[str, Any]
         "skew_std_ppm": camera.skew_std_ppm,
         "r_error_deg": float(np.rad2deg(np.linalg.norm(turned))),
         "r_std_deg": camera.r_std_deg,
-        "t_error_deg": float(
-            np.rad2deg(np.arccos(np.clip(camera.t @ direction / length, -1.0, 1.0)))
-        ),
+        "t_error_deg": angle_between_deg(camera.t, direction),
         "t_d_normalised": t_d_error_ms / (1e3 * camera.t_d_std_s),
         "skew_normalised": camera.skew_ppm / camera.skew_std_ppm,
         "r_mahalanobis": _mahalanobis(turned, part[ROTATION, ROTATION]),
@@ -198,7 +190,7 @@ def _path_figures(answer: NetworkAnswer, truth: Truth) -> dict[str, Any]:
         "path_max_mm": float(distances_mm.max()),
         "path_point_rmse_mm": 1e3 * path_off_best_point_m(path, true_m, truth),
         "path_std_mm": float(np.sqrt(np.mean(std_mm**2))),
-        "path_held": float(np.mean(np.abs(own) <= _SIGMAS * deviations_m)),
+        "path_held": float(np.mean(np.abs(own) <= NORMAL_95 * deviations_m)),
         "path_seen": float(len(path) * np.median(np.diff(path.times_s)) / truth.times_s[-1]),
     }
 

@@ -9,6 +9,7 @@ import typer
 
 from experiments.outdoor.flights import (
     DURATION_S,
+    FIRST_SEED,
     N_FLIGHTS,
     THIRD_T_D_S,
     load_truth,
@@ -76,7 +77,12 @@ def outdoor_settings(
     flights: int = N_FLIGHTS, duration_s: float = DURATION_S, third: bool = True
 ) -> dict[str, Any]:
     """Give what the tables are made with, for provenance."""
-    return {"flights": flights, "kinds": kinds_of(third), "sim": outdoor_config(duration_s)}
+    return {
+        "flights": flights,
+        "first_seed": FIRST_SEED,
+        "kinds": kinds_of(third),
+        "sim": outdoor_config(duration_s),
+    }
 
 
 def oracle_table(runs: pd.DataFrame) -> pd.DataFrame:

@@ -1,12 +1,10 @@
 """A flight as three cameras recorded it in; what all together tell beside its truth, out."""
 
-from itertools import combinations
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from experiments.outdoor.flights import Truth, calibrated
 from experiments.outdoor.twin import (
@@ -17,13 +15,12 @@ from experiments.outdoor.twin import (
     write_events,
     write_rig,
 )
+from experiments.run.score import angle_between_deg, rotation_angle_deg
 from sim.recording import SimConfig
 from ssac.estimate import Status
 from ssac.network.answers import CameraAnswer
-from ssac.network.graph import Pair
 from ssac.network.solve import NetworkAnswer
-from ssac.tool.many import solve_pairs
-from ssac.tool.sync import SyncResult, sync
+from ssac.tool.many import sync_all
 
 THREE_CAMERAS = "three_cameras"
 """The kind of a row beside `twin.KINDS`: nothing is known, of a third camera neither."""
@@ -67,18 +64,7 @@ def three_cameras(
         write_events(work, folders[1], truths[1])
         paths[1].rename(paths[2])
         write_events(work, folders[0], truths[0])
-        pairs = dict[Pair, SyncResult]()
-        for a, b in combinations(range(3), 2):
-            numbers = a + 1, b + 1
-            pairs[a, b] = sync(
-                paths[a],
-                paths[b],
-                work / "rig.yaml",
-                config=CONFIG,
-                cameras=numbers,
-                search_all=True,
-            )
-        return solve_pairs(paths, pairs, CONFIG)
+        return sync_all(paths, work / "rig.yaml", config=CONFIG, search_all=True).answer
 
 
 def _camera_figures(camera: CameraAnswer, truth: Truth) -> dict[str, float]:
@@ -87,14 +73,13 @@ def _camera_figures(camera: CameraAnswer, truth: Truth) -> dict[str, float]:
     assert camera.t is not None
     assert camera.t_std is not None
     shown_s = float(truth.clock.cam2_from_cam1(camera.t_ref_s)) - camera.t_ref_s
-    cosine = float(camera.t @ truth.t / np.linalg.norm(camera.t))
     return {
         "t_d_error_ms": 1e3 * abs(camera.t_d_s - shown_s),
         "t_d_std_ms": 1e3 * camera.t_d_std_s,
         "skew_error_ppm": abs(camera.skew_ppm - truth.clock.skew_ppm),
         "skew_std_ppm": camera.skew_std_ppm,
-        "r_error_deg": float(np.rad2deg(Rotation.from_matrix(camera.R @ truth.R.T).magnitude())),
+        "r_error_deg": rotation_angle_deg(camera.R.T @ truth.R),
         "r_std_deg": camera.r_std_deg,
-        "t_error_deg": float(np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0)))),
+        "t_error_deg": angle_between_deg(camera.t, truth.t),
         "t_std_deg": float(np.rad2deg(np.linalg.norm(camera.t_std))),
     }

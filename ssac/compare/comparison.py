@@ -65,7 +65,7 @@ class Comparison:
     """How far an estimate is from a truth."""
 
     in_time: InTime | None  # None: one of the two has no times
-    as_shape: Difference  # by ICP; of the estimate's own points
+    as_shape: Difference  # by ICP; of the estimate's own points, at times that the truth has
     estimate_m: Array  # (m, 3) all of it in the truth's frame: in time where there are times
     truth_m: Array  # (k, 3) all of it, the lever arm taken away
 
@@ -119,12 +119,14 @@ def compare(
     """
     if lever_arm_m is not None:
         truth = without_lever_arm(truth, lever_arm_m)
-    in_time = None
+    in_time, start, points = None, None, estimate.positions_m
     if estimate.has_times and truth.has_times:
         clock, _ = best_shift(estimate, truth, max_shift_s, rate_std_ppm, with_scale)
         in_time = at_equal_times(estimate, truth, clock, with_scale)
-    start = None if in_time is None else in_time.similarity
-    fit, distances_m = registered(estimate.positions_m, _shape(truth), start, with_scale)
+        start = in_time.similarity
+        # Where the truth has a gap, or is over, the nearest of its points is another place's.
+        points = points[interpolated(truth).covers(clock.cam2_from_cam1(estimate.times_s))]
+    fit, distances_m = registered(points, _shape(truth), start, with_scale)
     frame = start or fit
     return Comparison(
         in_time,

@@ -21,6 +21,7 @@ from ssac.network.linear import (
 from ssac.network.normal import Linear, Normal, Solved, solve
 from ssac.network.sightings import Sightings
 from ssac.network.state import (
+    BEHIND,
     CENTRE,
     DELAY,
     FOCAL,
@@ -95,6 +96,7 @@ def _layout(
         places = list(range(STRAYS, network.states[k].size))
         if with_intrinsics:
             places += [READOUT] if seen.has_frames and prior.readout_s > 0.0 else []
+            places += [] if seen.has_frames else [BEHIND]
             places += [FOCAL.start + i for i in range(2) if prior.focal[i] > 0.0]
             places += [CENTRE.start + i for i in range(2) if prior.centre_px[i] > 0.0]
         if k:

@@ -11,6 +11,7 @@ from ssac.network.graph import Pair, PairTold, shared_by
 from ssac.network.normal import Linear
 from ssac.network.sightings import Sightings
 from ssac.network.state import (
+    BEHIND,
     CENTRE,
     FOCAL,
     LEAST_DEPTH,
@@ -34,6 +35,11 @@ SCALE_STD = 1e-6
 
 ASPECT_SHARE = 0.2
 """Deviation of the two focal lengths from each other, in deviations of one: focus changes both."""
+
+BEHIND_PX, BEHIND_STD_PX, BEHIND_OWN_PX = 0.15, 0.08, 0.035
+"""Length by which events are behind, its deviation in all cameras alike, and that of each beside:
+it is 0.2 px in noisy recordings of small drones, 0.1 px in ideal ones, and within 0.03 px the same
+in cameras of one kind (trial flights 900 to 903 of `experiments.outdoor` and `.network`)."""
 
 _HELD_STRAY_S = 1e-6  # of the strays' offset, and of their slope at the recording's ends
 
@@ -142,6 +148,11 @@ def known(
             for mode in (np.full(n, 1.0 / n), slope / np.sum(slope**2)):
                 value = float(mode @ state.strays_s)
                 add(places, mode / _HELD_STRAY_S, -value / _HELD_STRAY_S)
+    of_events = [k for k, seen in enumerate(cameras) if not seen.has_frames]
+    values_px = np.array([network.states[k].behind_px for k in of_events])
+    weights = _alike_but_for(BEHIND_STD_PX, BEHIND_OWN_PX, len(of_events)) / sharper
+    for values, residual in zip(weights, weights @ (BEHIND_PX - values_px), strict=True):
+        add(offsets[of_events] + BEHIND, values, float(residual))
     alike = shared_by(network.told)
     for (a, b), pair in network.told.items():
         by_a, by_b, off_by = pair.rows(network.states[a], network.states[b])
@@ -159,6 +170,12 @@ def known(
     off = np.log(network.distance / length) / SCALE_STD
     add(offsets[k] + np.arange(TRANSLATION.start, TRANSLATION.stop), by_t, off)
     return np.array(rows), np.array(residuals)
+
+
+def _alike_but_for(common: float, own: float, n: int) -> Array:
+    """Give rows (n, n) over their deviations of n numbers that share one error beside their own."""
+    covariance = np.full((n, n), common**2) + own**2 * np.eye(n)
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)), dtype=np.float64)
 
 
 def deviation_px(residuals_px: Array) -> float:

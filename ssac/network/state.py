@@ -6,6 +6,9 @@ clock shows at time T, in a share y of the image's rows, is of the network's tim
     t = T + readout y - delay - rate (T - T_mid) - stray(T),
 
 linear in all that is to be found. Strays are linear between knots, without offset or slope.
+
+Events come once an edge has gone on by some share of a pixel: the object seems to be behind where
+it is, by a length along its motion in the image, not by a time. Where it is slow that is longer.
 """
 
 from dataclasses import dataclass, replace
@@ -22,11 +25,15 @@ Indices = NDArray[np.int64]
 
 DELAY, RATE, READOUT = 0, 1, 2
 ROTATION, TRANSLATION, FOCAL, CENTRE = slice(3, 6), slice(6, 9), slice(9, 11), slice(11, 13)
-STRAYS = 13  # the first of them
+BEHIND = 13
+STRAYS = 14  # the first of them
 """Places of a camera's parameters."""
 
 LEAST_DEPTH = 1e-6
 """Depth, in the path's unit, below which a point is not in front of a camera."""
+
+LEAST_SPEED_PX_S = 1.0
+"""Speed of an image below which it has no direction that events are behind in."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +48,7 @@ class CameraState:
     t: Array  # (3,)
     focal: Array  # (2,) change of fu and fv, as a share
     centre_px: Array  # (2,) change of pu and pv
+    behind_px: float  # by which the object seems to be behind its motion
     knots_s: Array  # (k,) its own clock; empty: its clock is affine
     strays_s: Array  # (k,)
 
@@ -81,6 +89,7 @@ class CameraState:
             t=self.t + step[TRANSLATION],
             focal=self.focal + step[FOCAL],
             centre_px=self.centre_px + step[CENTRE],
+            behind_px=self.behind_px + float(step[BEHIND]),
             strays_s=self.strays_s + step[STRAYS:],
         )
 
@@ -89,7 +98,7 @@ def start_state(seen: Sightings, delay_s: float, rate: float, R: Array, t: Array
     """Give the state of a camera with a clock, a pose, and the intrinsics of its rig."""
     none = np.zeros(2)
     nothing = np.empty(0)
-    return CameraState(delay_s, rate, seen.middle_s, 0.0, R, t, none, none, nothing, nothing)
+    return CameraState(delay_s, rate, seen.middle_s, 0.0, R, t, none, none, 0.0, nothing, nothing)
 
 
 def with_strays(state: CameraState, seen: Sightings, piece_s: float, most: int) -> CameraState:
@@ -142,6 +151,8 @@ def projected(state: CameraState, seen: Sightings, points: Array, velocities: Ar
     by_camera[:, 0, FOCAL.start] = K[0, 0] * x[:, 0]
     by_camera[:, 1, FOCAL.start + 1] = K[1, 1] * x[:, 1]
     by_camera[:, 0, CENTRE.start] = by_camera[:, 1, CENTRE.start + 1] = 1.0
+    speeds = np.sqrt(np.sum(by_time**2, axis=1) + LEAST_SPEED_PX_S**2)
+    by_camera[:, :, BEHIND] = -by_time / speeds[:, None]  # how that turns moves next to nothing
     columns = np.tile(np.arange(p), (n, 1))
     if len(state.knots_s):
         k = len(state.knots_s)
@@ -151,7 +162,8 @@ def projected(state: CameraState, seen: Sightings, points: Array, velocities: Ar
         by_camera[:, :, STRAYS] = -by_time * (1.0 - share)[:, None]
         by_camera[:, :, STRAYS + 1] = -by_time * share[:, None]
         columns[:, STRAYS], columns[:, STRAYS + 1] = STRAYS + piece, STRAYS + piece + 1
-    points_px = lengths_px * x + K[:2, 2] + state.centre_px
+    behind_px = state.behind_px * by_camera[:, :, BEHIND]
+    points_px = lengths_px * x + K[:2, 2] + state.centre_px + behind_px
     return Projected(points_px, depths, by_point, by_camera, columns.astype(np.int64))
 
 

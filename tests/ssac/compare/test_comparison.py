@@ -44,6 +44,17 @@ def test_the_error_is_that_of_the_noise():
     assert as_shape.rmse_m == pytest.approx(np.sqrt(2.0) * NOISE_M, rel=0.06)
 
 
+def test_where_the_truth_has_no_samples_the_estimate_is_not_off():
+    truth, estimate = _truth(), _estimate()
+    kept = (np.abs(truth.times_s - 81.4) > 3.0) & (truth.times_s < 111.4)  # 50 s and 80 s of it
+    holed = Path(truth.times_s[kept], truth.positions_m[kept])
+    as_shape = compare(estimate, holed).as_shape
+    whole = estimate.times_s[(np.abs(estimate.times_s - 50.0) > 3.0) & (estimate.times_s < 80.0)]
+    # Steps of the truth, 0.2 s, on both sides of the gap and at the end.
+    assert len(as_shape.distances_m) == pytest.approx(len(whole), abs=4 * 3)
+    assert as_shape.rmse_m == pytest.approx(np.sqrt(2.0) * NOISE_M, rel=0.06)  # as without holes
+
+
 def test_a_wrong_clock_shows_in_time_and_not_as_a_shape():
     estimate = _estimate(0.0)
     late_s = 0.1 * np.sin(estimate.times_s)  # no shift nor rate explains it

@@ -59,6 +59,59 @@ def test_the_solution_and_its_covariance_are_those_of_the_dense_matrix() -> None
         assert of_points[i] == pytest.approx(expected, rel=1e-6, abs=1e-9)
 
 
+def pieces(n: int) -> tuple[Normal, Linear]:
+    """A path of n pieces of 30 coefficients, each with a parameter of its own."""
+    rng = np.random.default_rng(1)
+    per_piece = 30
+    m = per_piece * n
+    first = np.repeat(np.arange(m - 3), 2)
+    count = len(first)
+    weights = rng.uniform(0.5, 1.0, (count, 4)) * [1.0, 4.0, 4.0, 1.0] / 8.0
+    by_point, by_camera = rng.normal(size=(count, 2, 3)), rng.normal(size=(count, 2, 1))
+    columns = (first // per_piece)[:, None]
+    linear = Linear(first, weights, by_point, by_camera, columns, rng.normal(size=(count, 2)))
+    normal = Normal(m, n)
+    normal.add(linear)
+    normal.add_rows(np.eye(n), np.zeros(n))
+    return normal, linear
+
+
+def test_pieces_of_a_clock_are_solved_as_the_dense_matrix_is() -> None:
+    normal, linear = pieces(12)
+    normal.band[0] += 1e-3  # the ends of the path have but few sightings
+    m, n = len(normal.right_path), 12
+    J = np.zeros((2 * len(linear.first), m + n))
+    for i, at in enumerate(linear.first):
+        J[2 * i : 2 * i + 2, 3 * at : 3 * at + 12] = np.kron(linear.weights[i], linear.by_point[i])
+        J[2 * i : 2 * i + 2, m + linear.columns[i, 0]] = linear.by_camera[i, :, 0]
+    matrix = J.T @ J + np.diag(np.repeat([1e-3, 1.0], [m, n]))
+    found, covariance = solve(normal, np.arange(n)), np.linalg.inv(matrix)
+    step = covariance @ (J.T @ linear.residuals.ravel())
+    # Both to rounding.
+    assert found.path.ravel() == pytest.approx(step[:m], rel=1e-6, abs=1e-8)
+    assert found.border == pytest.approx(step[m:], rel=1e-6, abs=1e-8)
+    assert found.border_covariance() == pytest.approx(covariance[m:, m:], rel=1e-6, abs=1e-8)
+    some = np.arange(0, len(linear.first), 17)  # in all blocks, and where two of them meet
+    of_points = found.path_covariances(linear.first[some], linear.weights[some])
+    for i, k in enumerate(some):
+        at = 3 * linear.first[k]
+        by = np.kron(linear.weights[k], np.eye(3))
+        expected = by @ covariance[at : at + 12, at : at + 12] @ by.T
+        assert of_points[i] == pytest.approx(expected, rel=1e-6, abs=1e-8)
+
+
+def test_a_piece_of_a_clock_reaches_as_far_in_a_long_flight_as_in_a_short_one() -> None:
+    reaches = []
+    for n in (20, 40):
+        normal, _ = pieces(n)
+        normal.band[0] += 1e-1
+        spans = solve(normal, np.arange(n)).spans
+        reaches.append(np.median(spans[:, 1] - spans[:, 0]))
+    assert reaches[0] < 3 * 30 * 10  # half of the shorter
+    # Each fades by chance of its sightings; the medians of 20 and of 40 are 20 % alike.
+    assert reaches[1] == pytest.approx(reaches[0], rel=0.2)
+
+
 def test_derivatives_are_those_of_differences() -> None:
     flight = make_flight(2)
     seen = flight.seen[1]
