@@ -98,6 +98,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
         ),
         "search": (
             "seen",
+            "blind",
             "view",
             "two_views",
             "shutters",
