@@ -86,7 +86,7 @@ def _sudden_silences(times_us: NDArray[np.int64]) -> Spans:
     lengths_us = ends_us - starts_us
     expected = np.minimum(before, after) * lengths_us / _BESIDE_US
     sudden = (lengths_us <= _LONGEST_US) & (expected >= _EXPECTED)
-    return np.column_stack([starts_us, ends_us])[sudden]
+    return np.asarray(np.column_stack([starts_us, ends_us])[sudden])
 
 
 def _filled(spans_us: Spans, beats: NDArray[np.intp]) -> Spans:
