@@ -40,6 +40,17 @@ def test_readouts_are_found(rate_hz, gap_us, seed):
     assert np.median(np.diff(blind.spans_us)) == pytest.approx(gap_us, abs=1_000.0)
 
 
+@pytest.mark.parametrize("noise_hz", [3_000, 30_000])
+def test_readouts_are_found_among_noise(noise_hz):
+    """A blind sensor has no noise either."""
+    rng = np.random.default_rng(7)
+    noise_us = rng.integers(0, DURATION_US, noise_hz * DURATION_US // 1_000_000)
+    times_us, starts_us = without_frames(np.sort(np.append(busy_times(7), noise_us)), 25.0, 10_000)
+    blind = blind_spans(times_us)
+    assert blind.period_s == pytest.approx(0.040, rel=1e-3)
+    assert len(starts_us) - 6 <= len(blind.spans_us) <= len(starts_us)
+
+
 def test_spans_follow_the_clock():
     times_us, _ = without_frames(busy_times(2), 25.0, 10_000)
     shift_us = 123_456_789
