@@ -100,6 +100,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
         ),
         "search": (
             "seen",
+            "blind",
             "view",
             "two_views",
             "shutters",

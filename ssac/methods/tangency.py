@@ -165,7 +165,7 @@ def refine_tangents(
     config
         Parameters; the defaults when None.
     """
-    config = config or TangencyConfig()
+    config = for_blind(config or TangencyConfig(), views)
     if start.status != Status.OK or start.R is None or start.t is None:
         return start
     model = clock_model(views, start)
@@ -215,6 +215,19 @@ def refine_tangents(
         found_by, problem, parameters, residuals, covariance, views.object_px, hidden_px
     )
     return checked_clock(told, model, problem, parameters)
+
+
+def for_blind(config: TangencyConfig, views: TwoViews) -> TangencyConfig:
+    """Look for the outline in a way that bears a camera that is blind now and then, if one is.
+
+    The mean of a window's events then has another time than the window's middle, and the course
+    about which tangents are found would go to and fro. A rough window would be blind on one side.
+    """
+    if not any(len(blind.spans_us) for blind in views.blind):
+        return config
+    longest_s = max(config.outline.rough_half_window_s, config.outline.half_window_s)
+    outline = replace(config.outline, centred=True, rough_half_window_s=longest_s)
+    return replace(config, outline=outline)
 
 
 def tangent_times(views: TwoViews, t_d_s: float, config: TangencyConfig) -> Array:

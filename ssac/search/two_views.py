@@ -15,9 +15,10 @@ from ssac.camera import Rig
 from ssac.clock import Clock
 from ssac.config import Config, checked
 from ssac.geometry.pose import rays_of
+from ssac.search.blind import Blind, blind_spans
 from ssac.search.seen import MOST, Seen, seen_by_both, seen_of
 from ssac.search.view import View, returns_s, size_px, swing_hz, view_of
-from ssac.track.motion import Motion, SharpTrack
+from ssac.track.motion import Motion, ObjectMotion, SharpTrack
 from ssac.track.observation import Observation, object_motions
 
 Array = NDArray[np.float64]
@@ -118,6 +119,15 @@ class TwoViews:
             return None
         step_s = max(one.step_s, other.step_s)
         return seen_of(self.motion1, step_s), seen_of(self.motion2, step_s)
+
+    @cached_property
+    def blind(self) -> tuple[Blind, Blind]:
+        """When each camera was blind, in its own clock, as its events tell; never, of a track."""
+        one, other = (
+            blind_spans(motion.times_us) if isinstance(motion, ObjectMotion) else Blind()
+            for motion in (self.motion1, self.motion2)
+        )
+        return one, other
 
     @property
     def object_px(self) -> float:

@@ -124,6 +124,20 @@ class ObjectMotion:
             valid.reshape(shape),
         )
 
+    def centred_at(self, times_s: NDArray[np.float64]) -> Track:
+        """Sample as `at` does, times (n,) [s], and move the means to the middle of their windows.
+
+        Where a camera was blind for a part of a window, the mean time of its events is another than
+        its middle. Invalid where there is no velocity.
+        """
+        track, velocities = self.at(times_s), self.velocities_at(times_s)
+        first, last = self._indices(times_s, -1), self._indices(times_s, +1)
+        origin_s = 1e-6 * self.times_us[0] if len(self.times_us) else 0.0
+        ages_s = origin_s + self._mean_times(first, last) - times_s
+        positions = track.positions_px - ages_s[:, None] * velocities
+        known = np.isfinite(positions[:, 0])
+        return replace(track, positions_px=positions, valid=track.valid & known)
+
     def velocities_at(self, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
         """Image velocity (..., 2) [px/s] at times (...,) [s].
 

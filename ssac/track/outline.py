@@ -56,6 +56,7 @@ class OutlineConfig:
     max_angle_rad: float = 0.9  # of a tangent from the track: a pencil says little near the epipole
     rough_margin_px: float = 3.0  # inside the rough outline, up to which events are kept
     margin_px: float = 1.0  # the same, inside the deeper rank, once the course is followed
+    centred: bool = False  # moves the track from its events' mean times: where these are uneven
 
 
 @dataclass(frozen=True)
@@ -85,7 +86,7 @@ def near_outline(
 
     These few are all that `tangents` needs, also for a pencil and times a little different.
     """
-    course = _Course.of(motion, pencil, times_s)
+    course = _Course.of(motion, pencil, times_s, config.centred)
     blocks = _Blocks.of(motion.times_us, times_s, config)
     values, tops, at = outermost_from_course(
         motion.times_us,
@@ -141,7 +142,7 @@ def tangents(
         The one with the greater angle first. A tangent is invalid where the track is, when the
         event that gives it is on the border, or close to the epipole.
     """
-    course = _Course.of(motion, pencil, times_s)
+    course = _Course.of(motion, pencil, times_s, config.centred)
     return [
         _tangent(side, events, course, pencil, config)
         for side, events in zip((1.0, -1.0), near, strict=True)
@@ -169,8 +170,10 @@ class _Course:
         return round(duration_s / step_s)
 
     @staticmethod
-    def of(motion: ObjectMotion, pencil: Pencil, times_s: Array) -> "_Course":
-        track = motion.at(times_s)
+    def of(
+        motion: ObjectMotion, pencil: Pencil, times_s: Array, centred: bool = False
+    ) -> "_Course":
+        track = motion.centred_at(times_s) if centred else motion.at(times_s)
         points_px = np.where(track.valid[:, None], track.positions_px, np.nan)
         angles = np.full(len(times_s), np.nan)
         angles[track.valid] = np.unwrap(pencil.angles(points_px[track.valid]))

@@ -164,6 +164,18 @@ def test_sharp_images_do_not_move():
     assert np.allclose(track.velocities_px_s[0], [1000.0, 0.0], atol=10.0)
 
 
+def test_centred_positions_do_not_depend_on_when_the_camera_was_blind():
+    t_us = np.arange(0, 40_000, 50)
+    events = column_of_events(t_us, x=100 + np.rint(1e-3 * t_us), y=50)  # 1000 px/s
+    seen = events[(t_us < 21_000) | (t_us >= 31_000)]
+    motion = object_motion(seen, CAMERA)
+    # The events left are 18 ms old in the mean, and the mean of their pixels is as old.
+    assert motion.at(np.array([0.02])).positions_px[0, 0] == pytest.approx(118.0, abs=0.25)
+    centred = motion.centred_at(np.array([0.02, 0.1]))
+    assert centred.positions_px[0, 0] == pytest.approx(120.0, abs=0.25)  # pixels round
+    assert list(centred.valid) == [True, False]
+
+
 def test_sharp_positions_follow_the_path(flight):
     scene, events = flight
     times_s = np.linspace(0.1, 3.9, 200)

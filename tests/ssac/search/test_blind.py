@@ -1,0 +1,85 @@
+"""When a camera reads its frames out is found among its events, and nowhere else."""
+
+import numpy as np
+import pytest
+
+from ssac.search.blind import blind_spans
+
+DURATION_US = 6_000_000
+
+
+def busy_times(seed, rate_hz=50_000.0, swing_hz=0.8):
+    """Times [us] of an object that swings: events come by its speed, and none where it turns."""
+    rng = np.random.default_rng(seed)
+    times_us = np.sort(rng.integers(0, DURATION_US, int(rate_hz * 1e-6 * DURATION_US)))
+    speed = np.abs(np.cos(2.0 * np.pi * swing_hz * 1e-6 * times_us))
+    return times_us[rng.random(len(times_us)) < speed]
+
+
+def without_frames(times_us, rate_hz, gap_us, phase_us=3_000):
+    """Lose the events of each readout, and say when these begin."""
+    starts_us = np.arange(phase_us, DURATION_US, 1e6 / rate_hz)
+    since_us = times_us - starts_us[np.searchsorted(starts_us[1:], times_us, side="right")]
+    return times_us[(since_us < 0.0) | (since_us >= gap_us)], starts_us
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "gap_us"),
+    [(10.0, 25_000), (25.0, 10_000), (20.0, 5_000), (40.0, 8_000), (50.0, 5_000)],
+)
+@pytest.mark.parametrize("seed", [0, 1])
+def test_readouts_are_found(rate_hz, gap_us, seed):
+    times_us, starts_us = without_frames(busy_times(seed), rate_hz, gap_us)
+    blind = blind_spans(times_us)
+    assert blind.period_s == pytest.approx(1.0 / rate_hz, rel=1e-3)
+    # Where the object is all but at rest at an end of the recording, nothing tells of one.
+    assert len(starts_us) - 6 <= len(blind.spans_us) <= len(starts_us)
+    nearest = np.abs(blind.spans_us[:, 0, None] - starts_us).min(axis=1)
+    # The last event before a readout is a few event times early; 0.5 ms are 25 at full speed.
+    assert np.median(nearest) < 500.0
+    assert np.median(np.diff(blind.spans_us)) == pytest.approx(gap_us, abs=1_000.0)
+
+
+@pytest.mark.parametrize("noise_hz", [3_000, 30_000])
+def test_readouts_are_found_among_noise(noise_hz):
+    """A blind sensor has no noise either."""
+    rng = np.random.default_rng(7)
+    noise_us = rng.integers(0, DURATION_US, noise_hz * DURATION_US // 1_000_000)
+    times_us, starts_us = without_frames(np.sort(np.append(busy_times(7), noise_us)), 25.0, 10_000)
+    blind = blind_spans(times_us)
+    assert blind.period_s == pytest.approx(0.040, rel=1e-3)
+    assert len(starts_us) - 6 <= len(blind.spans_us) <= len(starts_us)
+
+
+def test_spans_follow_the_clock():
+    times_us, _ = without_frames(busy_times(2), 25.0, 10_000)
+    shift_us = 123_456_789
+    here, there = blind_spans(times_us), blind_spans(times_us + shift_us)
+    np.testing.assert_array_equal(here.spans_us + shift_us, there.spans_us)
+    assert here.period_s == there.period_s
+
+
+@pytest.mark.parametrize("rate_hz", [0.0, 300.0, 3_000.0, 50_000.0, 500_000.0])
+def test_a_camera_without_frames_is_never_blind(rate_hz):
+    assert len(blind_spans(busy_times(3, rate_hz)).spans_us) == 0
+
+
+@pytest.mark.parametrize("events", [20, 100, 400])
+@pytest.mark.parametrize("swing", [0.0, 0.5])
+def test_edges_that_cross_rows_at_once_are_no_readouts(events, swing):
+    """A small object's events come in volleys, one for each row of pixels that its edge crosses."""
+    rng = np.random.default_rng(4)
+    time_s = np.arange(0.0, 1e-6 * DURATION_US, 1e-4)
+    rows = np.cumsum(1e-4 * 80.0 * (1.0 + swing * np.sin(2.0 * np.pi * 0.7 * time_s)))
+    crossings_us = 1e6 * np.interp(np.arange(1.0, rows[-1]), rows, time_s)
+    volleys = crossings_us[:, None] + rng.uniform(0.0, 3_000.0, (len(crossings_us), events))
+    assert len(blind_spans(np.sort(np.rint(volleys.ravel()).astype(np.int64))).spans_us) == 0
+
+
+def test_an_object_that_is_hidden_now_and_then_is_not_blindness():
+    times_us = busy_times(5)
+    rng = np.random.default_rng(6)
+    for start_us in rng.integers(0, DURATION_US, 60):
+        hidden = (times_us >= start_us) & (times_us < start_us + rng.integers(3_000, 30_000))
+        times_us = times_us[~hidden]
+    assert len(blind_spans(times_us).spans_us) == 0
