@@ -17,7 +17,7 @@ from experiments.outdoor.flights import (
     seed_of,
     third_config,
 )
-from experiments.outdoor.third import THREE_CAMERAS, three_row
+from experiments.outdoor.third import THREE_CAMERAS, TWO_AT_ONCE, at_once_row
 from experiments.outdoor.twin import COLUMNS, KINDS, compared, estimated, twin_row
 from experiments.paper.checksums import record_checksums
 from experiments.run.cache import DEFAULT_FOLDER, Cache, recording_key, run_key
@@ -70,7 +70,7 @@ def outdoor_command(
 
 def kinds_of(third: bool = True) -> tuple[str, ...]:
     """List the kinds of rows of a flight."""
-    return (*KINDS, THREE_CAMERAS) if third else KINDS
+    return (*KINDS, TWO_AT_ONCE, THREE_CAMERAS) if third else (*KINDS, TWO_AT_ONCE)
 
 
 def outdoor_settings(
@@ -108,7 +108,9 @@ def _row(cache: Cache, duration_s: float, flight: int, kind: str, log: Any) -> d
         if with_third:
             other = cache.recording_folder(with_third[0], seed)
             truths = truth, load_truth(other, THIRD_T_D_S)
-            made = three_row((folder, other), config, truths, flight)
+            made = at_once_row((folder, other), config, truths, flight)
+        elif kind == TWO_AT_ONCE:
+            made = at_once_row((folder,), config, (truth,), flight)
         else:
             made = twin_row(folder, config, truth, flight, kind)
         row = {name: None if value != value else value for name, value in made.items()}  # NaN

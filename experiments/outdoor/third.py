@@ -1,4 +1,4 @@
-"""A flight as three cameras recorded it in; what all together tell beside its truth, out."""
+"""A flight as two or three cameras recorded it in; what all at once tell beside its truth, out."""
 
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -22,19 +22,20 @@ from ssac.network.answers import CameraAnswer
 from ssac.network.solve import NetworkAnswer
 from ssac.tool.many import sync_all
 
-THREE_CAMERAS = "three_cameras"
-"""The kind of a row beside `twin.KINDS`: nothing is known, of a third camera neither."""
+TWO_AT_ONCE, THREE_CAMERAS = "two_at_once", "three_cameras"
+"""Kinds of rows beside `twin.KINDS`: nothing is known, and all are adjusted together with the path,
+as `ssac sync` does it for more than two cameras and for the path of two."""
 
 
-def three_row(
-    folders: tuple[Path, Path], config: SimConfig, truths: tuple[Truth, Truth], flight: int
+def at_once_row(
+    folders: tuple[Path, ...], config: SimConfig, truths: tuple[Truth, ...], flight: int
 ) -> dict[str, Any]:
-    """Solve three cameras at once, and compare the second's clock and pose, and the path.
+    """Solve two or three cameras at once, and compare the second's clock and pose, and the path.
 
     Parameters
     ----------
     folders
-        Of the recordings of cameras 1 and 2, and of cameras 1 and 3.
+        Of the recording of cameras 1 and 2, and of that of cameras 1 and 3 if there is a third.
     config
         The former was simulated with.
     truths
@@ -42,10 +43,11 @@ def three_row(
     flight
         Number of the flight.
     """
-    answer, truth = three_cameras(folders, config, truths, flight), truths[0]
+    answer, truth = at_once(folders, config, truths, flight), truths[0]
     camera = answer.cameras[1]
     row: dict[str, Any] = dict.fromkeys(COLUMNS, np.nan)
-    row |= {"flight": flight, "kind": THREE_CAMERAS, "reason": answer.reason}
+    row |= {"flight": flight, "kind": (TWO_AT_ONCE, THREE_CAMERAS)[len(folders) - 1]}
+    row |= {"reason": answer.reason}
     row |= {"status": str(answer.status)}
     if camera.status == Status.OK and camera.R is not None and answer.cameras[0].group == 1:
         row |= _camera_figures(camera, truth)
@@ -53,17 +55,17 @@ def three_row(
     return row
 
 
-def three_cameras(
-    folders: tuple[Path, Path], config: SimConfig, truths: tuple[Truth, Truth], flight: int
+def at_once(
+    folders: tuple[Path, ...], config: SimConfig, truths: tuple[Truth, ...], flight: int
 ) -> NetworkAnswer:
-    """Find clocks, poses and path of three cameras, as `ssac sync` of three does."""
+    """Find clocks, poses and path of two or three cameras; parameters as of `at_once_row`."""
     with TemporaryDirectory() as name:
-        work = Path(name)
-        write_rig(work / "rig.yaml", calibrated(config, flight))
-        paths = [work / f"cam{k}.h5" for k in (1, 2, 3)]
-        write_events(work, folders[1], truths[1])
-        paths[1].rename(paths[2])
-        write_events(work, folders[0], truths[0])
+        work, n = Path(name), len(folders) + 1
+        write_rig(work / "rig.yaml", calibrated(config, flight)[:n])
+        paths = [work / f"cam{k + 1}.h5" for k in range(n)]
+        for k in reversed(range(1, n)):
+            write_events(work, folders[k - 1], truths[k - 1])
+            paths[1].rename(paths[k])
         return sync_all(paths, work / "rig.yaml", config=CONFIG, search_all=True).answer
 
 
