@@ -214,6 +214,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
             "growth",
             "figures",
         ),
+        "marks": ("kinds", "measure", "table"),
         "studies": (
             "study",
             "grids",
@@ -242,6 +243,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
         "quoted": (
             "committed",
             "real",
+            "marks",
             "cells",
             "zncc",
             "physical",
