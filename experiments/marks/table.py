@@ -112,7 +112,7 @@ def _summed(runs: pd.DataFrame, mark: Mark | None) -> dict[str, Any]:
         row["reached"] = sum(_reaches(one, mark) for one in runs.to_dict("records"))
     row |= {f"{name}_most": answers[name].max() for name in _ERRORS}
     row["t_d_error_ms_rms"] = np.sqrt((answers["t_d_error_ms"] ** 2).mean())
-    row |= {name: answers[name].median() for name in _STATED}
+    row |= {name: _median(answers[name]) for name in _STATED}
     wrong = np.zeros(len(runs), bool)
     for name, free in HELD.items():
         squares = runs[name].to_numpy(np.float64) ** 2
@@ -124,8 +124,14 @@ def _summed(runs: pd.DataFrame, mark: Mark | None) -> dict[str, Any]:
     for name in _JUMPS:
         row |= {f"{name}_least": runs[name].min(), f"{name}_most": runs[name].max()}
     for name in (*_MOVED, "cpu_s"):
-        row |= {f"{name}_median": runs[name].median(), f"{name}_most": runs[name].max()}
+        row |= {f"{name}_median": _median(runs[name]), f"{name}_most": runs[name].max()}
     return row
+
+
+def _median(values: "pd.Series[Any]") -> float:
+    """Give the median of what is known; NaN of nothing, without a warning."""
+    known = values.dropna()
+    return float(known.median()) if len(known) else np.nan
 
 
 def _reaches(run: Mapping[Any, Any], mark: Mark) -> bool:
