@@ -21,10 +21,10 @@ from experiments.run.task import CRASHED
 FIRST_FLIGHT, SCENE_STEP = 40_000, 100
 OTHER_FLIGHT = 50  # added to the number, for the other flight
 
-FLIGHTS: Mapping[str, int] = {"10 s": 2, "20 s": 1, "5 px, davis346": 1, "82 s": 1}
-"""Of each scene: a first round, for more of which there was no time."""
+FLIGHTS: Mapping[str, int] = {"10 s": 5, "20 s": 3, "5 px, davis346": 3, "82 s": 2}
+"""Of each scene."""
 
-FEW = 1
+FEW = 2
 """Flights of kinds with noise of 10 Hz/px: 18 M events a camera in 20 s."""
 
 LEVEL, MAX_SIGMAS = 0.95, 3.5
