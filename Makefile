@@ -33,7 +33,7 @@ ablations: .venv/.ready ## one parameter varied at a time (half an hour) -> resu
 	@.venv/bin/ssac ablate
 
 studies: .venv/.ready ## is the uncertainty honest, is the unknown refused, how near the bound (half an hour)
-	@.venv/bin/ssac study efficiency coverage refusal imperfect tangency zncc
+	@.venv/bin/ssac study efficiency coverage refusal imperfect marks tangency zncc
 
 figures: .venv/.ready ## the paper's figures, and errors against the angle -> results/*.png
 	@.venv/bin/ssac figures

@@ -217,6 +217,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
             "growth",
             "figures",
         ),
+        "marks": ("kinds", "measure", "table"),
         "studies": (
             "study",
             "grids",
@@ -245,6 +246,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
         "quoted": (
             "committed",
             "real",
+            "marks",
             "cells",
             "zncc",
             "physical",

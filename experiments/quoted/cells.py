@@ -13,6 +13,7 @@ from scipy.stats import gmean
 from experiments.paper.grids import ANGLES_DEG, DURATIONS_S, TABLES
 from experiments.paper.quantities import ERRORS, NOISY_T_D_MARK_MS, T_D_ERROR
 from experiments.quoted.committed import Committed
+from experiments.quoted.marks import MARK_NUMBERS
 from experiments.quoted.real import REAL_NUMBERS
 from experiments.studies.catalogue import ABLATIONS
 from experiments.studies.refusal import METHOD_NAMES as REFUSING_METHODS
@@ -209,7 +210,7 @@ def _plural(verdict: str, n: int) -> str:
 _TIMED = (
     *("bench", "comparison", "coverage", "efficiency", "fidelity", "figures"),
     "renderers",
-    *("refusal", "imperfect", "tangency", "zncc"),
+    *("refusal", "imperfect", "marks", "tangency", "zncc"),
     *(f"ablation_{name}" for name in ABLATIONS),
 )
 
@@ -267,4 +268,5 @@ NUMBERS: Mapping[str, Number] = {
     "bench.recordings": partial(bench, row="tables: recordings"),
     "bench.sync.tangency": partial(bench, row="sync, tangency: all but reading", decimals=2),
     **REAL_NUMBERS,
+    **MARK_NUMBERS,
 }

@@ -17,6 +17,7 @@ from experiments.quoted.cells import (
     digits,
 )
 from experiments.quoted.committed import Committed, FloatArray
+from experiments.quoted.marks import MARK_TABLES
 from experiments.quoted.real import REAL_TABLES
 from experiments.quoted.zncc import ZNCC_TABLES
 from experiments.studies.catalogue import ABLATIONS
@@ -267,5 +268,6 @@ TABLES: Mapping[str, Callable[[Committed], str]] = {
     **CAMPAIGN_TABLES,
     **ZNCC_TABLES,
     **REAL_TABLES,
+    **MARK_TABLES,
     **{f"table.ablation.{name}": partial(ablation_table, name=name) for name in ABLATIONS},
 }

@@ -2,6 +2,10 @@
 
 from collections.abc import Mapping
 
+from experiments.marks.kinds import KINDS
+from experiments.marks.measure import MARKED, METHOD
+from experiments.marks.table import FEW, FIRST_FLIGHT, FLIGHTS, mark_cells, marks_table
+from experiments.paper.grids import ANGLES_DEG
 from experiments.studies.coverage import coverage_study
 from experiments.studies.efficiency import EFFICIENCY
 from experiments.studies.fidelity import FIDELITY_STUDY, RENDERERS_STUDY
@@ -16,6 +20,17 @@ from ssac.errors import SsacError
 ABLATIONS: Mapping[str, Study] = {name: ablation_study(name) for name in ablation_names()}
 """By the names that `ssac ablate` takes."""
 
+MARKS = Study(
+    "marks",
+    "Clutter, clocks and intrinsics of real recordings, each kind beside its mark",
+    mark_cells,
+    MARKED,
+    marks_table,
+    keys=("kind", "flight"),
+    config={"flights": dict(FLIGHTS), "few": FEW, "first_flight": FIRST_FLIGHT,
+            "angles_deg": ANGLES_DEG, "kinds": list(KINDS), "method": METHOD},
+)  # fmt: skip
+
 STUDIES: Mapping[str, Study] = {
     study.name: study
     for study in (
@@ -23,6 +38,7 @@ STUDIES: Mapping[str, Study] = {
         coverage_study(),
         REFUSAL,
         IMPERFECT,
+        MARKS,
         TANGENCY,
         ZNCC,
         FIDELITY_STUDY,

@@ -21,7 +21,7 @@ from experiments.studies.fidelity import (
     renderer_cells,
 )
 
-OWN_FLIGHTS = ("coverage", "refusal", "imperfect", "tangency", "zncc", "fidelity")
+OWN_FLIGHTS = ("coverage", "refusal", "imperfect", "marks", "tangency", "zncc", "fidelity")
 """Studies whose flights are those of no table."""
 
 

@@ -67,6 +67,20 @@ def test_equals_a_k_d_tree_across_gaps_in_time(gap_us):
     np.testing.assert_array_equal(radius_filter(events), _tree_filter(events, 5.0, 1.0, 20))
 
 
+@pytest.mark.parametrize("gap_us", [0, 4000, 10_000_000_000])
+@pytest.mark.parametrize(
+    ("radius_px", "n_neighbours"), [(3.0, 12), (3.0, 5), (2.5, 1), (5.0, 20), (0.5, 1)]
+)
+def test_either_way_leaves_the_same(radius_px, n_neighbours, gap_us):
+    events = _random_events(20_000, 60_000, seed=5)  # of which balls hold from none to many
+    some = events["x"] < 20
+    events["x"][some], events["y"][some] = events["x"][some] // 4, events["y"][some] // 4
+    events["t"][len(events) // 2 :] += gap_us
+    fast = radius_filter(events, radius_px, n_neighbours=n_neighbours, mostly_noise=True)
+    assert np.array_equal(fast, radius_filter(events, radius_px, n_neighbours=n_neighbours))
+    assert 0 < len(fast) < len(events)
+
+
 def test_neighbours_must_be_as_many_as_asked():
     events = events_from_arrays(np.arange(21), [3] * 21, [4] * 21, [1] * 21)
     assert len(radius_filter(events)) == 21

@@ -1,0 +1,1 @@
+"""The marks of recordings as they come: clutter, clocks and intrinsics, each kind with its own."""
