@@ -37,7 +37,7 @@ def clutter_table(results: Committed) -> str:
         for row in _rows(results, CLUTTER)
     ]
     header = ["kind", "answered", "mark", "t_d [ms]", "stated", "R [deg]"]
-    header += ["held", "took [s]"]
+    header += ["held", "s"]
     return markdown_table(header, body)
 
 
@@ -58,7 +58,7 @@ def clocks_table(results: Committed) -> str:
         for row in _rows(results, CLOCKS)
     ]
     header = ["kind", "answered", "mark", "t_d [ms]", "stated", "ppm", "stated"]
-    header += ["ends [ms]", "held"]
+    header += ["ends", "held"]
     return markdown_table(header, body)
 
 
@@ -134,11 +134,10 @@ def _rows(results: Committed, group: str) -> list[dict[Hashable, Any]]:
 
 def _answered(row: Row) -> str:
     """Say how many were answered, and why others were not."""
-    text = f"{row['answered']:.0f} of {row['runs']:.0f}"
     if pd.isna(row["refused"]) or not row["refused"]:
-        return text
+        return f"{row['answered']:.0f} of {row['runs']:.0f}"
     refused = str(row["refused"]).replace(":", " ").replace("_", " ")
-    return f"{text}: {refused}" if row["answered"] else refused
+    return f"{row['answered']:.0f}, {refused}" if row["answered"] else refused
 
 
 def _shorter(kind: str) -> str:

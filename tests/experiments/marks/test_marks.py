@@ -181,7 +181,7 @@ def test_the_pages_show_each_kind_beside_its_mark(tmp_path: Path) -> None:
         if name == "table.marks.clutter":
             (drone,) = [row for row in body if row[0] == "second drone 10 %"]
             assert drone[1:4] == [
-                "2 of 4: crashed 1 several objects 1", "0.3 ms: 2", "0.400",
+                "2, crashed 1 several objects 1", "0.3 ms: 2", "0.400",
             ]  # fmt: skip
     assert len(shown) == len(set(shown)) == len(KINDS)
     assert MARK_NUMBERS["marks.reached.second_drone_10_%"](results) == "2 of 4"
