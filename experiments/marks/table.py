@@ -21,7 +21,7 @@ from experiments.run.task import CRASHED
 FIRST_FLIGHT, SCENE_STEP = 40_000, 100
 OTHER_FLIGHT = 50  # added to the number, for the other flight
 
-FLIGHTS: Mapping[str, int] = {"10 s": 5, "20 s": 3, "5 px, davis346": 3, "82 s": 2}
+FLIGHTS: Mapping[str, int] = {"10 s": 5, "20 s": 20, "5 px, davis346": 3, "82 s": 2}
 """Of each scene."""
 
 FEW = 2
