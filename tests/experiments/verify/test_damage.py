@@ -129,7 +129,7 @@ def test_a_benchmark_that_makes_no_sense_is_found(
 @pytest.mark.parametrize(
     ("old", "new", "fault"),
     [
-        ("\n346 x 260,5,", "\n346 x 260,7,", "its points are not the 12 of today's benchmark"),
+        ("\n346 x 260,5,", "\n346 x 260,7,", "its points are not the 16 of today's benchmark"),
         (",ok,0.01\n", ",no_match,\n", "346 x 260, 5 s, synchronise: no_match"),
         ("peak_mb", "peak", "its columns are sensor, "),
         ("simulate,250000,", "simulate,,", "346 x 260, 5 s, simulate: events_per_camera is "),
