@@ -92,8 +92,6 @@ def marked_row(cell: MarkCell, flown: Flown) -> MarkRow:
     estimate = Chain(pair.cam1, pair.cam2, pair.rig, config).estimate(METHOD)
     cpu_s = time.process_time() - start_s
     t_mid_s = 0.5 * duration_s
-    if estimate.skew_std_ppm == 0.0:  # it was not looked for
-        estimate = replace(estimate, skew_std_ppm=np.nan)
     row = scored(estimate, flown.flight.rig, kind.skew_ppm, t_mid_s)
     row = replace(row, n_events_cam1=len(pair.cam1.events), n_events_cam2=len(pair.cam2.events))
     ends_error_ms, ends_normalised = ends_of(estimate, kind.skew_ppm, t_mid_s)

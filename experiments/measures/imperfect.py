@@ -177,6 +177,7 @@ def scored(estimate: Estimate, true: Rig, skew_ppm: float, t_mid_s: float) -> Im
     )
     if estimate.has_offset:
         skew_error_ppm = estimate.skew_ppm - skew_ppm
+        skew_std_ppm = estimate.skew_std_ppm or np.nan  # 0: it was not looked for
         row = replace(
             row,
             offset_given=True,
@@ -184,8 +185,8 @@ def scored(estimate: Estimate, true: Rig, skew_ppm: float, t_mid_s: float) -> Im
             t_d_std_ms=1e3 * estimate.t_d_std_s,
             t_d_normalised=(estimate.t_d_s - t_d_s) / estimate.t_d_std_s,
             skew_error_ppm=abs(skew_error_ppm),
-            skew_std_ppm=estimate.skew_std_ppm,
-            skew_normalised=skew_error_ppm / estimate.skew_std_ppm,
+            skew_std_ppm=skew_std_ppm,
+            skew_normalised=skew_error_ppm / skew_std_ppm,
         )
     if estimate.status == "ok" and not METHODS[estimate.method].needs_extrinsics:
         row = replace(
