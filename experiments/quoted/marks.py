@@ -29,15 +29,14 @@ def clutter_table(results: Committed) -> str:
             _answered(row),
             _reached(row),
             _most(row, "t_d_error_ms", 3),
-            f"{row['t_d_std_ms']:.3f}" if np.isfinite(row["t_d_std_ms"]) else "",
+            _told(row["t_d_std_ms"], 3),
             _most(row, "r_error_deg", 2),
             _held(row, ("t_d", "r", "t")),
             f"{row['cpu_s_most']:.1f}",
         ]
         for row in _rows(results, CLUTTER)
     ]
-    header = ["kind", "answered", "mark", "t_d [ms]", "stated", "R [deg]"]
-    header += ["held", "s"]
+    header = ["kind", "answered", "mark", "t_d [ms]", "stated", "R [deg]", "held", "s"]
     return markdown_table(header, body)
 
 
@@ -49,16 +48,15 @@ def clocks_table(results: Committed) -> str:
             _answered(row),
             _reached(row),
             _most(row, "t_d_error_ms", 3),
-            f"{row['t_d_std_ms']:.3f}" if np.isfinite(row["t_d_std_ms"]) else "",
+            _told(row["t_d_std_ms"], 3),
             _most(row, "skew_error_ppm", 1),
-            f"{row['skew_std_ppm']:.1f}" if np.isfinite(row["skew_std_ppm"]) else "",
+            _told(row["skew_std_ppm"], 1),
             _most(row, "ends_error_ms", 2),
             _held(row, ("t_d", "skew", "ends")),
         ]
         for row in _rows(results, CLOCKS)
     ]
-    header = ["kind", "answered", "mark", "t_d [ms]", "stated", "ppm", "stated"]
-    header += ["ends", "held"]
+    header = ["kind", "answered", "mark", "t_d [ms]", "stated", "ppm", "stated", "ends", "held"]
     return markdown_table(header, body)
 
 
@@ -160,7 +158,11 @@ def _words(mark: Mark) -> str:
 
 
 def _most(row: Row, name: str, places: int) -> str:
-    value = float(row[f"{name}_most"])
+    return _told(row[f"{name}_most"], places)
+
+
+def _told(value: float, places: int) -> str:
+    """Write a number; nothing where it is not known."""
     return f"{value:.{places}f}" if np.isfinite(value) else ""
 
 

@@ -15,9 +15,7 @@ Spans = NDArray[np.int64]
 
 _SHORTEST_US, _LONGEST_US = 3_000, 30_000  # of a readout
 _BESIDE_US = 5_000  # on each side of a silence, where there must be many events
-_EXPECTED = (
-    20.0  # events that a silence would hold at their rate: by chance it holds none so rarely
-)
+_EXPECTED = 20.0  # events that a silence would hold at their rate: by chance it holds some
 _LEAST = 10  # silences that make a rhythm
 _MOST_PERIODS = 10  # from one of them to the next: in between, the object may hardly move
 _SAME_LENGTH, _SAME_RHYTHM = 0.2, 0.05  # shares by which lengths, and beats, differ at the most
@@ -104,11 +102,7 @@ def _cut(times_us: NDArray[np.int64], spans_us: Spans, period_us: float) -> bool
     """Whether next to no events lie within the spans, and most lie between them."""
     lengths_us = np.diff(spans_us)[:, 0]
     middles_us = spans_us + np.outer(lengths_us // 10, [1, -1])  # ends are not to the microsecond
-    first, last = (
-        np.searchsorted(times_us, middles_us[:, 0]),
-        np.searchsorted(times_us, middles_us[:, 1]),
-    )
-    inside = np.sum(last - first)
+    inside = np.sum(np.diff(np.searchsorted(times_us, middles_us)))
     within = np.diff(spans_us[:, 0]) <= 1.5 * period_us
     bounds = np.searchsorted(times_us, spans_us[:, 0])
     n_cut = np.sum(np.diff(bounds)[within])
