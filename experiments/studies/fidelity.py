@@ -22,7 +22,7 @@ from sim.recording import SimConfig
 from sim.sensor.frames import FrameConfig
 
 FIRST_FLIGHT = 200
-N_FLIGHTS = {10.0: 4, 20.0: 1}
+N_FLIGHTS = {10.0: 10, 20.0: 10}
 """Flights of each duration [s]."""
 
 RENDERER_FLIGHTS = 1
