@@ -33,7 +33,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
             "renderer",
             "gl_reference",
         ),
-        "sensor": ("kernels", "events", "frames"),
+        "sensor": ("kernels", "events", "slow", "frames"),
         "effects": (
             "config",
             "presets",
@@ -50,7 +50,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
         "recording": (),
         "partial": (),
         "storage": (),
-        "disturb": ("config", "pixels", "movers", "clutter", "record"),
+        "disturb": ("config", "pixels", "movers", "clouds", "clutter", "record"),
         "twin": ("bench", "calibration", "room"),
     },
     "ssac": {

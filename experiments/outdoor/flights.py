@@ -1,20 +1,25 @@
 """A flight's number in; its simulated recording, its truth and its RTK out.
 
 Two DAVIS346 with 8 mm lenses 20 m apart, and a third 20 m further on; a drone of 0.5 m some 15 to
-60 m away. The third is the second camera of another recording of the same flight. The sky is even:
-the simulator's backgrounds stand still, so clouds would make no events but where the drone passes.
+60 m away. The third is the second camera of another recording of the same flight. Clouds drift
+behind; what they make each camera see is added to what it recorded before an even sky.
 """
 
 import json
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from sim.disturb.clouds import clouds
+from sim.disturb.pixels import View
 from sim.recording import SimConfig
 from sim.scene.trajectory import SplineConfig
+from sim.seeds import generator
 from sim.sensor.events import PRESETS
 from sim.sensor.frames import FrameConfig
 from ssac.clock import Clock
@@ -30,6 +35,7 @@ THIRD_T_D_S, THIRD_SKEW_PPM = -7.3, -20.0
 BASELINE_M = 20.0
 DISTANCE_M = 35.0
 FOCAL_PX = 432.0  # 8 mm over pixels of 18.5 um
+CLOUDS_PX_S = 6.0  # 8 m/s at a height of 600 m
 
 FOCAL_STD, CENTRE_STD_PX = 0.001, 0.3
 """Errors of the calibration: those of a good one, as estimators assume where a rig says none."""
@@ -122,6 +128,15 @@ def rtk_of(truth: Truth, flight: int) -> SpacePath:
     antenna_m = truth.positions_m[nearest] + turns.apply(LEVER_ARM_M)
     noise_m = rng.normal(0.0, _RTK_STD_M, antenna_m.shape)
     return SpacePath(shown_s, antenna_m + noise_m, quaternions=truth.quaternions[nearest])
+
+
+@lru_cache(maxsize=3)  # of one flight, whose kinds are estimated one after the other
+def clouds_of(
+    flight: int, camera: int, size_px: tuple[int, int], duration_s: float
+) -> NDArray[Any]:
+    """Give the events of the clouds that a camera, from 0 on, sees; times of the scene."""
+    view = View(*size_px, duration_s)
+    return clouds(view, CLOUDS_PX_S, generator(seed_of(flight), _STREAM, 2, camera))
 
 
 def calibrated(config: SimConfig, flight: int) -> tuple[SimConfig, ...]:

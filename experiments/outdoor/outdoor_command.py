@@ -8,6 +8,7 @@ import pandas as pd
 import typer
 
 from experiments.outdoor.flights import (
+    CLOUDS_PX_S,
     DURATION_S,
     FIRST_SEED,
     N_FLIGHTS,
@@ -17,8 +18,8 @@ from experiments.outdoor.flights import (
     seed_of,
     third_config,
 )
-from experiments.outdoor.third import THREE_CAMERAS, TWO_AT_ONCE, at_once_row
-from experiments.outdoor.twin import COLUMNS, KINDS, compared, estimated, twin_row
+from experiments.outdoor.third import THREE_CAMERAS, TWO_AT_ONCE, at_once, at_once_row
+from experiments.outdoor.twin import COLUMNS, KINDS, compared, twin_row
 from experiments.paper.checksums import record_checksums
 from experiments.run.cache import DEFAULT_FOLDER, Cache, recording_key, run_key
 from experiments.run.command import CacheOption, OutOption, check_is_folder
@@ -82,6 +83,7 @@ def outdoor_settings(
         "first_seed": FIRST_SEED,
         "kinds": kinds_of(third),
         "sim": outdoor_config(duration_s),
+        "clouds_px_s": CLOUDS_PX_S,
     }
 
 
@@ -120,13 +122,13 @@ def _row(cache: Cache, duration_s: float, flight: int, kind: str, log: Any) -> d
 
 
 def _drawn(cache: Cache, duration_s: float, file: Path) -> list[Path]:
-    """Draw the first flight, as recorded, beside its RTK; no figure where it was refused."""
+    """Draw the first flight, all adjusted at once, beside its RTK; no figure if it was refused."""
     file.unlink(missing_ok=True)
     config = outdoor_config(duration_s)
     folder = cache.recording_folder(config, seed_of(0))
     truth = load_truth(folder)
-    _, path = estimated(folder, config, truth, 0, KINDS[0])
-    if path is None:
+    answer = at_once((folder,), config, (truth,), 0)
+    if not answer.paths:
         return []
-    save_figure(file, compared(path, truth, 0))
+    save_figure(file, compared(answer.paths[0].path, truth, 0))
     return [file]

@@ -64,7 +64,7 @@ def at_once(
         write_rig(work / "rig.yaml", calibrated(config, flight)[:n])
         paths = [work / f"cam{k + 1}.h5" for k in range(n)]
         for k in reversed(range(1, n)):
-            write_events(work, folders[k - 1], truths[k - 1])
+            write_events(work, folders[k - 1], truths[k - 1], flight, second=k)
             paths[1].rename(paths[k])
         return sync_all(paths, work / "rig.yaml", config=CONFIG, search_all=True).answer
 

@@ -18,6 +18,9 @@ BranchesOption = Annotated[
     int, number("Events of branches that sway, in each camera.", 0, 100_000_000, metavar="EVENTS")
 ]
 PeopleOption = Annotated[int, number("So many people walk through each view.", 0, 100)]
+CloudsOption = Annotated[
+    float, number("Clouds drift over the sky, by so many pixels a second.", 0, 100, "px/s")
+]
 SecondObjectOption = Annotated[
     float,
     number("Share of the events of another flight that are added.", 0, 1, metavar="SHARE"),

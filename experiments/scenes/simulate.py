@@ -10,6 +10,7 @@ from experiments.run.bridge import check_mesh, recording_bytes, rig_of
 from experiments.run.provenance import plain, versions
 from experiments.scenes.disturb_options import (
     BranchesOption,
+    CloudsOption,
     HotClustersOption,
     IntrinsicsErrorOption,
     LampOption,
@@ -159,6 +160,7 @@ def simulate_command(
     noise_hz: NoiseOption = 0.0,
     branches: BranchesOption = 0,
     people: PeopleOption = 0,
+    clouds: CloudsOption = 0.0,
     second_object: SecondObjectOption = 0.0,
     intrinsics_error: IntrinsicsErrorOption = (0.0, 0.0),
     threshold_on: Annotated[
@@ -233,7 +235,7 @@ def simulate_command(
         effects=chosen.effects,
     )
     disturb = DisturbConfig(
-        lamp, hot_clusters, noise_hz, branches, people, second_object, intrinsics_error
+        lamp, hot_clusters, noise_hz, branches, people, clouds, second_object, intrinsics_error
     )
     check_folder(out_dir, recording_bytes(config))
     existing = next(folder for folder in out_dir.resolve().parents if folder.exists())

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.disturb.clouds import clouds
 from sim.disturb.config import DisturbConfig
 from sim.disturb.movers import branches, people
 from sim.disturb.pixels import View, hot_clusters, lamp, noise
@@ -19,7 +20,7 @@ Draw = Callable[[View, Any, np.random.Generator], NDArray[Any]]
 # Branches of the seed, beside those of `sim.recording`: each disturbance has a stream of its own,
 # so that one more leaves the others as they are.
 _STREAM = 2
-_SECOND, _INTRINSICS, *_CLUTTER = range(7)
+_SECOND, _INTRINSICS, *_CLUTTER = range(8)
 
 
 def second_seed(seed: int) -> int:
@@ -55,6 +56,7 @@ def clutter(config: DisturbConfig, view: View, seed: int, camera: int) -> NDArra
         (noise, config.noise_hz),
         (branches, config.branches),
         (people, config.people),
+        (clouds, config.clouds_px_s),
     )
     parts: list[NDArray[Any]] = [np.empty(0, EVENT_DTYPE)]
     for stream, (draw, amount) in zip(_CLUTTER, kinds, strict=True):

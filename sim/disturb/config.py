@@ -16,12 +16,13 @@ class DisturbConfig:
     noise_hz: float = 0.0  # rate of noise events of each pixel
     branches: int = 0  # events of branches that sway, of each camera
     people: int = 0  # who walk through the view
+    clouds_px_s: float = 0.0  # by which clouds drift over the sky
     second_object: float = 0.0  # share that is kept of the events of another flight
     intrinsics_error: tuple[float, float] = (0.0, 0.0)
     """Deviations of the draws by which the rig is wrong: focal lengths [%], centre [px]."""
 
     def __post_init__(self) -> None:
-        for name in ("lamp_px", "hot_clusters", "noise_hz", "branches", "people"):
+        for name in ("lamp_px", "hot_clusters", "noise_hz", "branches", "people", "clouds_px_s"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value >= 0):
                 raise SimError(f"disturbance: {name} must be 0 or a positive number, got {value}")

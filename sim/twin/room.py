@@ -18,7 +18,8 @@ from sim.scene.pendulum import Hanging
 from sim.scene.printed import HEIGHT, SIZE_M
 from sim.scene.rig import Camera
 from sim.seeds import generator
-from sim.sensor.events import Sensor, SensorConfig
+from sim.sensor.events import SensorConfig
+from sim.sensor.slow import slow_events
 
 FloatArray = NDArray[np.float64]
 
@@ -105,17 +106,14 @@ def _lit(
 ) -> NDArray[Any]:
     """Let the light on the wall change, and a shadow pass over it."""
     wall = scene.backgrounds[index]
-    phases = generator(seed, _PHASE_STREAM, index).uniform(-0.95, 0.95, wall.shape)
-    threshold = min(sensor.threshold_on, sensor.threshold_off)
-    # Each pixel remembers a level of its own, from what it saw before.
-    before = np.clip(wall * np.exp(phases * threshold), 0.0, 1.0).astype(np.float32)
-    ideal = SensorConfig(sensor.threshold_on, sensor.threshold_off, sensor.log_eps,
-                         sensor.threshold_mismatch)  # fmt: skip
-    pixels = Sensor(ideal, before, 0.0, generator(seed, _PHASE_STREAM, index, 1))
-    corner = np.zeros(_BATCH, np.int64)
-    for times_s, images in _frames(config, view, scene, hanging, seed, index):
-        pixels.feed(times_s, corner[: len(times_s)], corner[: len(times_s)], images)
-    return pixels.finish(view.duration_s)
+    return slow_events(
+        wall,
+        _frames(config, view, scene, hanging, seed, index),
+        view.duration_s,
+        sensor,
+        generator(seed, _PHASE_STREAM, index),
+        generator(seed, _PHASE_STREAM, index, 1),
+    )
 
 
 def _frames(

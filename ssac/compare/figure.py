@@ -18,6 +18,7 @@ BLUE, YELLOW, RED = "#004488", "#DDAA33", "#BB5566"
 
 _GAP_STEPS, _USUAL_PERCENT = 4.0, 95.0  # a step that is so many times the usual one is a gap
 
+_ZOOM = 0.88
 _HEIGHT_IN, _WIDTH_IN, _WIDTH_OF_SHAPE_IN, _DPI = 6.5, 12.0, 6.0, 130
 
 
@@ -41,7 +42,8 @@ def _draw_shape(canvas: Figure | SubFigure, comparison: Comparison) -> None:
     axes.plot(*_broken(comparison.truth_m).T, color=BLUE, lw=1.2, label="truth")
     axes.plot(*_broken(comparison.estimate_m).T, color=YELLOW, lw=1.2, label="estimate")
     axes.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
-    axes.set_box_aspect(np.maximum(np.ptp(comparison.truth_m, axis=0), 1e-9))
+    # Smaller than the canvas, which does not count the labels of axes in space as its own.
+    axes.set_box_aspect(np.maximum(np.ptp(comparison.truth_m, axis=0), 1e-9), zoom=_ZOOM)
     axes.legend(loc="upper right", fontsize="small")
     if comparison.in_time is None:
         axes.set_title(f"RMSE {comparison.as_shape.rmse_m:.3f} m (ICP)", fontsize="medium")

@@ -16,6 +16,7 @@ KINDS = {
     "noise": DisturbConfig(noise_hz=1.0),
     "branches": DisturbConfig(branches=20_000),
     "people": DisturbConfig(people=3),
+    "clouds": DisturbConfig(clouds_px_s=20.0),
 }
 
 
