@@ -84,7 +84,7 @@ bench: .venv/.ready ## speed, memory and their growth, as ratios (15 minutes) ->
 scene: .venv/.ready ## how the default scene looks, beside the authors' sample (2 minutes)
 	@.venv/bin/ssac scene
 
-fidelity: .venv/.ready ## events against dense references, 20 flights (a minute each) -> results/fidelity.csv
+fidelity: .venv/.ready ## events against dense references, 20 flights (2 minutes each) -> results/fidelity.csv
 	@.venv/bin/ssac study fidelity
 
 real: .venv/.ready ## pairs, and paths of all cameras, of DATA, the drone-tracking data sets, which you fetch -> results/real_*.csv
