@@ -23,6 +23,7 @@ from ssac.track.motion_kernels import TIE_US
 from ssac.track.outline_kernels import (
     above_limit,
     angles_from_course,
+    bounds_at,
     events_at,
     highest_in_blocks,
     local_parabolas,
@@ -213,7 +214,7 @@ class _Blocks:
         padding = max(round(1e6 * longest_s / length_us), 1)
         numbers = np.arange(-padding, _BLOCKS_PER_STEP * (n - 1) + padding + 1)
         edges_us = 1e6 * times_s[0] + length_us * numbers
-        bounds = np.searchsorted(events_us, edges_us - TIE_US)
+        bounds = bounds_at(events_us, edges_us - TIE_US)
         return _Blocks(events_us, times_s, padding, edges_us, bounds)
 
     def at_edges(self, values: Array) -> Array:
