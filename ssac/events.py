@@ -168,6 +168,16 @@ def _look_through(
     return first, largest_x, largest_y, largest_p
 
 
+@numba.njit(cache=True)
+def first_from(times_us: NDArray[np.int64], bounds_us: NDArray[Any]) -> NDArray[np.intp]:
+    """Index (m,) of the first of n sorted times at or after each bound [us], whole or not.
+
+    NumPy's own search would first copy the times out of the events, or make them all
+    floating-point numbers, which takes longer than the search.
+    """
+    return np.searchsorted(times_us, bounds_us)
+
+
 def wrapped(earlier_s: float, later_s: float) -> bool:
     """Whether a clock that goes back from one time to the other is a counter of 24 bits."""
     return 0.5 * WRAP_S < earlier_s - later_s <= WRAP_S

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.stats import poisson
 
 from ssac.config import N_MIN
+from ssac.events import first_from
 from ssac.track.clutter import activity, chosen_events, masked_pixels, unmasked
 
 US_PER_MS = 1000.0
@@ -133,22 +134,8 @@ def events_per_window(events: NDArray[np.void]) -> float:
     if len(t) == 0:
         return 0.0
     some = t[:: -(-len(t) // _SAMPLES)]
-    return float(np.median(_count_about(t, some, round(0.5e6 * _WINDOW_S))))
-
-
-@numba.njit(cache=True)
-def _count_about(
-    t: NDArray[np.int64], middles_us: NDArray[np.int64], half_us: int
-) -> NDArray[np.int64]:
-    """Count the events from `half_us` before each middle (m,) up to as much after it.
-
-    NumPy's own search would first copy the times out of the events.
-    """
-    ends, starts = (
-        np.searchsorted(t, middles_us + half_us),
-        np.searchsorted(t, middles_us - half_us),
-    )
-    return ends - starts
+    half_us = round(0.5e6 * _WINDOW_S)
+    return float(np.median(first_from(t, some + half_us) - first_from(t, some - half_us)))
 
 
 def radius_filter(
@@ -257,23 +244,23 @@ def _has_neighbours(
         # What leaves comes first, while the rings still hold it: a gap in time may be long.
         left, first_of_box = (
             first_of_box,
-            _first_from(t[:end_of_box], first_of_box, slot_start_us - n_slots * slot_us),
+            _next_from(t[:end_of_box], first_of_box, slot_start_us - n_slots * slot_us),
         )
         for i in range(left, first_of_box):
             for step in box_px:
                 counts[cells[np.uint32(i) & mask] + step] -= 1
-        came, end = end, _first_from(t, end, slot_end_us + radius_us)
+        came, end = end, _next_from(t, end, slot_end_us + radius_us)
         for i in range(came, end):
             cell = (np.int64(x[i]) + margin_px) * n_rows + np.int64(y[i]) + margin_px
             cells[np.uint32(i) & mask] = cell
             previous[np.uint32(i) & mask] = latest[cell]
             latest[cell] = i
-        first = _first_from(t, first, slot_start_us - radius_us)
-        came, end_of_box = end_of_box, _first_from(t, end_of_box, slot_end_us + n_slots * slot_us)
+        first = _next_from(t, first, slot_start_us - radius_us)
+        came, end_of_box = end_of_box, _next_from(t, end_of_box, slot_end_us + n_slots * slot_us)
         for i in range(came, end_of_box):
             for step in box_px:
                 counts[cells[np.uint32(i) & mask] + step] += 1
-        begun, start = start, _first_from(t, start, slot_end_us)
+        begun, start = start, _next_from(t, start, slot_end_us)
         for i in range(begun, start):
             here = cells[np.uint32(i) & mask]
             n_found = -1  # the event finds itself
@@ -354,7 +341,7 @@ def _has_neighbours_in_noise(
 
 
 @numba.njit(cache=True)
-def _first_from(t: NDArray[np.int64], i: int, time_us: int) -> int:
+def _next_from(t: NDArray[np.int64], i: int, time_us: int) -> int:
     """Index of the first of the sorted times at or after `time_us`, from `i` on: it is near."""
     while i + 8 <= len(t) and t[i + 7] < time_us:
         i += 8

@@ -18,15 +18,6 @@ Two events of one instant on one epipolar line are a tie, as such a line may be 
 """
 
 
-@numba.njit(cache=True)
-def bounds_at(times_us: NDArray[np.int64], edges_us: Array) -> NDArray[np.intp]:
-    """Index (b,) of the first of the sorted times at or after each edge [us].
-
-    NumPy's own search would first make floating-point numbers of all times.
-    """
-    return np.searchsorted(times_us, edges_us)
-
-
 @numba.njit(cache=True, error_model="numpy")
 def angles_from_course(
     times_us: NDArray[np.int64],
