@@ -149,9 +149,9 @@ def mean_times_us(
     means = np.full(len(first), np.nan)
     for i in range(len(first)):
         if last[i] > first[i]:
-            total = 0
-            for k in range(first[i], last[i]):
-                total += times_us[k] - times_us[0]
+            total, of_window = 0, times_us[first[i] : last[i]]  # summed by vector instructions
+            for k in range(len(of_window)):
+                total += of_window[k] - times_us[0]
             means[i] = total / (last[i] - first[i])
     return means
 
