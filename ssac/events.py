@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -131,23 +132,50 @@ def check_events(
     if len(events) == 0:
         raise SsacError(f"{name}: there are no events: record again, or check the right file")
     t = events["t"]
-    backwards = t[1:] < t[:-1]
-    if backwards.any():
-        i = int(np.argmax(backwards)) + 1
+    i, *largest = _look_through(t, events["x"], events["y"], events["p"])
+    if i < len(t):
         if wrapped(t[i - 1] / US_PER_S, t[i] / US_PER_S):
             raise SsacError(f"{name}: {wrap_message(f'event {i}')}")
         raise SsacError(
             f"{name}: events must be sorted by time, but event {i} is at {t[i]} us, after one at "
             f"{t[i - 1]} us: sort the file, or check that it is undamaged"
         )
-    for field, size in (("x", width), ("y", height)):
-        if size is not None and (largest := int(events[field].max())) >= size:
+    for field, size, most in zip("xy", (width, height), largest, strict=False):
+        if size is not None and most >= size:
             raise SsacError(
                 f"{name}: the sensor is {width} x {height} px, but there is an event at {field} = "
-                f"{largest}: give the size of the camera that recorded the events"
+                f"{most}: give the size of the camera that recorded the events"
             )
-    if (largest := int(events["p"].max())) > 1:
-        raise SsacError(f"{name}: polarity must be 0 or 1, got {largest}: convert the file")
+    if largest[2] > 1:
+        raise SsacError(f"{name}: polarity must be 0 or 1, got {largest[2]}: convert the file")
+
+
+@numba.njit(cache=True)
+def _look_through(
+    t: NDArray[np.int64], x: NDArray[np.uint16], y: NDArray[np.uint16], p: NDArray[np.uint8]
+) -> tuple[int, int, int, int]:
+    """Index of the first event before the one ahead of it, or n; the largest x, y and p.
+
+    In one pass over the fields (n,), which lie side by side in memory.
+    """
+    first = len(t)
+    largest_x, largest_y, largest_p = x[0], y[0], p[0]
+    for i in range(len(t)):
+        largest_x, largest_y = max(largest_x, x[i]), max(largest_y, y[i])
+        largest_p = max(largest_p, p[i])
+        if i > 0 and t[i] < t[i - 1]:
+            first = min(first, i)
+    return first, largest_x, largest_y, largest_p
+
+
+@numba.njit(cache=True)
+def first_from(times_us: NDArray[np.int64], bounds_us: NDArray[Any]) -> NDArray[np.intp]:
+    """Index (m,) of the first of n sorted times at or after each bound [us], whole or not.
+
+    NumPy's own search would first copy the times out of the events, or make them all
+    floating-point numbers, which takes longer than the search.
+    """
+    return np.searchsorted(times_us, bounds_us)
 
 
 def wrapped(earlier_s: float, later_s: float) -> bool:

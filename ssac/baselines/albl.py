@@ -23,7 +23,7 @@ from ssac.geometry.epipolar import sampson_distance
 from ssac.geometry.fundamental import MIN_PAIRS, reweighted_fundamental
 from ssac.methods.algorithms import with_fit, with_pose
 from ssac.search.offset_search import candidate_offsets
-from ssac.search.two_views import TwoViews, two_views
+from ssac.search.two_views import Pairs, TwoViews, two_views
 from ssac.track.observation import Observation
 
 Array = NDArray[np.float64]
@@ -167,9 +167,9 @@ def _best_shift(
     Nothing exceeds a share of 1, so there the solver is not run; what it would have drawn is drawn
     all the same, so that no other draw depends on it.
     """
-    best = _Solution(0.0, 0.0)
+    best, sampled = _Solution(0.0, 0.0), views.pairs(np.array([t_d_s]))
     for signed_s in (step_s, -step_s):
-        pairs = _linearised(views, t_d_s, signed_s)
+        pairs = _linearised(views, sampled, signed_s)
         if len(pairs.x1) < MIN_PAIRS:
             continue
         numbers = rng.random((trials, len(pairs.x1)))
@@ -179,10 +179,9 @@ def _best_shift(
     return best
 
 
-def _linearised(views: TwoViews, t_d_s: float, step_s: float) -> _Linearised:
-    """Pairs at t_d, with the mean velocity of p2 from t + t_d to t + t_d + step."""
-    pairs = views.pairs(np.array([t_d_s]))
-    ahead = views.motion2.at(views.on_clock_2(pairs.times_s[0], t_d_s) + step_s)
+def _linearised(views: TwoViews, pairs: Pairs, step_s: float) -> _Linearised:
+    """Pairs at one t_d, with the mean velocity of p2 from t + t_d to t + t_d + step."""
+    ahead = views.motion2.at(views.on_clock_2(pairs.times_s[0], pairs.t_d_s[0]) + step_s)
     valid = pairs.valid[0] & ahead.valid
     p1, p2 = pairs.p1_px[0, valid], pairs.p2_px[0, valid]
     v2 = (ahead.positions_px[valid] - p2) / step_s

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from ssac.config import Config
 from ssac.estimate import Estimate, Status
+from ssac.events import first_from
 
 Array = NDArray[np.float64]
 
@@ -25,10 +26,9 @@ def counted(times_us: NDArray[np.int64], bin_us: int) -> Signal:
     """Count times (n,) [us], ascending, maybe none, in each bin from the first time to the last."""
     if len(times_us) == 0:
         return Signal(0, np.empty(0))
-    times_us = np.ascontiguousarray(times_us)
     first_bin, last_bin = int(times_us[0]) // bin_us, int(times_us[-1]) // bin_us
     bounds_us = bin_us * np.arange(first_bin + 1, last_bin + 1, dtype=np.int64)
-    before = np.searchsorted(times_us, bounds_us)
+    before = first_from(times_us, bounds_us)
     counts = np.diff(before, prepend=0, append=len(times_us))
     return Signal(first_bin, counts.astype(np.float64))
 

@@ -1,5 +1,7 @@
 """ZNCC_F, the paper's frame-based baseline: intensity frames in, time offset out."""
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -53,4 +55,5 @@ def mean_brightness(observation: Observation, name: str) -> Signal:
 def frame_means(frames: NDArray[np.generic]) -> NDArray[np.float64]:
     """Means (n,) of frames (n, height, width), exact for integers."""
     kind = np.float64 if frames.dtype.kind == "f" else np.int64
-    return np.array([np.sum(frame, dtype=kind) / frame.size for frame in frames], np.float64)
+    size = math.prod(frames.shape[1:])
+    return np.asarray(np.sum(frames.reshape(len(frames), size), axis=1, dtype=kind) / size)

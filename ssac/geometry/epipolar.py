@@ -4,9 +4,10 @@ Conventions after Hartley and Zisserman, for points p = (x, y) [px] taken as (x,
 p2' F p1 = 0, E = K2' F K1 = [t]x R, x2 = R x1 + t.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TypeVar
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -132,13 +133,8 @@ def sampson_derivative(
     NDArray[np.float64]
         Shape (N,) [px per unit of the parameter].
     """
-    product, gradient = _product_and_gradient(F, p1_px, p2_px)
-    d_product, d_gradient = _product_and_gradient(dF, p1_px, p2_px)
-    d_product = d_product + np.sum(gradient[:2] * dp2_px.T, axis=0)
-    d_gradient[2:] += F[:2, :2].T @ dp2_px.T
-    norm = np.linalg.norm(gradient, axis=0)
-    d_norm = np.sum(gradient * d_gradient, axis=0) / norm
-    return np.asarray((d_product - product / norm * d_norm) / norm)
+    points = (np.ascontiguousarray(points_px) for points_px in (p1_px, p2_px, dp2_px))
+    return np.asarray(_derivatives(F.ravel(), dF.ravel(), *points))
 
 
 def sampson_gradient(F: Matrix, p1_px: Matrix, p2_px: Matrix) -> Matrix:
@@ -156,21 +152,54 @@ def sampson_gradient(F: Matrix, p1_px: Matrix, p2_px: Matrix) -> Matrix:
     NDArray[np.float64]
         Shape (N, 3, 3): its sum with dF over both indices is `sampson_derivative` by dF.
     """
-    products, gradients = _product_and_gradient(F, p1_px, p2_px)
-    norm = np.linalg.norm(gradients, axis=0)[:, None]
-    ratio = products[:, None] / norm**2
-    ones = np.ones((len(p1_px), 1))
-    x1, x2 = np.hstack([p1_px, ones]), np.hstack([p2_px, ones])
-    by_line_2, by_line_1 = x2.copy(), np.zeros_like(x1)
-    by_line_2[:, :2] -= ratio * gradients[:2].T
-    by_line_1[:, :2] = ratio * gradients[2:].T
-    return np.asarray(
-        (by_line_2[:, :, None] * x1[:, None, :] - x2[:, :, None] * by_line_1[:, None, :])
-        / norm[:, :, None]
-    )
+    points = (np.ascontiguousarray(points_px) for points_px in (p1_px, p2_px))
+    return np.asarray(_by_entries(F.ravel(), *points))
 
 
 def _product_and_gradient(F: Matrix, p1_px: Matrix, p2_px: Matrix) -> tuple[Matrix, Matrix]:
     """p2' F p1 (N,), and its derivatives (4, N) by the coordinates of p2 and then of p1."""
     product, *gradient = epipolar_terms(F.ravel(), *p1_px.T, *p2_px.T)
     return product, np.stack(gradient)
+
+
+_terms: Callable[..., tuple[float, float, float, float, float]] = numba.njit(cache=True)(
+    epipolar_terms
+)
+
+
+@numba.njit(cache=True, error_model="numpy")  # no line at an epipole: NaN, not an exception
+def _derivatives(f: Matrix, df: Matrix, p1: Matrix, p2: Matrix, dp2: Matrix) -> Matrix:
+    """As `sampson_derivative`, of F and dF (9,) row by row: one pass, without other arrays."""
+    found = np.empty(len(p1))
+    for i in range(len(p1)):
+        u1, v1, u2, v2, du2, dv2 = p1[i, 0], p1[i, 1], p2[i, 0], p2[i, 1], dp2[i, 0], dp2[i, 1]
+        product, a2, b2, a1, b1 = _terms(f, u1, v1, u2, v2)
+        d_product, d_a2, d_b2, d_a1, d_b1 = _terms(df, u1, v1, u2, v2)
+        d_product += a2 * du2 + b2 * dv2
+        d_a1 += f[0] * du2 + f[3] * dv2
+        d_b1 += f[1] * du2 + f[4] * dv2
+        norm = np.sqrt(a2 * a2 + b2 * b2 + a1 * a1 + b1 * b1)
+        d_norm = (a2 * d_a2 + b2 * d_b2 + a1 * d_a1 + b1 * d_b1) / norm
+        found[i] = (d_product - product / norm * d_norm) / norm
+    return found
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _by_entries(f: Matrix, p1: Matrix, p2: Matrix) -> Matrix:
+    """As `sampson_gradient`, of F (9,) row by row."""
+    found = np.empty((len(p1), 3, 3))
+    for i in range(len(p1)):
+        u1, v1, u2, v2 = p1[i, 0], p1[i, 1], p2[i, 0], p2[i, 1]
+        product, a2, b2, a1, b1 = _terms(f, u1, v1, u2, v2)
+        norm = np.sqrt(a2 * a2 + b2 * b2 + a1 * a1 + b1 * b1)
+        ratio = product / norm**2
+        x1, x2 = (u1, v1, 1.0), (u2, v2, 1.0)
+        by_line_2, by_line_1 = (
+            (u2 - ratio * a2, v2 - ratio * b2, 1.0),
+            (ratio * a1, ratio * b1, 0.0),
+        )
+        for row in range(3):
+            for column in range(3):
+                entry = by_line_2[row] * x1[column] - x2[row] * by_line_1[column]
+                found[i, row, column] = entry / norm
+    return found

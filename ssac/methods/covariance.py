@@ -17,8 +17,9 @@ sum of the gradients at an instant is itself taken for the process. `docs/uncert
 flights on which this was chosen, and what was tried beside it.
 """
 
-from itertools import combinations, pairwise
+from itertools import pairwise
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
@@ -254,20 +255,23 @@ def _fading(lags_s: Array, time_s: float) -> Array:
     return np.exp(-lags_s / time_s) if time_s > 0.0 else np.where(lags_s > 0.0, 0.0, 1.0)
 
 
+@numba.njit(cache=True)
 def _least_squares_positive(A: Array, b: Array) -> Array:
     """Solve min |A x - b| with x >= 0, for few unknowns: the best of all sets that may be zero.
 
     Rows and columns are first scaled, as A is symmetric, to a diagonal of ones.
     """
-    scales = np.sqrt(np.maximum(np.diag(A), 1e-12 * np.max(np.diag(A), initial=1e-300)))
+    n = len(b)
+    diagonal = np.diag(A)
+    scales = np.sqrt(np.maximum(diagonal, 1e-12 * max(np.max(diagonal), 1e-300)))
     scaled, target = A / np.outer(scales, scales), b / scales
-    best, least = np.zeros(len(b)), float(target @ target)
-    for count in range(1, len(b) + 1):
-        for chosen in combinations(range(len(b)), count):
-            columns = list(chosen)
-            found = np.linalg.lstsq(scaled[:, columns], target, rcond=None)[0]
-            error = float(np.sum((scaled[:, columns] @ found - target) ** 2))
-            if np.all(found >= 0.0) and error < least:
-                best, least = np.zeros(len(b)), error
-                best[columns] = found
+    best, least = np.zeros(n), np.sum(target**2)
+    for chosen in range(1, 1 << n):  # a bit for each unknown
+        columns = np.array([k for k in range(n) if chosen >> k & 1])
+        system = np.ascontiguousarray(scaled[:, columns])
+        found = np.linalg.lstsq(system, target, float(np.finfo(np.float64).eps) * n)[0]
+        error = np.sum((system @ found - target) ** 2)
+        if np.all(found >= 0.0) and error < least:
+            best, least = np.zeros(n), error
+            best[columns] = found
     return np.asarray(best / scales)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.stats import poisson
 
 from ssac.config import N_MIN
+from ssac.events import first_from
 from ssac.track.clutter import activity, chosen_events, masked_pixels, unmasked
 
 US_PER_MS = 1000.0
@@ -40,6 +41,7 @@ _WINDOW_S = 0.040  # whatever the config's is: what is prepared must not depend 
 _SAMPLES = 1000  # of windows
 
 _SLOTS = 16  # of time, on each side, in the box that is counted
+_LEAP = 16  # events between two looks at how many there are in a time
 _BOX = 0.4  # half the side of the box that is counted, over the radius: it settles most events
 
 
@@ -95,12 +97,12 @@ def without_noise(
             left, n = fewer, NEAR_NEIGHBOURS
     else:
         left = radius_filter(events, n_neighbours=n)
-        if n_neighbours is None and _is_thin(left):
+        if n_neighbours is None and events_per_window(left) < THIN * N_MIN:
             n = least_neighbours(hz, width * height, PAPER_PX, PAPER_NEIGHBOURS)
             left = radius_filter(events, n_neighbours=n)
-    n_min = N_MIN
-    if _is_thin(left):
-        n_min = int(np.clip(_SHARE_N_MIN * events_per_window(left), _LEAST_N_MIN, N_MIN))
+    n_min, in_window = N_MIN, events_per_window(left)
+    if in_window < THIN * N_MIN:
+        n_min = int(np.clip(_SHARE_N_MIN * in_window, _LEAST_N_MIN, N_MIN))
     return left, Clutter(int(mask.sum()), n_masked, hz, radius_px, n, n_min)
 
 
@@ -133,12 +135,7 @@ def events_per_window(events: NDArray[np.void]) -> float:
         return 0.0
     some = t[:: -(-len(t) // _SAMPLES)]
     half_us = round(0.5e6 * _WINDOW_S)
-    counts = np.searchsorted(t, some + half_us) - np.searchsorted(t, some - half_us)
-    return float(np.median(counts))
-
-
-def _is_thin(events: NDArray[np.void]) -> bool:
-    return events_per_window(events) < THIN * N_MIN
+    return float(np.median(first_from(t, some + half_us) - first_from(t, some - half_us)))
 
 
 def radius_filter(
@@ -188,12 +185,8 @@ def radius_filter(
     where = events["t"], events["x"], events["y"], offsets_px, spans_us
     if mostly_noise:
         return chosen_events(events, _has_neighbours_in_noise(*where, n_neighbours))
-    keep = _has_neighbours(
-        *where,
-        box_px,
-        int(np.min(spans_us[of_box])),
-        n_neighbours,
-    )
+    box_us = int(np.min(spans_us[of_box]))
+    keep = _has_neighbours(*where, tuple(range(-box_px, box_px + 1)), box_us, n_neighbours)
     return chosen_events(events, keep)
 
 
@@ -220,25 +213,27 @@ def _has_neighbours(
     y: NDArray[np.uint16],
     offsets_px: NDArray[np.int64],
     spans_us: NDArray[np.int64],
-    box_px: int,
+    box_px: tuple[int, ...],
     box_us: int,
     n_neighbours: int,
 ) -> NDArray[np.bool_]:
     """Whether each event has `n_neighbours` others within the ball of `offsets_px`, `spans_us`.
 
-    All within `box_px` of an event's column and row and `box_us` of its time lie in that ball.
+    All in the columns and rows `box_px` from an event's, and within `box_us` of its time, lie in
+    that ball. As they are a tuple, of a length that is known, loops over them are compiled without
+    a loop; and an index without a sign needs no look whether it counts from the end.
     """
     n, radius_us = len(t), spans_us[0]
     slot_us = box_us // (_SLOTS + 1) + 1  # events are taken by slots: few, and long, loops
     n_slots = (box_us + 1) // slot_us - 1  # of the box, on each side of a slot
-    margin_px = np.max(offsets_px)
-    n_rows = int(y.max()) + 1 + 2 * margin_px
-    n_columns = int(x.max()) + 1 + 2 * margin_px
+    margin_px = int(np.max(offsets_px))
+    n_columns, n_rows = _extent(x, y, margin_px)
     steps = offsets_px[:, 0] * n_rows + offsets_px[:, 1]
     length = _power_above(_most_within(t, 2 * radius_us + slot_us))
+    mask = np.uint32(length - 1)
     # A pixel's events are a chain from its latest one back, kept for as long as a ball reaches.
-    previous, cells = np.empty(length, np.int64), np.empty(length, np.int64)
-    latest = np.full(n_columns * n_rows, -1, np.int64)
+    previous, cells = np.empty(length, np.int32), np.empty(length, np.int32)
+    latest = np.full(n_columns * n_rows, -1, np.int32)
     counts = np.zeros(n_columns * n_rows, np.int32)  # in the box's time, of its rows, by column
 
     keep = np.zeros(n, np.bool_)
@@ -247,40 +242,40 @@ def _has_neighbours(
         slot_start_us = t[0] + (t[start] - t[0]) // slot_us * slot_us
         slot_end_us = slot_start_us + slot_us
         # What leaves comes first, while the rings still hold it: a gap in time may be long.
-        while first_of_box < end_of_box and t[first_of_box] < slot_start_us - n_slots * slot_us:
-            cell = cells[first_of_box & (length - 1)]
-            for k in range(cell - box_px, cell + box_px + 1):
-                counts[k] -= 1
-            first_of_box += 1
-        while end < n and t[end] < slot_end_us + radius_us:
-            cell = (x[end] + margin_px) * n_rows + y[end] + margin_px
-            cells[end & (length - 1)] = cell
-            previous[end & (length - 1)] = latest[cell]
-            latest[cell] = end
-            end += 1
-        while t[first] < slot_start_us - radius_us:
-            first += 1
-        while end_of_box < n and t[end_of_box] < slot_end_us + n_slots * slot_us:
-            cell = cells[end_of_box & (length - 1)]
-            for k in range(cell - box_px, cell + box_px + 1):
-                counts[k] += 1
-            end_of_box += 1
-        while start < n and t[start] < slot_end_us:
-            here = cells[start & (length - 1)]
+        left, first_of_box = (
+            first_of_box,
+            _next_from(t[:end_of_box], first_of_box, slot_start_us - n_slots * slot_us),
+        )
+        for i in range(left, first_of_box):
+            for step in box_px:
+                counts[cells[np.uint32(i) & mask] + step] -= 1
+        came, end = end, _next_from(t, end, slot_end_us + radius_us)
+        for i in range(came, end):
+            cell = (np.int64(x[i]) + margin_px) * n_rows + np.int64(y[i]) + margin_px
+            cells[np.uint32(i) & mask] = cell
+            previous[np.uint32(i) & mask] = latest[cell]
+            latest[cell] = i
+        first = _next_from(t, first, slot_start_us - radius_us)
+        came, end_of_box = end_of_box, _next_from(t, end_of_box, slot_end_us + n_slots * slot_us)
+        for i in range(came, end_of_box):
+            for step in box_px:
+                counts[cells[np.uint32(i) & mask] + step] += 1
+        begun, start = start, _next_from(t, start, slot_end_us)
+        for i in range(begun, start):
+            here = cells[np.uint32(i) & mask]
             n_found = -1  # the event finds itself
-            for k in range(here - box_px * n_rows, here + box_px * n_rows + 1, n_rows):
-                n_found += counts[k]
+            for step in box_px:
+                n_found += counts[here + step * n_rows]
             if n_found < n_neighbours:
                 n_found = -1
                 for k in range(len(steps)):
                     j = latest[here + steps[k]]
-                    while j >= first and t[start] - t[j] <= spans_us[k]:
-                        n_found += t[j] - t[start] <= spans_us[k]
-                        j = previous[j & (length - 1)]
+                    while j >= first and t[i] - t[j] <= spans_us[k]:
+                        n_found += t[j] - t[i] <= spans_us[k]
+                        j = previous[np.uint32(j) & mask]
                     if n_found >= n_neighbours:
                         break
-            keep[start] = n_found >= n_neighbours
-            start += 1
+            keep[i] = n_found >= n_neighbours
     return keep
 
 
@@ -299,9 +294,8 @@ def _has_neighbours_in_noise(
     """
     n, radius_us = len(t), spans_us[0]
     slot_us = radius_us // _SLOTS + 1
-    margin_px = np.max(offsets_px)
-    n_rows = int(y.max()) + 1 + 2 * margin_px
-    n_columns = int(x.max()) + 1 + 2 * margin_px
+    margin_px = int(np.max(offsets_px))
+    n_columns, n_rows = _extent(x, y, margin_px)
     steps = offsets_px[:, 0] * n_rows + offsets_px[:, 1]
     bits = 0  # a tile's side is a power of two, at least the ball's radius
     while 1 << bits < margin_px:
@@ -347,13 +341,36 @@ def _has_neighbours_in_noise(
 
 
 @numba.njit(cache=True)
+def _next_from(t: NDArray[np.int64], i: int, time_us: int) -> int:
+    """Index of the first of the sorted times at or after `time_us`, from `i` on: it is near."""
+    while i + 8 <= len(t) and t[i + 7] < time_us:
+        i += 8
+    while i < len(t) and t[i] < time_us:
+        i += 1
+    return i
+
+
+@numba.njit(cache=True)
+def _extent(x: NDArray[np.uint16], y: NDArray[np.uint16], margin_px: int) -> tuple[int, int]:
+    """Columns and rows that hold all events, with a margin on each side."""
+    largest_x = largest_y = 0
+    for i in range(len(x)):
+        largest_x, largest_y = max(largest_x, x[i]), max(largest_y, y[i])
+    return largest_x + 1 + 2 * margin_px, largest_y + 1 + 2 * margin_px
+
+
+@numba.njit(cache=True)
 def _most_within(t: NDArray[np.int64], duration_us: int) -> int:
-    """Count the events of the busiest stretch of time, both ends included."""
-    most = first = 0
-    for i in range(len(t)):
-        while t[i] - t[first] > duration_us:
-            first += 1
-        most = max(most, i + 1 - first)
+    """Bound the events of the busiest stretch of time, both ends included, from above.
+
+    By looking at every sixteenth event alone.
+    """
+    most = end = 0
+    for start in range(0, len(t) + _LEAP, _LEAP):
+        last_us = t[min(start, len(t) - 1)] + duration_us
+        while end < len(t) and t[end] <= last_us:
+            end += _LEAP
+        most = max(most, end - start + _LEAP)  # any stretch that begins after `start - _LEAP`
     return most
 
 

@@ -18,6 +18,7 @@ from ssac.track.motion_kernels import (
     first_from_each,
     mean_times_us,
     sharp_centres,
+    slice_starts_of,
     window_sums,
 )
 
@@ -112,6 +113,7 @@ class ObjectMotion:
             self.border_sums,
             times_s.ravel(),
             self.half_window_s,
+            times_s.shape[-1] if times_s.ndim else 1,
         )
         valid = (counts >= self.n_min) & (on_border <= self.max_border_fraction * counts)
         if len(self.gaps_us):
@@ -276,5 +278,4 @@ def _slices(times_us: NDArray[np.int64]) -> tuple[int, NDArray[np.int32]]:
     bits = 0
     while (length_us >> bits) * _EVENTS_PER_SLICE > n:
         bits += 1
-    bounds_us = times_us[0] + (np.arange(1, (length_us >> bits) + 1, dtype=np.int64) << bits)
-    return bits, np.concatenate([[0], np.searchsorted(times_us, bounds_us), [n]]).astype(np.int32)
+    return bits, slice_starts_of(times_us, bits)

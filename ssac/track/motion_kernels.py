@@ -78,6 +78,19 @@ def _first_from(
 
 
 @numba.njit(cache=True)
+def slice_starts_of(times_us: NDArray[np.int64], slice_bits: int) -> NDArray[np.int32]:
+    """Index (s + 1,) of the first of n sorted times [us] in each slice of 2**bits us; n at last."""
+    n_slices = ((times_us[-1] - times_us[0]) >> slice_bits) + 1
+    starts = np.full(n_slices + 1, len(times_us), np.int32)
+    k = 0
+    for i in range(len(times_us)):
+        while k <= (times_us[i] - times_us[0]) >> slice_bits:
+            starts[k] = i
+            k += 1
+    return starts
+
+
+@numba.njit(cache=True)
 def first_from_each(
     wanted_s: NDArray[np.float64],
     times_us: NDArray[np.int64],
@@ -100,24 +113,27 @@ def window_sums(
     border_sums: NDArray[np.int32],
     middles_s: NDArray[np.float64],
     half_window_s: float,
+    row_length: int,
 ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
     """Mean positions (n, 2) [px], NaN of none; numbers of events (n,), and of those on the border.
 
-    One pass over the windows: it waits for memory, not for arithmetic.
+    One pass over the windows: it waits for memory, not for arithmetic. So of rows of samples, one
+    for each offset that is tried, the first samples come first, which lie side by side in memory.
     """
     n = len(middles_s)
     means = np.empty((n, 2))
     counts, on_border = np.empty(n, np.int64), np.empty(n, np.int64)
-    for i in range(n):
-        start_us = _whole_us(middles_s[i] - half_window_s)
-        end_us = _whole_us(middles_s[i] + half_window_s)
-        first = _first_from(start_us, times_us, slice_bits, slice_starts)
-        last = _first_from(end_us, times_us, slice_bits, slice_starts)
-        counts[i] = last - first
-        on_border[i] = border_sums[last] - border_sums[first]
-        for axis in range(2):
-            total = position_sums_px[last, axis] - position_sums_px[first, axis]
-            means[i, axis] = total / counts[i] if counts[i] > 0 else np.nan
+    for column in range(row_length):
+        for i in range(column, n, row_length):
+            start_us = _whole_us(middles_s[i] - half_window_s)
+            end_us = _whole_us(middles_s[i] + half_window_s)
+            first = _first_from(start_us, times_us, slice_bits, slice_starts)
+            last = _first_from(end_us, times_us, slice_bits, slice_starts)
+            counts[i] = last - first
+            on_border[i] = border_sums[last] - border_sums[first]
+            for axis in range(2):
+                total = position_sums_px[last, axis] - position_sums_px[first, axis]
+                means[i, axis] = total / counts[i] if counts[i] > 0 else np.nan
     return means, counts, on_border
 
 
@@ -133,9 +149,9 @@ def mean_times_us(
     means = np.full(len(first), np.nan)
     for i in range(len(first)):
         if last[i] > first[i]:
-            total = 0
-            for k in range(first[i], last[i]):
-                total += times_us[k] - times_us[0]
+            total, of_window = 0, times_us[first[i] : last[i]]  # summed by vector instructions
+            for k in range(len(of_window)):
+                total += of_window[k] - times_us[0]
             means[i] = total / (last[i] - first[i])
     return means
 

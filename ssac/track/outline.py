@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter1d
 
+from ssac.events import first_from
 from ssac.geometry.pencil import Pencil
 from ssac.track.motion import ObjectMotion
 from ssac.track.motion_kernels import TIE_US
@@ -213,7 +214,7 @@ class _Blocks:
         padding = max(round(1e6 * longest_s / length_us), 1)
         numbers = np.arange(-padding, _BLOCKS_PER_STEP * (n - 1) + padding + 1)
         edges_us = 1e6 * times_s[0] + length_us * numbers
-        bounds = np.searchsorted(events_us, edges_us - TIE_US)
+        bounds = first_from(events_us, edges_us - TIE_US)
         return _Blocks(events_us, times_s, padding, edges_us, bounds)
 
     def at_edges(self, values: Array) -> Array:

@@ -176,20 +176,14 @@ def _insert(value: float, index: int, top: Array, at: Indices) -> None:
 @numba.njit(cache=True)
 def above_limit(values: Array, bounds: Indices, side: float, limits: Array) -> NDArray[np.intp]:
     """Pick the events whose side * value is above the lower of the limits at their block's ends."""
+    found = np.empty(len(values) + 1, np.intp)
     n = 0
     for i in range(len(bounds) - 1):
         limit = min(limits[i], limits[i + 1])
         for k in range(bounds[i], bounds[i + 1]):
+            found[n] = k  # and written over, where it is not above: no branch to foresee
             n += side * values[k] > limit
-    found = np.empty(n, np.intp)
-    n = 0
-    for i in range(len(bounds) - 1):
-        limit = min(limits[i], limits[i + 1])
-        for k in range(bounds[i], bounds[i + 1]):
-            if side * values[k] > limit:
-                found[n] = k
-                n += 1
-    return found
+    return found[:n].copy()
 
 
 @numba.njit(cache=True)

@@ -60,6 +60,16 @@ def test_windows_are_found_in_uneven_recordings(t_us):
     assert motion.at(at_us.reshape(1, -1, 1) * 1e-6).positions_px.shape == (1, len(at_us), 1, 2)
 
 
+def test_rows_of_samples_are_as_each_of_them_alone(flight):
+    motion = object_motion(flight[1], CAMERA)
+    times_s = np.linspace(-0.1, 4.1, 42).reshape(3, 7, 2)[:, ::-1]
+    together = motion.at(times_s)
+    for place in np.ndindex(times_s.shape):
+        alone = motion.at(times_s[place])
+        np.testing.assert_array_equal(together.positions_px[place], alone.positions_px)
+        assert (together.counts[place], together.valid[place]) == (alone.counts, alone.valid)
+
+
 def test_velocities_follow_the_path(flight):
     scene, events = flight
     times_s = np.linspace(0.1, 3.9, 200)
