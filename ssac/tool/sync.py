@@ -16,6 +16,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from ssac.camera import Rig, with_deviations
 from ssac.config import Config, checked
@@ -217,8 +218,16 @@ def _estimate(
 ) -> Estimate:
     """Run a method where a search over all offsets, if there was one, says that it is to begin."""
     if start is None:
+        return _on_one_core(method, cam1, cam2, rig, config)
+    return start.as_recorded(_on_one_core(method, cam1, start.as_seen(cam2), rig, config))
+
+
+def _on_one_core(
+    method: Method, cam1: Observation, cam2: Observation, rig: Rig, config: Config
+) -> Estimate:
+    """Estimate without threads of BLAS: matrices are so small that they only wait."""
+    with threadpool_limits(1):
         return method.estimate(cam1, cam2, rig, config)
-    return start.as_recorded(method.estimate(cam1, start.as_seen(cam2), rig, config))
 
 
 def _check_search(
