@@ -87,6 +87,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
         "track": (
             "clutter",
             "denoise",
+            "thin_line",
             "motion_kernels",
             "motion",
             "point_kernels",
@@ -94,7 +95,6 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
             "observation",
             "object_kernels",
             "objects",
-            "object_chains",
             "outline_kernels",
             "outline",
         ),
@@ -108,6 +108,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
             "observability",
             "all_kernels",
             "all_offsets",
+            "object_chains",
             "object_search",
             "one_object",
         ),

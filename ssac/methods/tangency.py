@@ -282,13 +282,16 @@ def tangents_under(
 
 
 def _of_events(views: TwoViews) -> tuple[ObjectMotion, ObjectMotion]:
-    """Give both motions; SsacError for a track of points, which has no outline."""
+    """Give both motions, without a line that holds the object; SsacError for a track of points.
+
+    A track has no outline. That of the object is not the line's, whose end has no place.
+    """
     one, other = views.motion1, views.motion2
     if not (isinstance(one, ObjectMotion) and isinstance(other, ObjectMotion)):
         raise SsacError(
             "tangents are found among events, and a camera gave a track of points: use joint"
         )
-    return one, other
+    return one.bare or one, other.bare or other
 
 
 def tangent_pairs(

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ssac.geometry.epipolar import sampson_distance
 from ssac.geometry.fundamental import lmeds_fundamental, reweighted_fundamental
 from ssac.search.all_kernels import costs_at_lags
-from ssac.track.object_chains import chains_of
+from ssac.search.object_chains import chains_of
 from ssac.track.objects import BIN_US, Piece
 
 Array = NDArray[np.float64]

@@ -174,7 +174,12 @@ def at_rate(cam2: Observation, rate: float, anchor_s: float) -> Observation:
         events["t"] = np.rint(anchor_us + (events["t"] - anchor_us) / rate).astype(np.int64)
         gaps_us = np.rint(anchor_us + (gaps_us - anchor_us) / rate).astype(np.int64)
     return Observation(
-        events, denoised=cam2.denoised, track=track, clutter=cam2.clutter, gaps_us=gaps_us
+        events,
+        denoised=cam2.denoised,
+        track=track,
+        clutter=cam2.clutter,
+        gaps_us=gaps_us,
+        on_line=cam2.on_line,
     )
 
 

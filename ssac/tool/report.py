@@ -238,7 +238,7 @@ def _is_start(result: SyncResult) -> bool:
 
 
 def _clutter_words(result: SyncResult) -> list[tuple[int, str]]:
-    """Say of each camera, from 1 on, what was masked or filtered in another way than usual."""
+    """Say of each camera, from 1 on, what was masked, filtered in another way, or left out."""
     found = []
     for number, camera in enumerate((result.cam1, result.cam2), start=1):
         clutter, parts = camera.clutter, list[str]()
@@ -252,6 +252,11 @@ def _clutter_words(result: SyncResult) -> list[tuple[int, str]]:
                 f"with a background of {clutter.background_hz:.2g} Hz/px an event needs"
                 f" {clutter.n_neighbours} others within {clutter.radius_px:g} px, ms, and a"
                 f" position {camera.n_min(result.config)} events"
+            )
+        if camera.on_line is not None:
+            parts.append(
+                "a line that holds the object is seen, and no part of its outline"
+                f" ({np.count_nonzero(camera.on_line)} events)"
             )
         if parts:
             found.append((number, "; ".join(parts)))

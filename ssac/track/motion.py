@@ -78,6 +78,7 @@ class ObjectMotion:
     n_min: int  # events a valid sample's window holds at least
     max_border_fraction: float  # of a valid sample's events may lie on the border
     gaps_us: NDArray[np.int64] = field(default_factory=no_gaps)  # (g, 2) as of `Observation`
+    bare: "ObjectMotion | None" = None  # without the events where a line holds the object, if so
 
     @property
     def span_s(self) -> tuple[float, float]:
@@ -88,7 +89,22 @@ class ObjectMotion:
 
     def delayed(self, shift_us: int) -> "ObjectMotion":
         """As if the camera's clock had shown `shift_us` [us] more."""
-        return replace(self, times_us=self.times_us + shift_us, gaps_us=self.gaps_us + shift_us)
+        bare = None if self.bare is None else self.bare.delayed(shift_us)
+        times_us, gaps_us = self.times_us + shift_us, self.gaps_us + shift_us
+        return replace(self, times_us=times_us, gaps_us=gaps_us, bare=bare)
+
+    def sampled_by(
+        self, half_window_s: float, n_min: int, max_border_fraction: float
+    ) -> "ObjectMotion":
+        """Return the same motion, to be sampled by other rules."""
+        rules = half_window_s, n_min, max_border_fraction
+        return replace(
+            self,
+            half_window_s=half_window_s,
+            n_min=n_min,
+            max_border_fraction=max_border_fraction,
+            bare=None if self.bare is None else self.bare.sampled_by(*rules),
+        )
 
     def at(self, times_s: NDArray[np.float64]) -> Track:
         """Sample the object's motion, in about constant time per sample.

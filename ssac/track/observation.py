@@ -16,6 +16,7 @@ from ssac.points import PointTrack, check_track
 from ssac.track.denoise import Clutter, without_noise
 from ssac.track.motion import Motion, ObjectMotion, no_gaps, object_motion
 from ssac.track.point_motion import point_motion
+from ssac.track.thin_line import events_on_line
 
 Array = NDArray[np.float64]
 
@@ -44,6 +45,9 @@ class Observation:
     gaps_us: NDArray[np.int64] = field(default_factory=no_gaps)
     """Times (g, 2) [us], ascending, from and up to which events of the object were taken out with
     others: windows that reach into them hold a part of what was seen."""
+    on_line: NDArray[np.bool_] | None = None
+    """Which events (n,) lie where a thin line holds the object; None: there is none, as far as
+    denoising saw."""
 
     def __post_init__(self) -> None:
         if self.prepared is not None and self.prepared.events is not self.events:
@@ -69,7 +73,7 @@ class Observation:
         if track is not None:
             track = replace(track, times_s=track.times_s + shift_us / US_PER_S)
         gaps_us = self.gaps_us + shift_us
-        found = prepared, track, self.clutter, gaps_us
+        found = prepared, track, self.clutter, gaps_us, self.on_line
         return Observation(events, self.frames, times_s, self.denoised, *found)
 
     def n_min(self, config: Config) -> int:
@@ -188,6 +192,7 @@ def _denoised(observation: Observation, camera: Camera, config: Config) -> Obser
         denoised=True,
         clutter=clutter,
         gaps_us=observation.gaps_us,
+        on_line=events_on_line(observation.events, events, camera.width, camera.height),
     )
 
 
@@ -209,17 +214,23 @@ def _motion_of_events(observation: Observation, camera: Camera, config: Config) 
         and known.border_px == config.border_px
         and same_camera(known.camera, camera)
     ):
-        return replace(
-            known.motion,
-            half_window_s=config.half_window_s,
-            n_min=n_min,
-            max_border_fraction=config.max_border_fraction,
-        )
+        return known.motion.sampled_by(config.half_window_s, n_min, config.max_border_fraction)
+    motion = _summed_up(observation, observation.events, camera, config)
+    if observation.on_line is None:
+        return motion
+    bare = observation.events[~observation.on_line]
+    return replace(motion, bare=_summed_up(observation, bare, camera, config))
+
+
+def _summed_up(
+    observation: Observation, events: NDArray[np.void], camera: Camera, config: Config
+) -> ObjectMotion:
+    """Motion of some of the usable events."""
     motion = object_motion(
-        observation.events,
+        events,
         camera,
         half_window_s=config.half_window_s,
-        n_min=n_min,
+        n_min=observation.n_min(config),
         border_px=config.border_px,
         max_border_fraction=config.max_border_fraction,
     )

@@ -18,6 +18,7 @@ from ssac.methods.tangency import (
     tangency_known,
 )
 from ssac.search.two_views import two_views
+from ssac.track.observation import Observation
 from tests.ssac.box import CLEAN, T_D_S, box_events, errors, observations, off_the_truth, unit
 from tests.ssac.synthetic import HEIGHT, WIDTH, angle_deg, make_scene, rotation_angle_deg
 
@@ -58,6 +59,35 @@ def test_nothing_changes_where_no_camera_was_blind():
     scene, config = make_scene(1, duration_s=8.0), TangencyConfig()
     views = two_views(*observations(*box_events(scene, 1)), scene.rig, CLEAN)
     assert for_blind(config, views) is config
+
+
+def with_thread(events, seed):
+    """Events, those of a thread upwards from the box among them, and which these are."""
+    rng = np.random.default_rng((seed, 5))
+    on = np.sort(rng.choice(len(events), len(events) // 10, replace=False))
+    thread = events[on]
+    above = rng.integers(1, 40, len(on))
+    thread["y"] -= np.minimum(above, thread["y"]).astype(np.uint16)
+    both = np.concatenate([events, thread])
+    order = np.argsort(both["t"], kind="stable")
+    return both[order], order >= len(events)
+
+
+def test_the_outline_is_that_of_the_object_without_the_line_that_holds_it():
+    scene = make_scene(0, duration_s=8.0)
+    streams = box_events(scene, 0)
+    start, errors_of = off_the_truth(scene), {}
+    for told in (False, True):
+        held = []
+        for events, mask in map(with_thread, streams, (0, 1)):
+            held.append(Observation(events, denoised=True, on_line=mask if told else None))
+        estimate = refine_tangents(start, two_views(*held, scene.rig, CLEAN))
+        assert estimate.status == "ok"
+        errors_of[told] = np.array(errors(estimate, scene))
+    alone = refine_tangents(start, two_views(*observations(*streams), scene.rig, CLEAN))
+    # The same events, so the same tangents, but for rounding of sums.
+    assert errors_of[True] == pytest.approx(errors(alone, scene), rel=1e-3, abs=1e-4)
+    assert errors_of[False] != pytest.approx(errors_of[True], rel=0.1)
 
 
 @pytest.mark.parametrize("size_m", [0.2, 1.6])

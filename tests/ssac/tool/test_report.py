@@ -101,6 +101,12 @@ def test_clutter_is_told(recorded):
         "clutter        camera 2: with a background of 9.8 Hz/px an event needs 12 others within"
         " 3 px, ms, and a position 150 events\n"
     ) in text
+    held = np.arange(len(result.cam1.events)) % 10 == 0
+    text = report_text(replace(result, cam1=replace(result.cam1, on_line=held)))
+    assert (
+        "clutter        camera 1: a line that holds the object is seen, and no part of its outline"
+        f" ({held.sum()} events)\n"
+    ) in text
     other = replace(result.config, n_min=30)
     found = report_json(replace(result, cam2=noisy, config=other))["clutter"][1]
     assert found == {
