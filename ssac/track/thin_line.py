@@ -23,6 +23,7 @@ HALF_WIDTH_PX = 2.0
 
 _HALF_WINDOW_US = 20_000
 _SAMPLED = 5  # one window in as many tells whether there is a line, and its first course
+_FIRST = 20  # of those, over all the recording: where none has a line there is none
 _LEAST_SEEN, _LEAST_OF_HALF = 60, 20  # events of the object in a window, and in each half of it
 _REACH = 0.9  # share of the object's events that are within its reach
 _FROM_REACH, _FROM_PX = 1.5, 3.0  # times the reach, and more, from which a line is looked for
@@ -87,16 +88,22 @@ def events_on_line(
         return None
     both = _Places.of(events), _Places.of(kept)
     middles_us = _middles_us(both[1].times_us)
-    sampled: dict[int, _Line] = {}
+    numbers = list(range(0, len(middles_us), _SAMPLED))
+    step = max(1, len(numbers) // _FIRST)
+    clear: dict[int, _Line] = {}
     n_tested = 0
-    for k in range(0, len(middles_us), _SAMPLED):
-        window = _window(*both, middles_us[k])
-        line = None if window is None else _voted(window, width, height)
-        n_tested += window is not None and (line is None or line.has_room)
-        if line is not None and line.is_clear:
-            sampled[k] = line
-    if len(sampled) < max(_LEAST_CLEAR, _LEAST_SHARE * n_tested):
+    for some in (numbers[::step], [k for i, k in enumerate(numbers) if i % step]):
+        for k in some:
+            window = _window(*both, middles_us[k])
+            line = None if window is None else _voted(window, width, height)
+            n_tested += window is not None and (line is None or line.has_room)
+            if line is not None and line.is_clear:
+                clear[k] = line
+        if not clear:
+            return None
+    if len(clear) < max(_LEAST_CLEAR, _LEAST_SHARE * n_tested):
         return None
+    sampled = dict(sorted(clear.items()))
     angles_rad = np.array([line.angle_rad for line in sampled.values()])
     if np.abs(np.mean(np.exp(1j * angles_rad))) < _LEAST_ALIKE:
         return None
