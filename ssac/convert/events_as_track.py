@@ -1,12 +1,17 @@
 """Events of one camera in, the track of the object out."""
 
+from dataclasses import dataclass
+
 import numpy as np
+from numpy.typing import NDArray
 
 from ssac.camera import Camera, Rig, distort_points
 from ssac.config import Config
 from ssac.errors import SsacError
 from ssac.points import PointTrack
 from ssac.search.seen import seen_of, seen_times
+from ssac.silhouette.silhouette import silhouettes
+from ssac.track.motion import SharpTrack
 from ssac.track.observation import Observation, denoised, object_motions
 
 STEP_S = 0.01
@@ -16,7 +21,20 @@ STRAY_SIZES = 0.04
 """Deviation of a point, in sizes of the object's image: by so much the mean of the events strays
 over the object as this turns."""
 
+SILHOUETTE_SIZES = 0.015
+"""The same, of the centre of the image's area."""
+
 _LEAST_SIGMA_PX = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class ShapedTrack:
+    """A track with the shape of the object's image at each point."""
+
+    track: PointTrack
+    spreads_px2: NDArray[np.float64] | None
+    """(n, 3) second moments xx, xy, yy of the silhouettes whose centres the points are; NaN where
+    one is a mean of events; None where all are."""
 
 
 def track_of_events(
@@ -49,7 +67,42 @@ def track_of_events(
     SsacError
         If the events cannot be used, or show no object anywhere.
     """
-    config = config or Config()
+    points, sharp = _followed(observation, camera, config or Config(), step_s)
+    return PointTrack(sharp.times_s, points, _sigmas_px(STRAY_SIZES, sharp.sizes_px))
+
+
+def shaped_track_of_events(
+    observation: Observation,
+    recorded: NDArray[np.void],
+    camera: Camera,
+    config: Config | None = None,
+    step_s: float = STEP_S,
+) -> ShapedTrack:
+    """Follow the centre of the image's area, where events tell it, and else the mean of the events.
+
+    Parameters
+    ----------
+    observation, camera, config, step_s
+        As of `track_of_events`, whose times these are.
+    recorded
+        All events of the camera, as `ssac.silhouette.silhouette.silhouettes` needs them.
+    """
+    points, sharp = _followed(observation, camera, config or Config(), step_s)
+    sizes_px = sharp.sizes_px
+    sigmas = _sigmas_px(STRAY_SIZES, sizes_px)
+    found = silhouettes(recorded, camera, sharp.times_s, sharp.positions_px, sizes_px)
+    if found is None:
+        return ShapedTrack(PointTrack(sharp.times_s, points, sigmas), None)
+    known = found.known
+    points = np.where(known[:, None], found.centres_px, points)
+    sigmas = np.where(known, _sigmas_px(SILHOUETTE_SIZES, sizes_px), sigmas)
+    return ShapedTrack(PointTrack(sharp.times_s, points, sigmas), found.spreads_px2)
+
+
+def _followed(
+    observation: Observation, camera: Camera, config: Config, step_s: float
+) -> tuple[NDArray[np.float64], SharpTrack]:
+    """Give the points (n, 2), distorted, at which the object is in the image, and all of them."""
     rig = Rig(camera, camera)
     clean = denoised(observation, observation, rig, config)[0]
     motion = object_motions(clean, clean, rig, config)[0]
@@ -65,5 +118,16 @@ def track_of_events(
             f"no window of {2e3 * config.half_window_s:g} ms shows an object: {len(clean.events)} "
             "events are left after denoising; record closer to it, or give a smaller --n-min"
         )
-    sigmas = np.maximum(STRAY_SIZES * sharp.sizes_px[good], _LEAST_SIGMA_PX)
-    return PointTrack(times_s[good], points[good], sigmas)
+    kept = SharpTrack(
+        times_s[good],
+        sharp.positions_px[good],
+        sharp.counts[good],
+        sharp.valid[good],
+        sharp.velocities_px_s[good],
+        sharp.sizes_px[good],
+    )
+    return points[good], kept
+
+
+def _sigmas_px(share: float, sizes_px: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray(np.maximum(share * sizes_px, _LEAST_SIGMA_PX))

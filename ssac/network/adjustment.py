@@ -41,6 +41,7 @@ Indices = NDArray[np.int64]
 _LEAST_SHARE = 0.3  # of the cameras' median deviation: no camera's is less
 _LEAST_PX = 0.01
 _MOST_LAGS, _NO_CORRELATION = 500, 0.05
+_BLOCK_S = 1.0  # in which an object turns: what lasts longer than that is little
 _LONGEST_STEP_S = 0.5  # between knots; there is a gap where it is longer
 _ROUNDS, _STEPS = 12, 6
 _SETTLED = 3e-4  # share by which the cost changes in a round of a solution that has settled
@@ -204,7 +205,8 @@ def _weighed(
             continue
         share = seen.sigmas_px[rows] / np.median(seen.sigmas_px)
         over = fit.residuals_px[rows] / share[:, None]
-        repeats.append(repeats_of(seen.times_s[rows], over))
+        count = repeats_of if seen.spreads_px2 is None else repeats_in_blocks
+        repeats.append(count(seen.times_s[rows], over))
         covariances = solved.path_covariances(linear.first[rows], linear.weights[rows], False)
         by_point = linear.by_point[rows]
         lever = np.einsum("nix,nxy,niy->n", by_point, covariances, by_point)
@@ -250,7 +252,8 @@ def _taken_up(network: Network, cameras: list[Sightings], enabled: list[Mask]) -
     """Give how much larger slow errors are, as variances, than the residuals show them.
 
     The path follows them in three of the directions in which they are: two for each camera that
-    sees the object.
+    sees the object. Those of silhouettes are along the object's width, mostly, and that of what
+    flies is level: in one direction for each camera, of which the path follows two.
     """
     steps_s = np.diff(network.path.knots_s)
     covered_s = float(np.sum(steps_s[steps_s <= _LONGEST_STEP_S]))
@@ -258,7 +261,11 @@ def _taken_up(network: Network, cameras: list[Sightings], enabled: list[Mask]) -
         seen.interval_s * float(np.count_nonzero(mask))
         for seen, mask in zip(cameras, enabled, strict=True)
     )
-    directions = max(2.0 * seen_s / max(covered_s, seen_s / len(cameras)), 4.0)
+    views = seen_s / max(covered_s, seen_s / len(cameras))
+    if all(seen.spreads_px2 is not None for seen in cameras):
+        views = max(views, 2.5)
+        return views / (views - 2.0)
+    directions = max(2.0 * views, 4.0)
     return directions / (directions - 3.0)
 
 
@@ -286,3 +293,16 @@ def repeats_of(times_s: Array, residuals: Array) -> float:
             break
         total += 2.0 * correlation
     return total
+
+
+def repeats_in_blocks(times_s: Array, residuals: Array) -> float:
+    """Count as `repeats_of` does, by what the sums of blocks of a second are.
+
+    Of silhouettes, what lasts is small beside what does not: correlations are near nothing long
+    before they vanish, and go on. Parameters are as there.
+    """
+    deviation = deviation_px(residuals) + 1e-12
+    clipped = np.clip(residuals / deviation, -3.0, 3.0)
+    blocks = np.floor((times_s - times_s[0]) / _BLOCK_S).astype(np.int64)
+    sums = np.stack([np.bincount(blocks, axis) for axis in clipped.T])
+    return max(float(np.sum(sums**2)) / clipped.size, 1.0)

@@ -20,6 +20,7 @@ from ssac.network.state import (
 )
 from ssac.network.triangulation import first_path, triangulate
 from ssac.path.spline import knots_for
+from ssac.silhouette.perspective import View, perspective_shifts, second_moments
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -32,6 +33,10 @@ GATE = 6.0
 
 PIECE_S = 5.0
 """Time between the knots of a clock that may stray."""
+
+SHAPE_STEP_S, SHAPE_SMOOTHING_S = 0.01, 0.1
+"""Time between the instants at which the object's shape is told, and of their smoothing: objects
+turn more slowly."""
 
 _KNOT_STEPS_S = (0.02, 0.4)
 _MOST_PIECES = 100
@@ -185,6 +190,10 @@ def _whole(built: Built, links: Mapping[Pair, Link]) -> Built:
     ]
     network = replace(network, states=states)
     network, solved = adjust(network, built.cameras, built.priors, built.enabled)
+    centred = _without_perspective(network, built.cameras)
+    if centred is not built.cameras:
+        built = replace(built, cameras=centred)
+        network, solved = adjust(network, built.cameras, built.priors, built.enabled)
     masks = supported(network.states, built.cameras, knot_step_s(built.cameras))[1]
     enabled = []
     for k, seen in enumerate(built.cameras):
@@ -196,3 +205,47 @@ def _whole(built: Built, links: Mapping[Pair, Link]) -> Built:
     network = replace(network, told=agreeing(told, built.members, network.states))
     network, solved = adjust(network, built.cameras, built.priors, enabled)
     return replace(built, network=network, solved=solved, enabled=enabled)
+
+
+def _without_perspective(network: Network, cameras: list[Sightings]) -> list[Sightings]:
+    """Take what perspective does off silhouettes' centres; the very same cameras without any."""
+    if not any(seen.spreads_px2 is not None for seen in cameras):
+        return cameras
+    knots_s = network.path.knots_s
+    even_s: Array = np.arange(knots_s[0], knots_s[-1], SHAPE_STEP_S)
+    even = [
+        _view(network, k, seen, even_s, _spreads_at(state.own_from_network(even_s), seen))
+        for k, (state, seen) in enumerate(zip(network.states, cameras, strict=True))
+    ]
+    moments = second_moments(even, SHAPE_SMOOTHING_S / SHAPE_STEP_S)
+    centred = []
+    for k, (state, seen) in enumerate(zip(network.states, cameras, strict=True)):
+        if seen.spreads_px2 is None:
+            centred.append(seen)
+            continue
+        times_s = np.clip(network_times(state, seen), knots_s[0], knots_s[-1])
+        nearest = np.clip(np.rint((times_s - even_s[0]) / SHAPE_STEP_S), 0, len(even_s) - 1)
+        view = _view(network, k, seen, times_s, seen.spreads_px2)
+        shifts_px = perspective_shifts(view, moments[nearest.astype(np.int64)])
+        known = np.isfinite(seen.spreads_px2[:, :1])  # of the others it is another point
+        points_px = seen.points_px - np.where(known, np.nan_to_num(shifts_px), 0.0)
+        centred.append(replace(seen, points_px=points_px))
+    return centred
+
+
+def _view(network: Network, k: int, seen: Sightings, times_s: Array, spreads_px2: Array) -> View:
+    """Give what camera k sees of the path at network times (n,)."""
+    state, K = network.states[k], seen.camera.K
+    points = network.path.at(times_s) @ state.R.T + state.t
+    return View(state.R, np.array([K[0, 0], K[1, 1]]) * (1.0 + state.focal), points, spreads_px2)
+
+
+def _spreads_at(own_s: Array, seen: Sightings) -> Array:
+    """Take the silhouettes' second moments (n, 3) next to times of its clock; NaN where none is."""
+    if seen.spreads_px2 is None:
+        return np.full((len(own_s), 3), np.nan)
+    after = np.clip(np.searchsorted(seen.times_s, own_s), 1, len(seen) - 1)
+    later = seen.times_s[after] - own_s < own_s - seen.times_s[after - 1]
+    nearest = np.where(later, after, after - 1)
+    is_there = np.abs(seen.times_s[nearest] - own_s) < 1.5 * seen.interval_s
+    return np.asarray(np.where(is_there[:, None], seen.spreads_px2[nearest], np.nan))

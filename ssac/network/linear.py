@@ -41,6 +41,10 @@ BEHIND_PX, BEHIND_STD_PX, BEHIND_OWN_PX = 0.15, 0.08, 0.035
 it is 0.2 px in noisy recordings of small drones, 0.1 px in ideal ones, and within 0.03 px the same
 in cameras of one kind (trial flights 900 to 903 of `experiments.outdoor` and `.network`)."""
 
+LEVEL_STD_PX, LEVEL_OWN_PX = 0.03, 0.02
+"""The same of silhouettes, which are told from both sides of an edge and are not behind: 0.01 px
+(ideal flights 73000 and 74000)."""
+
 _HELD_STRAY_S = 1e-6  # of the strays' offset, and of their slope at the recording's ends
 
 
@@ -150,8 +154,11 @@ def known(
                 add(places, mode / _HELD_STRAY_S, -value / _HELD_STRAY_S)
     of_events = [k for k, seen in enumerate(cameras) if not seen.has_frames]
     values_px = np.array([network.states[k].behind_px for k in of_events])
-    weights = _alike_but_for(BEHIND_STD_PX, BEHIND_OWN_PX, len(of_events)) / sharper
-    for values, residual in zip(weights, weights @ (BEHIND_PX - values_px), strict=True):
+    by_mean = np.array([cameras[k].spreads_px2 is None for k in of_events], np.bool_)
+    common_px = np.where(by_mean, BEHIND_STD_PX, LEVEL_STD_PX)
+    weights = _alike_but_for(common_px, np.where(by_mean, BEHIND_OWN_PX, LEVEL_OWN_PX)) / sharper
+    off_px = np.where(by_mean, BEHIND_PX, 0.0) - values_px
+    for values, residual in zip(weights, weights @ off_px, strict=True):
         add(offsets[of_events] + BEHIND, values, float(residual))
     alike = shared_by(network.told)
     for (a, b), pair in network.told.items():
@@ -172,9 +179,9 @@ def known(
     return np.array(rows), np.array(residuals)
 
 
-def _alike_but_for(common: float, own: float, n: int) -> Array:
+def _alike_but_for(common: Array, own: Array) -> Array:
     """Give rows (n, n) over their deviations of n numbers that share one error beside their own."""
-    covariance = np.full((n, n), common**2) + own**2 * np.eye(n)
+    covariance = np.outer(common, common) + np.diag(own**2)
     return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)), dtype=np.float64)
 
 

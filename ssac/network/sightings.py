@@ -25,6 +25,9 @@ class Sightings:
     sigmas_px: Array  # (n,) of each coordinate
     motion: PointMotion  # the same, to be sampled at any time
     has_frames: bool  # rows may be read out one after the other; no: events
+    spreads_px2: Array | None = None
+    """(n, 3) second moments of the silhouettes whose centres of area the points are; NaN where one
+    is another point of the object; None where all are."""
 
     def __len__(self) -> int:
         return len(self.times_s)
@@ -49,7 +52,13 @@ class Sightings:
         return rays_of(self.camera.K, self.motion.at(times_s).positions_px)
 
 
-def sightings(track: PointTrack, camera: Camera, name: str, has_frames: bool = True) -> Sightings:
+def sightings(
+    track: PointTrack,
+    camera: Camera,
+    name: str,
+    has_frames: bool = True,
+    spreads_px2: Array | None = None,
+) -> Sightings:
     """Prepare the track of one camera.
 
     Parameters
@@ -62,13 +71,15 @@ def sightings(track: PointTrack, camera: Camera, name: str, has_frames: bool = T
         For messages and reports.
     has_frames
         Whether it is of frames; no: of events, of which each has its own time.
+    spreads_px2
+        Of the track's points, as of `Sightings`.
     """
     motion = point_motion(track, camera, name=name)
     known = np.isfinite(undistort_points(camera, track.points_px)[:, 0])
     rows = track.points_px[known, 1] / max(camera.height - 1, 1)
-    return Sightings(
-        name, camera, motion.times_s, motion.points_px, rows, motion.sigmas_px, motion, has_frames
-    )
+    spreads = None if spreads_px2 is None else spreads_px2[known]
+    points = motion.points_px, rows, motion.sigmas_px
+    return Sightings(name, camera, motion.times_s, *points, motion, has_frames, spreads)
 
 
 def is_near(times_s: Array, seen_s: Array, reach_s: float) -> NDArray[np.bool_]:

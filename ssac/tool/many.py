@@ -15,16 +15,17 @@ from ssac.compare.frame import (
     load_positions,
 )
 from ssac.config import Config
-from ssac.convert.events_as_track import track_of_events
+from ssac.convert.events_as_track import ShapedTrack, shaped_track_of_events, track_of_events
 from ssac.errors import SsacError
 from ssac.files.damage import STRICT, Reading
+from ssac.files.event_files import load_events
 from ssac.files.rigs import load_rig
 from ssac.files.track_files import is_track_file
 from ssac.network.graph import Link, Pair
 from ssac.network.sightings import Sightings, sightings
 from ssac.network.solve import NetworkAnswer, link_of, solve_network
 from ssac.path.tum import write_path
-from ssac.points import PointTrack
+from ssac.silhouette.perspective import LEAST_VIEWS
 from ssac.tool.everywhere import SKEW_PRIOR_PPM
 from ssac.tool.sync import Clock, Log, SyncResult, sync
 from ssac.track.observation import Observation
@@ -198,16 +199,26 @@ def _sightings(k: int, path: Path, pairs: dict[Pair, SyncResult]) -> Sightings:
     observation, camera = (
         (result.cam1, result.rig.cam1) if k == a else (result.cam2, result.rig.cam2)
     )
-    track = observation.track
+    track, spreads = observation.track, None
     if track is None:
-        track = _followed(observation, camera, path, result.config)
-    return sightings(track, camera, path.stem, has_frames=is_track_file(path))
+        shaped = _followed(observation, camera, path, result, len(pairs) >= LEAST_VIEWS)
+        track, spreads = shaped.track, shaped.spreads_px2
+    has_frames = is_track_file(path)
+    return sightings(track, camera, path.stem, has_frames=has_frames, spreads_px2=spreads)
 
 
-def _followed(observation: Observation, camera: Camera, path: Path, config: Config) -> PointTrack:
-    """Follow the object through events; an error names the file."""
+def _followed(
+    observation: Observation, camera: Camera, path: Path, result: SyncResult, are_many: bool
+) -> ShapedTrack:
+    """Follow the object through events; an error names the file.
+
+    What perspective does to silhouettes takes three cameras to tell.
+    """
     try:
-        return track_of_events(observation, camera, config)
+        if not are_many:
+            return ShapedTrack(track_of_events(observation, camera, result.config), None)
+        recorded = load_events(path, result.reading).events
+        return shaped_track_of_events(observation, recorded, camera, result.config)
     except SsacError as error:
         raise SsacError(f"{path}: {error}") from error
 

@@ -5,7 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ssac.network.linear import BEHIND_OWN_PX, BEHIND_STD_PX, border_offsets, known
+from ssac.network.linear import (
+    BEHIND_OWN_PX,
+    BEHIND_STD_PX,
+    LEVEL_OWN_PX,
+    LEVEL_STD_PX,
+    border_offsets,
+    known,
+)
 from ssac.network.sightings import sightings
 from ssac.network.solve import solve_network
 from ssac.network.state import BEHIND
@@ -39,14 +46,23 @@ def test_the_length_by_which_events_are_behind_is_found() -> None:
         assert abs(camera.t_d_s - flight.shown_s(k, camera.t_ref_s)) < 4.0 * camera.t_d_std_s
 
 
-def test_before_the_sightings_no_camera_is_told_from_another() -> None:
+@pytest.mark.parametrize(
+    ("are_silhouettes", "common_px", "own_px"),
+    [(False, BEHIND_STD_PX, BEHIND_OWN_PX), (True, LEVEL_STD_PX, LEVEL_OWN_PX)],
+)
+def test_before_the_sightings_no_camera_is_told_from_another(
+    are_silhouettes, common_px, own_px
+) -> None:
     flight = make_flight(3)
     built = solve_network(flight.seen, flight.links(), 50.0, flight.distance_m).built[0]
     offsets = border_offsets(built.network)
-    rows, _ = known(built.network, built.cameras, built.priors, offsets)
+    cameras = built.cameras
+    if are_silhouettes:
+        cameras = [replace(one, spreads_px2=np.ones((len(one), 3))) for one in cameras]
+    rows, _ = known(built.network, cameras, built.priors, offsets)
     places = offsets[:-1] + BEHIND
     covariance = np.linalg.inv((rows.T @ rows)[np.ix_(places, places)]) * built.network.repeats
-    alike = np.full((3, 3), BEHIND_STD_PX**2) + BEHIND_OWN_PX**2 * np.eye(3)
+    alike = np.full((3, 3), common_px**2) + own_px**2 * np.eye(3)
     np.testing.assert_allclose(covariance, alike, rtol=1e-9)  # rounding
 
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ssac.network.adjustment import repeats_in_blocks, repeats_of
 from ssac.network.normal import Linear, Normal, solve
 from ssac.network.state import DELAY, STRAYS, network_times, projected, start_state, with_strays
 from tests.ssac.network.flights import make_flight
@@ -143,3 +144,16 @@ def test_clocks_there_and_back() -> None:
     back_s = state.own_from_network(state.network_from_own(times_s))
     # Three rounds, each of which takes what is left times the strays' slope, some 0.01.
     assert back_s == pytest.approx(times_s, abs=1e-6)
+
+
+def test_what_lasts_counts_though_it_is_small_beside_what_does_not() -> None:
+    rng = np.random.default_rng(3)
+    times_s = 0.01 * np.arange(60_000)
+    white = rng.normal(0.0, 1.0, (len(times_s), 2))
+    # Means of 60,000 numbers in blocks of 100: 600 blocks of two axes are 4 % alike.
+    assert repeats_in_blocks(times_s, white) == pytest.approx(1.0, abs=0.15)
+    # A slow error of variance 0.04 that stays for 0.5 s: each of 50 sightings has it, and blocks of
+    # a second hold two. Correlations of 0.04 are below those that are summed up.
+    slow = np.repeat(rng.normal(0.0, 0.2, (len(times_s) // 50, 2)), 50, axis=0)
+    assert repeats_in_blocks(times_s, white + slow) == pytest.approx(1.0 + 0.04 * 50.0, rel=0.15)
+    assert repeats_of(times_s, white + slow) < 1.5
