@@ -53,6 +53,7 @@ COLUMNS = (
 CONFIG = Config(denoise=False, n_min=8, half_window_s=0.05, n_samples=1200)  # of a small drone
 _PATH_HZ = 50.0
 _BETWEEN_S = 0.00031  # after the truth's samples: times of whole milliseconds look rounded
+_MOST_MISSED = 9.0  # times the median: 6 deviations
 _OF_TRUTH = 4  # truth's samples, at 200 Hz, from one of a true track to the next
 
 
@@ -125,7 +126,8 @@ def estimated(
 def triangulated(found: SyncResult, R: Array, t: Array) -> SpacePath | None:
     """Triangulate both tracks, smoothed in time; None of too few points in front of both cameras.
 
-    The mean of the two points where the rays pass closest, in camera 1's frame, on its clock.
+    The mean of the two points where the rays pass closest, in camera 1's frame, on its clock. Rays
+    that miss each other by far more than others do, at their depth, are of no one point.
     """
     estimate, rig = found.estimate, found.rig
     views = two_views(found.cam1, found.cam2, rig, found.config).under(estimate.clock)
@@ -139,6 +141,8 @@ def triangulated(found: SyncResult, R: Array, t: Array) -> SpacePath | None:
         return None
     first = depths1[:, None] * rays1
     second = (depths2[:, None] * rays2 - t) @ R
+    missed = np.linalg.norm(first - second, axis=1) / np.abs(depths1)
+    before &= missed < _MOST_MISSED * np.median(missed[before])
     rough = SpacePath(pairs.times_s[before], (0.5 * (first + second))[before])
     return replace(rough, positions_m=smoothed(rough).at(rough.times_s))
 
