@@ -27,7 +27,7 @@ _SPREAD = 0.3  # of their frequencies, as a share
 class PendulumConfig:
     """How a hand swings a small model, so that it moves about the middle of both views."""
 
-    length_m: float = 0.45  # of the wire
+    length_m: float = 1.0  # of the wire: the shorter, the more the model tilts where it swings
     damping_per_s: float = 0.15  # of the swing, by the air
     start_rad: float = 0.15  # deviation of both components of the first deflection
     hand_m: Vector3 = (0.05, 0.05, 0.18)  # of the hand's random places; it swings, but must lift

@@ -33,7 +33,7 @@ class CalibrationConfig:
     square_m: float = 0.025
     n_views: int = 30  # of each camera by itself
     n_shared: int = 20  # of both at once
-    corner_std_px: float = 0.2  # of each found corner, in each direction
+    corner_std_px: float = 0.1  # of each found corner, in each direction
     distance_m: tuple[float, float] = (0.35, 0.7)  # of the board from a camera by itself
     max_tilt_deg: float = 45.0  # of the board against a camera by itself
     shared_tilt_deg: float = 15.0  # deviation about each axis, from facing both cameras alike

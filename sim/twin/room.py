@@ -28,8 +28,8 @@ _BATCH = 25  # frames in memory
 _WAVES = 5  # that the changes of the light are the sum of
 _LIGHT_HZ = (0.05, 0.6)  # of them: clouds, people who pass a window
 _SHADOW_RADIUS_PX, _PENUMBRA_PX = 45.0, 18.0  # of a hand's, far from the wall
-# Below and beside the hand's own image, which is above the view: the lamp is higher than the hand.
-_SHADOW_OFF_PX = (200.0, 60.0)
+# Above and beside where the model would hang at rest: the lamp is higher than the hand.
+_SHADOW_OFF_PX = (-100.0, 60.0)
 _WIRE_STEP_S = 2e-3
 _WIRE_POINTS = 40  # along the wire, which a lens bends
 _WIRE_CONTRAST = 0.8  # share of the wall's light that the wire keeps back
@@ -123,7 +123,9 @@ def _frames(
     n = max(2, int(np.ceil(view.duration_s * FRAMES_HZ)))
     times_s: FloatArray = view.duration_s * np.arange(1, n + 1) / n
     gains = np.exp(_light(config.light_std, times_s, generator(seed, _LIGHT_STREAM)))
-    centres = scene.rig.cameras[index].project(hanging.hand(times_s))
+    # The hand itself is far out of view, where no lens model holds.
+    held = hanging.hand(times_s) - np.array([0.0, 0.0, _wire_m(scene, hanging)])
+    centres = scene.rig.cameras[index].project(held)
     side = generator(seed, _SHADOW_STREAM, index).choice((-1.0, 1.0))
     centres = centres + np.array([side * _SHADOW_OFF_PX[1], _SHADOW_OFF_PX[0]])
     rows, columns = np.indices((view.height, view.width), dtype=np.float32, sparse=True)
@@ -138,6 +140,12 @@ def _frames(
             edge = np.exp(far_px * np.float32(4.0 / _PENUMBRA_PX))
             images *= 1.0 - np.float32(config.shadow) / (1.0 + edge)
         yield times_s[chunk], np.clip(images, 0.0, 1.0, dtype=np.float32)
+
+
+def _wire_m(scene: Scene, hanging: Hanging) -> float:
+    """Length of the wire, which is the same at all times."""
+    first_s = np.zeros(1)
+    return float(np.linalg.norm(scene.trajectory.position(first_s) - hanging.hand(first_s)))
 
 
 def _light(deviation: float, times_s: FloatArray, rng: np.random.Generator) -> FloatArray:

@@ -19,7 +19,8 @@ _EXPECTED = 20.0  # events that a silence would hold at their rate: by chance it
 _LEAST = 10  # silences that make a rhythm
 _MOST_PERIODS = 10  # from one of them to the next: in between, the object may hardly move
 _SAME_LENGTH, _SAME_RHYTHM = 0.2, 0.05  # shares by which lengths, and beats, differ at the most
-_MOST_OTHERS = 0.2  # share of the silences that are of another length or off the beat
+_MOST_OTHERS = 0.2  # share of the silences of that length that are off the beat
+_MOST_LENGTHS = 0.4  # share of the silences of another length: an object's own, in volleys
 _MOST_SHARE = 0.6  # of a period, in which a camera that is of use is blind
 _MOST_INSIDE = 0.02  # events within spans, as a share of what they would hold
 _LEAST_CUT = 0.5  # share of the events that lie between spans of the rhythm
@@ -57,7 +58,7 @@ def blind_spans(times_us: NDArray[np.int64]) -> Blind:
     lengths_us = np.diff(silences_us)[:, 0]
     length_us = float(np.median(lengths_us))
     alike = np.abs(lengths_us - length_us) <= _SAME_LENGTH * length_us
-    if np.mean(alike) < 1.0 - _MOST_OTHERS:
+    if np.mean(alike) < 1.0 - _MOST_LENGTHS:
         return Blind()
     spans_us = silences_us[alike]
     since_us = np.diff(spans_us[:, 0])

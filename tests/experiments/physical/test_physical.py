@@ -26,7 +26,7 @@ from experiments.physical.mini import (
 from experiments.run.cache import Cache
 from experiments.run.schedule import Workers, run_cells
 
-ANGLE_DEG, DURATION_S, FLIGHT = 95.18, 4.0, 50_000
+ANGLE_DEG, DURATION_S, FLIGHT = 95.18, 6.0, 50_000
 
 
 def test_a_short_recording_gives_its_offset_and_kinds_of_it_share_it(tmp_path: Path) -> None:

@@ -40,6 +40,18 @@ def test_readouts_are_found(rate_hz, gap_us, seed):
     assert np.median(np.diff(blind.spans_us)) == pytest.approx(gap_us, abs=1_000.0)
 
 
+def test_readouts_are_found_among_silences_of_the_object_itself():
+    """Between volleys, one for each row of pixels that an edge crosses, it may be silent too."""
+    rng = np.random.default_rng(8)
+    times_us, starts_us = without_frames(busy_times(8), 25.0, 6_000)
+    for from_us in rng.integers(0, DURATION_US, 70):  # about half as many as readouts
+        times_us = times_us[(times_us < from_us) | (times_us > from_us + 3_500)]
+    blind = blind_spans(times_us)
+    assert blind.period_s == pytest.approx(0.040, rel=1e-3)
+    assert len(starts_us) - 6 <= len(blind.spans_us) <= len(starts_us)
+    assert np.median(np.diff(blind.spans_us)) == pytest.approx(6_000, abs=500.0)
+
+
 @pytest.mark.parametrize("noise_hz", [3_000, 30_000])
 def test_readouts_are_found_among_noise(noise_hz):
     """A blind sensor has no noise either."""
