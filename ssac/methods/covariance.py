@@ -50,6 +50,7 @@ def correlated_covariance(
     prior_deviations: Array | None = None,
     prior_scales_px: Array | None = None,
     common: Indices | None = None,
+    lessens: bool = True,
 ) -> Array:
     """Covariance of M-estimated parameters whose residuals are correlated in time.
 
@@ -69,6 +70,9 @@ def correlated_covariance(
     common
         Places (c,) of the parameters for which it counts what the series' errors have in common;
         the first when None.
+    lessens
+        Whether what the series have in common may lessen the first one's variance, too, and not
+        only add to it.
 
     Returns
     -------
@@ -102,7 +106,8 @@ def correlated_covariance(
         for k in common:
             factor = _common_factor(times_s, Q @ root[k] * left_px)
             # What is in common to all series makes no rate of a clock surer, as it drifts with it.
-            factors[k] = np.sqrt(factor if k == common[0] else max(factor, 1.0))
+            may_lessen = lessens and k == common[0]
+            factors[k] = np.sqrt(factor if may_lessen else max(factor, 1.0))
     # Parameters, or parts of them, that are from the data and not from what was known beforehand.
     told = p - float(np.sum(Q_prior[deviations < PRIOR] ** 2))
     factors *= float(stdtrit(max(independent - told, 1.0), 0.975)) / NORMAL_95

@@ -107,7 +107,7 @@ def weighed_system(
     return system, np.append(target, rows @ (means - values))
 
 
-def covariance_of(problem: Problem, residuals: Residuals) -> Array:
+def covariance_of(problem: Problem, residuals: Residuals, lessens: bool = True) -> Array:
     """Covariance (f, f) of the f free parameters, for errors that the residuals show.
 
     Parameters
@@ -116,6 +116,8 @@ def covariance_of(problem: Problem, residuals: Residuals) -> Array:
         The one that was solved.
     residuals
         At its solution.
+    lessens
+        Whether what its series have in common may do so, as for `correlated_covariance`.
     """
     weights, curvatures = cauchy_weights(residuals.distances_px, problem.turn)
     deviations, scales_px = np.full(problem.size, PRIOR), np.full(problem.size, np.nan)
@@ -129,6 +131,7 @@ def covariance_of(problem: Problem, residuals: Residuals) -> Array:
         deviations[problem.free],
         scales_px[problem.free],
         np.flatnonzero([place in problem.of_clock for place in problem.free]),
+        lessens,
     )
 
 

@@ -202,7 +202,7 @@ def refine_tangents(
 
     problem = replace(problem, turn=config.cauchy)
     residuals = linearise(problem, parameters)
-    covariance = covariance_of(problem, residuals)
+    covariance = covariance_of(problem, residuals, _errors_cancel(views))
     hidden_px: Array | None = None
     if views.pose_is_known:  # a free pose takes it away
         share = seen.lasting_share(parameters.t_d_s, _N_OF_SHARE)
@@ -292,6 +292,17 @@ def _of_events(views: TwoViews) -> tuple[ObjectMotion, ObjectMotion]:
             "tangents are found among events, and a camera gave a track of points: use joint"
         )
     return one.bare or one, other.bare or other
+
+
+def _errors_cancel(views: TwoViews) -> bool:
+    """Whether what both sides' errors have in common leaves t_d alone: not of what a line holds.
+
+    Such errors push both tangents outward, in a free flight with no net effect on the offset. What
+    hangs swings before cameras that see the same side of it all along: there an outline that is off
+    by a constant is taken for another pose, and for another offset with it. The fit leaves nothing
+    of that to be seen, so that no deviation may be the smaller for it (`docs/uncertainty.md`).
+    """
+    return all(getattr(motion, "bare", None) is None for motion in (views.motion1, views.motion2))
 
 
 def tangent_pairs(

@@ -100,6 +100,29 @@ def test_one_parameter_may_have_series_with_common_noise(sign):
     assert 0.85 < np.sqrt(np.mean(np.square(normalised))) < 1.07
 
 
+def test_what_series_have_in_common_need_not_lessen_a_deviation():
+    rng = np.random.default_rng(9)
+    instants_s = 0.02 * np.arange(500)
+    times_s = np.tile(instants_s, 2)
+    root = np.linalg.cholesky(correlation(instants_s, np.zeros(500), 0.1))
+    normalised = []
+    for _ in range(150):
+        jacobian = waves(times_s, 6, rng)
+        noise = np.concatenate([root @ rng.normal(size=500) for _ in range(2)])
+        found = np.linalg.lstsq(jacobian, noise)[0]
+        left, ones = noise - jacobian @ found, np.ones(1000)
+        both = [
+            np.sqrt(correlated_covariance(times_s, jacobian, left, ones, lessens=lessens)[0, 0])
+            for lessens in (True, False)
+        ]
+        normalised.append(np.abs(found[0]) / both)
+    lessened, apart = np.transpose(normalised)
+    assert np.all(apart <= lessened)
+    # Of independent series chance alone lessens some, by more than a quarter.
+    assert np.max(lessened / apart) > 1.25
+    assert np.mean(apart < 1.96) > 0.91  # 150 runs know 95 % to 1.8, and are twice that below
+
+
 def test_slow_noise_is_not_taken_for_white():
     rng = np.random.default_rng(2)
     times_s = 0.02 * np.arange(500)
