@@ -3,12 +3,13 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
 from sim.errors import SimError
 from sim.scene.drone import Drone
-from sim.scene.rig import Camera
+from sim.scene.rig import MIN_DEPTH_M, Camera
 from sim.scene.trajectory import PosesAt
 
 FloatArray = NDArray[np.float64]
@@ -16,6 +17,7 @@ FloatArray = NDArray[np.float64]
 # An edge across half the view bows by some 10 px under strong distortion, this piece of it by 0.6.
 _PIECE_OF_SIZE = 1 / 4
 _CHUNK = 1024  # instants projected at a time, to bound memory
+_SURE_SLOPE = 3.0  # of a ray: less than 77 deg off the axis, which every pinhole images
 
 
 @dataclass(frozen=True)
@@ -73,18 +75,75 @@ def footprint(
         points_W = _outline_in_world(drone, hulls, times_s[chunk], T_W_B[chunk])
         depths = points_W @ camera.T_C_W[2, :3] + camera.T_C_W[2, 3]
         depth[chunk] = np.stack([depths.min(axis=1), depths.max(axis=1)], axis=-1)
-        pixels = camera.project(points_W)
-        _refuse_if_cut(camera, pixels, times_s[chunk])
-        low[chunk], high[chunk] = pixels.min(axis=1), pixels.max(axis=1)
-        before = pixels[:1] if last_px is None else last_px
-        steps = np.linalg.norm(np.diff(pixels, axis=0, prepend=before), axis=-1)
-        moved[chunk] = steps.max(axis=1)
-        last_px = pixels[-1:]
+        last_px = _project(
+            camera, points_W, times_s[chunk], last_px, low[chunk], high[chunk], moved[chunk]
+        )
     # A pixel reaches half a pixel beyond its centre.
     edge = np.array([camera.width, camera.height]) - 0.5
     visible = np.all((high > -0.5) & (low < edge), axis=-1)
     both = visible & np.concatenate([visible[:1], visible[:-1]])
     return Footprint(low, high, depth, visible, np.where(both, moved, 0.0))
+
+
+def _project(
+    camera: Camera,
+    points_W: FloatArray,
+    times_s: FloatArray,
+    last_px: FloatArray | None,
+    low: FloatArray,
+    high: FloatArray,
+    moved: FloatArray,
+) -> FloatArray:
+    """Fill a chunk's boxes (n, 2) and displacements (n,) [px]; returns the last instant's pixels.
+
+    `last_px` (1, corners, 2) are those of the instant before; None: there is none.
+    """
+    K = camera.K
+    was_imaged = last_px is None or np.isfinite(last_px).all()
+    if camera.distortion_model == "none" and not (K[0, 1] or K[1, 0]) and was_imaged:
+        points_C = points_W @ camera.T_C_W[:3, :3].T + camera.T_C_W[:3, 3]
+        at = np.empty((1, points_W.shape[1], 2)) if last_px is None else last_px.copy()
+        intrinsics = (K[0, 0], K[1, 1], K[0, 2], K[1, 2])
+        about = (points_C, intrinsics, last_px is None, at[0], low, high, moved)
+        if _follow_corners(*about):  # type: ignore[no-untyped-call]
+            return at
+    pixels = camera.project(points_W)
+    _refuse_if_cut(camera, pixels, times_s)
+    low[:], high[:] = pixels.min(axis=1), pixels.max(axis=1)
+    before = pixels[:1] if last_px is None else last_px
+    steps = np.linalg.norm(np.diff(pixels, axis=0, prepend=before), axis=-1)
+    moved[:] = steps.max(axis=1)
+    return pixels[-1:]
+
+
+@njit(cache=True, nogil=True)
+def _follow_corners(  # type: ignore[no-untyped-def]
+    points_C, intrinsics, is_first, at, low, high, moved
+):
+    """Do what `_project` does, in one pass, as long as all corners surely have an image.
+
+    `at` (corners, 2) holds the pixels of the instant before, and then of the last; `is_first`: it
+    does not yet. Returns whether all have been followed.
+    """
+    fx, fy, cx, cy = intrinsics
+    for k in range(points_C.shape[0]):
+        x0, y0, x1, y1, farthest = np.inf, np.inf, -np.inf, -np.inf, 0.0
+        for i in range(points_C.shape[1]):
+            z = points_C[k, i, 2]
+            if not z > MIN_DEPTH_M:
+                return False
+            x, y = points_C[k, i, 0] / z, points_C[k, i, 1] / z
+            if not (abs(x) < _SURE_SLOPE and abs(y) < _SURE_SLOPE):
+                return False
+            u, v = fx * x + cx, fy * y + cy
+            if k > 0 or not is_first:
+                du, dv = u - at[i, 0], v - at[i, 1]
+                farthest = max(farthest, np.sqrt(du * du + dv * dv))
+            x0, y0, x1, y1 = min(x0, u), min(y0, v), max(x1, u), max(y1, v)
+            at[i, 0], at[i, 1] = u, v
+        low[k, 0], low[k, 1], high[k, 0], high[k, 1] = x0, y0, x1, y1
+        moved[k] = farthest
+    return True
 
 
 def _outline_in_world(

@@ -23,6 +23,8 @@ IntArray = NDArray[np.int64]
 FULL_CODE = 65535  # of luminance 1
 COUNT_BIT = 21
 GL_MAX_A = 16  # codes down a pixel's column must add up to less than 2^COUNT_BIT
+WORD_COUNT_BIT = 26  # as COUNT_BIT in the native renderer's words: of 257 codes it needs 25 bits
+LANES = 16  # samples that the native renderer draws, or sums, at a time
 MAX_A = 31  # codes of a pixel must add up to less than the native renderer's 2^26
 
 
@@ -260,3 +262,45 @@ def _average_tile(  # type: ignore[no-untyped-def]
             # Divided, not scaled: where there is no object this is the background, bit for bit.
             share = (n - np.float32(seen)) / n
             luminance[j, i] = np.float32(codes) * code_scale + share * background[j, i]
+
+
+@njit(cache=True, nogil=True)
+def sum_runs(  # type: ignore[no-untyped-def]
+    keys, touched, width, height, run_of, run_start, run_pixel, sums
+):
+    """Add each sample's word to its pixel's sum, and empty the keys that were drawn."""
+    for v in range(height):
+        low, high = touched[v, 0], touched[v, 1]
+        if low > high:
+            continue
+        touched[v, 0], touched[v, 1] = width, -1
+        here, end = v * width + low, v * width + high + 1
+        run = np.uint64(run_of[np.uint64(here)])
+        while here < end:
+            stop = min(np.int64(run_start[run + np.uint64(1)]), end)
+            n = stop - here
+            total = np.int64(0)
+            # So many that the processor does LANES at a time, and none is left over.
+            for lane in range((n + (LANES - 1)) & -LANES):
+                word = keys[np.uint64(here + lane)] & 0xFFFFFFFF
+                total += word if lane < n else np.int64(0)
+            sums[np.uint64(run_pixel[run])] += total
+            run += np.uint64(1)
+            here = stop
+        for at in range(np.uint64(v * width + low), np.uint64(end)):
+            keys[at] = 0
+
+
+@njit(cache=True, nogil=True)
+def average_block(sums, width, n_samples, background, image):  # type: ignore[no-untyped-def]
+    """Turn sums of words into luminance, over the background."""
+    scale = np.float32(1.0 / (FULL_CODE * n_samples))
+    n = np.float32(n_samples)
+    code_mask = (np.int64(1) << WORD_COUNT_BIT) - 1
+    for j in range(image.shape[0]):
+        for i in range(image.shape[1]):
+            total = sums[j * width + i]
+            # Divided, not scaled: where there is no object this is the background, bit for bit.
+            share = (n - np.float32(total >> WORD_COUNT_BIT)) / n
+            image[j, i] = np.float32(total & code_mask) * scale + share * background[j, i]
+    sums[:] = 0

@@ -12,16 +12,18 @@ Depth and sample word share one 64-bit key, depth above: the nearest triangle ha
 import numpy as np
 from numba import njit
 
-from sim.render.lattice import FULL_CODE
+from sim.render.lattice import FULL_CODE, LANES, WORD_COUNT_BIT, average_block, sum_runs
 from sim.scene.rig import MIN_DEPTH_M
 
 DEPTH_BITS = 29  # of a key, above the word's 32: finer than the 24 of a depth buffer
-# A sample word is the code of the luminance and one object sample, so that a sum of words holds the
-# sum of codes, below this bit, and the number of object samples. Of 257 codes it needs 25 bits.
-COUNT_BIT = 26
 # Corners further out than this [1/256 sample] would overflow the products of the edge functions,
 # which are three times its square at most. Triangles that reach beyond it are cut first.
 GUARD = 1 << 29
+FRACTION_BITS = 36  # of an edge's column
+# Triangles of at least this height [1/256 sample], times twice their rows, or with corners this far
+# out [1/256 sample], have their edges' columns found anew in each row: rounding would show.
+ROUNDED = 1 << (FRACTION_BITS - 8)
+LARGE = 1 << 20
 MAX_CUT = 9  # corners of a triangle after one near plane and four borders
 
 
@@ -38,7 +40,7 @@ def paint_crops(  # type: ignore[no-untyped-def]
     n_vertices = vertices.shape[0]
     height_px, width_px = luminance.shape[1:]
     width, height = tile_size
-    keys = np.zeros(height * width, np.int64)
+    keys = np.zeros(height * width + LANES, np.int64)
     touched = np.empty((height, 2), np.int64)  # of each row, first and last sample drawn
     touched[:, 0], touched[:, 1] = width, -1
     # One more takes the samples of the tile that belong to no pixel of the block.
@@ -47,6 +49,8 @@ def paint_crops(  # type: ignore[no-untyped-def]
     snapped = np.empty((n_vertices, 2), np.int64)
     words = np.empty(faces.shape[0], np.int64)
     scratch = np.empty((2, MAX_CUT, 4))
+    front = np.empty(faces.shape[0], np.int64)
+    run_of, run_start, run_pixel = runs
     for k in range(luminance.shape[0]):
         x0, y0 = x0_px[k], y0_px[k]
         behind = background[y0 : y0 + height_px, x0 : x0 + width_px]
@@ -61,13 +65,14 @@ def paint_crops(  # type: ignore[no-untyped-def]
         )  # fmt: skip
         scale = float(1 << DEPTH_BITS) / (nearest - farthest)
         _shade(faces, first_face, normals, albedo, T_C_P[:, k], light, ambient, words)
+        n_front = _facing(faces, snapped, front) if whole else 0
         for by in range(0, height_px, block_px[1]):
             for bx in range(0, width_px, block_px[0]):
                 block_u = lattice[0] * bx - lattice[1] * by
                 block_v = lattice[1] * bx + lattice[0] * by
                 if whole:
                     _fill_all(
-                        keys, touched, width, height, faces, snapped, placed, words,
+                        keys, touched, width, height, faces, front, n_front, snapped, placed, words,
                         256 * block_u, 256 * block_v, farthest, scale,
                     )  # fmt: skip
                 else:
@@ -77,8 +82,8 @@ def paint_crops(  # type: ignore[no-untyped-def]
                             coeffs, lattice, shift_u - block_u, shift_v - block_v, farthest, scale,
                             words[f], scratch,
                         )  # fmt: skip
-                _sum_and_clear(keys, touched, width, height, runs, sums)
-                _average_and_clear(
+                sum_runs(keys, touched, width, height, run_of, run_start, run_pixel, sums)
+                average_block(
                     sums, block_px[0], n_samples,
                     behind[by : by + block_px[1], bx : bx + block_px[0]],
                     luminance[k, by : by + block_px[1], bx : bx + block_px[0]],
@@ -86,21 +91,36 @@ def paint_crops(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _fill_all(  # type: ignore[no-untyped-def]
-    keys, touched, width, height, faces, snapped, placed, words, block_u, block_v, farthest, scale
-):
-    """Draw every triangle that faces the viewer, none of which needs to be cut."""
+def _facing(faces, snapped, front):  # type: ignore[no-untyped-def]
+    """Find the triangles that face the viewer; returns how many there are."""
+    n = 0
     for f in range(faces.shape[0]):
-        i0, i1, i2 = faces[f, 0], faces[f, 1], faces[f, 2]
+        i0, i1, i2 = np.uint64(faces[f, 0]), np.uint64(faces[f, 1]), np.uint64(faces[f, 2])
+        x0, y0 = snapped[i0, 0], snapped[i0, 1]
+        ax, ay = snapped[i1, 0] - x0, snapped[i1, 1] - y0
+        bx, by = snapped[i2, 0] - x0, snapped[i2, 1] - y0
+        front[n] = f
+        # Outward faces are counter-clockwise to the viewer: negative, as y points down.
+        n += int(ax * by - bx * ay < 0)
+    return n
+
+
+@njit(cache=True, nogil=True)
+def _fill_all(  # type: ignore[no-untyped-def]
+    keys, touched, width, height, faces, front, n_front, snapped, placed, words, block_u, block_v,
+    farthest, scale,
+):  # fmt: skip
+    """Draw the triangles that face the viewer, none of which needs to be cut."""
+    for k in range(n_front):
+        f = np.uint64(front[k])
+        i0, i1, i2 = np.uint64(faces[f, 0]), np.uint64(faces[f, 1]), np.uint64(faces[f, 2])
         x0, y0 = snapped[i0, 0] - block_u, snapped[i0, 1] - block_v
         x1, y1 = snapped[i1, 0] - block_u, snapped[i1, 1] - block_v
         x2, y2 = snapped[i2, 0] - block_u, snapped[i2, 1] - block_v
-        # Outward faces are counter-clockwise to the viewer: negative, as y points down.
-        if (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0) < 0:
-            d0 = (placed[i0, 3] - farthest) * scale
-            d1 = (placed[i1, 3] - farthest) * scale
-            d2 = (placed[i2, 3] - farthest) * scale
-            _fill(keys, touched, width, height, x0, y0, x1, y1, x2, y2, d0, d1, d2, words[f])
+        d0 = (placed[i0, 3] - farthest) * scale
+        d1 = (placed[i1, 3] - farthest) * scale
+        d2 = (placed[i2, 3] - farthest) * scale
+        _fill(keys, touched, width, height, x0, y0, x1, y1, x2, y2, d0, d1, d2, words[f])
 
 
 @njit(cache=True, nogil=True)
@@ -189,32 +209,32 @@ def _shade(  # type: ignore[no-untyped-def]
             length = np.sqrt(nx * nx + ny * ny + nz * nz)
             lit = max((nx * light[0] + ny * light[1] + nz * light[2]) / length, 0.0)
             luminance = min(max(albedo[f] * (ambient + (1.0 - ambient) * lit), 0.0), 1.0)
-            words[f] = (np.int64(1) << COUNT_BIT) | np.int64(luminance * FULL_CODE + 0.5)
+            words[f] = (np.int64(1) << WORD_COUNT_BIT) | np.int64(luminance * FULL_CODE + 0.5)
 
 
 @njit(cache=True, nogil=True)
-def _edge(x0, y0, x1, y1, row):  # type: ignore[no-untyped-def]
-    """Return an edge's bound on the columns of a row, and how it moves from row to row.
+def _column(xa, ya, xb, yb, v):  # type: ignore[no-untyped-def]
+    """Return the last column left of an edge, in row v, which the edge reaches.
 
-    The inside is where (x1 - x0) (256 v - y0) - (y1 - y0) (256 u - x0) >= 0, or > 0 unless the edge
-    is on the left. Dividing by 256 |y1 - y0| once, quotient and remainder then advance by sums.
-
-    Returns
-    -------
-    side, quotient, remainder, divisor, step, step_remainder
-        The inside is at u <= quotient where `side` is 1, at u >= -quotient where it is -1.
+    A sample on the edge is to its right, so it is the last one of the triangle on the edge's left,
+    and the one before the first of the triangle on its right.
     """
-    dx, dy = x1 - x0, y1 - y0
-    if dy == 0:  # bounds rows, not columns
-        return 0, np.int64(0), np.int64(0), np.int64(1), np.int64(0), np.int64(0)
-    side = 1 if dy > 0 else -1
-    constant = dy * x0 - dx * y0 + 256 * dx * row
-    if dy > 0:
-        constant -= 1
-    divisor = 256 * abs(dy)
-    quotient = constant // divisor
-    step = (256 * dx) // divisor
-    return side, quotient, constant - quotient * divisor, divisor, step, 256 * dx - step * divisor
+    dx, dy = xb - xa, yb - ya
+    return (xa * dy + (256 * v - ya) * dx - 1) // (256 * dy)
+
+
+@njit(cache=True, nogil=True)
+def _start(xa, ya, xb, yb, v, room):  # type: ignore[no-untyped-def]
+    """Return `_column` of row v, and its step from row to row, both times 2^FRACTION_BITS.
+
+    They are rounded, and `room` is more than what that makes of the first over all rows, so it is
+    from its true value up to twice the room above it: less than it is from the next whole column.
+    """
+    per_dy = 1.0 / float(yb - ya)
+    slope = float(xb - xa) * per_dy
+    unit = float(1 << (FRACTION_BITS - 8))
+    column = (float(xa) + float(256 * v - ya) * slope - per_dy) * unit
+    return np.int64(column) + room, np.int64(slope * (256.0 * unit))
 
 
 @njit(cache=True, nogil=True)
@@ -223,65 +243,77 @@ def _fill(  # type: ignore[no-untyped-def]
 ):
     """Draw one triangle that faces the viewer: corners [1/256 sample], their depths in key units.
 
-    `keys` holds `height` rows of `width` samples; the triangle is cut off at its border.
+    `keys` holds `height` rows of `width` samples and LANES more; the triangle is cut off at its
+    border.
     """
-    first = max(-((-min(y0, y1, y2)) // 256), 0)
-    last = min(max(y0, y1, y2) // 256, height - 1)
-    low_u = max(-((-min(x0, x1, x2)) // 256), 0)
-    high_u = min(max(x0, x1, x2) // 256, width - 1)
-    # A row through a level edge is inside where the edge is at the top. Edges run 2, 1, 0, so that
-    # their inside is positive.
-    for ya, yb, xa, xb in ((y1, y0, x1, x0), (y2, y1, x2, x1), (y0, y2, x0, x2)):
-        if ya == yb and xb < xa:
-            last = min(last, (ya - 1) // 256)
-    if first > last or low_u > high_u:
-        return
-    side_a, q_a, r_a, div_a, step_a, rest_a = _edge(x1, y1, x0, y0, first)
-    side_b, q_b, r_b, div_b, step_b, rest_b = _edge(x2, y2, x1, y1, first)
-    side_c, q_c, r_c, div_c, step_c, rest_c = _edge(x0, y0, x2, y2, first)
-    area = float((x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0))
-    du = ((d1 - d0) * (y2 - y0) - (d2 - d0) * (y1 - y0)) / area
-    dv = ((d2 - d0) * (x1 - x0) - (d1 - d0) * (x2 - x0)) / area
-    key_step = np.int64(np.rint(256.0 * du)) << 32
-    row_start = first * width
-    for v in range(first, last + 1):
-        low, high = low_u, high_u
-        if side_a > 0:
-            high = min(high, q_a)
-        elif side_a < 0:
-            low = max(low, -q_a)
-        if side_b > 0:
-            high = min(high, q_b)
-        elif side_b < 0:
-            low = max(low, -q_b)
-        if side_c > 0:
-            high = min(high, q_c)
-        elif side_c < 0:
-            low = max(low, -q_c)
-        if low <= high:
-            here = d0 + du * (256 * low - x0) + dv * (256 * v - y0)
-            key = (np.int64(here) << 32) | word
-            at = np.uint64(row_start + low)  # unsigned: no look at negative indices
-            for _ in range(high - low + 1):
-                keys[at] = max(keys[at], key)
-                key += key_step
-                at += np.uint64(1)
-            row = np.uint64(v)
-            touched[row, 0] = min(touched[row, 0], low)
-            touched[row, 1] = max(touched[row, 1], high)
-        row_start += width
-        r_a += rest_a
-        carry = np.int64(r_a >= div_a)
-        q_a += step_a + carry
-        r_a -= carry * div_a
-        r_b += rest_b
-        carry = np.int64(r_b >= div_b)
-        q_b += step_b + carry
-        r_b -= carry * div_b
-        r_c += rest_c
-        carry = np.int64(r_c >= div_c)
-        q_c += step_c + carry
-        r_c -= carry * div_c
+    lowest = max(y0, y1, y2)
+    first = max((min(y0, y1, y2) + 255) >> 8, 0)
+    last = min(lowest >> 8, height - 1)
+    if max(x0, x1, x2) < 0 or min(x0, x1, x2) > 256 * (width - 1):
+        last = np.int64(-1)
+    # From the top corner on: the next along the outline on the right, and on the left.
+    if y0 <= y1 and y0 <= y2:
+        xt, yt, xr, yr, xl, yl = x0, y0, x2, y2, x1, y1
+    elif y1 <= y2:
+        xt, yt, xr, yr, xl, yl = x1, y1, x0, y0, x2, y2
+    else:
+        xt, yt, xr, yr, xl, yl = x2, y2, x1, y1, x0, y0
+    if yr == yl:  # a row through a level edge is inside where the edge is at the top
+        last = min(last, (yr - 1) >> 8)
+    if first <= last:
+        area = float((x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0))
+        du = ((d1 - d0) * (y2 - y0) - (d2 - d0) * (y1 - y0)) / area
+        dv = ((d2 - d0) * (x1 - x0) - (d1 - d0) * (x2 - x0)) / area
+        key_step = np.int64(np.rint(256.0 * du)) << 32
+        room = np.int64(last - first + 4)
+        is_large = (lowest - yt) * 2 * room >= ROUNDED or max(abs(x0), abs(x1), abs(x2)) >= LARGE
+        # The first row below the corner in the middle, where one side goes on as another edge.
+        middle = min(max((min(yr, yl) + 255) >> 8, first), last + 1)
+        left, left_step = np.int64(0), np.int64(0)
+        right, right_step = np.int64(0), np.int64(0)
+        if yl > yr or middle > first:
+            left, left_step = _start(xt, yt, xl, yl, first, room)
+        if yl <= yr or middle > first:
+            right, right_step = _start(xt, yt, xr, yr, first, room)
+        later, later_step = np.int64(0), np.int64(0)
+        if middle <= last:
+            if yl > yr:
+                later, later_step = _start(xr, yr, xl, yl, middle, room)
+            else:
+                later, later_step = _start(xl, yl, xr, yr, middle, room)
+        for v in range(first, last + 1):
+            if v == middle:
+                if yl > yr:
+                    right, right_step = later, later_step
+                else:
+                    left, left_step = later, later_step
+            low, high = (left >> FRACTION_BITS) + 1, right >> FRACTION_BITS
+            left += left_step
+            right += right_step
+            if is_large:
+                if v < middle:
+                    low = _column(xt, yt, xl, yl, v) + 1
+                    high = _column(xt, yt, xr, yr, v)
+                elif yl > yr:
+                    low = _column(xt, yt, xl, yl, v) + 1
+                    high = _column(xr, yr, xl, yl, v)
+                else:
+                    low = _column(xl, yl, xr, yr, v) + 1
+                    high = _column(xt, yt, xr, yr, v)
+            low, high = max(low, np.int64(0)), min(high, width - 1)
+            if low <= high:
+                here = d0 + du * (256 * low - x0) + dv * (256 * v - y0)
+                key = (np.int64(here) << 32) | word
+                n = high - low + 1
+                start = v * width + low
+                # So many that the processor does LANES at a time, and none is left over.
+                for lane in range((n + (LANES - 1)) & -LANES):
+                    at = np.uint64(start + lane)
+                    keys[at] = max(keys[at], key if lane < n else np.int64(0))
+                    key += key_step
+                row = np.uint64(v)
+                touched[row, 0] = min(touched[row, 0], low)
+                touched[row, 1] = max(touched[row, 1], high)
 
 
 @njit(cache=True, nogil=True)
@@ -334,40 +366,3 @@ def _fill_cut(  # type: ignore[no-untyped-def]
                 keys, touched, width, height, x0, y0, x1, y1, x2, y2,
                 b[0, 3], b[k - 1, 3], b[k, 3], word,
             )  # fmt: skip
-
-
-@njit(cache=True, nogil=True)
-def _sum_and_clear(keys, touched, width, height, runs, sums):  # type: ignore[no-untyped-def]
-    """Add each sample's word to its pixel's sum, and empty the keys that were drawn."""
-    run_of, run_start, run_pixel = runs
-    for v in range(height):
-        low, high = touched[v, 0], touched[v, 1]
-        if low > high:
-            continue
-        touched[v, 0], touched[v, 1] = width, -1
-        here, end = np.uint64(v * width + low), np.uint64(v * width + high + 1)
-        run = np.uint64(run_of[here])
-        while here < end:
-            stop = min(np.uint64(run_start[run + np.uint64(1)]), end)
-            total = np.int64(0)
-            for at in range(here, stop):
-                total += keys[at] & 0xFFFFFFFF
-                keys[at] = 0
-            sums[np.uint64(run_pixel[run])] += total
-            run += np.uint64(1)
-            here = stop
-
-
-@njit(cache=True, nogil=True)
-def _average_and_clear(sums, width, n_samples, background, image):  # type: ignore[no-untyped-def]
-    """Turn sums of words into luminance, over the background."""
-    scale = np.float32(1.0 / (FULL_CODE * n_samples))
-    n = np.float32(n_samples)
-    code_mask = (np.int64(1) << COUNT_BIT) - 1
-    for j in range(image.shape[0]):
-        for i in range(image.shape[1]):
-            total = sums[j * width + i]
-            # Divided, not scaled: where there is no object this is the background, bit for bit.
-            share = (n - np.float32(total >> COUNT_BIT)) / n
-            image[j, i] = np.float32(total & code_mask) * scale + share * background[j, i]
-    sums[:] = 0
