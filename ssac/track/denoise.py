@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import poisson
+from scipy.special import pdtrc
 
 from ssac.config import N_MIN
 from ssac.events import first_from
@@ -124,7 +124,7 @@ def least_neighbours(background_hz: float, n_pixels: int, radius_px: float, most
     in_ball = background_hz * 4.0 / 3.0 * np.pi * radius_px**3 / US_PER_MS
     in_window = background_hz * n_pixels * _WINDOW_S
     for n in range(LEAST_NEIGHBOURS, most):
-        if in_window * poisson.sf(n - 1, in_ball) <= 1.0:
+        if in_window * pdtrc(n - 1, in_ball) <= 1.0:  # n or more, of a Poisson distribution
             return n
     return most
 
