@@ -268,6 +268,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
         "bench": (
             "measurement",
             "process",
+            "recording",
             "sensor",
             "sync",
             "reading",
