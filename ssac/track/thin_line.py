@@ -150,7 +150,7 @@ def _window(
 
 @numba.njit(cache=True)
 def _object_at(
-    t: NDArray[np.int64], x: NDArray[np.uint16], y: NDArray[np.uint16], middle_us: int
+    t: NDArray[np.int64], x: NDArray[np.uint16], y: NDArray[np.uint16], middle_us: np.int64
 ) -> tuple[Array, Array, float] | None:
     """Median place (2,) [px] of a window's events, their velocity (2,) [px/us] and reach [px]."""
     first, middle, last = _bounds(t, middle_us)
@@ -180,7 +180,8 @@ def _quantile(values: Array, share: float) -> float:
     ordered = np.partition(values, k)
     low, high, after = ordered[k], np.min(ordered[k + 1 :]), place - k
     gap = high - low
-    return low + gap * after if after < 0.5 else high - gap * (1.0 - after)
+    found: float = low + gap * after if after < 0.5 else high - gap * (1.0 - after)
+    return found
 
 
 @numba.njit(cache=True)
@@ -188,7 +189,7 @@ def _far_from(
     t: NDArray[np.int64],
     x: NDArray[np.uint16],
     y: NDArray[np.uint16],
-    middle_us: int,
+    middle_us: np.int64,
     centre: Array,
     velocity: Array,
     start_px: float,
@@ -207,7 +208,7 @@ def _far_from(
 
 
 @numba.njit(cache=True)
-def _bounds(t: NDArray[np.int64], middle_us: int) -> tuple[int, int, int]:
+def _bounds(t: NDArray[np.int64], middle_us: np.int64) -> tuple[np.intp, np.intp, np.intp]:
     """Index of the first event of a window, of its second half, and after it."""
     half_us = _HALF_WINDOW_US
     first, last = np.searchsorted(t, middle_us - half_us), np.searchsorted(t, middle_us + half_us)
