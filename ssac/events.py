@@ -158,13 +158,18 @@ def _look_through(
 
     In one pass over the fields (n,), which lie side by side in memory.
     """
-    first = len(t)
     largest_x, largest_y, largest_p = x[0], y[0], p[0]
+    before, is_sorted = t[0], True
     for i in range(len(t)):
         largest_x, largest_y = max(largest_x, x[i]), max(largest_y, y[i])
         largest_p = max(largest_p, p[i])
-        if i > 0 and t[i] < t[i - 1]:
-            first = min(first, i)
+        is_sorted &= before <= t[i]
+        before = t[i]
+    first = len(t)
+    if not is_sorted:
+        first = 1
+        while t[first - 1] <= t[first]:
+            first += 1
     return first, largest_x, largest_y, largest_p
 
 

@@ -127,7 +127,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
             "joint",
             "tangency",
         ),
-        "baselines": ("correlation", "event_rate", "zncc_e", "zncc_f", "albl"),
+        "baselines": ("correlation", "event_rate", "zncc_e", "zncc_f", "albl_kernels", "albl"),
         "plot": ("plot_data", "plots"),
         "console": ("exits", "options", "event_options", "command_line"),
         "convert": (
@@ -268,6 +268,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
         "bench": (
             "measurement",
             "process",
+            "recording",
             "sensor",
             "sync",
             "reading",

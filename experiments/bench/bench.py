@@ -6,7 +6,6 @@ memory and both GL backends can be compared.
 
 import json
 import sys
-import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import asdict, replace
@@ -31,6 +30,7 @@ from experiments.bench.growth import (
 from experiments.bench.measurement import Measurement, best_rate, peak_memory_mb
 from experiments.bench.process import in_own_process
 from experiments.bench.reading import bench_reading
+from experiments.bench.recording import bench_recording
 from experiments.bench.sensor import bench_sensor
 from experiments.bench.sync import bench_sync
 from experiments.bench.tables import bench_tables
@@ -49,7 +49,6 @@ from sim.scene.background import uniform_background
 from sim.scene.drone import quadrotor
 from sim.scene.rig import two_view_rig
 from sim.scene.trajectory import SplineConfig, random_spline
-from sim.storage import record
 from ssac.errors import SsacError
 
 _NATIVE = "native"
@@ -169,23 +168,6 @@ def bench_render(by: str) -> list[Measurement]:
     return rows
 
 
-def bench_recording() -> list[Measurement]:
-    """Wall time and peak memory of the default 20 s pair, frames and writing it included."""
-    short = SimConfig(spline=SplineConfig(duration_s=1.0))
-    with tempfile.TemporaryDirectory() as folder:
-        record(short, 0, Path(folder) / "short", {})  # loads the kernels
-        start = time.perf_counter()
-        recorded = record(SimConfig(), 0, Path(folder) / "pair", {})
-        seconds = time.perf_counter() - start
-    instants, events = recorded.flight.n_instants, sum(recorded.n_events)
-    return [
-        Measurement("simulate a 20 s pair, frames included", seconds, "s", 3.0),
-        Measurement("simulate a 20 s pair: instants", instants, "instants"),
-        Measurement("simulate a 20 s pair: events", events, "events"),
-        Measurement("simulate a 20 s pair: peak memory", peak_memory_mb(), "MB", 450.0),
-    ]
-
-
 PARTS: dict[str, Callable[[], list[Measurement]]] = {
     **{f"render-{by}": partial(bench_render, by) for by in (_NATIVE, *BACKENDS)},
     "sensor": bench_sensor,
@@ -195,11 +177,14 @@ PARTS: dict[str, Callable[[], list[Measurement]]] = {
     "tables": bench_tables,  # which has two workers
 }
 
+MODULES = {"recording": "experiments.bench.recording"}
+"""Parts that are run without loading what the others need."""
+
 
 def _in_own_process(part: str) -> list[Measurement]:
     """Measure one part; where it fails, a row says so."""
     try:
-        rows = in_own_process("experiments.bench.bench", part)
+        rows = in_own_process(MODULES.get(part, "experiments.bench.bench"), part)
     except SsacError as error:
         typer.echo(f"{part} could not be measured: {error}", err=True)
         return [Measurement(f"{part}: not measured ({error})", float("nan"), "")]

@@ -11,11 +11,11 @@ gain inliers, and starts small again when it does.
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
+from ssac.baselines.albl_kernels import inliers_of, most_inliers, nine_least, quotients
 from ssac.camera import Rig
 from ssac.config import Config
 from ssac.estimate import Estimate, Status
@@ -52,8 +52,6 @@ _FIRST_TRIALS = 20  # after which all pairs may turn out to be inliers, and the 
 _INLIER_PX = 2.0  # Sampson distance
 _MAX_ROUNDS = 20
 _LAST_ROUNDS = 2
-_LEAST_PIVOT = 1e-12  # on coordinates of order 1
-_BLOCK = 64  # pairs counted between two looks at the count: enough for vector instructions
 
 
 @dataclass(frozen=True)
@@ -70,6 +68,19 @@ class _Linearised:
 class _Solution:
     shift_s: float  # b, to be added to t_d
     inlier_share: float  # of all pairs, 0 to 1
+
+
+@dataclass(frozen=True)
+class _Agreement:
+    """The solution of nine pairs with which most pairs agree."""
+
+    pairs: _Linearised
+    shift_s: float
+    inliers: NDArray[np.bool_]  # (n,) of the pairs
+
+    @property
+    def inlier_share(self) -> float:
+        return float(np.mean(self.inliers))
 
 
 def albl(cam1: Observation, cam2: Observation, rig: Rig, config: Config | None = None) -> Estimate:
@@ -141,16 +152,13 @@ def _start(views: TwoViews, starts_s: Array) -> float:
 
     The same random numbers for each, so that none depends on which others there are.
     """
-    shares = [
-        _best_shift(
-            views,
-            float(start_s),
-            _START_SECANT_S,
-            np.random.default_rng(views.config.seed),
-            trials=_START_TRIALS,
-        ).inlier_share
-        for start_s in starts_s
-    ]
+    shares: list[float] = []
+    for start_s in starts_s:
+        rng = np.random.default_rng(views.config.seed)
+        found = _most_agreed(views, float(start_s), _START_SECANT_S, rng, 0.0, _START_TRIALS)
+        shares.append(0.0 if found is None else found.inlier_share)
+        if shares[-1] == 1.0:  # the first of the best is taken, and none is better
+            break
     return float(starts_s[int(np.argmax(shares))])
 
 
@@ -160,22 +168,38 @@ def _best_shift(
     step_s: float,
     rng: np.random.Generator,
     share_to_exceed: float = 0.0,
-    trials: int = _TRIALS,
 ) -> _Solution:
-    """Find the shift with most inliers, with the secants ahead and those back in time.
+    """Find the shift with most inliers, with the secants ahead and those back in time."""
+    found = _most_agreed(views, t_d_s, step_s, rng, share_to_exceed, _TRIALS)
+    if found is None:
+        return _Solution(0.0, 0.0)
+    return _Solution(_polished(found, step_s), found.inlier_share)
+
+
+def _most_agreed(
+    views: TwoViews,
+    t_d_s: float,
+    step_s: float,
+    rng: np.random.Generator,
+    share_to_exceed: float,
+    trials: int,
+) -> _Agreement | None:
+    """Find what most pairs agree with, by either of the secants; None where no pair does.
 
     Nothing exceeds a share of 1, so there the solver is not run; what it would have drawn is drawn
     all the same, so that no other draw depends on it.
     """
-    best, sampled = _Solution(0.0, 0.0), views.pairs(np.array([t_d_s]))
+    best: _Agreement | None = None
+    best_share, sampled = 0.0, views.pairs(np.array([t_d_s]))
     for signed_s in (step_s, -step_s):
         pairs = _linearised(views, sampled, signed_s)
         if len(pairs.x1) < MIN_PAIRS:
             continue
         numbers = rng.random((trials, len(pairs.x1)))
-        if max(best.inlier_share, share_to_exceed) < 1.0:
-            solution = _ransac(pairs, step_s, numbers)
-            best = max(best, solution, key=lambda found: found.inlier_share)
+        if max(best_share, share_to_exceed) < 1.0:
+            found = _ransac(pairs, step_s, numbers)
+            if found is not None and found.inlier_share > best_share:
+                best, best_share = found, found.inlier_share
     return best
 
 
@@ -192,14 +216,14 @@ def _linearised(views: TwoViews, pairs: Pairs, step_s: float) -> _Linearised:
     return _Linearised(x1 / unit_px, x2 / unit_px, v2 / unit_px, unit_px)
 
 
-def _ransac(pairs: _Linearised, step_s: float, numbers: Array) -> _Solution:
-    """Find the shift with most inliers over random subsets of nine pairs, and polish it.
+def _ransac(pairs: _Linearised, step_s: float, numbers: Array) -> _Agreement | None:
+    """Find the shift with most inliers over random subsets of nine pairs.
 
     One subset per row of `numbers` (T, n), which are random.
     """
     n = len(pairs.x1)
     A, B = _constraints(pairs)
-    subsets = _nine_least(numbers)
+    subsets = nine_least(numbers)
     x1, x2, v2 = (np.ascontiguousarray(x.T) for x in (pairs.x1, pairs.x2, pairs.v2))
     limit = (_INLIER_PX / pairs.px_per_unit) ** 2
     shift_s, F, most = 0.0, np.zeros((3, 3)), -1
@@ -207,23 +231,27 @@ def _ransac(pairs: _Linearised, step_s: float, numbers: Array) -> _Solution:
         shifts_s, Fs = _solve_nine(A, B, batch)
         plausible = np.abs(shifts_s) <= 2.0 * step_s
         shifts_s, Fs = shifts_s[plausible], Fs[plausible]
-        index, count = _most_inliers(shifts_s, Fs, x1, x2, v2, limit, most)
+        index, count = most_inliers(shifts_s, Fs, x1, x2, v2, limit, most)
         if count > most:
             shift_s, F, most = float(shifts_s[index]), Fs[index], count
         if most == n:  # no other trial can have more
             break
     if most < 0:
-        return _Solution(0.0, 0.0)
-    inliers = _inliers(shift_s, F, x1, x2, v2, limit)
-    A, B = A[inliers], B[inliers]
+        return None
+    return _Agreement(pairs, shift_s, inliers_of(shift_s, F, x1, x2, v2, limit))
+
+
+def _polished(found: _Agreement, step_s: float) -> float:
+    """Shift [s] near the one found at which all its inliers agree best."""
+    A, B = (constraints[found.inliers] for constraints in _constraints(found.pairs))
     moments = A.T @ A, A.T @ B + B.T @ A, B.T @ B
     polished = minimize_scalar(
         lambda b: np.linalg.eigvalsh(moments[0] + b * moments[1] + b**2 * moments[2])[0],
         args=(),
-        bounds=(shift_s - step_s, shift_s + step_s),
+        bounds=(found.shift_s - step_s, found.shift_s + step_s),
         method="bounded",
     )
-    return _Solution(float(polished.x), float(np.mean(inliers)))
+    return float(polished.x)
 
 
 def _constraints(pairs: _Linearised) -> tuple[Array, Array]:
@@ -233,25 +261,6 @@ def _constraints(pairs: _Linearised) -> tuple[Array, Array]:
     v2 = np.hstack([pairs.v2, 0.0 * ones])
     A, B = (np.einsum("ni,nj->nij", left, x1).reshape(-1, 9) for left in (x2, v2))
     return A, B
-
-
-@numba.njit(cache=True)
-def _nine_least(numbers: Array) -> NDArray[np.intp]:
-    """Find the nine least of each row of random numbers (T, n): indices (T, 9), nine at random."""
-    subsets = np.empty((len(numbers), 9), np.intp)
-    for trial in range(len(numbers)):
-        row, subset = numbers[trial], subsets[trial]
-        n_kept = 0
-        for i in range(len(row)):
-            if n_kept == 9 and row[i] >= row[subset[8]]:
-                continue
-            place = min(n_kept, 8)
-            while place > 0 and row[subset[place - 1]] > row[i]:
-                subset[place] = subset[place - 1]
-                place -= 1
-            subset[place] = i
-            n_kept = min(n_kept + 1, 9)
-    return subsets
 
 
 def _solve_nine(A: Array, B: Array, subsets: NDArray[np.intp]) -> tuple[Array, Array]:
@@ -272,118 +281,10 @@ def _solve_nine(A: Array, B: Array, subsets: NDArray[np.intp]) -> tuple[Array, A
     tuple of NDArray[np.float64]
         Shifts b (S,) [s] and their F (S, 3, 3).
     """
-    X = _quotients(A, B, subsets)
+    X = quotients(A, B, subsets)
     inverse_shifts, heads = np.linalg.eig(-X[:, :6])
     subset, k = np.nonzero((np.abs(inverse_shifts.imag) < 1e-9) & (inverse_shifts.real != 0.0))
     shifts_s = 1.0 / inverse_shifts.real[subset, k]
     heads = heads.real[subset, :, k]
     tails = -shifts_s[:, None] * np.einsum("sij,sj->si", X[subset, 6:], heads)
     return shifts_s, np.concatenate([heads, tails], axis=1).reshape(-1, 3, 3)
-
-
-@numba.njit(cache=True)
-def _quotients(A: Array, B: Array, subsets: NDArray[np.intp]) -> Array:
-    """A^-1 B of the rows in each subset, (T, 9, 6), by Gaussian elimination with pivoting.
-
-    At the true offset A is singular but for noise. A pivot of zero is then taken as the least
-    number that can be divided by: the shift b comes out as zero.
-    """
-    X = np.empty((len(subsets), 9, 6))
-    rows = np.empty((9, 15))
-    for trial in range(len(subsets)):
-        for i in range(9):
-            rows[i, :9] = A[subsets[trial, i]]
-            rows[i, 9:] = B[subsets[trial, i], :6]
-        for k in range(9):
-            pivot = k
-            for i in range(k + 1, 9):
-                if abs(rows[i, k]) > abs(rows[pivot, k]):
-                    pivot = i
-            for j in range(k, 15):
-                rows[k, j], rows[pivot, j] = rows[pivot, j], rows[k, j]
-            if abs(rows[k, k]) < _LEAST_PIVOT:
-                rows[k, k] = _LEAST_PIVOT
-            for i in range(k + 1, 9):
-                ratio = rows[i, k] / rows[k, k]
-                for j in range(k + 1, 15):
-                    rows[i, j] -= ratio * rows[k, j]
-        for k in range(8, -1, -1):
-            for j in range(6):
-                total = rows[k, 9 + j]
-                for i in range(k + 1, 9):
-                    total -= rows[k, i] * X[trial, i, j]
-                X[trial, k, j] = total / rows[k, k]
-    return X
-
-
-@numba.njit(cache=True)
-def _most_inliers(
-    shifts_s: Array, F: Array, x1: Array, x2: Array, v2: Array, limit: float, most: int
-) -> tuple[int, int]:
-    """Find the first solution with the most inliers: its index and their number.
-
-    Parameters
-    ----------
-    shifts_s, F
-        Solutions, shapes (S,) and (S, 3, 3).
-    x1, x2, v2, limit
-        As for `_count`.
-    most
-        Inliers to exceed; the index is -1, and the number this one, when no solution does.
-    """
-    n = x1.shape[1]
-    best = -1
-    for s in range(len(shifts_s)):
-        count = 0
-        for first in range(0, n, _BLOCK):
-            last = min(first + _BLOCK, n)
-            count += _count(shifts_s[s], F[s], x1, x2, v2, limit, first, last)
-            if count + n - last <= most:
-                break
-        else:
-            best, most = s, count
-    return best, most
-
-
-@numba.njit(cache=True, fastmath=True)
-def _count(
-    b: float, F: Array, x1: Array, x2: Array, v2: Array, limit: float, first: int, last: int
-) -> int:
-    """Pairs from `first` up to `last` whose squared Sampson distance is below the limit.
-
-    The points and velocities have the shape (2, n). Without a branch, so that it compiles to vector
-    instructions.
-    """
-    count = 0
-    for i in range(first, last):
-        square, norm = _sampson_terms(b, F, x1, x2, v2, i)
-        count += square < limit * norm
-    return count
-
-
-@numba.njit(cache=True, fastmath=True)
-def _inliers(
-    b: float, F: Array, x1: Array, x2: Array, v2: Array, limit: float
-) -> NDArray[np.bool_]:
-    """Tell which of the pairs `_count` counts, (n,)."""
-    inliers = np.empty(x1.shape[1], np.bool_)
-    for i in range(len(inliers)):
-        square, norm = _sampson_terms(b, F, x1, x2, v2, i)
-        inliers[i] = square < limit * norm
-    return inliers
-
-
-@numba.njit(cache=True, fastmath=True)
-def _sampson_terms(
-    b: float, F: Array, x1: Array, x2: Array, v2: Array, i: int
-) -> tuple[float, float]:
-    """(p2' F p1)^2 and its squared gradient norm for pair i, p2 being shifted by b."""
-    u1, v1 = x1[0, i], x1[1, i]
-    u2, w2 = x2[0, i] + b * v2[0, i], x2[1, i] + b * v2[1, i]
-    a2 = F[0, 0] * u1 + F[0, 1] * v1 + F[0, 2]
-    b2 = F[1, 0] * u1 + F[1, 1] * v1 + F[1, 2]
-    c2 = F[2, 0] * u1 + F[2, 1] * v1 + F[2, 2]
-    a1 = F[0, 0] * u2 + F[1, 0] * w2 + F[2, 0]
-    b1 = F[0, 1] * u2 + F[1, 1] * w2 + F[2, 1]
-    product = u2 * a2 + w2 * b2 + c2
-    return product * product, a1 * a1 + b1 * b1 + a2 * a2 + b2 * b2

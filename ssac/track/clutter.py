@@ -58,9 +58,8 @@ def activity(events: NDArray[np.void], width: int, height: int) -> Activity:
     width, height
         Sensor size [px].
     """
-    t, x, y = events["t"], events["x"], events["y"]
-    total = _count_bins(t)
-    counts, active, n_bins, squares = _count(t, x, y, width, height, total)
+    starts = _starts_of_bins(events["t"])
+    counts, active, n_bins, squares = _count(starts, events["x"], events["y"], width, height)
     ends = np.cumsum(squares)
     low, high = 0.4 * ends[-1], 0.6 * ends[-1]
     weights = np.clip(ends, low, high) - np.clip(ends - squares, low, high)
@@ -108,49 +107,43 @@ def of_pixels(
 
 
 @numba.njit(cache=True)
-def _count_bins(t: NDArray[np.int64]) -> int:
-    """Count the bins in which there are events."""
-    n, current = 0, -1
-    for i in range(len(t)):
-        number = (t[i] - t[0]) // BIN_US
-        if number != current:
-            n += 1
-            current = number
-    return n
+def _starts_of_bins(t: NDArray[np.int64]) -> NDArray[np.intp]:
+    """Index of the first event of each bin in which there are events, and their number at last."""
+    starts, first = [0], 0
+    while first < len(t):
+        end_us = t[first] + BIN_US - (t[first] - t[0]) % BIN_US
+        first += np.searchsorted(t[first:], end_us)
+        starts.append(first)
+    return np.array(starts)
 
 
 @numba.njit(cache=True)
 def _count(
-    t: NDArray[np.int64],
+    starts: NDArray[np.intp],
     x: NDArray[np.uint16],
     y: NDArray[np.uint16],
     width: int,
     height: int,
-    total: int,
 ) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.int64], NDArray[np.int64]]:
     """Count events and active bins by pixel, bins by part, and squares by their events in a bin."""
     counts = np.zeros((height, width), np.int64)
     active = np.zeros((PARTS, height, width), np.int32)
-    last = np.full((height, width), -1, np.int64)
+    last = np.full((height, width), -1, np.int32)
     n_bins = np.zeros(PARTS, np.int64)
     in_square = np.zeros((height // _CELL_PX + 1, width // _CELL_PX + 1), np.int64)
     squares = np.zeros(_MAX_IN_CELL + 1, np.int64)
-    number, k, part = -1, -1, 0
-    for i in range(len(t)):
-        if (t[i] - t[0]) // BIN_US != number:
-            if k >= 0:
-                _end_bin(in_square, squares, width, height)
-            number = (t[i] - t[0]) // BIN_US
-            k += 1
-            part = k * PARTS // total
-            n_bins[part] += 1
-        row, column = y[i], x[i]
-        counts[row, column] += 1
-        in_square[row // _CELL_PX, column // _CELL_PX] += 1
-        if last[row, column] != k:
+    total = len(starts) - 1
+    for k in range(total):
+        part = k * PARTS // total
+        n_bins[part] += 1
+        of_part = active[part]
+        for i in range(starts[k], starts[k + 1]):
+            row, column = y[i], x[i]
+            counts[row, column] += 1
+            in_square[row // _CELL_PX, column // _CELL_PX] += 1
+            of_part[row, column] += last[row, column] != k
             last[row, column] = k
-            active[part, row, column] += 1
-    _end_bin(in_square, squares, width, height)
+        _end_bin(in_square, squares, width, height)
     return counts, active, n_bins, squares
 
 

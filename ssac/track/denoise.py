@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import poisson
+from scipy.special import pdtrc
 
 from ssac.config import N_MIN
 from ssac.events import first_from
@@ -40,7 +40,8 @@ _SHARE_N_MIN = 0.25  # of a thin object's events in a window
 _WINDOW_S = 0.040  # whatever the config's is: what is prepared must not depend on that
 _SAMPLES = 1000  # of windows
 
-_SLOTS = 16  # of time, on each side, in the box that is counted
+_SLOTS = 16  # of time, on each side, in which tiles are counted
+_TOGETHER, _PARTS = 64, 8  # events at most whose boxes are one, and of a box's half time
 _LEAP = 16  # events between two looks at how many there are in a time
 _BOX = 0.4  # half the side of the box that is counted, over the radius: it settles most events
 
@@ -123,7 +124,7 @@ def least_neighbours(background_hz: float, n_pixels: int, radius_px: float, most
     in_ball = background_hz * 4.0 / 3.0 * np.pi * radius_px**3 / US_PER_MS
     in_window = background_hz * n_pixels * _WINDOW_S
     for n in range(LEAST_NEIGHBOURS, most):
-        if in_window * poisson.sf(n - 1, in_ball) <= 1.0:
+        if in_window * pdtrc(n - 1, in_ball) <= 1.0:  # n or more, of a Poisson distribution
             return n
     return most
 
@@ -224,12 +225,11 @@ def _has_neighbours(
     a loop; and an index without a sign needs no look whether it counts from the end.
     """
     n, radius_us = len(t), spans_us[0]
-    slot_us = box_us // (_SLOTS + 1) + 1  # events are taken by slots: few, and long, loops
-    n_slots = (box_us + 1) // slot_us - 1  # of the box, on each side of a slot
+    longest_us = box_us // _PARTS  # events are taken by so many, so that loops are few, and long
     margin_px = int(np.max(offsets_px))
     n_columns, n_rows = _extent(x, y, margin_px)
     steps = offsets_px[:, 0] * n_rows + offsets_px[:, 1]
-    length = _power_above(_most_within(t, 2 * radius_us + slot_us))
+    length = _power_above(_most_within(t, 2 * radius_us + longest_us))
     mask = np.uint32(length - 1)
     # A pixel's events are a chain from its latest one back, kept for as long as a ball reaches.
     previous, cells = np.empty(length, np.int32), np.empty(length, np.int32)
@@ -239,29 +239,28 @@ def _has_neighbours(
     keep = np.zeros(n, np.bool_)
     start = first = end = first_of_box = end_of_box = 0
     while start < n:
-        slot_start_us = t[0] + (t[start] - t[0]) // slot_us * slot_us
-        slot_end_us = slot_start_us + slot_us
+        stop, last = start + 1, min(start + _TOGETHER, n)
+        while stop < last and t[stop] - t[start] <= longest_us:
+            stop += 1
+        earliest_us, latest_us = t[start], t[stop - 1]
         # What leaves comes first, while the rings still hold it: a gap in time may be long.
-        left, first_of_box = (
-            first_of_box,
-            _next_from(t[:end_of_box], first_of_box, slot_start_us - n_slots * slot_us),
-        )
-        for i in range(left, first_of_box):
+        while first_of_box < end_of_box and t[first_of_box] < latest_us - box_us:
             for step in box_px:
-                counts[cells[np.uint32(i) & mask] + step] -= 1
-        came, end = end, _next_from(t, end, slot_end_us + radius_us)
-        for i in range(came, end):
-            cell = (np.int64(x[i]) + margin_px) * n_rows + np.int64(y[i]) + margin_px
-            cells[np.uint32(i) & mask] = cell
-            previous[np.uint32(i) & mask] = latest[cell]
-            latest[cell] = i
-        first = _next_from(t, first, slot_start_us - radius_us)
-        came, end_of_box = end_of_box, _next_from(t, end_of_box, slot_end_us + n_slots * slot_us)
-        for i in range(came, end_of_box):
+                counts[cells[np.uint32(first_of_box) & mask] + step] -= 1
+            first_of_box += 1
+        while end < n and t[end] <= latest_us + radius_us:
+            cell = (np.int64(x[end]) + margin_px) * n_rows + np.int64(y[end]) + margin_px
+            cells[np.uint32(end) & mask] = cell
+            previous[np.uint32(end) & mask] = latest[cell]
+            latest[cell] = end
+            end += 1
+        while end_of_box < end and t[end_of_box] <= earliest_us + box_us:
             for step in box_px:
-                counts[cells[np.uint32(i) & mask] + step] += 1
-        begun, start = start, _next_from(t, start, slot_end_us)
-        for i in range(begun, start):
+                counts[cells[np.uint32(end_of_box) & mask] + step] += 1
+            end_of_box += 1
+        while first + _LEAP < n and t[first + _LEAP] < earliest_us - radius_us:
+            first += _LEAP  # at most the first that a ball reaches, which the rings still hold
+        for i in range(start, stop):
             here = cells[np.uint32(i) & mask]
             n_found = -1  # the event finds itself
             for step in box_px:
@@ -276,6 +275,7 @@ def _has_neighbours(
                     if n_found >= n_neighbours:
                         break
             keep[i] = n_found >= n_neighbours
+        start = stop
     return keep
 
 
@@ -338,16 +338,6 @@ def _has_neighbours_in_noise(
                 keep[start] = n_found >= n_neighbours
             start += 1
     return keep
-
-
-@numba.njit(cache=True)
-def _next_from(t: NDArray[np.int64], i: int, time_us: int) -> int:
-    """Index of the first of the sorted times at or after `time_us`, from `i` on: it is near."""
-    while i + 8 <= len(t) and t[i + 7] < time_us:
-        i += 8
-    while i < len(t) and t[i] < time_us:
-        i += 1
-    return i
 
 
 @numba.njit(cache=True)

@@ -86,15 +86,14 @@ def events_on_line(
     """
     if len(kept) < _LEAST_SEEN:
         return None
-    both = _Places.of(events), _Places.of(kept)
-    middles_us = _middles_us(both[1].times_us)
+    middles_us = _middles_us(kept["t"])
     numbers = list(range(0, len(middles_us), _SAMPLED))
     step = max(1, len(numbers) // _FIRST)
     clear: dict[int, _Line] = {}
     n_tested = 0
     for some in (numbers[::step], [k for i, k in enumerate(numbers) if i % step]):
         for k in some:
-            window = _window(*both, middles_us[k])
+            window = _window(events, kept, middles_us[k])
             line = None if window is None else _voted(window, width, height)
             n_tested += window is not None and (line is None or line.has_room)
             if line is not None and line.is_clear:
@@ -112,7 +111,7 @@ def events_on_line(
     offsets_px = np.interp(places, list(sampled), [one.offset_px for one in sampled.values()])
     course = np.full((len(middles_us), 6), np.nan)  # centre, velocity, angle, offset
     for k, middle_us in enumerate(middles_us):
-        window = _window(*both, middle_us)
+        window = _window(events, kept, middle_us)
         if window is None:
             continue
         course[k, :2], course[k, 2:4] = window.centre_px, window.velocity_px_us
@@ -122,51 +121,98 @@ def events_on_line(
     return _beside(kept, middles_us, course)
 
 
+@numba.njit(cache=True)
 def _middles_us(times_us: NDArray[np.int64]) -> NDArray[np.int64]:
     """Cut a recording into windows, and give the middles (m,) of those that hold an event."""
-    numbers = (times_us - times_us[0]) // (2 * _HALF_WINDOW_US)
-    first = np.append(True, np.diff(numbers) > 0)
-    return np.asarray(times_us[0] + 2 * _HALF_WINDOW_US * numbers[first] + _HALF_WINDOW_US)
+    length_us = 2 * _HALF_WINDOW_US
+    middles_us = np.empty((times_us[-1] - times_us[0]) // length_us + 1, np.int64)
+    m = first = 0
+    while first < len(times_us):
+        start_us = times_us[first] - (times_us[first] - times_us[0]) % length_us
+        middles_us[m] = start_us + _HALF_WINDOW_US
+        m += 1
+        first += np.searchsorted(times_us[first:], start_us + length_us)
+    return middles_us[:m]
 
 
-@dataclass(frozen=True)
-class _Places:
-    """Events whose times are looked up often: next to each other in memory, they are found fast."""
-
-    times_us: NDArray[np.int64]  # (n,)
-    events: NDArray[np.void]  # (n,)
-
-    @staticmethod
-    def of(events: NDArray[np.void]) -> "_Places":
-        return _Places(np.ascontiguousarray(events["t"]), events)
-
-    def about(self, middle_us: np.int64) -> tuple[Array, Array]:
-        """Ages (m,) [us] from a window's middle, and places (m, 2) [px], of its events."""
-        ends_us = middle_us - _HALF_WINDOW_US, middle_us + _HALF_WINDOW_US
-        window = slice(*np.searchsorted(self.times_us, ends_us))
-        some = self.events[window]
-        points = np.column_stack([some["x"], some["y"]]).astype(np.float64)
-        return (self.times_us[window] - middle_us).astype(np.float64), points
-
-
-def _window(events: _Places, kept: _Places, middle_us: np.int64) -> _Window | None:
+def _window(
+    events: NDArray[np.void], kept: NDArray[np.void], middle_us: np.int64
+) -> _Window | None:
     """Look at the object about a time; None where too little of it is seen."""
-    ages_us, points = kept.about(middle_us)
-    early = ages_us < 0.0
-    n_early = np.count_nonzero(early)
-    if len(ages_us) < _LEAST_SEEN or min(n_early, len(ages_us) - n_early) < _LEAST_OF_HALF:
+    object_at = _object_at(kept["t"], kept["x"], kept["y"], middle_us)
+    if object_at is None:
         return None
-    shift_px = np.median(points[~early], axis=0) - np.median(points[early], axis=0)
-    velocity = shift_px / _HALF_WINDOW_US
-    points -= ages_us[:, None] * velocity
-    centre = np.median(points, axis=0)
-    reach_px = float(np.quantile(np.linalg.norm(points - centre, axis=1), _REACH))
+    centre, velocity, reach_px = object_at
     start_px = _FROM_REACH * reach_px + _FROM_PX
-    ages_us, points = events.about(middle_us)
-    points -= ages_us[:, None] * velocity + centre
-    away_px = np.linalg.norm(points, axis=1)
-    far = (away_px > start_px) & (away_px < start_px + _LENGTH_PX)
-    return _Window(centre, velocity, start_px, points[far])
+    far = _far_from(events["t"], events["x"], events["y"], middle_us, centre, velocity, start_px)
+    return _Window(centre, velocity, start_px, far)
+
+
+@numba.njit(cache=True)
+def _object_at(
+    t: NDArray[np.int64], x: NDArray[np.uint16], y: NDArray[np.uint16], middle_us: np.int64
+) -> tuple[Array, Array, float] | None:
+    """Median place (2,) [px] of a window's events, their velocity (2,) [px/us] and reach [px]."""
+    first, middle, last = _bounds(t, middle_us)
+    n, n_early = last - first, middle - first
+    if n < _LEAST_SEEN or min(n_early, n - n_early) < _LEAST_OF_HALF:
+        return None
+    centre, velocity, away_px = np.empty(2), np.empty(2), np.zeros(n)
+    places = np.empty(n)
+    for axis, pixels in enumerate((x, y)):
+        for i in range(n):
+            places[i] = pixels[first + i]
+        shift_px = np.median(places[n_early:]) - np.median(places[:n_early])
+        velocity[axis] = shift_px / _HALF_WINDOW_US
+        for i in range(n):
+            places[i] -= (t[first + i] - middle_us) * velocity[axis]
+        centre[axis] = np.median(places)
+        for i in range(n):
+            away_px[i] += (places[i] - centre[axis]) ** 2
+    return centre, velocity, _quantile(np.sqrt(away_px), _REACH)
+
+
+@numba.njit(cache=True)
+def _quantile(values: Array, share: float) -> float:
+    """`np.quantile` of values (n,), n > 1, to the last bit, which numba's own is not."""
+    place = share * (len(values) - 1)
+    k = int(place)
+    ordered = np.partition(values, k)
+    low, high, after = ordered[k], np.min(ordered[k + 1 :]), place - k
+    gap = high - low
+    found: float = low + gap * after if after < 0.5 else high - gap * (1.0 - after)
+    return found
+
+
+@numba.njit(cache=True)
+def _far_from(
+    t: NDArray[np.int64],
+    x: NDArray[np.uint16],
+    y: NDArray[np.uint16],
+    middle_us: np.int64,
+    centre: Array,
+    velocity: Array,
+    start_px: float,
+) -> NDArray[np.float64]:
+    """Places (m, 2) [px], from a moving centre, of a window's events where a line may be."""
+    first, _, last = _bounds(t, middle_us)
+    found = np.empty((last - first, 2))
+    m = 0
+    for i in range(first, last):
+        age_us = t[i] - middle_us
+        found[m, 0] = x[i] - (age_us * velocity[0] + centre[0])
+        found[m, 1] = y[i] - (age_us * velocity[1] + centre[1])
+        away_px = np.sqrt(found[m, 0] ** 2 + found[m, 1] ** 2)
+        m += start_px < away_px < start_px + _LENGTH_PX  # else it is written over
+    return found[:m].copy()
+
+
+@numba.njit(cache=True)
+def _bounds(t: NDArray[np.int64], middle_us: np.int64) -> tuple[np.intp, np.intp, np.intp]:
+    """Index of the first event of a window, of its second half, and after it."""
+    half_us = _HALF_WINDOW_US
+    first, last = np.searchsorted(t, middle_us - half_us), np.searchsorted(t, middle_us + half_us)
+    return first, first + np.searchsorted(t[first:last], middle_us), last
 
 
 def _voted(window: _Window, width: int, height: int) -> _Line | None:
