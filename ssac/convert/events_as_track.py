@@ -10,7 +10,7 @@ from ssac.config import Config
 from ssac.errors import SsacError
 from ssac.points import PointTrack
 from ssac.search.seen import seen_of, seen_times
-from ssac.silhouette.silhouette import silhouettes
+from ssac.silhouette.silhouette import Images, silhouettes
 from ssac.track.motion import SharpTrack
 from ssac.track.observation import Observation, denoised, object_motions
 
@@ -35,6 +35,7 @@ class ShapedTrack:
     spreads_px2: NDArray[np.float64] | None
     """(n, 3) second moments xx, xy, yy of the silhouettes whose centres the points are; NaN where
     one is a mean of events; None where all are."""
+    images: Images | None = None  # at each point; None where there are no silhouettes
 
 
 def track_of_events(
@@ -96,7 +97,8 @@ def shaped_track_of_events(
     known = found.known
     points = np.where(known[:, None], found.centres_px, points)
     sigmas = np.where(known, _sigmas_px(SILHOUETTE_SIZES, sizes_px), sigmas)
-    return ShapedTrack(PointTrack(sharp.times_s, points, sigmas), found.spreads_px2)
+    track = PointTrack(sharp.times_s, points, sigmas)
+    return ShapedTrack(track, found.spreads_px2, found.images)
 
 
 def _followed(

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from ssac.camera import Camera, undistort_points
 from ssac.geometry.pose import rays_of
 from ssac.points import PointTrack
+from ssac.silhouette.silhouette import Images
 from ssac.track.point_motion import PointMotion, point_motion
 
 Array = NDArray[np.float64]
@@ -28,6 +29,7 @@ class Sightings:
     spreads_px2: Array | None = None
     """(n, 3) second moments of the silhouettes whose centres of area the points are; NaN where one
     is another point of the object; None where all are."""
+    images: Images | None = None  # the silhouettes, distorted as they are
 
     def __len__(self) -> int:
         return len(self.times_s)
@@ -58,6 +60,7 @@ def sightings(
     name: str,
     has_frames: bool = True,
     spreads_px2: Array | None = None,
+    images: Images | None = None,
 ) -> Sightings:
     """Prepare the track of one camera.
 
@@ -71,7 +74,7 @@ def sightings(
         For messages and reports.
     has_frames
         Whether it is of frames; no: of events, of which each has its own time.
-    spreads_px2
+    spreads_px2, images
         Of the track's points, as of `Sightings`.
     """
     motion = point_motion(track, camera, name=name)
@@ -79,7 +82,8 @@ def sightings(
     rows = track.points_px[known, 1] / max(camera.height - 1, 1)
     spreads = None if spreads_px2 is None else spreads_px2[known]
     points = motion.points_px, rows, motion.sigmas_px
-    return Sightings(name, camera, motion.times_s, *points, motion, has_frames, spreads)
+    images = None if images is None else images.of(known)
+    return Sightings(name, camera, motion.times_s, *points, motion, has_frames, spreads, images)
 
 
 def is_near(times_s: Array, seen_s: Array, reach_s: float) -> NDArray[np.bool_]:

@@ -102,6 +102,8 @@ def image_sums(
     ramps_us: Array,
     full: float,
     curvature: float,
+    corners: Indices,
+    images: NDArray[np.float32],
 ) -> Array:
     """Sum up the images of the object at the samples.
 
@@ -119,6 +121,9 @@ def image_sums(
         Level of a pixel that is covered all over.
     curvature
         Log contrast of such a pixel, by which the share that is covered is told from the level.
+    corners, images
+        Shapes (n, 2) and (n, w, w): column and row of each image's first pixel, and the images,
+        whose shares are written in place.
 
     Returns
     -------
@@ -139,6 +144,7 @@ def image_sums(
         if before[e] == NONE:
             coming[y[e], x[e]] = e
     whole = 1.0 - np.exp(-curvature)
+    size = images.shape[1]
     e = 0
     for i in range(n):
         left, right, top, bottom = boxes[i]
@@ -164,6 +170,9 @@ def image_sums(
                     continue
                 share = min(1.0, (1.0 - np.exp(-curvature * level / full)) / whole)
                 sums[i, 7] += col == 0 or row == 0 or col == width - 1 or row == height - 1
+                u, v = col - corners[i, 0], row - corners[i, 1]
+                if 0 <= u < size and 0 <= v < size:
+                    images[i, v, u] = share
                 u, v = col - left, row - top
                 area += share
                 sum_x += share * u

@@ -36,7 +36,23 @@ _GAP_STEPS = 3.0  # beyond which the object may have been anywhere
 _FULL_PERCENTILE = 95.0  # of the events' levels: nearly as dark as the object gets
 _CURVATURE = 1.0  # between a share that is as the level and one of contrast 7
 _RAMP_PX, _LEAST_SPEED_PX_S = 0.5, 20.0  # by which an edge changes a level
+_WINDOW, _LARGE_PERCENTILE = (
+    2.2,
+    98.0,
+)  # of an image by itself, in sizes that are nearly the largest
 _MOST_OFF = 1.0  # of the centre from the mean of the events, in sizes of the image
+
+
+@dataclass(frozen=True, eq=False)
+class Images:
+    """Of the object alone, in square windows: n of them, w pixels wide."""
+
+    shares: NDArray[np.float32]  # (n, w, w) of each pixel that is covered
+    corners_px: NDArray[np.int64]  # (n, 2) column and row of the first pixel
+
+    def of(self, chosen: Mask) -> "Images":
+        """Give some of them."""
+        return Images(self.shares[chosen], self.corners_px[chosen])
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +61,7 @@ class Silhouettes:
 
     centres_px: Array  # (n, 2) of its area, in the image as it is; NaN where it is not known
     spreads_px2: Array  # (n, 3) its second moments xx, xy and yy; NaN likewise
+    images: Images  # all of it
 
     @property
     def known(self) -> Mask:
@@ -89,6 +106,11 @@ def silhouettes(
     speeds = np.maximum(np.linalg.norm(moving, axis=1), _LEAST_SPEED_PX_S)
     ramps_us = np.interp(1e-6 * samples_us, times_s, 1e6 * _RAMP_PX / speeds)
     full = float(np.percentile(np.abs(levels[first:]), _FULL_PERCENTILE))
+    half = int(np.ceil(_WINDOW * np.percentile(sizes_px, _LARGE_PERCENTILE)))
+    corners = np.rint(where_px).astype(np.int64) - half
+    placed = np.zeros((len(samples_us), 2), np.int64)
+    placed[own] = corners
+    shares = np.zeros((len(samples_us), 2 * half + 1, 2 * half + 1), np.float32)
     sums = image_sums(
         times_us,
         x,
@@ -103,6 +125,8 @@ def silhouettes(
         ramps_us,
         full,
         _CURVATURE,
+        placed,
+        shares,
     )[own]
     off_px = np.linalg.norm(sums[:, 1:3] - where_px, axis=1)
     good = (sums[:, 0] > 0.0) & (sums[:, 6] == 0.0) & (sums[:, 7] == 0.0)
@@ -110,7 +134,7 @@ def silhouettes(
     if np.mean(good) < LEAST_SHARE:
         return None
     found = np.where(good[:, None], sums[:, 1:6], np.nan)
-    return Silhouettes(found[:, :2], found[:, 2:])
+    return Silhouettes(found[:, :2], found[:, 2:], Images(shares[own], corners))
 
 
 def _boxes(

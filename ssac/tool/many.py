@@ -199,12 +199,13 @@ def _sightings(k: int, path: Path, pairs: dict[Pair, SyncResult]) -> Sightings:
     observation, camera = (
         (result.cam1, result.rig.cam1) if k == a else (result.cam2, result.rig.cam2)
     )
-    track, spreads = observation.track, None
+    shaped = None
+    track = observation.track
     if track is None:
         shaped = _followed(observation, camera, path, result, len(pairs) >= LEAST_VIEWS)
-        track, spreads = shaped.track, shaped.spreads_px2
-    has_frames = is_track_file(path)
-    return sightings(track, camera, path.stem, has_frames=has_frames, spreads_px2=spreads)
+        track = shaped.track
+    told = (shaped.spreads_px2, shaped.images) if shaped is not None else (None, None)
+    return sightings(track, camera, path.stem, is_track_file(path), *told)
 
 
 def _followed(

@@ -1,0 +1,296 @@
+"""Voxels of a body and its images in; the body as it is drawn, fitted to them and turned, out.
+
+A voxel darkens the pixels it is before; what shines through all of them is not covered. Optical
+depths are summed on pixels of half the size, shares are their means.
+"""
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Images = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
+FINE = 2
+"""Pixels of a drawing across one of the image."""
+
+_TURN_RAD, _MOVE_PX = 0.02, 0.1  # steps of the derivatives
+_MOST_TURN_RAD, _MOST_MOVE_PX = 0.15, 1.0  # of one round
+_PRIOR = 1.0  # of turns, as a part of the normal matrix: 1 rad as 1 px^2 of an image
+_NONE = 1e-9
+
+
+@numba.njit(cache=True)
+def seen_shares(
+    voxels: Array,
+    least: float,
+    images: Images,
+    corners: Array,
+    points: Array,
+    turns: Array,
+    focals: Array,
+) -> Array:
+    """Give the share (m,) of the n images that are at least that much covered at each voxel.
+
+    Parameters
+    ----------
+    voxels
+        Shape (m, 3), in the body's frame.
+    least
+        That much.
+    images, corners
+        Shapes (n, w, w), which share of each pixel is covered, and (n, 2), where their first pixels
+        are, from the principal point [px].
+    points, turns, focals
+        Shapes (n, 3), (n, 3, 3) and (n, 2): the body's origin and its axes in the camera's frame,
+        and focal lengths [px].
+    """
+    hits = np.zeros(len(voxels))
+    width = images.shape[1]
+    for i in range(len(images)):
+        for j in range(len(voxels)):
+            u, v, _ = _placed(voxels[j], turns[i], points[i], focals[i], corners[i])
+            a, b = int(np.floor(u)), int(np.floor(v))
+            if a < 0 or b < 0 or a >= width - 1 or b >= width - 1:
+                continue
+            p, q = u - a, v - b
+            above = images[i, b, a] * (1.0 - p) + images[i, b, a + 1] * p
+            below = images[i, b + 1, a] * (1.0 - p) + images[i, b + 1, a + 1] * p
+            hits[j] += above * (1.0 - q) + below * q >= least
+    return hits / max(len(images), 1)
+
+
+@numba.njit(cache=True)
+def improved(
+    voxels: Array,
+    densities: Array,
+    step: float,
+    images: Images,
+    corners: Array,
+    points: Array,
+    turns: Array,
+    focals: Array,
+) -> Array:
+    """Fit the voxels' densities (m,) to images by one multiplicative step of least squares.
+
+    Parameters are as above, with the voxels' width `step`, in which densities are optical depths.
+    """
+    m, width = len(voxels), images.shape[1]
+    fine = FINE * width
+    depths, by_image, by_drawn = np.zeros((3, fine, fine))
+    seen, drawn = np.full(m, _NONE), np.full(m, _NONE)
+    for i in range(len(images)):
+        _draw(depths, voxels, densities, step, turns[i], points[i], focals[i], corners[i])
+        for y in range(width):
+            for x in range(width):
+                share = _share_of(depths, y, x)
+                for row in range(FINE * y, FINE * y + FINE):
+                    for col in range(FINE * x, FINE * x + FINE):
+                        through = np.exp(-depths[row, col])
+                        by_image[row, col] = through * images[i, y, x]
+                        by_drawn[row, col] = through * share
+        for j in range(m):
+            u, v, _ = _placed(voxels[j], turns[i], points[i], focals[i], corners[i])
+            u, v = FINE * u + 0.5 * (FINE - 1), FINE * v + 0.5 * (FINE - 1)
+            a, b = int(np.floor(u)), int(np.floor(v))
+            if a < 0 or b < 0 or a >= fine - 1 or b >= fine - 1:
+                continue
+            p, q = u - a, v - b
+            for row, col, weight in (
+                (b, a, (1.0 - p) * (1.0 - q)),
+                (b, a + 1, p * (1.0 - q)),
+                (b + 1, a, (1.0 - p) * q),
+                (b + 1, a + 1, p * q),
+            ):
+                seen[j] += weight * by_image[row, col]
+                drawn[j] += weight * by_drawn[row, col]
+    return np.asarray(densities * seen / drawn)
+
+
+@numba.njit(cache=True)
+def registered(
+    voxels: Array,
+    densities: Array,
+    step: float,
+    images: Images,
+    corners: Array,
+    points: Array,
+    views: Array,
+    focals: Array,
+    attitude: Array,
+    turning: bool,
+    rounds: int,
+) -> tuple[Array, Array, float]:
+    """Turn the body, and move each of its drawings, until they are as c images of one instant.
+
+    Parameters
+    ----------
+    voxels, densities, step, images, corners, points, focals
+        As above, for the c images.
+    views
+        Shape (c, 3, 3): from the frame of attitudes to the cameras'.
+    attitude
+        Shape (3, 3): the body's axes, to begin with.
+    turning
+        No: drawings are only moved.
+    rounds
+        Of least squares.
+
+    Returns
+    -------
+    tuple
+        The attitude; how far the drawings were moved (c, 2) [px]; which share of the images was
+        left, as squares, before the last round's step.
+    """
+    c, width = len(images), images.shape[1]
+    moves, cost, whole = np.zeros((c, 2)), 0.0, _NONE
+    depths = np.zeros((FINE * width, FINE * width))
+    shares = np.zeros((6, width, width))
+    for _ in range(rounds):
+        cost, whole = 0.0, _NONE
+        normal, right = _PRIOR * np.eye(3), np.zeros(3)
+        own = np.zeros((c, 2, 2))
+        mixed = np.zeros((c, 2, 3))
+        left = np.zeros((c, 2))
+        for k in range(c):
+            corner = corners[k] - moves[k]
+            for changed in range(6):
+                if 1 <= changed <= 3 and not turning:
+                    continue
+                axes, off = attitude, corner.copy()
+                if 1 <= changed <= 3:
+                    small = np.zeros(3)
+                    small[changed - 1] = _TURN_RAD
+                    axes = attitude @ _turned(small)
+                elif changed:
+                    off[changed - 4] -= _MOVE_PX
+                turn = views[k] @ axes
+                _draw(depths, voxels, densities, step, turn, points[k], focals[k], off)
+                for y in range(width):
+                    for x in range(width):
+                        shares[changed, y, x] = _share_of(depths, y, x)
+            by = np.zeros(5)
+            J, r = np.zeros((5, 5)), np.zeros(5)
+            for y in range(width):
+                for x in range(width):
+                    share = shares[0, y, x]
+                    off_share = images[k, y, x] - share
+                    cost += off_share**2
+                    whole += images[k, y, x] ** 2
+                    if share == 0.0:
+                        continue
+                    for a in range(3):
+                        by[a] = (shares[a + 1, y, x] - share) / _TURN_RAD if turning else 0.0
+                    for a in range(2):
+                        by[3 + a] = (shares[a + 4, y, x] - share) / _MOVE_PX
+                    for a in range(5):
+                        r[a] += by[a] * off_share
+                        for b in range(5):
+                            J[a, b] += by[a] * by[b]
+            own[k] = np.linalg.inv(J[3:, 3:] + 1e-6 * np.eye(2))
+            mixed[k] = J[3:, :3]
+            left[k] = r[3:]
+            normal += J[:3, :3] - mixed[k].T @ own[k] @ mixed[k]
+            right += r[:3] - mixed[k].T @ own[k] @ left[k]
+        turn = np.linalg.solve(normal, right) if turning else np.zeros(3)
+        turn *= min(1.0, _MOST_TURN_RAD / (np.sqrt(np.sum(turn**2)) + _NONE))
+        for k in range(c):
+            move = own[k] @ (left[k] - mixed[k] @ turn)
+            moves[k] += move * min(1.0, _MOST_MOVE_PX / (np.sqrt(np.sum(move**2)) + _NONE))
+        attitude = attitude @ _turned(turn)
+    return attitude, moves, cost / whole
+
+
+@numba.njit(cache=True)
+def aligned(
+    voxels: Array,
+    densities: Array,
+    step: float,
+    images: Images,
+    corners: Array,
+    points: Array,
+    turns: Array,
+    focals: Array,
+    rounds: int,
+) -> tuple[Array, Array]:
+    """Move each of n drawings until it is as its image: by (n, 2) [px], and what is left (n,)."""
+    n = len(images)
+    moves, costs = np.zeros((n, 2)), np.zeros(n)
+    for i in range(n):
+        one = slice(i, i + 1)
+        _, move, costs[i] = registered(
+            voxels,
+            densities,
+            step,
+            images[one],
+            corners[one],
+            points[one],
+            np.eye(3).reshape(1, 3, 3),
+            focals[one],
+            turns[i],
+            False,
+            rounds,
+        )
+        moves[i] = move[0]
+    return moves, costs
+
+
+@numba.njit(cache=True)
+def _placed(
+    voxel: Array, turn: Array, point: Array, focal: Array, corner: Array
+) -> tuple[float, float, float]:
+    """Give a voxel's column and row in an image, and its depth."""
+    x = turn[0, 0] * voxel[0] + turn[0, 1] * voxel[1] + turn[0, 2] * voxel[2] + point[0]
+    y = turn[1, 0] * voxel[0] + turn[1, 1] * voxel[1] + turn[1, 2] * voxel[2] + point[1]
+    z = turn[2, 0] * voxel[0] + turn[2, 1] * voxel[1] + turn[2, 2] * voxel[2] + point[2]
+    z = max(z, _NONE)
+    return focal[0] * x / z - corner[0], focal[1] * y / z - corner[1], z
+
+
+@numba.njit(cache=True)
+def _draw(
+    depths: Array,
+    voxels: Array,
+    densities: Array,
+    step: float,
+    turn: Array,
+    point: Array,
+    focal: Array,
+    corner: Array,
+) -> None:
+    """Sum up optical depths (FINE w, FINE w), in place."""
+    depths[:] = 0.0
+    fine = len(depths)
+    area = (FINE * step) ** 2 * focal[0] * focal[1]
+    for j in range(len(voxels)):
+        u, v, z = _placed(voxels[j], turn, point, focal, corner)
+        u, v = FINE * u + 0.5 * (FINE - 1), FINE * v + 0.5 * (FINE - 1)
+        a, b = int(np.floor(u)), int(np.floor(v))
+        if a < 0 or b < 0 or a >= fine - 1 or b >= fine - 1:
+            continue
+        p, q, depth = u - a, v - b, densities[j] * area / z**2
+        depths[b, a] += depth * (1.0 - p) * (1.0 - q)
+        depths[b, a + 1] += depth * p * (1.0 - q)
+        depths[b + 1, a] += depth * (1.0 - p) * q
+        depths[b + 1, a + 1] += depth * p * q
+
+
+@numba.njit(cache=True)
+def _share_of(depths: Array, y: int, x: int) -> float:
+    """Give which share of a pixel is covered."""
+    share = 0.0
+    for row in range(FINE * y, FINE * y + FINE):
+        for col in range(FINE * x, FINE * x + FINE):
+            if depths[row, col] > 0.0:
+                share += 1.0 - np.exp(-depths[row, col])
+    return share / FINE**2
+
+
+@numba.njit(cache=True)
+def _turned(vector: Array) -> Array:
+    """Give the turn by a rotation vector."""
+    angle = np.sqrt(np.sum(vector**2))
+    x, y, z = vector / max(angle, _NONE)
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.asarray(np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * (cross @ cross))
