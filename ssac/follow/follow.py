@@ -41,6 +41,8 @@ _SIZE_BINS = 25  # on each side: the image's size changes within seconds
 _SURE_BINS, _SURE = 5, 10  # on each side, and events in them, where the object is sure
 _DEAD_END_BINS = 25  # of a path that leads on from where the object is sure, and to no such place
 _MOST_ROUNDS = 12
+_ONE_PLACE_PX = 10.0  # half of what an image may be wide, and may move from a bin to the next
+_LEAST_IN_CLUMP = 30  # events; chance and clouds leave clumps of up to 20
 _LEAST_IN_SIZE, _LEAST_IN_BIN = 40, 4  # events
 _LEAST_VARIANCES_PX2 = (1.0, 0.5)
 _MOST_VARIANCE_PX2 = 64.0
@@ -73,6 +75,10 @@ class _Binned:
     def __len__(self) -> int:
         return len(self.bounds) - 1
 
+    def of(self, events: NDArray[np.void]) -> NDArray[np.int64]:
+        """Give the bin of each of some events (k,)."""
+        return np.asarray((events["t"] - self.start_us) // BIN_US)
+
 
 @dataclass(frozen=True)
 class _Path:
@@ -102,10 +108,9 @@ def follow(
     Followed or None
         None where too few events are sure for the size of the object's image.
     """
-    if len(sure) == 0:
-        return None
     bins = _binned(events)
-    bin_of_sure = (sure["t"] - bins.start_us) // BIN_US
+    sure = _lasting(sure, bins)
+    bin_of_sure = bins.of(sure)
     counts, means_px = _means(sure, bin_of_sure, len(bins))
     sizes_px2 = _sizes(sure, bin_of_sure, counts, means_px)
     if sizes_px2 is None:
@@ -135,6 +140,27 @@ def _binned(events: NDArray[np.void]) -> _Binned:
     bounds = np.searchsorted(times_us, start_us + BIN_US * np.arange(n + 1))
     ages_s = 1e-6 * ((times_us - start_us) % BIN_US - 0.5 * BIN_US)
     return _Binned(events, start_us, ages_s, bounds.astype(np.int64))
+
+
+def _lasting(sure: NDArray[np.void], bins: _Binned) -> NDArray[np.void]:
+    """Leave out what cannot be the one object: bins in two places, and clumps that do not last.
+
+    If such a clump is the object's after all, it is found again when the object is followed.
+    """
+    for _ in range(2):  # the second time by means without what the first left out
+        bin_of_sure = bins.of(sure)
+        means_px = _means(sure, bin_of_sure, len(bins))[1][bin_of_sure]
+        away_px = np.maximum(abs(sure["x"] - means_px[:, 0]), abs(sure["y"] - means_px[:, 1]))
+        sure = sure[away_px < _ONE_PLACE_PX]
+    bin_of_sure = bins.of(sure)
+    counts, means_px = _means(sure, bin_of_sure, len(bins))
+    full = np.flatnonzero(counts)
+    jumps_px = np.max(np.abs(np.diff(means_px[full], axis=0)), axis=1, initial=0.0)
+    is_break = (np.diff(full) > _SURE_BINS) | (jumps_px > _ONE_PLACE_PX)
+    clump = np.zeros(len(bins), np.int64)
+    clump[full[1:]] = np.cumsum(is_break)
+    in_clump = np.bincount(clump[bin_of_sure], minlength=1)
+    return np.asarray(sure[in_clump[clump[bin_of_sure]] >= _LEAST_IN_CLUMP])
 
 
 def _means(
