@@ -186,7 +186,7 @@ def _sizes(
     for axis, name in enumerate(("x", "y")):
         squares = np.where(of_good, (sure[name] - means_px[bin_of_sure, axis]) ** 2, 0.0)
         in_bins = np.bincount(bin_of_sure, squares, minlength=len(counts))
-        variances = _around(in_bins, _SIZE_BINS) / np.maximum(n_free, 1.0)
+        variances = _around(in_bins.astype(np.float64), _SIZE_BINS) / np.maximum(n_free, 1.0)
         sizes[:, axis] = np.interp(bins, bins[enough], variances[enough])
     return np.clip(sizes, _LEAST_VARIANCES_PX2, _MOST_VARIANCE_PX2)
 
@@ -230,7 +230,7 @@ def _rates(
     expected = _around(expected, _WINDOW_BINS)
     above = found - expected
     seen = known & (above > SIGNIFICANT * np.sqrt(expected + 1.0))
-    n_known = np.maximum(_around(known.astype(np.float64), _WINDOW_BINS), 1.0)
+    n_known = np.maximum(_around(np.where(known, 1.0, 0.0), _WINDOW_BINS), 1.0)
     rates = above / n_known / (1.0 - np.exp(-0.5 * _COUNTED))
     return np.where(seen, rates, 0.0), background, seen
 
