@@ -98,6 +98,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
             "outline_kernels",
             "outline",
         ),
+        "follow": ("kernels", "follow"),
         "silhouette": ("level_kernels", "silhouette", "perspective", "body_kernels", "body"),
         "search": (
             "seen",

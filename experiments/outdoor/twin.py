@@ -5,6 +5,7 @@ Each kind takes one thing from the truth, so that one sees what it costs not to 
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -24,6 +25,7 @@ from ssac.config import Config
 from ssac.events import EventFile
 from ssac.files.event_files import load_events, write_synced
 from ssac.files.track_files import save_track
+from ssac.follow.follow import follow
 from ssac.geometry.pose import depths
 from ssac.path.interpolation import smoothed
 from ssac.path.tum import Path as SpacePath
@@ -42,7 +44,8 @@ N_NEIGHBOURS, MS_PER_UNIT, N_ROUNDS = 10, 8.0, 4
 """Of the radius filter: an image of 6 px that moves by 60 px/s has some 500 events a second, and
 none has the paper authors' 20 neighbours within 5 ms. Noise and the edges of clouds have two in
 this larger ball, and by chance ten; but such clumps have too few among themselves, and melt when
-they are filtered again, while the drone's events keep each other."""
+they are filtered again, while the drone's events keep each other. From there it is followed through
+the others."""
 
 COLUMNS = (
     "flight", "kind", "status", "t_d_error_ms", "t_d_std_ms", "skew_error_ppm", "skew_std_ppm",
@@ -188,7 +191,7 @@ def write_rig(path: Path, cameras: Sequence[SimConfig]) -> None:
 def write_events(
     work: Path, folder: Path, truth: Truth, flight: int, second: int = 1
 ) -> tuple[str, str]:
-    """Write both cameras' denoised events, with clouds behind, and camera 2's with its offset.
+    """Write both cameras' events of the drone, with clouds behind, and camera 2's with its offset.
 
     Parameters
     ----------
@@ -199,25 +202,41 @@ def write_events(
     second
         Which camera of the flight, from 0 on, is the recording's second.
     """
-    skew = replace(truth.clock, t_d_s=0.0)  # which the recording has already
+    skew_ppm, t_ref_s = truth.clock.skew_ppm, truth.clock.t_ref_s  # the recording has the skew
     offset = Clock(-truth.clock.t_d_s)
-    for name, camera, runs, clock in (
-        ("cam1.h5", 0, Clock(), Clock()),
-        ("cam2.h5", second, skew, offset),
+    duration_s = float(truth.times_s[-1])
+    for name, camera, ppm, clock in (
+        ("cam1.h5", 0, 0.0, Clock()),
+        ("cam2.h5", second, skew_ppm, offset),
     ):
-        file = load_events(folder / name)
-        assert file.width is not None  # our own files have both
-        assert file.height is not None
-        duration_s = float(truth.times_s[-1])
-        sky = clouds_of(flight, camera, (file.width, file.height), duration_s).copy()
-        sky["t"] = np.rint(1e6 * runs.cam2_from_cam1(1e-6 * sky["t"]))
-        events = merged(file.events, sky)
-        masked = masked_pixels(activity(events, file.width, file.height))
-        events = unmasked(events, masked)
-        for _ in range(N_ROUNDS):
-            events = radius_filter(events, ms_per_unit=MS_PER_UNIT, n_neighbours=N_NEIGHBOURS)
-        write_synced(work / name, EventFile(events, file.width, file.height), clock)
+        found = drone_events(folder / name, flight, camera, ppm, t_ref_s, duration_s)
+        write_synced(work / name, found, clock)
     return "cam1.h5", "cam2.h5"
+
+
+@lru_cache(maxsize=4)  # of one flight, whose kinds are estimated one after the other
+def drone_events(
+    file: Path, flight: int, camera: int, skew_ppm: float, t_ref_s: float, duration_s: float
+) -> EventFile:
+    """Give what a camera, from 0 on, saw of the drone before clouds, as its recording's clock runs.
+
+    What the radius filter leaves is surely the drone's, but has gaps where it is far or slow;
+    through these it is followed.
+    """
+    recorded = load_events(file)
+    width, height = recorded.width, recorded.height
+    assert width is not None  # our own files have both
+    assert height is not None
+    sky = clouds_of(flight, camera, (width, height), duration_s).copy()
+    runs = Clock(0.0, skew_ppm, t_ref_s)
+    sky["t"] = np.rint(1e6 * runs.cam2_from_cam1(1e-6 * sky["t"]))
+    events = merged(recorded.events, sky)
+    events = unmasked(events, masked_pixels(activity(events, width, height)))
+    sure = events
+    for _ in range(N_ROUNDS):
+        sure = radius_filter(sure, ms_per_unit=MS_PER_UNIT, n_neighbours=N_NEIGHBOURS)
+    found = follow(events, sure, width, height)
+    return EventFile(sure if found is None else found.events, width, height)
 
 
 def true_track(
