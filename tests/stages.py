@@ -98,7 +98,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
             "outline_kernels",
             "outline",
         ),
-        "follow": ("kernels", "follow"),
+        "follow": ("kernels", "follow", "faint"),
         "silhouette": ("level_kernels", "silhouette", "perspective", "body_kernels", "body"),
         "search": (
             "seen",

@@ -25,27 +25,18 @@ from ssac.config import Config
 from ssac.events import EventFile
 from ssac.files.event_files import load_events, write_synced
 from ssac.files.track_files import save_track
-from ssac.follow.follow import follow
+from ssac.follow.faint import faint_object_events
 from ssac.geometry.pose import depths
 from ssac.path.interpolation import smoothed
 from ssac.path.tum import Path as SpacePath
 from ssac.points import PointTrack
 from ssac.search.two_views import two_views
 from ssac.tool.sync import SyncResult, sync
-from ssac.track.clutter import activity, masked_pixels, unmasked
-from ssac.track.denoise import radius_filter
 
 Array = NDArray[np.float64]
 
 KINDS = ("as_recorded", "true_tracks", "true_pose", "true_intrinsics", "all_true")
 """Of two cameras."""
-
-N_NEIGHBOURS, MS_PER_UNIT, N_ROUNDS = 10, 8.0, 4
-"""Of the radius filter: an image of 6 px that moves by 60 px/s has some 500 events a second, and
-none has the paper authors' 20 neighbours within 5 ms. Noise and the edges of clouds have two in
-this larger ball, and by chance ten; but such clumps have too few among themselves, and melt when
-they are filtered again, while the drone's events keep each other. From there it is followed through
-the others."""
 
 COLUMNS = (
     "flight", "kind", "status", "t_d_error_ms", "t_d_std_ms", "skew_error_ppm", "skew_std_ppm",
@@ -218,11 +209,7 @@ def write_events(
 def drone_events(
     file: Path, flight: int, camera: int, skew_ppm: float, t_ref_s: float, duration_s: float
 ) -> EventFile:
-    """Give what a camera, from 0 on, saw of the drone before clouds, as its recording's clock runs.
-
-    What the radius filter leaves is surely the drone's, but has gaps where it is far or slow;
-    through these it is followed.
-    """
+    """Give what a camera, from 0 on, saw of the drone before clouds, as its clock runs."""
     recorded = load_events(file)
     width, height = recorded.width, recorded.height
     assert width is not None  # our own files have both
@@ -231,12 +218,7 @@ def drone_events(
     runs = Clock(0.0, skew_ppm, t_ref_s)
     sky["t"] = np.rint(1e6 * runs.cam2_from_cam1(1e-6 * sky["t"]))
     events = merged(recorded.events, sky)
-    events = unmasked(events, masked_pixels(activity(events, width, height)))
-    sure = events
-    for _ in range(N_ROUNDS):
-        sure = radius_filter(sure, ms_per_unit=MS_PER_UNIT, n_neighbours=N_NEIGHBOURS)
-    found = follow(events, sure, width, height)
-    return EventFile(sure if found is None else found.events, width, height)
+    return EventFile(faint_object_events(events, width, height), width, height)
 
 
 def true_track(

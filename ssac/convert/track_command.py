@@ -28,6 +28,14 @@ def track_command(
         int, number("Which camera of the rig it is.", 1, MAX_CAMERA, metavar="K")
     ] = 1,
     no_denoise: NoDenoise = False,
+    faint: Annotated[
+        bool,
+        typer.Option(
+            "--faint",
+            help="The object is small and far, and makes too few events to be told from noise by"
+            " their neighbours: follow it. Mostly with --half-window 0.05 --n-min 8.",
+        ),
+    ] = False,
     allow_damaged: AllowDamaged = False,
     sort: Sort = False,
     half_window: Annotated[
@@ -44,10 +52,13 @@ def track_command(
     from ssac.files.rigs import check_resolution, load_camera
     from ssac.files.track_files import TRACK_SUFFIX, is_track_file, save_track
     from ssac.files.whole_file import check_target
+    from ssac.follow.faint import faint_object_events
     from ssac.track.observation import Observation
 
     if out.suffix.lower() != TRACK_SUFFIX:
         raise SsacError(f"{out}: a track is written as {TRACK_SUFFIX}: name such a file")
+    if faint and no_denoise:
+        raise SsacError("--faint tells the object from noise, --no-denoise keeps it: leave one out")
     check_target(out, (cam,))
     if is_track_file(cam):
         raise SsacError(f"{cam}: is a track already: give a camera's events")
@@ -56,9 +67,12 @@ def track_command(
         file = load_events(cam, Reading(allow_damaged, sort))
     check_resolution(calibrated, file.width, file.height, name, str(cam))
     check_events(file.events, calibrated.width, calibrated.height, f"{cam} with {name}")
-    config = Config(half_window_s=half_window, n_min=n_min, denoise=not no_denoise)
+    config = Config(half_window_s=half_window, n_min=n_min, denoise=not (no_denoise or faint))
     try:
-        track = track_of_events(Observation(file.events), calibrated, config)
+        events = file.events
+        if faint:
+            events = faint_object_events(events, calibrated.width, calibrated.height)
+        track = track_of_events(Observation(events), calibrated, config)
     except SsacError as error:
         raise SsacError(f"{cam}: {error}") from error
     save_track(out, track)

@@ -14,27 +14,27 @@ NOISE_HZ = 0.4  # of a pixel, as of a DAVIS346 before clouds
 GAP_S = 5.0, 8.0  # in which the object is weak
 
 
-def _path_px(times_s):
+def path_px(times_s):
     """Turn at up to 25 px/s^2, as a drone some 35 m away."""
     return np.stack([60.0 + 40.0 * np.sin(0.5 * times_s), 45.0 + 25.0 * np.cos(times_s)], axis=-1)
 
 
 def _object(rng, start_s, end_s, rate_hz):
     t = np.sort(rng.uniform(start_s, end_s, int(rate_hz * (end_s - start_s))))
-    px = np.rint(_path_px(t) + SIGMAS_PX * rng.standard_normal((len(t), 2))).astype(int)
+    px = np.rint(path_px(t) + SIGMAS_PX * rng.standard_normal((len(t), 2))).astype(int)
     return events_from_arrays(
         np.rint(1e6 * t).astype(int), px[:, 0], px[:, 1], rng.integers(0, 2, len(t))
     )
 
 
-def _noise(rng):
+def noise(rng):
     n = int(NOISE_HZ * WIDTH * HEIGHT * DURATION_S)
     t = np.sort(rng.integers(0, round(1e6 * DURATION_S), n))
     x, y = rng.integers(0, WIDTH, n), rng.integers(0, HEIGHT, n)
     return events_from_arrays(t, x, y, rng.integers(0, 2, n))
 
 
-def _recorded(weak_hz, seed=0, last_s=DURATION_S):
+def recorded(weak_hz, seed=0, last_s=DURATION_S):
     """All events, those that are sure, and those of the object; weak in the gap, till the last."""
     rng = np.random.default_rng(seed)
     strong = [_object(rng, 0.0, GAP_S[0], 600.0)]
@@ -43,7 +43,7 @@ def _recorded(weak_hz, seed=0, last_s=DURATION_S):
         strong.append(_object(rng, GAP_S[1], last_s, 600.0))
     sure = np.concatenate(strong)
     ours = merged(sure, weak)
-    return merged(ours, _noise(rng)), sure, ours
+    return merged(ours, noise(rng)), sure, ours
 
 
 def _middles_s(found):
@@ -52,12 +52,12 @@ def _middles_s(found):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_weak_object_is_followed_through_a_gap(seed):
-    events, sure, ours = _recorded(120.0, seed)
+    events, sure, ours = recorded(120.0, seed)
     found = follow(events, sure, WIDTH, HEIGHT)
     middles_s = _middles_s(found)
     in_gap = (middles_s > GAP_S[0]) & (middles_s < GAP_S[1])
     assert found.seen[in_gap].mean() > 0.98
-    errors_px = np.linalg.norm(found.positions_px - _path_px(middles_s), axis=1)
+    errors_px = np.linalg.norm(found.positions_px - path_px(middles_s), axis=1)
     assert np.max(errors_px[in_gap]) < 2.0  # 4 deviations of 0.5 px: 2 px by 15 events in 1/8 s
     of_gap = (ours["t"] > 1e6 * GAP_S[0]) & (ours["t"] < 1e6 * GAP_S[1])
     # 4 % of a normal image lie outside of the corridor; noise of 15 events/s lies within it.
@@ -66,7 +66,7 @@ def test_a_weak_object_is_followed_through_a_gap(seed):
 
 
 def test_events_given_back_lie_in_the_corridor_where_the_object_is_seen():
-    events, sure, _ = _recorded(120.0)
+    events, sure, _ = recorded(120.0)
     found = follow(events, sure, WIDTH, HEIGHT)
     bins = (events["t"] - found.start_us) // BIN_US
     ages_s = 1e-6 * (events["t"] - found.start_us - BIN_US * bins - BIN_US / 2)
@@ -77,7 +77,7 @@ def test_events_given_back_lie_in_the_corridor_where_the_object_is_seen():
 
 
 def test_noise_alone_is_not_followed():
-    events, sure, _ = _recorded(0.0)
+    events, sure, _ = recorded(0.0)
     found = follow(events, sure, WIDTH, HEIGHT)
     middles_s = _middles_s(found)
     # Near its ends, the window of half a second holds events of the object beside the gap.
@@ -87,7 +87,7 @@ def test_noise_alone_is_not_followed():
 
 
 def test_a_path_that_leads_to_no_sure_place_is_kept_for_half_a_second():
-    events, sure, _ = _recorded(120.0, last_s=GAP_S[1])
+    events, sure, _ = recorded(120.0, last_s=GAP_S[1])
     found = follow(events, sure, WIDTH, HEIGHT)
     last_s = _middles_s(found)[found.seen].max()
     # The object is sure until 0.1 s after the gap begins, by the events before.
@@ -95,7 +95,7 @@ def test_a_path_that_leads_to_no_sure_place_is_kept_for_half_a_second():
 
 
 def test_a_clock_that_shows_more_changes_nothing():
-    events, sure, _ = _recorded(120.0)
+    events, sure, _ = recorded(120.0)
     later_events, later_sure = events.copy(), sure.copy()
     for each in (later_events, later_sure):
         each["t"] += 1_700_000_000_000_000
@@ -107,7 +107,7 @@ def test_a_clock_that_shows_more_changes_nothing():
 
 
 def test_nothing_is_followed_where_nothing_is_sure():
-    events, sure, _ = _recorded(120.0)
+    events, sure, _ = recorded(120.0)
     assert follow(events, np.empty(0, EVENT_DTYPE), WIDTH, HEIGHT) is None
     assert follow(events, sure[:10], WIDTH, HEIGHT) is None  # too few for a size
 
