@@ -36,7 +36,7 @@ N_RECORDINGS = 1
 recording at 10 s."""
 
 FIRST_FLIGHT = 20_000  # of no table
-DURATION_S = 6.0
+DURATION_S = 10.0
 T_D_MS = 50.0
 METHOD_NAMES = ("ssac", "joint", "tangency")
 
