@@ -50,6 +50,7 @@ from sim.scene.drone import quadrotor
 from sim.scene.rig import two_view_rig
 from sim.scene.trajectory import SplineConfig, random_spline
 from ssac.errors import SsacError
+from ssac.files.whole_file import check_target
 
 _NATIVE = "native"
 LATTICES = (SimConfig().render.lattice, Lattice(8, 0), Lattice(8, 1), Lattice(4, 0))
@@ -68,6 +69,7 @@ def bench_command(
     ] = DEFAULT,
 ) -> None:
     """Measure speed and memory, each on one core, and write them with their marks."""
+    check_target(out, ())  # half an hour of measuring would be lost
     start = time.perf_counter()
     rows: list[Measurement] = []
     for part in PARTS:

@@ -1,8 +1,9 @@
 import math
+from pathlib import Path
 
 import pytest
 
-from experiments.bench.bench import PARTS, _in_own_process
+from experiments.bench.bench import PARTS, _in_own_process, bench_command
 from experiments.bench.measurement import Measurement
 from experiments.bench.sensor import ESIM_FRAMES_PER_S, bench_sensor, beside_peers
 from experiments.bench.sync import MARKS_S, bench_sync
@@ -10,6 +11,7 @@ from experiments.bench.tables import measured_cells
 from experiments.paper.grids import n_recordings, table_cells
 from sim.recording import SimConfig
 from sim.scene.trajectory import SplineConfig
+from ssac.errors import SsacError
 from ssac.tool.registry import OURS
 
 
@@ -88,3 +90,13 @@ def test_the_measured_recordings_are_some_of_the_tables() -> None:
     durations_s = [sim.spline.duration_s for sim, _ in recordings]
     assert durations_s.count(10.0) == durations_s.count(20.0) == 4
     assert len(recordings) < n_recordings()
+
+
+def test_a_target_that_is_a_folder_is_refused_before_anything_is_measured(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    measured = []
+    monkeypatch.setattr("experiments.bench.bench._in_own_process", measured.append)
+    with pytest.raises(SsacError, match="not a file in a folder that exists"):
+        bench_command(tmp_path)
+    assert not measured
