@@ -30,7 +30,7 @@ from sim.partial import partial_path
 from sim.recorded import Flight, Recording
 from sim.recording import SimConfig, stream
 from sim.scene.rig import Camera, kalibr_yaml
-from sim.sensor.events import EVENT_DTYPE
+from sim.sensor.buffer import EVENT_DTYPE
 
 _DIGITS = 9  # decimals of the truth: nanometres and nanoseconds
 

@@ -33,7 +33,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
             "renderer",
             "gl_reference",
         ),
-        "sensor": ("kernels", "events", "slow", "frames"),
+        "sensor": ("buffer", "kernels", "events", "slow", "frames"),
         "effects": (
             "config",
             "presets",

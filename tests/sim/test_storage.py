@@ -19,7 +19,8 @@ from sim.render.lattice import Lattice
 from sim.render.renderer import RenderCheck
 from sim.scene.rig import two_view_rig
 from sim.scene.trajectory import SplineConfig
-from sim.sensor.events import EVENT_DTYPE, PRESETS
+from sim.sensor.buffer import EVENT_DTYPE
+from sim.sensor.events import PRESETS
 from sim.sensor.frames import Frames
 from sim.storage import check_out_dir, record, save_events_text, save_recording
 from ssac.files.event_files import load_events, load_frames
