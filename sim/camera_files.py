@@ -137,9 +137,16 @@ def _regrouped(blocks: Iterable[NDArray[Any]], size: int) -> Iterator[NDArray[An
         while n_waiting + len(block) - start >= size:
             stop = start + size - n_waiting
             piece = block[start:stop]
-            yield np.concatenate([*parts, piece]) if parts else piece
+            yield _joined([*parts, piece]) if parts else piece
             start, parts, n_waiting = stop, [], 0
         parts.append(block[start:])
         n_waiting += len(block) - start
     if n_waiting:
-        yield np.concatenate(parts)
+        yield _joined(parts)
+
+
+def _joined(parts: list[NDArray[Any]]) -> NDArray[Any]:
+    """Join events as plain bytes: NumPy copies records field by field."""
+    as_bytes = [part.view(f"V{part.itemsize}") for part in parts]
+    joined: NDArray[Any] = np.concatenate(as_bytes).view(EVENT_DTYPE)
+    return joined
