@@ -145,11 +145,12 @@ def _follow_corners(  # type: ignore[no-untyped-def]
     """
     fx, fy, cx, cy = intrinsics
     for k in range(T_W_P.shape[1]):
-        x0, y0, x1, y1, farthest = np.inf, np.inf, -np.inf, -np.inf, 0.0
+        x0, y0, x1, y1, longest = np.inf, np.inf, -np.inf, -np.inf, 0.0
         nearest_m, farthest_m = np.inf, -np.inf
         for p in range(first.size - 1):
+            T = T_W_P[p, k]
             for i in range(first[p], first[p + 1]):
-                x, y, z = _moved(T_W_P[p, k], corners_m[i, 0], corners_m[i, 1], corners_m[i, 2])
+                x, y, z = _moved(T, corners_m[i, 0], corners_m[i, 1], corners_m[i, 2])
                 x, y, z = _moved(T_C_W, x, y, z)
                 if not z > MIN_DEPTH_M:
                     return False
@@ -159,12 +160,12 @@ def _follow_corners(  # type: ignore[no-untyped-def]
                 u, v = fx * x + cx, fy * y + cy
                 if k > 0 or not is_first:
                     du, dv = u - at[i, 0], v - at[i, 1]
-                    farthest = max(farthest, np.sqrt(du * du + dv * dv))
+                    longest = max(longest, du * du + dv * dv)
                 x0, y0, x1, y1 = min(x0, u), min(y0, v), max(x1, u), max(y1, v)
                 nearest_m, farthest_m = min(nearest_m, z), max(farthest_m, z)
                 at[i, 0], at[i, 1] = u, v
         low[k, 0], low[k, 1], high[k, 0], high[k, 1] = x0, y0, x1, y1
-        depth[k, 0], depth[k, 1], moved[k] = nearest_m, farthest_m, farthest
+        depth[k, 0], depth[k, 1], moved[k] = nearest_m, farthest_m, np.sqrt(longest)
     return True
 
 

@@ -175,8 +175,9 @@ def _add(total, crop, x0, y0, background, weight, box):  # type: ignore[no-untyp
     height, width = crop.shape
     w = np.float32(weight)
     for j in range(height):
+        into, behind = total[y0 + j, x0 : x0 + width], background[y0 + j, x0 : x0 + width]
         for i in range(width):
-            total[y0 + j, x0 + i] += w * (crop[j, i] - background[y0 + j, x0 + i])
+            into[i] += w * (crop[j, i] - behind[i])
     box[0], box[1] = min(box[0], x0), min(box[1], y0)
     box[2], box[3] = max(box[2], x0 + width), max(box[3], y0 + height)
 
