@@ -43,8 +43,7 @@ class EventBuffer:
         n_taken = _move_out(*columns, before_us, width, height, emitted, key)
         self.n -= n_taken
         in_order = np.empty(n_taken, EVENT_DTYPE)
-        order = np.argsort(key[:n_taken], kind="stable")
-        _gather(emitted, order, in_order)
+        _gather(emitted, _stable_order(key[:n_taken]), in_order)
         return in_order
 
 
@@ -88,6 +87,14 @@ def _move_out(
             stays = i - n_taken
             t_s[stays], x[stays], y[stays], p[stays] = t_s[i], x[i], y[i], p[i]
     return n_taken
+
+
+def _stable_order(key: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Do what a stable `np.argsort` does, twice as fast where key and index fit one number."""
+    bits = len(key).bit_length()
+    if not len(key) or int(np.ptp(key)) >> (63 - bits):
+        return np.argsort(key, kind="stable")
+    return np.sort((key - key.min()) << bits | np.arange(len(key))) & ((1 << bits) - 1)
 
 
 @njit(cache=True, nogil=True)
