@@ -15,7 +15,7 @@ from sim.render.gl_context import GLContext
 from sim.render.renderer import RenderCheck
 from sim.scene.rig import Camera, Rig
 from sim.scene.trajectory import Trajectory
-from sim.sensor.events import EVENT_DTYPE
+from sim.sensor.buffer import EVENT_DTYPE
 from sim.sensor.frames import Frames, Images
 
 FloatArray = NDArray[np.float64]

@@ -33,7 +33,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
             "renderer",
             "gl_reference",
         ),
-        "sensor": ("kernels", "events", "slow", "frames"),
+        "sensor": ("buffer", "kernels", "events", "slow", "frames"),
         "effects": (
             "config",
             "presets",
@@ -49,6 +49,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
         "recorded": (),
         "recording": (),
         "partial": (),
+        "camera_files": (),
         "storage": (),
         "disturb": ("config", "pixels", "movers", "clouds", "clutter", "record"),
         "twin": ("bench", "calibration", "room"),

@@ -11,7 +11,7 @@ from sim.disturb.config import DisturbConfig
 from sim.disturb.movers import branches, people
 from sim.disturb.pixels import View, hot_clusters, lamp, noise
 from sim.seeds import generator, sequence
-from sim.sensor.events import EVENT_DTYPE
+from sim.sensor.buffer import EVENT_DTYPE
 
 FloatArray = NDArray[np.float64]
 Draw = Callable[[View, Any, np.random.Generator], NDArray[Any]]

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.errors import SimError
-from sim.sensor.events import EVENT_DTYPE
+from sim.sensor.buffer import EVENT_DTYPE
 
 FloatArray = NDArray[np.float64]
 

@@ -18,7 +18,8 @@ from sim.effects.course import (
     signal_at,
     turn_of,
 )
-from sim.sensor.kernels import decay, grown, uniform
+from sim.sensor.buffer import grown
+from sim.sensor.kernels import decay, uniform
 
 PIXEL_DTYPE = np.dtype(
     [

@@ -1,9 +1,11 @@
 """Poses and a camera in; where the drone's image lies and how far it moves, out."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from numba import njit
+from numba import njit, types
+from numba.extending import intrinsic
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
@@ -72,12 +74,9 @@ def footprint(
     last_px: FloatArray | None = None
     for start in range(0, n, _CHUNK):
         chunk = slice(start, min(start + _CHUNK, n))
-        points_W = _outline_in_world(drone, hulls, times_s[chunk], T_W_B[chunk])
-        depths = points_W @ camera.T_C_W[2, :3] + camera.T_C_W[2, 3]
-        depth[chunk] = np.stack([depths.min(axis=1), depths.max(axis=1)], axis=-1)
-        last_px = _project(
-            camera, points_W, times_s[chunk], last_px, low[chunk], high[chunk], moved[chunk]
-        )
+        placed = _parts_in_world(drone, times_s[chunk], T_W_B[chunk])
+        found = (low[chunk], high[chunk], depth[chunk], moved[chunk])
+        last_px = _project(camera, hulls, placed, times_s[chunk], last_px, *found)
     # A pixel reaches half a pixel beyond its centre.
     edge = np.array([camera.width, camera.height]) - 0.5
     visible = np.all((high > -0.5) & (low < edge), axis=-1)
@@ -85,28 +84,46 @@ def footprint(
     return Footprint(low, high, depth, visible, np.where(both, moved, 0.0))
 
 
+def _parts_in_world(drone: Drone, times_s: FloatArray, T_W_B: FloatArray) -> FloatArray:
+    """Place all parts, T_W_P of shape (parts, n, 4, 4)."""
+    joints = [part.joint for part in drone.parts]
+    return np.stack([T_W_B @ joint.transforms(times_s) if joint else T_W_B for joint in joints])
+
+
 def _project(
     camera: Camera,
-    points_W: FloatArray,
+    hulls: tuple[FloatArray, ...],
+    T_W_P: FloatArray,
     times_s: FloatArray,
     last_px: FloatArray | None,
     low: FloatArray,
     high: FloatArray,
+    depth: FloatArray,
     moved: FloatArray,
 ) -> FloatArray:
-    """Fill a chunk's boxes (n, 2) and displacements (n,) [px]; returns the last instant's pixels.
+    """Fill a chunk's boxes (n, 2) [px], depths (n, 2) [m] and displacements (n,) [px].
 
-    `last_px` (1, corners, 2) are those of the instant before; None: there is none.
+    `last_px` (1, corners, 2) are the pixels of the instant before; None: there is none. Returns
+    those of the last.
     """
-    K = camera.K
+    K, T_C_W = camera.K, camera.T_C_W
     was_imaged = last_px is None or np.isfinite(last_px).all()
     if camera.distortion_model == "none" and not (K[0, 1] or K[1, 0]) and was_imaged:
-        points_C = points_W @ camera.T_C_W[:3, :3].T + camera.T_C_W[:3, 3]
-        at = np.empty((1, points_W.shape[1], 2)) if last_px is None else last_px.copy()
+        corners_m, first = np.concatenate(hulls), np.cumsum([0] + [len(hull) for hull in hulls])
+        at = np.empty((1, len(corners_m), 2)) if last_px is None else last_px.copy()
         intrinsics = (K[0, 0], K[1, 1], K[0, 2], K[1, 2])
-        about = (points_C, intrinsics, last_px is None, at[0], low, high, moved)
-        if _follow_corners(*about):  # type: ignore[no-untyped-call]
+        about = (corners_m, first, T_W_P, T_C_W, intrinsics, last_px is None)
+        if _follow_corners(*about, at[0], low, high, depth, moved):  # type: ignore[no-untyped-call]
             return at
+    points_W = np.concatenate(
+        [
+            hull @ T[:, :3, :3].transpose(0, 2, 1) + T[:, None, :3, 3]
+            for hull, T in zip(hulls, T_W_P, strict=True)
+        ],
+        axis=1,
+    )
+    depths_m = points_W @ T_C_W[2, :3] + T_C_W[2, 3]
+    depth[:, 0], depth[:, 1] = depths_m.min(axis=1), depths_m.max(axis=1)
     pixels = camera.project(points_W)
     _refuse_if_cut(camera, pixels, times_s)
     low[:], high[:] = pixels.min(axis=1), pixels.max(axis=1)
@@ -118,43 +135,58 @@ def _project(
 
 @njit(cache=True, nogil=True)
 def _follow_corners(  # type: ignore[no-untyped-def]
-    points_C, intrinsics, is_first, at, low, high, moved
+    corners_m, first, T_W_P, T_C_W, intrinsics, is_first, at, low, high, depth, moved
 ):
     """Do what `_project` does, in one pass, as long as all corners surely have an image.
 
-    `at` (corners, 2) holds the pixels of the instant before, and then of the last; `is_first`: it
-    does not yet. Returns whether all have been followed.
+    `corners_m` (corners, 3) are those of all parts, of which part p has those from `first[p]` up to
+    `first[p + 1]`. `at` (corners, 2) holds the pixels of the instant before, and then of the last;
+    `is_first`: it does not yet. Returns whether all have been followed.
     """
     fx, fy, cx, cy = intrinsics
-    for k in range(points_C.shape[0]):
-        x0, y0, x1, y1, farthest = np.inf, np.inf, -np.inf, -np.inf, 0.0
-        for i in range(points_C.shape[1]):
-            z = points_C[k, i, 2]
-            if not z > MIN_DEPTH_M:
-                return False
-            x, y = points_C[k, i, 0] / z, points_C[k, i, 1] / z
-            if not (abs(x) < _SURE_SLOPE and abs(y) < _SURE_SLOPE):
-                return False
-            u, v = fx * x + cx, fy * y + cy
-            if k > 0 or not is_first:
-                du, dv = u - at[i, 0], v - at[i, 1]
-                farthest = max(farthest, np.sqrt(du * du + dv * dv))
-            x0, y0, x1, y1 = min(x0, u), min(y0, v), max(x1, u), max(y1, v)
-            at[i, 0], at[i, 1] = u, v
+    for k in range(T_W_P.shape[1]):
+        x0, y0, x1, y1, longest = np.inf, np.inf, -np.inf, -np.inf, 0.0
+        nearest_m, farthest_m = np.inf, -np.inf
+        for p in range(first.size - 1):
+            T = T_W_P[p, k]
+            for i in range(first[p], first[p + 1]):
+                x, y, z = _moved(T, corners_m[i, 0], corners_m[i, 1], corners_m[i, 2])
+                x, y, z = _moved(T_C_W, x, y, z)
+                if not z > MIN_DEPTH_M:
+                    return False
+                x, y = x / z, y / z
+                if not (abs(x) < _SURE_SLOPE and abs(y) < _SURE_SLOPE):
+                    return False
+                u, v = fx * x + cx, fy * y + cy
+                if k > 0 or not is_first:
+                    du, dv = u - at[i, 0], v - at[i, 1]
+                    longest = max(longest, du * du + dv * dv)
+                x0, y0, x1, y1 = min(x0, u), min(y0, v), max(x1, u), max(y1, v)
+                nearest_m, farthest_m = min(nearest_m, z), max(farthest_m, z)
+                at[i, 0], at[i, 1] = u, v
         low[k, 0], low[k, 1], high[k, 0], high[k, 1] = x0, y0, x1, y1
-        moved[k] = farthest
+        depth[k, 0], depth[k, 1], moved[k] = nearest_m, farthest_m, np.sqrt(longest)
     return True
 
 
-def _outline_in_world(
-    drone: Drone, hulls: tuple[FloatArray, ...], times_s: FloatArray, T_W_B: FloatArray
-) -> FloatArray:
-    """Place the corners of all hulls in the world, shape (n, corners, 3) [m]."""
-    placed = []
-    for part, corners in zip(drone.parts, hulls, strict=True):
-        T_W_P = T_W_B if part.joint is None else T_W_B @ part.joint.transforms(times_s)
-        placed.append(corners @ T_W_P[:, :3, :3].transpose(0, 2, 1) + T_W_P[:, None, :3, 3])
-    return np.concatenate(placed, axis=1)
+@njit(cache=True, nogil=True)
+def _moved(T: FloatArray, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Move a point, rounded as BLAS rounds a product of matrices where it fuses."""
+    return (
+        _fused(T[0, 2], z, _fused(T[0, 1], y, T[0, 0] * x)) + T[0, 3],
+        _fused(T[1, 2], z, _fused(T[1, 1], y, T[1, 0] * x)) + T[1, 3],
+        _fused(T[2, 2], z, _fused(T[2, 1], y, T[2, 0] * x)) + T[2, 3],
+    )
+
+
+@intrinsic
+def _fused(context: Any, a: Any, b: Any, c: Any) -> Any:
+    """Return a b + c, rounded once."""
+
+    def code(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        return builder.fma(*values)
+
+    return types.float64(types.float64, types.float64, types.float64), code
 
 
 def _refuse_if_cut(camera: Camera, pixels: FloatArray, times_s: FloatArray) -> None:

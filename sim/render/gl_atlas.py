@@ -133,7 +133,7 @@ class Atlas:
         self._framebuffer = GL.glGenFramebuffers(1)
         self._words_buffer, self._depth_buffer = GL.glGenRenderbuffers(2)
         self._size = (0, 0)
-        self._words = np.empty(0, np.uint32)
+        self._words = np.empty((0, 0), np.uint32)
 
     def delete(self) -> None:
         """Free the GL objects."""
@@ -208,23 +208,22 @@ class Atlas:
             GL.glDrawElementsInstanced(
                 GL.GL_TRIANGLES, mesh.n_indices, GL.GL_UNSIGNED_INT, None, len(matrices)
             )
-        words = self._words[: width * height].reshape(height, width)
-        GL.glReadPixels(0, 0, width, height, GL.GL_RED_INTEGER, GL.GL_UNSIGNED_INT, words)
-        return words
+        GL.glReadPixels(0, 0, width, height, GL.GL_RED_INTEGER, GL.GL_UNSIGNED_INT, self._words)
+        return self._words
 
     def _program_location(self, name: str) -> int:
         location: int = self._GL.glGetUniformLocation(self._program._program_id, name)
         return location
 
     def _bind_framebuffer(self, width: int, height: int) -> None:
-        """Bind the off-screen buffer, grown to at least this size."""
+        """Bind the off-screen buffer, of just this size: drivers clear all of it, used or not."""
         GL = self._GL
         GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, self._framebuffer)
         GL.glEnable(GL.GL_DEPTH_TEST)
         GL.glEnable(GL.GL_CULL_FACE)
         GL.glDisable(GL.GL_BLEND)
         GL.glDisable(GL.GL_MULTISAMPLE)
-        if width <= self._size[0] and height <= self._size[1]:
+        if (width, height) == self._size:
             return
         limit = GL.glGetIntegerv(GL.GL_MAX_RENDERBUFFER_SIZE)
         if max(width, height) > limit:
@@ -232,9 +231,9 @@ class Atlas:
                 f"the drone's image needs {width} x {height} samples, this GL driver draws at most "
                 f"{limit} each way: use a coarser lattice or a smaller image"
             )
-        self._size = (max(width, self._size[0]), max(height, self._size[1]))
+        self._size = (width, height)
         attach_renderbuffers(self._words_buffer, self._depth_buffer, self._size)
-        self._words = np.empty(self._size[0] * self._size[1], np.uint32)
+        self._words = np.empty((height, width), np.uint32)
 
 
 def attach_renderbuffers(words_buffer: int, depth_buffer: int, size: tuple[int, int]) -> None:

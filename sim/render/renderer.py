@@ -166,7 +166,8 @@ class Renderer:
         near_view = seen.visible.copy()
         near_view[1:] |= seen.visible[:-1]
         near_view[:-1] |= seen.visible[1:]
-        checked_s = times_s[self._checked(np.flatnonzero(seen.visible))]
+        is_checked = np.zeros(len(times_s), np.bool_)
+        is_checked[self._checked(np.flatnonzero(seen.visible))] = True
         chosen = np.flatnonzero(near_view)
         while len(chosen):
             # Not all at once, as the matrices take memory; those that more instants could still
@@ -176,7 +177,8 @@ class Renderer:
             start = 0
             while start < len(views.times_s) - left_over:
                 stop = self._end_of_batch(views.boxes, start)
-                yield self._drawn(camera, views.between(start, stop), background, checked_s)
+                batch = views.chosen(slice(start, stop))
+                yield self._drawn(camera, batch, background, is_checked[chosen[start:stop]])
                 start = stop
             chosen = chosen[start:]
 
@@ -185,14 +187,14 @@ class Renderer:
         camera: Camera,
         batch: Views,
         background: NDArray[np.float32],
-        checked_s: FloatArray,
+        is_checked: NDArray[np.bool_],
     ) -> Crops:
         """Draw a batch, and compare those of its instants that are to be checked."""
         width, height = crop_size(batch.boxes)
         corner_px = np.minimum(batch.boxes[:, :2], [camera.width - width, camera.height - height])
         luminance = self._painter.paint(camera, batch, corner_px, background)
-        here = np.flatnonzero(np.isin(batch.times_s, checked_s))
-        if len(here):
+        if is_checked.any():
+            here = np.flatnonzero(is_checked)
             self._compare(camera, batch, here, corner_px, background, luminance)
         return Crops(batch.times_s, corner_px[:, 0], corner_px[:, 1], luminance)
 

@@ -30,11 +30,7 @@ class Views:
     boxes: IntArray  # (n, 4) x0, y0, x1, y1 (exclusive) of the whole pixels touched in the image
     T_C_P: list[NDArray[np.float32]]  # of each part (n, 4, 4); the last row is for the tile
 
-    def between(self, start: int, stop: int) -> "Views":
-        """Return the instants from start up to stop."""
-        return self.chosen(np.arange(start, stop))
-
-    def chosen(self, which: IntArray) -> "Views":
+    def chosen(self, which: slice | IntArray) -> "Views":
         """Return some of the instants."""
         return Views(
             self.times_s[which],
@@ -64,7 +60,8 @@ def plan_views(
     first_px = np.clip(np.floor(low + 0.5), 0, last)
     last_px = np.clip(np.floor(high + 0.5), 0, last)
     boxes: IntArray = np.concatenate([first_px, last_px + 1], axis=1).astype(np.int64)
-    T_C_P = [_placed(camera, part, times_s[chosen], T_W_B[chosen], visible) for part in drone.parts]
+    poses = T_W_B[chosen]
+    T_C_P = [_placed(camera, part, times_s[chosen], poses, visible) for part in drone.parts]
     return Views(times_s[chosen], visible, low, high, seen.depth_m[chosen], boxes, T_C_P)
 
 

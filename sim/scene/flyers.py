@@ -5,6 +5,8 @@ of its points, holds for a small or symmetric object. The bird and the plane are
 greys differ from part to part and from left to right, and the body's origin is not in the middle.
 """
 
+from functools import lru_cache
+
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
@@ -30,6 +32,7 @@ ALBEDO_LEFT_WING, ALBEDO_RIGHT_WING = 0.3, 0.14
 ALBEDO_TAILPLANE, ALBEDO_FIN, ALBEDO_POD, ALBEDO_WHEEL = 0.12, 0.45, 0.08, 0.05
 
 
+@lru_cache(maxsize=8)
 def built_in_drone(
     name: str, size_m: float | None = None, rotor_hz: float = 0.0, flap_hz: float = FLAP_HZ
 ) -> Drone:

@@ -13,10 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.errors import SimError
-from sim.sensor.kernels import NOISE_STATE_DTYPE, EventBuffer, process_ideal, process_noisy
-
-EVENT_DTYPE = np.dtype([("t", "<i8"), ("x", "<u2"), ("y", "<u2"), ("p", "u1")])
-"""One event: `t` [us], pixel column `x`, pixel row `y`, polarity `p` (1 = brighter)."""
+from sim.sensor.buffer import EVENT_DTYPE, EventBuffer
+from sim.sensor.kernels import NOISE_STATE_DTYPE, process_ideal, process_noisy
 
 MIN_THRESHOLD = 0.01  # mismatch never makes a pixel more sensitive than this
 
@@ -202,14 +200,8 @@ class Sensor:
 
     def _take(self, before_us: float) -> NDArray[Any]:
         """Take the events before a time [us] out of the buffer, in order."""
-        t_us, x, y, p = self._events.take(before_us)
-        events = np.empty(len(t_us), EVENT_DTYPE)
-        events["t"], events["x"], events["y"], events["p"] = t_us, x, y, p
         height, width = self._image.shape
-        # One key for time, row and column: far quicker to sort than two.
-        key = t_us * (height * width) + (y.astype(np.int64) * width + x)
-        in_order: NDArray[Any] = events[np.argsort(key, kind="stable")]
-        return in_order
+        return self._events.take(before_us, width, height)
 
     def _rates(self) -> tuple[float, ...]:
         config = self.config

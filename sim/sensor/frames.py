@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 from sim.errors import SimError
 
+_NOTHING = (2**31, 2**31, 0, 0)  # a box x0, y0, x1, y1 that any other one replaces
+
 
 @dataclass(frozen=True)
 class FrameConfig:
@@ -75,6 +77,8 @@ class FrameExposer:
         self._still = _quantise(background)
         self._image = self._still.copy()  # of the frame that closed last
         self._sum = np.zeros(background.shape, np.float32)  # difference from the background
+        # x0, y0, x1, y1 of what differs from the background: of that frame, and of the open one
+        self._shown, self._exposed = np.zeros(4, np.int64), np.array(_NOTHING)
         self._last: tuple[float, int, int, NDArray[np.float32]] | None = None
         self._open = 0  # index of the frame that is being exposed
 
@@ -97,7 +101,7 @@ class FrameExposer:
             k, is_closed = _expose(
                 k, times_s, x0_px, y0_px, luminance, last_s, last_x0, last_y0, last_crop,
                 self._background, self._start_s + self._open * (1.0 / self.config.rate_hz),
-                self.config.exposure_s, self._sum,
+                self.config.exposure_s, self._sum, self._exposed,
             )  # fmt: skip
             if not is_closed:
                 break
@@ -110,7 +114,8 @@ class FrameExposer:
             self._close()
 
     def _close(self) -> None:
-        _develop(self._sum, self._background, self._still, self._image)
+        boxes = (self._shown, self._exposed)
+        _develop(self._sum, self._background, self._still, self._image, *boxes)
         self._images[self._open] = self._image
         self._open += 1
 
@@ -139,11 +144,12 @@ def _quantise(image: NDArray[np.float32]) -> NDArray[np.uint8]:
 @njit(cache=True, nogil=True)
 def _expose(  # type: ignore[no-untyped-def]
     first, times_s, x0_px, y0_px, luminance, last_s, last_x0, last_y0, last_crop, background,
-    start_s, exposure_s, total,
+    start_s, exposure_s, total, box,
 ):  # fmt: skip
     """Add the light of the open exposure, from the interval before instant `first` on.
 
-    Returns the interval that the exposure ended in, and whether it did.
+    `box` grows by what it falls on. Returns the interval that the exposure ended in, and whether it
+    did.
     """
     end_s = start_s + exposure_s
     for k in range(first, times_s.size):
@@ -156,31 +162,38 @@ def _expose(  # type: ignore[no-untyped-def]
             # Integral of the linear interpolation over [a, b], as weights of its two ends.
             middle = (0.5 * (a + b) - t0) / (t1 - t0)
             weight = (b - a) / exposure_s
-            _add(total, last_crop, last_x0, last_y0, background, weight * (1.0 - middle))
-            _add(total, luminance[k], x0_px[k], y0_px[k], background, weight * middle)
+            before, after = weight * (1.0 - middle), weight * middle
+            _add(total, last_crop, last_x0, last_y0, background, before, box)
+            _add(total, luminance[k], x0_px[k], y0_px[k], background, after, box)
         if t1 >= end_s:
             return k, True
     return times_s.size, False
 
 
 @njit(cache=True, nogil=True)
-def _add(total, crop, x0, y0, background, weight):  # type: ignore[no-untyped-def]
+def _add(total, crop, x0, y0, background, weight, box):  # type: ignore[no-untyped-def]
     height, width = crop.shape
     w = np.float32(weight)
     for j in range(height):
+        into, behind = total[y0 + j, x0 : x0 + width], background[y0 + j, x0 : x0 + width]
         for i in range(width):
-            total[y0 + j, x0 + i] += w * (crop[j, i] - background[y0 + j, x0 + i])
+            into[i] += w * (crop[j, i] - behind[i])
+    box[0], box[1] = min(box[0], x0), min(box[1], y0)
+    box[2], box[3] = max(box[2], x0 + width), max(box[3], y0 + height)
 
 
 @njit(cache=True, nogil=True)
-def _develop(total, background, still, image):  # type: ignore[no-untyped-def]
-    """Write the image of all the light of an exposure, and start anew."""
-    height, width = total.shape
-    for y in range(height):
-        for x in range(width):
+def _develop(total, background, still, image, shown, exposed):  # type: ignore[no-untyped-def]
+    """Write the image of all the light of an exposure over that of the one before; start anew."""
+    for y in range(shown[1], shown[3]):
+        for x in range(shown[0], shown[2]):
+            image[y, x] = still[y, x]
+    for y in range(exposed[1], exposed[3]):
+        for x in range(exposed[0], exposed[2]):
             if total[y, x] == 0.0:
-                image[y, x] = still[y, x]
                 continue
             light = min(max(background[y, x] + total[y, x], np.float32(0.0)), np.float32(1.0))
             image[y, x] = np.uint8(np.rint(light * np.float32(255.0)))
             total[y, x] = 0.0
+    shown[:] = exposed
+    exposed[0], exposed[1], exposed[2], exposed[3] = _NOTHING

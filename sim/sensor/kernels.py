@@ -1,10 +1,9 @@
 """The per-pixel loops of the sensor model, compiled."""
 
-from typing import Any
-
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
+
+from sim.sensor.buffer import grown
 
 NOISE_STATE_DTYPE = np.dtype(
     [
@@ -17,48 +16,6 @@ NOISE_STATE_DTYPE = np.dtype(
     ]
 )
 _SHOT_NOISE_DROP = 0.75  # of the dark rate, at full light (as in v2e)
-
-
-Columns = tuple[NDArray[np.int64], NDArray[np.uint16], NDArray[np.uint16], NDArray[np.uint8]]
-
-
-class EventBuffer:
-    """Events as they are emitted, in columns that grow."""
-
-    def __init__(self) -> None:
-        self.t_s = np.empty(1 << 16, np.float64)
-        self.x = np.empty(1 << 16, np.uint16)
-        self.y = np.empty(1 << 16, np.uint16)
-        self.p = np.empty(1 << 16, np.uint8)
-        self.n = 0
-
-    def follow(self, kernel: Any, *arguments: Any) -> None:
-        """Let a kernel below append its events."""
-        self.t_s, self.x, self.y, self.p, self.n = kernel(
-            *arguments, self.t_s, self.x, self.y, self.p, self.n
-        )
-
-    def take(self, before_us: float) -> Columns:
-        """Take out the events before a time [us], infinity for all: t [us], x, y and p."""
-        n = self.n
-        t_us = np.rint(self.t_s[:n] * 1e6)
-        is_taken = t_us < before_us
-        x, y, p = self.x[:n][is_taken], self.y[:n][is_taken], self.p[:n][is_taken]
-        # Those that stay keep their order of emission.
-        self.n = n - len(x)
-        for column in (self.t_s, self.x, self.y, self.p):
-            column[: self.n] = column[:n][~is_taken]
-        return t_us[is_taken].astype(np.int64), x, y, p
-
-
-@njit(cache=True, nogil=True)
-def grown(t_s, x, y, p):  # type: ignore[no-untyped-def]
-    """Twice the room for events."""
-    n = t_s.size
-    new_t, new_x = np.empty(2 * n, t_s.dtype), np.empty(2 * n, x.dtype)
-    new_y, new_p = np.empty(2 * n, y.dtype), np.empty(2 * n, p.dtype)
-    new_t[:n], new_x[:n], new_y[:n], new_p[:n] = t_s, x, y, p
-    return new_t, new_x, new_y, new_p
 
 
 @njit(cache=True, nogil=True)

@@ -11,7 +11,8 @@ from sim.effects.config import SensorEffects
 from sim.effects.readout import queued, without_gaps
 from sim.errors import SimError
 from sim.recording import SimConfig
-from sim.sensor.events import EVENT_DTYPE, SensorConfig
+from sim.sensor.buffer import EVENT_DTYPE
+from sim.sensor.events import SensorConfig
 from sim.sensor.frames import FrameConfig
 from tests.sim.sensor.videos import rng
 

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from sim.errors import SimError
-from sim.sensor.events import EVENT_DTYPE, PRESETS, Sensor, SensorConfig, events_from_frames
+from sim.sensor.buffer import EVENT_DTYPE
+from sim.sensor.events import PRESETS, Sensor, SensorConfig, events_from_frames
 from tests.sim.sensor.videos import (
     EPS,
     IDEAL,

@@ -1,0 +1,5 @@
+"""Types of compiled code."""
+
+from typing import Any
+
+float64: Any
