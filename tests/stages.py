@@ -129,7 +129,15 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
             "joint",
             "tangency",
         ),
-        "baselines": ("correlation", "event_rate", "zncc_e", "zncc_f", "albl_kernels", "albl"),
+        "baselines": (
+            "correlation",
+            "event_rate",
+            "zncc_e",
+            "zncc_f",
+            "albl_eigen",
+            "albl_kernels",
+            "albl",
+        ),
         "plot": ("plot_data", "plots"),
         "console": ("exits", "options", "event_options", "command_line"),
         "convert": (

@@ -10,12 +10,20 @@ gain inliers, and starts small again when it does.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from ssac.baselines.albl_kernels import inliers_of, most_inliers, nine_least, quotients
+from ssac.baselines.albl_kernels import (
+    constraints,
+    inliers_of,
+    most_inliers,
+    next_better,
+    nine_least,
+)
 from ssac.camera import Rig
 from ssac.config import Config
 from ssac.estimate import Estimate, Status
@@ -48,7 +56,6 @@ inliers of 95 % of the pairs or more, elsewhere of 72 % at most.
 _START_SECANT_S = 0.06  # as far as the nearest start may be from the true offset
 _START_TRIALS = 20  # of RANSAC at each
 _TRIALS = 300  # at each offset on the way from there
-_FIRST_TRIALS = 20  # after which all pairs may turn out to be inliers, and the rest be spared
 _INLIER_PX = 2.0  # Sampson distance
 _MAX_ROUNDS = 20
 _LAST_ROUNDS = 2
@@ -58,10 +65,19 @@ _LAST_ROUNDS = 2
 class _Linearised:
     """Pairs at one offset with the secant velocity of p2, centred and scaled to order 1."""
 
-    x1: Array  # (n, 2)
-    x2: Array  # (n, 2)
-    v2: Array  # (n, 2) [1/s]
+    x1: Array  # (2, n)
+    x2: Array  # (2, n)
+    v2: Array  # (2, n) [1/s]
     px_per_unit: float
+
+    def __len__(self) -> int:
+        return self.x1.shape[1]
+
+    @cached_property
+    def constraints(self) -> tuple[Array, Array]:
+        """A and B (n, 9) with (A + b B) f = 0 for f = F row by row."""
+        A, B = constraints(self.x1, self.x2, self.v2)
+        return A, B
 
 
 @dataclass(frozen=True)
@@ -152,14 +168,15 @@ def _start(views: TwoViews, starts_s: Array) -> float:
 
     The same random numbers for each, so that none depends on which others there are.
     """
-    shares: list[float] = []
-    for start_s in starts_s:
+    best_s, best_share = float(starts_s[0]), 0.0
+    for start_s in starts_s.tolist():
         rng = np.random.default_rng(views.config.seed)
-        found = _most_agreed(views, float(start_s), _START_SECANT_S, rng, 0.0, _START_TRIALS)
-        shares.append(0.0 if found is None else found.inlier_share)
-        if shares[-1] == 1.0:  # the first of the best is taken, and none is better
+        found = _most_agreed(views, start_s, _START_SECANT_S, rng, best_share, _START_TRIALS)
+        if found is not None:
+            best_s, best_share = start_s, found.inlier_share
+        if best_share == 1.0:  # none is better
             break
-    return float(starts_s[int(np.argmax(shares))])
+    return best_s
 
 
 def _best_shift(
@@ -184,22 +201,23 @@ def _most_agreed(
     share_to_exceed: float,
     trials: int,
 ) -> _Agreement | None:
-    """Find what most pairs agree with, by either of the secants; None where no pair does.
+    """Find what more than a share of the pairs agree with, and most, by either of the secants.
 
-    Nothing exceeds a share of 1, so there the solver is not run; what it would have drawn is drawn
-    all the same, so that no other draw depends on it.
+    Nothing exceeds a share of 1, so there the solver is not run; what it would have drawn is passed
+    over, so that no other draw depends on it.
     """
     best: _Agreement | None = None
-    best_share, sampled = 0.0, views.pairs(np.array([t_d_s]))
+    best_share, sampled = share_to_exceed, views.pairs(np.array([t_d_s]))
     for signed_s in (step_s, -step_s):
         pairs = _linearised(views, sampled, signed_s)
-        if len(pairs.x1) < MIN_PAIRS:
+        if len(pairs) < MIN_PAIRS:
             continue
-        numbers = rng.random((trials, len(pairs.x1)))
-        if max(best_share, share_to_exceed) < 1.0:
-            found = _ransac(pairs, step_s, numbers)
+        if best_share < 1.0:
+            found = _ransac(pairs, step_s, rng.random((trials, len(pairs))), best_share)
             if found is not None and found.inlier_share > best_share:
                 best, best_share = found, found.inlier_share
+        else:
+            cast(np.random.PCG64, rng.bit_generator).advance(trials * len(pairs))
     return best
 
 
@@ -210,40 +228,44 @@ def _linearised(views: TwoViews, pairs: Pairs, step_s: float) -> _Linearised:
     p1, p2 = pairs.p1_px[0, valid], pairs.p2_px[0, valid]
     v2 = (ahead.positions_px[valid] - p2) / step_s
     if len(p1) < MIN_PAIRS:
-        return _Linearised(p1, p2, v2, 1.0)
+        return _Linearised(p1.T, p2.T, v2.T, 1.0)
     x1, x2 = p1 - np.mean(p1, axis=0), p2 - np.mean(p2, axis=0)
     unit_px = float(np.sqrt(np.mean([x1**2, x2**2])))
-    return _Linearised(x1 / unit_px, x2 / unit_px, v2 / unit_px, unit_px)
+    x1, x2, v2 = (np.ascontiguousarray(x.T) / unit_px for x in (x1, x2, v2))
+    return _Linearised(x1, x2, v2, unit_px)
 
 
-def _ransac(pairs: _Linearised, step_s: float, numbers: Array) -> _Agreement | None:
-    """Find the shift with most inliers over random subsets of nine pairs.
+def _ransac(
+    pairs: _Linearised, step_s: float, numbers: Array, share_to_exceed: float
+) -> _Agreement | None:
+    """Find the shift with most inliers over random subsets of nine pairs; None if these are few.
 
-    One subset per row of `numbers` (T, n), which are random.
+    One subset per row of `numbers` (T, n), which are random. Of each, a quick solution tells
+    whether the exact one can matter.
     """
-    n = len(pairs.x1)
-    A, B = _constraints(pairs)
-    subsets = nine_least(numbers)
-    x1, x2, v2 = (np.ascontiguousarray(x.T) for x in (pairs.x1, pairs.x2, pairs.v2))
-    limit = (_INLIER_PX / pairs.px_per_unit) ** 2
-    shift_s, F, most = 0.0, np.zeros((3, 3)), -1
-    for batch in np.split(subsets, [_FIRST_TRIALS]):
-        shifts_s, Fs = _solve_nine(A, B, batch)
-        plausible = np.abs(shifts_s) <= 2.0 * step_s
+    n, (A, B) = len(pairs), pairs.constraints
+    x1, x2, v2 = pairs.x1, pairs.x2, pairs.v2
+    limit, longest_s = (_INLIER_PX / pairs.px_per_unit) ** 2, 2.0 * step_s
+    shift_s, F, least = 0.0, np.zeros((3, 3)), int(share_to_exceed * n) - 1
+    subsets, trial, most = nine_least(numbers), -1, max(least, 0)
+    while most < n:
+        trial, X = next_better(A, B, subsets, trial + 1, longest_s, x1, x2, v2, limit, most)
+        if trial == len(subsets):
+            break
+        shifts_s, Fs = _solve_nine(X)
+        plausible = np.abs(shifts_s) <= longest_s
         shifts_s, Fs = shifts_s[plausible], Fs[plausible]
         index, count = most_inliers(shifts_s, Fs, x1, x2, v2, limit, most)
         if count > most:
             shift_s, F, most = float(shifts_s[index]), Fs[index], count
-        if most == n:  # no other trial can have more
-            break
-    if most < 0:
+    if most <= max(least, 0):
         return None
     return _Agreement(pairs, shift_s, inliers_of(shift_s, F, x1, x2, v2, limit))
 
 
 def _polished(found: _Agreement, step_s: float) -> float:
     """Shift [s] near the one found at which all its inliers agree best."""
-    A, B = (constraints[found.inliers] for constraints in _constraints(found.pairs))
+    A, B = (of_all[found.inliers] for of_all in found.pairs.constraints)
     moments = A.T @ A, A.T @ B + B.T @ A, B.T @ B
     polished = minimize_scalar(
         lambda b: np.linalg.eigvalsh(moments[0] + b * moments[1] + b**2 * moments[2])[0],
@@ -254,37 +276,20 @@ def _polished(found: _Agreement, step_s: float) -> float:
     return float(polished.x)
 
 
-def _constraints(pairs: _Linearised) -> tuple[Array, Array]:
-    """Build A and B (n, 9) with (A + b B) f = 0 for f = F row by row."""
-    ones = np.ones((len(pairs.x1), 1))
-    x1, x2 = np.hstack([pairs.x1, ones]), np.hstack([pairs.x2, ones])
-    v2 = np.hstack([pairs.v2, 0.0 * ones])
-    A, B = (np.einsum("ni,nj->nij", left, x1).reshape(-1, 9) for left in (x2, v2))
-    return A, B
+def _solve_nine(X: Array) -> tuple[Array, Array]:
+    """All real solutions of (A + b B) f = 0 for nine pairs, from X (9, 6) = A^-1 B.
 
-
-def _solve_nine(A: Array, B: Array, subsets: NDArray[np.intp]) -> tuple[Array, Array]:
-    """All real solutions of (A + b B) f = 0 for each subset of nine pairs.
-
-    B has no entries in f's last three columns: with X = A^-1 B of the first six, f = -b X f[:6].
-    Its first six rows are an eigenvalue problem with six shifts b, the others give the rest of f.
-
-    Parameters
-    ----------
-    A, B
-        Shape (n, 9), of all pairs.
-    subsets
-        Shape (T, 9), indices of pairs.
+    B has no entries in f's last three columns: with X of the first six, f = -b X f[:6]. Its first
+    six rows are an eigenvalue problem with six shifts b, the others give the rest of f.
 
     Returns
     -------
     tuple of NDArray[np.float64]
-        Shifts b (S,) [s] and their F (S, 3, 3).
+        Shifts b (s,) [s] and their F (s, 3, 3).
     """
-    X = quotients(A, B, subsets)
-    inverse_shifts, heads = np.linalg.eig(-X[:, :6])
-    subset, k = np.nonzero((np.abs(inverse_shifts.imag) < 1e-9) & (inverse_shifts.real != 0.0))
-    shifts_s = 1.0 / inverse_shifts.real[subset, k]
-    heads = heads.real[subset, :, k]
-    tails = -shifts_s[:, None] * np.einsum("sij,sj->si", X[subset, 6:], heads)
+    inverse_shifts, heads = np.linalg.eig(-X[:6])
+    real = (np.abs(inverse_shifts.imag) < 1e-9) & (inverse_shifts.real != 0.0)
+    shifts_s = 1.0 / inverse_shifts.real[real]
+    heads = np.ascontiguousarray(heads.real[:, real].T)
+    tails = -shifts_s[:, None] * np.einsum("ij,sj->si", X[6:], heads)
     return shifts_s, np.concatenate([heads, tails], axis=1).reshape(-1, 3, 3)

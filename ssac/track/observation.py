@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ssac.camera import Camera, Rig, same_camera
 from ssac.config import N_MIN, Config, checked
 from ssac.errors import SsacError
-from ssac.events import EVENT_DTYPE, US_PER_S, check_events
+from ssac.events import EVENT_DTYPE, US_PER_S, check_events, copied
 from ssac.points import PointTrack, check_track
 from ssac.track.denoise import Clutter, without_noise
 from ssac.track.motion import Motion, ObjectMotion, no_gaps, object_motion
@@ -62,7 +62,7 @@ class Observation:
         Events count whole microseconds, so the delay is rounded to these, for frames as well.
         """
         shift_us = round(t_d_s * US_PER_S)
-        events = self.events.copy()
+        events = copied(self.events)
         events["t"] += shift_us
         times_s, prepared = self.frame_times_s, self.prepared
         if times_s is not None:

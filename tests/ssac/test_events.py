@@ -7,6 +7,7 @@ from ssac.errors import SsacError
 from ssac.events import (
     EVENT_DTYPE,
     check_events,
+    copied,
     events_from_arrays,
     slice_time,
     time_quantum_s,
@@ -45,6 +46,15 @@ def test_events_from_arrays_does_not_change_its_arguments():
 def test_arrays_of_different_length_are_refused():
     with pytest.raises(SsacError, match=r"cam1\.h5: t, x, y and p must be of one length"):
         events_from_arrays([0, 1], [0, 1], [0], [0, 1], name="cam1.h5")
+
+
+@pytest.mark.parametrize("step", [1, 3])
+def test_copied_events_are_the_same_and_their_own(step):
+    events = _events(np.arange(20))[::step]
+    copy = copied(events)
+    assert copy.dtype == EVENT_DTYPE
+    assert np.array_equal(copy, events)
+    assert not np.shares_memory(copy, events)
 
 
 def test_times_in_seconds_are_refused():

@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
-from ssac.baselines.albl import _constraints, _Linearised, _polished, _ransac, _solve_nine, albl
+from ssac.baselines.albl import _Linearised, _polished, _ransac, _solve_nine, albl
+from ssac.baselines.albl_eigen import eigenvector, real_eigenvalues
+from ssac.baselines.albl_kernels import quotient
 from ssac.baselines.correlation import Signal, binned, counted, zncc
 from ssac.baselines.event_rate import event_rate
 from ssac.baselines.zncc_e import zncc_e
@@ -36,6 +38,20 @@ def flickering_events(rng, duration_s=10.0):
     events = np.zeros(sum(map(len, times_s)), EVENT_DTYPE)
     events["t"] = np.sort(np.concatenate(times_s)) * 1e6
     return events
+
+
+def solutions(pairs, subsets):
+    """Shifts and F of all subsets of nine pairs."""
+    X = np.empty((9, 6))
+    found = []
+    for subset in subsets:
+        quotient(*pairs.constraints, subset, X)
+        found.append(_solve_nine(X))
+    return (np.concatenate(parts) for parts in zip(*found, strict=True))
+
+
+def linearised(x1, x2, v2):
+    return _Linearised(*(np.ascontiguousarray(x.T) for x in (x1, x2, v2)), 100.0)
 
 
 def delayed(events, t_d_s):
@@ -103,16 +119,40 @@ def test_the_solver_of_albl_finds_the_shift_and_f_of_exact_pairs(shift_s):
     rng = np.random.default_rng(0)
     x1, x2 = (0.01 * (p - [173.0, 130.0]) for p in track_pair(scene, np.linspace(0.0, 20.0, 90)))
     v2 = rng.normal(size=(90, 2))
-    pairs = _Linearised(x1, x2 - shift_s * v2, v2, 100.0)
-    A, B = _constraints(pairs)
-    subsets = rng.permutation(90).reshape(10, 9)
-    shifts_s, F = _solve_nine(A, B, subsets)
+    pairs = linearised(x1, x2 - shift_s * v2, v2)
+    A, B = pairs.constraints
+    shifts_s, F = solutions(pairs, rng.permutation(90).reshape(10, 9))
     # Every subset has the true shift among its up to six; at zero the equations are singular.
     # Random velocities of order 1, coordinates of order 1: rounding grows by the condition, 1e6.
     nearest = np.argsort(np.abs(shifts_s - shift_s))[:10]
     assert np.allclose(shifts_s[nearest], shift_s, atol=1e-8)
     for f in F[nearest].reshape(-1, 9):
         assert np.allclose((A + shift_s * B) @ f, 0.0, atol=1e-6 * np.linalg.norm(f))
+
+
+@pytest.mark.parametrize("spread", [1.0, 1e4])
+def test_real_eigenvalues_and_their_vectors_are_those_of_lapack(spread):
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        # Of one column that is far larger, as where nine pairs are nearly singular.
+        M = rng.normal(size=(6, 6)) + spread * np.outer(rng.normal(size=6), rng.normal(size=6))
+        found, vector = np.empty(6), np.empty(6)
+        n = real_eigenvalues(M.copy(), found)
+        whole = np.linalg.eigvals(M)
+        expected = np.sort(whole.real[whole.imag == 0.0])
+        # Rounding, by the matrix's size.
+        assert np.sort(found[:n]) == pytest.approx(expected, abs=1e-12 * np.linalg.norm(M))
+        for value in found[:n]:
+            eigenvector(M.copy(), value, vector)
+            residual = np.linalg.norm(M @ vector - value * vector)
+            assert residual < 1e-12 * np.linalg.norm(M) * np.linalg.norm(vector)
+
+
+def test_a_matrix_without_real_eigenvalues_gives_none():
+    turns = np.zeros((6, 6))
+    for k in range(3):
+        turns[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = [[0.0, -k - 1.0], [k + 1.0, 0.0]]
+    assert real_eigenvalues(turns, np.empty(6)) == 0
 
 
 @pytest.mark.parametrize("outlier_share", [0.0, 0.3])
@@ -123,16 +163,18 @@ def test_ransac_of_albl_finds_the_most_inliers_of_all_trials(outlier_share):
     x2 = x2 + rng.normal(0.0, 0.005, x2.shape)  # 0.5 px
     bad = rng.random(90) < outlier_share
     x2[bad] = rng.uniform(-1.5, 1.5, (bad.sum(), 2))
-    pairs = _Linearised(x1, x2, rng.normal(0.0, 2.0, (90, 2)), 100.0)
+    pairs = linearised(x1, x2, rng.normal(0.0, 2.0, (90, 2)))
     numbers = rng.random((200, 90))
-    found = _ransac(pairs, 0.02, numbers)
-    shifts_s, F = _solve_nine(*_constraints(pairs), np.argsort(numbers, axis=1)[:, :9])
+    found = _ransac(pairs, 0.02, numbers, 0.0)
+    shifts_s, F = solutions(pairs, np.argsort(numbers, axis=1)[:, :9])
     shares = [
-        np.mean(np.abs(sampson_distance(f, x1, x2 + b * pairs.v2)) < 0.02)  # 2 px
+        np.mean(np.abs(sampson_distance(f, x1, x2 + b * pairs.v2.T)) < 0.02)  # 2 px
         for b, f in zip(shifts_s, F, strict=True)
         if abs(b) <= 0.04
     ]
     assert found.inlier_share == max(shares)
+    less = _ransac(pairs, 0.02, numbers, max(shares) - 0.05)  # that bars all but the best
+    assert (less.shift_s, less.inlier_share) == (found.shift_s, found.inlier_share)
     assert max(shares) == 1.0 if outlier_share == 0.0 else 0.6 < max(shares) < 0.8
     # 0.5 px of noise at 200 px/s in 60 pairs or more, six parameters: about 0.4 ms.
     assert abs(_polished(found, 0.02)) < 0.002
