@@ -102,12 +102,18 @@ def nearest_pose(
     return replace(pose, R=R, t=t)
 
 
-def pose_jacobian(R: Array, t: Array, K1: Array, K2: Array, p1_px: Array, p2_px: Array) -> Array:
-    """Differentiate the Sampson distances by a small change of the pose: (N, 5) [px/rad]."""
+def pose_jacobian(
+    R: Array, t: Array, K1: Array, K2: Array, p1_px: Array, p2_px: Array, F: Array | None = None
+) -> Array:
+    """Differentiate the Sampson distances by a small change of the pose: (N, 5) [px/rad].
+
+    F is that of the pose, where it is known already.
+    """
+    F = fundamental_from_pose(K1, K2, R, t) if F is None else F
     dE = [cross_matrix(t) @ cross_matrix(axis) @ R for axis in np.eye(3)]
     dE += [cross_matrix(direction) @ R for direction in tangent_basis(t)]
     dF = fundamental_from_essential(np.stack(dE), K1, K2)
-    gradient = sampson_gradient(fundamental_from_pose(K1, K2, R, t), p1_px, p2_px)
+    gradient = sampson_gradient(F, p1_px, p2_px)
     return np.asarray(gradient.reshape(-1, 9) @ dF.reshape(5, 9).T)
 
 
@@ -121,9 +127,15 @@ def tangent_basis(t: Array) -> Array:
     """Two unit vectors (2, 3), orthogonal to each other and to the unit vector t (3,)."""
     axis = np.zeros(3)
     axis[np.argmin(np.abs(t))] = 1.0
-    first = np.cross(t, axis)
+    first = _cross(t, axis)
     first /= np.linalg.norm(first)
-    return np.stack([first, np.cross(t, first)])
+    return np.stack([first, _cross(t, first)])
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Give the cross product of two vectors (3,), for which `np.cross` takes ten times as long."""
+    (x, y, z), (u, v, w) = a.tolist(), b.tolist()
+    return np.array([y * w - z * v, z * u - x * w, x * v - y * u])
 
 
 def depths(R: Array, t: Array, rays1: Array, rays2: Array) -> tuple[Array, Array]:

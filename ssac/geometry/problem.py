@@ -105,8 +105,8 @@ class Problem:
     @property
     def free(self) -> Indices:
         """Places of the parameters that are estimated."""
-        held = range(T_D + 1, FIRST_COLUMN) if self.pose_is_known else ()
-        return np.setdiff1d(np.arange(self.size), held)
+        places = np.arange(self.size)
+        return np.delete(places, slice(T_D + 1, FIRST_COLUMN)) if self.pose_is_known else places
 
     @property
     def of_clock(self) -> list[int]:
@@ -138,7 +138,7 @@ def linearise(problem: Problem, parameters: Parameters) -> Residuals:
     jacobian = np.column_stack(
         [
             sampson_derivative(F, _NO_CHANGE, p1, p2, pairs.v2_px_s),
-            pose_jacobian(R, t, K1, K2, p1, p2),
+            pose_jacobian(R, t, K1, K2, p1, p2, F),
             *(
                 sampson_derivative(F.T, _NO_CHANGE, p2, p1, column.dp1_px)
                 + sampson_derivative(F, _NO_CHANGE, p1, p2, column.dp2_px)
