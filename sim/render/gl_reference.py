@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from sim.errors import SimError
 from sim.render.config import RenderConfig
-from sim.render.faces import piece_size_m
 from sim.render.gl_atlas import (
     SHADERS,
     attach_renderbuffers,
@@ -23,6 +22,7 @@ from sim.render.gl_atlas import (
 from sim.render.gl_context import make_current, open_context
 from sim.render.lattice import average_pixels
 from sim.scene.drone import Drone, Part
+from sim.scene.faces import piece_size_m
 from sim.scene.rig import Camera
 
 FloatArray = NDArray[np.float64]

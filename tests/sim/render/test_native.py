@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import sim.render.faces
 import sim.render.renderer
+import sim.scene.faces
 from sim.errors import SimError
 from sim.render.config import RenderConfig
 from sim.render.gl_atlas import GLPainter
@@ -248,7 +248,7 @@ def test_a_mesh_too_large_for_memory_is_refused(monkeypatch: pytest.MonkeyPatch)
     def full(*_: object, **__: object) -> None:
         raise MemoryError
 
-    monkeypatch.setattr(sim.render.faces, "_faces", full)
+    monkeypatch.setattr(sim.scene.faces, "_faces", full)
     camera = make_camera()
     with pytest.raises(SimError, match="mesh of 12 faces does not fit the memory: simplify it"):
         drawn(painted(BOX, 0.2), camera, np.zeros(1), poses(np.zeros((1, 3))), grey(camera), NO_GL)
