@@ -285,6 +285,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
             "reading",
             "tables",
             "growth",
+            "machine",
             "bench",
         ),
         "network": ("cameras", "measure", "four", "long_flights", "network_command"),
