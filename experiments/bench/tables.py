@@ -8,7 +8,7 @@ from pathlib import Path
 
 from experiments.bench.measurement import Measurement
 from experiments.paper.grids import TABLES, n_recordings
-from experiments.run.cache import Cache
+from experiments.run.cache import RECORDED, Cache
 from experiments.run.grid import Cell, GridConfig, named_config
 from experiments.run.schedule import Outcome, Workers, run_cells
 
@@ -38,7 +38,7 @@ def bench_tables() -> list[Measurement]:
             peak_mb = max(peak_mb, outcome.peak_mb)
             without_runs = Cache(Path(folder) / f"cached_{count}")
             without_runs.folder.mkdir()
-            for name in ("recordings", "brightness"):
+            for name in RECORDED:
                 (cache.folder / name).rename(without_runs.folder / name)
             seconds["recordings cached", count], _ = _run(cells, without_runs, count)
     n_all = n_recordings()

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from experiments.run.cache import Brightness, Cache
 from experiments.run.grid import Cell
-from experiments.run.recorded import load_pair
+from experiments.run.recorded import denoised_pair, load_pair
 from experiments.run.score import score
 from experiments.run.task import UNUSABLE, Measure
 from ssac.baselines.zncc_f import frame_means
 from ssac.camera import Rig, known_pose
-from ssac.config import Config
+from ssac.config import Config, checked
 from ssac.errors import SsacError
 from ssac.estimate import Estimate, Status
 from ssac.events import US_PER_S
@@ -101,12 +101,11 @@ def load_recorded(cells: Sequence[Cell], cache: Cache) -> Recorded:
     frames1, frames2 = frames_of(folder, [METHODS[cell.method] for cell in cells], cache)
     # A method that wants the noise gone has that made up for, but what is gone does not come back.
     denoise = all(cell.estimator.denoise for cell in cells)
-    first, second = prepare(
-        Observation(cam1.events, *frames1),
-        Observation(cam2.events, *frames2),
-        rig,
-        replace(cells[0].estimator, denoise=denoise),
-    )
+    config = checked(replace(cells[0].estimator, denoise=denoise))
+    first, second = Observation(cam1.events, *frames1), Observation(cam2.events, *frames2)
+    if denoise:
+        first, second = denoised_pair(folder, first, second, rig, config, cache)
+    first, second = prepare(first, second, rig, config)
     return Recorded(first, second, rig, (len(cam1.events), len(cam2.events)))
 
 

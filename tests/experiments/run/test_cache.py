@@ -9,6 +9,7 @@ import experiments.run.cache as module
 from experiments.run.cache import (
     Brightness,
     Cache,
+    Denoised,
     content,
     recording_key,
     run_key,
@@ -19,6 +20,12 @@ from sim.render.config import RenderConfig
 from ssac.config import Config
 
 pytestmark = pytest.mark.render  # a recording's key names the GL driver
+
+DENOISED = Denoised(
+    *(np.array([255, 3], np.uint8), np.array([1.0, 9.0, 0.1, 5.0, 20.0, 20.0])),
+    *(np.empty(0, np.uint8), np.array([7], np.uint8)),
+    *(np.array([0.0, 0.0, 0.2, 3.0, 5.0, 12.0]), np.array([128], np.uint8)),
+)
 
 
 def test_every_parameter_and_the_seed_make_another_recording_but_the_offset_does_not():
@@ -120,6 +127,18 @@ def test_brightness_is_measured_once(tmp_path):
     for one, other in zip(made, cache.brightness(recording, never), strict=True):
         assert np.array_equal(one, other)
         assert one.dtype == other.dtype
+
+
+def test_what_denoising_did_is_found_once_for_each_number_of_neighbours(tmp_path):
+    cache, recording = Cache(tmp_path), tmp_path / "recordings" / "abc"
+    found = []
+    for n_neighbours in (None, 5, None, 5):
+        made = cache.denoised(
+            recording, n_neighbours, lambda n=n_neighbours: found.append(n) or DENOISED
+        )
+        for one, other in zip(made, DENOISED, strict=True):
+            np.testing.assert_array_equal(one, other, strict=True)
+    assert found == [None, 5]
 
 
 def test_a_run_comes_back_as_it_went_in(tmp_path):

@@ -9,7 +9,7 @@ import pytest
 
 from experiments.measures.bounds import BOUNDS
 from experiments.measures.refusal import REFUSALS
-from experiments.run.cache import BRIGHTNESS_CODE, RECORDING_CODE, Cache
+from experiments.run.cache import BRIGHTNESS_CODE, DENOISED_CODE, RECORDING_CODE, Cache
 from experiments.run.code import ROOT, SourceTree, read_source
 from experiments.run.grid import Cell
 from experiments.run.scored import SCORED
@@ -23,10 +23,13 @@ from tests.recorded import kalibr_with_pose
 CODES = {
     "recordings": RECORDING_CODE,
     "brightness": BRIGHTNESS_CODE,
+    "denoised": DENOISED_CODE,
     "runs": SCORED.code,
     "bounds": BOUNDS.code,
     "refusals": REFUSALS.code,
 }
+
+OF_EVENTS = {"brightness", "denoised"}  # which do not depend on how a recording was made
 
 
 @pytest.fixture
@@ -77,8 +80,8 @@ def test_every_module_that_an_entry_depends_on_makes_a_new_key(tree: Path) -> No
          {"runs", "refusals"}),
         ("experiments/run/score.py", "1e3", "1e6", {"runs", "refusals"}),
         ("experiments/run/recorded.py", "config.t_d_s", "0.0", {"runs", "bounds", "refusals"}),
-        ("sim/sensor/kernels.py", "import", "import os\nimport", set(CODES) - {"brightness"}),
-        ("sim/render/shaders/mesh.frag", "void", "/**/ void", set(CODES) - {"brightness"}),
+        ("sim/sensor/kernels.py", "import", "import os\nimport", set(CODES) - OF_EVENTS),
+        ("sim/render/shaders/mesh.frag", "void", "/**/ void", set(CODES) - OF_EVENTS),
         ("sim/render/gl_reference.py", "import", "import os\nimport", set()),
         ("ssac/plot/plots.py", "import", "import os\nimport", set()),
         ("experiments/figures/style.py", "import", "import os\nimport", set()),
