@@ -80,19 +80,21 @@ def unmasked(events: NDArray[np.void], masked: NDArray[np.bool_]) -> NDArray[np.
     return chosen_events(events, of_pixels(~masked, events["x"], events["y"]))
 
 
-@numba.njit(cache=True)
 def chosen_events(events: NDArray[np.void], chosen: NDArray[np.bool_]) -> NDArray[np.void]:
     """Copy the events (n,) where `chosen` (n,) holds: as indexing does, but four times as fast."""
-    n = 0
-    for i in range(len(chosen)):
-        n += chosen[i]
-    found = np.empty(n, events.dtype)
+    found = np.empty(np.count_nonzero(chosen), events.dtype)
+    _gather(events, chosen, found)
+    return found
+
+
+@numba.njit(cache=True)
+def _gather(events: NDArray[np.void], chosen: NDArray[np.bool_], found: NDArray[np.void]) -> None:
+    """Fill in the chosen events, in memory of NumPy's: that in large pages is ready sooner."""
     n = 0
     for i in range(len(chosen)):
         if chosen[i]:
             found[n] = events[i]
             n += 1
-    return found
 
 
 @numba.njit(cache=True)
