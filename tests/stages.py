@@ -88,11 +88,11 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
         ),
         "track": (
             "clutter",
+            "denoise_kernels",
             "denoise",
             "thin_line",
             "motion_kernels",
             "motion",
-            "point_kernels",
             "point_motion",
             "observation",
             "object_kernels",

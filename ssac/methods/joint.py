@@ -110,11 +110,14 @@ def refine(start: Estimate, views: TwoViews) -> Estimate:
     parameters = Parameters(start.t_d_s, start.R, start.t, model.start(start))
     times_s = views.sample_times(np.array([start.t_d_s]))[0]
     allowance, settles = Allowance(views.rig, model.has_priors), False
+    motion1, track1 = views.motion1, views.motion1.sharp_at(times_s)
     for round_ in range(_MAX_RESAMPLINGS):
         before = parameters
         seen = model.views(views, before)
-        tracks = seen.sharp_at(times_s, before.t_d_s)
-        pairs, size_px = sharp_pairs(*tracks, before.t_d_s)
+        if seen.motion1 is not motion1:  # as the readout of a shutter changes it
+            motion1, track1 = seen.motion1, seen.motion1.sharp_at(times_s)
+        track2 = seen.motion2.sharp_at(seen.on_clock_2(times_s, before.t_d_s))
+        pairs, size_px = sharp_pairs(track1, track2, before.t_d_s)
         if len(pairs.times_s) < MIN_PAIRS:
             return _unseen(start, before, len(pairs.times_s))
         problem = Problem(pairs, views.rig, views.pose_is_known)

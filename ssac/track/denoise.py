@@ -6,7 +6,6 @@ the object makes; the paper's 20 are what an ordinary drone in ordinary light ne
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import pdtrc
@@ -14,6 +13,7 @@ from scipy.special import pdtrc
 from ssac.config import N_MIN
 from ssac.events import first_from
 from ssac.track.clutter import activity, chosen_events, masked_pixels, unmasked
+from ssac.track.denoise_kernels import extent, has_neighbours, has_neighbours_in_noise
 
 US_PER_MS = 1000.0
 
@@ -40,10 +40,7 @@ _SHARE_N_MIN = 0.25  # of a thin object's events in a window
 _WINDOW_S = 0.040  # whatever the config's is: what is prepared must not depend on that
 _SAMPLES = 1000  # of windows
 
-_SLOTS = 16  # of time, on each side, in which tiles are counted
-_TOGETHER, _PARTS = 64, 8  # events at most whose boxes are one, and of a box's half time
-_LEAP = 16  # events between two looks at how many there are in a time
-_BOX = 0.4  # half the side of the box that is counted, over the radius: it settles most events
+_CORE = 0.4  # of the ball's squared radius: pixels nearer than that are counted, for most events
 
 
 @dataclass(frozen=True)
@@ -87,20 +84,20 @@ def without_noise(
     found = activity(events, width, height)
     mask = masked_pixels(found)
     n_all, hz = len(events), found.background_hz
-    events = unmasked(events, mask)
+    events, size_px = unmasked(events, mask), (width, height)
     n_masked = n_all - len(events)
     radius_px, n = PAPER_PX, n_neighbours or PAPER_NEIGHBOURS
     if n_neighbours is None and hz > NOISY_HZ:
         radius_px, n = NEAR_PX, least_neighbours(hz, width * height, NEAR_PX, NEAR_NEIGHBOURS)
-        left = radius_filter(events, radius_px, n_neighbours=n, mostly_noise=True)
-        fewer = radius_filter(left, radius_px, n_neighbours=NEAR_NEIGHBOURS)
+        left = radius_filter(events, radius_px, n_neighbours=n, mostly_noise=True, size_px=size_px)
+        fewer = radius_filter(left, radius_px, n_neighbours=NEAR_NEIGHBOURS, size_px=size_px)
         if len(fewer) > MOST * len(left):
             left, n = fewer, NEAR_NEIGHBOURS
     else:
-        left = radius_filter(events, n_neighbours=n)
+        left = radius_filter(events, n_neighbours=n, size_px=size_px)
         if n_neighbours is None and events_per_window(left) < THIN * N_MIN:
             n = least_neighbours(hz, width * height, PAPER_PX, PAPER_NEIGHBOURS)
-            left = radius_filter(events, n_neighbours=n)
+            left = radius_filter(events, n_neighbours=n, size_px=size_px)
     n_min, in_window = N_MIN, events_per_window(left)
     if in_window < THIN * N_MIN:
         n_min = int(np.clip(_SHARE_N_MIN * in_window, _LEAST_N_MIN, N_MIN))
@@ -146,6 +143,7 @@ def radius_filter(
     n_neighbours: int = PAPER_NEIGHBOURS,
     *,
     mostly_noise: bool = False,
+    size_px: tuple[int, int] | None = None,
 ) -> NDArray[np.void]:
     """Events with enough neighbours in a ball of x-y-t space, as the paper's authors filter.
 
@@ -164,6 +162,8 @@ def radius_filter(
         Neighbours needed, the event itself not counted.
     mostly_noise
         Most events are to be removed: another way to the same result, which is faster then.
+    size_px
+        The sensor's width and height; None: as far as the events reach.
 
     Returns
     -------
@@ -172,23 +172,44 @@ def radius_filter(
 
     Notes
     -----
-    A box that fits into the ball has its events counted as they come and go, and where it holds
-    enough the event is kept at a cost that depends neither on the rate of events nor on the size of
-    the sensor. For the others, the events of each pixel around are looked through from the latest
-    one on, the nearest pixels first. Where most are noise, the events of tiles are counted instead:
-    those around an event hold the ball, and where they have too few it is removed. Both are exact.
+    The core of the ball, for as long as all of it lasts, has its events counted as they come and
+    go, and where it holds enough the event is kept at a cost that depends neither on the rate of
+    events nor on the size of the sensor. For the others, the events of each pixel around are looked
+    through from the latest one on, the nearest pixels first. Where most are noise, the events of
+    tiles are counted instead: those around an event hold the ball, and where they have too few it
+    is removed. Both are exact.
     """
     if len(events) <= n_neighbours:
         return events[:0]
-    box_px = int(_BOX * radius_px)
     offsets_px, spans_us = _ball(radius_px, US_PER_MS * ms_per_unit)
-    of_box = np.max(np.abs(offsets_px), axis=1) <= box_px
-    where = events["t"], events["x"], events["y"], offsets_px, spans_us
-    if mostly_noise:
-        return chosen_events(events, _has_neighbours_in_noise(*where, n_neighbours))
-    box_us = int(np.min(spans_us[of_box]))
-    keep = _has_neighbours(*where, tuple(range(-box_px, box_px + 1)), box_us, n_neighbours)
-    return chosen_events(events, keep)
+    where = events["t"], events["x"], events["y"]
+    if mostly_noise or radius_px < 1.0:
+        keep = has_neighbours_in_noise(*where, offsets_px, spans_us, n_neighbours)
+        return chosen_events(events, keep)
+    width, height = size_px or extent(*where[1:])
+    margin_px = int(radius_px)
+    n_rows = height + 2 * margin_px
+    squared_px = max(_CORE * radius_px**2, 1.0)
+    core_us = int(np.min(spans_us[np.sum(offsets_px**2, axis=1) <= squared_px]))
+    steps = offsets_px[:, 0] * n_rows + offsets_px[:, 1]
+    sensor = width + 2 * margin_px, n_rows, margin_px
+    core = _core(squared_px, n_rows), core_us
+    return chosen_events(
+        events, has_neighbours(*where, sensor, steps, spans_us, *core, n_neighbours)
+    )
+
+
+def _core(squared_px: float, n_rows: int) -> tuple[int, ...]:
+    """Middles of three pixels of a column each, which no circle of that radius cuts: as cells.
+
+    Cells are numbered column by column, of `n_rows` each, from that in the circle's middle on.
+    """
+    reach_px, found = int(np.sqrt(squared_px)), []
+    for column in range(-reach_px, reach_px + 1):
+        n_threes = (2 * int(np.sqrt(squared_px - column**2)) + 1) // 3
+        top = -(3 * n_threes // 2)
+        found += [column * n_rows + top + 3 * k + 1 for k in range(n_threes)]
+    return tuple(found)
 
 
 def _ball(radius_px: float, us_per_px: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -205,168 +226,3 @@ def _ball(radius_px: float, us_per_px: float) -> tuple[NDArray[np.int64], NDArra
     spans_us = np.floor(np.sqrt(left))
     spans_us += (spans_us + 1.0) ** 2 <= left  # the root of a whole square may come out below it
     return offsets_px[order], spans_us.astype(np.int64)
-
-
-@numba.njit(cache=True)
-def _has_neighbours(
-    t: NDArray[np.int64],
-    x: NDArray[np.uint16],
-    y: NDArray[np.uint16],
-    offsets_px: NDArray[np.int64],
-    spans_us: NDArray[np.int64],
-    box_px: tuple[int, ...],
-    box_us: int,
-    n_neighbours: int,
-) -> NDArray[np.bool_]:
-    """Whether each event has `n_neighbours` others within the ball of `offsets_px`, `spans_us`.
-
-    All in the columns and rows `box_px` from an event's, and within `box_us` of its time, lie in
-    that ball. As they are a tuple, of a length that is known, loops over them are compiled without
-    a loop; and an index without a sign needs no look whether it counts from the end.
-    """
-    n, radius_us = len(t), spans_us[0]
-    longest_us = box_us // _PARTS  # events are taken by so many, so that loops are few, and long
-    margin_px = int(np.max(offsets_px))
-    n_columns, n_rows = _extent(x, y, margin_px)
-    steps = offsets_px[:, 0] * n_rows + offsets_px[:, 1]
-    length = _power_above(_most_within(t, 2 * radius_us + longest_us))
-    mask = np.uint32(length - 1)
-    # A pixel's events are a chain from its latest one back, kept for as long as a ball reaches.
-    previous, cells = np.empty(length, np.int32), np.empty(length, np.int32)
-    latest = np.full(n_columns * n_rows, -1, np.int32)
-    counts = np.zeros(n_columns * n_rows, np.int32)  # in the box's time, of its rows, by column
-
-    keep = np.zeros(n, np.bool_)
-    start = first = end = first_of_box = end_of_box = 0
-    while start < n:
-        stop, last = start + 1, min(start + _TOGETHER, n)
-        while stop < last and t[stop] - t[start] <= longest_us:
-            stop += 1
-        earliest_us, latest_us = t[start], t[stop - 1]
-        # What leaves comes first, while the rings still hold it: a gap in time may be long.
-        while first_of_box < end_of_box and t[first_of_box] < latest_us - box_us:
-            for step in box_px:
-                counts[cells[np.uint32(first_of_box) & mask] + step] -= 1
-            first_of_box += 1
-        while end < n and t[end] <= latest_us + radius_us:
-            cell = (np.int64(x[end]) + margin_px) * n_rows + np.int64(y[end]) + margin_px
-            cells[np.uint32(end) & mask] = cell
-            previous[np.uint32(end) & mask] = latest[cell]
-            latest[cell] = end
-            end += 1
-        while end_of_box < end and t[end_of_box] <= earliest_us + box_us:
-            for step in box_px:
-                counts[cells[np.uint32(end_of_box) & mask] + step] += 1
-            end_of_box += 1
-        while first + _LEAP < n and t[first + _LEAP] < earliest_us - radius_us:
-            first += _LEAP  # at most the first that a ball reaches, which the rings still hold
-        for i in range(start, stop):
-            here = cells[np.uint32(i) & mask]
-            n_found = -1  # the event finds itself
-            for step in box_px:
-                n_found += counts[here + step * n_rows]
-            if n_found < n_neighbours:
-                n_found = -1
-                for k in range(len(steps)):
-                    j = latest[here + steps[k]]
-                    while j >= first and t[i] - t[j] <= spans_us[k]:
-                        n_found += t[j] - t[i] <= spans_us[k]
-                        j = previous[np.uint32(j) & mask]
-                    if n_found >= n_neighbours:
-                        break
-            keep[i] = n_found >= n_neighbours
-        start = stop
-    return keep
-
-
-@numba.njit(cache=True)
-def _has_neighbours_in_noise(
-    t: NDArray[np.int64],
-    x: NDArray[np.uint16],
-    y: NDArray[np.uint16],
-    offsets_px: NDArray[np.int64],
-    spans_us: NDArray[np.int64],
-    n_neighbours: int,
-) -> NDArray[np.bool_]:
-    """Tell the same as `_has_neighbours`, fast where next to all events have too few.
-
-    The events of square tiles are counted over the ball's time: few counters, which stay near.
-    """
-    n, radius_us = len(t), spans_us[0]
-    slot_us = radius_us // _SLOTS + 1
-    margin_px = int(np.max(offsets_px))
-    n_columns, n_rows = _extent(x, y, margin_px)
-    steps = offsets_px[:, 0] * n_rows + offsets_px[:, 1]
-    bits = 0  # a tile's side is a power of two, at least the ball's radius
-    while 1 << bits < margin_px:
-        bits += 1
-    tiles = np.zeros(((n_columns >> bits) + 1, (n_rows >> bits) + 1), np.int32)
-    length = _power_above(_most_within(t, 2 * radius_us + slot_us))
-    previous = np.empty(length, np.int64)
-    latest = np.full(n_columns * n_rows, -1, np.int64)
-
-    keep = np.zeros(n, np.bool_)
-    start = first = end = 0
-    while start < n:
-        slot_start_us = t[0] + (t[start] - t[0]) // slot_us * slot_us
-        slot_end_us = slot_start_us + slot_us
-        while first < end and t[first] < slot_start_us - radius_us:
-            tiles[(x[first] + margin_px) >> bits, (y[first] + margin_px) >> bits] -= 1
-            first += 1
-        while end < n and t[end] < slot_end_us + radius_us:
-            column, row = x[end] + margin_px, y[end] + margin_px
-            tiles[column >> bits, row >> bits] += 1
-            previous[end & (length - 1)] = latest[column * n_rows + row]
-            latest[column * n_rows + row] = end
-            end += 1
-        while start < n and t[start] < slot_end_us:
-            column, row = int(x[start]), int(y[start])
-            n_around = -1  # the event finds itself
-            for i in range(column >> bits, ((column + 2 * margin_px) >> bits) + 1):
-                for j in range(row >> bits, ((row + 2 * margin_px) >> bits) + 1):
-                    n_around += tiles[i, j]
-            if n_around >= n_neighbours:
-                here = (column + margin_px) * n_rows + row + margin_px
-                n_found = -1
-                for k in range(len(steps)):
-                    j = latest[here + steps[k]]
-                    while j >= first and t[start] - t[j] <= spans_us[k]:
-                        n_found += t[j] - t[start] <= spans_us[k]
-                        j = previous[j & (length - 1)]
-                    if n_found >= n_neighbours:
-                        break
-                keep[start] = n_found >= n_neighbours
-            start += 1
-    return keep
-
-
-@numba.njit(cache=True)
-def _extent(x: NDArray[np.uint16], y: NDArray[np.uint16], margin_px: int) -> tuple[int, int]:
-    """Columns and rows that hold all events, with a margin on each side."""
-    largest_x = largest_y = 0
-    for i in range(len(x)):
-        largest_x, largest_y = max(largest_x, x[i]), max(largest_y, y[i])
-    return largest_x + 1 + 2 * margin_px, largest_y + 1 + 2 * margin_px
-
-
-@numba.njit(cache=True)
-def _most_within(t: NDArray[np.int64], duration_us: int) -> int:
-    """Bound the events of the busiest stretch of time, both ends included, from above.
-
-    By looking at every sixteenth event alone.
-    """
-    most = end = 0
-    for start in range(0, len(t) + _LEAP, _LEAP):
-        last_us = t[min(start, len(t) - 1)] + duration_us
-        while end < len(t) and t[end] <= last_us:
-            end += _LEAP
-        most = max(most, end - start + _LEAP)  # any stretch that begins after `start - _LEAP`
-    return most
-
-
-@numba.njit(cache=True)
-def _power_above(number: int) -> int:
-    power = 1
-    while power < number:
-        power *= 2
-    return power

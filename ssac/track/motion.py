@@ -14,11 +14,10 @@ from numpy.typing import NDArray
 from ssac.camera import Camera, undistortion_map
 from ssac.track.clutter import chosen_events, of_pixels
 from ssac.track.motion_kernels import (
-    cumulative_sums,
     first_from_each,
     mean_times_us,
     sharp_centres,
-    slice_starts_of,
+    sum_up,
     window_sums,
 )
 
@@ -268,30 +267,23 @@ def object_motion(
         ideal = undistortion_map(camera)
         known = of_pixels(np.isfinite(ideal[..., 0]), events["x"], events["y"])
         events = events if known.all() else chosen_events(events, known)
-    times_us = np.ascontiguousarray(events["t"])
-    position_sums_px, border_sums = cumulative_sums(
-        events["x"], events["y"], ideal, camera.width, camera.height, border_px
-    )
-    slice_bits, slice_starts = _slices(times_us)
-    return ObjectMotion(
-        times_us,
-        position_sums_px,
-        border_sums,
-        slice_bits,
-        slice_starts,
-        half_window_s,
-        n_min,
-        max_border_fraction,
-    )
+    n, (slice_bits, n_slices) = len(events), _slices(events["t"])
+    times_us, position_sums_px = np.empty(n, np.int64), np.empty((n + 1, 2))
+    border_sums, slice_starts = np.empty(n + 1, np.int32), np.zeros(n_slices + 1, np.int32)
+    border = camera.width, camera.height, border_px
+    sums = times_us, position_sums_px, border_sums
+    sum_up(events["t"], events["x"], events["y"], ideal, border, slice_bits, *sums, slice_starts)
+    rules = half_window_s, n_min, max_border_fraction
+    return ObjectMotion(*sums, slice_bits, slice_starts, *rules)
 
 
-def _slices(times_us: NDArray[np.int64]) -> tuple[int, NDArray[np.int32]]:
-    """Cut sorted times into slices of 2**bits us, of 16 events or more on average."""
+def _slices(times_us: NDArray[np.int64]) -> tuple[int, int]:
+    """Cut sorted times into slices of 2**bits us, of 16 events or more on average: bits, number."""
     n = len(times_us)
     if n == 0:
-        return 0, np.zeros(1, np.int32)
+        return 0, 0
     length_us = int(times_us[-1]) - int(times_us[0])
     bits = 0
     while (length_us >> bits) * _EVENTS_PER_SLICE > n:
         bits += 1
-    return bits, slice_starts_of(times_us, bits)
+    return bits, (length_us >> bits) + 1

@@ -4,6 +4,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+_TOGETHER = 64  # windows
+
 TIE_US = 1e-3
 """Far more than times in seconds lose by rounding, far less than lies between even samples.
 
@@ -13,34 +15,56 @@ for must not depend on the clock's zero.
 
 
 @numba.njit(cache=True)
-def cumulative_sums(
+def sum_up(
+    t: NDArray[np.int64],
     x: NDArray[np.uint16],
     y: NDArray[np.uint16],
     ideal: NDArray[np.float64] | None,
-    width: int,
-    height: int,
-    border_px: int,
-) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Sum up positions (n + 1, 2) [px], and the events on the border (n + 1,), before each event.
+    border: tuple[int, int, int],
+    slice_bits: int,
+    times_us: NDArray[np.int64],
+    position_sums_px: NDArray[np.float64],
+    border_sums: NDArray[np.int32],
+    slice_starts: NDArray[np.int32],
+) -> None:
+    """Fill in what an `ObjectMotion` holds of n events, in one pass over them.
 
-    The last sums are of all. Where each pixel is imaged without distortion is in `ideal` (height,
-    width, 2); None: where it is. One pass, without other arrays as long as the events.
+    Parameters
+    ----------
+    t, x, y
+        Of the events, shape (n,), sorted by time.
+    ideal
+        Where each pixel is imaged without distortion, (height, width, 2); None: where it is.
+    border
+        The sensor's width and height, and that of its border [px].
+    slice_bits
+        The recording is cut into slices of 2**slice_bits us.
+    times_us, position_sums_px, border_sums
+        To be filled in: shapes (n,), (n + 1, 2) and (n + 1,). Sums are of the events before each,
+        the last of all. NumPy gives such arrays in large pages of memory, which Numba does not: to
+        touch small ones for the first time takes as long as all else here.
+    slice_starts
+        To be filled in, zero so far, shape (s + 1,): the first event of each slice; n at last.
     """
-    n = len(x)
-    position_sums_px, border_sums = np.zeros((n + 1, 2)), np.zeros(n + 1, np.int32)
-    for i in range(n):
+    width, height, border_px = border
+    sum_x, sum_y, n_on_border = 0.0, 0.0, 0
+    position_sums_px[0, 0] = position_sums_px[0, 1] = border_sums[0] = 0
+    for i in range(len(t)):
         column, row = np.int64(x[i]), np.int64(y[i])
         if ideal is None:
-            position_sums_px[i + 1, 0] = position_sums_px[i, 0] + column
-            position_sums_px[i + 1, 1] = position_sums_px[i, 1] + row
+            sum_x, sum_y = sum_x + column, sum_y + row
         else:
-            for axis in range(2):
-                position_sums_px[i + 1, axis] = position_sums_px[i, axis] + ideal[row, column, axis]
+            sum_x, sum_y = sum_x + ideal[row, column, 0], sum_y + ideal[row, column, 1]
+        position_sums_px[i + 1, 0], position_sums_px[i + 1, 1] = sum_x, sum_y
         is_inside = (border_px <= column < width - border_px) and (
             border_px <= row < height - border_px
         )
-        border_sums[i + 1] = border_sums[i] + (not is_inside)
-    return position_sums_px, border_sums
+        n_on_border += not is_inside
+        border_sums[i + 1] = n_on_border
+        times_us[i] = t[i]
+        slice_starts[((t[i] - t[0]) >> slice_bits) + 1] = i + 1  # its last event writes last
+    for k in range(1, len(slice_starts)):  # of slices without events
+        slice_starts[k] = max(slice_starts[k], slice_starts[k - 1])
 
 
 @numba.njit(cache=True)
@@ -61,33 +85,36 @@ def _first_from(
     As np.searchsorted, but four times as fast: the slice is known at once, and its few times stand
     side by side in memory.
     """
+    low, high = _slice_of(time_us, times_us, slice_bits, slice_starts)
+    return _first_within(time_us, times_us, low, high)
+
+
+@numba.njit(cache=True)
+def _slice_of(
+    time_us: np.int64,
+    times_us: NDArray[np.int64],
+    slice_bits: int,
+    slice_starts: NDArray[np.int32],
+) -> tuple[int, int]:
+    """Least and greatest index that the first of the sorted times at or after one may have."""
     n_slices = len(slice_starts) - 1
     if n_slices == 0 or time_us <= times_us[0]:
-        return 0
+        return 0, 0
     k = (time_us - times_us[0]) >> slice_bits
     if k >= n_slices:
-        return len(times_us)
-    low, high = slice_starts[k], slice_starts[k + 1]
+        return len(times_us), len(times_us)
+    return slice_starts[k], slice_starts[k + 1]
+
+
+@numba.njit(cache=True)
+def _first_within(time_us: np.int64, times_us: NDArray[np.int64], low: int, high: int) -> int:
     while low < high:
         middle = (low + high) >> 1
         if times_us[middle] < time_us:
             low = middle + 1
         else:
             high = middle
-    return int(low)
-
-
-@numba.njit(cache=True)
-def slice_starts_of(times_us: NDArray[np.int64], slice_bits: int) -> NDArray[np.int32]:
-    """Index (s + 1,) of the first of n sorted times [us] in each slice of 2**bits us; n at last."""
-    n_slices = ((times_us[-1] - times_us[0]) >> slice_bits) + 1
-    starts = np.full(n_slices + 1, len(times_us), np.int32)
-    k = 0
-    for i in range(len(times_us)):
-        while k <= (times_us[i] - times_us[0]) >> slice_bits:
-            starts[k] = i
-            k += 1
-    return starts
+    return low
 
 
 @numba.njit(cache=True)
@@ -117,18 +144,31 @@ def window_sums(
 ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
     """Mean positions (n, 2) [px], NaN of none; numbers of events (n,), and of those on the border.
 
-    One pass over the windows: it waits for memory, not for arithmetic. So of rows of samples, one
-    for each offset that is tried, the first samples come first, which lie side by side in memory.
+    This waits for memory, not for arithmetic. So of rows of samples, one for each offset that is
+    tried, the first samples come first, which lie side by side in memory; and some windows take
+    each step together, as the processor can then fetch what many of them need at a time.
     """
     n = len(middles_s)
+    n_rows = n // max(row_length, 1)
     means = np.empty((n, 2))
     counts, on_border = np.empty(n, np.int64), np.empty(n, np.int64)
-    for column in range(row_length):
-        for i in range(column, n, row_length):
-            start_us = _whole_us(middles_s[i] - half_window_s)
-            end_us = _whole_us(middles_s[i] + half_window_s)
-            first = _first_from(start_us, times_us, slice_bits, slice_starts)
-            last = _first_from(end_us, times_us, slice_bits, slice_starts)
+    places = np.empty(_TOGETHER, np.intp)
+    edges_us, bounds = np.empty((_TOGETHER, 2), np.int64), np.empty((_TOGETHER, 2, 2), np.int64)
+    for start in range(0, n, _TOGETHER):
+        m = min(_TOGETHER, n - start)
+        for j in range(m):
+            column, row = divmod(start + j, n_rows)
+            i = places[j] = row * row_length + column
+            edges_us[j, 0] = _whole_us(middles_s[i] - half_window_s)
+            edges_us[j, 1] = _whole_us(middles_s[i] + half_window_s)
+            for k in range(2):
+                bounds[j, k] = _slice_of(edges_us[j, k], times_us, slice_bits, slice_starts)
+        for j in range(m):
+            for k in range(2):
+                low, high = bounds[j, k]
+                bounds[j, k, 0] = _first_within(edges_us[j, k], times_us, low, high)
+        for j in range(m):
+            i, first, last = places[j], bounds[j, 0, 0], bounds[j, 1, 0]
             counts[i] = last - first
             on_border[i] = border_sums[last] - border_sums[first]
             for axis in range(2):
@@ -170,6 +210,7 @@ def sharp_centres(
     centres, sizes = np.empty((n, 2)), np.empty(n)
     columns = np.empty(np.max(last - first) if n else 0, np.int32)  # each event's cell
     rows = np.empty_like(columns)
+    firsts = np.empty(len(columns) + 1, np.int32)  # first event of each cell, in their order
     counts = np.zeros(0, np.int32)  # events in each cell; all zero between windows
     for i in range(n):
         n_events = last[i] - first[i]
@@ -189,17 +230,20 @@ def sharp_centres(
         width = right - left + 1
         if width * (bottom - top + 1) > len(counts):
             counts = np.zeros(width * (bottom - top + 1), np.int32)
+        n_cells = 0
         for j in range(n_events):
-            counts[(rows[j] - top) * width + columns[j] - left] += 1
+            cell = np.uint32((rows[j] - top) * width + columns[j] - left)
+            firsts[n_cells] = j  # and written over, where it is not the first: nothing to foresee
+            n_cells += counts[cell] == 0
+            counts[cell] += 1
         total, sum_x, sum_y, sum_squares = 0.0, 0.0, 0.0, 0.0
-        for j in range(n_events):  # the first event of a cell stands for all of it
-            cell = (rows[j] - top) * width + columns[j] - left
-            if counts[cell] > 0:
-                weight = np.sqrt(counts[cell])
-                counts[cell] = 0
-                total += weight
-                sum_x, sum_y = sum_x + weight * columns[j], sum_y + weight * rows[j]
-                sum_squares += weight * (columns[j] ** 2 + rows[j] ** 2)
+        for j in firsts[:n_cells]:
+            cell = np.uint32((rows[j] - top) * width + columns[j] - left)
+            weight = np.sqrt(counts[cell])
+            counts[cell] = 0
+            total += weight
+            sum_x, sum_y = sum_x + weight * columns[j], sum_y + weight * rows[j]
+            sum_squares += weight * (columns[j] ** 2 + rows[j] ** 2)
         x, y = sum_x / total, sum_y / total
         centres[i, 0], centres[i, 1] = origin_x + x, origin_y + y
         sizes[i] = np.sqrt(max(sum_squares / total - x**2 - y**2, 0.0))

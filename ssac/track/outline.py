@@ -29,6 +29,7 @@ from ssac.track.outline_kernels import (
     local_parabolas,
     outermost_from_course,
     ranked_in_windows,
+    taken,
 )
 
 Array = NDArray[np.float64]
@@ -274,9 +275,7 @@ def _followed(
     chosen = above_limit(values, blocks.bounds, side, blocks.at_edges(np.tan(lowest_rad)))
     angles_rad = _within(events.course_rad + extremes.angles_rad, config.max_angle_rad)
     return OutlineEvents(
-        events.times_us[chosen],
-        events.points_px[chosen],
-        events.on_border[chosen],
+        *taken(chosen, events.times_us, events.points_px, events.on_border),
         course.smoothed(angles_rad, config),
     )
 

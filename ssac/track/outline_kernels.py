@@ -49,9 +49,10 @@ def angles_from_course(
     out = np.empty(len(times_us))
     for i in range(len(bounds) - 1):
         line = _course_of_block(edges_us, course, i)
-        for k in range(bounds[i], bounds[i + 1]):
-            age_us = times_us[k] - edges_us[i]
-            out[k] = _tangent(points_px[k, 0], points_px[k, 1], age_us, line, sine, cosine)
+        own = slice(bounds[i], bounds[i + 1])
+        _tangents(
+            points_px[own].reshape(-1), times_us[own], edges_us[i], line, sine, cosine, out[own]
+        )
     return out
 
 
@@ -73,17 +74,24 @@ def outermost_from_course(
     out = np.empty(len(times_us))
     n = len(bounds) - 1
     tops, at = np.full((2, n, depth), -np.inf), np.zeros((2, n, depth), np.intp)
+    points = np.empty(2 * np.max(np.diff(bounds)))  # of a block
     for i in range(n):
         line = _course_of_block(edges_us, course, i)
-        for k in range(bounds[i], bounds[i + 1]):
-            x = position_sums_px[k + 1, 0] - position_sums_px[k, 0]
-            y = position_sums_px[k + 1, 1] - position_sums_px[k, 1]
-            value = _tangent(x, y, times_us[k] - edges_us[i], line, sine, cosine)
-            out[k] = value
-            if value > tops[0, i, depth - 1] + _TIE:
-                _insert(value, k, tops[0, i], at[0, i])
-            if -value > tops[1, i, depth - 1] + _TIE:
-                _insert(-value, k, tops[1, i], at[1, i])
+        first, last = bounds[i], bounds[i + 1]
+        sums = position_sums_px[first : last + 1].reshape(-1)
+        of_block = points[: 2 * (last - first)]
+        for k in range(len(of_block)):
+            of_block[k] = sums[k + 2] - sums[k]
+        own = slice(first, last)
+        _tangents(of_block, times_us[own], edges_us[i], line, sine, cosine, out[own])
+        highest = lowest = -np.inf  # that are among the tops so far
+        for k in range(first, last):
+            if out[k] > highest:
+                _insert(out[k], k, tops[0, i], at[0, i])
+                highest = tops[0, i, depth - 1] + _TIE
+            if -out[k] > lowest:
+                _insert(-out[k], k, tops[1, i], at[1, i])
+                lowest = tops[1, i, depth - 1] + _TIE
     return out, tops, at
 
 
@@ -98,21 +106,32 @@ def _course_of_block(edges_us: Array, course: Array, i: int) -> tuple[float, flo
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _tangent(
-    x: float,
-    y: float,
-    age_us: float,
+def _tangents(
+    points_px: Array,
+    times_us: NDArray[np.int64],
+    start_us: float,
     line: tuple[float, float, float, float],
     sine: Array,
     cosine: Array,
-) -> float:
-    """Tangent of the angle of a point [px] from the course in its block; NaN beyond 90 deg."""
-    s = sine[0] * x + sine[1] * y + sine[2]
-    c = cosine[0] * x + cosine[1] * y + cosine[2]
-    course_s = line[0] + age_us * line[1]
-    course_c = line[2] + age_us * line[3]
-    ahead = s * course_s + c * course_c
-    return (s * course_c - c * course_s) / ahead if ahead > 0.0 else np.nan
+    out: Array,
+) -> None:
+    """Fill in the tangents (n,) of the angles of a block's events from its course.
+
+    Points (2 * n,) are x, y by turns. Nothing but numbers of its own in the loop, and no branch:
+    it is compiled to vector instructions.
+    """
+    s0, s1, s2 = sine[0], sine[1], sine[2]
+    c0, c1, c2 = cosine[0], cosine[1], cosine[2]
+    sin_start, sin_slope, cos_start, cos_slope = line
+    for k in range(len(out)):
+        x, y, age_us = points_px[2 * k], points_px[2 * k + 1], times_us[k] - start_us
+        s = s0 * x + s1 * y + s2
+        c = c0 * x + c1 * y + c2
+        course_s = sin_start + age_us * sin_slope
+        course_c = cos_start + age_us * cos_slope
+        ahead = s * course_s + c * course_c
+        tangent = (s * course_c - c * course_s) / ahead
+        out[k] = tangent if ahead > 0.0 else np.nan  # beyond 90 deg
 
 
 @numba.njit(cache=True)
@@ -174,21 +193,21 @@ def _insert(value: float, index: int, top: Array, at: Indices) -> None:
 
 
 @numba.njit(cache=True)
-def above_limit(values: Array, bounds: Indices, side: float, limits: Array) -> NDArray[np.intp]:
+def above_limit(values: Array, bounds: Indices, side: float, limits: Array) -> NDArray[np.int32]:
     """Pick the events whose side * value is above the lower of the limits at their block's ends."""
-    found = np.empty(len(values) + 1, np.intp)
+    found = np.empty(len(values) + 1, np.int32)
     n = 0
     for i in range(len(bounds) - 1):
         limit = min(limits[i], limits[i + 1])
         for k in range(bounds[i], bounds[i + 1]):
-            found[n] = k  # and written over, where it is not above: no branch to foresee
+            found[np.uint32(n)] = k  # and written over, where it is not above: nothing to foresee
             n += side * values[k] > limit
     return found[:n].copy()
 
 
 @numba.njit(cache=True)
 def events_at(
-    chosen: Indices,
+    chosen: NDArray[np.int32],
     times_us: NDArray[np.int64],
     position_sums_px: Array,
     border_sums: NDArray[np.int32],
@@ -203,6 +222,23 @@ def events_at(
         points[i, 1] = position_sums_px[k + 1, 1] - position_sums_px[k, 1]
         on_border[i] = border_sums[k + 1] > border_sums[k]
     return times, points, on_border
+
+
+@numba.njit(cache=True)
+def taken(
+    chosen: NDArray[np.int32],
+    times_us: NDArray[np.int64],
+    points_px: Array,
+    on_border: NDArray[np.bool_],
+) -> tuple[NDArray[np.int64], Array, NDArray[np.bool_]]:
+    """Take chosen ones (m,) of gathered events, in one pass."""
+    m = len(chosen)
+    times, points, border = np.empty(m, np.int64), np.empty((m, 2)), np.empty(m, np.bool_)
+    for i in range(m):
+        k = chosen[i]
+        times[i], border[i] = times_us[k], on_border[k]
+        points[i, 0], points[i, 1] = points_px[k, 0], points_px[k, 1]
+    return times, points, border
 
 
 @numba.njit(cache=True)

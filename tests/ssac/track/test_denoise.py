@@ -38,7 +38,16 @@ def _tree_filter(events, radius_px, ms_per_unit, n_neighbours):
 
 @pytest.mark.parametrize(
     ("radius_px", "ms_per_unit", "n_neighbours"),
-    [(5.0, 1.0, 20), (3.0, 2.0, 8), (2.5, 0.5, 2), (0.5, 4.0, 1), (12.0, 1.0, 100)],
+    [
+        (5.0, 1.0, 20),
+        (4.3, 1.0, 12),
+        (3.0, 2.0, 8),
+        (2.5, 0.5, 2),
+        (1.4, 3.0, 2),
+        (1.0, 4.0, 1),  # the core is as large as the ball
+        (0.5, 4.0, 1),
+        (12.0, 1.0, 100),
+    ],
 )
 @pytest.mark.parametrize("first_us", [0, 1_700_000_000_000_000])
 def test_equals_a_k_d_tree(radius_px, ms_per_unit, n_neighbours, first_us):
@@ -69,7 +78,7 @@ def test_equals_a_k_d_tree_across_gaps_in_time(gap_us):
 
 @pytest.mark.parametrize("gap_us", [0, 4000, 10_000_000_000])
 @pytest.mark.parametrize(
-    ("radius_px", "n_neighbours"), [(3.0, 12), (3.0, 5), (2.5, 1), (5.0, 20), (0.5, 1)]
+    ("radius_px", "n_neighbours"), [(3.0, 12), (3.0, 5), (2.5, 1), (5.0, 20), (1.0, 1)]
 )
 def test_either_way_leaves_the_same(radius_px, n_neighbours, gap_us):
     events = _random_events(20_000, 60_000, seed=5)  # of which balls hold from none to many
