@@ -80,6 +80,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
         "geometry": (
             "robust",
             "epipolar",
+            "subsets",
             "fundamental",
             "pose",
             "problem",

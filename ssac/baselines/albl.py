@@ -17,7 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
+from ssac.baselines.albl_eigen import solve_nine
 from ssac.baselines.albl_kernels import (
+    centred,
     constraints,
     inliers_of,
     most_inliers,
@@ -32,6 +34,7 @@ from ssac.geometry.fundamental import MIN_PAIRS, reweighted_fundamental
 from ssac.methods.algorithms import with_fit, with_pose
 from ssac.search.offset_search import candidate_offsets
 from ssac.search.two_views import Pairs, TwoViews, two_views
+from ssac.track.motion import Track
 from ssac.track.observation import Observation
 
 Array = NDArray[np.float64]
@@ -81,6 +84,14 @@ class _Linearised:
 
 
 @dataclass(frozen=True)
+class _Secants:
+    """Where p2 is some time after the times of pairs."""
+
+    ahead: Track  # (M, N)
+    step_s: float  # negative: before them
+
+
+@dataclass(frozen=True)
 class _Solution:
     shift_s: float  # b, to be added to t_d
     inlier_share: float  # of all pairs, 0 to 1
@@ -123,20 +134,22 @@ def albl(cam1: Observation, cam2: Observation, rig: Rig, config: Config | None =
     t_d_s = _start(views, start_offsets(low, high))
     rng = np.random.default_rng(views.config.seed)
     best_share = 0.0
-    level = 0
+    level, pairs = 0, views.pairs(np.array([t_d_s]))
     for _ in range(_MAX_ROUNDS):
         if level == len(STEPS_S):
             break
-        found = _best_shift(views, t_d_s, STEPS_S[level], rng, best_share)
+        found = _best_shift(views, pairs, STEPS_S[level], rng, best_share)
         if found.inlier_share > best_share and low <= t_d_s + found.shift_s <= high:
             t_d_s, best_share, level = t_d_s + found.shift_s, found.inlier_share, 0
+            pairs = views.pairs(np.array([t_d_s]))
         else:
             level += 1
     for _ in range(_LAST_ROUNDS):
-        last = _best_shift(views, t_d_s, STEPS_S[0], rng)
+        last = _best_shift(views, pairs, STEPS_S[0], rng)
         if abs(last.shift_s) < STEPS_S[0]:
             t_d_s += last.shift_s
-    p1, p2 = views.pairs_at(t_d_s).points_px
+            pairs = views.pairs(np.array([t_d_s]))
+    p1, p2 = pairs.valid_positions(0)
     if best_share == 0.0 or len(p1) < MIN_PAIRS:
         reason = f"{len(p1)} valid pairs at t_d = {t_d_s:.3f} s, {MIN_PAIRS} are needed"
         return Estimate("albl", Status.TOO_FEW_SAMPLES, reason)
@@ -169,9 +182,11 @@ def _start(views: TwoViews, starts_s: Array) -> float:
     The same random numbers for each, so that none depends on which others there are.
     """
     best_s, best_share = float(starts_s[0]), 0.0
-    for start_s in starts_s.tolist():
+    pairs = views.pairs(starts_s)
+    both = _secants(views, pairs, _START_SECANT_S)
+    for m, start_s in enumerate(starts_s.tolist()):
         rng = np.random.default_rng(views.config.seed)
-        found = _most_agreed(views, start_s, _START_SECANT_S, rng, best_share, _START_TRIALS)
+        found = _most_agreed(pairs, both, m, rng, best_share, _START_TRIALS)
         if found is not None:
             best_s, best_share = start_s, found.inlier_share
         if best_share == 1.0:  # none is better
@@ -181,57 +196,61 @@ def _start(views: TwoViews, starts_s: Array) -> float:
 
 def _best_shift(
     views: TwoViews,
-    t_d_s: float,
+    pairs: Pairs,
     step_s: float,
     rng: np.random.Generator,
     share_to_exceed: float = 0.0,
 ) -> _Solution:
-    """Find the shift with most inliers, with the secants ahead and those back in time."""
-    found = _most_agreed(views, t_d_s, step_s, rng, share_to_exceed, _TRIALS)
+    """Find the shift of one offset with most inliers, with the secants ahead and those back."""
+    both = _secants(views, pairs, step_s)
+    found = _most_agreed(pairs, both, 0, rng, share_to_exceed, _TRIALS)
     if found is None:
         return _Solution(0.0, 0.0)
     return _Solution(_polished(found, step_s), found.inlier_share)
 
 
+def _secants(views: TwoViews, pairs: Pairs, step_s: float) -> list[_Secants]:
+    """Look where p2 is a step after its times, and a step before them."""
+    clock_s = views.on_clock_2(pairs.times_s, pairs.t_d_s[:, None])
+    return [_Secants(views.motion2.at(clock_s + by_s), by_s) for by_s in (step_s, -step_s)]
+
+
 def _most_agreed(
-    views: TwoViews,
-    t_d_s: float,
-    step_s: float,
+    pairs: Pairs,
+    both: list[_Secants],
+    m: int,
     rng: np.random.Generator,
     share_to_exceed: float,
     trials: int,
 ) -> _Agreement | None:
-    """Find what more than a share of the pairs agree with, and most, by either of the secants.
+    """Find what more than a share of the pairs of offset m agree with, by either of the secants.
 
     Nothing exceeds a share of 1, so there the solver is not run; what it would have drawn is passed
     over, so that no other draw depends on it.
     """
     best: _Agreement | None = None
-    best_share, sampled = share_to_exceed, views.pairs(np.array([t_d_s]))
-    for signed_s in (step_s, -step_s):
-        pairs = _linearised(views, sampled, signed_s)
-        if len(pairs) < MIN_PAIRS:
+    best_share = share_to_exceed
+    for secants in both:
+        linearised = _linearised(pairs, secants, m)
+        n = len(linearised)
+        if n < MIN_PAIRS:
             continue
         if best_share < 1.0:
-            found = _ransac(pairs, step_s, rng.random((trials, len(pairs))), best_share)
+            step_s, numbers = abs(secants.step_s), rng.random((trials, n))
+            found = _ransac(linearised, step_s, numbers, best_share)
             if found is not None and found.inlier_share > best_share:
                 best, best_share = found, found.inlier_share
         else:
-            cast(np.random.PCG64, rng.bit_generator).advance(trials * len(pairs))
+            cast(np.random.PCG64, rng.bit_generator).advance(trials * n)
     return best
 
 
-def _linearised(views: TwoViews, pairs: Pairs, step_s: float) -> _Linearised:
-    """Pairs at one t_d, with the mean velocity of p2 from t + t_d to t + t_d + step."""
-    ahead = views.motion2.at(views.on_clock_2(pairs.times_s[0], pairs.t_d_s[0]) + step_s)
-    valid = pairs.valid[0] & ahead.valid
-    p1, p2 = pairs.p1_px[0, valid], pairs.p2_px[0, valid]
-    v2 = (ahead.positions_px[valid] - p2) / step_s
-    if len(p1) < MIN_PAIRS:
-        return _Linearised(p1.T, p2.T, v2.T, 1.0)
-    x1, x2 = p1 - np.mean(p1, axis=0), p2 - np.mean(p2, axis=0)
-    unit_px = float(np.sqrt(np.mean([x1**2, x2**2])))
-    x1, x2, v2 = (np.ascontiguousarray(x.T) / unit_px for x in (x1, x2, v2))
+def _linearised(pairs: Pairs, secants: _Secants, m: int) -> _Linearised:
+    """Pairs of offset m, with the mean velocity of p2 from t + t_d to t + t_d + step."""
+    valid, ahead_px = pairs.valid[m] & secants.ahead.valid[m], secants.ahead.positions_px[m]
+    points, squares = centred(pairs.p1_px[m], pairs.p2_px[m], ahead_px, valid, secants.step_s)
+    unit_px = float(np.sqrt(np.mean(squares))) if points.shape[2] >= MIN_PAIRS else 1.0
+    x1, x2, v2 = points / unit_px
     return _Linearised(x1, x2, v2, unit_px)
 
 
@@ -252,7 +271,7 @@ def _ransac(
         trial, X = next_better(A, B, subsets, trial + 1, longest_s, x1, x2, v2, limit, most)
         if trial == len(subsets):
             break
-        shifts_s, Fs = _solve_nine(X)
+        shifts_s, Fs = solve_nine(X)
         plausible = np.abs(shifts_s) <= longest_s
         shifts_s, Fs = shifts_s[plausible], Fs[plausible]
         index, count = most_inliers(shifts_s, Fs, x1, x2, v2, limit, most)
@@ -274,22 +293,3 @@ def _polished(found: _Agreement, step_s: float) -> float:
         method="bounded",
     )
     return float(polished.x)
-
-
-def _solve_nine(X: Array) -> tuple[Array, Array]:
-    """All real solutions of (A + b B) f = 0 for nine pairs, from X (9, 6) = A^-1 B.
-
-    B has no entries in f's last three columns: with X of the first six, f = -b X f[:6]. Its first
-    six rows are an eigenvalue problem with six shifts b, the others give the rest of f.
-
-    Returns
-    -------
-    tuple of NDArray[np.float64]
-        Shifts b (s,) [s] and their F (s, 3, 3).
-    """
-    inverse_shifts, heads = np.linalg.eig(-X[:6])
-    real = (np.abs(inverse_shifts.imag) < 1e-9) & (inverse_shifts.real != 0.0)
-    shifts_s = 1.0 / inverse_shifts.real[real]
-    heads = np.ascontiguousarray(heads.real[:, real].T)
-    tails = -shifts_s[:, None] * np.einsum("ij,sj->si", X[6:], heads)
-    return shifts_s, np.concatenate([heads, tails], axis=1).reshape(-1, 3, 3)

@@ -1,8 +1,9 @@
-"""A small matrix in, its real eigenvalues and the eigenvectors of some of them out, compiled.
+"""A small matrix in, its real eigenvalues and their eigenvectors out.
 
-Good to rounding but not to the last bit of LAPACK, which takes five times as long: it fills all of
-a decomposition of which a RANSAC over minimal subsets has little use. By Golub and Van Loan, Matrix
-Computations: elimination to Hessenberg form, then Francis's double shifts (7.4 and 7.5).
+What is compiled here is good to rounding but not to the last bit of LAPACK, which takes five times
+as long: it fills all of a decomposition of which a RANSAC over minimal subsets has little use. By
+Golub and Van Loan, Matrix Computations: elimination to Hessenberg form, then Francis's double
+shifts (7.4 and 7.5).
 """
 
 import numba
@@ -15,6 +16,25 @@ _EPS = float(np.finfo(np.float64).eps)
 _MAX_SWEEPS = 60  # for one eigenvalue or two
 _UNUSUAL = 10  # sweeps after which the shifts are others, lest they go round in a circle
 _ROUNDING = 1e3 * _EPS  # what a matrix's entries may be off by, as a share of its size
+
+
+def solve_nine(X: Array) -> tuple[Array, Array]:
+    """All real solutions of (A + b B) f = 0 for nine pairs, from X (9, 6) = A^-1 B.
+
+    B has no entries in f's last three columns: with X of the first six, f = -b X f[:6]. Its first
+    six rows are an eigenvalue problem with six shifts b, the others give the rest of f.
+
+    Returns
+    -------
+    tuple of NDArray[np.float64]
+        Shifts b (s,) [s] and their F (s, 3, 3).
+    """
+    inverse_shifts, heads = np.linalg.eig(-X[:6])
+    real = (np.abs(inverse_shifts.imag) < 1e-9) & (inverse_shifts.real != 0.0)
+    shifts_s = 1.0 / inverse_shifts.real[real]
+    heads = np.ascontiguousarray(heads.real[:, real].T)
+    tails = -shifts_s[:, None] * np.einsum("ij,sj->si", X[6:], heads)
+    return shifts_s, np.concatenate([heads, tails], axis=1).reshape(-1, 3, 3)
 
 
 @numba.njit(cache=True)
@@ -82,9 +102,13 @@ def _to_hessenberg(H: Array) -> None:
                     H[j, k] += ratio * H[j, i]
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def _sweep(H: Array, first: int, last: int, unusual: bool) -> None:
-    """Make one double QR step on the block from `first` to `last`, of three or more."""
+    """Make one double QR step on the block from `first` to `last`, of three or more.
+
+    Each mirror is I - u w' with u = (1, u1, u2) and takes (x, y, z) to the first axis; the last one
+    has two rows. Without tests of what a division is by, and with few of them: they are what waits.
+    """
     total, product = _shifts(H, last, unusual)
     a, b, c = H[first, first], H[first, first + 1], H[first + 1, first]
     d = H[first + 1, first + 1]
@@ -92,38 +116,45 @@ def _sweep(H: Array, first: int, last: int, unusual: bool) -> None:
     x = (a * a - total * a + product) / c + b
     y = a + d - total
     z = H[first + 2, first + 1]
-    for k in range(first, last):
-        three = k < last - 1
+    for k in range(first, last - 1):
         if k > first:
-            x, y = H[k, k - 1], H[k + 1, k - 1]
-            z = H[k + 2, k - 1] if three else 0.0
-        elif not three:
-            z = 0.0
-        scale = abs(x) + abs(y) + abs(z)
-        if scale == 0.0:
+            x, y, z = H[k, k - 1], H[k + 1, k - 1], H[k + 2, k - 1]
+        square = x * x + y * y + z * z
+        if square == 0.0:
             continue
-        x, y, z = x / scale, y / scale, z / scale
-        length = np.copysign(np.sqrt(x * x + y * y + z * z), x)
+        length = np.copysign(np.sqrt(square), x)
         if k > first:
-            H[k, k - 1], H[k + 1, k - 1] = -length * scale, 0.0
-            if three:
-                H[k + 2, k - 1] = 0.0
-        # I - u w' with u = (1, u1, u2), which mirrors (x, y, z) to the first axis.
-        w0 = (x + length) / length
-        u1, u2 = y / (x + length), z / (x + length)
+            H[k, k - 1], H[k + 1, k - 1], H[k + 2, k - 1] = -length, 0.0, 0.0
+        w0, inverse = (x + length) / length, 1.0 / (x + length)
+        u1, u2 = y * inverse, z * inverse
         w1, w2 = w0 * u1, w0 * u2
         for j in range(k, last + 1):
-            dot = w0 * H[k, j] + w1 * H[k + 1, j] + (w2 * H[k + 2, j] if three else 0.0)
+            dot = w0 * H[k, j] + w1 * H[k + 1, j] + w2 * H[k + 2, j]
             H[k, j] -= dot
             H[k + 1, j] -= dot * u1
-            if three:
-                H[k + 2, j] -= dot * u2
+            H[k + 2, j] -= dot * u2
         for i in range(first, min(last, k + 3) + 1):
-            dot = w0 * H[i, k] + w1 * H[i, k + 1] + (w2 * H[i, k + 2] if three else 0.0)
+            dot = w0 * H[i, k] + w1 * H[i, k + 1] + w2 * H[i, k + 2]
             H[i, k] -= dot
             H[i, k + 1] -= dot * u1
-            if three:
-                H[i, k + 2] -= dot * u2
+            H[i, k + 2] -= dot * u2
+    k = last - 1
+    x, y = H[k, k - 1], H[k + 1, k - 1]
+    square = x * x + y * y
+    if square == 0.0:
+        return
+    length = np.copysign(np.sqrt(square), x)
+    H[k, k - 1], H[k + 1, k - 1] = -length, 0.0
+    w0, u1 = (x + length) / length, y / (x + length)
+    w1 = w0 * u1
+    for j in range(k, last + 1):
+        dot = w0 * H[k, j] + w1 * H[k + 1, j]
+        H[k, j] -= dot
+        H[k + 1, j] -= dot * u1
+    for i in range(first, last + 1):
+        dot = w0 * H[i, k] + w1 * H[i, k + 1]
+        H[i, k] -= dot
+        H[i, k + 1] -= dot * u1
 
 
 @numba.njit(cache=True)

@@ -11,25 +11,61 @@ Array = NDArray[np.float64]
 _LEAST_PIVOT = 1e-12  # on coordinates of order 1
 _WIDER = 1.0 + 1e-6  # the bounds of what may count, as a share: more than rounding makes of them
 _BLOCK = 64  # pairs counted between two looks at the count: enough for vector instructions
+_AT_ONCE = 32  # random numbers, of which none may be among the least
 
 
 @numba.njit(cache=True)
 def nine_least(numbers: Array) -> NDArray[np.intp]:
     """Find the nine least of each row of random numbers (T, n): indices (T, 9), nine at random."""
     subsets = np.empty((len(numbers), 9), np.intp)
+    least = np.empty(9)
     for trial in range(len(numbers)):
         row, subset = numbers[trial], subsets[trial]
-        n_kept = 0
-        for i in range(len(row)):
-            if n_kept == 9 and row[i] >= row[subset[8]]:
+        least[:] = np.inf
+        for first in range(0, len(row), _AT_ONCE):
+            some, limit = row[first : first + _AT_ONCE], least[8]
+            n_less = 0
+            for i in range(len(some)):
+                n_less += some[i] < limit
+            if n_less == 0:
                 continue
-            place = min(n_kept, 8)
-            while place > 0 and row[subset[place - 1]] > row[i]:
-                subset[place] = subset[place - 1]
-                place -= 1
-            subset[place] = i
-            n_kept = min(n_kept + 1, 9)
+            for i in range(len(some)):
+                if some[i] >= least[8]:
+                    continue
+                place = 8
+                while place > 0 and least[place - 1] > some[i]:
+                    least[place], subset[place] = least[place - 1], subset[place - 1]
+                    place -= 1
+                least[place], subset[place] = some[i], first + i
     return subsets
+
+
+@numba.njit(cache=True)
+def centred(
+    p1_px: Array, p2_px: Array, ahead_px: Array, valid: NDArray[np.bool_], step_s: float
+) -> tuple[Array, Array]:
+    """Take the valid ones of pairs (N, 2), and the secants from p2 to where it is ahead.
+
+    Returns
+    -------
+    tuple of NDArray[np.float64]
+        Points and secants (3, 2, n): x1 and x2 about their means [px], v2 [px/s]; and the squares
+        (2, n, 2) of x1 and x2.
+    """
+    n = np.count_nonzero(valid)
+    found, squares = np.empty((3, 2, n)), np.empty((2, n, 2))
+    for axis in range(2):
+        x1, x2, v2 = found[0, axis], found[1, axis], found[2, axis]
+        sum_1, sum_2, k = 0.0, 0.0, 0
+        for i in range(len(valid)):
+            if valid[i]:
+                x1[k], x2[k] = p1_px[i, axis], p2_px[i, axis]
+                v2[k] = (ahead_px[i, axis] - p2_px[i, axis]) / step_s
+                sum_1, sum_2, k = sum_1 + x1[k], sum_2 + x2[k], k + 1
+        for k in range(n):
+            x1[k], x2[k] = x1[k] - sum_1 / n, x2[k] - sum_2 / n
+            squares[0, k, axis], squares[1, k, axis] = x1[k] * x1[k], x2[k] * x2[k]
+    return found, squares
 
 
 @numba.njit(cache=True)
@@ -176,12 +212,16 @@ def _count(
 ) -> int:
     """Pairs from `first` up to `last` whose squared Sampson distance is below the limit.
 
-    The points and velocities have the shape (2, n). Without a branch, so that it compiles to vector
-    instructions.
+    The points and velocities have the shape (2, n). Without a branch and by rows, so that it
+    compiles to vector instructions: eight times as fast as by two indices.
     """
+    f = _entries(F)
+    u1, v1 = x1[0, first:last], x1[1, first:last]
+    u2, w2 = x2[0, first:last], x2[1, first:last]
+    du2, dw2 = v2[0, first:last], v2[1, first:last]
     count = 0
-    for i in range(first, last):
-        square, norm = _sampson_terms(b, F, x1, x2, v2, i)
+    for i in range(len(u1)):
+        square, norm = _sampson_terms(f, u1[i], v1[i], u2[i] + b * du2[i], w2[i] + b * dw2[i])
         count += square < limit * norm
     return count
 
@@ -191,24 +231,34 @@ def inliers_of(
     b: float, F: Array, x1: Array, x2: Array, v2: Array, limit: float
 ) -> NDArray[np.bool_]:
     """Tell which of the pairs `_count` counts, (n,)."""
+    f = _entries(F)
     inliers = np.empty(x1.shape[1], np.bool_)
     for i in range(len(inliers)):
-        square, norm = _sampson_terms(b, F, x1, x2, v2, i)
+        u2, w2 = x2[0, i] + b * v2[0, i], x2[1, i] + b * v2[1, i]
+        square, norm = _sampson_terms(f, x1[0, i], x1[1, i], u2, w2)
         inliers[i] = square < limit * norm
     return inliers
 
 
 @numba.njit(cache=True, fastmath=True)
+def _entries(F: Array) -> tuple[float, ...]:
+    """Put the entries of F (3, 3) in a tuple, row by row."""
+    return (
+        *(F[0, 0], F[0, 1], F[0, 2]),
+        *(F[1, 0], F[1, 1], F[1, 2]),
+        *(F[2, 0], F[2, 1], F[2, 2]),
+    )
+
+
+@numba.njit(cache=True, fastmath=True)
 def _sampson_terms(
-    b: float, F: Array, x1: Array, x2: Array, v2: Array, i: int
+    f: tuple[float, ...], u1: float, v1: float, u2: float, w2: float
 ) -> tuple[float, float]:
-    """(p2' F p1)^2 and its squared gradient norm for pair i, p2 being shifted by b."""
-    u1, v1 = x1[0, i], x1[1, i]
-    u2, w2 = x2[0, i] + b * v2[0, i], x2[1, i] + b * v2[1, i]
-    a2 = F[0, 0] * u1 + F[0, 1] * v1 + F[0, 2]
-    b2 = F[1, 0] * u1 + F[1, 1] * v1 + F[1, 2]
-    c2 = F[2, 0] * u1 + F[2, 1] * v1 + F[2, 2]
-    a1 = F[0, 0] * u2 + F[1, 0] * w2 + F[2, 0]
-    b1 = F[0, 1] * u2 + F[1, 1] * w2 + F[2, 1]
+    """(p2' F p1)^2 and its squared gradient norm, for the points (u1, v1) and (u2, w2)."""
+    a2 = f[0] * u1 + f[1] * v1 + f[2]
+    b2 = f[3] * u1 + f[4] * v1 + f[5]
+    c2 = f[6] * u1 + f[7] * v1 + f[8]
+    a1 = f[0] * u2 + f[3] * w2 + f[6]
+    b1 = f[1] * u2 + f[4] * w2 + f[7]
     product = u2 * a2 + w2 * b2 + c2
     return product * product, a1 * a1 + b1 * b1 + a2 * a2 + b2 * b2

@@ -72,8 +72,9 @@ def epipolar_distance(F: Matrix, p1_px: Matrix, p2_px: Matrix) -> Matrix:
     """
     lines = epipolar_lines_1(F, p2_px)
     with np.errstate(invalid="ignore"):
-        products = np.sum(lines[..., :2] * p1_px, axis=-1) + lines[..., 2]
-        return np.asarray(np.abs(products) / np.hypot(lines[..., 0], lines[..., 1]))
+        a, b, c = lines[..., 0], lines[..., 1], lines[..., 2]  # by columns: np.sum of two is slow
+        products = a * p1_px[..., 0] + b * p1_px[..., 1] + c
+        return np.asarray(np.abs(products) / np.hypot(a, b))
 
 
 def epipolar_terms(f: Entries, u1: T, v1: T, u2: T, v2: T) -> tuple[T, T, T, T, T]:

@@ -7,7 +7,6 @@ pairs, whose solution is linear, and the best one starts the reweighted least sq
 Rousseeuw's LMedS ends.
 """
 
-from collections.abc import Callable
 from functools import lru_cache
 
 import cv2
@@ -15,8 +14,9 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from ssac.geometry.epipolar import epipolar_terms, fundamental_from_essential
+from ssac.geometry.epipolar import fundamental_from_essential
 from ssac.geometry.robust import CAUCHY, TO_DEVIATION
+from ssac.geometry.subsets import best_subset, sampson
 
 Matrix = NDArray[np.float64]
 
@@ -24,8 +24,6 @@ MIN_PAIRS = 15
 """Fewer pairs leave too little freedom beside F's seven for a median to mean anything."""
 
 _POLISH_ITERATIONS = 8
-_RANK_TOLERANCE = 1e-12  # on coordinates of order 1
-_BLOCK = 64  # pairs counted between two looks at the count: enough for vector instructions
 _MAGSAC_THRESHOLD_PX = 1.0
 _TWO_COORDINATES = ((0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2))  # of (u, v, 1)
 
@@ -48,7 +46,7 @@ def lmeds_fundamental(p1_px: Matrix, p2_px: Matrix, trials: int, seed: int = 0) 
         F, shape (3, 3), rank 2; NaN when the pairs allow none, as those of an object at rest.
     """
     x1, x2, T1, T2 = _normalised(p1_px, p2_px)
-    F = _best_subset(x1, x2, _uniform(trials, seed))
+    F = best_subset(x1, x2, _uniform(trials, seed))
     if not F.any():
         return np.full((3, 3), np.nan)
     return np.asarray(T2.T @ _reweighted(x1, x2, F) @ T1)
@@ -74,7 +72,7 @@ def median_after_fit(p1_px: Matrix, p2_px: Matrix, iterations: int) -> float:
     """
     x1, x2, T1, _ = _normalised(p1_px, p2_px)
     F = _reweighted(x1, x2, _eight_point(x1, x2, np.ones(x1.shape[1])), iterations)
-    squares, _ = _sampson(F, x1, x2)
+    squares, _ = sampson(F, x1, x2)
     median_px: float = np.sqrt(np.median(squares)) / T1[0, 0]
     return median_px
 
@@ -89,7 +87,7 @@ def second_best(p1_px: Matrix, p2_px: Matrix) -> float:
     """
     x1, x2, _, _ = _normalised(p1_px, p2_px)
     F = _reweighted(x1, x2, _eight_point(x1, x2, np.ones(len(p1_px))))
-    squares, squared_norms = _sampson(F, x1, x2)
+    squares, squared_norms = sampson(F, x1, x2)
     scale = TO_DEVIATION * np.sqrt(np.median(squares)) + 1e-15
     weights = 1.0 / (squared_norms * (1.0 + squares / (CAUCHY * scale) ** 2))
     least = np.linalg.eigvalsh(_moments(x1, x2, weights))
@@ -152,41 +150,11 @@ def _normalised(p1_px: Matrix, p2_px: Matrix) -> tuple[Matrix, Matrix, Matrix, M
     return scale * x1, scale * x2, T1, T2
 
 
-@numba.njit(cache=True)
-def _best_subset(x1: Matrix, x2: Matrix, uniform: Matrix) -> Matrix:
-    """F (rank 3) of the subset of eight pairs with the least median squared Sampson distance.
-
-    One subset per row of `uniform` (trials, 8), numbers in [0, 1), without repetition after Floyd.
-    """
-    n = x1.shape[1]
-    middle = n // 2
-    subset = np.empty(8, np.int64)
-    system = np.empty((8, 9))
-    F, best_F = np.empty((3, 3)), np.zeros((3, 3))
-    best_median = np.inf
-    for trial in range(len(uniform)):
-        for row in range(8):
-            last = n - 8 + row
-            drawn = int(uniform[trial, row] * (last + 1))
-            for other in range(row):  # a loop, since an array of comparisons costs an allocation
-                if subset[other] == drawn:
-                    drawn = last
-                    break
-            subset[row] = drawn
-            _monomials(x1, x2, subset[row], system[row])
-        # A count tells whether the median would be a new best; few trials need the median itself.
-        if _solve_null_vector(system, F) and _has_smaller_median(best_median, F, x1, x2):
-            squares, _ = _sampson(F, x1, x2)
-            best_median = np.partition(squares, middle)[middle]
-            best_F[:] = F
-    return best_F
-
-
 @numba.njit(cache=True, error_model="numpy")
 def _reweighted(x1: Matrix, x2: Matrix, F: Matrix, iterations: int = _POLISH_ITERATIONS) -> Matrix:
     """Iterate the weighted eight-point fit with Sampson and Cauchy weights, starting from F."""
     for _ in range(iterations):
-        squares, squared_norms = _sampson(F, x1, x2)
+        squares, squared_norms = sampson(F, x1, x2)
         scale = TO_DEVIATION * np.sqrt(np.median(squares)) + 1e-15
         F = _eight_point(x1, x2, 1.0 / (squared_norms * (1.0 + squares / (CAUCHY * scale) ** 2)))
     return F
@@ -228,117 +196,3 @@ def _moments(x1: Matrix, x2: Matrix, weights: Matrix) -> Matrix:
                 total += left[i] * right[i]
             moments[3 * a + c, 3 * b + d] = moments[3 * a + d, 3 * b + c] = total
     return moments
-
-
-@numba.njit(cache=True)
-def _monomials(x1: Matrix, x2: Matrix, i: int, row: Matrix) -> None:
-    """Fill in the coefficients (9,) of F's entries, row by row, in x2' F x1 of pair i."""
-    row[0], row[1], row[2] = x2[0, i] * x1[0, i], x2[0, i] * x1[1, i], x2[0, i]
-    row[3], row[4], row[5] = x2[1, i] * x1[0, i], x2[1, i] * x1[1, i], x2[1, i]
-    row[6], row[7], row[8] = x1[0, i], x1[1, i], 1.0
-
-
-@numba.njit(cache=True, error_model="numpy")  # no line at an epipole: NaN, not an exception
-def _sampson(F: Matrix, x1: Matrix, x2: Matrix) -> tuple[Matrix, Matrix]:
-    """Squared Sampson distances (N,) and their squared denominators (N,)."""
-    n = x1.shape[1]
-    squares, squared_norms = np.empty(n), np.empty(n)
-    f = _entries(F)
-    for i in range(n):
-        product, norm = _product_and_norm(f, x1[0, i], x1[1, i], x2[0, i], x2[1, i])
-        squares[i], squared_norms[i] = product * product / norm, norm
-    return squares, squared_norms
-
-
-@numba.njit(cache=True)
-def _has_smaller_median(limit: float, F: Matrix, x1: Matrix, x2: Matrix) -> bool:
-    """Whether more than half of the pairs have a squared Sampson distance below the limit.
-
-    Stops as soon as so many pairs lie above it that the rest cannot turn the answer.
-    """
-    n = x1.shape[1]
-    count = 0
-    for first in range(0, n, _BLOCK):
-        last = min(first + _BLOCK, n)
-        count += _count_below(limit, F, x1, x2, first, last)
-        if count + n - last <= n // 2:
-            return False
-    return True
-
-
-@numba.njit(cache=True, fastmath=True)
-def _count_below(limit: float, F: Matrix, x1: Matrix, x2: Matrix, first: int, last: int) -> int:
-    """Pairs from `first` up to, not including, `last` with a squared distance below the limit.
-
-    F's entries and the rows of points are local variables, so that the loop compiles to vector
-    instructions: four times as fast.
-    """
-    f = _entries(F)
-    u1, v1 = x1[0, first:last], x1[1, first:last]
-    u2, v2 = x2[0, first:last], x2[1, first:last]
-    count = 0
-    for i in range(len(u1)):
-        product, norm = _product_and_norm(f, u1[i], v1[i], u2[i], v2[i])
-        count += product * product < limit * norm
-    return count
-
-
-@numba.njit(cache=True, fastmath=True)
-def _entries(F: Matrix) -> tuple[float, ...]:
-    """Put the entries of F (3, 3) in a tuple, row by row."""
-    return (
-        *(F[0, 0], F[0, 1], F[0, 2]),
-        *(F[1, 0], F[1, 1], F[1, 2]),
-        *(F[2, 0], F[2, 1], F[2, 2]),
-    )
-
-
-_terms: Callable[..., tuple[float, float, float, float, float]] = numba.njit(
-    cache=True, fastmath=True
-)(epipolar_terms)
-
-
-@numba.njit(cache=True, fastmath=True)
-def _product_and_norm(
-    f: tuple[float, ...], u1: float, v1: float, u2: float, v2: float
-) -> tuple[float, float]:
-    """x2' F x1 and its squared gradient norm, for the points (u1, v1) and (u2, v2)."""
-    product, a2, b2, a1, b1 = _terms(f, u1, v1, u2, v2)
-    return product, a1 * a1 + b1 * b1 + a2 * a2 + b2 * b2
-
-
-@numba.njit(cache=True, fastmath=True)
-def _solve_null_vector(A: Matrix, F: Matrix) -> bool:
-    """Solve A f = 0 for f = F row by row, by Gaussian elimination of A (8, 9), row after row.
-
-    The pivot is the row's largest entry: columns are exchanged, so that the last one left, whose
-    unknown is set to 1, is never one that the others determine to be 0.
-    Overwrites A; returns False when A's rank is below 8.
-    """
-    order = np.arange(9)
-    for k in range(8):
-        row, pivot, largest = A[k], k, 0.0
-        for j in range(k, 9):
-            if abs(row[j]) > largest:
-                pivot, largest = j, abs(row[j])
-        if largest < _RANK_TOLERANCE:
-            return False
-        if pivot != k:
-            order[k], order[pivot] = order[pivot], order[k]
-            for i in range(8):
-                A[i, k], A[i, pivot] = A[i, pivot], A[i, k]
-        inverse = 1.0 / row[k]
-        for i in range(k + 1, 8):
-            other = A[i]  # rows by name: half the time of entries by two indices
-            ratio = other[k] * inverse
-            for j in range(k + 1, 9):
-                other[j] -= ratio * row[j]
-    f = np.ones(9)
-    for k in range(7, -1, -1):
-        row, total = A[k], A[k, 8]
-        for j in range(k + 1, 8):
-            total += row[j] * f[j]
-        f[k] = -total / row[k]
-    for k in range(9):
-        F[order[k] // 3, order[k] % 3] = f[k]
-    return True

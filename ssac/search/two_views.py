@@ -6,7 +6,6 @@ Deviation: the paper's Eq. 1 has the opposite sign, which contradicts its Eq. 3.
 """
 
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,10 +14,10 @@ from ssac.camera import Rig
 from ssac.clock import Clock
 from ssac.config import Config, checked
 from ssac.geometry.pose import rays_of
-from ssac.search.blind import Blind, blind_spans
-from ssac.search.seen import MOST, Seen, seen_by_both, seen_of
-from ssac.search.view import View, returns_s, size_px, swing_hz, view_of
-from ssac.track.motion import Motion, ObjectMotion, SharpTrack
+from ssac.search.blind import Blind
+from ssac.search.seen import Seen, seen_by_both
+from ssac.search.view import Alone, View, size_px, swing_hz
+from ssac.track.motion import Motion, SharpTrack
 from ssac.track.observation import Observation, object_motions
 
 Array = NDArray[np.float64]
@@ -81,6 +80,7 @@ class TwoViews:
     config: Config
     pose_is_known: bool = False  # the rig's extrinsics hold: only the offset is in question
     clock: Clock = field(default_factory=Clock)  # of camera 2, beside the offset that is tried
+    alone: Alone | None = field(default=None, repr=False)  # kept by `replace` while it holds
 
     def under(self, clock: Clock) -> "TwoViews":
         """Return the same views with the skew and the strays of a clock, and any offset."""
@@ -88,46 +88,49 @@ class TwoViews:
             return self
         return replace(self, clock=replace(clock, t_d_s=0.0))
 
+    def with_pose(self, rig: Rig) -> "TwoViews":
+        """Return the same views where the extrinsics of the rig hold."""
+        return replace(self, rig=rig, pose_is_known=True)
+
     def on_clock_2(self, times_s: Array, t_d_s: Array | float) -> Array:
         """Give what camera 2's clock shows at times of camera 1's, with an offset that is tried."""
         shown_s = np.asarray(times_s + t_d_s)
         return shown_s if self.clock.is_delay else shown_s + self.clock.added_s(times_s)
 
-    @cached_property
+    def __post_init__(self) -> None:
+        motions, longest_s = (self.motion1, self.motion2), float(np.ptp(self.config.interval_s))
+        if self.alone is None or not self.alone.is_of(motions, longest_s):
+            object.__setattr__(self, "alone", Alone(motions, longest_s))
+
+    @property
     def views(self) -> tuple[View | None, View | None]:
         """Each view summed up; None without valid samples."""
-        return view_of(self.motion1), view_of(self.motion2)
+        return self._alone.views
 
-    @cached_property
+    @property
     def returns_s(self) -> Array:
         """Lags (k,) [s] within the search interval after which the path repeats itself."""
-        longest_s = float(np.ptp(self.config.interval_s))
-        return returns_s(self.motion1, self.views[0], longest_s)
+        return self._alone.returns_s
 
-    @cached_property
+    @property
     def repeats(self) -> bool:
         """Whether the path repeats itself after any lag."""
-        return len(returns_s(self.motion1, self.views[0], np.inf)) > 0
+        return self._alone.repeats
 
-    @cached_property
+    @property
     def seen(self) -> tuple[Seen, Seen] | None:
         """When each camera sees the object; None where both do so most of the time."""
-        if any(motion.span_s[1] <= motion.span_s[0] for motion in (self.motion1, self.motion2)):
-            return None
-        one, other = seen_of(self.motion1), seen_of(self.motion2)
-        if one.share + other.share - 1.0 >= MOST:
-            return None
-        step_s = max(one.step_s, other.step_s)
-        return seen_of(self.motion1, step_s), seen_of(self.motion2, step_s)
+        return self._alone.seen
 
-    @cached_property
+    @property
     def blind(self) -> tuple[Blind, Blind]:
         """When each camera was blind, in its own clock, as its events tell; never, of a track."""
-        one, other = (
-            blind_spans(motion.times_us) if isinstance(motion, ObjectMotion) else Blind()
-            for motion in (self.motion1, self.motion2)
-        )
-        return one, other
+        return self._alone.blind
+
+    @property
+    def _alone(self) -> Alone:
+        assert self.alone is not None  # since __post_init__
+        return self.alone
 
     @property
     def object_px(self) -> float:

@@ -1,13 +1,15 @@
 """One camera's object motion in; how far, how straight and how often to and fro it goes, out."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ssac.geometry.robust import robust_deviation
-from ssac.search.seen import MOST, seen_of, seen_times
-from ssac.track.motion import Motion
+from ssac.search.blind import Blind, blind_spans
+from ssac.search.seen import MOST, Seen, seen_of, seen_times
+from ssac.track.motion import Motion, ObjectMotion
 
 Array = NDArray[np.float64]
 
@@ -123,3 +125,51 @@ def returns_s(motion: Motion, view: View | None, longest_s: float) -> Array:
     is_least = (means_px <= padded[:-2]) & (means_px < padded[2:])
     is_back = left & is_least & (means_px < MAX_RETURN * view.extent_px)
     return np.asarray(step_s * lags[is_back])
+
+
+@dataclass(frozen=True, eq=False)
+class Alone:
+    """What each of two motions says on its own, found when it is asked for and once."""
+
+    motions: tuple[Motion, Motion]
+    longest_s: float  # of the lags in `returns_s`
+
+    def is_of(self, motions: tuple[Motion, Motion], longest_s: float) -> bool:
+        """Whether it is of these very motions and of lags up to this one [s]."""
+        same = all(one is other for one, other in zip(self.motions, motions, strict=True))
+        return same and self.longest_s == longest_s
+
+    @cached_property
+    def views(self) -> tuple[View | None, View | None]:
+        """As of `TwoViews`, and so are those below."""
+        return view_of(self.motions[0]), view_of(self.motions[1])
+
+    @cached_property
+    def returns_s(self) -> Array:
+        """Lags (k,) [s] after which camera 1's path repeats itself."""
+        return returns_s(self.motions[0], self.views[0], self.longest_s)
+
+    @cached_property
+    def repeats(self) -> bool:
+        """Whether it does so after any lag."""
+        return len(returns_s(self.motions[0], self.views[0], np.inf)) > 0
+
+    @cached_property
+    def seen(self) -> tuple[Seen, Seen] | None:
+        """When each camera sees the object; None where both do so most of the time."""
+        if any(motion.span_s[1] <= motion.span_s[0] for motion in self.motions):
+            return None
+        one, other = (seen_of(motion) for motion in self.motions)
+        if one.share + other.share - 1.0 >= MOST:
+            return None
+        step_s = max(one.step_s, other.step_s)
+        return seen_of(self.motions[0], step_s), seen_of(self.motions[1], step_s)
+
+    @cached_property
+    def blind(self) -> tuple[Blind, Blind]:
+        """When each camera was blind, in its own clock."""
+        one, other = (
+            blind_spans(motion.times_us) if isinstance(motion, ObjectMotion) else Blind()
+            for motion in self.motions
+        )
+        return one, other

@@ -27,7 +27,7 @@ from ssac.camera import Rig
 from ssac.config import Config, checked
 from ssac.errors import SsacError
 from ssac.estimate import Estimate, Status
-from ssac.methods.algorithms import ssac, ssac_known
+from ssac.methods.algorithms import algorithm_1, algorithm_2, ssac, ssac_known
 from ssac.methods.joint import joint, joint_from, joint_known
 from ssac.methods.tangency import tangency, tangency_from, tangency_known
 from ssac.search.one_object import OneObject, one_object
@@ -65,6 +65,7 @@ class Method:
     version: str = ""  # of another package's code, for keys of cached results; empty for ours
     starts_from: str = ""  # method whose estimate `refine` takes, to give the same as `estimate`
     refine: RefineFunction | None = None
+    of_views: Callable[[TwoViews], Estimate] | None = None  # the same as `estimate`, of its views
     takes_means: bool = False  # of the frames: images of one pixel give the same estimate
     follows_clock: bool = False  # what camera 2's clock shows more, t_d gains: nothing else changes
     counts: str = "pairs of positions"  # what an estimate's `n_samples` are
@@ -100,9 +101,10 @@ _TANGENTS = "pairs of tangents to the object's outline"
 
 OURS = (
     Method("ssac", ssac, Input.TRACKS, SUMMARIES["ssac"],
-           known_variant="ssac-known", follows_clock=True, of_one_object=True),
+           known_variant="ssac-known", of_views=algorithm_2, follows_clock=True,
+           of_one_object=True),
     Method("ssac-known", ssac_known, Input.TRACKS, SUMMARIES["ssac-known"],
-           needs_extrinsics=True, follows_clock=True, of_one_object=True),
+           needs_extrinsics=True, of_views=algorithm_1, follows_clock=True, of_one_object=True),
     Method("joint", joint, Input.TRACKS, SUMMARIES["joint"], known_variant="joint-known",
            starts_from="ssac", refine=joint_from, follows_clock=True, finds_readout=True,
            of_one_object=True),
@@ -218,7 +220,7 @@ class Chain:
         """Take what a method takes; the rig with its extrinsics, where they are known."""
         self._cameras, self._rig, self._config = (cam1, cam2), rig, config
         self._estimates: dict[str, Estimate] = {}
-        self._views: dict[bool, TwoViews] = {}
+        self._views: TwoViews | None = None
 
     def estimate(self, name: str) -> Estimate:
         """Give the same as the method's own `estimate`, after those that it starts from.
@@ -236,12 +238,15 @@ class Chain:
             if refusal is not None:
                 return refusal
             cameras = self._one_object.cam1, self._one_object.cam2
-        if method.refine is None:
+        if method.refine is None and method.of_views is None:
             return method.estimate(*cameras, rig, self._config)
-        start, known = self.estimate(method.starts_from), method.needs_extrinsics
-        if known not in self._views:
-            self._views[known] = two_views(*cameras, rig, self._config, known)
-        return method.refine(start, self._views[known])
+        if self._views is None:
+            self._views = two_views(*cameras, Rig(rig.cam1, rig.cam2), self._config)
+        views = self._views.with_pose(rig) if method.needs_extrinsics else self._views
+        if method.of_views is not None:
+            return method.of_views(views)
+        assert method.refine is not None
+        return method.refine(self.estimate(method.starts_from), views)
 
     @cached_property
     def _one_object(self) -> OneObject:
@@ -301,6 +306,7 @@ def _method_from(entry: EntryPoint) -> Method:
         found,
         estimate=_CheckedFunction(found.estimate, origin),
         refine=None,  # so that the check sees every estimate
+        of_views=None,
         version=" ".join(filter(None, (_distribution(entry), _code_hash(entry), found.version))),
     )
 

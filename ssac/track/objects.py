@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssac.camera import Camera, undistort_points
+from ssac.events import first_from
 from ssac.track.object_kernels import blobs_in_bins, occupied_bins
 
 Array = NDArray[np.float64]
@@ -149,7 +150,7 @@ def _bounds(events: NDArray[np.void], every: int = 1) -> NDArray[np.int64]:
     n_bins = int(times_us[-1] - times_us[0]) // BIN_US + 1
     starts = np.arange(0, n_bins, every, dtype=np.int64)
     ends_us = times_us[0] + np.stack([starts, starts + 1], axis=1) * BIN_US
-    return np.asarray(np.searchsorted(times_us, ends_us), np.int64)
+    return first_from(times_us, ends_us.ravel()).reshape(ends_us.shape).astype(np.int64)
 
 
 def _blobs(

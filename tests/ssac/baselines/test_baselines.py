@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from ssac.baselines.albl import _Linearised, _polished, _ransac, _solve_nine, albl
-from ssac.baselines.albl_eigen import eigenvector, real_eigenvalues
+from ssac.baselines.albl import _Linearised, _polished, _ransac, albl
+from ssac.baselines.albl_eigen import eigenvector, real_eigenvalues, solve_nine
 from ssac.baselines.albl_kernels import quotient
 from ssac.baselines.correlation import Signal, binned, counted, zncc
 from ssac.baselines.event_rate import event_rate
@@ -46,7 +46,7 @@ def solutions(pairs, subsets):
     found = []
     for subset in subsets:
         quotient(*pairs.constraints, subset, X)
-        found.append(_solve_nine(X))
+        found.append(solve_nine(X))
     return (np.concatenate(parts) for parts in zip(*found, strict=True))
 
 

@@ -5,6 +5,7 @@ import pytest
 
 from ssac.geometry.epipolar import epipolar_distance, fundamental_from_pose
 from ssac.geometry.fundamental import lmeds_fundamental, magsac_fundamental, reweighted_fundamental
+from ssac.geometry.subsets import best_subset, sampson
 from tests.ssac.synthetic import HEIGHT, WIDTH, K, make_scene, track_pair
 
 ESTIMATORS = {
@@ -67,3 +68,21 @@ def test_the_seed_chooses_the_subsets():
     _, p1, p2 = pairs(seed=0, noise_px=0.3, outlier_share=0.2)
     few = [lmeds_fundamental(p1, p2, trials=5, seed=seed) for seed in (0, 1)]
     assert not np.array_equal(*few)
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-9, 1e-3, 1.0])
+@pytest.mark.parametrize("n", [15, 64, 133])
+def test_no_subset_is_better_than_the_best(noise, n):
+    rng = np.random.default_rng(n)
+    points = rng.normal(size=(3, n))
+    x1, x2 = points[:2], (points + 0.3 * points[2])[:2] / (3.0 + points[2])  # of one F
+    x2 = x2 + noise * rng.normal(size=x2.shape)
+    uniform = rng.random((70, 8))
+
+    def median(F):
+        return np.partition(sampson(F, x1, x2)[0], n // 2)[n // 2]
+
+    medians = [median(best_subset(x1, x2, one)) for one in uniform[:, None]]
+    best = median(best_subset(x1, x2, uniform))
+    # Without noise all are of rounding alone: 1e-12 of coordinates of order 1, squared.
+    assert best <= min(medians) * (1.0 + 1e-9) + 1e-24

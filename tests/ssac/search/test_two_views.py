@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import ssac.search.two_views
+import ssac.search.view
 from ssac.config import Config
 from ssac.search.two_views import TwoViews, two_views
 from ssac.track.motion import object_motion
@@ -65,9 +65,9 @@ def test_the_views_are_summed_up_once(events, monkeypatch):
     """Bug: each method, and each of its steps, did it again."""
     calls = []
     for name in ("view_of", "returns_s"):
-        work = getattr(ssac.search.two_views, name)
+        work = getattr(ssac.search.view, name)
         monkeypatch.setattr(
-            ssac.search.two_views,
+            ssac.search.view,
             name,
             lambda *args, work=work, name=name: calls.append(name) or work(*args),
         )

@@ -119,14 +119,13 @@ def test_a_chain_finds_each_estimate_once(data, monkeypatch):
     found = []
 
     def counted(method):
-        def estimate(*args):
+        def of_views(views):
             found.append(method.name)
-            return method.estimate(*args)
+            return method.of_views(views)
 
-        return estimate
+        return replace(method, of_views=of_views)
 
-    roots = [method for method in OURS if method.refine is None]
-    chain_of = {m.name: replace(m, estimate=counted(m)) if m in roots else m for m in OURS}
+    chain_of = {m.name: counted(m) if m.of_views else m for m in OURS}
     monkeypatch.setattr(ssac.tool.registry, "METHODS", chain_of)
     chain = Chain(*data, Config())
     for name in ("tangency", "joint", "ssac", "joint-known", "tangency"):
