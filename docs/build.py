@@ -11,10 +11,12 @@ import os
 import re
 import shutil
 import sys
+import warnings
 from collections.abc import Iterator
 from contextlib import redirect_stdout
 from dataclasses import dataclass
 from html import escape
+from importlib import import_module
 from pathlib import Path
 
 os.environ.setdefault("MPLBACKEND", "Agg")
@@ -173,8 +175,12 @@ def save_reference(out: Path) -> None:
         if name not in found:
             wanted.append(name)
             found.update(walk_specs([name]))
+    ssac = import_module("ssac")  # imports a name when it is asked for; pdoc looks at what is there
+    vars(ssac).update({name: getattr(ssac, name) for name in ssac.__all__})
     pdoc.render.configure(docformat="numpy", footer_text="SSAC suite")
-    pdoc.pdoc(*wanted, output_directory=out)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # a name that is not found has a page without its docstring
+        pdoc.pdoc(*wanted, output_directory=out)
 
 
 if __name__ == "__main__":

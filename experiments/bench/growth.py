@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 
 from experiments.bench.measurement import Measurement, peak_memory_mb
 from experiments.bench.process import in_own_process
@@ -156,7 +157,7 @@ def growth_rows(table: pd.DataFrame) -> list[Measurement]:
     return rows + _largest(table)
 
 
-def exponent(events: "pd.Series[float]", values: "pd.Series[float]") -> float:
+def exponent(events: ArrayLike, values: ArrayLike) -> float:
     """Slope of a straight line through the logarithms of both: 1 where one is linear in the other.
 
     What does not grow, as start-up does not, makes it smaller.

@@ -7,7 +7,7 @@ import numpy as np
 
 Damage = Callable[[bytes, np.random.Generator], bytes]
 
-NASTY = (
+_NASTY = (
     b"nan", b"inf", b"-inf", b"-1", b"0", b"1e400", b"9" * 30, b"9" * 5000, b"4294967296", b"",
     b"[]", b"{}", b"'", b'"', b"\0", b"\xff", b"true", b"null", b"~", b"1e-3", b"0x10", b"[[1]]",
     b"<script>", b"../../etc/passwd", b"!!python/object/apply:os.getcwd []", b"&a [*a]", b"*b",
@@ -77,7 +77,7 @@ def word(data: bytes, rng: np.random.Generator) -> bytes:
     if not found:
         return data + b"\0"
     one = found[int(rng.integers(len(found)))]
-    return data[: one.start()] + NASTY[int(rng.integers(len(NASTY)))] + data[one.end() :]
+    return data[: one.start()] + _NASTY[int(rng.integers(len(_NASTY)))] + data[one.end() :]
 
 
 def line(data: bytes, rng: np.random.Generator) -> bytes:
