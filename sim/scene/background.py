@@ -63,7 +63,7 @@ def load_background(path: Path, camera: Camera) -> NDArray[np.float32]:
 def _load_array(path: Path) -> NDArray[np.float32]:
     try:
         return np.ascontiguousarray(np.load(path), np.float32)
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, EOFError) as error:  # NumPy raises the last for an empty file
         raise SimError(f"cannot read the background {path}: {error}") from error
 
 
