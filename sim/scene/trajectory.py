@@ -8,11 +8,13 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline, CubicSpline
+from scipy.sparse import diags_array
+from scipy.sparse.linalg import spsolve
 from scipy.spatial.transform import Rotation, RotationSpline
 
 from sim.errors import SimError
@@ -22,6 +24,10 @@ Vector3 = tuple[float, float, float]
 Attitude = Callable[[FloatArray], Rotation]
 
 MAX_DRAWS = 100  # of a random trajectory, before its configuration is blamed
+# Segments of a spline, 400 s by default, beyond which dense matrices take gigabytes, and hardly a
+# trajectory stays near the origin from end to end. Shorter ones keep to what they always were.
+LONG_SEGMENTS = 2000
+_REDRAWN_S = 1.0  # of a long trajectory, on each side of where it leaves the circle
 CSV_COLUMNS = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")  # [s], [m], unit quaternion T_W_B
 MIN_CSV_ROWS = 4  # a cubic spline needs four points
 MAX_CSV_DURATION_S = 1e6  # longer than this, the times are not seconds (ESIM writes nanoseconds)
@@ -125,7 +131,8 @@ def random_spline(config: SplineConfig, rng: np.random.Generator) -> Trajectory:
     values is the trajectory.
 
     Deviation: a trajectory that leaves the circle of `max_radius_m` about the origin is drawn
-    again (one in six by default), so that the drone never flies into a camera.
+    again (one in six by default), so that the drone never flies into a camera; of one with more
+    than `LONG_SEGMENTS` segments, only the part about where it leaves.
 
     Parameters
     ----------
@@ -147,14 +154,20 @@ def random_spline(config: SplineConfig, rng: np.random.Generator) -> Trajectory:
     n_segments = max(1, round(config.duration_s * config.segments_per_s))
     multiplier = np.concatenate([config.multiplier_xyz_m, config.multiplier_rot_rad])
     offset = np.concatenate([config.offset_xyz_m, config.offset_rot_rad])
+    values: FloatArray = np.empty((n_poses, 6))
+    is_drawn: NDArray[np.bool_] = np.ones(n_poses, np.bool_)
     for _ in range(MAX_DRAWS):
-        values = offset + multiplier * rng.uniform(-1.0, 1.0, (n_poses, 6))
+        drawn = offset + multiplier * rng.uniform(-1.0, 1.0, (n_poses, 6))
+        values = np.where(is_drawn[:, None], drawn, values)
         spline = _fit_smoothing_spline(times_s, values, config.order, n_segments, config.smoothing)
         position = BSpline(spline.t, spline.c[:, :3], spline.k)
         rotation_vector = BSpline(spline.t, spline.c[:, 3:], spline.k)
         check_s = np.linspace(0.0, config.duration_s, 10 * n_segments)
-        if np.hypot(*position(check_s)[:, :2].T).max() <= config.max_radius_m:
+        is_inside = np.hypot(*position(check_s)[:, :2].T) <= config.max_radius_m
+        if is_inside.all():
             return Trajectory(config.duration_s, position, _RotationVectorSpline(rotation_vector))
+        if n_segments > LONG_SEGMENTS:
+            is_drawn = _near(check_s[~is_inside], times_s)
     raise SimError(
         f"{MAX_DRAWS} random trajectories all went more than {config.max_radius_m:g} m away from "
         "the origin: lower multiplier_xyz_m, raise smoothing or max_radius_m"
@@ -246,6 +259,16 @@ class _RotationVectorSpline:
         return Rotation.from_rotvec(self.rotation_vector(times_s))
 
 
+def _near(some_s: FloatArray, times_s: FloatArray) -> NDArray[np.bool_]:
+    """Mark the regular times (n,) from 0 on that are within _REDRAWN_S of any of some others."""
+    step_s = times_s[1]
+    reach = int(np.ceil(_REDRAWN_S / step_s))
+    nearest = np.rint(some_s / step_s).astype(np.int64)
+    is_near = np.zeros(len(times_s), np.bool_)
+    is_near[np.clip(nearest[:, None] + np.arange(-reach, reach + 1), 0, len(times_s) - 1)] = True
+    return is_near
+
+
 def _fit_smoothing_spline(
     times_s: FloatArray, values: FloatArray, order: int, n_segments: int, smoothing: float
 ) -> BSpline:
@@ -271,13 +294,16 @@ def _fit_smoothing_spline(
     degree = order - 1
     segment_s = times_s[-1] / n_segments
     knots = segment_s * np.arange(-degree, n_segments + degree + 1)
-    basis = BSpline(knots, np.eye(n_segments + degree), degree)
 
     # The product of two second derivatives is of degree 2 (degree - 2) on each segment, for which
     # Gauss-Legendre quadrature with degree - 1 nodes is exact.
     nodes, weights = np.polynomial.legendre.leggauss(degree - 1)
     nodes_s = (np.arange(n_segments)[:, None] + 0.5 * (nodes + 1.0)).ravel() * segment_s
     weights_s = np.tile(0.5 * weights * segment_s, n_segments)
+    if n_segments > LONG_SEGMENTS:
+        about = (knots, degree, nodes_s, smoothing * weights_s)
+        return BSpline(knots, _solved_sparse(times_s, values, *about), degree)
+    basis = BSpline(knots, np.eye(n_segments + degree), degree)
     curvature = basis.derivative(2)(nodes_s)
     penalty = curvature.T @ (weights_s[:, None] * curvature)
 
@@ -286,10 +312,33 @@ def _fit_smoothing_spline(
     return BSpline(knots, coefficients, degree)
 
 
+def _solved_sparse(
+    times_s: FloatArray,
+    values: FloatArray,
+    knots: FloatArray,
+    degree: int,
+    nodes_s: FloatArray,
+    weights: FloatArray,
+) -> FloatArray:
+    """Give the spline's coefficients by sparse matrices: time and memory linear in its length.
+
+    `weights` (m,) are those of the squared second derivative at `nodes_s` (m,).
+    """
+    n = len(knots) - degree - 1  # coefficients
+    design: Any = BSpline.design_matrix(times_s, knots, degree, extrapolate=True)
+    # The second derivative is a spline of degree - 2, whose coefficients are second differences.
+    differences: Any = diags_array([1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=(n - 2, n))
+    bent: Any = BSpline.design_matrix(nodes_s, knots[2:-2], degree - 2)
+    curvature = bent @ differences / (knots[1] - knots[0]) ** 2
+    penalty = curvature.T @ curvature.multiply(weights[:, None])
+    coefficients: FloatArray = spsolve((design.T @ design + penalty).tocsc(), design.T @ values)
+    return coefficients
+
+
 def _read_table(path: Path) -> tuple[list[int], FloatArray]:
     """Return the line number of each data row and the (n, 8) table in the order of CSV_COLUMNS."""
     try:
-        text = Path(path).read_text(encoding="utf-8")
+        text = Path(path).read_text(encoding="utf-8-sig")  # spreadsheets begin with a mark
     except (OSError, UnicodeDecodeError) as error:
         raise SimError(f"cannot read the trajectory {path}: {error}") from error
     lines = [line.split("#")[0] for line in text.splitlines()]
