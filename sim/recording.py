@@ -24,13 +24,8 @@ from sim.scene.background import load_background, uniform_background
 from sim.scene.drone import Drone, drone_from_file
 from sim.scene.flyers import FLAP_HZ, built_in_drone, check_drone_name
 from sim.scene.rig import Camera, Rig, two_view_rig
-from sim.scene.trajectory import (
-    PosesAt,
-    SplineConfig,
-    Trajectory,
-    random_spline,
-    trajectory_from_csv,
-)
+from sim.scene.trajectory import PosesAt, SplineConfig, Trajectory, random_spline
+from sim.scene.trajectory_csv import trajectory_from_csv
 from sim.seeds import generator
 from sim.sensor.events import Sensor, SensorConfig
 from sim.sensor.frames import FrameConfig, FrameExposer, frame_times_us

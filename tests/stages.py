@@ -9,6 +9,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
         "seeds": (),
         "scene": (
             "trajectory",
+            "trajectory_csv",
             "pendulum",
             "shapes",
             "drone",
