@@ -10,16 +10,13 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
         "scene": (
             "trajectory",
             "trajectory_csv",
-            "pendulum",
             "shapes",
             "drone",
             "two_tone",
-            "printed",
             "flyers",
             "rig",
             "faces",
             "background",
-            "wall",
         ),
         "render": (
             "lattice",
@@ -54,7 +51,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
         "camera_files": (),
         "storage": (),
         "disturb": ("config", "pixels", "movers", "clouds", "clutter", "record"),
-        "twin": ("bench", "calibration", "room"),
+        "twin": ("pendulum", "printed", "wall", "bench", "calibration", "room"),
     },
     "ssac": {
         "errors": (),

@@ -3,7 +3,7 @@ import pytest
 from scipy.special import ellipk
 
 from sim.errors import SimError
-from sim.scene.pendulum import GRAVITY_M_S2, PendulumConfig, hanging, swing
+from sim.twin.pendulum import GRAVITY_M_S2, PendulumConfig, hanging, swing
 
 LENGTH_M = 0.45
 STEP_S = 1e-3
