@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from sim.clock import Drift, microseconds
 from sim.render.gl_context import GLContext
 from sim.render.renderer import RenderCheck
-from sim.scene.rig import Camera, Rig
+from sim.scene.camera import Camera
+from sim.scene.rig import Rig
 from sim.scene.trajectory import Trajectory
 from sim.sensor.buffer import EVENT_DTYPE
 from sim.sensor.frames import Frames, Images

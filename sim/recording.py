@@ -21,9 +21,10 @@ from sim.render.config import RenderConfig
 from sim.render.instants import SamplingConfig, choose_instants
 from sim.render.renderer import Crops, Renderer
 from sim.scene.background import load_background, uniform_background
+from sim.scene.camera import Camera
 from sim.scene.drone import Drone, drone_from_file
 from sim.scene.flyers import FLAP_HZ, built_in_drone, check_drone_name
-from sim.scene.rig import Camera, Rig, two_view_rig
+from sim.scene.rig import Rig, two_view_rig
 from sim.scene.trajectory import PosesAt, SplineConfig, Trajectory, random_spline
 from sim.scene.trajectory_csv import trajectory_from_csv
 from sim.seeds import generator

@@ -14,6 +14,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
             "drone",
             "two_tone",
             "flyers",
+            "camera",
             "rig",
             "faces",
             "background",

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from sim.errors import SimError
 from sim.render.lattice import GL_MAX_A, Lattice
-from sim.scene.rig import Camera
+from sim.scene.camera import Camera
 
 RENDERERS = ("native", "pyrender")
 DISTORTION_MODELS = {"none": 0, "radtan": 1, "equidistant": 2}

@@ -14,7 +14,7 @@ from numba import njit
 
 from sim.render.lattice import LANES, average_block, sum_runs
 from sim.render.placing import facing, on_lattice, place, shade, snap
-from sim.scene.rig import MIN_DEPTH_M
+from sim.scene.camera import MIN_DEPTH_M
 
 DEPTH_BITS = 29  # of a key, above the word's 32: finer than the 24 of a depth buffer
 FRACTION_BITS = 36  # of an edge's column

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.errors import SimError
-from sim.scene.rig import Camera
+from sim.scene.camera import Camera
 
 
 def uniform_background(camera: Camera, luminance: float) -> NDArray[np.float32]:

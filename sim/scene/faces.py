@@ -9,8 +9,8 @@ import trimesh
 from numpy.typing import NDArray
 
 from sim.errors import SimError
+from sim.scene.camera import Camera
 from sim.scene.drone import Drone, Part
-from sim.scene.rig import Camera
 
 Float32Array = NDArray[np.float32]
 

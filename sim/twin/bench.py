@@ -14,7 +14,8 @@ from scipy.spatial.transform import Rotation
 from sim.errors import SimError
 from sim.recording import Scene, SimConfig, two_view_rig_of
 from sim.scene.background import uniform_background
-from sim.scene.rig import Camera, Rig
+from sim.scene.camera import Camera
+from sim.scene.rig import Rig
 from sim.seeds import generator
 from sim.sensor.frames import FrameConfig
 from sim.twin.pendulum import Hanging, PendulumConfig, hanging

@@ -14,7 +14,7 @@ from sim.disturb.clutter import merged
 from sim.disturb.pixels import View
 from sim.errors import SimError
 from sim.recording import Scene
-from sim.scene.rig import Camera
+from sim.scene.camera import Camera
 from sim.seeds import generator
 from sim.sensor.events import SensorConfig
 from sim.sensor.slow import slow_events

@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sim.render.renderer import Crops
+from sim.scene.camera import Camera
 from sim.scene.drone import Drone, Part
-from sim.scene.rig import Camera, two_view_rig
+from sim.scene.rig import two_view_rig
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
