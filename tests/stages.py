@@ -211,6 +211,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
             "quantities",
             "grids",
             "esim",
+            "published",
             "comparison",
             "summary",
             "markdown",

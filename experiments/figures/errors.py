@@ -17,8 +17,8 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullLocator
 
 from experiments.figures.style import WIDTH_IN, Look, method_looks, quiet_axes
-from experiments.paper.comparison import PUBLISHED_ERRORS, PUBLISHED_RUNS
 from experiments.paper.esim import method_order
+from experiments.paper.published import PUBLISHED_ERRORS, PUBLISHED_RUNS
 from experiments.paper.quantities import ANGLE_LABEL, ERRORS, T_D_ERROR
 
 _LEAST = 0.01  # of each error, in its own unit: what is below is drawn there
