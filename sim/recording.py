@@ -62,7 +62,7 @@ class SimConfig:
     clock_jump: Jump | None = None  # of camera 2's clock: when, and by how much more it shows [s]
     spline: SplineConfig = field(default_factory=SplineConfig)
     trajectory_file: Path | None = None  # CSV, instead of a random spline
-    drone: str = "quadrotor"  # one of sim.flyers.DRONES
+    drone: str = "quadrotor"  # one of sim.scene.flyers.DRONES
     drone_size_m: float | None = None  # None: the default, or the file's own size
     drone_file: Path | None = None  # any mesh, instead of a built-in drone
     rotor_hz: float = 0.0  # turns per second of a quadrotor's rotors

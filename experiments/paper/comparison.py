@@ -148,7 +148,7 @@ def comparison_table(
     Parameters
     ----------
     tables
-        Ours, as of `tables.esim_tables`, by duration [s].
+        Ours, as of `esim.esim_tables`, by duration [s].
     published
         The paper's, as of `published.load_published`.
     reasons

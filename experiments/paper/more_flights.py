@@ -23,7 +23,7 @@ def flights_section(
     Parameters
     ----------
     runs
-        As of `tables.ordered_runs`.
+        As of `esim.ordered_runs`.
     comparison
         As of `comparison.comparison_table`.
     summary

@@ -31,9 +31,9 @@ def results_page(
     Parameters
     ----------
     runs
-        As of `tables.ordered_runs`.
+        As of `esim.ordered_runs`.
     tables
-        As of `tables.esim_tables`.
+        As of `esim.esim_tables`.
     comparison
         As of `comparison.comparison_table`.
     provenance

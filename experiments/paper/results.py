@@ -29,7 +29,7 @@ def save_results(
     Parameters
     ----------
     runs
-        As `tables.ordered_runs` takes them.
+        As `esim.ordered_runs` takes them.
     folder
         Is made when it is not there.
     provenance
