@@ -11,6 +11,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
             "trajectory",
             "trajectory_csv",
             "shapes",
+            "srgb",
             "drone",
             "two_tone",
             "flyers",

@@ -12,6 +12,7 @@ from scipy.stats import gmean
 
 from experiments.paper.grids import ANGLES_DEG, DURATIONS_S, TABLES
 from experiments.paper.quantities import ERRORS, NOISY_T_D_MARK_MS, T_D_ERROR
+from experiments.paper.summary import VERDICTS
 from experiments.quoted.committed import Committed
 from experiments.quoted.marks import MARK_NUMBERS
 from experiments.quoted.real import REAL_NUMBERS
@@ -50,9 +51,7 @@ def listed(texts: Iterable[str]) -> str:
 def verdicts(results: Committed, quantity: str) -> str:
     """Say how many cells of a published quantity agree, are better, and differ."""
     rows = results.rows("comparison", quantity=quantity)
-    counts = {
-        word: int((rows["verdict"] == word).sum()) for word in ("agrees", "better", "differs")
-    }
+    counts = {word: int((rows["verdict"] == word).sum()) for word in VERDICTS}
     words = (f"{n} {_plural(word, n)}" for word, n in counts.items() if n)
     return f"of {len(rows)} cells {listed(words)}"
 

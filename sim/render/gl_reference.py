@@ -127,8 +127,7 @@ class PyrenderFullFrame:
     def _set_uniforms(self, depth_range_m: tuple[float, float]) -> None:
         from OpenGL import GL
 
-        light_W = np.asarray(self.config.light_W)
-        light_C = self._camera.T_C_W[:3, :3] @ (light_W / np.linalg.norm(light_W))
+        light_C = self.config.light_in(self._camera)
         program_id = self._program._program_id
         self._program._bind()
         set_camera_uniforms(

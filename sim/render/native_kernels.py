@@ -62,7 +62,7 @@ def paint_crops(  # type: ignore[no-untyped-def]
             shift_u, shift_v, placed, snapped,
         )  # fmt: skip
         scale = float(1 << DEPTH_BITS) / (nearest - farthest)
-        shade(faces, first_face, normals, albedo, T_C_P[:, k], light, ambient, words)
+        shade(first_face, normals, albedo, T_C_P[:, k], light, ambient, words)
         n_front = facing(faces, snapped, front) if whole else 0
         for by in range(0, height_px, block_px[1]):
             for bx in range(0, width_px, block_px[0]):

@@ -84,7 +84,7 @@ def snap(at):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def shade(  # type: ignore[no-untyped-def]
-    faces, first_face, normals, albedo, T_C_P, light, ambient, words
+    first_face, normals, albedo, T_C_P, light, ambient, words
 ):
     """Give each face its sample word: one object sample of its Lambert luminance."""
     for part in range(T_C_P.shape[0]):

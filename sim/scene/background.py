@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from sim.errors import SimError
 from sim.scene.camera import Camera
+from sim.scene.srgb import linear_from_srgb
 
 
 def uniform_background(camera: Camera, luminance: float) -> NDArray[np.float32]:
@@ -76,6 +77,4 @@ def _load_image(path: Path) -> NDArray[np.float32]:
     if image.dtype.kind == "f":  # HDR formats hold linear light
         return image.astype(np.float32)
     srgb = image.astype(np.float64) / (255 if image.dtype == np.uint8 else 65535)
-    # The transfer function of IEC 61966-2-1.
-    linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
-    return linear.astype(np.float32)
+    return linear_from_srgb(srgb).astype(np.float32)
