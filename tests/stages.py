@@ -195,7 +195,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
             "command",
             "warm_up",
         ),
-        "scenes": ("scene", "disturb_options", "effects_options", "simulate", "demo"),
+        "scenes": ("scene", "disturb_options", "effects_options", "record", "simulate", "demo"),
         "measures": (
             "bound",
             "recording_bound",

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from experiments.run.provenance import plain
 from experiments.run.score import score
-from experiments.scenes.simulate import MAX_SEED, record_with_progress, summary
+from experiments.scenes.record import MAX_SEED, record_with_progress, summary
 from sim.recorded import Truth
 from sim.recording import SimConfig
 from ssac.console.options import number
