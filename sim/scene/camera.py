@@ -50,6 +50,11 @@ class Camera:
                 f"{self.name}: focal lengths and resolution must be positive, "
                 f"got {self.K[0, 0]}, {self.K[1, 1]} px and {self.width} x {self.height}"
             )
+        if not (np.isfinite(self.K).all() and np.isfinite(self.T_C_W).all()):
+            raise SimError(
+                f"{self.name}: K and T_C_W must be finite, got {self.K.tolist()} and "
+                f"{self.T_C_W.tolist()}"
+            )
         if self.distortion_model not in N_COEFFS:
             raise SimError(
                 f"{self.name}: unknown distortion model {self.distortion_model!r}: "

@@ -213,6 +213,7 @@ def test_bad_angle(angle_deg: float) -> None:
         ({"distance_m": 0.0}, "distance must be positive, got 0"),
         ({"focal_px": -1.0}, "focal lengths and resolution must be positive"),
         ({"resolution": (0, 260)}, "focal lengths and resolution must be positive"),
+        ({"principal_point": (np.nan, 130.0)}, "cam1: K and T_C_W must be finite"),
         ({"distortion_model": "fov"}, "unknown distortion model 'fov': use one of none, radtan"),
         ({"distortion_model": "radtan", "distortion_coeffs": (0.1,)}, "needs 4 finite coeff"),
         ({"distortion_coeffs": (0.1, 0.0, 0.0, 0.0)}, "'none' needs 0 finite coefficients"),
