@@ -21,9 +21,7 @@ RUNS_FILE, COMPARISON_FILE, PAGE_FILE = "runs.csv", "comparison.csv", "README.md
 SUMMARY_FILE = "comparison_summary.csv"
 
 
-def save_results(
-    runs: pd.DataFrame, folder: Path, provenance: Mapping[str, Any], published: Path = PUBLISHED
-) -> None:
+def save_results(runs: pd.DataFrame, folder: Path, provenance: Mapping[str, Any]) -> None:
     """Write `runs.csv`, the tables, the comparison and the page into `folder`.
 
     Parameters
@@ -34,12 +32,10 @@ def save_results(
         Is made when it is not there.
     provenance
         What `provenance.save_provenance` writes for the runs.
-    published
-        Folder of the paper's tables.
     """
     folder.mkdir(parents=True, exist_ok=True)
     runs_text = csv_text(ordered_runs(runs))
-    for name, text in {RUNS_FILE: runs_text, **derived(runs_text, provenance, published)}.items():
+    for name, text in {RUNS_FILE: runs_text, **derived(runs_text, provenance)}.items():
         with whole_file(folder / name) as temporary:
             temporary.write_text(text, encoding="utf-8", newline="\n")
 

@@ -34,12 +34,12 @@ PUBLISHED = {  # of the quantities of comparison.csv
 Number = Callable[[Committed], str]
 
 
-def digits(value: float, n: int = 2) -> str:
-    """Show `n` significant digits, without an exponent."""
+def digits(value: float) -> str:
+    """Show two significant digits, without an exponent."""
     if not np.isfinite(value):
         return "none"
-    rounded = f"{value:.{n - 1}e}"
-    return f"{float(rounded):.{max(n - 1 - int(rounded.split('e')[1]), 0)}f}"
+    rounded = f"{value:.1e}"
+    return f"{float(rounded):.{max(1 - int(rounded.split('e')[1]), 0)}f}"
 
 
 def listed(texts: Iterable[str]) -> str:
