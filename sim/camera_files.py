@@ -13,7 +13,7 @@ import hdf5plugin
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.scene.rig import Camera
+from sim.scene.camera import Camera
 from sim.sensor.buffer import EVENT_DTYPE
 
 _EVENTS_PER_CHUNK = 1 << 16

@@ -4,16 +4,17 @@
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.clock import Drift, microseconds
+from sim.clock import Drift
 from sim.render.gl_context import GLContext
 from sim.render.renderer import RenderCheck
-from sim.scene.rig import Camera, Rig
+from sim.scene.camera import Camera
+from sim.scene.rig import Rig
 from sim.scene.trajectory import Trajectory
 from sim.sensor.buffer import EVENT_DTYPE
 from sim.sensor.frames import Frames, Images
@@ -122,20 +123,3 @@ def truth_of(rig: Rig, trajectory: Trajectory, t_d_s: float, drift: Drift) -> Tr
     T_W_B = trajectory.poses(times_s)
     centres_px = np.stack([camera.project(T_W_B[:, :3, 3]) for camera in rig.cameras])
     return Truth(t_d_s, R, t, baseline_m, times_s, T_W_B, centres_px, drift)
-
-
-def with_time_offset(recording: Recording, t_d_s: float) -> Recording:
-    """Return the same recording with another offset between the clocks: `t_cam2 = t_cam1 + t_d`."""
-    change_us = microseconds(t_d_s) - microseconds(recording.truth.t_d_s)
-    second = recording.cameras[1]
-    camera = replace(second.camera, time_offset_s=t_d_s)
-    events = second.events.copy()
-    events["t"] += change_us
-    frames = replace(second.frames, times_us=second.frames.times_us + change_us)
-    others = recording.cameras[2:]
-    return replace(
-        recording,
-        cameras=(recording.cameras[0], CameraRecording(camera, events, frames), *others),
-        rig=Rig((recording.rig.cameras[0], camera, *recording.rig.cameras[2:])),
-        truth=replace(recording.truth, t_d_s=t_d_s),
-    )

@@ -21,16 +21,19 @@ from sim.render.config import RenderConfig
 from sim.render.instants import SamplingConfig, choose_instants
 from sim.render.renderer import Crops, Renderer
 from sim.scene.background import load_background, uniform_background
+from sim.scene.camera import Camera
 from sim.scene.drone import Drone, drone_from_file
 from sim.scene.flyers import FLAP_HZ, built_in_drone, check_drone_name
-from sim.scene.rig import Camera, Rig, two_view_rig
-from sim.scene.trajectory import (
-    PosesAt,
-    SplineConfig,
-    Trajectory,
-    random_spline,
-    trajectory_from_csv,
+from sim.scene.rig import (
+    DISTANCE_M,
+    FOCAL_PX,
+    PRINCIPAL_POINT,
+    RESOLUTION,
+    Rig,
+    two_view_rig,
 )
+from sim.scene.trajectory import PosesAt, SplineConfig, Trajectory, random_spline
+from sim.scene.trajectory_csv import trajectory_from_csv
 from sim.seeds import generator
 from sim.sensor.events import Sensor, SensorConfig
 from sim.sensor.frames import FrameConfig, FrameExposer, frame_times_us
@@ -66,15 +69,15 @@ class SimConfig:
     clock_jump: Jump | None = None  # of camera 2's clock: when, and by how much more it shows [s]
     spline: SplineConfig = field(default_factory=SplineConfig)
     trajectory_file: Path | None = None  # CSV, instead of a random spline
-    drone: str = "quadrotor"  # one of sim.flyers.DRONES
+    drone: str = "quadrotor"  # one of sim.scene.flyers.DRONES
     drone_size_m: float | None = None  # None: the default, or the file's own size
     drone_file: Path | None = None  # any mesh, instead of a built-in drone
     rotor_hz: float = 0.0  # turns per second of a quadrotor's rotors
     flap_hz: float = FLAP_HZ  # beats per second of the bird's wings
-    distance_m: float = 5.0  # of both cameras from the point they look at
-    focal_px: float = 200.0
-    resolution: tuple[int, int] = (346, 260)
-    principal_point: tuple[float, float] = (173.0, 130.0)
+    distance_m: float = DISTANCE_M  # of both cameras from the point they look at
+    focal_px: float = FOCAL_PX
+    resolution: tuple[int, int] = RESOLUTION
+    principal_point: tuple[float, float] = PRINCIPAL_POINT
     distortion_model: str = "none"
     distortion_coeffs: tuple[float, ...] = ()
     background_luminance: float = 0.4

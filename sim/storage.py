@@ -11,7 +11,7 @@ simulated before. Both give the same bytes.
 
 import json
 import shutil
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -27,7 +27,7 @@ from sim.errors import SimError
 from sim.partial import partial_path
 from sim.recorded import Flight, Recording
 from sim.recording import SimConfig, stream
-from sim.scene.rig import kalibr_yaml
+from sim.scene.rig import Rig, kalibr_yaml
 
 _DIGITS = 9  # decimals of the truth: nanometres and nanoseconds
 
@@ -97,7 +97,11 @@ def record(
 
 
 def save_recording(
-    recording: Recording, out_dir: Path, provenance: dict[str, Any], text: bool = False
+    recording: Recording,
+    out_dir: Path,
+    provenance: dict[str, Any],
+    text: bool = False,
+    rig_files: Mapping[str, str] | None = None,
 ) -> None:
     """Write a recording as a folder.
 
@@ -110,6 +114,8 @@ def save_recording(
         What the recording was made with; goes into truth.json as it is.
     text
         Write the events as ESIM text (cam1.txt, ...) too.
+    rig_files
+        Name -> text, in place of `true_rig_files` of the recording's rig.
 
     Raises
     ------
@@ -127,7 +133,15 @@ def save_recording(
                 sink.add(camera.events)
                 sink.close()
             sinks.append(sink)
-        _save_about(_recorded(recording.flight, sinks), partial, provenance)
+        _save_about(_recorded(recording.flight, sinks), partial, provenance, rig_files)
+
+
+def true_rig_files(rig: Rig) -> dict[str, str]:
+    """Give the texts of the rig's files by name, without the true extrinsics and with them."""
+    return {
+        "rig.yaml": kalibr_yaml(rig, with_extrinsics=False),
+        "rig_extrinsics.yaml": kalibr_yaml(rig, with_extrinsics=True),
+    }
 
 
 @contextmanager
@@ -171,11 +185,15 @@ def _recorded(flight: Flight, sinks: Sequence[CameraFiles]) -> Recorded:
     return Recorded(flight, n_events, tuple(sink.n_frames for sink in sinks))
 
 
-def _save_about(recorded: Recorded, folder: Path, provenance: dict[str, Any]) -> None:
+def _save_about(
+    recorded: Recorded,
+    folder: Path,
+    provenance: dict[str, Any],
+    rig_files: Mapping[str, str] | None = None,
+) -> None:
     """Write all files but those of the cameras."""
-    rig = recorded.flight.rig
-    (folder / "rig.yaml").write_text(kalibr_yaml(rig, with_extrinsics=False))
-    (folder / "rig_extrinsics.yaml").write_text(kalibr_yaml(rig, with_extrinsics=True))
+    for name, text in (rig_files or true_rig_files(recorded.flight.rig)).items():
+        (folder / name).write_text(text)
     truth = _truth(recorded) | {"provenance": provenance}
     # A line for each entry: json's own indentation is ten times as slow as all else about it.
     lines = (f"{json.dumps(name)}: {json.dumps(value)}" for name, value in truth.items())

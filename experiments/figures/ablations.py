@@ -32,7 +32,7 @@ _PARTS = ("mean", "std")  # of an error's columns
 # Of a line, by the parameter that it stands for.
 _NAMES = {"sim.angle_deg": "{:g} deg", "sim.spline.duration_s": "{:g} s", "sim.drone": "{}"}
 _MARKERS = "osD^vPX"
-_DASHES = ("-", (0, (1.2, 1.2)), (0, (5.0, 1.5)), "-.")  # of a second parameter\'s values
+_DASHES = ("-", (0, (1.2, 1.2)), (0, (5.0, 1.5)), "-.")  # of a second parameter's values
 _LIGHTEST = 0.82  # of the colour map: what follows is too light on white
 _LOG_FROM = 8.0  # largest over least mean from which an error's axis is logarithmic
 _MAX_VALUES = 6  # of the parameter, all of which are written below the axis

@@ -16,10 +16,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullLocator
 
-from experiments.figures.style import WIDTH_IN, Look, method_looks, quiet_axes
-from experiments.paper.comparison import PUBLISHED_ERRORS, PUBLISHED_RUNS
+from experiments.figures.style import WIDTH_IN, Look, label_grid, method_looks, quiet_axes
 from experiments.paper.esim import method_order
-from experiments.paper.quantities import ANGLE_LABEL, ERRORS, T_D_ERROR
+from experiments.paper.published import PUBLISHED_ERRORS, PUBLISHED_RUNS
+from experiments.paper.quantities import ERRORS, T_D_ERROR
 
 _LEAST = 0.01  # of each error, in its own unit: what is below is drawn there
 _ROW_HEIGHTS = (1.7, 1.0, 1.0)
@@ -74,12 +74,7 @@ def error_figure(runs: pd.DataFrame, published: Mapping[float, pd.DataFrame]) ->
                     _draw_published(axes, published_means(table, column), looks[method], shift_deg)
             _set_scales(axes, sorted(runs["angle_deg"].unique()), error)
         row[0].set_ylabel(quantity.label)
-    for axes, duration_s in zip(grid[0], durations_s, strict=True):
-        axes.set_title(f"Recordings of {duration_s:g} s", fontsize=11)
-    for axes in grid[-1]:
-        axes.set_xlabel(ANGLE_LABEL)
-    figure.legend(handles=_legend(runs, looks), loc="outside lower center", ncols=4, fontsize=8,
-                  frameon=False)  # fmt: skip
+    label_grid(figure, grid, durations_s, _legend(runs, looks))
     return figure
 
 

@@ -25,8 +25,8 @@ from experiments.figures.events import (
 )
 from experiments.figures.style import save_png
 from experiments.paper.checksums import record_checksums
-from experiments.paper.comparison import load_published
 from experiments.paper.esim import ordered_runs, runs_from_csv
+from experiments.paper.published import load_published
 from experiments.run.cache import DEFAULT_FOLDER, Cache
 from experiments.run.grid import flight_seed
 from experiments.run.provenance import save_provenance

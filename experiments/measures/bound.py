@@ -59,7 +59,7 @@ def fisher_information(
     rig: Rig,
     noise_px: float | Array,
 ) -> Array:
-    """Sum up what n pairs tell of the six parameters that `refinement` names.
+    """Sum up what n pairs tell of the offset and the pose, six parameters.
 
     Parameters
     ----------

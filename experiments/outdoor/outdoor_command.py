@@ -22,7 +22,7 @@ from experiments.outdoor.third import THREE_CAMERAS, TWO_AT_ONCE, at_once, at_on
 from experiments.outdoor.twin import COLUMNS, KINDS, compared, twin_row
 from experiments.paper.checksums import record_checksums
 from experiments.run.cache import DEFAULT_FOLDER, Cache, recording_key, run_key
-from experiments.run.command import CacheOption, OutOption, check_is_folder
+from experiments.run.command import CacheOption, OutOption, check_is_folder, with_options
 from experiments.run.provenance import save_provenance
 from ssac.compare.figure import save_figure
 from ssac.console.options import number
@@ -57,16 +57,22 @@ def outdoor_command(
     ]
     runs = pd.DataFrame(rows, columns=COLUMNS)
     seconds = time.perf_counter() - start
+    command = command_of(flights, duration, third)
+    settings = outdoor_settings(flights, duration, third)
     for name, table in ((RUNS_FILE, runs), (ORACLE_FILE, oracle_table(runs))):
         with whole_file(out / name) as temporary:
             table.to_csv(temporary, index=False, float_format="%.6g", lineterminator="\n")
-        save_provenance(
-            out / name, COMMAND, outdoor_settings(flights, duration, third), seconds, None
-        )
+        save_provenance(out / name, command, settings, seconds, None)
     written = [out / RUNS_FILE, out / ORACLE_FILE, *_drawn(kept, duration, out / FIGURE_FILE)]
     record_checksums(out, written)
     typer.echo(oracle_table(runs).to_string(index=False, float_format="%.3g"))
     typer.echo(f"written to {', '.join(map(str, written))}")
+
+
+def command_of(flights: int, duration_s: float, third: bool) -> str:
+    """Give the command line that makes the tables, for their provenance."""
+    options = {"--flights": (flights, N_FLIGHTS), "--duration": (duration_s, DURATION_S)}
+    return with_options(COMMAND, options) + ("" if third else " --no-third")
 
 
 def kinds_of(third: bool = True) -> tuple[str, ...]:

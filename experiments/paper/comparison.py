@@ -9,24 +9,16 @@ errors, as with the correlation methods, it is wrong in about 20 %.
 Our flights may be more than the paper's; each verdict is also given by our first as many alone.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from scipy.stats import t as student
 
-from experiments.paper.grids import table_axes
-from experiments.paper.quantities import R_ERROR, T_D_ERROR, T_ERROR
+from experiments.paper.published import PUBLISHED_ERRORS, PUBLISHED_RUNS, PublishedError
 from ssac.errors import SsacError
-
-PUBLISHED = Path(__file__).resolve().parents[2] / "results" / "published"
-
-PUBLISHED_RUNS = 10
-"""Of each cell. All 30 published means of ZNCC_E are whole tenths of sums of multiples of its unit
-of 10 ms, and so are the deviations if they are taken over 10 runs, not over 10 - 1."""
 
 RULE = (
     "Agrees: the 95 % interval of the difference of the means (Welch's t, from both means, "
@@ -37,30 +29,6 @@ RULE = (
 SIZE_RULE = (
     "Of the paper's size or better: a one-sided test at 5 % does not find our mean larger (the "
     "lower end of the 90 % interval, widened likewise, is not above 0)"
-)
-
-
-@dataclass(frozen=True)
-class PublishedError:
-    """One mean error that the paper gives."""
-
-    method: str
-    error: str
-    published: str  # start of its columns in the published table
-    resolution: float  # unit of the last printed digit
-
-    @property
-    def name(self) -> str:
-        """Start of its columns in our table."""
-        return f"{self.method}_{self.error}"
-
-
-PUBLISHED_ERRORS = (
-    PublishedError("ssac", T_D_ERROR.column, "ssac_error_ms", 0.01),
-    PublishedError("zncc_e", T_D_ERROR.column, "zncc_e_error_ms", 0.1),
-    PublishedError("zncc_f", T_D_ERROR.column, "zncc_f_error_ms", 0.1),
-    PublishedError("ssac", R_ERROR.column, "r_error_deg", 0.01),
-    PublishedError("ssac", T_ERROR.column, "t_error_deg", 0.01),
 )
 
 
@@ -168,45 +136,6 @@ def verdict_of(interval: tuple[float, float]) -> str:
     return "agrees" if low <= 0.0 <= high else "differs"
 
 
-def load_published(
-    folder: Path = PUBLISHED,
-    name: str = "esim",
-    durations_s: Sequence[float] | None = None,
-    errors: tuple[PublishedError, ...] = PUBLISHED_ERRORS,
-) -> dict[float, pd.DataFrame]:
-    """Read the paper's tables, by duration [s].
-
-    Parameters
-    ----------
-    folder
-    name
-        Start of their files' names.
-    durations_s
-        By default those of the simulation tables.
-    errors
-        That they must have.
-
-    Raises
-    ------
-    SsacError
-        If a file cannot be read or lacks a column.
-    """
-    tables = {}
-    for duration_s in table_axes().durations_s if durations_s is None else durations_s:
-        path = folder / f"{name}_{duration_s:g}.csv"
-        try:
-            table = pd.read_csv(path)
-        except (OSError, ValueError) as error:
-            raise SsacError(f"{path}: the published table cannot be read: {error}") from error
-        needed = ["angle_deg", "t_d_ms"]
-        needed += [f"{q.published}_{part}" for q in errors for part in ("mean", "std")]
-        absent = [column for column in needed if column not in table]
-        if absent:
-            raise SsacError(f"{path}: the published table lacks the columns {', '.join(absent)}")
-        tables[duration_s] = table
-    return tables
-
-
 def comparison_table(
     tables: Mapping[float, pd.DataFrame],
     published: Mapping[float, pd.DataFrame],
@@ -219,9 +148,9 @@ def comparison_table(
     Parameters
     ----------
     tables
-        Ours, as of `tables.esim_tables`, by duration [s].
+        Ours, as of `esim.esim_tables`, by duration [s].
     published
-        The paper's, as of `load_published`.
+        The paper's, as of `published.load_published`.
     reasons
         For the notes.
     first

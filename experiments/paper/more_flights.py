@@ -7,8 +7,8 @@ from typing import Any
 
 import pandas as pd
 
-from experiments.paper.comparison import PUBLISHED_RUNS
 from experiments.paper.markdown import markdown_table, number, paragraph
+from experiments.paper.published import PUBLISHED_RUNS
 from experiments.paper.quantities import ERRORS, split_quantity
 from experiments.paper.summary import VERDICTS
 
@@ -23,7 +23,7 @@ def flights_section(
     Parameters
     ----------
     runs
-        As of `tables.ordered_runs`.
+        As of `esim.ordered_runs`.
     comparison
         As of `comparison.comparison_table`.
     summary

@@ -8,15 +8,11 @@ from typing import Any
 
 import pandas as pd
 
-from experiments.paper.comparison import (
-    PUBLISHED_ERRORS,
-    PUBLISHED_RUNS,
-    RULE,
-    SIZE_RULE,
-)
+from experiments.paper.comparison import RULE, SIZE_RULE
 from experiments.paper.esim import method_order, pose_methods
 from experiments.paper.markdown import markdown_table, means_with_stds, number, paragraph
 from experiments.paper.more_flights import Record, flights_section, label, records
+from experiments.paper.published import PUBLISHED_ERRORS, PUBLISHED_RUNS
 from experiments.paper.quantities import ERRORS, POSE_ERRORS, T_D_ERROR
 from experiments.paper.summary import VERDICTS, summary_table
 
@@ -35,9 +31,9 @@ def results_page(
     Parameters
     ----------
     runs
-        As of `tables.ordered_runs`.
+        As of `esim.ordered_runs`.
     tables
-        As of `tables.esim_tables`.
+        As of `esim.esim_tables`.
     comparison
         As of `comparison.comparison_table`.
     provenance

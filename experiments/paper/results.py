@@ -10,14 +10,10 @@ from typing import Any
 
 import pandas as pd
 
-from experiments.paper.comparison import (
-    PUBLISHED,
-    PUBLISHED_RUNS,
-    comparison_table,
-    load_published,
-)
+from experiments.paper.comparison import comparison_table
 from experiments.paper.esim import csv_text, esim_tables, ordered_runs, runs_from_csv
 from experiments.paper.page import results_page
+from experiments.paper.published import PUBLISHED, PUBLISHED_RUNS, load_published
 from experiments.paper.summary import summary_table
 from ssac.files.whole_file import whole_file
 
@@ -25,25 +21,21 @@ RUNS_FILE, COMPARISON_FILE, PAGE_FILE = "runs.csv", "comparison.csv", "README.md
 SUMMARY_FILE = "comparison_summary.csv"
 
 
-def save_results(
-    runs: pd.DataFrame, folder: Path, provenance: Mapping[str, Any], published: Path = PUBLISHED
-) -> None:
+def save_results(runs: pd.DataFrame, folder: Path, provenance: Mapping[str, Any]) -> None:
     """Write `runs.csv`, the tables, the comparison and the page into `folder`.
 
     Parameters
     ----------
     runs
-        As `tables.ordered_runs` takes them.
+        As `esim.ordered_runs` takes them.
     folder
         Is made when it is not there.
     provenance
         What `provenance.save_provenance` writes for the runs.
-    published
-        Folder of the paper's tables.
     """
     folder.mkdir(parents=True, exist_ok=True)
     runs_text = csv_text(ordered_runs(runs))
-    for name, text in {RUNS_FILE: runs_text, **derived(runs_text, provenance, published)}.items():
+    for name, text in {RUNS_FILE: runs_text, **derived(runs_text, provenance)}.items():
         with whole_file(folder / name) as temporary:
             temporary.write_text(text, encoding="utf-8", newline="\n")
 

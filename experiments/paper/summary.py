@@ -13,7 +13,7 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-from experiments.paper.comparison import PUBLISHED_ERRORS, PUBLISHED_RUNS
+from experiments.paper.published import PUBLISHED_ERRORS, PUBLISHED_RUNS
 
 FloatArray = NDArray[np.float64]
 

@@ -12,6 +12,7 @@ from scipy.stats import gmean
 
 from experiments.paper.grids import ANGLES_DEG, DURATIONS_S, TABLES
 from experiments.paper.quantities import ERRORS, NOISY_T_D_MARK_MS, T_D_ERROR
+from experiments.paper.summary import VERDICTS
 from experiments.quoted.committed import Committed
 from experiments.quoted.marks import MARK_NUMBERS
 from experiments.quoted.real import REAL_NUMBERS
@@ -33,12 +34,12 @@ PUBLISHED = {  # of the quantities of comparison.csv
 Number = Callable[[Committed], str]
 
 
-def digits(value: float, n: int = 2) -> str:
-    """Show `n` significant digits, without an exponent."""
+def digits(value: float) -> str:
+    """Show two significant digits, without an exponent."""
     if not np.isfinite(value):
         return "none"
-    rounded = f"{value:.{n - 1}e}"
-    return f"{float(rounded):.{max(n - 1 - int(rounded.split('e')[1]), 0)}f}"
+    rounded = f"{value:.1e}"
+    return f"{float(rounded):.{max(1 - int(rounded.split('e')[1]), 0)}f}"
 
 
 def listed(texts: Iterable[str]) -> str:
@@ -50,9 +51,7 @@ def listed(texts: Iterable[str]) -> str:
 def verdicts(results: Committed, quantity: str) -> str:
     """Say how many cells of a published quantity agree, are better, and differ."""
     rows = results.rows("comparison", quantity=quantity)
-    counts = {
-        word: int((rows["verdict"] == word).sum()) for word in ("agrees", "better", "differs")
-    }
+    counts = {word: int((rows["verdict"] == word).sum()) for word in VERDICTS}
     words = (f"{n} {_plural(word, n)}" for word, n in counts.items() if n)
     return f"of {len(rows)} cells {listed(words)}"
 

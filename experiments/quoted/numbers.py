@@ -148,7 +148,9 @@ def value_of(name: str, results: Committed, place: str) -> str:
 
 def _number(name: str) -> Number:
     if name not in NUMBERS:
-        raise SsacError("no such number: the names are in experiments/report/quoted.py")
+        raise SsacError(
+            "no such number: the names are in experiments/quoted/, cells.py and tables.py"
+        )
     return NUMBERS[name]
 
 

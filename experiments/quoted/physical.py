@@ -10,6 +10,7 @@ import pandas as pd
 
 from experiments.paper.markdown import markdown_table
 from experiments.paper.quantities import ERRORS
+from experiments.paper.summary import VERDICTS
 from experiments.physical.budget import METHOD_NAMES
 from experiments.physical.imperfections import ALL, NONE, all_but, only
 from experiments.physical.mini import DURATIONS_S
@@ -65,8 +66,7 @@ def mini_verdicts(results: Committed) -> str:
                     symbol,
                     f"{duration_s:g}",
                     f"{len(cells)}",
-                    *(f"{(cells['verdict'] == word).sum()}"
-                      for word in ("agrees", "better", "differs")),
+                    *(f"{(cells['verdict'] == word).sum()}" for word in VERDICTS),
                     f"{(cells['paper_size_or_better'] == 'yes').sum()}",
                     f"{halved.sum()}",
                 ]

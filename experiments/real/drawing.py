@@ -19,7 +19,7 @@ def real_figure(pairs: pd.DataFrame, strays: pd.DataFrame) -> Figure:
     Parameters
     ----------
     pairs, strays
-        As `experiments.real.pairs.run_pairs` gives them.
+        As `experiments.real.pairs.pair_tables` gives them.
     """
     figure = Figure(figsize=(WIDTH_IN, 3.6), layout="constrained")
     left, right = figure.subplots(1, 2)

@@ -72,7 +72,8 @@ def packed_events(view: View, end_s: float) -> bytes:
     its last window.
     """
     share = (view.times_s + TRAIL_S) / (TRAIL_S + end_s + HALF_WINDOW_S)
-    ticks = np.floor(share * (1 << _TIME_BITS)).astype(np.uint32)
+    # An event on either end may be beyond it by a rounding.
+    ticks = np.clip(np.floor(share * (1 << _TIME_BITS)), 0, (1 << _TIME_BITS) - 1).astype(np.uint32)
     packed = (
         ticks << np.uint32(_POLARITY_BIT + 1)
         | view.brighter.astype(np.uint32) << np.uint32(_POLARITY_BIT)

@@ -73,8 +73,8 @@ class ReportFigure:
 class Results:
     """What `make tables ablations figures` left."""
 
-    tables: dict[float, pd.DataFrame]  # by duration [s], as `tables.esim_table` makes them
-    runs: pd.DataFrame  # tables.RUN_COLUMNS
+    tables: dict[float, pd.DataFrame]  # by duration [s], as `esim.esim_table` makes them
+    runs: pd.DataFrame  # esim.RUN_COLUMNS
     comparison: pd.DataFrame  # as `comparison.comparison_table` makes it
     figures: tuple[ReportFigure, ...]
     provenance: dict[str, dict[str, Any]]  # by the name of the result

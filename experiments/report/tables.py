@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from experiments.paper.comparison import PUBLISHED_RUNS, RULE
+from experiments.paper.comparison import RULE
+from experiments.paper.published import PUBLISHED_RUNS
 from experiments.paper.quantities import ERRORS, split_quantity
 from experiments.report.data import Results
 

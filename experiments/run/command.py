@@ -1,6 +1,6 @@
 """What commands that make results share: options, what they check, what they say at the end."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -97,6 +97,12 @@ def other_than_default(renderer: str, check: bool) -> list[str]:
     """Return the options of a command line that draws in this way."""
     named = [] if renderer == RENDERERS[0] else ["--renderer", renderer]
     return named if check else [*named, "--no-check"]
+
+
+def with_options(command: str, options: Mapping[str, tuple[Any, Any]]) -> str:
+    """Add to a command line the options, (value, default) by name, that are not as by default."""
+    named = (f"{name} {value}" for name, (value, default) in options.items() if value != default)
+    return " ".join([command, *named])
 
 
 def finish(outcome: Outcome, cache: Cache, *files: Path) -> None:

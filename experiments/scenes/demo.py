@@ -1,6 +1,8 @@
 """The main chain on one flight, from nothing to a figure: `ssac demo`."""
 
+import json
 import shutil
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated
 
@@ -9,8 +11,9 @@ import typer
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from experiments.run.provenance import plain
 from experiments.run.score import score
-from experiments.scenes.simulate import MAX_SEED, record_with_progress, summary
+from experiments.scenes.record import MAX_SEED, record_with_progress, summary
 from sim.recorded import Truth
 from sim.recording import SimConfig
 from ssac.console.options import number
@@ -32,7 +35,8 @@ def demo_command(
 ) -> None:
     """Simulate 20 s at 90 deg with an offset of 50 ms, recover it, and draw one figure."""
     folder = out_dir / "recording"
-    shutil.rmtree(folder, ignore_errors=True)  # of an earlier demo
+    if is_of_a_demo(folder):
+        shutil.rmtree(folder, ignore_errors=True)
     recorded = record_with_progress(DEMO, seed, folder)
     typer.echo(summary(recorded, folder))
     results = [
@@ -45,6 +49,14 @@ def demo_command(
     figure = out_dir / "demo.png"
     save_figures(figure, last.estimate, last.cam1, last.cam2, last.rig, last.config)
     typer.echo(f"\nfigure: {figure}")
+
+
+def is_of_a_demo(folder: Path) -> bool:
+    """Tell whether a folder is what an earlier demo recorded, not something of the user's."""
+    with suppress(OSError, ValueError, KeyError, TypeError):
+        truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
+        return bool(truth["provenance"]["config"] == plain(DEMO))
+    return False
 
 
 def comparison(estimate: Estimate, truth: Truth) -> str:

@@ -49,24 +49,15 @@ class SceneFigures:
     n_events: float  # mean per camera
 
 
-def scene_figures(recording: Recording, config: Config | None = None) -> SceneFigures:
-    """Measure a recording.
-
-    Parameters
-    ----------
-    recording
-    config
-        How the method takes its samples.
-    """
+def scene_figures(recording: Recording) -> SceneFigures:
+    """Measure a recording."""
     rig = rig_of(recording, with_extrinsics=True)
-    return pair_figures(*observations(recording), rig, recording.truth.t_d_s, config)
+    return pair_figures(*observations(recording), rig, recording.truth.t_d_s)
 
 
-def pair_figures(
-    cam1: Observation, cam2: Observation, rig: Rig, t_d_s: float, config: Config | None = None
-) -> SceneFigures:
+def pair_figures(cam1: Observation, cam2: Observation, rig: Rig, t_d_s: float) -> SceneFigures:
     """Measure what two cameras recorded; the rig and the offset are the true ones."""
-    config = config or Config()
+    config = Config()
     views = two_views(cam1, cam2, rig, config)
     F = fundamental_from_pose(rig.cam1.K, rig.cam2.K, *known_pose(rig))
     offsets_s = t_d_s + np.array([-SLOPE_STEP_S, 0.0, SLOPE_STEP_S])

@@ -4,10 +4,8 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from tqdm import tqdm
 
 from experiments.run.bridge import check_mesh, recording_bytes, rig_of
-from experiments.run.provenance import plain, versions
 from experiments.scenes.disturb_options import (
     BranchesOption,
     CloudsOption,
@@ -26,12 +24,11 @@ from experiments.scenes.effects_options import (
     PresetOption,
     chosen_sensor,
 )
+from experiments.scenes.record import MAX_SEED, record_with_progress, summary
 from experiments.scenes.scene import SceneFigures, pair_figures, scene_table
 from sim.clock import MAX_SKEW_PPM
 from sim.disturb.config import DisturbConfig
-from sim.disturb.record import record_disturbed
 from sim.errors import SimError
-from sim.recorded import Flight
 from sim.recording import SimConfig
 from sim.render.config import RENDERERS, RenderConfig
 from sim.render.instants import SamplingConfig
@@ -39,38 +36,14 @@ from sim.render.lattice import Lattice
 from sim.scene.flyers import DRONES
 from sim.scene.trajectory import SplineConfig
 from sim.sensor.frames import FrameConfig
-from sim.storage import Recorded, record
+from sim.storage import Recorded
 from ssac.console.options import number
 from ssac.files.hdf5 import load_events_h5
 from ssac.files.temporary import remove_left_over
 from ssac.files.whole_file import check_folder
 from ssac.track.observation import Observation
 
-MAX_SEED = 2**32 - 1
-
 _DEFAULT = SimConfig()
-
-
-def record_with_progress(
-    config: SimConfig,
-    seed: int,
-    out_dir: Path,
-    text: bool = False,
-    disturb: DisturbConfig | None = None,
-) -> Recorded:
-    """Simulate into a folder, with a progress bar where stderr is a terminal."""
-    provenance = {"config": plain(config), "seed": seed, "versions": versions()}
-    # The delay keeps the bar from appearing before a line about bad input, and `disable=None` where
-    # stderr is no terminal.
-    style = "{l_bar}{bar}| {remaining} left"
-    with tqdm(total=100, desc="simulating", bar_format=style, delay=0.5, disable=None) as bar:
-
-        def show(share: float) -> None:
-            bar.update(round(100 * share) - bar.n)
-
-        if disturb is None or disturb.is_none:
-            return record(config, seed, out_dir, provenance, text, show)
-        return record_disturbed(config, disturb, seed, out_dir, provenance, text, show)
 
 
 def simulate_command(
@@ -263,33 +236,6 @@ def _spline(duration_s: float, spread: float) -> SplineConfig:
     x, y, z = (spread * multiplier for multiplier in _DEFAULT.spline.multiplier_xyz_m)
     radius_m = spread * _DEFAULT.spline.max_radius_m
     return SplineConfig(duration_s, multiplier_xyz_m=(x, y, z), max_radius_m=radius_m)
-
-
-def summary(recorded: Recorded, out_dir: Path) -> str:
-    """Say in a few lines what was recorded and where it lies."""
-    flight = recorded.flight
-    lines = [
-        f"{camera.name}: {n_events} events, {n_frames} frames"
-        for camera, n_events, n_frames in zip(
-            flight.rig.cameras, recorded.n_events, recorded.n_frames, strict=True
-        )
-    ]
-    lines.extend(_drawn_by(flight))
-    lines.append(f"written to {out_dir}")
-    return "\n".join(lines)
-
-
-def _drawn_by(flight: Flight) -> list[str]:
-    """Name what drew, and how far it was from the definition."""
-    gl, check = flight.gl, flight.check
-    by_gl = f"{gl.backend} ({gl.renderer})" if gl else "the native renderer"
-    if not check.n_instants:
-        return [f"{flight.n_instants} instants rendered with {by_gl}"]
-    return [
-        f"{flight.n_instants} instants rendered with the native renderer",
-        f"{check.n_instants} of them with {by_gl} too: luminance differs by "
-        f"{check.mean_difference:.0e} in the mean, {check.max_difference:.0e} at most",
-    ]
 
 
 def _figures(recorded: Recorded, folder: Path) -> SceneFigures:

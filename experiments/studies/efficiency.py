@@ -5,7 +5,6 @@ results/runs.csv. The efficiency is the bound's root mean square over the flight
 errors; `experiments.measures.recording_bound` says what the bound assumes.
 """
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -78,26 +77,24 @@ def runs_beside_bounds(runs: pd.DataFrame, bounds: pd.DataFrame) -> pd.DataFrame
     return beside
 
 
-def efficiency_table(beside: pd.DataFrame, keys: Sequence[str] = CELL) -> pd.DataFrame:
-    """Sum up the runs that share their keys, by default those of each cell and method.
+def efficiency_table(beside: pd.DataFrame) -> pd.DataFrame:
+    """Sum up the runs of each cell and method.
 
     Parameters
     ----------
     beside
         As of `runs_beside_bounds`.
-    keys
-        Columns of it.
 
     Returns
     -------
     pd.DataFrame
-        The keys, `n_runs` that are "ok", the means of `sigma_px` and `n_samples`, and of t_d [ms],
-        R [deg] and t [deg] the root mean squares of bound and error, and their ratio, the
-        efficiency; NaN for the pose where it was given.
+        The columns CELL, `n_runs` that are "ok", the means of `sigma_px` and `n_samples`, and of
+        t_d [ms], R [deg] and t [deg] the root mean squares of bound and error, and their ratio,
+        the efficiency; NaN for the pose where it was given.
     """
     rows = []
-    for key, part in beside.groupby(list(keys), sort=False):
-        row: dict[str, Any] = dict(zip(keys, key, strict=True))
+    for cell, part in beside.groupby(list(CELL), sort=False):
+        row: dict[str, Any] = dict(zip(CELL, cell, strict=True))
         row |= {"n_runs": len(part)}
         row |= {name: part[name].mean() for name in ("sigma_px", "n_samples")}
         for parameter, unit in UNITS.items():

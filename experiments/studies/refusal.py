@@ -20,10 +20,10 @@ FIRST_FLIGHT, KIND_STEP = 1000, 100
 OTHER_FLIGHT = 50_000  # added to the number, for the flight that only camera 2 sees
 
 
-def refusal_cells(n_flights: int = N_FLIGHTS) -> list[RefusalCell]:
+def refusal_cells() -> list[RefusalCell]:
     """List every method on every kind that is made of each flight."""
     cells = []
-    for index in range(n_flights):
+    for index in range(N_FLIGHTS):
         for number, (of_flight, kinds) in enumerate(KINDS_OF_FLIGHT.items()):
             flight = FIRST_FLIGHT + KIND_STEP * number + index
             angle_deg = ANGLES_DEG[(2 * index + number) % len(ANGLES_DEG)]

@@ -64,7 +64,7 @@ VARIANTS = {
 }
 
 
-def variant_cells(n_flights: int = N_FLIGHTS) -> list[VariantCell]:
+def variant_cells() -> list[VariantCell]:
     """List the joint refinement and every variant on each flight."""
     spline = replace(SimConfig().spline, duration_s=DURATION_S)
     base = SimConfig(t_d_s=T_D_S, spline=spline, frames=FrameConfig(rate_hz=0.0))
@@ -72,7 +72,7 @@ def variant_cells(n_flights: int = N_FLIGHTS) -> list[VariantCell]:
     return [
         VariantCell(sim, flight, seed, variant, config)
         for sim in (replace(base, angle_deg=angle_deg) for angle_deg in ANGLES_DEG)
-        for flight, seed in drawn(sim, range(FIRST_FLIGHT, FIRST_FLIGHT + n_flights))
+        for flight, seed in drawn(sim, range(FIRST_FLIGHT, FIRST_FLIGHT + N_FLIGHTS))
         for variant, config in variants.items()
     ]
 

@@ -10,7 +10,7 @@ import typer
 
 from experiments.paper.checksums import record_checksums
 from experiments.run.cache import DEFAULT_FOLDER, Cache
-from experiments.run.command import CacheOption
+from experiments.run.command import CacheOption, with_options
 from experiments.run.provenance import save_provenance
 from experiments.studies.study import save_csv
 from experiments.torture.campaign import campaign
@@ -77,7 +77,8 @@ def torture_command(
     path = out / CSV_FILE
     save_csv(path, counts)
     seconds = time.perf_counter() - start
-    save_provenance(path, COMMAND, reliability_config(extent), seconds, None)
+    settings = reliability_config(extent)
+    save_provenance(path, command_of(extent), settings, seconds, None)
     record_checksums(out, [path])
     typer.echo(counts.to_string(index=False))
     typer.echo(
@@ -93,3 +94,15 @@ def torture_command(
     typer.echo(f"written to {path}")
     if any(case.outcome in BAD for case in bad):
         raise typer.Exit(NO_ESTIMATE)
+
+
+def command_of(extent: Extent) -> str:
+    """Give the command line of a campaign, for its provenance."""
+    committed = reliability_config()
+    return with_options(
+        COMMAND,
+        {
+            f"--{name.replace('_', '-')}": (value, committed[name])
+            for name, value in reliability_config(extent).items()
+        },
+    )

@@ -11,9 +11,9 @@ from matplotlib.figure import Figure
 from experiments.figures.figures import drawings
 from experiments.figures.growth import growth_figure
 from experiments.figures.style import png_bytes
-from experiments.paper.comparison import PUBLISHED
 from experiments.paper.esim import KEY, csv_text, describe, ordered_runs, runs_from_csv
 from experiments.paper.grids import TABLES, offset_ms, table_cells
+from experiments.paper.published import PUBLISHED
 from experiments.paper.quantities import POSE_ERRORS
 from experiments.paper.results import (
     COMPARISON_FILE,

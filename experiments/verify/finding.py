@@ -9,6 +9,18 @@ from ssac.errors import SsacError
 
 _SHOWN = 5  # faults of one kind
 
+_UNLIKE = (
+    OSError,
+    SimError,
+    SsacError,
+    ValueError,
+    KeyError,
+    IndexError,
+    TypeError,
+    AttributeError,
+)
+"""What a check raises where a file is not there, or has another shape than it expects."""
+
 
 @dataclass(frozen=True)
 class Finding:
@@ -29,7 +41,7 @@ def found(what: str, check: Callable[[], tuple[str, ...]]) -> Finding:
     """Make a check; a file that is missing, or not what it should be, is a fault."""
     try:
         return Finding(what, check())
-    except (OSError, SimError, SsacError, ValueError, KeyError, TypeError) as error:
+    except _UNLIKE as error:
         return Finding(what, (f"{type(error).__name__}: {' '.join(str(error).split())}",))
 
 

@@ -65,9 +65,11 @@ class Processes:
                 value, error = pipe.recv()
             except (EOFError, OSError):
                 found.append(Ended(number, None, DiedError(worker.end())))
-            else:
-                _IDLE.append(worker)
-                found.append(Ended(number, value, error))
+                continue
+            except Exception as unreadable:  # what it sent cannot be unpickled; all of it was read
+                value, error = None, unreadable
+            _IDLE.append(worker)
+            found.append(Ended(number, value, error))
         return found
 
     def __enter__(self) -> "Processes":

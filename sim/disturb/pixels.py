@@ -9,17 +9,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.effects.pixels import CLUSTER_PX
 from sim.errors import SimError
 from sim.sensor.buffer import EVENT_DTYPE
+from sim.sensor.events import HOT_SPREAD
 
 FloatArray = NDArray[np.float64]
 
 LAMP_HZ = 100.0  # mains of 50 Hz: bright at both crests
 LAMP_STEPS = 2  # thresholds that its light passes on the way up, and again on the way down
 LAMP_JITTER_S = 1e-4
-CLUSTER_PX = 3  # side of a hot cluster
-CLUSTER_HZ = 200.0  # median rate of its pixels
-CLUSTER_SPREAD = 0.7  # of the rate's logarithm over pixels, as of single hot pixels
+CLUSTER_HZ = 200.0  # median rate of a hot cluster's pixels
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ def hot_clusters(view: View, n_clusters: int, rng: np.random.Generator) -> NDArr
     for _ in range(n_clusters):
         x0, y0 = _corner(view, CLUSTER_PX, "a hot cluster", rng)
         for row, column in np.ndindex(CLUSTER_PX, CLUSTER_PX):
-            rate_hz = CLUSTER_HZ * rng.lognormal(0.0, CLUSTER_SPREAD)
+            rate_hz = CLUSTER_HZ * rng.lognormal(0.0, HOT_SPREAD)
             n = rng.poisson(rate_hz * view.duration_s)
             x_px.append(np.full(n, float(x0 + column)))
             y_px.append(np.full(n, float(y0 + row)))

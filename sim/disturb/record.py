@@ -15,12 +15,10 @@ from sim.disturb.clutter import clutter, merged, second_seed, thinned, wrong_int
 from sim.disturb.config import DisturbConfig
 from sim.disturb.pixels import View
 from sim.errors import SimError
-from sim.partial import partial_path
 from sim.recorded import CameraRecording, Recording
 from sim.recording import SimConfig, simulate
-from sim.scene.rig import kalibr_yaml
 from sim.sensor.frames import FrameConfig
-from sim.storage import Recorded, check_out_dir, save_recording
+from sim.storage import Recorded, check_out_dir, save_recording, true_rig_files
 
 Progress = Callable[[float], None]
 
@@ -72,9 +70,8 @@ def record_disturbed(
     recording = disturbed(recording, disturb, seed, second)
     true = {camera.name: camera.K.tolist() for camera in recording.rig.cameras}
     spoilt = {"disturbances": asdict(disturb), "true_K": true}
-    save_recording(recording, out_dir, provenance | spoilt, text)
-    if any(disturb.intrinsics_error):
-        _write_wrong_rigs(recording, disturb, seed, out_dir)
+    wrong = _wrong_rig_files(recording, disturb, seed) if any(disturb.intrinsics_error) else None
+    save_recording(recording, out_dir, provenance | spoilt, text, wrong)
     n_events = tuple(len(camera.events) for camera in recording.cameras)
     n_frames = tuple(len(camera.frames.images) for camera in recording.cameras)
     return Recorded(recording.flight, n_events, n_frames)
@@ -112,17 +109,15 @@ def disturbed(
     return replace(recording, cameras=tuple(cameras))
 
 
-def _write_wrong_rigs(
-    recording: Recording, disturb: DisturbConfig, seed: int, folder: Path
-) -> None:
-    """Put rigs with the intrinsics that were drawn in the place of the true ones."""
-    for name, with_extrinsics in (("rig.yaml", False), ("rig_extrinsics.yaml", True)):
-        chain = yaml.safe_load(kalibr_yaml(recording.rig, with_extrinsics))
+def _wrong_rig_files(recording: Recording, disturb: DisturbConfig, seed: int) -> dict[str, str]:
+    """Give rig files with the intrinsics that were drawn in the place of the true ones."""
+    texts = {}
+    for name, text in true_rig_files(recording.rig).items():
+        chain = yaml.safe_load(text)
         for index, camera in enumerate(recording.rig.cameras):
             K, deviations_px = wrong_intrinsics(camera.K, disturb, seed, index)
             entry = chain[f"cam{index}"]
             entry["intrinsics"] = [float(k) for k in (K[0, 0], K[1, 1], K[0, 2], K[1, 2])]
             entry["intrinsics_std"] = deviations_px.tolist()
-        partial = partial_path(folder, name)
-        partial.write_text(yaml.safe_dump(chain, default_flow_style=None, sort_keys=False))
-        partial.replace(folder / name)
+        texts[name] = yaml.safe_dump(chain, default_flow_style=None, sort_keys=False)
+    return texts

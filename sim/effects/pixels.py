@@ -8,11 +8,10 @@ from numpy.typing import NDArray
 from sim.effects.config import DIM_LUX, SensorEffects
 from sim.effects.kernels import PIXEL_DTYPE, PixelRates, follow_all, follow_changes
 from sim.errors import SimError
-from sim.sensor.events import Sensor, SensorConfig
+from sim.sensor.events import HOT_SPREAD, Sensor, SensorConfig
 
 CLUSTER_PX = 3  # side of a hot cluster
 _TABLE = 4097  # steps of a quarter of `log_eps`: 1 % off at most between two
-CLUSTER_SPREAD = 0.7  # of the rate's logarithm over pixels, as of single hot pixels
 
 
 class EffectsSensor(Sensor):
@@ -122,7 +121,7 @@ def _start(
         y0 = int(rng.integers(0, height - CLUSTER_PX + 1))
         x0 = int(rng.integers(0, width - CLUSTER_PX + 1))
         pixels["hot_hz"][y0 : y0 + CLUSTER_PX, x0 : x0 + CLUSTER_PX] = (
-            effects.hot_cluster_hz * rng.lognormal(0.0, CLUSTER_SPREAD, (CLUSTER_PX, CLUSTER_PX))
+            effects.hot_cluster_hz * rng.lognormal(0.0, HOT_SPREAD, (CLUSTER_PX, CLUSTER_PX))
         )
     return pixels
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from sim.errors import SimError
 from sim.render.lattice import GL_MAX_A, Lattice
-from sim.scene.rig import Camera
+from sim.scene.camera import Camera
 
 RENDERERS = ("native", "pyrender")
 DISTORTION_MODELS = {"none": 0, "radtan": 1, "equidistant": 2}
@@ -35,6 +35,8 @@ class RenderConfig:
             )
         if not 0.0 <= self.ambient <= 1.0:
             raise SimError(f"ambient light: expected 0 to 1, got {self.ambient}")
+        if not (np.isfinite(self.light_W).all() and np.any(self.light_W)):
+            raise SimError(f"light_W: expected a finite direction, got {self.light_W}")
 
     def light_in(self, camera: Camera) -> NDArray[np.float64]:
         """Return the unit vector (3,) towards the light, in the camera's frame."""

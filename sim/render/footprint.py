@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
 from sim.errors import SimError
+from sim.scene.camera import MIN_DEPTH_M, Camera
 from sim.scene.drone import Drone
-from sim.scene.rig import MIN_DEPTH_M, Camera
 from sim.scene.trajectory import PosesAt
 
 FloatArray = NDArray[np.float64]

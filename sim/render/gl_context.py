@@ -55,10 +55,10 @@ def open_context(backend: str = "auto") -> GLContext:
     return _open(chosen)
 
 
-def context_or_none(backend: str = "auto") -> GLContext | None:
+def context_or_none() -> GLContext | None:
     """Open the GL context of this process, if this machine has one."""
     try:
-        return open_context(backend)
+        return open_context()
     except SimError:
         return None
 

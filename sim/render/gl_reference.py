@@ -21,9 +21,9 @@ from sim.render.gl_atlas import (
 )
 from sim.render.gl_context import make_current, open_context
 from sim.render.lattice import average_pixels
+from sim.scene.camera import Camera
 from sim.scene.drone import Drone, Part
 from sim.scene.faces import piece_size_m
-from sim.scene.rig import Camera
 
 FloatArray = NDArray[np.float64]
 
@@ -127,8 +127,7 @@ class PyrenderFullFrame:
     def _set_uniforms(self, depth_range_m: tuple[float, float]) -> None:
         from OpenGL import GL
 
-        light_W = np.asarray(self.config.light_W)
-        light_C = self._camera.T_C_W[:3, :3] @ (light_W / np.linalg.norm(light_W))
+        light_C = self.config.light_in(self._camera)
         program_id = self._program._program_id
         self._program._bind()
         set_camera_uniforms(

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from sim.errors import SimError
 from sim.render.footprint import footprint
+from sim.scene.camera import Camera
 from sim.scene.drone import Drone
-from sim.scene.rig import Camera
 from sim.scene.trajectory import PosesAt, Trajectory
 
 FloatArray = NDArray[np.float64]

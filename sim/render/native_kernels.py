@@ -14,7 +14,7 @@ from numba import njit
 
 from sim.render.lattice import LANES, average_block, sum_runs
 from sim.render.placing import facing, on_lattice, place, shade, snap
-from sim.scene.rig import MIN_DEPTH_M
+from sim.scene.camera import MIN_DEPTH_M
 
 DEPTH_BITS = 29  # of a key, above the word's 32: finer than the 24 of a depth buffer
 FRACTION_BITS = 36  # of an edge's column
@@ -62,7 +62,7 @@ def paint_crops(  # type: ignore[no-untyped-def]
             shift_u, shift_v, placed, snapped,
         )  # fmt: skip
         scale = float(1 << DEPTH_BITS) / (nearest - farthest)
-        shade(faces, first_face, normals, albedo, T_C_P[:, k], light, ambient, words)
+        shade(first_face, normals, albedo, T_C_P[:, k], light, ambient, words)
         n_front = facing(faces, snapped, front) if whole else 0
         for by in range(0, height_px, block_px[1]):
             for bx in range(0, width_px, block_px[0]):

@@ -4,7 +4,7 @@ import numpy as np
 from numba import njit
 
 from sim.render.lattice import FULL_CODE, WORD_COUNT_BIT
-from sim.scene.rig import MIN_DEPTH_M
+from sim.scene.camera import MIN_DEPTH_M
 
 # Corners further out than this [1/256 sample] would overflow the products of the edge functions,
 # which are three times its square at most. Triangles that reach beyond it are cut first.
@@ -84,7 +84,7 @@ def snap(at):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def shade(  # type: ignore[no-untyped-def]
-    faces, first_face, normals, albedo, T_C_P, light, ambient, words
+    first_face, normals, albedo, T_C_P, light, ambient, words
 ):
     """Give each face its sample word: one object sample of its Lambert luminance."""
     for part in range(T_C_P.shape[0]):

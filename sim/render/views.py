@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.render.footprint import Footprint
+from sim.scene.camera import Camera
 from sim.scene.drone import Drone, Part
-from sim.scene.rig import Camera
 from sim.scene.trajectory import PosesAt
 
 FloatArray = NDArray[np.float64]

@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.errors import SimError
-from sim.scene.rig import Camera
+from sim.scene.camera import Camera
+from sim.scene.srgb import linear_from_srgb
 
 
 def uniform_background(camera: Camera, luminance: float) -> NDArray[np.float32]:
@@ -63,7 +64,7 @@ def load_background(path: Path, camera: Camera) -> NDArray[np.float32]:
 def _load_array(path: Path) -> NDArray[np.float32]:
     try:
         return np.ascontiguousarray(np.load(path), np.float32)
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, EOFError) as error:  # NumPy raises the last for an empty file
         raise SimError(f"cannot read the background {path}: {error}") from error
 
 
@@ -76,6 +77,4 @@ def _load_image(path: Path) -> NDArray[np.float32]:
     if image.dtype.kind == "f":  # HDR formats hold linear light
         return image.astype(np.float32)
     srgb = image.astype(np.float64) / (255 if image.dtype == np.uint8 else 65535)
-    # The transfer function of IEC 61966-2-1.
-    linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
-    return linear.astype(np.float32)
+    return linear_from_srgb(srgb).astype(np.float32)

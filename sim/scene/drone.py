@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from sim.errors import SimError
 from sim.scene.shapes import hexagonal_hull, pose, prism
+from sim.scene.srgb import linear_from_srgb
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -291,8 +292,6 @@ def _albedo(mesh: trimesh.Trimesh) -> FloatArray:
         return np.full(len(mesh.faces), DEFAULT_ALBEDO)
     else:
         colors = np.asarray(visual.face_colors)
-    srgb = colors[:, :3] / 255.0
-    # The transfer function of IEC 61966-2-1.
-    linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+    linear = linear_from_srgb(colors[:, :3] / 255.0)
     luminance: FloatArray = np.clip(linear @ LUMINANCE_WEIGHTS, MIN_ALBEDO, 1.0)
     return luminance

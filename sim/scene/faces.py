@@ -9,8 +9,8 @@ import trimesh
 from numpy.typing import NDArray
 
 from sim.errors import SimError
+from sim.scene.camera import Camera
 from sim.scene.drone import Drone, Part
-from sim.scene.rig import Camera
 
 Float32Array = NDArray[np.float32]
 
@@ -75,9 +75,9 @@ def _faces(part: Part, piece_m: float | None) -> Faces:
     corners = vertices[faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     length = np.linalg.norm(normals, axis=1, keepdims=True)
-    flat = length[:, 0] > 0.0  # faces without area show nothing
+    has_area = length[:, 0] > 0.0  # the others show nothing
     return Faces(
-        corners[flat].astype(np.float32),
-        (normals[flat] / length[flat]).astype(np.float32),
-        albedo[flat].astype(np.float32),
+        corners[has_area].astype(np.float32),
+        (normals[has_area] / length[has_area]).astype(np.float32),
+        albedo[has_area].astype(np.float32),
     )

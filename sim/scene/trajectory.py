@@ -1,19 +1,19 @@
-"""A seed, or a CSV file, to a drone's trajectory: its pose T_W_B as a smooth function of time.
+"""A seed to a drone's trajectory: its pose T_W_B as a smooth function of time.
 
 World frame W: origin at the point the cameras look at, x right, y forward, z up, metres.
 Body frame B: x forward, y left, z up.
 """
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
-from typing import cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import BSpline, CubicSpline
-from scipy.spatial.transform import Rotation, RotationSpline
+from scipy.interpolate import BSpline
+from scipy.sparse import diags_array
+from scipy.sparse.linalg import spsolve
+from scipy.spatial.transform import Rotation
 
 from sim.errors import SimError
 
@@ -22,9 +22,10 @@ Vector3 = tuple[float, float, float]
 Attitude = Callable[[FloatArray], Rotation]
 
 MAX_DRAWS = 100  # of a random trajectory, before its configuration is blamed
-CSV_COLUMNS = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")  # [s], [m], unit quaternion T_W_B
-MIN_CSV_ROWS = 4  # a cubic spline needs four points
-MAX_CSV_DURATION_S = 1e6  # longer than this, the times are not seconds (ESIM writes nanoseconds)
+# Segments of a spline, 400 s by default, beyond which dense matrices take gigabytes, and hardly a
+# trajectory stays near the origin from end to end. Shorter ones keep to what they always were.
+LONG_SEGMENTS = 2000
+_REDRAWN_S = 1.0  # of a long trajectory, on each side of where it leaves the circle
 
 
 @dataclass(frozen=True)
@@ -125,7 +126,8 @@ def random_spline(config: SplineConfig, rng: np.random.Generator) -> Trajectory:
     values is the trajectory.
 
     Deviation: a trajectory that leaves the circle of `max_radius_m` about the origin is drawn
-    again (one in six by default), so that the drone never flies into a camera.
+    again (one in six by default), so that the drone never flies into a camera; of one with more
+    than `LONG_SEGMENTS` segments, only the part about where it leaves.
 
     Parameters
     ----------
@@ -147,93 +149,24 @@ def random_spline(config: SplineConfig, rng: np.random.Generator) -> Trajectory:
     n_segments = max(1, round(config.duration_s * config.segments_per_s))
     multiplier = np.concatenate([config.multiplier_xyz_m, config.multiplier_rot_rad])
     offset = np.concatenate([config.offset_xyz_m, config.offset_rot_rad])
+    values: FloatArray = np.empty((n_poses, 6))
+    is_drawn: NDArray[np.bool_] = np.ones(n_poses, np.bool_)
     for _ in range(MAX_DRAWS):
-        values = offset + multiplier * rng.uniform(-1.0, 1.0, (n_poses, 6))
+        drawn = offset + multiplier * rng.uniform(-1.0, 1.0, (n_poses, 6))
+        values = np.where(is_drawn[:, None], drawn, values)
         spline = _fit_smoothing_spline(times_s, values, config.order, n_segments, config.smoothing)
         position = BSpline(spline.t, spline.c[:, :3], spline.k)
         rotation_vector = BSpline(spline.t, spline.c[:, 3:], spline.k)
         check_s = np.linspace(0.0, config.duration_s, 10 * n_segments)
-        if np.hypot(*position(check_s)[:, :2].T).max() <= config.max_radius_m:
+        is_inside = np.hypot(*position(check_s)[:, :2].T) <= config.max_radius_m
+        if is_inside.all():
             return Trajectory(config.duration_s, position, _RotationVectorSpline(rotation_vector))
+        if n_segments > LONG_SEGMENTS:
+            is_drawn = _near(check_s[~is_inside], times_s)
     raise SimError(
         f"{MAX_DRAWS} random trajectories all went more than {config.max_radius_m:g} m away from "
         "the origin: lower multiplier_xyz_m, raise smoothing or max_radius_m"
     )
-
-
-def trajectory_from_csv(path: Path) -> Trajectory:
-    """Read a trajectory from a CSV file and interpolate it smoothly.
-
-    Position is a cubic spline through the rows, attitude scipy's `RotationSpline`: velocity and
-    acceleration, linear and angular, are continuous. The first row's time becomes 0.
-
-    Parameters
-    ----------
-    path
-        Columns t [s], x, y, z [m], qx, qy, qz, qw (attitude T_W_B, scalar last, of any norm), in
-        this order, or in any order under a header that names them. `#` starts a comment. Note that
-        ESIM's own files have the same columns but times in nanoseconds.
-
-    Returns
-    -------
-    Trajectory
-
-    Raises
-    ------
-    SimError
-        When the file cannot be read, a column or a value is missing or is not a number, times do
-        not increase, a quaternion is zero, or there are fewer than 4 rows.
-    """
-    line_numbers, table = _read_table(path)
-    times_s, quaternions = table[:, 0], table[:, 4:]
-    for i in np.flatnonzero(np.diff(times_s) <= 0)[:1]:
-        raise SimError(
-            f"{path}, line {line_numbers[i + 1]}: times must increase from row to row, but "
-            f"{times_s[i + 1]:.9g} s follows {times_s[i]:.9g} s: sort the rows and drop repeats"
-        )
-    for i in np.flatnonzero(np.linalg.norm(quaternions, axis=1) < 1e-9)[:1]:
-        raise SimError(
-            f"{path}, line {line_numbers[i]}: the quaternion (qx, qy, qz, qw) is zero: "
-            "for no rotation write 0, 0, 0, 1"
-        )
-    times_s = times_s - times_s[0]
-    if times_s[-1] > MAX_CSV_DURATION_S:
-        raise SimError(
-            f"{path}: times must be in seconds, but the rows span {times_s[-1]:.3g} s: "
-            "divide by 1e9 if they are ESIM's nanoseconds"
-        )
-    return Trajectory(
-        duration_s=float(times_s[-1]),
-        position=CubicSpline(times_s, table[:, 1:4]),
-        attitude=cast(Attitude, RotationSpline(times_s, Rotation.from_quat(quaternions))),
-    )
-
-
-def trajectory_to_csv(trajectory: Trajectory, path: Path, rate_hz: float) -> None:
-    """Write a trajectory in the format that `trajectory_from_csv` reads.
-
-    Parameters
-    ----------
-    trajectory
-    path
-        Overwritten when it exists.
-    rate_hz
-        Rows per second, at least; both ends of the trajectory are rows.
-
-    Raises
-    ------
-    SimError
-        When `rate_hz` is not positive.
-    """
-    if not rate_hz > 0:
-        raise SimError(f"rate_hz must be positive, got {rate_hz}")
-    n_rows = max(MIN_CSV_ROWS, int(np.ceil(trajectory.duration_s * rate_hz)) + 1)
-    times_s: FloatArray = np.linspace(0.0, trajectory.duration_s, n_rows, dtype=np.float64)
-    T_W_B = trajectory.poses(times_s)
-    quaternions = Rotation.from_matrix(T_W_B[:, :3, :3]).as_quat()
-    table = np.column_stack([times_s, T_W_B[:, :3, 3], quaternions])
-    # 17 digits give back every float64 exactly.
-    np.savetxt(path, table, fmt="%.17g", delimiter=",", header=",".join(CSV_COLUMNS), comments="")
 
 
 @dataclass(frozen=True)
@@ -244,6 +177,16 @@ class _RotationVectorSpline:
 
     def __call__(self, times_s: FloatArray) -> Rotation:
         return Rotation.from_rotvec(self.rotation_vector(times_s))
+
+
+def _near(some_s: FloatArray, times_s: FloatArray) -> NDArray[np.bool_]:
+    """Mark the regular times (n,) from 0 on that are within _REDRAWN_S of any of some others."""
+    step_s = times_s[1]
+    reach = int(np.ceil(_REDRAWN_S / step_s))
+    nearest = np.rint(some_s / step_s).astype(np.int64)
+    is_near = np.zeros(len(times_s), np.bool_)
+    is_near[np.clip(nearest[:, None] + np.arange(-reach, reach + 1), 0, len(times_s) - 1)] = True
+    return is_near
 
 
 def _fit_smoothing_spline(
@@ -271,13 +214,16 @@ def _fit_smoothing_spline(
     degree = order - 1
     segment_s = times_s[-1] / n_segments
     knots = segment_s * np.arange(-degree, n_segments + degree + 1)
-    basis = BSpline(knots, np.eye(n_segments + degree), degree)
 
     # The product of two second derivatives is of degree 2 (degree - 2) on each segment, for which
     # Gauss-Legendre quadrature with degree - 1 nodes is exact.
     nodes, weights = np.polynomial.legendre.leggauss(degree - 1)
     nodes_s = (np.arange(n_segments)[:, None] + 0.5 * (nodes + 1.0)).ravel() * segment_s
     weights_s = np.tile(0.5 * weights * segment_s, n_segments)
+    if n_segments > LONG_SEGMENTS:
+        about = (knots, degree, nodes_s, smoothing * weights_s)
+        return BSpline(knots, _solved_sparse(times_s, values, *about), degree)
+    basis = BSpline(knots, np.eye(n_segments + degree), degree)
     curvature = basis.derivative(2)(nodes_s)
     penalty = curvature.T @ (weights_s[:, None] * curvature)
 
@@ -286,42 +232,24 @@ def _fit_smoothing_spline(
     return BSpline(knots, coefficients, degree)
 
 
-def _read_table(path: Path) -> tuple[list[int], FloatArray]:
-    """Return the line number of each data row and the (n, 8) table in the order of CSV_COLUMNS."""
-    try:
-        text = Path(path).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise SimError(f"cannot read the trajectory {path}: {error}") from error
-    lines = [line.split("#")[0] for line in text.splitlines()]
-    rows = {
-        number: [field.strip() for field in line.split(",")]
-        for number, line in enumerate(lines, start=1)
-        if line.strip()
-    }
-    header = list(CSV_COLUMNS)
-    first = next(iter(rows), 0)
-    if rows and rows[first][0].isidentifier():  # a name, not a number
-        header = rows.pop(first)
-    wanted = ", ".join(CSV_COLUMNS)
-    missing = [name for name in CSV_COLUMNS if name not in header]
-    if missing:
-        raise SimError(
-            f"{path}, line {first}: the header lacks {', '.join(missing)}: expected {wanted}"
-        )
-    for number, fields in rows.items():
-        if len(fields) != len(header) or not all(map(_is_finite_number, fields)):
-            raise SimError(
-                f"{path}, line {number}: expected {len(header)} finite numbers with commas between "
-                f"({', '.join(header)}), got {', '.join(fields)}: correct or delete this row"
-            )
-    if len(rows) < MIN_CSV_ROWS:
-        raise SimError(f"{path}: expected {MIN_CSV_ROWS} rows or more of {wanted}, got {len(rows)}")
-    table = np.array(list(rows.values()), dtype=np.float64)
-    return list(rows), table[:, [header.index(name) for name in CSV_COLUMNS]]
+def _solved_sparse(
+    times_s: FloatArray,
+    values: FloatArray,
+    knots: FloatArray,
+    degree: int,
+    nodes_s: FloatArray,
+    weights: FloatArray,
+) -> FloatArray:
+    """Give the spline's coefficients by sparse matrices: time and memory linear in its length.
 
-
-def _is_finite_number(field: str) -> bool:
-    try:
-        return math.isfinite(float(field))
-    except ValueError:
-        return False
+    `weights` (m,) are those of the squared second derivative at `nodes_s` (m,).
+    """
+    n = len(knots) - degree - 1  # coefficients
+    design: Any = BSpline.design_matrix(times_s, knots, degree, extrapolate=True)
+    # The second derivative is a spline of degree - 2, whose coefficients are second differences.
+    differences: Any = diags_array([1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=(n - 2, n))
+    bent: Any = BSpline.design_matrix(nodes_s, knots[2:-2], degree - 2)
+    curvature = bent @ differences / (knots[1] - knots[0]) ** 2
+    penalty = curvature.T @ curvature.multiply(weights[:, None])
+    coefficients: FloatArray = spsolve((design.T @ design + penalty).tocsc(), design.T @ values)
+    return coefficients

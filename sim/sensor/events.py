@@ -17,6 +17,7 @@ from sim.sensor.buffer import EVENT_DTYPE, EventBuffer
 from sim.sensor.kernels import NOISE_STATE_DTYPE, process_ideal, process_noisy
 
 MIN_THRESHOLD = 0.01  # mismatch never makes a pixel more sensitive than this
+HOT_SPREAD = 0.7  # of the logarithm of a hot pixel's rate, over pixels
 
 
 @dataclass(frozen=True)
@@ -129,7 +130,7 @@ class Sensor:
         noise["random"] = rng.integers(0, 2**64, shape, np.uint64)
         is_hot = rng.random(shape) < config.hot_pixel_share
         noise["hot_hz"] = np.where(
-            is_hot, config.hot_pixel_hz * rng.lognormal(0.0, 0.7, shape), 0.0
+            is_hot, config.hot_pixel_hz * rng.lognormal(0.0, HOT_SPREAD, shape), 0.0
         )
         rate_hz = config.shot_noise_hz + config.background_hz + noise["hot_hz"]
         noise["leak_per_s"] = config.leak_hz * np.log(self._up)

@@ -14,12 +14,13 @@ from scipy.spatial.transform import Rotation
 from sim.errors import SimError
 from sim.recording import Scene, SimConfig, two_view_rig_of
 from sim.scene.background import uniform_background
-from sim.scene.pendulum import Hanging, PendulumConfig, hanging
-from sim.scene.printed import SIZE_M, printed
-from sim.scene.rig import Camera, Rig
-from sim.scene.wall import MEAN_LUMINANCE, wall
+from sim.scene.camera import Camera
+from sim.scene.rig import Rig
 from sim.seeds import generator
 from sim.sensor.frames import FrameConfig
+from sim.twin.pendulum import Hanging, PendulumConfig, hanging
+from sim.twin.printed import SIZE_M, printed
+from sim.twin.wall import MEAN_LUMINANCE, wall
 
 FloatArray = NDArray[np.float64]
 

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sim.errors import SimError
-from sim.scene.rig import Camera, Rig
+from sim.scene.camera import Camera
+from sim.scene.rig import Rig
 
 FloatArray = NDArray[np.float64]
 

@@ -14,12 +14,12 @@ from sim.disturb.clutter import merged
 from sim.disturb.pixels import View
 from sim.errors import SimError
 from sim.recording import Scene
-from sim.scene.pendulum import Hanging
-from sim.scene.printed import HEIGHT, SIZE_M
-from sim.scene.rig import Camera
+from sim.scene.camera import Camera
 from sim.seeds import generator
 from sim.sensor.events import SensorConfig
 from sim.sensor.slow import slow_events
+from sim.twin.pendulum import Hanging
+from sim.twin.printed import HEIGHT, SIZE_M
 
 FloatArray = NDArray[np.float64]
 

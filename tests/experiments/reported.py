@@ -8,8 +8,9 @@ import cv2
 import numpy as np
 import pandas as pd
 
-from experiments.paper.comparison import comparison_table, load_published
+from experiments.paper.comparison import comparison_table
 from experiments.paper.esim import csv_text, esim_tables, ordered_runs
+from experiments.paper.published import load_published
 from experiments.run.grid import config_names, flight_seed
 from ssac.files.hdf5 import save_events_h5
 from tests.recorded import KALIBR

@@ -8,9 +8,12 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from sim.clock import microseconds
+from sim.recorded import CameraRecording, Recording
 from sim.render.renderer import Crops
+from sim.scene.camera import Camera
 from sim.scene.drone import Drone, Part
-from sim.scene.rig import Camera, two_view_rig
+from sim.scene.rig import Rig, two_view_rig
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -86,3 +89,20 @@ def whole_images(crops: Iterable[Crops], times_s: Array, background: Image) -> I
             x0, y0 = crop.x0_px[k], crop.y0_px[k]
             images[i, y0 : y0 + height, x0 : x0 + width] = crop.luminance[k]
     return images
+
+
+def with_time_offset(recording: Recording, t_d_s: float) -> Recording:
+    """Return the same recording with another offset between the clocks: `t_cam2 = t_cam1 + t_d`."""
+    change_us = microseconds(t_d_s) - microseconds(recording.truth.t_d_s)
+    second = recording.cameras[1]
+    camera = replace(second.camera, time_offset_s=t_d_s)
+    events = second.events.copy()
+    events["t"] += change_us
+    frames = replace(second.frames, times_us=second.frames.times_us + change_us)
+    others = recording.cameras[2:]
+    return replace(
+        recording,
+        cameras=(recording.cameras[0], CameraRecording(camera, events, frames), *others),
+        rig=Rig((recording.rig.cameras[0], camera, *recording.rig.cameras[2:])),
+        truth=replace(recording.truth, t_d_s=t_d_s),
+    )

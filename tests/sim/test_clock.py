@@ -7,13 +7,13 @@ import pytest
 
 from sim.clock import Drift, drift_of
 from sim.errors import SimError
-from sim.recorded import with_time_offset
 from sim.recording import SimConfig, simulate
 from sim.render.config import RenderConfig
 from sim.render.instants import SamplingConfig
 from sim.render.lattice import Lattice
 from sim.scene.trajectory import SplineConfig
 from sim.storage import record
+from tests.sim.scenes import with_time_offset
 
 QUICK = SimConfig(
     spline=SplineConfig(duration_s=1.0),

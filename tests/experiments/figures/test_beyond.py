@@ -4,7 +4,7 @@ import pytest
 
 from experiments.figures.beyond import METHODS, beyond_figure
 from experiments.figures.errors import flight_means, published_means
-from experiments.paper.comparison import load_published
+from experiments.paper.published import load_published
 from experiments.paper.quantities import ERRORS
 from ssac.errors import SsacError
 from tests.experiments.reported import made_up_runs

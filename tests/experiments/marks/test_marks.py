@@ -18,24 +18,10 @@ from experiments.run.task import CRASHED
 from experiments.studies.study import save_csv
 from experiments.verify.recompute import row_faults
 from sim.recording import SimConfig
-from ssac.camera import Rig
 from ssac.estimate import Estimate
-from ssac.track.observation import Observation
-from tests.ssac.synthetic import make_events, make_scene
+from tests.experiments.synthetic_flight import DURATION_S, SCENE, flown
 
-DURATION_S, SEED = 6.0, 5
-SCENE = make_scene(0, duration_s=DURATION_S)
-
-
-def flown(seed: int = 0) -> Pair:
-    """Synthetic cameras whose clocks show the same, with events within the flight alone."""
-    first, second = (
-        Observation(events[(events["t"] >= 0) & (events["t"] < 1e6 * DURATION_S)])
-        for events in make_events(make_scene(seed, duration_s=DURATION_S), seed, size_m=0.4)
-    )
-    T_2_1 = np.eye(4)
-    T_2_1[:3, :3], T_2_1[:3, 3] = SCENE.R, SCENE.t
-    return Pair(first, second, Rig(SCENE.rig.cam1, SCENE.rig.cam2, T_2_1))
+SEED = 5
 
 
 def made(kind: Kind, other: Pair | None = None) -> Pair:

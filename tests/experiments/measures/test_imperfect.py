@@ -13,28 +13,13 @@ from experiments.measures.imperfect import (
     spoilt_pair,
 )
 from experiments.measures.imperfect_kinds import KINDS, SCENES, SKEW_STD_PPM, T_D_S, Kind
-from experiments.run.recorded import Pair
 from sim.disturb.config import DisturbConfig
 from sim.recording import SimConfig
-from ssac.camera import Rig
 from ssac.estimate import Estimate
-from ssac.track.observation import Observation
-from tests.ssac.synthetic import make_events, make_scene
+from tests.experiments.synthetic_flight import DURATION_S, SCENE, flown
 
-DURATION_S, SEED = 6.0, 5
-SCENE = make_scene(0, duration_s=DURATION_S)
+SEED = 5
 T = SCENE.t / np.linalg.norm(SCENE.t)
-
-
-def flown(seed: int = 0) -> Pair:
-    """Synthetic cameras whose clocks show the same, with events within the flight alone."""
-    first, second = (
-        Observation(events[(events["t"] >= 0) & (events["t"] < 1e6 * DURATION_S)])
-        for events in make_events(make_scene(seed, duration_s=DURATION_S), seed, size_m=0.4)
-    )
-    T_2_1 = np.eye(4)
-    T_2_1[:3, :3], T_2_1[:3, 3] = SCENE.R, SCENE.t
-    return Pair(first, second, Rig(SCENE.rig.cam1, SCENE.rig.cam2, T_2_1))
 
 
 def test_the_plain_kind_adds_an_offset_and_nothing_else() -> None:

@@ -5,7 +5,14 @@ import pytest
 from typer.testing import CliRunner
 
 from experiments.cli import app
-from experiments.outdoor.outdoor_command import ORACLE_FILE, RUNS_FILE, kinds_of
+from experiments.outdoor.flights import DURATION_S, N_FLIGHTS
+from experiments.outdoor.outdoor_command import (
+    COMMAND,
+    ORACLE_FILE,
+    RUNS_FILE,
+    command_of,
+    kinds_of,
+)
 from experiments.outdoor.twin import COLUMNS
 
 pytestmark = pytest.mark.render
@@ -33,3 +40,8 @@ def test_a_short_flight_gives_both_tables_and_from_the_cache_again(tmp_path):
 def test_a_folder_that_is_not_there_is_refused(tmp_path):
     result = CliRunner().invoke(app, ["outdoor", "--out", str(tmp_path / "none")])
     assert "no such folder" in str(result.exception)
+
+
+def test_the_provenance_has_the_command_line_that_was_given():
+    assert command_of(N_FLIGHTS, DURATION_S, True) == COMMAND
+    assert command_of(2, 30.0, False) == f"{COMMAND} --flights 2 --duration 30.0 --no-third"

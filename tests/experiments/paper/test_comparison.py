@@ -6,17 +6,14 @@ import pytest
 from scipy.stats import ttest_ind_from_stats
 
 from experiments.paper.comparison import (
-    PUBLISHED,
-    PUBLISHED_ERRORS,
-    PUBLISHED_RUNS,
     Reason,
     Sample,
     comparison_table,
     difference_interval,
-    load_published,
     verdict_of,
 )
 from experiments.paper.esim import csv_text, esim_tables
+from experiments.paper.published import PUBLISHED, PUBLISHED_ERRORS, PUBLISHED_RUNS, load_published
 from experiments.paper.summary import summary_table
 from ssac.errors import SsacError
 from tests.experiments.reported import made_up_runs

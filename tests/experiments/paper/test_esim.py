@@ -2,7 +2,6 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments.paper.comparison import load_published
 from experiments.paper.esim import (
     RUN_COLUMNS,
     YOUNGER,
@@ -16,6 +15,7 @@ from experiments.paper.esim import (
     runs_from_csv,
     runs_of_grid,
 )
+from experiments.paper.published import load_published
 from ssac.errors import SsacError
 from ssac.tool.registry import METHODS
 from tests.experiments.reported import made_up_runs

@@ -1,7 +1,7 @@
 """The tables' grids: their axes are the paper's."""
 
-from experiments.paper.comparison import load_published
 from experiments.paper.grids import table_axes, table_cells, table_grids
+from experiments.paper.published import load_published
 from experiments.run.grid import named_config
 
 

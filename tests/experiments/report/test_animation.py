@@ -17,6 +17,7 @@ from experiments.report.animation import (
     TRACK_STEP_S,
     TRAIL_S,
     Animation,
+    View,
     make_animation,
 )
 from experiments.report.animation_page import (
@@ -94,6 +95,14 @@ def test_thinning_keeps_the_last_event_of_a_pixel(animation: Animation, flight: 
     assert moments == whole
     assert first >= 1e6 * (animation.start_s - TRAIL_S) - 1
     assert last <= 1e6 * (animation.start_s + LENGTH_S + HALF_WINDOW_S) + 1
+
+
+def test_an_event_that_rounding_puts_beyond_an_end_is_packed_at_it() -> None:
+    ends_s = np.array([-TRAIL_S - 1e-12, 2.0 + HALF_WINDOW_S + 1e-12])
+    nowhere = np.zeros(2, np.uint16)
+    view = View(ends_s, nowhere, nowhere, np.zeros(2, bool), np.zeros((1, 2)))
+    first, last = np.frombuffer(packed_events(view, 2.0), "<u4") >> 19
+    assert (first, last) == (0, 8191)
 
 
 @pytest.mark.parametrize("camera", [0, 1])

@@ -1,10 +1,12 @@
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from experiments.run.provenance import code_commit, plain, save_provenance, versions
-from experiments.scenes.demo import comparison
+from experiments.scenes.demo import DEMO, comparison, demo_command, is_of_a_demo
+from sim.errors import SimError
 from sim.recorded import Truth
 from sim.recording import SimConfig
 from ssac.estimate import Estimate
@@ -32,6 +34,20 @@ def test_the_comparison_shows_estimate_truth_and_error() -> None:
 def test_no_estimate_says_why() -> None:
     refused = Estimate("ssac", status="too_few_samples", reason="only 3 of them")
     assert comparison(refused, TRUTH) == "ssac: too_few_samples: only 3 of them"
+
+
+def test_a_demo_replaces_the_recording_of_an_earlier_one_and_nothing_else(tmp_path: Path) -> None:
+    folder = tmp_path / "recording"
+    assert not is_of_a_demo(folder)
+    folder.mkdir()
+    (folder / "truth.json").write_text(json.dumps({"provenance": {"config": plain(DEMO)}}))
+    assert is_of_a_demo(folder)
+    for other in ({"provenance": {"config": plain(SimConfig())}}, {"provenance": {}}, [], "x"):
+        (folder / "truth.json").write_text(json.dumps(other))
+        assert not is_of_a_demo(folder)
+    with pytest.raises(SimError, match="recording is not empty: name a new folder"):
+        demo_command(tmp_path)
+    assert [path.name for path in folder.iterdir()] == ["truth.json"]
 
 
 def test_provenance_holds_all_that_a_result_depends_on(tmp_path: Path) -> None:

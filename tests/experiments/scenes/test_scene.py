@@ -3,13 +3,14 @@ import pytest
 
 from experiments.scenes import scene
 from experiments.scenes.scene import AUTHORS_SAMPLE, SceneFigures, scene_figures, scene_table
-from sim.recorded import Recording, with_time_offset
+from sim.recorded import Recording
 from sim.recording import SimConfig, simulate
 from sim.render.config import RenderConfig
 from sim.render.instants import SamplingConfig
 from sim.render.lattice import Lattice
 from sim.scene.trajectory import SplineConfig
 from sim.sensor.frames import FrameConfig
+from tests.sim.scenes import with_time_offset
 
 
 @pytest.fixture(scope="module")

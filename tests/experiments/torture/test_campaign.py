@@ -16,14 +16,17 @@ from experiments.run.cache import Cache
 from experiments.torture import campaign as module
 from experiments.torture.campaign import campaign
 from experiments.torture.case import Ended, Forked, outcome
+from experiments.torture.command import command_of
 from experiments.torture.reliability import (
     BAD,
+    COMMAND,
     COMMITTED,
     CSV_FILE,
     EVENT_FILES,
     OTHER_INPUTS,
     OUTCOMES,
     Case,
+    Extent,
     reliability_faults,
     reliability_table,
     silent_share,
@@ -150,6 +153,11 @@ def test_the_page_shows_the_committed_table_and_nothing_where_there_is_none(tmp_
         *n_good * ["1"],
         str(len(BAD)),
     ]
+
+
+def test_the_provenance_has_the_command_line_that_was_given():
+    assert command_of(COMMITTED) == COMMAND
+    assert command_of(Extent(cases=100, full_disks=0)) == f"{COMMAND} --cases 100 --full-disks 0"
 
 
 def test_the_disturbances_do_not_change_the_cases():

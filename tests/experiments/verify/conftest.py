@@ -17,8 +17,8 @@ from experiments.figures.figures import drawings
 from experiments.figures.growth import growth_figure
 from experiments.figures.style import png_bytes
 from experiments.paper.checksums import record_checksums
-from experiments.paper.comparison import PUBLISHED
 from experiments.paper.grids import table_cells
+from experiments.paper.published import PUBLISHED
 from experiments.paper.results import save_results
 from experiments.run.cache import Cache
 from experiments.run.provenance import plain, provenance, write_provenance

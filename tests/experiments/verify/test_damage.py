@@ -1,5 +1,6 @@
 """Every file of a complete folder of results is damaged in turn, and each time it is found."""
 
+import json
 from pathlib import Path
 from shutil import copytree
 
@@ -101,6 +102,17 @@ def test_a_wrong_provenance_is_found(
     (found,) = [one for one in file_findings(results, manifest) if one.faults]
     assert found.what.startswith("squares.provenance.json")
     assert found.faults[0].startswith(fault)
+
+
+@pytest.mark.parametrize(("name", "value"), [("config", None), ("versions", []), ("gl", 3)])
+def test_a_provenance_of_another_shape_is_a_fault_and_no_crash(
+    results: Path, manifest: Manifest, name: str, value: object
+) -> None:
+    path = results / "squares.provenance.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {name: value}))
+    record_checksums(results, [path])
+    wrong = faulty([*file_findings(results, manifest), *figure_findings(results, STUDIES)])
+    assert wrong[0].startswith("squares.provenance.json")
 
 
 def test_a_shard_alone_is_not_the_study_but_merged_shards_are(

@@ -169,3 +169,6 @@ def test_a_run_that_is_not_the_tables_own_is_found(results, runs):
     path.write_text(text.replace(",350,", ",351,", 1))
     (found,) = [one for one in study_findings(results, {"it": study}) if one.what == what]
     assert found.faults[0].endswith("n_samples is 351, there 350")
+    # Fewer rows than the study has cells: a fault too, where it was a crash.
+    path.write_text("".join(text.splitlines(keepends=True)[:5]))
+    assert what in [one.what for one in faulty(study_findings(results, {"it": study}))]

@@ -36,6 +36,17 @@ def unsendable(_: int) -> object:
     return lambda: None
 
 
+class TwoWordsError(Exception):
+    """Pickles, and cannot be unpickled: it is made of two words, and keeps one."""
+
+    def __init__(self, first: str, second: str) -> None:
+        super().__init__(first + second)
+
+
+def oddly_faulty(_: int) -> None:
+    raise TwoWordsError("a ", "bug")
+
+
 class Unreadable:
     """Raises where it is unpickled."""
 

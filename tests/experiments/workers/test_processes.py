@@ -83,6 +83,14 @@ def test_what_cannot_be_sent_is_an_error_and_no_death():
     assert repr(found[1].error) == "ValueError('a bug')"
 
 
+def test_an_error_that_cannot_be_read_back_is_an_error_and_no_death():
+    with Processes(1) as crew:
+        found = work_off(crew, [partial(jobs.oddly_faulty, 0), partial(jobs.square, 3)])
+    assert isinstance(found[0].error, TypeError)
+    assert "second" in str(found[0].error)
+    assert found[1].value == 9
+
+
 def test_workers_end_when_the_process_that_started_them_is_killed():
     command = [sys.executable, "-m", "tests.experiments.workers.jobs"]
     environment = os.environ | {"PYTHONPATH": str(ROOT)}

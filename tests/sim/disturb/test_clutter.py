@@ -5,7 +5,8 @@ import pytest
 
 from sim.disturb.clutter import clutter, merged, second_seed, thinned, wrong_intrinsics
 from sim.disturb.config import DisturbConfig
-from sim.disturb.pixels import CLUSTER_HZ, CLUSTER_PX, LAMP_HZ, LAMP_STEPS, View
+from sim.disturb.pixels import CLUSTER_HZ, LAMP_HZ, LAMP_STEPS, View
+from sim.effects.pixels import CLUSTER_PX
 from sim.errors import SimError
 
 VIEW = View(346, 260, 2.0)

@@ -13,8 +13,8 @@ from sim.render.gl_atlas import GLPainter
 from sim.render.lattice import Lattice, pixels_of_tile, runs_of_tile
 from sim.render.native import NativePainter
 from sim.render.renderer import Renderer
+from sim.scene.camera import Camera
 from sim.scene.drone import Drone, Part, quadrotor
-from sim.scene.rig import Camera
 from tests.sim.render.drawing import BOX, HALF_VGA, drawn
 from tests.sim.scenes import (
     LENSES,

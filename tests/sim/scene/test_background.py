@@ -65,11 +65,12 @@ def test_luminance_out_of_range_is_refused(tmp_path: Path, value: float) -> None
 
 
 @pytest.mark.parametrize(
-    "name", ["missing.png", "missing.npy", "text.png", "text.npy", "folder.png"]
+    "name", ["missing.png", "missing.npy", "text.png", "text.npy", "empty.npy", "folder.png"]
 )
 def test_what_cannot_be_read_is_named(tmp_path: Path, name: str) -> None:
     (tmp_path / "text.png").write_text("not an image")
     (tmp_path / "text.npy").write_text("not an array")
+    (tmp_path / "empty.npy").touch()
     (tmp_path / "folder.png").mkdir()
     with pytest.raises(SimError, match=f"cannot read the background .*{name}"):
         load_background(tmp_path / name, CAMERA)

@@ -7,7 +7,8 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 from sim.errors import SimError
-from sim.scene.rig import Camera, Rig, kalibr_yaml, look_at_rig, two_view_rig
+from sim.scene.camera import Camera
+from sim.scene.rig import Rig, kalibr_yaml, look_at_rig, two_view_rig
 
 RADTAN = (-0.12, 0.03, 0.002, -0.001)
 EQUIDISTANT = (0.02, -0.01, 0.005, -0.002)
@@ -212,6 +213,7 @@ def test_bad_angle(angle_deg: float) -> None:
         ({"distance_m": 0.0}, "distance must be positive, got 0"),
         ({"focal_px": -1.0}, "focal lengths and resolution must be positive"),
         ({"resolution": (0, 260)}, "focal lengths and resolution must be positive"),
+        ({"principal_point": (np.nan, 130.0)}, "cam1: K and T_C_W must be finite"),
         ({"distortion_model": "fov"}, "unknown distortion model 'fov': use one of none, radtan"),
         ({"distortion_model": "radtan", "distortion_coeffs": (0.1,)}, "needs 4 finite coeff"),
         ({"distortion_coeffs": (0.1, 0.0, 0.0, 0.0)}, "'none' needs 0 finite coefficients"),

@@ -7,16 +7,11 @@ from scipy.interpolate import BSpline
 from scipy.spatial.transform import Rotation
 
 from sim.errors import SimError
+from sim.scene import trajectory
 from sim.scene.drone import quadrotor
 from sim.scene.rig import two_view_rig
-from sim.scene.trajectory import (
-    SplineConfig,
-    Trajectory,
-    _fit_smoothing_spline,
-    random_spline,
-    trajectory_from_csv,
-    trajectory_to_csv,
-)
+from sim.scene.trajectory import SplineConfig, Trajectory, _fit_smoothing_spline, random_spline
+from sim.scene.trajectory_csv import trajectory_from_csv, trajectory_to_csv
 
 SHORT = SplineConfig(duration_s=6.0, max_radius_m=np.inf)
 ROW = "{},{},0,1,0,0,0,1\n"  # t, x
@@ -150,6 +145,31 @@ def test_no_trajectory_leaves_its_circle() -> None:
         assert np.hypot(T_W_B[:, 0, 3], T_W_B[:, 1, 3]).max() < 3.01
 
 
+@pytest.mark.parametrize("order", [3, 4, 5, 6])
+def test_a_long_spline_is_fitted_as_a_short_one_is(
+    monkeypatch: pytest.MonkeyPatch, order: int
+) -> None:
+    times_s = np.linspace(0, 41.7, 209)
+    values = np.random.default_rng(0).uniform(-1, 1, (209, 6))
+    short = _fit_smoothing_spline(times_s, values, order, 209, 0.0036)
+    monkeypatch.setattr(trajectory, "LONG_SEGMENTS", 0)
+    long = _fit_smoothing_spline(times_s, values, order, 209, 0.0036)
+    np.testing.assert_array_equal(long.t, short.t)
+    # Round-off of the linear solve, whose condition number is about 1e3.
+    np.testing.assert_allclose(long.c, short.c, atol=1e-11)
+
+
+def test_an_hour_is_flown_within_the_circle() -> None:
+    """It ended in a MemoryError, and would have left the circle in every draw of the whole."""
+    hour = spline(0, SplineConfig(duration_s=3600.0))
+    path = hour.position(np.linspace(0, 3600, 360_000))
+    # As above: the bulge between two instants of the check.
+    assert np.hypot(path[:, 0], path[:, 1]).max() < 4.01
+    # It is as spread out as short flights are.
+    short = spline(0, SplineConfig()).position(np.linspace(0, 20, 2000))
+    np.testing.assert_allclose(path.std(axis=0), short.std(axis=0), rtol=0.3)
+
+
 def test_random_spline_says_when_it_cannot_stay_near() -> None:
     with pytest.raises(SimError, match=r"all went more than 0\.1 m away.*lower multiplier_xyz_m"):
         spline(0, replace(SHORT, max_radius_m=0.1))
@@ -216,7 +236,7 @@ def test_csv_header_order_comments_and_start_time(tmp_path: Path) -> None:
         f"0,0,0,2,{t**2},0,1,{t}  # row\n\n" for t in (10.0, 10.5, 11.0, 12.0)
     )
     from_plain = trajectory_from_csv(write(tmp_path, plain))
-    from_named = trajectory_from_csv(write(tmp_path, named))
+    from_named = trajectory_from_csv(write(tmp_path, f"\ufeff{named}"))  # as spreadsheets begin
     assert from_plain.duration_s == from_named.duration_s == 2.0
     times_s = np.linspace(0, 2, 9)
     np.testing.assert_array_equal(from_plain.poses(times_s), from_named.poses(times_s))

@@ -3,7 +3,7 @@ import pytest
 from scipy.special import ellipk
 
 from sim.errors import SimError
-from sim.scene.pendulum import GRAVITY_M_S2, PendulumConfig, hanging, swing
+from sim.twin.pendulum import GRAVITY_M_S2, PendulumConfig, hanging, swing
 
 LENGTH_M = 0.45
 STEP_S = 1e-3
@@ -45,7 +45,7 @@ def test_air_takes_the_energy_at_the_rate_of_the_damping() -> None:
     assert rate == pytest.approx(damping_per_s, rel=0.02)
 
 
-def test_a_hand_that_moves_evenly_changes_nothing() -> None:
+def test_the_body_is_one_wire_from_a_hand_that_stands_still() -> None:
     config = PendulumConfig(hand_m=(0.0, 0.0, 0.0), start_rad=0.1, damping_per_s=0.0)
     drawn = hanging(config, 5.0, np.random.default_rng(3))
     times_s = np.linspace(0.0, 5.0, 501)

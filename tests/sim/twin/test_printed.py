@@ -3,8 +3,8 @@ import pytest
 import trimesh
 
 from sim.errors import SimError
-from sim.scene.printed import printed
-from sim.scene.wall import wall
+from sim.twin.printed import printed
+from sim.twin.wall import wall
 
 
 def test_the_model_is_three_by_three_by_one_centimetres() -> None:
