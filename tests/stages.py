@@ -180,7 +180,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
         ),
     },
     "experiments": {
-        "workers": ("claim", "sound", "crew", "processes", "cluster"),
+        "workers": ("claim", "memory", "sound", "crew", "processes", "cluster"),
         "run": (
             "provenance",
             "bridge",

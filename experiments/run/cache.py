@@ -6,17 +6,17 @@ Everything is addressed by its content: by all parameters and by all code that m
     recordings/<key>/     as sim.storage writes them, with t_d = 0: ordinary input of `ssac sync`
     recordings/<key>.sha256  checksums of its files
     brightness/<key>.npz  the mean of each of their frames
-    denoised/<key>.npz    which of their events denoising leaves, a bit each
+    denoised/<key>.npz    the events that denoising leaves, in 6 bytes each
     runs/<ab>/<key>.json  one measured row, and its checksum
     damaged/              entries that were not what had been written (`experiments.workers.sound`)
 
-The denoised events themselves are not kept: they would be three times as large as the recordings.
+What methods read of a recording stands in the last two: as long as these are there, it is not read.
 """
 
 import hashlib
 import json
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
@@ -63,12 +63,15 @@ class Brightness(NamedTuple):
 class Denoised(NamedTuple):
     """What denoising did to the events of both cameras."""
 
-    kept1: NDArray[np.uint8]  # which events it left, eight to a byte
+    n_recorded: NDArray[np.int64]  # (2,) events of both cameras before it
+    events1: NDArray[np.uint8]  # (n, 6) those that it left, as `recorded` packs them
+    leaps1: NDArray[np.int64]  # (k, 2) of their times
     clutter1: NDArray[np.float64]  # (6,) the fields of `ssac.track.denoise.Clutter`
-    on_line1: NDArray[np.uint8]  # which of these are on a thin line; empty where there is none
-    kept2: NDArray[np.uint8]
+    on_line1: NDArray[np.bool_]  # whether each is on a thin line; empty where there is none
+    events2: NDArray[np.uint8]
+    leaps2: NDArray[np.int64]
     clutter2: NDArray[np.float64]
-    on_line2: NDArray[np.uint8]
+    on_line2: NDArray[np.bool_]
 
 
 Kept = TypeVar("Kept", Brightness, Denoised)
@@ -87,7 +90,9 @@ class Cache:
     simulated: list[Path] = field(default_factory=list, compare=False)  # by this object
     sound: set[Path] = field(default_factory=set, compare=False)  # recordings it has looked at
 
-    def recording_folder(self, config: SimConfig, seed: int) -> Path:
+    def recording_folder(
+        self, config: SimConfig, seed: int, names: Collection[str] | None = None
+    ) -> Path:
         """Give the folder of a recording, simulating it first if it is not there yet.
 
         Parameters
@@ -95,6 +100,8 @@ class Cache:
         config
             Its `t_d_s` does not count: the recording has both clocks equal.
         seed
+        names
+            Of its files that are to be read, and are held against their checksums; all when None.
 
         Raises
         ------
@@ -105,7 +112,7 @@ class Cache:
         """
         config = replace(config, t_d_s=0.0)
         folder = self._recording_path(config, seed)
-        while not self._is_kept(folder):
+        while not self._is_kept(folder, names):
             with claimed(folder.with_name(f".{folder.name}{CLAIM}")) as is_ours:
                 if not is_ours:  # another process makes it
                     time.sleep(ASK_AGAIN_S)
@@ -124,9 +131,10 @@ class Cache:
     def denoised(
         self, recording: Path, n_neighbours: int | None, denoise: Callable[[], Denoised]
     ) -> Denoised:
-        """Give what denoising does to a recording, which `denoise` tells if it was not done before.
+        """Give what denoising leaves of a recording, which `denoise` tells if it was not done yet.
 
-        It takes an eighth of the time that all methods take.
+        It takes an eighth of the time that all methods take, and to read the recording for it
+        nearly as much.
         """
         by = code_digest(*DENOISED_CODE), package_versions(SSAC_PACKAGES)
         key = _digest(recording.name, n_neighbours, *by, Denoised._fields)
@@ -168,13 +176,14 @@ class Cache:
         """Return the size of all entries."""
         return sum(path.stat().st_size for path in self.folder.rglob("*") if path.is_file())
 
-    def _is_kept(self, folder: Path) -> bool:
+    def _is_kept(self, folder: Path, names: Collection[str] | None) -> bool:
         """Whether a recording is there and whole; a damaged one is moved aside."""
         if folder not in self.sound and folder.exists():
-            if not is_sound(folder):
+            if not is_sound(folder, names):
                 set_aside(folder, self.folder)
                 return False
-            self.sound.add(folder)
+            if names is None:
+                self.sound.add(folder)
         return folder.exists()
 
     def _simulate(self, config: SimConfig, seed: int, folder: Path) -> None:

@@ -1,9 +1,11 @@
 """A folder of a recording in; what its two cameras saw, and the rig with the true pose, out."""
 
-from dataclasses import astuple, replace
+from collections.abc import Callable
+from dataclasses import astuple
 from pathlib import Path
 from typing import NamedTuple
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,11 +13,13 @@ from experiments.run.cache import Cache, Denoised
 from sim.recording import SimConfig
 from ssac.camera import Rig
 from ssac.config import Config
+from ssac.events import EVENT_DTYPE
 from ssac.files.hdf5 import load_events_h5
 from ssac.files.rigs import load_rig
-from ssac.track.clutter import chosen_events, which_of
 from ssac.track.denoise import Clutter
 from ssac.track.observation import Observation, denoised
+
+RIG_FILE = "rig_extrinsics.yaml"
 
 
 class Pair(NamedTuple):
@@ -29,7 +33,7 @@ class Pair(NamedTuple):
 def load_pair(folder: Path) -> Pair:
     """Load the events of a recording that `sim.storage` wrote."""
     cam1, cam2 = (Observation(load_events_h5(folder / f"{name}.h5").events) for name in _CAMERAS)
-    return Pair(cam1, cam2, load_rig(folder / "rig_extrinsics.yaml"))
+    return Pair(cam1, cam2, load_rig(folder / RIG_FILE))
 
 
 def recorded_pair(cache: Cache, config: SimConfig, seed: int) -> Pair:
@@ -39,43 +43,102 @@ def recorded_pair(cache: Cache, config: SimConfig, seed: int) -> Pair:
 
 
 def denoised_pair(
-    folder: Path, cam1: Observation, cam2: Observation, rig: Rig, config: Config, cache: Cache
-) -> tuple[Observation, Observation]:
+    folder: Path, load: Callable[[], Pair], config: Config, cache: Cache
+) -> tuple[Observation, Observation, tuple[int, int]]:
     """Both cameras of a recording of the cache as denoising leaves them, which is done once.
 
     A pair of which nothing is left of a camera comes back as it is: methods say what that means.
+
+    Parameters
+    ----------
+    folder
+        Of the recording, which need not be whole.
+    load
+        Reads it; called only where that cannot be helped.
+    config, cache
+
+    Returns
+    -------
+    tuple
+        Camera 1, camera 2, and how many events each recorded.
     """
 
     def denoise() -> Denoised:
+        cam1, cam2, rig = load()
         clean1, clean2 = denoised(cam1, cam2, rig, config)
-        return Denoised(*_bits(cam1, clean1), *_bits(cam2, clean2))
+        n_recorded = np.array([len(cam1.events), len(cam2.events)])
+        return Denoised(n_recorded, *_entry(clean1), *_entry(clean2))
 
     kept = cache.denoised(folder, config.n_neighbours, denoise)
-    pair = _clean(cam1, *kept[:3]), _clean(cam2, *kept[3:])
-    return pair if all(len(one.events) for one in pair) else (cam1, cam2)
+    pair: tuple[Observation, Observation] = _clean(*kept[1:5]), _clean(*kept[5:])
+    if not all(len(one.events) for one in pair):
+        pair = load()[:2]
+    n1, n2 = kept.n_recorded.tolist()
+    return *pair, (n1, n2)
 
 
-Bits = NDArray[np.uint8]
+_PACKED = np.dtype([("gap_us", "u1"), ("x", "<u2"), ("y", "<u2"), ("p", "u1")])
+"""An event in less than half of its memory: `gap_us` is the time since the one before it, mod 256.
+
+What is beyond that, after a pause, is a leap: the event's number and what is missing [us].
+"""
 
 
-def _bits(raw: Observation, clean: Observation) -> tuple[Bits, NDArray[np.float64], Bits]:
-    """Give what `_clean` needs beside the events as recorded."""
-    kept = np.packbits(which_of(raw.events, clean.events))
-    assert clean.clutter is not None  # of a recording, which is not denoised yet
+def packed(events: NDArray[np.void]) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
+    """Pack sorted events (n,) of EVENT_DTYPE: the bytes (n, 6) of `_PACKED`, and leaps (k, 2).
+
+    As bytes, since NumPy writes and reads those of a structure field by field.
+    """
+    found = np.empty(len(events), _PACKED)
+    gaps_us = np.diff(events["t"], prepend=0)
+    found["gap_us"] = gaps_us & 255
+    for field in "xyp":
+        found[field] = events[field]
+    missing_us = gaps_us - found["gap_us"]
+    places = np.flatnonzero(missing_us)
+    leaps = np.column_stack([places, missing_us[places]])
+    return found.view(np.uint8).reshape(len(events), _PACKED.itemsize), leaps
+
+
+def unpacked(found: NDArray[np.uint8], leaps: NDArray[np.int64]) -> NDArray[np.void]:
+    """Give the events that were `packed`."""
+    events = np.empty(len(found), EVENT_DTYPE)
+    _unpack(found.reshape(-1).view(_PACKED), leaps, events)
+    return events
+
+
+@numba.njit(cache=True)
+def _unpack(found: NDArray[np.void], leaps: NDArray[np.int64], events: NDArray[np.void]) -> None:
+    t_us, k = np.int64(0), 0
+    for i in range(len(found)):
+        one, event = found[i], events[i]
+        t_us += one.gap_us
+        if k < len(leaps) and leaps[k, 0] == i:
+            t_us += leaps[k, 1]
+            k += 1
+        event.t, event.x, event.y, event.p = t_us, one.x, one.y, one.p
+
+
+def _entry(
+    clean: Observation,
+) -> tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.float64], NDArray[np.bool_]]:
+    """Give what `_clean` needs."""
+    assert clean.clutter is not None  # of a recording, which was not denoised before
     clutter = np.array(astuple(clean.clutter), dtype=np.float64)
-    on_line = np.empty(0, np.uint8) if clean.on_line is None else np.packbits(clean.on_line)
-    return kept, clutter, on_line
+    on_line = np.empty(0, np.bool_) if clean.on_line is None else clean.on_line
+    return *packed(clean.events), clutter, on_line
 
 
 def _clean(
-    raw: Observation, kept: Bits, clutter: NDArray[np.float64], on_line: Bits
+    events: NDArray[np.uint8],
+    leaps: NDArray[np.int64],
+    clutter: NDArray[np.float64],
+    on_line: NDArray[np.bool_],
 ) -> Observation:
-    is_kept = np.unpackbits(kept, count=len(raw.events)).view(np.bool_)
-    events = chosen_events(raw.events, is_kept)
     pixels, masked, hz, radius_px, n_neighbours, n_min = clutter.tolist()
     found = Clutter(int(pixels), int(masked), hz, radius_px, int(n_neighbours), int(n_min))
-    line = np.unpackbits(on_line, count=len(events)).view(np.bool_) if len(on_line) else None
-    return replace(raw, events=events, denoised=True, clutter=found, on_line=line)
+    line = on_line if len(on_line) else None
+    return Observation(unpacked(events, leaps), denoised=True, clutter=found, on_line=line)
 
 
 _CAMERAS = ("cam1", "cam2")

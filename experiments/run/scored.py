@@ -1,7 +1,7 @@
 """Cells of one recording in, one scored row each out: record -> estimate -> score."""
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from experiments.run.cache import Brightness, Cache
 from experiments.run.grid import Cell
-from experiments.run.recorded import denoised_pair, load_pair
+from experiments.run.recorded import RIG_FILE, denoised_pair, load_pair
 from experiments.run.score import score
 from experiments.run.task import UNUSABLE, Measure
 from ssac.baselines.zncc_f import frame_means
@@ -21,6 +21,7 @@ from ssac.errors import SsacError
 from ssac.estimate import Estimate, Status
 from ssac.events import US_PER_S
 from ssac.files.hdf5 import load_frames
+from ssac.files.rigs import load_rig
 from ssac.tool.registry import METHODS, Chain, Input, Method
 from ssac.track.observation import Observation, prepare
 
@@ -96,17 +97,24 @@ class Recorded:
 
 def load_recorded(cells: Sequence[Cell], cache: Cache) -> Recorded:
     """Load what the cells need of their recording, which is simulated if it is not there yet."""
-    folder = cache.recording_folder(cells[0].sim, cells[0].seed)
-    cam1, cam2, rig = load_pair(folder)
-    frames1, frames2 = frames_of(folder, [METHODS[cell.method] for cell in cells], cache)
+    sim, seed, methods = cells[0].sim, cells[0].seed, [METHODS[cell.method] for cell in cells]
+    folder = cache.recording_folder(sim, seed, (RIG_FILE,))
     # A method that wants the noise gone has that made up for, but what is gone does not come back.
     denoise = all(cell.estimator.denoise for cell in cells)
     config = checked(replace(cells[0].estimator, denoise=denoise))
-    first, second = Observation(cam1.events, *frames1), Observation(cam2.events, *frames2)
+
+    def whole() -> Path:
+        return cache.recording_folder(sim, seed)
+
     if denoise:
-        first, second = denoised_pair(folder, first, second, rig, config, cache)
-    first, second = prepare(first, second, rig, config)
-    return Recorded(first, second, rig, (len(cam1.events), len(cam2.events)))
+        first, second, n_events = denoised_pair(folder, lambda: load_pair(whole()), config, cache)
+    else:
+        first, second, _ = load_pair(whole())
+        n_events = len(first.events), len(second.events)
+    seen = zip((first, second), frames_of(folder, methods, cache, whole), strict=True)
+    first, second = (replace(one, frames=f, frame_times_s=t) for one, (f, t) in seen)
+    rig = load_rig(folder / RIG_FILE)
+    return Recorded(*prepare(first, second, rig, config), rig, n_events)
 
 
 def scored_row(cell: Cell, recorded: Recorded) -> Row:
@@ -210,14 +218,24 @@ def _scored(estimate: Estimate, cell: Cell, truth: Rig) -> Row:
     )
 
 
-def frames_of(folder: Path, methods: Sequence[Method], cache: Cache) -> tuple[Frames, Frames]:
-    """Frames of both cameras where a method looks at them; images of one pixel if that will do."""
+def frames_of(
+    folder: Path,
+    methods: Sequence[Method],
+    cache: Cache,
+    whole: Callable[[], Path] | None = None,
+) -> tuple[Frames, Frames]:
+    """Frames of both cameras where a method looks at them; images of one pixel if that will do.
+
+    The folder of the recording is read only where `whole`, if given, has said that it is sound.
+    """
+    whole = whole or (lambda: folder)
     looking = [method for method in methods if method.input is Input.FRAMES]
     if not looking:
         return (None, None), (None, None)
     if all(method.takes_means for method in looking):
-        means = cache.brightness(folder, lambda: _brightness(folder))
+        means = cache.brightness(folder, lambda: _brightness(whole()))
         return _timed(means.times1_us, means.cam1), _timed(means.times2_us, means.cam2)
+    folder = whole()
     return _timed(*_images(folder / "cam1.h5")), _timed(*_images(folder / "cam2.h5"))
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from experiments.run.cache import Cache, recording_key, run_key
+from experiments.workers.memory import keep_freed_memory
 from sim.recording import SimConfig
 from ssac.errors import SsacError, WriteError
 
@@ -152,6 +153,7 @@ def run_task(task: Task, cache: Cache, measure: Measure) -> Done:
     WriteError
         If the cache cannot be written to.
     """
+    keep_freed_memory()
     with threadpool_limits(1):  # one worker a core, and sums in the same order everywhere
         n_before = len(cache.simulated)
         rows = _rows(task, cache, measure)

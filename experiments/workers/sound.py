@@ -8,6 +8,7 @@ import hashlib
 import json
 import os
 import sys
+from collections.abc import Collection
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -31,8 +32,8 @@ def save_sums(folder: Path) -> None:
         temporary.write_text(lines, encoding="utf-8")
 
 
-def is_sound(folder: Path) -> bool:
-    """Whether a folder's files are those that were written.
+def is_sound(folder: Path, names: Collection[str] | None = None) -> bool:
+    """Whether a folder's files, or those of some names, are those that were written.
 
     One without checksums, of an older version or of a run that was killed just then, is sound when
     all of it can be read; then it is given some.
@@ -47,7 +48,9 @@ def is_sound(folder: Path) -> bool:
             save_sums(folder)
         return True
     noted = {name: digest for digest, _, name in (line.partition("  ") for line in lines)}
-    return noted == _sums(folder)
+    if names is not None:
+        noted = {name: digest for name, digest in noted.items() if name in names}
+    return noted == _sums(folder, names)
 
 
 def set_aside(path: Path, cache: Path) -> None:
@@ -99,11 +102,11 @@ def _beside(folder: Path) -> Path:
     return folder.with_name(folder.name + SUMS_SUFFIX)
 
 
-def _sums(folder: Path) -> dict[str, str]:
+def _sums(folder: Path, names: Collection[str] | None = None) -> dict[str, str]:
     return {
         path.name: hashlib.sha256(path.read_bytes()).hexdigest()
         for path in folder.iterdir()
-        if path.is_file()
+        if path.is_file() and (names is None or path.name in names)
     }
 
 

@@ -98,20 +98,6 @@ def _gather(events: NDArray[np.void], chosen: NDArray[np.bool_], found: NDArray[
 
 
 @numba.njit(cache=True)
-def which_of(events: NDArray[np.void], chosen: NDArray[np.void]) -> NDArray[np.bool_]:
-    """Tell which events (n,) `chosen_events` took; of some that are alike, the first ones."""
-    found = np.zeros(len(events), np.bool_)
-    k = 0
-    for i in range(len(events)):
-        if k == len(chosen):
-            break
-        one, next_ = events[i], chosen[k]
-        found[i] = one.t == next_.t and one.x == next_.x and one.y == next_.y and one.p == next_.p
-        k += found[i]
-    return found
-
-
-@numba.njit(cache=True)
 def of_pixels(
     chosen: NDArray[np.bool_], x: NDArray[np.uint16], y: NDArray[np.uint16]
 ) -> NDArray[np.bool_]:

@@ -21,7 +21,7 @@ from ssac.track.motion_kernels import (
     window_sums,
 )
 
-_EVENTS_PER_SLICE = 16
+_EVENTS_PER_SLICE = 4
 
 
 def no_gaps() -> NDArray[np.int64]:
@@ -278,7 +278,7 @@ def object_motion(
 
 
 def _slices(times_us: NDArray[np.int64]) -> tuple[int, int]:
-    """Cut sorted times into slices of 2**bits us, of 16 events or more on average: bits, number."""
+    """Cut sorted times into slices of 2**bits us, of 4 events or more on average: bits, number."""
     n = len(times_us)
     if n == 0:
         return 0, 0

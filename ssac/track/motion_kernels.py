@@ -149,20 +149,23 @@ def window_sums(
     each step together, as the processor can then fetch what many of them need at a time.
     """
     n = len(middles_s)
-    n_rows = n // max(row_length, 1)
     means = np.empty((n, 2))
     counts, on_border = np.empty(n, np.int64), np.empty(n, np.int64)
     places = np.empty(_TOGETHER, np.intp)
     edges_us, bounds = np.empty((_TOGETHER, 2), np.int64), np.empty((_TOGETHER, 2, 2), np.int64)
+    column = place = 0
     for start in range(0, n, _TOGETHER):
         m = min(_TOGETHER, n - start)
         for j in range(m):
-            column, row = divmod(start + j, n_rows)
-            i = places[j] = row * row_length + column
-            edges_us[j, 0] = _whole_us(middles_s[i] - half_window_s)
-            edges_us[j, 1] = _whole_us(middles_s[i] + half_window_s)
+            places[j] = place
+            edges_us[j, 0] = _whole_us(middles_s[place] - half_window_s)
+            edges_us[j, 1] = _whole_us(middles_s[place] + half_window_s)
             for k in range(2):
                 bounds[j, k] = _slice_of(edges_us[j, k], times_us, slice_bits, slice_starts)
+            place += row_length
+            if place >= n:  # that was the last row
+                column += 1
+                place = column
         for j in range(m):
             for k in range(2):
                 low, high = bounds[j, k]
@@ -217,16 +220,15 @@ def sharp_centres(
         times, sums = times_us[first[i] : last[i]], position_sums_px[first[i] : last[i] + 1]
         origin_x = (sums[n_events, 0] - sums[0, 0]) / n_events
         origin_y = (sums[n_events, 1] - sums[0, 1]) / n_events
-        left = top = np.int32(1 << 30)
-        right = bottom = np.int32(-(1 << 30))
-        for j in range(n_events):
-            age_us = times[j] - middles_us[i]
-            x = sums[j + 1, 0] - sums[j, 0] - velocities[i, 0] * age_us
-            y = sums[j + 1, 1] - sums[j, 1] - velocities[i, 1] * age_us
-            column, row = np.int32(np.rint(x - origin_x)), np.int32(np.rint(y - origin_y))
-            columns[j], rows[j] = column, row
-            left, right = min(left, column), max(right, column)
-            top, bottom = min(top, row), max(bottom, row)
+        left, right, top, bottom = _cells_at(
+            times,
+            sums.reshape(-1),
+            middles_us[i],
+            (velocities[i, 0], velocities[i, 1]),
+            (origin_x, origin_y),
+            columns,
+            rows,
+        )
         width = right - left + 1
         if width * (bottom - top + 1) > len(counts):
             counts = np.zeros(width * (bottom - top + 1), np.int32)
@@ -248,3 +250,33 @@ def sharp_centres(
         centres[i, 0], centres[i, 1] = origin_x + x, origin_y + y
         sizes[i] = np.sqrt(max(sum_squares / total - x**2 - y**2, 0.0))
     return centres, sizes
+
+
+@numba.njit(cache=True)
+def _cells_at(
+    times_us: NDArray[np.int64],
+    sums_px: NDArray[np.float64],
+    middle_us: float,
+    velocity: tuple[float, float],
+    origin_px: tuple[float, float],
+    columns: NDArray[np.int32],
+    rows: NDArray[np.int32],
+) -> tuple[np.int32, np.int32, np.int32, np.int32]:
+    """Fill in each event's cell at the window's middle; the least and largest column, and row.
+
+    Of n events; their sums (2 * n + 2,) are of x, y by turns. As in `outline_kernels._tangents`,
+    nothing but numbers of its own in the loop.
+    """
+    left = top = np.int32(1 << 30)
+    right = bottom = np.int32(-(1 << 30))
+    velocity_x, velocity_y = velocity
+    origin_x, origin_y = origin_px
+    for j in range(len(times_us)):
+        age_us = times_us[j] - middle_us
+        x = sums_px[2 * j + 2] - sums_px[2 * j] - velocity_x * age_us
+        y = sums_px[2 * j + 3] - sums_px[2 * j + 1] - velocity_y * age_us
+        column, row = np.int32(np.rint(x - origin_x)), np.int32(np.rint(y - origin_y))
+        columns[j], rows[j] = column, row
+        left, right = min(left, column), max(right, column)
+        top, bottom = min(top, row), max(bottom, row)
+    return left, right, top, bottom

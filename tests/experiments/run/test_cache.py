@@ -22,9 +22,14 @@ from ssac.config import Config
 pytestmark = pytest.mark.render  # a recording's key names the GL driver
 
 DENOISED = Denoised(
-    *(np.array([255, 3], np.uint8), np.array([1.0, 9.0, 0.1, 5.0, 20.0, 20.0])),
-    *(np.empty(0, np.uint8), np.array([7], np.uint8)),
-    *(np.array([0.0, 0.0, 0.2, 3.0, 5.0, 12.0]), np.array([128], np.uint8)),
+    np.array([11, 12]),
+    *(
+        np.full((9, 6), 3, np.uint8),
+        np.array([[0, 512]]),
+        np.array([1.0, 9.0, 0.1, 5.0, 20.0, 20.0]),
+    ),
+    *(np.empty(0, np.bool_), np.full((2, 6), 7, np.uint8), np.empty((0, 2), np.int64)),
+    *(np.array([0.0, 0.0, 0.2, 3.0, 5.0, 12.0]), np.array([True, False])),
 )
 
 

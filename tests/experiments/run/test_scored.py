@@ -1,13 +1,16 @@
 """Offsets of one flight share a run, and a guard makes some of them in full; no OpenGL."""
 
+import shutil
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from experiments.run import scored
+from experiments.run.cache import Cache
 from experiments.run.grid import Cell, flight_seed
-from experiments.run.scored import GUARDED, Recorded, is_guarded, scored_row
+from experiments.run.scored import GUARDED, Recorded, is_guarded, load_recorded, scored_row
+from experiments.workers.sound import save_sums
 from sim.recording import SimConfig
 from ssac.config import Config
 from ssac.errors import SsacError
@@ -126,3 +129,29 @@ def test_one_offset_in_ten_is_guarded_for_all_methods_alike():
     assert chosen == alike
     # Four deviations of 1200 draws.
     assert np.mean(chosen) == pytest.approx(1.0 / GUARDED, abs=4 * np.sqrt(0.09 / 1200))
+
+
+def test_a_recording_is_looked_at_when_it_is_read_and_not_before(recorded, tmp_path, monkeypatch):
+    folder = tmp_path / "recordings" / "abcd"
+    shutil.copytree(recorded.folder, folder)
+    save_sums(folder)
+    monkeypatch.setattr(Cache, "_recording_path", lambda *_: folder)
+    monkeypatch.setattr(
+        "experiments.run.cache.record", lambda *_: shutil.copytree(recorded.folder, folder)
+    )
+    cells = [cell_of("event_rate", 0.005), cell_of("zncc_f", 0.005)]
+    whole = load_recorded(cells, Cache(tmp_path))
+
+    (folder / "cam1.h5").write_bytes(b"")
+    again = load_recorded(cells, Cache(tmp_path))
+    assert again.n_events == whole.n_events
+    for one, other in ((again.cam1, whole.cam1), (again.cam2, whole.cam2)):
+        assert one.clutter == other.clutter
+        np.testing.assert_array_equal(one.events, other.events, strict=True)
+        np.testing.assert_array_equal(one.frames, other.frames, strict=True)
+        np.testing.assert_array_equal(one.frame_times_s, other.frame_times_s)
+    assert (folder / "cam1.h5").stat().st_size == 0
+
+    noisy = [replace(cell, estimator=replace(cell.estimator, denoise=False)) for cell in cells]
+    assert len(load_recorded(noisy, Cache(tmp_path)).cam1.events) == whole.n_events[0]
+    assert (folder / "cam1.h5").read_bytes() == (recorded / "cam1.h5").read_bytes()

@@ -54,10 +54,12 @@ def test_a_recording_is_what_its_checksums_say(folder):
     whole = (folder / "cam1.h5").read_bytes()
     (folder / "cam1.h5").write_bytes(flipped(whole, len(whole) // 2))
     assert not is_sound(folder)
+    assert is_sound(folder, ("rig.yaml",))
     (folder / "cam1.h5").write_bytes(whole)
     assert is_sound(folder)
     (folder / "rig.yaml").unlink()
     assert not is_sound(folder)
+    assert not is_sound(folder, ("rig.yaml",))
 
 
 def test_a_recording_without_checksums_is_given_some_if_it_can_be_read(folder):
