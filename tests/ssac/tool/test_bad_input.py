@@ -32,6 +32,7 @@ def make_bad_inputs(recorded, folder: Path):
     copied = load_events(recorded / "cam2.h5").events
     copied["t"] += 20_000  # another clock makes no other camera of it
     save_events_h5(folder / "copy.h5", copied, WIDTH, HEIGHT)
+    (folder / "where.csv").write_text("camera,x_m,y_m,z_m\n1,0,0,0\n2,1,0,0\n")
     (folder / "nan.yaml").write_text(rig.replace("173.0", ".nan"))
 
 
@@ -70,6 +71,13 @@ BAD_INPUTS = [
     (("cam1.h5", "--write-synced", "out.raw"), "out.raw: cannot write the extension '.raw'"),
     (("cam1.h5", "--write-synced", "cam1.h5"), "cam1.h5: is one of the inputs"),
     (("cam1.h5", "--plot", "cam1.h5"), "cam1.h5: exists and is no folder"),
+    (("cam1.h5", "--plot", "cam1.h5/figures"), "cam1.h5 is a file: name a folder"),
+    (("cam1.h5", "--json", "a.txt", "--write-synced", "a.txt"), "a.txt: is named for two outputs"),
+    (("cam1.h5", "--json", "a.txt", "--trajectory", "a.txt"), "a.txt: is named for two outputs"),
+    (("cam1.h5", "--distance", "3"), "--distance: is for the object's path: give --trajectory too"),
+    (("cam1.h5", "--positions", "where.csv"), "--positions: needs three cameras or more"),
+    (("cam1.h5", "--positions", "zero.h5"), "zero.h5: the first line must be camera,x_m,y_m,z_m"),
+    (("cam1.h5", "--positions", "cam1.h5"), "cam1.h5: not a text file of positions"),
 ]
 
 

@@ -65,6 +65,18 @@ def test_a_rolling_shutter_is_taken_out(tmp_path):
     assert abs(result.estimate.t_d_s - pair.t_d_s) < WIDE * result.estimate.t_d_std_s
 
 
+def test_times_that_are_hardly_seconds_are_pointed_out(pair, tmp_path):
+    track = load_track(pair.folder / "cam2.csv")
+    save_track(tmp_path / "ms.csv", replace(track, times_s=1e3 * track.times_s))
+    rig, nowhere = ("--rig", pair.folder / "rig.yaml"), ("--search", 9e6, 9e6 + 1.0)  # ends soon
+    _, _, err = run("sync", pair.folder / "cam1.csv", tmp_path / "ms.csv", *rig, *nowhere)
+    assert f"warning: {tmp_path / 'ms.csv'}: its points are " in err
+    assert "give seconds" in err
+    _, _, err = run("sync", *pair.args, *nowhere)
+    assert "no common time" in err
+    assert "warning" not in err
+
+
 JUMPS, POOR, OK = Status.CLOCK_JUMP, Status.POOR_FIT, Status.OK
 
 
