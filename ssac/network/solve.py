@@ -112,10 +112,13 @@ def solve_network(
     for group in groups(len(listed), links):
         if len(group) < 2:
             continue
-        built = build(listed, links, group, priors, distance)
+        try:
+            built, reason = build(listed, links, group, priors, distance), _NO_PATH
+        except np.linalg.LinAlgError:
+            built, reason = None, _OPEN
         if built is None:
             for k in group:
-                answers[k] = left_out(listed[k], 0, _NO_PATH)
+                answers[k] = left_out(listed[k], 0, reason)
             continue
         built_all.append(built)
         for place, k in enumerate(built.members):
@@ -138,6 +141,10 @@ _LONELY = (
     "same flight"
 )
 _NO_PATH = "no pair of its group gave a pose that puts the object in front of both cameras"
+_OPEN = (
+    "the object's path leaves clocks or poses of its group open, as one on a line or at rest does: "
+    "record a flight with curves in it"
+)
 _MISFIT = (
     "it fits nowhere in the network that the others make: check its frame numbers, its frame rate "
     "and its calibration"
