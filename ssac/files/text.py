@@ -161,8 +161,8 @@ def _read_table(
     except (ValueError, OverflowError) as error:
         raise SsacError(
             f"{path}: every line must be {', '.join(columns)[:60]} in whole numbers"
-            f"{', t in seconds' if in_seconds else ''} ({brief(error)}): complete or remove the "
-            "line"
+            f", t in {'seconds' if in_seconds else 'microseconds'} ({brief(error)}): complete or "
+            "remove the line"
         ) from error
     return np.concatenate(blocks)
 

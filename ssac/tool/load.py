@@ -91,7 +91,8 @@ def check_enough_events(
         left += f", of which {camera.clutter.masked_events} were of lamps and hot pixels"
     if len(camera.events) == 0:
         raise SsacError(
-            f"{path}: {left}: check that an object moves in this recording, or try --no-denoise"
+            f"{path}: {left}: check that an object moves in this recording and that its times are "
+            "in the unit of its format, or try --no-denoise"
         )
     if method.input is not Input.TRACKS:
         return

@@ -15,6 +15,7 @@ from tests.ssac.synthetic import HEIGHT, WIDTH
 
 def make_bad_inputs(recorded, folder: Path):
     """File names of camera 1's events and the rig, or options, and what the error must say."""
+    (folder / "folder.h5").mkdir()
     (folder / "zero.h5").write_bytes(b"")
     (folder / "truncated.h5").write_bytes((recorded / "cam1.h5").read_bytes()[:50_000])
     (folder / "events.foo").write_bytes(b"1")
@@ -40,6 +41,7 @@ BAD_INPUTS = [
     (("missing.h5",), "missing.h5: there is no such file"),
     (("zero.h5",), "zero.h5: the file is empty"),
     (("truncated.h5",), "truncated.h5: not a readable HDF5 file"),
+    (("folder.h5",), "folder.h5: is a folder: give a file of one camera's events"),
     (("events.foo",), "events.foo: unknown extension '.foo': use one of"),
     (("no_events.h5",), "no_events.h5: there are no events"),
     (("unsorted.txt",), "unsorted.txt: events must be sorted by time"),
@@ -52,7 +54,7 @@ BAD_INPUTS = [
     (("cam1.h5", "--search", "-1e9", "1e9"), "--search: expected a smaller and a larger offset"),
     (("cam1.h5", "--n-samples", "100000000"), "--n-samples: expected 20 to 100000, got 1000"),
     (("cam1.h5", "--rig", "large.yaml"), "large.yaml is calibrated at 640 x 480 px, but .*cam1.h5"),
-    (("cam1.h5", "--rig", "nan.yaml"), "nan.yaml, cam0, intrinsics: expected 4 of finite numbers"),
+    (("cam1.h5", "--rig", "nan.yaml"), "nan.yaml, cam0, intrinsics: expected 4 finite numbers"),
     (("cam1.h5", "--rig", "cam1.h5"), "cam1.h5: unknown extension '.h5' of a rig"),
     (("cam1.h5", "--known-extrinsics"), "rig.yaml: tangency-known needs the extrinsics"),
     (("cam1.h5", "--method", "scac"), "unknown method 'scac': use one of ssac"),
