@@ -69,7 +69,8 @@ def compare_command(
         raise SsacError(f"--scale: expected {' or '.join(SCALES)}, got {scale!r}")
     check_targets((plot, json_file), (estimate, truth))
     if plot is not None:
-        from ssac.compare.figure import FILE_SUFFIXES, save_figure
+        from ssac.compare.figure import save_figure
+        from ssac.plot.style import FILE_SUFFIXES
 
         if plot.suffix.lower() not in FILE_SUFFIXES:
             raise SsacError(f"{plot}: a figure is a file ending in {', '.join(FILE_SUFFIXES)}")

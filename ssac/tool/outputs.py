@@ -11,6 +11,7 @@ from ssac.files.event_files import load_events, write_synced
 from ssac.files.hdf5 import HDF5_SUFFIXES
 from ssac.files.track_files import TRACK_SUFFIX, is_track_file, load_track, save_track
 from ssac.files.whole_file import check_folder, check_targets
+from ssac.plot.style import FILE_SUFFIXES
 from ssac.tool.report import save_json
 from ssac.tool.sync import Clock, Log, SyncResult
 
@@ -87,8 +88,6 @@ def _write_synced(path: Path, result: SyncResult) -> None:
 
 def _is_figure(plot: Path) -> bool:
     """Tell a file for all figures from a folder for them; SsacError for what can be neither."""
-    from ssac.plot.plots import FILE_SUFFIXES
-
     if plot.suffix.lower() in FILE_SUFFIXES:
         return True
     if plot.exists() and not plot.is_dir():
