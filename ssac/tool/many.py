@@ -93,7 +93,8 @@ def sync_all(
         If a file cannot be used, is given twice, or contradicts what is found.
     """
     _check_files(paths)
-    load_rig(rig_path, (1, len(paths)))  # has as many cameras
+    for number in range(2, len(paths) + 1):  # before hours of work
+        load_rig(rig_path, (1, number))
 
     clock, pairs = Clock(log or (lambda line: None)), dict[Pair, SyncResult]()
     for a, b in combinations(range(len(paths)), 2):
@@ -253,8 +254,11 @@ def _followed(
 
 
 def _check_files(paths: Sequence[Path]) -> None:
+    for path in paths:
+        if not path.is_file():
+            raise SsacError(f"{path}: there is no such file: check the path")
     for a, b in combinations(range(len(paths)), 2):
-        if paths[a].exists() and paths[b].exists() and paths[a].samefile(paths[b]):
+        if paths[a].samefile(paths[b]):
             raise SsacError(
                 f"{paths[a]}: given for cameras {a + 1} and {b + 1}: give each camera's own file"
             )

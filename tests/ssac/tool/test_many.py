@@ -114,15 +114,28 @@ def test_no_output_takes_the_place_of_an_input(files, tmp_path, option, name):
     assert (folder / name).read_text() == before
 
 
-def test_a_rig_of_fewer_cameras_is_told_before_any_work(files, tmp_path):
+@pytest.mark.parametrize("last", ["cam2", "cam3"])
+def test_a_rig_of_fewer_cameras_is_told_before_any_work(files, tmp_path, last):
     folder, _ = files
     rig = yaml.safe_load((folder / "rig.yaml").read_text())
-    del rig["cam2"]
+    rig[last] = rig.pop("cam2")
+    if last == "cam2":
+        del rig["cam2"]
     (tmp_path / "rig.yaml").write_text(yaml.safe_dump(rig))
-    cameras = [folder / f"cam{k}.csv" for k in (1, 2, 3)]
+    fourth = save_another(tmp_path / "cam4.csv", 0.0)
+    cameras = [*(folder / f"cam{k}.csv" for k in (1, 2, 3)), *([fourth] if last == "cam3" else [])]
     code, _, err = run("sync", *cameras, "--rig", tmp_path / "rig.yaml")
     assert code == 2
     assert "there is no cam2 for camera 3" in err
+    assert err.strip().count("\n") == 0
+
+
+def test_a_missing_file_is_told_before_any_work(files):
+    folder, _ = files
+    cameras = [folder / f"cam{k}.csv" for k in (1, 2, 4)]
+    code, _, err = run("sync", *cameras, "--rig", folder / "rig.yaml")
+    assert code == 2
+    assert "cam4.csv: there is no such file" in err
     assert err.strip().count("\n") == 0
 
 
