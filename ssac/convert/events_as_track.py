@@ -5,14 +5,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ssac.camera import Camera, Rig, distort_points
+from ssac.camera import Camera, distort_points
 from ssac.config import Config
 from ssac.errors import SsacError
 from ssac.points import PointTrack
 from ssac.search.seen import seen_of, seen_times
 from ssac.silhouette.silhouette import Images, silhouettes
 from ssac.track.motion import SharpTrack
-from ssac.track.observation import Observation, denoised, object_motions
+from ssac.track.objects import objects_of, seem_several
+from ssac.track.observation import Observation, denoised_alone, motion_alone
 
 STEP_S = 0.01
 """Time between points: half of a window's half, so that a track loses nothing of the motion."""
@@ -69,6 +70,14 @@ def track_of_events(
     return PointTrack(sharp.times_s, points, _sigmas_px(STRAY_SIZES, sharp.sizes_px))
 
 
+def things_seen(observation: Observation, camera: Camera) -> int:
+    """Count the things that move at a time before a camera, whose events are denoised; else 1."""
+    if not observation.denoised or not seem_several(observation.events, camera):
+        return 1
+    found = objects_of(observation.events, camera)
+    return found.n_seen if found.are_several else 1
+
+
 def shaped_track_of_events(
     observation: Observation,
     recorded: NDArray[np.void],
@@ -101,9 +110,8 @@ def _followed(
     observation: Observation, camera: Camera, config: Config
 ) -> tuple[NDArray[np.float64], SharpTrack]:
     """Give the points (n, 2), distorted, at which the object is in the image, and all of them."""
-    rig = Rig(camera, camera)
-    clean = denoised(observation, observation, rig, config)[0]
-    motion = object_motions(clean, clean, rig, config)[0]
+    clean = denoised_alone(observation, camera, config)
+    motion = motion_alone(clean, camera, config)
     seen = seen_of(motion, STEP_S)
     times_s = seen_times(seen, int(np.count_nonzero(seen.valid)))
     sharp = motion.sharp_at(times_s)

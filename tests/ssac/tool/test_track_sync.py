@@ -10,13 +10,15 @@ import yaml
 
 from ssac.config import Config
 from ssac.estimate import Estimate, Status
+from ssac.files.hdf5 import save_events_h5
 from ssac.files.track_files import load_track, save_track
 from ssac.tool.registry import choose_method
 from ssac.tool.report import note
 from ssac.tool.sync import sync
 from tests.recorded import T_D_S
 from tests.ssac.command import run
-from tests.ssac.synthetic import angle_deg, rotation_angle_deg
+from tests.ssac.crowds import flight, mixed
+from tests.ssac.synthetic import HEIGHT, WIDTH, angle_deg, rotation_angle_deg
 from tests.ssac.tracks import rig_document, save_pair
 
 WIDE = 4.0  # deviations: a right answer is further off in 1 of 16,000
@@ -121,6 +123,18 @@ def test_events_and_a_track_of_events_may_be_mixed(recorded, tmp_path):
         result = sync(*files, recorded / "rig.yaml", "joint", search_all=True)
         assert result.estimate.status == "ok"
         assert result.estimate.t_d_s == pytest.approx(T_D_S, abs=3e-3)  # as for two event files
+
+
+def test_a_track_of_several_things_comes_with_a_warning(tmp_path):
+    one, other = flight(4)[0], flight(5)[0]
+    (tmp_path / "rig.yaml").write_text(yaml.safe_dump(rig_document()))
+    for name, events in (("one", one), ("two", mixed(one, other)[0])):
+        save_events_h5(tmp_path / f"{name}.h5", events, WIDTH, HEIGHT)
+        args = tmp_path / f"{name}.h5", "--rig", tmp_path / "rig.yaml"
+        code, _, err = run("track", *args, "--out", tmp_path / f"{name}.csv")
+        assert code == 0, err
+        assert ("two.h5: 2 things move at a time" in err) == (name == "two")
+        assert err.count("warning") == (name == "two")
 
 
 @pytest.mark.parametrize("method", ["tangency", "zncc_e", "zncc_f", "event_rate"])
