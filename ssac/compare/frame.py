@@ -26,7 +26,7 @@ LEAST_EXPLAINED = 0.9
 """Share of the motion of RTK that a path of the same flight explains, at least."""
 
 RTK_RATE_STD_PPM = 1000.0
-"""Deviation beforehand of the rate between RTK's clock and a camera's: those of phones."""
+"""Prior deviation of the rate between RTK's clock and a camera's: those of phones."""
 
 POSITION_COLUMNS = ("camera", "x_m", "y_m", "z_m")
 

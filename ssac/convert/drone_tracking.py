@@ -26,7 +26,7 @@ OF_DATA_SET = {"mate10": ("mate10_1", "mate10_2"), "sonyG": ("sonyG_1", "sonyG_2
 """Models that were calibrated twice: for data sets 1 and 2, and for the later ones."""
 
 KEYFRAMES = {4: 4}
-"""Data sets of which only every so manieth frame was labelled; those between are interpolated, and
+"""Data sets of which only every n-th frame was labelled, and n; those between are interpolated, and
 would make deviations too small."""
 
 FOCAL_STD, CENTRE_STD_PX = 0.005, 3.0

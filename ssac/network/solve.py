@@ -75,7 +75,7 @@ def link_of(estimate: Estimate, guess: Guess | None, of_events: bool = False) ->
 
 
 def priors_of(camera: Camera, has_frames: bool, skew_prior_ppm: float) -> Priors:
-    """Say what is known of a camera beforehand: by its rig, and of its kind of clock."""
+    """Give the priors of a camera's parameters: by its rig, and by its kind of clock."""
     std = np.array(camera.intrinsics_std_px, dtype=np.float64)
     focal = std[:2] / np.diag(camera.K)[:2]
     return Priors(
@@ -101,7 +101,7 @@ def solve_network(
     links
         What their pairs (a, b), a < b, tell; some may be wrong or missing.
     skew_prior_ppm
-        Deviation of the clocks' skews beforehand.
+        Prior deviation of the clocks' skews.
     distance
         Between the first two cameras of each group.
     """

@@ -95,7 +95,7 @@ def sync_command(
     skew_prior: Annotated[
         float | None,
         number(
-            "Deviation of the clocks' skew beforehand; phones need 1000; 0: they run alike.",
+            "Prior deviation of the clocks' skew; phones need 1000; 0: they run alike.",
             0,
             MAX_SKEW_PPM,
             "ppm",
