@@ -158,6 +158,7 @@ BAD = {
     "NaN": (_lines("-1,nan,3"), "no finite number"),
     "text": (_lines("-1,here,3"), "must be numbers"),
     "empty field": (_lines("-1,,3"), "no finite number"),
+    "decimal commas": (_lines("-1,0,100,5,90,25"), "write decimals with a point"),
     "outside": (_lines("-1,346,3"), "the image is 346 x 260 px"),
     "nothing": (lambda lines: lines[:1], "there are no points"),
 }
