@@ -12,7 +12,7 @@ N_MIN = 200
 CLOCKS = ("affine", "pieces")
 
 MAX_SKEW_PPM = 100_000.0
-"""Largest deviation of a skew beforehand."""
+"""Largest prior deviation of a skew."""
 
 
 @dataclass(frozen=True)
@@ -34,10 +34,10 @@ class Config:
     min_swings: float = 3.5  # times to and fro that tell F's 7 parameters and t_d from chance
     max_valley_s: float = 0.3  # longest valley of the cost curve whose middle is an offset
     denoise: bool = True  # first remove hot pixels and isolated events
-    skew_prior_ppm: float = 50.0  # deviation of the clocks' skew beforehand; 0: they run alike
+    skew_prior_ppm: float = 50.0  # prior deviation of the clocks' skew; 0: they run alike
     search_skews: bool = True  # where they matter; no: a search of all offsets found the rate
     clock: str = "affine"  # or "pieces": its skew changes slowly; both beyond the paper's methods
-    roughness_ppm: float = 200.0  # deviation of that change from one piece to the next, beforehand
+    roughness_ppm: float = 200.0  # prior deviation of that change from one piece to the next
 
 
 def checked(config: Config | None) -> Config:

@@ -140,7 +140,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
             "albl_kernels",
             "albl",
         ),
-        "plot": ("plot_data", "plots"),
+        "plot": ("style", "plot_data", "plots"),
         "console": ("exits", "options", "event_options", "command_line"),
         "convert": (
             "events_as_track",

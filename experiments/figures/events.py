@@ -27,7 +27,8 @@ from ssac.geometry.fundamental import MIN_PAIRS, lmeds_fundamental
 from ssac.methods.algorithms import ssac
 from ssac.methods.tangency import tangency
 from ssac.plot.plot_data import Array, Material
-from ssac.plot.plots import BLUE, POLARITIES, YELLOW, ZOOM_S, draw_alignment, draw_epipolar
+from ssac.plot.plots import POLARITIES, ZOOM_S, draw_alignment, draw_epipolar
+from ssac.plot.style import BLUE, YELLOW
 from ssac.search.offset_search import mean_epipolar_distance
 from ssac.search.two_views import TwoViews, two_views
 from ssac.tool.load import load_pair

@@ -62,16 +62,15 @@ def compare_command(
     shift and clock rate are found.
     """
     from ssac.compare.comparison import compare
-    from ssac.files.whole_file import check_target, whole_file
+    from ssac.files.whole_file import check_targets, whole_file
     from ssac.path.tum import read_path
 
     if scale not in SCALES:
         raise SsacError(f"--scale: expected {' or '.join(SCALES)}, got {scale!r}")
-    for output in (plot, json_file):
-        if output is not None:
-            check_target(output, (estimate, truth))
+    check_targets((plot, json_file), (estimate, truth))
     if plot is not None:
-        from ssac.compare.figure import FILE_SUFFIXES, save_figure
+        from ssac.compare.figure import save_figure
+        from ssac.plot.style import FILE_SUFFIXES
 
         if plot.suffix.lower() not in FILE_SUFFIXES:
             raise SsacError(f"{plot}: a figure is a file ending in {', '.join(FILE_SUFFIXES)}")

@@ -17,6 +17,7 @@ from ssac.path.tum import Path
 
 Array = NDArray[np.float64]
 
+_LEAST_POINTS = 3  # that are not on a line
 _DENSE = 20  # points from one of the truth's to the next, where it is a shape
 
 
@@ -117,6 +118,12 @@ def compare(
     SsacError
         If they share too little time or do not move enough, or the attitude is missing.
     """
+    for name, path in (("estimate", estimate), ("truth", truth)):
+        if len(path) < _LEAST_POINTS:
+            raise SsacError(
+                f"the {name} has {len(path)} points, and at least {_LEAST_POINTS} tell how it is "
+                "turned: give more of it"
+            )
     if lever_arm_m is not None:
         truth = without_lever_arm(truth, lever_arm_m)
     in_time, start, points = None, None, estimate.positions_m
@@ -165,8 +172,6 @@ def without_lever_arm(truth: Path, lever_arm_m: tuple[float, float, float]) -> P
 def _shape(truth: Path) -> Array:
     """Points of the truth and between them, but for its gaps."""
     n = len(truth)
-    if n < 2:
-        return truth.positions_m
     times_s = truth.times_s if truth.has_times else np.arange(n, dtype=np.float64)
     dense_s = np.interp(np.arange((n - 1) * _DENSE + 1) / _DENSE, np.arange(n), times_s)
     points = interpolated(replace(truth, times_s=times_s)).at(dense_s)

@@ -8,13 +8,9 @@ from numpy.typing import NDArray
 
 from ssac.compare.comparison import Comparison, InTime
 from ssac.files.whole_file import whole_file
+from ssac.plot.style import BLUE, RED, YELLOW
 
 Array = NDArray[np.float64]
-
-FILE_SUFFIXES = (".png", ".pdf", ".svg")
-
-BLUE, YELLOW, RED = "#004488", "#DDAA33", "#BB5566"
-"""Of the truth, the estimate and their difference: P. Tol's high-contrast set."""
 
 _GAP_STEPS, _USUAL_PERCENT = 4.0, 95.0  # a step that is so many times the usual one is a gap
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from ssac.compare.comparison import compare, without_lever_arm
 from ssac.errors import SsacError
 from ssac.estimate import Status
+from ssac.files.net import readable
 from ssac.network.answers import CameraAnswer, path_of
 from ssac.network.solve import NetworkAnswer
 from ssac.path.align import Similarity, similarity
@@ -25,7 +26,7 @@ LEAST_EXPLAINED = 0.9
 """Share of the motion of RTK that a path of the same flight explains, at least."""
 
 RTK_RATE_STD_PPM = 1000.0
-"""Deviation beforehand of the rate between RTK's clock and a camera's: those of phones."""
+"""Prior deviation of the rate between RTK's clock and a camera's: those of phones."""
 
 POSITION_COLUMNS = ("camera", "x_m", "y_m", "z_m")
 
@@ -79,7 +80,7 @@ def ground_of_rtk(
     Parameters
     ----------
     answer
-        Of the network.
+        Of a network with a path.
     file
         RTK's path; with its attitude where there is a lever arm.
     lever_arm_m
@@ -90,8 +91,6 @@ def ground_of_rtk(
     SsacError
         If the file has no times or degrees, or is of another flight.
     """
-    if not answer.paths:
-        raise SsacError(f"{file}: there is no path to lay over it: {answer.reason}")
     path, rtk = answer.paths[0].path, read_path(file)
     found = compare(path, rtk, rate_std_ppm=RTK_RATE_STD_PPM, lever_arm_m=lever_arm_m).in_time
     if found is None or found.explained < LEAST_EXPLAINED:
@@ -130,7 +129,10 @@ def load_positions(file: Path) -> dict[int, Array]:
     """Read where cameras stand: `camera,x_m,y_m,z_m`, cameras by number from 1 on."""
     if not file.is_file():
         raise SsacError(f"{file}: there is no such file: check the path")
-    with file.open(encoding="utf-8-sig", newline="") as lines:
+    with (
+        readable(file, "a text file of positions"),
+        file.open(encoding="utf-8-sig", newline="") as lines,
+    ):
         rows = [[word.strip() for word in row] for row in csv.reader(lines) if row]
     if not rows or tuple(rows[0]) != POSITION_COLUMNS:
         raise SsacError(f"{file}: the first line must be {','.join(POSITION_COLUMNS)}: add it")

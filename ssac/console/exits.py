@@ -59,7 +59,8 @@ def guarded(run: Callable[[], int], blames_input: tuple[type[Exception], ...] = 
     try:
         with _insistent_interrupts(), _termination_that_tidies_up():
             code = run()
-        sys.stdout.flush()
+        if sys.stdout is not None:  # closed by whoever started us, as some services do
+            sys.stdout.flush()
     except KeyboardInterrupt:
         code = INTERRUPTED
     except BrokenPipeError:

@@ -14,7 +14,6 @@ def number(
     high: float,
     unit: str = "",
     metavar: str = "",
-    name: str = "",
     default_words: str = "",
 ) -> Any:
     """Make an option of one or several numbers that must lie between two bounds.
@@ -29,14 +28,11 @@ def number(
         As a word: "seconds".
     metavar
         How the value is shown; the unit in capitals when empty.
-    name
-        With its dashes; made from the argument's name when empty.
     default_words
         Shown in place of a default that is no number.
     """
     bounds = f"{_plain(low)} to {_plain(high)}"
     return typer.Option(
-        *([name] if name else []),
         help=f"{help_text} From {bounds}{f' {unit}' if unit else ''}.",
         metavar=metavar or unit.upper() or "NUMBER",
         callback=_within(low, high, f"{bounds} {unit}".strip()),

@@ -26,7 +26,7 @@ OF_DATA_SET = {"mate10": ("mate10_1", "mate10_2"), "sonyG": ("sonyG_1", "sonyG_2
 """Models that were calibrated twice: for data sets 1 and 2, and for the later ones."""
 
 KEYFRAMES = {4: 4}
-"""Data sets of which only every so manieth frame was labelled; those between are interpolated, and
+"""Data sets of which only every n-th frame was labelled, and n; those between are interpolated, and
 would make deviations too small."""
 
 FOCAL_STD, CENTRE_STD_PX = 0.005, 3.0
@@ -105,8 +105,10 @@ def _calibration(folder: Path, model: str, number: int) -> tuple[dict[str, Any],
         found = json.loads(path.read_text(encoding="utf-8"))
         K = np.array(found["K-matrix"], dtype=np.float64)
         coeffs = [float(value) for value in found["distCoeff"]]
-        resolution = [int(value) for value in found["resolution"]]
+        width, height = (int(value) for value in found["resolution"])
         fps = float(found["fps"])
+        if not 0.0 < fps < np.inf:
+            raise ValueError(f"{fps:g} frames a second")
         fu, fv, pu, pv = (float(K[i, j]) for i, j in ((0, 0), (1, 1), (0, 2), (1, 2)))
     except (OSError, ArithmeticError, ValueError, LookupError, TypeError, RecursionError) as error:
         raise SsacError(
@@ -118,7 +120,7 @@ def _calibration(folder: Path, model: str, number: int) -> tuple[dict[str, Any],
         "intrinsics": [fu, fv, pu, pv],
         "distortion_model": "plumb_bob" if len(coeffs) == 5 else "radtan",
         "distortion_coeffs": coeffs,
-        "resolution": resolution,
+        "resolution": [width, height],
         "intrinsics_std": [FOCAL_STD * fu, FOCAL_STD * fv, CENTRE_STD_PX, CENTRE_STD_PX],
     }
     return entry, fps

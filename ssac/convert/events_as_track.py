@@ -5,14 +5,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ssac.camera import Camera, Rig, distort_points
+from ssac.camera import Camera, distort_points
 from ssac.config import Config
 from ssac.errors import SsacError
 from ssac.points import PointTrack
 from ssac.search.seen import seen_of, seen_times
 from ssac.silhouette.silhouette import Images, silhouettes
 from ssac.track.motion import SharpTrack
-from ssac.track.observation import Observation, denoised, object_motions
+from ssac.track.objects import objects_of, seem_several
+from ssac.track.observation import Observation, denoised_alone, motion_alone
 
 STEP_S = 0.01
 """Time between points: half of a window's half, so that a track loses nothing of the motion."""
@@ -42,7 +43,6 @@ def track_of_events(
     observation: Observation,
     camera: Camera,
     config: Config | None = None,
-    step_s: float = STEP_S,
 ) -> PointTrack:
     """Follow the object through the events of one camera.
 
@@ -54,8 +54,6 @@ def track_of_events(
         Its intrinsics.
     config
         Of the windows and of denoising; the defaults when None.
-    step_s
-        Time between points [s].
 
     Returns
     -------
@@ -68,8 +66,16 @@ def track_of_events(
     SsacError
         If the events cannot be used, or show no object anywhere.
     """
-    points, sharp = _followed(observation, camera, config or Config(), step_s)
+    points, sharp = _followed(observation, camera, config or Config())
     return PointTrack(sharp.times_s, points, _sigmas_px(STRAY_SIZES, sharp.sizes_px))
+
+
+def things_seen(observation: Observation, camera: Camera) -> int:
+    """Count the things that move at a time before a camera, whose events are denoised; else 1."""
+    if not observation.denoised or not seem_several(observation.events, camera):
+        return 1
+    found = objects_of(observation.events, camera)
+    return found.n_seen if found.are_several else 1
 
 
 def shaped_track_of_events(
@@ -77,18 +83,17 @@ def shaped_track_of_events(
     recorded: NDArray[np.void],
     camera: Camera,
     config: Config | None = None,
-    step_s: float = STEP_S,
 ) -> ShapedTrack:
     """Follow the centre of the image's area, where events tell it, and else the mean of the events.
 
     Parameters
     ----------
-    observation, camera, config, step_s
+    observation, camera, config
         As of `track_of_events`, whose times these are.
     recorded
         All events of the camera, as `ssac.silhouette.silhouette.silhouettes` needs them.
     """
-    points, sharp = _followed(observation, camera, config or Config(), step_s)
+    points, sharp = _followed(observation, camera, config or Config())
     sizes_px = sharp.sizes_px
     sigmas = _sigmas_px(STRAY_SIZES, sizes_px)
     found = silhouettes(recorded, camera, sharp.times_s, sharp.positions_px, sizes_px)
@@ -102,13 +107,12 @@ def shaped_track_of_events(
 
 
 def _followed(
-    observation: Observation, camera: Camera, config: Config, step_s: float
+    observation: Observation, camera: Camera, config: Config
 ) -> tuple[NDArray[np.float64], SharpTrack]:
     """Give the points (n, 2), distorted, at which the object is in the image, and all of them."""
-    rig = Rig(camera, camera)
-    clean = denoised(observation, observation, rig, config)[0]
-    motion = object_motions(clean, clean, rig, config)[0]
-    seen = seen_of(motion, step_s)
+    clean = denoised_alone(observation, camera, config)
+    motion = motion_alone(clean, camera, config)
+    seen = seen_of(motion, STEP_S)
     times_s = seen_times(seen, int(np.count_nonzero(seen.valid)))
     sharp = motion.sharp_at(times_s)
     points = np.full((len(times_s), 2), np.nan)

@@ -30,9 +30,11 @@ def import_command(
     drone-tracking: a folder dataset1 ... dataset5 of github.com/CenekAlbl/drone-tracking-datasets.
     """
     from ssac.convert.drone_tracking import import_data_set
+    from ssac.files.whole_file import check_folder
 
     if out.exists() and (not out.is_dir() or (folder.exists() and out.samefile(folder))):
         raise SsacError(f"{out}: not a folder to write to: name another")
+    check_folder(out)
     for camera in import_data_set(folder, out):
         left_out = f", {camera.n_outside} outside the image left out" if camera.n_outside else ""
         start_s, end_s = camera.track.times_s[[0, -1]]

@@ -1,5 +1,6 @@
 """A command line in, a track file out: `ssac track`."""
 
+import warnings
 from pathlib import Path
 from typing import Annotated
 
@@ -45,7 +46,7 @@ def track_command(
     n_min: Annotated[int | None, n_min_of("a point")] = None,
 ) -> None:
     """Write the path of the one moving object as a track file: t_s,x_px,y_px,sigma_px."""
-    from ssac.convert.events_as_track import track_of_events
+    from ssac.convert.events_as_track import things_seen, track_of_events
     from ssac.events import check_events
     from ssac.files.damage import Reading
     from ssac.files.event_files import load_events
@@ -53,7 +54,7 @@ def track_command(
     from ssac.files.track_files import TRACK_SUFFIX, is_track_file, save_track
     from ssac.files.whole_file import check_target
     from ssac.follow.faint import faint_object_events
-    from ssac.track.observation import Observation
+    from ssac.track.observation import Observation, denoised_alone
 
     if out.suffix.lower() != TRACK_SUFFIX:
         raise SsacError(f"{out}: a track is written as {TRACK_SUFFIX}: name such a file")
@@ -72,9 +73,18 @@ def track_command(
         events = file.events
         if faint:
             events = faint_object_events(events, calibrated.width, calibrated.height)
-        track = track_of_events(Observation(events), calibrated, config)
+        observation = denoised_alone(Observation(events), calibrated, config)
+        track = track_of_events(observation, calibrated, config)
+        n_things = things_seen(observation, calibrated)
     except SsacError as error:
         raise SsacError(f"{cam}: {error}") from error
+    if n_things > 1:
+        with warnings_as_lines():
+            warnings.warn(
+                f"{cam}: {n_things} things move at a time, and the track lies between them: give "
+                "the events themselves to ssac sync, which tells the one that all cameras see",
+                stacklevel=1,
+            )
     save_track(out, track)
     typer.echo(
         f"{out}: {len(track)} points from {track.times_s[0]:.3f} to {track.times_s[-1]:.3f} s"

@@ -6,9 +6,9 @@ a file is only of use when its absolute timestamps survive reading:
 =======  ===============================================  ==========================
 suffix   format                                           absolute time
 =======  ===============================================  ==========================
-.h5      HDF5: ours, DSEC's, Prophesee's (hdf5_files.py)  kept
-.txt     ESIM text (text_files.py)                        kept
-.csv     named columns (text_files.py)                    kept
+.h5      HDF5: ours, DSEC's, Prophesee's (`hdf5`)         kept
+.txt     ESIM text (`text`)                               kept
+.csv     named columns (`text`)                           kept
 .aedat4  iniVation AEDAT 4                                kept
 .raw     Prophesee EVT2                                   kept
 .raw     Prophesee EVT3                                   modulo 2^24 us = 16.8 s
@@ -83,6 +83,8 @@ def load_events(path: Path | str, reading: Reading = STRICT) -> EventFile:
         unsorted, damaged, or has events outside its own sensor. The message names the file.
     """
     path = Path(path)
+    if path.is_dir():
+        raise SsacError(f"{path}: is a folder: give a file of one camera's events in it")
     reader = _READERS.get(path.suffix.lower())
     if reader is None:
         raise SsacError(

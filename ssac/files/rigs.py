@@ -253,10 +253,9 @@ def _numbers(value: Any, shape: tuple[int, ...], name: str) -> NDArray[np.float6
     except (TypeError, ValueError, OverflowError):
         numbers = np.array(np.nan)
     if not np.isfinite(numbers).all():
-        expected = "a list" if shape == (-1,) else " x ".join(map(str, shape))
-        raise SsacError(
-            f"{name}: expected {expected} of finite numbers, got {_shown(value)}: correct it"
-        )
+        words = {(): "a finite number", (-1,): "a list of finite numbers"}
+        expected = words.get(shape, f"{' x '.join(map(str, shape))} finite numbers")
+        raise SsacError(f"{name}: expected {expected}, got {_shown(value)}: correct it")
     return numbers
 
 

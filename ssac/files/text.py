@@ -25,6 +25,7 @@ MAX_WHOLE_S = 1000.0
 
 _LONGEST_LINE = 4096  # letters of a first line
 _BYTES_PER_BLOCK = 1 << 22
+_MAX_SIDE_PX = np.iinfo(EVENT_DTYPE["x"]).max
 _MAX_S = 2.0**62 / US_PER_S  # what a time in whole microseconds holds
 
 LINES_PER_BLOCK = 1_000_000
@@ -41,8 +42,8 @@ def load_events_text(path: Path, reading: Reading = STRICT) -> EventFile:
     """
     first_line = _first_line(path).split()
     width, height = None, None
-    if len(first_line) == 2 and all(word.isdigit() for word in first_line):
-        width, height = int(first_line[0]), int(first_line[1])
+    if len(first_line) == 2 and all(map(_is_whole_number, first_line)):
+        width, height = (_side_px(word, path) for word in first_line)
     elif len(first_line) not in (0, 4):
         raise SsacError(
             f"{path}: the first line must be `t x y p` or `width height`, got "
@@ -65,8 +66,8 @@ def load_events_csv(path: Path, reading: Reading = STRICT) -> EventFile:
     for word in _first_line(path).lower().split(","):
         name, _, size = word.strip().partition("@")
         columns.append("p" if name == "on" else name)
-        if size.isdigit():
-            sizes[name] = int(size)
+        if _is_whole_number(size):
+            sizes[name] = _side_px(size, path)
     if not set("txyp") <= set(columns):
         raise SsacError(
             f"{path}: the first line must name the columns t,x,y,p (t in microseconds) of events, "
@@ -103,7 +104,7 @@ def _first_line(path: Path) -> str:
     """Return the first line of the file; SsacError when it is not text."""
     check_text(path)
     try:
-        with path.open(encoding="utf-8") as file:
+        with path.open(encoding="utf-8-sig") as file:
             return file.readline(_LONGEST_LINE)
     except UnicodeDecodeError as error:
         raise SsacError(f"{path}: not a text file: give it the extension of its format") from error
@@ -128,6 +129,20 @@ def is_number(word: str) -> bool:
     except ValueError:
         return False
     return True
+
+
+def _is_whole_number(word: str) -> bool:
+    return word.isascii() and word.isdigit()  # "³" is a digit too
+
+
+def _side_px(word: str, path: Path) -> int:
+    side_px = int(word)
+    if not 1 <= side_px <= _MAX_SIDE_PX:
+        raise SsacError(
+            f"{path}: the sensor's size in the first line must be 1 to {_MAX_SIDE_PX} px, got "
+            f"{word[:40]}: correct it, or leave it out"
+        )
+    return side_px
 
 
 def _read_table(
@@ -161,8 +176,8 @@ def _read_table(
     except (ValueError, OverflowError) as error:
         raise SsacError(
             f"{path}: every line must be {', '.join(columns)[:60]} in whole numbers"
-            f"{', t in seconds' if in_seconds else ''} ({brief(error)}): complete or remove the "
-            "line"
+            f", t in {'seconds' if in_seconds else 'microseconds'} ({brief(error)}): complete or "
+            "remove the line"
         ) from error
     return np.concatenate(blocks)
 

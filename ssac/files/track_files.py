@@ -52,6 +52,7 @@ def load_track(path: Path | str) -> PointTrack:
                 f"{path}: the first line of a track must name the columns "
                 f"{','.join(TRACK_COLUMNS)}, got {','.join(names)[:60]!r}: add that line"
             )
+        _check_fields(path, len(names))
         wanted = [*TRACK_COLUMNS, *([_SIGMA] if _SIGMA in names else [])]
         table = pd.read_csv(
             path,
@@ -85,6 +86,20 @@ def save_track(path: Path | str, track: PointTrack) -> None:
             header=",".join(names),
             comments="",
         )
+
+
+def _check_fields(path: Path, n_columns: int) -> None:
+    """Raise SsacError where a row has more fields than columns, of which pandas takes the first."""
+    with path.open(encoding="utf-8") as file:
+        for k, line in enumerate(file):
+            if line.count(",") < n_columns:
+                continue
+            n_fields = line.rstrip(", \t\r\n").count(",") + 1
+            if n_fields > n_columns:
+                raise SsacError(
+                    f"{path}: a row must have {n_columns} values, but point {k - 1} has "
+                    f"{n_fields}, {line.strip()[:60]!r}: write decimals with a point"
+                )
 
 
 def _names(line: str) -> list[str]:

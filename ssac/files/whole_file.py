@@ -3,7 +3,7 @@
 import os
 import resource
 import shutil
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -21,6 +21,18 @@ def check_target(output: Path, inputs: Iterable[Path]) -> None:
     if any(output.exists() and path.exists() and output.samefile(path) for path in inputs):
         raise SsacError(f"{output}: is one of the inputs and would be lost: name another file")
     check_writable(output)
+
+
+def check_targets(outputs: Iterable[Path | None], inputs: Collection[Path]) -> None:
+    """Check each output, but for None, as `check_target` does, and that no two are one file."""
+    named: set[Path] = set()
+    for output in outputs:
+        if output is None:
+            continue
+        check_target(output, inputs)
+        if output.resolve() in named:
+            raise SsacError(f"{output}: is named for two outputs: name a file for each")
+        named.add(output.resolve())
 
 
 @contextmanager

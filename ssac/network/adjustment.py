@@ -63,7 +63,7 @@ def adjust(
     network
         To begin with.
     cameras, priors
-        What each saw, and what is known of it beforehand.
+        What each saw, and the priors of its parameters.
     enabled
         Of each camera (n,): which sightings count.
     rounds

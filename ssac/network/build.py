@@ -82,7 +82,7 @@ def build(
     group
         The numbers of those that are to be in it.
     priors
-        What is known of each camera beforehand.
+        Of the parameters of each camera.
     distance
         Between the group's first two cameras that fit.
 

@@ -1,4 +1,4 @@
-"""A network and sightings in; residuals, their derivatives, and what is known beforehand, out."""
+"""A network and sightings in; residuals, their derivatives, and the rows of the priors, out."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -113,7 +113,7 @@ def linearised(
 def known(
     network: Network, cameras: list[Sightings], priors: list[Priors], offsets: Indices
 ) -> tuple[Array, Array]:
-    """Give rows (k, b) and residuals (k,) of what is known of the cameras beforehand."""
+    """Give rows (k, b) and residuals (k,) of the priors of the cameras and their pairs."""
     rows, residuals = list[Array](), list[float]()
 
     def add(places: Indices | list[int], values: Array | list[float], residual: float) -> None:

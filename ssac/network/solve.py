@@ -75,7 +75,7 @@ def link_of(estimate: Estimate, guess: Guess | None, of_events: bool = False) ->
 
 
 def priors_of(camera: Camera, has_frames: bool, skew_prior_ppm: float) -> Priors:
-    """Say what is known of a camera beforehand: by its rig, and of its kind of clock."""
+    """Give the priors of a camera's parameters: by its rig, and by its kind of clock."""
     std = np.array(camera.intrinsics_std_px, dtype=np.float64)
     focal = std[:2] / np.diag(camera.K)[:2]
     return Priors(
@@ -101,7 +101,7 @@ def solve_network(
     links
         What their pairs (a, b), a < b, tell; some may be wrong or missing.
     skew_prior_ppm
-        Deviation of the clocks' skews beforehand.
+        Prior deviation of the clocks' skews.
     distance
         Between the first two cameras of each group.
     """
@@ -112,10 +112,13 @@ def solve_network(
     for group in groups(len(listed), links):
         if len(group) < 2:
             continue
-        built = build(listed, links, group, priors, distance)
+        try:
+            built, reason = build(listed, links, group, priors, distance), _NO_PATH
+        except np.linalg.LinAlgError:
+            built, reason = None, _OPEN
         if built is None:
             for k in group:
-                answers[k] = left_out(listed[k], 0, _NO_PATH)
+                answers[k] = left_out(listed[k], 0, reason)
             continue
         built_all.append(built)
         for place, k in enumerate(built.members):
@@ -138,6 +141,10 @@ _LONELY = (
     "same flight"
 )
 _NO_PATH = "no pair of its group gave a pose that puts the object in front of both cameras"
+_OPEN = (
+    "the object's path leaves clocks or poses of its group open, as one on a line or at rest does: "
+    "record a flight with curves in it"
+)
 _MISFIT = (
     "it fits nowhere in the network that the others make: check its frame numbers, its frame rate "
     "and its calibration"

@@ -169,7 +169,7 @@ def projected(state: CameraState, seen: Sightings, points: Array, velocities: Ar
 
 @dataclass(frozen=True)
 class Priors:
-    """Deviations of what is known of a camera beforehand."""
+    """Prior deviations of a camera's parameters."""
 
     rate: float = 1000.0 * PPM
     readout_s: float = 0.01

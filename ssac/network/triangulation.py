@@ -22,9 +22,7 @@ _FIRST_JERK = 3.0  # of a first path, in extents / s^2.5
 _ROBUST_ROUNDS = 5
 
 
-def triangulate(
-    states: list[CameraState], cameras: list[Sightings], times_s: Array, max_off: float = MAX_OFF
-) -> Array:
+def triangulate(states: list[CameraState], cameras: list[Sightings], times_s: Array) -> Array:
     """Give the points (n, 3) that at least two cameras see at the network's times (n,); else NaN.
 
     The point nearest to all rays; it must be in front of two cameras at least, near their rays,
@@ -55,7 +53,7 @@ def triangulate(
         depths = np.sum(to_points * filled, axis=2)
         off = np.linalg.norm(np.cross(to_points, filled), axis=2)
         with np.errstate(invalid="ignore"):
-            fits = seen_by & (depths > 0.0) & (off < max_off * depths)
+            fits = seen_by & (depths > 0.0) & (off < MAX_OFF * depths)
         bad = is_enough & (np.count_nonzero(fits, axis=0) < 2)
         points[bad] = np.nan
         if (fits == seen_by).all():

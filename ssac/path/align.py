@@ -34,9 +34,7 @@ class Similarity:
         return Similarity(self.scale * first.scale, self.R @ first.R, self.apply(first.t))
 
 
-def similarity(
-    source: Array, target: Array, with_scale: bool = True, weights: Array | None = None
-) -> Similarity:
+def similarity(source: Array, target: Array, with_scale: bool = True) -> Similarity:
     """Fit the similarity of least squares (Umeyama, PAMI 1991, Eqs. 34 to 43).
 
     Parameters
@@ -45,8 +43,6 @@ def similarity(
         Points (n, 3), row by row the same ones.
     with_scale
         Whether the scale is free; 1 if not.
-    weights
-        Of the points (n,), not negative; None: all the same.
 
     Returns
     -------
@@ -58,8 +54,7 @@ def similarity(
     SsacError
         If the points of one side lie on a line or in a point, so that a turn is unknown.
     """
-    shares = np.ones(len(source)) if weights is None else weights
-    shares = shares / max(float(shares.sum()), np.finfo(float).tiny)
+    shares: Array = np.full(len(source), 1.0 / max(len(source), 1))
     middle, middle_target = shares @ source, shares @ target
     centred, centred_target = source - middle, target - middle_target
     for points, name in ((centred, "source"), (centred_target, "target")):

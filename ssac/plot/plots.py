@@ -4,8 +4,7 @@
     epipolar    p1, p2, the line l1 and the distance d, as the paper's Fig. 4, before and after
     alignment   what both cameras see over time, before and after the clocks are aligned
 
-"Before" pairs equal readings of both clocks, "after" pairs readings that differ by t_d. Colours are
-P. Tol's high-contrast set, which stays apart in grey and for colour-blind people.
+"Before" pairs equal readings of both clocks, "after" pairs readings that differ by t_d.
 """
 
 from collections.abc import Callable
@@ -38,14 +37,11 @@ from ssac.plot.plot_data import (
     undistorted,
     window,
 )
+from ssac.plot.style import BLUE, FILE_SUFFIXES, RED, YELLOW
 from ssac.search.two_views import two_views
 from ssac.track.observation import Observation
 
 Canvas = Figure | SubFigure
-
-FILE_SUFFIXES = (".png", ".pdf", ".svg")
-
-BLUE, YELLOW, RED = "#004488", "#DDAA33", "#BB5566"
 
 ZOOM_S = 0.003
 """Half the width of the zoom around the minimum, as in the paper's Fig. 5."""

@@ -27,7 +27,7 @@ from ssac.search.two_views import two_views
 from ssac.track.observation import Observation
 
 SKEW_PRIOR_PPM = 1000.0
-"""Deviation of the skew beforehand where a camera gave a track: phones and camcorders."""
+"""Prior deviation of the skew where a camera gave a track: phones and camcorders."""
 
 REACH_S, REACH_STEPS = 0.5, 4.0
 """A method searches this far on each side of the offset found, or so many of the search's steps."""

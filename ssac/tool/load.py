@@ -1,5 +1,6 @@
 """Paths of two event files and a rig in, two Observations that fit the rig and the method out."""
 
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,6 +23,7 @@ from ssac.tool.summaries import DEFAULT, OF_TRACKS
 from ssac.track.observation import Observation, tracked
 from ssac.track.point_motion import check_readout
 
+_LONG_STEP_S = 0.9  # between points of a track: times that count frames are 1 apart
 _FEW = 1000  # events of which one is off a coarse grid, unless all are on it
 
 Paths = tuple[Path, Path, Path]
@@ -89,7 +91,8 @@ def check_enough_events(
         left += f", of which {camera.clutter.masked_events} were of lamps and hot pixels"
     if len(camera.events) == 0:
         raise SsacError(
-            f"{path}: {left}: check that an object moves in this recording, or try --no-denoise"
+            f"{path}: {left}: check that an object moves in this recording and that its times are "
+            "in the unit of its format, or try --no-denoise"
         )
     if method.input is not Input.TRACKS:
         return
@@ -201,6 +204,7 @@ def _load_camera(
         track = load_track(path)
         check_track(track, camera.width, camera.height, f"{path} with {camera_name}")
         check_readout(track.times_s, camera.readout_s or 0.0, f"{path} with {camera_name}")
+        _warn_of_long_steps(track.times_s, path)
         return tracked(track)
     file = load_events(path, reading)
     check_resolution(camera, file.width, file.height, camera_name, str(path))
@@ -216,6 +220,16 @@ def _load_camera(
         )
     times_us, images = frames
     return Observation(file.events, images, times_us / US_PER_S)
+
+
+def _warn_of_long_steps(times_s: NDArray[np.float64], path: Path) -> None:
+    step_s = float(np.median(np.diff(times_s))) if len(times_s) > 1 else 0.0
+    if step_s > _LONG_STEP_S:
+        warnings.warn(
+            f"{path}: its points are {step_s:.3g} s apart, which tells little of a motion: if t_s "
+            "is in milliseconds or counts frames, give seconds",
+            stacklevel=3,
+        )
 
 
 def _check_two(cam1: Observation, cam2: Observation, paths: Paths) -> None:

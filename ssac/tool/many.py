@@ -5,6 +5,8 @@ from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
 
+import numpy as np
+
 from ssac.camera import Camera
 from ssac.compare.frame import (
     Ground,
@@ -17,6 +19,7 @@ from ssac.compare.frame import (
 from ssac.config import Config
 from ssac.convert.events_as_track import ShapedTrack, shaped_track_of_events, track_of_events
 from ssac.errors import SsacError
+from ssac.estimate import Status
 from ssac.files.damage import STRICT, Reading
 from ssac.files.event_files import load_events
 from ssac.files.rigs import load_rig
@@ -90,7 +93,8 @@ def sync_all(
         If a file cannot be used, is given twice, or contradicts what is found.
     """
     _check_files(paths)
-    load_rig(rig_path, (1, len(paths)))  # has as many cameras
+    for number in range(2, len(paths) + 1):  # before hours of work
+        load_rig(rig_path, (1, number))
 
     clock, pairs = Clock(log or (lambda line: None)), dict[Pair, SyncResult]()
     for a, b in combinations(range(len(paths)), 2):
@@ -115,7 +119,9 @@ def sync_all(
 
 
 def grounded(answer: NetworkAnswer, known: Known) -> tuple[NetworkAnswer, Ground | None]:
-    """Put an answer into the frame that is known, where one is."""
+    """Put an answer into the frame that is known, where one is and there is a network at all."""
+    if not answer.built:
+        return answer, None
     if known.positions is not None:
         ground = ground_of_positions(answer, known.positions)
     elif known.rtk is not None:
@@ -161,6 +167,17 @@ def check_for_two(given: list[str]) -> None:
         )
 
 
+def check_known_of_two(known: Known, has_trajectory: bool) -> None:
+    """Refuse what two cameras cannot use: of these, the path alone has a scale and a frame."""
+    if known.positions is not None:
+        raise SsacError(
+            "--positions: needs three cameras or more, and two were given: give --distance"
+        )
+    name = "--distance" if known.distance_m is not None else "--rtk"
+    if known != NOTHING and not has_trajectory:
+        raise SsacError(f"{name}: is for the object's path: give --trajectory too, or leave it out")
+
+
 def solve_pairs(
     paths: Sequence[Path],
     pairs: dict[Pair, SyncResult],
@@ -180,6 +197,18 @@ def solve_pairs(
     if config is not None:
         prior_ppm = config.skew_prior_ppm
     return solve_network(seen, links, prior_ppm, distance_m or 1.0)
+
+
+def write_path_of_two(file: Path, result: SyncResult, known: Known, log: Log) -> None:
+    """Find the path that two cameras saw and write it; say so, or why there is none."""
+    if result.estimate.status != Status.OK or result.estimate.R is None:
+        log(f"not written: {file}, since there is no reliable pose")
+        return
+    distance_m, T_2_1 = known.distance_m, result.rig.T_2_1
+    if distance_m is None and result.method.needs_extrinsics and T_2_1 is not None:
+        distance_m = float(np.linalg.norm(T_2_1[:3, 3]))
+    answer = solve_pairs(result.paths[:2], {(0, 1): result}, result.config, distance_m)
+    write_paths(file, grounded(answer, known)[0], log)
 
 
 def write_paths(file: Path, answer: NetworkAnswer, log: Log) -> None:
@@ -225,8 +254,11 @@ def _followed(
 
 
 def _check_files(paths: Sequence[Path]) -> None:
+    for path in paths:
+        if not path.is_file():
+            raise SsacError(f"{path}: there is no such file: check the path")
     for a, b in combinations(range(len(paths)), 2):
-        if paths[a].exists() and paths[b].exists() and paths[a].samefile(paths[b]):
+        if paths[a].samefile(paths[b]):
             raise SsacError(
                 f"{paths[a]}: given for cameras {a + 1} and {b + 1}: give each camera's own file"
             )

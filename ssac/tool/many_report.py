@@ -28,12 +28,7 @@ def many_text(result: ManyResult) -> str:
         rows.append(("wrong pair", f"{a + 1} and {b + 1}: its clock is {off_s:+.3f} s off"))
     unit = "m" if result.scale_is_known else "distances of the first two cameras"
     for k, found in enumerate(answer.paths):
-        spread = (
-            np.median(found.path.deviations_m, axis=0)
-            if found.path.deviations_m is not None
-            else []
-        )
-        sigma = ", ".join(f"{value:.2g}" for value in spread)
+        sigma = ", ".join(f"{value:.2g}" for value in found.typical_deviations)
         rows.append((f"path {k + 1}", f"{len(found.path)} samples, 1 sigma ({sigma}), in {unit}"))
         for start_s, end_s in found.spans_s:
             rows.append(("", f"holds from {start_s:.3f} to {end_s:.3f} s"))

@@ -1,5 +1,6 @@
 """A result of `sync` in, the files that were asked for out: JSON, figures, synchronised events."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -9,7 +10,8 @@ from ssac.errors import SsacError
 from ssac.files.event_files import load_events, write_synced
 from ssac.files.hdf5 import HDF5_SUFFIXES
 from ssac.files.track_files import TRACK_SUFFIX, is_track_file, load_track, save_track
-from ssac.files.whole_file import check_target
+from ssac.files.whole_file import check_folder, check_targets
+from ssac.plot.style import FILE_SUFFIXES
 from ssac.tool.report import save_json
 from ssac.tool.sync import Clock, Log, SyncResult
 
@@ -23,10 +25,19 @@ class Outputs:
     json_file: Path | None = None
     plot: Path | None = None  # a folder, or one file for all figures
     synced: Path | None = None  # camera 2's events on camera 1's clock
+    trajectory: Path | None = None  # the object's path
 
 
-def check_outputs(inputs: tuple[Path, ...], outputs: Outputs) -> None:
-    """Raise SsacError, before any work is done, for outputs that cannot be written."""
+def check_outputs(inputs: Sequence[Path], outputs: Outputs) -> None:
+    """Raise SsacError, before any work is done, for outputs that cannot be written.
+
+    Parameters
+    ----------
+    inputs
+        All files that are read, camera 2's the second.
+    outputs
+        What was asked for.
+    """
     synced, plot = outputs.synced, outputs.plot
     suffixes = (TRACK_SUFFIX,) if is_track_file(inputs[1]) else _SYNCED_SUFFIXES
     if synced is not None and synced.suffix.lower() not in suffixes:
@@ -34,10 +45,12 @@ def check_outputs(inputs: tuple[Path, ...], outputs: Outputs) -> None:
             f"{synced}: cannot write the extension {synced.suffix!r}: use one of "
             f"{', '.join(suffixes)}"
         )
-    is_folder = plot is not None and not _is_figure(plot)
-    for output in (outputs.json_file, None if is_folder else plot, synced):
-        if output is not None:
-            check_target(output, inputs)
+    files = [outputs.json_file, synced, outputs.trajectory]
+    if plot is not None and _is_figure(plot):
+        files.append(plot)
+    elif plot is not None:
+        check_folder(plot)
+    check_targets(files, inputs)
 
 
 def write_outputs(result: SyncResult, outputs: Outputs, log: Log) -> None:
@@ -75,8 +88,6 @@ def _write_synced(path: Path, result: SyncResult) -> None:
 
 def _is_figure(plot: Path) -> bool:
     """Tell a file for all figures from a folder for them; SsacError for what can be neither."""
-    from ssac.plot.plots import FILE_SUFFIXES
-
     if plot.suffix.lower() in FILE_SUFFIXES:
         return True
     if plot.exists() and not plot.is_dir():

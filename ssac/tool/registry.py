@@ -133,8 +133,8 @@ class Registry(Mapping[str, Method]):
     not ask for it. The lookup raises SsacError when it is broken or its name is taken.
     """
 
-    def __init__(self, ours: tuple[Method, ...] = OURS) -> None:
-        self._ours = {method.name: method for method in ours}
+    def __init__(self) -> None:
+        self._ours = {method.name: method for method in OURS}
         self._loaded: dict[str, Method] = {}
 
     def __iter__(self) -> Iterator[str]:

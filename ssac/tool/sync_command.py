@@ -95,7 +95,7 @@ def sync_command(
     skew_prior: Annotated[
         float | None,
         number(
-            "Deviation of the clocks' skew beforehand; phones need 1000; 0: they run alike.",
+            "Prior deviation of the clocks' skew; phones need 1000; 0: they run alike.",
             0,
             MAX_SKEW_PPM,
             "ppm",
@@ -225,15 +225,22 @@ def sync_command(
     from ssac.files.damage import Reading
     from ssac.files.track_files import is_track_file
     from ssac.tool.everywhere import SKEW_PRIOR_PPM
-    from ssac.tool.many import check_for_two, grounded, known_of, solve_pairs, sync_all, write_paths
+    from ssac.tool.many import (
+        check_for_two,
+        check_known_of_two,
+        known_of,
+        sync_all,
+        write_path_of_two,
+    )
     from ssac.tool.many_report import many_text, write_many
     from ssac.tool.outputs import Outputs, check_outputs, write_outputs
     from ssac.tool.report import report_text
     from ssac.tool.sync import sync
 
-    outputs = Outputs(json_file, plot, write_synced)
+    files, as_read = [cam1, cam2, *(more or ())], Reading(allow_damaged, sort)
+    outputs = Outputs(json_file, plot, write_synced, trajectory)
     if skew_prior is None:
-        has_track = any(map(is_track_file, (cam1, cam2, *(more or ()))))
+        has_track = any(map(is_track_file, files))
         skew_prior = SKEW_PRIOR_PPM if has_track else Config.skew_prior_ppm
     config = Config(
         interval_s=search or Config.interval_s,
@@ -247,12 +254,11 @@ def sync_command(
         roughness_ppm=roughness,
     )
     with warnings_as_lines():
-        check_outputs((cam1, cam2, rig), outputs)
-        if trajectory is not None:
-            check_outputs((cam1, cam2, rig), Outputs(trajectory))
+        check_outputs([*files, rig, *filter(None, (positions, rtk))], outputs)
         known = known_of(distance, positions, rtk, lever_arm)
         if more:
             for_two = {
+                "--cameras": cameras != (1, 2),
                 "--search": search,
                 "--rate-range": rate_range,
                 "--plot": plot,
@@ -263,7 +269,6 @@ def sync_command(
                 "--centre-std": centre_std is not None,
             }
             check_for_two([name for name, value in for_two.items() if value])
-            files, as_read = [cam1, cam2, *more], Reading(allow_damaged, sort)
             everywhere = search_all or None
             every = sync_all(files, rig, method, config, _to_stderr, known, everywhere, as_read)
             typer.echo(many_text(every))
@@ -271,6 +276,7 @@ def sync_command(
             if every.answer.status != "ok":
                 raise typer.Exit(NO_ESTIMATE)
             return
+        check_known_of_two(known, trajectory is not None)
         result = sync(
             cam1,
             cam2,
@@ -284,14 +290,13 @@ def sync_command(
             rate_range=rate_range,
             focal_std=None if focal_std is None else 0.01 * focal_std,
             centre_std_px=centre_std,
-            reading=Reading(allow_damaged, sort),
+            reading=as_read,
             estimate_readout=estimate_readout,
         )
         typer.echo(report_text(result))
         write_outputs(result, outputs, _to_stderr)
         if trajectory is not None:
-            answer = solve_pairs([cam1, cam2], {(0, 1): result}, result.config, distance)
-            write_paths(trajectory, grounded(answer, known)[0], _to_stderr)
+            write_path_of_two(trajectory, result, known, _to_stderr)
     if result.estimate.status != "ok":
         raise typer.Exit(NO_ESTIMATE)
 

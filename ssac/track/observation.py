@@ -169,13 +169,29 @@ def object_motions(
     return _motion(cam1, rig.cam1, config), _motion(cam2, rig.cam2, config)
 
 
+def denoised_alone(observation: Observation, camera: Camera, config: Config) -> Observation:
+    """One camera as `denoised` gives it."""
+    _check_one(observation, camera, "camera")
+    return _denoised(observation, camera, config)
+
+
+def motion_alone(observation: Observation, camera: Camera, config: Config) -> Motion:
+    """One camera's motion as `object_motions` gives it."""
+    _check_one(observation, camera, "camera")
+    return _motion(observation, camera, config)
+
+
 def _check(cam1: Observation, cam2: Observation, rig: Rig) -> None:
+    _check_one(cam1, rig.cam1, "camera 1")
+    _check_one(cam2, rig.cam2, "camera 2")
+
+
+def _check_one(observation: Observation, camera: Camera, name: str) -> None:
     """Refuse events that cannot be used."""
-    for name, observation, camera in (("camera 1", cam1, rig.cam1), ("camera 2", cam2, rig.cam2)):
-        if observation.track is not None:
-            check_track(observation.track, camera.width, camera.height, name)
-        elif observation.prepared is None or not same_camera(observation.prepared.camera, camera):
-            check_events(observation.events, camera.width, camera.height, name)
+    if observation.track is not None:
+        check_track(observation.track, camera.width, camera.height, name)
+    elif observation.prepared is None or not same_camera(observation.prepared.camera, camera):
+        check_events(observation.events, camera.width, camera.height, name)
 
 
 def _denoised(observation: Observation, camera: Camera, config: Config) -> Observation:

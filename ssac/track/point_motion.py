@@ -162,7 +162,7 @@ def check_readout(times_s: Array, readout_s: float, name: str) -> None:
 
 
 def _noise_px(times_s: Array, points: Array, max_gap_s: float) -> float:
-    """Deviation [px] of white noise on each coordinate: what leads off the cubic of neighbours.
+    """Deviation [px] of white noise on each coordinate: what lies off the cubic through neighbours.
 
     Of five points an even time apart, the middle one less what the cubic through the other four
     has there.

@@ -130,6 +130,9 @@ def test_the_command_prints_and_writes_what_it_found(tmp_path):
     [
         (("path.tum", "none.csv"), "no such file"),
         (("path.tum", "rest.csv"), "no shift at which"),
+        (("path.tum", "point.csv"), "the truth has 1 points, and at least 3"),
+        (("point.csv", "truth.csv"), "the estimate has 1 points, and at least 3"),
+        (("path.tum", "truth.csv", "--json", "a.png", "--plot", "a.png"), "for two outputs"),
         (("path.tum", "truth.csv", "--scale", "big"), "expected unknown or known"),
         (("path.tum", "truth.csv", "--json", "truth.csv"), "would be lost"),
         (("path.tum", "truth.csv", "--plot", "out.jpeg"), "ending in .png"),
@@ -140,7 +143,9 @@ def test_bad_input_is_one_line(tmp_path, args, reason):
     write_path(tmp_path / "path.tum", _estimate())
     write_path(tmp_path / "truth.csv", _truth())
     write_path(tmp_path / "rest.csv", Path(np.arange(99.0), np.ones((99, 3))))
-    there = [tmp_path / arg if arg.endswith((".tum", ".csv", ".jpeg")) else arg for arg in args]
+    write_path(tmp_path / "point.csv", Path(np.zeros(1), np.ones((1, 3))))
+    files = ".tum", ".csv", ".jpeg", ".png"
+    there = [tmp_path / arg if arg.endswith(files) else arg for arg in args]
     code, out, err = run("compare", *there)
     assert (code, out, err.count("\n")) == (2, "", 1)
     assert reason in err

@@ -96,6 +96,11 @@ def test_a_reader_that_stops_reading_is_no_crash():
     assert process.returncode == PIPE_CLOSED
 
 
+def test_a_closed_output_is_no_crash(monkeypatch):
+    monkeypatch.setattr(sys, "stdout", None)  # as Python has it then
+    assert guarded(lambda: DONE) == DONE
+
+
 def test_an_interrupted_import_is_one_line(tmp_path: Path):
     """As when the user changes their mind in the first second."""
     (tmp_path / "slow.py").write_text("print('here', flush=True)\nimport time\ntime.sleep(60)\n")

@@ -34,6 +34,11 @@ OFFSET_S = 4.0
 DATA = os.environ.get("SSAC_DRONE_TRACKING", "")  # a folder with dataset1 ...; not ours to ship
 
 
+def calibrated(**changed):
+    camera = {"K-matrix": K.tolist(), "distCoeff": [0.0] * 4, "fps": 30, "resolution": [346, 260]}
+    return json.dumps(camera | changed)
+
+
 @pytest.fixture(scope="module")
 def data(tmp_path_factory):
     """Two cameras of one flight, as `dataset2`."""
@@ -126,6 +131,8 @@ def test_clocks_of_varying_rates_are_followed_ever_more_roughly(data, tmp_path, 
         ("detections/cam0.txt", "1 2 three\n", "expected lines `frame x y`"),
         ("detections/cam0.txt", "1 0 0\n", "the object is seen in no frame"),
         ("../calibration/phone/phone.json", "{}", "expected a calibration"),
+        ("../calibration/phone/phone.json", calibrated(fps=0), "0 frames a second"),
+        ("../calibration/phone/phone.json", calibrated(resolution=[346]), "not enough values"),
     ],
 )
 def test_a_bad_data_set_is_one_line(data, tmp_path, name, text, message):

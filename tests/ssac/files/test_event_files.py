@@ -178,6 +178,17 @@ def test_csv_columns_in_any_order(tmp_path):
     assert load_events(path).events.tolist() == [(100, 10, 20, 1), (200, 11, 21, 0)]
 
 
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [("a.csv", "t,x@346,y@260,p\n100,1,2,1\n"), ("a.txt", "346 260\n1e-4 1 2 1\n")],
+)
+def test_a_byte_order_mark_is_passed_over(tmp_path, name, text):
+    (tmp_path / name).write_text(text, encoding="utf-8-sig")
+    file = load_events(tmp_path / name)
+    assert file.events.tolist() == [(100, 1, 2, 1)]
+    assert (file.width, file.height) == (346, 260)
+
+
 def test_text_longer_than_a_block(tmp_path, monkeypatch):
     monkeypatch.setattr("ssac.files.text.LINES_PER_BLOCK", 300)
     events = _random_events(1000)
@@ -206,7 +217,10 @@ def test_text_longer_than_a_block(tmp_path, monkeypatch):
         ("a.txt", "0.1 1 -2 1\n", r"a\.txt: y must lie in 0 to 65535, got -2"),
         ("a.txt", "0.1 1 2 7\n", r"a\.txt: polarity must be 0 or 1, got 7"),
         ("a.csv", "1,2,3,1\n", r"a\.csv: the first line must name the columns t,x,y,p"),
-        ("a.csv", "t,x,y,p\n0.1,2,3,1\n", r"a\.csv: every line must be t, x, y, p in whole"),
+        ("a.csv", "t,x,y,p\n0.1,2,3,1\n", r"whole numbers, t in microseconds"),
+        ("a.txt", f"{10**20} 9\n0.1 1 2 1\n", r"a\.txt: the sensor's size .* 1 to 65535 px"),
+        ("a.txt", "\u00b3 9\n0.1 1 2 1\n", r"a\.txt: the first line must be"),
+        ("a.csv", "t,x@0,y,p\n1,2,3,1\n", r"a\.csv: the sensor's size .* 1 to 65535 px, got 0"),
     ],
 )
 def test_unusable_files_are_refused(tmp_path, name, content, message):

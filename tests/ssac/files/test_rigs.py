@@ -69,17 +69,22 @@ def test_kalibr_without_distortion_or_pose(tmp_path, coeffs):
     ("camera", "key", "value", "message"),
     [
         ("cam0", "camera_model", "omni", "cam0: camera_model must be pinhole, got 'omni'"),
-        ("cam0", "intrinsics", [200.0, 201.0, 173.0], "cam0, intrinsics: expected 4 of finite"),
-        ("cam0", "intrinsics", [np.nan, 201.0, 173.0, 130.0], "cam0, intrinsics: expected 4 of"),
+        ("cam0", "intrinsics", [200.0, 201.0, 173.0], "cam0, intrinsics: expected 4 finite"),
+        (
+            "cam0",
+            "intrinsics",
+            [np.nan, 201.0, 173.0, 130.0],
+            "cam0, intrinsics: expected 4 finite",
+        ),
         ("cam0", "intrinsics", [-200.0, 201.0, 173.0, 130.0], "cam0: focal lengths must be pos"),
-        ("cam0", "intrinsics", "200", "cam0, intrinsics: expected 4 of finite numbers, got 200"),
-        ("cam0", "intrinsics_std", [0.1], "cam0, intrinsics_std: expected 4 of finite num"),
+        ("cam0", "intrinsics", "200", "cam0, intrinsics: expected 4 finite numbers, got 200"),
+        ("cam0", "intrinsics_std", [0.1], "cam0, intrinsics_std: expected 4 finite num"),
         ("cam0", "intrinsics_std", [0, 0, 0, -1], "cam0: intrinsics_std must be 4 devi"),
-        ("cam0", "resolution", [346], "cam0, resolution: expected 2 of finite numbers"),
+        ("cam0", "resolution", [346], "cam0, resolution: expected 2 finite numbers"),
         ("cam1", "distortion_model", "fov", "cam1: unknown distortion model 'fov'"),
         ("cam1", "distortion_coeffs", [0.1], "cam1: the distortion model 'equidistant' needs 4"),
         ("cam1", "distortion_coeffs", [0, 0, 0, np.nan], "distortion_coeffs: expected a list of"),
-        ("cam1", "T_cn_cnm1", [[1, 0], [0, 1]], "cam1, T_cn_cnm1: expected 4 x 4 of finite"),
+        ("cam1", "T_cn_cnm1", [[1, 0], [0, 1]], "cam1, T_cn_cnm1: expected 4 x 4 finite"),
         ("cam1", "T_cn_cnm1", np.diag([1, 1, -1, 1]).tolist(), "expected a rotation"),
         # A hundredth longer than a rotation; four digits are off by a ten thousandth.
         ("cam1", "T_cn_cnm1", np.diag([1.01, 1.01, 1.01, 1]).tolist(), "differs from I by 0.02"),
@@ -166,7 +171,7 @@ def test_opencv_fisheye_without_a_pose(tmp_path):
         ("200.", ".Nan", "camera 1: K must be a finite 3x3 matrix"),
         ("200.", "nan", "not a readable YAML file"),
         ("cols: 5", "cols: 6", "not a readable YAML file"),
-        ("dt: d\n   data: [ 4.", "dt: d\n   data: [ .Nan", "T: expected 3 of finite numbers"),
+        ("dt: d\n   data: [ 4.", "dt: d\n   data: [ .Nan", "T: expected 3 finite numbers"),
     ],
 )
 def test_unusable_opencv_files_are_refused(tmp_path, old, new, message):
@@ -229,8 +234,8 @@ def test_a_shutter_and_the_calibrations_deviations_are_kept(tmp_path):
     ("key", "value", "message"),
     [
         ("readout_s", -0.01, "readout_s: expected 0 to 0.2 s"),
-        ("readout_s", "fast", "readout_s: expected"),
-        ("intrinsics_std", [0.1, 0.1], "intrinsics_std: expected 4 of finite numbers"),
+        ("readout_s", "fast", "readout_s: expected a finite number, got fast"),
+        ("intrinsics_std", [0.1, 0.1], "intrinsics_std: expected 4 finite numbers"),
         ("intrinsics_std", [0.1, 0.1, -1.0, 0.1], "intrinsics_std must be 4 deviations"),
     ],
 )

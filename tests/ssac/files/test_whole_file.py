@@ -7,9 +7,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from ssac.errors import WriteError
+from ssac.errors import SsacError, WriteError
 from ssac.files import whole_file as module
-from ssac.files.whole_file import check_folder, check_writable, whole_file
+from ssac.files.whole_file import check_folder, check_targets, check_writable, whole_file
 
 
 def test_a_place_that_will_be_made_can_be_written_to(tmp_path):
@@ -26,6 +26,13 @@ def test_what_cannot_be_a_file_is_refused_before_any_work(tmp_path, monkeypatch)
     monkeypatch.setattr(module.os, "access", lambda *_: False)  # tests may run as root
     with pytest.raises(WriteError, match="cannot be written to: name another place"):
         check_writable(tmp_path / "out.csv")
+
+
+def test_two_outputs_are_not_one_file(tmp_path):
+    check_targets((tmp_path / "one.txt", None, tmp_path / "two.txt", None), ())
+    same = tmp_path / "one.txt", tmp_path.joinpath("..", tmp_path.name, "one.txt")
+    with pytest.raises(SsacError, match=r"one\.txt: is named for two outputs"):
+        check_targets(same, ())
 
 
 def test_a_disk_without_room_is_refused_before_any_work(tmp_path, monkeypatch):

@@ -14,9 +14,6 @@ from ssac.estimate import Estimate
 from ssac.geometry.epipolar import epipolar_distance
 from ssac.plot.plot_data import Material, plane_angles
 from ssac.plot.plots import (
-    BLUE,
-    RED,
-    YELLOW,
     ZOOM_S,
     _foot,
     draw_alignment,
@@ -24,6 +21,7 @@ from ssac.plot.plots import (
     draw_search,
     save_figures,
 )
+from ssac.plot.style import BLUE, RED, YELLOW
 from ssac.search.two_views import two_views
 from ssac.tool.sync import sync
 from tests.ssac.synthetic import HEIGHT, WIDTH, K, track_pair

@@ -15,6 +15,7 @@ from tests.ssac.synthetic import HEIGHT, WIDTH
 
 def make_bad_inputs(recorded, folder: Path):
     """File names of camera 1's events and the rig, or options, and what the error must say."""
+    (folder / "folder.h5").mkdir()
     (folder / "zero.h5").write_bytes(b"")
     (folder / "truncated.h5").write_bytes((recorded / "cam1.h5").read_bytes()[:50_000])
     (folder / "events.foo").write_bytes(b"1")
@@ -32,6 +33,7 @@ def make_bad_inputs(recorded, folder: Path):
     copied = load_events(recorded / "cam2.h5").events
     copied["t"] += 20_000  # another clock makes no other camera of it
     save_events_h5(folder / "copy.h5", copied, WIDTH, HEIGHT)
+    (folder / "where.csv").write_text("camera,x_m,y_m,z_m\n1,0,0,0\n2,1,0,0\n")
     (folder / "nan.yaml").write_text(rig.replace("173.0", ".nan"))
 
 
@@ -39,6 +41,7 @@ BAD_INPUTS = [
     (("missing.h5",), "missing.h5: there is no such file"),
     (("zero.h5",), "zero.h5: the file is empty"),
     (("truncated.h5",), "truncated.h5: not a readable HDF5 file"),
+    (("folder.h5",), "folder.h5: is a folder: give a file of one camera's events"),
     (("events.foo",), "events.foo: unknown extension '.foo': use one of"),
     (("no_events.h5",), "no_events.h5: there are no events"),
     (("unsorted.txt",), "unsorted.txt: events must be sorted by time"),
@@ -51,7 +54,7 @@ BAD_INPUTS = [
     (("cam1.h5", "--search", "-1e9", "1e9"), "--search: expected a smaller and a larger offset"),
     (("cam1.h5", "--n-samples", "100000000"), "--n-samples: expected 20 to 100000, got 1000"),
     (("cam1.h5", "--rig", "large.yaml"), "large.yaml is calibrated at 640 x 480 px, but .*cam1.h5"),
-    (("cam1.h5", "--rig", "nan.yaml"), "nan.yaml, cam0, intrinsics: expected 4 of finite numbers"),
+    (("cam1.h5", "--rig", "nan.yaml"), "nan.yaml, cam0, intrinsics: expected 4 finite numbers"),
     (("cam1.h5", "--rig", "cam1.h5"), "cam1.h5: unknown extension '.h5' of a rig"),
     (("cam1.h5", "--known-extrinsics"), "rig.yaml: tangency-known needs the extrinsics"),
     (("cam1.h5", "--method", "scac"), "unknown method 'scac': use one of ssac"),
@@ -70,6 +73,13 @@ BAD_INPUTS = [
     (("cam1.h5", "--write-synced", "out.raw"), "out.raw: cannot write the extension '.raw'"),
     (("cam1.h5", "--write-synced", "cam1.h5"), "cam1.h5: is one of the inputs"),
     (("cam1.h5", "--plot", "cam1.h5"), "cam1.h5: exists and is no folder"),
+    (("cam1.h5", "--plot", "cam1.h5/figures"), "cam1.h5 is a file: name a folder"),
+    (("cam1.h5", "--json", "a.txt", "--write-synced", "a.txt"), "a.txt: is named for two outputs"),
+    (("cam1.h5", "--json", "a.txt", "--trajectory", "a.txt"), "a.txt: is named for two outputs"),
+    (("cam1.h5", "--distance", "3"), "--distance: is for the object's path: give --trajectory too"),
+    (("cam1.h5", "--positions", "where.csv"), "--positions: needs three cameras or more"),
+    (("cam1.h5", "--positions", "zero.h5"), "zero.h5: the first line must be camera,x_m,y_m,z_m"),
+    (("cam1.h5", "--positions", "cam1.h5"), "cam1.h5: not a text file of positions"),
 ]
 
 

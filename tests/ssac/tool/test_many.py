@@ -1,7 +1,5 @@
 """`ssac sync` of three cameras, and the path of two: files in, files out."""
 
-import json
-
 import numpy as np
 import pytest
 import yaml
@@ -9,7 +7,7 @@ import yaml
 from ssac.files.track_files import save_track
 from ssac.path.tum import read_path
 from ssac.points import PointTrack
-from tests.ssac.command import run
+from tests.ssac.command import read_json, run
 from tests.ssac.network.flights import DURATION_S, make_flight
 
 
@@ -39,7 +37,7 @@ def test_three_cameras(files, tmp_path):
     code, text, err = run("sync", *cameras, *args, "--distance", flight.distance_m)
     assert code == 0, err
     assert "cam3" in text
-    found = json.loads(out.read_text())
+    found = read_json(out)
     assert [camera["status"] for camera in found["cameras"]] == ["ok"] * 3
     for k, camera in enumerate(found["cameras"][1:], 1):
         true_s = flight.shown_s(k, camera["t_ref_s"])
@@ -67,6 +65,7 @@ def test_what_is_for_two_cameras_is_refused_for_more(files):
         (("--lever-arm", 0, 0, 1), "give --rtk too"),
         (("--distance", 3, "--rtk", "rtk.csv"), "--distance: not with --rtk"),
         (("--focal-std", 1), "--focal-std: is for two cameras"),
+        (("--cameras", 2, 3), "--cameras: is for two cameras"),
     ],
 )
 def test_options_that_do_not_go_together_are_one_line(files, args, said):
@@ -100,24 +99,72 @@ def test_what_cannot_be_used_is_told_before_any_work(files, tmp_path, text, args
     assert err.strip().count("\n") == 0  # no pair's progress before it
 
 
-def test_a_rig_of_fewer_cameras_is_told_before_any_work(files, tmp_path):
+@pytest.mark.parametrize("option", ["--json", "--trajectory"])
+@pytest.mark.parametrize("name", ["cam3.csv", "rtk.csv"])
+def test_no_output_takes_the_place_of_an_input(files, tmp_path, option, name):
+    folder, _ = files
+    rtk = folder / "rtk.csv"
+    rtk.write_text("t_s,x_m,y_m,z_m\n0,1,2,3\n")
+    cameras = [folder / f"cam{k}.csv" for k in (1, 2, 3)]
+    before = (folder / name).read_text()
+    args = ("--rig", folder / "rig.yaml", "--rtk", rtk, option, folder / name)
+    code, _, err = run("sync", *cameras, *args)
+    assert code == 2
+    assert f"{name}: is one of the inputs and would be lost" in err
+    assert (folder / name).read_text() == before
+
+
+@pytest.mark.parametrize("last", ["cam2", "cam3"])
+def test_a_rig_of_fewer_cameras_is_told_before_any_work(files, tmp_path, last):
     folder, _ = files
     rig = yaml.safe_load((folder / "rig.yaml").read_text())
-    del rig["cam2"]
+    rig[last] = rig.pop("cam2")
+    if last == "cam2":
+        del rig["cam2"]
     (tmp_path / "rig.yaml").write_text(yaml.safe_dump(rig))
-    cameras = [folder / f"cam{k}.csv" for k in (1, 2, 3)]
+    fourth = save_another(tmp_path / "cam4.csv", 0.0)
+    cameras = [*(folder / f"cam{k}.csv" for k in (1, 2, 3)), *([fourth] if last == "cam3" else [])]
     code, _, err = run("sync", *cameras, "--rig", tmp_path / "rig.yaml")
     assert code == 2
     assert "there is no cam2 for camera 3" in err
     assert err.strip().count("\n") == 0
 
 
+def test_a_missing_file_is_told_before_any_work(files):
+    folder, _ = files
+    cameras = [folder / f"cam{k}.csv" for k in (1, 2, 4)]
+    code, _, err = run("sync", *cameras, "--rig", folder / "rig.yaml")
+    assert code == 2
+    assert "cam4.csv: there is no such file" in err
+    assert err.strip().count("\n") == 0
+
+
+def save_another(path, start_s):
+    """Save some seconds of another object: they fit nowhere."""
+    times_s = start_s + 0.05 * np.arange(60)
+    points_px = 300.0 + 100.0 * np.column_stack([np.cos(9.0 * times_s), np.sin(7.0 * times_s)])
+    save_track(path, PointTrack(times_s, points_px))
+    return path
+
+
+@pytest.mark.parametrize("n_cameras", [2, 3])
+def test_where_nothing_fits_that_is_told_and_no_error_of_the_frame(files, tmp_path, n_cameras):
+    folder, _ = files
+    rtk, out = tmp_path / "rtk.csv", tmp_path / "out.json"
+    rtk.write_text("t_s,x_m,y_m,z_m\n0,1,2,3\n1,2,2,3\n2,2,3,3\n")
+    strangers = [save_another(tmp_path / f"{k}.csv", 1e3 * k) for k in range(1, n_cameras)]
+    path = tmp_path / "path.tum"
+    args = ("--rig", folder / "rig.yaml", "--rtk", rtk, "--trajectory", path, "--json", out)
+    code, _, err = run("sync", folder / "cam1.csv", *strangers, *args)
+    assert code == 1, err
+    assert f"not written: {path}" in err
+    assert not path.exists()
+    assert read_json(out)["status"] != "ok"
+
+
 def test_cameras_that_share_no_time_are_told_and_not_averaged_in(files, tmp_path):
     folder, _ = files
-    late = tmp_path / "late.csv"  # some seconds of another object: they fit nowhere
-    times_s = 1000.0 + 0.05 * np.arange(60)
-    points_px = 300.0 + 100.0 * np.column_stack([np.cos(9.0 * times_s), np.sin(7.0 * times_s)])
-    save_track(late, PointTrack(times_s, points_px))
+    late = save_another(tmp_path / "late.csv", 1000.0)
     cameras = [folder / "cam1.csv", folder / "cam2.csv", late]
     code, text, err = run("sync", *cameras, "--rig", folder / "rig.yaml")
     assert code == 1, err
@@ -146,3 +193,19 @@ def test_two_cameras_write_a_path_with_deviations(files, tmp_path):
     off_m = np.linalg.norm(path.positions_m - flight.path(path.times_s), axis=1)
     assert np.sqrt(np.mean(off_m**2)) < 0.15  # as of three cameras, and one less to hold them
     assert path.deviations_m.shape == path.positions_m.shape
+
+
+def test_the_path_of_known_extrinsics_has_their_scale(files, tmp_path):
+    folder, flight = files
+    R, t_m = flight.poses[1]
+    rig = yaml.safe_load((folder / "rig.yaml").read_text())
+    T_2_1 = np.vstack([np.column_stack([R, t_m]), [0.0, 0.0, 0.0, 1.0]])
+    rig["cam1"]["T_cn_cnm1"] = T_2_1.tolist()
+    (tmp_path / "rig.yaml").write_text(yaml.safe_dump(rig))
+    cameras, out = [folder / f"cam{k}.csv" for k in (1, 2)], tmp_path / "path.csv"
+    args = ("--rig", tmp_path / "rig.yaml", "--known-extrinsics", "--trajectory", out)
+    code, _, err = run("sync", *cameras, *args)
+    assert code == 0, err
+    path = read_path(out)
+    off_m = np.linalg.norm(path.positions_m - flight.path(path.times_s), axis=1)
+    assert np.sqrt(np.mean(off_m**2)) < 0.15  # as where --distance says the scale

@@ -15,7 +15,7 @@ from ssac.console.exits import BAD_INPUT, NO_ESTIMATE
 from ssac.events import slice_time
 from ssac.files.event_files import load_events
 from ssac.files.hdf5 import save_events_h5
-from ssac.plot.plots import FILE_SUFFIXES
+from ssac.plot.style import FILE_SUFFIXES
 from ssac.tool.report import report_json, report_text
 from ssac.tool.sync import sync
 from tests.recorded import T_D_S

@@ -10,13 +10,15 @@ import yaml
 
 from ssac.config import Config
 from ssac.estimate import Estimate, Status
+from ssac.files.hdf5 import save_events_h5
 from ssac.files.track_files import load_track, save_track
 from ssac.tool.registry import choose_method
 from ssac.tool.report import note
 from ssac.tool.sync import sync
 from tests.recorded import T_D_S
 from tests.ssac.command import run
-from tests.ssac.synthetic import angle_deg, rotation_angle_deg
+from tests.ssac.crowds import flight, mixed
+from tests.ssac.synthetic import HEIGHT, WIDTH, angle_deg, rotation_angle_deg
 from tests.ssac.tracks import rig_document, save_pair
 
 WIDE = 4.0  # deviations: a right answer is further off in 1 of 16,000
@@ -65,6 +67,18 @@ def test_a_rolling_shutter_is_taken_out(tmp_path):
     assert abs(result.estimate.t_d_s - pair.t_d_s) < WIDE * result.estimate.t_d_std_s
 
 
+def test_times_that_are_hardly_seconds_are_pointed_out(pair, tmp_path):
+    track = load_track(pair.folder / "cam2.csv")
+    save_track(tmp_path / "ms.csv", replace(track, times_s=1e3 * track.times_s))
+    rig, nowhere = ("--rig", pair.folder / "rig.yaml"), ("--search", 9e6, 9e6 + 1.0)  # ends soon
+    _, _, err = run("sync", pair.folder / "cam1.csv", tmp_path / "ms.csv", *rig, *nowhere)
+    assert f"warning: {tmp_path / 'ms.csv'}: its points are " in err
+    assert "give seconds" in err
+    _, _, err = run("sync", *pair.args, *nowhere)
+    assert "no common time" in err
+    assert "warning" not in err
+
+
 JUMPS, POOR, OK = Status.CLOCK_JUMP, Status.POOR_FIT, Status.OK
 
 
@@ -111,6 +125,18 @@ def test_events_and_a_track_of_events_may_be_mixed(recorded, tmp_path):
         assert result.estimate.t_d_s == pytest.approx(T_D_S, abs=3e-3)  # as for two event files
 
 
+def test_a_track_of_several_things_comes_with_a_warning(tmp_path):
+    one, other = flight(4)[0], flight(5)[0]
+    (tmp_path / "rig.yaml").write_text(yaml.safe_dump(rig_document()))
+    for name, events in (("one", one), ("two", mixed(one, other)[0])):
+        save_events_h5(tmp_path / f"{name}.h5", events, WIDTH, HEIGHT)
+        args = tmp_path / f"{name}.h5", "--rig", tmp_path / "rig.yaml"
+        code, _, err = run("track", *args, "--out", tmp_path / f"{name}.csv")
+        assert code == 0, err
+        assert ("two.h5: 2 things move at a time" in err) == (name == "two")
+        assert err.count("warning") == (name == "two")
+
+
 @pytest.mark.parametrize("method", ["tangency", "zncc_e", "zncc_f", "event_rate"])
 def test_methods_of_events_say_so(pair, method):
     code, _, err = run("sync", *pair.args, "--method", method)
@@ -132,6 +158,7 @@ BAD = {
     "NaN": (_lines("-1,nan,3"), "no finite number"),
     "text": (_lines("-1,here,3"), "must be numbers"),
     "empty field": (_lines("-1,,3"), "no finite number"),
+    "decimal commas": (_lines("-1,0,100,5,90,25"), "write decimals with a point"),
     "outside": (_lines("-1,346,3"), "the image is 346 x 260 px"),
     "nothing": (lambda lines: lines[:1], "there are no points"),
 }
