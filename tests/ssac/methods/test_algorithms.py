@@ -8,6 +8,7 @@ import pytest
 from ssac.config import Config
 from ssac.errors import SsacError
 from ssac.geometry.epipolar import fundamental_from_pose
+from ssac.geometry.fundamental import reweighted_fundamental
 from ssac.methods.algorithms import ssac, ssac_known
 from ssac.track.observation import Observation
 from tests.ssac.synthetic import angle_deg, make_events, make_scene, rotation_angle_deg
@@ -89,6 +90,21 @@ def test_magsac_is_an_alternative_to_lmeds(flight):
     estimate = ssac(*cameras, scene.unknown_rig, replace(CLEAN, robust="magsac"))
     assert estimate.t_d_s == pytest.approx(0.05, abs=0.001)
     assert rotation_angle_deg(estimate.R, scene.R) < 1.5
+
+
+def test_pairs_that_no_model_fits_at_last_are_refused(flight, monkeypatch):
+    """Bug: MAGSAC++ may find no model of the final pairs, and the decomposition of F fell over."""
+    scene, cameras = flight
+
+    def fits_but_at_last(p1_px, p2_px, trials, seed):
+        F = reweighted_fundamental(p1_px, p2_px)
+        return F if trials == CLEAN.trials else np.full_like(F, np.nan)
+
+    monkeypatch.setattr("ssac.methods.algorithms.lmeds_fundamental", fits_but_at_last)
+    estimate = ssac(*cameras, scene.unknown_rig, CLEAN)
+    assert estimate.status == "no_match"
+    assert "no fundamental matrix fits" in estimate.reason
+    assert np.isnan(estimate.t_d_s)
 
 
 def test_denoising_removes_what_would_mislead():
