@@ -99,7 +99,8 @@ def search_all_offsets(
         Called now and then with the share that is done.
     """
     step_s = min(_step_s(motion1), _step_s(motion2))
-    if not np.isfinite(step_s):
+    are_seen = all(motion.span_s[0] < motion.span_s[1] for motion in (motion1, motion2))
+    if not (are_seen and np.isfinite(step_s)):
         return AllOffsets(np.empty(0), np.empty(0), [], 0.0)
     several = rate_range[0] < rate_range[1]
     if several:
