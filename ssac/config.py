@@ -64,6 +64,12 @@ def checked(config: Config | None) -> Config:
         raise SsacError("a clock of pieces has a skew: its prior must be above 0 ppm, got 0")
     for name in ("n_samples", "half_window_s", "n_min", "n_neighbours", "trials", "final_trials"):
         value = getattr(config, name)
-        if value is not None and not value > 0:
-            raise SsacError(f"{name} must be positive, got {value}")
+        if value is not None and not 0 < value < np.inf:
+            raise SsacError(f"{name} must be positive and finite, got {value}")
+    for name in ("border_px", "seed", "min_swings", "max_valley_s"):
+        value = getattr(config, name)
+        if not 0 <= value < np.inf:
+            raise SsacError(f"{name} must be 0 or more, and finite, got {value}")
+    if not 0.0 <= config.max_border_fraction <= 1.0:
+        raise SsacError(f"max_border_fraction must be 0 to 1, got {config.max_border_fraction}")
     return config
