@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ssac.camera import Rig
+from ssac.camera import Rig, check_camera
 from ssac.clock import Clock
 from ssac.config import Config, checked
 from ssac.geometry.pose import rays_of
@@ -252,7 +252,9 @@ def two_views(
     Raises
     ------
     SsacError
-        If a camera's events cannot be used, or a parameter makes no sense.
+        If a camera or its events cannot be used, or a parameter makes no sense.
     """
     config = checked(config)
+    check_camera(rig.cam1, "camera 1")
+    check_camera(rig.cam2, "camera 2")
     return TwoViews(*object_motions(cam1, cam2, rig, config), rig, config, pose_is_known)

@@ -7,6 +7,7 @@ import pytest
 
 import ssac.search.view
 from ssac.config import Config
+from ssac.errors import SsacError
 from ssac.search.two_views import TwoViews, two_views
 from ssac.track.motion import object_motion
 from ssac.track.observation import Observation
@@ -77,3 +78,11 @@ def test_the_views_are_summed_up_once(events, monkeypatch):
         assert len(views.returns_s) == 0
         assert not views.repeats
     assert calls == ["view_of", "view_of", "returns_s", "returns_s"]
+
+
+@pytest.mark.parametrize(("number", "name"), [(1, "cam1"), (2, "cam2")])
+def test_a_camera_that_cannot_be_is_refused(number, name, events):
+    """Bug: without distortion nothing looked at K, and its inverse raised LinAlgError."""
+    rig = replace(SCENE.rig, **{name: replace(SCENE.rig.cam1, K=np.zeros((3, 3)))})
+    with pytest.raises(SsacError, match=f"camera {number}: focal lengths must be positive"):
+        two_views(*map(Observation, events), rig)
