@@ -1,5 +1,7 @@
 """Every baseline recovers the offset of a signal that was delayed by hand."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -268,3 +270,13 @@ def test_albl_refuses_too_few_samples():
     scene = make_scene(seed=0, duration_s=4.0)
     cameras = [Observation(events[::100]) for events in make_events(scene, 0)]
     assert albl(*cameras, scene.unknown_rig, CLEAN).status == "too_few_samples"
+
+
+def test_albl_says_that_no_pairs_agree_where_enough_are_valid():
+    """Bug: where no shift stayed in the interval, many valid pairs were "too few"."""
+    scene = make_scene(seed=0, duration_s=6.0)
+    cameras = [Observation(events) for events in make_events(scene, 0, t_d_s=0.05)]
+    config = replace(CLEAN, interval_s=(0.05, 0.05 + 1e-7))
+    estimate = albl(*cameras, scene.unknown_rig, config)
+    assert estimate.status == "no_convergence"
+    assert "only 0 % of the pairs agree" in estimate.reason
