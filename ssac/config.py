@@ -9,6 +9,13 @@ from ssac.errors import SsacError
 N_MIN = 200
 """Events that a window holds at least, the paper's N_min."""
 
+MIN_SWINGS = 3.5
+"""Least times to and fro that a path must go to tell F's 7 parameters and t_d from chance: see
+`ssac.search.two_views.TwoViews.swings`."""
+
+MAX_VALLEY_S = 0.3
+"""Longest valley of the cost curve whose middle is taken for an offset."""
+
 CLOCKS = ("affine", "pieces")
 
 MAX_SKEW_PPM = 100_000.0
@@ -31,8 +38,8 @@ class Config:
     trials: int = 2000  # of LMedS at each candidate
     final_trials: int = 12000  # of LMedS at the offset found
     seed: int = 0  # of every random choice
-    min_swings: float = 3.5  # times to and fro that tell F's 7 parameters and t_d from chance
-    max_valley_s: float = 0.3  # longest valley of the cost curve whose middle is an offset
+    min_swings: float = MIN_SWINGS  # of the object, where the pose is unknown
+    max_valley_s: float = MAX_VALLEY_S  # of the cost curve, where the offset is told
     denoise: bool = True  # first remove hot pixels and isolated events
     skew_prior_ppm: float = 50.0  # deviation of the clocks' skew beforehand; 0: they run alike
     search_skews: bool = True  # where they matter; no: a search of all offsets found the rate

@@ -5,13 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ssac.config import Config
+from ssac.config import MAX_VALLEY_S, MIN_SWINGS, Config
 from ssac.estimate import Estimate
 from ssac.events import EVENT_DTYPE
 from ssac.geometry.fundamental import lmeds_fundamental, reweighted_fundamental, second_best
 from ssac.methods.verdict import MAX_POSE_STD, MAX_T_D_STD_S, certain
 from ssac.search.observability import (
-    MAX_VALLEY_S,
     MIN_SECOND_BEST,
     ambiguous_offset,
     at_rest,
@@ -65,8 +64,8 @@ def test_a_sine_swings_twice_a_period(hz):
 def test_swings_count_only_what_both_cameras_see():
     motion = motion_along(wave(1.0), wave(1.0, 1.0))
     assert swings_at(6.0, motion) == pytest.approx(2 * 2.0, rel=0.1)
-    assert too_little_motion(3.4) is not None
-    assert too_little_motion(3.6) is None
+    assert too_little_motion(3.4, MIN_SWINGS) is not None
+    assert too_little_motion(3.6, MIN_SWINGS) is None
 
 
 def test_straightness_does_not_depend_on_direction():
@@ -104,15 +103,15 @@ def test_valleys_are_where_the_cost_is_low():
         costs = np.minimum(costs, least + 200.0 * np.abs(OFFSETS_S - offset_s))
     found = valleys(OFFSETS_S, costs, 0.05)
     assert [valley.least_s for valley in found] == pytest.approx([0.05, -0.7], abs=1e-3)
-    refusal = ambiguous_offset(found)
+    refusal = ambiguous_offset(found, MAX_VALLEY_S)
     assert refusal is not None
     assert "-0.700 s" in refusal.reason
-    assert ambiguous_offset(found[:1]) is None
+    assert ambiguous_offset(found[:1], MAX_VALLEY_S) is None
 
 
 def test_a_plateau_is_refused():
     costs = np.where(np.abs(OFFSETS_S) < 0.6 * MAX_VALLEY_S, 1.0, 10.0)
-    refusal = ambiguous_offset(valleys(OFFSETS_S, costs, 0.0))
+    refusal = ambiguous_offset(valleys(OFFSETS_S, costs, 0.0), MAX_VALLEY_S)
     assert refusal is not None
     assert refusal.status == "ambiguous_offset"
 
