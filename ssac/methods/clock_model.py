@@ -139,8 +139,9 @@ class ClockModel:
         strayed = np.hypot(change[0] * self.half_s / np.sqrt(3.0), np.linalg.norm(change[1:]))
         return float(np.hypot(strayed, read_out))
 
-    def told(self, estimate: Estimate, parameters: Parameters, problem: Problem, covariance: Array
-    ) -> Estimate:  # fmt: skip
+    def told(
+        self, estimate: Estimate, parameters: Parameters, problem: Problem, covariance: Array
+    ) -> Estimate:
         """Put the clock found, and the covariance (f, f) of all that was free, into an estimate."""
         estimate = self._with_readouts(estimate, parameters, problem, covariance)
         clock = self.clock(parameters)

@@ -91,7 +91,9 @@ def offset_estimate(method: str, search: OffsetSearch, config: Config) -> Estima
 
 
 def refused(estimate: Estimate, refusal: Refusal, found: list[Valley] | None = None) -> Estimate:
-    """Give the reason why there is no reliable offset, without what was found of the pose.
+    """Give the reason why there is no reliable offset, without the pose and clock that were found.
+
+    F and the cost curve stay, for drawings of what was compared.
 
     Parameters
     ----------

@@ -193,7 +193,6 @@ def _grid(motion: Motion, step_s: float, rate: float = 1.0) -> _Grid:
 
 def _scan(one: _Grid, other: _Grid, rate: float, fit: _Fit, progress: Progress | None) -> _Scan:
     lags = np.arange(-len(one.valid) + 1, len(other.valid), dtype=np.int64)
-    least = _LEAST_PAIRS
     costs, counts = np.full(len(lags), np.nan), np.zeros(len(lags), np.int64)
     for start in range(0, len(lags), _CHUNK):
         part = slice(start, start + _CHUNK)
@@ -205,13 +204,13 @@ def _scan(one: _Grid, other: _Grid, rate: float, fit: _Fit, progress: Progress |
             lags[part],
             (one.least_px, other.least_px),
             fit.n_pairs,
-            least,
+            _LEAST_PAIRS,
             fit.iterations,
         )
         if progress is not None:
             progress(min(1.0, (start + _CHUNK) / len(lags)))
     most = int(np.max(counts, initial=0))
-    enough = counts >= max(least, _LEAST_SHARE * most)
+    enough = counts >= max(_LEAST_PAIRS, _LEAST_SHARE * most)
     weighed = np.where(enough, costs * most / np.maximum(counts, 1), np.nan)
     return _Scan(rate, lags, other.first - one.first, weighed, most)
 
@@ -274,9 +273,10 @@ def _refined(
         (one.least_px, other.least_px),
         chosen,
     )
-    places = chosen[np.arange(min(count, 2 * _PAIRS)) * count // max(min(count, 2 * _PAIRS), 1)]
-    if len(places) < _LEAST_PAIRS:
+    if count < _LEAST_PAIRS:
         return None
+    n = min(count, 2 * _PAIRS)
+    places = chosen[np.arange(n) * count // n]
     times_s = step_s * (one.first + places).astype(np.float64)
     t_ref_s = 0.5 * float(times_s[0] + times_s[-1])
     p1 = one.p_px[places]
