@@ -68,10 +68,11 @@ def epipolar_distance(F: Matrix, p1_px: Matrix, p2_px: Matrix) -> Matrix:
     Returns
     -------
     NDArray[np.float64]
-        Shape (...,) [px], not negative; NaN where p2 is the epipole, which has no epipolar line.
+        Shape (...,) [px], not negative; NaN where p2 is the epipole, which has no epipolar line,
+        and infinite where the line is that at infinity.
     """
     lines = epipolar_lines_1(F, p2_px)
-    with np.errstate(invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore"):
         a, b, c = lines[..., 0], lines[..., 1], lines[..., 2]  # by columns: np.sum of two is slow
         products = a * p1_px[..., 0] + b * p1_px[..., 1] + c
         return np.asarray(np.abs(products) / np.hypot(a, b))
