@@ -11,7 +11,7 @@ from sim.recording import SimConfig
 from sim.storage import record
 from ssac.config import Config
 from ssac.errors import SsacError
-from ssac.geometry.problem import Parameters
+from ssac.fit.problem import Parameters
 from ssac.methods.algorithms import algorithm_2
 from ssac.methods.joint import joint_from
 from ssac.methods.tangency import (

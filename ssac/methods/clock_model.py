@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from ssac.clock import PPM, Clock
 from ssac.estimate import Estimate
-from ssac.geometry.problem import (
+from ssac.fit.least_squares import Solution, solve
+from ssac.fit.problem import (
     FIRST_COLUMN,
     T_D,
     Column,
@@ -25,7 +26,6 @@ from ssac.geometry.problem import (
     Problem,
     WeighedPairs,
 )
-from ssac.methods.least_squares import Solution, solve
 from ssac.search.shutters import Shutters, shutters_of
 from ssac.search.two_views import TwoViews
 

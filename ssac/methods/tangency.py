@@ -21,14 +21,15 @@ from ssac.camera import Rig
 from ssac.config import Config
 from ssac.errors import SsacError
 from ssac.estimate import POSE_IS_OPEN, Estimate, Status
+from ssac.fit.intrinsics import Allowance
+from ssac.fit.least_squares import covariance_of, hidden_covariance, solve, still_moves
+from ssac.fit.problem import Parameters, Problem, WeighedPairs, linearise
 from ssac.geometry.fundamental import MIN_PAIRS
 from ssac.geometry.pencil import pencils
-from ssac.geometry.problem import Parameters, Problem, WeighedPairs, linearise
 from ssac.methods.algorithms import algorithm_1, algorithm_2
 from ssac.methods.clock_jump import checked_clock
 from ssac.methods.clock_model import clock_model
 from ssac.methods.hypotheses import settled, sharp_solution
-from ssac.methods.intrinsics import Allowance
 from ssac.methods.joint import (
     LAST_STRAY_S,
     astray,
@@ -38,7 +39,6 @@ from ssac.methods.joint import (
     refined_estimate,
     unsettled,
 )
-from ssac.methods.least_squares import covariance_of, hidden_covariance, solve, still_moves
 from ssac.methods.verdict import Solution, certain
 from ssac.search.two_views import TwoViews, two_views
 from ssac.track.motion import ObjectMotion

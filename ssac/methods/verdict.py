@@ -219,7 +219,7 @@ def doubt(distances_px: Array, object_px: float, against_intrinsics: float = 0.0
     object_px
         Rms size of the object's images, both together.
     against_intrinsics
-        Of `ssac.methods.intrinsics.evidence`.
+        Of `ssac.fit.intrinsics.evidence`.
     """
     mean_px, spread_px = float(np.mean(np.abs(distances_px))), robust_deviation(distances_px)
     has_tail = mean_px > MAX_TAIL * spread_px and mean_px > SMALL_PX + SMALL * object_px

@@ -7,16 +7,7 @@ import pytest
 
 from ssac import Observation, joint, joint_known, prepare, tangency
 from ssac.camera import Camera, Rig, distort_points, undistort_points, with_deviations
-from ssac.geometry.epipolar import fundamental_from_pose, sampson_distance
-from ssac.geometry.problem import (
-    FIRST_COLUMN,
-    Parameters,
-    Problem,
-    WeighedPairs,
-    linearise,
-)
-from ssac.methods.clock_model import ClockModel, _modes
-from ssac.methods.intrinsics import (
+from ssac.fit.intrinsics import (
     Allowance,
     columns_of,
     evidence,
@@ -24,7 +15,16 @@ from ssac.methods.intrinsics import (
     moves_of,
     uncertain_ones,
 )
-from ssac.methods.least_squares import covariance_of, solve
+from ssac.fit.least_squares import covariance_of, solve
+from ssac.fit.problem import (
+    FIRST_COLUMN,
+    Parameters,
+    Problem,
+    WeighedPairs,
+    linearise,
+)
+from ssac.geometry.epipolar import fundamental_from_pose, sampson_distance
+from ssac.methods.clock_model import ClockModel, _modes
 from tests.ssac.synthetic import (
     HEIGHT,
     WIDTH,
