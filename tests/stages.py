@@ -126,6 +126,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
             "clock_jump",
             "skew_search",
             "joint",
+            "tangent_pairs",
             "tangency",
         ),
         "baselines": (

@@ -34,7 +34,7 @@ from ssac.fit.problem import Parameters
 from ssac.geometry.epipolar import fundamental_from_pose, sampson_distance
 from ssac.geometry.robust import robust_deviation
 from ssac.methods.joint import sharp_pairs
-from ssac.methods.tangency import TangencyConfig, tangent_times, tangents_under
+from ssac.methods.tangent_pairs import TangencyConfig, tangent_times, tangents_under
 from ssac.search.two_views import TwoViews
 
 Array = NDArray[np.float64]
