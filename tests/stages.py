@@ -119,6 +119,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
         ),
         "methods": (
             "verdict",
+            "rivals",
             "straight_path",
             "algorithms",
             "hypotheses",

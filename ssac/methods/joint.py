@@ -28,8 +28,9 @@ from ssac.methods.algorithms import algorithm_1, algorithm_2, with_fit
 from ssac.methods.clock_jump import checked_clock
 from ssac.methods.clock_model import clock_model
 from ssac.methods.hypotheses import settled, sharp_solution
+from ssac.methods.rivals import confirmed
 from ssac.methods.skew_search import with_coarse_skew
-from ssac.methods.verdict import certain, confirmed, doubt, is_spread
+from ssac.methods.verdict import certain, doubt, is_spread
 from ssac.search.two_views import TwoViews, two_views
 from ssac.track.motion import SharpTrack
 from ssac.track.observation import Observation

@@ -37,8 +37,9 @@ from ssac.methods.joint import (
     refined_estimate,
     unsettled,
 )
+from ssac.methods.rivals import Solution
 from ssac.methods.tangent_pairs import TangencyConfig, for_blind, tangent_times, tangents_under
-from ssac.methods.verdict import Solution, certain
+from ssac.methods.verdict import certain
 from ssac.search.two_views import TwoViews, two_views
 from ssac.track.observation import Observation
 from ssac.track.outline import OutlineEvents
