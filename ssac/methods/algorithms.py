@@ -104,7 +104,7 @@ def algorithm_1(views: TwoViews) -> Estimate:
         return mean_epipolar_distance(F, views.pairs(t_d_s), MIN_PAIRS)
 
     search = _search(d_avg_px, d_avg_px, views)  # lines 1 and 10
-    estimate = offset_estimate("ssac-known", search, views.config)
+    estimate = offset_estimate("ssac-known", search, views)
     if estimate.status != Status.OK:
         return estimate
     p1, p2 = views.pairs_at(estimate.t_d_s).points_px
@@ -130,7 +130,7 @@ def algorithm_2(views: TwoViews) -> Estimate:
         partial(d_avg_px, robust_fit, config.n_samples),
         views,
     )
-    estimate = offset_estimate("ssac", search, config)
+    estimate = offset_estimate("ssac", search, views)
     if estimate.status != Status.OK:
         return estimate
     pairs = views.pairs_at(estimate.t_d_s)

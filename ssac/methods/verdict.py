@@ -5,13 +5,15 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ssac.config import N_MIN, Config
+from ssac.config import N_MIN
 from ssac.estimate import Estimate, Status
 from ssac.geometry.fundamental import MIN_PAIRS
 from ssac.geometry.pose import tangent_basis
 from ssac.geometry.robust import robust_deviation
 from ssac.search.observability import Refusal, Valley
 from ssac.search.offset_search import OffsetSearch
+from ssac.search.two_views import TwoViews
+from ssac.track.point_motion import PointMotion
 
 Array = NDArray[np.float64]
 
@@ -37,9 +39,9 @@ MAX_AGAINST = 3.5
 _LISTED = 0.1  # length of a direction's part, of 1, that is worth its words
 
 
-def offset_estimate(method: str, search: OffsetSearch, config: Config) -> Estimate:
+def offset_estimate(method: str, search: OffsetSearch, views: TwoViews) -> Estimate:
     """Report the offset that a search found, or why there is none to be trusted."""
-    low, high = config.interval_s
+    low, high = views.config.interval_s
     where = f"offset between {low:g} and {high:g} s"
     status, reason = Status.OK, ""
     if len(search.candidates_s) == 0:
@@ -48,10 +50,8 @@ def offset_estimate(method: str, search: OffsetSearch, config: Config) -> Estima
     elif np.isnan(search.t_d_s):
         status = Status.TOO_FEW_SAMPLES
         reason = (
-            f"at no {where} are {MIN_PAIRS} of {config.n_samples} sample times valid in both views:"
-            f" a window of {2e3 * config.half_window_s:g} ms must hold"
-            f" {config.n_min or N_MIN} events or more (fewer of a thin object), and at most"
-            f" {100 * config.max_border_fraction:g} % of them on the border"
+            f"at no {where} are {MIN_PAIRS} of {views.config.n_samples} sample times valid in both"
+            f" views: {_rules(views)}"
         )
     elif search.at_bound:
         status = Status.SEARCH_BOUND
@@ -64,6 +64,20 @@ def offset_estimate(method: str, search: OffsetSearch, config: Config) -> Estima
         candidates_s=search.candidates_s,
         costs=search.d_avg_px,
     )
+
+
+def _rules(views: TwoViews) -> str:
+    """Say when a sample time is valid, by what the cameras gave."""
+    config = views.config
+    of_points = [isinstance(motion, PointMotion) for motion in (views.motion1, views.motion2)]
+    of_events = (
+        f"a window of {2e3 * config.half_window_s:g} ms must hold"
+        f" {config.n_min or N_MIN} events or more (fewer of a thin object), and at most"
+        f" {100 * config.max_border_fraction:g} % of them on the border"
+    )
+    of_tracks = "a track must have points just before and just after it"
+    rules = [of_events] * (not all(of_points)) + [of_tracks] * any(of_points)
+    return "; ".join(rules)
 
 
 def refused(estimate: Estimate, refusal: Refusal, found: list[Valley] | None = None) -> Estimate:
