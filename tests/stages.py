@@ -111,7 +111,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
             "shutters",
             "offset_search",
             "observability",
-            "all_kernels",
+            "lag_costs",
             "all_offsets",
             "object_chains",
             "object_search",

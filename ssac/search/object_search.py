@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ssac.geometry.epipolar import sampson_distance
 from ssac.geometry.fundamental import lmeds_fundamental, reweighted_fundamental
-from ssac.search.all_kernels import costs_at_lags
+from ssac.search.lag_costs import costs_at_lags, local_minima
 from ssac.search.object_chains import chains_of
 from ssac.track.objects import BIN_US, Piece
 
@@ -159,12 +159,8 @@ def _minima(
         _LEAST_PAIRS,
         _ITERATIONS,
     )
-    known = np.where(np.isfinite(costs), costs / np.maximum(counts, 1), np.inf)
-    padded = np.pad(known, 1, constant_values=np.inf)
-    is_least = (known <= padded[:-2]) & (known < padded[2:]) & np.isfinite(known)
-    minima = np.flatnonzero(is_least)
-    minima = minima[np.argsort(known[minima], kind="stable")][:_MINIMA]
-    return [(float(known[m]), int(lags[m]) + shift) for m in minima]
+    shared = costs / np.maximum(counts, 1)
+    return [(float(shared[m]), int(lags[m]) + shift) for m in local_minima(shared, _MINIMA)]
 
 
 def _common(one: _Grid, other: _Grid, lag: int) -> tuple[Array, Array]:
