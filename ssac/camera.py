@@ -128,6 +128,12 @@ def check_camera(camera: Camera, name: str = "camera") -> None:
             f"{name}: intrinsics_std must be 4 deviations of fu, fv, pu, pv [px], none negative, "
             f"got {deviations.tolist()}: give 0 for exact ones"
         )
+    readout_s = 0.0 if camera.readout_s is None else camera.readout_s
+    if not (0.0 <= readout_s <= MAX_READOUT_S and 0.0 <= camera.readout_std_s < np.inf):
+        raise SsacError(
+            f"{name}: the readout must take 0 to {MAX_READOUT_S:g} s, and its deviation must be 0 "
+            f"or more, got {camera.readout_s} s and {camera.readout_std_s} s: give seconds"
+        )
 
 
 def undistort_points(camera: Camera, points_px: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -9,6 +9,13 @@ from ssac.errors import SsacError
 N_MIN = 200
 """Events that a window holds at least, the paper's N_min."""
 
+MIN_SWINGS = 3.5
+"""Least times to and fro that a path must go to tell F's 7 parameters and t_d from chance: see
+`ssac.search.two_views.TwoViews.swings`."""
+
+MAX_VALLEY_S = 0.3
+"""Longest valley of the cost curve whose middle is taken for an offset."""
+
 CLOCKS = ("affine", "pieces")
 
 MAX_SKEW_PPM = 100_000.0
@@ -31,8 +38,8 @@ class Config:
     trials: int = 2000  # of LMedS at each candidate
     final_trials: int = 12000  # of LMedS at the offset found
     seed: int = 0  # of every random choice
-    min_swings: float = 3.5  # times to and fro that tell F's 7 parameters and t_d from chance
-    max_valley_s: float = 0.3  # longest valley of the cost curve whose middle is an offset
+    min_swings: float = MIN_SWINGS  # of the object, where the pose is unknown
+    max_valley_s: float = MAX_VALLEY_S  # of the cost curve, where the offset is told
     denoise: bool = True  # first remove hot pixels and isolated events
     skew_prior_ppm: float = 50.0  # prior deviation of the clocks' skew; 0: they run alike
     search_skews: bool = True  # where they matter; no: a search of all offsets found the rate
@@ -64,6 +71,12 @@ def checked(config: Config | None) -> Config:
         raise SsacError("a clock of pieces has a skew: its prior must be above 0 ppm, got 0")
     for name in ("n_samples", "half_window_s", "n_min", "n_neighbours", "trials", "final_trials"):
         value = getattr(config, name)
-        if value is not None and not value > 0:
-            raise SsacError(f"{name} must be positive, got {value}")
+        if value is not None and not 0 < value < np.inf:
+            raise SsacError(f"{name} must be positive and finite, got {value}")
+    for name in ("border_px", "seed", "min_swings", "max_valley_s"):
+        value = getattr(config, name)
+        if not 0 <= value < np.inf:
+            raise SsacError(f"{name} must be 0 or more, and finite, got {value}")
+    if not 0.0 <= config.max_border_fraction <= 1.0:
+        raise SsacError(f"max_border_fraction must be 0 to 1, got {config.max_border_fraction}")
     return config

@@ -38,9 +38,16 @@ def check_track(track: PointTrack, width: int, height: int, name: str) -> None:
         What the track is: a file's path, or "camera 1".
     """
     times_s, points = track.times_s, track.points_px
-    if len(times_s) == 0:
+    n = len(times_s)
+    if points.shape != (n, 2) or (track.sigmas_px is not None and track.sigmas_px.shape != (n,)):
+        sigmas_shape = None if track.sigmas_px is None else track.sigmas_px.shape
+        raise SsacError(
+            f"{name}: a track of {n} times must have points of shape ({n}, 2), and deviations of "
+            f"shape ({n},) or none, got {points.shape} and {sigmas_shape}: give one of each a time"
+        )
+    if n == 0:
         raise SsacError(f"{name}: there are no points: track again, or check the right file")
-    sigmas = np.ones(len(times_s)) if track.sigmas_px is None else track.sigmas_px
+    sigmas = np.ones(n) if track.sigmas_px is None else track.sigmas_px
     finite = np.isfinite(times_s) & np.isfinite(points).all(axis=1) & np.isfinite(sigmas)
     if not finite.all():
         raise SsacError(
@@ -48,7 +55,7 @@ def check_track(track: PointTrack, width: int, height: int, name: str) -> None:
             "rows in which the object was not seen"
         )
     _check_order(times_s, name)
-    if len(times_s) > 2 and is_whole(times_s) and np.median(np.diff(times_s)) > _MIN_MOTION_S:
+    if n > 2 and is_whole(times_s) and np.median(np.diff(times_s)) > _MIN_MOTION_S:
         raise SsacError(
             f"{name}: the times are whole numbers up to {times_s[-1]:.0f}, as of microseconds or "
             "milliseconds: give t_s in seconds"

@@ -11,15 +11,11 @@ from sim.recording import SimConfig
 from sim.storage import record
 from ssac.config import Config
 from ssac.errors import SsacError
-from ssac.geometry.problem import Parameters
+from ssac.fit.problem import Parameters
 from ssac.methods.algorithms import algorithm_2
 from ssac.methods.joint import joint_from
-from ssac.methods.tangency import (
-    TangencyConfig,
-    refine_tangents,
-    tangent_times,
-    tangents_under,
-)
+from ssac.methods.tangency import refine_tangents
+from ssac.methods.tangent_pairs import TangencyConfig, tangent_times, tangents_under
 from ssac.search.two_views import two_views
 from ssac.tool.load import Paths, load_pair
 from ssac.tool.registry import OURS, Method, choose_method

@@ -18,7 +18,8 @@ from ssac.config import Config
 from ssac.estimate import Estimate
 from ssac.methods.algorithms import algorithm_2
 from ssac.methods.joint import joint_from
-from ssac.methods.tangency import TangencyConfig, refine_tangents
+from ssac.methods.tangency import refine_tangents
+from ssac.methods.tangent_pairs import TangencyConfig
 from ssac.search.two_views import TwoViews, two_views
 from ssac.track.observation import prepare
 

@@ -29,7 +29,7 @@ from experiments.physical.imperfections import (
 from experiments.physical.measure import PHYSICAL, PhysicalCell
 from experiments.physical.mini import COMMAND
 from experiments.studies.study import Study
-from ssac.methods.covariance import NORMAL_95
+from ssac.fit.covariance import NORMAL_95
 
 N_RECORDINGS = 1
 """Of each angle, and each of all kinds. 24 of the 34 kinds are simulated apart: half an hour a

@@ -6,7 +6,7 @@ from experiments.paper.markdown import markdown_table
 from experiments.quoted.cells import digits
 from experiments.quoted.committed import Committed
 from experiments.quoted.physical import PHYSICAL_TABLES
-from ssac.methods.covariance import NORMAL_95
+from ssac.fit.covariance import NORMAL_95
 
 
 def outdoor_table(results: Committed) -> str:

@@ -16,7 +16,7 @@ from experiments.physical.imperfections import ALL, NONE, all_but, only
 from experiments.physical.mini import DURATIONS_S
 from experiments.quoted.cells import digits
 from experiments.quoted.committed import Committed
-from ssac.methods.covariance import NORMAL_95
+from ssac.fit.covariance import NORMAL_95
 
 _SYMBOLS = {quantity.symbol: name for name, quantity in ERRORS.items()}
 _ONLY = only("")  # begins the names of these kinds

@@ -6,7 +6,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from experiments.figures.style import WIDTH_IN, quiet_axes
-from ssac.methods.covariance import NORMAL_95
+from ssac.fit.covariance import NORMAL_95
 
 OFFSETS_FIGURE = "real_offsets.png"
 

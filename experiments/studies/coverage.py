@@ -21,7 +21,7 @@ from experiments.paper.esim import method_order
 from experiments.run.grid import named_config
 from experiments.studies.grids import grid_study
 from experiments.studies.study import Study
-from ssac.methods.covariance import NORMAL_95
+from ssac.fit.covariance import NORMAL_95
 
 FloatArray = NDArray[np.float64]
 

@@ -150,7 +150,7 @@ def albl(cam1: Observation, cam2: Observation, rig: Rig, config: Config | None =
             t_d_s += last.shift_s
             pairs = views.pairs(np.array([t_d_s]))
     p1, p2 = pairs.valid_positions(0)
-    if best_share == 0.0 or len(p1) < MIN_PAIRS:
+    if len(p1) < MIN_PAIRS:
         reason = f"{len(p1)} valid pairs at t_d = {t_d_s:.3f} s, {MIN_PAIRS} are needed"
         return Estimate("albl", Status.TOO_FEW_SAMPLES, reason)
     F = reweighted_fundamental(p1, p2)

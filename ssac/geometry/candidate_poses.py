@@ -18,11 +18,16 @@ _RANSAC_SEED = 1
 
 
 def possible_poses(p1_px: Array, p2_px: Array, rig: Rig) -> list[Pose]:
-    """Poses that the pairs may have, of F, of E and of a homography; the best fit comes first."""
+    """Poses that the pairs may have, of F, of E and of a homography; the best fit comes first.
+
+    None where the pairs are too few, or those of an object at rest.
+    """
     if len(p1_px) < MIN_PAIRS:
         return []
     K1, K2 = rig.cam1.K, rig.cam2.K
     F = reweighted_fundamental(p1_px, p2_px)
+    if not np.isfinite(F).all():
+        return []
     of_F = pose_from_fundamental(F, K1, K2, p1_px, p2_px)
     poses: list[Pose] = [(of_F.R, of_F.t)]
     x1, x2 = rays_of(K1, p1_px), rays_of(K2, p2_px)

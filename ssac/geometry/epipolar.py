@@ -68,10 +68,11 @@ def epipolar_distance(F: Matrix, p1_px: Matrix, p2_px: Matrix) -> Matrix:
     Returns
     -------
     NDArray[np.float64]
-        Shape (...,) [px], not negative; NaN where p2 is the epipole, which has no epipolar line.
+        Shape (...,) [px], not negative; NaN where p2 is the epipole, which has no epipolar line,
+        and infinite where the line is that at infinity.
     """
     lines = epipolar_lines_1(F, p2_px)
-    with np.errstate(invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore"):
         a, b, c = lines[..., 0], lines[..., 1], lines[..., 2]  # by columns: np.sum of two is slow
         products = a * p1_px[..., 0] + b * p1_px[..., 1] + c
         return np.asarray(np.abs(products) / np.hypot(a, b))
@@ -113,8 +114,8 @@ def sampson_distance(F: Matrix, p1_px: Matrix, p2_px: Matrix) -> Matrix:
         Shape (N,) [px]: p2' F p1 / sqrt(|(F p1)_12|^2 + |(F' p2)_12|^2). Noise of deviation sigma
         in all four coordinates gives distances of deviation sigma.
     """
-    products, gradients = _product_and_gradient(F, p1_px, p2_px)
-    return np.asarray(products / np.linalg.norm(gradients, axis=0))
+    products, *gradients = epipolar_terms(F.ravel(), *p1_px.T, *p2_px.T)
+    return np.asarray(products / np.linalg.norm(np.stack(gradients), axis=0))
 
 
 def sampson_derivative(
@@ -155,12 +156,6 @@ def sampson_gradient(F: Matrix, p1_px: Matrix, p2_px: Matrix) -> Matrix:
     """
     points = (np.ascontiguousarray(points_px) for points_px in (p1_px, p2_px))
     return np.asarray(_by_entries(F.ravel(), *points))
-
-
-def _product_and_gradient(F: Matrix, p1_px: Matrix, p2_px: Matrix) -> tuple[Matrix, Matrix]:
-    """p2' F p1 (N,), and its derivatives (4, N) by the coordinates of p2 and then of p1."""
-    product, *gradient = epipolar_terms(F.ravel(), *p1_px.T, *p2_px.T)
-    return product, np.stack(gradient)
 
 
 _terms: Callable[..., tuple[float, float, float, float, float]] = numba.njit(cache=True)(

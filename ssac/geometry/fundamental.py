@@ -55,7 +55,7 @@ def lmeds_fundamental(p1_px: Matrix, p2_px: Matrix, trials: int, seed: int = 0) 
 def reweighted_fundamental(p1_px: Matrix, p2_px: Matrix) -> Matrix:
     """F by the eight-point algorithm, then reweighted least squares: cheaper, for few outliers.
 
-    Parameters and result as for `lmeds_fundamental`.
+    Pairs and result as for `lmeds_fundamental`.
     """
     x1, x2, T1, T2 = _normalised(p1_px, p2_px)
     if not (x1.any() or x2.any()):  # an object at rest
@@ -83,15 +83,18 @@ def second_best(p1_px: Matrix, p2_px: Matrix) -> float:
     The ratio of the two least singular values of the weighted eight-point system. Near 1 the pairs
     leave F open: those of a planar path allow a family of them, whatever the noise.
 
-    Parameters as for `lmeds_fundamental`; 1 when the pairs allow no F at all.
+    Pairs as for `lmeds_fundamental`; 1 when they allow no F at all, as those of an object at rest.
     """
     x1, x2, _, _ = _normalised(p1_px, p2_px)
+    if not (x1.any() or x2.any()):
+        return 1.0
     F = _reweighted(x1, x2, _eight_point(x1, x2, np.ones(len(p1_px))))
     squares, squared_norms = sampson(F, x1, x2)
     scale = TO_DEVIATION * np.sqrt(np.median(squares)) + 1e-15
     weights = 1.0 / (squared_norms * (1.0 + squares / (CAUCHY * scale) ** 2))
-    least = np.linalg.eigvalsh(_moments(x1, x2, weights))
-    return float(np.sqrt(least[1] / least[0])) if least[0] > 0.0 else 1.0
+    values = np.linalg.eigvalsh(_moments(x1, x2, weights))
+    rounding = 9.0 * np.finfo(np.float64).eps * values[-1]  # all that pairs without noise leave
+    return float(np.sqrt(max(values[1], rounding) / max(values[0], rounding)))
 
 
 def magsac_fundamental(p1_px: Matrix, p2_px: Matrix, K1: Matrix, K2: Matrix) -> Matrix:

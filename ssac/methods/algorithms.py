@@ -47,6 +47,12 @@ Fit = Callable[[Array, Array], Array]  # pairs p1, p2 (n, 2) [px] -> F (3, 3)
 MIN_PAIRS_OF_FIT = 30
 """Pairs at the offset found, when F is fitted to them: about four for each of its 7 parameters."""
 
+_NO_FIT = Refusal(
+    Status.NO_MATCH,
+    "at the best offset no fundamental matrix fits the pairs: the cameras see different objects, or"
+    " one at rest",
+)
+
 
 def ssac_known(
     cam1: Observation, cam2: Observation, rig: Rig, config: Config | None = None
@@ -98,7 +104,7 @@ def algorithm_1(views: TwoViews) -> Estimate:
         return mean_epipolar_distance(F, views.pairs(t_d_s), MIN_PAIRS)
 
     search = _search(d_avg_px, d_avg_px, views)  # lines 1 and 10
-    estimate = offset_estimate("ssac-known", search, views.config)
+    estimate = offset_estimate("ssac-known", search, views)
     if estimate.status != Status.OK:
         return estimate
     p1, p2 = views.pairs_at(estimate.t_d_s).points_px
@@ -124,7 +130,7 @@ def algorithm_2(views: TwoViews) -> Estimate:
         partial(d_avg_px, robust_fit, config.n_samples),
         views,
     )
-    estimate = offset_estimate("ssac", search, config)
+    estimate = offset_estimate("ssac", search, views)
     if estimate.status != Status.OK:
         return estimate
     pairs = views.pairs_at(estimate.t_d_s)
@@ -135,6 +141,8 @@ def algorithm_2(views: TwoViews) -> Estimate:
     if refusal is not None:
         return refused(estimate, refusal)
     F = _robust_fit(p1, p2, views, config.final_trials)
+    if not np.isfinite(F).all():
+        return refused(estimate, _NO_FIT)
     estimate = _checked_search(with_fit(estimate, F, p1, p2), views)
     if estimate.status != Status.OK:
         return estimate

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from ssac.clock import PPM
 from ssac.estimate import ClockJump, Estimate, Status
-from ssac.geometry.problem import Column, Parameters, Problem, linearise
+from ssac.fit.least_squares import covariance_of, solve, weighed_system
+from ssac.fit.problem import Column, Parameters, Problem, linearise
 from ssac.geometry.robust import CAUCHY, robust_deviation
 from ssac.methods.clock_model import ClockModel
-from ssac.methods.least_squares import covariance_of, solve, weighed_system
 from ssac.methods.verdict import refused
 from ssac.search.observability import Refusal
 
@@ -122,12 +122,11 @@ def _stepped(problem: Problem, at_s: float) -> Problem:
 
 def _instant(problem: Problem, found: Parameters, at_s: float) -> float:
     """Find the time [s] from which on the offset after a step fits the pairs better."""
-    before, after = found.columns.copy(), found.columns[-1]
-    before[-1] = 0.0
+    others, size_s = found.columns[:-1], found.columns[-1]
     everywhere = replace(problem, columns=(*problem.columns[:-1], _all_along(problem)))
     without, with_it = (
-        linearise(everywhere, replace(found, columns=np.append(before[:-1], size)))
-        for size in (0.0, after)
+        linearise(everywhere, replace(found, columns=np.append(others, step_s)))
+        for step_s in (0.0, size_s)
     )
     first_s, last_s = np.min(without.times_s) + _MARGIN_S, np.max(without.times_s) - _MARGIN_S
     inside = np.abs(without.times_s - at_s) <= _NEAR_S

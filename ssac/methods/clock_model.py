@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from ssac.clock import PPM, Clock
 from ssac.estimate import Estimate
-from ssac.geometry.problem import (
+from ssac.fit.least_squares import Solution, solve
+from ssac.fit.problem import (
     FIRST_COLUMN,
     T_D,
     Column,
@@ -25,7 +26,6 @@ from ssac.geometry.problem import (
     Problem,
     WeighedPairs,
 )
-from ssac.methods.least_squares import Solution, solve
 from ssac.search.shutters import Shutters, shutters_of
 from ssac.search.two_views import TwoViews
 
@@ -139,8 +139,9 @@ class ClockModel:
         strayed = np.hypot(change[0] * self.half_s / np.sqrt(3.0), np.linalg.norm(change[1:]))
         return float(np.hypot(strayed, read_out))
 
-    def told(self, estimate: Estimate, parameters: Parameters, problem: Problem, covariance: Array
-    ) -> Estimate:  # fmt: skip
+    def told(
+        self, estimate: Estimate, parameters: Parameters, problem: Problem, covariance: Array
+    ) -> Estimate:
         """Put the clock found, and the covariance (f, f) of all that was free, into an estimate."""
         estimate = self._with_readouts(estimate, parameters, problem, covariance)
         clock = self.clock(parameters)

@@ -3,7 +3,7 @@
 F has seven parameters and a pose only five, so that a path on which F is open, one in a plane say,
 may still tell the pose; and where the cost curve of F has several valleys, refined poses may tell
 which is the true one. So there are three steps: the `hypotheses`, every offset and pose that is in
-question; their refinement; and the choice of the best (`ssac.methods.verdict.choose`), or of none
+question; their refinement; and the choice of the best (`ssac.methods.rivals.choose`), or of none
 where another fits about as well.
 """
 
@@ -19,7 +19,7 @@ from ssac.geometry.candidate_poses import Pose, homography_poses, possible_poses
 from ssac.geometry.epipolar import sampson_distance
 from ssac.geometry.fundamental import MIN_PAIRS
 from ssac.geometry.pose import MIN_IN_FRONT, share_in_front
-from ssac.methods.verdict import Solution, choose, distinct_offsets, rivals_of
+from ssac.methods.rivals import Solution, choose, distinct_offsets, rivals_of
 from ssac.search.observability import Valley, valleys
 from ssac.search.shutters import shutters_of
 from ssac.search.two_views import TwoViews

@@ -1,7 +1,7 @@
 """A search's result in, offset and pose refined together by robust least squares out.
 
 Beyond the paper. The residuals are Sampson distances between the positions p1(t_i) and
-p2(t_i + t_d), as `ssac.methods.least_squares` has them.
+p2(t_i + t_d), as `ssac.fit.least_squares` has them.
 
 What limits the accuracy is not noise: the mean of the events is not the image of any fixed point of
 the object, and strays from it by an amount that changes slowly with attitude and grows with the
@@ -18,18 +18,19 @@ from numpy.typing import NDArray
 from ssac.camera import Rig
 from ssac.config import Config
 from ssac.estimate import Estimate, Status
+from ssac.fit.intrinsics import Allowance, evidence, fundamental_of
+from ssac.fit.least_squares import covariance_of, hidden_covariance, still_moves
+from ssac.fit.problem import Parameters, Problem, Residuals, WeighedPairs, linearise
 from ssac.geometry.epipolar import fundamental_from_pose, sampson_derivative
 from ssac.geometry.fundamental import MIN_PAIRS
 from ssac.geometry.pose import rays_of
-from ssac.geometry.problem import Parameters, Problem, Residuals, WeighedPairs, linearise
 from ssac.methods.algorithms import algorithm_1, algorithm_2, with_fit
 from ssac.methods.clock_jump import checked_clock
 from ssac.methods.clock_model import clock_model
 from ssac.methods.hypotheses import settled, sharp_solution
-from ssac.methods.intrinsics import Allowance, evidence, fundamental_of
-from ssac.methods.least_squares import covariance_of, hidden_covariance, still_moves
+from ssac.methods.rivals import confirmed
 from ssac.methods.skew_search import with_coarse_skew
-from ssac.methods.verdict import certain, confirmed, doubt, is_spread
+from ssac.methods.verdict import certain, doubt, is_spread
 from ssac.search.two_views import TwoViews, two_views
 from ssac.track.motion import SharpTrack
 from ssac.track.observation import Observation

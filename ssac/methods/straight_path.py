@@ -68,7 +68,7 @@ def straight_path(method: str, views: TwoViews, lines: tuple[View, View]) -> Est
         if views.config.exhaustive
         else coarse_to_fine_search(cost_px, cost_px, candidates_s, coarsest_step(lines))
     )
-    estimate = offset_estimate(method, search, views.config)
+    estimate = offset_estimate(method, search, views)
     if estimate.status != Status.OK:
         return estimate
     found = valleys(estimate.candidates_s, estimate.costs, estimate.t_d_s)

@@ -1,25 +1,19 @@
-"""An estimate, or several that fit alike, in; what is to be relied upon, or why nothing, out."""
+"""A search's result or a refined estimate in; it, or why it is not to be relied upon, out."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ssac.config import N_MIN, Config
+from ssac.config import N_MIN
 from ssac.estimate import Estimate, Status
 from ssac.geometry.fundamental import MIN_PAIRS
 from ssac.geometry.pose import tangent_basis
 from ssac.geometry.robust import robust_deviation
-from ssac.search.observability import (
-    Refusal,
-    Valley,
-    no_match,
-    open_fundamental,
-    other_offsets,
-    valleys,
-)
+from ssac.search.observability import Refusal, Valley
 from ssac.search.offset_search import OffsetSearch
 from ssac.search.two_views import TwoViews
+from ssac.track.point_motion import PointMotion
 
 Array = NDArray[np.float64]
 
@@ -28,12 +22,6 @@ MAX_T_D_STD_S = 0.025
 
 MAX_POSE_STD = np.deg2rad(5.0)
 """Directions of the pose less certain than this [rad] are unobservable."""
-
-CLEARLY = 2.0
-"""A solution whose distance is at most this many times the least is as good as the best."""
-
-SAME_S = 0.010
-"""Offsets nearer to each other than this are one."""
 
 MAX_SPREAD = 0.12
 """Largest robust deviation of the last step's distances, over the object's rms size."""
@@ -48,22 +36,12 @@ SMALL_PX, SMALL = 0.2, 0.06
 MAX_AGAINST = 3.5
 """Deviations from the rig's intrinsics to those that fit best, beyond which these are not it."""
 
-_SAME_RAD = np.deg2rad(3.0)  # and poses
 _LISTED = 0.1  # length of a direction's part, of 1, that is worth its words
 
 
-@dataclass(frozen=True)
-class Solution:
-    """A refined hypothesis, and how well it fits."""
-
-    estimate: Estimate
-    distance_px: float  # mean distance from the epipolar lines
-    object_px: float  # rms size of the object's images
-
-
-def offset_estimate(method: str, search: OffsetSearch, config: Config) -> Estimate:
+def offset_estimate(method: str, search: OffsetSearch, views: TwoViews) -> Estimate:
     """Report the offset that a search found, or why there is none to be trusted."""
-    low, high = config.interval_s
+    low, high = views.config.interval_s
     where = f"offset between {low:g} and {high:g} s"
     status, reason = Status.OK, ""
     if len(search.candidates_s) == 0:
@@ -72,10 +50,8 @@ def offset_estimate(method: str, search: OffsetSearch, config: Config) -> Estima
     elif np.isnan(search.t_d_s):
         status = Status.TOO_FEW_SAMPLES
         reason = (
-            f"at no {where} are {MIN_PAIRS} of {config.n_samples} sample times valid in both views:"
-            f" a window of {2e3 * config.half_window_s:g} ms must hold"
-            f" {config.n_min or N_MIN} events or more (fewer of a thin object), and at most"
-            f" {100 * config.max_border_fraction:g} % of them on the border"
+            f"at no {where} are {MIN_PAIRS} of {views.config.n_samples} sample times valid in both"
+            f" views: {_rules(views)}"
         )
     elif search.at_bound:
         status = Status.SEARCH_BOUND
@@ -90,8 +66,24 @@ def offset_estimate(method: str, search: OffsetSearch, config: Config) -> Estima
     )
 
 
+def _rules(views: TwoViews) -> str:
+    """Say when a sample time is valid, by what the cameras gave."""
+    config = views.config
+    of_points = [isinstance(motion, PointMotion) for motion in (views.motion1, views.motion2)]
+    of_events = (
+        f"a window of {2e3 * config.half_window_s:g} ms must hold"
+        f" {config.n_min or N_MIN} events or more (fewer of a thin object), and at most"
+        f" {100 * config.max_border_fraction:g} % of them on the border"
+    )
+    of_tracks = "a track must have points just before and just after it"
+    rules = [of_events] * (not all(of_points)) + [of_tracks] * any(of_points)
+    return "; ".join(rules)
+
+
 def refused(estimate: Estimate, refusal: Refusal, found: list[Valley] | None = None) -> Estimate:
-    """Give the reason why there is no reliable offset, without what was found of the pose.
+    """Give the reason why there is no reliable offset, without the pose and clock that were found.
+
+    F and the cost curve stay, for drawings of what was compared.
 
     Parameters
     ----------
@@ -127,82 +119,6 @@ def refused(estimate: Estimate, refusal: Refusal, found: list[Valley] | None = N
     )
 
 
-def choose(start: Estimate, solutions: list[Solution]) -> Estimate:
-    """Take the solution that fits best, or say which others fit about as well.
-
-    Parameters
-    ----------
-    start
-        What the solutions were refined from; given back as it is when there are none.
-    solutions
-        In any order.
-    """
-    if not solutions:
-        return start
-    rivals = rivals_of(solutions)
-    best = rivals[0]
-    refusal = no_match(best.distance_px, best.object_px)
-    if refusal is not None:
-        return refused(best.estimate, refusal)
-    offsets_s = sorted(distinct_offsets(rivals)[1:])
-    if offsets_s:
-        refusal = Refusal(Status.AMBIGUOUS_OFFSET, other_offsets(offsets_s))
-        estimate = refused(best.estimate, refusal)
-        return replace(estimate, t_d_s=best.estimate.t_d_s, alternatives_s=np.array(offsets_s))
-    apart = [_apart(found.estimate, best.estimate) for found in rivals]
-    n_others = sum(angle > _SAME_RAD for angle in apart)
-    estimate = certain(best.estimate) if n_others else best.estimate
-    if n_others and estimate.has_offset:
-        reason = (
-            f"{n_others + 1} poses fit about as well, {np.degrees(max(apart)):.0f} deg apart, as"
-            " for a path in a plane; the offset is the same with each"
-        )
-        return replace(estimate, status=Status.AMBIGUOUS_POSE, reason=reason, R=None, t=None)
-    return estimate
-
-
-def rivals_of(solutions: list[Solution]) -> list[Solution]:
-    """Solutions that fit about as well as the best, which comes first."""
-    ordered = sorted(solutions, key=lambda found: found.distance_px)
-    return [one for one in ordered if one.distance_px <= CLEARLY * ordered[0].distance_px]
-
-
-def distinct_offsets(rivals: list[Solution]) -> list[float]:
-    """Offsets of solutions, those that are one left out but for the first."""
-    offsets_s: list[float] = []
-    for found in rivals:
-        if all(abs(found.estimate.t_d_s - other_s) > SAME_S for other_s in offsets_s):
-            offsets_s.append(found.estimate.t_d_s)
-    return offsets_s
-
-
-def confirmed(estimate: Estimate, start: Estimate, views: TwoViews) -> Estimate:
-    """Keep to the search's refusal where the failure of all other hypotheses says little.
-
-    On a circle F is open at any offset, so that other poses may fit that no hypothesis led to; and
-    so they may all along a valley without an end.
-
-    Parameters
-    ----------
-    estimate
-        The one that is left of those refined from `start`.
-    start
-        Of the search.
-    views
-        Both views.
-    """
-    is_searched = start.status == Status.AMBIGUOUS_OFFSET and not views.pose_is_known
-    if not (is_searched and estimate.has_offset):
-        return estimate
-    found = valleys(start.candidates_s, start.costs, estimate.t_d_s)
-    at = views.under(estimate.clock).pairs_at(estimate.t_d_s)
-    is_open = open_fundamental(*at.points_px) is not None
-    if not is_open and found[0].length_s <= views.config.max_valley_s:
-        return estimate
-    kept = refused(estimate, Refusal(Status.AMBIGUOUS_OFFSET, start.reason))
-    return replace(kept, t_d_s=estimate.t_d_s, alternatives_s=start.alternatives_s)
-
-
 def doubt(distances_px: Array, object_px: float, against_intrinsics: float = 0.0) -> str:
     """Say what is not ordinary in a fit's last step; empty when all is.
 
@@ -217,7 +133,7 @@ def doubt(distances_px: Array, object_px: float, against_intrinsics: float = 0.0
     object_px
         Rms size of the object's images, both together.
     against_intrinsics
-        Of `ssac.methods.intrinsics.evidence`.
+        Of `ssac.fit.intrinsics.evidence`.
     """
     mean_px, spread_px = float(np.mean(np.abs(distances_px))), robust_deviation(distances_px)
     has_tail = mean_px > MAX_TAIL * spread_px and mean_px > SMALL_PX + SMALL * object_px
@@ -294,11 +210,3 @@ def _in_words(direction: Array, t: Array) -> str:
         if length > _LISTED:
             parts.append(f"{words} ({', '.join(f'{x:.2f}' for x in vector / length + 0.0)})")
     return " with ".join(parts)
-
-
-def _apart(one: Estimate, other: Estimate) -> float:
-    """Angle [rad] between two poses: the larger of R's and t's."""
-    if one.R is None or other.R is None or one.t is None or other.t is None:
-        return 0.0
-    cosine_R = (np.trace(one.R.T @ other.R) - 1.0) / 2.0
-    return float(np.max(np.arccos(np.clip([cosine_R, one.t @ other.t], -1.0, 1.0))))

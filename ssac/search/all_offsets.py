@@ -3,7 +3,7 @@
 For recordings of which nothing is known but that they overlap. Every offset that leaves enough
 common time is tried on a grid whose step follows from the paths' speed, with an F fitted at each;
 the best few are refined, and so is the rate of camera 2's clock where it is in question. The cost
-of an offset is its `all_kernels.relative_cost`, times by how many times less common path it leaves
+of an offset is its `lag_costs.relative_cost`, times by how many times less common path it leaves
 than the most that any offset does: a short piece of path fits many another by chance.
 """
 
@@ -13,11 +13,22 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ssac.search.all_kernels import costs_at_lags, moving_pairs, relative_cost, width_of
+from ssac.search.lag_costs import (
+    LEAST_PAIRS,
+    Fit,
+    Grid,
+    Progress,
+    Scan,
+    grid_of,
+    local_minima,
+    moving_pairs,
+    relative_cost,
+    scan_lags,
+    width_of,
+)
 from ssac.track.motion import Motion
 
 Array = NDArray[np.float64]
-Progress = Callable[[float], None]  # called with the share that is done
 
 RIVAL = 2.0
 """Refined offsets whose cost is below this many times the least may be the true one."""
@@ -32,15 +43,11 @@ _STEP_WIDTHS = 0.16  # step of the offset, in times in which a path goes its own
 _STEPS_S = (0.005, 0.5)
 _RATE_SCAN_STEP = 2.0  # of the offset, where many rates are tried, in ordinary steps
 _RATE_STEPS = 4.0  # by which a step of the rate moves the ends of the common time
-_MOVED = 0.02  # of a path's extent, between samples that count
 _PAIRS, _RATE_PAIRS = 150, 64  # of a fit
 _ITERATIONS, _RATE_ITERATIONS, _FINE_ITERATIONS = 4, 1, 6
-_LEAST_PAIRS = 40
-_LEAST_SHARE = 0.15  # of the pairs that the longest common path has
 _GUESSES = 12
 _APART_STEPS = 5.0
 _LAST_STEP_S = 1e-3
-_CHUNK = 256  # lags between two calls of `progress`
 _WORTH = 0.85  # of the cost at the rate that is said: less is worth another
 _SPEED_SAMPLES = 2000
 
@@ -99,17 +106,18 @@ def search_all_offsets(
         Called now and then with the share that is done.
     """
     step_s = min(_step_s(motion1), _step_s(motion2))
-    if not np.isfinite(step_s):
+    are_seen = all(motion.span_s[0] < motion.span_s[1] for motion in (motion1, motion2))
+    if not (are_seen and np.isfinite(step_s)):
         return AllOffsets(np.empty(0), np.empty(0), [], 0.0)
     several = rate_range[0] < rate_range[1]
     if several:
         step_s *= _RATE_SCAN_STEP
     rates = _rates(rate_range, step_s, motion1, motion2)
-    fit = _Fit(_RATE_PAIRS, _RATE_ITERATIONS) if several else _Fit(_PAIRS, _ITERATIONS)
+    fit = Fit(_RATE_PAIRS, _RATE_ITERATIONS) if several else Fit(_PAIRS, _ITERATIONS)
     n_scans = len(rates) + several
-    one = _grid(motion1, step_s)
+    one = grid_of(motion1, step_s)
     scans = [
-        _scan(one, _grid(motion2, step_s, rate), rate, fit, _part(progress, k, n_scans))
+        scan_lags(one, grid_of(motion2, step_s, rate), rate, fit, _part(progress, k, n_scans))
         for k, rate in enumerate(rates)
     ]
     freedom = max(rate_freedom, 0.5 * (rates[1] / rates[0] - 1.0)) if several else rate_freedom
@@ -117,39 +125,10 @@ def search_all_offsets(
     shown = scans[0]
     if several and guesses:  # the curve at the best rate, with all pairs
         step_s /= _RATE_SCAN_STEP
-        one = _grid(motion1, step_s)
+        one = grid_of(motion1, step_s)
         rate, said = guesses[0].rate, _part(progress, len(rates), n_scans)
-        shown = _scan(one, _grid(motion2, step_s, rate), rate, _Fit(_PAIRS, _ITERATIONS), said)
+        shown = scan_lags(one, grid_of(motion2, step_s, rate), rate, Fit(_PAIRS, _ITERATIONS), said)
     return AllOffsets(_offset_s(shown, one, step_s), shown.costs, guesses, step_s)
-
-
-@dataclass(frozen=True)
-class _Fit:
-    """How thoroughly F is fitted."""
-
-    n_pairs: int
-    iterations: int
-
-
-@dataclass(frozen=True)
-class _Grid:
-    """A track sampled at whole steps of time."""
-
-    first: int  # steps from time zero
-    p_px: Array  # (n, 2)
-    valid: NDArray[np.bool_]  # (n,)
-    least_px: float  # that it moves between samples that count
-
-
-@dataclass(frozen=True)
-class _Scan:
-    """Costs at all lags, for one rate of camera 2's clock."""
-
-    rate: float
-    lags: NDArray[np.int64]  # (m,) of the grids' indices
-    shift: int  # to be added to a lag for steps of time
-    costs: Array  # (m,) for comparison: the less common path, the more
-    most: int  # samples that count, at the best of the lags
 
 
 def _step_s(motion: Motion) -> float:
@@ -179,51 +158,15 @@ def _rates(
     return [float(rate) for rate in np.geomspace(low, high, max(n, 2))]
 
 
-def _grid(motion: Motion, step_s: float, rate: float = 1.0) -> _Grid:
-    """Sample a track at whole steps of a clock that runs `rate` times slower than its own."""
-    start_s, end_s = motion.span_s
-    first, last = int(np.ceil(start_s / (rate * step_s))), int(end_s / (rate * step_s))
-    track = motion.at(rate * step_s * np.arange(first, last + 1, dtype=np.float64))
-    seen = track.positions_px[track.valid]
-    extent_px = float(np.sum(np.std(seen, axis=0))) if len(seen) else 0.0
-    positions = np.where(track.valid[:, None], track.positions_px, 0.0)
-    return _Grid(first, positions, track.valid, _MOVED * extent_px)
-
-
-def _scan(one: _Grid, other: _Grid, rate: float, fit: _Fit, progress: Progress | None) -> _Scan:
-    lags = np.arange(-len(one.valid) + 1, len(other.valid), dtype=np.int64)
-    least = _LEAST_PAIRS
-    costs, counts = np.full(len(lags), np.nan), np.zeros(len(lags), np.int64)
-    for start in range(0, len(lags), _CHUNK):
-        part = slice(start, start + _CHUNK)
-        costs[part], counts[part] = costs_at_lags(
-            one.p_px,
-            one.valid,
-            other.p_px,
-            other.valid,
-            lags[part],
-            (one.least_px, other.least_px),
-            fit.n_pairs,
-            least,
-            fit.iterations,
-        )
-        if progress is not None:
-            progress(min(1.0, (start + _CHUNK) / len(lags)))
-    most = int(np.max(counts, initial=0))
-    enough = counts >= max(least, _LEAST_SHARE * most)
-    weighed = np.where(enough, costs * most / np.maximum(counts, 1), np.nan)
-    return _Scan(rate, lags, other.first - one.first, weighed, most)
-
-
 def _guesses(
-    scans: list[_Scan], one: _Grid, motion2: Motion, step_s: float, freedom: float
+    scans: list[Scan], one: Grid, motion2: Motion, step_s: float, freedom: float
 ) -> list[Guess]:
     """Refine the least minima of all scans, and sort them; the nearest to each other are one."""
     most = max(scan.most for scan in scans)
     starts = sorted(
         (float(scan.costs[m]) * most / max(scan.most, 1), k, m)
         for k, scan in enumerate(scans)
-        for m in _local_minima(scan.costs)
+        for m in local_minima(scan.costs, _GUESSES)
     )
     tried: list[tuple[float, float]] = []
     found: list[Guess] = []
@@ -250,16 +193,16 @@ def _guesses(
 
 
 def _refined(
-    one: _Grid,
+    one: Grid,
     motion2: Motion,
     step_s: float,
     lag: int,
-    scan: _Scan,
+    scan: Scan,
     freedom: float,
     most: int,
 ) -> Guess | None:
     """Refine an offset, and the rate where it is free, by ever shorter steps."""
-    other = _grid(motion2, step_s, scan.rate)
+    other = grid_of(motion2, step_s, scan.rate)
     chosen = np.empty(len(one.valid), np.int64)
     first, last = max(0, -lag), min(len(one.valid), len(other.valid) - lag)
     count = moving_pairs(
@@ -273,16 +216,17 @@ def _refined(
         (one.least_px, other.least_px),
         chosen,
     )
-    places = chosen[np.arange(min(count, 2 * _PAIRS)) * count // max(min(count, 2 * _PAIRS), 1)]
-    if len(places) < _LEAST_PAIRS:
+    if count < LEAST_PAIRS:
         return None
+    n = min(count, 2 * _PAIRS)
+    places = chosen[np.arange(n) * count // n]
     times_s = step_s * (one.first + places).astype(np.float64)
     t_ref_s = 0.5 * float(times_s[0] + times_s[-1])
     p1 = one.p_px[places]
 
     def cost(t_d_s: float, rate: float) -> float:
         track = motion2.at(t_ref_s + t_d_s + rate * (times_s - t_ref_s))
-        if np.count_nonzero(track.valid) < max(_LEAST_PAIRS, len(times_s) // 2):
+        if np.count_nonzero(track.valid) < max(LEAST_PAIRS, len(times_s) // 2):
             return np.inf
         value = relative_cost(p1[track.valid], track.positions_px[track.valid], _FINE_ITERATIONS)
         return float(value) if np.isfinite(value) else np.inf
@@ -322,16 +266,7 @@ def _compass(
     return best, (offset_s, rate)
 
 
-def _local_minima(costs: Array) -> list[int]:
-    """Places of the few least local minima."""
-    known = np.where(np.isfinite(costs), costs, np.inf)
-    padded = np.pad(known, 1, constant_values=np.inf)
-    is_least = (known <= padded[:-2]) & (known < padded[2:]) & np.isfinite(known)
-    places = np.flatnonzero(is_least)
-    return [int(m) for m in places[np.argsort(known[places])[:_GUESSES]]]
-
-
-def _offset_s(scan: _Scan, one: _Grid, step_s: float) -> Array:
+def _offset_s(scan: Scan, one: Grid, step_s: float) -> Array:
     """Offsets t_d (m,) [s] of a scan's lags, at the middle of camera 1's recording."""
     middle_s = step_s * (one.first + 0.5 * len(one.valid))
     lags_s = step_s * (scan.lags + scan.shift).astype(np.float64)

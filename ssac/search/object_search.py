@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ssac.geometry.epipolar import sampson_distance
 from ssac.geometry.fundamental import lmeds_fundamental, reweighted_fundamental
-from ssac.search.all_kernels import costs_at_lags
+from ssac.search.lag_costs import costs_at_lags, local_minima
 from ssac.search.object_chains import chains_of
 from ssac.track.objects import BIN_US, Piece
 
@@ -24,7 +24,6 @@ HALF_BIN_S = 0.5e-6 * BIN_US
 _CHAINS, _ALONE = 3, 2  # of each view: the longest chains, and the longest pieces
 _MINIMA = 2  # of each pair's cost
 _STARTS = 16  # of all pairs, that are looked into
-_STEP = 1  # half bins between the offsets that are tried first
 _SAME = 2  # half bins between offsets that are one
 _AS_OFTEN = 0.6  # of the time that another object is seen
 _PAIRS, _ITERATIONS = 120, 4  # of a fit
@@ -148,7 +147,7 @@ def _minima(
     if interval_s is not None:
         low, high = (bound_s / HALF_BIN_S - shift for bound_s in interval_s)
         first, last = max(first, int(np.ceil(low))), min(last, int(np.floor(high)))
-    lags = np.arange(first, last + 1, _STEP, dtype=np.int64)
+    lags = np.arange(first, last + 1, dtype=np.int64)
     costs, counts = costs_at_lags(
         one.positions_px,
         one.valid,
@@ -160,12 +159,8 @@ def _minima(
         _LEAST_PAIRS,
         _ITERATIONS,
     )
-    known = np.where(np.isfinite(costs), costs / np.maximum(counts, 1), np.inf)
-    padded = np.pad(known, 1, constant_values=np.inf)
-    is_least = (known <= padded[:-2]) & (known < padded[2:]) & np.isfinite(known)
-    minima = np.flatnonzero(is_least)
-    minima = minima[np.argsort(known[minima], kind="stable")][:_MINIMA]
-    return [(float(known[m]), int(lags[m]) + shift) for m in minima]
+    shared = costs / np.maximum(counts, 1)
+    return [(float(shared[m]), int(lags[m]) + shift) for m in local_minima(shared, _MINIMA)]
 
 
 def _common(one: _Grid, other: _Grid, lag: int) -> tuple[Array, Array]:

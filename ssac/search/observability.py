@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from ssac.estimate import Status
 from ssac.geometry.fundamental import second_best
 from ssac.search.offset_search import COARSEST, RIVAL
-from ssac.search.two_views import MIN_SWINGS
 from ssac.search.view import View
 
 Array = NDArray[np.float64]
@@ -23,9 +22,6 @@ MIN_EXTENT = 0.6
 
 MAX_RESIDUAL = 0.4
 """Largest mean epipolar distance over the rms size: else both views show different things."""
-
-MAX_VALLEY_S = 0.3
-"""Longest valley of the cost curve whose middle is taken for an offset."""
 
 MIN_SECOND_BEST = 7.0
 """Pairs that another F fits less than so many times worse leave the pose open."""
@@ -77,7 +73,7 @@ def coarsest_step(views: tuple[View | None, View | None]) -> int:
     return int(np.clip(COARSEST * ORDINARY_SWING_HZ / max(swing_hz, 1e-12), _LEAST_STEP, COARSEST))
 
 
-def too_little_motion(n_swings: float, least: float = MIN_SWINGS) -> Refusal | None:
+def too_little_motion(n_swings: float, least: float) -> Refusal | None:
     """Refuse a path too short to tell an offset and a pose from chance."""
     if n_swings >= least:
         return None
@@ -141,7 +137,7 @@ def valleys(candidates_s: Array, costs: Array, t_d_s: float) -> list[Valley]:
     )
 
 
-def ambiguous_offset(found: list[Valley], longest_s: float = MAX_VALLEY_S) -> Refusal | None:
+def ambiguous_offset(found: list[Valley], longest_s: float) -> Refusal | None:
     """Refuse a cost curve with several valleys as deep as each other, or one without an end."""
     alternatives_s = sorted(valley.least_s for valley in found[1:])
     if alternatives_s:

@@ -110,7 +110,9 @@ def coarse_to_fine_search(
         grid = _neighbourhood(minima, np.arange(-coarsest, coarsest + 1, middle), size)
         d_avg_px[grid] = coarse_cost(offsets_s[grid])
         tried = np.union1d(tried, grid)
-        best = grid[[np.nanargmin(d_avg_px[grid])]]
+        known = grid[np.isfinite(d_avg_px[grid])]
+        known = known if len(known) else minima  # steps from these may reach no candidate
+        best = known[[np.argmin(d_avg_px[known])]]
         reach = middle + _FIT_STEPS
         grid = _neighbourhood(best, np.arange(-reach, reach + 1, finest), size)
         rivals = _rivals(d_avg_px, coarse_grid, best[0], coarsest)
@@ -141,15 +143,14 @@ def _rivals(
 
 
 def _least_within(values: Array, centres: NDArray[np.intp], reach: int) -> NDArray[np.intp]:
-    """Find the index of the least known value within the reach of each centre."""
-    starts = np.maximum(centres - reach, 0)
-    return np.array(
-        [
-            start + int(np.nanargmin(values[start : centre + reach + 1]))
-            for start, centre in zip(starts, centres, strict=True)
-        ],
-        np.intp,
-    )
+    """Find the index of the least known value within the reach of each centre that has one."""
+    found = []
+    for centre in centres.tolist():
+        start = max(centre - reach, 0)
+        near = values[start : centre + reach + 1]
+        if np.isfinite(near).any():
+            found.append(start + int(np.nanargmin(near)))
+    return np.array(found, np.intp)
 
 
 def _least_local_minima(

@@ -10,9 +10,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ssac.camera import Rig
+from ssac.camera import Rig, check_camera
 from ssac.clock import Clock
-from ssac.config import Config, checked
+from ssac.config import MIN_SWINGS, Config, checked
 from ssac.geometry.pose import rays_of
 from ssac.search.blind import Blind
 from ssac.search.seen import Seen, seen_by_both
@@ -21,9 +21,6 @@ from ssac.track.motion import Motion, SharpTrack
 from ssac.track.observation import Observation, object_motions
 
 Array = NDArray[np.float64]
-
-MIN_SWINGS = 3.5
-"""Least times to and fro that a path must go to tell F's 7 parameters and t_d: see `swings`."""
 
 _SPEED_SAMPLES = 100  # of a path's speed
 _MAX_GAP_S = 0.5  # of a path that is known
@@ -252,7 +249,9 @@ def two_views(
     Raises
     ------
     SsacError
-        If a camera's events cannot be used, or a parameter makes no sense.
+        If a camera or its events cannot be used, or a parameter makes no sense.
     """
     config = checked(config)
+    check_camera(rig.cam1, "camera 1")
+    check_camera(rig.cam2, "camera 2")
     return TwoViews(*object_motions(cam1, cam2, rig, config), rig, config, pose_is_known)

@@ -36,10 +36,7 @@ _GAP_STEPS = 3.0  # beyond which the object may have been anywhere
 _FULL_PERCENTILE = 95.0  # of the events' levels: nearly as dark as the object gets
 _CURVATURE = 1.0  # between a share that is as the level and one of contrast 7
 _RAMP_PX, _LEAST_SPEED_PX_S = 0.5, 20.0  # by which an edge changes a level
-_WINDOW, _LARGE_PERCENTILE = (
-    2.2,
-    98.0,
-)  # of an image by itself, in sizes that are nearly the largest
+_WINDOW, _LARGE_PERCENTILE = 2.2, 98.0  # of an image by itself, in sizes nearly the largest
 _MOST_OFF = 1.0  # of the centre from the mean of the events, in sizes of the image
 
 

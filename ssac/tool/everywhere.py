@@ -20,9 +20,9 @@ from ssac.search.all_offsets import (
     RATE_FREEDOM,
     AllOffsets,
     Guess,
-    Progress,
     search_all_offsets,
 )
+from ssac.search.lag_costs import Progress
 from ssac.search.two_views import two_views
 from ssac.track.observation import Observation
 

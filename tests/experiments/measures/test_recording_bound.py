@@ -23,7 +23,7 @@ from ssac.camera import Camera, Rig
 from ssac.config import Config
 from ssac.geometry.epipolar import fundamental_from_pose, sampson_distance
 from ssac.geometry.robust import robust_deviation
-from ssac.methods.tangency import TangencyConfig
+from ssac.methods.tangent_pairs import TangencyConfig
 from ssac.search.two_views import TwoViews, two_views
 from ssac.track.observation import Observation
 from tests.experiments.reported import record_flight

@@ -228,7 +228,7 @@ def test_parameters_reach_the_field_that_they_name():
         ({"fixed": {"sim": {"resolution": [3]}}}, r"sim.resolution: expected tuple\[int, int\]"),
         ({"fixed": {"sim": {"angle_deg": 30}}}, "sim.angle_deg is given more than once"),
         ({"fixed": {"ssac": {"interval_s": [0, 1]}}}, "either search_around_truth_s or ssac.int"),
-        ({"fixed": {"ssac": {"half_window_s": -1.0}}}, "half_window_s must be positive, got -1.0"),
+        ({"fixed": {"ssac": {"half_window_s": -1.0}}}, "must be positive and finite, got -1.0"),
         ({"grid": {"ssac": {"n_min": []}}}, "ssac.n_min: expected a list of values"),
         ({"grid": {"ssac": {"n_min": 3}}}, "ssac.n_min: expected a list of values, got 3"),
         (

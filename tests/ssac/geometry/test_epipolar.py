@@ -1,5 +1,7 @@
 """Laws of two views: on exact projections they hold to rounding."""
 
+import warnings
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -60,6 +62,18 @@ def test_distance_is_measured_in_image_1(exact):
     lines = epipolar_lines_1(F, p2)
     normals = lines[:, :2] / np.linalg.norm(lines[:, :2], axis=1, keepdims=True)
     assert np.allclose(epipolar_distance(F, p1 + 2.5 * normals, p2), 2.5, atol=ROUNDING_PX)
+
+
+def test_a_point_without_a_line_has_no_finite_distance():
+    """Bug: a line at infinity warned of a division by zero."""
+    F = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])  # l1 = (1, 0, x2)
+    at_infinity = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # (x2, 0, 1)
+    p1, p2 = np.array([[3.0, 4.0]]), np.array([[0.0, 5.0]])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert epipolar_distance(F, p1, p2) == pytest.approx([3.0])
+        assert np.isposinf(epipolar_distance(at_infinity, p1, p2)).all()
+        assert np.isnan(epipolar_distance(np.zeros((3, 3)), p1, p2)).all()
 
 
 def test_a_rigid_move_of_the_world_changes_nothing():

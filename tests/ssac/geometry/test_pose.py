@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from ssac.geometry.candidate_poses import possible_poses
 from ssac.geometry.epipolar import fundamental_from_pose
 from ssac.geometry.fundamental import reweighted_fundamental
 from ssac.geometry.pose import depths, nearest_pose, pose_from_fundamental, tangent_basis
@@ -83,6 +84,11 @@ def test_pairs_that_disagree_about_the_pose_show():
     p1, p2 = project(points), project(points @ scene.R.T + scene.t)
     F = fundamental_from_pose(K, K, scene.R, scene.t)
     assert pose_from_fundamental(F, K, K, p1, p2).in_front == pytest.approx(0.5, abs=0.1)
+
+
+def test_an_object_at_rest_has_no_pose():
+    points = np.full((40, 2), 100.0)
+    assert possible_poses(points, points, make_scene(seed=4).rig) == []
 
 
 def test_depths_place_points_back_where_they_were():

@@ -8,9 +8,18 @@ import pytest
 from ssac.config import Config
 from ssac.errors import SsacError
 from ssac.geometry.epipolar import fundamental_from_pose
+from ssac.geometry.fundamental import reweighted_fundamental
 from ssac.methods.algorithms import ssac, ssac_known
-from ssac.track.observation import Observation
-from tests.ssac.synthetic import angle_deg, make_events, make_scene, rotation_angle_deg
+from ssac.points import PointTrack
+from ssac.track.observation import Observation, tracked
+from tests.ssac.synthetic import (
+    HEIGHT,
+    angle_deg,
+    make_events,
+    make_scene,
+    rotation_angle_deg,
+    track_pair,
+)
 
 CLEAN = Config(denoise=False)  # the synthetic events have no noise to remove
 
@@ -91,6 +100,21 @@ def test_magsac_is_an_alternative_to_lmeds(flight):
     assert rotation_angle_deg(estimate.R, scene.R) < 1.5
 
 
+def test_pairs_that_no_model_fits_at_last_are_refused(flight, monkeypatch):
+    """Bug: MAGSAC++ may find no model of the final pairs, and the decomposition of F fell over."""
+    scene, cameras = flight
+
+    def fits_but_at_last(p1_px, p2_px, trials, seed):
+        F = reweighted_fundamental(p1_px, p2_px)
+        return F if trials == CLEAN.trials else np.full_like(F, np.nan)
+
+    monkeypatch.setattr("ssac.methods.algorithms.lmeds_fundamental", fits_but_at_last)
+    estimate = ssac(*cameras, scene.unknown_rig, CLEAN)
+    assert estimate.status == "no_match"
+    assert "no fundamental matrix fits" in estimate.reason
+    assert np.isnan(estimate.t_d_s)
+
+
 def test_denoising_removes_what_would_mislead():
     scene = make_scene(seed=0)
     cameras = observe(scene, 0, t_d_s=0.05, size_m=0.4)  # dense enough for the radius filter
@@ -133,6 +157,25 @@ def test_too_few_events_everywhere_are_refused(flight, method):
     estimate = method(*cameras, scene.rig, replace(CLEAN, n_min=100_000))
     assert estimate.status == "too_few_samples"
     assert "100000 events" in estimate.reason
+    assert "track" not in estimate.reason
+
+
+def test_views_that_share_no_points_are_refused_by_what_a_track_lacks():
+    """Bug: tracks were said to need 200 events in a window."""
+    scene = make_scene(seed=0, duration_s=4.0)
+    times_s = np.arange(0.0, 4.0, 0.01)
+    parts = (times_s < 1.0) | (times_s > 3.985), (times_s > 3.0) | (times_s < 0.005)
+    cam1, cam2 = (
+        tracked(PointTrack(times_s[part], np.clip(p[part], 0.0, HEIGHT - 1)))
+        for p, part in zip(track_pair(scene, times_s), parts, strict=True)
+    )
+    events = make_events(scene, seed=0)[1]
+    of_events = Observation(events[(events["t"] > 3_000_000) | (events["t"] < 1_000)])
+    for other, has_events in ((cam2, False), (of_events, True)):
+        estimate = ssac(cam1, other, scene.unknown_rig, replace(CLEAN, interval_s=(-0.1, 0.1)))
+        assert estimate.status == "too_few_samples"
+        assert "points just before and just after" in estimate.reason
+        assert ("200 events" in estimate.reason) == has_events
 
 
 def test_an_offset_outside_the_interval_is_refused():

@@ -8,11 +8,11 @@ import pytest
 
 from ssac.config import Config
 from ssac.estimate import Estimate
+from ssac.fit.least_squares import solve
+from ssac.fit.problem import Parameters, Problem, linearise, moved
 from ssac.geometry.epipolar import cross_matrix, fundamental_from_pose, sampson_distance
-from ssac.geometry.problem import Parameters, Problem, linearise, moved
 from ssac.methods.algorithms import ssac, ssac_known
 from ssac.methods.joint import joint, joint_from, joint_known, refine, sharp_pairs
-from ssac.methods.least_squares import solve
 from ssac.search.two_views import TwoViews, two_views
 from ssac.track.motion import SharpTrack, Track
 from ssac.track.observation import Observation

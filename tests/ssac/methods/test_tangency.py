@@ -9,14 +9,8 @@ from ssac.errors import SsacError
 from ssac.estimate import Estimate
 from ssac.methods.algorithms import algorithm_2
 from ssac.methods.joint import joint, joint_from, joint_known
-from ssac.methods.tangency import (
-    TangencyConfig,
-    for_blind,
-    refine_tangents,
-    tangency,
-    tangency_from,
-    tangency_known,
-)
+from ssac.methods.tangency import refine_tangents, tangency, tangency_from, tangency_known
+from ssac.methods.tangent_pairs import TangencyConfig, for_blind
 from ssac.search.two_views import two_views
 from ssac.track.observation import Observation
 from tests.ssac.box import CLEAN, T_D_S, box_events, errors, observations, off_the_truth, unit

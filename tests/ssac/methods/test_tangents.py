@@ -6,10 +6,7 @@ import pytest
 from ssac.camera import Camera, Rig
 from ssac.geometry.epipolar import sampson_distance
 from ssac.geometry.pencil import Pencil, pencils
-from ssac.methods.tangency import (
-    TangencyConfig,
-    tangent_pairs,
-)
+from ssac.methods.tangent_pairs import TangencyConfig, tangent_pairs
 from ssac.track.observation import object_motions
 from ssac.track.outline import OutlineConfig, near_outline, tangents
 from ssac.track.outline_kernels import (

@@ -5,9 +5,12 @@ import pytest
 
 from ssac.camera import Camera
 from ssac.config import Config
+from ssac.events import EVENT_DTYPE
+from ssac.points import PointTrack
 from ssac.search.all_offsets import MAX_COST, search_all_offsets
 from ssac.search.seen import MOST, seen_by_both, seen_of, seen_times
 from ssac.search.two_views import TwoViews
+from ssac.track.motion import object_motion
 from ssac.track.point_motion import point_motion
 from tests.ssac.synthetic import HEIGHT, WIDTH, K, make_scene
 from tests.ssac.tracks import FPS, frame_track
@@ -50,10 +53,19 @@ def test_progress_is_told_up_to_the_end():
 def test_an_object_at_rest_tells_nothing():
     one, _ = motions(0.0)
     still = point_motion(
-        type(frame_track(SCENE, 1, 30.0))(np.arange(0.0, 20.0, 0.04), np.full((500, 2), 100.0)),
+        PointTrack(np.arange(0.0, 20.0, 0.04), np.full((500, 2), 100.0)),
         CAMERA,
     )
     assert not search_all_offsets(one, still).guesses
+
+
+@pytest.mark.parametrize("n", [0, 1])
+def test_a_camera_without_a_path_tells_nothing(n):
+    """Bug: no event left of a camera gave an infinite number of steps."""
+    one, _ = motions(0.0)
+    nothing = object_motion(np.zeros(n, EVENT_DTYPE), CAMERA)
+    assert not search_all_offsets(one, nothing).guesses
+    assert not search_all_offsets(nothing, one).guesses
 
 
 def gappy(scene, camera, fps, pieces):
@@ -63,7 +75,7 @@ def gappy(scene, camera, fps, pieces):
     # Between pieces the clock goes on for ten minutes.
     late_s = 600.0 * np.sum([track.times_s > b for _, b in pieces], axis=0)
     return point_motion(
-        type(track)(track.times_s[kept] + late_s[kept], track.points_px[kept]), CAMERA
+        PointTrack(track.times_s[kept] + late_s[kept], track.points_px[kept]), CAMERA
     )
 
 

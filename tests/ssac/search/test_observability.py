@@ -5,13 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ssac.config import Config
+from ssac.config import MAX_VALLEY_S, MIN_SWINGS, Config
 from ssac.estimate import Estimate
 from ssac.events import EVENT_DTYPE
 from ssac.geometry.fundamental import lmeds_fundamental, reweighted_fundamental, second_best
 from ssac.methods.verdict import MAX_POSE_STD, MAX_T_D_STD_S, certain
 from ssac.search.observability import (
-    MAX_VALLEY_S,
     MIN_SECOND_BEST,
     ambiguous_offset,
     at_rest,
@@ -24,7 +23,7 @@ from ssac.search.offset_search import RIVAL, coarse_to_fine_search
 from ssac.search.two_views import TwoViews
 from ssac.search.view import returns_s, view_of
 from ssac.track.motion import ObjectMotion, object_motion
-from tests.ssac.synthetic import make_scene, track_pair
+from tests.ssac.synthetic import Scene, make_scene, track_pair
 
 SCENE = make_scene(0)
 CAMERA = SCENE.rig.cam1
@@ -65,8 +64,8 @@ def test_a_sine_swings_twice_a_period(hz):
 def test_swings_count_only_what_both_cameras_see():
     motion = motion_along(wave(1.0), wave(1.0, 1.0))
     assert swings_at(6.0, motion) == pytest.approx(2 * 2.0, rel=0.1)
-    assert too_little_motion(3.4) is not None
-    assert too_little_motion(3.6) is None
+    assert too_little_motion(3.4, MIN_SWINGS) is not None
+    assert too_little_motion(3.6, MIN_SWINGS) is None
 
 
 def test_straightness_does_not_depend_on_direction():
@@ -104,15 +103,15 @@ def test_valleys_are_where_the_cost_is_low():
         costs = np.minimum(costs, least + 200.0 * np.abs(OFFSETS_S - offset_s))
     found = valleys(OFFSETS_S, costs, 0.05)
     assert [valley.least_s for valley in found] == pytest.approx([0.05, -0.7], abs=1e-3)
-    refusal = ambiguous_offset(found)
+    refusal = ambiguous_offset(found, MAX_VALLEY_S)
     assert refusal is not None
     assert "-0.700 s" in refusal.reason
-    assert ambiguous_offset(found[:1]) is None
+    assert ambiguous_offset(found[:1], MAX_VALLEY_S) is None
 
 
 def test_a_plateau_is_refused():
     costs = np.where(np.abs(OFFSETS_S) < 0.6 * MAX_VALLEY_S, 1.0, 10.0)
-    refusal = ambiguous_offset(valleys(OFFSETS_S, costs, 0.0))
+    refusal = ambiguous_offset(valleys(OFFSETS_S, costs, 0.0), MAX_VALLEY_S)
     assert refusal is not None
     assert refusal.status == "ambiguous_offset"
 
@@ -164,14 +163,17 @@ def test_straight_is_narrow_beside_its_length_and_beside_the_object():
     assert not replace(narrow, size_px=10.0).is_straight  # and 0.3 of the object 3 px
 
 
+def flat(scene: Scene) -> Scene:
+    """The same with a path in a plane."""
+    into_plane = np.array([[1.0, 0.0, 0.4], [0.0, 1.0, 0.3], [0.0, 0.0, 0.0]])
+    return replace(scene, path=lambda t: scene.path(t) @ into_plane + [0.0, 0.0, 5.0])
+
+
 def test_a_planar_path_leaves_the_fundamental_matrix_open():
     times_s = np.linspace(0.5, 19.5, 300)
     rng = np.random.default_rng(1)
-    flight = track_pair(SCENE, times_s)
-    into_plane = np.array([[1.0, 0.0, 0.4], [0.0, 1.0, 0.3], [0.0, 0.0, 0.0]])
-    flat_scene = replace(SCENE, path=lambda t: SCENE.path(t) @ into_plane + [0.0, 0.0, 5.0])
-    flat = track_pair(flat_scene, times_s)
-    noisy = [[p + rng.normal(0.0, 0.3, p.shape) for p in pair] for pair in (flight, flat)]
+    pairs = [track_pair(scene, times_s) for scene in (SCENE, flat(SCENE))]
+    noisy = [[p + rng.normal(0.0, 0.3, p.shape) for p in pair] for pair in pairs]
     assert second_best(*noisy[0]) > 2.0 * MIN_SECOND_BEST
     # A family of two parameters fits alike; what differs is how noise falls on its members.
     assert second_best(*noisy[1]) < MIN_SECOND_BEST
@@ -181,11 +183,20 @@ def test_a_planar_path_leaves_the_fundamental_matrix_open():
     assert refusal.status == "degenerate_pose"
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_pairs_without_noise_leave_the_fundamental_matrix_no_more_open(seed):
+    """Bug: a least eigenvalue of zero, which rounding may make negative, was taken for no F."""
+    times_s = np.linspace(0.2, 19.0, 300)
+    assert open_fundamental(*track_pair(make_scene(seed), times_s)) is None
+    assert open_fundamental(*track_pair(flat(make_scene(seed)), times_s)) is not None
+
+
 def test_points_at_rest_allow_no_fundamental_matrix():
     """Bug: the fit divided by zero."""
     points = np.full((40, 2), 100.0)
     assert np.isnan(lmeds_fundamental(points, points, trials=50)).all()
     assert np.isnan(reweighted_fundamental(points, points)).all()
+    assert second_best(points, points) == 1.0
 
 
 def estimate_with(variances: list[float], t_d_std_s: float = 1e-3) -> Estimate:

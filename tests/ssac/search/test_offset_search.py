@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from ssac.config import Config
+from ssac.search.observability import valleys
 from ssac.search.offset_search import (
     candidate_offsets,
     coarse_to_fine_search,
@@ -87,6 +88,27 @@ def test_costs_without_a_number_are_passed_over():
     nothing = coarse_to_fine_search(lambda t: t * np.nan, lambda t: t * np.nan, OFFSETS_S)
     assert np.isnan(nothing.t_d_s)
     assert np.isnan(coarse_to_fine_search(cost, cost, np.empty(0)).t_d_s)
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 8])
+@pytest.mark.parametrize("coarsest", [5, 7, 13, 20])
+def test_an_interval_shorter_than_a_step_is_searched(n, coarsest):
+    """Bug: no step from the coarse minimum reached another candidate, and the search fell over."""
+    offsets_s = 0.2 + 0.001 * np.arange(n)
+    search = coarse_to_fine_search(rounded_v(0.2), rounded_v(0.2), offsets_s, coarsest)
+    assert search.t_d_s == exhaustive_search(rounded_v(0.2), offsets_s).t_d_s
+    assert search.at_bound
+
+
+def test_a_return_of_the_path_where_no_cost_is_known_is_no_rival():
+    """Bug: it fell over where a path repeats itself, and too few samples are valid a lag away."""
+
+    def cost(t_d_s):
+        return np.where(t_d_s > 0.45, np.nan, rounded_v(0.2)(t_d_s))
+
+    search = coarse_to_fine_search(cost, cost, OFFSETS_S, returns_s=np.array([0.4]))
+    assert search.t_d_s == pytest.approx(0.2, abs=5e-6)
+    assert len(valleys(search.candidates_s, search.d_avg_px, search.t_d_s)) == 1
 
 
 def test_candidates_keep_half_of_the_longest_overlap(views):

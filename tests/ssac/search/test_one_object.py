@@ -104,13 +104,12 @@ def test_no_object_that_both_see_is_refused():
 
 
 def test_swaying_branches_are_left_out_or_told():
-    cameras, things = crowd(flight(4), (branches(1), branches(2)))
+    cameras, _ = crowd(flight(4), (branches(1), branches(2)))
     found = one_object(*cameras, RIG, Config())
     if found.refusal is None:
         assert_right(joint(found.cam1, found.cam2, RIG, Config()), make_scene(4))
     else:
         assert found.refusal.status == Status.SEVERAL_OBJECTS
-    assert len(things) == 2
 
 
 def test_a_track_beside_a_crowd_is_one_object():

@@ -7,9 +7,11 @@ import pytest
 
 import ssac.search.view
 from ssac.config import Config
+from ssac.errors import SsacError
+from ssac.points import PointTrack
 from ssac.search.two_views import TwoViews, two_views
 from ssac.track.motion import object_motion
-from ssac.track.observation import Observation
+from ssac.track.observation import Observation, tracked
 from tests.ssac.synthetic import K, make_events, make_scene
 
 T_D_S = 0.25
@@ -77,3 +79,20 @@ def test_the_views_are_summed_up_once(events, monkeypatch):
         assert len(views.returns_s) == 0
         assert not views.repeats
     assert calls == ["view_of", "view_of", "returns_s", "returns_s"]
+
+
+@pytest.mark.parametrize(("number", "name"), [(1, "cam1"), (2, "cam2")])
+def test_a_camera_that_cannot_be_is_refused(number, name, events):
+    """Bug: without distortion nothing looked at K, and its inverse raised LinAlgError."""
+    rig = replace(SCENE.rig, **{name: replace(SCENE.rig.cam1, K=np.zeros((3, 3)))})
+    with pytest.raises(SsacError, match=f"camera {number}: focal lengths must be positive"):
+        two_views(*map(Observation, events), rig)
+
+
+@pytest.mark.parametrize(("points", "sigmas"), [((9, 2), None), ((10, 3), None), ((10, 2), (9,))])
+def test_a_track_of_unequal_lengths_is_refused(points, sigmas):
+    """Bug: it reached NumPy, which could not broadcast it."""
+    times_s = 0.1 * np.arange(10)
+    track = PointTrack(times_s, np.ones(points), None if sigmas is None else np.ones(sigmas))
+    with pytest.raises(SsacError, match=r"camera 1: a track of 10 times must have points of shape"):
+        two_views(tracked(track), tracked(track), SCENE.rig)

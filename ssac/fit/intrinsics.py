@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssac.camera import Camera, Rig, distort_points
+from ssac.fit.covariance import repeats
+from ssac.fit.least_squares import covariance_of, fair_scales, hidden_covariance
+from ssac.fit.problem import Column, Parameters, Prior, Problem, Residuals, linearise
 from ssac.geometry.epipolar import fundamental_from_pose
-from ssac.geometry.problem import Column, Parameters, Prior, Problem, Residuals, linearise
 from ssac.geometry.robust import cauchy_weights, robust_deviation
-from ssac.methods.covariance import repeats
-from ssac.methods.least_squares import covariance_of, fair_scales, hidden_covariance
 
 Array = NDArray[np.float64]
 

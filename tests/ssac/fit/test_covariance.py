@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import nnls
 from scipy.stats import t as student
 
-from ssac.methods.covariance import PRIOR, TIMES_S, correlated_covariance, mapped_covariance
+from ssac.fit.covariance import PRIOR, TIMES_S, correlated_covariance, mapped_covariance
 
 
 def waves(times_s, p, rng):

@@ -1,6 +1,6 @@
 """A problem and where to start in; the parameters of least robust loss, and their covariance, out.
 
-The one solver of every refinement: the residuals of `ssac.geometry.problem` under Cauchy's loss,
+The one solver of every refinement: the residuals of `ssac.fit.problem` under Cauchy's loss,
 and one more residual for each prior. Pairs are moved along where the solver changes the offset:
 whoever calls samples anew until nothing changes.
 """
@@ -11,7 +11,14 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from ssac.geometry.problem import (
+from ssac.fit.covariance import (
+    PRIOR,
+    bounded_inverse,
+    correlated_covariance,
+    mapped_covariance,
+    mean_curvature,
+)
+from ssac.fit.problem import (
     FIRST_COLUMN,
     Parameters,
     Problem,
@@ -20,13 +27,6 @@ from ssac.geometry.problem import (
     moved,
 )
 from ssac.geometry.robust import cauchy_weights, robust_deviation
-from ssac.methods.covariance import (
-    PRIOR,
-    bounded_inverse,
-    correlated_covariance,
-    mapped_covariance,
-    mean_curvature,
-)
 
 Array = NDArray[np.float64]
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from ssac.geometry.epipolar import fundamental_from_pose, sampson_distance
-from ssac.geometry.problem import (
+from ssac.fit.least_squares import _least_squares, covariance_of, fair_scales, solve
+from ssac.fit.problem import (
     FIRST_COLUMN,
     T_D,
     Column,
@@ -18,8 +18,8 @@ from ssac.geometry.problem import (
     linearise,
     moved,
 )
+from ssac.geometry.epipolar import fundamental_from_pose, sampson_distance
 from ssac.geometry.robust import CAUCHY
-from ssac.methods.least_squares import _least_squares, covariance_of, fair_scales, solve
 from tests.ssac.synthetic import K, make_scene, rotation_angle_deg, track_pair
 
 SCENE = make_scene(seed=2)
