@@ -6,9 +6,9 @@ a file is only of use when its absolute timestamps survive reading:
 =======  ===============================================  ==========================
 suffix   format                                           absolute time
 =======  ===============================================  ==========================
-.h5      HDF5: ours, DSEC's, Prophesee's (hdf5_files.py)  kept
-.txt     ESIM text (text_files.py)                        kept
-.csv     named columns (text_files.py)                    kept
+.h5      HDF5: ours, DSEC's, Prophesee's (hdf5.py)        kept
+.txt     ESIM text (text.py)                              kept
+.csv     named columns (text.py)                          kept
 .aedat4  iniVation AEDAT 4                                kept
 .raw     Prophesee EVT2                                   kept
 .raw     Prophesee EVT3                                   modulo 2^24 us = 16.8 s
