@@ -111,15 +111,15 @@ def finish(outcome: Outcome, cache: Cache, *files: Path) -> None:
     failed = runs[runs["status"] != "ok"]
     of = next((name for name in ("method", "variant", "signal") if name in failed), "status")
     typer.echo(
-        f"{len(runs)} runs; {outcome.n_recordings} recordings worked on, "
-        f"{outcome.n_simulated} of them simulated",
+        f"{len(runs)} runs; recordings worked on: {outcome.n_recordings}, of them simulated: "
+        f"{outcome.n_simulated}",
         err=True,
     )
     if outcome.n_deaths:
         typer.echo(f"{outcome.n_deaths} workers died and were replaced", err=True)
     if outcome.peak_mb:
         typer.echo(f"peak memory of a worker: {outcome.peak_mb:.0f} MB", err=True)
-    typer.echo(f"cache {cache.folder}: {cache.size_bytes() / 1e9:.2f} GB", err=True)
+    typer.echo(f"size of the cache {cache.folder}: {cache.size_bytes() / 1e9:.2f} GB", err=True)
     for (name, status), group in failed.groupby([of, "status"]):
         typer.echo(f"{name}: {len(group)} runs {status}: {group['reason'].iloc[0]}", err=True)
     for path in files:
