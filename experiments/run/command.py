@@ -111,8 +111,8 @@ def finish(outcome: Outcome, cache: Cache, *files: Path) -> None:
     failed = runs[runs["status"] != "ok"]
     of = next((name for name in ("method", "variant", "signal") if name in failed), "status")
     typer.echo(
-        f"{len(runs)} runs; recordings worked on: {outcome.n_recordings}, of them simulated: "
-        f"{outcome.n_simulated}",
+        f"{len(runs)} runs; recordings worked on: {outcome.n_recordings} "
+        f"({outcome.n_simulated} of them simulated)",
         err=True,
     )
     if outcome.n_deaths:
