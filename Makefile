@@ -17,13 +17,13 @@ RUN := .venv/bin/python -m
 	audit torture scene fidelity real outdoor network physical docs wheel clean-cache clean moved
 .DEFAULT_GOAL := help
 
-help: ## this list
+help: ## list these commands
 	@awk -F ' *## *' '/^[a-z-]+:.*## / { sub(/:.*/, "", $$1); printf "  make %-11s %s\n", $$1, $$2 }' Makefile
 
-setup: .venv/.ready ## virtual environment, packages, OpenGL libraries (all others do this by themselves)
+setup: .venv/.ready ## virtual environment, packages, OpenGL libraries (the others run this first)
 	@:
 
-demo: .venv/.ready ## simulate two cameras, recover their offset and pose, draw one picture (a minute)
+demo: .venv/.ready ## simulate two cameras, recover offset and pose, draw one figure (a minute) -> out/demo
 	@.venv/bin/ssac demo
 
 tables: .venv/.ready ## the paper's simulation tables, 300 recordings (20 minutes from nothing) -> results/esim_*.csv
@@ -32,22 +32,22 @@ tables: .venv/.ready ## the paper's simulation tables, 300 recordings (20 minute
 ablations: .venv/.ready ## one parameter varied at a time (half an hour) -> results/ablation_*.csv, *.png
 	@.venv/bin/ssac ablate
 
-studies: .venv/.ready ## is the uncertainty honest, is the unknown refused, how near the bound (half an hour)
+studies: .venv/.ready ## coverage of the intervals, refusals, Cramer-Rao bound, ... (over an hour) -> results/
 	@.venv/bin/ssac study efficiency coverage refusal imperfect marks tangency zncc
 
 figures: .venv/.ready ## the paper's figures, and errors against the angle -> results/*.png
 	@.venv/bin/ssac figures
 
-numbers: .venv/.ready ## the numbers that README.md and docs/ quote, as results/ has them now
+numbers: .venv/.ready ## update the numbers quoted in README.md and docs/ from results/
 	@.venv/bin/ssac numbers
 
-report: .venv/.ready ## all results on one page to look at -> out/report.html
+report: .venv/.ready ## all results on one HTML page -> out/report.html
 	@.venv/bin/ssac report
 
-verify: .venv/.ready ## results/ whole and as it follows from its runs, some of them anew (two minutes)
+verify: .venv/.ready ## check that results/ is complete and follows from its runs; rerun a few (two minutes)
 	@.venv/bin/ssac verify
 
-test: .venv/.ready ## the tests, in a process for each core
+test: .venv/.ready ## all tests, on up to four cores
 	@$(RUN) pytest --numprocesses auto --maxprocesses 4 --dist loadfile
 
 lint: .venv/.ready ## ruff: rules and formatting
@@ -60,18 +60,18 @@ types: .venv/.ready ## mypy --strict on sim, ssac and experiments
 docs: .venv/.ready ## API reference, the tour (executed) and the pages as HTML -> out/docs/index.html
 	@.venv/bin/python docs/build.py
 
-wheel: .venv/.ready ## the wheel, built, installed in a clean environment and used there
+wheel: .venv/.ready ## build the wheel, install it in a clean environment, use it there
 	@.ci/wheel
 
 # A peer of the sensor model, which nothing else needs: without it a row of the benchmark says so.
 PEER := eventify-dvs==0.2.0
 
-audit: .venv/.ready ## known flaws of the pinned packages, by pip-audit: needs the package index's own service
+audit: .venv/.ready ## known vulnerabilities of the pinned packages, by pip-audit (needs a network)
 	@.venv/bin/python -m venv --clear out/audit
 	@out/audit/bin/python -m pip install --quiet --disable-pip-version-check --no-input pip-audit==2.10.1
 	@out/audit/bin/pip-audit --requirement requirements.txt --no-deps --disable-pip --strict --progress-spinner off
 
-torture: .venv/.ready ## 20,000 damaged inputs, killed and disturbed sweeps (half an hour) -> results/reliability.csv
+torture: .venv/.ready ## 20,000 damaged inputs, killed and disturbed sweeps (an hour) -> results/reliability.csv
 	@.venv/bin/python -c 'import distributed' 2>/dev/null || \
 		.venv/bin/python -m pip install --quiet --disable-pip-version-check --no-input 'dask[distributed]'
 	@.venv/bin/ssac torture
@@ -81,29 +81,29 @@ bench: .venv/.ready ## speed, memory and their growth, as ratios (15 minutes) ->
 		2>/dev/null || echo 'make bench: $(PEER) cannot be installed, so it is not measured' >&2
 	@.venv/bin/ssac bench
 
-scene: .venv/.ready ## how the default scene looks, beside the authors' sample (2 minutes)
+scene: .venv/.ready ## statistics of the default scene, beside the authors' sample (2 minutes)
 	@.venv/bin/ssac scene
 
-fidelity: .venv/.ready ## events against dense references, 20 flights (2 minutes each) -> results/fidelity.csv
+fidelity: .venv/.ready ## events against dense references, 20 flights (an hour) -> results/fidelity.csv
 	@.venv/bin/ssac study fidelity
 
-real: .venv/.ready ## pairs, and paths of all cameras, of DATA, the drone-tracking data sets, which you fetch -> results/real_*.csv
+real: .venv/.ready ## drone-tracking data sets, downloaded to DATA=folder: offsets, paths -> results/real_*.csv
 	@.venv/bin/ssac real $(DATA)
 
-outdoor: .venv/.ready ## the paper's outdoor set-up, 10 flights of 120 s (2 minutes each) -> results/outdoor.csv
+outdoor: .venv/.ready ## the paper's outdoor experiment, simulated: 10 flights (2 minutes each) -> results/outdoor.csv
 	@.venv/bin/ssac outdoor
 
-network: .venv/.ready ## many cameras at once: errors of four, growth with eight (half an hour) -> results/network*.csv
+network: .venv/.ready ## many cameras: errors of four, run time with eight (half an hour) -> results/network*.csv
 	@.venv/bin/ssac network
 
-physical: .venv/.ready ## the paper's small-scale set-up, its tables and an error budget (hours) -> results/mini_*.csv
+physical: .venv/.ready ## the paper's small-scale experiment, simulated; error budget (hours) -> results/mini_*.csv
 	@.venv/bin/ssac physical
 
-clean-cache: ## remove the recordings and runs that tables, ablations and sweeps keep in cache/
+clean-cache: ## remove cache/: recordings and runs kept by tables, studies and sweeps
 	@du -sh cache 2>/dev/null || true
 	rm -rf cache
 
-clean: ## remove all that make created, .venv included; results/ stays
+clean: ## remove everything that make created, .venv too, except results/
 	rm -rf .venv build out cache *.egg-info .pytest_cache .mypy_cache .ruff_cache
 	find sim ssac experiments tests -name __pycache__ -prune -exec rm -rf {} +
 

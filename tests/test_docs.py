@@ -1,4 +1,4 @@
-"""The tour runs, the README's example prints what it shows, and pages become HTML."""
+"""The scripts of docs/ do what the pages say of them, and pages become HTML."""
 
 import importlib.util
 import re
@@ -6,6 +6,8 @@ import sys
 from pathlib import Path
 from types import ModuleType
 
+import cv2
+import numpy as np
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -21,7 +23,7 @@ def _script(name: str) -> ModuleType:
     return module
 
 
-build, example = _script("build"), _script("example")
+build, example, track_video = (_script(name) for name in ("build", "example", "track_video"))
 
 
 def test_a_script_is_split_at_its_marks() -> None:
@@ -69,6 +71,27 @@ def test_the_tour_runs_and_finds_what_it_says() -> None:
     assert re.search(r"^ambiguous_offset\n\w", said, re.MULTILINE)
     # Two bins of 5 ms: the drone's middle is not at one height for both cameras.
     assert float(re.findall(r"^heights: .* off by ([\d.]+) ms", said, re.MULTILINE)[0]) <= 20
+
+
+def test_a_video_becomes_the_track_of_what_moves_in_it(tmp_path: Path) -> None:
+    fps, size = 30.0, (160, 120)
+    frames = np.arange(90)
+    path_px = np.column_stack([80 + 50 * np.cos(0.1 * frames), 60 + 35 * np.sin(0.13 * frames)])
+    ground = np.random.default_rng(0).integers(120, 200, (15, 20), np.uint8)
+    ground = cv2.resize(ground, size, interpolation=cv2.INTER_CUBIC)
+    video = cv2.VideoWriter(
+        str(tmp_path / "a.mp4"), cv2.VideoWriter.fourcc(*"mp4v"), fps, size, isColor=True
+    )
+    for x, y in path_px:
+        image = cv2.circle(ground.copy(), (round(16 * x), round(16 * y)), 6 * 16, 20, -1, 16, 4)
+        video.write(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
+    video.release()
+    times_s, points_px = track_video.followed(tmp_path / "a.mp4", 12)
+    seen = np.rint(times_s * fps).astype(int)
+    # All frames but those of the first second, in which the background is learnt.
+    assert seen.tolist() == list(range(30, 90))
+    # A mask of whole pixels, from a compressed video.
+    assert np.abs(points_px - path_px[seen]).max() < 1.0
 
 
 @pytest.mark.render

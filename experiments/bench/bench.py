@@ -67,7 +67,7 @@ def bench_command(
     ),
     growth: Annotated[
         Extent,
-        typer.Option(help="Pairs of up to 50 million events a camera, or of up to 10."),
+        typer.Option(help="Largest pair: 50 million events per camera (full), or 10 (short)."),
     ] = DEFAULT,
 ) -> None:
     """Measure speed and memory, each on one core, and write them with their marks."""

@@ -71,17 +71,17 @@ class Drawing:
 def figures_command(
     names: Annotated[
         list[str] | None,
-        typer.Argument(
-            help="Figures to draw, by their files' names.  [default: all]", metavar="NAME"
-        ),
+        typer.Argument(help="Figures to draw, by file name.  [default: all]", metavar="NAME"),
     ] = None,
-    results: Annotated[Path, typer.Option(help="With the CSVs.", metavar="FOLDER")] = Path(
+    results: Annotated[Path, typer.Option(help="Folder with the CSVs.", metavar="FOLDER")] = Path(
         "results"
     ),
     cache: Annotated[
-        Path, typer.Option(help="Keeps recordings.", metavar="FOLDER")
+        Path, typer.Option(help="Folder of cached recordings.", metavar="FOLDER")
     ] = DEFAULT_FOLDER,
-    out: Annotated[Path, typer.Option(help="For the PNGs.", metavar="FOLDER")] = Path("results"),
+    out: Annotated[Path, typer.Option(help="Folder for the PNGs.", metavar="FOLDER")] = Path(
+        "results"
+    ),
 ) -> None:
     """Draw the paper's Fig. 3 to 5, and all methods' errors; studies draw their own figures."""
     start = time.perf_counter()

@@ -32,7 +32,9 @@ PARTS = ("four", "growth")
 def network_command(
     parts: Annotated[list[str] | None, parts_argument(PARTS)] = None,
     out: OutOption = Path("results"),
-    flights: Annotated[int, number("Before four cameras.", 1, 1000, metavar="COUNT")] = N_FLIGHTS,
+    flights: Annotated[
+        int, number("Flights seen by four cameras.", 1, 1000, metavar="COUNT")
+    ] = N_FLIGHTS,
     workers: WorkersOption = -1,
     scheduler: SchedulerOption = "",
     cache: CacheOption = DEFAULT_FOLDER,

@@ -37,10 +37,12 @@ _MEASURED = [name for name in COLUMNS if name not in ("flight", "kind", "status"
 
 def outdoor_command(
     out: OutOption = Path("results"),
-    flights: Annotated[int, number("Flights.", 1, 1000, metavar="COUNT")] = N_FLIGHTS,
-    duration: Annotated[float, number("Of each flight.", 10, 3600, "seconds")] = DURATION_S,
+    flights: Annotated[int, number("Number of flights.", 1, 1000, metavar="COUNT")] = N_FLIGHTS,
+    duration: Annotated[
+        float, number("Duration of each flight.", 10, 3600, "seconds")
+    ] = DURATION_S,
     third: Annotated[
-        bool, typer.Option("--third/--no-third", help="Also with a third camera.")
+        bool, typer.Option("--third/--no-third", help="Solve each flight with a third camera too.")
     ] = True,
     cache: CacheOption = DEFAULT_FOLDER,
 ) -> None:

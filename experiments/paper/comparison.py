@@ -23,8 +23,8 @@ from ssac.errors import SsacError
 RULE = (
     "Agrees: the 95 % interval of the difference of the means (Welch's t, from both means, "
     "deviations and numbers of runs), widened by half a unit of the last printed digit of the "
-    "published mean, holds 0. Better: it lies below 0, so ours is smaller. Differs: it lies above "
-    "0, so ours is larger, or fewer than two of our runs gave an estimate"
+    "published mean, contains 0. Better: it lies below 0, so ours is smaller. Differs: it lies "
+    "above 0, so ours is larger, or fewer than two of our runs gave an estimate"
 )
 SIZE_RULE = (
     "Of the paper's size or better: a one-sided test at 5 % does not find our mean larger (the "

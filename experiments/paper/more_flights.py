@@ -51,12 +51,12 @@ def flights_section(
     pieces = [
         "## What our further flights tell",
         paragraph(
-            f"""The paper has {PUBLISHED_RUNS} flights a cell. By our first {PUBLISHED_RUNS} alone
-            and by all of them (`first_verdict` and `verdict` of `comparison.csv`), so many cells
-            agree, are better and differ; *changed* counts the cells whose verdict is another one.
-            The ratio of ours to the paper's is known to a factor: its 95 % interval is the ratio
-            divided and multiplied by it. The paper's own flights leave the last factor, however
-            many ours are."""
+            f"""The paper has {PUBLISHED_RUNS} flights per cell. Each pair of numbers is by our
+            first {PUBLISHED_RUNS} flights alone and by all of them (`first_verdict` and `verdict`
+            of `comparison.csv`); *changed* counts the cells whose verdict differs between the two.
+            The 95 % interval of the ratio to the paper's means reaches from the ratio divided by
+            the factor given to the ratio multiplied by it. The last column is the factor that the
+            paper's own flights would leave however many ours were."""
         ),
         markdown_table(header, rows),
         paragraph("Verdicts that changed (angle [deg]: offsets [ms]):"),

@@ -61,15 +61,17 @@ def _opening(runs: pd.DataFrame, tables: Mapping[float, pd.DataFrame]) -> str:
     n_recordings = len(runs[["duration_s", "angle_deg", "flight"]].drop_duplicates())
     files = " and ".join(f"`esim_{duration_s:g}.csv`" for duration_s in tables)
     text = paragraph(
-        f"""Flights at each angle: {flights}; {n_recordings} recordings in all, each of another
-        flight. So angles and durations are independent of each other, but the offsets of an angle
-        and all methods see the same flights: an offset is added to camera 2's timestamps. The
-        recording of a row of `runs.csv` is what `ssac simulate OUT --angle ANGLE --duration
-        DURATION --t-d OFFSET --seed SEED` makes of its columns (angle_deg, duration_s, t_d_ms /
-        1000, seed). Numbers are mean errors ± standard deviations (over the number of runs, not one
-        less, as the paper's are) of the runs that gave an estimate. The tables are {files}; every
-        single run is in `runs.csv`, every comparison with its interval in `comparison.csv`, the
-        paper's numbers in `published/`."""
+        f"""Flights at each angle: {flights}; {n_recordings} recordings in all, each of a different
+        flight. Angles and durations are therefore independent of each other, but all methods and
+        all offsets of an angle share the same flights: an offset is only added to camera 2's
+        timestamps. To make the recording of a row of `runs.csv`, give its columns angle_deg,
+        duration_s, t_d_ms / 1000 and seed to `ssac simulate OUT --angle ANGLE --duration DURATION
+        --t-d OFFSET --seed SEED`. Numbers are mean errors ± standard deviations (dividing by the
+        number of runs, as the paper does) of the runs that gave an estimate. The tables are
+        {files}; every run is in `runs.csv`, every comparison with its interval in
+        `comparison.csv`, the paper's numbers in `published/`. The other files of this folder are
+        listed in [docs/results.md](../docs/results.md); FILE.csv has its commit, versions and
+        configuration in FILE.provenance.json, and `SHA256SUMS` the checksums of all."""
     )
     return f"# The paper's simulation tables\n\n{text}"
 
@@ -91,20 +93,20 @@ def _against_the_paper(summary: pd.DataFrame) -> str:
             "## Against the paper",
             markdown_table(header, rows),
             paragraph(
-                """*ours / paper*: ratio of the geometric means over the cells, and its interval.
-                *visible from*: the difference that the rule just tells in the median cell, as a
-                share of the published mean. Each quantity's row is one of
-                `comparison_summary.csv` too."""
+                """*ours / paper*: ratio of the geometric means over the cells, with its 95 %
+                interval. *visible from*: the smallest difference that the rule detects in the
+                median cell, as a share of the published mean. These rows are also in
+                `comparison_summary.csv`."""
             ),
             paragraph(f"The rule for a cell. {RULE}."),
             paragraph(
-                f"""Where both sides drew from one distribution, up to 5 % of the cells would not
-                agree, by chance. Cells of another angle or duration are independent of each other,
-                but the three offsets of an angle share its flights, in the paper evidently too (its
-                correlation methods err alike at 5 and 50 ms): they agree or differ together. The
-                published numbers rest on {PUBLISHED_RUNS} runs each. The smaller error of a
-                correlation method is called better by the same rule, though for a reproduction it
-                is a difference."""
+                f"""If both sides drew from one distribution, up to 5 % of the cells would still not
+                agree, by chance. Cells of different angles or durations are independent of each
+                other, but the three offsets of an angle share its flights, in the paper evidently
+                too (its correlation methods err alike at 5 and 50 ms), so they agree or differ
+                together. The published numbers rest on {PUBLISHED_RUNS} runs each. A smaller error
+                of a correlation method counts as better by the same rule, though in a reproduction
+                it is a difference."""
             ),
         ]
     )
@@ -285,8 +287,8 @@ def _making(provenance: Mapping[str, Any]) -> str:
     text = paragraph(
         f"""`{provenance.get("command", "?")}` at commit {provenance.get("commit", "?")}{took};
         rendered by {gl.get("renderer", "?")}, {gl.get("backend", "?")}; {versions}. `make verify`
-        makes this page, the tables and the comparison again from `runs.csv`, and some runs, others
-        each time, from nothing."""
+        makes this page, the tables and the comparison again from `runs.csv`, and repeats a random
+        choice of runs from nothing."""
     )
     return f"## How it was made\n\n{text}"
 

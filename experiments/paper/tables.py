@@ -40,7 +40,9 @@ def tables_config() -> dict[str, Any]:
 
 
 def tables_command(
-    out: Annotated[Path, typer.Option(help="For the tables.", metavar="FOLDER")] = Path("results"),
+    out: Annotated[Path, typer.Option(help="Folder for the tables.", metavar="FOLDER")] = Path(
+        "results"
+    ),
     workers: WorkersOption = -1,
     scheduler: SchedulerOption = "",
     cache: CacheOption = DEFAULT_FOLDER,

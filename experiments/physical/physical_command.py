@@ -48,7 +48,11 @@ def physical_command(
     recordings: Annotated[
         int | None,
         number(
-            "At each point, for a trial.", 1, 1000, metavar="COUNT", default_words="the study's"
+            "Recordings at each point; fewer for a trial run.",
+            1,
+            1000,
+            metavar="COUNT",
+            default_words="the study's",
         ),
     ] = None,
     workers: WorkersOption = -1,

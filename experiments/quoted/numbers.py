@@ -28,10 +28,10 @@ _CODE = re.compile(r"^```.*?^```|`[^`\n]*`", re.DOTALL | re.MULTILINE)
 
 def numbers_command(
     root: Annotated[
-        Path, typer.Option(help="With README.md, docs/ and results/.", metavar="FOLDER")
+        Path, typer.Option(help="Folder with README.md, docs/ and results/.", metavar="FOLDER")
     ] = Path("."),
     check: Annotated[
-        bool, typer.Option("--check", help="Write nothing; fail where a number is stale.")
+        bool, typer.Option("--check", help="Write nothing; fail if a number is stale.")
     ] = False,
 ) -> None:
     """Write the numbers that README.md and docs/ quote, as they are in results/ now."""

@@ -29,9 +29,7 @@ def real_command(
             metavar="DATA", help="Folder with dataset1 ... and calibration.", show_default=False
         ),
     ],
-    out: Annotated[
-        Path, typer.Option(metavar="FOLDER", help="Where to write the tables.")
-    ] = RESULTS,
+    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder for the tables.")] = RESULTS,
 ) -> None:
     """Synchronise every pair, and solve all cameras at once, of drone-tracking's sets 1, 2 and 4.
 

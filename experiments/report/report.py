@@ -28,10 +28,13 @@ _PAGE = files("experiments.report") / "page"
 
 def report_command(
     results: Annotated[
-        Path, typer.Option(help="With the results, as `ssac tables` writes them.", metavar="FOLDER")
+        Path,
+        typer.Option(
+            help="Folder with the results, as `ssac tables` writes them.", metavar="FOLDER"
+        ),
     ] = Path("results"),
     cache: Annotated[
-        Path, typer.Option(help="Keeps recordings.", metavar="FOLDER")
+        Path, typer.Option(help="Folder of cached recordings.", metavar="FOLDER")
     ] = DEFAULT_FOLDER,
     out: Annotated[Path, typer.Option(help="HTML to write.", metavar="FILE")] = Path(
         "out/report.html"

@@ -31,27 +31,25 @@ def _some(workers: int) -> int:
 
 WorkersOption = Annotated[
     int,
-    typer.Option(help="Processes; -1: one for each core.", metavar="COUNT", callback=_some),
+    typer.Option(help="Worker processes; -1: one per core.", metavar="COUNT", callback=_some),
 ]
 SchedulerOption = Annotated[
     str,
-    typer.Option(
-        help="Of a Dask scheduler whose workers do it instead, as host:port.", metavar="ADDRESS"
-    ),
+    typer.Option(help="Run on a Dask cluster: host:port of its scheduler.", metavar="ADDRESS"),
 ]
-OutOption = Annotated[Path, typer.Option(metavar="FOLDER", help="Where to write.")]
+OutOption = Annotated[Path, typer.Option(metavar="FOLDER", help="Folder for the results.")]
 CacheOption = Annotated[
-    Path, typer.Option(help="Keeps finished recordings and runs.", metavar="FOLDER")
+    Path, typer.Option(help="Folder that keeps finished recordings and runs.", metavar="FOLDER")
 ]
 
 RendererOption = Annotated[
-    str, typer.Option(help=f"What draws: {' or '.join(RENDERERS)} (OpenGL).", metavar="NAME")
+    str, typer.Option(help=f"Renderer: {' or '.join(RENDERERS)} (OpenGL).", metavar="NAME")
 ]
 CheckOption = Annotated[
     bool,
     typer.Option(
         "--check/--no-check",
-        help="Draw some instants with OpenGL too and compare; not where there is none.",
+        help="Check some instants against OpenGL; --no-check where there is none.",
     ),
 ]
 
@@ -59,7 +57,9 @@ CheckOption = Annotated[
 def parts_argument(parts: Iterable[str]) -> Any:
     """Make the argument that names some parts of a command; `chosen_parts` reads it."""
     return typer.Argument(
-        help=f"Of {', '.join(parts)}.  [default: all]", metavar="PART", show_default=False
+        help=f"Parts to run: {', '.join(parts)}.  [default: all]",
+        metavar="PART",
+        show_default=False,
     )
 
 
@@ -117,15 +117,15 @@ def finish(outcome: Outcome, cache: Cache, *files: Path) -> None:
     failed = runs[runs["status"] != "ok"]
     of = next((name for name in ("method", "variant", "signal") if name in failed), "status")
     typer.echo(
-        f"{len(runs)} runs; {outcome.n_recordings} recordings worked on, "
-        f"{outcome.n_simulated} of them simulated",
+        f"{len(runs)} runs; recordings worked on: {outcome.n_recordings} "
+        f"({outcome.n_simulated} of them simulated)",
         err=True,
     )
     if outcome.n_deaths:
         typer.echo(f"{outcome.n_deaths} workers died and were replaced", err=True)
     if outcome.peak_mb:
         typer.echo(f"peak memory of a worker: {outcome.peak_mb:.0f} MB", err=True)
-    typer.echo(f"cache {cache.folder}: {cache.size_bytes() / 1e9:.2f} GB", err=True)
+    typer.echo(f"size of the cache {cache.folder}: {cache.size_bytes() / 1e9:.2f} GB", err=True)
     for (name, status), group in failed.groupby([of, "status"]):
         typer.echo(f"{name}: {len(group)} runs {status}: {group['reason'].iloc[0]}", err=True)
     for path in files:

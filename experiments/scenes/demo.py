@@ -31,7 +31,7 @@ def demo_command(
     out_dir: Annotated[
         Path, typer.Option("--out", metavar="FOLDER", help="Folder for the results.")
     ] = Path("out/demo"),
-    seed: Annotated[int, number("Of the simulated flight.", 0, MAX_SEED)] = 0,
+    seed: Annotated[int, number("Seed of the simulated flight.", 0, MAX_SEED)] = 0,
 ) -> None:
     """Simulate 20 s at 90 deg with an offset of 50 ms, recover it, and draw one figure."""
     folder = out_dir / "recording"

@@ -18,23 +18,24 @@ PresetOption = Annotated[
     str | None,
     typer.Option(
         metavar="NAME",
-        help=f"A sensor as bad as a real one: {', '.join(SENSOR_PRESETS)}.",
+        help=f"Sensor model with the imperfections of a real one: {', '.join(SENSOR_PRESETS)}.",
     ),
 ]
 IlluminanceOption = Annotated[
     float | None,
-    number("Light of the scene, on which a sensor's effects depend.", 1e-3, 1e6, "lux"),
+    number("Illuminance of the scene, on which the sensor's effects depend.", 1e-3, 1e6, "lux"),
 ]
 EffectOption = Annotated[
     list[str] | None,
     typer.Option(
         metavar="NAME=VALUE",
-        help="One effect of the sensor, in place of the preset's; see docs/physical.md for names. "
+        help="Set one effect of the sensor, overriding the preset; names in docs/physical.md. "
         "May be given several times.",
     ),
 ]
 NoiseNameOption = Annotated[
-    str, typer.Option(metavar="NAME", help=f"Noise of the pixels alone: {', '.join(PRESETS)}.")
+    str,
+    typer.Option(metavar="NAME", help=f"Pixel noise without other effects: {', '.join(PRESETS)}."),
 ]
 
 

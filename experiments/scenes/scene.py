@@ -89,7 +89,7 @@ def scene_command(
     seeds: Annotated[int, number("Flights to average over.", 1, 1000, metavar="COUNT")] = 10,
     first_seed: Annotated[int, number("Seed of the first flight.", 0, 2**32 - 1)] = 0,
     drone: Annotated[
-        str, typer.Option(metavar="NAME", help=f"{', '.join(DRONES)}.")
+        str, typer.Option(metavar="NAME", help=f"Drone: {', '.join(DRONES)}.")
     ] = SimConfig.drone,
 ) -> None:
     """Print how the default scene looks to the method, beside the authors' public sample."""

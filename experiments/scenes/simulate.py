@@ -51,13 +51,17 @@ def simulate_command(
         Path,
         typer.Argument(metavar="OUT_DIR", help="New folder for the recording.", show_default=False),
     ],
-    angle: Annotated[float, number("Between the two lines of sight.", 1, 179, "degrees")] = 90.0,
-    duration: Annotated[float, number("Of the flight.", 1, 3600, "seconds")] = 20.0,
-    t_d: Annotated[float, number("Offset: t_cam2 = t_cam1 + t_d.", -86400, 86400, "seconds")] = 0.0,
+    angle: Annotated[
+        float, number("Angle between the two lines of sight.", 1, 179, "degrees")
+    ] = 90.0,
+    duration: Annotated[float, number("Duration of the flight.", 1, 3600, "seconds")] = 20.0,
+    t_d: Annotated[
+        float, number("Time offset: t_cam2 = t_cam1 + t_d.", -86400, 86400, "seconds")
+    ] = 0.0,
     skew_ppm: Annotated[
         float,
         number(
-            "Camera 2's clock runs fast by this share; t_d then holds in the middle.",
+            "Camera 2's clock runs fast by this rate; t_d then holds at mid-flight.",
             -MAX_SKEW_PPM,
             MAX_SKEW_PPM,
             "ppm",
@@ -66,11 +70,11 @@ def simulate_command(
     clock_jump: Annotated[
         tuple[float, float] | None,
         typer.Option(
-            metavar="T S", help="From T seconds on camera 2's clock shows S seconds more, S > 0."
+            metavar="T S", help="Camera 2's clock jumps forward by S seconds (S > 0) at time T."
         ),
     ] = None,
     seed: Annotated[
-        int, number("Of all that is random: the same seed gives the same bytes.", 0, MAX_SEED)
+        int, number("Random seed: the same seed gives the same bytes.", 0, MAX_SEED)
     ] = 0,
     trajectory: Annotated[
         Path | None,
@@ -92,15 +96,16 @@ def simulate_command(
         float, number("Beats per second of the bird's wings.", 0, 100, "hertz")
     ] = _DEFAULT.flap_hz,
     distance: Annotated[
-        float, number("Of the cameras from the point they look at.", 0.1, 10_000, "metres")
+        float, number("Distance of the cameras from the point they look at.", 0.1, 10_000, "metres")
     ] = _DEFAULT.distance_m,
     spread: Annotated[
         float,
-        number("Extent of the random flight; less keeps a near drone in view.", 0.01, 100),
+        number("Scale of the random flight; below 1 keeps a near drone in view.", 0.01, 100),
     ] = 1.0,
     focal: Annotated[float, number("Focal length.", 10, 100_000, "pixels")] = _DEFAULT.focal_px,
     resolution: Annotated[
-        tuple[int, int], number("Of each camera.", 16, 8192, "pixels", "WIDTH HEIGHT")
+        tuple[int, int],
+        number("Width and height of each camera's image.", 16, 8192, "pixels", "WIDTH HEIGHT"),
     ] = _DEFAULT.resolution,
     distortion_model: Annotated[
         str, typer.Option(metavar="NAME", help="none, radtan or equidistant.")
@@ -108,7 +113,7 @@ def simulate_command(
     distortion: Annotated[
         tuple[float, float, float, float],
         number(
-            "Its coefficients: k1 k2 p1 p2 (radtan) or k1 k2 k3 k4 (equidistant).",
+            "Distortion coefficients: k1 k2 p1 p2 (radtan) or k1 k2 k3 k4 (equidistant).",
             -10,
             10,
             metavar="K K K K",
@@ -118,11 +123,11 @@ def simulate_command(
         list[Path] | None,
         typer.Option(
             metavar="FILE",
-            help="Image behind the drone; once for all cameras, or once for each.",
+            help="Image behind the drone: give one for all cameras, or one for each.",
         ),
     ] = None,
     background_luminance: Annotated[
-        float, number("Of the sky where there is no image.", 0, 1)
+        float, number("Luminance of the sky where there is no image.", 0, 1)
     ] = _DEFAULT.background_luminance,
     preset: PresetOption = None,
     illuminance: IlluminanceOption = None,
@@ -139,14 +144,14 @@ def simulate_command(
     threshold_on: Annotated[
         float | None,
         number(
-            f"Contrast threshold C+, of log intensity; {_DEFAULT.sensor.threshold_on:g} or the "
-            "preset's where not given.",
+            f"ON contrast threshold, in log intensity; default: {_DEFAULT.sensor.threshold_on:g}, "
+            "or the preset's.",
             0.01,
             5,
         ),
     ] = None,
     threshold_off: Annotated[
-        float | None, number("Contrast threshold C-, by the same rule.", 0.01, 5)
+        float | None, number("OFF contrast threshold; same default.", 0.01, 5)
     ] = None,
     frame_rate: Annotated[
         float, number("Intensity frames per second; 0 for none.", 0, 1000, "hertz")
@@ -162,13 +167,13 @@ def simulate_command(
         number("Supersampling: a*a + b*b samples per pixel, b = 0 or 1.", 0, 64, metavar="A B"),
     ] = (_DEFAULT.render.lattice.a, _DEFAULT.render.lattice.b),
     renderer: Annotated[
-        str, typer.Option(metavar="NAME", help=f"What draws: {' or '.join(RENDERERS)} (OpenGL).")
+        str, typer.Option(metavar="NAME", help=f"Renderer: {' or '.join(RENDERERS)} (OpenGL).")
     ] = _DEFAULT.render.renderer,
     check: Annotated[
         bool,
         typer.Option(
             "--check/--no-check",
-            help="Draw some instants with OpenGL too and compare; not where there is none.",
+            help="Check some instants against OpenGL; --no-check where there is none.",
         ),
     ] = True,
     gl: Annotated[
@@ -177,7 +182,9 @@ def simulate_command(
     text: Annotated[bool, typer.Option("--text", help="Write ESIM text files too.")] = False,
     figures: Annotated[
         bool,
-        typer.Option("--figures", help="Print the scene's figures beside the authors' sample."),
+        typer.Option(
+            "--figures", help="Print statistics of the scene beside those of the authors' sample."
+        ),
     ] = False,
 ) -> None:
     """Simulate two event cameras that watch one drone, and write the recording as a folder."""

@@ -26,11 +26,11 @@ from sim.render.gl_context import context_or_none
 from ssac.errors import SsacError
 from ssac.files.whole_file import check_folder
 
-OutOption = Annotated[Path, typer.Option(help="For the CSVs and figures.", metavar="FOLDER")]
+OutOption = Annotated[Path, typer.Option(help="Folder for the CSVs and figures.", metavar="FOLDER")]
 ShardOption = Annotated[
     str,
     typer.Option(
-        help="Run only part I of N, and write its runs; join by `ssac merge`.", metavar="I/N"
+        help="Run only part I of N and write its runs; join them with `ssac merge`.", metavar="I/N"
     ),
 ]
 
@@ -38,7 +38,9 @@ ShardOption = Annotated[
 def study_command(
     names: Annotated[
         list[str] | None,
-        typer.Argument(help="Of studies: see --list.", metavar="NAME", show_default=False),
+        typer.Argument(
+            help="Studies to run; --list names them.", metavar="NAME", show_default=False
+        ),
     ] = None,
     list_them: Annotated[bool, typer.Option("--list", help="List the studies.")] = False,
     shard: ShardOption = "1/1",
@@ -62,7 +64,9 @@ def ablate_command(
     names: Annotated[
         list[str] | None,
         typer.Argument(
-            help="Of ablations, such as window.  [default: all]", metavar="NAME", show_default=False
+            help="Ablations to run, such as window.  [default: all]",
+            metavar="NAME",
+            show_default=False,
         ),
     ] = None,
     shard: ShardOption = "1/1",

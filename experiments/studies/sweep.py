@@ -39,7 +39,10 @@ from ssac.files.whole_file import check_writable
 
 def sweep_command(
     config: Annotated[
-        Path, typer.Argument(help="TOML of the grid.", metavar="CONFIG", show_default=False)
+        Path,
+        typer.Argument(
+            help="TOML file of the grid (docs/sweeps.md).", metavar="CONFIG", show_default=False
+        ),
     ],
     out: Annotated[
         Path | None,
@@ -76,7 +79,7 @@ def merge_command(
     shards: Annotated[
         list[Path],
         typer.Argument(
-            help="CSVs of all shards of one grid or study.", metavar="SHARD...", show_default=False
+            help="CSVs of all shards of one sweep or study.", metavar="SHARD", show_default=False
         ),
     ],
 ) -> None:

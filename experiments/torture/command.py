@@ -32,16 +32,16 @@ from ssac.files.whole_file import check_folder
 
 def torture_command(
     cases: Annotated[
-        int, number("Damaged inputs.", 1, 10_000_000, metavar="COUNT")
+        int, number("Number of damaged inputs.", 1, 10_000_000, metavar="COUNT")
     ] = COMMITTED.cases,
-    seed: Annotated[int, number("Of all damage.", 0, 2**32 - 1)] = COMMITTED.seed,
+    seed: Annotated[int, number("Seed of all damage.", 0, 2**32 - 1)] = COMMITTED.seed,
     kills: Annotated[
-        int, number("Sweeps killed at random times.", 0, 10_000, metavar="COUNT")
+        int, number("Number of sweeps killed at random times.", 0, 10_000, metavar="COUNT")
     ] = COMMITTED.kills,
     full_disks: Annotated[
         int | None,
         number(
-            "Sweeps on disks that become full.",
+            "Number of sweeps on a disk that fills up.",
             0,
             10_000,
             metavar="COUNT",
@@ -51,13 +51,16 @@ def torture_command(
     others: Annotated[
         int,
         number(
-            "Two sweeps on one cache, dead workers, Dask's too, damaged meshes: of each so many.",
+            "Number of trials of each other kind: sweeps that share a cache, dead workers, damaged "
+            "meshes.",
             0,
             10_000,
             metavar="COUNT",
         ),
     ] = COMMITTED.others,
-    out: Annotated[Path, typer.Option(help="For the CSV.", metavar="FOLDER")] = Path("results"),
+    out: Annotated[Path, typer.Option(help="Folder for the CSV.", metavar="FOLDER")] = Path(
+        "results"
+    ),
     cache: CacheOption = DEFAULT_FOLDER,
 ) -> None:
     """Damage inputs of all kinds, disturb sweeps, and see what becomes of them.

@@ -51,18 +51,18 @@ CAMPAIGNS = campaigns()
 
 
 def verify_command(
-    results: Annotated[Path, typer.Option(help="With the results.", metavar="FOLDER")] = Path(
-        "results"
-    ),
+    results: Annotated[
+        Path, typer.Option(help="Folder with the results.", metavar="FOLDER")
+    ] = Path("results"),
     recordings: Annotated[
-        int, number("How many are made again from nothing.", 0, 10_000, metavar="COUNT")
+        int, number("Recordings to simulate and run again.", 0, 10_000, metavar="COUNT")
     ] = N_RECORDINGS,
     sample_seed: Annotated[
         int | None,
-        number("Draws the same recordings again.", 0, _SEEDS - 1, default_words="a new one"),
+        number("Seed of the draw of those recordings.", 0, _SEEDS - 1, default_words="a new one"),
     ] = None,
     slow: Annotated[
-        bool, typer.Option("--slow", help=f"Also draw from {', '.join(SLOW)}: minutes each.")
+        bool, typer.Option("--slow", help=f"Draw from {', '.join(SLOW)}: minutes each.")
     ] = False,
     workers: WorkersOption = -1,
 ) -> None:

@@ -14,19 +14,19 @@ SCALES = ("unknown", "known")
 
 def compare_command(
     estimate: Annotated[
-        Path, typer.Argument(metavar="ESTIMATE", help="Path that was found.", show_default=False)
+        Path, typer.Argument(metavar="ESTIMATE", help="Estimated path.", show_default=False)
     ],
     truth: Annotated[
         Path,
-        typer.Argument(metavar="TRUTH", help="Path by satellite or the like.", show_default=False),
+        typer.Argument(metavar="TRUTH", help="Reference path, such as RTK.", show_default=False),
     ],
     scale: Annotated[
-        str, typer.Option(metavar="|".join(SCALES), help="Whether the estimate is in metres.")
+        str, typer.Option(metavar="|".join(SCALES), help="known: the estimate is in metres.")
     ] = SCALES[0],
     max_shift: Annotated[
         float | None,
         number(
-            "Shifts of the truth's clock that are tried, to both sides.",
+            "Largest shift of the truth's clock to try, either way.",
             0,
             1e10,
             "seconds",
@@ -36,13 +36,13 @@ def compare_command(
     rate_std: Annotated[
         float,
         number(
-            "Prior deviation of the rate between the clocks; 0: they run alike.", 0, 10_000, "ppm"
+            "Prior standard deviation of the clocks' relative rate; 0: same rate.", 0, 10_000, "ppm"
         ),
     ] = 50.0,
     lever_arm: Annotated[
         tuple[float, float, float] | None,
         number(
-            "Where the truth's antenna is in the body: forward, left, up. Needs its attitude.",
+            "Position of the truth's antenna in the body: forward, left, up. Needs its attitude.",
             -100,
             100,
             "metres",
@@ -50,10 +50,10 @@ def compare_command(
         ),
     ] = None,
     plot: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Figure to draw (.png, .pdf, .svg).")
+        Path | None, typer.Option(metavar="FILE", help="Figure to write (.png, .pdf, .svg).")
     ] = None,
     json_file: Annotated[
-        Path | None, typer.Option("--json", metavar="FILE", help="All numbers, for machines.")
+        Path | None, typer.Option("--json", metavar="FILE", help="Write all numbers as JSON.")
     ] = None,
 ) -> None:
     """Say how far a path is from the truth, at equal times and as a shape.

@@ -127,6 +127,19 @@ class _WordyCommand(TyperCommand):
             piece.replace("{", "").replace("}", "") for piece in super().collect_usage_pieces(ctx)
         ]
 
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Write arguments without their Python types, then options."""
+        rows: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": []}
+        for param in self.get_params(ctx):
+            record = param.get_help_record(ctx)
+            if record is None:
+                continue
+            if param.param_type_name == "argument":
+                rows["Arguments"].append((record[0].partition(" <")[0], record[1]))
+            else:
+                rows["Options"].append(record)
+        _write({heading: some for heading, some in rows.items() if some}, formatter)
+
     def format_epilog(self, ctx: Any, formatter: Any) -> None:
         """Add the lists."""
         _write(self.sections(), formatter)

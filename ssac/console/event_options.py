@@ -8,7 +8,7 @@ from ssac.config import N_MIN
 from ssac.console.options import number
 
 NoDenoise = Annotated[
-    bool, typer.Option("--no-denoise", help="Keep hot pixels and isolated events.")
+    bool, typer.Option("--no-denoise", help="Do not filter hot pixels and isolated events.")
 ]
 AllowDamaged = Annotated[
     bool,
@@ -18,16 +18,16 @@ AllowDamaged = Annotated[
 ]
 Sort = Annotated[
     bool,
-    typer.Option("--sort", help="Sort events that are out of order by less than a millisecond."),
+    typer.Option("--sort", help="Sort events that are out of order by less than 1 ms."),
 ]
 
 
 def n_min_of(what: str) -> Any:
     """Make the option of how many events it takes; `what` they make: "a position"."""
     return number(
-        f"Events that {what} needs at least.",
+        f"Least number of events for {what}.",
         1,
         100_000,
         metavar="COUNT",
-        default_words=f"{N_MIN}; fewer of a thin object",
+        default_words=f"{N_MIN}; fewer for a thin object",
     )

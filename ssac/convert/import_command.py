@@ -16,9 +16,11 @@ class Form(str, Enum):
 
 
 def import_command(
-    form: Annotated[Form, typer.Argument(help="What it is.", show_default=False)],
+    form: Annotated[
+        Form, typer.Argument(metavar="FORM", help="Data set: drone-tracking.", show_default=False)
+    ],
     folder: Annotated[
-        Path, typer.Argument(metavar="FOLDER", help="One data set.", show_default=False)
+        Path, typer.Argument(metavar="FOLDER", help="Folder of one data set.", show_default=False)
     ],
     out: Annotated[
         Path,

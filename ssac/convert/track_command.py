@@ -17,31 +17,34 @@ MAX_CAMERA = 1000
 
 def track_command(
     cam: Annotated[
-        Path, typer.Argument(metavar="CAM", help="Events of one camera.", show_default=False)
+        Path, typer.Argument(metavar="CAM", help="Event file of one camera.", show_default=False)
     ],
     rig: Annotated[
-        Path, typer.Option(metavar="FILE", help="Kalibr or OpenCV YAML.", show_default=False)
+        Path,
+        typer.Option(
+            metavar="FILE", help="Calibration: Kalibr or OpenCV YAML.", show_default=False
+        ),
     ],
     out: Annotated[
-        Path, typer.Option(metavar="FILE", help="Track to write (.csv).", show_default=False)
+        Path, typer.Option(metavar="FILE", help="Track file to write (.csv).", show_default=False)
     ],
     camera: Annotated[
-        int, number("Which camera of the rig it is.", 1, MAX_CAMERA, metavar="K")
+        int, number("Number of this camera in the rig.", 1, MAX_CAMERA, metavar="K")
     ] = 1,
     no_denoise: NoDenoise = False,
     faint: Annotated[
         bool,
         typer.Option(
             "--faint",
-            help="The object is small and far, and makes too few events to be told from noise by"
-            " their neighbours: follow it. Mostly with --half-window 0.05 --n-min 8.",
+            help="Follow an object so small and far away that the noise filter would remove its"
+            " events. Usually with --half-window 0.05 --n-min 8.",
         ),
     ] = False,
     allow_damaged: AllowDamaged = False,
     sort: Sort = False,
     half_window: Annotated[
         float,
-        number("Events this long before and after a time give a point.", 0.001, 0.25, "seconds"),
+        number("Half of the time window whose events give a point.", 0.001, 0.25, "seconds"),
     ] = Config.half_window_s,
     n_min: Annotated[int | None, n_min_of("a point")] = None,
 ) -> None:

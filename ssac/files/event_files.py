@@ -56,6 +56,13 @@ __all__ = [
 
 _ENDS = (KeyboardInterrupt, SystemExit)
 
+_VIDEO = "; of a video, give the object's track (docs/sync.md, Tracks of any camera)"
+_BAG = "; convert the events of a ROS bag to one of these (docs/sync.md, Event files)"
+_WAYS = dict.fromkeys((".avi", ".mkv", ".mov", ".mp4"), _VIDEO) | dict.fromkeys(
+    (".bag", ".db3", ".mcap"), _BAG
+)
+"""What to do with files that are likely to be given, and are no event files."""
+
 UNKNOWN_SIZE = (65535, 65535)
 """What faery is told to assume when a header does not give the sensor's size."""
 
@@ -89,6 +96,7 @@ def load_events(path: Path | str, reading: Reading = STRICT) -> EventFile:
     if reader is None:
         raise SsacError(
             f"{path}: unknown extension {path.suffix!r}: use one of {', '.join(sorted(_READERS))}"
+            f"{_WAYS.get(path.suffix.lower(), '')}"
         )
     if not path.is_file():
         raise SsacError(f"{path}: there is no such file: check the path")

@@ -71,7 +71,8 @@ def load_events_csv(path: Path, reading: Reading = STRICT) -> EventFile:
     if not set("txyp") <= set(columns):
         raise SsacError(
             f"{path}: the first line must name the columns t,x,y,p (t in microseconds) of events, "
-            f"or t_s,x_px,y_px of a track, got {','.join(columns)[:60]!r}: add that line"
+            f"or t_s,x_px,y_px of a track, got {','.join(columns)[:60]!r}: "
+            "add that line, with commas"
         )
     events = _read_table(path, ",", columns, has_header=True, in_seconds=False)
     size_px = sizes.get("x"), sizes.get("y")

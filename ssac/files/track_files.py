@@ -50,7 +50,8 @@ def load_track(path: Path | str) -> PointTrack:
         if not set(TRACK_COLUMNS) <= set(names):
             raise SsacError(
                 f"{path}: the first line of a track must name the columns "
-                f"{','.join(TRACK_COLUMNS)}, got {','.join(names)[:60]!r}: add that line"
+                f"{','.join(TRACK_COLUMNS)}, got {','.join(names)[:60]!r}: add that line, "
+                "with commas"
             )
         _check_fields(path, len(names))
         wanted = [*TRACK_COLUMNS, *([_SIGMA] if _SIGMA in names else [])]

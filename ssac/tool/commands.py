@@ -8,7 +8,7 @@ USE = "Use"
 SYNC = Entry(
     "sync",
     USE,
-    "Offset and pose of two cameras from their recordings.",
+    "Find time offset and pose of two or more cameras.",
     "ssac.tool.sync_command",
     "sync_command",
 )
@@ -16,7 +16,7 @@ SYNC = Entry(
 TRACK = Entry(
     "track",
     USE,
-    "The object's path in one camera's events, as a track file.",
+    "Extract the object's image track from a camera's events.",
     "ssac.convert.track_command",
     "track_command",
 )
@@ -24,7 +24,7 @@ TRACK = Entry(
 IMPORT = Entry(
     "import",
     USE,
-    "A public data set as track files and a rig.",
+    "Convert a public data set to track files and a rig.",
     "ssac.convert.import_command",
     "import_command",
 )
@@ -32,7 +32,7 @@ IMPORT = Entry(
 COMPARE = Entry(
     "compare",
     USE,
-    "How far a path in space is from the truth.",
+    "Compare an estimated path in space with a reference.",
     "ssac.compare.compare_command",
     "compare_command",
 )

@@ -157,7 +157,8 @@ def sync(
         with clock.part("denoise") as say:
             cam1, cam2 = denoised(cam1, cam2, rig, config)
             left = len(cam1.events), len(cam2.events)
-            say(f"{left[0]} of {n_read[0]} and {left[1]} of {n_read[1]} events left")
+            if sum(n_read):
+                say(f"{left[0]} of {n_read[0]} and {left[1]} of {n_read[1]} events left")
     for path, camera, n in zip(paths[:2], (cam1, cam2), n_read, strict=True):
         check_enough_events(path, camera, n, chosen, config)
     everywhere = _searches_all(cam1, cam2, chosen, config, search_all, rate_range)
@@ -175,7 +176,8 @@ def sync(
         with clock.part("objects") as say:
             one = one_object(cam1, cam2, rig, config, everywhere)
             cam1, cam2, objects = one.cam1, one.cam2, one.objects
-            say(one.words)
+            if sum(n_read):
+                say(one.words)
         refusal = one.refused(chosen.name)
         if refusal is not None:
             return result(refusal, config)
@@ -290,7 +292,7 @@ def _restated(rig: Rig, focal: float | None, centre_px: float | None) -> Rig:
 
 
 class Clock:
-    """Measures the parts of a run and logs a line for each."""
+    """Measures the parts of a run and logs a line for each that has something to say."""
 
     def __init__(self, log: Log) -> None:
         self.seconds: dict[str, float] = {}
@@ -303,4 +305,5 @@ class Clock:
         start = time.perf_counter()
         yield lines.append
         self.seconds[name] = time.perf_counter() - start
-        self._log(f"{name:9}{self.seconds[name]:6.2f} s  {_NEXT_LINE.join(lines)}")
+        if lines:
+            self._log(f"{name:9}{self.seconds[name]:6.2f} s  {_NEXT_LINE.join(lines)}")

@@ -18,8 +18,8 @@ from ssac.errors import SsacError
 from ssac.tool.summaries import DEFAULT, OF_TRACKS, all_summaries
 
 _SEARCH_DEFAULT = (
-    f"{Config.interval_s[0]:g} {Config.interval_s[1]:g}; all where a file is a track, or where "
-    "that leaves no common time"
+    f"{Config.interval_s[0]:g} {Config.interval_s[1]:g}; all offsets for tracks, or where that "
+    "leaves no common time"
 )
 
 MAX_SEARCH_S = 3600.0
@@ -34,84 +34,85 @@ def complete_method(incomplete: str) -> list[tuple[str, str]]:
 def sync_command(
     cam1: Annotated[
         Path,
-        typer.Argument(metavar="CAM1", help="Events, or a track, of camera 1.", show_default=False),
+        typer.Argument(metavar="CAM1", help="Event or track file of camera 1.", show_default=False),
     ],
     cam2: Annotated[
         Path,
-        typer.Argument(metavar="CAM2", help="Events, or a track, of camera 2.", show_default=False),
+        typer.Argument(metavar="CAM2", help="Event or track file of camera 2.", show_default=False),
     ],
     rig: Annotated[
         Path,
         typer.Option(
-            metavar="FILE", help="Kalibr or OpenCV YAML of both cameras.", show_default=False
+            metavar="FILE",
+            help="Calibration of the cameras: Kalibr or OpenCV YAML.",
+            show_default=False,
         ),
     ],
     more: Annotated[
         list[Path] | None,
-        typer.Argument(metavar="CAM3 ...", help="Of more cameras.", show_default=False),
+        typer.Argument(metavar="CAM3", help="Files of further cameras.", show_default=False),
     ] = None,
     known_extrinsics: Annotated[
         bool,
         typer.Option(
-            "--known-extrinsics", help="Use the pose that the rig file gives; find the offset."
+            "--known-extrinsics", help="Take the pose from the rig file and find only the offset."
         ),
     ] = False,
     method: Annotated[
         str | None,
         typer.Option(
             metavar="NAME",
-            help="How to find them: see the methods below.",
+            help="Method, one of those below.",
             autocompletion=complete_method,
-            show_default=f"{DEFAULT}; {OF_TRACKS} where a file is a track",
+            show_default=f"{DEFAULT}; {OF_TRACKS} with tracks",
         ),
     ] = None,
     cameras: Annotated[
         tuple[int, int],
-        typer.Option(metavar="I J", help="Which cameras of the rig they are, from 1 on."),
+        typer.Option(metavar="I J", help="Numbers of the two cameras in the rig, from 1."),
     ] = (1, 2),
     search: Annotated[
         tuple[float, float] | None,
         typer.Option(
             metavar="LOW HIGH",
-            help="Least and largest offset t_d to try, in seconds.",
+            help="Range of offsets t_d to search, in seconds.",
             show_default=_SEARCH_DEFAULT,
         ),
     ] = None,
     search_all: Annotated[
         bool,
-        typer.Option(
-            "--search-all", help="Try every offset that leaves the cameras enough common time."
-        ),
+        typer.Option("--search-all", help="Search all offsets that leave enough common time."),
     ] = False,
     rate_range: Annotated[
         tuple[float, float] | None,
         typer.Option(
             metavar="LOW HIGH",
-            help="As --search-all, and camera 2's clock may run so many times as fast as camera 1's"
-            ": where a frame rate is unknown.",
+            help="Also search the rate of camera 2's clock over camera 1's in this range, at all"
+            " offsets: for an unknown frame rate.",
             show_default=False,
         ),
     ] = None,
     skew_prior: Annotated[
         float | None,
         number(
-            "Prior deviation of the clocks' skew; phones need 1000; 0: they run alike.",
+            "Prior standard deviation of the clock skew; 0: no skew; phones need 1000.",
             0,
             MAX_SKEW_PPM,
             "ppm",
-            default_words=f"{Config.skew_prior_ppm:g}; 1000 where a file is a track",
+            default_words=f"{Config.skew_prior_ppm:g}; 1000 with tracks",
         ),
     ] = None,
     clock: Annotated[
         str,
         typer.Option(
-            metavar="NAME", help="affine; or pieces, where the skew itself changes, as in phones."
+            metavar="NAME", help="Clock model: affine, or pieces, whose skew changes, as in phones."
         ),
     ] = Config.clock,
     roughness: Annotated[
         float,
         number(
-            "Deviation of a piece's skew from that of the last; variable frame rates need 6000.",
+            "With --clock pieces: standard deviation of the change of skew from piece to piece;"
+            " variable frame rates need 6000.",
             1,
             MAX_SKEW_PPM,
             "ppm",
@@ -121,17 +122,17 @@ def sync_command(
         bool,
         typer.Option(
             "--estimate-readout",
-            help="Find the readouts of rolling shutters, of tracks, that the rig does not state.",
+            help="Estimate rolling-shutter readout times that the rig does not give (tracks only).",
         ),
     ] = False,
     json_file: Annotated[
         Path | None,
-        typer.Option("--json", metavar="FILE", help="Write the result for machines."),
+        typer.Option("--json", metavar="FILE", help="Write the result as JSON."),
     ] = None,
     plot: Annotated[
         Path | None,
         typer.Option(
-            metavar="PATH", help="Draw the result: a folder for all figures, or .png, .pdf, .svg."
+            metavar="PATH", help="Draw figures: into a folder, or one file (.png, .pdf, .svg)."
         ),
     ] = None,
     write_synced: Annotated[
@@ -144,27 +145,31 @@ def sync_command(
     trajectory: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE", help="Write the object's path: .csv with deviations, else TUM."
+            metavar="FILE",
+            help="Write the object's path in space: .csv (with deviations), else TUM.",
         ),
     ] = None,
     distance: Annotated[
         float | None,
-        number("Between cameras 1 and 2, for the scale of all.", 1e-3, 1e6, "m"),
+        number("Distance between cameras 1 and 2, which sets the scale.", 1e-3, 1e6, "m"),
     ] = None,
     positions: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE", help="Where cameras stand, camera,x_m,y_m,z_m: the frame of all."
+            metavar="FILE",
+            help="CSV of camera positions, camera,x_m,y_m,z_m: sets frame and scale.",
         ),
     ] = None,
     rtk: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="The object's path by RTK, on its own clock: likewise."),
+        typer.Option(
+            metavar="FILE", help="The object's path by RTK, on any clock: sets frame and scale."
+        ),
     ] = None,
     lever_arm: Annotated[
         tuple[float, float, float] | None,
         number(
-            "Where RTK's antenna is in the body: forward, left, up. Needs its attitude.",
+            "Position of the RTK antenna in the body: forward, left, up. Needs its attitude.",
             -100,
             100,
             "metres",
@@ -174,13 +179,19 @@ def sync_command(
     focal_std: Annotated[
         float | None,
         number(
-            "Deviation of both cameras' focal lengths, in place of the rig's.", 0.0, 20.0, "percent"
+            "Standard deviation of both focal lengths, overriding the rig file.",
+            0.0,
+            20.0,
+            "percent",
         ),
     ] = None,
     centre_std: Annotated[
         float | None,
         number(
-            "Deviation of both cameras' principal points, in place of the rig's.", 0.0, 100.0, "px"
+            "Standard deviation of both principal points, overriding the rig file.",
+            0.0,
+            100.0,
+            "px",
         ),
     ] = None,
     no_denoise: NoDenoise = False,
@@ -188,27 +199,27 @@ def sync_command(
     sort: Sort = False,
     n_samples: Annotated[
         int,
-        number("Times at which the object's positions are compared.", 20, 100_000, metavar="COUNT"),
+        number(
+            "Number of sample times at which positions are compared.", 20, 100_000, metavar="COUNT"
+        ),
     ] = Config.n_samples,
     half_window: Annotated[
         float,
-        number(
-            "Events this long before and after such a time give a position.", 0.001, 0.25, "seconds"
-        ),
+        number("Half of the time window whose events give a position.", 0.001, 0.25, "seconds"),
     ] = Config.half_window_s,
     n_min: Annotated[int | None, n_min_of("a position")] = None,
     neighbours: Annotated[
         int | None,
         number(
-            "Other events within 5 px, 5 ms that keep an event from being taken for noise.",
+            "Noise filter: events needed within 5 px and 5 ms to keep an event.",
             1,
             1000,
             metavar="COUNT",
-            default_words="20; by the noise that is there, and for a thin object fewer",
+            default_words="20; adapted to noise and thin objects",
         ),
     ] = None,
 ) -> None:
-    """Find the time offset and the relative pose of two cameras, or more, from one moving object.
+    """Find the time offset and relative pose of two or more cameras from one moving object.
 
     Exit code 0: done; 1: the data give no reliable estimate, the output says why; 2: wrong usage,
     or a file that cannot be used; 3: a bug of this program; 130: interrupted.

@@ -199,7 +199,16 @@ def test_text_longer_than_a_block(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
-        ("a.bag", "x", r"a\.bag: unknown extension '\.bag': use one of \.aedat4, \.csv"),
+        (
+            "a.bag",
+            "x",
+            r"a\.bag: unknown extension '\.bag': use one of \.aedat4, \.csv.* convert the",
+        ),
+        (
+            "a.MP4",
+            "x",
+            r"a\.MP4: unknown extension '\.MP4': .*; of a video, give the object's track",
+        ),
         ("a.h5", "", r"a\.h5: the file is empty \(0 bytes\)"),
         ("a.h5", "hello", r"a\.h5: not a readable HDF5 file"),
         ("a.raw", "hello", r"a\.raw: not a complete \.raw file \(.*no version information"),
