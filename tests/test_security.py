@@ -70,7 +70,7 @@ def test_a_rig_that_grows_without_end_is_one_short_error(tmp_path: Path) -> None
     text = f"a0: &a0 [1]\n{levels}cam0: &cam\n  camera_model: pinhole\n  intrinsics: *a11\n"
     text += "  distortion_model: none\n  resolution: [346, 260]\ncam1: *cam\n"
     (tmp_path / "rig.yaml").write_text(text)
-    with pytest.raises(ValueError, match="cam0, intrinsics: expected 4 of finite") as raised:
+    with pytest.raises(ValueError, match="cam0, intrinsics: expected 4 finite") as raised:
         load_rig(tmp_path / "rig.yaml")
     assert len(str(raised.value)) < 1000
 
