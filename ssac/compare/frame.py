@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ssac.compare.comparison import compare, without_lever_arm
 from ssac.errors import SsacError
 from ssac.estimate import Status
-from ssac.files.net import readable
+from ssac.files.net import check_is_file, readable
 from ssac.network.answers import CameraAnswer, path_of
 from ssac.network.solve import NetworkAnswer
 from ssac.path.align import Similarity, similarity
@@ -127,8 +127,7 @@ def in_frame(answer: NetworkAnswer, ground: Ground) -> NetworkAnswer:
 
 def load_positions(file: Path) -> dict[int, Array]:
     """Read where cameras stand: `camera,x_m,y_m,z_m`, cameras by number from 1 on."""
-    if not file.is_file():
-        raise SsacError(f"{file}: there is no such file: check the path")
+    check_is_file(file)
     with (
         readable(file, "a text file of positions"),
         file.open(encoding="utf-8-sig", newline="") as lines,

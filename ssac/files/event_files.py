@@ -40,7 +40,7 @@ from ssac.events import EVENT_DTYPE, US_PER_S, EventFile
 from ssac.files.aedat4 import check_packets
 from ssac.files.damage import STRICT, Reading, checked_file, refuse_damaged
 from ssac.files.hdf5 import HDF5_SUFFIXES, load_events_h5, load_frames, save_events_h5
-from ssac.files.net import brief, readable, silenced
+from ssac.files.net import brief, check_is_file, readable, silenced
 from ssac.files.text import load_events_csv, load_events_text, save_events_text
 from ssac.files.words import dat_signs, raw_signs
 
@@ -98,8 +98,7 @@ def load_events(path: Path | str, reading: Reading = STRICT) -> EventFile:
             f"{path}: unknown extension {path.suffix!r}: use one of {', '.join(sorted(_READERS))}"
             f"{_WAYS.get(path.suffix.lower(), '')}"
         )
-    if not path.is_file():
-        raise SsacError(f"{path}: there is no such file: check the path")
+    check_is_file(path)
     if path.stat().st_size == 0:
         raise SsacError(f"{path}: the file is empty (0 bytes): record or copy it again")
     return reader(path, reading)

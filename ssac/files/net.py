@@ -12,6 +12,12 @@ _LONGEST = 200  # letters of a library's own words
 _OURS = (SsacError, KeyboardInterrupt, SystemExit, GeneratorExit)
 
 
+def check_is_file(path: Path) -> None:
+    """Raise SsacError when there is no such file."""
+    if not path.is_file():
+        raise SsacError(f"{path}: there is no such file: check the path")
+
+
 @contextmanager
 def readable(path: Path, kind: str) -> Iterator[None]:
     """Turn whatever the block raises into one SsacError, but for our own errors and interrupts.

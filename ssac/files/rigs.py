@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ssac.camera import MAX_READOUT_S, Camera, Rig, check_camera, with_deviations
 from ssac.errors import SsacError
-from ssac.files.net import readable, silenced
+from ssac.files.net import check_is_file, readable, silenced
 
 MAX_BYTES = 1 << 20
 """Of a rig file: of a hundred cameras it has less."""
@@ -68,8 +68,7 @@ def load_rig(path: Path | str, cameras: tuple[int, int] = (1, 2)) -> Rig:
     path = Path(path)
     if path.suffix.lower() not in (".yaml", ".yml"):
         raise SsacError(f"{path}: unknown extension {path.suffix!r} of a rig: use .yaml or .yml")
-    if not path.is_file():
-        raise SsacError(f"{path}: there is no such file: check the path")
+    check_is_file(path)
     if path.stat().st_size > MAX_BYTES:
         raise SsacError(f"{path}: is no rig, which has less than {MAX_BYTES} bytes: check the path")
     with readable(path, "a readable YAML file of a rig"), silenced():

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from ssac.errors import SsacError
-from ssac.files.net import readable
+from ssac.files.net import check_is_file, readable
 from ssac.files.text import check_text
 from ssac.files.whole_file import whole_file
 from ssac.points import PointTrack
@@ -41,8 +41,7 @@ def load_track(path: Path | str) -> PointTrack:
         numbers. The message names the file.
     """
     path = Path(path)
-    if not path.is_file():
-        raise SsacError(f"{path}: there is no such file: check the path")
+    check_is_file(path)
     check_text(path)
     with readable(path, "a track file, every row of which must be numbers"):
         with path.open(encoding="utf-8") as file:

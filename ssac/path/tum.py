@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssac.errors import SsacError
+from ssac.files.net import check_is_file
 from ssac.files.text import is_number
 from ssac.files.whole_file import whole_file
 
@@ -66,8 +67,7 @@ def read_path(file: pathlib.Path | str, needs_times: bool = True) -> Path:
         and longitude. The message names the file.
     """
     file = pathlib.Path(file)
-    if not file.is_file():
-        raise SsacError(f"{file}: there is no such file: check the path")
+    check_is_file(file)
     columns = _columns(file)
     rows = np.column_stack([*columns.values()])
     finite = np.isfinite(rows).all(axis=1)

@@ -22,6 +22,7 @@ from ssac.errors import SsacError
 from ssac.estimate import Status
 from ssac.files.damage import STRICT, Reading
 from ssac.files.event_files import load_events
+from ssac.files.net import check_is_file
 from ssac.files.rigs import load_rig
 from ssac.files.track_files import is_track_file
 from ssac.network.graph import Link, Pair
@@ -255,8 +256,7 @@ def _followed(
 
 def _check_files(paths: Sequence[Path]) -> None:
     for path in paths:
-        if not path.is_file():
-            raise SsacError(f"{path}: there is no such file: check the path")
+        check_is_file(path)
     for a, b in combinations(range(len(paths)), 2):
         if paths[a].samefile(paths[b]):
             raise SsacError(
