@@ -73,8 +73,12 @@ def outdoor_command(
 
 def command_of(flights: int, duration_s: float, third: bool) -> str:
     """Give the command line that makes the tables, for their provenance."""
-    options = {"--flights": (flights, N_FLIGHTS), "--duration": (duration_s, DURATION_S)}
-    return with_options(COMMAND, options) + ("" if third else " --no-third")
+    options = {
+        "--flights": (flights, N_FLIGHTS),
+        "--duration": (duration_s, DURATION_S),
+        "--third": (third, True),
+    }
+    return with_options(COMMAND, options)
 
 
 def kinds_of(third: bool = True) -> tuple[str, ...]:

@@ -54,6 +54,10 @@ CheckOption = Annotated[
 ]
 
 
+Options = Mapping[str, tuple[Any, Any]]
+"""Of a command line: (value, default) by name."""
+
+
 def parts_argument(parts: Iterable[str]) -> Any:
     """Make the argument that names some parts of a command; `chosen_parts` reads it."""
     return typer.Argument(
@@ -95,14 +99,23 @@ def drawn_by(cells: Iterable[Cell], renderer: str, check: bool) -> list[Cell]:
 
 def other_than_default(renderer: str, check: bool) -> list[str]:
     """Return the options of a command line that draws in this way."""
-    named = [] if renderer == RENDERERS[0] else ["--renderer", renderer]
-    return named if check else [*named, "--no-check"]
+    return _given({"--renderer": (renderer, RENDERERS[0]), "--check": (check, True)})
 
 
-def with_options(command: str, options: Mapping[str, tuple[Any, Any]]) -> str:
-    """Add to a command line the options, (value, default) by name, that are not as by default."""
-    named = (f"{name} {value}" for name, (value, default) in options.items() if value != default)
-    return " ".join([command, *named])
+def with_options(command: str, options: Options) -> str:
+    """Add to a command line the options that are not as by default."""
+    return " ".join([command, *_given(options)])
+
+
+def _given(options: Options) -> list[str]:
+    """Words of the options that are not as by default; of a flag that is on by default, --no-."""
+    words: list[str] = []
+    for name, (value, default) in options.items():
+        if value is False and default is True:
+            words.append(f"--no-{name.removeprefix('--')}")
+        elif value != default:
+            words += [name, str(value)]
+    return words
 
 
 def finish(outcome: Outcome, cache: Cache, *files: Path) -> None:
