@@ -122,7 +122,7 @@ BIN_S = 0.005
 
 def heights(cam1: Observation, cam2: Observation, rig: Rig, config: Config | None) -> Estimate:
     """Correlation of the mean image rows of both cameras' events, offset only."""
-    low_s, high_s = (config or Config()).interval_s
+    low_s, high_s = (config or Config()).offsets_s
     rows1, rows2 = (mean_rows(cam.events) for cam in (cam1, cam2))
     best, found = -1.0, None
     for lag in range(round(low_s / BIN_S), round(high_s / BIN_S) + 1):

@@ -1,7 +1,12 @@
 """Synchronise and calibrate two event cameras from the motion of one object.
 
-Events and intrinsics in, time offset and relative pose out; nothing here knows the truth. All that
-a method of your own needs is here too: see docs/methods.md.
+    import ssac
+
+    result = ssac.sync("cam1.h5", "cam2.h5", "rig.yaml")
+    print(result.summary())
+    result.t_d_s, result.R, result.t
+
+Nothing here knows the truth. All that a method of your own needs is here too: see docs/methods.md.
 
 A name is imported when it is first asked for, so that a command line that only prints its help, or
 a caller that only reads files, does not wait for compilers and solvers.
@@ -11,7 +16,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from ssac.baselines.albl import albl
+    __version__: str
     from ssac.baselines.correlation import (
         Signal,
         binned,
@@ -20,35 +25,67 @@ if TYPE_CHECKING:
         lags_of,
         zncc,
     )
-    from ssac.baselines.event_rate import event_rate
-    from ssac.baselines.zncc_e import zncc_e
-    from ssac.baselines.zncc_f import zncc_f
-    from ssac.camera import Camera, Rig
+    from ssac.camera import Camera, Cameras, Rig
     from ssac.clock import Clock
     from ssac.config import Config, checked
-    from ssac.errors import SsacError
+    from ssac.errors import PluginError, SsacError
     from ssac.estimate import ClockJump, Estimate, Status
-    from ssac.events import EVENT_DTYPE
-    from ssac.methods.algorithms import ssac, ssac_known
-    from ssac.methods.joint import joint, joint_from, joint_known
-    from ssac.methods.tangency import tangency, tangency_from, tangency_known
-    from ssac.search.one_object import OneObject, one_object
-    from ssac.search.two_views import Pairs, PairsAt, TwoViews, two_views
+    from ssac.events import EVENT_DTYPE, EventFile
+    from ssac.files.damage import Reading
+    from ssac.files.event_files import load_events
+    from ssac.files.rigs import load_rig
+    from ssac.files.track_files import load_track
+    from ssac.pipeline.answer import Answer
+    from ssac.pipeline.api import (
+        Result,
+        albl,
+        event_rate,
+        joint,
+        joint_known,
+        ssac_known,
+        sync,
+        tangency,
+        tangency_known,
+        two_views,
+        usable_events,
+        zncc_e,
+        zncc_f,
+    )
+    from ssac.pipeline.api import (
+        ssac as ssac,
+    )
+    from ssac.pipeline.chain import Chain
+    from ssac.pipeline.known import Known
+    from ssac.pipeline.many import NetworkResult
+    from ssac.pipeline.registry import Input, Method
+    from ssac.points import PointTrack
+    from ssac.search.two_views import Pairs, PairsAt, TwoViews
     from ssac.track.motion import ObjectMotion
-    from ssac.track.observation import Observation, prepare, usable_events
+    from ssac.track.observation import Observation
 
 __all__ = [
     "EVENT_DTYPE",
+    "Answer",
     "Camera",
+    "Cameras",
+    "Chain",
     "Clock",
     "ClockJump",
     "Config",
     "Estimate",
+    "EventFile",
+    "Input",
+    "Known",
+    "Method",
+    "NetworkResult",
     "ObjectMotion",
     "Observation",
-    "OneObject",
     "Pairs",
     "PairsAt",
+    "PluginError",
+    "PointTrack",
+    "Reading",
+    "Result",
     "Rig",
     "Signal",
     "SsacError",
@@ -61,15 +98,14 @@ __all__ = [
     "counted",
     "event_rate",
     "joint",
-    "joint_from",
     "joint_known",
     "lags_of",
-    "one_object",
-    "prepare",
-    "ssac",
+    "load_events",
+    "load_rig",
+    "load_track",
     "ssac_known",
+    "sync",
     "tangency",
-    "tangency_from",
     "tangency_known",
     "two_views",
     "usable_events",
@@ -77,26 +113,31 @@ __all__ = [
     "zncc_e",
     "zncc_f",
 ]
+"""The module's own name is left alone: the paper's method is `ssac.ssac`."""
 
 _HOMES = {
-    "ssac.baselines.albl": "albl",
     "ssac.baselines.correlation": "Signal binned correlation_estimate counted lags_of zncc",
-    "ssac.baselines.event_rate": "event_rate",
-    "ssac.baselines.zncc_e": "zncc_e",
-    "ssac.baselines.zncc_f": "zncc_f",
-    "ssac.camera": "Camera Rig",
+    "ssac.camera": "Camera Cameras Rig",
     "ssac.clock": "Clock",
     "ssac.config": "Config checked",
-    "ssac.errors": "SsacError",
+    "ssac.errors": "PluginError SsacError",
     "ssac.estimate": "ClockJump Estimate Status",
-    "ssac.events": "EVENT_DTYPE",
-    "ssac.methods.algorithms": "ssac ssac_known",
-    "ssac.methods.joint": "joint joint_from joint_known",
-    "ssac.methods.tangency": "tangency tangency_from tangency_known",
-    "ssac.search.one_object": "OneObject one_object",
-    "ssac.search.two_views": "Pairs PairsAt TwoViews two_views",
+    "ssac.events": "EVENT_DTYPE EventFile",
+    "ssac.files.damage": "Reading",
+    "ssac.files.event_files": "load_events",
+    "ssac.files.rigs": "load_rig",
+    "ssac.files.track_files": "load_track",
+    "ssac.pipeline.answer": "Answer",
+    "ssac.pipeline.api": "Result albl event_rate joint joint_known ssac ssac_known"
+    " sync tangency tangency_known two_views usable_events zncc_e zncc_f",
+    "ssac.pipeline.chain": "Chain",
+    "ssac.pipeline.known": "Known",
+    "ssac.pipeline.many": "NetworkResult",
+    "ssac.pipeline.registry": "Input Method",
+    "ssac.points": "PointTrack",
+    "ssac.search.two_views": "Pairs PairsAt TwoViews",
     "ssac.track.motion": "ObjectMotion",
-    "ssac.track.observation": "Observation prepare usable_events",
+    "ssac.track.observation": "Observation",
 }
 """Where the public names are defined, as above."""
 
@@ -108,6 +149,8 @@ def __dir__() -> list[str]:
 if not TYPE_CHECKING:  # where types are checked, a name that is not above is an error
 
     def __getattr__(name: str) -> object:
+        if name == "__version__":
+            return import_module("importlib.metadata").version("ssac-suite")
         for home, names in _HOMES.items():
             if name in names.split():
                 return getattr(import_module(home), name)

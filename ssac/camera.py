@@ -46,9 +46,21 @@ class Camera:
     height: int  # [px]
     distortion_model: str = "none"  # "none", "radtan" or "equidistant"
     distortion_coeffs: tuple[float, ...] = ()  # 4 values unless "none"; OpenCV's radtan also 5, 8
-    intrinsics_std_px: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)  # of fu, fv, pu, pv; 0: exact
+    intrinsics_std_px: tuple[float, ...] = None  # type: ignore[assignment]
+    """Deviations of fu, fv, pu, pv [px], 0: exact; left out, those of a good calibration."""
     readout_s: float | None = None  # rolling shutter: first row to last [s]; None: not known, as 0
     readout_std_s: float = 0.0  # of what is known of it beforehand; 0: it is not to be estimated
+
+    def __post_init__(self) -> None:
+        try:
+            K = np.asarray(self.K, dtype=np.float64)
+        except (TypeError, ValueError):
+            K = np.full((3, 3), np.nan)  # `check_camera` says what is wrong
+        object.__setattr__(self, "K", K)
+        if self.intrinsics_std_px is None:
+            focal_px = GOOD_FOCAL * np.ravel(K)[:5:4]
+            deviations_px = (*focal_px.tolist(), GOOD_CENTRE_PX, GOOD_CENTRE_PX)
+            object.__setattr__(self, "intrinsics_std_px", deviations_px)
 
 
 @dataclass(frozen=True)
@@ -58,6 +70,31 @@ class Rig:
     cam1: Camera
     cam2: Camera
     T_2_1: NDArray[np.float64] | None = None  # (4, 4), x2 = T_2_1 x1, [m]
+
+    @property
+    def unposed(self) -> "Rig":
+        """The same cameras, as a method sees them that is not given their pose."""
+        return Rig(self.cam1, self.cam2)
+
+
+@dataclass(frozen=True)
+class Cameras:
+    """Any number of cameras and, where they are known, the transforms from the first to each."""
+
+    cameras: tuple[Camera, ...]
+    T_k_1: tuple[NDArray[np.float64] | None, ...] = ()  # (4, 4) each, x_k = T_k_1 x1, [m]
+    name: str = "the rig"  # for messages: a file's path
+
+    def __len__(self) -> int:
+        return len(self.cameras)
+
+    def pair(self, i: int, j: int) -> Rig:
+        """Give two of them, from 0 on, as cameras 1 and 2 of a rig."""
+        T_i_1, T_j_1 = (self.T_k_1[k] if self.T_k_1 else None for k in (i, j))
+        T_j_i = T_j_1
+        if i and T_j_1 is not None:
+            T_j_i = None if T_i_1 is None else np.asarray(T_j_1 @ np.linalg.inv(T_i_1))
+        return Rig(self.cameras[i], self.cameras[j], T_j_i)
 
 
 def with_deviations(
@@ -77,6 +114,30 @@ def with_deviations(
     fu_px, fv_px = float(camera.K[0, 0]), float(camera.K[1, 1])
     deviations_px = (focal * fu_px, focal * fv_px, centre_px, centre_px)
     return replace(camera, intrinsics_std_px=deviations_px)
+
+
+def restated(camera: Camera, focal: float | None, centre_px: float | None) -> Camera:
+    """Give a camera with other deviations of its intrinsics, where they are not None.
+
+    Parameters
+    ----------
+    camera
+        Any.
+    focal
+        Deviation of both focal lengths, as a share of them.
+    centre_px
+        Deviation of both coordinates of the principal point [px].
+    """
+    said = camera.intrinsics_std_px
+    other = with_deviations(camera, focal or 0.0, centre_px or 0.0).intrinsics_std_px
+    focals = said[:2] if focal is None else other[:2]
+    centre = said[2:] if centre_px is None else other[2:]
+    return replace(camera, intrinsics_std_px=focals + centre)
+
+
+def to_be_read_out(camera: Camera) -> Camera:
+    """Give a camera of tracks with what is known of its readout, where nothing states it."""
+    return replace(camera, readout_std_s=READOUT_STD_S) if camera.readout_s is None else camera
 
 
 def same_camera(a: Camera, b: Camera) -> bool:

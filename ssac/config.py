@@ -1,6 +1,6 @@
 """The parameters of all methods, and whether they make sense."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,17 +16,52 @@ MIN_SWINGS = 3.5
 MAX_VALLEY_S = 0.3
 """Longest valley of the cost curve whose middle is taken for an offset."""
 
-CLOCKS = ("affine", "pieces")
+CLOCKS = ("auto", "affine", "pieces")
+
+SEARCHES = ("auto", "interval", "all")
+
+Interval = tuple[float, float]
+"""A lower and an upper bound."""
+
+INTERVAL_S: Interval = (-1.0, 1.0)
+"""Offsets searched where nothing says which, the paper's [t_b, t_e]."""
+
+EVENT_SKEW_PRIOR_PPM = 50.0
+"""Prior deviation of the skew between event cameras' clocks."""
+
+SKEW_PRIOR_PPM = 1000.0
+"""The same where a camera gave a track: phones and camcorders."""
 
 MAX_SKEW_PPM = 100_000.0
 """Largest prior deviation of a skew."""
 
 
 @dataclass(frozen=True)
-class Config:
-    """Parameters of all methods; the defaults are those of the paper and its published sample."""
+class Cleaning:
+    """How noise is told from an object."""
 
-    interval_s: tuple[float, float] = (-1.0, 1.0)  # offsets searched, the paper's [t_b, t_e]
+    denoise: bool
+    n_neighbours: int | None
+
+
+@dataclass(frozen=True)
+class Windows:
+    """Of which events a position is made."""
+
+    half_window_s: float
+    n_min: int | None
+    border_px: int
+    max_border_fraction: float
+
+
+@dataclass(frozen=True)
+class Config:
+    """Parameters of all methods; the defaults are those of the paper and its published sample.
+
+    What is None or "auto" is settled by what the cameras gave: see `resolved`.
+    """
+
+    interval_s: Interval | None = None  # offsets searched; None: INTERVAL_S, or all where needed
     n_samples: int = 400  # sample times per candidate offset, the paper's N
     half_window_s: float = 0.020  # of events on each side of a sample time
     n_min: int | None = None  # events that a window holds at least; None: N_MIN, fewer if thin
@@ -41,42 +76,132 @@ class Config:
     min_swings: float = MIN_SWINGS  # of the object, where the pose is unknown
     max_valley_s: float = MAX_VALLEY_S  # of the cost curve, where the offset is told
     denoise: bool = True  # first remove hot pixels and isolated events
-    skew_prior_ppm: float = 50.0  # prior deviation of the clocks' skew; 0: they run alike
+    skew_prior_ppm: float | None = None  # prior deviation of the clocks' skew; 0: they run alike
     search_skews: bool = True  # where they matter; no: a search of all offsets found the rate
-    clock: str = "affine"  # or "pieces": its skew changes slowly; both beyond the paper's methods
+    clock: str = "auto"  # or "affine"; or "pieces": its skew changes slowly
     roughness_ppm: float = 200.0  # prior deviation of that change from one piece to the next
+    search: str = "auto"  # or "interval"; or "all" offsets that leave enough common time
+    rates: Interval | None = None  # of camera 2's clock, where a frame rate is unknown
+    choose_object: bool = True  # one that all saw, of several; never where rates are tried
+
+    def __post_init__(self) -> None:
+        for name in ("interval_s", "rates"):  # of a file they come as lists
+            if isinstance(getattr(self, name), list):
+                object.__setattr__(self, name, tuple(getattr(self, name)))
+
+    @property
+    def offsets_s(self) -> Interval:
+        """Least and largest offset searched."""
+        return INTERVAL_S if self.interval_s is None else self.interval_s
+
+    @property
+    def prior_ppm(self) -> float:
+        """Prior deviation of the skew."""
+        return EVENT_SKEW_PRIOR_PPM if self.skew_prior_ppm is None else self.skew_prior_ppm
+
+    @property
+    def cleaning(self) -> Cleaning:
+        """What the noise filter takes of it."""
+        return Cleaning(self.denoise, self.n_neighbours)
+
+    @property
+    def windows(self) -> Windows:
+        """What the object's motion takes of it."""
+        rules = self.border_px, self.max_border_fraction
+        return Windows(self.half_window_s, self.n_min, *rules)
+
+    @property
+    def searching(self) -> "Config":
+        """The same with the clocks as they are by default, which no search looks at."""
+        plain = Config()
+        return replace(
+            self,
+            skew_prior_ppm=plain.skew_prior_ppm,
+            search_skews=plain.search_skews,
+            clock=plain.clock,
+            roughness_ppm=plain.roughness_ppm,
+        )
+
+    def resolved(self, has_track: bool) -> "Config":
+        """Settle what is None or "auto" and needs no more than the kind of both cameras.
+
+        Parameters
+        ----------
+        has_track
+            Whether a camera gave a track of points: then clocks run at other rates by far.
+        """
+        prior_ppm = SKEW_PRIOR_PPM if has_track else EVENT_SKEW_PRIOR_PPM
+        return replace(
+            self,
+            interval_s=self.offsets_s,
+            skew_prior_ppm=prior_ppm if self.skew_prior_ppm is None else self.skew_prior_ppm,
+            clock="affine" if self.clock == "auto" else self.clock,
+            choose_object=self.choose_object and self.rates is None,
+        )
 
 
 def checked(config: Config | None) -> Config:
-    """Return the config, or the default for None; SsacError when a value makes no sense."""
-    config = config or Config()
-    low, high = config.interval_s
-    if not (np.isfinite([low, high]).all() and low < high):
-        raise SsacError(
-            f"interval_s must be two finite offsets in ascending order, got {low, high}"
-        )
-    if config.robust not in ("lmeds", "magsac"):
-        raise SsacError(f'robust must be "lmeds" or "magsac", got "{config.robust}"')
-    if config.clock not in CLOCKS:
-        raise SsacError(f'clock must be {" or ".join(CLOCKS)}, got "{config.clock}"')
-    if not 0.0 <= config.skew_prior_ppm <= MAX_SKEW_PPM:
-        raise SsacError(
-            f"skew_prior_ppm must be 0 to {MAX_SKEW_PPM:g}, got {config.skew_prior_ppm}"
-        )
-    if not 0.0 < config.roughness_ppm <= MAX_SKEW_PPM:
-        raise SsacError(
-            f"roughness_ppm must be above 0 and up to {MAX_SKEW_PPM:g}, got {config.roughness_ppm}"
-        )
-    if config.clock == "pieces" and not config.skew_prior_ppm:
-        raise SsacError("a clock of pieces has a skew: its prior must be above 0 ppm, got 0")
+    """Return the config with nothing left open, or the default for None, as methods take it.
+
+    Raises
+    ------
+    SsacError
+        If a value makes no sense.
+    """
+    return validated(config).resolved(has_track=False)
+
+
+def validated(config: Config | None) -> Config:
+    """Return the config as it is, or the default for None; SsacError when a value is no good."""
+    config = Config() if config is None else config
+    if not isinstance(config, Config):
+        raise SsacError(f"config: expected a ssac.Config, got {type(config).__name__}")
+    for name, bounds in (("interval_s", config.interval_s), ("rates", config.rates)):
+        if bounds is not None and not _are_bounds(bounds):
+            raise SsacError(f"{name} must be two finite numbers in ascending order, got {bounds!r}")
+    if config.rates is not None and not config.rates[0] > 0.0:
+        raise SsacError(f"rates must be positive, got {config.rates!r}")
+    for name, word, words in (
+        ("robust", config.robust, ("lmeds", "magsac")),
+        ("clock", config.clock, CLOCKS),
+        ("search", config.search, SEARCHES),
+    ):
+        if word not in words:
+            raise SsacError(f"{name} must be {' or '.join(words)}, got {word!r}")
+    if config.interval_s is not None and (config.search == "all" or config.rates is not None):
+        other = 'search="all"' if config.search == "all" else "rates"
+        raise SsacError(f"interval_s: not with {other}, which tries every offset: leave one out")
     for name in ("n_samples", "half_window_s", "n_min", "n_neighbours", "trials", "final_trials"):
         value = getattr(config, name)
-        if value is not None and not 0 < value < np.inf:
-            raise SsacError(f"{name} must be positive and finite, got {value}")
+        if value is not None and not (_is_number(value) and 0 < value < np.inf):
+            raise SsacError(f"{name} must be positive and finite, got {value!r}")
     for name in ("border_px", "seed", "min_swings", "max_valley_s"):
         value = getattr(config, name)
-        if not 0 <= value < np.inf:
-            raise SsacError(f"{name} must be 0 or more, and finite, got {value}")
-    if not 0.0 <= config.max_border_fraction <= 1.0:
-        raise SsacError(f"max_border_fraction must be 0 to 1, got {config.max_border_fraction}")
+        if not (_is_number(value) and 0 <= value < np.inf):
+            raise SsacError(f"{name} must be 0 or more, and finite, got {value!r}")
+    prior_ppm, roughness_ppm = config.prior_ppm, config.roughness_ppm
+    if not (_is_number(prior_ppm) and 0.0 <= prior_ppm <= MAX_SKEW_PPM):
+        raise SsacError(f"skew_prior_ppm must be 0 to {MAX_SKEW_PPM:g}, got {prior_ppm!r}")
+    if not (_is_number(roughness_ppm) and 0.0 < roughness_ppm <= MAX_SKEW_PPM):
+        raise SsacError(
+            f"roughness_ppm must be above 0 and up to {MAX_SKEW_PPM:g}, got {roughness_ppm!r}"
+        )
+    if config.clock == "pieces" and not prior_ppm:
+        raise SsacError("a clock of pieces has a skew: its prior must be above 0 ppm, got 0")
+    share = config.max_border_fraction
+    if not (_is_number(share) and 0.0 <= share <= 1.0):
+        raise SsacError(f"max_border_fraction must be 0 to 1, got {share!r}")
     return config
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, (int, float, np.integer, np.floating))
+
+
+def _are_bounds(bounds: object) -> bool:
+    """Whether these are two finite numbers, the smaller one first."""
+    if not (isinstance(bounds, (tuple, list)) and len(bounds) == 2):
+        return False
+    if not all(map(_is_number, bounds)):
+        return False
+    return bool(np.isfinite(bounds).all() and bounds[0] < bounds[1])

@@ -1,4 +1,4 @@
-"""The root of every error that `ssac` raises on purpose."""
+"""The roots of the errors that `ssac` raises on purpose."""
 
 
 class SsacError(ValueError):
@@ -7,3 +7,7 @@ class SsacError(ValueError):
 
 class WriteError(SsacError):
     """Something cannot be written: a full disk, no permission. Nothing is wrong with the data."""
+
+
+class PluginError(RuntimeError):
+    """A method of another package has crashed: the message names the package, its file and line."""

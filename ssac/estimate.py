@@ -14,44 +14,46 @@ Array = NDArray[np.float64]
 class Status(str, Enum):
     """How far an estimate is to be relied upon; each member has its sentence in `meaning`.
 
-    A member is its own word in files, tables and comparisons: `Status.OK == "ok"`.
+    A member is its own word in files, tables and comparisons: `Status.OK == "ok"`. They stand in
+    the order in which the stages of `ssac.pipeline.chain` come to them: of several that hold, the
+    first is given.
     """
 
     meaning: str  # for users
 
     OK = "ok", "all that is given is to be relied upon"
-    NO_COMMON_TIME = "no_common_time", "at no offset searched do both cameras record at a time"
-    NO_COMMON_SIGNAL = (
-        "no_common_signal",
-        "at no lag searched do the signals of both cameras overlap by half and vary",
-    )
-    TOO_FEW_SAMPLES = (
-        "too_few_samples",
-        "the object is seen well by both cameras at too few sample times",
-    )
-    NO_MOTION = "no_motion", "the object hardly leaves its own outline, or is lost in noise"
-    TOO_LITTLE_MOTION = (
-        "too_little_motion",
-        "the object turns back too seldom to tell an offset and a pose from chance",
-    )
-    SEARCH_BOUND = "search_bound", "the best offset lies at a bound of the search: widen it"
-    NO_MATCH = "no_match", "at no offset do the two views show one object's path"
-    AMBIGUOUS_OFFSET = (
-        "ambiguous_offset",
-        "several offsets fit alike, or the motion hardly tells one from another",
-    )
-    AMBIGUOUS_POSE = "ambiguous_pose", "the offset holds, but several poses fit alike"
-    DEGENERATE_POSE = "degenerate_pose", "the offset holds, but the path leaves the pose open"
     SEVERAL_OBJECTS = (
         "several_objects",
         "several things move, and no pair of them in both views is clearly one object",
     )
+    NO_COMMON_SIGNAL = (
+        "no_common_signal",
+        "at no lag searched do the signals of both cameras overlap by half and vary",
+    )
+    NO_MOTION = "no_motion", "the object hardly leaves its own outline, or is lost in noise"
+    NO_COMMON_TIME = "no_common_time", "at no offset searched do both cameras record at a time"
+    TOO_FEW_SAMPLES = (
+        "too_few_samples",
+        "the object is seen well by both cameras at too few sample times",
+    )
+    SEARCH_BOUND = "search_bound", "the best offset lies at a bound of the search: widen it"
+    TOO_LITTLE_MOTION = (
+        "too_little_motion",
+        "the object turns back too seldom to tell an offset and a pose from chance",
+    )
+    NO_CONVERGENCE = "no_convergence", "the iterations ran out, or left the minimum they began in"
+    CLOCK_JUMP = "clock_jump", "camera 2's clock jumps: no one offset holds all along"
+    NO_MATCH = "no_match", "at no offset do the two views show one object's path"
     POOR_FIT = (
         "poor_fit",
         "what was refined fits far worse than one object seen by calibrated cameras does",
     )
-    CLOCK_JUMP = "clock_jump", "camera 2's clock jumps: no one offset holds all along"
-    NO_CONVERGENCE = "no_convergence", "the iterations ran out, or left the minimum they began in"
+    AMBIGUOUS_OFFSET = (
+        "ambiguous_offset",
+        "several offsets fit alike, or the motion hardly tells one from another",
+    )
+    DEGENERATE_POSE = "degenerate_pose", "the offset holds, but the path leaves the pose open"
+    AMBIGUOUS_POSE = "ambiguous_pose", "the offset holds, but several poses fit alike"
 
     def __new__(cls, word: str, meaning: str) -> "Status":
         """Make a member that is its word."""
@@ -71,6 +73,30 @@ class Status(str, Enum):
 
 POSE_IS_OPEN = (Status.AMBIGUOUS_POSE, Status.DEGENERATE_POSE)
 """Statuses of estimates whose offset holds all the same."""
+
+SETTLED_BY: dict[str, tuple[Status, ...]] = {
+    "joint": (Status.AMBIGUOUS_OFFSET, Status.AMBIGUOUS_POSE, Status.DEGENERATE_POSE),
+    "tangency": (Status.AMBIGUOUS_OFFSET, Status.DEGENERATE_POSE, Status.POOR_FIT),
+    "pieces": (Status.CLOCK_JUMP, Status.POOR_FIT),
+}
+"""Which refusals a later stage may overrule: the refinement of positions those of the search, that
+of tangents those of `joint`, and a clock of pieces those of one constant skew."""
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """Why a stage gives no estimate, or not all of it."""
+
+    status: Status
+    reason: str
+    t_d_s: float = np.nan  # the best of several offsets
+    alternatives_s: tuple[float, ...] = ()  # and the others
+
+
+def first(*refusals: Refusal | None) -> Refusal | None:
+    """Give the refusal whose status comes first in `Status`; None where there is none."""
+    there = [refusal for refusal in refusals if refusal is not None]
+    return min(there, key=lambda refusal: list(Status).index(refusal.status), default=None)
 
 
 @dataclass(frozen=True)

@@ -66,6 +66,40 @@ def events_from_arrays(
     return events
 
 
+def events_of_array(array: NDArray[Any], name: str = "events") -> NDArray[np.void]:
+    """Give a structured array as events: its fields t, x, y and p in any order, and of any width.
+
+    The Metavision SDK's array of events (x, y, p, t) is one.
+
+    Parameters
+    ----------
+    array
+        Shape (N,), with t in microseconds.
+    name
+        What it is; starts the error message.
+
+    Returns
+    -------
+    NDArray[np.void]
+        Events, dtype EVENT_DTYPE; the very array where it has that already.
+
+    Raises
+    ------
+    SsacError
+        If a field is missing, or a value does not fit its own.
+    """
+    if array.dtype == EVENT_DTYPE:
+        return array
+    missing = [field for field in EVENT_DTYPE.names or () if field not in (array.dtype.names or ())]
+    if missing:
+        raise SsacError(
+            f"{name}: expected a structured array with the fields t [us], x, y and p, got"
+            f" {array.dtype}, without {', '.join(missing)}: build it with"
+            " ssac.events.events_from_arrays"
+        )
+    return events_from_arrays(array["t"], array["x"], array["y"], array["p"], name)
+
+
 def check_lengths(shapes: Mapping[str, tuple[int, ...]], name: str) -> None:
     """Raise SsacError, starting with `name`, unless the shapes are 1-D and of one length."""
     if len(set(shapes.values())) != 1 or len(shapes["t"]) != 1:
@@ -187,6 +221,11 @@ def first_from(times_us: NDArray[np.int64], bounds_us: NDArray[Any]) -> NDArray[
     floating-point numbers, which takes longer than the search.
     """
     return np.searchsorted(times_us, bounds_us)
+
+
+def no_gaps() -> NDArray[np.int64]:
+    """Give the gaps (0, 2) [us] of a recording of which nothing was taken out."""
+    return np.empty((0, 2), np.int64)
 
 
 def wrapped(earlier_s: float, later_s: float) -> bool:

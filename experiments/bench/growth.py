@@ -27,7 +27,7 @@ from sim.recording import SimConfig
 from sim.storage import record
 from ssac.errors import SsacError
 from ssac.estimate import Status
-from ssac.tool.sync import SyncResult, sync
+from ssac.pipeline.api import Result, sync
 
 SIMULATE, SYNCHRONISE = "simulate", "synchronise"
 STEPS = (SIMULATE, SYNCHRONISE)
@@ -234,7 +234,7 @@ def _measured(point: Point, step: str, pair: Path, smallest: Path) -> dict[str, 
     }
 
 
-def _sync(folder: Path) -> SyncResult:
+def _sync(folder: Path) -> Result:
     return sync(folder / "cam1.h5", folder / "cam2.h5", folder / "rig.yaml")
 
 

@@ -1,6 +1,8 @@
 """A pair of 20 s in; how long `ssac sync` takes for it, by method and by stage, out."""
 
 import tempfile
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -9,6 +11,7 @@ from threadpoolctl import threadpool_limits
 from experiments.bench.measurement import Measurement, best_seconds
 from sim.recording import SimConfig
 from sim.storage import record
+from ssac.camera import Cameras
 from ssac.config import Config
 from ssac.errors import SsacError
 from ssac.fit.problem import Parameters
@@ -16,10 +19,12 @@ from ssac.methods.algorithms import algorithm_2
 from ssac.methods.joint import joint_from
 from ssac.methods.tangency import refine_tangents
 from ssac.methods.tangent_pairs import TangencyConfig, tangent_times, tangents_under
-from ssac.search.two_views import two_views
-from ssac.tool.load import Paths, load_pair
-from ssac.tool.registry import OURS, Method, choose_method
-from ssac.track.observation import Observation, usable_events
+from ssac.pipeline.chain import MEANS, Chain, Source
+from ssac.pipeline.opened import opened, opened_rig
+from ssac.pipeline.registry import OURS, Input, Method
+from ssac.search.two_views import TwoViews, views_of
+from ssac.track.clean import Clean, clean
+from ssac.track.observation import Observation
 
 REPEATS = 5  # the best of as many is taken
 
@@ -37,20 +42,20 @@ def bench_sync(config: SimConfig | None = None) -> list[Measurement]:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name) / "pair"
         record(config or SimConfig(t_d_s=0.05), 0, folder, {})
-        paths = folder / "cam1.h5", folder / "cam2.h5", folder / "rig_extrinsics.yaml"
+        rig = opened_rig(folder / "rig_extrinsics.yaml", 2)
+        files = opened((folder / "cam1.h5", folder / "cam2.h5"), rig)
         with threadpool_limits(1):  # threads of BLAS that wait for work would count as well
-            return _stages(paths) + [_whole(method, paths) for method in OURS]
+            return _stages(files, rig) + [_whole(method, files, rig) for method in OURS]
 
 
-def _stages(paths: Paths) -> list[Measurement]:
+def _stages(files: Sequence[Source], rig: Cameras) -> list[Measurement]:
     config, outline = Config(), TangencyConfig()
     seconds: dict[str, float] = {}
-    read = partial(load_pair, paths, choose_method("tangency", known_extrinsics=False))
-    seconds["reading"], (cam1, cam2, rig) = best_seconds(read, REPEATS)
-    filtered = partial(usable_events, cam1, cam2, rig, config)
-    seconds["checks and denoising"], events = best_seconds(filtered, REPEATS)
-    left = [Observation(one, denoised=True) for one in events]
-    tracks = partial(two_views, left[0], left[1], rig, config)
+    read = partial(_read, files)
+    seconds["reading"], (cam1, cam2) = best_seconds(read, REPEATS)
+    filtered = partial(_cleaned, (cam1, cam2), rig)
+    seconds["checks and denoising"], left = best_seconds(filtered, REPEATS)
+    tracks = partial(_viewed, left, rig, config)
     seconds["tracks"], views = best_seconds(tracks, REPEATS)
     search = partial(algorithm_2, views)
     seconds["search over +-1 s"], found = best_seconds(search, REPEATS)
@@ -72,11 +77,25 @@ def _stages(paths: Paths) -> list[Measurement]:
     ]
 
 
-def _whole(method: Method, paths: Paths) -> Measurement:
+def _read(files: Sequence[Source], frames: str = "") -> list[Observation]:
+    return [file.read(frames) for file in files]
+
+
+def _cleaned(seen: Sequence[Observation], rig: Cameras) -> list[Clean]:
+    how = Config().cleaning
+    return [clean(one, camera, how) for one, camera in zip(seen, rig.cameras, strict=True)]
+
+
+def _viewed(left: Sequence[Clean], rig: Cameras, config: Config) -> TwoViews:
+    """Sum up both views, of events of which nothing was summed up before."""
+    one, other = (replace(camera, kept={}) for camera in left)
+    return views_of(one, other, rig.pair(0, 1), config)
+
+
+def _whole(method: Method, files: Sequence[Source], rig: Cameras) -> Measurement:
     """Time a method on what was read."""
-    cam1, cam2, rig = load_pair(paths, method)
-    work = partial(method.estimate, cam1, cam2, method.rig_of(rig), Config())
-    in_all, _ = best_seconds(work, REPEATS)
+    seen = _read(files, MEANS if method.input is Input.FRAMES else "")
+    in_all, _ = best_seconds(lambda: Chain(seen, rig).estimate(method), REPEATS)
     return Measurement(
         f"sync, {method.name}: all but reading", in_all, "s", MARKS_S.get(method.name)
     )

@@ -5,7 +5,6 @@ Fig. 4  p1, p2, the line l1 and the distance d, before and after the clocks are 
 Fig. 5  d_avg over +-1 s and +-3 ms of offset, where the true offset is zero
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,24 +16,19 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from experiments.figures.style import WIDTH_IN, quiet_axes
-from ssac.camera import Rig, known_pose
+from ssac.camera import Camera, known_pose
 from ssac.config import N_MIN, Config
 from ssac.errors import SsacError
-from ssac.estimate import Estimate
 from ssac.events import US_PER_S, slice_time
 from ssac.geometry.epipolar import epipolar_distance, fundamental_from_pose
 from ssac.geometry.fundamental import MIN_PAIRS, lmeds_fundamental
-from ssac.methods.algorithms import ssac
-from ssac.methods.tangency import tangency
+from ssac.pipeline.chain import Chain
+from ssac.pipeline.opened import opened, opened_rig
 from ssac.plot.plot_data import Array, Material
 from ssac.plot.plots import POLARITIES, ZOOM_S, draw_alignment, draw_epipolar
 from ssac.plot.style import BLUE, YELLOW
 from ssac.search.offset_search import mean_epipolar_distance
-from ssac.search.two_views import TwoViews, two_views
-from ssac.tool.load import load_pair
-from ssac.tool.registry import METHODS
-from ssac.track.observation import Observation
-from ssac.track.observation import denoised as without_noise
+from ssac.search.two_views import TwoViews
 
 STRETCH_S = (0.2, 2.2)
 """Of the noisy flight, chosen by eye: a moment with too few events, then two sweeps."""
@@ -48,15 +42,6 @@ _SEARCH_STEP_S, _ZOOM_STEP_S = 5e-3, 50e-6
 
 
 @dataclass(frozen=True)
-class Pair:
-    """What two cameras recorded, and their rig with the true extrinsics."""
-
-    cam1: Observation
-    cam2: Observation
-    rig: Rig
-
-
-@dataclass(frozen=True)
 class Curve:
     """d_avg of one way to come by F, over offsets."""
 
@@ -66,27 +51,20 @@ class Curve:
     d_avg_px: Array  # (n,) [px]
 
 
-def load_recording(folder: Path, t_d_s: float = 0.0) -> Pair:
+def load_recording(folder: Path, t_d_s: float = 0.0) -> Chain:
     """Read a simulated recording, with an offset added to camera 2's clock."""
-    paths = (folder / "cam1.h5", folder / "cam2.h5", folder / "rig_extrinsics.yaml")
-    cam1, cam2, rig = load_pair(paths, METHODS["ssac-known"])
-    return Pair(cam1, cam2.delayed(t_d_s), rig)
+    rig = opened_rig(folder / "rig_extrinsics.yaml", 2)
+    return Chain(opened((folder / "cam1.h5", folder / "cam2.h5"), rig), rig).delayed(t_d_s)
 
 
-def denoised(pair: Pair) -> Pair:
-    """Remove the noise from both cameras' events."""
-    return Pair(*without_noise(pair.cam1, pair.cam2, pair.rig, Config()), pair.rig)
-
-
-def preprocessing_figure(pair: Pair) -> Figure:
+def preprocessing_figure(chain: Chain) -> Figure:
     """Draw Fig. 3: STRETCH_S of camera 1's events, raw and denoised, and the positions p(t).
 
     Every so many events are drawn, the same share of the raw and of the denoised ones.
     """
-    clean = denoised(pair)
-    motion = two_views(clean.cam1, clean.cam2, clean.rig).motion1
+    motion = chain.views().motion1
     edges_us = [round(edge_s * US_PER_S) for edge_s in STRETCH_S]
-    raw, kept = (slice_time(one.cam1.events, *edges_us) for one in (pair, clean))
+    raw, kept = (slice_time(one.events, *edges_us) for one in (chain.recorded(0), chain.clean(0)))
     one_in = max(1, len(raw) // _MAX_EVENTS)
     times_s: Array = np.arange(*STRETCH_S, _TRACK_STEP_S, dtype=np.float64)
     track = motion.at(times_s)
@@ -102,7 +80,7 @@ def preprocessing_figure(pair: Pair) -> Figure:
     for number, title in enumerate(titles, start=1):
         box = ((number - 1) / 3.0 - 0.014, 0.04, 0.31, 0.86)
         axes: Any = figure.add_axes(box, projection="3d")
-        _x_y_t_axes(axes, pair.rig)
+        _x_y_t_axes(axes, chain.rig.cameras[0])
         axes.set_title(title, fontsize=9, y=1.02)
         if number < 3:
             events = (raw, kept)[number - 1][::one_in]
@@ -115,35 +93,33 @@ def preprocessing_figure(pair: Pair) -> Figure:
     return figure
 
 
-def epipolar_figure(pair: Pair) -> Figure:
+def epipolar_figure(chain: Chain) -> Figure:
     """Draw Fig. 4 with the offset and the F that `ssac` finds."""
     figure = Figure(figsize=(WIDTH_IN, 7.2), layout="constrained")
-    draw_epipolar(figure, _estimated(pair, ssac))
+    draw_epipolar(figure, _estimated(chain, "ssac"))
     return figure
 
 
-def alignment_figure(pair: Pair) -> Figure:
+def alignment_figure(chain: Chain) -> Figure:
     """Draw what both cameras see before and after alignment, as `tangency` finds it."""
     figure = Figure(figsize=(WIDTH_IN, 7.0), layout="constrained")
-    draw_alignment(figure, _estimated(pair, tangency))
+    draw_alignment(figure, _estimated(chain, "tangency"))
     return figure
 
 
-def _estimated(pair: Pair, method: Callable[..., Estimate]) -> Material:
-    """Give what figures of an estimate are drawn from; the estimate sees no extrinsics."""
-    clean = denoised(pair)
-    parts = clean.cam1, clean.cam2, Rig(clean.rig.cam1, clean.rig.cam2), Config()
-    estimate = method(*parts)
+def _estimated(chain: Chain, method: str) -> Material:
+    """Give what figures of an estimate are drawn from."""
+    answer = chain.answer(method)
+    estimate, (one, other) = answer.estimate, answer.cleans
     if estimate.status != "ok":
         raise SsacError(f"no epipolar lines: {estimate.status}: {estimate.reason}: take another")
-    events = clean.cam1.events, clean.cam2.events
-    return Material(estimate, events, two_views(*parts))
+    return Material(estimate, (one.events, other.events), answer.views)
 
 
-def d_avg_figure(pair: Pair) -> Figure:
+def d_avg_figure(chain: Chain) -> Figure:
     """Draw Fig. 5: d_avg, with the pose known or not, of a pair whose clocks are equal."""
-    views = two_views(pair.cam1, pair.cam2, pair.rig)
-    F = fundamental_from_pose(pair.rig.cam1.K, pair.rig.cam2.K, *known_pose(pair.rig))
+    views, rig = chain.views(), chain.rig.pair(0, 1)
+    F = fundamental_from_pose(rig.cam1.K, rig.cam2.K, *known_pose(rig))
     figure = Figure(figsize=(WIDTH_IN, 3.3), layout="constrained")
     whole, zoom = figure.subplots(1, 2)
     for axes, reach_s, step_s, per_s in (
@@ -194,9 +170,9 @@ def _draw_curve(axes: Axes, curve: Curve, per_s: float) -> None:
     axes.plot(per_s * best_s, least_px, "o", color=curve.color, mec="black", ms=5, zorder=4)
 
 
-def _x_y_t_axes(axes: Any, rig: Rig) -> None:
+def _x_y_t_axes(axes: Any, camera: Camera) -> None:
     """Show the whole image over time; y points down, as in the image."""
-    axes.set(xlim=STRETCH_S, ylim=(0, rig.cam1.width), zlim=(rig.cam1.height, 0))
+    axes.set(xlim=STRETCH_S, ylim=(0, camera.width), zlim=(camera.height, 0))
     axes.set_box_aspect((1.6, 1.1, 0.9), zoom=0.96)
     axes.view_init(elev=24, azim=-62)
     axes.set_proj_type("ortho")

@@ -23,7 +23,8 @@ from sim.clock import Drift
 from ssac.camera import Camera, Rig, with_deviations
 from ssac.config import Config
 from ssac.estimate import Estimate
-from ssac.tool.registry import METHODS, Chain
+from ssac.pipeline.chain import Chain
+from ssac.pipeline.registry import METHODS
 from ssac.track.observation import Observation
 
 FloatArray = NDArray[np.float64]
@@ -89,7 +90,7 @@ def marked_row(cell: MarkCell, flown: Flown) -> MarkRow:
     if kind.skew_prior_ppm is not None:
         config = replace(config, skew_prior_ppm=kind.skew_prior_ppm)
     start_s = time.process_time()
-    estimate = Chain(pair.cam1, pair.cam2, pair.rig, config).estimate(METHOD)
+    estimate = Chain((pair.cam1, pair.cam2), pair.rig, config).estimate(METHOD)
     cpu_s = time.process_time() - start_s
     t_mid_s = 0.5 * duration_s
     row = scored(estimate, flown.flight.rig, kind.skew_ppm, t_mid_s)
@@ -188,7 +189,7 @@ def _moved(estimate: Estimate, flown: Flown) -> tuple[float, float, float]:
     """Give how far t_d [ms], R and t [deg] are from what exact intrinsics give."""
     if not flown.exact:
         cam2 = flown.flight.cam2.delayed(T_D_S)
-        flown.exact.append(Chain(flown.flight.cam1, cam2, flown.flight.rig).estimate(METHOD))
+        flown.exact.append(Chain((flown.flight.cam1, cam2), flown.flight.rig).estimate(METHOD))
     (exact,) = flown.exact
     if estimate.R is None or exact.R is None or estimate.t is None or exact.t is None:
         return np.nan, np.nan, np.nan

@@ -16,7 +16,8 @@ from experiments.run.cache import Cache
 from experiments.run.recorded import load_pair
 from experiments.run.task import FlightCell, Measure
 from ssac.config import Config
-from ssac.search.two_views import TwoViews, two_views
+from ssac.pipeline.chain import Chain
+from ssac.search.two_views import TwoViews
 
 
 @dataclass(frozen=True)
@@ -62,7 +63,7 @@ def load_flown(cells: Sequence[BoundCell], cache: Cache) -> Flown:
     """Load a flight."""
     folder = cache.recording_folder(cells[0].sim, cells[0].seed)
     cam1, cam2, rig = load_pair(folder)
-    return Flown(two_views(cam1, cam2, rig, cells[0].estimator), load_truth(folder))
+    return Flown(Chain((cam1, cam2), rig, cells[0].estimator).views(), load_truth(folder))
 
 
 def bound_row(cell: BoundCell, flown: Flown) -> BoundRow:

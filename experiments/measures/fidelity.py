@@ -18,9 +18,7 @@ from sim.recording import SimConfig
 from sim.render.config import RenderConfig
 from sim.render.instants import SamplingConfig
 from sim.render.lattice import Lattice
-from ssac.config import Config
-from ssac.tool.registry import Chain
-from ssac.track.observation import prepare
+from ssac.pipeline.chain import Chain
 
 SHARES = ("median_us", "p95_us", "spurious", "missing")  # of EventFidelity
 METHOD_NAMES = ("ssac", "ssac-known", "joint", "tangency")
@@ -145,8 +143,7 @@ def compare_events(events: NDArray[Any], reference: NDArray[Any]) -> EventFideli
 
 def _offsets_ms(pair: Pair) -> dict[str, float]:
     """Offset [ms] that each method finds; only a method that needs the true pose is given it."""
-    config = Config()
-    chain = Chain(*prepare(pair.cam1, pair.cam2, pair.rig, config), pair.rig, config)
+    chain = Chain((pair.cam1, pair.cam2), pair.rig)
     return {name: 1e3 * chain.estimate(name).t_d_s for name in METHOD_NAMES}
 
 

@@ -19,8 +19,9 @@ from sim.disturb.clutter import clutter, merged, thinned, wrong_intrinsics
 from sim.disturb.pixels import View
 from ssac.camera import Camera, Rig, known_pose
 from ssac.estimate import Estimate
-from ssac.tool.registry import METHODS, Chain
-from ssac.track.observation import Observation, prepare
+from ssac.pipeline.chain import Chain
+from ssac.pipeline.registry import METHODS
+from ssac.track.observation import Observation
 
 
 @dataclass(frozen=True)
@@ -74,20 +75,12 @@ class ImperfectRow:
 
 
 @dataclass(frozen=True)
-class Spoilt:
-    """A kind's recording as the methods see it, and what they found on it so far."""
-
-    chain: Chain
-    n_events: tuple[int, int]
-
-
-@dataclass(frozen=True)
 class FlownImperfect:
     """A flight, and the kind that was made of it last."""
 
     flight: Pair  # whose clocks show the same
     other: Pair | None
-    spoilt: dict[str, Spoilt] = field(default_factory=dict)
+    spoilt: dict[str, Chain] = field(default_factory=dict)
 
 
 def load_imperfect(cells: Sequence[ImperfectCell], cache: Cache) -> FlownImperfect:
@@ -105,17 +98,15 @@ def imperfect_row(cell: ImperfectCell, flown: FlownImperfect) -> ImperfectRow:
         flown.spoilt.clear()  # the cells of a kind follow each other
         other = flown.other if cell.needs_other else None
         pair = spoilt_pair(flown.flight, other, kind, cell.seed, cell.sim.spline.duration_s)
-        cam1, cam2 = prepare(pair.cam1, pair.cam2, pair.rig)
-        n_events = len(pair.cam1.events), len(pair.cam2.events)
-        flown.spoilt[cell.kind] = Spoilt(Chain(cam1, cam2, pair.rig), n_events)
-    spoilt = flown.spoilt[cell.kind]
+        flown.spoilt[cell.kind] = Chain((pair.cam1, pair.cam2), pair.rig)
+    chain = flown.spoilt[cell.kind]
     row = scored(
-        spoilt.chain.estimate(cell.method),
+        chain.estimate(cell.method),
         flown.flight.rig,
         kind.skew_ppm(cell.seed),
         0.5 * cell.sim.spline.duration_s,
     )
-    n_cam1, n_cam2 = spoilt.n_events
+    n_cam1, n_cam2 = (chain.clean(k).n_recorded for k in range(2))
     return replace(row, n_events_cam1=n_cam1, n_events_cam2=n_cam2)
 
 

@@ -19,8 +19,8 @@ from experiments.run.recorded import Pair
 from experiments.run.score import score
 from experiments.run.task import FlightCell, Measure
 from ssac.estimate import Estimate
-from ssac.tool.registry import METHODS, Chain
-from ssac.track.observation import prepare
+from ssac.pipeline.chain import Chain
+from ssac.pipeline.registry import METHODS
 
 MAX_SIGMAS = 5.0
 """A larger error, with status "ok", is a confident wrong answer."""
@@ -78,20 +78,12 @@ class RefusalRow:
 
 
 @dataclass(frozen=True)
-class Prepared:
-    """A kind's recording as the methods see it, and what they found on it so far."""
-
-    case: RefusalCase
-    chain: Chain
-
-
-@dataclass(frozen=True)
 class FlownKinds:
     """A flight, and the kinds that were made of it so far."""
 
     flight: Pair
     other: Pair | None
-    prepared: dict[str, Prepared] = field(default_factory=dict)
+    made: dict[str, tuple[RefusalCase, Chain]] = field(default_factory=dict)
 
 
 def load_kinds(cells: Sequence[RefusalCell], cache: Cache) -> FlownKinds:
@@ -105,13 +97,12 @@ def load_kinds(cells: Sequence[RefusalCell], cache: Cache) -> FlownKinds:
 
 def refusal_row(cell: RefusalCell, flown: FlownKinds) -> RefusalRow:
     """Run one method on one kind, and judge what it says."""
-    if cell.kind not in flown.prepared:
+    if cell.kind not in flown.made:
         case = refusal_case(cell.kind, flown.flight, flown.other)
-        cam1, cam2 = prepare(case.cam1, case.cam2, case.rig, case.config)
-        flown.prepared.clear()  # the cells of a kind follow each other
-        flown.prepared[cell.kind] = Prepared(case, Chain(cam1, cam2, case.rig, case.config))
-    kind = flown.prepared[cell.kind]
-    return judged(kind.chain.estimate(cell.method), kind.case)
+        flown.made.clear()  # the cells of a kind follow each other
+        flown.made[cell.kind] = case, Chain((case.cam1, case.cam2), case.rig, case.config)
+    case, chain = flown.made[cell.kind]
+    return judged(chain.estimate(cell.method), case)
 
 
 REFUSALS = Measure(load_kinds, refusal_row, RefusalRow)

@@ -14,14 +14,11 @@ from experiments.run.recorded import recorded_pair
 from experiments.run.score import score
 from experiments.run.task import FlightCell, Measure
 from ssac.camera import Rig, known_pose
-from ssac.config import Config
 from ssac.estimate import Estimate
-from ssac.methods.algorithms import algorithm_2
-from ssac.methods.joint import joint_from
 from ssac.methods.tangency import refine_tangents
 from ssac.methods.tangent_pairs import TangencyConfig
-from ssac.search.two_views import TwoViews, two_views
-from ssac.track.observation import prepare
+from ssac.pipeline.chain import Chain
+from ssac.search.two_views import TwoViews
 
 
 @dataclass(frozen=True)
@@ -66,11 +63,9 @@ class Started:
 
 def load_started(cells: Sequence[VariantCell], cache: Cache) -> Started:
     """Run the joint refinement on a flight."""
-    raw1, raw2, rig = recorded_pair(cache, cells[0].sim, cells[0].seed)
-    blind = Rig(rig.cam1, rig.cam2)
-    cam1, cam2 = prepare(raw1, raw2, blind)
-    views = two_views(cam1, cam2, blind, Config())
-    return Started(joint_from(algorithm_2(views), views), views, rig)
+    cam1, cam2, rig = recorded_pair(cache, cells[0].sim, cells[0].seed)
+    answer = Chain((cam1, cam2), rig).answer("joint")
+    return Started(answer.estimate, answer.views, rig)
 
 
 def variant_row(cell: VariantCell, started: Started) -> VariantRow:

@@ -24,14 +24,15 @@ from sim.scene.rig import look_at_rig
 from sim.scene.trajectory import Trajectory, random_spline
 from sim.seeds import generator
 from ssac.baselines.correlation import Signal, binned, lags_of, zncc
-from ssac.baselines.zncc_e import BIN_S, zncc_e
-from ssac.baselines.zncc_f import FRAME_S, zncc_f
+from ssac.baselines.zncc_e import BIN_S
+from ssac.baselines.zncc_f import FRAME_S
 from ssac.config import Config
 from ssac.errors import SsacError
 from ssac.estimate import Estimate
 from ssac.events import US_PER_S
 from ssac.files.hdf5 import load_frames
-from ssac.track.observation import Observation, prepare
+from ssac.pipeline.chain import Chain
+from ssac.track.observation import Observation
 
 Array = NDArray[np.float64]
 
@@ -119,9 +120,9 @@ class SignalFlight:
         return Pair(first, second, rig)
 
     @cached_property
-    def pair(self) -> Pair:
-        """The same without noise."""
-        return Pair(*prepare(self.raw.cam1, self.raw.cam2, self.raw.rig), self.raw.rig)
+    def chain(self) -> Chain:
+        """Methods on the same."""
+        return Chain(self.raw[:2], self.raw.rig)
 
     @cached_property
     def modelled(self) -> tuple[dict[str, Signal], dict[str, Signal]]:
@@ -145,7 +146,7 @@ def signal_row(cell: SignalCell, flight: SignalFlight) -> SignalRow:
     found = rendered_agreement(cell.signal, flight)
     if cell.signal != ZNCC_E:
         return SignalRow("ok", **vars(found))
-    rate = binned(flight.pair.cam2.events["t"] / US_PER_S, None, BIN_S)
+    rate = binned(flight.chain.clean(1).events["t"] / US_PER_S, None, BIN_S)
     model = flight.modelled[1][RATE]
     figures = _figures(flight)
     return SignalRow(
@@ -164,17 +165,14 @@ SIGNALS = Measure(load_flight, signal_row, SignalRow)
 def rendered_agreement(signal: str, flight: SignalFlight) -> Agreement:
     """Correlate what both cameras recorded, as one of RENDERED_SIGNALS."""
     if signal == RAW:
-        return of_estimate(zncc_e(*flight.raw, Config(denoise=False)))
+        return of_estimate(flight.chain.under(Config(denoise=False)).estimate(ZNCC_E))
     if signal in (ZNCC_E, ZNCC_F):
-        method = zncc_e if signal == ZNCC_E else zncc_f
-        return of_estimate(method(*flight.pair, Config()))
+        return of_estimate(flight.chain.estimate(signal))
     if signal == CHANGES:
         changes = [_frame_changes(camera) for camera in (flight.raw.cam1, flight.raw.cam2)]
         return agreement(changes[0], changes[1], FRAME_S)
     bin_s = BINS_S[signal]
-    rates = [
-        binned(c.events["t"] / US_PER_S, None, bin_s) for c in (flight.pair.cam1, flight.pair.cam2)
-    ]
+    rates = [binned(flight.chain.clean(k).events["t"] / US_PER_S, None, bin_s) for k in range(2)]
     return agreement(rates[0], rates[1], bin_s)
 
 

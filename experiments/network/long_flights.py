@@ -27,8 +27,9 @@ from ssac.clock import Clock
 from ssac.errors import SsacError
 from ssac.estimate import Status
 from ssac.files.track_files import save_track
+from ssac.pipeline.api import sync
+from ssac.pipeline.many import NetworkResult
 from ssac.points import PointTrack
-from ssac.tool.many import ManyResult, sync_all
 
 Array = NDArray[np.float64]
 
@@ -125,34 +126,34 @@ def _measured(duration_s: float) -> dict[str, Any]:
         for folder in (short, whole):
             folder.mkdir()
         files, clocks = write_tracks(whole, duration_s)
-        sync_all(write_tracks(short, _SHORT_S)[0][:3], short / "rig.yaml")
+        sync(write_tracks(short, _SHORT_S)[0][:3], short / "rig.yaml")
         wall_s, cpu_s = time.perf_counter(), time.process_time()
-        found = sync_all(files, whole / "rig.yaml")
+        found = sync(files, whole / "rig.yaml")
         wall_s, cpu_s = time.perf_counter() - wall_s, time.process_time() - cpu_s
         peak_mb = peak_memory_mb()
     parts = found.seconds
     return {
-        "points": sum(camera.n_seen for camera in found.answer.cameras),
+        "points": sum(camera.n_seen for camera in found.network.cameras),
         "wall_s": wall_s,
         "cpu_s": cpu_s,
         "pairs_s": sum(seconds for part, seconds in parts.items() if part != "network"),
         "network_s": parts["network"],
         "peak_mb": peak_mb,
-        "status": str(found.answer.status),
-        **(_errors(found, clocks, duration_s) if found.answer.status == Status.OK else {}),
+        "status": str(found.network.status),
+        **(_errors(found, clocks, duration_s) if found.network.status == Status.OK else {}),
     }
 
 
-def _errors(found: ManyResult, clocks: list[Clock], duration_s: float) -> dict[str, float]:
+def _errors(found: NetworkResult, clocks: list[Clock], duration_s: float) -> dict[str, float]:
     """Give the largest error of a clock, and the path's in the first camera's frame."""
     errors_s = [
         camera.t_d_s - (float(clock.cam2_from_cam1(camera.t_ref_s)) - camera.t_ref_s)
-        for camera, clock in zip(found.answer.cameras, clocks, strict=True)
+        for camera, clock in zip(found.network.cameras, clocks, strict=True)
     ]
     rig = _rig()
     T_1_W = rig.cameras[0].T_C_W
     flight = random_spline(replace(_SPLINE, duration_s=duration_s), np.random.default_rng(_SEED))
-    path = found.answer.paths[0].path
+    path = found.network.paths[0].path
     true_m = (
         flight.poses(np.clip(path.times_s, 0.0, duration_s))[:, :3, 3] @ T_1_W[:3, :3].T
         + T_1_W[:3, 3]

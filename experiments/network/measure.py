@@ -30,7 +30,7 @@ from ssac.network.solve import NetworkAnswer
 from ssac.network.state import ROTATION, TRANSLATION
 from ssac.path.align import similarity
 from ssac.path.tum import Path as SpacePath
-from ssac.tool.many import sync_all
+from ssac.pipeline.api import sync
 
 Array = NDArray[np.float64]
 
@@ -118,7 +118,7 @@ def solved(kind: str, flown: FlownBefore) -> NetworkAnswer:
     """Synchronise every pair and solve all, as `ssac sync` of four files does."""
     with TemporaryDirectory() as name:
         files = [_written(Path(name), kind, k, flown) for k in range(N_CAMERAS)]
-        return sync_all(files, flown.folder / "rig.yaml").answer
+        return sync(files, flown.folder / "rig.yaml").network
 
 
 def _written(work: Path, kind: str, k: int, flown: FlownBefore) -> Path:

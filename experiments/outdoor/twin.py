@@ -29,9 +29,9 @@ from ssac.follow.faint import faint_object_events
 from ssac.geometry.pose import depths
 from ssac.path.interpolation import smoothed
 from ssac.path.tum import Path as SpacePath
+from ssac.pipeline.answer import Answer
+from ssac.pipeline.api import sync
 from ssac.points import PointTrack
-from ssac.search.two_views import two_views
-from ssac.tool.sync import SyncResult, sync
 
 Array = NDArray[np.float64]
 
@@ -44,7 +44,9 @@ COLUMNS = (
     "icp_rmse_m", "scale_error_percent", "rtk_samples", "coverage", "reason",
 )  # fmt: skip
 
-CONFIG = Config(denoise=False, n_min=8, half_window_s=0.05, n_samples=1200)  # of a small drone
+CONFIG = Config(
+    denoise=False, n_min=8, half_window_s=0.05, n_samples=1200, skew_prior_ppm=50.0, search="all"
+)  # of a small drone, and event cameras' clocks
 _PATH_HZ = 50.0
 _BETWEEN_S = 0.00031  # after the truth's samples: times of whole milliseconds look rounded
 _MOST_MISSED = 9.0  # times the median: 6 deviations
@@ -95,7 +97,7 @@ def twin_row(
 
 def estimated(
     folder: Path, config: SimConfig, truth: Truth, flight: int, kind: str
-) -> tuple[SyncResult, SpacePath | None]:
+) -> tuple[Answer, SpacePath | None]:
     """Find clocks, pose and path [baselines, camera 1's frame] of a flight."""
     exact = kind in ("true_intrinsics", "all_true")
     with TemporaryDirectory() as name:
@@ -106,7 +108,7 @@ def estimated(
         else:
             names = write_events(work, folder, truth, flight)
         cam1, cam2 = work / names[0], work / names[1]
-        found = sync(cam1, cam2, work / "rig.yaml", config=CONFIG, search_all=True)
+        found = sync(cam1, cam2, work / "rig.yaml", config=CONFIG).answer
     if not found.estimate.has_offset:
         return found, None
     pose = found.estimate.R, found.estimate.t
@@ -117,14 +119,14 @@ def estimated(
     return found, triangulated(found, pose[0], pose[1])
 
 
-def triangulated(found: SyncResult, R: Array, t: Array) -> SpacePath | None:
+def triangulated(found: Answer, R: Array, t: Array) -> SpacePath | None:
     """Triangulate both tracks, smoothed in time; None of too few points in front of both cameras.
 
     The mean of the two points where the rays pass closest, in camera 1's frame, on its clock. Rays
     that miss each other by far more than others do, at their depth, are of no one point.
     """
     estimate, rig = found.estimate, found.rig
-    views = two_views(found.cam1, found.cam2, rig, found.config).under(estimate.clock)
+    views = found.views.under(estimate.clock)
     start_s, end_s = views.overlap_s(np.array([estimate.t_d_s]))
     n_samples = int(_PATH_HZ * (end_s[0] - start_s[0]))
     pairs = views.pairs_at(estimate.t_d_s, n_samples)

@@ -14,7 +14,7 @@ import pandas as pd
 
 from experiments.paper.quantities import ERRORS, POSE_ERRORS, T_D_ERROR
 from ssac.errors import SsacError
-from ssac.tool.registry import METHODS
+from ssac.pipeline.registry import METHODS
 
 RUN_COLUMNS = (
     "duration_s", "angle_deg", "t_d_ms", "flight", "seed", "method", "status", "reason",

@@ -13,7 +13,7 @@ from experiments.physical.imperfections import SetUp
 from experiments.run.cache import Cache
 from experiments.run.grid import Cell
 from experiments.run.recorded import Pair, load_pair
-from experiments.run.scored import Frames, Recorded, Row, frames_of, scored_row
+from experiments.run.scored import Frames, Row, frames_of, scored_row
 from experiments.run.task import Measure
 from sim.disturb.clutter import merged
 from sim.effects.config import SensorEffects
@@ -25,8 +25,9 @@ from sim.twin.calibration import CalibrationConfig, calibrated_camera, calibrate
 from sim.twin.room import RoomConfig, room_events
 from ssac.camera import Camera, Rig
 from ssac.events import US_PER_S
-from ssac.tool.registry import METHODS
-from ssac.track.observation import Observation, prepare
+from ssac.pipeline.chain import Chain
+from ssac.pipeline.registry import METHODS
+from ssac.track.observation import Observation
 
 SETTLING_S = 0.1
 """First part of a recording that is left out: pixels that leak or flicker start all at once."""
@@ -53,7 +54,7 @@ class Flown:
 
     pair: Pair  # whose rig is the true one
     frames: tuple[Frames, Frames]
-    seen: dict[SetUp, Recorded] = field(default_factory=dict)
+    seen: dict[SetUp, Chain] = field(default_factory=dict)
 
 
 def load_physical(cells: Sequence[PhysicalCell], cache: Cache) -> Flown:
@@ -115,8 +116,8 @@ def _known_rig(
     return Rig(first, second, T_2_1)
 
 
-def _recorded(cell: PhysicalCell, flown: Flown) -> Recorded:
-    """Make of a recording what the bench's cameras saw, and prepare it."""
+def _recorded(cell: PhysicalCell, flown: Flown) -> Chain:
+    """Make of a recording what the bench's cameras saw."""
     bench, cameras = cell.bench, []
     scene, hanging = None, None
     for index, frames in enumerate(flown.frames):
@@ -130,7 +131,4 @@ def _recorded(cell: PhysicalCell, flown: Flown) -> Recorded:
         if bench.polarity is not None:
             events = events[events["p"] == bench.polarity]
         cameras.append(Observation(events, *frames))
-    rig = known_rig(bench)
-    n_events = len(cameras[0].events), len(cameras[1].events)
-    first, second = prepare(cameras[0], cameras[1], rig, cell.estimator)
-    return Recorded(first, second, rig, n_events)
+    return Chain(cameras, known_rig(bench), cell.estimator)

@@ -20,7 +20,7 @@ from experiments.physical.imperfections import ALL, ANGLES_DEG, IMPERFECTIONS, b
 from experiments.physical.measure import PHYSICAL, PhysicalCell
 from experiments.studies.study import Study, read_table
 from ssac.errors import SsacError
-from ssac.tool.registry import OURS
+from ssac.pipeline.registry import OURS
 
 N_RECORDINGS = 10
 """Of each angle and duration, as in the paper."""

@@ -3,7 +3,7 @@
 import re
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -16,8 +16,8 @@ from ssac.convert.drone_tracking import ImportedCamera, import_data_set
 from ssac.errors import SsacError
 from ssac.network.graph import Pair
 from ssac.path import tum
-from ssac.tool.everywhere import SKEW_PRIOR_PPM
-from ssac.tool.sync import SyncResult, sync
+from ssac.pipeline.answer import Answer
+from ssac.pipeline.api import sync
 
 Array = NDArray[np.float64]
 Log = Callable[[str], None]
@@ -73,8 +73,9 @@ class DataSet:
     folder: Path  # as it was published
     cameras: list[ImportedCamera]
     tracks: list[Path]  # theirs
+    rig: Path
     truth: Truth | None
-    pairs: dict[Pair, SyncResult]
+    pairs: dict[Pair, Answer]
     seconds: dict[Pair, float]  # of one core, each pair
 
     def off_truth_ms(self, pair: Pair, t_d_s: float, time_s: float) -> float:
@@ -115,10 +116,11 @@ def data_sets(
             raise SsacError(f"{folder}: there is no such folder: give that of the data sets")
         cameras = import_data_set(folder, own)
         tracks = [own / f"{camera.name}.csv" for camera in cameras]
-        found = DataSet(number, folder, cameras, tracks, load_truth(folder), {}, {})
+        rig = own / "rig.yaml"
+        found = DataSet(number, folder, cameras, tracks, rig, load_truth(folder), {}, {})
         for i, j in combinations(range(len(cameras)), 2):
             start_s = time.process_time()
-            result = _synchronised(number, (i, j), tracks, own / "rig.yaml")
+            result = _synchronised(number, (i, j), tracks, rig)
             found.pairs[i, j], found.seconds[i, j] = result, time.process_time() - start_s
             estimate = result.estimate
             log(
@@ -181,26 +183,25 @@ def rate_range(number: int, i: int, j: int) -> tuple[float, float] | None:
     return None if low == high and slow == fast else (low / fast, high / slow)
 
 
-def _synchronised(number: int, pair: Pair, tracks: list[Path], rig: Path) -> SyncResult:
+def _synchronised(number: int, pair: Pair, tracks: list[Path], rig: Path) -> Answer:
     """Synchronise a pair with what is tried in turn for it, until it is answered."""
     i, j = pair
-    configs: list[Config | None] = [None]  # what sync tries itself
+    config = Config(search="all", rates=rate_range(number, i, j))
+    configs = [config]  # what sync tries itself
     if {(number, i), (number, j)} & VARIABLE_RATES:
         configs = [
-            Config(skew_prior_ppm=SKEW_PRIOR_PPM, clock="pieces", roughness_ppm=roughness_ppm)
+            replace(config, clock="pieces", roughness_ppm=roughness_ppm)
             for roughness_ppm in ROUGHNESSES_PPM
         ]
     for config in configs:
-        result = sync(
+        answer = sync(
             tracks[i],
             tracks[j],
             rig,
             config=config,
             cameras=(i + 1, j + 1),
-            search_all=True,
-            rate_range=rate_range(number, i, j),
             estimate_readout=True,
-        )
-        if result.estimate.has_offset:
+        ).answer
+        if answer.estimate.has_offset:
             break
-    return result
+    return answer

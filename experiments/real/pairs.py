@@ -11,9 +11,8 @@ from experiments.real.data_sets import DataSet
 from ssac.clock import Clock
 from ssac.estimate import Estimate
 from ssac.network.graph import Pair, closures_s
-from ssac.search.all_offsets import AllOffsets
-from ssac.tool.everywhere import Start
-from ssac.tool.sync import SyncResult
+from ssac.pipeline.answer import Answer
+from ssac.pipeline.chain import Chain
 
 Row = dict[str, Any]
 
@@ -58,17 +57,17 @@ def pair_tables(sets: Iterable[DataSet]) -> dict[str, pd.DataFrame]:
     }
 
 
-def _clock(result: SyncResult) -> Clock | None:
+def _clock(result: Answer) -> Clock | None:
     """Give the clock that a pair found; of a mere delay, too, with a time at which to close."""
-    if result.guess is None or not result.estimate.has_offset:
+    if not result.has_guess or not result.estimate.has_offset:
         return None
     return replace(result.estimate.clock, t_ref_s=_t_ref_s(result))
 
 
-def _t_ref_s(result: SyncResult) -> float:
-    estimate, guess = result.estimate, result.guess
+def _t_ref_s(result: Answer) -> float:
+    estimate, start = result.estimate, result.start
     has_skew = bool(np.isfinite(estimate.skew_ppm))
-    return estimate.t_ref_s if has_skew or guess is None else guess.t_ref_s
+    return estimate.t_ref_s if has_skew or start is None else start.guess.t_ref_s
 
 
 def _row(one: DataSet, pair: Pair) -> Row:
@@ -103,20 +102,15 @@ def _row(one: DataSet, pair: Pair) -> Row:
     }
 
 
-def _effect_of_readouts(result: SyncResult) -> Row:
+def _effect_of_readouts(result: Answer) -> Row:
     """Say where the offset were with shutters taken for global ones, and how sure it would be."""
-    if result.guess is None or not result.estimate.has_offset:
+    start = result.start
+    if start is None or not result.estimate.has_offset:
         return {"by_readouts_ms": np.nan, "global_std_ms": np.nan}
     cameras = [replace(one, readout_std_s=0.0) for one in (result.rig.cam1, result.rig.cam2)]
-    start = Start(AllOffsets(np.empty(0), np.empty(0), [result.guess], 0.0))
-    other = start.as_recorded(
-        result.method.estimate(
-            result.cam1,
-            start.as_seen(result.cam2),
-            replace(result.rig, cam1=cameras[0], cam2=cameras[1]),
-            result.config,
-        )
-    )
+    rig = replace(result.rig, cam1=cameras[0], cam2=cameras[1])
+    seen = result.cleans[0], start.as_seen(result.cleans[1])
+    other = start.as_recorded(Chain(seen, rig, result.config).estimate(result.method))
     return {
         "by_readouts_ms": 1e3 * (result.estimate.t_d_s - other.t_d_s),
         "global_std_ms": 1e3 * other.t_d_std_s,

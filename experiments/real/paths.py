@@ -8,11 +8,13 @@ import pandas as pd
 
 from experiments.real.data_sets import VARIABLE_RATES, DataSet, load_rtk
 from ssac.compare.comparison import Comparison, compare
+from ssac.config import SKEW_PRIOR_PPM
 from ssac.errors import SsacError
 from ssac.estimate import Status
 from ssac.network.solve import NetworkAnswer
-from ssac.tool.everywhere import SKEW_PRIOR_PPM
-from ssac.tool.many import solve_pairs
+from ssac.pipeline.chain import Chain
+from ssac.pipeline.many import solve_pairs
+from ssac.pipeline.opened import opened, opened_rig
 
 PATHS_FILE = "real_paths.csv"
 
@@ -40,7 +42,8 @@ def path_of(one: DataSet) -> tuple[Row, Comparison]:
         If no cameras see a path together, or RTK cannot be read.
     """
     start_s = time.process_time()
-    answer = solve_pairs(one.tracks, one.pairs)
+    rig = opened_rig(one.rig, len(one.tracks))
+    answer = solve_pairs(Chain(opened(one.tracks, rig), rig), one.pairs)
     network_s = time.process_time() - start_s
     if not answer.paths:
         raise SsacError(f"{one.folder}: no cameras see a path together: {answer.reason}")

@@ -17,11 +17,9 @@ from sim.errors import SimError
 from ssac.config import Config
 from ssac.events import US_PER_S, slice_time
 from ssac.geometry.epipolar import epipolar_distance
+from ssac.pipeline.chain import Chain
+from ssac.pipeline.opened import opened, opened_rig
 from ssac.plot.plot_data import Material, d_avg_px
-from ssac.search.two_views import two_views
-from ssac.tool.load import load_pair
-from ssac.tool.registry import METHODS
-from ssac.track.observation import prepare
 
 Array = NDArray[np.float64]
 Events = NDArray[np.void]
@@ -116,35 +114,32 @@ def make_animation(folder: Path) -> Animation:
     SimError
         When the recording gives no estimate, or is shorter than the stretch.
     """
-    method = METHODS[METHOD]
-    cam1, cam2, rig = load_pair(
-        (folder / "cam1.h5", folder / "cam2.h5", folder / "rig.yaml"), method
-    )
-    cam2 = cam2.delayed(T_D_S)
-    config = Config()
-    clean = prepare(cam1, cam2, rig, config)
-    estimate = method.estimate(*clean, rig, config)
+    models = opened_rig(folder / "rig.yaml", 2)
+    files = opened((folder / "cam1.h5", folder / "cam2.h5"), models)
+    chain = Chain(files, models).delayed(T_D_S)
+    answer = chain.answer(METHOD)
+    estimate, (one, other) = answer.estimate, answer.cleans
     if estimate.status != "ok" or estimate.F is None:
         raise SimError(
             f"{folder}: expected a recording that {METHOD} can synchronise, got {estimate.status} "
             f"({estimate.reason}): simulate one of 20 s at 90 deg"
         )
-    pair = two_views(*clean, rig, config)
     offsets_s: Array = np.arange(0.0, 2.0 * T_D_S + _END_S, _OFFSET_STEP_S, dtype=np.float64)
     offsets_s = np.sort(np.append(offsets_s, estimate.t_d_s))
-    material = Material(estimate, (clean[0].events, clean[1].events), pair)
+    material = Material(estimate, (one.events, other.events), answer.views)
     start_s = _telling_start(material)
     truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
     longer_s = LENGTH_S + 2.0 * T_D_S
     views = []
     lengths_s = LENGTH_S, longer_s
-    for camera, motion, length_s in zip((cam1, cam2), material.motions, lengths_s, strict=True):
+    cameras = chain.recorded(0), chain.recorded(1)
+    for camera, motion, length_s in zip(cameras, material.motions, lengths_s, strict=True):
         track = motion.at(start_s + _steps(length_s))
         track_px = np.where(track.valid[:, None], track.positions_px, np.nan)
         views.append(_view(camera.events, start_s, length_s, track_px))
     return Animation(
-        rig.cam1.width,
-        rig.cam1.height,
+        models.cameras[0].width,
+        models.cameras[0].height,
         start_s,
         estimate.t_d_s,
         estimate.F,

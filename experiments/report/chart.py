@@ -16,7 +16,7 @@ from experiments.paper.grids import table_axes
 from experiments.paper.quantities import ERRORS, split_quantity
 from experiments.report.data import Results
 from experiments.report.tables import number
-from ssac.tool.registry import METHODS
+from ssac.pipeline.registry import METHODS
 
 
 @dataclass(frozen=True)

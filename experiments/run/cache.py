@@ -48,7 +48,7 @@ RECORDING_CODE = ("sim.recording", "sim.storage")
 
 BRIGHTNESS_CODE = ("ssac.baselines.zncc_f", "ssac.files.hdf5")
 
-DENOISED_CODE = ("ssac.track.observation", "ssac.files.hdf5")
+DENOISED_CODE = ("ssac.track.clean", "ssac.files.hdf5")
 
 
 class Brightness(NamedTuple):

@@ -34,7 +34,7 @@ from sim.recording import SimConfig
 from ssac.config import Config, checked
 from ssac.errors import SsacError
 from ssac.files.net import brief
-from ssac.tool.registry import METHODS, choose_method
+from ssac.pipeline.registry import METHODS, choose_method
 
 if sys.version_info >= (3, 11):
     import tomllib

@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 
 from experiments.run.cache import Cache, Denoised
 from sim.recording import SimConfig
-from ssac.camera import Rig
-from ssac.config import Config
+from ssac.camera import Camera, Rig
+from ssac.config import Cleaning
 from ssac.events import EVENT_DTYPE
 from ssac.files.hdf5 import load_events_h5
 from ssac.files.rigs import load_rig
+from ssac.track.clean import Clean, clean
 from ssac.track.denoise import Clutter
-from ssac.track.observation import Observation, denoised
+from ssac.track.observation import Observation
 
 RIG_FILE = "rig_extrinsics.yaml"
 
@@ -42,12 +43,10 @@ def recorded_pair(cache: Cache, config: SimConfig, seed: int) -> Pair:
     return Pair(cam1, cam2.delayed(config.t_d_s), rig)
 
 
-def denoised_pair(
-    folder: Path, load: Callable[[], Pair], config: Config, cache: Cache
-) -> tuple[Observation, Observation, tuple[int, int]]:
-    """Both cameras of a recording of the cache as denoising leaves them, which is done once.
-
-    A pair of which nothing is left of a camera comes back as it is: methods say what that means.
+def clean_pair(
+    folder: Path, load: Callable[[], Pair], how: Cleaning, cache: Cache
+) -> tuple[Clean, Clean]:
+    """Both cameras of a recording of the cache without noise, which is told once.
 
     Parameters
     ----------
@@ -55,26 +54,27 @@ def denoised_pair(
         Of the recording, which need not be whole.
     load
         Reads it; called only where that cannot be helped.
-    config, cache
-
-    Returns
-    -------
-    tuple
-        Camera 1, camera 2, and how many events each recorded.
+    how
+        Noise is removed.
+    cache
+        That keeps what is left.
     """
+    rig = load_rig(folder / RIG_FILE)
+    cameras = rig.cam1, rig.cam2
 
     def denoise() -> Denoised:
-        cam1, cam2, rig = load()
-        clean1, clean2 = denoised(cam1, cam2, rig, config)
-        n_recorded = np.array([len(cam1.events), len(cam2.events)])
-        return Denoised(n_recorded, *_entry(clean1), *_entry(clean2))
+        seen = zip(load()[:2], cameras, _CAMERAS, strict=True)
+        first, second = (clean(one, camera, how, name) for one, camera, name in seen)
+        n_recorded = np.array([first.n_recorded, second.n_recorded])
+        return Denoised(n_recorded, *_entry(first), *_entry(second))
 
-    kept = cache.denoised(folder, config.n_neighbours, denoise)
-    pair: tuple[Observation, Observation] = _clean(*kept[1:5]), _clean(*kept[5:])
-    if not all(len(one.events) for one in pair):
-        pair = load()[:2]
-    n1, n2 = kept.n_recorded.tolist()
-    return *pair, (n1, n2)
+    kept = cache.denoised(folder, how.n_neighbours, denoise)
+    n_recorded = kept.n_recorded.tolist()
+    first, second = (
+        _clean(n, camera, *entry)
+        for n, camera, entry in zip(n_recorded, cameras, (kept[1:5], kept[5:]), strict=True)
+    )
+    return first, second
 
 
 _PACKED = np.dtype([("gap_us", "u1"), ("x", "<u2"), ("y", "<u2"), ("p", "u1")])
@@ -120,25 +120,32 @@ def _unpack(found: NDArray[np.void], leaps: NDArray[np.int64], events: NDArray[n
 
 
 def _entry(
-    clean: Observation,
+    one: Clean,
 ) -> tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.float64], NDArray[np.bool_]]:
     """Give what `_clean` needs."""
-    assert clean.clutter is not None  # of a recording, which was not denoised before
-    clutter = np.array(astuple(clean.clutter), dtype=np.float64)
-    on_line = np.empty(0, np.bool_) if clean.on_line is None else clean.on_line
-    return *packed(clean.events), clutter, on_line
+    assert one.clutter is not None  # of a recording, which was not denoised before
+    clutter = np.array(astuple(one.clutter), dtype=np.float64)
+    on_line = np.empty(0, np.bool_) if one.on_line is None else one.on_line
+    return *packed(one.events), clutter, on_line
 
 
 def _clean(
+    n_recorded: int,
+    camera: Camera,
     events: NDArray[np.uint8],
     leaps: NDArray[np.int64],
     clutter: NDArray[np.float64],
     on_line: NDArray[np.bool_],
-) -> Observation:
+) -> Clean:
     pixels, masked, hz, radius_px, n_neighbours, n_min = clutter.tolist()
-    found = Clutter(int(pixels), int(masked), hz, radius_px, int(n_neighbours), int(n_min))
-    line = on_line if len(on_line) else None
-    return Observation(unpacked(events, leaps), denoised=True, clutter=found, on_line=line)
+    return Clean(
+        unpacked(events, leaps),
+        camera=camera,
+        n_recorded=n_recorded,
+        denoised=True,
+        clutter=Clutter(int(pixels), int(masked), hz, radius_px, int(n_neighbours), int(n_min)),
+        on_line=on_line if len(on_line) else None,
+    )
 
 
 _CAMERAS = ("cam1", "cam2")

@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,19 +11,19 @@ from numpy.typing import NDArray
 
 from experiments.run.cache import Brightness, Cache
 from experiments.run.grid import Cell
-from experiments.run.recorded import RIG_FILE, denoised_pair, load_pair
+from experiments.run.recorded import RIG_FILE, clean_pair, load_pair
 from experiments.run.score import score
 from experiments.run.task import UNUSABLE, Measure
 from ssac.baselines.zncc_f import frame_means
 from ssac.camera import Rig, known_pose
-from ssac.config import Config, checked
 from ssac.errors import SsacError
 from ssac.estimate import Estimate, Status
 from ssac.events import US_PER_S
 from ssac.files.hdf5 import load_frames
 from ssac.files.rigs import load_rig
-from ssac.tool.registry import METHODS, Chain, Input, Method
-from ssac.track.observation import Observation, prepare
+from ssac.pipeline.chain import Chain
+from ssac.pipeline.registry import METHODS, Input, Method
+from ssac.track.observation import Observation
 
 GUARDED = 10
 """One in as many offsets of flights is made in full as well, and must be the same."""
@@ -65,71 +65,41 @@ class Row:
     skew_error_ppm: float = np.nan  # |estimate - truth|
 
 
-@dataclass(frozen=True)
-class Recorded:
-    """A recording as the methods see it, and what they found on it so far."""
-
-    cam1: Observation
-    cam2: Observation  # on camera 1's clock
-    rig: Rig  # with the true extrinsics
-    n_events: tuple[int, int]
-    delayed: dict[float, Observation] = field(default_factory=dict)  # camera 2, last offset alone
-    chains: dict[tuple[float, Config], Chain] = field(default_factory=dict)
-
-    def cam2_at(self, t_d_s: float) -> Observation:
-        """Camera 2 as if its clock had shown `t_d_s` [s] more."""
-        if t_d_s == 0.0:
-            return self.cam2
-        if t_d_s not in self.delayed:
-            self.delayed.clear()
-            self.delayed[t_d_s] = self.cam2.delayed(t_d_s)
-        return self.delayed[t_d_s]
-
-    def chain(self, t_d_s: float, config: Config) -> Chain:
-        """Give what methods found with an offset and parameters."""
-        key = (t_d_s, config)
-        if key not in self.chains:
-            for other in [other for other in self.chains if other[0] not in (0.0, t_d_s)]:
-                del self.chains[other]  # and with it that copy of camera 2's events
-            self.chains[key] = Chain(self.cam1, self.cam2_at(t_d_s), self.rig, config)
-        return self.chains[key]
-
-
-def load_recorded(cells: Sequence[Cell], cache: Cache) -> Recorded:
+def load_recorded(cells: Sequence[Cell], cache: Cache) -> Chain:
     """Load what the cells need of their recording, which is simulated if it is not there yet."""
     sim, seed, methods = cells[0].sim, cells[0].seed, [METHODS[cell.method] for cell in cells]
     folder = cache.recording_folder(sim, seed, (RIG_FILE,))
-    # A method that wants the noise gone has that made up for, but what is gone does not come back.
-    denoise = all(cell.estimator.denoise for cell in cells)
-    config = checked(replace(cells[0].estimator, denoise=denoise))
 
     def whole() -> Path:
         return cache.recording_folder(sim, seed)
 
-    if denoise:
-        first, second, n_events = denoised_pair(folder, lambda: load_pair(whole()), config, cache)
+    (how, *others) = {cell.estimator.cleaning for cell in cells}
+    seen: Sequence[Observation]
+    if how.denoise and not others:
+        seen = clean_pair(folder, lambda: load_pair(whole()), how, cache)
     else:
-        first, second, _ = load_pair(whole())
-        n_events = len(first.events), len(second.events)
-    seen = zip((first, second), frames_of(folder, methods, cache, whole), strict=True)
-    first, second = (replace(one, frames=f, frame_times_s=t) for one, (f, t) in seen)
-    rig = load_rig(folder / RIG_FILE)
-    return Recorded(*prepare(first, second, rig, config), rig, n_events)
+        seen = load_pair(whole())[:2]
+    framed = zip(seen, frames_of(folder, methods, cache, whole), strict=True)
+    return Chain(
+        [replace(one, frames=f, frame_times_s=t) for one, (f, t) in framed],
+        load_rig(folder / RIG_FILE),
+        cells[0].estimator,
+    )
 
 
-def scored_row(cell: Cell, recorded: Recorded) -> Row:
+def scored_row(cell: Cell, chain: Chain) -> Row:
     """Run one method on one recording, with the cell's offset, and score it.
 
     What other methods found on the same recording spares a method that starts from there to do it
     again; and what a method found before a delay of camera 2's clock, to do it again after that.
     """
-    method = METHODS[cell.method]
-    n_cam1, n_cam2 = recorded.n_events
-    reason = method.skip_reason(recorded.cam1, recorded.cam2, method.rig_of(recorded.rig))
+    method, chain = METHODS[cell.method], chain.under(cell.estimator)
+    n_cam1, n_cam2 = (chain.clean(k).n_recorded for k in range(2))
+    reason = chain.lacks(method)
     if reason:
         return Row("skipped", reason, n_events_cam1=n_cam1, n_events_cam2=n_cam2)
     try:
-        row = _scored(_estimate(cell, method, recorded), cell, recorded.rig)
+        row = _scored(_estimate(cell, method, chain), cell, chain.rig.pair(0, 1))
     except SsacError as error:
         row = Row(UNUSABLE, " ".join(str(error).split()))
     return replace(row, n_events_cam1=n_cam1, n_events_cam2=n_cam2)
@@ -139,7 +109,7 @@ SCORED = Measure(load_recorded, scored_row, Row)
 """Of a grid's cells: tables, ablations, sweeps, coverage."""
 
 
-def _estimate(cell: Cell, method: Method, recorded: Recorded) -> Estimate:
+def _estimate(cell: Cell, method: Method, chain: Chain) -> Estimate:
     """Find the cell's estimate: the one of clocks that show the same, and the delay, where it can.
 
     Cells of one flight that search alike around their true offsets so share one run, and none
@@ -152,14 +122,14 @@ def _estimate(cell: Cell, method: Method, recorded: Recorded) -> Estimate:
     """
 
     def whole() -> Estimate:
-        return recorded.chain(cell.t_d_s, cell.estimator).estimate(method.name)
+        return chain.delayed(cell.t_d_s).estimate(method)
 
-    if not method.follows_clock or cell.t_d_s == 0.0:
+    interval_s = cell.estimator.interval_s
+    if not method.follows_clock or cell.t_d_s == 0.0 or interval_s is None:
         return whole()
     shift_s = round(cell.t_d_s * US_PER_S) / US_PER_S  # as of `Observation.delayed`
-    low, high = (round(bound_s - shift_s, 9) for bound_s in cell.estimator.interval_s)
-    undelayed = recorded.chain(0.0, replace(cell.estimator, interval_s=(low, high)))
-    shared = undelayed.estimate(method.name)
+    low, high = (round(bound_s - shift_s, 9) for bound_s in interval_s)
+    shared = chain.under(replace(cell.estimator, interval_s=(low, high))).estimate(method)
     if shared.status != Status.OK:
         return whole()
     shared = shared.delayed(shift_s)
@@ -183,7 +153,7 @@ def _check_same(shared: Estimate, whole: Estimate) -> None:
     if apart:
         raise ArithmeticError(
             f"{whole.method} must follow a delay of camera 2's clock, but run in full it differs in"
-            f" {', '.join(apart)}: mend it, or unset its follows_clock in ssac.tool.registry"
+            f" {', '.join(apart)}: mend it, or unset its follows_clock in ssac.pipeline.registry"
         )
 
 

@@ -15,7 +15,7 @@ from experiments.run.task import Task, run_task
 from sim.recording import SimConfig
 from sim.sensor.events import PRESETS
 from ssac.config import Config
-from ssac.tool.registry import OURS
+from ssac.pipeline.registry import OURS
 
 
 def warm_up_tasks() -> list[Task]:

@@ -18,8 +18,7 @@ from sim.recorded import Truth
 from sim.recording import SimConfig
 from ssac.console.options import number
 from ssac.estimate import Estimate
-from ssac.plot.plots import save_figures
-from ssac.tool.sync import sync
+from ssac.pipeline.api import sync
 
 FloatArray = NDArray[np.float64]
 
@@ -47,7 +46,7 @@ def demo_command(
         typer.echo("\n" + comparison(result.estimate, recorded.flight.truth))
     last = results[-1]
     figure = out_dir / "demo.png"
-    save_figures(figure, last.estimate, last.cam1, last.cam2, last.rig, last.config)
+    last.plotted(figure)
     typer.echo(f"\nfigure: {figure}")
 
 

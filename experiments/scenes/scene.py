@@ -16,7 +16,7 @@ from ssac.camera import Rig, known_pose
 from ssac.config import Config
 from ssac.console.options import number
 from ssac.geometry.epipolar import epipolar_distance, fundamental_from_pose
-from ssac.search.two_views import two_views
+from ssac.pipeline.chain import Chain
 from ssac.track.observation import Observation
 
 FloatArray = NDArray[np.float64]
@@ -58,7 +58,7 @@ def scene_figures(recording: Recording) -> SceneFigures:
 def pair_figures(cam1: Observation, cam2: Observation, rig: Rig, t_d_s: float) -> SceneFigures:
     """Measure what two cameras recorded; the rig and the offset are the true ones."""
     config = Config()
-    views = two_views(cam1, cam2, rig, config)
+    views = Chain((cam1, cam2), rig, config).views()
     F = fundamental_from_pose(rig.cam1.K, rig.cam2.K, *known_pose(rig))
     offsets_s = t_d_s + np.array([-SLOPE_STEP_S, 0.0, SLOPE_STEP_S])
     pairs = views.pairs(offsets_s)

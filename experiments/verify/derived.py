@@ -41,7 +41,7 @@ from experiments.verify.manifest import (
     provenance_name,
 )
 from ssac.errors import SsacError
-from ssac.tool.registry import METHODS, OURS
+from ssac.pipeline.registry import METHODS, OURS
 
 _SEARCH_MS = 1000.0 + 20.0  # on each side of the truth, and a unit of the coarsest method
 _ROUNDING_MS = 1e-2  # six digits of an estimate beyond 1000 ms: 5e-3; of its error, less

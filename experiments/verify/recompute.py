@@ -18,7 +18,7 @@ from experiments.run.task import CRASHED
 from experiments.verify.files import made_alike
 from experiments.verify.finding import Finding, found
 from experiments.verify.sample import Drawn, Source
-from ssac.tool.registry import METHODS, Input
+from ssac.pipeline.registry import METHODS, Input
 
 # How far a run may be from the committed one elsewhere. Not even OSMesa and EGL of one Mesa differ
 # on one machine. With another OpenGL driver, processor or library the events may change a little.

@@ -16,7 +16,7 @@ from experiments.run.scored import SCORED
 from experiments.run.task import AnyCell, Measure, Task, tasks_of
 from experiments.studies.study import CELL, Study, numbered, save_csv
 from experiments.verify.files import read_text
-from ssac.tool.registry import OURS
+from ssac.pipeline.registry import OURS
 
 SLOW = ("fidelity",)
 """Studies that take minutes for each recording: they are drawn from only if asked for."""

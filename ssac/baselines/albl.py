@@ -26,16 +26,13 @@ from ssac.baselines.albl_kernels import (
     next_better,
     nine_least,
 )
-from ssac.camera import Rig
-from ssac.config import Config
 from ssac.estimate import Estimate, Status
 from ssac.geometry.epipolar import sampson_distance
 from ssac.geometry.fundamental import MIN_PAIRS, reweighted_fundamental
 from ssac.methods.algorithms import with_fit, with_pose
 from ssac.search.offset_search import candidate_offsets
-from ssac.search.two_views import Pairs, TwoViews, two_views
+from ssac.search.two_views import Pairs, TwoViews
 from ssac.track.motion import Track
-from ssac.track.observation import Observation
 
 Array = NDArray[np.float64]
 
@@ -110,11 +107,10 @@ class _Agreement:
         return float(np.mean(self.inliers))
 
 
-def albl(cam1: Observation, cam2: Observation, rig: Rig, config: Config | None = None) -> Estimate:
+def albl_of_views(views: TwoViews) -> Estimate:
     """Time offset and relative pose by the iterated eigenvalue solver of Albl et al. (2017).
 
-    The iteration may stop at a local optimum. Parameters and errors as for
-    `ssac.methods.algorithms.ssac`.
+    The iteration may stop at a local optimum.
 
     Deviation from Albl et al.: they start from a rough offset, which nobody has here. The
     iteration starts where a first RANSAC finds most inliers, of offsets all over the search
@@ -124,10 +120,9 @@ def albl(cam1: Observation, cam2: Observation, rig: Rig, config: Config | None =
     of that follow at the end, whether they gain inliers or not, as all pairs may be inliers some
     milliseconds off.
     """
-    views = two_views(cam1, cam2, rig, config)
     usable_s = candidate_offsets(views)
     if len(usable_s) == 0:
-        low, high = views.config.interval_s
+        low, high = views.config.offsets_s
         reason = f"the events have no common time at any offset between {low:g} and {high:g} s"
         return Estimate("albl", Status.NO_COMMON_TIME, reason)
     low, high = float(usable_s[0]), float(usable_s[-1])
@@ -162,7 +157,7 @@ def albl(cam1: Observation, cam2: Observation, rig: Rig, config: Config | None =
             " local optimum: search a shorter interval around the true offset"
         )
         return Estimate("albl", Status.NO_CONVERGENCE, reason)
-    return with_pose(with_fit(Estimate("albl", t_d_s=t_d_s), F, p1, p2), F, rig, p1, p2)
+    return with_pose(with_fit(Estimate("albl", t_d_s=t_d_s), F, p1, p2), F, views.rig, p1, p2)
 
 
 def start_offsets(low_s: float, high_s: float) -> Array:

@@ -109,7 +109,7 @@ def zncc(signal1: Signal, signal2: Signal, lags: NDArray[np.int64]) -> Array:
 
 def lags_of(config: Config, bin_s: float) -> NDArray[np.int64]:
     """All whole lags [bins] within the search interval."""
-    low, high = config.interval_s
+    low, high = config.offsets_s
     return np.arange(np.ceil(low / bin_s - 1e-9), np.floor(high / bin_s + 1e-9) + 1).astype(
         np.int64
     )

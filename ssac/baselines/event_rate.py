@@ -1,36 +1,35 @@
-"""Event-rate matching after Censi and Scaramuzza (2014): event rates in, time offset out."""
+"""Event-rate matching after Censi and Scaramuzza (2014)."""
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import correlate, correlation_lags
 
 from ssac.baselines.correlation import Signal, correlation_estimate, counted, lags_of
-from ssac.camera import Rig
-from ssac.config import Config, checked
+from ssac.config import Config
 from ssac.estimate import Estimate
 from ssac.events import US_PER_S
-from ssac.track.observation import Observation, usable_events
+from ssac.track.observation import Observation
 
 BIN_S = 0.001
 """Interval in which events are counted."""
 
 
-def event_rate(
-    cam1: Observation, cam2: Observation, rig: Rig, config: Config | None = None
-) -> Estimate:
+def event_rate_of_events(one: Observation, other: Observation, config: Config) -> Estimate:
     """Time offset as the lag at which the product of the event rates is largest.
 
     As the paper describes the method: events are counted over fixed intervals in both streams, and
     the counts, without their means, are correlated. Unlike `zncc_e` the correlation is normalised
     once for the whole recordings, not for the overlap at each lag, and the intervals are 1 ms.
 
-    Parameters and errors as for `ssac.methods.algorithms.ssac_known`; of the rig only the
-    sensor sizes matter. The resolution is one interval.
+    Parameters
+    ----------
+    one, other
+        Events of cameras 1 and 2 without noise.
+    config
+        Its interval is searched, in steps of one interval.
     """
-    config = checked(config)
-    events1, events2 = usable_events(cam1, cam2, rig, config)
-    signal1 = counted(events1["t"], round(BIN_S * US_PER_S))
-    signal2 = counted(events2["t"], round(BIN_S * US_PER_S))
+    signal1 = counted(one.events["t"], round(BIN_S * US_PER_S))
+    signal2 = counted(other.events["t"], round(BIN_S * US_PER_S))
     lags = lags_of(config, BIN_S)
     rate1, rate2 = _centred(signal1), _centred(signal2)
     power = float(np.linalg.norm(rate1) * np.linalg.norm(rate2))

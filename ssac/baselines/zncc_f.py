@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssac.baselines.correlation import Signal, binned, correlation_estimate, lags_of, zncc
-from ssac.camera import Rig
-from ssac.config import Config, checked
+from ssac.config import Config
 from ssac.errors import SsacError
 from ssac.estimate import Estimate
 from ssac.track.observation import Observation
@@ -16,9 +15,7 @@ FRAME_S = 0.020
 """Time between frames at the paper's 50 Hz, and so the unit of the offsets found."""
 
 
-def zncc_f(
-    cam1: Observation, cam2: Observation, rig: Rig, config: Config | None = None
-) -> Estimate:
+def zncc_f_of_frames(one: Observation, other: Observation, config: Config) -> Estimate:
     """Time offset as the lag at which the brightness of both cameras' frames is most alike.
 
     After Perot et al. (2020), as the paper uses it: one number per frame, and the lag with the
@@ -27,15 +24,19 @@ def zncc_f(
     are nearest to the paper's at all angles (docs/zncc.md). Frames are put on one grid of 20 ms
     in both clocks, so that the offset found is a multiple of 20 ms, as the paper states.
 
-    Parameters as for `ssac.methods.algorithms.ssac_known`; the rig is not used.
+    Parameters
+    ----------
+    one, other
+        Frames of cameras 1 and 2.
+    config
+        Its interval is searched.
 
     Raises
     ------
     SsacError
         If a camera has no frames, or not one time for each frame.
     """
-    config = checked(config)
-    signal1, signal2 = mean_brightness(cam1, "camera 1"), mean_brightness(cam2, "camera 2")
+    signal1, signal2 = mean_brightness(one, "camera 1"), mean_brightness(other, "camera 2")
     lags = lags_of(config, FRAME_S)
     return correlation_estimate(
         "zncc_f", FRAME_S * lags.astype(np.float64), zncc(signal1, signal2, lags)

@@ -1,19 +1,20 @@
-"""Events of one camera in, the track of the object out."""
+"""The track of the object through the events of one camera."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ssac.camera import Camera, distort_points
+from ssac.camera import distort_points
 from ssac.config import Config
 from ssac.errors import SsacError
 from ssac.points import PointTrack
 from ssac.search.seen import seen_of, seen_times
 from ssac.silhouette.silhouette import Images, silhouettes
+from ssac.track.clean import Clean
 from ssac.track.motion import SharpTrack
+from ssac.track.motions import motion_of
 from ssac.track.objects import objects_of, seem_several
-from ssac.track.observation import Observation, denoised_alone, motion_alone
 
 STEP_S = 0.01
 """Time between points: half of a window's half, so that a track loses nothing of the motion."""
@@ -39,21 +40,15 @@ class ShapedTrack:
     images: Images | None = None  # at each point; None where there are no silhouettes
 
 
-def track_of_events(
-    observation: Observation,
-    camera: Camera,
-    config: Config | None = None,
-) -> PointTrack:
+def track_of_events(clean: Clean, config: Config | None = None) -> PointTrack:
     """Follow the object through the events of one camera.
 
     Parameters
     ----------
-    observation
-        What the camera recorded.
-    camera
-        Its intrinsics.
+    clean
+        What the camera recorded, without noise.
     config
-        Of the windows and of denoising; the defaults when None.
+        Of the windows; the defaults when None.
 
     Returns
     -------
@@ -64,39 +59,36 @@ def track_of_events(
     Raises
     ------
     SsacError
-        If the events cannot be used, or show no object anywhere.
+        If the events show no object anywhere.
     """
-    points, sharp = _followed(observation, camera, config or Config())
+    points, sharp = _followed(clean, config or Config())
     return PointTrack(sharp.times_s, points, _sigmas_px(STRAY_SIZES, sharp.sizes_px))
 
 
-def things_seen(observation: Observation, camera: Camera) -> int:
+def things_seen(clean: Clean) -> int:
     """Count the things that move at a time before a camera, whose events are denoised; else 1."""
-    if not observation.denoised or not seem_several(observation.events, camera):
+    if not clean.denoised or not seem_several(clean.events, clean.camera):
         return 1
-    found = objects_of(observation.events, camera)
+    found = objects_of(clean.events, clean.camera)
     return found.n_seen if found.are_several else 1
 
 
 def shaped_track_of_events(
-    observation: Observation,
-    recorded: NDArray[np.void],
-    camera: Camera,
-    config: Config | None = None,
+    clean: Clean, recorded: NDArray[np.void], config: Config | None = None
 ) -> ShapedTrack:
     """Follow the centre of the image's area, where events tell it, and else the mean of the events.
 
     Parameters
     ----------
-    observation, camera, config
+    clean, config
         As of `track_of_events`, whose times these are.
     recorded
         All events of the camera, as `ssac.silhouette.silhouette.silhouettes` needs them.
     """
-    points, sharp = _followed(observation, camera, config or Config())
+    points, sharp = _followed(clean, config or Config())
     sizes_px = sharp.sizes_px
     sigmas = _sigmas_px(STRAY_SIZES, sizes_px)
-    found = silhouettes(recorded, camera, sharp.times_s, sharp.positions_px, sizes_px)
+    found = silhouettes(recorded, clean.camera, sharp.times_s, sharp.positions_px, sizes_px)
     if found is None:
         return ShapedTrack(PointTrack(sharp.times_s, points, sigmas), None)
     known = found.known
@@ -106,12 +98,9 @@ def shaped_track_of_events(
     return ShapedTrack(track, found.spreads_px2, found.images)
 
 
-def _followed(
-    observation: Observation, camera: Camera, config: Config
-) -> tuple[NDArray[np.float64], SharpTrack]:
+def _followed(clean: Clean, config: Config) -> tuple[NDArray[np.float64], SharpTrack]:
     """Give the points (n, 2), distorted, at which the object is in the image, and all of them."""
-    clean = denoised_alone(observation, camera, config)
-    motion = motion_alone(clean, camera, config)
+    motion, camera = motion_of(clean, config.windows), clean.camera
     seen = seen_of(motion, STEP_S)
     times_s = seen_times(seen, int(np.count_nonzero(seen.valid)))
     sharp = motion.sharp_at(times_s)

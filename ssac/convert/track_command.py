@@ -57,7 +57,8 @@ def track_command(
     from ssac.files.track_files import TRACK_SUFFIX, is_track_file, save_track
     from ssac.files.whole_file import check_target
     from ssac.follow.faint import faint_object_events
-    from ssac.track.observation import Observation, denoised_alone
+    from ssac.track.clean import clean
+    from ssac.track.observation import Observation
 
     if out.suffix.lower() != TRACK_SUFFIX:
         raise SsacError(f"{out}: a track is written as {TRACK_SUFFIX}: name such a file")
@@ -76,9 +77,9 @@ def track_command(
         events = file.events
         if faint:
             events = faint_object_events(events, calibrated.width, calibrated.height)
-        observation = denoised_alone(Observation(events), calibrated, config)
-        track = track_of_events(observation, calibrated, config)
-        n_things = things_seen(observation, calibrated)
+        seen = clean(Observation(events), calibrated, config.cleaning)
+        track = track_of_events(seen, config)
+        n_things = things_seen(seen)
     except SsacError as error:
         raise SsacError(f"{cam}: {error}") from error
     if n_things > 1:

@@ -1,4 +1,4 @@
-"""Two cameras' recordings in, time offset and relative pose out: the paper's Algorithms 1 and 2."""
+"""The paper's Algorithms 1 and 2: time offset and relative pose by search over all offsets."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssac.camera import Rig, known_pose
-from ssac.config import Config
-from ssac.estimate import Estimate, Status
+from ssac.estimate import Estimate, Refusal, Status
 from ssac.geometry.epipolar import epipolar_distance, fundamental_from_pose
 from ssac.geometry.fundamental import (
     MIN_PAIRS,
@@ -21,9 +20,7 @@ from ssac.geometry.pose import MIN_IN_FRONT, nearest_pose, pose_from_fundamental
 from ssac.methods.straight_path import straight_path
 from ssac.methods.verdict import offset_estimate, refused
 from ssac.search.observability import (
-    Refusal,
     ambiguous_offset,
-    at_rest,
     coarsest_step,
     no_match,
     open_fundamental,
@@ -38,8 +35,7 @@ from ssac.search.offset_search import (
     exhaustive_search,
     mean_epipolar_distance,
 )
-from ssac.search.two_views import TwoViews, two_views
-from ssac.track.observation import Observation
+from ssac.search.two_views import TwoViews
 
 Array = NDArray[np.float64]
 Fit = Callable[[Array, Array], Array]  # pairs p1, p2 (n, 2) [px] -> F (3, 3)
@@ -54,50 +50,26 @@ _NO_FIT = Refusal(
 )
 
 
-def ssac_known(
-    cam1: Observation, cam2: Observation, rig: Rig, config: Config | None = None
-) -> Estimate:
+def algorithm_1(views: TwoViews) -> Estimate:
     """Time offset with the extrinsics of the rig: the paper's Algorithm 1.
 
     Parameters
     ----------
-    cam1, cam2
-        What the two cameras recorded.
-    rig
-        Intrinsics and the transform `T_2_1`.
-    config
-        Parameters; the defaults when None.
+    views
+        Both views, whose pose is known.
 
     Returns
     -------
     Estimate
-        With status "ok", or "no_common_time", "too_few_samples", "no_motion", "search_bound",
-        "no_match" or "ambiguous_offset".
+        With status "ok", or "no_common_time", "too_few_samples", "search_bound", "no_match" or
+        "ambiguous_offset".
 
     Raises
     ------
     SsacError
-        If the rig has no `T_2_1`, or a parameter makes no sense.
+        If the rig has no `T_2_1`.
     """
-    return algorithm_1(two_views(cam1, cam2, rig, config, pose_is_known=True))
-
-
-def ssac(cam1: Observation, cam2: Observation, rig: Rig, config: Config | None = None) -> Estimate:
-    """Time offset and relative pose: the paper's Algorithm 2.
-
-    Parameters and errors as for `ssac_known`, but the rig's `T_2_1` is not used. The status may
-    also be "too_little_motion"; or "ambiguous_pose" or "degenerate_pose", with an offset that holds
-    but without R and t.
-    """
-    return algorithm_2(two_views(cam1, cam2, rig, config))
-
-
-def algorithm_1(views: TwoViews) -> Estimate:
-    """Algorithm 1 on prepared views; see `ssac_known`."""
     R, t = known_pose(views.rig)
-    refusal = at_rest(views.views)
-    if refusal is not None:
-        return Estimate("ssac-known", refusal.status, refusal.reason)
     F = fundamental_from_pose(views.rig.cam1.K, views.rig.cam2.K, R, t)
 
     def d_avg_px(t_d_s: Array) -> Array:  # lines 2 to 8, for all candidates at once
@@ -112,11 +84,12 @@ def algorithm_1(views: TwoViews) -> Estimate:
 
 
 def algorithm_2(views: TwoViews) -> Estimate:
-    """Algorithm 2 on prepared views; see `ssac`."""
+    """Time offset and relative pose: the paper's Algorithm 2.
+
+    As `algorithm_1`, but the rig's `T_2_1` is not used. The status may also be "too_little_motion";
+    or "ambiguous_pose" or "degenerate_pose", with an offset that holds but without R and t.
+    """
     config, (view1, view2) = views.config, views.views
-    refusal = at_rest(views.views)
-    if refusal is not None:
-        return Estimate("ssac", refusal.status, refusal.reason)
     if view1 is not None and view2 is not None and view1.is_straight and view2.is_straight:
         return straight_path("ssac", views, (view1, view2))
 

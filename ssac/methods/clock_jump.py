@@ -11,13 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssac.clock import PPM
-from ssac.estimate import ClockJump, Estimate, Status
+from ssac.estimate import ClockJump, Estimate, Refusal, Status
 from ssac.fit.least_squares import covariance_of, solve, weighed_system
 from ssac.fit.problem import Column, Parameters, Problem, linearise
 from ssac.geometry.robust import CAUCHY, robust_deviation
 from ssac.methods.clock_model import ClockModel
 from ssac.methods.verdict import refused
-from ssac.search.observability import Refusal
 
 Array = NDArray[np.float64]
 

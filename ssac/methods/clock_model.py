@@ -212,7 +212,7 @@ def clock_model(views: TwoViews, start: Estimate) -> ClockModel:
     half_s = 0.5 * float(last_s - first_s)
     t_ref_s = float(start.t_ref_s if np.isfinite(start.t_ref_s) else 0.5 * (first_s + last_s))
     config = views.config
-    skew = np.array([PPM * config.skew_prior_ppm] if config.skew_prior_ppm > 0.0 else [])
+    skew = np.array([PPM * config.prior_ppm] if config.prior_ppm > 0.0 else [])
     n_pieces = int(min(np.rint(2.0 * half_s / PIECE_S), _MAX_PIECES))
     if config.clock != "pieces" or n_pieces < 2 or not len(skew):
         return ClockModel(t_ref_s, half_s, skew, shutters=shutters_of(views))

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssac.camera import known_pose
-from ssac.estimate import POSE_IS_OPEN, Estimate, Status
+from ssac.estimate import POSE_IS_OPEN, SETTLED_BY, Estimate, Status
 from ssac.geometry.candidate_poses import Pose, homography_poses, possible_poses
 from ssac.geometry.epipolar import sampson_distance
 from ssac.geometry.fundamental import MIN_PAIRS
@@ -77,6 +77,8 @@ def hypotheses(start: Estimate, views: TwoViews) -> list[Estimate]:
     """
     if start.status == Status.OK:
         return [] if views.pose_is_known else _other_poses_of_a_plane(start, views)
+    if start.status not in SETTLED_BY["joint"]:
+        return []
     if start.status == Status.AMBIGUOUS_OFFSET:
         offsets_s = _offsets_of_valleys(start)
     elif _is_open(start):

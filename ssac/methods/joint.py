@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssac.camera import Rig
-from ssac.config import Config
 from ssac.estimate import Estimate, Status
 from ssac.fit.intrinsics import Allowance, evidence, fundamental_of
 from ssac.fit.least_squares import covariance_of, hidden_covariance, still_moves
@@ -24,16 +23,15 @@ from ssac.fit.problem import Parameters, Problem, Residuals, WeighedPairs, linea
 from ssac.geometry.epipolar import fundamental_from_pose, sampson_derivative
 from ssac.geometry.fundamental import MIN_PAIRS
 from ssac.geometry.pose import rays_of
-from ssac.methods.algorithms import algorithm_1, algorithm_2, with_fit
+from ssac.methods.algorithms import with_fit
 from ssac.methods.clock_jump import checked_clock
 from ssac.methods.clock_model import clock_model
 from ssac.methods.hypotheses import settled, sharp_solution
 from ssac.methods.rivals import confirmed
 from ssac.methods.skew_search import with_coarse_skew
 from ssac.methods.verdict import certain, doubt, is_spread
-from ssac.search.two_views import TwoViews, two_views
+from ssac.search.two_views import TwoViews
 from ssac.track.motion import SharpTrack
-from ssac.track.observation import Observation
 
 Array = NDArray[np.float64]
 
@@ -62,31 +60,22 @@ LAST_STRAY_S = 3e-5
 """The same of a clock's other parameters, rms over the recording, which are less certain."""
 
 
-def joint(cam1: Observation, cam2: Observation, rig: Rig, config: Config | None = None) -> Estimate:
-    """Time offset and relative pose, refined together from Algorithm 2's result.
+def joint_from(start: Estimate, views: TwoViews) -> Estimate:
+    """Refine offset and pose together, or the offset alone where the pose is known.
 
-    Parameters and errors as for `ssac.methods.algorithms.ssac`.
+    Parameters
+    ----------
+    start
+        What Algorithm 2, or Algorithm 1 with a known pose, found.
+    views
+        The same views.
 
     Returns
     -------
     Estimate
-        With `t_d_std_s` and `covariance`. The status may be one of Algorithm 2's, or
-        "no_convergence".
+        With `t_d_std_s` and `covariance`. The status may be that of the start, or "no_convergence",
+        "clock_jump", "poor_fit".
     """
-    views = two_views(cam1, cam2, rig, config)
-    return joint_from(algorithm_2(views), views)
-
-
-def joint_known(
-    cam1: Observation, cam2: Observation, rig: Rig, config: Config | None = None
-) -> Estimate:
-    """Time offset alone, refined from Algorithm 1's result with the extrinsics of the rig."""
-    views = two_views(cam1, cam2, rig, config, pose_is_known=True)
-    return joint_from(algorithm_1(views), views)
-
-
-def joint_from(start: Estimate, views: TwoViews) -> Estimate:
-    """As `joint` and `joint_known`, given what Algorithm 2 or 1 found in the same views."""
     name = "joint-known" if views.pose_is_known else "joint"
     start = with_coarse_skew(start, views)
     start = replace(start, method=name, start=start)

@@ -4,10 +4,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ssac.estimate import Estimate, Status
+from ssac.estimate import Estimate, Refusal, Status
 from ssac.methods.verdict import certain, refused
 from ssac.search.observability import (
-    Refusal,
     no_match,
     open_fundamental,
     other_offsets,
@@ -58,7 +57,7 @@ def choose(start: Estimate, solutions: list[Solution]) -> Estimate:
     apart = [_apart(found.estimate, best.estimate) for found in rivals]
     n_others = sum(angle > _SAME_RAD for angle in apart)
     estimate = certain(best.estimate) if n_others else best.estimate
-    if n_others and estimate.has_offset:
+    if n_others and estimate.status == Status.OK:
         reason = (
             f"{n_others + 1} poses fit about as well, {np.degrees(max(apart)):.0f} deg apart, as"
             " for a path in a plane; the offset is the same with each"

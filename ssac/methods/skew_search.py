@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssac.clock import PPM, Clock
-from ssac.estimate import POSE_IS_OPEN, Estimate, Status
+from ssac.estimate import SETTLED_BY, Estimate, Status
 from ssac.methods.algorithms import algorithm_1, algorithm_2
 from ssac.search.two_views import TwoViews
 
@@ -21,7 +21,7 @@ MAX_END_S = 0.020
 
 _SIGMAS = 3.0  # of the prior, either way
 _MAX_SKEWS = 61
-_FITS = (Status.OK, Status.AMBIGUOUS_OFFSET, *POSE_IS_OPEN)
+_FITS = (Status.OK, *SETTLED_BY["joint"])
 
 
 def with_coarse_skew(start: Estimate, views: TwoViews) -> Estimate:
@@ -58,7 +58,7 @@ def _skews_ppm(start: Estimate, views: TwoViews) -> Array:
     """Give the skews to be tried, zero among them."""
     (first_s,), (last_s,) = views.overlap_s(np.array([_offset_s(start, views)]))
     half_s = 0.5 * float(last_s - first_s)
-    most_s = _SIGMAS * PPM * views.config.skew_prior_ppm * half_s
+    most_s = _SIGMAS * PPM * views.config.prior_ppm * half_s
     if not most_s > 2.0 * MAX_END_S:
         return np.zeros(1)
     n = int(min(np.ceil(most_s / (2.0 * MAX_END_S)), _MAX_SKEWS // 2))
@@ -73,4 +73,4 @@ def _middle_s(estimate: Estimate, views: TwoViews) -> float:
 
 def _offset_s(estimate: Estimate, views: TwoViews) -> float:
     known = np.isfinite(estimate.t_d_s)
-    return float(estimate.t_d_s if known else np.mean(views.config.interval_s))
+    return float(estimate.t_d_s if known else np.mean(views.config.offsets_s))

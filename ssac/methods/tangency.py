@@ -17,14 +17,11 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from ssac.camera import Rig
-from ssac.config import Config
-from ssac.estimate import POSE_IS_OPEN, Estimate, Status
+from ssac.estimate import POSE_IS_OPEN, SETTLED_BY, Estimate, Status
 from ssac.fit.intrinsics import Allowance
 from ssac.fit.least_squares import covariance_of, hidden_covariance, solve, still_moves
 from ssac.fit.problem import Parameters, Problem, WeighedPairs, linearise
 from ssac.geometry.fundamental import MIN_PAIRS
-from ssac.methods.algorithms import algorithm_1, algorithm_2
 from ssac.methods.clock_jump import checked_clock
 from ssac.methods.clock_model import clock_model
 from ssac.methods.hypotheses import settled, sharp_solution
@@ -32,7 +29,6 @@ from ssac.methods.joint import (
     LAST_STRAY_S,
     astray,
     has_left,
-    joint_from,
     refine,
     refined_estimate,
     unsettled,
@@ -40,8 +36,7 @@ from ssac.methods.joint import (
 from ssac.methods.rivals import Solution
 from ssac.methods.tangent_pairs import TangencyConfig, for_blind, tangent_times, tangents_under
 from ssac.methods.verdict import certain
-from ssac.search.two_views import TwoViews, two_views
-from ssac.track.observation import Observation
+from ssac.search.two_views import TwoViews
 from ssac.track.outline import OutlineEvents
 
 Array = NDArray[np.float64]
@@ -54,7 +49,6 @@ LEAST_PX = 3.5
 """Rms size of the object's images, both together, from which they have an outline: below, tangents
 rest on single pixels, and err more than the mean of the events."""
 
-_UNCERTAIN = (Status.AMBIGUOUS_OFFSET, Status.DEGENERATE_POSE, Status.POOR_FIT)
 _MAX_SIGMAS = 3.0  # from the start's offset to the tangents', in deviations of the start's
 _ROUNDS = 8  # of finding the tangents and refining; four are the rule
 _STEPS = 3  # of Gauss-Newton in a round: the tangents move more than a fourth would
@@ -64,45 +58,37 @@ _FAR = 300.0  # times those last changes: then the outline is looked for among a
 _N_OF_SHARE = 400  # samples that tell how much the object moves
 
 
-def tangency(
-    cam1: Observation, cam2: Observation, rig: Rig, config: Config | None = None
-) -> Estimate:
-    """Time offset and relative pose from epipolar tangents, starting from `joint`.
+def is_tiny(views: TwoViews) -> bool:
+    """Whether the object is too small for an outline, so that the start is the answer."""
+    return views.object_px < LEAST_PX
 
-    Parameters and errors as for `ssac.methods.algorithms.ssac`.
+
+def tangency_from(start: Estimate, views: TwoViews) -> Estimate:
+    """Time offset and relative pose from epipolar tangents, or the offset alone of a known pose.
+
+    The mean of a large or odd object's events may be too uncertain for a pose, and still be a start
+    for the tangents: where `joint` refuses, they are tried from the search that it started from.
+    The mean of a tiny object's events is better than its outline: there the start is the answer.
+
+    Parameters
+    ----------
+    start
+        What `joint_from` found.
+    views
+        The same views.
 
     Returns
     -------
     Estimate
         With `t_d_std_s` and `covariance`. `n_samples` and `d_avg_px` are of the pairs of tangents.
-        The status may be one of Algorithm 2's, or "no_convergence".
-    """
-    views = two_views(cam1, cam2, rig, config)
-    return tangency_from(joint_from(algorithm_2(views), views), views)
-
-
-def tangency_known(
-    cam1: Observation, cam2: Observation, rig: Rig, config: Config | None = None
-) -> Estimate:
-    """Time offset alone, with the extrinsics of the rig, starting from `joint_known`."""
-    views = two_views(cam1, cam2, rig, config, pose_is_known=True)
-    return tangency_from(joint_from(algorithm_1(views), views), views)
-
-
-def tangency_from(start: Estimate, views: TwoViews) -> Estimate:
-    """As `tangency` and `tangency_known`, given what `joint` or `joint_known` found.
-
-    The mean of a large or odd object's events may be too uncertain for a pose, and still be a start
-    for the tangents: where `joint` refuses, they are tried from the search that it started from.
-    The mean of a tiny object's events, less than some 7 px wide, is better than its outline: there
-    the start is the answer.
+        The status may be that of the start, or "no_convergence", "clock_jump", "poor_fit".
     """
     name = "tangency-known" if views.pose_is_known else "tangency"
     search = start.start
     start = replace(start, method=name, start=start)
-    if views.object_px < LEAST_PX:
+    if is_tiny(views):
         return start
-    if views.pose_is_known or start.status not in _UNCERTAIN or search is None:
+    if views.pose_is_known or start.status not in SETTLED_BY["tangency"] or search is None:
         return certain(refine_tangents(start, views))
     search = replace(search, method=name, start=start)
     if search.status in (Status.OK, *POSE_IS_OPEN):

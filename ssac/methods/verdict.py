@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssac.config import N_MIN
-from ssac.estimate import Estimate, Status
+from ssac.estimate import Estimate, Refusal, Status
 from ssac.geometry.fundamental import MIN_PAIRS
 from ssac.geometry.pose import tangent_basis
 from ssac.geometry.robust import robust_deviation
-from ssac.search.observability import Refusal, Valley
+from ssac.search.observability import Valley
 from ssac.search.offset_search import OffsetSearch
 from ssac.search.two_views import TwoViews
 from ssac.track.point_motion import PointMotion
@@ -41,7 +41,7 @@ _LISTED = 0.1  # length of a direction's part, of 1, that is worth its words
 
 def offset_estimate(method: str, search: OffsetSearch, views: TwoViews) -> Estimate:
     """Report the offset that a search found, or why there is none to be trusted."""
-    low, high = views.config.interval_s
+    low, high = views.config.offsets_s
     where = f"offset between {low:g} and {high:g} s"
     status, reason = Status.OK, ""
     if len(search.candidates_s) == 0:

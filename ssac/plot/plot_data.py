@@ -72,7 +72,7 @@ def search_curve(material: Material) -> tuple[Array, Array]:
     estimate = material.estimate
     if np.isfinite(estimate.costs).any():
         return estimate.candidates_s, estimate.costs
-    offsets_s: Array = np.arange(*material.config.interval_s, _SEARCH_STEP_S, dtype=np.float64)
+    offsets_s: Array = np.arange(*material.config.offsets_s, _SEARCH_STEP_S, dtype=np.float64)
     return offsets_s, d_avg_px(material, offsets_s)
 
 

@@ -17,9 +17,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.patches import Patch
 
-from ssac.camera import Rig
-from ssac.config import Config
-from ssac.estimate import Estimate
 from ssac.files.whole_file import whole_file
 from ssac.plot.plot_data import (
     Array,
@@ -38,8 +35,6 @@ from ssac.plot.plot_data import (
     window,
 )
 from ssac.plot.style import BLUE, FILE_SUFFIXES, RED, YELLOW
-from ssac.search.two_views import two_views
-from ssac.track.observation import Observation
 
 Canvas = Figure | SubFigure
 
@@ -52,9 +47,7 @@ _MAX_MARKERS = 300
 _AXES_WIDTH_PT = 270.0  # of one of two axes side by side
 
 
-def save_figures(
-    target: Path, estimate: Estimate, cam1: Observation, cam2: Observation, rig: Rig, config: Config
-) -> list[Path]:
+def save_figures(target: Path, material: Material) -> list[Path]:
     """Draw what an estimate allows.
 
     Parameters
@@ -62,30 +55,23 @@ def save_figures(
     target
         A folder, made if need be, for one PNG per figure; or a file of FILE_SUFFIXES for all
         figures, one below the other.
-    estimate
+    material
         Of any method and status; a figure that it lacks the data for is left out.
-    cam1, cam2, rig, config
-        What the estimate was made from.
 
     Returns
     -------
     list[Path]
         The files written; none when there is nothing to draw.
     """
-    views = two_views(cam1, cam2, rig, config).under(estimate.clock)
-    material = Material(estimate, (cam1.events, cam2.events), views)
-    figures = [figure for figure in _FIGURES if figure.can_draw(material)]
-    if not figures:
-        return []
     if target.suffix.lower() in FILE_SUFFIXES:
-        heights = [figure.height_in(material) for figure in figures]
-        page = Figure(figsize=(_WIDTH_IN, sum(heights)), layout="constrained")
-        parts = page.subfigures(len(figures), 1, height_ratios=heights, squeeze=False)[:, 0]
-        for figure, part in zip(figures, parts, strict=True):
-            figure.draw(part, material)
+        page = page_of(material)
+        if page is None:
+            return []
         _save(page, target)
         return [target]
-    target.mkdir(parents=True, exist_ok=True)
+    figures = [figure for figure in _FIGURES if figure.can_draw(material)]
+    if figures:
+        target.mkdir(parents=True, exist_ok=True)
     written = []
     for figure in figures:
         page = Figure(figsize=(_WIDTH_IN, figure.height_in(material)), layout="constrained")
@@ -93,6 +79,19 @@ def save_figures(
         written.append(target / f"{figure.name}.png")
         _save(page, written[-1])
     return written
+
+
+def page_of(material: Material) -> Figure | None:
+    """Draw all figures that an estimate allows, one below the other; None where there are none."""
+    figures = [figure for figure in _FIGURES if figure.can_draw(material)]
+    if not figures:
+        return None
+    heights = [figure.height_in(material) for figure in figures]
+    page = Figure(figsize=(_WIDTH_IN, sum(heights)), layout="constrained")
+    parts = page.subfigures(len(figures), 1, height_ratios=heights, squeeze=False)[:, 0]
+    for figure, part in zip(figures, parts, strict=True):
+        figure.draw(part, material)
+    return page
 
 
 def draw_search(canvas: Canvas, material: Material) -> None:

@@ -1,4 +1,4 @@
-"""Summed-up views, and a search's cost curve, in; what they cannot tell, and why, out.
+"""What two views, and a search's cost curve, cannot tell, and why.
 
 What an estimate is judged by is in units of the object's own image and motion, so that it holds for
 any resolution, speed and size. Each threshold lies in the gap between ordinary simulated flights
@@ -10,10 +10,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ssac.estimate import Status
+from ssac.config import Config, Interval
+from ssac.estimate import Refusal, Status, first
+from ssac.events import US_PER_S
 from ssac.geometry.fundamental import second_best
 from ssac.search.offset_search import COARSEST, RIVAL
+from ssac.search.two_views import TwoViews
 from ssac.search.view import View
+from ssac.track.clean import Clean
 
 Array = NDArray[np.float64]
 
@@ -34,14 +38,6 @@ _ONE_VALLEY_S = 0.05  # offsets nearer than that belong together, whatever lies 
 
 
 @dataclass(frozen=True)
-class Refusal:
-    """Why there is no estimate, or not of all."""
-
-    status: Status
-    reason: str
-
-
-@dataclass(frozen=True)
 class Valley:
     """Neighbouring offsets of low cost."""
 
@@ -53,6 +49,70 @@ class Valley:
     def length_s(self) -> float:
         """From end to end [s]."""
         return self.last_s - self.first_s
+
+
+def unusable(
+    views: TwoViews, cleans: tuple[Clean, Clean], interval_s: Interval | None
+) -> Refusal | None:
+    """Refuse what no search can use: an object at rest, clocks far apart, too few events.
+
+    Parameters
+    ----------
+    views
+        Both views.
+    cleans
+        What they were made of.
+    interval_s
+        Least and largest offset searched; None for any.
+    """
+    too_few = [_too_few(*one, views.config) for one in enumerate(cleans, start=1)]
+    apart = None if interval_s is None else _no_common_time(cleans, interval_s)
+    return first(at_rest(views.views), apart, *too_few)
+
+
+def _no_common_time(cleans: tuple[Clean, Clean], interval_s: Interval) -> Refusal | None:
+    """Refuse recordings without common time at any offset searched."""
+    (start1, end1), (start2, end2) = (one.span_s for one in cleans)
+    if has_common_time(cleans, interval_s) or not np.isfinite([start1, start2]).all():
+        return None
+    low, high, shift_s = *interval_s, start2 - start1
+    return Refusal(
+        Status.NO_COMMON_TIME,
+        f"camera 1 ({start1:.3f} to {end1:.3f} s) and camera 2 ({start2:.3f} to {end2:.3f} s) have"
+        f" no common time at any offset between {low:g} and {high:g} s: search where they do, for"
+        f" example --search {shift_s - 1.0:.1f} {shift_s + 1.0:.1f}",
+    )
+
+
+def has_common_time(cleans: tuple[Clean, Clean], interval_s: Interval) -> bool:
+    """Whether two recordings have common time at any offset of an interval."""
+    (start1, end1), (start2, end2) = (one.span_s for one in cleans)
+    return interval_s[0] < end2 - start1 and start2 - end1 < interval_s[1]
+
+
+def _too_few(number: int, clean: Clean, config: Config) -> Refusal | None:
+    """Refuse events of which no window holds enough for a position."""
+    if clean.has_track:
+        return None
+    n, n_min = len(clean.events), clean.n_min(config.n_min)
+    left = f"denoising left {n} of {clean.n_recorded} events"
+    if clean.clutter is not None and clean.clutter.masked_events:
+        left += f", of which {clean.clutter.masked_events} were of lamps and hot pixels"
+    if n == 0:
+        return Refusal(
+            Status.TOO_FEW_SAMPLES,
+            f"camera {number}: {left}: check that an object moves in this recording and that its"
+            " times are in the unit of its format, or try --no-denoise",
+        )
+    t_us, window_us = clean.events["t"], 2 * config.half_window_s * US_PER_S
+    if n >= n_min and np.min(t_us[n_min - 1 :] - t_us[: n - n_min + 1]) <= window_us:
+        return None
+    return Refusal(
+        Status.TOO_FEW_SAMPLES,
+        f"camera {number}: no window of {window_us / 1e3:g} ms holds {n_min} events"
+        f"{f' ({left})' if clean.denoised else ''}: record closer to the object, or give a smaller"
+        " --n-min or a longer --half-window",
+    )
 
 
 def at_rest(views: tuple[View | None, View | None]) -> Refusal | None:

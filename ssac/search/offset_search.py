@@ -55,7 +55,7 @@ def candidate_offsets(views: TwoViews) -> Array:
     short stretch fits almost any F, so an offset is a candidate only when its overlap is at least
     half of the longest in the interval. Empty when no offset gives any overlap.
     """
-    low, high = views.config.interval_s
+    low, high = views.config.offsets_s
     n_steps = int(np.floor((high - low) / FINE_STEP_S + 1e-9))
     offsets = low + FINE_STEP_S * np.arange(n_steps + 1, dtype=np.float64)
     start, end = views.overlap_s(offsets)

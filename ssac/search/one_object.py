@@ -1,21 +1,22 @@
-"""What two cameras recorded in; the same with the events of one object alone, or a refusal, out.
+"""The one object that all cameras saw, of several things that moved before them.
 
 Nearly all recordings show one thing that moves, and pass as they are. Where a camera sees several,
 those pieces of paths are taken that one epipolar geometry and one offset explain in both views.
 """
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ssac.camera import Camera, Rig
-from ssac.config import Config
-from ssac.estimate import Estimate, Status
+from ssac.config import Interval
+from ssac.estimate import Refusal, Status
 from ssac.search.object_search import HALF_BIN_S, Match, both_see, matches
+from ssac.track.clean import Clean, ObjectsUsed
 from ssac.track.clutter import chosen_events
 from ssac.track.objects import BIN_US, Objects, Piece, objects_of, seem_several
-from ssac.track.observation import Observation, denoised
 from ssac.track.point_motion import point_motion
 
 Array = NDArray[np.float64]
@@ -36,105 +37,91 @@ _FAR_US = 2**61  # before and after all times
 _TRACK_SIZE_PX = 5.0  # of an object of which a track shows the path alone
 
 
-@dataclass(frozen=True)
-class ObjectsUsed:
-    """What became of the things that one camera saw."""
-
-    seen: int  # at a time
-    share: float  # of the events, those of the object that was used
-
-
-@dataclass(frozen=True)
-class OneObject:
-    """Both cameras with the events of one object, and what else there was."""
-
-    cam1: Observation
-    cam2: Observation
-    objects: tuple[ObjectsUsed, ObjectsUsed]
-    refusal: Estimate | None = None  # without a method's name: no object was told from the others
-
-    def refused(self, method: str) -> Estimate | None:
-        """Give the refusal in the name of a method; None where there is none."""
-        return None if self.refusal is None else replace(self.refusal, method=method)
-
-    @property
-    def words(self) -> str:
-        """What the cameras saw, and what is left of it."""
-        if self.refusal is not None:
-            return "several, and none told from the others"
-        if all(used.seen == 1 for used in self.objects):
-            return "one at a time"
-        seen = " and ".join(str(used.seen) for used in self.objects)
-        shares = " and ".join(f"{100.0 * used.share:.0f} %" for used in self.objects)
-        return f"{seen} at a time; {shares} of the events are of one that both cameras see"
-
-
 def one_object(
-    cam1: Observation, cam2: Observation, rig: Rig, config: Config, search_all: bool = False
-) -> OneObject:
-    """Choose the object that both cameras saw, where one of them saw several things at a time.
+    cleans: Sequence[Clean], interval_s: Interval | None = None
+) -> tuple[tuple[Clean, ...], Refusal | None]:
+    """Choose the object that all cameras saw, where one of them saw several things at a time.
 
     Parameters
     ----------
-    cam1, cam2, rig, config
-        As a method takes them. With `denoise` off nothing is chosen: noise hangs together too.
-    search_all
-        Offsets outside the config's interval are tried too.
+    cleans
+        What two or more cameras recorded. With noise in it nothing is chosen: that hangs together
+        too.
+    interval_s
+        Least and largest offset between the clocks of two of them; None for any.
 
     Returns
     -------
-    OneObject
-        The cameras denoised, and otherwise as they are where both saw one thing.
-
-    Raises
-    ------
-    SsacError
-        If a camera's events cannot be used.
+    tuple
+        Each camera with the events of that object alone, or as it is where all saw one thing; and
+        why no object is told from the others, if so. Of more than two cameras, the two that bear
+        out one object for longest say which it is; a further one that saw nothing of it has no
+        events left.
     """
-    cameras = denoised(cam1, cam2, rig, config)
-    both = list(zip(cameras, (rig.cam1, rig.cam2), strict=True))
-    as_it_is = OneObject(*cameras, (ObjectsUsed(1, 1.0), ObjectsUsed(1, 1.0)))
-    seem = [seen.denoised and seem_several(seen.events, camera) for seen, camera in both]
-    if not any(seem):
-        return as_it_is
-    objects = [_objects(*one) for one in both]
+    seem = [one.denoised and seem_several(one.events, one.camera) for one in cleans]
+    if not any(seem) or any(not one.has_track and len(one.events) == 0 for one in cleans):
+        return tuple(cleans), None
+    objects = [_objects(one) for one in cleans]
     if not any(one.are_several for one, several in zip(objects, seem, strict=True) if several):
-        return as_it_is
-    start_s = 1e-6 * (objects[1].start_us - objects[0].start_us)  # of camera 2 after camera 1
-    low_s, high_s = config.interval_s
-    interval_s = None if search_all else (low_s - start_s, high_s - start_s)
-    found = matches(objects[0].pieces, objects[1].pieces, interval_s)
-    refusal = _refusal(found, objects, start_s)
-    if refusal is not None:
-        used = (ObjectsUsed(objects[0].n_seen, 0.0), ObjectsUsed(objects[1].n_seen, 0.0))
-        return OneObject(*cameras, used, refusal)
-    pieces = [{pair[k] for pair in found[0].pairs} for k in range(2)]
-    left = [_only(*one) for one in zip(cameras, objects, pieces, strict=True)]
-    return OneObject(left[0][0], left[1][0], (left[0][1], left[1][1]))
+        return tuple(cleans), None
+    pieces = _chosen(objects, interval_s)
+    if isinstance(pieces, Refusal):
+        seen = [ObjectsUsed(one.n_seen, 0.0) for one in objects]
+        return tuple(replace(one, used=n) for one, n in zip(cleans, seen, strict=True)), pieces
+    return tuple(_only(*one) for one in zip(cleans, objects, pieces, strict=True)), None
 
 
-def _objects(seen: Observation, camera: Camera) -> Objects:
+def _chosen(objects: list[Objects], interval_s: Interval | None) -> list[set[int]] | Refusal:
+    """Give the numbers of each camera's pieces that are one object's."""
+    matched, refusals = dict[tuple[int, int], Match](), list[Refusal]()
+    for a, b in combinations(range(len(objects)), 2):
+        found = _matched(objects[a], objects[b], interval_s)
+        if isinstance(found, Refusal):
+            refusals.append(found)
+        else:
+            matched[a, b] = found
+    if not matched:
+        return refusals[0]
+    pair = max(matched, key=lambda one: matched[one].common)
+    pieces = {k: {both[place] for both in matched[pair].pairs} for place, k in enumerate(pair)}
+    alone = [_with_only(objects[k], pieces[k]) for k in pair]
+    for k in set(range(len(objects))) - set(pair):
+        found_by = [_matched(one, objects[k], interval_s) for one in alone]
+        fits = [one for one in found_by if isinstance(one, Match)]
+        best = max(fits, key=lambda one: one.common, default=None)
+        pieces[k] = set() if best is None else {both[1] for both in best.pairs}
+    return [pieces[k] for k in range(len(objects))]
+
+
+def _with_only(objects: Objects, numbers: set[int]) -> Objects:
+    """Give what a camera saw without the other pieces."""
+    return replace(objects, n_seen=1, pieces=[objects.pieces[i] for i in sorted(numbers)])
+
+
+def _objects(seen: Clean) -> Objects:
     """Follow the things that one camera saw; a track of points is that of one object."""
     if seen.track is None:
-        return objects_of(seen.events, camera)
+        return objects_of(seen.events, seen.camera)
     start_s, end_s = seen.span_s
     times_s = np.arange(start_s + HALF_BIN_S, end_s, 2.0 * HALF_BIN_S, np.float64)
-    track = point_motion(seen.track, camera, HALF_BIN_S).at(times_s)
+    track = point_motion(seen.track, seen.camera, HALF_BIN_S).at(times_s)
     positions = np.where(track.valid[:, None], track.positions_px, np.nan)
     none = np.empty(0, np.int64)
     piece = Piece(0, positions, np.ones(len(times_s)), _TRACK_SIZE_PX, none)
     return Objects(round(1e6 * start_s), False, 1, [piece], none.astype(np.int32))
 
 
-def _refusal(found: list[Match], objects: list[Objects], start_s: float) -> Estimate | None:
-    """Refuse where no pieces of both views are one object's, or those of several offsets may be.
+def _matched(one: Objects, other: Objects, interval_s: Interval | None) -> Match | Refusal:
+    """Match the pieces of two views at the offset that they bear out best.
 
-    Camera 2's recording starts `start_s` after camera 1's, each by its own clock.
+    Refused where none are one object's, or those of several offsets may be.
     """
-    seen = " and ".join(str(one.n_seen) for one in objects)
-    things = f"the cameras see {seen} things at a time"
-    nothing = Estimate("", Status.SEVERAL_OBJECTS)
-    pieces = objects[0].pieces, objects[1].pieces
+    start_s = 1e-6 * (other.start_us - one.start_us)  # of camera 2 after camera 1
+    if interval_s is not None:
+        interval_s = (interval_s[0] - start_s, interval_s[1] - start_s)
+    found = matches(one.pieces, other.pieces, interval_s)
+    things = f"the cameras see {one.n_seen} and {other.n_seen} things at a time"
+    pieces = one.pieces, other.pieces
     needed_s = MIN_COMMON_S
     if found:
         needed_s = max(needed_s, MIN_SHARE * HALF_BIN_S * both_see(*pieces, found[0].lag))
@@ -145,7 +132,7 @@ def _refusal(found: list[Match], objects: list[Objects], start_s: float) -> Esti
             f" {common_s:.1f} s, of {needed_s:.1f} s needed, at any offset searched: record one"
             " object, or mask the others"
         )
-        return replace(nothing, reason=reason)
+        return Refusal(Status.SEVERAL_OBJECTS, reason)
     best = found[0]
     rivals = [
         match
@@ -154,32 +141,31 @@ def _refusal(found: list[Match], objects: list[Objects], start_s: float) -> Esti
         and match.distance_px <= _CLEARLY * max(best.distance_px, _LEAST_PX)
     ]
     if not rivals:
-        return None
+        return best
     offsets_s = [start_s + HALF_BIN_S * match.lag for match in [best, *rivals]]
     others = ", ".join(f"{offset_s:.2f}" for offset_s in offsets_s[1:6])
     reason = (
         f"{things}: two of them fit one epipolar geometry at an offset of {offsets_s[0]:.2f} s, and"
         f" others about as well at {others} s: record one object, or mask the others"
     )
-    return replace(nothing, reason=reason, alternatives_s=np.array(sorted(offsets_s)))
+    return Refusal(Status.SEVERAL_OBJECTS, reason, alternatives_s=tuple(sorted(offsets_s)))
 
 
-def _only(
-    seen: Observation, objects: Objects, numbers: set[int]
-) -> tuple[Observation, ObjectsUsed]:
+def _only(seen: Clean, objects: Objects, numbers: set[int]) -> Clean:
     """Keep the events of some pieces alone."""
     if seen.track is not None:
-        return seen, ObjectsUsed(1, 1.0)
+        return seen
     pieces = [objects.pieces[i] for i in sorted(numbers)]
     chosen = objects.events_of(pieces)
-    left = Observation(
-        chosen_events(seen.events, chosen),
-        seen.frames,
-        seen.frame_times_s,
-        denoised=True,
+    return replace(
+        seen,
+        events=chosen_events(seen.events, chosen),
+        clutter=None,
+        on_line=None,
         gaps_us=_gaps_us(objects.start_us, pieces),
+        used=ObjectsUsed(objects.n_seen, float(np.mean(chosen))),
+        kept={},
     )
-    return left, ObjectsUsed(objects.n_seen, float(np.mean(chosen)))
 
 
 def _gaps_us(start_us: int, pieces: list[Piece]) -> NDArray[np.int64]:

@@ -1,4 +1,4 @@
-"""Two cameras' object motions in; the object's positions in both, paired by a clock, out.
+"""The object's positions in two views, paired by a clock.
 
 The sign convention of the whole package: t_cam2 = t_cam1 + t_d, so that p2(t + t_d) pairs with
 p1(t), as in the paper's Eq. 3, and t_d is positive when camera 2's clock shows more.
@@ -10,15 +10,16 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ssac.camera import Rig, check_camera
+from ssac.camera import Rig
 from ssac.clock import Clock
-from ssac.config import MIN_SWINGS, Config, checked
+from ssac.config import MIN_SWINGS, Config
 from ssac.geometry.pose import rays_of
 from ssac.search.blind import Blind
 from ssac.search.seen import Seen, seen_by_both
 from ssac.search.view import Alone, View, size_px, swing_hz
+from ssac.track.clean import Clean
 from ssac.track.motion import Motion, SharpTrack
-from ssac.track.observation import Observation, object_motions
+from ssac.track.motions import motion_of
 
 Array = NDArray[np.float64]
 
@@ -95,7 +96,7 @@ class TwoViews:
         return shown_s if self.clock.is_delay else shown_s + self.clock.added_s(times_s)
 
     def __post_init__(self) -> None:
-        motions, longest_s = (self.motion1, self.motion2), float(np.ptp(self.config.interval_s))
+        motions, longest_s = (self.motion1, self.motion2), float(np.ptp(self.config.offsets_s))
         if self.alone is None or not self.alone.is_of(motions, longest_s):
             object.__setattr__(self, "alone", Alone(motions, longest_s))
 
@@ -226,32 +227,21 @@ class TwoViews:
         return float(min(1.0, (MIN_SWINGS / max(n_swings, 1e-12)) ** 2))
 
 
-def two_views(
-    cam1: Observation,
-    cam2: Observation,
-    rig: Rig,
-    config: Config | None = None,
-    pose_is_known: bool = False,
+def views_of(
+    one: Clean, other: Clean, rig: Rig, config: Config, pose_is_known: bool = False
 ) -> TwoViews:
-    """Prepare both views of what two cameras recorded: the paper's Sec. IV-A.
+    """Sum up both views of what two cameras recorded: the paper's Sec. IV-A.
 
     Parameters
     ----------
-    cam1, cam2
-        What the two cameras recorded.
+    one, other
+        What cameras 1 and 2 recorded, without noise.
     rig
-        Intrinsics; the extrinsics count only where `pose_is_known`.
+        Theirs; its extrinsics count only where `pose_is_known`.
     config
-        Parameters; the defaults when None.
+        Parameters.
     pose_is_known
         The rig's extrinsics hold, and only the offset is in question.
-
-    Raises
-    ------
-    SsacError
-        If a camera or its events cannot be used, or a parameter makes no sense.
     """
-    config = checked(config)
-    check_camera(rig.cam1, "camera 1")
-    check_camera(rig.cam2, "camera 2")
-    return TwoViews(*object_motions(cam1, cam2, rig, config), rig, config, pose_is_known)
+    motions = motion_of(one, config.windows), motion_of(other, config.windows)
+    return TwoViews(*motions, rig, config, pose_is_known)

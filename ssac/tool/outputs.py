@@ -1,4 +1,4 @@
-"""A result of `sync` in, the files that were asked for out: JSON, figures, synchronised events."""
+"""The files that `ssac sync` writes of two cameras: JSON, figures, synchronised events."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -7,13 +7,15 @@ from pathlib import Path
 import numpy as np
 
 from ssac.errors import SsacError
+from ssac.files.damage import Reading
 from ssac.files.event_files import load_events, write_synced
 from ssac.files.hdf5 import HDF5_SUFFIXES
 from ssac.files.track_files import TRACK_SUFFIX, is_track_file, load_track, save_track
 from ssac.files.whole_file import check_folder, check_targets
+from ssac.pipeline.answer import Log, Stopwatch
+from ssac.pipeline.api import Result
+from ssac.pipeline.report import save_json
 from ssac.plot.style import FILE_SUFFIXES
-from ssac.tool.report import save_json
-from ssac.tool.sync import Clock, Log, SyncResult
 
 _SYNCED_SUFFIXES = (*HDF5_SUFFIXES, ".txt")
 
@@ -53,37 +55,47 @@ def check_outputs(inputs: Sequence[Path], outputs: Outputs) -> None:
     check_targets(files, inputs)
 
 
-def write_outputs(result: SyncResult, outputs: Outputs, log: Log) -> None:
-    """Write what was asked for and say so; synchronised events only where the offset holds."""
-    clock = Clock(log)
+def write_outputs(result: Result, outputs: Outputs, cam2: Path, reading: Reading, log: Log) -> None:
+    """Write what was asked for and say so; synchronised events only where the offset holds.
+
+    Parameters
+    ----------
+    result
+        Of two cameras.
+    outputs
+        What was asked for.
+    cam2, reading
+        Camera 2's file, and how it was read.
+    log
+        Called with a line on each file.
+    """
+    clock = Stopwatch(log)
     estimate, synced = result.estimate, outputs.synced
     if outputs.json_file is not None:
-        save_json(outputs.json_file, result)
+        save_json(outputs.json_file, result.answer)
         log(f"wrote {outputs.json_file}")
     if outputs.plot is not None:
         with clock.part("draw") as say:
-            say(_draw(outputs.plot, result))
+            drawn = result.plotted(outputs.plot)
+            say(", ".join(map(str, drawn)) or "nothing: the method left no curve and no track")
     if synced is not None and estimate.has_offset:
         with clock.part("write") as say:
             # Read again, whole: what is in memory has been denoised.
-            _write_synced(synced, result)
+            _write_synced(synced, result, cam2, reading)
             known = np.isfinite(estimate.t_d_std_s)
             say(str(synced) if known else f"{synced}, by an offset of unknown accuracy")
     elif synced is not None:
         log(f"not written: {synced}, since there is no reliable offset")
 
 
-def _write_synced(path: Path, result: SyncResult) -> None:
+def _write_synced(path: Path, result: Result, cam2: Path, reading: Reading) -> None:
     """Write camera 2's events or points on camera 1's clock."""
     clock = result.estimate.clock
-    if not is_track_file(result.paths[1]):
-        write_synced(path, load_events(result.paths[1], result.reading), clock)
+    if not is_track_file(cam2):
+        write_synced(path, load_events(cam2, reading), clock)
         return
-    track = load_track(result.paths[1])
+    track = load_track(cam2)
     save_track(path, replace(track, times_s=clock.cam1_from_cam2(track.times_s)))
-
-
-# Matplotlib is imported by those alone who want figures: it takes half a second.
 
 
 def _is_figure(plot: Path) -> bool:
@@ -96,10 +108,3 @@ def _is_figure(plot: Path) -> bool:
             f"{', '.join(FILE_SUFFIXES)}"
         )
     return False
-
-
-def _draw(plot: Path, result: SyncResult) -> str:
-    from ssac.plot.plots import save_figures
-
-    drawn = save_figures(plot, result.estimate, result.cam1, result.cam2, result.rig, result.config)
-    return ", ".join(map(str, drawn)) or "nothing: the method left no curve and no track"

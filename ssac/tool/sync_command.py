@@ -1,24 +1,28 @@
-"""A command line in, offset and pose on stdout and in files out: `ssac sync`.
+"""The command `ssac sync`: offsets and poses of two or more cameras.
 
 What takes long to import is imported when the command runs, not for its help.
 """
 
+from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ssac.config import CLOCKS, MAX_SKEW_PPM, Config
+from ssac.config import CLOCKS, EVENT_SKEW_PRIOR_PPM, INTERVAL_S, MAX_SKEW_PPM, Config
 from ssac.console.command_line import Sections
 from ssac.console.event_options import AllowDamaged, NoDenoise, Sort, n_min_of
 from ssac.console.exits import NO_ESTIMATE, warnings_as_lines
 from ssac.console.options import number
 from ssac.errors import SsacError
-from ssac.tool.summaries import DEFAULT, OF_TRACKS, all_summaries
+from ssac.pipeline.summaries import DEFAULT, OF_TRACKS, all_summaries
+
+if TYPE_CHECKING:
+    from ssac.pipeline.known import Known
 
 _SEARCH_DEFAULT = (
-    f"{Config.interval_s[0]:g} {Config.interval_s[1]:g}; all offsets for tracks, or where that "
+    f"{INTERVAL_S[0]:g} {INTERVAL_S[1]:g}; all offsets for tracks, or where that "
     "leaves no common time"
 )
 
@@ -99,13 +103,15 @@ def sync_command(
             0,
             MAX_SKEW_PPM,
             "ppm",
-            default_words=f"{Config.skew_prior_ppm:g}; 1000 with tracks",
+            default_words=f"{EVENT_SKEW_PRIOR_PPM:g}; 1000 with tracks",
         ),
     ] = None,
     clock: Annotated[
         str,
         typer.Option(
-            metavar="NAME", help="Clock model: affine, or pieces, whose skew changes, as in phones."
+            metavar="NAME",
+            help="Clock model: affine, or pieces, whose skew changes, as in phones.",
+            show_default="affine; pieces for tracks that it does not fit",
         ),
     ] = Config.clock,
     roughness: Annotated[
@@ -234,27 +240,13 @@ def sync_command(
     if clock not in CLOCKS:
         raise SsacError(f"--clock: expected {' or '.join(CLOCKS)}, got {clock}")
     from ssac.files.damage import Reading
-    from ssac.files.track_files import is_track_file
-    from ssac.tool.everywhere import SKEW_PRIOR_PPM
-    from ssac.tool.many import (
-        check_for_two,
-        check_known_of_two,
-        known_of,
-        sync_all,
-        write_path_of_two,
-    )
-    from ssac.tool.many_report import many_text, write_many
+    from ssac.pipeline.api import Result, sync
+    from ssac.pipeline.known import known_of
     from ssac.tool.outputs import Outputs, check_outputs, write_outputs
-    from ssac.tool.report import report_text
-    from ssac.tool.sync import sync
 
-    files, as_read = [cam1, cam2, *(more or ())], Reading(allow_damaged, sort)
-    outputs = Outputs(json_file, plot, write_synced, trajectory)
-    if skew_prior is None:
-        has_track = any(map(is_track_file, files))
-        skew_prior = SKEW_PRIOR_PPM if has_track else Config.skew_prior_ppm
+    files, reading = [cam1, cam2, *(more or ())], Reading(allow_damaged, sort)
     config = Config(
-        interval_s=search or Config.interval_s,
+        interval_s=search,
         n_samples=n_samples,
         half_window_s=half_window,
         n_min=n_min,
@@ -263,52 +255,50 @@ def sync_command(
         skew_prior_ppm=skew_prior,
         clock=clock,
         roughness_ppm=roughness,
+        search="all" if search_all else Config.search,
+        rates=rate_range,
     )
     with warnings_as_lines():
+        outputs = Outputs(json_file, plot, write_synced, trajectory)
         check_outputs([*files, rig, *filter(None, (positions, rtk))], outputs)
         known = known_of(distance, positions, rtk, lever_arm)
+        for_two = {
+            "--cameras": cameras != (1, 2),
+            "--plot": plot,
+            "--write-synced": write_synced,
+            "--known-extrinsics": known_extrinsics,
+            "--estimate-readout": estimate_readout,
+        }
         if more:
-            for_two = {
-                "--cameras": cameras != (1, 2),
-                "--search": search,
-                "--rate-range": rate_range,
-                "--plot": plot,
-                "--write-synced": write_synced,
-                "--known-extrinsics": known_extrinsics,
-                "--estimate-readout": estimate_readout,
-                "--focal-std": focal_std is not None,
-                "--centre-std": centre_std is not None,
-            }
-            check_for_two([name for name, value in for_two.items() if value])
-            everywhere = search_all or None
-            every = sync_all(files, rig, method, config, _to_stderr, known, everywhere, as_read)
-            typer.echo(many_text(every))
-            write_many(every, json_file, trajectory, _to_stderr)
-            if every.answer.status != "ok":
-                raise typer.Exit(NO_ESTIMATE)
-            return
-        check_known_of_two(known, trajectory is not None)
-        result = sync(
-            cam1,
-            cam2,
-            rig,
+            _check_for_two([name for name, value in for_two.items() if value])
+        else:
+            _check_known_of_two(known, trajectory is not None)
+        call: Callable[..., Any] = sync
+        result = call(
+            *((files, rig, None) if more else (cam1, cam2, rig)),
             method,
-            known_extrinsics,
             config,
-            log=_to_stderr,
+            known_extrinsics=known_extrinsics,
             cameras=cameras,
-            search_all=True if search_all else None if search is None else False,
-            rate_range=rate_range,
             focal_std=None if focal_std is None else 0.01 * focal_std,
             centre_std_px=centre_std,
-            reading=as_read,
             estimate_readout=estimate_readout,
+            reading=reading,
+            known=known,
+            log=_to_stderr,
         )
-        typer.echo(report_text(result))
-        write_outputs(result, outputs, _to_stderr)
-        if trajectory is not None:
-            write_path_of_two(trajectory, result, known, _to_stderr)
-    if result.estimate.status != "ok":
+        typer.echo(result.summary())
+        if isinstance(result, Result):
+            write_outputs(result, outputs, cam2, reading, _to_stderr)
+            if trajectory is not None:
+                from ssac.pipeline.many import write_path_of_two
+
+                write_path_of_two(trajectory, result, known, _to_stderr)
+        else:
+            from ssac.pipeline.many_report import write_many
+
+            write_many(result, json_file, trajectory, _to_stderr)
+    if result.status != "ok":
         raise typer.Exit(NO_ESTIMATE)
 
 
@@ -320,6 +310,25 @@ def help_sections() -> Sections:
         "Methods": list(all_summaries().items()),
         **({"Statuses": statuses} if statuses else {}),
     }
+
+
+def _check_for_two(given: list[str]) -> None:
+    """Refuse options that are of two cameras."""
+    if given:
+        raise SsacError(
+            f"{given[0]}: is for two cameras, and more were given: leave it out, or give two"
+        )
+
+
+def _check_known_of_two(known: "Known", has_trajectory: bool) -> None:
+    """Refuse what two cameras cannot use: of these, the path alone has a scale and a frame."""
+    if known.positions is not None:
+        raise SsacError(
+            "--positions: needs three cameras or more, and two were given: give --distance"
+        )
+    name = "--distance" if known.distance_m is not None else "--rtk"
+    if known != type(known)() and not has_trajectory:
+        raise SsacError(f"{name}: is for the object's path: give --trajectory too, or leave it out")
 
 
 def _to_stderr(line: str) -> None:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssac.camera import Camera, undistortion_map
+from ssac.events import no_gaps
 from ssac.track.clutter import chosen_events, of_pixels
 from ssac.track.motion_kernels import (
     first_from_each,
@@ -22,11 +23,6 @@ from ssac.track.motion_kernels import (
 )
 
 _EVENTS_PER_SLICE = 4
-
-
-def no_gaps() -> NDArray[np.int64]:
-    """Give the gaps (0, 2) of a recording of which nothing was taken out."""
-    return np.empty((0, 2), np.int64)
 
 
 @dataclass(frozen=True)
@@ -76,7 +72,7 @@ class ObjectMotion:
     half_window_s: float  # [s] on each side of a sample time
     n_min: int  # events a valid sample's window holds at least
     max_border_fraction: float  # of a valid sample's events may lie on the border
-    gaps_us: NDArray[np.int64] = field(default_factory=no_gaps)  # (g, 2) as of `Observation`
+    gaps_us: NDArray[np.int64] = field(default_factory=no_gaps)  # (g, 2) as of `Clean`
     bare: "ObjectMotion | None" = None  # without the events where a line holds the object, if so
 
     @property

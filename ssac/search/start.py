@@ -1,4 +1,4 @@
-"""Two cameras of which no offset is known in; the offset to start a method from, or a refusal, out.
+"""Where a method is to begin with two cameras of which no offset is known, or why it is not.
 
 The search over all offsets (`ssac.search.all_offsets`) finds offset and rate of camera 2's clock
 roughly. A method then sees camera 2 on a clock without that rate, and searches near that offset;
@@ -10,10 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from ssac.camera import Rig
 from ssac.clock import PPM
-from ssac.config import Config
-from ssac.estimate import Estimate, Status
+from ssac.config import Config, Interval
+from ssac.estimate import Estimate, Refusal, Status
 from ssac.events import US_PER_S
 from ssac.search.all_offsets import (
     MAX_COST,
@@ -23,11 +22,9 @@ from ssac.search.all_offsets import (
     search_all_offsets,
 )
 from ssac.search.lag_costs import Progress
-from ssac.search.two_views import two_views
-from ssac.track.observation import Observation
-
-SKEW_PRIOR_PPM = 1000.0
-"""Prior deviation of the skew where a camera gave a track: phones and camcorders."""
+from ssac.search.two_views import TwoViews
+from ssac.track.clean import Clean
+from ssac.track.point_motion import PointMotion
 
 REACH_S, REACH_STEPS = 0.5, 4.0
 """A method searches this far on each side of the offset found, or so many of the search's steps."""
@@ -42,13 +39,18 @@ class Start:
     """Where a method is to begin, or why none is to."""
 
     found: AllOffsets
-    refusal: Estimate | None = None
+    refusal: Refusal | None = None
     tried_rates: bool = False  # so the guess's is about right
 
     @property
     def guess(self) -> Guess:
         """The best offset of all."""
         return self.found.guesses[0]
+
+    @property
+    def has_guess(self) -> bool:
+        """Whether there is any."""
+        return len(self.found.guesses) > 0
 
     @property
     def anchor_s(self) -> float:
@@ -76,12 +78,14 @@ class Start:
         return replace(
             config,
             interval_s=(t_d_s - reach_s, t_d_s + reach_s),
+            search="interval",
+            rates=None,
             max_valley_s=max(config.max_valley_s, 2.0 * reach_s),
             min_swings=min(config.min_swings, UNIQUE_SWINGS),
             search_skews=config.search_skews and not self.tried_rates,
         )
 
-    def as_seen(self, cam2: Observation) -> Observation:
+    def as_seen(self, cam2: Clean) -> Clean:
         """Camera 2 on a clock that runs as camera 1's, as far as the guess tells."""
         return cam2 if self.guess.rate == 1.0 else at_rate(cam2, self.guess.rate, self.anchor_s)
 
@@ -126,44 +130,32 @@ class Start:
             jump=jump,
             alternatives_s=offset_s(estimate.alternatives_s),
             candidates_s=offset_s(estimate.candidates_s),
+            start=None if estimate.start is None else self.as_recorded(estimate.start),
         )
 
 
-def find_start(
-    cam1: Observation,
-    cam2: Observation,
-    rig: Rig,
-    config: Config,
-    method: str,
-    rate_range: tuple[float, float] | None = None,
-    progress: Progress | None = None,
+def start_of(
+    views: TwoViews, rates: Interval | None = None, progress: Progress | None = None
 ) -> Start:
     """Search all offsets, and all rates of a range, for where to begin.
 
     Parameters
     ----------
-    cam1, cam2, rig, config
-        As a method takes them.
-    method
-        Name for a refusal.
-    rate_range
-        Rates of camera 2's clock, by camera 1's; None where both are about right.
+    views
+        Both views, with clocks as they were recorded.
+    rates
+        Least and largest rate of camera 2's clock, by camera 1's; None where both are about right.
     progress
         Called now and then with the share that is done.
     """
-    views = two_views(cam1, cam2, rig, config)
-    freedom = RATE_FREEDOM if cam1.track is not None or cam2.track is not None else 0.0
-    found = search_all_offsets(
-        views.motion1,
-        views.motion2,
-        rate_range or (1.0, 1.0),
-        freedom,
-        progress,
-    )
-    return Start(found, _refusal(found, method), freedom > 0.0 or rate_range is not None)
+    motions = views.motion1, views.motion2
+    has_track = any(isinstance(motion, PointMotion) for motion in motions)
+    freedom = RATE_FREEDOM if has_track else 0.0
+    found = search_all_offsets(*motions, rates or (1.0, 1.0), freedom, progress)
+    return Start(found, _refusal(found), freedom > 0.0 or rates is not None)
 
 
-def at_rate(cam2: Observation, rate: float, anchor_s: float) -> Observation:
+def at_rate(cam2: Clean, rate: float, anchor_s: float) -> Clean:
     """Camera 2 on a clock that runs 1 / rate times as fast and shows the same at the anchor."""
     events, track, gaps_us = cam2.events, cam2.track, cam2.gaps_us
     if track is not None:
@@ -173,44 +165,32 @@ def at_rate(cam2: Observation, rate: float, anchor_s: float) -> Observation:
         anchor_us = anchor_s * US_PER_S
         events["t"] = np.rint(anchor_us + (events["t"] - anchor_us) / rate).astype(np.int64)
         gaps_us = np.rint(anchor_us + (gaps_us - anchor_us) / rate).astype(np.int64)
-    return Observation(
-        events,
-        denoised=cam2.denoised,
-        track=track,
-        clutter=cam2.clutter,
-        gaps_us=gaps_us,
-        on_line=cam2.on_line,
-    )
+    return replace(cam2, events=events, track=track, gaps_us=gaps_us, kept={})
 
 
-def _refusal(found: AllOffsets, method: str) -> Estimate | None:
+def _refusal(found: AllOffsets) -> Refusal | None:
     """Refuse what no offset of all explains, or several do."""
-    nothing = Estimate(method, candidates_s=found.candidates_s, costs=found.costs)
     if not found.guesses:
-        return replace(
-            nothing,
-            status=Status.TOO_FEW_SAMPLES,
-            reason="at no offset do both cameras see the object move for long enough to compare "
-            "its paths: check that they saw one flight",
+        return Refusal(
+            Status.TOO_FEW_SAMPLES,
+            "at no offset do both cameras see the object move for long enough to compare its paths:"
+            " check that they saw one flight",
         )
     best, rivals = found.guesses[0], found.rivals
     if best.cost > MAX_COST:
-        return replace(
-            nothing,
-            status=Status.NO_MATCH,
-            reason=f"at the best of all offsets, {best.t_d_s:.1f} s, the two paths still disagree "
-            f"by {100.0 * best.cost:.0f} % of their width: the cameras see different objects, too "
-            "little of one flight, or a clock runs at a rate of its own (--rate-range)",
+        return Refusal(
+            Status.NO_MATCH,
+            f"at the best of all offsets, {best.t_d_s:.1f} s, the two paths still disagree by"
+            f" {100.0 * best.cost:.0f} % of their width: the cameras see different objects, too"
+            " little of one flight, or a clock runs at a rate of its own (--rate-range)",
         )
     if rivals:
         others = ", ".join(f"{guess.t_d_s:.1f}" for guess in rivals[:5])
-        return replace(
-            nothing,
-            status=Status.AMBIGUOUS_OFFSET,
-            reason=f"of all offsets {best.t_d_s:.1f} s fits best, and {others} s about as well: "
-            "too little of one flight is common, or a clock runs at a rate of its own "
-            "(--rate-range)",
-            t_d_s=best.t_d_s,
-            alternatives_s=np.array([guess.t_d_s for guess in rivals]),
+        return Refusal(
+            Status.AMBIGUOUS_OFFSET,
+            f"of all offsets {best.t_d_s:.1f} s fits best, and {others} s about as well: too little"
+            " of one flight is common, or a clock runs at a rate of its own (--rate-range)",
+            best.t_d_s,
+            tuple(guess.t_d_s for guess in rivals),
         )
     return None

@@ -1,4 +1,4 @@
-"""A result of many cameras in, text for people and JSON for machines out."""
+"""What is found of many cameras, as text for people and as JSON for machines."""
 
 import json
 from pathlib import Path
@@ -10,20 +10,22 @@ from scipy.spatial.transform import Rotation
 from ssac.estimate import Status
 from ssac.files.whole_file import whole_file
 from ssac.network.answers import CameraAnswer
-from ssac.tool.many import ManyResult, write_paths
-from ssac.tool.report import plain
-from ssac.tool.sync import Log
+from ssac.pipeline.answer import Log
+from ssac.pipeline.many import NetworkResult, write_paths
+from ssac.pipeline.report import plain
 
 
-def many_text(result: ManyResult) -> str:
+def many_text(result: NetworkResult) -> str:
     """Lay out what is found of many cameras for people."""
-    answer, rows = result.answer, list[tuple[str, str]]()
+    answer, rows = result.network, list[tuple[str, str]]()
     if answer.reason:
         rows.append(("incomplete", answer.reason))
     if result.ground is not None:
         rows.append(("frame", result.ground.said))
     for camera in answer.cameras:
         rows += _camera_rows(camera)
+    for note, pairs in _notes(result).items():
+        rows.append(("note", f"{note} (cameras {', '.join(pairs)})"))
     for (a, b), off_s in answer.wrong_pairs.items():
         rows.append(("wrong pair", f"{a + 1} and {b + 1}: its clock is {off_s:+.3f} s off"))
     unit = "m" if result.scale_is_known else "distances of the first two cameras"
@@ -35,20 +37,21 @@ def many_text(result: ManyResult) -> str:
     return "\n".join(f"{name:15}{value}" for name, value in rows)
 
 
-def many_json(result: ManyResult) -> dict[str, Any]:
+def many_json(result: NetworkResult) -> dict[str, Any]:
     """Lay out what is found of many cameras for machines; None for what is missing."""
-    answer = result.answer
+    answer = result.network
     return {
         "status": str(answer.status),
         "reason": answer.reason,
         "cameras": [
-            _camera(camera, path) for camera, path in zip(answer.cameras, result.paths, strict=True)
+            _camera(camera, name) for camera, name in zip(answer.cameras, result.names, strict=True)
         ],
         "pairs": [
             {
                 "cameras": [a + 1, b + 1],
                 "status": str(pair.estimate.status),
                 "reason": pair.estimate.reason,
+                "note": pair.note,
                 "t_d_s": plain(pair.estimate.t_d_s),
                 "t_d_std_s": plain(pair.estimate.t_d_std_s),
                 "contradicted_by_s": answer.wrong_pairs.get((a, b)),
@@ -72,33 +75,42 @@ def many_json(result: ManyResult) -> dict[str, Any]:
         "conventions": "of each group's first camera, 1: t_camK = t_cam1 + t_d + skew (t_cam1 - "
         "t_ref), and what it strays at knots, linear in between; x_K = R X + t, X in the frame, "
         "|t| of the second camera is 1, or metres where the scale is known",
-        "rig": str(result.rig),
+        "rig": result.rig_name,
         "seconds": {part: round(value, 3) for part, value in result.seconds.items()},
     }
 
 
 def write_many(
-    result: ManyResult, json_file: Path | None, trajectory: Path | None, log: Log
+    result: NetworkResult, json_file: Path | None, trajectory: Path | None, log: Log
 ) -> None:
     """Write what was asked for, and say so."""
     if json_file is not None:
         save_many(json_file, result)
         log(f"wrote {json_file}")
     if trajectory is not None:
-        write_paths(trajectory, result.answer, log)
+        write_paths(trajectory, result.network, log)
 
 
-def save_many(path: Path, result: ManyResult) -> None:
+def save_many(path: Path, result: NetworkResult) -> None:
     """Write `many_json`; the file appears only when it is complete."""
     with whole_file(path) as temporary:
         text = json.dumps(many_json(result), indent=1, allow_nan=False)
         temporary.write_text(text + "\n", encoding="utf-8")
 
 
-def _camera(camera: CameraAnswer, path: Path) -> dict[str, Any]:
+def _notes(result: NetworkResult) -> dict[str, list[str]]:
+    """Give what users must know of pairs, each with the pairs that it is said of."""
+    found = dict[str, list[str]]()
+    for (a, b), pair in result.pairs.items():
+        for note in pair.notes:
+            found.setdefault(note, []).append(f"{a + 1}-{b + 1}")
+    return found
+
+
+def _camera(camera: CameraAnswer, name: str) -> dict[str, Any]:
     return {
         "name": camera.name,
-        "file": str(path),
+        "file": name,
         "status": str(camera.status),
         "reason": camera.reason,
         "group": camera.group or None,

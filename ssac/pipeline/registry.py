@@ -1,44 +1,35 @@
-"""The registry of methods: a name in; the callable, and what it must be given, out.
+"""The registry of methods: by a name, what runs, and what it must be given.
 
 To add a method of ours is to add one line to OURS, and one to `summaries.SUMMARIES`. Any installed
-package adds its own by an entry point of the group `ssac.methods` (docs/methods.md). All callables
-are called as `ssac.methods.algorithms.ssac` is: `estimate(cam1, cam2, rig, config) -> Estimate`.
+package adds its own by an entry point of the group `ssac.methods` (docs/methods.md). What runs is
+imported when it is asked for, so that nobody waits for the others.
 """
 
 import hashlib
 import inspect
 import re
 import sys
-from collections.abc import Callable, Iterator, Mapping
+import traceback
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from functools import cached_property
+from importlib import import_module
 from importlib.machinery import EXTENSION_SUFFIXES, SOURCE_SUFFIXES
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from ssac.baselines.albl import albl
-from ssac.baselines.event_rate import event_rate
-from ssac.baselines.zncc_e import zncc_e
-from ssac.baselines.zncc_f import zncc_f
 from ssac.camera import Rig
-from ssac.config import Config, checked
-from ssac.errors import SsacError
+from ssac.config import Config
+from ssac.errors import PluginError, SsacError
 from ssac.estimate import Estimate, Status
-from ssac.methods.algorithms import algorithm_1, algorithm_2, ssac, ssac_known
-from ssac.methods.joint import joint, joint_from, joint_known
-from ssac.methods.tangency import tangency, tangency_from, tangency_known
-from ssac.search.one_object import OneObject, one_object
-from ssac.search.two_views import TwoViews, two_views
-from ssac.tool.summaries import DEFAULT, ENTRY_POINTS, OF_TRACKS, SUMMARIES
+from ssac.pipeline.summaries import DEFAULT, ENTRY_POINTS, OF_TRACKS, SUMMARIES
 from ssac.track.observation import Observation
 
 EstimateFunction = Callable[[Observation, Observation, Rig, Config | None], Estimate]
-
-RefineFunction = Callable[[Estimate, TwoViews], Estimate]
-"""An estimate of another method to start from, and the views that it was found in."""
 
 _STATUS = re.compile(r"[a-z][a-z0-9_]*")
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")  # what a CSV column and a file name can hold
@@ -57,15 +48,17 @@ class Method:
     """One way to find the offset, and perhaps the pose."""
 
     name: str
-    estimate: EstimateFunction
+    estimate: EstimateFunction | None  # another package's; None: ours, which `runs` names
     input: Input
     summary: str  # for lists and error messages
-    needs_extrinsics: bool = False  # the rig must have T_2_1
+    needs_extrinsics: bool = False  # the rig must have T_2_1, which no other method is shown
     known_variant: str = ""  # name of the method to take in its place when the extrinsics are known
     version: str = ""  # of another package's code, for keys of cached results; empty for ours
-    starts_from: str = ""  # method whose estimate `refine` takes, to give the same as `estimate`
-    refine: RefineFunction | None = None
-    of_views: Callable[[TwoViews], Estimate] | None = None  # the same as `estimate`, of its views
+    runs: str = ""
+    """Ours, as "module:function": of an estimate and the views that it was found in, where it
+    `starts_from` another method; else of the views, or of both cameras and the config."""
+    starts_from: str = ""  # method whose estimate it refines
+    keeps_start: str = ""  # "module:function": of which views that estimate is the answer
     takes_means: bool = False  # of the frames: images of one pixel give the same estimate
     follows_clock: bool = False  # what camera 2's clock shows more, t_d gains: nothing else changes
     counts: str = "pairs of positions"  # what an estimate's `n_samples` are
@@ -75,7 +68,24 @@ class Method:
 
     def rig_of(self, rig: Rig) -> Rig:
         """Give the rig as the method may see it: only one that needs the extrinsics gets them."""
-        return rig if self.needs_extrinsics else Rig(rig.cam1, rig.cam2)
+        return rig if self.needs_extrinsics else rig.unposed
+
+    @property
+    def function(self) -> Callable[..., Estimate]:
+        """What `runs` names."""
+        found: Callable[..., Estimate] = _named(self.runs)
+        return found
+
+    def load(self) -> None:
+        """Import what runs, of this method and of those that it starts from."""
+        if self.runs:
+            _named(self.runs)
+        if self.starts_from:
+            METHODS[self.starts_from].load()
+
+    def keeps(self, views: Any) -> bool:
+        """Whether the answer for these views is the estimate that it starts from."""
+        return bool(self.keeps_start and _named(self.keeps_start)(views))
 
     @property
     def without_tracks(self) -> str:
@@ -85,44 +95,77 @@ class Method:
         needs = "events" if self.input is Input.TRACKS else self.input.value
         return f"{self.name} needs {needs}, which a track has not: use {OF_TRACKS}"
 
-    def skip_reason(self, cam1: Observation, cam2: Observation, rig: Rig) -> str:
-        """Say why the method cannot run on these data; empty when it can."""
+    def lacks(
+        self, seen: Sequence[tuple[str, bool]], rig: Rig, rig_name: str, config: Config
+    ) -> str:
+        """Say what the method lacks to run at all; empty when it can.
+
+        Parameters
+        ----------
+        seen
+            Of both cameras a name, and whether it gave a track of points.
+        rig, rig_name
+            Theirs, and what to call it.
+        config
+            Of the method.
+        """
+        for name, has_track in seen:
+            if has_track and self.without_tracks:
+                return f"{name}: is a track of points; {self.without_tracks}"
         if self.needs_extrinsics and rig.T_2_1 is None:
-            return f"{self.name} needs the extrinsics, but the rig has none"
-        for number, observation in enumerate((cam1, cam2), start=1):
-            if observation.track is not None and self.without_tracks:
-                return f"camera {number} gave a track of points: {self.without_tracks}"
-            if self.input is Input.FRAMES and observation.frames is None:
-                return f"{self.name} compares intensity frames, but camera {number} has none"
+            return (
+                f"{rig_name}: {self.name} needs the extrinsics (T_cn_cnm1 of cam1 in a Kalibr file,"
+                " R and T in OpenCV's): add them, or leave --known-extrinsics out"
+            )
+        if (config.search == "all" or config.rates) and self.input is not Input.TRACKS:
+            return (
+                f"{self.name} compares {self.input.value}, and all offsets are searched with the"
+                " object's path: give an interval (--search), or another method"
+            )
         return ""
 
+    def without_frames(self, name: str) -> str:
+        """Say that a camera of that name has no intensity frames."""
+        return (
+            f"{name}: {self.name} compares intensity frames, and there are none: use a method for"
+            f" events, such as {DEFAULT}"
+        )
 
-_TANGENTS = "pairs of tangents to the object's outline"
+
+def _named(place: str) -> Any:
+    """Import what "module:function" names."""
+    module, _, name = place.partition(":")
+    return getattr(import_module(module), name)
+
+
+def _ours(name: str, runs: str, **says: Any) -> Method:
+    return Method(name, None, says.pop("input", Input.TRACKS), SUMMARIES[name], runs=runs, **says)
+
+
+_TRACKS: dict[str, Any] = {"follows_clock": True, "of_one_object": True}
+_KNOWN = {**_TRACKS, "needs_extrinsics": True}
+_TANGENTS: dict[str, Any] = {
+    "counts": "pairs of tangents to the object's outline",
+    "needs_events": True,
+    "keeps_start": "ssac.methods.tangency:is_tiny",
+}
+_REFINED = "ssac.methods.joint:joint_from"
+_TANGENCY = "ssac.methods.tangency:tangency_from"
 
 OURS = (
-    Method("ssac", ssac, Input.TRACKS, SUMMARIES["ssac"],
-           known_variant="ssac-known", of_views=algorithm_2, follows_clock=True,
-           of_one_object=True),
-    Method("ssac-known", ssac_known, Input.TRACKS, SUMMARIES["ssac-known"],
-           needs_extrinsics=True, of_views=algorithm_1, follows_clock=True, of_one_object=True),
-    Method("joint", joint, Input.TRACKS, SUMMARIES["joint"], known_variant="joint-known",
-           starts_from="ssac", refine=joint_from, follows_clock=True, finds_readout=True,
-           of_one_object=True),
-    Method("joint-known", joint_known, Input.TRACKS, SUMMARIES["joint-known"],
-           needs_extrinsics=True, starts_from="ssac-known", refine=joint_from, follows_clock=True,
-           finds_readout=True, of_one_object=True),
-    Method("tangency", tangency, Input.TRACKS, SUMMARIES["tangency"],
-           known_variant="tangency-known", starts_from="joint", refine=tangency_from,
-           follows_clock=True, counts=_TANGENTS, needs_events=True, of_one_object=True),
-    Method("tangency-known", tangency_known, Input.TRACKS,
-           SUMMARIES["tangency-known"], needs_extrinsics=True, starts_from="joint-known",
-           refine=tangency_from, follows_clock=True, counts=_TANGENTS, needs_events=True,
-           of_one_object=True),
-    Method("albl", albl, Input.TRACKS, SUMMARIES["albl"]),
-    Method("zncc_e", zncc_e, Input.RATES, SUMMARIES["zncc_e"]),
-    Method("zncc_f", zncc_f, Input.FRAMES, SUMMARIES["zncc_f"],
-           takes_means=True),
-    Method("event_rate", event_rate, Input.RATES, SUMMARIES["event_rate"]),
+    _ours("ssac", "ssac.methods.algorithms:algorithm_2", known_variant="ssac-known", **_TRACKS),
+    _ours("ssac-known", "ssac.methods.algorithms:algorithm_1", **_KNOWN),
+    _ours("joint", _REFINED, known_variant="joint-known", starts_from="ssac",
+          finds_readout=True, **_TRACKS),
+    _ours("joint-known", _REFINED, starts_from="ssac-known", finds_readout=True, **_KNOWN),
+    _ours("tangency", _TANGENCY, known_variant="tangency-known", starts_from="joint",
+          **_TRACKS, **_TANGENTS),
+    _ours("tangency-known", _TANGENCY, starts_from="joint-known", **_KNOWN, **_TANGENTS),
+    _ours("albl", "ssac.baselines.albl:albl_of_views"),
+    _ours("zncc_e", "ssac.baselines.zncc_e:zncc_e_of_events", input=Input.RATES),
+    _ours("zncc_f", "ssac.baselines.zncc_f:zncc_f_of_frames", input=Input.FRAMES,
+          takes_means=True),
+    _ours("event_rate", "ssac.baselines.event_rate:event_rate_of_events", input=Input.RATES),
 )  # fmt: skip
 
 
@@ -175,7 +218,9 @@ class Registry(Mapping[str, Method]):
 METHODS: Mapping[str, Method] = Registry()
 
 
-def choose_method(name: str | None = None, known_extrinsics: bool = False) -> Method:
+def choose_method(
+    name: str | None = None, known_extrinsics: bool = False, has_track: bool = False
+) -> Method:
     """Look up a method.
 
     Parameters
@@ -184,6 +229,8 @@ def choose_method(name: str | None = None, known_extrinsics: bool = False) -> Me
         Of the registry; None for the best one.
     known_extrinsics
         Take the variant of the method that is given the extrinsics.
+    has_track
+        A camera gave a track of points: the best one is another then.
 
     Raises
     ------
@@ -191,7 +238,8 @@ def choose_method(name: str | None = None, known_extrinsics: bool = False) -> Me
         If there is no such method, or no variant of it that is given the extrinsics, or the package
         that it comes from is broken.
     """
-    method = METHODS.get(DEFAULT if name is None else name)
+    name = name or (OF_TRACKS if has_track else DEFAULT)
+    method = METHODS.get(name)
     if method is None:
         raise SsacError(f"unknown method {name!r}: use one of {', '.join(METHODS)}")
     if not known_extrinsics or method.needs_extrinsics:
@@ -211,51 +259,9 @@ def choose_method(name: str | None = None, known_extrinsics: bool = False) -> Me
     return variant
 
 
-class Chain:
-    """Methods on one pair of recordings: what one starts from is found once, for all of them."""
-
-    def __init__(
-        self, cam1: Observation, cam2: Observation, rig: Rig, config: Config | None = None
-    ) -> None:
-        """Take what a method takes; the rig with its extrinsics, where they are known."""
-        self._cameras, self._rig, self._config = (cam1, cam2), rig, config
-        self._estimates: dict[str, Estimate] = {}
-        self._views: TwoViews | None = None
-
-    def estimate(self, name: str) -> Estimate:
-        """Give the same as the method's own `estimate`, after those that it starts from.
-
-        Where the cameras saw several things, a method that is `of_one_object` gets one of them.
-        """
-        if name not in self._estimates:
-            self._estimates[name] = self._found(METHODS[name])
-        return self._estimates[name]
-
-    def _found(self, method: Method) -> Estimate:
-        rig, cameras = method.rig_of(self._rig), self._cameras
-        if method.of_one_object:
-            refusal = self._one_object.refused(method.name)
-            if refusal is not None:
-                return refusal
-            cameras = self._one_object.cam1, self._one_object.cam2
-        if method.refine is None and method.of_views is None:
-            return method.estimate(*cameras, rig, self._config)
-        if self._views is None:
-            self._views = two_views(*cameras, Rig(rig.cam1, rig.cam2), self._config)
-        views = self._views.with_pose(rig) if method.needs_extrinsics else self._views
-        if method.of_views is not None:
-            return method.of_views(views)
-        assert method.refine is not None
-        return method.refine(self.estimate(method.starts_from), views)
-
-    @cached_property
-    def _one_object(self) -> OneObject:
-        return one_object(*self._cameras, self._rig, checked(self._config))
-
-
 @dataclass(frozen=True)
 class _CheckedFunction:
-    """Another package's method; crashes when what it returns would spoil a table in silence."""
+    """Another package's method; what it raises or returns amiss is said to be that package's."""
 
     function: EstimateFunction
     origin: str
@@ -263,22 +269,45 @@ class _CheckedFunction:
     def __call__(
         self, cam1: Observation, cam2: Observation, rig: Rig, config: Config | None = None
     ) -> Estimate:
-        estimate = self.function(cam1, cam2, rig, config)
-        if not isinstance(estimate, Estimate):
-            raise TypeError(
-                f"{self.origin}: must return an Estimate, got {type(estimate).__name__}"
-            )
-        if not _STATUS.fullmatch(estimate.status):
-            raise ValueError(
-                f"{self.origin}: returned the status {str(estimate.status)!r}: give one word of "
-                f"ssac.Status, or of your own, that matches {_STATUS.pattern}"
-            )
-        if estimate.status == Status.OK and not np.isfinite(estimate.t_d_s):
-            raise ValueError(
-                f'{self.origin}: returned t_d_s = {estimate.t_d_s} with status "ok": give the '
-                "reason's name as the status when there is no offset"
-            )
+        try:
+            estimate = self.function(cam1, cam2, rig, config)
+        except SsacError:
+            raise
+        except Exception as error:
+            raise PluginError(
+                f"{self.origin}: {type(error).__name__}: {error} ({self._place(error)}): a bug of"
+                " that package, tell its authors"
+            ) from error
+        fault = _fault_of(estimate)
+        if fault:
+            raise PluginError(f"{self.origin}: {fault}")
         return estimate
+
+    def _place(self, error: Exception) -> str:
+        """Say in which line of that package an error arose, or was let through."""
+        frames = traceback.extract_tb(error.__traceback__)[1:]
+        code = getattr(self.function, "__code__", None)
+        folder = Path(code.co_filename).parent if code else Path()
+        theirs = [frame for frame in frames if folder in Path(frame.filename).parents]
+        last = (theirs or frames or traceback.extract_tb(error.__traceback__))[-1]
+        return f"{last.filename}, line {last.lineno}"
+
+
+def _fault_of(estimate: object) -> str:
+    """Say what is wrong with what a method returned; it would spoil a table in silence."""
+    if not isinstance(estimate, Estimate):
+        return f"must return an Estimate, got {type(estimate).__name__}"
+    if not _STATUS.fullmatch(estimate.status):
+        return (
+            f"returned the status {str(estimate.status)!r}: give one word of ssac.Status, or of"
+            f" your own, that matches {_STATUS.pattern}"
+        )
+    if estimate.status == Status.OK and not np.isfinite(estimate.t_d_s):
+        return (
+            f'returned t_d_s = {estimate.t_d_s} with status "ok": give the reason\'s name as the'
+            " status when there is no offset"
+        )
+    return ""
 
 
 def _method_from(entry: EntryPoint) -> Method:
@@ -295,18 +324,21 @@ def _method_from(entry: EntryPoint) -> Method:
         found = Method(entry.name, found, Input.TRACKS, summary)
     if found.name != entry.name:
         raise SsacError(f"{origin}: the Method is named {found.name!r}: give both one name")
+    function = found.estimate
     try:
-        inspect.signature(found.estimate).bind(None, None, None, None)
+        inspect.signature(function).bind(None, None, None, None)  # type: ignore[arg-type]
     except (TypeError, ValueError) as error:
         raise SsacError(
             f"{origin}: expected a function of (cam1, cam2, rig, config) or a Method of one, "
-            f"got {type(found.estimate).__name__} ({error})"
+            f"got {type(function).__name__} ({error})"
         ) from error
+    assert function is not None  # whose signature was bound
     return replace(
         found,
-        estimate=_CheckedFunction(found.estimate, origin),
-        refine=None,  # so that the check sees every estimate
-        of_views=None,
+        estimate=_CheckedFunction(function, origin),
+        runs="",  # which are ours alone
+        starts_from="",
+        keeps_start="",
         version=" ".join(filter(None, (_distribution(entry), _code_hash(entry), found.version))),
     )
 

@@ -1,4 +1,4 @@
-"""A result of `sync` in, text for people and JSON for machines out."""
+"""What is found of two cameras, as text for people and as JSON for machines."""
 
 import json
 from dataclasses import asdict
@@ -11,42 +11,41 @@ from scipy.spatial.transform import Rotation
 
 from ssac.estimate import Estimate
 from ssac.files.whole_file import whole_file
-from ssac.tool.registry import Input, Method
-from ssac.tool.sync import SyncResult
-from ssac.track.observation import Observation
+from ssac.pipeline.answer import Answer
+from ssac.pipeline.registry import Method
+from ssac.track.clean import Clean
 
 _FAR = 3.0  # times what was expected of a skew
 
 
-def report_text(result: SyncResult) -> str:
+def report_text(answer: Answer) -> str:
     """Lay out a result for people, the sign of the offset in words."""
-    estimate, rows = result.estimate, list[tuple[str, str]]()
+    estimate, rows = answer.estimate, list[tuple[str, str]]()
     if estimate.status != "ok":
         title = "no pose" if estimate.has_offset else "no estimate"
         rows.append((title, f"{estimate.status}: {estimate.reason}"))
     if np.isfinite(estimate.t_d_s):
-        rows += _offset_rows(estimate) + _skew_rows(estimate, result) + _readout_rows(estimate)
-    if _objects(result):
-        rows.append(("objects", _objects(result)))
-    if note(result):
-        rows.append(("note", note(result)))
-    if result.method.needs_extrinsics:
-        rows.append(("pose", f"as given in {result.paths[2]}"))
+        rows += _offset_rows(estimate) + _skew_rows(estimate, answer) + _readout_rows(estimate)
+    if _objects(answer):
+        rows.append(("objects", _objects(answer)))
+    if answer.note:
+        rows.append(("note", answer.note))
+    if answer.method.needs_extrinsics:
+        rows.append(("pose", f"as given in {answer.rig_name}"))
     elif estimate.R is not None and estimate.t is not None:
         rows += _pose_rows(estimate.R, estimate.t, (estimate.r_std_deg, estimate.t_std_deg))
-    if result.method.input is Input.TRACKS:
-        rows.append(("samples", _samples(result)))
-    rows += [("clutter", f"camera {k}: {words}") for k, words in _clutter_words(result)]
+    if answer.has_samples:
+        rows.append(("samples", _samples(answer)))
+    rows += [("clutter", f"camera {k}: {words}") for k, words in _clutter_words(answer)]
     if np.isfinite(estimate.d_avg_px):
         rows.append(("d_avg", f"{estimate.d_avg_px:.3f} px from point to epipolar line"))
-    rows.append(("method", f"{result.method.name}: {result.method.summary}"))
+    rows.append(("method", f"{answer.method.name}: {answer.method.summary}"))
     return "\n".join(f"{name:15}{value}" for name, value in rows)
 
 
-def report_json(result: SyncResult) -> dict[str, Any]:
+def report_json(answer: Answer) -> dict[str, Any]:
     """Lay out a result for machines: units in the names, None for what is missing."""
-    estimate, (cam1, cam2, rig) = result.estimate, result.paths
-    has_samples = result.method.input is Input.TRACKS
+    estimate = answer.estimate
     return {
         "t_d_s": plain(estimate.t_d_s),
         "t_d_std_s": plain(estimate.t_d_std_s),
@@ -59,9 +58,9 @@ def report_json(result: SyncResult) -> dict[str, Any]:
         "t": plain(estimate.t),
         "status": str(estimate.status),
         "reason": estimate.reason,
-        "note": note(result),
-        "method": result.method.name,
-        "n_samples": estimate.n_samples if has_samples else None,
+        "note": answer.note,
+        "method": answer.method.name,
+        "n_samples": estimate.n_samples if answer.has_samples else None,
         "d_avg_px": plain(estimate.d_avg_px),
         "t_d_is_reliable": estimate.has_offset,
         "alternatives_s": plain(estimate.alternatives_s),
@@ -69,75 +68,41 @@ def report_json(result: SyncResult) -> dict[str, Any]:
         "covariance": plain(estimate.covariance),
         "clock_covariance": plain(estimate.clock_covariance),
         "clock_knots": _knots(estimate),
-        "objects": None if result.objects is None else [asdict(used) for used in result.objects],
+        "objects": [asdict(seen.used) for seen in answer.cleans]
+        if answer.looks_at_one_object
+        else None,
         "clock_jump": None if estimate.jump is None else asdict(estimate.jump),
-        "clutter": [_of_clutter(camera, result) for camera in (result.cam1, result.cam2)],
+        "clutter": [_of_clutter(camera, answer) for camera in answer.cleans],
         "conventions": "t_cam2 = t_cam1 + t_d + skew (t_cam1 - t_ref), and what it strays at knots,"
         " linear in between; x2 = R x1 + t, |t| = 1; covariance of t_d [s], "
         "rotation vector of exp([w]x) R [rad] and t's two tangents [rad]; unobservable: unit "
         "directions in the same six; readouts of camera 1 and 2, null: not known, taken for 0",
-        "search_s": list(result.config.interval_s),
-        "cam1": str(cam1),
-        "cam2": str(cam2),
-        "rig": str(rig),
-        "seconds": {part: round(value, 3) for part, value in result.seconds.items()},
+        "search_s": list(answer.config.offsets_s),
+        "cam1": answer.names[0],
+        "cam2": answer.names[1],
+        "rig": answer.rig_name,
+        "seconds": {part: round(value, 3) for part, value in answer.seconds.items()},
     }
 
 
-def note(result: SyncResult) -> str:
-    """Say what a user of the offset must know beside its status; empty when there is nothing."""
-    estimate, said = result.estimate, list[str]()
-    if result.wanders:
-        said.append(
-            "no one skew fits these tracks: a clock wanders, as those of phones do, and is followed"
-            " piece by piece (--clock pieces); the offset alone holds at its time only"
-        )
-    if not estimate.has_offset:
-        return "; ".join(said)
-    if _is_start(result):
-        said.append(
-            "the object is too small for an outline that says more than the mean of its events:"
-            f" this is the answer of {result.method.starts_from}"
-        )
-    if not np.isfinite(estimate.t_d_std_s):
-        said.append(
-            f"{estimate.method} states no standard deviation, so nothing says how far off this "
-            "offset is: compare it with that of a method that states one, such as tangency"
-        )
-    elif taken_for_global(result):
-        said.append(
-            "the rig states no readout_s, so shutters are taken for global ones; rolling ones shift"
-            " the offset by up to their readout, beyond its deviation: see --estimate-readout"
-        )
-    return "; ".join(said)
-
-
-def taken_for_global(result: SyncResult) -> bool:
-    """Whether a camera with a track has a shutter of which nothing is said."""
-    cameras = (result.rig.cam1, result.cam1), (result.rig.cam2, result.cam2)
-    return any(
-        seen.track is not None and camera.readout_s is None and not camera.readout_std_s
-        for camera, seen in cameras
-    )
-
-
-def _objects(result: SyncResult) -> str:
+def _objects(answer: Answer) -> str:
     """Say what was seen beside the object; empty where that was one thing at a time."""
-    if result.objects is None or all(used.seen == 1 for used in result.objects):
+    objects = [seen.used for seen in answer.cleans]
+    if not answer.looks_at_one_object or all(used.seen == 1 for used in objects):
         return ""
     parts = [
         f"camera {number} sees {used.seen}"
         + (f", {100.0 * used.share:.0f} % of its events used" if used.share > 0.0 else "")
-        for number, used in enumerate(result.objects, start=1)
+        for number, used in enumerate(objects, start=1)
     ]
     return "; ".join(parts)
 
 
-def save_json(path: Path, result: SyncResult) -> None:
+def save_json(path: Path, answer: Answer) -> None:
     """Write `report_json`; the file appears only when it is complete."""
     rows = [
         f" {json.dumps(key)}: {json.dumps(value, allow_nan=False)}"
-        for key, value in report_json(result).items()
+        for key, value in report_json(answer).items()
     ]
     with whole_file(path) as temporary:
         temporary.write_text("{\n" + ",\n".join(rows) + "\n}\n", encoding="utf-8")
@@ -160,7 +125,7 @@ def _offset_rows(estimate: Estimate) -> list[tuple[str, str]]:
     ]
 
 
-def _skew_rows(estimate: Estimate, result: SyncResult) -> list[tuple[str, str]]:
+def _skew_rows(estimate: Estimate, answer: Answer) -> list[tuple[str, str]]:
     """Rows on the skew, where it was estimated."""
     if not (
         estimate.has_offset and np.isfinite(estimate.skew_ppm) and estimate.skew_std_ppm != 0.0
@@ -176,10 +141,10 @@ def _skew_rows(estimate: Estimate, result: SyncResult) -> list[tuple[str, str]]:
     if len(estimate.knots_s):
         most_ms = 1e3 * float(np.max(np.abs(estimate.strays_s)))
         rows.append(("", f"and strays by up to {most_ms:.3f} ms, {len(estimate.knots_s)} knots"))
-    is_found = result.guess is not None and result.guess.rate != 1.0  # before the prior held
-    config = result.config
-    if ppm > _FAR * config.skew_prior_ppm and not is_found:
-        prior = f"{config.skew_prior_ppm:g} ppm expected of such clocks"
+    start, prior_ppm = answer.start, answer.config.prior_ppm
+    is_found = start is not None and start.guess.rate != 1.0  # before the prior held
+    if ppm > _FAR * prior_ppm and not is_found:
+        prior = f"{prior_ppm:g} ppm expected of such clocks"
         rows.append(("", f"far beyond the {prior}: see --skew-prior"))
     return rows
 
@@ -220,27 +185,20 @@ def _pose_rows(
     ]
 
 
-def _samples(result: SyncResult) -> str:
+def _samples(answer: Answer) -> str:
     """Say what the estimate rests on, in the words of its method."""
-    estimate, method = result.estimate, result.method
+    estimate, method = answer.estimate, answer.method
     if estimate.status != "ok":  # it may have stopped before the pairs that it is named for
         return f"{estimate.n_samples} pairs used"
-    counts = Method.counts if _is_start(result) else method.counts
-    times = "" if counts != Method.counts else f", of {result.config.n_samples} sample times"
+    counts = Method.counts if answer.is_start else method.counts
+    times = "" if counts != Method.counts else f", of {answer.config.n_samples} sample times"
     return f"{estimate.n_samples} {counts} used{times}"
 
 
-def _is_start(result: SyncResult) -> bool:
-    """Whether a method of tangents gave what it started from."""
-    estimate, method = result.estimate, result.method
-    start = estimate.start
-    return method.needs_events and start is not None and start.t_d_s == estimate.t_d_s
-
-
-def _clutter_words(result: SyncResult) -> list[tuple[int, str]]:
+def _clutter_words(answer: Answer) -> list[tuple[int, str]]:
     """Say of each camera, from 1 on, what was masked, filtered in another way, or left out."""
     found = []
-    for number, camera in enumerate((result.cam1, result.cam2), start=1):
+    for number, camera in enumerate(answer.cleans, start=1):
         clutter, parts = camera.clutter, list[str]()
         if clutter is not None and clutter.masked_pixels:
             parts.append(
@@ -251,7 +209,7 @@ def _clutter_words(result: SyncResult) -> list[tuple[int, str]]:
             parts.append(
                 f"with a background of {clutter.background_hz:.2g} Hz/px an event needs"
                 f" {clutter.n_neighbours} others within {clutter.radius_px:g} px, ms, and a"
-                f" position {camera.n_min(result.config)} events"
+                f" position {camera.n_min(answer.config.n_min)} events"
             )
         if camera.on_line is not None:
             parts.append(
@@ -263,11 +221,11 @@ def _clutter_words(result: SyncResult) -> list[tuple[int, str]]:
     return found
 
 
-def _of_clutter(camera: Observation, result: SyncResult) -> dict[str, float] | None:
+def _of_clutter(camera: Clean, answer: Answer) -> dict[str, float] | None:
     """Give what denoising did to a camera's events; None where it did nothing, as to a track."""
     if camera.clutter is None:
         return None
-    return asdict(camera.clutter) | {"n_min": camera.n_min(result.config)}
+    return asdict(camera.clutter) | {"n_min": camera.n_min(answer.config.n_min)}
 
 
 def _vector(values: NDArray[np.float64], digits: int) -> str:

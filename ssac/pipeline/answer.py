@@ -1,0 +1,130 @@
+"""What the pipeline says of two cameras: an estimate, how it came about, and what to know of it."""
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from ssac.camera import Rig
+from ssac.config import Config
+from ssac.estimate import Estimate
+from ssac.pipeline.registry import Input, Method
+from ssac.search.start import Start
+from ssac.search.two_views import TwoViews, views_of
+from ssac.track.clean import Clean
+
+Log = Callable[[str], None]
+
+_NEXT_LINE = "\n" + 19 * " "  # of one part's progress
+
+
+def quiet(line: str) -> None:
+    """Log nothing."""
+    del line
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """An estimate, what it was made from, and how long it took."""
+
+    estimate: Estimate
+    method: Method
+    cleans: tuple[Clean, Clean]  # both cameras as the method saw them
+    rig: Rig  # as it was given, with the extrinsics where they are known
+    config: Config  # with nothing left open; its interval is the one searched
+    rig_name: str = "the rig"
+    start: Start | None = None  # of a search over all offsets, if there was one
+    wanders: bool = False  # one skew did not fit a track, so its clock is of pieces unasked
+    is_start: bool = False  # the object is tiny: the estimate is that of `method.starts_from`
+    seconds: dict[str, float] = field(default_factory=dict)  # by part, in the order they ran
+
+    @property
+    def names(self) -> tuple[str, str]:
+        """What to call both cameras: their files, or their numbers."""
+        one, other = self.cleans
+        return one.name or "camera 1", other.name or "camera 2"
+
+    @cached_property
+    def views(self) -> TwoViews:
+        """Both views as they were recorded, on clocks alike."""
+        return views_of(*self.cleans, self.rig, self.config)
+
+    @property
+    def has_guess(self) -> bool:
+        """Whether a search over all offsets found any offset to begin with."""
+        return self.start is not None and self.start.has_guess
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a user of the offset must know beside its status, a sentence each."""
+        estimate, said = self.estimate, list[str]()
+        if self.wanders:
+            said.append(
+                "no one skew fits these tracks: a clock wanders, as those of phones do, and is"
+                " followed piece by piece (--clock pieces); the offset alone holds at its time only"
+            )
+        if not estimate.has_offset:
+            return tuple(said)
+        if self.is_start:
+            said.append(
+                "the object is too small for an outline that says more than the mean of its events:"
+                f" this is the answer of {self.method.starts_from}"
+            )
+        if not np.isfinite(estimate.t_d_std_s):
+            said.append(
+                f"{estimate.method} states no standard deviation, so nothing says how far off this"
+                " offset is: compare it with that of a method that states one, such as tangency"
+            )
+        elif self._taken_for_global:
+            said.append(
+                "the rig states no readout_s, so shutters are taken for global ones; rolling ones"
+                " shift the offset by up to their readout, beyond its deviation: see"
+                " --estimate-readout"
+            )
+        return tuple(said)
+
+    @property
+    def note(self) -> str:
+        """All of `notes` in one line; empty where there is nothing."""
+        return "; ".join(self.notes)
+
+    @property
+    def _taken_for_global(self) -> bool:
+        """Whether a camera with a track has a shutter of which nothing is said."""
+        cameras = zip((self.rig.cam1, self.rig.cam2), self.cleans, strict=True)
+        return any(
+            seen.has_track and camera.readout_s is None and not camera.readout_std_s
+            for camera, seen in cameras
+        )
+
+    @property
+    def looks_at_one_object(self) -> bool:
+        """Whether the method was given one object of those that the cameras saw."""
+        return self.method.of_one_object and self.config.choose_object
+
+    @property
+    def has_samples(self) -> bool:
+        """Whether the estimate rests on samples of the object's path."""
+        return self.method.input is Input.TRACKS
+
+
+class Stopwatch:
+    """Measures the parts of a run and logs a line for each that has something to say."""
+
+    def __init__(self, log: Log = quiet) -> None:
+        self.seconds: dict[str, float] = {}
+        self.log = log
+
+    @contextmanager
+    def part(self, name: str) -> Iterator[Log]:
+        """Give a function that takes the part's line of progress; a part may come again."""
+        lines: list[str] = []
+        start_s = time.perf_counter()
+        yield lines.append
+        took_s = time.perf_counter() - start_s
+        self.seconds[name] = self.seconds.get(name, 0.0) + took_s
+        if lines:
+            self.log(f"{name:9}{took_s:6.2f} s  {_NEXT_LINE.join(lines)}")

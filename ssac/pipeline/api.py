@@ -1,0 +1,333 @@
+"""One call from recordings to clocks and poses, for scripts, notebooks and the command line."""
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ssac.camera import Rig, restated, to_be_read_out
+from ssac.config import Config
+from ssac.errors import SsacError
+from ssac.estimate import Estimate
+from ssac.files.damage import STRICT, Reading
+from ssac.methods.rounding import quantum_s
+from ssac.pipeline.answer import Answer, Log, quiet
+from ssac.pipeline.chain import Chain
+from ssac.pipeline.known import NOTHING, Known
+from ssac.pipeline.opened import CameraInput, RigInput, config_of, opened, opened_rig
+from ssac.pipeline.registry import METHODS, EstimateFunction, Method, choose_method
+from ssac.pipeline.summaries import OF_TRACKS
+from ssac.search.two_views import TwoViews
+from ssac.track.observation import Observation
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from ssac.pipeline.many import NetworkResult
+    from ssac.plot.plot_data import Material
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Result:
+    """What is found of two cameras; it has all that its `Estimate` has.
+
+    `print(result.summary())` says it in words, in a notebook the result shows itself, and
+    `result.answer` has what it was made from.
+    """
+
+    answer: Answer
+
+    @property
+    def estimate(self) -> Estimate:
+        """Offset and pose, and how far they are to be relied upon."""
+        return self.answer.estimate
+
+    @property
+    def note(self) -> str:
+        """What a user must know beside the status; empty where there is nothing."""
+        return self.answer.note
+
+    def summary(self) -> str:
+        """Lay it out for people: what `ssac sync` prints."""
+        from ssac.pipeline.report import report_text
+
+        return report_text(self.answer)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Lay it out for machines: what `ssac sync --json` writes."""
+        from ssac.pipeline.report import report_json
+
+        return report_json(self.answer)
+
+    def plot(self, path: Path | str | None = None) -> "Figure | None":
+        """Draw what the estimate allows, one figure below the other; write it if a path is given.
+
+        Parameters
+        ----------
+        path
+            A file (.png, .pdf, .svg) for all figures, or a folder for one PNG each; None: nothing
+            is written.
+
+        Returns
+        -------
+        Figure or None
+            None where there is nothing to draw.
+        """
+        from ssac.plot.plots import page_of
+
+        if path is not None:
+            self.plotted(Path(path))
+        return page_of(self._material)
+
+    def plotted(self, path: Path) -> list[Path]:
+        """Draw as `plot` does, and give the files that were written."""
+        from ssac.plot.plots import save_figures
+
+        return save_figures(path, self._material)
+
+    @property
+    def _material(self) -> "Material":
+        from ssac.plot.plot_data import Material
+
+        one, other = self.answer.cleans
+        views = self.answer.views.under(self.estimate.clock)
+        return Material(self.estimate, (one.events, other.events), views)
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("_") or name == "answer":
+            raise AttributeError(name)
+        return getattr(self.answer.estimate, name)
+
+    def __dir__(self) -> list[str]:
+        names = (name for name in dir(self.answer.estimate) if not name.startswith("_"))
+        return sorted({*super().__dir__(), *names})
+
+    def __repr__(self) -> str:
+        estimate = self.estimate
+        said = f"<ssac.Result {estimate.method} {estimate.status}"
+        if estimate.has_offset:
+            said += (
+                f", t_d {1e3 * estimate.t_d_s:.3f} ms, 1 sigma {1e3 * estimate.t_d_std_s:.3f} ms"
+            )
+        return f"{said}>"
+
+    def _repr_html_(self) -> str:
+        return html_of(self.summary())
+
+
+def html_of(text: str) -> str:
+    """Lay out the lines of a summary as a table, for notebooks."""
+    from html import escape
+
+    rows = [(line[:15].strip(), line[15:].strip()) for line in text.splitlines()]
+    cells = "".join(
+        f"<tr><th style='text-align:left'>{escape(name)}</th>"
+        f"<td style='text-align:left'>{escape(value)}</td></tr>"
+        for name, value in rows
+    )
+    return f"<table>{cells}</table>"
+
+
+@overload
+def sync(
+    cam1: Sequence[CameraInput],
+    cam2: RigInput,
+    rig: None = None,
+    method: str | None = None,
+    config: Config | None = None,
+    **options: Any,
+) -> "NetworkResult": ...
+
+
+@overload
+def sync(
+    cam1: CameraInput,
+    cam2: CameraInput,
+    rig: RigInput,
+    method: str | None = None,
+    config: Config | None = None,
+    **options: Any,
+) -> Result: ...
+
+
+def sync(
+    cam1: Any,
+    cam2: Any = None,
+    rig: Any = None,
+    method: str | None = None,
+    config: Config | None = None,
+    *,
+    known_extrinsics: bool = False,
+    cameras: tuple[int, int] = (1, 2),
+    focal_std: float | None = None,
+    centre_std_px: float | None = None,
+    estimate_readout: bool = False,
+    reading: Reading = STRICT,
+    known: Known = NOTHING,
+    log: Log = quiet,
+    **fields: Any,
+) -> "Result | NetworkResult":
+    """Find the offset between cameras' clocks, and their poses, from one moving object.
+
+    Parameters
+    ----------
+    cam1, cam2
+        What each camera recorded: a file of events or of a track, a structured array of events
+        with the fields t [us], x, y and p, an `Observation`, or what `load_events` or `load_track`
+        gave. Of more than two cameras: a list of them in place of both, as in
+        `sync([a, b, c], rig)`.
+    rig
+        A rig file (Kalibr's or OpenCV's), a `Rig`, or the `Camera` of each.
+    method
+        Name of a method; None for the best one that the recordings allow.
+    config
+        Parameters; the defaults when None. Its fields may be given by name instead:
+        `sync(..., search="all")`.
+    known_extrinsics
+        Take the extrinsics of the rig, and find the offset only.
+    cameras
+        Numbers of the two in a rig file, from 1 on.
+    focal_std, centre_std_px
+        Deviations of all cameras' focal lengths, as a share of them, and of both coordinates of
+        their principal points [px]: in place of those of the rig, where not None.
+    estimate_readout
+        Find the readouts of rolling shutters that the rig does not state, of cameras with a track.
+    reading
+        What may be made of event files that are damaged or unsorted.
+    known
+        Of more than two cameras: what is known of scale and frame.
+    log
+        Called with a line of progress after each part.
+
+    Returns
+    -------
+    Result or NetworkResult
+        Of two cameras, or of more. Its estimates say with `status` and `reason` when they are not
+        to be relied upon.
+
+    Raises
+    ------
+    SsacError
+        If something cannot be used; the message says what came and what to do.
+    """
+    seen: Sequence[Any] = (cam1, cam2)
+    if isinstance(cam1, (list, tuple)):
+        if cam2 is not None and rig is not None:
+            raise SsacError("sync: of a list of cameras give the rig alone beside it, no camera 2")
+        seen, rig = cam1, cam2 if rig is None else rig
+    if len(seen) < 2:
+        raise SsacError(f"sync: expected two cameras or more, got {len(seen)}")
+    of_two = len(seen) == 2
+    models = opened_rig(rig, len(seen), cameras if of_two else None)
+    sources = opened(seen, models, cameras if isinstance(rig, (str, Path)) and of_two else None,
+                     reading)  # fmt: skip
+    has_track = any(one.has_track for one in sources)
+    chosen = choose_method(method, known_extrinsics, has_track)
+    if estimate_readout:
+        _check_readout(chosen, has_track)
+    stated = tuple(
+        to_be_read_out(model) if estimate_readout and source.has_track else model
+        for model, source in zip(
+            (restated(one, focal_std, centre_std_px) for one in models.cameras),
+            sources,
+            strict=True,
+        )
+    )
+    chain = Chain(sources, replace(models, cameras=stated), config_of(config, fields), log)
+    if not of_two:
+        from ssac.pipeline.many import network
+
+        return network(chain, None if method is None else chosen, known)
+    result = Result(chain.answer(chosen))
+    for name, clean in zip(result.answer.names, result.answer.cleans, strict=True):
+        step_s = quantum_s(clean)
+        if step_s:
+            warnings.warn(
+                f"{name}: all times are whole {1e3 * step_s:g} ms: whoever wrote it rounded them,"
+                " and by so much the offset may be off; its deviation is widened",
+                stacklevel=2,
+            )
+    return result
+
+
+def two_views(
+    cam1: Observation, cam2: Observation, rig: Rig, config: Config | None = None
+) -> TwoViews:
+    """Give the object's motion in both views of what two cameras recorded: the paper's Sec. IV-A.
+
+    Parameters
+    ----------
+    cam1, cam2
+        What the two cameras recorded; what is clean already is not cleaned again.
+    rig
+        Intrinsics; the extrinsics are not used.
+    config
+        Parameters; the defaults when None.
+
+    Raises
+    ------
+    SsacError
+        If a camera or its events cannot be used, or a parameter makes no sense.
+    """
+    return Chain((cam1, cam2), rig, config).views()
+
+
+def usable_events(
+    cam1: Observation, cam2: Observation, rig: Rig, config: Config | None = None
+) -> tuple[NDArray[np.void], NDArray[np.void]]:
+    """Give both cameras' events, checked, and denoised (Sec. IV-A) if the config asks for it.
+
+    Raises
+    ------
+    SsacError
+        If the events of a camera are empty, unsorted or outside its sensor.
+    """
+    chain = Chain((cam1, cam2), rig, config)
+    return chain.clean(0).events, chain.clean(1).events
+
+
+def _check_readout(method: Method, has_track: bool) -> None:
+    """Raise SsacError where a readout is to be estimated that cannot be."""
+    if not has_track:
+        raise SsacError(
+            "--estimate-readout: expected a track of a frame camera, got events only, which no "
+            "shutter reads out: leave it out"
+        )
+    if not method.finds_readout:
+        raise SsacError(
+            f"--estimate-readout: {method.name} takes shutters as the rig says: use {OF_TRACKS}"
+        )
+
+
+def _calls(name: str) -> EstimateFunction:
+    """Make the function of one method: `tangency(cam1, cam2, rig, config)`."""
+
+    def estimate(
+        cam1: Observation, cam2: Observation, rig: Rig, config: Config | None = None
+    ) -> Estimate:
+        return Chain((cam1, cam2), rig, config).estimate(METHODS[name])
+
+    estimate.__name__ = estimate.__qualname__ = name.replace("-", "_")
+    estimate.__doc__ = f"""Estimate as `sync(..., method="{name}")` does: {METHODS[name].summary}.
+
+    Parameters
+    ----------
+    cam1, cam2
+        What the two cameras recorded, as `Observation`.
+    rig
+        A `Rig`, with the extrinsics where the method needs them.
+    config
+        Parameters; the defaults when None.
+    """
+    return estimate
+
+
+ssac, ssac_known = _calls("ssac"), _calls("ssac-known")
+joint, joint_known = _calls("joint"), _calls("joint-known")
+tangency, tangency_known = _calls("tangency"), _calls("tangency-known")
+albl, zncc_e = _calls("albl"), _calls("zncc_e")
+zncc_f, event_rate = _calls("zncc_f"), _calls("event_rate")

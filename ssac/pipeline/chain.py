@@ -1,0 +1,479 @@
+"""The one way from what cameras recorded to an estimate: its stages in their order.
+
+    clean x N > one object > views > unusable? > start > search > refinements > pieces if refused
+    > camera 2's own clock > rounding > Answer
+
+Each stage is a function of what the ones before it gave, and none calls an earlier one. The command
+line, a Python call, every study and the network come here, so that they say the same. What is
+common to methods, offsets, pairs and parameters is found once.
+"""
+
+import sys
+import time
+from collections.abc import Callable, Hashable, Sequence
+from copy import copy
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any, Protocol, TypeVar
+
+import numpy as np
+from threadpoolctl import ThreadpoolController
+
+from ssac.camera import Camera, Cameras, Rig
+from ssac.config import Config, Interval, validated
+from ssac.errors import SsacError
+from ssac.estimate import SETTLED_BY, Estimate, Refusal, Status
+from ssac.methods.rounding import less_sure, quantum_s
+from ssac.pipeline.answer import Answer, Log, Stopwatch, quiet
+from ssac.pipeline.registry import Input, Method, choose_method
+from ssac.search.observability import has_common_time, unusable
+from ssac.search.one_object import one_object
+from ssac.search.start import Start, start_of
+from ssac.search.two_views import TwoViews, views_of
+from ssac.track.clean import Clean, clean
+from ssac.track.observation import Observation
+
+Found = TypeVar("Found")
+
+WANDERING = "pieces"
+"""Clock of tracks that none of one skew fits: those of phones and camcorders change theirs."""
+
+MEANS, IMAGES = "means", "images"
+"""What a method takes of intensity frames: one number each, or all of them."""
+
+
+class Source(Protocol):
+    """What one camera recorded: an `Observation`, or a file that gives one when it is read."""
+
+    @property
+    def name(self) -> str:
+        """For messages; empty: the camera's number."""
+
+    @property
+    def has_track(self) -> bool:
+        """Whether it is a track of points."""
+
+    def read(self, frames: str = "") -> Observation:
+        """Give what was recorded; with frames, or their means, where they are asked for."""
+
+
+@dataclass(frozen=True)
+class _Pair:
+    """Two cameras under one configuration, as far as the stages have come."""
+
+    method: Method
+    places: tuple[int, int]
+    cleans: tuple[Clean, Clean]
+    rig: Rig  # as the method may see it
+    config: Config  # with nothing left open
+
+    @property
+    def of_track(self) -> bool:
+        return any(one.has_track for one in self.cleans)
+
+
+class Chain:
+    """Methods on what cameras recorded; its only state is what was found once."""
+
+    def __init__(
+        self,
+        cameras: Sequence[Source],
+        rig: Cameras | Rig,
+        config: Config | None = None,
+        log: Log = quiet,
+    ) -> None:
+        """Take what two or more cameras recorded.
+
+        Parameters
+        ----------
+        cameras
+            In the order of the rig. What is read from a file is clean once it is there: its noise
+            is not kept.
+        rig
+            Theirs; the extrinsics where they are known.
+        config
+            Parameters; the defaults when None.
+        log
+            Called with a line of progress after each part.
+
+        Raises
+        ------
+        SsacError
+            If a parameter makes no sense, or there are more or fewer cameras than in the rig.
+        """
+        self.sources = tuple(cameras)
+        self.rig = _cameras_of(rig)
+        self.config = validated(config)
+        self.watch = Stopwatch(log)
+        self._kept: dict[Hashable, Any] = {}
+        self._undelayed: tuple[Chain, float] | None = None
+        if not 2 <= len(self.sources) == len(self.rig):
+            raise SsacError(
+                f"{len(self.sources)} recordings for the {len(self.rig)} cameras of"
+                f" {self.rig.name}: give one of each camera, of two or more"
+            )
+
+    def __len__(self) -> int:
+        return len(self.sources)
+
+    def under(self, config: Config | None) -> "Chain":
+        """Give the same recordings under other parameters; they share what these leave alone."""
+        other = copy(self)
+        other.config = validated(config)
+        return other
+
+    def delayed(self, t_d_s: float) -> "Chain":
+        """As if camera 2's clock, of two, had shown `t_d_s` [s] more; the last delay is kept."""
+        if t_d_s == 0.0:
+            return self
+        at_s, kept = self._kept.get("delayed", (None, {}))
+        if at_s != t_d_s:
+            kept = {}
+            self._kept["delayed"] = t_d_s, kept
+        other = copy(self)
+        other._undelayed, other._kept = (self, t_d_s), kept
+        return other
+
+    def name(self, k: int) -> str:
+        """Name a camera, from 0 on: its file, or its number."""
+        return self.sources[k].name or f"camera {k + 1}"
+
+    def clean(self, k: int) -> Clean:
+        """Give what a camera recorded, checked and without noise if the config asks for that."""
+        how = self.config.cleaning
+        return self._once(("clean", k, how), lambda: self._clean(k))
+
+    def recorded(self, k: int, frames: str = "") -> Observation:
+        """Give what a camera recorded as it is, with frames if they are asked for."""
+        if self._undelayed is not None:
+            chain, t_d_s = self._undelayed
+            seen = chain.recorded(k, frames)
+            return seen.delayed(t_d_s) if k else seen
+        return self.sources[k].read(frames)
+
+    def views(self, i: int = 0, j: int = 1) -> TwoViews:
+        """Give both views of all that two cameras saw."""
+        config = self.config.resolved(self._has_track(i, j))
+        return self._views((self.clean(i), self.clean(j)), self.rig.pair(i, j).unposed, config)
+
+    def lacks(self, method: Method, i: int = 0, j: int = 1) -> str:
+        """Say what two cameras lack for a method; empty when it can run."""
+        seen = [(self.name(k), self.sources[k].has_track) for k in (i, j)]
+        said = method.lacks(seen, self.rig.pair(i, j), self.rig.name, self.config)
+        if said or method.input is not Input.FRAMES:
+            return said
+        for k in (i, j):
+            frames = self._framed(k, method).frames
+            if frames is None or len(frames) == 0:
+                return method.without_frames(self.name(k))
+        return ""
+
+    def estimate(self, method: str | Method, i: int = 0, j: int = 1) -> Estimate:
+        """Give the estimate of `answer`."""
+        return self.answer(method, i, j).estimate
+
+    def answer(self, method: str | Method | None = None, i: int = 0, j: int = 1) -> Answer:
+        """Find offset and pose of two cameras, in all the steps that this takes.
+
+        Parameters
+        ----------
+        method
+            One of the registry, or its name; None for the best one that both cameras allow.
+        i, j
+            Which two, from 0 on.
+
+        Returns
+        -------
+        Answer
+            Its estimate says with `status` and `reason` when it is not to be relied upon.
+
+        Raises
+        ------
+        SsacError
+            If what the cameras recorded cannot be used, or the method lacks something to run.
+        """
+        has_track = self._has_track(i, j)
+        chosen = (
+            method if isinstance(method, Method) else choose_method(method, has_track=has_track)
+        )
+        lacks = self.lacks(chosen, i, j)
+        if lacks:
+            raise SsacError(lacks)
+        config = self.config.resolved(has_track)
+        key = "answer", chosen, i, j, self.config
+        chosen.load()
+        with _blas("scipy.linalg" in sys.modules).limit(limits=1):
+            return self._once(key, lambda: self._answered(chosen, (i, j), config))
+
+    def _answered(self, method: Method, places: tuple[int, int], config: Config) -> Answer:
+        i, j = places
+        rig = self.rig.pair(i, j)
+        if method.input is Input.FRAMES:
+            seen = [_as_it_is(self._framed(k, method), self.rig.cameras[k]) for k in places]
+            pair = _Pair(method, places, (seen[0], seen[1]), method.rig_of(rig), config)
+            return self._told(pair, self._run(pair))
+        pair = _Pair(method, places, (self.clean(i), self.clean(j)), method.rig_of(rig), config)
+        _check_two(self.name(i), self.name(j), *pair.cleans)
+        everywhere = self._searches_all(pair)
+        if method.of_one_object and config.choose_object:
+            cleans, refusal = self._one_object(places, None if everywhere else config.offsets_s)
+            pair = replace(pair, cleans=cleans)
+            if refusal is not None:
+                return self._refused(pair, refusal)
+        if method.input is Input.RATES:
+            return self._told(pair, self._run(pair))
+        views = self._views(pair.cleans, rig.unposed, config)
+        refusal = unusable(views, pair.cleans, None if everywhere else config.offsets_s)
+        if refusal is not None:
+            return self._refused(pair, refusal)
+        start = self._start(pair, views) if everywhere else None
+        if start is not None and start.has_guess:
+            pair = replace(pair, config=start.config(config))
+        if start is not None and start.refusal is not None:
+            return self._refused(pair, start.refusal, start)
+        return self._refined(pair, start)
+
+    def _refined(self, pair: _Pair, start: Start | None) -> Answer:
+        """Run the method from where it is to begin, with a clock of pieces where no other fits."""
+        found, wanders = self._run(pair, start), False
+        tries = self.config.clock == "auto" and pair.config.prior_ppm > 0.0
+        if pair.of_track and tries and found.status in SETTLED_BY["pieces"]:
+            other = replace(pair, config=replace(pair.config, clock=WANDERING))
+            wandering = self._run(other, start)
+            if wandering.has_offset:
+                pair, found, wanders = other, wandering, True
+        is_start = bool(pair.method.keeps_start) and pair.method.keeps(self._seen(pair, start))
+        return replace(self._told(pair, found, start), wanders=wanders, is_start=is_start)
+
+    def _seen(self, pair: _Pair, start: Start | None) -> TwoViews:
+        """Give the views that a method of tracks begins with."""
+        cleans = pair.cleans[0], self._as_seen(pair, start)
+        return self._views(cleans, pair.rig.unposed, pair.config)
+
+    def _run(self, pair: _Pair, start: Start | None = None) -> Estimate:
+        """Run a method, after those that it starts from, and put it on camera 2's own clock."""
+        with self.watch.part("estimate") as say:
+            seen = replace(pair, cleans=(pair.cleans[0], self._as_seen(pair, start)))
+            estimate = self._by(pair.method, seen)
+            wanders = pair.config.clock == WANDERING
+            say(pair.method.name + (", with a clock that wanders" if wanders else ""))
+        return estimate if start is None else start.as_recorded(estimate)
+
+    def _by(self, method: Method, pair: _Pair) -> Estimate:
+        """Give the estimate of a method of two cameras; each is found once."""
+        config = pair.config
+        if method.input is Input.TRACKS and not method.starts_from and method.runs:
+            config = config.searching
+        whose = tuple(id(one) for one in pair.cleans)
+        return self._once(
+            ("estimate", method, whose, config), lambda: self._found(method, pair), pair.cleans
+        )
+
+    def _found(self, method: Method, pair: _Pair) -> Estimate:
+        if method.estimate is not None:
+            return method.estimate(*pair.cleans, pair.rig, pair.config)
+        if method.input is not Input.TRACKS:
+            return method.function(*pair.cleans, pair.config)
+        views = self._views(pair.cleans, pair.rig.unposed, pair.config)
+        if method.needs_extrinsics:
+            views = views.with_pose(pair.rig)
+        if not method.starts_from:
+            return method.function(views)
+        return method.function(self._by(choose_method(method.starts_from), pair), views)
+
+    def _told(self, pair: _Pair, estimate: Estimate, start: Start | None = None) -> Answer:
+        """Put an estimate into an answer, less sure where the recorders rounded times."""
+        quanta_s = quantum_s(pair.cleans[0]), quantum_s(pair.cleans[1])
+        return Answer(
+            less_sure(estimate, quanta_s),
+            pair.method,
+            pair.cleans,
+            self.rig.pair(*pair.places),
+            pair.config,
+            self.rig.name,
+            start,
+            seconds=dict(self.watch.seconds),
+        )
+
+    def _refused(self, pair: _Pair, refusal: Refusal, start: Start | None = None) -> Answer:
+        """Answer with the reason why a stage before the method gives nothing."""
+        estimate = Estimate(
+            pair.method.name,
+            refusal.status,
+            refusal.reason,
+            refusal.t_d_s,
+            alternatives_s=np.array(refusal.alternatives_s),
+        )
+        if start is not None:
+            found = start.found
+            estimate = replace(estimate, candidates_s=found.candidates_s, costs=found.costs)
+        return self._told(pair, estimate, start)
+
+    def _clean(self, k: int) -> Clean:
+        if self._undelayed is not None:
+            chain, t_d_s = self._undelayed
+            there = chain.under(self.config).clean(k)
+            return there.delayed(t_d_s) if k else there
+        how, name = self.config.cleaning, self.name(k)
+        with self.watch.part("read") as say:
+            seen = self.sources[k].read()
+            if isinstance(seen, Clean) and (seen.denoised or not how.denoise):
+                return clean(seen, self.rig.cameras[k], how, name)
+            say(_held(seen, name))
+        with self.watch.part("denoise") as say:
+            found = clean(seen, self.rig.cameras[k], how, name)
+            if found.clutter is not None:
+                say(f"{name}: {len(found.events)} of {found.n_recorded} events left")
+        return found
+
+    def _framed(self, k: int, method: Method) -> Observation:
+        frames = MEANS if method.takes_means else IMAGES
+
+        def framed() -> Observation:
+            with self.watch.part("read") as say:
+                seen = self.recorded(k, frames)
+                say(_held(seen, self.name(k)))
+            return seen
+
+        return self._once(("frames", k, frames), framed)
+
+    def _one_object(
+        self, places: tuple[int, int], interval_s: Interval | None
+    ) -> tuple[tuple[Clean, Clean], Refusal | None]:
+        """Give two cameras with the events of the one object that is chosen for the whole rig."""
+
+        def chosen() -> tuple[tuple[Clean, ...], Refusal | None]:
+            cleans = [self.clean(k) for k in range(len(self))]
+            with self.watch.part("objects") as say:
+                found = one_object(cleans, interval_s)
+                if any(len(one.events) for one in cleans):
+                    say(_objects_seen(*found))
+            return found
+
+        key = "object", self.config.cleaning, interval_s
+        every, refusal = self._once(key, chosen)
+        two = every[places[0]], every[places[1]]
+        lost = [k for k in places if every[k].used.seen > 1 and every[k].used.share == 0.0]
+        if refusal is None and lost:
+            refusal = Refusal(
+                Status.SEVERAL_OBJECTS,
+                f"none of the {every[lost[0]].used.seen} things that {self.name(lost[0])} sees is"
+                " the one that the other cameras see: record one object, or mask the others",
+            )
+        return two, refusal
+
+    def _searches_all(self, pair: _Pair) -> bool:
+        """Whether all offsets are searched: where asked for, and by default where it is needed."""
+        if pair.method.input is not Input.TRACKS:
+            return False
+        config = self.config
+        if config.rates is not None or config.search != "auto":
+            return config.search == "all" or config.rates is not None
+        if config.interval_s is not None:
+            return False
+        return pair.of_track or not has_common_time(pair.cleans, config.offsets_s)
+
+    def _start(self, pair: _Pair, views: TwoViews) -> Start:
+        def found() -> Start:
+            with self.watch.part("search") as say:
+                start = start_of(views, pair.config.rates, _progress(self.watch.log))
+                say(start.words)
+            return start
+
+        whose = tuple(id(one) for one in pair.cleans)
+        return self._once(("start", whose, pair.config), found, pair.cleans)
+
+    def _as_seen(self, pair: _Pair, start: Start | None) -> Clean:
+        """Give camera 2 on a clock that runs as camera 1's, as far as a search found the rate."""
+        other = pair.cleans[1]
+        if start is None or start.guess.rate == 1.0:
+            return other
+        key = "seen", id(other), start.guess.rate, start.anchor_s
+        return self._once(key, lambda: start.as_seen(other), (other,))
+
+    def _views(self, cleans: tuple[Clean, Clean], rig: Rig, config: Config) -> TwoViews:
+        whose = tuple(id(one) for one in cleans)
+        return self._once(("views", whose, config), lambda: views_of(*cleans, rig, config), cleans)
+
+    def _once(self, key: Hashable, make: Callable[[], Found], of: object = None) -> Found:
+        """Find something once; what its key names by `id` is kept with it."""
+        if key not in self._kept:
+            self._kept[key] = make(), of
+        found: Found = self._kept[key][0]
+        return found
+
+    def _has_track(self, i: int, j: int) -> bool:
+        return self.sources[i].has_track or self.sources[j].has_track
+
+
+def _cameras_of(rig: Cameras | Rig) -> Cameras:
+    if isinstance(rig, Cameras):
+        return rig
+    return Cameras((rig.cam1, rig.cam2), (np.eye(4), rig.T_2_1))
+
+
+def _as_it_is(seen: Observation, camera: Camera) -> Clean:
+    """Give what a camera recorded for a method that does not look at its events."""
+    if isinstance(seen, Clean):
+        return seen
+    fields = {name: getattr(seen, name) for name in Observation.__dataclass_fields__}
+    return Clean(**fields, camera=camera, n_recorded=len(seen.events))
+
+
+def _check_two(name1: str, name2: str, one: Clean, other: Clean) -> None:
+    """Raise SsacError when two cameras gave what one saw, be it at other times.
+
+    There is no baseline then, and any translation fits.
+    """
+    if one.track is not None and other.track is not None:
+        same = np.array_equal(one.track.points_px, other.track.points_px)
+    else:
+        same = 0 < len(one.events) == len(other.events) and all(
+            np.array_equal(one.events[field], other.events[field]) for field in "xy"
+        )
+    if same:
+        raise SsacError(
+            f"{name1} and {name2} hold the same points: one is a copy of the other, and there is no"
+            " baseline between a camera and itself: give what each camera recorded"
+        )
+
+
+def _held(seen: Observation, name: str) -> str:
+    """Say in a line what a camera recorded."""
+    start_s, end_s = seen.span_s
+    if seen.track is not None:
+        return f"{name}: {len(seen.track)} points from {start_s:.3f} to {end_s:.3f} s"
+    return f"{name}: {len(seen.events)} events from {start_s:.3f} to {end_s:.3f} s"
+
+
+def _objects_seen(cleans: tuple[Clean, ...], refusal: Refusal | None) -> str:
+    """Say how many things the cameras saw, and what is left of them."""
+    if refusal is not None:
+        return "several, and none told from the others"
+    if all(one.used.seen == 1 for one in cleans):
+        return "one at a time"
+    seen = " and ".join(str(one.used.seen) for one in cleans)
+    shares = " and ".join(f"{100.0 * one.used.share:.0f} %" for one in cleans)
+    return f"{seen} at a time; {shares} of the events are of one that all cameras see"
+
+
+def _progress(log: Log) -> Callable[[float], None]:
+    """Log a line for each fifth of a search that takes long."""
+    start_s, told = time.perf_counter(), [0.0]
+
+    def report(share: float) -> None:
+        if share >= told[0] + 0.2 and time.perf_counter() - start_s > 2.0:
+            told[0] = share
+            log(f"search   {100.0 * share:4.0f} %")
+
+    return report
+
+
+@cache
+def _blas(has_scipy: bool) -> ThreadpoolController:
+    """Give the control of BLAS's threads: matrices are so small that these only wait.
+
+    Made anew when SciPy brings a BLAS of its own, as looking for them takes some milliseconds.
+    """
+    del has_scipy
+    return ThreadpoolController()

@@ -1,0 +1,206 @@
+"""Clocks and poses of all cameras of a rig, and the path that they saw, from all its pairs."""
+
+from dataclasses import dataclass
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ssac.compare.frame import (
+    Ground,
+    ground_of_positions,
+    ground_of_rtk,
+    in_frame,
+)
+from ssac.convert.events_as_track import ShapedTrack, shaped_track_of_events, track_of_events
+from ssac.errors import SsacError
+from ssac.estimate import Status
+from ssac.network.graph import Link, Pair
+from ssac.network.sightings import Sightings, sightings
+from ssac.network.solve import NetworkAnswer, link_of, solve_network
+from ssac.path.tum import write_path
+from ssac.pipeline.answer import Answer, Log, Stopwatch
+from ssac.pipeline.api import Result, html_of
+from ssac.pipeline.chain import Chain
+from ssac.pipeline.known import NOTHING, Known
+from ssac.pipeline.registry import Method
+from ssac.points import PointTrack
+from ssac.silhouette.perspective import LEAST_VIEWS
+from ssac.track.clean import Clean
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class NetworkResult:
+    """What is found of many cameras, what it was made from, and how long it took."""
+
+    names: tuple[str, ...]  # of the recordings, in the order of the rig's cameras
+    rig_name: str
+    network: NetworkAnswer
+    pairs: dict[Pair, Answer]
+    scale_is_known: bool  # lengths are metres; no: distances of the first two cameras
+    ground: Ground | None  # the frame of cameras and path; None: the first camera's
+    seconds: dict[str, float]
+
+    @property
+    def status(self) -> Status:
+        """Whether all cameras are in one network: "ok" if so."""
+        return self.network.status
+
+    @property
+    def reason(self) -> str:
+        """Why not all cameras are in one network; empty where they are."""
+        return self.network.reason
+
+    @property
+    def cameras(self) -> list[Any]:
+        """Clock and pose of each camera (`ssac.network.answers.CameraAnswer`)."""
+        return list(self.network.cameras)
+
+    def summary(self) -> str:
+        """Lay it out for people: what `ssac sync` prints."""
+        from ssac.pipeline.many_report import many_text
+
+        return many_text(self)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Lay it out for machines: what `ssac sync --json` writes."""
+        from ssac.pipeline.many_report import many_json
+
+        return many_json(self)
+
+    def __repr__(self) -> str:
+        placed = sum(camera.status == Status.OK for camera in self.network.cameras)
+        return f"<ssac.NetworkResult {self.status}, {placed} of {len(self.names)} cameras placed>"
+
+    def _repr_html_(self) -> str:
+        return html_of(self.summary())
+
+
+def network(chain: Chain, method: Method | None = None, known: Known = NOTHING) -> NetworkResult:
+    """Synchronise and calibrate many cameras, and find the path that they saw.
+
+    Parameters
+    ----------
+    chain
+        What they recorded.
+    method
+        For each pair; None for the best one that it allows.
+    known
+        Of scale and frame.
+
+    Raises
+    ------
+    SsacError
+        If a recording cannot be used, or contradicts what is found.
+    """
+    watch, pairs = Stopwatch(chain.watch.log), dict[Pair, Answer]()
+    for a, b in combinations(range(len(chain)), 2):
+        with watch.part(f"{a + 1}-{b + 1}") as say:
+            pairs[a, b] = chain.answer(method, a, b)
+            say(_told(pairs[a, b]))
+    with watch.part("network") as say:
+        answer = solve_pairs(chain, pairs, known.distance_m)
+        answer, ground = grounded(answer, known)
+        say(", ".join(f"{camera.name} {camera.status}" for camera in answer.cameras))
+    in_metres = ground is not None or known.distance_m is not None
+    names = tuple(chain.name(k) for k in range(len(chain)))
+    return NetworkResult(names, chain.rig.name, answer, pairs, in_metres, ground, watch.seconds)
+
+
+def solve_pairs(
+    chain: Chain, pairs: dict[Pair, Answer], distance_m: float | None = None
+) -> NetworkAnswer:
+    """Solve all cameras at once, from what their pairs gave.
+
+    Parameters
+    ----------
+    chain
+        What they recorded.
+    pairs
+        Answers of all pairs, of two cameras or more.
+    distance_m
+        Between the first two cameras [m]; None: the unit of lengths.
+    """
+    seen = [_sightings(chain, k, pairs) for k in range(len(chain))]
+    links = dict[Pair, Link]()
+    for pair, answer in pairs.items():
+        of_events = not any(seen[k].has_frames for k in pair)
+        guess = answer.start.guess if answer.start is not None and answer.has_guess else None
+        link = link_of(answer.estimate, guess, of_events)
+        if link is not None:
+            links[pair] = link
+    has_frames = any(camera.has_frames for camera in seen)
+    prior_ppm = chain.config.resolved(has_frames).prior_ppm
+    return solve_network(seen, links, prior_ppm, distance_m or 1.0)
+
+
+def grounded(answer: NetworkAnswer, known: Known) -> tuple[NetworkAnswer, Ground | None]:
+    """Put an answer into the frame that is known, where one is and there is a network at all."""
+    if not answer.built:
+        return answer, None
+    if known.positions is not None:
+        ground = ground_of_positions(answer, known.positions)
+    elif known.rtk is not None:
+        ground = ground_of_rtk(answer, known.rtk, known.lever_arm_m)
+    else:
+        return answer, None
+    return in_frame(answer, ground), ground
+
+
+def write_path_of_two(file: Path, result: Result, known: Known, log: Log) -> None:
+    """Find the path that two cameras saw and write it; say so, or why there is none."""
+    answer = result.answer
+    if answer.estimate.status != Status.OK or answer.estimate.R is None:
+        log(f"not written: {file}, since there is no reliable pose")
+        return
+    distance_m, T_2_1 = known.distance_m, answer.rig.T_2_1
+    if distance_m is None and answer.method.needs_extrinsics and T_2_1 is not None:
+        distance_m = float(np.linalg.norm(T_2_1[:3, 3]))
+    chain = Chain(answer.cleans, answer.rig, answer.config)
+    found = solve_pairs(chain, {(0, 1): answer}, distance_m)
+    write_paths(file, grounded(found, known)[0], log)
+
+
+def write_paths(file: Path, answer: NetworkAnswer, log: Log) -> None:
+    """Write the path of the first group, and say so; that of another group beside it."""
+    for k, found in enumerate(answer.paths):
+        other = file if k == 0 else file.with_name(f"{file.stem}-{k + 1}{file.suffix}")
+        write_path(other, found.path)
+        spans = ", ".join(f"{start_s:.3f} to {end_s:.3f} s" for start_s, end_s in found.spans_s)
+        log(f"wrote {other}: {len(found.path)} samples, which hold from {spans}")
+    if not answer.paths:
+        log(f"not written: {file}, since no cameras see the object's path together")
+
+
+def _sightings(chain: Chain, k: int, pairs: dict[Pair, Answer]) -> Sightings:
+    """Say where a camera saw the object; nowhere, of one whose events show none."""
+    clean = next(answer.cleans[pair.index(k)] for pair, answer in pairs.items() if k in pair)
+    name, has_frames = Path(chain.name(k)).stem, clean.has_track
+    if clean.track is not None:
+        return sightings(clean.track, clean.camera, name, has_frames)
+    try:
+        shaped = _followed(chain, k, clean)
+    except SsacError:  # its pairs say why
+        shaped = ShapedTrack(PointTrack(np.empty(0), np.empty((0, 2))), None)
+    told = shaped.spreads_px2, shaped.images
+    return sightings(shaped.track, clean.camera, name, has_frames, *told)
+
+
+def _followed(chain: Chain, k: int, clean: Clean) -> ShapedTrack:
+    """Follow the object through events.
+
+    What perspective does to silhouettes takes three cameras to tell.
+    """
+    config = chain.config
+    if len(chain) < LEAST_VIEWS:
+        return ShapedTrack(track_of_events(clean, config), None)
+    return shaped_track_of_events(clean, chain.recorded(k).events, config)
+
+
+def _told(answer: Answer) -> str:
+    estimate = answer.estimate
+    if not estimate.has_offset:
+        return str(estimate.status)
+    sigma_ms = 1e3 * estimate.t_d_std_s
+    return f"{estimate.status}, t_d {estimate.t_d_s:.4f} s, 1 sigma {sigma_ms:.2f} ms"

@@ -1,0 +1,243 @@
+"""What users give as cameras and rigs, opened for the pipeline: files, arrays, tracks.
+
+The messages here name files; what is wrong with a recording itself is said where it is cleaned.
+"""
+
+import difflib
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ssac.camera import Camera, Cameras, Rig, check_camera
+from ssac.config import Config
+from ssac.errors import SsacError
+from ssac.events import US_PER_S, EventFile, check_events, events_of_array
+from ssac.files.damage import STRICT, Reading
+from ssac.files.net import check_is_file
+from ssac.files.rigs import check_resolution, load_rig
+from ssac.files.track_files import is_track_file, load_track
+from ssac.points import PointTrack, check_track
+from ssac.track.observation import Observation, tracked
+from ssac.track.point_motion import check_readout
+
+CameraInput = Path | str | NDArray[np.void] | Observation | EventFile | PointTrack
+"""A file of events or of a track, events as a structured array, or either as it was loaded."""
+
+RigInput = Path | str | Rig | Cameras | Sequence[Camera]
+"""A rig file, a rig, or its cameras, whose poses are then not known."""
+
+_LONG_STEP_S = 0.9  # between points of a track: times that count frames are 1 apart
+_MEANS = "means"  # of frames: one number each
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A file of one camera, which is read when its turn comes."""
+
+    path: Path
+    camera: Camera
+    camera_name: str  # for messages: "camera 1 of rig.yaml"
+    reading: Reading = STRICT
+
+    @property
+    def name(self) -> str:
+        """Its path."""
+        return str(self.path)
+
+    @cached_property
+    def has_track(self) -> bool:
+        """Whether it is a track file."""
+        return is_track_file(self.path)
+
+    def read(self, frames: str = "") -> Observation:
+        """Read what the camera recorded, and check it against its calibration.
+
+        Parameters
+        ----------
+        frames
+            "images" or "means" for intensity frames beside the events, where the file has them.
+
+        Raises
+        ------
+        SsacError
+            If the file cannot be used or does not fit the rig; the message names it.
+        """
+        what = f"{self.path} with {self.camera_name}"
+        if self.has_track:
+            track = load_track(self.path)
+            check_track(track, self.camera.width, self.camera.height, what)
+            check_readout(track.times_s, self.camera.readout_s or 0.0, what)
+            _warn_of_long_steps(track.times_s, self.path)
+            return tracked(track, self.name)
+        from ssac.files.event_files import load_events, load_frames  # formats and their libraries
+
+        file = load_events(self.path, self.reading)
+        seen = _of_file(file, self.camera, self.camera_name, self.name)
+        found = None
+        if frames:
+            found = load_frames(self.path, _pixels_of_mean if frames == _MEANS else None)
+        if found is None:
+            return seen
+        times_us, images = found
+        return replace(seen, frames=images, frame_times_s=times_us / US_PER_S)
+
+
+def opened_rig(rig: RigInput, n: int, numbers: tuple[int, int] | None = None) -> Cameras:
+    """Open a rig of n cameras.
+
+    Parameters
+    ----------
+    rig
+        In any form.
+    n
+        How many cameras there are.
+    numbers
+        Of two cameras in a rig file, from 1 on; None: the first n.
+
+    Raises
+    ------
+    SsacError
+        If it cannot be used, or is of fewer cameras.
+    """
+    if isinstance(rig, (str, Path)):
+        path = Path(rig)
+        if n == 2:
+            found = load_rig(path, numbers or (1, 2))
+            return Cameras((found.cam1, found.cam2), (np.eye(4), found.T_2_1), str(path))
+        rigs = [load_rig(path, (1, k)) for k in range(2, n + 1)]
+        cameras = rigs[0].cam1, *(one.cam2 for one in rigs)
+        return Cameras(cameras, (np.eye(4), *(one.T_2_1 for one in rigs)), str(path))
+    if isinstance(rig, Rig):
+        rig = Cameras((rig.cam1, rig.cam2), (np.eye(4), rig.T_2_1))
+    elif isinstance(rig, (list, tuple)) and all(isinstance(one, Camera) for one in rig):
+        rig = Cameras(tuple(rig))
+    if not isinstance(rig, Cameras):
+        raise SsacError(
+            "rig: expected a rig file, a ssac.Rig or the ssac.Camera of each recording, got "
+            f"{_kind(rig)}"
+        )
+    if len(rig) != n:
+        raise SsacError(f"rig: it has {len(rig)} cameras, and there are {n} recordings")
+    for k, camera in enumerate(rig.cameras, start=1):
+        check_camera(camera, f"camera {k}")
+    return rig
+
+
+def opened(
+    seen: Sequence[CameraInput],
+    rig: Cameras,
+    numbers: Sequence[int] | None = None,
+    reading: Reading = STRICT,
+) -> tuple[Observation | Recording, ...]:
+    """Open what each camera recorded, as far as that can be done without reading files.
+
+    Parameters
+    ----------
+    seen
+        Of each camera of the rig, in its order.
+    rig
+        Theirs.
+    numbers
+        Of the cameras in the rig file, from 1 on; None: 1, 2 and so on.
+    reading
+        What may be made of event files that are damaged or unsorted.
+
+    Raises
+    ------
+    SsacError
+        If something is no recording, is not there, or is given twice.
+    """
+    numbers = numbers or range(1, len(seen) + 1)
+    for (a, one), (b, other) in combinations(zip(numbers, seen, strict=True), 2):
+        if a == b:
+            raise SsacError(f"camera {a} of {rig.name} is given for both: name two cameras")
+        if _same_file(one, other):
+            what = one if isinstance(one, (str, Path)) else "one recording"
+            whose = "both cameras" if len(seen) == 2 else f"cameras {a} and {b}"
+            raise SsacError(f"{what}: given for {whose}: give each camera's own file")
+    return tuple(
+        _opened(one, camera, number, rig.name, reading)
+        for one, camera, number in zip(seen, rig.cameras, numbers, strict=True)
+    )
+
+
+def config_of(config: Config | None, fields: dict[str, Any]) -> Config:
+    """Give a config with some fields replaced; SsacError for one that it does not have."""
+    config = Config() if config is None else config
+    if not isinstance(config, Config):
+        raise SsacError(f"config: expected a ssac.Config, got {_kind(config)}")
+    known = Config.__dataclass_fields__
+    for name in fields:
+        if name not in known:
+            near = difflib.get_close_matches(name, known, 3)
+            like = f": did you mean {' or '.join(near)}?" if near else ""
+            raise SsacError(f"{name}: is no argument of sync and no field of ssac.Config{like}")
+    return replace(config, **fields)
+
+
+def _opened(
+    seen: CameraInput, camera: Camera, number: int, rig_name: str, reading: Reading
+) -> Observation | Recording:
+    if isinstance(seen, (str, Path)):
+        path = Path(seen)
+        if not path.is_dir():  # which the reader says
+            check_is_file(path)
+        return Recording(path, camera, f"camera {number} of {rig_name}", reading)
+    if isinstance(seen, Observation):
+        return seen
+    name = f"camera {number}"
+    if isinstance(seen, EventFile):
+        return _of_file(seen, camera, f"{name} of {rig_name}", name)
+    if isinstance(seen, PointTrack):
+        return tracked(seen, "")
+    if isinstance(seen, np.ndarray):
+        return Observation(events_of_array(seen, name))
+    raise SsacError(
+        f"{name}: expected a file, a structured array of events with the fields t, x, y and p, a"
+        f" ssac.Observation, or what load_events or load_track gave, got {_kind(seen)}"
+    )
+
+
+def _of_file(file: EventFile, camera: Camera, camera_name: str, name: str) -> Observation:
+    """Check the events of a file against a camera."""
+    check_resolution(camera, file.width, file.height, camera_name, name)
+    if file.width is None or file.height is None:
+        check_events(file.events, camera.width, camera.height, f"{name} with {camera_name}")
+    return Observation(file.events, name=name)
+
+
+def _same_file(one: object, other: object) -> bool:
+    if not (isinstance(one, (str, Path)) and isinstance(other, (str, Path))):
+        return one is other
+    first, second = Path(one), Path(other)
+    return first.exists() and second.exists() and first.samefile(second)
+
+
+def _kind(value: object) -> str:
+    """Name what came in the place of something else."""
+    text = repr(value)
+    return f"{type(value).__name__} {text if len(text) < 40 else ''}".strip()
+
+
+def _warn_of_long_steps(times_s: NDArray[np.float64], path: Path) -> None:
+    step_s = float(np.median(np.diff(times_s))) if len(times_s) > 1 else 0.0
+    if step_s > _LONG_STEP_S:
+        warnings.warn(
+            f"{path}: its points are {step_s:.3g} s apart, which tells little of a motion: if t_s "
+            "is in milliseconds or counts frames, give seconds",
+            stacklevel=3,
+        )
+
+
+def _pixels_of_mean(frames: NDArray[np.uint8]) -> NDArray[np.float64]:
+    """Means of frames (n, height, width), as images of one pixel (n, 1, 1)."""
+    from ssac.baselines.zncc_f import frame_means
+
+    return frame_means(frames)[:, None, None]

@@ -1,0 +1,116 @@
+"""One camera's recording without its noise: checked, filtered, and what that did to it.
+
+Everything that looks for the object starts from here. Nothing of how it moves is known yet.
+"""
+
+from collections.abc import Hashable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ssac.camera import Camera, check_camera, same_camera
+from ssac.config import N_MIN, Cleaning
+from ssac.events import US_PER_S, check_events, no_gaps
+from ssac.points import check_track
+from ssac.track.denoise import Clutter, without_noise
+from ssac.track.observation import Observation
+from ssac.track.thin_line import events_on_line
+
+
+@dataclass(frozen=True)
+class ObjectsUsed:
+    """What became of the things that one camera saw."""
+
+    seen: int  # at a time
+    share: float  # of the events, those of the object that was used
+
+
+@dataclass(frozen=True, kw_only=True)
+class Clean(Observation):
+    """What one camera recorded, checked against it, and without noise where that was asked for."""
+
+    camera: Camera
+    n_recorded: int = 0  # events before anything was left out
+    denoised: bool = False  # the noise has left the events: it does not come back
+    clutter: Clutter | None = None  # what denoising did; None: nothing, or it was done elsewhere
+    gaps_us: NDArray[np.int64] = field(default_factory=no_gaps)
+    """Times (g, 2) [us], ascending, from and up to which events of the object were taken out with
+    others: windows that reach into them hold a part of what was seen."""
+    on_line: NDArray[np.bool_] | None = None
+    """Which events (n,) lie where a thin line holds the object; None: there is none."""
+    used: ObjectsUsed = ObjectsUsed(1, 1.0)
+    kept: dict[Hashable, Any] = field(default_factory=dict, repr=False, compare=False)
+    """What was summed up of these events, by what it is: found once, and delayed with them."""
+
+    def n_min(self, asked: int | None) -> int:
+        """Events that a window holds at least: as asked for, or as denoising found."""
+        if asked is not None:
+            return asked
+        return N_MIN if self.clutter is None else self.clutter.n_min
+
+    def delayed(self, t_d_s: float) -> "Clean":
+        """As if the camera's clock had shown `t_d_s` [s] more; what was summed up stays so."""
+        later, shift_us = super().delayed(t_d_s), round(t_d_s * US_PER_S)
+        kept = {key: value.delayed(shift_us) for key, value in self.kept.items()}
+        return replace(later, gaps_us=self.gaps_us + shift_us, kept=kept)
+
+
+def clean(seen: Observation, camera: Camera, how: Cleaning, name: str = "camera") -> Clean:
+    """Check what a camera recorded, and remove the noise from its events (Sec. IV-A).
+
+    Parameters
+    ----------
+    seen
+        What it recorded. What is clean already stays as it is, but for denoising that was skipped
+        and is asked for now.
+    camera
+        Its intrinsics.
+    how
+        Whether noise is removed, and by how many neighbours an event is kept.
+    name
+        Of the camera, for messages.
+
+    Raises
+    ------
+    SsacError
+        If the camera, or its events or points, cannot be used: empty, unsorted, outside its sensor.
+    """
+    if not isinstance(seen, Clean):
+        seen = _checked(seen, camera, seen.name or name)
+    elif not same_camera(seen.camera, camera):
+        seen = replace(_checked(seen, camera, seen.name or name), denoised=seen.denoised)
+    if seen.denoised or not how.denoise or seen.has_track:
+        return seen
+    events, size = seen.events, (camera.width, camera.height)
+    left, clutter = without_noise(events, *size, how.n_neighbours)
+    return replace(
+        seen,
+        events=left,
+        denoised=True,
+        clutter=clutter,
+        on_line=events_on_line(events, left, *size),
+        kept={},
+    )
+
+
+def _checked(seen: Observation, camera: Camera, name: str) -> Clean:
+    """Give what a camera recorded as it is, if it can be used at all."""
+    check_camera(camera, name)
+    if seen.track is not None:
+        check_track(seen.track, camera.width, camera.height, name)
+    else:
+        check_events(seen.events, camera.width, camera.height, name)
+    if isinstance(seen, Clean):
+        return replace(seen, camera=camera, kept={})
+    return Clean(
+        seen.events,
+        seen.frames,
+        seen.frame_times_s,
+        seen.track,
+        seen.name,
+        camera=camera,
+        n_recorded=len(seen.events),
+        denoised=seen.has_track,
+    )
