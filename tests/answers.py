@@ -1,0 +1,310 @@
+"""The ways to an answer, and whether two answers are the same to the last bit.
+
+All that the tests know of how a way is called stands here. `.ci/same` runs this file with the
+packages of another commit, so nothing but `ssac` is imported when it is loaded.
+"""
+
+import json
+import os
+import pickle
+import sys
+import warnings
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, is_dataclass, replace
+from functools import cache
+from itertools import combinations
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ssac.camera import Rig
+from ssac.config import Config
+from ssac.errors import SsacError
+from ssac.estimate import Estimate
+from ssac.events import US_PER_S
+from ssac.files.event_files import load_events, load_frames
+from ssac.files.rigs import load_rig
+from ssac.files.track_files import is_track_file, load_track
+from ssac.track.observation import Observation, tracked
+
+Pair = tuple[int, int]
+FIRST_TWO: Pair = (0, 1)
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """Files of two cameras or more, their rig, and with which options they are synchronised."""
+
+    name: str
+    files: tuple[str, ...]
+    rig: str
+    known_extrinsics: bool = False
+    search_all: bool = False
+    rate_range: tuple[float, float] | None = None
+    estimate_readout: bool = False
+    config: dict[str, Any] = field(default_factory=dict)  # fields of Config
+
+    def __hash__(self) -> int:
+        return hash(self.name)
+
+    def of(self, pair: Pair) -> list[str]:
+        """Files of two of the cameras."""
+        return [self.files[k] for k in pair]
+
+    def without_paths(self, text: str, pair: Pair) -> str:
+        """Name cameras and rig as a caller without files knows them."""
+        for name, path in zip(("camera 1", "camera 2"), self.of(pair), strict=True):
+            text = text.replace(path, name)
+        return text.replace(self.rig, "the rig")
+
+
+# --- The ways: each gives an estimate, or raises SsacError ----------------------------------------
+
+
+def by_python(recorded: Recorded, method: str, pair: Pair = FIRST_TWO) -> Estimate:
+    """Call the function that does all that the command line does."""
+    try:
+        from ssac import sync
+    except ImportError:  # up to the commit that made one call of all
+        from ssac.tool.sync import sync
+    return sync(
+        *recorded.of(pair),
+        recorded.rig,
+        method=method,
+        known_extrinsics=recorded.known_extrinsics,
+        config=Config(**recorded.config) if recorded.config else None,
+        cameras=(pair[0] + 1, pair[1] + 1),
+        search_all=recorded.search_all or None,
+        rate_range=recorded.rate_range,
+        estimate_readout=recorded.estimate_readout,
+    ).estimate
+
+
+_OPTIONS = {"skew_prior_ppm": "--skew-prior", "clock": "--clock", "n_samples": "--n-samples"}
+
+
+def by_command_line(recorded: Recorded, method: str) -> dict[str, Any]:
+    """Run `ssac sync --json` within this process: what the file holds of an estimate."""
+    from tests.ssac.command import read_json, run
+
+    args: list[object] = [*recorded.files, "--rig", recorded.rig, "--method", method]
+    args += ["--known-extrinsics"] * recorded.known_extrinsics
+    args += ["--search-all"] * recorded.search_all
+    args += ["--estimate-readout"] * recorded.estimate_readout
+    args += ["--rate-range", *recorded.rate_range] if recorded.rate_range else []
+    for name, value in recorded.config.items():
+        if name == "interval_s":
+            args += ["--search", *value]
+        elif name == "denoise":
+            args += ["--no-denoise"] * (not value)
+        else:
+            args += [_OPTIONS[name], value]
+    out = Path(recorded.rig).with_name(f"{method}.json")
+    ended = run("sync", *args, "--json", out)
+    if ended.exit_code > 1:
+        raise SsacError(ended.stderr.splitlines()[-1].removeprefix("error: "))
+    found = read_json(out)
+    assert ended.exit_code == (found["status"] != "ok"), ended.stderr
+    return {name: found[name] for name in found if name in _IN_JSON}
+
+
+def by_function(recorded: Recorded, method: str) -> Estimate:
+    """Call the method's own function, such as `ssac.tangency`, with what the cameras recorded."""
+    import ssac
+
+    chosen = _chosen(recorded, method)
+    return getattr(ssac, chosen.replace("-", "_"))(*_seen(recorded), Config(**recorded.config))
+
+
+def by_study(recorded: Recorded, method: str) -> Estimate:
+    """Ask the chain that every row of a study comes from."""
+    cell, shared = _of_study(recorded, method)
+    return shared.chain(cell.t_d_s, cell.estimator).estimate(cell.method)
+
+
+def row_by_study(recorded: Recorded, method: str) -> dict[str, Any]:
+    """Measure a study's cell: its row, as it is kept."""
+    from experiments.run.scored import scored_row
+    from experiments.run.task import UNUSABLE, plain
+
+    row = plain(scored_row(*_of_study(recorded, method)))
+    if row["status"] in ("skipped", UNUSABLE):
+        raise SsacError(row["reason"])
+    return row
+
+
+def row_of(fields: dict[str, Any], recorded: Recorded, method: str) -> dict[str, Any]:
+    """Score an answer as a study does; an error as it is."""
+    from experiments.run.scored import _scored
+    from experiments.run.task import plain
+
+    if "error" in fields:
+        return {"error": " ".join(fields["error"].split())}
+    cell, shared = _of_study(recorded, method)
+    n_cam1, n_cam2 = shared.n_events
+    row = _scored(Estimate(**{**fields, "jump": None, "start": None}), cell, shared.rig)
+    return plain(replace(row, n_events_cam1=n_cam1, n_events_cam2=n_cam2))
+
+
+def by_network(recorded: Recorded, method: str) -> dict[Pair, Estimate]:
+    """Synchronise all cameras at once: the estimate of each pair."""
+    from ssac.tool.many import sync_all
+
+    config = Config(**recorded.config) if recorded.config else None
+    paths = [Path(file) for file in recorded.files]
+    found = sync_all(
+        paths, Path(recorded.rig), method, config, search_all=recorded.search_all or None
+    )
+    return {pair: result.estimate for pair, result in found.pairs.items()}
+
+
+def _chosen(recorded: Recorded, method: str) -> str:
+    from ssac.tool.registry import choose_method
+
+    return choose_method(method, recorded.known_extrinsics).name
+
+
+@cache
+def _seen(recorded: Recorded) -> tuple[Observation, Observation, Rig]:
+    """What a caller without files has of the first two cameras."""
+    rig, cameras = load_rig(Path(recorded.rig)), []
+    for file in map(Path, recorded.files[:2]):
+        if is_track_file(file):
+            cameras.append(tracked(load_track(file)))
+        else:
+            times_us, images = load_frames(file) or (None, None)
+            frame_times_s = None if times_us is None else times_us / US_PER_S
+            cameras.append(Observation(load_events(file).events, images, frame_times_s))
+    if recorded.estimate_readout:
+        from ssac.tool.load import to_be_read_out
+
+        rig = to_be_read_out(rig, *cameras)
+    return cameras[0], cameras[1], rig
+
+
+@cache
+def _shared(recorded: Recorded) -> Any:
+    """What the cells of one recording share, as `scored.load_recorded` gives it."""
+    from experiments.run.scored import Recorded as Shared
+    from ssac.track.observation import prepare
+
+    cam1, cam2, rig = _seen(recorded)
+    n_events = len(cam1.events), len(cam2.events)
+    return Shared(*prepare(cam1, cam2, rig, Config(**recorded.config)), rig, n_events)
+
+
+def _of_study(recorded: Recorded, method: str) -> Any:
+    """Give the cell and what it shares with others."""
+    from experiments.run.grid import Cell
+    from sim.recording import SimConfig
+
+    chosen, config = _chosen(recorded, method), Config(**recorded.config)
+    cell = Cell(SimConfig(), 0, 0, 0.0, config, chosen, {"sim.t_d_s": 0.0})
+    return cell, _shared(recorded)
+
+
+# --- Comparing ------------------------------------------------------------------------------------
+
+
+def answered(way: Callable[..., Any], recorded: Recorded, method: str, *more: Any) -> Any:
+    """Give what a way answers, fields by name; what it refuses is the field `error`."""
+    try:
+        return fields_of(way(recorded, method, *more))
+    except SsacError as error:
+        return {"error": recorded.without_paths(str(error), more[0] if more else FIRST_TWO)}
+
+
+def fields_of(value: Any) -> Any:
+    """Turn dataclasses into dicts, and statuses into words: what another commit can load."""
+    if is_dataclass(value):
+        return {name: fields_of(part) for name, part in vars(value).items()}
+    if isinstance(value, dict):
+        return {name: fields_of(part) for name, part in value.items()}
+    return str(value) if isinstance(value, str) else value
+
+
+class Difference(NamedTuple):
+    """A field that two answers have not alike."""
+
+    field: str
+    one: Any
+    other: Any
+
+
+_MISSING = "(missing)"
+
+
+def differences(one: Any, other: Any, name: str = "") -> Iterator[Difference]:
+    """List the fields that differ in a bit; NaN is NaN."""
+    if isinstance(one, dict) and isinstance(other, dict):
+        for key in {**one, **other}:
+            inner = f"{name}.{key}" if name else str(key)
+            yield from differences(one.get(key, _MISSING), other.get(key, _MISSING), inner)
+    elif not _is_same(one, other):
+        yield Difference(name, one, other)
+
+
+def _is_same(one: Any, other: Any) -> bool:
+    if type(one) is not type(other):
+        return False
+    if isinstance(one, np.ndarray):
+        return one.dtype == other.dtype and np.array_equal(one, other, equal_nan=True)
+    return repr(one) == repr(other)  # of floats: all their bits, NaN alike
+
+
+_IN_JSON = {
+    **{name: name for name in ("t_d_s", "t_d_std_s", "t_ref_s", "skew_ppm", "skew_std_ppm")},
+    **{name: name for name in ("R", "t", "status", "reason", "method", "d_avg_px")},
+    **{name: name for name in ("alternatives_s", "unobservable", "covariance", "clock_covariance")},
+    "readout_s": "readouts_s", "readout_std_s": "readouts_std_s", "clock_jump": "jump",
+}  # fmt: skip
+"""Names in the JSON of what is a field of `Estimate` under another, or the same."""
+
+
+def in_json(fields: dict[str, Any]) -> dict[str, Any]:
+    """Give the part of an answer that the JSON holds, as it holds it; an error as it is."""
+    if "error" in fields:
+        return fields
+    return {name: _plain(fields[key]) for name, key in _IN_JSON.items()}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        return [_plain(part) for part in value]
+    if isinstance(value, float | np.floating):
+        return float(value) if np.isfinite(value) else None
+    return value
+
+
+# --- For another commit ---------------------------------------------------------------------------
+
+
+def main() -> None:
+    """Answer with the packages of PYTHONPATH: recordings of a JSON file, answers into a pickle.
+
+    Raises
+    ------
+    SystemExit
+        If the packages are those of another tree.
+    """
+    recorded_file, answers_file = map(Path, sys.argv[1:])
+    tree = Path(os.environ["PYTHONPATH"])
+    if not Path(sys.modules["ssac"].__file__ or "").is_relative_to(tree):
+        sys.exit(f"{sys.modules['ssac'].__file__} is not of {tree}")
+    warnings.simplefilter("ignore")
+    from ssac.tool.registry import OURS
+
+    answers = {}
+    for one in json.loads(recorded_file.read_text(encoding="utf-8")):
+        recorded = Recorded(**{**one, "files": tuple(one["files"])})
+        for method in (one.name for one in OURS):
+            for pair in combinations(range(len(recorded.files)), 2):
+                numbers = "-".join(str(k + 1) for k in pair)
+                found = answered(by_python, recorded, method, pair)
+                answers[recorded.name, method, numbers] = found
+    answers_file.write_bytes(pickle.dumps(answers))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,326 @@
+"""Small recordings of all kinds, as files, that every way to an answer must answer alike."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from scipy.interpolate import make_interp_spline
+
+from ssac.events import US_PER_S
+from ssac.files.hdf5 import save_events_h5
+from ssac.files.track_files import save_track
+from ssac.points import PointTrack
+from tests.answers import Recorded
+from tests.recorded import add_frames
+from tests.ssac.box import box_events
+from tests.ssac.cluttered import lamp, merged, noise, pixel_events
+from tests.ssac.crowds import mixed
+from tests.ssac.synthetic import HEIGHT, WIDTH, Array, Scene, make_events, make_scene
+from tests.ssac.tracks import FPS, frame_track, rig_document
+
+DURATION_S, T_D_S, SIZE_M = 5.0, 0.05, 0.4
+RATE_HZ = 10_000.0  # of events: the fewest that leave most kinds an answer
+DURATION_US = round(DURATION_S * US_PER_S)
+SCENE = make_scene(0, duration_s=DURATION_S)
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What cameras saw, and where they stand."""
+
+    cameras: tuple[Any, ...]  # events or a track, each
+    scenes: tuple[Scene, ...] = (SCENE,)  # camera 1 and each further camera
+    has_pose: bool = True  # in the rig
+    t_d_s: float | None = T_D_S  # of camera 2's frames; None: event cameras give none
+    options: dict[str, Any] = field(default_factory=dict)  # of `Recorded`
+
+
+def write(name: str, folder: Path) -> Recorded:
+    """Write a recording of RECORDINGS into a folder of its name."""
+    seen, folder = RECORDINGS[name](), folder / name
+    folder.mkdir(parents=True)
+    files = []
+    for number, camera in enumerate(seen.cameras, start=1):
+        if isinstance(camera, PointTrack):
+            files.append(folder / f"cam{number}.csv")
+            save_track(files[-1], camera)
+        else:
+            files.append(folder / f"cam{number}.h5")
+            save_events_h5(files[-1], camera, WIDTH, HEIGHT)
+            if seen.t_d_s is not None:
+                add_frames(files[-1], seen.t_d_s * (number - 1))
+    rig = folder / "rig.yaml"
+    rig.write_text(yaml.safe_dump(_rig(seen)))
+    return Recorded(name, tuple(map(str, files)), str(rig), **seen.options)
+
+
+def _rig(seen: Seen) -> dict[str, Any]:
+    """All cameras alike; each but the first says where it is, seen from the one before it."""
+    entry, rig, before = rig_document()["cam0"], dict[str, Any](), np.eye(4)
+    for k, scene in enumerate((None, *seen.scenes)):
+        rig[f"cam{k}"] = dict(entry)
+        if scene is not None and seen.has_pose:
+            T_k_1 = np.vstack([np.column_stack([scene.R, scene.t]), [0.0, 0.0, 0.0, 1.0]])
+            rig[f"cam{k}"]["T_cn_cnm1"] = (T_k_1 @ np.linalg.inv(before)).tolist()
+            before = T_k_1
+    return rig
+
+
+def _events(scene: Scene = SCENE, t_d_s: float = T_D_S, size_m: float = SIZE_M) -> list[Any]:
+    """Events of one object in two views."""
+    return list(make_events(scene, 0, t_d_s, RATE_HZ, size_m))
+
+
+def _moved(events: Any, clock: Callable[[Array], Array]) -> Any:
+    """Events of a clock that shows clock(t) [us] in place of t."""
+    moved = events.copy()
+    moved["t"] = np.rint(clock(events["t"].astype(np.float64)))
+    return moved
+
+
+def _along(path: Callable[[Array], list[Array]], scene: Scene = SCENE) -> Scene:
+    """Give the scene with a path of one's own [m] about the place that both cameras look at."""
+    times_s = np.linspace(-1.0, scene.duration_s + 1.0, 200)
+    x, y, z = np.broadcast_arrays(*path(times_s))
+    return replace(scene, path=make_interp_spline(times_s, np.column_stack([x, y, z + 5.0]), k=5))
+
+
+def _tracks(
+    scene: Scene = SCENE, t_d_s: float = T_D_S, rate: float = 1.0, readout_s: float = 0.0
+) -> list[PointTrack]:
+    """Two frame cameras' tracks of one flight."""
+    return [
+        frame_track(scene, 1, FPS[0], 0.0, 1.0, readout_s, 1),
+        frame_track(scene, 2, FPS[1], t_d_s, rate, 0.0, 2),
+    ]
+
+
+def _crowd(*seeds: int, duration_s: float = DURATION_S) -> tuple[Any, ...]:
+    """Events of several flights, the first one twice as dense as the others."""
+    flights = []
+    for k, seed in enumerate(seeds):
+        rate_hz = RATE_HZ if k == 0 else 0.5 * RATE_HZ
+        scene = make_scene(seed, duration_s=duration_s)
+        flights.append(make_events(scene, seed, T_D_S, rate_hz, SIZE_M))
+    return tuple(mixed(*streams)[0] for streams in zip(*flights, strict=True))
+
+
+LONG = make_scene(1, duration_s=12.0)
+REST = _along(lambda t: [0.3 + 0.0 * t, 0.2, 0.1])
+
+
+# --- Events ---------------------------------------------------------------------------------------
+
+
+def ordinary() -> Seen:
+    return Seen(tuple(_events()))
+
+
+def box() -> Seen:
+    return Seen(tuple(box_events(SCENE, 0, rate_hz=RATE_HZ)))
+
+
+def without_pose() -> Seen:
+    return Seen(tuple(_events()), has_pose=False)
+
+
+def known_extrinsics() -> Seen:
+    return Seen(tuple(_events()), options={"known_extrinsics": True})
+
+
+def without_frames() -> Seen:
+    return Seen(tuple(_events()), t_d_s=None)
+
+
+def no_denoise() -> Seen:
+    return Seen(tuple(_events()), options={"config": {"denoise": False}})
+
+
+def skewed_clock() -> Seen:
+    one, other = _events()
+    return Seen((one, _moved(other, lambda t: (1.0 + 60e-6) * t)))
+
+
+def pieces() -> Seen:
+    return Seen(tuple(_events()), options={"config": {"clock": "pieces"}})
+
+
+def clock_jump() -> Seen:
+    one, other = _events()
+    half_us = 0.5 * DURATION_S * US_PER_S
+    return Seen((one, _moved(other, lambda t: t + 20_000.0 * (t > half_us))))
+
+
+def rounded_events() -> Seen:
+    return Seen(tuple(_moved(one, lambda t: t // 1000 * 1000) for one in _events()))
+
+
+def far_apart() -> Seen:
+    return Seen(tuple(_events(t_d_s=1000.0)), t_d_s=1000.0)
+
+
+def interval() -> Seen:
+    return Seen(tuple(_events()), options={"config": {"interval_s": (-0.3, 0.4)}})
+
+
+def interval_without_common_time() -> Seen:
+    options = {"config": {"interval_s": (-1.5, 1.5)}}
+    return Seen(tuple(_events(t_d_s=1000.0)), t_d_s=1000.0, options=options)
+
+
+def default_interval_said() -> Seen:
+    options = {"config": {"interval_s": (-1.0, 1.0)}}
+    return Seen(tuple(_events(t_d_s=1000.0)), t_d_s=1000.0, options=options)
+
+
+def events_all_offsets() -> Seen:
+    return Seen(tuple(_events()), options={"search_all": True})
+
+
+def events_at_rest() -> Seen:
+    return Seen(tuple(_events(REST)))
+
+
+def noise_alone() -> Seen:
+    return Seen(tuple(noise(WIDTH, HEIGHT, 1.0, DURATION_US // 5, seed) for seed in (0, 1)))
+
+
+def copied() -> Seen:
+    one, _ = _events()
+    return Seen((one, _moved(one, lambda t: t + 1000.0)))
+
+
+def straight_line() -> Seen:
+    path = _along(lambda t: [1.2 * np.sin(2.0 * t), 0.5 * np.sin(2.0 * t), 0.0])
+    return Seen(tuple(_events(path)))
+
+
+def circle() -> Seen:
+    return Seen(tuple(_events(_along(lambda t: [np.cos(3.0 * t), np.sin(3.0 * t), 0.0]))))
+
+
+def tiny() -> Seen:
+    return Seen(tuple(_events(size_m=0.06)))
+
+
+def noisy() -> Seen:
+    seen = zip(_events(), (0, 1), strict=True)
+    return Seen(tuple(merged(one, noise(WIDTH, HEIGHT, 0.2, DURATION_US, k)) for one, k in seen))
+
+
+def lamps() -> Seen:
+    places = ((150, 100), (190, 140))
+    return Seen(
+        tuple(
+            merged(one, lamp(x, y, 6, DURATION_US), pixel_events(x + 30, y, 9000, DURATION_US))
+            for one, (x, y) in zip(_events(), places, strict=True)
+        )
+    )
+
+
+def two_drones() -> Seen:
+    return Seen(_crowd(4, 5), (make_scene(4),))
+
+
+def people() -> Seen:
+    return Seen(_crowd(4, 5, 6, duration_s=3.0), (make_scene(4),))
+
+
+# --- Tracks ---------------------------------------------------------------------------------------
+
+
+def tracks() -> Seen:
+    return Seen(tuple(_tracks(LONG)), (LONG,))
+
+
+def tracks_far_apart() -> Seen:
+    return Seen(tuple(_tracks(LONG, 7.3)), (LONG,))
+
+
+def tracks_in_an_interval() -> Seen:
+    return Seen(tuple(_tracks(LONG)), (LONG,), options={"config": {"interval_s": (-0.5, 0.6)}})
+
+
+def rounded_tracks() -> Seen:
+    cut = (replace(one, times_s=np.floor(100.0 * one.times_s) / 100.0) for one in _tracks(LONG))
+    return Seen(tuple(cut), (LONG,))
+
+
+def wandering_clock() -> Seen:
+    one, other = _tracks(LONG, 0.3)
+    wandered_s = other.times_s + 0.012 * np.sin(2.0 * np.pi * other.times_s / LONG.duration_s)
+    return Seen((one, replace(other, times_s=wandered_s)), (LONG,))
+
+
+def tracks_of_3_s() -> Seen:
+    scene = make_scene(2, duration_s=3.0)
+    return Seen(tuple(_tracks(scene)), (scene,))
+
+
+def tracks_of_4_s() -> Seen:
+    scene = make_scene(2, duration_s=4.0)
+    return Seen(tuple(_tracks(scene)), (scene,))
+
+
+def tracks_at_rest() -> Seen:
+    return Seen(tuple(_tracks(REST)))
+
+
+def frame_rate() -> Seen:
+    return Seen(tuple(_tracks(LONG, 3.0, 0.71)), (LONG,), options={"rate_range": (0.68, 0.74)})
+
+
+def readout() -> Seen:
+    seen = _tracks(LONG, readout_s=0.03)
+    return Seen(tuple(seen), (LONG,), options={"estimate_readout": True})
+
+
+def event_camera_and_track() -> Seen:
+    return Seen((_events(t_d_s=0.0)[0], _tracks()[1]))
+
+
+# --- Three cameras --------------------------------------------------------------------------------
+
+
+def _round(seed: int) -> tuple[Scene, Scene]:
+    """One flight and where cameras 2 and 3 stand."""
+    first, second = (make_scene(seed, angle, 4.0) for angle in (50.0, 110.0))
+    return first, second
+
+
+def _three(seed: int) -> list[Any]:
+    """Events of one flight in three views."""
+    first, second = _round(seed)
+    one, two = make_events(first, seed, T_D_S, RATE_HZ, SIZE_M)
+    return [one, two, make_events(second, seed, -0.1, 0.96 * RATE_HZ, SIZE_M)[1]]
+
+
+def three_cameras() -> Seen:
+    return Seen(tuple(_three(4)), _round(4))
+
+
+def three_cameras_two_drones() -> Seen:
+    both = zip(_three(4), _three(5), strict=True)
+    return Seen(tuple(mixed(*one)[0] for one in both), _round(4))
+
+
+def three_mixed() -> Seen:
+    one, two, _ = _three(4)
+    return Seen((one, two, frame_track(_round(4)[1], 2, 25.0, 0.2)), _round(4))
+
+
+RECORDINGS: dict[str, Callable[[], Seen]] = {
+    recording.__name__: recording
+    for recording in (
+        ordinary, box, without_pose, known_extrinsics, without_frames, no_denoise, skewed_clock,
+        pieces, clock_jump, rounded_events, far_apart, interval, interval_without_common_time,
+        default_interval_said, events_all_offsets, events_at_rest, noise_alone, copied,
+        straight_line, circle, tiny, noisy, lamps, two_drones, people, tracks, tracks_far_apart,
+        tracks_in_an_interval, rounded_tracks, wandering_clock, tracks_of_3_s, tracks_of_4_s,
+        tracks_at_rest, frame_rate, readout, event_camera_and_track, three_cameras,
+        three_cameras_two_drones, three_mixed,
+    )
+}  # fmt: skip
