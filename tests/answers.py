@@ -48,6 +48,12 @@ class Recorded:
     def __hash__(self) -> int:
         return hash(self.name)
 
+    @property
+    def fields(self) -> dict[str, Any]:
+        """Of `Config`."""
+        search = {"search": "all"} if self.search_all else {}
+        return {**self.config, **search, "rates": self.rate_range}
+
     def of(self, pair: Pair) -> list[str]:
         """Files of two of the cameras."""
         return [self.files[k] for k in pair]
@@ -63,22 +69,24 @@ class Recorded:
 
 
 def by_python(recorded: Recorded, method: str, pair: Pair = FIRST_TWO) -> Estimate:
-    """Call the function that does all that the command line does."""
+    """Call `ssac.sync`; in a tree that has none yet, the function that the command line called."""
+    files, cameras = recorded.of(pair), (pair[0] + 1, pair[1] + 1)
+    known, readout = recorded.known_extrinsics, recorded.estimate_readout
     try:
         from ssac import sync
-    except ImportError:  # up to the commit that made one call of all
-        from ssac.tool.sync import sync
+    except ImportError:
+        from ssac.tool.sync import sync as sync_files
+
+        config = Config(**recorded.config) if recorded.config else None
+        everywhere = recorded.search_all or None
+        return sync_files(
+            *files, recorded.rig, method, known, config, cameras=cameras, search_all=everywhere,
+            rate_range=recorded.rate_range, estimate_readout=readout,
+        ).estimate  # fmt: skip
     return sync(
-        *recorded.of(pair),
-        recorded.rig,
-        method=method,
-        known_extrinsics=recorded.known_extrinsics,
-        config=Config(**recorded.config) if recorded.config else None,
-        cameras=(pair[0] + 1, pair[1] + 1),
-        search_all=recorded.search_all or None,
-        rate_range=recorded.rate_range,
-        estimate_readout=recorded.estimate_readout,
-    ).estimate
+        *files, recorded.rig, method, known_extrinsics=known, cameras=cameras,
+        estimate_readout=readout, **recorded.fields,
+    ).estimate  # fmt: skip
 
 
 _OPTIONS = {"skew_prior_ppm": "--skew-prior", "clock": "--clock", "n_samples": "--n-samples"}
@@ -114,13 +122,13 @@ def by_function(recorded: Recorded, method: str) -> Estimate:
     import ssac
 
     chosen = _chosen(recorded, method)
-    return getattr(ssac, chosen.replace("-", "_"))(*_seen(recorded), Config(**recorded.config))
+    return getattr(ssac, chosen.replace("-", "_"))(*_seen(recorded), Config(**recorded.fields))
 
 
 def by_study(recorded: Recorded, method: str) -> Estimate:
     """Ask the chain that every row of a study comes from."""
-    cell, shared = _of_study(recorded, method)
-    return shared.chain(cell.t_d_s, cell.estimator).estimate(cell.method)
+    cell, chain = _of_study(recorded, method)
+    return chain.under(cell.estimator).delayed(cell.t_d_s).estimate(cell.method)
 
 
 def row_by_study(recorded: Recorded, method: str) -> dict[str, Any]:
@@ -141,26 +149,23 @@ def row_of(fields: dict[str, Any], recorded: Recorded, method: str) -> dict[str,
 
     if "error" in fields:
         return {"error": " ".join(fields["error"].split())}
-    cell, shared = _of_study(recorded, method)
-    n_cam1, n_cam2 = shared.n_events
-    row = _scored(Estimate(**{**fields, "jump": None, "start": None}), cell, shared.rig)
+    cell, chain = _of_study(recorded, method)
+    n_cam1, n_cam2 = (chain.clean(k).n_recorded for k in range(2))
+    truth = chain.rig.pair(0, 1)
+    row = _scored(Estimate(**{**fields, "jump": None, "start": None}), cell, truth)
     return plain(replace(row, n_events_cam1=n_cam1, n_events_cam2=n_cam2))
 
 
 def by_network(recorded: Recorded, method: str) -> dict[Pair, Estimate]:
     """Synchronise all cameras at once: the estimate of each pair."""
-    from ssac.tool.many import sync_all
+    from ssac import sync
 
-    config = Config(**recorded.config) if recorded.config else None
-    paths = [Path(file) for file in recorded.files]
-    found = sync_all(
-        paths, Path(recorded.rig), method, config, search_all=recorded.search_all or None
-    )
-    return {pair: result.estimate for pair, result in found.pairs.items()}
+    found = sync([*recorded.files], recorded.rig, None, method, **recorded.fields)
+    return {pair: answer.estimate for pair, answer in found.pairs.items()}
 
 
 def _chosen(recorded: Recorded, method: str) -> str:
-    from ssac.tool.registry import choose_method
+    from ssac.pipeline.registry import choose_method
 
     return choose_method(method, recorded.known_extrinsics).name
 
@@ -177,21 +182,19 @@ def _seen(recorded: Recorded) -> tuple[Observation, Observation, Rig]:
             frame_times_s = None if times_us is None else times_us / US_PER_S
             cameras.append(Observation(load_events(file).events, images, frame_times_s))
     if recorded.estimate_readout:
-        from ssac.tool.load import to_be_read_out
+        from ssac.camera import to_be_read_out
 
-        rig = to_be_read_out(rig, *cameras)
+        rig = Rig(to_be_read_out(rig.cam1), to_be_read_out(rig.cam2), rig.T_2_1)
     return cameras[0], cameras[1], rig
 
 
 @cache
 def _shared(recorded: Recorded) -> Any:
     """What the cells of one recording share, as `scored.load_recorded` gives it."""
-    from experiments.run.scored import Recorded as Shared
-    from ssac.track.observation import prepare
+    from ssac import Chain
 
     cam1, cam2, rig = _seen(recorded)
-    n_events = len(cam1.events), len(cam2.events)
-    return Shared(*prepare(cam1, cam2, rig, Config(**recorded.config)), rig, n_events)
+    return Chain((cam1, cam2), rig)
 
 
 def _of_study(recorded: Recorded, method: str) -> Any:
@@ -199,7 +202,7 @@ def _of_study(recorded: Recorded, method: str) -> Any:
     from experiments.run.grid import Cell
     from sim.recording import SimConfig
 
-    chosen, config = _chosen(recorded, method), Config(**recorded.config)
+    chosen, config = _chosen(recorded, method), Config(**recorded.fields)
     cell = Cell(SimConfig(), 0, 0, 0.0, config, chosen, {"sim.t_d_s": 0.0})
     return cell, _shared(recorded)
 
@@ -293,7 +296,10 @@ def main() -> None:
     if not Path(sys.modules["ssac"].__file__ or "").is_relative_to(tree):
         sys.exit(f"{sys.modules['ssac'].__file__} is not of {tree}")
     warnings.simplefilter("ignore")
-    from ssac.tool.registry import OURS
+    try:
+        from ssac.pipeline.registry import OURS
+    except ImportError:  # of a tree without the one pipeline
+        from ssac.tool.registry import OURS
 
     answers = {}
     for one in json.loads(recorded_file.read_text(encoding="utf-8")):

@@ -118,7 +118,10 @@ def lags_of(config: Config, bin_s: float) -> NDArray[np.int64]:
 def correlation_estimate(method: str, lags_s: Array, curve: Array) -> Estimate:
     """Choose the lag of highest correlation; status "no_common_signal" when there is none."""
     if not np.isfinite(curve).any():
-        reason = "at no lag in the interval do both signals overlap by half and vary"
+        reason = (
+            "at no lag in the interval do both signals overlap by half and vary: check that both"
+            " cameras recorded at a time, and search where they did (--search)"
+        )
         return Estimate(method, Status.NO_COMMON_SIGNAL, reason, candidates_s=lags_s, costs=-curve)
     best = int(np.nanargmax(curve))
     return Estimate(method, t_d_s=float(lags_s[best]), candidates_s=lags_s, costs=-curve)

@@ -211,6 +211,7 @@ class Chain:
         if method.input is Input.FRAMES:
             seen = [_as_it_is(self._framed(k, method), self.rig.cameras[k]) for k in places]
             pair = _Pair(method, places, (seen[0], seen[1]), method.rig_of(rig), config)
+            _check_two(self.name(i), self.name(j), *pair.cleans)
             return self._told(pair, self._run(pair))
         pair = _Pair(method, places, (self.clean(i), self.clean(j)), method.rig_of(rig), config)
         _check_two(self.name(i), self.name(j), *pair.cleans)
