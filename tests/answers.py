@@ -52,10 +52,10 @@ class Recorded:
         """Files of two of the cameras."""
         return [self.files[k] for k in pair]
 
-    def without_paths(self, text: str, pair: Pair) -> str:
+    def without_paths(self, text: str) -> str:
         """Name cameras and rig as a caller without files knows them."""
-        for name, path in zip(("camera 1", "camera 2"), self.of(pair), strict=True):
-            text = text.replace(path, name)
+        for number, path in enumerate(self.files, start=1):
+            text = text.replace(path, f"camera {number}")
         return text.replace(self.rig, "the rig")
 
 
@@ -212,7 +212,7 @@ def answered(way: Callable[..., Any], recorded: Recorded, method: str, *more: An
     try:
         return fields_of(way(recorded, method, *more))
     except SsacError as error:
-        return {"error": recorded.without_paths(str(error), more[0] if more else FIRST_TWO)}
+        return {"error": recorded.without_paths(str(error))}
 
 
 def fields_of(value: Any) -> Any:
