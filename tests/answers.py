@@ -15,6 +15,7 @@ from functools import cache
 from itertools import combinations
 from pathlib import Path
 from typing import Any, NamedTuple
+from unittest.mock import patch
 
 import numpy as np
 
@@ -147,16 +148,25 @@ def row_of(fields: dict[str, Any], recorded: Recorded, method: str) -> dict[str,
     return plain(replace(row, n_events_cam1=n_cam1, n_events_cam2=n_cam2))
 
 
+class _Paired(Exception):  # noqa: N818 - no error
+    """What all pairs gave, before it is solved."""
+
+
 def by_network(recorded: Recorded, method: str) -> dict[Pair, Estimate]:
-    """Synchronise all cameras at once: the estimate of each pair."""
+    """Synchronise all cameras at once: the estimate of each pair, which are not solved then."""
     from ssac.tool.many import sync_all
 
+    def paired(paths: Any, pairs: Any, *more: Any) -> None:
+        raise _Paired(pairs)
+
     config = Config(**recorded.config) if recorded.config else None
-    paths = [Path(file) for file in recorded.files]
-    found = sync_all(
-        paths, Path(recorded.rig), method, config, search_all=recorded.search_all or None
-    )
-    return {pair: result.estimate for pair, result in found.pairs.items()}
+    paths, everywhere = [Path(file) for file in recorded.files], recorded.search_all or None
+    try:
+        with patch("ssac.tool.many.solve_pairs", paired):
+            sync_all(paths, Path(recorded.rig), method, config, search_all=everywhere)
+    except _Paired as found:
+        return {pair: result.estimate for pair, result in found.args[0].items()}
+    raise AssertionError("sync_all did not solve what the pairs gave")
 
 
 def _chosen(recorded: Recorded, method: str) -> str:
