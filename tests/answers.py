@@ -15,6 +15,7 @@ from functools import cache
 from itertools import combinations
 from pathlib import Path
 from typing import Any, NamedTuple
+from unittest.mock import patch
 
 import numpy as np
 
@@ -58,10 +59,10 @@ class Recorded:
         """Files of two of the cameras."""
         return [self.files[k] for k in pair]
 
-    def without_paths(self, text: str, pair: Pair) -> str:
+    def without_paths(self, text: str) -> str:
         """Name cameras and rig as a caller without files knows them."""
-        for name, path in zip(("camera 1", "camera 2"), self.of(pair), strict=True):
-            text = text.replace(path, name)
+        for number, path in enumerate(self.files, start=1):
+            text = text.replace(path, f"camera {number}")
         return text.replace(self.rig, "the rig")
 
 
@@ -156,12 +157,23 @@ def row_of(fields: dict[str, Any], recorded: Recorded, method: str) -> dict[str,
     return plain(replace(row, n_events_cam1=n_cam1, n_events_cam2=n_cam2))
 
 
+class _Paired(Exception):  # noqa: N818 - no error
+    """What all pairs gave, before it is solved."""
+
+
 def by_network(recorded: Recorded, method: str) -> dict[Pair, Estimate]:
-    """Synchronise all cameras at once: the estimate of each pair."""
+    """Synchronise all cameras at once: the estimate of each pair, which are not solved then."""
     from ssac import sync
 
-    found = sync([*recorded.files], recorded.rig, None, method, **recorded.fields)
-    return {pair: answer.estimate for pair, answer in found.pairs.items()}
+    def paired(chain: Any, pairs: Any, *more: Any) -> None:
+        raise _Paired(pairs)
+
+    try:
+        with patch("ssac.pipeline.many.solve_pairs", paired):
+            sync([*recorded.files], recorded.rig, None, method, **recorded.fields)
+    except _Paired as found:
+        return {pair: answer.estimate for pair, answer in found.args[0].items()}
+    raise AssertionError("sync did not solve what the pairs gave")
 
 
 def _chosen(recorded: Recorded, method: str) -> str:
@@ -215,7 +227,7 @@ def answered(way: Callable[..., Any], recorded: Recorded, method: str, *more: An
     try:
         return fields_of(way(recorded, method, *more))
     except SsacError as error:
-        return {"error": recorded.without_paths(str(error), more[0] if more else FIRST_TWO)}
+        return {"error": recorded.without_paths(str(error))}
 
 
 def fields_of(value: Any) -> Any:

@@ -22,7 +22,7 @@ from tests.ssac.synthetic import HEIGHT, WIDTH, Array, Scene, make_events, make_
 from tests.ssac.tracks import FPS, frame_track, rig_document
 
 DURATION_S, T_D_S, SIZE_M = 5.0, 0.05, 0.4
-RATE_HZ = 10_000.0  # of events: the fewest that leave most kinds an answer
+RATE_HZ = 8_000.0  # of events: the fewest that leave most kinds an answer
 DURATION_US = round(DURATION_S * US_PER_S)
 SCENE = make_scene(0, duration_s=DURATION_S)
 
@@ -108,7 +108,7 @@ def _crowd(*seeds: int, duration_s: float = DURATION_S) -> tuple[Any, ...]:
     return tuple(mixed(*streams)[0] for streams in zip(*flights, strict=True))
 
 
-LONG = make_scene(1, duration_s=12.0)
+LONG = make_scene(1, duration_s=8.0)
 REST = _along(lambda t: [0.3 + 0.0 * t, 0.2, 0.1])
 
 
@@ -120,7 +120,7 @@ def ordinary() -> Seen:
 
 
 def box() -> Seen:
-    return Seen(tuple(box_events(SCENE, 0, rate_hz=RATE_HZ)))
+    return Seen(tuple(box_events(SCENE, 0, SIZE_M, rate_hz=RATE_HZ)))
 
 
 def without_pose() -> Seen:
@@ -208,7 +208,7 @@ def tiny() -> Seen:
 
 def noisy() -> Seen:
     seen = zip(_events(), (0, 1), strict=True)
-    return Seen(tuple(merged(one, noise(WIDTH, HEIGHT, 0.2, DURATION_US, k)) for one, k in seen))
+    return Seen(tuple(merged(one, noise(WIDTH, HEIGHT, 0.1, DURATION_US, k)) for one, k in seen))
 
 
 def lamps() -> Seen:
@@ -226,7 +226,7 @@ def two_drones() -> Seen:
 
 
 def people() -> Seen:
-    return Seen(_crowd(4, 5, 6, duration_s=3.0), (make_scene(4),))
+    return Seen(_crowd(4, 5, 6, duration_s=2.0), (make_scene(4),))
 
 
 # --- Tracks ---------------------------------------------------------------------------------------
@@ -270,7 +270,7 @@ def tracks_at_rest() -> Seen:
 
 
 def frame_rate() -> Seen:
-    return Seen(tuple(_tracks(LONG, 3.0, 0.71)), (LONG,), options={"rate_range": (0.68, 0.74)})
+    return Seen(tuple(_tracks(LONG, 3.0, 0.71)), (LONG,), options={"rate_range": (0.705, 0.715)})
 
 
 def readout() -> Seen:
