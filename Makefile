@@ -121,23 +121,24 @@ endif
 	@PYTHON='$(PYTHON)' sh -euc "$$SETUP" </dev/null
 	@pwd -P >$@
 
-# True where something can be rendered: OSMesa (pyglet, inside pyrender, loads EGL even then), or an EGL
-# that really opens a display without a screen, as drivers are found only at run time.
-define GL_WORKS
+# Prints what renders: osmesa (pyglet, inside pyrender, loads EGL even then), or egl where it really
+# opens a display without a screen, as drivers are found only at run time.
+define GL_BACKEND
 import ctypes, sys
 from ctypes.util import find_library
 egl = find_library("EGL")
 if not (egl and find_library("GL")):
-    sys.exit(1)
+    sys.exit()
 if find_library("OSMesa"):
-    sys.exit(0)
+    sys.exit(print("osmesa"))
 EGL_PLATFORM_SURFACELESS_MESA = 0x31DD
 lib = ctypes.CDLL(egl)
 lib.eglGetPlatformDisplay.restype = ctypes.c_void_p
 lib.eglGetPlatformDisplay.argtypes = [ctypes.c_uint, ctypes.c_void_p, ctypes.c_void_p]
 lib.eglInitialize.argtypes = [ctypes.c_void_p] * 3
 display = lib.eglGetPlatformDisplay(EGL_PLATFORM_SURFACELESS_MESA, None, None)
-sys.exit(not (display and lib.eglInitialize(display, None, None)))
+if display and lib.eglInitialize(display, None, None):
+    print("egl")
 endef
 
 define SETUP
@@ -151,7 +152,12 @@ apt() { $$as_root env DEBIAN_FRONTEND=noninteractive apt-get -qq -o DPkg::Lock::
 apt_works() { command -v apt-get >/dev/null && apt --version >/dev/null 2>&1; }
 apt_has_lists() { ls /var/lib/apt/lists/*_Packages* >/dev/null 2>&1; }
 apt_knows() { apt-cache show "$$1" >/dev/null 2>&1; }
-apt_install() { apt install --no-install-recommends "$$@"; }
+apt_install() { apt install --no-install-recommends --no-remove "$$@"; }
+apt_offers() { apt-get -qq --simulate --no-remove install "$$1" >/dev/null 2>&1; }
+add_packages() {
+    echo "make setup: installing" "$$@" "(apt)" >&2
+    apt_install "$$@" >/dev/null 2>&1 || log=$$(apt update 2>&1 && apt_install "$$@" 2>&1)
+}
 
 # Python: in PATH, whatever is called python3 comes first, as it is what the user means.
 supported='import sys; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 13))'
@@ -164,18 +170,19 @@ find_python() {
     python=
 }
 has_venv() { "$$python" -c 'import ensurepip, venv' >/dev/null 2>&1; }
-has_opengl() { "$$python" -c "$$GL_WORKS" >/dev/null 2>&1; }
+gl_backend() { "$$python" -c "$$GL_BACKEND" 2>/dev/null || true; }
 find_python
 
 # What the system lacks. Debian and Ubuntu ship Python's venv apart; some have a second, older Python.
-packages=
+packages= gl=
 if [ -n "$$python" ]; then
     has_venv || packages=$$("$$python" -c 'import sys; print("python%d.%d-venv" % sys.version_info[:2])')
+    gl=$$(gl_backend)
 fi
-if [ -z "$$python" ] || ! has_opengl; then
-    if apt_works && ! apt_has_lists; then apt update; fi
+if [ "$$gl" != osmesa ] && apt_works && ! apt_has_lists; then apt update >/dev/null 2>&1 || true; fi
+if [ -z "$$gl" ]; then
     # Mesa 25.1 dropped OSMesa, so the newest systems have no libosmesa6: EGL does it there.
-    if apt_knows libosmesa6; then opengl=libosmesa6; else opengl="libegl-mesa0 libgl1-mesa-dri"; fi
+    if apt_offers libosmesa6; then opengl=libosmesa6; else opengl="libegl-mesa0 libgl1-mesa-dri"; fi
     packages="$$packages libegl1 libgl1 $$opengl"
 fi
 if [ -z "$$python" ]; then
@@ -192,13 +199,15 @@ if [ -z "$$python" ]; then
 fi
 if [ -n "$$packages" ]; then
     apt_works || fail "the system lacks some packages, and neither root nor sudo is at hand: apt-get install" $$packages
-    echo "make setup: installing" $$packages "(apt)" >&2
-    apt_install $$packages >/dev/null 2>&1 ||
-        log=$$(apt update 2>&1 && apt_install $$packages 2>&1) || fail "apt failed: $$log"
+    add_packages $$packages || fail "apt failed: $$log"
     [ -n "$$python" ] || find_python
 fi
 has_venv || fail "$$python has no working venv and ensurepip"
-has_opengl || fail "OpenGL opens neither through OSMesa nor through EGL"
+# Everybody's recordings are checked by the same OpenGL where that is possible; EGL does it as well.
+if [ "$$gl" = egl ] && apt_works && apt_offers libosmesa6; then add_packages libosmesa6 || true; fi
+gl=$$(gl_backend)
+[ -n "$$gl" ] || fail "OpenGL opens neither through OSMesa nor through EGL"
+[ "$$gl" = osmesa ] || echo "make setup: rendering with EGL, as OSMesa is not here (apt-get install libosmesa6, as root, where the system offers it)" >&2
 
 # The virtual environment, the pins, and this project itself (editable: its source stays here). What
 # was added to .venv by hand survives a change of the pins.
@@ -211,4 +220,4 @@ pip --no-build-isolation --editable .
 echo "make setup: compiling kernels" >&2
 .venv/bin/python -m experiments.run.warm_up
 endef
-export GL_WORKS SETUP
+export GL_BACKEND SETUP

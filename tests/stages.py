@@ -140,7 +140,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
             "albl",
         ),
         "plot": ("style", "plot_data", "plots"),
-        "console": ("exits", "options", "event_options", "command_line"),
+        "console": ("exits", "options", "event_options", "progress", "command_line"),
         "convert": (
             "events_as_track",
             "drone_tracking",

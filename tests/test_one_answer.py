@@ -1,12 +1,11 @@
 """One answer, whichever way it is asked for: the same bits for every recording and method.
 
-All ways are compared with the Python call. What differs today is marked with the reason, and each
-mark goes with the step that cures it.
+All ways are compared with the Python call.
 """
 
 from collections.abc import Callable, Iterator
 from itertools import combinations
-from typing import Any, NamedTuple
+from typing import Any
 
 import pytest
 from threadpoolctl import threadpool_limits
@@ -104,12 +103,6 @@ def cases() -> Iterator[Any]:
             yield pytest.param(way, name, id=f"{way}-{name}")
 
 
-<<<<<<< HEAD
-@pytest.mark.parametrize(("way", "name"), cases())
+@pytest.mark.parametrize(("way", "name"), list(cases()))
 def test_one_answer(way, name, answers):
     assert different(way, answers, name, METHODS) == []
-=======
-@pytest.mark.parametrize(("way", "name", "methods"), list(cases()))
-def test_one_answer(way, name, methods, answers):
-    assert different(way, answers, name, methods) == []
->>>>>>> b1388a7432bdabce3a226c755cbb95ab2e834e88

@@ -5,7 +5,6 @@ begun, and one that is claimed elsewhere comes last, when its rows are in the ca
 """
 
 import math
-import sys
 import time
 from collections import Counter, deque
 from collections.abc import Iterator, Sequence, Sized
@@ -15,7 +14,6 @@ from functools import partial
 from pathlib import Path
 
 import pandas as pd
-from tqdm import tqdm
 
 from experiments.run.cache import Cache
 from experiments.run.scored import SCORED
@@ -36,6 +34,7 @@ from experiments.workers.claim import ASK_AGAIN_S, claimed
 from experiments.workers.cluster import Cluster
 from experiments.workers.crew import Alone, Crew, DiedError, Job
 from experiments.workers.processes import Processes, n_cores
+from ssac.console.progress import progress, say
 from ssac.errors import WriteError
 from ssac.files.whole_file import check_folder
 
@@ -89,7 +88,7 @@ def run_cells(
     workers
         One process for each core when None.
     label
-        Of the progress bar on stderr.
+        Of the progress on stderr.
     show_progress
     measure
         What is measured of the cells: by default, how a method errs.
@@ -121,19 +120,23 @@ def run_cells(
     left.sort(key=lambda index: (-tasks[index].cost_s, index))
     n_simulated, peak_mb = 0, 0.0
     work = _Work(tasks, cache, measure)
-    disable = None if show_progress and left else True  # None: unless stderr is no terminal
-    bar = tqdm(total=len(left), desc=label, disable=disable)
+    bar = progress(len(left), label, is_shown=show_progress)
     if left:
         check_folder(cache.folder)
-    with _resumable(found, tasks, cache), bar, cache.tidied(), _crew(workers, len(left)) as crew:
-        for index, done in _spread(work, left, crew):
+    with (
+        _resumable(found, tasks, cache),
+        bar as advance,
+        cache.tidied(),
+        _crew(workers, len(left)) as crew,
+    ):
+        for n_done, (index, done) in enumerate(_spread(work, left, crew), 1):
             found[index] = done.rows
             for key, row in zip(keys[index], done.rows, strict=True):
                 if row["status"] != CRASHED:
                     cache.save_run(key, row)  # a worker elsewhere has a folder of its own
             n_simulated += done.n_simulated
             peak_mb = max(peak_mb, done.peak_mb)
-            bar.update()
+            advance(n_done)
     runs = _frame(cells, tasks, found, measure)
     return Outcome(runs, len(left), n_simulated, peak_mb, work.deaths.total())
 
@@ -144,7 +147,7 @@ def _resumable(found: Sized, tasks: Sized, cache: Cache) -> Iterator[None]:
     try:
         yield
     except (KeyboardInterrupt, SystemExit, WriteError):
-        _say(
+        say(
             f"stopped: {len(found)} of {len(tasks)} recordings are done and kept in {cache.folder};"
             " the same command goes on from there"
         )
@@ -192,7 +195,7 @@ def _spread(work: _Work, left: Sequence[int], crew: Crew) -> Iterator[tuple[int,
         wait_s = later[0][0] - now_s if later and crew.has_room() else None
         if not n_given:
             if not has_said:
-                _say(f"waiting for what another run is on: {len(later)} recordings")
+                say(f"waiting for what another run is on: {len(later)} recordings")
                 has_said = True
             time.sleep(wait_s or 0.0)
             continue
@@ -203,7 +206,7 @@ def _spread(work: _Work, left: Sequence[int], crew: Crew) -> Iterator[tuple[int,
             if isinstance(error, DiedError):
                 work.deaths[index] += 1
                 is_last = work.deaths[index] == MAX_DEATHS
-                _say(f"a worker {error} on {_name(work.tasks[index])}, which is "
+                say(f"a worker {error} on {_name(work.tasks[index])}, which is "
                      f"{'given up' if is_last else 'run again by a new one'}")  # fmt: skip
                 if not is_last:
                     ready.append(index)  # behind the others: what was too much may fit then
@@ -235,11 +238,6 @@ def _name(task: Task) -> str:
     flights = (f"{sim.spline.duration_s:g} s at {sim.angle_deg:g} deg with seed {seed}"
                for sim, seed in task.recordings)  # fmt: skip
     return "the flight of " + " and ".join(flights)
-
-
-def _say(line: str) -> None:
-    """Say something on stderr, above the bar."""
-    tqdm.write(line, file=sys.stderr)
 
 
 def _frame(

@@ -15,26 +15,29 @@ from experiments.run.task import Task, run_task
 from sim.recording import SimConfig
 from sim.sensor.events import PRESETS
 from ssac.config import Config
+from ssac.console.progress import progress
 from ssac.pipeline.registry import OURS
 
 
 def warm_up_tasks() -> list[Task]:
-    """Short flights, with every kind of noise and without, through all methods of ours."""
+    """Short flights, with every kind of noise and without, each through one method of ours."""
     spline = replace(SimConfig().spline, duration_s=2.0)
     estimator = Config(interval_s=(-0.1, 0.1))
-    tasks = []
+    tasks: list[Task] = []
     for sensor in PRESETS.values():
         sim = SimConfig(spline=spline, sensor=sensor)
-        cells = tuple(Cell(sim, 0, 0, 0.0, estimator, method.name, {}) for method in OURS)
-        tasks.append(Task(cells))
+        cells = (Cell(sim, 0, 0, 0.0, estimator, method.name, {}) for method in OURS)
+        tasks.extend(Task((cell,)) for cell in cells)
     return tasks
 
 
 def main() -> None:
     """Run them in a folder of their own."""
-    with tempfile.TemporaryDirectory() as folder:
-        for task in warm_up_tasks():
+    tasks = warm_up_tasks()
+    with tempfile.TemporaryDirectory() as folder, progress(len(tasks), "kernels") as advance:
+        for n_done, task in enumerate(tasks, 1):
             run_task(task, Cache(Path(folder)), SCORED)
+            advance(n_done)
 
 
 if __name__ == "__main__":

@@ -2,14 +2,13 @@
 
 from pathlib import Path
 
-from tqdm import tqdm
-
 from experiments.run.provenance import plain, versions
 from sim.disturb.config import DisturbConfig
 from sim.disturb.record import record_disturbed
 from sim.recorded import Flight
 from sim.recording import SimConfig
 from sim.storage import Recorded, record
+from ssac.console.progress import progress
 
 MAX_SEED = 2**32 - 1
 
@@ -21,15 +20,12 @@ def record_with_progress(
     text: bool = False,
     disturb: DisturbConfig | None = None,
 ) -> Recorded:
-    """Simulate into a folder, with a progress bar where stderr is a terminal."""
+    """Simulate into a folder, and show on stderr how far it is."""
     provenance = {"config": plain(config), "seed": seed, "versions": versions()}
-    # The delay keeps the bar from appearing before a line about bad input, and `disable=None` where
-    # stderr is no terminal.
-    style = "{l_bar}{bar}| {remaining} left"
-    with tqdm(total=100, desc="simulating", bar_format=style, delay=0.5, disable=None) as bar:
+    with progress(100, "simulating", is_brief=True) as advance:  # no bar before bad input is found
 
         def show(share: float) -> None:
-            bar.update(round(100 * share) - bar.n)
+            advance(round(100 * share))
 
         if disturb is None or disturb.is_none:
             return record(config, seed, out_dir, provenance, text, show)

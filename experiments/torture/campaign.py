@@ -6,7 +6,6 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from tqdm import tqdm
 
 from experiments.run.cache import Cache, run_key
 from experiments.torture.case import MAX_S, Ended, Forked, outcome
@@ -14,6 +13,7 @@ from experiments.torture.mutations import OF_BYTES, OF_TEXT
 from experiments.torture.reliability import Case
 from experiments.torture.structure import restructured
 from experiments.torture.victims import Victim, victims
+from ssac.console.progress import progress
 
 CASES_PER_ENTRY = 100
 """Cases that are kept together: so many at most are lost when a campaign is stopped."""
@@ -41,10 +41,10 @@ def campaign(
         To work in.
     cache
     show_progress
-        On stderr, where it is a terminal.
+        On stderr.
     """
     whole = victims(folder / "whole")
-    with tqdm(total=n_cases, desc="torture", disable=None if show_progress else True) as bar:
+    with progress(n_cases, "torture", is_shown=show_progress) as advance:
         for first in range(0, n_cases, CASES_PER_ENTRY):
             numbers = range(first, min(first + CASES_PER_ENTRY, n_cases))
             key = run_key((), ("torture", seed, numbers.start, numbers.stop), _CODE)
@@ -54,7 +54,7 @@ def campaign(
                 row = {"cases": cases}
                 cache.save_run(key, row)
             yield from (Case(*case) for case in row["cases"])
-            bar.update(len(numbers))
+            advance(numbers.stop)
 
 
 def _case(victim: Victim, number: int, seed: int, folder: Path) -> Case:

@@ -7,7 +7,6 @@ are wrong. So each has its checksum, beside it or in it, and is held against it 
 import hashlib
 import json
 import os
-import sys
 from collections.abc import Collection
 from contextlib import suppress
 from pathlib import Path
@@ -15,8 +14,8 @@ from typing import Any
 
 import h5py
 import hdf5plugin  # noqa: F401  its import registers the codecs of recordings with h5py
-from tqdm import tqdm
 
+from ssac.console.progress import say
 from ssac.errors import SsacError
 from ssac.files.whole_file import whole_file
 
@@ -76,7 +75,7 @@ def set_aside(path: Path, cache: Path) -> None:
                 f"{one}: is damaged and cannot be moved aside ({error.strerror}): delete it"
             ) from error
         if one == path:
-            tqdm.write(f"{path} was damaged: moved to {aside}, and made again", file=sys.stderr)
+            say(f"{path} was damaged: moved to {aside}, and made again")
 
 
 def text_of_row(row: dict[str, Any]) -> str:

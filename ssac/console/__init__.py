@@ -1,1 +1,1 @@
-"""What all commands share: how they are found, their options' ranges, their exit codes."""
+"""What all commands share: how they are found, their options' ranges, progress, exit codes."""
