@@ -79,22 +79,23 @@ class Rig:
 
 @dataclass(frozen=True)
 class Cameras:
-    """Any number of cameras and, where they are known, the transforms from the first to each."""
+    """Any number of cameras and, where they are known, the transforms from each to the next."""
 
     cameras: tuple[Camera, ...]
-    T_k_1: tuple[NDArray[np.float64] | None, ...] = ()  # (4, 4) each, x_k = T_k_1 x1, [m]
+    steps: tuple[NDArray[np.float64] | None, ...] = ()  # (4, 4) each, x_next = T x, [m]
     name: str = "the rig"  # for messages: a file's path
 
     def __len__(self) -> int:
         return len(self.cameras)
 
     def pair(self, i: int, j: int) -> Rig:
-        """Give two of them, from 0 on, as cameras 1 and 2 of a rig."""
-        T_i_1, T_j_1 = (self.T_k_1[k] if self.T_k_1 else None for k in (i, j))
-        T_j_i = T_j_1
-        if i and T_j_1 is not None:
-            T_j_i = None if T_i_1 is None else np.asarray(T_j_1 @ np.linalg.inv(T_i_1))
-        return Rig(self.cameras[i], self.cameras[j], T_j_i)
+        """Give two of them, from 0 on and i before j, as cameras 1 and 2 of a rig."""
+        T = np.eye(4)
+        for step in self.steps[i:j] or (None,):
+            if step is None:
+                return Rig(self.cameras[i], self.cameras[j])
+            T = step @ T
+        return Rig(self.cameras[i], self.cameras[j], T)
 
 
 def with_deviations(

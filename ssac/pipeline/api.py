@@ -19,8 +19,7 @@ from ssac.pipeline.answer import Answer, Log, quiet
 from ssac.pipeline.chain import Chain
 from ssac.pipeline.known import NOTHING, Known
 from ssac.pipeline.opened import CameraInput, RigInput, config_of, opened, opened_rig
-from ssac.pipeline.registry import METHODS, EstimateFunction, Method, choose_method
-from ssac.pipeline.summaries import OF_TRACKS
+from ssac.pipeline.registry import METHODS, EstimateFunction, choose_method
 from ssac.search.two_views import TwoViews
 from ssac.track.observation import Observation
 
@@ -227,8 +226,11 @@ def sync(
                      reading)  # fmt: skip
     has_track = any(one.has_track for one in sources)
     chosen = choose_method(method, known_extrinsics, has_track)
-    if estimate_readout:
-        _check_readout(chosen, has_track)
+    if estimate_readout and not has_track:
+        raise SsacError(
+            "--estimate-readout: expected a track of a frame camera, got events only, which no "
+            "shutter reads out: leave it out"
+        )
     stated = tuple(
         to_be_read_out(model) if estimate_readout and source.has_track else model
         for model, source in zip(
@@ -288,19 +290,6 @@ def usable_events(
     """
     chain = Chain((cam1, cam2), rig, config)
     return chain.clean(0).events, chain.clean(1).events
-
-
-def _check_readout(method: Method, has_track: bool) -> None:
-    """Raise SsacError where a readout is to be estimated that cannot be."""
-    if not has_track:
-        raise SsacError(
-            "--estimate-readout: expected a track of a frame camera, got events only, which no "
-            "shutter reads out: leave it out"
-        )
-    if not method.finds_readout:
-        raise SsacError(
-            f"--estimate-readout: {method.name} takes shutters as the rig says: use {OF_TRACKS}"
-        )
 
 
 def _calls(name: str) -> EstimateFunction:

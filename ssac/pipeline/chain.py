@@ -410,7 +410,7 @@ class Chain:
 def _cameras_of(rig: Cameras | Rig) -> Cameras:
     if isinstance(rig, Cameras):
         return rig
-    return Cameras((rig.cam1, rig.cam2), (np.eye(4), rig.T_2_1))
+    return Cameras((rig.cam1, rig.cam2), (rig.T_2_1,))
 
 
 def _as_it_is(seen: Observation, camera: Camera) -> Clean:

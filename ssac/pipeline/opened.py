@@ -107,15 +107,13 @@ def opened_rig(rig: RigInput, n: int, numbers: tuple[int, int] | None = None) ->
         If it cannot be used, or is of fewer cameras.
     """
     if isinstance(rig, (str, Path)):
-        path = Path(rig)
-        if n == 2:
-            found = load_rig(path, numbers or (1, 2))
-            return Cameras((found.cam1, found.cam2), (np.eye(4), found.T_2_1), str(path))
-        rigs = [load_rig(path, (1, k)) for k in range(2, n + 1)]
+        path, (first, second) = Path(rig), numbers or (1, 2)
+        pairs = [(first, second)] if n == 2 else [(k, k + 1) for k in range(1, n)]
+        rigs = [load_rig(path, pair) for pair in pairs]
         cameras = rigs[0].cam1, *(one.cam2 for one in rigs)
-        return Cameras(cameras, (np.eye(4), *(one.T_2_1 for one in rigs)), str(path))
+        return Cameras(cameras, tuple(one.T_2_1 for one in rigs), str(path))
     if isinstance(rig, Rig):
-        rig = Cameras((rig.cam1, rig.cam2), (np.eye(4), rig.T_2_1))
+        rig = Cameras((rig.cam1, rig.cam2), (rig.T_2_1,))
     elif isinstance(rig, (list, tuple)) and all(isinstance(one, Camera) for one in rig):
         rig = Cameras(tuple(rig))
     if not isinstance(rig, Cameras):

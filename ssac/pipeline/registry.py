@@ -117,6 +117,9 @@ class Method:
                 f"{rig_name}: {self.name} needs the extrinsics (T_cn_cnm1 of cam1 in a Kalibr file,"
                 " R and T in OpenCV's): add them, or leave --known-extrinsics out"
             )
+        for (_, has_track), camera in zip(seen, (rig.cam1, rig.cam2), strict=True):
+            if has_track and camera.readout_std_s and not self.finds_readout:
+                return f"{self.name} takes shutters as the rig says (--estimate-readout): use {OF_TRACKS}"
         if (config.search == "all" or config.rates) and self.input is not Input.TRACKS:
             return (
                 f"{self.name} compares {self.input.value}, and all offsets are searched with the"
