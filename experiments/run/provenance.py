@@ -1,4 +1,4 @@
-"""What a result was made with: code, versions, GL backend, configuration."""
+"""What a result was made with: code, versions, processor, GL backend, configuration."""
 
 import json
 import platform
@@ -9,6 +9,8 @@ from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
+
+from llvmlite.binding import get_host_cpu_name
 
 from sim.render.gl_context import GLContext
 from ssac.files.whole_file import whole_file
@@ -84,6 +86,7 @@ def provenance(
         "command": command,
         "commit": code_commit(),
         "versions": versions(),
+        "processor": get_host_cpu_name(),  # as LLVM calls it: it decides the last digits
         "gl": plain(gl) if gl else None,
         "config": plain(config),
         "wall_time_s": round(wall_time_s, 1),

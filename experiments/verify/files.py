@@ -14,7 +14,7 @@ from experiments.bench.growth import COMMITTED, STEPS, points_of
 from experiments.bench.measurement import Measurement
 from experiments.paper.checksums import SUMS_FILE, read_checksums, sha256
 from experiments.real.pairs import PAIRS_FILE
-from experiments.run.provenance import plain, versions
+from experiments.run.provenance import versions
 from experiments.torture.reliability import CSV_FILE as RELIABILITY_FILE
 from experiments.torture.reliability import reliability_faults
 from experiments.verify.finding import Finding, found
@@ -75,11 +75,13 @@ def read_provenance(path: Path) -> list[dict[str, Any]]:
     return content["shards"] if content.get("command") == _MERGED else [content]
 
 
-def made_alike(path: Path) -> bool:
-    """Return whether a result was made with the versions and the OpenGL driver that are here."""
-    gl = context_or_none()
-    here = versions(), plain(gl) if gl else None
-    return all((one.get("versions"), one.get("gl")) == here for one in read_provenance(path))
+def same_driver(path: Path) -> bool:
+    """Return whether the OpenGL driver that drew a result is here; OSMesa and EGL draw alike."""
+    here = context_or_none()
+    drawn = [one.get("gl") or {} for one in read_provenance(path)]
+    return here is not None and all(
+        (gl.get("renderer"), gl.get("version")) == (here.renderer, here.version) for gl in drawn
+    )
 
 
 def _missing(results: Path, manifest: Manifest) -> tuple[str, ...]:

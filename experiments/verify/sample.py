@@ -1,7 +1,7 @@
 """A number in; recordings drawn from those of all tables and studies, with their runs, out."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from io import StringIO
 from pathlib import Path
 
@@ -16,6 +16,7 @@ from experiments.run.scored import SCORED
 from experiments.run.task import AnyCell, Measure, Task, tasks_of
 from experiments.studies.study import CELL, Study, numbered, save_csv
 from experiments.verify.files import read_text
+from ssac.errors import SsacError
 from ssac.pipeline.registry import OURS
 
 SLOW = ("fidelity",)
@@ -34,6 +35,12 @@ class Source:
     cells: Sequence[AnyCell]
     measure: Measure
     keys: tuple[str, ...]  # columns by which a row is found
+
+    @property
+    def measured(self) -> frozenset[str]:
+        """Columns that rounding reaches: the others hold counts, texts, and which run it is."""
+        measured = (field.name for field in fields(self.measure.row_type) if field.type is float)
+        return frozenset(measured)
 
     def rows_again(
         self, runs: pd.DataFrame, cells: Sequence[AnyCell], folder: Path
@@ -60,16 +67,33 @@ class Drawn:
     task: Task
 
 
-def sources_of(studies: Mapping[str, Study], slow: bool = False) -> list[Source]:
-    """List the tables, and the studies; those that are SLOW only if asked for."""
+def sources_of(
+    studies: Mapping[str, Study], slow: bool = False, only: str | None = None
+) -> list[Source]:
+    """List the tables, and the studies; those that are SLOW only if asked for.
+
+    Parameters
+    ----------
+    studies
+    slow
+    only
+        Name of the one to list: TABLES, or a study's.
+
+    Raises
+    ------
+    SsacError
+        If there is none of that name.
+    """
+    if only not in (None, TABLES, *studies):
+        raise SsacError(f"--only: expected {TABLES} or a study of {', '.join(studies)}, got {only}")
     ours = {method.name for method in OURS}  # another package may have added a method
     cells: list[Cell] = [cell for cell in table_cells() if cell.method in ours]
     sources = [Source(TABLES, RUNS_FILE, cells, SCORED, tuple(KEY))]
     for study in studies.values():
-        if slow or study.name not in SLOW:
+        if study.name == only or (only is None and (slow or study.name not in SLOW)):
             source = Source(study.name, study.runs_file, study.cells(), study.measure, (CELL,))
             sources.append(source)
-    return sources
+    return sources if only in (None, TABLES) else sources[1:]
 
 
 def draw(sources: Sequence[Source], n_recordings: int, seed: int) -> list[Drawn]:

@@ -33,7 +33,7 @@ from experiments.verify.files import file_findings
 from experiments.verify.finding import Finding, found
 from experiments.verify.manifest import campaigns, manifest_of
 from experiments.verify.recompute import recomputed
-from experiments.verify.sample import SLOW, draw, sources_of
+from experiments.verify.sample import SLOW, TABLES, draw, sources_of
 from ssac.console.options import number
 from ssac.errors import SsacError
 
@@ -64,11 +64,20 @@ def verify_command(
     slow: Annotated[
         bool, typer.Option("--slow", help=f"Draw from {', '.join(SLOW)}: minutes each.")
     ] = False,
+    only: Annotated[
+        str | None,
+        typer.Option(
+            help=f"Draw from this study alone, or from the {TABLES}.",
+            metavar="NAME",
+            show_default="all",
+        ),
+    ] = None,
     workers: WorkersOption = -1,
 ) -> None:
     """Check that the results are whole and follow from their runs; make some runs again."""
     if not results.is_dir():
         raise SsacError(f"{results}: no such folder: run `make tables studies figures bench` first")
+    sources = sources_of(ALL_STUDIES, slow, only)
     manifest = manifest_of(ALL_STUDIES, CAMPAIGNS)
     failed = _report(file_findings(results, manifest))
     failed += _report(table_findings(results))
@@ -80,8 +89,9 @@ def verify_command(
     if recordings:
         seed = secrets.randbelow(_SEEDS) if sample_seed is None else sample_seed
         options = f"--sample-seed {seed} --recordings {recordings}" + (" --slow" if slow else "")
+        options += f" --only {only}" if only else ""
         typer.echo(f"recordings drawn by: ssac verify {options}")
-        drawn = draw(sources_of(ALL_STUDIES, slow), recordings, seed)
+        drawn = draw(sources, recordings, seed)
         with tempfile.TemporaryDirectory(prefix="ssac-verify-") as folder:
             failed += _report(recomputed(drawn, results, Path(folder), Workers(workers)))
     typer.echo(f"{failed} of the checks above differ" if failed else "all of it as committed")

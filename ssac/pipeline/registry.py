@@ -119,7 +119,8 @@ class Method:
             )
         for (_, has_track), camera in zip(seen, (rig.cam1, rig.cam2), strict=True):
             if has_track and camera.readout_std_s and not self.finds_readout:
-                return f"{self.name} takes shutters as the rig says (--estimate-readout): use {OF_TRACKS}"
+                asked = "a readout is to be estimated (--estimate-readout)"
+                return f"{asked}, and {self.name} takes shutters as the rig says: use {OF_TRACKS}"
         if (config.search == "all" or config.rates) and self.input is not Input.TRACKS:
             return (
                 f"{self.name} compares {self.input.value}, and all offsets are searched with the"

@@ -42,3 +42,7 @@ def test_outside_git_it_is_unknown(tmp_path, monkeypatch):
     monkeypatch.setattr(provenance, "_ROOT", tmp_path)
     monkeypatch.setenv("GIT_CEILING_DIRECTORIES", str(tmp_path.parent))
     assert provenance.code_commit() == "unknown"
+
+
+def test_it_names_the_processor_which_decides_the_last_digits():
+    assert provenance.provenance("ssac tables", {}, 1.0, None)["processor"]

@@ -14,10 +14,26 @@ def delete(path: Path) -> None:
 
 def double_a_number(path: Path) -> None:
     """Double the last number that doubling changes."""
+    _scale_a_number(path, 2.0)
+
+
+def halve_a_number(path: Path) -> None:
+    """Halve the last number that halving changes."""
+    _scale_a_number(path, 0.5)
+
+
+def _scale_a_number(path: Path, factor: float) -> None:
     text = path.read_text(encoding="utf-8")
     last = [found for found in _NUMBER.finditer(text) if float(found.group()) != 0.0][-1]
-    doubled = f"{2.0 * float(last.group()):.6g}"
-    path.write_text(text[: last.start()] + doubled + text[last.end() :], encoding="utf-8")
+    scaled = f"{factor * float(last.group()):.6g}"
+    path.write_text(text[: last.start()] + scaled + text[last.end() :], encoding="utf-8")
+
+
+def change_a_status(path: Path) -> None:
+    """Let the last run that is "ok" have no match."""
+    before, ok, after = path.read_text(encoding="utf-8").rpartition(",ok,")
+    assert ok
+    path.write_text(f"{before},no_match,{after}", encoding="utf-8")
 
 
 def swap_two_rows(path: Path) -> None:

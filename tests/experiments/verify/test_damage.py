@@ -14,7 +14,14 @@ from experiments.verify.files import file_findings
 from experiments.verify.finding import Finding
 from experiments.verify.manifest import Manifest, manifest_of
 from tests.experiments.verify.conftest import STUDIES
-from tests.experiments.verify.damage import damages_of, delete, double_a_number, swap_two_rows
+from tests.experiments.verify.damage import (
+    change_a_status,
+    damages_of,
+    delete,
+    double_a_number,
+    halve_a_number,
+    swap_two_rows,
+)
 
 RESULTS = Path(__file__).resolve().parents[3] / "results"
 
@@ -50,7 +57,7 @@ def test_every_damage_to_any_file_is_found(results: Path, manifest: Manifest) ->
     assert not faulty(file_findings(results, manifest))
 
 
-@pytest.mark.parametrize("damage", [delete, double_a_number, swap_two_rows])
+@pytest.mark.parametrize("damage", [delete, double_a_number, halve_a_number, swap_two_rows])
 @pytest.mark.parametrize(
     "name",
     ["runs.csv", "esim_10.csv", "esim_20.csv", "comparison.csv", "comparison_summary.csv",
@@ -64,6 +71,11 @@ def test_checksums_made_anew_do_not_hide_it(results: Path, name: str, damage) ->
     record_checksums(results, [path for path in results.rglob("*") if path.is_file()])
     squares = name.startswith("squares")
     assert faulty(study_findings(results, STUDIES) if squares else table_findings(results))
+
+
+def test_a_changed_status_is_no_longer_what_the_tables_follow_from(results: Path) -> None:
+    change_a_status(results / "runs.csv")
+    assert any(name.startswith("esim_") for name in faulty(table_findings(results)))
 
 
 def test_another_picture_is_found_though_its_checksum_is_right(results: Path) -> None:
