@@ -65,7 +65,11 @@ def unusable(
     interval_s
         Least and largest offset searched; None for any.
     """
-    too_few = [_too_few(*one, views.config) for one in enumerate(cleans, start=1)]
+    too_few = [
+        _too_few(number, clean, views.config)
+        for number, (clean, view) in enumerate(zip(cleans, views.views, strict=True), start=1)
+        if view is None  # else there are windows that hold enough
+    ]
     apart = None if interval_s is None else _no_common_time(cleans, interval_s)
     return first(at_rest(views.views), apart, *too_few)
 
