@@ -40,10 +40,12 @@ def known_of(
         )
     if lever_arm_m is not None and rtk is None:
         raise SsacError("--lever-arm: is of RTK's antenna: give --rtk too, or leave it out")
-    from ssac.compare.frame import check_rtk, load_positions  # with it all that compares paths
-
     if positions is not None:
+        from ssac.compare.frame import load_positions  # and with it all that compares paths
+
         load_positions(positions)
     if rtk is not None:
+        from ssac.compare.frame import check_rtk
+
         check_rtk(rtk, lever_arm_m)
     return Known(distance_m, positions, rtk, lever_arm_m)
