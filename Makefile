@@ -217,6 +217,8 @@ echo "make setup: installing Python packages into .venv ($$(.venv/bin/python --v
 pip() { .venv/bin/python -m pip install --quiet --disable-pip-version-check --no-input --no-deps "$$@"; }
 pip -r requirements.txt
 pip --no-build-isolation --editable .
+# Here, since containers often forbid Python to keep what it compiled: each command would do it again.
+.venv/bin/python -m compileall -q ssac sim experiments
 echo "make setup: compiling kernels" >&2
 .venv/bin/python -m experiments.run.warm_up
 endef

@@ -2,7 +2,7 @@
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import correlate, correlation_lags
+from scipy.fft import irfft, next_fast_len, rfft
 
 from ssac.baselines.correlation import Signal, correlation_estimate, counted, lags_of
 from ssac.config import Config
@@ -35,10 +35,17 @@ def event_rate_of_events(one: Observation, other: Observation, config: Config) -
     power = float(np.linalg.norm(rate1) * np.linalg.norm(rate2))
     curve: NDArray[np.float64] = np.full(len(lags), np.nan)
     if power > 0.0:
-        products = np.asarray(correlate(rate2, rate1, method="fft"), dtype=np.float64) / power
-        shifts = correlation_lags(len(rate2), len(rate1)) + signal2.first_bin - signal1.first_bin
+        products = _correlated(rate2, rate1) / power
+        shifts = np.arange(len(products)) + 1 - len(rate1) + signal2.first_bin - signal1.first_bin
         curve = np.interp(lags, shifts, products, left=np.nan, right=np.nan)
     return correlation_estimate("event_rate", BIN_S * lags.astype(np.float64), curve)
+
+
+def _correlated(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Correlate a with b at shifts from 1 - len(b) to len(a) - 1, as scipy.signal does."""
+    n = len(a) + len(b) - 1
+    n_fast = next_fast_len(n, real=True)
+    return np.asarray(irfft(rfft(a, n_fast) * rfft(b[::-1], n_fast), n_fast)[:n], np.float64)
 
 
 def _centred(signal: Signal) -> NDArray[np.float64]:

@@ -30,7 +30,6 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
-import faery
 import numpy as np
 from numpy.typing import NDArray
 
@@ -140,10 +139,7 @@ def write_synced(path: Path | str, cam2: EventFile, clock: Clock) -> None:
 def _load_makers_file(path: Path, reading: Reading) -> EventFile:
     """Read a camera maker's format through faery."""
     refuse_damaged(path, _signs(path), reading)
-    blocks, size_px = _decoded(path, reading)
-    # Both dtypes have the fields t, x, y, p of 8, 2, 2 and 1 bytes in this order.
-    events = np.concatenate([np.empty(0, faery.EVENTS_DTYPE), *blocks]).view(EVENT_DTYPE)
-    file = checked_file(events, size_px, path, reading)
+    file = checked_file(*_decoded(path, reading), path, reading)
     if path.suffix.lower() == ".es" and file.events["t"][0] == 0:
         warnings.warn(
             f"{path} starts at time 0: whoever wrote it may have subtracted its first timestamp, "
@@ -155,23 +151,27 @@ def _load_makers_file(path: Path, reading: Reading) -> EventFile:
 
 def _decoded(
     path: Path, reading: Reading
-) -> tuple[list[NDArray[Any]], tuple[int | None, int | None]]:
-    """Blocks of events of faery's dtype, and the sensor's size; fewer where that is allowed."""
-    blocks: list[NDArray[Any]] = []
+) -> tuple[NDArray[np.void], tuple[int | None, int | None]]:
+    """Events, and the sensor's size; fewer of them where that is allowed."""
+    import faery  # here, as it takes long: other formats do without it
+
+    blocks: list[NDArray[Any]] = [np.empty(0, faery.EVENTS_DTYPE)]
     with _net(path), silenced():
         stream = faery.events_stream_from_file(path, dimensions_fallback=UNKNOWN_SIZE)
         width, height = stream.dimensions()
         try:
             blocks.extend(stream)
         except BaseException as error:  # the library's panics are no Exception
-            if not blocks or not reading.allow_damaged or isinstance(error, _ENDS):
+            if len(blocks) == 1 or not reading.allow_damaged or isinstance(error, _ENDS):
                 raise
             n_read = sum(map(len, blocks))
             warnings.warn(
                 f"{path} can be read no further than its first {n_read} events ({brief(error)})",
                 stacklevel=4,
             )
-    return blocks, (None, None) if (width, height) == UNKNOWN_SIZE else (width, height)
+    # Both dtypes have the fields t, x, y, p of 8, 2, 2 and 1 bytes in this order.
+    events = np.concatenate(blocks).view(EVENT_DTYPE)
+    return events, (None, None) if (width, height) == UNKNOWN_SIZE else (width, height)
 
 
 def _net(path: Path) -> AbstractContextManager[None]:
@@ -190,6 +190,8 @@ def _signs(path: Path) -> list[str]:
 
 def _evt_version(path: Path) -> str:
     """Version in a RAW file's header; SsacError without one that faery can decode."""
+    import faery
+
     with _net(path), silenced(), faery.evt.Decoder(path, UNKNOWN_SIZE, None) as decoder:
         version = str(decoder.version)
     if version not in ("evt2", "evt3"):

@@ -11,7 +11,6 @@ import csv
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from ssac.errors import SsacError
@@ -150,6 +149,8 @@ def _read_table(
     path: Path, separator: str, columns: list[str], has_header: bool, in_seconds: bool
 ) -> NDArray[np.void]:
     """Events of a table of numbers; times in seconds are rounded to whole microseconds."""
+    import pandas as pd  # here, as it takes long: other formats do without it
+
     blocks: list[NDArray[np.void]] = [np.empty(0, EVENT_DTYPE)]
     try:
         with (

@@ -8,7 +8,6 @@ import csv
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 
 from ssac.errors import SsacError
 from ssac.files.net import check_is_file, readable
@@ -40,6 +39,8 @@ def load_track(path: Path | str) -> PointTrack:
         If the file is missing, its first line does not name the columns, or a row is not of
         numbers. The message names the file.
     """
+    import pandas as pd  # here, as it takes long: recordings of events do without it
+
     path = Path(path)
     check_is_file(path)
     check_text(path)

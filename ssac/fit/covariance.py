@@ -260,16 +260,20 @@ def _fading(lags_s: Array, time_s: float) -> Array:
     return np.exp(-lags_s / time_s) if time_s > 0.0 else np.where(lags_s > 0.0, 0.0, 1.0)
 
 
-@numba.njit(cache=True)
 def _least_squares_positive(A: Array, b: Array) -> Array:
-    """Solve min |A x - b| with x >= 0, for few unknowns: the best of all sets that may be zero.
+    """Solve min |A x - b| with x >= 0, for few unknowns.
 
     Rows and columns are first scaled, as A is symmetric, to a diagonal of ones.
     """
-    n = len(b)
     diagonal = np.diag(A)
     scales = np.sqrt(np.maximum(diagonal, 1e-12 * max(np.max(diagonal), 1e-300)))
-    scaled, target = A / np.outer(scales, scales), b / scales
+    return np.asarray(_best_positive(A / np.outer(scales, scales), b / scales) / scales)
+
+
+@numba.njit(cache=True)
+def _best_positive(scaled: Array, target: Array) -> Array:
+    """Give the x >= 0 (n,) with the least |scaled x - target| of all sets that may be zero."""
+    n = len(target)
     best, least = np.zeros(n), np.sum(target**2)
     for chosen in range(1, 1 << n):  # a bit for each unknown
         columns = np.array([k for k in range(n) if chosen >> k & 1])
@@ -279,4 +283,4 @@ def _least_squares_positive(A: Array, b: Array) -> Array:
         if np.all(found >= 0.0) and error < least:
             best, least = np.zeros(n), error
             best[columns] = found
-    return np.asarray(best / scales)
+    return best

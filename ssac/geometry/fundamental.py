@@ -25,6 +25,7 @@ MIN_PAIRS = 15
 
 _POLISH_ITERATIONS = 8
 _MAGSAC_THRESHOLD_PX = 1.0
+_NOT_YET = np.zeros((3, 3))  # an F
 _TWO_COORDINATES = ((0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2))  # of (u, v, 1)
 
 
@@ -60,8 +61,7 @@ def reweighted_fundamental(p1_px: Matrix, p2_px: Matrix) -> Matrix:
     x1, x2, T1, T2 = _normalised(p1_px, p2_px)
     if not (x1.any() or x2.any()):  # an object at rest
         return np.full((3, 3), np.nan)
-    F = _eight_point(x1, x2, np.ones(len(p1_px)))
-    return np.asarray(T2.T @ _reweighted(x1, x2, F) @ T1)
+    return np.asarray(T2.T @ _reweighted(x1, x2, _NOT_YET) @ T1)
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -71,7 +71,7 @@ def median_after_fit(p1_px: Matrix, p2_px: Matrix, iterations: int) -> float:
     As `reweighted_fundamental`, in fewer iterations, for loops that are compiled.
     """
     x1, x2, T1, _ = _normalised(p1_px, p2_px)
-    F = _reweighted(x1, x2, _eight_point(x1, x2, np.ones(x1.shape[1])), iterations)
+    F = _reweighted(x1, x2, np.zeros((3, 3)), iterations)
     squares, _ = sampson(F, x1, x2)
     median_px: float = np.sqrt(np.median(squares)) / T1[0, 0]
     return median_px
@@ -88,7 +88,7 @@ def second_best(p1_px: Matrix, p2_px: Matrix) -> float:
     x1, x2, _, _ = _normalised(p1_px, p2_px)
     if not (x1.any() or x2.any()):
         return 1.0
-    F = _reweighted(x1, x2, _eight_point(x1, x2, np.ones(len(p1_px))))
+    F = _reweighted(x1, x2, _NOT_YET)
     squares, squared_norms = sampson(F, x1, x2)
     scale = TO_DEVIATION * np.sqrt(np.median(squares)) + 1e-15
     weights = 1.0 / (squared_norms * (1.0 + squares / (CAUCHY * scale) ** 2))
@@ -155,7 +155,12 @@ def _normalised(p1_px: Matrix, p2_px: Matrix) -> tuple[Matrix, Matrix, Matrix, M
 
 @numba.njit(cache=True, error_model="numpy")
 def _reweighted(x1: Matrix, x2: Matrix, F: Matrix, iterations: int = _POLISH_ITERATIONS) -> Matrix:
-    """Iterate the weighted eight-point fit with Sampson and Cauchy weights, starting from F."""
+    """Iterate the weighted eight-point fit with Sampson and Cauchy weights, starting from F.
+
+    An F of zeros stands for the fit that weighs all pairs alike.
+    """
+    if not F.any():
+        F = _eight_point(x1, x2, np.ones(x1.shape[1]))
     for _ in range(iterations):
         squares, squared_norms = sampson(F, x1, x2)
         scale = TO_DEVIATION * np.sqrt(np.median(squares)) + 1e-15

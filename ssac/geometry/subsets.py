@@ -53,7 +53,7 @@ def best_subset(x1: Matrix, x2: Matrix, uniform: Matrix) -> Matrix:
             # A count tells whether the median would be a new best; few need the median itself.
             if _solve_null_vector(system, F) and _has_smaller_median(best_median, F, x1, x2):
                 squares, _ = sampson(F, x1, x2)
-                best_median = np.partition(squares, middle)[middle]
+                best_median = np.sort(squares)[middle]
                 best_F[:] = F
     return best_F
 

@@ -95,7 +95,8 @@ def blobs_in_bins(
             row_of = np.empty(N_COLUMNS)
             row_of[0], row_of[1], row_of[2] = own[0], mean_x, mean_y
             row_of[3] = np.sqrt(max(spread, 0.0))
-            row_of[4:] = own[5:9]
+            for c in range(4, N_COLUMNS):
+                row_of[c] = own[c + 1]
             bins.append(np.int64(b))
             found.append(row_of)
             at_still.append(touches[label])
@@ -109,7 +110,8 @@ def blobs_in_bins(
             of_cell[row, column] = -1
     table = np.empty((len(found), N_COLUMNS))
     for k in range(len(found)):
-        table[k] = found[k]
+        for c in range(N_COLUMNS):
+            table[k, c] = found[k][c]
     return np.array(bins, np.int64), table, np.array(at_still, np.bool_)
 
 

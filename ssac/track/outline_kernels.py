@@ -74,7 +74,10 @@ def outermost_from_course(
     out = np.empty(len(times_us))
     n = len(bounds) - 1
     tops, at = np.full((2, n, depth), -np.inf), np.zeros((2, n, depth), np.intp)
-    points = np.empty(2 * np.max(np.diff(bounds)))  # of a block
+    longest = 0
+    for i in range(n):
+        longest = max(longest, bounds[i + 1] - bounds[i])
+    points = np.empty(2 * longest)  # of a block
     for i in range(n):
         line = _course_of_block(edges_us, course, i)
         first, last = bounds[i], bounds[i + 1]
