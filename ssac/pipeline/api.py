@@ -1,7 +1,7 @@
 """One call from recordings to clocks and poses, for scripts, notebooks and the command line."""
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
@@ -243,16 +243,11 @@ def sync(
     if not of_two:
         from ssac.pipeline.many import network
 
-        return network(chain, None if method is None else chosen, known)
+        found = network(chain, None if method is None else chosen, known)
+        _warn_of_rounding((chain.name(k), chain.clean(k)) for k in range(len(chain)))
+        return found
     result = Result(chain.answer(chosen))
-    for name, clean in zip(result.answer.names, result.answer.cleans, strict=True):
-        step_s = quantum_s(clean)
-        if step_s:
-            warnings.warn(
-                f"{name}: all times are whole {1e3 * step_s:g} ms: whoever wrote it rounded them,"
-                " and by so much the offset may be off; its deviation is widened",
-                stacklevel=2,
-            )
+    _warn_of_rounding(zip(result.answer.names, result.answer.cleans, strict=True))
     return result
 
 
@@ -290,6 +285,18 @@ def usable_events(
     """
     chain = Chain((cam1, cam2), rig, config)
     return chain.clean(0).events, chain.clean(1).events
+
+
+def _warn_of_rounding(recorded: Iterable[tuple[str, Observation]]) -> None:
+    """Warn of recordings, each with its name, whose times somebody rounded."""
+    for name, seen in recorded:
+        step_s = quantum_s(seen)
+        if step_s:
+            warnings.warn(
+                f"{name}: all times are whole {1e3 * step_s:g} ms: whoever wrote it"
+                " rounded them, and by so much the offset may be off; its deviation is widened",
+                stacklevel=3,
+            )
 
 
 def _calls(name: str) -> EstimateFunction:

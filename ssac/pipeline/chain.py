@@ -11,6 +11,7 @@ common to methods, offsets, pairs and parameters is found once.
 import sys
 import time
 from collections.abc import Callable, Hashable, Sequence
+from contextlib import AbstractContextManager
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cache
@@ -202,7 +203,7 @@ class Chain:
         config = self.config.resolved(has_track)
         key = "answer", chosen, i, j, self.config
         chosen.load()
-        with _blas("scipy.linalg" in sys.modules).limit(limits=1):
+        with one_thread():
             return self._once(key, lambda: self._answered(chosen, (i, j), config))
 
     def _answered(self, method: Method, places: tuple[int, int], config: Config) -> Answer:
@@ -470,11 +471,17 @@ def _progress(log: Log) -> Callable[[float], None]:
     return report
 
 
+def one_thread() -> AbstractContextManager[Any]:
+    """Keep BLAS from threads: matrices are so small that these only wait."""
+    limited: AbstractContextManager[Any] = _blas("scipy.linalg" in sys.modules).limit(limits=1)
+    return limited
+
+
 @cache
 def _blas(has_scipy: bool) -> ThreadpoolController:
-    """Give the control of BLAS's threads: matrices are so small that these only wait.
+    """Give the control of BLAS's threads; anew when SciPy has brought a BLAS of its own.
 
-    Made anew when SciPy brings a BLAS of its own, as looking for them takes some milliseconds.
+    Looking for them takes some milliseconds.
     """
     del has_scipy
     return ThreadpoolController()

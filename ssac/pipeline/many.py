@@ -22,7 +22,7 @@ from ssac.network.solve import NetworkAnswer, link_of, solve_network
 from ssac.path.tum import write_path
 from ssac.pipeline.answer import Answer, Log, Stopwatch
 from ssac.pipeline.api import Result, html_of
-from ssac.pipeline.chain import Chain
+from ssac.pipeline.chain import Chain, one_thread
 from ssac.pipeline.known import NOTHING, Known
 from ssac.pipeline.registry import Method
 from ssac.points import PointTrack
@@ -99,7 +99,7 @@ def network(chain: Chain, method: Method | None = None, known: Known = NOTHING) 
         with watch.part(f"{a + 1}-{b + 1}") as say:
             pairs[a, b] = chain.answer(method, a, b)
             say(_told(pairs[a, b]))
-    with watch.part("network") as say:
+    with watch.part("network") as say, one_thread():
         answer = solve_pairs(chain, pairs, known.distance_m)
         answer, ground = grounded(answer, known)
         say(", ".join(f"{camera.name} {camera.status}" for camera in answer.cameras))
@@ -122,7 +122,11 @@ def solve_pairs(
     distance_m
         Between the first two cameras [m]; None: the unit of lengths.
     """
-    seen = [_sightings(chain, k, pairs) for k in range(len(chain))]
+    seen = []
+    for k in range(len(chain)):
+        with chain.watch.part("follow") as say:
+            seen.append(_sightings(chain, k, pairs))
+            say(f"{chain.name(k)}: {len(seen[-1])} positions")
     links = dict[Pair, Link]()
     for pair, answer in pairs.items():
         of_events = not any(seen[k].has_frames for k in pair)
