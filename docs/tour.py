@@ -41,12 +41,12 @@ from experiments.run.bridge import observations, rig_of
 cam1, cam2 = observations(recording)
 rig = rig_of(recording)  # intrinsics only
 result = ssac.sync(cam1, cam2, rig)  # or the names of three files
+print("status", result.status)
 print(result.summary())
 
 # %% [markdown]
-# The deviations, "1 sigma", say how far the numbers are to be trusted; where they are not to be
-# trusted at all, `result.status` is no longer "ok". As this recording was simulated we can see for
-# ourselves: `score` sets an estimate beside the truth.
+# The status says whether the numbers are to be trusted, and the deviations, "1 sigma", how far. As
+# this recording was simulated we can see for ourselves: `score` sets an estimate beside the truth.
 
 # %%
 from experiments.run.score import score
