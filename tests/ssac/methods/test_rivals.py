@@ -10,13 +10,12 @@ from ssac import (
     Observation,
     Status,
     joint,
-    joint_from,
     joint_known,
-    prepare,
     ssac,
-    tangency_from,
     two_views,
 )
+from ssac.methods.joint import joint_from
+from ssac.methods.tangency import tangency_from
 from tests.ssac.methods.test_refusal import (
     CLEAN,
     DURATION_S,
@@ -99,5 +98,5 @@ def test_time_out_of_view_is_no_motion():
         seen_then = ((times_s > 1.0) & (times_s < 1.7)) | ((times_s > 10.0) & (times_s < 10.7))
         cameras.append(Observation(events[seen_then]))
     config = Config(interval_s=(T_D_S - 0.25, T_D_S + 0.25), denoise=False)
-    estimate = ssac(*prepare(*cameras, scene.rig, config), scene.rig, config)
+    estimate = ssac(*cameras, scene.rig, config)
     assert estimate.status == Status.TOO_LITTLE_MOTION
