@@ -131,5 +131,5 @@ def test_the_motion_without_the_line_goes_where_the_motion_goes():
         assert np.array_equal(motion.bare.times_us, bare.times_us + 250_000)
         assert motion.bare.half_window_s == motion.half_window_s == config.half_window_s
         assert motion.bare.n_min == motion.n_min
-        again = motion_of(replace(late, kept={}), config.windows)
+        again = motion_of(replace(late), config.windows)
         assert np.array_equal(again.bare.border_sums, motion.bare.border_sums)
