@@ -104,8 +104,10 @@ def test_the_same_pixel_all_the_time_is_refused(method):
     events = np.zeros(200_000, EVENT_DTYPE)
     events["t"] = np.arange(len(events)) * 40
     events["x"], events["y"] = 100, 80
-    camera = Observation(events)
-    estimate = method(camera, camera, scene_of(at_rest).rig, CLEAN)
+    elsewhere = events.copy()
+    elsewhere["x"] = 120
+    cameras = Observation(events), Observation(elsewhere)
+    estimate = method(*cameras, scene_of(at_rest).rig, CLEAN)
     assert estimate.status in ("no_motion", "too_few_samples")
 
 
