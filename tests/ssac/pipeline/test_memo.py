@@ -1,4 +1,4 @@
-"""What is common to methods, offsets and parameters is found once, and the answers stay the same."""
+"""What methods, offsets and parameters have in common is found once, and answers stay the same."""
 
 from collections import Counter
 from dataclasses import dataclass, fields, replace

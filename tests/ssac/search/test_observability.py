@@ -100,9 +100,7 @@ def test_rest_is_measured_in_sizes_of_the_object():
 
 def refusal_of(*cameras, interval_s=(-1.0, 1.0), config=None):
     """Why two cameras' events are of no use to a search."""
-    cleans = tuple(
-        one if isinstance(one, Clean) else denoised(one) for one in cameras
-    )
+    cleans = tuple(one if isinstance(one, Clean) else denoised(one) for one in cameras)
     return unusable(views_of(*cleans, SCENE.rig, config or Config()), cleans, interval_s)
 
 

@@ -181,7 +181,7 @@ def test_what_cannot_be_used_is_refused_by_the_name_it_has(raw):
     backwards = replace(raw, events=raw.events[::-1])
     with pytest.raises(SsacError, match="camera 2: events must be sorted"):
         clean(backwards, CAMERA, HOW, "camera 2")
-    with pytest.raises(SsacError, match="left.h5: events must be sorted"):
+    with pytest.raises(SsacError, match=r"left\.h5: events must be sorted"):
         clean(replace(backwards, name="left.h5"), CAMERA, HOW, "camera 2")
 
 
