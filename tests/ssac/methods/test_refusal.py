@@ -91,8 +91,10 @@ def periodic(times_s: np.ndarray, period_s: float = 0.8) -> np.ndarray:
 
 
 @pytest.mark.parametrize("method", ALL)
-def test_an_object_at_rest_is_refused(method):
-    estimate = answer(method, scene_of(at_rest))
+@pytest.mark.parametrize("config", [CLEAN, replace(CLEAN, search="all")], ids=["near", "all"])
+def test_an_object_at_rest_is_refused(method, config):
+    """Bug: where all offsets were searched, it was said to be no match."""
+    estimate = answer(method, scene_of(at_rest), config)
     assert estimate.status == "no_motion"
     assert "at rest" in estimate.reason
     assert np.isnan(estimate.t_d_s)
@@ -204,6 +206,16 @@ def test_without_common_time_there_is_no_answer(method):
     cam1, cam2 = seen(scene)
     estimate = method(cam1, cam2.delayed(100.0), scene.rig, NEAR)
     assert estimate.status == "no_common_time"
+
+
+@pytest.mark.parametrize("method", [joint, joint_known])
+def test_clocks_far_apart_are_no_obstacle_where_no_interval_is_given(method):
+    """Bug: only the command line searched all offsets then."""
+    scene = make_scene(0, duration_s=DURATION_S)
+    cam1, cam2 = seen(scene)
+    estimate = method(cam1, cam2.delayed(100.0), scene.rig, CLEAN)
+    assert estimate.status == "ok"
+    assert estimate.t_d_s == pytest.approx(100.0 + T_D_S, abs=5 * estimate.t_d_std_s)
 
 
 @pytest.mark.parametrize("method", FREE)
