@@ -88,7 +88,7 @@ def _cleaned(seen: Sequence[Observation], rig: Cameras) -> list[Clean]:
 
 def _viewed(left: Sequence[Clean], rig: Cameras, config: Config) -> TwoViews:
     """Sum up both views, of events of which nothing was summed up before."""
-    one, other = (replace(camera, kept={}) for camera in left)
+    one, other = (replace(camera) for camera in left)
     return views_of(one, other, rig.pair(0, 1), config)
 
 

@@ -395,7 +395,9 @@ class Chain:
 
     def _views(self, cleans: tuple[Clean, Clean], rig: Rig, config: Config) -> TwoViews:
         whose = tuple(id(one) for one in cleans)
-        return self._once(("views", whose, config), lambda: views_of(*cleans, rig, config), cleans)
+        key = "views", whose, config.windows, config.offsets_s
+        views = self._once(key, lambda: views_of(*cleans, rig, config), cleans)
+        return views if views.config == config else replace(views, config=config)
 
     def _once(self, key: Hashable, make: Callable[[], Found], of: object = None) -> Found:
         """Find something once; what its key names by `id` is kept with it."""

@@ -164,7 +164,6 @@ def _only(seen: Clean, objects: Objects, numbers: set[int]) -> Clean:
         on_line=None,
         gaps_us=_gaps_us(objects.start_us, pieces),
         used=ObjectsUsed(objects.n_seen, float(np.mean(chosen))),
-        kept={},
     )
 
 

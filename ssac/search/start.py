@@ -165,7 +165,7 @@ def at_rate(cam2: Clean, rate: float, anchor_s: float) -> Clean:
         anchor_us = anchor_s * US_PER_S
         events["t"] = np.rint(anchor_us + (events["t"] - anchor_us) / rate).astype(np.int64)
         gaps_us = np.rint(anchor_us + (gaps_us - anchor_us) / rate).astype(np.int64)
-    return replace(cam2, events=events, track=track, gaps_us=gaps_us, kept={})
+    return replace(cam2, events=events, track=track, gaps_us=gaps_us)
 
 
 def _refusal(found: AllOffsets) -> Refusal | None:

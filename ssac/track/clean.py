@@ -41,8 +41,9 @@ class Clean(Observation):
     on_line: NDArray[np.bool_] | None = None
     """Which events (n,) lie where a thin line holds the object; None: there is none."""
     used: ObjectsUsed = ObjectsUsed(1, 1.0)
-    kept: dict[Hashable, Any] = field(default_factory=dict, repr=False, compare=False)
-    """What was summed up of these events, by what it is: found once, and delayed with them."""
+    kept: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
+    """What was summed up of these events, by what it is: found once, and delayed with them. What
+    `replace` makes of this has none."""
 
     def n_min(self, asked: int | None) -> int:
         """Events that a window holds at least: as asked for, or as denoising found."""
@@ -53,8 +54,9 @@ class Clean(Observation):
     def delayed(self, t_d_s: float) -> "Clean":
         """As if the camera's clock had shown `t_d_s` [s] more; what was summed up stays so."""
         later, shift_us = super().delayed(t_d_s), round(t_d_s * US_PER_S)
-        kept = {key: value.delayed(shift_us) for key, value in self.kept.items()}
-        return replace(later, gaps_us=self.gaps_us + shift_us, kept=kept)
+        later = replace(later, gaps_us=self.gaps_us + shift_us)
+        later.kept.update({key: value.delayed(shift_us) for key, value in self.kept.items()})
+        return later
 
 
 def clean(seen: Observation, camera: Camera, how: Cleaning, name: str = "camera") -> Clean:
@@ -91,7 +93,6 @@ def clean(seen: Observation, camera: Camera, how: Cleaning, name: str = "camera"
         denoised=True,
         clutter=clutter,
         on_line=events_on_line(events, left, *size),
-        kept={},
     )
 
 
@@ -103,7 +104,7 @@ def _checked(seen: Observation, camera: Camera, name: str) -> Clean:
     else:
         check_events(seen.events, camera.width, camera.height, name)
     if isinstance(seen, Clean):
-        return replace(seen, camera=camera, kept={})
+        return replace(seen, camera=camera)
     return Clean(
         seen.events,
         seen.frames,

@@ -4,6 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssac.events import events_from_arrays
+from ssac.track.observation import Observation
+from tests.ssac.synthetic import HEIGHT, WIDTH, Scene, make_events
 
 
 def merged(*parts: NDArray[np.void]) -> NDArray[np.void]:
@@ -46,3 +48,17 @@ def noise(width: int, height: int, hz: float, duration_us: int, seed: int = 0) -
     return events_from_arrays(
         t, rng.integers(0, width, n), rng.integers(0, height, n), rng.integers(0, 2, n)
     )
+
+
+def noisy_flight(scene: Scene, t_d_s: float) -> list[Observation]:
+    """Observe a flight with two cameras that make noise, and frames that flicker alike."""
+    rng = np.random.default_rng(0)
+    images = np.cumsum(rng.integers(0, 40, (300, 4, 5)), axis=0).astype(np.uint8)
+    cameras = []
+    for k, events in enumerate(make_events(scene, 1, t_d_s, size_m=0.4)):
+        first_us, last_us = events["t"][[0, -1]]
+        extra = noise(WIDTH, HEIGHT, 0.01, int(last_us - first_us), seed=k)
+        extra["t"] += first_us
+        times_s = 0.02 * np.arange(300) + k * t_d_s
+        cameras.append(Observation(merged(events, extra), images, times_s))
+    return cameras

@@ -2,17 +2,15 @@
 
 import numpy as np
 
-from ssac.camera import Camera
 from ssac.events import EVENT_DTYPE
-from tests.ssac.synthetic import HEIGHT, WIDTH, K, make_events, make_scene
+from tests.ssac.synthetic import HEIGHT, WIDTH, make_events, make_scene
 
-CAMERA = Camera(K, WIDTH, HEIGHT)
 T_D_S, DURATION_S, SIZE_M = 0.05, 8.0, 0.4
 
 
-def flight(seed, share=1.0):
+def flight(seed, share=1.0, angle_deg=90.0):
     """Events of both cameras of one flight, a share of the ordinary number."""
-    scene = make_scene(seed, duration_s=DURATION_S)
+    scene = make_scene(seed, angle_deg, DURATION_S)
     return make_events(scene, seed, T_D_S, 25_000.0 * share, SIZE_M)
 
 

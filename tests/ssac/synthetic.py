@@ -12,12 +12,15 @@ from scipy.interpolate import BSpline
 
 from ssac.camera import Camera, Rig
 from ssac.events import EVENT_DTYPE
+from ssac.track.clean import Clean
 
 Array = NDArray[np.float64]
 
 WIDTH, HEIGHT, FOCAL_PX = 346, 260, 200.0
 DISTANCE_M = 5.0  # from each camera to the point both look at
 K = np.array([[FOCAL_PX, 0.0, 173.0], [0.0, FOCAL_PX, 130.0], [0.0, 0.0, 1.0]])
+EXACT_PX = (0.0, 0.0, 0.0, 0.0)  # of intrinsics without error
+CAMERA = Camera(K, WIDTH, HEIGHT, intrinsics_std_px=EXACT_PX)
 
 
 @dataclass(frozen=True)
@@ -34,14 +37,12 @@ class Scene:
         """The two cameras with their true extrinsics."""
         T_2_1 = np.eye(4)
         T_2_1[:3, :3], T_2_1[:3, 3] = self.R, self.t
-        camera = Camera(K, WIDTH, HEIGHT)
-        return Rig(camera, camera, T_2_1)
+        return Rig(CAMERA, CAMERA, T_2_1)
 
     @property
     def unknown_rig(self) -> Rig:
         """The two cameras without their extrinsics."""
-        camera = Camera(K, WIDTH, HEIGHT)
-        return Rig(camera, camera)
+        return Rig(CAMERA, CAMERA)
 
 
 def make_scene(seed: int, angle_deg: float = 90.0, duration_s: float = 20.0) -> Scene:
@@ -94,6 +95,11 @@ def make_events(
         events["p"] = rng.integers(2, size=len(events))
         streams.append(events)
     return streams[0], streams[1]
+
+
+def denoised(events: NDArray[np.void], camera: Camera = CAMERA) -> Clean:
+    """Events that hold no noise, as if denoising had taken it."""
+    return Clean(events, camera=camera, denoised=True, n_recorded=len(events))
 
 
 def angle_deg(a: Array, b: Array) -> float:

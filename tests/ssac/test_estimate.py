@@ -2,11 +2,22 @@
 
 import json
 import pickle
+from itertools import permutations
 
 import numpy as np
 import pytest
 
-from ssac.estimate import POSE_IS_OPEN, Estimate, Status
+from ssac.estimate import POSE_IS_OPEN, SETTLED_BY, Estimate, Refusal, Status, first
+
+BY_STAGE = (
+    ("one object", "several_objects"),
+    ("signals", "no_common_signal"),
+    ("views", "no_motion", "no_common_time", "too_few_samples"),
+    ("search", "search_bound", "too_little_motion"),
+    ("refine", "no_convergence", "clock_jump"),
+    ("verdict", "no_match", "poor_fit", "ambiguous_offset", "degenerate_pose", "ambiguous_pose"),
+)  # fmt: skip
+"""The stage that is the last to give a status, or the only one."""
 
 
 def test_a_status_is_its_word_wherever_words_go():
@@ -22,6 +33,26 @@ def test_every_status_has_a_sentence_of_its_own():
     for status in Status:
         assert status.value == status.name.lower()
         assert len(status.meaning.split()) > 4
+
+
+def test_every_status_has_one_place_in_the_order_of_the_stages():
+    assert ["ok", *(status for _, *given in BY_STAGE for status in given)] == list(Status)
+
+
+def test_the_first_of_several_refusals_is_that_of_the_earliest_stage():
+    for earlier, later in permutations(Status, 2):
+        if list(Status).index(earlier) < list(Status).index(later):
+            one, other = Refusal(earlier, "one"), Refusal(later, "other")
+            assert first(one, other) is first(other, None, one) is one
+    one, other = Refusal(Status.NO_MATCH, "one"), Refusal(Status.NO_MATCH, "other")
+    assert first(one, other) is one
+    assert first() is first(None, None) is None
+
+
+def test_a_later_stage_may_settle_refusals_alone():
+    for settled in SETTLED_BY.values():
+        assert Status.OK not in settled
+        assert list(settled) == sorted(set(settled), key=settled.index)
 
 
 def test_a_word_of_ours_becomes_its_status_and_another_stays():

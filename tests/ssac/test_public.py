@@ -29,7 +29,15 @@ def test_types_are_checked_against_the_same_modules() -> None:
     }
     homes = {name: home for home, names in ssac._HOMES.items() for name in names.split()}
     assert typed == homes
-    assert sorted(homes) == sorted(ssac.__all__)
+    assert sorted(homes) == sorted([*ssac.__all__, "ssac"])
+
+
+def test_all_names_at_once_leave_that_of_the_package_alone() -> None:
+    names = {"ssac": ssac}
+    exec("from ssac import *", names)
+    assert names["ssac"] is ssac
+    assert names["tangency"] is ssac.tangency
+    assert ssac.ssac.__name__ == "ssac"  # the paper's method, which has the same one
 
 
 def test_an_unknown_name_is_an_attribute_error() -> None:

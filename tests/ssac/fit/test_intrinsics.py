@@ -5,7 +5,7 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from ssac import Observation, joint, joint_known, prepare, tangency
+from ssac import Observation, joint, joint_known, tangency
 from ssac.camera import Camera, Rig, distort_points, undistort_points, with_deviations
 from ssac.fit.intrinsics import (
     Allowance,
@@ -229,7 +229,7 @@ def test_methods_allow_for_uncertain_intrinsics():
     streams = make_events(scene, seed=0, t_d_s=0.05, size_m=0.4)
     exact = scene.rig
     rough = Rig(with_deviations(exact.cam1, 0.01, 3.0), exact.cam2, exact.T_2_1)
-    cameras = prepare(*map(Observation, streams), exact)
+    cameras = [Observation(events) for events in streams]
     for method in (joint, tangency):
         one, other = method(*cameras, exact), method(*cameras, rough)
         assert other.status == one.status == "ok"

@@ -160,7 +160,7 @@ def test_strays_have_no_offset_and_no_skew_of_their_own():
     [
         ({"skew_prior_ppm": -1.0}, "skew_prior_ppm must be 0 to 100000, got -1"),
         ({"skew_prior_ppm": np.nan}, "got nan"),
-        ({"clock": "quartz"}, 'clock must be affine or pieces, got "quartz"'),
+        ({"clock": "quartz"}, "clock must be auto or affine or pieces, got 'quartz'"),
         ({"roughness_ppm": 0.0}, "roughness_ppm must be above 0 and up to 100000, got 0"),
         ({"clock": "pieces", "skew_prior_ppm": 0.0}, "its prior must be above 0 ppm"),
         ({"half_window_s": np.inf}, "half_window_s must be positive and finite, got inf"),

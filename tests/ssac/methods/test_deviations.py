@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ssac import Observation, Status, joint, joint_known, prepare, ssac, tangency, tangency_known
+from ssac import Observation, Status, joint, joint_known, ssac, tangency, tangency_known
 from ssac.geometry.epipolar import fundamental_from_pose, sampson_distance
 from ssac.geometry.pose import pose_from_fundamental
 from ssac.methods.tangent_pairs import TangencyConfig, tangent_pairs
@@ -28,7 +28,7 @@ UNIFORM_S = 3.0
 UNIFORM = replace(CLEAN, interval_s=(T_D_S - 0.2, T_D_S + 0.2))
 
 
-def uniform_flight() -> tuple[Scene, tuple[Observation, Observation]]:
+def uniform_flight() -> tuple[Scene, list[Observation]]:
     """Rise along a line at one speed, so slowly that a bias stays for all of the flight."""
     velocity_m_s = np.array([0.2, 0.9, 0.3])
 
@@ -37,7 +37,7 @@ def uniform_flight() -> tuple[Scene, tuple[Observation, Observation]]:
 
     scene = replace(make_scene(0, duration_s=UNIFORM_S), path=path)
     streams = make_events(scene, 0, T_D_S, rate_hz=50_000.0, size_m=SIZE_M)
-    return scene, prepare(*map(Observation, streams), scene.rig, CLEAN)
+    return scene, [Observation(events) for events in streams]
 
 
 def lever_px_s(scene):

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ssac import Observation, Status, joint, joint_known, prepare
+from ssac import Observation, Status, joint, joint_known
 from ssac.camera import Rig
 from ssac.estimate import Estimate
 from ssac.methods.verdict import MAX_AGAINST, MAX_SPREAD, MAX_TAIL, certain, doubt
@@ -69,7 +69,7 @@ def test_a_second_object_is_refused_or_does_no_harm(share):
     ):
         mixed = np.concatenate([events, clutter])
         streams.append(mixed[np.argsort(mixed["t"], kind="stable")])
-    cameras = prepare(*map(Observation, streams), scene.rig, CLEAN)
+    cameras = [Observation(events) for events in streams]
     found = joint(*cameras, scene.unknown_rig, CLEAN)
     if found.status == Status.OK:
         error_s = abs(found.t_d_s - T_D_S)
@@ -82,7 +82,7 @@ def test_a_second_object_is_refused_or_does_no_harm(share):
 def test_extrinsics_of_another_rig_are_refused_or_widen_the_deviation():
     scene, other = make_scene(seed=4, duration_s=8.0), make_scene(seed=4, angle_deg=97.0)
     streams = make_events(scene, seed=4, t_d_s=T_D_S, size_m=0.4)
-    cameras = prepare(*map(Observation, streams), scene.rig, CLEAN)
+    cameras = [Observation(events) for events in streams]
     assert joint_known(*cameras, scene.rig, CLEAN).status == Status.OK
     wrong = Rig(scene.rig.cam1, scene.rig.cam2, other.rig.T_2_1)
     found = joint_known(*cameras, wrong, CLEAN)

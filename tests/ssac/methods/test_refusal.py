@@ -11,7 +11,6 @@ from ssac import (
     Observation,
     joint,
     joint_known,
-    prepare,
     ssac,
     ssac_known,
     tangency,
@@ -23,6 +22,7 @@ from tests.ssac.synthetic import DISTANCE_M, Scene, make_events, make_scene
 
 T_D_S = 0.05
 CLEAN = Config(denoise=False)
+NEAR = Config(denoise=False, interval_s=(-1.0, 1.0))  # and nowhere else
 DURATION_S = 8.0
 MIDDLE = np.array([0.0, 0.0, DISTANCE_M])
 AXES = np.linalg.qr(np.array([[1.0, 0.3, 0.5], [0.2, 1.0, -0.4], [-0.3, 0.1, 1.0]]))[0].T
@@ -42,9 +42,8 @@ def answer(method: Callable[..., Estimate], scene: Scene, config: Config = CLEAN
     return method(*seen(scene), scene.rig, config)
 
 
-def seen(scene: Scene, seed: int = 0) -> tuple[Observation, Observation]:
-    cameras = [Observation(events) for events in make_events(scene, seed, T_D_S, size_m=0.4)]
-    return prepare(cameras[0], cameras[1], scene.rig, CLEAN)
+def seen(scene: Scene, seed: int = 0) -> list[Observation]:
+    return [Observation(events) for events in make_events(scene, seed, T_D_S, size_m=0.4)]
 
 
 def sway(times_s: np.ndarray) -> np.ndarray:
@@ -92,8 +91,10 @@ def periodic(times_s: np.ndarray, period_s: float = 0.8) -> np.ndarray:
 
 
 @pytest.mark.parametrize("method", ALL)
-def test_an_object_at_rest_is_refused(method):
-    estimate = answer(method, scene_of(at_rest))
+@pytest.mark.parametrize("config", [CLEAN, replace(CLEAN, search="all")], ids=["near", "all"])
+def test_an_object_at_rest_is_refused(method, config):
+    """Bug: where all offsets were searched, it was said to be no match."""
+    estimate = answer(method, scene_of(at_rest), config)
     assert estimate.status == "no_motion"
     assert "at rest" in estimate.reason
     assert np.isnan(estimate.t_d_s)
@@ -105,8 +106,10 @@ def test_the_same_pixel_all_the_time_is_refused(method):
     events = np.zeros(200_000, EVENT_DTYPE)
     events["t"] = np.arange(len(events)) * 40
     events["x"], events["y"] = 100, 80
-    camera = Observation(events)
-    estimate = method(camera, camera, scene_of(at_rest).rig, CLEAN)
+    elsewhere = events.copy()
+    elsewhere["x"] = 120
+    cameras = Observation(events), Observation(elsewhere)
+    estimate = method(*cameras, scene_of(at_rest).rig, CLEAN)
     assert estimate.status in ("no_motion", "too_few_samples")
 
 
@@ -201,8 +204,18 @@ def test_an_offset_outside_the_search_does_not_match(method):
 def test_without_common_time_there_is_no_answer(method):
     scene = make_scene(0, duration_s=DURATION_S)
     cam1, cam2 = seen(scene)
-    estimate = method(cam1, cam2.delayed(100.0), scene.rig, CLEAN)
+    estimate = method(cam1, cam2.delayed(100.0), scene.rig, NEAR)
     assert estimate.status == "no_common_time"
+
+
+@pytest.mark.parametrize("method", [joint, joint_known])
+def test_clocks_far_apart_are_no_obstacle_where_no_interval_is_given(method):
+    """Bug: only the command line searched all offsets then."""
+    scene = make_scene(0, duration_s=DURATION_S)
+    cam1, cam2 = seen(scene)
+    estimate = method(cam1, cam2.delayed(100.0), scene.rig, CLEAN)
+    assert estimate.status == "ok"
+    assert estimate.t_d_s == pytest.approx(100.0 + T_D_S, abs=5 * estimate.t_d_std_s)
 
 
 @pytest.mark.parametrize("method", FREE)

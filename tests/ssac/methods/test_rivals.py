@@ -2,7 +2,9 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from ssac import (
     Config,
@@ -10,13 +12,14 @@ from ssac import (
     Observation,
     Status,
     joint,
-    joint_from,
     joint_known,
-    prepare,
     ssac,
-    tangency_from,
     two_views,
 )
+from ssac.methods.joint import joint_from
+from ssac.methods.rivals import Solution, choose
+from ssac.methods.tangency import tangency_from
+from ssac.methods.verdict import MAX_POSE_STD
 from tests.ssac.methods.test_refusal import (
     CLEAN,
     DURATION_S,
@@ -99,5 +102,33 @@ def test_time_out_of_view_is_no_motion():
         seen_then = ((times_s > 1.0) & (times_s < 1.7)) | ((times_s > 10.0) & (times_s < 10.7))
         cameras.append(Observation(events[seen_then]))
     config = Config(interval_s=(T_D_S - 0.25, T_D_S + 0.25), denoise=False)
-    estimate = ssac(*prepare(*cameras, scene.rig, config), scene.rig, config)
+    estimate = ssac(*cameras, scene.rig, config)
     assert estimate.status == Status.TOO_LITTLE_MOTION
+
+
+@pytest.mark.parametrize(
+    ("std_rad", "status"),
+    [(0.1 * MAX_POSE_STD, Status.AMBIGUOUS_POSE), (1.1 * MAX_POSE_STD, Status.DEGENERATE_POSE)],
+)
+def test_an_open_pose_is_degenerate_before_it_is_ambiguous(std_rad, status):
+    """Bug: the search put the one first and the refinement the other."""
+    variances = [1e-6, std_rad**2, *[1e-6] * 4]
+    solutions = [
+        Solution(
+            Estimate(
+                "joint",
+                t_d_s=T_D_S,
+                t_d_std_s=1e-3,
+                R=Rotation.from_euler("y", turn_deg, degrees=True).as_matrix(),
+                t=np.array([1.0, 0.0, 0.0]),
+                covariance=np.diag(variances),
+            ),
+            distance_px=distance_px,
+            object_px=10.0,
+        )
+        for turn_deg, distance_px in ((0.0, 0.10), (20.0, 0.11))
+    ]
+    found = choose(Estimate("joint"), solutions)
+    assert found.status == status
+    assert found.t_d_s == T_D_S
+    assert found.R is None

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from ssac import two_views
 from ssac.camera import Camera, Rig
 from ssac.geometry.epipolar import sampson_distance
 from ssac.geometry.pencil import Pencil, pencils
 from ssac.methods.tangent_pairs import TangencyConfig, tangent_pairs
-from ssac.track.observation import object_motions
 from ssac.track.outline import OutlineConfig, near_outline, tangents
 from ssac.track.outline_kernels import (
     above_limit,
@@ -22,7 +22,8 @@ from tests.ssac.synthetic import HEIGHT, WIDTH, K, make_scene
 
 def found_tangents(scene, streams, rig):
     """Both views' tangents with the true pose and offset, at times in camera 1's clock."""
-    motions = object_motions(*observations(*streams), rig, CLEAN)
+    seen = two_views(*observations(*streams), rig, CLEAN)
+    motions = seen.motion1, seen.motion2
     times_s = np.arange(0.1, scene.duration_s - 0.1, TangencyConfig().step_s)
     pair = pencils(scene.R, unit(scene.t), rig.cam1.K, rig.cam2.K)
     views = []

@@ -8,8 +8,8 @@ import pytest
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
+import ssac
 from ssac.camera import Camera
-from ssac.config import Config
 from ssac.estimate import Estimate
 from ssac.geometry.epipolar import epipolar_distance
 from ssac.plot.plot_data import Material, plane_angles
@@ -22,32 +22,31 @@ from ssac.plot.plots import (
     save_figures,
 )
 from ssac.plot.style import BLUE, RED, YELLOW
-from ssac.search.two_views import two_views
-from ssac.tool.sync import sync
 from tests.ssac.synthetic import HEIGHT, WIDTH, K, track_pair
 
 
 @pytest.fixture(scope="module")
 def result(recorded):
-    return sync(recorded / "cam1.h5", recorded / "cam2.h5", recorded / "rig.yaml")
+    return ssac.sync(recorded / "cam1.h5", recorded / "cam2.h5", recorded / "rig.yaml")
 
 
 @pytest.fixture(scope="module")
 def material(result):
-    config = Config(denoise=False)
-    events = result.cam1.events, result.cam2.events
-    return Material(
-        result.estimate, events, two_views(result.cam1, result.cam2, result.rig, config)
-    )
+    return material_of(result)
 
 
-def save(target, result, estimate=None):
-    estimate = estimate or result.estimate
-    return save_figures(target, estimate, result.cam1, result.cam2, result.rig, result.config)
+def material_of(result):
+    one, other = result.answer.cleans
+    return Material(result.estimate, (one.events, other.events), result.answer.views)
+
+
+def of(result, estimate):
+    """The same recordings with another estimate."""
+    return replace(result, answer=replace(result.answer, estimate=estimate))
 
 
 def test_a_folder_gets_one_picture_per_figure(result, tmp_path):
-    written = save(tmp_path / "new" / "figures", result)
+    written = result.plotted(tmp_path / "new" / "figures")
     assert [path.name for path in written] == ["d_avg.png", "epipolar.png", "alignment.png"]
     for path in written:
         assert np.std(cv2.imread(str(path))) > 10.0  # not blank
@@ -55,32 +54,36 @@ def test_a_folder_gets_one_picture_per_figure(result, tmp_path):
 
 def test_an_estimate_without_a_pose_has_its_curve_only(result, tmp_path):
     curve = {"candidates_s": np.linspace(-1, 1, 9), "costs": -np.cos(np.linspace(-1, 1, 9))}
-    written = save(tmp_path, result, Estimate("zncc_e", t_d_s=0.0, **curve))
+    written = of(result, Estimate("zncc_e", t_d_s=0.0, **curve)).plotted(tmp_path)
     assert [path.name for path in written] == ["d_avg.png"]
 
 
 def test_an_estimate_without_anything_has_no_picture(result, tmp_path):
-    assert save(tmp_path / "page.png", result, Estimate("albl", "too_few_samples", "few")) == []
+    refused = of(result, Estimate("albl", "too_few_samples", "few"))
+    assert refused.plotted(tmp_path / "page.png") == []
+    assert refused.plot() is None
     assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("t_d_s", [-1.7, 0.0])
 def test_odd_offsets_can_be_drawn(t_d_s, result, tmp_path):
     """At 0 there is no "before"; at -1.7 s the recordings overlap in part only."""
-    assert len(save(tmp_path, result, replace(result.estimate, t_d_s=t_d_s))) == 3
+    assert len(of(result, replace(result.estimate, t_d_s=t_d_s)).plotted(tmp_path)) == 3
 
 
 def test_one_page_holds_all_figures(result, tmp_path):
-    figures = [cv2.imread(str(path)) for path in save(tmp_path, result)]
-    (page,) = save(tmp_path / "page.png", result)
+    figures = [cv2.imread(str(path)) for path in result.plotted(tmp_path)]
+    (page,) = result.plotted(tmp_path / "page.png")
     height, width, _ = cv2.imread(str(page)).shape
     assert (height, width) == (sum(len(figure) for figure in figures), figures[0].shape[1])
 
 
 def test_a_distorted_lens_can_be_drawn(result, tmp_path):
     camera = Camera(K, WIDTH, HEIGHT, "radtan", (-0.2, 0.05, 0.0, 0.0))
-    bent = replace(result, rig=replace(result.rig, cam1=camera))
-    assert len(save(tmp_path, bent)) == 3
+    material = material_of(result)
+    rig = replace(material.rig, cam1=camera)
+    bent = replace(material, views=replace(material.views, rig=rig))
+    assert len(save_figures(tmp_path, bent)) == 3
 
 
 def test_the_search_shows_the_minimum_and_3_ms_around_it(material):

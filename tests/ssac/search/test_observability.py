@@ -17,20 +17,24 @@ from ssac.search.observability import (
     no_match,
     open_fundamental,
     too_little_motion,
+    unusable,
     valleys,
 )
 from ssac.search.offset_search import RIVAL, coarse_to_fine_search
-from ssac.search.two_views import TwoViews
+from ssac.search.two_views import TwoViews, views_of
 from ssac.search.view import returns_s, view_of
+from ssac.track.clean import Clean
+from ssac.track.denoise import Clutter
 from ssac.track.motion import ObjectMotion, object_motion
-from tests.ssac.synthetic import Scene, make_scene, track_pair
+from tests.ssac.synthetic import Scene, denoised, make_scene, track_pair
 
 SCENE = make_scene(0)
 CAMERA = SCENE.rig.cam1
+CLUTTER = Clutter(1, 7, 0.1, 3.0, 1, 200)
 OFFSETS_S = np.arange(-1.0, 1.0, 0.001)
 
 
-def motion_along(x_px, y_px, duration_s: float = 8.0, size_px: float = 6.0) -> ObjectMotion:
+def events_along(x_px, y_px, duration_s: float = 8.0, size_px: float = 6.0):
     """A blob of events of this size on a path, at 25 000 events a second."""
     rng = np.random.default_rng(0)
     times_s = np.sort(rng.uniform(0.0, duration_s, round(25_000 * duration_s)))
@@ -38,7 +42,11 @@ def motion_along(x_px, y_px, duration_s: float = 8.0, size_px: float = 6.0) -> O
     events["t"] = np.rint(times_s * 1e6)
     for name, path in (("x", x_px), ("y", y_px)):
         events[name] = np.rint(path(times_s) + rng.normal(0.0, size_px, len(times_s)))
-    return object_motion(events, CAMERA)
+    return events
+
+
+def motion_along(*path, **how) -> ObjectMotion:
+    return object_motion(events_along(*path, **how), CAMERA)
 
 
 def wave(hz: float, phase: float = 0.0, middle_px: float = 130.0, reach_px: float = 60.0):
@@ -88,6 +96,59 @@ def test_rest_is_measured_in_sizes_of_the_object():
         # The rms size is over both axes, 2**0.5 times the deviation of one.
         assert at_rest((moved_by[0.5], moved_by[0.5])) is not None
         assert at_rest((moved_by[2.0], moved_by[2.0])) is None
+
+
+def refusal_of(*cameras, interval_s=(-1.0, 1.0), config=None):
+    """Why two cameras' events are of no use to a search."""
+    cleans = tuple(one if isinstance(one, Clean) else denoised(one) for one in cameras)
+    return unusable(views_of(*cleans, SCENE.rig, config or Config()), cleans, interval_s)
+
+
+def later(events, by_s: float):
+    return denoised(events).delayed(by_s).events
+
+
+def test_what_cannot_be_searched_is_refused_in_the_order_of_the_stages():
+    moves = events_along(wave(0.7), wave(1.1))
+    rests = events_along(fixed, fixed)
+    thin = moves[::100]
+    assert refusal_of(moves, moves) is None
+    assert refusal_of(moves, later(moves, 100.0), interval_s=None) is None
+    for one, other, status in (
+        (rests, later(rests, 100.0), "no_motion"),
+        (thin, later(rests, 100.0), "no_motion"),
+        (thin, later(thin, 100.0), "no_common_time"),
+        (moves, later(moves, 100.0), "no_common_time"),
+        (moves, thin, "too_few_samples"),
+    ):
+        for cameras in ((one, other), (other, one)):
+            refusal = refusal_of(*cameras)
+            assert refusal is not None
+            assert refusal.status == status
+
+
+def test_what_cannot_be_searched_is_refused_with_advice():
+    moves = events_along(wave(0.7), wave(1.1))
+    rests = events_along(fixed, fixed)
+    thin, none = moves[::100], moves[:0]
+    assert "in camera 2 the object moves by" in refusal_of(moves, rests).reason
+    assert "it is at rest, or lost in noise" in refusal_of(moves, rests).reason
+    apart = refusal_of(moves, later(moves, 100.0)).reason
+    assert "camera 1 (0.000 to 8.000 s) and camera 2 (100.000 to 108.000 s)" in apart
+    assert "between -1 and 1 s: search where they do, for example --search 99.0 101.0" in apart
+    few = refusal_of(moves, thin).reason
+    assert few.startswith("camera 2: no window of 40 ms holds 200 events (denoising left 2000 of")
+    assert "--n-min or a longer --half-window" in few
+    noisy = replace(denoised(thin), denoised=False)
+    assert "denoising" not in refusal_of(noisy, moves).reason  # which was not asked for
+    assert refusal_of(thin, moves, config=Config(n_min=10)) is None
+    empty = replace(denoised(none), n_recorded=500, clutter=CLUTTER)
+    nothing = refusal_of(empty, moves)
+    assert nothing.status == "too_few_samples"
+    assert nothing.reason.startswith(
+        "camera 1: denoising left 0 of 500 events, of which 7 were of lamps and hot pixels: check"
+    )
+    assert "--no-denoise" in nothing.reason
 
 
 def test_residuals_are_measured_in_sizes_of_the_object():

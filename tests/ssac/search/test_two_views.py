@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 import ssac.search.view
+from ssac import two_views
 from ssac.config import Config
 from ssac.errors import SsacError
 from ssac.points import PointTrack
-from ssac.search.two_views import TwoViews, two_views
+from ssac.search.two_views import TwoViews
 from ssac.track.motion import object_motion
 from ssac.track.observation import Observation, tracked
 from tests.ssac.synthetic import K, make_events, make_scene

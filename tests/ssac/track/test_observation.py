@@ -1,4 +1,4 @@
-"""Every method takes prepared observations for raw ones, and a delay for a delayed recording."""
+"""What is clean stays so, moves with its clock, and gives the motion of the raw recording."""
 
 import pickle
 from dataclasses import fields, replace
@@ -6,94 +6,72 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-import ssac.track.observation
-from ssac.camera import Camera, Rig, same_camera
-from ssac.config import Config
+from ssac.camera import Camera, same_camera
+from ssac.config import Cleaning, Config
 from ssac.errors import SsacError
-from ssac.events import EVENT_DTYPE
-from ssac.tool.registry import METHODS
-from ssac.track.observation import Observation, object_motions, prepare, usable_events
-from tests.ssac.synthetic import HEIGHT, WIDTH, K, make_events, make_scene
+from ssac.points import PointTrack
+from ssac.track.clean import clean
+from ssac.track.motions import motion_of
+from ssac.track.observation import tracked
+from tests.ssac.cluttered import noisy_flight
+from tests.ssac.synthetic import CAMERA, HEIGHT, WIDTH, K, make_scene
 
-T_D_S = 0.05
+HOW = Config().cleaning
+WINDOWS = Config().windows
 RADTAN = Camera(K, WIDTH, HEIGHT, "radtan", (-0.3, 0.1, 0.001, -0.001))
 
 
 @pytest.fixture(scope="module")
-def scene():
-    return make_scene(seed=1, duration_s=6.0)
+def raw():
+    """One camera with noise events, and with frames."""
+    return noisy_flight(make_scene(seed=1, duration_s=3.0), 0.05)[0]
 
 
-@pytest.fixture(scope="module")
-def raw(scene):
-    """Two cameras with noise events, and with frames that flicker alike."""
-    rng = np.random.default_rng(0)
-    frames = np.cumsum(rng.integers(0, 40, (300, 4, 5)), axis=0).astype(np.uint8)
-    times_s = 0.02 * np.arange(300)
-    cameras = []
-    for events in make_events(scene, 1, T_D_S, size_m=0.4):
-        noise = np.zeros(5_000, EVENT_DTYPE)
-        noise["t"] = rng.integers(events["t"][0], events["t"][-1], size=len(noise))
-        noise["x"], noise["y"] = rng.integers(WIDTH, size=5_000), rng.integers(HEIGHT, size=5_000)
-        both = np.concatenate([events, noise])
-        both = both[np.argsort(both["t"], kind="stable")]
-        cameras.append(Observation(both, frames, times_s + T_D_S * len(cameras)))
-    return cameras
+@pytest.fixture
+def cleaned(raw):
+    return clean(raw, CAMERA, HOW)
 
 
-@pytest.fixture(scope="module")
-def prepared(raw, scene):
-    return prepare(*raw, scene.rig, Config())
+def assert_same_motion(motion, other):
+    for field in fields(other):
+        ours, theirs = getattr(motion, field.name), getattr(other, field.name)
+        np.testing.assert_array_equal(ours, theirs, err_msg=field.name)
 
 
-def assert_equal(estimate, expected):
-    for field in fields(expected):
-        if field.compare:  # the start is compared as the method that it is of
-            ours, theirs = getattr(estimate, field.name), getattr(expected, field.name)
-            np.testing.assert_array_equal(ours, theirs, err_msg=field.name)  # the same arithmetic
+def test_noise_leaves_the_events_and_all_else_stays(raw, cleaned):
+    assert cleaned.denoised
+    assert cleaned.n_recorded == len(raw.events)
+    assert 0 < len(cleaned.events) < len(raw.events)
+    assert cleaned.clutter is not None
+    assert cleaned.frames is raw.frames
+    assert cleaned.camera is CAMERA
+    noisy = clean(raw, CAMERA, Cleaning(False, None))
+    assert not noisy.denoised
+    assert noisy.events is raw.events
 
 
-def assert_same_motion(motions, expected):
-    for motion, other in zip(motions, expected, strict=True):
-        for field in fields(other):
-            ours, theirs = getattr(motion, field.name), getattr(other, field.name)
-            np.testing.assert_array_equal(ours, theirs, err_msg=field.name)
+def test_what_is_clean_is_not_cleaned_again(cleaned):
+    assert clean(cleaned, CAMERA, HOW) is cleaned
+    # Equal cameras need not be one object, and noise that has been removed does not come back.
+    same = Camera(K.copy(), WIDTH, HEIGHT)
+    assert clean(cleaned, same, Cleaning(False, 7)) is cleaned
 
 
-@pytest.mark.parametrize("name", METHODS)
-def test_a_method_gives_the_same_for_prepared_observations(name, raw, prepared, scene):
-    method = METHODS[name]
-    expected = method.estimate(*raw, scene.rig, Config())
-    assert expected.status == "ok"
-    assert expected.method == name
-    assert_equal(method.estimate(*prepared, scene.rig, Config()), expected)
+def test_a_track_has_no_noise():
+    times_s = 0.1 * np.arange(10)
+    seen = clean(tracked(PointTrack(times_s, np.ones((10, 2)))), CAMERA, HOW)
+    assert seen.denoised
+    assert clean(seen, CAMERA, HOW) is seen
 
 
-@pytest.mark.parametrize("name", METHODS)
-def test_a_method_gives_the_same_for_a_delayed_observation(name, raw, prepared, scene):
-    method = METHODS[name]
-    late = raw[1].events.copy()
-    late["t"] += 300_000
-    cam2 = Observation(late, raw[1].frames, raw[1].frame_times_s + 0.3)
-    expected = method.estimate(raw[0], cam2, scene.rig, Config())
-    estimate = method.estimate(prepared[0], prepared[1].delayed(0.3), scene.rig, Config())
-    assert_equal(estimate, expected)
-
-
-def test_nothing_is_done_twice(prepared, scene, monkeypatch):
-    def again(*_, **__):
-        raise AssertionError("this was prepared")
-
-    for work in ("check_events", "without_noise", "object_motion"):
-        monkeypatch.setattr(ssac.track.observation, work, again)
-    later = [camera.delayed(0.1) for camera in prepared]
-    other_windows = Config(half_window_s=0.01, n_min=50, max_border_fraction=0.2, n_samples=100)
-    for method in METHODS.values():
-        method.estimate(*prepared, scene.rig, Config())
-        method.estimate(*later, scene.rig, other_windows)
-    # Equal cameras need not be one object, and preparing what is prepared does nothing.
-    copy = Rig(Camera(K.copy(), WIDTH, HEIGHT), Camera(K.copy(), WIDTH, HEIGHT))
-    prepare(*prepare(*prepared, copy, Config()), copy, other_windows)
+def test_denoising_that_was_skipped_is_made_up_for(raw, cleaned):
+    noisy = clean(raw, CAMERA, Cleaning(False, None))
+    motion_of(noisy, WINDOWS)
+    again = clean(noisy, CAMERA, HOW)
+    assert again.denoised
+    assert again.n_recorded == len(raw.events)
+    assert np.array_equal(again.events, cleaned.events)
+    assert_same_motion(motion_of(again, WINDOWS), motion_of(cleaned, WINDOWS))
 
 
 @pytest.mark.parametrize(
@@ -103,91 +81,108 @@ def test_nothing_is_done_twice(prepared, scene, monkeypatch):
         Config(n_min=20),
         Config(max_border_fraction=0.5),
         Config(border_px=100),
-        Config(denoise=False),
     ],
 )
-def test_other_parameters_than_prepared_are_obeyed(config, raw, prepared, scene):
-    if not config.denoise:  # noise that has been removed does not come back
-        raw = [Observation(camera.events) for camera in prepared]
-    expected = object_motions(*raw, scene.rig, config)
-    assert_same_motion(object_motions(*prepared, scene.rig, config), expected)
+def test_other_windows_than_those_summed_up_are_obeyed(config, raw, cleaned):
+    motion_of(cleaned, WINDOWS)
+    expected = motion_of(clean(raw, CAMERA, HOW), config.windows)
+    assert_same_motion(motion_of(cleaned, config.windows), expected)
+    assert_same_motion(motion_of(cleaned, WINDOWS), motion_of(clean(raw, CAMERA, HOW), WINDOWS))
+
+
+def test_sums_are_made_once_for_each_width_of_the_border(cleaned, monkeypatch):
+    made = []
+    monkeypatch.setattr(
+        "ssac.track.motions.object_motion",
+        lambda *args, work=motion_of.__globals__["object_motion"], **how: (
+            made.append(how["border_px"]) or work(*args, **how)
+        ),
+    )
+    for config in (Config(), Config(half_window_s=0.01, n_min=50), Config(border_px=9)) * 2:
+        motion_of(cleaned, config.windows)
+        motion_of(cleaned.delayed(0.1), config.windows)
+    assert made == [5, 9]
 
 
 @pytest.mark.parametrize("camera", [RADTAN, Camera(K * [[2.0], [2.0], [1.0]], WIDTH, HEIGHT)])
-def test_another_camera_than_prepared_is_obeyed(camera, raw, prepared, scene):
-    rig = Rig(scene.rig.cam1, camera)
-    expected = object_motions(*raw, rig, Config())
-    assert_same_motion(object_motions(*prepared, rig, Config()), expected)
-    smaller = replace(scene.rig, cam2=Camera(K, 100, HEIGHT))
+def test_another_camera_is_obeyed(camera, cleaned):
+    before = motion_of(cleaned, WINDOWS)
+    other = clean(cleaned, camera, HOW)
+    assert other.denoised
+    assert other.camera is camera
+    expected = motion_of(replace(cleaned, camera=camera), WINDOWS)
+    assert_same_motion(motion_of(other, WINDOWS), expected)
+    times_s = np.array([1.0, 2.0])
+    there, here = motion_of(other, WINDOWS).at(times_s), before.at(times_s)
+    if camera is RADTAN:  # its points are undistorted; K itself moves none
+        assert not np.array_equal(there.positions_px, here.positions_px)
     with pytest.raises(SsacError, match="camera 2: the sensor is 100 x 260 px"):
-        usable_events(*prepared, smaller, Config())
-
-
-def test_denoising_that_was_skipped_is_made_up_for(raw, prepared, scene):
-    noisy = prepare(*raw, scene.rig, Config(denoise=False))
-    assert [len(camera.events) for camera in noisy] == [len(camera.events) for camera in raw]
-    again = prepare(*noisy, scene.rig, Config())
-    for camera, expected in zip(again, prepared, strict=True):
-        assert camera.denoised
-        assert np.array_equal(camera.events, expected.events)
-    assert_same_motion(
-        object_motions(*noisy, scene.rig, Config()), object_motions(*raw, scene.rig, Config())
-    )
+        clean(cleaned, Camera(K, 100, HEIGHT), HOW, "camera 2")
 
 
 @pytest.mark.parametrize("t_d_s", [0.005, 0.5, -1.234567, 3600.0])
-@pytest.mark.parametrize("camera", [Camera(K, WIDTH, HEIGHT), RADTAN], ids=["none", "radtan"])
-def test_delaying_what_is_prepared_equals_preparing_what_is_delayed(camera, t_d_s, raw):
-    rig = Rig(camera, camera)
-    later = [observation.delayed(t_d_s) for observation in raw]
-    expected = prepare(*later, rig, Config())
-    delayed = [observation.delayed(t_d_s) for observation in prepare(*raw, rig, Config())]
-    for first, second, observation in zip(delayed, expected, raw, strict=True):
-        # Whole microseconds: exact.
-        assert np.array_equal(first.events, second.events)
-        assert_same_motion([first.prepared.motion], [second.prepared.motion])
-        assert np.array_equal(first.frame_times_s, second.frame_times_s)
-        # Seconds as float64 up to an hour: one unit in the last place is 5e-13 s.
-        assert first.frame_times_s == pytest.approx(observation.frame_times_s + t_d_s, abs=1e-12)
-    assert np.array_equal(later[0].events["t"], raw[0].events["t"] + round(t_d_s * 1e6))
-    assert np.array_equal(later[0].events[["x", "y", "p"]], raw[0].events[["x", "y", "p"]])
+@pytest.mark.parametrize("camera", [CAMERA, RADTAN], ids=["none", "radtan"])
+def test_delaying_what_is_clean_equals_cleaning_what_is_delayed(camera, t_d_s, raw):
+    later, seen = raw.delayed(t_d_s), clean(raw, camera, HOW)
+    motion_of(seen, WINDOWS)  # so that its sums are delayed with it
+    delayed, expected = seen.delayed(t_d_s), clean(later, camera, HOW)
+    # Whole microseconds: exact.
+    assert np.array_equal(delayed.events, expected.events)
+    assert_same_motion(motion_of(delayed, WINDOWS), motion_of(expected, WINDOWS))
+    assert np.array_equal(delayed.frame_times_s, expected.frame_times_s)
+    # Seconds as float64 up to an hour: one unit in the last place is 5e-13 s.
+    assert delayed.frame_times_s == pytest.approx(raw.frame_times_s + t_d_s, abs=1e-12)
+    assert np.array_equal(later.events["t"], raw.events["t"] + round(t_d_s * 1e6))
+    assert np.array_equal(later.events[["x", "y", "p"]], raw.events[["x", "y", "p"]])
+
+
+def test_a_delay_moves_gaps_and_tracks(cleaned):
+    gaps_us = np.array([[1_000_000, 2_000_000]])
+    assert np.array_equal(replace(cleaned, gaps_us=gaps_us).delayed(0.25).gaps_us - gaps_us,
+                          [[250_000, 250_000]])  # fmt: skip
+    late = tracked(PointTrack(0.1 * np.arange(10), np.ones((10, 2)))).delayed(0.25)
+    assert late.track.times_s == pytest.approx(0.1 * np.arange(10) + 0.25, abs=1e-12)
+    assert late.span_s == pytest.approx((0.25, 1.15), abs=1e-12)
 
 
 def test_a_delay_is_rounded_to_whole_microseconds_for_events_and_frames(raw):
-    late = raw[0].delayed(1.6e-6)
-    assert np.array_equal(late.events["t"], raw[0].events["t"] + 2)
-    assert late.frame_times_s == pytest.approx(raw[0].frame_times_s + 2e-6, abs=1e-12)
+    late = raw.delayed(1.6e-6)
+    assert np.array_equal(late.events["t"], raw.events["t"] + 2)
+    assert late.frame_times_s == pytest.approx(raw.frame_times_s + 2e-6, abs=1e-12)
 
 
-def test_preparing_and_delaying_change_nothing_that_was_given(raw, scene):
-    before = [camera.events.copy() for camera in raw]
-    prepared = prepare(*raw, scene.rig, Config())
-    times_us = prepared[0].prepared.motion.times_us.copy()
-    prepared[0].delayed(1.0)
-    assert all(np.array_equal(a, b.events) for a, b in zip(before, raw, strict=True))
-    assert np.array_equal(prepared[0].prepared.motion.times_us, times_us)
-    assert not raw[0].denoised
+def test_cleaning_and_delaying_change_nothing_that_was_given(raw):
+    before = raw.events.copy()
+    seen = clean(raw, CAMERA, HOW)
+    times_us = motion_of(seen, WINDOWS).times_us.copy()
+    left = seen.events.copy()
+    motion_of(seen.delayed(1.0), WINDOWS)
+    assert np.array_equal(raw.events, before)
+    assert np.array_equal(seen.events, left)
+    assert np.array_equal(motion_of(seen, WINDOWS).times_us, times_us)
 
 
-def test_other_events_in_a_prepared_observation_are_refused(prepared):
-    with pytest.raises(SsacError, match="make a new Observation"):
-        replace(prepared[0], events=prepared[0].events[:100])
+def test_other_events_are_summed_up_anew(cleaned):
+    """Bug: sums of the events that were there before were taken for those put in their place."""
+    motion_of(cleaned, WINDOWS)
+    some = replace(cleaned, events=cleaned.events[:10_000])
+    assert np.array_equal(motion_of(some, WINDOWS).times_us, some.events["t"])
 
 
-def test_a_prepared_observation_survives_the_way_to_another_process(prepared, scene):
-    there = [pickle.loads(pickle.dumps(camera)) for camera in prepared]
-    assert_same_motion(
-        object_motions(*there, scene.rig, Config()), object_motions(*prepared, scene.rig, Config())
-    )
-    assert there[0].delayed(0.1).denoised
+def test_what_is_clean_survives_the_way_to_another_process(cleaned):
+    motion = motion_of(cleaned, WINDOWS)
+    there = pickle.loads(pickle.dumps(cleaned))
+    assert there.kept.keys() == cleaned.kept.keys()
+    assert_same_motion(motion_of(there, WINDOWS), motion)
+    assert there.delayed(0.1).denoised
 
 
-def test_preparing_refuses_what_methods_refuse(raw, scene):
-    backwards = Observation(raw[1].events[::-1])
+def test_what_cannot_be_used_is_refused_by_the_name_it_has(raw):
+    backwards = replace(raw, events=raw.events[::-1])
     with pytest.raises(SsacError, match="camera 2: events must be sorted"):
-        prepare(raw[0], backwards, scene.rig, Config())
-    with pytest.raises(SsacError, match="n_min must be positive"):
-        prepare(*raw, scene.rig, Config(n_min=0))
+        clean(backwards, CAMERA, HOW, "camera 2")
+    with pytest.raises(SsacError, match=r"left\.h5: events must be sorted"):
+        clean(replace(backwards, name="left.h5"), CAMERA, HOW, "camera 2")
 
 
 def test_cameras_are_the_same_by_their_values():

@@ -5,11 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ssac.camera import Camera, Rig
-from ssac.config import Config
+from ssac.camera import Camera
+from ssac.config import Cleaning, Config
 from ssac.events import events_from_arrays
+from ssac.track.clean import clean
 from ssac.track.denoise import without_noise
-from ssac.track.observation import Observation, object_motions, prepare
+from ssac.track.motions import motion_of
+from ssac.track.observation import Observation
 from ssac.track.thin_line import HALF_WIDTH_PX, events_on_line
 from tests.ssac.cluttered import merged, noise
 
@@ -117,18 +119,17 @@ def test_no_events_have_no_line():
 
 def test_the_motion_without_the_line_goes_where_the_motion_goes():
     held, free = Observation(merged(disc(), thread(-90.0), NOISE)), Observation(disc())
-    rig = Rig(CAMERA, CAMERA)
-    one, other = prepare(held, free, rig)
+    one, other = (clean(seen, CAMERA, Cleaning(True, None)) for seen in (held, free))
     assert other.on_line is None
-    assert other.prepared.motion.bare is None
-    bare = one.prepared.motion.bare
+    assert motion_of(other, Config().windows).bare is None
+    bare = motion_of(one, Config().windows).bare
     assert len(bare.times_us) == np.count_nonzero(~one.on_line)
     assert np.array_equal(bare.times_us, one.events["t"][~one.on_line])
     late = one.delayed(0.25)
-    assert np.array_equal(late.prepared.motion.bare.times_us, bare.times_us + 250_000)
-    for config in (Config(half_window_s=0.01), Config(border_px=9)):  # kept, and made anew
-        motion, _ = object_motions(late, other, rig, config)
+    for config in (Config(), Config(half_window_s=0.01), Config(border_px=9)):  # kept, or made anew
+        motion = motion_of(late, config.windows)
+        assert np.array_equal(motion.bare.times_us, bare.times_us + 250_000)
         assert motion.bare.half_window_s == motion.half_window_s == config.half_window_s
         assert motion.bare.n_min == motion.n_min
-        again, _ = object_motions(replace(late, prepared=None), other, rig, config)
+        again = motion_of(replace(late), config.windows)
         assert np.array_equal(again.bare.border_sums, motion.bare.border_sums)

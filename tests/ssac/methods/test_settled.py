@@ -1,0 +1,95 @@
+"""Which refusals a later stage may overrule: those of one table, and no others."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from ssac import Chain, Config, Estimate, Status, two_views
+from ssac.estimate import SETTLED_BY
+from ssac.methods.hypotheses import hypotheses
+from ssac.methods.tangency import tangency_from
+from ssac.track.observation import tracked
+from tests.ssac.box import CLEAN, box_events, observations
+from tests.ssac.synthetic import make_scene
+from tests.ssac.tracks import frame_track
+
+T_D_S = 0.05
+REFUSALS = [status for status in Status if status != Status.OK]
+SCENE = make_scene(0, duration_s=3.0)
+OFFSETS_S = np.arange(-0.2, 0.3, 0.001)
+SEARCH = Estimate(
+    "ssac", t_d_s=T_D_S, candidates_s=OFFSETS_S, costs=1.0 + np.abs(OFFSETS_S - T_D_S)
+)
+
+
+@pytest.mark.parametrize("status", REFUSALS)
+def test_positions_settle_what_the_table_names_of_a_search(status):
+    views = SimpleNamespace(pose_is_known=True, rig=SCENE.rig)
+    tried = hypotheses(replace(SEARCH, status=status), views)
+    assert bool(tried) == (status in SETTLED_BY["joint"])
+    assert all(one.status == Status.OK for one in tried)
+
+
+@pytest.fixture(scope="module")
+def views():
+    return two_views(*observations(*box_events(SCENE, 0)), SCENE.unknown_rig, CLEAN)
+
+
+@pytest.mark.parametrize("status", REFUSALS)
+@pytest.mark.parametrize("searched", [Status.OK, Status.AMBIGUOUS_OFFSET, Status.NO_MATCH])
+def test_tangents_settle_what_the_table_names_of_joint(status, searched, views, monkeypatch):
+    found = Estimate("tangency", t_d_s=T_D_S, t_d_std_s=1e-4)
+    looked = []
+    for name in ("_despite_the_mean", "settled"):
+        monkeypatch.setattr(
+            f"ssac.methods.tangency.{name}", lambda *_, name=name: looked.append(name) or found
+        )
+    search = replace(SEARCH, status=searched, alternatives_s=np.array([0.1]))
+    start = Estimate("joint", status, "a reason", start=search)
+    estimate = tangency_from(start, views)
+    assert estimate.method == "tangency"
+    if status in SETTLED_BY["tangency"]:
+        assert estimate.status == Status.OK
+        assert looked == ["_despite_the_mean" if searched == Status.OK else "settled"]
+    else:
+        assert (estimate.status, estimate.reason) == (status, "a reason")
+        assert looked == []
+
+
+@pytest.mark.parametrize("status", REFUSALS)
+@pytest.mark.parametrize("helps", [True, False])
+def test_a_clock_of_pieces_settles_what_the_table_names_of_tracks(status, helps, monkeypatch):
+    tried = []
+
+    def joint_from(start, views):
+        tried.append(views.config.clock)
+        refused = Estimate("joint", status, "a reason", start=start)
+        if views.config.clock == "affine" or not helps:
+            return refused
+        return Estimate("joint", t_d_s=T_D_S, t_d_std_s=1e-3)
+
+    monkeypatch.setattr("ssac.methods.joint.joint_from", joint_from)
+    monkeypatch.setattr("ssac.methods.algorithms.algorithm_2", lambda views: SEARCH)
+    tracks = [tracked(frame_track(SCENE, k + 1, 30.0, k * T_D_S, seed=k)) for k in range(2)]
+    chain = Chain(tracks, SCENE.unknown_rig, Config(interval_s=(-0.5, 0.5)))
+    answer = chain.answer("joint")
+    is_settled = status in SETTLED_BY["pieces"]
+    assert tried == (["affine", "pieces"] if is_settled else ["affine"])
+    assert answer.wanders == (is_settled and helps)
+    assert answer.estimate.status == (Status.OK if answer.wanders else status)
+    assert answer.config.clock == ("pieces" if answer.wanders else "affine")
+    assert ("a clock wanders" in answer.note) == answer.wanders
+
+
+@pytest.mark.parametrize("config", [Config(clock="affine"), Config(skew_prior_ppm=0.0)])
+def test_a_clock_that_was_asked_for_stays(config, monkeypatch):
+    refused = Estimate("joint", Status.CLOCK_JUMP, "a jump")
+    monkeypatch.setattr("ssac.methods.joint.joint_from", lambda start, views: refused)
+    monkeypatch.setattr("ssac.methods.algorithms.algorithm_2", lambda views: SEARCH)
+    tracks = [tracked(frame_track(SCENE, k + 1, 30.0, k * T_D_S, seed=k)) for k in range(2)]
+    chain = Chain(tracks, SCENE.unknown_rig, replace(config, interval_s=(-0.5, 0.5)))
+    answer = chain.answer("joint")
+    assert answer.estimate.status == Status.CLOCK_JUMP
+    assert not answer.wanders

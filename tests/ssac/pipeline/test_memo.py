@@ -1,0 +1,206 @@
+"""What methods, offsets and parameters have in common is found once, and answers stay the same."""
+
+from collections import Counter
+from dataclasses import dataclass, fields, replace
+from importlib import import_module
+
+import numpy as np
+import pytest
+
+from ssac import Chain, Config, Observation, SsacError
+from ssac.camera import Camera, Rig
+from ssac.pipeline.registry import METHODS, OURS
+from ssac.track.clean import clean
+from tests.ssac.cluttered import noisy_flight
+from tests.ssac.synthetic import CAMERA, HEIGHT, K, make_scene
+
+T_D_S = 0.05
+NAMES = [method.name for method in OURS]
+STAGES = (
+    "ssac.pipeline.chain.clean",
+    "ssac.pipeline.chain.one_object",
+    "ssac.track.motions._summed_up",
+    "ssac.search.view.view_of",
+    "ssac.methods.algorithms.algorithm_1",
+    "ssac.methods.algorithms.algorithm_2",
+    "ssac.methods.joint.joint_from",
+    "ssac.methods.tangency.tangency_from",
+)
+SCENE = make_scene(seed=1, duration_s=6.0)
+RIG = SCENE.rig
+
+
+@pytest.fixture(scope="module")
+def raw():
+    """Two cameras with noise events, and with frames that flicker alike."""
+    return noisy_flight(SCENE, T_D_S)
+
+
+@pytest.fixture(scope="module")
+def chain(raw):
+    return Chain(raw, RIG)
+
+
+@pytest.fixture
+def calls(monkeypatch):
+    """How often each stage is called from now on, by its name."""
+    counts = Counter()
+
+    def counted(place):
+        module, _, name = place.rpartition(".")
+        work = getattr(import_module(module), name)
+
+        def called(*args, **options):
+            counts[name] += 1
+            return work(*args, **options)
+
+        monkeypatch.setattr(place, called)
+
+    for place in STAGES:
+        counted(place)
+    return counts
+
+
+def assert_equal(estimate, expected):
+    for field in fields(expected):
+        if field.compare:  # the start is compared as the method that it is of
+            ours, theirs = getattr(estimate, field.name), getattr(expected, field.name)
+            np.testing.assert_array_equal(ours, theirs, err_msg=field.name)  # the same arithmetic
+
+
+@dataclass
+class File:
+    """What one camera recorded, and how often that was read."""
+
+    seen: Observation
+    asked: list[str]
+    name: str = ""
+    has_track: bool = False
+
+    def read(self, frames=""):
+        self.asked.append(frames)
+        return self.seen
+
+
+def test_each_stage_runs_once_for_all_ten_methods(raw, calls):
+    files = [File(seen, []) for seen in raw]
+    chain = Chain(files, RIG)
+    for name in NAMES * 2:
+        assert chain.estimate(name).method == name
+    assert calls == {
+        "clean": 2,  # cameras
+        "one_object": 1,
+        "_summed_up": 2,
+        "view_of": 2,
+        "algorithm_1": 1,
+        "algorithm_2": 1,
+        "joint_from": 2,  # of a free pose, and of a known one
+        "tangency_from": 2,
+    }
+    for file in files:
+        assert sorted(file.asked) == ["", "means"]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_method_gives_the_same_for_what_is_clean_already(name, raw, chain):
+    expected = chain.estimate(name)
+    assert expected.status == "ok"
+    assert expected.method == name
+    cleaned = [clean(seen, CAMERA, Config().cleaning) for seen in raw]
+    assert_equal(Chain(cleaned, RIG).estimate(name), expected)
+    assert_equal(getattr(import_module("ssac"), name.replace("-", "_"))(*cleaned, RIG), expected)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_method_gives_the_same_for_a_delayed_camera(name, raw, chain):
+    chain.estimate(name)  # so that what it found before the delay is there to be misused
+    late = Chain([raw[0], raw[1].delayed(0.3)], RIG)
+    assert_equal(chain.delayed(0.3).estimate(name), late.estimate(name))
+
+
+def test_a_delay_takes_what_is_clean_and_summed_up_along(raw, calls):
+    chain = Chain(raw, RIG)
+    chain.estimate("joint")
+    calls.clear()
+    late = chain.delayed(0.1)
+    assert late.clean(0) is chain.clean(0)
+    assert np.array_equal(late.clean(1).events["t"], chain.clean(1).events["t"] + 100_000)
+    found = late.estimate("joint")
+    assert calls["clean"] == calls["_summed_up"] == 0
+    assert calls["algorithm_2"] == calls["joint_from"] == 1
+    again = chain.delayed(0.1).under(Config(n_samples=300)).under(Config())
+    assert again.estimate("joint") is found  # the last delay is kept
+    chain.delayed(0.2).clean(1)
+    assert chain.delayed(0.1).estimate("joint") is not found
+    assert chain.delayed(0.0) is chain
+    with pytest.raises(SsacError, match="n_min must be positive"):
+        late.under(Config(n_min=0))
+
+
+@pytest.mark.parametrize(
+    ("config", "expected"),
+    [
+        (Config(), {}),
+        (Config(skew_prior_ppm=20.0), {"joint_from": 1}),
+        (Config(roughness_ppm=100.0), {"joint_from": 1}),
+        (Config(n_samples=300), {"algorithm_2": 1, "joint_from": 1}),
+        (Config(seed=5), {"algorithm_2": 1, "joint_from": 1}),
+        (Config(half_window_s=0.015), {"view_of": 2, "algorithm_2": 1, "joint_from": 1}),
+        (
+            Config(border_px=9),
+            {"_summed_up": 2, "view_of": 2, "algorithm_2": 1, "joint_from": 1},
+        ),
+        (
+            Config(interval_s=(-0.5, 0.5)),
+            {"one_object": 1, "view_of": 2, "algorithm_2": 1, "joint_from": 1},
+        ),
+        (
+            Config(n_neighbours=2),
+            {
+                "clean": 2,
+                "one_object": 1,
+                "_summed_up": 2,
+                "view_of": 2,
+                "algorithm_2": 1,
+                "joint_from": 1,
+            },
+        ),
+    ],
+)
+def test_other_parameters_share_all_that_they_leave_alone(config, expected, raw, chain, calls):
+    chain.estimate("joint")
+    calls.clear()
+    other = chain.under(config)
+    found = other.estimate("joint")
+    assert +calls == Counter(expected)
+    assert_equal(found, Chain(raw, RIG, config).estimate("joint"))
+
+
+def test_other_cameras_than_those_of_what_is_clean_are_obeyed(raw):
+    lens = Camera(K, CAMERA.width, CAMERA.height, "radtan", (-0.1, 0.02, 0.001, -0.001))
+    rig = Rig(CAMERA, lens)
+    cleaned = [clean(seen, CAMERA, Config().cleaning) for seen in raw]
+    motions = [Chain(seen, rig).views().motion2 for seen in (cleaned, raw)]
+    times_s = np.linspace(0.5, 5.5, 50)
+    tracks = [motion.at(times_s).positions_px for motion in motions]
+    np.testing.assert_array_equal(*tracks)
+    plain = Chain(cleaned, RIG).views().motion2.at(times_s).positions_px
+    assert np.nanmax(np.abs(tracks[0] - plain)) > 1.0
+    smaller = replace(RIG, cam2=Camera(K, 100, HEIGHT))
+    with pytest.raises(SsacError, match="camera 2: the sensor is 100 x 260 px"):
+        Chain(cleaned, smaller).views()
+
+
+def test_what_was_never_asked_for_need_not_be_usable(raw):
+    backwards = replace(raw[1], events=raw[1].events[::-1])
+    chain = Chain((raw[0], backwards), RIG)
+    assert chain.estimate("zncc_f").status == "ok"  # which looks at frames alone
+    with pytest.raises(SsacError, match="camera 2: events must be sorted"):
+        chain.estimate("ssac")
+    with pytest.raises(SsacError, match="3 recordings for the 2 cameras"):
+        Chain((*raw, raw[0]), RIG)
+
+
+def test_all_ten_are_ours():
+    assert set(NAMES) <= set(METHODS)
+    assert len(NAMES) == 10
