@@ -255,7 +255,7 @@ def two_views(
     cam1, cam2
         What the two cameras recorded; what is clean already is not cleaned again.
     rig
-        Intrinsics; the extrinsics are not used.
+        Intrinsics; the extrinsics are handed on, and not used.
     config
         Parameters; the defaults when None.
 

@@ -92,7 +92,7 @@ def test_every_method_is_judged_on_every_kind_of_a_flight(kind):
     for method in METHOD_NAMES:
         row = refusal_row(RefusalCell(sim, 1, 2, kind, "ordinary", 3, method), flown)
         assert row.status
-    assert list(flown.prepared) == [kind]  # prepared once, for all methods
+    assert list(flown.made) == [kind]  # made once, for all methods
 
 
 @pytest.mark.render

@@ -16,7 +16,7 @@ from experiments.run.scored import SCORED
 from experiments.run.task import Task, run_task
 from sim.recording import SimConfig
 from ssac.config import Config
-from ssac.tool.registry import OURS
+from ssac.pipeline.registry import OURS
 from tests.experiments.reported import record_flight
 from tests.recorded import kalibr_with_pose
 

@@ -15,8 +15,8 @@ from sim.recording import SimConfig
 from ssac.config import Config
 from ssac.errors import SsacError
 from ssac.estimate import Estimate
+from ssac.pipeline.registry import METHODS, Input, Method
 from ssac.tool.load import load_pair
-from ssac.tool.registry import METHODS, Input, Method
 from ssac.track.observation import prepare
 
 OFFSETS_S = (0.005, 0.05, 0.5)
