@@ -133,8 +133,6 @@ def test_fig_3_leaves_out_positions_that_are_not_valid(aligned) -> None:
 
 
 def test_fig_4_of_a_flight_without_an_estimate_says_why(aligned) -> None:
-    few = aligned.recorded(0).events[
-        :10
-    ]  # fewer than a window must hold, of however thin an object
+    few = aligned.recorded(0).events[:10]  # fewer than a window holds, of however thin an object
     with pytest.raises(SsacError, match=r"too_few_samples|no_common_time"):
         epipolar_figure(with_events(aligned, few))
