@@ -29,30 +29,30 @@ for name, camera in zip(("camera 1", "camera 2"), recording.cameras, strict=True
 # ## 2. The offset and the pose
 #
 # A method gets what real cameras would give: both streams of events, and the intrinsics of both
-# cameras, which are focal length and principal point. It does not get the truth. `tangency`, the
-# default of `ssac sync`, follows the drone in both streams, tries offsets until the two tracks obey
-# one epipolar geometry, and then refines offset and pose together.
+# cameras, which are focal length and principal point. It does not get the truth. `ssac.sync` does
+# what the command `ssac sync` does. `tangency`, its default, follows the drone in both streams,
+# tries offsets until the two tracks obey one epipolar geometry, and then refines offset and pose
+# together.
 
 # %%
+import ssac
 from experiments.run.bridge import observations, rig_of
-from ssac import tangency
 
 cam1, cam2 = observations(recording)
 rig = rig_of(recording)  # intrinsics only
-estimate = tangency(cam1, cam2, rig)
-print("status ", estimate.status)
-print(f"offset  {1e3 * estimate.t_d_s:.3f} ms, deviation {1e3 * estimate.t_d_std_s:.3f} ms")
-print("R\n", estimate.R.round(4))
-print("t", estimate.t.round(4), "of unknown length")
+result = ssac.sync(cam1, cam2, rig)  # or the names of three files
+print("status", result.status)
+print(result.summary())
 
 # %% [markdown]
-# The status says whether the numbers are to be trusted, and the deviation how far. As this
-# recording was simulated we can see for ourselves: `score` sets an estimate beside the truth.
+# The status says whether the numbers are to be trusted, and the deviations, "1 sigma", how far. As
+# this recording was simulated we can see for ourselves: `score` sets an estimate beside the truth.
 
 # %%
 from experiments.run.score import score
 
 truth = recording.truth
+estimate = result.estimate
 errors = score(estimate, truth.t_d_s, truth.R, truth.t)
 print(f"offset off by {errors.t_d_error_ms:.3f} ms")
 print(f"R off by {errors.r_error_deg:.3f} deg, t by {errors.t_error_deg:.3f} deg")
@@ -102,7 +102,7 @@ with TemporaryDirectory() as folder:
     table = np.column_stack([times_s, circle_m, turning])
     np.savetxt(path, table, delimiter=",", header="t,x,y,z,qx,qy,qz,qw", comments="")
     circling = simulate(SimConfig(t_d_s=0.05, trajectory_file=path, frames=no_frames), seed=0)
-refused = tangency(*observations(circling), rig_of(circling))
+refused = ssac.sync(*observations(circling), rig_of(circling))
 print(refused.status)
 print(refused.reason)
 

@@ -101,5 +101,17 @@ def test_the_readme_shows_what_its_example_prints() -> None:
     assert _words(example.shown_in(readme)) == _words(example.example()), "run docs/example.py"
 
 
+@pytest.mark.render
+def test_the_readme_s_python_prints_what_its_command_does(tmp_path: Path, monkeypatch, capsys):
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"```python\n(.*?)```", readme, re.DOTALL)
+    example.printed(example.SIMULATE, tmp_path)
+    monkeypatch.chdir(tmp_path)
+    exec(code, {})
+    out = capsys.readouterr().out
+    assert out.startswith(example.printed(example.SYNC, tmp_path))
+    assert "\nok 0.0" in out
+
+
 def _words(text: str) -> list[str]:
     return re.sub(r"-?\d[\d.]*|\(.*llvmpipe.*\)|osmesa|egl", "#", text).split()
