@@ -5,10 +5,10 @@ import pytest
 
 from ssac import Config, Observation, Status, joint
 from ssac.camera import Rig
+from ssac.objects.objects import BIN_US
 from ssac.points import PointTrack
 from ssac.search.one_object import one_object
 from ssac.tool.registry import Chain
-from ssac.objects.objects import BIN_US
 from ssac.track.observation import tracked
 from tests.ssac.crowds import CAMERA, DURATION_S, T_D_S, branches, flight, mixed
 from tests.ssac.synthetic import make_scene, rotation_angle_deg, track_pair
