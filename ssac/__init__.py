@@ -56,7 +56,7 @@ if TYPE_CHECKING:
     )
     from ssac.pipeline.chain import Chain
     from ssac.pipeline.known import Known
-    from ssac.pipeline.many import NetworkResult
+    from ssac.pipeline.many_report import NetworkResult
     from ssac.pipeline.registry import Input, Method
     from ssac.points import PointTrack
     from ssac.search.two_views import Pairs, PairsAt, TwoViews
@@ -132,7 +132,7 @@ _HOMES = {
     " sync tangency tangency_known two_views usable_events zncc_e zncc_f",
     "ssac.pipeline.chain": "Chain",
     "ssac.pipeline.known": "Known",
-    "ssac.pipeline.many": "NetworkResult",
+    "ssac.pipeline.many_report": "NetworkResult",
     "ssac.pipeline.registry": "Input Method",
     "ssac.points": "PointTrack",
     "ssac.search.two_views": "Pairs PairsAt TwoViews",

@@ -117,8 +117,8 @@ def test_imports(module: str) -> None:
         ("sim.sensor.events", "from ssac.events import EVENT_DTYPE", "sim does not know ssac"),
         ("sim.sensor.events", "from experiments import run", "sim does not know experiments"),
         ("ssac.track.motion", "import sim.scene.rig as rig", "ssac does not know sim"),
-        ("ssac.tool.sync", "from sim.recording import simulate", "ssac does not know sim"),
-        ("ssac.tool.sync", "import experiments.run.score", "ssac does not know experiments"),
+        ("ssac.pipeline.api", "from sim.recording import simulate", "ssac does not know sim"),
+        ("ssac.pipeline.api", "import experiments.run.score", "ssac does not know experiments"),
         ("ssac.track.motion", "def f():\n    from sim import scene", "ssac does not know sim"),
         ("sim.sensor.events", "import pyrender", "only sim.render"),
         ("sim.sensor.events", "from OpenGL.GL import glClear", "only sim.render"),
@@ -134,7 +134,7 @@ def test_imports(module: str) -> None:
         ("sim.scene.trajectory", "from sim import simulate", "not to the left"),
         ("ssac.methods.joint", "from ssac.baselines import zncc_e", "not to the left"),
         ("ssac.methods.joint", "from ssac.methods.tangency import tangency", "not to the left"),
-        ("ssac.methods.joint", "from ssac.tool.registry import METHODS", "not to the left"),
+        ("ssac.methods.joint", "from ssac.pipeline.registry import METHODS", "not to the left"),
         ("ssac.estimate", "import ssac", "not to the left"),
     ],
 )
@@ -154,7 +154,7 @@ def test_a_wrong_import_is_found(module: str, source: str, reason: str) -> None:
         ("ssac.baselines.zncc_e", "from ssac.baselines.event_rate import rate"),
         (
             "experiments.run.task",
-            "import sim.recording\nfrom ssac.methods.algorithms import ssac",
+            "import sim.recording\nfrom ssac.methods.algorithms import algorithm_1",
         ),
     ],
 )

@@ -208,6 +208,7 @@ def refusal_case(kind: str, recording: Pair, other: Pair | None = None) -> Refus
         cam2 = other.cam2
     elif kind == "no-overlap":
         cam2, t_d_s = cam2.delayed(_APART_S), t_d_s + _APART_S
+        config = replace(config, search="interval")  # else all offsets are, and the true one found
     elif kind == "small-overlap":
         config = replace(config, interval_s=(DURATION_S - 1.0, DURATION_S - 0.1))
     elif kind == "outside-search":

@@ -10,12 +10,15 @@ from pathlib import Path
 
 from experiments.run.cache import Cache
 from experiments.run.grid import Cell
+from experiments.run.recorded import recorded_pair
 from experiments.run.scored import SCORED
 from experiments.run.task import Task, run_task
 from sim.recording import SimConfig
 from sim.sensor.events import PRESETS
 from ssac.config import Config
 from ssac.console.progress import progress
+from ssac.pipeline.chain import Chain
+from ssac.pipeline.many import solve_pairs
 from ssac.pipeline.registry import OURS
 
 
@@ -31,13 +34,23 @@ def warm_up_tasks() -> list[Task]:
     return tasks
 
 
+def find_path(task: Task, cache: Cache) -> None:
+    """Search all offsets of a task's recording, and place its cameras and the path as of many."""
+    cam1, cam2, rig = recorded_pair(cache, *task.recordings[0])
+    chain = Chain((cam1, cam2), rig, Config(search="all"))
+    solve_pairs(chain, {(0, 1): chain.answer()})
+
+
 def main() -> None:
     """Run them in a folder of their own."""
     tasks = warm_up_tasks()
-    with tempfile.TemporaryDirectory() as folder, progress(len(tasks), "kernels") as advance:
+    with tempfile.TemporaryDirectory() as folder, progress(len(tasks) + 1, "kernels") as advance:
+        cache = Cache(Path(folder))
         for n_done, task in enumerate(tasks, 1):
-            run_task(task, Cache(Path(folder)), SCORED)
+            run_task(task, cache, SCORED)
             advance(n_done)
+        find_path(tasks[-1], cache)
+        advance(len(tasks) + 1)
 
 
 if __name__ == "__main__":

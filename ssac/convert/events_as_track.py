@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 from ssac.camera import distort_points
 from ssac.config import Config
 from ssac.errors import SsacError
+from ssac.objects.objects import objects_of, seem_several
 from ssac.points import PointTrack
 from ssac.search.seen import seen_of, seen_times
 from ssac.silhouette.silhouette import Images, silhouettes
 from ssac.track.clean import Clean
 from ssac.track.motion import SharpTrack
 from ssac.track.motions import motion_of
-from ssac.track.objects import objects_of, seem_several
 
 STEP_S = 0.01
 """Time between points: half of a window's half, so that a track loses nothing of the motion."""

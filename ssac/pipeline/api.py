@@ -26,7 +26,7 @@ from ssac.track.observation import Observation
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from ssac.pipeline.many import NetworkResult
+    from ssac.pipeline.many_report import NetworkResult
     from ssac.plot.plot_data import Material
 
 
@@ -115,20 +115,9 @@ class Result:
         return f"{said}>"
 
     def _repr_html_(self) -> str:
+        from ssac.pipeline.report import html_of
+
         return html_of(self.summary())
-
-
-def html_of(text: str) -> str:
-    """Lay out the lines of a summary as a table, for notebooks."""
-    from html import escape
-
-    rows = [(line[:15].strip(), line[15:].strip()) for line in text.splitlines()]
-    cells = "".join(
-        f"<tr><th style='text-align:left'>{escape(name)}</th>"
-        f"<td style='text-align:left'>{escape(value)}</td></tr>"
-        for name, value in rows
-    )
-    return f"<table>{cells}</table>"
 
 
 @overload
@@ -261,7 +250,7 @@ def two_views(
     cam1, cam2
         What the two cameras recorded; what is clean already is not cleaned again.
     rig
-        Intrinsics; the extrinsics are not used.
+        Intrinsics; the extrinsics are handed on, and not used.
     config
         Parameters; the defaults when None.
 

@@ -153,9 +153,10 @@ class Chain:
         return self.sources[k].read(frames)
 
     def views(self, i: int = 0, j: int = 1) -> TwoViews:
-        """Give both views of all that two cameras saw."""
+        """Give both views of all that two cameras saw, and their rig as it was given."""
         config = self.config.resolved(self._has_track(i, j))
-        return self._views((self.clean(i), self.clean(j)), self.rig.pair(i, j).unposed, config)
+        rig = self.rig.pair(i, j)
+        return replace(self._views((self.clean(i), self.clean(j)), rig.unposed, config), rig=rig)
 
     def lacks(self, method: Method, i: int = 0, j: int = 1) -> str:
         """Say what two cameras lack for a method; empty when it can run."""

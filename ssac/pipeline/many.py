@@ -1,18 +1,11 @@
 """Clocks and poses of all cameras of a rig, and the path that they saw, from all its pairs."""
 
-from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from ssac.compare.frame import (
-    Ground,
-    ground_of_positions,
-    ground_of_rtk,
-    in_frame,
-)
+from ssac.compare.frame import Ground, ground_of_positions, ground_of_rtk, in_frame
 from ssac.convert.events_as_track import ShapedTrack, shaped_track_of_events, track_of_events
 from ssac.errors import SsacError
 from ssac.estimate import Status
@@ -21,60 +14,13 @@ from ssac.network.sightings import Sightings, sightings
 from ssac.network.solve import NetworkAnswer, link_of, solve_network
 from ssac.path.tum import write_path
 from ssac.pipeline.answer import Answer, Log, Stopwatch
-from ssac.pipeline.api import Result, html_of
 from ssac.pipeline.chain import Chain, one_thread
 from ssac.pipeline.known import NOTHING, Known
+from ssac.pipeline.many_report import NetworkResult, save_many
 from ssac.pipeline.registry import Method
 from ssac.points import PointTrack
 from ssac.silhouette.perspective import LEAST_VIEWS
 from ssac.track.clean import Clean
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class NetworkResult:
-    """What is found of many cameras, what it was made from, and how long it took."""
-
-    names: tuple[str, ...]  # of the recordings, in the order of the rig's cameras
-    rig_name: str
-    network: NetworkAnswer
-    pairs: dict[Pair, Answer]
-    scale_is_known: bool  # lengths are metres; no: distances of the first two cameras
-    ground: Ground | None  # the frame of cameras and path; None: the first camera's
-    seconds: dict[str, float]
-
-    @property
-    def status(self) -> Status:
-        """Whether all cameras are in one network: "ok" if so."""
-        return self.network.status
-
-    @property
-    def reason(self) -> str:
-        """Why not all cameras are in one network; empty where they are."""
-        return self.network.reason
-
-    @property
-    def cameras(self) -> list[Any]:
-        """Clock and pose of each camera (`ssac.network.answers.CameraAnswer`)."""
-        return list(self.network.cameras)
-
-    def summary(self) -> str:
-        """Lay it out for people: what `ssac sync` prints."""
-        from ssac.pipeline.many_report import many_text
-
-        return many_text(self)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Lay it out for machines: what `ssac sync --json` writes."""
-        from ssac.pipeline.many_report import many_json
-
-        return many_json(self)
-
-    def __repr__(self) -> str:
-        placed = sum(camera.status == Status.OK for camera in self.network.cameras)
-        return f"<ssac.NetworkResult {self.status}, {placed} of {len(self.names)} cameras placed>"
-
-    def _repr_html_(self) -> str:
-        return html_of(self.summary())
 
 
 def network(chain: Chain, method: Method | None = None, known: Known = NOTHING) -> NetworkResult:
@@ -152,9 +98,8 @@ def grounded(answer: NetworkAnswer, known: Known) -> tuple[NetworkAnswer, Ground
     return in_frame(answer, ground), ground
 
 
-def write_path_of_two(file: Path, result: Result, known: Known, log: Log) -> None:
+def write_path_of_two(file: Path, answer: Answer, known: Known, log: Log) -> None:
     """Find the path that two cameras saw and write it; say so, or why there is none."""
-    answer = result.answer
     if answer.estimate.status != Status.OK or answer.estimate.R is None:
         log(f"not written: {file}, since there is no reliable pose")
         return
@@ -164,6 +109,17 @@ def write_path_of_two(file: Path, result: Result, known: Known, log: Log) -> Non
     chain = Chain(answer.cleans, answer.rig, answer.config)
     found = solve_pairs(chain, {(0, 1): answer}, distance_m)
     write_paths(file, grounded(found, known)[0], log)
+
+
+def write_many(
+    result: NetworkResult, json_file: Path | None, trajectory: Path | None, log: Log
+) -> None:
+    """Write what was asked for, and say so."""
+    if json_file is not None:
+        save_many(json_file, result)
+        log(f"wrote {json_file}")
+    if trajectory is not None:
+        write_paths(trajectory, result.network, log)
 
 
 def write_paths(file: Path, answer: NetworkAnswer, log: Log) -> None:

@@ -1,18 +1,64 @@
 """What is found of many cameras, as text for people and as JSON for machines."""
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ssac.compare.frame import Ground
 from ssac.estimate import Status
 from ssac.files.whole_file import whole_file
 from ssac.network.answers import CameraAnswer
-from ssac.pipeline.answer import Log
-from ssac.pipeline.many import NetworkResult, write_paths
-from ssac.pipeline.report import plain
+from ssac.network.graph import Pair
+from ssac.network.solve import NetworkAnswer
+from ssac.pipeline.answer import Answer
+from ssac.pipeline.report import html_of, plain
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class NetworkResult:
+    """What is found of many cameras, what it was made from, and how long it took."""
+
+    names: tuple[str, ...]  # of the recordings, in the order of the rig's cameras
+    rig_name: str
+    network: NetworkAnswer
+    pairs: dict[Pair, Answer]
+    scale_is_known: bool  # lengths are metres; no: distances of the first two cameras
+    ground: Ground | None  # the frame of cameras and path; None: the first camera's
+    seconds: dict[str, float]
+
+    @property
+    def status(self) -> Status:
+        """Whether all cameras are in one network: "ok" if so."""
+        return self.network.status
+
+    @property
+    def reason(self) -> str:
+        """Why not all cameras are in one network; empty where they are."""
+        return self.network.reason
+
+    @property
+    def cameras(self) -> list[Any]:
+        """Clock and pose of each camera (`ssac.network.answers.CameraAnswer`)."""
+        return list(self.network.cameras)
+
+    def summary(self) -> str:
+        """Lay it out for people: what `ssac sync` prints."""
+        return many_text(self)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Lay it out for machines: what `ssac sync --json` writes."""
+        return many_json(self)
+
+    def __repr__(self) -> str:
+        placed = sum(camera.status == Status.OK for camera in self.network.cameras)
+        return f"<ssac.NetworkResult {self.status}, {placed} of {len(self.names)} cameras placed>"
+
+    def _repr_html_(self) -> str:
+        return html_of(self.summary())
 
 
 def many_text(result: NetworkResult) -> str:
@@ -78,17 +124,6 @@ def many_json(result: NetworkResult) -> dict[str, Any]:
         "rig": result.rig_name,
         "seconds": {part: round(value, 3) for part, value in result.seconds.items()},
     }
-
-
-def write_many(
-    result: NetworkResult, json_file: Path | None, trajectory: Path | None, log: Log
-) -> None:
-    """Write what was asked for, and say so."""
-    if json_file is not None:
-        save_many(json_file, result)
-        log(f"wrote {json_file}")
-    if trajectory is not None:
-        write_paths(trajectory, result.network, log)
 
 
 def save_many(path: Path, result: NetworkResult) -> None:

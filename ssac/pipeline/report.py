@@ -98,6 +98,19 @@ def _objects(answer: Answer) -> str:
     return "; ".join(parts)
 
 
+def html_of(text: str) -> str:
+    """Lay out the lines of a summary as a table, for notebooks."""
+    from html import escape
+
+    rows = [(line[:15].strip(), line[15:].strip()) for line in text.splitlines()]
+    cells = "".join(
+        f"<tr><th style='text-align:left'>{escape(name)}</th>"
+        f"<td style='text-align:left'>{escape(value)}</td></tr>"
+        for name, value in rows
+    )
+    return f"<table>{cells}</table>"
+
+
 def save_json(path: Path, answer: Answer) -> None:
     """Write `report_json`; the file appears only when it is complete."""
     rows = [

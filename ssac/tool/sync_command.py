@@ -293,9 +293,9 @@ def sync_command(
             if trajectory is not None:
                 from ssac.pipeline.many import write_path_of_two
 
-                write_path_of_two(trajectory, result, known, _to_stderr)
+                write_path_of_two(trajectory, result.answer, known, _to_stderr)
         else:
-            from ssac.pipeline.many_report import write_many
+            from ssac.pipeline.many import write_many
 
             write_many(result, json_file, trajectory, _to_stderr)
     if result.status != "ok":

@@ -20,9 +20,8 @@ from sim.scene.trajectory import SplineConfig
 from sim.sensor.events import PRESETS
 from sim.sensor.frames import FrameConfig
 from ssac.config import Config
-from ssac.methods.algorithms import ssac, ssac_known
-from ssac.methods.joint import joint, joint_known
-from ssac.track.observation import Observation, usable_events
+from ssac.pipeline.api import joint, joint_known, ssac, ssac_known, usable_events
+from ssac.track.observation import Observation
 
 pytestmark = pytest.mark.render
 

@@ -12,7 +12,7 @@ from experiments.paper.grids import n_recordings, table_cells
 from sim.recording import SimConfig
 from sim.scene.trajectory import SplineConfig
 from ssac.errors import SsacError
-from ssac.tool.registry import OURS
+from ssac.pipeline.registry import OURS
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,3 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
@@ -18,7 +16,8 @@ from ssac.camera import known_pose
 from ssac.errors import SsacError
 from ssac.events import EVENT_DTYPE
 from ssac.geometry.epipolar import fundamental_from_pose
-from ssac.search.two_views import two_views
+from ssac.pipeline.chain import Chain
+from ssac.track.observation import Observation
 from tests.recorded import T_D_S
 from tests.ssac.synthetic import HEIGHT, WIDTH
 
@@ -29,7 +28,7 @@ def aligned(recorded):
     return load_recording(recorded.folder, -T_D_S)
 
 
-def with_noise(pair, rate_hz: float):
+def with_noise(chain, rate_hz: float):
     """Add events at random pixels and times to camera 1."""
     rng = np.random.default_rng(1)
     n = round(rate_hz * 8.0)
@@ -37,20 +36,28 @@ def with_noise(pair, rate_hz: float):
     noise["t"] = rng.integers(0, 8_000_000, n)
     noise["x"], noise["y"] = rng.integers(0, WIDTH, n), rng.integers(0, HEIGHT, n)
     noise["p"] = rng.integers(0, 2, n)
-    events = np.concatenate([pair.cam1.events, noise])
-    return replace(pair, cam1=replace(pair.cam1, events=events[np.argsort(events["t"])]))
+    events = np.concatenate([chain.recorded(0).events, noise])
+    return with_events(chain, events[np.argsort(events["t"])])
+
+
+def with_events(chain, events):
+    """The same with other events of camera 1."""
+    return Chain((Observation(events), chain.recorded(1)), chain.rig)
 
 
 def test_an_offset_is_added_to_camera_2_only(recorded, aligned) -> None:
     as_recorded = load_recording(recorded.folder)
-    np.testing.assert_array_equal(aligned.cam1.events, as_recorded.cam1.events)
-    shift_us = as_recorded.cam2.events["t"] - aligned.cam2.events["t"]
+    (one, other), (one0, other0) = (
+        [chain.recorded(k).events for k in range(2)] for chain in (aligned, as_recorded)
+    )
+    np.testing.assert_array_equal(one, one0)
+    shift_us = other0["t"] - other["t"]
     assert set(shift_us) == {round(1e6 * T_D_S)}
 
 
 def test_d_avg_is_least_at_the_true_offset(aligned) -> None:
-    views = two_views(aligned.cam1, aligned.cam2, aligned.rig)
-    F = fundamental_from_pose(aligned.rig.cam1.K, aligned.rig.cam2.K, *known_pose(aligned.rig))
+    views, rig = aligned.views(), aligned.rig.pair(0, 1)
+    F = fundamental_from_pose(rig.cam1.K, rig.cam2.K, *known_pose(rig))
     offsets_s = 1e-3 * np.arange(-20.0, 21.0)
     for curve in d_avg_curves(views, F, offsets_s):
         best = np.argmin(curve.d_avg_px)
@@ -115,10 +122,10 @@ def test_fig_3_shows_noise_going_and_the_object_staying(aligned) -> None:
 
 
 def test_fig_3_leaves_out_positions_that_are_not_valid(aligned) -> None:
-    events = aligned.cam1.events
+    events = aligned.recorded(0).events
     middle_us = 1e6 * np.mean(STRETCH_S)
     away = np.abs(events["t"] - middle_us) < 200_000  # the object stands still for 0.4 s
-    gap = replace(aligned, cam1=replace(aligned.cam1, events=events[~away]))
+    gap = with_events(aligned, events[~away])
     times_s, x, _ = preprocessing_figure(gap).axes[2].lines[0].get_data_3d()
     inside = np.abs(times_s - 1e-6 * middle_us) < 0.17  # with windows of 20 ms on each side
     assert np.isnan(x[inside]).all()
@@ -126,6 +133,6 @@ def test_fig_3_leaves_out_positions_that_are_not_valid(aligned) -> None:
 
 
 def test_fig_4_of_a_flight_without_an_estimate_says_why(aligned) -> None:
-    few = aligned.cam1.events[:10]  # fewer than a window must hold, of however thin an object
+    few = aligned.recorded(0).events[:10]  # fewer than a window holds, of however thin an object
     with pytest.raises(SsacError, match=r"too_few_samples|no_common_time"):
-        epipolar_figure(replace(aligned, cam1=replace(aligned.cam1, events=few)))
+        epipolar_figure(with_events(aligned, few))

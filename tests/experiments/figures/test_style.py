@@ -5,7 +5,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from experiments.figures.style import DPI, WIDTH_IN, method_looks, save_png
-from ssac.tool.registry import METHODS
+from ssac.pipeline.registry import METHODS
 
 
 def line_figure() -> Figure:

@@ -185,6 +185,6 @@ def test_a_mark_asks_for_something(mark: Mark) -> None:
 def test_another_time_is_no_other_run() -> None:
     """What a run took is measured, so that making it again gives another number."""
     committed = pd.DataFrame([{"cell": "0", "status": "ok", "reason": "", "cpu_s": "1.5"}])
-    assert row_faults(committed.assign(cpu_s="2.5"), committed, ("cell",), True) == ()
-    other = row_faults(committed.assign(status="no_match"), committed, ("cell",), True)
+    assert row_faults(committed.assign(cpu_s="2.5"), committed, ("cell",), ()) == ()
+    other = row_faults(committed.assign(status="no_match"), committed, ("cell",), ())
     assert len(other) == 1

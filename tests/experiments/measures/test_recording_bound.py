@@ -24,7 +24,8 @@ from ssac.config import Config
 from ssac.geometry.epipolar import fundamental_from_pose, sampson_distance
 from ssac.geometry.robust import robust_deviation
 from ssac.methods.tangent_pairs import TangencyConfig
-from ssac.search.two_views import TwoViews, two_views
+from ssac.pipeline.api import two_views
+from ssac.search.two_views import TwoViews
 from ssac.track.observation import Observation
 from tests.experiments.reported import record_flight
 from tests.recorded import kalibr_with_pose

@@ -92,7 +92,15 @@ def test_every_method_is_judged_on_every_kind_of_a_flight(kind):
     for method in METHOD_NAMES:
         row = refusal_row(RefusalCell(sim, 1, 2, kind, "ordinary", 3, method), flown)
         assert row.status
-    assert list(flown.prepared) == [kind]  # prepared once, for all methods
+    assert list(flown.made) == [kind]  # made once, for all methods
+
+
+@pytest.mark.parametrize("method", METHOD_NAMES)
+def test_recordings_a_minute_apart_have_no_common_time_in_the_interval(method):
+    cam1, cam2 = (Observation(events) for events in make_events(SCENE, 0, T_D_S))
+    flown = FlownKinds(Pair(cam1, cam2, SCENE.rig), None)
+    cell = RefusalCell(flight_config("ordinary", 90.0), 1, 2, "no-overlap", "ordinary", 3, method)
+    assert refusal_row(cell, flown).status == "no_common_time"
 
 
 @pytest.mark.render

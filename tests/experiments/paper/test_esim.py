@@ -17,7 +17,7 @@ from experiments.paper.esim import (
 )
 from experiments.paper.published import load_published
 from ssac.errors import SsacError
-from ssac.tool.registry import METHODS
+from ssac.pipeline.registry import METHODS
 from tests.experiments.reported import made_up_runs
 
 

@@ -16,7 +16,7 @@ from experiments.run.scored import SCORED
 from experiments.run.task import Task, run_task
 from sim.recording import SimConfig
 from ssac.config import Config
-from ssac.tool.registry import OURS
+from ssac.pipeline.registry import OURS
 from tests.experiments.reported import record_flight
 from tests.recorded import kalibr_with_pose
 
@@ -28,6 +28,8 @@ CODES = {
     "bounds": BOUNDS.code,
     "refusals": REFUSALS.code,
 }
+
+OF_ROWS = {"runs", "bounds", "refusals"}  # which come through the pipeline
 
 OF_EVENTS = {"brightness", "denoised"}  # which do not depend on how a recording was made
 
@@ -75,11 +77,15 @@ def test_every_module_that_an_entry_depends_on_makes_a_new_key(tree: Path) -> No
     ("path", "old", "new", "changed"),
     [
         # The two faults that the cache did not see when its keys were lists made by hand.
-        ("ssac/track/observation.py", "without_noise(", "(", set(CODES) - {"recordings"}),
-        ("ssac/tool/registry.py", '"zncc_e", zncc_e', '"zncc_e", event_rate',
-         {"runs", "refusals"}),
+        ("ssac/track/clean.py", "without_noise(", "(", {"denoised", *OF_ROWS}),
+        ("ssac/pipeline/registry.py", "zncc_e:zncc_e_of_events", "event_rate:event_rate_of_events",
+         OF_ROWS),
+        ("ssac/track/observation.py", "import", "import os\nimport", set(CODES) - {"recordings"}),
+        ("ssac/track/motions.py", "import", "import os\nimport", OF_ROWS),
+        ("ssac/pipeline/api.py", "import", "import os\nimport", set()),
+        ("ssac/pipeline/many.py", "import", "import os\nimport", set()),
         ("experiments/run/score.py", "1e3", "1e6", {"runs", "refusals"}),
-        ("experiments/run/recorded.py", "config.t_d_s", "0.0", {"runs", "bounds", "refusals"}),
+        ("experiments/run/recorded.py", "config.t_d_s", "0.0", OF_ROWS),
         ("sim/sensor/kernels.py", "import", "import os\nimport", set(CODES) - OF_EVENTS),
         ("sim/render/shaders/mesh.frag", "void", "/**/ void", set(CODES) - OF_EVENTS),
         ("sim/render/gl_reference.py", "import", "import os\nimport", set()),
@@ -112,6 +118,21 @@ def test_a_name_from_a_package_counts_with_the_module_that_it_comes_from(tmp_pat
     assert tree.closure("ssac.user") == {"ssac.user", "ssac", "ssac.one"}
     assert tree.closure("ssac.lazy") == {"ssac.lazy", "ssac.two"}
     assert tree.closure("ssac.dynamic") >= {"ssac.one", "ssac.two", "ssac.lazy"}
+
+
+def test_a_row_depends_on_what_its_pipeline_calls_and_on_nothing_else_of_it() -> None:
+    row = SourceTree().closure(*SCORED.code)
+    assert {name for name in row if name.startswith("ssac.pipeline.")} == {
+        f"ssac.pipeline.{file}" for file in ("summaries", "registry", "answer", "chain")
+    }
+    foreign = ("network", "silhouette", "plot", "path", "compare", "convert", "tool", "follow")
+    assert not {name for name in row if name.split(".")[:2] in [["ssac", one] for one in foreign]}
+    assert {"ssac.files.rigs", "ssac.files.hdf5"} <= row
+    assert not row & {"ssac.files.event_files", "ssac.files.text", "ssac.files.aedat4"}
+
+
+def test_how_an_object_moves_is_no_matter_of_what_is_left_without_noise() -> None:
+    assert not {name for name in SourceTree().closure(*DENOISED_CODE) if "motion" in name}
 
 
 def test_prose_does_not_count_but_code_does() -> None:

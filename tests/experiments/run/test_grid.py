@@ -25,7 +25,7 @@ from sim.sensor.frames import FrameConfig
 from ssac.config import Config
 from ssac.errors import SsacError
 from ssac.files.hdf5 import load_events_h5
-from ssac.tool.registry import METHODS
+from ssac.pipeline.registry import METHODS
 from ssac.track.observation import Observation
 
 SMALL = {

@@ -8,21 +8,26 @@ import pytest
 
 from experiments.run import recorded as module
 from experiments.run.cache import Cache
-from experiments.run.recorded import Pair, denoised_pair, load_pair, packed, unpacked
-from ssac.config import Config
+from experiments.run.recorded import Pair, clean_pair, load_pair, packed, unpacked
+from ssac.camera import same_camera
+from ssac.config import Cleaning
 from ssac.events import events_from_arrays
-from ssac.track.observation import Observation, denoised
+from ssac.pipeline.chain import Chain
+from ssac.pipeline.registry import OURS, Input
+from ssac.track.clean import Clean, clean
 from tests.recorded import Recorded
 
-CONFIG = Config()
+HOW = Cleaning(denoise=True, n_neighbours=None)
 
 
-def assert_same(one: Observation, other: Observation) -> None:
-    for field in fields(Observation):
+def assert_same(one: Clean, other: Clean) -> None:
+    for field in fields(Clean):
         a, b = getattr(one, field.name), getattr(other, field.name)
         if isinstance(a, np.ndarray):
             np.testing.assert_array_equal(a, b, strict=True)
-        else:
+        elif field.name == "camera":
+            assert same_camera(a, b)
+        elif field.compare:
             assert a == b, field.name
 
 
@@ -31,33 +36,35 @@ def test_a_pair_comes_back_as_denoising_left_it(
     recorded: Recorded, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, has_line: bool
 ) -> None:
     raw = cam1, cam2, rig = load_pair(recorded.folder)
-    clean = denoised(cam1, cam2, rig, CONFIG)
-    assert 0 < len(clean[0].events) < len(cam1.events)
+    left = [clean(one, camera, HOW) for one, camera in ((cam1, rig.cam1), (cam2, rig.cam2))]
+    assert 0 < len(left[0].events) < len(cam1.events)
     if has_line:
-        on_line = np.arange(len(clean[0].events)) % 3 == 0
-        clean = replace(clean[0], on_line=on_line), clean[1]
+        left[0] = replace(left[0], on_line=np.arange(len(left[0].events)) % 3 == 0)
+    by_events = {id(cam1): left[0], id(cam2): left[1]}
     calls = []
-    monkeypatch.setattr(module, "denoised", lambda *_: clean)
+    monkeypatch.setattr(module, "clean", lambda seen, *_: by_events[id(seen)])
     for _ in range(2):
-        *pair, n_events = denoised_pair(
-            recorded.folder, lambda: calls.append(1) or raw, CONFIG, Cache(tmp_path)
-        )
-        for one, other in zip(pair, clean, strict=True):
+        pair = clean_pair(recorded.folder, lambda: calls.append(1) or raw, HOW, Cache(tmp_path))
+        for one, other in zip(pair, left, strict=True):
             assert_same(one, other)
-        assert n_events == (len(cam1.events), len(cam2.events))
+        assert [one.n_recorded for one in pair] == [len(cam1.events), len(cam2.events)]
     assert len(calls) == 1  # the second time nothing of the recording is read
 
 
-def test_a_camera_of_which_nothing_is_left_comes_back_as_recorded(
+def test_of_a_camera_of_which_nothing_is_left_every_method_says_so(
     recorded: Recorded, tmp_path: Path
 ) -> None:
     cam1, cam2, rig = load_pair(recorded.folder)
     few = replace(cam2, events=cam2.events[:: len(cam2.events) // 9])  # none near another
     raw = Pair(cam1, few, rig)
     for _ in range(2):
-        found = denoised_pair(recorded.folder, lambda: raw, CONFIG, Cache(tmp_path))
-        assert found[0] is cam1
-        assert found[1] is few
+        pair = clean_pair(recorded.folder, lambda: raw, HOW, Cache(tmp_path))
+        assert len(pair[1].events) == 0 < len(few.events) == pair[1].n_recorded
+        chain = Chain(pair, rig)
+        for method in OURS:
+            if method.input is not Input.FRAMES:
+                found = chain.estimate(method)
+                assert found.status in ("too_few_samples", "no_common_signal"), found
 
 
 @pytest.mark.parametrize("n", [0, 1, 1000])

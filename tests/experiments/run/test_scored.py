@@ -9,30 +9,33 @@ import pytest
 from experiments.run import scored
 from experiments.run.cache import Cache
 from experiments.run.grid import Cell, flight_seed
-from experiments.run.scored import GUARDED, Recorded, is_guarded, load_recorded, scored_row
+from experiments.run.scored import GUARDED, is_guarded, load_recorded, scored_row
 from experiments.workers.sound import save_sums
 from sim.recording import SimConfig
 from ssac.config import Config
 from ssac.errors import SsacError
 from ssac.estimate import Estimate
-from ssac.tool.load import load_pair
-from ssac.tool.registry import METHODS, Input, Method
-from ssac.track.observation import prepare
+from ssac.pipeline.chain import Chain
+from ssac.pipeline.opened import opened, opened_rig
+from ssac.pipeline.registry import METHODS, Input, Method
 
 OFFSETS_S = (0.005, 0.05, 0.5)
 
 
 @pytest.fixture(scope="module")
 def pair(recorded):
-    paths = (recorded / "cam1.h5", recorded / "cam2.h5", recorded / "rig_extrinsics.yaml")
-    cam1, cam2, rig = load_pair(paths, METHODS["zncc_f"])
-    n_events = len(cam1.events), len(cam2.events)
-    return Recorded(*prepare(cam1, cam2, rig), rig, n_events)
+    rig = opened_rig(recorded / "rig_extrinsics.yaml", 2)
+    return Chain(opened(recorded.pair, rig), rig)
+
+
+def of_same(pair):
+    """Methods on the same pair, of which nothing was found yet, as a study has it."""
+    return Chain([replace(pair.clean(k), name="") for k in range(2)], pair.rig)
 
 
 @pytest.fixture
 def fresh(pair):
-    return replace(pair, delayed={}, chains={})
+    return of_same(pair)
 
 
 def cell_of(method: str, t_d_s: float, seed: int = 0) -> Cell:
@@ -47,7 +50,7 @@ def unguarded(t_d_s: float) -> int:
 def with_method(monkeypatch, estimate, **fields):
     method = Method("mine", estimate, Input.TRACKS, "A method of a test.", **fields)
     methods = {**METHODS, "mine": method}
-    monkeypatch.setattr("ssac.tool.registry.METHODS", methods)
+    monkeypatch.setattr("ssac.pipeline.registry.METHODS", methods)
     monkeypatch.setattr(scored, "METHODS", methods)
 
 
@@ -56,13 +59,9 @@ def test_a_row_is_that_of_the_run_in_full_whatever_else_is_measured(method, fres
     for t_d_s in OFFSETS_S:
         cell = cell_of(method, t_d_s, unguarded(t_d_s))
         row = scored_row(cell, fresh)
-        alone = scored_row(cell, replace(pair, delayed={}, chains={}))
-        whole = METHODS[method].estimate(
-            pair.cam1,
-            pair.cam2.delayed(t_d_s),
-            METHODS[method].rig_of(pair.rig),
-            cell.estimator,
-        )
+        alone = scored_row(cell, of_same(pair))
+        late = pair.clean(0), pair.clean(1).delayed(t_d_s)
+        whole = Chain(late, pair.rig, cell.estimator).estimate(method)
         assert row.status == "ok"
         # Rounding of times in seconds.
         assert row.t_d_estimate_ms == pytest.approx(1e3 * whole.t_d_s, abs=1e-6)
@@ -110,7 +109,7 @@ def test_the_guard_stops_a_method_that_does_not_follow_the_clock(field, fresh, m
     def mine(cam1, cam2, rig, config=None):
         shown_s = cam2.events["t"][0] * 1e-6
         estimate = Estimate("mine", t_d_s=shown_s, R=np.eye(3), t=np.array([1.0, 0.0, 0.0]))
-        late = shown_s > 0.1 + fresh.cam2.events["t"][0] * 1e-6
+        late = shown_s > 0.1 + fresh.clean(1).events["t"][0] * 1e-6
         wrong = {"t_d_s": shown_s + 2e-9, "R": np.eye(3) + 2e-9, "status": "no_match"}
         return replace(estimate, **{field: wrong[field]}) if late else estimate
 
@@ -120,6 +119,14 @@ def test_the_guard_stops_a_method_that_does_not_follow_the_clock(field, fresh, m
         scored_row(cell_of("mine", 0.5, seed), fresh)
     free = scored_row(cell_of("mine", 0.5, unguarded(0.5)), fresh)
     assert free.status == "ok"
+
+
+def test_a_method_that_lacks_something_is_skipped_and_no_file_is_named(fresh):
+    row = scored_row(cell_of("zncc_f", 0.05), fresh)
+    assert row.status == "skipped"
+    assert row.reason.startswith("camera 1: zncc_f compares intensity frames")
+    n_events = row.n_events_cam1, row.n_events_cam2
+    assert n_events == tuple(fresh.clean(k).n_recorded for k in range(2))
 
 
 def test_one_offset_in_ten_is_guarded_for_all_methods_alike():
@@ -144,14 +151,15 @@ def test_a_recording_is_looked_at_when_it_is_read_and_not_before(recorded, tmp_p
 
     (folder / "cam1.h5").write_bytes(b"")
     again = load_recorded(cells, Cache(tmp_path))
-    assert again.n_events == whole.n_events
-    for one, other in ((again.cam1, whole.cam1), (again.cam2, whole.cam2)):
-        assert one.clutter == other.clutter
+    for k in range(2):
+        one, other = again.clean(k), whole.clean(k)
+        assert (one.n_recorded, one.clutter) == (other.n_recorded, other.clutter)
         np.testing.assert_array_equal(one.events, other.events, strict=True)
         np.testing.assert_array_equal(one.frames, other.frames, strict=True)
         np.testing.assert_array_equal(one.frame_times_s, other.frame_times_s)
     assert (folder / "cam1.h5").stat().st_size == 0
 
     noisy = [replace(cell, estimator=replace(cell.estimator, denoise=False)) for cell in cells]
-    assert len(load_recorded(noisy, Cache(tmp_path)).cam1.events) == whole.n_events[0]
+    n_recorded = whole.clean(0).n_recorded
+    assert len(load_recorded(noisy, Cache(tmp_path)).clean(0).events) == n_recorded
     assert (folder / "cam1.h5").read_bytes() == (recorded / "cam1.h5").read_bytes()

@@ -27,7 +27,7 @@ from experiments.studies.study import Study, read_table, save_csv, save_derived
 from experiments.verify import derived, sample
 from experiments.verify.manifest import Manifest, manifest_of
 from sim.render.gl_context import open_context
-from ssac.tool.registry import OURS
+from ssac.pipeline.registry import OURS
 from tests.experiments.flown import write_made_up_flights
 from tests.experiments.grown import made_up_growth
 from tests.experiments.reported import made_up_runs

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from ssac.events import EVENT_DTYPE
-from ssac.search.object_chains import chains_of
-from ssac.track.objects import BIN_US, objects_of, seem_several
+from ssac.objects.chains import chains_of
+from ssac.objects.objects import BIN_US, objects_of, seem_several
 from tests.ssac.crowds import branches, flight, mixed
 from tests.ssac.synthetic import CAMERA, make_events, make_scene, track_pair
 

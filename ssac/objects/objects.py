@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ssac.camera import Camera, undistort_points
 from ssac.events import first_from
-from ssac.track.object_kernels import blobs_in_bins, occupied_bins
+from ssac.objects.kernels import blobs_in_bins, occupied_bins
 
 Array = NDArray[np.float64]
 

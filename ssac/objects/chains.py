@@ -8,7 +8,7 @@ two views have to bear out.
 import numpy as np
 from numpy.typing import NDArray
 
-from ssac.track.objects import Piece
+from ssac.objects.objects import Piece
 
 Array = NDArray[np.float64]
 

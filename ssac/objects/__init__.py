@@ -1,0 +1,1 @@
+"""Events of one camera in; the things that move in them, and which piece follows which, out."""
