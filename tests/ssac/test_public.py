@@ -3,6 +3,7 @@
 import ast
 import subprocess
 import sys
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
@@ -29,7 +30,19 @@ def test_types_are_checked_against_the_same_modules() -> None:
     }
     homes = {name: home for home, names in ssac._HOMES.items() for name in names.split()}
     assert typed == homes
-    assert sorted(homes) == sorted(ssac.__all__)
+    assert sorted(homes) == sorted([*ssac.__all__, "ssac"])
+
+
+def test_the_name_of_the_module_is_left_alone() -> None:
+    """The paper's method has the module's name, and is asked for as `ssac.ssac`."""
+    names: dict[str, object] = {}
+    exec("import ssac\nfrom ssac import *", names)
+    assert names["ssac"] is ssac
+    assert callable(ssac.ssac)
+
+
+def test_the_version_is_that_of_the_distribution() -> None:
+    assert ssac.__version__ == version("ssac-suite")
 
 
 def test_an_unknown_name_is_an_attribute_error() -> None:

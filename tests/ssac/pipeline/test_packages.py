@@ -11,14 +11,15 @@ import numpy as np
 import pandas as pd
 import pytest
 
-import ssac.tool.registry
+import ssac.pipeline.registry
 from experiments.paper.esim import esim_table, runs_of_grid
-from ssac.errors import SsacError
+from ssac.errors import PluginError, SsacError
 from ssac.files.event_files import load_events
 from ssac.files.hdf5 import save_events_h5
-from ssac.tool.load import load_pair
-from ssac.tool.registry import METHODS, OURS, Input, Registry, choose_method
-from tests.ssac.synthetic import HEIGHT, WIDTH
+from ssac.pipeline.chain import Chain
+from ssac.pipeline.registry import OURS, Input, Registry, choose_method
+from ssac.track.observation import Observation
+from tests.ssac.synthetic import HEIGHT, WIDTH, make_events, make_scene
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -37,10 +38,14 @@ def estimate(cam1, cam2, rig, config=None):
 '''
 
 
+SCENE = make_scene(0, duration_s=3.0)
+
+
 @pytest.fixture(scope="module")
-def data(recorded):
-    paths = (recorded / "cam1.h5", recorded / "cam2.h5", recorded / "rig_extrinsics.yaml")
-    return load_pair(paths, METHODS["zncc_f"])
+def chain():
+    """Two cameras of a rig whose extrinsics are known."""
+    seen = [Observation(events) for events in make_events(SCENE, 0, rate_hz=8000.0, size_m=0.4)]
+    return Chain(seen, SCENE.rig)
 
 
 # --- Methods of other packages ---
@@ -89,7 +94,7 @@ def test_a_function_is_a_method_of_tracks(site):
 
 def test_a_method_object_says_the_rest(site):
     source = GOOD + (
-        "from ssac.tool.registry import Input, Method\n"
+        "from ssac.pipeline.registry import Input, Method\n"
         'M = Method("mine", estimate, Input.RATES, "sums up", needs_extrinsics=True, version="w3")'
     )
     install(site, "whole", "mine = whole:M", source)
@@ -98,9 +103,9 @@ def test_a_method_object_says_the_rest(site):
     assert re.fullmatch(r"whole 1\.2 [0-9a-f]{16} w3", method.version)
 
 
-def test_a_method_of_a_package_runs(site, data):
+def test_a_method_of_a_package_runs(site, chain):
     install(site, "plain", "mine = plain:estimate")
-    assert Registry()["mine"].estimate(*data, None).t_d_s == 0.25
+    assert chain.estimate(Registry()["mine"]).t_d_s == 0.25
 
 
 BROKEN = {
@@ -115,7 +120,7 @@ BROKEN = {
     "two names": (
         "mine = broken:M",
         GOOD
-        + "from ssac.tool.registry import Input, Method\n"
+        + "from ssac.pipeline.registry import Input, Method\n"
         + 'M = Method("yours", estimate, Input.TRACKS, "")',
         "the Method is named 'yours': give both one name",
     ),
@@ -164,12 +169,12 @@ def test_two_packages_with_one_name(site):
         ('Estimate("mine", "it is dark")', "the status 'it is dark': give one word"),
     ],
 )
-def test_what_would_spoil_a_table_is_an_error(returned, message, site, data):
+def test_what_would_spoil_a_table_is_an_error(returned, message, site, chain):
     install(site, "careless", "mine = careless:estimate", GOOD.replace(
         'Estimate("mine", t_d_s=0.25)', returned))  # fmt: skip
     # No SsacError, which would blame the data: the run counts as crashed.
-    with pytest.raises((TypeError, ValueError), match=rf"careless 1\.2 \(entry .*{message}"):
-        Registry()["mine"].estimate(*data, None)
+    with pytest.raises(PluginError, match=rf"careless 1\.2 \(entry .*{message}"):
+        chain.estimate(Registry()["mine"])
 
 
 def test_the_version_follows_every_source_file(site):
@@ -194,11 +199,11 @@ def test_the_version_follows_every_source_file(site):
 
 def test_a_variant_that_is_not_there_is_an_error(site, monkeypatch):
     source = GOOD + (
-        "from ssac.tool.registry import Input, Method\n"
+        "from ssac.pipeline.registry import Input, Method\n"
         'M = Method("mine", estimate, Input.TRACKS, "", known_variant="mine-known")'
     )
     install(site, "halved", "mine = halved:M", source)
-    monkeypatch.setattr(ssac.tool.registry, "METHODS", Registry())
+    monkeypatch.setattr(ssac.pipeline.registry, "METHODS", Registry())
     assert choose_method("mine").name == "mine"
     with pytest.raises(SsacError, match="mine names 'mine-known' as its variant"):
         choose_method("mine", known_extrinsics=True)
