@@ -242,8 +242,8 @@ def choose_method(
         If there is no such method, or no variant of it that is given the extrinsics, or the package
         that it comes from is broken.
     """
-    name = name or (OF_TRACKS if has_track else DEFAULT)
-    method = METHODS.get(name)
+    name = (OF_TRACKS if has_track else DEFAULT) if name is None else name
+    method = METHODS.get(name) if isinstance(name, str) else None
     if method is None:
         raise SsacError(f"unknown method {name!r}: use one of {', '.join(METHODS)}")
     if not known_extrinsics or method.needs_extrinsics:
