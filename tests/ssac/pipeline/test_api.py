@@ -172,6 +172,14 @@ def assert_same_numbers(one, other) -> None:
         assert one == other
 
 
+def test_an_interval_that_is_said_is_searched_though_it_is_the_default_one():
+    far = EVENTS[1].copy()
+    far["t"] += 1_000_000_000
+    said = ssac.sync(EVENTS[0], far, RIG, "ssac", interval_s=(-1.0, 1.0))
+    assert (said.status, said.answer.start) == ("no_common_time", None)
+    assert ssac.sync(EVENTS[0], far, RIG, "ssac").answer.start is not None
+
+
 def test_nothing_that_is_given_is_changed(files):
     events, camera = copy.deepcopy(EVENTS), copy.deepcopy(CAMERA)
     ssac.sync(*events, [camera, camera], "joint")
