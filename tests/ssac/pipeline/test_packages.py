@@ -16,7 +16,8 @@ import yaml
 import ssac.pipeline.registry
 from experiments.paper.esim import esim_table, runs_of_grid
 from experiments.run.grid import Cell
-from experiments.run.scored import scored_row
+from experiments.run.scored import SCORED, scored_row
+from experiments.run.task import CRASHED, refusal
 from sim.recording import SimConfig
 from ssac.config import Config
 from ssac.errors import PluginError, SsacError
@@ -213,6 +214,17 @@ def test_a_crash_is_said_to_be_the_packages(site, recorded, tmp_path, monkeypatc
         f" traceback in {file}"
     )
     assert "Singular matrix" in file.read_text()
+
+
+def test_in_a_table_a_crash_is_a_row_that_names_the_package(site, chain, monkeypatch):
+    install(site, "fragile", "mine = fragile:estimate", CRASHING)
+    monkeypatch.setattr("experiments.run.scored.METHODS", Registry())
+    cell = Cell(SimConfig(), 0, 0, 0.0, Config(), "mine", {"sim.t_d_s": 0.0})
+    with pytest.raises(PluginError) as crash:
+        scored_row(cell, chain)
+    row = refusal(SCORED, crash.value, "mine")
+    assert row["status"] == CRASHED
+    assert "PluginError: fragile 1.2 (entry point mine = fragile:estimate): Lin" in row["reason"]
 
 
 def test_an_input_that_a_package_refuses_is_no_crash(site, chain):
