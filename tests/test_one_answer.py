@@ -35,6 +35,8 @@ pytestmark = pytest.mark.filterwarnings("ignore:.*all times are whole")
 BY_FUNCTION = ("ordinary", "two_drones", "tracks", "rounded_tracks", "noise_alone")
 """Recordings that functions are asked for too: they are the chain, as studies are."""
 
+FEW = ("joint", "tangency", "zncc_e")
+
 METHODS = tuple(method.name for method in OURS)
 WAYS: dict[str, Callable[..., Any]] = {
     "command line": by_command_line,
@@ -119,7 +121,8 @@ def cases() -> Iterator[Any]:
 
 @pytest.mark.parametrize(("way", "name"), list(cases()))
 def test_one_answer(way, name, answers):
-    assert different(way, answers, name, METHODS) == []
+    few = way == "function" and name != "ordinary"
+    assert different(way, answers, name, FEW if few else METHODS) == []
 
 
 @pytest.mark.parametrize("name", [name for name in RECORDINGS if name.startswith("three")])
