@@ -31,6 +31,9 @@ MAX_READOUT_S = 0.2
 READOUT_STD_S = 0.015
 """Deviation from 0 of a readout of which nothing is known: phones have 10 to 30 ms."""
 
+MAX_ROTATION_ERROR = 1e-3
+"""Largest entry of R'R - I in a rotation that was written with few digits."""
+
 MAX_ROUND_TRIP_PX = 1e-6
 """An undistorted point is accepted when distorting it again comes back this close [px]."""
 
@@ -52,10 +55,7 @@ class Camera:
     readout_std_s: float = 0.0  # of what is known of it beforehand; 0: it is not to be estimated
 
     def __post_init__(self) -> None:
-        try:
-            K = np.asarray(self.K, dtype=np.float64)
-        except (TypeError, ValueError):
-            K = np.full((3, 3), np.nan)  # `check_camera` says what is wrong
+        K = _floats(self.K)  # of nonsense NaN: `check_camera` says what is wrong
         object.__setattr__(self, "K", K)
         if self.intrinsics_std_px is None:
             focal_px = GOOD_FOCAL * np.ravel(K)[:5:4]
@@ -129,7 +129,7 @@ def restated(camera: Camera, focal: float | None, centre_px: float | None) -> Ca
     centre_px
         Deviation of both coordinates of the principal point [px].
     """
-    said = camera.intrinsics_std_px
+    said = tuple(camera.intrinsics_std_px)
     other = with_deviations(camera, focal or 0.0, centre_px or 0.0).intrinsics_std_px
     focals = said[:2] if focal is None else other[:2]
     centre = said[2:] if centre_px is None else other[2:]
@@ -153,7 +153,9 @@ def same_camera(a: Camera, b: Camera) -> bool:
 
 def check_camera(camera: Camera, name: str = "camera") -> None:
     """Raise SsacError unless `camera` is a usable pinhole camera; `name` starts the message."""
-    K = np.asarray(camera.K, dtype=np.float64)
+    if not isinstance(camera, Camera):
+        raise SsacError(f"{name}: expected a ssac.Camera, got {type(camera).__name__}")
+    K = camera.K
     if K.shape != (3, 3) or not np.isfinite(K).all():
         raise SsacError(f"{name}: K must be a finite 3x3 matrix, got {K.tolist()}: calibrate again")
     if K[0, 0] <= 0 or K[1, 1] <= 0:
@@ -166,36 +168,76 @@ def check_camera(camera: Camera, name: str = "camera") -> None:
             f"{name}: K must be [[fu, 0, pu], [0, fv, pv], [0, 0, 1]], got {K.tolist()}: "
             "calibrate with a pinhole model without skew"
         )
-    if camera.width < 1 or camera.height < 1 or camera.width * camera.height > MAX_PIXELS:
+    size = camera.width, camera.height
+    is_size = all(isinstance(side, (int, np.integer)) and side >= 1 for side in size)
+    if not is_size or camera.width * camera.height > MAX_PIXELS:
         raise SsacError(
             f"{name}: the resolution must be at least 1 x 1 px and at most {MAX_PIXELS} pixels, "
             f"got {camera.width} x {camera.height}: give it as [width, height]"
         )
-    if camera.distortion_model not in DISTORTION_LENGTHS:
+    if camera.distortion_model not in tuple(DISTORTION_LENGTHS):
         raise SsacError(
             f"{name}: unknown distortion model {camera.distortion_model!r}: "
             f"use one of {', '.join(DISTORTION_LENGTHS)}"
         )
     lengths = DISTORTION_LENGTHS[camera.distortion_model]
-    coeffs = np.asarray(camera.distortion_coeffs, dtype=np.float64)
+    coeffs = _floats(camera.distortion_coeffs)
     if coeffs.ndim != 1 or len(coeffs) not in lengths or not np.isfinite(coeffs).all():
         raise SsacError(
             f"{name}: the distortion model {camera.distortion_model!r} needs "
             f"{' or '.join(map(str, lengths))} finite coefficients, got {coeffs.tolist()}: "
             "calibrate again"
         )
-    deviations = np.asarray(camera.intrinsics_std_px, dtype=np.float64)
+    deviations = _floats(camera.intrinsics_std_px)
     if deviations.shape != (4,) or not (np.isfinite(deviations) & (deviations >= 0.0)).all():
         raise SsacError(
             f"{name}: intrinsics_std must be 4 deviations of fu, fv, pu, pv [px], none negative, "
             f"got {deviations.tolist()}: give 0 for exact ones"
         )
     readout_s = 0.0 if camera.readout_s is None else camera.readout_s
-    if not (0.0 <= readout_s <= MAX_READOUT_S and 0.0 <= camera.readout_std_s < np.inf):
+    readout = _floats([readout_s, camera.readout_std_s])
+    if readout.shape != (2,) or not (
+        0.0 <= readout[0] <= MAX_READOUT_S and 0.0 <= readout[1] < np.inf
+    ):
         raise SsacError(
             f"{name}: the readout must take 0 to {MAX_READOUT_S:g} s, and its deviation must be 0 "
             f"or more, got {camera.readout_s} s and {camera.readout_std_s} s: give seconds"
         )
+
+
+def check_cameras(rig: Cameras) -> None:
+    """Raise SsacError unless all cameras, and the transforms between them, can be used."""
+    if not isinstance(rig.cameras, tuple | list):
+        raise SsacError(f"{rig.name}: expected the ssac.Camera of each, got {rig.cameras!r}")
+    for k, camera in enumerate(rig.cameras, start=1):
+        check_camera(camera, f"camera {k}")
+    for k, step in enumerate(rig.steps, start=1):
+        if step is not None:
+            check_transform(_floats(step), f"{rig.name}, from camera {k} to camera {k + 1}")
+
+
+def check_transform(T: NDArray[np.float64], name: str) -> None:
+    """Raise SsacError, starting with `name`, unless `T` is a rigid transform (4, 4)."""
+    if T.shape != (4, 4) or not np.isfinite(T).all():
+        raise SsacError(
+            f"{name}: expected a finite 4x4 transform x2 = T x1, got {T.tolist()}: give R and t in"
+            " one matrix, or leave it out where the pose is not known"
+        )
+    R = T[:3, :3]
+    error = np.abs(R.T @ R - np.eye(3)).max()
+    if error > MAX_ROTATION_ERROR or np.linalg.det(R) < 0 or not np.array_equal(T[3], (0, 0, 0, 1)):
+        raise SsacError(
+            f"{name}: expected a rotation, got {R.tolist()} (R'R differs from I by {error:.2g}): "
+            "calibrate again"
+        )
+
+
+def _floats(values: object) -> NDArray[np.float64]:
+    """Give an array of numbers, of the same shape; a NaN for what holds none."""
+    try:
+        return np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        return np.array([np.nan])
 
 
 def undistort_points(camera: Camera, points_px: NDArray[np.float64]) -> NDArray[np.float64]:

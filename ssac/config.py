@@ -16,6 +16,16 @@ MIN_SWINGS = 3.5
 MAX_VALLEY_S = 0.3
 """Longest valley of the cost curve whose middle is taken for an offset."""
 
+MAX_COUNT = 10_000_000
+"""Largest of all counts: more would fill the memory before anything is found."""
+
+_COUNTS = {
+    **dict.fromkeys(("n_samples", "n_min", "n_neighbours", "trials", "final_trials"), 1),
+    "border_px": 0,
+    "seed": 0,
+}
+"""Fields that are whole numbers, and the least of each."""
+
 CLOCKS = ("auto", "affine", "pieces")
 
 SEARCHES = ("auto", "interval", "all")
@@ -155,7 +165,7 @@ def validated(config: Config | None) -> Config:
     """Return the config as it is, or the default for None; SsacError when a value is no good."""
     config = Config() if config is None else config
     if not isinstance(config, Config):
-        raise SsacError(f"config: expected a ssac.Config, got {type(config).__name__}")
+        raise SsacError(f"config: expected a ssac.Config, got {type(config).__name__} {config!r}")
     for name, bounds in (("interval_s", config.interval_s), ("rates", config.rates)):
         if bounds is not None and not _are_bounds(bounds):
             raise SsacError(f"{name} must be two finite numbers in ascending order, got {bounds!r}")
@@ -166,16 +176,19 @@ def validated(config: Config | None) -> Config:
         ("clock", config.clock, CLOCKS),
         ("search", config.search, SEARCHES),
     ):
-        if word not in words:
+        if not isinstance(word, str) or word not in words:
             raise SsacError(f"{name} must be {' or '.join(words)}, got {word!r}")
     if config.interval_s is not None and (config.search == "all" or config.rates is not None):
         other = 'search="all"' if config.search == "all" else "rates"
         raise SsacError(f"interval_s: not with {other}, which tries every offset: leave one out")
-    for name in ("n_samples", "half_window_s", "n_min", "n_neighbours", "trials", "final_trials"):
-        value = getattr(config, name)
-        if value is not None and not (_is_number(value) and 0 < value < np.inf):
-            raise SsacError(f"{name} must be positive and finite, got {value!r}")
-    for name in ("border_px", "seed", "min_swings", "max_valley_s"):
+    for name, least in _COUNTS.items():
+        _check_count(name, getattr(config, name), least)
+    for name in ("exhaustive", "denoise", "search_skews", "choose_object"):
+        if not isinstance(getattr(config, name), (bool, np.bool_)):
+            raise SsacError(f"{name} must be True or False, got {getattr(config, name)!r}")
+    if not (_is_number(config.half_window_s) and 0.0 < config.half_window_s < np.inf):
+        raise SsacError(f"half_window_s must be positive and finite, got {config.half_window_s!r}")
+    for name in ("min_swings", "max_valley_s"):
         value = getattr(config, name)
         if not (_is_number(value) and 0 <= value < np.inf):
             raise SsacError(f"{name} must be 0 or more, and finite, got {value!r}")
@@ -195,7 +208,17 @@ def validated(config: Config | None) -> Config:
 
 
 def _is_number(value: object) -> bool:
-    return isinstance(value, (int, float, np.integer, np.floating))
+    is_number = isinstance(value, (int, float, np.integer, np.floating))
+    return is_number and not isinstance(value, bool)
+
+
+def _check_count(name: str, value: object, least: int) -> None:
+    """Refuse what is no whole number, or out of all bounds; None where it is left open."""
+    if value is None and name in ("n_min", "n_neighbours"):
+        return
+    is_whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+    if not (is_whole and least <= value <= MAX_COUNT):  # type: ignore[operator]
+        raise SsacError(f"{name} must be a whole number of {least} to {MAX_COUNT}, got {value!r}")
 
 
 def _are_bounds(bounds: object) -> bool:

@@ -93,8 +93,27 @@ def by_python(recorded: Recorded, method: str, pair: Pair = FIRST_TWO) -> Estima
 _OPTIONS = {"skew_prior_ppm": "--skew-prior", "clock": "--clock", "n_samples": "--n-samples"}
 
 
+def told_by_python(recorded: Recorded, method: str, pair: Pair = FIRST_TWO) -> dict[str, Any]:
+    """Call `ssac.sync`: the estimate, and what the JSON is to hold."""
+    from ssac import sync
+
+    result = sync(
+        *recorded.of(pair), recorded.rig, method, known_extrinsics=recorded.known_extrinsics,
+        cameras=(pair[0] + 1, pair[1] + 1), estimate_readout=recorded.estimate_readout,
+        **recorded.fields,
+    )  # fmt: skip
+    return {"estimate": result.estimate, "json": untimed(result.to_dict())}
+
+
+def untimed(told: dict[str, Any]) -> dict[str, Any]:
+    """Leave out of a JSON how long it took."""
+    found = {name: value for name, value in told.items() if name != "seconds"}
+    plain: dict[str, Any] = json.loads(json.dumps(found))
+    return plain
+
+
 def by_command_line(recorded: Recorded, method: str) -> dict[str, Any]:
-    """Run `ssac sync --json` within this process: what the file holds of an estimate."""
+    """Run `ssac sync --json` within this process: what the file holds."""
     from tests.ssac.command import read_json, run
 
     args: list[object] = [*recorded.files, "--rig", recorded.rig, "--method", method]
@@ -115,7 +134,7 @@ def by_command_line(recorded: Recorded, method: str) -> dict[str, Any]:
         raise SsacError(ended.stderr.splitlines()[-1].removeprefix("error: "))
     found = read_json(out)
     assert ended.exit_code == (found["status"] != "ok"), ended.stderr
-    return {name: found[name] for name in found if name in _IN_JSON}
+    return untimed(found)
 
 
 def by_function(recorded: Recorded, method: str) -> Estimate:
@@ -155,6 +174,20 @@ def row_of(fields: dict[str, Any], recorded: Recorded, method: str) -> dict[str,
     truth = chain.rig.pair(0, 1)
     row = _scored(Estimate(**{**fields, "jump": None, "start": None}), cell, truth)
     return plain(replace(row, n_events_cam1=n_cam1, n_events_cam2=n_cam2))
+
+
+def by_chain(recorded: Recorded, method: str, pair: Pair) -> Estimate:
+    """Ask a pair of the chain of all cameras, which chooses one object for the whole rig."""
+    return _chain(recorded).estimate(method, *pair)
+
+
+@cache
+def _chain(recorded: Recorded) -> Any:
+    from ssac import Chain
+    from ssac.pipeline.opened import opened, opened_rig
+
+    rig = opened_rig(recorded.rig, len(recorded.files))
+    return Chain(opened(recorded.files, rig), rig, Config(**recorded.fields))
 
 
 class _Paired(Exception):  # noqa: N818 - no error
@@ -266,30 +299,6 @@ def _is_same(one: Any, other: Any) -> bool:
     if isinstance(one, np.ndarray):
         return one.dtype == other.dtype and np.array_equal(one, other, equal_nan=True)
     return repr(one) == repr(other)  # of floats: all their bits, NaN alike
-
-
-_IN_JSON = {
-    **{name: name for name in ("t_d_s", "t_d_std_s", "t_ref_s", "skew_ppm", "skew_std_ppm")},
-    **{name: name for name in ("R", "t", "status", "reason", "method", "d_avg_px")},
-    **{name: name for name in ("alternatives_s", "unobservable", "covariance", "clock_covariance")},
-    "readout_s": "readouts_s", "readout_std_s": "readouts_std_s", "clock_jump": "jump",
-}  # fmt: skip
-"""Names in the JSON of what is a field of `Estimate` under another, or the same."""
-
-
-def in_json(fields: dict[str, Any]) -> dict[str, Any]:
-    """Give the part of an answer that the JSON holds, as it holds it; an error as it is."""
-    if "error" in fields:
-        return fields
-    return {name: _plain(fields[key]) for name, key in _IN_JSON.items()}
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, np.ndarray):
-        return [_plain(part) for part in value]
-    if isinstance(value, float | np.floating):
-        return float(value) if np.isfinite(value) else None
-    return value
 
 
 # --- For another commit ---------------------------------------------------------------------------

@@ -15,8 +15,7 @@ from ssac.files.track_files import save_track
 from ssac.points import PointTrack
 from tests.answers import Recorded
 from tests.recorded import add_frames
-from tests.ssac.box import box_events
-from tests.ssac.cluttered import lamp, merged, noise, pixel_events
+from tests.ssac.cluttered import merged, noise
 from tests.ssac.crowds import mixed
 from tests.ssac.synthetic import HEIGHT, WIDTH, Array, Scene, make_events, make_scene
 from tests.ssac.tracks import FPS, frame_track, rig_document
@@ -119,10 +118,6 @@ def ordinary() -> Seen:
     return Seen(tuple(_events()))
 
 
-def box() -> Seen:
-    return Seen(tuple(box_events(SCENE, 0, SIZE_M, rate_hz=RATE_HZ)))
-
-
 def without_pose() -> Seen:
     return Seen(tuple(_events()), has_pose=False)
 
@@ -144,10 +139,6 @@ def skewed_clock() -> Seen:
     return Seen((one, _moved(other, lambda t: (1.0 + 60e-6) * t)))
 
 
-def pieces() -> Seen:
-    return Seen(tuple(_events()), options={"config": {"clock": "pieces"}})
-
-
 def clock_jump() -> Seen:
     one, other = _events()
     half_us = 0.5 * DURATION_S * US_PER_S
@@ -162,22 +153,9 @@ def far_apart() -> Seen:
     return Seen(tuple(_events(t_d_s=1000.0)), t_d_s=1000.0)
 
 
-def interval() -> Seen:
-    return Seen(tuple(_events()), options={"config": {"interval_s": (-0.3, 0.4)}})
-
-
 def interval_without_common_time() -> Seen:
     options = {"config": {"interval_s": (-1.5, 1.5)}}
     return Seen(tuple(_events(t_d_s=1000.0)), t_d_s=1000.0, options=options)
-
-
-def default_interval_said() -> Seen:
-    options = {"config": {"interval_s": (-1.0, 1.0)}}
-    return Seen(tuple(_events(t_d_s=1000.0)), t_d_s=1000.0, options=options)
-
-
-def events_all_offsets() -> Seen:
-    return Seen(tuple(_events()), options={"search_all": True})
 
 
 def events_at_rest() -> Seen:
@@ -198,10 +176,6 @@ def straight_line() -> Seen:
     return Seen(tuple(_events(path)))
 
 
-def circle() -> Seen:
-    return Seen(tuple(_events(_along(lambda t: [np.cos(3.0 * t), np.sin(3.0 * t), 0.0]))))
-
-
 def tiny() -> Seen:
     return Seen(tuple(_events(size_m=0.06)))
 
@@ -209,16 +183,6 @@ def tiny() -> Seen:
 def noisy() -> Seen:
     seen = zip(_events(), (0, 1), strict=True)
     return Seen(tuple(merged(one, noise(WIDTH, HEIGHT, 0.1, DURATION_US, k)) for one, k in seen))
-
-
-def lamps() -> Seen:
-    places = ((150, 100), (190, 140))
-    return Seen(
-        tuple(
-            merged(one, lamp(x, y, 6, DURATION_US), pixel_events(x + 30, y, 9000, DURATION_US))
-            for one, (x, y) in zip(_events(), places, strict=True)
-        )
-    )
 
 
 def two_drones() -> Seen:
@@ -257,11 +221,6 @@ def wandering_clock() -> Seen:
 
 def tracks_of_3_s() -> Seen:
     scene = make_scene(2, duration_s=3.0)
-    return Seen(tuple(_tracks(scene)), (scene,))
-
-
-def tracks_of_4_s() -> Seen:
-    scene = make_scene(2, duration_s=4.0)
     return Seen(tuple(_tracks(scene)), (scene,))
 
 
@@ -315,11 +274,10 @@ def three_mixed() -> Seen:
 RECORDINGS: dict[str, Callable[[], Seen]] = {
     recording.__name__: recording
     for recording in (
-        ordinary, box, without_pose, known_extrinsics, without_frames, no_denoise, skewed_clock,
-        pieces, clock_jump, rounded_events, far_apart, interval, interval_without_common_time,
-        default_interval_said, events_all_offsets, events_at_rest, noise_alone, copied,
-        straight_line, circle, tiny, noisy, lamps, two_drones, people, tracks, tracks_far_apart,
-        tracks_in_an_interval, rounded_tracks, wandering_clock, tracks_of_3_s, tracks_of_4_s,
+        ordinary, without_pose, known_extrinsics, without_frames, no_denoise, skewed_clock,
+        clock_jump, rounded_events, far_apart, interval_without_common_time, events_at_rest,
+        noise_alone, copied, straight_line, tiny, noisy, two_drones, people, tracks,
+        tracks_far_apart, tracks_in_an_interval, rounded_tracks, wandering_clock, tracks_of_3_s,
         tracks_at_rest, frame_rate, readout, event_camera_and_track, three_cameras,
         three_cameras_two_drones, three_mixed,
     )

@@ -14,7 +14,7 @@ from experiments.run.task import CRASHED
 from sim.recording import SimConfig
 from sim.render.config import RENDERERS
 from ssac.console.exits import BUG
-from ssac.errors import SsacError
+from ssac.errors import PluginError, SsacError
 
 NOT_SIMULATED = "recording: SimError: "
 """Begins the reason of a run of which the simulator says that its configuration makes no sense."""
@@ -119,7 +119,7 @@ def _given(options: Options) -> list[str]:
 
 
 def finish(outcome: Outcome, cache: Cache, *files: Path) -> None:
-    """Say what was done, and whether runs crashed, which is a bug of ours.
+    """Say what was done, and whether runs crashed, which is a bug: ours, or of other packages.
 
     Raises
     ------
@@ -149,9 +149,11 @@ def finish(outcome: Outcome, cache: Cache, *files: Path) -> None:
         reason = str(refused["reason"].iloc[0]).removeprefix(NOT_SIMULATED)
         raise SsacError(f"{len(refused)} runs have no recording, the first of them: {reason}")
     if outcome.n_crashed:
+        theirs = crashed["reason"].astype(str).str.contains(f" {PluginError.__name__}: ")
+        whose = "other packages' methods" if theirs.all() else "this program"
         typer.echo(
-            f"error: a bug in this program: {outcome.n_crashed} runs crashed, their reasons are in "
-            "the rows; run again to try them again",
+            f"error: a bug in {whose}: {outcome.n_crashed} runs crashed, their reasons are in the"
+            " rows; run again to try them again",
             err=True,
         )
         raise typer.Exit(BUG)

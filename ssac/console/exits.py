@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from ssac.errors import SsacError
+from ssac.errors import PluginError, SsacError
 from ssac.files.whole_file import whole_file
 
 DONE = 0
@@ -26,7 +26,7 @@ BAD_INPUT = 2
 """Wrong usage, or a file that cannot be read or written."""
 
 BUG = 3
-"""A mistake of ours."""
+"""A mistake of ours, or of a package whose method was run."""
 
 INTERRUPTED = 128 + 2
 """Ctrl-C, as shells count it: 128 and the signal's number."""
@@ -137,7 +137,7 @@ def _termination_that_tidies_up() -> Iterator[None]:
 
 
 def _bug_line(error: Exception) -> str:
-    """Write the traceback to a file of its own, and name both."""
+    """Write the traceback to a file of its own, and name both: to whom it is to be reported."""
     what = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
     lines = [
         f"command: {shlex.join(sys.argv)}\n",
@@ -152,4 +152,6 @@ def _bug_line(error: Exception) -> str:
         where = f"the traceback could not be written ({unwritten}): {' '.join(lines)}"
     else:
         where = f"please report it with the traceback in {path}"
+    if isinstance(error, PluginError):  # which names the package
+        return f"{error}; {where}"
     return f"a bug in this program, {what}; {where}"

@@ -12,7 +12,14 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from ssac.camera import MAX_READOUT_S, Camera, Rig, check_camera, with_deviations
+from ssac.camera import (
+    MAX_READOUT_S,
+    Camera,
+    Rig,
+    check_camera,
+    check_transform,
+    with_deviations,
+)
 from ssac.errors import SsacError
 from ssac.files.net import check_is_file, readable, silenced
 
@@ -22,9 +29,6 @@ MAX_BYTES = 1 << 20
 _PLUMB_BOB = 5
 _MOST_COEFFICIENTS = 14  # of a lens model, of OpenCV
 _CAMERA = re.compile(r"cam\d+")
-
-MAX_ROTATION_ERROR = 1e-3
-"""Largest entry of R'R - I in a rotation that was written with few digits."""
 
 _KALIBR_MODELS = {"plumb_bob": "radtan"}  # names of one lens model
 # The spellings of OpenCV's stereo samples, of its documentation and of common tools.
@@ -130,7 +134,8 @@ def _rig_from_kalibr(path: Path, document: Any, cameras: tuple[int, int]) -> Rig
     for key in steps:
         name = f"{path}, {key}, T_cn_cnm1"
         step = _numbers(document[key]["T_cn_cnm1"], (4, 4), name)
-        T = _checked_transform(step, name) @ T
+        check_transform(step, name)
+        T = step @ T
     return Rig(cam1, cam2, T if cameras[0] < cameras[1] else np.asarray(np.linalg.inv(T)))
 
 
@@ -192,7 +197,7 @@ def _rig_from_opencv(path: Path, text: str, cameras: tuple[int, int]) -> Rig:
     T_2_1 = np.eye(4)
     T_2_1[:3, :3] = _numbers(_opencv_matrix(storage, ["R"], path), (3, 3), f"{path}, R")
     T_2_1[:3, 3] = _numbers(_opencv_matrix(storage, ["T"], path).ravel(), (3,), f"{path}, T")
-    T_2_1 = _checked_transform(T_2_1, f"{path}, R")
+    check_transform(T_2_1, f"{path}, R")
     return Rig(cam1, cam2, T_2_1 if cameras == (1, 2) else np.asarray(np.linalg.inv(T_2_1)))
 
 
@@ -275,15 +280,3 @@ def _is_shaped(value: Any, shape: tuple[int, ...]) -> bool:
         return False
     right = len(value) <= _MOST_COEFFICIENTS if shape[0] == -1 else len(value) == shape[0]
     return right and all(_is_shaped(item, shape[1:]) for item in value)
-
-
-def _checked_transform(T: NDArray[np.float64], name: str) -> NDArray[np.float64]:
-    """Return T unchanged; SsacError unless it is a rigid transform."""
-    R = T[:3, :3]
-    error = np.abs(R.T @ R - np.eye(3)).max()
-    if error > MAX_ROTATION_ERROR or np.linalg.det(R) < 0 or not np.array_equal(T[3], (0, 0, 0, 1)):
-        raise SsacError(
-            f"{name}: expected a rotation, got {R.tolist()} (R'R differs from I by {error:.2g}): "
-            "calibrate again"
-        )
-    return T

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from ssac.camera import Rig, restated, to_be_read_out
+from ssac.camera import restated, to_be_read_out
 from ssac.config import Config
 from ssac.errors import SsacError
 from ssac.estimate import Estimate
@@ -21,7 +21,7 @@ from ssac.pipeline.known import NOTHING, Known
 from ssac.pipeline.opened import CameraInput, RigInput, config_of, opened, opened_rig
 from ssac.pipeline.registry import METHODS, EstimateFunction, choose_method
 from ssac.search.two_views import TwoViews
-from ssac.track.observation import Observation
+from ssac.track.clean import Clean
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -205,11 +205,22 @@ def sync(
     seen: Sequence[Any] = (cam1, cam2)
     if isinstance(cam1, (list, tuple)):
         if cam2 is not None and rig is not None:
-            raise SsacError("sync: of a list of cameras give the rig alone beside it, no camera 2")
+            raise SsacError(
+                "sync: a list of cameras stands for all of them, and beside it stands their rig"
+                ' alone: call sync([a, b, c], rig, method="joint", ...)'
+            )
         seen, rig = cam1, cam2 if rig is None else rig
     if len(seen) < 2:
-        raise SsacError(f"sync: expected two cameras or more, got {len(seen)}")
+        raise SsacError(f"sync: expected two cameras or more, got a list of {len(seen)}")
     of_two = len(seen) == 2
+    _check_options(of_two, cameras, known_extrinsics, estimate_readout, known)
+    for name, value in (("focal_std", focal_std), ("centre_std_px", centre_std_px)):
+        if value is not None and not (isinstance(value, (int, float)) and 0.0 <= value < np.inf):
+            raise SsacError(f"{name}: expected a deviation of 0 or more, got {value!r}")
+    if not isinstance(reading, Reading):
+        raise SsacError(f"reading: expected a ssac.Reading, got {reading!r}")
+    if not callable(log):
+        raise SsacError(f"log: expected a function of a line of text, such as print, got {log!r}")
     models = opened_rig(rig, len(seen), cameras if of_two else None)
     sources = opened(seen, models, cameras if isinstance(rig, (str, Path)) and of_two else None,
                      reading)  # fmt: skip
@@ -240,17 +251,35 @@ def sync(
     return result
 
 
+def _check_options(
+    of_two: bool, cameras: Any, known_extrinsics: bool, estimate_readout: bool, known: Known
+) -> None:
+    """Refuse what is of two cameras where there are more, and the other way round."""
+    if not isinstance(known, Known):
+        raise SsacError(f"known: expected a ssac.Known, got {known!r}")
+    if of_two and known != NOTHING:
+        raise SsacError("known: is for more than two cameras, and two were given: leave it out")
+    of_two_alone = {
+        "cameras": cameras != (1, 2),
+        "known_extrinsics": known_extrinsics,
+        "estimate_readout": estimate_readout,
+    }
+    given = [name for name, is_given in of_two_alone.items() if is_given and not of_two]
+    if given:
+        raise SsacError(f"{given[0]}: is for two cameras, and more were given: leave it out")
+
+
 def two_views(
-    cam1: Observation, cam2: Observation, rig: Rig, config: Config | None = None
+    cam1: CameraInput, cam2: CameraInput, rig: RigInput, config: Config | None = None
 ) -> TwoViews:
     """Give the object's motion in both views of what two cameras recorded: the paper's Sec. IV-A.
 
     Parameters
     ----------
     cam1, cam2
-        What the two cameras recorded; what is clean already is not cleaned again.
+        What the two cameras recorded, as for `sync`; what is clean already is not cleaned again.
     rig
-        Intrinsics; the extrinsics are handed on, and not used.
+        As for `sync`; the extrinsics are handed on, and not used.
     config
         Parameters; the defaults when None.
 
@@ -259,11 +288,11 @@ def two_views(
     SsacError
         If a camera or its events cannot be used, or a parameter makes no sense.
     """
-    return Chain((cam1, cam2), rig, config).views()
+    return _chain(cam1, cam2, rig, config).views()
 
 
 def usable_events(
-    cam1: Observation, cam2: Observation, rig: Rig, config: Config | None = None
+    cam1: CameraInput, cam2: CameraInput, rig: RigInput, config: Config | None = None
 ) -> tuple[NDArray[np.void], NDArray[np.void]]:
     """Give both cameras' events, checked, and denoised (Sec. IV-A) if the config asks for it.
 
@@ -272,11 +301,11 @@ def usable_events(
     SsacError
         If the events of a camera are empty, unsorted or outside its sensor.
     """
-    chain = Chain((cam1, cam2), rig, config)
+    chain = _chain(cam1, cam2, rig, config)
     return chain.clean(0).events, chain.clean(1).events
 
 
-def _warn_of_rounding(recorded: Iterable[tuple[str, Observation]]) -> None:
+def _warn_of_rounding(recorded: Iterable[tuple[str, Clean]]) -> None:
     """Warn of recordings, each with its name, whose times somebody rounded."""
     for name, seen in recorded:
         step_s = quantum_s(seen)
@@ -288,13 +317,18 @@ def _warn_of_rounding(recorded: Iterable[tuple[str, Observation]]) -> None:
             )
 
 
+def _chain(cam1: CameraInput, cam2: CameraInput, rig: RigInput, config: Config | None) -> Chain:
+    models = opened_rig(rig, 2)
+    return Chain(opened((cam1, cam2), models), models, config)
+
+
 def _calls(name: str) -> EstimateFunction:
     """Make the function of one method: `tangency(cam1, cam2, rig, config)`."""
 
     def estimate(
-        cam1: Observation, cam2: Observation, rig: Rig, config: Config | None = None
+        cam1: CameraInput, cam2: CameraInput, rig: RigInput, config: Config | None = None
     ) -> Estimate:
-        return Chain((cam1, cam2), rig, config).estimate(METHODS[name])
+        return _chain(cam1, cam2, rig, config).estimate(METHODS[name])
 
     estimate.__name__ = estimate.__qualname__ = name.replace("-", "_")
     estimate.__doc__ = f"""Estimate as `sync(..., method="{name}")` does: {METHODS[name].summary}.
@@ -302,9 +336,9 @@ def _calls(name: str) -> EstimateFunction:
     Parameters
     ----------
     cam1, cam2
-        What the two cameras recorded, as `Observation`.
+        What the two cameras recorded, as for `sync`.
     rig
-        A `Rig`, with the extrinsics where the method needs them.
+        As for `sync`, with the extrinsics where the method needs them.
     config
         Parameters; the defaults when None.
     """

@@ -20,7 +20,7 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
-from ssac.camera import Camera, Cameras, Rig
+from ssac.camera import Camera, Cameras, Rig, check_cameras
 from ssac.config import Config, Interval, validated
 from ssac.errors import SsacError
 from ssac.estimate import SETTLED_BY, Estimate, Refusal, Status
@@ -32,7 +32,7 @@ from ssac.search.one_object import one_object
 from ssac.search.start import Start, start_of
 from ssac.search.two_views import TwoViews, views_of
 from ssac.track.clean import Clean, clean
-from ssac.track.observation import Observation
+from ssac.track.observation import Observation, check_seen
 
 Found = TypeVar("Found")
 
@@ -102,12 +102,17 @@ class Chain:
         SsacError
             If a parameter makes no sense, or there are more or fewer cameras than in the rig.
         """
+        if not isinstance(cameras, Sequence):
+            raise SsacError(f"cameras: expected a list of recordings, got {_kind(cameras)}")
         self.sources = tuple(cameras)
         self.rig = _cameras_of(rig)
         self.config = validated(config)
         self.watch = Stopwatch(log)
         self._kept: dict[Hashable, Any] = {}
         self._undelayed: tuple[Chain, float] | None = None
+        for k, source in enumerate(self.sources, start=1):
+            if not all(hasattr(type(source), name) for name in ("name", "has_track", "read")):
+                raise SsacError(f"camera {k}: expected a ssac.Observation, got {_kind(source)}")
         if not 2 <= len(self.sources) == len(self.rig):
             raise SsacError(
                 f"{len(self.sources)} recordings for the {len(self.rig)} cameras of"
@@ -150,7 +155,9 @@ class Chain:
             chain, t_d_s = self._undelayed
             seen = chain.recorded(k, frames)
             return seen.delayed(t_d_s) if k else seen
-        return self.sources[k].read(frames)
+        seen = self.sources[k].read(frames)
+        check_seen(seen, self.name(k))
+        return seen
 
     def views(self, i: int = 0, j: int = 1) -> TwoViews:
         """Give both views of all that two cameras saw, and their rig as it was given."""
@@ -194,6 +201,8 @@ class Chain:
         SsacError
             If what the cameras recorded cannot be used, or the method lacks something to run.
         """
+        if not 0 <= i < j < len(self):
+            raise SsacError(f"cameras {i} and {j}: there are {len(self)}, numbered from 0 on")
         has_track = self._has_track(i, j)
         chosen = (
             method if isinstance(method, Method) else choose_method(method, has_track=has_track)
@@ -319,7 +328,7 @@ class Chain:
             return there.delayed(t_d_s) if k else there
         how, name = self.config.cleaning, self.name(k)
         with self.watch.part("read") as say:
-            seen = self.sources[k].read()
+            seen = self.recorded(k)
             if isinstance(seen, Clean) and (seen.denoised or not how.denoise):
                 return clean(seen, self.rig.cameras[k], how, name)
             say(_held(seen, name))
@@ -412,9 +421,16 @@ class Chain:
 
 
 def _cameras_of(rig: Cameras | Rig) -> Cameras:
-    if isinstance(rig, Cameras):
-        return rig
-    return Cameras((rig.cam1, rig.cam2), (rig.T_2_1,))
+    if isinstance(rig, Rig):
+        rig = Cameras((rig.cam1, rig.cam2), (rig.T_2_1,))
+    if not isinstance(rig, Cameras):
+        raise SsacError(f"rig: expected a ssac.Rig or ssac.Cameras, got {_kind(rig)}")
+    check_cameras(rig)
+    return rig
+
+
+def _kind(value: object) -> str:
+    return type(value).__name__
 
 
 def _as_it_is(seen: Observation, camera: Camera) -> Clean:

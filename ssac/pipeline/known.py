@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from ssac.errors import SsacError
 
 
@@ -14,6 +16,17 @@ class Known:
     positions: Path | None = None  # of the cameras
     rtk: Path | None = None  # the object's own path, on a clock of its own
     lever_arm_m: tuple[float, float, float] | None = None  # where RTK's antenna is in the body
+
+    def __post_init__(self) -> None:
+        if self.distance_m is not None and not (
+            isinstance(self.distance_m, (int, float)) and 0.0 < self.distance_m < np.inf
+        ):
+            raise SsacError(f"distance_m must be positive and finite, got {self.distance_m!r}")
+        if sum(one is not None for one in (self.distance_m, self.positions, self.rtk)) > 1:
+            raise SsacError("distance_m, positions, rtk: each sets the scale: give the best alone")
+        for name in ("positions", "rtk"):
+            if isinstance(getattr(self, name), str):
+                object.__setattr__(self, name, Path(getattr(self, name)))
 
 
 NOTHING = Known()

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ssac.camera import Camera, Cameras, Rig, check_camera
+from ssac.camera import Camera, Cameras, Rig, check_cameras
 from ssac.config import Config
 from ssac.errors import SsacError
 from ssac.events import US_PER_S, EventFile, check_events, events_of_array
@@ -24,7 +24,7 @@ from ssac.files.net import check_is_file
 from ssac.files.rigs import check_resolution, load_rig
 from ssac.files.track_files import is_track_file, load_track
 from ssac.points import PointTrack, check_track
-from ssac.track.observation import Observation, tracked
+from ssac.track.observation import Observation, check_seen, tracked
 from ssac.track.point_motion import check_readout
 
 CameraInput = Path | str | NDArray[np.void] | Observation | EventFile | PointTrack
@@ -32,6 +32,12 @@ CameraInput = Path | str | NDArray[np.void] | Observation | EventFile | PointTra
 
 RigInput = Path | str | Rig | Cameras | Sequence[Camera]
 """A rig file, a rig, or its cameras, whose poses are then not known."""
+
+_ARGUMENTS = (
+    "method", "config", "known_extrinsics", "cameras", "focal_std", "centre_std_px",
+    "estimate_readout", "reading", "known", "log",
+)  # fmt: skip
+"""Of `sync`, beside the fields of a config."""
 
 _LONG_STEP_S = 0.9  # between points of a track: times that count frames are 1 apart
 _MEANS = "means"  # of frames: one number each
@@ -106,12 +112,20 @@ def opened_rig(rig: RigInput, n: int, numbers: tuple[int, int] | None = None) ->
     SsacError
         If it cannot be used, or is of fewer cameras.
     """
+    if numbers is not None and not _are_numbers(numbers):
+        raise SsacError(
+            f"cameras: expected the numbers of two cameras of the rig, from 1 on, got {numbers!r}"
+        )
     if isinstance(rig, (str, Path)):
         path, (first, second) = Path(rig), numbers or (1, 2)
         pairs = [(first, second)] if n == 2 else [(k, k + 1) for k in range(1, n)]
         rigs = [load_rig(path, pair) for pair in pairs]
         cameras = rigs[0].cam1, *(one.cam2 for one in rigs)
         return Cameras(cameras, tuple(one.T_2_1 for one in rigs), str(path))
+    if numbers not in (None, (1, 2)):
+        raise SsacError(
+            f"cameras: {numbers} are of a rig file, and none was given: give the rig of those two"
+        )
     if isinstance(rig, Rig):
         rig = Cameras((rig.cam1, rig.cam2), (rig.T_2_1,))
     elif isinstance(rig, (list, tuple)) and all(isinstance(one, Camera) for one in rig):
@@ -121,10 +135,11 @@ def opened_rig(rig: RigInput, n: int, numbers: tuple[int, int] | None = None) ->
             "rig: expected a rig file, a ssac.Rig or the ssac.Camera of each recording, got "
             f"{_kind(rig)}"
         )
+    check_cameras(rig)
     if len(rig) != n:
-        raise SsacError(f"rig: it has {len(rig)} cameras, and there are {n} recordings")
-    for k, camera in enumerate(rig.cameras, start=1):
-        check_camera(camera, f"camera {k}")
+        raise SsacError(
+            f"rig: it has {len(rig)} cameras, and there are {n} recordings: give one camera each"
+        )
     return rig
 
 
@@ -174,7 +189,7 @@ def config_of(config: Config | None, fields: dict[str, Any]) -> Config:
     known = Config.__dataclass_fields__
     for name in fields:
         if name not in known:
-            near = difflib.get_close_matches(name, known, 3)
+            near = difflib.get_close_matches(name, [*known, *_ARGUMENTS], 3)
             like = f": did you mean {' or '.join(near)}?" if near else ""
             raise SsacError(f"{name}: is no argument of sync and no field of ssac.Config{like}")
     return replace(config, **fields)
@@ -205,10 +220,12 @@ def _opened(
 
 def _of_file(file: EventFile, camera: Camera, camera_name: str, name: str) -> Observation:
     """Check the events of a file against a camera."""
+    seen = Observation(file.events, name=name)
+    check_seen(seen, name)
     check_resolution(camera, file.width, file.height, camera_name, name)
     if file.width is None or file.height is None:
         check_events(file.events, camera.width, camera.height, f"{name} with {camera_name}")
-    return Observation(file.events, name=name)
+    return seen
 
 
 def _same_file(one: object, other: object) -> bool:
@@ -216,6 +233,13 @@ def _same_file(one: object, other: object) -> bool:
         return one is other
     first, second = Path(one), Path(other)
     return first.exists() and second.exists() and first.samefile(second)
+
+
+def _are_numbers(numbers: object) -> bool:
+    """Whether these are two numbers of cameras."""
+    if not (isinstance(numbers, (tuple, list)) and len(numbers) == 2):
+        return False
+    return all(isinstance(one, int) and one >= 1 for one in numbers)
 
 
 def _kind(value: object) -> str:

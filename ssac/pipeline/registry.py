@@ -242,8 +242,8 @@ def choose_method(
         If there is no such method, or no variant of it that is given the extrinsics, or the package
         that it comes from is broken.
     """
-    name = name or (OF_TRACKS if has_track else DEFAULT)
-    method = METHODS.get(name)
+    name = (OF_TRACKS if has_track else DEFAULT) if name is None else name
+    method = METHODS.get(name) if isinstance(name, str) else None
     if method is None:
         raise SsacError(f"unknown method {name!r}: use one of {', '.join(METHODS)}")
     if not known_extrinsics or method.needs_extrinsics:
@@ -263,12 +263,13 @@ def choose_method(
     return variant
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)  # since the function need not be hashable
 class _CheckedFunction:
     """Another package's method; what it raises or returns amiss is said to be that package's."""
 
     function: EstimateFunction
     origin: str
+    home: Path  # folder of the package, or its only file
 
     def __call__(
         self, cam1: Observation, cam2: Observation, rig: Rig, config: Config | None = None
@@ -280,21 +281,22 @@ class _CheckedFunction:
         except Exception as error:
             raise PluginError(
                 f"{self.origin}: {type(error).__name__}: {error} ({self._place(error)}): a bug of"
-                " that package, tell its authors"
+                " that package"
             ) from error
         fault = _fault_of(estimate)
         if fault:
-            raise PluginError(f"{self.origin}: {fault}")
+            raise PluginError(f"{self.origin}: {fault} ({self.home}): a bug of that package")
         return estimate
 
     def _place(self, error: Exception) -> str:
         """Say in which line of that package an error arose, or was let through."""
-        frames = traceback.extract_tb(error.__traceback__)[1:]
-        code = getattr(self.function, "__code__", None)
-        folder = Path(code.co_filename).parent if code else Path()
-        theirs = [frame for frame in frames if folder in Path(frame.filename).parents]
-        last = (theirs or frames or traceback.extract_tb(error.__traceback__))[-1]
-        return f"{last.filename}, line {last.lineno}"
+        frames = traceback.extract_tb(error.__traceback__)
+        theirs = [frame for frame in frames if _is_within(Path(frame.filename), self.home)]
+        return f"{theirs[-1].filename}, line {theirs[-1].lineno}" if theirs else str(self.home)
+
+
+def _is_within(file: Path, home: Path) -> bool:
+    return file == home or home in file.parents
 
 
 def _fault_of(estimate: object) -> str:
@@ -328,6 +330,8 @@ def _method_from(entry: EntryPoint) -> Method:
         found = Method(entry.name, found, Input.TRACKS, summary)
     if found.name != entry.name:
         raise SsacError(f"{origin}: the Method is named {found.name!r}: give both one name")
+    if not isinstance(found.input, Input):
+        raise SsacError(f"{origin}: input must be a member of ssac.Input, got {found.input!r}")
     function = found.estimate
     try:
         inspect.signature(function).bind(None, None, None, None)  # type: ignore[arg-type]
@@ -339,7 +343,7 @@ def _method_from(entry: EntryPoint) -> Method:
     assert function is not None  # whose signature was bound
     return replace(
         found,
-        estimate=_CheckedFunction(function, origin),
+        estimate=_CheckedFunction(function, origin, _home(entry)),
         runs="",  # which are ours alone
         starts_from="",
         keeps_start="",
@@ -356,19 +360,23 @@ def _distribution(entry: EntryPoint) -> str:
     return f"{entry.dist.name} {entry.dist.version}" if entry.dist else "an unnamed package"
 
 
-def _code_hash(entry: EntryPoint) -> str:
-    """Hash an imported entry point's whole top-level package: its version says nothing of edits."""
+def _home(entry: EntryPoint) -> Path:
+    """Give the folder of an imported entry point's top-level package, or its only file."""
     top = sys.modules[entry.module.partition(".")[0]]
     if getattr(top, "__file__", None) is None:  # a namespace package, which many may share
         top = sys.modules[entry.module]
-    file = Path(getattr(top, "__file__", None) or "")
-    files = [file] if file.is_file() else []
-    if file.name == "__init__.py":
-        suffixes = (*SOURCE_SUFFIXES, *EXTENSION_SUFFIXES)
-        files = sorted(path for path in file.parent.rglob("*") if path.name.endswith(suffixes))
+    file = Path(getattr(top, "__file__", None) or entry.module)
+    return file.parent if file.name == "__init__.py" else file
+
+
+def _code_hash(entry: EntryPoint) -> str:
+    """Hash an imported entry point's whole top-level package: its version says nothing of edits."""
+    home, suffixes = _home(entry), (*SOURCE_SUFFIXES, *EXTENSION_SUFFIXES)
+    within = sorted(home.rglob("*")) if home.is_dir() else [home]
+    files = [path for path in within if path.is_file() and path.name.endswith(suffixes)]
     digest = hashlib.sha256()
     for path in files:
         content = path.read_bytes()
-        digest.update(f"{path.relative_to(file.parent).as_posix()} {len(content)}\n".encode())
+        digest.update(f"{path.relative_to(home.parent).as_posix()} {len(content)}\n".encode())
         digest.update(content)
     return digest.hexdigest()[:16] if files else ""

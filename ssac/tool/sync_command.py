@@ -284,7 +284,7 @@ def sync_command(
             centre_std_px=centre_std,
             estimate_readout=estimate_readout,
             reading=reading,
-            known=known,
+            known=known if more else type(known)(),
             log=_to_stderr,
         )
         typer.echo(result.summary())

@@ -6,6 +6,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from ssac.errors import SsacError
 from ssac.events import EVENT_DTYPE, US_PER_S, copied
 from ssac.points import PointTrack
 
@@ -58,6 +59,44 @@ class Observation:
         """Give itself: what is in memory need not be read, as a file must be."""
         del frames  # which stand beside the events, if there are any
         return self
+
+
+def check_seen(seen: Observation, name: str) -> None:
+    """Raise SsacError, starting with `name`, unless all of an observation is of its kind.
+
+    What the events and points are is checked where they are cleaned.
+    """
+    events, track, images, times_s = seen.events, seen.track, seen.frames, seen.frame_times_s
+    if not isinstance(events, np.ndarray) or events.ndim != 1 or events.dtype != EVENT_DTYPE:
+        dtype = f", {events.ndim}-D, of {events.dtype}" if isinstance(events, np.ndarray) else ""
+        raise SsacError(
+            f"{name}: events must be a 1-D array of {EVENT_DTYPE.descr}, got"
+            f" {type(events).__name__}{dtype}: build it with ssac.events.events_from_arrays"
+        )
+    if track is not None and not isinstance(track, PointTrack):
+        raise SsacError(f"{name}: expected a ssac.PointTrack, got {type(track).__name__}")
+    if track is not None and not (
+        _is_numeric(track.times_s, 1)
+        and _is_numeric(track.points_px, 2)
+        and (track.sigmas_px is None or _is_numeric(track.sigmas_px, 1))
+    ):
+        raise SsacError(
+            f"{name}: a track must have times_s (n,), points_px (n, 2) and sigmas_px (n,), or None,"
+            " as arrays of numbers: convert them with numpy.asarray"
+        )
+    if images is None:
+        return
+    is_stack = isinstance(images, np.ndarray) and images.ndim == 3
+    times_shape = () if times_s is None else np.shape(times_s)
+    if not is_stack or times_shape != (len(images),):
+        raise SsacError(
+            f"{name}: frames must be an array (m, height, width), and frame_times_s one of (m,)"
+            f" seconds, got {np.shape(images)} and {times_shape}"
+        )
+
+
+def _is_numeric(part: object, n_axes: int) -> bool:
+    return isinstance(part, np.ndarray) and part.ndim == n_axes and part.dtype.kind in "fiu"
 
 
 def tracked(track: PointTrack, name: str = "") -> Observation:

@@ -56,3 +56,18 @@ def test_what_cannot_be_simulated_is_the_inputs_fault_and_what_crashed_is_ours(
     with pytest.raises(typer.Exit) as ended:
         finish(Outcome(runs, 1, 0, 0.0), Cache(tmp_path))
     assert ended.value.exit_code == BUG
+
+
+@pytest.mark.parametrize(
+    ("reasons", "whose"),
+    [
+        (["mine: PluginError: p 1.0"], "other packages' methods"),
+        (["mine: PluginError: p 1.0", "ssac: KeyError: 3"], "this program"),
+    ],
+)
+def test_whose_bug_it_is_is_said(tmp_path: Path, capsys, reasons, whose) -> None:
+    runs = pd.DataFrame({"status": CRASHED, "reason": reasons})
+    with pytest.raises(typer.Exit) as ended:
+        finish(Outcome(runs, 1, 0, 0.0), Cache(tmp_path))
+    assert ended.value.exit_code == BUG
+    assert f"error: a bug in {whose}: {len(reasons)} runs crashed" in capsys.readouterr().err

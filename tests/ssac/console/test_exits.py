@@ -17,7 +17,7 @@ from ssac.console.exits import (
     PIPE_CLOSED,
     guarded,
 )
-from ssac.errors import SsacError
+from ssac.errors import PluginError, SsacError
 
 
 class OwnError(ValueError):
@@ -61,6 +61,16 @@ def test_a_bug_is_one_line_and_a_traceback_in_a_file(error, capsys, tmp_path, mo
     assert err.startswith(f"error: a bug in this program, {type(error).__name__}")
     assert err.rstrip().endswith(str(file))
     assert "in run\n    raise error" in file.read_text()
+
+
+def test_a_bug_of_another_package_is_not_called_ours(capsys, tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    assert guarded(raising(PluginError("mine 1.2: KeyError (mine.py, line 3)"))) == BUG
+    err = capsys.readouterr().err
+    (file,) = tmp_path.glob("ssac-bug-*/traceback.txt")
+    assert err.startswith("error: mine 1.2: KeyError (mine.py, line 3); please report it with")
+    assert err.rstrip().endswith(str(file))
+    assert err.count("\n") == 1
 
 
 def test_a_bug_without_a_temporary_folder_is_still_one_line(capsys, monkeypatch):

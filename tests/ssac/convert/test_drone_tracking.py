@@ -115,7 +115,9 @@ def test_clocks_of_varying_rates_are_followed_ever_more_roughly(data, tmp_path, 
 
     def refused(*paths, config, **more):
         tried.append((config.clock, config.roughness_ppm))
-        return SimpleNamespace(estimate=Estimate("joint", "clock_jump"), guess=None, config=config)
+        estimate = Estimate("joint", "clock_jump")
+        answer = SimpleNamespace(estimate=estimate, has_guess=False, start=None, config=config)
+        return SimpleNamespace(answer=answer)
 
     monkeypatch.setattr("experiments.real.data_sets.sync", refused)
     monkeypatch.setattr("experiments.real.data_sets.VARIABLE_RATES", {(2, 1)})

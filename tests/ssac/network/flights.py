@@ -14,7 +14,12 @@ from ssac.network.sightings import Sightings, sightings
 from ssac.points import PointTrack
 
 DURATION_S, FPS, NOISE_PX = 16.0, 20.0, 0.4
-CAMERA = Camera(np.array([[900.0, 0.0, 480.0], [0.0, 900.0, 300.0], [0.0, 0.0, 1.0]]), 960, 600)
+CAMERA = Camera(
+    np.array([[900.0, 0.0, 480.0], [0.0, 900.0, 300.0], [0.0, 0.0, 1.0]]),
+    960,
+    600,
+    intrinsics_std_px=(0.0, 0.0, 0.0, 0.0),
+)
 
 
 @dataclass(frozen=True)

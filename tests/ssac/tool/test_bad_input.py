@@ -1,16 +1,19 @@
 """`ssac sync` on input and options that it cannot use: one line each."""
 
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
+import numpy as np
 import pytest
 
-from ssac.console.exits import BAD_INPUT
+from ssac.console.exits import BAD_INPUT, NO_ESTIMATE
 from ssac.files.event_files import load_events, save_events_text
 from ssac.files.hdf5 import save_events_h5
 from tests.recorded import empty_events
 from tests.ssac.command import run_sync
-from tests.ssac.synthetic import HEIGHT, WIDTH
+from tests.ssac.synthetic import HEIGHT, WIDTH, make_events
 
 
 def make_bad_inputs(recorded, folder: Path):
@@ -33,6 +36,10 @@ def make_bad_inputs(recorded, folder: Path):
     copied = load_events(recorded / "cam2.h5").events
     copied["t"] += 20_000  # another clock makes no other camera of it
     save_events_h5(folder / "copy.h5", copied, WIDTH, HEIGHT)
+    still = np.array([0.3, 0.2, 5.1])
+    at_rest = replace(recorded.scene, path=lambda times_s: np.tile(still, (len(times_s), 1)))
+    for k, events in enumerate(make_events(at_rest, 0, size_m=0.4), start=1):
+        save_events_h5(folder / f"still{k}.h5", events, WIDTH, HEIGHT)
     (folder / "where.csv").write_text("camera,x_m,y_m,z_m\n1,0,0,0\n2,1,0,0\n")
     (folder / "nan.yaml").write_text(rig.replace("173.0", ".nan"))
 
@@ -46,9 +53,6 @@ BAD_INPUTS = [
     (("no_events.h5",), "no_events.h5: there are no events"),
     (("unsorted.txt",), "unsorted.txt: events must be sorted by time"),
     (("outside.txt",), "outside.txt with camera 1 of .*: the sensor is 346 x 260 px"),
-    (("isolated.txt",), "isolated.txt: denoising left 0 of 2 events"),
-    (("sparse.txt", "--n-min", "200"), "sparse.txt: no window of 40 ms holds 200 events"),
-    (("late.h5", "--search", "-1", "1"), r"late.h5 .60.* have no common time .* --search -6.*"),
     (("cam2.h5",), "cam2.h5: given for both cameras"),
     (("copy.h5",), "copy.h5 and cam2.h5 hold the same points: one is a copy of the other"),
     (("cam1.h5", "--search", "-1e9", "1e9"), "--search: expected a smaller and a larger offset"),
@@ -62,7 +66,7 @@ BAD_INPUTS = [
     (("cam1.h5", "--search", "1", "-1"), "--search: expected a smaller and a larger offset"),
     (("cam1.h5", "--search", "0", "nan"), "--search: expected a smaller and a larger offset"),
     (("cam1.h5", "--skew-prior", "-1"), "--skew-prior: expected 0 to 100000 ppm, got -1"),
-    (("cam1.h5", "--clock", "quartz"), "--clock: expected affine or pieces, got quartz"),
+    (("cam1.h5", "--clock", "quartz"), "--clock: expected auto or affine or pieces, got quartz"),
     (("cam1.h5", "--clock", "pieces", "--skew-prior", "0"), "its prior must be above 0 ppm"),
     (("cam1.h5", "--search", "0", "4000"), "at most 3600 seconds apart, got 0 4000"),
     (("cam1.h5", "--n-samples", "0"), "--n-samples: expected 20 to 100000, got 0"),
@@ -80,6 +84,16 @@ BAD_INPUTS = [
     (("cam1.h5", "--positions", "where.csv"), "--positions: needs three cameras or more"),
     (("cam1.h5", "--positions", "zero.h5"), "zero.h5: the first line must be camera,x_m,y_m,z_m"),
     (("cam1.h5", "--positions", "cam1.h5"), "cam1.h5: not a text file of positions"),
+]
+
+
+NOTHING_TO_FIND = [
+    (("isolated.txt",), "camera 1: denoising left 0 of 2 events: check that .*--no-denoise"),
+    (("sparse.txt", "--n-min", "200"), "camera 1: no window of 40 ms holds 200 events.*--n-min"),
+    (("late.h5", "--search", "-1", "1"), r"camera 1 .60.* have no common time .* --search -6.*"),
+    (("late.h5", "--search", "-1", "1", "--method", "ssac"), r"no common time .* --search -6.*"),
+    (("still1.h5",), "no_motion: in camera 1 the object moves by .*: it is at rest"),
+    (("still1.h5", "--search-all"), "no_motion: in camera 1 the object moves by .*: it is at rest"),
 ]
 
 
@@ -109,6 +123,17 @@ def test_bad_input_is_refused_in_one_line(args, message, bad_folder, monkeypatch
     with pytest.raises(ValueError, match=message):
         raise ValueError(last)
     assert before == {path.name: path.stat().st_mtime_ns for path in bad_folder.iterdir()}
+
+
+@pytest.mark.parametrize(("args", "message"), NOTHING_TO_FIND, ids=lambda value: " ".join(value))
+def test_data_that_give_nothing_are_a_status_with_advice(args, message, bad_folder, monkeypatch):
+    monkeypatch.chdir(bad_folder)
+    result = run_sync(args[0], "cam2.h5", *args[1:], "--rig", "rig.yaml")
+    assert result.exit_code == NO_ESTIMATE, result.stderr
+    first, *_ = result.stdout.splitlines()
+    assert first.startswith("no estimate    ")
+    assert re.search(message, first)
+    assert "error" not in result.stderr
 
 
 @pytest.mark.parametrize(

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 import yaml
 
-from ssac.tool.report import report_json, report_text
-from ssac.tool.sync import sync
+from ssac import sync
 from tests.ssac.command import run
 from tests.ssac.tracks import rig_document, save_pair
 
@@ -19,22 +18,22 @@ def pair(tmp_path_factory):
 
 
 def synced(folder, rig="rig.yaml", **more):
-    return sync(folder / "cam1.csv", folder / "cam2.csv", folder / rig, search_all=False, **more)
+    return sync(folder / "cam1.csv", folder / "cam2.csv", folder / rig, search="interval", **more)
 
 
 def test_the_readout_that_is_not_stated_is_told(pair):
     result = synced(pair.folder, estimate_readout=True)
-    report = report_json(result)
+    report = result.to_dict()
     assert report["readout_s"][0] == READOUT_S  # exact, as the rig says
     assert report["readout_std_s"][0] == 0.0
     assert 0.0 <= report["readout_s"][1] < 4.0 * report["readout_std_s"][1]
-    assert "readout        camera 2 " in report_text(result)
+    assert "readout        camera 2 " in result.summary()
     assert report["note"] == ""
 
 
 def test_without_the_option_a_shutter_is_taken_for_global_and_that_is_said(pair):
     result = synced(pair.folder)
-    report = report_json(result)
+    report = result.to_dict()
     assert report["readout_s"] == [READOUT_S, None]
     assert "--estimate-readout" in report["note"]
 

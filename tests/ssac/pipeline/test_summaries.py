@@ -6,9 +6,9 @@ import sys
 import pytest
 
 from ssac.console.command_line import command_line, run
+from ssac.pipeline.registry import OURS
+from ssac.pipeline.summaries import DEFAULT, SUMMARIES, all_summaries
 from ssac.tool.commands import COMMANDS
-from ssac.tool.registry import OURS
-from ssac.tool.summaries import DEFAULT, SUMMARIES, all_summaries
 from ssac.tool.sync_command import complete_method
 
 HEAVY = {"numba", "scipy", "cv2", "pandas", "matplotlib", "h5py", "pyrender", "trimesh"}

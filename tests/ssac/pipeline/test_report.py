@@ -3,25 +3,38 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
+from ssac import sync
 from ssac.estimate import ClockJump, Estimate
-from ssac.search.one_object import ObjectsUsed
-from ssac.tool.report import report_json, report_text
-from ssac.tool.sync import sync
+from ssac.pipeline.answer import Answer
+from ssac.pipeline.registry import METHODS
+from ssac.pipeline.report import report_json, report_text
+from ssac.track.clean import ObjectsUsed
 from ssac.track.denoise import Clutter
 
 
-def test_an_unreliable_offset_is_not_explained_as_if_it_held(recorded):
-    result = sync(recorded / "cam1.h5", recorded / "cam2.h5", recorded / "rig.yaml", "ssac")
+@pytest.fixture(scope="module")
+def answer(recorded) -> Answer:
+    return sync(*recorded.pair, recorded / "rig.yaml", "ssac").answer
+
+
+def used(answer: Answer, *objects: ObjectsUsed) -> Answer:
+    """Say of both cameras what became of the things that they saw."""
+    pairs = zip(answer.cleans, objects, strict=True)
+    return replace(answer, cleans=tuple(replace(seen, used=said) for seen, said in pairs))
+
+
+def test_an_unreliable_offset_is_not_explained_as_if_it_held(answer):
     doubtful = replace(
-        result.estimate,
+        answer.estimate,
         status="ambiguous_offset",
         reason="so it is",
         alternatives_s=np.array([-0.75, 0.85]),
         R=None,
         t=None,
     )
-    doubted = replace(result, estimate=doubtful)
+    doubted = replace(answer, estimate=doubtful)
     text = report_text(doubted)
     assert text.startswith("no estimate    ambiguous_offset: so it is\nnot reliable   t_d = ")
     assert "or             t_d = -750, 850 ms" in text
@@ -31,35 +44,33 @@ def test_an_unreliable_offset_is_not_explained_as_if_it_held(recorded):
     assert report["t_d_is_reliable"] is False
 
 
-def test_an_offset_that_holds_is_given_without_a_pose(recorded):
-    result = sync(recorded / "cam1.h5", recorded / "cam2.h5", recorded / "rig.yaml", "ssac")
+def test_an_offset_that_holds_is_given_without_a_pose(answer):
     direction = np.eye(6)[[5]]
     partial = replace(
-        result.estimate,
+        answer.estimate,
         status="degenerate_pose",
         reason="so it is",
         unobservable=direction,
         R=None,
         t=None,
     )
-    text = report_text(replace(result, estimate=partial))
+    text = report_text(replace(answer, estimate=partial))
     assert text.startswith("no pose        degenerate_pose: so it is\ntime offset    t_d = ")
     assert "camera 2's clock shows" in text
     assert "rotation" not in text
-    report = report_json(replace(result, estimate=partial))
+    report = report_json(replace(answer, estimate=partial))
     assert report["t_d_is_reliable"] is True
     assert report["unobservable"] == direction.tolist()
 
 
-def test_clocks_are_told(recorded):
-    result = sync(recorded / "cam1.h5", recorded / "cam2.h5", recorded / "rig.yaml", "ssac")
-    plain = report_json(result)
+def test_clocks_are_told(answer):
+    plain = report_json(answer)
     names = ("t_ref_s", "skew_ppm", "skew_std_ppm", "clock_covariance", "clock_jump")
     assert [plain[name] for name in names] == [None] * 5  # the paper's takes them to run alike
     assert plain["clock_knots"] == []
     knots_s = np.array([0.0, 5.0, 10.0])
     wandering = replace(
-        result.estimate,
+        answer.estimate,
         t_ref_s=5.0,
         skew_ppm=-400.0,
         skew_std_ppm=2.5,
@@ -67,48 +78,48 @@ def test_clocks_are_told(recorded):
         strays_s=np.array([0.001, -0.002, 0.001]),
         strays_std_s=np.full(3, 1e-4),
     )
-    text = report_text(replace(result, estimate=wandering))
+    text = report_text(replace(answer, estimate=wandering))
     assert "clock skew     -400.0 ppm, 1 sigma 2.5 ppm\n" in text
     assert "camera 2's clock runs slow; t_d holds at 5.000 s of camera 1's\n" in text
     assert "and strays by up to 2.000 ms, 3 knots\n" in text
     assert "far beyond the 50 ppm expected of such clocks: see --skew-prior\n" in text
-    report = report_json(replace(result, estimate=wandering))
+    report = report_json(replace(answer, estimate=wandering))
     assert (report["t_ref_s"], report["skew_ppm"], report["skew_std_ppm"]) == (5.0, -400.0, 2.5)
     assert report["clock_knots"][1] == {"t_s": 5.0, "stray_s": -0.002, "std_s": 1e-4}
     jump = ClockJump(3.0, 0.02, 0.001, 0.05, 0.07)
     jumping = Estimate("joint", "clock_jump", "so it is", jump=jump)
-    assert report_text(replace(result, estimate=jumping)).startswith(
+    assert report_text(replace(answer, estimate=jumping)).startswith(
         "no estimate    clock_jump: so"
     )
-    report = report_json(replace(result, estimate=jumping))
+    report = report_json(replace(answer, estimate=jumping))
     assert report["clock_jump"] == {
         "at_s": 3.0, "size_s": 0.02, "size_std_s": 0.001, "before_s": 0.05, "after_s": 0.07,
     }  # fmt: skip
     assert (report["t_d_s"], report["t_d_is_reliable"]) == (None, False)
 
 
-def test_clutter_is_told(recorded):
-    result = sync(recorded / "cam1.h5", recorded / "cam2.h5", recorded / "rig.yaml", "ssac")
-    assert "clutter" not in report_text(result)
-    plain = report_json(result)["clutter"]
+def test_clutter_is_told(answer):
+    assert "clutter" not in report_text(answer)
+    plain = report_json(answer)["clutter"]
     assert [camera["masked_pixels"] for camera in plain] == [0, 0]
     assert [(camera["n_neighbours"], camera["n_min"]) for camera in plain] == [(20, 200)] * 2
-    lamp = replace(result.cam1, clutter=Clutter(36, 7200, 0.2, 5.0, 20, 200))
-    noisy = replace(result.cam2, clutter=Clutter(0, 0, 9.8, 3.0, 12, 150))
-    text = report_text(replace(result, cam1=lamp, cam2=noisy))
+    one, other = answer.cleans
+    lamp = replace(one, clutter=Clutter(36, 7200, 0.2, 5.0, 20, 200))
+    noisy = replace(other, clutter=Clutter(0, 0, 9.8, 3.0, 12, 150))
+    text = report_text(replace(answer, cleans=(lamp, noisy)))
     assert "clutter        camera 1: 36 px that fire by themselves masked (7200 events)\n" in text
     assert (
         "clutter        camera 2: with a background of 9.8 Hz/px an event needs 12 others within"
         " 3 px, ms, and a position 150 events\n"
     ) in text
-    held = np.arange(len(result.cam1.events)) % 10 == 0
-    text = report_text(replace(result, cam1=replace(result.cam1, on_line=held)))
+    held = np.arange(len(one.events)) % 10 == 0
+    text = report_text(replace(answer, cleans=(replace(one, on_line=held), other)))
     assert (
         "clutter        camera 1: a line that holds the object is seen, and no part of its outline"
         f" ({held.sum()} events)\n"
     ) in text
-    other = replace(result.config, n_min=30)
-    found = report_json(replace(result, cam2=noisy, config=other))["clutter"][1]
+    config = replace(answer.config, n_min=30)
+    found = report_json(replace(answer, cleans=(one, noisy), config=config))["clutter"][1]
     assert found == {
         "masked_pixels": 0, "masked_events": 0, "background_hz": 9.8, "radius_px": 3.0,
         "n_neighbours": 12, "n_min": 30,
@@ -116,23 +127,21 @@ def test_clutter_is_told(recorded):
 
 
 def test_a_start_that_is_the_answer_is_called_so(recorded):
-    result = sync(recorded / "cam1.h5", recorded / "cam2.h5", recorded / "rig.yaml")
-    assert "tangents to the object" in report_text(result)
-    estimate = replace(result.estimate, start=result.estimate)
-    text = report_text(replace(result, estimate=estimate))
+    answer = sync(*recorded.pair, recorded / "rig.yaml").answer
+    assert "tangents to the object" in report_text(answer)
+    text = report_text(replace(answer, is_start=True))
     assert "note           the object is too small for an outline" in text
     assert "pairs of positions used, of 400 sample times" in text
 
 
-def test_several_things_are_told(recorded):
-    result = sync(recorded / "cam1.h5", recorded / "cam2.h5", recorded / "rig.yaml", "ssac")
-    assert report_json(result)["objects"] == [{"seen": 1, "share": 1.0}] * 2
-    assert "objects" not in report_text(result)
-    crowded = replace(result, objects=(ObjectsUsed(3, 0.25), ObjectsUsed(1, 1.0)))
+def test_several_things_are_told(answer):
+    assert report_json(answer)["objects"] == [{"seen": 1, "share": 1.0}] * 2
+    assert "objects" not in report_text(answer)
+    crowded = used(answer, ObjectsUsed(3, 0.25), ObjectsUsed(1, 1.0))
     row = "objects        camera 1 sees 3, 25 % of its events used; camera 2 sees 1, 100 % of"
     assert row in report_text(crowded)
     assert report_json(crowded)["objects"][0] == {"seen": 3, "share": 0.25}
-    refused = replace(result, objects=(ObjectsUsed(3, 0.0), ObjectsUsed(2, 0.0)))
+    refused = used(answer, ObjectsUsed(3, 0.0), ObjectsUsed(2, 0.0))
     assert "objects        camera 1 sees 3; camera 2 sees 2\n" in report_text(refused)
     # A method that looks at no object says nothing of them.
-    assert report_json(replace(result, objects=None))["objects"] is None
+    assert report_json(replace(answer, method=METHODS["albl"]))["objects"] is None

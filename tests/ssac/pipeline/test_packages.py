@@ -5,20 +5,32 @@ import os
 import re
 import subprocess
 import sys
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+import yaml
 
-import ssac.tool.registry
+import ssac.pipeline.registry
 from experiments.paper.esim import esim_table, runs_of_grid
-from ssac.errors import SsacError
+from experiments.run.grid import Cell
+from experiments.run.scored import SCORED, scored_row
+from experiments.run.task import CRASHED, refusal
+from sim.recording import SimConfig
+from ssac.config import Config
+from ssac.errors import PluginError, SsacError
 from ssac.files.event_files import load_events
 from ssac.files.hdf5 import save_events_h5
-from ssac.tool.load import load_pair
-from ssac.tool.registry import METHODS, OURS, Input, Registry, choose_method
-from tests.ssac.synthetic import HEIGHT, WIDTH
+from ssac.files.rigs import load_rig
+from ssac.pipeline.chain import Chain
+from ssac.pipeline.opened import Recording
+from ssac.pipeline.registry import OURS, Input, Registry, choose_method
+from ssac.track.observation import Observation
+from tests.recorded import T_D_S, add_frames
+from tests.ssac.command import run
+from tests.ssac.synthetic import HEIGHT, WIDTH, make_events, make_scene
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -37,10 +49,14 @@ def estimate(cam1, cam2, rig, config=None):
 '''
 
 
+SCENE = make_scene(0, duration_s=3.0)
+
+
 @pytest.fixture(scope="module")
-def data(recorded):
-    paths = (recorded / "cam1.h5", recorded / "cam2.h5", recorded / "rig_extrinsics.yaml")
-    return load_pair(paths, METHODS["zncc_f"])
+def chain():
+    """Two cameras of a rig whose extrinsics are known."""
+    seen = [Observation(events) for events in make_events(SCENE, 0, rate_hz=8000.0, size_m=0.4)]
+    return Chain(seen, SCENE.rig)
 
 
 # --- Methods of other packages ---
@@ -89,7 +105,7 @@ def test_a_function_is_a_method_of_tracks(site):
 
 def test_a_method_object_says_the_rest(site):
     source = GOOD + (
-        "from ssac.tool.registry import Input, Method\n"
+        "from ssac import Input, Method\n"
         'M = Method("mine", estimate, Input.RATES, "sums up", needs_extrinsics=True, version="w3")'
     )
     install(site, "whole", "mine = whole:M", source)
@@ -98,9 +114,9 @@ def test_a_method_object_says_the_rest(site):
     assert re.fullmatch(r"whole 1\.2 [0-9a-f]{16} w3", method.version)
 
 
-def test_a_method_of_a_package_runs(site, data):
+def test_a_method_of_a_package_runs(site, chain):
     install(site, "plain", "mine = plain:estimate")
-    assert Registry()["mine"].estimate(*data, None).t_d_s == 0.25
+    assert chain.estimate(Registry()["mine"]).t_d_s == 0.25
 
 
 BROKEN = {
@@ -115,7 +131,7 @@ BROKEN = {
     "two names": (
         "mine = broken:M",
         GOOD
-        + "from ssac.tool.registry import Input, Method\n"
+        + "from ssac import Input, Method\n"
         + 'M = Method("yours", estimate, Input.TRACKS, "")',
         "the Method is named 'yours': give both one name",
     ),
@@ -164,12 +180,160 @@ def test_two_packages_with_one_name(site):
         ('Estimate("mine", "it is dark")', "the status 'it is dark': give one word"),
     ],
 )
-def test_what_would_spoil_a_table_is_an_error(returned, message, site, data):
+def test_what_would_spoil_a_table_is_an_error(returned, message, site, chain):
     install(site, "careless", "mine = careless:estimate", GOOD.replace(
         'Estimate("mine", t_d_s=0.25)', returned))  # fmt: skip
     # No SsacError, which would blame the data: the run counts as crashed.
-    with pytest.raises((TypeError, ValueError), match=rf"careless 1\.2 \(entry .*{message}"):
-        Registry()["mine"].estimate(*data, None)
+    with pytest.raises(PluginError, match=rf"careless 1\.2 \(entry .*{message}"):
+        chain.estimate(Registry()["mine"])
+
+
+CRASHING = """
+import numpy as np
+from ssac import Estimate
+
+def estimate(cam1, cam2, rig, config):
+    return Estimate("mine", t_d_s=helper({}))
+
+def helper(found):
+    return np.linalg.inv(np.zeros((2, 2)))
+"""
+
+
+def test_a_crash_is_said_to_be_the_packages(site, recorded, tmp_path, monkeypatch, capsys):
+    install(site, "fragile", "mine = fragile:estimate", CRASHING)
+    monkeypatch.setattr(ssac.pipeline.registry, "METHODS", Registry())
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    args = (*recorded.pair, "--rig", recorded / "rig.yaml", "--method", "mine")
+    code, out, err = run("sync", *args)
+    (file,) = tmp_path.glob("ssac-bug-*/traceback.txt")
+    assert (code, out) == (3, "")
+    assert err.splitlines()[-1] == (
+        "error: fragile 1.2 (entry point mine = fragile:estimate): LinAlgError: Singular matrix"
+        f" ({site / 'fragile.py'}, line 9): a bug of that package; please report it with the"
+        f" traceback in {file}"
+    )
+    assert "Singular matrix" in file.read_text()
+
+
+def test_in_a_table_a_crash_is_a_row_that_names_the_package(site, chain, monkeypatch):
+    install(site, "fragile", "mine = fragile:estimate", CRASHING)
+    monkeypatch.setattr("experiments.run.scored.METHODS", Registry())
+    cell = Cell(SimConfig(), 0, 0, 0.0, Config(), "mine", {"sim.t_d_s": 0.0})
+    with pytest.raises(PluginError) as crash:
+        scored_row(cell, chain)
+    row = refusal(SCORED, crash.value, "mine")
+    assert row["status"] == CRASHED
+    assert "PluginError: fragile 1.2 (entry point mine = fragile:estimate): Lin" in row["reason"]
+
+
+def test_an_input_that_a_package_refuses_is_no_crash(site, chain):
+    source = "from ssac import SsacError\ndef f(a, b, c, d): raise SsacError('a is too dark')"
+    install(site, "picky", "mine = picky:f", source)
+    with pytest.raises(SsacError, match=r"^a is too dark$"):
+        chain.estimate(Registry()["mine"])
+
+
+def test_a_package_with_a_callable_object_runs(site, chain):
+    source = """
+from dataclasses import dataclass
+from ssac import Estimate
+
+@dataclass  # which cannot be hashed
+class Mine:
+    def __call__(self, cam1, cam2, rig, config): return Estimate("mine", t_d_s=0.25)
+
+mine = Mine()
+"""
+    install(site, "called", "mine = called:mine", source)
+    assert chain.estimate(Registry()["mine"]).t_d_s == 0.25
+
+
+LOOKING = """
+from ssac import Estimate, Input, Method, two_views, usable_events
+
+SEEN = []
+
+def estimate(cam1, cam2, rig, config):
+    SEEN.append((cam1, cam2, rig, config, usable_events(cam1, cam2, rig, config),
+                 two_views(cam1, cam2, rig, config)))
+    return Estimate("mine", t_d_s=0.05)
+
+def of(kind, **says): return Method("mine", estimate, kind, "looks", **says)
+
+TRACKS, RATES, FRAMES = (of(kind) for kind in Input)
+KNOWN = of(Input.TRACKS, needs_extrinsics=True)
+"""
+
+
+@pytest.fixture
+def looking(site, monkeypatch):
+    """Install a method that notes what it is given; of another object by its name."""
+
+    def install_one(name):
+        install(site, "looking", f"mine = looking:{name}", LOOKING)
+        for module in ("ssac.pipeline.registry", "experiments.run.scored"):
+            monkeypatch.setattr(f"{module}.METHODS", Registry())
+        return import_module("looking").SEEN
+
+    return install_one
+
+
+@pytest.mark.parametrize("name", ["TRACKS", "RATES", "FRAMES", "estimate", "KNOWN"])
+def test_only_who_asks_for_the_extrinsics_is_shown_them(looking, recorded, tmp_path, name):
+    seen, rig = looking(name), recorded / "rig_extrinsics.yaml"
+    code, _, err = run("sync", *recorded.pair, "--rig", rig, "--method", "mine")
+    assert code == 0, err
+    ssac.sync(*recorded.pair, rig, "mine")
+    if name != "FRAMES":
+        cameras = [ssac.load_events(path) for path in recorded.pair]
+        ssac.sync(*cameras, ssac.load_rig(rig), "mine", search="interval")
+    by_study("mine", recorded)
+    three, third = yaml.safe_load(rig.read_text()), tmp_path / "third.h5"
+    three["cam2"] = three["cam1"]
+    (tmp_path / "rig.yaml").write_text(yaml.safe_dump(three))
+    events = load_events(recorded / "cam1.h5").events
+    events = np.delete(events, slice(None, None, 100))  # or else it is refused as a copy
+    save_events_h5(third, events, WIDTH, HEIGHT)
+    add_frames(third, 0.0)
+    ssac.sync([*recorded.pair, third], tmp_path / "rig.yaml", method="mine")
+    assert len(seen) == (6 if name == "FRAMES" else 7)
+    for one in seen:
+        rig_shown, views = one[2], one[5]
+        assert (rig_shown.T_2_1 is not None) == (name == "KNOWN")
+        assert views.rig.T_2_1 is None
+
+
+def by_study(name, recorded):
+    """Measure a row of a table."""
+    rig = load_rig(recorded / "rig_extrinsics.yaml")
+    cameras = [Recording(recorded / f"cam{k}.h5", rig.cam1, f"camera {k}") for k in (1, 2)]
+    sim = SimConfig()
+    cell = Cell(sim, 0, 0, T_D_S, Config(), name, {"sim.t_d_s": T_D_S})
+    assert scored_row(cell, Chain(cameras, rig, Config())).status == "ok"
+
+
+def test_what_a_method_gets_is_clean_and_stays_so(looking, recorded):
+    seen = looking("TRACKS")
+    rig = load_rig(recorded / "rig.yaml")
+    files = (Recording(recorded / f"cam{k}.h5", rig.cam1, f"camera {k}") for k in (1, 2))
+    chain = Chain([*files], rig)
+    chain.estimate("mine")
+    ((cam1, cam2, _, config, events, views),) = seen
+    assert (cam1, cam2) == (chain.clean(0), chain.clean(1))
+    assert events[0] is cam1.events
+    assert events[1] is cam2.events
+    assert views.motion1.times_us is chain.views().motion1.times_us
+    assert config.interval_s == (-1.0, 1.0)
+    assert (cam1.frames, cam1.frame_times_s) == (None, None)
+
+
+def test_a_method_of_frames_gets_them(looking, recorded):
+    seen = looking("FRAMES")
+    ssac.sync(*recorded.pair, recorded / "rig.yaml", "mine")
+    ((cam1, cam2, *_),) = seen
+    for camera in (cam1, cam2):
+        assert len(camera.frames) == len(camera.frame_times_s) == 400
 
 
 def test_the_version_follows_every_source_file(site):
@@ -194,11 +358,11 @@ def test_the_version_follows_every_source_file(site):
 
 def test_a_variant_that_is_not_there_is_an_error(site, monkeypatch):
     source = GOOD + (
-        "from ssac.tool.registry import Input, Method\n"
+        "from ssac import Input, Method\n"
         'M = Method("mine", estimate, Input.TRACKS, "", known_variant="mine-known")'
     )
     install(site, "halved", "mine = halved:M", source)
-    monkeypatch.setattr(ssac.tool.registry, "METHODS", Registry())
+    monkeypatch.setattr(ssac.pipeline.registry, "METHODS", Registry())
     assert choose_method("mine").name == "mine"
     with pytest.raises(SsacError, match="mine names 'mine-known' as its variant"):
         choose_method("mine", known_extrinsics=True)

@@ -7,8 +7,9 @@ import pytest
 
 from ssac.config import Config
 from ssac.estimate import Estimate, Status
-from ssac.tool.registry import METHODS, OURS
-from ssac.track.observation import Observation, prepare
+from ssac.pipeline.chain import Chain
+from ssac.pipeline.registry import OURS
+from ssac.track.observation import Observation
 from tests.ssac.synthetic import angle_deg, make_events, make_scene, rotation_angle_deg
 
 T_D_S = 0.05
@@ -31,14 +32,13 @@ def seen():
         events = events[rng.random(len(events)) < share]
         times_s = 0.02 * (np.arange(len(frames)) + 0.5) + offset_s
         cameras.append(Observation(events, frames, times_s))
-    return scene, *prepare(*cameras, scene.rig, Config(denoise=False))
+    return Chain(cameras, scene.rig, Config(denoise=False))
 
 
 @cache
 def answer(name: str, shift_s: float) -> Estimate:
-    scene, cam1, cam2 = seen()
     interval_s = (T_D_S - 1.0 + shift_s, T_D_S + 1.0 + shift_s)
-    return METHODS[name].estimate(cam1, cam2, scene.rig, Config(interval_s, denoise=False))
+    return seen().under(Config(interval_s, denoise=False)).estimate(name)
 
 
 @pytest.mark.parametrize("shift_s", SHIFTS_S)

@@ -1,0 +1,433 @@
+"""`ssac.sync`: every kind of camera and rig gives one answer, and a wrong argument one error."""
+
+import copy
+import json
+import pickle
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+import ssac
+from ssac.camera import Camera, Cameras, Rig
+from ssac.config import Config
+from ssac.errors import SsacError
+from ssac.estimate import Estimate
+from ssac.files.hdf5 import save_events_h5
+from ssac.files.track_files import save_track
+from ssac.pipeline.known import Known
+from ssac.points import PointTrack
+from ssac.track.observation import Observation, tracked
+from tests.answers import differences, fields_of
+from tests.ssac.command import read_json, run
+from tests.ssac.synthetic import HEIGHT, WIDTH, K, make_events, make_scene
+from tests.ssac.tracks import frame_track, rig_document
+
+SCENE = make_scene(0, duration_s=3.0)
+EVENTS = make_events(SCENE, 0, 0.05, 6_000.0, 0.4)
+THIRD = make_events(make_scene(0, 60.0, 3.0), 0, -0.1, 5_000.0, 0.4)[1]
+CAMERA = Camera(K, WIDTH, HEIGHT)
+RIG = Rig(CAMERA, CAMERA)
+OTHER_ORDER = np.dtype([("p", "u1"), ("y", "<i4"), ("t", "<i8"), ("x", "<i4")])
+METAVISION = np.dtype([("x", "<u2"), ("y", "<u2"), ("p", "<i2"), ("t", "<i8")])
+
+
+@dataclass(frozen=True)
+class Files:
+    """Two event cameras, a third one, a track, and rigs of two and of three cameras."""
+
+    folder: Path
+
+    def __truediv__(self, name: str) -> str:
+        return str(self.folder / name)
+
+    @property
+    def three(self) -> list[str]:
+        return [self / f"cam{k}.h5" for k in (1, 2, 3)]
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory) -> Files:
+    folder = tmp_path_factory.mktemp("api")
+    for k, events in enumerate((*EVENTS, THIRD), start=1):
+        save_events_h5(folder / f"cam{k}.h5", events, WIDTH, HEIGHT)
+    save_track(folder / "cam1.csv", frame_track(SCENE, 1, 30.0))
+    rig = rig_document()
+    (folder / "rig.yaml").write_text(yaml.safe_dump(rig))
+    (folder / "three.yaml").write_text(yaml.safe_dump({**rig, "cam2": rig["cam0"]}))
+    return Files(folder)
+
+
+@pytest.fixture(scope="module")
+def result(files):
+    return ssac.sync(files / "cam1.h5", files / "cam2.h5", files / "rig.yaml")
+
+
+def assert_same(one: Estimate, other: Estimate) -> None:
+    assert list(differences(fields_of(one), fields_of(other))) == []
+
+
+def as_fields(events, dtype):
+    """Give events with their fields in another order, of other widths."""
+    found = np.empty(len(events), dtype)
+    for name in dtype.names:
+        found[name] = events[name]
+    return found
+
+
+# --- Every kind of input gives the same bits ---
+
+CAMERAS = {
+    "path": lambda files, k: Path(files / f"cam{k}.h5"),
+    "str": lambda files, k: files / f"cam{k}.h5",
+    "array": lambda files, k: EVENTS[k - 1],
+    "other order": lambda files, k: as_fields(EVENTS[k - 1], OTHER_ORDER),
+    "big endian": lambda files, k: EVENTS[k - 1].astype(EVENTS[0].dtype.newbyteorder(">")),
+    "Metavision": lambda files, k: as_fields(EVENTS[k - 1], METAVISION),
+    "Observation": lambda files, k: Observation(EVENTS[k - 1]),
+    "EventFile": lambda files, k: ssac.load_events(files / f"cam{k}.h5"),
+}
+RIGS = {
+    "path": lambda files: Path(files / "rig.yaml"),
+    "Rig": lambda files: RIG,
+    "loaded": lambda files: ssac.load_rig(files / "rig.yaml"),
+    "two cameras": lambda files: (CAMERA, CAMERA),
+    "list": lambda files: [CAMERA, CAMERA],
+    "Cameras": lambda files: Cameras((CAMERA, CAMERA)),
+}
+
+
+@pytest.mark.parametrize("kind", CAMERAS)
+def test_every_kind_of_camera_gives_the_same(kind, files, result):
+    cameras = [CAMERAS[kind](files, k) for k in (1, 2)]
+    assert_same(ssac.sync(*cameras, files / "rig.yaml").estimate, result.estimate)
+
+
+@pytest.mark.parametrize(("one", "other"), [("path", "Metavision"), ("EventFile", "Observation")])
+def test_kinds_may_be_mixed(one, other, files, result):
+    cameras = CAMERAS[one](files, 1), CAMERAS[other](files, 2)
+    assert_same(ssac.sync(*cameras, RIG).estimate, result.estimate)
+
+
+@pytest.mark.parametrize("kind", RIGS)
+def test_every_kind_of_rig_gives_the_same(kind, files, result):
+    found = ssac.sync(*EVENTS, RIGS[kind](files))
+    assert_same(found.estimate, result.estimate)
+    assert_same(ssac.sync([*EVENTS], RIGS[kind](files)).estimate, result.estimate)
+    assert_same(ssac.tangency(*EVENTS, RIGS[kind](files)), result.estimate)
+
+
+def test_a_track_beside_events_gives_the_same_in_every_form(files):
+    def synced(camera):
+        with pytest.warns(UserWarning, match="all times are whole"):  # of a file of milliseconds
+            return ssac.sync(camera, files / "cam2.h5", files / "rig.yaml").estimate
+
+    track = ssac.load_track(files / "cam1.csv")
+    whole = replace(track, times_s=np.round(track.times_s, 3))
+    save_track(files.folder / "whole.csv", whole)
+    expected = synced(files / "whole.csv")
+    for camera in (ssac.load_track(files / "whole.csv"), tracked(whole)):
+        assert_same(synced(camera), expected)
+
+
+def test_a_config_or_its_fields_are_the_same():
+    fields = {"interval_s": (-0.3, 0.4), "trials": 500, "denoise": False, "seed": 3}
+    by_config = ssac.sync(*EVENTS, RIG, "joint", Config(**fields))
+    assert_same(ssac.sync(*EVENTS, RIG, "joint", **fields).estimate, by_config.estimate)
+    mixed = ssac.sync(*EVENTS, RIG, "joint", config=Config(trials=500, seed=9), **{
+        name: value for name, value in fields.items() if name != "trials"})  # fmt: skip
+    assert_same(mixed.estimate, by_config.estimate)
+    assert by_config.answer.config.interval_s == (-0.3, 0.4)
+
+
+def test_three_cameras_in_every_form_give_the_same(files):
+    def told(found):
+        return {key: value for key, value in found.to_dict().items() if key != "seconds"}
+
+    expected = ssac.sync(files.three, files / "three.yaml")
+    assert set(expected.pairs) == {(0, 1), (0, 2), (1, 2)}
+    cameras = [EVENTS[0], Observation(EVENTS[1]), ssac.load_events(files / "cam3.h5")]
+    found = ssac.sync(cameras, rig=[CAMERA] * 3)
+    assert found.names == ("camera 1", "camera 2", "camera 3")
+    for pair, answer in expected.pairs.items():
+        there = found.pairs[pair].estimate
+        named = replace(there, reason=answer.estimate.reason)
+        assert_same(named, answer.estimate)
+    assert_same_numbers(told(found), told(expected))
+
+
+def assert_same_numbers(one, other) -> None:
+    """Compare what JSON holds but for words, which name files."""
+    assert type(one) is type(other)
+    if isinstance(one, dict):
+        assert one.keys() == other.keys()
+        for key in one:
+            assert_same_numbers(one[key], other[key])
+    elif isinstance(one, list):
+        for part, its in zip(one, other, strict=True):
+            assert_same_numbers(part, its)
+    elif not isinstance(one, str):
+        assert one == other
+
+
+def test_an_interval_that_is_said_is_searched_though_it_is_the_default_one():
+    far = EVENTS[1].copy()
+    far["t"] += 1_000_000_000
+    said = ssac.sync(EVENTS[0], far, RIG, "ssac", interval_s=(-1.0, 1.0))
+    assert (said.status, said.answer.start) == ("no_common_time", None)
+    assert ssac.sync(EVENTS[0], far, RIG, "ssac").answer.start is not None
+
+
+def test_nothing_that_is_given_is_changed(files):
+    events, camera = copy.deepcopy(EVENTS), copy.deepcopy(CAMERA)
+    ssac.sync(*events, [camera, camera], "joint")
+    assert all(np.array_equal(one, other) for one, other in zip(events, EVENTS, strict=True))
+    assert np.array_equal(camera.K, K)
+
+
+# --- What the result has ---
+
+
+def test_a_result_has_what_the_estimate_has(result):
+    for name in Estimate.__dataclass_fields__:
+        assert getattr(result, name) is getattr(result.estimate, name)
+    assert result.clock.t_d_s == result.t_d_s
+    assert result.has_offset
+    assert {"t_d_s", "R", "note", "summary", "plot", "estimate", "clock_std_s"} <= set(dir(result))
+    with pytest.raises(AttributeError, match="t_d_ms"):
+        result.t_d_ms  # noqa: B018
+
+
+def test_a_result_says_what_the_command_line_says(files, result, tmp_path):
+    out = tmp_path / "out.json"
+    args = (files / "cam1.h5", files / "cam2.h5", "--rig", files / "rig.yaml", "--json", out)
+    code, text, err = run("sync", *args)
+    assert code == 0, err
+    assert result.summary() + "\n" == text
+    told, found = read_json(out), json.loads(json.dumps(result.to_dict()))
+    assert set(told.pop("seconds")) == set(found.pop("seconds"))
+    assert told == found
+    assert result.note == told["note"]
+
+
+def test_a_result_shows_itself(result):
+    assert repr(result).startswith("<ssac.Result tangency ok, t_d 47.")
+    assert len(repr(result)) < 80
+    refused = ssac.sync(*EVENTS, RIG, "joint", interval_s=(-1.0, -0.5))
+    assert repr(refused) == f"<ssac.Result joint {refused.status}>"
+    assert refused.status != "ok"
+    strange = replace(result.answer, rig_name="<a & b>", method=replace(
+        result.answer.method, needs_extrinsics=True))  # fmt: skip
+    html = replace(result, answer=strange)._repr_html_()
+    assert "&lt;a &amp; b&gt;" in html
+    assert "<a" not in html
+    assert html.count("<tr>") == len(replace(result, answer=strange).summary().splitlines())
+
+
+def test_a_result_draws_itself(result, tmp_path):
+    from matplotlib.figure import Figure
+
+    assert isinstance(result.plot(), Figure)
+    assert isinstance(result.plot(tmp_path / "page.png"), Figure)
+    assert (tmp_path / "page.png").stat().st_size > 1000
+    assert ssac.sync(*[np.delete(one, slice(20, None)) for one in EVENTS], RIG).plot() is None
+
+
+def test_a_result_can_be_pickled_and_copied(result):
+    for again in (pickle.loads(pickle.dumps(result)), copy.deepcopy(result), copy.copy(result)):
+        assert_same(again.estimate, result.estimate)
+        assert again.summary() == result.summary()
+
+
+def test_a_network_shows_itself(files):
+    found = ssac.sync(files.three, files / "three.yaml")
+    assert repr(found).startswith(f"<ssac.NetworkResult {found.status}, ")
+    assert found._repr_html_().count("<tr>") == len(found.summary().splitlines())
+    again = pickle.loads(pickle.dumps(found))
+    assert again.summary() == found.summary()
+
+
+# --- Wrong arguments ---
+
+ONE, OTHER = EVENTS
+A_CAMERA = "expected a file, a structured array of events with the fields t, x, y and p, a ssac.Obs"
+WRONG = {
+    "an int": ((1, OTHER, RIG), rf"^camera 1: {A_CAMERA}.* got int 1$"),
+    "nothing": ((None, OTHER, RIG), rf"^camera 1: {A_CAMERA}.* got NoneType None$"),
+    "no camera 2": ((ONE, None, RIG), rf"^camera 2: {A_CAMERA}.* got NoneType None$"),
+    "a dict": (({name: ONE[name] for name in "txyp"}, OTHER, RIG), "^camera 1: .* got dict$"),
+    "no fields": ((np.zeros((5, 4)), OTHER, RIG), r"^camera 1: .*without t, x, y, p: build it"),
+    "float times": (
+        (ONE.astype([("t", "f8"), ("x", "u2"), ("y", "u2"), ("p", "u1")]), OTHER, RIG),
+        "^camera 1: t must hold whole numbers .* got values of type float64",
+    ),
+    "no events": ((ONE[:0], OTHER, RIG), "^camera 1: there are no events"),
+    "not sorted": ((ONE[::-1], OTHER, RIG), "^camera 1: events must be sorted by time"),
+    "two axes": ((ONE[:100].reshape(10, 10), OTHER, RIG), "^camera 1: events must be a 1-D array"),
+    "one event": ((ONE[0], OTHER, RIG), "^camera 1: expected a file.* got void"),
+    "a list of events": (
+        ([(1, 2, 3, 4)], OTHER, RIG),
+        r"^sync: a list of cameras stands for all .* call sync\(\[a, b, c\], rig, method=",
+    ),
+    "a list of events alone": (([(1, 2, 3, 4), (2, 3, 4, 5)], RIG), "^camera 1: .* got tuple"),
+    "a list of one": (([ONE], RIG), "^sync: expected two cameras or more, got a list of 1$"),
+    "an empty list": (([], RIG), "^sync: expected two cameras or more, got a list of 0$"),
+    "a method in the rig's place": (([ONE, OTHER], RIG, "joint"), "beside it stands their rig"),
+    "no rig": ((ONE, OTHER), "^rig: expected a rig file, a ssac.Rig or the ssac.Camera of each"),
+    "a camera as rig": ((ONE, OTHER, CAMERA), "^rig: expected .* got Camera"),
+    "matrices as rig": ((ONE, OTHER, [K, K]), "^rig: expected .* got list"),
+    "one camera": ((ONE, OTHER, [CAMERA]), "^rig: it has 1 cameras, and there are 2 recordings"),
+    "three cameras": ((ONE, OTHER, [CAMERA] * 3), "^rig: it has 3 cameras, and there are 2 record"),
+    "no such rig": ((ONE, OTHER, "nix.yaml"), r"^nix\.yaml: there is no such file"),
+    "half a rig": ((ONE, OTHER, Rig(CAMERA, None)), "^camera 2: expected a ssac.Camera, got None"),
+    "no such file": (("nix.h5", OTHER, RIG), r"^nix\.h5: there is no such file"),
+    "one twice": ((ONE, ONE, RIG), "^one recording: given for both cameras: give each camera's"),
+    "a copy": ((ONE, ONE.copy(), RIG), "hold the same points: one is a copy of the other"),
+    "empty observation": ((Observation(None), OTHER, RIG), "^camera 1: events must be a 1-D array"),
+    "a list of numbers": ((Observation([1, 2]), OTHER, RIG), "got list: build it with ssac.events"),
+    "frames": (
+        (Observation(ONE, frames=np.zeros((3, 2, 2))), OTHER, RIG, "zncc_f"),
+        r"^camera 1: frames must be an array \(m, height, width\), and frame_times_s one of \(m,\)",
+    ),
+    "another sensor": (
+        (ssac.EventFile(ONE, 640, 480), OTHER, RIG),
+        "^camera 1 of the rig is calibrated at 346 x 260 px, but camera 1 was recorded at 640",
+    ),
+    "a file of nothing": ((ssac.EventFile(None, None, None), OTHER, RIG), "^camera 1: events must"),
+    "a track of lists": ((PointTrack([0.0, 1.0], [[1, 2], [3, 4]]), OTHER, RIG), "numpy.asarray"),
+    "a track of nothing": ((PointTrack(None, None), OTHER, RIG), "^camera 1: a track must have"),
+    "a number as method": ((ONE, OTHER, RIG, 3), "^unknown method 3: use one of ssac, ssac-known"),
+    "no name": ((ONE, OTHER, RIG, ""), "^unknown method '': use one of"),
+    "a misspelt method": ((ONE, OTHER, RIG, "tangnecy"), "^unknown method 'tangnecy': use one of"),
+    "a list as method": ((ONE, OTHER, RIG, ["joint"]), r"^unknown method \['joint'\]: use one of"),
+    "a config as method": ((ONE, OTHER, RIG, Config()), r"^unknown method Config\(.*: use one of"),
+}  # fmt: skip
+
+OPTIONS = {
+    "n_sample": (3, "^n_sample: is no argument of sync and no field of .*: did you mean n_samples"),
+    "known_extrinsic": (True, "did you mean known_extrinsics"),
+    "search_all": (True, "^search_all: is no argument of sync .*: did you mean search"),
+    "zzz": (1, "^zzz: is no argument of sync and no field of ssac.Config$"),
+    "config": ({"n_samples": 3}, "^config: expected a ssac.Config, got dict"),
+    "method": (ssac.joint, "^unknown method <function joint"),
+    "interval_s": (
+        (1, -1),
+        r"^interval_s must be two finite numbers in ascending order, got",
+    ),
+    "rates": ((-1, 1), "^rates must be positive"),
+    "search": (3, "^search must be auto or interval or all, got 3"),
+    "clock": (None, "^clock must be auto or affine or pieces, got None"),
+    "robust": ("ransac", "^robust must be lmeds or magsac, got 'ransac'"),
+    "n_samples": ("400", "^n_samples must be a whole number of 1 to 10000000, got '400'"),
+    "trials": (2.5, "^trials must be a whole number of 1 to 10000000, got 2.5"),
+    "final_trials": (10**30, "^final_trials must be a whole number"),
+    "n_min": (0, "^n_min must be a whole number of 1"),
+    "seed": (-1, "^seed must be a whole number of 0"),
+    "half_window_s": (None, "^half_window_s must be positive and finite, got None"),
+    "min_swings": ("a", "^min_swings must be 0 or more, and finite, got 'a'"),
+    "denoise": ("no", "^denoise must be True or False, got 'no'"),
+    "skew_prior_ppm": ("a", "^skew_prior_ppm must be 0 to 100000, got 'a'"),
+    "cameras": ((1, 3), r"^cameras: \(1, 3\) are of a rig file, and none was given"),
+    "focal_std": ("a", "^focal_std: expected a deviation of 0 or more, got 'a'"),
+    "centre_std_px": (-1.0, "^centre_std_px: expected a deviation of 0 or more, got -1.0"),
+    "estimate_readout": (True, "^--estimate-readout: expected a track of a frame camera, got ev"),
+    "known_extrinsics": (True, "^the rig: tangency-known needs the extrinsics"),
+    "reading": (3, "^reading: expected a ssac.Reading, got 3"),
+    "known": (Known(distance_m=3.0), "^known: is for more than two cameras, and two were given"),
+    "log": (3, "^log: expected a function of a line of text, such as print, got 3"),
+}
+
+BAD_CAMERAS = {
+    "K": (None, "^camera 1: K must be a finite 3x3 matrix"),
+    "width": (None, "^camera 1: the resolution must be at least 1 x 1 px .* got None x 260"),
+    "height": (260.5, "^camera 1: the resolution must be .* got 346 x 260.5"),
+    "distortion_model": (["radtan"], "^camera 1: unknown distortion model"),
+    "distortion_coeffs": ("abcd", "^camera 1: the distortion model 'none' needs 0 finite"),
+    "intrinsics_std_px": ("abcd", "^camera 1: intrinsics_std must be 4 deviations"),
+    "readout_s": ("a", "^camera 1: the readout must take 0 to 0.2 s"),
+    "readout_std_s": (None, "^camera 1: the readout must take 0 to 0.2 s"),
+}
+
+BAD_K = [3.0, "nonsense", np.eye(2), [[1, 2], [3]], {"fx": 200}, np.zeros((3, 3)), -K]
+
+POSES = [np.eye(3), "nonsense", np.full((4, 4), np.nan), 2.0 * np.eye(4)]
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_a_wrong_argument_is_one_clear_error(case):
+    args, message = WRONG[case]
+    with pytest.raises(SsacError, match=message):
+        ssac.sync(*args)
+
+
+@pytest.mark.parametrize("name", OPTIONS)
+def test_a_wrong_option_is_one_clear_error(name):
+    value, message = OPTIONS[name]
+    with pytest.raises(SsacError, match=message):
+        ssac.sync(ONE, OTHER, RIG, **{name: value})
+
+
+@pytest.mark.parametrize("name", BAD_CAMERAS)
+def test_a_wrong_camera_is_one_clear_error_on_every_path(name):
+    value, message = BAD_CAMERAS[name]
+    rig = Rig(replace(CAMERA, **{name: value}), CAMERA)
+    if (name, value) == ("K", None):
+        rig = Rig(Camera(None, WIDTH, HEIGHT), CAMERA)
+    for call in (ssac.sync, ssac.joint, ssac.two_views, ssac.usable_events):
+        with pytest.raises(SsacError, match=message):
+            call(ONE, OTHER, rig)
+    with pytest.raises(SsacError, match=message):
+        ssac.Chain((Observation(ONE), Observation(OTHER)), rig)
+
+
+@pytest.mark.parametrize("nonsense", BAD_K, ids=repr)
+def test_nonsense_as_intrinsics_is_one_clear_error(nonsense):
+    with pytest.raises(SsacError, match=r"^camera 2: .*got"):
+        ssac.sync(ONE, OTHER, [CAMERA, Camera(nonsense, WIDTH, HEIGHT)])
+
+
+@pytest.mark.parametrize("T_2_1", POSES, ids=repr)
+def test_nonsense_as_pose_is_one_clear_error(T_2_1):
+    with pytest.raises(SsacError, match=r"^the rig, from camera 1 to camera 2: expected a"):
+        ssac.sync(ONE, OTHER, Rig(CAMERA, CAMERA, T_2_1))
+
+
+@pytest.mark.parametrize(
+    "numbers", [3, (1,), "ab", ("a", "b"), (1.5, 2), (0, 1), (1, 1), (1, 3)], ids=repr
+)
+def test_wrong_numbers_of_cameras_are_one_clear_error(numbers, files):
+    with pytest.raises(SsacError, match=r"^cameras: expected the numbers|given for both|no cam2"):
+        ssac.sync(ONE, OTHER, files / "rig.yaml", cameras=numbers)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("cameras", (1, 3)), ("known_extrinsics", True), ("estimate_readout", True)],
+)
+def test_what_is_for_two_cameras_is_refused_for_more(name, value):
+    with pytest.raises(SsacError, match=f"^{name}: is for two cameras, and more were given"):
+        ssac.sync([ONE, OTHER, THIRD], [CAMERA] * 3, **{name: value})
+
+
+@pytest.mark.parametrize(
+    "fields", [{"distance_m": "a"}, {"distance_m": -1.0}, {"distance_m": 1.0, "rtk": Path("a")}]
+)
+def test_what_is_known_must_make_sense(fields):
+    with pytest.raises(SsacError, match=r"distance_m"):
+        Known(**fields)
+
+
+@pytest.mark.parametrize("args", [(None, RIG), ((Observation(ONE),), RIG), ((ONE, OTHER), RIG),
+                                  ((Observation(ONE), Observation(OTHER)), None)])  # fmt: skip
+def test_a_chain_of_something_else_is_one_clear_error(args):
+    with pytest.raises(SsacError, match=r"expected|recordings for the 2 cameras"):
+        ssac.Chain(*args)
+
+
+@pytest.mark.parametrize("pair", [(0, 5), (1, 0), (1, 1)])
+def test_a_pair_that_is_not_there_is_one_clear_error(pair):
+    chain = ssac.Chain((Observation(ONE), Observation(OTHER)), RIG)
+    with pytest.raises(SsacError, match="there are 2, numbered from 0 on"):
+        chain.answer("joint", *pair)
