@@ -22,7 +22,6 @@ MAX_COUNT = 10_000_000
 _COUNTS = {
     **dict.fromkeys(("n_samples", "n_min", "n_neighbours", "trials", "final_trials"), 1),
     "border_px": 0,
-    "seed": 0,
 }
 """Fields that are whole numbers, and the least of each."""
 
@@ -183,6 +182,7 @@ def validated(config: Config | None) -> Config:
         raise SsacError(f"interval_s: not with {other}, which tries every offset: leave one out")
     for name, least in _COUNTS.items():
         _check_count(name, getattr(config, name), least)
+    _check_count("seed", config.seed, 0, 2**32 - 1)
     for name in ("exhaustive", "denoise", "search_skews", "choose_object"):
         if not isinstance(getattr(config, name), (bool, np.bool_)):
             raise SsacError(f"{name} must be True or False, got {getattr(config, name)!r}")
@@ -212,13 +212,13 @@ def _is_number(value: object) -> bool:
     return is_number and not isinstance(value, bool)
 
 
-def _check_count(name: str, value: object, least: int) -> None:
+def _check_count(name: str, value: object, least: int, most: int = MAX_COUNT) -> None:
     """Refuse what is no whole number, or out of all bounds; None where it is left open."""
     if value is None and name in ("n_min", "n_neighbours"):
         return
     is_whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
-    if not (is_whole and least <= value <= MAX_COUNT):  # type: ignore[operator]
-        raise SsacError(f"{name} must be a whole number of {least} to {MAX_COUNT}, got {value!r}")
+    if not (is_whole and least <= value <= most):  # type: ignore[operator]
+        raise SsacError(f"{name} must be a whole number of {least} to {most}, got {value!r}")
 
 
 def _are_bounds(bounds: object) -> bool:

@@ -155,6 +155,11 @@ class Chain:
             chain, t_d_s = self._undelayed
             seen = chain.recorded(k, frames)
             return seen.delayed(t_d_s) if k else seen
+        if frames or len(self) == 2:
+            return self._read(k, frames)
+        return self._once(("recorded", k), lambda: self._read(k))  # again for its silhouettes
+
+    def _read(self, k: int, frames: str = "") -> Observation:
         seen = self.sources[k].read(frames)
         check_seen(seen, self.name(k))
         return seen

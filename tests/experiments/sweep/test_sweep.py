@@ -30,7 +30,7 @@ def test_every_run_is_a_row_and_every_parameter_a_column(whole):
     assert rates["t_d_error_ms"].to_numpy() == pytest.approx(expected_ms.to_numpy(), abs=1e-3)
     skipped = runs[runs["method"] == "zncc_f"]
     assert (skipped["status"] == "skipped").all()
-    assert skipped["reason"].str.contains("has none").all()
+    assert skipped["reason"].str.contains("there are none").all()
     assert (runs["n_events_cam1"] > 0).all()
 
 

@@ -40,7 +40,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from ssac import SsacError
-from ssac.baselines.event_rate import event_rate
+from ssac import event_rate
 
 def raising(cam1, cam2, rig, config=None):
     raise RuntimeError("a bug")

@@ -133,7 +133,7 @@ def test_a_delay_takes_what_is_clean_and_summed_up_along(raw, calls):
     chain.delayed(0.2).clean(1)
     assert chain.delayed(0.1).estimate("joint") is not found
     assert chain.delayed(0.0) is chain
-    with pytest.raises(SsacError, match="n_min must be positive"):
+    with pytest.raises(SsacError, match="n_min must be a whole number of 1 "):
         late.under(Config(n_min=0))
 
 
