@@ -15,6 +15,7 @@ from contextlib import AbstractContextManager
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import combinations
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
@@ -231,9 +232,9 @@ class Chain:
             return self._told(pair, self._run(pair))
         pair = _Pair(method, places, (self.clean(i), self.clean(j)), method.rig_of(rig), config)
         _check_two(self.name(i), self.name(j), *pair.cleans)
-        everywhere = self._searches_all(pair)
+        everywhere = method.input is Input.TRACKS and self._searches_all(*pair.cleans)
         if method.of_one_object and config.choose_object:
-            cleans, refusal = self._one_object(places, None if everywhere else config.offsets_s)
+            cleans, refusal = self._one_object(places, config.offsets_s)
             pair = replace(pair, cleans=cleans)
             if refusal is not None:
                 return self._refused(pair, refusal)
@@ -355,19 +356,21 @@ class Chain:
         return self._once(("frames", k, frames), framed)
 
     def _one_object(
-        self, places: tuple[int, int], interval_s: Interval | None
+        self, places: tuple[int, int], interval_s: Interval
     ) -> tuple[tuple[Clean, Clean], Refusal | None]:
         """Give two cameras with the events of the one object that is chosen for the whole rig."""
 
         def chosen() -> tuple[tuple[Clean, ...], Refusal | None]:
             cleans = [self.clean(k) for k in range(len(self))]
+            everywhere = any(self._searches_all(*two) for two in combinations(cleans, 2))
             with self.watch.part("objects") as say:
-                found = one_object(cleans, interval_s)
+                found = one_object(cleans, None if everywhere else interval_s)
                 if any(len(one.events) for one in cleans):
                     say(_objects_seen(*found))
             return found
 
-        key = "object", self.config.cleaning, interval_s
+        config = self.config
+        key = "object", config.cleaning, interval_s, config.interval_s, config.search, config.rates
         every, refusal = self._once(key, chosen)
         two = every[places[0]], every[places[1]]
         lost = [k for k in places if every[k].used.seen > 1 and every[k].used.share == 0.0]
@@ -379,16 +382,15 @@ class Chain:
             )
         return two, refusal
 
-    def _searches_all(self, pair: _Pair) -> bool:
+    def _searches_all(self, one: Clean, other: Clean) -> bool:
         """Whether all offsets are searched: where asked for, and by default where it is needed."""
-        if pair.method.input is not Input.TRACKS:
-            return False
         config = self.config
         if config.rates is not None or config.search != "auto":
             return config.search == "all" or config.rates is not None
         if config.interval_s is not None:
             return False
-        return pair.of_track or not has_common_time(pair.cleans, config.offsets_s)
+        has_track = one.has_track or other.has_track
+        return has_track or not has_common_time((one, other), config.offsets_s)
 
     def _start(self, pair: _Pair, views: TwoViews) -> Start:
         def found() -> Start:
