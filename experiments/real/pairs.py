@@ -59,15 +59,15 @@ def pair_tables(sets: Iterable[DataSet]) -> dict[str, pd.DataFrame]:
 
 def _clock(result: Answer) -> Clock | None:
     """Give the clock that a pair found; of a mere delay, too, with a time at which to close."""
-    if not result.has_guess or not result.estimate.has_offset:
+    if result.guess is None or not result.estimate.has_offset:
         return None
     return replace(result.estimate.clock, t_ref_s=_t_ref_s(result))
 
 
 def _t_ref_s(result: Answer) -> float:
-    estimate, start = result.estimate, result.start
+    estimate, guess = result.estimate, result.guess
     has_skew = bool(np.isfinite(estimate.skew_ppm))
-    return estimate.t_ref_s if has_skew or start is None else start.guess.t_ref_s
+    return estimate.t_ref_s if has_skew or guess is None else guess.t_ref_s
 
 
 def _row(one: DataSet, pair: Pair) -> Row:

@@ -12,6 +12,7 @@ from ssac.camera import Rig
 from ssac.config import Config
 from ssac.estimate import Estimate
 from ssac.pipeline.registry import Input, Method
+from ssac.search.all_offsets import Guess
 from ssac.search.start import Start
 from ssac.search.two_views import TwoViews, views_of
 from ssac.track.clean import Clean
@@ -53,9 +54,9 @@ class Answer:
         return views_of(*self.cleans, self.rig, self.config)
 
     @property
-    def has_guess(self) -> bool:
-        """Whether a search over all offsets found any offset to begin with."""
-        return self.start is not None and self.start.has_guess
+    def guess(self) -> Guess | None:
+        """What a search over all offsets found to begin with; None where there was none."""
+        return self.start.guess if self.start is not None and self.start.has_guess else None
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -76,8 +76,7 @@ def solve_pairs(
     links = dict[Pair, Link]()
     for pair, answer in pairs.items():
         of_events = not any(seen[k].has_frames for k in pair)
-        guess = answer.start.guess if answer.start is not None and answer.has_guess else None
-        link = link_of(answer.estimate, guess, of_events)
+        link = link_of(answer.estimate, answer.guess, of_events)
         if link is not None:
             links[pair] = link
     has_frames = any(camera.has_frames for camera in seen)

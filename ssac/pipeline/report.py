@@ -154,8 +154,8 @@ def _skew_rows(estimate: Estimate, answer: Answer) -> list[tuple[str, str]]:
     if len(estimate.knots_s):
         most_ms = 1e3 * float(np.max(np.abs(estimate.strays_s)))
         rows.append(("", f"and strays by up to {most_ms:.3f} ms, {len(estimate.knots_s)} knots"))
-    start, prior_ppm = answer.start, answer.config.prior_ppm
-    is_found = start is not None and start.guess.rate != 1.0  # before the prior held
+    guess, prior_ppm = answer.guess, answer.config.prior_ppm
+    is_found = guess is not None and guess.rate != 1.0  # before the prior held
     if ppm > _FAR * prior_ppm and not is_found:
         prior = f"{prior_ppm:g} ppm expected of such clocks"
         rows.append(("", f"far beyond the {prior}: see --skew-prior"))

@@ -116,7 +116,7 @@ def test_clocks_of_varying_rates_are_followed_ever_more_roughly(data, tmp_path, 
     def refused(*paths, config, **more):
         tried.append((config.clock, config.roughness_ppm))
         estimate = Estimate("joint", "clock_jump")
-        answer = SimpleNamespace(estimate=estimate, has_guess=False, start=None, config=config)
+        answer = SimpleNamespace(estimate=estimate, guess=None, start=None, config=config)
         return SimpleNamespace(answer=answer)
 
     monkeypatch.setattr("experiments.real.data_sets.sync", refused)

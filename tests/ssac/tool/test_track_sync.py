@@ -14,6 +14,8 @@ from ssac.estimate import Estimate, Status
 from ssac.files.hdf5 import save_events_h5
 from ssac.files.track_files import load_track, save_track
 from ssac.pipeline.registry import choose_method
+from ssac.pipeline.report import report_text
+from ssac.points import PointTrack
 from tests.recorded import T_D_S
 from tests.ssac.command import run
 from tests.ssac.crowds import flight, mixed
@@ -47,6 +49,19 @@ def test_a_synced_track_has_no_offset_left(pair, tmp_path):
     answer(pair, "--write-synced", tmp_path / "synced.csv", out=tmp_path / "out.json")
     again = sync(pair.folder / "cam1.csv", tmp_path / "synced.csv", pair.folder / "rig.yaml")
     assert abs(again.estimate.t_d_s) < WIDE * again.estimate.t_d_std_s
+
+
+def test_tracks_too_short_for_any_offset_leave_no_guess(pair):
+    """Such an answer has a search, and nothing that a table or the network could begin with."""
+    cameras = []
+    for name in ("cam1.csv", "cam2.csv"):
+        track = load_track(pair.folder / name)
+        cameras.append(PointTrack(track.times_s[:4], track.points_px[:4]))
+    answer = sync(*cameras, pair.folder / "rig.yaml").answer
+    assert answer.estimate.status == Status.TOO_FEW_SAMPLES
+    assert answer.start is not None
+    assert answer.guess is None
+    assert "too_few_samples" in report_text(answer)
 
 
 def test_an_unknown_frame_rate_is_found(tmp_path):
