@@ -99,7 +99,9 @@ class Cameras:
 
 
 def with_deviations(
-    camera: Camera, focal: float = GOOD_FOCAL, centre_px: float = GOOD_CENTRE_PX
+    camera: Camera,
+    focal: float | None = GOOD_FOCAL,
+    centre_px: float | None = GOOD_CENTRE_PX,
 ) -> Camera:
     """Give a camera whose intrinsics are known to a share of the focal lengths, and to pixels.
 
@@ -108,31 +110,14 @@ def with_deviations(
     camera
         Any.
     focal
-        Deviation of both focal lengths, as a share of them.
+        Deviation of both focal lengths, as a share of them; None: as the camera states it.
     centre_px
-        Deviation of both coordinates of the principal point [px].
-    """
-    fu_px, fv_px = float(camera.K[0, 0]), float(camera.K[1, 1])
-    deviations_px = (focal * fu_px, focal * fv_px, centre_px, centre_px)
-    return replace(camera, intrinsics_std_px=deviations_px)
-
-
-def restated(camera: Camera, focal: float | None, centre_px: float | None) -> Camera:
-    """Give a camera with other deviations of its intrinsics, where they are not None.
-
-    Parameters
-    ----------
-    camera
-        Any.
-    focal
-        Deviation of both focal lengths, as a share of them.
-    centre_px
-        Deviation of both coordinates of the principal point [px].
+        Deviation of both coordinates of the principal point [px]; None: likewise.
     """
     said = tuple(camera.intrinsics_std_px)
-    other = with_deviations(camera, focal or 0.0, centre_px or 0.0).intrinsics_std_px
-    focals = said[:2] if focal is None else other[:2]
-    centre = said[2:] if centre_px is None else other[2:]
+    fu_px, fv_px = float(camera.K[0, 0]), float(camera.K[1, 1])
+    focals = said[:2] if focal is None else (focal * fu_px, focal * fv_px)
+    centre = said[2:] if centre_px is None else (centre_px, centre_px)
     return replace(camera, intrinsics_std_px=focals + centre)
 
 

@@ -22,8 +22,8 @@ from ssac.errors import SsacError
 from ssac.events import US_PER_S, slice_time
 from ssac.geometry.epipolar import epipolar_distance, fundamental_from_pose
 from ssac.geometry.fundamental import MIN_PAIRS, lmeds_fundamental
+from ssac.pipeline.api import chain_of
 from ssac.pipeline.chain import Chain
-from ssac.pipeline.opened import opened, opened_rig
 from ssac.plot.plot_data import Array, Material
 from ssac.plot.plots import POLARITIES, ZOOM_S, draw_alignment, draw_epipolar
 from ssac.plot.style import BLUE, YELLOW
@@ -53,8 +53,8 @@ class Curve:
 
 def load_recording(folder: Path, t_d_s: float = 0.0) -> Chain:
     """Read a simulated recording, with an offset added to camera 2's clock."""
-    rig = opened_rig(folder / "rig_extrinsics.yaml", 2)
-    return Chain(opened((folder / "cam1.h5", folder / "cam2.h5"), rig), rig).delayed(t_d_s)
+    files = folder / "cam1.h5", folder / "cam2.h5"
+    return chain_of(files, folder / "rig_extrinsics.yaml").delayed(t_d_s)
 
 
 def preprocessing_figure(chain: Chain) -> Figure:

@@ -20,9 +20,8 @@ from sim.recording import SimConfig
 from ssac.estimate import Status
 from ssac.network.answers import CameraAnswer
 from ssac.network.solve import NetworkAnswer
-from ssac.pipeline.chain import Chain
+from ssac.pipeline.api import chain_of
 from ssac.pipeline.many import network
-from ssac.pipeline.opened import opened, opened_rig
 
 TWO_AT_ONCE, THREE_CAMERAS = "two_at_once", "three_cameras"
 """Kinds of rows beside `twin.KINDS`: nothing is known, and all are adjusted together with the path,
@@ -68,8 +67,7 @@ def at_once(
         for k in reversed(range(1, n)):
             write_events(work, folders[k - 1], truths[k - 1], flight, second=k)
             paths[1].rename(paths[k])
-        rig = opened_rig(work / "rig.yaml", n)
-        return network(Chain(opened(paths, rig), rig, CONFIG)).network
+        return network(chain_of(paths, work / "rig.yaml", CONFIG)).network
 
 
 def _camera_figures(camera: CameraAnswer, truth: Truth) -> dict[str, float]:

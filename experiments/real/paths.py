@@ -12,9 +12,8 @@ from ssac.config import SKEW_PRIOR_PPM
 from ssac.errors import SsacError
 from ssac.estimate import Status
 from ssac.network.solve import NetworkAnswer
-from ssac.pipeline.chain import Chain
+from ssac.pipeline.api import chain_of
 from ssac.pipeline.many import solve_pairs
-from ssac.pipeline.opened import opened, opened_rig
 
 PATHS_FILE = "real_paths.csv"
 
@@ -42,8 +41,7 @@ def path_of(one: DataSet) -> tuple[Row, Comparison]:
         If no cameras see a path together, or RTK cannot be read.
     """
     start_s = time.process_time()
-    rig = opened_rig(one.rig, len(one.tracks))
-    answer = solve_pairs(Chain(opened(one.tracks, rig), rig), one.pairs)
+    answer = solve_pairs(chain_of(one.tracks, one.rig), one.pairs)
     network_s = time.process_time() - start_s
     if not answer.paths:
         raise SsacError(f"{one.folder}: no cameras see a path together: {answer.reason}")

@@ -17,8 +17,7 @@ from sim.errors import SimError
 from ssac.config import Config
 from ssac.events import US_PER_S, slice_time
 from ssac.geometry.epipolar import epipolar_distance
-from ssac.pipeline.chain import Chain
-from ssac.pipeline.opened import opened, opened_rig
+from ssac.pipeline.api import chain_of
 from ssac.plot.plot_data import Material, d_avg_px
 
 Array = NDArray[np.float64]
@@ -114,9 +113,8 @@ def make_animation(folder: Path) -> Animation:
     SimError
         When the recording gives no estimate, or is shorter than the stretch.
     """
-    models = opened_rig(folder / "rig.yaml", 2)
-    files = opened((folder / "cam1.h5", folder / "cam2.h5"), models)
-    chain = Chain(files, models).delayed(T_D_S)
+    files = folder / "cam1.h5", folder / "cam2.h5"
+    chain = chain_of(files, folder / "rig.yaml").delayed(T_D_S)
     answer = chain.answer(METHOD)
     estimate, (one, other) = answer.estimate, answer.cleans
     if estimate.status != "ok" or estimate.F is None:
@@ -138,8 +136,8 @@ def make_animation(folder: Path) -> Animation:
         track_px = np.where(track.valid[:, None], track.positions_px, np.nan)
         views.append(_view(camera.events, start_s, length_s, track_px))
     return Animation(
-        models.cameras[0].width,
-        models.cameras[0].height,
+        one.camera.width,
+        one.camera.height,
         start_s,
         estimate.t_d_s,
         estimate.F,

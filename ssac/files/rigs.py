@@ -18,7 +18,6 @@ from ssac.camera import (
     Rig,
     check_camera,
     check_transform,
-    with_deviations,
 )
 from ssac.errors import SsacError
 from ssac.files.net import check_is_file, readable, silenced
@@ -61,7 +60,7 @@ def load_rig(path: Path | str, cameras: tuple[int, int] = (1, 2)) -> Rig:
     Rig
         Cameras with valid intrinsics; T_2_1 in the unit of the file (Kalibr: metres). Their
         deviations are those of a camera's key `intrinsics_std` (fu, fv, pu, pv [px], 0 for exact
-        ones), and of a good calibration where there is none (`ssac.camera.with_deviations`).
+        ones), and of a good calibration where there is none (`ssac.camera.Camera`).
 
     Raises
     ------
@@ -247,7 +246,7 @@ def _checked_camera(
     if deviations_px is not None:
         camera = replace(camera, intrinsics_std_px=tuple(deviations_px.tolist()))
     check_camera(camera, name)
-    return with_deviations(camera) if deviations_px is None else camera
+    return camera
 
 
 def _numbers(value: Any, shape: tuple[int, ...], name: str) -> NDArray[np.float64]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from ssac.camera import restated, to_be_read_out
+from ssac.camera import to_be_read_out, with_deviations
 from ssac.config import Config
 from ssac.errors import SsacError
 from ssac.estimate import Estimate
@@ -234,7 +234,7 @@ def sync(
     stated = tuple(
         to_be_read_out(model) if estimate_readout and source.has_track else model
         for model, source in zip(
-            (restated(one, focal_std, centre_std_px) for one in models.cameras),
+            (with_deviations(one, focal_std, centre_std_px) for one in models.cameras),
             sources,
             strict=True,
         )
@@ -269,6 +269,22 @@ def _check_options(
         raise SsacError(f"{given[0]}: is for two cameras, and more were given: leave it out")
 
 
+def chain_of(cameras: Sequence[CameraInput], rig: RigInput, config: Config | None = None) -> Chain:
+    """Make a chain of what cameras recorded, in all the forms that `sync` takes.
+
+    Parameters
+    ----------
+    cameras
+        Two or more, in the order of the rig.
+    rig
+        Theirs.
+    config
+        Parameters; the defaults when None.
+    """
+    models = opened_rig(rig, len(cameras))
+    return Chain(opened(cameras, models), models, config)
+
+
 def two_views(
     cam1: CameraInput, cam2: CameraInput, rig: RigInput, config: Config | None = None
 ) -> TwoViews:
@@ -288,7 +304,7 @@ def two_views(
     SsacError
         If a camera or its events cannot be used, or a parameter makes no sense.
     """
-    return _chain(cam1, cam2, rig, config).views()
+    return chain_of((cam1, cam2), rig, config).views()
 
 
 def usable_events(
@@ -301,7 +317,7 @@ def usable_events(
     SsacError
         If the events of a camera are empty, unsorted or outside its sensor.
     """
-    chain = _chain(cam1, cam2, rig, config)
+    chain = chain_of((cam1, cam2), rig, config)
     return chain.clean(0).events, chain.clean(1).events
 
 
@@ -317,18 +333,13 @@ def _warn_of_rounding(recorded: Iterable[tuple[str, Clean]]) -> None:
             )
 
 
-def _chain(cam1: CameraInput, cam2: CameraInput, rig: RigInput, config: Config | None) -> Chain:
-    models = opened_rig(rig, 2)
-    return Chain(opened((cam1, cam2), models), models, config)
-
-
 def _calls(name: str) -> EstimateFunction:
     """Make the function of one method: `tangency(cam1, cam2, rig, config)`."""
 
     def estimate(
         cam1: CameraInput, cam2: CameraInput, rig: RigInput, config: Config | None = None
     ) -> Estimate:
-        return _chain(cam1, cam2, rig, config).estimate(METHODS[name])
+        return chain_of((cam1, cam2), rig, config).estimate(METHODS[name])
 
     estimate.__name__ = estimate.__qualname__ = name.replace("-", "_")
     estimate.__doc__ = f"""Estimate as `sync(..., method="{name}")` does: {METHODS[name].summary}.
