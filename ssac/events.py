@@ -144,6 +144,17 @@ def field_values(field: str, column: NDArray[Any], name: str) -> NDArray[Any]:
     return column
 
 
+def check_event_array(events: Any, name: str) -> None:
+    """Raise SsacError, starting with `name`, unless these are events at all, whatever they say."""
+    is_array = isinstance(events, np.ndarray)
+    if not is_array or events.ndim != 1 or events.dtype != EVENT_DTYPE:
+        what = f"{events.ndim}-D {events.dtype}" if is_array else type(events).__name__
+        raise SsacError(
+            f"{name}: events must be a 1-D array of {EVENT_DTYPE.descr}, got {what}: build it with"
+            " ssac.events.events_from_arrays"
+        )
+
+
 def check_events(
     events: NDArray[np.void], width: int | None, height: int | None, name: str
 ) -> None:
@@ -158,11 +169,7 @@ def check_events(
     name
         What the events are: a file's path, or "camera 1".
     """
-    if events.dtype != EVENT_DTYPE or events.ndim != 1:
-        raise SsacError(
-            f"{name}: events must be a 1-D array of {EVENT_DTYPE.descr}, got {events.ndim}-D "
-            f"{events.dtype}: build it with ssac.events.events_from_arrays"
-        )
+    check_event_array(events, name)
     if len(events) == 0:
         raise SsacError(f"{name}: there are no events: record again, or check the right file")
     t = events["t"]

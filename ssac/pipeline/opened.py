@@ -23,6 +23,7 @@ from ssac.files.damage import STRICT, Reading
 from ssac.files.net import check_is_file
 from ssac.files.rigs import check_resolution, load_rig
 from ssac.files.track_files import is_track_file, load_track
+from ssac.pipeline.chain import MEANS
 from ssac.points import PointTrack, check_track
 from ssac.track.observation import Observation, check_seen, tracked
 from ssac.track.point_motion import check_readout
@@ -40,7 +41,6 @@ _ARGUMENTS = (
 """Of `sync`, beside the fields of a config."""
 
 _LONG_STEP_S = 0.9  # between points of a track: times that count frames are 1 apart
-_MEANS = "means"  # of frames: one number each
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ class Recording:
         seen = _of_file(file, self.camera, self.camera_name, self.name)
         found = None
         if frames:
-            found = load_frames(self.path, _pixels_of_mean if frames == _MEANS else None)
+            found = load_frames(self.path, _pixels_of_mean if frames == MEANS else None)
         if found is None:
             return seen
         times_us, images = found

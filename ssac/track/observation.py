@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssac.errors import SsacError
-from ssac.events import EVENT_DTYPE, US_PER_S, copied
+from ssac.events import EVENT_DTYPE, US_PER_S, check_event_array, copied
 from ssac.points import PointTrack
 
 Array = NDArray[np.float64]
@@ -66,13 +66,8 @@ def check_seen(seen: Observation, name: str) -> None:
 
     What the events and points are is checked where they are cleaned.
     """
-    events, track, images, times_s = seen.events, seen.track, seen.frames, seen.frame_times_s
-    if not isinstance(events, np.ndarray) or events.ndim != 1 or events.dtype != EVENT_DTYPE:
-        dtype = f", {events.ndim}-D, of {events.dtype}" if isinstance(events, np.ndarray) else ""
-        raise SsacError(
-            f"{name}: events must be a 1-D array of {EVENT_DTYPE.descr}, got"
-            f" {type(events).__name__}{dtype}: build it with ssac.events.events_from_arrays"
-        )
+    track, images, times_s = seen.track, seen.frames, seen.frame_times_s
+    check_event_array(seen.events, name)
     if track is not None and not isinstance(track, PointTrack):
         raise SsacError(f"{name}: expected a ssac.PointTrack, got {type(track).__name__}")
     if track is not None and not (
