@@ -56,7 +56,7 @@ def test_tracks_too_short_for_any_offset_leave_no_guess(pair):
     cameras = []
     for name in ("cam1.csv", "cam2.csv"):
         track = load_track(pair.folder / name)
-        cameras.append(PointTrack(track.times_s[:4], track.points_px[:4]))
+        cameras.append(PointTrack(track.times_s[:7], track.points_px[:7]))
     answer = sync(*cameras, pair.folder / "rig.yaml").answer
     assert answer.estimate.status == Status.TOO_FEW_SAMPLES
     assert answer.start is not None
