@@ -17,14 +17,6 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     __version__: str
-    from ssac.baselines.correlation import (
-        Signal,
-        binned,
-        correlation_estimate,
-        counted,
-        lags_of,
-        zncc,
-    )
     from ssac.camera import Camera, Cameras, Rig
     from ssac.clock import Clock
     from ssac.config import Config, checked
@@ -35,6 +27,14 @@ if TYPE_CHECKING:
     from ssac.files.event_files import load_events
     from ssac.files.rigs import load_rig
     from ssac.files.track_files import load_track
+    from ssac.methods.correlation import (
+        Signal,
+        binned,
+        correlation_estimate,
+        counted,
+        lags_of,
+        zncc,
+    )
     from ssac.pipeline.answer import Answer
     from ssac.pipeline.api import (
         Result,
@@ -116,7 +116,7 @@ __all__ = [
 """The module's own name is left alone: the paper's method is `ssac.ssac`."""
 
 _HOMES = {
-    "ssac.baselines.correlation": "Signal binned correlation_estimate counted lags_of zncc",
+    "ssac.methods.correlation": "Signal binned correlation_estimate counted lags_of zncc",
     "ssac.camera": "Camera Cameras Rig",
     "ssac.clock": "Clock",
     "ssac.config": "Config checked",

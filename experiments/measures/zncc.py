@@ -23,14 +23,14 @@ from sim.scene.camera import Camera
 from sim.scene.rig import look_at_rig
 from sim.scene.trajectory import Trajectory, random_spline
 from sim.seeds import generator
-from ssac.baselines.correlation import Signal, binned, lags_of, zncc
-from ssac.baselines.zncc_e import BIN_S
-from ssac.baselines.zncc_f import FRAME_S
 from ssac.config import Config
 from ssac.errors import SsacError
 from ssac.estimate import Estimate
 from ssac.events import US_PER_S
 from ssac.files.hdf5 import load_frames
+from ssac.methods.correlation import Signal, binned, lags_of, zncc
+from ssac.methods.zncc_e import BIN_S
+from ssac.methods.zncc_f import FRAME_S
 from ssac.pipeline.chain import Chain
 from ssac.track.observation import Observation
 

@@ -25,11 +25,11 @@ from ssac.files.event_files import load_events, write_synced
 from ssac.files.track_files import save_track
 from ssac.fit.covariance import NORMAL_95
 from ssac.geometry.pose import tangent_basis
+from ssac.network.align import similarity
 from ssac.network.linear import border_offsets
 from ssac.network.solve import NetworkAnswer
 from ssac.network.state import ROTATION, TRANSLATION
-from ssac.path.align import similarity
-from ssac.path.tum import Path as SpacePath
+from ssac.network.tum import Path as SpacePath
 from ssac.pipeline.api import sync
 
 Array = NDArray[np.float64]

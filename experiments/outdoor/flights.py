@@ -23,7 +23,7 @@ from sim.seeds import generator
 from sim.sensor.events import PRESETS
 from sim.sensor.frames import FrameConfig
 from ssac.clock import Clock
-from ssac.path.tum import Path as SpacePath
+from ssac.network.tum import Path as SpacePath
 
 Array = NDArray[np.float64]
 

@@ -25,13 +25,13 @@ from ssac.config import Config
 from ssac.events import EventFile
 from ssac.files.event_files import load_events, write_synced
 from ssac.files.track_files import save_track
-from ssac.follow.faint import faint_object_events
 from ssac.geometry.pose import depths
-from ssac.path.interpolation import smoothed
-from ssac.path.tum import Path as SpacePath
+from ssac.network.interpolation import smoothed
+from ssac.network.tum import Path as SpacePath
 from ssac.pipeline.answer import Answer
 from ssac.pipeline.api import sync
 from ssac.points import PointTrack
+from ssac.track.faint import faint_object_events
 
 Array = NDArray[np.float64]
 

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from ssac.config import Config
 from ssac.convert.drone_tracking import ImportedCamera, import_data_set
 from ssac.errors import SsacError
+from ssac.network import tum
 from ssac.network.graph import Pair
-from ssac.path import tum
 from ssac.pipeline.answer import Answer
 from ssac.pipeline.api import sync
 

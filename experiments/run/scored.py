@@ -14,13 +14,13 @@ from experiments.run.grid import Cell
 from experiments.run.recorded import RIG_FILE, clean_pair, load_pair
 from experiments.run.score import score
 from experiments.run.task import UNUSABLE, Measure
-from ssac.baselines.zncc_f import frame_means
 from ssac.camera import Rig, known_pose
 from ssac.errors import SsacError
 from ssac.estimate import Estimate, Status
 from ssac.events import US_PER_S
 from ssac.files.hdf5 import load_frames
 from ssac.files.rigs import load_rig
+from ssac.methods.zncc_f import frame_means
 from ssac.pipeline.chain import Chain
 from ssac.pipeline.registry import METHODS, Input, Method
 from ssac.track.observation import Observation

@@ -63,7 +63,7 @@ def compare_command(
     """
     from ssac.compare.comparison import compare
     from ssac.files.whole_file import check_targets, whole_file
-    from ssac.path.tum import read_path
+    from ssac.network.tum import read_path
 
     if scale not in SCALES:
         raise SsacError(f"--scale: expected {' or '.join(SCALES)}, got {scale!r}")

@@ -10,10 +10,10 @@ from scipy.spatial.transform import Rotation
 from ssac.clock import Clock
 from ssac.compare.icp import registered
 from ssac.errors import SsacError
-from ssac.path.align import Similarity, similarity
-from ssac.path.interpolation import interpolated
-from ssac.path.time_search import RATE_STD_PPM, best_shift
-from ssac.path.tum import Path
+from ssac.network.align import Similarity, similarity
+from ssac.network.interpolation import interpolated
+from ssac.network.time_search import RATE_STD_PPM, best_shift
+from ssac.network.tum import Path
 
 Array = NDArray[np.float64]
 
@@ -104,7 +104,7 @@ def compare(
     with_scale
         Whether the estimate's scale is unknown.
     max_shift_s, rate_std_ppm
-        Of the truth's clock, as `ssac.path.time_search.best_shift` has them.
+        Of the truth's clock, as `ssac.network.time_search.best_shift` has them.
     lever_arm_m
         Where the truth's antenna is in the body (forward, left, up); needs the truth's attitude.
 

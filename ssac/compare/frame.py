@@ -11,10 +11,10 @@ from ssac.compare.comparison import compare, without_lever_arm
 from ssac.errors import SsacError
 from ssac.estimate import Status
 from ssac.files.net import check_is_file, readable
+from ssac.network.align import Similarity, similarity
 from ssac.network.answers import CameraAnswer, path_of
 from ssac.network.solve import NetworkAnswer
-from ssac.path.align import Similarity, similarity
-from ssac.path.tum import read_path
+from ssac.network.tum import read_path
 
 Array = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from ssac.errors import SsacError
-from ssac.path.align import Similarity, similarity
+from ssac.network.align import Similarity, similarity
 
 Array = NDArray[np.float64]
 

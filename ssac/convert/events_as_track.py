@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 from ssac.camera import distort_points
 from ssac.config import Config
 from ssac.errors import SsacError
-from ssac.objects.objects import objects_of, seem_several
 from ssac.points import PointTrack
 from ssac.search.seen import seen_of, seen_times
-from ssac.silhouette.silhouette import Images, silhouettes
 from ssac.track.clean import Clean
 from ssac.track.motion import SharpTrack
 from ssac.track.motions import motion_of
+from ssac.track.objects import objects_of, seem_several
+from ssac.track.silhouette import Images, silhouettes
 
 STEP_S = 0.01
 """Time between points: half of a window's half, so that a track loses nothing of the motion."""
@@ -83,7 +83,7 @@ def shaped_track_of_events(
     clean, config
         As of `track_of_events`, whose times these are.
     recorded
-        All events of the camera, as `ssac.silhouette.silhouette.silhouettes` needs them.
+        All events of the camera, as `ssac.track.silhouette.silhouettes` needs them.
     """
     points, sharp = _followed(clean, config or Config())
     sizes_px = sharp.sizes_px

@@ -56,8 +56,8 @@ def track_command(
     from ssac.files.rigs import check_resolution, load_camera
     from ssac.files.track_files import TRACK_SUFFIX, is_track_file, save_track
     from ssac.files.whole_file import check_target
-    from ssac.follow.faint import faint_object_events
     from ssac.track.clean import clean
+    from ssac.track.faint import faint_object_events
     from ssac.track.observation import Observation
 
     if out.suffix.lower() != TRACK_SUFFIX:

@@ -20,6 +20,7 @@ from ssac.network.linear import (
 )
 from ssac.network.normal import Linear, Normal, Solved, solve
 from ssac.network.sightings import Sightings
+from ssac.network.spline import jerks
 from ssac.network.state import (
     BEHIND,
     CENTRE,
@@ -33,7 +34,6 @@ from ssac.network.state import (
     TRANSLATION,
     Priors,
 )
-from ssac.path.spline import jerks
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

@@ -7,9 +7,11 @@ from numpy.typing import NDArray
 
 from ssac.clock import PPM
 from ssac.estimate import Status
+from ssac.network.align import Similarity
 from ssac.network.build import Built
 from ssac.network.linear import border_offsets, fit_of
 from ssac.network.sightings import Sightings, is_near
+from ssac.network.spline import basis
 from ssac.network.state import (
     DELAY,
     RATE,
@@ -19,9 +21,7 @@ from ssac.network.state import (
     network_times,
 )
 from ssac.network.triangulation import LEAST_ANGLE_DEG
-from ssac.path.align import Similarity
-from ssac.path.spline import basis
-from ssac.path.tum import Path
+from ssac.network.tum import Path
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -12,6 +12,7 @@ from ssac.network.linear import Network, fit_of
 from ssac.network.normal import Solved
 from ssac.network.placing import Placed, grown, place_all, rebased
 from ssac.network.sightings import Sightings, is_near
+from ssac.network.spline import knots_for
 from ssac.network.state import (
     CameraState,
     Priors,
@@ -19,9 +20,8 @@ from ssac.network.state import (
     with_strays,
 )
 from ssac.network.triangulation import first_path, triangulate
-from ssac.path.spline import knots_for
-from ssac.silhouette.body import Look, body_moves
-from ssac.silhouette.perspective import View, perspective_shifts, second_moments
+from ssac.track.body import Look, body_moves
+from ssac.track.perspective import View, perspective_shifts, second_moments
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -10,6 +10,7 @@ from ssac.geometry.robust import TO_DEVIATION
 from ssac.network.graph import Pair, PairTold, shared_by
 from ssac.network.normal import Linear
 from ssac.network.sightings import Sightings
+from ssac.network.spline import Spline, basis
 from ssac.network.state import (
     BEHIND,
     CENTRE,
@@ -24,7 +25,6 @@ from ssac.network.state import (
     network_times,
     projected,
 )
-from ssac.path.spline import Spline, basis
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

@@ -22,7 +22,7 @@ from ssac.network.kernels import (
     inverse_band,
     point_covariances,
 )
-from ssac.path.spline import ORDER
+from ssac.network.spline import ORDER
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from ssac.camera import Camera, undistort_points
 from ssac.geometry.pose import rays_of
 from ssac.points import PointTrack
-from ssac.silhouette.silhouette import Images
 from ssac.track.point_motion import PointMotion, point_motion
+from ssac.track.silhouette import Images
 
 Array = NDArray[np.float64]
 

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from ssac.network.normal import Linear, Normal, solve
 from ssac.network.sightings import Sightings
+from ssac.network.spline import Spline, basis, jerks
 from ssac.network.state import CameraState
-from ssac.path.spline import Spline, basis, jerks
 
 Array = NDArray[np.float64]
 

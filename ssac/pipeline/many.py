@@ -12,15 +12,15 @@ from ssac.estimate import Status
 from ssac.network.graph import Link, Pair
 from ssac.network.sightings import Sightings, sightings
 from ssac.network.solve import NetworkAnswer, link_of, solve_network
-from ssac.path.tum import write_path
+from ssac.network.tum import write_path
 from ssac.pipeline.answer import Answer, Log, Stopwatch
 from ssac.pipeline.chain import Chain, one_thread
 from ssac.pipeline.known import NOTHING, Known
 from ssac.pipeline.many_report import NetworkResult, save_many
 from ssac.pipeline.registry import Method
 from ssac.points import PointTrack
-from ssac.silhouette.perspective import LEAST_VIEWS
 from ssac.track.clean import Clean
+from ssac.track.perspective import LEAST_VIEWS
 
 
 def network(chain: Chain, method: Method | None = None, known: Known = NOTHING) -> NetworkResult:

@@ -165,11 +165,11 @@ OURS = (
     _ours("tangency", _TANGENCY, known_variant="tangency-known", starts_from="joint",
           **_TRACKS, **_TANGENTS),
     _ours("tangency-known", _TANGENCY, starts_from="joint-known", **_KNOWN, **_TANGENTS),
-    _ours("albl", "ssac.baselines.albl:albl_of_views"),
-    _ours("zncc_e", "ssac.baselines.zncc_e:zncc_e_of_events", input=Input.RATES),
-    _ours("zncc_f", "ssac.baselines.zncc_f:zncc_f_of_frames", input=Input.FRAMES,
+    _ours("albl", "ssac.methods.albl:albl_of_views"),
+    _ours("zncc_e", "ssac.methods.zncc_e:zncc_e_of_events", input=Input.RATES),
+    _ours("zncc_f", "ssac.methods.zncc_f:zncc_f_of_frames", input=Input.FRAMES,
           takes_means=True),
-    _ours("event_rate", "ssac.baselines.event_rate:event_rate_of_events", input=Input.RATES),
+    _ours("event_rate", "ssac.methods.event_rate:event_rate_of_events", input=Input.RATES),
 )  # fmt: skip
 
 

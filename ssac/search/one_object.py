@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from ssac.config import Interval
 from ssac.estimate import Refusal, Status
-from ssac.objects.objects import BIN_US, Objects, Piece, objects_of, seem_several
 from ssac.search.object_search import HALF_BIN_S, Match, both_see, matches
 from ssac.track.clean import Clean, ObjectsUsed
 from ssac.track.clutter import chosen_events
+from ssac.track.objects import BIN_US, Objects, Piece, objects_of, seem_several
 from ssac.track.point_motion import point_motion
 
 Array = NDArray[np.float64]

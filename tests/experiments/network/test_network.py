@@ -14,7 +14,7 @@ from experiments.studies.study import check_runs, read_table, save_csv
 from sim.recording import SimConfig
 from ssac.files.rigs import load_rig
 from ssac.files.track_files import load_track
-from ssac.path.tum import Path as SpacePath
+from ssac.network.tum import Path as SpacePath
 
 
 def test_the_cameras_are_60_deg_apart_and_the_first_two_those_of_two_cameras() -> None:

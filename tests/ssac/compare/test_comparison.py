@@ -10,9 +10,9 @@ from scipy.spatial.transform import Rotation
 from ssac.clock import Clock
 from ssac.compare.comparison import compare, without_lever_arm
 from ssac.errors import SsacError
-from ssac.path.tum import Path, write_path
+from ssac.network.tum import Path, write_path
 from tests.ssac.command import read_json, run
-from tests.ssac.path.test_time_search import FRAME, flight
+from tests.ssac.network.test_time_search import FRAME, flight
 
 CLOCK = Clock(31.4, 20.0, 50.0)
 NOISE_M = 0.03

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from ssac.compare.frame import ground_of_positions, ground_of_rtk, in_frame
 from ssac.errors import SsacError
 from ssac.network.solve import solve_network
-from ssac.path.tum import Path, write_path
+from ssac.network.tum import Path, write_path
 from tests.ssac.network.flights import DURATION_S, make_flight
 
 TURN = Rotation.from_rotvec([0.4, -1.0, 0.2]).as_matrix()

@@ -5,7 +5,7 @@ import pytest
 import yaml
 
 from ssac.files.track_files import save_track
-from ssac.path.tum import read_path
+from ssac.network.tum import read_path
 from ssac.points import PointTrack
 from tests.ssac.command import read_json, run
 from tests.ssac.network.flights import DURATION_S, make_flight

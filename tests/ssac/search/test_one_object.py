@@ -7,10 +7,10 @@ import pytest
 
 from ssac import Chain, Config, Status, joint
 from ssac.camera import Cameras, Rig
-from ssac.objects.objects import BIN_US
 from ssac.points import PointTrack
 from ssac.search.one_object import one_object
 from ssac.track.clean import clean
+from ssac.track.objects import BIN_US
 from ssac.track.observation import tracked
 from tests.ssac.crowds import DURATION_S, T_D_S, branches, flight, mixed
 from tests.ssac.synthetic import CAMERA, denoised, make_scene, rotation_angle_deg, track_pair

@@ -70,7 +70,7 @@ sys.exit(code)
 
 HEAVY = {
     *("faery", "matplotlib", "pandas", "scipy.signal", "scipy.stats", "scipy.interpolate"),
-    *("ssac.network.solve", "ssac.compare.frame", "ssac.plot.plots", "ssac.baselines.albl"),
+    *("ssac.network.solve", "ssac.compare.frame", "ssac.plot.plots", "ssac.methods.albl"),
 }
 
 

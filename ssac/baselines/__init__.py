@@ -1,1 +1,0 @@
-"""Methods that the paper compares with, or should: one file each, all with the same signature."""

@@ -1,0 +1,305 @@
+"""One camera's events in, the things that move in it, each followed as far as it can be, out.
+
+Ordinary recordings show one thing, which a look at a few short bins of time tells. Where there are
+several, the events of each bin fall into blobs: cells that hang together. Blobs are followed from
+bin to bin as pieces of paths, which end where two meet or one comes apart. What stays in its place,
+as a branch in the wind, is none of them: its cells are left out.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ssac.camera import Camera, undistort_points
+from ssac.events import first_from
+from ssac.track.object_kernels import blobs_in_bins, occupied_bins
+
+Array = NDArray[np.float64]
+
+BIN_US = 20_000
+"""Length of a bin [us]: an object goes a small part of its own size in it."""
+
+SEVERAL = 0.04
+"""Share of the bins with more than one thing, above which there are several. Of 24 recordings of
+one drone, 10 s each, none had more than 0.02 of them."""
+
+STILL = 0.35
+"""Share of the bins in which a cell is full, above which what it shows stays in its place."""
+
+_EVERY = 5  # bins, of which one is looked at first
+_CELL = 1 / 43  # of the image's width: 8 of 346 px
+_LEAST_EVENTS = 20  # of a blob
+_LEAST_SHARE = 0.03  # of the events of the largest blob of its bin
+_APART = 0.75  # least gap between things, in diagonals of the larger
+_APART_CELLS = 2.0
+_REACH_PX, _REACH = 10.0, 0.4  # of a blob from where a path leads: plus a share of its last step
+_GROWTH = 1.5  # of an image's size from bin to bin
+_MARGIN_PX = 4.0  # around a blob
+_LEAST_BINS = 5  # of a piece
+_LASTING_BINS = 75  # of the longest piece; of a near drone's parts it had 50 at most
+_OWN_WAY_PX, _OWN_WAY = 6.0, 0.2  # by which the gap of two things changes: plus a share of it
+_MEMORY = 4  # bins that tell a path's velocity
+_TOGETHER = 20  # bins after which two things that met have parted, or one is gone
+
+
+@dataclass(frozen=True)
+class Blobs:
+    """Clusters of events, bin by bin."""
+
+    bins: NDArray[np.int64]  # (k,) ascending
+    n_events: Array  # (k,)
+    centres_px: Array  # (k, 2) of the raw pixels
+    sizes_px: Array  # (k,) rms
+    corners_px: Array  # (k, 4) least x and y, largest x and y
+    at_still: NDArray[np.bool_]  # (k,) beside something that stays in its place
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A thing's path for as long as it is alone."""
+
+    first: int  # bin, counted from the recording's start
+    positions_px: Array  # (n, 2) undistorted, one for each bin
+    n_events: Array  # (n,)
+    size_px: float  # median rms size of the image
+    blobs: NDArray[np.int64]  # (n,)
+
+    @property
+    def last(self) -> int:
+        """Bin after the last."""
+        return self.first + len(self.positions_px)
+
+
+@dataclass(frozen=True)
+class Objects:
+    """The things that move before one camera."""
+
+    start_us: int  # of the first bin
+    are_several: bool  # not the parts of one, which keep together
+    n_seen: int  # at a time, those that stay in their place included
+    pieces: list[Piece]  # of those that move, in order of time
+    blob_of_event: NDArray[np.int32] = field(repr=False)  # (n,) -1: of none
+
+    def events_of(self, pieces: list[Piece]) -> NDArray[np.bool_]:
+        """Tell which events (n,) belong to some of the pieces."""
+        n_blobs = int(np.max(self.blob_of_event, initial=-1)) + 1
+        chosen = np.zeros(n_blobs + 1, np.bool_)  # the last of none
+        for piece in pieces:
+            chosen[piece.blobs] = True
+        return np.asarray(chosen[self.blob_of_event])
+
+
+def seem_several(events: NDArray[np.void], camera: Camera) -> bool:
+    """Whether more than one thing is seen at a time, by some of the bins."""
+    if len(events) == 0:
+        return False
+    bounds = _bounds(events, _EVERY)
+    blobs = _blobs(events, camera, bounds, _nothing_still(camera))
+    return bool(np.mean(_things(blobs, len(bounds), _cell_px(camera)) > 1) > SEVERAL)
+
+
+def objects_of(events: NDArray[np.void], camera: Camera) -> Objects:
+    """Follow all that moves.
+
+    Parameters
+    ----------
+    events
+        Denoised, dtype EVENT_DTYPE, shape (n,), sorted by time.
+    camera
+        That recorded them.
+    """
+    cell_px, still = _cell_px(camera), _nothing_still(camera)
+    bounds = _bounds(events)
+    blobs = _blobs(events, camera, bounds, still)
+    n_seen = int(np.quantile(_things(blobs, len(bounds), cell_px), 1.0 - SEVERAL))
+    x, y = events["x"], events["y"]
+    counts = occupied_bins(x, y, bounds, cell_px, *still.shape)
+    still = counts > STILL * len(bounds)
+    share_still = float(np.mean(still[y // cell_px, x // cell_px]))
+    labels = np.full(len(events), -1, np.int32)
+    blobs = _blobs(events, camera, bounds, still, labels)
+    pieces = [
+        _piece(path, blobs, camera)
+        for path in _paths(blobs, len(bounds))
+        if len(path) >= _LEAST_BINS
+    ]
+    share_apart = _bins_of_their_own_way(pieces) / len(bounds)
+    are_several = share_still > SEVERAL or share_apart > 0.5 * SEVERAL
+    # Of a large object that comes apart now here and now there, no part lasts.
+    longest = max((len(piece.positions_px) for piece in pieces), default=0)
+    are_several = are_several and longest >= _LASTING_BINS
+    return Objects(int(events["t"][0]), are_several, n_seen, pieces, labels)
+
+
+def _cell_px(camera: Camera) -> int:
+    return max(1, round(_CELL * camera.width))
+
+
+def _nothing_still(camera: Camera) -> NDArray[np.bool_]:
+    cell_px = _cell_px(camera)
+    return np.zeros((-(-camera.height // cell_px), -(-camera.width // cell_px)), np.bool_)
+
+
+def _bounds(events: NDArray[np.void], every: int = 1) -> NDArray[np.int64]:
+    """First event of each `every`-th bin, and the one after its last (b, 2).
+
+    Bins count from the first event on, so that a clock that shows more changes nothing.
+    """
+    times_us = events["t"]
+    n_bins = int(times_us[-1] - times_us[0]) // BIN_US + 1
+    starts = np.arange(0, n_bins, every, dtype=np.int64)
+    ends_us = times_us[0] + np.stack([starts, starts + 1], axis=1) * BIN_US
+    return first_from(times_us, ends_us.ravel()).reshape(ends_us.shape).astype(np.int64)
+
+
+def _blobs(
+    events: NDArray[np.void],
+    camera: Camera,
+    bounds: NDArray[np.int64],
+    still: NDArray[np.bool_],
+    labels: NDArray[np.int32] | None = None,
+) -> Blobs:
+    bins, table, at_still = blobs_in_bins(
+        events["x"],
+        events["y"],
+        bounds,
+        _cell_px(camera),
+        still,
+        _LEAST_EVENTS,
+        np.empty(0, np.int32) if labels is None else labels,
+    )
+    return Blobs(bins, table[:, 0], table[:, 1:3], table[:, 3], table[:, 4:8], at_still)
+
+
+def _things(blobs: Blobs, n_bins: int, cell_px: int) -> NDArray[np.int64]:
+    """Count the things (b,) in each bin: blobs well apart, the largest first."""
+    counts = np.bincount(blobs.bins, minlength=n_bins)
+    starts = np.cumsum(counts) - counts
+    things = np.minimum(counts, 1)
+    for b in np.flatnonzero(counts > 1):
+        of_bin = np.arange(starts[b], starts[b] + counts[b])
+        of_bin = of_bin[np.argsort(-blobs.n_events[of_bin], kind="stable")]
+        kept = [of_bin[0]]
+        for k in of_bin[1:]:
+            if blobs.n_events[k] < _LEAST_SHARE * blobs.n_events[kept[0]]:
+                break
+            if all(_are_apart(blobs.corners_px[k], blobs.corners_px[j], cell_px) for j in kept):
+                kept.append(k)
+        things[b] = len(kept)
+    return things
+
+
+def _are_apart(one: Array, other: Array, cell_px: int) -> bool:
+    """Whether the gap between two boxes is large beside the larger of them."""
+    gap_px = float(np.max([one[:2] - other[2:], other[:2] - one[2:]]))
+    larger_px = max(np.hypot(*(one[2:] - one[:2])), np.hypot(*(other[2:] - other[:2])))
+    return bool(gap_px > max(_APART_CELLS * cell_px, _APART * larger_px))
+
+
+def _bins_of_their_own_way(pieces: list[Piece]) -> int:
+    """Count the bins in which two pieces are seen that move apart, or towards each other.
+
+    The parts of a large object, which may hang together in some bins and not in others, do not.
+    """
+    n = 0
+    for k, other in enumerate(pieces):
+        for one in pieces[:k]:
+            first, last = max(one.first, other.first), min(one.last, other.last)
+            if last - first < _LEAST_BINS:
+                continue
+            gaps_px = (
+                one.positions_px[first - one.first : last - one.first]
+                - other.positions_px[first - other.first : last - other.first]
+            )
+            moved_px = float(np.hypot(*(gaps_px[-1] - gaps_px[0])))
+            gap_px = float(np.mean(np.hypot(*gaps_px.T)))
+            n += (last - first) * (moved_px > _OWN_WAY_PX + _OWN_WAY * gap_px)
+    return n
+
+
+@dataclass
+class _Path:
+    """A piece in the making."""
+
+    bins: list[int]
+    blobs: list[int]
+    is_mixed: bool  # two things that met are in it
+
+    def velocity_px(self, blobs: Blobs) -> Array:
+        """Pixels per bin (2,), of the last bins."""
+        n = min(len(self.bins), _MEMORY)
+        if n < 2:
+            return np.zeros(2)
+        moved = blobs.centres_px[self.blobs[-1]] - blobs.centres_px[self.blobs[-n]]
+        return np.asarray(moved / (n - 1))
+
+
+def _paths(blobs: Blobs, n_bins: int) -> list[list[int]]:
+    """Follow blobs from bin to bin; those of each path, of one a bin."""
+    starts = np.searchsorted(blobs.bins, np.arange(n_bins + 1))
+    going: list[_Path] = []
+    done: list[_Path] = []
+    for b in range(n_bins):
+        here = [int(k) for k in range(starts[b], starts[b + 1]) if not blobs.at_still[k]]
+        followed: list[_Path] = []
+        claims: dict[int, list[_Path]] = {k: [] for k in here}
+        inside: dict[int, list[_Path]] = {k: [] for k in here}
+        for path in going:
+            step_px = path.velocity_px(blobs)
+            there_px = blobs.centres_px[path.blobs[-1]] + step_px
+            reach_px = _REACH_PX + _REACH * float(np.hypot(*step_px))
+            box_px = blobs.corners_px[path.blobs[-1]] + np.tile(step_px, 2)
+            covered = [k for k in here if _overlap(box_px, blobs.corners_px[k])]
+            for k in covered:
+                if _is_within(there_px, blobs.corners_px[k]):
+                    inside[k].append(path)
+            if len(covered) > 1 or not here:  # it comes apart, or is gone
+                continue
+            distances_px = [float(np.hypot(*(blobs.centres_px[k] - there_px))) for k in here]
+            least = int(np.argmin(distances_px))
+            if distances_px[least] <= reach_px:
+                claims[here[least]].append(path)
+        for k in here:
+            met = {id(path): path for path in claims[k] + inside[k]}
+            mixed = len(met) > 1 or any(map(_is_still_mixed, met.values()))
+            alone = claims[k][0] if len(claims[k]) == 1 else None
+            if alone is None or mixed != alone.is_mixed or not _is_like(alone, k, blobs):
+                alone = _Path([], [], mixed)
+            alone.bins.append(b)
+            alone.blobs.append(k)
+            followed.append(alone)
+        still_going = {id(path) for path in followed}
+        done += [path for path in going if id(path) not in still_going]
+        going = followed
+    return [p.blobs for p in sorted(done + going, key=lambda p: p.bins[0]) if not p.is_mixed]
+
+
+def _is_still_mixed(path: _Path) -> bool:
+    return path.is_mixed and len(path.bins) < _TOGETHER
+
+
+def _is_like(path: _Path, k: int, blobs: Blobs) -> bool:
+    """Whether a blob is about as large as the path's last."""
+    ratio = (blobs.sizes_px[k] + 1.0) / (blobs.sizes_px[path.blobs[-1]] + 1.0)
+    return bool(1.0 / _GROWTH < ratio < _GROWTH)
+
+
+def _overlap(one: Array, other: Array) -> bool:
+    return bool(np.all(one[:2] <= other[2:]) and np.all(other[:2] <= one[2:]))
+
+
+def _is_within(point_px: Array, box_px: Array) -> bool:
+    low_px, high_px = box_px[:2] - _MARGIN_PX, box_px[2:] + _MARGIN_PX
+    return bool(np.all((low_px <= point_px) & (point_px <= high_px)))
+
+
+def _piece(path: list[int], blobs: Blobs, camera: Camera) -> Piece:
+    chosen = np.array(path, np.int64)
+    return Piece(
+        int(blobs.bins[chosen[0]]),
+        undistort_points(camera, blobs.centres_px[chosen]),
+        blobs.n_events[chosen],
+        float(np.median(blobs.sizes_px[chosen])),
+        chosen,
+    )
