@@ -36,7 +36,7 @@ for name, camera in zip(("camera 1", "camera 2"), recording.cameras, strict=True
 
 # %%
 import ssac
-from experiments.run.bridge import observations, rig_of
+from experiments.lab.bridge import observations, rig_of
 
 cam1, cam2 = observations(recording)
 rig = rig_of(recording)  # intrinsics only
@@ -49,7 +49,7 @@ print(result.summary())
 # this recording was simulated we can see for ourselves: `score` sets an estimate beside the truth.
 
 # %%
-from experiments.run.score import score
+from experiments.lab.score import score
 
 truth = recording.truth
 estimate = result.estimate

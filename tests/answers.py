@@ -153,8 +153,8 @@ def by_study(recorded: Recorded, method: str) -> Estimate:
 
 def row_by_study(recorded: Recorded, method: str) -> dict[str, Any]:
     """Measure a study's cell: its row, as it is kept."""
-    from experiments.run.scored import scored_row
-    from experiments.run.task import UNUSABLE, plain
+    from experiments.lab.scored import scored_row
+    from experiments.lab.task import UNUSABLE, plain
 
     row = plain(scored_row(*_of_study(recorded, method)))
     if row["status"] in ("skipped", UNUSABLE):
@@ -164,8 +164,8 @@ def row_by_study(recorded: Recorded, method: str) -> dict[str, Any]:
 
 def row_of(fields: dict[str, Any], recorded: Recorded, method: str) -> dict[str, Any]:
     """Score an answer as a study does; an error as it is."""
-    from experiments.run.scored import _scored
-    from experiments.run.task import plain
+    from experiments.lab.scored import _scored
+    from experiments.lab.task import plain
 
     if "error" in fields:
         return {"error": " ".join(fields["error"].split())}
@@ -244,7 +244,7 @@ def _shared(recorded: Recorded) -> Any:
 
 def _of_study(recorded: Recorded, method: str) -> Any:
     """Give the cell and what it shares with others."""
-    from experiments.run.grid import Cell
+    from experiments.lab.grid import Cell
     from sim.recording import SimConfig
 
     chosen, config = _chosen(recorded, method), Config(**recorded.fields)

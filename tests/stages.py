@@ -191,8 +191,17 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
         "tool": ("outputs", "sync_command", "commands", "__main__"),
     },
     "experiments": {
-        "workers": ("claim", "memory", "sound", "crew", "processes", "cluster"),
-        "run": (
+        "lab": (
+            "files",
+            "finding",
+            "markdown",
+            "results",
+            "lock",
+            "memory",
+            "health",
+            "pool",
+            "processes",
+            "cluster",
             "provenance",
             "bridge",
             "score",
@@ -204,6 +213,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
             "scored",
             "schedule",
             "command",
+            "study",
             "warm_up",
         ),
         "scenes": ("scene", "disturb_options", "effects_options", "record", "simulate", "demo"),
@@ -226,11 +236,9 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
             "published",
             "comparison",
             "summary",
-            "markdown",
             "more_flights",
             "page",
             "results",
-            "checksums",
             "tables",
         ),
         "figures": (
@@ -245,7 +253,6 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
         ),
         "marks": ("kinds", "measure", "table"),
         "studies": (
-            "study",
             "grids",
             "coverage",
             "efficiency",
@@ -270,7 +277,6 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
         ),
         "real": ("data_sets", "pairs", "paths", "drawing", "real_command"),
         "quoted": (
-            "committed",
             "real",
             "marks",
             "cells",
@@ -316,7 +322,6 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
             "command",
         ),
         "verify": (
-            "finding",
             "manifest",
             "real",
             "files",

@@ -113,7 +113,7 @@ def test_imports(module: str) -> None:
         ("sim.sensor.events", "from experiments import run", "sim does not know experiments"),
         ("ssac.track.motion", "import sim.scene.rig as rig", "ssac does not know sim"),
         ("ssac.pipeline.api", "from sim.recording import simulate", "ssac does not know sim"),
-        ("ssac.pipeline.api", "import experiments.run.score", "ssac does not know experiments"),
+        ("ssac.pipeline.api", "import experiments.lab.score", "ssac does not know experiments"),
         ("ssac.track.motion", "def f():\n    from sim import scene", "ssac does not know sim"),
         ("sim.sensor.events", "import pyrender", "only sim.render"),
         ("sim.sensor.events", "from OpenGL.GL import glClear", "only sim.render"),
@@ -148,7 +148,7 @@ def test_a_wrong_import_is_found(module: str, source: str, reason: str) -> None:
         ("sim.sensor.__init__", "from sim.sensor.events import Sensor"),
         ("ssac.methods.zncc_e", "from ssac.methods.event_rate import rate"),
         (
-            "experiments.run.task",
+            "experiments.lab.task",
             "import sim.recording\nfrom ssac.methods.algorithms import algorithm_1",
         ),
     ],

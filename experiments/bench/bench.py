@@ -37,10 +37,8 @@ from experiments.bench.sensor import bench_sensor
 from experiments.bench.sync import bench_sync
 from experiments.bench.tables import bench_tables
 from experiments.figures.growth import growth_figure
-from experiments.figures.style import save_png
-from experiments.paper.checksums import record_checksums
-from experiments.run.provenance import save_provenance
-from experiments.studies.study import read_table, save_csv
+from experiments.lab.files import read_table, record_checksums, save_csv, save_png
+from experiments.lab.provenance import save_provenance
 from sim.recording import SimConfig
 from sim.render.config import RenderConfig
 from sim.render.gl_context import BACKENDS, open_context

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 
 from experiments.bench.measurement import Measurement, peak_memory_mb
 from experiments.bench.process import in_own_process
-from experiments.run.provenance import plain
+from experiments.lab.provenance import plain
 from sim.recording import SimConfig
 from sim.storage import record
 from ssac.errors import SsacError

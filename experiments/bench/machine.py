@@ -18,7 +18,7 @@ import pandas as pd
 
 from experiments.bench.measurement import Measurement
 from experiments.bench.process import in_own_process
-from experiments.run.code import ROOT
+from experiments.lab.code import ROOT
 from ssac.errors import SsacError
 
 REVISION = "9828abb4ffad"

@@ -7,10 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from experiments.bench.measurement import Measurement
+from experiments.lab.cache import RECORDED, Cache
+from experiments.lab.grid import Cell, GridConfig, named_config
+from experiments.lab.schedule import Outcome, Workers, run_cells
 from experiments.paper.grids import TABLES, n_recordings
-from experiments.run.cache import RECORDED, Cache
-from experiments.run.grid import Cell, GridConfig, named_config
-from experiments.run.schedule import Outcome, Workers, run_cells
 
 ANGLES_DEG = (30.0, 60.0, 120.0, 150.0)  # an even number, so that two workers end together
 N_FLIGHTS = 1  # of each of these angles and each duration: the first ones

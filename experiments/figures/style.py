@@ -5,10 +5,8 @@ Colours are of Okabe and Ito's set, which stays apart for colour-blind people, b
 marker.
 """
 
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from matplotlib.axes import Axes
@@ -16,17 +14,11 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullLocator
 from numpy.typing import NDArray
-from PIL import Image
 
 from experiments.paper.quantities import ANGLE_LABEL
-from ssac.files.whole_file import whole_file
 
 WIDTH_IN = 9.0
 """Of every figure; at DPI it is as wide as a README shows."""
-
-DPI = 110
-
-_PALETTE_SIZE = 96  # colours of a PNG: a third of the bytes, and no difference to be seen
 
 
 @dataclass(frozen=True)
@@ -91,21 +83,3 @@ def label_grid(
     for axes in grid[-1]:
         axes.set_xlabel(ANGLE_LABEL)
     figure.legend(handles=handles, loc="outside lower center", ncols=4, fontsize=8, frameon=False)
-
-
-def png_bytes(figure: Figure) -> bytes:
-    """Draw a figure as a PNG with a palette, without the time and the program's version."""
-    whole, small = io.BytesIO(), io.BytesIO()
-    figure.savefig(whole, format="png", dpi=DPI, metadata={"Software": None})
-    whole.seek(0)
-    with Image.open(whole) as image:
-        # Without dithering, whose specks look like data.
-        reduced = image.convert("RGB").quantize(_PALETTE_SIZE, dither=Image.Dither.NONE)
-        reduced.save(small, format="PNG", optimize=True)
-    return small.getvalue()
-
-
-def save_png(figure: Figure, path: Path) -> None:
-    """Write a figure as `png_bytes` draws it."""
-    with whole_file(path) as temporary:
-        temporary.write_bytes(png_bytes(figure))

@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from experiments.lab.cache import Cache
+from experiments.lab.recorded import Pair, recorded_pair
+from experiments.lab.score import angle_between_deg, rotation_angle_deg
+from experiments.lab.task import FlightCell, Measure
 from experiments.marks.kinds import KINDS, Errors, Kind
 from experiments.measures.imperfect import ImperfectRow, scored, spoilt_pair
 from experiments.measures.imperfect_kinds import T_D_S
 from experiments.measures.imperfect_kinds import Kind as SpoiltKind
-from experiments.run.cache import Cache
-from experiments.run.recorded import Pair, recorded_pair
-from experiments.run.score import angle_between_deg, rotation_angle_deg
-from experiments.run.task import FlightCell, Measure
 from sim.clock import Drift
 from ssac.camera import Camera, Rig, with_deviations
 from ssac.config import Config

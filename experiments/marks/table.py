@@ -12,11 +12,11 @@ import numpy as np
 import pandas as pd
 from scipy.stats import chi2
 
+from experiments.lab.grid import flight_seed
+from experiments.lab.task import CRASHED
 from experiments.marks.kinds import FILMED, KINDS, Kind, Mark
 from experiments.marks.measure import MarkCell
 from experiments.paper.grids import ANGLES_DEG
-from experiments.run.grid import flight_seed
-from experiments.run.task import CRASHED
 
 FIRST_FLIGHT, SCENE_STEP = 40_000, 100
 OTHER_FLIGHT = 50  # added to the number, for the other flight

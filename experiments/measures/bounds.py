@@ -6,15 +6,15 @@ from typing import Any
 
 import numpy as np
 
+from experiments.lab.cache import Cache
+from experiments.lab.recorded import load_pair
+from experiments.lab.task import FlightCell, Measure
 from experiments.measures.recording_bound import (
     KNOWN_POSE,
     TrueMotion,
     load_truth,
     method_bounds,
 )
-from experiments.run.cache import Cache
-from experiments.run.recorded import load_pair
-from experiments.run.task import FlightCell, Measure
 from ssac.config import Config
 from ssac.pipeline.chain import Chain
 from ssac.search.two_views import TwoViews

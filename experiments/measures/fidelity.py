@@ -11,9 +11,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from experiments.run.cache import Cache
-from experiments.run.recorded import Pair, recorded_pair
-from experiments.run.task import Flight, FlightCell, Measure
+from experiments.lab.cache import Cache
+from experiments.lab.recorded import Pair, recorded_pair
+from experiments.lab.task import Flight, FlightCell, Measure
 from sim.recording import SimConfig
 from sim.render.config import RenderConfig
 from sim.render.instants import SamplingConfig

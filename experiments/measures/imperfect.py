@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from experiments.lab.cache import Cache
+from experiments.lab.recorded import Pair, recorded_pair
+from experiments.lab.score import score
+from experiments.lab.task import FlightCell, Measure
 from experiments.measures.imperfect_kinds import KINDS, T_D_S, Kind
-from experiments.run.cache import Cache
-from experiments.run.recorded import Pair, recorded_pair
-from experiments.run.score import score
-from experiments.run.task import FlightCell, Measure
 from sim.clock import Drift
 from sim.disturb.clutter import clutter, merged, thinned, wrong_intrinsics
 from sim.disturb.pixels import View

@@ -9,15 +9,15 @@ from typing import Any
 
 import numpy as np
 
+from experiments.lab.cache import Cache
+from experiments.lab.recorded import Pair
+from experiments.lab.score import score
+from experiments.lab.task import FlightCell, Measure
 from experiments.measures.refusal_flights import (
     RefusalCase,
     flight_of,
     refusal_case,
 )
-from experiments.run.cache import Cache
-from experiments.run.recorded import Pair
-from experiments.run.score import score
-from experiments.run.task import FlightCell, Measure
 from ssac.estimate import Estimate
 from ssac.pipeline.chain import Chain
 from ssac.pipeline.registry import METHODS

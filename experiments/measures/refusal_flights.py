@@ -13,8 +13,8 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments.run.cache import Cache
-from experiments.run.recorded import Pair, recorded_pair
+from experiments.lab.cache import Cache
+from experiments.lab.recorded import Pair, recorded_pair
 from sim.recording import SimConfig
 from sim.scene.trajectory import SplineConfig, Trajectory, random_spline
 from sim.scene.trajectory_csv import trajectory_to_csv

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments.run.cache import Cache
-from experiments.run.recorded import Pair, load_pair
-from experiments.run.task import FlightCell, Measure
+from experiments.lab.cache import Cache
+from experiments.lab.recorded import Pair, load_pair
+from experiments.lab.task import FlightCell, Measure
 from experiments.scenes.scene import SceneFigures, pair_figures
 from sim.recording import TRAJECTORY_STREAM, SimConfig
 from sim.scene.camera import Camera

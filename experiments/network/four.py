@@ -9,10 +9,10 @@ import numpy as np
 import pandas as pd
 from scipy.stats import chi2
 
+from experiments.lab.provenance import plain
+from experiments.lab.study import Study
 from experiments.network.cameras import ANGLE_DEG, N_CAMERAS, T_D_S, FourCameras
 from experiments.network.measure import CAMERAS, KINDS, CameraCell
-from experiments.run.provenance import plain
-from experiments.studies.study import Study
 from ssac.estimate import Status
 
 COMMAND = "ssac network"

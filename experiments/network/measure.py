@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from experiments.lab.cache import Cache
+from experiments.lab.score import angle_between_deg
+from experiments.lab.task import FlightCell, Measure
 from experiments.network.cameras import N_CAMERAS, T_D_S, Truth, load_truth
 from experiments.outdoor.twin import true_track
-from experiments.run.cache import Cache
-from experiments.run.score import angle_between_deg
-from experiments.run.task import FlightCell, Measure
 from ssac.clock import Clock
 from ssac.estimate import Status
 from ssac.files.event_files import load_events, write_synced

@@ -6,11 +6,8 @@ from typing import Annotated
 
 import typer
 
-from experiments.network.four import COMMAND, N_FLIGHTS, four_cameras
-from experiments.network.long_flights import DURATIONS_S, growth_config, network_growth
-from experiments.paper.checksums import record_checksums
-from experiments.run.cache import DEFAULT_FOLDER, Cache
-from experiments.run.command import (
+from experiments.lab.cache import DEFAULT_FOLDER, Cache
+from experiments.lab.command import (
     CacheOption,
     OutOption,
     SchedulerOption,
@@ -19,10 +16,12 @@ from experiments.run.command import (
     chosen_parts,
     parts_argument,
 )
-from experiments.run.provenance import save_provenance
-from experiments.run.schedule import Workers
+from experiments.lab.files import record_checksums, save_csv
+from experiments.lab.provenance import save_provenance
+from experiments.lab.schedule import Workers
+from experiments.network.four import COMMAND, N_FLIGHTS, four_cameras
+from experiments.network.long_flights import DURATIONS_S, growth_config, network_growth
 from experiments.studies.command import run_studies
-from experiments.studies.study import save_csv
 from ssac.console.options import number
 
 GROWTH_FILE = "network_growth.csv"

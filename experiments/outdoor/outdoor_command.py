@@ -7,6 +7,10 @@ from typing import Annotated, Any
 import pandas as pd
 import typer
 
+from experiments.lab.cache import DEFAULT_FOLDER, Cache, recording_key, run_key
+from experiments.lab.command import CacheOption, OutOption, check_is_folder, with_options
+from experiments.lab.files import record_checksums
+from experiments.lab.provenance import save_provenance
 from experiments.outdoor.flights import (
     CLOUDS_PX_S,
     DURATION_S,
@@ -20,10 +24,6 @@ from experiments.outdoor.flights import (
 )
 from experiments.outdoor.third import THREE_CAMERAS, TWO_AT_ONCE, at_once, at_once_row
 from experiments.outdoor.twin import COLUMNS, KINDS, compared, twin_row
-from experiments.paper.checksums import record_checksums
-from experiments.run.cache import DEFAULT_FOLDER, Cache, recording_key, run_key
-from experiments.run.command import CacheOption, OutOption, check_is_folder, with_options
-from experiments.run.provenance import save_provenance
 from ssac.compare.figure import save_figure
 from ssac.console.options import number
 from ssac.files.whole_file import whole_file

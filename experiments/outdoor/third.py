@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from experiments.lab.score import angle_between_deg, rotation_angle_deg
 from experiments.outdoor.flights import Truth, calibrated
 from experiments.outdoor.twin import (
     COLUMNS,
@@ -15,7 +16,6 @@ from experiments.outdoor.twin import (
     write_events,
     write_rig,
 )
-from experiments.run.score import angle_between_deg, rotation_angle_deg
 from sim.recording import SimConfig
 from ssac.estimate import Status
 from ssac.network.answers import CameraAnswer

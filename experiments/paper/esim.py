@@ -148,12 +148,6 @@ def esim_tables(runs: pd.DataFrame) -> dict[float, pd.DataFrame]:
     return {float(value): esim_table(runs, value) for value in sorted(runs["duration_s"].unique())}
 
 
-def csv_text(table: pd.DataFrame) -> str:
-    """Write a table as the project's CSV: six significant digits, an empty cell where unknown."""
-    text: str = table.to_csv(index=False, float_format="%.6g", lineterminator="\n")
-    return text
-
-
 def runs_from_csv(text: str) -> pd.DataFrame:
     """Read `runs.csv`: the inverse of `csv_text(ordered_runs(runs))`, but for its rounding.
 

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cache
 
-from experiments.run.grid import Cell, GridConfig, flight_seed, named_config
+from experiments.lab.grid import Cell, GridConfig, flight_seed, named_config
 from sim.recording import SimConfig
 
 TABLES = ("esim_10", "esim_20")

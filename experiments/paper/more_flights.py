@@ -7,7 +7,7 @@ from typing import Any
 
 import pandas as pd
 
-from experiments.paper.markdown import markdown_table, number, paragraph
+from experiments.lab.markdown import markdown_table, number, paragraph
 from experiments.paper.published import PUBLISHED_RUNS
 from experiments.paper.quantities import ERRORS, split_quantity
 from experiments.paper.summary import VERDICTS

@@ -8,9 +8,9 @@ from typing import Any
 
 import pandas as pd
 
+from experiments.lab.markdown import markdown_table, means_with_stds, number, paragraph
 from experiments.paper.comparison import RULE, SIZE_RULE
 from experiments.paper.esim import method_order, pose_methods
-from experiments.paper.markdown import markdown_table, means_with_stds, number, paragraph
 from experiments.paper.more_flights import Record, flights_section, label, records
 from experiments.paper.published import PUBLISHED_ERRORS, PUBLISHED_RUNS
 from experiments.paper.quantities import ERRORS, POSE_ERRORS, T_D_ERROR

@@ -10,8 +10,9 @@ from typing import Any
 
 import pandas as pd
 
+from experiments.lab.files import csv_text
 from experiments.paper.comparison import comparison_table
-from experiments.paper.esim import csv_text, esim_tables, ordered_runs, runs_from_csv
+from experiments.paper.esim import esim_tables, ordered_runs, runs_from_csv
 from experiments.paper.page import results_page
 from experiments.paper.published import PUBLISHED, PUBLISHED_RUNS, load_published
 from experiments.paper.summary import summary_table

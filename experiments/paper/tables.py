@@ -7,18 +7,8 @@ from typing import Annotated, Any
 import pandas as pd
 import typer
 
-from experiments.paper.checksums import record_checksums
-from experiments.paper.esim import runs_of_grid
-from experiments.paper.grids import table_cells, table_grids
-from experiments.paper.results import (
-    COMPARISON_FILE,
-    PAGE_FILE,
-    RUNS_FILE,
-    SUMMARY_FILE,
-    save_results,
-)
-from experiments.run.cache import DEFAULT_FOLDER, Cache
-from experiments.run.command import (
+from experiments.lab.cache import DEFAULT_FOLDER, Cache
+from experiments.lab.command import (
     CacheOption,
     CheckOption,
     RendererOption,
@@ -28,8 +18,18 @@ from experiments.run.command import (
     finish,
     other_than_default,
 )
-from experiments.run.provenance import provenance, write_provenance
-from experiments.run.schedule import Workers, run_cells
+from experiments.lab.files import record_checksums
+from experiments.lab.provenance import provenance, write_provenance
+from experiments.lab.schedule import Workers, run_cells
+from experiments.paper.esim import runs_of_grid
+from experiments.paper.grids import table_cells, table_grids
+from experiments.paper.results import (
+    COMPARISON_FILE,
+    PAGE_FILE,
+    RUNS_FILE,
+    SUMMARY_FILE,
+    save_results,
+)
 from sim.render.gl_context import context_or_none
 from ssac.files.whole_file import check_folder
 

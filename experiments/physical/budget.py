@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
 
 from experiments.figures.style import WIDTH_IN, method_looks, quiet_axes
+from experiments.lab.study import Study
 from experiments.paper.quantities import ERRORS, T_D_ERROR
 from experiments.physical.cells import cells_of, setup_seed
 from experiments.physical.imperfections import (
@@ -28,7 +29,6 @@ from experiments.physical.imperfections import (
 )
 from experiments.physical.measure import PHYSICAL, PhysicalCell
 from experiments.physical.mini import COMMAND
-from experiments.studies.study import Study
 from ssac.fit.covariance import NORMAL_95
 
 N_RECORDINGS = 1

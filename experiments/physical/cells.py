@@ -3,9 +3,9 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
+from experiments.lab.grid import flight_seed
 from experiments.physical.imperfections import SetUp
 from experiments.physical.measure import PhysicalCell
-from experiments.run.grid import flight_seed
 from ssac.config import Config
 
 SEARCH_AROUND_TRUTH_S = (-1.0, 1.0)

@@ -12,11 +12,11 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from experiments.figures.style import WIDTH_IN, quiet_axes
+from experiments.lab.study import Study
 from experiments.physical.cells import cells_of, setup_seed
 from experiments.physical.imperfections import IMPERFECTIONS, SetUp, ideal
 from experiments.physical.measure import PHYSICAL, PhysicalCell
 from experiments.physical.mini import COMMAND
-from experiments.studies.study import Study
 
 N_RECORDINGS = 2
 """Each at all ratios, so that these differ in the light alone."""

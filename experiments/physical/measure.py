@@ -9,12 +9,12 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any
 
+from experiments.lab.cache import Cache
+from experiments.lab.grid import Cell
+from experiments.lab.recorded import Pair, load_pair
+from experiments.lab.scored import Frames, Row, frames_of, scored_row
+from experiments.lab.task import Measure
 from experiments.physical.imperfections import SetUp
-from experiments.run.cache import Cache
-from experiments.run.grid import Cell
-from experiments.run.recorded import Pair, load_pair
-from experiments.run.scored import Frames, Row, frames_of, scored_row
-from experiments.run.task import Measure
 from sim.disturb.clutter import merged
 from sim.effects.config import SensorEffects
 from sim.scene.trajectory import SplineConfig

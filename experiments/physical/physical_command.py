@@ -8,7 +8,20 @@ from typing import Annotated
 
 import typer
 
-from experiments.paper.checksums import record_checksums
+from experiments.lab.cache import DEFAULT_FOLDER, Cache
+from experiments.lab.command import (
+    CacheOption,
+    OutOption,
+    SchedulerOption,
+    WorkersOption,
+    check_is_folder,
+    chosen_parts,
+    parts_argument,
+)
+from experiments.lab.files import record_checksums, save_text
+from experiments.lab.provenance import save_provenance
+from experiments.lab.schedule import Workers
+from experiments.lab.study import Study
 from experiments.physical.budget import budget_study
 from experiments.physical.latency import latency_study
 from experiments.physical.mini import (
@@ -18,20 +31,7 @@ from experiments.physical.mini import (
     comparison_text,
     mini_study,
 )
-from experiments.run.cache import DEFAULT_FOLDER, Cache
-from experiments.run.command import (
-    CacheOption,
-    OutOption,
-    SchedulerOption,
-    WorkersOption,
-    check_is_folder,
-    chosen_parts,
-    parts_argument,
-)
-from experiments.run.provenance import save_provenance
-from experiments.run.schedule import Workers
 from experiments.studies.command import run_studies
-from experiments.studies.study import Study, save_text
 from sim.render.gl_context import context_or_none
 from ssac.console.options import number
 

@@ -2,9 +2,9 @@
 
 from collections.abc import Callable, Mapping
 
-from experiments.paper.markdown import markdown_table
+from experiments.lab.markdown import markdown_table
+from experiments.lab.results import Committed
 from experiments.quoted.cells import digits
-from experiments.quoted.committed import Committed
 from experiments.quoted.physical import PHYSICAL_TABLES
 from ssac.fit.covariance import NORMAL_95
 

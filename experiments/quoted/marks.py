@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from experiments.lab.markdown import markdown_table
+from experiments.lab.results import Committed
 from experiments.marks.kinds import CLOCKS, CLUTTER, INTRINSICS, KINDS, UNSTATED, Mark
 from experiments.marks.table import FLIGHTS
-from experiments.paper.markdown import markdown_table
-from experiments.quoted.committed import Committed
 
 MARKS = "marks"
 

@@ -15,8 +15,8 @@ from typing import Annotated
 
 import typer
 
+from experiments.lab.results import Committed
 from experiments.quoted.cells import NUMBERS, Number
-from experiments.quoted.committed import Committed
 from experiments.quoted.tables import TABLES
 from ssac.errors import SsacError
 from ssac.files.whole_file import whole_file

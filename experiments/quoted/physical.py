@@ -8,14 +8,14 @@ from functools import partial
 
 import pandas as pd
 
-from experiments.paper.markdown import markdown_table
+from experiments.lab.markdown import markdown_table
+from experiments.lab.results import Committed
 from experiments.paper.quantities import ERRORS
 from experiments.paper.summary import VERDICTS
 from experiments.physical.budget import METHOD_NAMES
 from experiments.physical.imperfections import ALL, NONE, all_but, only
 from experiments.physical.mini import DURATIONS_S
 from experiments.quoted.cells import digits
-from experiments.quoted.committed import Committed
 from ssac.fit.covariance import NORMAL_95
 
 _SYMBOLS = {quantity.symbol: name for name, quantity in ERRORS.items()}

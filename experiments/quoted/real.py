@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from experiments.paper.markdown import markdown_table
-from experiments.quoted.committed import Committed, FloatArray
+from experiments.lab.markdown import markdown_table
+from experiments.lab.results import Committed, FloatArray
 from experiments.real.data_sets import DATA_SETS, UNKNOWN_RATES, VARIABLE_RATES
 from experiments.studies.coverage import sampling_bounds
 from experiments.studies.imperfect import ALL, HELD, IMPERFECT

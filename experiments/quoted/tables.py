@@ -5,9 +5,10 @@ from functools import partial
 
 import numpy as np
 
+from experiments.lab.markdown import markdown_table
+from experiments.lab.results import Committed, FloatArray
 from experiments.measures.fidelity import METHOD_NAMES as COMPARED_METHODS
 from experiments.paper.grids import TABLES as PAPER_TABLES
-from experiments.paper.markdown import markdown_table
 from experiments.paper.quantities import POSE_ERRORS, R_ERROR, T_D_ERROR
 from experiments.quoted.campaigns import CAMPAIGN_TABLES
 from experiments.quoted.cells import (
@@ -16,7 +17,6 @@ from experiments.quoted.cells import (
     cell_means,
     digits,
 )
-from experiments.quoted.committed import Committed, FloatArray
 from experiments.quoted.marks import MARK_TABLES
 from experiments.quoted.real import REAL_TABLES
 from experiments.quoted.zncc import ZNCC_TABLES

@@ -2,9 +2,9 @@
 
 from collections.abc import Callable, Mapping
 
+from experiments.lab.markdown import markdown_table
+from experiments.lab.results import Committed
 from experiments.paper.grids import ANGLES_DEG, DURATIONS_S
-from experiments.paper.markdown import markdown_table
-from experiments.quoted.committed import Committed
 
 _ANGLE_HEADER = [f"{angle:g} deg" for angle in ANGLES_DEG]
 _BINS = ("bins of 5 ms", "bins of 20 ms", "bins of 50 ms")

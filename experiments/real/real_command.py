@@ -7,14 +7,13 @@ from typing import Annotated
 
 import typer
 
-from experiments.figures.style import save_png
-from experiments.paper.checksums import record_checksums
+from experiments.lab.command import check_is_folder
+from experiments.lab.files import record_checksums, save_png
+from experiments.lab.provenance import save_provenance
 from experiments.real.data_sets import COMMAND, DataSet, data_sets, real_config
 from experiments.real.drawing import OFFSETS_FIGURE, real_figure
 from experiments.real.pairs import PAIRS_FILE, STRAYS_FILE, pair_tables
 from experiments.real.paths import PATH_FIGURE, PATHS_FILE, Row, path_of, path_table
-from experiments.run.command import check_is_folder
-from experiments.run.provenance import save_provenance
 from ssac.compare.figure import save_figure
 from ssac.estimate import Status
 from ssac.files.whole_file import whole_file

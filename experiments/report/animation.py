@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments.run.score import Score, score
+from experiments.lab.score import Score, score
 from sim.errors import SimError
 from ssac.config import Config
 from ssac.events import US_PER_S, slice_time

@@ -12,10 +12,10 @@ from typing import Any, TypeVar
 
 import pandas as pd
 
+from experiments.lab.grid import config_names, named_config
 from experiments.paper.esim import RUN_COLUMNS, runs_from_csv
 from experiments.paper.grids import table_axes
 from experiments.paper.quantities import T_D_ERROR
-from experiments.run.grid import config_names, named_config
 from ssac.errors import SsacError
 
 _PNG = b"\x89PNG\r\n\x1a\n"

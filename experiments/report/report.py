@@ -12,13 +12,13 @@ import numpy as np
 import typer
 
 from experiments.figures.figures import FLIGHT, SEED
+from experiments.lab.cache import DEFAULT_FOLDER, Cache
 from experiments.paper.quantities import ERRORS
 from experiments.report.animation import METHOD, T_D_S, Animation, make_animation
 from experiments.report.animation_page import curve_points, player_json, stills_html
 from experiments.report.chart import chart_html
 from experiments.report.data import ReportFigure, Results, load_results
 from experiments.report.tables import comparison_html, failures_html, methods_html, number
-from experiments.run.cache import DEFAULT_FOLDER, Cache
 from ssac.errors import SsacError
 from ssac.files.whole_file import whole_file
 

@@ -11,8 +11,8 @@ import typer
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from experiments.run.provenance import plain
-from experiments.run.score import score
+from experiments.lab.provenance import plain
+from experiments.lab.score import score
 from experiments.scenes.record import MAX_SEED, record_with_progress, summary
 from sim.recorded import Truth
 from sim.recording import SimConfig

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from experiments.run.provenance import plain, versions
+from experiments.lab.provenance import plain, versions
 from sim.disturb.config import DisturbConfig
 from sim.disturb.record import record_disturbed
 from sim.recorded import Flight

@@ -7,7 +7,7 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 
-from experiments.run.bridge import observations, rig_of
+from experiments.lab.bridge import observations, rig_of
 from sim.recorded import Recording
 from sim.recording import SimConfig, simulate
 from sim.scene.flyers import DRONES

@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 import typer
 
-from experiments.run.bridge import check_mesh, recording_bytes, rig_of
+from experiments.lab.bridge import check_mesh, recording_bytes, rig_of
 from experiments.scenes.disturb_options import (
     BranchesOption,
     CloudsOption,

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 
+from experiments.lab.study import Study
 from experiments.marks.kinds import KINDS
 from experiments.marks.measure import MARKED, METHOD
 from experiments.marks.table import FEW, FIRST_FLIGHT, FLIGHTS, mark_cells, marks_table
@@ -12,7 +13,6 @@ from experiments.studies.fidelity import FIDELITY_STUDY, RENDERERS_STUDY
 from experiments.studies.grids import ablation_names, ablation_study
 from experiments.studies.imperfect import IMPERFECT
 from experiments.studies.refusal import REFUSAL
-from experiments.studies.study import Study
 from experiments.studies.tangency import TANGENCY
 from experiments.studies.zncc import ZNCC
 from ssac.errors import SsacError

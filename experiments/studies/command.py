@@ -7,21 +7,13 @@ from typing import Annotated
 import pandas as pd
 import typer
 
-from experiments.paper.checksums import record_checksums
-from experiments.run.cache import DEFAULT_FOLDER, Cache
-from experiments.run.command import CacheOption, SchedulerOption, WorkersOption, finish
-from experiments.run.provenance import save_provenance
-from experiments.run.schedule import Outcome, Workers
+from experiments.lab.cache import DEFAULT_FOLDER, Cache
+from experiments.lab.command import CacheOption, SchedulerOption, WorkersOption, finish
+from experiments.lab.files import record_checksums, save_csv
+from experiments.lab.provenance import save_provenance
+from experiments.lab.schedule import Outcome, Workers
+from experiments.lab.study import WHOLE, Study, parse_shard, read_others, run_study, save_derived
 from experiments.studies.catalogue import ABLATIONS, STUDIES, chosen_studies
-from experiments.studies.study import (
-    WHOLE,
-    Study,
-    parse_shard,
-    read_others,
-    run_study,
-    save_csv,
-    save_derived,
-)
 from sim.render.gl_context import context_or_none
 from ssac.errors import SsacError
 from ssac.files.whole_file import check_folder

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from scipy.stats import beta, chi2
 
 from experiments.figures.style import WIDTH_IN, method_looks, quiet_axes
+from experiments.lab.grid import named_config
+from experiments.lab.study import Study
 from experiments.paper.esim import method_order
-from experiments.run.grid import named_config
 from experiments.studies.grids import grid_study
-from experiments.studies.study import Study
 from ssac.fit.covariance import NORMAL_95
 
 FloatArray = NDArray[np.float64]

@@ -11,14 +11,14 @@ import numpy as np
 import pandas as pd
 
 from experiments.figures.efficiency import efficiency_figure
+from experiments.lab.grid import named_config
+from experiments.lab.study import Study
 from experiments.measures.bounds import BOUNDS, BoundCell
 from experiments.measures.recording_bound import SAMPLES
 from experiments.paper.esim import method_order
 from experiments.paper.grids import TABLES
 from experiments.paper.quantities import ERRORS
 from experiments.paper.results import RUNS_FILE
-from experiments.run.grid import named_config
-from experiments.studies.study import Study
 
 FLIGHT = ("duration_s", "angle_deg", "flight", "method")
 """Columns that name a bound."""

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import pandas as pd
 
+from experiments.lab.study import Study
 from experiments.measures.fidelity import (
     FIDELITY,
     METHOD_NAMES,
@@ -17,7 +18,6 @@ from experiments.measures.fidelity import (
     reference_config,
 )
 from experiments.paper.grids import ANGLES_DEG, DURATIONS_S, drawn
-from experiments.studies.study import Study
 from sim.recording import SimConfig
 from sim.sensor.frames import FrameConfig
 

@@ -11,9 +11,9 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from experiments.figures.ablations import ablation_figure
-from experiments.run.grid import GridConfig, config_names, named_config
-from experiments.run.scored import SCORED
-from experiments.studies.study import Study
+from experiments.lab.grid import GridConfig, config_names, named_config
+from experiments.lab.scored import SCORED
+from experiments.lab.study import Study
 
 PREFIX = "ablation_"
 

@@ -11,13 +11,13 @@ import numpy as np
 import pandas as pd
 from scipy.stats import chi2
 
+from experiments.lab.grid import flight_seed
+from experiments.lab.study import Study
 from experiments.measures.imperfect import IMPERFECT_RUNS, ImperfectCell
 from experiments.measures.imperfect_kinds import KINDS, ORDINARY, SCENES
 from experiments.paper.esim import method_order
 from experiments.paper.grids import ANGLES_DEG
-from experiments.run.grid import flight_seed
 from experiments.studies.coverage import QUANTITIES, Quantity, confidence
-from experiments.studies.study import Study
 
 METHOD_NAMES = ("joint", "tangency", "joint-known", "tangency-known")
 N_ROUNDS = 3

@@ -6,11 +6,11 @@ study, and no threshold was set on them. The angles change from flight to flight
 
 import pandas as pd
 
+from experiments.lab.grid import flight_seed
+from experiments.lab.study import Study
 from experiments.measures.refusal import REFUSALS, RefusalCell
 from experiments.measures.refusal_flights import DURATION_S, KINDS_OF_FLIGHT, flight_config
 from experiments.paper.grids import ANGLES_DEG
-from experiments.run.grid import flight_seed
-from experiments.studies.study import Study
 
 METHOD_NAMES = ("ssac", "joint", "tangency", "ssac-known", "joint-known", "tangency-known")
 N_FLIGHTS = 2

@@ -12,26 +12,17 @@ from typing import Annotated, Any
 
 import typer
 
-from experiments.paper.checksums import record_checksums
-from experiments.run.bridge import check_mesh
-from experiments.run.cache import DEFAULT_FOLDER, Cache
-from experiments.run.command import CacheOption, SchedulerOption, WorkersOption, finish
-from experiments.run.grid import grid_from_content, load_config
-from experiments.run.provenance import save_provenance, write_provenance
-from experiments.run.schedule import Workers
-from experiments.run.scored import SCORED
+from experiments.lab.bridge import check_mesh
+from experiments.lab.cache import DEFAULT_FOLDER, Cache
+from experiments.lab.command import CacheOption, SchedulerOption, WorkersOption, finish
+from experiments.lab.files import record_checksums, save_csv, save_text
+from experiments.lab.grid import grid_from_content, load_config
+from experiments.lab.provenance import save_provenance, write_provenance
+from experiments.lab.schedule import Workers
+from experiments.lab.scored import SCORED
+from experiments.lab.study import WHOLE, Study, numbered, parse_shard, run_numbered, save_derived
 from experiments.studies.catalogue import STUDIES
 from experiments.studies.command import ShardOption
-from experiments.studies.study import (
-    WHOLE,
-    Study,
-    numbered,
-    parse_shard,
-    run_numbered,
-    save_csv,
-    save_derived,
-    save_text,
-)
 from sim.render.gl_context import context_or_none
 from ssac.errors import SsacError
 from ssac.files.whole_file import check_writable

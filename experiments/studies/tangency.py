@@ -12,10 +12,10 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from experiments.figures.style import WIDTH_IN, method_looks, quiet_axes
+from experiments.lab.study import Study
 from experiments.measures.tangency import VARIANT, VariantCell
 from experiments.paper.grids import ANGLES_DEG, drawn
 from experiments.paper.quantities import ERRORS, R_ERROR, T_D_ERROR
-from experiments.studies.study import Study
 from sim.recording import SimConfig
 from sim.sensor.frames import FrameConfig
 from ssac.methods.tangent_pairs import TangencyConfig

@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import pandas as pd
 
+from experiments.lab.study import Study
 from experiments.measures.zncc import (
     MODELLED,
     MODELLED_SIGNALS,
@@ -19,7 +20,6 @@ from experiments.measures.zncc import (
     SignalCell,
 )
 from experiments.paper.grids import ANGLES_DEG, drawn
-from experiments.studies.study import Study
 from sim.recording import SimConfig
 from sim.render.instants import SamplingConfig
 from sim.scene.trajectory import SplineConfig

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.run.cache import Cache, run_key
+from experiments.lab.cache import Cache, run_key
 from experiments.torture.case import MAX_S, Ended, Forked, outcome
 from experiments.torture.mutations import OF_BYTES, OF_TEXT
 from experiments.torture.reliability import Case

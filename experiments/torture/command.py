@@ -8,11 +8,10 @@ from typing import Annotated
 
 import typer
 
-from experiments.paper.checksums import record_checksums
-from experiments.run.cache import DEFAULT_FOLDER, Cache
-from experiments.run.command import CacheOption, with_options
-from experiments.run.provenance import save_provenance
-from experiments.studies.study import save_csv
+from experiments.lab.cache import DEFAULT_FOLDER, Cache
+from experiments.lab.command import CacheOption, with_options
+from experiments.lab.files import record_checksums, save_csv
+from experiments.lab.provenance import save_provenance
 from experiments.torture.campaign import campaign
 from experiments.torture.faults import disturbances
 from experiments.torture.reliability import (

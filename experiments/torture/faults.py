@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.run.cache import Cache, run_key
+from experiments.lab.cache import Cache, run_key
 from experiments.torture.case import outcome
 from experiments.torture.dask_workers import has_dask, two_workers
 from experiments.torture.disk import make_room, small_disk

@@ -17,11 +17,11 @@ from faery import EVENTS_DTYPE
 from faery.file_encoder import events_to_file
 from numpy.typing import NDArray
 
+from experiments.lab.bridge import check_mesh
+from experiments.lab.cache import Brightness, Cache
+from experiments.lab.grid import CONFIGS, load_config
+from experiments.lab.health import is_sound, save_sums
 from experiments.measures.recording_bound import load_truth
-from experiments.run.bridge import check_mesh
-from experiments.run.cache import Brightness, Cache
-from experiments.run.grid import CONFIGS, load_config
-from experiments.workers.sound import is_sound, save_sums
 from sim.scene.drone import quadrotor
 from sim.scene.trajectory_csv import trajectory_from_csv
 from ssac.events import EVENT_DTYPE

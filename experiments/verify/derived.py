@@ -10,8 +10,15 @@ from matplotlib.figure import Figure
 
 from experiments.figures.figures import drawings
 from experiments.figures.growth import growth_figure
-from experiments.figures.style import png_bytes
-from experiments.paper.esim import KEY, csv_text, describe, ordered_runs, runs_from_csv
+from experiments.lab.cache import Cache
+from experiments.lab.files import csv_text, png_bytes, read_table
+from experiments.lab.finding import Finding, found, text_difference
+from experiments.lab.grid import Cell
+from experiments.lab.provenance import versions
+from experiments.lab.scored import SCORED
+from experiments.lab.study import Study, summary_text
+from experiments.lab.task import CRASHED
+from experiments.paper.esim import KEY, describe, ordered_runs, runs_from_csv
 from experiments.paper.grids import TABLES, offset_ms, table_cells
 from experiments.paper.published import PUBLISHED
 from experiments.paper.quantities import POSE_ERRORS
@@ -24,15 +31,8 @@ from experiments.paper.results import (
 )
 from experiments.physical.mini import COMPARISON_FILE as PHYSICAL_COMPARISON
 from experiments.physical.mini import comparison_text
-from experiments.run.cache import Cache
-from experiments.run.grid import Cell
-from experiments.run.provenance import versions
-from experiments.run.scored import SCORED
-from experiments.run.task import CRASHED
 from experiments.studies.fidelity import DIFFERENCES, RENDERER_TOLERANCE_MS, RENDERERS_STUDY
-from experiments.studies.study import Study, read_table, summary_text
 from experiments.verify.files import read_provenance, read_text
-from experiments.verify.finding import Finding, found, text_difference
 from experiments.verify.manifest import (
     FIGURES_PROVENANCE,
     GROWTH_FIGURE,

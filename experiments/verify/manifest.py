@@ -10,6 +10,8 @@ from typing import Any
 
 from experiments.bench.growth import COMMITTED, bench_command_line, bench_config
 from experiments.figures.figures import drawings, figures_config
+from experiments.lab.provenance import plain
+from experiments.lab.study import Study
 from experiments.network.four import COMMAND as NETWORK_COMMAND
 from experiments.network.long_flights import growth_config
 from experiments.network.network_command import GROWTH_FILE as NETWORK_GROWTH_FILE
@@ -30,8 +32,6 @@ from experiments.real.data_sets import COMMAND, DATA_SETS, real_config
 from experiments.real.drawing import OFFSETS_FIGURE
 from experiments.real.pairs import PAIRS_FILE, STRAYS_FILE, TRIPLES_FILE
 from experiments.real.paths import PATH_FIGURE, PATHS_FILE
-from experiments.run.provenance import plain
-from experiments.studies.study import Study
 from experiments.torture.reliability import COMMAND as TORTURE_COMMAND
 from experiments.torture.reliability import CSV_FILE as RELIABILITY_FILE
 from experiments.torture.reliability import reliability_config

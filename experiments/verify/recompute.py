@@ -13,12 +13,12 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from experiments.run.cache import Cache
-from experiments.run.schedule import Workers, run_cells
-from experiments.run.task import CRASHED
+from experiments.lab.cache import Cache
+from experiments.lab.finding import Finding, found
+from experiments.lab.schedule import Workers, run_cells
+from experiments.lab.task import CRASHED
 from experiments.studies.fidelity import RENDERERS_STUDY
 from experiments.verify.files import same_driver
-from experiments.verify.finding import Finding, found
 from experiments.verify.sample import Drawn, Source
 
 DIGITS = 6

@@ -8,13 +8,14 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from experiments.paper.esim import KEY, csv_text, runs_of_grid
+from experiments.lab.files import csv_text, save_csv
+from experiments.lab.grid import Cell
+from experiments.lab.scored import SCORED
+from experiments.lab.study import CELL, Study, numbered
+from experiments.lab.task import AnyCell, Measure, Task, tasks_of
+from experiments.paper.esim import KEY, runs_of_grid
 from experiments.paper.grids import table_cells
 from experiments.paper.results import RUNS_FILE
-from experiments.run.grid import Cell
-from experiments.run.scored import SCORED
-from experiments.run.task import AnyCell, Measure, Task, tasks_of
-from experiments.studies.study import CELL, Study, numbered, save_csv
 from experiments.verify.files import read_text
 from ssac.errors import SsacError
 from ssac.pipeline.registry import OURS

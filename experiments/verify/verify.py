@@ -15,13 +15,14 @@ from typing import Annotated
 
 import typer
 
+from experiments.lab.command import WorkersOption
+from experiments.lab.finding import Finding, found
+from experiments.lab.schedule import Workers
+from experiments.lab.study import Study
 from experiments.network.four import FOUR_CAMERAS
 from experiments.physical.catalogue import PHYSICAL_STUDIES
 from experiments.quoted.numbers import pages, stale_numbers
-from experiments.run.command import WorkersOption
-from experiments.run.schedule import Workers
 from experiments.studies.catalogue import STUDIES
-from experiments.studies.study import Study
 from experiments.verify.derived import (
     figure_findings,
     physical_findings,
@@ -30,7 +31,6 @@ from experiments.verify.derived import (
     table_findings,
 )
 from experiments.verify.files import file_findings
-from experiments.verify.finding import Finding, found
 from experiments.verify.manifest import campaigns, manifest_of
 from experiments.verify.recompute import recomputed
 from experiments.verify.sample import SLOW, TABLES, draw, sources_of

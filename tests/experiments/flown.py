@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pandas as pd
 
+from experiments.lab.files import save_csv
 from experiments.real.data_sets import DATA_SETS
 from experiments.real.drawing import OFFSETS_FIGURE
 from experiments.real.pairs import (
@@ -17,7 +18,6 @@ from experiments.real.pairs import (
 )
 from experiments.real.paths import COLUMNS as PATH_COLUMNS
 from experiments.real.paths import PATH_FIGURE, PATHS_FILE
-from experiments.studies.study import save_csv
 
 
 def write_made_up_flights(folder: Path) -> None:

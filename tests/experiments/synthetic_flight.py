@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from experiments.run.recorded import Pair
+from experiments.lab.recorded import Pair
 from ssac.camera import Rig
 from ssac.track.observation import Observation
 from tests.ssac.synthetic import make_events, make_scene

@@ -11,8 +11,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments.run.bridge import observations, rig_of
-from experiments.run.score import angle_between_deg, rotation_angle_deg, score
+from experiments.lab.bridge import observations, rig_of
+from experiments.lab.score import angle_between_deg, rotation_angle_deg, score
 from sim.recorded import Recording
 from sim.recording import SimConfig, simulate
 from sim.render.instants import SamplingConfig

@@ -21,9 +21,7 @@ from experiments.bench.growth import (
     points_of,
 )
 from experiments.figures.growth import growth_figure
-from experiments.figures.style import png_bytes
-from experiments.paper.checksums import read_checksums
-from experiments.studies.study import read_table
+from experiments.lab.files import png_bytes, read_checksums, read_table
 from tests.experiments.grown import made_up_growth
 
 

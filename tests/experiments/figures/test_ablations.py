@@ -6,7 +6,7 @@ import pandas as pd
 import pytest
 
 from experiments.figures.ablations import ablation_figure, default_value, other_parameters
-from experiments.run.grid import GridConfig, config_names, named_config
+from experiments.lab.grid import GridConfig, config_names, named_config
 from sim.recording import SimConfig
 from ssac.config import N_MIN, Config
 from ssac.errors import SsacError

@@ -15,9 +15,8 @@ from experiments.figures.figures import (
     drawings,
     figures_command,
 )
-from experiments.paper.checksums import read_checksums
-from experiments.paper.esim import csv_text
-from experiments.run.grid import named_config
+from experiments.lab.files import csv_text, read_checksums
+from experiments.lab.grid import named_config
 from ssac.errors import SsacError
 from tests.experiments.reported import made_up_runs
 

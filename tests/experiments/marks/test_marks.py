@@ -7,15 +7,15 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from experiments.lab.files import save_csv
+from experiments.lab.recorded import Pair
+from experiments.lab.results import Committed
+from experiments.lab.task import CRASHED
 from experiments.marks.kinds import CLUTTER, FILMED, KINDS, UNSTATED, Kind, Mark
 from experiments.marks.measure import Flown, MarkCell, MarkRow, ends_of, marked_pair, marked_row
 from experiments.marks.table import FLIGHTS, flights_of, mark_cells, marks_table
 from experiments.measures.imperfect_kinds import T_D_S
-from experiments.quoted.committed import Committed
 from experiments.quoted.marks import MARK_NUMBERS, MARK_TABLES
-from experiments.run.recorded import Pair
-from experiments.run.task import CRASHED
-from experiments.studies.study import save_csv
 from experiments.verify.recompute import row_faults
 from sim.recording import SimConfig
 from ssac.estimate import Estimate

@@ -4,6 +4,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from experiments.lab.cache import Cache
 from experiments.measures.bound import cramer_rao_bound, fisher_information, known_pose_bound
 from experiments.measures.bounds import BoundCell, bound_row, load_flown
 from experiments.measures.recording_bound import (
@@ -15,7 +16,6 @@ from experiments.measures.recording_bound import (
     sharp_samples,
     tangent_samples,
 )
-from experiments.run.cache import Cache
 from sim.recording import SimConfig
 from sim.scene.rig import two_view_rig
 from sim.scene.trajectory import random_spline

@@ -5,6 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from experiments.lab import cache
+from experiments.lab.cache import Cache
+from experiments.lab.recorded import Pair
 from experiments.measures.refusal import FlownKinds, RefusalCell, judged, refusal_row
 from experiments.measures.refusal_flights import (
     KINDS_OF_FLIGHT,
@@ -14,9 +17,6 @@ from experiments.measures.refusal_flights import (
     flight_config,
     flight_of,
 )
-from experiments.run import cache
-from experiments.run.cache import Cache
-from experiments.run.recorded import Pair
 from ssac.config import Config
 from ssac.estimate import Estimate
 from ssac.track.observation import Observation

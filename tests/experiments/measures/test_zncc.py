@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from experiments.lab.cache import Cache
+from experiments.lab.task import Task, run_task
 from experiments.measures.zncc import (
     RENDERED,
     RENDERED_SIGNALS,
@@ -11,8 +13,6 @@ from experiments.measures.zncc import (
     agreement,
     modelled_signals,
 )
-from experiments.run.cache import Cache
-from experiments.run.task import Task, run_task
 from sim.recording import SimConfig
 from sim.render.config import RenderConfig
 from sim.render.instants import SamplingConfig

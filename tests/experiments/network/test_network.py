@@ -5,12 +5,13 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
+from experiments.lab.cache import recording_key
+from experiments.lab.files import read_table, save_csv
+from experiments.lab.study import check_runs
 from experiments.network.cameras import ANGLE_DEG, N_CAMERAS, FourCameras, Truth
 from experiments.network.four import LEVEL, camera_cells, camera_table, four_cameras
 from experiments.network.long_flights import FRAMES_HZ, NOISE_PX, network_growth, write_tracks
 from experiments.network.measure import CameraRow, path_off_best_point_m
-from experiments.run.cache import recording_key
-from experiments.studies.study import check_runs, read_table, save_csv
 from sim.recording import SimConfig
 from ssac.files.rigs import load_rig
 from ssac.files.track_files import load_track

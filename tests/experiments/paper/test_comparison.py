@@ -5,6 +5,7 @@ import pandas as pd
 import pytest
 from scipy.stats import ttest_ind_from_stats
 
+from experiments.lab.files import csv_text
 from experiments.paper.comparison import (
     Reason,
     Sample,
@@ -12,7 +13,7 @@ from experiments.paper.comparison import (
     difference_interval,
     verdict_of,
 )
-from experiments.paper.esim import csv_text, esim_tables
+from experiments.paper.esim import esim_tables
 from experiments.paper.published import PUBLISHED, PUBLISHED_ERRORS, PUBLISHED_RUNS, load_published
 from experiments.paper.summary import summary_table
 from ssac.errors import SsacError

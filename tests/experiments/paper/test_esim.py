@@ -2,10 +2,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from experiments.lab.files import csv_text
 from experiments.paper.esim import (
     RUN_COLUMNS,
     YOUNGER,
-    csv_text,
     esim_table,
     esim_tables,
     method_order,

@@ -1,8 +1,8 @@
 """Quantities: their columns are the runs', and their labels say the unit."""
 
+from experiments.lab.score import Score
 from experiments.paper.esim import RUN_COLUMNS
 from experiments.paper.quantities import ERRORS, split_quantity
-from experiments.run.score import Score
 
 
 def test_every_error_is_a_column_of_the_runs_and_a_field_of_the_score() -> None:

@@ -7,10 +7,10 @@ import pytest
 from typer.testing import CliRunner
 
 from experiments.cli import app
+from experiments.lab.files import SUMS_FILE
+from experiments.lab.schedule import Outcome
+from experiments.lab.task import CRASHED
 from experiments.paper import tables as reproduce
-from experiments.paper.checksums import SUMS_FILE
-from experiments.run.schedule import Outcome
-from experiments.run.task import CRASHED
 from ssac.console.exits import BUG
 from tests.experiments.reported import made_up_runs
 

@@ -9,7 +9,9 @@ import pytest
 from typer.testing import CliRunner
 
 from experiments.cli import app
-from experiments.paper.esim import csv_text
+from experiments.lab.cache import Cache
+from experiments.lab.files import csv_text
+from experiments.lab.schedule import Workers, run_cells
 from experiments.physical.budget import budget_figure, budget_table
 from experiments.physical.catalogue import PHYSICAL_STUDIES
 from experiments.physical.cells import cells_of, motion_seed, setup_seed
@@ -23,8 +25,6 @@ from experiments.physical.mini import (
     mini_figure,
     published_tables,
 )
-from experiments.run.cache import Cache
-from experiments.run.schedule import Workers, run_cells
 
 ANGLE_DEG, DURATION_S, FLIGHT = 95.18, 6.0, 50_000
 

@@ -2,11 +2,11 @@
 
 import pandas as pd
 
+from experiments.lab.results import Committed
 from experiments.network.four import camera_cells, camera_table
 from experiments.network.long_flights import COLUMNS
 from experiments.network.measure import CameraRow
 from experiments.quoted.campaigns import CAMPAIGN_TABLES
-from experiments.quoted.committed import Committed
 
 
 def test_campaigns_that_were_not_run_leave_no_table(tmp_path) -> None:

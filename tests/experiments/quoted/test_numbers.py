@@ -7,8 +7,8 @@ import pandas as pd
 import pytest
 
 from experiments.cli import COMMANDS
+from experiments.lab.results import Committed
 from experiments.quoted.cells import NUMBERS, digits, listed
-from experiments.quoted.committed import Committed
 from experiments.quoted.numbers import (
     numbers_command,
     pages,

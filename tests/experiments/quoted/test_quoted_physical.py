@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pandas as pd
 
+from experiments.lab.results import Committed
 from experiments.physical.budget import METHOD_NAMES
-from experiments.quoted.committed import Committed
 from experiments.quoted.physical import PHYSICAL_TABLES
 
 ERRORS = ("t_d_error_ms", "r_error_deg", "t_error_deg")

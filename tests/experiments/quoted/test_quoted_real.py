@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments.quoted.committed import Committed
+from experiments.lab.results import Committed
 from experiments.quoted.real import PAIRS, REAL_NUMBERS, REAL_TABLES, SHIFTED, WITH_TRUTH
 from experiments.real.data_sets import DATA_SETS, VARIABLE_RATES
 from tests.experiments.flown import write_made_up_flights

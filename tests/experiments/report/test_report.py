@@ -12,6 +12,8 @@ import pandas as pd
 import pytest
 
 from experiments.figures.figures import drawings
+from experiments.lab.cache import Cache
+from experiments.lab.grid import flight_seed
 from experiments.report import report
 from experiments.report.animation import Animation, make_animation
 from experiments.report.data import Results, load_results
@@ -23,8 +25,6 @@ from experiments.report.tables import (
     methods_html,
     number,
 )
-from experiments.run.cache import Cache
-from experiments.run.grid import flight_seed
 from experiments.studies.catalogue import ABLATIONS
 from ssac.errors import SsacError
 from tests.experiments.reported import METHODS, made_up_runs, write_results

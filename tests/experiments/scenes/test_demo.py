@@ -4,7 +4,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.run.provenance import code_commit, plain, save_provenance, versions
+from experiments.lab.provenance import code_commit, plain, save_provenance, versions
 from experiments.scenes.demo import DEMO, comparison, demo_command, is_of_a_demo
 from sim.errors import SimError
 from sim.recorded import Truth

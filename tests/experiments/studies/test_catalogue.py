@@ -9,9 +9,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from experiments.lab.code import ROOT
+from experiments.lab.grid import config_names, flight_seed, named_config
 from experiments.measures import recording_bound
-from experiments.run.code import ROOT
-from experiments.run.grid import config_names, flight_seed, named_config
 from experiments.studies.catalogue import ABLATIONS, STUDIES
 from experiments.studies.fidelity import (
     DIFFERENCES,
@@ -60,7 +60,7 @@ def test_flights_of_studies_are_of_no_table() -> None:
 def test_what_measures_draws_nothing() -> None:
     """So that another drawing makes no row new."""
     folder = Path(recording_bound.__file__).parent
-    for path in [*folder.glob("*.py"), ROOT / "experiments/run/scored.py"]:
+    for path in [*folder.glob("*.py"), ROOT / "experiments/lab/scored.py"]:
         for node in ast.walk(ast.parse(path.read_text())):
             module = node.module or "" if isinstance(node, ast.ImportFrom) else ""
             assert not module.startswith(("matplotlib", "experiments.figures")), path

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments.run.grid import named_config
+from experiments.lab.grid import named_config
 from experiments.studies.coverage import (
     LEVELS,
     QUANTITIES,

@@ -6,10 +6,10 @@ import pytest
 from typer.testing import CliRunner
 
 from experiments.cli import app
-from experiments.paper.checksums import SUMS_FILE
-from experiments.run.cache import Cache
-from experiments.run.grid import grid_from_content
-from experiments.run.schedule import Workers
+from experiments.lab.cache import Cache
+from experiments.lab.files import SUMS_FILE
+from experiments.lab.grid import grid_from_content
+from experiments.lab.schedule import Workers
 from experiments.studies.command import save_study
 from experiments.studies.grids import ablation_names, ablation_table, means_study
 from ssac.errors import SsacError

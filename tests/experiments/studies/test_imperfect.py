@@ -6,9 +6,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from experiments.lab.files import save_csv
+from experiments.lab.results import Committed
 from experiments.measures.imperfect import ImperfectRow
 from experiments.measures.imperfect_kinds import KINDS
-from experiments.quoted.committed import Committed
 from experiments.quoted.real import REAL_TABLES
 from experiments.studies.imperfect import (
     ALL,
@@ -17,7 +18,6 @@ from experiments.studies.imperfect import (
     imperfect_cells,
     imperfect_table,
 )
-from experiments.studies.study import save_csv
 
 
 def test_every_round_has_every_kind_by_every_method_on_flights_of_its_own() -> None:

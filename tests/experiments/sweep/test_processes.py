@@ -12,10 +12,10 @@ from functools import partial
 import pandas as pd
 import pytest
 
-from experiments.run.cache import Cache
-from experiments.run.grid import load_config
-from experiments.run.schedule import Workers, run_cells
-from experiments.run.task import CRASHED
+from experiments.lab.cache import Cache
+from experiments.lab.grid import load_config
+from experiments.lab.schedule import Workers, run_cells
+from experiments.lab.task import CRASHED
 from ssac.console.exits import BUG, INTERRUPTED
 from ssac.errors import SsacError
 from tests.experiments.sweep.tiny import ROOT, TOML, started, sweep, swept, without_runs
@@ -109,7 +109,7 @@ def test_a_dask_worker_that_is_killed_changes_no_byte(folder, plugin, mortal, sc
 
 
 def test_a_scheduler_that_loses_all_workers_is_one_line(folder, plugin, scheduler, monkeypatch):
-    from experiments.workers import cluster
+    from experiments.lab import cluster
 
     with cluster.Cluster(scheduler) as crew:
         monkeypatch.setattr(cluster, "WAIT_FOR_WORKERS_S", 0.2)
@@ -120,7 +120,7 @@ def test_a_scheduler_that_loses_all_workers_is_one_line(folder, plugin, schedule
 
 
 def test_a_scheduler_that_is_killed_is_one_line(folder, plugin, scheduler, capfd):
-    from experiments.workers import cluster
+    from experiments.lab import cluster
 
     with cluster.Cluster(scheduler) as crew:
         crew.give(0, partial(time.sleep, 600))
@@ -156,7 +156,7 @@ def test_no_scheduler_is_one_line(folder, config):
 
 def test_a_scheduler_without_workers_is_one_line(folder, config, monkeypatch):
     distributed = pytest.importorskip("distributed")
-    monkeypatch.setattr("experiments.workers.cluster.WAIT_FOR_WORKERS_S", 0.2)
+    monkeypatch.setattr("experiments.lab.cluster.WAIT_FOR_WORKERS_S", 0.2)
     cells, cache = load_config(config).cells(), Cache(without_runs(folder, "cache_idle"))
     with distributed.LocalCluster(n_workers=0, processes=False, dashboard_address=None) as cluster:
         workers = Workers(scheduler=cluster.scheduler_address)

@@ -7,12 +7,12 @@ import pytest
 from typer.testing import CliRunner
 
 from experiments.cli import app
-from experiments.run import schedule
-from experiments.run.cache import Cache
-from experiments.run.grid import load_config
-from experiments.run.schedule import Workers, run_cells
-from experiments.run.task import tasks_of
-from experiments.studies.study import numbered
+from experiments.lab import schedule
+from experiments.lab.cache import Cache
+from experiments.lab.grid import load_config
+from experiments.lab.schedule import Workers, run_cells
+from experiments.lab.study import numbered
+from experiments.lab.task import tasks_of
 from tests.experiments.sweep.tiny import sweep, without_runs
 
 pytestmark = pytest.mark.render
@@ -63,7 +63,7 @@ def test_what_is_done_is_not_done_again(config, folder, whole, monkeypatch):
     def never(*_):
         raise AssertionError("all runs are in the cache")
 
-    monkeypatch.setattr("experiments.run.schedule.run_task", never)
+    monkeypatch.setattr("experiments.lab.schedule.run_task", never)
     out = folder / "again.csv"
     assert sweep(config, out, folder / "cache", "--workers", "1").exit_code == 0
     assert out.read_bytes() == whole.read_bytes()

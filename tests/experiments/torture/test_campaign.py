@@ -10,9 +10,9 @@ from itertools import islice
 import numpy as np
 import pytest
 
-from experiments.quoted.committed import Committed
+from experiments.lab.cache import Cache
+from experiments.lab.results import Committed
 from experiments.quoted.tables import TABLES
-from experiments.run.cache import Cache
 from experiments.torture import campaign as module
 from experiments.torture.campaign import campaign
 from experiments.torture.case import Ended, Forked, outcome

@@ -15,15 +15,14 @@ from experiments.bench.growth import COMMITTED, points_of
 from experiments.bench.measurement import Measurement
 from experiments.figures.figures import drawings
 from experiments.figures.growth import growth_figure
-from experiments.figures.style import png_bytes
-from experiments.paper.checksums import record_checksums
+from experiments.lab.cache import Cache
+from experiments.lab.files import png_bytes, read_table, record_checksums, save_csv
+from experiments.lab.provenance import plain, provenance, write_provenance
+from experiments.lab.study import Study, save_derived
+from experiments.lab.task import Measure
 from experiments.paper.grids import table_cells
 from experiments.paper.published import PUBLISHED
 from experiments.paper.results import save_results
-from experiments.run.cache import Cache
-from experiments.run.provenance import plain, provenance, write_provenance
-from experiments.run.task import Measure
-from experiments.studies.study import Study, read_table, save_csv, save_derived
 from experiments.verify import derived, sample
 from experiments.verify.manifest import Manifest, manifest_of
 from sim.render.gl_context import open_context

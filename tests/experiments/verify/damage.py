@@ -3,7 +3,7 @@
 import re
 from pathlib import Path
 
-from experiments.paper.checksums import SUMS_FILE
+from experiments.lab.files import SUMS_FILE
 
 _NUMBER = re.compile(r"(?<![\w.])\d+\.\d+(?![\w.])|(?<![\w.])\d+(?![\w.])")
 

@@ -6,12 +6,12 @@ from shutil import copytree
 
 import pytest
 
-from experiments.paper.checksums import SUMS_FILE, read_checksums, record_checksums
+from experiments.lab.files import SUMS_FILE, read_checksums, record_checksums
+from experiments.lab.finding import Finding
 from experiments.paper.results import SUMMARY_FILE
 from experiments.verify import verify as command
 from experiments.verify.derived import figure_findings, study_findings, table_findings
 from experiments.verify.files import file_findings
-from experiments.verify.finding import Finding
 from experiments.verify.manifest import Manifest, manifest_of
 from tests.experiments.verify.conftest import STUDIES
 from tests.experiments.verify.damage import (

@@ -6,11 +6,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments.paper.esim import csv_text, runs_from_csv
-from experiments.run.grid import named_config
+from experiments.lab.files import csv_text, save_csv
+from experiments.lab.finding import Finding, text_difference
+from experiments.lab.grid import named_config
+from experiments.paper.esim import runs_from_csv
 from experiments.studies.fidelity import DIFFERENCES, RENDERER_TOLERANCE_MS, RENDERERS_STUDY
 from experiments.studies.grids import ablation_study
-from experiments.studies.study import save_csv
 from experiments.verify.derived import (
     renderer_findings,
     sanity_findings,
@@ -18,7 +19,6 @@ from experiments.verify.derived import (
     table_findings,
     table_key,
 )
-from experiments.verify.finding import Finding, text_difference
 from tests.experiments.verify.conftest import N_FLIGHTS, NAMES
 
 RESULTS = Path(__file__).resolve().parents[3] / "results"

@@ -4,11 +4,11 @@ from pathlib import Path
 
 import pytest
 
-from experiments.paper.checksums import record_checksums
+from experiments.lab.files import record_checksums
+from experiments.lab.provenance import save_provenance
 from experiments.real.data_sets import COMMAND, real_config
 from experiments.real.pairs import PAIRS_FILE, STRAYS_FILE, TRIPLES_FILE
 from experiments.real.paths import PATHS_FILE
-from experiments.run.provenance import save_provenance
 from experiments.verify.files import file_findings
 from experiments.verify.manifest import Manifest, manifest_of, of_real_data
 from experiments.verify.real import real_faults

@@ -8,15 +8,15 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from experiments.run import task
-from experiments.run.schedule import Workers
-from experiments.run.scored import SCORED
-from experiments.run.task import tasks_of
-from experiments.studies.study import CELL
+from experiments.lab import task
+from experiments.lab.finding import Finding
+from experiments.lab.schedule import Workers
+from experiments.lab.scored import SCORED
+from experiments.lab.study import CELL
+from experiments.lab.task import tasks_of
 from experiments.verify import recompute
 from experiments.verify import verify as command
 from experiments.verify.files import same_driver
-from experiments.verify.finding import Finding
 from experiments.verify.recompute import ROUNDING, recomputed, row_faults
 from experiments.verify.sample import SLOW, TABLES, Drawn, Source, draw, sources_of
 from ssac.errors import SsacError

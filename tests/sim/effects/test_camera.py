@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from experiments.run.provenance import plain
+from experiments.lab.provenance import plain
 from sim.effects.camera import CameraEffects
 from sim.effects.config import SensorEffects
 from sim.effects.lens import blurred_crops, blurred_image, point_spread

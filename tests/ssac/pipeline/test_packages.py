@@ -14,10 +14,10 @@ import pytest
 import yaml
 
 import ssac.pipeline.registry
+from experiments.lab.grid import Cell
+from experiments.lab.scored import SCORED, scored_row
+from experiments.lab.task import CRASHED, refusal
 from experiments.paper.esim import esim_table, runs_of_grid
-from experiments.run.grid import Cell
-from experiments.run.scored import SCORED, scored_row
-from experiments.run.task import CRASHED, refusal
 from sim.recording import SimConfig
 from ssac.config import Config
 from ssac.errors import PluginError, SsacError
@@ -218,7 +218,7 @@ def test_a_crash_is_said_to_be_the_packages(site, recorded, tmp_path, monkeypatc
 
 def test_in_a_table_a_crash_is_a_row_that_names_the_package(site, chain, monkeypatch):
     install(site, "fragile", "mine = fragile:estimate", CRASHING)
-    monkeypatch.setattr("experiments.run.scored.METHODS", Registry())
+    monkeypatch.setattr("experiments.lab.scored.METHODS", Registry())
     cell = Cell(SimConfig(), 0, 0, 0.0, Config(), "mine", {"sim.t_d_s": 0.0})
     with pytest.raises(PluginError) as crash:
         scored_row(cell, chain)
@@ -272,7 +272,7 @@ def looking(site, monkeypatch):
 
     def install_one(name):
         install(site, "looking", f"mine = looking:{name}", LOOKING)
-        for module in ("ssac.pipeline.registry", "experiments.run.scored"):
+        for module in ("ssac.pipeline.registry", "experiments.lab.scored"):
             monkeypatch.setattr(f"{module}.METHODS", Registry())
         return import_module("looking").SEEN
 
@@ -421,7 +421,7 @@ def test_the_grid_of_the_example_is_read(example):
     folder, grid, _ = example
     script = """
 from pathlib import Path
-from experiments.run.grid import load_config
+from experiments.lab.grid import load_config
 
 print(*[cell.method for cell in load_config(Path("angles.toml")).cells()])
 """

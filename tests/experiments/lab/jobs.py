@@ -7,9 +7,9 @@ import time
 from functools import partial
 from pathlib import Path
 
-from experiments.workers.claim import claimed
-from experiments.workers.crew import Crew, Ended
-from experiments.workers.processes import Processes
+from experiments.lab.lock import claimed
+from experiments.lab.pool import Crew, Ended
+from experiments.lab.processes import Processes
 
 
 def square(number: int) -> int:

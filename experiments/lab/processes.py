@@ -15,7 +15,7 @@ from multiprocessing import get_context, parent_process
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
 
-from experiments.workers.crew import DiedError, Ended, Job, done
+from experiments.lab.pool import DiedError, Ended, Job, done
 
 ENDS_WITHIN_S = 5.0
 """After that a process that was told to end is killed."""

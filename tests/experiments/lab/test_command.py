@@ -6,11 +6,11 @@ import pandas as pd
 import pytest
 import typer
 
+from experiments.lab.cache import Cache
+from experiments.lab.command import chosen_parts, drawn_by, finish, other_than_default
+from experiments.lab.schedule import Outcome
+from experiments.lab.task import CRASHED
 from experiments.paper.grids import table_cells
-from experiments.run.cache import Cache
-from experiments.run.command import chosen_parts, drawn_by, finish, other_than_default
-from experiments.run.schedule import Outcome
-from experiments.run.task import CRASHED
 from sim.errors import SimError
 from sim.render.config import RENDERERS
 from ssac.console.exits import BUG

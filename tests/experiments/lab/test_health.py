@@ -5,8 +5,8 @@ import shutil
 import numpy as np
 import pytest
 
-from experiments.run.cache import Brightness, Cache
-from experiments.workers.sound import ASIDE, is_sound, row_of_text, save_sums, text_of_row
+from experiments.lab.cache import Brightness, Cache
+from experiments.lab.health import ASIDE, is_sound, row_of_text, save_sums, text_of_row
 from ssac.errors import SsacError
 from ssac.files.hdf5 import save_events_h5
 from tests.recorded import empty_events
@@ -82,7 +82,7 @@ def test_a_damaged_recording_is_made_again(folder, monkeypatch, capsys):
         calls.append(seed)
         shutil.copytree(kept, out)
 
-    monkeypatch.setattr("experiments.run.cache.record", record)
+    monkeypatch.setattr("experiments.lab.cache.record", record)
     save_sums(folder)
     (folder / "rig.yaml").write_text("cam1:\n")
     assert cache.recording_folder(_config(), 3) == folder

@@ -1,14 +1,14 @@
 """A configuration in; the recording or the result that was made with it before, out.
 
 Everything is addressed by its content: by all parameters and by all code that makes it
-(`experiments.run.code`), so a change of either makes a new entry and never returns an old one.
+(`experiments.lab.code`), so a change of either makes a new entry and never returns an old one.
 
     recordings/<key>/     as sim.storage writes them, with t_d = 0: ordinary input of `ssac sync`
     recordings/<key>.sha256  checksums of its files
     brightness/<key>.npz  the mean of each of their frames
     denoised/<key>.npz    the events that denoising leaves, in 6 bytes each
     runs/<ab>/<key>.json  one measured row, and its checksum
-    damaged/              entries that were not what had been written (`experiments.workers.sound`)
+    damaged/              entries that were not what had been written (`experiments.lab.health`)
 
 What methods read of a recording stands in the last two: as long as these are there, it is not read.
 """
@@ -25,12 +25,12 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments.run.bridge import recording_bytes
-from experiments.run.code import SIM_PACKAGES, SSAC_PACKAGES, code_digest, package_versions
-from experiments.run.provenance import plain
-from experiments.workers.claim import ASK_AGAIN_S, claimed, remove_lapsed
-from experiments.workers.claim import SUFFIX as CLAIM
-from experiments.workers.sound import is_sound, row_of_text, save_sums, set_aside, text_of_row
+from experiments.lab.bridge import recording_bytes
+from experiments.lab.code import SIM_PACKAGES, SSAC_PACKAGES, code_digest, package_versions
+from experiments.lab.health import is_sound, row_of_text, save_sums, set_aside, text_of_row
+from experiments.lab.lock import ASK_AGAIN_S, claimed, remove_lapsed
+from experiments.lab.lock import SUFFIX as CLAIM
+from experiments.lab.provenance import plain
 from sim.recording import SimConfig
 from sim.render.gl_context import open_context
 from sim.storage import record
@@ -83,7 +83,7 @@ class Cache:
 
     Several processes may share it, of several hosts if the folder is on a network disk: entries
     appear whole, under names that say all about them. What is being made is claimed
-    (`experiments.workers.claim`), so that nobody else makes it meanwhile.
+    (`experiments.lab.lock`), so that nobody else makes it meanwhile.
     """
 
     folder: Path = DEFAULT_FOLDER

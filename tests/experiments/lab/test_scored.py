@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments.run import scored
-from experiments.run.cache import Cache
-from experiments.run.grid import Cell, flight_seed
-from experiments.run.scored import GUARDED, is_guarded, load_recorded, scored_row
-from experiments.workers.sound import save_sums
+from experiments.lab import scored
+from experiments.lab.cache import Cache
+from experiments.lab.grid import Cell, flight_seed
+from experiments.lab.health import save_sums
+from experiments.lab.scored import GUARDED, is_guarded, load_recorded, scored_row
 from sim.recording import SimConfig
 from ssac.config import Config
 from ssac.errors import SsacError
@@ -144,7 +144,7 @@ def test_a_recording_is_looked_at_when_it_is_read_and_not_before(recorded, tmp_p
     save_sums(folder)
     monkeypatch.setattr(Cache, "_recording_path", lambda *_: folder)
     monkeypatch.setattr(
-        "experiments.run.cache.record", lambda *_: shutil.copytree(recorded.folder, folder)
+        "experiments.lab.cache.record", lambda *_: shutil.copytree(recorded.folder, folder)
     )
     cells = [cell_of("event_rate", 0.005), cell_of("zncc_f", 0.005)]
     whole = load_recorded(cells, Cache(tmp_path))

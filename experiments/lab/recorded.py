@@ -9,7 +9,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments.run.cache import Cache, Denoised
+from experiments.lab.cache import Cache, Denoised
 from sim.recording import SimConfig
 from ssac.camera import Camera, Rig
 from ssac.config import Cleaning

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from experiments.run.score import angle_between_deg, pose_errors_rad, rotation_angle_deg, score
+from experiments.lab.score import angle_between_deg, pose_errors_rad, rotation_angle_deg, score
 from ssac.estimate import Estimate
 from ssac.geometry.pose import moved_pose
 

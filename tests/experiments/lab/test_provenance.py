@@ -4,7 +4,7 @@ import subprocess
 
 import pytest
 
-from experiments.run import provenance
+from experiments.lab import provenance
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, wait
 from contextlib import suppress
 from typing import Any
 
-from experiments.workers.crew import Ended, Job
+from experiments.lab.pool import Ended, Job
 from ssac.errors import SsacError
 
 WAIT_FOR_WORKERS_S = 60.0

@@ -11,11 +11,11 @@ from pathlib import Path
 
 import pytest
 
-from experiments.workers import claim
-from experiments.workers.claim import LAPSES_S, claimed, remove_lapsed
-from experiments.workers.processes import Processes
-from tests.experiments.workers import jobs
-from tests.experiments.workers.jobs import work_off
+from experiments.lab import lock as claim
+from experiments.lab.lock import LAPSES_S, claimed, remove_lapsed
+from experiments.lab.processes import Processes
+from tests.experiments.lab import jobs
+from tests.experiments.lab.jobs import work_off
 from tests.left_over import ELSEWHERE, let_lie, made_by
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -58,7 +58,7 @@ def test_two_processes_share_what_is_to_be_made(tmp_path):
 
 def test_what_a_killed_process_held_is_free_at_once(path):
     path.parent.mkdir()
-    command = [sys.executable, "-m", "tests.experiments.workers.jobs", str(path)]
+    command = [sys.executable, "-m", "tests.experiments.lab.jobs", str(path)]
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     holder = subprocess.Popen(command, env=environment, cwd=ROOT, stdout=subprocess.PIPE)
     assert holder.stdout.readline() == b"True\n"

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from experiments.workers import processes
-from experiments.workers.crew import Alone, DiedError
-from experiments.workers.processes import Processes, n_cores
-from tests.experiments.workers import jobs
-from tests.experiments.workers.jobs import work_off
+from experiments.lab import processes
+from experiments.lab.pool import Alone, DiedError
+from experiments.lab.processes import Processes, n_cores
+from tests.experiments.lab import jobs
+from tests.experiments.lab.jobs import work_off
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -92,7 +92,7 @@ def test_an_error_that_cannot_be_read_back_is_an_error_and_no_death():
 
 
 def test_workers_end_when_the_process_that_started_them_is_killed():
-    command = [sys.executable, "-m", "tests.experiments.workers.jobs"]
+    command = [sys.executable, "-m", "tests.experiments.lab.jobs"]
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     parent = subprocess.Popen(command, env=environment, cwd=ROOT, stdout=subprocess.PIPE)
     assert [parent.stdout.readline() for _ in range(2)] == [b"waiting\n"] * 2

@@ -7,10 +7,10 @@ from typing import Annotated, Any
 
 import typer
 
-from experiments.run.cache import Cache
-from experiments.run.grid import Cell
-from experiments.run.schedule import Outcome
-from experiments.run.task import CRASHED
+from experiments.lab.cache import Cache
+from experiments.lab.grid import Cell
+from experiments.lab.schedule import Outcome
+from experiments.lab.task import CRASHED
 from sim.recording import SimConfig
 from sim.render.config import RENDERERS
 from ssac.console.exits import BUG

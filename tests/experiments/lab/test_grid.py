@@ -8,8 +8,8 @@ import pytest
 from typer.testing import CliRunner
 
 from experiments.cli import app
-from experiments.run.cache import Cache, content
-from experiments.run.grid import (
+from experiments.lab.cache import Cache, content
+from experiments.lab.grid import (
     config_names,
     configs_of,
     flight_seed,
@@ -17,7 +17,7 @@ from experiments.run.grid import (
     load_config,
     named_config,
 )
-from experiments.run.schedule import Workers, run_cells
+from experiments.lab.schedule import Workers, run_cells
 from sim.errors import SimError
 from sim.recording import SimConfig
 from sim.sensor.events import PRESETS

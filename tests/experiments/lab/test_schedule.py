@@ -11,12 +11,12 @@ from typing import Any
 
 import pytest
 
-from experiments.run import schedule, task
-from experiments.run.cache import Cache
-from experiments.run.schedule import MAX_DEATHS, Workers, run_cells
-from experiments.run.task import CRASHED, Measure, Task, recordings_key
-from experiments.workers.claim import claimed
-from experiments.workers.crew import Alone, DiedError, Ended, done
+from experiments.lab import schedule, task
+from experiments.lab.cache import Cache
+from experiments.lab.lock import claimed
+from experiments.lab.pool import Alone, DiedError, Ended, done
+from experiments.lab.schedule import MAX_DEATHS, Workers, run_cells
+from experiments.lab.task import CRASHED, Measure, Task, recordings_key
 from sim.recording import SimConfig
 from tests.left_over import ended_process, made_by
 

@@ -14,8 +14,8 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from experiments.run.cache import Cache, recording_key, run_key
-from experiments.workers.memory import keep_freed_memory
+from experiments.lab.cache import Cache, recording_key, run_key
+from experiments.lab.memory import keep_freed_memory
 from sim.recording import SimConfig
 from ssac.errors import SsacError, WriteError
 

@@ -16,21 +16,13 @@ from matplotlib.figure import Figure
 from typer.testing import CliRunner
 
 from experiments.cli import app
-from experiments.paper.checksums import SUMS_FILE
-from experiments.paper.esim import csv_text
-from experiments.run import task
-from experiments.run.cache import Cache
-from experiments.run.schedule import Workers
-from experiments.run.task import Measure
+from experiments.lab import task
+from experiments.lab.cache import Cache
+from experiments.lab.files import SUMS_FILE, csv_text, read_table
+from experiments.lab.schedule import Workers
+from experiments.lab.study import Study, check_runs, numbered, run_study, summary_text
+from experiments.lab.task import Measure
 from experiments.studies import command, sweep
-from experiments.studies.study import (
-    Study,
-    check_runs,
-    numbered,
-    read_table,
-    run_study,
-    summary_text,
-)
 from sim.recording import SimConfig
 from ssac.console.exits import BUG
 from ssac.errors import SsacError

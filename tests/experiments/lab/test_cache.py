@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import experiments.run.cache as module
-from experiments.run.cache import (
+import experiments.lab.cache as module
+from experiments.lab.cache import (
     Brightness,
     Cache,
     Denoised,
@@ -55,7 +55,7 @@ def test_a_file_counts_by_what_is_in_it(tmp_path):
 
 
 def test_every_part_makes_another_run():
-    base = (("recording",), (0.05, Config(), "ssac", ""), ("experiments.run.scored",))
+    base = (("recording",), (0.05, Config(), "ssac", ""), ("experiments.lab.scored",))
     others = [
         (("other",), *base[1:]),
         (("recording", "other"), *base[1:]),
@@ -73,7 +73,7 @@ def test_another_version_of_a_package_is_another_key(monkeypatch, packages):
     def keys():
         return {
             "SIM_PACKAGES": recording_key(SimConfig(), 0),
-            "SSAC_PACKAGES": run_key((), 1, ("experiments.run.scored",)),
+            "SSAC_PACKAGES": run_key((), 1, ("experiments.lab.scored",)),
         }
 
     before, real = keys(), module.package_versions

@@ -1,7 +1,7 @@
 """A study in; all its runs, their summary and its figure in `results/` out, in shards or whole.
 
 A study is a list of cells, a measure that makes a row of each, a summary of the rows and a drawing
-of it. All of them run on one scheduler and cache (`experiments.run`), so each can be stopped and
+of it. All of them run on one scheduler and cache (`experiments.lab`), so each can be stopped and
 taken up again, and spread over machines. What follows from the runs is made from the text of their
 file, rounded as it is there, so that anyone who has the file makes the same bytes.
 
@@ -10,23 +10,19 @@ file, rounded as it is there, so that anyone who has the file makes the same byt
     results/<name>.png        the figure, where it has one
 """
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from io import StringIO
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 from matplotlib.figure import Figure
 
-from experiments.figures.style import save_png
-from experiments.paper.esim import csv_text
-from experiments.run.cache import Cache
-from experiments.run.schedule import Outcome, Workers, run_cells
-from experiments.run.task import AnyCell, Measure, tasks_of
+from experiments.lab.cache import Cache
+from experiments.lab.files import csv_text, read_table, save_png, save_text
+from experiments.lab.schedule import Outcome, Workers, run_cells
+from experiments.lab.task import AnyCell, Measure, tasks_of
 from ssac.errors import SsacError
-from ssac.files.whole_file import whole_file
 
 CELL = "cell"
 """Column of the cells' numbers over the whole study."""
@@ -162,7 +158,7 @@ def read_others(study: Study, folder: Path) -> list[pd.DataFrame]:
 
 def check_runs(study: Study, runs: pd.DataFrame) -> None:
     """Raise SsacError unless every cell of the study has its row, once and in its place."""
-    expected = read_table(csv_text(_plain(pd.DataFrame([c.columns for c in study.cells()]))))
+    expected = read_table(csv_text(pd.DataFrame([c.columns for c in study.cells()])))
     again = f": run `{study.command_line}`"
     absent = [name for name in (CELL, *expected, "status") if name not in runs]
     if absent:
@@ -180,32 +176,3 @@ def check_runs(study: Study, runs: pd.DataFrame) -> None:
         raise SsacError(f"{study.runs_file}: row {first} is of {found}, expected {wanted}{again}")
     if runs.duplicated(list(study.keys)).any():
         raise SsacError(f"{study.runs_file}: {', '.join(study.keys)} do not tell all runs apart")
-
-
-def read_table(text: str) -> pd.DataFrame:
-    """Read a table as `csv_text` wrote it; an empty cell is unknown."""
-    table: pd.DataFrame = pd.read_csv(
-        StringIO(text), keep_default_na=False, na_values=[""], float_precision="round_trip"
-    )
-    return table
-
-
-def save_csv(path: Path, table: pd.DataFrame) -> None:
-    """Write a table whole; lists become JSON."""
-    save_text(path, csv_text(_plain(table)))
-
-
-def save_text(path: Path, text: str) -> None:
-    """Write a text file whole."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(path) as temporary:
-        temporary.write_text(text, encoding="utf-8", newline="\n")
-
-
-def _plain(table: pd.DataFrame) -> pd.DataFrame:
-    """Turn lists into JSON."""
-    table = table.copy()
-    for name in table.columns:
-        if table[name].map(lambda value: isinstance(value, (list, tuple))).any():
-            table[name] = table[name].map(json.dumps)
-    return table

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments.run.cache import Brightness, Cache
-from experiments.run.grid import Cell
-from experiments.run.recorded import RIG_FILE, clean_pair, load_pair
-from experiments.run.score import score
-from experiments.run.task import UNUSABLE, Measure
+from experiments.lab.cache import Brightness, Cache
+from experiments.lab.grid import Cell
+from experiments.lab.recorded import RIG_FILE, clean_pair, load_pair
+from experiments.lab.score import score
+from experiments.lab.task import UNUSABLE, Measure
 from ssac.camera import Rig, known_pose
 from ssac.errors import SsacError
 from ssac.estimate import Estimate, Status

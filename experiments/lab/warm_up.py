@@ -8,11 +8,11 @@ import tempfile
 from dataclasses import replace
 from pathlib import Path
 
-from experiments.run.cache import Cache
-from experiments.run.grid import Cell
-from experiments.run.recorded import recorded_pair
-from experiments.run.scored import SCORED
-from experiments.run.task import Task, run_task
+from experiments.lab.cache import Cache
+from experiments.lab.grid import Cell
+from experiments.lab.recorded import recorded_pair
+from experiments.lab.scored import SCORED
+from experiments.lab.task import Task, run_task
 from sim.recording import SimConfig
 from sim.sensor.events import PRESETS
 from ssac.config import Config

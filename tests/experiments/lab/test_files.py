@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from experiments.paper.checksums import SUMS_FILE, read_checksums, record_checksums, sha256
+from experiments.lab.files import SUMS_FILE, read_checksums, record_checksums, sha256
 from ssac.errors import SsacError
 
 

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.run import recorded as module
-from experiments.run.cache import Cache
-from experiments.run.recorded import Pair, clean_pair, load_pair, packed, unpacked
+from experiments.lab import recorded as module
+from experiments.lab.cache import Cache
+from experiments.lab.recorded import Pair, clean_pair, load_pair, packed, unpacked
 from ssac.camera import same_camera
 from ssac.config import Cleaning
 from ssac.events import events_from_arrays

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 
+from experiments.lab.cache import BRIGHTNESS_CODE, DENOISED_CODE, RECORDING_CODE, Cache
+from experiments.lab.code import ROOT, SourceTree, read_source
+from experiments.lab.grid import Cell
+from experiments.lab.scored import SCORED
+from experiments.lab.task import Task, run_task
 from experiments.measures.bounds import BOUNDS
 from experiments.measures.refusal import REFUSALS
-from experiments.run.cache import BRIGHTNESS_CODE, DENOISED_CODE, RECORDING_CODE, Cache
-from experiments.run.code import ROOT, SourceTree, read_source
-from experiments.run.grid import Cell
-from experiments.run.scored import SCORED
-from experiments.run.task import Task, run_task
 from sim.recording import SimConfig
 from ssac.config import Config
 from ssac.pipeline.registry import OURS
@@ -84,8 +84,8 @@ def test_every_module_that_an_entry_depends_on_makes_a_new_key(tree: Path) -> No
         ("ssac/track/motions.py", "import", "import os\nimport", OF_ROWS),
         ("ssac/pipeline/api.py", "import", "import os\nimport", set()),
         ("ssac/pipeline/many.py", "import", "import os\nimport", set()),
-        ("experiments/run/score.py", "1e3", "1e6", {"runs", "refusals"}),
-        ("experiments/run/recorded.py", "config.t_d_s", "0.0", OF_ROWS),
+        ("experiments/lab/score.py", "1e3", "1e6", {"runs", "refusals"}),
+        ("experiments/lab/recorded.py", "config.t_d_s", "0.0", OF_ROWS),
         ("sim/sensor/kernels.py", "import", "import os\nimport", set(CODES) - OF_EVENTS),
         ("sim/render/shaders/mesh.frag", "void", "/**/ void", set(CODES) - OF_EVENTS),
         ("sim/render/gl_reference.py", "import", "import os\nimport", set()),
@@ -174,7 +174,7 @@ def test_all_code_that_a_run_calls_is_in_its_key(
         for file in called
         if any(file.startswith(f"{ROOT / package}/") for package in ("sim", "ssac", "experiments"))
     }
-    assert {"ssac.methods.tangency", "experiments.run.score", "ssac.track.denoise"} <= ours
+    assert {"ssac.methods.tangency", "experiments.lab.score", "ssac.track.denoise"} <= ours
     # What names and keeps the entries is no part of them.
-    keeping = {"experiments.run.code"}
+    keeping = {"experiments.lab.code"}
     assert ours - keeping - SourceTree().closure(*SCORED.code) == set()

@@ -15,9 +15,13 @@ from pathlib import Path
 
 import pandas as pd
 
-from experiments.run.cache import Cache
-from experiments.run.scored import SCORED
-from experiments.run.task import (
+from experiments.lab.cache import Cache
+from experiments.lab.cluster import Cluster
+from experiments.lab.lock import ASK_AGAIN_S, claimed
+from experiments.lab.pool import Alone, Crew, DiedError, Job
+from experiments.lab.processes import Processes, n_cores
+from experiments.lab.scored import SCORED
+from experiments.lab.task import (
     CRASHED,
     AnyCell,
     Done,
@@ -30,10 +34,6 @@ from experiments.run.task import (
     run_task,
     tasks_of,
 )
-from experiments.workers.claim import ASK_AGAIN_S, claimed
-from experiments.workers.cluster import Cluster
-from experiments.workers.crew import Alone, Crew, DiedError, Job
-from experiments.workers.processes import Processes, n_cores
 from ssac.console.progress import progress, say
 from ssac.errors import WriteError
 from ssac.files.whole_file import check_folder

@@ -1,1 +1,0 @@
-"""Who does the work: processes, the workers of a cluster, and which of them is on what."""
