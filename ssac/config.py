@@ -1,10 +1,11 @@
 """The parameters of all methods, and whether they make sense."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from ssac.errors import SsacError
+from ssac.rules import Rules, check_rules
 
 N_MIN = 200
 """Events that a window holds at least, the paper's N_min."""
@@ -92,6 +93,7 @@ class Config:
     search: str = "auto"  # or "interval"; or "all" offsets that leave enough common time
     rates: Interval | None = None  # of camera 2's clock, where a frame rate is unknown
     choose_object: bool = True  # one that all saw, of several; never where rates are tried
+    rules: Rules = field(default_factory=Rules)  # by which each stage decides: see `ssac.rules`
 
     def __post_init__(self) -> None:
         for name in ("interval_s", "rates"):  # of a file they come as lists
@@ -204,6 +206,7 @@ def validated(config: Config | None) -> Config:
     share = config.max_border_fraction
     if not (_is_number(share) and 0.0 <= share <= 1.0):
         raise SsacError(f"max_border_fraction must be 0 to 1, got {share!r}")
+    check_rules(config.rules)
     return config
 
 

@@ -61,6 +61,7 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
         "points": (),
         "camera": (),
         "clock": (),
+        "rules": (),
         "config": (),
         "estimate": (),
         "files": (

@@ -66,8 +66,9 @@ def settled(start: Estimate, views: TwoViews, refine: Refine, weigh: Weigh) -> E
     tried = hypotheses(start, views)
     if not tried:
         return start
-    solutions = [weigh(start)] if start.status == Status.OK else []
-    return choose(start, refined(tried, views, refine, weigh, _given_ones(solutions)))
+    first = _given_ones([weigh(start)] if start.status == Status.OK else [])
+    solutions = refined(tried, views, refine, weigh, first)
+    return choose(start, solutions, views.config.rules.verdict)
 
 
 def hypotheses(start: Estimate, views: TwoViews) -> list[Estimate]:

@@ -30,6 +30,7 @@ from ssac.methods.hypotheses import settled, sharp_solution
 from ssac.methods.rivals import confirmed
 from ssac.methods.skew_search import with_coarse_skew
 from ssac.methods.verdict import certain, doubt, is_spread
+from ssac.rules import VerdictRules
 from ssac.search.two_views import TwoViews
 from ssac.track.motion import SharpTrack
 
@@ -80,7 +81,7 @@ def joint_from(start: Estimate, views: TwoViews) -> Estimate:
     start = with_coarse_skew(start, views)
     start = replace(start, method=name, start=start)
     best = settled(start, views, partial(refine, views=views), partial(sharp_solution, views=views))
-    return confirmed(certain(best), start, views)
+    return confirmed(certain(best, views.config.rules.verdict), start, views)
 
 
 def refine(start: Estimate, views: TwoViews) -> Estimate:
@@ -96,7 +97,7 @@ def refine(start: Estimate, views: TwoViews) -> Estimate:
     """
     if start.status != Status.OK or start.R is None or start.t is None:
         return start
-    model = clock_model(views, start)
+    model, rules = clock_model(views, start), views.config.rules.verdict
     parameters = Parameters(start.t_d_s, start.R, start.t, model.start(start))
     times_s = views.sample_times(np.array([start.t_d_s]))[0]
     allowance, settles = Allowance(views.rig, model.has_priors), False
@@ -122,11 +123,11 @@ def refine(start: Estimate, views: TwoViews) -> Estimate:
             break
         if round_ == _LAST_HOPE:
             distances_px = linearise(problem, parameters).distances_px
-            if is_spread(distances_px, size_px):
+            if is_spread(distances_px, size_px, rules):
                 found_by = checked_clock(start, model, problem, parameters)
                 if found_by.status == Status.CLOCK_JUMP:
                     return found_by
-                reason = doubt(distances_px, size_px)
+                reason = doubt(distances_px, size_px, rules)
                 return replace(start, status=Status.POOR_FIT, reason=reason, R=None, t=None)
         allowance.learn(problem, parameters)
 
@@ -145,7 +146,7 @@ def refine(start: Estimate, views: TwoViews) -> Estimate:
         return unsettled(start, _MAX_RESAMPLINGS)
     found_by = model.told(start, parameters, problem, covariance)
     told = refined_estimate(
-        found_by, problem, parameters, residuals, covariance, size_px, hidden_px
+        found_by, problem, parameters, residuals, covariance, size_px, rules, hidden_px
     )
     return checked_clock(told, model, problem, parameters)
 
@@ -157,6 +158,7 @@ def refined_estimate(
     residuals: Residuals,
     covariance: Array,
     object_px: float,
+    rules: VerdictRules,
     hidden_px: Array | None = None,
 ) -> Estimate:
     """Put the parameters found, and the covariance of those that were free, into the estimate."""
@@ -174,6 +176,7 @@ def refined_estimate(
         doubt=doubt(
             residuals.distances_px,
             object_px,
+            rules,
             evidence(problem, residuals, parameters, hidden_px),
         ),
     )

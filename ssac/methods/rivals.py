@@ -6,6 +6,7 @@ import numpy as np
 
 from ssac.estimate import Estimate, Refusal, Status
 from ssac.methods.verdict import certain, refused
+from ssac.rules import VerdictRules
 from ssac.search.observability import (
     no_match,
     open_fundamental,
@@ -32,7 +33,7 @@ class Solution:
     object_px: float  # rms size of the object's images
 
 
-def choose(start: Estimate, solutions: list[Solution]) -> Estimate:
+def choose(start: Estimate, solutions: list[Solution], rules: VerdictRules) -> Estimate:
     """Take the solution that fits best, or say which others fit about as well.
 
     Parameters
@@ -41,6 +42,8 @@ def choose(start: Estimate, solutions: list[Solution]) -> Estimate:
         What the solutions were refined from; given back as it is when there are none.
     solutions
         In any order.
+    rules
+        How certain the best one must be.
     """
     if not solutions:
         return start
@@ -56,7 +59,7 @@ def choose(start: Estimate, solutions: list[Solution]) -> Estimate:
         return replace(estimate, t_d_s=best.estimate.t_d_s, alternatives_s=np.array(offsets_s))
     apart = [_apart(found.estimate, best.estimate) for found in rivals]
     n_others = sum(angle > _SAME_RAD for angle in apart)
-    estimate = certain(best.estimate) if n_others else best.estimate
+    estimate = certain(best.estimate, rules) if n_others else best.estimate
     if n_others and estimate.status == Status.OK:
         reason = (
             f"{n_others + 1} poses fit about as well, {np.degrees(max(apart)):.0f} deg apart, as"

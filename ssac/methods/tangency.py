@@ -84,26 +84,27 @@ def tangency_from(start: Estimate, views: TwoViews) -> Estimate:
         The status may be that of the start, or "no_convergence", "clock_jump", "poor_fit".
     """
     name = "tangency-known" if views.pose_is_known else "tangency"
-    search = start.start
+    search, rules = start.start, views.config.rules.verdict
     start = replace(start, method=name, start=start)
     if is_tiny(views):
         return start
     if views.pose_is_known or start.status not in SETTLED_BY["tangency"] or search is None:
-        return certain(refine_tangents(start, views))
+        return certain(refine_tangents(start, views), rules)
     search = replace(search, method=name, start=start)
     if search.status in (Status.OK, *POSE_IS_OPEN):
         return _despite_the_mean(start, search, views)
     if views.repeats or len(search.alternatives_s) == 0:  # the motion leaves the offset open
         return start
     fit, weigh = partial(_refine_both, views=views), partial(_tangent_solution, views=views)
-    told = certain(settled(search, views, fit, weigh))
+    told = certain(settled(search, views, fit, weigh), rules)
     return told if told.status == Status.OK else start
 
 
 def _despite_the_mean(start: Estimate, search: Estimate, views: TwoViews) -> Estimate:
     """Try the tangents from a search whose refinement was refused for its covariance."""
     fit, weigh = partial(refine, views=views), partial(sharp_solution, views=views)
-    outline = certain(refine_tangents(settled(search, views, fit, weigh), views))
+    refined = refine_tangents(settled(search, views, fit, weigh), views)
+    outline = certain(refined, views.config.rules.verdict)
     strays_s = abs(outline.t_d_s - start.t_d_s)
     if outline.status != Status.OK or strays_s > _MAX_SIGMAS * start.t_d_std_s:
         return start
@@ -183,7 +184,14 @@ def refine_tangents(
         return unsettled(start, _ROUNDS)
     found_by = model.told(start, parameters, problem, covariance)
     told = refined_estimate(
-        found_by, problem, parameters, residuals, covariance, views.object_px, hidden_px
+        found_by,
+        problem,
+        parameters,
+        residuals,
+        covariance,
+        views.object_px,
+        views.config.rules.verdict,
+        hidden_px,
     )
     return checked_clock(told, model, problem, parameters)
 

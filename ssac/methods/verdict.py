@@ -10,31 +10,13 @@ from ssac.estimate import Estimate, Refusal, Status
 from ssac.geometry.fundamental import MIN_PAIRS
 from ssac.geometry.pose import tangent_basis
 from ssac.geometry.robust import robust_deviation
+from ssac.rules import VerdictRules
 from ssac.search.observability import Valley
 from ssac.search.offset_search import OffsetSearch
 from ssac.search.two_views import TwoViews
 from ssac.track.point_motion import PointMotion
 
 Array = NDArray[np.float64]
-
-MAX_T_D_STD_S = 0.025
-"""An offset that is less certain than this is none: the search's own steps are 20 ms."""
-
-MAX_POSE_STD = np.deg2rad(5.0)
-"""Directions of the pose less certain than this [rad] are unobservable."""
-
-MAX_SPREAD = 0.12
-"""Largest robust deviation of the last step's distances, over the object's rms size."""
-
-MAX_TAIL = 1.8
-"""Largest mean of those distances over their robust deviation (0.8 for normal errors), where the
-mean is not small anyway."""
-
-SMALL_PX, SMALL = 0.2, 0.06
-"""A mean distance up to SMALL_PX and SMALL times the object's rms size is small."""
-
-MAX_AGAINST = 3.5
-"""Deviations from the rig's intrinsics to those that fit best, beyond which these are not it."""
 
 _LISTED = 0.1  # length of a direction's part, of 1, that is worth its words
 
@@ -119,7 +101,9 @@ def refused(estimate: Estimate, refusal: Refusal, found: list[Valley] | None = N
     )
 
 
-def doubt(distances_px: Array, object_px: float, against_intrinsics: float = 0.0) -> str:
+def doubt(
+    distances_px: Array, object_px: float, rules: VerdictRules, against_intrinsics: float = 0.0
+) -> str:
     """Say what is not ordinary in a fit's last step; empty when all is.
 
     Of one object, most pairs lie within a small part of its size from their epipolar lines, and the
@@ -132,12 +116,15 @@ def doubt(distances_px: Array, object_px: float, against_intrinsics: float = 0.0
         Signed and weighed, shape (n,), of the parameters found.
     object_px
         Rms size of the object's images, both together.
+    rules
+        What is ordinary.
     against_intrinsics
         Of `ssac.fit.intrinsics.evidence`.
     """
     mean_px, spread_px = float(np.mean(np.abs(distances_px))), robust_deviation(distances_px)
-    has_tail = mean_px > MAX_TAIL * spread_px and mean_px > SMALL_PX + SMALL * object_px
-    if has_tail or is_spread(distances_px, object_px):
+    has_tail = mean_px > rules.max_tail * spread_px
+    has_tail = has_tail and mean_px > rules.small_px + rules.small_share * object_px
+    if has_tail or is_spread(distances_px, object_px, rules):
         share = np.mean(np.abs(distances_px) > 3.0 * spread_px)
         return (
             f"pairs lie {mean_px:.2f} px from their epipolar lines on average (robust deviation"
@@ -145,7 +132,7 @@ def doubt(distances_px: Array, object_px: float, against_intrinsics: float = 0.0
             f" {object_px:.1f} px rms: something else moves in view, a clock jumps, or the"
             " calibration is of other cameras"
         )
-    if against_intrinsics > MAX_AGAINST:
+    if against_intrinsics > rules.max_against:
         return (
             f"other intrinsics fit better, {against_intrinsics:.1f} of their stated deviations from"
             " the rig's: calibrate again, or state larger ones (intrinsics_std, --focal-std,"
@@ -154,27 +141,29 @@ def doubt(distances_px: Array, object_px: float, against_intrinsics: float = 0.0
     return ""
 
 
-def is_spread(distances_px: Array, object_px: float) -> bool:
+def is_spread(distances_px: Array, object_px: float, rules: VerdictRules) -> bool:
     """Whether most pairs lie far from their epipolar lines, for an object of that size."""
-    return robust_deviation(distances_px) > MAX_SPREAD * object_px
+    return robust_deviation(distances_px) > rules.max_spread * object_px
 
 
-def certain(estimate: Estimate) -> Estimate:
+def certain(estimate: Estimate, rules: VerdictRules) -> Estimate:
     """Refuse a refined estimate that fits poorly, or that its covariance says is open.
 
     Parameters
     ----------
     estimate
         With `t_d_std_s`, and with `covariance` when the pose was estimated.
+    rules
+        How certain it must be.
     """
     if estimate.status != Status.OK:
         return estimate
     if estimate.doubt:
         return replace(estimate, status=Status.POOR_FIT, reason=estimate.doubt, R=None, t=None)
-    if not estimate.t_d_std_s <= MAX_T_D_STD_S:
+    if not estimate.t_d_std_s <= rules.max_t_d_std_s:
         reason = (
             f"the offset has a standard deviation of {1e3 * estimate.t_d_std_s:.3g} ms, more than"
-            f" {1e3 * MAX_T_D_STD_S:.0f} ms: the motion hardly tells it"
+            f" {1e3 * rules.max_t_d_std_s:.0f} ms: the motion hardly tells it"
         )
         return refused(estimate, Refusal(Status.AMBIGUOUS_OFFSET, reason))
     if estimate.covariance is None or estimate.t is None:
@@ -183,7 +172,7 @@ def certain(estimate: Estimate) -> Estimate:
     variances, directions = (
         np.linalg.eigh(pose) if np.isfinite(pose).all() else (np.full(5, np.inf), np.eye(5))
     )
-    is_open = ~(variances <= MAX_POSE_STD**2)
+    is_open = ~(variances <= np.deg2rad(rules.max_pose_std_deg) ** 2)
     if not is_open.any():
         return estimate
     unobservable = np.zeros((int(is_open.sum()), 6))

@@ -9,7 +9,8 @@ from ssac.config import MAX_VALLEY_S, MIN_SWINGS, Config
 from ssac.estimate import Estimate
 from ssac.events import EVENT_DTYPE
 from ssac.geometry.fundamental import lmeds_fundamental, reweighted_fundamental, second_best
-from ssac.methods.verdict import MAX_POSE_STD, MAX_T_D_STD_S, certain
+from ssac.methods.verdict import certain
+from ssac.rules import Rules
 from ssac.search.observability import (
     MIN_SECOND_BEST,
     ambiguous_offset,
@@ -28,6 +29,7 @@ from ssac.track.denoise import Clutter
 from ssac.track.motion import ObjectMotion, object_motion
 from tests.ssac.synthetic import Scene, denoised, make_scene, track_pair
 
+RULES = Rules().verdict
 SCENE = make_scene(0)
 CAMERA = SCENE.rig.cam1
 CLUTTER = Clutter(1, 7, 0.1, 3.0, 1, 200)
@@ -273,12 +275,12 @@ def estimate_with(variances: list[float], t_d_std_s: float = 1e-3) -> Estimate:
 
 def test_a_certain_estimate_stays_as_it_is():
     estimate = estimate_with([1e-4] * 5)
-    assert certain(estimate) is estimate
+    assert certain(estimate, RULES) is estimate
 
 
 def test_an_open_direction_of_the_pose_is_named():
-    open_to = (1.1 * MAX_POSE_STD) ** 2
-    estimate = certain(estimate_with([1e-4, open_to, 1e-4, 1e-4, 1e-4]))
+    open_to = (1.1 * np.deg2rad(5.0)) ** 2
+    estimate = certain(estimate_with([1e-4, open_to, 1e-4, 1e-4, 1e-4]), RULES)
     assert estimate.status == "degenerate_pose"
     assert estimate.R is None
     assert estimate.t is None
@@ -289,7 +291,7 @@ def test_an_open_direction_of_the_pose_is_named():
 
 
 def test_an_uncertain_offset_is_none():
-    estimate = certain(estimate_with([1e-4] * 5, 1.1 * MAX_T_D_STD_S))
+    estimate = certain(estimate_with([1e-4] * 5, 0.026), RULES)
     assert estimate.status == "ambiguous_offset"
     assert np.isnan(estimate.t_d_s)
     assert not estimate.has_offset
