@@ -25,8 +25,8 @@ from ssac.files.event_files import load_events, write_synced
 from ssac.files.track_files import save_track
 from ssac.fit.covariance import NORMAL_95
 from ssac.geometry.pose import tangent_basis
+from ssac.network.adjustment import border_offsets
 from ssac.network.align import similarity
-from ssac.network.linear import border_offsets
 from ssac.network.solve import NetworkAnswer
 from ssac.network.state import ROTATION, TRANSLATION
 from ssac.network.tum import Path as SpacePath

@@ -18,8 +18,7 @@ from experiments.outdoor.twin import (
 )
 from sim.recording import SimConfig
 from ssac.estimate import Status
-from ssac.network.answers import CameraAnswer
-from ssac.network.solve import NetworkAnswer
+from ssac.network.solve import CameraAnswer, NetworkAnswer
 from ssac.pipeline.api import chain_of
 from ssac.pipeline.many import network
 

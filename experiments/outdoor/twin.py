@@ -26,7 +26,7 @@ from ssac.events import EventFile
 from ssac.files.event_files import load_events, write_synced
 from ssac.files.track_files import save_track
 from ssac.geometry.pose import depths
-from ssac.network.interpolation import smoothed
+from ssac.network.align import smoothed
 from ssac.network.tum import Path as SpacePath
 from ssac.pipeline.answer import Answer
 from ssac.pipeline.api import sync

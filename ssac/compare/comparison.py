@@ -10,9 +10,7 @@ from scipy.spatial.transform import Rotation
 from ssac.clock import Clock
 from ssac.compare.icp import registered
 from ssac.errors import SsacError
-from ssac.network.align import Similarity, similarity
-from ssac.network.interpolation import interpolated
-from ssac.network.time_search import RATE_STD_PPM, best_shift
+from ssac.network.align import RATE_STD_PPM, Similarity, best_shift, interpolated, similarity
 from ssac.network.tum import Path
 
 Array = NDArray[np.float64]
@@ -104,7 +102,7 @@ def compare(
     with_scale
         Whether the estimate's scale is unknown.
     max_shift_s, rate_std_ppm
-        Of the truth's clock, as `ssac.network.time_search.best_shift` has them.
+        Of the truth's clock, as `ssac.network.align.best_shift` has them.
     lever_arm_m
         Where the truth's antenna is in the body (forward, left, up); needs the truth's attitude.
 

@@ -12,8 +12,7 @@ from ssac.errors import SsacError
 from ssac.estimate import Status
 from ssac.files.net import check_is_file, readable
 from ssac.network.align import Similarity, similarity
-from ssac.network.answers import CameraAnswer, path_of
-from ssac.network.solve import NetworkAnswer
+from ssac.network.solve import CameraAnswer, NetworkAnswer, path_of
 from ssac.network.tum import read_path
 
 Array = NDArray[np.float64]

@@ -11,8 +11,7 @@ from ssac.errors import SsacError
 from ssac.points import PointTrack
 from ssac.search.seen import seen_of, seen_times
 from ssac.track.clean import Clean
-from ssac.track.motion import SharpTrack
-from ssac.track.motions import motion_of
+from ssac.track.motion import SharpTrack, motion_of
 from ssac.track.objects import objects_of, seem_several
 from ssac.track.silhouette import Images, silhouettes
 

@@ -14,7 +14,7 @@ from ssac.rules import VerdictRules
 from ssac.search.observability import Valley
 from ssac.search.offset_search import OffsetSearch
 from ssac.search.two_views import TwoViews
-from ssac.track.point_motion import PointMotion
+from ssac.track.motion import PointMotion
 
 Array = NDArray[np.float64]
 

@@ -1,11 +1,17 @@
 """Two sets of points in space that belong together in, the similarity between them out."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import irfft, next_fast_len, rfft
+from scipy.interpolate import Akima1DInterpolator, BSpline, PPoly, make_lsq_spline
+from scipy.spatial.transform import Rotation
 
+from ssac.clock import PPM, Clock
 from ssac.errors import SsacError
+from ssac.geometry.robust import cauchy_weights, robust_deviation
+from ssac.network.tum import Path
 
 Array = NDArray[np.float64]
 
@@ -70,3 +76,349 @@ def similarity(source: Array, target: Array, with_scale: bool = True) -> Similar
     R = (U * signs) @ Vt
     scale = float(d @ signs / (shares @ np.sum(centred**2, axis=1))) if with_scale else 1.0
     return Similarity(scale, R, middle_target - scale * R @ middle)
+
+
+_GAP_S = 0.5
+_GAP_STEPS = 4.0
+"""Points further apart than these seconds and than so many usual steps have nothing between."""
+
+_POINTS_PER_KNOT = (2, 4, 8, 16)
+_N_WEIGHTINGS = 4
+_ORDINARY_PERCENT = 95.0  # of squares, from which the noise is judged: gross errors stay out
+_LEAST_POINTS = 16  # of a smooth curve; fewer are interpolated
+
+
+class InTime:
+    """A path as a function of time: a curve, and where there is nothing of it."""
+
+    def __init__(self, times_s: Array, curve: PPoly | BSpline) -> None:
+        self.times_s = times_s  # (n,) of the points that it was made of
+        self._curve, self._velocity = curve, curve.derivative()
+        steps_s = np.diff(times_s)
+        self._is_gap = steps_s > max(_GAP_S, _GAP_STEPS * float(np.median(steps_s)))
+
+    def at(self, times_s: Array) -> Array:
+        """Give positions (n, 3); NaN before the first point, after the last one and in gaps."""
+        return np.where(self.covers(times_s)[:, None], self._curve(times_s), np.nan)
+
+    def velocity(self, times_s: Array) -> Array:
+        """Give velocities (n, 3) [1/s]; NaN where there are no positions."""
+        return np.where(self.covers(times_s)[:, None], self._velocity(times_s), np.nan)
+
+    def covers(self, times_s: Array) -> NDArray[np.bool_]:
+        """Say at which times (n,) there is a position; at each point itself there is."""
+        inside = (times_s >= self.times_s[0]) & (times_s <= self.times_s[-1])
+        piece = np.searchsorted(self.times_s, times_s, side="right") - 1
+        piece = np.clip(piece, 0, len(self._is_gap) - 1)
+        return np.asarray(inside & (~self._is_gap[piece] | (times_s == self.times_s[piece])))
+
+
+def interpolated(path: Path) -> InTime:
+    """Give the curve through all points, at least two.
+
+    Akima's cubics: each depends on the points near by alone, so that no gap and no outlier swings
+    further than two points.
+    """
+    return InTime(path.times_s, Akima1DInterpolator(path.times_s, path.positions_m, axis=0))
+
+
+def smoothed(path: Path) -> InTime:
+    """Give the cubic spline of robust least squares that cross-validation says is the smoothest.
+
+    A shift that is sought on points with noise would go half-way between them, where interpolation
+    takes the mean of two and so half of the noise: 10 ms of a path at 50 Hz.
+    """
+    best, least = None, np.inf
+    for n in _POINTS_PER_KNOT:
+        if len(path) < max(_LEAST_POINTS, 2 * n):
+            break
+        spline, missed = _spline(path, n)
+        freedom = 1.0 - len(spline.c) / len(path)
+        squares = np.sum(missed**2, axis=1)
+        ordinary = squares <= np.percentile(squares, _ORDINARY_PERCENT)
+        score = float(np.mean(squares[ordinary])) / freedom**2  # generalised cross-validation
+        if score < least:
+            best, least = spline, score
+    return interpolated(path) if best is None else InTime(path.times_s, best)
+
+
+def _spline(path: Path, points_per_knot: int) -> tuple[BSpline, Array]:
+    """Fit a spline of so many points from knot to knot; give it, and what it misses (n, 3)."""
+    times_s = path.times_s
+    inner = times_s[points_per_knot:-points_per_knot:points_per_knot]
+    knots_s = np.r_[[times_s[0]] * 4, inner, [times_s[-1]] * 4]
+    weights: Array = np.ones(len(path))
+    for _ in range(_N_WEIGHTINGS):
+        fitted = make_lsq_spline(
+            times_s, path.positions_m, knots_s, w=np.sqrt(weights), method="norm-eq"
+        )
+        spline = BSpline(knots_s, np.asarray(fitted.c, np.float64), fitted.k)
+        missed: Array = path.positions_m - spline(times_s)
+        weights = np.maximum(cauchy_weights(np.linalg.norm(missed, axis=1))[0], 1e-9)
+    return spline, missed
+
+
+LEAST_SAMPLES = 20
+"""In common, at least."""
+
+_LEAST_SHARE = 0.2  # of the shorter path, in common
+_N_SHIFTS = 8  # that are given, at most
+_RIVAL = 0.5  # share of the best score, below which a shift is no rival: the grid costs less
+_STEPS_PER_SPREAD = 50.0  # of the grid, while the object crosses its path's spread
+_LEAST_STEP_S, _MOST_STEP_S = 0.01, 0.5
+_MOST_STEPS = 2**20
+_MOVING_PERCENT = 90.0  # of the speeds, which a hover makes small: what counts as moving
+_FEW_PERCENT = 1.0  # of the points, to each side of each axis, may lie anywhere
+_AT_REST = 1e-6  # variance, by the whole path's, below which the object does not move
+_LEAST_UNEXPLAINED = 1e-9
+
+
+class ShiftGrid:
+    """Both paths at even times, and how well they agree at each shift of whole steps."""
+
+    def __init__(self, estimate: InTime, truth: InTime, with_scale: bool) -> None:
+        self._with_scale = with_scale
+        common_s = float(np.ptp(estimate.times_s) + np.ptp(truth.times_s))
+        self._step_s = max(min(_step_s(estimate), _step_s(truth)), common_s / _MOST_STEPS)
+        self._first_s = truth.times_s[0] - estimate.times_s[0]
+        unit = None if with_scale else _spread(truth)
+        self._estimate = _at_even_times(estimate, self._step_s, unit)
+        self._truth = _at_even_times(truth, self._step_s, unit)
+
+    def best_shifts_s(self, max_shift_s: float | None) -> list[float]:
+        """Give the shifts [s] of the best few peaks of the score, best first."""
+        lags, score = self.scores()
+        shifts_s = self._first_s + self._step_s * lags
+        if max_shift_s is not None:
+            score = np.where(np.abs(shifts_s) <= max_shift_s + self._step_s, score, -np.inf)
+        around = np.maximum(np.append(score[1:], -np.inf), np.insert(score[:-1], 0, -np.inf))
+        peaks = np.flatnonzero((score >= around) & np.isfinite(score))
+        peaks = peaks[score[peaks] >= _RIVAL * np.max(score[peaks], initial=-np.inf)]
+        best = peaks[np.argsort(-score[peaks])][:_N_SHIFTS]
+        return [float(shifts_s[k]) for k in best]
+
+    def scores(self) -> tuple[Array, Array]:
+        """Give the lags (n,) in steps, and the score (n,) of each; -inf for too little in common.
+
+        Umeyama's similarity needs means, variances and the covariance of what both have in
+        common: correlations of the paths, and of what is seen of them, 0 where nothing is.
+        """
+        rows_e, rows_t = _moments(self._estimate), _moments(self._truth)
+        n_e, n_t = rows_e.shape[1], rows_t.shape[1]
+        size = next_fast_len(n_e + n_t - 1, real=True)
+        spectra_e, spectra_t = np.conj(rfft(rows_e, size)), rfft(rows_t, size)
+
+        def correlated(k: int, m: int) -> Array:  # sum over i of e[k, i] t[m, i + lag]
+            both = irfft(spectra_e[k] * spectra_t[m], size)
+            return np.asarray(np.roll(both, n_e - 1)[: n_e + n_t - 1])
+
+        seen, square = 3, 4
+        n = np.rint(correlated(seen, seen))
+        least = _LEAST_SHARE * min(rows_e[seen].sum(), rows_t[seen].sum())
+        enough = n >= max(LEAST_SAMPLES, least)
+        n = np.maximum(n, 1.0)
+        mean_e = np.stack([correlated(i, seen) for i in range(3)]) / n
+        mean_t = np.stack([correlated(seen, i) for i in range(3)]) / n
+        var_e = correlated(square, seen) / n - np.sum(mean_e**2, axis=0)
+        var_t = correlated(seen, square) / n - np.sum(mean_t**2, axis=0)
+        covariance = np.empty((len(n), 3, 3))
+        for i, j in np.ndindex(3, 3):
+            covariance[:, i, j] = correlated(j, i) / n - mean_t[i] * mean_e[j]
+        enough &= (var_e > _AT_REST) & (var_t > _AT_REST)
+        var_e, var_t = np.maximum(var_e, _AT_REST), np.maximum(var_t, _AT_REST)
+        turned = _trace_of_best_turn(covariance)
+        if self._with_scale:
+            unexplained = 1.0 - np.maximum(turned, 0.0) ** 2 / (var_e * var_t)
+        else:
+            unexplained = (var_t + var_e - 2.0 * turned) / var_t
+        score = likelihood(n, unexplained)
+        return np.arange(1 - n_e, n_t, dtype=np.float64), np.where(enough, score, -np.inf)
+
+
+def likelihood(n: Array | float, unexplained: Array | float) -> Array:
+    """Log likelihood of n samples, by the share of the truth's variance that is unexplained."""
+    return np.asarray(-n * np.log(np.clip(unexplained, _LEAST_UNEXPLAINED, 1.0)))
+
+
+def _moments(positions: Array) -> Array:
+    """Rows (5, n): x, y, z, whether there is a position, its square; 0 where there is none."""
+    seen = np.isfinite(positions[:, 0])
+    filled = np.where(seen[:, None], positions, 0.0)
+    return np.vstack([filled.T, seen, np.sum(filled**2, axis=1)])
+
+
+def _trace_of_best_turn(covariance: Array) -> Array:
+    """Largest trace of R' C (n,) over rotations R, for covariances (n, 3, 3)."""
+    values = np.linalg.svd(covariance, compute_uv=False)
+    mirrors = np.linalg.det(covariance) < 0.0
+    return np.asarray(values[:, 0] + values[:, 1] + np.where(mirrors, -1.0, 1.0) * values[:, 2])
+
+
+def _at_even_times(path: InTime, step_s: float, unit: float | None) -> Array:
+    """Positions (n, 3), every `step_s` from the first one on; NaN where there is none.
+
+    About their middle, in units of their spread if no unit is given.
+    """
+    times_s = np.arange(path.times_s[0], path.times_s[-1] + step_s, step_s)
+    middle = np.median(path.at(path.times_s), axis=0)
+    return np.asarray((path.at(times_s) - middle) / (unit or _spread(path)))
+
+
+def _spread(path: InTime) -> float:
+    """Length [m] of the diagonal of what nearly all of a path lies within."""
+    low, high = np.percentile(path.at(path.times_s), (_FEW_PERCENT, 100.0 - _FEW_PERCENT), axis=0)
+    return float(np.linalg.norm(high - low)) or 1.0
+
+
+def _step_s(path: InTime) -> float:
+    """Step [s] in which a path that moves gets a small share of its spread further."""
+    speeds = np.linalg.norm(path.velocity(path.times_s), axis=1)
+    speed = max(float(np.percentile(speeds, _MOVING_PERCENT)), np.finfo(float).tiny)
+    return float(np.clip(_spread(path) / (_STEPS_PER_SPREAD * speed), _LEAST_STEP_S, _MOST_STEP_S))
+
+
+RATE_STD_PPM = 50.0
+"""Prior deviation of the rate between two oscillators; phones and camcorders need 1000."""
+
+_N_STEPS = 30
+_DONE_S = 1e-7
+_MOST_GROWTH = 3.0  # of the scale while it is refined; at a wrong shift it runs to 0
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    clock: Clock
+    similarity: Similarity
+
+
+def best_shift(
+    estimate: Path,
+    truth: Path,
+    max_shift_s: float | None = None,
+    rate_std_ppm: float = RATE_STD_PPM,
+    with_scale: bool = True,
+) -> tuple[Clock, Similarity]:
+    """Find the clock and the frame of the truth as the estimate sees them.
+
+    Parameters
+    ----------
+    estimate, truth
+        The two paths; each may begin and end where it likes and have gaps.
+    max_shift_s
+        Shifts that are tried, to both sides; None: all that leave enough common time.
+    rate_std_ppm
+        Prior deviation of the rate between the clocks; 0: they run alike.
+    with_scale
+        Whether the estimate's scale is unknown.
+
+    Returns
+    -------
+    tuple of Clock and Similarity
+        `clock.cam2_from_cam1` takes times of the estimate to the truth's clock, t_ref being in
+        the middle of the common time; the similarity takes positions of the estimate to the
+        truth's frame.
+
+    Raises
+    ------
+    SsacError
+        If the paths share too little time at any shift, or do not move enough.
+    """
+    path, best, score = smoothed(estimate), None, -np.inf
+    for shift_s in ShiftGrid(path, smoothed(truth), with_scale).best_shifts_s(max_shift_s):
+        fit = _refined(path, truth, shift_s, rate_std_ppm, with_scale)
+        if fit is not None and _score(fit, path, truth) > score:
+            best, score = fit, _score(fit, path, truth)
+    if best is None:
+        within = "" if max_shift_s is None else f" within {max_shift_s:g} s"
+        raise SsacError(
+            f"the estimate and the truth have no shift{within} at which they share time and move "
+            "alike: check that they are of one flight"
+        )
+    return best.clock, best.similarity
+
+
+def _refined(
+    path: InTime, truth: Path, shift_s: float, rate_std_ppm: float, with_scale: bool
+) -> _Fit | None:
+    """Refine shift, rate and similarity by Gauss-Newton; None where they run away."""
+    common_s = truth.times_s[path.covers(truth.times_s - shift_s)] - shift_s
+    if len(common_s) < LEAST_SAMPLES:
+        return None
+    clock = Clock(shift_s, 0.0, float(common_s[0] + common_s[-1]) / 2.0)
+    seen = path.covers(clock.cam1_from_cam2(truth.times_s))
+    try:
+        first = similarity(path.at(common_s), truth.positions_m[seen], with_scale)
+    except SsacError:
+        return None  # on a line, or at rest
+    fit = _Fit(clock, first)
+    for _ in range(_N_STEPS):
+        times_s = fit.clock.cam1_from_cam2(truth.times_s)
+        seen = path.covers(times_s)
+        if seen.sum() < LEAST_SAMPLES:
+            return None
+        before = fit.clock
+        fit = _stepped(fit, path, times_s[seen], truth.positions_m[seen], rate_std_ppm, with_scale)
+        if not 1.0 / _MOST_GROWTH < fit.similarity.scale / first.scale < _MOST_GROWTH:
+            return None
+        if abs(fit.clock.t_d_s - before.t_d_s) < _DONE_S:
+            break
+    return fit
+
+
+def _stepped(
+    fit: _Fit,
+    path: InTime,
+    times_s: Array,
+    target: Array,
+    rate_std_ppm: float,
+    with_scale: bool,
+) -> _Fit:
+    """Make one Gauss-Newton step with Cauchy's weights, about the middle of the points.
+
+    Parameters: shift [s], rate, turn (3) [rad], move (3), and the scale's logarithm.
+    """
+    laid = fit.similarity.apply(path.at(times_s))
+    missed = target - laid  # (n, 3)
+    weights = cauchy_weights(np.linalg.norm(missed, axis=1))[0]
+    middle = weights @ laid / weights.sum()
+    arm = laid - middle
+    moving = fit.similarity.scale * path.velocity(times_s) @ fit.similarity.R.T
+    J = np.zeros((len(times_s), 3, 9))
+    J[:, :, 0] = -moving  # the truth's clock shows more: an earlier point of the estimate
+    J[:, :, 1] = -moving * (times_s - fit.clock.t_ref_s)[:, None]
+    for k, axis in enumerate(np.eye(3)):
+        J[:, :, 2 + k] = np.cross(axis, arm)
+        J[:, k, 5 + k] = 1.0
+    J[:, :, 8] = arm
+    free = np.ones(9, bool)
+    free[1], free[8] = rate_std_ppm > 0.0, with_scale
+    normal = np.einsum("n,nik,nim->km", weights, J, J)
+    right = np.einsum("n,nik,ni->k", weights, J, missed)
+    if rate_std_ppm > 0.0:
+        prior = (robust_deviation(missed) / (PPM * rate_std_ppm)) ** 2
+        normal[1, 1] += prior
+        right[1] -= prior * PPM * fit.clock.skew_ppm
+    unit = np.sqrt(np.maximum(np.diag(normal), np.finfo(float).tiny))  # seconds beside metres
+    step = np.zeros(9)
+    scaled = (normal / np.outer(unit, unit))[np.ix_(free, free)]
+    step[free] = np.linalg.lstsq(scaled, (right / unit)[free], rcond=1e-12)[0] / unit[free]
+    turn = Rotation.from_rotvec(step[2:5]).as_matrix()
+    scale = float(np.exp(np.clip(step[8], -1.0, 1.0)))
+    about_middle = Similarity(scale, turn, middle + step[5:8] - scale * turn @ middle)
+    clock = replace(
+        fit.clock,
+        t_d_s=fit.clock.t_d_s + float(step[0]),
+        skew_ppm=fit.clock.skew_ppm + float(step[1]) / PPM,
+    )
+    return _Fit(clock, about_middle.after(fit.similarity))
+
+
+def _score(fit: _Fit, path: InTime, truth: Path) -> float:
+    """Log likelihood by the share of the truth's motion that is left; a gross error counts once."""
+    times_s = fit.clock.cam1_from_cam2(truth.times_s)
+    seen = path.covers(times_s)
+    target = truth.positions_m[seen]
+    squares = np.sum((target - fit.similarity.apply(path.at(times_s[seen]))) ** 2, axis=1)
+    spread = float(np.mean(np.sum((target - target.mean(axis=0)) ** 2, axis=1)))
+    unexplained = float(np.mean(np.minimum(squares, spread))) / max(spread, np.finfo(float).tiny)
+    return float(likelihood(float(seen.sum()), unexplained))

@@ -6,22 +6,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ssac.network.adjustment import adjust
+from ssac.network.adjustment import Network, adjust, fit_of
 from ssac.network.graph import Link, Pair, agreeing, supports
-from ssac.network.linear import Network, fit_of
-from ssac.network.normal import Solved
-from ssac.network.placing import Placed, grown, place_all, rebased
-from ssac.network.sightings import Sightings, is_near
-from ssac.network.spline import knots_for
+from ssac.network.normal import Solved, knots_for
+from ssac.network.placing import Placed, first_path, grown, place_all, rebased, triangulate
 from ssac.network.state import (
     CameraState,
     Priors,
+    Sightings,
+    is_near,
     network_times,
     with_strays,
 )
-from ssac.network.triangulation import first_path, triangulate
-from ssac.track.body import Look, body_moves
-from ssac.track.perspective import View, perspective_shifts, second_moments
+from ssac.track.body import Look, View, body_moves, perspective_shifts, second_moments
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -9,23 +9,109 @@ and nothing beyond.
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, cholesky_banded
 from scipy.sparse import csr_array
 
-from ssac.network.kernels import (
-    BAND,
-    add_sightings,
-    backward,
-    forward,
-    inverse_band,
-    point_covariances,
-)
-from ssac.network.spline import ORDER
-
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
+
+ORDER = 4
+"""Splines that are not zero at a time: of a cubic one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Spline:
+    """A curve in space, smooth in time: twice continuously differentiable."""
+
+    knots_s: Array  # (m + 4,) ascending
+    coefficients: Array  # (m, 3)
+
+    def at(self, times_s: Array, derivative: int = 0) -> Array:
+        """Positions (n, 3) at times (n,) [s], or their derivatives; beyond the ends a cubic."""
+        first, weights = basis(self.knots_s, times_s, derivative)
+        return np.asarray(
+            np.einsum("na,nax->nx", weights, self.coefficients[first[:, None] + np.arange(ORDER)])
+        )
+
+
+def knots_for(times_s: Array, step_s: float, max_gap_s: float) -> Array:
+    """Place knots where the data are.
+
+    Parameters
+    ----------
+    times_s
+        Times (n,) [s] of all data, in any order.
+    step_s
+        Longest time between two knots where there are data.
+    max_gap_s
+        Longer times without data hold no knots.
+
+    Returns
+    -------
+    Array
+        Shape (m + 4,), the ends fourfold.
+    """
+    ordered = np.sort(times_s)
+    ends = np.flatnonzero(np.diff(ordered) > max_gap_s)
+    starts = np.concatenate([[0], ends + 1])
+    stops = np.concatenate([ends, [len(ordered) - 1]])
+    parts = []
+    for start, stop in zip(ordered[starts], ordered[stops], strict=True):
+        n = max(1, int(np.ceil((stop - start) / step_s)))
+        parts.append(np.linspace(start, stop, n + 1, dtype=np.float64))
+    inner = np.unique(np.concatenate(parts))
+    inner = inner[np.concatenate([[True], np.diff(inner) > 1e-3 * step_s])]
+    if len(inner) < 2:
+        inner = inner[0] + step_s * np.arange(2.0)
+    return np.concatenate([np.repeat(inner[0], 3), inner, np.repeat(inner[-1], 3)])
+
+
+def basis(knots_s: Array, times_s: Array, derivative: int = 0) -> tuple[Indices, Array]:
+    """Evaluate the splines that are not zero at times (n,): de Boor's recursion.
+
+    Returns
+    -------
+    tuple
+        The first of four neighbouring coefficients (n,), and what each counts (n, 4); of the
+        derivative of that order, up to 3 [1/s^derivative].
+    """
+    m = len(knots_s) - ORDER
+    span = np.clip(np.searchsorted(knots_s, times_s, side="right") - 1, ORDER - 1, m - 1)
+    weights = np.ones((len(times_s), 1))
+    for degree in range(1, ORDER):
+        raised = np.zeros((len(times_s), degree + 1))
+        for i in range(degree):  # spline i of the lower degree begins at this knot
+            begin = span - degree + 1 + i
+            low, high = knots_s[begin], knots_s[begin + degree]
+            if degree > ORDER - 1 - derivative:
+                slope = degree * weights[:, i] / (high - low)
+                raised[:, i] -= slope
+                raised[:, i + 1] += slope
+            else:
+                share = weights[:, i] / (high - low)
+                raised[:, i] += (high - times_s) * share
+                raised[:, i + 1] += (times_s - low) * share
+        weights = raised
+    return (span - ORDER + 1).astype(np.int64), weights
+
+
+def jerks(knots_s: Array) -> tuple[Indices, Array]:
+    """Say what the third derivative is in each span, times the root of the span's length.
+
+    The sum of its squares is the integral of the squared jerk.
+
+    Returns
+    -------
+    tuple
+        As of `basis`: (k,) and (k, 4) [s^-2.5].
+    """
+    inner = knots_s[ORDER - 1 : len(knots_s) - ORDER + 1]
+    first, weights = basis(knots_s, 0.5 * (inner[:-1] + inner[1:]), 3)
+    return first, weights * np.sqrt(np.diff(inner))[:, None]
+
 
 _BLOCK = 256  # of the path's numbers, in which the same cameras' parameters count
 
@@ -167,3 +253,174 @@ def _blocks(spans: Indices, m: int, more: int = 0) -> Iterator[tuple[int, int, I
         stop = min(start + _BLOCK, m)
         active = np.flatnonzero((spans[:, 0] < stop + more) & (spans[:, 1] > start))
         yield start, stop, active
+
+
+BAND = 12
+"""Entries of a column of the lower band: four neighbouring coefficients of three axes."""
+
+_FADED = 1e-18
+"""Share of a row's largest entry below which a band of entries is nothing beside rounding."""
+
+
+@numba.njit(cache=True)
+def add_sightings(
+    first: Indices,
+    weights: Array,
+    by_point: Array,
+    by_camera: Array,
+    columns: Indices,
+    residuals: Array,
+    band: Array,
+    mixed: Array,
+    border: Array,
+    right_path: Array,
+    right_border: Array,
+) -> None:
+    """Add n sightings to the normal equations, all of them already over their deviations.
+
+    Parameters
+    ----------
+    first, weights
+        Of the path's coefficients at each sighting's time: (n,) and (n, 4).
+    by_point, by_camera, columns
+        Derivatives (n, 2, 3) and (n, 2, p), and the places (n, p) of the latter among the border's.
+    residuals
+        Shape (n, 2).
+    band, mixed, border, right_path, right_border
+        Added to: (BAND, m) of the path, lower form; (b, m); (b, b); (m,); (b,).
+    """
+    n, p = columns.shape
+    for i in range(n):
+        for a in range(4):
+            row = 3 * (first[i] + a)
+            for x in range(3):
+                along_0 = weights[i, a] * by_point[i, 0, x]
+                along_1 = weights[i, a] * by_point[i, 1, x]
+                right_path[row + x] += along_0 * residuals[i, 0] + along_1 * residuals[i, 1]
+                for c in range(p):
+                    mixed[columns[i, c], row + x] += (
+                        along_0 * by_camera[i, 0, c] + along_1 * by_camera[i, 1, c]
+                    )
+                for b in range(a, 4):
+                    for y in range(3):
+                        down = 3 * (b - a) + y - x
+                        if down >= 0:
+                            band[down, row + x] += weights[i, b] * (
+                                along_0 * by_point[i, 0, y] + along_1 * by_point[i, 1, y]
+                            )
+        for c in range(p):
+            k = columns[i, c]
+            for z in range(2):
+                right_border[k] += by_camera[i, z, c] * residuals[i, z]
+                for d in range(p):
+                    border[k, columns[i, d]] += by_camera[i, z, c] * by_camera[i, z, d]
+
+
+@numba.njit(cache=True)
+def forward(factor: Array, mixed: Array, chosen: Indices) -> tuple[Array, Indices]:
+    """Solve L y = x for some rows x of a matrix, where they are not next to nothing.
+
+    What is short in time, as a piece of a clock, has an end in y too: it fades by some factor from
+    each of the path's coefficients to the next.
+
+    Parameters
+    ----------
+    factor
+        L in lower form (BAND, m), as of `scipy.linalg.cholesky_banded`.
+    mixed, chosen
+        Shape (b, m), and which of its rows (f,).
+
+    Returns
+    -------
+    tuple
+        Shape (f, m), and of each the first place that is not 0 and the one after the last (f, 2).
+    """
+    m = factor.shape[1]
+    solved, spans = np.zeros((len(chosen), m)), np.zeros((len(chosen), 2), np.int64)
+    for k in range(len(chosen)):
+        given, own = mixed[chosen[k]], solved[k]
+        start, stop = 0, m
+        while start < m and given[start] == 0.0:
+            start += 1
+        while stop > start and given[stop - 1] == 0.0:
+            stop -= 1
+        largest, faded, i = 0.0, 0, start
+        while i < m and (i < stop or faded < BAND - 1):
+            value = given[i]
+            for j in range(1, min(BAND - 1, i - start) + 1):
+                value -= factor[j, i - j] * own[i - j]
+            own[i] = value / factor[0, i]
+            largest = max(largest, abs(own[i]))
+            faded = faded + 1 if abs(own[i]) <= _FADED * largest else 0
+            i += 1
+        spans[k, 0], spans[k, 1] = start, i
+    return solved, spans
+
+
+@numba.njit(cache=True)
+def backward(factor: Array, right: Array, spans: Indices) -> tuple[Array, Indices]:
+    """Solve L' y = x for rows x, each of a span as of `forward`, which gives y alike."""
+    m = factor.shape[1]
+    solved, found = np.zeros(right.shape), np.zeros(spans.shape, np.int64)
+    for k in range(len(right)):
+        given, own = right[k], solved[k]
+        start, stop = spans[k, 0], spans[k, 1]
+        largest, faded, i = 0.0, 0, stop - 1
+        while i >= 0 and (i >= start or faded < BAND - 1):
+            value = given[i]
+            for j in range(1, min(BAND - 1, m - 1 - i) + 1):
+                value -= factor[j, i] * own[i + j]
+            own[i] = value / factor[0, i]
+            largest = max(largest, abs(own[i]))
+            faded = faded + 1 if abs(own[i]) <= _FADED * largest else 0
+            i -= 1
+        found[k, 0], found[k, 1] = i + 1, stop
+    return solved, found
+
+
+@numba.njit(cache=True)
+def inverse_band(factor: Array) -> Array:
+    """Give the band of a matrix's inverse from its banded Cholesky factor: Takahashi's recursion.
+
+    Parameters
+    ----------
+    factor
+        Lower form (BAND, m), as of `scipy.linalg.cholesky_banded`.
+
+    Returns
+    -------
+    Array
+        Lower form (BAND, m).
+    """
+    m = factor.shape[1]
+    inverse = np.zeros_like(factor)
+    for i in range(m - 1, -1, -1):
+        last = min(BAND - 1, m - 1 - i)
+        for j in range(last, 0, -1):
+            value = 0.0
+            for k in range(1, last + 1):
+                low, high = min(j, k), max(j, k)
+                value -= factor[k, i] * inverse[high - low, i + low]
+            inverse[j, i] = value / factor[0, i]
+        value = 1.0 / factor[0, i]
+        for k in range(1, last + 1):
+            value -= factor[k, i] * inverse[k, i]
+        inverse[0, i] = value / factor[0, i]
+    return inverse
+
+
+@numba.njit(cache=True)
+def point_covariances(first: Indices, weights: Array, inverse: Array) -> Array:
+    """Covariances (n, 3, 3) of a path's points, from the band of its inverse normal matrix."""
+    n = len(first)
+    found = np.zeros((n, 3, 3))
+    for i in range(n):
+        for a in range(4):
+            for b in range(4):
+                share = weights[i, a] * weights[i, b]
+                for x in range(3):
+                    for y in range(3):
+                        row, column = 3 * (first[i] + a) + x, 3 * (first[i] + b) + y
+                        low, high = min(row, column), max(row, column)
+                        found[i, x, y] += share * inverse[high - low, low]
+    return found

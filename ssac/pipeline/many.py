@@ -10,8 +10,8 @@ from ssac.convert.events_as_track import ShapedTrack, shaped_track_of_events, tr
 from ssac.errors import SsacError
 from ssac.estimate import Status
 from ssac.network.graph import Link, Pair
-from ssac.network.sightings import Sightings, sightings
 from ssac.network.solve import NetworkAnswer, link_of, solve_network
+from ssac.network.state import Sightings, sightings
 from ssac.network.tum import write_path
 from ssac.pipeline.answer import Answer, Log, Stopwatch
 from ssac.pipeline.chain import Chain, one_thread
@@ -19,8 +19,8 @@ from ssac.pipeline.known import NOTHING, Known
 from ssac.pipeline.many_report import NetworkResult, save_many
 from ssac.pipeline.registry import Method
 from ssac.points import PointTrack
+from ssac.track.body import LEAST_VIEWS
 from ssac.track.clean import Clean
-from ssac.track.perspective import LEAST_VIEWS
 
 
 def network(chain: Chain, method: Method | None = None, known: Known = NOTHING) -> NetworkResult:

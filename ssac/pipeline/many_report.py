@@ -11,9 +11,8 @@ from scipy.spatial.transform import Rotation
 from ssac.compare.frame import Ground
 from ssac.estimate import Status
 from ssac.files.whole_file import whole_file
-from ssac.network.answers import CameraAnswer
 from ssac.network.graph import Pair
-from ssac.network.solve import NetworkAnswer
+from ssac.network.solve import CameraAnswer, NetworkAnswer
 from ssac.pipeline.answer import Answer
 from ssac.pipeline.report import html_of, plain
 
@@ -42,7 +41,7 @@ class NetworkResult:
 
     @property
     def cameras(self) -> list[Any]:
-        """Clock and pose of each camera (`ssac.network.answers.CameraAnswer`)."""
+        """Clock and pose of each camera (`ssac.network.solve.CameraAnswer`)."""
         return list(self.network.cameras)
 
     def summary(self) -> str:

@@ -25,8 +25,8 @@ from ssac.files.rigs import check_resolution, load_rig
 from ssac.files.track_files import is_track_file, load_track
 from ssac.pipeline.chain import MEANS
 from ssac.points import PointTrack, check_track
+from ssac.track.motion import check_readout
 from ssac.track.observation import Observation, check_seen, tracked
-from ssac.track.point_motion import check_readout
 
 CameraInput = Path | str | NDArray[np.void] | Observation | EventFile | PointTrack
 """A file of events or of a track, events as a structured array, or either as it was loaded."""

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from ssac.geometry.epipolar import sampson_distance
 from ssac.geometry.fundamental import lmeds_fundamental, reweighted_fundamental
 from ssac.search.lag_costs import costs_at_lags, local_minima
-from ssac.track.chains import chains_of
-from ssac.track.objects import BIN_US, Piece
+from ssac.track.objects import BIN_US, Piece, chains_of
 
 Array = NDArray[np.float64]
 

@@ -16,8 +16,8 @@ from ssac.estimate import Refusal, Status
 from ssac.search.object_search import HALF_BIN_S, Match, both_see, matches
 from ssac.track.clean import Clean, ObjectsUsed
 from ssac.track.clutter import chosen_events
+from ssac.track.motion import point_motion
 from ssac.track.objects import BIN_US, Objects, Piece, objects_of, seem_several
-from ssac.track.point_motion import point_motion
 
 Array = NDArray[np.float64]
 

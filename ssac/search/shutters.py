@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ssac.camera import MAX_READOUT_S, distort_points
 from ssac.estimate import Estimate
 from ssac.search.two_views import TwoViews
-from ssac.track.point_motion import PointMotion
+from ssac.track.motion import PointMotion
 
 Array = NDArray[np.float64]
 

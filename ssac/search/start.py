@@ -24,7 +24,7 @@ from ssac.search.all_offsets import (
 from ssac.search.lag_costs import Progress
 from ssac.search.two_views import TwoViews
 from ssac.track.clean import Clean
-from ssac.track.point_motion import PointMotion
+from ssac.track.motion import PointMotion
 
 REACH_S, REACH_STEPS = 0.5, 4.0
 """A method searches this far on each side of the offset found, or so many of the search's steps."""

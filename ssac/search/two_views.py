@@ -18,8 +18,7 @@ from ssac.search.blind import Blind
 from ssac.search.seen import Seen, seen_by_both
 from ssac.search.view import Alone, View, size_px, swing_hz
 from ssac.track.clean import Clean
-from ssac.track.motion import Motion, SharpTrack
-from ssac.track.motions import motion_of
+from ssac.track.motion import Motion, SharpTrack, motion_of
 
 Array = NDArray[np.float64]
 

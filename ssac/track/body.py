@@ -11,14 +11,92 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation, Slerp
 
 from ssac.track.body_kernels import Images, aligned, improved, registered, seen_shares
-from ssac.track.perspective import LEAST_VIEWS
 
 Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
+
+WEIGHT = 4.0
+"""How the area of a part of the image goes with its depth, as a power, and one more for its place:
+3 for a ball and its like, 4 for a flat thing, as most drones are."""
+
+LEAST_VIEWS = 3
+"""Cameras that tell all second moments: two have one of theirs in common."""
+
+_RIDGE = 1e-9  # of the normal matrix: views from nearly one direction leave depth open
+_OUT_OF_SIGHT = 3.0  # deviations of the smoothing, from the next time that told the shape
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """One camera's, at n times."""
+
+    R: Array  # (3, 3) x = R X + t
+    focal_px: Array  # (2,)
+    points: Array  # (n, 3) of the object, in the camera's frame
+    spreads_px2: Array  # (n, 3) second moments xx, xy and yy of its image; NaN: not known
+
+    def by_point(self) -> Array:
+        """Give the derivatives (n, 2, 3) of the image by the object's place, X."""
+        depths = self.points[:, 2]
+        by_local = np.zeros((len(depths), 2, 3))
+        for axis in (0, 1):
+            by_local[:, axis, axis] = self.focal_px[axis] / depths
+            by_local[:, axis, 2] = -self.focal_px[axis] * self.points[:, axis] / depths**2
+        return np.asarray(by_local @ self.R)
+
+
+def second_moments(views: list[View], smoothing: float) -> Array:
+    """Find the object's second moments (n, 3, 3) in X at n even times, smoothed over some of them.
+
+    NaN where too few views tell them.
+    """
+    n = len(views[0].points)
+    normal, right = np.zeros((n, 6, 6)), np.zeros((n, 6))
+    counts = np.zeros(n)
+    for view in views:
+        seen = np.isfinite(view.spreads_px2).all(axis=1) & (view.points[:, 2] > 0.0)
+        counts += seen
+        J = np.where(seen[:, None, None], view.by_point(), 0.0)
+        spreads = np.where(seen[:, None], view.spreads_px2, 0.0)
+        for spread, (i, j) in zip(spreads.T, ((0, 0), (0, 1), (1, 1)), strict=True):
+            a, b = J[:, i], J[:, j]
+            mixed = [a[:, p] * b[:, q] + a[:, q] * b[:, p] for p, q in ((0, 1), (0, 2), (1, 2))]
+            row = np.column_stack([a * b, *mixed])
+            normal += row[:, :, None] * row[:, None, :]
+            right += row * spread[:, None]
+    told = counts >= LEAST_VIEWS
+    scales = np.trace(normal, axis1=1, axis2=2) + 1e-300
+    normal += (_RIDGE * scales + np.where(told, 0.0, 1.0))[:, None, None] * np.eye(6)
+    found = np.linalg.solve(normal, right[..., None])[..., 0] * told[:, None]
+    weights = gaussian_filter1d(told.astype(np.float64), smoothing, truncate=_OUT_OF_SIGHT)
+    smooth = gaussian_filter1d(found, smoothing, axis=0, truncate=_OUT_OF_SIGHT)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        smooth = np.where(weights[:, None] > 1e-6, smooth / weights[:, None], np.nan)
+    places = [[0, 3, 4], [3, 1, 5], [4, 5, 2]]
+    return np.asarray(smooth[:, places])
+
+
+def perspective_shifts(view: View, moments: Array) -> Array:
+    """Give the centre of the image's area less the image of the object's centre (n, 2) [px].
+
+    Parameters
+    ----------
+    view
+        Of n times.
+    moments
+        Shape (n, 3, 3), in X. Shifts are NaN where these are.
+    """
+    local = view.R @ moments @ view.R.T
+    depths = view.points[:, 2:]
+    towards = local[:, :2, 2] - view.points[:, :2] / depths * local[:, 2, 2][:, None]
+    return np.asarray(-WEIGHT * view.focal_px * towards / depths**2)
+
+
+Indices = NDArray[np.int64]
 Drawn = tuple[Images, Array, Array, Array, Array]
 """Images, corners, points, turns or views, and focal lengths, as kernels take them."""
 
@@ -99,7 +177,7 @@ def body_moves(looks: list[Look], shape_s: Array, moments: Array) -> list[Array]
         Of all cameras.
     shape_s, moments
         Shapes (m,) and (m, 3, 3): the body's second moments at even times, as of
-        `ssac.track.perspective.second_moments`.
+        `ssac.track.body.second_moments`.
 
     Returns
     -------

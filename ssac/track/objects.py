@@ -8,12 +8,12 @@ as a branch in the wind, is none of them: its cells are left out.
 
 from dataclasses import dataclass, field
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from ssac.camera import Camera, undistort_points
 from ssac.events import first_from
-from ssac.track.object_kernels import blobs_in_bins, occupied_bins
 
 Array = NDArray[np.float64]
 
@@ -303,3 +303,225 @@ def _piece(path: list[int], blobs: Blobs, camera: Camera) -> Piece:
         float(np.median(blobs.sizes_px[chosen])),
         chosen,
     )
+
+
+_LONGEST_GAP = 30  # bins
+_MEMORY = 6  # bins that tell a velocity
+_MISS_PX, _MISS_PX_PER_BIN = 8.0, 2.5  # how far a path turns aside in a gap, besides
+_DEAREST = 2.5  # of the links that are made
+
+
+def chains_of(pieces: list[Piece]) -> list[list[int]]:
+    """Link pieces, the likeliest first; of each chain the pieces' numbers in order of time.
+
+    The chains come in the order of the bins in which they are seen, the longest first.
+    """
+    links = sorted(
+        (cost, i, j)
+        for i, one in enumerate(pieces)
+        for j, other in enumerate(pieces)
+        if one.last <= other.first <= one.last + _LONGEST_GAP
+        if (cost := _cost(one, other)) < _DEAREST
+    )
+    following: dict[int, int] = {}
+    taken: set[int] = set()
+    for _, i, j in links:
+        if i not in following and j not in taken:
+            following[i] = j
+            taken.add(j)
+    chains = []
+    for i in range(len(pieces)):
+        if i in taken:
+            continue
+        chain = [i]
+        while chain[-1] in following:
+            chain.append(following[chain[-1]])
+        chains.append(chain)
+    return sorted(chains, key=lambda chain: -sum(len(pieces[i].positions_px) for i in chain))
+
+
+def _cost(one: Piece, other: Piece) -> float:
+    """How ill a piece continues another: 1 for each of what is ordinary."""
+    gap = other.first - one.last + 1
+    before, after = one.positions_px[-_MEMORY:], other.positions_px[:_MEMORY]
+    steps_px = 0.5 * (_step_px(before) + _step_px(after))  # an even turn, in between
+    miss_px = float(np.hypot(*(after[0] - before[-1] - gap * steps_px)))
+    brighter = np.mean(other.n_events[:_MEMORY]) / np.mean(one.n_events[-_MEMORY:])
+    larger = (other.size_px + 1.0) / (one.size_px + 1.0)
+    unlike = abs(np.log(brighter)) / np.log(2.5) + abs(np.log(larger)) / np.log(1.6)
+    return float(miss_px / (_MISS_PX + _MISS_PX_PER_BIN * gap) + unlike)
+
+
+def _step_px(positions_px: Array) -> Array:
+    """Velocity (2,) [px per bin] over positions (n, 2) of successive bins."""
+    n = len(positions_px)
+    return np.asarray((positions_px[-1] - positions_px[0]) / max(n - 1, 1))
+
+
+N_COLUMNS = 8
+"""Of a blob: events, mean x and y, rms size, least x and y, largest x and y [px]."""
+
+_FULL = 3  # events of a cell that hold it together with its neighbours
+
+
+@numba.njit(cache=True)
+def blobs_in_bins(
+    x: NDArray[np.uint16],
+    y: NDArray[np.uint16],
+    bounds: NDArray[np.int64],
+    cell_px: int,
+    still: NDArray[np.bool_],
+    least: int,
+    labels: NDArray[np.int32],
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.bool_]]:
+    """Find connected clusters of cells with events, bin by bin of time.
+
+    Parameters
+    ----------
+    x, y
+        Pixels of the events, shape (n,).
+    bounds
+        First event of each bin and the one after its last, shape (b, 2).
+    cell_px
+        Side of a cell [px].
+    still
+        Cells (rows, columns) whose events are left out.
+    least
+        Events of the least cluster that is a blob.
+    labels
+        Filled in: the blob of each event, -1 of none; of length 0 where that is not asked for.
+
+    Returns
+    -------
+    tuple
+        Bin (k,) of each blob, ascending; its columns (k, N_COLUMNS); whether it touches a still
+        cell (k,).
+    """
+    rows, columns = still.shape
+    counts = np.zeros((rows, columns), np.int64)
+    of_cell = np.full((rows, columns), -1, np.int64)
+    touched = np.empty(rows * columns, np.int64)
+    stack = np.empty(rows * columns, np.int64)
+    sums = np.empty((rows * columns, N_COLUMNS + 1))
+    touches = np.empty(rows * columns, np.bool_)
+    index = np.empty(rows * columns, np.int64)
+    bins = [np.int64(0) for _ in range(0)]
+    found = [np.empty(N_COLUMNS) for _ in range(0)]
+    at_still = [False for _ in range(0)]
+    for b in range(len(bounds)):
+        n_touched = 0
+        for i in range(bounds[b, 0], bounds[b, 1]):
+            row, column = y[i] // cell_px, x[i] // cell_px
+            if counts[row, column] == 0:
+                touched[n_touched] = row * columns + column
+                n_touched += 1
+            counts[row, column] += 1
+        n_blobs = 0
+        for k in range(n_touched):
+            row, column = touched[k] // columns, touched[k] % columns
+            if counts[row, column] < _FULL or of_cell[row, column] >= 0 or still[row, column]:
+                continue
+            touches[n_blobs] = _fill(row, column, n_blobs, counts, of_cell, still, stack)
+            n_blobs += 1
+        sums[:n_blobs, :5] = 0.0
+        sums[:n_blobs, 5:7], sums[:n_blobs, 7:] = np.inf, -np.inf
+        for i in range(bounds[b, 0], bounds[b, 1]):
+            label = of_cell[y[i] // cell_px, x[i] // cell_px]
+            if label < 0:
+                continue
+            column_px, row_px = float(x[i]), float(y[i])
+            own = sums[label]
+            own[0] += 1.0
+            own[1] += column_px
+            own[2] += row_px
+            own[3] += column_px * column_px
+            own[4] += row_px * row_px
+            own[5], own[6] = min(own[5], column_px), min(own[6], row_px)
+            own[7], own[8] = max(own[7], column_px), max(own[8], row_px)
+        for label in range(n_blobs):
+            own = sums[label]
+            index[label] = -1
+            if own[0] < least:
+                continue
+            index[label] = len(bins)
+            mean_x, mean_y = own[1] / own[0], own[2] / own[0]
+            spread = (own[3] + own[4]) / own[0] - mean_x * mean_x - mean_y * mean_y
+            row_of = np.empty(N_COLUMNS)
+            row_of[0], row_of[1], row_of[2] = own[0], mean_x, mean_y
+            row_of[3] = np.sqrt(max(spread, 0.0))
+            for c in range(4, N_COLUMNS):
+                row_of[c] = own[c + 1]
+            bins.append(np.int64(b))
+            found.append(row_of)
+            at_still.append(touches[label])
+        if len(labels):
+            for i in range(bounds[b, 0], bounds[b, 1]):
+                label = of_cell[y[i] // cell_px, x[i] // cell_px]
+                labels[i] = index[label] if label >= 0 else -1
+        for k in range(n_touched):
+            row, column = touched[k] // columns, touched[k] % columns
+            counts[row, column] = 0
+            of_cell[row, column] = -1
+    table = np.empty((len(found), N_COLUMNS))
+    for k in range(len(found)):
+        for c in range(N_COLUMNS):
+            table[k, c] = found[k][c]
+    return np.array(bins, np.int64), table, np.array(at_still, np.bool_)
+
+
+@numba.njit(cache=True)
+def _fill(
+    row: int,
+    column: int,
+    label: int,
+    counts: NDArray[np.int64],
+    of_cell: NDArray[np.int64],
+    still: NDArray[np.bool_],
+    stack: NDArray[np.int64],
+) -> bool:
+    """Label a full cell, all full ones that hang together with it, and the others beside these.
+
+    Whether any of them lies beside a still cell.
+    """
+    rows, columns = counts.shape
+    of_cell[row, column] = label
+    stack[0] = row * columns + column
+    n, touches = 1, False
+    while n > 0:
+        n -= 1
+        row, column = stack[n] // columns, stack[n] % columns
+        for i in range(max(row - 1, 0), min(row + 2, rows)):
+            for j in range(max(column - 1, 0), min(column + 2, columns)):
+                if still[i, j]:
+                    touches = True
+                    continue
+                if counts[i, j] == 0 or of_cell[i, j] >= 0:
+                    continue
+                of_cell[i, j] = label
+                if counts[i, j] >= _FULL:
+                    stack[n] = i * columns + j
+                    n += 1
+    return touches
+
+
+@numba.njit(cache=True)
+def occupied_bins(
+    x: NDArray[np.uint16],
+    y: NDArray[np.uint16],
+    bounds: NDArray[np.int64],
+    cell_px: int,
+    rows: int,
+    columns: int,
+) -> NDArray[np.int64]:
+    """Count the bins in which each cell (rows, columns) is full."""
+    counts = np.zeros((rows, columns), np.int64)
+    found = np.zeros((rows, columns), np.int64)
+    for b in range(len(bounds)):
+        for i in range(bounds[b, 0], bounds[b, 1]):
+            row, column = y[i] // cell_px, x[i] // cell_px
+            counts[row, column] += 1
+            if counts[row, column] == _FULL:
+                found[row, column] += 1
+        for i in range(bounds[b, 0], bounds[b, 1]):
+            counts[y[i] // cell_px, x[i] // cell_px] = 0
+    return found

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from ssac.camera import Camera
 from ssac.clock import Clock
 from ssac.network.graph import Link, Pair
-from ssac.network.sightings import Sightings, sightings
+from ssac.network.state import Sightings, sightings
 from ssac.points import PointTrack
 
 DURATION_S, FPS, NOISE_PX = 16.0, 20.0, 0.4

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ssac.network.linear import (
+from ssac.network.adjustment import (
     BEHIND_OWN_PX,
     BEHIND_STD_PX,
     LEVEL_OWN_PX,
@@ -13,9 +13,8 @@ from ssac.network.linear import (
     border_offsets,
     known,
 )
-from ssac.network.sightings import sightings
 from ssac.network.solve import solve_network
-from ssac.network.state import BEHIND
+from ssac.network.state import BEHIND, sightings
 from ssac.points import PointTrack
 from tests.ssac.network.flights import CAMERA, Flight, make_flight
 

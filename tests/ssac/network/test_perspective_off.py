@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ssac.network.sightings import sightings
 from ssac.network.solve import solve_network
+from ssac.network.state import sightings
 from ssac.points import PointTrack
-from ssac.track.perspective import View, perspective_shifts
+from ssac.track.body import View, perspective_shifts
 from tests.ssac.network.flights import CAMERA, Flight, make_flight
 
 MOMENTS_M2 = np.array([[0.5, 0.1, 0.3], [0.1, 0.1, -0.05], [0.3, -0.05, 0.6]])

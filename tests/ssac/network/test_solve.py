@@ -7,8 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from ssac.estimate import Status
-from ssac.network.sightings import sightings
 from ssac.network.solve import NetworkAnswer, solve_network
+from ssac.network.state import sightings
 from ssac.points import PointTrack
 from tests.ssac.network.flights import CAMERA, Flight, make_flight
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import BSpline
 
-from ssac.network.spline import ORDER, Spline, basis, jerks, knots_for
+from ssac.network.normal import ORDER, Spline, basis, jerks, knots_for
 
 
 def data() -> tuple[np.ndarray, np.ndarray, Spline]:

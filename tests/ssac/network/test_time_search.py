@@ -9,8 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from ssac.clock import Clock
 from ssac.errors import SsacError
-from ssac.network.align import Similarity
-from ssac.network.time_search import best_shift
+from ssac.network.align import Similarity, best_shift
 from ssac.network.tum import Path
 
 FRAME = Similarity(21.0, Rotation.from_rotvec([0.3, 1.9, -0.6]).as_matrix(), np.array([9.0, -4, 2]))

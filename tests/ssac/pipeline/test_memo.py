@@ -19,7 +19,7 @@ NAMES = [method.name for method in OURS]
 STAGES = (
     "ssac.pipeline.chain.clean",
     "ssac.pipeline.chain.one_object",
-    "ssac.track.motions._summed_up",
+    "ssac.track.motion._summed_up",
     "ssac.search.view.view_of",
     "ssac.methods.algorithms.algorithm_1",
     "ssac.methods.algorithms.algorithm_2",

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from ssac.events import EVENT_DTYPE, events_from_arrays
-from ssac.track.follow import ACCELERATION, BIN_US, follow
-from ssac.track.follow_kernels import smoothed_path
+from ssac.track.faint import ACCELERATION, BIN_US, follow, smoothed_path
 from tests.ssac.cluttered import merged
 
 WIDTH, HEIGHT, DURATION_S = 120, 90, 12.0

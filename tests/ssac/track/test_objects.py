@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from ssac.events import EVENT_DTYPE
-from ssac.track.chains import chains_of
-from ssac.track.objects import BIN_US, objects_of, seem_several
+from ssac.track.objects import BIN_US, chains_of, objects_of, seem_several
 from tests.ssac.crowds import branches, flight, mixed
 from tests.ssac.synthetic import CAMERA, make_events, make_scene, track_pair
 

@@ -11,7 +11,7 @@ from ssac.config import Cleaning, Config
 from ssac.errors import SsacError
 from ssac.points import PointTrack
 from ssac.track.clean import clean
-from ssac.track.motions import motion_of
+from ssac.track.motion import motion_of
 from ssac.track.observation import tracked
 from tests.ssac.cluttered import noisy_flight
 from tests.ssac.synthetic import CAMERA, HEIGHT, WIDTH, K, make_scene
@@ -93,7 +93,7 @@ def test_other_windows_than_those_summed_up_are_obeyed(config, raw, cleaned):
 def test_sums_are_made_once_for_each_width_of_the_border(cleaned, monkeypatch):
     made = []
     monkeypatch.setattr(
-        "ssac.track.motions.object_motion",
+        "ssac.track.motion.object_motion",
         lambda *args, work=motion_of.__globals__["object_motion"], **how: (
             made.append(how["border_px"]) or work(*args, **how)
         ),

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from ssac.track.perspective import View, perspective_shifts, second_moments
+from ssac.track.body import View, perspective_shifts, second_moments
 
 FOCAL_PX, DISTANCE_M = 200.0, 5.0
 N = 25  # times

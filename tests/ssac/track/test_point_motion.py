@@ -6,7 +6,7 @@ import pytest
 from ssac.camera import Camera, distort_points
 from ssac.errors import SsacError
 from ssac.points import PointTrack
-from ssac.track.point_motion import WINDOW_INTERVALS, point_motion
+from ssac.track.motion import WINDOW_INTERVALS, point_motion
 
 CAMERA = Camera(np.array([[200.0, 0, 173], [0, 200.0, 130], [0, 0, 1]]), 346, 260)
 STEP_S = 0.04

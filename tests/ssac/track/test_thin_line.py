@@ -10,7 +10,7 @@ from ssac.config import Cleaning, Config
 from ssac.events import events_from_arrays
 from ssac.track.clean import clean
 from ssac.track.denoise import without_noise
-from ssac.track.motions import motion_of
+from ssac.track.motion import motion_of
 from ssac.track.observation import Observation
 from ssac.track.thin_line import HALF_WIDTH_PX, events_on_line
 from tests.ssac.cluttered import merged, noise
