@@ -283,9 +283,8 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
         "report": (
             "data",
             "tables",
-            "chart",
             "animation",
-            "animation_page",
+            "player",
             "report",
         ),
         "outdoor": ("flights", "twin", "third", "outdoor_command"),
