@@ -297,7 +297,6 @@ STAGES: dict[str, dict[str, tuple[str, ...]]] = {
             "reading",
             "tables",
             "growth",
-            "machine",
             "bench",
         ),
         "network": ("cameras", "measure", "four", "long_flights", "network_command"),
