@@ -1,8 +1,7 @@
 """Speed and memory, as ratios side by side in one run: `ssac bench`.
 
 Each part runs in a process of its own on one core (the tables: on two), so that none sees another's
-memory and both GL backends can be compared. Times that have a mark are given twice: as measured,
-and as they would be on the machine that the marks are of.
+memory and both GL backends can be compared.
 """
 
 import json
@@ -28,7 +27,6 @@ from experiments.bench.growth import (
     measure_growth,
     points_of,
 )
-from experiments.bench.machine import as_there, bench_machine
 from experiments.bench.measurement import Measurement, best_rate, peak_memory_mb
 from experiments.bench.process import in_own_process
 from experiments.bench.reading import bench_reading
@@ -77,7 +75,6 @@ def bench_command(
         rows += _in_own_process(part)
     grown = measure_growth(points_of(growth), lambda line: typer.echo(line, err=True))
     rows += growth_rows(grown)
-    rows += as_there(rows)
     table = pd.DataFrame([asdict(row) | {"verdict": row.verdict} for row in rows])
     made = _save(table, grown, out)
     for path in made:
@@ -178,7 +175,6 @@ PARTS: dict[str, Callable[[], list[Measurement]]] = {
     "sync": bench_sync,
     "reading": bench_reading,
     "tables": bench_tables,  # which has two workers
-    "machine": bench_machine,
 }
 
 MODULES = {"recording": "experiments.bench.recording"}

@@ -4,7 +4,6 @@ import json
 import os
 import subprocess
 import sys
-from pathlib import Path
 from typing import Any
 
 from ssac.errors import SsacError
@@ -12,10 +11,8 @@ from ssac.errors import SsacError
 _ONE_CORE = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
 
 
-def in_own_process(module: str, *arguments: str, folder: Path | None = None) -> Any:
+def in_own_process(module: str, *arguments: str) -> Any:
     """Run a module on one core in a new process, so that none sees another's memory.
-
-    Where a folder is given, the module is looked for in it first, and run there.
 
     Raises
     ------
@@ -25,9 +22,7 @@ def in_own_process(module: str, *arguments: str, folder: Path | None = None) -> 
     environment = {**os.environ, **_ONE_CORE}
     environment.pop("PYOPENGL_PLATFORM", None)
     command = [sys.executable, "-m", module, *arguments]
-    result = subprocess.run(
-        command, env=environment, cwd=folder, capture_output=True, text=True, check=False
-    )
+    result = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     if result.returncode != 0:
         last = result.stderr.strip().splitlines()[-1:] or [f"exit code {result.returncode}"]
         raise SsacError(last[0])

@@ -80,7 +80,6 @@ _BESIDE = {
     "tables, recordings cached: all, 2 workers": ("s", 0, "... recordings cached"),
     "tables, from nothing: 1 -> 2 workers": ("x", 2, "two workers over one"),
     "tables: peak memory of a worker": ("MB", 0, "memory of a worker"),
-    "machine: times as slow as that of the marks": ("x", 2, "how slow this machine is"),
     "growth, largest pair: events per camera": ("events", 0, "the largest pair: events a camera"),
     "growth, largest pair: simulate": ("s", 0, "simulated"),
     "growth, largest pair: simulate, peak memory": ("MB", 0, "... memory"),
@@ -91,9 +90,6 @@ _BESIDE = {
     "growth, 1280 x 720: synchronise, memory over events": ("exponent", 2, "... and memory"),
 }
 
-
-_AS_THERE = "as on the machine of the marks"
-"""What the benchmark adds to the names of times that it converts; the head of their column."""
 
 _OPTIONAL = ("sensor over eventify-dvs", "sensor over ESIM's core, quoted")
 """Of these rows: with the peer's package alone."""
@@ -240,8 +236,7 @@ def fidelity_table(results: Committed, study: str = "fidelity") -> str:
 def bench_table(results: Committed) -> str:
     """Lay out the main figures of the benchmark beside their marks.
 
-    Times also as they would be on the machine that the marks are of. What only some machines can
-    measure is left out where it was not.
+    What only some machines can measure is left out where it was not.
     """
     rows: Rows = []
     measured = set(results.table("bench")["name"])
@@ -257,13 +252,9 @@ def bench_table(results: Committed) -> str:
                 f"{value:.{decimals}f} {unit}".strip(),
                 f"{bound} {mark:g} {unit}" if np.isfinite(mark) else "",
                 str(row["verdict"]) if np.isfinite(mark) else "",
-                "",
             ]
         )
-        if (scaled := f"{name}, {_AS_THERE}") in measured:
-            there = results.rows("bench", name=scaled).iloc[0]
-            rows[-1][-1] = f"{there['value']:.{decimals}f} {unit}: {there['verdict']}"
-    return markdown_table(["what", "measured", "mark", "verdict", _AS_THERE], rows)
+    return markdown_table(["what", "measured", "mark", "verdict"], rows)
 
 
 TABLES: Mapping[str, Callable[[Committed], str]] = {

@@ -1,1 +1,1 @@
-"""All results in, one HTML page out."""
+"""All results on one HTML page."""

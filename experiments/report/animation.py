@@ -1,7 +1,7 @@
-"""A recording in; what an animation of its two event streams shows, before and after, out.
+"""A few seconds of two event streams before and after synchronisation, to be animated.
 
 Camera 2's clock is set ahead by a known offset; the offset and F are estimated as for any
-recording; a few seconds are kept: thinned events, the object's positions, d_avg over offsets.
+recording. What is kept: thinned events, the object's positions, d_avg over offsets.
 """
 
 import json

@@ -1,4 +1,4 @@
-"""The folder of results in, all that the report shows out; a missing file is an error.
+"""All files of results that the report shows, read at once; a missing one is an error.
 
 The error names the command that makes the file.
 """

@@ -1,28 +1,28 @@
-"""Results in, tables as HTML out: beside the paper's, all methods, runs without an estimate."""
+"""The numbers of the report in the order in which the template `results.html` lays them out."""
 
-from collections.abc import Iterable, Mapping
-from html import escape
-from typing import Any
+from collections import Counter
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
-from experiments.paper.comparison import RULE
-from experiments.paper.published import PUBLISHED_RUNS
+from experiments.figures.style import method_looks
+from experiments.paper.grids import table_axes
 from experiments.paper.quantities import ERRORS, split_quantity
 from experiments.report.data import Results
+from ssac.pipeline.registry import METHODS
 
-VERDICTS = {"better": "&lt;", "agrees": "&asymp;", "differs": "&ne;"}
+VERDICTS = {"better": "<", "agrees": "≈", "differs": "≠"}
 """Of a cell, and the sign that stands for it where colours are not seen."""
 
+NONE = "\N{EN DASH}"
 _SHOWN_REASONS = 12
 
 
 def number(value: float) -> str:
     """Show an error as the paper does, with two decimals, fewer of large ones."""
-    if not np.isfinite(value):
-        return "&ndash;"
-    return f"{value:.{_decimals(value)}f}"
+    return f"{value:.{_decimals(value)}f}" if np.isfinite(value) else NONE
 
 
 def mean_and_std(mean: float, std: float) -> tuple[str, str]:
@@ -32,181 +32,260 @@ def mean_and_std(mean: float, std: float) -> tuple[str, str]:
     return number(mean), f"{std:.{_decimals(mean)}f}"
 
 
-def comparison_html(results: Results) -> str:
-    """One table for each duration: our number over the paper's, in the colour of the verdict."""
-    parts = []
+def _decimals(value: float) -> int:
+    return 3 if abs(value) < 0.1 else 2 if abs(value) < 10.0 else 1 if abs(value) < 100.0 else 0
+
+
+class Row(NamedTuple):
+    """The cells of one angle and offset."""
+
+    angle_deg: float
+    span: int  # rows that share the angle; 0 where it stands above
+    t_d_ms: float
+    cells: list[Any]
+
+
+class Table(NamedTuple):
+    """Cells by angle and offset, a column for each method or published quantity."""
+
+    title: str
+    heads: list[tuple[str, str]]  # method, and which of its errors
+    rows: list[Row]
+
+
+class Compared(NamedTuple):
+    """Our mean beside the paper's."""
+
+    verdict: str
+    ours: str
+    theirs: str
+    title: str
+
+
+def compared_tables(results: Results) -> list[Table]:
+    """Lay out one table for each duration: our number over the paper's."""
+    tables = []
     for duration_s, part in results.comparison.groupby("duration_s"):
         quantities = list(dict.fromkeys(part["quantity"]))
-        heads = [_quantity_head(quantity) for quantity in quantities]
-        lines: dict[tuple[float, float], dict[str, Mapping[Any, Any]]] = {}
+        lines: dict[tuple[float, float], dict[str, Compared]] = {}
         for cell in part.to_dict("records"):
-            lines.setdefault((cell["angle_deg"], cell["t_d_ms"]), {})[cell["quantity"]] = cell
-        rows = [
-            "".join(
-                _compared(cells[quantity]) if quantity in cells else "<td></td>"
-                for quantity in quantities
-            )
-            for cells in lines.values()
-        ]
-        table = _cells_table(heads, lines, rows, "cells even")
-        parts.append(f"<h3>Flights of {duration_s:g} s</h3>{table}")
-    counts = results.comparison["verdict"].value_counts()
-    legend = " ".join(
-        f'<span class="{word}"><i>{sign}</i> {word}: {counts.get(word, 0)}</span>'
-        for word, sign in VERDICTS.items()
-    )
-    return (
-        f'<p class="legend">In each cell ours, below it the paper&rsquo;s: mean &plusmn; standard '
-        f"deviation. {legend}</p>{''.join(parts)}{_notes_html(results.comparison)}"
-        f'<p class="small">The rule. {escape(RULE[0].upper() + RULE[1:])}. The paper&rsquo;s means '
-        f"are taken to be of {PUBLISHED_RUNS} runs.</p>"
-    )
+            line = lines.setdefault((cell["angle_deg"], cell["t_d_ms"]), {})
+            line[cell["quantity"]] = _compared(cell)
+        split = [split_quantity(quantity) for quantity in quantities]
+        heads = [(method, ERRORS[e].title if e in ERRORS else "") for method, e in split]
+        cells = {key: [line.get(q) for q in quantities] for key, line in lines.items()}
+        tables.append(Table(f"Flights of {duration_s:g} s", heads, _rows(cells)))
+    return tables
 
 
-def methods_html(results: Results) -> str:
-    """All methods: a table for each duration and kind of error, a bar behind each mean."""
-    parts = []
+def _compared(cell: Mapping[Any, Any]) -> Compared:
+    ours, theirs = (
+        " ± ".join(mean_and_std(cell[f"{side}_mean"], cell[f"{side}_std"]))
+        for side in ("ours", "published")
+    )
+    note = str(cell.get("note") or "")
+    title = f"{cell['verdict']}, {cell['n_ours']} of our runs{f': {note}' if note else ''}"
+    return Compared(str(cell["verdict"]), ours, theirs, title)
+
+
+def notes(comparison: pd.DataFrame) -> list[tuple[str, int, str]]:
+    """List why cells do not agree, as far as that was found: why, how many, and which."""
+    if "note" not in comparison:
+        return []
+    return [
+        (str(note), len(cells), ", ".join(cells.unique()))
+        for note, cells in comparison.groupby("note", sort=False)["quantity"]
+        if note
+    ]
+
+
+class Mean(NamedTuple):
+    """One method's mean in a cell."""
+
+    mean: str
+    std: str
+    percent: float | None  # of its bar, on a logarithmic scale; None: there is no mean
+    failed: int
+    n_runs: int
+
+
+def method_tables(results: Results) -> list[Table]:
+    """Lay out all methods: a table for each kind of error and duration."""
+    tables = []
     for error, quantity in ERRORS.items():
         methods = results.methods_with(error)
         if not methods:
             continue
         low, high = _range(results, methods, error)
         for duration_s, table in results.tables.items():
-            lines = list(zip(table["angle_deg"], table["t_d_ms"], strict=True))
-            rows = [
-                "".join(_mean_cell(row, method, error, low, high) for method in methods)
+            cells = {
+                (row["angle_deg"], row["t_d_ms"]): [
+                    _mean(row, method, error, low, high) for method in methods
+                ]
                 for row in table.to_dict("records")
-            ]
-            heads = [f'<th scope="col"><code>{escape(method)}</code></th>' for method in methods]
-            parts.append(
-                f"<details><summary>{quantity.title}, flights of {duration_s:g} s</summary>"
-                f"{_cells_table(heads, lines, rows)}</details>"
-            )
-    return "".join(parts)
+            }
+            title = f"{quantity.title}, flights of {duration_s:g} s"
+            tables.append(Table(title, [(method, "") for method in methods], _rows(cells)))
+    return tables
 
 
-def failures_html(results: Results) -> str:
-    """Say how many runs gave no estimate, of which method, where and why."""
-    runs = results.runs
-    failed = runs[runs["status"] != "ok"]
-    if failed.empty:
-        return f"<p>All {len(runs)} runs gave an estimate.</p>"
-    rows = []
-    for (method, status), group in failed.groupby(["method", "status"], sort=False):
-        total = int((runs["method"] == method).sum())
-        reasons = group["reason"].value_counts(sort=False)
-        items = [
-            f"<li>{escape(str(reason)) or 'no reason given'} ({count})</li>"
-            for reason, count in list(reasons.items())[:_SHOWN_REASONS]
-        ]
-        if len(reasons) > _SHOWN_REASONS:
-            items.append(f"<li>and {len(reasons) - _SHOWN_REASONS} more in runs.csv</li>")
-        angles = ", ".join(f"{angle:g}&deg;" for angle in sorted(group["angle_deg"].unique()))
-        rows.append(
-            f'<tr><th scope="row"><code>{escape(str(method))}</code></th>'
-            f"<td>{escape(str(status))}</td><td>{len(group)} of {total}</td><td>{angles}</td>"
-            f'<td class="text"><details><summary>{len(reasons)} '
-            f"reason{'s' if len(reasons) > 1 else ''}</summary>"
-            f"<ul>{''.join(items)}</ul></details></td></tr>"
-        )
-    heads = "".join(
-        f'<th scope="col">{head}</th>' for head in ("Method", "Status", "Runs", "Angles", "Why")
-    )
-    return (
-        f"<p>{len(failed)} of {len(runs)} runs gave no estimate. They do not enter the means; "
-        "every one is a row of <code>results/runs.csv</code>.</p>"
-        f'<div class="wide"><table><thead><tr>{heads}</tr></thead>'
-        f"<tbody>{''.join(rows)}</tbody></table></div>"
-    )
-
-
-def _notes_html(comparison: pd.DataFrame) -> str:
-    """List why cells do not agree, as far as that was found."""
-    if "note" not in comparison:
-        return ""
-    items = [
-        f"<li>{escape(str(note))} ({len(cells)} cells: {escape(', '.join(cells.unique()))})</li>"
-        for note, cells in comparison.groupby("note", sort=False)["quantity"]
-        if note
-    ]
-    return f"<h3>Why cells do not agree</h3><ul>{''.join(items)}</ul>" if items else ""
-
-
-def _decimals(value: float) -> int:
-    return 3 if abs(value) < 0.1 else 2 if abs(value) < 10.0 else 1 if abs(value) < 100.0 else 0
-
-
-def _cells_table(
-    heads: list[str], keys: Iterable[tuple[float, float]], rows: list[str], style: str = "cells"
-) -> str:
-    """Lay out rows of the table's cells beside their angle, once for its offsets, and offset."""
-    keys = list(keys)
-    angles = [angle for angle, _ in keys]
-    body, last = [], None
-    for (angle, t_d_ms), row in zip(keys, rows, strict=True):
-        first = angle != last
-        head = f'<th scope="rowgroup" rowspan="{angles.count(angle)}">{angle:g}&deg;</th>'
-        body.append(
-            f"<tr{' class=first' if first else ''}>{head if first else ''}"
-            f'<th scope="row">{t_d_ms:g} ms</th>{row}</tr>'
-        )
-        last = angle
-    return (
-        f'<div class="wide"><table class="{style}"><thead><tr><th scope="col">Angle</th>'
-        f'<th scope="col"><var>t</var><sub>d</sub></th>{"".join(heads)}</tr></thead>'
-        f"<tbody>{''.join(body)}</tbody></table></div>"
-    )
-
-
-def _quantity_head(quantity: str) -> str:
-    method, error = split_quantity(quantity)
-    known = ERRORS.get(error)
-    name = known.title if known else ""
-    return f'<th scope="col"><code>{escape(method)}</code><br><small>{name}</small></th>'
-
-
-def _compared(cell: Mapping[Any, Any]) -> str:
-    """One cell beside the paper's."""
-    verdict = str(cell["verdict"])
-    sign = VERDICTS.get(verdict, escape(verdict))
-    ours, theirs = (
-        " &plusmn; ".join(mean_and_std(cell[f"{side}_mean"], cell[f"{side}_std"]))
-        for side in ("ours", "published")
-    )
-    note = str(cell.get("note") or "")
-    title = escape(f"{verdict}, {cell['n_ours']} of our runs{f': {note}' if note else ''}")
-    return (
-        f'<td class="{escape(verdict)}" title="{title}"><b>{ours}</b><i>{sign}</i>'
-        f"<small>{theirs}</small></td>"
-    )
-
-
-def _mean_cell(row: Mapping[Any, Any], method: str, error: str, low: float, high: float) -> str:
-    """One method's mean in a cell, with a bar on a logarithmic scale."""
+def _mean(row: Mapping[Any, Any], method: str, error: str, low: float, high: float) -> Mean:
     mean, std = (row.get(f"{method}_{error}_{part}", np.nan) for part in ("mean", "std"))
-    failed = row.get(f"{method}_failed", 0)
-    lost = f"<small>{failed:g} of {row['n_runs']:g} failed</small>" if failed else ""
-    if not np.isfinite(mean):
-        return f"<td>&ndash;{lost}</td>"
-    shown_mean, shown_std = mean_and_std(mean, std)
-    share = float(np.clip(np.log(max(mean, low) / low) / np.log(high / low), 0.02, 1.0))
-    return (
-        f'<td class="bar" style="--share:{100.0 * share:.0f}%"><b>{shown_mean}</b> '
-        f"&plusmn; {shown_std}{lost}</td>"
-    )
+    percent = None
+    if np.isfinite(mean):
+        percent = 100.0 * float(np.clip(np.log(max(mean, low) / low) / np.log(high / low), 0.02, 1))
+    shown = mean_and_std(mean, std)
+    return Mean(*shown, percent, int(row.get(f"{method}_failed", 0)), int(row["n_runs"]))
 
 
 def _range(results: Results, methods: list[str], error: str) -> tuple[float, float]:
     """Return the ends of the bars' scale: a little below the least mean, and the largest."""
-    columns = [
-        table[f"{method}_{error}_mean"]
-        for table in results.tables.values()
-        for method in methods
-        if f"{method}_{error}_mean" in table
-    ]
-    values = pd.concat(columns)
+    columns = [f"{method}_{error}_mean" for method in methods]
+    values = pd.concat([table.filter(columns).stack() for table in results.tables.values()])
     values = values[values > 0.0]
     if values.empty:
         return 0.1, 1.0
     low = 0.8 * float(values.min())
     return low, max(float(values.max()), 3.0 * low)
+
+
+def _rows(cells: Mapping[tuple[float, float], list[Any]]) -> list[Row]:
+    spans = Counter(angle_deg for angle_deg, _ in cells)
+    return [
+        Row(angle_deg, spans.pop(angle_deg, 0), t_d_ms, row)
+        for (angle_deg, t_d_ms), row in cells.items()
+    ]
+
+
+class Failed(NamedTuple):
+    """The runs of one method that gave no estimate for one status."""
+
+    method: str
+    status: str
+    n_failed: int
+    n_runs: int
+    angles: str
+    reasons: list[tuple[str, int]]  # the first ones, each with how often it came
+    n_reasons: int
+
+
+def failures(runs: pd.DataFrame) -> list[Failed]:
+    """List which runs gave no estimate: of which method, where and why."""
+    rows = []
+    failed = runs[runs["status"] != "ok"]
+    for (method, status), group in failed.groupby(["method", "status"], sort=False):
+        counted = group["reason"].value_counts(sort=False)
+        reasons = [(str(reason), int(count)) for reason, count in counted.items()]
+        angles = ", ".join(f"{angle:g}°" for angle in sorted(group["angle_deg"].unique()))
+        n_runs = int((runs["method"] == method).sum())
+        shown = reasons[:_SHOWN_REASONS]
+        rows.append(
+            Failed(str(method), str(status), len(group), n_runs, angles, shown, len(reasons))
+        )
+    return rows
+
+
+class Dot(NamedTuple):
+    """A mean in a row of the chart: where it stands, in percent, and what it says."""
+
+    left: float
+    top: float
+    is_short: bool = False  # of a short flight
+    title: str = ""
+
+
+class ChartRow(NamedTuple):
+    """One method: a dot for each cell, a stroke for each mean of the paper."""
+
+    method: str
+    summary: str
+    color: str
+    hollow: bool
+    dots: list[Dot]
+    strokes: list[Dot]
+    mean: str  # of its cells
+
+
+class Chart(NamedTuple):
+    """Every cell of every method at its mean error, on a logarithmic axis."""
+
+    title: str
+    ticks: list[tuple[float, float]]  # place [%] and value
+    rows: list[ChartRow]
+
+
+class Axis(NamedTuple):
+    """A logarithmic axis from one power of ten to another."""
+
+    low: int
+    high: int
+
+    def percent(self, value: float) -> float:
+        """Place of a value along the axis, 0 to 100."""
+        share = (np.log10(max(value, 10.0**self.low)) - self.low) / (self.high - self.low)
+        return float(100.0 * np.clip(share, 0.0, 1.0))
+
+    @property
+    def ticks(self) -> list[tuple[float, float]]:
+        """The powers of ten, and 2 and 5 times these where there are few."""
+        steps = (1, 2, 5) if self.high - self.low <= 2 else (1,)
+        below = [step * 10.0**power for power in range(self.low, self.high) for step in steps]
+        return [(self.percent(tick), tick) for tick in (*below, 10.0**self.high)]
+
+
+def charts(results: Results) -> list[Chart]:
+    """Draw one chart for each kind of error that any method gives.
+
+    The dots of a row go down from 30 to 150 deg, so that a method that suffers from the angle
+    slants.
+    """
+    drawn = []
+    for error, quantity in ERRORS.items():
+        cells = {method: _cells(results, method, error) for method in results.methods_with(error)}
+        values = [mean for means in cells.values() for mean in means["mean"] if mean > 0.0]
+        if not values:
+            continue
+        logs = np.log10(values)
+        low, high = int(np.floor(logs.min())), int(np.ceil(logs.max()))
+        axis = Axis(low, max(high, low + 1))
+        rows = [_chart_row(results, method, error, cells[method], axis) for method in cells]
+        drawn.append(Chart(quantity.title, axis.ticks, rows))
+    return drawn
+
+
+def _cells(results: Results, method: str, error: str) -> pd.DataFrame:
+    """Duration, angle, offset and mean of each cell in which the method gave an estimate."""
+    parts = [
+        table.assign(mean=table[f"{method}_{error}_mean"], duration_s=duration_s)
+        for duration_s, table in results.tables.items()
+        if f"{method}_{error}_mean" in table
+    ]
+    cells: pd.DataFrame = pd.concat(parts)[["duration_s", "angle_deg", "t_d_ms", "mean"]].dropna()
+    return cells
+
+
+def _chart_row(
+    results: Results, method: str, error: str, cells: pd.DataFrame, axis: Axis
+) -> ChartRow:
+    angles = sorted(cells["angle_deg"].unique())
+    shortest_s = min(table_axes().durations_s)
+
+    def dot(mean: float, angle: float, is_short: bool = False, title: str = "") -> Dot:
+        spread = angle in angles and len(angles) > 1
+        top = 15.0 + 70.0 * angles.index(angle) / (len(angles) - 1) if spread else 50.0
+        return Dot(axis.percent(mean), top, is_short, title)
+
+    dots = []
+    for cell in cells.to_dict("records"):
+        where = f"{cell['angle_deg']:g}°, t_d {cell['t_d_ms']:g} ms, {cell['duration_s']:g} s"
+        title = f"{where}: {number(cell['mean'])}"
+        is_short = cell["duration_s"] == shortest_s
+        dots.append(dot(cell["mean"], cell["angle_deg"], is_short, title))
+    of_paper = results.comparison["quantity"].map(split_quantity) == (method, error)
+    published = results.comparison[of_paper]
+    strokes = list(map(dot, published["published_mean"], published["angle_deg"]))
+    look = method_looks(results.methods)[method]
+    summary = METHODS[method].summary if method in METHODS else ""
+    color = "currentColor" if look.color == "#000000" else look.color
+    mean = number(float(cells["mean"].mean()))
+    return ChartRow(method, summary, color, look.hollow, dots, strokes, mean)

@@ -18,13 +18,7 @@ from experiments.report import report
 from experiments.report.animation import Animation, make_animation
 from experiments.report.data import Results, load_results
 from experiments.report.report import report_command, report_page
-from experiments.report.tables import (
-    comparison_html,
-    failures_html,
-    mean_and_std,
-    methods_html,
-    number,
-)
+from experiments.report.tables import mean_and_std, number
 from experiments.studies.catalogue import ABLATIONS
 from ssac.errors import SsacError
 from tests.experiments.reported import METHODS, made_up_runs, write_results
@@ -83,6 +77,12 @@ class Reader(HTMLParser):
             self.text.append(data)
 
 
+def section(results: Results, animation: Animation, name: str) -> str:
+    """One section of the page."""
+    page = report_page(results, animation)
+    return page[page.index(f'<section id="{name}">') :].partition("</section>")[0]
+
+
 def rows_of(table: str) -> list[list[str]]:
     """Cells of each row, tags removed."""
     rows = re.findall(r"<tr.*?</tr>", table)
@@ -117,36 +117,38 @@ def test_the_same_input_gives_the_same_bytes(page: str, folder: Path, flight: Pa
     assert report_page(load_results(folder), make_animation(flight)) == page
 
 
-def test_every_compared_number_stands_beside_the_papers(results: Results) -> None:
-    html = comparison_html(results)
+def test_compared_numbers_stand_beside_the_papers(results: Results, animation: Animation) -> None:
+    html = section(results, animation, "paper")
     cells = [cell for row in rows_of(html) for cell in row]
     assert len(cells) == len(results.comparison) == 150
-    shown = [re.findall(r"[\d.]+ &plusmn; [\d.]+", cell) for cell in cells]
+    shown = [re.findall(r"[\d.]+ ± [\d.]+", cell) for cell in cells]
     for row, (ours, theirs) in zip(_row_order(results.comparison), shown, strict=True):
-        assert ours == " &plusmn; ".join(mean_and_std(row["ours_mean"], row["ours_std"]))
+        assert ours == " ± ".join(mean_and_std(row["ours_mean"], row["ours_std"]))
         expected = mean_and_std(row["published_mean"], row["published_std"])
-        assert theirs == " &plusmn; ".join(expected)
+        assert theirs == " ± ".join(expected)
 
 
-def test_every_verdict_has_its_colour_and_its_sign(results: Results) -> None:
-    html = comparison_html(results)
+def test_every_verdict_has_its_colour_and_its_sign(results: Results, animation: Animation) -> None:
+    html = section(results, animation, "paper")
     for verdict, count in results.comparison["verdict"].value_counts().items():
         assert html.count(f'<td class="{verdict}"') == count
         assert f"{verdict}: {count}</span>" in html
 
 
-def test_the_note_of_a_cell_is_shown(results: Results) -> None:
+def test_the_note_of_a_cell_is_shown(results: Results, animation: Animation) -> None:
     comparison = results.comparison.assign(note="")
     comparison.loc[[3, 8], "note"] = "fewer <flights>"
-    html = comparison_html(replace(results, comparison=comparison))
+    html = section(replace(results, comparison=comparison), animation, "paper")
     assert "<li>fewer &lt;flights&gt; (2 cells: " in html
-    assert "Why cells do not agree" not in comparison_html(
-        replace(results, comparison=comparison.assign(note=""))
+    assert "Why cells do not agree" not in section(
+        replace(results, comparison=comparison.assign(note="")), animation, "paper"
     )
 
 
-def test_every_mean_of_every_method_is_in_the_tables(results: Results) -> None:
-    tables = re.findall(r"<table.*?</table>", methods_html(results), flags=re.DOTALL)
+def test_every_mean_is_in_the_tables(results: Results, animation: Animation) -> None:
+    tables = re.findall(
+        r"<table.*?</table>", section(results, animation, "tables"), flags=re.DOTALL
+    )
     assert len(tables) == 6  # three kinds of error, two durations
     for table, duration_s in zip(tables, 3 * [10.0, 20.0], strict=True):
         methods = re.findall(r'<th scope="col"><code>(.*?)</code>', table)
@@ -208,11 +210,11 @@ def test_what_files_say_cannot_become_html(results: Results, animation: Animatio
     assert page.count("<script") == 2
 
 
-def test_failures_are_counted_with_their_reasons(results: Results) -> None:
-    html = failures_html(results)
+def test_failures_are_counted_with_their_reasons(results: Results, animation: Animation) -> None:
+    html = section(results, animation, "failures")
     failed = results.runs[results.runs["status"] != "ok"]
     assert len(failed) > 0
-    assert html.startswith(f"<p>{len(failed)} of {len(results.runs)} runs gave no estimate.")
+    assert (f"<p>{len(failed)} of {len(results.runs)} runs gave no estimate.") in html
     for method, group in failed.groupby("method"):
         assert f"<code>{method}</code>" in html
         assert f"<td>{len(group)} of {(results.runs['method'] == method).sum()}</td>" in html
@@ -221,12 +223,11 @@ def test_failures_are_counted_with_their_reasons(results: Results) -> None:
     assert sum(map(int, [*reasons, *more])) == len(failed)
 
 
-def test_without_failures_there_is_no_table(results: Results) -> None:
+def test_without_failures_there_is_no_table(results: Results, animation: Animation) -> None:
     good = results.runs[results.runs["status"] == "ok"]
-    assert (
-        failures_html(replace(results, runs=good))
-        == f"<p>All {len(good)} runs gave an estimate.</p>"
-    )
+    html = section(replace(results, runs=good), animation, "failures")
+    assert f"<p>All {len(good)} runs gave an estimate.</p>" in html
+    assert "<table" not in html
 
 
 def test_the_headline_is_computed(results: Results, animation: Animation) -> None:
@@ -245,7 +246,7 @@ def test_the_headline_is_computed(results: Results, animation: Animation) -> Non
     assert ssac[0] == f"{number(mean_ms)} ms"
     good = results.comparison["verdict"].isin(["agrees", "better"]).sum()
     assert verdicts[0] == f"{good} of 150"
-    assert counts[0] == f"{len(runs):,}".replace(",", "&thinsp;")
+    assert counts[0] == f"{len(runs):,}".replace(",", "\N{THIN SPACE}")
     # One run in five is too few for a method to be called the best.
     runs.loc[joint & (runs["flight"] > 0), "status"] = "search_bound"
     assert "<code>joint</code>" not in headline(runs)[0][1]
@@ -261,8 +262,8 @@ def test_numbers_have_as_many_decimals_as_the_papers(value: float, shown: str) -
 
 
 def test_unknown_numbers_are_a_dash() -> None:
-    assert number(np.nan) == "&ndash;"
-    assert mean_and_std(np.nan, np.nan) == ("&ndash;", "&ndash;")
+    assert number(np.nan) == "\N{EN DASH}"
+    assert mean_and_std(np.nan, np.nan) == ("\N{EN DASH}", "\N{EN DASH}")
 
 
 def test_provenance_of_several_files_made_at_once_is_shown_once(

@@ -1,12 +1,11 @@
-"""An Animation in; its player as HTML with all data inside, and still pictures of it, out.
+"""What the report's player draws, packed as JSON, and still pictures of the same.
 
 The player needs JavaScript; the stills, before and after, take its place without, and in print.
 """
 
 import base64
 import json
-from html import escape
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -83,25 +82,43 @@ def packed_events(view: View, end_s: float) -> bytes:
     return bytes(packed.astype("<u4"))
 
 
-def stills_html(animation: Animation) -> str:
-    """Both views at one instant, before and after, as pictures with captions."""
+class StillView(NamedTuple):
+    """One camera's view at an instant, as SVG draws it."""
+
+    png: bytes  # its events
+    line: Array  # (4,) ends of the epipolar line, x1 y1 x2 y2 [px]
+    gap: Array  # (4,) from the object's position to the line [px]
+
+
+class Still(NamedTuple):
+    """Both views at one instant, with one offset between the clocks."""
+
+    name: str
+    time_s: float  # camera 1's clock
+    offset_s: float
+    distance_px: float  # of the drone off its epipolar line in camera 1
+    views: tuple[StillView, ...]
+
+
+def stills(animation: Animation) -> list[Still]:
+    """Both views at one instant, before and after."""
     time_s = animation.telling_time_s
-    rows = []
-    for name, offset_s in (("clocks as recorded", 0.0), ("synchronised", animation.t_d_s)):
-        figures = [still_svg(animation, camera, time_s, offset_s) for camera in (0, 1)]
-        caption = (
-            f"{name.capitalize()}: camera 1 at {animation.start_s + time_s:.2f} s, camera 2 at "
-            f"{animation.start_s + time_s + offset_s:.2f} s of its own clock; the drone is "
-            f"{animation.distance_px(time_s, offset_s):.1f} px off its epipolar line in camera 1."
+    return [
+        Still(
+            name,
+            animation.start_s + time_s,
+            offset_s,
+            animation.distance_px(time_s, offset_s),
+            (
+                still_view(animation, 0, time_s, offset_s),
+                still_view(animation, 1, time_s, offset_s),
+            ),
         )
-        rows.append(
-            f'<figure class="still"><div class="pair">{"".join(figures)}</div>'
-            f"<figcaption>{escape(caption)}</figcaption></figure>"
-        )
-    return "\n".join(rows)
+        for name, offset_s in (("Clocks as recorded", 0.0), ("Synchronised", animation.t_d_s))
+    ]
 
 
-def still_svg(animation: Animation, camera: int, time_s: float, offset_s: float) -> str:
+def still_view(animation: Animation, camera: int, time_s: float, offset_s: float) -> StillView:
     """One camera's view at an instant of camera 1's clock: events, the line, and the distance."""
     points = animation.at(time_s, offset_s)
     F = animation.F if camera == 0 else animation.F.T
@@ -109,17 +126,9 @@ def still_svg(animation: Animation, camera: int, time_s: float, offset_s: float)
     point = points[camera]
     foot = point - (line[:2] @ point + line[2]) / (line[:2] @ line[:2]) * line[:2]
     along = np.array([-line[1], line[0]]) / np.hypot(*line[:2]) * 2.0 * animation.width
-    image = event_image(animation, camera, time_s + camera * offset_s)
-    png = base64.b64encode(cv2.imencode(".png", image)[1].tobytes()).decode("ascii")
-    width, height = animation.width, animation.height
-    name = f"Camera {camera + 1}: events, the drone's position and its epipolar line"
-    return (
-        f'<svg viewBox="-0.5 -0.5 {width} {height}" role="img" aria-label="{name}" '
-        f'class="cam{camera + 1}"><image x="-0.5" y="-0.5" width="{width}" height="{height}" '
-        f'href="data:image/png;base64,{png}"/>'
-        f"{_svg_line('line', foot - along, foot + along)}{_svg_line('gap', point, foot)}"
-        f'<circle class="spot" cx="{point[0]:.2f}" cy="{point[1]:.2f}" r="4"/></svg>'
-    )
+    png = cv2.imencode(".png", event_image(animation, camera, time_s + camera * offset_s))[1]
+    ends = np.concatenate([foot - along, foot + along])
+    return StillView(png.tobytes(), ends, np.concatenate([point, foot]))
 
 
 def event_image(animation: Animation, camera: int, time_s: float) -> NDArray[np.uint8]:
@@ -163,13 +172,6 @@ def _packed_view(animation: Animation, view: View) -> dict[str, Any]:
         "track": _rounded(view.track_px, 2),
         "events": base64.b64encode(packed_events(view, end_s)).decode("ascii"),
     }
-
-
-def _svg_line(name: str, start: Array, end: Array) -> str:
-    return (
-        f'<line class="{name}" x1="{start[0]:.2f}" y1="{start[1]:.2f}" '
-        f'x2="{end[0]:.2f}" y2="{end[1]:.2f}"/>'
-    )
 
 
 def _rounded(values: Array, digits: int) -> list[Any]:
