@@ -55,9 +55,14 @@ def test_links_and_paths_lead_somewhere(page: Path) -> None:
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_lines_fit(page: Path) -> None:
-    # Without comments: the name of a quoted number is not shown, and its text may change.
+    # Without comments: the name of a quoted number is not shown, and its text may change. A row of
+    # a table cannot be broken.
     lines = re.sub(r"<!--.*?-->", "", page.read_text(encoding="utf-8")).splitlines()
-    wide = [f"{page.name}:{i}" for i, line in enumerate(lines, 1) if len(line) > MAX_WIDTH]
+    wide = [
+        f"{page.name}:{i}"
+        for i, line in enumerate(lines, 1)
+        if len(line) > MAX_WIDTH and not line.startswith("|")
+    ]
     assert not wide
 
 

@@ -23,6 +23,12 @@ METHODS = ("ssac", "ssac-known", "joint", "joint-known", "tangency", "tangency-k
 SYMBOLS = {error.symbol: error for error in ERRORS.values()}
 """The errors by what they are called in the names here."""
 
+COVERAGE_MARK = 0.93
+"""Intervals of 95 % shall hold the truth in at least this share of the flights."""
+
+MUST_NOT_BE = ("unclear", "traceback", "abort", "hang", "over_memory", "wrong")
+"""How no damaged input may end, as columns of reliability.csv."""
+
 PUBLISHED = {  # of the quantities of comparison.csv
     "ssac.t_d": "ssac_t_d_error_ms",
     "ssac.R": "ssac_r_error_deg",
@@ -119,6 +125,17 @@ def covered(results: Committed, method: str, quantity: str) -> str:
     return f"{100 * results.value('coverage', 'coverage_95', **of):.1f} %"
 
 
+def below_the_mark(results: Committed) -> str:
+    """List the methods and quantities whose 95 % intervals hold the truth less often than 93 %."""
+    table = results.table("coverage")
+    low = table[(table["angle_deg"] == "all") & (table["coverage_95"] < COVERAGE_MARK)]
+    found = [
+        f"{100 * row['coverage_95']:.0f} % ({row['quantity']} of `{row['method']}`)"
+        for row in low.to_dict("records")
+    ]
+    return listed(found) if found else "nowhere"
+
+
 def coverage_flights(results: Committed) -> str:
     """Count the flights of the study of coverage."""
     of = {"method": "joint", "quantity": "t_d", "angle_deg": "all"}
@@ -167,6 +184,12 @@ def ordinary_answered(results: Committed) -> str:
     """Say how many runs of the study of refusal on ordinary flights gave an offset."""
     rows = results.rows("refusal", kind="ordinary")
     return f"{int(rows['offset_given'].sum())} of {int(rows['runs'].sum())}"
+
+
+def damaged(results: Committed, columns: tuple[str, ...]) -> str:
+    """Count the damaged inputs that ended in one of these ways."""
+    of_all = (results.value("reliability", column, input="all") for column in columns)
+    return f"{sum(of_all):.0f}"
 
 
 def zncc_means(results: Committed, column: str, method: str, duration_s: float) -> str:
@@ -234,6 +257,7 @@ NUMBERS: Mapping[str, Number] = {
     **{f"tables.mark.{s}": partial(mark_met, symbol=s) for s in SYMBOLS},
     **{f"tables.largest.{s}": partial(largest, symbol=s) for s in SYMBOLS},
     "coverage.flights": coverage_flights,
+    "coverage.below": below_the_mark,
     **{
         f"coverage.{m}.{q}": partial(covered, method=m, quantity=q)
         for m in ("joint", "tangency", "joint-known", "tangency-known")
@@ -249,6 +273,11 @@ NUMBERS: Mapping[str, Number] = {
     "refusal.recordings": refusal_recordings,
     **{f"refusal.wrong.{m}": partial(refusal_wrong, method=m) for m in REFUSING_METHODS},
     "refusal.ordinary": ordinary_answered,
+    **{
+        f"reliability.{name}": partial(damaged, columns=(name,))
+        for name in ("cases", "refused", "warned", "silently_fewer")
+    },
+    "reliability.must_not_be": partial(damaged, columns=MUST_NOT_BE),
     **{
         f"zncc.{whose}.{m}.{d:g}": partial(zncc_means, column=column, method=m, duration_s=d)
         for whose, column in (("ours", "ours_mean"), ("paper", "published_mean"))

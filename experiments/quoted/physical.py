@@ -125,6 +125,31 @@ def budget_table(results: Committed, symbol: str) -> str:
     return markdown_table(["imperfection", *header], rows)
 
 
+def budget_summary(results: Committed) -> str:
+    """Lay t_d / R of the budget out: each imperfection alone, and all but it, over the angles."""
+    if not results.has("error_budget"):
+        return ""
+    table = results.table("error_budget")
+    means = [_budget_means(table, f"{_SYMBOLS[symbol]}_mean") for symbol in ("t_d", "R")]
+    kinds = list(means[0].index.get_level_values("kind").unique())
+    names = [kind.removeprefix(_ONLY) for kind in kinds if kind.startswith(_ONLY)]
+    ends = (["nothing", NONE, ALL], *([name, only(name), all_but(name)] for name in names))
+    methods = ("ssac", "tangency")
+    rows = [
+        [
+            name,
+            *(
+                _slashed(float(of[(kind, method)]) for of in means)
+                for method in methods
+                for kind in (alone, without)
+            ),
+        ]
+        for name, alone, without in ends
+    ]
+    header = [text for method in methods for text in (f"`{method}`: alone", "all but")]
+    return markdown_table(["imperfection", *header], rows)
+
+
 def budget_by_angle(results: Committed) -> str:
     """Lay the ideal and the real bench out by angle, as t_d / R / t."""
     if not results.has("error_budget"):
@@ -181,6 +206,7 @@ PHYSICAL_TABLES: Mapping[str, Callable[[Committed], str]] = {
     "table.mini": mini_table,
     "table.mini.verdicts": mini_verdicts,
     "table.mini.held": mini_held,
+    "table.budget": budget_summary,
     "table.budget.angles": budget_by_angle,
     **{f"table.budget.{symbol}": partial(budget_table, symbol=symbol) for symbol in _SYMBOLS},
     "table.latency": latency_table,

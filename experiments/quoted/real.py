@@ -79,6 +79,26 @@ def of_imperfect(results: Committed, column: str, method: str) -> str:
     return f"{value:.0f}"
 
 
+def kinds_not_answered(results: Committed) -> str:
+    """List the kinds of imperfect recordings that `tangency` does not answer throughout."""
+    table = results.rows(IMPERFECT.name, method="tangency")
+    rows = table[(table["kind"] != ALL) & (table["answered"] < table["runs"])]
+    return "; ".join(
+        f"{row['kind']}: {row['runs'] - row['answered']:.0f} of {row['runs']:.0f}"
+        for row in rows.to_dict("records")
+    )
+
+
+def kinds_wrong(results: Committed) -> str:
+    """List the kinds of imperfect recordings of which `tangency` gives confident wrong answers."""
+    table = results.rows(IMPERFECT.name, method="tangency")
+    rows = table[(table["kind"] != ALL) & (table["confident_wrong"] > 0)]
+    return "; ".join(
+        f"{row['kind']}: {row['confident_wrong']:.0f} of {row['runs']:.0f}"
+        for row in rows.to_dict("records")
+    )
+
+
 def answered(results: Committed, number: int) -> str:
     """Say how many pairs of a data set are answered."""
     rows = results.rows(PAIRS, data_set=number)
@@ -220,6 +240,8 @@ def _has_offset(rows: pd.DataFrame) -> "pd.Series[bool]":
 
 REAL_NUMBERS: Mapping[str, Callable[[Committed], str]] = {
     "imperfect.runs": partial(of_imperfect, column="runs", method="tangency"),
+    "imperfect.kinds_not_answered": kinds_not_answered,
+    "imperfect.kinds_wrong": kinds_wrong,
     **{
         f"imperfect.{name}.{method}": partial(of_imperfect, column=column, method=method)
         for method in SHOWN
