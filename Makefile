@@ -50,9 +50,10 @@ verify: .venv/.ready ## check that results/ is complete and follows from its run
 test: .venv/.ready ## all tests, on up to four cores
 	@$(RUN) pytest --numprocesses auto --maxprocesses 4 --dist loadfile
 
-lint: .venv/.ready ## ruff: rules and formatting
+lint: .venv/.ready ## ruff: rules and formatting; import-linter: which way imports go
 	@$(RUN) ruff check
 	@$(RUN) ruff format --check
+	@.venv/bin/lint-imports --no-logo --no-cache
 
 types: .venv/.ready ## mypy --strict on sim, ssac and experiments
 	@$(RUN) mypy

@@ -4,8 +4,6 @@ import ast
 import re
 from collections.abc import Iterator
 
-import pytest
-
 from tests.test_architecture import module_files
 
 TYPED = re.compile(r"\*{0,2}\w+(, \*{0,2}\w+)* : .+")
@@ -22,13 +20,17 @@ def parameter_lines(doc: str) -> Iterator[str]:
             yield line
 
 
-@pytest.mark.parametrize("module", module_files())
-def test_parameters_are_named_without_their_types(module: str) -> None:
-    tree = ast.parse(module_files()[module].read_text(encoding="utf-8"))
+def test_parameters_are_named_without_their_types() -> None:
     documented = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
-    docs = (ast.get_docstring(node) for node in ast.walk(tree) if isinstance(node, documented))
-    typed = [line for doc in docs if doc for line in parameter_lines(doc) if TYPED.fullmatch(line)]
-    assert not typed, f"{module}: the signature has the types already: {typed}"
+    typed = [
+        f"{module}: {line}"
+        for module, path in module_files().items()
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, documented)
+        for line in parameter_lines(ast.get_docstring(node) or "")
+        if TYPED.fullmatch(line)
+    ]
+    assert not typed, "the signature has the types already"
 
 
 def test_a_typed_parameter_is_found() -> None:

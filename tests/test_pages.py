@@ -6,8 +6,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from tests.stages import STAGES
-from tests.test_architecture import ROOT
+from tests.test_architecture import FLOORS, ROOT
 
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
 MAX_WIDTH = 120
@@ -22,10 +21,10 @@ def test_the_folders_of_the_architecture_are_those_there_are() -> None:
     text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
     told = re.findall(r"^\| `((?:sim|ssac|experiments)/\w+/)` \|", text, re.MULTILINE)
     there = [
-        f"{package}/{floor}/"
-        for package, floors in STAGES.items()
-        for floor, files in floors.items()
-        if files
+        f"{package}/{folder.name}/"
+        for package in FLOORS
+        for folder in (ROOT / package).iterdir()
+        if any(folder.glob("*.py"))
     ]
     assert sorted(told) == sorted(there), "docs/architecture.md: the table of folders"
 
@@ -33,11 +32,11 @@ def test_the_folders_of_the_architecture_are_those_there_are() -> None:
 def test_the_way_of_a_recording_follows_the_arrows() -> None:
     text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
     way = text.split("## The way of one recording")[1].split("##")[0]
-    packages = list(STAGES)
+    packages = list(FLOORS)
     order = []
     for path in re.findall(r"`((?:sim|ssac|experiments)/[\w/.]+)`", way):
         package, floor, *_ = path.removesuffix(".py").strip("/").split("/")
-        order.append((packages.index(package), list(STAGES[package]).index(floor)))
+        order.append((packages.index(package), FLOORS[package].index(floor)))
     assert len(order) > 10
     assert order == sorted(order)
 
@@ -79,7 +78,7 @@ def test_how_to_cite_names_this_version_and_the_paper() -> None:
 
 
 def test_the_packages_carry_their_types() -> None:
-    for package in STAGES:
+    for package in FLOORS:
         assert (ROOT / package / "py.typed").is_file()
 
 
