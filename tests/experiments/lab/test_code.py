@@ -81,7 +81,7 @@ def test_every_module_that_an_entry_depends_on_makes_a_new_key(tree: Path) -> No
         ("ssac/pipeline/registry.py", "zncc_e:zncc_e_of_events", "event_rate:event_rate_of_events",
          OF_ROWS),
         ("ssac/track/observation.py", "import", "import os\nimport", set(CODES) - {"recordings"}),
-        ("ssac/track/motion.py", "import", "import os\nimport", OF_ROWS),
+        ("ssac/track/motion.py", "import numpy", "import os\nimport numpy", OF_ROWS),
         ("ssac/pipeline/api.py", "import", "import os\nimport", set()),
         ("ssac/pipeline/many.py", "import", "import os\nimport", set()),
         ("experiments/lab/score.py", "1e3", "1e6", {"runs", "refusals"}),
