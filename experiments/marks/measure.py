@@ -19,7 +19,7 @@ from experiments.run.cache import Cache
 from experiments.run.recorded import Pair, recorded_pair
 from experiments.run.score import angle_between_deg, rotation_angle_deg
 from experiments.run.task import FlightCell, Measure
-from sim.clock import Drift
+from sim.recorded import Drift
 from ssac.camera import Camera, Rig, with_deviations
 from ssac.config import Config
 from ssac.estimate import Estimate

@@ -15,8 +15,7 @@ from experiments.run.cache import Cache
 from experiments.run.recorded import Pair, recorded_pair
 from experiments.run.task import Flight, FlightCell, Measure
 from sim.recording import SimConfig
-from sim.render.config import RenderConfig
-from sim.render.instants import SamplingConfig
+from sim.render.config import RenderConfig, SamplingConfig
 from sim.render.lattice import Lattice
 from ssac.pipeline.chain import Chain
 

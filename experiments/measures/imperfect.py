@@ -14,9 +14,14 @@ from experiments.run.cache import Cache
 from experiments.run.recorded import Pair, recorded_pair
 from experiments.run.score import score
 from experiments.run.task import FlightCell, Measure
-from sim.clock import Drift
-from sim.disturb.clutter import clutter, merged, thinned, wrong_intrinsics
-from sim.disturb.pixels import View
+from sim.disturb import (
+    View,
+    clutter,
+    merged,
+    thinned,
+    wrong_intrinsics,
+)
+from sim.recorded import Drift
 from ssac.camera import Camera, Rig, known_pose
 from ssac.estimate import Estimate
 from ssac.pipeline.chain import Chain

@@ -15,7 +15,7 @@ from experiments.run.grid import Cell
 from experiments.run.recorded import Pair, load_pair
 from experiments.run.scored import Frames, Row, frames_of, scored_row
 from experiments.run.task import Measure
-from sim.disturb.clutter import merged
+from sim.disturb import merged
 from sim.effects.config import SensorEffects
 from sim.scene.trajectory import SplineConfig
 from sim.seeds import generator
