@@ -12,16 +12,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.clock import Drift, Jump, drift_of, microseconds
 from sim.effects.camera import CameraEffects, check_gap
 from sim.effects.config import SensorEffects
 from sim.errors import SimError
-from sim.recorded import Flight, InMemory, OpenSink, Recording, truth_of
-from sim.render.config import RenderConfig
-from sim.render.instants import SamplingConfig, choose_instants
+from sim.recorded import (
+    Drift,
+    Flight,
+    InMemory,
+    Jump,
+    OpenSink,
+    Recording,
+    drift_of,
+    microseconds,
+    truth_of,
+)
+from sim.render.config import RenderConfig, SamplingConfig
+from sim.render.footprint import choose_instants
 from sim.render.renderer import Crops, Renderer
 from sim.scene.background import load_background, uniform_background
-from sim.scene.camera import Camera
 from sim.scene.drone import Drone, drone_from_file
 from sim.scene.flyers import FLAP_HZ, built_in_drone, check_drone_name
 from sim.scene.rig import (
@@ -29,11 +37,17 @@ from sim.scene.rig import (
     FOCAL_PX,
     PRINCIPAL_POINT,
     RESOLUTION,
+    Camera,
     Rig,
     two_view_rig,
 )
-from sim.scene.trajectory import PosesAt, SplineConfig, Trajectory, random_spline
-from sim.scene.trajectory_csv import trajectory_from_csv
+from sim.scene.trajectory import (
+    PosesAt,
+    SplineConfig,
+    Trajectory,
+    random_spline,
+    trajectory_from_csv,
+)
 from sim.seeds import generator
 from sim.sensor.events import Sensor, SensorConfig
 from sim.sensor.frames import FrameConfig, FrameExposer, frame_times_us

@@ -106,7 +106,7 @@ def test_a_new_folder_needs_a_place(imports: grimp.ImportGraph, package: str) ->
 
 
 def test_both_sides_have_the_same_events() -> None:
-    from sim.sensor.buffer import EVENT_DTYPE as SIMULATED
+    from sim.sensor.kernels import EVENT_DTYPE as SIMULATED
     from ssac.events import EVENT_DTYPE as READ
 
     assert SIMULATED == READ

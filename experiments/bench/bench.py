@@ -44,7 +44,7 @@ from sim.render.gl_reference import PyrenderFullFrame
 from sim.render.lattice import Lattice
 from sim.render.renderer import Renderer
 from sim.scene.background import uniform_background
-from sim.scene.drone import quadrotor
+from sim.scene.flyers import quadrotor
 from sim.scene.rig import two_view_rig
 from sim.scene.trajectory import SplineConfig, random_spline
 from ssac.errors import SsacError

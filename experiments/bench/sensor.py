@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from experiments.bench.measurement import Measurement, best_rate
 from sim.render.renderer import Renderer
 from sim.scene.background import uniform_background
-from sim.scene.drone import quadrotor
+from sim.scene.flyers import quadrotor
 from sim.scene.rig import two_view_rig
 from sim.sensor.events import Sensor, SensorConfig
 

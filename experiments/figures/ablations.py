@@ -21,7 +21,7 @@ from experiments.figures.style import WIDTH_IN, quiet_axes
 from experiments.lab.grid import FigureConfig, GridConfig, configs_of
 from experiments.paper.esim import method_order
 from experiments.paper.quantities import ERRORS
-from sim.scene.drone import quadrotor
+from sim.scene.flyers import quadrotor
 from ssac.config import N_MIN
 from ssac.errors import SsacError
 

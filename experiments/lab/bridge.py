@@ -8,8 +8,8 @@ import numpy as np
 from sim.errors import SimError
 from sim.recorded import CameraRecording, Flight, Recording
 from sim.recording import SimConfig
-from sim.scene.camera import Camera as SimCamera
 from sim.scene.drone import drone_from_file
+from sim.scene.rig import Camera as SimCamera
 from ssac.camera import Camera, Rig
 from ssac.errors import SsacError
 from ssac.files.net import readable

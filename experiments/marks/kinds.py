@@ -10,8 +10,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from experiments.measures.imperfect_kinds import CARELESS, GOOD, ORDINARY, SCENES
-from sim.clock import Jump
-from sim.disturb.config import DisturbConfig
+from sim.disturb import DisturbConfig
+from sim.recorded import Jump
 from sim.recording import SimConfig
 from sim.scene.trajectory import SplineConfig
 

@@ -19,7 +19,7 @@ from experiments.marks.kinds import KINDS, Errors, Kind
 from experiments.measures.imperfect import ImperfectRow, scored, spoilt_pair
 from experiments.measures.imperfect_kinds import T_D_S
 from experiments.measures.imperfect_kinds import Kind as SpoiltKind
-from sim.clock import Drift
+from sim.recorded import Drift
 from ssac.camera import Camera, Rig, with_deviations
 from ssac.config import Config
 from ssac.estimate import Estimate

@@ -15,8 +15,7 @@ from experiments.lab.cache import Cache
 from experiments.lab.recorded import Pair, recorded_pair
 from experiments.lab.task import Flight, FlightCell, Measure
 from sim.recording import SimConfig
-from sim.render.config import RenderConfig
-from sim.render.instants import SamplingConfig
+from sim.render.config import RenderConfig, SamplingConfig
 from sim.render.lattice import Lattice
 from ssac.pipeline.chain import Chain
 

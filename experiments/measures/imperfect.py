@@ -14,9 +14,8 @@ from experiments.lab.recorded import Pair, recorded_pair
 from experiments.lab.score import score
 from experiments.lab.task import FlightCell, Measure
 from experiments.measures.imperfect_kinds import KINDS, T_D_S, Kind
-from sim.clock import Drift
-from sim.disturb.clutter import clutter, merged, thinned, wrong_intrinsics
-from sim.disturb.pixels import View
+from sim.disturb import View, clutter, merged, thinned, wrong_intrinsics
+from sim.recorded import Drift
 from ssac.camera import Camera, Rig, known_pose
 from ssac.estimate import Estimate
 from ssac.pipeline.chain import Chain

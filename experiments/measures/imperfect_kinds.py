@@ -7,7 +7,7 @@ the skew and the error of the intrinsics, is drawn from the deviations that stan
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from sim.disturb.config import DisturbConfig
+from sim.disturb import DisturbConfig
 from sim.recording import SimConfig
 from sim.scene.trajectory import SplineConfig
 from sim.seeds import generator

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from experiments.lab.cache import Cache
 from experiments.lab.recorded import Pair, recorded_pair
 from sim.recording import SimConfig
-from sim.scene.trajectory import SplineConfig, Trajectory, random_spline
-from sim.scene.trajectory_csv import trajectory_to_csv
+from sim.scene.trajectory import SplineConfig, Trajectory, random_spline, trajectory_to_csv
 from sim.seeds import generator
 from sim.sensor.events import PRESETS
 from sim.sensor.frames import FrameConfig

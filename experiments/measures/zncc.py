@@ -19,8 +19,7 @@ from experiments.lab.recorded import Pair, load_pair
 from experiments.lab.task import FlightCell, Measure
 from experiments.scenes.scene import SceneFigures, pair_figures
 from sim.recording import TRAJECTORY_STREAM, SimConfig
-from sim.scene.camera import Camera
-from sim.scene.rig import look_at_rig
+from sim.scene.rig import Camera, look_at_rig
 from sim.scene.trajectory import Trajectory, random_spline
 from sim.seeds import generator
 from ssac.config import Config

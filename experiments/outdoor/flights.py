@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from sim.disturb.clouds import clouds
-from sim.disturb.pixels import View
+from sim.disturb import View, clouds
 from sim.recording import SimConfig
 from sim.scene.trajectory import SplineConfig
 from sim.seeds import generator

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from experiments.lab.score import score
 from experiments.outdoor.flights import LEVER_ARM_M, Truth, calibrated, clouds_of, rtk_of
-from sim.disturb.clutter import merged
+from sim.disturb import merged
 from sim.recording import SimConfig
 from sim.scene.rig import kalibr_yaml, two_view_rig
 from ssac.clock import Clock

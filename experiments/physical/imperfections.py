@@ -8,10 +8,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from sim.effects.config import SensorEffects
-from sim.effects.presets import sensor_preset
-from sim.render.config import RenderConfig
-from sim.render.instants import SamplingConfig
+from sim.effects.config import SensorEffects, sensor_preset
+from sim.render.config import RenderConfig, SamplingConfig
 from sim.render.lattice import Lattice
 from sim.scene.trajectory import SplineConfig
 from sim.sensor.events import SensorConfig

@@ -15,7 +15,7 @@ from experiments.lab.recorded import Pair, load_pair
 from experiments.lab.scored import Frames, Row, frames_of, scored_row
 from experiments.lab.task import Measure
 from experiments.physical.imperfections import SetUp
-from sim.disturb.clutter import merged
+from sim.disturb import merged
 from sim.effects.config import SensorEffects
 from sim.scene.trajectory import SplineConfig
 from sim.seeds import generator

@@ -1,8 +1,8 @@
-"""The options of `ssac simulate` that spoil a recording: of `sim.disturb.config.DisturbConfig`."""
+"""The options of `ssac simulate` that spoil a recording: of `sim.disturb.DisturbConfig`."""
 
 from typing import Annotated
 
-from sim.disturb.config import MAX_FOCAL_PERCENT
+from sim.disturb import MAX_FOCAL_PERCENT
 from ssac.console.options import number
 
 LampOption = Annotated[

@@ -6,8 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
-from sim.effects.config import SensorEffects
-from sim.effects.presets import SENSOR_PRESETS, SensorPreset, sensor_preset
+from sim.effects.config import SENSOR_PRESETS, SensorEffects, SensorPreset, sensor_preset
 from sim.errors import SimError
 from sim.sensor.events import PRESETS
 from ssac.console.options import number

@@ -3,8 +3,7 @@
 from pathlib import Path
 
 from experiments.lab.provenance import plain, versions
-from sim.disturb.config import DisturbConfig
-from sim.disturb.record import record_disturbed
+from sim.disturb import DisturbConfig, record_disturbed
 from sim.recorded import Flight
 from sim.recording import SimConfig
 from sim.storage import Recorded, record

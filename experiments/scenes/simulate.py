@@ -26,12 +26,11 @@ from experiments.scenes.effects_options import (
 )
 from experiments.scenes.record import MAX_SEED, record_with_progress, summary
 from experiments.scenes.scene import SceneFigures, pair_figures, scene_table
-from sim.clock import MAX_SKEW_PPM
-from sim.disturb.config import DisturbConfig
+from sim.disturb import DisturbConfig
 from sim.errors import SimError
+from sim.recorded import MAX_SKEW_PPM
 from sim.recording import SimConfig
-from sim.render.config import RENDERERS, RenderConfig
-from sim.render.instants import SamplingConfig
+from sim.render.config import RENDERERS, RenderConfig, SamplingConfig
 from sim.render.lattice import Lattice
 from sim.scene.flyers import DRONES
 from sim.scene.trajectory import SplineConfig

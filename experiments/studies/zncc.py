@@ -21,7 +21,7 @@ from experiments.measures.zncc import (
 )
 from experiments.paper.grids import ANGLES_DEG, drawn
 from sim.recording import SimConfig
-from sim.render.instants import SamplingConfig
+from sim.render.config import SamplingConfig
 from sim.scene.trajectory import SplineConfig
 
 DEFAULT = "default"

@@ -22,8 +22,8 @@ from experiments.lab.cache import Brightness, Cache
 from experiments.lab.grid import CONFIGS, load_config
 from experiments.lab.health import is_sound, save_sums
 from experiments.measures.recording_bound import load_truth
-from sim.scene.drone import quadrotor
-from sim.scene.trajectory_csv import trajectory_from_csv
+from sim.scene.flyers import quadrotor
+from sim.scene.trajectory import trajectory_from_csv
 from ssac.events import EVENT_DTYPE
 from ssac.files.damage import STRICT, Reading
 from ssac.files.event_files import load_events, save_events_h5, save_events_text

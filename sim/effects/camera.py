@@ -1,15 +1,15 @@
-"""One camera's effects, drawn from the recording's seed: lens, pixels, readout and frames."""
+"""The lens, the pixels, the readout and the frames of one camera, each as bad as configured."""
 
 from typing import Any
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
+from scipy.ndimage import correlate1d
+from scipy.special import ive, ndtri
 
 from sim.effects.config import SensorEffects
-from sim.effects.frames import NoisyImages
-from sim.effects.lens import blurred_crops, blurred_image
 from sim.effects.pixels import EffectsSensor
-from sim.effects.readout import queued, without_gaps
 from sim.errors import SimError
 from sim.render.renderer import Crops
 from sim.seeds import generator
@@ -139,3 +139,226 @@ def check_gap(effects: SensorEffects, frames: FrameConfig) -> None:
             f"effects: frame_gap_s must be less than 1 / rate_hz of the frames = "
             f"{1.0 / frames.rate_hz:g} s, got {effects.frame_gap_s:g}: no event would be left"
         )
+
+
+_REACH = 4.0  # deviations of the point spread, beyond which 6e-5 of the light would lie
+
+
+def point_spread(blur_px: float) -> NDArray[np.float64]:
+    """Weights (2 r + 1,) of a point's light on the pixels of a row, of exactly this deviation.
+
+    The discrete Gaussian kernel exp(-v) I_n(v), v = blur_px^2 (Lindeberg, TPAMI 1990): samples of
+    a Gaussian narrower than 0.7 px are too narrow, by 15 % of the variance at 0.5 px.
+    """
+    reach = int(np.ceil(_REACH * blur_px))
+    weights = ive(np.abs(np.arange(-reach, reach + 1)), blur_px**2)
+    spread: NDArray[np.float64] = weights / weights.sum()
+    return spread
+
+
+def blurred_image(image: NDArray[np.float32], blur_px: float) -> NDArray[np.float32]:
+    """Blur a whole image (height, width); beyond its border lies what is on it."""
+    weights, blurred = point_spread(blur_px), image.astype(np.float64)
+    for axis in (0, 1):
+        blurred = correlate1d(blurred, weights, axis, mode="nearest")
+    return blurred.astype(np.float32)
+
+
+def blurred_crops(
+    crops: Crops,
+    blur_px: float,
+    background: NDArray[np.float32],
+    blurred: NDArray[np.float32],
+) -> Crops:
+    """Blur crops of an image.
+
+    Parameters
+    ----------
+    crops
+        On the sharp background.
+    blur_px
+        Deviation of the Gaussian point spread.
+    background, blurred
+        The background (height, width), sharp and blurred.
+
+    Returns
+    -------
+    Crops
+        On the blurred background, wider by the blur's reach where the image goes on.
+    """
+    weights = point_spread(blur_px).astype(np.float32)
+    margin = len(weights) // 2
+    n, height, width = crops.luminance.shape
+    size = (min(height + 2 * margin, background.shape[0]),
+            min(width + 2 * margin, background.shape[1]))  # fmt: skip
+    y0 = np.clip(crops.y0_px - margin, 0, background.shape[0] - size[0])
+    x0 = np.clip(crops.x0_px - margin, 0, background.shape[1] - size[1])
+    luminance = np.empty((n, *size), np.float32)
+    _blur(
+        crops.luminance, crops.x0_px, crops.y0_px, x0, y0, background, blurred, weights, luminance
+    )
+    return Crops(crops.times_s, x0, y0, luminance)
+
+
+@njit(cache=True, nogil=True)
+def _blur(  # type: ignore[no-untyped-def]
+    sharp, sharp_x0, sharp_y0, x0_px, y0_px, background, blurred, weights, out
+):
+    """Add the blurred difference from the background to the blurred background, row by row."""
+    n, height, width = out.shape
+    reach = weights.size // 2
+    rows = np.zeros((sharp.shape[1], width), np.float32)
+    for k in range(n):
+        dx, dy = sharp_x0[k] - x0_px[k], sharp_y0[k] - y0_px[k]
+        rows[:] = 0.0
+        for j in range(sharp.shape[1]):
+            for i in range(sharp.shape[2]):
+                behind = background[sharp_y0[k] + j, sharp_x0[k] + i]
+                difference = sharp[k, j, i] - behind
+                if difference != 0.0:
+                    for w in range(weights.size):
+                        x = dx + i + w - reach
+                        if 0 <= x < width:
+                            rows[j, x] += weights[w] * difference
+        for j in range(height):
+            for i in range(width):
+                out[k, j, i] = blurred[y0_px[k] + j, x0_px[k] + i]
+        for j in range(sharp.shape[1]):
+            for w in range(weights.size):
+                y = dy + j + w - reach
+                if 0 <= y < height:
+                    for i in range(width):
+                        out[k, y, i] += weights[w] * rows[j, i]
+
+
+def without_gaps(
+    events: NDArray[Any], starts_us: NDArray[np.float64], gap_us: float
+) -> NDArray[Any]:
+    """Lose the events during gaps.
+
+    Parameters
+    ----------
+    events
+        EVENT_DTYPE, sorted by time.
+    starts_us
+        When each gap begins, shape (n,) [us], increasing.
+    gap_us
+        How long each lasts; less than from one to the next.
+    """
+    if not len(starts_us):
+        return events
+    gap = np.searchsorted(starts_us, events["t"], side="right") - 1
+    is_lost = (gap >= 0) & (events["t"] < starts_us[gap] + gap_us)
+    return events[~is_lost]
+
+
+def queued(events: NDArray[Any], readout_hz: float, queue: int) -> NDArray[Any]:
+    """Read events out one at a time, first come, first served; each is stamped when its turn comes.
+
+    Parameters
+    ----------
+    events
+        EVENT_DTYPE, sorted by time.
+    readout_hz
+        Events that are read out per second.
+    queue
+        How many wait at most, beside the one that is read out; one that finds as many is lost.
+    """
+    stamps_us, is_read = _serve(events["t"], 1e6 / readout_hz, queue)
+    delivered: NDArray[Any] = events[is_read]
+    delivered["t"] = stamps_us[is_read]
+    return delivered
+
+
+@njit(cache=True, nogil=True)
+def _serve(t_us, service_us, queue):  # type: ignore[no-untyped-def]
+    stamps_us = np.empty(t_us.size, np.int64)
+    is_read = np.zeros(t_us.size, np.bool_)
+    free_us = -np.inf  # when all that waits has been read out
+    for i in range(t_us.size):
+        wait_us = free_us - t_us[i]
+        if wait_us > (queue + 1e-6) * service_us:
+            continue
+        stamp_us = max(free_us, np.float64(t_us[i]))
+        stamps_us[i], is_read[i] = np.int64(np.floor(stamp_us + 1e-6)), True
+        free_us = stamp_us + service_us
+    return stamps_us, is_read
+
+
+_FULL_SCALE = 255.0
+_BITS = 12  # of a draw
+# The normal distribution's quantiles, of deviation 1: up to 3.7 deviations, enough for 8 bits.
+_QUANTILES = ndtri((np.arange(1 << _BITS) + 0.5) / (1 << _BITS)).astype(np.float32)
+_QUANTILES /= _QUANTILES.std()
+
+
+class NoisyImages:
+    """Takes frames in place of others, to which it hands them on.
+
+    Parameters
+    ----------
+    images
+        Takes the frames afterwards.
+    effects, config
+    start_s
+        When the first exposure begins.
+    rng
+    flicker_rad
+        Phase of the lamps at time 0.
+    """
+
+    def __init__(
+        self,
+        images: Images,
+        effects: SensorEffects,
+        config: FrameConfig,
+        start_s: float,
+        rng: np.random.Generator,
+        flicker_rad: float,
+    ) -> None:
+        self._images = images
+        self._effects = effects
+        self._config = config
+        self._start_s = start_s
+        self._rng = rng
+        self._flicker_rad = flicker_rad
+
+    def __setitem__(self, k: int, image: NDArray[np.uint8], /) -> None:
+        """Take frame k, (height, width)."""
+        effects = self._effects
+        levels = np.arange(256) * self._brightness(k) / _FULL_SCALE
+        variance = np.full(256, effects.frame_read_noise**2)
+        if effects.frame_full_well_e:
+            variance += levels / effects.frame_full_well_e
+        deviation = np.sqrt(variance)
+        per_draw = 64 // _BITS
+        draws = self._rng.integers(0, 2**64, -(-image.size // per_draw), np.uint64)
+        noisy = np.empty_like(image)
+        _add_noise(
+            image.reshape(-1), draws, (_FULL_SCALE * levels).astype(np.float32),
+            (_FULL_SCALE * deviation).astype(np.float32), _QUANTILES, noisy.reshape(-1),
+        )  # fmt: skip
+        self._images[k] = noisy
+
+    def _brightness(self, k: int) -> float:
+        """Give the mean of the lamps' light during an exposure, over its mean in the long run."""
+        depth, exposure_s = self._effects.flicker_depth, self._config.exposure_s
+        rad_s = 2.0 * np.pi * self._effects.flicker_hz
+        from_rad = rad_s * (self._start_s + k / self._config.rate_hz) + self._flicker_rad
+        change = np.sin(from_rad + rad_s * exposure_s) - np.sin(from_rad)
+        return float(1.0 + depth * change / (rad_s * exposure_s))
+
+
+@njit(cache=True, nogil=True)
+def _add_noise(image, draws, mean, deviation, quantiles, noisy):  # type: ignore[no-untyped-def]
+    """Draw each pixel's level, all flat; 12 bits of a draw make one pixel's noise."""
+    per_draw = 64 // _BITS
+    for d in range(draws.size):
+        bits = draws[d]
+        for i in range(d * per_draw, min((d + 1) * per_draw, image.size)):
+            quantile = quantiles[bits & np.uint64((1 << _BITS) - 1)]
+            bits >>= np.uint64(_BITS)
+            level = mean[image[i]] + deviation[image[i]] * quantile
+            noisy[i] = np.uint8(
+                min(max(level, np.float32(0.0)), np.float32(255.0)) + np.float32(0.5)
+            )

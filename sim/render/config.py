@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from sim.errors import SimError
 from sim.render.lattice import GL_MAX_A, Lattice
-from sim.scene.camera import Camera
+from sim.scene.rig import Camera
 
 RENDERERS = ("native", "pyrender")
 DISTORTION_MODELS = {"none": 0, "radtan": 1, "equidistant": 2}
@@ -43,3 +43,17 @@ class RenderConfig:
         light_W = np.asarray(self.light_W)
         light_C: NDArray[np.float64] = camera.T_C_W[:3, :3] @ (light_W / np.linalg.norm(light_W))
         return light_C
+
+
+@dataclass(frozen=True)
+class SamplingConfig:
+    """Adaptive sampling after ESIM (Rebecq et al., CoRL 2018, section 3.1), in pixels moved."""
+
+    max_step_px: float = 0.25  # largest image displacement between two instants
+    min_rate_hz: float = 100.0  # also when nothing moves or the drone is out of view
+
+    def __post_init__(self) -> None:
+        for name in ("max_step_px", "min_rate_hz"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value > 0.0):
+                raise SimError(f"sampling: {name} must be a positive number, got {value}")

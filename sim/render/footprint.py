@@ -1,4 +1,4 @@
-"""Poses and a camera in; where the drone's image lies and how far it moves, out."""
+"""Where the drone's image lies: the instants to render, and the pixels to draw at each."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -10,11 +10,14 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
 from sim.errors import SimError
-from sim.scene.camera import MIN_DEPTH_M, Camera
-from sim.scene.drone import Drone
-from sim.scene.trajectory import PosesAt
+from sim.render.config import SamplingConfig
+from sim.scene.drone import Drone, Part
+from sim.scene.rig import MIN_DEPTH_M, Camera
+from sim.scene.trajectory import PosesAt, Trajectory
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
 
 # An edge across half the view bows by some 10 px under strong distortion, this piece of it by 0.6.
 _PIECE_OF_SIZE = 1 / 4
@@ -222,3 +225,115 @@ def _hull_points(vertices_m: FloatArray, piece_m: float | None) -> FloatArray:
             n = int(np.ceil(np.linalg.norm(end - start) / piece_m))
             points.append(start + (end - start) * (np.arange(1, n) / max(n, 1))[:, None])
     return np.concatenate(points)
+
+
+PROBE_HZ = 1000.0  # how finely the motion is looked at beforehand
+PROBES_PER_TURN = 100  # and along a turn of a rotor
+
+
+def choose_instants(
+    drone: Drone, camera: Camera, trajectory: Trajectory, config: SamplingConfig | None = None
+) -> FloatArray:
+    """Choose the instants to render for one camera.
+
+    Each camera has instants of its own, so that the bound holds in all of them without any being
+    rendered as densely as the fastest view needs.
+
+    Parameters
+    ----------
+    drone
+    camera
+    trajectory
+    config
+
+    Returns
+    -------
+    FloatArray
+        Increasing times [s] from 0 to the trajectory's end, both included. Between two of them no
+        point of the drone's outline moves by more than `max_step_px`, to about 1 %, where it is
+        in view.
+    """
+    config = config or SamplingConfig()
+    turns_hz = [abs(part.joint.rate_hz) for part in drone.parts if part.joint is not None]
+    probe_hz = max([PROBE_HZ, *(PROBES_PER_TURN * rate for rate in turns_hz)])
+    n_probes = max(2, int(np.ceil(trajectory.duration_s * probe_hz)) + 1)
+    probes_s: FloatArray = np.linspace(0.0, trajectory.duration_s, n_probes, dtype=np.float64)
+    moved_px = footprint(drone, camera, probes_s, PosesAt(trajectory, probes_s)).moved_px
+    # Count steps: along the sum of displacements, or of time where that asks for more.
+    steps = np.maximum(moved_px[1:] / config.max_step_px, np.diff(probes_s) * config.min_rate_hz)
+    count = np.concatenate([[0.0], np.cumsum(steps)])
+    n_instants = int(np.ceil(count[-1])) + 1
+    return np.interp(np.linspace(0.0, count[-1], n_instants), count, probes_s)
+
+
+# How far the image may lie beyond the projected hull: the rasteriser's rounding without distortion,
+# and with it the bend of an edge between two corners.
+MARGIN_PX = {"none": 0.01, "radtan": 1.0, "equidistant": 1.0}
+
+
+@dataclass(frozen=True)
+class Views:
+    """What drawing n instants of one camera needs."""
+
+    times_s: FloatArray  # (n,) [s]
+    visible: NDArray[np.bool_]  # (n,)
+    low_px: FloatArray  # (n, 2) least column and row that the image may touch
+    high_px: FloatArray  # (n, 2) greatest
+    depth_m: FloatArray  # (n, 2) least and greatest depth
+    boxes: IntArray  # (n, 4) x0, y0, x1, y1 (exclusive) of the whole pixels touched in the image
+    T_C_P: list[NDArray[np.float32]]  # of each part (n, 4, 4); the last row is for the tile
+
+    def chosen(self, which: slice | IntArray) -> "Views":
+        """Return some of the instants."""
+        return Views(
+            self.times_s[which],
+            self.visible[which],
+            self.low_px[which],
+            self.high_px[which],
+            self.depth_m[which],
+            self.boxes[which],
+            [matrices[which] for matrices in self.T_C_P],
+        )
+
+
+def plan_views(
+    drone: Drone,
+    camera: Camera,
+    seen: Footprint,
+    chosen: IntArray,
+    times_s: FloatArray,
+    T_W_B: FloatArray | PosesAt,
+) -> Views:
+    """Prepare the chosen instants for drawing."""
+    visible = seen.visible[chosen]
+    margin = MARGIN_PX[camera.distortion_model]
+    low = np.where(visible[:, None], seen.low_px[chosen] - margin, 0.0)
+    high = np.where(visible[:, None], seen.high_px[chosen] + margin, 0.0)
+    last = np.array([camera.width - 1, camera.height - 1])
+    first_px = np.clip(np.floor(low + 0.5), 0, last)
+    last_px = np.clip(np.floor(high + 0.5), 0, last)
+    boxes: IntArray = np.concatenate([first_px, last_px + 1], axis=1).astype(np.int64)
+    poses = T_W_B[chosen]
+    T_C_P = [_placed(camera, part, times_s[chosen], poses, visible) for part in drone.parts]
+    return Views(times_s[chosen], visible, low, high, seen.depth_m[chosen], boxes, T_C_P)
+
+
+def crop_size(boxes: IntArray) -> tuple[int, int]:
+    """Width and height [px] of the smallest crop that is large enough for every box."""
+    size = (boxes[:, 2:] - boxes[:, :2]).max(axis=0)
+    return int(size[0]), int(size[1])
+
+
+def _placed(
+    camera: Camera,
+    part: Part,
+    times_s: FloatArray,
+    T_W_B: FloatArray,
+    visible: NDArray[np.bool_],
+) -> NDArray[np.float32]:
+    """Return T_C_P (n, 4, 4) of a part; out of view it shrinks to a point and covers no sample."""
+    T_W_P = T_W_B if part.joint is None else T_W_B @ part.joint.transforms(times_s)
+    matrices = camera.T_C_W @ T_W_P
+    matrices[~visible] = np.diag([0.0, 0.0, 0.0, 1.0])
+    matrices[~visible, 2, 3] = 1.0  # on the axis, in front of the camera
+    return matrices.astype(np.float32)

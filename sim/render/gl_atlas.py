@@ -13,12 +13,11 @@ from numpy.typing import NDArray
 
 from sim.errors import SimError
 from sim.render.config import DISTORTION_MODELS, RenderConfig
+from sim.render.footprint import Views, crop_size
 from sim.render.gl_context import open_context
 from sim.render.lattice import Lattice, average_pixels
-from sim.render.views import Views, crop_size
-from sim.scene.camera import Camera
-from sim.scene.drone import Drone, Part
-from sim.scene.faces import part_faces, piece_size_m
+from sim.scene.drone import Drone, Part, part_faces, piece_size_m
+from sim.scene.rig import Camera
 
 IntArray = NDArray[np.int64]
 

@@ -21,9 +21,8 @@ from sim.render.gl_atlas import (
 )
 from sim.render.gl_context import make_current, open_context
 from sim.render.lattice import average_pixels
-from sim.scene.camera import Camera
-from sim.scene.drone import Drone, Part
-from sim.scene.faces import piece_size_m
+from sim.scene.drone import Drone, Part, piece_size_m
+from sim.scene.rig import Camera
 
 FloatArray = NDArray[np.float64]
 

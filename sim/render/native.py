@@ -8,12 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.render.config import DISTORTION_MODELS, RenderConfig
+from sim.render.footprint import Views, crop_size
 from sim.render.lattice import runs_of_tile
 from sim.render.native_kernels import paint_crops
-from sim.render.views import Views, crop_size
-from sim.scene.camera import Camera
-from sim.scene.drone import Drone
-from sim.scene.faces import in_memory, part_faces, piece_size_m
+from sim.scene.drone import Drone, in_memory, part_faces, piece_size_m
+from sim.scene.rig import Camera
 
 IntArray = NDArray[np.int64]
 

@@ -15,13 +15,12 @@ from numpy.typing import NDArray
 
 from sim.errors import SimError
 from sim.render.config import RenderConfig
-from sim.render.footprint import footprint
+from sim.render.footprint import Views, crop_size, footprint, plan_views
 from sim.render.gl_atlas import MAX_INSTANCES, GLPainter
 from sim.render.gl_context import GLContext
 from sim.render.native import NativePainter
-from sim.render.views import Views, crop_size, plan_views
-from sim.scene.camera import Camera
 from sim.scene.drone import Drone
+from sim.scene.rig import Camera
 from sim.scene.trajectory import PosesAt
 
 FloatArray = NDArray[np.float64]

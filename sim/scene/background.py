@@ -1,4 +1,4 @@
-"""A grey level or an image file in, the luminance of the empty scene out."""
+"""The luminance of the empty scene: an even sky, or an image."""
 
 from pathlib import Path
 
@@ -7,8 +7,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.errors import SimError
-from sim.scene.camera import Camera
-from sim.scene.srgb import linear_from_srgb
+from sim.scene.rig import Camera
+
+FloatArray = NDArray[np.float64]
+
+
+def linear_from_srgb(srgb: FloatArray) -> FloatArray:
+    """Undo the transfer function of IEC 61966-2-1; both values and light are 0 to 1."""
+    linear: FloatArray = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+    return linear
 
 
 def uniform_background(camera: Camera, luminance: float) -> NDArray[np.float32]:

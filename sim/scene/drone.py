@@ -1,22 +1,27 @@
-"""A size, or a mesh file, to a drone: closed triangle meshes with albedo, some of them on joints.
+"""Drones as closed triangle meshes with albedo, some of them on joints.
 
-Body frame B: x forward, y left, z up, metres; origin within the drone.
+Body frame B: x forward, y left, z up, metres; origin within the drone. All faces are
+counter-clockwise seen from outside.
 """
 
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from sim.errors import SimError
-from sim.scene.shapes import hexagonal_hull, pose, prism
-from sim.scene.srgb import linear_from_srgb
+from sim.scene.background import linear_from_srgb
+from sim.scene.rig import Camera
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+Float32Array = NDArray[np.float32]
+
 
 DEFAULT_SIZE_M = 0.65
 DEFAULT_ALBEDO = 0.25  # of a mesh file without colours: dark grey
@@ -95,109 +100,6 @@ def check_size(size_m: float) -> None:
         raise SimError(f"the drone's size must be a positive number of metres, got {size_m}")
 
 
-# Proportions of quadrotors, in units of their size: 2 (MOTOR_X + ROTOR_RADIUS) = 1. They are longer
-# than wide, as real ones are.
-MOTOR_X, MOTOR_Y = 0.335, 0.29
-ROTOR_RADIUS = 0.165
-BLADE_CHORD, BLADE_THICKNESS = 0.034, 0.008
-BLADE_LENGTH = ((2.0 * ROTOR_RADIUS) ** 2 - BLADE_CHORD**2) ** 0.5  # its corners on the circle
-# In this order neighbours are neighbours, and turn in opposite senses.
-CORNERS = ((1, 1), (1, -1), (-1, -1), (-1, 1))  # signs of x and y
-
-# The default quadrotor's own.
-ALBEDO_BLACK = 0.10  # of all of it: black plastic
-BLADE_YAW_RAD = 0.5  # at rest, of the rotor at the front left; the others are its mirror images
-BLADE_Z = 0.033  # on top of the motors
-MOTOR_RADIUS, MOTOR_HEIGHT = 0.03, 0.06
-ARM_WIDTH, ARM_HEIGHT = 0.034, 0.026
-LEG_RADIUS, LEG_REACH = 0.025, 0.07  # stout: a thin leg's end makes few events
-
-
-def quadrotor(size_m: float = DEFAULT_SIZE_M, rotor_hz: float = 0.0) -> Drone:
-    """Build a quadrotor: shell, four level arms with motors, legs and two-blade rotors.
-
-    It is flat, black all over, and its own mirror image from front to back and from left to right,
-    blades at rest included: the mean of its events is then near the image of one point of it,
-    from wherever it is seen. `sim.scene.two_tone` has one that is neither.
-
-    Parameters
-    ----------
-    size_m
-        Length, from the front rotors' sweep to the rear ones' [m]; the width is 9 % less.
-    rotor_hz
-        Turns per second of the rotors, neighbours in opposite senses. 0: they stand still, and the
-        whole drone is one part; otherwise each rotor is a part on its joint.
-
-    Returns
-    -------
-    Drone
-        About 270 faces, in outward-facing closed pieces.
-
-    Raises
-    ------
-    SimError
-        When the size is not positive or the rate is not finite.
-    """
-    shell = hexagonal_hull(
-        (
-            (-0.19, 0.045, -0.018, 0.018),
-            (-0.09, 0.095, -0.04, 0.04),
-            (0.09, 0.095, -0.04, 0.04),
-            (0.19, 0.045, -0.018, 0.018),
-        )
-    )
-    frame, blades = [solid(shell, ALBEDO_BLACK)], []
-    for x_sign, y_sign in CORNERS:
-        hub = np.array([x_sign * MOTOR_X, y_sign * MOTOR_Y, BLADE_Z])
-        frame += [solid(mesh, ALBEDO_BLACK) for mesh in _level_arm(hub * (1.0, 1.0, 0.0))]
-        blades.append(Blades(hub, x_sign * y_sign * BLADE_YAW_RAD, ALBEDO_BLACK))
-    return with_rotors("quadrotor", size_m, frame, blades, rotor_hz)
-
-
-@dataclass(frozen=True)
-class Blades:
-    """The two blades of a rotor, in units of the drone's size."""
-
-    hub_B: FloatArray  # (3,), frame B
-    yaw_rad: float  # at rest
-    albedo: float
-
-
-def with_rotors(
-    name: str, size_m: float, frame: list[Part], rotors: list[Blades], rotor_hz: float
-) -> Drone:
-    """Put four rotors on a frame.
-
-    Parameters
-    ----------
-    name, size_m
-        Of the drone.
-    frame
-        All else, in units of the size.
-    rotors
-        In the order of CORNERS.
-    rotor_hz
-        As of `quadrotor`.
-
-    Raises
-    ------
-    SimError
-        When the size is not positive or the rate is not finite.
-    """
-    check_size(size_m)
-    if not np.isfinite(rotor_hz):
-        raise SimError(f"the rotors' rate must be a finite number [1/s], got {rotor_hz}")
-    parts = []
-    for rotor, (x_sign, y_sign) in zip(rotors, CORNERS, strict=True):
-        blades = trimesh.creation.box((BLADE_LENGTH, BLADE_CHORD, BLADE_THICKNESS))
-        blades.apply_transform(pose(rotor.hub_B, rotor.yaw_rad))
-        joint = Joint(np.array([0.0, 0.0, 1.0]), rotor.hub_B * size_m, x_sign * y_sign * rotor_hz)
-        parts.append(join([solid(blades, rotor.albedo)], size_m, joint if rotor_hz else None))
-    body = join(frame, size_m)
-    whole = (body, *parts) if rotor_hz else (join([body, *parts]),)
-    return Drone(whole, name, size_m)
-
-
 def drone_from_file(path: Path, size_m: float | None = None) -> Drone:
     """Read a user's own mesh.
 
@@ -233,20 +135,6 @@ def drone_from_file(path: Path, size_m: float | None = None) -> Drone:
     scale = 1.0 if size_m is None else size_m / extent_m
     centred = replace(mesh, vertices_B_m=(mesh.vertices_B_m - 0.5 * (low + high)) * scale)
     return Drone((centred,), path.stem, extent_m * scale)
-
-
-def _level_arm(hub: FloatArray) -> list[trimesh.Trimesh]:
-    """Return the arm that ends at `hub`, the motor about its end, and the leg below it."""
-    motor = prism(6, MOTOR_RADIUS, MOTOR_HEIGHT)
-    motor.apply_translation(hub)
-    root = 0.2 * hub  # within the shell
-    length = float(np.linalg.norm(hub - root))
-    arm = trimesh.creation.box((length, ARM_WIDTH, ARM_HEIGHT))
-    arm.apply_transform(pose(0.5 * (hub + root), yaw_rad=float(np.arctan2(hub[1], hub[0]))))
-    inside = 0.5 * MOTOR_HEIGHT - 0.01  # from the arm's middle down to the leg's upper end
-    leg = prism(4, LEG_RADIUS, LEG_REACH - inside)
-    leg.apply_translation(hub - (0.0, 0.0, 0.5 * (LEG_REACH + inside)))
-    return [arm, motor, leg]
 
 
 def _load_meshes(path: Path) -> list[trimesh.Trimesh]:
@@ -295,3 +183,132 @@ def _albedo(mesh: trimesh.Trimesh) -> FloatArray:
     linear = linear_from_srgb(colors[:, :3] / 255.0)
     luminance: FloatArray = np.clip(linear @ LUMINANCE_WEIGHTS, MIN_ALBEDO, 1.0)
     return luminance
+
+
+def hull(points: ArrayLike) -> trimesh.Trimesh:
+    """Return the convex hull of points (n, 3)."""
+    mesh: trimesh.Trimesh = trimesh.convex.convex_hull(np.asarray(points, dtype=np.float64))
+    return mesh
+
+
+def hexagonal_hull(sections: Sequence[tuple[float, float, float, float]]) -> trimesh.Trimesh:
+    """Return the hull of hexagonal cross sections: x, half width, bottom, top of each."""
+    return hull(
+        [
+            (x, y, z)
+            for x, half_width, bottom, top in sections
+            for y, z in (
+                (-half_width, 0.0),
+                (half_width, 0.0),
+                (-0.6 * half_width, bottom),
+                (0.6 * half_width, bottom),
+                (-0.6 * half_width, top),
+                (0.6 * half_width, top),
+            )
+        ]
+    )
+
+
+def panel(outline: Sequence[tuple[float, float, float, float]]) -> trimesh.Trimesh:
+    """Return a flat convex panel about its outline's corners: x, y, z, thickness along z of each.
+
+    The thickness lets it taper: the corners must lie on one plane, and convexly.
+    """
+    return hull([(x, y, z + 0.5 * side * h) for x, y, z, h in outline for side in (-1, 1)])
+
+
+def beam(start: ArrayLike, end: ArrayLike, width: float) -> trimesh.Trimesh:
+    """Return a beam between two points, its section a triangle with an edge on top."""
+    along = np.subtract(end, start)
+    length = float(np.linalg.norm(along))
+    bar = prism(3, radius=0.62 * width, length=length)
+    bar.apply_transform(pose((0.0, 0.0, 0.0), pitch_rad=np.pi / 2))
+    yaw_rad = float(np.arctan2(along[1], along[0]))
+    pitch_rad = -float(np.arcsin(along[2] / length))
+    bar.apply_transform(pose(0.5 * np.add(start, end), yaw_rad, pitch_rad))
+    return bar
+
+
+def prism(n_sides: int, radius: float, length: float) -> trimesh.Trimesh:
+    """Return a regular prism along z about the origin, of as few faces as can be."""
+    angles_rad = 2.0 * np.pi * np.arange(n_sides) / n_sides
+    ring = radius * np.column_stack([-np.cos(angles_rad), np.sin(angles_rad)])
+    ends = [np.column_stack([ring, np.full(n_sides, z)]) for z in (-length / 2, length / 2)]
+    return hull(np.concatenate(ends))
+
+
+def pose(origin: ArrayLike, yaw_rad: float = 0.0, pitch_rad: float = 0.0) -> FloatArray:
+    """Return the (4, 4) transform that turns about y, then about z, then moves to `origin`."""
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_euler("ZY", [yaw_rad, pitch_rad]).as_matrix()
+    T[:3, 3] = origin
+    return T
+
+
+# Under distortion a straight edge bends; pieces of this share of the drone stay straight enough.
+PIECE_OF_SIZE = 1 / 16
+
+
+@dataclass(frozen=True)
+class Faces:
+    """Faces of one part, counter-clockwise seen from outside, in single precision as OpenGL's."""
+
+    corners_m: Float32Array  # (F, 3, 3) [m], frame of the part
+    normals: Float32Array  # (F, 3), unit
+    albedo: Float32Array  # (F,)
+
+
+def piece_size_m(drone: Drone, camera: Camera) -> float | None:
+    """Return the longest edge [m] that may be drawn straight in this camera; None: any."""
+    return None if camera.distortion_model == "none" else drone.size_m * PIECE_OF_SIZE
+
+
+def part_faces(part: Part, piece_m: float | None) -> Faces:
+    """Return a part's faces.
+
+    Parameters
+    ----------
+    part
+    piece_m
+        Split faces until no edge is longer [m]; None: leave them.
+
+    Returns
+    -------
+    Faces
+
+    Raises
+    ------
+    SimError
+        The mesh does not fit the memory.
+    """
+    with in_memory(len(part.faces)):
+        return _faces(part, piece_m)
+
+
+@contextmanager
+def in_memory(n_faces: int) -> Iterator[None]:
+    """Refuse a mesh of so many faces that the memory does not hold."""
+    try:
+        yield
+    except MemoryError as error:
+        raise SimError(
+            f"the drone's mesh of {n_faces} faces does not fit the memory: simplify it"
+        ) from error
+
+
+def _faces(part: Part, piece_m: float | None) -> Faces:
+    vertices, faces, albedo = part.vertices_B_m, part.faces, part.albedo
+    if piece_m is not None:
+        vertices, faces, index = trimesh.remesh.subdivide_to_size(  # type: ignore[no-untyped-call]
+            vertices, faces, piece_m, return_index=True
+        )
+        albedo = albedo[index]
+    corners = vertices[faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    has_area = length[:, 0] > 0.0  # the others show nothing
+    return Faces(
+        corners[has_area].astype(np.float32),
+        (normals[has_area] / length[has_area]).astype(np.float32),
+        albedo[has_area].astype(np.float32),
+    )

@@ -1,10 +1,13 @@
-"""A name and a size to a drone that is built in code: two quadrotors, a bird or a plane.
+"""The drones that are built in code: two quadrotors, a bird and a plane.
 
 What the paper's method takes for granted, that the mean of an object's events is the image of one
-of its points, holds for a small or symmetric object. The bird and the plane are neither: their
-greys differ from part to part and from left to right, and the body's origin is not in the middle.
+of its points, holds for a small or symmetric object, as the default quadrotor is. The others are
+neither: their greys differ from part to part, and the bird's and the plane's from left to right,
+with the body's origin not in the middle. What the parts of the quadrotor of two tones, once the
+default, do to the mean of its events is in docs/simulate.md.
 """
 
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -12,9 +15,214 @@ import trimesh
 from numpy.typing import NDArray
 
 from sim.errors import SimError
-from sim.scene.drone import DEFAULT_SIZE_M, Drone, Joint, Part, check_size, join, quadrotor, solid
-from sim.scene.shapes import beam, hexagonal_hull, panel, pose, prism
-from sim.scene.two_tone import two_tone
+from sim.scene.drone import (
+    DEFAULT_SIZE_M,
+    Drone,
+    Joint,
+    Part,
+    beam,
+    check_size,
+    hexagonal_hull,
+    join,
+    panel,
+    pose,
+    prism,
+    solid,
+)
+
+FloatArray = NDArray[np.float64]
+
+
+# Proportions of quadrotors, in units of their size: 2 (MOTOR_X + ROTOR_RADIUS) = 1. They are longer
+# than wide, as real ones are.
+MOTOR_X, MOTOR_Y = 0.335, 0.29
+ROTOR_RADIUS = 0.165
+BLADE_CHORD, BLADE_THICKNESS = 0.034, 0.008
+BLADE_LENGTH = ((2.0 * ROTOR_RADIUS) ** 2 - BLADE_CHORD**2) ** 0.5  # its corners on the circle
+# In this order neighbours are neighbours, and turn in opposite senses.
+CORNERS = ((1, 1), (1, -1), (-1, -1), (-1, 1))  # signs of x and y
+
+# The default quadrotor's own.
+ALBEDO_BLACK = 0.10  # of all of it: black plastic
+BLADE_YAW_RAD = 0.5  # at rest, of the rotor at the front left; the others are its mirror images
+BLADE_Z = 0.033  # on top of the motors
+MOTOR_RADIUS, MOTOR_HEIGHT = 0.03, 0.06
+ARM_WIDTH, ARM_HEIGHT = 0.034, 0.026
+LEG_RADIUS, LEG_REACH = 0.025, 0.07  # stout: a thin leg's end makes few events
+
+
+def quadrotor(size_m: float = DEFAULT_SIZE_M, rotor_hz: float = 0.0) -> Drone:
+    """Build a quadrotor: shell, four level arms with motors, legs and two-blade rotors.
+
+    It is flat, black all over, and its own mirror image from front to back and from left to right,
+    blades at rest included: the mean of its events is then near the image of one point of it,
+    from wherever it is seen. `two_tone` is neither.
+
+    Parameters
+    ----------
+    size_m
+        Length, from the front rotors' sweep to the rear ones' [m]; the width is 9 % less.
+    rotor_hz
+        Turns per second of the rotors, neighbours in opposite senses. 0: they stand still, and the
+        whole drone is one part; otherwise each rotor is a part on its joint.
+
+    Returns
+    -------
+    Drone
+        About 270 faces, in outward-facing closed pieces.
+
+    Raises
+    ------
+    SimError
+        When the size is not positive or the rate is not finite.
+    """
+    shell = hexagonal_hull(
+        (
+            (-0.19, 0.045, -0.018, 0.018),
+            (-0.09, 0.095, -0.04, 0.04),
+            (0.09, 0.095, -0.04, 0.04),
+            (0.19, 0.045, -0.018, 0.018),
+        )
+    )
+    frame, blades = [solid(shell, ALBEDO_BLACK)], []
+    for x_sign, y_sign in CORNERS:
+        hub = np.array([x_sign * MOTOR_X, y_sign * MOTOR_Y, BLADE_Z])
+        frame += [solid(mesh, ALBEDO_BLACK) for mesh in _level_arm(hub * (1.0, 1.0, 0.0))]
+        blades.append(Blades(hub, x_sign * y_sign * BLADE_YAW_RAD, ALBEDO_BLACK))
+    return with_rotors("quadrotor", size_m, frame, blades, rotor_hz)
+
+
+@dataclass(frozen=True)
+class Blades:
+    """The two blades of a rotor, in units of the drone's size."""
+
+    hub_B: FloatArray  # (3,), frame B
+    yaw_rad: float  # at rest
+    albedo: float
+
+
+def with_rotors(
+    name: str, size_m: float, frame: list[Part], rotors: list[Blades], rotor_hz: float
+) -> Drone:
+    """Put four rotors on a frame.
+
+    Parameters
+    ----------
+    name, size_m
+        Of the drone.
+    frame
+        All else, in units of the size.
+    rotors
+        In the order of CORNERS.
+    rotor_hz
+        As of `quadrotor`.
+
+    Raises
+    ------
+    SimError
+        When the size is not positive or the rate is not finite.
+    """
+    check_size(size_m)
+    if not np.isfinite(rotor_hz):
+        raise SimError(f"the rotors' rate must be a finite number [1/s], got {rotor_hz}")
+    parts = []
+    for rotor, (x_sign, y_sign) in zip(rotors, CORNERS, strict=True):
+        blades = trimesh.creation.box((BLADE_LENGTH, BLADE_CHORD, BLADE_THICKNESS))
+        blades.apply_transform(pose(rotor.hub_B, rotor.yaw_rad))
+        joint = Joint(np.array([0.0, 0.0, 1.0]), rotor.hub_B * size_m, x_sign * y_sign * rotor_hz)
+        parts.append(join([solid(blades, rotor.albedo)], size_m, joint if rotor_hz else None))
+    body = join(frame, size_m)
+    whole = (body, *parts) if rotor_hz else (join([body, *parts]),)
+    return Drone(whole, name, size_m)
+
+
+def _level_arm(hub: FloatArray) -> list[trimesh.Trimesh]:
+    """Return the arm that ends at `hub`, the motor about its end, and the leg below it."""
+    motor = prism(6, MOTOR_RADIUS, MOTOR_HEIGHT)
+    motor.apply_translation(hub)
+    root = 0.2 * hub  # within the shell
+    length = float(np.linalg.norm(hub - root))
+    arm = trimesh.creation.box((length, ARM_WIDTH, ARM_HEIGHT))
+    arm.apply_transform(pose(0.5 * (hub + root), yaw_rad=float(np.arctan2(hub[1], hub[0]))))
+    inside = 0.5 * MOTOR_HEIGHT - 0.01  # from the arm's middle down to the leg's upper end
+    leg = prism(4, LEG_RADIUS, LEG_REACH - inside)
+    leg.apply_translation(hub - (0.0, 0.0, 0.5 * (LEG_REACH + inside)))
+    return [arm, motor, leg]
+
+
+ROTOR_Z = 0.075
+ALBEDO_SHELL, ALBEDO_NOSE, ALBEDO_BATTERY = 0.22, 0.38, 0.12
+ALBEDO_ARM, ALBEDO_MOTOR, ALBEDO_LEG = 0.16, 0.10, 0.14
+ALBEDO_FRONT_ROTOR, ALBEDO_REAR_ROTOR = 0.42, 0.08
+
+
+def two_tone(size_m: float = DEFAULT_SIZE_M, rotor_hz: float = 0.0) -> Drone:
+    """Build a quadrotor: shell, gimbal, four arms with motors and two-blade rotors, two skids.
+
+    Its front is brighter than its back and its nose and tail differ, so that, as with many a real
+    drone, the mean of its events is not the image of any fixed point of it.
+
+    Parameters
+    ----------
+    size_m, rotor_hz
+        As of `sim.scene.drone.quadrotor`.
+
+    Returns
+    -------
+    Drone
+        About 280 faces, in outward-facing closed pieces.
+
+    Raises
+    ------
+    SimError
+        When the size is not positive or the rate is not finite.
+    """
+    frame = _fuselage()
+    rotors: list[Blades] = []
+    for x_sign, y_sign in CORNERS:
+        hub = np.array([x_sign * MOTOR_X, y_sign * MOTOR_Y, ROTOR_Z])
+        frame += _arm(hub)
+        albedo = ALBEDO_FRONT_ROTOR if x_sign > 0 else ALBEDO_REAR_ROTOR
+        # No two blades stand alike when at rest.
+        rotors.append(Blades(hub, 0.5 + 0.9 * len(rotors), albedo))
+    return with_rotors("two-tone", size_m, frame, rotors, rotor_hz)
+
+
+def _fuselage() -> list[Part]:
+    """Return shell, nose, tail and the two landing skids."""
+    # The shell is the hull of four hexagonal cross sections: x, half width, bottom, top.
+    sections = (
+        (-0.2, 0.055, -0.02, 0.03),
+        (-0.09, 0.1, -0.055, 0.065),
+        (0.1, 0.095, -0.055, 0.055),
+        (0.21, 0.04, -0.025, 0.015),
+    )
+    shell = hexagonal_hull(sections)
+    gimbal = prism(6, radius=0.04, length=0.07)
+    gimbal.apply_transform(pose((0.17, 0.0, -0.075), pitch_rad=np.pi / 2))
+    battery = trimesh.creation.box((0.13, 0.11, 0.05))
+    battery.apply_translation((-0.14, 0.0, 0.05))
+    pieces = [
+        solid(shell, ALBEDO_SHELL),
+        solid(gimbal, ALBEDO_NOSE),
+        solid(battery, ALBEDO_BATTERY),
+    ]
+    for side in (1, -1):
+        foot_y, foot_z = side * 0.17, -0.19
+        skid = beam((-0.15, foot_y, foot_z), (0.17, foot_y, foot_z), 0.016)
+        struts = [beam((x, side * 0.06, -0.04), (x, foot_y, foot_z), 0.018) for x in (-0.08, 0.1)]
+        pieces += [solid(leg, ALBEDO_LEG) for leg in (skid, *struts)]
+    return pieces
+
+
+def _arm(hub: FloatArray) -> list[Part]:
+    """Return the arm that carries the rotor at `hub`, and its motor."""
+    motor = prism(5, radius=0.033, length=0.075)
+    motor.apply_translation(hub - (0.0, 0.0, 0.04))
+    root = np.array([0.3, 0.2, 0.0]) * hub
+    arm = beam(root, hub - (0.0, 0.0, 0.055), 0.036)
+    return [solid(arm, ALBEDO_ARM), solid(motor, ALBEDO_MOTOR)]
+
 
 QUADROTORS = {"quadrotor": quadrotor, "two-tone": two_tone}
 DRONES = (*QUADROTORS, "bird", "plane")

@@ -1,4 +1,4 @@
-"""Luminance over time in, events out: the contrast-threshold model of an event camera, with noise.
+"""The contrast-threshold model of an event camera, with noise.
 
 L = log(I + eps) is the signal of a pixel. It emits an event whenever L has moved by C+ or C- from
 the level that it memorised at its last one, and then memorises anew. Between two instants I, not L,
@@ -6,6 +6,7 @@ is linear in time: the area of a pixel that a moving edge covers grows linearly,
 a closed form, and the comparison of each pixel needs no logarithm.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,8 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.errors import SimError
-from sim.sensor.buffer import EVENT_DTYPE, EventBuffer
-from sim.sensor.kernels import NOISE_STATE_DTYPE, process_ideal, process_noisy
+from sim.sensor.kernels import (
+    EVENT_DTYPE,
+    NOISE_STATE_DTYPE,
+    EventBuffer,
+    process_ideal,
+    process_noisy,
+)
+
+FloatArray = NDArray[np.float64]
+
 
 MIN_THRESHOLD = 0.01  # mismatch never makes a pixel more sensitive than this
 HOT_SPREAD = 0.7  # of the logarithm of a hot pixel's rate, over pixels
@@ -274,3 +283,46 @@ def _unit_range(frame: NDArray[Any]) -> NDArray[np.float32]:
             "scale them, or pass unsigned integers"
         )
     return image
+
+
+def slow_events(
+    first: NDArray[np.float32],
+    batches: Iterable[tuple[FloatArray, NDArray[np.float32]]],
+    end_s: float,
+    config: SensorConfig,
+    of_memory: np.random.Generator,
+    of_pixels: np.random.Generator,
+) -> NDArray[Any]:
+    """Let pixels without noise follow a light that they have seen for long.
+
+    Parameters
+    ----------
+    first
+        Luminance at time 0, in [0, 1], shape (height, width).
+    batches
+        Times (n,) [s] after 0, increasing, and luminance (n, height, width) at them.
+    end_s
+        The last image stays until then.
+    config
+        Whose thresholds count.
+    of_memory
+        Draws the level that each pixel remembers: any that makes no event at the start.
+    of_pixels
+        Draws the thresholds' mismatch.
+
+    Returns
+    -------
+    NDArray[Any]
+        Of EVENT_DTYPE, sorted by time.
+    """
+    phases = of_memory.uniform(-0.95, 0.95, first.shape)
+    threshold = min(config.threshold_on, config.threshold_off)
+    before = np.clip(first * np.exp(phases * threshold), 0.0, 1.0).astype(np.float32)
+    without_noise = SensorConfig(
+        config.threshold_on, config.threshold_off, config.log_eps, config.threshold_mismatch
+    )
+    pixels = Sensor(without_noise, before, 0.0, of_pixels)
+    for times_s, images in batches:
+        corner = np.zeros(len(times_s), np.int64)
+        pixels.feed(times_s, corner, corner, images)
+    return pixels.finish(end_s)

@@ -1,28 +1,167 @@
-"""A configuration and a seed in; the scene on the bench, and where the wire is held, out.
+"""The bench of the paper's small-scale experiment: a printed drone on a wire before two cameras.
 
-Two cameras half a metre from a printed drone that hangs on a wire. What stays the same in all
-recordings of a set-up, as the cameras' places and lenses and the walls behind, is drawn by the
-set-up's own seed; a recording's seed draws the motion.
+The cameras are half a metre from the drone. What stays the same in all recordings of a set-up, as
+the cameras' places and lenses and the walls behind, is drawn by the set-up's own seed; a
+recording's seed draws the motion.
 """
 
 from dataclasses import dataclass, field, replace
 
+import cv2
 import numpy as np
+import trimesh
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sim.errors import SimError
 from sim.recording import Scene, SimConfig, two_view_rig_of
 from sim.scene.background import uniform_background
-from sim.scene.camera import Camera
-from sim.scene.rig import Rig
+from sim.scene.drone import Drone, Part, check_size, hull, join, pose, prism, solid
+from sim.scene.rig import Camera, Rig
 from sim.seeds import generator
 from sim.sensor.frames import FrameConfig
 from sim.twin.pendulum import Hanging, PendulumConfig, hanging
-from sim.twin.printed import SIZE_M, printed
-from sim.twin.wall import MEAN_LUMINANCE, wall
 
 FloatArray = NDArray[np.float64]
+
+
+SIZE_M = 0.03
+"""Of the paper's model, 3 x 3 x 1 cm."""
+
+HEIGHT = 1.0 / 3.0
+"""Of the size, from the feet to the eye that it hangs from."""
+
+ALBEDO = 0.08  # of dark grey filament
+
+# In units of the size; a disc stands for a rotor, as printed blades would break.
+_DISC_RADIUS, _DISC_THICKNESS, _DISC_Z = 0.165, 0.035, 0.08
+_CORNER = 0.5 - _DISC_RADIUS
+_ARM_WIDTH, _ARM_HEIGHT = 0.07, 0.06
+_FOOT_RADIUS, _EYE_RADIUS = 0.03, 0.05
+
+
+def printed(size_m: float = SIZE_M) -> Drone:
+    """Build the model: body, canopy, four arms with discs and feet, and the eye on top.
+
+    Parameters
+    ----------
+    size_m
+        Length and width [m].
+
+    Returns
+    -------
+    Drone
+        One part of outward-facing closed pieces; its origin is the middle of its bounding box.
+
+    Raises
+    ------
+    SimError
+        When the size is not positive.
+    """
+    check_size(size_m)
+    pieces = [_body(), _eye()]
+    for x_sign, y_sign in ((1, 1), (1, -1), (-1, -1), (-1, 1)):
+        pieces += _arm(np.array([x_sign * _CORNER, y_sign * _CORNER, 0.0]))
+    return Drone((join([_painted(piece) for piece in pieces], size_m),), "printed", size_m)
+
+
+def _painted(piece: trimesh.Trimesh) -> Part:
+    return solid(piece, ALBEDO)
+
+
+def _body() -> trimesh.Trimesh:
+    """Return the hull of floor, belt and roof, each a rectangle: longer in front than behind."""
+    rectangles = ((-0.16, 0.18, 0.1, -0.08), (-0.2, 0.24, 0.13, 0.0), (-0.12, 0.1, 0.07, 0.11))
+    return hull(
+        [
+            (x, side * half_width, z)
+            for back, front, half_width, z in rectangles
+            for x in (back, front)
+            for side in (-1, 1)
+        ]
+    )
+
+
+def _eye() -> trimesh.Trimesh:
+    eye = prism(6, _EYE_RADIUS, 0.5 * HEIGHT - 0.09)
+    eye.apply_translation((0.0, 0.0, 0.5 * (0.5 * HEIGHT + 0.09)))
+    return eye
+
+
+def _arm(corner: FloatArray) -> list[trimesh.Trimesh]:
+    """Return an arm out to a corner, its disc, and the foot below that."""
+    length = float(np.linalg.norm(corner))
+    arm = trimesh.creation.box((length, _ARM_WIDTH, _ARM_HEIGHT))
+    arm.apply_transform(pose(0.5 * corner, yaw_rad=float(np.arctan2(corner[1], corner[0]))))
+    disc = prism(12, _DISC_RADIUS, _DISC_THICKNESS)
+    disc.apply_translation(corner + np.array([0.0, 0.0, _DISC_Z]))
+    foot = prism(4, _FOOT_RADIUS, _DISC_Z + 0.5 * HEIGHT)
+    foot.apply_translation(corner + np.array([0.0, 0.0, 0.5 * (_DISC_Z - 0.5 * HEIGHT)]))
+    return [arm, disc, foot]
+
+
+MEAN_LUMINANCE = 0.4
+SPOTS_PX = (6, 12, 24, 48)  # of the plaster, from fine to coarse
+SPOTS_STD = 0.12  # of the logarithm
+N_THINGS = 9  # posters, shelves, cables and sockets on it
+THINGS_STD = 0.35  # of the logarithm of how bright they are beside the wall
+_LOW, _HIGH = 0.05, 0.95
+
+
+def wall(
+    width: int, height: int, rng: np.random.Generator, defocus_px: float = 2.0
+) -> NDArray[np.float32]:
+    """Draw a wall with plaster, an uneven light on it, and things that hang there.
+
+    Parameters
+    ----------
+    width, height
+        [px]
+    rng
+        The only source of randomness.
+    defocus_px
+        Deviation of the Gauss that stands for the blur of what is far behind the focus [px].
+
+    Returns
+    -------
+    NDArray[np.float32]
+        Linear luminance in [0, 1], (height, width).
+
+    Raises
+    ------
+    SimError
+        When the blur is negative or not finite.
+    """
+    if not (np.isfinite(defocus_px) and defocus_px >= 0.0):
+        raise SimError(f"wall: defocus_px must be 0 or a positive number, got {defocus_px}")
+    level = np.full((height, width), np.log(MEAN_LUMINANCE))
+    level += SPOTS_STD * _spots(width, height, rng)
+    for _ in range(N_THINGS):
+        x, y = rng.uniform(0.0, width), rng.uniform(0.0, height)
+        wide, high = np.exp(rng.uniform(np.log(4.0), np.log(0.5 * min(width, height)), 2))
+        box = (slice(max(0, int(y - high / 2)), int(y + high / 2) + 1),
+               slice(max(0, int(x - wide / 2)), int(x + wide / 2) + 1))  # fmt: skip
+        level[box] += THINGS_STD * rng.standard_normal()
+    slope = rng.normal(0.0, 0.3, 2)  # of the logarithm over the view: a lamp stands to one side
+    rows, columns = np.indices((height, width), sparse=True)
+    level += slope[0] * (columns / width - 0.5) + slope[1] * (rows / height - 0.5)
+    light: FloatArray = np.exp(level)
+    if defocus_px:
+        blurred = cv2.GaussianBlur(light, (0, 0), defocus_px, borderType=cv2.BORDER_REFLECT)
+        light = np.asarray(blurred, np.float64)
+    luminance: NDArray[np.float32] = np.clip(light, _LOW, _HIGH).astype(np.float32)
+    return luminance
+
+
+def _spots(width: int, height: int, rng: np.random.Generator) -> FloatArray:
+    """Sum smooth random images of several grains, to a deviation of 1."""
+    total: FloatArray = np.zeros((height, width))
+    for cell_px in SPOTS_PX:
+        coarse = rng.standard_normal((height // cell_px + 3, width // cell_px + 3))
+        fine = cv2.resize(coarse, (width, height), interpolation=cv2.INTER_CUBIC)
+        total = total + np.asarray(fine, np.float64)
+    return np.asarray(total / total.std(), np.float64)
+
 
 FOCAL_PX = 300.0  # a lens of 5.5 mm over pixels of 18.5 um
 DISTORTION = (-0.35, 0.13, 5e-4, -3e-4)  # of such a lens: k1, k2, p1, p2

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sim.errors import SimError
-from sim.scene.camera import Camera
-from sim.scene.rig import Rig
+from sim.scene.rig import Camera, Rig
 
 FloatArray = NDArray[np.float64]
 

@@ -10,16 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.disturb.clutter import merged
-from sim.disturb.pixels import View
+from sim.disturb import View, merged
 from sim.errors import SimError
 from sim.recording import Scene
-from sim.scene.camera import Camera
+from sim.scene.rig import Camera
 from sim.seeds import generator
-from sim.sensor.events import SensorConfig
-from sim.sensor.slow import slow_events
+from sim.sensor.events import SensorConfig, slow_events
+from sim.twin.bench import HEIGHT, SIZE_M
 from sim.twin.pendulum import Hanging
-from sim.twin.printed import HEIGHT, SIZE_M
 
 FloatArray = NDArray[np.float64]
 

@@ -15,7 +15,7 @@ from experiments.lab.bridge import observations, rig_of
 from experiments.lab.score import angle_between_deg, rotation_angle_deg, score
 from sim.recorded import Recording
 from sim.recording import SimConfig, simulate
-from sim.render.instants import SamplingConfig
+from sim.render.config import SamplingConfig
 from sim.scene.trajectory import SplineConfig
 from sim.sensor.events import PRESETS
 from sim.sensor.frames import FrameConfig

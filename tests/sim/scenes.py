@@ -8,12 +8,10 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from sim.clock import microseconds
-from sim.recorded import CameraRecording, Recording
+from sim.recorded import CameraRecording, Recording, microseconds
 from sim.render.renderer import Crops
-from sim.scene.camera import Camera
 from sim.scene.drone import Drone, Part
-from sim.scene.rig import Rig, two_view_rig
+from sim.scene.rig import Camera, Rig, two_view_rig
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]

@@ -5,11 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.clock import Drift, drift_of
 from sim.errors import SimError
+from sim.recorded import Drift, drift_of
 from sim.recording import SimConfig, simulate
-from sim.render.config import RenderConfig
-from sim.render.instants import SamplingConfig
+from sim.render.config import RenderConfig, SamplingConfig
 from sim.render.lattice import Lattice
 from sim.scene.trajectory import SplineConfig
 from sim.storage import record

@@ -11,13 +11,11 @@ import sim.render.native
 from sim.errors import SimError
 from sim.recorded import Recording
 from sim.recording import SimConfig, simulate, stream
-from sim.render.config import RenderConfig
-from sim.render.instants import SamplingConfig
+from sim.render.config import RenderConfig, SamplingConfig
 from sim.render.lattice import Lattice
-from sim.scene.camera import Camera
 from sim.scene.drone import drone_from_file
-from sim.scene.trajectory import SplineConfig, random_spline
-from sim.scene.trajectory_csv import trajectory_to_csv
+from sim.scene.rig import Camera
+from sim.scene.trajectory import SplineConfig, random_spline, trajectory_to_csv
 from sim.sensor.events import PRESETS
 from sim.sensor.frames import FrameConfig
 from tests.sim.scenes import with_time_offset

@@ -8,23 +8,20 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-import sim.camera_files
 import sim.storage
-from sim.camera_files import save_events_text
 from sim.errors import SimError
 from sim.recorded import CameraRecording, Recording, Truth
 from sim.recording import SimConfig, simulate
-from sim.render.config import RenderConfig
+from sim.render.config import RenderConfig, SamplingConfig
 from sim.render.gl_context import GLContext
-from sim.render.instants import SamplingConfig
 from sim.render.lattice import Lattice
 from sim.render.renderer import RenderCheck
 from sim.scene.rig import two_view_rig
 from sim.scene.trajectory import SplineConfig
-from sim.sensor.buffer import EVENT_DTYPE
 from sim.sensor.events import PRESETS
 from sim.sensor.frames import Frames
-from sim.storage import check_out_dir, record, save_recording
+from sim.sensor.kernels import EVENT_DTYPE
+from sim.storage import check_out_dir, record, save_events_text, save_recording
 from ssac.files.event_files import load_events, load_frames
 from ssac.files.rigs import load_rig
 
@@ -191,7 +188,7 @@ def test_many_large_frames_are_not_waiting_for_each_other(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at_once: int
 ) -> None:
     """However few of them fit what may be in memory, they are the same frames."""
-    monkeypatch.setattr(sim.camera_files, "_MAX_CHUNK_BYTES", at_once * 260 * 346 // 4)
+    monkeypatch.setattr(sim.storage, "_MAX_CHUNK_BYTES", at_once * 260 * 346 // 4)
     recording = made_up_recording(n_frames=5)
     save_recording(recording, tmp_path / "out", {})
     with h5py.File(tmp_path / "out" / "cam1.h5") as file:
@@ -231,8 +228,7 @@ def test_nothing_is_left_of_a_recording_that_cannot_be_written(
     def fail(*arguments: object, **options: object) -> None:
         raise error
 
-    module = sim.storage if hasattr(sim.storage, step) else sim.camera_files
-    monkeypatch.setattr(module, step, fail)
+    monkeypatch.setattr(sim.storage, step, fail)
     expected = SimError if isinstance(error, OSError) else KeyboardInterrupt
     with pytest.raises(expected):
         save_recording(made_up_recording(50, 1), tmp_path / out, {}, text=True)

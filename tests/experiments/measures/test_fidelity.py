@@ -3,7 +3,7 @@ import pytest
 
 from experiments.measures.fidelity import DENSER, MATCH_WINDOW_US, compare_events, reference_config
 from sim.recording import SimConfig
-from sim.sensor.events import EVENT_DTYPE
+from sim.sensor.kernels import EVENT_DTYPE
 
 
 def random_events(n: int, seed: int) -> np.ndarray:

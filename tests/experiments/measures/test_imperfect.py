@@ -13,7 +13,7 @@ from experiments.measures.imperfect import (
     spoilt_pair,
 )
 from experiments.measures.imperfect_kinds import KINDS, SCENES, SKEW_STD_PPM, T_D_S, Kind
-from sim.disturb.config import DisturbConfig
+from sim.disturb import DisturbConfig
 from sim.recording import SimConfig
 from ssac.estimate import Estimate
 from tests.experiments.synthetic_flight import DURATION_S, SCENE, flown

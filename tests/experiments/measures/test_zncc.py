@@ -14,8 +14,7 @@ from experiments.measures.zncc import (
     modelled_signals,
 )
 from sim.recording import SimConfig
-from sim.render.config import RenderConfig
-from sim.render.instants import SamplingConfig
+from sim.render.config import RenderConfig, SamplingConfig
 from sim.render.lattice import Lattice
 from sim.scene.rig import look_at_rig
 from sim.scene.trajectory import SplineConfig, Trajectory

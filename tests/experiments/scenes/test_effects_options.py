@@ -8,8 +8,7 @@ from typer.testing import CliRunner
 
 from experiments.cli import app
 from experiments.scenes.effects_options import chosen_sensor
-from sim.effects.config import SensorEffects
-from sim.effects.presets import SENSOR_PRESETS
+from sim.effects.config import SENSOR_PRESETS, SensorEffects
 from sim.errors import SimError
 from sim.sensor.events import PRESETS, SensorConfig
 

@@ -5,8 +5,7 @@ from experiments.scenes import scene
 from experiments.scenes.scene import AUTHORS_SAMPLE, SceneFigures, scene_figures, scene_table
 from sim.recorded import Recording
 from sim.recording import SimConfig, simulate
-from sim.render.config import RenderConfig
-from sim.render.instants import SamplingConfig
+from sim.render.config import RenderConfig, SamplingConfig
 from sim.render.lattice import Lattice
 from sim.scene.trajectory import SplineConfig
 from sim.sensor.frames import FrameConfig

@@ -3,8 +3,14 @@
 import numpy as np
 import pytest
 
-from sim.disturb.clouds import CLOUD_LUMINANCE, SKY_LUMINANCE, SPOTS_PX, clouds, cloudy_sky
-from sim.disturb.pixels import View
+from sim.disturb import (
+    CLOUD_LUMINANCE,
+    SKY_LUMINANCE,
+    SPOTS_PX,
+    View,
+    clouds,
+    cloudy_sky,
+)
 from sim.sensor.events import SensorConfig
 
 VIEW = View(120, 90, 2.0)

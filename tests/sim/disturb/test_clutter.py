@@ -3,9 +3,18 @@
 import numpy as np
 import pytest
 
-from sim.disturb.clutter import clutter, merged, second_seed, thinned, wrong_intrinsics
-from sim.disturb.config import DisturbConfig
-from sim.disturb.pixels import CLUSTER_HZ, LAMP_HZ, LAMP_STEPS, View
+from sim.disturb import (
+    CLUSTER_HZ,
+    LAMP_HZ,
+    LAMP_STEPS,
+    DisturbConfig,
+    View,
+    clutter,
+    merged,
+    second_seed,
+    thinned,
+    wrong_intrinsics,
+)
 from sim.effects.pixels import CLUSTER_PX
 from sim.errors import SimError
 

@@ -5,12 +5,11 @@ from pathlib import Path
 import pytest
 import yaml
 
-from sim.disturb import record
-from sim.disturb.config import DisturbConfig
+import sim.disturb
+from sim.disturb import DisturbConfig, record_disturbed
 from sim.errors import SimError
 from sim.recording import SimConfig
-from sim.render.config import RenderConfig
-from sim.render.instants import SamplingConfig
+from sim.render.config import RenderConfig, SamplingConfig
 from sim.render.lattice import Lattice
 from sim.scene.trajectory import SplineConfig
 from sim.sensor.frames import FrameConfig
@@ -28,7 +27,7 @@ def test_a_recording_never_stands_there_with_the_true_rig_in_place_of_the_wrong_
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It did, until the rig files were written over, or for good if that failed."""
-    record.record_disturbed(QUICK, WRONG_RIG, 0, tmp_path / "whole", {})
+    record_disturbed(QUICK, WRONG_RIG, 0, tmp_path / "whole", {})
     for name in ("rig.yaml", "rig_extrinsics.yaml"):
         chain = yaml.safe_load((tmp_path / "whole" / name).read_text())
         assert chain["cam0"]["intrinsics"] != [200.0, 200.0, 173.0, 130.0]
@@ -37,7 +36,7 @@ def test_a_recording_never_stands_there_with_the_true_rig_in_place_of_the_wrong_
     def fail(*_: object) -> None:
         raise SimError("no")
 
-    monkeypatch.setattr(record, "wrong_intrinsics", fail)
+    monkeypatch.setattr(sim.disturb, "wrong_intrinsics", fail)
     with pytest.raises(SimError, match="no"):
-        record.record_disturbed(QUICK, WRONG_RIG, 0, tmp_path / "out", {})
+        record_disturbed(QUICK, WRONG_RIG, 0, tmp_path / "out", {})
     assert [path.name for path in tmp_path.iterdir()] == ["whole"]

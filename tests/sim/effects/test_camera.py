@@ -8,10 +8,8 @@ import pytest
 from numpy.typing import NDArray
 
 from experiments.lab.provenance import plain
-from sim.effects.camera import CameraEffects
-from sim.effects.config import SensorEffects
-from sim.effects.lens import blurred_crops, blurred_image, point_spread
-from sim.effects.presets import SENSOR_PRESETS, sensor_preset
+from sim.effects.camera import CameraEffects, blurred_crops, blurred_image, point_spread
+from sim.effects.config import SENSOR_PRESETS, SensorEffects, sensor_preset
 from sim.errors import SimError
 from sim.recorded import Recording
 from sim.recording import SimConfig, simulate

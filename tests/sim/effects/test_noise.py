@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from sim.effects.config import SensorEffects
-from sim.effects.presets import SENSOR_PRESETS
+from sim.effects.config import SENSOR_PRESETS, SensorEffects
 from sim.sensor.events import SensorConfig
 from tests.sim.effects.lights import QUIET, SHAPE, still_events
 

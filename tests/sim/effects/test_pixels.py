@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.effects.config import SensorEffects
+from sim.effects.config import SENSOR_PRESETS, SensorEffects
 from sim.effects.pixels import EffectsSensor
-from sim.effects.presets import SENSOR_PRESETS
 from sim.sensor.events import SensorConfig, events_from_frames
 from tests.sim.effects.lights import FLICKER_RAD, SHAPE, events_of, stepping
 from tests.sim.sensor.videos import EPS, feed_crop, rng, smooth_video, spread_px

@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sim.effects.camera import CameraEffects
+from sim.effects.camera import CameraEffects, queued, without_gaps
 from sim.effects.config import SensorEffects
-from sim.effects.readout import queued, without_gaps
 from sim.errors import SimError
 from sim.recording import SimConfig
-from sim.sensor.buffer import EVENT_DTYPE
 from sim.sensor.events import SensorConfig
 from sim.sensor.frames import FrameConfig
+from sim.sensor.kernels import EVENT_DTYPE
 from tests.sim.sensor.videos import rng
 
 GREY = np.full((20, 30), 0.5, np.float32)

@@ -8,8 +8,9 @@ from sim.render.config import RenderConfig
 from sim.render.footprint import footprint
 from sim.render.gl_reference import PyrenderFullFrame
 from sim.render.renderer import Renderer
-from sim.scene.camera import Camera
-from sim.scene.drone import Drone, quadrotor
+from sim.scene.drone import Drone
+from sim.scene.flyers import quadrotor
+from sim.scene.rig import Camera
 from tests.sim.scenes import (
     Array,
     Image,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sim.render.footprint import footprint, outline_points
-from sim.scene.drone import quadrotor
+from sim.scene.flyers import quadrotor
 from sim.scene.rig import two_view_rig
 from tests.sim.scenes import LENSES
 

@@ -2,11 +2,11 @@ import numpy as np
 import pytest
 
 from sim.errors import SimError
-from sim.render.footprint import footprint
-from sim.render.instants import SamplingConfig, choose_instants
-from sim.scene.camera import Camera
-from sim.scene.drone import Drone, quadrotor
-from sim.scene.rig import two_view_rig
+from sim.render.config import SamplingConfig
+from sim.render.footprint import choose_instants, footprint
+from sim.scene.drone import Drone
+from sim.scene.flyers import quadrotor
+from sim.scene.rig import Camera, two_view_rig
 from sim.scene.trajectory import SplineConfig, Trajectory, random_spline
 from tests.sim.scenes import LENSES
 

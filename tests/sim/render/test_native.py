@@ -6,15 +6,16 @@ import numpy as np
 import pytest
 
 import sim.render.renderer
-import sim.scene.faces
+import sim.scene.drone
 from sim.errors import SimError
 from sim.render.config import RenderConfig
 from sim.render.gl_atlas import GLPainter
 from sim.render.lattice import Lattice, pixels_of_tile, runs_of_tile
 from sim.render.native import NativePainter
 from sim.render.renderer import Renderer
-from sim.scene.camera import Camera
-from sim.scene.drone import Drone, Part, quadrotor
+from sim.scene.drone import Drone, Part
+from sim.scene.flyers import quadrotor
+from sim.scene.rig import Camera
 from tests.sim.render.drawing import BOX, HALF_VGA, drawn
 from tests.sim.scenes import (
     LENSES,
@@ -201,7 +202,7 @@ def test_a_wall_fills_the_view_however_far_it_reaches(lattice: Lattice) -> None:
 
 def _one_view(renderer: Renderer, camera: Camera):  # type: ignore[no-untyped-def]
     """The view of a drone that fills the whole image, in the world's own frame."""
-    from sim.render.views import Views
+    from sim.render.footprint import Views
 
     T_C_W = camera.T_C_W.astype(np.float32)[None]
     box = np.array([[0, 0, camera.width, camera.height]])
@@ -248,7 +249,7 @@ def test_a_mesh_too_large_for_memory_is_refused(monkeypatch: pytest.MonkeyPatch)
     def full(*_: object, **__: object) -> None:
         raise MemoryError
 
-    monkeypatch.setattr(sim.scene.faces, "_faces", full)
+    monkeypatch.setattr(sim.scene.drone, "_faces", full)
     camera = make_camera()
     with pytest.raises(SimError, match="mesh of 12 faces does not fit the memory: simplify it"):
         drawn(painted(BOX, 0.2), camera, np.zeros(1), poses(np.zeros((1, 3))), grey(camera), NO_GL)

@@ -14,7 +14,7 @@ from sim.errors import SimError
 from sim.render.config import RENDERERS, RenderConfig
 from sim.render.lattice import Lattice
 from sim.render.renderer import Renderer
-from sim.scene.drone import quadrotor
+from sim.scene.flyers import quadrotor
 from sim.scene.trajectory import PosesAt, SplineConfig, random_spline
 from tests.sim.render.drawing import (
     BOX,

@@ -7,8 +7,14 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from sim.errors import SimError
-from sim.scene.drone import DEFAULT_ALBEDO, Drone, Joint, Part, drone_from_file, quadrotor
-from sim.scene.two_tone import two_tone
+from sim.scene.drone import (
+    DEFAULT_ALBEDO,
+    Drone,
+    Joint,
+    Part,
+    drone_from_file,
+)
+from sim.scene.flyers import quadrotor, two_tone
 
 Z_AXIS = np.array([0.0, 0.0, 1.0])
 TWO_TONE = [0.696762889, 0.130206804, 0.00717278679, 0.0, 0.000715607516]

@@ -8,9 +8,8 @@ import trimesh
 
 from sim.errors import SimError
 from sim.recording import SimConfig, simulate
-from sim.render.config import RenderConfig
-from sim.render.footprint import footprint
-from sim.render.instants import SamplingConfig, choose_instants
+from sim.render.config import RenderConfig, SamplingConfig
+from sim.render.footprint import choose_instants, footprint
 from sim.render.lattice import Lattice
 from sim.scene.drone import Drone, Part
 from sim.scene.flyers import DRONES, FLAP_RAD, QUADROTORS, bird, built_in_drone, plane

@@ -7,8 +7,7 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 from sim.errors import SimError
-from sim.scene.camera import Camera
-from sim.scene.rig import Rig, kalibr_yaml, look_at_rig, two_view_rig
+from sim.scene.rig import Camera, Rig, kalibr_yaml, look_at_rig, two_view_rig
 
 RADTAN = (-0.12, 0.03, 0.002, -0.001)
 EQUIDISTANT = (0.02, -0.01, 0.005, -0.002)

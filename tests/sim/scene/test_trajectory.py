@@ -8,10 +8,16 @@ from scipy.spatial.transform import Rotation
 
 from sim.errors import SimError
 from sim.scene import trajectory
-from sim.scene.drone import quadrotor
+from sim.scene.flyers import quadrotor
 from sim.scene.rig import two_view_rig
-from sim.scene.trajectory import SplineConfig, Trajectory, _fit_smoothing_spline, random_spline
-from sim.scene.trajectory_csv import trajectory_from_csv, trajectory_to_csv
+from sim.scene.trajectory import (
+    SplineConfig,
+    Trajectory,
+    _fit_smoothing_spline,
+    random_spline,
+    trajectory_from_csv,
+    trajectory_to_csv,
+)
 
 SHORT = SplineConfig(duration_s=6.0, max_radius_m=np.inf)
 ROW = "{},{},0,1,0,0,0,1\n"  # t, x

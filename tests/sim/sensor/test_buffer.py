@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sim.sensor.buffer import EventBuffer
+from sim.sensor.kernels import EventBuffer
 
 WIDTH, HEIGHT = 7, 5
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from sim.errors import SimError
-from sim.sensor.buffer import EVENT_DTYPE
 from sim.sensor.events import PRESETS, Sensor, SensorConfig, events_from_frames
+from sim.sensor.kernels import EVENT_DTYPE
 from tests.sim.sensor.videos import (
     EPS,
     IDEAL,

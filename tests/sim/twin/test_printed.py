@@ -3,8 +3,7 @@ import pytest
 import trimesh
 
 from sim.errors import SimError
-from sim.twin.printed import printed
-from sim.twin.wall import wall
+from sim.twin.bench import printed, wall
 
 
 def test_the_model_is_three_by_three_by_one_centimetres() -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from sim.partial import partial_path
+from sim.storage import partial_path
 from ssac.files import temporary
 from ssac.files.temporary import (
     LEFT_OVER_S,

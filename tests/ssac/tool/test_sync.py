@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sim.recording import SimConfig, simulate
-from sim.render.instants import SamplingConfig
+from sim.render.config import SamplingConfig
 from sim.scene.trajectory import SplineConfig
 from sim.sensor.events import PRESETS
 from sim.storage import save_recording

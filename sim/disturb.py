@@ -1,0 +1,491 @@
+"""Clutter and wrong intrinsics, which spoil real recordings and which this adds to simulated ones.
+
+Clutter is drawn in the image, for each camera by itself: no two views of it show one thing. Only a
+second object is the same for both. Neither clutter nor drone hides the other.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, astuple, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from sim.effects.pixels import CLUSTER_PX
+from sim.errors import SimError
+from sim.recorded import CameraRecording, Recording
+from sim.recording import SimConfig, simulate
+from sim.seeds import generator, sequence
+from sim.sensor.events import HOT_SPREAD, SensorConfig, slow_events
+from sim.sensor.frames import FrameConfig
+from sim.sensor.kernels import EVENT_DTYPE
+from sim.storage import Recorded, check_out_dir, save_recording, true_rig_files
+
+FloatArray = NDArray[np.float64]
+Float32Array = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class DisturbConfig:
+    """How a recording is spoilt: the same things in both cameras, drawn for each by itself."""
+
+    lamp_px: int = 0  # side of the square of pixels that a lamp makes flicker
+    hot_clusters: int = 0  # of 3 x 3 pixels each
+    noise_hz: float = 0.0  # rate of noise events of each pixel
+    branches: int = 0  # events of branches that sway, of each camera
+    people: int = 0  # who walk through the view
+    clouds_px_s: float = 0.0  # by which clouds drift over the sky
+    second_object: float = 0.0  # share that is kept of the events of another flight
+    intrinsics_error: tuple[float, float] = (0.0, 0.0)
+    """Deviations of the draws by which the rig is wrong: focal lengths [%], centre [px]."""
+
+    def __post_init__(self) -> None:
+        for name in ("lamp_px", "hot_clusters", "noise_hz", "branches", "people", "clouds_px_s"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value >= 0):
+                raise SimError(f"disturbance: {name} must be 0 or a positive number, got {value}")
+        if not 0.0 <= self.second_object <= 1.0:
+            raise SimError(
+                f"disturbance: second_object is a share, 0 to 1, got {self.second_object}"
+            )
+        percent, centre_px = self.intrinsics_error
+        if not (0.0 <= percent <= MAX_FOCAL_PERCENT and 0.0 <= centre_px < np.inf):
+            raise SimError(
+                f"disturbance: intrinsics_error needs 0 to {MAX_FOCAL_PERCENT:g} % and 0 px or "
+                f"more, got {percent} and {centre_px}"
+            )
+
+    @property
+    def is_none(self) -> bool:
+        """Whether the recording stays as it is."""
+        return astuple(self) == astuple(DisturbConfig())
+
+
+MAX_FOCAL_PERCENT = 10.0
+"""Of which ten deviations are a focal length."""
+
+
+LAMP_HZ = 100.0  # mains of 50 Hz: bright at both crests
+LAMP_STEPS = 2  # thresholds that its light passes on the way up, and again on the way down
+LAMP_JITTER_S = 1e-4
+CLUSTER_HZ = 200.0  # median rate of a hot cluster's pixels
+
+
+@dataclass(frozen=True)
+class View:
+    """What clutter fills."""
+
+    width: int  # [px]
+    height: int  # [px]
+    duration_s: float
+
+    def events(
+        self, times_s: FloatArray, x_px: FloatArray, y_px: FloatArray, brighter: NDArray[np.bool_]
+    ) -> NDArray[Any]:
+        """Make events of times and places (n,), without those that are outside of either."""
+        t_us = np.floor(1e6 * times_s)
+        x, y = np.rint(x_px), np.rint(y_px)
+        inside = (t_us >= 0) & (t_us < 1e6 * self.duration_s)
+        inside &= (x >= 0) & (x < self.width) & (y >= 0) & (y < self.height)
+        events = np.empty(int(inside.sum()), EVENT_DTYPE)
+        for name, values in (("t", t_us), ("x", x), ("y", y), ("p", brighter)):
+            events[name] = values[inside]
+        return events
+
+
+def lamp(view: View, size_px: int, rng: np.random.Generator) -> NDArray[Any]:
+    """Let a square of pixels flicker at 100 Hz all along.
+
+    Raises
+    ------
+    SimError
+        When it does not fit into the view.
+    """
+    x0, y0 = _corner(view, size_px, "a lamp", rng)
+    starts_s = np.arange(np.ceil(LAMP_HZ * view.duration_s)) / LAMP_HZ
+    # Up in the first half of a cycle and down in the second.
+    steps_s = (np.arange(2 * LAMP_STEPS) + 0.5) / (2 * LAMP_STEPS * LAMP_HZ)
+    shape = (size_px, size_px, len(starts_s), len(steps_s))
+    times_s = starts_s[:, None] + steps_s + LAMP_JITTER_S * rng.standard_normal(shape)
+    rows, columns, _, step = np.indices(shape, sparse=True)
+    x_px, y_px, up = (np.broadcast_to(each, shape).astype(float).ravel()
+                      for each in (x0 + columns, y0 + rows, step < LAMP_STEPS))  # fmt: skip
+    return view.events(times_s.ravel(), x_px, y_px, up > 0.0)
+
+
+def hot_clusters(view: View, n_clusters: int, rng: np.random.Generator) -> NDArray[Any]:
+    """Let clusters of 3 x 3 pixels fire without cause, all events ON.
+
+    Raises
+    ------
+    SimError
+        When the view is smaller than a cluster.
+    """
+    x_px, y_px = [np.empty(0)], [np.empty(0)]
+    for _ in range(n_clusters):
+        x0, y0 = _corner(view, CLUSTER_PX, "a hot cluster", rng)
+        for row, column in np.ndindex(CLUSTER_PX, CLUSTER_PX):
+            rate_hz = CLUSTER_HZ * rng.lognormal(0.0, HOT_SPREAD)
+            n = rng.poisson(rate_hz * view.duration_s)
+            x_px.append(np.full(n, float(x0 + column)))
+            y_px.append(np.full(n, float(y0 + row)))
+    x, y = np.concatenate(x_px), np.concatenate(y_px)
+    times_s = rng.uniform(0.0, view.duration_s, len(x))
+    return view.events(times_s, x, y, np.ones(len(x), bool))
+
+
+def noise(view: View, rate_hz: float, rng: np.random.Generator) -> NDArray[Any]:
+    """Let every pixel fire at a rate [Hz], each polarity half of the time."""
+    n = rng.poisson(rate_hz * view.width * view.height * view.duration_s)
+    events = np.empty(n, EVENT_DTYPE)
+    events["t"] = rng.integers(0, round(1e6 * view.duration_s), n)
+    events["x"] = rng.integers(0, view.width, n)
+    events["y"] = rng.integers(0, view.height, n)
+    events["p"] = rng.integers(0, 2, n)
+    return events
+
+
+def _corner(view: View, size_px: int, what: str, rng: np.random.Generator) -> tuple[int, int]:
+    """Draw the first column and row of a square that lies within the view."""
+    if size_px > min(view.width, view.height):
+        raise SimError(
+            f"disturbance: {what} of {size_px} x {size_px} px does not fit into a view of "
+            f"{view.width} x {view.height} px: make it smaller"
+        )
+    x0 = int(rng.integers(0, view.width - size_px + 1))
+    return x0, int(rng.integers(0, view.height - size_px + 1))
+
+
+N_BRANCHES = 12
+BRANCH_RADIUS_PX = (4.0, 12.0)
+SWAY_PX, SWAY_HZ = (2.0, 8.0), (0.3, 1.2)
+_STEP_S = 1e-3  # of the course of a branch
+
+HEIGHT_SHARE = (0.15, 0.3)  # of a person, of the view's height
+WIDTH_SHARE = 0.3  # of a person's height
+WALK_PX_S = (10.0, 30.0)
+EVENTS_PER_PX = 2.0  # thresholds that a person's edge passes in each pixel
+_EDGE_PX = 1.0  # deviation of events from the edge
+
+
+def branches(view: View, n_events: int, rng: np.random.Generator) -> NDArray[Any]:
+    """Let clumps of leaves sway about fixed places, and fire as fast as they move.
+
+    Parameters
+    ----------
+    view
+    n_events
+        Of all of them; those that sway out of the view are lost.
+    rng
+    """
+    shares = rng.multinomial(n_events, np.full(N_BRANCHES, 1.0 / N_BRANCHES))
+    return np.concatenate([_branch(view, int(n), rng) for n in shares])
+
+
+def people(view: View, n_people: int, rng: np.random.Generator) -> NDArray[Any]:
+    """Let people walk in over the left or the right border, and on to the other one."""
+    walks = [_walk(view, rng) for _ in range(n_people)]
+    return np.concatenate([view.events(*(np.empty(0),) * 3, np.empty(0, bool)), *walks])
+
+
+def _branch(view: View, n_events: int, rng: np.random.Generator) -> NDArray[Any]:
+    place_px = rng.uniform((0.0, 0.0), (view.width, view.height))
+    angle = rng.uniform(0.0, 2.0 * np.pi)
+    sway_px = rng.uniform(*SWAY_PX) * np.array([np.cos(angle), 0.3 * np.sin(angle)])
+    sway_hz, phase = rng.uniform(*SWAY_HZ), rng.uniform(0.0, 2.0 * np.pi)
+    starts_s = np.arange(0.0, view.duration_s, _STEP_S)
+    speed = np.abs(np.cos(2.0 * np.pi * sway_hz * starts_s + phase))
+    steps = rng.choice(len(starts_s), n_events, p=speed / speed.sum())
+    times_s = starts_s[steps] + rng.uniform(0.0, _STEP_S, n_events)
+    moved = np.sin(2.0 * np.pi * sway_hz * times_s + phase)
+    # Evenly over a disc.
+    radius_px = rng.uniform(*BRANCH_RADIUS_PX) * np.sqrt(rng.random(n_events))
+    around = rng.uniform(0.0, 2.0 * np.pi, n_events)
+    x_px = place_px[0] + sway_px[0] * moved + radius_px * np.cos(around)
+    y_px = place_px[1] + sway_px[1] * moved + radius_px * np.sin(around)
+    return view.events(times_s, x_px, y_px, rng.random(n_events) < 0.5)
+
+
+def _walk(view: View, rng: np.random.Generator) -> NDArray[Any]:
+    """One person: a dark upright box, whose leading edge darkens what the trailing one frees."""
+    height_px = view.height * rng.uniform(*HEIGHT_SHARE)
+    width_px = WIDTH_SHARE * height_px
+    feet_px = rng.uniform(height_px, view.height)
+    walk_px_s, enters_s = rng.uniform(*WALK_PX_S), rng.uniform(0.0, 0.5 * view.duration_s)
+    from_left = rng.random() < 0.5
+    there_s = min(view.duration_s - enters_s, (view.width + width_px) / walk_px_s)
+    n = rng.poisson(2.0 * height_px * walk_px_s * EVENTS_PER_PX * there_s)
+    since_s = rng.uniform(0.0, there_s, n)
+    leads = rng.random(n) < 0.5
+    x_px = walk_px_s * since_s - width_px * ~leads + rng.normal(0.0, _EDGE_PX, n)
+    x_px = x_px if from_left else view.width - 1 - x_px
+    y_px = feet_px - height_px * rng.random(n)
+    return view.events(enters_s + since_s, x_px, y_px, ~leads)
+
+
+SKY_LUMINANCE, CLOUD_LUMINANCE = 0.4, 0.85
+"""Of the blue and of the brightest white before it, some two to one as in nature."""
+
+SPOTS_PX = 150.0
+"""The sky's largest clouds; smaller ones are fainter, as of turbulence."""
+
+_POWER = -11.0 / 6.0  # of amplitudes over wave numbers, in two dimensions (Kolmogorov)
+_COVER_STD = 0.7  # of the field, from clear to white: edges are some 10 px wide, billows softer
+_STEP_PX = 0.5  # from frame to frame; linear in between
+_BATCH = 16  # frames in memory
+
+
+def clouds(view: View, drift_px_s: float, rng: np.random.Generator) -> NDArray[Any]:
+    """Let clouds drift over the view, in one direction and at one speed.
+
+    Parameters
+    ----------
+    view
+    drift_px_s
+        8 m/s at a height of 600 m are 6 px/s for a lens of 432 px.
+    rng
+        Draws the clouds, their direction and what each pixel saw before.
+    """
+    sky = cloudy_sky(view, rng)
+    angle = rng.uniform(0.0, 2.0 * np.pi)
+    drift = drift_px_s * np.array([np.cos(angle), np.sin(angle)])
+    n = max(2, int(np.ceil(view.duration_s * drift_px_s / _STEP_PX)))
+    times_s: FloatArray = view.duration_s * np.arange(1, n + 1) / n
+    first = _seen(sky, view, np.zeros((1, 2)))[0]
+    return slow_events(
+        first, _frames(sky, view, drift, times_s), view.duration_s, SensorConfig(), rng, rng
+    )
+
+
+def cloudy_sky(view: View, rng: np.random.Generator) -> Float32Array:
+    """Draw luminance on a torus that the view fits into, (side, side) [px]."""
+    side = 2 ** int(np.ceil(np.log2(2 * max(view.width, view.height))))
+    waves = np.hypot(np.fft.fftfreq(side)[:, None], np.fft.rfftfreq(side))
+    amplitudes = np.hypot(waves, 1.0 / SPOTS_PX) ** _POWER
+    amplitudes[0, 0] = 0.0
+    field = np.fft.irfft2(amplitudes * np.fft.rfft2(rng.standard_normal((side, side))))
+    share = np.clip(0.5 + field / (2.0 * _COVER_STD * field.std()), 0.0, 1.0)
+    share *= share * (3.0 - 2.0 * share)  # no crease where clear and white begin
+    contrast = np.log(CLOUD_LUMINANCE / SKY_LUMINANCE)
+    sky: Float32Array = (SKY_LUMINANCE * np.exp(contrast * share)).astype(np.float32)
+    return sky
+
+
+def _frames(
+    sky: Float32Array, view: View, drift_px_s: FloatArray, times_s: FloatArray
+) -> Iterator[tuple[FloatArray, Float32Array]]:
+    """Yield times (n,) [s] and what is seen at them (n, height, width), in batches."""
+    for start in range(0, len(times_s), _BATCH):
+        chunk = times_s[start : start + _BATCH]
+        yield chunk, _seen(sky, view, -np.multiply.outer(chunk, drift_px_s))
+
+
+def _seen(sky: Float32Array, view: View, corners_px: FloatArray) -> Float32Array:
+    """Cut views (n, height, width) out of the torus, at corners (n, 2) between its pixels."""
+    images = np.empty((len(corners_px), view.height, view.width), np.float32)
+    for image, corner in zip(images, corners_px, strict=True):
+        whole = np.floor(corner).astype(np.int64)
+        u, v = (corner - whole).astype(np.float32)
+        columns = np.arange(whole[0], whole[0] + view.width + 1) % len(sky)
+        rows = np.arange(whole[1], whole[1] + view.height + 1) % len(sky)
+        near = sky[np.ix_(rows, columns)]
+        across = (1.0 - u) * near[:, :-1] + u * near[:, 1:]
+        image[:] = (1.0 - v) * across[:-1] + v * across[1:]
+    return images
+
+
+Draw = Callable[[View, Any, np.random.Generator], NDArray[Any]]
+"""Draws the clutter of a kind in a view, as much as the second argument says."""
+
+# Branches of the seed, beside those of `sim.recording`: each disturbance has a stream of its own,
+# so that one more leaves the others as they are.
+_STREAM = 2
+_SECOND, _INTRINSICS, *_CLUTTER = range(8)
+
+
+def second_seed(seed: int) -> int:
+    """Seed of the flight of the second object in a recording with a seed."""
+    return int(sequence(seed, _STREAM, _SECOND).generate_state(1)[0])
+
+
+def clutter(config: DisturbConfig, view: View, seed: int, camera: int) -> NDArray[Any]:
+    """Draw all that fires in a view beside the drone, but for a second object.
+
+    Parameters
+    ----------
+    config
+    view
+    seed
+        Of the recording.
+    camera
+        Index of the camera: each has clutter of its own.
+
+    Returns
+    -------
+    NDArray[Any]
+        Of EVENT_DTYPE, in order of time; the scene's clock.
+
+    Raises
+    ------
+    SimError
+        When something does not fit into the view.
+    """
+    kinds: tuple[tuple[Draw, float], ...] = (
+        (lamp, config.lamp_px),
+        (hot_clusters, config.hot_clusters),
+        (noise, config.noise_hz),
+        (branches, config.branches),
+        (people, config.people),
+        (clouds, config.clouds_px_s),
+    )
+    parts: list[NDArray[Any]] = [np.empty(0, EVENT_DTYPE)]
+    for stream, (draw, amount) in zip(_CLUTTER, kinds, strict=True):
+        if amount:
+            parts.append(draw(view, amount, generator(seed, _STREAM, stream, camera)))
+    return merged(*parts)
+
+
+def thinned(events: NDArray[Any], share: float, seed: int, camera: int) -> NDArray[Any]:
+    """Keep a share of the events of a second object, drawn at random."""
+    return events[generator(seed, _STREAM, _SECOND, camera).random(len(events)) < share]
+
+
+def merged(*streams: NDArray[Any]) -> NDArray[Any]:
+    """Sort streams of events into one; of events at a time, those of the first come first."""
+    events = np.concatenate(streams)
+    order = np.argsort(events["t"], kind="stable")
+    return np.take(events, order)
+
+
+def wrong_intrinsics(
+    K: FloatArray, config: DisturbConfig, seed: int, camera: int
+) -> tuple[FloatArray, FloatArray]:
+    """Draw intrinsics as a calibration of stated deviations would give them.
+
+    Parameters
+    ----------
+    K
+        The true ones (3, 3) [px].
+    config
+    seed, camera
+        As of `clutter`.
+
+    Returns
+    -------
+    K : (3, 3) array
+        What the rig is to say [px]. All four numbers are wrong independently.
+    deviations_px : (4,) array
+        Of fu, fv, pu and pv.
+    """
+    percent, centre_px = config.intrinsics_error
+    focal = 0.01 * percent
+    deviations_px = np.array([focal * K[0, 0], focal * K[1, 1], centre_px, centre_px])
+    errors_px = deviations_px * generator(seed, _STREAM, _INTRINSICS, camera).standard_normal(4)
+    wrong = K.copy()
+    wrong[[0, 1, 0, 1], [0, 1, 2, 2]] += errors_px
+    return wrong, deviations_px
+
+
+Progress = Callable[[float], None]
+
+
+def record_disturbed(
+    config: SimConfig,
+    disturb: DisturbConfig,
+    seed: int,
+    out_dir: Path,
+    provenance: dict[str, Any],
+    text: bool = False,
+    progress: Progress | None = None,
+) -> Recorded:
+    """Simulate one flight, spoil it and write it as a folder; unlike `record`, all in memory.
+
+    Parameters
+    ----------
+    config, seed, out_dir, provenance, text, progress
+        As for `sim.storage.record`.
+    disturb
+
+    Returns
+    -------
+    Recorded
+
+    Raises
+    ------
+    SimError
+        As `record` does, when a disturbance does not fit into the view, or when the trajectory of
+        a second object is a file's.
+    """
+    check_out_dir(out_dir)
+    if disturb.second_object and config.trajectory_file is not None:
+        raise SimError(
+            "the second object flies at random, but the trajectory is a file's, which both would "
+            "fly: leave out one of them"
+        )
+    n_flights = 2 if disturb.second_object else 1
+
+    def flight(index: int, of_config: SimConfig, of_seed: int) -> Recording:
+        if progress is None:
+            return simulate(of_config, of_seed)
+        return simulate(of_config, of_seed, lambda share: progress((index + share) / n_flights))
+
+    recording, second = flight(0, config, seed), None
+    if disturb.second_object:
+        without_frames = replace(config, frames=FrameConfig(rate_hz=0.0))
+        second = flight(1, without_frames, second_seed(seed))
+    recording = disturbed(recording, disturb, seed, second)
+    true = {camera.name: camera.K.tolist() for camera in recording.rig.cameras}
+    spoilt = {"disturbances": asdict(disturb), "true_K": true}
+    wrong = _wrong_rig_files(recording, disturb, seed) if any(disturb.intrinsics_error) else None
+    save_recording(recording, out_dir, provenance | spoilt, text, wrong)
+    n_events = tuple(len(camera.events) for camera in recording.cameras)
+    n_frames = tuple(len(camera.frames.images) for camera in recording.cameras)
+    return Recorded(recording.flight, n_events, n_frames)
+
+
+def disturbed(
+    recording: Recording, disturb: DisturbConfig, seed: int, second: Recording | None = None
+) -> Recording:
+    """Add clutter to what the cameras recorded; frames, rig and truth stay.
+
+    Parameters
+    ----------
+    recording
+    disturb
+    seed
+        Of the recording.
+    second
+        Another flight of the same configuration, of whose events a share is added. The two objects
+        do not hide each other.
+    """
+    truth = recording.truth
+    cameras = []
+    for index, camera in enumerate(recording.cameras):
+        model = camera.camera
+        view = View(model.width, model.height, float(truth.times_s[-1]))
+        added = clutter(disturb, view, seed, index)
+        if index == 1:
+            added["t"] += truth.drift.added_us(added["t"])
+        added["t"] += round(1e6 * model.time_offset_s)
+        streams = [camera.events, added]
+        if second is not None:
+            others = second.cameras[index].events
+            streams.append(thinned(others, disturb.second_object, seed, index))
+        cameras.append(CameraRecording(model, merged(*streams), camera.frames))
+    return replace(recording, cameras=tuple(cameras))
+
+
+def _wrong_rig_files(recording: Recording, disturb: DisturbConfig, seed: int) -> dict[str, str]:
+    """Give rig files with the intrinsics that were drawn in the place of the true ones."""
+    texts = {}
+    for name, text in true_rig_files(recording.rig).items():
+        chain = yaml.safe_load(text)
+        for index, camera in enumerate(recording.rig.cameras):
+            K, deviations_px = wrong_intrinsics(camera.K, disturb, seed, index)
+            entry = chain[f"cam{index}"]
+            entry["intrinsics"] = [float(k) for k in (K[0, 0], K[1, 1], K[0, 2], K[1, 2])]
+            entry["intrinsics_std"] = deviations_px.tolist()
+        texts[name] = yaml.safe_dump(chain, default_flow_style=None, sort_keys=False)
+    return texts
