@@ -11,7 +11,7 @@ from pathlib import Path
 import pandas as pd
 from matplotlib.figure import Figure
 
-from experiments.figures.errors import error_figure
+from experiments.drawing.errors import error_figure
 from experiments.lab.files import csv_text, read_table
 from experiments.lab.study import Study
 from experiments.paper.comparison import comparison_table

@@ -11,7 +11,7 @@ import numpy as np
 import typer
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from experiments.figures.figures import FLIGHT, SEED
+from experiments.drawing.figures import FLIGHT, SEED
 from experiments.lab.cache import DEFAULT_FOLDER, Cache
 from experiments.paper.comparison import RULE
 from experiments.paper.published import PUBLISHED_RUNS

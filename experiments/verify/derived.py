@@ -8,8 +8,8 @@ from pathlib import Path
 import pandas as pd
 from matplotlib.figure import Figure
 
-from experiments.figures.figures import drawings
-from experiments.figures.growth import growth_figure
+from experiments.drawing.figures import drawings
+from experiments.drawing.growth import growth_figure
 from experiments.lab.cache import Cache
 from experiments.lab.files import csv_text, png_bytes, read_table
 from experiments.lab.finding import Finding, found, text_difference

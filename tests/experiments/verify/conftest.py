@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 
 from experiments.bench.growth import COMMITTED, points_of
 from experiments.bench.measurement import Measurement
-from experiments.figures.figures import drawings
-from experiments.figures.growth import growth_figure
+from experiments.drawing.figures import drawings
+from experiments.drawing.growth import growth_figure
 from experiments.lab.cache import Cache
 from experiments.lab.files import png_bytes, read_table, record_checksums, save_csv
 from experiments.lab.provenance import plain, provenance, write_provenance

@@ -14,9 +14,9 @@ import pandas as pd
 import typer
 from matplotlib.figure import Figure
 
-from experiments.figures.beyond import beyond_figure
-from experiments.figures.errors import error_figure
-from experiments.figures.events import (
+from experiments.drawing.beyond import beyond_figure
+from experiments.drawing.errors import error_figure
+from experiments.drawing.events import (
     alignment_figure,
     d_avg_figure,
     epipolar_figure,

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullLocator
 
-from experiments.figures.style import WIDTH_IN, Look, label_grid, method_looks, quiet_axes
+from experiments.drawing.style import WIDTH_IN, Look, label_grid, method_looks, quiet_axes
 from experiments.paper.esim import method_order
 from experiments.paper.published import PUBLISHED_ERRORS, PUBLISHED_RUNS
 from experiments.paper.quantities import ERRORS, T_D_ERROR

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments.figures.errors import error_figure, flight_means, published_means
+from experiments.drawing.errors import error_figure, flight_means, published_means
 from experiments.paper.published import load_published
 
 ANGLES_DEG, T_DS_MS, FLIGHTS = (30.0, 90.0), (5.0, 50.0, 500.0), range(4)

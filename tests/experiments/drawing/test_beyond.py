@@ -2,8 +2,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments.figures.beyond import METHODS, beyond_figure
-from experiments.figures.errors import flight_means, published_means
+from experiments.drawing.beyond import METHODS, beyond_figure
+from experiments.drawing.errors import flight_means, published_means
 from experiments.paper.published import load_published
 from experiments.paper.quantities import ERRORS
 from ssac.errors import SsacError

@@ -13,8 +13,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from experiments.figures.errors import Means, flight_means, published_means
-from experiments.figures.style import WIDTH_IN, Look, error_axes, label_grid, method_looks
+from experiments.drawing.errors import Means, flight_means, published_means
+from experiments.drawing.style import WIDTH_IN, Look, error_axes, label_grid, method_looks
 from experiments.paper.published import PUBLISHED_ERRORS
 from experiments.paper.quantities import ERRORS
 from ssac.errors import SsacError
