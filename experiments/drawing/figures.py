@@ -14,8 +14,7 @@ import pandas as pd
 import typer
 from matplotlib.figure import Figure
 
-from experiments.drawing.beyond import beyond_figure
-from experiments.drawing.errors import error_figure
+from experiments.drawing.errors import beyond_figure, error_figure
 from experiments.drawing.events import (
     alignment_figure,
     d_avg_figure,
