@@ -24,8 +24,8 @@ from experiments.drawing.style import (
     method_looks,
     quiet_axes,
 )
+from experiments.paper.comparison import PUBLISHED_ERRORS, PUBLISHED_RUNS
 from experiments.paper.esim import method_order
-from experiments.paper.published import PUBLISHED_ERRORS, PUBLISHED_RUNS
 from experiments.paper.quantities import ERRORS, T_D_ERROR
 from ssac.errors import SsacError
 

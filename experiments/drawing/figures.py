@@ -26,8 +26,8 @@ from experiments.lab.cache import DEFAULT_FOLDER, Cache
 from experiments.lab.files import record_checksums, save_png
 from experiments.lab.grid import flight_seed
 from experiments.lab.provenance import save_provenance
+from experiments.paper.comparison import load_published
 from experiments.paper.esim import ordered_runs, runs_from_csv
-from experiments.paper.published import load_published
 from sim.recording import SimConfig
 from sim.render.gl_context import context_or_none
 from sim.sensor.events import PRESETS

@@ -11,7 +11,7 @@ from experiments.drawing.errors import (
     flight_means,
     published_means,
 )
-from experiments.paper.published import load_published
+from experiments.paper.comparison import load_published
 from experiments.paper.quantities import ERRORS
 from ssac.errors import SsacError
 from tests.experiments.reported import made_up_runs

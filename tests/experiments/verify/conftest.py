@@ -20,8 +20,8 @@ from experiments.lab.files import png_bytes, read_table, record_checksums, save_
 from experiments.lab.provenance import plain, provenance, write_provenance
 from experiments.lab.study import Study, save_derived
 from experiments.lab.task import Measure
+from experiments.paper.comparison import PUBLISHED
 from experiments.paper.grids import table_cells
-from experiments.paper.published import PUBLISHED
 from experiments.paper.results import save_results
 from experiments.verify import derived, sample
 from experiments.verify.manifest import Manifest, manifest_of
