@@ -34,7 +34,7 @@ COMMANDS = (
     Entry("scene", REPRODUCE, "Statistics of the default scene, beside the authors' sample.",
           "experiments.scenes.scene", "scene_command"),
     Entry("figures", REPRODUCE, "Draw the paper's figures, and errors against the angle.",
-          "experiments.figures.figures", "figures_command"),
+          "experiments.drawing.figures", "figures_command"),
     Entry("report", REPRODUCE, "All results on one HTML page.",
           "experiments.report.report", "report_command"),
     Entry("numbers", REPRODUCE, "Update the numbers quoted in README and docs.",

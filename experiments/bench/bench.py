@@ -34,7 +34,7 @@ from experiments.bench.recording import bench_recording
 from experiments.bench.sensor import bench_sensor
 from experiments.bench.sync import bench_sync
 from experiments.bench.tables import bench_tables
-from experiments.figures.growth import growth_figure
+from experiments.drawing.growth import growth_figure
 from experiments.lab.files import read_table, record_checksums, save_csv, save_png
 from experiments.lab.provenance import save_provenance
 from sim.recording import SimConfig

@@ -11,7 +11,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from experiments.bench.measurement import Measurement, peak_memory_mb
-from experiments.scenes.record import record_with_progress
+from experiments.scenes.simulate import record_with_progress
 from sim.recording import SimConfig
 from sim.scene.trajectory import SplineConfig
 

@@ -1,24 +1,66 @@
-"""The esim tables and the paper's in, one row for each compared number with a verdict out.
+"""Our tables beside the paper's, cell by cell and quantity by quantity.
 
-The rule (`RULE`) is Welch's: the 95 % interval of the difference of the two means. Errors are not
-negative, and skewed; but they are so on both sides, and the difference of two means loses most of
-it: where both sides draw from one distribution, however skewed, the rule is wrong in at most 5 % of
-the cells (tested). To compare logarithms would seem more natural, yet where a few runs are gross
-errors, as with the correlation methods, it is wrong in about 20 %.
+The rule of a cell (`RULE`) is Welch's: the 95 % interval of the difference of the two means. Errors
+are not negative, and skewed; but they are so on both sides, and the difference of two means loses
+most of it: where both sides draw from one distribution, however skewed, the rule is wrong in at
+most 5 % of the cells (tested). To compare logarithms would seem more natural, yet where a few runs
+are gross errors, as with the correlation methods, it is wrong in about 20 %.
+
+The ratio of ours to the paper's, of the geometric means over the cells of a table, is known to a
+factor: its 95 % interval is the ratio divided and multiplied by it. The factor is that of a normal
+logarithm whose variance is the sum of those of the cells' means, over their squares; the offsets of
+an angle share its flights, so their errors are taken to be the same. Angles are independent of each
+other.
 
 Our flights may be more than the paper's; each verdict is also given by our first as many alone.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
+from scipy.stats import norm
 from scipy.stats import t as student
 
-from experiments.paper.published import PUBLISHED_ERRORS, PUBLISHED_RUNS, PublishedError
+from experiments.paper.grids import table_axes
+from experiments.paper.quantities import R_ERROR, T_D_ERROR, T_ERROR
 from ssac.errors import SsacError
+
+FloatArray = NDArray[np.float64]
+
+PUBLISHED = Path(__file__).resolve().parents[2] / "results" / "published"
+
+PUBLISHED_RUNS = 10
+"""Of each cell. All 30 published means of ZNCC_E are whole tenths of sums of multiples of its unit
+of 10 ms, and so are the deviations if they are taken over 10 runs, not over 10 - 1."""
+
+
+@dataclass(frozen=True)
+class PublishedError:
+    """One mean error that the paper gives."""
+
+    method: str
+    error: str
+    published: str  # start of its columns in the published table
+    resolution: float  # unit of the last printed digit
+
+    @property
+    def name(self) -> str:
+        """Start of its columns in our table."""
+        return f"{self.method}_{self.error}"
+
+
+PUBLISHED_ERRORS = (
+    PublishedError("ssac", T_D_ERROR.column, "ssac_error_ms", 0.01),
+    PublishedError("zncc_e", T_D_ERROR.column, "zncc_e_error_ms", 0.1),
+    PublishedError("zncc_f", T_D_ERROR.column, "zncc_f_error_ms", 0.1),
+    PublishedError("ssac", R_ERROR.column, "r_error_deg", 0.01),
+    PublishedError("ssac", T_ERROR.column, "t_error_deg", 0.01),
+)
 
 RULE = (
     "Agrees: the 95 % interval of the difference of the means (Welch's t, from both means, "
@@ -30,6 +72,10 @@ SIZE_RULE = (
     "Of the paper's size or better: a one-sided test at 5 % does not find our mean larger (the "
     "lower end of the 90 % interval, widened likewise, is not above 0)"
 )
+
+VERDICTS = ("agrees", "better", "differs")
+
+_NORMAL = float(norm.ppf(0.975))  # half of a 95 % interval, in deviations
 
 
 @dataclass(frozen=True)
@@ -99,18 +145,8 @@ def difference_interval(
 ) -> tuple[float, float]:
     """Welch's confidence interval of the difference of two means, ours less the published one.
 
-    Parameters
-    ----------
-    ours, published
-    resolution
-        Unit of the last printed digit of the published mean; half of it is added on both sides.
-    confidence
-        Of the interval, 0 to 1.
-
-    Returns
-    -------
-    tuple of float
-        Its ends; NaN when a side has fewer than two runs.
+    Half a unit of the last printed digit, `resolution`, is added on both sides. Both ends are NaN
+    when a side has fewer than two runs.
     """
     if min(ours.n, published.n) < 2:
         return np.nan, np.nan
@@ -136,6 +172,32 @@ def verdict_of(interval: tuple[float, float]) -> str:
     return "agrees" if low <= 0.0 <= high else "differs"
 
 
+def load_published(
+    folder: Path = PUBLISHED,
+    name: str = "esim",
+    durations_s: Sequence[float] | None = None,
+    errors: tuple[PublishedError, ...] = PUBLISHED_ERRORS,
+) -> dict[float, pd.DataFrame]:
+    """Read the paper's tables `<name>_<duration>.csv`, by duration [s].
+
+    By default those of the simulations. SsacError if one cannot be read, or lacks one of `errors`.
+    """
+    tables = {}
+    for duration_s in table_axes().durations_s if durations_s is None else durations_s:
+        path = folder / f"{name}_{duration_s:g}.csv"
+        try:
+            table = pd.read_csv(path)
+        except (OSError, ValueError) as error:
+            raise SsacError(f"{path}: the published table cannot be read: {error}") from error
+        needed = ["angle_deg", "t_d_ms"]
+        needed += [f"{q.published}_{part}" for q in errors for part in ("mean", "std")]
+        absent = [column for column in needed if column not in table]
+        if absent:
+            raise SsacError(f"{path}: the published table lacks the columns {', '.join(absent)}")
+        tables[duration_s] = table
+    return tables
+
+
 def comparison_table(
     tables: Mapping[float, pd.DataFrame],
     published: Mapping[float, pd.DataFrame],
@@ -150,7 +212,7 @@ def comparison_table(
     tables
         Ours, as of `esim.esim_tables`, by duration [s].
     published
-        The paper's, as of `published.load_published`.
+        The paper's, as of `load_published`.
     reasons
         For the notes.
     first
@@ -235,3 +297,96 @@ def _ours(cell: Mapping[Any, Any], quantity: PublishedError) -> Sample:
     """Give what a row of our table knows of a quantity; a method may lack it in few flights."""
     mean, std = (float(cell.get(f"{quantity.name}_{part}", np.nan)) for part in ("mean", "std"))
     return Sample(mean, std, int(cell["n_runs"] - cell[f"{quantity.method}_failed"]))
+
+
+def summary_table(comparison: pd.DataFrame) -> pd.DataFrame:
+    """Sum up each quantity over the cells of a duration.
+
+    Returns
+    -------
+    pd.DataFrame
+        By quantity and duration: the number of cells and of each verdict; the geometric mean of the
+        ratios of our mean to the published one, the factor to which it is known, and the least and
+        the largest ratio; the median of the intervals' half-widths over the published mean
+        (`visible`: a difference that a cell would just tell); then by our first flights alone, as
+        many as the paper's, the verdicts, ratio and factor (`first_*`), how many cells have another
+        verdict by all (`changed`), and the factor that the paper's flights alone leave
+        (`factor_paper`), to which that of ours tends with ever more flights.
+    """
+    rows = []
+    place = {quantity.name: number for number, quantity in enumerate(PUBLISHED_ERRORS)}
+    ordered = comparison.sort_values(
+        ["quantity", "duration_s"],
+        key=lambda column: column.map(place) if column.name == "quantity" else column,
+    )
+    for (name, duration_s), part in ordered.groupby(["quantity", "duration_s"], sort=False):
+        published = part["published_mean"].to_numpy()
+        ratios, first_ratios = (
+            part[f"{whose}_mean"].to_numpy() / published for whose in ("ours", "first")
+        )
+        half_widths = (part["difference_high"] - part["difference_low"]) / 2
+        rows.append(
+            {
+                "quantity": name,
+                "duration_s": duration_s,
+                "cells": len(part),
+                **_counts(part["verdict"]),
+                "ratio": geometric_mean(ratios),
+                "factor": ratio_factor(part),
+                "ratio_min": ratios.min(),
+                "ratio_max": ratios.max(),
+                "visible": (half_widths / published).median(),
+                **{f"first_{word}": n for word, n in _counts(part["first_verdict"]).items()},
+                "first_ratio": geometric_mean(first_ratios),
+                "first_factor": ratio_factor(part, ("published", "first")),
+                "changed": int((part["verdict"] != part["first_verdict"]).sum()),
+                "factor_paper": ratio_factor(part, ("published",)),
+            }
+        )
+    table: pd.DataFrame = pd.DataFrame(rows)
+    return table
+
+
+def ratio_factor(part: pd.DataFrame, sides: Sequence[str] = ("published", "ours")) -> float:
+    """Find the factor to which the ratio over some cells is known.
+
+    Parameters
+    ----------
+    part
+        Rows of a comparison: one quantity in the cells of one duration.
+    sides
+        Whose scatter counts: "published", "ours" of all flights, "first" of our first ones.
+
+    Returns
+    -------
+    float
+        At least 1; NaN where a cell has fewer than two runs or a mean of 0.
+    """
+    published: pd.Series = pd.Series(PUBLISHED_RUNS, part.index)
+    runs = {"published": published, "ours": part["n_ours"], "first": part["first_n"]}
+    angles_deg = part["angle_deg"].to_numpy()
+    variance = 0.0
+    for side in sides:
+        errors = _relative_errors(part[f"{side}_mean"], part[f"{side}_std"], runs[side])
+        variance += sum(
+            float(errors[angles_deg == angle].sum()) ** 2 for angle in np.unique(angles_deg)
+        )
+    return float(np.exp(_NORMAL * np.sqrt(variance) / len(part)))
+
+
+def geometric_mean(values: FloatArray) -> float:
+    """Geometric mean; 0 where a value is 0, NaN where one is unknown."""
+    with np.errstate(divide="ignore"):
+        return float(np.exp(np.mean(np.log(values))))
+
+
+def _relative_errors(means: pd.Series, stds: pd.Series, n: pd.Series) -> FloatArray:
+    """Give standard errors of means over the means; NaN of a mean of 0 or of one run."""
+    known = (means > 0.0) & (n > 1)
+    errors: pd.Series = stds / (means * np.sqrt((n - 1).where(known)))  # stds are over n
+    return np.asarray(errors, np.float64)
+
+
+def _counts(verdicts: pd.Series) -> dict[str, int]:
+    counts = verdicts.value_counts()
+    return {word: int(counts.get(word, 0)) for word in VERDICTS}

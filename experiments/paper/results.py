@@ -11,11 +11,15 @@ from typing import Any
 import pandas as pd
 
 from experiments.lab.files import csv_text
-from experiments.paper.comparison import comparison_table
+from experiments.paper.comparison import (
+    PUBLISHED,
+    PUBLISHED_RUNS,
+    comparison_table,
+    load_published,
+    summary_table,
+)
 from experiments.paper.esim import esim_tables, ordered_runs, runs_from_csv
 from experiments.paper.page import results_page
-from experiments.paper.published import PUBLISHED, PUBLISHED_RUNS, load_published
-from experiments.paper.summary import summary_table
 from ssac.files.whole_file import whole_file
 
 RUNS_FILE, COMPARISON_FILE, PAGE_FILE = "runs.csv", "comparison.csv", "README.md"

@@ -13,7 +13,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
 
-from experiments.figures.style import WIDTH_IN, method_looks, quiet_axes
+from experiments.drawing.style import WIDTH_IN, method_looks, quiet_axes
 from experiments.lab.study import Study
 from experiments.paper.quantities import ERRORS, T_D_ERROR
 from experiments.physical.cells import cells_of, setup_seed

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from experiments.figures.style import WIDTH_IN, quiet_axes
+from experiments.drawing.style import WIDTH_IN, quiet_axes
 from experiments.lab.study import Study
 from experiments.physical.cells import cells_of, setup_seed
 from experiments.physical.imperfections import IMPERFECTIONS, SetUp, ideal

@@ -11,12 +11,11 @@ from pathlib import Path
 import pandas as pd
 from matplotlib.figure import Figure
 
-from experiments.figures.errors import error_figure
+from experiments.drawing.errors import error_figure
 from experiments.lab.files import csv_text, read_table
 from experiments.lab.study import Study
-from experiments.paper.comparison import comparison_table
+from experiments.paper.comparison import PUBLISHED_ERRORS, comparison_table, load_published
 from experiments.paper.esim import esim_table
-from experiments.paper.published import PUBLISHED_ERRORS, load_published
 from experiments.physical.cells import cells_of, setup_seed
 from experiments.physical.imperfections import ALL, ANGLES_DEG, IMPERFECTIONS, bench_of
 from experiments.physical.measure import PHYSICAL, PhysicalCell

@@ -11,9 +11,9 @@ import numpy as np
 from scipy.stats import gmean
 
 from experiments.lab.results import Committed
+from experiments.paper.comparison import VERDICTS
 from experiments.paper.grids import ANGLES_DEG, DURATIONS_S, TABLES
 from experiments.paper.quantities import ERRORS, NOISY_T_D_MARK_MS, T_D_ERROR
-from experiments.paper.summary import VERDICTS
 from experiments.quoted.marks import MARK_NUMBERS
 from experiments.quoted.real import REAL_NUMBERS
 from experiments.studies.catalogue import ABLATIONS

@@ -10,8 +10,8 @@ import pandas as pd
 
 from experiments.lab.markdown import markdown_table
 from experiments.lab.results import Committed
+from experiments.paper.comparison import VERDICTS
 from experiments.paper.quantities import ERRORS
-from experiments.paper.summary import VERDICTS
 from experiments.physical.budget import METHOD_NAMES
 from experiments.physical.imperfections import ALL, NONE, all_but, only
 from experiments.physical.mini import DURATIONS_S

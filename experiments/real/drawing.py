@@ -5,7 +5,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from experiments.figures.style import WIDTH_IN, quiet_axes
+from experiments.drawing.style import WIDTH_IN, quiet_axes
 from ssac.fit.covariance import NORMAL_95
 
 OFFSETS_FIGURE = "real_offsets.png"

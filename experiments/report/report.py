@@ -11,10 +11,9 @@ import numpy as np
 import typer
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from experiments.figures.figures import FLIGHT, SEED
+from experiments.drawing.figures import FLIGHT, SEED
 from experiments.lab.cache import DEFAULT_FOLDER, Cache
-from experiments.paper.comparison import RULE
-from experiments.paper.published import PUBLISHED_RUNS
+from experiments.paper.comparison import PUBLISHED_RUNS, RULE
 from experiments.paper.quantities import ERRORS
 from experiments.report.animation import METHOD, T_D_S, Animation, make_animation
 from experiments.report.data import Results, load_results

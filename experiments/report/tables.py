@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from experiments.figures.style import method_looks
+from experiments.drawing.style import method_looks
 from experiments.paper.grids import table_axes
 from experiments.paper.quantities import ERRORS, split_quantity
 from experiments.report.data import Results

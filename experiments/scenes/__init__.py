@@ -1,1 +1,1 @@
-"""One recording at a time: made, shown, measured."""
+"""One recording at a time: simulated, shown, measured."""

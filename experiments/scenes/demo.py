@@ -13,7 +13,8 @@ from scipy.spatial.transform import Rotation
 
 from experiments.lab.provenance import plain
 from experiments.lab.score import score
-from experiments.scenes.record import MAX_SEED, record_with_progress, summary
+from experiments.scenes.options import MAX_SEED
+from experiments.scenes.simulate import record_with_progress, summary
 from sim.recorded import Truth
 from sim.recording import SimConfig
 from ssac.console.options import number

@@ -1,4 +1,4 @@
-"""A simulated recording and its truth in, its figures beside those of the authors' sample out."""
+"""How a simulated recording looks to the method, beside the public sample of the authors."""
 
 from dataclasses import astuple, dataclass
 from typing import Annotated
@@ -40,12 +40,13 @@ class SceneFigures:
     """How a recording looks to the method, at the true offset and with the true F."""
 
     speed_px_s: float  # median over both cameras
-    n_valid: int  # sample times valid in both views
-    n_samples: int
+    n_valid: float  # sample times valid in both views
+    n_samples: float
     mean_distance_px: float  # point to epipolar line
     median_distance_px: float
     slope_px: float  # rise of d_avg 10 ms off the true offset
-    width_px: tuple[float, float]  # 5th and 95th percentile over the valid sample times
+    narrow_px: float  # width, 5th percentile over the valid sample times
+    wide_px: float  # and 95th
     n_events: float  # mean per camera
 
 
@@ -75,12 +76,13 @@ def pair_figures(cam1: Observation, cam2: Observation, rig: Rig, t_d_s: float) -
     ]
     return SceneFigures(
         speed_px_s=float(np.nanmedian(np.linalg.norm(velocities, axis=-1))),
-        n_valid=int(np.count_nonzero(pairs.valid[1])),
+        n_valid=float(np.count_nonzero(pairs.valid[1])),
         n_samples=config.n_samples,
         mean_distance_px=float(np.mean(distances[1])),
         median_distance_px=float(np.median(distances[1])),
         slope_px=float((np.mean(distances[0]) + np.mean(distances[2])) / 2 - np.mean(distances[1])),
-        width_px=(float(np.percentile(widths, 5)), float(np.percentile(widths, 95))),
+        narrow_px=float(np.percentile(widths, 5)),
+        wide_px=float(np.percentile(widths, 95)),
         n_events=float(np.mean([len(camera.events) for camera in (cam1, cam2)])),
     )
 
@@ -99,33 +101,19 @@ def scene_command(
     for flight in range(seeds):
         typer.echo(f"flight {flight + 1} of {seeds}", err=True)
         figures = scene_figures(simulate(config, first_seed + flight))
-        rows.append(np.hstack(astuple(figures)))
-    mean = np.mean(rows, axis=0)
-    typer.echo(
-        scene_table(
-            SceneFigures(
-                speed_px_s=mean[0],
-                n_valid=round(mean[1]),
-                n_samples=round(mean[2]),
-                mean_distance_px=mean[3],
-                median_distance_px=mean[4],
-                slope_px=mean[5],
-                width_px=(mean[6], mean[7]),
-                n_events=mean[8],
-            )
-        )
-    )
+        rows.append(astuple(figures))
+    typer.echo(scene_table(SceneFigures(*np.mean(rows, axis=0))))
 
 
 def scene_table(figures: SceneFigures) -> str:
     """Lay the figures out beside those of the authors' sample, as a Markdown table."""
     ours = (
         f"{figures.speed_px_s:.0f}",
-        f"{figures.n_valid} of {figures.n_samples}",
+        f"{figures.n_valid:.0f} of {figures.n_samples:.0f}",
         f"{figures.mean_distance_px:.2f}",
         f"{figures.median_distance_px:.2f}",
         f"{figures.slope_px:.2f}",
-        f"{figures.width_px[0]:.0f}-{figures.width_px[1]:.0f}",
+        f"{figures.narrow_px:.0f}-{figures.wide_px:.0f}",
         f"{figures.n_events:.0f}",
     )
     rows = [

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.stats import beta, chi2
 
-from experiments.figures.style import WIDTH_IN, method_looks, quiet_axes
+from experiments.drawing.style import WIDTH_IN, method_looks, quiet_axes
 from experiments.lab.grid import named_config
 from experiments.lab.study import Study
 from experiments.paper.esim import method_order

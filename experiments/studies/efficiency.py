@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from experiments.figures.efficiency import efficiency_figure
+from experiments.drawing.efficiency import efficiency_figure
 from experiments.lab.grid import named_config
 from experiments.lab.study import Study
 from experiments.measures.bounds import BOUNDS, BoundCell

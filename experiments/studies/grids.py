@@ -10,7 +10,7 @@ from typing import Any
 import pandas as pd
 from matplotlib.figure import Figure
 
-from experiments.figures.ablations import ablation_figure
+from experiments.drawing.ablations import ablation_figure
 from experiments.lab.grid import GridConfig, config_names, named_config
 from experiments.lab.scored import SCORED
 from experiments.lab.study import Study

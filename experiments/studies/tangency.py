@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from experiments.figures.style import WIDTH_IN, method_looks, quiet_axes
+from experiments.drawing.style import WIDTH_IN, method_looks, quiet_axes
 from experiments.lab.study import Study
 from experiments.measures.tangency import VARIANT, VariantCell
 from experiments.paper.grids import ANGLES_DEG, drawn

@@ -8,8 +8,8 @@ from pathlib import Path
 import pandas as pd
 from matplotlib.figure import Figure
 
-from experiments.figures.figures import drawings
-from experiments.figures.growth import growth_figure
+from experiments.drawing.figures import drawings
+from experiments.drawing.growth import growth_figure
 from experiments.lab.cache import Cache
 from experiments.lab.files import csv_text, png_bytes, read_table
 from experiments.lab.finding import Finding, found, text_difference
@@ -18,9 +18,9 @@ from experiments.lab.provenance import versions
 from experiments.lab.scored import SCORED
 from experiments.lab.study import Study, summary_text
 from experiments.lab.task import CRASHED
+from experiments.paper.comparison import PUBLISHED
 from experiments.paper.esim import KEY, describe, ordered_runs, runs_from_csv
 from experiments.paper.grids import TABLES, offset_ms, table_cells
-from experiments.paper.published import PUBLISHED
 from experiments.paper.quantities import POSE_ERRORS
 from experiments.paper.results import (
     COMPARISON_FILE,

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from experiments.bench.growth import COMMITTED, bench_command_line, bench_config
-from experiments.figures.figures import drawings, figures_config
+from experiments.drawing.figures import drawings, figures_config
 from experiments.lab.provenance import plain
 from experiments.lab.study import Study
 from experiments.network.four import COMMAND as NETWORK_COMMAND

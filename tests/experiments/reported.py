@@ -10,9 +10,8 @@ import pandas as pd
 
 from experiments.lab.files import csv_text
 from experiments.lab.grid import config_names, flight_seed
-from experiments.paper.comparison import comparison_table
+from experiments.paper.comparison import comparison_table, load_published
 from experiments.paper.esim import esim_tables, ordered_runs
-from experiments.paper.published import load_published
 from ssac.files.hdf5 import save_events_h5
 from tests.recorded import KALIBR
 from tests.ssac.synthetic import HEIGHT, WIDTH, Scene, make_events, make_scene

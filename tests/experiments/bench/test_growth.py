@@ -20,7 +20,7 @@ from experiments.bench.growth import (
     measure_growth,
     points_of,
 )
-from experiments.figures.growth import growth_figure
+from experiments.drawing.growth import growth_figure
 from experiments.lab.files import png_bytes, read_checksums, read_table
 from tests.experiments.grown import made_up_growth
 

@@ -90,7 +90,7 @@ def test_every_module_that_an_entry_depends_on_makes_a_new_key(tree: Path) -> No
         ("sim/render/shaders/mesh.frag", "void", "/**/ void", set(CODES) - OF_EVENTS),
         ("sim/render/gl_reference.py", "import", "import os\nimport", set()),
         ("ssac/plot/plots.py", "import", "import os\nimport", set()),
-        ("experiments/figures/style.py", "import", "import os\nimport", set()),
+        ("experiments/drawing/style.py", "import", "import os\nimport", set()),
         ("experiments/studies/coverage.py", "import", "import os\nimport", set()),
         ("experiments/measures/refusal_flights.py", "0.25", "0.5", {"refusals"}),
         # Prose changes no number.

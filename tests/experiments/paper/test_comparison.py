@@ -7,15 +7,18 @@ from scipy.stats import ttest_ind_from_stats
 
 from experiments.lab.files import csv_text
 from experiments.paper.comparison import (
+    PUBLISHED,
+    PUBLISHED_ERRORS,
+    PUBLISHED_RUNS,
     Reason,
     Sample,
     comparison_table,
     difference_interval,
+    load_published,
+    summary_table,
     verdict_of,
 )
 from experiments.paper.esim import esim_tables
-from experiments.paper.published import PUBLISHED, PUBLISHED_ERRORS, PUBLISHED_RUNS, load_published
-from experiments.paper.summary import summary_table
 from ssac.errors import SsacError
 from tests.experiments.reported import made_up_runs
 

@@ -3,6 +3,7 @@ import pandas as pd
 import pytest
 
 from experiments.lab.files import csv_text
+from experiments.paper.comparison import load_published
 from experiments.paper.esim import (
     RUN_COLUMNS,
     YOUNGER,
@@ -15,7 +16,6 @@ from experiments.paper.esim import (
     runs_from_csv,
     runs_of_grid,
 )
-from experiments.paper.published import load_published
 from ssac.errors import SsacError
 from ssac.pipeline.registry import METHODS
 from tests.experiments.reported import made_up_runs

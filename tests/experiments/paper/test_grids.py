@@ -1,8 +1,8 @@
 """The tables' grids: their axes are the paper's."""
 
 from experiments.lab.grid import named_config
+from experiments.paper.comparison import load_published
 from experiments.paper.grids import table_axes, table_cells, table_grids
-from experiments.paper.published import load_published
 
 
 def test_the_axes_are_those_of_the_published_tables() -> None:

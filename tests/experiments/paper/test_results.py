@@ -7,10 +7,9 @@ import pandas as pd
 import pytest
 
 from experiments.lab.markdown import markdown_table, means_with_stds, number, paragraph
-from experiments.paper.comparison import comparison_table
+from experiments.paper.comparison import comparison_table, load_published
 from experiments.paper.esim import esim_table, esim_tables, runs_from_csv
 from experiments.paper.page import results_page
-from experiments.paper.published import load_published
 from experiments.paper.results import (
     COMPARISON_FILE,
     PAGE_FILE,

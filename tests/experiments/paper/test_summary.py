@@ -4,8 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments.paper.published import PUBLISHED_RUNS
-from experiments.paper.summary import geometric_mean, ratio_factor, summary_table
+from experiments.paper.comparison import PUBLISHED_RUNS, geometric_mean, ratio_factor, summary_table
 
 ANGLES_DEG, OFFSETS = np.repeat((30.0, 60.0, 90.0, 120.0, 150.0), 3), 3
 

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments.figures.figures import drawings
+from experiments.drawing.figures import drawings
 from experiments.lab.cache import Cache
 from experiments.lab.grid import flight_seed
 from experiments.report import report

@@ -47,7 +47,7 @@ def test_the_command_flies_what_it_is_told(monkeypatch: pytest.MonkeyPatch) -> N
 
     def take(config: SimConfig, seed: int) -> SceneFigures:
         flown.append((config.drone, config.angle_deg, config.spline.duration_s, seed))
-        return SceneFigures(198.0, 348, 400, 0.41, 0.2, 1.3, (20.0, 45.0), 1e6)
+        return SceneFigures(198.0, 348, 400, 0.41, 0.2, 1.3, 20.0, 45.0, 1e6)
 
     monkeypatch.setattr(scene, "simulate", take)
     monkeypatch.setattr(scene, "scene_figures", lambda figures: figures)
@@ -56,7 +56,7 @@ def test_the_command_flies_what_it_is_told(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def test_the_table_has_a_row_for_each_figure() -> None:
-    table = scene_table(SceneFigures(197.6, 348, 400, 0.412, 0.2, 1.3, (19.6, 45.4), 1e6))
+    table = scene_table(SceneFigures(197.6, 348, 400, 0.412, 0.2, 1.3, 19.6, 45.4, 1e6))
     lines = table.splitlines()
     assert len(lines) == 2 + len(AUTHORS_SAMPLE)
     assert lines[2] == "| median image speed [px/s] | 198 | 198 |"

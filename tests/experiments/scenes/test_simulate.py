@@ -9,6 +9,7 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from experiments.cli import app, main
+from sim.effects.config import SensorEffects
 from sim.errors import SimError
 from ssac.errors import SsacError
 from ssac.files.event_files import load_events, load_frames
@@ -16,6 +17,7 @@ from ssac.files.rigs import load_rig
 from tests.left_over import ended_process, made_by
 
 FAST = ["--duration", "2", "--max-step", "2", "--lattice", "2", "0"]
+LATE = [*FAST, "--t-d", "0.05", "--skew-ppm", "1000"]
 
 
 def run(*arguments: object) -> Result:
@@ -26,30 +28,46 @@ def hashes(folder: Path) -> dict[str, str]:
     return {p.name: hashlib.sha256(p.read_bytes()).hexdigest() for p in sorted(folder.iterdir())}
 
 
-@pytest.mark.render
-def test_the_folder_holds_what_the_design_says(tmp_path: Path) -> None:
-    out = tmp_path / "new" / "recording"
-    result = run(out, *FAST, "--t-d", 0.05, "--angle", 60, "--text", "--figures")
+def truth_of(folder: Path) -> dict:
+    return json.loads((folder / "truth.json").read_text())
+
+
+def events_of(folder: Path, camera: int) -> np.ndarray:
+    events = load_events(folder / f"cam{camera}.h5").events
+    return np.sort(events, order=("t", "y", "x", "p"))
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording with nothing that spoils it."""
+    out = tmp_path_factory.mktemp("plain") / "new" / "recording"
+    result = run(out, *LATE, "--angle", 60, "--text", "--figures")
     assert result.exit_code == 0, result.output
     assert "| median image speed [px/s] | 198 |" in result.stdout
-    names = {path.name for path in out.iterdir()}
-    assert names == {
+    return out
+
+
+@pytest.mark.render
+def test_the_folder_holds_what_the_design_says(plain: Path) -> None:
+    assert {path.name for path in plain.iterdir()} == {
         "cam1.h5", "cam2.h5", "cam1.txt", "cam2.txt", "rig.yaml", "rig_extrinsics.yaml",
         "truth.json",
     }  # fmt: skip
-    truth = json.loads((out / "truth.json").read_text())
+    truth = truth_of(plain)
     assert truth["t_d_s"] == 0.05
-    rig = load_rig(out / "rig_extrinsics.yaml")
+    assert "disturbances" not in truth["provenance"]
+    rig = load_rig(plain / "rig_extrinsics.yaml")
     assert rig.T_2_1 is not None
     np.testing.assert_allclose(rig.T_2_1[:3, :3], truth["R"], atol=1e-15)  # as written: repr
-    assert load_rig(out / "rig.yaml").T_2_1 is None
+    assert load_rig(plain / "rig.yaml").T_2_1 is None
     for name in ("cam1", "cam2"):
-        binary, text = load_events(out / f"{name}.h5"), load_events(out / f"{name}.txt")
+        binary, text = load_events(plain / f"{name}.h5"), load_events(plain / f"{name}.txt")
         np.testing.assert_array_equal(binary.events, text.events)
         assert (binary.width, binary.height) == (text.width, text.height) == (346, 260)
-    frames = load_frames(out / "cam2.h5")
+    frames = load_frames(plain / "cam2.h5")
     assert frames is not None
-    assert frames[0][0] == 50_000 + 2_500  # middle of the first exposure, on camera 2's clock
+    # Middle of the first exposure on camera 2's clock, which is 1 ms behind in the first second.
+    assert frames[0][0] == pytest.approx(50_000 + 2_500 - 1_000, abs=3)
 
 
 @pytest.mark.render
@@ -68,17 +86,62 @@ def test_a_bird_close_to_the_cameras(tmp_path: Path) -> None:
     near = ["--drone", "bird", "--distance", 1.5, "--spread", 0.15]
     result = run(tmp_path / "near", *FAST, *near)
     assert result.exit_code == 0, result.output
-    truth = json.loads((tmp_path / "near" / "truth.json").read_text())
-    assert np.abs(truth["drone_position_W_m"]).max() < 0.2 * 3.6
+    assert np.abs(truth_of(tmp_path / "near")["drone_position_W_m"]).max() < 0.2 * 3.6
     counts = [len(load_events(tmp_path / "near" / f"cam{i}.h5").events) for i in (1, 2)]
     assert min(counts) > 10_000
+
+
+@pytest.mark.render
+def test_clutter_is_added_to_the_same_flight_on_the_cameras_clock(
+    plain: Path, tmp_path: Path
+) -> None:
+    lamp = run(tmp_path / "lamp", *LATE, "--angle", 60, "--lamp", 6)
+    assert lamp.exit_code == 0, lamp.output
+    for camera, latest_s in ((1, 2.0), (2, 2.051)):
+        before, spoilt = (events_of(folder, camera) for folder in (plain, tmp_path / "lamp"))
+        common, n_each = np.unique(np.concatenate([before, spoilt]), return_counts=True)
+        more = common[n_each % 2 == 1]  # those of the flight are in both
+        assert len(more) == pytest.approx(36 * 400 * 2.0, rel=2e-3)  # a few on the same instant
+        assert np.ptp(more["x"]) == 5
+        # Camera 2's clock is 50 ms late, and runs 1 ms a second fast about the middle.
+        assert more["t"][-1] == pytest.approx(1e6 * latest_s, abs=2500)  # of a last step's time
+    assert truth_of(tmp_path / "lamp")["provenance"]["disturbances"]["lamp_px"] == 6
+    rigs = [(folder / "rig.yaml").read_text() for folder in (plain, tmp_path / "lamp")]
+    assert rigs[0] == rigs[1]
+
+
+@pytest.mark.render
+def test_a_second_flight_is_seen_by_both_and_the_rig_is_wrong_as_stated(tmp_path: Path) -> None:
+    options = ["--second-object", 1, "--intrinsics-error", 1, 3]
+    for name in ("a", "b"):
+        assert run(tmp_path / name, *LATE, "--frame-rate", 0, *options).exit_code == 0
+    assert hashes(tmp_path / "a") == hashes(tmp_path / "b")
+    truth = truth_of(tmp_path / "a")
+    rig, known = (load_rig(tmp_path / "a" / name) for name in ("rig.yaml", "rig_extrinsics.yaml"))
+    np.testing.assert_allclose(known.T_2_1[:3, :3], truth["R"], atol=1e-15)
+    for name, camera in (("cam1", rig.cam1), ("cam2", rig.cam2)):
+        assert camera.intrinsics_std_px == pytest.approx((2.0, 2.0, 3.0, 3.0))
+        off = camera.K - np.array(truth["provenance"]["true_K"][name])
+        assert np.all(off[[0, 1, 0, 1], [0, 1, 2, 2]] != 0.0)
+    for camera in (1, 2):
+        seen = truth["cameras"][f"cam{camera}"]["n_events"]
+        assert seen == len(events_of(tmp_path / "a", camera))
+
+
+@pytest.mark.render
+def test_a_preset_is_recorded_and_written_down(tmp_path: Path) -> None:
+    arguments = ["--preset", "davis346-dim", "--effect", "camera2_light=0.5", "--no-check"]
+    result = run(tmp_path / "dim", *FAST, "--duration", 1, "--frame-rate", 25, *arguments)
+    assert result.exit_code == 0, result.output
+    written = truth_of(tmp_path / "dim")["provenance"]["config"]["effects"]
+    assert written["camera2_light"] == 0.5
+    assert set(written) == set(vars(SensorEffects()))
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         (["--angle", 180], "--angle: expected 1 to 179 degrees, got 180"),
-        (["--noise", "loud"], "expected one of ideal, davis346, got 'loud'"),
         (["--duration", 0], "--duration: expected 1 to 3600 seconds, got 0"),
         (["--duration", "nan"], "--duration: expected 1 to 3600 seconds, got nan"),
         (["--resolution", 346, 0], "--resolution: expected 16 to 8192 pixels, got 0"),
@@ -101,14 +164,35 @@ def test_a_bird_close_to_the_cameras(tmp_path: Path) -> None:
         (["--threshold-off", -0.2], "--threshold-off: expected 0.01 to 5, got -0.2"),
         (["--gl", "vulkan"], "expected auto, osmesa or egl"),
         (["--lattice", 0, 0], "supersampling lattice"),
+        (["--lamp", 101], "--lamp: expected 0 to 100 pixels, got 101"),
+        (["--noise-hz", -1], "--noise-hz: expected 0 to 100 hertz, got -1"),
+        (["--second-object", 2], "--second-object: expected 0 to 1, got 2"),
+        (["--second-object", 1, "--trajectory", "flight.csv"], "leave out one of them"),
+        (["--intrinsics-error", 11, 0], "intrinsics_error needs 0 to 10 %"),
+        (["--lamp", 20, "--resolution", 16, 16, "--focal", 10, "--duration", 1,
+          "--frame-rate", 0], "a lamp of 20 x 20 px does not fit into a view of 16 x 16 px"),
+        (["--preset", "davis"], "--preset: expected one of davis346, davis346-dim, evk4"),
+        (["--preset", "evk4", "--noise", "davis346"], "leave one out"),
+        (["--noise", "loud"], "expected one of ideal, davis346, got 'loud'"),
+        (["--effect", "latency=1"], "expected NAME=VALUE with a name of illuminance_lux"),
+        (["--effect", "threshold_on=0.1"], "expected NAME=VALUE"),  # of the sensor, no effect
+        (["--effect", "latency_s"], "expected NAME=VALUE"),
+        (["--effect", "latency_s=late"], "--effect latency_s: expected a number, got 'late'"),
+        (["--effect", "hot_clusters=1.5"], "expected a whole number, got '1.5'"),
+        (["--effect", "jitter_s=-1"], "effects: jitter_s must be 0 or a positive number"),
+        (["--effect", "cutoff_max_hz=0"], "effects: cutoff_max_hz must be a positive number"),
+        (["--effect", "frame_gap_s=0.02"], "frame_gap_s must be less than 1 / rate_hz"),
+        (["--illuminance", "0"], "--illuminance: expected 0.001 to 1000000 lux, got 0"),
+        (["--illuminance", "9", "--effect", "illuminance_lux=8"], "are one: leave one out"),
     ],
-)
+)  # fmt: skip
 def test_bad_input_is_one_error_and_leaves_nothing(
     tmp_path: Path, arguments: list[object], message: str
 ) -> None:
     result = run(tmp_path / "out", *arguments)
     assert isinstance(result.exception, (SimError, SsacError))
     assert message in str(result.exception)
+    assert "\n" not in str(result.exception)
     assert list(tmp_path.iterdir()) == []
 
 

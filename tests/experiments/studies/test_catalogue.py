@@ -63,7 +63,7 @@ def test_what_measures_draws_nothing() -> None:
     for path in [*folder.glob("*.py"), ROOT / "experiments/lab/scored.py"]:
         for node in ast.walk(ast.parse(path.read_text())):
             module = node.module or "" if isinstance(node, ast.ImportFrom) else ""
-            assert not module.startswith(("matplotlib", "experiments.figures")), path
+            assert not module.startswith(("matplotlib", "experiments.drawing")), path
 
 
 def test_fidelity_sums_up_each_duration() -> None:

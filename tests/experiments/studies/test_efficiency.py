@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments.figures.efficiency import efficiency_figure, pooled
+from experiments.drawing.efficiency import efficiency_figure, pooled
 from experiments.measures.recording_bound import KNOWN_POSE, SAMPLES
 from experiments.paper.grids import table_grids
 from experiments.studies.efficiency import (

@@ -13,15 +13,15 @@ from matplotlib.figure import Figure
 
 from experiments.bench.growth import COMMITTED, points_of
 from experiments.bench.measurement import Measurement
-from experiments.figures.figures import drawings
-from experiments.figures.growth import growth_figure
+from experiments.drawing.figures import drawings
+from experiments.drawing.growth import growth_figure
 from experiments.lab.cache import Cache
 from experiments.lab.files import png_bytes, read_table, record_checksums, save_csv
 from experiments.lab.provenance import plain, provenance, write_provenance
 from experiments.lab.study import Study, save_derived
 from experiments.lab.task import Measure
+from experiments.paper.comparison import PUBLISHED
 from experiments.paper.grids import table_cells
-from experiments.paper.published import PUBLISHED
 from experiments.paper.results import save_results
 from experiments.verify import derived, sample
 from experiments.verify.manifest import Manifest, manifest_of

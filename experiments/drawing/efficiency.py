@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from experiments.figures.style import WIDTH_IN, Look, error_axes, label_grid, method_looks
+from experiments.drawing.style import WIDTH_IN, Look, error_axes, label_grid, method_looks
 from experiments.paper.esim import method_order
 from experiments.paper.quantities import ERRORS
 

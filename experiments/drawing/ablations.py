@@ -17,7 +17,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullLocator
 from numpy.typing import NDArray
 
-from experiments.figures.style import WIDTH_IN, quiet_axes
+from experiments.drawing.style import WIDTH_IN, quiet_axes
 from experiments.lab.grid import FigureConfig, GridConfig, configs_of
 from experiments.paper.esim import method_order
 from experiments.paper.quantities import ERRORS

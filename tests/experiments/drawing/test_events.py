@@ -3,7 +3,7 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from experiments.figures.events import (
+from experiments.drawing.events import (
     STRETCH_S,
     alignment_figure,
     d_avg_curves,

@@ -14,9 +14,8 @@ import pandas as pd
 import typer
 from matplotlib.figure import Figure
 
-from experiments.figures.beyond import beyond_figure
-from experiments.figures.errors import error_figure
-from experiments.figures.events import (
+from experiments.drawing.errors import beyond_figure, error_figure
+from experiments.drawing.events import (
     alignment_figure,
     d_avg_figure,
     epipolar_figure,
@@ -27,8 +26,8 @@ from experiments.lab.cache import DEFAULT_FOLDER, Cache
 from experiments.lab.files import record_checksums, save_png
 from experiments.lab.grid import flight_seed
 from experiments.lab.provenance import save_provenance
+from experiments.paper.comparison import load_published
 from experiments.paper.esim import ordered_runs, runs_from_csv
-from experiments.paper.published import load_published
 from sim.recording import SimConfig
 from sim.render.gl_context import context_or_none
 from sim.sensor.events import PRESETS

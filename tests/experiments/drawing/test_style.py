@@ -4,7 +4,7 @@ import pytest
 from matplotlib.figure import Figure
 from PIL import Image
 
-from experiments.figures.style import WIDTH_IN, method_looks
+from experiments.drawing.style import WIDTH_IN, method_looks
 from experiments.lab.files import DPI, save_png
 from ssac.pipeline.registry import METHODS
 

@@ -5,7 +5,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments.figures.ablations import ablation_figure, default_value, other_parameters
+from experiments.drawing.ablations import ablation_figure, default_value, other_parameters
 from experiments.lab.grid import GridConfig, config_names, named_config
 from sim.recording import SimConfig
 from ssac.config import N_MIN, Config

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from experiments.figures.style import WIDTH_IN, Look
+from experiments.drawing.style import WIDTH_IN, Look
 
 _LOOKS = {"simulate": Look("#0072B2", "o"), "synchronise": Look("#000000", "D")}
 _WHAT = {"wall_s": "time [s]", "peak_mb": "peak memory [MB]"}

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from experiments.figures.style import WIDTH_IN, quiet_axes
+from experiments.drawing.style import WIDTH_IN, quiet_axes
 from ssac.camera import Camera, known_pose
 from ssac.config import N_MIN, Config
 from ssac.errors import SsacError

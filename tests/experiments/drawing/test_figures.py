@@ -5,7 +5,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from experiments.figures.figures import (
+from experiments.drawing.figures import (
     FLIGHT,
     NOISY_FLIGHT,
     NOISY_SEED,

@@ -1,1 +1,0 @@
-"""Results and recordings in, the figures of `results/` out."""
