@@ -96,13 +96,7 @@ class View:
 
 
 def lamp(view: View, size_px: int, rng: np.random.Generator) -> NDArray[Any]:
-    """Let a square of pixels flicker at 100 Hz all along.
-
-    Raises
-    ------
-    SimError
-        When it does not fit into the view.
-    """
+    """Let a square of pixels flicker at 100 Hz all along; it must fit into the view."""
     x0, y0 = _corner(view, size_px, "a lamp", rng)
     starts_s = np.arange(np.ceil(LAMP_HZ * view.duration_s)) / LAMP_HZ
     # Up in the first half of a cycle and down in the second.
@@ -116,13 +110,7 @@ def lamp(view: View, size_px: int, rng: np.random.Generator) -> NDArray[Any]:
 
 
 def hot_clusters(view: View, n_clusters: int, rng: np.random.Generator) -> NDArray[Any]:
-    """Let clusters of 3 x 3 pixels fire without cause, all events ON.
-
-    Raises
-    ------
-    SimError
-        When the view is smaller than a cluster.
-    """
+    """Let clusters of 3 x 3 pixels fire without cause, all events ON."""
     x_px, y_px = [np.empty(0)], [np.empty(0)]
     for _ in range(n_clusters):
         x0, y0 = _corner(view, CLUSTER_PX, "a hot cluster", rng)
@@ -171,15 +159,7 @@ _EDGE_PX = 1.0  # deviation of events from the edge
 
 
 def branches(view: View, n_events: int, rng: np.random.Generator) -> NDArray[Any]:
-    """Let clumps of leaves sway about fixed places, and fire as fast as they move.
-
-    Parameters
-    ----------
-    view
-    n_events
-        Of all of them; those that sway out of the view are lost.
-    rng
-    """
+    """Let clumps of leaves sway about fixed places, and fire as fast as they move."""
     shares = rng.multinomial(n_events, np.full(N_BRANCHES, 1.0 / N_BRANCHES))
     return np.concatenate([_branch(view, int(n), rng) for n in shares])
 
@@ -240,13 +220,7 @@ _BATCH = 16  # frames in memory
 def clouds(view: View, drift_px_s: float, rng: np.random.Generator) -> NDArray[Any]:
     """Let clouds drift over the view, in one direction and at one speed.
 
-    Parameters
-    ----------
-    view
-    drift_px_s
-        8 m/s at a height of 600 m are 6 px/s for a lens of 432 px.
-    rng
-        Draws the clouds, their direction and what each pixel saw before.
+    8 m/s at a height of 600 m are 6 px/s for a lens of 432 px.
     """
     sky = cloudy_sky(view, rng)
     angle = rng.uniform(0.0, 2.0 * np.pi)
@@ -313,24 +287,8 @@ def second_seed(seed: int) -> int:
 def clutter(config: DisturbConfig, view: View, seed: int, camera: int) -> NDArray[Any]:
     """Draw all that fires in a view beside the drone, but for a second object.
 
-    Parameters
-    ----------
-    config
-    view
-    seed
-        Of the recording.
-    camera
-        Index of the camera: each has clutter of its own.
-
-    Returns
-    -------
-    NDArray[Any]
-        Of EVENT_DTYPE, in order of time; the scene's clock.
-
-    Raises
-    ------
-    SimError
-        When something does not fit into the view.
+    The events are in order of time, on the scene's clock. Each camera, given by its index, has
+    clutter of its own. SimError where something does not fit into the view.
     """
     kinds: tuple[tuple[Draw, float], ...] = (
         (lamp, config.lamp_px),
@@ -364,14 +322,6 @@ def wrong_intrinsics(
 ) -> tuple[FloatArray, FloatArray]:
     """Draw intrinsics as a calibration of stated deviations would give them.
 
-    Parameters
-    ----------
-    K
-        The true ones (3, 3) [px].
-    config
-    seed, camera
-        As of `clutter`.
-
     Returns
     -------
     K : (3, 3) array
@@ -402,21 +352,9 @@ def record_disturbed(
 ) -> Recorded:
     """Simulate one flight, spoil it and write it as a folder; unlike `record`, all in memory.
 
-    Parameters
-    ----------
-    config, seed, out_dir, provenance, text, progress
-        As for `sim.storage.record`.
-    disturb
-
-    Returns
-    -------
-    Recorded
-
-    Raises
-    ------
-    SimError
-        As `record` does, when a disturbance does not fit into the view, or when the trajectory of
-        a second object is a file's.
+    SimError as of `record`, when a disturbance does not fit into the view, or when the trajectory
+    of a second object is a file's. truth.json has the disturbances and the true intrinsics within
+    its provenance; the rig files have the intrinsics that were drawn, and their deviations.
     """
     check_out_dir(out_dir)
     if disturb.second_object and config.trajectory_file is not None:
@@ -450,15 +388,7 @@ def disturbed(
 ) -> Recording:
     """Add clutter to what the cameras recorded; frames, rig and truth stay.
 
-    Parameters
-    ----------
-    recording
-    disturb
-    seed
-        Of the recording.
-    second
-        Another flight of the same configuration, of whose events a share is added. The two objects
-        do not hide each other.
+    `second` is another flight of the same configuration, of whose events a share is added.
     """
     truth = recording.truth
     cameras = []

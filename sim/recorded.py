@@ -54,23 +54,11 @@ class Drift:
 
 
 def drift_of(skew_ppm: float, jump: Jump | None, duration_s: float) -> Drift:
-    """Check what a clock is to do during a recording.
+    """Check what a clock is to do during a recording; SimError when it cannot be.
 
-    Parameters
-    ----------
-    skew_ppm
-        At most `MAX_SKEW_PPM`, either way.
-    jump
-        Within the recording, and forwards. A clock that is set back would give each stamp of a
-        while twice; what a driver makes of that differs, and seen from the other camera it is a
-        jump forwards.
-    duration_s
-        Of the recording.
-
-    Raises
-    ------
-    SimError
-        When it cannot be.
+    A skew is at most `MAX_SKEW_PPM`, either way. A jump lies within the recording and goes
+    forwards: a clock that is set back would give each stamp of a while twice; what a driver makes
+    of that differs, and seen from the other camera it is a jump forwards.
     """
     if not abs(skew_ppm) <= MAX_SKEW_PPM:
         raise SimError(

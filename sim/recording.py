@@ -1,4 +1,4 @@
-"""The whole chain: a configuration and a seed in, all cameras' recordings and the truth out.
+"""The whole chain, from a configuration and a seed to the recordings of all cameras and the truth.
 
 `stream` is the chain; it hands on frames and events as they are made. `simulate` keeps them in
 memory, `sim.storage.record` writes them to files.
@@ -129,25 +129,12 @@ def two_view_rig_of(config: SimConfig) -> Rig:
 def simulate(
     config: SimConfig, seed: int, progress: Callable[[float], None] | None = None
 ) -> Recording:
-    """Simulate one flight of one drone, seen by two cameras.
+    """Simulate one flight of one drone, seen by all cameras.
 
-    Parameters
-    ----------
-    config
-    seed
-        The only source of randomness; 0 or positive. The offset does not enter into it: recordings
-        that differ in `t_d_s` alone differ in camera 2's timestamps alone.
-    progress
-        Called now and then with the share of the work done, 0 to 1.
-
-    Returns
-    -------
-    Recording
-
-    Raises
-    ------
-    SimError
-        Input that makes no sense, or no GL.
+    The seed, 0 or positive, is the only source of randomness. The offset does not enter into it:
+    recordings that differ in `t_d_s` alone differ in camera 2's timestamps alone. `progress` is
+    called now and then with the share of the work done, 0 to 1. SimError for input that makes no
+    sense, or without GL.
     """
     sinks: list[InMemory] = []
 
@@ -168,20 +155,9 @@ def stream(
 ) -> Flight:
     """Simulate one flight as `simulate` does, and hand on what each camera records meanwhile.
 
-    Cameras record one after the other. Memory does not grow with the duration, but for some
-    numbers per instant; with a sensor whose pixels act by themselves, for its events too.
-
-    Parameters
-    ----------
-    config, seed, progress
-        As for `simulate`.
-    open_sink
-        Called for each camera before it records.
-
-    Raises
-    ------
-    SimError
-        As `simulate`.
+    Cameras record one after the other; the sink of each is opened before. Memory does not grow with
+    the duration, but for some numbers per instant; with a sensor whose pixels act by themselves,
+    for its events too.
     """
     if seed < 0:
         raise SimError(f"seed: expected 0 or a positive integer, got {seed}")

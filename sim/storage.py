@@ -49,10 +49,7 @@ def partial_path(parent: Path, name: str) -> Path:
 
 @cache
 def _host() -> str:
-    """Name the place in which a process id has one meaning: a machine, since it was started.
-
-    A container counts as a machine of its own.
-    """
+    """Name the place in which a process id has one meaning: a machine, since it was started."""
     node = platform.node()
     place = [node]
     with suppress(OSError):  # not Linux
@@ -75,10 +72,7 @@ _FRAME_CODEC = hdf5plugin.Zstd(clevel=3)
 
 
 class CameraFiles:
-    """A sink that writes one camera's files; the same content gives the same bytes.
-
-    A context manager, so that its file is closed whatever happens.
-    """
+    """A sink that writes one camera's files; the same content gives the same bytes."""
 
     def __init__(
         self,
@@ -160,10 +154,7 @@ class _ImageChunks:
 
 
 def save_events_text(camera: Camera, blocks: Iterable[NDArray[Any]], path: Path) -> None:
-    """Write events, block after block, as ESIM text.
-
-    A line `width height`, then `t x y p` each, t in seconds.
-    """
+    """Write events as ESIM text: a line `width height`, then `t x y p` each, t in seconds."""
     with path.open("w", encoding="ascii") as file:
         file.write(f"{camera.width} {camera.height}\n")
         for events in blocks:
@@ -203,13 +194,7 @@ _DIGITS = 9  # decimals of the truth: nanometres and nanoseconds
 
 
 def check_out_dir(out_dir: Path) -> None:
-    """Refuse a folder that a recording must not be written to.
-
-    Raises
-    ------
-    SimError
-        When the path is a file, or a folder that is not empty.
-    """
+    """Raise SimError when a path is a file, or a folder that is not empty."""
     if out_dir.exists() and not out_dir.is_dir():
         raise SimError(f"{out_dir} is a file: name a folder to write the recording to")
     if out_dir.is_dir() and any(out_dir.iterdir()):
@@ -233,25 +218,10 @@ def record(
     text: bool = False,
     progress: Callable[[float], None] | None = None,
 ) -> Recorded:
-    """Simulate one flight and write it as a folder meanwhile; the recording never is in memory.
+    """Simulate one flight and write it meanwhile; only one camera's events are in memory.
 
-    Of what is recorded, only one camera's events are in memory.
-
-    Parameters
-    ----------
-    config, seed, progress
-        As for `sim.recording.simulate`.
-    out_dir, provenance, text
-        As for `save_recording`.
-
-    Returns
-    -------
-    Recorded
-
-    Raises
-    ------
-    SimError
-        As both; the folder is not there then, or as empty as before.
+    The arguments are those of `simulate` and `save_recording`, and so are the errors; the folder is
+    not there then, or as empty as before.
     """
     with _whole_folder(out_dir) as partial, ExitStack() as open_files:
         sinks: list[CameraFiles] = []
@@ -277,7 +247,6 @@ def save_recording(
 
     Parameters
     ----------
-    recording
     out_dir
         New, or empty. The folder appears under this name only when all of it is written.
     provenance
@@ -316,13 +285,7 @@ def true_rig_files(rig: Rig) -> dict[str, str]:
 
 @contextmanager
 def _whole_folder(out_dir: Path) -> Iterator[Path]:
-    """Give a folder to fill, which becomes `out_dir` if the block ends well; else nothing is left.
-
-    Raises
-    ------
-    SimError
-        When `out_dir` is not empty, before the block or after it, or cannot be written.
-    """
+    """Give a folder to fill, which becomes `out_dir` if the block ends well."""
     check_out_dir(out_dir)
     try:
         out_dir = out_dir.resolve()

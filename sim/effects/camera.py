@@ -25,21 +25,8 @@ _LAMPS, _PIXELS, _PHASE, _FRAMES = range(4)
 class CameraEffects:
     """What stands between one camera's light and what it records; nothing by default.
 
-    Parameters
-    ----------
-    effects, sensor, frames
-        Of the recording.
-    background
-        Luminance (height, width) of the empty scene.
-    seed
-        Of the recording.
-    index
-        Of the camera, 0 or 1.
-
-    Raises
-    ------
-    SimError
-        When a frame's readout would end after the next frame's exposure.
+    `background` is the luminance (height, width) of the empty scene, `index` the camera's, 0 or 1.
+    SimError when a frame's readout would end after the next frame's exposure.
     """
 
     def __init__(
@@ -88,18 +75,10 @@ class CameraEffects:
         return EffectsSensor(*about, effects_rng, self.flicker_rad)
 
     def read_out(self, events: NDArray[Any], end_s: float) -> NDArray[Any]:
-        """Deliver all events of a recording that ends at a time, as the readout does.
+        """Deliver all events of a recording that ends at a time [s], as the readout does.
 
-        Parameters
-        ----------
-        events
-            EVENT_DTYPE, sorted by time [us of the scene].
-        end_s
-
-        Returns
-        -------
-        NDArray
-            EVENT_DTYPE, sorted by time, none outside of the recording.
+        Events are sorted by time [us of the scene], before and after; none is outside of the
+        recording.
         """
         effects, frames = self.effects, self._frames
         if effects.is_none:
@@ -128,12 +107,7 @@ class CameraEffects:
 
 
 def check_gap(effects: SensorEffects, frames: FrameConfig) -> None:
-    """Refuse frames that are read out for longer than they are apart.
-
-    Raises
-    ------
-    SimError
-    """
+    """Raise SimError when frames are read out for longer than they are apart."""
     if effects.frame_gap_s * frames.rate_hz >= 1.0:
         raise SimError(
             f"effects: frame_gap_s must be less than 1 / rate_hz of the frames = "
@@ -170,21 +144,9 @@ def blurred_crops(
     background: NDArray[np.float32],
     blurred: NDArray[np.float32],
 ) -> Crops:
-    """Blur crops of an image.
+    """Blur crops of an image, whose background (height, width) is given sharp and blurred.
 
-    Parameters
-    ----------
-    crops
-        On the sharp background.
-    blur_px
-        Deviation of the Gaussian point spread.
-    background, blurred
-        The background (height, width), sharp and blurred.
-
-    Returns
-    -------
-    Crops
-        On the blurred background, wider by the blur's reach where the image goes on.
+    The new crops are wider by the blur's reach where the image goes on.
     """
     weights = point_spread(blur_px).astype(np.float32)
     margin = len(weights) // 2
@@ -236,14 +198,8 @@ def without_gaps(
 ) -> NDArray[Any]:
     """Lose the events during gaps.
 
-    Parameters
-    ----------
-    events
-        EVENT_DTYPE, sorted by time.
-    starts_us
-        When each gap begins, shape (n,) [us], increasing.
-    gap_us
-        How long each lasts; less than from one to the next.
+    Events are sorted by time. Gaps begin at `starts_us` (n,), increasing, and each ends before the
+    next begins.
     """
     if not len(starts_us):
         return events
@@ -253,16 +209,9 @@ def without_gaps(
 
 
 def queued(events: NDArray[Any], readout_hz: float, queue: int) -> NDArray[Any]:
-    """Read events out one at a time, first come, first served; each is stamped when its turn comes.
+    """Read events, sorted by time, out one at a time; each is stamped when its turn comes.
 
-    Parameters
-    ----------
-    events
-        EVENT_DTYPE, sorted by time.
-    readout_hz
-        Events that are read out per second.
-    queue
-        How many wait at most, beside the one that is read out; one that finds as many is lost.
+    Beside the one that is read out at most `queue` wait; an event that finds as many is lost.
     """
     stamps_us, is_read = _serve(events["t"], 1e6 / readout_hz, queue)
     delivered: NDArray[Any] = events[is_read]
@@ -293,18 +242,9 @@ _QUANTILES /= _QUANTILES.std()
 
 
 class NoisyImages:
-    """Takes frames in place of others, to which it hands them on.
+    """Gives frames their flicker and noise, and hands them on to `images`.
 
-    Parameters
-    ----------
-    images
-        Takes the frames afterwards.
-    effects, config
-    start_s
-        When the first exposure begins.
-    rng
-    flicker_rad
-        Phase of the lamps at time 0.
+    The first exposure begins at `start_s`; `flicker_rad` is the phase of the lamps at time 0.
     """
 
     def __init__(

@@ -194,13 +194,7 @@ SENSOR_PRESETS = {
 
 
 def sensor_preset(name: str) -> SensorPreset:
-    """Look a sensor up.
-
-    Raises
-    ------
-    SimError
-        When there is none of that name.
-    """
+    """Look a sensor up; SimError when there is none of that name."""
     if name not in SENSOR_PRESETS:
         raise SimError(f"sensor: expected one of {', '.join(SENSOR_PRESETS)}, got {name!r}")
     return SENSOR_PRESETS[name]

@@ -209,11 +209,7 @@ def follow_changes(  # type: ignore[no-untyped-def]
 def _follow_quiet(  # type: ignore[no-untyped-def]
     crop, cx0, cy0, background, t0, t1, box, image, pixels, rates, dim_hz, loud, before
 ):
-    """Take the image of the next instant, and follow the pixels that change without an event.
-
-    Returns how many are left to be followed, whose rows, columns and luminance before are in
-    `loud` and `before`.
-    """
+    """Take the image of the next instant, and follow the pixels that change without an event."""
     cx1, cy1 = cx0 + crop.shape[1], cy0 + crop.shape[0]
     n_loud = 0
     for y in range(min(cy0, box[1]), max(cy1, box[3])):
@@ -250,10 +246,7 @@ def follow_all(  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _stays_quiet(state, t1, i0, i1, rates, dim_hz):  # type: ignore[no-untyped-def]
-    """Follow a pixel up to t1 if its signal is monotone and stays between the thresholds.
-
-    Returns whether it does; if not, nothing has changed. Most intervals of most pixels are so.
-    """
+    """Follow a pixel up to t1 if its signal is monotone and stays between the thresholds."""
     t = state.time_s
     if state.dead_until_s > t:
         return False
@@ -283,11 +276,7 @@ def _stays_quiet(state, t1, i0, i1, rates, dim_hz):  # type: ignore[no-untyped-d
 def _follow(  # type: ignore[no-untyped-def]
     y, x, t1, i0, i1, pixels, rates, dim_hz, ev_t, ev_x, ev_y, ev_p, n
 ):
-    """Follow one pixel up to t1 while its luminance goes linearly from i0 to i1.
-
-    Whatever the cause of an event, the pixel then memorises its present signal, at once or at the
-    end of its refractory period.
-    """
+    """Follow one pixel up to t1 while its luminance goes linearly from i0 to i1."""
     state = pixels[y, x]
     t = state.time_s
     middle = 0.5 * (i0 + i1)

@@ -1,4 +1,4 @@
-"""Luminance over time in, events out: the pixels of `sim.sensor.events`, as bad as real ones."""
+"""The pixels of `sim.sensor.events`, as bad as real ones."""
 
 from typing import Any
 
@@ -17,25 +17,10 @@ _TABLE = 4097  # steps of a quarter of `log_eps`: 1 % off at most between two
 class EffectsSensor(Sensor):
     """The pixels of one camera, with the effects that act within a pixel.
 
-    They have seen their first image for long, and memorised it at the start.
-
-    Parameters
-    ----------
-    config
-    effects
-        Of this camera (`SensorEffects.of_camera`).
-    image, time_s, rng, background
-        As for `Sensor`.
-    effects_rng
-        Draws what the effects add to `config`: with all of them off, mismatch and hot pixels are
-        those of a `Sensor` with the same `rng`.
-    flicker_rad
-        Phase of the lamps at time 0.
-
-    Raises
-    ------
-    SimError
-        When the image is smaller than a hot cluster.
+    They have seen their first image for long, and memorised it at the start. `effects_rng` draws
+    what the effects add to `config`: with all of them off, mismatch and hot pixels are those of a
+    `Sensor` with the same `rng`. `flicker_rad` is the phase of the lamps at time 0. SimError when
+    the image is smaller than a hot cluster.
     """
 
     def __init__(
@@ -67,7 +52,7 @@ class EffectsSensor(Sensor):
         y0_px: NDArray[np.int64],
         luminance: NDArray[np.float32],
     ) -> None:
-        """Take the next instants: crops of the image, the background around them."""
+        """Take the next instants, as `Sensor.feed` does."""
         self._events.follow(
             follow_changes, times_s, x0_px, y0_px, np.ascontiguousarray(luminance),
             self._background, self._time_s, self._box, self._image, self._pixels,
@@ -76,13 +61,9 @@ class EffectsSensor(Sensor):
         self._time_s = float(times_s[-1])
 
     def finish(self, time_s: float) -> NDArray[Any]:
-        """Hold the last image until `time_s` and return all events.
+        """Hold the last image until `time_s` and return all events, as `Sensor.finish` does.
 
-        Returns
-        -------
-        NDArray
-            EVENT_DTYPE, sorted by time, then row, column and order of emission. Latency may put
-            some after `time_s`, and jitter some before the start.
+        Latency may put some after `time_s`, and jitter some before the start.
         """
         self._time_s = max(time_s, self._time_s)
         self._events.follow(

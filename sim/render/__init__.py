@@ -1,1 +1,1 @@
-"""A scene at many instants in, linear luminance of crops that follow the drone out."""
+"""The pictures of a scene: linear luminance of crops that follow the drone."""

@@ -1,4 +1,4 @@
-"""How the drone is drawn."""
+"""How the drone is drawn, and how often."""
 
 from dataclasses import dataclass, field
 

@@ -39,8 +39,7 @@ class Footprint:
 def outline_points(drone: Drone, camera: Camera) -> tuple[FloatArray, ...]:
     """Return points of each part [m] between which its silhouette is all but straight.
 
-    They are the corners of its convex hull; where the camera bends lines, points along the hull's
-    edges too.
+    They are the corners of its convex hull, and points along the hull's edges where lines bend.
     """
     piece_m = None if camera.distortion_model == "none" else drone.size_m * _PIECE_OF_SIZE
     return tuple(_hull_points(part.vertices_B_m, piece_m) for part in drone.parts)
@@ -49,26 +48,10 @@ def outline_points(drone: Drone, camera: Camera) -> tuple[FloatArray, ...]:
 def footprint(
     drone: Drone, camera: Camera, times_s: FloatArray, T_W_B: FloatArray | PosesAt
 ) -> Footprint:
-    """Find where the drone's image lies.
+    """Find where the drone's image lies at instants (n,) [s], with its body at T_W_B (n, 4, 4).
 
-    Parameters
-    ----------
-    drone
-    camera
-    times_s
-        Instants, shape (n,) [s]; they set the joints.
-    T_W_B
-        Poses of the drone's body at those instants, shape (n, 4, 4).
-
-    Returns
-    -------
-    Footprint
-        `moved_px` is 0 wherever the drone is not visible, before or after.
-
-    Raises
-    ------
-    SimError
-        The drone passes through the camera's image plane within its view.
+    `moved_px` is 0 wherever the drone is not visible, before or after. SimError when the drone
+    passes through the camera's image plane within its view.
     """
     n = len(times_s)
     low, high = np.empty((n, 2)), np.empty((n, 2))
@@ -104,11 +87,7 @@ def _project(
     depth: FloatArray,
     moved: FloatArray,
 ) -> FloatArray:
-    """Fill a chunk's boxes (n, 2) [px], depths (n, 2) [m] and displacements (n,) [px].
-
-    `last_px` (1, corners, 2) are the pixels of the instant before; None: there is none. Returns
-    those of the last.
-    """
+    """Fill a chunk's boxes (n, 2) [px], depths (n, 2) [m] and displacements (n,) [px]."""
     K, T_C_W = camera.K, camera.T_C_W
     was_imaged = last_px is None or np.isfinite(last_px).all()
     if camera.distortion_model == "none" and not (K[0, 1] or K[1, 0]) and was_imaged:
@@ -140,12 +119,7 @@ def _project(
 def _follow_corners(  # type: ignore[no-untyped-def]
     corners_m, first, T_W_P, T_C_W, intrinsics, is_first, at, low, high, depth, moved
 ):
-    """Do what `_project` does, in one pass, as long as all corners surely have an image.
-
-    `corners_m` (corners, 3) are those of all parts, of which part p has those from `first[p]` up to
-    `first[p + 1]`. `at` (corners, 2) holds the pixels of the instant before, and then of the last;
-    `is_first`: it does not yet. Returns whether all have been followed.
-    """
+    """Do what `_project` does, in one pass, as long as all corners surely have an image."""
     fx, fy, cx, cy = intrinsics
     for k in range(T_W_P.shape[1]):
         x0, y0, x1, y1, longest = np.inf, np.inf, -np.inf, -np.inf, 0.0
@@ -234,24 +208,11 @@ PROBES_PER_TURN = 100  # and along a turn of a rotor
 def choose_instants(
     drone: Drone, camera: Camera, trajectory: Trajectory, config: SamplingConfig | None = None
 ) -> FloatArray:
-    """Choose the instants to render for one camera.
+    """Choose the instants [s] to render for one camera, from 0 to the trajectory's end.
 
     Each camera has instants of its own, so that the bound holds in all of them without any being
-    rendered as densely as the fastest view needs.
-
-    Parameters
-    ----------
-    drone
-    camera
-    trajectory
-    config
-
-    Returns
-    -------
-    FloatArray
-        Increasing times [s] from 0 to the trajectory's end, both included. Between two of them no
-        point of the drone's outline moves by more than `max_step_px`, to about 1 %, where it is
-        in view.
+    rendered as densely as the fastest view needs: between two of them no point of the drone's
+    outline moves by more than `max_step_px`, to about 1 %, where it is in view.
     """
     config = config or SamplingConfig()
     turns_hz = [abs(part.joint.rate_hz) for part in drone.parts if part.joint is not None]

@@ -1,4 +1,4 @@
-"""The GL side of rendering: instances of the drone's parts in, the sample words of an atlas out.
+"""Rendering with OpenGL: the drone's parts, drawn at many instants into one atlas of samples.
 
 Meshes, buffers and shaders are pyrender's objects; the framebuffer and the draw call are ours,
 since pyrender draws one frame at a time, in 8-bit colour, and reads its depth back as well.
@@ -33,17 +33,7 @@ class GLPainter:
     One draw call renders many instants: each is an instance of the mesh, put into its own tile of
     an atlas. The vertex shader is the camera (it projects, distorts and rounds to the rasteriser's
     grid), so an instant has the same pixels wherever its tile lies, and the same as in a full
-    frame.
-
-    Parameters
-    ----------
-    drone
-    config
-
-    Raises
-    ------
-    SimError
-        No GL context can be opened, or it lacks what is needed.
+    frame. SimError where no GL context can be opened, or it lacks what is needed.
     """
 
     def __init__(self, drone: Drone, config: RenderConfig) -> None:
@@ -107,16 +97,7 @@ class _Mesh:
 
 
 class Atlas:
-    """An off-screen buffer of sample words, and the drone's parts to draw into it.
-
-    Parameters
-    ----------
-    drone
-
-    Notes
-    -----
-    The process's GL context must be open (`sim.render.gl_context.open_context`).
-    """
+    """An off-screen buffer of sample words, and the drone's parts; the GL context must be open."""
 
     def __init__(self, drone: Drone) -> None:
         from OpenGL import GL
@@ -167,7 +148,7 @@ class Atlas:
         depth_range_m: tuple[float, float],
         clip: bool,
     ) -> NDArray[np.uint32]:
-        """Draw every instance of every part.
+        """Draw every instance of every part; the sample words stay valid until the next call.
 
         Parameters
         ----------
@@ -180,11 +161,6 @@ class Atlas:
             Depths between which everything lies [m].
         clip
             Cut each instance off at the border of its tile.
-
-        Returns
-        -------
-        NDArray[np.uint32]
-            Sample words (`sim.render.lattice`), shape (height, width). Valid until the next call.
         """
         GL = self._GL
         width, height = size
@@ -282,13 +258,7 @@ def set_camera_uniforms(
 def make_primitive(part: Part, piece_m: float | None, n_instances: int | None) -> Any:
     """Turn a part into a pyrender.Primitive with one normal and albedo per face.
 
-    Parameters
-    ----------
-    part
-    piece_m
-        Split faces until no edge is longer [m]; None: leave them.
-    n_instances
-        Room for as many instances; None: pyrender's single one.
+    No edge is longer than `piece_m`; there is room for `n_instances`, or pyrender's single one.
     """
     from pyrender.primitive import Primitive
 

@@ -30,19 +30,8 @@ class GLContext:
 def open_context(backend: str = "auto") -> GLContext:
     """Open the GL context of this process, or return the one that is open.
 
-    Parameters
-    ----------
-    backend
-        "osmesa", "egl" or "auto": OSMesa where the system has it, EGL otherwise.
-
-    Returns
-    -------
-    GLContext
-
-    Raises
-    ------
-    SimError
-        No usable GL library, or this process already draws with the other backend.
+    The backend "auto" is OSMesa where the system has it, EGL otherwise. SimError without a usable
+    GL library, or when this process already draws with the other backend.
     """
     if backend not in ("auto", *BACKENDS):
         raise SimError(f"GL backend: expected auto, osmesa or egl, got {backend!r}")

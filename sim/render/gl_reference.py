@@ -1,4 +1,4 @@
-"""One pose in, pyrender's own full frame out: what the atlas is compared with and timed against.
+"""Pyrender's own full frame of one pose, which the atlas is compared with and timed against.
 
 `PyrenderFullFrame.render` is pyrender's renderer (its scene graph, meshes, uniforms and draw calls)
 with our shaders, so it has the same samples as the atlas. `PyrenderFullFrame.stock` is pyrender
@@ -32,19 +32,7 @@ _BACKGROUND = np.zeros(4, np.uint32)
 
 
 class PyrenderFullFrame:
-    """Draws one drone in one camera, a pose at a time.
-
-    Parameters
-    ----------
-    drone
-    camera
-    config
-
-    Raises
-    ------
-    SimError
-        When no GL context can be opened.
-    """
+    """Draws one drone in one camera, a pose at a time."""
 
     def __init__(self, drone: Drone, camera: Camera, config: RenderConfig | None = None) -> None:
         self.config = config or RenderConfig()
@@ -80,22 +68,7 @@ class PyrenderFullFrame:
     def render(
         self, time_s: float, T_W_B: FloatArray, background: NDArray[np.float32]
     ) -> NDArray[np.float32]:
-        """Draw the whole image at one instant.
-
-        Parameters
-        ----------
-        time_s
-            Sets the joints [s].
-        T_W_B
-            Pose of the drone's body, shape (4, 4).
-        background
-            Luminance of the empty scene, shape (height, width).
-
-        Returns
-        -------
-        NDArray[np.float32]
-            Luminance, shape (height, width).
-        """
+        """Draw the luminance (height, width) of the whole image at one instant."""
         camera, lattice = self._camera, self.config.lattice
         words = self.words(time_s, T_W_B)
         zero = np.zeros(1, np.int64)
@@ -139,15 +112,8 @@ class PyrenderFullFrame:
     def stock(self, time_s: float, T_W_B: FloatArray) -> NDArray[np.bool_]:
         """Draw one instant with pyrender as it is: which samples see the drone.
 
-        Returns
-        -------
-        NDArray[np.bool_]
-            Shape (height * a, width * a): a x a samples in each pixel.
-
-        Raises
-        ------
-        SimError
-            When the camera distorts or the lattice is turned: pyrender knows neither.
+        There are a x a samples in each pixel, (height * a, width * a). SimError when the camera
+        distorts or the lattice is turned: pyrender knows neither.
         """
         from pyrender.constants import RenderFlags
 
@@ -231,10 +197,8 @@ def _words_renderer(size: tuple[int, int]) -> Any:
 
 @cache
 def _stock_renderer(width: int, height: int) -> Any:
-    """Return pyrender's own off-screen renderer, with a context of its own.
-
-    It lives as long as the process: deleting it on EGL would end every context on the display.
-    """
+    """Return pyrender's own off-screen renderer, with a context of its own."""
+    # It lives as long as the process: deleting it on EGL would end every context on the display.
     from pyrender import OffscreenRenderer
 
     return OffscreenRenderer(width, height)

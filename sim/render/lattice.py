@@ -1,4 +1,4 @@
-"""Supersampling lattice: point samples of a tile in, luminance averaged over each pixel out.
+"""The lattice of point samples that each pixel averages.
 
 A regular grid of n x n samples per pixel sees an edge along the pixel rows in n steps only, and
 each step of a slowly moving edge is a burst of spurious events. Turning the grid by atan(b / a)
@@ -57,12 +57,9 @@ class Lattice:
 
     @cached_property
     def pixel_columns(self) -> IntArray:
-        """Samples of the pixel at the origin, by lattice columns.
+        """Samples of the pixel at the origin, by lattice columns, (n_columns, 3).
 
-        Returns
-        -------
-        NDArray[np.int64]
-            One row (column, first lattice row, one past the last) for each, shape (n_columns, 3).
+        A row is a column, its first lattice row, and one past its last.
         """
         reach = np.arange(-self.a - self.b, self.a + self.b + 1)
         q = np.stack(np.meshgrid(reach, reach, indexing="ij"), axis=-1)
@@ -118,16 +115,12 @@ def average_pixels(
     ----------
     atlas
         Sample words, shape (atlas height, atlas width).
-    lattice
-        How the samples lie.
     corners
         Atlas column and row at which each tile starts, shape (n, 2).
     x0_px, y0_px
         Image column and row at which each tile's crop starts, shape (n,) [px].
     size_px
         Width and height of the crops [px].
-    background
-        Luminance of the empty scene, shape (image height, image width).
 
     Returns
     -------
@@ -165,14 +158,8 @@ def runs_of_tile(
 ) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]:
     """Say which runs of samples along the rows of a crop's tile belong to one pixel.
 
-    Returns
-    -------
-    run_of
-        The run of each sample, row by row, shape (tile height * tile width,).
-    start
-        The first sample of each run, and one past the last run's, shape (n_runs + 1,).
-    pixel
-        The pixel of each run, shape (n_runs,), numbered as by `pixels_of_tile`.
+    Returns the run of each sample, row by row; the first sample of each run, and one past the last
+    run's; and the pixel of each run, numbered as by `pixels_of_tile`.
     """
     pixel_of = pixels_of_tile(lattice, size_px)
     is_first = np.ones(pixel_of.shape, np.bool_)
@@ -183,13 +170,9 @@ def runs_of_tile(
 
 
 def pixels_of_tile(lattice: Lattice, size_px: tuple[int, int]) -> NDArray[np.int32]:
-    """Say which pixel of a crop each sample of its tile belongs to.
+    """Say which pixel of a crop each sample of its tile (tile height, tile width) belongs to.
 
-    Returns
-    -------
-    NDArray[np.int32]
-        Shape (tile height, tile width): the pixel's number, width times row plus column, and width
-        times height for the samples that belong to none.
+    A pixel's number is width times row plus column; width times height is that of no pixel.
     """
     width, height = size_px
     tile_width, tile_height = lattice.tile_size(width, height)
@@ -228,10 +211,8 @@ def _average_tiles(  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _sum_down(tile, sums):  # type: ignore[no-untyped-def]
-    """Fill `sums` (height + 1, width) with the running sums of words down each column.
-
-    They wrap around, but the difference of two of them, over the few rows of a pixel, is exact.
-    """
+    """Fill `sums` (height + 1, width) with the running sums of words down each column."""
+    # They wrap around, but the difference of two of them, over the few rows of a pixel, is exact.
     height, width = tile.shape
     sums[:width] = 0
     for v in range(height):

@@ -1,7 +1,6 @@
-"""The renderer in compiled Python: views in, crops out, without OpenGL.
+"""The renderer without OpenGL, whose loops are in `sim.render.native_kernels`.
 
-It draws what `sim.render.gl_atlas` draws, at the same samples; `sim.render.native_kernels` says
-how.
+It draws what `sim.render.gl_atlas` draws, at the same samples.
 """
 
 import numpy as np
@@ -23,13 +22,7 @@ BLOCK_SAMPLES = 384
 
 
 class NativePainter:
-    """Draws one drone.
-
-    Parameters
-    ----------
-    drone
-    config
-    """
+    """Draws one drone."""
 
     def __init__(self, drone: Drone, config: RenderConfig) -> None:
         self._drone, self._config = drone, config
@@ -42,23 +35,7 @@ class NativePainter:
     def paint(
         self, camera: Camera, views: Views, corner_px: IntArray, background: NDArray[np.float32]
     ) -> NDArray[np.float32]:
-        """Draw crops.
-
-        Parameters
-        ----------
-        camera
-        views
-            n instants.
-        corner_px
-            Column and row of each crop's first pixel, shape (n, 2).
-        background
-            Luminance of the empty scene, shape (image height, image width).
-
-        Returns
-        -------
-        NDArray[np.float32]
-            Luminance, shape (n, height, width).
-        """
+        """Draw crops (n, height, width), whose first pixels are at `corner_px` (n, 2)."""
         lattice = self._config.lattice
         width, height = crop_size(views.boxes)
         largest = max(1, BLOCK_SAMPLES // lattice.a)

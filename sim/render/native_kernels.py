@@ -216,22 +216,17 @@ def _fill_all(  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _column(xa, ya, xb, yb, v):  # type: ignore[no-untyped-def]
-    """Return the last column left of an edge, in row v, which the edge reaches.
-
-    A sample on the edge is to its right, so it is the last one of the triangle on the edge's left,
-    and the one before the first of the triangle on its right.
-    """
+    """Return the last column left of an edge, in row v, which the edge reaches."""
+    # A sample on the edge belongs to the triangle on the edge's right.
     dx, dy = xb - xa, yb - ya
     return (xa * dy + (256 * v - ya) * dx - 1) // (256 * dy)
 
 
 @njit(cache=True, nogil=True)
 def _start(xa, ya, xb, yb, v, room):  # type: ignore[no-untyped-def]
-    """Return `_column` of row v, and its step from row to row, both times 2^FRACTION_BITS.
-
-    They are rounded, and `room` is more than what that makes of the first over all rows, so it is
-    from its true value up to twice the room above it: less than it is from the next whole column.
-    """
+    """Return `_column` of row v, and its step from row to row, both times 2^FRACTION_BITS."""
+    # Rounding moves no column of any row below its true value, as `room` is more than that makes,
+    # and twice the room is less than what is left up to the next whole column.
     per_dy = 1.0 / float(yb - ya)
     slope = float(xb - xa) * per_dy
     unit = float(1 << (FRACTION_BITS - 8))
@@ -243,11 +238,7 @@ def _start(xa, ya, xb, yb, v, room):  # type: ignore[no-untyped-def]
 def _fill(  # type: ignore[no-untyped-def]
     keys, touched, width, height, x0, y0, x1, y1, x2, y2, d0, d1, d2, word
 ):
-    """Draw one triangle that faces the viewer: corners [1/256 sample], their depths in key units.
-
-    `keys` holds `height` rows of `width` samples and LANES more; the triangle is cut off at its
-    border.
-    """
+    """Draw one triangle that faces the viewer: corners [1/256 sample], depths in key units."""
     lowest = max(y0, y1, y2)
     first = max((min(y0, y1, y2) + 255) >> 8, 0)
     last = min(lowest >> 8, height - 1)

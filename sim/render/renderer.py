@@ -1,8 +1,7 @@
-"""Poses in, linear luminance of crops that follow the drone out.
+"""Crops of linear luminance that follow the drone, drawn by one of two painters.
 
-Two painters draw the same samples: `native` in compiled Python, and `pyrender` with OpenGL, which
-is the definition. What the first draws is compared with the second at some instants of each
-recording.
+`native` in compiled Python draws the same samples as `pyrender` with OpenGL, which is the
+definition. What the first draws is compared with the second at some instants of each recording.
 """
 
 from collections.abc import Iterator
@@ -84,17 +83,8 @@ class Painter(Protocol):
 class Renderer:
     """Draws one drone; use as a context manager, or call `close`.
 
-    Parameters
-    ----------
-    drone
-    config
-    seed
-        Of the instants that are checked.
-
-    Raises
-    ------
-    SimError
-        No GL context can be opened, or it lacks what is needed. `check=False` needs none.
+    The seed chooses the instants that are checked. SimError where no GL context can be opened, or
+    it lacks what is needed; `check=False` needs none.
     """
 
     def __init__(self, drone: Drone, config: RenderConfig | None = None, seed: int = 0) -> None:
@@ -137,28 +127,11 @@ class Renderer:
         T_W_B: FloatArray | PosesAt,
         background: NDArray[np.float32],
     ) -> Iterator[Crops]:
-        """Render the instants at which the drone is in view, and those next to them.
+        """Render, in order, the instants at which the drone is in view, and those next to them.
 
-        Parameters
-        ----------
-        camera
-        times_s
-            Increasing instants, shape (n,) [s].
-        T_W_B
-            Pose of the drone's body at each, shape (n, 4, 4).
-        background
-            Luminance of the empty scene, shape (height, width).
-
-        Yields
-        ------
-        Crops
-            In order of time. Instants missing from all of them show the background, and so do the
-            instants before and after them.
-
-        Raises
-        ------
-        SimError
-            The two painters differ at an instant by more than rounding explains.
+        `times_s` (n,) are increasing, `T_W_B` (n, 4, 4) the poses of the drone's body. Instants
+        missing from all crops show the background (height, width), and so do the instants before
+        and after them. SimError when the two painters differ by more than rounding explains.
         """
         seen = footprint(self.drone, camera, times_s, T_W_B)
         # One more instant on each side, so that leaving and entering the view are seen as a change.

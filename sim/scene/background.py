@@ -19,38 +19,18 @@ def linear_from_srgb(srgb: FloatArray) -> FloatArray:
 
 
 def uniform_background(camera: Camera, luminance: float) -> NDArray[np.float32]:
-    """Return an even sky, shape (height, width).
-
-    Raises
-    ------
-    SimError
-        When the luminance is not in [0, 1].
-    """
+    """Return an even sky, (height, width); SimError when its luminance is not in [0, 1]."""
     if not 0.0 <= luminance <= 1.0:
         raise SimError(f"background luminance: expected 0 to 1, got {luminance}")
     return np.full((camera.height, camera.width), luminance, np.float32)
 
 
 def load_background(path: Path, camera: Camera) -> NDArray[np.float32]:
-    """Read a static image that fills the camera's view.
+    """Read the linear luminance (height, width) of a static image that fills the camera's view.
 
-    Parameters
-    ----------
-    path
-        An image file that OpenCV reads, taken as sRGB; or `.npy`, or an image of floating-point
-        numbers, linear luminance in [0, 1].
-    camera
-        The image must have its resolution.
-
-    Returns
-    -------
-    NDArray[np.float32]
-        Linear luminance, shape (height, width).
-
-    Raises
-    ------
-    SimError
-        When the file cannot be read, has another size, or values outside [0, 1].
+    The file is an image that OpenCV reads, taken as sRGB; or `.npy`, or an image of floating-point
+    numbers, linear luminance in [0, 1]. SimError when it cannot be read, has another size than the
+    camera, or values outside [0, 1].
     """
     luminance = _load_array(path) if path.suffix == ".npy" else _load_image(path)
     wanted = (camera.height, camera.width)

@@ -101,28 +101,13 @@ def check_size(size_m: float) -> None:
 
 
 def drone_from_file(path: Path, size_m: float | None = None) -> Drone:
-    """Read a user's own mesh.
+    """Read a user's own mesh, of any format that trimesh reads; a scene's meshes are joined.
 
-    Parameters
-    ----------
-    path
-        Any format that trimesh reads; a scene's meshes are joined. x forward, y left, z up.
-    size_m
-        Scale the mesh so that its larger horizontal extent is this [m]; by default the file's
-        units are metres.
-
-    Returns
-    -------
-    Drone
-        One part, with the middle of its bounding box at the origin. Albedo is the luminance of the
-        file's colours (sRGB, alpha ignored), or a dark grey. The faces of a mesh that is not closed
-        are doubled, one for each side, since the renderer culls back faces.
-
-    Raises
-    ------
-    SimError
-        When the file is missing or unreadable, has no faces, or has vertices that are missing or
-        not finite, or when the size is not positive or the mesh has no horizontal extent to scale.
+    x is forward, y left, z up; the middle of the bounding box becomes the origin. With a size [m]
+    the mesh is scaled so that its larger horizontal extent is that; else the file's units are
+    metres. Albedo is the luminance of the file's colours (sRGB, alpha ignored), or a dark grey. The
+    faces of a mesh that is not closed are doubled, one for each side, since the renderer culls back
+    faces. SimError for a file or a size that cannot be used.
     """
     path = Path(path)
     if size_m is not None:
@@ -264,22 +249,9 @@ def piece_size_m(drone: Drone, camera: Camera) -> float | None:
 
 
 def part_faces(part: Part, piece_m: float | None) -> Faces:
-    """Return a part's faces.
+    """Return a part's faces, split until no edge is longer than `piece_m`.
 
-    Parameters
-    ----------
-    part
-    piece_m
-        Split faces until no edge is longer [m]; None: leave them.
-
-    Returns
-    -------
-    Faces
-
-    Raises
-    ------
-    SimError
-        The mesh does not fit the memory.
+    SimError when the mesh does not fit the memory.
     """
     with in_memory(len(part.faces)):
         return _faces(part, piece_m)

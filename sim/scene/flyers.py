@@ -55,26 +55,10 @@ def quadrotor(size_m: float = DEFAULT_SIZE_M, rotor_hz: float = 0.0) -> Drone:
     """Build a quadrotor: shell, four level arms with motors, legs and two-blade rotors.
 
     It is flat, black all over, and its own mirror image from front to back and from left to right,
-    blades at rest included: the mean of its events is then near the image of one point of it,
-    from wherever it is seen. `two_tone` is neither.
-
-    Parameters
-    ----------
-    size_m
-        Length, from the front rotors' sweep to the rear ones' [m]; the width is 9 % less.
-    rotor_hz
-        Turns per second of the rotors, neighbours in opposite senses. 0: they stand still, and the
-        whole drone is one part; otherwise each rotor is a part on its joint.
-
-    Returns
-    -------
-    Drone
-        About 270 faces, in outward-facing closed pieces.
-
-    Raises
-    ------
-    SimError
-        When the size is not positive or the rate is not finite.
+    blades at rest included: the mean of its events is then near the image of one point of it, from
+    wherever it is seen. Its size is its length, from the front rotors' sweep to the rear ones' [m];
+    the width is 9 % less. Rotors that turn are parts on joints, neighbours in opposite senses; at 0
+    Hz the whole drone is one part.
     """
     shell = hexagonal_hull(
         (
@@ -104,23 +88,9 @@ class Blades:
 def with_rotors(
     name: str, size_m: float, frame: list[Part], rotors: list[Blades], rotor_hz: float
 ) -> Drone:
-    """Put four rotors on a frame.
+    """Put four rotors, in the order of CORNERS, on a frame in units of the size.
 
-    Parameters
-    ----------
-    name, size_m
-        Of the drone.
-    frame
-        All else, in units of the size.
-    rotors
-        In the order of CORNERS.
-    rotor_hz
-        As of `quadrotor`.
-
-    Raises
-    ------
-    SimError
-        When the size is not positive or the rate is not finite.
+    SimError when the size is not positive or the rate is not finite.
     """
     check_size(size_m)
     if not np.isfinite(rotor_hz):
@@ -161,21 +131,6 @@ def two_tone(size_m: float = DEFAULT_SIZE_M, rotor_hz: float = 0.0) -> Drone:
 
     Its front is brighter than its back and its nose and tail differ, so that, as with many a real
     drone, the mean of its events is not the image of any fixed point of it.
-
-    Parameters
-    ----------
-    size_m, rotor_hz
-        As of `sim.scene.drone.quadrotor`.
-
-    Returns
-    -------
-    Drone
-        About 280 faces, in outward-facing closed pieces.
-
-    Raises
-    ------
-    SimError
-        When the size is not positive or the rate is not finite.
     """
     frame = _fuselage()
     rotors: list[Blades] = []
@@ -244,22 +199,9 @@ ALBEDO_TAILPLANE, ALBEDO_FIN, ALBEDO_POD, ALBEDO_WHEEL = 0.12, 0.45, 0.08, 0.05
 def built_in_drone(
     name: str, size_m: float | None = None, rotor_hz: float = 0.0, flap_hz: float = FLAP_HZ
 ) -> Drone:
-    """Build one of `DRONES`.
+    """Build one of `DRONES`, by default of 0.65 m.
 
-    Parameters
-    ----------
-    name
-    size_m
-        Largest horizontal extent [m]; by default 0.65.
-    rotor_hz
-        Turns per second of a quadrotor's rotors.
-    flap_hz
-        Wing beats per second of the bird.
-
-    Raises
-    ------
-    SimError
-        For an unknown name, a size or rate that makes no sense, or rotors on what has none.
+    SimError for an unknown name, a size or rate that makes no sense, or rotors on what has none.
     """
     check_drone_name(name)
     if rotor_hz and name not in QUADROTORS:
@@ -282,22 +224,8 @@ def check_drone_name(name: str) -> None:
 def bird(size_m: float = DEFAULT_SIZE_M, flap_hz: float = FLAP_HZ) -> Drone:
     """Build a bird: body, head, beak, fanned tail, and two wings that flap from the shoulder.
 
-    Parameters
-    ----------
-    size_m
-        Wing span with the wings level [m].
-    flap_hz
-        Wing beats per second, to 34 deg above and below level. 0: it glides, as one part.
-
-    Returns
-    -------
-    Drone
-        140 faces, in outward-facing closed pieces.
-
-    Raises
-    ------
-    SimError
-        When the size is not positive or the rate is not finite.
+    Its size is the wing span with the wings level [m]. They beat to 34 deg above and below level;
+    at 0 Hz it glides, as one part.
     """
     check_size(size_m)
     if not np.isfinite(flap_hz):
@@ -318,22 +246,8 @@ def bird(size_m: float = DEFAULT_SIZE_M, flap_hz: float = FLAP_HZ) -> Drone:
 def plane(size_m: float = DEFAULT_SIZE_M) -> Drone:
     """Build a small plane with a fixed wing, its origin within the wing, ahead of the middle.
 
-    It carries a pod under the left wing only.
-
-    Parameters
-    ----------
-    size_m
-        Wing span [m]; the length is 26 % less.
-
-    Returns
-    -------
-    Drone
-        One part of 160 faces, in outward-facing closed pieces.
-
-    Raises
-    ------
-    SimError
-        When the size is not positive.
+    It carries a pod under the left wing only. Its size is the wing span [m]; the length is 26 %
+    less.
     """
     check_size(size_m)
     return Drone(

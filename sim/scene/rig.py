@@ -28,11 +28,8 @@ MAX_FIELD_ANGLE_RAD = math.radians(89.0)  # from the optical axis; a pinhole see
 class Camera:
     """One camera: Kalibr's pinhole model, pose and clock.
 
-    Raises
-    ------
-    SimError
-        When a shape, the distortion model or its coefficients are wrong, or when the distortion
-        folds the image back on itself.
+    SimError when a shape, the distortion model or its coefficients are wrong, or when the
+    distortion folds the image back on itself.
     """
 
     name: str  # "cam1", "cam2", ...
@@ -78,19 +75,10 @@ class Camera:
             )
 
     def project(self, points_W: FloatArray) -> FloatArray:
-        """Project points of the world into the distorted image.
+        """Project points (..., 3) [m] of the world to distorted pixels (..., 2), column and row.
 
-        Parameters
-        ----------
-        points_W
-            [m], frame W.
-
-        Returns
-        -------
-        (..., 2) array
-            Column and row [px]; they may lie outside the image. NaN for points behind the camera
-            or so far from the axis that the lens model, past its turning point, would fold them
-            back into the image.
+        Pixels may lie outside the image. NaN for points behind the camera or so far from the axis
+        that the lens model, past its turning point, would fold them back into the image.
         """
         points_C = np.asarray(points_W) @ self.T_C_W[:3, :3].T + self.T_C_W[:3, 3]
         depth_m = np.where(points_C[..., 2] > MIN_DEPTH_M, points_C[..., 2], np.nan)
@@ -100,18 +88,10 @@ class Camera:
         return self._pixels(self.distort(rays))
 
     def distort(self, rays: FloatArray) -> FloatArray:
-        """Move rays to where the lens images them.
+        """Move rays (..., 2), x / z and y / z in frame C, to where the lens images them.
 
-        Parameters
-        ----------
-        rays
-            x / z and y / z, frame C.
-
-        Returns
-        -------
-        (..., 2) array
-            The same, distorted: Kalibr's and OpenCV's radial-tangential model, or Kalibr's
-            equidistant one (OpenCV's fisheye; Kannala & Brandt, PAMI 2006).
+        The models are Kalibr's and OpenCV's radial-tangential one, and Kalibr's equidistant one
+        (OpenCV's fisheye; Kannala & Brandt, PAMI 2006).
         """
         x, y = rays[..., 0], rays[..., 1]
         r2 = x**2 + y**2
@@ -190,19 +170,10 @@ class Rig:
         return self.cameras[j].T_C_W @ np.linalg.inv(self.cameras[i].T_C_W)
 
     def extrinsics(self) -> tuple[FloatArray, FloatArray, float]:
-        """Return the truth that an estimator seeks: pose of camera 1 in camera 2, up to scale.
+        """Return the truth that an estimator seeks: R, t with |t| = 1, and the baseline [m].
 
-        Returns
-        -------
-        R : (3, 3) array
-        t : (3,) array
-            |t| = 1; x2 = R x1 + baseline_m t.
-        baseline_m : float
-
-        Raises
-        ------
-        SimError
-            When there is one camera only, or the first two are in the same place.
+        x2 = R x1 + baseline_m t. SimError when there is one camera only, or the first two are in
+        the same place.
         """
         if len(self.cameras) < 2:
             raise SimError("extrinsics need two cameras, this rig has one")
@@ -223,30 +194,19 @@ def look_at_rig(
     distortion_coeffs: Sequence[float] = (),
     time_offsets_s: Sequence[float] | None = None,
 ) -> Rig:
-    """Place equal cameras on a horizontal circle about the origin, all looking at it.
+    """Place equal cameras, cam1, cam2, ..., on a horizontal circle, all looking at the origin.
 
     Parameters
     ----------
     angles_deg
         One per camera [deg], counter-clockwise seen from above: at 0 the camera stands at
         (0, -distance_m, 0), looks along +y, and the image's down is the world's -z.
-    distance_m
-        From the origin [m].
-    focal_px
     resolution
         Width and height [px].
     principal_point
         Column and row [px].
-    distortion_model
-        "none", "radtan" or "equidistant".
-    distortion_coeffs
     time_offsets_s
         Each camera's clock minus the world's [s]; zero by default.
-
-    Returns
-    -------
-    Rig
-        Cameras named cam1, cam2, ...
 
     Raises
     ------
@@ -288,12 +248,8 @@ def two_view_rig(
 ) -> Rig:
     """Place the paper's two cameras: lines of sight `angle_deg` apart, clocks `t_d_s` apart.
 
-    The arguments are those of `look_at_rig`; camera 2's clock shows t_cam1 + t_d_s.
-
-    Raises
-    ------
-    SimError
-        When the angle is not strictly between 0 and 180 deg, or the offset is not finite.
+    The arguments are those of `look_at_rig`; camera 2's clock shows t_cam1 + t_d_s. SimError when
+    the angle is not strictly between 0 and 180 deg, or the offset is not finite.
     """
     if not 0.0 < angle_deg < 180.0:
         raise SimError(

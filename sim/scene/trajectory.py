@@ -78,22 +78,9 @@ class Trajectory:
     attitude: Attitude  # (n,) [s] -> n rotations, frame B to frame W
 
     def poses(self, times_s: FloatArray) -> FloatArray:
-        """Return the drone's poses.
+        """Return T_W_B (n, 4, 4), body to world [m], at times (n,) [s] in any order.
 
-        Parameters
-        ----------
-        times_s
-            Times [s], in any order, within [0, `duration_s`].
-
-        Returns
-        -------
-        (n, 4, 4) array
-            T_W_B at each time: body coordinates [m] to world coordinates [m].
-
-        Raises
-        ------
-        SimError
-            When a time lies outside the trajectory (or is NaN): nothing is extrapolated.
+        SimError when a time lies outside [0, `duration_s`] or is NaN: nothing is extrapolated.
         """
         times_s = np.asarray(times_s, dtype=np.float64)
         outside = ~((times_s >= 0.0) & (times_s <= self.duration_s))
@@ -129,24 +116,10 @@ def random_spline(config: SplineConfig, rng: np.random.Generator) -> Trajectory:
     [-1, 1] at regular times, times its multiplier, plus its offset; a smoothing B-spline of these
     values is the trajectory.
 
-    Deviation: a trajectory that leaves the circle of `max_radius_m` about the origin is drawn
-    again (one in six by default), so that the drone never flies into a camera; of one with more
-    than `LONG_SEGMENTS` segments, only the part about where it leaves.
-
-    Parameters
-    ----------
-    config
-    rng
-        The only source of randomness: the same state gives the same trajectory.
-
-    Returns
-    -------
-    Trajectory
-
-    Raises
-    ------
-    SimError
-        When none of MAX_DRAWS trajectories stays within the circle.
+    Deviation: a trajectory that leaves the circle of `max_radius_m` about the origin is drawn again
+    (one in six by default), so that the drone never flies into a camera; of one with more than
+    `LONG_SEGMENTS` segments, only the part about where it leaves. SimError when none of MAX_DRAWS
+    trajectories stays within the circle.
     """
     n_poses = round(config.duration_s * config.sampling_hz)
     times_s: FloatArray = np.linspace(0.0, config.duration_s, n_poses, dtype=np.float64)
@@ -196,25 +169,9 @@ def _near(some_s: FloatArray, times_s: FloatArray) -> NDArray[np.bool_]:
 def _fit_smoothing_spline(
     times_s: FloatArray, values: FloatArray, order: int, n_segments: int, smoothing: float
 ) -> BSpline:
-    """Fit a B-spline to noisy values, penalising its second derivative.
-
-    The spline s, on uniform knots, minimises sum_i |s(t_i) - v_i|^2 + smoothing * integral of
-    |s''(t)|^2 dt: the functional that ESIM's lambda weighs (`initSpline3` of its B-splines).
-
-    Parameters
-    ----------
-    times_s
-        Increasing, from 0 to the spline's end [s].
-    values
-    order, n_segments
-    smoothing
-        [s^3]
-
-    Returns
-    -------
-    BSpline
-        Of d-vectors, on [0, times_s[-1]].
-    """
+    """Fit a B-spline on uniform knots to noisy values, penalising its second derivative."""
+    # It minimises sum_i |s(t_i) - v_i|^2 + smoothing [s^3] * integral of |s''(t)|^2 dt: the
+    # functional that ESIM's lambda weighs (`initSpline3` of its B-splines).
     degree = order - 1
     segment_s = times_s[-1] / n_segments
     knots = segment_s * np.arange(-degree, n_segments + degree + 1)
@@ -244,10 +201,7 @@ def _solved_sparse(
     nodes_s: FloatArray,
     weights: FloatArray,
 ) -> FloatArray:
-    """Give the spline's coefficients by sparse matrices: time and memory linear in its length.
-
-    `weights` (m,) are those of the squared second derivative at `nodes_s` (m,).
-    """
+    """Give the spline's coefficients by sparse matrices: time and memory linear in its length."""
     n = len(knots) - degree - 1  # coefficients
     design: Any = BSpline.design_matrix(times_s, knots, degree, extrapolate=True)
     # The second derivative is a spline of degree - 2, whose coefficients are second differences.
@@ -267,25 +221,12 @@ MAX_CSV_DURATION_S = 1e6  # longer than this, the times are not seconds (ESIM wr
 def trajectory_from_csv(path: Path) -> Trajectory:
     """Read a trajectory from a CSV file and interpolate it smoothly.
 
-    Position is a cubic spline through the rows, attitude scipy's `RotationSpline`: velocity and
-    acceleration, linear and angular, are continuous. The first row's time becomes 0.
-
-    Parameters
-    ----------
-    path
-        Columns t [s], x, y, z [m], qx, qy, qz, qw (attitude T_W_B, scalar last, of any norm), in
-        this order, or in any order under a header that names them. `#` starts a comment. Note that
-        ESIM's own files have the same columns but times in nanoseconds.
-
-    Returns
-    -------
-    Trajectory
-
-    Raises
-    ------
-    SimError
-        When the file cannot be read, a column or a value is missing or is not a number, times do
-        not increase, a quaternion is zero, or there are fewer than 4 rows.
+    Columns are t [s], x, y, z [m], qx, qy, qz, qw (attitude T_W_B, scalar last, of any norm), in
+    this order, or in any order under a header that names them. `#` starts a comment. ESIM's own
+    files have the same columns but times in nanoseconds. Position is a cubic spline through the
+    rows, attitude scipy's `RotationSpline`: velocity and acceleration, linear and angular, are
+    continuous. The first row's time becomes 0. SimError, with the line, for a file that is no such
+    table of 4 rows or more.
     """
     line_numbers, table = _read_table(path)
     times_s, quaternions = table[:, 0], table[:, 4:]
@@ -313,20 +254,9 @@ def trajectory_from_csv(path: Path) -> Trajectory:
 
 
 def trajectory_to_csv(trajectory: Trajectory, path: Path, rate_hz: float) -> None:
-    """Write a trajectory in the format that `trajectory_from_csv` reads.
+    """Write a trajectory in the format that `trajectory_from_csv` reads, over what is there.
 
-    Parameters
-    ----------
-    trajectory
-    path
-        Overwritten when it exists.
-    rate_hz
-        Rows per second, at least; both ends of the trajectory are rows.
-
-    Raises
-    ------
-    SimError
-        When `rate_hz` is not positive.
+    There are `rate_hz` rows per second, at least; both ends of the trajectory are rows.
     """
     if not rate_hz > 0:
         raise SimError(f"rate_hz must be positive, got {rate_hz}")

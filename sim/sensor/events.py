@@ -85,18 +85,10 @@ PRESETS = {
 class Sensor:
     """The pixels of one camera and what each remembers.
 
-    Parameters
-    ----------
-    config
-    image
-        Luminance at the start, in [0, 1], shape (height, width): no event comes from it.
-    time_s
-        When the start is [s].
-    rng
-        Draws the pixels' mismatch and noise; the same state gives the same events, however the
-        recording is cut into crops.
-    background
-        What surrounds the crops to come, same shape. Default: the image at the start.
+    They start at `time_s` [s] with an image (height, width) of luminance in [0, 1], from which no
+    event comes. `rng` draws the pixels' mismatch and noise; the same state gives the same events,
+    however the recording is cut into crops. `background`, by default the image at the start,
+    surrounds the crops.
     """
 
     def __init__(
@@ -157,16 +149,9 @@ class Sensor:
         y0_px: NDArray[np.int64],
         luminance: NDArray[np.float32],
     ) -> None:
-        """Take the next instants: crops of the image, the background around them.
+        """Take the next instants (n,) [s], increasing: crops, with the background around them.
 
-        Parameters
-        ----------
-        times_s
-            Shape (n,) [s], increasing, all after the instants before.
-        x0_px, y0_px
-            First column and row of each crop, shape (n,).
-        luminance
-            Shape (n, crop height, crop width), crops wholly within the image.
+        The crops (n, height, width) lie wholly within the image and start at columns and rows (n,).
         """
         shared = (
             times_s, x0_px, y0_px, np.ascontiguousarray(luminance), self._background,
@@ -180,13 +165,10 @@ class Sensor:
         self._time_s = float(times_s[-1])
 
     def take_settled(self) -> NDArray[Any]:
-        """Return the events that no later one comes before, and forget them.
+        """Return the events that no later one comes before, sorted as by `finish`, and forget them.
 
-        Returns
-        -------
-        NDArray
-            EVENT_DTYPE, sorted as `finish` sorts them. None where pixels act by themselves: one
-            that is left alone emits what it did meanwhile when it is next looked at.
+        None where pixels act by themselves: one that is left alone emits what it did meanwhile when
+        it is next looked at.
         """
         if self._noise is not None:
             return np.empty(0, EVENT_DTYPE)
@@ -195,10 +177,7 @@ class Sensor:
     def finish(self, time_s: float) -> NDArray[Any]:
         """Hold the last image until `time_s` and return all events that were not taken yet.
 
-        Returns
-        -------
-        NDArray
-            EVENT_DTYPE, sorted by time, then row, column and order of emission.
+        They are sorted by time, then row, column and order of emission.
         """
         if self._noise is not None:
             height, width = self._image.shape
@@ -229,7 +208,7 @@ def events_from_frames(
     config: SensorConfig | None = None,
     rng: np.random.Generator | None = None,
 ) -> NDArray[Any]:
-    """Turn a stack of frames, a user's own video for instance, into events.
+    """Turn a stack of frames, a user's own video for instance, into events, sorted by time.
 
     Parameters
     ----------
@@ -238,20 +217,14 @@ def events_from_frames(
         Linear light: undo a video's gamma first.
     times_s
         Shape (n,) [s], increasing.
-    config
     rng
         Default: seeded with 0.
-
-    Returns
-    -------
-    NDArray
-        EVENT_DTYPE, sorted by time.
 
     Raises
     ------
     SimError
-        Shapes that do not fit, times that do not increase, fewer than 2 frames, values outside
-        [0, 1] or not finite.
+        Shapes that do not fit, times that do not increase, fewer than 2 frames, values outside [0,
+        1] or not finite.
     """
     times_s = np.asarray(times_s, np.float64)
     if frames.ndim != 3 or times_s.shape != frames.shape[:1] or len(times_s) < 2:
@@ -295,25 +268,10 @@ def slow_events(
 ) -> NDArray[Any]:
     """Let pixels without noise follow a light that they have seen for long.
 
-    Parameters
-    ----------
-    first
-        Luminance at time 0, in [0, 1], shape (height, width).
-    batches
-        Times (n,) [s] after 0, increasing, and luminance (n, height, width) at them.
-    end_s
-        The last image stays until then.
-    config
-        Whose thresholds count.
-    of_memory
-        Draws the level that each pixel remembers: any that makes no event at the start.
-    of_pixels
-        Draws the thresholds' mismatch.
-
-    Returns
-    -------
-    NDArray[Any]
-        Of EVENT_DTYPE, sorted by time.
+    `first` is the luminance (height, width) in [0, 1] at time 0, `batches` are later times (n,) [s]
+    and luminance (n, height, width) at them; the last image stays until `end_s`. Of the config,
+    only the thresholds count. `of_memory` draws the level that each pixel remembers, any that makes
+    no event at the start, and `of_pixels` the thresholds' mismatch. The events are sorted by time.
     """
     phases = of_memory.uniform(-0.95, 0.95, first.shape)
     threshold = min(config.threshold_on, config.threshold_off)

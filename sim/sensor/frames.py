@@ -1,4 +1,4 @@
-"""Luminance over time in, exposed intensity frames out, each when its exposure closes."""
+"""Intensity frames, which are exposed for a while."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -48,17 +48,8 @@ class Images(Protocol):
 class FrameExposer:
     """Integrates the light of each pixel over each exposure, so that what moves is blurred.
 
-    Parameters
-    ----------
-    config
-    background
-        Luminance around the crops, shape (height, width).
-    n_frames
-        As many as `frame_times_us` gives.
-    images
-        Takes each frame when its exposure closes, in their order.
-    start_s
-        When the first exposure begins [s].
+    `background` (height, width) surrounds the crops. `images` takes as many frames as
+    `frame_times_us` gives, each when its exposure closes; the first exposure begins at `start_s`.
     """
 
     def __init__(
@@ -146,11 +137,7 @@ def _expose(  # type: ignore[no-untyped-def]
     first, times_s, x0_px, y0_px, luminance, last_s, last_x0, last_y0, last_crop, background,
     start_s, exposure_s, total, box,
 ):  # fmt: skip
-    """Add the light of the open exposure, from the interval before instant `first` on.
-
-    `box` grows by what it falls on. Returns the interval that the exposure ended in, and whether it
-    did.
-    """
+    """Add the light of the open exposure, from the interval before instant `first` on."""
     end_s = start_s + exposure_s
     for k in range(first, times_s.size):
         if k > 0:

@@ -33,10 +33,7 @@ class EventBuffer:
     def take(self, before_us: float, width: int, height: int) -> NDArray[Any]:
         """Take out the events before a time [us], infinity for all, of an image of a size [px].
 
-        Returns
-        -------
-        NDArray
-            EVENT_DTYPE, sorted by time, then row, column and order of emission.
+        They are sorted by time, then row, column and order of emission.
         """
         emitted, key = np.empty(self.n, EVENT_DTYPE), np.empty(self.n, np.int64)
         columns = (self.t_s, self.x, self.y, self.p, self.n)
@@ -70,11 +67,7 @@ def _move_out(
     taken: NDArray[Any],
     key: NDArray[np.int64],
 ) -> int:
-    """Move the events before a time from the columns to `taken`; those that stay keep their order.
-
-    `key` takes what they are to be sorted by: one number for time, row and column is far quicker to
-    sort by than two. Returns how many they are.
-    """
+    """Move the events before a time from the columns to `taken`, with the key to sort them by."""
     n_taken = 0
     for i in range(n):
         t_us = np.rint(t_s[i] * 1e6)
@@ -141,12 +134,9 @@ def _follow_light(  # type: ignore[no-untyped-def]
     first, times_s, x0_px, y0_px, height, width, image_width, luminance, background, time_s, box,
     image, reference, up, down, high, low, eps, ev_t, ev_x, ev_y, ev_p, n,
 ):  # fmt: skip
-    """Follow pixels from instant `first` on, all arrays flat, until the room for events ends.
-
-    Returns the instant at which it did, the time [s] up to which all pixels were followed, and the
-    number of events. Taken up again there, it goes on as if nothing had been: pixels that were
-    followed already are within their thresholds.
-    """
+    """Follow pixels from instant `first` on, all arrays flat, until the room for events ends."""
+    # Returns the instant at which it did, the time [s] up to which all pixels were followed, and
+    # the number of events: taken up again there, it goes on as if nothing had been.
     row = np.empty(image_width, np.float32)
     found = np.empty(image_width + 1, np.int64)
     for k in range(first, times_s.size):
@@ -263,11 +253,7 @@ def _follow(  # type: ignore[no-untyped-def]
     y, x, t0, t1, i0, i1, reference, up, down, noise, eps, refractory_s, shot_hz, background_hz,
     ev_t, ev_x, ev_y, ev_p, n,
 ):  # fmt: skip
-    """Follow one pixel from t0 to t1 while its light goes linearly from i0 to i1.
-
-    Whatever the cause of an event, the pixel then memorises its present light, at once or at the
-    end of its refractory period.
-    """
+    """Follow one pixel from t0 to t1 while its light goes linearly from i0 to i1."""
     state = noise[y, x]
     slope = (i1 - i0) / (t1 - t0)
     leak = state.leak_per_s

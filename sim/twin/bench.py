@@ -43,20 +43,7 @@ _FOOT_RADIUS, _EYE_RADIUS = 0.03, 0.05
 def printed(size_m: float = SIZE_M) -> Drone:
     """Build the model: body, canopy, four arms with discs and feet, and the eye on top.
 
-    Parameters
-    ----------
-    size_m
-        Length and width [m].
-
-    Returns
-    -------
-    Drone
-        One part of outward-facing closed pieces; its origin is the middle of its bounding box.
-
-    Raises
-    ------
-    SimError
-        When the size is not positive.
+    It is one part; its origin is the middle of its bounding box, its size length and width [m].
     """
     check_size(size_m)
     pieces = [_body(), _eye()]
@@ -111,26 +98,10 @@ _LOW, _HIGH = 0.05, 0.95
 def wall(
     width: int, height: int, rng: np.random.Generator, defocus_px: float = 2.0
 ) -> NDArray[np.float32]:
-    """Draw a wall with plaster, an uneven light on it, and things that hang there.
+    """Draw the luminance (height, width) of a wall with plaster, an uneven light, and things on it.
 
-    Parameters
-    ----------
-    width, height
-        [px]
-    rng
-        The only source of randomness.
-    defocus_px
-        Deviation of the Gauss that stands for the blur of what is far behind the focus [px].
-
-    Returns
-    -------
-    NDArray[np.float32]
-        Linear luminance in [0, 1], (height, width).
-
-    Raises
-    ------
-    SimError
-        When the blur is negative or not finite.
+    `defocus_px` is the deviation of the Gauss that stands for the blur of what is far behind the
+    focus.
     """
     if not (np.isfinite(defocus_px) and defocus_px >= 0.0):
         raise SimError(f"wall: defocus_px must be 0 or a positive number, got {defocus_px}")

@@ -1,4 +1,4 @@
-"""A rig in; what Zhang's method finds of it from views of a chessboard out.
+"""Zhang's calibration of a rig from views of a chessboard.
 
 The board's corners are projected, not drawn: a corner detector's error stands for all else. OpenCV
 then calibrates each camera by itself, and the pose of both from views that they share.
@@ -70,20 +70,9 @@ def exact(camera: Camera) -> CalibratedCamera:
 def calibrated_camera(
     camera: Camera, config: CalibrationConfig, rng: np.random.Generator
 ) -> CalibratedCamera:
-    """Calibrate a camera by itself.
+    """Calibrate a camera of the model "radtan" or "none" by itself.
 
-    Parameters
-    ----------
-    camera
-        Of the model "radtan" or "none".
-    config
-    rng
-        Draws the board's places and the corners' errors.
-
-    Raises
-    ------
-    SimError
-        When the camera has another lens, or the board does not fit into its view.
+    SimError when it has another lens, or the board does not fit into its view.
     """
     _check_lens(camera)
     board = _board(config)
@@ -121,19 +110,8 @@ def calibrated_pose(
 ) -> FloatArray:
     """Find T_2_1 (4, 4), camera 1 [m] to camera 2 [m], from views that both cameras share.
 
-    Parameters
-    ----------
-    rig
-        Of two cameras that look at the world's origin.
-    cameras
-        Their intrinsics as they are known, which stay as they are.
-    config, rng
-        As of `calibrated_camera`.
-
-    Raises
-    ------
-    SimError
-        As `calibrated_camera`.
+    The two look at the world's origin. Their intrinsics stay as they are known. SimError as of
+    `calibrated_camera`.
     """
     if len(rig.cameras) != 2:
         raise SimError(f"calibration: expected two cameras, got {len(rig.cameras)}")

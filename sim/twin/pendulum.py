@@ -1,4 +1,4 @@
-"""A seed to the motion of what hangs on a wire from a moving hand: a trajectory.
+"""The motion of what hangs on a wire from a moving hand.
 
 The wire is straight and of constant length, without mass; the body hangs along it, turns about it
 and rocks a little. The hand draws a random smooth path. Frames as in `sim.scene.trajectory`.
@@ -65,23 +65,9 @@ class Hanging:
 def hanging(config: PendulumConfig, duration_s: float, rng: np.random.Generator) -> Hanging:
     """Draw the motion of a hanging body.
 
-    Parameters
-    ----------
-    config
-    duration_s
-    rng
-        The only source of randomness.
-
-    Returns
-    -------
-    Hanging
-        Motions that leave the ball of `max_radius_m` about the origin, or in which the wire would
-        go slack, are drawn again.
-
-    Raises
-    ------
-    SimError
-        When the duration is not positive, or none of MAX_DRAWS motions stays within the ball.
+    Motions that leave the ball of `max_radius_m` about the origin, or in which the wire would go
+    slack, are drawn again. SimError when the duration is not positive, or none of MAX_DRAWS motions
+    stays within the ball.
     """
     if not (np.isfinite(duration_s) and duration_s > 0.0):
         raise SimError(f"pendulum: the duration must be a positive number, got {duration_s}")
@@ -104,23 +90,10 @@ def swing(
 ) -> FloatArray:
     """Solve the motion of a point that hangs on a straight wire from a moving hand.
 
-    With q the unit vector along the wire, a the hand's acceleration and g gravity's,
-    q'' = ((g - a) - ((g - a) . q) q) / L - |q'|^2 q - c q', by Runge and Kutta's fourth order.
-
-    Parameters
-    ----------
-    length_m, damping_per_s
-        L [m] and c [1/s].
-    hand_m_s2
-        a, (2 n + 1, 3) [m/s^2], at every half step.
-    start
-        q and q' [1/s] at first, (6,).
-    step_s
-
-    Returns
-    -------
-    (n + 1, 6) array
-        q and q', after every step.
+    With q the unit vector along the wire, a the hand's acceleration (2 n + 1, 3) [m/s^2], at every
+    half step, and g gravity's, q'' = ((g - a) - ((g - a) . q) q) / L - |q'|^2 q - c q', by Runge
+    and Kutta's fourth order. `start` (6,) has q and q' [1/s]; returns both after every step, (n +
+    1, 6).
     """
     hand_m_s2 = np.ascontiguousarray(hand_m_s2)
     return _runge_kutta(length_m, damping_per_s, hand_m_s2, start, step_s)

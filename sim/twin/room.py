@@ -1,6 +1,6 @@
-"""A scene on the bench in; the events of the room about it, its light, shadows and the wire, out.
+"""The room about the bench: its changing light, shadows, and the wire.
 
-They are drawn apart from the drone's and added to them: neither hides the other.
+Their events are drawn apart from the drone's and added to them: neither hides the other.
 """
 
 from collections.abc import Iterator
@@ -56,24 +56,10 @@ class RoomConfig:
 def room_events(
     config: RoomConfig, scene: Scene, hanging: Hanging, sensor: SensorConfig, seed: int, index: int
 ) -> NDArray[Any]:
-    """Draw what a room makes a camera see beside the drone.
+    """Draw the events that a room adds, in order of time, on the scene's clock.
 
-    Parameters
-    ----------
-    config
-    scene, hanging
-        What is filmed, and where the wire is held.
-    sensor
-        Whose thresholds count.
-    seed
-        Of the recording. The light is one for both cameras, all else is each one's own.
-    index
-        Of the camera.
-
-    Returns
-    -------
-    NDArray[Any]
-        Of sim.sensor.EVENT_DTYPE, in order of time; the scene's clock.
+    Of the sensor, only the thresholds count. The light is one for both cameras, all else is each
+    one's own.
     """
     camera = scene.rig.cameras[index]
     view = View(camera.width, camera.height, scene.trajectory.duration_s)
