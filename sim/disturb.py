@@ -13,8 +13,9 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from sim.arrays import Float32Array, FloatArray
 from sim.effects.pixels import CLUSTER_PX
-from sim.errors import SimError
+from sim.errors import SimError, check_numbers
 from sim.recorded import CameraRecording, Recording
 from sim.recording import SimConfig, simulate
 from sim.seeds import generator, sequence
@@ -22,9 +23,6 @@ from sim.sensor.events import HOT_SPREAD, SensorConfig, slow_events
 from sim.sensor.frames import FrameConfig
 from sim.sensor.kernels import EVENT_DTYPE
 from sim.storage import Recorded, check_out_dir, save_recording, true_rig_files
-
-FloatArray = NDArray[np.float64]
-Float32Array = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -42,10 +40,8 @@ class DisturbConfig:
     """Deviations of the draws by which the rig is wrong: focal lengths [%], centre [px]."""
 
     def __post_init__(self) -> None:
-        for name in ("lamp_px", "hot_clusters", "noise_hz", "branches", "people", "clouds_px_s"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value >= 0):
-                raise SimError(f"disturbance: {name} must be 0 or a positive number, got {value}")
+        amounts = ("lamp_px", "hot_clusters", "noise_hz", "branches", "people", "clouds_px_s")
+        check_numbers(self, "disturbance: ", or_zero=amounts)
         if not 0.0 <= self.second_object <= 1.0:
             raise SimError(
                 f"disturbance: second_object is a share, 0 to 1, got {self.second_object}"

@@ -11,6 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.arrays import FloatArray, IntArray
 from sim.errors import SimError
 from sim.render.gl_context import GLContext
 from sim.render.renderer import RenderCheck
@@ -18,9 +19,6 @@ from sim.scene.rig import Camera, Rig
 from sim.scene.trajectory import Trajectory
 from sim.sensor.frames import Frames, Images
 from sim.sensor.kernels import EVENT_DTYPE
-
-FloatArray = NDArray[np.float64]
-
 
 MAX_SKEW_PPM = 100_000.0
 """Largest skew, either way: a tenth, far beyond any oscillator."""
@@ -37,7 +35,7 @@ class Drift:
     t_ref_s: float = 0.0  # where the skew adds nothing
     jump: Jump | None = None
 
-    def added_us(self, times_us: NDArray[np.int64]) -> NDArray[np.int64]:
+    def added_us(self, times_us: IntArray) -> IntArray:
         """Return what the clock shows more (n,) [us] at times (n,) [us] of the scene.
 
         Rounded without the offset, so that recordings that differ in their offset alone differ by
@@ -122,15 +120,10 @@ class Flight:
 
 
 @dataclass(frozen=True)
-class Recording:
+class Recording(Flight):
     """A simulated recording of one flight."""
 
     cameras: tuple[CameraRecording, ...]
-    rig: Rig
-    truth: Truth
-    n_instants: int  # chosen, over all cameras
-    gl: GLContext | None  # None: nothing was drawn with OpenGL
-    check: RenderCheck  # of the native renderer against it
 
     @property
     def flight(self) -> Flight:
@@ -152,14 +145,14 @@ class Sink(Protocol):
         """Know that the camera has recorded all."""
 
 
-OpenSink = Callable[[Camera, NDArray[np.int64], float], Sink]
+OpenSink = Callable[[Camera, IntArray, float], Sink]
 """Opens the sink of a camera, given the times of its frames (n,) [us] and their exposure [s]."""
 
 
 class InMemory:
     """A sink that keeps all."""
 
-    def __init__(self, camera: Camera, times_us: NDArray[np.int64], exposure_s: float) -> None:
+    def __init__(self, camera: Camera, times_us: IntArray, exposure_s: float) -> None:
         self.camera = camera
         self.images = np.empty((len(times_us), camera.height, camera.width), np.uint8)
         self._frames = Frames(times_us, self.images, exposure_s)

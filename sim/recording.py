@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.arrays import Float32Array, FloatArray
 from sim.effects.camera import CameraEffects, check_gap
 from sim.effects.config import SensorEffects
 from sim.errors import SimError
@@ -52,8 +53,6 @@ from sim.seeds import generator
 from sim.sensor.events import Sensor, SensorConfig
 from sim.sensor.frames import FrameConfig, FrameExposer, frame_times_us
 
-FloatArray = NDArray[np.float64]
-
 TRAJECTORY_STREAM = 0
 """Branch of the seed that draws the path; see `sim.seeds`."""
 
@@ -65,7 +64,7 @@ class Scene:
     """What is filmed, and from where."""
 
     rig: Rig
-    backgrounds: tuple[NDArray[np.float32], ...]  # luminance of the empty view of each camera
+    backgrounds: tuple[Float32Array, ...]  # luminance of the empty view of each camera
     drone: Drone
     trajectory: Trajectory
 
@@ -109,7 +108,11 @@ class SimConfig:
     def scene(self, seed: int) -> Scene:
         """Build what is filmed with a seed."""
         rig = two_view_rig_of(self)
-        return Scene(rig, tuple(_backgrounds(self, rig)), _drone(self), _trajectory(self, seed))
+        if self.trajectory_file is not None:
+            trajectory = trajectory_from_csv(self.trajectory_file)
+        else:
+            trajectory = random_spline(self.spline, generator(seed, TRAJECTORY_STREAM))
+        return Scene(rig, tuple(_backgrounds(self, rig)), _drone(self), trajectory)
 
 
 def two_view_rig_of(config: SimConfig) -> Rig:
@@ -144,7 +147,7 @@ def simulate(
 
     flight = stream(config, seed, open_sink, progress)
     cameras = tuple(sink.recording() for sink in sinks)
-    return Recording(cameras, flight.rig, flight.truth, flight.n_instants, flight.gl, flight.check)
+    return Recording(**vars(flight), cameras=cameras)
 
 
 def stream(
@@ -178,32 +181,22 @@ def stream(
             n_instants += len(instants_s)
             T_W_B = PosesAt(trajectory, instants_s)
             views = renderer.crops(camera, instants_s, T_W_B, backgrounds[index])
-            strays = drift if index == 1 else Drift()
             effects = CameraEffects(
                 config.effects, config.sensor, config.frames, backgrounds[index], seed, index
             )
-            _record(
-                views,
-                camera,
-                strays,
-                instants_s,
-                effects,
-                config,
-                rng,
-                open_sink,
-                report,
-            )
+            of_camera = (camera, drift if index == 1 else Drift(), effects, rng)
+            _record(config, views, instants_s, *of_camera, open_sink, report)
         gl, check = renderer.context, renderer.check
     return Flight(rig, truth_of(rig, trajectory, config.t_d_s, drift), n_instants, gl, check)
 
 
 def _record(
+    config: SimConfig,
     views: Iterator[Crops],
+    instants_s: FloatArray,
     camera: Camera,
     drift: Drift,
-    instants_s: FloatArray,
     effects: CameraEffects,
-    config: SimConfig,
     rng: np.random.Generator,
     open_sink: OpenSink,
     report: Callable[[float], None],
@@ -242,7 +235,7 @@ def _record(
     report(end_s)
 
 
-def _paste(crops: Crops, background: NDArray[np.float32]) -> NDArray[np.float32]:
+def _paste(crops: Crops, background: Float32Array) -> Float32Array:
     """Return the whole image at the first instant of the crops."""
     image = background.copy()
     height, width = crops.luminance.shape[1:]
@@ -251,7 +244,7 @@ def _paste(crops: Crops, background: NDArray[np.float32]) -> NDArray[np.float32]
     return image
 
 
-def _backgrounds(config: SimConfig, rig: Rig) -> list[NDArray[np.float32]]:
+def _backgrounds(config: SimConfig, rig: Rig) -> list[Float32Array]:
     files = config.background_files
     if len(files) not in (0, 1, len(rig.cameras)):
         raise SimError(
@@ -270,9 +263,3 @@ def _drone(config: SimConfig) -> Drone:
             raise SimError("rotors spin on the built-in quadrotors only: leave out rotor_hz")
         return drone_from_file(config.drone_file, config.drone_size_m)
     return built_in_drone(config.drone, config.drone_size_m, config.rotor_hz, config.flap_hz)
-
-
-def _trajectory(config: SimConfig, seed: int) -> Trajectory:
-    if config.trajectory_file is not None:
-        return trajectory_from_csv(config.trajectory_file)
-    return random_spline(config.spline, generator(seed, TRAJECTORY_STREAM))

@@ -32,6 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from sim.arrays import FloatArray, IntArray
 from sim.errors import SimError
 from sim.recorded import Drift, Flight, Recording
 from sim.recording import SimConfig, stream
@@ -75,12 +76,7 @@ class CameraFiles:
     """A sink that writes one camera's files; the same content gives the same bytes."""
 
     def __init__(
-        self,
-        folder: Path,
-        text: bool,
-        camera: Camera,
-        times_us: NDArray[np.int64],
-        exposure_s: float,
+        self, folder: Path, text: bool, camera: Camera, times_us: IntArray, exposure_s: float
     ) -> None:
         self.camera = camera
         self.n_events, self.n_frames = 0, len(times_us)
@@ -128,7 +124,7 @@ class _ImageChunks:
     """Writes frames, given in their order, to an open HDF5 file."""
 
     def __init__(
-        self, file: h5py.File, camera: Camera, times_us: NDArray[np.int64], exposure_s: float
+        self, file: h5py.File, camera: Camera, times_us: IntArray, exposure_s: float
     ) -> None:
         self._n = len(times_us)
         if not self._n:
@@ -380,7 +376,7 @@ def _jump(drift: Drift) -> dict[str, float] | None:
     return {"at_s": at_s, "size_s": size_s}
 
 
-def _rounded(values: NDArray[np.float64]) -> list[Any]:
+def _rounded(values: FloatArray) -> list[Any]:
     """Return nested lists, with null where there is no value: NaN is not JSON."""
     rounded = np.round(values, _DIGITS).astype(object)
     rounded[np.isnan(values)] = None

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import correlate1d
 from scipy.special import ive, ndtri
 
+from sim.arrays import Float32Array, FloatArray
 from sim.effects.config import SensorEffects
 from sim.effects.pixels import EffectsSensor
 from sim.errors import SimError
@@ -34,7 +35,7 @@ class CameraEffects:
         effects: SensorEffects,
         sensor: SensorConfig,
         frames: FrameConfig,
-        background: NDArray[np.float32],
+        background: Float32Array,
         seed: int,
         index: int,
     ) -> None:
@@ -62,10 +63,10 @@ class CameraEffects:
 
     def start_sensor(
         self,
-        image: NDArray[np.float32],
+        image: Float32Array,
         time_s: float,
         rng: np.random.Generator,
-        background: NDArray[np.float32] | None = None,
+        background: Float32Array | None = None,
     ) -> Sensor:
         """Start the pixels, of light behind the lens, as `Sensor` starts."""
         if self.effects.is_none:
@@ -118,7 +119,7 @@ def check_gap(effects: SensorEffects, frames: FrameConfig) -> None:
 _REACH = 4.0  # deviations of the point spread, beyond which 6e-5 of the light would lie
 
 
-def point_spread(blur_px: float) -> NDArray[np.float64]:
+def point_spread(blur_px: float) -> FloatArray:
     """Weights (2 r + 1,) of a point's light on the pixels of a row, of exactly this deviation.
 
     The discrete Gaussian kernel exp(-v) I_n(v), v = blur_px^2 (Lindeberg, TPAMI 1990): samples of
@@ -126,11 +127,11 @@ def point_spread(blur_px: float) -> NDArray[np.float64]:
     """
     reach = int(np.ceil(_REACH * blur_px))
     weights = ive(np.abs(np.arange(-reach, reach + 1)), blur_px**2)
-    spread: NDArray[np.float64] = weights / weights.sum()
+    spread: FloatArray = weights / weights.sum()
     return spread
 
 
-def blurred_image(image: NDArray[np.float32], blur_px: float) -> NDArray[np.float32]:
+def blurred_image(image: Float32Array, blur_px: float) -> Float32Array:
     """Blur a whole image (height, width); beyond its border lies what is on it."""
     weights, blurred = point_spread(blur_px), image.astype(np.float64)
     for axis in (0, 1):
@@ -139,10 +140,7 @@ def blurred_image(image: NDArray[np.float32], blur_px: float) -> NDArray[np.floa
 
 
 def blurred_crops(
-    crops: Crops,
-    blur_px: float,
-    background: NDArray[np.float32],
-    blurred: NDArray[np.float32],
+    crops: Crops, blur_px: float, background: Float32Array, blurred: Float32Array
 ) -> Crops:
     """Blur crops of an image, whose background (height, width) is given sharp and blurred.
 
@@ -193,9 +191,7 @@ def _blur(  # type: ignore[no-untyped-def]
                         out[k, y, i] += weights[w] * rows[j, i]
 
 
-def without_gaps(
-    events: NDArray[Any], starts_us: NDArray[np.float64], gap_us: float
-) -> NDArray[Any]:
+def without_gaps(events: NDArray[Any], starts_us: FloatArray, gap_us: float) -> NDArray[Any]:
     """Lose the events during gaps.
 
     Events are sorted by time. Gaps begin at `starts_us` (n,), increasing, and each ends before the

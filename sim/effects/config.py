@@ -2,16 +2,13 @@
 
 from dataclasses import astuple, dataclass, replace
 
-import numpy as np
-
-from sim.errors import SimError
+from sim.errors import SimError, check_numbers
 from sim.sensor.events import SensorConfig
 
 DIM_LUX = 0.1
 """Light at which the shot noise of `SensorEffects` is stated, and below which it stays."""
 
 _POSITIVE = ("illuminance_lux", "camera2_light", "flicker_hz", "cutoff_min_hz", "cutoff_max_hz")
-_SHARES = ("frame_phase_spread",)
 
 
 @dataclass(frozen=True)
@@ -49,13 +46,12 @@ class SensorEffects:
     frame_full_well_e: float = 0.0  # electrons of full scale, which have shot noise; 0: none
 
     def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not (np.isfinite(value) and value >= 0.0):
-                raise SimError(f"effects: {name} must be 0 or a positive number, got {value}")
-            if name in _POSITIVE and value == 0.0:
-                raise SimError(f"effects: {name} must be a positive number, got {value}")
-            if name in _SHARES and value > 1.0:
-                raise SimError(f"effects: {name} is a share, 0 to 1, got {value}")
+        check_numbers(self, "effects: ", or_zero=vars(self))
+        check_numbers(self, "effects: ", _POSITIVE)
+        if self.frame_phase_spread > 1.0:
+            raise SimError(
+                f"effects: frame_phase_spread is a share, 0 to 1, got {self.frame_phase_spread}"
+            )
         if self.flicker_depth >= 1.0:
             raise SimError(
                 f"effects: flicker_depth must be less than 1, got {self.flicker_depth}: "

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.arrays import Float32Array, FloatArray, IntArray
 from sim.effects.config import DIM_LUX, SensorEffects
 from sim.effects.kernels import PIXEL_DTYPE, PixelRates, follow_all, follow_changes
 from sim.errors import SimError
@@ -27,10 +28,10 @@ class EffectsSensor(Sensor):
         self,
         config: SensorConfig,
         effects: SensorEffects,
-        image: NDArray[np.float32],
+        image: Float32Array,
         time_s: float,
         rng: np.random.Generator,
-        background: NDArray[np.float32] | None = None,
+        background: Float32Array | None = None,
         effects_rng: np.random.Generator | None = None,
         flicker_rad: float = 0.0,
     ) -> None:
@@ -46,11 +47,7 @@ class EffectsSensor(Sensor):
         self._rates_of_all = _rates(config, effects, flicker_rad)
 
     def feed(
-        self,
-        times_s: NDArray[np.float64],
-        x0_px: NDArray[np.int64],
-        y0_px: NDArray[np.int64],
-        luminance: NDArray[np.float32],
+        self, times_s: FloatArray, x0_px: IntArray, y0_px: IntArray, luminance: Float32Array
     ) -> None:
         """Take the next instants, as `Sensor.feed` does."""
         self._events.follow(
@@ -76,8 +73,8 @@ def _start(
     noise: NDArray[Any],
     config: SensorConfig,
     effects: SensorEffects,
-    up: NDArray[np.float64],
-    image: NDArray[np.float32],
+    up: FloatArray,
+    image: Float32Array,
     rng: np.random.Generator,
 ) -> NDArray[Any]:
     """Draw what each pixel starts from, beside what the sensor without effects draws."""
@@ -109,37 +106,37 @@ def _start(
 
 def _flicker_at(
     time_s: float,
-    image: NDArray[np.float32],
+    image: Float32Array,
     config: SensorConfig,
     effects: SensorEffects,
     flicker_rad: float,
-) -> NDArray[np.float64]:
+) -> FloatArray:
     """Give what flicker multiplies each pixel's signal by, (height, width)."""
     rad_s = 2.0 * np.pi * effects.flicker_hz
-    rad: NDArray[np.float64] = np.full(image.shape, rad_s * time_s + flicker_rad)
+    rad: FloatArray = np.full(image.shape, rad_s * time_s + flicker_rad)
     depth: Any = effects.flicker_depth
     if effects.cutoff_hz_per_lux:
         lux = effects.illuminance_lux * (image.astype(np.float64) + config.log_eps)
         low_hz, high_hz = effects.cutoff_min_hz, effects.cutoff_max_hz
         ratio = effects.flicker_hz / np.clip(effects.cutoff_hz_per_lux * lux, low_hz, high_hz)
         rad, depth = rad - np.arctan(ratio), depth / np.hypot(1.0, ratio)
-    factor: NDArray[np.float64] = 1.0 + depth * np.cos(rad)
+    factor: FloatArray = 1.0 + depth * np.cos(rad)
     return factor
 
 
-def _dim_noise_hz(config: SensorConfig, effects: SensorEffects) -> NDArray[np.float64]:
+def _dim_noise_hz(config: SensorConfig, effects: SensorEffects) -> FloatArray:
     """Tabulate the shot noise in dim light over luminance, 0 to 1."""
     luminance = np.linspace(0.0, 1.0, _TABLE)
     lux = effects.illuminance_lux * (luminance + config.log_eps)
     dim_hz = effects.dim_noise_on_hz + effects.dim_noise_off_hz
-    rates_hz: NDArray[np.float64] = dim_hz * np.maximum(lux / DIM_LUX, 1.0) ** (
-        -effects.dim_noise_exponent
-    )
+    rates_hz: FloatArray = dim_hz * np.maximum(lux / DIM_LUX, 1.0) ** (-effects.dim_noise_exponent)
     return rates_hz
 
 
 def _rates(config: SensorConfig, effects: SensorEffects, flicker_rad: float) -> PixelRates:
+    """Say what all pixels share: the effects of the same name, and what is not one's own."""
     dim_hz = effects.dim_noise_on_hz + effects.dim_noise_off_hz
+    same = {name: value for name, value in vars(effects).items() if name in PixelRates._fields}
     return PixelRates(
         eps=config.log_eps,
         lux=effects.illuminance_lux,
@@ -147,15 +144,7 @@ def _rates(config: SensorConfig, effects: SensorEffects, flicker_rad: float) -> 
         shot_hz=config.shot_noise_hz,
         background_hz=config.background_hz,
         dim_on_share=effects.dim_noise_on_hz / dim_hz if dim_hz else 0.0,
-        leak_jitter=effects.leak_jitter,
-        cutoff_hz_per_lux=effects.cutoff_hz_per_lux,
-        cutoff_min_hz=effects.cutoff_min_hz,
-        cutoff_max_hz=effects.cutoff_max_hz,
-        flicker_depth=effects.flicker_depth,
         flicker_rad_s=2.0 * np.pi * effects.flicker_hz,
         flicker_rad=flicker_rad,
-        latency_s=effects.latency_s,
-        latency_lux_s=effects.latency_lux_s,
-        jitter_s=effects.jitter_s,
-        jitter_lux_s=effects.jitter_lux_s,
+        **same,
     )

@@ -3,9 +3,9 @@
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sim.errors import SimError
+from sim.arrays import FloatArray
+from sim.errors import SimError, check_numbers
 from sim.render.lattice import GL_MAX_A, Lattice
 from sim.scene.rig import Camera
 
@@ -38,10 +38,10 @@ class RenderConfig:
         if not (np.isfinite(self.light_W).all() and np.any(self.light_W)):
             raise SimError(f"light_W: expected a finite direction, got {self.light_W}")
 
-    def light_in(self, camera: Camera) -> NDArray[np.float64]:
+    def light_in(self, camera: Camera) -> FloatArray:
         """Return the unit vector (3,) towards the light, in the camera's frame."""
         light_W = np.asarray(self.light_W)
-        light_C: NDArray[np.float64] = camera.T_C_W[:3, :3] @ (light_W / np.linalg.norm(light_W))
+        light_C: FloatArray = camera.T_C_W[:3, :3] @ (light_W / np.linalg.norm(light_W))
         return light_C
 
 
@@ -53,7 +53,4 @@ class SamplingConfig:
     min_rate_hz: float = 100.0  # also when nothing moves or the drone is out of view
 
     def __post_init__(self) -> None:
-        for name in ("max_step_px", "min_rate_hz"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0.0):
-                raise SimError(f"sampling: {name} must be a positive number, got {value}")
+        check_numbers(self, "sampling: ", ("max_step_px", "min_rate_hz"))

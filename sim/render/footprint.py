@@ -9,15 +9,12 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
+from sim.arrays import Float32Array, FloatArray, IntArray
 from sim.errors import SimError
 from sim.render.config import SamplingConfig
 from sim.scene.drone import Drone, Part
 from sim.scene.rig import MIN_DEPTH_M, Camera
 from sim.scene.trajectory import PosesAt, Trajectory
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-
 
 # An edge across half the view bows by some 10 px under strong distortion, this piece of it by 0.6.
 _PIECE_OF_SIZE = 1 / 4
@@ -242,7 +239,7 @@ class Views:
     high_px: FloatArray  # (n, 2) greatest
     depth_m: FloatArray  # (n, 2) least and greatest depth
     boxes: IntArray  # (n, 4) x0, y0, x1, y1 (exclusive) of the whole pixels touched in the image
-    T_C_P: list[NDArray[np.float32]]  # of each part (n, 4, 4); the last row is for the tile
+    T_C_P: list[Float32Array]  # of each part (n, 4, 4); the last row is for the tile
 
     def chosen(self, which: slice | IntArray) -> "Views":
         """Return some of the instants."""
@@ -286,12 +283,8 @@ def crop_size(boxes: IntArray) -> tuple[int, int]:
 
 
 def _placed(
-    camera: Camera,
-    part: Part,
-    times_s: FloatArray,
-    T_W_B: FloatArray,
-    visible: NDArray[np.bool_],
-) -> NDArray[np.float32]:
+    camera: Camera, part: Part, times_s: FloatArray, T_W_B: FloatArray, visible: NDArray[np.bool_]
+) -> Float32Array:
     """Return T_C_P (n, 4, 4) of a part; out of view it shrinks to a point and covers no sample."""
     T_W_P = T_W_B if part.joint is None else T_W_B @ part.joint.transforms(times_s)
     matrices = camera.T_C_W @ T_W_P

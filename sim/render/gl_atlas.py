@@ -5,12 +5,14 @@ since pyrender draws one frame at a time, in 8-bit colour, and reads its depth b
 """
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.arrays import Float32Array, FloatArray, IntArray
 from sim.errors import SimError
 from sim.render.config import DISTORTION_MODELS, RenderConfig
 from sim.render.footprint import Views, crop_size
@@ -18,8 +20,6 @@ from sim.render.gl_context import open_context
 from sim.render.lattice import Lattice, average_pixels
 from sim.scene.drone import Drone, Part, part_faces, piece_size_m
 from sim.scene.rig import Camera
-
-IntArray = NDArray[np.int64]
 
 SHADERS = Path(__file__).parent / "shaders"
 MAX_INSTANCES = 1024  # of one draw call
@@ -51,8 +51,8 @@ class GLPainter:
         self._atlas.delete()
 
     def paint(
-        self, camera: Camera, views: Views, corner_px: IntArray, background: NDArray[np.float32]
-    ) -> NDArray[np.float32]:
+        self, camera: Camera, views: Views, corner_px: IntArray, background: Float32Array
+    ) -> Float32Array:
         """Draw crops, as `sim.render.native.NativePainter.paint` does."""
         config, lattice = self._config, self._config.lattice
         width, height = crop_size(views.boxes)
@@ -127,7 +127,7 @@ class Atlas:
         GL.glDeleteRenderbuffers(2, [self._words_buffer, self._depth_buffer])
 
     def use_camera(
-        self, camera: Camera, lattice: Lattice, light_C: NDArray[np.float64], ambient: float
+        self, camera: Camera, lattice: Lattice, light_C: FloatArray, ambient: float
     ) -> None:
         """Make this the camera of the draw calls to come; lattice and light are always the same."""
         self._program._bind()
@@ -142,7 +142,7 @@ class Atlas:
 
     def draw(
         self,
-        T_C_P: list[NDArray[np.float32]],
+        T_C_P: list[Float32Array],
         tile: tuple[int, int],
         size: tuple[int, int],
         depth_range_m: tuple[float, float],
@@ -166,10 +166,7 @@ class Atlas:
         width, height = size
         self._bind_framebuffer(width, height)
         self._program._bind()
-        locate = self._program_location
-        GL.glUniform2f(locate("viewport"), width, height)
-        GL.glUniform2f(locate("tile_size"), *tile)
-        GL.glUniform2f(locate("depth_range"), *depth_range_m)
+        set_tile_uniforms(self._program._program_id, size, tile, depth_range_m)
         for plane in range(4):
             (GL.glEnable if clip else GL.glDisable)(GL.GL_CLIP_DISTANCE0 + plane)
         GL.glViewport(0, 0, width, height)
@@ -185,10 +182,6 @@ class Atlas:
             )
         GL.glReadPixels(0, 0, width, height, GL.GL_RED_INTEGER, GL.GL_UNSIGNED_INT, self._words)
         return self._words
-
-    def _program_location(self, name: str) -> int:
-        location: int = self._GL.glGetUniformLocation(self._program._program_id, name)
-        return location
 
     def _bind_framebuffer(self, width: int, height: int) -> None:
         """Bind the off-screen buffer, of just this size: drivers clear all of it, used or not."""
@@ -230,19 +223,12 @@ def attach_renderbuffers(words_buffer: int, depth_buffer: int, size: tuple[int, 
 
 
 def set_camera_uniforms(
-    program_id: int,
-    camera: Camera,
-    lattice: Lattice,
-    light_C: NDArray[np.float64],
-    ambient: float,
+    program_id: int, camera: Camera, lattice: Lattice, light_C: FloatArray, ambient: float
 ) -> None:
     """Set what the shaders of `mesh.vert` need of a camera, in the program in use."""
     from OpenGL import GL
 
-    def locate(name: str) -> int:
-        location: int = GL.glGetUniformLocation(program_id, name)
-        return location
-
+    locate = partial(GL.glGetUniformLocation, program_id)
     K = camera.K
     coeffs = camera.distortion_coeffs or (0.0, 0.0, 0.0, 0.0)
     GL.glUniformMatrix4fv(locate("M"), 1, GL.GL_TRUE, np.eye(4, dtype=np.float32))
@@ -253,6 +239,21 @@ def set_camera_uniforms(
     GL.glUniform2f(locate("pixel_centre"), *lattice.centre)
     GL.glUniform3f(locate("light"), *light_C)
     GL.glUniform1f(locate("ambient"), ambient)
+
+
+def set_tile_uniforms(
+    program_id: int,
+    size: tuple[int, int],
+    tile: tuple[int, int],
+    depth_range_m: tuple[float, float],
+) -> None:
+    """Set the sizes of viewport and tile [samples], and the depths between which all lies."""
+    from OpenGL import GL
+
+    locate = partial(GL.glGetUniformLocation, program_id)
+    GL.glUniform2f(locate("viewport"), *size)
+    GL.glUniform2f(locate("tile_size"), *tile)
+    GL.glUniform2f(locate("depth_range"), *depth_range_m)
 
 
 def make_primitive(part: Part, piece_m: float | None, n_instances: int | None) -> Any:

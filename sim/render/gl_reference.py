@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.arrays import Float32Array, FloatArray
 from sim.errors import SimError
 from sim.render.config import RenderConfig
 from sim.render.gl_atlas import (
@@ -18,13 +19,12 @@ from sim.render.gl_atlas import (
     attach_renderbuffers,
     make_primitive,
     set_camera_uniforms,
+    set_tile_uniforms,
 )
 from sim.render.gl_context import make_current, open_context
 from sim.render.lattice import average_pixels
 from sim.scene.drone import Drone, Part, piece_size_m
 from sim.scene.rig import Camera
-
-FloatArray = NDArray[np.float64]
 
 # OpenGL's camera looks along its -z with y up, ours along z with y down.
 T_GL_C = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -65,16 +65,14 @@ class PyrenderFullFrame:
         self._words = np.empty(self._size[::-1], np.uint32)
         self._stock: tuple[Any, list[Any]] | None = None
 
-    def render(
-        self, time_s: float, T_W_B: FloatArray, background: NDArray[np.float32]
-    ) -> NDArray[np.float32]:
+    def render(self, time_s: float, T_W_B: FloatArray, background: Float32Array) -> Float32Array:
         """Draw the luminance (height, width) of the whole image at one instant."""
         camera, lattice = self._camera, self.config.lattice
         words = self.words(time_s, T_W_B)
         zero = np.zeros(1, np.int64)
         size_px = (camera.width, camera.height)
         corner = np.zeros((1, 2), np.int64)
-        image: NDArray[np.float32] = average_pixels(
+        image: Float32Array = average_pixels(
             words, lattice, corner, zero, zero, size_px, background
         )[0]
         return image
@@ -97,17 +95,11 @@ class PyrenderFullFrame:
         return self._words
 
     def _set_uniforms(self, depth_range_m: tuple[float, float]) -> None:
-        from OpenGL import GL
-
-        light_C = self.config.light_in(self._camera)
+        config, light_C = self.config, self.config.light_in(self._camera)
         program_id = self._program._program_id
         self._program._bind()
-        set_camera_uniforms(
-            program_id, self._camera, self.config.lattice, light_C, self.config.ambient
-        )
-        GL.glUniform2f(GL.glGetUniformLocation(program_id, "viewport"), *self._size)
-        GL.glUniform2f(GL.glGetUniformLocation(program_id, "tile_size"), *self._size)
-        GL.glUniform2f(GL.glGetUniformLocation(program_id, "depth_range"), *depth_range_m)
+        set_camera_uniforms(program_id, self._camera, config.lattice, light_C, config.ambient)
+        set_tile_uniforms(program_id, self._size, self._size, depth_range_m)
 
     def stock(self, time_s: float, T_W_B: FloatArray) -> NDArray[np.bool_]:
         """Draw one instant with pyrender as it is: which samples see the drone.

@@ -14,9 +14,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from sim.arrays import Float32Array, FloatArray, IntArray
 from sim.errors import SimError
-
-IntArray = NDArray[np.int64]
 
 # A sample word is 0 where the sample sees the background, and COUNT + the luminance's code where it
 # sees the object, so a sum of words holds both the sum of codes and the number of object samples.
@@ -74,7 +73,7 @@ class Lattice:
         )
 
     @cached_property
-    def centre(self) -> NDArray[np.float64]:
+    def centre(self) -> FloatArray:
         """Mean lattice position (2,) of a pixel's samples: where its own centre must lie."""
         columns = self.pixel_columns
         counts = columns[:, 2] - columns[:, 1]
@@ -107,8 +106,8 @@ def average_pixels(
     x0_px: IntArray,
     y0_px: IntArray,
     size_px: tuple[int, int],
-    background: NDArray[np.float32],
-) -> NDArray[np.float32]:
+    background: Float32Array,
+) -> Float32Array:
     """Average the samples of every pixel of every tile of an atlas, over the background.
 
     Parameters
@@ -124,7 +123,7 @@ def average_pixels(
 
     Returns
     -------
-    NDArray[np.float32]
+    Float32Array
         Luminance of the crops, shape (n, height, width).
     """
     width, height = size_px
@@ -133,22 +132,15 @@ def average_pixels(
     u0, v0 = lattice.tile_origin(np.array(0), np.array(0), height)
     luminance = np.empty((len(corners), height, width), np.float32)
     # Positions below are indices into the flattened sums of one tile.
-    _average_tiles(
-        atlas,
-        corners,
-        tile_height,
-        tile_width,
-        columns[:, 1] * tile_width + columns[:, 0],
-        columns[:, 2] * tile_width + columns[:, 0],
-        -int(v0) * tile_width - int(u0),
-        lattice.b * tile_width + lattice.a,
-        lattice.a * tile_width - lattice.b,
-        lattice.samples_per_pixel,
-        x0_px,
-        y0_px,
-        background,
-        luminance,
-    )
+    first, last = (columns[:, row] * tile_width + columns[:, 0] for row in (1, 2))
+    origin = -int(v0) * tile_width - int(u0)
+    steps = (lattice.b * tile_width + lattice.a, lattice.a * tile_width - lattice.b)
+    sums = np.empty((tile_height + 1) * tile_width, np.uint32)
+    for k, (column, row) in enumerate(corners):
+        _sum_down(atlas[row : row + tile_height, column : column + tile_width], sums)
+        behind = background[y0_px[k] :, x0_px[k] :]
+        about = (first, last, origin, *steps, lattice.samples_per_pixel)
+        _average_tile(sums, *about, behind, luminance[k])
     return luminance
 
 
@@ -192,21 +184,6 @@ def _number_samples(columns, a, b, width, height, pixel_of):  # type: ignore[no-
                 u = columns[c, 0] + a * i - b * j
                 for v in range(columns[c, 1] + b * i + a * j, columns[c, 2] + b * i + a * j):
                     pixel_of[v, u] = width * j + i
-
-
-@njit(cache=True, nogil=True)
-def _average_tiles(  # type: ignore[no-untyped-def]
-    atlas, corners, tile_height, tile_width, first, last, origin, step_x, step_y, n_samples,
-    x0_px, y0_px, background, luminance,
-):  # fmt: skip
-    sums = np.empty((tile_height + 1) * tile_width, np.uint32)
-    for k in range(corners.shape[0]):
-        column, row = corners[k, 0], corners[k, 1]
-        _sum_down(atlas[row : row + tile_height, column : column + tile_width], sums)
-        _average_tile(
-            sums, first, last, origin, step_x, step_y, n_samples,
-            background[y0_px[k] :, x0_px[k] :], luminance[k],
-        )  # fmt: skip
 
 
 @njit(cache=True, nogil=True)

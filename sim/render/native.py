@@ -4,16 +4,14 @@ It draws what `sim.render.gl_atlas` draws, at the same samples.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim.arrays import Float32Array, IntArray
 from sim.render.config import DISTORTION_MODELS, RenderConfig
 from sim.render.footprint import Views, crop_size
 from sim.render.lattice import runs_of_tile
 from sim.render.native_kernels import paint_crops
 from sim.scene.drone import Drone, in_memory, part_faces, piece_size_m
 from sim.scene.rig import Camera
-
-IntArray = NDArray[np.int64]
 
 BATCH = 256  # instants, at most
 BATCH_PIXELS = 1 << 21  # of all their crops, at most: 8 MB
@@ -33,8 +31,8 @@ class NativePainter:
         return int(min(BATCH, max(1, BATCH_PIXELS // (width_px * height_px))))
 
     def paint(
-        self, camera: Camera, views: Views, corner_px: IntArray, background: NDArray[np.float32]
-    ) -> NDArray[np.float32]:
+        self, camera: Camera, views: Views, corner_px: IntArray, background: Float32Array
+    ) -> Float32Array:
         """Draw crops (n, height, width), whose first pixels are at `corner_px` (n, 2)."""
         lattice = self._config.lattice
         width, height = crop_size(views.boxes)

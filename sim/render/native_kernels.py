@@ -225,8 +225,8 @@ def _column(xa, ya, xb, yb, v):  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True)
 def _start(xa, ya, xb, yb, v, room):  # type: ignore[no-untyped-def]
     """Return `_column` of row v, and its step from row to row, both times 2^FRACTION_BITS."""
-    # Rounding moves no column of any row below its true value, as `room` is more than that makes,
-    # and twice the room is less than what is left up to the next whole column.
+    # They are rounded. `room` is more than the error that all rows add up to, so no column falls
+    # below its true value, and twice the room does not reach the next whole column.
     per_dy = 1.0 / float(yb - ya)
     slope = float(xb - xa) * per_dy
     unit = float(1 << (FRACTION_BITS - 8))

@@ -6,12 +6,11 @@ definition. What the first draws is compared with the second at some instants of
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from types import TracebackType
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.arrays import Float32Array, FloatArray, IntArray
 from sim.errors import SimError
 from sim.render.config import RenderConfig
 from sim.render.footprint import Views, crop_size, footprint, plan_views
@@ -21,9 +20,6 @@ from sim.render.native import NativePainter
 from sim.scene.drone import Drone
 from sim.scene.rig import Camera
 from sim.scene.trajectory import PosesAt
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 PLANNED_AT_ONCE = 4096  # instants: several batches
 CHECKED_INSTANTS = 25  # of each camera, drawn by both painters
@@ -46,7 +42,7 @@ class Crops:
     times_s: FloatArray  # (n,) [s]
     x0_px: IntArray  # (n,) column of the first pixel
     y0_px: IntArray  # (n,) row of the first pixel
-    luminance: NDArray[np.float32]  # (n, height, width), linear, background included
+    luminance: Float32Array  # (n, height, width), linear, background included
 
     def since(self, k: int) -> "Crops":
         """Return the crops from the k-th on."""
@@ -68,18 +64,6 @@ class RenderCheck:
         return self.sum_difference / max(self.n_pixels, 1)
 
 
-class Painter(Protocol):
-    """What draws: see `sim.render.native.NativePainter`."""
-
-    def room(self, width_px: int, height_px: int) -> int:
-        """Return how many instants of this size may be drawn at a time."""
-
-    def paint(
-        self, camera: Camera, views: Views, corner_px: IntArray, background: NDArray[np.float32]
-    ) -> NDArray[np.float32]:
-        """Draw crops."""
-
-
 class Renderer:
     """Draws one drone; use as a context manager, or call `close`.
 
@@ -94,7 +78,7 @@ class Renderer:
         self.context: GLContext | None = None  # None: nothing was drawn with OpenGL
         self._seed = seed
         self._reference: GLPainter | None = None
-        self._painter: Painter
+        self._painter: NativePainter | GLPainter
         if self.config.renderer == "pyrender":
             self._painter = self._reference = GLPainter(drone, self.config)
         else:
@@ -107,12 +91,7 @@ class Renderer:
     def __enter__(self) -> "Renderer":
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:
@@ -125,7 +104,7 @@ class Renderer:
         camera: Camera,
         times_s: FloatArray,
         T_W_B: FloatArray | PosesAt,
-        background: NDArray[np.float32],
+        background: Float32Array,
     ) -> Iterator[Crops]:
         """Render, in order, the instants at which the drone is in view, and those next to them.
 
@@ -155,11 +134,7 @@ class Renderer:
             chosen = chosen[start:]
 
     def _drawn(
-        self,
-        camera: Camera,
-        batch: Views,
-        background: NDArray[np.float32],
-        is_checked: NDArray[np.bool_],
+        self, camera: Camera, batch: Views, background: Float32Array, is_checked: NDArray[np.bool_]
     ) -> Crops:
         """Draw a batch, and compare those of its instants that are to be checked."""
         width, height = crop_size(batch.boxes)
@@ -192,8 +167,8 @@ class Renderer:
         batch: Views,
         here: IntArray,
         corner_px: IntArray,
-        background: NDArray[np.float32],
-        luminance: NDArray[np.float32],
+        background: Float32Array,
+        luminance: Float32Array,
     ) -> None:
         """Draw some instants of a batch with OpenGL too, and add up the differences."""
         assert self._reference is not None

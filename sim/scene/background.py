@@ -4,12 +4,10 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from sim.arrays import Float32Array, FloatArray
 from sim.errors import SimError
 from sim.scene.rig import Camera
-
-FloatArray = NDArray[np.float64]
 
 
 def linear_from_srgb(srgb: FloatArray) -> FloatArray:
@@ -18,14 +16,14 @@ def linear_from_srgb(srgb: FloatArray) -> FloatArray:
     return linear
 
 
-def uniform_background(camera: Camera, luminance: float) -> NDArray[np.float32]:
+def uniform_background(camera: Camera, luminance: float) -> Float32Array:
     """Return an even sky, (height, width); SimError when its luminance is not in [0, 1]."""
     if not 0.0 <= luminance <= 1.0:
         raise SimError(f"background luminance: expected 0 to 1, got {luminance}")
     return np.full((camera.height, camera.width), luminance, np.float32)
 
 
-def load_background(path: Path, camera: Camera) -> NDArray[np.float32]:
+def load_background(path: Path, camera: Camera) -> Float32Array:
     """Read the linear luminance (height, width) of a static image that fills the camera's view.
 
     The file is an image that OpenCV reads, taken as sRGB; or `.npy`, or an image of floating-point
@@ -48,14 +46,14 @@ def load_background(path: Path, camera: Camera) -> NDArray[np.float32]:
     return luminance
 
 
-def _load_array(path: Path) -> NDArray[np.float32]:
+def _load_array(path: Path) -> Float32Array:
     try:
         return np.ascontiguousarray(np.load(path), np.float32)
     except (OSError, ValueError, EOFError) as error:  # NumPy raises the last for an empty file
         raise SimError(f"cannot read the background {path}: {error}") from error
 
 
-def _load_image(path: Path) -> NDArray[np.float32]:
+def _load_image(path: Path) -> Float32Array:
     if not path.is_file():
         raise SimError(f"cannot read the background {path}: there is no such file")
     image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)

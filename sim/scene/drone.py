@@ -11,17 +11,13 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
+from sim.arrays import Float32Array, FloatArray, IntArray
 from sim.errors import SimError
 from sim.scene.background import linear_from_srgb
 from sim.scene.rig import Camera
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-Float32Array = NDArray[np.float32]
-
 
 DEFAULT_SIZE_M = 0.65
 DEFAULT_ALBEDO = 0.25  # of a mesh file without colours: dark grey

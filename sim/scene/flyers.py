@@ -12,8 +12,8 @@ from functools import lru_cache
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 
+from sim.arrays import FloatArray
 from sim.errors import SimError
 from sim.scene.drone import (
     DEFAULT_SIZE_M,
@@ -29,9 +29,6 @@ from sim.scene.drone import (
     prism,
     solid,
 )
-
-FloatArray = NDArray[np.float64]
-
 
 # Proportions of quadrotors, in units of their size: 2 (MOTOR_X + ROTOR_RADIUS) = 1. They are longer
 # than wide, as real ones are.
@@ -367,7 +364,7 @@ def _plane_tail() -> list[Part]:
     return [solid(tailplane, ALBEDO_TAILPLANE), solid(fin, ALBEDO_FIN)]
 
 
-def _rolled(angle_rad: float) -> NDArray[np.float64]:
+def _rolled(angle_rad: float) -> FloatArray:
     """Return the (4, 4) transform that turns about x."""
     cos, sin = np.cos(angle_rad), np.sin(angle_rad)
     T = np.eye(4)

@@ -9,15 +9,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
+from sim.arrays import FloatArray
 from sim.errors import SimError
-
-FloatArray = NDArray[np.float64]
-
 
 N_COEFFS = {"none": 0, "radtan": 4, "equidistant": 4}
 MIN_DEPTH_M = 1e-3  # nearer points, and those behind the camera, have no image
@@ -236,20 +234,11 @@ def look_at_rig(
     return Rig(cameras)
 
 
-def two_view_rig(
-    angle_deg: float,
-    distance_m: float = DISTANCE_M,
-    focal_px: float = FOCAL_PX,
-    resolution: tuple[int, int] = RESOLUTION,
-    principal_point: tuple[float, float] = PRINCIPAL_POINT,
-    distortion_model: str = "none",
-    distortion_coeffs: Sequence[float] = (),
-    t_d_s: float = 0.0,
-) -> Rig:
+def two_view_rig(angle_deg: float, *, t_d_s: float = 0.0, **placed: Any) -> Rig:
     """Place the paper's two cameras: lines of sight `angle_deg` apart, clocks `t_d_s` apart.
 
-    The arguments are those of `look_at_rig`; camera 2's clock shows t_cam1 + t_d_s. SimError when
-    the angle is not strictly between 0 and 180 deg, or the offset is not finite.
+    The other arguments are those of `look_at_rig`; camera 2's clock shows t_cam1 + t_d_s. SimError
+    when the angle is not strictly between 0 and 180 deg, or the offset is not finite.
     """
     if not 0.0 < angle_deg < 180.0:
         raise SimError(
@@ -258,16 +247,7 @@ def two_view_rig(
         )
     if not np.isfinite(t_d_s):
         raise SimError(f"the time offset must be a finite number of seconds, got {t_d_s}")
-    return look_at_rig(
-        (0.0, angle_deg),
-        distance_m=distance_m,
-        focal_px=focal_px,
-        resolution=resolution,
-        principal_point=principal_point,
-        distortion_model=distortion_model,
-        distortion_coeffs=distortion_coeffs,
-        time_offsets_s=(0.0, t_d_s),
-    )
+    return look_at_rig((0.0, angle_deg), time_offsets_s=(0.0, t_d_s), **placed)
 
 
 def kalibr_yaml(rig: Rig, with_extrinsics: bool) -> str:

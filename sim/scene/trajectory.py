@@ -17,10 +17,8 @@ from scipy.sparse import diags_array
 from scipy.sparse.linalg import spsolve
 from scipy.spatial.transform import Rotation, RotationSpline
 
-from sim.errors import SimError
-
-FloatArray = NDArray[np.float64]
-
+from sim.arrays import FloatArray, IntArray
+from sim.errors import SimError, check_numbers
 
 Vector3 = tuple[float, float, float]
 Attitude = Callable[[FloatArray], Rotation]
@@ -53,10 +51,7 @@ class SplineConfig:
     max_radius_m: float = 4.0  # horizontally from the origin: keeps clear of cameras 5 m away
 
     def __post_init__(self) -> None:
-        for name in ("duration_s", "sampling_hz", "segments_per_s", "smoothing"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0):
-                raise SimError(f"{name} must be a positive number, got {value}")
+        check_numbers(self, "", ("duration_s", "sampling_hz", "segments_per_s", "smoothing"))
         for name in ("multiplier_xyz_m", "multiplier_rot_rad", "offset_xyz_m", "offset_rot_rad"):
             if not np.isfinite(getattr(self, name)).all():
                 raise SimError(f"{name} must be three finite numbers, got {getattr(self, name)}")
@@ -103,7 +98,7 @@ class PosesAt:
     trajectory: Trajectory
     times_s: FloatArray  # (n,) [s]
 
-    def __getitem__(self, which: slice | NDArray[np.int64]) -> FloatArray:
+    def __getitem__(self, which: slice | IntArray) -> FloatArray:
         """Return T_W_B at the chosen ones of the times."""
         return self.trajectory.poses(self.times_s[which])
 

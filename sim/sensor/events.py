@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.errors import SimError
+from sim.arrays import Float32Array, FloatArray, IntArray
+from sim.errors import SimError, check_numbers
 from sim.sensor.kernels import (
     EVENT_DTYPE,
     NOISE_STATE_DTYPE,
@@ -21,9 +22,6 @@ from sim.sensor.kernels import (
     process_ideal,
     process_noisy,
 )
-
-FloatArray = NDArray[np.float64]
-
 
 MIN_THRESHOLD = 0.01  # mismatch never makes a pixel more sensitive than this
 HOT_SPREAD = 0.7  # of the logarithm of a hot pixel's rate, over pixels
@@ -45,15 +43,8 @@ class SensorConfig:
     hot_pixel_hz: float = 50.0  # median rate of their ON events; log-normal over pixels
 
     def __post_init__(self) -> None:
-        for name in ("threshold_on", "threshold_off", "log_eps"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0.0):
-                raise SimError(f"sensor: {name} must be a positive number, got {value}")
-        for name in ("threshold_mismatch", "refractory_s", "leak_hz", "shot_noise_hz",
-                     "background_hz", "hot_pixel_share", "hot_pixel_hz"):  # fmt: skip
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value >= 0.0):
-                raise SimError(f"sensor: {name} must be 0 or a positive number, got {value}")
+        positive = ("threshold_on", "threshold_off", "log_eps")
+        check_numbers(self, "sensor: ", positive, (f for f in vars(self) if f not in positive))
         if self.hot_pixel_share > 1.0:
             raise SimError(f"sensor: hot_pixel_share is a share of 1, got {self.hot_pixel_share}")
 
@@ -94,10 +85,10 @@ class Sensor:
     def __init__(
         self,
         config: SensorConfig,
-        image: NDArray[np.float32],
+        image: Float32Array,
         time_s: float,
         rng: np.random.Generator,
-        background: NDArray[np.float32] | None = None,
+        background: Float32Array | None = None,
     ) -> None:
         self.config = config
         shape = image.shape
@@ -143,11 +134,7 @@ class Sensor:
         return noise
 
     def feed(
-        self,
-        times_s: NDArray[np.float64],
-        x0_px: NDArray[np.int64],
-        y0_px: NDArray[np.int64],
-        luminance: NDArray[np.float32],
+        self, times_s: FloatArray, x0_px: IntArray, y0_px: IntArray, luminance: Float32Array
     ) -> None:
         """Take the next instants (n,) [s], increasing: crops, with the background around them.
 
@@ -161,7 +148,9 @@ class Sensor:
             levels = (self._high, self._low, self.config.log_eps)
             self._events.follow(process_ideal, *shared, *levels)
         else:
-            self._events.follow(process_noisy, *shared, self._noise, *self._rates())
+            config = self.config
+            rates = (config.log_eps, config.refractory_s, config.shot_noise_hz)
+            self._events.follow(process_noisy, *shared, self._noise, *rates, config.background_hz)
         self._time_s = float(times_s[-1])
 
     def take_settled(self) -> NDArray[Any]:
@@ -192,19 +181,10 @@ class Sensor:
         height, width = self._image.shape
         return self._events.take(before_us, width, height)
 
-    def _rates(self) -> tuple[float, ...]:
-        config = self.config
-        return (
-            config.log_eps,
-            config.refractory_s,
-            config.shot_noise_hz,
-            config.background_hz,
-        )
-
 
 def events_from_frames(
     frames: NDArray[Any],
-    times_s: NDArray[np.float64],
+    times_s: FloatArray,
     config: SensorConfig | None = None,
     rng: np.random.Generator | None = None,
 ) -> NDArray[Any]:
@@ -244,7 +224,7 @@ def events_from_frames(
     return sensor.finish(float(times_s[-1]))
 
 
-def _unit_range(frame: NDArray[Any]) -> NDArray[np.float32]:
+def _unit_range(frame: NDArray[Any]) -> Float32Array:
     """Return a frame as float32 in [0, 1]."""
     if np.issubdtype(frame.dtype, np.unsignedinteger):
         return np.ascontiguousarray(frame, np.float32) / np.float32(np.iinfo(frame.dtype).max)
@@ -259,8 +239,8 @@ def _unit_range(frame: NDArray[Any]) -> NDArray[np.float32]:
 
 
 def slow_events(
-    first: NDArray[np.float32],
-    batches: Iterable[tuple[FloatArray, NDArray[np.float32]]],
+    first: Float32Array,
+    batches: Iterable[tuple[FloatArray, Float32Array]],
     end_s: float,
     config: SensorConfig,
     of_memory: np.random.Generator,

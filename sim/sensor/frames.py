@@ -7,7 +7,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from sim.errors import SimError
+from sim.arrays import Float32Array, FloatArray, IntArray
+from sim.errors import SimError, check_numbers
 
 _NOTHING = (2**31, 2**31, 0, 0)  # a box x0, y0, x1, y1 that any other one replaces
 
@@ -20,8 +21,7 @@ class FrameConfig:
     exposure_s: float = 0.005  # [s]
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.rate_hz) and self.rate_hz >= 0.0):
-            raise SimError(f"frames: rate_hz must be 0 or a positive number, got {self.rate_hz}")
+        check_numbers(self, "frames: ", or_zero=("rate_hz",))
         if self.rate_hz and not 0.0 < self.exposure_s * self.rate_hz <= 1.0:
             raise SimError(
                 f"frames: exposure_s must be more than 0 and at most 1 / rate_hz = "
@@ -33,7 +33,7 @@ class FrameConfig:
 class Frames:
     """Intensity frames of one camera."""
 
-    times_us: NDArray[np.int64]  # (n,) [us], middle of the exposure
+    times_us: IntArray  # (n,) [us], middle of the exposure
     images: NDArray[np.uint8]  # (n, height, width), linear, 255 = luminance 1
     exposure_s: float  # [s]
 
@@ -55,7 +55,7 @@ class FrameExposer:
     def __init__(
         self,
         config: FrameConfig,
-        background: NDArray[np.float32],
+        background: Float32Array,
         n_frames: int,
         images: Images,
         start_s: float = 0.0,
@@ -65,20 +65,17 @@ class FrameExposer:
         self._n_frames = n_frames
         self._images = images
         self._background = background
-        self._still = _quantise(background)
+        levels = np.rint(np.clip(background, 0.0, 1.0) * np.float32(255.0))
+        self._still: NDArray[np.uint8] = levels.astype(np.uint8)
         self._image = self._still.copy()  # of the frame that closed last
         self._sum = np.zeros(background.shape, np.float32)  # difference from the background
         # x0, y0, x1, y1 of what differs from the background: of that frame, and of the open one
         self._shown, self._exposed = np.zeros(4, np.int64), np.array(_NOTHING)
-        self._last: tuple[float, int, int, NDArray[np.float32]] | None = None
+        self._last: tuple[float, int, int, Float32Array] | None = None
         self._open = 0  # index of the frame that is being exposed
 
     def feed(
-        self,
-        times_s: NDArray[np.float64],
-        x0_px: NDArray[np.int64],
-        y0_px: NDArray[np.int64],
-        luminance: NDArray[np.float32],
+        self, times_s: FloatArray, x0_px: IntArray, y0_px: IntArray, luminance: Float32Array
     ) -> None:
         """Take the next instants: crops of the image, the background around them.
 
@@ -111,9 +108,7 @@ class FrameExposer:
         self._open += 1
 
 
-def frame_times_us(
-    config: FrameConfig, duration_s: float, start_s: float = 0.0
-) -> NDArray[np.int64]:
+def frame_times_us(config: FrameConfig, duration_s: float, start_s: float = 0.0) -> IntArray:
     """Middle of each exposure [us], shape (n,).
 
     Frame k is exposed from start_s + k / rate on; only frames exposed wholly within the duration
@@ -123,13 +118,6 @@ def frame_times_us(
     n = int(np.floor(room_s * config.rate_hz + 1e-9)) + 1 if config.rate_hz else 0
     starts_s = start_s + np.arange(max(n, 0)) / (config.rate_hz or 1.0)
     return np.rint((starts_s + 0.5 * config.exposure_s) * 1e6).astype(np.int64)
-
-
-def _quantise(image: NDArray[np.float32]) -> NDArray[np.uint8]:
-    levels: NDArray[np.uint8] = np.rint(np.clip(image, 0.0, 1.0) * np.float32(255.0)).astype(
-        np.uint8
-    )
-    return levels
 
 
 @njit(cache=True, nogil=True)

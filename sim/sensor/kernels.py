@@ -6,10 +6,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from sim.arrays import FloatArray, IntArray
+
 EVENT_DTYPE = np.dtype([("t", "<i8"), ("x", "<u2"), ("y", "<u2"), ("p", "u1")])
 """One event: `t` [us], pixel column `x`, pixel row `y`, polarity `p` (1 = brighter)."""
 
-Stamps = NDArray[np.float64]
+Stamps = FloatArray
 Pixels = NDArray[np.uint16]
 Signs = NDArray[np.uint8]
 
@@ -65,7 +67,7 @@ def _move_out(
     width: int,
     height: int,
     taken: NDArray[Any],
-    key: NDArray[np.int64],
+    key: IntArray,
 ) -> int:
     """Move the events before a time from the columns to `taken`, with the key to sort them by."""
     n_taken = 0
@@ -82,7 +84,7 @@ def _move_out(
     return n_taken
 
 
-def _stable_order(key: NDArray[np.int64]) -> NDArray[np.int64]:
+def _stable_order(key: IntArray) -> IntArray:
     """Do what a stable `np.argsort` does, twice as fast where key and index fit one number."""
     bits = len(key).bit_length()
     if not len(key) or int(np.ptp(key)) >> (63 - bits):
@@ -91,7 +93,7 @@ def _stable_order(key: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 @njit(cache=True, nogil=True)
-def _gather(events: NDArray[Any], order: NDArray[np.int64], gathered: NDArray[Any]) -> None:
+def _gather(events: NDArray[Any], order: IntArray, gathered: NDArray[Any]) -> None:
     """Do what `events[order]` does, of records of 13 bytes far more quickly."""
     for i in range(order.size):
         gathered[i] = events[order[i]]

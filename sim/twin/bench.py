@@ -10,9 +10,9 @@ from dataclasses import dataclass, field, replace
 import cv2
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from sim.arrays import Float32Array, FloatArray
 from sim.errors import SimError
 from sim.recording import Scene, SimConfig, two_view_rig_of
 from sim.scene.background import uniform_background
@@ -21,9 +21,6 @@ from sim.scene.rig import Camera, Rig
 from sim.seeds import generator
 from sim.sensor.frames import FrameConfig
 from sim.twin.pendulum import Hanging, PendulumConfig, hanging
-
-FloatArray = NDArray[np.float64]
-
 
 SIZE_M = 0.03
 """Of the paper's model, 3 x 3 x 1 cm."""
@@ -92,19 +89,12 @@ SPOTS_PX = (6, 12, 24, 48)  # of the plaster, from fine to coarse
 SPOTS_STD = 0.12  # of the logarithm
 N_THINGS = 9  # posters, shelves, cables and sockets on it
 THINGS_STD = 0.35  # of the logarithm of how bright they are beside the wall
+DEFOCUS_PX = 2.0  # deviation of the Gauss that blurs what is far behind the focus
 _LOW, _HIGH = 0.05, 0.95
 
 
-def wall(
-    width: int, height: int, rng: np.random.Generator, defocus_px: float = 2.0
-) -> NDArray[np.float32]:
-    """Draw the luminance (height, width) of a wall with plaster, an uneven light, and things on it.
-
-    `defocus_px` is the deviation of the Gauss that stands for the blur of what is far behind the
-    focus.
-    """
-    if not (np.isfinite(defocus_px) and defocus_px >= 0.0):
-        raise SimError(f"wall: defocus_px must be 0 or a positive number, got {defocus_px}")
+def wall(width: int, height: int, rng: np.random.Generator) -> Float32Array:
+    """Draw the luminance (height, width) of a wall with plaster, uneven light, and things on it."""
     level = np.full((height, width), np.log(MEAN_LUMINANCE))
     level += SPOTS_STD * _spots(width, height, rng)
     for _ in range(N_THINGS):
@@ -117,10 +107,8 @@ def wall(
     rows, columns = np.indices((height, width), sparse=True)
     level += slope[0] * (columns / width - 0.5) + slope[1] * (rows / height - 0.5)
     light: FloatArray = np.exp(level)
-    if defocus_px:
-        blurred = cv2.GaussianBlur(light, (0, 0), defocus_px, borderType=cv2.BORDER_REFLECT)
-        light = np.asarray(blurred, np.float64)
-    luminance: NDArray[np.float32] = np.clip(light, _LOW, _HIGH).astype(np.float32)
+    blurred = cv2.GaussianBlur(light, (0, 0), DEFOCUS_PX, borderType=cv2.BORDER_REFLECT)
+    luminance: Float32Array = np.clip(blurred, _LOW, _HIGH).astype(np.float32)
     return luminance
 
 
@@ -195,7 +183,7 @@ def bench_rig(config: TwinConfig) -> Rig:
     return Rig(tuple(cameras))
 
 
-def bench_walls(config: TwinConfig, rig: Rig) -> tuple[NDArray[np.float32], ...]:
+def bench_walls(config: TwinConfig, rig: Rig) -> tuple[Float32Array, ...]:
     """Draw what stands behind in the view of each camera."""
     if not config.textured:
         return tuple(uniform_background(camera, MEAN_LUMINANCE) for camera in rig.cameras)

@@ -11,13 +11,11 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from sim.errors import SimError
+from sim.arrays import Float32Array, FloatArray
+from sim.errors import SimError, check_numbers
 from sim.scene.rig import Camera, Rig
-
-FloatArray = NDArray[np.float64]
 
 MAX_TRIES = 20_000  # of places for the board, before the set-up is blamed
 MIN_COSINE = 0.17  # of the angle at which a camera sees the board: flatter, no corner is found
@@ -45,11 +43,7 @@ class CalibrationConfig:
                 f"calibration: expected a board of 3 x 3 corners or more and 3 views or more, got "
                 f"{self.corners}, {self.n_views} and {self.n_shared}"
             )
-        if not (np.isfinite(self.corner_std_px) and self.corner_std_px >= 0.0):
-            raise SimError(
-                f"calibration: corner_std_px must be 0 or a positive number, got "
-                f"{self.corner_std_px}"
-            )
+        check_numbers(self, "calibration: ", or_zero=("corner_std_px",))
 
 
 @dataclass(frozen=True)
@@ -226,7 +220,7 @@ def _is_seen(camera: Camera, points_W: FloatArray) -> bool:
 
 def _found(
     camera: Camera, points_W: FloatArray, config: CalibrationConfig, rng: np.random.Generator
-) -> NDArray[np.float32]:
+) -> Float32Array:
     """Find the corners (n, 1, 2) [px] of a view."""
     pixels = camera.project(points_W)
     pixels = pixels + config.corner_std_px * rng.standard_normal(pixels.shape)

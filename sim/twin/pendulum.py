@@ -8,14 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 from scipy.interpolate import BSpline, CubicSpline, make_interp_spline
 from scipy.spatial.transform import Rotation
 
-from sim.errors import SimError
+from sim.arrays import FloatArray
+from sim.errors import SimError, check_numbers
 from sim.scene.trajectory import MAX_DRAWS, Trajectory, Vector3
-
-FloatArray = NDArray[np.float64]
 
 GRAVITY_M_S2 = 9.81
 STEPS_HZ = 500.0  # of the solution: a swing takes a second
@@ -39,14 +37,9 @@ class PendulumConfig:
     max_radius_m: float = 0.22  # of the model from the point that the cameras look at
 
     def __post_init__(self) -> None:
-        for name in ("length_m", "hand_hz", "twist_hz", "rocking_hz", "max_radius_m"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0.0):
-                raise SimError(f"pendulum: {name} must be a positive number, got {value}")
-        for name in ("damping_per_s", "start_rad", "twist_rad", "rocking_rad"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value >= 0.0):
-                raise SimError(f"pendulum: {name} must be 0 or a positive number, got {value}")
+        positive = ("length_m", "hand_hz", "twist_hz", "rocking_hz", "max_radius_m")
+        or_zero = ("damping_per_s", "start_rad", "twist_rad", "rocking_rad")
+        check_numbers(self, "pendulum: ", positive, or_zero)
         if not (np.isfinite(self.hand_m).all() and min(self.hand_m) >= 0.0):
             raise SimError(
                 f"pendulum: hand_m must be three numbers, 0 or positive, got {self.hand_m}"
@@ -81,24 +74,6 @@ def hanging(config: PendulumConfig, duration_s: float, rng: np.random.Generator)
     )
 
 
-def swing(
-    length_m: float,
-    damping_per_s: float,
-    hand_m_s2: FloatArray,
-    start: FloatArray,
-    step_s: float,
-) -> FloatArray:
-    """Solve the motion of a point that hangs on a straight wire from a moving hand.
-
-    With q the unit vector along the wire, a the hand's acceleration (2 n + 1, 3) [m/s^2], at every
-    half step, and g gravity's, q'' = ((g - a) - ((g - a) . q) q) / L - |q'|^2 q - c q', by Runge
-    and Kutta's fourth order. `start` (6,) has q and q' [1/s]; returns both after every step, (n +
-    1, 6).
-    """
-    hand_m_s2 = np.ascontiguousarray(hand_m_s2)
-    return _runge_kutta(length_m, damping_per_s, hand_m_s2, start, step_s)
-
-
 @njit(cache=True, nogil=True)
 def _rate(length: float, damping: float, hand: FloatArray, state: FloatArray) -> FloatArray:
     """Give the derivative (6,) of q and q'."""
@@ -113,19 +88,26 @@ def _rate(length: float, damping: float, hand: FloatArray, state: FloatArray) ->
 
 
 @njit(cache=True, nogil=True)
-def _runge_kutta(
-    length: float, damping: float, hand: FloatArray, start: FloatArray, step: float
+def swing(
+    length_m: float, damping_per_s: float, hand_m_s2: FloatArray, start: FloatArray, step_s: float
 ) -> FloatArray:
-    n = hand.shape[0] // 2
+    """Solve the motion of a point that hangs on a straight wire from a moving hand.
+
+    With q the unit vector along the wire, a the hand's acceleration (2 n + 1, 3) [m/s^2], at every
+    half step, and g gravity's, q'' = ((g - a) - ((g - a) . q) q) / L - |q'|^2 q - c q', by Runge
+    and Kutta's fourth order. `start` (6,) has q and q' [1/s]; returns both after every step, (n +
+    1, 6).
+    """
+    n = hand_m_s2.shape[0] // 2
     states = np.empty((n + 1, 6))
     states[0] = start
     for k in range(n):
         state = states[k]
-        first = _rate(length, damping, hand[2 * k], state)
-        second = _rate(length, damping, hand[2 * k + 1], state + 0.5 * step * first)
-        third = _rate(length, damping, hand[2 * k + 1], state + 0.5 * step * second)
-        fourth = _rate(length, damping, hand[2 * k + 2], state + step * third)
-        after = state + step / 6.0 * (first + 2.0 * second + 2.0 * third + fourth)
+        first = _rate(length_m, damping_per_s, hand_m_s2[2 * k], state)
+        second = _rate(length_m, damping_per_s, hand_m_s2[2 * k + 1], state + 0.5 * step_s * first)
+        third = _rate(length_m, damping_per_s, hand_m_s2[2 * k + 1], state + 0.5 * step_s * second)
+        fourth = _rate(length_m, damping_per_s, hand_m_s2[2 * k + 2], state + step_s * third)
+        after = state + step_s / 6.0 * (first + 2.0 * second + 2.0 * third + fourth)
         after[:3] /= np.sqrt((after[:3] * after[:3]).sum())
         states[k + 1] = after
     return states

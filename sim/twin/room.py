@@ -10,16 +10,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.arrays import Float32Array, FloatArray
 from sim.disturb import View, merged
-from sim.errors import SimError
+from sim.errors import SimError, check_numbers
 from sim.recording import Scene
 from sim.scene.rig import Camera
 from sim.seeds import generator
 from sim.sensor.events import SensorConfig, slow_events
 from sim.twin.bench import HEIGHT, SIZE_M
 from sim.twin.pendulum import Hanging
-
-FloatArray = NDArray[np.float64]
 
 FRAMES_HZ = 50.0  # at which slow light is followed; linear in between
 _BATCH = 25  # frames in memory
@@ -45,10 +44,7 @@ class RoomConfig:
     wire_m: float = 0.0  # thickness of the wire
 
     def __post_init__(self) -> None:
-        for name in ("light_std", "wire_m"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value >= 0.0):
-                raise SimError(f"room: {name} must be 0 or a positive number, got {value}")
+        check_numbers(self, "room: ", or_zero=("light_std", "wire_m"))
         if not 0.0 <= self.shadow < 1.0:
             raise SimError(f"room: shadow is a share, 0 to less than 1, got {self.shadow}")
 
@@ -102,7 +98,7 @@ def _lit(
 
 def _frames(
     config: RoomConfig, view: View, scene: Scene, hanging: Hanging, seed: int, index: int
-) -> Iterator[tuple[FloatArray, NDArray[np.float32]]]:
+) -> Iterator[tuple[FloatArray, Float32Array]]:
     """Yield times (n,) [s] and luminance (n, height, width) of the wall, in batches."""
     n = max(2, int(np.ceil(view.duration_s * FRAMES_HZ)))
     times_s: FloatArray = view.duration_s * np.arange(1, n + 1) / n

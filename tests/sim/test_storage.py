@@ -61,7 +61,7 @@ def made_up_recording(
     centres_px = np.stack([camera.project(T_W_B[:, :3, 3]) for camera in rig.cameras])
     truth = Truth(T_D_S, R, t, baseline_m, np.linspace(0, 1, 20), T_W_B, centres_px)
     gl = GLContext("osmesa", "llvmpipe", "4.5")
-    return Recording(tuple(cameras), rig, truth, 321, gl, RenderCheck(50, 9000, 0.004, 0.01))
+    return Recording(rig, truth, 321, gl, RenderCheck(50, 9000, 0.004, 0.01), tuple(cameras))
 
 
 def contents(folder: Path) -> dict[str, bytes]:
