@@ -4,7 +4,7 @@
 
 Equal process ids on two hosts that share a disk, in two containers of one host, or before and after
 a restart are three different makers. What a maker leaves behind when it is killed can be told from
-what another is just writing, so that it can be removed. `sim.partial` gives folders such names.
+what another is just writing, so that it can be removed. `sim.storage` gives folders such names.
 """
 
 import glob
