@@ -2,7 +2,7 @@
 
 import sys
 
-from ssac.console.exits import guarded
+from ssac.cli.exits import guarded
 
 
 def main() -> None:

@@ -1,14 +1,13 @@
 """The `ssac` command: a table of commands, each imported when it is called; nothing else.
 
-Progress goes to stderr, results to stdout; the exit codes are those of `ssac.console.exits`.
+Progress goes to stderr, results to stdout; the exit codes are those of `ssac.cli.exits`.
 """
 
 import sys
 
 from sim.errors import SimError
-from ssac.console.command_line import Entry, command_line, run
-from ssac.console.exits import guarded
-from ssac.tool.commands import COMPARE, IMPORT, SYNC, TRACK, USE
+from ssac.cli.command_line import COMPARE, IMPORT, SYNC, TRACK, USE, Entry, command_line, run
+from ssac.cli.exits import guarded
 
 REPRODUCE = "Reproduce"
 

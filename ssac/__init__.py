@@ -55,8 +55,8 @@ if TYPE_CHECKING:
         ssac as ssac,
     )
     from ssac.pipeline.chain import Chain
-    from ssac.pipeline.known import Known
     from ssac.pipeline.many_report import NetworkResult
+    from ssac.pipeline.opened import Known
     from ssac.pipeline.registry import Input, Method
     from ssac.points import PointTrack
     from ssac.search.two_views import Pairs, PairsAt, TwoViews
@@ -131,7 +131,7 @@ _HOMES = {
     "ssac.pipeline.api": "Result albl event_rate joint joint_known ssac ssac_known"
     " sync tangency tangency_known two_views usable_events zncc_e zncc_f",
     "ssac.pipeline.chain": "Chain",
-    "ssac.pipeline.known": "Known",
+    "ssac.pipeline.opened": "Known",
     "ssac.pipeline.many_report": "NetworkResult",
     "ssac.pipeline.registry": "Input Method",
     "ssac.points": "PointTrack",

@@ -24,7 +24,8 @@ from ssac.config import Config
 from ssac.errors import SsacError
 from ssac.estimate import Estimate
 from ssac.events import US_PER_S
-from ssac.files.event_files import load_events, load_frames
+from ssac.files.event_files import load_events
+from ssac.files.hdf5 import load_frames
 from ssac.files.rigs import load_rig
 from ssac.files.track_files import is_track_file, load_track
 from ssac.track.observation import Observation, tracked
@@ -76,7 +77,7 @@ def by_python(recorded: Recorded, method: str, pair: Pair = FIRST_TWO) -> Estima
     try:
         from ssac import sync
     except ImportError:
-        from ssac.tool.sync import sync as sync_files
+        from ssac.cli.sync import sync as sync_files
 
         config = Config(**recorded.config) if recorded.config else None
         everywhere = recorded.search_all or None
@@ -320,7 +321,7 @@ def main() -> None:
     try:
         from ssac.pipeline.registry import OURS
     except ImportError:  # of a tree without the one pipeline
-        from ssac.tool.registry import OURS
+        from ssac.cli.registry import OURS
 
     answers = {}
     for one in json.loads(recorded_file.read_text(encoding="utf-8")):

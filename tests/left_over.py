@@ -6,7 +6,7 @@ import sys
 import time
 from pathlib import Path
 
-from ssac.files.temporary import temporary_path, this_process
+from ssac.files.whole_file import temporary_path, this_process
 
 ELSEWHERE = "elsewhere-01234567"
 """A host that is not this one."""

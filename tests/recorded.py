@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssac.events import EVENT_DTYPE
-from ssac.files.event_files import save_events_text
 from ssac.files.hdf5 import save_events_h5
+from ssac.files.text import save_events_text
 from tests.ssac.synthetic import HEIGHT, WIDTH, Scene, make_events, make_scene
 
 T_D_S = 0.05

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from experiments.bench.measurement import Measurement, best_seconds
 from ssac.events import EVENT_DTYPE
-from ssac.files.event_files import load_events, save_events_h5, save_events_text
-from ssac.files.hdf5 import FIELDS
+from ssac.files.event_files import load_events
+from ssac.files.hdf5 import FIELDS, save_events_h5
+from ssac.files.text import save_events_text
 
 REPEATS = 3  # the best of as many is taken
 N_READ = 10_000_000

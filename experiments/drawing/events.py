@@ -24,9 +24,16 @@ from ssac.geometry.epipolar import epipolar_distance, fundamental_from_pose
 from ssac.geometry.fundamental import MIN_PAIRS, lmeds_fundamental
 from ssac.pipeline.api import chain_of
 from ssac.pipeline.chain import Chain
-from ssac.plot.plot_data import Array, Material
-from ssac.plot.plots import POLARITIES, ZOOM_S, draw_alignment, draw_epipolar
-from ssac.plot.style import BLUE, YELLOW
+from ssac.pipeline.plots import (
+    BLUE,
+    POLARITIES,
+    YELLOW,
+    ZOOM_S,
+    Array,
+    Material,
+    draw_alignment,
+    draw_epipolar,
+)
 from ssac.search.offset_search import mean_epipolar_distance
 from ssac.search.two_views import TwoViews
 

@@ -1,7 +1,7 @@
 """A drawn figure in, a small PNG, the same bytes every time, out; and looks that figures share.
 
 Colours are of Okabe and Ito's set, which stays apart for colour-blind people, beside those of
-`ssac.plot.plots`. A method that is given the extrinsics has its sibling's colour and a hollow
+`ssac.pipeline.plots`. A method that is given the extrinsics has its sibling's colour and a hollow
 marker.
 """
 

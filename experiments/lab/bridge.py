@@ -12,7 +12,7 @@ from sim.scene.drone import drone_from_file
 from sim.scene.rig import Camera as SimCamera
 from ssac.camera import Camera, Rig
 from ssac.errors import SsacError
-from ssac.files.net import readable
+from ssac.files.readable import readable
 from ssac.track.observation import Observation
 
 _SHARE_OF_FRAMES = 0.1  # what the codec leaves of them

@@ -35,8 +35,7 @@ from sim.recording import SimConfig
 from sim.render.gl_context import open_context
 from sim.storage import record
 from ssac.errors import WriteError
-from ssac.files.temporary import remove_left_over
-from ssac.files.whole_file import check_folder, whole_file
+from ssac.files.whole_file import check_folder, remove_left_over, whole_file
 
 DEFAULT_FOLDER = Path("cache")
 

@@ -13,7 +13,7 @@ from experiments.lab.schedule import Outcome
 from experiments.lab.task import CRASHED
 from sim.recording import SimConfig
 from sim.render.config import RENDERERS
-from ssac.console.exits import BUG
+from ssac.cli.exits import BUG
 from ssac.errors import PluginError, SsacError
 
 NOT_SIMULATED = "recording: SimError: "

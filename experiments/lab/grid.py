@@ -33,7 +33,7 @@ from sim.errors import SimError
 from sim.recording import SimConfig
 from ssac.config import Config, checked
 from ssac.errors import SsacError
-from ssac.files.net import brief
+from ssac.files.readable import brief
 from ssac.pipeline.registry import METHODS, choose_method
 
 if sys.version_info >= (3, 11):

@@ -15,7 +15,7 @@ from typing import Any
 import h5py
 import hdf5plugin  # noqa: F401  its import registers the codecs of recordings with h5py
 
-from ssac.console.progress import say
+from ssac.cli.progress import say
 from ssac.errors import SsacError
 from ssac.files.whole_file import whole_file
 

@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from ssac.files.temporary import idle_s, maker_of, temporary_path
+from ssac.files.whole_file import idle_s, maker_of, temporary_path
 
 SUFFIX = ".claim"
 

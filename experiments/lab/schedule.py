@@ -34,7 +34,7 @@ from experiments.lab.task import (
     run_task,
     tasks_of,
 )
-from ssac.console.progress import progress, say
+from ssac.cli.progress import progress, say
 from ssac.errors import WriteError
 from ssac.files.whole_file import check_folder
 

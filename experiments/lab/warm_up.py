@@ -15,8 +15,8 @@ from experiments.lab.scored import SCORED
 from experiments.lab.task import Task, run_task
 from sim.recording import SimConfig
 from sim.sensor.events import PRESETS
+from ssac.cli.progress import progress
 from ssac.config import Config
-from ssac.console.progress import progress
 from ssac.pipeline.chain import Chain
 from ssac.pipeline.many import solve_pairs
 from ssac.pipeline.registry import OURS

@@ -29,7 +29,7 @@ from scipy.interpolate import CubicSpline
 
 from experiments.measures.bound import Bound, cramer_rao_bound, fisher_information, known_pose_bound
 from ssac.camera import known_pose
-from ssac.files.net import readable
+from ssac.files.readable import readable
 from ssac.fit.problem import Parameters
 from ssac.geometry.epipolar import fundamental_from_pose, sampson_distance
 from ssac.geometry.robust import robust_deviation

@@ -22,7 +22,7 @@ from experiments.lab.schedule import Workers
 from experiments.network.four import COMMAND, N_FLIGHTS, four_cameras
 from experiments.network.long_flights import DURATIONS_S, growth_config, network_growth
 from experiments.studies.command import run_studies
-from ssac.console.options import number
+from ssac.cli.options import number
 
 GROWTH_FILE = "network_growth.csv"
 PARTS = ("four", "growth")

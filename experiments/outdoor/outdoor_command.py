@@ -24,9 +24,9 @@ from experiments.outdoor.flights import (
 )
 from experiments.outdoor.third import THREE_CAMERAS, TWO_AT_ONCE, at_once, at_once_row
 from experiments.outdoor.twin import COLUMNS, KINDS, compared, twin_row
-from ssac.compare.figure import save_figure
-from ssac.console.options import number
+from ssac.cli.options import number
 from ssac.files.whole_file import whole_file
+from ssac.pipeline.plots import save_comparison
 
 COMMAND = "ssac outdoor"
 RUNS_FILE, ORACLE_FILE, FIGURE_FILE = "outdoor.csv", "outdoor_oracle.csv", "outdoor.png"
@@ -142,5 +142,5 @@ def _drawn(cache: Cache, duration_s: float, file: Path) -> list[Path]:
     answer = at_once((folder,), config, (truth,), 0)
     if not answer.paths:
         return []
-    save_figure(file, compared(answer.paths[0].path, truth, 0))
+    save_comparison(file, compared(answer.paths[0].path, truth, 0))
     return [file]

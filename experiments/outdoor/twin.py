@@ -20,13 +20,13 @@ from sim.disturb import merged
 from sim.recording import SimConfig
 from sim.scene.rig import kalibr_yaml, two_view_rig
 from ssac.clock import Clock
-from ssac.compare.comparison import Comparison, compare
 from ssac.config import Config
 from ssac.events import EventFile
 from ssac.files.event_files import load_events, write_synced
 from ssac.files.track_files import save_track
 from ssac.geometry.pose import depths
 from ssac.network.align import smoothed
+from ssac.network.comparison import Comparison, compare
 from ssac.network.tum import Path as SpacePath
 from ssac.pipeline.answer import Answer
 from ssac.pipeline.api import sync

@@ -33,7 +33,7 @@ from experiments.physical.mini import (
 )
 from experiments.studies.command import run_studies
 from sim.render.gl_context import context_or_none
-from ssac.console.options import number
+from ssac.cli.options import number
 
 PARTS: Mapping[str, tuple[Callable[..., Study], ...]] = {
     "tables": tuple(partial(mini_study, duration_s) for duration_s in DURATIONS_S),

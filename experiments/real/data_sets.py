@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssac.config import Config
-from ssac.convert.drone_tracking import ImportedCamera, import_data_set
 from ssac.errors import SsacError
+from ssac.files.drone_tracking import ImportedCamera, import_data_set
 from ssac.network import tum
 from ssac.network.graph import Pair
 from ssac.pipeline.answer import Answer

@@ -7,10 +7,10 @@ import numpy as np
 import pandas as pd
 
 from experiments.real.data_sets import VARIABLE_RATES, DataSet, load_rtk
-from ssac.compare.comparison import Comparison, compare
 from ssac.config import SKEW_PRIOR_PPM
 from ssac.errors import SsacError
 from ssac.estimate import Status
+from ssac.network.comparison import Comparison, compare
 from ssac.network.solve import NetworkAnswer
 from ssac.pipeline.api import chain_of
 from ssac.pipeline.many import solve_pairs

@@ -14,9 +14,9 @@ from experiments.real.data_sets import COMMAND, DataSet, data_sets, real_config
 from experiments.real.drawing import OFFSETS_FIGURE, real_figure
 from experiments.real.pairs import PAIRS_FILE, STRAYS_FILE, pair_tables
 from experiments.real.paths import PATH_FIGURE, PATHS_FILE, Row, path_of, path_table
-from ssac.compare.figure import save_figure
 from ssac.estimate import Status
 from ssac.files.whole_file import whole_file
+from ssac.pipeline.plots import save_comparison
 
 RESULTS = Path("results")
 
@@ -43,7 +43,7 @@ def real_command(
             row, comparison = path_of(one)
             paths.append(row)
             written.append(out / PATH_FIGURE.format(one.number))
-            save_figure(written[-1], comparison)
+            save_comparison(written[-1], comparison)
             _say(
                 f"{one.number}: {row['cameras']} cameras, RMSE {row['rmse_m']:.3f} m at "
                 f"{row['n_rtk']} samples of RTK, {row['network_s']:.0f} s"

@@ -18,7 +18,7 @@ from ssac.config import Config
 from ssac.events import US_PER_S, slice_time
 from ssac.geometry.epipolar import epipolar_distance
 from ssac.pipeline.api import chain_of
-from ssac.plot.plot_data import Material, d_avg_px
+from ssac.pipeline.plots import Material, d_avg_px
 
 Array = NDArray[np.float64]
 Events = NDArray[np.void]

@@ -17,7 +17,7 @@ from experiments.scenes.options import MAX_SEED
 from experiments.scenes.simulate import record_with_progress, summary
 from sim.recorded import Truth
 from sim.recording import SimConfig
-from ssac.console.options import number
+from ssac.cli.options import number
 from ssac.estimate import Estimate
 from ssac.pipeline.api import sync
 

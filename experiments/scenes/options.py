@@ -19,7 +19,7 @@ from sim.recording import SimConfig
 from sim.render.config import RENDERERS
 from sim.scene.flyers import DRONES
 from sim.sensor.events import PRESETS
-from ssac.console.options import number
+from ssac.cli.options import number
 
 MAX_SEED = 2**32 - 1
 

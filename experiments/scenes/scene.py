@@ -13,8 +13,8 @@ from sim.recording import SimConfig, simulate
 from sim.scene.flyers import DRONES
 from sim.sensor.frames import FrameConfig
 from ssac.camera import Rig, known_pose
+from ssac.cli.options import number
 from ssac.config import Config
-from ssac.console.options import number
 from ssac.geometry.epipolar import epipolar_distance, fundamental_from_pose
 from ssac.pipeline.chain import Chain
 from ssac.track.observation import Observation

@@ -18,10 +18,9 @@ from sim.render.lattice import Lattice
 from sim.scene.flyers import DRONES
 from sim.scene.trajectory import SplineConfig
 from sim.storage import Recorded, record
-from ssac.console.progress import progress
+from ssac.cli.progress import progress
 from ssac.files.hdf5 import load_events_h5
-from ssac.files.temporary import remove_left_over
-from ssac.files.whole_file import check_folder
+from ssac.files.whole_file import check_folder, remove_left_over
 from ssac.track.observation import Observation
 
 

@@ -13,7 +13,7 @@ from experiments.torture.mutations import OF_BYTES, OF_TEXT
 from experiments.torture.reliability import Case
 from experiments.torture.structure import restructured
 from experiments.torture.victims import Victim, victims
-from ssac.console.progress import progress
+from ssac.cli.progress import progress
 
 CASES_PER_ENTRY = 100
 """Cases that are kept together: so many at most are lost when a campaign is stopped."""

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from sim.errors import SimError
-from ssac.console.exits import BAD_INPUT, BUG, DONE, guarded, warnings_as_lines
+from ssac.cli.exits import BAD_INPUT, BUG, DONE, guarded, warnings_as_lines
 
 MAX_S = 20.0
 MAX_BYTES = 2 << 30

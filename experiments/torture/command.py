@@ -24,8 +24,8 @@ from experiments.torture.reliability import (
     reliability_table,
     silent_share,
 )
-from ssac.console.exits import NO_ESTIMATE
-from ssac.console.options import number
+from ssac.cli.exits import NO_ESTIMATE
+from ssac.cli.options import number
 from ssac.files.whole_file import check_folder
 
 

@@ -41,7 +41,7 @@ from experiments.torture.sweeps import (
     write_grid,
 )
 from experiments.torture.victims import save_mesh
-from ssac.console.exits import BAD_INPUT, DONE
+from ssac.cli.exits import BAD_INPUT, DONE
 from ssac.errors import SsacError
 
 Rng = np.random.Generator

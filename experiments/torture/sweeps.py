@@ -18,7 +18,7 @@ from typing import Protocol
 from experiments.studies.sweep import sweep_command
 from experiments.torture.case import Ended, Forked
 from experiments.torture.reliability import Case
-from ssac.console.exits import DONE
+from ssac.cli.exits import DONE
 from ssac.errors import SsacError
 
 CSV = "sweep.csv"

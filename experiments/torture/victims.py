@@ -26,8 +26,10 @@ from sim.scene.flyers import quadrotor
 from sim.scene.trajectory import trajectory_from_csv
 from ssac.events import EVENT_DTYPE
 from ssac.files.damage import STRICT, Reading
-from ssac.files.event_files import load_events, save_events_h5, save_events_text
+from ssac.files.event_files import load_events
+from ssac.files.hdf5 import save_events_h5
 from ssac.files.rigs import load_rig
+from ssac.files.text import save_events_text
 from ssac.files.track_files import load_track, save_track
 from ssac.points import PointTrack, check_track
 

@@ -34,7 +34,7 @@ from experiments.verify.files import file_findings
 from experiments.verify.manifest import campaigns, manifest_of
 from experiments.verify.recompute import recomputed
 from experiments.verify.sample import SLOW, TABLES, draw, sources_of
-from ssac.console.options import number
+from ssac.cli.options import number
 from ssac.errors import SsacError
 
 N_RECORDINGS = 6

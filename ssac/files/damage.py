@@ -1,4 +1,4 @@
-"""Events as a file's reader gave them, and signs of damage, in; events that can be used out.
+"""What becomes of event files that are damaged, or out of order.
 
 A file with signs of damage is refused: what is left of it is not what was recorded. Whoever wants
 that nevertheless says so (`Reading.allow_damaged`), and is told how much was lost. Events that are
@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 
 from ssac.errors import SsacError
 from ssac.events import US_PER_S, EventFile, check_events, wrap_message, wrapped
-from ssac.files.words import REPEATED
 
-MAX_GAP_S = 3600.0
-"""Longest time without an event in one file: no recording pauses for longer."""
+REPEATED = 32
+"""So many equal words, or events, in a row are none of a sensor: a block was overwritten."""
 
-SORTED_US = 1000
-"""Events are out of order by less where a driver mixed them up; by more in a damaged file."""
+_LONGEST_GAP_US = 3600 * US_PER_S  # without an event in one file: no recording pauses for longer
+_SORTED_US = 1000  # out of order by less where a driver mixed events up; by more in a damaged file
+_ANY_SIZE = 1 << 16  # of a sensor [px]: all that an event's field holds
 
 
 @dataclass(frozen=True)
@@ -31,12 +31,10 @@ class Reading:
     """What may be made of an event file that is not as it should be."""
 
     allow_damaged: bool = False  # read what is left, and warn
-    sort: bool = False  # put events in order that are out of it by less than SORTED_US
+    sort: bool = False  # put events in order that are out of it by less than 1 ms
 
 
 STRICT = Reading()
-
-_ANY_SIZE = 1 << 16  # of a sensor [px]: all that an event's field holds
 
 
 def refuse_damaged(path: Path, signs: Sequence[str], reading: Reading) -> None:
@@ -59,22 +57,18 @@ def checked_file(
     reading: Reading,
     is_text: bool = False,
 ) -> EventFile:
-    """Give the events of a file that can be used, or refuse it.
+    """Give the events of a file as they are if it is whole, else what `reading` makes of them.
 
     Parameters
     ----------
     events
-        Events, dtype EVENT_DTYPE, shape (N,), as they stand in the file.
+        As they stand in the file.
     size_px
         Width and height of the sensor; None where the file does not say.
     path, reading
+        Of the file.
     is_text
         Whether it is text, whose times may be rounded, so that one event may stand there often.
-
-    Returns
-    -------
-    EventFile
-        All of them in a file that is whole; else what `reading` allows to be made of it.
 
     Raises
     ------
@@ -84,9 +78,8 @@ def checked_file(
     """
     t, x, y, p = (events[field] for field in ("t", "x", "y", "p"))
     width, height = (_ANY_SIZE if size is None else size for size in size_px)
-    longest_us = round(MAX_GAP_S * US_PER_S)
     most_equal = len(events) if is_text else REPEATED - 1
-    if _is_whole(t, x, y, p, width, height, longest_us, most_equal):
+    if _is_whole(t, x, y, p, width, height, _LONGEST_GAP_US, most_equal):
         return EventFile(events, *size_px)
     events = _in_order(events, path, reading, is_text)
     if reading.allow_damaged:
@@ -98,25 +91,19 @@ def checked_file(
 def _in_order(
     events: NDArray[np.void], path: Path, reading: Reading, is_text: bool
 ) -> NDArray[np.void]:
-    n_back, first_back, most_back_us, n_leaps, n_repeated = _order(
-        events["t"],
-        events["x"],
-        events["y"],
-        REPEATED,
-        round(MAX_GAP_S * US_PER_S),
-    )
-    if n_back and not n_leaps and most_back_us < SORTED_US:
-        events = _sorted(events, path, int(n_back), int(most_back_us), reading)
+    n_back, first_back, most_back_us, n_leaps, n_repeated = _order(events, _LONGEST_GAP_US)
+    if n_back and not n_leaps and most_back_us < _SORTED_US:
+        events = _sorted(events, path, n_back, most_back_us, reading)
         n_back = 0
     elif n_back and not reading.allow_damaged:
-        _refuse_unsorted(events["t"], int(first_back), path)
+        _refuse_unsorted(events["t"], first_back, path)
     signs: list[str] = []
     if n_leaps:
-        signs.append(f"{n_leaps} leaps of time by more than {MAX_GAP_S:g} s")
+        signs.append(f"{n_leaps} leaps of time by more than {_LONGEST_GAP_US / US_PER_S:g} s")
     if n_repeated and not is_text:
         signs.append(f"{n_repeated} events stand there {REPEATED} times in a row or more")
     if n_back or n_leaps:
-        kept = _longest(events, round(MAX_GAP_S * US_PER_S)) if reading.allow_damaged else events
+        kept = _longest(events, _LONGEST_GAP_US) if reading.allow_damaged else events
         if len(kept) < len(events):
             lost = len(events) - len(kept)
             signs.append(
@@ -204,32 +191,17 @@ def _is_whole(
     return not is_bad
 
 
-@numba.njit(cache=True)
-def _order(
-    t: NDArray[np.int64],
-    x: NDArray[np.uint16],
-    y: NDArray[np.uint16],
-    repeated: int,
-    longest_us: int,
-) -> tuple[int, int, int, int, int]:
+def _order(events: NDArray[np.void], longest_us: int) -> tuple[int, int, int, int, int]:
     """Count times that run back, the first of them, by how much [us], leaps, repeated events."""
-    n_back = first_back = most_back = n_leaps = n_repeated = 0
-    run, latest = 1, t[0] if len(t) else 0
-    for i in range(1, len(t)):
-        if t[i] < t[i - 1]:
-            if n_back == 0:
-                first_back = i
-            n_back += 1
-        elif t[i] == t[i - 1] and x[i] == x[i - 1] and y[i] == y[i - 1]:
-            run += 1
-            n_repeated += repeated if run == repeated else run > repeated
-            continue
-        elif t[i] - t[i - 1] > longest_us or t[i] - t[i - 1] < 0:  # the latter beyond int64
-            n_leaps += 1
-        run = 1
-        most_back = max(most_back, latest - t[i])
-        latest = max(latest, t[i])
-    return n_back, first_back, most_back, n_leaps, n_repeated
+    t, x, y = (events[field] for field in "txy")
+    steps_us, is_back = np.diff(t), t[1:] < t[:-1]
+    n_leaps = np.count_nonzero(~is_back & ((steps_us > longest_us) | (steps_us < 0)))  # of int64
+    is_same = (steps_us == 0) & (x[1:] == x[:-1]) & (y[1:] == y[:-1])
+    runs = np.diff(np.flatnonzero(~is_same), prepend=-1, append=len(t) - 1)
+    first_back = int(np.argmax(is_back)) + 1 if is_back.any() else 0
+    most_back_us = int(np.max(np.maximum.accumulate(t) - t, initial=0))
+    n_repeated = int(runs[runs >= REPEATED].sum())
+    return int(np.count_nonzero(is_back)), first_back, most_back_us, int(n_leaps), n_repeated
 
 
 def _longest(events: NDArray[np.void], longest_us: int) -> NDArray[np.void]:

@@ -1,11 +1,15 @@
-"""HDF5 recordings: events and intensity frames, in and out.
+"""HDF5 recordings: events and intensity frames.
 
 Three layouts are read: ours (`events/t`, `x`, `y`, `p`; the sensor's width and height as attributes
 of the file or of `events`), DSEC's (the same datasets, times relative to the dataset `t_offset`,
 blosc compression) and Prophesee's (`CD/events`, size in the attribute `geometry`). All of them
 carry absolute time. Ours and DSEC's are compressed with codecs of the package hdf5plugin.
+
+Its sizes are what a file says: before memory is taken they are held against what it really stores.
+Nothing in it leads out of it: links to other files are refused.
 """
 
+import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -18,8 +22,7 @@ from numpy.typing import NDArray
 from ssac.errors import SsacError
 from ssac.events import EVENT_DTYPE, EventFile, check_lengths, field_values
 from ssac.files.damage import STRICT, Reading, checked_file, refuse_damaged
-from ssac.files.net import readable
-from ssac.files.stored import brief_list, dataset, sensor_size, signs_of_loss
+from ssac.files.readable import readable
 from ssac.files.whole_file import check_writable, whole_file
 
 with suppress(ImportError):  # then what needs it is refused
@@ -35,6 +38,10 @@ BYTES_PER_BLOCK = 1 << 24
 """Frames read at once when each of them is summed up."""
 
 _MAX_OFFSET_US = 2.0**60
+_MAX_RATIO = 1000  # no codec makes more bytes of events, or of frames, of one that is stored
+_NEVER_MIND = 1 << 20  # bytes, that anything may take
+_PROPHESEE_ECF = 0x8ECF  # number of the codec of Prophesee's newer HDF5 files, not in hdf5plugin
+_MAX_SIDE_PX = np.iinfo(EVENT_DTYPE["x"]).max
 
 
 def load_events_h5(path: Path, reading: Reading = STRICT) -> EventFile:
@@ -46,9 +53,9 @@ def load_events_h5(path: Path, reading: Reading = STRICT) -> EventFile:
         If the file is damaged, in another layout, or its events fail `checked_file`.
     """
     with _open_h5(path) as file:
-        size_px = sensor_size(file, path)
-        cd = dataset(file, "CD/events", path)
-        columns = {field: dataset(file, f"events/{field}", path) for field in FIELDS}
+        size_px = _sensor_size(file, path)
+        cd = _dataset(file, "CD/events", path)
+        columns = {field: _dataset(file, f"events/{field}", path) for field in FIELDS}
         if cd is not None:
             names = cd.dtype.names or ()
             if cd.ndim != 1 or not set(FIELDS) <= set(names):
@@ -56,11 +63,11 @@ def load_events_h5(path: Path, reading: Reading = STRICT) -> EventFile:
                     f"{path}: CD/events must be a list of x, y, p, t, got the shape {cd.shape} of "
                     f"{cd.dtype}: convert it again"
                 )
-            refuse_damaged(path, signs_of_loss(cd), reading)
+            refuse_damaged(path, _signs_of_loss(cd), reading)
             events = _read_blocks(len(cd), cd.__getitem__, path)
         elif all(column is not None for column in columns.values()):
             check_lengths({field: column.shape for field, column in columns.items()}, str(path))
-            signs = [sign for column in columns.values() for sign in signs_of_loss(column)]
+            signs = [sign for column in columns.values() for sign in _signs_of_loss(column)]
             refuse_damaged(path, signs, reading)
             events = _read_blocks(
                 len(columns["t"]), lambda block: {f: columns[f][block] for f in FIELDS}, path
@@ -71,7 +78,7 @@ def load_events_h5(path: Path, reading: Reading = STRICT) -> EventFile:
         else:
             raise SsacError(
                 f"{path}: expected the datasets events/t, events/x, events/y, events/p, or "
-                f"CD/events; the file has {brief_list(file)}: convert it to one of these layouts"
+                f"CD/events; the file has {_brief_list(file)}: convert it to one of these layouts"
             )
     return checked_file(events, size_px, path, reading)
 
@@ -104,10 +111,10 @@ def load_frames(
     if path.suffix.lower() not in HDF5_SUFFIXES:
         return None
     with _open_h5(path) as file:
-        times, images = (dataset(file, f"frames/{name}", path) for name in ("t", "images"))
+        times, images = (_dataset(file, f"frames/{name}", path) for name in ("t", "images"))
         if times is None or images is None:
             return None
-        refuse_damaged(path, [*signs_of_loss(times), *signs_of_loss(images)], STRICT)
+        refuse_damaged(path, [*_signs_of_loss(times), *_signs_of_loss(images)], STRICT)
         times_us = times[:] if times.ndim == 1 else np.empty(times.shape)
         if images.ndim != 3 or images.dtype != np.uint8 or times_us.shape != images.shape[:1]:
             raise SsacError(
@@ -128,14 +135,7 @@ def save_events_h5(
 ) -> None:
     """Write events in our HDF5 layout; the file appears only when it is complete.
 
-    Parameters
-    ----------
-    path
-        File to write; one that exists is replaced.
-    events
-        Events, dtype EVENT_DTYPE, shape (N,); times are written as they are.
-    width, height
-        Sensor size [px]; None leaves the attribute out.
+    The sensor's size [px] is an attribute; None leaves it out.
     """
     check_writable(Path(path), EVENT_DTYPE.itemsize * len(events))
     with whole_file(Path(path)) as temporary, h5py.File(temporary, "w") as file:
@@ -179,7 +179,7 @@ def _open_h5(path: Path) -> Iterator[h5py.File]:
 
 def _offset_us(file: h5py.File, path: Path) -> int:
     """Time [us] that DSEC's times are relative to; 0 where there is none."""
-    offset = dataset(file, "t_offset", path)
+    offset = _dataset(file, "t_offset", path)
     if offset is None:
         return 0
     if offset.size != 1 or offset.dtype.kind not in "iuf":
@@ -193,3 +193,102 @@ def _offset_us(file: h5py.File, path: Path) -> int:
             f"{path}: t_offset must be a time in microseconds, got {value:g}: convert it again"
         )
     return int(np.ravel(offset[()])[0])
+
+
+def _dataset(file: h5py.File, name: str, path: Path) -> Any:
+    """Give a dataset such as "events/t" that can be trusted; None where the file has none."""
+    parts = name.split("/")
+    for k in range(1, len(parts) + 1):
+        link = file.get("/".join(parts[:k]), getlink=True)
+        if link is None:
+            return None
+        if not isinstance(link, h5py.HardLink):
+            raise SsacError(
+                f"{path}: {name} is a link to elsewhere: copy what it leads to into the file"
+            )
+    found = file[name]
+    if not isinstance(found, h5py.Dataset) or found.shape is None:
+        raise SsacError(f"{path}: {name} must be a dataset, got {found!r}: convert the file again")
+    if found.external or found.is_virtual:
+        raise SsacError(f"{path}: {name} is stored in other files: copy it into this one")
+    _check_codec(found, name, path)
+    _check_size(found, name, path)
+    return found
+
+
+def _signs_of_loss(found: Any) -> list[str]:
+    """Say what of a dataset is not stored: it would be read as zeros."""
+    if found.size == 0:
+        return []
+    if found.chunks:
+        n_chunks = math.prod(
+            -(-length // at_once) for length, at_once in zip(found.shape, found.chunks, strict=True)
+        )
+        lost = n_chunks - found.id.get_num_chunks()
+        return [f"{lost} of {n_chunks} blocks of {found.name[1:]} are lost"] if lost > 0 else []
+    is_whole = found.id.get_storage_size() >= found.size * found.dtype.itemsize
+    return [] if is_whole else [f"{found.name[1:]} is not stored"]
+
+
+def _sensor_size(file: h5py.File, path: Path) -> tuple[int | None, int | None]:
+    """Width and height [px] from the file's attributes; None where they are missing."""
+    if "geometry" in file.attrs:
+        geometry = file.attrs["geometry"]
+        text = geometry.decode() if isinstance(geometry, bytes) else str(geometry)
+        columns, _, rows = text.partition("x")
+        return _side_px(columns, "geometry", path), _side_px(rows, "geometry", path)
+    link = file.get("events", getlink=True)
+    group = file["events"] if isinstance(link, h5py.HardLink) else file
+    sizes = {key: file.attrs.get(key, group.attrs.get(key)) for key in ("width", "height")}
+    width, height = (
+        None if size is None else _side_px(size, key, path) for key, size in sizes.items()
+    )
+    return width, height
+
+
+def _brief_list(file: h5py.File) -> str:
+    """Names of what stands in a file, not too many."""
+    names = sorted(file)
+    return f"{names[:5]}{' and more' if len(names) > 5 else ''}"
+
+
+def _side_px(value: Any, key: str, path: Path) -> int:
+    try:
+        side_px = int(value)
+    except (TypeError, ValueError, OverflowError):
+        side_px = 0
+    if not 1 <= side_px <= _MAX_SIDE_PX:
+        expected = "WIDTHxHEIGHT" if key == "geometry" else "a number"
+        raise SsacError(
+            f"{path}: the attribute {key} must be {expected} of 1 to {_MAX_SIDE_PX} px, got "
+            f"{str(value)[:40]!r}: correct it, or leave it out"
+        )
+    return side_px
+
+
+def _check_codec(found: Any, name: str, path: Path) -> None:
+    """Raise SsacError when a dataset is compressed with what this HDF5 library cannot read."""
+    filters = found.id.get_create_plist()
+    for k in range(filters.get_nfilters()):
+        code, _, _, codec = filters.get_filter(k)
+        if not h5py.h5z.filter_avail(code):
+            remedy = (
+                "install Prophesee's HDF5 plugin, or convert the file to RAW"
+                if code == _PROPHESEE_ECF
+                else "pip install hdf5plugin"
+            )
+            known_as = codec.decode(errors="replace").partition(";")[0] or "a codec"
+            raise SsacError(
+                f"{path}: {name} is compressed with {known_as} (number {code}), which this "
+                f"HDF5 library does not have: {remedy}"
+            )
+
+
+def _check_size(found: Any, name: str, path: Path) -> None:
+    largest = max(found.size, math.prod(found.chunks or (0,))) * found.dtype.itemsize
+    stored = found.id.get_storage_size()
+    if largest > _NEVER_MIND and largest > _MAX_RATIO * stored:
+        raise SsacError(
+            f"{path}: {name} says that it has {found.size} values, but {stored} bytes of it are "
+            "stored: the file is damaged, copy or record it again"
+        )

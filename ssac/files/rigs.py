@@ -1,4 +1,4 @@
-"""Rig files in (Kalibr camchain YAML, OpenCV stereo YAML), the cameras' Rig out."""
+"""Rig files: Kalibr camchain YAML and OpenCV stereo YAML."""
 
 import re
 import reprlib
@@ -20,11 +20,9 @@ from ssac.camera import (
     check_transform,
 )
 from ssac.errors import SsacError
-from ssac.files.net import check_is_file, readable, silenced
+from ssac.files.readable import check_is_file, readable, silenced
 
-MAX_BYTES = 1 << 20
-"""Of a rig file: of a hundred cameras it has less."""
-
+_MAX_BYTES = 1 << 20  # of a rig file: of a hundred cameras it has less
 _PLUMB_BOB = 5
 _MOST_COEFFICIENTS = 14  # of a lens model, of OpenCV
 _CAMERA = re.compile(r"cam\d+")
@@ -72,8 +70,10 @@ def load_rig(path: Path | str, cameras: tuple[int, int] = (1, 2)) -> Rig:
     if path.suffix.lower() not in (".yaml", ".yml"):
         raise SsacError(f"{path}: unknown extension {path.suffix!r} of a rig: use .yaml or .yml")
     check_is_file(path)
-    if path.stat().st_size > MAX_BYTES:
-        raise SsacError(f"{path}: is no rig, which has less than {MAX_BYTES} bytes: check the path")
+    if path.stat().st_size > _MAX_BYTES:
+        raise SsacError(
+            f"{path}: is no rig, which has less than {_MAX_BYTES} bytes: check the path"
+        )
     with readable(path, "a readable YAML file of a rig"), silenced():
         text = path.read_text(encoding="utf-8")
         if "!!opencv-matrix" in text:

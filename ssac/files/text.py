@@ -1,4 +1,4 @@
-"""Text recordings in and out: ESIM text, and comma-separated values.
+"""Text recordings: ESIM text, and comma-separated values.
 
 ESIM text is `t x y p` per line, t in seconds, with an optional first line `width height`. The csv
 form has a first line that names its columns (t, x, y and p, in any order), t in whole microseconds;
@@ -16,14 +16,11 @@ from numpy.typing import NDArray
 from ssac.errors import SsacError
 from ssac.events import EVENT_DTYPE, US_PER_S, EventFile, events_from_arrays
 from ssac.files.damage import STRICT, Reading, checked_file
-from ssac.files.net import brief, readable
+from ssac.files.readable import brief, check_text
 from ssac.files.whole_file import whole_file
 
-MAX_WHOLE_S = 1000.0
-"""Times in seconds that go further than this and are all whole are none of seconds."""
-
+_MAX_WHOLE_S = 1000.0  # times in seconds that go further and are all whole are none of seconds
 _LONGEST_LINE = 4096  # letters of a first line
-_BYTES_PER_BLOCK = 1 << 22
 _MAX_SIDE_PX = np.iinfo(EVENT_DTYPE["x"]).max
 _MAX_S = 2.0**62 / US_PER_S  # what a time in whole microseconds holds
 
@@ -83,14 +80,7 @@ def save_events_text(
 ) -> None:
     """Write ESIM text, exact to the microsecond; the file appears only when it is complete.
 
-    Parameters
-    ----------
-    path
-        File to write; one that exists is replaced.
-    events
-        Events, dtype EVENT_DTYPE, shape (N,).
-    width, height
-        Sensor size [px] for the first line; None leaves that line out.
+    The sensor's size [px] is the first line; None leaves it out.
     """
     with whole_file(Path(path)) as temporary, temporary.open("w", encoding="utf-8") as file:
         if width is not None and height is not None:
@@ -108,27 +98,6 @@ def _first_line(path: Path) -> str:
             return file.readline(_LONGEST_LINE)
     except UnicodeDecodeError as error:
         raise SsacError(f"{path}: not a text file: give it the extension of its format") from error
-
-
-def check_text(path: Path) -> None:
-    """Raise SsacError when a file has zero bytes, which a reader of text takes for its end."""
-    with readable(path, "a readable file"), path.open("rb") as file:
-        while block := file.read(_BYTES_PER_BLOCK):
-            at = block.find(b"\0")
-            if at >= 0:
-                raise SsacError(
-                    f"{path}: not a text file: byte {file.tell() - len(block) + at} is zero, as "
-                    "where a disk was full or a copy broke off: copy or record it again"
-                )
-
-
-def is_number(word: str) -> bool:
-    """Return whether a word is a number, as `float` reads it: "nan" and "1e3" are."""
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
 
 
 def _is_whole_number(word: str) -> bool:
@@ -191,7 +160,7 @@ def _microseconds_from_seconds(t_s: NDArray[np.float64], path: Path) -> NDArray[
             f"{path}: times must be finite, got nan, inf or more than {_MAX_S:g} s: convert the "
             "file again"
         )
-    if len(t_s) > 1 and t_s[-1] - t_s[0] > MAX_WHOLE_S and np.array_equal(t_s, np.rint(t_s)):
+    if len(t_s) > 1 and t_s[-1] - t_s[0] > _MAX_WHOLE_S and np.array_equal(t_s, np.rint(t_s)):
         raise SsacError(
             f"{path}: t must be in seconds, but all times are whole numbers, up to {t_s[-1]:.0f}, "
             "as of microseconds: divide them by 1000000"

@@ -1,4 +1,4 @@
-"""Track files in and out: comma-separated `t_s,x_px,y_px`, and optionally `sigma_px`.
+"""Track files: comma-separated `t_s,x_px,y_px`, and optionally `sigma_px`.
 
 Times are seconds on the camera's own clock, pixels those of the distorted image, one object, rows
 in time order; where it was not seen, rows are missing.
@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ssac.errors import SsacError
-from ssac.files.net import check_is_file, readable
-from ssac.files.text import check_text
+from ssac.files.readable import check_is_file, check_text, readable
 from ssac.files.whole_file import whole_file
 from ssac.points import PointTrack
 

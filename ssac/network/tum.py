@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssac.errors import SsacError
-from ssac.files.net import check_is_file
-from ssac.files.text import is_number
+from ssac.files.readable import check_is_file, is_number
 from ssac.files.whole_file import whole_file
 
 Array = NDArray[np.float64]

@@ -17,8 +17,15 @@ from ssac.files.damage import STRICT, Reading
 from ssac.methods.rounding import quantum_s
 from ssac.pipeline.answer import Answer, Log, quiet
 from ssac.pipeline.chain import Chain
-from ssac.pipeline.known import NOTHING, Known
-from ssac.pipeline.opened import CameraInput, RigInput, config_of, opened, opened_rig
+from ssac.pipeline.opened import (
+    NOTHING,
+    CameraInput,
+    Known,
+    RigInput,
+    config_of,
+    opened,
+    opened_rig,
+)
 from ssac.pipeline.registry import METHODS, EstimateFunction, choose_method
 from ssac.search.two_views import TwoViews
 from ssac.track.clean import Clean
@@ -27,7 +34,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from ssac.pipeline.many_report import NetworkResult
-    from ssac.plot.plot_data import Material
+    from ssac.pipeline.plots import Material
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -76,7 +83,7 @@ class Result:
         Figure or None
             None where there is nothing to draw.
         """
-        from ssac.plot.plots import page_of
+        from ssac.pipeline.plots import page_of
 
         if path is not None:
             self.plotted(Path(path))
@@ -84,13 +91,13 @@ class Result:
 
     def plotted(self, path: Path) -> list[Path]:
         """Draw as `plot` does, and give the files that were written."""
-        from ssac.plot.plots import save_figures
+        from ssac.pipeline.plots import save_figures
 
         return save_figures(path, self._material)
 
     @property
     def _material(self) -> "Material":
-        from ssac.plot.plot_data import Material
+        from ssac.pipeline.plots import Material
 
         one, other = self.answer.cleans
         views = self.answer.views.under(self.estimate.clock)

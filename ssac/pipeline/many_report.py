@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ssac.compare.frame import Ground
 from ssac.estimate import Status
 from ssac.files.whole_file import whole_file
 from ssac.network.graph import Pair
+from ssac.network.ground import Ground
 from ssac.network.solve import CameraAnswer, NetworkAnswer
 from ssac.pipeline.answer import Answer
 from ssac.pipeline.report import html_of, plain

@@ -20,7 +20,7 @@ from ssac.config import Config
 from ssac.errors import SsacError
 from ssac.events import US_PER_S, EventFile, check_events, events_of_array
 from ssac.files.damage import STRICT, Reading
-from ssac.files.net import check_is_file
+from ssac.files.readable import check_is_file
 from ssac.files.rigs import check_resolution, load_rig
 from ssac.files.track_files import is_track_file, load_track
 from ssac.pipeline.chain import MEANS
@@ -41,6 +41,30 @@ _ARGUMENTS = (
 """Of `sync`, beside the fields of a config."""
 
 _LONG_STEP_S = 0.9  # between points of a track: times that count frames are 1 apart
+
+
+@dataclass(frozen=True)
+class Known:
+    """What is known of the scale and the frame: one of these at most."""
+
+    distance_m: float | None = None  # between the first two cameras
+    positions: Path | None = None  # of the cameras
+    rtk: Path | None = None  # the object's own path, on a clock of its own
+    lever_arm_m: tuple[float, float, float] | None = None  # where RTK's antenna is in the body
+
+    def __post_init__(self) -> None:
+        if self.distance_m is not None and not (
+            isinstance(self.distance_m, (int, float)) and 0.0 < self.distance_m < np.inf
+        ):
+            raise SsacError(f"distance_m must be positive and finite, got {self.distance_m!r}")
+        if sum(one is not None for one in (self.distance_m, self.positions, self.rtk)) > 1:
+            raise SsacError("distance_m, positions, rtk: each sets the scale: give the best alone")
+        for name in ("positions", "rtk"):
+            if isinstance(getattr(self, name), str):
+                object.__setattr__(self, name, Path(getattr(self, name)))
+
+
+NOTHING = Known()
 
 
 @dataclass(frozen=True)
@@ -82,12 +106,14 @@ class Recording:
             check_readout(track.times_s, self.camera.readout_s or 0.0, what)
             _warn_of_long_steps(track.times_s, self.path)
             return tracked(track, self.name)
-        from ssac.files.event_files import load_events, load_frames  # formats and their libraries
+        from ssac.files.event_files import load_events
 
         file = load_events(self.path, self.reading)
         seen = _of_file(file, self.camera, self.camera_name, self.name)
         found = None
         if frames:
+            from ssac.files.hdf5 import load_frames
+
             found = load_frames(self.path, _pixels_of_mean if frames == MEANS else None)
         if found is None:
             return seen

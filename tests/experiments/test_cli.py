@@ -16,9 +16,9 @@ from sim.errors import SimError
 
 # A command that shares its module with another, or the module with the callable it runs.
 ELSEWHERE = {
-    "merge": "sweep", "sync": "sync_command", "study": "command", "ablate": "command",
-    "torture": "command", "track": "track_command", "import": "import_command",
-    "real": "real_command", "compare": "compare_command", "network": "network_command",
+    "merge": "sweep", "study": "command", "ablate": "command",
+    "torture": "command", "track": "convert", "import": "convert",
+    "real": "real_command", "network": "network_command",
     "outdoor": "outdoor_command",
     "physical": "physical_command",
 }  # fmt: skip

@@ -22,7 +22,8 @@ from sim.sensor.events import PRESETS
 from sim.sensor.frames import Frames
 from sim.sensor.kernels import EVENT_DTYPE
 from sim.storage import check_out_dir, record, save_events_text, save_recording
-from ssac.files.event_files import load_events, load_frames
+from ssac.files.event_files import load_events
+from ssac.files.hdf5 import load_frames
 from ssac.files.rigs import load_rig
 
 T_D_S = 0.05

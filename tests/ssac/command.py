@@ -1,4 +1,4 @@
-"""A command line of `python -m ssac.tool`, run within the test."""
+"""A command line of `python -m ssac.cli`, run within the test."""
 
 import io
 import json
@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ssac.tool.__main__ import main
+from ssac.cli.__main__ import main
 
 
 class Run(NamedTuple):

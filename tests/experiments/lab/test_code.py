@@ -89,7 +89,7 @@ def test_every_module_that_an_entry_depends_on_makes_a_new_key(tree: Path) -> No
         ("sim/sensor/kernels.py", "import", "import os\nimport", set(CODES) - OF_EVENTS),
         ("sim/render/shaders/mesh.frag", "void", "/**/ void", set(CODES) - OF_EVENTS),
         ("sim/render/gl_reference.py", "import", "import os\nimport", set()),
-        ("ssac/plot/plots.py", "import", "import os\nimport", set()),
+        ("ssac/pipeline/plots.py", "import", "import os\nimport", set()),
         ("experiments/drawing/style.py", "import", "import os\nimport", set()),
         ("experiments/studies/coverage.py", "import", "import os\nimport", set()),
         ("experiments/measures/refusal_flights.py", "0.25", "0.5", {"refusals"}),
@@ -128,7 +128,7 @@ def test_a_row_depends_on_what_its_pipeline_calls_and_on_nothing_else_of_it() ->
     foreign = ("network", "silhouette", "plot", "path", "compare", "convert", "tool", "follow")
     assert not {name for name in row if name.split(".")[:2] in [["ssac", one] for one in foreign]}
     assert {"ssac.files.rigs", "ssac.files.hdf5"} <= row
-    assert not row & {"ssac.files.event_files", "ssac.files.text", "ssac.files.aedat4"}
+    assert not row & {"ssac.files.event_files", "ssac.files.text", "ssac.files.makers"}
 
 
 def test_how_an_object_moves_is_no_matter_of_what_is_left_without_noise() -> None:

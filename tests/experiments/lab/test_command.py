@@ -13,7 +13,7 @@ from experiments.lab.task import CRASHED
 from experiments.paper.grids import table_cells
 from sim.errors import SimError
 from sim.render.config import RENDERERS
-from ssac.console.exits import BUG
+from ssac.cli.exits import BUG
 from ssac.errors import SsacError
 
 

@@ -24,7 +24,7 @@ from experiments.lab.study import Study, check_runs, numbered, run_study, summar
 from experiments.lab.task import Measure
 from experiments.studies import command, sweep
 from sim.recording import SimConfig
-from ssac.console.exits import BUG
+from ssac.cli.exits import BUG
 from ssac.errors import SsacError
 
 WORDS = ("one", "two", "three", "four")

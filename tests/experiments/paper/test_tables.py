@@ -11,7 +11,7 @@ from experiments.lab.files import SUMS_FILE
 from experiments.lab.schedule import Outcome
 from experiments.lab.task import CRASHED
 from experiments.paper import tables as reproduce
-from ssac.console.exits import BUG
+from ssac.cli.exits import BUG
 from tests.experiments.reported import made_up_runs
 
 pytestmark = pytest.mark.render  # provenance names the GL driver

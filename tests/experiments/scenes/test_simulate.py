@@ -12,7 +12,8 @@ from experiments.cli import app, main
 from sim.effects.config import SensorEffects
 from sim.errors import SimError
 from ssac.errors import SsacError
-from ssac.files.event_files import load_events, load_frames
+from ssac.files.event_files import load_events
+from ssac.files.hdf5 import load_frames
 from ssac.files.rigs import load_rig
 from tests.left_over import ended_process, made_by
 

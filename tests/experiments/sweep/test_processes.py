@@ -16,7 +16,7 @@ from experiments.lab.cache import Cache
 from experiments.lab.grid import load_config
 from experiments.lab.schedule import Workers, run_cells
 from experiments.lab.task import CRASHED
-from ssac.console.exits import BUG, INTERRUPTED
+from ssac.cli.exits import BUG, INTERRUPTED
 from ssac.errors import SsacError
 from tests.experiments.sweep.tiny import ROOT, TOML, started, sweep, swept, without_runs
 

@@ -11,7 +11,9 @@ from faery.file_encoder import events_to_file
 from ssac.errors import SsacError
 from ssac.events import events_from_arrays
 from ssac.files.damage import Reading
-from ssac.files.event_files import load_events, save_events_h5, save_events_text
+from ssac.files.event_files import load_events
+from ssac.files.hdf5 import save_events_h5
+from ssac.files.text import save_events_text
 
 WIDTH, HEIGHT, N = 346, 260, 4000
 ALLOWED = Reading(allow_damaged=True)

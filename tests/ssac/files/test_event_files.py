@@ -14,13 +14,13 @@ from faery.file_encoder import events_to_file
 from ssac.clock import Clock
 from ssac.errors import SsacError
 from ssac.events import EVENT_DTYPE, EventFile, events_from_arrays
-from ssac.files import stored
+from ssac.files import hdf5
 from ssac.files.event_files import (
     load_events,
-    save_events_h5,
-    save_events_text,
     write_synced,
 )
+from ssac.files.hdf5 import save_events_h5
+from ssac.files.text import save_events_text
 
 WIDTH, HEIGHT = 346, 260
 OFFSET_US = 53_217
@@ -336,7 +336,8 @@ _READ_WITHOUT_THE_PLUGIN = """
 import sys
 sys.modules["hdf5plugin"] = None
 from ssac.errors import SsacError
-from ssac.files.event_files import load_events, load_frames
+from ssac.files.event_files import load_events
+from ssac.files.hdf5 import load_frames
 print(len(load_events(sys.argv[1]).events))
 for load in (load_events, load_frames):
     try:
@@ -371,7 +372,7 @@ def test_prophesees_own_codec_is_not_in_that_package(tmp_path, monkeypatch):
     events = _random_events()
     with h5py.File(path, "w") as file:
         file.create_dataset("CD/events", data=events, **hdf5plugin.Blosc())
-    monkeypatch.setattr(stored, "_PROPHESEE_ECF", 32001)
+    monkeypatch.setattr(hdf5, "_PROPHESEE_ECF", 32001)
     monkeypatch.setattr(h5py.h5z, "filter_avail", lambda code: False)
     with pytest.raises(SsacError, match="install Prophesee's HDF5 plugin, or convert the file"):
         load_events(path)

@@ -7,7 +7,7 @@ import pytest
 from ssac.errors import SsacError
 from ssac.events import events_from_arrays
 from ssac.files import hdf5
-from ssac.files.event_files import load_frames, save_events_h5
+from ssac.files.hdf5 import load_frames, save_events_h5
 
 WIDTH, HEIGHT = 346, 260
 EVENTS = events_from_arrays(t=[0, 50_000], x=[1, 345], y=[2, 259], p=[True, False])

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from sim.storage import partial_path
-from ssac.files import temporary
-from ssac.files.temporary import (
+from ssac.files import whole_file as temporary
+from ssac.files.whole_file import (
     LEFT_OVER_S,
     idle_s,
     is_left_over,
@@ -18,8 +18,8 @@ from ssac.files.temporary import (
     remove_left_over,
     temporary_path,
     this_process,
+    whole_file,
 )
-from ssac.files.whole_file import whole_file
 from tests.left_over import ELSEWHERE, ended_process, let_lie, made_by
 
 

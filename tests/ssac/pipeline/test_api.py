@@ -17,7 +17,7 @@ from ssac.errors import SsacError
 from ssac.estimate import Estimate
 from ssac.files.hdf5 import save_events_h5
 from ssac.files.track_files import save_track
-from ssac.pipeline.known import Known
+from ssac.pipeline.opened import Known
 from ssac.points import PointTrack
 from ssac.track.observation import Observation, tracked
 from tests.answers import differences, fields_of

@@ -12,8 +12,7 @@ from ssac.errors import SsacError
 from ssac.files.rigs import load_rig
 from ssac.pipeline.chain import Chain
 from ssac.pipeline.opened import Recording
-from ssac.pipeline.registry import METHODS, OURS, Input, choose_method
-from ssac.pipeline.summaries import DEFAULT
+from ssac.pipeline.registry import DEFAULT, METHODS, OURS, Input, choose_method
 from ssac.track.observation import Observation
 from tests.recorded import T_D_S
 

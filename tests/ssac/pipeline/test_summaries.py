@@ -5,11 +5,10 @@ import sys
 
 import pytest
 
-from ssac.console.command_line import command_line, run
+from ssac.cli.command_line import COMMANDS, command_line, run
+from ssac.cli.sync import complete_method
 from ssac.pipeline.registry import OURS
 from ssac.pipeline.summaries import DEFAULT, SUMMARIES, all_summaries
-from ssac.tool.commands import COMMANDS
-from ssac.tool.sync_command import complete_method
 
 HEAVY = {"numba", "scipy", "cv2", "pandas", "matplotlib", "h5py", "pyrender", "trimesh"}
 
@@ -32,7 +31,7 @@ def test_a_shell_completes_a_methods_name():
     assert [name for name, _ in complete_method("zncc")] == ["zncc_e", "zncc_f"]
 
 
-@pytest.mark.parametrize("module", ["ssac.tool", "experiments"])
+@pytest.mark.parametrize("module", ["ssac.cli", "experiments"])
 @pytest.mark.parametrize("args", [("--help",), ("--version",), ("sync", "--help"), ("sync",)])
 def test_nothing_heavy_is_imported_for_help_or_for_bad_usage(module, args):
     code = f"""

@@ -1,0 +1,239 @@
+"""The command line, and the commands that need recordings alone, no simulator.
+
+A command is imported when it is called: `ssac --help` and shell completion import none of them.
+"""
+
+import difflib
+import gc
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from importlib.metadata import PackageNotFoundError, version
+from typing import Annotated, Any, ClassVar
+
+import typer
+from typer.core import TyperCommand, TyperGroup
+from typer.main import get_command
+
+from ssac.cli.exits import BAD_INPUT, PIPE_CLOSED, fail
+
+DISTRIBUTION = "ssac-suite"
+
+_OBJECTS_PER_COLLECTION = 400_000
+"""Imports make 230,000 objects, those of figures 350,000; to look at them took 0.13 s of `sync`."""
+
+Sections = Mapping[str, Sequence[tuple[str, str]]]
+"""Lists of names with a line on each, by their headings."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One command, not yet imported.
+
+    Its module may have a function `help_sections() -> Sections` with lists for the end of its help.
+    """
+
+    name: str
+    group: str  # heading under which it is listed
+    summary: str  # one line of the list of commands
+    module: str
+    function: str
+
+
+USE = "Use"
+"""Heading of the commands for recordings of one's own; the others reproduce results."""
+
+SYNC = Entry(
+    "sync",
+    USE,
+    "Find time offset and pose of two or more cameras.",
+    "ssac.cli.sync",
+    "sync_command",
+)
+
+TRACK = Entry(
+    "track",
+    USE,
+    "Extract the object's image track from a camera's events.",
+    "ssac.cli.convert",
+    "track_command",
+)
+
+IMPORT = Entry(
+    "import",
+    USE,
+    "Convert a public data set to track files and a rig.",
+    "ssac.cli.convert",
+    "import_command",
+)
+
+COMPARE = Entry(
+    "compare",
+    USE,
+    "Compare an estimated path in space with a reference.",
+    "ssac.cli.compare",
+    "compare_command",
+)
+
+COMMANDS = (SYNC, TRACK, IMPORT, COMPARE)
+
+
+def command_line(entries: Sequence[Entry], description: str) -> typer.Typer:
+    """Make the command line of a table of commands."""
+    table = {entry.name: entry for entry in entries}
+
+    class Commands(_LazyGroup):
+        """The group of these commands."""
+
+        entries = table
+
+    app = typer.Typer(
+        cls=Commands,
+        invoke_without_command=True,
+        pretty_exceptions_enable=False,
+        rich_markup_mode=None,
+        context_settings={"help_option_names": ["-h", "--help"]},
+        help=description,
+    )
+    app.callback()(_options_of_all)
+    return app
+
+
+def run(app: typer.Typer, args: Sequence[str], program: str) -> int:
+    """Run a command line; return its exit code, wrong usage being one line on stderr."""
+    _make_ready()
+    try:
+        return get_command(app).main(list(args), program, standalone_mode=False) or 0
+    except typer.TyperException as error:
+        context = getattr(error, "ctx", None)
+        command = [arg for arg in args[:1] if not arg.startswith("-")]
+        path = context.command_path if context is not None else " ".join([program, *command])
+        return fail(f"{error.format_message().rstrip('.')}; see {path} --help", BAD_INPUT)
+    except SystemExit as end:
+        if isinstance(end.__context__, BrokenPipeError):  # which Typer ends with 1
+            return PIPE_CLOSED
+        raise
+
+
+def _make_ready() -> None:
+    """Spare the imports to come the threads of BLAS, and the looks for garbage.
+
+    Matrices are small: threads would only wait for work, and sums would depend on their number.
+    """
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    gc.set_threshold(_OBJECTS_PER_COLLECTION)
+
+
+# The contexts and formatters that Typer hands to these methods are of classes it does not export.
+
+
+class _LazyGroup(TyperGroup):
+    """Commands that are known by name and summary, and imported one by one."""
+
+    entries: ClassVar[Mapping[str, Entry]] = {}
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Keep the order of the table."""
+        return list(self.entries)
+
+    def get_command(self, ctx: Any, cmd_name: str) -> TyperCommand | None:
+        """Import a command."""
+        entry = self.entries.get(cmd_name)
+        if entry is not None:
+            module = import_module(entry.module)
+            sections = getattr(module, "help_sections", dict)
+            return _command(entry.name, getattr(module, entry.function), sections)
+        if not (ctx.resilient_parsing or cmd_name.startswith("-")):
+            close = difflib.get_close_matches(cmd_name, self.entries)
+            meant = f": did you mean {' or '.join(close)}?" if close else ""
+            ctx.fail(f"there is no command {cmd_name!r}{meant}")
+        return None
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """List the commands under their headings, with whole summaries."""
+        sections: dict[str, list[tuple[str, str]]] = {}
+        for entry in self.entries.values():
+            sections.setdefault(entry.group, []).append((entry.name, entry.summary))
+        _write(sections, formatter)
+
+    def shell_complete(self, ctx: Any, incomplete: str) -> list[Any]:
+        """Complete a command's name without importing any."""
+        from typer.core import CompletionItem  # type: ignore[attr-defined]
+
+        options = TyperCommand.shell_complete(self, ctx, incomplete)
+        return options + [
+            CompletionItem(entry.name, help=entry.summary)
+            for entry in self.entries.values()
+            if entry.name.startswith(incomplete)
+        ]
+
+
+class _WordyCommand(TyperCommand):
+    """A command whose usage shows arguments as they are written, and with lists below its help."""
+
+    sections: Callable[[], Sections] = dict
+
+    def collect_usage_pieces(self, ctx: Any) -> list[str]:
+        """Show a required argument without braces."""
+        return [
+            piece.replace("{", "").replace("}", "") for piece in super().collect_usage_pieces(ctx)
+        ]
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Write arguments without their Python types, then options."""
+        rows: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": []}
+        for param in self.get_params(ctx):
+            record = param.get_help_record(ctx)
+            if record is None:
+                continue
+            if param.param_type_name == "argument":
+                rows["Arguments"].append((record[0].partition(" <")[0], record[1]))
+            else:
+                rows["Options"].append(record)
+        _write({heading: some for heading, some in rows.items() if some}, formatter)
+
+    def format_epilog(self, ctx: Any, formatter: Any) -> None:
+        """Add the lists."""
+        _write(self.sections(), formatter)
+
+
+def _command(
+    name: str, function: Callable[..., Any], sections: Callable[[], Sections]
+) -> _WordyCommand:
+    app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
+    app.command(name, cls=_WordyCommand)(function)
+    command = get_command(app)
+    assert isinstance(command, _WordyCommand)  # as asked for
+    command.sections = sections
+    return command
+
+
+def _write(sections: Sections, formatter: Any) -> None:
+    for heading, rows in sections.items():
+        with formatter.section(heading):
+            formatter.write_dl(rows)
+
+
+def _show_version(asked: bool) -> None:
+    if asked:
+        try:
+            number = version(DISTRIBUTION)
+        except PackageNotFoundError:
+            number = "of an unknown version: the package is not installed"
+        typer.echo(f"ssac {number}")
+        raise typer.Exit
+
+
+def _options_of_all(
+    context: typer.Context,
+    show_version: Annotated[
+        bool,
+        typer.Option(
+            "--version", callback=_show_version, is_eager=True, help="Show the version and exit."
+        ),
+    ] = False,
+) -> None:
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help(), err=True)
+        raise typer.Exit(BAD_INPUT)

@@ -1,0 +1,103 @@
+"""The command `ssac compare`: how far an estimated path is from a reference."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ssac.cli.options import number
+from ssac.errors import SsacError
+
+SCALES = ("unknown", "known")
+
+
+def compare_command(
+    estimate: Annotated[
+        Path, typer.Argument(metavar="ESTIMATE", help="Estimated path.", show_default=False)
+    ],
+    truth: Annotated[
+        Path,
+        typer.Argument(metavar="TRUTH", help="Reference path, such as RTK.", show_default=False),
+    ],
+    scale: Annotated[
+        str, typer.Option(metavar="|".join(SCALES), help="known: the estimate is in metres.")
+    ] = SCALES[0],
+    max_shift: Annotated[
+        float | None,
+        number(
+            "Largest shift of the truth's clock to try, either way.",
+            0,
+            1e10,
+            "seconds",
+            default_words="all that leave enough common time",
+        ),
+    ] = None,
+    rate_std: Annotated[
+        float,
+        number(
+            "Prior standard deviation of the clocks' relative rate; 0: same rate.", 0, 10_000, "ppm"
+        ),
+    ] = 50.0,
+    lever_arm: Annotated[
+        tuple[float, float, float] | None,
+        number(
+            "Position of the truth's antenna in the body: forward, left, up. Needs its attitude.",
+            -100,
+            100,
+            "metres",
+            metavar="X Y Z",
+        ),
+    ] = None,
+    plot: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Figure to write (.png, .pdf, .svg).")
+    ] = None,
+    json_file: Annotated[
+        Path | None, typer.Option("--json", metavar="FILE", help="Write all numbers as JSON.")
+    ] = None,
+) -> None:
+    """Say how far a path is from the truth, at equal times and as a shape.
+
+    Paths are TUM (t x y z qx qy qz qw), csv (t_s,x_m,y_m,z_m) or rows of x y z. Frame, scale, time
+    shift and clock rate are found.
+    """
+    from ssac.files.whole_file import FIGURE_SUFFIXES, check_targets, whole_file
+    from ssac.network.comparison import compare
+    from ssac.network.tum import read_path
+
+    if scale not in SCALES:
+        raise SsacError(f"--scale: expected {' or '.join(SCALES)}, got {scale!r}")
+    check_targets((plot, json_file), (estimate, truth))
+    if plot is not None and plot.suffix.lower() not in FIGURE_SUFFIXES:
+        raise SsacError(f"{plot}: a figure is a file ending in {', '.join(FIGURE_SUFFIXES)}")
+    paths = read_path(estimate, needs_times=False), read_path(truth, needs_times=False)
+    found = compare(*paths, scale == "unknown", max_shift, rate_std, lever_arm)
+    if json_file is not None:
+        text = json.dumps(found.figures(), indent=1, allow_nan=False) + "\n"
+        with whole_file(json_file) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+    if plot is not None:
+        from ssac.pipeline.plots import save_comparison
+
+        save_comparison(plot, found)
+    if found.in_time is None:
+        typer.echo("at equal times  no: there are no times in both")
+    else:
+        clock = found.in_time.clock
+        typer.echo(
+            f"clock           truth = estimate {clock.t_d_s:+.4f} s, {clock.skew_ppm:+.1f} ppm; "
+            f"holds at {clock.t_ref_s:.3f} s of the estimate's"
+        )
+        typer.echo(
+            f"at equal times  {_told(found.in_time.figures())}, "
+            f"{100.0 * found.in_time.coverage:.1f} % of the truth's covered, "
+            f"{100.0 * found.in_time.explained:.2f} % of its motion explained"
+        )
+    typer.echo(f"as shapes, ICP  {_told(found.as_shape.figures())}")
+
+
+def _told(figures: dict[str, float | int]) -> str:
+    return (
+        "RMSE {rmse_m:.4f} m, median {median_m:.4f} m, max {max_m:.4f} m, scale {scale:.6g}, "
+        "{n_samples} samples"
+    ).format(**figures)

@@ -1,0 +1,133 @@
+"""The commands `ssac track` and `ssac import`, which make track files of other recordings."""
+
+import warnings
+from enum import Enum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ssac.cli.exits import warnings_as_lines
+from ssac.cli.options import AllowDamaged, NoDenoise, Sort, n_min_of, number
+from ssac.config import Config
+from ssac.errors import SsacError
+
+MAX_CAMERA = 1000
+
+
+def track_command(
+    cam: Annotated[
+        Path, typer.Argument(metavar="CAM", help="Event file of one camera.", show_default=False)
+    ],
+    rig: Annotated[
+        Path,
+        typer.Option(
+            metavar="FILE", help="Calibration: Kalibr or OpenCV YAML.", show_default=False
+        ),
+    ],
+    out: Annotated[
+        Path, typer.Option(metavar="FILE", help="Track file to write (.csv).", show_default=False)
+    ],
+    camera: Annotated[
+        int, number("Number of this camera in the rig.", 1, MAX_CAMERA, metavar="K")
+    ] = 1,
+    no_denoise: NoDenoise = False,
+    faint: Annotated[
+        bool,
+        typer.Option(
+            "--faint",
+            help="Follow an object so small and far away that the noise filter would remove its"
+            " events. Usually with --half-window 0.05 --n-min 8.",
+        ),
+    ] = False,
+    allow_damaged: AllowDamaged = False,
+    sort: Sort = False,
+    half_window: Annotated[
+        float,
+        number("Half of the time window whose events give a point.", 0.001, 0.25, "seconds"),
+    ] = Config.half_window_s,
+    n_min: Annotated[int | None, n_min_of("a point")] = None,
+) -> None:
+    """Write the path of the one moving object as a track file: t_s,x_px,y_px,sigma_px."""
+    from ssac.events import check_events
+    from ssac.files.damage import Reading
+    from ssac.files.event_files import load_events
+    from ssac.files.rigs import check_resolution, load_camera
+    from ssac.files.track_files import TRACK_SUFFIX, is_track_file, save_track
+    from ssac.files.whole_file import check_target
+    from ssac.pipeline.object_track import things_seen, track_of_events
+    from ssac.track.clean import clean
+    from ssac.track.faint import faint_object_events
+    from ssac.track.observation import Observation
+
+    if out.suffix.lower() != TRACK_SUFFIX:
+        raise SsacError(f"{out}: a track is written as {TRACK_SUFFIX}: name such a file")
+    if faint and no_denoise:
+        raise SsacError("--faint tells the object from noise, --no-denoise keeps it: leave one out")
+    check_target(out, (cam,))
+    if is_track_file(cam):
+        raise SsacError(f"{cam}: is a track already: give a camera's events")
+    calibrated, name = load_camera(rig, camera), f"camera {camera} of {rig}"
+    with warnings_as_lines():
+        file = load_events(cam, Reading(allow_damaged, sort))
+    check_resolution(calibrated, file.width, file.height, name, str(cam))
+    check_events(file.events, calibrated.width, calibrated.height, f"{cam} with {name}")
+    config = Config(half_window_s=half_window, n_min=n_min, denoise=not (no_denoise or faint))
+    try:
+        events = file.events
+        if faint:
+            events = faint_object_events(events, calibrated.width, calibrated.height)
+        seen = clean(Observation(events), calibrated, config.cleaning)
+        track = track_of_events(seen, config)
+        n_things = things_seen(seen)
+    except SsacError as error:
+        raise SsacError(f"{cam}: {error}") from error
+    if n_things > 1:
+        with warnings_as_lines():
+            warnings.warn(
+                f"{cam}: {n_things} things move at a time, and the track lies between them: give "
+                "the events themselves to ssac sync, which tells the one that all cameras see",
+                stacklevel=1,
+            )
+    save_track(out, track)
+    typer.echo(
+        f"{out}: {len(track)} points from {track.times_s[0]:.3f} to {track.times_s[-1]:.3f} s"
+    )
+
+
+class Form(str, Enum):
+    """What can be imported."""
+
+    DRONE_TRACKING = "drone-tracking"
+
+
+def import_command(
+    form: Annotated[
+        Form, typer.Argument(metavar="FORM", help="Data set: drone-tracking.", show_default=False)
+    ],
+    folder: Annotated[
+        Path, typer.Argument(metavar="FOLDER", help="Folder of one data set.", show_default=False)
+    ],
+    out: Annotated[
+        Path,
+        typer.Argument(metavar="OUT", help="Folder to write cam*.csv and rig.yaml to."),
+    ],
+) -> None:
+    """Turn a public data set into track files and a rig.
+
+    drone-tracking: a folder dataset1 ... dataset5 of github.com/CenekAlbl/drone-tracking-datasets.
+    """
+    from ssac.files.drone_tracking import import_data_set
+    from ssac.files.whole_file import check_folder
+
+    if out.exists() and (not out.is_dir() or (folder.exists() and out.samefile(folder))):
+        raise SsacError(f"{out}: not a folder to write to: name another")
+    check_folder(out)
+    for camera in import_data_set(folder, out):
+        left_out = f", {camera.n_outside} outside the image left out" if camera.n_outside else ""
+        start_s, end_s = camera.track.times_s[[0, -1]]
+        typer.echo(
+            f"{out / camera.name}.csv: {camera.model}, {len(camera.track)} points from "
+            f"{start_s:.1f} to {end_s:.1f} s at {camera.fps:g} frames/s{left_out}"
+        )
+    typer.echo(f"{out / 'rig.yaml'}")

@@ -1,0 +1,112 @@
+"""The files that `ssac sync` writes of two cameras, and those on scale and frame that it reads."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from ssac.errors import SsacError
+from ssac.files.damage import Reading
+from ssac.files.event_files import WRITTEN, check_written, load_events, write_synced
+from ssac.files.track_files import TRACK_SUFFIX, is_track_file, load_track, save_track
+from ssac.files.whole_file import FIGURE_SUFFIXES, check_folder, check_targets
+from ssac.pipeline.answer import Log, Stopwatch
+from ssac.pipeline.api import Result
+from ssac.pipeline.opened import Known
+from ssac.pipeline.report import save_json
+
+
+@dataclass(frozen=True)
+class Outputs:
+    """Where to write; None: not asked for."""
+
+    json_file: Path | None = None
+    plot: Path | None = None  # a folder, or one file for all figures
+    synced: Path | None = None  # camera 2's events on camera 1's clock
+    trajectory: Path | None = None  # the object's path
+
+
+def check_outputs(inputs: Sequence[Path], outputs: Outputs) -> None:
+    """Raise SsacError, before any work is done, for outputs that cannot be written.
+
+    Of the inputs, camera 2's file is the second.
+    """
+    synced, plot = outputs.synced, outputs.plot
+    if synced is not None:
+        check_written(synced, (TRACK_SUFFIX,) if is_track_file(inputs[1]) else WRITTEN)
+    files = [outputs.json_file, synced, outputs.trajectory]
+    if plot is not None and _is_figure(plot):
+        files.append(plot)
+    elif plot is not None:
+        check_folder(plot)
+    check_targets(files, inputs)
+
+
+def write_outputs(result: Result, outputs: Outputs, cam2: Path, reading: Reading, log: Log) -> None:
+    """Write what was asked for and say so; synchronised events only where the offset holds."""
+    clock = Stopwatch(log)
+    estimate, synced = result.estimate, outputs.synced
+    if outputs.json_file is not None:
+        save_json(outputs.json_file, result.answer)
+        log(f"wrote {outputs.json_file}")
+    if outputs.plot is not None:
+        with clock.part("draw") as say:
+            drawn = result.plotted(outputs.plot)
+            say(", ".join(map(str, drawn)) or "nothing: the method left no curve and no track")
+    if synced is not None and estimate.has_offset:
+        with clock.part("write") as say:
+            # Read again, whole: what is in memory has been denoised.
+            _write_synced(synced, result, cam2, reading)
+            known = np.isfinite(estimate.t_d_std_s)
+            say(str(synced) if known else f"{synced}, by an offset of unknown accuracy")
+    elif synced is not None:
+        log(f"not written: {synced}, since there is no reliable offset")
+
+
+def _write_synced(path: Path, result: Result, cam2: Path, reading: Reading) -> None:
+    """Write camera 2's events or points on camera 1's clock."""
+    clock = result.estimate.clock
+    if not is_track_file(cam2):
+        write_synced(path, load_events(cam2, reading), clock)
+        return
+    track = load_track(cam2)
+    save_track(path, replace(track, times_s=clock.cam1_from_cam2(track.times_s)))
+
+
+def _is_figure(plot: Path) -> bool:
+    """Tell a file for all figures from a folder for them; SsacError for what can be neither."""
+    if plot.suffix.lower() in FIGURE_SUFFIXES:
+        return True
+    if plot.exists() and not plot.is_dir():
+        raise SsacError(
+            f"{plot}: exists and is no folder: name a folder, or a file ending in "
+            f"{', '.join(FIGURE_SUFFIXES)}"
+        )
+    return False
+
+
+def known_of(
+    distance_m: float | None,
+    positions: Path | None,
+    rtk: Path | None,
+    lever_arm_m: tuple[float, float, float] | None = None,
+) -> Known:
+    """Sum up options on the scale and the frame, and check their files before hours of work."""
+    given = {"--distance": distance_m, "--positions": positions, "--rtk": rtk}
+    names = [name for name, value in given.items() if value is not None]
+    if len(names) > 1:
+        raise SsacError(
+            f"{names[0]}: not with {names[1]}, as each sets the scale: give the better one alone"
+        )
+    if lever_arm_m is not None and rtk is None:
+        raise SsacError("--lever-arm: is of RTK's antenna: give --rtk too, or leave it out")
+    if positions is not None:
+        from ssac.network.ground import load_positions  # and with it all that compares paths
+
+        load_positions(positions)
+    if rtk is not None:
+        from ssac.network.ground import check_rtk
+
+        check_rtk(rtk, lever_arm_m)
+    return Known(distance_m, positions, rtk, lever_arm_m)

@@ -1,1 +1,0 @@
-"""Recordings in one form in, the same in another out."""

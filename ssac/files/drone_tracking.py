@@ -1,0 +1,140 @@
+"""Public drone-tracking data sets, as tracks and a rig in our form.
+
+The data sets (github.com/CenekAlbl/drone-tracking-datasets, Li et al., IROS 2020) are not ours to
+ship: their licence is CC BY-NC-SA. A folder has `cameras.txt`, `detections/camK.txt` with a line
+`frame x y` for each frame (0 0 where nothing was seen), and beside it `calibration/MODEL/*.json`.
+"""
+
+import json
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from ssac.errors import SsacError
+from ssac.files.readable import is_number, readable
+from ssac.files.track_files import save_track
+from ssac.files.whole_file import whole_file
+from ssac.points import PointTrack
+
+OF_DATA_SET = {"mate10": ("mate10_1", "mate10_2"), "sonyG": ("sonyG_1", "sonyG_2")}
+"""Models that were calibrated twice: for data sets 1 and 2, and for the later ones."""
+
+KEYFRAMES = {4: 4}
+"""Data sets of which only every n-th frame was labelled, and n; those between are interpolated, and
+would make deviations too small."""
+
+FOCAL_STD, CENTRE_STD_PX = 0.005, 3.0
+"""How well phones and camcorders keep a calibration, with focus and stabilisation: between a good
+and a careless one. What a good one allows for, cameras 0 and 1 of data set 1 contradict."""
+
+_LATER = 3  # first data set of the second calibrations
+_LINE = re.compile(r"cam(\d+)\s*-\s*(\S+)")
+
+
+@dataclass(frozen=True)
+class ImportedCamera:
+    """One camera of a data set."""
+
+    name: str  # of its files
+    model: str
+    fps: float  # as its calibration says
+    rig: dict[str, Any]  # its entry in a camchain
+    track: PointTrack
+    n_outside: int  # points beyond the image, left out
+
+
+def load_data_set(folder: Path) -> list[ImportedCamera]:
+    """Read all cameras of one data set.
+
+    Raises
+    ------
+    SsacError
+        If a file is missing or not of this form. The message names it.
+    """
+    listing = folder / "cameras.txt"
+    if not listing.is_file():
+        raise SsacError(
+            f"{folder}: expected a data set with cameras.txt and detections/: give such a folder"
+        )
+    with readable(listing, "a list of cameras"):
+        rows = _LINE.findall(listing.read_text(encoding="utf-8"))
+    if not rows:
+        raise SsacError(f"{listing}: expected lines like `cam0 - gopro3`: get the file again")
+    number = int("".join(re.findall(r"\d+$", folder.resolve().name)) or 0)
+    return [_camera(folder, f"cam{k}", model, number) for k, model in rows]
+
+
+def import_data_set(folder: Path, out: Path) -> list[ImportedCamera]:
+    """Write `camK.csv` for each camera of a data set, and `rig.yaml` with the same names."""
+    cameras = load_data_set(folder)
+    out.mkdir(parents=True, exist_ok=True)
+    for camera in cameras:
+        save_track(out / f"{camera.name}.csv", camera.track)
+    with whole_file(out / "rig.yaml") as temporary:
+        rig = {camera.name: camera.rig for camera in cameras}
+        temporary.write_text(yaml.safe_dump(rig, sort_keys=False), encoding="utf-8")
+    return cameras
+
+
+def _camera(folder: Path, name: str, model: str, number: int) -> ImportedCamera:
+    rig, fps = _calibration(folder.parent / "calibration" / model, model, number)
+    path = folder / "detections" / f"{name}.txt"
+    frames, points = _detections(path)
+    step = KEYFRAMES.get(number, 1)
+    seen = (points != 0.0).any(axis=1) & (frames % step == 1 % step)
+    size = np.array(rig["resolution"])
+    inside = np.all((points >= -0.5) & (points <= size - 0.5), axis=1)
+    kept = seen & inside
+    if not kept.any():
+        raise SsacError(f"{path}: the object is seen in no frame: get the file again")
+    track = PointTrack(frames[kept] / fps, points[kept])
+    return ImportedCamera(name, model, fps, rig, track, int(np.count_nonzero(seen & ~inside)))
+
+
+def _calibration(folder: Path, model: str, number: int) -> tuple[dict[str, Any], float]:
+    """Camchain entry and frame rate [1/s] of a model."""
+    name = OF_DATA_SET.get(model, (model, model))[number >= _LATER]
+    path = folder / f"{name}.json"
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+        K = np.array(found["K-matrix"], dtype=np.float64)
+        coeffs = [float(value) for value in found["distCoeff"]]
+        width, height = (int(value) for value in found["resolution"])
+        fps = float(found["fps"])
+        if not 0.0 < fps < np.inf:
+            raise ValueError(f"{fps:g} frames a second")
+        fu, fv, pu, pv = (float(K[i, j]) for i, j in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    except (OSError, ArithmeticError, ValueError, LookupError, TypeError, RecursionError) as error:
+        raise SsacError(
+            f"{path}: expected a calibration with K-matrix, distCoeff, fps and resolution "
+            f"({type(error).__name__}: {error}): get the file again"
+        ) from error
+    entry = {
+        "camera_model": "pinhole",
+        "intrinsics": [fu, fv, pu, pv],
+        "distortion_model": "plumb_bob" if len(coeffs) == 5 else "radtan",
+        "distortion_coeffs": coeffs,
+        "resolution": [width, height],
+        "intrinsics_std": [FOCAL_STD * fu, FOCAL_STD * fv, CENTRE_STD_PX, CENTRE_STD_PX],
+    }
+    return entry, fps
+
+
+def _detections(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Frames (n,) and points (n, 2) [px]; a header is passed over."""
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+        rows = [line.split() for line in lines if line.strip()]
+        if rows and not is_number(rows[0][0]):
+            rows = rows[1:]
+        table = np.array(rows, dtype=np.float64).reshape(-1, 3)
+    except (OSError, ValueError) as error:
+        raise SsacError(
+            f"{path}: expected lines `frame x y` ({error}): get the file again"
+        ) from error
+    return table[:, 0], table[:, 1:]

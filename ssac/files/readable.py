@@ -1,0 +1,79 @@
+"""Whatever a library raises about a file becomes one error of ours, which names the file."""
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from ssac.errors import SsacError
+
+_OURS = (SsacError, KeyboardInterrupt, SystemExit, GeneratorExit)
+
+
+def check_is_file(path: Path) -> None:
+    """Raise SsacError when there is no such file."""
+    if not path.is_file():
+        raise SsacError(f"{path}: there is no such file: check the path")
+
+
+@contextmanager
+def readable(path: Path, kind: str) -> Iterator[None]:
+    """Turn whatever the block raises into one SsacError, but for our own errors and interrupts.
+
+    Libraries raise more than they document: KeyError and RuntimeError from damaged HDF5,
+    MemoryError from a size that is nonsense, RecursionError from nested YAML, and, compiled from
+    Rust, panics that are no Exception at all. `kind` is what it is to be: "a readable HDF5 file".
+    """
+    try:
+        yield
+    except _OURS:
+        raise
+    except BaseException as error:
+        raise SsacError(f"{path}: not {kind} ({brief(error)}): copy or record it again") from error
+
+
+def brief(error: BaseException, longest: int = 200) -> str:
+    """Say in a few words of one line what a library raised."""
+    words = " ".join(str(error).split()) or type(error).__name__
+    return words if len(words) <= longest else f"{words[:longest]}..."
+
+
+@contextmanager
+def silenced() -> Iterator[None]:
+    """Keep what compiled code writes to stderr from it: a panic prints lines of its own.
+
+    Python's own output is not held back for long: nothing else is to run in the block.
+    """
+    try:
+        kept = os.dup(2)
+    except OSError:  # there is no stderr
+        yield
+        return
+    try:
+        with suppress(OSError), open(os.devnull, "wb") as nowhere:
+            os.dup2(nowhere.fileno(), 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+
+
+def check_text(path: Path) -> None:
+    """Raise SsacError when a file has zero bytes, which a reader of text takes for its end."""
+    with readable(path, "a readable file"), path.open("rb") as file:
+        while block := file.read(1 << 22):
+            at = block.find(b"\0")
+            if at >= 0:
+                raise SsacError(
+                    f"{path}: not a text file: byte {file.tell() - len(block) + at} is zero, as "
+                    "where a disk was full or a copy broke off: copy or record it again"
+                )
+
+
+def is_number(word: str) -> bool:
+    """Return whether a word is a number, as `float` reads it: "nan" and "1e3" are."""
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True

@@ -1,0 +1,257 @@
+"""How far an estimated path is from a true one: at equal times, and as shapes.
+
+As shapes, paths are registered by iterative closest points, as the paper registers its outdoor path
+to RTK: each point of the estimate goes with the nearest of the truth. What is left is a distance
+between shapes: an error along the path, as of a wrong clock, does not show in it.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
+
+from ssac.clock import Clock
+from ssac.errors import SsacError
+from ssac.network.align import RATE_STD_PPM, Similarity, best_shift, interpolated, similarity
+from ssac.network.tum import Path
+
+Array = NDArray[np.float64]
+
+_LEAST_POINTS = 3  # that are not on a line
+_DENSE = 20  # points from one of the truth's to the next, where it is a shape
+_MOST_POINTS = 2000  # of the estimate, evenly, while it is moved
+_N_STEPS = 200
+_DONE = 1e-7  # change of the distance, by itself
+_MOST_GROWTH = 2.0  # of the scale from its start: the nearest points of a small path are one point
+
+
+@dataclass(frozen=True, eq=False)
+class Difference:
+    """Distances between two paths, one laid over the other."""
+
+    similarity: Similarity  # from the estimate's frame to the truth's
+    distances_m: Array  # (n,) of each sample
+
+    @property
+    def rmse_m(self) -> float:
+        """Root of the mean square."""
+        return float(np.sqrt(np.mean(self.distances_m**2)))
+
+    def figures(self) -> dict[str, float | int]:
+        """Give its numbers by name, as machines read them."""
+        return {
+            "rmse_m": self.rmse_m,
+            "median_m": float(np.median(self.distances_m)),
+            "max_m": float(self.distances_m.max()),
+            "scale": self.similarity.scale,
+            "n_samples": len(self.distances_m),
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class InTime(Difference):
+    """The difference at equal times, at the truth's samples that the estimate covers."""
+
+    clock: Clock  # the truth's, as the estimate's times see it
+    times_s: Array  # (n,) on the truth's clock
+    truth_m: Array  # (n, 3)
+    estimate_m: Array  # (n, 3) in the truth's frame
+    coverage: float  # share of the truth's samples, from the estimate's first time to its last
+
+    @property
+    def explained(self) -> float:
+        """Share of the truth's variance that the estimate has too; far from 1: another flight."""
+        about_mean = np.sum((self.truth_m - self.truth_m.mean(axis=0)) ** 2)
+        return float(1.0 - np.sum(self.distances_m**2) / about_mean)
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """How far an estimate is from a truth."""
+
+    in_time: InTime | None  # None: one of the two has no times
+    as_shape: Difference  # by ICP; of the estimate's own points, at times that the truth has
+    estimate_m: Array  # (m, 3) all of it in the truth's frame: in time where there are times
+    truth_m: Array  # (k, 3) all of it, the lever arm taken away
+
+    def figures(self) -> dict[str, Any]:
+        """Give its numbers by name, as machines read them."""
+        found: dict[str, Any] = {"in_time": None, "as_shape": self.as_shape.figures()}
+        if self.in_time is not None:
+            clock, frame = self.in_time.clock, self.in_time.similarity
+            found["in_time"] = self.in_time.figures() | {
+                "coverage": self.in_time.coverage,
+                "explained": self.in_time.explained,
+                "shift_s": clock.t_d_s,
+                "rate_ppm": clock.skew_ppm,
+                "t_ref_s": clock.t_ref_s,
+                "R": frame.R.tolist(),
+                "t": frame.t.tolist(),
+            }
+        return found
+
+
+def compare(
+    estimate: Path,
+    truth: Path,
+    with_scale: bool = True,
+    max_shift_s: float | None = None,
+    rate_std_ppm: float = RATE_STD_PPM,
+    lever_arm_m: tuple[float, float, float] | None = None,
+) -> Comparison:
+    """Compare an estimated path with a true one.
+
+    Parameters
+    ----------
+    estimate, truth
+        In frames and on clocks of their own; where one has no times, they are compared as shapes.
+    with_scale
+        Whether the estimate's scale is unknown.
+    max_shift_s, rate_std_ppm
+        Of the truth's clock, as `ssac.network.align.best_shift` has them.
+    lever_arm_m
+        Where the truth's antenna is in the body (forward, left, up); needs the truth's attitude.
+
+    Returns
+    -------
+    Comparison
+        At equal times the similarity is that of least squares, as other tools have it.
+
+    Raises
+    ------
+    SsacError
+        If they share too little time or do not move enough, or the attitude is missing.
+    """
+    for name, path in (("estimate", estimate), ("truth", truth)):
+        if len(path) < _LEAST_POINTS:
+            raise SsacError(
+                f"the {name} has {len(path)} points, and at least {_LEAST_POINTS} tell how it is "
+                "turned: give more of it"
+            )
+    if lever_arm_m is not None:
+        truth = without_lever_arm(truth, lever_arm_m)
+    in_time, start, points = None, None, estimate.positions_m
+    if estimate.has_times and truth.has_times:
+        clock, _ = best_shift(estimate, truth, max_shift_s, rate_std_ppm, with_scale)
+        in_time = at_equal_times(estimate, truth, clock, with_scale)
+        start = in_time.similarity
+        # Where the truth has a gap, or is over, the nearest of its points is another place's.
+        points = points[interpolated(truth).covers(clock.cam2_from_cam1(estimate.times_s))]
+    fit, distances_m = registered(points, _shape(truth), start, with_scale)
+    frame = start or fit
+    return Comparison(
+        in_time,
+        Difference(fit, distances_m),
+        frame.apply(estimate.positions_m),
+        truth.positions_m,
+    )
+
+
+def at_equal_times(estimate: Path, truth: Path, clock: Clock, with_scale: bool) -> InTime:
+    """Give the difference at the truth's samples, the truth's clock being known."""
+    path, times_s = interpolated(estimate), clock.cam1_from_cam2(truth.times_s)
+    seen = path.covers(times_s)
+    between = (times_s >= estimate.times_s[0]) & (times_s <= estimate.times_s[-1])
+    if not seen.any():
+        raise SsacError("the estimate and the truth share no time: check the shift")
+    target, source = truth.positions_m[seen], path.at(times_s[seen])
+    frame = similarity(source, target, with_scale)
+    laid = frame.apply(source)
+    distances_m = np.linalg.norm(laid - target, axis=1)
+    coverage = float(seen.sum() / between.sum())
+    return InTime(frame, distances_m, clock, truth.times_s[seen], target, laid, coverage)
+
+
+def without_lever_arm(truth: Path, lever_arm_m: tuple[float, float, float]) -> Path:
+    """Move the truth from its antenna to the body's origin."""
+    if truth.quaternions is None:
+        raise SsacError(
+            "a lever arm turns with the body, and the truth has no attitude: give it as TUM with "
+            "qx qy qz qw, or leave the lever arm out, whose constant part the alignment takes"
+        )
+    arms_m = Rotation.from_quat(truth.quaternions).apply(np.asarray(lever_arm_m))
+    return replace(truth, positions_m=truth.positions_m - arms_m)
+
+
+def _shape(truth: Path) -> Array:
+    """Points of the truth and between them, but for its gaps."""
+    n = len(truth)
+    times_s = truth.times_s if truth.has_times else np.arange(n, dtype=np.float64)
+    dense_s = np.interp(np.arange((n - 1) * _DENSE + 1) / _DENSE, np.arange(n), times_s)
+    points = interpolated(replace(truth, times_s=times_s)).at(dense_s)
+    return np.asarray(points[np.isfinite(points[:, 0])])
+
+
+def registered(
+    source: Array, target: Array, start: Similarity | None, with_scale: bool
+) -> tuple[Similarity, Array]:
+    """Register one path to another.
+
+    Parameters
+    ----------
+    source, target
+        Points (n, 3) and (m, 3) [m]; the target's dense beside the errors that are sought.
+    start
+        Where to begin; None: where the middles, sizes and main axes agree, in the best of the ways
+        that they can, for which both must be of the whole flight.
+    with_scale
+        Whether the scale is free.
+
+    Returns
+    -------
+    tuple of Similarity and NDArray
+        From the source's frame to the target's, and the distance (n,) [m] of each point.
+    """
+    tree = KDTree(target)
+    thin = source[:: max(1, len(source) // _MOST_POINTS)]
+    starts = [start] if start is not None else [*_by_main_axes(source, target, with_scale)]
+    found = [_closest(thin, target, tree, each, with_scale) for each in starts]
+    # By the scale: a path that shrinks is near to everything.
+    best, _ = min(found, key=lambda fit: fit[1] / fit[0].scale)
+    return best, np.asarray(tree.query(best.apply(source))[0])
+
+
+def _closest(
+    source: Array, target: Array, tree: KDTree, start: Similarity, with_scale: bool
+) -> tuple[Similarity, float]:
+    """Move the source until its distances rest; give the similarity and their RMS [m]."""
+    fit, before = start, np.inf
+    for _ in range(_N_STEPS):
+        distances, nearest = tree.query(fit.apply(source))
+        rms = float(np.sqrt(np.mean(distances**2)))
+        if before - rms <= _DONE * rms:
+            break
+        before = rms
+        try:
+            moved = similarity(source, target[nearest], with_scale)
+        except SsacError:
+            break  # all nearest to one stretch of the truth
+        if not 1.0 / _MOST_GROWTH < moved.scale / start.scale < _MOST_GROWTH:
+            break
+        fit = moved
+    return fit, before
+
+
+def _by_main_axes(source: Array, target: Array, with_scale: bool) -> Iterator[Similarity]:
+    """Yield the four similarities that take main axes to main axes."""
+    (middle, axes, size), (middle_target, axes_target, size_target) = map(_main, (source, target))
+    scale = size_target / size if with_scale else 1.0
+    for one, two in product((1.0, -1.0), repeat=2):
+        signs = np.array([one, two, one * two])
+        R = (axes_target * signs) @ axes.T
+        yield Similarity(scale, R, middle_target - scale * R @ middle)
+
+
+def _main(points: Array) -> tuple[Array, Array, float]:
+    """Give the middle (3,), main axes (3, 3) in columns, right-handed, and RMS size of points."""
+    middle = points.mean(axis=0)
+    _, values, axes = np.linalg.svd(points - middle, full_matrices=False)
+    if len(points) < 3 or values[1] <= 0.0:
+        raise SsacError("a path of points on a line does not tell how it is turned")
+    axes = axes.T * np.array([1.0, 1.0, np.linalg.det(axes)])
+    return middle, axes, float(np.sqrt(np.sum(values**2) / len(points)))

@@ -1,0 +1,166 @@
+"""The frame and the scale of a network, where positions of cameras or a path by RTK give them."""
+
+import csv
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ssac.errors import SsacError
+from ssac.estimate import Status
+from ssac.files.readable import check_is_file, readable
+from ssac.network.align import Similarity, similarity
+from ssac.network.comparison import compare, without_lever_arm
+from ssac.network.solve import CameraAnswer, NetworkAnswer, path_of
+from ssac.network.tum import read_path
+
+Array = NDArray[np.float64]
+
+MAX_OFF = 0.1
+"""Rms distance of cameras from where they are said to stand, as a share of their spread, at most:
+known to 5 cm at best, over tens of metres."""
+
+LEAST_EXPLAINED = 0.9
+"""Share of the motion of RTK that a path of the same flight explains, at least."""
+
+RTK_RATE_STD_PPM = 1000.0
+"""Prior deviation of the rate between RTK's clock and a camera's: those of phones."""
+
+POSITION_COLUMNS = ("camera", "x_m", "y_m", "z_m")
+
+
+@dataclass(frozen=True, eq=False)
+class Ground:
+    """The frame that is known, as the network sees it."""
+
+    similarity: Similarity  # from the first camera's frame to it
+    said: str  # how well it fits, for people
+
+
+def ground_of_positions(answer: NetworkAnswer, file: Path) -> Ground:
+    """Fit the cameras to where they are said to stand.
+
+    Raises
+    ------
+    SsacError
+        If fewer than three cameras have a position, they stand on a line, or what the network
+        found contradicts it.
+    """
+    said = load_positions(file)
+    here, there = [], []
+    for k, position in said.items():
+        camera = answer.cameras[k - 1] if k <= len(answer.cameras) else None
+        if camera is not None and camera.group == 1 and camera.R is not None:
+            here.append(_centre(camera))
+            there.append(position)
+    if len(here) < 3:
+        raise SsacError(
+            f"{file}: positions of at least 3 cameras of the network are needed, got {len(here)}: "
+            "add some, or give --distance"
+        )
+    found = similarity(np.array(here), np.array(there))
+    off_m = np.linalg.norm(found.apply(np.array(here)) - np.array(there), axis=1)
+    spread_m = np.linalg.norm(np.array(there) - np.mean(there, axis=0), axis=1)
+    rms_m, extent_m = float(np.sqrt(np.mean(off_m**2))), float(np.sqrt(np.mean(spread_m**2)))
+    if rms_m > MAX_OFF * extent_m:
+        raise SsacError(
+            f"{file}: the cameras' poses contradict these positions, by {rms_m:.2f} m over "
+            f"{extent_m:.2f} m: check which camera is which, and the order x y z"
+        )
+    return Ground(found, f"cameras stand within {rms_m:.3f} m of their given positions")
+
+
+def ground_of_rtk(
+    answer: NetworkAnswer, file: Path, lever_arm_m: tuple[float, float, float] | None = None
+) -> Ground:
+    """Lay the path over one of RTK, whose clock is free.
+
+    Parameters
+    ----------
+    answer
+        Of a network with a path.
+    file
+        RTK's path; with its attitude where there is a lever arm.
+    lever_arm_m
+        Where the antenna is in the body: forward, left, up. The path is then of the body's origin.
+
+    Raises
+    ------
+    SsacError
+        If the file has no times or degrees, or is of another flight.
+    """
+    path, rtk = answer.paths[0].path, read_path(file)
+    found = compare(path, rtk, rate_std_ppm=RTK_RATE_STD_PPM, lever_arm_m=lever_arm_m).in_time
+    if found is None or found.explained < LEAST_EXPLAINED:
+        share = 0.0 if found is None else found.explained
+        raise SsacError(
+            f"{file}: at the best of all shifts the path explains {100.0 * share:.0f} % of its "
+            "motion only: check that it is of this flight"
+        )
+    clock = found.clock
+    return Ground(
+        found.similarity,
+        f"RTK is {found.rmse_m:.3f} m off rms at {len(found.distances_m)} samples; its clock shows "
+        f"{clock.t_d_s:.3f} s more at {clock.t_ref_s:.2f} s, and runs {clock.skew_ppm:+.1f} ppm",
+    )
+
+
+def check_rtk(file: Path, lever_arm_m: tuple[float, float, float] | None = None) -> None:
+    """Raise SsacError unless a file is a path in metres, with times, and what a lever arm needs."""
+    rtk = read_path(file)
+    if lever_arm_m is not None:
+        without_lever_arm(rtk, lever_arm_m)
+
+
+def in_frame(answer: NetworkAnswer, ground: Ground) -> NetworkAnswer:
+    """Give cameras and path of the first group in a frame that is known; others stay."""
+    frame = ground.similarity
+    cameras = [
+        _moved(camera, frame) if camera.group == 1 and camera.status == Status.OK else camera
+        for camera in answer.cameras
+    ]
+    paths = [path_of(answer.built[0], frame), *answer.paths[1:]]
+    return replace(answer, cameras=cameras, paths=paths)
+
+
+def load_positions(file: Path) -> dict[int, Array]:
+    """Read where cameras stand: `camera,x_m,y_m,z_m`, cameras by number from 1 on."""
+    check_is_file(file)
+    with (
+        readable(file, "a text file of positions"),
+        file.open(encoding="utf-8-sig", newline="") as lines,
+    ):
+        rows = [[word.strip() for word in row] for row in csv.reader(lines) if row]
+    if not rows or tuple(rows[0]) != POSITION_COLUMNS:
+        raise SsacError(f"{file}: the first line must be {','.join(POSITION_COLUMNS)}: add it")
+    found = {}
+    for row in rows[1:]:
+        try:
+            number, position = int(row[0]), np.array(row[1:], dtype=np.float64)
+        except ValueError:
+            number, position = 0, np.empty(0)
+        if number < 1 or position.shape != (3,) or not np.isfinite(position).all():
+            raise SsacError(
+                f"{file}: expected a camera's number and three coordinates, got "
+                f"{','.join(row)[:60]!r}: correct the row"
+            )
+        if number in found:
+            raise SsacError(f"{file}: camera {number} is there twice: leave one out")
+        found[number] = position
+    return found
+
+
+def _centre(camera: CameraAnswer) -> Array:
+    if camera.R is None or camera.t is None:
+        return np.full(3, np.nan)
+    return np.asarray(-camera.R.T @ camera.t)
+
+
+def _moved(camera: CameraAnswer, frame: Similarity) -> CameraAnswer:
+    """Give a camera's pose from the known frame, x_k = R X + t in metres."""
+    if camera.R is None or camera.t is None or camera.t_std is None:
+        return camera
+    R = camera.R @ frame.R.T
+    t = frame.scale * camera.t - R @ frame.t
+    return replace(camera, R=R, t=t, t_std=frame.scale * camera.t_std)

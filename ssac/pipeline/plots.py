@@ -1,0 +1,498 @@
+"""Pictures of an estimate, over the events that it was made from.
+
+    search      d_avg over the search interval and near its minimum, as the paper's Fig. 5
+    epipolar    p1, p2, the line l1 and the distance d, as the paper's Fig. 4, before and after
+    alignment   what both cameras see over time, before and after the clocks are aligned
+    comparison  an estimated path beside a reference, as the paper's Fig. 7
+
+"Before" pairs equal readings of both clocks, "after" pairs readings that differ by t_d. The colours
+are P. Tol's high-contrast set, which stays apart in grey and for colour-blind people.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure, SubFigure
+from matplotlib.patches import Patch
+from numpy.typing import NDArray
+
+from ssac.camera import Camera, Rig, undistortion_map
+from ssac.config import Config
+from ssac.estimate import Estimate
+from ssac.events import US_PER_S, slice_time
+from ssac.files.whole_file import FIGURE_SUFFIXES, whole_file
+from ssac.geometry.epipolar import epipolar_distance, epipolar_lines_1
+from ssac.geometry.fundamental import MIN_PAIRS
+from ssac.geometry.pose import rays_of
+from ssac.search.offset_search import mean_epipolar_distance
+from ssac.search.two_views import TwoViews
+from ssac.track.motion import Motion
+
+if TYPE_CHECKING:
+    from ssac.network.comparison import Comparison, InTime
+
+Array = NDArray[np.float64]
+Canvas = Figure | SubFigure
+
+BLUE, YELLOW, RED = "#004488", "#DDAA33", "#BB5566"
+
+ZOOM_S = 0.003
+"""Half the width of the zoom around the minimum, as in the paper's Fig. 5."""
+
+_WIDTH_IN, _DPI = 9.0, 150
+_ZOOM_STEP_S = 50e-6
+_MAX_MARKERS = 300
+_AXES_WIDTH_PT = 270.0  # of one of two axes side by side
+_SEARCH_STEP_S = 2e-3
+_STRETCH_PER_OFFSET = 20.0  # the stretch of time drawn is so many offsets long
+_STRETCH_S = (0.4, 2.0)  # and at least and at most this long
+_LEGIBLE_PX = 15.0  # a distance d of this length is seen at a glance
+_MAX_POINTS = 6000  # per camera: more would only blot the picture
+
+
+@dataclass(frozen=True)
+class Material:
+    """All that a figure may draw."""
+
+    estimate: Estimate
+    events: tuple[NDArray[np.void], NDArray[np.void]]  # as the method saw them
+    views: TwoViews
+
+    @property
+    def motions(self) -> tuple[Motion, Motion]:
+        """The object's motion in each view."""
+        return self.views.motion1, self.views.motion2
+
+    @property
+    def rig(self) -> Rig:
+        """Both cameras."""
+        return self.views.rig
+
+    @property
+    def config(self) -> Config:
+        """The method's parameters."""
+        return self.views.config
+
+
+@dataclass(frozen=True)
+class EpipolarRow:
+    """One row of the epipolar figure: camera 2 is looked at `offset_s` after camera 1."""
+
+    name: str
+    offset_s: float
+    time_s: float  # camera 1's clock
+    p1: Array  # (2,) [px]
+    p2: Array  # (2,) [px]
+    line_1: Array  # (3,)
+    distance_px: float
+
+
+def save_figures(target: Path, material: Material) -> list[Path]:
+    """Draw what an estimate allows.
+
+    Parameters
+    ----------
+    target
+        A folder, made if need be, for one PNG per figure; or a file of FIGURE_SUFFIXES for all
+        figures, one below the other.
+    material
+        Of any method and status; a figure that it lacks the data for is left out.
+
+    Returns
+    -------
+    list[Path]
+        The files written; none when there is nothing to draw.
+    """
+    if target.suffix.lower() in FIGURE_SUFFIXES:
+        page = page_of(material)
+        if page is None:
+            return []
+        _save(page, target)
+        return [target]
+    figures = [figure for figure in _FIGURES if figure.can_draw(material)]
+    if figures:
+        target.mkdir(parents=True, exist_ok=True)
+    written = []
+    for figure in figures:
+        page = Figure(figsize=(_WIDTH_IN, figure.height_in(material)), layout="constrained")
+        figure.draw(page, material)
+        written.append(target / f"{figure.name}.png")
+        _save(page, written[-1])
+    return written
+
+
+def page_of(material: Material) -> Figure | None:
+    """Draw all figures that an estimate allows, one below the other; None where there are none."""
+    figures = [figure for figure in _FIGURES if figure.can_draw(material)]
+    if not figures:
+        return None
+    heights = [figure.height_in(material) for figure in figures]
+    page = Figure(figsize=(_WIDTH_IN, sum(heights)), layout="constrained")
+    parts = page.subfigures(len(figures), 1, height_ratios=heights, squeeze=False)[:, 0]
+    for figure, part in zip(figures, parts, strict=True):
+        figure.draw(part, material)
+    return page
+
+
+def draw_search(canvas: Canvas, material: Material) -> None:
+    """Draw the cost over the search interval, and near its minimum where the method has an F."""
+    estimate, t_d_s = material.estimate, material.estimate.t_d_s
+    F = estimate.F if np.isfinite(t_d_s) else None
+    whole, *rest = canvas.subplots(1, 1 if F is None else 2, squeeze=False)[0]
+    offsets_s, costs = search_curve(material)
+    if estimate.F is None and np.nanmin(costs) < 0.0:
+        whole.plot(offsets_s, -costs, color=BLUE, lw=1)
+        whole.set(ylabel="correlation", title="Correlation over the search interval")
+    else:
+        marker = "." if len(offsets_s) <= _MAX_MARKERS else ""
+        whole.plot(offsets_s, costs, "-", marker=marker, color=BLUE, lw=1, ms=3)
+        whole.set(ylabel="$d_{avg}$ [px]", title="$d_{avg}$ over the search interval")
+        whole.set_ylim(bottom=0.0)
+    whole.set_xlabel("offset $t_d$ [s]")
+    if np.isfinite(t_d_s):
+        _mark_offset(whole, t_d_s, f"$t_d$ = {1e3 * t_d_s:.2f} ms")
+    for zoom in rest:
+        steps = np.arange(-round(ZOOM_S / _ZOOM_STEP_S), round(ZOOM_S / _ZOOM_STEP_S) + 1)
+        near_s: Array = t_d_s + _ZOOM_STEP_S * steps.astype(np.float64)
+        zoom.plot(1e3 * near_s, d_avg_px(material, near_s), color=BLUE, lw=1)
+        _mark_offset(zoom, 1e3 * t_d_s, f"$t_d$ = {1e3 * t_d_s:.3f} ms")
+        zoom.ticklabel_format(useOffset=False)
+        zoom.set(
+            xlabel="offset $t_d$ [ms]",
+            ylabel="$d_{avg}$ [px]",
+            title="Near the offset found, with the final F",
+        )
+
+
+def draw_epipolar(canvas: Canvas, material: Material) -> None:
+    """Draw both cameras' events around one instant, with p1, p2, l1 and d."""
+    rows = epipolar_rows(material)
+    reach_px = float(np.clip(2.0 * max(row.distance_px for row in rows), 40.0, 150.0))
+    for (left, right), row in zip(canvas.subplots(len(rows), 2, squeeze=False), rows, strict=True):
+        _draw_events(left, material, 0, row.time_s, reach_px)
+        _draw_events(right, material, 1, row.time_s + row.offset_s, reach_px)
+        foot = _foot(row.line_1, row.p1)
+        along = np.array([-row.line_1[1], row.line_1[0]]) / np.hypot(*row.line_1[:2])
+        left.axline(foot, foot + along, color="black", lw=1.2, label="line $l_1$ of $p_2$")
+        left.plot(*np.stack([row.p1, foot]).T, color=RED, lw=3, label="distance $d$")
+        left.plot(*row.p1, **_POINT, label="$p_1$, $p_2$")
+        right.plot(*row.p2, **_POINT)
+        left.set_title(f"Camera 1 at {row.time_s:.4f} s: $d$ = {row.distance_px:.2f} px")
+        right.set_title(f"Camera 2 at {row.time_s + row.offset_s:.4f} s: {row.name}")
+        for axes, centre in ((left, row.p1), (right, row.p2)):
+            axes.set(xlabel="x [px]", ylabel="y [px]", aspect="equal")
+            axes.set_xlim(centre[0] - reach_px, centre[0] + reach_px)
+            axes.set_ylim(centre[1] + 0.75 * reach_px, centre[1] - 0.75 * reach_px)
+    handles = [*left.get_legend_handles_labels()[0], *POLARITIES]
+    canvas.legend(handles=handles, loc="outside lower center", ncols=len(handles), fontsize="small")
+
+
+def draw_alignment(canvas: Canvas, material: Material) -> None:
+    """Draw both event clouds in x-y-t, and the angle of their epipolar planes over time.
+
+    The plane through both cameras and a point has one angle about the baseline, the same for both
+    views whatever the point: only what is seen at one instant has equal angles.
+    """
+    t_d_s = material.estimate.t_d_s
+    start_s, length_s = telling_stretch(material)
+    clouds = [
+        points_in_time(material, camera, start_s + offset_s, length_s)
+        for camera, offset_s in ((0, 0.0), (1, t_d_s))
+    ]
+    for column, (name, offset_s) in enumerate(clocks(t_d_s)):
+        axes = canvas.add_subplot(2, 2, 1 + column, projection="3d")
+        for camera, (times_s, points) in enumerate(clouds):
+            shown_s = times_s - camera * offset_s
+            label = f"camera {camera + 1}"
+            color = _CAMERA_COLORS[camera]
+            axes.scatter(shown_s, points[:, 0], points[:, 1], s=0.4, color=color, label=label)
+        axes.set(xlabel="time [s]", ylabel="x [px]", zlabel="y [px]")
+        axes.invert_zaxis()
+        axes.set_title(f"Events of both cameras, {name}", pad=-10)
+        axes.set_box_aspect((1.6, 1.0, 1.0), zoom=0.95)
+        axes.locator_params(nbins=4)
+        axes.xaxis.labelpad = 10
+        axes.legend(loc="upper right", fontsize="small", markerscale=12)
+    for column, (name, offset_s) in enumerate(clocks(t_d_s)):
+        axes = canvas.add_subplot(2, 2, 3 + column)
+        _draw_angles(axes, material, offset_s, start_s, length_s)
+        axes.set(
+            xlabel="time, camera 1's clock [s]",
+            ylabel="angle of epipolar plane [deg]",
+            xlim=(start_s, start_s + length_s),
+            title=f"Both cameras, {name}",
+        )
+
+
+def clocks(t_d_s: float) -> tuple[tuple[str, float], tuple[str, float]]:
+    """Name and offset of the two ways to pair the clocks."""
+    return ("clocks as recorded", 0.0), ("clocks aligned", t_d_s)
+
+
+def search_curve(material: Material) -> tuple[Array, Array]:
+    """Offsets and costs that the method tried; d_avg of its F when it kept none."""
+    estimate = material.estimate
+    if np.isfinite(estimate.costs).any():
+        return estimate.candidates_s, estimate.costs
+    offsets_s: Array = np.arange(*material.config.offsets_s, _SEARCH_STEP_S, dtype=np.float64)
+    return offsets_s, d_avg_px(material, offsets_s)
+
+
+def d_avg_px(material: Material, offsets_s: Array) -> Array:
+    """Eq. 4 with the F of the estimate, at each offset."""
+    F = material.estimate.F
+    if F is None:
+        return np.full(len(offsets_s), np.nan)
+    return mean_epipolar_distance(F, material.views.pairs(offsets_s), MIN_PAIRS)
+
+
+def epipolar_rows(material: Material) -> list[EpipolarRow]:
+    """Rows before and after at one sample time; only after where before no time is valid.
+
+    The time is one at which d, before, can be seen well.
+    """
+    F = np.asarray(material.estimate.F)
+    motion1, motion2 = material.motions
+    t_d_s = material.estimate.t_d_s
+    pairs = material.views.pairs_at(t_d_s)
+    times_s = pairs.times_s
+    before = motion2.at(times_s)
+    pairings = list(clocks(t_d_s))
+    if before.valid.any() and abs(t_d_s) > 0.0:
+        times_s = times_s[before.valid]
+        distances = epipolar_distance(
+            F, motion1.at(times_s).positions_px, before.positions_px[before.valid]
+        )
+    else:
+        pairings = pairings[1:]
+        distances = epipolar_distance(F, *pairs.points_px)
+    time_s = float(times_s[np.argmin(np.abs(distances - _LEGIBLE_PX))])
+    rows = []
+    for name, offset_s in pairings:
+        p1 = motion1.at(np.array([time_s])).positions_px
+        p2 = motion2.at(material.views.on_clock_2(np.array([time_s]), offset_s)).positions_px
+        line_1, distance_px = epipolar_lines_1(F, p2)[0], float(epipolar_distance(F, p1, p2)[0])
+        rows.append(EpipolarRow(name, offset_s, time_s, p1[0], p2[0], line_1, distance_px))
+    return rows
+
+
+def telling_stretch(material: Material) -> tuple[float, float]:
+    """Start [s], camera 1's clock, and length [s] of a stretch that both views see well.
+
+    Of all that start at a sample time: where the angle of the epipolar plane varies most.
+    """
+    t_d_s = material.estimate.t_d_s
+    length_s = float(np.clip(_STRETCH_PER_OFFSET * abs(t_d_s), *_STRETCH_S))
+    pairs = material.views.pairs(np.array([t_d_s]))
+    times_s, valid = pairs.times_s[0], pairs.valid[0]
+    length_s = min(length_s, float(times_s[-1] - times_s[0]))
+    angles = plane_angles(material, 0, pairs.p1_px[0])
+    scores = []
+    for start_s in times_s[times_s <= times_s[-1] - length_s]:
+        inside = (times_s >= start_s) & (times_s <= start_s + length_s)
+        seen = inside & valid
+        spread = np.ptp(angles[seen]) if seen.any() else 0.0
+        scores.append(spread * (np.count_nonzero(seen) / np.count_nonzero(inside)) ** 2)
+    return float(times_s[int(np.argmax(scores))]), length_s
+
+
+def plane_angles(material: Material, camera: int, points: Array) -> Array:
+    """Angle (n,) [deg] about the baseline of the epipolar planes of undistorted points (n, 2).
+
+    Zero is the plane of camera 1's line of sight.
+    """
+    R, t = np.asarray(material.estimate.R), np.asarray(material.estimate.t)
+    K = (material.rig.cam1, material.rig.cam2)[camera].K
+    rays = rays_of(K, points)
+    if camera == 1:
+        rays = rays @ R  # from camera 2's frame to camera 1's
+    baseline = R.T @ t
+    ahead = np.array([0.0, 0.0, 1.0]) - baseline[2] * baseline
+    ahead /= np.linalg.norm(ahead)
+    across = np.cross(ahead, baseline)
+    return np.asarray(np.degrees(np.arctan2(rays @ across, rays @ ahead)))
+
+
+def points_in_time(
+    material: Material, camera: int, start_s: float, length_s: float
+) -> tuple[Array, Array]:
+    """Thin a stretch of events to times (n,) [s] and undistorted positions (n, 2) [px]."""
+    events = window(material, camera, start_s + 0.5 * length_s, 0.5 * length_s)
+    events = events[:: max(1, len(events) // _MAX_POINTS)]
+    points = undistorted(events, (material.rig.cam1, material.rig.cam2)[camera])
+    return events["t"] / US_PER_S, points
+
+
+def window(
+    material: Material, camera: int, time_s: float, half_length_s: float
+) -> NDArray[np.void]:
+    """Return the events of camera 0 or 1 around a time of its own clock."""
+    bounds_us = (round((time_s + side * half_length_s) * US_PER_S) for side in (-1, 1))
+    return slice_time(material.events[camera], *bounds_us)
+
+
+def undistorted(events: NDArray[np.void], camera: Camera) -> Array:
+    """Positions (n, 2) [px] without distortion; NaN where the lens model has none."""
+    if camera.distortion_model == "none":
+        return np.stack([events["x"], events["y"]], axis=1).astype(np.float64)
+    return np.asarray(undistortion_map(camera)[events["y"], events["x"]])
+
+
+def has_curve(material: Material) -> bool:
+    """Tell whether there is a cost curve to draw."""
+    return bool(np.isfinite(material.estimate.costs).any()) or has_fit(material)
+
+
+def has_fit(material: Material) -> bool:
+    """Tell whether there are an offset and an F."""
+    return material.estimate.F is not None and bool(np.isfinite(material.estimate.t_d_s))
+
+
+def has_pose(material: Material) -> bool:
+    """Tell whether there are an offset and a pose."""
+    return has_fit(material) and material.estimate.R is not None
+
+
+@dataclass(frozen=True)
+class _Figure:
+    """One figure: how tall it is, when there are the data for it, and who draws it."""
+
+    name: str
+    height_in: Callable[[Material], float]
+    can_draw: Callable[[Material], bool]
+    draw: Callable[[Canvas, Material], None]
+
+
+_POINT: dict[str, Any] = {
+    "marker": "X",
+    "markersize": 11,
+    "markerfacecolor": "black",
+    "markeredgecolor": "white",
+    "linestyle": "none",
+}
+_CAMERA_COLORS = (BLUE, YELLOW)
+POLARITIES = (Patch(color=YELLOW, label="brighter"), Patch(color=BLUE, label="darker"))
+
+
+def _mark_offset(axes: Axes, position: float, label: str) -> None:
+    axes.axvline(position, color=RED, lw=1.2, ls="--", label=label, zorder=1)
+    axes.locator_params("x", nbins=7)
+    axes.legend(loc="best", fontsize="small")
+
+
+def _draw_events(
+    axes: Axes, material: Material, camera: int, time_s: float, reach_px: float
+) -> None:
+    """Draw the events of the window around a time as pixels, the last on top."""
+    events = window(material, camera, time_s, material.config.half_window_s)
+    points = undistorted(events, (material.rig.cam1, material.rig.cam2)[camera])
+    colors = np.where(events["p"] > 0, YELLOW, BLUE)
+    pixel_pt = 1.15 * _AXES_WIDTH_PT / (2.0 * reach_px)  # a little more, lest they leave gaps
+    x, y = points.T
+    axes.scatter(x, y, s=pixel_pt**2, c=colors, marker="s", linewidths=0.0, rasterized=True)
+
+
+def _foot(line: Array, point: Array) -> Array:
+    """Foot (2,) of the perpendicular from the point to the line (a, b, c)."""
+    normal = line[:2]
+    return np.asarray(point - (normal @ point + line[2]) / (normal @ normal) * normal)
+
+
+def _draw_angles(
+    axes: Axes, material: Material, offset_s: float, start_s: float, length_s: float
+) -> None:
+    """Draw the angles of both cameras' events and tracks; camera 2's moved by the offset."""
+    events, colors = [], []
+    for camera, shift_s in ((0, 0.0), (1, offset_s)):
+        times_s, points = points_in_time(material, camera, start_s + shift_s, length_s)
+        events.append(np.column_stack([times_s - shift_s, plane_angles(material, camera, points)]))
+        colors += [_CAMERA_COLORS[camera]] * len(times_s)
+    # In random order, lest one camera cover the other.
+    order = np.random.default_rng(0).permutation(len(colors))
+    times_s, angles = np.concatenate(events)[order].T
+    axes.scatter(times_s, angles, s=0.8, c=np.array(colors)[order], alpha=0.5)
+    grid_s: Array = np.linspace(start_s, start_s + length_s, 400, dtype=np.float64)
+    for camera, shift_s, style in ((0, 0.0, "-"), (1, offset_s, "--")):
+        track = material.motions[camera].at(grid_s + shift_s)
+        angles = np.where(track.valid, plane_angles(material, camera, track.positions_px), np.nan)
+        color, label = _CAMERA_COLORS[camera], f"camera {camera + 1}"
+        axes.plot(grid_s, angles, "-", color="white", lw=4, zorder=3)
+        axes.plot(grid_s, angles, style, color=color, lw=2, zorder=4, label=label)
+    axes.legend(loc="best", fontsize="small")
+
+
+def _save(page: Figure, path: Path) -> None:
+    with whole_file(path) as temporary:
+        page.savefig(temporary, format=path.suffix[1:].lower(), dpi=_DPI)
+
+
+_FIGURES = (
+    _Figure("d_avg", lambda _: 3.2, has_curve, draw_search),
+    _Figure(
+        "epipolar", lambda material: 3.6 * len(epipolar_rows(material)), has_fit, draw_epipolar
+    ),
+    _Figure("alignment", lambda _: 7.0, has_pose, draw_alignment),
+)
+
+
+def save_comparison(file: Path, comparison: "Comparison") -> None:
+    """Draw both paths in space and, where there are times, x, y and z with their differences."""
+    in_time = comparison.in_time
+    page = Figure(figsize=(6.0 if in_time is None else 12.0, 6.5), layout="constrained")
+    if in_time is None:
+        _draw_shape(page, comparison)
+    else:
+        left, right = page.subfigures(1, 2)
+        _draw_shape(left, comparison)
+        _draw_over_time(right, in_time)
+    with whole_file(file) as temporary:
+        page.savefig(temporary, format=file.suffix[1:].lower(), dpi=130)
+
+
+def _draw_shape(canvas: Canvas, comparison: "Comparison") -> None:
+    axes = canvas.add_subplot(projection="3d")
+    axes.plot(*_broken(comparison.truth_m).T, color=BLUE, lw=1.2, label="truth")
+    axes.plot(*_broken(comparison.estimate_m).T, color=YELLOW, lw=1.2, label="estimate")
+    axes.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
+    # Smaller than the canvas, which does not count the labels of axes in space as its own.
+    axes.set_box_aspect(np.maximum(np.ptp(comparison.truth_m, axis=0), 1e-9), zoom=0.88)
+    axes.legend(loc="upper right", fontsize="small")
+    if comparison.in_time is None:
+        axes.set_title(f"RMSE {comparison.as_shape.rmse_m:.3f} m (ICP)", fontsize="medium")
+    else:
+        axes.set_title(
+            f"RMSE {comparison.in_time.rmse_m:.3f} m at equal times, "
+            f"{comparison.as_shape.rmse_m:.3f} m by ICP",
+            fontsize="medium",
+        )
+
+
+def _broken(points: Array) -> Array:
+    """Points (n, 3) with NaN in each gap: a step of four times the usual one."""
+    steps_m = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    usual_m = float(np.percentile(steps_m, 95.0)) if len(steps_m) else 0.0
+    return np.insert(points, np.flatnonzero(steps_m > 4.0 * usual_m) + 1, np.nan, axis=0)
+
+
+def _draw_over_time(canvas: Canvas, found: "InTime") -> None:
+    rows = canvas.subplots(6, 1, sharex=True, gridspec_kw={"height_ratios": [2, 1] * 3})
+    times_s = found.times_s - found.times_s[0]
+    gaps = np.flatnonzero(np.diff(times_s) > 1.5 * np.median(np.diff(times_s))) + 1
+
+    def broken(values: Array) -> Array:  # a line does not cross a gap
+        return np.asarray(np.insert(values, gaps, np.nan))
+
+    for k, name in enumerate("xyz"):
+        path, difference = rows[2 * k], rows[2 * k + 1]
+        path.plot(broken(times_s), broken(found.truth_m[:, k]), color=BLUE, lw=1.2)
+        path.plot(broken(times_s), broken(found.estimate_m[:, k]), color=YELLOW, lw=1.0)
+        path.set_ylabel(f"{name} [m]")
+        off_cm = 100.0 * (found.estimate_m[:, k] - found.truth_m[:, k])
+        difference.plot(broken(times_s), broken(off_cm), color=RED, lw=0.8)
+        difference.axhline(0.0, color="grey", lw=0.5)
+        difference.set_ylabel("off [cm]", fontsize="small")
+    rows[-1].set_xlabel("time of the truth since the first common sample [s]")

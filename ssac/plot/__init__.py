@@ -1,1 +1,0 @@
-"""A result in, figures of it out."""

@@ -1,0 +1,147 @@
+"""What a command raises, as the exit code and the one line that a script and a person see."""
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from ssac.cli.exits import (
+    BAD_INPUT,
+    BUG,
+    DONE,
+    INTERRUPTED,
+    NO_ESTIMATE,
+    PIPE_CLOSED,
+    guarded,
+)
+from ssac.errors import PluginError, SsacError
+
+
+class OwnError(ValueError):
+    pass
+
+
+def raising(error: BaseException):
+    def run() -> int:
+        raise error
+
+    return run
+
+
+@pytest.mark.parametrize("code", [DONE, NO_ESTIMATE, BAD_INPUT])
+def test_a_command_says_its_own_code(code, capsys):
+    assert guarded(lambda: code) == code
+    assert capsys.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize(
+    ("error", "line"),
+    [
+        (SsacError("a.h5: expected events,\n  got none"), "a.h5: expected events, got none"),
+        (FileNotFoundError(2, "No such file", "a.h5"), "[Errno 2] No such file: 'a.h5'"),
+        (OwnError("of another package"), "of another package"),
+    ],
+)
+def test_what_is_wrong_with_the_input_is_one_line(error, line, capsys):
+    assert guarded(raising(error), (OwnError,)) == BAD_INPUT
+    assert capsys.readouterr() == ("", f"error: {line}\n")
+
+
+@pytest.mark.parametrize("error", [OwnError("x"), KeyError("x"), RuntimeError(), MemoryError()])
+def test_a_bug_is_one_line_and_a_traceback_in_a_file(error, capsys, tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    assert guarded(raising(error)) == BUG
+    out, err = capsys.readouterr()
+    (file,) = tmp_path.glob("ssac-bug-*/traceback.txt")
+    assert out == ""
+    assert err.count("\n") == 1
+    assert err.startswith(f"error: a bug in this program, {type(error).__name__}")
+    assert err.rstrip().endswith(str(file))
+    assert "in run\n    raise error" in file.read_text()
+
+
+def test_a_bug_of_another_package_is_not_called_ours(capsys, tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    assert guarded(raising(PluginError("mine 1.2: KeyError (mine.py, line 3)"))) == BUG
+    err = capsys.readouterr().err
+    (file,) = tmp_path.glob("ssac-bug-*/traceback.txt")
+    assert err.startswith("error: mine 1.2: KeyError (mine.py, line 3); please report it with")
+    assert err.rstrip().endswith(str(file))
+    assert err.count("\n") == 1
+
+
+def test_a_bug_without_a_temporary_folder_is_still_one_line(capsys, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", "/no/such/folder")
+    assert guarded(raising(KeyError("x"))) == BUG
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1
+    assert "raise error" in err
+
+
+def test_an_interrupt_is_one_line(capsys):
+    assert guarded(raising(KeyboardInterrupt())) == INTERRUPTED == 130
+    assert capsys.readouterr().err == "interrupted\n"
+
+
+def guarded_process(body: str, **options) -> subprocess.Popen:
+    code = f"""
+import sys
+from ssac.cli.exits import guarded
+def run():
+{body}
+sys.exit(guarded(run))
+"""
+    return subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.PIPE, **options)
+
+
+def test_a_reader_that_stops_reading_is_no_crash():
+    read, write = os.pipe()
+    os.close(read)
+    process = guarded_process("    print('x')\n    return 0", stdout=write)
+    os.close(write)
+    assert process.communicate() == (None, b"")
+    assert process.returncode == PIPE_CLOSED
+
+
+def test_a_closed_output_is_no_crash(monkeypatch):
+    monkeypatch.setattr(sys, "stdout", None)  # as Python has it then
+    assert guarded(lambda: DONE) == DONE
+
+
+def test_an_interrupted_import_is_one_line(tmp_path: Path):
+    """As when the user changes their mind in the first second."""
+    (tmp_path / "slow.py").write_text("print('here', flush=True)\nimport time\ntime.sleep(60)\n")
+    body = f"    sys.path.insert(0, {str(tmp_path)!r})\n    import slow"
+    process = guarded_process(body, stdout=subprocess.PIPE)
+    assert process.stdout is not None
+    assert process.stdout.readline() == b"here\n"
+    process.send_signal(signal.SIGINT)
+    assert process.communicate(timeout=30)[1] == b"interrupted\n"
+    assert process.returncode == INTERRUPTED
+
+
+def test_an_interrupt_that_an_import_swallows_comes_again():
+    body = """
+    import time
+    try:
+        print('here', flush=True)
+        time.sleep(60)
+    except BaseException:
+        print('swallowed', flush=True)
+    time.sleep(60)"""
+    process = guarded_process(body, stdout=subprocess.PIPE)
+    assert process.stdout is not None
+    assert process.stdout.readline() == b"here\n"
+    process.send_signal(signal.SIGINT)
+    assert process.communicate(timeout=30) == (b"swallowed\n", b"interrupted\n")
+    assert process.returncode == INTERRUPTED
+
+
+def test_the_signals_of_the_caller_are_left_as_they_were():
+    numbers = (signal.SIGINT, signal.SIGALRM, signal.SIGTERM)
+    before = [signal.getsignal(number) for number in numbers]
+    guarded(raising(KeyboardInterrupt()))
+    assert [signal.getsignal(number) for number in numbers] == before

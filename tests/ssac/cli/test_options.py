@@ -1,0 +1,60 @@
+"""Options with a range: what they accept, what they say, how they are shown."""
+
+from typing import Annotated
+
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from ssac.cli.options import number
+from ssac.errors import SsacError
+
+app = typer.Typer(rich_markup_mode=None)
+
+
+@app.command()
+def command(
+    half_window: Annotated[float, number("Of a sample.", 0.001, 0.25, "seconds")] = 0.02,
+    size: Annotated[tuple[int, int], number("Of a sensor.", 1, 99, metavar="W H")] = (9, 9),
+    extent: Annotated[float | None, number("Of a thing.", 1, 2, "metres")] = None,
+) -> None:
+    typer.echo(f"{half_window} {size} {extent}")
+
+
+def run(*args: str):
+    return CliRunner().invoke(app, args)
+
+
+@pytest.mark.parametrize(
+    ("args", "shown"),
+    [
+        ((), "0.02 (9, 9) None"),
+        (("--half-window", "0.001", "--size", "1", "99"), "0.001 (1, 99) None"),
+        (("--half-window", "0.25", "--extent", "2"), "0.25 (9, 9) 2.0"),
+    ],
+)
+def test_values_within_the_range_bounds_included_are_taken(args, shown):
+    assert run(*args).stdout == f"{shown}\n"
+
+
+@pytest.mark.parametrize(
+    ("args", "message"),
+    [
+        (("--half-window", "20"), "--half-window: expected 0.001 to 0.25 seconds, got 20"),
+        (("--half-window", "nan"), "--half-window: expected 0.001 to 0.25 seconds, got nan"),
+        (("--half-window", "-inf"), "--half-window: expected 0.001 to 0.25 seconds, got -inf"),
+        (("--size", "9", "100"), "--size: expected 1 to 99, got 100"),
+        (("--extent", "0.99"), "--extent: expected 1 to 2 metres, got 0.99"),
+    ],
+)
+def test_values_outside_are_refused_with_range_and_unit(args, message):
+    error = run(*args).exception
+    assert isinstance(error, SsacError)
+    assert str(error) == message
+
+
+def test_help_gives_words_for_values_and_their_range():
+    shown = " ".join(run("--help").stdout.split())
+    assert "--half-window SECONDS Of a sample. From 0.001 to 0.25 seconds. [default: 0.02]" in shown
+    assert "--size W H Of a sensor. From 1 to 99. [default: 9, 9]" in shown
+    assert "--extent METRES Of a thing. From 1 to 2 metres." in shown

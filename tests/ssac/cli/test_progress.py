@@ -1,0 +1,123 @@
+import sys
+import time
+
+import pytest
+
+from ssac.cli import progress as module
+from ssac.cli.progress import Lines, progress, say
+
+
+class Clock:
+    """A clock that is set by hand."""
+
+    def __init__(self) -> None:
+        self.now_s = 0.0
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+def run(lines: Lines, clock: Clock, total: int, step_s: float) -> None:
+    """Do things of equal length, one after the other."""
+    for n_done in range(1, total + 1):
+        clock.now_s += step_s
+        lines(n_done)
+
+
+def test_each_tenth_is_a_line(clock, capsys):
+    run(Lines(300, "recordings", clock=clock), clock, 300, 0.5)
+    lines = capsys.readouterr().err.splitlines()
+    assert [line.split(" done")[0] for line in lines] == [
+        f"recordings: {n} of 300" for n in range(30, 301, 30)
+    ]
+    assert lines[0] == "recordings: 30 of 300 done after 00:15, 02:15 left"
+    assert lines[-1] == "recordings: 300 of 300 done after 02:30"
+
+
+def test_between_tenths_there_is_a_line_every_30_s(clock, capsys):
+    run(Lines(100, "recordings", clock=clock), clock, 9, 12.0)
+    said = [line.split(" done")[0] for line in capsys.readouterr().err.splitlines()]
+    assert said == ["recordings: 3 of 100", "recordings: 6 of 100", "recordings: 9 of 100"]
+
+
+def test_there_are_lines_before_the_first_is_done(clock, capsys):
+    lines = Lines(2, "flights", clock=clock)
+    for _ in range(70):
+        clock.now_s += 1.0
+        lines.look()
+    assert capsys.readouterr().err.splitlines() == [
+        "flights: 0 of 2 done after 00:30",
+        "flights: 0 of 2 done after 01:00",
+    ]
+
+
+@pytest.mark.parametrize("total", [1, 3, 7, 12])
+def test_few_things_are_a_line_each_and_the_last_says_all(clock, capsys, total):
+    run(Lines(total, "flights", clock=clock), clock, total, 1.0)
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == min(total, 10)
+    assert lines[-1].startswith(f"flights: {total} of {total} done after ")
+
+
+def test_brief_work_says_nothing_until_it_is_long(clock, capsys):
+    run(Lines(100, "simulating", is_brief=True, clock=clock), clock, 100, 0.2)
+    assert capsys.readouterr().err == ""
+    clock.now_s = 0.0
+    run(Lines(100, "simulating", is_brief=True, clock=clock), clock, 100, 1.0)
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0] == "simulating: 30 of 100 done after 00:30, 01:10 left"
+    assert lines[-1] == "simulating: 100 of 100 done after 01:40"
+
+
+def shown(total: int, **options: bool) -> None:
+    """Do so many things, and say something else amid them."""
+    with progress(total, "flights", **options) as advance:
+        for n_done in range(total + 1):
+            advance(n_done)
+            if n_done == 1:
+                say("a worker died")
+
+
+def test_where_stderr_is_no_terminal_nothing_is_written_over(capsys):
+    shown(2)
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert "\r" not in err
+    assert err.splitlines() == [
+        "flights: 1 of 2 done after 00:00, 00:00 left",
+        "a worker died",
+        "flights: 2 of 2 done after 00:00",
+    ]
+
+
+def test_one_thing_that_takes_long_is_not_silent(capsys, monkeypatch):
+    monkeypatch.setattr(module, "EVERY_S", 0.01)
+    monkeypatch.setattr(module, "_LOOK_S", 0.01)
+    said = ""
+    with progress(1, "flights") as advance:
+        while said.count("\n") < 3:
+            time.sleep(0.01)
+            said += capsys.readouterr().err
+        advance(1)
+    assert set(said.splitlines()) == {"flights: 0 of 1 done after 00:00"}
+
+
+def test_a_terminal_has_a_bar(capsys, monkeypatch):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    shown(2)
+    err = capsys.readouterr().err
+    assert "\rflights: 100%|" in err
+    assert "2/2 [" in err
+    assert "done after" not in err
+
+
+@pytest.mark.parametrize(("total", "is_shown"), [(0, True), (5, False)])
+def test_nothing_to_show(capsys, total, is_shown):
+    with progress(total, "flights", is_shown=is_shown) as advance:
+        advance(total)
+    assert capsys.readouterr().err == ""

@@ -1,0 +1,260 @@
+"""`ssac sync`: what it finds, prints and writes."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+from sim.recording import SimConfig, simulate
+from sim.render.config import SamplingConfig
+from sim.scene.trajectory import SplineConfig
+from sim.sensor.events import PRESETS
+from sim.storage import save_recording
+from ssac import sync
+from ssac.cli.exits import NO_ESTIMATE
+from ssac.clock import Clock
+from ssac.events import slice_time
+from ssac.files.event_files import load_events
+from ssac.files.hdf5 import save_events_h5
+from ssac.files.whole_file import FIGURE_SUFFIXES
+from tests.recorded import T_D_S
+from tests.ssac.command import read_json, run_sync
+from tests.ssac.synthetic import HEIGHT, WIDTH, angle_deg, rotation_angle_deg
+
+TOLERANCE_S = 3e-3  # 8 s of noisy synthetic pixels: about 1 ms
+KEYS = {"t_d_s", "t_d_std_s", "R", "t", "status", "reason", "method", "n_samples", "d_avg_px"}
+
+
+@pytest.fixture(scope="module")
+def joint_run(recorded):
+    json_file, synced = recorded / "joint.json", recorded / "synced.h5"
+    result = run_sync(
+        *recorded.pair,
+        "--rig",
+        recorded / "rig.yaml",
+        "--json",
+        json_file,
+        "--write-synced",
+        synced,
+    )
+    return result, read_json(json_file), synced
+
+
+def test_offset_and_pose_are_found(joint_run, recorded):
+    result, found, _ = joint_run
+    assert result.exit_code == 0, result.stderr
+    assert set(found) >= KEYS
+    assert found["note"] == ""
+    assert (found["status"], found["reason"], found["method"]) == ("ok", "", "tangency")
+    assert abs(found["t_d_s"] - T_D_S) < TOLERANCE_S
+    assert 0.0 < found["t_d_std_s"] < TOLERANCE_S
+    assert rotation_angle_deg(np.array(found["R"]), recorded.scene.R) < 3.0
+    assert angle_deg(np.array(found["t"]), recorded.scene.t) < 3.0
+    assert found["n_samples"] > 200
+    assert found["d_avg_px"] < 1.5  # tangents of a cloud of pixels, not of an outline
+
+
+def test_results_are_on_stdout_and_progress_on_stderr(joint_run):
+    result, found, synced = joint_run
+    shown_ms = f"{1e3 * found['t_d_s']:.3f} ms"
+    assert f"t_d = {shown_ms}" in result.stdout
+    assert f"camera 2's clock shows {shown_ms} more than camera 1's; subtract it" in result.stdout
+    assert f"{found['n_samples']} pairs of tangents to the object's outline used\n" in result.stdout
+    for part in ("read", "denoise", "estimate", "write"):
+        assert part not in result.stdout
+        assert any(line.startswith(part) and " s  " in line for line in result.stderr.splitlines())
+    assert str(synced) in result.stderr
+
+
+def test_synced_events_are_whole_and_on_the_clock_of_camera_1(joint_run, recorded):
+    _, found, synced = joint_run
+    before, after = load_events(recorded / "cam2.h5").events, load_events(synced).events
+    clock = Clock(found["t_d_s"], found["skew_ppm"], found["t_ref_s"])
+    expected_us = 1e6 * clock.cam1_from_cam2(before["t"] / 1e6)
+    # Half a microsecond by rounding, and the last digits of a float.
+    assert np.abs(after["t"] - expected_us).max() <= 0.5 + 1e-6
+    assert all(np.array_equal(before[field], after[field]) for field in "xyp")
+
+
+def test_synced_events_have_no_offset_left(joint_run, recorded):
+    again = sync(recorded / "cam1.h5", joint_run[2], recorded / "rig.yaml")
+    # The search draws other subsets, and stops within 10 us or so of the same minimum.
+    assert abs(again.estimate.t_d_s) < 1e-4
+
+
+def test_the_function_finds_what_the_command_prints(joint_run, recorded):
+    result = sync(recorded / "cam1.h5", recorded / "cam2.h5", recorded / "rig.yaml")
+    assert result.summary() == joint_run[0].stdout.rstrip("\n")
+    untimed = {key: value for key, value in joint_run[1].items() if key != "seconds"}
+    report = result.to_dict()
+    assert set(report.pop("seconds")) == {"read", "denoise", "objects", "estimate"}
+    assert report == untimed
+
+
+def test_swapped_cameras_have_the_opposite_sign(recorded):
+    cam1, cam2 = recorded.pair
+    result = run_sync(cam2, cam1, "--rig", recorded / "rig.yaml", "--method", "joint")
+    assert result.exit_code == 0
+    assert "t_d = -" in result.stdout
+    assert "less than camera 1's; add it to camera 2's timestamps" in result.stdout
+
+
+def test_known_extrinsics_are_used(recorded, tmp_path):
+    rig, out = recorded / "rig_extrinsics.yaml", tmp_path / "out.json"
+    result = run_sync(*recorded.pair, "--rig", rig, "--known-extrinsics", "--json", out)
+    assert result.exit_code == 0
+    found = read_json(out)
+    assert found["method"] == "tangency-known"
+    np.testing.assert_allclose(found["R"], recorded.scene.R, atol=1e-12)
+    assert f"as given in {rig}" in result.stdout
+
+
+def test_the_format_of_a_file_does_not_matter(recorded):
+    results = [
+        sync(recorded / "cam1.h5", recorded / name, recorded / "rig.yaml", "ssac")
+        for name in ("cam2.h5", "cam2.txt")
+    ]
+    assert results[0].estimate.t_d_s == results[1].estimate.t_d_s
+
+
+def test_recordings_of_unequal_start_and_length(recorded, tmp_path):
+    events1, events2 = (load_events(recorded / name).events for name in ("cam1.h5", "cam2.h5"))
+    save_events_h5(tmp_path / "1.h5", slice_time(events1, 1_300_000, 8_000_000), WIDTH, HEIGHT)
+    save_events_h5(tmp_path / "2.h5", slice_time(events2, 0, 7_100_000), WIDTH, HEIGHT)
+    result = sync(tmp_path / "1.h5", tmp_path / "2.h5", recorded / "rig.yaml")
+    assert result.estimate.status == "ok"
+    assert abs(result.estimate.t_d_s - T_D_S) < TOLERANCE_S
+
+
+def test_clocks_with_unlike_epochs_need_nothing_more(recorded, tmp_path):
+    events = load_events(recorded / "cam2.h5").events.copy()
+    epoch_s = 1_700_000_000
+    events["t"] += epoch_s * 1_000_000
+    save_events_h5(tmp_path / "2.h5", events, WIDTH, HEIGHT)
+    args = (recorded / "cam1.h5", tmp_path / "2.h5", "--rig", recorded / "rig.yaml")
+    refused = run_sync(*args, "--search", "-1", "1")
+    assert refused.exit_code == NO_ESTIMATE
+    advice = refused.stdout.splitlines()[0].rsplit("for example ", 1)[1].split()
+    out = tmp_path / "out.json"
+    for more in (advice, ()):  # or every offset is searched
+        assert run_sync(*args, *more, "--json", out).exit_code == 0
+        assert abs(read_json(out)["t_d_s"] - epoch_s - T_D_S) < TOLERANCE_S
+
+
+@pytest.mark.parametrize("method", ["zncc_e", "zncc_f", "event_rate"])
+def test_what_a_method_does_not_estimate_is_null(method, recorded, tmp_path):
+    out = tmp_path / "out.json"
+    args = ("--rig", recorded / "rig.yaml", "--method", method, "--json", out)
+    result = run_sync(*recorded.pair, *args)
+    assert result.exit_code == 0, result.stderr
+    found = read_json(out)
+    assert found["t_d_s"] is not None
+    missing = ("t_d_std_s", "R", "t", "n_samples", "d_avg_px", "covariance")
+    assert [found[key] for key in missing] == [None] * len(missing)
+    assert ("denoise" in result.stderr) == (method != "zncc_f")
+
+
+@pytest.mark.parametrize("method", ["ssac", "albl", "zncc_e", "zncc_f", "event_rate"])
+def test_an_offset_without_a_deviation_comes_with_no_advice_to_apply_it(method, recorded, tmp_path):
+    out = tmp_path / "out.json"
+    synced = tmp_path / "synced.h5"
+    args = ("--rig", recorded / "rig.yaml", "--method", method, "--json", out)
+    result = run_sync(*recorded.pair, *args, "--write-synced", synced)
+    assert result.exit_code == 0, result.stderr
+    assert f"{synced}, by an offset of unknown accuracy\n" in result.stderr
+    note = f"{method} states no standard deviation"
+    assert "ms, of unknown accuracy\n" in result.stdout
+    assert f"note           {note}" in result.stdout
+    assert "subtract" not in result.stdout
+    found = read_json(out)
+    assert found["t_d_std_s"] is None
+    assert found["note"].startswith(note)
+    assert found["status"] == "ok"
+
+
+def test_no_reliable_estimate_says_why(recorded, tmp_path):
+    out, synced, plot = tmp_path / "out.json", tmp_path / "synced.h5", tmp_path / "figures"
+    result = run_sync(
+        *recorded.pair, "--rig", recorded / "rig.yaml", "--search", "-1", "0.02", "--json", out,
+        "--write-synced", synced, "--plot", plot,
+    )  # fmt: skip
+    assert result.exit_code == NO_ESTIMATE
+    found = read_json(out)
+    assert found["status"] == "search_bound"
+    assert "widen the interval" in found["reason"]
+    assert f"search_bound: {found['reason']}" in result.stdout
+    assert found["t_d_s"] is None
+    assert not synced.exists()
+    assert f"not written: {synced}" in result.stderr
+    assert [path.name for path in plot.iterdir()] == ["d_avg.png"]
+
+
+def test_deviations_of_the_intrinsics_widen_those_of_the_pose(recorded, tmp_path):
+    found = []
+    for focal, centre in (("0", "0"), ("1", "3")):
+        out = tmp_path / "out.json"
+        result = run_sync(
+            *recorded.pair, "--rig", recorded / "rig.yaml", "--method", "joint", "--json", out,
+            "--focal-std", focal, "--centre-std", centre,
+        )  # fmt: skip
+        assert result.exit_code == 0
+        found.append(np.sqrt(np.diag(read_json(out)["covariance"]))[1:])
+    assert np.all(found[1] > found[0])
+
+
+def test_options_reach_the_method(recorded):
+    result = run_sync(
+        *recorded.pair, "--rig", recorded / "rig.yaml", "--no-denoise", "--n-samples", "150",
+        "--half-window", "0.01", "--n-min", "100", "--method", "joint",
+    )  # fmt: skip
+    assert result.exit_code == 0
+    assert " pairs of positions used, of 150 sample times\n" in result.stdout
+    assert "denoise" not in result.stderr
+
+
+@pytest.mark.parametrize("suffix", FIGURE_SUFFIXES)
+def test_one_file_holds_all_figures(suffix, recorded, tmp_path):
+    plot = tmp_path / f"page{suffix}"
+    args = ("--rig", recorded / "rig.yaml", "--method", "zncc_f", "--plot", plot)
+    result = run_sync(*recorded.pair, *args)
+    assert result.exit_code == 0
+    assert [path.name for path in tmp_path.iterdir()] == [plot.name]
+    assert str(plot) in result.stderr
+
+
+def test_a_warning_is_one_line(recorded, tmp_path, monkeypatch):
+    def warn_and_load(path, reading):
+        warnings.warn(f"{path} starts at time 0", stacklevel=2)
+        return load_events(path)
+
+    monkeypatch.setattr("ssac.files.event_files.load_events", warn_and_load)
+    result = run_sync(*recorded.pair, "--rig", recorded / "rig.yaml", "--method", "zncc_e")
+    assert f"warning: {recorded / 'cam1.h5'} starts at time 0\n" in result.stderr
+
+
+@pytest.mark.render
+@pytest.mark.parametrize(
+    ("noise", "t_d_s", "angle"), [("ideal", 0.05, 90.0), ("davis346", -0.5, 60.0)]
+)
+def test_a_simulated_recording_end_to_end(noise, t_d_s, angle, tmp_path):
+    recording = simulate(
+        SimConfig(
+            angle_deg=angle,
+            t_d_s=t_d_s,
+            spline=SplineConfig(duration_s=8.0),
+            sampling=SamplingConfig(max_step_px=1.0),
+            sensor=PRESETS[noise],
+        ),
+        seed=0,
+    )
+    folder = tmp_path / "recording"
+    save_recording(recording, folder, {})
+    result = sync(folder / "cam1.h5", folder / "cam2.h5", folder / "rig.yaml")
+    estimate, truth = result.estimate, recording.truth
+    assert estimate.status == "ok"
+    assert estimate.R is not None
+    assert estimate.t is not None
+    # The bias of the events' mean, over the few passes of 8 s.
+    assert abs(estimate.t_d_s - truth.t_d_s) < 3e-3
+    assert rotation_angle_deg(estimate.R, truth.R) < 4.0
+    assert angle_deg(estimate.t, truth.t) < 4.0

@@ -1,0 +1,152 @@
+"""The figures: what is drawn is what was estimated."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+
+import ssac
+from ssac.camera import Camera
+from ssac.estimate import Estimate
+from ssac.geometry.epipolar import epipolar_distance
+from ssac.pipeline.plots import (
+    BLUE,
+    RED,
+    YELLOW,
+    ZOOM_S,
+    Material,
+    _foot,
+    draw_alignment,
+    draw_epipolar,
+    draw_search,
+    plane_angles,
+    save_figures,
+)
+from tests.ssac.synthetic import HEIGHT, WIDTH, K, track_pair
+
+
+@pytest.fixture(scope="module")
+def result(recorded):
+    return ssac.sync(recorded / "cam1.h5", recorded / "cam2.h5", recorded / "rig.yaml")
+
+
+@pytest.fixture(scope="module")
+def material(result):
+    return material_of(result)
+
+
+def material_of(result):
+    one, other = result.answer.cleans
+    return Material(result.estimate, (one.events, other.events), result.answer.views)
+
+
+def of(result, estimate):
+    """The same recordings with another estimate."""
+    return replace(result, answer=replace(result.answer, estimate=estimate))
+
+
+def test_a_folder_gets_one_picture_per_figure(result, tmp_path):
+    written = result.plotted(tmp_path / "new" / "figures")
+    assert [path.name for path in written] == ["d_avg.png", "epipolar.png", "alignment.png"]
+    for path in written:
+        assert np.std(cv2.imread(str(path))) > 10.0  # not blank
+
+
+def test_an_estimate_without_a_pose_has_its_curve_only(result, tmp_path):
+    curve = {"candidates_s": np.linspace(-1, 1, 9), "costs": -np.cos(np.linspace(-1, 1, 9))}
+    written = of(result, Estimate("zncc_e", t_d_s=0.0, **curve)).plotted(tmp_path)
+    assert [path.name for path in written] == ["d_avg.png"]
+
+
+def test_an_estimate_without_anything_has_no_picture(result, tmp_path):
+    refused = of(result, Estimate("albl", "too_few_samples", "few"))
+    assert refused.plotted(tmp_path / "page.png") == []
+    assert refused.plot() is None
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("t_d_s", [-1.7, 0.0])
+def test_odd_offsets_can_be_drawn(t_d_s, result, tmp_path):
+    """At 0 there is no "before"; at -1.7 s the recordings overlap in part only."""
+    assert len(of(result, replace(result.estimate, t_d_s=t_d_s)).plotted(tmp_path)) == 3
+
+
+def test_one_page_holds_all_figures(result, tmp_path):
+    figures = [cv2.imread(str(path)) for path in result.plotted(tmp_path)]
+    (page,) = result.plotted(tmp_path / "page.png")
+    height, width, _ = cv2.imread(str(page)).shape
+    assert (height, width) == (sum(len(figure) for figure in figures), figures[0].shape[1])
+
+
+def test_a_distorted_lens_can_be_drawn(result, tmp_path):
+    camera = Camera(K, WIDTH, HEIGHT, "radtan", (-0.2, 0.05, 0.0, 0.0))
+    material = material_of(result)
+    rig = replace(material.rig, cam1=camera)
+    bent = replace(material, views=replace(material.views, rig=rig))
+    assert len(save_figures(tmp_path, bent)) == 3
+
+
+def test_the_search_shows_the_minimum_and_3_ms_around_it(material):
+    figure = Figure()
+    draw_search(figure, material)
+    whole, zoom = figure.axes
+    t_d_s = material.estimate.t_d_s
+    offsets_s, costs = whole.lines[0].get_data()
+    assert np.array_equal(offsets_s, material.estimate.candidates_s)
+    assert np.array_equal(costs, material.estimate.costs)
+    near_ms, d_avg_px = zoom.lines[0].get_data()
+    np.testing.assert_allclose(
+        [near_ms[0], near_ms[-1]], 1e3 * np.array([t_d_s - ZOOM_S, t_d_s + ZOOM_S])
+    )
+    # The estimate is of tangents, the curve of means: on these random pixels 1 ms apart or so.
+    assert abs(near_ms[np.argmin(d_avg_px)] - 1e3 * t_d_s) < 2.0
+
+
+def test_the_distance_drawn_is_the_distance(material):
+    figure = Figure()
+    draw_epipolar(figure, material)
+    assert len(figure.axes) == 4
+    drawn_px = []
+    for left, right in (figure.axes[:2], figure.axes[2:]):
+        segment = np.transpose(left.lines[1].get_data())
+        p1, p2 = (np.ravel(axes.lines[-1].get_data()) for axes in (left, right))
+        expected_px = epipolar_distance(material.estimate.F, p1, p2)
+        drawn_px.append(np.linalg.norm(segment[1] - segment[0]))
+        assert drawn_px[-1] == pytest.approx(expected_px)
+        assert f"{drawn_px[-1]:.2f} px" in left.get_title()
+    assert drawn_px[1] < drawn_px[0]
+
+
+def test_the_foot_is_the_nearest_point_of_the_line():
+    line, point = np.array([3.0, 4.0, -10.0]), np.array([6.0, 8.0])
+    foot = _foot(line, point)
+    assert line @ [*foot, 1.0] == pytest.approx(0.0, abs=1e-12)
+    assert np.linalg.norm(foot - point) == pytest.approx(8.0)  # |3*6 + 4*8 - 10| / 5
+
+
+def test_one_point_has_one_plane_angle_in_both_views(recorded, material):
+    scene = recorded.scene
+    truth = replace(material.estimate, R=scene.R, t=scene.t / np.linalg.norm(scene.t))
+    p1, p2 = track_pair(scene, np.linspace(0.5, 7.5, 50))
+    exact = replace(material, estimate=truth)
+    angles_1, angles_2 = plane_angles(exact, 0, p1), plane_angles(exact, 1, p2)
+    np.testing.assert_allclose(angles_1, angles_2, atol=1e-9)
+    assert np.ptp(angles_1) > 5.0
+
+
+def test_the_tracks_coincide_after_alignment(material):
+    figure = Figure()
+    draw_alignment(figure, material)
+    before, after = (
+        np.nanmedian(np.abs(axes.lines[1].get_ydata() - axes.lines[3].get_ydata()))
+        for axes in figure.axes[2:]
+    )
+    assert after < 0.3 * before
+
+
+def test_colours_stay_apart_in_grey():
+    grey = sorted(np.dot(to_rgb(color), [0.299, 0.587, 0.114]) for color in (BLUE, RED, YELLOW))
+    assert np.min(np.diff([*grey, 1.0])) > 0.15
