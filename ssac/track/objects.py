@@ -306,7 +306,7 @@ def _piece(path: list[int], blobs: Blobs, camera: Camera) -> Piece:
 
 
 _LONGEST_GAP = 30  # bins
-_MEMORY = 6  # bins that tell a velocity
+_LINK_BINS = 6  # bins that tell a velocity
 _MISS_PX, _MISS_PX_PER_BIN = 8.0, 2.5  # how far a path turns aside in a gap, besides
 _DEAREST = 2.5  # of the links that are made
 
@@ -343,10 +343,10 @@ def chains_of(pieces: list[Piece]) -> list[list[int]]:
 def _cost(one: Piece, other: Piece) -> float:
     """How ill a piece continues another: 1 for each of what is ordinary."""
     gap = other.first - one.last + 1
-    before, after = one.positions_px[-_MEMORY:], other.positions_px[:_MEMORY]
+    before, after = one.positions_px[-_LINK_BINS:], other.positions_px[:_LINK_BINS]
     steps_px = 0.5 * (_step_px(before) + _step_px(after))  # an even turn, in between
     miss_px = float(np.hypot(*(after[0] - before[-1] - gap * steps_px)))
-    brighter = np.mean(other.n_events[:_MEMORY]) / np.mean(one.n_events[-_MEMORY:])
+    brighter = np.mean(other.n_events[:_LINK_BINS]) / np.mean(one.n_events[-_LINK_BINS:])
     larger = (other.size_px + 1.0) / (one.size_px + 1.0)
     unlike = abs(np.log(brighter)) / np.log(2.5) + abs(np.log(larger)) / np.log(1.6)
     return float(miss_px / (_MISS_PX + _MISS_PX_PER_BIN * gap) + unlike)
