@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from ssac.files.event_files import load_events
     from ssac.files.rigs import load_rig
     from ssac.files.track_files import load_track
-    from ssac.methods.correlation import (
+    from ssac.methods.correlations import (
         Signal,
         binned,
         correlation_estimate,
@@ -116,7 +116,7 @@ __all__ = [
 """The module's own name is left alone: the paper's method is `ssac.ssac`."""
 
 _HOMES = {
-    "ssac.methods.correlation": "Signal binned correlation_estimate counted lags_of zncc",
+    "ssac.methods.correlations": "Signal binned correlation_estimate counted lags_of zncc",
     "ssac.camera": "Camera Cameras Rig",
     "ssac.clock": "Clock",
     "ssac.config": "Config checked",

@@ -14,11 +14,10 @@ from sim.storage import record
 from ssac.camera import Cameras
 from ssac.config import Config
 from ssac.errors import SsacError
-from ssac.fit.problem import Parameters
+from ssac.fit.least_squares import Parameters
 from ssac.methods.algorithms import algorithm_2
 from ssac.methods.joint import joint_from
-from ssac.methods.tangency import refine_tangents
-from ssac.methods.tangent_pairs import TangencyConfig, tangent_times, tangents_under
+from ssac.methods.tangency import TangencyConfig, refine_tangents, tangent_times, tangents_under
 from ssac.pipeline.chain import MEANS, Chain, Source
 from ssac.pipeline.opened import opened, opened_rig
 from ssac.pipeline.registry import OURS, Input, Method

@@ -45,7 +45,7 @@ RECORDED = ("recordings", "brightness", "denoised")
 RECORDING_CODE = ("sim.recording", "sim.storage")
 """What makes a recording: nothing of `experiments`, so that recordings outlive its edits."""
 
-BRIGHTNESS_CODE = ("ssac.methods.zncc_f", "ssac.files.hdf5")
+BRIGHTNESS_CODE = ("ssac.methods.correlations", "ssac.files.hdf5")
 
 DENOISED_CODE = ("ssac.track.clean", "ssac.files.hdf5")
 

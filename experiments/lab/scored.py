@@ -20,7 +20,7 @@ from ssac.estimate import Estimate, Status
 from ssac.events import US_PER_S
 from ssac.files.hdf5 import load_frames
 from ssac.files.rigs import load_rig
-from ssac.methods.zncc_f import frame_means
+from ssac.methods.correlations import frame_means
 from ssac.pipeline.chain import Chain
 from ssac.pipeline.registry import METHODS, Input, Method
 from ssac.track.observation import Observation

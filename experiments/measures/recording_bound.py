@@ -30,11 +30,10 @@ from scipy.interpolate import CubicSpline
 from experiments.measures.bound import Bound, cramer_rao_bound, fisher_information, known_pose_bound
 from ssac.camera import known_pose
 from ssac.files.readable import readable
-from ssac.fit.problem import Parameters
-from ssac.geometry.epipolar import fundamental_from_pose, sampson_distance
-from ssac.geometry.robust import robust_deviation
+from ssac.fit.least_squares import Parameters
+from ssac.geometry.epipolar import fundamental_from_pose, robust_deviation, sampson_distance
 from ssac.methods.joint import sharp_pairs
-from ssac.methods.tangent_pairs import TangencyConfig, tangent_times, tangents_under
+from ssac.methods.tangency import TangencyConfig, tangent_times, tangents_under
 from ssac.search.two_views import TwoViews
 
 Array = NDArray[np.float64]

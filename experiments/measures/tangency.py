@@ -15,8 +15,7 @@ from experiments.lab.score import score
 from experiments.lab.task import FlightCell, Measure
 from ssac.camera import Rig, known_pose
 from ssac.estimate import Estimate
-from ssac.methods.tangency import refine_tangents
-from ssac.methods.tangent_pairs import TangencyConfig
+from ssac.methods.tangency import TangencyConfig, refine_tangents
 from ssac.pipeline.chain import Chain
 from ssac.search.two_views import TwoViews
 

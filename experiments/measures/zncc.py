@@ -27,9 +27,7 @@ from ssac.errors import SsacError
 from ssac.estimate import Estimate
 from ssac.events import US_PER_S
 from ssac.files.hdf5 import load_frames
-from ssac.methods.correlation import Signal, binned, lags_of, zncc
-from ssac.methods.zncc_e import BIN_S
-from ssac.methods.zncc_f import FRAME_S
+from ssac.methods.correlations import BIN_S, FRAME_S, Signal, binned, lags_of, zncc
 from ssac.pipeline.chain import Chain
 from ssac.track.observation import Observation
 

@@ -18,7 +18,7 @@ from experiments.paper.grids import ANGLES_DEG, drawn
 from experiments.paper.quantities import ERRORS, R_ERROR, T_D_ERROR
 from sim.recording import SimConfig
 from sim.sensor.frames import FrameConfig
-from ssac.methods.tangent_pairs import TangencyConfig
+from ssac.methods.tangency import TangencyConfig
 from ssac.track.outline import OutlineConfig
 
 FIRST_FLIGHT, N_FLIGHTS = 100, 6

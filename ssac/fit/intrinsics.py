@@ -17,10 +17,18 @@ from numpy.typing import NDArray
 
 from ssac.camera import Camera, Rig, distort_points
 from ssac.fit.covariance import repeats
-from ssac.fit.least_squares import covariance_of, fair_scales, hidden_covariance
-from ssac.fit.problem import Column, Parameters, Prior, Problem, Residuals, linearise
-from ssac.geometry.epipolar import fundamental_from_pose
-from ssac.geometry.robust import cauchy_weights, robust_deviation
+from ssac.fit.least_squares import (
+    Column,
+    Parameters,
+    Prior,
+    Problem,
+    Residuals,
+    covariance_of,
+    fair_scales,
+    hidden_covariance,
+    linearise,
+)
+from ssac.geometry.epipolar import cauchy_weights, fundamental_from_pose, robust_deviation
 
 Array = NDArray[np.float64]
 

@@ -1,4 +1,4 @@
-"""Relative pose or F and point pairs in, epipolar lines and distances out.
+"""Epipolar lines and distances of point pairs, and what is robust of many distances.
 
 Conventions after Hartley and Zisserman, for points p = (x, y) [px] taken as (x, y, 1):
 p2' F p1 = 0, E = K2' F K1 = [t]x R, x2 = R x1 + t.
@@ -10,6 +10,37 @@ from typing import TypeVar
 import numba
 import numpy as np
 from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+CAUCHY = 2.385
+"""Where Cauchy's loss turns, in robust standard deviations: 95 % efficiency on Gaussian noise."""
+
+TO_DEVIATION = 1.4826
+"""From the median absolute value of Gaussian noise to its standard deviation."""
+
+_LEAST_DEVIATION = 1e-12  # of residuals that are all zero
+
+
+def robust_deviation(residuals: Array) -> float:
+    """Deviation, from zero, of Gaussian noise with the same median absolute value."""
+    return float(TO_DEVIATION * np.median(np.abs(residuals)))
+
+
+def cauchy_weights(residuals: Array, turn: float = CAUCHY) -> tuple[Array, Array]:
+    """First derivative over residual, and second derivative, of Cauchy's loss: both (n,).
+
+    Parameters
+    ----------
+    residuals
+        Shape (n,).
+    turn
+        Where the loss turns, in robust standard deviations.
+    """
+    deviation = robust_deviation(residuals) + _LEAST_DEVIATION
+    squares = (residuals / (turn * deviation)) ** 2
+    return 1.0 / (1.0 + squares), (1.0 - squares) / (1.0 + squares) ** 2
+
 
 Matrix = NDArray[np.float64]
 Entries = Matrix | Sequence[float]

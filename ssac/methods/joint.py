@@ -18,17 +18,22 @@ from numpy.typing import NDArray
 from ssac.camera import Rig
 from ssac.estimate import Estimate, Status
 from ssac.fit.intrinsics import Allowance, evidence, fundamental_of
-from ssac.fit.least_squares import covariance_of, hidden_covariance, still_moves
-from ssac.fit.problem import Parameters, Problem, Residuals, WeighedPairs, linearise
+from ssac.fit.least_squares import (
+    Parameters,
+    Problem,
+    Residuals,
+    WeighedPairs,
+    covariance_of,
+    hidden_covariance,
+    linearise,
+    still_moves,
+)
 from ssac.geometry.epipolar import fundamental_from_pose, sampson_derivative
 from ssac.geometry.fundamental import MIN_PAIRS
 from ssac.geometry.pose import rays_of
 from ssac.methods.algorithms import with_fit
-from ssac.methods.clock_jump import checked_clock
-from ssac.methods.clock_model import clock_model
-from ssac.methods.hypotheses import settled, sharp_solution
-from ssac.methods.rivals import confirmed
-from ssac.methods.skew_search import with_coarse_skew
+from ssac.methods.clocks import checked_clock, clock_model, with_coarse_skew
+from ssac.methods.hypotheses import confirmed, settled, sharp_solution
 from ssac.methods.verdict import certain, doubt, is_spread
 from ssac.rules import VerdictRules
 from ssac.search.two_views import TwoViews

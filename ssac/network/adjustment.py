@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ssac.geometry.robust import CAUCHY, TO_DEVIATION
+from ssac.geometry.epipolar import CAUCHY, TO_DEVIATION
 from ssac.network.graph import Pair, PairTold, shared_by
 from ssac.network.normal import Linear, Normal, Solved, Spline, basis, jerks, solve
 from ssac.network.state import (

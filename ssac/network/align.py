@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from ssac.clock import PPM, Clock
 from ssac.errors import SsacError
-from ssac.geometry.robust import cauchy_weights, robust_deviation
+from ssac.geometry.epipolar import cauchy_weights, robust_deviation
 from ssac.network.tum import Path
 
 Array = NDArray[np.float64]

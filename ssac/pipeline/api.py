@@ -14,7 +14,7 @@ from ssac.config import Config
 from ssac.errors import SsacError
 from ssac.estimate import Estimate
 from ssac.files.damage import STRICT, Reading
-from ssac.methods.rounding import quantum_s
+from ssac.methods.verdict import quantum_s
 from ssac.pipeline.answer import Answer, Log, quiet
 from ssac.pipeline.chain import Chain
 from ssac.pipeline.opened import (

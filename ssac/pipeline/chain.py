@@ -25,7 +25,7 @@ from ssac.camera import Camera, Cameras, Rig, check_cameras
 from ssac.config import Config, Interval, validated
 from ssac.errors import SsacError
 from ssac.estimate import SETTLED_BY, Estimate, Refusal, Status
-from ssac.methods.rounding import less_sure, quantum_s
+from ssac.methods.verdict import less_sure, quantum_s
 from ssac.pipeline.answer import Answer, Log, Stopwatch, quiet
 from ssac.pipeline.registry import Input, Method, choose_method
 from ssac.search.observability import has_common_time, unusable

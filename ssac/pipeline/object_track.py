@@ -9,7 +9,7 @@ from ssac.camera import distort_points
 from ssac.config import Config
 from ssac.errors import SsacError
 from ssac.points import PointTrack
-from ssac.search.seen import seen_of, seen_times
+from ssac.search.view import seen_of, seen_times
 from ssac.track.clean import Clean
 from ssac.track.motion import SharpTrack, motion_of
 from ssac.track.objects import objects_of, seem_several

@@ -286,6 +286,6 @@ def _warn_of_long_steps(times_s: NDArray[np.float64], path: Path) -> None:
 
 def _pixels_of_mean(frames: NDArray[np.uint8]) -> NDArray[np.float64]:
     """Means of frames (n, height, width), as images of one pixel (n, 1, 1)."""
-    from ssac.methods.zncc_f import frame_means
+    from ssac.methods.correlations import frame_means
 
     return frame_means(frames)[:, None, None]

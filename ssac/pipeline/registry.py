@@ -166,10 +166,10 @@ OURS = (
           **_TRACKS, **_TANGENTS),
     _ours("tangency-known", _TANGENCY, starts_from="joint-known", **_KNOWN, **_TANGENTS),
     _ours("albl", "ssac.methods.albl:albl_of_views"),
-    _ours("zncc_e", "ssac.methods.zncc_e:zncc_e_of_events", input=Input.RATES),
-    _ours("zncc_f", "ssac.methods.zncc_f:zncc_f_of_frames", input=Input.FRAMES,
+    _ours("zncc_e", "ssac.methods.correlations:zncc_e_of_events", input=Input.RATES),
+    _ours("zncc_f", "ssac.methods.correlations:zncc_f_of_frames", input=Input.FRAMES,
           takes_means=True),
-    _ours("event_rate", "ssac.methods.event_rate:event_rate_of_events", input=Input.RATES),
+    _ours("event_rate", "ssac.methods.correlations:event_rate_of_events", input=Input.RATES),
 )  # fmt: skip
 
 

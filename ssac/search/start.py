@@ -19,9 +19,9 @@ from ssac.search.all_offsets import (
     RATE_FREEDOM,
     AllOffsets,
     Guess,
+    Progress,
     search_all_offsets,
 )
-from ssac.search.lag_costs import Progress
 from ssac.search.two_views import TwoViews
 from ssac.track.clean import Clean
 from ssac.track.motion import PointMotion

@@ -16,7 +16,7 @@ from ssac.camera import Camera, undistort_points, undistortion_map
 from ssac.config import Windows
 from ssac.errors import SsacError
 from ssac.events import no_gaps
-from ssac.geometry.robust import robust_deviation
+from ssac.geometry.epipolar import robust_deviation
 from ssac.points import PointTrack
 from ssac.track.clean import Clean
 from ssac.track.clutter import chosen_events, of_pixels

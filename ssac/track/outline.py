@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter1d
 
 from ssac.events import first_from
-from ssac.geometry.pencil import Pencil
+from ssac.geometry.pose import Pencil
 from ssac.track.motion import ObjectMotion
 from ssac.track.motion_kernels import TIE_US
 from ssac.track.outline_kernels import (

@@ -5,7 +5,7 @@ from dataclasses import fields, is_dataclass, replace
 import numpy as np
 import pytest
 
-from experiments.run.grid import configs_of
+from experiments.lab.grid import configs_of
 from ssac import Config, SsacError, Status
 from ssac.config import checked
 from ssac.estimate import Estimate

@@ -6,8 +6,7 @@ from numpy.typing import NDArray
 
 from experiments.measures.bound import Bound, cramer_rao_bound, fisher_information, known_pose_bound
 from ssac.camera import Rig
-from ssac.fit.least_squares import solve
-from ssac.fit.problem import Parameters, Problem, WeighedPairs, moved
+from ssac.fit.least_squares import Parameters, Problem, WeighedPairs, moved, solve
 from ssac.geometry.epipolar import cross_matrix, fundamental_from_pose, sampson_distance
 from ssac.geometry.pose import tangent_basis
 from tests.ssac.synthetic import (

@@ -21,9 +21,8 @@ from sim.scene.rig import two_view_rig
 from sim.scene.trajectory import random_spline
 from ssac.camera import Camera, Rig
 from ssac.config import Config
-from ssac.geometry.epipolar import fundamental_from_pose, sampson_distance
-from ssac.geometry.robust import robust_deviation
-from ssac.methods.tangent_pairs import TangencyConfig
+from ssac.geometry.epipolar import fundamental_from_pose, robust_deviation, sampson_distance
+from ssac.methods.tangency import TangencyConfig
 from ssac.pipeline.api import two_views
 from ssac.search.two_views import TwoViews
 from ssac.track.observation import Observation

@@ -18,8 +18,7 @@ from sim.render.config import RenderConfig, SamplingConfig
 from sim.render.lattice import Lattice
 from sim.scene.rig import look_at_rig
 from sim.scene.trajectory import SplineConfig, Trajectory
-from ssac.methods.correlation import Signal
-from ssac.methods.zncc_e import BIN_S
+from ssac.methods.correlations import BIN_S, Signal
 
 DURATION_S = 10.0
 CAMERAS = dict(zip((0, 90, 180), look_at_rig((0.0, 90.0, 180.0)).cameras, strict=True))

@@ -3,7 +3,7 @@ import pandas as pd
 import pytest
 
 from experiments.studies.tangency import AS_IT_IS, VARIANTS, study_figure, variant_means
-from ssac.methods.tangent_pairs import TangencyConfig
+from ssac.methods.tangency import TangencyConfig
 
 
 def runs() -> pd.DataFrame:

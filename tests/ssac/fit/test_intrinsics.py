@@ -15,16 +15,17 @@ from ssac.fit.intrinsics import (
     moves_of,
     uncertain_ones,
 )
-from ssac.fit.least_squares import covariance_of, solve
-from ssac.fit.problem import (
+from ssac.fit.least_squares import (
     FIRST_COLUMN,
     Parameters,
     Problem,
     WeighedPairs,
+    covariance_of,
     linearise,
+    solve,
 )
 from ssac.geometry.epipolar import fundamental_from_pose, sampson_distance
-from ssac.methods.clock_model import ClockModel, _modes
+from ssac.methods.clocks import ClockModel, _modes
 from tests.ssac.synthetic import (
     HEIGHT,
     WIDTH,

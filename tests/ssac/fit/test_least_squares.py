@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from ssac.fit.least_squares import _least_squares, covariance_of, fair_scales, solve
-from ssac.fit.problem import (
+from ssac.fit.least_squares import (
     FIRST_COLUMN,
     T_D,
     Column,
@@ -15,11 +14,14 @@ from ssac.fit.problem import (
     Prior,
     Problem,
     WeighedPairs,
+    _least_squares,
+    covariance_of,
+    fair_scales,
     linearise,
     moved,
+    solve,
 )
-from ssac.geometry.epipolar import fundamental_from_pose, sampson_distance
-from ssac.geometry.robust import CAUCHY
+from ssac.geometry.epipolar import CAUCHY, fundamental_from_pose, sampson_distance
 from tests.ssac.synthetic import K, make_scene, rotation_angle_deg, track_pair
 
 SCENE = make_scene(seed=2)

@@ -4,8 +4,13 @@ import numpy as np
 import pytest
 
 from ssac.geometry.epipolar import epipolar_distance, fundamental_from_pose
-from ssac.geometry.fundamental import lmeds_fundamental, magsac_fundamental, reweighted_fundamental
-from ssac.geometry.subsets import best_subset, sampson
+from ssac.geometry.fundamental import (
+    best_subset,
+    lmeds_fundamental,
+    magsac_fundamental,
+    reweighted_fundamental,
+    sampson,
+)
 from tests.ssac.synthetic import HEIGHT, WIDTH, K, make_scene, track_pair
 
 ESTIMATORS = {

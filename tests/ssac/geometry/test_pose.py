@@ -6,10 +6,15 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from ssac.geometry.candidate_poses import possible_poses
 from ssac.geometry.epipolar import fundamental_from_pose
 from ssac.geometry.fundamental import reweighted_fundamental
-from ssac.geometry.pose import depths, nearest_pose, pose_from_fundamental, tangent_basis
+from ssac.geometry.pose import (
+    depths,
+    nearest_pose,
+    pose_from_fundamental,
+    possible_poses,
+    tangent_basis,
+)
 from tests.ssac.synthetic import K, angle_deg, make_scene, project, track_pair
 
 ROUNDING = 1e-7  # of an SVD of E through K, whose condition number is about 200 squared

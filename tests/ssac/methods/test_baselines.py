@@ -11,13 +11,25 @@ from ssac.config import Config
 from ssac.errors import SsacError
 from ssac.events import EVENT_DTYPE
 from ssac.geometry.epipolar import sampson_distance
-from ssac.methods.albl import _Linearised, _polished, _ransac
-from ssac.methods.albl_eigen import eigenvector, real_eigenvalues, solve_nine
-from ssac.methods.albl_kernels import quotient
-from ssac.methods.correlation import Signal, binned, counted, zncc
-from ssac.methods.event_rate import event_rate_of_events
-from ssac.methods.zncc_e import zncc_e_of_events
-from ssac.methods.zncc_f import frame_means, zncc_f_of_frames
+from ssac.methods.albl import (
+    _Linearised,
+    _polished,
+    _ransac,
+    eigenvector,
+    quotient,
+    real_eigenvalues,
+    solve_nine,
+)
+from ssac.methods.correlations import (
+    Signal,
+    binned,
+    counted,
+    event_rate_of_events,
+    frame_means,
+    zncc,
+    zncc_e_of_events,
+    zncc_f_of_frames,
+)
 from ssac.track.observation import Observation
 from tests.ssac.synthetic import (
     CAMERA,

@@ -9,8 +9,8 @@ from ssac.clock import Clock
 from ssac.config import Config, checked
 from ssac.errors import SsacError
 from ssac.estimate import Estimate
-from ssac.methods import skew_search
-from ssac.methods.clock_model import PIECE_S, clock_model
+from ssac.methods import clocks
+from ssac.methods.clocks import PIECE_S, clock_model
 from ssac.methods.joint import refine
 from ssac.search.two_views import TwoViews
 from ssac.track.motion import SharpTrack, Track
@@ -186,20 +186,20 @@ def test_far_skews_are_searched_for_and_near_ones_are_not(known, name, monkeypat
             replace(START, d_avg_px=d_avg_px) if d_avg_px < 2000.0 else Estimate("ssac", "no_match")
         )
 
-    monkeypatch.setattr(skew_search, name, search)
+    monkeypatch.setattr(clocks, name, search)
     refused = Estimate("ssac", "no_match")
     for prior_ppm in (0.0, 50.0):  # 3 ms at the ends of 40 s, three deviations off
         views = views_of(Clock(0.05), known=known, skew_prior_ppm=prior_ppm)
-        assert skew_search.with_coarse_skew(refused, views) is refused
+        assert clocks.with_coarse_skew(refused, views) is refused
     assert not tried_ppm
     views = views_of(Clock(0.05), known=known, skew_prior_ppm=1000.0)
-    found = skew_search.with_coarse_skew(refused, views)
+    found = clocks.with_coarse_skew(refused, views)
     assert max(tried_ppm) >= 3000.0
     assert 0.0 not in tried_ppm  # that was the start
     steps_ppm = np.diff(sorted([*tried_ppm, 0.0]))
     # 20 ms at the ends, half a step off; the common time is not known to be the whole 40 s.
-    assert 0.5 * steps_ppm.max() * 1e-6 * 20.0 <= skew_search.MAX_END_S * 1.05
+    assert 0.5 * steps_ppm.max() * 1e-6 * 20.0 <= clocks.MAX_END_S * 1.05
     assert found.skew_ppm == min(tried_ppm, key=lambda ppm: abs(ppm - 2900.0))
     assert found.t_ref_s == pytest.approx(MIDDLE_S, abs=0.1)
     fits = replace(START, d_avg_px=1.0)  # better than any other
-    assert skew_search.with_coarse_skew(fits, views) is fits
+    assert clocks.with_coarse_skew(fits, views) is fits

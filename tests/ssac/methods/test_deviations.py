@@ -8,7 +8,7 @@ import pytest
 from ssac import Observation, Status, joint, joint_known, ssac, tangency, tangency_known
 from ssac.geometry.epipolar import fundamental_from_pose, sampson_distance
 from ssac.geometry.pose import pose_from_fundamental
-from ssac.methods.tangent_pairs import TangencyConfig, tangent_pairs
+from ssac.methods.tangency import TangencyConfig, tangent_pairs
 from ssac.track.outline import Tangents
 from tests.ssac.methods.test_refusal import CLEAN, DURATION_S, MIDDLE, T_D_S, seen
 from tests.ssac.synthetic import (

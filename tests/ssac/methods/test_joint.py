@@ -9,8 +9,7 @@ import pytest
 from ssac import joint, joint_known, ssac, ssac_known, two_views
 from ssac.config import Config
 from ssac.estimate import Estimate
-from ssac.fit.least_squares import solve
-from ssac.fit.problem import Parameters, Problem, linearise, moved
+from ssac.fit.least_squares import Parameters, Problem, linearise, moved, solve
 from ssac.geometry.epipolar import cross_matrix, fundamental_from_pose, sampson_distance
 from ssac.methods.joint import joint_from, refine, sharp_pairs
 from ssac.search.two_views import TwoViews
@@ -266,9 +265,7 @@ def test_going_where_the_views_share_nothing_is_refused(monkeypatch):
     assert "only 0 sample times are valid in both views" in estimate.reason
 
 
-@pytest.mark.parametrize(
-    ("name", "fewer"), [("joint._MAX_RESAMPLINGS", 1), ("clock_model.solve", 1)]
-)
+@pytest.mark.parametrize(("name", "fewer"), [("joint._MAX_RESAMPLINGS", 1), ("clocks.solve", 1)])
 def test_iterations_that_run_out_are_refused(name, fewer, monkeypatch):
     """Bug: what the last iteration had reached was "ok"."""
     scene = make_scene(seed=0)
@@ -277,7 +274,7 @@ def test_iterations_that_run_out_are_refused(name, fewer, monkeypatch):
     views = replace(views, config=replace(views.config, skew_prior_ppm=0.0))
     start = replace(truth_as_start(scene), t_d_s=0.06)
     assert refine(start, views).status == "ok"
-    if name == "clock_model.solve":
+    if name == "clocks.solve":
         fewer = partial(solve, max_steps=1, last_step=1e-12)
         monkeypatch.setattr("ssac.methods.joint._LAST_SHIFT_S", 1.0)
     monkeypatch.setattr(f"ssac.methods.{name}", fewer)

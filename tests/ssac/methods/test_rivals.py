@@ -16,8 +16,8 @@ from ssac import (
     ssac,
     two_views,
 )
+from ssac.methods.hypotheses import Solution, choose
 from ssac.methods.joint import joint_from
-from ssac.methods.rivals import Solution, choose
 from ssac.methods.tangency import tangency_from
 from ssac.rules import Rules
 from tests.ssac.methods.test_refusal import (

@@ -10,8 +10,7 @@ from ssac.errors import SsacError
 from ssac.estimate import Estimate
 from ssac.methods.algorithms import algorithm_2
 from ssac.methods.joint import joint_from
-from ssac.methods.tangency import refine_tangents, tangency_from
-from ssac.methods.tangent_pairs import TangencyConfig, for_blind
+from ssac.methods.tangency import TangencyConfig, for_blind, refine_tangents, tangency_from
 from tests.ssac.box import CLEAN, T_D_S, box_events, errors, observations, off_the_truth, unit
 from tests.ssac.synthetic import (
     HEIGHT,

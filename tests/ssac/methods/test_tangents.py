@@ -6,8 +6,8 @@ import pytest
 from ssac import two_views
 from ssac.camera import Camera, Rig
 from ssac.geometry.epipolar import sampson_distance
-from ssac.geometry.pencil import Pencil, pencils
-from ssac.methods.tangent_pairs import TangencyConfig, tangent_pairs
+from ssac.geometry.pose import Pencil, pencils
+from ssac.methods.tangency import TangencyConfig, tangent_pairs
 from ssac.track.outline import OutlineConfig, near_outline, tangents
 from ssac.track.outline_kernels import (
     above_limit,

@@ -8,8 +8,8 @@ from ssac.config import Config
 from ssac.events import EVENT_DTYPE
 from ssac.points import PointTrack
 from ssac.search.all_offsets import MAX_COST, search_all_offsets
-from ssac.search.seen import MOST, seen_by_both, seen_of, seen_times
 from ssac.search.two_views import TwoViews
+from ssac.search.view import MOST, seen_by_both, seen_of, seen_times
 from ssac.track.motion import object_motion, point_motion
 from tests.ssac.synthetic import HEIGHT, WIDTH, K, make_scene
 from tests.ssac.tracks import FPS, frame_track

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ssac.search.blind import blind_spans
+from ssac.search.view import blind_spans
 
 DURATION_US = 6_000_000
 

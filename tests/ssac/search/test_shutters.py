@@ -8,7 +8,7 @@ import pytest
 from ssac import joint, two_views
 from ssac.camera import READOUT_STD_S, Camera, Rig, with_deviations
 from ssac.config import Config
-from ssac.search.shutters import shutters_of
+from ssac.search.two_views import shutters_of
 from ssac.track.observation import tracked
 from tests.ssac.synthetic import HEIGHT, WIDTH, K, make_scene
 from tests.ssac.tracks import FPS, frame_track

@@ -7,7 +7,7 @@ import pytest
 
 from ssac.camera import Camera
 from ssac.events import EVENT_DTYPE
-from ssac.geometry.pencil import Pencil
+from ssac.geometry.pose import Pencil
 from ssac.track.motion import object_motion
 from ssac.track.outline import OutlineConfig, near_outline, tangents
 from ssac.track.outline_kernels import highest_in_blocks
