@@ -3,52 +3,57 @@
 import warnings
 from enum import Enum
 from pathlib import Path
-from typing import Annotated
+from types import SimpleNamespace
+from typing import Annotated, Any
 
 import typer
 
 from ssac.cli.exits import warnings_as_lines
-from ssac.cli.options import AllowDamaged, NoDenoise, Sort, n_min_of, number
-from ssac.config import Config
+from ssac.cli.options import (
+    NO_DENOISE,
+    READING,
+    Option,
+    config_of,
+    flag,
+    named,
+    number,
+    of_events,
+    with_options,
+)
 from ssac.errors import SsacError
 
 MAX_CAMERA = 1000
 
+OPTIONS = {
+    "camera": Option(
+        number("Number of this camera in the rig.", 1, MAX_CAMERA, metavar="K"),
+        type=int,
+        default=1,
+    ),
+    "no_denoise": NO_DENOISE,
+    "faint": Option(
+        flag(
+            "faint",
+            "Follow an object so small and far away that the noise filter would remove its"
+            " events. Usually with --half-window 0.05 --n-min 8.",
+        )
+    ),
+    **READING,
+    **of_events("a point"),
+}
 
+
+@with_options(OPTIONS)
 def track_command(
     cam: Annotated[
         Path, typer.Argument(metavar="CAM", help="Event file of one camera.", show_default=False)
     ],
-    rig: Annotated[
-        Path,
-        typer.Option(
-            metavar="FILE", help="Calibration: Kalibr or OpenCV YAML.", show_default=False
-        ),
-    ],
-    out: Annotated[
-        Path, typer.Option(metavar="FILE", help="Track file to write (.csv).", show_default=False)
-    ],
-    camera: Annotated[
-        int, number("Number of this camera in the rig.", 1, MAX_CAMERA, metavar="K")
-    ] = 1,
-    no_denoise: NoDenoise = False,
-    faint: Annotated[
-        bool,
-        typer.Option(
-            "--faint",
-            help="Follow an object so small and far away that the noise filter would remove its"
-            " events. Usually with --half-window 0.05 --n-min 8.",
-        ),
-    ] = False,
-    allow_damaged: AllowDamaged = False,
-    sort: Sort = False,
-    half_window: Annotated[
-        float,
-        number("Half of the time window whose events give a point.", 0.001, 0.25, "seconds"),
-    ] = Config.half_window_s,
-    n_min: Annotated[int | None, n_min_of("a point")] = None,
+    rig: Annotated[Path, named("FILE", "Calibration: Kalibr or OpenCV YAML.", False)],
+    out: Annotated[Path, named("FILE", "Track file to write (.csv).", False)],
+    **options: Any,
 ) -> None:
     """Write the path of the one moving object as a track file: t_s,x_px,y_px,sigma_px."""
+    given = SimpleNamespace(**options)
     from ssac.events import check_events
     from ssac.files.damage import Reading
     from ssac.files.event_files import load_events
@@ -62,20 +67,20 @@ def track_command(
 
     if out.suffix.lower() != TRACK_SUFFIX:
         raise SsacError(f"{out}: a track is written as {TRACK_SUFFIX}: name such a file")
-    if faint and no_denoise:
+    if given.faint and given.no_denoise:
         raise SsacError("--faint tells the object from noise, --no-denoise keeps it: leave one out")
     check_target(out, (cam,))
     if is_track_file(cam):
         raise SsacError(f"{cam}: is a track already: give a camera's events")
-    calibrated, name = load_camera(rig, camera), f"camera {camera} of {rig}"
+    calibrated, name = load_camera(rig, given.camera), f"camera {given.camera} of {rig}"
     with warnings_as_lines():
-        file = load_events(cam, Reading(allow_damaged, sort))
+        file = load_events(cam, Reading(given.allow_damaged, given.sort))
     check_resolution(calibrated, file.width, file.height, name, str(cam))
     check_events(file.events, calibrated.width, calibrated.height, f"{cam} with {name}")
-    config = Config(half_window_s=half_window, n_min=n_min, denoise=not (no_denoise or faint))
+    config = config_of(OPTIONS, options | {"no_denoise": given.no_denoise or given.faint})
     try:
         events = file.events
-        if faint:
+        if given.faint:
             events = faint_object_events(events, calibrated.width, calibrated.height)
         seen = clean(Observation(events), calibrated, config.cleaning)
         track = track_of_events(seen, config)

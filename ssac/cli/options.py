@@ -1,11 +1,13 @@
 """Options of the command line that several commands have, and ranges of numbers."""
 
-from collections.abc import Callable, Iterable
-from typing import Annotated, Any
+import inspect
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, get_type_hints
 
 import typer
 
-from ssac.config import N_MIN
+from ssac.config import N_MIN, Config
 from ssac.errors import SsacError
 
 
@@ -58,27 +60,93 @@ def _plain(value: float) -> str:
     return f"{value:.10g}"
 
 
-NoDenoise = Annotated[
-    bool, typer.Option("--no-denoise", help="Do not filter hot pixels and isolated events.")
-]
-AllowDamaged = Annotated[
-    bool,
-    typer.Option(
-        "--allow-damaged", help="Read what is left of a damaged event file, with a warning."
+def named(metavar: str, help_text: str, shown: bool | str = True) -> Any:
+    """Make an option whose value is a name, a path or the like; `shown` is its default in help."""
+    return typer.Option(metavar=metavar, help=help_text, show_default=shown)
+
+
+def flag(name: str, help_text: str) -> Any:
+    """Make an option that is given or not."""
+    return typer.Option(f"--{name}", help=help_text)
+
+
+@dataclass(frozen=True)
+class Option:
+    """One option of a command: what Typer shows and checks of it, and what it sets."""
+
+    info: Any
+    field: str = ""  # of Config, whose type and default it has; empty: of none
+    type: Any = bool  # of one that sets no field
+    default: Any = None  # the same
+    value: Any = None  # of the field where a flag is given, which sets nothing else
+
+    @property
+    def parameter(self) -> tuple[Any, Any]:
+        """Type and default of a command's parameter."""
+        if self.value is not None or not self.field:
+            default = False if self.default is None and self.type is bool else self.default
+            return Annotated[self.type, self.info], default
+        return Annotated[get_type_hints(Config)[self.field], self.info], getattr(Config, self.field)
+
+
+def with_options(
+    options: Mapping[str, Option],
+) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Give a command the parameters of a table in place of its last, which takes any."""
+
+    def given(command: Callable[..., None]) -> Callable[..., None]:
+        *own, _ = inspect.signature(command).parameters.values()
+        taken = []
+        for name, option in options.items():
+            hint, default = option.parameter
+            kind = inspect.Parameter.KEYWORD_ONLY
+            taken.append(inspect.Parameter(name, kind, default=default, annotation=hint))
+        command.__signature__ = inspect.Signature([*own, *taken])  # type: ignore[attr-defined]
+        command.__annotations__ = {one.name: one.annotation for one in (*own, *taken)}
+        return command
+
+    return given
+
+
+def config_of(options: Mapping[str, Option], given: Mapping[str, Any]) -> Config:
+    """Make the configuration that options ask for."""
+    fields = {}
+    for name, option in options.items():
+        if option.field and (option.value is None or given[name]):
+            fields[option.field] = given[name] if option.value is None else option.value
+    return Config(**fields)
+
+
+def of_events(position: str) -> dict[str, Option]:
+    """Make the options on windows of events; `position` is what these give: "a position"."""
+    return {
+        "half_window": Option(
+            number(
+                f"Half of the time window whose events give {position}.", 0.001, 0.25, "seconds"
+            ),
+            "half_window_s",
+        ),
+        "n_min": Option(
+            number(
+                f"Least number of events for {position}.",
+                1,
+                100_000,
+                metavar="COUNT",
+                default_words=f"{N_MIN}; fewer for a thin object",
+            ),
+            "n_min",
+        ),
+    }
+
+
+NO_DENOISE = Option(
+    flag("no-denoise", "Do not filter hot pixels and isolated events."), "denoise", value=False
+)
+
+READING = {
+    "allow_damaged": Option(
+        flag("allow-damaged", "Read what is left of a damaged event file, with a warning.")
     ),
-]
-Sort = Annotated[
-    bool,
-    typer.Option("--sort", help="Sort events that are out of order by less than 1 ms."),
-]
-
-
-def n_min_of(what: str) -> Any:
-    """Make the option of how many events it takes; `what` they make: "a position"."""
-    return number(
-        f"Least number of events for {what}.",
-        1,
-        100_000,
-        metavar="COUNT",
-        default_words=f"{N_MIN}; fewer for a thin object",
-    )
+    "sort": Option(flag("sort", "Sort events that are out of order by less than 1 ms.")),
+}
+"""Options of every command that reads events."""

@@ -6,27 +6,32 @@ What takes long to import is imported when the command runs, not for its help.
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from ssac.cli.command_line import Sections
 from ssac.cli.exits import NO_ESTIMATE, warnings_as_lines
-from ssac.cli.options import AllowDamaged, NoDenoise, Sort, n_min_of, number
-from ssac.config import CLOCKS, EVENT_SKEW_PRIOR_PPM, INTERVAL_S, MAX_SKEW_PPM, Config
+from ssac.cli.options import (
+    NO_DENOISE,
+    READING,
+    Option,
+    config_of,
+    flag,
+    named,
+    number,
+    of_events,
+    with_options,
+)
+from ssac.config import CLOCKS, EVENT_SKEW_PRIOR_PPM, INTERVAL_S, MAX_SKEW_PPM
 from ssac.errors import SsacError
 from ssac.pipeline.summaries import DEFAULT, OF_TRACKS, all_summaries
 
 if TYPE_CHECKING:
     from ssac.pipeline.opened import Known
 
-_SEARCH_DEFAULT = (
-    f"{INTERVAL_S[0]:g} {INTERVAL_S[1]:g}; all offsets for tracks, or where that "
-    "leaves no common time"
-)
-
-MAX_SEARCH_S = 3600.0
-"""Width of a search interval that still ends: its time is proportional to it."""
+_MAX_SEARCH_S = 3600.0  # width of a search interval that still ends: its time grows with it
 
 
 def complete_method(incomplete: str) -> list[tuple[str, str]]:
@@ -34,6 +39,154 @@ def complete_method(incomplete: str) -> list[tuple[str, str]]:
     return [pair for pair in all_summaries().items() if pair[0].startswith(incomplete)]
 
 
+_FILE = Path | None
+
+OPTIONS = {
+    "known_extrinsics": Option(
+        flag("known-extrinsics", "Take the pose from the rig file and find only the offset.")
+    ),
+    "method": Option(
+        typer.Option(
+            metavar="NAME",
+            help="Method, one of those below.",
+            autocompletion=complete_method,
+            show_default=f"{DEFAULT}; {OF_TRACKS} with tracks",
+        ),
+        type=str | None,
+    ),
+    "cameras": Option(
+        named("I J", "Numbers of the two cameras in the rig, from 1."),
+        type=tuple[int, int],
+        default=(1, 2),
+    ),
+    "search": Option(
+        named(
+            "LOW HIGH",
+            "Range of offsets t_d to search, in seconds.",
+            f"{INTERVAL_S[0]:g} {INTERVAL_S[1]:g}; all offsets for tracks, or where that "
+            "leaves no common time",
+        ),
+        "interval_s",
+    ),
+    "search_all": Option(
+        flag("search-all", "Search all offsets that leave enough common time."),
+        "search",
+        value="all",
+    ),
+    "rate_range": Option(
+        named(
+            "LOW HIGH",
+            "Also search the rate of camera 2's clock over camera 1's in this range, at all"
+            " offsets: for an unknown frame rate.",
+            False,
+        ),
+        "rates",
+    ),
+    "skew_prior": Option(
+        number(
+            "Prior standard deviation of the clock skew; 0: no skew; phones need 1000.",
+            0,
+            MAX_SKEW_PPM,
+            "ppm",
+            default_words=f"{EVENT_SKEW_PRIOR_PPM:g}; 1000 with tracks",
+        ),
+        "skew_prior_ppm",
+    ),
+    "clock": Option(
+        named(
+            "NAME",
+            "Clock model: affine, or pieces, whose skew changes, as in phones.",
+            "affine; pieces for tracks that it does not fit",
+        ),
+        "clock",
+    ),
+    "roughness": Option(
+        number(
+            "With --clock pieces: standard deviation of the change of skew from piece to piece;"
+            " variable frame rates need 6000.",
+            1,
+            MAX_SKEW_PPM,
+            "ppm",
+        ),
+        "roughness_ppm",
+    ),
+    "estimate_readout": Option(
+        flag(
+            "estimate-readout",
+            "Estimate rolling-shutter readout times that the rig does not give (tracks only).",
+        )
+    ),
+    "json_file": Option(
+        typer.Option("--json", metavar="FILE", help="Write the result as JSON."), type=_FILE
+    ),
+    "plot": Option(
+        named("PATH", "Draw figures: into a folder, or one file (.png, .pdf, .svg)."), type=_FILE
+    ),
+    "write_synced": Option(
+        named("FILE", "Write camera 2's events (.h5, .txt) or track (.csv) on camera 1's clock."),
+        type=_FILE,
+    ),
+    "trajectory": Option(
+        named("FILE", "Write the object's path in space: .csv (with deviations), else TUM."),
+        type=_FILE,
+    ),
+    "distance": Option(
+        number("Distance between cameras 1 and 2, which sets the scale.", 1e-3, 1e6, "m"),
+        type=float | None,
+    ),
+    "positions": Option(
+        named("FILE", "CSV of camera positions, camera,x_m,y_m,z_m: sets frame and scale."),
+        type=_FILE,
+    ),
+    "rtk": Option(
+        named("FILE", "The object's path by RTK, on any clock: sets frame and scale."), type=_FILE
+    ),
+    "lever_arm": Option(
+        number(
+            "Position of the RTK antenna in the body: forward, left, up. Needs its attitude.",
+            -100,
+            100,
+            "metres",
+            metavar="X Y Z",
+        ),
+        type=tuple[float, float, float] | None,
+    ),
+    "focal_std": Option(
+        number(
+            "Standard deviation of both focal lengths, overriding the rig file.", 0, 20, "percent"
+        ),
+        type=float | None,
+    ),
+    "centre_std": Option(
+        number(
+            "Standard deviation of both principal points, overriding the rig file.", 0, 100, "px"
+        ),
+        type=float | None,
+    ),
+    "no_denoise": NO_DENOISE,
+    **READING,
+    "n_samples": Option(
+        number(
+            "Number of sample times at which positions are compared.", 20, 100_000, metavar="COUNT"
+        ),
+        "n_samples",
+    ),
+    **of_events("a position"),
+    "neighbours": Option(
+        number(
+            "Noise filter: events needed within 5 px and 5 ms to keep an event.",
+            1,
+            1000,
+            metavar="COUNT",
+            default_words="20; adapted to noise and thin objects",
+        ),
+        "n_neighbours",
+    ),
+}
+"""By the name of the parameter, in the order of the help."""
+
+
+@with_options(OPTIONS)
 def sync_command(
     cam1: Annotated[
         Path,
@@ -44,243 +197,52 @@ def sync_command(
         typer.Argument(metavar="CAM2", help="Event or track file of camera 2.", show_default=False),
     ],
     rig: Annotated[
-        Path,
-        typer.Option(
-            metavar="FILE",
-            help="Calibration of the cameras: Kalibr or OpenCV YAML.",
-            show_default=False,
-        ),
+        Path, named("FILE", "Calibration of the cameras: Kalibr or OpenCV YAML.", False)
     ],
     more: Annotated[
         list[Path] | None,
         typer.Argument(metavar="CAM3", help="Files of further cameras.", show_default=False),
     ] = None,
-    known_extrinsics: Annotated[
-        bool,
-        typer.Option(
-            "--known-extrinsics", help="Take the pose from the rig file and find only the offset."
-        ),
-    ] = False,
-    method: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME",
-            help="Method, one of those below.",
-            autocompletion=complete_method,
-            show_default=f"{DEFAULT}; {OF_TRACKS} with tracks",
-        ),
-    ] = None,
-    cameras: Annotated[
-        tuple[int, int],
-        typer.Option(metavar="I J", help="Numbers of the two cameras in the rig, from 1."),
-    ] = (1, 2),
-    search: Annotated[
-        tuple[float, float] | None,
-        typer.Option(
-            metavar="LOW HIGH",
-            help="Range of offsets t_d to search, in seconds.",
-            show_default=_SEARCH_DEFAULT,
-        ),
-    ] = None,
-    search_all: Annotated[
-        bool,
-        typer.Option("--search-all", help="Search all offsets that leave enough common time."),
-    ] = False,
-    rate_range: Annotated[
-        tuple[float, float] | None,
-        typer.Option(
-            metavar="LOW HIGH",
-            help="Also search the rate of camera 2's clock over camera 1's in this range, at all"
-            " offsets: for an unknown frame rate.",
-            show_default=False,
-        ),
-    ] = None,
-    skew_prior: Annotated[
-        float | None,
-        number(
-            "Prior standard deviation of the clock skew; 0: no skew; phones need 1000.",
-            0,
-            MAX_SKEW_PPM,
-            "ppm",
-            default_words=f"{EVENT_SKEW_PRIOR_PPM:g}; 1000 with tracks",
-        ),
-    ] = None,
-    clock: Annotated[
-        str,
-        typer.Option(
-            metavar="NAME",
-            help="Clock model: affine, or pieces, whose skew changes, as in phones.",
-            show_default="affine; pieces for tracks that it does not fit",
-        ),
-    ] = Config.clock,
-    roughness: Annotated[
-        float,
-        number(
-            "With --clock pieces: standard deviation of the change of skew from piece to piece;"
-            " variable frame rates need 6000.",
-            1,
-            MAX_SKEW_PPM,
-            "ppm",
-        ),
-    ] = Config.roughness_ppm,
-    estimate_readout: Annotated[
-        bool,
-        typer.Option(
-            "--estimate-readout",
-            help="Estimate rolling-shutter readout times that the rig does not give (tracks only).",
-        ),
-    ] = False,
-    json_file: Annotated[
-        Path | None,
-        typer.Option("--json", metavar="FILE", help="Write the result as JSON."),
-    ] = None,
-    plot: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="PATH", help="Draw figures: into a folder, or one file (.png, .pdf, .svg)."
-        ),
-    ] = None,
-    write_synced: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Write camera 2's events (.h5, .txt) or track (.csv) on camera 1's clock.",
-        ),
-    ] = None,
-    trajectory: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Write the object's path in space: .csv (with deviations), else TUM.",
-        ),
-    ] = None,
-    distance: Annotated[
-        float | None,
-        number("Distance between cameras 1 and 2, which sets the scale.", 1e-3, 1e6, "m"),
-    ] = None,
-    positions: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="CSV of camera positions, camera,x_m,y_m,z_m: sets frame and scale.",
-        ),
-    ] = None,
-    rtk: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE", help="The object's path by RTK, on any clock: sets frame and scale."
-        ),
-    ] = None,
-    lever_arm: Annotated[
-        tuple[float, float, float] | None,
-        number(
-            "Position of the RTK antenna in the body: forward, left, up. Needs its attitude.",
-            -100,
-            100,
-            "metres",
-            metavar="X Y Z",
-        ),
-    ] = None,
-    focal_std: Annotated[
-        float | None,
-        number(
-            "Standard deviation of both focal lengths, overriding the rig file.",
-            0.0,
-            20.0,
-            "percent",
-        ),
-    ] = None,
-    centre_std: Annotated[
-        float | None,
-        number(
-            "Standard deviation of both principal points, overriding the rig file.",
-            0.0,
-            100.0,
-            "px",
-        ),
-    ] = None,
-    no_denoise: NoDenoise = False,
-    allow_damaged: AllowDamaged = False,
-    sort: Sort = False,
-    n_samples: Annotated[
-        int,
-        number(
-            "Number of sample times at which positions are compared.", 20, 100_000, metavar="COUNT"
-        ),
-    ] = Config.n_samples,
-    half_window: Annotated[
-        float,
-        number("Half of the time window whose events give a position.", 0.001, 0.25, "seconds"),
-    ] = Config.half_window_s,
-    n_min: Annotated[int | None, n_min_of("a position")] = None,
-    neighbours: Annotated[
-        int | None,
-        number(
-            "Noise filter: events needed within 5 px and 5 ms to keep an event.",
-            1,
-            1000,
-            metavar="COUNT",
-            default_words="20; adapted to noise and thin objects",
-        ),
-    ] = None,
+    **options: Any,
 ) -> None:
     """Find the time offset and relative pose of two or more cameras from one moving object.
 
     Exit code 0: done; 1: the data give no reliable estimate, the output says why; 2: wrong usage,
     or a file that cannot be used; 3: a bug of this program; 130: interrupted.
     """
-    if search is not None and (search_all or rate_range is not None):
-        raise SsacError("--search: not with --search-all or --rate-range, which try every offset")
-    if search is not None and not 0.0 < search[1] - search[0] <= MAX_SEARCH_S:
-        raise SsacError(
-            "--search: expected a smaller and a larger offset, at most "
-            f"{MAX_SEARCH_S:g} seconds apart, got {search[0]:g} {search[1]:g}"
-        )
-    if clock not in CLOCKS:
-        raise SsacError(f"--clock: expected {' or '.join(CLOCKS)}, got {clock}")
+    given = SimpleNamespace(**options)
+    _check_search(given)
     from ssac.cli.outputs import Outputs, check_outputs, known_of, write_outputs
     from ssac.files.damage import Reading
     from ssac.pipeline.api import Result, sync
 
-    files, reading = [cam1, cam2, *(more or ())], Reading(allow_damaged, sort)
-    config = Config(
-        interval_s=search,
-        n_samples=n_samples,
-        half_window_s=half_window,
-        n_min=n_min,
-        n_neighbours=neighbours,
-        denoise=not no_denoise,
-        skew_prior_ppm=skew_prior,
-        clock=clock,
-        roughness_ppm=roughness,
-        search="all" if search_all else Config.search,
-        rates=rate_range,
-    )
+    files, reading = [cam1, cam2, *(more or ())], Reading(given.allow_damaged, given.sort)
+    config = config_of(OPTIONS, options)
     with warnings_as_lines():
-        outputs = Outputs(json_file, plot, write_synced, trajectory)
-        check_outputs([*files, rig, *filter(None, (positions, rtk))], outputs)
-        known = known_of(distance, positions, rtk, lever_arm)
+        outputs = Outputs(given.json_file, given.plot, given.write_synced, given.trajectory)
+        check_outputs([*files, rig, *filter(None, (given.positions, given.rtk))], outputs)
+        known = known_of(given.distance, given.positions, given.rtk, given.lever_arm)
         for_two = {
-            "--cameras": cameras != (1, 2),
-            "--plot": plot,
-            "--write-synced": write_synced,
-            "--known-extrinsics": known_extrinsics,
-            "--estimate-readout": estimate_readout,
+            "--cameras": given.cameras != (1, 2),
+            "--plot": given.plot,
+            "--write-synced": given.write_synced,
+            "--known-extrinsics": given.known_extrinsics,
+            "--estimate-readout": given.estimate_readout,
         }
         if more:
             _check_for_two([name for name, value in for_two.items() if value])
         else:
-            _check_known_of_two(known, trajectory is not None)
+            _check_known_of_two(known, given.trajectory is not None)
         call: Callable[..., Any] = sync
         result = call(
             *((files, rig, None) if more else (cam1, cam2, rig)),
-            method,
+            given.method,
             config,
-            known_extrinsics=known_extrinsics,
-            cameras=cameras,
-            focal_std=None if focal_std is None else 0.01 * focal_std,
-            centre_std_px=centre_std,
-            estimate_readout=estimate_readout,
+            known_extrinsics=given.known_extrinsics,
+            cameras=given.cameras,
+            focal_std=None if given.focal_std is None else 0.01 * given.focal_std,
+            centre_std_px=given.centre_std,
+            estimate_readout=given.estimate_readout,
             reading=reading,
             known=known if more else type(known)(),
             log=_to_stderr,
@@ -288,16 +250,29 @@ def sync_command(
         typer.echo(result.summary())
         if isinstance(result, Result):
             write_outputs(result, outputs, cam2, reading, _to_stderr)
-            if trajectory is not None:
+            if given.trajectory is not None:
                 from ssac.pipeline.many import write_path_of_two
 
-                write_path_of_two(trajectory, result.answer, known, _to_stderr)
+                write_path_of_two(given.trajectory, result.answer, known, _to_stderr)
         else:
             from ssac.pipeline.many import write_many
 
-            write_many(result, json_file, trajectory, _to_stderr)
+            write_many(result, given.json_file, given.trajectory, _to_stderr)
     if result.status != "ok":
         raise typer.Exit(NO_ESTIMATE)
+
+
+def _check_search(given: SimpleNamespace) -> None:
+    search = given.search
+    if search is not None and (given.search_all or given.rate_range is not None):
+        raise SsacError("--search: not with --search-all or --rate-range, which try every offset")
+    if search is not None and not 0.0 < search[1] - search[0] <= _MAX_SEARCH_S:
+        raise SsacError(
+            "--search: expected a smaller and a larger offset, at most "
+            f"{_MAX_SEARCH_S:g} seconds apart, got {search[0]:g} {search[1]:g}"
+        )
+    if given.clock not in CLOCKS:
+        raise SsacError(f"--clock: expected {' or '.join(CLOCKS)}, got {given.clock}")
 
 
 def help_sections() -> Sections:

@@ -117,11 +117,6 @@ def compare(
     lever_arm_m
         Where the truth's antenna is in the body (forward, left, up); needs the truth's attitude.
 
-    Returns
-    -------
-    Comparison
-        At equal times the similarity is that of least squares, as other tools have it.
-
     Raises
     ------
     SsacError
@@ -190,17 +185,13 @@ def _shape(truth: Path) -> Array:
 def registered(
     source: Array, target: Array, start: Similarity | None, with_scale: bool
 ) -> tuple[Similarity, Array]:
-    """Register one path to another.
+    """Register points (n, 3) [m] of one path to those of another, dense beside the errors sought.
 
     Parameters
     ----------
-    source, target
-        Points (n, 3) and (m, 3) [m]; the target's dense beside the errors that are sought.
     start
         Where to begin; None: where the middles, sizes and main axes agree, in the best of the ways
         that they can, for which both must be of the whole flight.
-    with_scale
-        Whether the scale is free.
 
     Returns
     -------

@@ -39,14 +39,7 @@ class Ground:
 
 
 def ground_of_positions(answer: NetworkAnswer, file: Path) -> Ground:
-    """Fit the cameras to where they are said to stand.
-
-    Raises
-    ------
-    SsacError
-        If fewer than three cameras have a position, they stand on a line, or what the network
-        found contradicts it.
-    """
+    """Fit three cameras or more to where they are said to stand; SsacError if that is not so."""
     said = load_positions(file)
     here, there = [], []
     for k, position in said.items():
@@ -74,21 +67,10 @@ def ground_of_positions(answer: NetworkAnswer, file: Path) -> Ground:
 def ground_of_rtk(
     answer: NetworkAnswer, file: Path, lever_arm_m: tuple[float, float, float] | None = None
 ) -> Ground:
-    """Lay the path over one of RTK, whose clock is free.
+    """Lay the path of a network over one of RTK, whose clock is free.
 
-    Parameters
-    ----------
-    answer
-        Of a network with a path.
-    file
-        RTK's path; with its attitude where there is a lever arm.
-    lever_arm_m
-        Where the antenna is in the body: forward, left, up. The path is then of the body's origin.
-
-    Raises
-    ------
-    SsacError
-        If the file has no times or degrees, or is of another flight.
+    With a lever arm, the place of the antenna in the body (forward, left, up), the file has the
+    attitude, and the path is of the body's origin. SsacError if the file is of another flight.
     """
     path, rtk = answer.paths[0].path, read_path(file)
     found = compare(path, rtk, rate_std_ppm=RTK_RATE_STD_PPM, lever_arm_m=lever_arm_m).in_time

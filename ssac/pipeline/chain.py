@@ -84,24 +84,11 @@ class Chain:
         config: Config | None = None,
         log: Log = quiet,
     ) -> None:
-        """Take what two or more cameras recorded.
+        """Take what two or more cameras recorded, in the order of their rig.
 
-        Parameters
-        ----------
-        cameras
-            In the order of the rig. What is read from a file is clean once it is there: its noise
-            is not kept.
-        rig
-            Theirs; the extrinsics where they are known.
-        config
-            Parameters; the defaults when None.
-        log
-            Called with a line of progress after each part.
-
-        Raises
-        ------
-        SsacError
-            If a parameter makes no sense, or there are more or fewer cameras than in the rig.
+        What is read from a file is clean once it is there: its noise is not kept. `log` is called
+        with a line of progress after each part. SsacError if a parameter makes no sense, or there
+        are more or fewer cameras than in the rig.
         """
         if not isinstance(cameras, Sequence):
             raise SsacError(f"cameras: expected a list of recordings, got {_kind(cameras)}")

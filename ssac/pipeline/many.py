@@ -26,19 +26,8 @@ from ssac.track.clean import Clean
 def network(chain: Chain, method: Method | None = None, known: Known = NOTHING) -> NetworkResult:
     """Synchronise and calibrate many cameras, and find the path that they saw.
 
-    Parameters
-    ----------
-    chain
-        What they recorded.
-    method
-        For each pair; None for the best one that it allows.
-    known
-        Of scale and frame.
-
-    Raises
-    ------
-    SsacError
-        If a recording cannot be used, or contradicts what is found.
+    `method` is for each pair; None for the best one that it allows. SsacError if a recording cannot
+    be used, or contradicts what is known.
     """
     watch, pairs = Stopwatch(chain.watch.log), dict[Pair, Answer]()
     for a, b in combinations(range(len(chain)), 2):
@@ -57,16 +46,9 @@ def network(chain: Chain, method: Method | None = None, known: Known = NOTHING) 
 def solve_pairs(
     chain: Chain, pairs: dict[Pair, Answer], distance_m: float | None = None
 ) -> NetworkAnswer:
-    """Solve all cameras at once, from what their pairs gave.
+    """Solve two cameras or more at once, from what all their pairs gave.
 
-    Parameters
-    ----------
-    chain
-        What they recorded.
-    pairs
-        Answers of all pairs, of two cameras or more.
-    distance_m
-        Between the first two cameras [m]; None: the unit of lengths.
+    `distance_m` is that between the first two cameras; None: it is the unit of lengths.
     """
     seen = []
     for k in range(len(chain)):

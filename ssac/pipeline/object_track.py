@@ -40,25 +40,10 @@ class ShapedTrack:
 
 
 def track_of_events(clean: Clean, config: Config | None = None) -> PointTrack:
-    """Follow the object through the events of one camera.
+    """Follow the object through the events of one camera, whose windows the config has.
 
-    Parameters
-    ----------
-    clean
-        What the camera recorded, without noise.
-    config
-        Of the windows; the defaults when None.
-
-    Returns
-    -------
-    PointTrack
-        Where a window holds enough events, and few of them on the border: positions in the image as
-        it is, distorted, with their deviations.
-
-    Raises
-    ------
-    SsacError
-        If the events show no object anywhere.
+    A point is where a window holds enough events, and few of them on the border: in the image as it
+    is, distorted. SsacError if the events show no object anywhere.
     """
     points, sharp = _followed(clean, config or Config())
     return PointTrack(sharp.times_s, points, _sigmas_px(STRAY_SIZES, sharp.sizes_px))
@@ -77,12 +62,7 @@ def shaped_track_of_events(
 ) -> ShapedTrack:
     """Follow the centre of the image's area, where events tell it, and else the mean of the events.
 
-    Parameters
-    ----------
-    clean, config
-        As of `track_of_events`, whose times these are.
-    recorded
-        All events of the camera, as `ssac.track.silhouette.silhouettes` needs them.
+    The times are those of `track_of_events`; `recorded` are all events, noise included.
     """
     points, sharp = _followed(clean, config or Config())
     sizes_px = sharp.sizes_px

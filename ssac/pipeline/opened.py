@@ -1,4 +1,4 @@
-"""What users give as cameras and rigs, opened for the pipeline: files, arrays, tracks.
+"""What users give as cameras and rigs: files, arrays, tracks, and what is known of the scale.
 
 The messages here name files; what is wrong with a recording itself is said where it is cleaned.
 """
@@ -89,15 +89,8 @@ class Recording:
     def read(self, frames: str = "") -> Observation:
         """Read what the camera recorded, and check it against its calibration.
 
-        Parameters
-        ----------
-        frames
-            "images" or "means" for intensity frames beside the events, where the file has them.
-
-        Raises
-        ------
-        SsacError
-            If the file cannot be used or does not fit the rig; the message names it.
+        `frames` is "images" or "means" for intensity frames beside the events, where the file has
+        them. SsacError, which names the file, if it cannot be used or does not fit the rig.
         """
         what = f"{self.path} with {self.camera_name}"
         if self.has_track:
@@ -122,21 +115,10 @@ class Recording:
 
 
 def opened_rig(rig: RigInput, n: int, numbers: tuple[int, int] | None = None) -> Cameras:
-    """Open a rig of n cameras.
+    """Open a rig of n cameras, given in any form.
 
-    Parameters
-    ----------
-    rig
-        In any form.
-    n
-        How many cameras there are.
-    numbers
-        Of two cameras in a rig file, from 1 on; None: the first n.
-
-    Raises
-    ------
-    SsacError
-        If it cannot be used, or is of fewer cameras.
+    `numbers` are those of two cameras in a rig file, from 1 on; None: the first n. SsacError if the
+    rig cannot be used, or is of fewer cameras.
     """
     if numbers is not None and not _are_numbers(numbers):
         raise SsacError(
@@ -175,23 +157,10 @@ def opened(
     numbers: Sequence[int] | None = None,
     reading: Reading = STRICT,
 ) -> tuple[Observation | Recording, ...]:
-    """Open what each camera recorded, as far as that can be done without reading files.
+    """Open what each camera of a rig recorded, as far as that can be done without reading files.
 
-    Parameters
-    ----------
-    seen
-        Of each camera of the rig, in its order.
-    rig
-        Theirs.
-    numbers
-        Of the cameras in the rig file, from 1 on; None: 1, 2 and so on.
-    reading
-        What may be made of event files that are damaged or unsorted.
-
-    Raises
-    ------
-    SsacError
-        If something is no recording, is not there, or is given twice.
+    `numbers` are those of the cameras in the rig file, from 1 on; None: 1, 2 and so on. SsacError
+    if something is no recording, is not there, or is given twice.
     """
     numbers = numbers or range(1, len(seen) + 1)
     for (a, one), (b, other) in combinations(zip(numbers, seen, strict=True), 2):
