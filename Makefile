@@ -58,8 +58,12 @@ lint: .venv/.ready ## ruff: rules and formatting; import-linter: which way impor
 types: .venv/.ready ## mypy --strict on sim, ssac and experiments
 	@$(RUN) mypy
 
-docs: .venv/.ready ## API reference, the tour (executed) and the pages as HTML -> out/docs/index.html
-	@.venv/bin/python docs/build.py
+docs: .venv/.ready ## these pages, the tour (executed) and the API reference as HTML -> out/docs/index.html
+	@rm -rf out/docs docs/generated
+	@.venv/bin/sphinx-build --fail-on-warning --keep-going --quiet --jobs auto \
+		--conf-dir docs --doctree-dir out/doctrees . out/docs
+	@cp out/docs/README.html out/docs/index.html
+	@echo out/docs/index.html
 
 wheel: .venv/.ready ## build the wheel, install it in a clean environment, use it there
 	@.ci/wheel
@@ -105,7 +109,7 @@ clean-cache: ## remove cache/: recordings and runs kept by tables, studies and s
 	rm -rf cache
 
 clean: ## remove everything that make created, .venv too, except results/
-	rm -rf .venv build out cache *.egg-info .pytest_cache .mypy_cache .ruff_cache
+	rm -rf .venv build out cache docs/generated *.egg-info .pytest_cache .mypy_cache .ruff_cache
 	find sim ssac experiments tests -name __pycache__ -prune -exec rm -rf {} +
 
 # --- Set-up ----------------------------------------------------------------------------------------

@@ -1,20 +1,22 @@
-# %% [markdown]
-# # A guided tour
-#
-# Two event cameras watch one drone. Their clocks differ by an unknown offset `t_d`, and it is not
-# known how the cameras stand to each other. This tour makes such a recording, finds both, meets a
-# recording that cannot tell, and ends with a method of your own. It is a script, `docs/tour.py`:
-# run it as it is, open its cells in an editor that knows `# %%`, or let `make docs` run it and show
-# what it prints.
-#
-# ## 1. A recording whose truth is known
-#
-# An event camera has no frames. Each pixel reports, with microseconds, when its brightness has
-# changed by some factor. `simulate` flies a drone on a random path, renders it for both cameras,
-# and turns the brightness of each pixel into events. The lines of sight differ by 90 degrees, and
-# camera 2's clock shows 50 ms more: `t_cam2 = t_cam1 + t_d`.
+"""
+A guided tour
+=============
 
-# %%
+Two event cameras watch one drone. Their clocks differ by an unknown offset `t_d`, and it is not
+known how the cameras stand to each other. This tour makes such a recording, finds both, meets a
+recording that cannot tell, and ends with a method of your own. It is a script, `docs/tour/tour.py`:
+run it as it is, open its cells in an editor that knows `# %%`, or let `make docs` run it and show
+what it prints.
+
+1. A recording whose truth is known
+-----------------------------------
+
+An event camera has no frames. Each pixel reports, with microseconds, when its brightness has
+changed by some factor. `simulate` flies a drone on a random path, renders it for both cameras,
+and turns the brightness of each pixel into events. The lines of sight differ by 90 degrees, and
+camera 2's clock shows 50 ms more: `t_cam2 = t_cam1 + t_d`.
+"""
+
 from sim.recording import SimConfig, simulate
 from sim.scene.trajectory import SplineConfig
 from sim.sensor.frames import FrameConfig
@@ -25,8 +27,9 @@ recording = simulate(config, seed=1)
 for name, camera in zip(("camera 1", "camera 2"), recording.cameras, strict=True):
     print(name, len(camera.events), "events; the first is", camera.events[0])
 
-# %% [markdown]
-# ## 2. The offset and the pose
+# %%
+# 2. The offset and the pose
+# --------------------------
 #
 # A method gets what real cameras would give: both streams of events, and the intrinsics of both
 # cameras, which are focal length and principal point. It does not get the truth. `ssac.sync` does
@@ -34,7 +37,6 @@ for name, camera in zip(("camera 1", "camera 2"), recording.cameras, strict=True
 # tries offsets until the two tracks obey one epipolar geometry, and then refines offset and pose
 # together.
 
-# %%
 import ssac
 from experiments.lab.bridge import observations, rig_of
 
@@ -44,11 +46,10 @@ result = ssac.sync(cam1, cam2, rig)  # or the names of three files
 print("status", result.status)
 print(result.summary())
 
-# %% [markdown]
+# %%
 # The status says whether the numbers are to be trusted, and the deviations, "1 sigma", how far. As
 # this recording was simulated we can see for ourselves: `score` sets an estimate beside the truth.
 
-# %%
 from experiments.lab.score import score
 
 truth = recording.truth
@@ -57,14 +58,14 @@ errors = score(estimate, truth.t_d_s, truth.R, truth.t)
 print(f"offset off by {errors.t_d_error_ms:.3f} ms")
 print(f"R off by {errors.r_error_deg:.3f} deg, t by {errors.t_error_deg:.3f} deg")
 
-# %% [markdown]
-# ## 3. What the method saw
+# %%
+# 3. What the method saw
+# ----------------------
 #
 # For each candidate offset, the mean distance between the drone in one image and the epipolar line
 # of where it was in the other. Where the offset is wrong, camera 2 shows the drone at another time,
 # and no geometry fits; at the true offset, the dashed line, the distance is least.
 
-# %%
 import matplotlib.pyplot as plt
 import numpy as np
 
@@ -79,15 +80,15 @@ right.invert_yaxis()
 right.set(xlabel="time on the camera's own clock [s]", ylabel="image row of events [px]")
 legend = right.legend(markerscale=10)
 
-# %% [markdown]
-# ## 4. A recording that cannot tell
+# %%
+# 4. A recording that cannot tell
+# -------------------------------
 #
 # Let the drone fly in a circle at a constant speed. A wrong offset is then a turned pose: the two
 # views can be made to fit at any offset, and no method can know which one is right. A method that
 # gave a number here would be wrong, so ours gives a status and a reason. `docs/refusal.md` lists
 # all of them.
 
-# %%
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -106,15 +107,15 @@ refused = ssac.sync(*observations(circling), rig_of(circling))
 print(refused.status)
 print(refused.reason)
 
-# %% [markdown]
-# ## 5. A method of your own
+# %%
+# 5. A method of your own
+# -----------------------
 #
 # A method is a function of both observations, the rig and the parameters, and returns an
 # `Estimate`. This one needs no geometry: cameras that stand upright both see the drone rise and
 # fall, so it correlates the mean image row of the events in bins of 5 ms. `docs/methods.md` shows
 # how a package of yours registers it, so that `ssac sync`, the tables and all sweeps know it.
 
-# %%
 from ssac import Config, Estimate, Observation, Rig
 
 BIN_S = 0.005
@@ -150,7 +151,7 @@ own = heights(cam1, cam2, rig, None)
 off_ms = score(own, truth.t_d_s, truth.R, truth.t).t_d_error_ms
 print(f"heights: {1e3 * own.t_d_s:.0f} ms, off by {off_ms:.1f} ms")
 
-# %% [markdown]
+# %%
 # It is off by as much as its bins allow, or by more where the drone leaves the view; `tangency` was
 # off by the part of a millisecond that stands above. From here, `ssac simulate` and `ssac sync` do
 # the same on files, and a TOML file for `ssac sweep` asks how a method fares as anything varies

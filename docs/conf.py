@@ -1,0 +1,105 @@
+"""How Sphinx builds the pages, the executed tour and the API reference: `make docs`."""
+
+import re
+import sys
+from pathlib import Path
+
+from sphinx.application import Sphinx
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+import ssac  # noqa: E402
+
+project = "SSAC suite"
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "sphinx_gallery.gen_gallery",
+]
+root_doc = "README"
+include_patterns = ["*.md", "docs/**.md", "docs/**.rst", "results/README.md"]
+exclude_patterns = [".*", "cache", "out", "build", "tests", "docs/tour"]
+html_theme = "furo"
+html_title = project
+html_copy_source = False
+myst_heading_anchors = 3
+default_role = "code"
+napoleon_google_docstring = False
+autodoc_member_order = "bysource"
+autodoc_typehints_format = "short"
+# Docstrings are plain words, not reStructuredText, and `ssac` offers names of its modules again.
+suppress_warnings = ["docutils", "ref.python"]
+sphinx_gallery_conf = {  # runs the tour; an error in it ends the build
+    "examples_dirs": ["docs/tour"],
+    "gallery_dirs": ["docs/generated/tour"],
+    "filename_pattern": r"tour\.py",
+    "abort_on_example_error": True,
+    "download_all_examples": False,
+    "show_signature": False,
+    "write_computation_times": False,
+}
+autodoc_default_options = {"members": True}
+
+CHAPTERS = {
+    "Use": "docs/generated/tour/tour docs/sync docs/network docs/compare docs/refusal"
+    " docs/uncertainty",
+    "Results": "docs/results results/README docs/physical docs/outdoor docs/real docs/tangency"
+    " docs/zncc docs/speed",
+    "Research": "docs/simulate docs/sensor docs/sweeps docs/methods",
+    "Code": "docs/architecture docs/testing docs/security CONTRIBUTING CHANGELOG",
+}
+"""The navigation. It hangs from the README, where only Sphinx shall see it."""
+
+# `ssac` imports a name when it is asked for; autodoc looks at what is there.
+vars(ssac).update({name: getattr(ssac, name) for name in ssac.__all__})
+
+
+def write_reference(app: Sphinx) -> None:
+    """Write the source of the API reference: a page for each folder, a section for each module."""
+    target = ROOT / "docs" / "generated" / "api"
+    target.mkdir(parents=True, exist_ok=True)
+    pages = []
+    for package in ("ssac", "sim", "experiments"):
+        for folder in sorted({path.parent for path in (ROOT / package).rglob("*.py")}):
+            page = ".".join(folder.relative_to(ROOT).parts)
+            modules = [f"{page}.{path.stem}" for path in sorted(folder.glob("[!_]*.py"))]
+            sections = [f"{name}\n{'-' * len(name)}\n\n.. automodule:: {name}" for name in modules]
+            head = f"{page}\n{'=' * len(page)}\n\n.. automodule:: {page}"
+            (target / f"{page}.rst").write_text("\n\n".join([head, *sections, ""]))
+            pages.append(f"docs/generated/api/{page}")
+    CHAPTERS["API reference"] = " ".join(pages)
+
+
+def add_contents(app: Sphinx, page: str, source: list[str]) -> None:
+    """Append the navigation to the README."""
+    if page == root_doc:
+        for caption, pages in CHAPTERS.items():
+            lines = ["```{toctree}", ":hidden:", f":caption: {caption}", "", *pages.split(), "```"]
+            source[0] += "\n".join(["\n", *lines, ""])
+
+
+def plain(
+    app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]
+) -> None:
+    """Take a docstring as plain words: markup only in `code`, and indented blocks as they are."""
+    text = "\n".join(lines)
+    summary, *sections = re.split(r"(?m)^(?=\w+\n---+$)", text, maxsplit=1)
+    blocks = re.split(r"(?m)(\A|\n\n)((?:^ {4}.*\n*)+)", summary)
+    for n in range(0, len(blocks), 3):  # text, what is before a block, the block
+        words = re.split(r"(`[^`]*`)", blocks[n])
+        words[::2] = (re.sub(r"([*|]|(?<=\w)_(?!\w))", r"\\\1", word) for word in words[::2])
+        blocks[n] = "".join(words)
+        if n:
+            blocks[n - 2] = "\n\n::\n\n"
+    if what in ("attribute", "data", "property"):
+        blocks[0] = f":{blocks[0]}"  # or napoleon takes what is before a colon for a type
+    lines[:] = "".join([*blocks, *sections]).split("\n")
+
+
+def setup(app: Sphinx) -> None:
+    """Connect them."""
+    app.connect("builder-inited", write_reference)
+    app.connect("source-read", add_contents)
+    app.connect("autodoc-process-docstring", plain, priority=400)
