@@ -158,7 +158,10 @@ def test_camera_2_may_see_another_light() -> None:
 
 def test_a_configuration_without_effects_is_written_as_before() -> None:
     assert "effects" not in plain(SimConfig())
-    assert plain(SimConfig(effects=SensorEffects(blur_px=0.5)))["effects"]["blur_px"] == 0.5
+    acting = plain(SimConfig(effects=SensorEffects(blur_px=0.5)))["effects"]
+    assert acting["blur_px"] == 0.5
+    assert "scan_s" not in acting  # which is newer than results that state their configuration
+    assert plain(SensorEffects(scan_s=1e-3))["scan_s"] == 1e-3
 
 
 def recorded(effects: SensorEffects, seed: int = 0) -> Recording:
@@ -190,7 +193,7 @@ def test_one_seed_one_recording() -> None:
 
 
 def test_the_page_names_every_effect_and_preset() -> None:
-    page = (Path(__file__).parents[3] / "docs" / "physical.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[3] / "docs" / "sensor.md").read_text(encoding="utf-8")
     shared = ("illuminance_lux", "camera2_light")
     missing = [name for name in (*vars(SensorEffects()), *SENSOR_PRESETS) if f"`{name}`" not in page
                and not (name in shared and name in page)]  # fmt: skip

@@ -82,6 +82,21 @@ def test_no_gap_without_frames() -> None:
     np.testing.assert_array_equal(without_gaps(events, np.empty(0), 1e3), events)
 
 
+@pytest.mark.parametrize("scan_s", [200e-6, 1e-3, 1 / 3000])
+def test_events_of_a_sensor_that_is_scanned_bear_the_times_of_its_scans(scan_s: float) -> None:
+    events = events_at(rng(3).integers(0, 900_000, 5000))
+    camera = CameraEffects(SensorEffects(scan_s=scan_s), SensorConfig(), FrameConfig(), GREY, 0, 0)
+    stamped = camera.read_out(events.copy(), 1.0)
+    np.testing.assert_array_equal(stamped["x"], events["x"])  # none is lost or overtaken
+    scans = 1e-6 * stamped["t"] / scan_s
+    np.testing.assert_allclose(scans, np.rint(scans), atol=0.5e-6 / scan_s)  # whole microseconds
+    waited_us = stamped["t"] - events["t"]
+    assert waited_us.min() >= 0
+    assert waited_us.max() <= np.ceil(1e6 * scan_s)
+    # Evenly over a period, of 5000 draws.
+    assert waited_us.mean() == pytest.approx(5e5 * scan_s, rel=5 / 8660**0.5 + 0.005)
+
+
 def test_nothing_is_recorded_before_the_start_or_after_the_end() -> None:
     camera = CameraEffects(SensorEffects(jitter_s=1e-3), SensorConfig(), FrameConfig(), GREY, 0, 0)
     events = events_at(np.array([-3, 0, 7, 1_000_000, 1_000_001]))
