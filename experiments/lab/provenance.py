@@ -23,11 +23,16 @@ _ROOT = Path(__file__).resolve().parents[2]
 def plain(value: Any) -> Any:
     """Turn nested dataclasses, tuples and paths into what JSON holds.
 
-    Parts of a configuration that say of themselves that they do nothing are left out: a new one
-    changes no provenance of what it has no part in.
+    Parts of a configuration that say of themselves that they do nothing are left out, and so are
+    fields marked as `later` at their default: what is new changes no provenance of what it has no
+    part in.
     """
     if is_dataclass(value) and not isinstance(value, type):
-        parts = {one.name: getattr(value, one.name) for one in fields(value)}
+        parts = {
+            one.name: getattr(value, one.name)
+            for one in fields(value)
+            if not ("later" in one.metadata and getattr(value, one.name) == one.default)
+        }
         acting = {name: part for name, part in parts.items() if not getattr(part, "is_none", False)}
         return plain(acting)
     if isinstance(value, Mapping):

@@ -119,7 +119,7 @@ OPTIONS: Mapping[str, SimOption] = {
     ),
     "effect": SimOption(
         _named("NAME=VALUE", "Set one effect of the sensor, overriding the preset; names in "
-               "docs/physical.md. May be given several times."), type=list[str] | None
+               "docs/sensor.md. May be given several times."), type=list[str] | None
     ),
     "noise": SimOption(
         _named("NAME", f"Pixel noise without other effects: {', '.join(PRESETS)}."),

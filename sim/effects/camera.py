@@ -88,6 +88,8 @@ class CameraEffects:
             n_frames = int(np.ceil(end_s * frames.rate_hz)) + 1
             ends_s = self.frame_start_s + np.arange(n_frames) / frames.rate_hz + frames.exposure_s
             events = without_gaps(events, 1e6 * ends_s, 1e6 * effects.frame_gap_s)
+        if effects.scan_s:
+            events = scanned(events, 1e6 * effects.scan_s)
         if effects.readout_hz:
             events = queued(events, effects.readout_hz, effects.readout_queue)
         is_within = (events["t"] >= 0) & (events["t"] <= np.rint(1e6 * end_s))
@@ -202,6 +204,13 @@ def without_gaps(events: NDArray[Any], starts_us: FloatArray, gap_us: float) -> 
     gap = np.searchsorted(starts_us, events["t"], side="right") - 1
     is_lost = (gap >= 0) & (events["t"] < starts_us[gap] + gap_us)
     return events[~is_lost]
+
+
+def scanned(events: NDArray[Any], period_us: float) -> NDArray[Any]:
+    """Stamp each event when its pixel is next looked at: all are, at the same times, in turns."""
+    delivered = events.copy()
+    delivered["t"] = np.rint(np.ceil(events["t"] / period_us) * period_us)
+    return delivered
 
 
 def queued(events: NDArray[Any], readout_hz: float, queue: int) -> NDArray[Any]:

@@ -1,12 +1,15 @@
 """How far real sensors are from the ideal one: a config, and the values of sensors by name."""
 
-from dataclasses import astuple, dataclass, replace
+from dataclasses import astuple, dataclass, field, replace
 
 from sim.errors import SimError, check_numbers
 from sim.sensor.events import SensorConfig
 
 DIM_LUX = 0.1
 """Light at which the shot noise of `SensorEffects` is stated, and below which it stays."""
+
+LATER = {"later": True}
+"""Of a field that is newer than results: where it does nothing, provenance is without it."""
 
 _POSITIVE = ("illuminance_lux", "camera2_light", "flicker_hz", "cutoff_min_hz", "cutoff_max_hz")
 
@@ -40,6 +43,7 @@ class SensorEffects:
     jitter_lux_s: float = 0.0  # this divided by E more [s lux]
     readout_hz: float = 0.0  # events read out per second; 0: any number at once
     readout_queue: int = 1_000_000  # events that wait for it at most; more are lost
+    scan_s: float = field(default=0.0, metadata=LATER)  # between scans of all pixels; 0: none
     frame_gap_s: float = 0.0  # after each exposure a frame is read out, and events are lost
     frame_phase_spread: float = 0.0  # share of the period from which a camera's phase is drawn
     frame_read_noise: float = 0.0  # deviation of a frame's pixels, of full scale

@@ -23,6 +23,10 @@ LENSES: dict[str, tuple[float, ...]] = {
 }
 
 
+def rng(seed: int = 0) -> np.random.Generator:
+    return np.random.default_rng(seed)
+
+
 def make_camera(model: str = "none", resolution: tuple[int, int] = (346, 260)) -> Camera:
     """Camera 1 at (0, -5, 0), looking along +y."""
     width, height = resolution

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,8 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from experiments.cli import app, main
-from sim.effects.config import SensorEffects
+from experiments.lab import provenance
+from sim.effects.config import SENSOR_PRESETS
 from sim.errors import SimError
 from ssac.errors import SsacError
 from ssac.files.event_files import load_events
@@ -135,8 +137,8 @@ def test_a_preset_is_recorded_and_written_down(tmp_path: Path) -> None:
     result = run(tmp_path / "dim", *FAST, "--duration", 1, "--frame-rate", 25, *arguments)
     assert result.exit_code == 0, result.output
     written = truth_of(tmp_path / "dim")["provenance"]["config"]["effects"]
-    assert written["camera2_light"] == 0.5
-    assert set(written) == set(vars(SensorEffects()))
+    effects = replace(SENSOR_PRESETS["davis346-dim"].effects, camera2_light=0.5)
+    assert written == provenance.plain(effects)
 
 
 @pytest.mark.parametrize(

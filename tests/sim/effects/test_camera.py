@@ -1,16 +1,23 @@
-"""Lens and frames; configurations and presets; what a seed draws; recordings with effects."""
+"""Lens, readout and frames; presets; what a seed draws; recordings with effects."""
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from experiments.lab.provenance import plain
-from sim.effects.camera import CameraEffects, blurred_crops, blurred_image, point_spread
-from sim.effects.config import SENSOR_PRESETS, SensorEffects, sensor_preset
-from sim.errors import SimError
+from sim.effects.camera import (
+    CameraEffects,
+    blurred_crops,
+    blurred_image,
+    point_spread,
+    queued,
+    without_gaps,
+)
+from sim.effects.config import SENSOR_PRESETS, SensorEffects
 from sim.recorded import Recording
 from sim.recording import SimConfig, simulate
 from sim.render.config import RenderConfig
@@ -18,7 +25,8 @@ from sim.render.renderer import Crops
 from sim.scene.trajectory import SplineConfig
 from sim.sensor.events import SensorConfig
 from sim.sensor.frames import FrameConfig, FrameExposer, frame_times_us
-from tests.sim.sensor.videos import smooth_video
+from sim.sensor.kernels import EVENT_DTYPE
+from tests.sim.sensor.videos import rng, smooth_video
 
 SHORT = SimConfig(
     spline=SplineConfig(0.4), frames=FrameConfig(25.0), render=RenderConfig(check=False)
@@ -121,35 +129,6 @@ def test_a_frame_that_starts_late_shows_the_light_of_its_stamp() -> None:
     np.testing.assert_allclose(shown, 1e-6 * times_us, atol=0.6 / 255)  # whole levels
 
 
-@pytest.mark.parametrize("name", vars(SensorEffects()))
-@pytest.mark.parametrize("value", [-0.1, float("nan"), float("inf")])
-def test_effects_are_not_negative(name: str, value: float) -> None:
-    with pytest.raises(SimError, match=f"effects: {name} must be 0 or a positive number"):
-        SensorEffects(**{name: value})
-
-
-@pytest.mark.parametrize(
-    ("wrong", "message"),
-    [
-        ({"illuminance_lux": 0.0}, "illuminance_lux must be a positive number"),
-        ({"cutoff_max_hz": 0.0}, "cutoff_max_hz must be a positive number"),
-        ({"cutoff_min_hz": 9e3}, "cutoff_min_hz must be at most cutoff_max_hz"),
-        ({"flicker_depth": 1.0}, "flicker_depth must be less than 1"),
-        ({"flicker_hz": 0.0}, "flicker_hz must be a positive number"),
-        ({"frame_phase_spread": 1.5}, "frame_phase_spread is a share"),
-        ({"readout_queue": 0}, "readout_queue must be 1 or more"),
-    ],
-)
-def test_impossible_effects_are_refused(wrong: dict[str, float], message: str) -> None:
-    with pytest.raises(SimError, match=message):
-        SensorEffects(**wrong)  # type: ignore[arg-type]
-
-
-def test_an_unknown_preset_is_refused() -> None:
-    with pytest.raises(SimError, match=r"one of davis346, davis346-dim, .* got 'davis'"):
-        sensor_preset("davis")
-
-
 def test_camera_2_may_see_another_light() -> None:
     effects = SensorEffects(illuminance_lux=100.0, camera2_light=0.2)
     assert effects.of_camera(0).illuminance_lux == 100.0
@@ -158,7 +137,10 @@ def test_camera_2_may_see_another_light() -> None:
 
 def test_a_configuration_without_effects_is_written_as_before() -> None:
     assert "effects" not in plain(SimConfig())
-    assert plain(SimConfig(effects=SensorEffects(blur_px=0.5)))["effects"]["blur_px"] == 0.5
+    acting = plain(SimConfig(effects=SensorEffects(blur_px=0.5)))["effects"]
+    assert acting["blur_px"] == 0.5
+    assert "scan_s" not in acting  # which is newer than results that state their configuration
+    assert plain(SensorEffects(scan_s=1e-3))["scan_s"] == 1e-3
 
 
 def recorded(effects: SensorEffects, seed: int = 0) -> Recording:
@@ -190,8 +172,96 @@ def test_one_seed_one_recording() -> None:
 
 
 def test_the_page_names_every_effect_and_preset() -> None:
-    page = (Path(__file__).parents[3] / "docs" / "physical.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[3] / "docs" / "sensor.md").read_text(encoding="utf-8")
     shared = ("illuminance_lux", "camera2_light")
     missing = [name for name in (*vars(SensorEffects()), *SENSOR_PRESETS) if f"`{name}`" not in page
                and not (name in shared and name in page)]  # fmt: skip
     assert not missing
+
+
+GREY = np.full((20, 30), 0.5, np.float32)
+
+
+def events_at(times_us: NDArray[Any]) -> NDArray[Any]:
+    events = np.zeros(len(times_us), EVENT_DTYPE)
+    events["t"] = np.sort(times_us)
+    events["x"] = np.arange(len(times_us)) % 346
+    return events
+
+
+def test_a_burst_is_stamped_late_and_then_dropped() -> None:
+    burst = events_at(np.full(1000, 5000))
+    delivered = queued(burst, readout_hz=1e5, queue=299)
+    # One is read out, as many wait as may, the others are lost; 10 us each.
+    np.testing.assert_array_equal(delivered["t"], 5000 + 10 * np.arange(300))
+    np.testing.assert_array_equal(delivered["x"], burst["x"][:300])
+
+
+def test_a_readout_that_is_not_busy_changes_nothing() -> None:
+    events = events_at(20 * np.arange(1000))
+    np.testing.assert_array_equal(queued(events, 1e5, 1), events)
+
+
+@pytest.mark.parametrize("load", [0.5, 0.8])
+def test_events_wait_as_in_a_queue_with_random_arrivals(load: float) -> None:
+    """Mean wait of an M/D/1 queue: load / (2 (1 - load)) services (Pollaczek, Khinchin)."""
+    service_us = 50.0
+    arrivals_us = np.cumsum(rng(1).exponential(service_us / load, 400_000)).astype(np.int64)
+    delivered = queued(events_at(arrivals_us), 1e6 / service_us, 10**6)
+    wait_us = (delivered["t"] - arrivals_us).mean()
+    # 400,000 arrivals, whose waits are correlated over 1 / (1 - load)^2 of them.
+    assert wait_us == pytest.approx(service_us * load / (2 * (1 - load)), rel=0.03)
+    assert (np.diff(delivered["t"]) >= service_us - 1).all()
+
+
+@pytest.mark.parametrize("load", [1.25, 3.0])
+def test_what_is_too_much_for_the_readout_is_dropped(load: float) -> None:
+    arrivals_us = np.cumsum(rng(2).exponential(10.0 / load, 100_000)).astype(np.int64)
+    delivered = queued(events_at(arrivals_us), 1e5, 50)
+    assert len(delivered) / len(arrivals_us) == pytest.approx(1 / load, rel=0.02)
+    # At most as many wait as may: the last of them is stamped so much after it came.
+    came = np.searchsorted(arrivals_us, delivered["t"] - 50 * 10 - 1)
+    assert (np.diff(delivered["t"]) >= 9).all()
+    assert came[-1] > 0.99 * len(arrivals_us)
+
+
+@pytest.mark.parametrize(("gap_s", "rate_hz"), [(0.005, 25.0), (0.025, 25.0), (0.01, 50.0)])
+def test_frames_blind_the_events_while_they_are_read_out(gap_s: float, rate_hz: float) -> None:
+    effects = SensorEffects(frame_gap_s=gap_s, frame_phase_spread=1.0)
+    frames = FrameConfig(rate_hz=rate_hz, exposure_s=0.004)
+    camera = CameraEffects(effects, SensorConfig(), frames, GREY, seed=3, index=1)
+    events = events_at(rng(1).integers(0, 20_000_000, 200_000))
+    left = camera.read_out(events, 20.0)
+    assert 1 - len(left) / len(events) == pytest.approx(gap_s * rate_hz, rel=0.05)
+    since_s = 1e-6 * left["t"] - camera.frame_start_s - 0.004
+    assert (since_s % (1 / rate_hz))[since_s > 0.0].min() >= gap_s - 2e-6  # whole microseconds
+    assert (since_s < 0.0).any()  # before the first frame there is nothing to be read out
+
+
+def test_no_gap_without_frames() -> None:
+    effects = SensorEffects(frame_gap_s=0.01)
+    camera = CameraEffects(effects, SensorConfig(), FrameConfig(rate_hz=0.0), GREY, 0, 0)
+    events = events_at(1000 * np.arange(1000))
+    np.testing.assert_array_equal(camera.read_out(events, 1.0), events)
+    np.testing.assert_array_equal(without_gaps(events, np.empty(0), 1e3), events)
+
+
+@pytest.mark.parametrize("scan_s", [200e-6, 1e-3, 1 / 3000])
+def test_events_of_a_sensor_that_is_scanned_bear_the_times_of_its_scans(scan_s: float) -> None:
+    events = events_at(rng(3).integers(0, 900_000, 5000))
+    camera = CameraEffects(SensorEffects(scan_s=scan_s), SensorConfig(), FrameConfig(), GREY, 0, 0)
+    stamped = camera.read_out(events.copy(), 1.0)
+    np.testing.assert_array_equal(stamped["x"], events["x"])  # none is lost or overtaken
+    scans = 1e-6 * stamped["t"] / scan_s
+    np.testing.assert_allclose(scans, np.rint(scans), atol=0.5e-6 / scan_s)  # whole microseconds
+    waited_us = stamped["t"] - events["t"]
+    assert waited_us.min() >= 0
+    assert waited_us.max() <= np.ceil(1e6 * scan_s)
+    # Evenly over a period, of 5000 draws.
+    assert waited_us.mean() == pytest.approx(5e5 * scan_s, rel=5 / 8660**0.5 + 0.005)
+
+
+def test_nothing_is_recorded_before_the_start_or_after_the_end() -> None:
+    camera = CameraEffects(SensorEffects(jitter_s=1e-3), SensorConfig(), FrameConfig(), GREY, 0, 0)
+    events = events_at(np.array([-3, 0, 7, 1_000_000, 1_000_001]))
+    assert camera.read_out(events, 1.0)["t"].tolist() == [0, 7, 1_000_000]

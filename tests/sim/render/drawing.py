@@ -1,6 +1,7 @@
 """A drone, drawn by the renderer that a test asks for, and by pyrender a whole frame at a time."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -8,15 +9,8 @@ from sim.render.config import RenderConfig
 from sim.render.footprint import footprint
 from sim.render.gl_reference import PyrenderFullFrame
 from sim.render.renderer import Renderer
-from sim.scene.drone import Drone
 from sim.scene.flyers import quadrotor
-from sim.scene.rig import Camera
-from tests.sim.scenes import (
-    Array,
-    Image,
-    box_drone,
-    whole_images,
-)
+from tests.sim.scenes import Image, box_drone, whole_images
 
 HALF_VGA = (173, 130)  # a quarter of the default number of pixels, for speed
 BRIGHT = RenderConfig(ambient=1.0)
@@ -32,45 +26,25 @@ def drawn_by(config: RenderConfig) -> RenderConfig:
     return replace(config, renderer=DRAWN_BY["renderer"], check=False)
 
 
-def drawn(
-    drone: Drone,
-    camera: Camera,
-    times_s: Array,
-    T_W_B: Array,
-    background: Image,
-    config: RenderConfig,
-) -> Image:
-    """Draw whole images."""
+def drawn(*scene: Any) -> Image:
+    """Draw whole images of a drone, a camera, times, poses and a background, by a config."""
+    drone, camera, times_s, T_W_B, background, config = scene
     with Renderer(drone, config) as renderer:
         crops = renderer.crops(camera, times_s, T_W_B, background)
         return whole_images(crops, times_s, background)
 
 
-def rendered(
-    drone: Drone,
-    camera: Camera,
-    times_s: Array,
-    T_W_B: Array,
-    background: Image,
-    config: RenderConfig,
-) -> Image:
-    """Draw whole images by the renderer that is asked for, unchecked."""
-    return drawn(drone, camera, times_s, T_W_B, background, drawn_by(config))
+def rendered(*scene: Any) -> Image:
+    """Draw the same by the renderer that is asked for, unchecked."""
+    return drawn(*scene[:-1], drawn_by(scene[-1]))
 
 
-def full_frames(
-    drone: Drone,
-    camera: Camera,
-    times_s: Array,
-    T_W_B: Array,
-    background: Image,
-    config: RenderConfig,
-) -> Image:
+def full_frames(*scene: Any) -> Image:
+    """Draw the same by pyrender, a whole frame at a time."""
+    drone, camera, times_s, T_W_B, background, config = scene
     reference = PyrenderFullFrame(drone, camera, config)
     visible = footprint(drone, camera, times_s, T_W_B).visible
+    shown = zip(times_s, T_W_B, visible, strict=True)
     return np.stack(
-        [
-            reference.render(float(time_s), T, background) if seen else background
-            for time_s, T, seen in zip(times_s, T_W_B, visible, strict=True)
-        ]
+        [reference.render(float(t), T, background) if seen else background for t, T, seen in shown]
     )

@@ -15,24 +15,8 @@ from sim.render.footprint import footprint
 from sim.render.gl_reference import PyrenderFullFrame
 from sim.render.lattice import Lattice
 from sim.scene.drone import Drone
-from tests.sim.render.drawing import (
-    BOX,
-    BRIGHT,
-    HALF_VGA,
-    QUADROTOR,
-    full_frames,
-    rendered,
-)
-from tests.sim.scenes import (
-    LENSES,
-    Image,
-    grey,
-    make_camera,
-    noise_image,
-    painted,
-    poses,
-    tumbling,
-)
+from tests.sim.render.drawing import BOX, BRIGHT, HALF_VGA, QUADROTOR, full_frames, rendered
+from tests.sim.scenes import LENSES, Image, grey, make_camera, noise_image, painted, poses, tumbling
 
 pytestmark = pytest.mark.render
 

@@ -1,10 +1,6 @@
-from typing import Any
-
 import numpy as np
 import pytest
 
-from sim.errors import SimError
-from sim.render.config import RenderConfig
 from sim.render.lattice import COUNT_BIT, FULL_CODE, Lattice, average_pixels
 
 LATTICES = [
@@ -126,18 +122,3 @@ def test_brightest_light_fits_a_word() -> None:
     atlas = np.full(lattice.tile_size(3, 3)[::-1], OBJECT + FULL_CODE, np.uint32)
     got = average(lattice, atlas, (3, 3), np.zeros((3, 3), np.float32))
     np.testing.assert_allclose(got, 1.0, rtol=3e-7)  # float32
-
-
-@pytest.mark.parametrize(("a", "b"), [(0, 0), (32, 0), (8, 2), (8, -1)])
-def test_a_lattice_that_cannot_be_is_refused(a: int, b: int) -> None:
-    with pytest.raises(SimError, match=r"expected 1 <= a <= 31 and b = 0 or 1"):
-        Lattice(a, b)
-
-
-@pytest.mark.parametrize("config", [{"renderer": "pyrender", "check": False}, {"check": True}])
-def test_a_lattice_too_dense_for_opengl_is_the_native_renderers_alone(
-    config: dict[str, Any],
-) -> None:
-    with pytest.raises(SimError, match=r"OpenGL draws lattices up to a = 16, got a = 17"):
-        RenderConfig(Lattice(17, 1), **config)
-    assert RenderConfig(Lattice(17, 1), check=False).lattice.samples_per_pixel == 290

@@ -118,11 +118,6 @@ def test_without_the_check_opengl_is_not_opened(monkeypatch: pytest.MonkeyPatch)
     assert drawn(BOX, camera, np.zeros(1), np.eye(4)[None], grey(camera), NO_GL).min() < 0.6
 
 
-def test_a_renderer_that_does_not_exist_is_refused() -> None:
-    with pytest.raises(SimError, match="unknown renderer 'blender': use one of native, pyrender"):
-        RenderConfig(renderer="blender")
-
-
 # --- Laws --------------------------------------------------------------------------------------
 
 

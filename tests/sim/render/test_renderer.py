@@ -292,16 +292,3 @@ def test_lambert(lens: str, light_W: tuple[float, float, float], lambert: float)
     face = image[120:141, 163:184]  # the one that the camera looks at squarely
     # Codes are 1/65535 apart.
     np.testing.assert_allclose(face, 0.4 * (0.3 + 0.7 * lambert), atol=1e-5)
-
-
-@pytest.mark.parametrize("ambient", [-0.1, 1.1, np.nan])
-def test_ambient_light_is_a_share(ambient: float) -> None:
-    with pytest.raises(SimError, match="ambient light: expected 0 to 1"):
-        Renderer(BOX, RenderConfig(ambient=ambient))
-
-
-@pytest.mark.parametrize("light_W", [(0.0, 0.0, 0.0), (np.nan, 0.0, 1.0)])
-def test_the_light_comes_from_somewhere(light_W: tuple[float, float, float]) -> None:
-    """It made every luminance NaN, and was not told."""
-    with pytest.raises(SimError, match="light_W: expected a finite direction"):
-        RenderConfig(light_W=light_W)

@@ -176,33 +176,6 @@ def test_an_hour_is_flown_within_the_circle() -> None:
     np.testing.assert_allclose(path.std(axis=0), short.std(axis=0), rtol=0.3)
 
 
-def test_random_spline_says_when_it_cannot_stay_near() -> None:
-    with pytest.raises(SimError, match=r"all went more than 0\.1 m away.*lower multiplier_xyz_m"):
-        spline(0, replace(SHORT, max_radius_m=0.1))
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"duration_s": 0.0}, "duration_s must be a positive number, got 0"),
-        ({"duration_s": np.nan}, "duration_s must be a positive number, got nan"),
-        ({"smoothing": 0.0}, "smoothing must be a positive number"),
-        ({"order": 2}, "order must be at least 3, got 2"),
-        ({"duration_s": 0.2}, "fewer than 2 poses"),
-        ({"multiplier_xyz_m": (1.0, np.nan, 1.0)}, "multiplier_xyz_m must be three finite numbers"),
-    ],
-)
-def test_bad_spline_config(change: dict[str, float], message: str) -> None:
-    with pytest.raises(SimError, match=message):
-        replace(SHORT, **change)  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize("time_s", [-1e-6, 6.000001, np.nan])
-def test_nothing_is_extrapolated(time_s: float) -> None:
-    with pytest.raises(SimError, match="defined from 0 to 6 s"):
-        spline(0).poses(np.array([1.0, time_s]))
-
-
 # --- CSV files --------------------------------------------------------------------------------
 
 

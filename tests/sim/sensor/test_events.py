@@ -1,18 +1,22 @@
+"""Events are what thresholds make of light, whole or in crops, and come out in order."""
+
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from sim.errors import SimError
 from sim.sensor.events import PRESETS, Sensor, SensorConfig, events_from_frames
-from sim.sensor.kernels import EVENT_DTYPE
+from sim.sensor.kernels import EVENT_DTYPE, EventBuffer
 from tests.sim.sensor.videos import (
     EPS,
     IDEAL,
     SLOW,
+    ZERO,
+    feed_crop,
     reference_levels,
     rng,
     smooth_video,
+    spread_px,
     step_video,
 )
 
@@ -206,32 +210,113 @@ def test_arguments_stay_as_they_are() -> None:
     np.testing.assert_array_equal(video, copy)
 
 
-@pytest.mark.parametrize(
-    ("shape", "times_s"),
-    [((3, 4), [0, 1, 2]), ((3, 4, 5, 3), [0, 1, 2]), ((3, 4, 5), [0, 1]), ((1, 4, 5), [0])],
-)
-def test_shapes_that_do_not_fit(shape: tuple[int, ...], times_s: list[float]) -> None:
-    with pytest.raises(SimError, match=r"expected an array \(n, height, width\) and n >= 2 times"):
-        events_from_frames(np.zeros(shape, np.float32), np.array(times_s))
+@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize("seed", [0, 1])
+def test_crops_give_the_events_of_whole_frames(name: str, seed: int) -> None:
+    """A square passes a textured wall; it comes in, goes, and comes back elsewhere."""
+    config = PRESETS[name]
+    n, height, width = 120, 30, 40
+    wall = smooth_video(1, height, width, seed)[0]
+    video = np.repeat(wall[None], n, axis=0)
+    for k in range(n):
+        if k % 60 > 5 and k % 60 < 50:
+            x, y = (k % 60) - 10, 8 + k // 8
+            video[k, max(y, 0) : y + 7, max(x, 0) : max(x + 9, 0)] = 0.1
+    assert (video[0] == wall).all()
+    times_s = 1e-3 * np.arange(n)
+    whole = events_from_frames(video, times_s, config, rng(seed))
+    boxes = spread_px(video, seed)
+    by_instant = Sensor(config, wall, 0.0, rng(seed))
+    for k in range(1, n):
+        # An instant without the square may be left out when those around it are without as well.
+        if (video[k - 1 : k + 2] != wall).any():
+            feed_crop(by_instant, times_s[k], video[k], boxes[k])
+    np.testing.assert_array_equal(by_instant.finish(times_s[-1]), whole)
+    assert len(whole) > 1000
 
 
-@pytest.mark.parametrize("times_s", [[0, 2, 1], [0, 1, 1], [0, np.nan, 2], [0, 1, np.inf]])
-def test_times_that_do_not_increase(times_s: list[float]) -> None:
-    with pytest.raises(SimError, match="times must be finite and increase"):
-        events_from_frames(np.zeros((3, 4, 5), np.float32), np.array(times_s))
+@pytest.mark.parametrize("name", PRESETS)
+def test_one_feed_or_many(name: str) -> None:
+    config = PRESETS[name]
+    video, times_s = smooth_video(50, 12, 15), 1e-3 * np.arange(50)
+    zeros = np.zeros(49, np.int64)
+    once = Sensor(config, video[0], 0.0, rng(1))
+    once.feed(times_s[1:], zeros, zeros, video[1:])
+    often = Sensor(config, video[0], 0.0, rng(1))
+    for part in (slice(1, 2), slice(2, 30), slice(30, 50)):
+        n = len(times_s[part])
+        often.feed(times_s[part], zeros[:n], zeros[:n], video[part])
+    np.testing.assert_array_equal(once.finish(0.06), often.finish(0.06))
 
 
-@pytest.mark.parametrize("value", [-0.01, 1.01, 200.0, np.nan, np.inf])
-@pytest.mark.parametrize("k", [0, 2])
-def test_light_out_of_range(value: float, k: int) -> None:
-    video = np.full((3, 4, 5), 0.5)
-    video[k, 1, 2] = value
-    with pytest.raises(SimError, match=r"expected linear intensities in \[0, 1\]"):
-        events_from_frames(video, np.arange(3.0))
+@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize("step_s", [1e-3, 0.7e-6])
+def test_events_may_be_taken_as_they_settle(name: str, step_s: float) -> None:
+    """Also where many instants, and so feeds, fall into one microsecond."""
+    config = PRESETS[name]
+    video, times_s = smooth_video(50, 12, 15), step_s * np.arange(50)
+    whole = events_from_frames(video, times_s, config, rng(1))
+    sensor, taken = Sensor(config, video[0], 0.0, rng(1)), []
+    for k in range(1, 50):
+        sensor.feed(times_s[k : k + 1], ZERO, ZERO, video[k : k + 1])
+        taken.append(sensor.take_settled())
+        if len(taken[-1]):
+            assert taken[-1]["t"][-1] < np.rint(1e6 * times_s[k])
+    taken.append(sensor.finish(times_s[-1]))
+    np.testing.assert_array_equal(np.concatenate(taken), whole)
+    left_for_the_end = len(taken[-1]) / len(whole)
+    assert (left_for_the_end < 0.2) == config.is_ideal_in_time
 
 
-@pytest.mark.parametrize("name", ["threshold_on", "threshold_off", "log_eps"])
-@pytest.mark.parametrize("value", [0.0, -0.1, np.nan, np.inf])
-def test_thresholds_must_be_positive(name: str, value: float) -> None:
-    with pytest.raises(SimError, match=f"sensor: {name} must be a positive number"):
-        SensorConfig(**{name: value})
+@pytest.mark.parametrize("name", PRESETS)
+def test_a_start_that_is_not_the_background(name: str) -> None:
+    """The drone is in view from the first instant on, and then gone."""
+    wall = smooth_video(1, 20, 25, 4)[0]
+    video = np.repeat(wall[None], 3, axis=0)
+    video[0, 3:9, 4:11] = 0.05
+    times_s = np.array([0.0, 0.01, 0.02])
+    whole = events_from_frames(video, times_s, PRESETS[name], rng(2))
+    sensor = Sensor(PRESETS[name], video[0], 0.0, rng(2), background=wall)
+    for k in (1, 2):
+        feed_crop(sensor, times_s[k], video[k], ((17, 13), (19, 18)))
+    np.testing.assert_array_equal(sensor.finish(0.02), whole)
+    on_pixels = whole[whole["p"] == 1]
+    assert len(np.unique(on_pixels["y"] * 25 + on_pixels["x"])) >= 42
+
+
+WIDTH, HEIGHT = 7, 5
+
+
+def filled(t_s: np.ndarray, seed: int) -> tuple[EventBuffer, np.ndarray]:
+    """Fill a buffer with events at random pixels; returns t [us], x, y and p too, (n, 4)."""
+    rng, n = np.random.default_rng(seed), len(t_s)
+    about = np.stack([rng.integers(0, high, n) for high in (WIDTH, HEIGHT, 2)])
+    buffer = EventBuffer()
+    buffer.n = n
+    buffer.t_s[:n] = t_s
+    buffer.x[:n], buffer.y[:n], buffer.p[:n] = about
+    return buffer, np.column_stack([np.rint(1e6 * t_s).astype(np.int64), *about])
+
+
+# A microsecond is shared by many events, and in the last case time, pixel and index do not fit one
+# number of 64 bits: 51, 6 and 9 bits.
+@pytest.mark.parametrize("span_s", [1e-5, 1.0, 2e9])
+@pytest.mark.parametrize("n", [0, 1, 300])
+def test_by_time_row_column_and_order_of_emission(span_s: float, n: int) -> None:
+    t_s = span_s * (np.random.default_rng(n).integers(0, 10, n) / 10 - 0.3)
+    buffer, rows = filled(t_s, n)
+    taken = buffer.take(np.inf, WIDTH, HEIGHT)
+    expected = rows[np.lexsort((rows[:, 1], rows[:, 2], rows[:, 0]))]  # a stable sort
+    np.testing.assert_array_equal(np.stack([taken[name] for name in "txyp"], axis=1), expected)
+    assert buffer.n == 0
+
+
+def test_those_that_stay_are_taken_next() -> None:
+    t_s = np.random.default_rng(1).uniform(0.0, 1e-3, 500)
+    buffer, rows = filled(t_s, 1)
+    first, second = buffer.take(400.0, WIDTH, HEIGHT), buffer.take(np.inf, WIDTH, HEIGHT)
+    assert first["t"].max() < 400
+    assert second["t"].min() >= 400
+    taken = np.concatenate([first, second])
+    expected = rows[np.lexsort((rows[:, 1], rows[:, 2], rows[:, 0]))]
+    np.testing.assert_array_equal(np.stack([taken[name] for name in "txyp"], axis=1), expected)

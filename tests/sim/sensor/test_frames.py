@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sim.errors import SimError
 from sim.sensor.frames import FrameConfig, FrameExposer, Frames, frame_times_us
 
 CODE = 1.0 / 255.0
@@ -184,15 +183,3 @@ def test_a_frame_is_handed_on_as_its_exposure_closes(batch: int) -> None:
         assert taken == list(range(closed))
     exposer.finish()
     assert taken == list(range(n))
-
-
-@pytest.mark.parametrize("rate_hz", [-1.0, np.nan, np.inf])
-def test_a_rate_that_cannot_be(rate_hz: float) -> None:
-    with pytest.raises(SimError, match="frames: rate_hz must be 0 or a positive number"):
-        FrameConfig(rate_hz)
-
-
-@pytest.mark.parametrize("exposure_s", [0.0, -0.001, 0.021, np.nan])
-def test_an_exposure_that_does_not_fit_its_rate(exposure_s: float) -> None:
-    with pytest.raises(SimError, match=r"at most 1 / rate_hz = 0\.02 s"):
-        FrameConfig(50.0, exposure_s)

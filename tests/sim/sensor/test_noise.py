@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sim.errors import SimError
 from sim.sensor.events import PRESETS, Sensor, SensorConfig, events_from_frames
 from tests.sim.sensor.videos import EPS, ZERO, rng, smooth_video
 
@@ -144,19 +143,3 @@ def test_seeds() -> None:
     a, b, c = (events_from_frames(video, times_s, config, rng(seed)) for seed in (1, 1, 2))
     np.testing.assert_array_equal(a, b)
     assert len(a) != len(c) or (a != c).any()
-
-
-@pytest.mark.parametrize(
-    "name",
-    ["threshold_mismatch", "refractory_s", "leak_hz", "shot_noise_hz", "background_hz",
-     "hot_pixel_share", "hot_pixel_hz"],
-)  # fmt: skip
-@pytest.mark.parametrize("value", [-0.1, np.nan, np.inf])
-def test_noise_must_not_be_negative(name: str, value: float) -> None:
-    with pytest.raises(SimError, match=f"sensor: {name} must be 0 or a positive number"):
-        SensorConfig(**{name: value})
-
-
-def test_hot_pixels_are_a_share() -> None:
-    with pytest.raises(SimError, match="hot_pixel_share is a share of 1"):
-        SensorConfig(hot_pixel_share=1.5)

@@ -1,14 +1,17 @@
+"""The bench: model, walls, cameras and room."""
+
 from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 
-from sim.errors import SimError
+import sim.twin.bench
 from sim.recording import simulate
 from sim.render.config import RenderConfig
 from sim.scene.trajectory import SplineConfig
 from sim.sensor.events import SensorConfig
-from sim.twin.bench import TwinConfig, bench_rig, hanging_of
+from sim.twin.bench import TwinConfig, bench_rig, hanging_of, printed, wall
 from sim.twin.room import RoomConfig, room_events, wire_columns, wire_contrast
 
 SHORT = TwinConfig(
@@ -66,13 +69,6 @@ def test_both_cameras_see_the_drone_where_the_truth_says() -> None:
         T_C_W = bench_rig(SHORT).cameras[index].T_C_W
         depths_m = SHORT.scene(0).trajectory.position(times_s) @ T_C_W[2, :3] + T_C_W[2, 3]
         assert np.quantile(far_px, 0.999) < 1.0 + 1.03 * 300.0 * 0.0212 / depths_m.min()
-
-
-def test_a_bench_that_cannot_be_is_refused() -> None:
-    with pytest.raises(SimError, match="distances_m must be two positive numbers"):
-        TwinConfig(distances_m=(0.5, -0.1))
-    with pytest.raises(SimError, match="lenses of the model radtan or none, got equidistant"):
-        TwinConfig(distortion_model="equidistant", distortion_coeffs=(0.0,) * 4)
 
 
 def events_of(room: RoomConfig, index: int = 0, **sensor: float) -> np.ndarray:
@@ -134,8 +130,29 @@ def test_each_pixel_that_the_wire_passes_may_fire_off_then_on() -> None:
     assert thick / wire_contrast(room, rig.cameras[0], 0.5) == pytest.approx(2.0, rel=0.1)
 
 
-def test_a_room_that_cannot_be_is_refused() -> None:
-    with pytest.raises(SimError, match="shadow is a share, 0 to less than 1, got 1"):
-        RoomConfig(shadow=1.0)
-    with pytest.raises(SimError, match="wire_m must be 0 or a positive number, got -"):
-        RoomConfig(wire_m=-0.1)
+def test_the_model_is_three_by_three_by_one_centimetres() -> None:
+    (part,) = printed().parts
+    extent_m = np.ptp(part.vertices_B_m, axis=0)
+    np.testing.assert_allclose(extent_m, (0.03, 0.03, 0.01), rtol=1e-9)
+    np.testing.assert_allclose(part.vertices_B_m.min(0) + part.vertices_B_m.max(0), 0.0, atol=1e-12)
+
+
+def test_all_its_pieces_are_closed_and_face_outward() -> None:
+    (part,) = printed().parts
+    mesh = trimesh.Trimesh(part.vertices_B_m, part.faces, process=False)
+    for piece in mesh.split(only_watertight=False):
+        assert piece.is_watertight
+        assert piece.volume > 0.0
+
+
+def test_a_wall_is_its_seeds_and_smoother_the_further_it_is_out_of_focus(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    soft, again, other = (wall(346, 260, np.random.default_rng(seed)) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(soft, again)
+    assert not np.array_equal(soft, other)
+    monkeypatch.setattr(sim.twin.bench, "DEFOCUS_PX", 0.3)  # next to no neighbour has a share
+    sharp = wall(346, 260, np.random.default_rng(1))
+    assert sharp.shape == (260, 346)
+    assert 0.0 < sharp.min() <= sharp.max() < 1.0
+    assert np.abs(np.diff(soft, axis=1)).max() < np.abs(np.diff(sharp, axis=1)).max() / 3.0

@@ -1,3 +1,5 @@
+"""Clocks that stray, and the streams of a seed."""
+
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -5,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.errors import SimError
 from sim.recorded import Drift, drift_of
 from sim.recording import SimConfig, simulate
 from sim.render.config import RenderConfig, SamplingConfig
 from sim.render.lattice import Lattice
 from sim.scene.trajectory import SplineConfig
+from sim.seeds import generator, sequence
 from sim.storage import record
 from tests.sim.scenes import with_time_offset
 
@@ -41,22 +43,6 @@ def test_the_skew_adds_its_share_since_the_middle_and_keeps_the_order(skew_ppm):
 def test_a_jump_adds_its_size_from_its_time_on():
     added_us = Drift(jump=(0.5, 0.02)).added_us(np.array([0, 499_999, 500_000, 900_000]))
     np.testing.assert_array_equal(added_us, [0, 0, 20_000, 20_000])
-
-
-@pytest.mark.parametrize(
-    ("skew_ppm", "jump", "words"),
-    [
-        (np.nan, None, "clock skew: expected"),
-        (2e5, None, "got 200000"),
-        (0.0, (0.0, 0.1), "within the flight, 0 to 10 s"),
-        (0.0, (10.0, 0.1), "got 10"),
-        (0.0, (5.0, -0.02), "above 0 s, got -0.02: stamps of a clock that is set back"),
-        (0.0, (5.0, np.nan), "above 0 s"),
-    ],
-)
-def test_what_no_clock_does_is_refused(skew_ppm, jump, words):
-    with pytest.raises(SimError, match=words):
-        drift_of(skew_ppm, jump, 10.0)
 
 
 @pytest.mark.render
@@ -93,3 +79,16 @@ def test_the_truth_tells_how_the_clock_strays(tmp_path: Path):
     assert (plain["skew_ppm"], plain["t_ref_s"], plain["clock_jump"]) == (0.0, 0.5, None)
     assert (drifting["skew_ppm"], drifting["t_ref_s"]) == (-20_000.0, 0.5)
     assert drifting["clock_jump"] == {"at_s": 0.7, "size_s": 0.005}
+
+
+def test_a_stream_is_the_branch_that_numpy_spawns() -> None:
+    branch = np.random.SeedSequence(5).spawn(4)[3].spawn(2)[1]
+    np.testing.assert_array_equal(sequence(5, 3, 1).generate_state(8), branch.generate_state(8))
+    expected = np.random.default_rng(branch).random(100)
+    np.testing.assert_array_equal(generator(5, 3, 1).random(100), expected)
+
+
+def test_streams_and_seeds_have_no_number_in_common() -> None:
+    streams = [generator(seed, *at) for seed in (0, 1) for at in ((), (0,), (1,), (0, 1), (1, 0))]
+    drawn = np.concatenate([stream.integers(0, 2**63, 100) for stream in streams])
+    assert len(np.unique(drawn)) == len(drawn)

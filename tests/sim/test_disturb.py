@@ -1,22 +1,38 @@
 """What is added to a recording fires where, when and as often as it says."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+import yaml
 
+import sim.disturb
 from sim.disturb import (
+    CLOUD_LUMINANCE,
     CLUSTER_HZ,
     LAMP_HZ,
     LAMP_STEPS,
+    SKY_LUMINANCE,
+    SPOTS_PX,
     DisturbConfig,
     View,
+    clouds,
+    cloudy_sky,
     clutter,
     merged,
+    record_disturbed,
     second_seed,
     thinned,
     wrong_intrinsics,
 )
 from sim.effects.pixels import CLUSTER_PX
 from sim.errors import SimError
+from sim.recording import SimConfig
+from sim.render.config import RenderConfig, SamplingConfig
+from sim.render.lattice import Lattice
+from sim.scene.trajectory import SplineConfig
+from sim.sensor.events import SensorConfig
+from sim.sensor.frames import FrameConfig
 
 VIEW = View(346, 260, 2.0)
 
@@ -124,26 +140,84 @@ def test_wrong_intrinsics_are_draws_of_the_stated_deviations() -> None:
     assert not none.any()
 
 
-@pytest.mark.parametrize(
-    ("values", "message"),
-    [
-        ({"noise_hz": -1.0}, "noise_hz must be 0 or a positive number, got -1.0"),
-        ({"lamp_px": float("nan")}, "lamp_px must be 0 or a positive number, got nan"),
-        ({"second_object": 1.5}, "second_object is a share, 0 to 1, got 1.5"),
-        ({"intrinsics_error": (11.0, 0.0)}, "intrinsics_error needs 0 to 10 % and 0 px or more"),
-    ],
-)
-def test_what_cannot_be_is_refused(values: dict, message: str) -> None:
-    with pytest.raises(SimError, match=message):
-        DisturbConfig(**values)
-
-
-def test_a_lamp_larger_than_the_view_is_refused() -> None:
-    with pytest.raises(SimError, match="a lamp of 300 x 300 px does not fit into a view of 346"):
-        drawn(DisturbConfig(lamp_px=300))
-
-
 def test_nothing_asked_for_is_nothing_added() -> None:
     assert DisturbConfig().is_none
     assert not any(config.is_none for config in KINDS.values())
     assert len(drawn(DisturbConfig())) == 0
+
+
+SMALL_VIEW = View(120, 90, 2.0)
+
+
+def test_a_sky_has_blue_and_white_and_is_one_again_beyond_its_border() -> None:
+    sky = cloudy_sky(SMALL_VIEW, np.random.default_rng(0))
+    assert sky.shape == (256, 256)
+    low, high = (np.float32(light) for light in (SKY_LUMINANCE, CLOUD_LUMINANCE))
+    assert sky.min() >= low * (1.0 - 1e-6)  # single precision
+    assert sky.max() <= high * (1.0 + 1e-6)
+    clear, white = np.mean(sky < 1.01 * low), np.mean(sky > 0.99 * high)
+    assert min(clear, white) > 0.05
+    # A step over the border is one like any other.
+    for steps in (np.diff(sky, axis=0), np.diff(sky, axis=1)):
+        across = sky[0] - sky[-1] if steps.shape[0] < 256 else sky[:, 0] - sky[:, -1]
+        # Unrelated borders differ by some seven times as much; edges of clouds lie unevenly.
+        assert np.sqrt(np.mean(across**2)) < 3.0 * np.sqrt(np.mean(steps**2))
+
+
+def test_large_spots_are_stronger_than_small_ones() -> None:
+    sky = np.log(cloudy_sky(View(346, 260, 1.0), np.random.default_rng(3)))
+    power = np.abs(np.fft.rfft2(sky - sky.mean())) ** 2
+    waves = np.hypot(np.fft.fftfreq(len(sky))[:, None], np.fft.rfftfreq(len(sky)))
+    coarse = power[(waves > 1.0 / SPOTS_PX) & (waves < 2.0 / SPOTS_PX)].mean()
+    fine = power[(waves > 8.0 / SPOTS_PX) & (waves < 16.0 / SPOTS_PX)].mean()
+    # Kolmogorov's 8^(-11/3) is 1/2048; where clear and white cut it off, edges weaken the fall.
+    assert 1 / 4096 < fine / coarse < 1 / 128
+
+
+@pytest.mark.parametrize("drift_px_s", [3.0, 12.0])
+def test_events_add_up_to_the_change_of_light(drift_px_s: float) -> None:
+    events = clouds(SMALL_VIEW, drift_px_s, np.random.default_rng(5))
+    change = np.zeros((SMALL_VIEW.height, SMALL_VIEW.width))
+    sign = 2.0 * events["p"].astype(float) - 1.0
+    np.add.at(change, (events["y"], events["x"]), SensorConfig().threshold_on * sign)
+    # From blue to white at most, and what a pixel remembers may be a threshold beside either.
+    most = np.log(CLOUD_LUMINANCE / SKY_LUMINANCE) + 2.0 * SensorConfig().threshold_on
+    assert np.abs(change).max() <= most
+    assert np.abs(change).max() > SensorConfig().threshold_on
+
+
+def test_clouds_twice_as_fast_make_twice_the_events_all_along() -> None:
+    slow, fast = (clouds(SMALL_VIEW, speed, np.random.default_rng(7)) for speed in (4.0, 8.0))
+    # The same sky over half the way; what comes into view later differs from place to place.
+    first = fast[fast["t"] < 1e6]
+    assert len(first) == pytest.approx(len(slow), rel=0.02)  # frames lie elsewhere
+    # No burst at the start: pixels remember what they saw before.
+    assert np.mean(slow["t"] < 2e5) == pytest.approx(0.1, abs=0.03)
+
+
+QUICK = SimConfig(
+    spline=SplineConfig(1.0),
+    sampling=SamplingConfig(max_step_px=2.0),
+    render=RenderConfig(lattice=Lattice(2, 0), check=False),
+    frames=FrameConfig(rate_hz=0.0),
+)
+WRONG_RIG = DisturbConfig(intrinsics_error=(1.0, 3.0))
+
+
+def test_a_recording_never_stands_there_with_the_true_rig_in_place_of_the_wrong_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It did, until the rig files were written over, or for good if that failed."""
+    record_disturbed(QUICK, WRONG_RIG, 0, tmp_path / "whole", {})
+    for name in ("rig.yaml", "rig_extrinsics.yaml"):
+        chain = yaml.safe_load((tmp_path / "whole" / name).read_text())
+        assert chain["cam0"]["intrinsics"] != [200.0, 200.0, 173.0, 130.0]
+        assert chain["cam0"]["intrinsics_std"] == [2.0, 2.0, 3.0, 3.0]
+
+    def fail(*_: object) -> None:
+        raise SimError("no")
+
+    monkeypatch.setattr(sim.disturb, "wrong_intrinsics", fail)
+    with pytest.raises(SimError, match="no"):
+        record_disturbed(QUICK, WRONG_RIG, 0, tmp_path / "out", {})
+    assert [path.name for path in tmp_path.iterdir()] == ["whole"]

@@ -1,0 +1,214 @@
+"""What makes no sense is refused in one line that says what was expected, and what came."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sim.disturb import DisturbConfig, View, clutter
+from sim.effects.config import SensorEffects, sensor_preset
+from sim.errors import SimError
+from sim.recorded import drift_of
+from sim.recording import SimConfig, simulate
+from sim.render.config import RenderConfig, SamplingConfig
+from sim.render.gl_context import open_context
+from sim.render.lattice import Lattice
+from sim.scene.background import uniform_background
+from sim.scene.flyers import bird, built_in_drone, quadrotor
+from sim.scene.rig import Camera, Rig, look_at_rig, two_view_rig
+from sim.scene.trajectory import SplineConfig, random_spline
+from sim.sensor.events import SensorConfig, events_from_frames
+from sim.sensor.frames import FrameConfig
+from sim.twin.bench import TwinConfig, bench_rig, printed
+from sim.twin.calibration import CalibrationConfig, calibrated_camera, calibrated_pose
+from sim.twin.pendulum import PendulumConfig, hanging
+from sim.twin.room import RoomConfig
+from tests.sim.scenes import make_camera, rng
+
+NAN, INF = float("nan"), float("inf")
+QUICK = SimConfig(spline=SplineConfig(duration_s=1.0), render=RenderConfig(check=False))
+GREY = np.full((3, 4, 5), 0.5)
+STEADY = np.arange(3.0)
+LENS = {"distortion_model": "radtan", "distortion_coeffs": (0.1,)}
+FISHEYE = {"distortion_model": "equidistant", "distortion_coeffs": (0.1, 0.0, 0.0, NAN)}
+FOLDED = {"distortion_model": "radtan", "distortion_coeffs": (-0.4, 0.0, 0.0, 0.0)}
+POSITIVE: dict[Any, tuple[str, ...]] = {
+    SensorConfig: ("threshold_on", "threshold_off", "log_eps"),
+    SplineConfig: ("duration_s", "sampling_hz", "segments_per_s", "smoothing"),
+    SamplingConfig: ("max_step_px", "min_rate_hz"),
+    PendulumConfig: ("length_m", "hand_hz", "twist_hz", "rocking_hz", "max_radius_m"),
+    SensorEffects: ("illuminance_lux", "cutoff_max_hz", "flicker_hz"),
+}
+OR_ZERO: dict[Any, tuple[str, ...]] = {
+    SensorConfig: tuple(sorted(vars(SensorConfig()).keys() - POSITIVE[SensorConfig])),
+    SensorEffects: tuple(vars(SensorEffects())),
+    FrameConfig: ("rate_hz",),
+    DisturbConfig: (
+        "lamp_px", "hot_clusters", "noise_hz", "branches", "people", "clouds_px_s"
+    ),
+    PendulumConfig: ("damping_per_s", "start_rad", "twist_rad", "rocking_rad"),
+    RoomConfig: ("light_std", "wire_m"),
+    CalibrationConfig: ("corner_std_px",),
+}  # fmt: skip
+
+
+def fields(of: dict[Any, tuple[str, ...]]) -> list[tuple[Any, str]]:
+    return [(config, name) for config, names in of.items() for name in names]
+
+
+@pytest.mark.parametrize("value", [-0.1, NAN, INF])
+@pytest.mark.parametrize(("config", "name"), fields(OR_ZERO))
+def test_numbers_that_must_not_be_negative(config: Any, name: str, value: float) -> None:
+    with pytest.raises(SimError, match=f"{name} must be 0 or a positive number, got {value}"):
+        config(**{name: value})
+
+
+@pytest.mark.parametrize("value", [0.0, NAN])
+@pytest.mark.parametrize(("config", "name"), fields(POSITIVE))
+def test_numbers_that_must_be_positive(config: Any, name: str, value: float) -> None:
+    with pytest.raises(SimError, match=f"{name} must be (0 or )?a positive number, got {value}"):
+        config(**{name: value})
+
+
+def video(light: float = 0.5, k: int = 0) -> np.ndarray:
+    frames = GREY.copy()
+    frames[k, 1, 2] = light
+    return frames
+
+
+CASES: list[tuple[Callable[[], Any], str]] = [
+    # Sensor and frames.
+    (lambda: SensorConfig(hot_pixel_share=1.5), "hot_pixel_share is a share of 1"),
+    *((lambda e=e: FrameConfig(50.0, e), r"at most 1 / rate_hz = 0\.02 s")
+      for e in (0, 0.021, NAN)),
+    *((lambda s=s: events_from_frames(np.zeros(s), STEADY), r"expected an array \(n, height, width")
+      for s in ((3, 4), (3, 4, 5, 3), (2, 4, 5), (1, 4, 5))),
+    *((lambda t=t: events_from_frames(GREY, np.array(t)), "times must be finite and increase")
+      for t in ([0, 2, 1], [0, 1, 1], [0, NAN, 2], [0, 1, INF])),
+    *((lambda v=v, k=k: events_from_frames(video(v, k), STEADY), r"linear intensities in \[0, 1\]")
+      for v in (-0.01, 1.01, NAN, INF) for k in (0, 2)),
+    # Effects.
+    (lambda: SensorEffects(cutoff_min_hz=9e3), "cutoff_min_hz must be at most cutoff_max_hz"),
+    (lambda: SensorEffects(flicker_depth=1.0), "flicker_depth must be less than 1"),
+    (lambda: SensorEffects(frame_phase_spread=1.5), "frame_phase_spread is a share"),
+    (lambda: SensorEffects(readout_queue=0), "readout_queue must be 1 or more"),
+    (lambda: sensor_preset("davis"), r"one of davis346, davis346-dim, .* got 'davis'"),
+    (lambda: SimConfig(frames=FrameConfig(25.0), effects=SensorEffects(frame_gap_s=0.04)),
+     r"frame_gap_s must be less than 1 / rate_hz .* 0.04 s"),
+    # Clutter.
+    (lambda: DisturbConfig(second_object=1.5), "second_object is a share, 0 to 1, got 1.5"),
+    (lambda: DisturbConfig(intrinsics_error=(11.0, 0.0)), "intrinsics_error needs 0 to 10 %"),
+    (lambda: clutter(DisturbConfig(lamp_px=300), View(346, 260, 2.0), 0, 0),
+     "a lamp of 300 x 300 px does not fit into a view of 346"),
+    # Clocks.
+    (lambda: drift_of(NAN, None, 10.0), "clock skew: expected"),
+    (lambda: drift_of(2e5, None, 10.0), "got 200000"),
+    (lambda: drift_of(0.0, (0.0, 0.1), 10.0), "within the flight, 0 to 10 s"),
+    (lambda: drift_of(0.0, (10.0, 0.1), 10.0), "got 10"),
+    (lambda: drift_of(0.0, (5.0, -0.02), 10.0), "above 0 s, got -0.02: stamps of a clock that is"),
+    (lambda: drift_of(0.0, (5.0, NAN), 10.0), "above 0 s"),
+    # Drones.
+    *((lambda n=n, s=s: built_in_drone(n, s), "size must be a positive number of metres")
+      for n in ("quadrotor", "two-tone", "bird", "plane") for s in (0.0, -1.0, NAN)),
+    (lambda: printed(-1.0), "size must be a positive number of metres, got -1"),
+    (lambda: quadrotor(rotor_hz=INF), "rate must be a finite number"),
+    (lambda: bird(flap_hz=INF), "wings' rate must be a finite number"),
+    (lambda: SimConfig(drone="hawk"), "one of quadrotor, two-tone, bird, plane, got 'hawk'"),
+    (lambda: built_in_drone("hawk"), "one of quadrotor, two-tone, bird, plane, got 'hawk'"),
+    *((lambda n=n: built_in_drone(n, rotor_hz=20.0),
+       rf"on the built-in quadrotors only \(quadrotor, two-tone\), not on a {n}")
+      for n in ("bird", "plane")),
+    # Paths.
+    (lambda: SplineConfig(order=2), "order must be at least 3, got 2"),
+    (lambda: SplineConfig(duration_s=0.2), "fewer than 2 poses"),
+    (lambda: SplineConfig(multiplier_xyz_m=(1.0, NAN, 1.0)), "multiplier_xyz_m must be three fini"),
+    (lambda: random_spline(SplineConfig(6.0, max_radius_m=0.1), rng()),
+     r"all went more than 0\.1 m away.*lower multiplier_xyz_m"),
+    *((lambda t=t: random_spline(SplineConfig(6.0), rng()).poses(np.array([1.0, t])),
+       "defined from 0 to 6 s") for t in (-1e-6, 6.000001, NAN)),
+    # Cameras.
+    *((lambda a=a: two_view_rig(a), "must be between 0 and 180 deg, exclusive")
+      for a in (0.0, 180.0, -30.0, 270.0, NAN)),
+    (lambda: two_view_rig(90.0, t_d_s=NAN), "time offset must be a finite number of seconds"),
+    (lambda: two_view_rig(90.0, distance_m=0.0), "distance must be positive, got 0"),
+    (lambda: two_view_rig(90.0, focal_px=-1.0), "focal lengths and resolution must be positive"),
+    (lambda: two_view_rig(90.0, resolution=(0, 260)), "focal lengths and resolution must be"),
+    (lambda: two_view_rig(90.0, principal_point=(NAN, 130.0)), "cam1: K and T_C_W must be finite"),
+    (lambda: two_view_rig(90.0, distortion_model="fov"), "'fov': use one of none, radtan"),
+    (lambda: two_view_rig(90.0, **LENS), "needs 4 finite coeff"),
+    (lambda: two_view_rig(90.0, distortion_coeffs=(0.1,) * 4), "'none' needs 0 finite coeff"),
+    (lambda: two_view_rig(90.0, **FISHEYE), "'equidistant' needs 4 finite coefficients"),
+    # The image folds on a ring of 122 px about the principal point, here outside of it: the ring
+    # crosses the right and lower half alone.
+    (lambda: two_view_rig(90.0, resolution=(130, 100), principal_point=(5.0, -30.0), **FOLDED),
+     "fold the image back on itself"),
+    (lambda: Camera("cam1", np.eye(4), 346, 260, "none", (), np.eye(4), 0.0),
+     r"K must be \(3, 3\) and T_C_W \(4, 4\)"),
+    (lambda: Rig(()), "at least one camera"),
+    (lambda: look_at_rig((0, 90), time_offsets_s=(0.0,)), "2 cameras need as many time offsets"),
+    (lambda: look_at_rig((0,)).extrinsics(), "need two cameras, this rig has one"),
+    (lambda: look_at_rig((0, 360)).extrinsics(), "in the same place"),
+    *((lambda v=v: uniform_background(make_camera(), v), "background luminance: expected 0 to 1")
+      for v in (-0.01, 1.01, NAN)),
+    # Pictures.
+    *((lambda a=a, b=b: Lattice(a, b), "expected 1 <= a <= 31 and b = 0 or 1")
+      for a, b in ((0, 0), (32, 0), (8, 2), (8, -1))),
+    *((lambda c=c: RenderConfig(Lattice(17, 1), **c), "draws lattices up to a = 16, got a = 17")
+      for c in ({"renderer": "pyrender", "check": False}, {"check": True})),
+    (lambda: RenderConfig(renderer="blender"), "'blender': use one of native, pyrender"),
+    *((lambda s=s: RenderConfig(ambient=s), "ambient light: expected 0 to 1")
+      for s in (-0.1, 1.1, NAN)),
+    *((lambda d=d: RenderConfig(light_W=d), "light_W: expected a finite direction")
+      for d in ((0.0, 0.0, 0.0), (NAN, 0.0, 1.0))),
+    *((lambda b=b: open_context(b), "GL backend: expected auto, osmesa or egl, got")
+      for b in ("", "OSMESA", "wayland")),
+    # The bench.
+    (lambda: TwinConfig(distances_m=(0.5, -0.1)), "distances_m must be two positive numbers"),
+    (lambda: TwinConfig(distortion_model="equidistant", distortion_coeffs=(0.0,) * 4),
+     "lenses of the model radtan or none, got equidistant"),
+    (lambda: RoomConfig(shadow=1.0), "shadow is a share, 0 to less than 1, got 1"),
+    (lambda: PendulumConfig(hand_m=(0.1, NAN, 0.0)), "hand_m must be three numbers"),
+    (lambda: hanging(PendulumConfig(max_radius_m=0.001), 2.0, rng()),
+     r"all went more than 0.001 m away.*lower hand_m"),
+    (lambda: hanging(PendulumConfig(), 0.0, rng()), "duration must be a positive number, got 0"),
+    (lambda: CalibrationConfig(n_views=2), "a board of 3 x 3 corners or more and 3 views or more"),
+    (lambda: calibrated_camera(BENCH.cameras[0], CalibrationConfig(square_m=0.5), rng()),
+     "too few are in view of cam1: take a smaller one"),
+    (lambda: calibrated_camera(replace(BENCH.cameras[0], distortion_model="equidistant"),
+                               CalibrationConfig(), rng()), "a lens of the model radtan or none"),
+    (lambda: calibrated_pose(Rig(BENCH.cameras[:1]), [], CalibrationConfig(), rng()),
+     "expected two cameras, got 1"),
+    # Recordings.
+    *((lambda c=c: simulate(replace(QUICK, **c), 1), text) for c, text in (
+        ({"background_files": (Path("a"), Path("b"), Path("c"))}, "expected one image"),
+        ({"trajectory_file": Path("missing.csv")}, r"missing\.csv"),
+        ({"drone_file": Path("missing.stl")}, r"missing\.stl"),
+        ({"distance_m": 0.5}, "reaches into the camera"),
+    )),
+    (lambda: simulate(QUICK, -1), "seed: expected 0 or a positive integer, got -1"),
+]  # fmt: skip
+BENCH = bench_rig(TwinConfig())
+
+
+@pytest.mark.parametrize(("ask", "message"), CASES)
+def test_what_makes_no_sense_is_refused(ask: Callable[[], Any], message: str) -> None:
+    with pytest.raises(SimError, match=message):
+        ask()
+
+
+@pytest.mark.parametrize(
+    ("model", "coeffs"),
+    [
+        ("radtan", (-0.4, 0.0, 0.0, 0.0)),
+        ("radtan", (0.0, 0.0, 0.5, 0.0)),
+        ("equidistant", (-1.0, 0.0, 0.0, 0.0)),
+    ],
+)
+def test_distortion_that_folds_the_image_is_refused(model: str, coeffs: tuple[float, ...]) -> None:
+    lens = {"distortion_model": model, "distortion_coeffs": coeffs}
+    with pytest.raises(SimError, match=r"cam1: the .* fold the image back on itself"):
+        two_view_rig(90.0, **lens)
+    two_view_rig(90.0, focal_px=2000.0, **lens)  # a narrow view never reaches the fold
