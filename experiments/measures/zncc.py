@@ -27,7 +27,7 @@ from ssac.errors import SsacError
 from ssac.estimate import Estimate
 from ssac.events import US_PER_S
 from ssac.files.hdf5 import load_frames
-from ssac.methods.correlations import BIN_S, FRAME_S, Signal, binned, lags_of, zncc
+from ssac.methods.correlations import FRAME_S, ZNCC_BIN_S, Signal, binned, lags_of, zncc
 from ssac.pipeline.chain import Chain
 from ssac.track.observation import Observation
 
@@ -139,11 +139,13 @@ def signal_row(cell: SignalCell, flight: SignalFlight) -> SignalRow:
     """Correlate one signal of both views."""
     if cell.source == MODELLED:
         first, second = flight.modelled
-        return SignalRow("ok", **vars(agreement(first[cell.signal], second[cell.signal], BIN_S)))
+        return SignalRow(
+            "ok", **vars(agreement(first[cell.signal], second[cell.signal], ZNCC_BIN_S))
+        )
     found = rendered_agreement(cell.signal, flight)
     if cell.signal != ZNCC_E:
         return SignalRow("ok", **vars(found))
-    rate = binned(flight.chain.clean(1).events["t"] / US_PER_S, None, BIN_S)
+    rate = binned(flight.chain.clean(1).events["t"] / US_PER_S, None, ZNCC_BIN_S)
     model = flight.modelled[1][RATE]
     figures = _figures(flight)
     return SignalRow(
@@ -184,14 +186,14 @@ def modelled_signals(trajectory: Trajectory, camera: Camera) -> dict[str, Signal
     Returns
     -------
     dict of Signal
-        In bins of `BIN_S`, each in a unit of its own: "rate", the drone's image speed times its
-        image's width times the share of it in the image; and two factors that make up the rate,
+        In bins of `ZNCC_BIN_S`, each in a unit of its own: "rate", the drone's image speed times
+        its image's width times the share of it in the image; and two factors that make up the rate,
         "speed", of the drone across the line of sight, and "distance", one over its square.
     """
-    n = int(trajectory.duration_s / BIN_S)
-    times_s = BIN_S * (np.arange(n, dtype=np.float64) + 0.5)
+    n = int(trajectory.duration_s / ZNCC_BIN_S)
+    times_s = ZNCC_BIN_S * (np.arange(n, dtype=np.float64) + 0.5)
     points = trajectory.position(times_s)
-    velocity: Array = np.gradient(points, BIN_S, axis=0)
+    velocity: Array = np.gradient(points, ZNCC_BIN_S, axis=0)
     to_drone = points - np.linalg.inv(camera.T_C_W)[:3, 3]
     distance_m = np.linalg.norm(to_drone, axis=1)
     closing = np.sum(velocity * to_drone, axis=1) / distance_m
@@ -201,7 +203,7 @@ def modelled_signals(trajectory: Trajectory, camera: Camera) -> dict[str, Signal
     for position, size in zip(pixels.T, (camera.width, camera.height), strict=True):
         low, high = position - width_px / 2, position + width_px / 2
         inside *= np.clip((np.minimum(high, size) - np.maximum(low, 0.0)) / width_px, 0.0, 1.0)
-    image_speed = np.linalg.norm(np.gradient(pixels, BIN_S, axis=0), axis=1)
+    image_speed = np.linalg.norm(np.gradient(pixels, ZNCC_BIN_S, axis=0), axis=1)
     return {
         "rate": Signal(0, np.nan_to_num(image_speed * width_px * inside)),
         "speed": Signal(0, np.sqrt(np.maximum(np.sum(velocity**2, axis=1) - closing**2, 0.0))),
