@@ -12,12 +12,12 @@ import pandas as pd
 from experiments.bench.growth import COLUMNS as GROWTH_COLUMNS
 from experiments.bench.growth import COMMITTED, STEPS, points_of
 from experiments.bench.measurement import Measurement
+from experiments.damage.reliability import CSV_FILE as RELIABILITY_FILE
+from experiments.damage.reliability import reliability_faults
 from experiments.lab.files import SUMS_FILE, read_checksums, sha256
 from experiments.lab.finding import Finding, found
 from experiments.lab.provenance import versions
 from experiments.real.pairs import PAIRS_FILE
-from experiments.torture.reliability import CSV_FILE as RELIABILITY_FILE
-from experiments.torture.reliability import reliability_faults
 from experiments.verify.manifest import (
     BENCH_FILE,
     GROWTH_FILE,

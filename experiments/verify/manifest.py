@@ -9,6 +9,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from experiments.bench.growth import COMMITTED, bench_command_line, bench_config
+from experiments.damage.reliability import COMMAND as DAMAGE_COMMAND
+from experiments.damage.reliability import COMMITTED as DAMAGE
+from experiments.damage.reliability import CSV_FILE as RELIABILITY_FILE
 from experiments.drawing.figures import drawings, figures_config
 from experiments.lab.provenance import plain
 from experiments.lab.study import Study
@@ -32,9 +35,6 @@ from experiments.real.data_sets import COMMAND, DATA_SETS, real_config
 from experiments.real.drawing import OFFSETS_FIGURE
 from experiments.real.pairs import PAIRS_FILE, STRAYS_FILE, TRIPLES_FILE
 from experiments.real.paths import PATH_FIGURE, PATHS_FILE
-from experiments.torture.reliability import COMMAND as TORTURE_COMMAND
-from experiments.torture.reliability import CSV_FILE as RELIABILITY_FILE
-from experiments.torture.reliability import reliability_config
 
 PUBLISHED_SHA256 = {
     "published/esim_10.csv": "e4fc65f27fe6e67e162c81d89ccf66debf49f560e766675ead3288fc09b21cd7",
@@ -65,7 +65,7 @@ class Manifest:
 
 
 def campaigns() -> tuple[Manifest, ...]:
-    """List what other commands leave, one by one: of outdoors, torture, the bench and networks."""
+    """List what other commands leave, one by one: of outdoors, damage, the bench and networks."""
     return _outdoor(), _reliability(), _physical(), _network_growth()
 
 
@@ -120,7 +120,7 @@ def _outdoor() -> Manifest:
 def _reliability() -> Manifest:
     """List what damaged inputs and disturbed sweeps leave, which a change of anything may move."""
     beside = provenance_name(RELIABILITY_FILE)
-    made = Provenance(beside, TORTURE_COMMAND, reliability_config(), False)
+    made = Provenance(beside, DAMAGE_COMMAND, plain(DAMAGE), False)
     return Manifest((RELIABILITY_FILE, beside), (made,))
 
 
