@@ -15,7 +15,11 @@ from functools import partial
 from pathlib import Path
 from typing import Protocol
 
-from experiments.studies.sweep import sweep_command
+from experiments.lab.cache import Cache
+from experiments.lab.command import run_studies
+from experiments.lab.grid import load_config
+from experiments.lab.schedule import Workers
+from experiments.studies.sweep import sweep_study
 from experiments.torture.case import Ended, Forked
 from experiments.torture.reliability import Case
 from ssac.cli.exits import DONE
@@ -152,5 +156,6 @@ def judged(
 
 
 def _sweep(grid: Path, out: Path, cache: Path) -> int:
-    sweep_command(config=grid, out=out, workers=1, cache=cache)
+    study = sweep_study(load_config(grid), out.name, f"{out.stem}_cells", f"ssac sweep {grid}")
+    run_studies([study], out.parent, Cache(cache), Workers(1))
     return DONE
