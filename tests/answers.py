@@ -154,8 +154,9 @@ def by_study(recorded: Recorded, method: str) -> Estimate:
 
 def row_by_study(recorded: Recorded, method: str) -> dict[str, Any]:
     """Measure a study's cell: its row, as it is kept."""
+    from experiments.lab.cell import UNUSABLE
     from experiments.lab.scored import scored_row
-    from experiments.lab.task import UNUSABLE, plain
+    from experiments.lab.task import plain
 
     row = plain(scored_row(*_of_study(recorded, method)))
     if row["status"] in ("skipped", UNUSABLE):

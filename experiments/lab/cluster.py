@@ -1,4 +1,4 @@
-"""Jobs in, what became of each out: the workers of a Dask scheduler as a crew."""
+"""Jobs in, what became of each out: the workers of a Dask scheduler as a pool."""
 
 import logging
 import time

@@ -1,16 +1,31 @@
-"""What commands that make results share: options, what they check, what they say at the end."""
+"""The commands of studies: their options are those of all, and the parameters of `cells`.
 
-from collections.abc import Iterable, Mapping, Sequence
+What they check and what they say at the end is the same for all of them.
+"""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
+from inspect import Parameter, Signature, signature
 from pathlib import Path
 from typing import Annotated, Any
 
+import pandas as pd
 import typer
 
-from experiments.lab.cache import Cache
+from experiments.lab.cache import DEFAULT_FOLDER, Cache
+from experiments.lab.cell import CRASHED
 from experiments.lab.grid import Cell
-from experiments.lab.schedule import Outcome
-from experiments.lab.task import CRASHED
+from experiments.lab.results import Results
+from experiments.lab.schedule import Outcome, Workers
+from experiments.lab.study import (
+    WHOLE,
+    How,
+    Options,
+    Study,
+    check_reads,
+    parse_shard,
+    save_study,
+)
 from sim.recording import SimConfig
 from sim.render.config import RENDERERS
 from ssac.cli.exits import BUG
@@ -52,10 +67,101 @@ CheckOption = Annotated[
         help="Check some instants against OpenGL; --no-check where there is none.",
     ),
 ]
+ShardOption = Annotated[
+    str,
+    typer.Option(
+        help="Run only part I of N and write its runs; join them with `ssac merge`.", metavar="I/N"
+    ),
+]
+
+ALL_OPTIONS: Mapping[str, tuple[Any, Any]] = {
+    "out": (OutOption, Path("results")),
+    "shard": (ShardOption, "1/1"),
+    "workers": (WorkersOption, -1),
+    "scheduler": (SchedulerOption, ""),
+    "cache": (CacheOption, DEFAULT_FOLDER),
+}
+"""Of every command that runs studies: annotation and default by name."""
 
 
-Options = Mapping[str, tuple[Any, Any]]
-"""Of a command line: (value, default) by name."""
+def command_of(parts: Mapping[str, Sequence[Study]], help_text: str) -> Callable[..., None]:
+    """Make the command that runs some studies.
+
+    Parameters
+    ----------
+    parts
+        Studies by the name of the part of the command that they are; without a choice if it is one.
+    help_text
+    """
+    studies = [study for some in parts.values() for study in some]
+    alone = all(study.how is How.ALONE for study in studies)
+    of_studies = {
+        name: one for study in studies for name, one in signature(study.cells).parameters.items()
+    }
+    of_all = {
+        name: Parameter(name, Parameter.KEYWORD_ONLY, annotation=annotation, default=default)
+        for name, (annotation, default) in ALL_OPTIONS.items()
+        if not alone or name in ("out", "cache")
+    }
+    parameters = [one.replace(kind=Parameter.KEYWORD_ONLY) for one in of_studies.values()]
+    if len(parts) > 1:
+        named = Annotated[list[str] | None, parts_argument(parts)]
+        first = Parameter("parts", Parameter.KEYWORD_ONLY, annotation=named, default=None)
+        parameters.insert(0, first)
+    parameters += of_all.values()
+
+    def command(**given: Any) -> None:
+        """Run the studies of the parts that are named."""
+        chosen = chosen_parts(given.pop("parts", None), parts)
+        some = [study for part in chosen for study in parts[part]]
+        options = {name: given[name] for name in of_studies}
+        workers = Workers(given.get("workers", 1), given.get("scheduler", ""))
+        cache, shard = Cache(given["cache"]), given.get("shard", "1/1")
+        run_studies(some, given["out"], cache, workers, shard, options)
+
+    command.__doc__ = help_text
+    command.__annotations__ = {one.name: one.annotation for one in parameters}
+    command.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
+    return command
+
+
+def run_studies(
+    studies: Sequence[Study],
+    out: Path,
+    cache: Cache,
+    workers: Workers,
+    shard: str = "1/1",
+    options: Options | None = None,
+) -> None:
+    """Run studies one after the other, and write the files of each as soon as it is done."""
+    part = parse_shard(shard)
+    made = {file for study in studies for file in study.files}
+    for study in studies if part == WHOLE else ():
+        check_reads(study, out, made)
+    outcomes, written = [], []
+    for study in studies:
+        outcome, paths = save_study(study, out, cache, workers, part, options)
+        if outcome is not None:
+            outcomes.append(outcome)
+        written += paths
+        if study.shows and part == WHOLE:
+            typer.echo(Results(out).table(study.shows).to_string(index=False))
+    if outcomes:
+        finish(_joined(outcomes), cache, *written)
+    else:
+        for path in written:
+            typer.echo(f"written to {path}")
+
+
+def _joined(outcomes: Sequence[Outcome]) -> Outcome:
+    """Sum up several studies."""
+    return Outcome(
+        pd.concat([outcome.runs for outcome in outcomes], ignore_index=True),
+        sum(outcome.n_recordings for outcome in outcomes),
+        sum(outcome.n_simulated for outcome in outcomes),
+        max(outcome.peak_mb for outcome in outcomes),
+        sum(outcome.n_deaths for outcome in outcomes),
+    )
 
 
 def parts_argument(parts: Iterable[str]) -> Any:
@@ -102,12 +208,12 @@ def other_than_default(renderer: str, check: bool) -> list[str]:
     return _given({"--renderer": (renderer, RENDERERS[0]), "--check": (check, True)})
 
 
-def with_options(command: str, options: Options) -> str:
+def with_options(command: str, options: Mapping[str, tuple[Any, Any]]) -> str:
     """Add to a command line the options that are not as by default."""
     return " ".join([command, *_given(options)])
 
 
-def _given(options: Options) -> list[str]:
+def _given(options: Mapping[str, tuple[Any, Any]]) -> list[str]:
     """Words of the options that are not as by default; of a flag that is on by default, --no-."""
     words: list[str] = []
     for name, (value, default) in options.items():

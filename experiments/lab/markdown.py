@@ -1,8 +1,8 @@
-"""Numbers and words in, Markdown out whose tables are aligned as plain text too."""
+"""Numbers and tables as Markdown, aligned so that they read well as plain text too."""
 
 import re
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 import pandas as pd
@@ -56,3 +56,17 @@ def means_with_stds(means: pd.Series, stds: pd.Series, decimals: int) -> list[st
         f"{number(mean, decimals)} ± {std.rjust(wide)}" if np.isfinite(mean) else UNKNOWN
         for mean, std in zip(means, shown, strict=True)
     ]
+
+
+def digits(value: float) -> str:
+    """Show two significant digits, without an exponent."""
+    if not np.isfinite(value):
+        return "none"
+    rounded = f"{value:.1e}"
+    return f"{float(rounded):.{max(1 - int(rounded.split('e')[1]), 0)}f}"
+
+
+def listed(texts: Iterable[str]) -> str:
+    """Join as in a sentence: "a, b and c"."""
+    *first, last = texts
+    return f"{', '.join(first)} and {last}" if first else last

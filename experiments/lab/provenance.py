@@ -67,6 +67,11 @@ def versions() -> dict[str, str]:
     return {"python": platform.python_version(), **{name: _version(name) for name in _PACKAGES}}
 
 
+def processor() -> str:
+    """Name the processor as LLVM does: it decides the last digits."""
+    return str(get_host_cpu_name())
+
+
 _version = cache(version)  # which reads a package's whole description
 
 
@@ -91,7 +96,7 @@ def provenance(
         "command": command,
         "commit": code_commit(),
         "versions": versions(),
-        "processor": get_host_cpu_name(),  # as LLVM calls it: it decides the last digits
+        "processor": processor(),
         "gl": plain(gl) if gl else None,
         "config": plain(config),
         "wall_time_s": round(wall_time_s, 1),

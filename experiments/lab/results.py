@@ -1,4 +1,4 @@
-"""The folder of results in; its rows and numbers out, or one line that says what is missing."""
+"""The files of a folder of results, each read once; what is missing is one line that says so."""
 
 import json
 from dataclasses import dataclass, field
@@ -9,37 +9,50 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from experiments.lab.files import read_table
 from ssac.errors import SsacError
 
 FloatArray = NDArray[np.float64]
 
+PROVENANCE = ".provenance.json"
+
+MERGED = "ssac merge"
+"""Command of what was joined from shards: it has the provenance of each."""
+
 
 @dataclass(frozen=True)
-class Committed:
-    """The CSVs and provenances of one folder, each read once."""
+class Results:
+    """The CSVs, provenances and pages of one folder."""
 
     folder: Path
+    _texts: dict[str, str] = field(default_factory=dict, repr=False)
     _tables: dict[str, pd.DataFrame] = field(default_factory=dict, repr=False)
 
     def has(self, name: str) -> bool:
         """Return whether there is `<name>.csv`."""
-        return (self.folder / f"{name}.csv").is_file()
+        return f"{name}.csv" in self._texts or (self.folder / f"{name}.csv").is_file()
+
+    def text(self, file: str) -> str:
+        """Read a file; SsacError when it cannot be read."""
+        if file not in self._texts:
+            path = self.folder / file
+            try:
+                self._texts[file] = path.read_bytes().decode("utf-8")
+            except FileNotFoundError as error:
+                raise SsacError(f"{path}: no such file: make it first") from error
+            except (OSError, UnicodeDecodeError) as error:
+                raise SsacError(f"{path} cannot be read: {error}") from error
+        return self._texts[file]
+
+    def keep(self, file: str, text: str) -> None:
+        """Take a text in place of what the folder has under this name."""
+        self._texts[file] = text
+        self._tables.pop(file.removesuffix(".csv"), None)
 
     def table(self, name: str) -> pd.DataFrame:
-        """Read `<name>.csv`.
-
-        Raises
-        ------
-        SsacError
-            When there is no such file.
-        """
+        """Read `<name>.csv`; an empty cell is NaN."""
         if name not in self._tables:
-            path = self.folder / f"{name}.csv"
-            if not path.is_file():
-                raise SsacError(
-                    f"{path}: no such file: a page quotes it, so make it, or change the page"
-                )
-            self._tables[name] = pd.read_csv(path)
+            self._tables[name] = read_table(self.text(f"{name}.csv"))
         return self._tables[name]
 
     def rows(self, name: str, /, **where: Any) -> pd.DataFrame:
@@ -56,6 +69,20 @@ class Committed:
             raise SsacError(f"{self.folder / name}.csv: no row with {wanted}")
         return rows
 
+    def one(self, name: str, /, **where: Any) -> "pd.Series[Any]":
+        """Return the one row that these values single out."""
+        rows = self.rows(name, **where)
+        if len(rows) != 1:
+            raise SsacError(f"{self.folder / name}.csv: {len(rows)} rows with {where}, not one")
+        return rows.iloc[0]
+
+    def value(self, name: str, column: str, /, **where: Any) -> float:
+        """Return the number of the one row that these values single out."""
+        row = self.one(name, **where)
+        if column not in row:
+            raise SsacError(f"{self.folder / name}.csv: no column {column}")
+        return float(row[column])
+
     def column(self, name: str, column: str, /, **where: Any) -> FloatArray:
         """Return a column's numbers in these rows, NaN where a cell is empty."""
         values = self._column(self.rows(name, **where), name, column)
@@ -66,20 +93,23 @@ class Committed:
         values = self._column(self.rows(name, **where), name, column)
         return [f"{v:g}" if isinstance(v, float | int) else str(v) for v in values]
 
-    def value(self, name: str, column: str, /, **where: Any) -> float:
-        """Return the number of the one row that these values single out."""
-        values = self.column(name, column, **where)
-        if len(values) != 1:
-            raise SsacError(f"{self.folder / name}.csv: {len(values)} rows with {where}, not one")
-        return float(values[0])
+    def provenances(self, name: str) -> list[dict[str, Any]]:
+        """Read what `<name>` was made with: once, or once for each shard that was merged."""
+        file = f"{name}{PROVENANCE}"
+        try:
+            content = json.loads(self.text(file))
+        except ValueError as error:
+            raise SsacError(f"{self.folder / file} is no JSON: {error}") from error
+        if not isinstance(content, dict):
+            raise SsacError(f"{self.folder / file} holds no provenance")
+        return content["shards"] if content.get("command") == MERGED else [content]
 
     def minutes(self, name: str) -> float:
         """Return the wall time of the command that wrote `<name>.csv`, by its provenance."""
-        path = self.folder / f"{name}.provenance.json"
         try:
-            provenance = json.loads(path.read_text(encoding="utf-8"))
-            return float(provenance["wall_time_s"]) / 60.0
-        except (OSError, ValueError, KeyError) as error:
+            return float(self.provenances(name)[0]["wall_time_s"]) / 60.0
+        except (ValueError, TypeError, KeyError) as error:
+            path = self.folder / f"{name}{PROVENANCE}"
             raise SsacError(f"{path}: does not tell the wall time: {error!r}") from error
 
     def _column(self, rows: pd.DataFrame, name: str, column: str) -> "pd.Series[Any]":

@@ -16,24 +16,12 @@ from pathlib import Path
 import pandas as pd
 
 from experiments.lab.cache import Cache
+from experiments.lab.cell import CRASHED, AnyCell, Measure, Rows
 from experiments.lab.cluster import Cluster
 from experiments.lab.lock import ASK_AGAIN_S, claimed
-from experiments.lab.pool import Alone, Crew, DiedError, Job
-from experiments.lab.processes import Processes, n_cores
+from experiments.lab.pool import Alone, DiedError, Job, Pool, Processes, n_cores
 from experiments.lab.scored import SCORED
-from experiments.lab.task import (
-    CRASHED,
-    AnyCell,
-    Done,
-    Measure,
-    Rows,
-    Task,
-    keys_of,
-    recordings_key,
-    refusal,
-    run_task,
-    tasks_of,
-)
+from experiments.lab.task import Done, Task, keys_of, recordings_key, refusal, run_task, tasks_of
 from ssac.cli.progress import progress, say
 from ssac.errors import WriteError
 from ssac.files.whole_file import check_folder
@@ -127,9 +115,9 @@ def run_cells(
         _resumable(found, tasks, cache),
         bar as advance,
         cache.tidied(),
-        _crew(workers, len(left)) as crew,
+        _pool(workers, len(left)) as pool,
     ):
-        for n_done, (index, done) in enumerate(_spread(work, left, crew), 1):
+        for n_done, (index, done) in enumerate(_spread(work, left, pool), 1):
             found[index] = done.rows
             for key, row in zip(keys[index], done.rows, strict=True):
                 if row["status"] != CRASHED:
@@ -137,7 +125,7 @@ def run_cells(
             n_simulated += done.n_simulated
             peak_mb = max(peak_mb, done.peak_mb)
             advance(n_done)
-    runs = _frame(cells, tasks, found, measure)
+    runs = frame_of(cells, tasks, found, measure)
     return Outcome(runs, len(left), n_simulated, peak_mb, work.deaths.total())
 
 
@@ -170,7 +158,7 @@ class _Work:
         return partial(_claimed, claim, task, self.cache, self.measure)
 
 
-def _crew(workers: Workers, n_tasks: int) -> Crew:
+def _pool(workers: Workers, n_tasks: int) -> Pool:
     """Gather who does the work."""
     if n_tasks == 0 or (workers.processes == 1 and not workers.scheduler):
         return Alone()
@@ -179,7 +167,7 @@ def _crew(workers: Workers, n_tasks: int) -> Crew:
     return Processes(n_cores() if workers.processes == -1 else workers.processes)
 
 
-def _spread(work: _Work, left: Sequence[int], crew: Crew) -> Iterator[tuple[int, Done]]:
+def _spread(work: _Work, left: Sequence[int], pool: Pool) -> Iterator[tuple[int, Done]]:
     """Yield each task's index and what it gave, in the order in which they are done."""
     ready = deque(left)
     later: deque[tuple[float, int]] = deque()  # when, on our clock [s], and what
@@ -188,18 +176,18 @@ def _spread(work: _Work, left: Sequence[int], crew: Crew) -> Iterator[tuple[int,
         now_s = time.monotonic()
         while later and later[0][0] <= now_s:
             ready.append(later.popleft()[1])
-        while ready and crew.has_room():
+        while ready and pool.has_room():
             index = ready.popleft()
-            crew.give(index, work.job(index))
+            pool.give(index, work.job(index))
             n_given += 1
-        wait_s = later[0][0] - now_s if later and crew.has_room() else None
+        wait_s = later[0][0] - now_s if later and pool.has_room() else None
         if not n_given:
             if not has_said:
                 say(f"waiting for what another run is on: {len(later)} recordings")
                 has_said = True
             time.sleep(wait_s or 0.0)
             continue
-        for index, value, error in crew.ended(wait_s):
+        for index, value, error in pool.ended(wait_s):
             n_given -= 1
             if isinstance(error, WriteError):
                 raise error
@@ -240,7 +228,7 @@ def _name(task: Task) -> str:
     return "the flight of " + " and ".join(flights)
 
 
-def _frame(
+def frame_of(
     cells: Sequence[AnyCell], tasks: Sequence[Task], found: dict[int, Rows], measure: Measure
 ) -> pd.DataFrame:
     """Put the rows in the order of the cells, and each cell's columns before its row."""

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from experiments.lab.cache import Brightness, Cache
+from experiments.lab.cell import UNUSABLE, Measure
 from experiments.lab.grid import Cell
 from experiments.lab.recorded import RIG_FILE, clean_pair, load_pair
 from experiments.lab.score import score
-from experiments.lab.task import UNUSABLE, Measure
 from ssac.camera import Rig, known_pose
 from ssac.errors import SsacError
 from ssac.estimate import Estimate, Status

@@ -1,28 +1,43 @@
-"""A study in; all its runs, their summary and its figure in `results/` out, in shards or whole.
+"""What a study is: cells, a measure, and what is made, quoted and checked of the rows.
 
-A study is a list of cells, a measure that makes a row of each, a summary of the rows and a drawing
-of it. All of them run on one scheduler and cache (`experiments.lab`), so each can be stopped and
-taken up again, and spread over machines. What follows from the runs is made from the text of their
-file, rounded as it is there, so that anyone who has the file makes the same bytes.
-
-    results/<name>_runs.csv   one row for each cell, failed ones included; `cell` numbers them
-    results/<name>.csv        the summary
-    results/<name>.png        the figure, where it has one
+A study is one file of `experiments/studies/`, which ends with the list of its studies. Everything
+else is the same for all of them and stands in this folder: they run on one scheduler and cache, can
+be stopped and taken up again, and spread over machines. What is made of the rows is made from the
+text of their file, rounded as it is there, so that anyone who has the file makes the same bytes.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+import json
+import time
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from enum import Enum
+from inspect import Parameter, signature
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pandas as pd
-from matplotlib.figure import Figure
 
+from experiments.lab.alone import run_alone
 from experiments.lab.cache import Cache
-from experiments.lab.files import csv_text, read_table, save_png, save_text
+from experiments.lab.cell import AnyCell, Flight, Measure
+from experiments.lab.files import (
+    csv_text,
+    png_bytes,
+    read_table,
+    record_checksums,
+    save_text,
+)
+from experiments.lab.provenance import provenance, write_provenance
+from experiments.lab.results import MERGED, PROVENANCE, Results
 from experiments.lab.schedule import Outcome, Workers, run_cells
-from experiments.lab.task import AnyCell, Measure, tasks_of
+from experiments.lab.task import tasks_of
+from sim.render.gl_context import context_or_none
 from ssac.errors import SsacError
+from ssac.files.whole_file import check_folder, whole_file
+from ssac.pipeline.registry import OURS
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 CELL = "cell"
 """Column of the cells' numbers over the whole study."""
@@ -30,67 +45,124 @@ CELL = "cell"
 WHOLE = (1, 1)
 """The shard that is everything."""
 
+SHARD = "shard"
+"""Of a provenance's configuration: says which part was run, not what."""
+
+Options = Mapping[str, Any]
+"""Arguments of a study's `cells`, by name; what is left out is as by default."""
+
+
+class How(Enum):
+    """How the cells of a study are run."""
+
+    SHARED = "on processes or a cluster, each row kept"
+    ALONE = "one after the other in processes of their own, on one core, measured anew each time"
+    GIVEN = "as SHARED, of data that the user gives: nobody else can list the cells"
+
 
 @dataclass(frozen=True)
-class Study:
-    """What is measured, and what is made of it."""
+class Runs:
+    """The file of all rows: each cell's columns, then those of what was measured."""
 
-    name: str  # of the files
-    title: str
-    cells: Callable[[], Sequence[AnyCell]]  # in the order of the runs' file
-    measure: Measure
-    summarise: Callable[..., pd.DataFrame]  # the runs as read back, then what `reads` names
+    file: str
     keys: tuple[str, ...]  # columns of which each combination is there once
-    draw: Callable[[pd.DataFrame, pd.DataFrame], Figure] | None = None  # summary, runs
-    reads: tuple[str, ...] = ()  # further files of the results that the summary is made of
+    columns: tuple[str, ...] = ()  # that are written, in their order; all, unless some are named
+    numbered: bool = True  # whether a column CELL comes first; that of a shard always has it
+    digits: int = 6
+    took: tuple[str, ...] = ()  # columns of what a run took: another time, even here
+
+
+@dataclass(frozen=True)
+class Made:
+    """One file that follows from the files of results: a table, a figure or a page."""
+
+    file: str
+    make: "Callable[..., pd.DataFrame | Figure | str]"  # of Results, then of recordings' folders
+    digits: int = 6
+    near: bool = False  # made of unrounded rows: the last digit may differ
+    recordings: tuple[Flight, ...] = ()  # that it is made of too: verify has its checksum alone
+    config: Mapping[str, Any] | None = None  # of its provenance, where it is not the study's
+
+    def bytes_of(self, results: Results, *folders: Path) -> bytes:
+        """Make the file's content."""
+        made = self.make(results, *folders)
+        if isinstance(made, pd.DataFrame):
+            made = csv_text(made, self.digits)
+        return made.encode() if isinstance(made, str) else png_bytes(made)
+
+
+Check = tuple[str, Callable[[Results], Sequence[str]]]
+"""What must hold of the results in words, and what finds the faults."""
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """A question that many runs answer."""
+
+    name: str
+    title: str
+    cells: Callable[..., Sequence[AnyCell]]  # its parameters are the options of the command
+    measure: Measure
+    runs: Runs | None  # None: it has no cells, and makes its files of others
+    makes: tuple[Made, ...] = ()
+    numbers: Mapping[str, Callable[[Results], str]] = field(default_factory=dict)  # pages quote
+    checks: tuple[Check, ...] = ()
     config: Mapping[str, Any] = field(default_factory=dict)  # for provenance
     command: str = ""  # that runs it; by default `ssac study <name>`
+    how: How = How.SHARED
+    again: bool = True  # whether verify draws recordings from it unasked
+    reads: tuple[str, ...] = ()  # files of other studies that its own are made of
+    shows: str = ""  # the table that its command prints at the end
+    is_committed: bool = True  # whether its files belong to results/
 
     @property
-    def runs_file(self) -> str:
-        """Name of the file of all runs."""
-        return f"{self.name}_runs.csv"
+    def files(self) -> tuple[str, ...]:
+        """Names of all its files but for provenances."""
+        return (*([self.runs.file] if self.runs else []), *(made.file for made in self.makes))
 
     @property
-    def summary_file(self) -> str:
-        """Name of the summary."""
-        return f"{self.name}.csv"
+    def provenances(self) -> dict[str, Mapping[str, Any]]:
+        """Names of the files that say what its own were made with -> configuration."""
+        made = {made.file: made.config or self.config for made in self.makes}
+        tables = {file: made.get(file, self.config) for file in self.files if _is_table(file)}
+        tables = tables or {self.name: self.config}  # drawings alone
+        return {file.removesuffix(".csv") + PROVENANCE: one for file, one in tables.items()}
 
     @property
-    def figure_file(self) -> str:
-        """Name of the figure."""
-        return f"{self.name}.png"
+    def options(self) -> dict[str, Any]:
+        """Defaults of the arguments of `cells`; `Parameter.empty` of one that must be given."""
+        return {name: one.default for name, one in signature(self.cells).parameters.items()}
 
-    @property
-    def command_line(self) -> str:
-        """What a user types to run it."""
-        return self.command or f"ssac study {self.name}"
+    def command_line(self, options: Options | None = None, shard: tuple[int, int] = WHOLE) -> str:
+        """Give what a user types to run it."""
+        words = [self.command or f"ssac study {self.name}"]
+        for name, value in (options or {}).items():
+            default, flag = self.options[name], name.replace("_", "-")
+            if default is Parameter.empty or value == default:
+                continue
+            words += [f"--no-{flag}"] if value is False else [f"--{flag}", str(value)]
+        return " ".join([*words, *([f"--shard {shard[0]}/{shard[1]}"] if shard != WHOLE else [])])
 
 
 def run_study(
-    study: Study, cache: Cache, workers: Workers | None = None, shard: tuple[int, int] = WHOLE
+    study: Study,
+    cache: Cache,
+    workers: Workers | None = None,
+    shard: tuple[int, int] = WHOLE,
+    options: Options | None = None,
 ) -> Outcome:
     """Measure the cells of a study, or those of a shard, that the cache does not hold.
 
-    Returns
-    -------
-    Outcome
-        Its runs have the column `cell` first.
+    Its runs have the column CELL first.
     """
-    return run_numbered(numbered(study.cells(), shard), study.measure, cache, workers, study.name)
-
-
-def run_numbered(
-    cells: Sequence[tuple[int, AnyCell]],
-    measure: Measure,
-    cache: Cache,
-    workers: Workers | None,
-    label: str,
-) -> Outcome:
-    """Measure numbered cells."""
-    outcome = run_cells([cell for _, cell in cells], cache, workers, label, measure=measure)
+    of_shard = numbered(study.cells(**(options or {})), shard)
+    cells = [cell for _, cell in of_shard]
+    if study.how is How.ALONE:
+        outcome = run_alone(cells, study.measure, study.name)
+    else:
+        outcome = run_cells(cells, cache, workers, study.name, measure=study.measure)
     runs = outcome.runs.copy()
-    runs.insert(0, CELL, [number for number, _ in cells])
+    runs.insert(0, CELL, [number for number, _ in of_shard])
     return replace(outcome, runs=runs)
 
 
@@ -113,66 +185,245 @@ def parse_shard(text: str) -> tuple[int, int]:
     return int(first), int(second)
 
 
-def save_derived(study: Study, folder: Path) -> list[Path]:
-    """Make summary and figure from the runs' file in a folder; return their paths."""
-    runs_text = (folder / study.runs_file).read_text(encoding="utf-8")
-    summary = summary_text(study, runs_text, folder)
-    paths = [folder / study.summary_file]
-    save_text(paths[0], summary)
-    if study.draw is not None:
-        paths.append(folder / study.figure_file)
-        save_png(study.draw(read_table(summary), read_table(runs_text)), paths[-1])
-    return paths
-
-
-def summary_text(study: Study, runs_text: str, folder: Path) -> str:
-    """Make the text of the summary from that of the runs.
-
-    Parameters
-    ----------
-    study
-    runs_text
-        Of the runs' file.
-    folder
-        Where the other files are that the summary is made of.
-
-    Raises
-    ------
-    SsacError
-        If a run of the study is not there just once, or another file cannot be read.
-    """
-    runs = read_table(runs_text)
-    check_runs(study, runs)
-    return csv_text(study.summarise(runs, *read_others(study, folder)))
-
-
-def read_others(study: Study, folder: Path) -> list[pd.DataFrame]:
-    """Read the further files that a study's summary is made of; SsacError if one is absent."""
-    absent = [name for name in study.reads if not (folder / name).is_file()]
+def check_reads(study: Study, out: Path, made_before: Collection[str] = ()) -> None:
+    """Raise SsacError, before hours of work, when a file that a study reads is not there."""
+    reads = [name for name in study.reads if name not in made_before]
+    absent = [name for name in reads if not (out / name).is_file()]
     if absent:
         raise SsacError(
-            f"`{study.command_line}` needs {', '.join(absent)} in {folder}: make them first"
+            f"`{study.command_line()}` needs {', '.join(absent)} in {out}: make them first"
         )
-    return [read_table((folder / name).read_text(encoding="utf-8")) for name in study.reads]
 
 
-def check_runs(study: Study, runs: pd.DataFrame) -> None:
+def save_study(
+    study: Study,
+    out: Path,
+    cache: Cache,
+    workers: Workers | None = None,
+    shard: tuple[int, int] = WHOLE,
+    options: Options | None = None,
+) -> tuple[Outcome | None, list[Path]]:
+    """Run a study, or a shard of it, and write what there is of its files into a folder."""
+    check_folder(out)
+    start, outcome = time.perf_counter(), None
+    given = {name: value for name, value in (options or {}).items() if name in study.options}
+    more: dict[str, Any] = {}
+    if study.runs is not None:
+        outcome = run_study(study, cache, workers, shard, given)
+        save_text(out / study.runs.file, runs_text(study.runs, outcome.runs, shard))
+        more = {
+            "recordings_simulated": outcome.n_simulated,
+            "peak_mb_per_worker": round(outcome.peak_mb),
+        }
+    content = provenance(
+        study.command_line(given, shard),
+        {"study": study.name, SHARD: f"{shard[0]}/{shard[1]}", **study.config}
+        | ({"options": given} if given else {}),
+        time.perf_counter() - start,
+        context_or_none(),
+        **more,
+    )
+    return outcome, save_made(study, out, cache, content, shard == WHOLE)
+
+
+def save_made(
+    study: Study, out: Path, cache: Cache, content: Mapping[str, Any], is_whole: bool = True
+) -> list[Path]:
+    """Write what is made of the rows beside their file, and the provenance of each table."""
+    written = [out / study.runs.file] if study.runs else []
+    for path in written:
+        write_provenance(path, content)
+    if not is_whole:
+        return written
+    results = Results(out)
+    for made in study.makes:
+        path = out / made.file
+        folders = [cache.recording_folder(*flight) for flight in made.recordings]
+        made_bytes = made.bytes_of(results, *folders)
+        with whole_file(path) as temporary:
+            temporary.write_bytes(made_bytes)
+        if not made.file.endswith(".png"):
+            results.keep(made.file, made_bytes.decode())
+        written.append(path)
+        if _is_table(made.file):
+            config = content["config"] if made.config is None else dict(made.config)
+            write_provenance(path, {**content, "config": config})
+    if not study.is_committed:
+        return written
+    if study.runs is None:
+        beside = out / f"{study.name}{PROVENANCE}"
+        write_provenance(beside.with_name(f"{study.name}.csv"), content)
+        record_checksums(out, [*written, beside])
+    else:
+        record_checksums(out, written)
+    return written
+
+
+def runs_text(kept: Runs, runs: pd.DataFrame, shard: tuple[int, int] = WHOLE) -> str:
+    """Write rows as their file has them; those of a shard begin with the cells' numbers."""
+    if kept.columns:
+        runs = runs[[CELL, *kept.columns]]
+    is_numbered = kept.numbered or shard != WHOLE
+    return csv_text(runs if is_numbered else runs.drop(columns=CELL), kept.digits)
+
+
+def check_runs(study: Study, runs: pd.DataFrame, cells: Sequence[AnyCell]) -> None:
     """Raise SsacError unless every cell of the study has its row, once and in its place."""
-    expected = read_table(csv_text(pd.DataFrame([c.columns for c in study.cells()])))
-    again = f": run `{study.command_line}`"
-    absent = [name for name in (CELL, *expected, "status") if name not in runs]
+    kept, again = study.runs, f": run `{study.command_line()}`"
+    assert kept is not None
+    expected = read_table(csv_text(pd.DataFrame([dict(cell.columns) for cell in cells])))
+    if len(runs) != len(expected) and "method" in expected:
+        ours = expected["method"].isin([one.name for one in OURS])
+        expected = expected[ours].reset_index(drop=True)  # others are of another package
+    names = [str(name) for name in expected]
+    absent = [name for name in (*names, "status") if name not in runs]
+    if kept.numbered and CELL not in runs:
+        absent.insert(0, CELL)
     if absent:
-        raise SsacError(f"{study.runs_file}: has no columns {', '.join(absent)}{again}")
-    if list(runs[CELL]) != list(range(len(expected))):
+        raise SsacError(f"{kept.file}: has no columns {', '.join(absent)}{again}")
+    if len(runs) != len(expected) or (
+        kept.numbered and list(runs[CELL]) != list(range(len(expected)))
+    ):
         raise SsacError(
-            f"{study.runs_file}: expected the cells 0 to {len(expected) - 1} in order, got "
+            f"{kept.file}: expected the cells 0 to {len(expected) - 1} in order, got "
             f"{len(runs)} rows{again}"
         )
-    names = list(expected)
     same = (runs[names].astype(str) == expected.astype(str)).all(axis=1)
     if not same.all():
         first = int((~same).to_numpy().argmax())
         found, wanted = runs[names].to_dict("records")[first], expected.to_dict("records")[first]
-        raise SsacError(f"{study.runs_file}: row {first} is of {found}, expected {wanted}{again}")
-    if runs.duplicated(list(study.keys)).any():
-        raise SsacError(f"{study.runs_file}: {', '.join(study.keys)} do not tell all runs apart")
+        raise SsacError(f"{kept.file}: row {first} is of {found}, expected {wanted}{again}")
+    check_keys(kept, runs)
+
+
+def check_keys(kept: Runs, runs: pd.DataFrame) -> None:
+    """Raise SsacError unless the keys tell all runs apart."""
+    if runs.duplicated(list(kept.keys)).any():
+        raise SsacError(f"{kept.file}: {', '.join(kept.keys)} do not tell all runs apart")
+
+
+def merge(
+    shards: Sequence[Path],
+    out: Path,
+    study_of: Callable[[Mapping[str, Any]], Study],
+    cache: Cache,
+) -> list[Path]:
+    """Join the shards of a study to the same bytes as in one piece, and make what follows.
+
+    Parameters
+    ----------
+    shards
+        CSVs, each with its provenance beside it.
+    out
+        CSV to write.
+    study_of
+        Gives the study by the configuration of a shard's provenance.
+    cache
+
+    Raises
+    ------
+    SsacError
+        If the shards are of different grids, overlap, or do not cover the grid.
+    """
+    provenances = [_read_provenance(path) for path in shards]
+    wholes = [
+        {key: value for key, value in one["config"].items() if key != SHARD} for one in provenances
+    ]
+    rows: dict[int, tuple[str, Path]] = {}
+    header = ""
+    for path, whole in zip(shards, wholes, strict=True):
+        if whole != wholes[0]:
+            raise SsacError(f"{path} is of another grid than {shards[0]}: merge the shards of one")
+        first, *lines = _lines(path)
+        if header and first != header:
+            raise SsacError(f"{path} has other columns than {shards[0]}: was the code the same?")
+        header = first
+        for line in lines:
+            number = _number(line, path)
+            if number in rows:
+                raise SsacError(f"cell {number} is in {rows[number][1]} and in {path}")
+            rows[number] = line, path
+    study = study_of(wholes[0])
+    if study.runs is None or out.name != study.runs.file:
+        runs_file = study.runs.file if study.runs else "none"
+        raise SsacError(f"{out}: the runs of this study are named {runs_file}")
+    n_cells = len(study.cells(**wholes[0].get("options", {})))
+    missing = sorted(set(range(n_cells)) - set(rows))
+    if missing:
+        raise SsacError(
+            f"{len(missing)} of {n_cells} cells are in none of the shards, the first of them "
+            f"{missing[0]}: give the CSVs of all shards"
+        )
+    lines = [header, *(rows[number][0] for number in range(n_cells))]
+    if not study.runs.numbered:
+        lines = [line.partition(",")[2] for line in lines]
+    save_text(out, "\n".join(lines) + "\n")
+    content = {"command": MERGED, "config": wholes[0], "shards": provenances}
+    return save_made(study, out.parent, cache, content)
+
+
+def _is_table(file: str) -> bool:
+    return file.endswith(".csv")
+
+
+def _lines(path: Path) -> list[str]:
+    try:
+        lines = path.read_bytes().decode("utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise SsacError(f"{path}: cannot be read ({error}): run this shard again") from error
+    if not lines:
+        raise SsacError(f"{path}: is empty: run this shard again")
+    return lines
+
+
+def _number(line: str, path: Path) -> int:
+    first = line.partition(",")[0]
+    if not (first.isascii() and first.isdecimal()):
+        raise SsacError(
+            f"{path}: a row begins with {first[:40]!r}, no cell's number: run this shard again"
+        )
+    return int(first)
+
+
+def _read_provenance(path: Path) -> dict[str, Any]:
+    beside = path.with_suffix(PROVENANCE)
+    try:
+        content: dict[str, Any] = json.loads(beside.read_text(encoding="utf-8"))
+        content["config"][SHARD]
+        if not isinstance(content["config"], dict):
+            raise TypeError("config is no table")
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise SsacError(
+            f"{path}: expected {beside.name} beside it, as ssac sweep and ssac study write it, to "
+            f"know what it is part of ({error})"
+        ) from error
+    return content
+
+
+def summed_study(
+    name: str,
+    title: str,
+    cells: Callable[..., Sequence[AnyCell]],
+    measure: Measure,
+    summarise: Callable[..., pd.DataFrame],
+    keys: tuple[str, ...],
+    draw: "Callable[[pd.DataFrame, pd.DataFrame], Figure] | None" = None,
+    reads: tuple[str, ...] = (),
+    took: tuple[str, ...] = (),
+    **more: Any,
+) -> Study:
+    """Make a study whose files are <name>_runs.csv, <name>.csv and, if it is drawn, <name>.png."""
+
+    def summary(results: Results) -> pd.DataFrame:
+        others = (results.table(file.removesuffix(".csv")) for file in reads)
+        return summarise(results.table(f"{name}_runs"), *others)
+
+    def figure(results: Results) -> "Figure":
+        assert draw is not None
+        return draw(results.table(name), results.table(f"{name}_runs"))
+
+    makes = [Made(f"{name}.csv", summary)]
+    if draw is not None:
+        makes.append(Made(f"{name}.png", figure))
+    runs = Runs(f"{name}_runs.csv", keys, took=took)
+    return Study(name, title, cells, measure, runs, tuple(makes), reads=reads, **more)

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from experiments.lab.cache import Cache
+from experiments.lab.cell import FlightCell, Measure
 from experiments.lab.recorded import Pair, recorded_pair
 from experiments.lab.score import angle_between_deg, rotation_angle_deg
-from experiments.lab.task import FlightCell, Measure
 from experiments.marks.kinds import KINDS, Errors, Kind
 from experiments.measures.imperfect import ImperfectRow, scored, spoilt_pair
 from experiments.measures.imperfect_kinds import T_D_S

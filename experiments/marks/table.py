@@ -12,10 +12,11 @@ import numpy as np
 import pandas as pd
 from scipy.stats import chi2
 
+from experiments.lab.cell import CRASHED
 from experiments.lab.grid import flight_seed
-from experiments.lab.task import CRASHED
+from experiments.lab.study import summed_study
 from experiments.marks.kinds import FILMED, KINDS, Kind, Mark
-from experiments.marks.measure import MarkCell
+from experiments.marks.measure import MARKED, METHOD, MarkCell
 from experiments.paper.grids import ANGLES_DEG
 
 FIRST_FLIGHT, SCENE_STEP = 40_000, 100
@@ -143,3 +144,18 @@ def _reaches(run: Mapping[Any, Any], mark: Mark) -> bool:
     limits = (mark.t_d_ms, mark.r_deg, mark.skew_ppm)
     near = (error <= limit for error, limit in zip(errors, limits, strict=True) if limit < np.inf)
     return not mark.must_refuse and all(near)
+
+
+MARKS = summed_study(
+    "marks",
+    "Clutter, clocks and intrinsics of real recordings, each kind beside its mark",
+    mark_cells,
+    MARKED,
+    marks_table,
+    keys=("kind", "flight"),
+    took=("cpu_s",),
+    config={"flights": dict(FLIGHTS), "few": FEW, "first_flight": FIRST_FLIGHT,
+            "angles_deg": ANGLES_DEG, "kinds": list(KINDS), "method": METHOD},
+)  # fmt: skip
+
+STUDIES = (MARKS,)

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from experiments.lab.cache import Cache
+from experiments.lab.cell import FlightCell, Measure
 from experiments.lab.recorded import load_pair
-from experiments.lab.task import FlightCell, Measure
 from experiments.measures.recording_bound import (
     KNOWN_POSE,
     TrueMotion,

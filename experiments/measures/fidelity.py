@@ -12,8 +12,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from experiments.lab.cache import Cache
+from experiments.lab.cell import Flight, FlightCell, Measure
 from experiments.lab.recorded import Pair, recorded_pair
-from experiments.lab.task import Flight, FlightCell, Measure
 from sim.recording import SimConfig
 from sim.render.config import RenderConfig, SamplingConfig
 from sim.render.lattice import Lattice

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from experiments.lab.cache import Cache
+from experiments.lab.cell import FlightCell, Measure
 from experiments.lab.recorded import Pair, recorded_pair
 from experiments.lab.score import score
-from experiments.lab.task import FlightCell, Measure
 from experiments.measures.imperfect_kinds import KINDS, T_D_S, Kind
 from sim.disturb import View, clutter, merged, thinned, wrong_intrinsics
 from sim.recorded import Drift

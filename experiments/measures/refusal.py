@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from experiments.lab.cache import Cache
+from experiments.lab.cell import FlightCell, Measure
 from experiments.lab.recorded import Pair
 from experiments.lab.score import score
-from experiments.lab.task import FlightCell, Measure
 from experiments.measures.refusal_flights import (
     RefusalCase,
     flight_of,

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from experiments.lab.cache import Cache
+from experiments.lab.cell import FlightCell, Measure
 from experiments.lab.recorded import recorded_pair
 from experiments.lab.score import score
-from experiments.lab.task import FlightCell, Measure
 from ssac.camera import Rig, known_pose
 from ssac.estimate import Estimate
 from ssac.methods.tangency import TangencyConfig, refine_tangents

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from experiments.lab.cache import Cache
+from experiments.lab.cell import FlightCell, Measure
 from experiments.lab.recorded import Pair, load_pair
-from experiments.lab.task import FlightCell, Measure
 from experiments.scenes.scene import SceneFigures, pair_figures
 from sim.recording import TRAJECTORY_STREAM, SimConfig
 from sim.scene.rig import Camera, look_at_rig

@@ -10,7 +10,7 @@ import pandas as pd
 from scipy.stats import chi2
 
 from experiments.lab.provenance import plain
-from experiments.lab.study import Study
+from experiments.lab.study import Study, summed_study
 from experiments.network.cameras import ANGLE_DEG, N_CAMERAS, T_D_S, FourCameras
 from experiments.network.measure import CAMERAS, KINDS, CameraCell
 from ssac.estimate import Status
@@ -72,7 +72,7 @@ def camera_table(runs: pd.DataFrame) -> pd.DataFrame:
 
 def four_cameras(n_flights: int = N_FLIGHTS, command: str = COMMAND) -> Study:
     """Give the study."""
-    return Study(
+    return summed_study(
         "network",
         "Clocks, poses and path of four event cameras",
         lambda: camera_cells(n_flights),
@@ -87,3 +87,5 @@ def four_cameras(n_flights: int = N_FLIGHTS, command: str = COMMAND) -> Study:
 
 FOUR_CAMERAS = four_cameras()
 """As it is committed."""
+
+STUDIES = (FOUR_CAMERAS,)

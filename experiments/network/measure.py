@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from experiments.lab.cache import Cache
+from experiments.lab.cell import FlightCell, Measure
 from experiments.lab.score import angle_between_deg
-from experiments.lab.task import FlightCell, Measure
 from experiments.network.cameras import N_CAMERAS, T_D_S, Truth, load_truth
 from experiments.outdoor.twin import true_track
 from ssac.clock import Clock

@@ -15,13 +15,13 @@ from experiments.lab.command import (
     check_is_folder,
     chosen_parts,
     parts_argument,
+    run_studies,
 )
 from experiments.lab.files import record_checksums, save_csv
 from experiments.lab.provenance import save_provenance
 from experiments.lab.schedule import Workers
 from experiments.network.four import COMMAND, N_FLIGHTS, four_cameras
 from experiments.network.long_flights import DURATIONS_S, growth_config, network_growth
-from experiments.studies.command import run_studies
 from ssac.cli.options import number
 
 GROWTH_FILE = "network_growth.csv"

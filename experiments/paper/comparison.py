@@ -32,6 +32,12 @@ from ssac.errors import SsacError
 
 FloatArray = NDArray[np.float64]
 
+PUBLISHED_SHA256 = {
+    "published/esim_10.csv": "e4fc65f27fe6e67e162c81d89ccf66debf49f560e766675ead3288fc09b21cd7",
+    "published/esim_20.csv": "e1f7cc80787b7a1d7baaae7ac3e6586780f6fdcef967e381a0861c41c390cdb7",
+}
+"""Digests of the paper's tables as they were copied."""
+
 PUBLISHED = Path(__file__).resolve().parents[2] / "results" / "published"
 
 PUBLISHED_RUNS = 10

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
 
 from experiments.drawing.style import WIDTH_IN, method_looks, quiet_axes
-from experiments.lab.study import Study
+from experiments.lab.study import Study, summed_study
 from experiments.paper.quantities import ERRORS, T_D_ERROR
 from experiments.physical.cells import cells_of, setup_seed
 from experiments.physical.imperfections import (
@@ -135,7 +135,7 @@ def budget_figure(summary: pd.DataFrame, _: pd.DataFrame) -> Figure:
 
 def budget_study(n_recordings: int = N_RECORDINGS, command: str = COMMAND) -> Study:
     """Give the error budget."""
-    return Study(
+    return summed_study(
         "error_budget",
         "What each imperfection of a bench costs, alone and of all",
         partial(budget_cells, n_recordings),

@@ -12,7 +12,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from experiments.drawing.style import WIDTH_IN, quiet_axes
-from experiments.lab.study import Study
+from experiments.lab.study import Study, summed_study
 from experiments.physical.cells import cells_of, setup_seed
 from experiments.physical.imperfections import IMPERFECTIONS, SetUp, ideal
 from experiments.physical.measure import PHYSICAL, PhysicalCell
@@ -133,7 +133,7 @@ def latency_figure(summary: pd.DataFrame, _: pd.DataFrame) -> Figure:
 
 def latency_study(n_recordings: int = N_RECORDINGS, command: str = COMMAND) -> Study:
     """Give the study of lights that differ."""
-    return Study(
+    return summed_study(
         "light_latency",
         "Offsets that appear where two cameras are lit differently",
         partial(latency_cells, n_recordings),

@@ -10,10 +10,10 @@ from functools import lru_cache
 from typing import Any
 
 from experiments.lab.cache import Cache
+from experiments.lab.cell import Measure
 from experiments.lab.grid import Cell
 from experiments.lab.recorded import Pair, load_pair
 from experiments.lab.scored import Frames, Row, frames_of, scored_row
-from experiments.lab.task import Measure
 from experiments.physical.imperfections import SetUp
 from sim.disturb import merged
 from sim.effects.config import SensorEffects

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from experiments.drawing.errors import error_figure
 from experiments.lab.files import csv_text, read_table
-from experiments.lab.study import Study
+from experiments.lab.study import Study, summed_study
 from experiments.paper.comparison import PUBLISHED_ERRORS, comparison_table, load_published
 from experiments.paper.esim import esim_table
 from experiments.physical.cells import cells_of, setup_seed
@@ -65,7 +65,7 @@ def mini_study(
     duration_s: float, n_recordings: int = N_RECORDINGS, command: str = COMMAND
 ) -> Study:
     """Give the table of a duration."""
-    return Study(
+    return summed_study(
         f"mini_{duration_s:g}",
         f"The paper's physical experiments of {duration_s:g} s, by their twin",
         partial(mini_cells, duration_s, n_recordings),

@@ -17,6 +17,7 @@ from experiments.lab.command import (
     check_is_folder,
     chosen_parts,
     parts_argument,
+    run_studies,
 )
 from experiments.lab.files import record_checksums, save_text
 from experiments.lab.provenance import save_provenance
@@ -31,7 +32,6 @@ from experiments.physical.mini import (
     comparison_text,
     mini_study,
 )
-from experiments.studies.command import run_studies
 from sim.render.gl_context import context_or_none
 from ssac.cli.options import number
 

@@ -1,1 +1,1 @@
-"""Committed results in, the numbers and tables that the pages quote out."""
+"""Results results in, the numbers and tables that the pages quote out."""

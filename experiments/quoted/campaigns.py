@@ -2,14 +2,13 @@
 
 from collections.abc import Callable, Mapping
 
-from experiments.lab.markdown import markdown_table
-from experiments.lab.results import Committed
-from experiments.quoted.cells import digits
+from experiments.lab.markdown import digits, markdown_table
+from experiments.lab.results import Results
 from experiments.quoted.physical import PHYSICAL_TABLES
 from ssac.fit.covariance import NORMAL_95
 
 
-def outdoor_table(results: Committed) -> str:
+def outdoor_table(results: Results) -> str:
     """Lay out what the outdoor twin's flights gave, by what was taken from the truth.
 
     Empty where it was not run. Errors are means, in brackets the path's largest; of t_d and skew
@@ -44,7 +43,7 @@ def outdoor_table(results: Committed) -> str:
     return markdown_table(header, rows)
 
 
-def network_table(results: Committed) -> str:
+def network_table(results: Results) -> str:
     """Lay out what four event cameras gave, with their events and with true tracks.
 
     Empty where it was not run. Errors are means, in brackets the largest; of the stated regions of
@@ -76,7 +75,7 @@ def network_table(results: Committed) -> str:
     return markdown_table(header, rows)
 
 
-def network_growth_table(results: Committed) -> str:
+def network_growth_table(results: Results) -> str:
     """Lay out time and memory of ever longer flights before eight cameras; empty where not run."""
     if not results.has("network_growth"):
         return ""
@@ -95,7 +94,7 @@ def network_growth_table(results: Committed) -> str:
     return markdown_table(header, rows)
 
 
-def reliability_table(results: Committed) -> str:
+def reliability_table(results: Results) -> str:
     """Count how damaged inputs ended; empty where none were tried."""
     if not results.has("reliability"):
         return ""
@@ -111,7 +110,7 @@ def reliability_table(results: Committed) -> str:
     return markdown_table(header, rows)
 
 
-CAMPAIGN_TABLES: Mapping[str, Callable[[Committed], str]] = {
+CAMPAIGN_TABLES: Mapping[str, Callable[[Results], str]] = {
     "table.network": network_table,
     "table.network.growth": network_growth_table,
     "table.outdoor": outdoor_table,

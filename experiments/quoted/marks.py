@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from experiments.lab.markdown import markdown_table
-from experiments.lab.results import Committed
+from experiments.lab.results import Results
 from experiments.marks.kinds import CLOCKS, CLUTTER, INTRINSICS, KINDS, UNSTATED, Mark
 from experiments.marks.table import FLIGHTS
 
@@ -21,7 +21,7 @@ _SHORTER = {"noise 10 Hz/px": "10 Hz/px", "clocks alike": "alike", "none looked 
 """Of words of kinds: a page is narrow."""
 
 
-def clutter_table(results: Committed) -> str:
+def clutter_table(results: Results) -> str:
     """Lay out what becomes of clutter: refusals, errors beside marks, intervals, time."""
     body = [
         [
@@ -40,7 +40,7 @@ def clutter_table(results: Committed) -> str:
     return markdown_table(header, body)
 
 
-def clocks_table(results: Committed) -> str:
+def clocks_table(results: Results) -> str:
     """Lay out offsets and skews in the middle and at the ends, and what is said of jumps."""
     body = [
         [
@@ -60,7 +60,7 @@ def clocks_table(results: Committed) -> str:
     return markdown_table(header, body)
 
 
-def intrinsics_table(results: Committed) -> str:
+def intrinsics_table(results: Results) -> str:
     """Lay out which intervals hold where the rig's intrinsics are off, stated or not."""
     body = [
         [
@@ -79,7 +79,7 @@ def intrinsics_table(results: Committed) -> str:
     return markdown_table(header, body)
 
 
-def sensitivity_table(results: Committed) -> str:
+def sensitivity_table(results: Results) -> str:
     """Lay out how far unstated errors of the intrinsics move the estimate."""
     body = [
         [
@@ -95,23 +95,23 @@ def sensitivity_table(results: Committed) -> str:
     return markdown_table(["error of the intrinsics", "t_d [ms]", "R [deg]", "t [deg]"], body)
 
 
-def seconds(results: Committed, kind: str) -> str:
+def seconds(results: Results, kind: str) -> str:
     """Say how long the processor was busy with a recording of a kind, at most."""
     return f"{results.value(MARKS, 'cpu_s_most', kind=kind):.1f} s"
 
 
-def reached(results: Committed, kind: str) -> str:
+def reached(results: Results, kind: str) -> str:
     """Say how many runs of a kind meet its mark."""
     row = results.rows(MARKS, kind=kind).to_dict("records")[0]
     return f"{row['reached']:.0f} of {row['runs']:.0f}"
 
 
-def rms(results: Committed, kind: str) -> str:
+def rms(results: Results, kind: str) -> str:
     """Say the rms error of t_d on recordings of a kind."""
     return f"{results.value(MARKS, 't_d_error_ms_rms', kind=kind):.3f} ms"
 
 
-def jumps(results: Committed, kind: str) -> str:
+def jumps(results: Results, kind: str) -> str:
     """Say how large the jumps are said to be, and when."""
     ends = [
         results.value(MARKS, f"jump_{what}_{end}", kind=kind)
@@ -121,12 +121,12 @@ def jumps(results: Committed, kind: str) -> str:
     return f"{ends[0]:.1f} to {ends[1]:.1f} ms, at {ends[2]:.1f} to {ends[3]:.1f} s"
 
 
-def flights(_: Committed, scene: str) -> str:
+def flights(_: Results, scene: str) -> str:
     """Say on how many flights a scene was filmed."""
     return f"{FLIGHTS[scene]}"
 
 
-def _rows(results: Committed, group: str) -> list[dict[Hashable, Any]]:
+def _rows(results: Results, group: str) -> list[dict[Hashable, Any]]:
     return results.rows(MARKS, group=group).to_dict("records")
 
 
@@ -175,7 +175,7 @@ def _share(row: Row, name: str) -> str:
     return f"{row[f'{name}_held']:.0f} of {n_given}" if n_given else "none"
 
 
-MARK_TABLES: Mapping[str, Callable[[Committed], str]] = {
+MARK_TABLES: Mapping[str, Callable[[Results], str]] = {
     "table.marks.clutter": clutter_table,
     "table.marks.clocks": clocks_table,
     "table.marks.intrinsics": intrinsics_table,
@@ -188,7 +188,7 @@ def _name(words: str) -> str:
     return words.replace(",", "").replace(" ", "_")
 
 
-MARK_NUMBERS: Mapping[str, Callable[[Committed], str]] = {
+MARK_NUMBERS: Mapping[str, Callable[[Results], str]] = {
     **{
         f"marks.reached.{_name(kind)}": partial(reached, kind=kind)
         for kind in KINDS

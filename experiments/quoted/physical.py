@@ -8,21 +8,20 @@ from functools import partial
 
 import pandas as pd
 
-from experiments.lab.markdown import markdown_table
-from experiments.lab.results import Committed
+from experiments.lab.markdown import digits, markdown_table
+from experiments.lab.results import Results
 from experiments.paper.comparison import VERDICTS
 from experiments.paper.quantities import ERRORS
 from experiments.physical.budget import METHOD_NAMES
 from experiments.physical.imperfections import ALL, NONE, all_but, only
 from experiments.physical.mini import DURATIONS_S
-from experiments.quoted.cells import digits
 from ssac.fit.covariance import NORMAL_95
 
 _SYMBOLS = {quantity.symbol: name for name, quantity in ERRORS.items()}
 _ONLY = only("")  # begins the names of these kinds
 
 
-def mini_table(results: Committed) -> str:
+def mini_table(results: Results) -> str:
     """Lay out the paper's means and ours by duration and angle, over the offsets, as t_d / R / t.
 
     The offsets of a recording leave the same errors here, and other recordings in the paper.
@@ -48,7 +47,7 @@ def mini_table(results: Committed) -> str:
     return markdown_table(["s", "deg", "the paper's SSAC", *(f"`{m}`" for m in METHOD_NAMES)], rows)
 
 
-def mini_verdicts(results: Committed) -> str:
+def mini_verdicts(results: Results) -> str:
     """Count the cells of `ssac` by verdict, and in how many `tangency` errs by half or less."""
     if not results.has("mini_comparison"):
         return ""
@@ -75,7 +74,7 @@ def mini_verdicts(results: Committed) -> str:
     return markdown_table(header, rows)
 
 
-def mini_held(results: Committed) -> str:
+def mini_held(results: Results) -> str:
     """Count answers, and stated 95 % intervals of t_d that hold the truth, of all recordings."""
     if not results.has("mini_10_runs"):
         return ""
@@ -101,7 +100,7 @@ def mini_held(results: Committed) -> str:
     return markdown_table(header, rows)
 
 
-def budget_table(results: Committed, symbol: str) -> str:
+def budget_table(results: Results, symbol: str) -> str:
     """Lay one error of the budget out: each imperfection alone, and all but it, over the angles."""
     if not results.has("error_budget"):
         return ""
@@ -125,7 +124,7 @@ def budget_table(results: Committed, symbol: str) -> str:
     return markdown_table(["imperfection", *header], rows)
 
 
-def budget_summary(results: Committed) -> str:
+def budget_summary(results: Results) -> str:
     """Lay t_d / R of the budget out, each imperfection alone, over the angles."""
     if not results.has("error_budget"):
         return ""
@@ -143,7 +142,7 @@ def budget_summary(results: Committed) -> str:
     return markdown_table(["bench", *(f"`{method}`" for method in METHOD_NAMES)], rows)
 
 
-def budget_by_angle(results: Committed) -> str:
+def budget_by_angle(results: Results) -> str:
     """Lay the ideal and the real bench out by angle, as t_d / R / t."""
     if not results.has("error_budget"):
         return ""
@@ -162,7 +161,7 @@ def budget_by_angle(results: Committed) -> str:
     return markdown_table(["deg", "bench", *(f"`{method}`" for method in METHOD_NAMES)], rows)
 
 
-def latency_table(results: Committed) -> str:
+def latency_table(results: Results) -> str:
     """Lay the apparent offsets out by the ratio of the lights and by polarity [ms]."""
     if not results.has("light_latency"):
         return ""
@@ -195,7 +194,7 @@ def _budget_means(table: pd.DataFrame, column: str) -> "pd.Series[float]":
     return means
 
 
-PHYSICAL_TABLES: Mapping[str, Callable[[Committed], str]] = {
+PHYSICAL_TABLES: Mapping[str, Callable[[Results], str]] = {
     "table.mini": mini_table,
     "table.mini.verdicts": mini_verdicts,
     "table.mini.held": mini_held,

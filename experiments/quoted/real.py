@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from experiments.lab.markdown import markdown_table
-from experiments.lab.results import Committed, FloatArray
+from experiments.lab.results import FloatArray, Results
 from experiments.real.data_sets import DATA_SETS, UNKNOWN_RATES, VARIABLE_RATES
 from experiments.studies.coverage import sampling_bounds
 from experiments.studies.imperfect import ALL, HELD, IMPERFECT
@@ -29,7 +29,7 @@ WITH_TRUTH, SHIFTED = 4, 1
 """The data set with published clocks, and its camera that these put elsewhere."""
 
 
-def imperfect_table(results: Committed) -> str:
+def imperfect_table(results: Results) -> str:
     """Say of all kinds together how many were answered, and how many of the answers held."""
     table = results.table(IMPERFECT.name)
     rows = []
@@ -42,7 +42,7 @@ def imperfect_table(results: Committed) -> str:
     return markdown_table(["method", "answered", *quantities, "confident wrong"], rows)
 
 
-def kinds_table(results: Committed) -> str:
+def kinds_table(results: Results) -> str:
     """Say of each kind how many were answered and why others were not, and how many held."""
     table = results.table(IMPERFECT.name)
     rows = []
@@ -70,7 +70,7 @@ def _share(row: Mapping[Hashable, Any], name: str, with_bounds: bool) -> str:
     return f"{100 * share:.0f} ({100 * low:.0f} to {100 * high:.0f})"
 
 
-def of_imperfect(results: Committed, column: str, method: str) -> str:
+def of_imperfect(results: Results, column: str, method: str) -> str:
     """Count the imperfect recordings, those answered, or those whose truth an interval holds."""
     of = {"kind": ALL, "method": method}
     value = results.value(IMPERFECT.name, column, **of)
@@ -79,7 +79,7 @@ def of_imperfect(results: Committed, column: str, method: str) -> str:
     return f"{value:.0f}"
 
 
-def kinds_not_answered(results: Committed) -> str:
+def kinds_not_answered(results: Results) -> str:
     """List the kinds of imperfect recordings that `tangency` does not answer throughout."""
     table = results.rows(IMPERFECT.name, method="tangency")
     rows = table[(table["kind"] != ALL) & (table["answered"] < table["runs"])]
@@ -89,7 +89,7 @@ def kinds_not_answered(results: Committed) -> str:
     )
 
 
-def kinds_wrong(results: Committed) -> str:
+def kinds_wrong(results: Results) -> str:
     """List the kinds of imperfect recordings of which `tangency` gives confident wrong answers."""
     table = results.rows(IMPERFECT.name, method="tangency")
     rows = table[(table["kind"] != ALL) & (table["confident_wrong"] > 0)]
@@ -99,19 +99,19 @@ def kinds_wrong(results: Committed) -> str:
     )
 
 
-def answered(results: Committed, number: int) -> str:
+def answered(results: Results, number: int) -> str:
     """Say how many pairs of a data set are answered."""
     rows = results.rows(PAIRS, data_set=number)
     return f"{int(_has_offset(rows).sum())} of {len(rows)}"
 
 
-def largest_closure(results: Committed, number: int) -> str:
+def largest_closure(results: Results, number: int) -> str:
     """Say by how much the clocks of three cameras contradict each other at most."""
     closures_ms = _closures_ms(results, number)
     return f"{np.abs(closures_ms).max():.0f} ms" if len(closures_ms) else "none"
 
 
-def largest_difference(results: Committed, with_shifted: bool) -> str:
+def largest_difference(results: Results, with_shifted: bool) -> str:
     """Say how far pairs of constant rate are off the published clocks, with that camera or not."""
     rows = _constant(results)
     if not with_shifted:
@@ -119,7 +119,7 @@ def largest_difference(results: Committed, with_shifted: bool) -> str:
     return f"{np.abs(rows['from_truth_ms']).max():.0f} ms"
 
 
-def apart(results: Committed) -> str:
+def apart(results: Results) -> str:
     """Say how far one camera's clock is off the published, where the others are so on average.
 
     By least squares each camera is off by an amount of its own, and a pair by their difference.
@@ -134,7 +134,7 @@ def apart(results: Committed) -> str:
     return f"{off_ms[at] - np.mean(np.delete(off_ms, at)):.0f} ms"
 
 
-def readouts_of(results: Committed, camera: int) -> str:
+def readouts_of(results: Results, camera: int) -> str:
     """Range of the readouts that the pairs of a camera found, with the largest deviation."""
     rows = results.rows(PAIRS, data_set=WITH_TRUTH)
     found = [
@@ -147,25 +147,25 @@ def readouts_of(results: Committed, camera: int) -> str:
     )
 
 
-def moved_by_readouts(results: Committed) -> str:
+def moved_by_readouts(results: Results) -> str:
     """Say how far readouts move an offset at most."""
     return f"{np.nanmax(np.abs(results.column(PAIRS, 'by_readouts_ms'))):.0f} ms"
 
 
-def rate(results: Committed, camera: int) -> str:
+def rate(results: Results, camera: int) -> str:
     """Rate of a camera's clock by that of camera 0, which counts frames at a constant rate."""
     of = {"data_set": WITH_TRUTH, "camera_1": 0, "camera_2": camera}
     return f"{1.0 + PPM * results.value(PAIRS, 'skew_ppm', **of):.4f}"
 
 
-def strays(results: Committed) -> str:
+def strays(results: Results) -> str:
     """Range of how far clocks of cameras of varying rates stray, of all their pairs."""
     rows = results.rows(PAIRS, data_set=WITH_TRUTH)
     rows = rows[_varies(rows) & _has_offset(rows)]
     return f"{rows['most_stray_ms'].min():.0f} to {rows['most_stray_ms'].max():.0f} ms"
 
 
-def pairs_table(results: Committed) -> str:
+def pairs_table(results: Results) -> str:
     """Lay out, by data set, how many pairs are answered, how they agree, and how long it took."""
     body = []
     for number in DATA_SETS:
@@ -188,7 +188,7 @@ def pairs_table(results: Committed) -> str:
     return markdown_table(header, body)
 
 
-def paths_table(results: Committed) -> str:
+def paths_table(results: Results) -> str:
     """Lay out how each path lies beside RTK, mvus' beside it."""
     body = []
     for row in results.table(PATHS).to_dict("records"):
@@ -212,13 +212,13 @@ def paths_table(results: Committed) -> str:
     return markdown_table(header, body)
 
 
-def _closures_ms(results: Committed, number: int) -> FloatArray:
+def _closures_ms(results: Results, number: int) -> FloatArray:
     """Give the closures (k,) of a data set's triples, of which there may be none."""
     table = results.table(TRIPLES)
     return table["closure_ms"][table["data_set"] == number].to_numpy(np.float64)
 
 
-def _constant(results: Committed) -> pd.DataFrame:
+def _constant(results: Results) -> pd.DataFrame:
     """Give the answered pairs with published clocks of which both cameras' rates are constant."""
     rows = results.rows(PAIRS, data_set=WITH_TRUTH)
     kept: pd.Series[bool] = ~_varies(rows) & _has_offset(rows) & rows["from_truth_ms"].notna()
@@ -238,7 +238,7 @@ def _has_offset(rows: pd.DataFrame) -> "pd.Series[bool]":
     return rows["status"].isin([str(status) for status in Status if status.has_offset])
 
 
-REAL_NUMBERS: Mapping[str, Callable[[Committed], str]] = {
+REAL_NUMBERS: Mapping[str, Callable[[Results], str]] = {
     "imperfect.runs": partial(of_imperfect, column="runs", method="tangency"),
     "imperfect.kinds_not_answered": kinds_not_answered,
     "imperfect.kinds_wrong": kinds_wrong,
@@ -263,7 +263,7 @@ REAL_NUMBERS: Mapping[str, Callable[[Committed], str]] = {
     "real.strays": strays,
 }
 
-REAL_TABLES: Mapping[str, Callable[[Committed], str]] = {
+REAL_TABLES: Mapping[str, Callable[[Results], str]] = {
     "table.imperfect": imperfect_table,
     "table.imperfect.kinds": kinds_table,
     "table.real.pairs": pairs_table,

@@ -6,44 +6,19 @@ from functools import partial
 import numpy as np
 
 from experiments.lab.markdown import markdown_table
-from experiments.lab.results import Committed, FloatArray
+from experiments.lab.results import FloatArray, Results
 from experiments.measures.fidelity import METHOD_NAMES as COMPARED_METHODS
-from experiments.paper.grids import TABLES as PAPER_TABLES
-from experiments.paper.quantities import POSE_ERRORS, R_ERROR, T_D_ERROR
+from experiments.paper.quantities import POSE_ERRORS, T_D_ERROR
 from experiments.quoted.campaigns import CAMPAIGN_TABLES
-from experiments.quoted.cells import (
-    METHODS,
-    SYMBOLS,
-    cell_means,
-    digits,
-)
+from experiments.quoted.cells import SYMBOLS
 from experiments.quoted.marks import MARK_TABLES
 from experiments.quoted.real import REAL_TABLES
 from experiments.quoted.zncc import ZNCC_TABLES
-from experiments.studies.catalogue import ABLATIONS
 from experiments.studies.fidelity import DIFFERENCES, MARKS_MS
 from experiments.studies.refusal import METHOD_NAMES as REFUSING_METHODS
 
 Rows = list[list[str]]
 
-_SHOWN = {
-    # of each ablation: the columns that tell its rows apart; all else is averaged over
-    "angle": ["sim.angle_deg"],
-    "background": ["sim.background_files"],
-    "brightness": ["sim.background_luminance"],
-    "contrast": ["sim.sensor.threshold_on"],
-    "davis346": ["sim.angle_deg"],
-    "focal": ["sim.focal_px"],
-    "n_min": ["ssac.n_min"],
-    "noise": ["sim.sensor.shot_noise_hz", "sim.sensor.leak_hz"],
-    "object": ["sim.drone", "sim.distance_m"],
-    "resolution": ["sim.resolution"],
-    "rotors": ["sim.rotor_hz"],
-    "samples": ["ssac.n_samples"],
-    "size": ["sim.drone_size_m"],
-    "speed": ["sim.spline.sampling_hz"],
-    "window": ["ssac.half_window_s"],
-}
 _BESIDE = {
     # of bench.csv: row, unit, decimals and the words for it
     "render, native, 257 samples per pixel: crops": ("poses/s", 0, "rendering, native"),
@@ -95,48 +70,7 @@ _OPTIONAL = ("sensor over eventify-dvs", "sensor over ESIM's core, quoted")
 """Of these rows: with the peer's package alone."""
 
 
-def methods_table(results: Committed) -> str:
-    """Mean errors of every method, the range over the cells of each table."""
-    rows: Rows = []
-    for method in (*METHODS, "albl", "zncc_e", "zncc_f", "event_rate"):
-        cells = [f"`{method}`"]
-        for error in (quantity.column for quantity in SYMBOLS.values()):
-            has_it = f"{method}_{error}_mean" in results.table(PAPER_TABLES[0])
-            means = cell_means(results, method, error) if has_it else [np.nan]
-            # of methods with the pose known, that of R and t is the pose they were given
-            known = method.endswith("-known") and error != T_D_ERROR.column
-            empty = known or not np.isfinite(means).any()
-            cells.append(
-                "" if empty else f"{digits(np.nanmin(means))} to {digits(np.nanmax(means))}"
-            )
-        rows.append(cells)
-    return markdown_table(["method", *(error.heading for error in SYMBOLS.values())], rows)
-
-
-def coverage_table(results: Committed) -> str:
-    """Shares of the truths in the 95 % intervals, over all angles."""
-    rows: Rows = []
-    for method in ("joint", "tangency", "joint-known", "tangency-known"):
-        of = {"method": method, "angle_deg": "all"}
-        row = results.rows("coverage", quantity="t_d", **of)
-        low, high = (100 * float(row[f"coverage_95_{end}"].iloc[0]) for end in ("low", "high"))
-        shares = [
-            f"{100 * results.value('coverage', 'coverage_95', quantity=q, **of):.1f}"
-            if q == "t_d" or not method.endswith("-known")
-            else ""
-            for q in SYMBOLS
-        ]
-        skew = f"{100 * results.value('coverage', 'coverage_95', quantity='skew', **of):.1f}"
-        rms = results.value("coverage", "rms_normalised", quantity="t_d", **of)
-        rows.append(
-            [f"`{method}`", shares[0], f"{low:.1f} to {high:.1f}", *shares[1:], skew, f"{rms:.2f}"]
-        )
-    first, *others = (f"{symbol} [%]" for symbol in SYMBOLS)
-    header = ["method", first, "sampling [%]", *others, "skew [%]", "t_d: rms of error / deviation"]
-    return markdown_table(header, rows)
-
-
-def refusal_table(results: Committed) -> str:
+def refusal_table(results: Results) -> str:
     """How many offsets were given, and how many confident wrong ones, for each kind and method."""
     table = results.table("refusal")
     rows: Rows = []
@@ -151,7 +85,7 @@ def refusal_table(results: Committed) -> str:
     return markdown_table(["kind", "n", *(f"`{m}`" for m in REFUSING_METHODS)], rows)
 
 
-def tangency_table(results: Committed) -> str:
+def tangency_table(results: Results) -> str:
     """Lay out the errors of the variants of `tangency`."""
     table = results.table("tangency")
     rows: Rows = []
@@ -174,31 +108,7 @@ def tangency_table(results: Committed) -> str:
     return markdown_table(header, rows)
 
 
-def ablation_table(results: Committed, name: str) -> str:
-    """Mean errors of t_d and R over all angles, for each value of what varies, by method."""
-    stem = f"ablation_{name}"
-    table, varied = results.table(stem), _SHOWN[name]
-    methods = list(dict.fromkeys(table["method"]))
-    rows: Rows = []
-    columns = [results.texts(stem, column) for column in varied]
-    for values in dict.fromkeys(zip(*columns, strict=True)):
-        same = [row == values for row in zip(*columns, strict=True)]
-        part = table[same]
-        cells = list(values)
-        for method in methods:
-            of = part[part["method"] == method]
-            answered = int((of["n_runs"] - of["failed"]).sum())
-            shown = [
-                digits(float(of[column].mean())) if column in of else "none"
-                for column in (f"{T_D_ERROR.column}_mean", f"{R_ERROR.column}_mean")
-            ]
-            means = " / ".join(text for text in shown if text != "none") or "none"
-            cells.append(f"{means} ({answered}/{int(of['n_runs'].sum())})")
-        rows.append(cells)
-    return markdown_table([*(c.split(".")[-1] for c in varied), *(f"`{m}`" for m in methods)], rows)
-
-
-def fidelity_table(results: Committed, study: str = "fidelity") -> str:
+def fidelity_table(results: Results, study: str = "fidelity") -> str:
     """How far events and offsets are from those of a reference, by duration [s]."""
     runs = f"{study}_runs"
     durations_s = sorted(set(results.column(runs, "duration_s")))
@@ -233,7 +143,7 @@ def fidelity_table(results: Committed, study: str = "fidelity") -> str:
     return markdown_table(["quantity", *(f"{d:g} s" for d in durations_s)], rows)
 
 
-def bench_table(results: Committed) -> str:
+def bench_table(results: Results) -> str:
     """Lay out the main figures of the benchmark beside their marks.
 
     What only some machines can measure is left out where it was not.
@@ -257,9 +167,7 @@ def bench_table(results: Committed) -> str:
     return markdown_table(["what", "measured", "mark", "verdict"], rows)
 
 
-TABLES: Mapping[str, Callable[[Committed], str]] = {
-    "table.methods": methods_table,
-    "table.coverage": coverage_table,
+TABLES: Mapping[str, Callable[[Results], str]] = {
     "table.refusal": refusal_table,
     "table.tangency": tangency_table,
     "table.fidelity": fidelity_table,
@@ -269,5 +177,4 @@ TABLES: Mapping[str, Callable[[Committed], str]] = {
     **ZNCC_TABLES,
     **REAL_TABLES,
     **MARK_TABLES,
-    **{f"table.ablation.{name}": partial(ablation_table, name=name) for name in ABLATIONS},
 }

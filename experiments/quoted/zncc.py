@@ -3,14 +3,14 @@
 from collections.abc import Callable, Mapping
 
 from experiments.lab.markdown import markdown_table
-from experiments.lab.results import Committed
+from experiments.lab.results import Results
 from experiments.paper.grids import ANGLES_DEG, DURATIONS_S
 
 _ANGLE_HEADER = [f"{angle:g} deg" for angle in ANGLES_DEG]
 _BINS = ("bins of 5 ms", "bins of 20 ms", "bins of 50 ms")
 
 
-def correlation_table(results: Committed) -> str:
+def correlation_table(results: Results) -> str:
     """Correlation of the two views at the true lag, default scene, 20 s."""
 
     def row(words: str, source: str, signal: str, column: str = "at_truth") -> list[str]:
@@ -28,7 +28,7 @@ def correlation_table(results: Committed) -> str:
     return markdown_table(["", *_ANGLE_HEADER], rows)
 
 
-def gross_table(results: Committed) -> str:
+def gross_table(results: Results) -> str:
     """How many errors are gross, and what their mean is, at 90 deg and 20 s."""
     cases = (
         ("event rate, rendered: `zncc_e`", "rendered", "zncc_e"),
@@ -48,7 +48,7 @@ def gross_table(results: Committed) -> str:
     return markdown_table([*header, "errors above 100 ms"], rows)
 
 
-def vertical_table(results: Committed) -> str:
+def vertical_table(results: Results) -> str:
     """Errors and correlations of the modelled event rate as the vertical motion shrinks."""
     scenes = (
         ("default", "3.2, 3.2, 3.6 (default)"),
@@ -73,7 +73,7 @@ def vertical_table(results: Committed) -> str:
     return markdown_table(["multipliers x, y, z [m]", *_ANGLE_HEADER], rows)
 
 
-def frames_table(results: Committed) -> str:
+def frames_table(results: Results) -> str:
     """Lay out errors and their deviations of what ZNCC_F may take of a frame, over 20 s."""
     cases = (
         ("1 / distance squared (model)", "modelled", "distance"),
@@ -90,7 +90,7 @@ def frames_table(results: Committed) -> str:
     return markdown_table(["mean error (deviation) [ms]", *_ANGLE_HEADER], rows)
 
 
-def variants_table(results: Committed) -> str:
+def variants_table(results: Results) -> str:
     """Lay out what changes `zncc_e` little, over the same flights at 90 deg."""
     of = {"scene": "default", "duration_s": 20, "angle_deg": 90, "source": "rendered"}
     signals = ("zncc_e", *(f"zncc_e, {v}" for v in ("raw events", *_BINS)))
@@ -112,7 +112,7 @@ def variants_table(results: Committed) -> str:
     return markdown_table(["signal", "correlation at the true lag", "mean error [ms]"], rows)
 
 
-def scenes_table(results: Committed) -> str:
+def scenes_table(results: Results) -> str:
     """Set the scene, and the flatter one, beside the authors' sample, at 90 deg and 20 s."""
     quantities = (
         ("median image speed [px/s]", "198", "speed_px_s", "{:.0f}"),
@@ -136,7 +136,7 @@ def scenes_table(results: Committed) -> str:
 
 
 def _by_angle(
-    results: Committed,
+    results: Results,
     source: str,
     signal: str,
     column: str,
@@ -150,7 +150,7 @@ def _by_angle(
     ]
 
 
-def _published(results: Committed, method: str, duration_s: float) -> list[str]:
+def _published(results: Results, method: str, duration_s: float) -> list[str]:
     of = {"quantity": f"{method}_t_d_error_ms", "duration_s": duration_s}
     return [
         " ".join(
@@ -163,7 +163,7 @@ def _published(results: Committed, method: str, duration_s: float) -> list[str]:
     ]
 
 
-ZNCC_TABLES: Mapping[str, Callable[[Committed], str]] = {
+ZNCC_TABLES: Mapping[str, Callable[[Results], str]] = {
     "table.zncc.correlation": correlation_table,
     "table.zncc.gross": gross_table,
     "table.zncc.vertical": vertical_table,

@@ -1,1 +1,33 @@
-"""Questions that many runs answer: sweeps, ablations, coverage, refusal, the bound."""
+"""All studies. Each is a file here that ends with the list `STUDIES`, and one line of FILES."""
+
+from collections.abc import Mapping
+from functools import cache
+from importlib import import_module
+
+from experiments.lab.study import Study
+
+FILES = (
+    "tables",
+    "coverage",
+    "efficiency",
+    "refusal",
+    "imperfect",
+    "experiments.marks.table",
+    "tangency",
+    "zncc",
+    "fidelity",
+    "ablations",
+    "experiments.physical.catalogue",
+    "experiments.network.four",
+    "experiments.rest",
+)
+"""In the order in which they are listed and checked; those beyond this folder are to move here."""
+
+
+@cache
+def all_studies() -> Mapping[str, Study]:
+    """Give every study by name."""
+    modules = (
+        import_module(file if "." in file else f"experiments.studies.{file}") for file in FILES
+    )
+    return {study.name: study for module in modules for study in module.STUDIES}

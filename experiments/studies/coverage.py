@@ -1,29 +1,39 @@
-"""Simulated runs in, how often the stated intervals hold the truth out.
+"""How often the stated intervals hold the truth, on flights that nothing was tuned on.
 
 An interval of t_d or of one angle is the estimate +- z deviations, z being the normal quantile; a
 region of R or t is where the Mahalanobis distance of its three or two angles is below the root of
-chi^2's quantile. All flights are ones that nothing was tuned on: configs/coverage.toml.
+chi^2's quantile. The flights are those of configs/coverage.toml.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.stats import beta, chi2
 
-from experiments.drawing.style import WIDTH_IN, method_looks, quiet_axes
 from experiments.lab.grid import named_config
-from experiments.lab.study import Study
+from experiments.lab.markdown import listed, markdown_table
+from experiments.lab.results import Results
+from experiments.lab.scored import SCORED
+from experiments.lab.study import Made, Runs, Study
+from experiments.lab.verify import scored_checks
 from experiments.paper.esim import method_order
-from experiments.studies.grids import grid_study
 from ssac.fit.covariance import NORMAL_95
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
 FloatArray = NDArray[np.float64]
+
+GRID = named_config("coverage")
+METHODS = ("joint", "tangency", "joint-known", "tangency-known")
+
+MARK = 0.93
+"""Intervals of 95 % shall hold the truth in at least this share of the flights."""
 
 LEVELS = (0.50, 0.68, 0.90, 0.95, 0.99)
 SAMPLING = 0.95
@@ -105,33 +115,38 @@ def sampling_bounds(n_inside: int, n_runs: int) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def coverage_figure(runs: pd.DataFrame) -> Figure:
+def coverage_figure(runs: pd.DataFrame) -> "Figure":
     """Draw observed against nominal coverage: a panel for each of t_d, R and t.
 
     The band is where 95 % of the runs' shares would lie if the deviations were right.
     """
+    from matplotlib.figure import Figure
+
+    from experiments.drawing.style import WIDTH_IN, method_looks, quiet_axes
+
     runs = _with_clocks(runs)
     panels = {name: quantity for name, quantity in QUANTITIES.items() if quantity.label}
     methods = method_order(runs["method"])
     figure = Figure(figsize=(WIDTH_IN, 3.6), layout="constrained")
     for axes, quantity in zip(figure.subplots(1, len(panels)), panels.values(), strict=True):
-        _draw_panel(axes, runs, quantity, methods)
+        _draw_panel(axes, runs, quantity, method_looks(methods))
+        quiet_axes(axes)
     handles, labels = figure.axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=5, fontsize=8, frameon=False)
     return figure
 
 
-def _draw_panel(axes: Axes, runs: pd.DataFrame, quantity: Quantity, methods: list[str]) -> None:
+def _draw_panel(
+    axes: "Axes", runs: pd.DataFrame, quantity: Quantity, looks: Mapping[str, Any]
+) -> None:
     nominal = np.linspace(0.0, 1.0, 101)
-    looks = method_looks(methods)
     most = 0
-    for method in methods:
+    for method, look in looks.items():
         values = _normalised(runs[runs["method"] == method], quantity)
         if len(values) == 0:
             continue
         levels = confidence(values, quantity.parameters)
         observed = np.mean(levels[:, None] <= nominal, axis=0)
-        look = looks[method]
         style = "--" if look.hollow else "-"
         axes.plot(100 * nominal, 100 * observed, style, color=look.color, lw=1.4, label=method)
         most = max(most, len(values))
@@ -142,7 +157,6 @@ def _draw_panel(axes: Axes, runs: pd.DataFrame, quantity: Quantity, methods: lis
             100 * nominal, 100 * (nominal - half), 100 * (nominal + half), color="0.9", lw=0,
             label=f"sampling error of {most} runs",
         )  # fmt: skip
-    quiet_axes(axes)
     axes.set(xlim=(0, 100), ylim=(0, 100), aspect="equal", xlabel="nominal coverage [%]")
     axes.set_ylabel("observed coverage [%]")
     axes.set_title(quantity.label, fontsize=11)
@@ -182,8 +196,63 @@ def _with_clocks(runs: pd.DataFrame) -> pd.DataFrame:
     )
 
 
-def coverage_study() -> Study:
-    """Give the study of configs/coverage.toml."""
-    return grid_study(
-        named_config("coverage"), coverage_table, lambda _, runs: coverage_figure(runs)
-    )
+def page_table(results: Results) -> str:
+    """Shares of the truths in the 95 % intervals, over all angles."""
+
+    def share(method: str, quantity: str) -> str:
+        of = {"method": method, "quantity": quantity, "angle_deg": "all"}
+        return f"{100 * results.value('coverage', 'coverage_95', **of):.1f}"
+
+    def row(method: str) -> list[str]:
+        of = results.one("coverage", method=method, quantity="t_d", angle_deg="all")
+        poses = ["", ""] if method.endswith("-known") else [share(method, q) for q in "Rt"]
+        sampling = f"{100 * of['coverage_95_low']:.1f} to {100 * of['coverage_95_high']:.1f}"
+        return [
+            *(f"`{method}`", share(method, "t_d"), sampling, *poses),
+            *(share(method, "skew"), f"{of['rms_normalised']:.2f}"),
+        ]
+
+    header = [
+        *("method", "t_d [%]", "sampling [%]", "R [%]", "t [%]", "skew [%]"),
+        "t_d: rms of error / deviation",
+    ]
+    return markdown_table(header, [row(method) for method in METHODS])
+
+
+def flights(results: Results) -> str:
+    """Count the flights."""
+    of = {"method": "joint", "quantity": "t_d", "angle_deg": "all"}
+    return f"{results.value('coverage', 'n_runs', **of):.0f}"
+
+
+def below_the_mark(results: Results) -> str:
+    """List the methods and quantities whose 95 % intervals hold the truth less often than MARK."""
+    table = results.table("coverage")
+    low = table[(table["angle_deg"] == "all") & (table["coverage_95"] < MARK)]
+    found = [
+        f"{100 * row['coverage_95']:.0f} % ({row['quantity']} of `{row['method']}`)"
+        for row in low.to_dict("records")
+    ]
+    return listed(found) if found else "nowhere"
+
+
+STUDIES = (
+    Study(
+        "coverage",
+        GRID.title,
+        GRID.cells,
+        SCORED,
+        Runs("coverage_runs.csv", (*GRID.varied, "flight", "method")),
+        (
+            Made("coverage.csv", lambda results: coverage_table(results.table("coverage_runs"))),
+            Made("coverage.png", lambda results: coverage_figure(results.table("coverage_runs"))),
+        ),
+        numbers={
+            "coverage.flights": flights,
+            "coverage.below": below_the_mark,
+            "table.coverage": page_table,
+        },
+        checks=scored_checks("coverage_runs"),
+        config=GRID.content,
+    ),
+)

@@ -12,13 +12,12 @@ import pandas as pd
 
 from experiments.drawing.efficiency import efficiency_figure
 from experiments.lab.grid import named_config
-from experiments.lab.study import Study
+from experiments.lab.study import summed_study
 from experiments.measures.bounds import BOUNDS, BoundCell
 from experiments.measures.recording_bound import SAMPLES
 from experiments.paper.esim import method_order
 from experiments.paper.grids import TABLES
 from experiments.paper.quantities import ERRORS
-from experiments.paper.results import RUNS_FILE
 
 FLIGHT = ("duration_s", "angle_deg", "flight", "method")
 """Columns that name a bound."""
@@ -110,7 +109,7 @@ def efficiency_table(beside: pd.DataFrame) -> pd.DataFrame:
     return table
 
 
-EFFICIENCY = Study(
+EFFICIENCY = summed_study(
     "efficiency",
     "Errors of the tables' runs beside the Cramer-Rao bound of their flights",
     bound_cells,
@@ -118,6 +117,8 @@ EFFICIENCY = Study(
     efficiency_of_runs,
     keys=FLIGHT,
     draw=lambda cells, _: efficiency_figure(cells),
-    reads=(RUNS_FILE,),
+    reads=("runs.csv",),
     config={"tables": TABLES, "methods": list(SAMPLES)},
 )
+
+STUDIES = (EFFICIENCY,)

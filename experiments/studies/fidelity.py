@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import pandas as pd
 
-from experiments.lab.study import Study
+from experiments.lab.study import summed_study
 from experiments.measures.fidelity import (
     FIDELITY,
     METHOD_NAMES,
@@ -94,7 +94,7 @@ def fidelity_table(runs: pd.DataFrame) -> pd.DataFrame:
     return table
 
 
-FIDELITY_STUDY = Study(
+FIDELITY_STUDY = summed_study(
     "fidelity",
     "Events and offsets against a reference 8 times denser in time, 962 samples per pixel",
     fidelity_cells,
@@ -103,9 +103,10 @@ FIDELITY_STUDY = Study(
     keys=("duration_s", "flight"),
     config={"n_flights": {f"{key:g} s": n for key, n in N_FLIGHTS.items()},
             "first_flight": FIRST_FLIGHT},
+    again=False,
 )  # fmt: skip
 
-RENDERERS_STUDY = Study(
+RENDERERS_STUDY = summed_study(
     "renderers",
     "The tables' events and offsets by the native renderer against those by OpenGL",
     renderer_cells,
@@ -114,3 +115,5 @@ RENDERERS_STUDY = Study(
     keys=("duration_s", "angle_deg", "flight"),
     config={"flights": RENDERER_FLIGHTS, "durations_s": DURATIONS_S, "angles_deg": ANGLES_DEG},
 )
+
+STUDIES = (FIDELITY_STUDY, RENDERERS_STUDY)

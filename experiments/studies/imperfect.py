@@ -12,7 +12,7 @@ import pandas as pd
 from scipy.stats import chi2
 
 from experiments.lab.grid import flight_seed
-from experiments.lab.study import Study
+from experiments.lab.study import summed_study
 from experiments.measures.imperfect import IMPERFECT_RUNS, ImperfectCell
 from experiments.measures.imperfect_kinds import KINDS, ORDINARY, SCENES
 from experiments.paper.esim import method_order
@@ -117,7 +117,7 @@ def _levels(runs: pd.DataFrame, quantity: Quantity) -> np.ndarray[Any, np.dtype[
     return confidence(values, quantity.parameters)
 
 
-IMPERFECT = Study(
+IMPERFECT = summed_study(
     "imperfect",
     "Coverage of the stated intervals on imperfect recordings",
     imperfect_cells,
@@ -127,3 +127,5 @@ IMPERFECT = Study(
     config={"n_rounds": N_ROUNDS, "n_ordinary": N_ORDINARY, "first_flight": FIRST_FLIGHT,
             "kinds": list(KINDS), "methods": METHOD_NAMES, "angles_deg": ANGLES_DEG},
 )  # fmt: skip
+
+STUDIES = (IMPERFECT,)

@@ -7,7 +7,7 @@ study, and no threshold was set on them. The angles change from flight to flight
 import pandas as pd
 
 from experiments.lab.grid import flight_seed
-from experiments.lab.study import Study
+from experiments.lab.study import summed_study
 from experiments.measures.refusal import REFUSALS, RefusalCell
 from experiments.measures.refusal_flights import DURATION_S, KINDS_OF_FLIGHT, flight_config
 from experiments.paper.grids import ANGLES_DEG
@@ -77,7 +77,7 @@ def refusal_table(runs: pd.DataFrame) -> pd.DataFrame:
     return table
 
 
-REFUSAL = Study(
+REFUSAL = summed_study(
     "refusal",
     "What methods say of flights that leave offset or pose open",
     refusal_cells,
@@ -86,3 +86,5 @@ REFUSAL = Study(
     keys=("kind", "flight", "method"),
     config={"n_flights": N_FLIGHTS, "first_flight": FIRST_FLIGHT, "angles_deg": ANGLES_DEG},
 )
+
+STUDIES = (REFUSAL,)

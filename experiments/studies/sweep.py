@@ -1,191 +1,122 @@
-"""Any grid in TOML in, a tidy CSV of all its runs out, in shards or whole: `ssac sweep`, `merge`.
+"""A user's own grid as a study: each run a row, and a table of its points with a figure.
 
-Every parameter is a column under its dotted name, every run a row; `cell` numbers them over the
-whole grid or study, so that the rows of all shards, sorted by it, are the bytes of one piece.
+`ssac sweep` and `ssac ablate` take the file; docs/sweeps.md says what the columns are.
 """
 
-import json
-import time
 from collections.abc import Sequence
-from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-import typer
+import numpy as np
+import pandas as pd
+from scipy.stats import t as student
 
-from experiments.lab.bridge import check_mesh
-from experiments.lab.cache import DEFAULT_FOLDER, Cache
-from experiments.lab.command import CacheOption, SchedulerOption, WorkersOption, finish
-from experiments.lab.files import record_checksums, save_csv, save_text
-from experiments.lab.grid import grid_from_content, load_config
-from experiments.lab.provenance import save_provenance, write_provenance
-from experiments.lab.schedule import Workers
+from experiments.lab.grid import GridConfig
 from experiments.lab.scored import SCORED
-from experiments.lab.study import WHOLE, Study, numbered, parse_shard, run_numbered, save_derived
-from experiments.studies.catalogue import STUDIES
-from experiments.studies.command import ShardOption
-from sim.render.gl_context import context_or_none
-from ssac.errors import SsacError
-from ssac.files.whole_file import check_writable
+from experiments.lab.study import Made, Runs, Study
+from experiments.paper.quantities import ERRORS
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+LEVEL = 0.95
 
 
-def sweep_command(
-    config: Annotated[
-        Path,
-        typer.Argument(
-            help="TOML file of the grid (docs/sweeps.md).", metavar="CONFIG", show_default=False
-        ),
-    ],
-    out: Annotated[
-        Path | None,
-        typer.Option(help="CSV to write.  [default: results/<config>.csv]", metavar="FILE"),
-    ] = None,
-    shard: ShardOption = "1/1",
-    workers: WorkersOption = -1,
-    scheduler: SchedulerOption = "",
-    cache: CacheOption = DEFAULT_FOLDER,
-) -> None:
-    """Run any grid over any parameters of simulator and estimator; one CSV row per run."""
-    start = time.perf_counter()
-    grid = load_config(config)
-    part = parse_shard(shard)
-    out = out or Path("results") / f"{grid.name}.csv"
-    check_writable(out)
-    cells = grid.cells()
-    for mesh in {cell.sim.drone_file for cell in cells if cell.sim.drone_file is not None}:
-        check_mesh(mesh)
-    outcome = run_numbered(
-        numbered(cells, part), SCORED, Cache(cache), Workers(workers, scheduler), grid.name
-    )
-    save_csv(out, outcome.runs)
-    command = f"ssac sweep {config}" + (f" --shard {shard}" if part != WHOLE else "")
-    save_provenance(
-        out, command, {"grid": dict(grid.content), "name": grid.name, "shard": shard},
-        time.perf_counter() - start, context_or_none(),
-    )  # fmt: skip
-    finish(outcome, Cache(cache), out)
+def sweep_study(grid: GridConfig, runs_file: str, points: str, command: str) -> Study:
+    """Make the study of a grid.
 
-
-def merge_command(
-    out: Annotated[Path, typer.Argument(help="CSV to write.", metavar="OUT", show_default=False)],
-    shards: Annotated[
-        list[Path],
-        typer.Argument(
-            help="CSVs of all shards of one sweep or study.", metavar="SHARD", show_default=False
-        ),
-    ],
-) -> None:
-    """Join the shards of a sweep or study: the same bytes as in one piece.
-
-    Of a study, its summary and figure are made too, beside the runs.
+    Parameters
+    ----------
+    grid
+    runs_file
+        File of the rows.
+    points
+        Name of the table of points and of the figure, without a suffix.
+    command
     """
-    check_writable(out)
-    text, provenance = merged(shards)
-    study = _study_of(provenance)
-    if study is not None and out.name != study.runs_file:
-        raise SsacError(f"{out}: the runs of this study are named {study.runs_file}")
-    save_text(out, text)
-    written = [out] if study is None else [out, *save_derived(study, out.parent)]
-    for path in written:
-        if path.suffix == ".csv":
-            write_provenance(path, provenance)
-        typer.echo(f"written to {path}")
-    if study is not None:
-        record_checksums(out.parent, written)
+    runs = runs_file.removesuffix(".csv")
+    return Study(
+        grid.name,
+        grid.title,
+        grid.cells,
+        SCORED,
+        Runs(runs_file, (*grid.varied, "flight", "method")),
+        (
+            Made(f"{points}.csv", lambda results: points_table(results.table(runs), grid.varied)),
+            Made(f"{runs}.png" if points != grid.name else f"{points}.png",
+                 lambda results: points_figure(results.table(points), grid.varied)),
+        ),
+        config={"grid": dict(grid.content), "name": grid.name},
+        command=command,
+        shows=points,
+        is_committed=False,
+    )  # fmt: skip
 
 
-def merged(shards: Sequence[Path]) -> tuple[str, dict[str, Any]]:
-    """Join shards.
+def points_table(runs: pd.DataFrame, varied: Sequence[str]) -> pd.DataFrame:
+    """Sum up the runs at each point of a grid.
 
     Returns
     -------
-    text : str
-        Of the CSV.
-    provenance : dict[str, Any]
-        What the shards have in common, and the provenance of each.
-
-    Raises
-    ------
-    SsacError
-        If the shards are of different grids, overlap, or do not cover the grid.
+    pd.DataFrame
+        One row for each point and method, in their order: what varies, `method`, `runs`,
+        `answered` (status "ok"), `refusals` (how often each other status came), and of each error,
+        over the answered runs, the mean, its 95 % interval `_low` to `_high` (Student's t), and the
+        median. Empty where nothing is known.
     """
-    provenances = [_read_provenance(path) for path in shards]
-    wholes = [
-        {key: value for key, value in one["config"].items() if key != "shard"}
-        for one in provenances
-    ]
-    rows: dict[int, tuple[str, Path]] = {}
-    header = ""
-    for path, whole in zip(shards, wholes, strict=True):
-        if whole != wholes[0]:
-            raise SsacError(f"{path} is of another grid than {shards[0]}: merge the shards of one")
-        first, *lines = _lines(path)
-        if header and first != header:
-            raise SsacError(f"{path} has other columns than {shards[0]}: was the code the same?")
-        header = first
-        for line in lines:
-            number = _number(line, path)
-            if number in rows:
-                raise SsacError(f"cell {number} is in {rows[number][1]} and in {path}")
-            rows[number] = line, path
-    provenance = {"command": "ssac merge", "config": wholes[0], "shards": provenances}
-    n_cells = _n_cells(provenance)
-    missing = sorted(set(range(n_cells)) - set(rows))
-    if missing:
-        raise SsacError(
-            f"{len(missing)} of {n_cells} cells are in none of the shards, the first of them "
-            f"{missing[0]}: give the CSVs of all shards"
-        )
-    text = "\n".join([header, *(rows[number][0] for number in range(n_cells))]) + "\n"
-    return text, provenance
+    keys = [*varied, "method"]
+    rows = []
+    for point, group in runs.groupby(keys, sort=False, dropna=False):
+        ok = group[group["status"] == "ok"]
+        refused = group.loc[group["status"] != "ok", "status"].value_counts().sort_index()
+        row: dict[str, Any] = dict(zip(keys, point, strict=True))
+        row |= {"runs": len(group), "answered": len(ok)}
+        row["refusals"] = ", ".join(f"{status} {n}" for status, n in refused.items())
+        for error in ERRORS:
+            row |= {f"{error}_{name}": value for name, value in _of_error(ok[error]).items()}
+        rows.append(row)
+    table: pd.DataFrame = pd.DataFrame(rows)
+    return table
 
 
-def _lines(path: Path) -> list[str]:
-    try:
-        lines = path.read_bytes().decode("utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise SsacError(f"{path}: cannot be read ({error}): run this shard again") from error
-    if not lines:
-        raise SsacError(f"{path}: is empty: run this shard again")
-    return lines
+def _of_error(column: "pd.Series[Any]") -> dict[str, float]:
+    """Mean of an error with its interval, and the median."""
+    values = column.dropna().to_numpy(np.float64)
+    n = len(values)
+    if n == 0:
+        return dict.fromkeys(("mean", "low", "high", "median"), np.nan)
+    mean, half = float(np.mean(values)), np.nan
+    if n > 1:
+        deviation = float(np.std(values, ddof=1)) / np.sqrt(n)
+        half = float(student.ppf(0.5 + 0.5 * LEVEL, n - 1)) * deviation
+    return {"mean": mean, "low": mean - half, "high": mean + half, "median": np.median(values)}
 
 
-def _number(line: str, path: Path) -> int:
-    first = line.partition(",")[0]
-    if not (first.isascii() and first.isdecimal()):
-        raise SsacError(
-            f"{path}: a row begins with {first[:40]!r}, no cell's number: run this shard again"
-        )
-    return int(first)
+def points_figure(points: pd.DataFrame, varied: Sequence[str]) -> "Figure":
+    """Draw the mean errors with their intervals against the first number that varies."""
+    from matplotlib.figure import Figure
 
+    from experiments.drawing.style import WIDTH_IN, quiet_axes
 
-def _study_of(provenance: dict[str, Any]) -> Study | None:
-    """Look up the study that shards are of; None of a sweep."""
-    name = provenance["config"].get("study")
-    if name is None:
-        return None
-    if name not in STUDIES:
-        raise SsacError(f"the shards are of the study {name!r}, which is none of this version")
-    return STUDIES[name]
-
-
-def _n_cells(provenance: dict[str, Any]) -> int:
-    study = _study_of(provenance)
-    if study is not None:
-        return len(study.cells())
-    config = provenance["config"]
-    return len(grid_from_content(config["name"], config["grid"]).cells())
-
-
-def _read_provenance(path: Path) -> dict[str, Any]:
-    beside = path.with_suffix(".provenance.json")
-    try:
-        content: dict[str, Any] = json.loads(beside.read_text(encoding="utf-8"))
-        content["config"]["shard"]
-        if not isinstance(content["config"], dict):
-            raise TypeError("config is no table")
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise SsacError(
-            f"{path}: expected {beside.name} beside it, as ssac sweep and ssac study write it, to "
-            f"know what it is part of ({error})"
-        ) from error
-    return content
+    drawn = [error for error in ERRORS if points[f"{error}_mean"].notna().any()] or [*ERRORS][:1]
+    numbers = [name for name in varied if pd.api.types.is_numeric_dtype(points[name])]
+    x = numbers[0] if numbers else "method"
+    others = [name for name in (*varied, "method") if name != x]
+    figure = Figure(figsize=(WIDTH_IN, 3.8), layout="constrained")
+    for axes, error in zip(figure.subplots(1, len(drawn), squeeze=False)[0], drawn, strict=True):
+        for point, line in points.groupby(others, sort=False, dropna=False):
+            if numbers:
+                line = line.sort_values(x)
+            mean = line[f"{error}_mean"]
+            below, above = mean - line[f"{error}_low"], line[f"{error}_high"] - mean
+            names = ", ".join(str(value) for value in point)
+            axes.errorbar(
+                line[x].to_numpy(), mean.to_numpy(), np.nan_to_num([below, above]),
+                marker="o", ms=4, lw=1.2, elinewidth=0.9, label=names,
+            )  # fmt: skip
+        quiet_axes(axes)
+        axes.set_ylim(bottom=0.0)
+        axes.set_xlabel(x, fontsize=9)
+        axes.set_title(ERRORS[error].label, fontsize=10)
+    handles, labels = figure.axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=8, frameon=False)
+    return figure

@@ -12,7 +12,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from experiments.drawing.style import WIDTH_IN, method_looks, quiet_axes
-from experiments.lab.study import Study
+from experiments.lab.study import summed_study
 from experiments.measures.tangency import VARIANT, VariantCell
 from experiments.paper.grids import ANGLES_DEG, drawn
 from experiments.paper.quantities import ERRORS, R_ERROR, T_D_ERROR
@@ -134,7 +134,7 @@ def study_figure(means: pd.DataFrame) -> Figure:
     return figure
 
 
-TANGENCY = Study(
+TANGENCY = summed_study(
     "tangency",
     "Variants of the method tangency",
     variant_cells,
@@ -145,3 +145,5 @@ TANGENCY = Study(
     config={"n_flights": N_FLIGHTS, "first_flight": FIRST_FLIGHT, "duration_s": DURATION_S,
             "angles_deg": ANGLES_DEG, "t_d_s": T_D_S},
 )  # fmt: skip
+
+STUDIES = (TANGENCY,)

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import pandas as pd
 
-from experiments.lab.study import Study
+from experiments.lab.study import summed_study
 from experiments.measures.zncc import (
     MODELLED,
     MODELLED_SIGNALS,
@@ -98,7 +98,7 @@ def signal_means(runs: pd.DataFrame) -> pd.DataFrame:
     return result
 
 
-ZNCC = Study(
+ZNCC = summed_study(
     "zncc",
     "What the signals of two views share",
     signal_cells,
@@ -108,3 +108,5 @@ ZNCC = Study(
     config={"scenes": SCENES, "first_flight": FIRST_FLIGHT, "n_rendered": N_RENDERED,
             "n_modelled": N_MODELLED},
 )  # fmt: skip
+
+STUDIES = (ZNCC,)

@@ -14,22 +14,10 @@ import pytest
 from experiments import cli
 from sim.errors import SimError
 
-# A command that shares its module with another, or the module with the callable it runs.
-ELSEWHERE = {
-    "merge": "sweep", "study": "command", "ablate": "command",
-    "torture": "command", "track": "convert", "import": "convert",
-    "real": "real_command", "network": "network_command",
-    "outdoor": "outdoor_command",
-    "physical": "physical_command",
-}  # fmt: skip
-
 
 @pytest.mark.parametrize("entry", cli.COMMANDS, ids=lambda entry: entry.name)
-def test_every_command_is_where_its_name_says(entry):
-    function = getattr(import_module(entry.module), entry.function)
-    assert inspect.getdoc(function)
-    assert entry.module.rpartition(".")[2] == ELSEWHERE.get(entry.name, entry.name)
-    assert entry.function == f"{entry.name.replace('-', '_')}_command"
+def test_every_command_is_where_the_table_says(entry):
+    assert inspect.getdoc(getattr(import_module(entry.module), entry.function))
 
 
 def test_use_comes_before_reproduce_and_every_name_once():

@@ -28,7 +28,7 @@ from experiments.damage.reliability import (
     silent_share,
 )
 from experiments.lab.cache import Cache
-from experiments.lab.results import Committed
+from experiments.lab.results import Results
 from experiments.quoted.tables import TABLES
 from ssac.errors import SsacError
 
@@ -140,10 +140,10 @@ def test_the_committed_table_is_held_against_the_campaign_and_its_marks(tmp_path
 
 def test_the_page_shows_the_committed_table_and_nothing_where_there_is_none(tmp_path):
     show = TABLES["table.reliability"]
-    assert show(Committed(tmp_path)) == ""
+    assert show(Results(tmp_path)) == ""
     cases = [Case("es", name, k, name, "") for k, name in enumerate(OUTCOMES)]
     reliability_table(cases).to_csv(tmp_path / CSV_FILE, index=False)
-    rows = show(Committed(tmp_path)).splitlines()
+    rows = show(Results(tmp_path)).splitlines()
     n_good = len(OUTCOMES) - len(BAD) - 1  # "right" is shown no more
     assert [word.strip() for word in rows[-1].split("|")[1:-1]] == [
         "all",

@@ -8,8 +8,7 @@ from functools import partial
 from pathlib import Path
 
 from experiments.lab.lock import claimed
-from experiments.lab.pool import Crew, Ended
-from experiments.lab.processes import Processes
+from experiments.lab.pool import Ended, Pool, Processes
 
 
 def square(number: int) -> int:
@@ -82,20 +81,20 @@ def hold(path: Path) -> None:
         time.sleep(1e6)
 
 
-def work_off(crew: Crew, jobs: list) -> dict[int, Ended]:
-    """Have a crew do jobs, each one once."""
+def work_off(pool: Pool, jobs: list) -> dict[int, Ended]:
+    """Have a pool do jobs, each one once."""
     found, ready = {}, list(enumerate(jobs))
     while len(found) < len(jobs):
-        while ready and crew.has_room():
-            crew.give(*ready.pop(0))
-        found |= {one.number: one for one in crew.ended(None)}
+        while ready and pool.has_room():
+            pool.give(*ready.pop(0))
+        found |= {one.number: one for one in pool.ended(None)}
     return found
 
 
 def main() -> None:
     """Keep two workers busy: what a process does that is then killed."""
-    with Processes(2) as crew:
-        work_off(crew, [partial(wait_for_ever, number) for number in range(2)])
+    with Processes(2) as pool:
+        work_off(pool, [partial(wait_for_ever, number) for number in range(2)])
 
 
 if __name__ == "__main__":

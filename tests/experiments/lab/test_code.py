@@ -176,5 +176,5 @@ def test_all_code_that_a_run_calls_is_in_its_key(
     }
     assert {"ssac.methods.tangency", "experiments.lab.score", "ssac.track.denoise"} <= ours
     # What names and keeps the entries is no part of them.
-    keeping = {"experiments.lab.code"}
+    keeping = {f"experiments.lab.{name}" for name in ("code", "pool", "task")}
     assert ours - keeping - SourceTree().closure(*SCORED.code) == set()

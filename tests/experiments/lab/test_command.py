@@ -7,9 +7,9 @@ import pytest
 import typer
 
 from experiments.lab.cache import Cache
+from experiments.lab.cell import CRASHED
 from experiments.lab.command import chosen_parts, drawn_by, finish, other_than_default
 from experiments.lab.schedule import Outcome
-from experiments.lab.task import CRASHED
 from experiments.paper.grids import table_cells
 from sim.errors import SimError
 from sim.render.config import RENDERERS

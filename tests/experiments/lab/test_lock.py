@@ -13,7 +13,7 @@ import pytest
 
 from experiments.lab import lock as claim
 from experiments.lab.lock import LAPSES_S, claimed, remove_lapsed
-from experiments.lab.processes import Processes
+from experiments.lab.pool import Processes
 from tests.experiments.lab import jobs
 from tests.experiments.lab.jobs import work_off
 from tests.left_over import ELSEWHERE, let_lie, made_by
@@ -49,8 +49,8 @@ def test_one_holds_it_at_a_time_and_gives_it_back(path):
 
 def test_two_processes_share_what_is_to_be_made(tmp_path):
     names = [f"file{number}" for number in range(40)]
-    with Processes(2) as crew:
-        found = work_off(crew, [partial(jobs.make_each_once, tmp_path, names)] * 2)
+    with Processes(2) as pool:
+        found = work_off(pool, [partial(jobs.make_each_once, tmp_path, names)] * 2)
     assert [one.error for one in found.values()] == [None, None]
     assert sorted((tmp_path / "log").read_text().split()) == sorted(names)
     assert {path.name for path in tmp_path.iterdir()} == {"log", *names}

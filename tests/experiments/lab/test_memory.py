@@ -8,7 +8,7 @@ import pytest
 
 _FAULTS = """
 import resource, numpy as np
-from experiments.lab.memory import keep_freed_memory
+from experiments.lab.pool import keep_freed_memory
 {call}
 n_faults = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_minflt
 fill = lambda: np.ones(1 << 21)

@@ -13,10 +13,11 @@ import pytest
 
 from experiments.lab import schedule, task
 from experiments.lab.cache import Cache
+from experiments.lab.cell import CRASHED, Measure
 from experiments.lab.lock import claimed
 from experiments.lab.pool import Alone, DiedError, Ended, done
 from experiments.lab.schedule import MAX_DEATHS, Workers, run_cells
-from experiments.lab.task import CRASHED, Measure, Task, recordings_key
+from experiments.lab.task import Task, recordings_key
 from sim.recording import SimConfig
 from tests.left_over import ended_process, made_by
 
@@ -74,7 +75,7 @@ def no_gl(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 class Mortal:
-    """A crew of two that does its jobs here, and whose workers die when it is told."""
+    """A pool of two that does its jobs here, and whose workers die when it is told."""
 
     def __init__(self, deaths: dict[int, int]) -> None:
         self.deaths = dict(deaths)  # how often a job kills its worker
@@ -116,13 +117,13 @@ EXPECTED = [number**power for power in (1, 2) for number in NUMBERS]
 
 
 def test_a_worker_that_dies_once_costs_its_task_nothing_but_time(tmp_path, monkeypatch, capsys):
-    crew = Mortal({1: 1, 4: 1})
-    monkeypatch.setattr(schedule, "_crew", lambda *_: crew)
+    pool = Mortal({1: 1, 4: 1})
+    monkeypatch.setattr(schedule, "_pool", lambda *_: pool)
     outcome = run(tmp_path)
     assert values(outcome) == EXPECTED
     assert (outcome.n_deaths, outcome.n_crashed) == (2, 0)
-    assert sorted(crew.given) == sorted([*NUMBERS, 1, 4])
-    assert crew.given[:2] == [0, 1]
+    assert sorted(pool.given) == sorted([*NUMBERS, 1, 4])
+    assert pool.given[:2] == [0, 1]
     said = capsys.readouterr().err
     assert said.count("run again by a new one") == 2
     assert "a worker ended by SIGKILL on the flight of 20 s at 90 deg with seed 1" in said
@@ -131,10 +132,10 @@ def test_a_worker_that_dies_once_costs_its_task_nothing_but_time(tmp_path, monke
 def test_a_task_that_kills_all_its_workers_is_a_crash_and_the_others_go_on(
     tmp_path, monkeypatch, capsys
 ):
-    crew = Mortal({2: 100})
-    monkeypatch.setattr(schedule, "_crew", lambda *_: crew)
+    pool = Mortal({2: 100})
+    monkeypatch.setattr(schedule, "_pool", lambda *_: pool)
     outcome = run(tmp_path)
-    assert crew.given.count(2) == MAX_DEATHS
+    assert pool.given.count(2) == MAX_DEATHS
     runs = outcome.runs
     crashed = runs[runs["number"] == 2]
     assert (crashed["status"] == CRASHED).all()
@@ -144,7 +145,7 @@ def test_a_task_that_kills_all_its_workers_is_a_crash_and_the_others_go_on(
     assert outcome.n_deaths == MAX_DEATHS
     assert "given up" in capsys.readouterr().err
     # It is not kept: the next run tries it again, and nothing else.
-    monkeypatch.setattr(schedule, "_crew", lambda *_: Alone())
+    monkeypatch.setattr(schedule, "_pool", lambda *_: Alone())
     LOADED.clear()
     assert values(run(tmp_path)) == EXPECTED
     assert LOADED == [2]
@@ -198,7 +199,7 @@ def test_what_killed_runs_left_is_removed(tmp_path):
 
 
 def test_one_process_is_this_one_and_nothing_to_do_needs_none():
-    assert isinstance(schedule._crew(Workers(1), 5), Alone)
-    assert isinstance(schedule._crew(Workers(scheduler="tcp://127.0.0.1:9"), 0), Alone)
+    assert isinstance(schedule._pool(Workers(1), 5), Alone)
+    assert isinstance(schedule._pool(Workers(scheduler="tcp://127.0.0.1:9"), 0), Alone)
     # One task may take its worker down, but not this process with it.
-    assert not isinstance(schedule._crew(Workers(2), 1), Alone)
+    assert not isinstance(schedule._pool(Workers(2), 1), Alone)

@@ -7,16 +7,16 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from experiments.lab.again import row_faults
+from experiments.lab.cell import CRASHED
 from experiments.lab.files import save_csv
 from experiments.lab.recorded import Pair
-from experiments.lab.results import Committed
-from experiments.lab.task import CRASHED
+from experiments.lab.results import Results
 from experiments.marks.kinds import CLUTTER, FILMED, KINDS, UNSTATED, Kind, Mark
 from experiments.marks.measure import Flown, MarkCell, MarkRow, ends_of, marked_pair, marked_row
-from experiments.marks.table import FLIGHTS, flights_of, mark_cells, marks_table
+from experiments.marks.table import FLIGHTS, STUDIES, flights_of, mark_cells, marks_table
 from experiments.measures.imperfect_kinds import T_D_S
 from experiments.quoted.marks import MARK_NUMBERS, MARK_TABLES
-from experiments.verify.recompute import row_faults
 from sim.recording import SimConfig
 from ssac.estimate import Estimate
 from tests.experiments.synthetic_flight import DURATION_S, SCENE, flown
@@ -156,7 +156,7 @@ def test_the_table_counts_what_reaches_its_mark_and_what_holds() -> None:
 
 def test_the_pages_show_each_kind_beside_its_mark(tmp_path: Path) -> None:
     save_csv(tmp_path / "marks.csv", marks_table(runs()))
-    results, shown = Committed(tmp_path), []
+    results, shown = Results(tmp_path), []
     for name, table in MARK_TABLES.items():
         header, _, *body = (
             [cell.strip() for cell in line.strip("|").split("|")]
@@ -185,6 +185,10 @@ def test_a_mark_asks_for_something(mark: Mark) -> None:
 def test_another_time_is_no_other_run() -> None:
     """What a run took is measured, so that making it again gives another number."""
     committed = pd.DataFrame([{"cell": "0", "status": "ok", "reason": "", "cpu_s": "1.5"}])
-    assert row_faults(committed.assign(cpu_s="2.5"), committed, ("cell",), ()) == ()
-    other = row_faults(committed.assign(status="no_match"), committed, ("cell",), ())
+    assert (
+        row_faults(committed.assign(cpu_s="2.5"), committed, ("cell",), (), STUDIES[0].runs) == ()
+    )
+    other = row_faults(
+        committed.assign(status="no_match"), committed, ("cell",), (), STUDIES[0].runs
+    )
     assert len(other) == 1

@@ -13,7 +13,7 @@ from experiments.lab.cache import Cache
 from experiments.lab.files import csv_text
 from experiments.lab.schedule import Workers, run_cells
 from experiments.physical.budget import budget_figure, budget_table
-from experiments.physical.catalogue import PHYSICAL_STUDIES
+from experiments.physical.catalogue import STUDIES
 from experiments.physical.cells import cells_of, motion_seed, setup_seed
 from experiments.physical.imperfections import ANGLES_DEG, KINDS, NONE, bench_of, only
 from experiments.physical.latency import RATIOS, latency_cells, latency_figure, latency_table
@@ -74,7 +74,7 @@ def test_the_tables_share_recordings_among_offsets_and_set_ups_among_recordings(
 def test_seeds_of_tables_budget_and_latency_are_their_own() -> None:
     seeds = [
         {cell.seed for cell in study.cells()}  # type: ignore[attr-defined]
-        for study in PHYSICAL_STUDIES.values()
+        for study in STUDIES
     ]
     assert sum(map(len, seeds)) == len(set().union(*seeds))
 

@@ -2,7 +2,7 @@
 
 import pandas as pd
 
-from experiments.lab.results import Committed
+from experiments.lab.results import Results
 from experiments.network.four import camera_cells, camera_table
 from experiments.network.long_flights import COLUMNS
 from experiments.network.measure import CameraRow
@@ -11,7 +11,7 @@ from experiments.quoted.campaigns import CAMPAIGN_TABLES
 
 def test_campaigns_that_were_not_run_leave_no_table(tmp_path) -> None:
     for table in CAMPAIGN_TABLES.values():
-        assert table(Committed(tmp_path)) == ""
+        assert table(Results(tmp_path)) == ""
 
 
 def test_outdoors_is_counted_what_held(tmp_path) -> None:
@@ -23,7 +23,7 @@ def test_outdoors_is_counted_what_held(tmp_path) -> None:
     pd.DataFrame([{"kind": "as_recorded"} | each for each in rows]).to_csv(
         tmp_path / "outdoor.csv", index=False
     )
-    line = CAMPAIGN_TABLES["table.outdoor"](Committed(tmp_path)).splitlines()[-1]
+    line = CAMPAIGN_TABLES["table.outdoor"](Results(tmp_path)).splitlines()[-1]
     cells = [cell.strip() for cell in line.split("|")]
     assert cells[1:4] == ["as recorded", "2 of 3", "2.000"]
     assert "1, 2" in cells  # 3 ms are no 1.96 deviations of 1 ms
@@ -37,7 +37,7 @@ def test_four_cameras_are_told_with_the_largest_errors_and_what_held(tmp_path) -
         pose = {} if path else {"t_d_error_ms": 0.1 * cell.camera, "t_d_normalised": 1.0}
         rows.append({**cell.columns, **vars(CameraRow("ok", **path, **pose))})
     camera_table(pd.DataFrame(rows)).to_csv(tmp_path / "network.csv", index=False)
-    lines = CAMPAIGN_TABLES["table.network"](Committed(tmp_path)).strip().splitlines()
+    lines = CAMPAIGN_TABLES["table.network"](Results(tmp_path)).strip().splitlines()
     assert len(lines) == 4
     assert "as recorded" in lines[2]
     assert "0.300 (0.400)" in lines[2]  # of 0.2, 0.3 and 0.4 ms
@@ -51,7 +51,7 @@ def test_growth_has_a_line_for_each_flight(tmp_path) -> None:
     values = [150.0, 8, 72000, 60.4, 59.0, 40.0, 20.0, 445.0, "ok", 0.2058, 0.003583]
     table = pd.DataFrame([values, [300.0, *values[1:]]], columns=COLUMNS)
     table.to_csv(tmp_path / "network_growth.csv", index=False)
-    lines = CAMPAIGN_TABLES["table.network.growth"](Committed(tmp_path)).strip().splitlines()
+    lines = CAMPAIGN_TABLES["table.network.growth"](Results(tmp_path)).strip().splitlines()
     cells = [[cell.strip() for cell in line.split("|")[1:-1]] for line in lines[2:]]
     rest = ["72000", "60", "59", "40", "20", "445", "0.21", "0.0036"]
     assert cells == [["150", *rest], ["300", *rest]]

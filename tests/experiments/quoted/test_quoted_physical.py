@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from experiments.lab.results import Committed
+from experiments.lab.results import Results
 from experiments.physical.budget import METHOD_NAMES
 from experiments.quoted.physical import PHYSICAL_TABLES
 
@@ -34,7 +34,7 @@ def test_tables_beside_the_papers_have_its_means_ours_and_the_verdicts(tmp_path:
     for duration_s in (10, 20):
         table = pd.DataFrame([{"angle_deg": 43.14, "t_d_ms": t_d, **row} for t_d in (5, 50)])
         table.to_csv(tmp_path / f"mini_{duration_s}.csv", index=False)
-    results = Committed(tmp_path)
+    results = Results(tmp_path)
     expected = ["10", "43.14", "1.5 / 1.5 / 1.5", "0.50 / 0.60 / 0.70", "0.30 / 0.40 / 0.50",
                 "0.10 / 0.30 / 0.40"]  # fmt: skip
     assert cells_of(PHYSICAL_TABLES["table.mini"](results), 2) == expected
@@ -56,7 +56,7 @@ def test_intervals_are_counted_once_for_each_recording_that_was_answered(tmp_pat
     )  # fmt: skip
     for duration_s in (10, 20):
         runs.to_csv(tmp_path / f"mini_{duration_s}_runs.csv", index=False)
-    table = PHYSICAL_TABLES["table.mini.held"](Committed(tmp_path))
+    table = PHYSICAL_TABLES["table.mini.held"](Results(tmp_path))
     assert cells_of(table, 2) == ["10", "`joint`", "2 of 3", "50", "2.0", "1.0"]
     assert len(table.splitlines()) == 2 + 4
 
@@ -71,7 +71,7 @@ def test_the_budget_has_what_each_adds_alone_and_what_its_lack_spares(tmp_path: 
         for method in METHOD_NAMES
     ]  # fmt: skip
     pd.DataFrame(rows).to_csv(tmp_path / "error_budget.csv", index=False)
-    results = Committed(tmp_path)
+    results = Results(tmp_path)
     table = PHYSICAL_TABLES["table.budget.R"](results)
     assert cells_of(table, 2) == ["nothing", *["0.20", "2.0"] * 3]  # means of both angles
     assert cells_of(table, 3) == ["light", *["0.40", "1.6"] * 3]
@@ -89,5 +89,5 @@ def test_a_ratio_of_lights_shows_its_offsets_by_polarity(tmp_path: Path) -> None
             for polarity, offset_ms in (("both", 0.3), ("on", 0.2), ("off", 0.4))
         ]
     ).to_csv(tmp_path / "light_latency.csv", index=False)  # fmt: skip
-    table = PHYSICAL_TABLES["table.latency"](Committed(tmp_path))
+    table = PHYSICAL_TABLES["table.latency"](Results(tmp_path))
     assert cells_of(table, 2) == ["0.5", "0.30", "0.20", "0.40", "0.050", "0.01", "4 of 5"]

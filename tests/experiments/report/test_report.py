@@ -19,7 +19,7 @@ from experiments.report.animation import Animation, make_animation
 from experiments.report.data import Results, load_results
 from experiments.report.report import report_command, report_page
 from experiments.report.tables import mean_and_std, number
-from experiments.studies.catalogue import ABLATIONS
+from experiments.studies.ablations import ABLATIONS
 from ssac.errors import SsacError
 from tests.experiments.reported import METHODS, made_up_runs, write_results
 

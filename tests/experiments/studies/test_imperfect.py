@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from experiments.lab.files import save_csv
-from experiments.lab.results import Committed
+from experiments.lab.results import Results
 from experiments.measures.imperfect import ImperfectRow
 from experiments.measures.imperfect_kinds import KINDS
 from experiments.quoted.real import REAL_TABLES
@@ -81,12 +81,12 @@ def test_the_table_counts_what_held_and_what_was_wrong() -> None:
 
 def test_the_docs_show_all_kinds_and_of_each_two_methods(tmp_path: Path) -> None:
     save_csv(tmp_path / "imperfect.csv", imperfect_table(RUNS))
-    together = cells_of(REAL_TABLES["table.imperfect"](Committed(tmp_path)))
+    together = cells_of(REAL_TABLES["table.imperfect"](Results(tmp_path)))
     quantities = ["t_d", "skew", "R", "t"]
     shares = [f"{name} [%]" for name in quantities]
     assert together[0] == ["method", "answered", *shares, "confident wrong"]
     assert together[2][:3] == ["`joint`", "3 of 4", "67 (9 to 99)"]
-    kinds = cells_of(REAL_TABLES["table.imperfect.kinds"](Committed(tmp_path)))
+    kinds = cells_of(REAL_TABLES["table.imperfect.kinds"](Results(tmp_path)))
     assert kinds[0] == ["kind", "method", "answered", "refused", *quantities, "wrong"]
     (lamp,) = [row for row in kinds if row[0] == "lamp 6 px"]
     assert lamp[3:] == ["no match 1", "67", "100", "50", "50", "1"]

@@ -13,9 +13,9 @@ import pandas as pd
 import pytest
 
 from experiments.lab.cache import Cache
+from experiments.lab.cell import CRASHED
 from experiments.lab.grid import load_config
 from experiments.lab.schedule import Workers, run_cells
-from experiments.lab.task import CRASHED
 from ssac.cli.exits import BUG, INTERRUPTED
 from ssac.errors import SsacError
 from tests.experiments.sweep.tiny import ROOT, TOML, started, sweep, swept, without_runs
@@ -111,22 +111,22 @@ def test_a_dask_worker_that_is_killed_changes_no_byte(folder, plugin, mortal, sc
 def test_a_scheduler_that_loses_all_workers_is_one_line(folder, plugin, scheduler, monkeypatch):
     from experiments.lab import cluster
 
-    with cluster.Cluster(scheduler) as crew:
+    with cluster.Cluster(scheduler) as pool:
         monkeypatch.setattr(cluster, "WAIT_FOR_WORKERS_S", 0.2)
         monkeypatch.setattr(cluster, "_LOOK_S", 0.1)
-        crew.give(0, partial(os._exit, 3))  # first one dies of it, then the other
+        pool.give(0, partial(os._exit, 3))  # first one dies of it, then the other
         with pytest.raises(SsacError, match="has no workers any more: what is done is in the"):
-            crew.ended(None)
+            pool.ended(None)
 
 
 def test_a_scheduler_that_is_killed_is_one_line(folder, plugin, scheduler, capfd):
     from experiments.lab import cluster
 
-    with cluster.Cluster(scheduler) as crew:
-        crew.give(0, partial(time.sleep, 600))
-        os.kill(crew._client.run_on_scheduler(os.getpid), signal.SIGKILL)
+    with cluster.Cluster(scheduler) as pool:
+        pool.give(0, partial(time.sleep, 600))
+        os.kill(pool._client.run_on_scheduler(os.getpid), signal.SIGKILL)
         with pytest.raises(SsacError, match="is gone: what is done is in the cache"):
-            crew.ended(None)
+            pool.ended(None)
     assert capfd.readouterr().err == ""
 
 

@@ -14,9 +14,10 @@ import pytest
 import yaml
 
 import ssac.pipeline.registry
+from experiments.lab.cell import CRASHED
 from experiments.lab.grid import Cell
 from experiments.lab.scored import SCORED, scored_row
-from experiments.lab.task import CRASHED, refusal
+from experiments.lab.task import refusal
 from experiments.paper.esim import esim_table, runs_of_grid
 from sim.recording import SimConfig
 from ssac.config import Config

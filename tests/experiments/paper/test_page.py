@@ -1,24 +1,18 @@
-import json
 import re
-from io import StringIO
 
 import numpy as np
 import pandas as pd
 import pytest
 
 from experiments.lab.markdown import markdown_table, means_with_stds, number, paragraph
-from experiments.paper.comparison import comparison_table, load_published
-from experiments.paper.esim import esim_table, esim_tables, runs_from_csv
-from experiments.paper.page import results_page
-from experiments.paper.results import (
-    COMPARISON_FILE,
-    PAGE_FILE,
-    RUNS_FILE,
-    SUMMARY_FILE,
-    compared_runs,
-    derived,
-    save_results,
+from experiments.paper.comparison import (
+    PUBLISHED_RUNS,
+    comparison_table,
+    load_published,
+    summary_table,
 )
+from experiments.paper.esim import esim_table, esim_tables
+from experiments.paper.page import results_page
 from tests.experiments.reported import made_up_runs
 
 PROVENANCE = {
@@ -36,11 +30,14 @@ def runs() -> pd.DataFrame:
     return made_up_runs()
 
 
+def compared_runs(runs: pd.DataFrame, tables) -> pd.DataFrame:
+    first = esim_tables(runs[runs["flight"] < PUBLISHED_RUNS])
+    return comparison_table(tables, load_published(), first=first)
+
+
 @pytest.fixture(scope="module")
-def files(runs, tmp_path_factory) -> dict[str, str]:
-    folder = tmp_path_factory.mktemp("results") / "new"
-    save_results(runs, folder, PROVENANCE)
-    return {path.name: path.read_bytes().decode() for path in folder.iterdir()}
+def page(runs) -> str:
+    return page_of(runs)
 
 
 def page_of(runs: pd.DataFrame) -> str:
@@ -55,27 +52,10 @@ def rows_of(page: str, heading: str) -> list[list[str]]:
     return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
 
 
-def test_all_files_are_written(files):
-    tables = {"esim_10.csv", "esim_20.csv"}
-    assert set(files) == {RUNS_FILE, COMPARISON_FILE, SUMMARY_FILE, PAGE_FILE} | tables
-
-
-def test_all_files_follow_from_the_text_of_the_runs(files):
-    # The provenance too as it is read from its file.
-    made = derived(files[RUNS_FILE], json.loads(json.dumps(PROVENANCE)))
-    assert made == {name: text for name, text in files.items() if name != RUNS_FILE}
-
-
-def test_the_order_of_the_runs_changes_no_byte(runs, files, tmp_path):
-    save_results(runs.sample(frac=1.0, random_state=2), tmp_path, PROVENANCE)
-    assert {path.name: path.read_bytes().decode() for path in tmp_path.iterdir()} == files
-
-
-def test_every_mean_of_the_tables_is_on_the_page(files):
-    runs = runs_from_csv(files[RUNS_FILE])
+def test_every_mean_of_the_tables_is_on_the_page(runs, page):
     for duration_s in (10.0, 20.0):
         table = esim_table(runs, duration_s)
-        rows = rows_of(files[PAGE_FILE], f"Flights of {duration_s:g} s")
+        rows = rows_of(page, f"Flights of {duration_s:g} s")
         shown = {float(cell.split(" ± ")[0]) for row in rows for cell in row if " ± " in cell}
         means = [column for column in table if column.endswith("_mean")]
         assert len(means) > 10
@@ -84,21 +64,20 @@ def test_every_mean_of_the_tables_is_on_the_page(files):
             assert any(round(float(value), n) in shown for n in (1, 2, 3)), value
 
 
-def test_verdicts_on_the_page_are_those_of_the_comparison(files):
-    comparison = pd.read_csv(StringIO(files[COMPARISON_FILE]))
-    page = files[PAGE_FILE]
+def test_verdicts_on_the_page_are_those_of_the_comparison(runs, page):
+    comparison = compared_runs(runs, esim_tables(runs))
     rows = rows_of(page, "Flights of 10 s") + rows_of(page, "Flights of 20 s")
     for word in ("agrees", "better", "differs"):
         assert sum(row.count(word) for row in rows) == (comparison["verdict"] == word).sum()
     listed = rows_of(page, "Cells that differ")
     differing = comparison[comparison["verdict"] == "differs"]
     assert len(listed) - 2 == len(differing) > 0
-    assert [row[-1] for row in listed[2:]] == list(differing["note"].fillna("not known"))
+    assert [row[-1] for row in listed[2:]] == [note or "not known" for note in differing["note"]]
 
 
-def test_further_flights_have_a_section_that_lists_every_changed_verdict(files):
+def test_further_flights_have_a_section_that_lists_every_changed_verdict(page):
     heading = "What our further flights tell"
-    assert heading not in files[PAGE_FILE]
+    assert heading not in page
     runs = made_up_runs(("ssac", "zncc_e"), 14)
     comparison = compared_runs(runs, esim_tables(runs))
     changed = comparison[comparison["verdict"] != comparison["first_verdict"]]
@@ -114,10 +93,10 @@ def test_further_flights_have_a_section_that_lists_every_changed_verdict(files):
     np.testing.assert_array_equal(comparison["first_mean"], alone["ours_mean"])
 
 
-def test_the_mark_of_the_ratio_counts_each_error_of_ssac_in_each_table(files):
-    summary = pd.read_csv(StringIO(files[SUMMARY_FILE]))
+def test_the_mark_of_the_ratio_counts_each_error_of_ssac_in_each_table(runs, page):
+    summary = summary_table(compared_runs(runs, esim_tables(runs)))
     ratios = summary.loc[summary["quantity"].str.startswith("ssac"), "ratio"]
-    text = " ".join(files[PAGE_FILE].split())
+    text = " ".join(page.split())
     assert f"over the cells of a table at most 1: {(ratios <= 1).sum()} of 6 (t_d " in text
 
 
@@ -143,14 +122,14 @@ def test_runs_without_an_estimate_are_counted(runs):
     assert "\n0 of 600.\n" in page_of(none)
 
 
-def test_marks_of_tangency_appear_with_its_runs(runs, files):
+def test_marks_of_tangency_appear_with_its_runs(runs, page):
     without = runs[runs["method"] != "tangency"].reset_index(drop=True)
-    assert "`tangency`, mean" in files[PAGE_FILE]
+    assert "`tangency`, mean" in page
     assert "`tangency`, mean" not in page_of(without)
     methods = ("ssac", "tangency", "zncc_e", "zncc_f")
-    page = page_of(made_up_runs(methods, 3).assign(t_d_error_ms=0.04, t_error_deg=0.15))
-    assert "mean t_d [ms] error at most 0.05: 30 of 30 cells; the largest is 0.040" in page
-    assert "mean t [deg] error at most 0.05: 0 of 30 cells; the largest is 0.150" in page
+    of_marks = page_of(made_up_runs(methods, 3).assign(t_d_error_ms=0.04, t_error_deg=0.15))
+    assert "mean t_d [ms] error at most 0.05: 30 of 30 cells; the largest is 0.040" in of_marks
+    assert "mean t [deg] error at most 0.05: 0 of 30 cells; the largest is 0.150" in of_marks
 
 
 @pytest.mark.parametrize(("low", "high", "met"), [(20.0, 500.0, "yes"), (200.0, 500.0, "no"),
@@ -165,14 +144,14 @@ def test_growth_of_the_correlation_methods(runs, low, high, met):
     assert ours[0][3] == f"{low:.0f}"
 
 
-def test_the_page_says_how_it_was_made(files):
-    text = " ".join(files[PAGE_FILE].split())
+def test_the_page_says_how_it_was_made(page):
+    text = " ".join(page.split())
     assert "`ssac tables` at commit 0123456789ab in 10.0 minutes (100 recordings" in text
     assert "llvmpipe, osmesa; numpy 2.2.6" in text
 
 
-def test_the_page_says_which_flights_are_independent(files):
-    text = " ".join(files[PAGE_FILE].split())
+def test_the_page_says_which_flights_are_independent(page):
+    text = " ".join(page.split())
     assert "Flights at each angle: 10 of 10 s and 10 of 20 s; 100 recordings in all" in text
     assert "the three offsets of an angle share its flights" in text
 
@@ -183,8 +162,8 @@ def test_a_page_without_provenance_is_still_a_page(runs):
     assert "at commit ?" in results_page(runs, tables, comparison, {"gl": None})
 
 
-def test_tables_are_aligned_as_text(files):
-    blocks = re.split(r"\n\n+", files[PAGE_FILE])
+def test_tables_are_aligned_as_text(page):
+    blocks = re.split(r"\n\n+", page)
     tables = [block.splitlines() for block in blocks if block.startswith("|")]
     assert len(tables) > 8
     for lines in tables:

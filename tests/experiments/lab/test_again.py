@@ -8,82 +8,90 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
+from experiments import commands
+from experiments.lab import again as module
 from experiments.lab import task
-from experiments.lab.finding import Finding
+from experiments.lab.again import (
+    ROUNDING,
+    Drawn,
+    compared,
+    draw,
+    measured_by,
+    recomputed,
+    row_faults,
+    rows_again,
+    sources_of,
+)
+from experiments.lab.results import Results
 from experiments.lab.schedule import Workers
-from experiments.lab.scored import SCORED
-from experiments.lab.study import CELL
-from experiments.lab.task import tasks_of
-from experiments.verify import recompute
-from experiments.verify import verify as command
-from experiments.verify.files import same_driver
-from experiments.verify.recompute import ROUNDING, recomputed, row_faults
-from experiments.verify.sample import SLOW, TABLES, Drawn, Source, draw, sources_of
+from experiments.lab.study import Runs
+from experiments.lab.task import Task, tasks_of
+from experiments.lab.verify import Finding, same_driver
+from experiments.studies import all_studies
+from sim.recording import SimConfig
+from sim.render.config import RenderConfig
 from ssac.errors import SsacError
-from tests.experiments.verify.conftest import N_FLIGHTS, NAMES, SQUARES, STUDIES
-from tests.experiments.verify.damage import (
+from ssac.pipeline.registry import OURS
+from tests.experiments.lab.damage import (
     change_a_status,
     delete,
     double_a_number,
     halve_a_number,
 )
+from tests.experiments.lab.squares import SQUARES, squared, write_squares
 
-SQUARES_SOURCE = Source("squares", SQUARES.runs_file, SQUARES.cells(), SQUARES.measure, (CELL,))
+
+@pytest.fixture
+def results(tmp_path) -> Path:
+    write_squares(tmp_path / "results")
+    return tmp_path / "results"
 
 
 # --- Drawing ---
 
 
 @pytest.fixture(scope="module")
-def sources() -> list[Source]:
-    return sources_of(STUDIES)
+def sources():
+    return sources_of(all_studies())
 
 
 def names(drawn: list[Drawn]) -> list[tuple]:
-    return [(one.source.name, one.task.recordings) for one in drawn]
+    return [(one.study.name, one.task.recordings) for one in drawn]
 
 
 def test_the_same_seed_draws_the_same_and_another_others(sources) -> None:
     assert names(draw(sources, 6, 7)) == names(draw(sources, 6, 7))
-    seen = {place for seed in range(20) for place in names(draw(sources, 6, seed))}
-    assert len(seen) > 30  # of 120 recordings: no fixed part
+    assert len({name for seed in range(8) for name in names(draw(sources, 6, seed))}) > 30
 
 
 def test_every_recording_can_be_drawn_and_none_twice(sources) -> None:
-    everything = names(draw(sources, 1000, 0))
-    assert len(everything) == len(set(everything)) == 2 * 5 * N_FLIGHTS + 1
-    assert {name for name, _ in everything} == {TABLES, "squares"}
+    tables = sources[:1]
+    everything = names(draw([*tables, SQUARES], 1000, 0))
+    assert len(everything) == len(set(everything)) == 2 * 5 * 30 + 1
+    assert {name for name, _ in everything} == {"tables", "squares"}
 
 
-def test_half_of_them_are_of_the_tables_and_slow_ones_are_left_out_unless_asked_for() -> None:
-    from experiments.studies.catalogue import STUDIES as ALL
-
-    drawn = [name for name, _ in names(draw(sources_of(ALL), 40, 1))]
-    assert drawn[::2] == [TABLES] * 20
-    assert TABLES not in drawn[1::2]
-    assert not set(SLOW) & {source.name for source in sources_of(ALL)}
-    assert set(SLOW) <= {source.name for source in sources_of(ALL, slow=True)}
-
-
-@pytest.mark.parametrize(("only", "n"), [(TABLES, 2 * 5 * N_FLIGHTS), ("squares", 1)])
-def test_all_recordings_of_the_tables_or_of_one_study_can_be_drawn(only: str, n: int) -> None:
-    drawn = names(draw(sources_of(STUDIES, only=only), 1000, 0))
-    assert len(drawn) == len(set(drawn)) == n
-    assert {name for name, _ in drawn} == {only}
+def test_half_of_them_are_of_the_tables_and_slow_ones_are_left_out_unless_asked_for(
+    sources,
+) -> None:
+    drawn = [name for name, _ in names(draw(sources, 40, 1))]
+    assert drawn[::2] == ["tables"] * 20
+    assert "tables" not in drawn[1::2]
+    slow = {study.name for study in all_studies().values() if not study.again}
+    assert "fidelity" in slow
+    assert not slow & {study.name for study in sources}
+    assert slow <= {study.name for study in sources_of(all_studies(), slow=True)}
 
 
-def test_a_source_that_is_asked_for_may_be_slow_and_must_be_there() -> None:
-    from experiments.studies.catalogue import STUDIES as ALL
-
-    (slow,) = SLOW
-    assert [source.name for source in sources_of(ALL, only=slow)] == [slow]
-    with pytest.raises(SsacError, match="--only: expected tables or a study of squares, got cubes"):
-        sources_of(STUDIES, only="cubes")
+def test_a_study_that_is_asked_for_may_be_slow_and_must_be_there() -> None:
+    assert [one.name for one in sources_of(all_studies(), only="fidelity")] == ["fidelity"]
+    with pytest.raises(SsacError, match="--only: expected a study of squares, got cubes"):
+        sources_of({"squares": SQUARES}, only="cubes")
 
 
 def test_a_drawn_recording_of_the_tables_comes_with_every_method_and_offset(sources) -> None:
     one = draw(sources, 1, 0)[0]
-    assert {cell.method for cell in one.task.cells} == set(NAMES)
+    assert {cell.method for cell in one.task.cells} == {method.name for method in OURS}
     assert {cell.t_d_s for cell in one.task.cells} == {0.005, 0.05, 0.5}
 
 
@@ -103,17 +111,17 @@ def test_runs_from_nothing_are_as_committed_and_a_damage_is_found(
     results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, damage, fault: str
 ) -> None:
     monkeypatch.setattr(task, "run_key", lambda recordings, inputs, code: f"square{inputs}")
-    drawn = [Drawn(SQUARES_SOURCE, one) for one in tasks_of(SQUARES_SOURCE.cells)]
+    drawn = draw([SQUARES], 1, 0)
 
-    def again(name: str) -> list[Finding]:
+    def made_again(name: str) -> list[Finding]:
         (tmp_path / name).mkdir()
-        return recomputed(drawn, results, tmp_path / name, Workers(1))
+        return recomputed(drawn, Results(results), tmp_path / name, Workers(1))
 
-    (same,) = again("first")
+    (same,) = made_again("first")
     assert same.faults == ()
     assert same.what.startswith("squares_runs.csv: 6 runs on the recording of number 2")
-    damage(results / SQUARES.runs_file)
-    (other,) = again("second")
+    damage(results / "squares_runs.csv")
+    (other,) = made_again("second")
     assert len(other.faults) == 1
     assert other.faults[0].startswith(fault)
 
@@ -122,17 +130,37 @@ def test_runs_from_nothing_are_as_committed_and_a_damage_is_found(
 def test_what_another_opengl_driver_drew_need_have_the_same_status_alone(
     results: Path, monkeypatch: pytest.MonkeyPatch, version: str | None, n_faults: int
 ) -> None:
-    monkeypatch.setattr(recompute, "RENDERERS_STUDY", SQUARES)
-    path = (results / SQUARES.runs_file).with_suffix(".provenance.json")
+    path = results / "squares_runs.provenance.json"
     made = json.loads(path.read_text())
-    made["gl"] |= {"backend": "another"} | ({"version": version} if version else {})
+    here = {"backend": "another", "renderer": "a", "version": "1"}
+    made["gl"] = here | ({"version": version} if version else {})
     path.write_text(json.dumps(made))
-    assert same_driver(path) == (version is None)
-    rows = SQUARES_SOURCE.rows(results)
-    double_a_number(results / SQUARES.runs_file)
-    assert len(recompute._compared(rows, SQUARES_SOURCE, results)) == n_faults
-    change_a_status(results / SQUARES.runs_file)
-    assert len(recompute._compared(rows, SQUARES_SOURCE, results)) == 1
+    monkeypatch.setattr(module, "same_driver", lambda _: version is None)
+    drawn = SimConfig(render=RenderConfig(renderer="pyrender"))
+
+    class DrawnTask(Task):
+        recordings = ((drawn, 0),)
+
+    (task_of,) = tasks_of(SQUARES.cells())
+    by_gl = DrawnTask(task_of.cells)
+    runs = pd.DataFrame([{**cell.columns, **vars(squared(cell, None))} for cell in by_gl.cells])
+    monkeypatch.setattr(module, "cells_of", lambda _: by_gl.cells)
+    rows = rows_again(SQUARES, runs, by_gl.cells)
+    double_a_number(results / "squares_runs.csv")
+    assert len(compared(rows, SQUARES, by_gl, Results(results))) == n_faults
+    change_a_status(results / "squares_runs.csv")
+    assert len(compared(rows, SQUARES, by_gl, Results(results))) == 1
+
+
+@pytest.mark.render
+def test_osmesa_and_egl_of_one_driver_draw_alike() -> None:
+    from sim.render.gl_context import open_context
+
+    here = open_context()
+    gl = {"backend": "another", "renderer": here.renderer, "version": here.version}
+    assert same_driver([{"gl": gl}])
+    assert not same_driver([{"gl": gl | {"version": "0"}}])
+    assert not same_driver([{"gl": None}])
 
 
 def row(**changes: str) -> pd.DataFrame:
@@ -144,12 +172,13 @@ def row(**changes: str) -> pd.DataFrame:
 
 
 KEYS = ("flight", "method")
-MEASURED = Source(TABLES, "runs.csv", (), SCORED, KEYS).measured
+MEASURED = measured_by(all_studies()["tables"])
+RUNS = Runs("runs.csv", KEYS)
 WORDS = "23 sample times are valid at 0.055 s, 33 % beyond, 5 deg apart: 30 are needed"
 
 
 def faults(again: pd.DataFrame, committed: pd.DataFrame) -> tuple[str, ...]:
-    return row_faults(again, committed, KEYS, MEASURED)
+    return row_faults(again, committed, KEYS, MEASURED, RUNS)
 
 
 @pytest.mark.parametrize(
@@ -184,7 +213,7 @@ def test_no_number_may_be_doubled_halved_or_negated(factor: float) -> None:
 def test_measured_are_the_numbers_of_a_row_that_are_no_counts() -> None:
     assert {"t_d_estimate_ms", "t_d_error_ms", "d_avg_px", "r_mahalanobis"} <= MEASURED
     assert not {"status", "reason", "n_samples", "n_events_cam1", "flight", "t_d_ms"} & MEASURED
-    assert SQUARES_SOURCE.measured == {"square"}
+    assert measured_by(SQUARES) == {"square"}
 
 
 @pytest.mark.parametrize(
@@ -257,7 +286,7 @@ def test_a_run_that_is_gone_or_crashes_again_is_found() -> None:
 
 
 app = typer.Typer()
-app.command()(command.verify_command)
+app.command()(commands.verify_command)
 
 
 def verify(results: Path, *options: str) -> tuple[int, str]:
@@ -271,29 +300,28 @@ def test_the_command_says_what_it_drew_and_fails_on_a_difference(
 ) -> None:
     seen = []
 
-    def again(drawn, *_: object) -> list[Finding]:
+    def made_again(drawn, *_: object) -> list[Finding]:
         seen.append(names(drawn))
         return []
 
-    monkeypatch.setattr(command, "ALL_STUDIES", STUDIES)
-    monkeypatch.setattr(command, "CAMPAIGNS", ())
-    monkeypatch.setattr(command, "recomputed", again)
+    monkeypatch.setattr(commands, "all_studies", lambda: {"squares": SQUARES})
+    monkeypatch.setattr(commands, "PUBLISHED_SHA256", {})
+    monkeypatch.setattr(commands, "recomputed", made_again)
+    (results.parent / "README.md").write_text("<!--n:squares.sum-->29<!--/n-->")
     code, output = verify(results, "--recordings", "3")
     assert code == 0, output
     assert output.endswith("all of it as committed\n")
     seed = output.partition("--sample-seed ")[2].split()[0]
     verify(results, "--recordings", "3", "--sample-seed", seed)
     assert seen[0] == seen[1]
-    verify(results, "--recordings", "3")
-    assert seen[2] != seen[0]  # by a chance of one in thousands
     _, output = verify(results, "--recordings", "300", "--only", "squares")
     assert "--recordings 300 --only squares\n" in output
     assert [name for name, _ in seen.pop()] == ["squares"]
-    (results / "esim_10.csv").unlink()
+    (results / "squares.csv").unlink()
     code, output = verify(results, "--recordings", "0")
     assert code == 1
-    assert "        - esim_10.csv\n" in output
-    assert len(seen) == 3
+    assert "        - squares.csv\n" in output
+    assert len(seen) == 2
 
 
 def test_no_folder_is_no_verdict_but_an_error(tmp_path: Path) -> None:

@@ -10,8 +10,8 @@ from experiments.lab.cache import Cache
 from experiments.lab.files import SUMS_FILE
 from experiments.lab.grid import grid_from_content
 from experiments.lab.schedule import Workers
-from experiments.studies.command import save_study
-from experiments.studies.grids import ablation_names, ablation_table, means_study
+from experiments.lab.study import save_study
+from experiments.studies.ablations import ABLATIONS, ablation_study, ablation_table
 from ssac.errors import SsacError
 
 VARIED = ("sim.angle_deg", "sim.resolution")
@@ -75,9 +75,7 @@ def test_the_order_of_flights_does_not_matter():
 def test_an_unknown_ablation_lists_the_known_ones():
     with pytest.raises(SsacError, match=r"unknown ablation 'windows': use one of .*window"):
         CliRunner().invoke(app, ["ablate", "windows"], catch_exceptions=False)
-    assert {"window", "n_min", "samples", "contrast", "noise", "size", "speed"} <= set(
-        ablation_names()
-    )
+    assert {"window", "n_min", "samples", "contrast", "noise", "size", "speed"} <= set(ABLATIONS)
 
 
 @pytest.mark.render
@@ -101,7 +99,7 @@ def test_a_real_ablation_leaves_csv_figure_and_provenance(tmp_path):
         "figure": {"x": "ssac.n_min", "label": "events", "log": True},
     }
     grid = grid_from_content("ablation_tiny", content)
-    study = means_study(grid)
+    study = ablation_study(grid)
     outcome, _ = save_study(study, tmp_path, Cache(tmp_path / "cache"), Workers(1))
     assert outcome.n_crashed == 0
     table = pd.read_csv(tmp_path / "ablation_tiny.csv")

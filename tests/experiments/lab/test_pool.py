@@ -1,4 +1,4 @@
-"""A crew of processes: those that die are replaced, and none outlives the one that started it."""
+"""Worker processes: those that die are replaced, and none outlives the one that started it."""
 
 import os
 import signal
@@ -9,19 +9,18 @@ from pathlib import Path
 
 import pytest
 
-from experiments.lab import processes
-from experiments.lab.pool import Alone, DiedError
-from experiments.lab.processes import Processes, n_cores
+from experiments.lab import pool as module
+from experiments.lab.pool import Alone, DiedError, Processes, n_cores
 from tests.experiments.lab import jobs
 from tests.experiments.lab.jobs import work_off
 
 ROOT = Path(__file__).resolve().parents[3]
 
 
-@pytest.mark.parametrize("crew", [Alone, partial(Processes, 1), partial(Processes, 2)])
-def test_every_job_ends_once_with_what_it_returned_or_raised(crew):
+@pytest.mark.parametrize("pool", [Alone, partial(Processes, 1), partial(Processes, 2)])
+def test_every_job_ends_once_with_what_it_returned_or_raised(pool):
     tasks = [partial(jobs.square, number) for number in range(5)] + [partial(jobs.faulty, 5)]
-    with crew() as workers:
+    with pool() as workers:
         found = work_off(workers, tasks)
         assert workers.ended(0.0) == []
     assert [found[number].value for number in range(5)] == [0, 1, 4, 9, 16]
@@ -33,8 +32,8 @@ def test_every_job_ends_once_with_what_it_returned_or_raised(crew):
 )
 def test_a_worker_that_dies_takes_its_own_job_and_no_other(job, how):
     tasks = [partial(job if number in (1, 4) else jobs.square, number) for number in range(8)]
-    with Processes(2) as crew:
-        found = work_off(crew, tasks)
+    with Processes(2) as pool:
+        found = work_off(pool, tasks)
         for number in range(8):
             error = found[number].error
             if number in (1, 4):
@@ -44,39 +43,39 @@ def test_a_worker_that_dies_takes_its_own_job_and_no_other(job, how):
                 assert (found[number].value, error) == (number * number, None)
         # And there still are two of them.
         for number in (0, 1):
-            assert crew.has_room()
-            crew.give(number, partial(jobs.square, number))
-        assert not crew.has_room()
+            assert pool.has_room()
+            pool.give(number, partial(jobs.square, number))
+        assert not pool.has_room()
 
 
 def test_a_worker_that_died_idle_costs_nothing():
-    with Processes(1) as crew:
-        pid = work_off(crew, [partial(jobs.who, 0)])[0].value
-        worker = next(one for one in processes._IDLE if one.process.pid == pid)
+    with Processes(1) as pool:
+        pid = work_off(pool, [partial(jobs.who, 0)])[0].value
+        worker = next(one for one in module._IDLE if one.process.pid == pid)
         os.kill(pid, signal.SIGKILL)
         worker.process.join()
-        assert work_off(crew, [partial(jobs.square, 3)])[0].value == 9
+        assert work_off(pool, [partial(jobs.square, 3)])[0].value == 9
 
 
 def test_workers_serve_one_crew_after_the_other():
     pids = []
     for _ in range(2):
-        with Processes(1) as crew:
-            pids.append(work_off(crew, [partial(jobs.who, 0)])[0].value)
+        with Processes(1) as pool:
+            pids.append(work_off(pool, [partial(jobs.who, 0)])[0].value)
     assert pids[0] == pids[1] != os.getpid()
 
 
 def test_a_crew_that_is_left_ends_what_it_was_on():
-    with Processes(1) as crew:
-        crew.give(0, partial(jobs.wait_for_ever, 0))
-        ((worker, _),) = crew._busy.values()
+    with Processes(1) as pool:
+        pool.give(0, partial(jobs.wait_for_ever, 0))
+        ((worker, _),) = pool._busy.values()
     assert worker.process.exitcode == -signal.SIGTERM
 
 
 def test_what_cannot_be_sent_is_an_error_and_no_death():
-    with Processes(1) as crew:
+    with Processes(1) as pool:
         found = work_off(
-            crew, [partial(jobs.unsendable, 0), partial(jobs.square, jobs.Unreadable())]
+            pool, [partial(jobs.unsendable, 0), partial(jobs.square, jobs.Unreadable())]
         )
     assert isinstance(found[0].error, TypeError)
     assert "lambda" in str(found[0].error)
@@ -84,8 +83,8 @@ def test_what_cannot_be_sent_is_an_error_and_no_death():
 
 
 def test_an_error_that_cannot_be_read_back_is_an_error_and_no_death():
-    with Processes(1) as crew:
-        found = work_off(crew, [partial(jobs.oddly_faulty, 0), partial(jobs.square, 3)])
+    with Processes(1) as pool:
+        found = work_off(pool, [partial(jobs.oddly_faulty, 0), partial(jobs.square, 3)])
     assert isinstance(found[0].error, TypeError)
     assert "second" in str(found[0].error)
     assert found[1].value == 9

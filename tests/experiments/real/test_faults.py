@@ -4,14 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from experiments.lab.files import record_checksums
-from experiments.lab.provenance import save_provenance
-from experiments.real.data_sets import COMMAND, real_config
+from experiments.real.faults import real_faults
 from experiments.real.pairs import PAIRS_FILE, STRAYS_FILE, TRIPLES_FILE
 from experiments.real.paths import PATHS_FILE
-from experiments.verify.files import file_findings
-from experiments.verify.manifest import Manifest, manifest_of, of_real_data
-from experiments.verify.real import real_faults
 from tests.experiments.flown import write_made_up_flights
 
 
@@ -19,10 +14,6 @@ from tests.experiments.flown import write_made_up_flights
 def folder(tmp_path: Path) -> Path:
     """Give a folder with nothing but the tables and figures of real data, made up."""
     write_made_up_flights(tmp_path)
-    for name in (PAIRS_FILE, TRIPLES_FILE, STRAYS_FILE, PATHS_FILE):
-        save_provenance(tmp_path / name, COMMAND, real_config(), 1.0, None)
-    names = [name for name in of_real_data().files if not name.endswith(".json")]
-    record_checksums(tmp_path, [tmp_path / name for name in names])
     return tmp_path
 
 
@@ -54,24 +45,3 @@ def test_what_makes_no_sense_is_found(folder, name, old, new, fault) -> None:
     (folder / name).write_text(text.replace(old, new, 1))
     faults = real_faults(folder)
     assert any(one.startswith(fault) for one in faults), faults
-
-
-def test_real_results_are_there_as_all_others_are() -> None:
-    assert set(of_real_data().files) <= set(manifest_of({}).files)
-
-
-def test_files_that_are_gone_or_changed_are_found(folder: Path) -> None:
-    more = of_real_data()
-    manifest = Manifest(more.files, more.provenances)
-    found = {one.what: one.faults for one in file_findings(folder, manifest)}
-    assert not found["no other file is there"]
-    assert not found["every file that there must be is there"]
-    assert not found[f"{PAIRS_FILE} makes sense"]
-    (folder / TRIPLES_FILE).unlink()
-    found = {one.what: one.faults for one in file_findings(folder, manifest)}
-    assert found["every file that there must be is there"] == (TRIPLES_FILE,)
-    path = folder / PAIRS_FILE.replace(".csv", ".provenance.json")
-    path.write_text(path.read_text().replace("make real", "make unreal"))
-    found = {one.what: one.faults for one in file_findings(folder, manifest)}
-    what = f"{path.name}: a clean commit, today's configuration, versions"
-    assert any("make unreal" in fault for fault in found[what])

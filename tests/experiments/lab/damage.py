@@ -1,4 +1,4 @@
-"""A file in; the same with something wrong with it, out."""
+"""Damages to a file of results, each of which must be found."""
 
 import re
 from pathlib import Path
@@ -44,10 +44,24 @@ def swap_two_rows(path: Path) -> None:
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
+def delete_a_row(path: Path) -> None:
+    lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
+    path.write_text("".join([*lines[:-2], lines[-1]]), encoding="utf-8")
+
+
+def double_a_row(path: Path) -> None:
+    lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
+    path.write_text("".join([*lines, lines[-1]]), encoding="utf-8")
+
+
 def flip_a_byte(path: Path) -> None:
     content = bytearray(path.read_bytes())
     content[len(content) // 2] ^= 1
     path.write_bytes(bytes(content))
+
+
+DAMAGES = (delete, delete_a_row, double_a_row, double_a_number, halve_a_number)
+"""Of a table or page: a row is gone, is there twice, or has another number."""
 
 
 def damages_of(name: str) -> tuple:

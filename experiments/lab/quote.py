@@ -1,67 +1,44 @@
-"""Markdown pages and results in; the pages with each quoted number as it is in the results out.
+"""Numbers that Markdown pages quote from the results, and how they are kept as they are there.
 
 In a page a quoted number stands between two comments, which are not shown when it is rendered:
 
     the truth is held in <!--n:coverage.tangency.t_d-->93.2 %<!--/n--> of the flights
 
-A table stands likewise, on lines of its own. `ssac numbers` writes what is between the comments;
-`stale_numbers` says where that is not what the results say, and `ssac verify` fails on it.
+A table, whose name begins with "table.", stands likewise on lines of its own. A name is declared by
+the study that knows the number; `minutes.<name>` is of any study. Each name that is declared is
+quoted, and the other way round, so a number that somebody typed in its place is noticed.
 """
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Annotated
 
-import typer
-
-from experiments.lab.results import Committed
-from experiments.quoted.cells import NUMBERS, Number
-from experiments.quoted.tables import TABLES
+from experiments.lab.results import PROVENANCE, Results
 from ssac.errors import SsacError
 from ssac.files.whole_file import whole_file
 
+Numbers = Mapping[str, Callable[[Results], str]]
+"""By name: the text as it stands in a page."""
+
+_TABLE, _MINUTES = "table.", "minutes."
 _OPEN = re.compile(r"<!--n:([^>]*?)-->")
 _QUOTED = re.compile(r"<!--n:(?P<name>[^>]*?)-->(?P<text>.*?)<!--/n-->", re.DOTALL)
 _CODE = re.compile(r"^```.*?^```|`[^`\n]*`", re.DOTALL | re.MULTILINE)
 
 
-def numbers_command(
-    root: Annotated[
-        Path, typer.Option(help="Folder with README.md, docs/ and results/.", metavar="FOLDER")
-    ] = Path("."),
-    check: Annotated[
-        bool, typer.Option("--check", help="Write nothing; fail if a number is stale.")
-    ] = False,
-) -> None:
-    """Write the numbers that README.md and docs/ quote, as they are in results/ now."""
-    if check:
-        stale = stale_numbers(root)
-        for line in stale:
-            typer.echo(line)
-        if stale:
-            raise SsacError(f"{len(stale)} stale numbers: run `ssac numbers`")
-        return
-    for path in rewrite_numbers(root):
-        typer.echo(f"written: {path}")
-
-
 def pages(root: Path) -> list[Path]:
     """List the pages that may quote numbers."""
-    return [
-        path
-        for path in (root / "README.md", *sorted((root / "docs").glob("*.md")))
-        if path.exists()
-    ]
+    listed = (root / "README.md", *sorted((root / "docs").glob("*.md")))
+    return [path for path in listed if path.exists()]
 
 
-def rewrite_numbers(root: Path) -> list[Path]:
+def rewrite_numbers(root: Path, numbers: Numbers) -> list[Path]:
     """Write what the results say between all comments; return the pages that changed."""
-    results = Committed(root / "results")
+    results = Results(root / "results")
     changed = []
     for path in pages(root):
         before = path.read_text(encoding="utf-8")
-        after = with_numbers(before, results, path)
+        after = with_numbers(before, results, path, numbers)
         if after != before:
             with whole_file(path) as temporary:
                 temporary.write_text(after, encoding="utf-8", newline="\n")
@@ -69,13 +46,14 @@ def rewrite_numbers(root: Path) -> list[Path]:
     return changed
 
 
-def stale_numbers(root: Path) -> list[str]:
-    """Say, one line each, where a page of `root` quotes other than what its results say.
+def stale_numbers(root: Path, numbers: Numbers) -> list[str]:
+    """Say, one line each, where pages and results differ.
 
-    A number whose name, file, row or column is not there is such a line too.
+    That is where a page quotes other than what its results say, where a name, file, row or column
+    is not there, and which names no page quotes.
     """
-    results = Committed(root / "results")
-    lines = []
+    results = Results(root / "results")
+    lines, unquoted = [], dict(numbers)
     for path in pages(root):
         try:
             quoted_here = list(quotations(path.read_text(encoding="utf-8"), path))
@@ -83,20 +61,24 @@ def stale_numbers(root: Path) -> list[str]:
             lines.append(str(error))
             continue
         for name, quoted, line in quoted_here:
+            unquoted.pop(name, None)
             try:
-                now = value_of(name, results, f"{path}:{line}")
+                now = value_of(name, results, f"{path}:{line}", numbers)
             except SsacError as error:
                 lines.append(str(error))
                 continue
             if quoted != now:
                 lines.append(f"{path}:{line}: {name} is {_brief(now)}, not {_brief(quoted)}")
-    return lines
+    return lines + [
+        f"{name} is declared and no page quotes it: was it typed by hand?" for name in unquoted
+    ]
 
 
-def with_numbers(text: str, results: Committed, page: Path) -> str:
+def with_numbers(text: str, results: Results, page: Path, numbers: Numbers) -> str:
     """Return a page's text with every quoted number as it is in the results."""
     values = {
-        name: value_of(name, results, f"{page}:{line}") for name, _, line in quotations(text, page)
+        name: value_of(name, results, f"{page}:{line}", numbers)
+        for name, _, line in quotations(text, page)
     }
     code = _code_spans(text)
 
@@ -130,7 +112,7 @@ def quotations(text: str, page: Path) -> Iterator[tuple[str, str, int]]:
             )
 
 
-def value_of(name: str, results: Committed, place: str) -> str:
+def value_of(name: str, results: Results, place: str, numbers: Numbers) -> str:
     """Return what the results say under a name, as it stands in a page.
 
     Raises
@@ -139,19 +121,19 @@ def value_of(name: str, results: Committed, place: str) -> str:
         With the place and the name, when there is no such name, or no such result.
     """
     try:
-        if name in TABLES:
-            return f"\n{TABLES[name](results)}\n"
-        return _number(name)(results)
+        if name in numbers:
+            text = numbers[name](results)
+            return f"\n{text}\n" if name.startswith(_TABLE) else text
+        of = name.removeprefix(_MINUTES)
+        if of != name and (results.folder / f"{of}{PROVENANCE}").is_file():
+            return _rounded_minutes(results.minutes(of))
+        raise SsacError("no such number: a study in experiments/studies/ declares it")
     except SsacError as error:
         raise SsacError(f"{place}: {name}: {error}") from error
 
 
-def _number(name: str) -> Number:
-    if name not in NUMBERS:
-        raise SsacError(
-            "no such number: the names are in experiments/quoted/, cells.py and tables.py"
-        )
-    return NUMBERS[name]
+def _rounded_minutes(value: float) -> str:
+    return f"{value:.0f}" if value >= 1.95 else f"{value:.1f}"
 
 
 def _code_spans(text: str) -> list[tuple[int, int]]:

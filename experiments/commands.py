@@ -1,0 +1,279 @@
+"""The commands over all studies: run some, join shards, and check what is committed and quoted."""
+
+import secrets
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from experiments.lab.again import draw, recomputed, sources_of
+from experiments.lab.bridge import check_mesh
+from experiments.lab.cache import DEFAULT_FOLDER, Cache
+from experiments.lab.command import (
+    CacheOption,
+    SchedulerOption,
+    ShardOption,
+    WorkersOption,
+    run_studies,
+)
+from experiments.lab.grid import GridConfig, grid_from_content, load_config
+from experiments.lab.quote import pages, rewrite_numbers, stale_numbers
+from experiments.lab.results import Results
+from experiments.lab.schedule import Workers
+from experiments.lab.study import Study, merge
+from experiments.lab.verify import (
+    Finding,
+    file_findings,
+    found,
+    shared_findings,
+    study_findings,
+)
+from experiments.paper.comparison import PUBLISHED_SHA256
+from experiments.studies import all_studies
+from experiments.studies.ablations import ABLATIONS
+from experiments.studies.sweep import sweep_study
+from ssac.cli.options import number
+from ssac.errors import SsacError
+from ssac.files.whole_file import check_writable
+
+N_RECORDINGS = 6
+"""That verify draws if nothing else is said."""
+
+_SEEDS = 2**32
+
+OutOption = Annotated[Path, typer.Option(help="Folder for the CSVs and figures.", metavar="FOLDER")]
+
+
+def study_command(
+    names: Annotated[
+        list[str] | None,
+        typer.Argument(
+            help="Studies to run; --list names them.", metavar="NAME", show_default=False
+        ),
+    ] = None,
+    list_them: Annotated[bool, typer.Option("--list", help="List the studies.")] = False,
+    shard: ShardOption = "1/1",
+    out: OutOption = Path("results"),
+    workers: WorkersOption = -1,
+    scheduler: SchedulerOption = "",
+    cache: CacheOption = DEFAULT_FOLDER,
+) -> None:
+    """Run studies; all runs and their summary as CSV, and a figure each."""
+    known = _runnable()
+    if list_them:
+        for study in known.values():
+            typer.echo(f"{study.name:20} {study.title}")
+        return
+    if not names:
+        raise SsacError(f"name a study: {', '.join(known)}")
+    studies = _chosen(names, known, "study")
+    run_studies(studies, out, Cache(cache), Workers(workers, scheduler), shard)
+
+
+def ablate_command(
+    names: Annotated[
+        list[str] | None,
+        typer.Argument(
+            help="Ablations to run, such as window, or TOML files of your own.  [default: all]",
+            metavar="NAME",
+            show_default=False,
+        ),
+    ] = None,
+    shard: ShardOption = "1/1",
+    out: OutOption = Path("results"),
+    workers: WorkersOption = -1,
+    scheduler: SchedulerOption = "",
+    cache: CacheOption = DEFAULT_FOLDER,
+) -> None:
+    """Vary one parameter of simulator or estimator at a time; mean errors as CSV, and a figure."""
+    own = {name: _own(Path(name)) for name in names or () if name.endswith(".toml")}
+    studies = _chosen(names or list(ABLATIONS), {**ABLATIONS, **own}, "ablation")
+    run_studies(studies, out, Cache(cache), Workers(workers, scheduler), shard)
+
+
+def sweep_command(
+    config: Annotated[
+        Path,
+        typer.Argument(
+            help="TOML file of the grid (docs/sweeps.md).", metavar="CONFIG", show_default=False
+        ),
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option(help="CSV to write.  [default: results/<config>.csv]", metavar="FILE"),
+    ] = None,
+    shard: ShardOption = "1/1",
+    workers: WorkersOption = -1,
+    scheduler: SchedulerOption = "",
+    cache: CacheOption = DEFAULT_FOLDER,
+) -> None:
+    """Run any grid over any parameters of simulator and estimator; one CSV row per run.
+
+    Beside it a table of the points, `<name>_cells.csv`, and a figure of it.
+    """
+    grid = _checked(load_config(config))
+    out = out or Path("results") / f"{grid.name}.csv"
+    check_writable(out)
+    study = _sweep(grid, out, f"ssac sweep {config}")
+    run_studies([study], out.parent, Cache(cache), Workers(workers, scheduler), shard)
+
+
+def merge_command(
+    out: Annotated[Path, typer.Argument(help="CSV to write.", metavar="OUT", show_default=False)],
+    shards: Annotated[
+        list[Path],
+        typer.Argument(help="CSVs of all shards.", metavar="SHARD", show_default=False),
+    ],
+    cache: CacheOption = DEFAULT_FOLDER,
+) -> None:
+    """Join the CSVs of all shards of a sweep or study: the same bytes as in one piece.
+
+    What is made of the runs is made too, beside them.
+    """
+    check_writable(out)
+
+    def study_of(config: Mapping[str, Any]) -> Study:
+        if "grid" in config:
+            grid = grid_from_content(config["name"], config["grid"])
+            return _sweep(grid, out, "ssac sweep")
+        studies = all_studies()
+        if config.get("study") not in studies:
+            raise SsacError(
+                f"the shards are of the study {config.get('study')!r}, which is none of this"
+                " version"
+            )
+        return studies[config["study"]]
+
+    for path in merge(shards, out, study_of, Cache(cache)):
+        typer.echo(f"written to {path}")
+
+
+def numbers_command(
+    root: Annotated[
+        Path, typer.Option(help="Folder with README.md, docs/ and results/.", metavar="FOLDER")
+    ] = Path("."),
+    check: Annotated[
+        bool, typer.Option("--check", help="Write nothing; fail if a number is stale.")
+    ] = False,
+) -> None:
+    """Write the numbers that README.md and docs/ quote, as they are in results/ now."""
+    if check:
+        stale = stale_numbers(root, all_numbers())
+        for line in stale:
+            typer.echo(line)
+        if stale:
+            raise SsacError(f"{len(stale)} stale numbers: run `ssac numbers`")
+        return
+    for path in rewrite_numbers(root, all_numbers()):
+        typer.echo(f"written: {path}")
+
+
+def verify_command(
+    results: Annotated[
+        Path, typer.Option(help="Folder with the results.", metavar="FOLDER")
+    ] = Path("results"),
+    recordings: Annotated[
+        int, number("Recordings to simulate and run again.", 0, 10_000, metavar="COUNT")
+    ] = N_RECORDINGS,
+    sample_seed: Annotated[
+        int | None,
+        number("Seed of the draw of those recordings.", 0, _SEEDS - 1, default_words="a new one"),
+    ] = None,
+    slow: Annotated[
+        bool, typer.Option("--slow", help="Draw from studies that take minutes a recording too.")
+    ] = False,
+    only: Annotated[
+        str | None,
+        typer.Option(
+            help="Draw from this study alone, such as tables.", metavar="NAME", show_default="all"
+        ),
+    ] = None,
+    workers: WorkersOption = -1,
+) -> None:
+    """Check that the results are whole and follow from their runs; make some runs again."""
+    if not results.is_dir():
+        raise SsacError(f"{results}: no such folder: run `make tables studies figures bench` first")
+    studies = all_studies()
+    sources = sources_of(studies, slow, only)
+    failed = _report(committed_findings(results, studies))
+    failed += _report(page_findings(results))
+    if recordings:
+        seed = secrets.randbelow(_SEEDS) if sample_seed is None else sample_seed
+        options = f"--sample-seed {seed} --recordings {recordings}" + (" --slow" if slow else "")
+        options += f" --only {only}" if only else ""
+        typer.echo(f"recordings drawn by: ssac verify {options}")
+        drawn = draw(sources, recordings, seed)
+        with tempfile.TemporaryDirectory(prefix="ssac-verify-") as folder:
+            kept = Results(results)
+            failed += _report(recomputed(drawn, kept, Path(folder), Workers(workers)))
+    typer.echo(f"{failed} of the checks above differ" if failed else "all of it as committed")
+    if failed:
+        raise typer.Exit(1)
+
+
+def committed_findings(folder: Path, studies: Mapping[str, Study]) -> list[Finding]:
+    """Check all that can be checked of a folder of results without running anything again."""
+    committed = [study for study in studies.values() if study.is_committed]
+    results = Results(folder)
+    findings = list(file_findings(folder, committed, PUBLISHED_SHA256))
+    for study in committed:
+        findings += study_findings(study, results)
+    return findings + list(shared_findings(committed, results))
+
+
+def page_findings(results: Path) -> list[Finding]:
+    """Check the numbers that the pages beside a folder of results quote from it."""
+    root = results.resolve().parent
+    if root.joinpath("results") != results.resolve() or not pages(root):
+        return []  # results that were written elsewhere: no page quotes them
+    return [found("the pages quote the results", lambda: stale_numbers(root, all_numbers()))]
+
+
+def all_numbers() -> dict[str, Callable[[Results], str]]:
+    """Give the numbers of all studies."""
+    return {
+        name: number for study in all_studies().values() for name, number in study.numbers.items()
+    }
+
+
+def _runnable() -> dict[str, Study]:
+    """List the studies that have no command of their own."""
+    studies = all_studies().values()
+    return {
+        study.name: study
+        for study in studies
+        if not study.command or study.command.startswith("ssac ablate")
+    }
+
+
+def _chosen(names: Sequence[str], known: Mapping[str, Study], kind: str) -> list[Study]:
+    unknown = [name for name in names if name not in known]
+    if unknown:
+        raise SsacError(f"unknown {kind} {unknown[0]!r}: use one of {', '.join(known)}")
+    return [known[name] for name in names]
+
+
+def _own(path: Path) -> Study:
+    grid = _checked(load_config(path))
+    return sweep_study(grid, f"{grid.name}_runs.csv", grid.name, f"ssac ablate {path}")
+
+
+def _sweep(grid: GridConfig, out: Path, command: str) -> Study:
+    return sweep_study(grid, out.name, f"{out.stem}_cells", command)
+
+
+def _checked(grid: GridConfig) -> GridConfig:
+    """Refuse, before any work is done, a grid whose meshes cannot be used."""
+    for mesh in {cell.sim.drone_file for cell in grid.cells() if cell.sim.drone_file is not None}:
+        check_mesh(mesh)
+    return grid
+
+
+def _report(findings: Sequence[Finding]) -> int:
+    """Print findings; return how many differ."""
+    for finding in findings:
+        for line in finding.lines():
+            typer.echo(line)
+    return sum(bool(finding.faults) for finding in findings)

@@ -1,0 +1,241 @@
+"""Recordings drawn by chance, and whether their runs made again from nothing are as committed.
+
+Statuses, counts and the words of reasons must be the same on any machine. The other numbers may
+differ by a unit of their last digit and by `ROUNDING`: OpenBLAS, NumPy and numba choose kernels by
+the processor, and each kernel adds its terms in an order of its own.
+"""
+
+import re
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, fields
+from functools import partial
+from io import StringIO
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from experiments.lab.cache import Cache
+from experiments.lab.cell import CRASHED, AnyCell
+from experiments.lab.results import Results
+from experiments.lab.schedule import Workers, run_cells
+from experiments.lab.study import CELL, How, Runs, Study, runs_text
+from experiments.lab.task import Task, tasks_of
+from experiments.lab.verify import Finding, cells_of, found, near, same_driver
+from ssac.errors import SsacError
+from ssac.pipeline.registry import OURS
+
+ROUNDING = 1e-6
+"""How far a number may be off beside its last digit, in its unit (ms, deg, px, ppm, or none).
+
+The largest difference on sixteen recordings with other kernels, thread counts and packages
+(docs/testing.md) was 6e-8 ms, of albl's t_d, which is where a parabola finds the least of an
+eigenvalue that rounding has roughened. All other numbers differed by 1.2e-10 at most. It counts
+where numbers are small, as t_d_error_ms is, the difference of two that are nearly equal.
+"""
+
+_MEASURED = re.compile(r"-?\d+\.\d+|-?\d+(?= (?:%|deg\b|px\b|ms\b|s\b))")
+"""A number of a reason that is not a count: it has decimals, or a unit."""
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """One recording that was drawn, and the runs on it."""
+
+    study: Study
+    task: Task
+
+
+def sources_of(
+    studies: Mapping[str, Study], slow: bool = False, only: str | None = None
+) -> list[Study]:
+    """List the studies to draw from; those that take minutes a recording only if asked for.
+
+    Raises
+    ------
+    SsacError
+        If there is none of the name that is asked for.
+    """
+    able = {
+        name: study
+        for name, study in studies.items()
+        if study.how is How.SHARED and study.runs is not None
+    }
+    if only is not None:
+        if only not in able:
+            raise SsacError(f"--only: expected a study of {', '.join(able)}, got {only}")
+        return [able[only]]
+    return [study for study in able.values() if slow or study.again]
+
+
+def draw(sources: Sequence[Study], n_recordings: int, seed: int) -> list[Drawn]:
+    """Draw recordings: every other one of the first study, the others of any other, each once.
+
+    Parameters
+    ----------
+    sources
+    n_recordings
+        As many, or all if there are fewer.
+    seed
+        The same draws the same.
+    """
+    generator = np.random.default_rng(seed)
+    left = {study.name: _shuffled(study, generator) for study in sources}
+    drawn: list[Drawn] = []
+    while len(drawn) < n_recordings and any(left.values()):
+        turn = sources[:1] if len(drawn) % 2 == 0 else sources[1:]
+        there = [study for study in turn if left[study.name]]
+        there = there or [study for study in sources if left[study.name]]
+        study = there[int(generator.integers(len(there)))]
+        drawn.append(Drawn(study, left[study.name].pop()))
+    return drawn
+
+
+def recomputed(
+    drawn: Sequence[Drawn], results: Results, folder: Path, workers: Workers
+) -> list[Finding]:
+    """Make the runs on the drawn recordings again, and compare them: one finding for each.
+
+    Parameters
+    ----------
+    drawn
+    results
+        The committed ones.
+    folder
+        An empty one, for the recordings and runs.
+    workers
+    """
+    findings = []
+    for study in {one.study.name: one.study for one in drawn}.values():
+        assert study.runs is not None
+        tasks = [one.task for one in drawn if one.study.name == study.name]
+        cells = [cell for task in tasks for cell in task.cells]
+        outcome = run_cells(cells, Cache(folder), workers, study.name, measure=study.measure)
+        first = 0
+        for task in tasks:
+            last = first + len(task.cells)
+            runs = outcome.runs.iloc[first:last].reset_index(drop=True)
+            first = last
+            rows = rows_again(study, runs, task.cells)
+            flight = dict(task.cells[0].columns)
+            where = ", ".join(f"{key} {value}" for key, value in flight.items())
+            what = f"{study.runs.file}: {len(rows)} runs on the recording of {where}"
+            findings.append(found(what, partial(compared, rows, study, task, results)))
+    return findings
+
+
+def rows_again(study: Study, runs: pd.DataFrame, cells: Sequence[AnyCell]) -> pd.DataFrame:
+    """Turn new runs of some of a study's cells into rows of its file, as texts."""
+    assert study.runs is not None
+    number = {id(cell): at for at, cell in enumerate(cells_of(study))}
+    runs = runs.copy()
+    runs.insert(0, CELL, [number[id(cell)] for cell in cells])
+    return _texts(runs_text(study.runs, runs))
+
+
+def compared(rows: pd.DataFrame, study: Study, task: Task, results: Results) -> tuple[str, ...]:
+    """Compare rows made again with the committed ones."""
+    kept = study.runs
+    assert kept is not None
+    committed, keys = _texts(results.text(kept.file)), keys_of_rows(kept)
+    made_with = results.provenances(kept.file.removesuffix(".csv"))
+    by_gl = any(sim.render.renderer == "pyrender" for sim, _ in task.recordings)
+    if by_gl and not same_driver(made_with):
+        shown = [*keys, "status", "reason"]  # what another driver draws is not the same
+        rows, committed = rows[shown], committed[shown]
+    return row_faults(rows, committed, keys, measured_by(study), kept)
+
+
+def keys_of_rows(kept: Runs) -> tuple[str, ...]:
+    """Columns by which a row of the file is found."""
+    return (CELL,) if kept.numbered else kept.keys
+
+
+def measured_by(study: Study) -> frozenset[str]:
+    """Columns that rounding reaches: the others hold counts, texts, and which run it is."""
+    return frozenset(one.name for one in fields(study.measure.row_type) if one.type is float)
+
+
+def row_faults(
+    again: pd.DataFrame,
+    committed: pd.DataFrame,
+    keys: Sequence[str],
+    measured: Collection[str],
+    kept: Runs,
+) -> tuple[str, ...]:
+    """Compare rows with the committed ones of the same keys; tables of texts.
+
+    Parameters
+    ----------
+    again, committed
+        Of `committed` only the rows of `again` count.
+    keys
+    measured
+        Columns that rounding reaches. All others, but `reason`, must be the same.
+    kept
+        Says which columns are times, and how many digits there are.
+    """
+    theirs_by_key = {tuple(row[name] for name in keys): row for row in committed.to_dict("records")}
+    faults = []
+    for row in again.to_dict("records"):
+        key = tuple(row[name] for name in keys)
+        where = ", ".join(f"{name} {value}" for name, value in zip(keys, key, strict=True))
+        if key not in theirs_by_key:
+            faults.append(f"{where}: no such run is committed")
+            continue
+        if row["status"] == CRASHED:
+            faults.append(f"{where}: crashed: {row['reason']}")
+            continue
+        theirs = {str(name): value for name, value in theirs_by_key[key].items()}
+        names = dict.fromkeys(["status", *theirs, *map(str, row)])
+        for name in (name for name in names if name not in kept.took):
+            mine, other = str(row.get(name, "no column")), str(theirs.get(name, "no column"))
+            if name == "reason":
+                is_alike = _alike_in_words(mine, other)
+            else:
+                is_alike = _alike(mine, other, name in measured, kept.digits)
+            if not is_alike:
+                faults.append(f"{where}: {name} is {mine}, committed: {other}. {row['reason']}")
+                break
+    return tuple(faults)
+
+
+def _alike(mine: str, other: str, is_measured: bool, digits: int) -> bool:
+    """Compare two texts, as numbers where they are; a table may round a whole number to digits."""
+    if mine == other:
+        return True
+    if mine.isdecimal() and other.isdecimal():
+        return is_measured and _close(float(mine), float(other), digits)
+    try:
+        a, b = float(mine), float(other)
+    except ValueError:
+        return False
+    return f"{a:.{digits}g}" == f"{b:.{digits}g}" or (is_measured and _close(a, b, digits))
+
+
+def _close(mine: float, other: float, digits: int) -> bool:
+    """Whether rounding may make the one of the other."""
+    return near(mine, other, digits) or abs(mine - other) <= ROUNDING
+
+
+def _alike_in_words(mine: str, other: str) -> bool:
+    """Compare two reasons: a number that was measured may differ by a unit of its last digit."""
+    if _MEASURED.sub("#", mine) != _MEASURED.sub("#", other):
+        return False
+    for a, b in zip(_MEASURED.findall(mine), _MEASURED.findall(other), strict=True):
+        decimals = len(b.partition(".")[2])
+        if len(a.partition(".")[2]) != decimals or abs(float(a) - float(b)) > 1.001 / 10**decimals:
+            return False
+    return True
+
+
+def _shuffled(study: Study, generator: np.random.Generator) -> list[Task]:
+    ours = {method.name for method in OURS}  # another package may have added a method
+    cells = [cell for cell in cells_of(study) if getattr(cell, "method", None) in {None, *ours}]
+    tasks = tasks_of(cells)
+    return [tasks[index] for index in generator.permutation(len(tasks))]
+
+
+def _texts(text: str) -> pd.DataFrame:
+    table: pd.DataFrame = pd.read_csv(StringIO(text), dtype=str, keep_default_na=False)
+    return table

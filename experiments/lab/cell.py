@@ -1,0 +1,78 @@
+"""What a study measures: its cells, and the measure that makes a row of each.
+
+A cell is one run of anything: a method on a flight, a variant, a comparison. One cell gives one
+row; a cell that cannot be measured gives a row with a status and a reason.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from sim.recording import SimConfig
+
+CRASHED = "crashed"
+"""Status of a run that could not be simulated, or whose measure raised what is not an SsacError."""
+
+UNUSABLE = "unusable"
+"""Status of a run on data that the method refuses with an SsacError."""
+
+Flight = tuple[SimConfig, int]
+"""What `simulate` takes: a configuration and a seed."""
+
+Rows = list[dict[str, Any]]
+
+
+class AnyCell(Protocol):
+    """One run: a frozen dataclass with these properties."""
+
+    @property
+    def recordings(self) -> tuple[Flight, ...]:
+        """Flights that it is measured on: cells of the same ones share a task."""
+
+    @property
+    def columns(self) -> Mapping[str, Any]:
+        """Columns of its row in the runs' file that say which run it is."""
+
+    @property
+    def inputs(self) -> Any:
+        """Everything beside recordings and code that its row depends on (`cache.content`)."""
+
+
+@dataclass(frozen=True)
+class FlightCell:
+    """One run on one flight: what the cells of studies have in common."""
+
+    sim: SimConfig
+    flight: int  # its number among those of its duration and angle
+    seed: int  # as of `grid.flight_seed`
+
+    @property
+    def recordings(self) -> tuple[Flight, ...]:
+        """The one flight."""
+        return ((self.sim, self.seed),)
+
+    @property
+    def flown(self) -> dict[str, Any]:
+        """Columns that say which flight it is."""
+        return {
+            "duration_s": self.sim.spline.duration_s, "angle_deg": self.sim.angle_deg,
+            "flight": self.flight, "seed": self.seed,
+        }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Measure:
+    """How the cells of one task become rows: functions of modules, which other processes find.
+
+    The code that a row depends on is that of the modules in which the two functions stand, and all
+    that these import: keep the drawing and summing up of rows elsewhere.
+    """
+
+    load: Callable[[Sequence[Any], Any], Any]  # cells of a task, and the cache -> what they share
+    row: Callable[[Any, Any], Any]  # a cell and what was loaded -> a `row_type`
+    row_type: type  # a dataclass: status, reason, then fields with defaults
+
+    @property
+    def code(self) -> tuple[str, ...]:
+        """Modules that measure."""
+        return tuple(sorted({self.load.__module__, self.row.__module__}))

@@ -1,0 +1,324 @@
+"""Whether committed results can be trusted: whole, as they were written, and as their runs say.
+
+What must be there follows from the studies and the code, never from what lies in the folder, so
+that a file or a row that is gone leaves a gap. What follows from runs is made again from them.
+"""
+
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache, partial
+from io import StringIO
+from itertools import zip_longest
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from experiments.lab.cell import CRASHED, AnyCell
+from experiments.lab.files import SUMS_FILE, csv_text, read_checksums, read_table, sha256
+from experiments.lab.provenance import plain, processor, versions
+from experiments.lab.results import PROVENANCE, Results
+from experiments.lab.study import SHARD, Check, How, Made, Study, check_keys, check_runs
+from sim.errors import SimError
+from sim.render.gl_context import context_or_none
+from ssac.errors import SsacError
+
+_SHOWN = 5  # faults of one kind
+_CLEAN_COMMIT = re.compile(r"[0-9a-f]{7,40}")
+_DRAWN_BY = ("matplotlib", "pillow", "numpy")  # packages that a figure's bytes depend on
+_ROUNDING_MS = 1e-2  # six digits of an estimate beyond 1000 ms: 5e-3; of its error, less
+_ROUNDING_PPM = 1e-3  # likewise, beyond 100 ppm
+_NOT_OF_CONFIG = ("study", SHARD)
+
+_UNLIKE = (OSError, SimError, SsacError, ValueError, LookupError, TypeError, AttributeError)
+"""What a check raises where a file is not there, or has another shape than it expects."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that was checked."""
+
+    what: str
+    faults: tuple[str, ...] = ()  # none: all right
+
+    def lines(self) -> Iterator[str]:
+        """Show it: one line, and one more for each of the first faults."""
+        yield f"{'differs' if self.faults else 'ok':8}{self.what}"
+        yield from (f"        - {fault}" for fault in self.faults[:_SHOWN])
+        if len(self.faults) > _SHOWN:
+            yield f"        - and {len(self.faults) - _SHOWN} more"
+
+
+def found(what: str, check: Callable[[], Iterable[str]]) -> Finding:
+    """Make a check; a file that is missing, or not what it should be, is a fault."""
+    try:
+        return Finding(what, tuple(check()))
+    except _UNLIKE as error:
+        return Finding(what, (f"{type(error).__name__}: {' '.join(str(error).split())}",))
+
+
+def file_findings(
+    results: Path, studies: Iterable[Study], others: Mapping[str, str] | None = None
+) -> Iterator[Finding]:
+    """Check that every file is there, no other, and each as its command wrote it.
+
+    Parameters
+    ----------
+    results
+        Folder of the results.
+    studies
+        That left their files there.
+    others
+        Digests of files that no study makes.
+    """
+    digests = dict(others or {})
+    files = {*digests, SUMS_FILE}
+    for study in studies:
+        files |= {*study.files, *study.provenances}
+    there = {p.relative_to(results).as_posix() for p in results.rglob("*") if not p.is_dir()}
+    yield Finding("every file that there must be is there", tuple(sorted(files - there)))
+    yield Finding("no other file is there", tuple(sorted(there - files)))
+    yield found(f"all files are as {SUMS_FILE} has them", lambda: _changed(results, files))
+    for name, digest in digests.items():
+        changed = () if sha256(results / name) == digest else ("it was changed",)
+        yield Finding(f"{name} is as it was copied", changed)
+
+
+def study_findings(study: Study, results: Results) -> Iterator[Finding]:
+    """Check a study: its provenances, its rows, all that is made of them, and its own checks."""
+    line = study.command_line()
+    for name, config in study.provenances.items():
+        what = f"{name}: a clean commit, today's configuration, versions"
+        yield found(what, partial(provenance_faults, results, name, line, config))
+    if study.runs is not None:
+        what = f"{study.runs.file} has every run of {study.name} once, as it is written"
+        yield found(what, partial(_runs_faults, study, results))
+    for made in study.makes:
+        if not made.recordings:
+            what = f"{made.file} is as it follows from the results"
+            yield found(what, partial(_made_faults, study, made, results))
+    for what, check in study.checks:
+        yield found(f"{study.name}: {what}", partial(check, results))
+
+
+def shared_findings(studies: Iterable[Study], results: Results) -> Iterator[Finding]:
+    """Check that runs that several studies measure alike are the same in the files of all."""
+    seen: dict[Any, tuple[str, Mapping[str, str]]] = {}
+    for study in studies:
+        if study.runs is None or study.how is not How.SHARED:
+            continue
+        what = f"{study.runs.file} has the rows of other files where the runs are the same"
+        yield found(what, partial(_unlike_others, study, results, seen))
+
+
+def provenance_faults(
+    results: Results, name: str, command: str, config: Mapping[str, Any]
+) -> Iterator[str]:
+    """Say what is wrong with what a file is said to be made with."""
+    for one in results.provenances(name.removesuffix(PROVENANCE)):
+        commit, line = str(one.get("commit")), str(one.get("command"))
+        if not _CLEAN_COMMIT.fullmatch(commit):
+            yield f"its commit is {commit}: commit the code, then make it again"
+        if line.partition(f" --{SHARD}")[0] != command:
+            yield f"it was made by `{line}`, expected `{command}`"
+        there = {k: v for k, v in one["config"].items() if k not in _NOT_OF_CONFIG}
+        expected = plain(config)
+        if there != expected:
+            both = {*there, *expected}
+            wrong = sorted(key for key in both if there.get(key) != expected.get(key))
+            yield f"its configuration is not today's: {', '.join(wrong)}"
+        absent = set(versions()) - set(one["versions"])
+        if absent:
+            yield f"it lacks the versions of {', '.join(sorted(absent))}"
+        if one["gl"] is not None and not {"backend", "renderer", "version"} <= set(one["gl"]):
+            yield "it does not say which OpenGL drew"
+        if not 0.0 <= one["wall_time_s"] < np.inf:
+            yield f"it took {one['wall_time_s']} s"
+
+
+def text_difference(committed: str, made: str) -> tuple[str, ...]:
+    """Say where two texts first differ."""
+    pairs = zip_longest(committed.splitlines(), made.splitlines(), fillvalue="nothing")
+    for number, (old, new) in enumerate(pairs, start=1):
+        if old != new:
+            return (f"line {number} is {_short(old)}", f"line {number} should be {_short(new)}")
+    return () if committed == made else ("the ends of lines are not the same",)
+
+
+def near(mine: float, other: float, digits: int) -> bool:
+    """Whether two numbers differ by one unit of the last of some digits at most."""
+    unit = 10.0 ** (np.floor(np.log10(abs(other))) + 1 - digits) if other else 0.0
+    return bool(abs(mine - other) <= 1.001 * unit)  # 1.001: units are no binary numbers
+
+
+def same_driver(made_with: Iterable[Mapping[str, Any]]) -> bool:
+    """Return whether the OpenGL driver that drew a result is here; OSMesa and EGL draw alike."""
+    here = context_or_none()
+    drawn = [one.get("gl") or {} for one in made_with]
+    return here is not None and all(
+        (gl.get("renderer"), gl.get("version")) == (here.renderer, here.version) for gl in drawn
+    )
+
+
+def between(name: str, column: str, low: float, high: float) -> Callable[[Results], list[str]]:
+    """Make a check that a column's numbers lie between two bounds; empty cells may stand there."""
+
+    def check(results: Results) -> list[str]:
+        values = results.table(name)[column]
+        beyond = values[values.notna() & ~values.between(low, high)]
+        return [f"{name}.csv, row {row}: {column} is {value:g}" for row, value in beyond.items()]
+
+    return check
+
+
+def ordered(name: str, low: str, high: str) -> Callable[[Results], list[str]]:
+    """Make a check that no number of one column is above that of another."""
+
+    def check(results: Results) -> list[str]:
+        table = results.table(name)
+        beyond = table[table[low] > table[high]]
+        return [f"{name}.csv, row {row}: {low} is above {high}" for row in beyond.index]
+
+    return check
+
+
+def one_of(name: str, column: str, *values: Any) -> Callable[[Results], list[str]]:
+    """Make a check that a column has no other values than some."""
+
+    def check(results: Results) -> list[str]:
+        other = results.table(name)[column]
+        other = other[~other.isin(values)]
+        return [f"{name}.csv, row {row}: {column} is {value}" for row, value in other.items()]
+
+    return check
+
+
+def scored_checks(name: str) -> tuple[Check, ...]:
+    """Make the checks of a file of runs that were scored (`lab.scored`), whatever methods find."""
+
+    def errors(results: Results) -> list[str]:
+        runs = results.table(name)
+        ok = runs[runs["t_d_estimate_ms"].notna()]  # or was refused with an estimate
+        skew_ppm = ok.get("sim.skew_ppm", 0.0)
+        off_ms = (ok["t_d_estimate_ms"] - 1e3 * ok["sim.t_d_s"]).abs() - ok["t_d_error_ms"]
+        off_ppm = (ok["skew_ppm"] - skew_ppm).abs() - ok["skew_error_ppm"]
+        wrong = ~(off_ms.abs() <= _ROUNDING_MS)
+        wrong |= off_ppm.abs() > _ROUNDING_PPM + 1e-5 * ok["skew_error_ppm"].abs()
+        wrong |= off_ppm.isna() & (ok["skew_ppm"].notna() | ok["skew_error_ppm"].notna())
+        what = "its errors are not those of its estimate"
+        return [f"{name}.csv, row {row}: {what}" for row in ok[wrong].index]
+
+    def recordings(results: Results) -> list[str]:
+        runs = results.table(name)
+        at = list(runs.columns[1 : runs.columns.get_loc("flight")])
+        of = [column for column in at if column.startswith("sim.") and column != "sim.t_d_s"]
+        seen = runs[runs["status"] != CRASHED].groupby([*of, "flight"], dropna=False)
+        counts = seen[["seed", "n_events_cam1", "n_events_cam2"]].nunique()
+        several = counts.index[(counts > 1).any(axis=1)]
+        return [f"{name}.csv, {key}: several numbers of events" for key in several]
+
+    return (
+        ("errors are those of the estimates", errors),
+        ("all runs on a flight saw the same events", recordings),
+        ("angles are angles", between(name, "r_error_deg", 0.0, 180.0)),
+    )
+
+
+def _changed(results: Path, files: Iterable[str]) -> list[str]:
+    sums = read_checksums(results)
+    listed = {*files} - {SUMS_FILE}
+    faults = [f"{name} is not listed" for name in sorted(listed - set(sums))]
+    for name, digest in sums.items():
+        path = results / name
+        if not path.is_file():
+            faults.append(f"{name} is listed, and is not there")
+        elif sha256(path) != digest:
+            faults.append(f"{name} was changed after it was written")
+    return faults
+
+
+def _runs_faults(study: Study, results: Results) -> tuple[str, ...]:
+    kept = study.runs
+    assert kept is not None
+    text = results.text(kept.file)
+    runs = read_table(text)
+    if study.how is How.GIVEN:
+        check_keys(kept, runs)
+    else:
+        check_runs(study, runs, cells_of(study))
+    return text_difference(text, csv_text(runs, kept.digits))
+
+
+@cache
+def cells_of(study: Study) -> Sequence[AnyCell]:
+    """List a study's cells, once."""
+    return study.cells()
+
+
+def _made_faults(study: Study, made: Made, results: Results) -> tuple[str, ...]:
+    name = made.file.partition(".")[0]
+    beside = name if f"{name}{PROVENANCE}" in study.provenances else None
+    if beside is None:
+        beside = next(iter(study.provenances)).removesuffix(PROVENANCE)
+    made_with = results.provenances(beside)
+    here = versions()
+    if made.file.endswith(".png"):
+        if any(one["versions"].get(key) != here[key] for one in made_with for key in _DRAWN_BY):
+            return ()  # drawn by another version: the checksum has to do
+        same = (results.folder / made.file).read_bytes() == made.bytes_of(results)
+        return () if same else ("it is another picture",)
+    text, again = results.text(made.file), made.bytes_of(results).decode()
+    elsewhere = any(one.get("processor") != processor() for one in made_with)
+    if made.file.endswith(".csv") and (made.near or elsewhere):
+        again = _with_last_digits_of(text, again, made.digits)
+    return text_difference(text, again)
+
+
+def _with_last_digits_of(text: str, again: str, digits: int) -> str:
+    """Take from a text the numbers that differ from those made again by a unit of the last."""
+    theirs, mine = (pd.read_csv(StringIO(one), dtype=str, keep_default_na=False)
+                    for one in (text, again))  # fmt: skip
+    if theirs.shape != mine.shape or list(theirs) != list(mine):
+        return again
+    for name in mine:
+        for row in np.flatnonzero((mine[name] != theirs[name]).to_numpy()):
+            a, b = mine[name].iloc[row], theirs[name].iloc[row]
+            if _is_number(a) and _is_number(b) and near(float(a), float(b), digits):
+                mine.loc[row, name] = b
+    return csv_text(mine)
+
+
+def _is_number(text: str) -> bool:
+    try:
+        return bool(np.isfinite(float(text)))
+    except ValueError:
+        return False
+
+
+def _unlike_others(
+    study: Study, results: Results, seen: dict[Any, tuple[str, Mapping[str, str]]]
+) -> Iterator[str]:
+    assert study.runs is not None
+    cells, file = cells_of(study), study.runs.file
+    table = pd.read_csv(StringIO(results.text(file)), dtype=str, keep_default_na=False)
+    if len(table) != len(cells):
+        cells = [cell for cell in cells if getattr(cell, "method", "") in set(table["method"])]
+    own = set(cells[0].columns) | {"cell"} if cells else set()
+    measured = [name for name in table if name not in own and name not in study.runs.took]
+    rows: list[dict[str, str]] = table[measured].to_dict("records")  # type: ignore[assignment]
+    for number, (cell, row) in enumerate(zip(cells, rows, strict=True)):
+        try:
+            key = (study.measure.row, cell.recordings, cell.inputs)
+            where, other = seen.setdefault(key, (f"{file}, row {number}", row))
+        except TypeError:  # inputs that have no hash
+            return
+        for name in row:
+            if name in other and other[name] != row[name]:
+                yield f"row {number}: {name} is {row[name]}, there {other[name]} ({where})"
+                break
+
+
+def _short(line: str) -> str:
+    return line if len(line) <= 160 else f"{line[:157]}..."

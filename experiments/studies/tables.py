@@ -1,0 +1,314 @@
+"""The paper's simulation tables: every method on every recording, beside what the paper gives."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+from scipy.stats import gmean
+
+from experiments.lab.cell import CRASHED
+from experiments.lab.command import CheckOption, RendererOption, command_of, drawn_by
+from experiments.lab.grid import Cell
+from experiments.lab.markdown import digits, listed, markdown_table
+from experiments.lab.results import Results
+from experiments.lab.scored import SCORED
+from experiments.lab.study import Check, Made, Runs, Study
+from experiments.paper.comparison import (
+    PUBLISHED_RUNS,
+    VERDICTS,
+    comparison_table,
+    load_published,
+    summary_table,
+)
+from experiments.paper.esim import (
+    KEY,
+    RUN_COLUMNS,
+    describe,
+    esim_table,
+    esim_tables,
+    ordered_runs,
+    runs_from_csv,
+)
+from experiments.paper.grids import DURATIONS_S, TABLES, offset_ms, table_cells, table_grids
+from experiments.paper.page import results_page
+from experiments.paper.quantities import ERRORS, POSE_ERRORS, T_D_ERROR
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+METHODS = ("ssac", "ssac-known", "joint", "joint-known", "tangency", "tangency-known")
+SYMBOLS = {error.symbol: error for error in ERRORS.values()}
+"""The errors by what they are called in the names of numbers."""
+
+PUBLISHED = {  # of the quantities of comparison.csv
+    "ssac.t_d": "ssac_t_d_error_ms",
+    "ssac.R": "ssac_r_error_deg",
+    "ssac.t": "ssac_t_error_deg",
+    "zncc_e.t_d": "zncc_e_t_d_error_ms",
+    "zncc_f.t_d": "zncc_f_t_d_error_ms",
+}
+
+_SEARCH_MS = 1000.0 + 20.0  # on each side of the truth, and a unit of the coarsest method
+_ROUNDING_MS = 1e-2  # six digits of an estimate beyond 1000 ms: 5e-3; of its error, less
+
+
+def cells(renderer: RendererOption = "native", check: CheckOption = True) -> list[Cell]:
+    """List every run of the tables, with the columns that tell the runs apart there."""
+    return [
+        replace(
+            cell,
+            parameters={
+                "duration_s": cell.sim.spline.duration_s,
+                "angle_deg": cell.sim.angle_deg,
+                "t_d_ms": offset_ms(cell),
+            },
+        )
+        for cell in drawn_by(table_cells(), renderer, check)
+    ]
+
+
+# --- What is made of the runs ---
+
+
+def runs_of(results: Results) -> pd.DataFrame:
+    """Read the runs."""
+    return ordered_runs(runs_from_csv(results.text("runs.csv")))
+
+
+def table(results: Results, duration_s: float) -> pd.DataFrame:
+    """Mean errors of one duration."""
+    return esim_table(runs_of(results), duration_s)
+
+
+def comparison(results: Results) -> pd.DataFrame:
+    """Compare the tables of all flights, and of the first as many as the paper's, with its own."""
+    runs = runs_of(results)
+    first = esim_tables(runs[runs["flight"] < PUBLISHED_RUNS])
+    return comparison_table(esim_tables(runs), load_published(), first=first)
+
+
+def page(results: Results) -> str:
+    """Write `results/README.md`."""
+    runs = runs_of(results)
+    (made_with,) = results.provenances("runs")
+    return results_page(runs, esim_tables(runs), comparison(results), made_with)
+
+
+def summary(results: Results) -> pd.DataFrame:
+    """Sum up the comparison."""
+    return summary_table(comparison(results))
+
+
+def errors_by_angle(results: Results) -> "Figure":
+    """Draw the errors of all methods against the angle, beside the paper's."""
+    from experiments.drawing.errors import error_figure
+
+    return error_figure(runs_of(results), load_published())
+
+
+def beyond_the_paper(results: Results) -> "Figure":
+    """Draw what our methods reach beyond the paper's."""
+    from experiments.drawing.errors import beyond_figure
+
+    return beyond_figure(runs_of(results), load_published())
+
+
+# --- What must hold of any runs, whatever the methods find ---
+
+
+def _described(runs: pd.DataFrame) -> list[str]:
+    return [describe(row) for row in runs.to_dict("records")]
+
+
+def _off(runs: pd.DataFrame) -> list[str]:
+    off_ms = (runs["t_d_estimate_ms"] - runs["t_d_ms"]).abs() - runs["t_d_error_ms"]
+    return _described(runs[~(off_ms.abs() <= _ROUNDING_MS)])
+
+
+def _impossible(runs: pd.DataFrame) -> list[str]:
+    is_so = ~runs["t_d_error_ms"].between(0.0, _SEARCH_MS)
+    for name in POSE_ERRORS:
+        is_so |= runs[name].notna() & ~runs[name].between(0.0, 180.0)
+    return _described(runs[is_so])
+
+
+def _poses_at_times(runs: pd.DataFrame) -> list[str]:
+    poses = runs[list(POSE_ERRORS)].notna().groupby(runs["method"]).mean()
+    return list(poses.index[((poses > 0.0) & (poses < 1.0)).any(axis=1)])
+
+
+def _several_recordings(runs: pd.DataFrame) -> list[str]:
+    of_flight = runs[runs["status"] != CRASHED].groupby(["duration_s", "angle_deg", "flight"])
+    counts = of_flight[["seed", "n_events_cam1", "n_events_cam2"]].nunique()
+    return [
+        f"{duration_s:g} s, {angle_deg:g} deg, flight {flight:g}: other numbers of events"
+        for duration_s, angle_deg, flight in counts.index[(counts > 1).any(axis=1)]
+    ]
+
+
+def _check(what: str, faults: Callable[[pd.DataFrame], list[str]], status: str = "any") -> Check:
+    """Make a check of the runs that are "ok", that have "failed", or of any."""
+
+    def check(results: Results) -> Sequence[str]:
+        runs = runs_from_csv(results.text("runs.csv"))
+        is_ok = runs["status"] == "ok"
+        return faults({"ok": runs[is_ok], "failed": runs[~is_ok], "any": runs}[status])
+
+    return what, check
+
+
+CHECKS = (
+    _check("no run crashed", lambda runs: _described(runs[runs["status"] == CRASHED])),
+    _check(
+        "every failed run has a reason",
+        lambda runs: _described(runs[runs["reason"] == ""]),
+        "failed",
+    ),
+    _check("errors are those of the estimates", _off, "ok"),
+    _check("errors are possible ones", _impossible, "ok"),
+    _check("a method gives a pose always or never", _poses_at_times, "ok"),
+    _check("all methods and offsets saw the same recording", _several_recordings),
+)
+
+
+# --- What pages quote ---
+
+
+def verdicts(results: Results, quantity: str) -> str:
+    """Say how many cells of a published quantity agree, are better, and differ."""
+    rows = results.rows("comparison", quantity=quantity)
+    counts = {word: int((rows["verdict"] == word).sum()) for word in VERDICTS}
+    words = (f"{n} {_plural(word, n)}" for word, n in counts.items() if n)
+    return f"of {len(rows)} cells {listed(words)}"
+
+
+def paper_size(results: Results) -> str:
+    """Say in how many cells the t_d error of `ssac` is of the paper's size or better."""
+    rows = results.rows("comparison", quantity="ssac_t_d_error_ms")
+    return f"{int((rows['paper_size_or_better'] == 'yes').sum())} of {len(rows)} cells"
+
+
+def ratio(results: Results, quantity: str, duration_s: float) -> str:
+    """Ours over the paper's, of the geometric means over the cells of one table."""
+    of = {"quantity": quantity, "duration_s": duration_s}
+    ours = results.column("comparison", "ours_mean", **of)
+    return f"{gmean(ours) / gmean(results.column('comparison', 'published_mean', **of)):.2f}"
+
+
+def ratio_interval(results: Results, quantity: str, duration_s: float) -> str:
+    """Say between which ratios `ratio` lies with 95 %."""
+    row = results.one("comparison_summary", quantity=quantity, duration_s=duration_s)
+    return f"{row['ratio'] / row['factor']:.2f} to {row['ratio'] * row['factor']:.2f}"
+
+
+def cell_means(results: Results, method: str, error: str) -> list[float]:
+    """Return a method's mean errors in all cells of both tables."""
+    return [v for name in TABLES for v in results.column(name, f"{method}_{error}_mean")]
+
+
+def mean_range(results: Results, method: str) -> str:
+    """Range of a method's mean errors of t_d over the cells of both tables."""
+    means = cell_means(results, method, T_D_ERROR.column)
+    return f"{min(means):.2f} to {max(means):.2f} {T_D_ERROR.unit}"
+
+
+def mark_met(results: Results, symbol: str) -> str:
+    """Say in how many cells the mean error of `tangency` is at most its mark."""
+    error = SYMBOLS[symbol]
+    means = cell_means(results, "tangency", error.column)
+    return f"{sum(mean <= error.mark for mean in means)} of {len(means)} cells"
+
+
+def largest(results: Results, symbol: str) -> str:
+    """Say what the largest mean error of `tangency` in a cell is."""
+    error = SYMBOLS[symbol]
+    return f"{max(cell_means(results, 'tangency', error.column)):.3f} {error.unit}"
+
+
+def answered(results: Results) -> str:
+    """Say how many runs of the tables gave an estimate."""
+    status = results.table("runs")["status"]
+    return f"{int((status == 'ok').sum())} of {len(status)} runs"
+
+
+def methods_table(results: Results) -> str:
+    """Mean errors of every method, the range over the cells of each table."""
+    rows = []
+    for method in (*METHODS, "albl", "zncc_e", "zncc_f", "event_rate"):
+        cells_of_row = [f"`{method}`"]
+        for error in (quantity.column for quantity in SYMBOLS.values()):
+            has_it = f"{method}_{error}_mean" in results.table(TABLES[0])
+            means = cell_means(results, method, error) if has_it else [np.nan]
+            # of methods with the pose known, that of R and t is the pose they were given
+            known = method.endswith("-known") and error != T_D_ERROR.column
+            is_empty = known or not np.isfinite(means).any()
+            shown = "" if is_empty else f"{digits(np.nanmin(means))} to {digits(np.nanmax(means))}"
+            cells_of_row.append(shown)
+        rows.append(cells_of_row)
+    return markdown_table(["method", *(error.heading for error in SYMBOLS.values())], rows)
+
+
+def _plural(verdict: str, n: int) -> str:
+    one = {"agrees": "agrees", "better": "is better", "differs": "differs"}
+    many = {"agrees": "agree", "better": "are better", "differs": "differ"}
+    return one[verdict] if n == 1 else many[verdict]
+
+
+NUMBERS: Mapping[str, Callable[[Results], str]] = {
+    "paper.size": paper_size,
+    **{f"paper.{q}": partial(verdicts, quantity=quantity) for q, quantity in PUBLISHED.items()},
+    **{
+        f"paper.{what}.{q}.{d:g}": partial(function, quantity=PUBLISHED[q], duration_s=d)
+        for what, function in (("ratio", ratio), ("interval", ratio_interval))
+        for q in ("ssac.t_d", "ssac.R", "ssac.t")
+        for d in DURATIONS_S
+    },
+    **{
+        f"tables.range.{m}.t_d": partial(mean_range, method=m)
+        for m in ("ssac", "joint", "tangency")
+    },
+    "tables.runs": answered,
+    **{f"tables.mark.{s}": partial(mark_met, symbol=s) for s in SYMBOLS},
+    **{f"tables.largest.{s}": partial(largest, symbol=s) for s in SYMBOLS},
+    "table.methods": methods_table,
+}
+
+
+def config() -> dict[str, Any]:
+    """Give what the tables are made with."""
+    return {grid.name: grid.content for grid in table_grids()}
+
+
+STUDIES = (
+    Study(
+        "tables",
+        "The paper's simulation tables, all methods",
+        cells,
+        SCORED,
+        Runs("runs.csv", tuple(KEY), columns=RUN_COLUMNS, numbered=False),
+        (
+            *(
+                Made(f"{name}.csv", partial(table, duration_s=duration_s))
+                for name, duration_s in zip(TABLES, DURATIONS_S, strict=True)
+            ),
+            Made("comparison.csv", comparison),
+            Made("comparison_summary.csv", summary),
+            Made("README.md", page),
+            Made("error_vs_angle.png", errors_by_angle),
+            Made("beyond_paper.png", beyond_the_paper),
+        ),
+        numbers=NUMBERS,
+        checks=CHECKS,
+        config=config(),
+        command="ssac tables",
+        shows="comparison_summary",
+    ),
+)
+
+command = command_of(
+    {"tables": STUDIES},
+    "Regenerate the paper's simulation tables: every method on every recording.",
+)

@@ -1,0 +1,94 @@
+"""A tiny study, and a folder of results as its command leaves it; no OpenGL, no recordings."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from experiments.lab.cache import Cache
+from experiments.lab.cell import Measure
+from experiments.lab.files import csv_text, record_checksums, save_text
+from experiments.lab.provenance import provenance
+from experiments.lab.results import Results
+from experiments.lab.study import Made, Runs, Study, save_made
+from experiments.lab.verify import between
+
+GL = {"backend": "osmesa", "renderer": "llvmpipe", "version": "4.5"}
+
+
+@dataclass(frozen=True)
+class SquareCell:
+    number: int
+
+    @property
+    def recordings(self) -> tuple[Any, ...]:
+        return ()
+
+    @property
+    def columns(self) -> dict[str, Any]:
+        return {"number": self.number, "pair": [self.number, 1]}
+
+    @property
+    def inputs(self) -> int:
+        return self.number
+
+
+@dataclass(frozen=True)
+class SquareRow:
+    status: str
+    reason: str = ""
+    square: float = np.nan
+
+
+def load_nothing(cells: Sequence[SquareCell], cache: Cache) -> None:
+    return None
+
+
+def squared(cell: SquareCell, loaded: None) -> SquareRow:
+    return SquareRow("ok", "", float(cell.number**2))
+
+
+def sums(results: Results) -> pd.DataFrame:
+    runs = results.table("squares_runs")
+    ok = runs[runs["status"] == "ok"]
+    return pd.DataFrame(
+        {"half": ["low", "high"], "sum": [ok["square"][:3].sum(), ok["square"][3:].sum()]}
+    )
+
+
+def drawn(results: Results) -> Figure:
+    figure = Figure(figsize=(2, 2))
+    runs, table = results.table("squares_runs"), results.table("squares")
+    figure.subplots().plot(runs["number"], runs["square"] / table["sum"].iloc[0])
+    return figure
+
+
+SQUARES = Study(
+    "squares",
+    "Squares of numbers",
+    lambda: [SquareCell(number) for number in range(2, 8)],
+    Measure(load_nothing, squared, SquareRow),
+    Runs("squares_runs.csv", ("number",)),
+    (Made("squares.csv", sums), Made("squares.png", drawn),
+     Made("squares.md", lambda results: f"The sums:\n\n{results.text('squares.csv')}")),
+    numbers={"squares.sum": lambda results: f"{results.value('squares', 'sum', half='low'):.0f}"},
+    checks=(("squares are no square roots", between("squares_runs", "square", 4.0, 49.0)),),
+    config={"numbers": [2, 8]},
+)  # fmt: skip
+
+
+def write_squares(folder: Path) -> None:
+    """Write what `ssac study squares` does."""
+    folder.mkdir(parents=True)
+    rows = [
+        {"cell": n, **cell.columns, **vars(squared(cell, None))}
+        for n, cell in enumerate(SQUARES.cells())
+    ]
+    save_text(folder / "squares_runs.csv", csv_text(pd.DataFrame(rows)))
+    content = provenance("ssac study squares", {"study": "squares", **SQUARES.config}, 1.0, None)
+    content |= {"commit": "0123456789ab", "gl": GL}
+    record_checksums(folder, save_made(SQUARES, folder, Cache(folder / "none"), content))

@@ -1,0 +1,137 @@
+"""Quoted numbers follow the results, and each way of being stale is one clear line."""
+
+from pathlib import Path
+
+import pytest
+
+from experiments import commands
+from experiments.commands import numbers_command
+from experiments.lab.markdown import digits, listed, markdown_table
+from experiments.lab.quote import rewrite_numbers, stale_numbers
+from experiments.lab.results import Results
+from experiments.studies import all_studies
+from ssac.errors import SsacError
+
+PAGE = """# Page
+
+The low half adds up to <!--n:sum.low-->0<!--/n--> and
+the high half to <!--n:sum.high-->no<!--/n-->.
+
+<!--n:table.sums-->
+<!--/n-->
+
+```markdown
+<!--n:sum.low-->left as it is<!--/n-->
+```
+"""
+
+
+def _sum(half: str):
+    return lambda results: f"{results.value('squares', 'sum', half=half):.0f}"
+
+
+def _table(results: Results) -> str:
+    table = results.table("squares")
+    return markdown_table(list(table), [[str(cell) for cell in row] for row in table.to_numpy()])
+
+
+NUMBERS = {"sum.low": _sum("low"), "sum.high": _sum("high"), "table.sums": _table}
+
+
+@pytest.fixture
+def root(tmp_path: Path) -> Path:
+    """Return a small project: one page, one file of results."""
+    (tmp_path / "docs").mkdir()
+    (tmp_path / "results").mkdir()
+    (tmp_path / "README.md").write_text(PAGE)
+    (tmp_path / "docs" / "a.md").write_text("no numbers\n")
+    (tmp_path / "results" / "squares.csv").write_text("half,sum\nlow,29\nhigh,110\n")
+    (tmp_path / "results" / "squares.provenance.json").write_text('{"wall_time_s": 90.0}')
+    return tmp_path
+
+
+def test_numbers_are_written_once_and_then_stay(root):
+    assert rewrite_numbers(root, NUMBERS) == [root / "README.md"]
+    text = (root / "README.md").read_text()
+    assert "to <!--n:sum.low-->29<!--/n--> and" in text
+    assert "<!--n:sum.high-->110<!--/n-->." in text
+    assert "| low  |  29 |" in text
+    assert "left as it is" in text  # what stands in a code block is an example
+    assert stale_numbers(root, NUMBERS) == []
+    assert rewrite_numbers(root, NUMBERS) == []
+
+
+def test_a_changed_result_makes_the_page_stale(root, monkeypatch):
+    rewrite_numbers(root, NUMBERS)
+    path = root / "results" / "squares.csv"
+    path.write_text(path.read_text().replace("29", "30"))
+    stale = stale_numbers(root, NUMBERS)
+    assert len(stale) == 2  # the sentence and the table
+    assert "README.md:3: sum.low is '30', not '29'" in stale[0]
+    monkeypatch.setattr(commands, "all_numbers", lambda: NUMBERS)
+    with pytest.raises(SsacError, match="2 stale numbers"):
+        numbers_command(root, check=True)
+
+
+@pytest.mark.parametrize(
+    ("damage", "said"),
+    [
+        (lambda t: t.replace("low", "lower"), "no row with half = low"),
+        (lambda t: t.replace("sum", "total"), "no column sum"),
+        (lambda t: t + t.split("\n", 1)[1], "2 rows with"),
+    ],
+)
+def test_a_gap_in_the_results_names_the_number(root, damage, said):
+    path = root / "results" / "squares.csv"
+    path.write_text(damage(path.read_text()))
+    with pytest.raises(SsacError, match=rf"README.md:3: sum.low: .*squares.csv: {said}"):
+        rewrite_numbers(root, NUMBERS)
+    assert any(said in line for line in stale_numbers(root, NUMBERS))
+
+
+def test_a_missing_file_and_an_unknown_name_are_stale(root):
+    rewrite_numbers(root, NUMBERS)
+    page = root / "docs" / "a.md"
+    page.write_text(
+        "<!--n:minutes.squares-->1.5<!--/n--> <!--n:minutes.cubes-->1<!--/n-->"
+        " <!--n:no.such-->1<!--/n-->\n"
+    )
+    stale = stale_numbers(root, NUMBERS)
+    assert len(stale) == 2
+    assert "minutes.cubes: no such number" in stale[0]
+    assert "no.such: no such number" in stale[1]
+    (root / "results" / "squares.csv").unlink()
+    assert "no such file: make it first" in stale_numbers(root, NUMBERS)[0]
+
+
+def test_a_comment_that_is_not_closed_is_an_error(root):
+    (root / "docs" / "a.md").write_text("<!--n:a-->1\n\n<!--n:b-->2<!--/n-->\n")
+    lines = stale_numbers(root, NUMBERS)
+    assert ["a.md:3: <!--n:b-->" in line for line in lines].count(True) == 1
+
+
+def test_names_of_our_numbers_are_single_words_and_of_one_study_each():
+    names = [name for study in all_studies().values() for name in study.numbers]
+    assert all(" " not in name for name in names)
+    assert len(names) == len(set(names))
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (0.0961, "0.096"),
+        (9.96, "10"),
+        (0.996, "1.0"),
+        (123.4, "120"),
+        (0.0, "0.0"),
+        (-0.25, "-0.25"),
+        (float("nan"), "none"),
+    ],
+)
+def test_digits(value, text):
+    assert digits(value) == text
+
+
+def test_listed():
+    assert listed(["a"]) == "a"
+    assert listed("abc") == "a, b and c"
