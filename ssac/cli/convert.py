@@ -81,10 +81,10 @@ def track_command(
     try:
         events = file.events
         if given.faint:
-            events = faint_object_events(events, calibrated.width, calibrated.height)
+            events = faint_object_events(events, calibrated.width, calibrated.height, config.rules)
         seen = clean(Observation(events), calibrated, config.cleaning)
         track = track_of_events(seen, config)
-        n_things = things_seen(seen)
+        n_things = things_seen(seen, config.rules.objects)
     except SsacError as error:
         raise SsacError(f"{cam}: {error}") from error
     if n_things > 1:

@@ -351,13 +351,16 @@ class Chain:
             cleans = [self.clean(k) for k in range(len(self))]
             everywhere = any(self._searches_all(*two) for two in combinations(cleans, 2))
             with self.watch.part("objects") as say:
-                found = one_object(cleans, None if everywhere else interval_s)
+                found = one_object(cleans, self.config.rules, None if everywhere else interval_s)
                 if any(len(one.events) for one in cleans):
                     say(_objects_seen(*found))
             return found
 
         config = self.config
-        key = "object", config.cleaning, interval_s, config.interval_s, config.search, config.rates
+        key = (
+            *("object", config.cleaning, config.rules, interval_s),
+            *(config.interval_s, config.search, config.rates),
+        )
         every, refusal = self._once(key, chosen)
         two = every[places[0]], every[places[1]]
         lost = [k for k in places if every[k].used.seen > 1 and every[k].used.share == 0.0]

@@ -63,7 +63,7 @@ def solve_pairs(
             links[pair] = link
     has_frames = any(camera.has_frames for camera in seen)
     prior_ppm = chain.config.resolved(has_frames).prior_ppm
-    return solve_network(seen, links, prior_ppm, distance_m or 1.0)
+    return solve_network(seen, links, prior_ppm, distance_m or 1.0, chain.config.rules)
 
 
 def grounded(answer: NetworkAnswer, known: Known) -> tuple[NetworkAnswer, Ground | None]:
@@ -118,14 +118,15 @@ def _sightings(chain: Chain, k: int, pairs: dict[Pair, Answer]) -> Sightings:
     """Say where a camera saw the object; nowhere, of one whose events show none."""
     clean = next(answer.cleans[pair.index(k)] for pair, answer in pairs.items() if k in pair)
     name, has_frames = Path(chain.name(k)).stem, clean.has_track
+    rules = chain.config.rules.points
     if clean.track is not None:
-        return sightings(clean.track, clean.camera, name, has_frames)
+        return sightings(clean.track, clean.camera, name, has_frames, rules)
     try:
         shaped = _followed(chain, k, clean)
     except SsacError:  # its pairs say why
         shaped = ShapedTrack(PointTrack(np.empty(0), np.empty((0, 2))), None)
     told = shaped.spreads_px2, shaped.images
-    return sightings(shaped.track, clean.camera, name, has_frames, *told)
+    return sightings(shaped.track, clean.camera, name, has_frames, rules, *told)
 
 
 def _followed(chain: Chain, k: int, clean: Clean) -> ShapedTrack:
