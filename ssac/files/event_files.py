@@ -9,6 +9,7 @@ suffix        format                                         absolute time
 .h5, .hdf5    HDF5: ours, DSEC's, Prophesee's (`hdf5`)       kept
 .txt          ESIM text (`text`)                             kept
 .csv          named columns (`text`)                         kept
+.npy, .npz    NumPy's arrays (`numpy_files`)                 kept
 .aedat4       iniVation AEDAT 4 (`makers`)                   kept
 .raw          Prophesee EVT2 (`makers`)                      kept
 .raw          Prophesee EVT3 (`makers`)                      modulo 2^24 us = 16.8 s
@@ -41,12 +42,17 @@ class Format(NamedTuple):
 
 _HDF5 = Format("ssac.files.hdf5:load_events_h5", "ssac.files.hdf5:save_events_h5")
 _MAKERS = Format("ssac.files.makers:load_makers_file")
+_NUMPY = Format(
+    "ssac.files.numpy_files:load_events_numpy", "ssac.files.numpy_files:save_events_numpy"
+)
 
 FORMATS = {
     ".h5": _HDF5,
     ".hdf5": _HDF5,
     ".txt": Format("ssac.files.text:load_events_text", "ssac.files.text:save_events_text"),
     ".csv": Format("ssac.files.text:load_events_csv"),
+    ".npy": _NUMPY,
+    ".npz": _NUMPY,
     ".aedat4": _MAKERS,
     ".raw": _MAKERS,
     ".dat": _MAKERS,

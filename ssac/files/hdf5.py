@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from ssac.errors import SsacError
 from ssac.events import EVENT_DTYPE, EventFile, check_lengths, field_values
 from ssac.files.damage import STRICT, Reading, checked_file, refuse_damaged
-from ssac.files.readable import readable
+from ssac.files.readable import readable, side_px
 from ssac.files.whole_file import check_writable, whole_file
 
 with suppress(ImportError):  # then what needs it is refused
@@ -41,7 +41,6 @@ _MAX_OFFSET_US = 2.0**60
 _MAX_RATIO = 1000  # no codec makes more bytes of events, or of frames, of one that is stored
 _NEVER_MIND = 1 << 20  # bytes, that anything may take
 _PROPHESEE_ECF = 0x8ECF  # number of the codec of Prophesee's newer HDF5 files, not in hdf5plugin
-_MAX_SIDE_PX = np.iinfo(EVENT_DTYPE["x"]).max
 
 
 def load_events_h5(path: Path, reading: Reading = STRICT) -> EventFile:
@@ -253,17 +252,8 @@ def _brief_list(file: h5py.File) -> str:
 
 
 def _side_px(value: Any, key: str, path: Path) -> int:
-    try:
-        side_px = int(value)
-    except (TypeError, ValueError, OverflowError):
-        side_px = 0
-    if not 1 <= side_px <= _MAX_SIDE_PX:
-        expected = "WIDTHxHEIGHT" if key == "geometry" else "a number"
-        raise SsacError(
-            f"{path}: the attribute {key} must be {expected} of 1 to {_MAX_SIDE_PX} px, got "
-            f"{str(value)[:40]!r}: correct it, or leave it out"
-        )
-    return side_px
+    expected = "WIDTHxHEIGHT" if key == "geometry" else "a number"
+    return side_px(value, f"the attribute {key} must be {expected} of", path)
 
 
 def _check_codec(found: Any, name: str, path: Path) -> None:

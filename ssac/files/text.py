@@ -16,12 +16,11 @@ from numpy.typing import NDArray
 from ssac.errors import SsacError
 from ssac.events import EVENT_DTYPE, US_PER_S, EventFile, events_from_arrays
 from ssac.files.damage import STRICT, Reading, checked_file
-from ssac.files.readable import brief, check_text
+from ssac.files.readable import brief, check_text, side_px
 from ssac.files.whole_file import whole_file
 
 _MAX_WHOLE_S = 1000.0  # times in seconds that go further and are all whole are none of seconds
 _LONGEST_LINE = 4096  # letters of a first line
-_MAX_SIDE_PX = np.iinfo(EVENT_DTYPE["x"]).max
 _MAX_S = 2.0**62 / US_PER_S  # what a time in whole microseconds holds
 
 LINES_PER_BLOCK = 1_000_000
@@ -105,13 +104,7 @@ def _is_whole_number(word: str) -> bool:
 
 
 def _side_px(word: str, path: Path) -> int:
-    side_px = int(word)
-    if not 1 <= side_px <= _MAX_SIDE_PX:
-        raise SsacError(
-            f"{path}: the sensor's size in the first line must be 1 to {_MAX_SIDE_PX} px, got "
-            f"{word[:40]}: correct it, or leave it out"
-        )
-    return side_px
+    return side_px(word, "the sensor's size in the first line must be", path)
 
 
 def _read_table(

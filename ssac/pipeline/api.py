@@ -14,6 +14,7 @@ from ssac.config import Config
 from ssac.errors import SsacError
 from ssac.estimate import Estimate
 from ssac.files.damage import STRICT, Reading
+from ssac.methods.method import Method
 from ssac.methods.verdict import quantum_s
 from ssac.pipeline.answer import Answer, Log, quiet
 from ssac.pipeline.chain import Chain
@@ -26,7 +27,7 @@ from ssac.pipeline.opened import (
     opened,
     opened_rig,
 )
-from ssac.pipeline.registry import METHODS, EstimateFunction, choose_method
+from ssac.pipeline.registry import EstimateFunction, choose_method
 from ssac.search.two_views import TwoViews
 from ssac.track.clean import Clean
 
@@ -340,16 +341,16 @@ def _warn_of_rounding(recorded: Iterable[tuple[str, Clean]]) -> None:
             )
 
 
-def _calls(name: str) -> EstimateFunction:
-    """Make the function of one method: `tangency(cam1, cam2, rig, config)`."""
+def function_of(method: Method) -> EstimateFunction:
+    """Make the function of one method: `ssac.tangency(cam1, cam2, rig, config)`."""
 
     def estimate(
         cam1: CameraInput, cam2: CameraInput, rig: RigInput, config: Config | None = None
     ) -> Estimate:
-        return chain_of((cam1, cam2), rig, config).estimate(METHODS[name])
+        return chain_of((cam1, cam2), rig, config).estimate(method)
 
-    estimate.__name__ = estimate.__qualname__ = name.replace("-", "_")
-    estimate.__doc__ = f"""Estimate as `sync(..., method="{name}")` does: {METHODS[name].summary}.
+    estimate.__name__ = estimate.__qualname__ = method.name.replace("-", "_")
+    estimate.__doc__ = f"""Estimate as `sync(..., method="{method.name}")` does: {method.summary}.
 
     Parameters
     ----------
@@ -361,10 +362,3 @@ def _calls(name: str) -> EstimateFunction:
         Parameters; the defaults when None.
     """
     return estimate
-
-
-ssac, ssac_known = _calls("ssac"), _calls("ssac-known")
-joint, joint_known = _calls("joint"), _calls("joint-known")
-tangency, tangency_known = _calls("tangency"), _calls("tangency-known")
-albl, zncc_e = _calls("albl"), _calls("zncc_e")
-zncc_f, event_rate = _calls("zncc_f"), _calls("event_rate")

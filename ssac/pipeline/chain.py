@@ -25,9 +25,10 @@ from ssac.camera import Camera, Cameras, Rig, check_cameras
 from ssac.config import Config, Interval, validated
 from ssac.errors import SsacError
 from ssac.estimate import SETTLED_BY, Estimate, Refusal, Status
+from ssac.methods.method import Input, Method
 from ssac.methods.verdict import less_sure, quantum_s
 from ssac.pipeline.answer import Answer, Log, Stopwatch, quiet
-from ssac.pipeline.registry import Input, Method, choose_method
+from ssac.pipeline.registry import choose_method, load
 from ssac.search.observability import has_common_time, unusable
 from ssac.search.one_object import one_object
 from ssac.search.start import Start, start_of
@@ -205,7 +206,7 @@ class Chain:
             raise SsacError(lacks)
         config = self.config.resolved(has_track)
         key = "answer", chosen, i, j, self.config
-        chosen.load()
+        load(chosen)
         with one_thread():
             return self._once(key, lambda: self._answered(chosen, (i, j), config))
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from ssac.errors import SsacError
 from ssac.estimate import Status
+from ssac.methods.method import Method
 from ssac.network.graph import Link, Pair
 from ssac.network.ground import Ground, ground_of_positions, ground_of_rtk, in_frame
 from ssac.network.solve import NetworkAnswer, link_of, solve_network
@@ -17,7 +18,6 @@ from ssac.pipeline.chain import Chain, one_thread
 from ssac.pipeline.many_report import NetworkResult, save_many
 from ssac.pipeline.object_track import ShapedTrack, shaped_track_of_events, track_of_events
 from ssac.pipeline.opened import NOTHING, Known
-from ssac.pipeline.registry import Method
 from ssac.points import PointTrack
 from ssac.track.body import LEAST_VIEWS
 from ssac.track.clean import Clean
