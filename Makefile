@@ -76,9 +76,7 @@ audit: .venv/.ready ## known vulnerabilities of the pinned packages, by pip-audi
 	@out/audit/bin/python -m pip install --quiet --disable-pip-version-check --no-input pip-audit==2.10.1
 	@out/audit/bin/pip-audit --requirement requirements.txt --no-deps --disable-pip --strict --progress-spinner off
 
-torture: .venv/.ready ## 20,000 damaged inputs, killed and disturbed sweeps (an hour) -> results/reliability.csv
-	@.venv/bin/python -c 'import distributed' 2>/dev/null || \
-		.venv/bin/python -m pip install --quiet --disable-pip-version-check --no-input 'dask[distributed]'
+torture: .venv/.ready ## 20,000 damaged inputs (an hour) -> results/reliability.csv
 	@.venv/bin/ssac torture
 
 bench: .venv/.ready ## speed, memory and their growth, as ratios (15 minutes) -> results/bench*.csv

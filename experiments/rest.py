@@ -1,6 +1,7 @@
 """What other commands leave in results/, until each is a study of its own."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,9 @@ import pandas as pd
 from experiments.bench.growth import COLUMNS as GROWTH_COLUMNS
 from experiments.bench.growth import COMMITTED, STEPS, bench_command_line, bench_config, points_of
 from experiments.bench.measurement import Measurement
+from experiments.damage.reliability import COMMAND as DAMAGE_COMMAND
+from experiments.damage.reliability import COMMITTED as DAMAGE
+from experiments.damage.reliability import reliability_faults
 from experiments.drawing.figures import drawings, figures_config
 from experiments.drawing.growth import growth_figure
 from experiments.lab.quote import pages, quotations
@@ -30,8 +34,6 @@ from experiments.real.data_sets import DATA_SETS, real_config
 from experiments.real.drawing import OFFSETS_FIGURE
 from experiments.real.faults import real_faults
 from experiments.real.paths import PATH_FIGURE
-from experiments.torture.reliability import COMMAND as TORTURE_COMMAND
-from experiments.torture.reliability import reliability_config, reliability_faults
 from sim.recording import SimConfig
 from ssac.estimate import Status
 
@@ -156,6 +158,6 @@ STUDIES = (
         Runs("reliability.csv", ("input",), numbered=False),
         checks=(("every case is there, and none ended as it must not",
                  lambda results: reliability_faults(results.folder)),),
-        config=reliability_config(), command=TORTURE_COMMAND, how=How.GIVEN,
+        config=asdict(DAMAGE), command=DAMAGE_COMMAND, how=How.GIVEN,
     ),
 )  # fmt: skip

@@ -95,12 +95,12 @@ def network_growth_table(results: Results) -> str:
 
 
 def reliability_table(results: Results) -> str:
-    """Count how damaged inputs and disturbed sweeps ended; empty where none were tried."""
+    """Count how damaged inputs ended; empty where none were tried."""
     if not results.has("reliability"):
         return ""
     table = results.table("reliability")
-    shown = ("refused", "warned", "read", "shorter", "right", "silently_fewer")
-    other = [str(name) for name in table if name not in ("input", "cases", *shown)]
+    shown = ("refused", "warned", "read", "shorter", "silently_fewer")
+    other = [str(name) for name in table if name not in ("input", "cases", "right", *shown)]
     rows = []
     for row in table.to_dict("records"):
         must_not_be = sum(row[name] for name in other)

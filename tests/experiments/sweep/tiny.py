@@ -65,11 +65,11 @@ def sweep(config, out, cache, *more):
     return CliRunner().invoke(app, arguments, catch_exceptions=False)
 
 
-def without_runs(folder: Path, name: str) -> Path:
-    """Return a cache with the recordings of `folder` / cache, but no runs."""
+def without_runs(folder: Path, name: str, of: Path | None = None) -> Path:
+    """Return a cache with the recordings of another, by default `folder` / cache, but no runs."""
     cache = folder / name
     cache.mkdir()
-    (cache / "recordings").symlink_to(folder / "cache" / "recordings")
+    (cache / "recordings").symlink_to((of or folder / "cache") / "recordings")
     return cache
 
 

@@ -1,4 +1,4 @@
-"""Something to be done with a damaged input in, what became of it out: each in its own process.
+"""One thing done as a command of ours would, in a process of its own, and how it ended.
 
 The process is forked from this one, which has imported everything: a case costs milliseconds.
 """
@@ -32,59 +32,40 @@ class Ended(NamedTuple):
     is_late: bool  # and was killed
 
 
-class Forked:
-    """A process, forked from this one, that does one thing as a command of ours would."""
+def run_forked(work: Callable[[], int], folder: Path, within_s: float = MAX_S) -> Ended:
+    """Do one thing, which returns a number, in a process forked from this one.
 
-    def __init__(self, work: Callable[[], int], folder: Path) -> None:
-        """Begin.
-
-        Parameters
-        ----------
-        work
-            Returns a number.
-        folder
-            For temporary files and for tracebacks.
-        """
-        self._reading, writing = os.pipe()
-        self._stderr = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115  closed in `ended`
+    `folder` is for temporary files and for tracebacks. A process that takes longer is killed.
+    """
+    reading, writing = os.pipe()
+    with tempfile.TemporaryFile(dir=folder) as stderr:
         sys.stdout.flush()
         sys.stderr.flush()
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", DeprecationWarning)  # of forks where there are threads
-            self.pid = os.fork()
-        if self.pid == 0:
-            os.close(self._reading)
-            _child(work, folder, self._stderr.fileno(), writing)
+            pid = os.fork()
+        if pid == 0:
+            os.close(reading)
+            _child(work, folder, stderr.fileno(), writing)
         os.close(writing)
-
-    def ended(self, within_s: float) -> Ended:
-        """Wait for its end, or bring it about when it takes longer."""
         said, is_late = b"", True
         try:
-            said, is_late = _read_to_end(self._reading, within_s)
+            said, is_late = _read_to_end(reading, within_s)
         finally:
             if is_late:
-                os.kill(self.pid, signal.SIGKILL)
-            os.close(self._reading)
-            _, status = os.waitpid(self.pid, 0)
-        with self._stderr as stderr:
-            stderr.seek(0)
-            text = stderr.read(100_000).decode("utf-8", "replace")
-        value = int(said) if said else None
-        return Ended(os.waitstatus_to_exitcode(status), text, value, is_late)
+                os.kill(pid, signal.SIGKILL)
+            os.close(reading)
+            _, status = os.waitpid(pid, 0)
+        stderr.seek(0)
+        text = stderr.read(100_000).decode("utf-8", "replace")
+    value = int(said) if said else None
+    return Ended(os.waitstatus_to_exitcode(status), text, value, is_late)
 
 
 def outcome(ended: Ended, name: str, good: int) -> str:
     """Name what became of a case.
 
-    Parameters
-    ----------
-    ended
-        How it ended.
-    name
-        Of the damaged file: an error must name it.
-    good
-        The value of the whole input.
+    An error must name the damaged file; `good` is the value of the whole input.
     """
     if ended.is_late:
         return "hang"

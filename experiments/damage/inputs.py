@@ -1,6 +1,6 @@
-"""A folder in; a good input of each kind in it out, and what is done with one: the same by a user.
+"""A good input of each kind, and how a user's command would read it.
 
-What is done returns how many events were read, or rows, or 1: what a damaged input is held against.
+Reading returns how many events there are, or rows, or 1: a damaged input is held against that.
 """
 
 import json
@@ -59,8 +59,8 @@ cam1:
 
 
 @dataclass(frozen=True)
-class Victim:
-    """An input that is whole, and what is done with it or with a damaged one."""
+class Input:
+    """A file that is whole, and how it or a damaged copy is used."""
 
     kind: str
     path: Path
@@ -71,13 +71,13 @@ class Victim:
     use_damaged: Callable[[Path], int] | None = None  # the same by who allows for damage
 
 
-def victims(folder: Path) -> list[Victim]:
+def whole_inputs(folder: Path) -> list[Input]:
     """Write a good input of each kind."""
     events = _events()
     found = [*_event_files(folder, events), *_small_files(folder), *_entries(folder, events)]
-    for victim in found:
-        if victim.use(victim.path) != victim.good:
-            raise AssertionError(f"{victim.kind}: the whole one must be read as it is")
+    for one in found:
+        if one.use(one.path) != one.good:
+            raise AssertionError(f"{one.kind}: the whole one must be read as it is")
     return found
 
 
@@ -93,7 +93,7 @@ def _events() -> NDArray[np.void]:
     return events
 
 
-def _event_files(folder: Path, events: NDArray[np.void]) -> list[Victim]:
+def _event_files(folder: Path, events: NDArray[np.void]) -> list[Input]:
     def with_faery(path: Path, version: Any = None) -> Path:
         zero = path.suffix != ".es"
         size = (WIDTH, HEIGHT)
@@ -130,7 +130,7 @@ def _event_files(folder: Path, events: NDArray[np.void]) -> list[Victim]:
     is_text = {"esim text", "csv"}
     has_end = {"hdf5", "hdf5 dsec", "hdf5 prophesee", "aedat4"}
     return [
-        Victim(
+        Input(
             kind,
             path,
             _n_events,
@@ -191,7 +191,7 @@ def _save_evt3(path: Path, events: NDArray[np.void]) -> None:
     path.write_bytes(header + np.array(words, "<u2").tobytes())
 
 
-def _small_files(folder: Path) -> list[Victim]:
+def _small_files(folder: Path) -> list[Input]:
     times_s = np.arange(250) / 25.0
     points = np.column_stack([100.0 + 10.0 * times_s, 130.0 + 5.0 * np.sin(times_s)])
     save_track(folder / "track.csv", PointTrack(times_s, points, np.full(len(times_s), 0.3)))
@@ -209,12 +209,12 @@ def _small_files(folder: Path) -> list[Victim]:
     }
     (folder / "recording" / "truth.json").write_text(json.dumps(truth), encoding="utf-8")
     return [
-        Victim("track", folder / "track.csv", _n_points, len(times_s), True, False),
-        Victim("rig", folder / "rig.yaml", partial(_used, load_rig), 1, True),
-        Victim("trajectory", folder / "flight.csv", partial(_used, trajectory_from_csv), 1, True),
-        Victim("grid", folder / "grid.toml", partial(_used, load_config), 1, True),
-        Victim("mesh", folder / "drone.obj", partial(_used, check_mesh), 1, True),
-        Victim("truth", folder / "recording" / "truth.json", _use_truth, 1, True),
+        Input("track", folder / "track.csv", _n_points, len(times_s), True, False),
+        Input("rig", folder / "rig.yaml", partial(_used, load_rig), 1, True),
+        Input("trajectory", folder / "flight.csv", partial(_used, trajectory_from_csv), 1, True),
+        Input("grid", folder / "grid.toml", partial(_used, load_config), 1, True),
+        Input("mesh", folder / "drone.obj", partial(_used, check_mesh), 1, True),
+        Input("truth", folder / "recording" / "truth.json", _use_truth, 1, True),
     ]
 
 
@@ -249,7 +249,7 @@ _ROW = {"status": "ok", "reason": "", "t_d_error_ms": 0.12345, "n_samples": 348}
 _MEANS = Brightness(np.arange(50) / 50.0, np.arange(50), np.arange(50) / 50.0, np.arange(50))
 
 
-def _entries(folder: Path, events: NDArray[np.void]) -> list[Victim]:
+def _entries(folder: Path, events: NDArray[np.void]) -> list[Input]:
     """Entries of a cache: a damaged one must not be used."""
     cache = Cache(folder / "cache")
     cache.save_run("abcd", _ROW)
@@ -259,9 +259,9 @@ def _entries(folder: Path, events: NDArray[np.void]) -> list[Victim]:
     made.mkdir(parents=True)
     save_events_h5(made / "cam1.h5", events, WIDTH, HEIGHT)
     return [
-        Victim("cached row", folder / "cache" / "runs" / "ab" / "abcd.json", _use_row, 1),
-        Victim("cached brightness", means, _use_brightness, 1),
-        Victim("cached recording", made / "cam1.h5", _use_recording, 1),
+        Input("cached row", folder / "cache" / "runs" / "ab" / "abcd.json", _use_row, 1),
+        Input("cached brightness", means, _use_brightness, 1),
+        Input("cached recording", made / "cam1.h5", _use_recording, 1),
     ]
 
 

@@ -1,0 +1,1 @@
+"""Inputs of all kinds, damaged in all ways, and what becomes of them."""

@@ -1,1 +1,0 @@
-"""Damaged inputs, full disks and killed processes: what becomes of them."""
