@@ -1,6 +1,7 @@
 """What other commands leave in results/, until each is a study of its own."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,6 @@ from experiments.damage.reliability import COMMITTED as DAMAGE
 from experiments.damage.reliability import reliability_faults
 from experiments.drawing.figures import drawings, figures_config
 from experiments.drawing.growth import growth_figure
-from experiments.lab.provenance import plain
 from experiments.lab.quote import pages, quotations
 from experiments.lab.results import Results
 from experiments.lab.scored import SCORED
@@ -158,6 +158,6 @@ STUDIES = (
         Runs("reliability.csv", ("input",), numbered=False),
         checks=(("every case is there, and none ended as it must not",
                  lambda results: reliability_faults(results.folder)),),
-        config=plain(DAMAGE), command=DAMAGE_COMMAND, how=How.GIVEN,
+        config=asdict(DAMAGE), command=DAMAGE_COMMAND, how=How.GIVEN,
     ),
 )  # fmt: skip

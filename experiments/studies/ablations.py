@@ -31,9 +31,7 @@ _ERRORS = {
 }
 
 SHOWN: Mapping[str, Sequence[str]] = {
-    "n_min": ["ssac.n_min"],
     "size": ["sim.drone_size_m"],
-    "window": ["ssac.half_window_s"],
 }
 """Of ablations that a page shows: columns that tell the rows apart; all else is averaged over."""
 

@@ -209,12 +209,6 @@ def cell_means(results: Results, method: str, error: str) -> list[float]:
     return [v for name in TABLES for v in results.column(name, f"{method}_{error}_mean")]
 
 
-def mean_range(results: Results, method: str) -> str:
-    """Range of a method's mean errors of t_d over the cells of both tables."""
-    means = cell_means(results, method, T_D_ERROR.column)
-    return f"{min(means):.2f} to {max(means):.2f} {T_D_ERROR.unit}"
-
-
 def mark_met(results: Results, symbol: str) -> str:
     """Say in how many cells the mean error of `tangency` is at most its mark."""
     error = SYMBOLS[symbol]
@@ -265,10 +259,6 @@ NUMBERS: Mapping[str, Callable[[Results], str]] = {
         for what, function in (("ratio", ratio), ("interval", ratio_interval))
         for q in ("ssac.t_d", "ssac.R", "ssac.t")
         for d in DURATIONS_S
-    },
-    **{
-        f"tables.range.{m}.t_d": partial(mean_range, method=m)
-        for m in ("ssac", "joint", "tangency")
     },
     "tables.runs": answered,
     **{f"tables.mark.{s}": partial(mark_met, symbol=s) for s in SYMBOLS},

@@ -18,7 +18,7 @@ from sim.render.config import RenderConfig, SamplingConfig
 from sim.render.lattice import Lattice
 from sim.scene.rig import look_at_rig
 from sim.scene.trajectory import SplineConfig, Trajectory
-from ssac.methods.correlations import BIN_S, Signal
+from ssac.methods.correlations import ZNCC_BIN_S, Signal
 
 DURATION_S = 10.0
 CAMERAS = dict(zip((0, 90, 180), look_at_rig((0.0, 90.0, 180.0)).cameras, strict=True))
@@ -45,9 +45,9 @@ def noise(n: int = 2000) -> np.ndarray:
 
 def test_the_lag_of_a_delayed_signal_is_its_error():
     values = noise()
-    found = agreement(Signal(0, values), Signal(35, values), BIN_S)
+    found = agreement(Signal(0, values), Signal(35, values), ZNCC_BIN_S)
     assert found.error_ms == pytest.approx(350.0)
-    late = agreement(Signal(0, values), Signal(0, values), BIN_S)
+    late = agreement(Signal(0, values), Signal(0, values), ZNCC_BIN_S)
     assert late.error_ms == 0.0
     assert late.at_truth == pytest.approx(1.0)
     assert late.elsewhere < 0.15  # of 200 lags of white noise, each with a spread of 2000^-0.5
@@ -63,14 +63,14 @@ def test_horizontal_motion_is_not():
     across, along_sight = (signals((1, 0, 0), angle)["speed"].values for angle in (0, 90))
     assert np.max(along_sight) < 1e-6  # the root of a difference of squares
     # Seen from the front, all of the speed but for what widens the distance: 1.2 m of 5 m aside.
-    speed = np.abs(np.gradient(wander(BIN_S * (np.arange(len(across)) + 0.5)), BIN_S))
+    speed = np.abs(np.gradient(wander(ZNCC_BIN_S * (np.arange(len(across)) + 0.5)), ZNCC_BIN_S))
     np.testing.assert_allclose(across, speed, rtol=0.04)
 
 
 def test_one_camera_s_near_is_the_opposite_one_s_far():
     near, far = (signals((0, 1, 0), angle)["distance"] for angle in (0, 180))
     np.testing.assert_allclose(near.values**-0.5 + far.values**-0.5, 10.0)
-    assert agreement(near, far, BIN_S).at_truth < -0.9  # but for the curvature of 1 / d^2
+    assert agreement(near, far, ZNCC_BIN_S).at_truth < -0.9  # but for the curvature of 1 / d^2
 
 
 def test_what_is_out_of_the_image_makes_no_events():
