@@ -44,14 +44,15 @@ def save_events_numpy(
             np.save(file, events)
         else:
             sizes = {"width": width, "height": height}
-            np.savez(file, events=events, **{k: v for k, v in sizes.items() if v is not None})
+            known: dict[str, Any] = {k: v for k, v in sizes.items() if v is not None}
+            np.savez(file, events=events, **known)
 
 
 def _events(arrays: dict[str, NDArray[Any]], path: Path) -> NDArray[np.void]:
     if "events" in arrays and arrays["events"].ndim == 1:
         return events_of_array(arrays["events"], str(path))
     if all(field in arrays for field in _FIELDS):
-        return events_from_arrays(*(arrays[field] for field in _FIELDS), name=str(path))
+        return events_from_arrays(**{field: arrays[field] for field in _FIELDS}, name=str(path))
     raise SsacError(
         f"{path}: expected a structured array with the fields t [us], x, y and p (in an archive as"
         " `events`, or an array for each of them): save it so"
