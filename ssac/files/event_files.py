@@ -71,14 +71,7 @@ _WAYS = dict.fromkeys((".avi", ".mkv", ".mov", ".mp4"), _VIDEO) | dict.fromkeys(
 
 
 def load_events(path: Path | str, reading: Reading = STRICT) -> EventFile:
-    """Read an event file of any format in the table above.
-
-    Parameters
-    ----------
-    path
-        The file; its extension names its format.
-    reading
-        What may be made of a file that is damaged or unsorted.
+    """Read an event file of any format in the table above, by its extension.
 
     Returns
     -------
@@ -110,17 +103,7 @@ def load_events(path: Path | str, reading: Reading = STRICT) -> EventFile:
 
 
 def write_synced(path: Path | str, cam2: EventFile, clock: Clock) -> None:
-    """Write camera 2's events on camera 1's clock, in whole microseconds.
-
-    Parameters
-    ----------
-    path
-        File to write, in one of the formats WRITTEN by its extension.
-    cam2
-        Camera 2's events on its own clock.
-    clock
-        Camera 2's.
-    """
+    """Write camera 2's events on camera 1's clock, in whole microseconds, as the extension says."""
     path = Path(path)
     check_written(path)
     events = cam2.events.copy()

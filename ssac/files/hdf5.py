@@ -46,10 +46,7 @@ _PROPHESEE_ECF = 0x8ECF  # number of the codec of Prophesee's newer HDF5 files, 
 def load_events_h5(path: Path, reading: Reading = STRICT) -> EventFile:
     """Read the events of an HDF5 file in any of the three layouts.
 
-    Raises
-    ------
-    SsacError
-        If the file is damaged, in another layout, or its events fail `checked_file`.
+    SsacError if it is damaged, in another layout, or its events fail `checked_file`.
     """
     with _open_h5(path) as file:
         size_px = _sensor_size(file, path)
@@ -85,12 +82,12 @@ def load_events_h5(path: Path, reading: Reading = STRICT) -> EventFile:
 def load_frames(
     path: Path | str, summary: Callable[[NDArray[np.uint8]], NDArray[Any]] | None = None
 ) -> tuple[NDArray[np.int64], NDArray[Any]] | None:
-    """Read the intensity frames of a recording.
+    """Read the intensity frames of a recording; only our HDF5 layout can hold any.
 
     Parameters
     ----------
     path
-        Event file; only our HDF5 layout can hold frames, in `frames/t` and `frames/images`.
+        Event file.
     summary
         What to keep of frames, (k, height, width) in, (k, ...) out: called with some at a time, so
         that never all are in memory. They are kept as they are when None.
@@ -100,11 +97,6 @@ def load_frames(
     tuple of NDArray, or None
         Times of mid-exposure, shape (n,) [us], and images, shape (n, height, width), uint8, or the
         summaries of all. None when the file has no frames.
-
-    Raises
-    ------
-    SsacError
-        If the file is damaged, or times and images do not belong together.
     """
     path = Path(path)
     if path.suffix.lower() not in HDF5_SUFFIXES:

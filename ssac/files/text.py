@@ -28,13 +28,7 @@ LINES_PER_BLOCK = 1_000_000
 
 
 def load_events_text(path: Path, reading: Reading = STRICT) -> EventFile:
-    """Read ESIM text.
-
-    Raises
-    ------
-    SsacError
-        If a line is not `t x y p`, or the events fail `checked_file`.
-    """
+    """Read ESIM text; SsacError if a line is none, or the events fail `checked_file`."""
     first_line = _first_line(path).split()
     width, height = None, None
     if len(first_line) == 2 and all(map(_is_whole_number, first_line)):
@@ -49,13 +43,9 @@ def load_events_text(path: Path, reading: Reading = STRICT) -> EventFile:
 
 
 def load_events_csv(path: Path, reading: Reading = STRICT) -> EventFile:
-    """Read comma-separated events whose first line names the columns.
+    """Read comma-separated events whose first line names the columns t, x, y and p.
 
-    Raises
-    ------
-    SsacError
-        If the first line does not name t, x, y and p, a line does not fit it, or the events fail
-        `checked_file`.
+    SsacError if it does not, if a line does not fit it, or the events fail `checked_file`.
     """
     columns, sizes = [], {}
     for word in _first_line(path).lower().split(","):

@@ -71,18 +71,9 @@ class Result:
         return report_json(self.answer)
 
     def plot(self, path: Path | str | None = None) -> "Figure | None":
-        """Draw what the estimate allows, one figure below the other; write it if a path is given.
+        """Draw what the estimate allows, one figure below the other; None where that is nothing.
 
-        Parameters
-        ----------
-        path
-            A file (.png, .pdf, .svg) for all figures, or a folder for one PNG each; None: nothing
-            is written.
-
-        Returns
-        -------
-        Figure or None
-            None where there is nothing to draw.
+        With a path it is written too: a file (.png, .pdf, .svg), or a folder of one PNG each.
         """
         from ssac.pipeline.plots import page_of
 
@@ -278,17 +269,7 @@ def _check_options(
 
 
 def chain_of(cameras: Sequence[CameraInput], rig: RigInput, config: Config | None = None) -> Chain:
-    """Make a chain of what cameras recorded, in all the forms that `sync` takes.
-
-    Parameters
-    ----------
-    cameras
-        Two or more, in the order of the rig.
-    rig
-        Theirs.
-    config
-        Parameters; the defaults when None.
-    """
+    """Make a chain of what cameras recorded, in all the forms that `sync` takes."""
     models = opened_rig(rig, len(cameras))
     return Chain(opened(cameras, models), models, config)
 
@@ -298,19 +279,7 @@ def two_views(
 ) -> TwoViews:
     """Give the object's motion in both views of what two cameras recorded: the paper's Sec. IV-A.
 
-    Parameters
-    ----------
-    cam1, cam2
-        What the two cameras recorded, as for `sync`; what is clean already is not cleaned again.
-    rig
-        As for `sync`; the extrinsics are handed on, and not used.
-    config
-        Parameters; the defaults when None.
-
-    Raises
-    ------
-    SsacError
-        If a camera or its events cannot be used, or a parameter makes no sense.
+    What is clean already is not cleaned again; the rig's extrinsics are handed on, and not used.
     """
     return chain_of((cam1, cam2), rig, config).views()
 
@@ -320,10 +289,7 @@ def usable_events(
 ) -> tuple[NDArray[np.void], NDArray[np.void]]:
     """Give both cameras' events, checked, and denoised (Sec. IV-A) if the config asks for it.
 
-    Raises
-    ------
-    SsacError
-        If the events of a camera are empty, unsorted or outside its sensor.
+    SsacError if the events of a camera are empty, unsorted or outside its sensor.
     """
     chain = chain_of((cam1, cam2), rig, config)
     return chain.clean(0).events, chain.clean(1).events

@@ -176,24 +176,11 @@ class Chain:
         return self.answer(method, i, j).estimate
 
     def answer(self, method: str | Method | None = None, i: int = 0, j: int = 1) -> Answer:
-        """Find offset and pose of two cameras, in all the steps that this takes.
+        """Find offset and pose of two cameras, i and j from 0 on, in all the steps that this takes.
 
-        Parameters
-        ----------
-        method
-            One of the registry, or its name; None for the best one that both cameras allow.
-        i, j
-            Which two, from 0 on.
-
-        Returns
-        -------
-        Answer
-            Its estimate says with `status` and `reason` when it is not to be relied upon.
-
-        Raises
-        ------
-        SsacError
-            If what the cameras recorded cannot be used, or the method lacks something to run.
+        The method is one of the registry, or its name; None for the best one that both allow. The
+        estimate says with `status` and `reason` when it is not to be relied upon. SsacError if what
+        the cameras recorded cannot be used, or the method lacks something to run.
         """
         if not 0 <= i < j < len(self):
             raise SsacError(f"cameras {i} and {j}: there are {len(self)}, numbered from 0 on")
