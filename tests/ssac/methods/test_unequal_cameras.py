@@ -94,6 +94,6 @@ def test_swapping_unequal_cameras_swaps_offset_and_pose_and_leaves_deviations(se
     assert back.t_d_s == pytest.approx(-there.t_d_s, abs=there.t_d_std_s)
     assert rotation_angle_deg(back.R, there.R.T) < there.r_std_deg
     # The samples are others, and so are the residuals that deviations are read off.
-    assert back.t_d_std_s == pytest.approx(there.t_d_std_s, rel=0.15)
-    assert back.r_std_deg == pytest.approx(there.r_std_deg, rel=0.15)
-    assert back.t_std_deg == pytest.approx(there.t_std_deg, rel=0.15)
+    # The direction of t, seen from the other camera, has errors of R beside its own.
+    assert back.t_d_std_s == pytest.approx(there.t_d_std_s, rel=0.1)
+    assert back.r_std_deg == pytest.approx(there.r_std_deg, rel=0.1)
