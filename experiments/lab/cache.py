@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from experiments.lab.bridge import recording_bytes
-from experiments.lab.code import SIM_PACKAGES, SSAC_PACKAGES, code_digest, package_versions
+from experiments.lab.code import SIM_PACKAGES, SSAC_PACKAGES, code_digest, code_of, package_versions
 from experiments.lab.health import is_sound, row_of_text, save_sums, set_aside, text_of_row
 from experiments.lab.lock import ASK_AGAIN_S, claimed, remove_lapsed
 from experiments.lab.lock import SUFFIX as CLAIM
@@ -234,7 +234,7 @@ def recording_key(config: SimConfig, seed: int) -> str:
     return _digest(
         content(replace(config, t_d_s=0.0)),
         seed,
-        code_digest(*RECORDING_CODE, type(config).__module__),  # whose scene it is
+        code_digest(*RECORDING_CODE, *code_of(type(config))),  # whose scene it is
         package_versions(SIM_PACKAGES),
         plain(context) if context else None,
     )
@@ -250,7 +250,7 @@ def run_key(recordings: tuple[str, ...], inputs: Any, code: tuple[str, ...]) -> 
     inputs
         Everything else that goes in: parameters, the method's name and its version.
     code
-        Modules that measure it.
+        That measures it, as of `code_of`.
     """
     return _digest(recordings, content(inputs), code_digest(*code), package_versions(SSAC_PACKAGES))
 

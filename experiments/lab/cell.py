@@ -62,17 +62,8 @@ class FlightCell:
 
 @dataclass(frozen=True)
 class Measure:
-    """How the cells of one task become rows: functions of modules, which other processes find.
-
-    The code that a row depends on is that of the modules in which the two functions stand, and all
-    that these import: keep the drawing and summing up of rows elsewhere.
-    """
+    """How the cells of one task become rows: functions of modules, which other processes find."""
 
     load: Callable[[Sequence[Any], Any], Any]  # cells of a task, and the cache -> what they share
     row: Callable[[Any, Any], Any]  # a cell and what was loaded -> a `row_type`
     row_type: type  # a dataclass: status, reason, then fields with defaults
-
-    @property
-    def code(self) -> tuple[str, ...]:
-        """Modules that measure."""
-        return tuple(sorted({self.load.__module__, self.row.__module__}))

@@ -1,9 +1,13 @@
-"""Names of modules in; the digest of all code of ours that they depend on, out.
+"""What a recording or a row depends on: the digest of the code that makes it.
 
-What a module depends on is read off its imports, and theirs, and so on: nobody keeps a list that
-could miss a file. Beside imports count modules that are named in a string, as lazy imports name
-them, and the data files that lie beside a module (shaders, tables). Comments and docstrings do not
-count: better prose changes no number.
+Nobody keeps a list that could miss a file: what code depends on is read off its imports and names,
+and theirs, and so on. Of `sim` and `ssac` whole modules count. Of `experiments` only the top-level
+definitions count that are reached by name from those that measure, so that measure, summary and
+drawing of a study may share a file, and a change of a lock or a checksum makes no row anew.
+
+Beside imports count modules and definitions that are named in a string, as lazy imports name them,
+and the data files that lie beside a module (shaders, tables). Comments, docstrings and annotations
+of functions do not count: better prose changes no number.
 """
 
 import ast
@@ -13,17 +17,37 @@ from dataclasses import dataclass, field
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).resolve().parents[2]
 
 PACKAGES = ("sim", "ssac", "experiments")
 
+BY_DEFINITIONS = "experiments"
+"""The package of whose modules single definitions count."""
+
 # Packages of others whose version may change a recording, or an estimate.
 SIM_PACKAGES = ("numpy", "scipy", "numba", "pyrender", "PyOpenGL", "trimesh", "manifold3d")
 SSAC_PACKAGES = ("numpy", "scipy", "numba", "opencv-python-headless")
 
+Use = tuple[str, str]
+"""A module, and the name that is taken from it; "" for all of it."""
+
+_ALWAYS = ""  # name of definitions that count as soon as any of their module does
 _NO_DATA = {".py", ".pyc", ".pyi", ".typed", ".nbc", ".nbi"}  # suffixes of files beside a module
 _TREES = ("sim", "ssac")  # where data files belong to the code; those of `experiments` are configs
+_HARMLESS = {"dataclass", "njit", "cache", "lru_cache", "contextmanager"}
+"""Decorators that register nothing elsewhere."""
+
+
+@dataclass(frozen=True)
+class Definition:
+    """One statement at the top level of a module."""
+
+    digest: str
+    names: frozenset[str]  # that it mentions, of its module or not
+    uses: frozenset[Use]  # that it imports itself
+    strings: frozenset[str]  # that may name a module or a definition
 
 
 @dataclass(frozen=True)
@@ -31,8 +55,10 @@ class Source:
     """One file of code."""
 
     digest: str  # of the code without its prose
-    uses: frozenset[tuple[str, str]]  # (module, name taken from it; "" for the module itself)
-    strings: frozenset[str]  # that may name a module
+    uses: frozenset[Use]
+    strings: frozenset[str]  # with a dot
+    imports: dict[str, Use]  # by the name that each has here
+    definitions: dict[str, tuple[Definition, ...]]  # by the names that they bind
 
 
 @dataclass
@@ -43,25 +69,29 @@ class SourceTree:
     sources: dict[str, Source] = field(default_factory=dict)  # that were read, by module
     paths: dict[str, Path | None] = field(default_factory=dict)  # that were looked for
 
-    def digest(self, *modules: str) -> str:
-        """Digest of the code of some modules, and of all that they depend on."""
-        names = sorted(self.closure(*modules))
-        parts = [f"{name} {self._source(name).digest}" for name in names]
-        for path in sorted({path for name in names for path in self._data_beside(name)}):
+    def digest(self, *starts: str) -> str:
+        """Digest of code ("module", or "module:definition") and of all that it depends on."""
+        names = sorted(self.closure(*starts))
+        parts = [f"{name} {self._digest_of(name)}" for name in names]
+        modules = {name.partition(":")[0] for name in names}
+        for path in sorted({path for module in modules for path in self._data_beside(module)}):
             content = hashlib.sha256(path.read_bytes()).hexdigest()
             parts.append(f"{path.relative_to(self.root).as_posix()} {content}")
         return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:24]
 
-    def closure(self, *modules: str) -> set[str]:
-        """Names of these modules and of all that they depend on.
+    def closure(self, *starts: str) -> set[str]:
+        """Names of this code and of all that it depends on: "module", or "module:definition".
 
         A package's `__init__` counts where a name is taken from it, with the module that the name
         comes from; where that cannot be read off its imports, all that it imports and all modules
         of the package count.
         """
         found: set[str] = set()
-        left = [(name, "") for name in modules]
-        done: set[tuple[str, str]] = set()
+        left: list[Use] = []
+        for start in starts:
+            module, _, name = start.partition(":")
+            left.append((module, name))
+        done: set[Use] = set()
         while left:
             use = left.pop()
             if use in done:
@@ -70,17 +100,36 @@ class SourceTree:
             left += self._follow(*use, found)
         return found
 
-    def _follow(self, module: str, name: str, found: set[str]) -> list[tuple[str, str]]:
+    def _digest_of(self, name: str) -> str:
+        module, _, definition = name.partition(":")
+        source = self._source(module)
+        if ":" not in name:
+            return source.digest
+        return " ".join(one.digest for one in source.definitions[definition])
+
+    def _follow(self, module: str, name: str, found: set[str]) -> list[Use]:
         """Add what a use of a module (or of a name of it) brings in; return its own uses."""
         if name and self._path(f"{module}.{name}"):
             return [(f"{module}.{name}", "")]
         path = self._path(module)
         if path is None:
             raise FileNotFoundError(f"no module {module} under {self.root}")
-        found.add(module)
         source = self._source(module)
-        if path.name != "__init__.py":
-            return [*source.uses, *self._named(source)]
+        if path.name == "__init__.py":
+            found.add(module)
+            return self._follow_package(module, name, source)
+        if module.partition(".")[0] != BY_DEFINITIONS:
+            found.add(module)
+            return [*source.uses, *self._named(source.strings)]
+        if name in source.imports:
+            return [source.imports[name]]
+        chosen = {name} if name in source.definitions else set(source.definitions)
+        if _ALWAYS in source.definitions:
+            chosen.add(_ALWAYS)
+        found |= {f"{module}:{one}" for one in chosen}
+        return [use for one in chosen for use in self._uses_of(module, source, one)]
+
+    def _follow_package(self, module: str, name: str, source: Source) -> list[Use]:
         origins = [use for use in source.uses if use[1] == name]
         if name and len(origins) == 1:
             return origins
@@ -89,9 +138,20 @@ class SourceTree:
         inside = [(other, "") for other in self._modules() if other.startswith(f"{module}.")]
         return [*source.uses, *inside]
 
-    def _named(self, source: Source) -> list[tuple[str, str]]:
+    def _uses_of(self, module: str, source: Source, name: str) -> Iterator[Use]:
+        """Yield what the definitions of a name use, of their own module or of others."""
+        for one in source.definitions[name]:
+            yield from one.uses
+            yield from self._named(one.strings)
+            for mentioned in one.names | one.strings:
+                if mentioned in source.definitions and mentioned != _ALWAYS:
+                    yield module, mentioned
+                elif mentioned in source.imports:
+                    yield source.imports[mentioned]
+
+    def _named(self, strings: frozenset[str]) -> list[Use]:
         """Modules that a string names, "a.b.c" or "a.b.c:name"; of a folder all that are in it."""
-        names = {text.partition(":")[0] for text in source.strings}
+        names = {text.partition(":")[0] for text in strings if "." in text}
         folders = tuple(f"{name}." for name in names if self._path(f"{name}.__init__"))
         inside = [name for name in self._modules() if name.startswith(folders)] if folders else []
         return [(name, "") for name in [*names, *inside] if self._path(name)]
@@ -138,23 +198,79 @@ class SourceTree:
 
 @cache
 def read_source(text: str) -> Source:
-    """Read code: what it does, and what it uses of our packages."""
+    """Read code: what it does, what it uses of our packages, and its definitions."""
     tree = ast.parse(text)
     for node in list(ast.walk(tree)):
         if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef, ast.Module)):
             node.body = [line for line in node.body if not _is_prose(line)]
-    uses: set[tuple[str, str]] = set()
-    strings: set[str] = set()
+    digest = _digest(tree)
+    strings = frozenset(text for text in _strings(tree) if "." in text)
+    uses = frozenset(use for _, use in _imports(tree))
+    imports: dict[str, Use] = {}
+    definitions: dict[str, list[Definition]] = {}
+    for line in tree.body:
+        if _is_for_types(line):
+            continue
+        imports.update(_imports(line))
+        if isinstance(line, (ast.Import, ast.ImportFrom)):
+            continue
+        one = _definition(line)
+        for name in _bound(line) or {_ALWAYS}:
+            definitions.setdefault(name, []).append(one)
+    found = {name: tuple(some) for name, some in definitions.items()}
+    return Source(digest, uses, strings, imports, found)
+
+
+def _definition(line: ast.stmt) -> Definition:
+    for node in ast.walk(line):
+        if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
+            node.returns = None
+        elif isinstance(node, ast.arg):
+            node.annotation = None
+    names = frozenset(node.id for node in ast.walk(line) if isinstance(node, ast.Name))
+    uses = frozenset(use for _, use in _imports(line))
+    return Definition(_digest(line), names, uses, frozenset(_strings(line)))
+
+
+def _bound(line: ast.stmt) -> set[str]:
+    """Names that a statement binds; _ALWAYS among them where it may do something else too."""
+    if isinstance(line, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)):
+        may_register = any(_decorator(one) not in _HARMLESS for one in line.decorator_list)
+        return {line.name} | ({_ALWAYS} if may_register else set())
+    inside = list(ast.walk(line))
+    stored = {
+        one.id for one in inside if isinstance(one, ast.Name) and isinstance(one.ctx, ast.Store)
+    }
+    defined = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)
+    return stored | {one.name for one in inside if isinstance(one, defined)}
+
+
+def _decorator(node: ast.expr) -> str:
+    called = node.func if isinstance(node, ast.Call) else node
+    return called.attr if isinstance(called, ast.Attribute) else getattr(called, "id", "")
+
+
+def _imports(tree: ast.AST) -> Iterator[tuple[str, Use]]:
+    """Yield the name here, and what it stands for, of all imports of ours."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
-            uses |= {(alias.name, "") for alias in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            uses |= {(node.module, alias.name) for alias in node.names}
-        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and "." in node.value:
-            strings.add(node.value)
-    ours = frozenset(use for use in uses if use[0].partition(".")[0] in PACKAGES)
-    digest = hashlib.sha256(ast.dump(tree).encode()).hexdigest()
-    return Source(digest, ours, frozenset(strings))
+            for alias in node.names:
+                if alias.name.partition(".")[0] in PACKAGES:
+                    yield alias.asname or alias.name.partition(".")[0], (alias.name, "")
+        elif isinstance(node, ast.ImportFrom) and (node.module or "").partition(".")[0] in PACKAGES:
+            for alias in node.names:
+                yield alias.asname or alias.name, (str(node.module), alias.name)
+
+
+def _strings(tree: ast.AST) -> Iterator[str]:
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str):
+            yield node.value
+
+
+def _is_for_types(line: ast.stmt) -> bool:
+    """Return whether a statement is `if TYPE_CHECKING:`, which is never run."""
+    return isinstance(line, ast.If) and getattr(line.test, "id", "") == "TYPE_CHECKING"
 
 
 def _is_prose(line: ast.stmt) -> bool:
@@ -166,10 +282,25 @@ def _is_prose(line: ast.stmt) -> bool:
     )
 
 
+def _digest(tree: ast.AST) -> str:
+    return hashlib.sha256(ast.dump(tree).encode()).hexdigest()
+
+
+def code_of(*things: Any) -> tuple[str, ...]:
+    """Name the code of functions and classes as `code_digest` takes it."""
+    names = {
+        thing.__module__
+        if "." in thing.__qualname__ or "<" in thing.__qualname__
+        else f"{thing.__module__}:{thing.__qualname__}"
+        for thing in things
+    }
+    return tuple(sorted(names))
+
+
 @cache
-def code_digest(*modules: str) -> str:
-    """Digest of the code of modules of ours, as it is on disk, and of all they depend on."""
-    return _tree().digest(*modules)
+def code_digest(*starts: str) -> str:
+    """Digest of code of ours, as it is on disk, and of all it depends on."""
+    return _tree().digest(*starts)
 
 
 @cache

@@ -12,6 +12,7 @@ from threadpoolctl import threadpool_limits
 
 from experiments.lab.cache import Cache, recording_key, run_key
 from experiments.lab.cell import CRASHED, UNUSABLE, Flight, Measure, Rows
+from experiments.lab.code import code_of
 from experiments.lab.pool import keep_freed_memory
 from ssac.errors import SsacError, WriteError
 
@@ -45,7 +46,10 @@ def tasks_of(cells: Sequence[Any]) -> list[Task]:
 def keys_of(task: Task, measure: Measure) -> list[str]:
     """Keys of a task's cells in the cache."""
     recordings = tuple(recording_key(*recording) for recording in task.recordings)
-    return [run_key(recordings, cell.inputs, measure.code) for cell in task.cells]
+    of_measure = (measure.load, measure.row, measure.row_type)
+    return [
+        run_key(recordings, cell.inputs, code_of(*of_measure, type(cell))) for cell in task.cells
+    ]
 
 
 def recordings_key(task: Task) -> str:

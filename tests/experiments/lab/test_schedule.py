@@ -192,7 +192,6 @@ def test_what_killed_runs_left_is_removed(tmp_path):
     left.mkdir()
     (left / "cam1.h5").touch()
     made_by(runs / "ab" / "abc.json", ended).touch()
-    (recordings / ".half.claim").write_text(made_by(recordings / ".half.claim", ended).name)
     run(tmp_path)
     assert [path.name for path in recordings.iterdir()] == ["whole"]
     assert not list(tmp_path.rglob(".*"))
