@@ -15,7 +15,7 @@ from ssac.network.align import Similarity
 from ssac.network.build import Built, build
 from ssac.network.graph import Link, Pair, Triple, closures_s, groups, told_by
 from ssac.network.normal import basis
-from ssac.network.placing import are_apart
+from ssac.network.placing import Group, are_apart
 from ssac.network.state import (
     DELAY,
     RATE,
@@ -266,7 +266,8 @@ def solve_network(
         if len(group) < 2:
             continue
         try:
-            built, reason = build(listed, links, group, priors, distance, rules), _NO_PATH
+            built = build(Group(listed, links, group, rules.network), priors, distance, rules.body)
+            reason = _NO_PATH
         except np.linalg.LinAlgError:
             built, reason = None, _OPEN
         if built is None:
