@@ -245,18 +245,10 @@ def solve_network(
     distance: float,
     rules: Rules,
 ) -> NetworkAnswer:
-    """Find clocks and poses of all cameras, and the path that they saw.
+    """Find clocks and poses of all cameras, in input order, and the path that they saw.
 
-    Parameters
-    ----------
-    cameras
-        In input order.
-    links
-        What their pairs (a, b), a < b, tell; some may be wrong or missing.
-    skew_prior_ppm
-        Prior deviation of the clocks' skews.
-    distance
-        Between the first two cameras of each group.
+    What their pairs (a, b), a < b, tell may be wrong or missing for some. The prior is the
+    deviation of the clocks' skews, the distance that between the first two cameras of each group.
     """
     listed = list(cameras)
     priors = [_priors_of(seen.camera, seen.has_frames, skew_prior_ppm) for seen in listed]

@@ -94,19 +94,8 @@ def follow(
 ) -> Followed | None:
     """Follow the one object that a camera sees between and beyond where it is sure.
 
-    Parameters
-    ----------
-    events
-        All events of the camera, sorted by time, without what fires by itself.
-    sure
-        Those of them that a strict filter leaves: next to none of noise.
-    width, height
-        Sensor size [px].
-
-    Returns
-    -------
-    Followed or None
-        None where too few events are sure for the size of the object's image.
+    Of all events, sorted by time and without what fires by itself, a strict filter left those that
+    are sure: next to none of noise. None where these are too few for the size of the image.
     """
     bins, size = _binned(events, rules.bin_us), (width, height)
     sure = _lasting(sure, bins, rules)

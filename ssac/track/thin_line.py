@@ -46,18 +46,9 @@ def events_on_line(
 ) -> Mask | None:
     """Find the events of a thin line that goes from the object on, far beyond it.
 
-    Parameters
-    ----------
-    events, kept
-        All that were recorded, and the n that denoising left; both sorted by time.
-    width, height
-        Sensor size [px].
-
-    Returns
-    -------
-    Mask or None
-        Which of the n lie where such a line is, the object's own there among them. None, unless
-        there is one in much of the recording, on one side of the object.
+    Tells which of the n events that denoising left of all lie where such a line is, the object's
+    own there among them; both are sorted by time. None, unless there is one in much of the
+    recording, on one side of the object.
     """
     if len(kept) < rules.min_events:
         return None
