@@ -180,6 +180,18 @@ class ObjectRules:
 
 
 @dataclass(frozen=True)
+class TrackRules:
+    """The track of the object through one camera's events, and how sure its points are."""
+
+    step_s: float = 0.01  # between points: half of a window's half, so that no motion is lost
+    # Deviation of a point, in sizes of the object's image, by which the mean of the events goes to
+    # and fro over the object as this turns; and of the centre of the image's area.
+    mean_sizes: float = 0.04
+    centre_sizes: float = 0.015
+    least_sigma_px: float = 0.05
+
+
+@dataclass(frozen=True)
 class SilhouetteRules:
     """When events tell the object's silhouette, and where it is looked for."""
 
@@ -329,6 +341,7 @@ class Rules:
     points: PointRules = PointRules()
     objects: ObjectRules = ObjectRules()
     faint: FaintRules = FaintRules()
+    track: TrackRules = TrackRules()
     silhouette: SilhouetteRules = SilhouetteRules()
     body: BodyRules = BodyRules()
     network: NetworkRules = NetworkRules()
