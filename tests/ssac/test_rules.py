@@ -33,12 +33,14 @@ def other(value):
     return not value if isinstance(value, bool) else value + 1
 
 
+def changed(group, name, value):
+    """A group of rules, one of which, by its dotted name, is another."""
+    part, _, rest = name.partition(".")
+    return replace(group, **{part: changed(getattr(group, part), rest, value) if rest else value})
+
+
 def with_rule(name, value):
-    """A config with one rule, by its dotted name, as Python sets it."""
-    group, _, field = name.partition(".")
-    rules = Rules()
-    part = replace(getattr(rules, group), **{field: value})
-    return Config(rules=replace(rules, **{group: part}))
+    return Config(rules=changed(Rules(), name, value))
 
 
 @pytest.mark.parametrize("name", RULES)
@@ -55,9 +57,8 @@ def test_a_rule_that_makes_no_sense_is_named(name):
     for wrong in (None, "many", [value], *(() if isinstance(value, bool) else (np.nan, True))):
         if isinstance(value, tuple) and not isinstance(wrong, list):
             wrong = (wrong, *value[1:])
-        with pytest.raises(SsacError, match=rf"rules\.{name}(\[0\])?: expected ") as error:
+        with pytest.raises(SsacError, match=rf"rules\.{name}(\[0\])?: expected [^\n]*$"):
             checked(with_rule(name, wrong))
-        assert "\n" not in str(error.value)
 
 
 def test_rules_of_another_kind_are_refused():
