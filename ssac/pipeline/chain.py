@@ -334,6 +334,7 @@ class Chain:
         self, places: tuple[int, int], interval_s: Interval
     ) -> tuple[tuple[Clean, Clean], Refusal | None]:
         """Give two cameras with the events of the one object that is chosen for the whole rig."""
+        config = self.config
 
         def chosen() -> tuple[tuple[Clean, ...], Refusal | None]:
             cleans = [self.clean(k) for k in range(len(self))]

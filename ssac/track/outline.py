@@ -19,6 +19,7 @@ from scipy.ndimage import minimum_filter1d
 
 from ssac.events import first_from
 from ssac.geometry.pose import Pencil
+from ssac.rules import OutlineRules
 from ssac.track.motion import ObjectMotion
 from ssac.track.motion_kernels import TIE_US
 from ssac.track.outline_kernels import (
@@ -32,25 +33,7 @@ from ssac.track.outline_kernels import (
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 Mask = NDArray[np.bool_]
-
-
-@dataclass(frozen=True)
-class OutlineConfig:
-    """How the outline is found; `docs/tangency.md` has what other values give."""
-
-    rough_half_window_s: float = 0.010  # of events moved by the track's course, not the tangent's
-    half_window_s: float = 0.020  # of events moved by the smoothed tangent: more pixels are crossed
-    smoothing_s: float = 0.040  # on each side, of the local parabolas that smooth a tangent
-    passes: int = 2  # of following the tangent's course; 0: the track's is taken
-    rank: int = 2  # from the extreme event, whose rank is 0 and which may be noise
-    deeper_rank: int = 8
-    outward: float = 0.5  # of the gap between the ranks: how far beyond the first the outline is
-    ahead_px: float = 0.05  # how far an edge is ahead of its events
-    max_angle_rad: float = 0.9  # of a tangent from the track: a pencil says little near the epipole
-    rough_margin_px: float = 3.0  # inside the rough outline, up to which events are kept
-    margin_px: float = 1.0  # the same, inside the deeper rank, once the course is followed
-    centred: bool = False  # moves the track from its events' mean times: where these are uneven
-    max_shift_px: float = 6.0  # to its tangent, of an event that the track's velocity moves
+OutlineConfig = OutlineRules
 
 
 @dataclass(frozen=True)
