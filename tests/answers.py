@@ -71,24 +71,18 @@ class Recorded:
 
 
 def by_python(recorded: Recorded, method: str, pair: Pair = FIRST_TWO) -> Estimate:
-    """Call `ssac.sync`; in a tree that has none yet, the function that the command line called."""
-    files, cameras = recorded.of(pair), (pair[0] + 1, pair[1] + 1)
-    known, readout = recorded.known_extrinsics, recorded.estimate_readout
-    try:
-        from ssac import sync
-    except ImportError:
-        from ssac.cli.sync import sync as sync_files
+    """Call `ssac.sync`."""
+    return _synced(recorded, method, pair).estimate
 
-        config = Config(**recorded.config) if recorded.config else None
-        everywhere = recorded.search_all or None
-        return sync_files(
-            *files, recorded.rig, method, known, config, cameras=cameras, search_all=everywhere,
-            rate_range=recorded.rate_range, estimate_readout=readout,
-        ).estimate  # fmt: skip
+
+def _synced(recorded: Recorded, method: str, pair: Pair) -> Any:
+    from ssac import sync
+
     return sync(
-        *files, recorded.rig, method, known_extrinsics=known, cameras=cameras,
-        estimate_readout=readout, **recorded.fields,
-    ).estimate  # fmt: skip
+        *recorded.of(pair), recorded.rig, method, known_extrinsics=recorded.known_extrinsics,
+        cameras=(pair[0] + 1, pair[1] + 1), estimate_readout=recorded.estimate_readout,
+        **recorded.fields,
+    )  # fmt: skip
 
 
 _OPTIONS = {"skew_prior_ppm": "--skew-prior", "clock": "--clock", "n_samples": "--n-samples"}
@@ -96,13 +90,7 @@ _OPTIONS = {"skew_prior_ppm": "--skew-prior", "clock": "--clock", "n_samples": "
 
 def told_by_python(recorded: Recorded, method: str, pair: Pair = FIRST_TWO) -> dict[str, Any]:
     """Call `ssac.sync`: the estimate, and what the JSON is to hold."""
-    from ssac import sync
-
-    result = sync(
-        *recorded.of(pair), recorded.rig, method, known_extrinsics=recorded.known_extrinsics,
-        cameras=(pair[0] + 1, pair[1] + 1), estimate_readout=recorded.estimate_readout,
-        **recorded.fields,
-    )  # fmt: skip
+    result = _synced(recorded, method, pair)
     return {"estimate": result.estimate, "json": untimed(result.to_dict())}
 
 
@@ -319,10 +307,7 @@ def main() -> None:
     if not Path(sys.modules["ssac"].__file__ or "").is_relative_to(tree):
         sys.exit(f"{sys.modules['ssac'].__file__} is not of {tree}")
     warnings.simplefilter("ignore")
-    try:
-        from ssac.pipeline.registry import OURS
-    except ImportError:  # of a tree without the one pipeline
-        from ssac.cli.registry import OURS
+    from ssac.pipeline.registry import OURS
 
     answers = {}
     for one in json.loads(recorded_file.read_text(encoding="utf-8")):
