@@ -85,9 +85,6 @@ def _synced(recorded: Recorded, method: str, pair: Pair) -> Any:
     )  # fmt: skip
 
 
-_OPTIONS = {"skew_prior_ppm": "--skew-prior", "clock": "--clock", "n_samples": "--n-samples"}
-
-
 def told_by_python(recorded: Recorded, method: str, pair: Pair = FIRST_TWO) -> dict[str, Any]:
     """Call `ssac.sync`: the estimate, and what the JSON is to hold."""
     result = _synced(recorded, method, pair)
@@ -103,20 +100,22 @@ def untimed(told: dict[str, Any]) -> dict[str, Any]:
 
 def by_command_line(recorded: Recorded, method: str) -> dict[str, Any]:
     """Run `ssac sync --json` within this process: what the file holds."""
+    from ssac.cli.sync import OPTIONS
     from tests.ssac.command import read_json, run
 
     args: list[object] = [*recorded.files, "--rig", recorded.rig, "--method", method]
     args += ["--known-extrinsics"] * recorded.known_extrinsics
-    args += ["--search-all"] * recorded.search_all
     args += ["--estimate-readout"] * recorded.estimate_readout
-    args += ["--rate-range", *recorded.rate_range] if recorded.rate_range else []
-    for name, value in recorded.config.items():
-        if name == "interval_s":
-            args += ["--search", *value]
-        elif name == "denoise":
-            args += ["--no-denoise"] * (not value)
-        else:
-            args += [_OPTIONS[name], value]
+    given = {name: value for name, value in recorded.fields.items() if value is not None}
+    for name, option in OPTIONS.items():
+        value = given.get(option.field)
+        if option.value is None and value is not None:
+            args += [
+                f"--{name.replace('_', '-')}",
+                *(value if isinstance(value, tuple) else [value]),
+            ]
+        elif option.value is not None and option.value == value:
+            args.append(f"--{name.replace('_', '-')}")
     out = Path(recorded.rig).with_name(f"{method}.json")
     ended = run("sync", *args, "--json", out)
     if ended.exit_code > 1:
