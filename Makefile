@@ -107,7 +107,7 @@ clean-cache: ## remove cache/: recordings and runs kept by tables, studies and s
 	rm -rf cache
 
 clean: ## remove everything that make created, .venv too, except results/
-	rm -rf .venv build out cache docs/generated *.egg-info .pytest_cache .mypy_cache .ruff_cache
+	rm -rf .venv build out cache docs/generated *.egg-info .pytest_cache .hypothesis .mypy_cache .ruff_cache
 	find sim ssac experiments tests -name __pycache__ -prune -exec rm -rf {} +
 
 # --- Set-up ----------------------------------------------------------------------------------------
