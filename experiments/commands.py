@@ -22,7 +22,7 @@ from experiments.lab.grid import GridConfig, grid_from_content, load_config
 from experiments.lab.quote import pages, rewrite_numbers, stale_numbers
 from experiments.lab.results import Results
 from experiments.lab.schedule import Workers
-from experiments.lab.study import Study, merge
+from experiments.lab.study import How, Study, merge
 from experiments.lab.verify import (
     Finding,
     file_findings,
@@ -50,7 +50,9 @@ def study_command(
     names: Annotated[
         list[str] | None,
         typer.Argument(
-            help="Studies to run; --list names them.", metavar="NAME", show_default=False
+            help="Studies to run; --list names them. One of your own data has these behind it.",
+            metavar="NAME",
+            show_default=False,
         ),
     ] = None,
     list_them: Annotated[bool, typer.Option("--list", help="List the studies.")] = False,
@@ -68,8 +70,12 @@ def study_command(
         return
     if not names:
         raise SsacError(f"name a study: {', '.join(known)}")
+    options = {}
+    if names[0] in known and known[names[0]].how is How.GIVEN:
+        options = _given(known[names[0]], names[1:])
+        names = names[:1]
     studies = _chosen(names, known, "study")
-    run_studies(studies, out, Cache(cache), Workers(workers, scheduler), shard)
+    run_studies(studies, out, Cache(cache), Workers(workers, scheduler), shard, options)
 
 
 def ablate_command(
@@ -246,6 +252,18 @@ def _runnable() -> dict[str, Study]:
         for study in studies
         if not study.command or study.command.startswith("ssac ablate")
     }
+
+
+def _given(study: Study, words: Sequence[str]) -> dict[str, Path]:
+    """Take the files that a study of the user's data needs from the words behind its name."""
+    needed = list(study.options)
+    if len(words) != len(needed):
+        expected = " ".join(name.upper() for name in needed)
+        raise SsacError(f"{study.name}: expected {expected} behind it, got {' '.join(words)!r}")
+    absent = [word for word in words if not Path(word).exists()]
+    if absent:
+        raise SsacError(f"{absent[0]}: no such file")
+    return dict(zip(needed, map(Path, words), strict=True))
 
 
 def _chosen(names: Sequence[str], known: Mapping[str, Study], kind: str) -> list[Study]:

@@ -21,7 +21,7 @@ from experiments.lab.bridge import check_mesh
 from experiments.lab.cache import Brightness, Cache
 from experiments.lab.grid import CONFIGS, load_config
 from experiments.lab.health import is_sound, save_sums
-from experiments.measures.recording_bound import load_truth
+from experiments.worlds.bound import load_truth
 from sim.scene.flyers import quadrotor
 from sim.scene.trajectory import trajectory_from_csv
 from ssac.events import EVENT_DTYPE

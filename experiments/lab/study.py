@@ -138,6 +138,8 @@ class Study:
         words = [self.command or f"ssac study {self.name}"]
         for name, value in (options or {}).items():
             default, flag = self.options[name], name.replace("_", "-")
+            if default is Parameter.empty:
+                words.append(str(value))
             if default is Parameter.empty or value == default:
                 continue
             words += [f"--no-{flag}"] if value is False else [f"--{flag}", str(value)]

@@ -58,12 +58,6 @@ def zncc_means(results: Results, column: str, method: str, duration_s: float) ->
     return listed(f"{mean:.0f}" for mean in means) + " ms"
 
 
-def bound_share(results: Results, method: str) -> str:
-    """Range over the cells of the bound of t_d over the error, for white noise."""
-    shares = 100 * results.column("efficiency", "t_d_efficiency", method=method)
-    return f"{shares.min():.0f} to {shares.max():.0f} %"
-
-
 def damaged(results: Results, columns: tuple[str, ...]) -> str:
     """Count the damaged inputs that ended in one of these ways."""
     of_all = (results.value("reliability", column, input="all") for column in columns)
@@ -85,7 +79,6 @@ NUMBERS: Mapping[str, Number] = {
         for m in ("zncc_e", "zncc_f")
         for d in DURATIONS_S
     },
-    **{f"bound.{m}": partial(bound_share, method=m) for m in ("ssac", "joint", "tangency")},
     "minutes.tables.cached": partial(
         bench, row="tables, recordings cached: all, 2 workers", scale=1 / 60, decimals=1
     ),

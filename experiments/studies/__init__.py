@@ -17,6 +17,7 @@ FILES = (
     "zncc",
     "fidelity",
     "ablations",
+    "spread",
     "experiments.physical.catalogue",
     "experiments.network.four",
     "experiments.rest",

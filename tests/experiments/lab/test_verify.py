@@ -212,6 +212,7 @@ COMMITTED = [
         study.name, file, id=file, marks=[pytest.mark.xfail(strict=True)] * (file in UNGUARDED)
     )
     for study in all_studies().values()
+    if study.is_committed
     for file in study.files
     if file.endswith((".csv", ".md"))
 ]

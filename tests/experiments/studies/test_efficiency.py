@@ -7,14 +7,13 @@ import pandas as pd
 import pytest
 
 from experiments.drawing.efficiency import efficiency_figure, pooled
-from experiments.measures.recording_bound import KNOWN_POSE, SAMPLES
 from experiments.paper.grids import table_grids
 from experiments.studies.efficiency import (
     bound_cells,
-    efficiency_of_runs,
     efficiency_table,
     runs_beside_bounds,
 )
+from experiments.worlds.bound import KNOWN_POSE, SAMPLES
 from tests.experiments.reported import made_up_runs
 
 METHODS = ("ssac", "ssac-known", "joint", "joint-known", "tangency", "tangency-known", "zncc_e")
@@ -92,7 +91,7 @@ def test_a_method_that_is_given_the_pose_has_no_errors_of_it() -> None:
 def test_runs_that_failed_have_no_error_to_compare() -> None:
     runs = made_up_runs(("joint",), 2)
     runs.loc[0, ["status", "t_d_error_ms"]] = ["too_few_samples", np.nan]
-    cells = efficiency_of_runs(made_up_bounds(2), runs)
+    cells = efficiency_table(runs_beside_bounds(runs, made_up_bounds(2)))
     assert sorted(cells["n_runs"].unique()) == [1, 2]
     assert cells["t_d_efficiency"].notna().all()
 
@@ -100,7 +99,7 @@ def test_runs_that_failed_have_no_error_to_compare() -> None:
 def test_a_flight_without_a_bound_is_left_out() -> None:
     bounds = made_up_bounds(2)
     bounds.loc[bounds["flight"] == 1, "status"] = "unusable"
-    cells = efficiency_of_runs(bounds, made_up_runs(("joint",), 2))
+    cells = efficiency_table(runs_beside_bounds(made_up_runs(("joint",), 2), bounds))
     assert list(cells["n_runs"].unique()) == [1]
 
 

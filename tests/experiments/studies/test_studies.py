@@ -1,18 +1,14 @@
 """All studies: their names, keys and flights."""
 
-import ast
 from collections import defaultdict
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from experiments.lab.code import ROOT
 from experiments.lab.grid import config_names, flight_seed, named_config
 from experiments.lab.study import How
-from experiments.measures import recording_bound
 from experiments.studies import all_studies
 from experiments.studies.ablations import ABLATIONS
 from experiments.studies.fidelity import (
@@ -65,15 +61,6 @@ def test_flights_of_studies_are_of_no_table() -> None:
     for at, name in enumerate(names):
         for other in names[at + 1 :]:
             assert not seeds[name] & seeds[other], (name, other)
-
-
-def test_what_measures_draws_nothing() -> None:
-    """So that another drawing makes no row new."""
-    folder = Path(recording_bound.__file__).parent
-    for path in [*folder.glob("*.py"), ROOT / "experiments/lab/scored.py"]:
-        for node in ast.walk(ast.parse(path.read_text())):
-            module = node.module or "" if isinstance(node, ast.ImportFrom) else ""
-            assert not module.startswith(("matplotlib", "experiments.drawing")), path
 
 
 def test_fidelity_sums_up_each_duration() -> None:

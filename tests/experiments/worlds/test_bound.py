@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from experiments.measures.bound import Bound, cramer_rao_bound, fisher_information, known_pose_bound
+from experiments.worlds.bound import Bound, cramer_rao_bound, fisher_information, known_pose_bound
 from ssac.camera import Rig
 from ssac.fit.least_squares import Parameters, Problem, WeighedPairs, moved, solve
 from ssac.geometry.epipolar import cross_matrix, fundamental_from_pose, sampson_distance

@@ -5,11 +5,13 @@ import numpy as np
 import pytest
 
 from experiments.lab.cache import Cache
-from experiments.measures.bound import cramer_rao_bound, fisher_information, known_pose_bound
-from experiments.measures.bounds import BoundCell, bound_row, load_flown
-from experiments.measures.recording_bound import (
+from experiments.studies.efficiency import BoundCell, bound_row, load_flown
+from experiments.worlds.bound import (
     SAMPLES,
     TrueMotion,
+    cramer_rao_bound,
+    fisher_information,
+    known_pose_bound,
     load_truth,
     mean_samples,
     method_bounds,

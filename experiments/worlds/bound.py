@@ -1,14 +1,19 @@
-"""A recording and its truth in; the Cramer-Rao bound of each kind of sample, with its noise, out.
+"""The Cramer-Rao bound of a recording: the least errors that an unbiased estimate can have.
 
-The bound is that of `experiments.measures.bound`: of the true track of the drone's origin, at the
-sample times that are valid in this recording, with white noise as large as the one measured. A
-method that weighs its samples takes their noise as sigma over the weight, whose median is 1, and so
-does the bound: binned by their weight, the tangents' noise falls from 2.3 to 0.5 of its median as
-the weights say. Sigma is the robust standard deviation (1.4826 times the median absolute value) of
-the weighed Sampson distances of the method's own samples under the true offset and pose: distances
-of positions with noise of deviation sigma in every coordinate have the deviation sigma. It holds
-all that keeps a sample from the epipolar constraint: the sensor, the few events of a window, and
-the bias of what stands for the object.
+It is that of positions with independent Gaussian noise, of one standard deviation in all four
+coordinates of a pair. The object's unknown positions are eliminated: a pair tells of offset and
+pose only by how far it is from p2' F p1 = 0, in units of the gradient of that product, so the
+information is the sum of J_i J_i' / noise_i^2, J_i being the derivative of the Sampson distance.
+
+The positions are those of the true track of the drone's origin at the sample times that are valid
+in the recording, and the noise is white and as large as the one measured. A method that weighs its
+samples takes their noise as sigma over the weight, whose median is 1, and so does the bound: binned
+by their weight, the tangents' noise falls from 2.3 to 0.5 of its median as the weights say. Sigma
+is the robust standard deviation (1.4826 times the median absolute value) of the weighed Sampson
+distances of the method's own samples under the true offset and pose: distances of positions with
+noise of deviation sigma in every coordinate have the deviation sigma. It holds all that keeps a
+sample from the epipolar constraint: the sensor, the few events of a window, and the bias of what
+stands for the object.
 
 An efficiency below one has three causes. The bound takes the samples' errors as independent, but
 they are mostly a bias that turns with the object: neighbouring samples correlate by 0.7 to 0.85, so
@@ -27,16 +32,23 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from experiments.measures.bound import Bound, cramer_rao_bound, fisher_information, known_pose_bound
-from ssac.camera import known_pose
+from ssac.camera import Rig, known_pose
 from ssac.files.readable import readable
 from ssac.fit.least_squares import Parameters
-from ssac.geometry.epipolar import fundamental_from_pose, robust_deviation, sampson_distance
+from ssac.geometry.epipolar import (
+    fundamental_from_pose,
+    robust_deviation,
+    sampson_derivative,
+    sampson_distance,
+)
+from ssac.geometry.pose import pose_jacobian
 from ssac.methods.joint import sharp_pairs
 from ssac.methods.tangency import TangencyConfig, tangent_times, tangents_under
 from ssac.search.two_views import TwoViews
 
 Array = NDArray[np.float64]
+
+_MAX_CONDITION = 1e14  # of the information; beyond it a parameter is not seen at all
 
 MEANS, SHARP, TANGENTS = "means of the events", "sharp positions", "tangents"
 """Kinds of samples."""
@@ -52,6 +64,73 @@ SAMPLES = {
 """Of each method that has a bound. The others do not look at positions, or do not use F."""
 
 KNOWN_POSE = tuple(method for method in SAMPLES if method.endswith("-known"))
+
+
+@dataclass(frozen=True)
+class Bound:
+    """Least root mean square errors; infinite for what the motion does not tell."""
+
+    t_d_s: float
+    R_rad: float  # of the angle of R_est' R_true; 0 when the pose is known
+    t_rad: float  # of the angle between the translation directions; 0 when the pose is known
+
+
+def cramer_rao_bound(information: Array) -> Bound:
+    """Bound when offset and pose are unknown.
+
+    Parameters
+    ----------
+    information
+        Shape (6, 6), from `fisher_information`.
+    """
+    if not np.linalg.cond(information) < _MAX_CONDITION:
+        return Bound(np.inf, np.inf, np.inf)
+    variances = np.diag(np.linalg.inv(information))
+    R_rad, t_rad = np.sqrt(np.sum(variances[1:4])), np.sqrt(np.sum(variances[4:]))
+    return Bound(float(np.sqrt(variances[0])), float(R_rad), float(t_rad))
+
+
+def known_pose_bound(information: Array) -> Bound:
+    """Bound of the offset when the pose is known."""
+    with np.errstate(divide="ignore"):
+        return Bound(float(1.0 / np.sqrt(information[0, 0])), 0.0, 0.0)
+
+
+def fisher_information(
+    p1_px: Array,
+    p2_px: Array,
+    v2_px_s: Array,
+    R: Array,
+    t: Array,
+    rig: Rig,
+    noise_px: float | Array,
+) -> Array:
+    """Sum up what n pairs tell of the offset and the pose, six parameters.
+
+    Parameters
+    ----------
+    p1_px, p2_px
+        True positions, undistorted, at the same instants: shape (n, 2), p2' F p1 = 0.
+    v2_px_s
+        True image velocity of p2, shape (n, 2).
+    R, t
+        True pose: x2 = R x1 + t, shapes (3, 3) and (3,), |t| = 1.
+    rig
+        Intrinsics; the extrinsics are not used.
+    noise_px
+        Standard deviation of the noise of each coordinate: one for all pairs, or shape (n,).
+
+    Returns
+    -------
+    NDArray[np.float64]
+        Shape (6, 6), of t_d [s] and the five small changes [rad] of the pose.
+    """
+    K1, K2 = rig.cam1.K, rig.cam2.K
+    F = fundamental_from_pose(K1, K2, R, t)
+    by_t_d = sampson_derivative(F, np.zeros((3, 3)), p1_px, p2_px, v2_px_s)
+    J = np.column_stack([by_t_d, pose_jacobian(R, t, K1, K2, p1_px, p2_px)])
+    J = J / np.broadcast_to(noise_px, len(J))[:, None]
+    return np.asarray(J.T @ J)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,198 @@
+"""How far an answer depends on the window: one's own recordings, without truth.
+
+Each method runs with half-windows and least numbers of events around the defaults. Where the answer
+moves by more than it says of itself, it rests on the choice of the window.
+
+    ssac study spread cam1.h5 cam2.h5 rig.yaml --out out
+"""
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+import pandas as pd
+import typer
+from scipy.spatial.transform import Rotation
+
+from experiments.lab.cell import Measure
+from experiments.lab.results import Results
+from experiments.lab.study import How, Made, Runs, Study
+from ssac.config import N_MIN, Config
+from ssac.pipeline.api import chain_of
+from ssac.pipeline.chain import Chain
+from ssac.pipeline.registry import METHODS
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+SHOWN = ("ssac", "joint", "tangency")
+HALF_WINDOWS_S = tuple(factor * Config().half_window_s for factor in (0.5, 0.75, 1.0, 1.5, 2.0))
+N_MINS = tuple(round(factor * N_MIN) for factor in (0.5, 1.0, 2.0))
+
+File = Annotated[Path, typer.Argument(show_default=False)]
+
+
+@dataclass(frozen=True)
+class SpreadCell:
+    """A method with one window on the pair of recordings."""
+
+    files: tuple[Path, ...]  # cameras 1 and 2, rig
+    digests: tuple[str, ...]  # of these files
+    half_window_s: float
+    n_min: int
+    method: str
+
+    @property
+    def recordings(self) -> tuple[()]:
+        """None that is simulated."""
+        return ()
+
+    @property
+    def columns(self) -> dict[str, Any]:
+        """Which run it is."""
+        return {"half_window_s": self.half_window_s, "n_min": self.n_min, "method": self.method}
+
+    @property
+    def inputs(self) -> tuple[Any, ...]:
+        """What the row depends on beside the code."""
+        return (*self.digests, *self.columns.values(), METHODS[self.method].version)
+
+
+@dataclass(frozen=True)
+class SpreadRow:
+    """An answer; NaN for what the method does not give."""
+
+    status: str
+    reason: str = ""
+    t_d_ms: float = np.nan
+    t_d_std_ms: float = np.nan
+    r_x_deg: float = np.nan  # the rotation vector of R
+    r_y_deg: float = np.nan
+    r_z_deg: float = np.nan
+    r_std_deg: float = np.nan
+    t_x: float = np.nan  # the direction of t
+    t_y: float = np.nan
+    t_z: float = np.nan
+    t_std_deg: float = np.nan
+
+
+def cells(cam1: File, cam2: File, rig: File) -> list[SpreadCell]:
+    """List every method with every window."""
+    files = (cam1, cam2, rig)
+    digests = tuple(hashlib.sha256(path.read_bytes()).hexdigest() for path in files)
+    return [
+        SpreadCell(files, digests, *window, method)
+        for window in product(HALF_WINDOWS_S, N_MINS)
+        for method in SHOWN
+    ]
+
+
+def load(cells: Sequence[SpreadCell], _: object) -> Chain:
+    """Read the recordings."""
+    cam1, cam2, rig = cells[0].files
+    return chain_of((cam1, cam2), rig)
+
+
+def row(cell: SpreadCell, chain: Chain) -> SpreadRow:
+    """Run a method with a window."""
+    config = replace(Config(), half_window_s=cell.half_window_s, n_min=cell.n_min)
+    found = chain.under(config).estimate(cell.method)
+    pose: tuple[float, ...] = ()
+    if found.R is not None and found.t is not None:
+        turn_deg = Rotation.from_matrix(found.R).as_rotvec(degrees=True)
+        pose = (*turn_deg.tolist(), found.r_std_deg, *found.t.tolist(), found.t_std_deg)
+    t_d_ms, std_ms = 1e3 * found.t_d_s, 1e3 * found.t_d_std_s
+    return SpreadRow(str(found.status), found.reason, t_d_ms, std_ms, *pose)
+
+
+def spread_table(runs: pd.DataFrame) -> pd.DataFrame:
+    """Sum up the windows of each method.
+
+    Returns
+    -------
+    pd.DataFrame
+        One row for each method and quantity that it gives (`t_d_ms`, `R_deg`, `t_deg`): `windows`,
+        `answered` ("ok"), `median` of t_d, `spread` (root mean square from the mean over the
+        windows; of R and t as an angle), `most` (largest distance from the mean), `stated` (median
+        of the stated deviations) and `spread_over_stated`.
+    """
+    rows = []
+    for method, group in runs.groupby("method", sort=False):
+        ok = group[group["status"] == "ok"]
+        counts = {"method": method, "windows": len(group), "answered": len(ok)}
+        for quantity, (off, stated) in _deviations(ok).items():
+            spread = float(np.sqrt(np.mean(np.square(off)))) if len(off) else np.nan
+            row = {**counts, "quantity": quantity, "median": np.nan}
+            if quantity == "t_d_ms":
+                row["median"] = ok["t_d_ms"].median()
+            row |= {"spread": spread, "most": np.max(np.abs(off), initial=0.0), "stated": stated}
+            rows.append({**row, "spread_over_stated": spread / stated if stated > 0.0 else np.nan})
+    table: pd.DataFrame = pd.DataFrame(rows)
+    return table
+
+
+def _deviations(ok: pd.DataFrame) -> dict[str, tuple[Any, float]]:
+    """Distances from the mean of each quantity that there is, and the median stated deviation."""
+    t_d = ok["t_d_ms"].to_numpy(np.float64)
+    found = {"t_d_ms": (t_d - t_d.mean() if len(t_d) else t_d, ok["t_d_std_ms"].median())}
+    posed = ok[ok["t_x"].notna()]
+    if len(posed):
+        turns = Rotation.from_rotvec(posed[["r_x_deg", "r_y_deg", "r_z_deg"]], degrees=True)
+        off_deg = np.rad2deg((turns.mean().inv() * turns).magnitude())
+        found["R_deg"] = (off_deg, posed["r_std_deg"].median())
+        t = posed[["t_x", "t_y", "t_z"]].to_numpy(np.float64)
+        mean = t.mean(axis=0) / np.linalg.norm(t.mean(axis=0))
+        apart = np.arctan2(np.linalg.norm(np.cross(t, mean), axis=1), t @ mean)
+        found["t_deg"] = (np.rad2deg(apart), posed["t_std_deg"].median())
+    return found
+
+
+def spread_figure(runs: pd.DataFrame) -> "Figure":
+    """Draw t_d with its stated deviation against the half-window, a panel for each method."""
+    from matplotlib.figure import Figure
+
+    from experiments.drawing.style import WIDTH_IN, quiet_axes
+
+    methods = list(dict.fromkeys(runs["method"]))
+    figure = Figure(figsize=(WIDTH_IN, 3.4), layout="constrained")
+    panels = figure.subplots(1, len(methods), sharey=True, squeeze=False)[0]
+    for axes, method in zip(panels, methods, strict=True):
+        ok = runs[(runs["method"] == method) & (runs["status"] == "ok")]
+        for n_min, line in ok.groupby("n_min"):
+            axes.errorbar(
+                1e3 * line["half_window_s"], line["t_d_ms"], line["t_d_std_ms"].fillna(0.0),
+                marker="o", ms=4, lw=1.2, elinewidth=0.9, label=f"at least {n_min:g} events",
+            )  # fmt: skip
+        quiet_axes(axes)
+        axes.set_title(method, fontsize=10)
+        axes.set_xlabel("half-window [ms]")
+    panels[0].set_ylabel("$t_d$ [ms]")
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=8, frameon=False)
+    return figure
+
+
+def _runs(results: Results) -> pd.DataFrame:
+    return results.table("spread_runs")
+
+
+STUDIES = (
+    Study(
+        "spread",
+        "The answer on one's own recordings, over windows (give CAM1 CAM2 RIG)",
+        cells,
+        Measure(load, row, SpreadRow),
+        Runs("spread_runs.csv", ("half_window_s", "n_min", "method")),
+        (
+            Made("spread.csv", lambda results: spread_table(_runs(results))),
+            Made("spread.png", lambda results: spread_figure(_runs(results))),
+        ),
+        how=How.GIVEN,
+        shows="spread",
+        is_committed=False,
+    ),
+)

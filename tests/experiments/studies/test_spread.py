@@ -1,0 +1,94 @@
+"""The spread over windows on one's own recordings: sums of made-up answers, and a real pair."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from typer.testing import CliRunner
+
+from experiments.cli import app
+from experiments.studies import spread
+from experiments.studies.spread import HALF_WINDOWS_S, N_MINS, SHOWN, spread_figure, spread_table
+from ssac.config import N_MIN, Config
+from ssac.errors import SsacError
+from tests.experiments.reported import record_flight
+
+
+def made_up() -> pd.DataFrame:
+    """Four answers of a method, two of t_d alone of another, and a refusal."""
+    pose = {"r_x_deg": 0.0, "r_y_deg": 0.0, "r_std_deg": 0.5, "t_std_deg": 0.2, "t_x": 0.0}
+    rows = [
+        {"half_window_s": 0.02, "n_min": n, "method": "joint", "status": "ok", "t_d_ms": 50.0 + d,
+         "t_d_std_ms": 0.1, "r_z_deg": 90.0 + 2 * d, **pose,
+         "t_y": np.sin(np.deg2rad(d)), "t_z": np.cos(np.deg2rad(d))}
+        for n, d in enumerate((-0.3, -0.1, 0.1, 0.3))
+    ]  # fmt: skip
+    rows += [{"half_window_s": 0.02, "n_min": n, "method": "ssac", "status": status, "t_d_ms": 1.0}
+             for n, status in enumerate(("ok", "ok", "no_match"))]  # fmt: skip
+    return pd.DataFrame(rows)
+
+
+def test_the_spread_is_that_of_the_answers_beside_what_they_state():
+    table = spread_table(made_up()).set_index(["method", "quantity"])
+    rms = np.sqrt(np.mean(np.square([0.3, 0.1, 0.1, 0.3])))
+    for quantity, factor, stated in (
+        ("t_d_ms", 1.0, 0.1),
+        ("R_deg", 2.0, 0.5),
+        ("t_deg", 1.0, 0.2),
+    ):
+        row = table.loc[("joint", quantity)]
+        assert (row["windows"], row["answered"]) == (4, 4)
+        # The mean direction is not normalised before it is taken: of angles this small, alike.
+        assert row["spread"] == pytest.approx(factor * rms, rel=1e-6)
+        assert row["most"] == pytest.approx(factor * 0.3, rel=1e-6)
+        assert row["stated"] == stated
+        assert row["spread_over_stated"] == pytest.approx(factor * rms / stated, rel=1e-6)
+    assert table.loc[("joint", "t_d_ms"), "median"] == 50.0
+    alone = table.loc["ssac"]
+    assert list(alone.index) == ["t_d_ms"]  # it gives no pose
+    assert (alone["windows"].iloc[0], alone["answered"].iloc[0]) == (3, 2)
+    assert alone["spread"].iloc[0] == 0.0
+
+
+def test_a_method_that_never_answers_is_a_row_and_a_figure():
+    runs = made_up()
+    runs["status"] = "no_match"
+    table = spread_table(runs)
+    assert list(table["answered"]) == [0, 0]
+    assert table["spread"].isna().all()
+    assert len(spread_figure(runs).axes) == 2
+
+
+def test_the_defaults_are_among_the_windows():
+    assert Config().half_window_s in HALF_WINDOWS_S
+    assert N_MIN in N_MINS
+
+
+def test_the_command_takes_ones_own_recordings(tmp_path, monkeypatch):
+    monkeypatch.setattr(spread, "HALF_WINDOWS_S", HALF_WINDOWS_S[1:3])  # to be done sooner
+    monkeypatch.setattr(spread, "N_MINS", N_MINS[1:2])
+    folder = tmp_path / "mine"
+    record_flight(folder, 4.0)
+    files = [str(folder / name) for name in ("cam1.h5", "cam2.h5", "rig.yaml")]
+    line = ["study", "spread", *files, "--out", str(tmp_path / "out"), "--workers", "1"]
+    result = CliRunner().invoke(
+        app, [*line, "--cache", str(tmp_path / "cache")], catch_exceptions=False
+    )
+    assert result.exit_code == 0, result.output
+    names = {path.name for path in (tmp_path / "out").iterdir()}
+    assert names == {
+        "spread_runs.csv", "spread_runs.provenance.json", "spread.csv", "spread.provenance.json",
+        "spread.png",
+    }  # fmt: skip
+    runs = pd.read_csv(tmp_path / "out" / "spread_runs.csv")
+    assert len(runs) == 2 * len(SHOWN)
+    table = pd.read_csv(tmp_path / "out" / "spread.csv")
+    of_t_d = table[table["quantity"] == "t_d_ms"].set_index("method")
+    # The clocks of this pair are alike; 4 s of it leave a few ms at most.
+    assert (of_t_d["median"].abs() < 10.0).all()
+
+
+def test_other_files_than_it_needs_are_one_line(tmp_path):
+    with pytest.raises(SsacError, match="spread: expected CAM1 CAM2 RIG behind it, got 'a b'"):
+        CliRunner().invoke(app, ["study", "spread", "a", "b"], catch_exceptions=False)
+    with pytest.raises(SsacError, match="a: no such file"):
+        CliRunner().invoke(app, ["study", "spread", "a", "b", "c"], catch_exceptions=False)
