@@ -1,4 +1,4 @@
-"""Nothing in; the textured backgrounds of `experiments/configs/backgrounds/` out, drawn by a seed.
+"""Draw the textured backgrounds of `experiments/configs/backgrounds/` by a seed.
 
     python docs/backgrounds.py
 

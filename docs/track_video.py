@@ -1,4 +1,4 @@
-"""A video of a camera that stands still in; a track file of what moves most in it out.
+"""Follow what moves most in a video of a camera that stands still, and write its track file.
 
     .venv/bin/python docs/track_video.py VIDEO.mp4 cam1.csv
 

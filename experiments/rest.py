@@ -154,7 +154,7 @@ STUDIES = (
         config=real_config(), command=REAL_COMMAND, how=How.GIVEN,
     ),
     Study(
-        "reliability", "Damaged inputs and disturbed sweeps", no_cells, SCORED,
+        "reliability", "Damaged inputs", no_cells, SCORED,
         Runs("reliability.csv", ("input",), numbered=False),
         checks=(("every case is there, and none ended as it must not",
                  lambda results: reliability_faults(results.folder)),),

@@ -5,7 +5,7 @@ second object is the same for both. Neither clutter nor drone hides the other.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, astuple, dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -56,7 +56,7 @@ class DisturbConfig:
     @property
     def is_none(self) -> bool:
         """Whether the recording stays as it is."""
-        return astuple(self) == astuple(DisturbConfig())
+        return self == DisturbConfig()
 
 
 MAX_FOCAL_PERCENT = 10.0
@@ -373,10 +373,7 @@ def record_disturbed(
     true = {camera.name: camera.K.tolist() for camera in recording.rig.cameras}
     spoilt = {"disturbances": asdict(disturb), "true_K": true}
     wrong = _wrong_rig_files(recording, disturb, seed) if any(disturb.intrinsics_error) else None
-    save_recording(recording, out_dir, provenance | spoilt, text, wrong)
-    n_events = tuple(len(camera.events) for camera in recording.cameras)
-    n_frames = tuple(len(camera.frames.images) for camera in recording.cameras)
-    return Recorded(recording.flight, n_events, n_frames)
+    return save_recording(recording, out_dir, provenance | spoilt, text, wrong)
 
 
 def disturbed(

@@ -77,11 +77,6 @@ def drift_of(skew_ppm: float, jump: Jump | None, duration_s: float) -> Drift:
     return Drift(skew_ppm, duration_s / 2.0, jump)
 
 
-def microseconds(seconds: float) -> int:
-    """Return the nearest number of whole microseconds, which is what clocks show."""
-    return round(seconds * 1e6)
-
-
 TRUTH_HZ = 200.0  # rate at which the truth lists poses: smooth enough to interpolate
 
 

@@ -24,7 +24,6 @@ from sim.recorded import (
     OpenSink,
     Recording,
     drift_of,
-    microseconds,
     truth_of,
 )
 from sim.render.config import RenderConfig, SamplingConfig
@@ -203,7 +202,7 @@ def _record(
 ) -> None:
     """Sense and expose one camera's view, batch by batch."""
     end_s = float(instants_s[-1])
-    clock_us = microseconds(camera.time_offset_s)
+    clock_us = round(1e6 * camera.time_offset_s)
     times_us = frame_times_us(config.frames, end_s, effects.frame_start_s)
     stamps_us = times_us + drift.added_us(times_us) + clock_us
     sink = open_sink(camera, stamps_us, config.frames.exposure_s)

@@ -34,7 +34,7 @@ from scipy.spatial.transform import Rotation
 
 from sim.arrays import FloatArray, IntArray
 from sim.errors import SimError
-from sim.recorded import Drift, Flight, Recording
+from sim.recorded import Flight, Recording
 from sim.recording import SimConfig, stream
 from sim.scene.rig import Camera, Rig, kalibr_yaml
 from sim.sensor.kernels import EVENT_DTYPE
@@ -238,7 +238,7 @@ def save_recording(
     provenance: dict[str, Any],
     text: bool = False,
     rig_files: Mapping[str, str] | None = None,
-) -> None:
+) -> Recorded:
     """Write a recording as a folder.
 
     Parameters
@@ -268,7 +268,9 @@ def save_recording(
                 sink.add(camera.events)
                 sink.close()
             sinks.append(sink)
-        _save_about(_recorded(recording.flight, sinks), partial, provenance, rig_files)
+        recorded = _recorded(recording.flight, sinks)
+        _save_about(recorded, partial, provenance, rig_files)
+    return recorded
 
 
 def true_rig_files(rig: Rig) -> dict[str, str]:
@@ -332,13 +334,13 @@ def _save_about(
 def _truth(recorded: Recorded) -> dict[str, Any]:
     """Return the content of truth.json, with frames and units in the names."""
     flight = recorded.flight
-    truth = flight.truth
+    truth, jump = flight.truth, flight.truth.drift.jump
     quaternions = Rotation.from_matrix(truth.T_W_B[:, :3, :3]).as_quat()
     return {
         "t_d_s": truth.t_d_s,
         "skew_ppm": truth.drift.skew_ppm,
         "t_ref_s": truth.drift.t_ref_s,
-        "clock_jump": _jump(truth.drift),
+        "clock_jump": jump and dict(zip(("at_s", "size_s"), jump, strict=True)),
         "R": truth.R.tolist(),
         "t": truth.t.tolist(),
         "baseline_m": truth.baseline_m,
@@ -367,13 +369,6 @@ def _truth(recorded: Recorded) -> dict[str, Any]:
             "mean_difference": round(flight.check.mean_difference, _DIGITS),
         },
     }
-
-
-def _jump(drift: Drift) -> dict[str, float] | None:
-    if drift.jump is None:
-        return None
-    at_s, size_s = drift.jump
-    return {"at_s": at_s, "size_s": size_s}
 
 
 def _rounded(values: FloatArray) -> list[Any]:

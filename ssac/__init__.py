@@ -12,146 +12,106 @@ A name is imported when it is first asked for, so that a command line that only 
 a caller that only reads files, does not wait for compilers and solvers.
 """
 
+import ast
+from functools import cache
 from importlib import import_module
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # the list of public names, which is read below too
     __version__: str
-    from ssac.camera import Camera, Cameras, Rig
-    from ssac.clock import Clock
-    from ssac.config import Config, checked
-    from ssac.errors import PluginError, SsacError
-    from ssac.estimate import ClockJump, Estimate, Status
-    from ssac.events import EVENT_DTYPE, EventFile
-    from ssac.files.damage import Reading
-    from ssac.files.event_files import load_events
-    from ssac.files.rigs import load_rig
-    from ssac.files.track_files import load_track
-    from ssac.methods.correlations import (
-        Signal,
-        binned,
-        correlation_estimate,
-        counted,
-        lags_of,
-        zncc,
-    )
-    from ssac.pipeline.answer import Answer
-    from ssac.pipeline.api import (
-        Result,
-        albl,
-        event_rate,
-        joint,
-        joint_known,
-        ssac_known,
-        sync,
-        tangency,
-        tangency_known,
-        two_views,
-        usable_events,
-        zncc_e,
-        zncc_f,
-    )
-    from ssac.pipeline.api import (
-        ssac as ssac,
-    )
-    from ssac.pipeline.chain import Chain
-    from ssac.pipeline.many_report import NetworkResult
-    from ssac.pipeline.opened import Known
-    from ssac.pipeline.registry import Input, Method
-    from ssac.points import PointTrack
-    from ssac.search.two_views import Pairs, PairsAt, TwoViews
-    from ssac.track.motion import ObjectMotion
-    from ssac.track.observation import Observation
+    from ssac.camera import Camera as Camera
+    from ssac.camera import Cameras as Cameras
+    from ssac.camera import Rig as Rig
+    from ssac.clock import Clock as Clock
+    from ssac.config import Config as Config
+    from ssac.config import checked as checked
+    from ssac.errors import PluginError as PluginError
+    from ssac.errors import SsacError as SsacError
+    from ssac.estimate import ClockJump as ClockJump
+    from ssac.estimate import Estimate as Estimate
+    from ssac.estimate import Status as Status
+    from ssac.events import EVENT_DTYPE as EVENT_DTYPE
+    from ssac.events import EventFile as EventFile
+    from ssac.files.damage import Reading as Reading
+    from ssac.files.event_files import load_events as load_events
+    from ssac.files.rigs import load_rig as load_rig
+    from ssac.files.track_files import load_track as load_track
+    from ssac.methods.correlations import Signal as Signal
+    from ssac.methods.correlations import binned as binned
+    from ssac.methods.correlations import correlation_estimate as correlation_estimate
+    from ssac.methods.correlations import counted as counted
+    from ssac.methods.correlations import lags_of as lags_of
+    from ssac.methods.correlations import zncc as zncc
+    from ssac.methods.method import Input as Input
+    from ssac.methods.method import Method as Method
+    from ssac.pipeline.answer import Answer as Answer
+    from ssac.pipeline.api import Result as Result
+    from ssac.pipeline.api import sync as sync
+    from ssac.pipeline.api import two_views as two_views
+    from ssac.pipeline.api import usable_events as usable_events
+    from ssac.pipeline.chain import Chain as Chain
+    from ssac.pipeline.many_report import NetworkResult as NetworkResult
+    from ssac.pipeline.opened import Known as Known
+    from ssac.pipeline.registry import EstimateFunction as _Function
+    from ssac.points import PointTrack as PointTrack
+    from ssac.search.two_views import Pairs as Pairs
+    from ssac.search.two_views import PairsAt as PairsAt
+    from ssac.search.two_views import TwoViews as TwoViews
+    from ssac.track.motion import ObjectMotion as ObjectMotion
+    from ssac.track.observation import Observation as Observation
 
-__all__ = [
-    "EVENT_DTYPE",
-    "Answer",
-    "Camera",
-    "Cameras",
-    "Chain",
-    "Clock",
-    "ClockJump",
-    "Config",
-    "Estimate",
-    "EventFile",
-    "Input",
-    "Known",
-    "Method",
-    "NetworkResult",
-    "ObjectMotion",
-    "Observation",
-    "Pairs",
-    "PairsAt",
-    "PluginError",
-    "PointTrack",
-    "Reading",
-    "Result",
-    "Rig",
-    "Signal",
-    "SsacError",
-    "Status",
-    "TwoViews",
-    "albl",
-    "binned",
-    "checked",
-    "correlation_estimate",
-    "counted",
-    "event_rate",
-    "joint",
-    "joint_known",
-    "lags_of",
-    "load_events",
-    "load_rig",
-    "load_track",
-    "ssac_known",
-    "sync",
-    "tangency",
-    "tangency_known",
-    "two_views",
-    "usable_events",
-    "zncc",
-    "zncc_e",
-    "zncc_f",
-]
-"""The module's own name is left alone: the paper's method is `ssac.ssac`."""
+    # Functions of methods, for those who check types: every other method has its own too.
+    ssac: _Function
+    albl: _Function
+    event_rate: _Function
+    joint: _Function
+    joint_known: _Function
+    ssac_known: _Function
+    tangency: _Function
+    tangency_known: _Function
+    zncc_e: _Function
+    zncc_f: _Function
 
-_HOMES = {
-    "ssac.methods.correlations": "Signal binned correlation_estimate counted lags_of zncc",
-    "ssac.camera": "Camera Cameras Rig",
-    "ssac.clock": "Clock",
-    "ssac.config": "Config checked",
-    "ssac.errors": "PluginError SsacError",
-    "ssac.estimate": "ClockJump Estimate Status",
-    "ssac.events": "EVENT_DTYPE EventFile",
-    "ssac.files.damage": "Reading",
-    "ssac.files.event_files": "load_events",
-    "ssac.files.rigs": "load_rig",
-    "ssac.files.track_files": "load_track",
-    "ssac.pipeline.answer": "Answer",
-    "ssac.pipeline.api": "Result albl event_rate joint joint_known ssac ssac_known"
-    " sync tangency tangency_known two_views usable_events zncc_e zncc_f",
-    "ssac.pipeline.chain": "Chain",
-    "ssac.pipeline.opened": "Known",
-    "ssac.pipeline.many_report": "NetworkResult",
-    "ssac.pipeline.registry": "Input Method",
-    "ssac.points": "PointTrack",
-    "ssac.search.two_views": "Pairs PairsAt TwoViews",
-    "ssac.track.motion": "ObjectMotion",
-    "ssac.track.observation": "Observation",
-}
-"""Where the public names are defined, as above."""
+
+@cache
+def _homes() -> dict[str, str]:
+    """Read off this file in which module each public name is defined."""
+    tree = ast.parse(Path(__file__).read_text(encoding="utf-8"))
+    listed = next(node for node in tree.body if isinstance(node, ast.If))
+    return {
+        alias.name: str(node.module)
+        for node in listed.body
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+        if alias.asname == alias.name
+    }
+
+
+def _names() -> list[str]:
+    """List all public names; the module's own is left alone: the paper's method is `ssac.ssac`."""
+    return sorted({*_homes(), *_functions()} - {"ssac"})
+
+
+def _functions() -> dict[str, Any]:
+    from ssac.methods.method import our_methods
+
+    return {method.name.replace("-", "_"): method for method in our_methods()}
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted({*globals(), *_names()})
 
 
 if not TYPE_CHECKING:  # where types are checked, a name that is not above is an error
 
     def __getattr__(name: str) -> object:
+        if name == "__all__":
+            return _names()
         if name == "__version__":
             return import_module("importlib.metadata").version("ssac-suite")
-        for home, names in _HOMES.items():
-            if name in names.split():
-                return getattr(import_module(home), name)
+        if name in _homes():
+            return getattr(import_module(_homes()[name]), name)
+        if name in _functions():
+            return import_module("ssac.pipeline.api").function_of(_functions()[name])
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ssac.errors import SsacError
-from ssac.rules import Rules, check_rules
+from ssac.rules import LineRules, NoiseRules, PointRules, Rules, check_rules
 
 N_MIN = 200
 """Events that a window holds at least, the paper's N_min."""
@@ -52,6 +52,8 @@ class Cleaning:
 
     denoise: bool
     n_neighbours: int | None
+    noise: NoiseRules = field(default_factory=NoiseRules)
+    line: LineRules = field(default_factory=LineRules)
 
 
 @dataclass(frozen=True)
@@ -62,6 +64,7 @@ class Windows:
     n_min: int | None
     border_px: int
     max_border_fraction: float
+    points: PointRules
 
 
 @dataclass(frozen=True)
@@ -113,12 +116,12 @@ class Config:
     @property
     def cleaning(self) -> Cleaning:
         """What the noise filter takes of it."""
-        return Cleaning(self.denoise, self.n_neighbours)
+        return Cleaning(self.denoise, self.n_neighbours, self.rules.noise, self.rules.line)
 
     @property
     def windows(self) -> Windows:
         """What the object's motion takes of it."""
-        rules = self.border_px, self.max_border_fraction
+        rules = self.border_px, self.max_border_fraction, self.rules.points
         return Windows(self.half_window_s, self.n_min, *rules)
 
     @property

@@ -150,9 +150,11 @@ class SourceTree:
                     yield source.imports[mentioned]
 
     def _named(self, strings: frozenset[str]) -> list[Use]:
-        """Modules that a string names: "a.b.c", or "a.b.c:name"."""
+        """Modules that a string names, "a.b.c" or "a.b.c:name"; of a folder all that are in it."""
         names = {text.partition(":")[0] for text in strings if "." in text}
-        return [(name, "") for name in names if self._path(name)]
+        folders = tuple(f"{name}." for name in names if self._path(f"{name}.__init__"))
+        inside = [name for name in self._modules() if name.startswith(folders)] if folders else []
+        return [(name, "") for name in [*names, *inside] if self._path(name)]
 
     def _modules(self) -> Iterator[str]:
         for package in PACKAGES:

@@ -97,7 +97,7 @@ def page_table(results: Results, name: str) -> str:
 def largest_with_noise(results: Results) -> str:
     """Largest mean error of `tangency` in a cell of the tables' flights with a DAVIS346's noise."""
     means = results.column("ablation_davis346", "t_d_error_ms_mean", method="tangency")
-    return f"{np.nanmax(means):.2f} ms"
+    return f"{np.nanmax(means):.3f} ms"
 
 
 def ablation_study(grid: GridConfig, command: str = "", **more: Any) -> Study:

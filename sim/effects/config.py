@@ -1,6 +1,6 @@
 """How far real sensors are from the ideal one: a config, and the values of sensors by name."""
 
-from dataclasses import astuple, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 
 from sim.errors import SimError, check_numbers
 from sim.sensor.events import SensorConfig
@@ -75,7 +75,7 @@ class SensorEffects:
     @property
     def is_none(self) -> bool:
         """Whether the sensor stays as it is."""
-        return astuple(self) == astuple(SensorEffects())
+        return self == SensorEffects()
 
     def of_camera(self, index: int) -> "SensorEffects":
         """Give the effects in one camera: the second may see another light."""

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from sim.sensor.kernels import decay, grown, uniform
+from sim.sensor.kernels import SHOT_NOISE_DROP, decay, grown, uniform
 
 _TOLERANCE_S = 1e-8  # of crossing times, which are rounded to microseconds
 _SETTLED = 1e-7  # of the light: a photoreceptor that is as near has arrived
@@ -150,7 +150,6 @@ PIXEL_DTYPE = np.dtype(
         ("random", "u8"),  # state of its own random numbers
     ]
 )
-_SHOT_NOISE_DROP = 0.75  # of `shot_noise_hz`, at full light, as in `sim.sensor.kernels`
 
 
 class PixelRates(NamedTuple):
@@ -347,7 +346,7 @@ def _noise_hz(luminance, state, rates, dim_hz):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _shot_hz(luminance, rates):  # type: ignore[no-untyped-def]
-    return rates.shot_hz * (1.0 - _SHOT_NOISE_DROP * min(max(luminance, 0.0), 1.0))
+    return rates.shot_hz * (1.0 - SHOT_NOISE_DROP * min(max(luminance, 0.0), 1.0))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

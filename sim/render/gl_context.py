@@ -35,7 +35,8 @@ def open_context(backend: str = "auto") -> GLContext:
     """
     if backend not in ("auto", *BACKENDS):
         raise SimError(f"GL backend: expected auto, osmesa or egl, got {backend!r}")
-    chosen = _backend_in_use() or (_first_available() if backend == "auto" else backend)
+    bound = os.environ.get("PYOPENGL_PLATFORM")  # of PyOpenGL, by us or by the user beforehand
+    chosen = bound if bound in BACKENDS else _first_available() if backend == "auto" else backend
     if backend not in ("auto", chosen):
         raise SimError(
             f"GL backend {backend}: this process already draws with {chosen}; "
@@ -50,12 +51,6 @@ def context_or_none() -> GLContext | None:
         return open_context()
     except SimError:
         return None
-
-
-def _backend_in_use() -> str | None:
-    """Return the backend that PyOpenGL is bound to, or that the user bound it to beforehand."""
-    platform = os.environ.get("PYOPENGL_PLATFORM")
-    return platform if platform in BACKENDS else None
 
 
 def _first_available() -> str:

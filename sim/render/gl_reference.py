@@ -89,17 +89,14 @@ class PyrenderFullFrame:
             self._scene.set_pose(node, T_C_P)
             depths_m.append(part.vertices_B_m @ T_C_P[2, :3] + T_C_P[2, 3])
         near_m, far_m = min(map(np.min, depths_m)), max(map(np.max, depths_m))
-        self._set_uniforms((0.9 * near_m, 1.1 * far_m))
+        config, program_id = self.config, self._program._program_id
+        light_C = config.light_in(self._camera)
+        self._program._bind()
+        set_camera_uniforms(program_id, self._camera, config.lattice, light_C, config.ambient)
+        set_tile_uniforms(program_id, self._size, self._size, (0.9 * near_m, 1.1 * far_m))
         self._renderer.render(self._scene, RenderFlags.NONE)
         GL.glReadPixels(0, 0, width, height, GL.GL_RED_INTEGER, GL.GL_UNSIGNED_INT, self._words)
         return self._words
-
-    def _set_uniforms(self, depth_range_m: tuple[float, float]) -> None:
-        config, light_C = self.config, self.config.light_in(self._camera)
-        program_id = self._program._program_id
-        self._program._bind()
-        set_camera_uniforms(program_id, self._camera, config.lattice, light_C, config.ambient)
-        set_tile_uniforms(program_id, self._size, self._size, depth_range_m)
 
     def stock(self, time_s: float, T_W_B: FloatArray) -> NDArray[np.bool_]:
         """Draw one instant with pyrender as it is: which samples see the drone.

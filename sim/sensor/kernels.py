@@ -109,7 +109,7 @@ NOISE_STATE_DTYPE = np.dtype(
         ("random", "u8"),  # state of its own random numbers
     ]
 )
-_SHOT_NOISE_DROP = 0.75  # of the dark rate, at full light (as in v2e)
+SHOT_NOISE_DROP = 0.75  # of the dark rate, at full light (as in v2e)
 
 
 @njit(cache=True, nogil=True)
@@ -283,7 +283,7 @@ def _follow(  # type: ignore[no-untyped-def]
             draw = uniform(state) * total_hz
             if draw < state.hot_hz:
                 polarity = True
-            elif draw < total_hz - shot_hz * _SHOT_NOISE_DROP * min(max(light, 0.0), 1.0):
+            elif draw < total_hz - shot_hz * SHOT_NOISE_DROP * min(max(light, 0.0), 1.0):
                 polarity = uniform(state) < 0.5
             else:  # bright light has less shot noise: this one does not happen
                 level *= decay(leak * (event_s - t))

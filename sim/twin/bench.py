@@ -16,7 +16,7 @@ from sim.arrays import Float32Array, FloatArray
 from sim.errors import SimError
 from sim.recording import Scene, SimConfig, two_view_rig_of
 from sim.scene.background import uniform_background
-from sim.scene.drone import Drone, Part, check_size, hull, join, pose, prism, solid
+from sim.scene.drone import Drone, check_size, hull, join, pose, prism, solid
 from sim.scene.rig import Camera, Rig
 from sim.seeds import generator
 from sim.sensor.frames import FrameConfig
@@ -43,14 +43,12 @@ def printed(size_m: float = SIZE_M) -> Drone:
     It is one part; its origin is the middle of its bounding box, its size length and width [m].
     """
     check_size(size_m)
-    pieces = [_body(), _eye()]
+    eye = prism(6, _EYE_RADIUS, 0.5 * HEIGHT - 0.09)
+    eye.apply_translation((0.0, 0.0, 0.5 * (0.5 * HEIGHT + 0.09)))
+    pieces = [_body(), eye]
     for x_sign, y_sign in ((1, 1), (1, -1), (-1, -1), (-1, 1)):
         pieces += _arm(np.array([x_sign * _CORNER, y_sign * _CORNER, 0.0]))
-    return Drone((join([_painted(piece) for piece in pieces], size_m),), "printed", size_m)
-
-
-def _painted(piece: trimesh.Trimesh) -> Part:
-    return solid(piece, ALBEDO)
+    return Drone((join([solid(piece, ALBEDO) for piece in pieces], size_m),), "printed", size_m)
 
 
 def _body() -> trimesh.Trimesh:
@@ -64,12 +62,6 @@ def _body() -> trimesh.Trimesh:
             for side in (-1, 1)
         ]
     )
-
-
-def _eye() -> trimesh.Trimesh:
-    eye = prism(6, _EYE_RADIUS, 0.5 * HEIGHT - 0.09)
-    eye.apply_translation((0.0, 0.0, 0.5 * (0.5 * HEIGHT + 0.09)))
-    return eye
 
 
 def _arm(corner: FloatArray) -> list[trimesh.Trimesh]:

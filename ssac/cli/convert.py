@@ -26,9 +26,7 @@ MAX_CAMERA = 1000
 
 OPTIONS = {
     "camera": Option(
-        number("Number of this camera in the rig.", 1, MAX_CAMERA, metavar="K"),
-        type=int,
-        default=1,
+        number("Number of this camera in the rig.", 1, MAX_CAMERA, metavar="K"), type=int, default=1
     ),
     "no_denoise": NO_DENOISE,
     "faint": Option(
@@ -81,10 +79,10 @@ def track_command(
     try:
         events = file.events
         if given.faint:
-            events = faint_object_events(events, calibrated.width, calibrated.height)
+            events = faint_object_events(events, calibrated.width, calibrated.height, config.rules)
         seen = clean(Observation(events), calibrated, config.cleaning)
         track = track_of_events(seen, config)
-        n_things = things_seen(seen)
+        n_things = things_seen(seen, config.rules.objects)
     except SsacError as error:
         raise SsacError(f"{cam}: {error}") from error
     if n_things > 1:
@@ -114,8 +112,7 @@ def import_command(
         Path, typer.Argument(metavar="FOLDER", help="Folder of one data set.", show_default=False)
     ],
     out: Annotated[
-        Path,
-        typer.Argument(metavar="OUT", help="Folder to write cam*.csv and rig.yaml to."),
+        Path, typer.Argument(metavar="OUT", help="Folder to write cam*.csv and rig.yaml to.")
     ],
 ) -> None:
     """Turn a public data set into track files and a rig.

@@ -43,17 +43,8 @@ _INSIST_S = 3.0  # enough to end worker processes and remove temporary files
 def guarded(run: Callable[[], int], blames_input: tuple[type[Exception], ...] = ()) -> int:
     """Run a command, and turn whatever it raises into one line and an exit code.
 
-    Parameters
-    ----------
-    run
-        Returns an exit code. What it imports is guarded too.
-    blames_input
-        Errors that say what is wrong with the input, besides SsacError and OSError.
-
-    Returns
-    -------
-    int
-        For `sys.exit`.
+    `blames_input` are errors that say what is wrong with the input, besides SsacError and OSError.
+    What the command imports is guarded too.
     """
     faults_of_input: tuple[type[Exception], ...] = (SsacError, OSError, *blames_input)
     try:

@@ -19,20 +19,10 @@ def number(
     metavar: str = "",
     default_words: str = "",
 ) -> Any:
-    """Make an option of one or several numbers that must lie between two bounds.
+    """Make an option of one or several numbers that must lie between two bounds, both allowed.
 
-    Parameters
-    ----------
-    help_text
-        What the number is; its range is added.
-    low, high
-        Least and largest value, both allowed.
-    unit
-        As a word: "seconds".
-    metavar
-        How the value is shown; the unit in capitals when empty.
-    default_words
-        Shown in place of a default that is no number.
+    The unit is a word, "seconds", and shown for the value in capitals where there is no `metavar`;
+    `default_words` stand in place of a default that is no number.
     """
     bounds = f"{_plain(low)} to {_plain(high)}"
     return typer.Option(

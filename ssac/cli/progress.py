@@ -23,23 +23,10 @@ Advance = Callable[[int], object]
 def progress(
     total: int, label: str, is_brief: bool = False, is_shown: bool = True
 ) -> Iterator[Advance]:
-    """Show how much of some work is done while the block runs.
+    """Show how much of some work is done while the block runs, which calls what it is given.
 
-    Parameters
-    ----------
-    total
-        Nothing is shown when it is 0.
-    label
-        What is being done, or what is counted.
-    is_brief
-        Whether the work mostly takes seconds. Then the bar appears after half a second, and no
-        line before `EVERY_S`.
-    is_shown
-
-    Yields
-    ------
-    Advance
-        The block calls it with the number that is done by now.
+    Nothing is shown where `total` is 0. Of brief work, which mostly takes seconds, the bar appears
+    after half a second, and no line before `EVERY_S`.
     """
     if not (total and is_shown):
         yield lambda n_done: None
@@ -54,15 +41,7 @@ def progress(
 
 
 class Lines:
-    """Says it in a line at each tenth that is done, and `EVERY_S` after the last line.
-
-    Parameters
-    ----------
-    total, label, is_brief
-        As of `progress`.
-    clock
-        Gives the time [s] since whenever.
-    """
+    """Says it in a line at each tenth that is done, and `EVERY_S` after the last line."""
 
     def __init__(
         self,

@@ -26,7 +26,7 @@ from ssac.cli.options import (
 )
 from ssac.config import CLOCKS, EVENT_SKEW_PRIOR_PPM, INTERVAL_S, MAX_SKEW_PPM
 from ssac.errors import SsacError
-from ssac.pipeline.summaries import DEFAULT, OF_TRACKS, all_summaries
+from ssac.methods.method import DEFAULT, OF_TRACKS, all_summaries
 
 if TYPE_CHECKING:
     from ssac.pipeline.opened import Known

@@ -59,22 +59,9 @@ def checked_file(
 ) -> EventFile:
     """Give the events of a file as they are if it is whole, else what `reading` makes of them.
 
-    Parameters
-    ----------
-    events
-        As they stand in the file.
-    size_px
-        Width and height of the sensor; None where the file does not say.
-    path, reading
-        Of the file.
-    is_text
-        Whether it is text, whose times may be rounded, so that one event may stand there often.
-
-    Raises
-    ------
-    SsacError
-        If time runs back or leaps, one event stands there many times, or events lie outside the
-        sensor, and that is not allowed; or if there are none.
+    In text, whose times may be rounded, one event may stand often. SsacError if time runs back or
+    leaps, one event stands there many times, or events lie outside the sensor (of a size that may
+    be None), and that is not allowed; or if there are none.
     """
     t, x, y, p = (events[field] for field in ("t", "x", "y", "p"))
     width, height = (_ANY_SIZE if size is None else size for size in size_px)

@@ -49,13 +49,7 @@ class ImportedCamera:
 
 
 def load_data_set(folder: Path) -> list[ImportedCamera]:
-    """Read all cameras of one data set.
-
-    Raises
-    ------
-    SsacError
-        If a file is missing or not of this form. The message names it.
-    """
+    """Read all cameras of one data set; SsacError if a file is missing or not of this form."""
     listing = folder / "cameras.txt"
     if not listing.is_file():
         raise SsacError(

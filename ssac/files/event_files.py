@@ -9,6 +9,7 @@ suffix        format                                         absolute time
 .h5, .hdf5    HDF5: ours, DSEC's, Prophesee's (`hdf5`)       kept
 .txt          ESIM text (`text`)                             kept
 .csv          named columns (`text`)                         kept
+.npy, .npz    NumPy's arrays (`numpy_files`)                 kept
 .aedat4       iniVation AEDAT 4 (`makers`)                   kept
 .raw          Prophesee EVT2 (`makers`)                      kept
 .raw          Prophesee EVT3 (`makers`)                      modulo 2^24 us = 16.8 s
@@ -41,12 +42,17 @@ class Format(NamedTuple):
 
 _HDF5 = Format("ssac.files.hdf5:load_events_h5", "ssac.files.hdf5:save_events_h5")
 _MAKERS = Format("ssac.files.makers:load_makers_file")
+_NUMPY = Format(
+    "ssac.files.numpy_files:load_events_numpy", "ssac.files.numpy_files:save_events_numpy"
+)
 
 FORMATS = {
     ".h5": _HDF5,
     ".hdf5": _HDF5,
     ".txt": Format("ssac.files.text:load_events_text", "ssac.files.text:save_events_text"),
     ".csv": Format("ssac.files.text:load_events_csv"),
+    ".npy": _NUMPY,
+    ".npz": _NUMPY,
     ".aedat4": _MAKERS,
     ".raw": _MAKERS,
     ".dat": _MAKERS,
@@ -65,14 +71,7 @@ _WAYS = dict.fromkeys((".avi", ".mkv", ".mov", ".mp4"), _VIDEO) | dict.fromkeys(
 
 
 def load_events(path: Path | str, reading: Reading = STRICT) -> EventFile:
-    """Read an event file of any format in the table above.
-
-    Parameters
-    ----------
-    path
-        The file; its extension names its format.
-    reading
-        What may be made of a file that is damaged or unsorted.
+    """Read an event file of any format in the table above, by its extension.
 
     Returns
     -------
@@ -104,17 +103,7 @@ def load_events(path: Path | str, reading: Reading = STRICT) -> EventFile:
 
 
 def write_synced(path: Path | str, cam2: EventFile, clock: Clock) -> None:
-    """Write camera 2's events on camera 1's clock, in whole microseconds.
-
-    Parameters
-    ----------
-    path
-        File to write, in one of the formats WRITTEN by its extension.
-    cam2
-        Camera 2's events on its own clock.
-    clock
-        Camera 2's.
-    """
+    """Write camera 2's events on camera 1's clock, in whole microseconds, as the extension says."""
     path = Path(path)
     check_written(path)
     events = cam2.events.copy()

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from ssac.errors import SsacError
 from ssac.events import EVENT_DTYPE, EventFile, check_lengths, field_values
 from ssac.files.damage import STRICT, Reading, checked_file, refuse_damaged
-from ssac.files.readable import readable
+from ssac.files.readable import readable, side_px
 from ssac.files.whole_file import check_writable, whole_file
 
 with suppress(ImportError):  # then what needs it is refused
@@ -41,16 +41,12 @@ _MAX_OFFSET_US = 2.0**60
 _MAX_RATIO = 1000  # no codec makes more bytes of events, or of frames, of one that is stored
 _NEVER_MIND = 1 << 20  # bytes, that anything may take
 _PROPHESEE_ECF = 0x8ECF  # number of the codec of Prophesee's newer HDF5 files, not in hdf5plugin
-_MAX_SIDE_PX = np.iinfo(EVENT_DTYPE["x"]).max
 
 
 def load_events_h5(path: Path, reading: Reading = STRICT) -> EventFile:
     """Read the events of an HDF5 file in any of the three layouts.
 
-    Raises
-    ------
-    SsacError
-        If the file is damaged, in another layout, or its events fail `checked_file`.
+    SsacError if it is damaged, in another layout, or its events fail `checked_file`.
     """
     with _open_h5(path) as file:
         size_px = _sensor_size(file, path)
@@ -86,12 +82,12 @@ def load_events_h5(path: Path, reading: Reading = STRICT) -> EventFile:
 def load_frames(
     path: Path | str, summary: Callable[[NDArray[np.uint8]], NDArray[Any]] | None = None
 ) -> tuple[NDArray[np.int64], NDArray[Any]] | None:
-    """Read the intensity frames of a recording.
+    """Read the intensity frames of a recording; only our HDF5 layout can hold any.
 
     Parameters
     ----------
     path
-        Event file; only our HDF5 layout can hold frames, in `frames/t` and `frames/images`.
+        Event file.
     summary
         What to keep of frames, (k, height, width) in, (k, ...) out: called with some at a time, so
         that never all are in memory. They are kept as they are when None.
@@ -101,11 +97,6 @@ def load_frames(
     tuple of NDArray, or None
         Times of mid-exposure, shape (n,) [us], and images, shape (n, height, width), uint8, or the
         summaries of all. None when the file has no frames.
-
-    Raises
-    ------
-    SsacError
-        If the file is damaged, or times and images do not belong together.
     """
     path = Path(path)
     if path.suffix.lower() not in HDF5_SUFFIXES:
@@ -253,17 +244,8 @@ def _brief_list(file: h5py.File) -> str:
 
 
 def _side_px(value: Any, key: str, path: Path) -> int:
-    try:
-        side_px = int(value)
-    except (TypeError, ValueError, OverflowError):
-        side_px = 0
-    if not 1 <= side_px <= _MAX_SIDE_PX:
-        expected = "WIDTHxHEIGHT" if key == "geometry" else "a number"
-        raise SsacError(
-            f"{path}: the attribute {key} must be {expected} of 1 to {_MAX_SIDE_PX} px, got "
-            f"{str(value)[:40]!r}: correct it, or leave it out"
-        )
-    return side_px
+    expected = "WIDTHxHEIGHT" if key == "geometry" else "a number"
+    return side_px(value, f"the attribute {key} must be {expected} of", path)
 
 
 def _check_codec(found: Any, name: str, path: Path) -> None:

@@ -54,13 +54,7 @@ _MAX_HEADER = 1 << 24  # bytes
 
 
 def load_makers_file(path: Path, reading: Reading) -> EventFile:
-    """Read a camera maker's file.
-
-    Raises
-    ------
-    SsacError
-        If it is damaged and `reading` does not allow that, or in an encoding that faery lacks.
-    """
+    """Read a camera maker's file; SsacError if it is damaged, or encoded as faery cannot read."""
     refuse_damaged(path, _signs(path), reading)
     file = checked_file(*_decoded(path, reading), path, reading)
     if path.suffix.lower() == ".es" and file.events["t"][0] == 0:
@@ -251,10 +245,7 @@ def _signs_of_dat(words: NDArray[np.uint64], repeated: int) -> NDArray[np.int64]
 def check_packets(path: Path) -> list[str]:
     """Say what is wrong with an AEDAT 4 file that still leaves packets to read.
 
-    Raises
-    ------
-    SsacError
-        If its header is none.
+    SsacError if its header is none.
     """
     kind = f"a complete {path.suffix} file"
     with readable(path, kind), path.open("rb") as file:
@@ -315,11 +306,7 @@ def _table_position(header: bytes) -> int:
 
 
 def _field_place(header: bytes, number: int) -> int:
-    """Find a field of the header; 0 where it is left out.
-
-    The header is a flat buffer: a table begins with the distance back to the list of where its
-    fields are.
-    """
+    """Find a field of the header, a flat buffer; 0 where it is left out."""
     (root,) = struct.unpack_from("<I", header)
     fields = root - struct.unpack_from("<i", header, root)[0]
     (length,) = struct.unpack_from("<H", header, fields)

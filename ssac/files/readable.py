@@ -4,6 +4,7 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 from ssac.errors import SsacError
 
@@ -77,3 +78,17 @@ def is_number(word: str) -> bool:
     except ValueError:
         return False
     return True
+
+
+def side_px(value: Any, said: str, path: Path) -> int:
+    """Give the width or height of a sensor that a file states; SsacError, with `said`, if none."""
+    most = (1 << 16) - 1  # of what an event's field holds
+    try:
+        side = int(value)
+    except (TypeError, ValueError, OverflowError):
+        side = 0
+    if not 1 <= side <= most:
+        raise SsacError(
+            f"{path}: {said} 1 to {most} px, got {str(value)[:40]!r}: correct it, or leave it out"
+        )
+    return side

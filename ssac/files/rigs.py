@@ -12,13 +12,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from ssac.camera import (
-    MAX_READOUT_S,
-    Camera,
-    Rig,
-    check_camera,
-    check_transform,
-)
+from ssac.camera import MAX_READOUT_S, Camera, Rig, check_camera, check_transform
 from ssac.errors import SsacError
 from ssac.files.readable import check_is_file, readable, silenced
 
@@ -59,12 +53,6 @@ def load_rig(path: Path | str, cameras: tuple[int, int] = (1, 2)) -> Rig:
         Cameras with valid intrinsics; T_2_1 in the unit of the file (Kalibr: metres). Their
         deviations are those of a camera's key `intrinsics_std` (fu, fv, pu, pv [px], 0 for exact
         ones), and of a good calibration where there is none (`ssac.camera.Camera`).
-
-    Raises
-    ------
-    SsacError
-        If the file is missing or of another kind, a key is missing, or a value is unusable (NaN,
-        a wrong number of coefficients, a matrix that is no rotation). The message names the file.
     """
     path = Path(path)
     if path.suffix.lower() not in (".yaml", ".yml"):
@@ -89,16 +77,9 @@ def load_camera(path: Path | str, number: int) -> Camera:
 def check_resolution(
     camera: Camera, width: int | None, height: int | None, camera_name: str, events_name: str
 ) -> None:
-    """Raise SsacError unless a calibration is for the resolution of the recording.
+    """Raise SsacError unless a calibration is for the size of the recording, where that is known.
 
-    Parameters
-    ----------
-    camera
-        The calibrated camera.
-    width, height
-        Sensor size of the recording [px]; None where its file does not give it: then it passes.
-    camera_name, events_name
-        What the two are, for the message: "rig.yaml, cam0" and "cam1.h5".
+    The names are for the message: "rig.yaml, cam0" and "cam1.h5".
     """
     for recorded, calibrated in ((width, camera.width), (height, camera.height)):
         if recorded is not None and recorded != calibrated:

@@ -16,12 +16,11 @@ from numpy.typing import NDArray
 from ssac.errors import SsacError
 from ssac.events import EVENT_DTYPE, US_PER_S, EventFile, events_from_arrays
 from ssac.files.damage import STRICT, Reading, checked_file
-from ssac.files.readable import brief, check_text
+from ssac.files.readable import brief, check_text, side_px
 from ssac.files.whole_file import whole_file
 
 _MAX_WHOLE_S = 1000.0  # times in seconds that go further and are all whole are none of seconds
 _LONGEST_LINE = 4096  # letters of a first line
-_MAX_SIDE_PX = np.iinfo(EVENT_DTYPE["x"]).max
 _MAX_S = 2.0**62 / US_PER_S  # what a time in whole microseconds holds
 
 LINES_PER_BLOCK = 1_000_000
@@ -29,13 +28,7 @@ LINES_PER_BLOCK = 1_000_000
 
 
 def load_events_text(path: Path, reading: Reading = STRICT) -> EventFile:
-    """Read ESIM text.
-
-    Raises
-    ------
-    SsacError
-        If a line is not `t x y p`, or the events fail `checked_file`.
-    """
+    """Read ESIM text; SsacError if a line is none, or the events fail `checked_file`."""
     first_line = _first_line(path).split()
     width, height = None, None
     if len(first_line) == 2 and all(map(_is_whole_number, first_line)):
@@ -50,13 +43,9 @@ def load_events_text(path: Path, reading: Reading = STRICT) -> EventFile:
 
 
 def load_events_csv(path: Path, reading: Reading = STRICT) -> EventFile:
-    """Read comma-separated events whose first line names the columns.
+    """Read comma-separated events whose first line names the columns t, x, y and p.
 
-    Raises
-    ------
-    SsacError
-        If the first line does not name t, x, y and p, a line does not fit it, or the events fail
-        `checked_file`.
+    SsacError if it does not, if a line does not fit it, or the events fail `checked_file`.
     """
     columns, sizes = [], {}
     for word in _first_line(path).lower().split(","):
@@ -105,13 +94,7 @@ def _is_whole_number(word: str) -> bool:
 
 
 def _side_px(word: str, path: Path) -> int:
-    side_px = int(word)
-    if not 1 <= side_px <= _MAX_SIDE_PX:
-        raise SsacError(
-            f"{path}: the sensor's size in the first line must be 1 to {_MAX_SIDE_PX} px, got "
-            f"{word[:40]}: correct it, or leave it out"
-        )
-    return side_px
+    return side_px(word, "the sensor's size in the first line must be", path)
 
 
 def _read_table(

@@ -32,11 +32,7 @@ def is_track_file(path: Path) -> bool:
 def load_track(path: Path | str) -> PointTrack:
     """Read a track file; `ssac.points.check_track` looks at what stands in it.
 
-    Raises
-    ------
-    SsacError
-        If the file is missing, its first line does not name the columns, or a row is not of
-        numbers. The message names the file.
+    SsacError if its first line does not name the columns, or a row is not of numbers.
     """
     import pandas as pd  # here, as it takes long: recordings of events do without it
 

@@ -63,11 +63,7 @@ def whole_file(path: Path) -> Iterator[Path]:
     """Give a temporary name in the same folder to write to; rename it to `path` at the end.
 
     If the block fails, the temporary file is removed and whatever was at `path` stays as it was.
-
-    Raises
-    ------
-    WriteError
-        If it cannot be written, as on a full disk. The message names `path`.
+    WriteError, which names `path`, if it cannot be written, as on a full disk.
     """
     temporary = temporary_path(path)
     try:
@@ -181,12 +177,7 @@ def is_left_over(path: Path) -> bool:
 def remove_left_over(folder: Path, name: str = "") -> None:
     """Remove the temporary files and folders in a folder that nobody writes to any more.
 
-    Parameters
-    ----------
-    folder
-        It need not be there. What lies deeper is left alone.
-    name
-        Of the file or folder that they would have become; empty: of all.
+    With a name, only those that would have become it; what lies deeper is left alone.
     """
     prefix = f".{glob.escape(name[:_NAME_LENGTH])}." if name else "."
     for path in folder.glob(f"{prefix}*"):

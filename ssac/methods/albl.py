@@ -22,6 +22,7 @@ from ssac.estimate import Estimate, Status
 from ssac.geometry.epipolar import sampson_distance
 from ssac.geometry.fundamental import MIN_PAIRS, reweighted_fundamental
 from ssac.methods.algorithms import with_fit, with_pose
+from ssac.methods.method import method
 from ssac.search.offset_search import candidate_offsets
 from ssac.search.two_views import Pairs, TwoViews
 from ssac.track.motion import Track
@@ -545,6 +546,7 @@ class _Agreement:
         return float(np.mean(self.inliers))
 
 
+@method("albl", "eigenvalue solver of Albl et al. (2017)", place=7)
 def albl_of_views(views: TwoViews) -> Estimate:
     """Time offset and relative pose by the iterated eigenvalue solver of Albl et al. (2017).
 

@@ -17,6 +17,7 @@ from ssac.geometry.fundamental import (
     reweighted_fundamental,
 )
 from ssac.geometry.pose import MIN_IN_FRONT, nearest_pose, pose_from_fundamental
+from ssac.methods.method import method
 from ssac.methods.verdict import offset_estimate, refused
 from ssac.search.observability import (
     ambiguous_offset,
@@ -194,6 +195,14 @@ _NO_FIT = Refusal(
 )
 
 
+@method(
+    "ssac-known",
+    "the paper's Algorithm 1",
+    place=2,
+    needs_extrinsics=True,
+    follows_clock=True,
+    of_one_object=True,
+)
 def algorithm_1(views: TwoViews) -> Estimate:
     """Time offset with the extrinsics of the rig: the paper's Algorithm 1.
 
@@ -227,6 +236,14 @@ def algorithm_1(views: TwoViews) -> Estimate:
     return _checked_search(replace(with_fit(estimate, F, p1, p2), R=R, t=t), views)
 
 
+@method(
+    "ssac",
+    "the paper's Algorithm 2",
+    place=1,
+    known_variant="ssac-known",
+    follows_clock=True,
+    of_one_object=True,
+)
 def algorithm_2(views: TwoViews) -> Estimate:
     """Time offset and relative pose: the paper's Algorithm 2.
 

@@ -12,6 +12,7 @@ from ssac.config import Config
 from ssac.errors import SsacError
 from ssac.estimate import Estimate, Status
 from ssac.events import US_PER_S
+from ssac.methods.method import Input, method
 from ssac.track.observation import Observation
 
 Array = NDArray[np.float64]
@@ -136,6 +137,7 @@ RATE_BIN_S = 0.001
 """Interval in which events are counted."""
 
 
+@method("event_rate", "event rates, Censi and Scaramuzza (2014)", place=10, input=Input.RATES)
 def event_rate_of_events(one: Observation, other: Observation, config: Config) -> Estimate:
     """Time offset as the lag at which the product of the event rates is largest.
 
@@ -178,6 +180,7 @@ ZNCC_BIN_S = 0.010
 """Deviation: the paper gives no bin length; its errors of ZNCC_E are multiples of 10 ms."""
 
 
+@method("zncc_e", "correlation of event rates, offset only", place=8, input=Input.RATES)
 def zncc_e_of_events(one: Observation, other: Observation, config: Config) -> Estimate:
     """Time offset as the lag at which the event rates of both cameras correlate best.
 
@@ -203,6 +206,13 @@ FRAME_S = 0.020
 """Time between frames at the paper's 50 Hz, and so the unit of the offsets found."""
 
 
+@method(
+    "zncc_f",
+    "correlation of frame brightness, offset only",
+    place=9,
+    input=Input.FRAMES,
+    takes_means=True,
+)
 def zncc_f_of_frames(one: Observation, other: Observation, config: Config) -> Estimate:
     """Time offset as the lag at which the brightness of both cameras' frames is most alike.
 

@@ -34,6 +34,7 @@ from ssac.geometry.pose import rays_of
 from ssac.methods.algorithms import with_fit
 from ssac.methods.clocks import checked_clock, clock_model, with_coarse_skew
 from ssac.methods.hypotheses import confirmed, settled, sharp_solution
+from ssac.methods.method import method
 from ssac.methods.verdict import certain, doubt, is_spread
 from ssac.rules import VerdictRules
 from ssac.search.two_views import TwoViews
@@ -66,6 +67,26 @@ LAST_STRAY_S = 3e-5
 """The same of a clock's other parameters, rms over the recording, which are less certain."""
 
 
+@method(
+    "joint",
+    "ssac, then offset and pose refined together",
+    place=3,
+    known_variant="joint-known",
+    starts_from="ssac",
+    finds_readout=True,
+    follows_clock=True,
+    of_one_object=True,
+)
+@method(
+    "joint-known",
+    "ssac-known, then the offset refined",
+    place=4,
+    needs_extrinsics=True,
+    starts_from="ssac-known",
+    finds_readout=True,
+    follows_clock=True,
+    of_one_object=True,
+)
 def joint_from(start: Estimate, views: TwoViews) -> Estimate:
     """Refine offset and pose together, or the offset alone where the pose is known.
 

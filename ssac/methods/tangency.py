@@ -42,6 +42,7 @@ from ssac.methods.joint import (
     refined_estimate,
     unsettled,
 )
+from ssac.methods.method import method
 from ssac.methods.verdict import certain
 from ssac.search.two_views import TwoViews
 from ssac.track.motion import ObjectMotion
@@ -201,6 +202,30 @@ def is_tiny(views: TwoViews) -> bool:
     return views.object_px < LEAST_PX
 
 
+@method(
+    "tangency",
+    "joint, then refined by the outline's tangents",
+    place=5,
+    known_variant="tangency-known",
+    starts_from="joint",
+    keeps_start="is_tiny",
+    counts="pairs of tangents to the object's outline",
+    needs_events=True,
+    follows_clock=True,
+    of_one_object=True,
+)
+@method(
+    "tangency-known",
+    "joint-known, then the offset refined by tangents",
+    place=6,
+    needs_extrinsics=True,
+    starts_from="joint-known",
+    keeps_start="is_tiny",
+    counts="pairs of tangents to the object's outline",
+    needs_events=True,
+    follows_clock=True,
+    of_one_object=True,
+)
 def tangency_from(start: Estimate, views: TwoViews) -> Estimate:
     """Time offset and relative pose from epipolar tangents, or the offset alone of a known pose.
 

@@ -1,4 +1,4 @@
-"""Cameras and a path that nearly fit in; both adjusted together by robust least squares, out.
+"""Adjust cameras and path of a network together, by robust least squares.
 
 The path is a cubic spline whose jerk is white noise of a strength that the data tell, so that its
 knots may be as dense as the sightings. Each camera's deviation is that of its own residuals.
@@ -30,27 +30,11 @@ from ssac.network.state import (
     network_times,
     projected,
 )
+from ssac.rules import NetworkRules
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
-
-SCALE_STD = 1e-6
-"""Deviation, as a share, of the distance that sets the scale: it is none of the data's."""
-
-ASPECT_SHARE = 0.2
-"""Deviation of the two focal lengths from each other, in deviations of one: focus changes both."""
-
-BEHIND_PX, BEHIND_STD_PX, BEHIND_OWN_PX = 0.15, 0.08, 0.035
-"""Length by which events are behind, its deviation in all cameras alike, and that of each beside:
-it is 0.2 px in noisy recordings of small drones, 0.1 px in ideal ones, and within 0.03 px the same
-in cameras of one kind (trial flights 900 to 903 of `experiments.outdoor` and `.network`)."""
-
-LEVEL_STD_PX, LEVEL_OWN_PX = 0.03, 0.02
-"""The same of silhouettes, which are told from both sides of an edge and are not behind: 0.01 px
-(ideal flights 73000 and 74000)."""
-
-_HELD_STRAY_S = 1e-6  # of the strays' offset, and of their slope at the recording's ends
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +50,7 @@ class Network:
     repeats: float = 1.0  # sightings that tell as much as an independent one: errors last
     lasting: float = 1.0  # the same, with what the path takes up of such errors
     told: Mapping[Pair, PairTold] = field(default_factory=dict)  # by pairs of states
+    rules: NetworkRules = field(kw_only=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,6 +112,9 @@ def known(
         rows.append(row)
         residuals.append(residual)
 
+    # The distance that sets the scale is none of the data's, and strays have no offset or slope:
+    # they are held so firmly that only rounding limits it.
+    scale_std, held_stray_s, rules = 1e-6, 1e-6, network.rules
     # The sightings count in full, so that errors which last are made up for on the other side.
     sharper = 1.0 / np.sqrt(network.repeats)
     for k, (state, prior) in enumerate(zip(network.states, priors, strict=True)):
@@ -141,7 +129,7 @@ def known(
                 deviation *= sharper
                 add([at + place], [1.0 / deviation], -value / deviation)
         if min(prior.focal) > 0.0:
-            deviation = ASPECT_SHARE * sharper * min(prior.focal)
+            deviation = rules.aspect_share * sharper * min(prior.focal)
             places = at + np.arange(FOCAL.start, FOCAL.stop)
             off = float(state.focal[0] - state.focal[1])
             add(places, [1.0 / deviation, -1.0 / deviation], -off / deviation)
@@ -156,13 +144,14 @@ def known(
             slope = np.linspace(-1.0, 1.0, n, dtype=np.float64)
             for mode in (np.full(n, 1.0 / n), slope / np.sum(slope**2)):
                 value = float(mode @ state.strays_s)
-                add(places, mode / _HELD_STRAY_S, -value / _HELD_STRAY_S)
+                add(places, mode / held_stray_s, -value / held_stray_s)
     of_events = [k for k, seen in enumerate(cameras) if not seen.has_frames]
     values_px = np.array([network.states[k].behind_px for k in of_events])
     by_mean = np.array([cameras[k].spreads_px2 is None for k in of_events], np.bool_)
-    common_px = np.where(by_mean, BEHIND_STD_PX, LEVEL_STD_PX)
-    weights = _alike_but_for(common_px, np.where(by_mean, BEHIND_OWN_PX, LEVEL_OWN_PX)) / sharper
-    off_px = np.where(by_mean, BEHIND_PX, 0.0) - values_px
+    common_px = np.where(by_mean, rules.behind_std_px, rules.level_std_px)
+    own_px = np.where(by_mean, rules.behind_own_px, rules.level_own_px)
+    weights = _alike_but_for(common_px, own_px) / sharper
+    off_px = np.where(by_mean, rules.behind_px, 0.0) - values_px
     for values, residual in zip(weights, weights @ off_px, strict=True):
         add(offsets[of_events] + BEHIND, values, float(residual))
     alike = shared_by(network.told)
@@ -178,8 +167,8 @@ def known(
     k = network.scale_camera
     t = network.states[k].t
     length = float(np.linalg.norm(t))
-    by_t = t / length**2 / SCALE_STD
-    off = np.log(network.distance / length) / SCALE_STD
+    by_t = t / length**2 / scale_std
+    off = np.log(network.distance / length) / scale_std
     add(offsets[k] + np.arange(TRANSLATION.start, TRANSLATION.stop), by_t, off)
     return np.array(rows), np.array(residuals)
 
@@ -195,50 +184,25 @@ def deviation_px(residuals_px: Array) -> float:
     return float(TO_DEVIATION * np.median(np.abs(residuals_px)) if len(residuals_px) else np.nan)
 
 
-_LEAST_SHARE = 0.3  # of the cameras' median deviation: no camera's is less
-_LEAST_PX = 0.01
-_MOST_LAGS, _NO_CORRELATION = 500, 0.05
-_BLOCK_S = 1.0  # in which an object turns: what lasts longer than that is little
-_LONGEST_STEP_S = 0.5  # between knots; there is a gap where it is longer
-_ROUNDS, _STEPS = 12, 6
-_SETTLED = 3e-4  # share by which the cost changes in a round of a solution that has settled
-_DAMPING = 1e-4
-
-
 def adjust(
     network: Network,
     cameras: list[Sightings],
     priors: list[Priors],
     enabled: list[Mask],
-    rounds: int = _ROUNDS,
+    rounds: int,
     with_intrinsics: bool = True,
 ) -> tuple[Network, Solved]:
-    """Adjust cameras and path together.
+    """Adjust cameras and path together; give them, and the last solution, for its covariance.
 
-    Parameters
-    ----------
-    network
-        To begin with.
-    cameras, priors
-        What each saw, and the priors of its parameters.
-    enabled
-        Of each camera (n,): which sightings count.
-    rounds
-        Of new deviations and a new smoothness, at most.
-    with_intrinsics
-        Whether readouts, focal lengths and centres are adjusted too.
-
-    Returns
-    -------
-    tuple
-        The network, and the last solution, for its covariance.
+    The masks (n,) of each camera say which sightings count. In each of at most so many rounds
+    deviations and smoothness are estimated anew. Readouts, focal lengths and centres may be held.
     """
     offsets, free = _layout(network, with_intrinsics, priors, cameras)
     cost, last = np.inf, np.inf
     for _ in range(rounds):
         network, cost, solved = _minimised(network, cameras, priors, enabled, offsets, free)
         network = _weighed(network, cameras, enabled, solved, offsets)
-        if abs(last - cost) < _SETTLED * abs(cost):
+        if abs(last - cost) < network.rules.settled * abs(cost):
             break
         last = cost
     normal, _ = _normal(network, cameras, priors, enabled, offsets)
@@ -274,21 +238,21 @@ def _minimised(
 ) -> tuple[Network, float, Solved]:
     """Take steps as long as they lower the cost, at given deviations and smoothness."""
     normal, cost = _normal(network, cameras, priors, enabled, offsets)
-    damping = 0.0
-    for _ in range(_STEPS):
+    damping, least_damping = 0.0, 1e-4
+    for _ in range(network.rules.steps):
         for _ in range(6):
             solved = solve(normal, free, damping)
             tried = _moved(network, solved, offsets)
             other, tried_cost = _normal(tried, cameras, priors, enabled, offsets)
             if tried_cost <= cost * (1.0 + 1e-9):
                 break
-            damping = max(10.0 * damping, _DAMPING)
+            damping = max(10.0 * damping, least_damping)
         else:
             return network, cost, solved
         gained = cost - tried_cost
         network, normal, cost = tried, other, tried_cost
-        damping *= 0.1 if damping > _DAMPING else 0.0
-        if gained < 0.1 * _SETTLED * cost:
+        damping *= 0.1 if damping > least_damping else 0.0
+        if gained < 0.1 * network.rules.settled * cost:
             break
     return network, cost, solved
 
@@ -363,15 +327,15 @@ def _weighed(
         share = seen.sigmas_px[rows] / np.median(seen.sigmas_px)
         over = fit.residuals_px[rows] / share[:, None]
         count = repeats_of if seen.spreads_px2 is None else repeats_in_blocks
-        repeats.append(count(seen.times_s[rows], over))
+        repeats.append(count(seen.times_s[rows], over, network.rules))
         covariances = solved.path_covariances(linear.first[rows], linear.weights[rows], False)
         by_point = linear.by_point[rows]
         lever = np.einsum("nix,nxy,niy->n", by_point, covariances, by_point)
         lever = lever / (share * network.sigmas_px[k]) ** 2
         left = max(0.1, 1.0 - 0.5 * float(np.median(lever)))
         sigmas[k] = deviation_px(over) / np.sqrt(left)
-    sigmas = _alike(sigmas, cameras)
-    least = max(_LEAST_SHARE * float(np.median(sigmas)), _LEAST_PX)
+    sigmas, rules = _alike(sigmas, cameras), network.rules
+    least = max(rules.least_sigma_share * float(np.median(sigmas)), rules.least_sigma_px)
     first, weights = jerks(network.path.knots_s)
     coefficients = network.path.coefficients
     values = np.einsum("na,nax->nx", weights, coefficients[first[:, None] + np.arange(4)])
@@ -413,7 +377,7 @@ def _taken_up(network: Network, cameras: list[Sightings], enabled: list[Mask]) -
     flies is level: in one direction for each camera, of which the path follows two.
     """
     steps_s = np.diff(network.path.knots_s)
-    covered_s = float(np.sum(steps_s[steps_s <= _LONGEST_STEP_S]))
+    covered_s = float(np.sum(steps_s[steps_s <= network.rules.max_knot_gap_s]))
     seen_s = sum(
         seen.interval_s * float(np.count_nonzero(mask))
         for seen, mask in zip(cameras, enabled, strict=True)
@@ -426,40 +390,36 @@ def _taken_up(network: Network, cameras: list[Sightings], enabled: list[Mask]) -
     return directions / (directions - 3.0)
 
 
-def repeats_of(times_s: Array, residuals: Array) -> float:
+def repeats_of(times_s: Array, residuals: Array, rules: NetworkRules) -> float:
     """Count the sightings that tell as much as an independent one: 1 + 2 sum of correlations.
 
-    Parameters
-    ----------
-    times_s, residuals
-        Shapes (n,) and (n, 2). Correlations are summed until they vanish, within each stretch
-        without gaps.
+    Of residuals (n, 2) at times (n,), until they vanish, within each stretch without gaps.
     """
     limit = 3.0 * deviation_px(residuals) + 1e-12
     clipped = np.clip(residuals, -limit, limit)
     variance = float(np.mean(clipped**2))
     interval_s = float(np.median(np.diff(times_s)))
     total = 1.0
-    for lag in range(1, min(_MOST_LAGS, len(times_s) // 4)):
+    for lag in range(1, min(rules.most_lags, len(times_s) // 4)):
         together = times_s[lag:] - times_s[:-lag] < 1.5 * lag * interval_s
         if np.count_nonzero(together) < len(times_s) // 4:
             break
         products = np.mean(clipped[lag:] * clipped[:-lag], axis=1)[together]
         correlation = float(np.mean(products)) / variance
-        if correlation < _NO_CORRELATION:
+        if correlation < rules.least_correlation:
             break
         total += 2.0 * correlation
     return total
 
 
-def repeats_in_blocks(times_s: Array, residuals: Array) -> float:
+def repeats_in_blocks(times_s: Array, residuals: Array, rules: NetworkRules) -> float:
     """Count as `repeats_of` does, by what the sums of blocks of a second are.
 
     Of silhouettes, what lasts is small beside what does not: correlations are near nothing long
-    before they vanish, and go on. Parameters are as there.
+    before they vanish, and go on.
     """
     deviation = deviation_px(residuals) + 1e-12
     clipped = np.clip(residuals / deviation, -3.0, 3.0)
-    blocks = np.floor((times_s - times_s[0]) / _BLOCK_S).astype(np.int64)
+    blocks = np.floor((times_s - times_s[0]) / rules.block_s).astype(np.int64)
     sums = np.stack([np.bincount(blocks, axis) for axis in clipped.T])
     return max(float(np.sum(sums**2)) / clipped.size, 1.0)

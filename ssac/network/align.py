@@ -1,4 +1,14 @@
-"""Two sets of points in space that belong together in, the similarity between them out."""
+"""One path laid over another: on which clock, and by which similarity.
+
+Both paths may have clocks and frames of their own. How much of the truth's motion a similarity
+leaves unexplained follows for all shifts of even steps at once from correlations. A hover fits
+anything: at a wrong shift a scale near 0, or most of the samples at rest, make small distances. So
+a shift is judged by the share of the variance that is left, which rest has no part in, and by how
+many samples agree, as of a likelihood. Of the few best, shift, rate and similarity are refined
+together by robust least squares, and the one that explains most of the motion is the answer.
+
+Deviation: the paper does not align times; it registers both paths as sets of points (ICP).
+"""
 
 from dataclasses import dataclass, replace
 
@@ -15,8 +25,34 @@ from ssac.network.tum import Path
 
 Array = NDArray[np.float64]
 
-_LEAST_SPREAD = 1e-6
-"""Second singular value by the first, below which points lie on a line: turns about it fit too."""
+
+RATE_STD_PPM = 50.0
+"""Prior deviation of the rate between two oscillators; phones and camcorders need 1000."""
+
+
+@dataclass(frozen=True)
+class PathRules:
+    """How paths are interpolated, and which shifts between two are tried."""
+
+    # Points further apart than these seconds and than so many usual steps have nothing between.
+    gap_s: float = 0.5
+    gap_steps: float = 4.0
+    points_per_knot: tuple[int, ...] = (2, 4, 8, 16)  # that are tried for a smooth curve
+    ordinary_percent: float = 95.0  # of squares that tell the noise: gross errors stay out
+    least_points: int = 16  # of a smooth curve; fewer are interpolated
+    least_samples: int = 20  # in common
+    least_common_share: float = 0.2  # of the shorter path
+    most_shifts: int = 8  # that are refined
+    rival: float = 0.5  # share of the best score, below which a shift is no rival
+    steps_per_spread: float = 50.0  # of the grid, while the object crosses its path's spread
+    steps_s: tuple[float, float] = (0.01, 0.5)  # least and largest
+    moving_percent: float = 90.0  # of the speeds, which a hover makes small: what is moving
+    few_percent: float = 1.0  # of the points, to each side of each axis, may lie anywhere
+    at_rest: float = 1e-6  # variance, by the whole path's, below which the object does not move
+    most_growth: float = 3.0  # of the scale while it is refined; at a wrong shift it runs to 0
+
+
+DEFAULT = PathRules()
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,17 +79,8 @@ class Similarity:
 def similarity(source: Array, target: Array, with_scale: bool = True) -> Similarity:
     """Fit the similarity of least squares (Umeyama, PAMI 1991, Eqs. 34 to 43).
 
-    Parameters
-    ----------
-    source, target
-        Points (n, 3), row by row the same ones.
-    with_scale
-        Whether the scale is free; 1 if not.
-
-    Returns
-    -------
-    Similarity
-        From the source's frame to the target's.
+    It takes points (n, 3) of the source's frame to the same ones in the target's; its scale is 1 if
+    it is not free.
 
     Raises
     ------
@@ -65,7 +92,7 @@ def similarity(source: Array, target: Array, with_scale: bool = True) -> Similar
     centred, centred_target = source - middle, target - middle_target
     for points, name in ((centred, "source"), (centred_target, "target")):
         spread = np.linalg.svd(np.sqrt(shares)[:, None] * points, compute_uv=False)
-        if len(spread) < 3 or spread[1] <= _LEAST_SPREAD * spread[0]:
+        if len(spread) < 3 or spread[1] <= 1e-6 * spread[0]:
             raise SsacError(
                 f"the {name}'s {len(points)} points lie on a line or in one place, and do not tell "
                 "how it is turned: give a path with a curve in it"
@@ -78,24 +105,14 @@ def similarity(source: Array, target: Array, with_scale: bool = True) -> Similar
     return Similarity(scale, R, middle_target - scale * R @ middle)
 
 
-_GAP_S = 0.5
-_GAP_STEPS = 4.0
-"""Points further apart than these seconds and than so many usual steps have nothing between."""
-
-_POINTS_PER_KNOT = (2, 4, 8, 16)
-_N_WEIGHTINGS = 4
-_ORDINARY_PERCENT = 95.0  # of squares, from which the noise is judged: gross errors stay out
-_LEAST_POINTS = 16  # of a smooth curve; fewer are interpolated
-
-
 class InTime:
     """A path as a function of time: a curve, and where there is nothing of it."""
 
-    def __init__(self, times_s: Array, curve: PPoly | BSpline) -> None:
+    def __init__(self, times_s: Array, curve: PPoly | BSpline, rules: PathRules) -> None:
         self.times_s = times_s  # (n,) of the points that it was made of
         self._curve, self._velocity = curve, curve.derivative()
         steps_s = np.diff(times_s)
-        self._is_gap = steps_s > max(_GAP_S, _GAP_STEPS * float(np.median(steps_s)))
+        self._is_gap = steps_s > max(rules.gap_s, rules.gap_steps * float(np.median(steps_s)))
 
     def at(self, times_s: Array) -> Array:
         """Give positions (n, 3); NaN before the first point, after the last one and in gaps."""
@@ -113,33 +130,34 @@ class InTime:
         return np.asarray(inside & (~self._is_gap[piece] | (times_s == self.times_s[piece])))
 
 
-def interpolated(path: Path) -> InTime:
+def interpolated(path: Path, rules: PathRules = DEFAULT) -> InTime:
     """Give the curve through all points, at least two.
 
     Akima's cubics: each depends on the points near by alone, so that no gap and no outlier swings
     further than two points.
     """
-    return InTime(path.times_s, Akima1DInterpolator(path.times_s, path.positions_m, axis=0))
+    curve = Akima1DInterpolator(path.times_s, path.positions_m, axis=0)
+    return InTime(path.times_s, curve, rules)
 
 
-def smoothed(path: Path) -> InTime:
+def smoothed(path: Path, rules: PathRules = DEFAULT) -> InTime:
     """Give the cubic spline of robust least squares that cross-validation says is the smoothest.
 
     A shift that is sought on points with noise would go half-way between them, where interpolation
     takes the mean of two and so half of the noise: 10 ms of a path at 50 Hz.
     """
     best, least = None, np.inf
-    for n in _POINTS_PER_KNOT:
-        if len(path) < max(_LEAST_POINTS, 2 * n):
+    for n in rules.points_per_knot:
+        if len(path) < max(rules.least_points, 2 * n):
             break
         spline, missed = _spline(path, n)
         freedom = 1.0 - len(spline.c) / len(path)
         squares = np.sum(missed**2, axis=1)
-        ordinary = squares <= np.percentile(squares, _ORDINARY_PERCENT)
+        ordinary = squares <= np.percentile(squares, rules.ordinary_percent)
         score = float(np.mean(squares[ordinary])) / freedom**2  # generalised cross-validation
         if score < least:
             best, least = spline, score
-    return interpolated(path) if best is None else InTime(path.times_s, best)
+    return interpolated(path, rules) if best is None else InTime(path.times_s, best, rules)
 
 
 def _spline(path: Path, points_per_knot: int) -> tuple[BSpline, Array]:
@@ -148,7 +166,7 @@ def _spline(path: Path, points_per_knot: int) -> tuple[BSpline, Array]:
     inner = times_s[points_per_knot:-points_per_knot:points_per_knot]
     knots_s = np.r_[[times_s[0]] * 4, inner, [times_s[-1]] * 4]
     weights: Array = np.ones(len(path))
-    for _ in range(_N_WEIGHTINGS):
+    for _ in range(4):
         fitted = make_lsq_spline(
             times_s, path.positions_m, knots_s, w=np.sqrt(weights), method="norm-eq"
         )
@@ -158,32 +176,18 @@ def _spline(path: Path, points_per_knot: int) -> tuple[BSpline, Array]:
     return spline, missed
 
 
-LEAST_SAMPLES = 20
-"""In common, at least."""
-
-_LEAST_SHARE = 0.2  # of the shorter path, in common
-_N_SHIFTS = 8  # that are given, at most
-_RIVAL = 0.5  # share of the best score, below which a shift is no rival: the grid costs less
-_STEPS_PER_SPREAD = 50.0  # of the grid, while the object crosses its path's spread
-_LEAST_STEP_S, _MOST_STEP_S = 0.01, 0.5
-_MOST_STEPS = 2**20
-_MOVING_PERCENT = 90.0  # of the speeds, which a hover makes small: what counts as moving
-_FEW_PERCENT = 1.0  # of the points, to each side of each axis, may lie anywhere
-_AT_REST = 1e-6  # variance, by the whole path's, below which the object does not move
-_LEAST_UNEXPLAINED = 1e-9
-
-
-class ShiftGrid:
+class _ShiftGrid:
     """Both paths at even times, and how well they agree at each shift of whole steps."""
 
-    def __init__(self, estimate: InTime, truth: InTime, with_scale: bool) -> None:
-        self._with_scale = with_scale
+    def __init__(self, estimate: InTime, truth: InTime, with_scale: bool, rules: PathRules) -> None:
+        self._with_scale, self._rules = with_scale, rules
         common_s = float(np.ptp(estimate.times_s) + np.ptp(truth.times_s))
-        self._step_s = max(min(_step_s(estimate), _step_s(truth)), common_s / _MOST_STEPS)
+        step_s = min(_step_s(estimate, rules), _step_s(truth, rules))
+        self._step_s = max(step_s, common_s / 2**20)  # the memory's limit
         self._first_s = truth.times_s[0] - estimate.times_s[0]
-        unit = None if with_scale else _spread(truth)
-        self._estimate = _at_even_times(estimate, self._step_s, unit)
-        self._truth = _at_even_times(truth, self._step_s, unit)
+        unit = None if with_scale else _spread(truth, rules)
+        self._estimate = _at_even_times(estimate, self._step_s, unit, rules)
+        self._truth = _at_even_times(truth, self._step_s, unit, rules)
 
     def best_shifts_s(self, max_shift_s: float | None) -> list[float]:
         """Give the shifts [s] of the best few peaks of the score, best first."""
@@ -193,8 +197,8 @@ class ShiftGrid:
             score = np.where(np.abs(shifts_s) <= max_shift_s + self._step_s, score, -np.inf)
         around = np.maximum(np.append(score[1:], -np.inf), np.insert(score[:-1], 0, -np.inf))
         peaks = np.flatnonzero((score >= around) & np.isfinite(score))
-        peaks = peaks[score[peaks] >= _RIVAL * np.max(score[peaks], initial=-np.inf)]
-        best = peaks[np.argsort(-score[peaks])][:_N_SHIFTS]
+        peaks = peaks[score[peaks] >= self._rules.rival * np.max(score[peaks], initial=-np.inf)]
+        best = peaks[np.argsort(-score[peaks])][: self._rules.most_shifts]
         return [float(shifts_s[k]) for k in best]
 
     def scores(self) -> tuple[Array, Array]:
@@ -212,10 +216,10 @@ class ShiftGrid:
             both = irfft(spectra_e[k] * spectra_t[m], size)
             return np.asarray(np.roll(both, n_e - 1)[: n_e + n_t - 1])
 
-        seen, square = 3, 4
+        seen, square, rules = 3, 4, self._rules
         n = np.rint(correlated(seen, seen))
-        least = _LEAST_SHARE * min(rows_e[seen].sum(), rows_t[seen].sum())
-        enough = n >= max(LEAST_SAMPLES, least)
+        least = rules.least_common_share * min(rows_e[seen].sum(), rows_t[seen].sum())
+        enough = n >= max(rules.least_samples, least)
         n = np.maximum(n, 1.0)
         mean_e = np.stack([correlated(i, seen) for i in range(3)]) / n
         mean_t = np.stack([correlated(seen, i) for i in range(3)]) / n
@@ -224,20 +228,20 @@ class ShiftGrid:
         covariance = np.empty((len(n), 3, 3))
         for i, j in np.ndindex(3, 3):
             covariance[:, i, j] = correlated(j, i) / n - mean_t[i] * mean_e[j]
-        enough &= (var_e > _AT_REST) & (var_t > _AT_REST)
-        var_e, var_t = np.maximum(var_e, _AT_REST), np.maximum(var_t, _AT_REST)
+        enough &= (var_e > rules.at_rest) & (var_t > rules.at_rest)
+        var_e, var_t = np.maximum(var_e, rules.at_rest), np.maximum(var_t, rules.at_rest)
         turned = _trace_of_best_turn(covariance)
         if self._with_scale:
             unexplained = 1.0 - np.maximum(turned, 0.0) ** 2 / (var_e * var_t)
         else:
             unexplained = (var_t + var_e - 2.0 * turned) / var_t
-        score = likelihood(n, unexplained)
+        score = _likelihood(n, unexplained)
         return np.arange(1 - n_e, n_t, dtype=np.float64), np.where(enough, score, -np.inf)
 
 
-def likelihood(n: Array | float, unexplained: Array | float) -> Array:
+def _likelihood(n: Array | float, unexplained: Array | float) -> Array:
     """Log likelihood of n samples, by the share of the truth's variance that is unexplained."""
-    return np.asarray(-n * np.log(np.clip(unexplained, _LEAST_UNEXPLAINED, 1.0)))
+    return np.asarray(-n * np.log(np.clip(unexplained, 1e-9, 1.0)))
 
 
 def _moments(positions: Array) -> Array:
@@ -254,35 +258,28 @@ def _trace_of_best_turn(covariance: Array) -> Array:
     return np.asarray(values[:, 0] + values[:, 1] + np.where(mirrors, -1.0, 1.0) * values[:, 2])
 
 
-def _at_even_times(path: InTime, step_s: float, unit: float | None) -> Array:
+def _at_even_times(path: InTime, step_s: float, unit: float | None, rules: PathRules) -> Array:
     """Positions (n, 3), every `step_s` from the first one on; NaN where there is none.
 
     About their middle, in units of their spread if no unit is given.
     """
     times_s = np.arange(path.times_s[0], path.times_s[-1] + step_s, step_s)
     middle = np.median(path.at(path.times_s), axis=0)
-    return np.asarray((path.at(times_s) - middle) / (unit or _spread(path)))
+    return np.asarray((path.at(times_s) - middle) / (unit or _spread(path, rules)))
 
 
-def _spread(path: InTime) -> float:
+def _spread(path: InTime, rules: PathRules) -> float:
     """Length [m] of the diagonal of what nearly all of a path lies within."""
-    low, high = np.percentile(path.at(path.times_s), (_FEW_PERCENT, 100.0 - _FEW_PERCENT), axis=0)
+    ends = rules.few_percent, 100.0 - rules.few_percent
+    low, high = np.percentile(path.at(path.times_s), ends, axis=0)
     return float(np.linalg.norm(high - low)) or 1.0
 
 
-def _step_s(path: InTime) -> float:
+def _step_s(path: InTime, rules: PathRules) -> float:
     """Step [s] in which a path that moves gets a small share of its spread further."""
     speeds = np.linalg.norm(path.velocity(path.times_s), axis=1)
-    speed = max(float(np.percentile(speeds, _MOVING_PERCENT)), np.finfo(float).tiny)
-    return float(np.clip(_spread(path) / (_STEPS_PER_SPREAD * speed), _LEAST_STEP_S, _MOST_STEP_S))
-
-
-RATE_STD_PPM = 50.0
-"""Prior deviation of the rate between two oscillators; phones and camcorders need 1000."""
-
-_N_STEPS = 30
-_DONE_S = 1e-7
-_MOST_GROWTH = 3.0  # of the scale while it is refined; at a wrong shift it runs to 0
+    speed = max(float(np.percentile(speeds, rules.moving_percent)), np.finfo(float).tiny)
+    return float(np.clip(_spread(path, rules) / (rules.steps_per_spread * speed), *rules.steps_s))
 
 
 @dataclass(frozen=True, eq=False)
@@ -297,6 +294,7 @@ def best_shift(
     max_shift_s: float | None = None,
     rate_std_ppm: float = RATE_STD_PPM,
     with_scale: bool = True,
+    rules: PathRules = DEFAULT,
 ) -> tuple[Clock, Similarity]:
     """Find the clock and the frame of the truth as the estimate sees them.
 
@@ -323,9 +321,10 @@ def best_shift(
     SsacError
         If the paths share too little time at any shift, or do not move enough.
     """
-    path, best, score = smoothed(estimate), None, -np.inf
-    for shift_s in ShiftGrid(path, smoothed(truth), with_scale).best_shifts_s(max_shift_s):
-        fit = _refined(path, truth, shift_s, rate_std_ppm, with_scale)
+    path, best, score = smoothed(estimate, rules), None, -np.inf
+    grid = _ShiftGrid(path, smoothed(truth, rules), with_scale, rules)
+    for shift_s in grid.best_shifts_s(max_shift_s):
+        fit = _refined(path, truth, shift_s, rate_std_ppm, with_scale, rules)
         if fit is not None and _score(fit, path, truth) > score:
             best, score = fit, _score(fit, path, truth)
     if best is None:
@@ -338,11 +337,16 @@ def best_shift(
 
 
 def _refined(
-    path: InTime, truth: Path, shift_s: float, rate_std_ppm: float, with_scale: bool
+    path: InTime,
+    truth: Path,
+    shift_s: float,
+    rate_std_ppm: float,
+    with_scale: bool,
+    rules: PathRules,
 ) -> _Fit | None:
     """Refine shift, rate and similarity by Gauss-Newton; None where they run away."""
     common_s = truth.times_s[path.covers(truth.times_s - shift_s)] - shift_s
-    if len(common_s) < LEAST_SAMPLES:
+    if len(common_s) < rules.least_samples:
         return None
     clock = Clock(shift_s, 0.0, float(common_s[0] + common_s[-1]) / 2.0)
     seen = path.covers(clock.cam1_from_cam2(truth.times_s))
@@ -351,16 +355,16 @@ def _refined(
     except SsacError:
         return None  # on a line, or at rest
     fit = _Fit(clock, first)
-    for _ in range(_N_STEPS):
+    for _ in range(30):
         times_s = fit.clock.cam1_from_cam2(truth.times_s)
         seen = path.covers(times_s)
-        if seen.sum() < LEAST_SAMPLES:
+        if seen.sum() < rules.least_samples:
             return None
         before = fit.clock
         fit = _stepped(fit, path, times_s[seen], truth.positions_m[seen], rate_std_ppm, with_scale)
-        if not 1.0 / _MOST_GROWTH < fit.similarity.scale / first.scale < _MOST_GROWTH:
+        if not 1.0 / rules.most_growth < fit.similarity.scale / first.scale < rules.most_growth:
             return None
-        if abs(fit.clock.t_d_s - before.t_d_s) < _DONE_S:
+        if abs(fit.clock.t_d_s - before.t_d_s) < 1e-7:
             break
     return fit
 
@@ -421,4 +425,4 @@ def _score(fit: _Fit, path: InTime, truth: Path) -> float:
     squares = np.sum((target - fit.similarity.apply(path.at(times_s[seen]))) ** 2, axis=1)
     spread = float(np.mean(np.sum((target - target.mean(axis=0)) ** 2, axis=1)))
     unexplained = float(np.mean(np.minimum(squares, spread))) / max(spread, np.finfo(float).tiny)
-    return float(likelihood(float(seen.sum()), unexplained))
+    return float(_likelihood(float(seen.sum()), unexplained))

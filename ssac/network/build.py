@@ -1,4 +1,4 @@
-"""Cameras and what their pairs tell in; the network of all that fit, with its path, out."""
+"""The network of all cameras of a group that fit, with its path."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -18,34 +18,11 @@ from ssac.network.state import (
     network_times,
     with_strays,
 )
+from ssac.rules import BodyRules, NetworkRules, Rules
 from ssac.track.body import Look, View, body_moves, perspective_shifts, second_moments
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-
-KNOT_INTERVALS = 4.0
-"""Time between knots, in intervals between the sightings of the slowest camera but one."""
-
-GATE = 6.0
-"""Deviations from its place at which a sighting is left out, at last."""
-
-PIECE_S = 5.0
-"""Time between the knots of a clock that may stray."""
-
-SHAPE_STEP_S, SHAPE_SMOOTHING_S = 0.01, 0.1
-"""Time between the instants at which the object's shape is told, and of their smoothing: objects
-turn more slowly."""
-
-ELSEWHERE = 5.0
-"""Deviations of a centre of area, in those of the body's one point, where that is followed: it is
-another point, some 0.15 px off, and the body's is known to 0.025 px (flights 73000 and 74000)."""
-
-_KNOT_STEPS_S = (0.02, 0.4)
-_MOST_PIECES = 100
-_MAX_GAP_S = 1.0  # without sightings of two cameras, in which there are no knots
-_FIRST_SIGMA = 0.004  # of the image's width
-_MISFIT = 8.0  # times the median deviation of the other cameras, or more, of one that does not fit
-_LEAST_MISFIT = 0.004  # of the image's width
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,50 +43,36 @@ def build(
     links: Mapping[Pair, Link],
     group: list[int],
     priors: list[Priors],
-    distance: float = 1.0,
+    distance: float,
+    rules: Rules,
 ) -> Built | None:
-    """Build the network of a group of cameras.
+    """Build the network of a group of all cameras, the distance being that of its first two.
 
-    Parameters
-    ----------
-    cameras
-        All of them.
-    links
-        What their pairs tell.
-    group
-        The numbers of those that are to be in it.
-    priors
-        Of the parameters of each camera.
-    distance
-        Between the group's first two cameras that fit.
-
-    Returns
-    -------
-    Built or None
-        None where no pair of the group gives a path.
+    None where no pair of the group gives a path.
     """
-    trust = supports(links)
-    placed = place_all(cameras, links, group, trust)
+    by = rules.network
+    trust = supports(links, by)
+    placed = place_all(cameras, links, group, trust, by)
     if placed is None:
         return None
     both = dict(links) | {(b, a): link.reversed() for (a, b), link in links.items()}
-    built = _first(placed, cameras, priors, distance)
-    more = grown(Placed(_states(built), placed.inliers), cameras, both, group)
+    built = _first(placed, cameras, priors, distance, by)
+    more = grown(Placed(_states(built), placed.inliers), cameras, both, group, by)
     if len(more.states) > len(built.members):
-        built = _first(more, cameras, priors, distance)
+        built = _first(more, cameras, priors, distance, by)
     while len(built.members) > 2:
-        worst = _misfit(built)
+        worst = _misfit(built, by)
         if worst is None:
             break
         states = _states(built)
         del states[worst]
-        built = _first(Placed(states, 0), cameras, priors, distance)
-    built = _whole(built, links)
+        built = _first(Placed(states, 0), cameras, priors, distance, by)
+    built = _whole(built, links, rules)
     misfits = [k for k in group if k not in built.members]
     return replace(built, misfits=misfits)
 
 
-def supported(
+def _supported(
     states: list[CameraState], cameras: list[Sightings], reach_s: float
 ) -> tuple[list[Array], list[Mask]]:
     """Give each camera's sightings' network times, and which of them another camera shares."""
@@ -124,10 +87,10 @@ def supported(
     return times, masks
 
 
-def knot_step_s(cameras: list[Sightings]) -> float:
+def _knot_step_s(cameras: list[Sightings], rules: NetworkRules) -> float:
     """Time [s] between knots: dense, as the path's smoothness is told by the data."""
     intervals = sorted(seen.interval_s for seen in cameras)
-    return float(np.clip(KNOT_INTERVALS * intervals[-2], *_KNOT_STEPS_S))
+    return float(np.clip(rules.knot_intervals * intervals[-2], *rules.knot_steps_s))
 
 
 def _states(built: Built) -> dict[int, CameraState]:
@@ -135,7 +98,11 @@ def _states(built: Built) -> dict[int, CameraState]:
 
 
 def _first(
-    placed: Placed, cameras: list[Sightings], priors: list[Priors], distance: float
+    placed: Placed,
+    cameras: list[Sightings],
+    priors: list[Priors],
+    distance: float,
+    rules: NetworkRules,
 ) -> Built:
     """Adjust clocks and poses alone, with affine clocks, from where the cameras were placed."""
     members = sorted(placed.states)
@@ -146,74 +113,77 @@ def _first(
         for k in members
     ]
     theirs = [cameras[k] for k in members]
-    step_s = knot_step_s(theirs)
-    times, masks = supported(listed, theirs, step_s)
+    step_s = _knot_step_s(theirs, rules)
+    times, masks = _supported(listed, theirs, step_s)
     shared_s = np.concatenate([t[mask] for t, mask in zip(times, masks, strict=True)])
-    knots_s = knots_for(shared_s, step_s, _MAX_GAP_S)
+    knots_s = knots_for(shared_s, step_s, rules.max_gap_s)
     sample_s = np.sort(shared_s)[:: max(1, len(shared_s) // (4 * len(knots_s)))]
-    points = triangulate(listed, theirs, sample_s)
+    points = triangulate(listed, theirs, sample_s, rules)
     known = np.isfinite(points[:, 0])
-    path, jerk = first_path(knots_s, sample_s[known], points[known])
-    sigmas = np.array([_FIRST_SIGMA * seen.camera.width for seen in theirs])
-    network = Network(listed, path, sigmas, jerk, 1, distance)
+    path, jerk = first_path(knots_s, sample_s[known], points[known], rules)
+    sigmas = np.array([rules.first_sigma_widths * seen.camera.width for seen in theirs])
+    network = Network(listed, path, sigmas, jerk, 1, distance, rules=rules)
     theirs_priors = [
         replace(priors[k], expected_rate=state.rate if abs(state.rate) > 0.01 else 0.0)
         for k, state in zip(members, listed, strict=True)
     ]
-    network, solved = adjust(network, theirs, theirs_priors, masks, 6, with_intrinsics=False)
+    network, solved = adjust(
+        network, theirs, theirs_priors, masks, rules.first_rounds, with_intrinsics=False
+    )
     return Built(members, theirs, theirs_priors, network, solved, masks, [])
 
 
-def _misfit(built: Built) -> int | None:
+def _misfit(built: Built, rules: NetworkRules) -> int | None:
     """Give the camera that fits far worse than the others, if one does."""
-    widths = [seen.camera.width for seen in built.cameras]
     rms = np.array(
         [
-            fit_of(built.network, k, seen, built.enabled[k]).rms_px / widths[k]
+            fit_of(built.network, k, seen, built.enabled[k]).rms_px / seen.camera.width
             for k, seen in enumerate(built.cameras)
         ]
     )
     worst = int(np.argmax(rms))
     others = float(np.median(np.delete(rms, worst)))
-    if rms[worst] > max(_MISFIT * others, _LEAST_MISFIT):
+    if rms[worst] > max(rules.misfit * others, rules.least_misfit_widths):
         return built.members[worst]
     return None
 
 
-def _whole(built: Built, links: Mapping[Pair, Link]) -> Built:
+def _whole(built: Built, links: Mapping[Pair, Link], rules: Rules) -> Built:
     """Adjust all that there is, and leave out at last what is far off its place.
 
     What pairs tell enters last, so that one that is wrong shows.
     """
-    network = built.network
+    network, by = built.network, rules.network
     states = [
-        with_strays(state, seen, PIECE_S, _MOST_PIECES) if seen.has_frames else state
+        with_strays(state, seen, by.piece_s, by.most_pieces) if seen.has_frames else state
         for state, seen in zip(network.states, built.cameras, strict=True)
     ]
     network = replace(network, states=states)
-    network, solved = adjust(network, built.cameras, built.priors, built.enabled)
-    centred = _without_perspective(network, built.cameras)
+    network, solved = adjust(network, built.cameras, built.priors, built.enabled, by.rounds)
+    centred = _without_perspective(network, built.cameras, rules.body)
     if centred is not built.cameras:
         built = replace(built, cameras=centred)
-        network, solved = adjust(network, built.cameras, built.priors, built.enabled)
-        followed = _by_their_body(network, built.cameras)
+        network, solved = adjust(network, built.cameras, built.priors, built.enabled, by.rounds)
+        followed = _by_their_body(network, built.cameras, rules.body)
         if followed is not None:
             built = replace(built, cameras=followed)
-            network, solved = adjust(network, built.cameras, built.priors, built.enabled)
-    masks = supported(network.states, built.cameras, knot_step_s(built.cameras))[1]
+            network, solved = adjust(network, built.cameras, built.priors, built.enabled, by.rounds)
+    masks = _supported(network.states, built.cameras, _knot_step_s(built.cameras, by))[1]
     enabled = []
     for k, seen in enumerate(built.cameras):
         fit = fit_of(network, k, seen, masks[k])
         share = seen.sigmas_px / np.median(seen.sigmas_px) * network.sigmas_px[k]
         off = np.linalg.norm(fit.residuals_px, axis=1) / share
-        enabled.append(fit.used & (off < GATE))
+        enabled.append(fit.used & (off < by.gate))
     told = {pair: link.told for pair, link in links.items() if link.told is not None}
-    network = replace(network, told=agreeing(told, built.members, network.states))
-    network, solved = adjust(network, built.cameras, built.priors, enabled)
+    network = replace(network, told=agreeing(told, built.members, network.states, by))
+    network, solved = adjust(network, built.cameras, built.priors, enabled, by.rounds)
     return replace(built, network=network, solved=solved, enabled=enabled)
 
 
-def _without_perspective(network: Network, cameras: list[Sightings]) -> list[Sightings]:
+def _without_perspective(
+    network: Network, cameras: list[Sightings], rules: BodyRules
+) -> list[Sightings]:
     """Take what perspective does off silhouettes' centres; the very same cameras without any."""
     if not any(seen.spreads_px2 is not None for seen in cameras):
         return cameras
@@ -225,19 +195,23 @@ def _without_perspective(network: Network, cameras: list[Sightings]) -> list[Sig
             centred.append(seen)
             continue
         times_s = np.clip(network_times(state, seen), knots_s[0], knots_s[-1])
-        nearest = np.clip(np.rint((times_s - even_s[0]) / SHAPE_STEP_S), 0, len(even_s) - 1)
+        nearest = np.clip(
+            np.rint((times_s - even_s[0]) / network.rules.shape_step_s), 0, len(even_s) - 1
+        )
         view = _view(network, k, seen, times_s, seen.spreads_px2)
-        shifts_px = perspective_shifts(view, moments[nearest.astype(np.int64)])
+        shifts_px = perspective_shifts(view, moments[nearest.astype(np.int64)], rules.depth_power)
         known = np.isfinite(seen.spreads_px2[:, :1])  # of the others it is another point
         points_px = seen.points_px - np.where(known, np.nan_to_num(shifts_px), 0.0)
         centred.append(replace(seen, points_px=points_px))
     return centred
 
 
-def _by_their_body(network: Network, cameras: list[Sightings]) -> list[Sightings] | None:
+def _by_their_body(
+    network: Network, cameras: list[Sightings], rules: BodyRules
+) -> list[Sightings] | None:
     """Follow one point of the body in place of silhouettes' centres; None where that is not told.
 
-    Where it is not told at some time, the centres stay, and count less: `ELSEWHERE`.
+    Where it is not told at some time, the centres stay, and count less.
     """
     if any(seen.images is None or seen.camera.distortion_coeffs for seen in cameras):
         return None
@@ -255,7 +229,7 @@ def _by_their_body(network: Network, cameras: list[Sightings]) -> list[Sightings
             Look(times_s, state.R, view.focal_px, view.points, seen.images.shares, corners)
         )
         views.append(view)
-    moves = body_moves(looks, *_shape(network, cameras))
+    moves = body_moves(looks, *_shape(network, cameras), rules)
     if moves is None:
         return None
     followed = []
@@ -264,20 +238,20 @@ def _by_their_body(network: Network, cameras: list[Sightings]) -> list[Sightings
         found = there + seen.camera.K[:2, 2] + state.centre_px + move
         told = np.isfinite(move[:, 0])
         points_px = np.where(told[:, None], found, seen.points_px)
-        sigmas_px = np.where(told, 1.0, ELSEWHERE) * seen.sigmas_px
+        sigmas_px = np.where(told, 1.0, network.rules.centre_sigmas) * seen.sigmas_px
         followed.append(replace(seen, points_px=points_px, sigmas_px=sigmas_px))
     return followed
 
 
 def _shape(network: Network, cameras: list[Sightings]) -> tuple[Array, Array]:
     """Give even network times (m,), and the object's second moments (m, 3, 3) then."""
-    knots_s = network.path.knots_s
-    even_s: Array = np.arange(knots_s[0], knots_s[-1], SHAPE_STEP_S)
+    knots_s, step_s = network.path.knots_s, network.rules.shape_step_s
+    even_s: Array = np.arange(knots_s[0], knots_s[-1], step_s)
     even = [
         _view(network, k, seen, even_s, _spreads_at(state.own_from_network(even_s), seen))
         for k, (state, seen) in enumerate(zip(network.states, cameras, strict=True))
     ]
-    return even_s, second_moments(even, SHAPE_SMOOTHING_S / SHAPE_STEP_S)
+    return even_s, second_moments(even, network.rules.shape_smoothing_s / step_s)
 
 
 def _view(network: Network, k: int, seen: Sightings, times_s: Array, spreads_px2: Array) -> View:

@@ -140,10 +140,7 @@ def compare(
     fit, distances_m = registered(points, _shape(truth), start, with_scale)
     frame = start or fit
     return Comparison(
-        in_time,
-        Difference(fit, distances_m),
-        frame.apply(estimate.positions_m),
-        truth.positions_m,
+        in_time, Difference(fit, distances_m), frame.apply(estimate.positions_m), truth.positions_m
     )
 
 
@@ -187,16 +184,9 @@ def registered(
 ) -> tuple[Similarity, Array]:
     """Register points (n, 3) [m] of one path to those of another, dense beside the errors sought.
 
-    Parameters
-    ----------
-    start
-        Where to begin; None: where the middles, sizes and main axes agree, in the best of the ways
-        that they can, for which both must be of the whole flight.
-
-    Returns
-    -------
-    tuple of Similarity and NDArray
-        From the source's frame to the target's, and the distance (n,) [m] of each point.
+    Without a start the middles, sizes and main axes agree at first, in the best of the ways that
+    they can, for which both must be of the whole flight. Beside the similarity from the source's
+    frame to the target's comes the distance (n,) [m] of each point.
     """
     tree = KDTree(target)
     thin = source[:: max(1, len(source) // _MOST_POINTS)]

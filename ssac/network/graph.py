@@ -1,4 +1,4 @@
-"""What pairs tell in; which contradict each other, who is connected, and rows for the others, out.
+"""What pairs of cameras tell: which contradict each other, and who is connected by them.
 
 The tangents of an object's outline are two-view constraints without the bias that limits the mean
 of its events, which is what the network's sightings are. All tangents of a pair of event cameras
@@ -19,18 +19,11 @@ from ssac.clock import PPM, Clock
 from ssac.estimate import Estimate, Status
 from ssac.geometry.pose import tangent_basis
 from ssac.network.state import DELAY, RATE, ROTATION, TRANSLATION, CameraState
+from ssac.rules import NetworkRules
 
 Array = NDArray[np.float64]
 Pair = tuple[int, int]
 Triple = tuple[int, int, int]
-
-MAX_CLOSURE_S = 0.25
-"""Three clocks that go round to within this agree: readouts and wandering clocks stay below it, and
-an offset found by chance is off by seconds."""
-
-
-MAX_OFF_S, MAX_TURN_DEG = 0.02, 5.0
-"""A pair that is further off where the sightings put its cameras is wrong, and left out."""
 
 _SIZE = 7  # offset, turn, direction, skew
 _STEPS = {DELAY: 1e-6, RATE: 1e-9} | {
@@ -64,11 +57,11 @@ class PairTold:
             ]
         )
 
-    def fits(self, a: CameraState, b: CameraState) -> bool:
+    def fits(self, a: CameraState, b: CameraState, rules: NetworkRules) -> bool:
         """Whether two states are near what it tells."""
         off = self.off(a, b)
         turn_deg = np.rad2deg(np.linalg.norm(off[1:4]))
-        return bool(abs(off[0]) < MAX_OFF_S and turn_deg < MAX_TURN_DEG)
+        return bool(abs(off[0]) < rules.max_off_s and turn_deg < rules.max_turn_deg)
 
     def rows(self, a: CameraState, b: CameraState) -> tuple[Array, Array, Array]:
         """Give derivatives (7, s) by a's and by b's parameters, and residuals (7,), all weighed."""
@@ -104,9 +97,7 @@ class Link:
     def reversed(self) -> "Link":
         """Give what the pair (b, a) tells."""
         clock = self.clock.inverse()
-        if self.R is None or self.t is None:
-            return Link(clock, self.is_reliable, self.cost, None, None, self.status, self.reason)
-        R, t = self.R.T, -self.R.T @ self.t
+        R, t = (None, None) if self.R is None or self.t is None else (self.R.T, -self.R.T @ self.t)
         return Link(clock, self.is_reliable, self.cost, R, t, self.status, self.reason)
 
 
@@ -125,7 +116,7 @@ def closures_s(clocks: Mapping[Pair, Clock]) -> dict[Triple, float]:
     return found
 
 
-def supports(links: Mapping[Pair, Link]) -> dict[Pair, int]:
+def supports(links: Mapping[Pair, Link], rules: NetworkRules) -> dict[Pair, int]:
     """Count, for each pair, the triples that close with it; -1 where it has some and none does.
 
     A wrong clock closes no triple, but by chance, and spoils those of others: these close with the
@@ -135,7 +126,7 @@ def supports(links: Mapping[Pair, Link]) -> dict[Pair, int]:
     found = dict[Pair, int]()
     for pair in links:
         around = [off for triple, off in closures.items() if set(pair) <= set(triple)]
-        closing = sum(abs(off) <= MAX_CLOSURE_S for off in around)
+        closing = sum(abs(off) <= rules.max_closure_s for off in around)
         found[pair] = closing if closing or not around else -1
     return found
 
@@ -160,16 +151,13 @@ def groups(n_cameras: int, links: Mapping[Pair, Link]) -> list[list[int]]:
 
 def told_by(estimate: Estimate) -> PairTold | None:
     """Take what an estimate tells of clock and pose; None of one without their covariance."""
-    known = estimate.covariance, estimate.R, estimate.t
-    if estimate.status != Status.OK or any(part is None for part in known):
+    known, R, t = estimate.covariance, estimate.R, estimate.t
+    if estimate.status != Status.OK or known is None or R is None or t is None:
         return None
     if not (np.isfinite(estimate.t_ref_s) and estimate.skew_std_ppm > 0.0):
         return None
-    assert estimate.covariance is not None  # as was just seen
-    assert estimate.R is not None
-    assert estimate.t is not None
     covariance = np.zeros((_SIZE, _SIZE))
-    covariance[:-1, :-1] = estimate.covariance
+    covariance[:-1, :-1] = known
     covariance[-1, -1] = (PPM * estimate.skew_std_ppm) ** 2
     deviations = np.sqrt(np.diag(covariance))
     try:  # scaled, as seconds and radians are of very different size
@@ -177,18 +165,21 @@ def told_by(estimate: Estimate) -> PairTold | None:
     except np.linalg.LinAlgError:
         return None
     clock = Clock(estimate.t_d_s, estimate.skew_ppm, estimate.t_ref_s)
-    return PairTold(clock, estimate.R, estimate.t, deviations[:, None] * factor)
+    return PairTold(clock, R, t, deviations[:, None] * factor)
 
 
 def agreeing(
-    told: Mapping[Pair, PairTold], members: list[int], states: list[CameraState]
+    told: Mapping[Pair, PairTold],
+    members: list[int],
+    states: list[CameraState],
+    rules: NetworkRules,
 ) -> dict[Pair, PairTold]:
     """Give the pairs of members that tell nearly what the states say, by places among these."""
     places = {k: place for place, k in enumerate(members)}
     return {
         (places[a], places[b]): one
         for (a, b), one in told.items()
-        if a in places and b in places and one.fits(states[places[a]], states[places[b]])
+        if a in places and b in places and one.fits(states[places[a]], states[places[b]], rules)
     }
 
 

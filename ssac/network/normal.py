@@ -1,4 +1,4 @@
-"""Sightings, linearised, in; the least-squares step of path and cameras, and its covariance, out.
+"""The path's splines, and the normal equations of path and cameras.
 
 The normal matrix is an arrowhead: banded where the path's coefficients are, with a border of the
 parameters of the cameras. It is solved by the Schur complement of the band, in time linear in the
@@ -17,6 +17,9 @@ from scipy.sparse import csr_array
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
+
+BAND = 12
+"""Entries of a column of the lower band: four neighbouring coefficients of three axes."""
 
 ORDER = 4
 """Splines that are not zero at a time: of a cubic one."""
@@ -38,21 +41,9 @@ class Spline:
 
 
 def knots_for(times_s: Array, step_s: float, max_gap_s: float) -> Array:
-    """Place knots where the data are.
+    """Place knots (m + 4,), the ends fourfold, where there are data at times (n,), in any order.
 
-    Parameters
-    ----------
-    times_s
-        Times (n,) [s] of all data, in any order.
-    step_s
-        Longest time between two knots where there are data.
-    max_gap_s
-        Longer times without data hold no knots.
-
-    Returns
-    -------
-    Array
-        Shape (m + 4,), the ends fourfold.
+    They are at most a step apart, but where longer times than a gap hold no data.
     """
     ordered = np.sort(times_s)
     ends = np.flatnonzero(np.diff(ordered) > max_gap_s)
@@ -72,11 +63,8 @@ def knots_for(times_s: Array, step_s: float, max_gap_s: float) -> Array:
 def basis(knots_s: Array, times_s: Array, derivative: int = 0) -> tuple[Indices, Array]:
     """Evaluate the splines that are not zero at times (n,): de Boor's recursion.
 
-    Returns
-    -------
-    tuple
-        The first of four neighbouring coefficients (n,), and what each counts (n, 4); of the
-        derivative of that order, up to 3 [1/s^derivative].
+    Gives the first of four neighbouring coefficients (n,), and what each counts (n, 4); of the
+    derivative of that order, up to 3 [1/s^derivative].
     """
     m = len(knots_s) - ORDER
     span = np.clip(np.searchsorted(knots_s, times_s, side="right") - 1, ORDER - 1, m - 1)
@@ -101,19 +89,12 @@ def basis(knots_s: Array, times_s: Array, derivative: int = 0) -> tuple[Indices,
 def jerks(knots_s: Array) -> tuple[Indices, Array]:
     """Say what the third derivative is in each span, times the root of the span's length.
 
-    The sum of its squares is the integral of the squared jerk.
-
-    Returns
-    -------
-    tuple
-        As of `basis`: (k,) and (k, 4) [s^-2.5].
+    The sum of its squares is the integral of the squared jerk. As of `basis`: (k,) and (k, 4)
+    [s^-2.5].
     """
     inner = knots_s[ORDER - 1 : len(knots_s) - ORDER + 1]
     first, weights = basis(knots_s, 0.5 * (inner[:-1] + inner[1:]), 3)
     return first, weights * np.sqrt(np.diff(inner))[:, None]
-
-
-_BLOCK = 256  # of the path's numbers, in which the same cameras' parameters count
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,13 +122,17 @@ class Normal:
 
     def add(self, linear: Linear) -> None:
         """Add the sightings of one camera."""
-        add_sightings(
+        weights, by_point = linear.weights, linear.by_point
+        parts = weights, by_point, linear.by_camera
+        weights, by_point, by_camera = (np.ascontiguousarray(part) for part in parts)
+        residuals = np.ascontiguousarray(linear.residuals)
+        _add_sightings(
             linear.first,
-            np.ascontiguousarray(linear.weights),
-            np.ascontiguousarray(linear.by_point),
-            np.ascontiguousarray(linear.by_camera),
+            weights,
+            by_point,
+            by_camera,
             linear.columns,
-            np.ascontiguousarray(linear.residuals),
+            residuals,
             self.band,
             self.mixed,
             self.border,
@@ -192,11 +177,11 @@ class Solved:
 
     def path_covariances(self, first: Indices, weights: Array, with_cameras: bool = True) -> Array:
         """Covariances (n, 3, 3) of the path's points, as of `basis`; of known cameras if not."""
-        inverse = np.asarray(inverse_band(self.factor), np.float64)
+        inverse = np.asarray(_inverse_band(self.factor), np.float64)
         if with_cameras and len(self.free):
             # The path moves by -spread' when the cameras do, which adds spread' S^-1 spread to its
             # covariance, of which points need the band alone.
-            spread, spans = backward(self.factor, self.half, self.spans)
+            spread, spans = _backward(self.factor, self.half, self.spans)
             cameras = cho_solve(self.schur, np.eye(len(self.free)))
             for start, stop, active in _blocks(spans, spread.shape[1], BAND - 1):
                 part = spread[active, start : stop + BAND - 1]
@@ -206,7 +191,7 @@ class Solved:
                     inverse[down, start : start + n] += np.einsum(
                         "fi,fi->i", part[:, :n], told[:, down : down + n]
                     )
-        return np.asarray(point_covariances(first, weights, inverse))
+        return np.asarray(_point_covariances(first, weights, inverse))
 
 
 def solve(normal: Normal, free: Indices, damping: float = 0.0) -> Solved:
@@ -220,8 +205,8 @@ def solve(normal: Normal, free: Indices, damping: float = 0.0) -> Solved:
     band = normal.band.copy()
     band[0] *= 1.0 + damping
     factor = np.asarray(cholesky_banded(band, lower=True), np.float64)
-    half, spans = forward(factor, normal.mixed, free)
-    alone, whole = forward(factor, normal.right_path[None], np.zeros(1, np.int64))
+    half, spans = _forward(factor, normal.mixed, free)
+    alone, whole = _forward(factor, normal.right_path[None], np.zeros(1, np.int64))
     border = normal.border[np.ix_(free, free)]
     schur = border + damping * np.diag(np.diag(border))
     right = normal.right_border[free]
@@ -238,7 +223,7 @@ def solve(normal: Normal, free: Indices, damping: float = 0.0) -> Solved:
     for start, stop, active in blocks:
         alone[0, start:stop] -= step[active] @ half[active, start:stop]
     whole[0] = 0, len(normal.right_path)
-    path = backward(factor, alone, whole)[0][0]
+    path = _backward(factor, alone, whole)[0][0]
     full = np.zeros(len(normal.right_border))
     full[free] = step
     return Solved(path.reshape(-1, 3), full, free, factor, half, spans, (chol, low))
@@ -249,21 +234,15 @@ def _blocks(spans: Indices, m: int, more: int = 0) -> Iterator[tuple[int, int, I
 
     Most of a camera's parameters move all of the path; those of a clock's pieces do so for seconds.
     """
-    for start in range(0, m, _BLOCK):
-        stop = min(start + _BLOCK, m)
+    block = 256
+    for start in range(0, m, block):
+        stop = min(start + block, m)
         active = np.flatnonzero((spans[:, 0] < stop + more) & (spans[:, 1] > start))
         yield start, stop, active
 
 
-BAND = 12
-"""Entries of a column of the lower band: four neighbouring coefficients of three axes."""
-
-_FADED = 1e-18
-"""Share of a row's largest entry below which a band of entries is nothing beside rounding."""
-
-
 @numba.njit(cache=True)
-def add_sightings(
+def _add_sightings(
     first: Indices,
     weights: Array,
     by_point: Array,
@@ -276,19 +255,7 @@ def add_sightings(
     right_path: Array,
     right_border: Array,
 ) -> None:
-    """Add n sightings to the normal equations, all of them already over their deviations.
-
-    Parameters
-    ----------
-    first, weights
-        Of the path's coefficients at each sighting's time: (n,) and (n, 4).
-    by_point, by_camera, columns
-        Derivatives (n, 2, 3) and (n, 2, p), and the places (n, p) of the latter among the border's.
-    residuals
-        Shape (n, 2).
-    band, mixed, border, right_path, right_border
-        Added to: (BAND, m) of the path, lower form; (b, m); (b, b); (m,); (b,).
-    """
+    """Add n sightings, as of `Linear`, to the normal equations, as of `Normal`."""
     n, p = columns.shape
     for i in range(n):
         for a in range(4):
@@ -305,9 +272,8 @@ def add_sightings(
                     for y in range(3):
                         down = 3 * (b - a) + y - x
                         if down >= 0:
-                            band[down, row + x] += weights[i, b] * (
-                                along_0 * by_point[i, 0, y] + along_1 * by_point[i, 1, y]
-                            )
+                            both = along_0 * by_point[i, 0, y] + along_1 * by_point[i, 1, y]
+                            band[down, row + x] += weights[i, b] * both
         for c in range(p):
             k = columns[i, c]
             for z in range(2):
@@ -317,23 +283,12 @@ def add_sightings(
 
 
 @numba.njit(cache=True)
-def forward(factor: Array, mixed: Array, chosen: Indices) -> tuple[Array, Indices]:
-    """Solve L y = x for some rows x of a matrix, where they are not next to nothing.
+def _forward(factor: Array, mixed: Array, chosen: Indices) -> tuple[Array, Indices]:
+    """Solve L y = x for some rows (f,) of a matrix (b, m), where they are not next to nothing.
 
-    What is short in time, as a piece of a clock, has an end in y too: it fades by some factor from
-    each of the path's coefficients to the next.
-
-    Parameters
-    ----------
-    factor
-        L in lower form (BAND, m), as of `scipy.linalg.cholesky_banded`.
-    mixed, chosen
-        Shape (b, m), and which of its rows (f,).
-
-    Returns
-    -------
-    tuple
-        Shape (f, m), and of each the first place that is not 0 and the one after the last (f, 2).
+    L is in lower form (BAND, m). What is short in time, as a piece of a clock, has an end in y too:
+    it fades by some factor from each of the path's coefficients to the next. Gives (f, m), and of
+    each the first place that is not 0 and the one after the last (f, 2).
     """
     m = factor.shape[1]
     solved, spans = np.zeros((len(chosen), m)), np.zeros((len(chosen), 2), np.int64)
@@ -344,21 +299,21 @@ def forward(factor: Array, mixed: Array, chosen: Indices) -> tuple[Array, Indice
             start += 1
         while stop > start and given[stop - 1] == 0.0:
             stop -= 1
-        largest, faded, i = 0.0, 0, start
+        largest, faded, i = 0.0, 0, start  # a whole band of entries that are nothing has faded
         while i < m and (i < stop or faded < BAND - 1):
             value = given[i]
             for j in range(1, min(BAND - 1, i - start) + 1):
                 value -= factor[j, i - j] * own[i - j]
             own[i] = value / factor[0, i]
             largest = max(largest, abs(own[i]))
-            faded = faded + 1 if abs(own[i]) <= _FADED * largest else 0
+            faded = faded + 1 if abs(own[i]) <= 1e-18 * largest else 0
             i += 1
         spans[k, 0], spans[k, 1] = start, i
     return solved, spans
 
 
 @numba.njit(cache=True)
-def backward(factor: Array, right: Array, spans: Indices) -> tuple[Array, Indices]:
+def _backward(factor: Array, right: Array, spans: Indices) -> tuple[Array, Indices]:
     """Solve L' y = x for rows x, each of a span as of `forward`, which gives y alike."""
     m = factor.shape[1]
     solved, found = np.zeros(right.shape), np.zeros(spans.shape, np.int64)
@@ -372,25 +327,17 @@ def backward(factor: Array, right: Array, spans: Indices) -> tuple[Array, Indice
                 value -= factor[j, i] * own[i + j]
             own[i] = value / factor[0, i]
             largest = max(largest, abs(own[i]))
-            faded = faded + 1 if abs(own[i]) <= _FADED * largest else 0
+            faded = faded + 1 if abs(own[i]) <= 1e-18 * largest else 0
             i -= 1
         found[k, 0], found[k, 1] = i + 1, stop
     return solved, found
 
 
 @numba.njit(cache=True)
-def inverse_band(factor: Array) -> Array:
-    """Give the band of a matrix's inverse from its banded Cholesky factor: Takahashi's recursion.
+def _inverse_band(factor: Array) -> Array:
+    """Give the band of a matrix's inverse from its Cholesky factor's, both in lower form (BAND, m).
 
-    Parameters
-    ----------
-    factor
-        Lower form (BAND, m), as of `scipy.linalg.cholesky_banded`.
-
-    Returns
-    -------
-    Array
-        Lower form (BAND, m).
+    By Takahashi's recursion.
     """
     m = factor.shape[1]
     inverse = np.zeros_like(factor)
@@ -410,7 +357,7 @@ def inverse_band(factor: Array) -> Array:
 
 
 @numba.njit(cache=True)
-def point_covariances(first: Indices, weights: Array, inverse: Array) -> Array:
+def _point_covariances(first: Indices, weights: Array, inverse: Array) -> Array:
     """Covariances (n, 3, 3) of a path's points, from the band of its inverse normal matrix."""
     n = len(first)
     found = np.zeros((n, 3, 3))

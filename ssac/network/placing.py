@@ -1,4 +1,4 @@
-"""Pairs of cameras in; a first clock and pose for every camera that fits them, out.
+"""A first clock and pose for every camera of a network, and a first path.
 
 Each pair with a pose is tried as a seed: the path that it gives is shown to all others, and the one
 on which the most others find their place wins. No camera's error can thus spoil the rest.
@@ -14,20 +14,14 @@ from numpy.typing import NDArray
 from ssac.network.graph import Link, Pair
 from ssac.network.normal import Linear, Normal, Spline, basis, jerks, solve
 from ssac.network.state import CameraState, Sightings, start_state
+from ssac.rules import NetworkRules
 
 Array = NDArray[np.float64]
 
-LEAST_ANGLE_DEG = 4.0
-"""Between two rays, where they tell a depth."""
 
-MAX_OFF = 0.03
-"""Distance from a ray, as a share of the depth, of a point that its camera sees."""
-
-_FIRST_JERK = 3.0  # of a first path, in extents / s^2.5
-_ROBUST_ROUNDS = 5
-
-
-def triangulate(states: list[CameraState], cameras: list[Sightings], times_s: Array) -> Array:
+def triangulate(
+    states: list[CameraState], cameras: list[Sightings], times_s: Array, rules: NetworkRules
+) -> Array:
     """Give the points (n, 3) that at least two cameras see at the network's times (n,); else NaN.
 
     The point nearest to all rays; it must be in front of two cameras at least, near their rays,
@@ -46,10 +40,11 @@ def triangulate(states: list[CameraState], cameras: list[Sightings], times_s: Ar
     across = np.eye(3) - filled[..., :, None] * filled[..., None, :]
     points = np.full((len(times_s), 3), np.nan)
     for _ in range(2):
-        is_enough = (np.count_nonzero(seen_by, axis=0) >= 2) & _are_apart(filled, seen_by)
-        matrices = np.sum(np.where(seen_by[..., None, None], across, 0.0), axis=0)
-        rights = np.einsum("cnxy,cny->nx", np.where(seen_by[..., None, None], across, 0.0),
-                           np.broadcast_to(centres, rays.shape))  # fmt: skip
+        is_enough = np.count_nonzero(seen_by, axis=0) >= 2
+        is_enough &= are_apart(filled, seen_by, rules.least_angle_deg)
+        counted = np.where(seen_by[..., None, None], across, 0.0)
+        matrices = np.sum(counted, axis=0)
+        rights = np.einsum("cnxy,cny->nx", counted, np.broadcast_to(centres, rays.shape))
         points = np.full((len(times_s), 3), np.nan)
         if is_enough.any():
             solved = np.linalg.solve(matrices[is_enough], rights[is_enough][:, :, None])
@@ -58,7 +53,7 @@ def triangulate(states: list[CameraState], cameras: list[Sightings], times_s: Ar
         depths = np.sum(to_points * filled, axis=2)
         off = np.linalg.norm(np.cross(to_points, filled), axis=2)
         with np.errstate(invalid="ignore"):
-            fits = seen_by & (depths > 0.0) & (off < MAX_OFF * depths)
+            fits = seen_by & (depths > 0.0) & (off < rules.max_off_depths * depths)
         bad = is_enough & (np.count_nonzero(fits, axis=0) < 2)
         points[bad] = np.nan
         if (fits == seen_by).all():
@@ -67,10 +62,10 @@ def triangulate(states: list[CameraState], cameras: list[Sightings], times_s: Ar
     return points
 
 
-def _are_apart(rays: Array, seen_by: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Whether any two of the rays (c, n, 3) at each time are apart (n,)."""
+def are_apart(rays: Array, seen_by: NDArray[np.bool_], least_deg: float) -> NDArray[np.bool_]:
+    """Whether any two of the rays (c, n, 3) that are seen at each time tell a depth (n,)."""
     found = np.zeros(rays.shape[1], dtype=bool)
-    least = np.sin(np.deg2rad(LEAST_ANGLE_DEG))
+    least = np.sin(np.deg2rad(least_deg))
     for i in range(len(rays)):
         for j in range(i):
             sines = np.linalg.norm(np.cross(rays[i], rays[j]), axis=1)
@@ -78,23 +73,19 @@ def _are_apart(rays: Array, seen_by: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return found
 
 
-def first_path(knots_s: Array, times_s: Array, points: Array) -> tuple[Spline, float]:
-    """Lay a smooth path through points (n, 3) at times (n,), robustly.
-
-    Returns
-    -------
-    tuple
-        The path, and its jerk to begin with.
-    """
+def first_path(
+    knots_s: Array, times_s: Array, points: Array, rules: NetworkRules
+) -> tuple[Spline, float]:
+    """Lay a smooth path through points (n, 3) at times (n,), robustly; and say its first jerk."""
     middle = np.median(points, axis=0)
     extent = float(np.median(np.linalg.norm(points - middle, axis=1))) + 1e-12
     first, weights = basis(knots_s, times_s)
     span_first, span_weights = jerks(knots_s)
-    span_weights = span_weights / (_FIRST_JERK * extent)
+    span_weights = span_weights / (rules.first_jerk * extent)
     path = Spline(knots_s, np.tile(middle, (len(knots_s) - 4, 1)))
     sigma = np.full(len(points), 0.01 * extent)
-    n = len(points)
-    for _ in range(_ROBUST_ROUNDS):
+    n, no_columns = len(points), np.zeros((len(points), 0), np.int64)
+    for _ in range(5):
         residuals = points - path.at(times_s)
         normal = Normal(len(path.coefficients), 0)
         for axis in range(3):
@@ -102,7 +93,7 @@ def first_path(knots_s: Array, times_s: Array, points: Array) -> tuple[Spline, f
             by_point[:, 0, axis] = 1.0 / sigma
             over = np.zeros((n, 2))
             over[:, 0] = residuals[:, axis] / sigma
-            normal.add(_of_points(first, weights, by_point, over))
+            normal.add(Linear(first, weights, by_point, np.zeros((n, 2, 0)), no_columns, over))
         normal.add_smoothness(span_first, span_weights, path.coefficients)
         normal.band[0] += 1e-9 * normal.band[0].max()
         step = solve(normal, np.empty(0, np.int64)).path
@@ -111,23 +102,6 @@ def first_path(knots_s: Array, times_s: Array, points: Array) -> tuple[Spline, f
         typical = float(np.median(off)) + 1e-4 * extent
         sigma = typical * np.sqrt(1.0 + (off / (2.0 * typical)) ** 2)
     return path, extent
-
-
-def _of_points(first: NDArray[np.int64], weights: Array, by_point: Array, over: Array) -> Linear:
-    """Rows of a path alone."""
-    none = np.zeros((len(first), 2, 0))
-    return Linear(first, weights, by_point, none, np.zeros((len(first), 0), np.int64), over)
-
-
-LEAST_INLIERS, LEAST_SHARE = 30, 0.4
-"""Sample times, and the share of all common ones, at which a camera must see the path in place."""
-
-_SAMPLES = 500
-_OFF_WIDTHS = 0.015  # of a point from its place in the image, in widths of this
-_SEED_SHARE = 0.5  # of a seed's common samples that are to be in front of both cameras
-_TRIALS = 400
-_MOST_SEEDS = 30
-_ENOUGH_SEEDS = 4  # of which the best is good enough where all cameras found their place
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,6 +122,7 @@ def place_all(
     links: Mapping[Pair, Link],
     members: list[int],
     trust: Mapping[Pair, int],
+    rules: NetworkRules,
 ) -> Placed | None:
     """Place as many cameras of a group as fit; None where no pair gives a path."""
     both = dict(links) | {(b, a): link.reversed() for (a, b), link in links.items()}
@@ -158,29 +133,37 @@ def place_all(
     ]
     seeds.sort(key=lambda pair: (-trust[pair], links[pair].cost))
     best: Placed | None = None
-    for pair in seeds[:_MOST_SEEDS]:
-        placed = _seed(cameras, pair, links[pair])
+    for pair in seeds[: rules.most_seeds]:
+        placed = _seed(cameras, pair, links[pair], rules)
         if placed is None:
             continue
-        placed = grown(placed, cameras, both, members)
+        placed = grown(placed, cameras, both, members, rules)
         if best is None or placed.merit > best.merit:
             best = placed
-        if len(placed.states) == len(members) and seeds.index(pair) >= _ENOUGH_SEEDS:
+        if len(placed.states) == len(members) and seeds.index(pair) >= rules.enough_seeds:
             break
     return best
 
 
 def grown(
-    placed: Placed, cameras: list[Sightings], links: Mapping[Pair, Link], members: list[int]
+    placed: Placed,
+    cameras: list[Sightings],
+    links: Mapping[Pair, Link],
+    members: list[int],
+    rules: NetworkRules,
 ) -> Placed:
     """Add the cameras that see the path of those placed, the best first, as long as any fits."""
     while True:
         left = [k for k in members if k not in placed.states]
-        times_s, points = _path_samples(placed, cameras)
+        times_s = _common_times(placed, cameras, rules.samples)
+        seen = [cameras[k] for k in placed.states]
+        points = triangulate(list(placed.states.values()), seen, times_s, rules)
+        known = np.isfinite(points[:, 0])
+        path = times_s[known], points[known]
         found = [
             (inliers, k, state)
             for k in left
-            for inliers, state in [_best_fit(k, placed, cameras, links, times_s, points)]
+            for inliers, state in [_best_fit(k, placed, cameras, links, path, rules)]
             if state is not None
         ]
         if not found:
@@ -196,20 +179,13 @@ def rebased(states: dict[int, CameraState], reference: int) -> dict[int, CameraS
     beta_s = float(base.own_from_network(np.zeros(1))[0])
     found = {}
     for k, state in states.items():
-        middle_s = state.middle_s
-        delay_s = middle_s - alpha * (middle_s - state.delay_s) - beta_s
-        R = state.R @ base.R.T
-        found[k] = replace(
-            state,
-            delay_s=delay_s,
-            rate=1.0 - alpha * (1.0 - state.rate),
-            R=R,
-            t=state.t - R @ base.t,
-        )
+        delay_s = state.middle_s - alpha * (state.middle_s - state.delay_s) - beta_s
+        rate, R = 1.0 - alpha * (1.0 - state.rate), state.R @ base.R.T
+        found[k] = replace(state, delay_s=delay_s, rate=rate, R=R, t=state.t - R @ base.t)
     return found
 
 
-def _seed(cameras: list[Sightings], pair: Pair, link: Link) -> Placed | None:
+def _seed(cameras: list[Sightings], pair: Pair, link: Link, rules: NetworkRules) -> Placed | None:
     """Place a pair, and see that its path is in front of both."""
     a, b = pair
     first = start_state(cameras[a], 0.0, 0.0, np.eye(3), np.zeros(3))
@@ -217,12 +193,12 @@ def _seed(cameras: list[Sightings], pair: Pair, link: Link) -> Placed | None:
         return None
     second = _with_clock(start_state(cameras[b], 0.0, 0.0, link.R, link.t), link, first)
     placed = Placed({a: first, b: second}, 0)
-    times_s = _common_times(placed, cameras)
+    times_s = _common_times(placed, cameras, rules.samples)
     if not len(times_s):
         return None
-    points = triangulate([first, second], [cameras[a], cameras[b]], times_s)
+    points = triangulate([first, second], [cameras[a], cameras[b]], times_s, rules)
     inliers = int(np.count_nonzero(np.isfinite(points[:, 0])))
-    if inliers < max(LEAST_INLIERS, _SEED_SHARE * len(times_s)):
+    if inliers < max(rules.least_inliers, rules.seed_share * len(times_s)):
         return None
     return Placed(placed.states, 2 * inliers)
 
@@ -236,26 +212,19 @@ def _with_clock(state: CameraState, link: Link, other: CameraState) -> CameraSta
     return replace(state, delay_s=state.middle_s - float(np.mean(passed_s)), rate=rate)
 
 
-def _common_times(placed: Placed, cameras: list[Sightings]) -> Array:
+def _common_times(placed: Placed, cameras: list[Sightings], samples: int) -> Array:
     """Give network times (n,) at which at least two of the cameras placed see the object."""
     spans = [
         state.network_from_own(np.array(cameras[k].span_s)) for k, state in placed.states.items()
     ]
     start_s, end_s = min(span[0] for span in spans), max(span[1] for span in spans)
-    times_s = np.linspace(start_s, end_s, 8 * _SAMPLES, dtype=np.float64)
+    times_s = np.linspace(start_s, end_s, 8 * samples, dtype=np.float64)
     seen = [
         cameras[k].motion.at(state.own_from_network(times_s)).valid
         for k, state in placed.states.items()
     ]
     times_s = times_s[np.count_nonzero(seen, axis=0) >= 2]
-    return np.asarray(times_s[:: max(1, len(times_s) // _SAMPLES)])
-
-
-def _path_samples(placed: Placed, cameras: list[Sightings]) -> tuple[Array, Array]:
-    times_s = _common_times(placed, cameras)
-    points = triangulate(list(placed.states.values()), [cameras[k] for k in placed.states], times_s)
-    known = np.isfinite(points[:, 0])
-    return times_s[known], points[known]
+    return np.asarray(times_s[:: max(1, len(times_s) // samples)])
 
 
 def _best_fit(
@@ -263,8 +232,8 @@ def _best_fit(
     placed: Placed,
     cameras: list[Sightings],
     links: Mapping[Pair, Link],
-    times_s: Array,
-    points: Array,
+    path: tuple[Array, Array],
+    rules: NetworkRules,
 ) -> tuple[int, CameraState | None]:
     """Find a camera's place on a path, with the clock of each of its links to those placed."""
     best, found = 0, None
@@ -273,39 +242,37 @@ def _best_fit(
         if link is None:
             continue
         start = _with_clock(start_state(cameras[k], 0.0, 0.0, np.eye(3), np.zeros(3)), link, state)
-        inliers, fitted = resected(start, cameras[k], times_s, points)
+        inliers, fitted = _resected(start, cameras[k], *path, rules)
         if fitted is not None and inliers > best:
             best, found = inliers, fitted
     return best, found
 
 
-def resected(
-    state: CameraState, seen: Sightings, times_s: Array, points: Array
+def _resected(
+    state: CameraState, seen: Sightings, times_s: Array, points: Array, rules: NetworkRules
 ) -> tuple[int, CameraState | None]:
     """Find a camera's pose from points (n, 3) at the network's times, with the clock it has.
 
-    Returns
-    -------
-    tuple
-        At how many times it sees the path in place, and its state; 0 and None where it does not.
+    Gives at how many times it sees the path in place, and its state; 0 and None where it does not.
     """
     track = seen.motion.at(state.own_from_network(times_s))
     valid = track.valid
     n = int(np.count_nonzero(valid))
-    if n < LEAST_INLIERS:
+    if n < rules.least_inliers:
         return 0, None
     world, image = points[valid], track.positions_px[valid]
     scale = float(np.median(np.linalg.norm(world - np.median(world, axis=0), axis=1))) + 1e-12
     world = np.ascontiguousarray(world / scale)
-    off_px = _OFF_WIDTHS * seen.camera.width
+    off_px = rules.max_off_widths * seen.camera.width
     try:
         is_found, turn, shift, chosen = cv2.solvePnPRansac(
-            world, np.ascontiguousarray(image), seen.camera.K, None, iterationsCount=_TRIALS,
+            world, np.ascontiguousarray(image), seen.camera.K, None, iterationsCount=rules.trials,
             reprojectionError=off_px, confidence=0.9999, flags=cv2.SOLVEPNP_SQPNP,
         )  # fmt: skip
     except cv2.error:
         return 0, None
-    if not is_found or chosen is None or len(chosen) < max(LEAST_INLIERS, LEAST_SHARE * n):
+    least = max(rules.least_inliers, rules.least_inlier_share * n)
+    if not is_found or chosen is None or len(chosen) < least:
         return 0, None
     places = chosen.ravel()
     turn, shift = cv2.solvePnPRefineLM(

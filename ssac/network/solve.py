@@ -1,4 +1,4 @@
-"""All cameras and what every pair told in; clocks, poses and paths of each connected group, out."""
+"""Clocks, poses and paths of all cameras, of each group that pairs connect."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -13,9 +13,9 @@ from ssac.estimate import Estimate, Status
 from ssac.network.adjustment import border_offsets, fit_of
 from ssac.network.align import Similarity
 from ssac.network.build import Built, build
-from ssac.network.graph import MAX_CLOSURE_S, Link, Pair, Triple, closures_s, groups, told_by
+from ssac.network.graph import Link, Pair, Triple, closures_s, groups, told_by
 from ssac.network.normal import basis
-from ssac.network.placing import LEAST_ANGLE_DEG
+from ssac.network.placing import are_apart
 from ssac.network.state import (
     DELAY,
     RATE,
@@ -28,15 +28,11 @@ from ssac.network.state import (
     network_times,
 )
 from ssac.network.tum import Path
+from ssac.rules import Rules
 from ssac.search.all_offsets import Guess
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-
-REACH_S, REACH_INTERVALS = 0.1, 2.5
-"""A camera sees the object at a time where it did so within this, or so many of its intervals."""
-
-_STEP_S = 0.01  # between samples of a path, at least
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,11 +114,16 @@ def answer_of(built: Built, k: int, group: int) -> CameraAnswer:
     )
 
 
-def seen_at(built: Built, times_s: Array) -> Mask:
+def _holds_at(built: Built, times_s: Array) -> Mask:
     """Whether two cameras, whose rays are apart, see the object at times (n,): the path holds."""
+    rules = built.network.rules
     near = np.stack(
         [
-            is_near(times_s, network_times(state, seen)[enabled], _reach_s(seen))
+            is_near(
+                times_s,
+                network_times(state, seen)[enabled],
+                max(rules.reach_s, rules.reach_intervals * seen.interval_s),
+            )
             for state, seen, enabled in zip(
                 built.network.states, built.cameras, built.enabled, strict=True
             )
@@ -131,12 +132,7 @@ def seen_at(built: Built, times_s: Array) -> Mask:
     points = built.network.path.at(times_s)
     rays = np.stack([points - state.centre for state in built.network.states])
     rays /= np.linalg.norm(rays, axis=2, keepdims=True)
-    holds = np.zeros(len(times_s), dtype=bool)
-    least = np.sin(np.deg2rad(LEAST_ANGLE_DEG))
-    for i in range(len(rays)):
-        for j in range(i):
-            apart = np.linalg.norm(np.cross(rays[i], rays[j]), axis=1) > least
-            holds |= near[i] & near[j] & apart
+    holds = are_apart(rays, near, rules.least_angle_deg)
     knots_s = built.network.path.knots_s
     return np.asarray(holds & (times_s >= knots_s[0]) & (times_s <= knots_s[-1]))
 
@@ -159,22 +155,18 @@ def path_at(built: Built, times_s: Array, frame: Similarity | None = None) -> Pa
 def path_of(built: Built, frame: Similarity | None = None) -> PathAnswer:
     """Sample the path evenly where it holds; in a frame as of `path_at`."""
     knots_s = built.network.path.knots_s
-    step_s = max(_STEP_S, min(seen.interval_s for seen in built.cameras))
+    step_s = max(built.network.rules.path_step_s, min(seen.interval_s for seen in built.cameras))
     times_s = np.arange(knots_s[0], knots_s[-1] + 0.5 * step_s, step_s)
     times_s = np.minimum(times_s, knots_s[-1])
-    holds = seen_at(built, times_s)
+    holds = _holds_at(built, times_s)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], holds, [False]]).astype(int)))
     spans_s = np.column_stack([times_s[edges[::2]], times_s[edges[1::2] - 1]])
     return PathAnswer(path_at(built, times_s[holds], frame), spans_s)
 
 
-def left_out(seen: Sightings, group: int, reason: str) -> CameraAnswer:
+def _left_out(seen: Sightings, group: int, reason: str) -> CameraAnswer:
     """Tell of a camera that is in no network."""
     return CameraAnswer(seen.name, Status.NO_MATCH, reason, group, n_seen=len(seen))
-
-
-def _reach_s(seen: Sightings) -> float:
-    return max(REACH_S, REACH_INTERVALS * seen.interval_s)
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,7 +226,7 @@ def link_of(estimate: Estimate, guess: Guess | None, of_events: bool = False) ->
     return Link(clock, reliable, cost, *pose, str(estimate.status), estimate.reason, told)
 
 
-def priors_of(camera: Camera, has_frames: bool, skew_prior_ppm: float) -> Priors:
+def _priors_of(camera: Camera, has_frames: bool, skew_prior_ppm: float) -> Priors:
     """Give the priors of a camera's parameters: by its rig, and by its kind of clock."""
     std = np.array(camera.intrinsics_std_px, dtype=np.float64)
     focal = std[:2] / np.diag(camera.K)[:2]
@@ -250,7 +242,8 @@ def solve_network(
     cameras: Sequence[Sightings],
     links: Mapping[Pair, Link],
     skew_prior_ppm: float,
-    distance: float = 1.0,
+    distance: float,
+    rules: Rules,
 ) -> NetworkAnswer:
     """Find clocks and poses of all cameras, and the path that they saw.
 
@@ -266,31 +259,31 @@ def solve_network(
         Between the first two cameras of each group.
     """
     listed = list(cameras)
-    priors = [priors_of(seen.camera, seen.has_frames, skew_prior_ppm) for seen in listed]
-    answers = [left_out(seen, 0, _LONELY) for seen in listed]
+    priors = [_priors_of(seen.camera, seen.has_frames, skew_prior_ppm) for seen in listed]
+    answers = [_left_out(seen, 0, _LONELY) for seen in listed]
     built_all: list[Built] = []
     for group in groups(len(listed), links):
         if len(group) < 2:
             continue
         try:
-            built, reason = build(listed, links, group, priors, distance), _NO_PATH
+            built, reason = build(listed, links, group, priors, distance, rules), _NO_PATH
         except np.linalg.LinAlgError:
             built, reason = None, _OPEN
         if built is None:
             for k in group:
-                answers[k] = left_out(listed[k], 0, reason)
+                answers[k] = _left_out(listed[k], 0, reason)
             continue
         built_all.append(built)
         for place, k in enumerate(built.members):
             answers[k] = answer_of(built, place, len(built_all))
         for k in built.misfits:
-            answers[k] = left_out(listed[k], 0, _MISFIT)
+            answers[k] = _left_out(listed[k], 0, _MISFIT)
     closures = closures_s({pair: link.clock for pair, link in links.items()})
     return NetworkAnswer(
         answers,
         dict(links),
         closures,
-        _contradicted(built_all, links),
+        _contradicted(built_all, links, rules.network.max_closure_s),
         built_all,
         [path_of(built) for built in built_all],
     )
@@ -311,7 +304,9 @@ _MISFIT = (
 )
 
 
-def _contradicted(built_all: list[Built], links: Mapping[Pair, Link]) -> dict[Pair, float]:
+def _contradicted(
+    built_all: list[Built], links: Mapping[Pair, Link], max_closure_s: float
+) -> dict[Pair, float]:
     """Give the pairs whose clocks the network contradicts, and by how much [s]."""
     found = {}
     for built in built_all:
@@ -323,6 +318,6 @@ def _contradicted(built_all: list[Built], links: Mapping[Pair, Link]) -> dict[Pa
             own_s = np.array([link.clock.t_ref_s])
             shown_s = states[b].own_from_network(states[a].network_from_own(own_s))
             off_s = float((link.clock.cam2_from_cam1(own_s) - shown_s)[0])
-            if abs(off_s) > MAX_CLOSURE_S:
+            if abs(off_s) > max_closure_s:
                 found[a, b] = off_s
     return found

@@ -1,4 +1,4 @@
-"""One camera's clock, pose and intrinsics, as numbers; what they make of a path, and derivatives.
+"""One camera of a network: where it saw the object, and its clock, pose and intrinsics.
 
 The network's time is that of its first camera's clock, strays apart. A sighting that a camera's
 clock shows at time T, in a share y of the image's rows, is of the network's time
@@ -21,10 +21,12 @@ from ssac.camera import Camera, undistort_points
 from ssac.clock import PPM
 from ssac.geometry.pose import rays_of
 from ssac.points import PointTrack
+from ssac.rules import PointRules
 from ssac.track.motion import PointMotion, point_motion
 from ssac.track.silhouette import Images
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,30 +73,16 @@ def sightings(
     track: PointTrack,
     camera: Camera,
     name: str,
-    has_frames: bool = True,
+    has_frames: bool,
+    rules: PointRules,
     spreads_px2: Array | None = None,
     images: Images | None = None,
 ) -> Sightings:
-    """Prepare the track of one camera.
-
-    Parameters
-    ----------
-    track
-        As `ssac.points.check_track` lets pass.
-    camera
-        Its intrinsics.
-    name
-        For messages and reports.
-    has_frames
-        Whether it is of frames; no: of events, of which each has its own time.
-    spreads_px2, images
-        Of the track's points, as of `Sightings`.
-    """
-    motion = point_motion(track, camera, name=name)
+    """Prepare the track of one camera, with what silhouettes tell of its points."""
+    motion = point_motion(track, camera, rules, name=name)
     known = np.isfinite(undistort_points(camera, track.points_px)[:, 0])
-    rows = track.points_px[known, 1] / max(camera.height - 1, 1)
     spreads = None if spreads_px2 is None else spreads_px2[known]
-    points = motion.points_px, rows, motion.sigmas_px
+    points = motion.points_px, motion.rows, motion.sigmas_px
     images = None if images is None else images.of(known)
     return Sightings(name, camera, motion.times_s, *points, motion, has_frames, spreads, images)
 
@@ -110,8 +98,6 @@ def is_near(times_s: Array, seen_s: Array, reach_s: float) -> NDArray[np.bool_]:
     return np.asarray(np.minimum(np.abs(times_s - low), np.abs(high - times_s)) <= reach_s)
 
 
-Indices = NDArray[np.int64]
-
 DELAY, RATE, READOUT = 0, 1, 2
 ROTATION, TRANSLATION, FOCAL, CENTRE = slice(3, 6), slice(6, 9), slice(9, 11), slice(11, 13)
 BEHIND = 13
@@ -120,9 +106,6 @@ STRAYS = 14  # the first of them
 
 LEAST_DEPTH = 1e-6
 """Depth, in the path's unit, below which a point is not in front of a camera."""
-
-LEAST_SPEED_PX_S = 1.0
-"""Speed of an image below which it has no direction that events are behind in."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,8 +168,7 @@ class CameraState:
 
 def start_state(seen: Sightings, delay_s: float, rate: float, R: Array, t: Array) -> CameraState:
     """Give the state of a camera with a clock, a pose, and the intrinsics of its rig."""
-    none = np.zeros(2)
-    nothing = np.empty(0)
+    none, nothing = np.zeros(2), np.empty(0)
     return CameraState(delay_s, rate, seen.middle_s, 0.0, R, t, none, none, 0.0, nothing, nothing)
 
 
@@ -240,7 +222,8 @@ def projected(state: CameraState, seen: Sightings, points: Array, velocities: Ar
     by_camera[:, 0, FOCAL.start] = K[0, 0] * x[:, 0]
     by_camera[:, 1, FOCAL.start + 1] = K[1, 1] * x[:, 1]
     by_camera[:, 0, CENTRE.start] = by_camera[:, 1, CENTRE.start + 1] = 1.0
-    speeds = np.sqrt(np.sum(by_time**2, axis=1) + LEAST_SPEED_PX_S**2)
+    # An image slower than 1 px/s has no direction that events are behind in.
+    speeds = np.sqrt(np.sum(by_time**2, axis=1) + 1.0)
     by_camera[:, :, BEHIND] = -by_time / speeds[:, None]  # how that turns moves next to nothing
     columns = np.tile(np.arange(p), (n, 1))
     if len(state.knots_s):

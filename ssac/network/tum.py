@@ -1,4 +1,4 @@
-"""Paths in space in and out: TUM files, `t x y z qx qy qz qw`, and comma-separated values.
+"""Files of paths in space: TUM, `t x y z qx qy qz qw`, and comma-separated values.
 
 The csv form has a first line that names its columns: `t_s,x_m,y_m,z_m`, and optionally the
 deviations `sigma_x_m,sigma_y_m,sigma_z_m`; `x`, `y` and `z` are taken too. A TUM file has no place
@@ -27,7 +27,6 @@ _OTHER_NAMES = {"t": "t_s", "time_s": "t_s", "x": "x_m", "y": "y_m", "z": "z_m"}
 _GLOBE = ("lat", "lon", "lng")
 _TUM_COLUMNS = (*PATH_COLUMNS, *ATTITUDE_COLUMNS)
 _NO_ATTITUDE = (0.0, 0.0, 0.0, 1.0)
-_MAX_STEP_S = 1000.0  # between two points, in the middle: times that go further are none of seconds
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,13 +50,8 @@ class Path:
 def read_path(file: pathlib.Path | str, needs_times: bool = True) -> Path:
     """Read a path, TUM or comma-separated.
 
-    Parameters
-    ----------
-    file
-        Rows `t x y z qx qy qz qw`, `t x y z` or, where no times are needed, `x y z`; or a csv file
-        whose first line names its columns.
-    needs_times
-        Whether a path without times is refused.
+    Rows are `t x y z qx qy qz qw`, `t x y z` or, where no times are needed, `x y z`; or a csv file
+    names its columns in its first line.
 
     Raises
     ------
@@ -119,14 +113,8 @@ def write_path(file: pathlib.Path | str, path: Path) -> None:
         columns += [*(none if path.quaternions is None else path.quaternions).T]
         header, separator, form = "", " ", ["%.7f"] + ["%.9g"] * 7
     with whole_file(file) as temporary:
-        np.savetxt(
-            temporary,
-            np.column_stack(columns),
-            fmt=form,
-            delimiter=separator,
-            header=header,
-            comments="",
-        )
+        rows = np.column_stack(columns)
+        np.savetxt(temporary, rows, fmt=form, delimiter=separator, header=header, comments="")
 
 
 def _columns(file: pathlib.Path) -> dict[str, Array]:
@@ -135,7 +123,7 @@ def _columns(file: pathlib.Path) -> dict[str, Array]:
         lines = [line.strip() for line in file.read_text(encoding="utf-8-sig").splitlines()]
     except UnicodeDecodeError as error:
         raise SsacError(f"{file}: not a text file: give a path as TUM or csv") from error
-    rows = [_words(line) for line in lines if line and not line.startswith("#")]
+    rows = [_cells(line) for line in lines if line and not line.startswith("#")]
     has_header = bool(rows) and not all(map(is_number, rows[0]))
     if len(rows) <= has_header:
         raise SsacError(f"{file}: there are no points: give a path of some")
@@ -153,8 +141,8 @@ def _columns(file: pathlib.Path) -> dict[str, Array]:
     return dict(zip(kept, numbers.T, strict=True))
 
 
-def _words(line: str) -> list[str]:
-    return [word.strip() for word in line.split(",")] if "," in line else line.split()
+def _cells(line: str) -> list[str]:
+    return [cell.strip() for cell in line.split(",")] if "," in line else line.split()
 
 
 def _names(words: list[str], file: pathlib.Path) -> list[str]:
@@ -193,7 +181,7 @@ def _check_times(times_s: Array, file: pathlib.Path) -> None:
             f"{file}: rows must be in time order, but point {k} is at {times_s[k]:.10g} s, after "
             f"one at {times_s[k - 1]:.10g} s: sort the rows, one point a time"
         )
-    if len(steps_s) and np.median(steps_s) > _MAX_STEP_S:
+    if len(steps_s) and np.median(steps_s) > 1000.0:
         raise SsacError(
             f"{file}: points are {np.median(steps_s):g} s apart, as if times were of microseconds "
             "or the like: give seconds"

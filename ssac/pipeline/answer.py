@@ -11,7 +11,7 @@ import numpy as np
 from ssac.camera import Rig
 from ssac.config import Config
 from ssac.estimate import Estimate
-from ssac.pipeline.registry import Input, Method
+from ssac.methods.method import Input, Method
 from ssac.search.all_offsets import Guess
 from ssac.search.start import Start
 from ssac.search.two_views import TwoViews, views_of

@@ -14,6 +14,7 @@ from ssac.config import Config
 from ssac.errors import SsacError
 from ssac.estimate import Estimate
 from ssac.files.damage import STRICT, Reading
+from ssac.methods.method import Method
 from ssac.methods.verdict import quantum_s
 from ssac.pipeline.answer import Answer, Log, quiet
 from ssac.pipeline.chain import Chain
@@ -26,7 +27,7 @@ from ssac.pipeline.opened import (
     opened,
     opened_rig,
 )
-from ssac.pipeline.registry import METHODS, EstimateFunction, choose_method
+from ssac.pipeline.registry import EstimateFunction, choose_method
 from ssac.search.two_views import TwoViews
 from ssac.track.clean import Clean
 
@@ -70,18 +71,9 @@ class Result:
         return report_json(self.answer)
 
     def plot(self, path: Path | str | None = None) -> "Figure | None":
-        """Draw what the estimate allows, one figure below the other; write it if a path is given.
+        """Draw what the estimate allows, one figure below the other; None where that is nothing.
 
-        Parameters
-        ----------
-        path
-            A file (.png, .pdf, .svg) for all figures, or a folder for one PNG each; None: nothing
-            is written.
-
-        Returns
-        -------
-        Figure or None
-            None where there is nothing to draw.
+        With a path it is written too: a file (.png, .pdf, .svg), or a folder of one PNG each.
         """
         from ssac.pipeline.plots import page_of
 
@@ -277,17 +269,7 @@ def _check_options(
 
 
 def chain_of(cameras: Sequence[CameraInput], rig: RigInput, config: Config | None = None) -> Chain:
-    """Make a chain of what cameras recorded, in all the forms that `sync` takes.
-
-    Parameters
-    ----------
-    cameras
-        Two or more, in the order of the rig.
-    rig
-        Theirs.
-    config
-        Parameters; the defaults when None.
-    """
+    """Make a chain of what cameras recorded, in all the forms that `sync` takes."""
     models = opened_rig(rig, len(cameras))
     return Chain(opened(cameras, models), models, config)
 
@@ -297,19 +279,7 @@ def two_views(
 ) -> TwoViews:
     """Give the object's motion in both views of what two cameras recorded: the paper's Sec. IV-A.
 
-    Parameters
-    ----------
-    cam1, cam2
-        What the two cameras recorded, as for `sync`; what is clean already is not cleaned again.
-    rig
-        As for `sync`; the extrinsics are handed on, and not used.
-    config
-        Parameters; the defaults when None.
-
-    Raises
-    ------
-    SsacError
-        If a camera or its events cannot be used, or a parameter makes no sense.
+    What is clean already is not cleaned again; the rig's extrinsics are handed on, and not used.
     """
     return chain_of((cam1, cam2), rig, config).views()
 
@@ -319,10 +289,7 @@ def usable_events(
 ) -> tuple[NDArray[np.void], NDArray[np.void]]:
     """Give both cameras' events, checked, and denoised (Sec. IV-A) if the config asks for it.
 
-    Raises
-    ------
-    SsacError
-        If the events of a camera are empty, unsorted or outside its sensor.
+    SsacError if the events of a camera are empty, unsorted or outside its sensor.
     """
     chain = chain_of((cam1, cam2), rig, config)
     return chain.clean(0).events, chain.clean(1).events
@@ -340,16 +307,16 @@ def _warn_of_rounding(recorded: Iterable[tuple[str, Clean]]) -> None:
             )
 
 
-def _calls(name: str) -> EstimateFunction:
-    """Make the function of one method: `tangency(cam1, cam2, rig, config)`."""
+def function_of(method: Method) -> EstimateFunction:
+    """Make the function of one method: `ssac.tangency(cam1, cam2, rig, config)`."""
 
     def estimate(
         cam1: CameraInput, cam2: CameraInput, rig: RigInput, config: Config | None = None
     ) -> Estimate:
-        return chain_of((cam1, cam2), rig, config).estimate(METHODS[name])
+        return chain_of((cam1, cam2), rig, config).estimate(method)
 
-    estimate.__name__ = estimate.__qualname__ = name.replace("-", "_")
-    estimate.__doc__ = f"""Estimate as `sync(..., method="{name}")` does: {METHODS[name].summary}.
+    estimate.__name__ = estimate.__qualname__ = method.name.replace("-", "_")
+    estimate.__doc__ = f"""Estimate as `sync(..., method="{method.name}")` does: {method.summary}.
 
     Parameters
     ----------
@@ -361,10 +328,3 @@ def _calls(name: str) -> EstimateFunction:
         Parameters; the defaults when None.
     """
     return estimate
-
-
-ssac, ssac_known = _calls("ssac"), _calls("ssac-known")
-joint, joint_known = _calls("joint"), _calls("joint-known")
-tangency, tangency_known = _calls("tangency"), _calls("tangency-known")
-albl, zncc_e = _calls("albl"), _calls("zncc_e")
-zncc_f, event_rate = _calls("zncc_f"), _calls("event_rate")

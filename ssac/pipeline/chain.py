@@ -25,9 +25,10 @@ from ssac.camera import Camera, Cameras, Rig, check_cameras
 from ssac.config import Config, Interval, validated
 from ssac.errors import SsacError
 from ssac.estimate import SETTLED_BY, Estimate, Refusal, Status
+from ssac.methods.method import Input, Method
 from ssac.methods.verdict import less_sure, quantum_s
 from ssac.pipeline.answer import Answer, Log, Stopwatch, quiet
-from ssac.pipeline.registry import Input, Method, choose_method
+from ssac.pipeline.registry import choose_method, load
 from ssac.search.observability import has_common_time, unusable
 from ssac.search.one_object import one_object
 from ssac.search.start import Start, start_of
@@ -175,24 +176,11 @@ class Chain:
         return self.answer(method, i, j).estimate
 
     def answer(self, method: str | Method | None = None, i: int = 0, j: int = 1) -> Answer:
-        """Find offset and pose of two cameras, in all the steps that this takes.
+        """Find offset and pose of two cameras, i and j from 0 on, in all the steps that this takes.
 
-        Parameters
-        ----------
-        method
-            One of the registry, or its name; None for the best one that both cameras allow.
-        i, j
-            Which two, from 0 on.
-
-        Returns
-        -------
-        Answer
-            Its estimate says with `status` and `reason` when it is not to be relied upon.
-
-        Raises
-        ------
-        SsacError
-            If what the cameras recorded cannot be used, or the method lacks something to run.
+        The method is one of the registry, or its name; None for the best one that both allow. The
+        estimate says with `status` and `reason` when it is not to be relied upon. SsacError if what
+        the cameras recorded cannot be used, or the method lacks something to run.
         """
         if not 0 <= i < j < len(self):
             raise SsacError(f"cameras {i} and {j}: there are {len(self)}, numbered from 0 on")
@@ -205,7 +193,7 @@ class Chain:
             raise SsacError(lacks)
         config = self.config.resolved(has_track)
         key = "answer", chosen, i, j, self.config
-        chosen.load()
+        load(chosen)
         with one_thread():
             return self._once(key, lambda: self._answered(chosen, (i, j), config))
 
@@ -351,13 +339,16 @@ class Chain:
             cleans = [self.clean(k) for k in range(len(self))]
             everywhere = any(self._searches_all(*two) for two in combinations(cleans, 2))
             with self.watch.part("objects") as say:
-                found = one_object(cleans, None if everywhere else interval_s)
+                found = one_object(cleans, self.config.rules, None if everywhere else interval_s)
                 if any(len(one.events) for one in cleans):
                     say(_objects_seen(*found))
             return found
 
         config = self.config
-        key = "object", config.cleaning, interval_s, config.interval_s, config.search, config.rates
+        key = (
+            *("object", config.cleaning, config.rules, interval_s),
+            *(config.interval_s, config.search, config.rates),
+        )
         every, refusal = self._once(key, chosen)
         two = every[places[0]], every[places[1]]
         lost = [k for k in places if every[k].used.seen > 1 and every[k].used.share == 0.0]

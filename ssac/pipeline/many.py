@@ -7,6 +7,7 @@ import numpy as np
 
 from ssac.errors import SsacError
 from ssac.estimate import Status
+from ssac.methods.method import Method
 from ssac.network.graph import Link, Pair
 from ssac.network.ground import Ground, ground_of_positions, ground_of_rtk, in_frame
 from ssac.network.solve import NetworkAnswer, link_of, solve_network
@@ -17,7 +18,6 @@ from ssac.pipeline.chain import Chain, one_thread
 from ssac.pipeline.many_report import NetworkResult, save_many
 from ssac.pipeline.object_track import ShapedTrack, shaped_track_of_events, track_of_events
 from ssac.pipeline.opened import NOTHING, Known
-from ssac.pipeline.registry import Method
 from ssac.points import PointTrack
 from ssac.track.body import LEAST_VIEWS
 from ssac.track.clean import Clean
@@ -63,7 +63,7 @@ def solve_pairs(
             links[pair] = link
     has_frames = any(camera.has_frames for camera in seen)
     prior_ppm = chain.config.resolved(has_frames).prior_ppm
-    return solve_network(seen, links, prior_ppm, distance_m or 1.0)
+    return solve_network(seen, links, prior_ppm, distance_m or 1.0, chain.config.rules)
 
 
 def grounded(answer: NetworkAnswer, known: Known) -> tuple[NetworkAnswer, Ground | None]:
@@ -118,14 +118,15 @@ def _sightings(chain: Chain, k: int, pairs: dict[Pair, Answer]) -> Sightings:
     """Say where a camera saw the object; nowhere, of one whose events show none."""
     clean = next(answer.cleans[pair.index(k)] for pair, answer in pairs.items() if k in pair)
     name, has_frames = Path(chain.name(k)).stem, clean.has_track
+    rules = chain.config.rules.points
     if clean.track is not None:
-        return sightings(clean.track, clean.camera, name, has_frames)
+        return sightings(clean.track, clean.camera, name, has_frames, rules)
     try:
         shaped = _followed(chain, k, clean)
     except SsacError:  # its pairs say why
         shaped = ShapedTrack(PointTrack(np.empty(0), np.empty((0, 2))), None)
     told = shaped.spreads_px2, shaped.images
-    return sightings(shaped.track, clean.camera, name, has_frames, *told)
+    return sightings(shaped.track, clean.camera, name, has_frames, rules, *told)
 
 
 def _followed(chain: Chain, k: int, clean: Clean) -> ShapedTrack:

@@ -9,6 +9,7 @@ from ssac.camera import distort_points
 from ssac.config import Config
 from ssac.errors import SsacError
 from ssac.points import PointTrack
+from ssac.rules import ObjectRules
 from ssac.search.view import seen_of, seen_times
 from ssac.track.clean import Clean
 from ssac.track.motion import SharpTrack, motion_of
@@ -49,11 +50,11 @@ def track_of_events(clean: Clean, config: Config | None = None) -> PointTrack:
     return PointTrack(sharp.times_s, points, _sigmas_px(STRAY_SIZES, sharp.sizes_px))
 
 
-def things_seen(clean: Clean) -> int:
+def things_seen(clean: Clean, rules: ObjectRules) -> int:
     """Count the things that move at a time before a camera, whose events are denoised; else 1."""
-    if not clean.denoised or not seem_several(clean.events, clean.camera):
+    if not clean.denoised or not seem_several(clean.events, clean.camera, rules):
         return 1
-    found = objects_of(clean.events, clean.camera)
+    found = objects_of(clean.events, clean.camera, rules)
     return found.n_seen if found.are_several else 1
 
 
@@ -64,10 +65,12 @@ def shaped_track_of_events(
 
     The times are those of `track_of_events`; `recorded` are all events, noise included.
     """
-    points, sharp = _followed(clean, config or Config())
+    config = config or Config()
+    points, sharp = _followed(clean, config)
     sizes_px = sharp.sizes_px
     sigmas = _sigmas_px(STRAY_SIZES, sizes_px)
-    found = silhouettes(recorded, clean.camera, sharp.times_s, sharp.positions_px, sizes_px)
+    track_px, rules = sharp.positions_px, config.rules.silhouette
+    found = silhouettes(recorded, clean.camera, sharp.times_s, track_px, sizes_px, rules)
     if found is None:
         return ShapedTrack(PointTrack(sharp.times_s, points, sigmas), None)
     known = found.known

@@ -92,20 +92,10 @@ class EpipolarRow:
 
 
 def save_figures(target: Path, material: Material) -> list[Path]:
-    """Draw what an estimate allows.
+    """Draw what an estimate allows; give the files written, none when there is nothing to draw.
 
-    Parameters
-    ----------
-    target
-        A folder, made if need be, for one PNG per figure; or a file of FIGURE_SUFFIXES for all
-        figures, one below the other.
-    material
-        Of any method and status; a figure that it lacks the data for is left out.
-
-    Returns
-    -------
-    list[Path]
-        The files written; none when there is nothing to draw.
+    The target is a folder, made if need be, for one PNG per figure; or a file of FIGURE_SUFFIXES
+    for all figures, one below the other.
     """
     if target.suffix.lower() in FIGURE_SUFFIXES:
         page = page_of(material)

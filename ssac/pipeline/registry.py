@@ -1,8 +1,8 @@
-"""The registry of methods: by a name, what runs, and what it must be given.
+"""The registry of methods: ours, and those of other packages.
 
-To add a method of ours is to add one line to OURS, and one to `summaries.SUMMARIES`. Any installed
-package adds its own by an entry point of the group `ssac.methods` (docs/methods.md). What runs is
-imported when it is asked for, so that nobody waits for the others.
+A method of ours is a function of `ssac.methods` (see `ssac.methods.method`). Any installed package
+adds its own by an entry point of the group `ssac.methods` (docs/methods.md). What runs is imported
+when it is asked for, so that nobody waits for the others.
 """
 
 import hashlib
@@ -10,15 +10,12 @@ import inspect
 import re
 import sys
 import traceback
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from enum import Enum
 from functools import cached_property
-from importlib import import_module
 from importlib.machinery import EXTENSION_SUFFIXES, SOURCE_SUFFIXES
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -26,7 +23,10 @@ from ssac.camera import Rig
 from ssac.config import Config
 from ssac.errors import PluginError, SsacError
 from ssac.estimate import Estimate, Status
-from ssac.pipeline.summaries import DEFAULT, ENTRY_POINTS, OF_TRACKS, SUMMARIES
+from ssac.methods.method import DEFAULT as DEFAULT
+from ssac.methods.method import OF_TRACKS, our_methods
+from ssac.methods.method import Input as Input
+from ssac.methods.method import Method as Method
 from ssac.track.observation import Observation
 
 EstimateFunction = Callable[[Observation, Observation, Rig, Config | None], Estimate]
@@ -35,142 +35,9 @@ _STATUS = re.compile(r"[a-z][a-z0-9_]*")
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")  # what a CSV column and a file name can hold
 
 
-class Input(Enum):
-    """What a method looks at."""
+_METHODS = "ssac.methods"  # the folder of ours, and the group of others' entry points
 
-    TRACKS = "object tracks"
-    RATES = "event rates"
-    FRAMES = "intensity frames"
-
-
-@dataclass(frozen=True)
-class Method:
-    """One way to find the offset, and perhaps the pose."""
-
-    name: str
-    estimate: EstimateFunction | None  # another package's; None: ours, which `runs` names
-    input: Input
-    summary: str  # for lists and error messages
-    needs_extrinsics: bool = False  # the rig must have T_2_1, which no other method is shown
-    known_variant: str = ""  # name of the method to take in its place when the extrinsics are known
-    version: str = ""  # of another package's code, for keys of cached results; empty for ours
-    runs: str = ""
-    """Ours, as "module:function": of an estimate and the views that it was found in, where it
-    `starts_from` another method; else of the views, or of both cameras and the config."""
-    starts_from: str = ""  # method whose estimate it refines
-    keeps_start: str = ""  # "module:function": of which views that estimate is the answer
-    takes_means: bool = False  # of the frames: images of one pixel give the same estimate
-    follows_clock: bool = False  # what camera 2's clock shows more, t_d gains: nothing else changes
-    counts: str = "pairs of positions"  # what an estimate's `n_samples` are
-    needs_events: bool = False  # a track of points in their place is not enough
-    finds_readout: bool = False  # of a rolling shutter that the rig does not state
-    of_one_object: bool = False  # of several things that move, it is given the events of one
-
-    def rig_of(self, rig: Rig) -> Rig:
-        """Give the rig as the method may see it: only one that needs the extrinsics gets them."""
-        return rig if self.needs_extrinsics else rig.unposed
-
-    @property
-    def function(self) -> Callable[..., Estimate]:
-        """What `runs` names."""
-        found: Callable[..., Estimate] = _named(self.runs)
-        return found
-
-    def load(self) -> None:
-        """Import what runs, of this method and of those that it starts from."""
-        if self.runs:
-            _named(self.runs)
-        if self.starts_from:
-            METHODS[self.starts_from].load()
-
-    def keeps(self, views: Any) -> bool:
-        """Whether the answer for these views is the estimate that it starts from."""
-        return bool(self.keeps_start and _named(self.keeps_start)(views))
-
-    @property
-    def without_tracks(self) -> str:
-        """Say why the method cannot use a track of points; empty when it can."""
-        if self.input is Input.TRACKS and not self.needs_events:
-            return ""
-        needs = "events" if self.input is Input.TRACKS else self.input.value
-        return f"{self.name} needs {needs}, which a track has not: use {OF_TRACKS}"
-
-    def lacks(
-        self, seen: Sequence[tuple[str, bool]], rig: Rig, rig_name: str, config: Config
-    ) -> str:
-        """Say what the method lacks to run at all; empty when it can.
-
-        Parameters
-        ----------
-        seen
-            Of both cameras a name, and whether it gave a track of points.
-        rig, rig_name
-            Theirs, and what to call it.
-        config
-            Of the method.
-        """
-        for name, has_track in seen:
-            if has_track and self.without_tracks:
-                return f"{name}: is a track of points; {self.without_tracks}"
-        if self.needs_extrinsics and rig.T_2_1 is None:
-            return (
-                f"{rig_name}: {self.name} needs the extrinsics (T_cn_cnm1 of cam1 in a Kalibr file,"
-                " R and T in OpenCV's): add them, or leave --known-extrinsics out"
-            )
-        for (_, has_track), camera in zip(seen, (rig.cam1, rig.cam2), strict=True):
-            if has_track and camera.readout_std_s and not self.finds_readout:
-                asked = "a readout is to be estimated (--estimate-readout)"
-                return f"{asked}, and {self.name} takes shutters as the rig says: use {OF_TRACKS}"
-        if (config.search == "all" or config.rates) and self.input is not Input.TRACKS:
-            return (
-                f"{self.name} compares {self.input.value}, and all offsets are searched with the"
-                " object's path: give an interval (--search), or another method"
-            )
-        return ""
-
-    def without_frames(self, name: str) -> str:
-        """Say that a camera of that name has no intensity frames."""
-        return (
-            f"{name}: {self.name} compares intensity frames, and there are none: use a method for"
-            f" events, such as {DEFAULT}"
-        )
-
-
-def _named(place: str) -> Any:
-    """Import what "module:function" names."""
-    module, _, name = place.partition(":")
-    return getattr(import_module(module), name)
-
-
-def _ours(name: str, runs: str, **says: Any) -> Method:
-    return Method(name, None, says.pop("input", Input.TRACKS), SUMMARIES[name], runs=runs, **says)
-
-
-_TRACKS: dict[str, Any] = {"follows_clock": True, "of_one_object": True}
-_KNOWN = {**_TRACKS, "needs_extrinsics": True}
-_TANGENTS: dict[str, Any] = {
-    "counts": "pairs of tangents to the object's outline",
-    "needs_events": True,
-    "keeps_start": "ssac.methods.tangency:is_tiny",
-}
-_REFINED = "ssac.methods.joint:joint_from"
-_TANGENCY = "ssac.methods.tangency:tangency_from"
-
-OURS = (
-    _ours("ssac", "ssac.methods.algorithms:algorithm_2", known_variant="ssac-known", **_TRACKS),
-    _ours("ssac-known", "ssac.methods.algorithms:algorithm_1", **_KNOWN),
-    _ours("joint", _REFINED, known_variant="joint-known", starts_from="ssac",
-          finds_readout=True, **_TRACKS),
-    _ours("joint-known", _REFINED, starts_from="ssac-known", finds_readout=True, **_KNOWN),
-    _ours("tangency", _TANGENCY, known_variant="tangency-known", starts_from="joint",
-          **_TRACKS, **_TANGENTS),
-    _ours("tangency-known", _TANGENCY, starts_from="joint-known", **_KNOWN, **_TANGENTS),
-    _ours("albl", "ssac.methods.albl:albl_of_views"),
-    _ours("zncc_e", "ssac.methods.correlations:zncc_e_of_events", input=Input.RATES),
-    _ours("zncc_f", "ssac.methods.correlations:zncc_f_of_frames", input=Input.FRAMES,
-          takes_means=True),
-    _ours("event_rate", "ssac.methods.correlations:event_rate_of_events", input=Input.RATES),
-)  # fmt: skip
+OURS = our_methods()
 
 
 class Registry(Mapping[str, Method]):
@@ -202,7 +69,7 @@ class Registry(Mapping[str, Method]):
     @cached_property
     def _entry_points(self) -> dict[str, list[EntryPoint]]:
         found: dict[str, list[EntryPoint]] = {}
-        for entry in entry_points(group=ENTRY_POINTS):
+        for entry in entry_points(group=_METHODS):
             found.setdefault(entry.name, []).append(entry)
         return found
 
@@ -222,25 +89,21 @@ class Registry(Mapping[str, Method]):
 METHODS: Mapping[str, Method] = Registry()
 
 
+def load(method: Method) -> None:
+    """Import what runs, of a method and of those that it starts from."""
+    if method.runs:
+        _ = method.function
+    if method.starts_from:
+        load(METHODS[method.starts_from])
+
+
 def choose_method(
     name: str | None = None, known_extrinsics: bool = False, has_track: bool = False
 ) -> Method:
-    """Look up a method.
+    """Look up a method by its name; None for the best one, also of tracks of points.
 
-    Parameters
-    ----------
-    name
-        Of the registry; None for the best one.
-    known_extrinsics
-        Take the variant of the method that is given the extrinsics.
-    has_track
-        A camera gave a track of points: the best one is another then.
-
-    Raises
-    ------
-    SsacError
-        If there is no such method, or no variant of it that is given the extrinsics, or the package
-        that it comes from is broken.
+    With known extrinsics it is the variant that is given them. SsacError if there is no such method
+    or variant, or the package that it comes from is broken.
     """
     name = (OF_TRACKS if has_track else DEFAULT) if name is None else name
     method = METHODS.get(name) if isinstance(name, str) else None

@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from ssac.estimate import Estimate
 from ssac.files.whole_file import whole_file
+from ssac.methods.method import Method
 from ssac.pipeline.answer import Answer
-from ssac.pipeline.registry import Method
 from ssac.track.clean import Clean
 
 _FAR = 3.0  # times what was expected of a skew

@@ -15,16 +15,14 @@ from ssac.config import Interval
 from ssac.estimate import Refusal, Status
 from ssac.geometry.epipolar import sampson_distance
 from ssac.geometry.fundamental import lmeds_fundamental, reweighted_fundamental
+from ssac.rules import ObjectRules, Rules
 from ssac.search.all_offsets import costs_at_lags, local_minima
 from ssac.track.clean import Clean, ObjectsUsed
 from ssac.track.clutter import chosen_events
 from ssac.track.motion import point_motion
-from ssac.track.objects import BIN_US, Objects, Piece, chains_of, objects_of, seem_several
+from ssac.track.objects import Objects, Piece, chains_of, objects_of, seem_several
 
 Array = NDArray[np.float64]
-
-HALF_BIN_S = 0.5e-6 * BIN_US
-"""Step of the offsets that are told from each other [s]."""
 
 _CHAINS, _ALONE = 3, 2  # of each view: the longest chains, and the longest pieces
 _MINIMA = 2  # of each pair's cost
@@ -63,7 +61,10 @@ class _Sampled:
 
 
 def matches(
-    pieces1: list[Piece], pieces2: list[Piece], interval_s: tuple[float, float] | None
+    pieces1: list[Piece],
+    pieces2: list[Piece],
+    interval_s: tuple[float, float] | None,
+    rules: ObjectRules,
 ) -> list[Match]:
     """Find offsets at which pieces of both views are of one object, the best borne out first.
 
@@ -75,12 +76,12 @@ def matches(
         Least and largest offset [s], as if both recordings started at a time; None for any.
     """
     grids1, grids2 = list(map(_sampled, pieces1)), list(map(_sampled, pieces2))
-    starts = []
-    for chain1 in _candidates(pieces1):
+    starts, half_bin_s = [], 0.5e-6 * rules.bin_us
+    for chain1 in _candidates(pieces1, rules):
         one = _joined([grids1[i] for i in chain1])
-        for chain2 in _candidates(pieces2):
+        for chain2 in _candidates(pieces2, rules):
             other = _joined([grids2[j] for j in chain2])
-            for cost, lag in _minima(one, other, interval_s):
+            for cost, lag in _minima(one, other, interval_s, half_bin_s):
                 starts.append((cost, lag, one, other, (chain1, chain2)))
     found: list[Match] = []
     for _, lag, one, other, chains in sorted(starts, key=lambda start: start[:2])[:_STARTS]:
@@ -98,9 +99,9 @@ def both_see(pieces1: list[Piece], pieces2: list[Piece], lag: int) -> int:
     return len(seen1 & seen2)
 
 
-def _candidates(pieces: list[Piece]) -> list[list[int]]:
+def _candidates(pieces: list[Piece], rules: ObjectRules) -> list[list[int]]:
     """Longest chains, and the longest pieces by themselves: no wrong turn is in these."""
-    chains = chains_of(pieces)[:_CHAINS]
+    chains = chains_of(pieces, rules)[:_CHAINS]
     longest = np.argsort([-len(piece.positions_px) for piece in pieces], kind="stable")
     alone = [[int(i)] for i in longest[:_ALONE]]
     return chains + [piece for piece in alone if piece not in chains]
@@ -141,7 +142,7 @@ def _joined(grids: list[_Sampled]) -> _Sampled:
 
 
 def _minima(
-    one: _Sampled, other: _Sampled, interval_s: tuple[float, float] | None
+    one: _Sampled, other: _Sampled, interval_s: tuple[float, float] | None, half_bin_s: float
 ) -> list[tuple[float, int]]:
     """Find the costs of the best offsets of two chains, and these offsets [half bins].
 
@@ -150,7 +151,7 @@ def _minima(
     shift = other.first - one.first
     first, last = 1 - len(one.valid), len(other.valid) - 1
     if interval_s is not None:
-        low, high = (bound_s / HALF_BIN_S - shift for bound_s in interval_s)
+        low, high = (bound_s / half_bin_s - shift for bound_s in interval_s)
         first, last = max(first, int(np.ceil(low))), min(last, int(np.floor(high)))
     lags = np.arange(first, last + 1, dtype=np.int64)
     costs, counts = costs_at_lags(
@@ -293,7 +294,7 @@ _TRACK_SIZE_PX = 5.0  # of an object of which a track shows the path alone
 
 
 def one_object(
-    cleans: Sequence[Clean], interval_s: Interval | None = None
+    cleans: Sequence[Clean], rules: Rules, interval_s: Interval | None = None
 ) -> tuple[tuple[Clean, ...], Refusal | None]:
     """Choose the object that all cameras saw, where one of them saw several things at a time.
 
@@ -313,24 +314,26 @@ def one_object(
         out one object for longest say which it is; a further one that saw nothing of it has no
         events left.
     """
-    seem = [one.denoised and seem_several(one.events, one.camera) for one in cleans]
+    seem = [one.denoised and seem_several(one.events, one.camera, rules.objects) for one in cleans]
     if not any(seem) or any(not one.has_track and len(one.events) == 0 for one in cleans):
         return tuple(cleans), None
-    objects = [_objects(one) for one in cleans]
+    objects = [_objects(one, rules) for one in cleans]
     if not any(one.are_several for one, several in zip(objects, seem, strict=True) if several):
         return tuple(cleans), None
-    pieces = _chosen(objects, interval_s)
+    pieces = _chosen(objects, interval_s, rules)
     if isinstance(pieces, Refusal):
         seen = [ObjectsUsed(one.n_seen, 0.0) for one in objects]
         return tuple(replace(one, used=n) for one, n in zip(cleans, seen, strict=True)), pieces
     return tuple(_only(*one) for one in zip(cleans, objects, pieces, strict=True)), None
 
 
-def _chosen(objects: list[Objects], interval_s: Interval | None) -> list[set[int]] | Refusal:
+def _chosen(
+    objects: list[Objects], interval_s: Interval | None, rules: Rules
+) -> list[set[int]] | Refusal:
     """Give the numbers of each camera's pieces that are one object's."""
     matched, refusals = dict[tuple[int, int], Match](), list[Refusal]()
     for a, b in combinations(range(len(objects)), 2):
-        found = _matched(objects[a], objects[b], interval_s)
+        found = _matched(objects[a], objects[b], interval_s, rules)
         if isinstance(found, Refusal):
             refusals.append(found)
         else:
@@ -341,7 +344,7 @@ def _chosen(objects: list[Objects], interval_s: Interval | None) -> list[set[int
     pieces = {k: {both[place] for both in matched[pair].pairs} for place, k in enumerate(pair)}
     alone = [_with_only(objects[k], pieces[k]) for k in pair]
     for k in set(range(len(objects))) - set(pair):
-        found_by = [_matched(one, objects[k], interval_s) for one in alone]
+        found_by = [_matched(one, objects[k], interval_s, rules) for one in alone]
         fits = [one for one in found_by if isinstance(one, Match)]
         best = max(fits, key=lambda one: one.common, default=None)
         pieces[k] = set() if best is None else {both[1] for both in best.pairs}
@@ -353,20 +356,25 @@ def _with_only(objects: Objects, numbers: set[int]) -> Objects:
     return replace(objects, n_seen=1, pieces=[objects.pieces[i] for i in sorted(numbers)])
 
 
-def _objects(seen: Clean) -> Objects:
+def _objects(seen: Clean, rules: Rules) -> Objects:
     """Follow the things that one camera saw; a track of points is that of one object."""
     if seen.track is None:
-        return objects_of(seen.events, seen.camera)
+        return objects_of(seen.events, seen.camera, rules.objects)
     start_s, end_s = seen.span_s
-    times_s = np.arange(start_s + HALF_BIN_S, end_s, 2.0 * HALF_BIN_S, np.float64)
-    track = point_motion(seen.track, seen.camera, HALF_BIN_S).at(times_s)
+    half_bin_s = 0.5e-6 * rules.objects.bin_us
+    times_s = np.arange(start_s + half_bin_s, end_s, 2.0 * half_bin_s, np.float64)
+    track = point_motion(seen.track, seen.camera, rules.points, half_bin_s).at(times_s)
     positions = np.where(track.valid[:, None], track.positions_px, np.nan)
     none = np.empty(0, np.int64)
     piece = Piece(0, positions, np.ones(len(times_s)), _TRACK_SIZE_PX, none)
-    return Objects(round(1e6 * start_s), False, 1, [piece], none.astype(np.int32))
+    return Objects(
+        round(1e6 * start_s), rules.objects.bin_us, False, 1, [piece], none.astype(np.int32)
+    )
 
 
-def _matched(one: Objects, other: Objects, interval_s: Interval | None) -> Match | Refusal:
+def _matched(
+    one: Objects, other: Objects, interval_s: Interval | None, rules: Rules
+) -> Match | Refusal:
     """Match the pieces of two views at the offset that they bear out best.
 
     Refused where none are one object's, or those of several offsets may be.
@@ -374,13 +382,13 @@ def _matched(one: Objects, other: Objects, interval_s: Interval | None) -> Match
     start_s = 1e-6 * (other.start_us - one.start_us)  # of camera 2 after camera 1
     if interval_s is not None:
         interval_s = (interval_s[0] - start_s, interval_s[1] - start_s)
-    found = matches(one.pieces, other.pieces, interval_s)
+    found = matches(one.pieces, other.pieces, interval_s, rules.objects)
     things = f"the cameras see {one.n_seen} and {other.n_seen} things at a time"
     pieces = one.pieces, other.pieces
-    needed_s = MIN_COMMON_S
+    needed_s, half_bin_s = MIN_COMMON_S, 0.5e-6 * rules.objects.bin_us
     if found:
-        needed_s = max(needed_s, MIN_SHARE * HALF_BIN_S * both_see(*pieces, found[0].lag))
-    common_s = HALF_BIN_S * found[0].common if found else 0.0
+        needed_s = max(needed_s, MIN_SHARE * half_bin_s * both_see(*pieces, found[0].lag))
+    common_s = half_bin_s * found[0].common if found else 0.0
     if common_s < needed_s:
         reason = (
             f"{things}, and no two of them follow one epipolar geometry for more than"
@@ -397,7 +405,7 @@ def _matched(one: Objects, other: Objects, interval_s: Interval | None) -> Match
     ]
     if not rivals:
         return best
-    offsets_s = [start_s + HALF_BIN_S * match.lag for match in [best, *rivals]]
+    offsets_s = [start_s + half_bin_s * match.lag for match in [best, *rivals]]
     others = ", ".join(f"{offset_s:.2f}" for offset_s in offsets_s[1:6])
     reason = (
         f"{things}: two of them fit one epipolar geometry at an offset of {offsets_s[0]:.2f} s, and"
@@ -417,13 +425,14 @@ def _only(seen: Clean, objects: Objects, numbers: set[int]) -> Clean:
         events=chosen_events(seen.events, chosen),
         clutter=None,
         on_line=None,
-        gaps_us=_gaps_us(objects.start_us, pieces),
+        gaps_us=_gaps_us(objects, pieces),
         used=ObjectsUsed(objects.n_seen, float(np.mean(chosen))),
     )
 
 
-def _gaps_us(start_us: int, pieces: list[Piece]) -> NDArray[np.int64]:
+def _gaps_us(objects: Objects, pieces: list[Piece]) -> NDArray[np.int64]:
     """Give the times (g, 2) [us] between pieces, in order of time, and beyond all."""
     ends = np.array([(piece.first, piece.last) for piece in pieces], np.int64).ravel()
-    gaps_us = np.concatenate([[-_FAR_US], start_us + BIN_US * ends, [_FAR_US]]).reshape(-1, 2)
+    ends_us = objects.start_us + objects.bin_us * ends
+    gaps_us = np.concatenate([[-_FAR_US], ends_us, [_FAR_US]]).reshape(-1, 2)
     return np.asarray(gaps_us[gaps_us[:, 1] > gaps_us[:, 0]])

@@ -1,4 +1,4 @@
-"""Voxels of a body and its images in; the body as it is drawn, fitted to them and turned, out.
+"""A body of voxels: how it is drawn, fitted to images, and turned until it is drawn as they are.
 
 A voxel darkens the pixels it is before; what shines through all of them is not covered. Optical
 depths are summed on pixels of half the size, shares are their means.
@@ -10,42 +10,24 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Images = NDArray[np.float32]
-Mask = NDArray[np.bool_]
+Voxels = tuple[Array, Array, float]
+"""Voxels (m, 3) in the body's frame, their optical depths (m,) and their width."""
+
+Drawn = tuple[Images, Array, Array, Array, Array]
+"""Of n images: the share of each pixel that is covered (n, w, w), where their first pixels are from
+the principal point (n, 2) [px], the body's origin in the cameras' frames (n, 3), its axes there, or
+what turns the axes' frame to the cameras' (n, 3, 3), and focal lengths (n, 2) [px]."""
 
 FINE = 2
 """Pixels of a drawing across one of the image."""
 
-_TURN_RAD, _MOVE_PX = 0.02, 0.1  # steps of the derivatives
-_MOST_TURN_RAD, _MOST_MOVE_PX = 0.15, 1.0  # of one round
-_PRIOR = 1.0  # of turns, as a part of the normal matrix: 1 rad as 1 px^2 of an image
 _NONE = 1e-9
 
 
 @numba.njit(cache=True)
-def seen_shares(
-    voxels: Array,
-    least: float,
-    images: Images,
-    corners: Array,
-    points: Array,
-    turns: Array,
-    focals: Array,
-) -> Array:
-    """Give the share (m,) of the n images that are at least that much covered at each voxel.
-
-    Parameters
-    ----------
-    voxels
-        Shape (m, 3), in the body's frame.
-    least
-        That much.
-    images, corners
-        Shapes (n, w, w), which share of each pixel is covered, and (n, 2), where their first pixels
-        are, from the principal point [px].
-    points, turns, focals
-        Shapes (n, 3), (n, 3, 3) and (n, 2): the body's origin and its axes in the camera's frame,
-        and focal lengths [px].
-    """
+def seen_shares(voxels: Array, least: float, drawn: Drawn) -> Array:
+    """Give the share (m,) of the images that are at least that much covered at each voxel."""
+    images, corners, points, turns, focals = drawn
     hits = np.zeros(len(voxels))
     width = images.shape[1]
     for i in range(len(images)):
@@ -62,24 +44,14 @@ def seen_shares(
 
 
 @numba.njit(cache=True)
-def improved(
-    voxels: Array,
-    densities: Array,
-    step: float,
-    images: Images,
-    corners: Array,
-    points: Array,
-    turns: Array,
-    focals: Array,
-) -> Array:
-    """Fit the voxels' densities (m,) to images by one multiplicative step of least squares.
-
-    Parameters are as above, with the voxels' width `step`, in which densities are optical depths.
-    """
+def improved(body: Voxels, drawn: Drawn) -> Array:
+    """Fit the voxels' densities (m,) to images by one multiplicative step of least squares."""
+    voxels, densities, step = body
+    images, corners, points, turns, focals = drawn
     m, width = len(voxels), images.shape[1]
     fine = FINE * width
     depths, by_image, by_drawn = np.zeros((3, fine, fine))
-    seen, drawn = np.full(m, _NONE), np.full(m, _NONE)
+    seen, shown = np.full(m, _NONE), np.full(m, _NONE)
     for i in range(len(images)):
         _draw(depths, voxels, densities, step, turns[i], points[i], focals[i], corners[i])
         for y in range(width):
@@ -104,52 +76,32 @@ def improved(
                 (b + 1, a + 1, p * q),
             ):
                 seen[j] += weight * by_image[row, col]
-                drawn[j] += weight * by_drawn[row, col]
-    return np.asarray(densities * seen / drawn)
+                shown[j] += weight * by_drawn[row, col]
+    return np.asarray(densities * seen / shown)
 
 
 @numba.njit(cache=True)
 def registered(
-    voxels: Array,
-    densities: Array,
-    step: float,
-    images: Images,
-    corners: Array,
-    points: Array,
-    views: Array,
-    focals: Array,
-    attitude: Array,
-    turning: bool,
-    rounds: int,
+    body: Voxels, drawn: Drawn, attitude: Array, turning: bool, rounds: int
 ) -> tuple[Array, Array, float]:
     """Turn the body, and move each of its drawings, until they are as c images of one instant.
 
-    Parameters
-    ----------
-    voxels, densities, step, images, corners, points, focals
-        As above, for the c images.
-    views
-        Shape (c, 3, 3): from the frame of attitudes to the cameras'.
-    attitude
-        Shape (3, 3): the body's axes, to begin with.
-    turning
-        No: drawings are only moved.
-    rounds
-        Of least squares.
-
-    Returns
-    -------
-    tuple
-        The attitude; how far the drawings were moved (c, 2) [px]; which share of the images was
-        left, as squares, before the last round's step.
+    By rounds of least squares from an attitude (3, 3) on, its axes in the frame that `drawn` turns
+    to the cameras'; without turning, drawings are only moved. Gives the attitude; how far the
+    drawings were moved (c, 2) [px]; which share of the images was left, as squares, before the last
+    round's step.
     """
+    voxels, densities, step = body
+    images, corners, points, views, focals = drawn
+    turn_rad, move_px = 0.02, 0.1  # steps of the derivatives
+    most_turn_rad, most_move_px = 0.15, 1.0  # of one round
     c, width = len(images), images.shape[1]
     moves, cost, whole = np.zeros((c, 2)), 0.0, _NONE
     depths = np.zeros((FINE * width, FINE * width))
     shares = np.zeros((6, width, width))
     for _ in range(rounds):
         cost, whole = 0.0, _NONE
-        normal, right = _PRIOR * np.eye(3), np.zeros(3)
+        normal, right = np.eye(3), np.zeros(3)  # a prior: 1 rad as 1 px^2 of an image
         own = np.zeros((c, 2, 2))
         mixed = np.zeros((c, 2, 3))
         left = np.zeros((c, 2))
@@ -161,10 +113,10 @@ def registered(
                 axes, off = attitude, corner.copy()
                 if 1 <= changed <= 3:
                     small = np.zeros(3)
-                    small[changed - 1] = _TURN_RAD
+                    small[changed - 1] = turn_rad
                     axes = attitude @ _turned(small)
                 elif changed:
-                    off[changed - 4] -= _MOVE_PX
+                    off[changed - 4] -= move_px
                 turn = views[k] @ axes
                 _draw(depths, voxels, densities, step, turn, points[k], focals[k], off)
                 for y in range(width):
@@ -181,9 +133,9 @@ def registered(
                     if share == 0.0:
                         continue
                     for a in range(3):
-                        by[a] = (shares[a + 1, y, x] - share) / _TURN_RAD if turning else 0.0
+                        by[a] = (shares[a + 1, y, x] - share) / turn_rad if turning else 0.0
                     for a in range(2):
-                        by[3 + a] = (shares[a + 4, y, x] - share) / _MOVE_PX
+                        by[3 + a] = (shares[a + 4, y, x] - share) / move_px
                     for a in range(5):
                         r[a] += by[a] * off_share
                         for b in range(5):
@@ -194,44 +146,25 @@ def registered(
             normal += J[:3, :3] - mixed[k].T @ own[k] @ mixed[k]
             right += r[:3] - mixed[k].T @ own[k] @ left[k]
         turn = np.linalg.solve(normal, right) if turning else np.zeros(3)
-        turn *= min(1.0, _MOST_TURN_RAD / (np.sqrt(np.sum(turn**2)) + _NONE))
+        turn *= min(1.0, most_turn_rad / (np.sqrt(np.sum(turn**2)) + _NONE))
         for k in range(c):
             move = own[k] @ (left[k] - mixed[k] @ turn)
-            moves[k] += move * min(1.0, _MOST_MOVE_PX / (np.sqrt(np.sum(move**2)) + _NONE))
+            moves[k] += move * min(1.0, most_move_px / (np.sqrt(np.sum(move**2)) + _NONE))
         attitude = attitude @ _turned(turn)
     return attitude, moves, cost / whole
 
 
 @numba.njit(cache=True)
-def aligned(
-    voxels: Array,
-    densities: Array,
-    step: float,
-    images: Images,
-    corners: Array,
-    points: Array,
-    turns: Array,
-    focals: Array,
-    rounds: int,
-) -> tuple[Array, Array]:
+def aligned(body: Voxels, drawn: Drawn, rounds: int) -> tuple[Array, Array]:
     """Move each of n drawings until it is as its image: by (n, 2) [px], and what is left (n,)."""
+    images, corners, points, turns, focals = drawn
     n = len(images)
     moves, costs = np.zeros((n, 2)), np.zeros(n)
+    view = np.eye(3).reshape(1, 3, 3)
     for i in range(n):
-        one = slice(i, i + 1)
-        _, move, costs[i] = registered(
-            voxels,
-            densities,
-            step,
-            images[one],
-            corners[one],
-            points[one],
-            np.eye(3).reshape(1, 3, 3),
-            focals[one],
-            turns[i],
-            False,
-            rounds,
-        )
+        k = slice(i, i + 1)
+        one = images[k], corners[k], points[k], view, focals[k]
+        _, move, costs[i] = registered(body, one, turns[i], False, rounds)
         moves[i] = move[0]
     return moves, costs
 

@@ -1,4 +1,4 @@
-"""One camera's recording without its noise: checked, filtered, and what that did to it.
+"""One camera's recording, checked and without its noise.
 
 Everything that looks for the object starts from here. Nothing of how it moves is known yet.
 """
@@ -62,17 +62,8 @@ class Clean(Observation):
 def clean(seen: Observation, camera: Camera, how: Cleaning, name: str = "camera") -> Clean:
     """Check what a camera recorded, and remove the noise from its events (Sec. IV-A).
 
-    Parameters
-    ----------
-    seen
-        What it recorded. What is clean already stays as it is, but for denoising that was skipped
-        and is asked for now.
-    camera
-        Its intrinsics.
-    how
-        Whether noise is removed, and by how many neighbours an event is kept.
-    name
-        Of the camera, for messages.
+    What is clean already stays as it is, but for denoising that was skipped and is asked for now.
+    Messages call the camera by the recording's name, or else by `name`.
 
     Raises
     ------
@@ -86,14 +77,9 @@ def clean(seen: Observation, camera: Camera, how: Cleaning, name: str = "camera"
     if seen.denoised or not how.denoise or seen.has_track:
         return seen
     events, size = seen.events, (camera.width, camera.height)
-    left, clutter = without_noise(events, *size, how.n_neighbours)
-    return replace(
-        seen,
-        events=left,
-        denoised=True,
-        clutter=clutter,
-        on_line=events_on_line(events, left, *size),
-    )
+    left, clutter = without_noise(events, *size, how.n_neighbours, how.noise)
+    on_line = events_on_line(events, left, *size, how.line)
+    return replace(seen, events=left, denoised=True, clutter=clutter, on_line=on_line)
 
 
 def _checked(seen: Observation, camera: Camera, name: str) -> Clean:

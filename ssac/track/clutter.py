@@ -1,8 +1,8 @@
-"""One camera's events in; how active each pixel is, what noise there is, and what is masked, out.
+"""Which pixels fire by themselves, and how much noise there is in the others.
 
-Lamps that flicker and pixels that fire by themselves are no part of anything that moves, and a
-cluster of them looks like an object to a filter of isolated events. They are told from an object by
-never pausing, and by a sharp edge: whatever moves leaves traces all around where it stays.
+Lamps that flicker and hot pixels are no part of anything that moves, yet a cluster of them looks
+like an object to a filter of isolated events. Unlike an object they never pause, and they have a
+sharp edge: whatever moves leaves traces all around where it stays.
 """
 
 from dataclasses import dataclass
@@ -12,75 +12,60 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, find_objects, label
 
-BIN_US = 100_000
-"""Time in which a pixel is active, or is not."""
+from ssac.rules import NoiseRules
 
-MIN_SHARE = 0.2
-"""Of the bins of every part of a recording: what is active in more never pauses."""
-
-PARTS = 10
-"""Of a recording: an object that hovers for long still leaves, or comes, or is gone, in some."""
-
-_BIN_S = 1e-6 * BIN_US
-_MIN_BINS = 2 * PARTS  # shorter recordings do not tell what stays
-_MIN_EVENTS = 50  # pixels with fewer are never masked
-_ABOVE = 4.0  # times the background's events
-_MIN_CLUSTER = 3  # pixels: fewer are alone
-_RING_PX = 1  # around a cluster
-_MAX_AROUND = 0.1  # of a cluster's events per pixel: those of the ring around it
-_COMPARABLE = 8.0  # times as few events
-_MIN_COMPANIONS = 2  # of a pixel that is part of an image
-_CELL_PX = 16  # side of the squares whose events tell the background
-_MAX_IN_CELL = 1 << 14  # and in a bin; more are counted as so many
+Events = NDArray[np.void]
+Pixels = NDArray[np.uint16]
+Counts = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
 class Activity:
-    """What the pixels of a sensor did, over the bins of BIN_US in which any did something."""
+    """What the pixels of a sensor did, over the bins of time in which any did something."""
 
-    counts: NDArray[np.int64]  # (height, width) events
-    active: NDArray[np.int32]  # (PARTS, height, width) bins with events, by part of the recording
-    n_bins: NDArray[np.int64]  # (PARTS,)
+    counts: Counts  # (height, width) events
+    active: NDArray[np.int32]  # (parts, height, width) bins with events, by part of the recording
+    n_bins: Counts  # (parts,)
     background_hz: float  # of an ordinary pixel
 
 
-def activity(events: NDArray[np.void], width: int, height: int) -> Activity:
-    """Count what each pixel of a sensor did.
+def activity(events: Events, width: int, height: int, rules: NoiseRules) -> Activity:
+    """Count what each pixel of a sensor of that size [px] did.
 
-    The background is that of the middle fifth of all squares of 16 px in all bins, ordered by their
-    events: of an object that covers less than 40 % of the sensor, or a burst at the start, nothing
-    is in it.
-
-    Parameters
-    ----------
-    events
-        Events, dtype EVENT_DTYPE, shape (N,), sorted by time.
-    width, height
-        Sensor size [px].
+    All squares of some pixels in all bins are ordered by their events, and the middle fifth of them
+    is the background: an object that covers less than 40 % of the sensor, or a burst at the start,
+    has no part in it.
     """
-    starts = _starts_of_bins(events["t"])
-    counts, active, n_bins, squares = _count(starts, events["x"], events["y"], width, height)
+    starts = _starts_of_bins(events["t"], rules.bin_us)
+    counts, active, n_bins, squares = _count(
+        starts, events["x"], events["y"], width, height, rules.parts, rules.square_px
+    )
     ends = np.cumsum(squares)
     low, high = 0.4 * ends[-1], 0.6 * ends[-1]
     weights = np.clip(ends, low, high) - np.clip(ends - squares, low, high)
     of_square = float(weights @ np.arange(len(squares)) / max(high - low, 1.0))
-    return Activity(counts, active, n_bins, of_square / (_CELL_PX**2 * _BIN_S))
+    return Activity(
+        counts, active, n_bins, of_square / (rules.square_px**2 * (1e-6 * rules.bin_us))
+    )
 
 
-def masked_pixels(found: Activity) -> NDArray[np.bool_]:
+def masked_pixels(found: Activity, rules: NoiseRules) -> Mask:
     """Tell the pixels (height, width) that fire by themselves, alone or in clusters."""
-    lone = _lone_pixels(found.counts, _MIN_EVENTS, _COMPARABLE, _MIN_COMPANIONS)
-    return np.asarray(lone | _clusters(found, ~lone))
+    lone = _lone_pixels(
+        found.counts, rules.min_masked_events, rules.comparable_ratio, rules.min_companions
+    )
+    return np.asarray(lone | _clusters(found, ~lone, rules))
 
 
-def unmasked(events: NDArray[np.void], masked: NDArray[np.bool_]) -> NDArray[np.void]:
+def unmasked(events: Events, masked: Mask) -> Events:
     """Events (n,) without those of masked pixels (height, width); the very array where none is."""
     if not masked.any():
         return events
     return chosen_events(events, of_pixels(~masked, events["x"], events["y"]))
 
 
-def chosen_events(events: NDArray[np.void], chosen: NDArray[np.bool_]) -> NDArray[np.void]:
+def chosen_events(events: Events, chosen: Mask) -> Events:
     """Copy the events (n,) where `chosen` (n,) holds: as indexing does, but four times as fast."""
     found = np.empty(np.count_nonzero(chosen), events.dtype)
     _gather(events, chosen, found)
@@ -88,7 +73,7 @@ def chosen_events(events: NDArray[np.void], chosen: NDArray[np.bool_]) -> NDArra
 
 
 @numba.njit(cache=True)
-def _gather(events: NDArray[np.void], chosen: NDArray[np.bool_], found: NDArray[np.void]) -> None:
+def _gather(events: Events, chosen: Mask, found: Events) -> None:
     """Fill in the chosen events, in memory of NumPy's: that in large pages is ready sooner."""
     n = 0
     for i in range(len(chosen)):
@@ -98,9 +83,7 @@ def _gather(events: NDArray[np.void], chosen: NDArray[np.bool_], found: NDArray[
 
 
 @numba.njit(cache=True)
-def of_pixels(
-    chosen: NDArray[np.bool_], x: NDArray[np.uint16], y: NDArray[np.uint16]
-) -> NDArray[np.bool_]:
+def of_pixels(chosen: Mask, x: Pixels, y: Pixels) -> Mask:
     """Whether each event (n,) is of a chosen pixel (height, width), with no other array (n,)."""
     found = np.empty(len(x), np.bool_)
     for i in range(len(x)):
@@ -109,11 +92,11 @@ def of_pixels(
 
 
 @numba.njit(cache=True)
-def _starts_of_bins(t: NDArray[np.int64]) -> NDArray[np.intp]:
+def _starts_of_bins(t: NDArray[np.int64], bin_us: int) -> NDArray[np.intp]:
     """Index of the first event of each bin in which there are events, and their number at last."""
     starts, first = [0], 0
     while first < len(t):
-        end_us = t[first] + BIN_US - (t[first] - t[0]) % BIN_US
+        end_us = t[first] + bin_us - (t[first] - t[0]) % bin_us
         first += np.searchsorted(t[first:], end_us)
         starts.append(first)
     return np.array(starts)
@@ -122,24 +105,26 @@ def _starts_of_bins(t: NDArray[np.int64]) -> NDArray[np.intp]:
 @numba.njit(cache=True)
 def _count(
     starts: NDArray[np.intp],
-    x: NDArray[np.uint16],
-    y: NDArray[np.uint16],
+    x: Pixels,
+    y: Pixels,
     width: int,
     height: int,
-) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.int64], NDArray[np.int64]]:
+    parts: int,
+    square_px: int,
+) -> tuple[Counts, NDArray[np.int32], Counts, Counts]:
     """Count events and active bins by pixel, bins by part, and squares by their events in a bin.
 
     Each event is counted once, in its bin; all else is of the pixels that the bin touched.
     """
     n_pixels = height * width
-    counts, active = np.zeros(n_pixels, np.int64), np.zeros((PARTS, n_pixels), np.int32)
+    counts, active = np.zeros(n_pixels, np.int64), np.zeros((parts, n_pixels), np.int32)
     in_bin, touched = np.zeros(n_pixels, np.int32), np.empty(n_pixels + 1, np.int32)
-    n_bins = np.zeros(PARTS, np.int64)
-    in_square = np.zeros((height // _CELL_PX + 1, width // _CELL_PX + 1), np.int64)
-    squares = np.zeros(_MAX_IN_CELL + 1, np.int64)
+    n_bins = np.zeros(parts, np.int64)
+    in_square = np.zeros((height // square_px + 1, width // square_px + 1), np.int64)
+    squares = np.zeros((1 << 14) + 1, np.int64)  # those with more events are counted as the last
     total = len(starts) - 1
     for k in range(total):
-        part = k * PARTS // total
+        part = k * parts // total
         n_bins[part] += 1
         n_touched = 0
         for i in range(starts[k], starts[k + 1]):
@@ -152,27 +137,19 @@ def _count(
             in_bin[pixel] = 0
             counts[pixel] += n
             active[part, pixel] += 1
-            in_square[pixel // width // _CELL_PX, pixel % width // _CELL_PX] += n
-        _end_bin(in_square, squares, width, height)
+            in_square[pixel // width // square_px, pixel % width // square_px] += n
+        for row in range(height // square_px):
+            for column in range(width // square_px):
+                squares[min(in_square[row, column], len(squares) - 1)] += 1
+        in_square[:] = 0
     shape = height, width
-    return counts.reshape(shape), active.reshape((PARTS, *shape)), n_bins, squares
-
-
-@numba.njit(cache=True)
-def _end_bin(
-    in_square: NDArray[np.int64], squares: NDArray[np.int64], width: int, height: int
-) -> None:
-    """Enter the events of the whole squares in one bin, and begin the next."""
-    for row in range(height // _CELL_PX):
-        for column in range(width // _CELL_PX):
-            squares[min(in_square[row, column], _MAX_IN_CELL)] += 1
-    in_square[:] = 0
+    return counts.reshape(shape), active.reshape((parts, *shape)), n_bins, squares
 
 
 @numba.njit(cache=True)
 def _lone_pixels(
-    counts: NDArray[np.int64], min_events: int, count_ratio: float, min_companions: int
-) -> NDArray[np.bool_]:
+    counts: Counts, min_events: int, comparable_ratio: float, min_companions: int
+) -> Mask:
     """Whether each pixel (height, width) has many events, and too few of those around it have.
 
     Whatever an object does, its image is larger than a pixel, and an edge of it that passes, or
@@ -189,40 +166,37 @@ def _lone_pixels(
             n_companions = -1  # the pixel finds itself
             for i in range(max(row - 2, 0), min(row + 3, height)):
                 for j in range(max(column - 2, 0), min(column + 3, width)):
-                    n_companions += counts[i, j] * count_ratio >= own
+                    n_companions += counts[i, j] * comparable_ratio >= own
             lone[row, column] = n_companions < min_companions
     return lone
 
 
-def _clusters(found: Activity, allowed: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _clusters(found: Activity, allowed: Mask, rules: NoiseRules) -> Mask:
     """Pixels (height, width) of clusters that never pause, and around which there is little.
 
     Of a slow or hovering object either fails: it is not there all the time, or where it is most of
     the time blurs into where it seldom is.
     """
-    nothing = np.zeros(found.counts.shape, np.bool_)
+    clusters = np.zeros(found.counts.shape, np.bool_)
     total = int(np.sum(found.n_bins))
-    if total < _MIN_BINS:
-        return nothing
-    background = _BIN_S * total * found.background_hz  # events of an ordinary pixel
-    restless = allowed & (found.counts > max(_MIN_EVENTS, _ABOVE * background))
+    if total < rules.min_bins_per_part * rules.parts:
+        return clusters
+    background = 1e-6 * rules.bin_us * total * found.background_hz  # events of an ordinary pixel
+    least = max(rules.min_masked_events, rules.min_over_background * background)
+    restless = allowed & (found.counts > least)
     for active, n_bins in zip(found.active, found.n_bins, strict=True):
-        restless &= active > MIN_SHARE * n_bins
+        restless &= active > rules.min_active_share * n_bins
     neighbours = np.ones((3, 3), np.bool_)
     labels = np.zeros(restless.shape, np.int32)
     label(restless, neighbours, output=labels)
-    clusters, others = nothing, allowed & ~restless
-    for number, (rows, columns) in enumerate(find_objects(labels), start=1):
-        box = _wider(rows), _wider(columns)
+    others = allowed & ~restless
+    for number, parts in enumerate(find_objects(labels), start=1):
+        box = tuple(slice(max(part.start - 1, 0), part.stop + 1) for part in parts)
         cluster = labels[box] == number
-        ring = binary_dilation(cluster, neighbours, _RING_PX) & others[box]
-        if np.sum(cluster) < _MIN_CLUSTER or not ring.any():
+        ring = binary_dilation(cluster, neighbours) & others[box]
+        if np.sum(cluster) < rules.min_cluster_px or not ring.any():
             continue
         own, around = (np.median(found.counts[box][part]) for part in (cluster, ring))
-        if around - background <= _MAX_AROUND * (own - background):
+        if around - background <= rules.max_ring_share * (own - background):
             clusters[box] |= cluster
     return clusters
-
-
-def _wider(part: slice) -> slice:
-    return slice(max(part.start - _RING_PX, 0), part.stop + _RING_PX)

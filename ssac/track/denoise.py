@@ -1,4 +1,4 @@
-"""Events in, the events of the moving object out: what fires by itself, or alone, removed.
+"""The events of the moving object alone, without those that fire by themselves or are isolated.
 
 How many neighbours an event needs follows from the noise that is there, and from how many events
 the object makes; the paper's 20 are what an ordinary drone in ordinary light needs.
@@ -13,34 +13,15 @@ from scipy.special import pdtrc
 
 from ssac.config import N_MIN
 from ssac.events import first_from
+from ssac.rules import NoiseRules
 from ssac.track.clutter import activity, chosen_events, masked_pixels, unmasked
 
+Events = NDArray[np.void]
+Times = NDArray[np.int64]
+Pixels = NDArray[np.uint16]
+Mask = NDArray[np.bool_]
+
 US_PER_MS = 1000.0
-
-PAPER_PX, PAPER_NEIGHBOURS = 5.0, 20
-"""The paper's ball [px, ms] and the neighbours in it."""
-
-NEAR_PX, NEAR_NEIGHBOURS = 3.0, 12
-"""The same where there is much noise: what lies beside the object by chance, a large ball keeps."""
-
-NOISY_HZ = 1.0
-"""Background of a pixel from which the small ball is taken."""
-
-MOST = 0.9
-"""Share of an object's events that have more neighbours, where these are asked for."""
-
-LEAST_NEIGHBOURS = 5
-"""However little noise there is."""
-
-THIN = 2.0
-"""An object of fewer events in a window than so many times the paper's N_min is thin."""
-
-_LEAST_N_MIN = 20
-_SHARE_N_MIN = 0.25  # of a thin object's events in a window
-_WINDOW_S = 0.040  # whatever the config's is: what is prepared must not depend on that
-_SAMPLES = 1000  # of windows
-
-_CORE = 0.4  # of the ball's squared radius: pixels nearer than that are counted, for most events
 
 
 @dataclass(frozen=True)
@@ -58,93 +39,83 @@ class Clutter:
     def is_adapted(self) -> bool:
         """Whether the paper's values were left."""
         used = self.radius_px, self.n_neighbours, self.n_min
-        return used != (PAPER_PX, PAPER_NEIGHBOURS, N_MIN)
+        return used != (NoiseRules.ball_px, NoiseRules.ball_neighbours, N_MIN)
 
 
 def without_noise(
-    events: NDArray[np.void], width: int, height: int, n_neighbours: int | None = None
-) -> tuple[NDArray[np.void], Clutter]:
-    """Remove what fires by itself, then what fires alone.
+    events: Events, width: int, height: int, n_neighbours: int | None, rules: NoiseRules
+) -> tuple[Events, Clutter]:
+    """Remove what fires by itself, then what fires alone; give what is left, and what was done.
 
     Parameters
     ----------
     events
-        Events, dtype EVENT_DTYPE, shape (N,), sorted by time.
+        Of one camera, dtype EVENT_DTYPE, shape (N,), sorted by time.
     width, height
         Sensor size [px].
     n_neighbours
-        That an event needs in the paper's ball. None: the paper's, in little noise; in more than
-        NOISY_HZ the smaller ball; fewer, if noise allows it, where the object is thin.
-
-    Returns
-    -------
-    tuple
-        The events left, in the same order, and what was done.
+        That an event needs in the paper's ball. None: the paper's, in little noise; in more the
+        smaller ball; fewer, if noise allows it, where the object is thin.
     """
-    found = activity(events, width, height)
-    mask = masked_pixels(found)
+    found = activity(events, width, height, rules)
+    mask = masked_pixels(found, rules)
     n_all, hz = len(events), found.background_hz
     events, size_px = unmasked(events, mask), (width, height)
     n_masked = n_all - len(events)
-    radius_px, n = PAPER_PX, n_neighbours or PAPER_NEIGHBOURS
-    if n_neighbours is None and hz > NOISY_HZ:
-        radius_px, n = NEAR_PX, least_neighbours(hz, width * height, NEAR_PX, NEAR_NEIGHBOURS)
+    radius_px, n = rules.ball_px, n_neighbours or rules.ball_neighbours
+    if n_neighbours is None and hz > rules.noisy_hz:
+        radius_px, near_n = rules.near_ball_px, rules.near_ball_neighbours
+        n = least_neighbours(hz, width * height, radius_px, near_n, rules)
         left = radius_filter(events, radius_px, n_neighbours=n, mostly_noise=True, size_px=size_px)
-        fewer = radius_filter(left, radius_px, n_neighbours=NEAR_NEIGHBOURS, size_px=size_px)
-        if len(fewer) > MOST * len(left):
-            left, n = fewer, NEAR_NEIGHBOURS
+        fewer = radius_filter(left, radius_px, n_neighbours=near_n, size_px=size_px)
+        if len(fewer) > rules.min_kept_share * len(left):
+            left, n = fewer, near_n
     else:
-        left = radius_filter(events, n_neighbours=n, size_px=size_px)
-        if n_neighbours is None and events_per_window(left) < THIN * N_MIN:
-            n = least_neighbours(hz, width * height, PAPER_PX, PAPER_NEIGHBOURS)
-            left = radius_filter(events, n_neighbours=n, size_px=size_px)
-    n_min, in_window = N_MIN, events_per_window(left)
-    if in_window < THIN * N_MIN:
-        n_min = int(np.clip(_SHARE_N_MIN * in_window, _LEAST_N_MIN, N_MIN))
+        left = radius_filter(events, radius_px, n_neighbours=n, size_px=size_px)
+        if n_neighbours is None and _events_per_window(left, rules) < rules.thin_ratio * N_MIN:
+            n = least_neighbours(hz, width * height, radius_px, rules.ball_neighbours, rules)
+            left = radius_filter(events, radius_px, n_neighbours=n, size_px=size_px)
+    n_min, in_window = N_MIN, _events_per_window(left, rules)
+    if in_window < rules.thin_ratio * N_MIN:
+        n_min = int(np.clip(rules.thin_n_min_share * in_window, rules.least_n_min, N_MIN))
     return left, Clutter(int(mask.sum()), n_masked, hz, radius_px, n, n_min)
 
 
-def least_neighbours(background_hz: float, n_pixels: int, radius_px: float, most: int) -> int:
-    """Fewest neighbours that leave at most one event of the noise in a window, up to `most`.
+def least_neighbours(
+    background_hz: float, n_pixels: int, radius_px: float, most: int, rules: NoiseRules
+) -> int:
+    """Fewest neighbours in a ball that leave at most one event of the noise in a window.
 
-    Parameters
-    ----------
-    background_hz
-        Of each pixel, at random times.
-    n_pixels
-        Of the sensor.
-    radius_px
-        Of the ball [px, ms].
-    most
-        Given where even that many leave more.
+    The noise is that of each of the sensor's pixels, at random times; `most` where even as many
+    leave more.
     """
     in_ball = background_hz * 4.0 / 3.0 * np.pi * radius_px**3 / US_PER_MS
-    in_window = background_hz * n_pixels * _WINDOW_S
-    for n in range(LEAST_NEIGHBOURS, most):
+    in_window = background_hz * n_pixels * rules.window_s
+    for n in range(rules.least_neighbours, most):
         if in_window * pdtrc(n - 1, in_ball) <= 1.0:  # n or more, of a Poisson distribution
             return n
     return most
 
 
-def events_per_window(events: NDArray[np.void]) -> float:
-    """Median number of events within 20 ms of one of them; 0 of none."""
+def _events_per_window(events: Events, rules: NoiseRules) -> float:
+    """Median number of events in a window about one of them, of a thousand; 0 of none."""
     t = events["t"]
     if len(t) == 0:
         return 0.0
-    some = t[:: -(-len(t) // _SAMPLES)]
-    half_us = round(0.5e6 * _WINDOW_S)
+    some = t[:: -(-len(t) // 1000)]
+    half_us = round(0.5e6 * rules.window_s)
     return float(np.median(first_from(t, some + half_us) - first_from(t, some - half_us)))
 
 
 def radius_filter(
-    events: NDArray[np.void],
-    radius_px: float = PAPER_PX,
+    events: Events,
+    radius_px: float = NoiseRules.ball_px,
     ms_per_unit: float = 1.0,
-    n_neighbours: int = PAPER_NEIGHBOURS,
+    n_neighbours: int = NoiseRules.ball_neighbours,
     *,
     mostly_noise: bool = False,
     size_px: tuple[int, int] | None = None,
-) -> NDArray[np.void]:
+) -> Events:
     """Events with enough neighbours in a ball of x-y-t space, as the paper's authors filter.
 
     Time is scaled so that `ms_per_unit` milliseconds count as much as one pixel. An event is kept
@@ -153,22 +124,13 @@ def radius_filter(
     Parameters
     ----------
     events
-        Events, dtype EVENT_DTYPE, shape (N,), sorted by time.
-    radius_px
-        Radius of the ball [px].
-    ms_per_unit
-        Length of the time axis's unit [ms/px].
-    n_neighbours
-        Neighbours needed, the event itself not counted.
+        Of one camera, dtype EVENT_DTYPE, shape (N,), sorted by time.
+    radius_px, ms_per_unit, n_neighbours
+        The ball, and the neighbours needed in it, the event itself not counted.
     mostly_noise
         Most events are to be removed: another way to the same result, which is faster then.
     size_px
         The sensor's width and height; None: as far as the events reach.
-
-    Returns
-    -------
-    NDArray[np.void]
-        The kept events, in the same order.
 
     Notes
     -----
@@ -184,19 +146,19 @@ def radius_filter(
     offsets_px, spans_us = _ball(radius_px, US_PER_MS * ms_per_unit)
     where = events["t"], events["x"], events["y"]
     if mostly_noise or radius_px < 1.0:
-        keep = has_neighbours_in_noise(*where, offsets_px, spans_us, n_neighbours)
+        keep = _has_neighbours_in_noise(*where, offsets_px, spans_us, n_neighbours)
         return chosen_events(events, keep)
-    width, height = size_px or extent(*where[1:])
+    width, height = size_px or _extent(*where[1:])
     margin_px = int(radius_px)
     n_rows = height + 2 * margin_px
-    squared_px = max(_CORE * radius_px**2, 1.0)
+    # Pixels nearer than 0.4 of the ball's squared radius are the core: which share changes nothing.
+    squared_px = max(0.4 * radius_px**2, 1.0)
     core_us = int(np.min(spans_us[np.sum(offsets_px**2, axis=1) <= squared_px]))
     steps = offsets_px[:, 0] * n_rows + offsets_px[:, 1]
     sensor = width + 2 * margin_px, n_rows, margin_px
     core = _core(squared_px, n_rows), core_us
-    return chosen_events(
-        events, has_neighbours(*where, sensor, steps, spans_us, *core, n_neighbours)
-    )
+    keep = _has_neighbours(*where, sensor, steps, spans_us, *core, n_neighbours)
+    return chosen_events(events, keep)
 
 
 def _core(squared_px: float, n_rows: int) -> tuple[int, ...]:
@@ -228,24 +190,18 @@ def _ball(radius_px: float, us_per_px: float) -> tuple[NDArray[np.int64], NDArra
     return offsets_px[order], spans_us.astype(np.int64)
 
 
-_SLOTS = 16  # of time, on each side, in which tiles are counted
-_TOGETHER, _PARTS = 64, 8  # events at most whose boxes are one, and of a box's half time
-_LEAP = 16  # events by which the first that a ball may reach moves on
-_LOOK = 64  # events between two looks at how many there are in a time
-
-
 @numba.njit(cache=True)
-def has_neighbours(
-    t: NDArray[np.int64],
-    x: NDArray[np.uint16],
-    y: NDArray[np.uint16],
+def _has_neighbours(
+    t: Times,
+    x: Pixels,
+    y: Pixels,
     sensor: tuple[int, int, int],
     steps: NDArray[np.int64],
-    spans_us: NDArray[np.int64],
+    spans_us: Times,
     core: tuple[int, ...],
     core_us: int,
     n_neighbours: int,
-) -> NDArray[np.bool_]:
+) -> Mask:
     """Whether each event has `n_neighbours` others within a ball.
 
     The sensor is of so many columns and rows of cells, so many of which are a margin on each side.
@@ -255,7 +211,8 @@ def has_neighbours(
     sign needs no look whether it counts from the end.
     """
     n, radius_us = len(t), spans_us[0]
-    longest_us = core_us // _PARTS  # events are taken by so many, so that loops are few, and long
+    together, leap = 64, 16  # events are taken by so many, so that loops are few, and long
+    longest_us = core_us // 8
     n_columns, n_rows, margin_px = sensor
     length = _power_above(_most_within(t, 2 * radius_us + longest_us))
     mask = np.uint32(length - 1)
@@ -268,7 +225,7 @@ def has_neighbours(
     keep = np.zeros(n, np.bool_)
     start = first = end = first_of_core = end_of_core = 0
     while start < n:
-        stop, last = start + 1, min(start + _TOGETHER, n)
+        stop, last = start + 1, min(start + together, n)
         while stop < last and t[stop] - t[start] <= longest_us:
             stop += 1
         earliest_us, latest_us = t[start], t[stop - 1]
@@ -289,8 +246,8 @@ def has_neighbours(
             for row in (-1, 0, 1):
                 counts[np.uint32(cell + row)] += 1
             end_of_core += 1
-        while first + _LEAP < n and t[first + _LEAP] < earliest_us - radius_us:
-            first += _LEAP  # at most the first that a ball reaches, which the rings still hold
+        while first + leap < n and t[first + leap] < earliest_us - radius_us:
+            first += leap  # at most the first that a ball reaches, which the rings still hold
         for i in range(start, stop):
             here = cells[np.uint32(i) & mask]
             n_found = -1  # the event finds itself
@@ -316,22 +273,22 @@ def has_neighbours(
 
 
 @numba.njit(cache=True)
-def has_neighbours_in_noise(
-    t: NDArray[np.int64],
-    x: NDArray[np.uint16],
-    y: NDArray[np.uint16],
+def _has_neighbours_in_noise(
+    t: Times,
+    x: Pixels,
+    y: Pixels,
     offsets_px: NDArray[np.int64],
-    spans_us: NDArray[np.int64],
+    spans_us: Times,
     n_neighbours: int,
-) -> NDArray[np.bool_]:
-    """Tell the same as `has_neighbours`, fast where next to all events have too few.
+) -> Mask:
+    """Tell the same as `_has_neighbours`, fast where next to all events have too few.
 
     The events of square tiles are counted over the ball's time: few counters, which stay near.
     """
     n, radius_us = len(t), spans_us[0]
-    slot_us = radius_us // _SLOTS + 1
+    slot_us = radius_us // 16 + 1  # of time, in which tiles are counted
     margin_px = int(np.max(offsets_px))
-    n_columns, n_rows = extent(x, y)
+    n_columns, n_rows = _extent(x, y)
     n_columns, n_rows = n_columns + 2 * margin_px, n_rows + 2 * margin_px
     steps = offsets_px[:, 0] * n_rows + offsets_px[:, 1]
     bits = 0  # a tile's side is a power of two, at least the ball's radius
@@ -378,7 +335,7 @@ def has_neighbours_in_noise(
 
 
 @numba.njit(cache=True)
-def extent(x: NDArray[np.uint16], y: NDArray[np.uint16]) -> tuple[int, int]:
+def _extent(x: Pixels, y: Pixels) -> tuple[int, int]:
     """Columns and rows that hold all events."""
     largest_x = largest_y = 0
     for i in range(len(x)):
@@ -387,17 +344,15 @@ def extent(x: NDArray[np.uint16], y: NDArray[np.uint16]) -> tuple[int, int]:
 
 
 @numba.njit(cache=True)
-def _most_within(t: NDArray[np.int64], duration_us: int) -> int:
-    """Bound the events of the busiest stretch of time, both ends included, from above.
-
-    By looking at every 64th event alone.
-    """
+def _most_within(t: Times, duration_us: int) -> int:
+    """Bound the events of the busiest stretch of time, both ends included, from above."""
+    look = 64  # events between two that are looked at
     most = end = 0
-    for start in range(0, len(t) + _LOOK, _LOOK):
+    for start in range(0, len(t) + look, look):
         last_us = t[min(start, len(t) - 1)] + duration_us
         while end < len(t) and t[end] <= last_us:
-            end += _LOOK
-        most = max(most, end - start + _LOOK)  # any stretch that begins after `start - _LOOK`
+            end += look
+        most = max(most, end - start + look)  # any stretch that begins after `start - look`
     return most
 
 

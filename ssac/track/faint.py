@@ -1,4 +1,11 @@
-"""All events of one camera in; those of a faint object, small and far away, out."""
+"""The events of a faint object, small and far away, out of all that one camera recorded.
+
+What tells a distant object from noise by its neighbours alone loses it where it is slow or far. But
+where it must be is known by then, from before and after, and in a corridor of its own size about
+that place there is little noise. The path is smoothed with the events of the corridor, each by the
+share that the object has in all events there, which lengthens what is known of it at both ends;
+and so on, until no more is gained.
+"""
 
 from dataclasses import dataclass
 
@@ -7,117 +14,45 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssac.errors import SsacError
+from ssac.rules import FaintRules, Rules
 from ssac.track.clutter import activity, masked_pixels, unmasked
 from ssac.track.denoise import radius_filter
 
-N_NEIGHBOURS, MS_PER_UNIT, N_ROUNDS = 10, 8.0, 4
-"""Of the radius filter: an image of 6 px that moves by 60 px/s has some 500 events a second, and
-none has the paper authors' 20 neighbours within 5 ms. Noise and the edges of clouds have two in
-this larger ball, and by chance ten; but such clumps have too few among themselves, and melt when
-they are filtered again, while the object's events keep each other. From there it is followed
-through the others."""
-
-
-def faint_object_events(events: NDArray[np.void], width: int, height: int) -> NDArray[np.void]:
-    """Find the events of one object that makes too few to be told from noise by their neighbours.
-
-    What the radius filter leaves is surely the object's, but has gaps where it is far or slow;
-    through these it is followed.
-
-    Parameters
-    ----------
-    events
-        All events of a camera, dtype EVENT_DTYPE, shape (m,), sorted by time.
-    width, height
-        Sensor size [px].
-
-    Returns
-    -------
-    (k,) array
-        Those of the object; those that are surely its own where they are too few to follow it.
-
-    Raises
-    ------
-    SsacError
-        When no event is surely of an object.
-    """
-    kept = unmasked(events, masked_pixels(activity(events, width, height)))
-    sure = kept
-    for _ in range(N_ROUNDS):
-        sure = radius_filter(sure, ms_per_unit=MS_PER_UNIT, n_neighbours=N_NEIGHBOURS)
-    if not len(sure):
-        raise SsacError(
-            f"of {len(events)} events none keeps {N_NEIGHBOURS} neighbours within 5 px (a px being"
-            f" {MS_PER_UNIT:g} ms): no object is seen, or it is too faint even for --faint"
-        )
-    found = follow(kept, sure, width, height)
-    return sure if found is None else found.events
-
-
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
-
-BIN_US = 20_000
-"""Length of a bin [us]: a slow object goes less than its own size in it."""
-
-ACCELERATION = 200.0
-"""Density of the image's acceleration [px^2/s^3]: 20 px/s in two seconds, as of a drone that flies
-5 m/s at 35 m. Of 200 and 600, chosen on four flights of the outdoor twin with seeds from 71,000."""
-
-LOST_PX = 3.0
-"""Deviation of the predicted place, from which nothing more is looked for."""
-
-SIGNIFICANT = 6.0
-"""Deviations of the background's number of events, above which the object is seen. With 4, a path
-followed the edges of clouds for up to a tenth of the time."""
-
-CORRIDOR_SIGMAS = 2.5
-"""Half the corridor's width, in deviations of the object's image."""
-
-_COUNTED = 4.0  # squared deviations: the best part of the object over the least background
-_HALF_PX = 20.0  # of the square that tells the background
-_WINDOW_BINS = 12  # on each side: half a second in which the object is seen, or is not
-_SIZE_BINS = 25  # on each side: the image's size changes within seconds
-_SURE_BINS, _SURE = 5, 10  # on each side, and events in them, where the object is sure
-_DEAD_END_BINS = 25  # of a path that leads on from where the object is sure, and to no such place
-_MOST_ROUNDS = 12
-_ONE_PLACE_PX = 10.0  # half of what an image may be wide, and may move from a bin to the next
-_LEAST_IN_CLUMP = 30  # events; chance and clouds leave clumps of up to 20
-_LEAST_IN_SIZE, _LEAST_IN_BIN = 40, 4  # events
-_LEAST_VARIANCES_PX2 = (1.0, 0.5)
-_MOST_VARIANCE_PX2 = 64.0
-_LEAST_AROUND_PX2 = 50.0
-_LEAST_BACKGROUND = 1e-4  # events in a bin and a pixel
-_LEAST_WEIGHT = 1e-3
+Events = NDArray[np.void]
+Indices = NDArray[np.int64]
+Pixels = NDArray[np.uint16]
 
 
 @dataclass(frozen=True)
 class Followed:
-    """An object's path in the raw image, in bins of BIN_US from the first event on."""
+    """An object's path in the raw image, in even bins of time from the first event on."""
 
     start_us: int
     positions_px: Array  # (n, 2) at the bins' middles
     velocities_px_s: Array  # (n, 2)
     half_sizes_px: Array  # (n, 2) of the corridor
     seen: Flags  # (n,)
-    events: NDArray[np.void]  # of the corridor, where the object is seen
+    events: Events  # of the corridor, where the object is seen
 
 
 @dataclass(frozen=True)
 class _Binned:
     """Events by bins."""
 
-    events: NDArray[np.void]
+    events: Events
     start_us: int
+    bin_us: int
     ages_s: Array  # (m,) from the middle of the bin on
-    bounds: NDArray[np.int64]  # (n + 1,) first event of each bin
+    bounds: Indices  # (n + 1,) first event of each bin
 
     def __len__(self) -> int:
         return len(self.bounds) - 1
 
-    def of(self, events: NDArray[np.void]) -> NDArray[np.int64]:
+    def of(self, events: Events) -> Indices:
         """Give the bin of each of some events (k,)."""
-        return np.asarray((events["t"] - self.start_us) // BIN_US)
+        return np.asarray((events["t"] - self.start_us) // self.bin_us)
 
 
 @dataclass(frozen=True)
@@ -128,16 +63,41 @@ class _Path:
     known: Flags  # (n,) well enough to look for events
 
 
+def faint_object_events(events: Events, width: int, height: int, by: Rules | None = None) -> Events:
+    """Find the events of one object that makes too few to be told from noise by their neighbours.
+
+    What the radius filter leaves is surely the object's, but has gaps where it is far or slow;
+    through these it is followed. Where that is too little to follow, it is all that is given.
+
+    Raises
+    ------
+    SsacError
+        When no event is surely of an object.
+    """
+    by = by or Rules()
+    rules = by.faint
+    kept = unmasked(events, masked_pixels(activity(events, width, height, by.noise), by.noise))
+    sure, n = kept, rules.n_neighbours
+    for _ in range(rules.rounds):
+        sure = radius_filter(sure, ms_per_unit=rules.ms_per_px, n_neighbours=n)
+    if not len(sure):
+        raise SsacError(
+            f"of {len(events)} events none keeps {n} neighbours within 5 px (a px being"
+            f" {rules.ms_per_px:g} ms): no object is seen, or it is too faint even for --faint"
+        )
+    found = follow(kept, sure, width, height, rules)
+    return sure if found is None else found.events
+
+
 def follow(
-    events: NDArray[np.void], sure: NDArray[np.void], width: int, height: int
+    events: Events, sure: Events, width: int, height: int, rules: FaintRules
 ) -> Followed | None:
     """Follow the one object that a camera sees between and beyond where it is sure.
 
     Parameters
     ----------
     events
-        All events of the camera, dtype EVENT_DTYPE, shape (m,), sorted by time; without what fires
-        by itself (`ssac.track.clutter`).
+        All events of the camera, sorted by time, without what fires by itself.
     sure
         Those of them that a strict filter leaves: next to none of noise.
     width, height
@@ -148,41 +108,44 @@ def follow(
     Followed or None
         None where too few events are sure for the size of the object's image.
     """
-    bins = _binned(events)
-    sure = _lasting(sure, bins)
+    bins, size = _binned(events, rules.bin_us), (width, height)
+    sure = _lasting(sure, bins, rules)
     bin_of_sure = bins.of(sure)
     counts, means_px = _means(sure, bin_of_sure, len(bins))
-    sizes_px2 = _sizes(sure, bin_of_sure, counts, means_px)
+    sizes_px2 = _sizes(sure, bin_of_sure, counts, means_px, rules)
     if sizes_px2 is None:
         return None
     weights, n_before = counts, -1
-    for _ in range(_MOST_ROUNDS):
-        path = _smoothed(weights, means_px, sizes_px2, (width, height))
-        rates, background, seen = _rates(bins, path, sizes_px2, (width, height))
-        sums = _sums(bins, path, sizes_px2, rates, background)
+    for _ in range(rules.max_rounds):
+        path = _smoothed(weights, means_px, sizes_px2, size, rules)
+        rates, background, seen = _rates(bins, path, sizes_px2, size, rules)
+        sums = _sums(bins, path, sizes_px2, rates, background, rules)
         weights = sums[:, 2]
         means_px = sums[:, 3:5] / np.maximum(weights, _LEAST_WEIGHT)[:, None]
         if np.count_nonzero(seen) <= n_before:
             break
         n_before = np.count_nonzero(seen)
-    is_sure = (_around(counts, _SURE_BINS) >= _SURE) & seen
-    seen = seen & ~_dead_ends(seen, is_sure)
-    half_sizes_px = CORRIDOR_SIGMAS * np.sqrt(sizes_px2)
+    is_sure = (_around(counts, rules.sure_bins) >= rules.min_sure_events) & seen
+    seen = seen & ~_dead_ends(seen, is_sure, rules.dead_end_bins)
+    half_sizes_px = rules.corridor_sigmas * np.sqrt(sizes_px2)
     where = path.positions_px, path.velocities_px_s, half_sizes_px
-    inside = in_corridor(bins.ages_s, events["x"], events["y"], bins.bounds, seen, *where)
+    inside = _in_corridor(bins.ages_s, events["x"], events["y"], bins.bounds, seen, *where)
     return Followed(bins.start_us, *where, seen, events[inside])
 
 
-def _binned(events: NDArray[np.void]) -> _Binned:
+_LEAST_WEIGHT = 1e-3  # of what is measured in a bin, in events
+
+
+def _binned(events: Events, bin_us: int) -> _Binned:
     times_us = events["t"]
     start_us = int(times_us[0])
-    n = int(times_us[-1] - start_us) // BIN_US + 1
-    bounds = np.searchsorted(times_us, start_us + BIN_US * np.arange(n + 1))
-    ages_s = 1e-6 * ((times_us - start_us) % BIN_US - 0.5 * BIN_US)
-    return _Binned(events, start_us, ages_s, bounds.astype(np.int64))
+    n = int(times_us[-1] - start_us) // bin_us + 1
+    bounds = np.searchsorted(times_us, start_us + bin_us * np.arange(n + 1))
+    ages_s = 1e-6 * ((times_us - start_us) % bin_us - 0.5 * bin_us)
+    return _Binned(events, start_us, bin_us, ages_s, bounds.astype(np.int64))
 
 
-def _lasting(sure: NDArray[np.void], bins: _Binned) -> NDArray[np.void]:
+def _lasting(sure: Events, bins: _Binned, rules: FaintRules) -> Events:
     """Leave out what cannot be the one object: bins in two places, and clumps that do not last.
 
     If such a clump is the object's after all, it is found again when the object is followed.
@@ -191,21 +154,19 @@ def _lasting(sure: NDArray[np.void], bins: _Binned) -> NDArray[np.void]:
         bin_of_sure = bins.of(sure)
         means_px = _means(sure, bin_of_sure, len(bins))[1][bin_of_sure]
         away_px = np.maximum(abs(sure["x"] - means_px[:, 0]), abs(sure["y"] - means_px[:, 1]))
-        sure = sure[away_px < _ONE_PLACE_PX]
+        sure = sure[away_px < rules.one_place_px]
     bin_of_sure = bins.of(sure)
     counts, means_px = _means(sure, bin_of_sure, len(bins))
     full = np.flatnonzero(counts)
     jumps_px = np.max(np.abs(np.diff(means_px[full], axis=0)), axis=1, initial=0.0)
-    is_break = (np.diff(full) > _SURE_BINS) | (jumps_px > _ONE_PLACE_PX)
+    is_break = (np.diff(full) > rules.sure_bins) | (jumps_px > rules.one_place_px)
     clump = np.zeros(len(bins), np.int64)
     clump[full[1:]] = np.cumsum(is_break)
     in_clump = np.bincount(clump[bin_of_sure], minlength=1)
-    return np.asarray(sure[in_clump[clump[bin_of_sure]] >= _LEAST_IN_CLUMP])
+    return np.asarray(sure[in_clump[clump[bin_of_sure]] >= rules.min_clump_events])
 
 
-def _means(
-    events: NDArray[np.void], bin_of_event: NDArray[np.int64], n_bins: int
-) -> tuple[Array, Array]:
+def _means(events: Events, bin_of_event: Indices, n_bins: int) -> tuple[Array, Array]:
     """Count the events of each bin (n,), and give their means (n, 2)."""
     counts = np.bincount(bin_of_event, minlength=n_bins).astype(np.float64)
     sums = [np.bincount(bin_of_event, events[name], minlength=n_bins) for name in ("x", "y")]
@@ -213,33 +174,36 @@ def _means(
 
 
 def _sizes(
-    sure: NDArray[np.void], bin_of_sure: NDArray[np.int64], counts: Array, means_px: Array
+    sure: Events, bin_of_sure: Indices, counts: Array, means_px: Array, rules: FaintRules
 ) -> Array | None:
     """Variances (n, 2) of the object's events about its place; in between where it is not sure."""
-    good = counts >= _LEAST_IN_BIN
+    good = counts >= rules.min_bin_events
     of_good = good[bin_of_sure]
-    n_free = _around(np.where(good, counts - 1.0, 0.0), _SIZE_BINS)
-    enough = n_free >= _LEAST_IN_SIZE
+    n_free = _around(np.where(good, counts - 1.0, 0.0), rules.size_bins)
+    enough = n_free >= rules.min_size_events
     if not enough.any():
         return None
     bins, sizes = np.arange(len(counts)), np.empty((len(counts), 2))
     for axis, name in enumerate(("x", "y")):
         squares = np.where(of_good, (sure[name] - means_px[bin_of_sure, axis]) ** 2, 0.0)
         in_bins = np.bincount(bin_of_sure, squares, minlength=len(counts))
-        variances = _around(in_bins.astype(np.float64), _SIZE_BINS) / np.maximum(n_free, 1.0)
+        variances = _around(in_bins.astype(np.float64), rules.size_bins) / np.maximum(n_free, 1.0)
         sizes[:, axis] = np.interp(bins, bins[enough], variances[enough])
-    return np.clip(sizes, _LEAST_VARIANCES_PX2, _MOST_VARIANCE_PX2)
+    return np.clip(sizes, rules.least_variances_px2, rules.max_variance_px2)
 
 
-def _smoothed(weights: Array, means_px: Array, sizes_px2: Array, size: tuple[int, int]) -> _Path:
+def _smoothed(
+    weights: Array, means_px: Array, sizes_px2: Array, size: tuple[int, int], rules: FaintRules
+) -> _Path:
     """Path of constant velocity but for a random acceleration, through the bins' means."""
     measured = weights > _LEAST_WEIGHT
     axes = [
         smoothed_path(
             np.ascontiguousarray(means_px[:, axis]),
             np.where(measured, sizes_px2[:, axis] / np.maximum(weights, _LEAST_WEIGHT), np.inf),
-            1e-6 * BIN_US,
-            ACCELERATION,
+            1e-6 * rules.bin_us,
+            rules.acceleration,
+            rules.max_speed_variance,
         )
         for axis in (0, 1)
     ]
@@ -247,37 +211,44 @@ def _smoothed(weights: Array, means_px: Array, sizes_px2: Array, size: tuple[int
         np.stack(columns, axis=1) for columns in zip(*axes, strict=True)
     )
     inside = np.all((positions >= 0.0) & (positions <= np.array(size) - 1.0), axis=1)
-    known = inside & np.all(variances <= LOST_PX**2, axis=1)
+    known = inside & np.all(variances <= rules.lost_px**2, axis=1)
     return _Path(positions, velocities, variances, known)
 
 
 def _rates(
-    bins: _Binned, path: _Path, sizes_px2: Array, size: tuple[int, int]
+    bins: _Binned, path: _Path, sizes_px2: Array, size: tuple[int, int], rules: FaintRules
 ) -> tuple[Array, Array, Flags]:
     """Events of the object in each bin, of all else in a bin and a pixel, and where it is seen."""
-    nothing = np.zeros(len(bins))
-    sums, known = _sums(bins, path, sizes_px2, nothing, nothing), path.known
+    nothing, around = np.zeros(len(bins)), rules.window_bins
+    sums, known = _sums(bins, path, sizes_px2, nothing, nothing, rules), path.known
     area_px2 = np.pi * np.sqrt(np.prod(sizes_px2 + path.variances_px2, axis=1))
-    low = np.maximum(path.positions_px - _HALF_PX, -0.5)
-    high = np.minimum(path.positions_px + _HALF_PX, np.array(size) - 0.5)
-    around_px2 = np.prod(high - low, axis=1) - AROUND * area_px2
-    around_px2 = np.maximum(around_px2, _LEAST_AROUND_PX2)
-    n_around = _around(np.where(known, sums[:, 1], 0.0), _WINDOW_BINS)
-    all_px2 = np.maximum(_around(np.where(known, around_px2, 0.0), _WINDOW_BINS), 1e-9)
-    background = np.maximum(n_around / all_px2, _LEAST_BACKGROUND)
-    expected = np.where(known, background * _COUNTED * area_px2, 0.0)
-    found = _around(np.where(known, sums[:, 0], 0.0), _WINDOW_BINS)
-    expected = _around(expected, _WINDOW_BINS)
+    low = np.maximum(path.positions_px - rules.half_px, -0.5)
+    high = np.minimum(path.positions_px + rules.half_px, np.array(size) - 0.5)
+    around_px2 = np.prod(high - low, axis=1) - rules.around * area_px2
+    around_px2 = np.maximum(around_px2, rules.least_around_px2)
+    n_around = _around(np.where(known, sums[:, 1], 0.0), around)
+    all_px2 = np.maximum(_around(np.where(known, around_px2, 0.0), around), 1e-9)
+    background = np.maximum(n_around / all_px2, rules.least_background)
+    expected = np.where(known, background * rules.counted * area_px2, 0.0)
+    found = _around(np.where(known, sums[:, 0], 0.0), around)
+    expected = _around(expected, around)
     above = found - expected
-    seen = known & (above > SIGNIFICANT * np.sqrt(expected + 1.0))
-    n_known = np.maximum(_around(np.where(known, 1.0, 0.0), _WINDOW_BINS), 1.0)
-    rates = above / n_known / (1.0 - np.exp(-0.5 * _COUNTED))
+    seen = known & (above > rules.significant * np.sqrt(expected + 1.0))
+    n_known = np.maximum(_around(np.where(known, 1.0, 0.0), around), 1.0)
+    rates = above / n_known / (1.0 - np.exp(-0.5 * rules.counted))
     return np.where(seen, rates, 0.0), background, seen
 
 
-def _sums(bins: _Binned, path: _Path, sizes_px2: Array, rates: Array, background: Array) -> Array:
-    """Sum up the events about a path, as `sums_in_bins` does."""
-    return sums_in_bins(
+def _sums(
+    bins: _Binned,
+    path: _Path,
+    sizes_px2: Array,
+    rates: Array,
+    background: Array,
+    rules: FaintRules,
+) -> Array:
+    """Sum up the events about a path, as `_sums_in_bins` does."""
+    return _sums_in_bins(
         bins.ages_s,
         bins.events["x"],
         bins.events["y"],
@@ -286,14 +257,13 @@ def _sums(bins: _Binned, path: _Path, sizes_px2: Array, rates: Array, background
         path.positions_px,
         path.velocities_px_s,
         sizes_px2 + np.where(path.known[:, None], path.variances_px2, 0.0),
-        _HALF_PX,
-        _COUNTED,
+        (rules.half_px, rules.counted, rules.inside, rules.around),
         rates,
         background,
     )
 
 
-def _dead_ends(seen: Flags, is_sure: Flags) -> Flags:
+def _dead_ends(seen: Flags, is_sure: Flags, dead_end_bins: int) -> Flags:
     """Bins (n,) of paths that do not lead from where the object is sure to where it is again.
 
     Such a path may have taken a cloud for the object: only its first half second is kept.
@@ -305,8 +275,8 @@ def _dead_ends(seen: Flags, is_sure: Flags) -> Flags:
         to_sure = last < len(seen) and is_sure[last]
         if from_sure and to_sure:
             continue
-        start = first + _DEAD_END_BINS if from_sure else first
-        end = last - _DEAD_END_BINS if to_sure else last
+        start = first + dead_end_bins if from_sure else first
+        end = last - dead_end_bins if to_sure else last
         dead[start : max(start, end)] = True
     return dead
 
@@ -319,49 +289,28 @@ def _around(values: Array, bins: int) -> Array:
     return np.asarray(ends[last] - ends[np.maximum(index - bins, 0)])
 
 
-INSIDE = 9.0
-"""Squared deviations up to which an event may be the object's."""
-
-AROUND = 20.0
-"""Squared deviations from which an event tells how much there is beside the object."""
-
-N_SUMS = 5  # columns of `sums_in_bins`
-
-_UNKNOWN = 1e6  # variance of what is not known yet, [px^2] and [px^2/s^2]
-_FASTEST = 1e4  # variance of velocities between two sights [px^2/s^2]
-
-
 @numba.njit(cache=True)
 def smoothed_path(
-    means_px: Array, variances_px2: Array, step_s: float, density: float
+    means_px: Array, variances_px2: Array, step_s: float, density: float, max_speed_variance: float
 ) -> tuple[Array, Array, Array]:
     """Smooth one coordinate: a Kalman filter forward, Rauch, Tung and Striebel's smoother back.
 
-    Parameters
-    ----------
-    means_px, variances_px2
-        Measured in each bin (n,); of infinite variance where nothing was.
-    step_s
-        Length of a bin.
-    density
-        Of the acceleration, which is white noise [px^2/s^3].
-
-    Returns
-    -------
-    tuple
-        Position [px], velocity [px/s] and the position's variance [px^2] in each bin (n,).
+    Bins (n,) of length `step_s` in which nothing was measured have an infinite variance. The
+    acceleration is white noise of a density [px^2/s^3]; the velocity's variance [px^2/s^2] between
+    two sights has a limit. Gives position, velocity and the position's variance in each bin (n,).
     """
+    unknown = 1e6  # variance of what is not known yet, [px^2] and [px^2/s^2]
     n = len(means_px)
     states, covariances = np.zeros((n, 2)), np.zeros((n, 3))
     predicted, before = np.zeros((n, 2)), np.zeros((n, 3))
     x, v = 0.0, 0.0
-    xx, xv, vv = _UNKNOWN, 0.0, _UNKNOWN
+    xx, xv, vv = unknown, 0.0, unknown
     for k in range(n):
         if k > 0:
             x += step_s * v
             xx += 2.0 * step_s * xv + step_s**2 * vv + density * step_s**3 / 3.0
             xv += step_s * vv + density * step_s**2 / 2.0
-            vv = min(vv + density * step_s, _FASTEST)
+            vv = min(vv + density * step_s, max_speed_variance)
         predicted[k, 0], predicted[k, 1] = x, v
         before[k, 0], before[k, 1], before[k, 2] = xx, xv, vv
         if np.isfinite(variances_px2[k]):
@@ -398,50 +347,32 @@ def smoothed_path(
 
 
 @numba.njit(cache=True)
-def sums_in_bins(
+def _sums_in_bins(
     ages_s: Array,
-    x: NDArray[np.uint16],
-    y: NDArray[np.uint16],
-    bounds: NDArray[np.int64],
-    known: NDArray[np.bool_],
+    x: Pixels,
+    y: Pixels,
+    bounds: Indices,
+    known: Flags,
     positions_px: Array,
     velocities_px_s: Array,
     variances_px2: Array,
-    half_px: float,
-    counted: float,
+    limits: tuple[float, float, float, float],
     rates: Array,
     background: Array,
 ) -> Array:
-    """Sum up the events about a path, bin by bin.
+    """Sum up the events (m,) about a path, in the bins (n,) where it is known.
 
-    Parameters
-    ----------
-    ages_s
-        Of the events (m,), from the middle of their bins on.
-    x, y
-        Of the events (m,).
-    bounds
-        First event of each bin, and the one after the last (n + 1,).
-    known
-        Bins (n,) to be summed up.
-    positions_px, velocities_px_s
-        Of the path (n, 2).
-    variances_px2
-        Of the events about the path (n, 2).
-    half_px
-        Half the side of the square in which what lies around is counted.
-    counted
-        Squared deviations up to which an event is counted.
-    rates, background
-        Events of the object in a bin (n,), and of all else in a bin and a pixel (n,).
+    Ages are from the middle of their bins on; bin k begins with event bounds[k]. Positions,
+    velocities and the variances of events about them are (n, 2); rates and background (n,) are
+    events of the object in a bin, and of all else in a bin and a pixel. The limits: half the side
+    of the square in which events are looked at [px], and in squared deviations up to where they are
+    counted, up to where they may be the object's, and from where they tell what lies around.
 
-    Returns
-    -------
-    Array
-        (n, N_SUMS): events counted, events around; weights, of each event the share of the
-        object in all that is there; and weighted sums of x and y.
+    Gives (n, 5): events counted, events around; weights, of each event the share of the object in
+    all that is there; and weighted sums of x and y.
     """
-    sums = np.zeros((len(known), N_SUMS))
+    half_px, counted, inside, around = limits
+    sums = np.zeros((len(known), 5))
     for k in range(len(known)):
         if not known[k]:
             continue
@@ -454,8 +385,8 @@ def sums_in_bins(
                 continue
             squares = dx * dx / a + dy * dy / b
             sums[k, 0] += squares < counted
-            sums[k, 1] += squares > AROUND
-            if squares < INSIDE and peak > 0.0:
+            sums[k, 1] += squares > around
+            if squares < inside and peak > 0.0:
                 density = peak * np.exp(-0.5 * squares)
                 weight = density / (density + background[k])
                 sums[k, 2] += weight
@@ -465,19 +396,19 @@ def sums_in_bins(
 
 
 @numba.njit(cache=True)
-def in_corridor(
+def _in_corridor(
     ages_s: Array,
-    x: NDArray[np.uint16],
-    y: NDArray[np.uint16],
-    bounds: NDArray[np.int64],
-    seen: NDArray[np.bool_],
+    x: Pixels,
+    y: Pixels,
+    bounds: Indices,
+    seen: Flags,
     positions_px: Array,
     velocities_px_s: Array,
     half_sizes_px: Array,
-) -> NDArray[np.bool_]:
+) -> Flags:
     """Tell which events (m,) lie in an ellipse of half axes (n, 2) about a path, where it is seen.
 
-    Other parameters as of `sums_in_bins`.
+    Other parameters as of `_sums_in_bins`.
     """
     inside = np.zeros(len(ages_s), np.bool_)
     for k in range(len(seen)):

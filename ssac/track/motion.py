@@ -1,14 +1,18 @@
-"""Events of one camera in, the object's image position and velocity at any array of times out.
+"""The object's image position and velocity at any times, from one camera's events or track.
 
 The paper's Sec. IV-A: the object's position at a time is the mean of the undistorted coordinates
 of the events in a short window around it. Cumulative sums over the events make each such mean two
 binary searches and one difference, so that a search over thousands of offsets stays cheap.
+
+A camera that gave a track of points is sampled alike, so that no method need know which of the two
+it looks at: local parabolas stand for the means over windows. A track does not show how large the
+object is, by which methods judge what they find; a size that its noise and the image's width
+suggest stands for it.
 """
 
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,35 +22,39 @@ from ssac.errors import SsacError
 from ssac.events import no_gaps
 from ssac.geometry.epipolar import robust_deviation
 from ssac.points import PointTrack
+from ssac.rules import PointRules
 from ssac.track.clean import Clean
 from ssac.track.clutter import chosen_events, of_pixels
 from ssac.track.motion_kernels import (
     first_from_each,
+    local_parabolas_at,
     mean_times_us,
     sharp_centres,
     sum_up,
     window_sums,
 )
 
-_EVENTS_PER_SLICE = 4
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
 class Track:
     """The object's image positions at sample times of one camera's clock."""
 
-    times_s: NDArray[np.float64]  # (...,) [s]
-    positions_px: NDArray[np.float64]  # (..., 2) undistorted; NaN without events
+    times_s: Array  # (...,) [s]
+    positions_px: Array  # (..., 2) undistorted; NaN without events
     counts: NDArray[np.int64]  # (...,) events in the window
-    valid: NDArray[np.bool_]  # (...,) passes N_min and the margin rule
+    valid: Mask  # (...,) passes N_min and the margin rule
 
 
 @dataclass(frozen=True)
 class SharpTrack(Track):
     """As a Track, from event images sharpened by the object's velocity (`sharp_at`)."""
 
-    velocities_px_s: NDArray[np.float64]  # (..., 2)
-    sizes_px: NDArray[np.float64]  # (...,) root mean square distance of the image from its position
+    velocities_px_s: Array  # (..., 2)
+    sizes_px: Array  # (...,) root mean square distance of the image from its position
 
 
 class Motion(Protocol):
@@ -56,14 +64,40 @@ class Motion(Protocol):
     def span_s(self) -> tuple[float, float]:
         """Times of the first and last event or point [s]."""
 
-    def at(self, times_s: NDArray[np.float64]) -> Track:
+    def at(self, times_s: Array) -> Track:
         """Positions at times (...,) [s]."""
 
-    def velocities_at(self, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
+    def velocities_at(self, times_s: Array) -> Array:
         """Image velocities (..., 2) [px/s] at times (...,) [s]."""
 
-    def sharp_at(self, times_s: NDArray[np.float64]) -> SharpTrack:
+    def sharp_at(self, times_s: Array) -> SharpTrack:
         """Sharp positions, velocities and sizes at times (n,) [s]."""
+
+
+def motion_of(clean: Clean, how: Windows) -> Motion:
+    """Sum up a camera's object for sampling at any time (Sec. IV-A).
+
+    Sums over its events are kept with what is clean: they depend on the width of the border alone,
+    so that other windows cost nothing.
+    """
+    if clean.track is not None:
+        return point_motion(clean.track, clean.camera, how.points, how.half_window_s)
+    n_min = clean.n_min(how.n_min)
+    sums = clean.kept.get(how.border_px)
+    if sums is None:
+        sums = clean.kept[how.border_px] = _summed_up(clean, how, n_min)
+    motion: ObjectMotion = sums
+    return motion.sampled_by(how.half_window_s, n_min, how.max_border_fraction)
+
+
+def _summed_up(clean: Clean, how: Windows, n_min: int) -> "ObjectMotion":
+    """Sum up all events; beside them those that no thin line holds, where there is one."""
+    events = [clean.events]
+    if clean.on_line is not None:
+        events.append(clean.events[~clean.on_line])
+    rules = how.half_window_s, n_min, how.border_px, how.max_border_fraction
+    found = [replace(object_motion(e, clean.camera, *rules), gaps_us=clean.gaps_us) for e in events]
+    return found[0] if len(found) == 1 else replace(found[0], bare=found[1])
 
 
 @dataclass(frozen=True)
@@ -71,7 +105,7 @@ class ObjectMotion:
     """Cumulative sums over the n events of one camera, from which `at` reads window means."""
 
     times_us: NDArray[np.int64]  # (n,) [us], sorted
-    position_sums_px: NDArray[np.float64]  # (n + 1, 2) of undistorted coordinates [px]
+    position_sums_px: Array  # (n + 1, 2) of undistorted coordinates [px]
     border_sums: NDArray[np.int32]  # (n + 1,) of events on the border
     slice_bits: int  # the recording is cut into slices of 2**slice_bits us
     slice_starts: NDArray[np.int32]  # (s + 1,) index of the first event in each slice, then n
@@ -107,20 +141,12 @@ class ObjectMotion:
             bare=None if self.bare is None else self.bare.sampled_by(*rules),
         )
 
-    def at(self, times_s: NDArray[np.float64]) -> Track:
-        """Sample the object's motion, in about constant time per sample.
+    def at(self, times_s: Array) -> Track:
+        """Sample the object's motion at times (...,) [s], in about constant time per sample.
 
-        Parameters
-        ----------
-        times_s
-            Shape (...,) [s]: any times of this camera's clock, inside or outside the recording.
-
-        Returns
-        -------
-        Track
-            A sample is valid when its window holds at least `n_min` events, of which at most
-            `max_border_fraction` lie on the border: the two rules of the paper's Sec. IV-A. It also
-            must not reach into a gap.
+        A sample is valid when its window holds at least `n_min` events, of which at most
+        `max_border_fraction` lie on the border: the two rules of the paper's Sec. IV-A. It also
+        must not reach into a gap.
         """
         positions_px, counts, on_border = window_sums(
             self.times_us,
@@ -136,14 +162,10 @@ class ObjectMotion:
         if len(self.gaps_us):
             valid &= ~self._reach_into_gaps(times_s.ravel())
         shape = times_s.shape
-        return Track(
-            times_s,
-            positions_px.reshape(*shape, 2),
-            counts.reshape(shape),
-            valid.reshape(shape),
-        )
+        positions_px = positions_px.reshape(*shape, 2)
+        return Track(times_s, positions_px, counts.reshape(shape), valid.reshape(shape))
 
-    def centred_at(self, times_s: NDArray[np.float64]) -> Track:
+    def centred_at(self, times_s: Array) -> Track:
         """Sample as `at` does, times (n,) [s], and move the means to the middle of their windows.
 
         Where a camera was blind for a part of a window, the mean time of its events is another than
@@ -157,7 +179,7 @@ class ObjectMotion:
         known = np.isfinite(positions[:, 0])
         return replace(track, positions_px=positions, valid=track.valid & known)
 
-    def velocities_at(self, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
+    def velocities_at(self, times_s: Array) -> Array:
         """Image velocity (..., 2) [px/s] at times (...,) [s].
 
         The difference between the mean positions in the two halves of the window, over the
@@ -168,24 +190,14 @@ class ObjectMotion:
         shift_s = self._mean_times(middle, last) - self._mean_times(first, middle)
         return shift_px / shift_s[..., None]
 
-    def sharp_at(self, times_s: NDArray[np.float64]) -> SharpTrack:
-        """Sample the object's motion where its image is sharp; not the paper's position.
+    def sharp_at(self, times_s: Array) -> SharpTrack:
+        """Sample the motion at times (n,) [s] where its image is sharp; not the paper's position.
 
         How many events a part of the object makes depends on its contrast and on which way it
         moves, and pulls the mean of the events to and fro as the object turns. Here the window's
         events are moved to its middle with the velocity, counted in cells of one pixel, and each
         cell counts by the square root of its events: between the mean of the events and the centre
-        of the image's area.
-
-        Parameters
-        ----------
-        times_s
-            Shape (n,) [s].
-
-        Returns
-        -------
-        SharpTrack
-            Validity as in `at`, but invalid and NaN where there is no velocity.
+        of the image's area. Validity as in `at`, but invalid and NaN where there is no velocity.
         """
         track, velocities = self.at(times_s), self.velocities_at(times_s)
         moving = np.isfinite(velocities[:, 0])
@@ -201,7 +213,7 @@ class ObjectMotion:
         )
         return SharpTrack(times_s, positions, track.counts, track.valid & moving, velocities, sizes)
 
-    def _reach_into_gaps(self, times_s: NDArray[np.float64]) -> NDArray[np.bool_]:
+    def _reach_into_gaps(self, times_s: Array) -> Mask:
         """Whether the windows about times (n,) [s] hold a part of a gap."""
         starts_us, ends_us = self.gaps_us.T
         half_us = 1e6 * self.half_window_s
@@ -209,21 +221,19 @@ class ObjectMotion:
         next_us = np.append(starts_us, np.iinfo(np.int64).max)[following]
         return np.asarray(next_us < 1e6 * times_s + half_us)
 
-    def _indices(self, times_s: NDArray[np.float64], side: int) -> NDArray[np.intp]:
+    def _indices(self, times_s: Array, side: int) -> Indices:
         """Index of the first event at or after each time, moved by -1, 0 or +1 half-windows."""
         wanted_s = (times_s + side * self.half_window_s).ravel()
         indices = first_from_each(wanted_s, self.times_us, self.slice_bits, self.slice_starts)
         return indices.reshape(times_s.shape)
 
-    def _mean_positions(
-        self, first: NDArray[np.intp], last: NDArray[np.intp]
-    ) -> NDArray[np.float64]:
+    def _mean_positions(self, first: Indices, last: Indices) -> Array:
         """Mean position (..., 2) [px] of the events from `first` up to, not including, `last`."""
         with np.errstate(invalid="ignore"):
             sums = self.position_sums_px[last] - self.position_sums_px[first]
             return sums / (last - first)[..., None]
 
-    def _mean_times(self, first: NDArray[np.intp], last: NDArray[np.intp]) -> NDArray[np.float64]:
+    def _mean_times(self, first: Indices, last: Indices) -> Array:
         """Mean time (...,) [s], counted from the first event, of the same events."""
         means_us = mean_times_us(self.times_us, first.ravel(), last.ravel())
         return means_us.reshape(first.shape) * 1e-6
@@ -242,15 +252,13 @@ def object_motion(
     Parameters
     ----------
     events
-        Events, dtype EVENT_DTYPE, shape (n,), sorted by time and denoised. May be empty: every
-        sample is then invalid.
+        Dtype EVENT_DTYPE, shape (n,), sorted by time and denoised. May be empty: every sample is
+        then invalid.
     camera
         Its distortion is removed from the coordinates before they are averaged; events at pixels
         that its lens model cannot undistort are left out.
-    half_window_s
-        Half the length of the window around a sample time [s].
-    n_min
-        Events that a valid sample's window holds at least (the paper's N_min).
+    half_window_s, n_min
+        Half the length of the window around a sample time, and the events that it holds at least.
     border_px
         Width of the border, in raw pixels.
         Deviation: the paper drops what lies "on the image boundary" and gives no width. With 1 px,
@@ -258,11 +266,6 @@ def object_motion(
         its mean shifts by pixels; with 5 px it is dropped before it is cut.
     max_border_fraction
         A sample with more of its events on the border is dropped.
-
-    Returns
-    -------
-    ObjectMotion
-        To be sampled with `at`.
     """
     ideal = None
     if camera.distortion_model != "none":
@@ -286,33 +289,14 @@ def _slices(times_us: NDArray[np.int64]) -> tuple[int, int]:
         return 0, 0
     length_us = int(times_us[-1]) - int(times_us[0])
     bits = 0
-    while (length_us >> bits) * _EVENTS_PER_SLICE > n:
+    while (length_us >> bits) * 4 > n:
         bits += 1
     return bits, (length_us >> bits) + 1
 
 
-Array = NDArray[np.float64]
-
-SIZE_SIGMAS, SIZE_WIDTHS = 10.0, 0.01
-"""Size that stands for the object's: so many deviations of a point, or shares of the image's width,
-whichever is more."""
-
-WINDOW_INTERVALS = 2.6
-"""Least half of the window of a local parabola, in median intervals: five points."""
-
-MAX_GAP_INTERVALS = 2.5
-"""Median intervals between two points that are the ends of a gap: one may be missing."""
-
-_LEAST_SIGMA_PX = 0.02  # of points without noise
-_MIN_POINTS = 4  # of a local fit: one more than a parabola has coefficients
-_MIN_SIDE = 2  # of them before the sample time and after it: nothing is told beyond an end
-_SAME_S = 1e-9
-_SINGULAR = 1e-9  # of a scaled determinant
-
-
 @dataclass(frozen=True)
 class PointMotion:
-    """The n points of one camera, to be sampled as `ssac.track.motion.ObjectMotion` is."""
+    """The n points of one camera, to be sampled as `ObjectMotion` is."""
 
     times_s: Array  # (n,) [s], ascending; of the points' own rows of a rolling shutter
     points_px: Array  # (n, 2) undistorted
@@ -360,7 +344,7 @@ class PointMotion:
         The sizes are in proportion to the deviations of the points there, so that methods, which
         weigh by the inverse of the size, weigh well.
         """
-        positions, velocities, sigmas, counts = _local_parabolas(
+        positions, velocities, sigmas, counts = local_parabolas_at(
             self.times_s,
             self.points_px,
             self.sigmas_px,
@@ -381,7 +365,11 @@ class PointMotion:
 
 
 def point_motion(
-    track: PointTrack, camera: Camera, half_window_s: float = 0.020, name: str = "track"
+    track: PointTrack,
+    camera: Camera,
+    rules: PointRules,
+    half_window_s: float = 0.020,
+    name: str = "track",
 ) -> PointMotion:
     """Prepare the points of one camera for sampling.
 
@@ -412,13 +400,13 @@ def point_motion(
     points = undistort_points(camera, track.points_px)
     known = np.isfinite(points[:, 0])
     times_s, points, rows = times_s[known], points[known], rows[known]
-    half_window_s = max(half_window_s, WINDOW_INTERVALS * interval_s)
-    max_gap_s = MAX_GAP_INTERVALS * max(interval_s, half_window_s / WINDOW_INTERVALS)
+    half_window_s = max(half_window_s, rules.window_intervals * interval_s)
+    max_gap_s = rules.max_gap_intervals * max(interval_s, half_window_s / rules.window_intervals)
     sigmas = np.ones(len(times_s)) if track.sigmas_px is None else track.sigmas_px[known]
     if track.sigmas_px is None:
-        sigmas = sigmas * _noise_px(times_s, points, max_gap_s)
-    typical_px = float(np.median(sigmas)) if len(sigmas) else _LEAST_SIGMA_PX
-    size_px = max(SIZE_SIGMAS * typical_px, SIZE_WIDTHS * camera.width)
+        sigmas = sigmas * _noise_px(times_s, points, max_gap_s, rules.least_sigma_px)
+    typical_px = float(np.median(sigmas)) if len(sigmas) else rules.least_sigma_px
+    size_px = max(rules.size_sigmas * typical_px, rules.size_widths * camera.width)
     return PointMotion(times_s, points, sigmas, size_px, half_window_s, max_gap_s, rows, readout_s)
 
 
@@ -434,13 +422,13 @@ def check_readout(times_s: Array, readout_s: float, name: str) -> None:
         )
 
 
-def _noise_px(times_s: Array, points: Array, max_gap_s: float) -> float:
+def _noise_px(times_s: Array, points: Array, max_gap_s: float, least_px: float) -> float:
     """Deviation [px] of white noise on each coordinate: what lies off the cubic through neighbours.
 
     Of five points an even time apart, the middle one less what the cubic through the other four
     has there.
     """
-    if len(times_s) <= _MIN_POINTS:
+    if len(times_s) <= 4:
         return 1.0
     gaps_s = np.diff(times_s)
     ages = np.stack([times_s[i : len(times_s) - 4 + i] for i in (0, 1, 3, 4)]) - times_s[2:-2]
@@ -457,107 +445,4 @@ def _noise_px(times_s: Array, points: Array, max_gap_s: float) -> float:
     if not whole.any():
         return 1.0
     scaled = left[whole] / np.sqrt(square[whole])[:, None]
-    return max(robust_deviation(scaled.ravel()), _LEAST_SIGMA_PX)
-
-
-@numba.njit(cache=True)
-def _local_parabolas(
-    times_s: NDArray[np.float64],
-    points_px: NDArray[np.float64],
-    sigmas_px: NDArray[np.float64],
-    wanted_s: NDArray[np.float64],
-    half_window_s: float,
-    max_gap_s: float,
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
-    """Positions, velocities, deviations and counts of points at m wanted times.
-
-    Parabolas are fitted to the points within the window, weighed by (1 - (age / window)^2)^2 and by
-    their deviations. NaN, and a count of 0, in gaps and beyond the ends.
-    """
-    n, m = len(times_s), len(wanted_s)
-    positions, velocities = np.full((m, 2), np.nan), np.full((m, 2), np.nan)
-    deviations, counts = np.full(m, np.nan), np.zeros(m, np.int64)
-    for k in range(m):
-        t_s = wanted_s[k]
-        after = np.searchsorted(times_s, t_s)
-        if after < _MIN_SIDE or n - after < _MIN_SIDE:
-            continue
-        if times_s[after] - times_s[after - 1] > max_gap_s:
-            continue
-        first, last = after, after
-        while first > 0 and t_s - times_s[first - 1] < half_window_s:
-            first -= 1
-        while last < n and times_s[last] - t_s < half_window_s:
-            last += 1
-        before = after - first + (times_s[after] - t_s < _SAME_S)  # a point there is on both sides
-        if before < _MIN_SIDE or last - after < _MIN_SIDE or last - first < _MIN_POINTS:
-            continue
-        s0 = s1 = s2 = s3 = s4 = 0.0
-        sums = np.zeros((2, 3))
-        variance, total = 0.0, 0.0
-        for i in range(first, last):
-            age = (times_s[i] - t_s) / half_window_s
-            nearness = (1.0 - age * age) ** 2
-            weight = nearness / (sigmas_px[i] * sigmas_px[i])
-            s0, s1, s2 = s0 + weight, s1 + weight * age, s2 + weight * age**2
-            s3, s4 = s3 + weight * age**3, s4 + weight * age**4
-            for axis in range(2):
-                for power in range(3):
-                    sums[axis, power] += weight * points_px[i, axis] * age**power
-            variance += nearness * sigmas_px[i] ** 2
-            total += nearness
-        determinant = s0 * (s2 * s4 - s3 * s3) - s1 * (s1 * s4 - s3 * s2) + s2 * (s1 * s3 - s2 * s2)
-        if determinant < _SINGULAR * s0**3:
-            continue
-        for axis in range(2):
-            b0, b1, b2 = sums[axis, 0], sums[axis, 1], sums[axis, 2]
-            positions[k, axis] = (
-                b0 * (s2 * s4 - s3 * s3) - s1 * (b1 * s4 - s3 * b2) + s2 * (b1 * s3 - s2 * b2)
-            ) / determinant
-            velocities[k, axis] = (
-                s0 * (b1 * s4 - b2 * s3) - b0 * (s1 * s4 - s3 * s2) + s2 * (s1 * b2 - b1 * s2)
-            ) / (determinant * half_window_s)
-        deviations[k] = np.sqrt(variance / total)
-        counts[k] = last - first
-    return positions, velocities, deviations, counts
-
-
-def motion_of(clean: Clean, how: Windows) -> Motion:
-    """Sum up a camera's object for sampling at any time (Sec. IV-A).
-
-    Parameters
-    ----------
-    clean
-        What it recorded, without noise. Sums over its events are kept with it: they depend on the
-        width of the border alone, so that other windows cost nothing.
-    how
-        Which windows of events give a position.
-    """
-    if clean.track is not None:
-        return point_motion(clean.track, clean.camera, how.half_window_s)
-    n_min = clean.n_min(how.n_min)
-    sums = clean.kept.get(how.border_px)
-    if sums is None:
-        sums = clean.kept[how.border_px] = _summed_up(clean, how, n_min)
-    motion: ObjectMotion = sums
-    return motion.sampled_by(how.half_window_s, n_min, how.max_border_fraction)
-
-
-def _summed_up(clean: Clean, how: Windows, n_min: int) -> ObjectMotion:
-    """Sum up all events; beside them those that no thin line holds, where there is one."""
-    motion = _of_events(clean, clean.events, how, n_min)
-    if clean.on_line is None:
-        return motion
-    return replace(motion, bare=_of_events(clean, clean.events[~clean.on_line], how, n_min))
-
-
-def _of_events(clean: Clean, events: NDArray[np.void], how: Windows, n_min: int) -> ObjectMotion:
-    motion = object_motion(
-        events,
-        clean.camera,
-        half_window_s=how.half_window_s,
-        n_min=n_min,
-        border_px=how.border_px,
-        max_border_fraction=how.max_border_fraction,
-    )
-    return replace(motion, gaps_us=clean.gaps_us)
+    return max(robust_deviation(scaled.ravel()), least_px)

@@ -4,7 +4,11 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-_TOGETHER = 64  # windows
+Array = NDArray[np.float64]
+Times = NDArray[np.int64]
+Indices = NDArray[np.intp]
+Pixels = NDArray[np.uint16]
+Starts = NDArray[np.int32]
 
 TIE_US = 1e-3
 """Far more than times in seconds lose by rounding, far less than lies between even samples.
@@ -16,35 +20,26 @@ for must not depend on the clock's zero.
 
 @numba.njit(cache=True)
 def sum_up(
-    t: NDArray[np.int64],
-    x: NDArray[np.uint16],
-    y: NDArray[np.uint16],
-    ideal: NDArray[np.float64] | None,
+    t: Times,
+    x: Pixels,
+    y: Pixels,
+    ideal: Array | None,
     border: tuple[int, int, int],
     slice_bits: int,
-    times_us: NDArray[np.int64],
-    position_sums_px: NDArray[np.float64],
-    border_sums: NDArray[np.int32],
-    slice_starts: NDArray[np.int32],
+    times_us: Times,
+    position_sums_px: Array,
+    border_sums: Starts,
+    slice_starts: Starts,
 ) -> None:
     """Fill in what an `ObjectMotion` holds of n events, in one pass over them.
 
-    Parameters
-    ----------
-    t, x, y
-        Of the events, shape (n,), sorted by time.
-    ideal
-        Where each pixel is imaged without distortion, (height, width, 2); None: where it is.
-    border
-        The sensor's width and height, and that of its border [px].
-    slice_bits
-        The recording is cut into slices of 2**slice_bits us.
-    times_us, position_sums_px, border_sums
-        To be filled in: shapes (n,), (n + 1, 2) and (n + 1,). Sums are of the events before each,
-        the last of all. NumPy gives such arrays in large pages of memory, which Numba does not: to
-        touch small ones for the first time takes as long as all else here.
-    slice_starts
-        To be filled in, zero so far, shape (s + 1,): the first event of each slice; n at last.
+    Where each pixel is imaged without distortion stands in `ideal` (height, width, 2); None: where
+    it is. The border is the sensor's width and height, and that of its border [px].
+
+    To be filled in are arrays of shapes (n,), (n + 1, 2), (n + 1,) and, zero so far, (s + 1,): sums
+    are of the events before each, the last of all; a slice of 2**slice_bits us starts with its
+    first event, and ends with n. NumPy gives such arrays in large pages of memory, which Numba does
+    not: to touch small ones for the first time takes as long as all else here.
     """
     width, height, border_px = border
     sum_x, sum_y, n_on_border = 0.0, 0.0, 0
@@ -74,29 +69,17 @@ def _whole_us(time_s: float) -> np.int64:
 
 
 @numba.njit(cache=True)
-def _first_from(
-    time_us: np.int64,
-    times_us: NDArray[np.int64],
-    slice_bits: int,
-    slice_starts: NDArray[np.int32],
-) -> int:
-    """Index of the first of the sorted times at or after `time_us`.
-
-    As np.searchsorted, but four times as fast: the slice is known at once, and its few times stand
-    side by side in memory.
-    """
-    low, high = _slice_of(time_us, times_us, slice_bits, slice_starts)
-    return _first_within(time_us, times_us, low, high)
-
-
-@numba.njit(cache=True)
 def _slice_of(
     time_us: np.int64,
-    times_us: NDArray[np.int64],
+    times_us: Times,
     slice_bits: int,
-    slice_starts: NDArray[np.int32],
+    slice_starts: Starts,
 ) -> tuple[int, int]:
-    """Least and greatest index that the first of the sorted times at or after one may have."""
+    """Least and greatest index that the first of the sorted times at or after one may have.
+
+    With `_first_within` this is np.searchsorted, but four times as fast: the slice is known at
+    once, and its few times stand side by side in memory.
+    """
     n_slices = len(slice_starts) - 1
     if n_slices == 0 or time_us <= times_us[0]:
         return 0, 0
@@ -107,7 +90,7 @@ def _slice_of(
 
 
 @numba.njit(cache=True)
-def _first_within(time_us: np.int64, times_us: NDArray[np.int64], low: int, high: int) -> int:
+def _first_within(time_us: np.int64, times_us: Times, low: int, high: int) -> int:
     while low < high:
         middle = (low + high) >> 1
         if times_us[middle] < time_us:
@@ -119,43 +102,45 @@ def _first_within(time_us: np.int64, times_us: NDArray[np.int64], low: int, high
 
 @numba.njit(cache=True)
 def first_from_each(
-    wanted_s: NDArray[np.float64],
-    times_us: NDArray[np.int64],
+    wanted_s: Array,
+    times_us: Times,
     slice_bits: int,
-    slice_starts: NDArray[np.int32],
-) -> NDArray[np.intp]:
+    slice_starts: Starts,
+) -> Indices:
     """Index (m,) of the first of the sorted times [us] at or after each wanted one [s]."""
     indices = np.empty(len(wanted_s), np.intp)
     for i in range(len(wanted_s)):
-        indices[i] = _first_from(_whole_us(wanted_s[i]), times_us, slice_bits, slice_starts)
+        time_us = _whole_us(wanted_s[i])
+        low, high = _slice_of(time_us, times_us, slice_bits, slice_starts)
+        indices[i] = _first_within(time_us, times_us, low, high)
     return indices
 
 
 @numba.njit(cache=True)
 def window_sums(
-    times_us: NDArray[np.int64],
+    times_us: Times,
     slice_bits: int,
-    slice_starts: NDArray[np.int32],
-    position_sums_px: NDArray[np.float64],
-    border_sums: NDArray[np.int32],
-    middles_s: NDArray[np.float64],
+    slice_starts: Starts,
+    position_sums_px: Array,
+    border_sums: Starts,
+    middles_s: Array,
     half_window_s: float,
     row_length: int,
-) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
+) -> tuple[Array, Times, Times]:
     """Mean positions (n, 2) [px], NaN of none; numbers of events (n,), and of those on the border.
 
     This waits for memory, not for arithmetic. So of rows of samples, one for each offset that is
     tried, the first samples come first, which lie side by side in memory; and some windows take
     each step together, as the processor can then fetch what many of them need at a time.
     """
-    n = len(middles_s)
+    n, together = len(middles_s), 64
     means = np.empty((n, 2))
     counts, on_border = np.empty(n, np.int64), np.empty(n, np.int64)
-    places = np.empty(_TOGETHER, np.intp)
-    edges_us, bounds = np.empty((_TOGETHER, 2), np.int64), np.empty((_TOGETHER, 2, 2), np.int64)
+    places = np.empty(together, np.intp)
+    edges_us, bounds = np.empty((together, 2), np.int64), np.empty((together, 2, 2), np.int64)
     column = place = 0
-    for start in range(0, n, _TOGETHER):
-        m = min(_TOGETHER, n - start)
+    for start in range(0, n, together):
+        m = min(together, n - start)
         for j in range(m):
             places[j] = place
             edges_us[j, 0] = _whole_us(middles_s[place] - half_window_s)
@@ -181,9 +166,7 @@ def window_sums(
 
 
 @numba.njit(cache=True)
-def mean_times_us(
-    times_us: NDArray[np.int64], first: NDArray[np.intp], last: NDArray[np.intp]
-) -> NDArray[np.float64]:
+def mean_times_us(times_us: Times, first: Indices, last: Indices) -> Array:
     """Mean (n,) of the times from `first` up to `last`, since the first of all; NaN of none.
 
     Not by cumulative sums, as positions are: these means are few, and the sums would take half as
@@ -201,13 +184,13 @@ def mean_times_us(
 
 @numba.njit(cache=True)
 def sharp_centres(
-    times_us: NDArray[np.int64],
-    position_sums_px: NDArray[np.float64],
-    first: NDArray[np.intp],
-    last: NDArray[np.intp],
-    middles_us: NDArray[np.float64],
-    velocities: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    times_us: Times,
+    position_sums_px: Array,
+    first: Indices,
+    last: Indices,
+    middles_us: Array,
+    velocities: Array,
+) -> tuple[Array, Array]:
     """Centres (n, 2) [px] and sizes (n,) [px] of windows' event images; velocities in [px/us]."""
     n = len(first)
     centres, sizes = np.empty((n, 2)), np.empty(n)
@@ -254,8 +237,8 @@ def sharp_centres(
 
 @numba.njit(cache=True)
 def _cells_at(
-    times_us: NDArray[np.int64],
-    sums_px: NDArray[np.float64],
+    times_us: Times,
+    sums_px: Array,
     middle_us: float,
     velocity: tuple[float, float],
     origin_px: tuple[float, float],
@@ -264,8 +247,8 @@ def _cells_at(
 ) -> tuple[np.int32, np.int32, np.int32, np.int32]:
     """Fill in each event's cell at the window's middle; the least and largest column, and row.
 
-    Of n events; their sums (2 * n + 2,) are of x, y by turns. As in `outline_kernels._tangents`,
-    nothing but numbers of its own in the loop.
+    Of n events; their sums (2 * n + 2,) are of x, y by turns. Nothing but numbers of its own in the
+    loop, which is compiled to vector instructions.
     """
     left = top = np.int32(1 << 30)
     right = bottom = np.int32(-(1 << 30))
@@ -280,3 +263,66 @@ def _cells_at(
         left, right = min(left, column), max(right, column)
         top, bottom = min(top, row), max(bottom, row)
     return left, right, top, bottom
+
+
+@numba.njit(cache=True)
+def local_parabolas_at(
+    times_s: Array,
+    points_px: Array,
+    sigmas_px: Array,
+    wanted_s: Array,
+    half_window_s: float,
+    max_gap_s: float,
+) -> tuple[Array, Array, Array, Times]:
+    """Positions, velocities, deviations and counts of points at m wanted times.
+
+    Parabolas are fitted to the points within the window, weighed by (1 - (age / window)^2)^2 and by
+    their deviations. NaN, and a count of 0, in gaps and beyond the ends: there are to be two points
+    on each side, and one more in all than a parabola has coefficients.
+    """
+    n, m, min_side = len(times_s), len(wanted_s), 2
+    positions, velocities = np.full((m, 2), np.nan), np.full((m, 2), np.nan)
+    deviations, counts = np.full(m, np.nan), np.zeros(m, np.int64)
+    for k in range(m):
+        t_s = wanted_s[k]
+        after = np.searchsorted(times_s, t_s)
+        if after < min_side or n - after < min_side:
+            continue
+        if times_s[after] - times_s[after - 1] > max_gap_s:
+            continue
+        first, last = after, after
+        while first > 0 and t_s - times_s[first - 1] < half_window_s:
+            first -= 1
+        while last < n and times_s[last] - t_s < half_window_s:
+            last += 1
+        before = after - first + (times_s[after] - t_s < 1e-9)  # a point there is on both sides
+        if before < min_side or last - after < min_side or last - first < 4:
+            continue
+        s0 = s1 = s2 = s3 = s4 = 0.0
+        sums = np.zeros((2, 3))
+        variance, total = 0.0, 0.0
+        for i in range(first, last):
+            age = (times_s[i] - t_s) / half_window_s
+            nearness = (1.0 - age * age) ** 2
+            weight = nearness / (sigmas_px[i] * sigmas_px[i])
+            s0, s1, s2 = s0 + weight, s1 + weight * age, s2 + weight * age**2
+            s3, s4 = s3 + weight * age**3, s4 + weight * age**4
+            for axis in range(2):
+                for power in range(3):
+                    sums[axis, power] += weight * points_px[i, axis] * age**power
+            variance += nearness * sigmas_px[i] ** 2
+            total += nearness
+        determinant = s0 * (s2 * s4 - s3 * s3) - s1 * (s1 * s4 - s3 * s2) + s2 * (s1 * s3 - s2 * s2)
+        if determinant < 1e-9 * s0**3:
+            continue
+        for axis in range(2):
+            b0, b1, b2 = sums[axis, 0], sums[axis, 1], sums[axis, 2]
+            positions[k, axis] = (
+                b0 * (s2 * s4 - s3 * s3) - s1 * (b1 * s4 - s3 * b2) + s2 * (b1 * s3 - s2 * b2)
+            ) / determinant
+            velocities[k, axis] = (
+                s0 * (b1 * s4 - b2 * s3) - b0 * (s1 * s4 - s3 * s2) + s2 * (s1 * b2 - b1 * s2)
+            ) / (determinant * half_window_s)
+        deviations[k] = np.sqrt(variance / total)
+        counts[k] = last - first
+    return positions, velocities, deviations, counts

@@ -1,4 +1,4 @@
-"""One camera's events in, the things that move in it, each followed as far as it can be, out.
+"""The things that move before one camera, each followed as far as it can be.
 
 Ordinary recordings show one thing, which a look at a few short bins of time tells. Where there are
 several, the events of each bin fall into blobs: cells that hang together. Blobs are followed from
@@ -14,45 +14,25 @@ from numpy.typing import NDArray
 
 from ssac.camera import Camera, undistort_points
 from ssac.events import first_from
+from ssac.rules import ObjectRules
 
 Array = NDArray[np.float64]
-
-BIN_US = 20_000
-"""Length of a bin [us]: an object goes a small part of its own size in it."""
-
-SEVERAL = 0.04
-"""Share of the bins with more than one thing, above which there are several. Of 24 recordings of
-one drone, 10 s each, none had more than 0.02 of them."""
-
-STILL = 0.35
-"""Share of the bins in which a cell is full, above which what it shows stays in its place."""
-
-_EVERY = 5  # bins, of which one is looked at first
-_CELL = 1 / 43  # of the image's width: 8 of 346 px
-_LEAST_EVENTS = 20  # of a blob
-_LEAST_SHARE = 0.03  # of the events of the largest blob of its bin
-_APART = 0.75  # least gap between things, in diagonals of the larger
-_APART_CELLS = 2.0
-_REACH_PX, _REACH = 10.0, 0.4  # of a blob from where a path leads: plus a share of its last step
-_GROWTH = 1.5  # of an image's size from bin to bin
-_MARGIN_PX = 4.0  # around a blob
-_LEAST_BINS = 5  # of a piece
-_LASTING_BINS = 75  # of the longest piece; of a near drone's parts it had 50 at most
-_OWN_WAY_PX, _OWN_WAY = 6.0, 0.2  # by which the gap of two things changes: plus a share of it
-_MEMORY = 4  # bins that tell a path's velocity
-_TOGETHER = 20  # bins after which two things that met have parted, or one is gone
+Indices = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+Events = NDArray[np.void]
+Pixels = NDArray[np.uint16]
 
 
 @dataclass(frozen=True)
 class Blobs:
     """Clusters of events, bin by bin."""
 
-    bins: NDArray[np.int64]  # (k,) ascending
+    bins: Indices  # (k,) ascending
     n_events: Array  # (k,)
     centres_px: Array  # (k, 2) of the raw pixels
     sizes_px: Array  # (k,) rms
     corners_px: Array  # (k, 4) least x and y, largest x and y
-    at_still: NDArray[np.bool_]  # (k,) beside something that stays in its place
+    at_still: Mask  # (k,) beside something that stays in its place
 
 
 @dataclass(frozen=True)
@@ -63,7 +43,7 @@ class Piece:
     positions_px: Array  # (n, 2) undistorted, one for each bin
     n_events: Array  # (n,)
     size_px: float  # median rms size of the image
-    blobs: NDArray[np.int64]  # (n,)
+    blobs: Indices  # (n,)
 
     @property
     def last(self) -> int:
@@ -76,12 +56,13 @@ class Objects:
     """The things that move before one camera."""
 
     start_us: int  # of the first bin
+    bin_us: int  # length of a bin
     are_several: bool  # not the parts of one, which keep together
     n_seen: int  # at a time, those that stay in their place included
     pieces: list[Piece]  # of those that move, in order of time
     blob_of_event: NDArray[np.int32] = field(repr=False)  # (n,) -1: of none
 
-    def events_of(self, pieces: list[Piece]) -> NDArray[np.bool_]:
+    def events_of(self, pieces: list[Piece]) -> Mask:
         """Tell which events (n,) belong to some of the pieces."""
         n_blobs = int(np.max(self.blob_of_event, initial=-1)) + 1
         chosen = np.zeros(n_blobs + 1, np.bool_)  # the last of none
@@ -90,238 +71,53 @@ class Objects:
         return np.asarray(chosen[self.blob_of_event])
 
 
-def seem_several(events: NDArray[np.void], camera: Camera) -> bool:
+def seem_several(events: Events, camera: Camera, rules: ObjectRules) -> bool:
     """Whether more than one thing is seen at a time, by some of the bins."""
     if len(events) == 0:
         return False
-    bounds = _bounds(events, _EVERY)
-    blobs = _blobs(events, camera, bounds, _nothing_still(camera))
-    return bool(np.mean(_things(blobs, len(bounds), _cell_px(camera)) > 1) > SEVERAL)
+    bounds = _bounds(events, rules.bin_us, rules.look_every)
+    blobs = _blobs(events, camera, bounds, _nothing_still(camera, rules), rules)
+    n_things = _things(blobs, len(bounds), _cell_px(camera, rules), rules)
+    return bool(np.mean(n_things > 1) > rules.several_share)
 
 
-def objects_of(events: NDArray[np.void], camera: Camera) -> Objects:
-    """Follow all that moves.
-
-    Parameters
-    ----------
-    events
-        Denoised, dtype EVENT_DTYPE, shape (n,), sorted by time.
-    camera
-        That recorded them.
-    """
-    cell_px, still = _cell_px(camera), _nothing_still(camera)
-    bounds = _bounds(events)
-    blobs = _blobs(events, camera, bounds, still)
-    n_seen = int(np.quantile(_things(blobs, len(bounds), cell_px), 1.0 - SEVERAL))
+def objects_of(events: Events, camera: Camera, rules: ObjectRules) -> Objects:
+    """Follow all that moves in a camera's denoised events (n,), sorted by time."""
+    cell_px, still = _cell_px(camera, rules), _nothing_still(camera, rules)
+    bounds = _bounds(events, rules.bin_us)
+    blobs = _blobs(events, camera, bounds, still, rules)
+    n_things = _things(blobs, len(bounds), cell_px, rules)
+    n_seen = int(np.quantile(n_things, 1.0 - rules.several_share))
     x, y = events["x"], events["y"]
-    counts = occupied_bins(x, y, bounds, cell_px, *still.shape)
-    still = counts > STILL * len(bounds)
+    counts = _occupied_bins(x, y, bounds, cell_px, rules.full_cell_events, *still.shape)
+    still = counts > rules.still_share * len(bounds)
     share_still = float(np.mean(still[y // cell_px, x // cell_px]))
     labels = np.full(len(events), -1, np.int32)
-    blobs = _blobs(events, camera, bounds, still, labels)
-    pieces = [
-        _piece(path, blobs, camera)
-        for path in _paths(blobs, len(bounds))
-        if len(path) >= _LEAST_BINS
-    ]
-    share_apart = _bins_of_their_own_way(pieces) / len(bounds)
-    are_several = share_still > SEVERAL or share_apart > 0.5 * SEVERAL
+    blobs = _blobs(events, camera, bounds, still, rules, labels)
+    paths = [path for path in _paths(blobs, len(bounds), rules) if len(path) >= rules.least_bins]
+    pieces = [_piece(path, blobs, camera) for path in paths]
+    share_apart = _bins_of_their_own_way(pieces, rules) / len(bounds)
+    are_several = share_still > rules.several_share or share_apart > 0.5 * rules.several_share
     # Of a large object that comes apart now here and now there, no part lasts.
     longest = max((len(piece.positions_px) for piece in pieces), default=0)
-    are_several = are_several and longest >= _LASTING_BINS
-    return Objects(int(events["t"][0]), are_several, n_seen, pieces, labels)
+    are_several = are_several and longest >= rules.lasting_bins
+    return Objects(int(events["t"][0]), rules.bin_us, are_several, n_seen, pieces, labels)
 
 
-def _cell_px(camera: Camera) -> int:
-    return max(1, round(_CELL * camera.width))
+def chains_of(pieces: list[Piece], rules: ObjectRules) -> list[list[int]]:
+    """Link pieces that one thing may have gone one after the other, the likeliest first.
 
-
-def _nothing_still(camera: Camera) -> NDArray[np.bool_]:
-    cell_px = _cell_px(camera)
-    return np.zeros((-(-camera.height // cell_px), -(-camera.width // cell_px)), np.bool_)
-
-
-def _bounds(events: NDArray[np.void], every: int = 1) -> NDArray[np.int64]:
-    """First event of each `every`-th bin, and the one after its last (b, 2).
-
-    Bins count from the first event on, so that a clock that shows more changes nothing.
-    """
-    times_us = events["t"]
-    n_bins = int(times_us[-1] - times_us[0]) // BIN_US + 1
-    starts = np.arange(0, n_bins, every, dtype=np.int64)
-    ends_us = times_us[0] + np.stack([starts, starts + 1], axis=1) * BIN_US
-    return first_from(times_us, ends_us.ravel()).reshape(ends_us.shape).astype(np.int64)
-
-
-def _blobs(
-    events: NDArray[np.void],
-    camera: Camera,
-    bounds: NDArray[np.int64],
-    still: NDArray[np.bool_],
-    labels: NDArray[np.int32] | None = None,
-) -> Blobs:
-    bins, table, at_still = blobs_in_bins(
-        events["x"],
-        events["y"],
-        bounds,
-        _cell_px(camera),
-        still,
-        _LEAST_EVENTS,
-        np.empty(0, np.int32) if labels is None else labels,
-    )
-    return Blobs(bins, table[:, 0], table[:, 1:3], table[:, 3], table[:, 4:8], at_still)
-
-
-def _things(blobs: Blobs, n_bins: int, cell_px: int) -> NDArray[np.int64]:
-    """Count the things (b,) in each bin: blobs well apart, the largest first."""
-    counts = np.bincount(blobs.bins, minlength=n_bins)
-    starts = np.cumsum(counts) - counts
-    things = np.minimum(counts, 1)
-    for b in np.flatnonzero(counts > 1):
-        of_bin = np.arange(starts[b], starts[b] + counts[b])
-        of_bin = of_bin[np.argsort(-blobs.n_events[of_bin], kind="stable")]
-        kept = [of_bin[0]]
-        for k in of_bin[1:]:
-            if blobs.n_events[k] < _LEAST_SHARE * blobs.n_events[kept[0]]:
-                break
-            if all(_are_apart(blobs.corners_px[k], blobs.corners_px[j], cell_px) for j in kept):
-                kept.append(k)
-        things[b] = len(kept)
-    return things
-
-
-def _are_apart(one: Array, other: Array, cell_px: int) -> bool:
-    """Whether the gap between two boxes is large beside the larger of them."""
-    gap_px = float(np.max([one[:2] - other[2:], other[:2] - one[2:]]))
-    larger_px = max(np.hypot(*(one[2:] - one[:2])), np.hypot(*(other[2:] - other[:2])))
-    return bool(gap_px > max(_APART_CELLS * cell_px, _APART * larger_px))
-
-
-def _bins_of_their_own_way(pieces: list[Piece]) -> int:
-    """Count the bins in which two pieces are seen that move apart, or towards each other.
-
-    The parts of a large object, which may hang together in some bins and not in others, do not.
-    """
-    n = 0
-    for k, other in enumerate(pieces):
-        for one in pieces[:k]:
-            first, last = max(one.first, other.first), min(one.last, other.last)
-            if last - first < _LEAST_BINS:
-                continue
-            gaps_px = (
-                one.positions_px[first - one.first : last - one.first]
-                - other.positions_px[first - other.first : last - other.first]
-            )
-            moved_px = float(np.hypot(*(gaps_px[-1] - gaps_px[0])))
-            gap_px = float(np.mean(np.hypot(*gaps_px.T)))
-            n += (last - first) * (moved_px > _OWN_WAY_PX + _OWN_WAY * gap_px)
-    return n
-
-
-@dataclass
-class _Path:
-    """A piece in the making."""
-
-    bins: list[int]
-    blobs: list[int]
-    is_mixed: bool  # two things that met are in it
-
-    def velocity_px(self, blobs: Blobs) -> Array:
-        """Pixels per bin (2,), of the last bins."""
-        n = min(len(self.bins), _MEMORY)
-        if n < 2:
-            return np.zeros(2)
-        moved = blobs.centres_px[self.blobs[-1]] - blobs.centres_px[self.blobs[-n]]
-        return np.asarray(moved / (n - 1))
-
-
-def _paths(blobs: Blobs, n_bins: int) -> list[list[int]]:
-    """Follow blobs from bin to bin; those of each path, of one a bin."""
-    starts = np.searchsorted(blobs.bins, np.arange(n_bins + 1))
-    going: list[_Path] = []
-    done: list[_Path] = []
-    for b in range(n_bins):
-        here = [int(k) for k in range(starts[b], starts[b + 1]) if not blobs.at_still[k]]
-        followed: list[_Path] = []
-        claims: dict[int, list[_Path]] = {k: [] for k in here}
-        inside: dict[int, list[_Path]] = {k: [] for k in here}
-        for path in going:
-            step_px = path.velocity_px(blobs)
-            there_px = blobs.centres_px[path.blobs[-1]] + step_px
-            reach_px = _REACH_PX + _REACH * float(np.hypot(*step_px))
-            box_px = blobs.corners_px[path.blobs[-1]] + np.tile(step_px, 2)
-            covered = [k for k in here if _overlap(box_px, blobs.corners_px[k])]
-            for k in covered:
-                if _is_within(there_px, blobs.corners_px[k]):
-                    inside[k].append(path)
-            if len(covered) > 1 or not here:  # it comes apart, or is gone
-                continue
-            distances_px = [float(np.hypot(*(blobs.centres_px[k] - there_px))) for k in here]
-            least = int(np.argmin(distances_px))
-            if distances_px[least] <= reach_px:
-                claims[here[least]].append(path)
-        for k in here:
-            met = {id(path): path for path in claims[k] + inside[k]}
-            mixed = len(met) > 1 or any(map(_is_still_mixed, met.values()))
-            alone = claims[k][0] if len(claims[k]) == 1 else None
-            if alone is None or mixed != alone.is_mixed or not _is_like(alone, k, blobs):
-                alone = _Path([], [], mixed)
-            alone.bins.append(b)
-            alone.blobs.append(k)
-            followed.append(alone)
-        still_going = {id(path) for path in followed}
-        done += [path for path in going if id(path) not in still_going]
-        going = followed
-    return [p.blobs for p in sorted(done + going, key=lambda p: p.bins[0]) if not p.is_mixed]
-
-
-def _is_still_mixed(path: _Path) -> bool:
-    return path.is_mixed and len(path.bins) < _TOGETHER
-
-
-def _is_like(path: _Path, k: int, blobs: Blobs) -> bool:
-    """Whether a blob is about as large as the path's last."""
-    ratio = (blobs.sizes_px[k] + 1.0) / (blobs.sizes_px[path.blobs[-1]] + 1.0)
-    return bool(1.0 / _GROWTH < ratio < _GROWTH)
-
-
-def _overlap(one: Array, other: Array) -> bool:
-    return bool(np.all(one[:2] <= other[2:]) and np.all(other[:2] <= one[2:]))
-
-
-def _is_within(point_px: Array, box_px: Array) -> bool:
-    low_px, high_px = box_px[:2] - _MARGIN_PX, box_px[2:] + _MARGIN_PX
-    return bool(np.all((low_px <= point_px) & (point_px <= high_px)))
-
-
-def _piece(path: list[int], blobs: Blobs, camera: Camera) -> Piece:
-    chosen = np.array(path, np.int64)
-    return Piece(
-        int(blobs.bins[chosen[0]]),
-        undistort_points(camera, blobs.centres_px[chosen]),
-        blobs.n_events[chosen],
-        float(np.median(blobs.sizes_px[chosen])),
-        chosen,
-    )
-
-
-_LONGEST_GAP = 30  # bins
-_LINK_BINS = 6  # bins that tell a velocity
-_MISS_PX, _MISS_PX_PER_BIN = 8.0, 2.5  # how far a path turns aside in a gap, besides
-_DEAREST = 2.5  # of the links that are made
-
-
-def chains_of(pieces: list[Piece]) -> list[list[int]]:
-    """Link pieces, the likeliest first; of each chain the pieces' numbers in order of time.
-
-    The chains come in the order of the bins in which they are seen, the longest first.
+    Where two things meet, both their pieces end, and new ones begin where they part. Which
+    continues which is told by where they lead, and by how large and how bright the image is: a
+    guess, which the two views have to bear out. Of each chain the pieces' numbers are in order of
+    time; the chains come in the order of the bins in which they are seen, the longest first.
     """
     links = sorted(
         (cost, i, j)
         for i, one in enumerate(pieces)
         for j, other in enumerate(pieces)
-        if one.last <= other.first <= one.last + _LONGEST_GAP
-        if (cost := _cost(one, other)) < _DEAREST
+        if one.last <= other.first <= one.last + rules.max_link_bins
+        if (cost := _link_cost(one, other, rules)) < rules.max_link_cost
     )
     following: dict[int, int] = {}
     taken: set[int] = set()
@@ -340,16 +136,17 @@ def chains_of(pieces: list[Piece]) -> list[list[int]]:
     return sorted(chains, key=lambda chain: -sum(len(pieces[i].positions_px) for i in chain))
 
 
-def _cost(one: Piece, other: Piece) -> float:
+def _link_cost(one: Piece, other: Piece, rules: ObjectRules) -> float:
     """How ill a piece continues another: 1 for each of what is ordinary."""
-    gap = other.first - one.last + 1
-    before, after = one.positions_px[-_LINK_BINS:], other.positions_px[:_LINK_BINS]
+    gap, n = other.first - one.last + 1, rules.link_velocity_bins
+    before, after = one.positions_px[-n:], other.positions_px[:n]
     steps_px = 0.5 * (_step_px(before) + _step_px(after))  # an even turn, in between
     miss_px = float(np.hypot(*(after[0] - before[-1] - gap * steps_px)))
-    brighter = np.mean(other.n_events[:_LINK_BINS]) / np.mean(one.n_events[-_LINK_BINS:])
+    brighter = np.mean(other.n_events[:n]) / np.mean(one.n_events[-n:])
     larger = (other.size_px + 1.0) / (one.size_px + 1.0)
-    unlike = abs(np.log(brighter)) / np.log(2.5) + abs(np.log(larger)) / np.log(1.6)
-    return float(miss_px / (_MISS_PX + _MISS_PX_PER_BIN * gap) + unlike)
+    unlike = abs(np.log(brighter)) / np.log(rules.brighter_ratio)
+    unlike = unlike + abs(np.log(larger)) / np.log(rules.larger_ratio)
+    return float(miss_px / (rules.link_px + rules.link_px_per_bin * gap) + unlike)
 
 
 def _step_px(positions_px: Array) -> Array:
@@ -358,55 +155,208 @@ def _step_px(positions_px: Array) -> Array:
     return np.asarray((positions_px[-1] - positions_px[0]) / max(n - 1, 1))
 
 
-N_COLUMNS = 8
-"""Of a blob: events, mean x and y, rms size, least x and y, largest x and y [px]."""
+def _cell_px(camera: Camera, rules: ObjectRules) -> int:
+    return max(1, round(rules.cell_widths * camera.width))
 
-_FULL = 3  # events of a cell that hold it together with its neighbours
+
+def _nothing_still(camera: Camera, rules: ObjectRules) -> Mask:
+    cell_px = _cell_px(camera, rules)
+    return np.zeros((-(-camera.height // cell_px), -(-camera.width // cell_px)), np.bool_)
+
+
+def _bounds(events: Events, bin_us: int, every: int = 1) -> Indices:
+    """First event of each `every`-th bin, and the one after its last (b, 2).
+
+    Bins count from the first event on, so that a clock that shows more changes nothing.
+    """
+    times_us = events["t"]
+    n_bins = int(times_us[-1] - times_us[0]) // bin_us + 1
+    starts = np.arange(0, n_bins, every, dtype=np.int64)
+    ends_us = times_us[0] + np.stack([starts, starts + 1], axis=1) * bin_us
+    return first_from(times_us, ends_us.ravel()).reshape(ends_us.shape).astype(np.int64)
+
+
+def _blobs(
+    events: Events,
+    camera: Camera,
+    bounds: Indices,
+    still: Mask,
+    rules: ObjectRules,
+    labels: NDArray[np.int32] | None = None,
+) -> Blobs:
+    bins, table, at_still = _blobs_in_bins(
+        events["x"],
+        events["y"],
+        bounds,
+        _cell_px(camera, rules),
+        still,
+        (rules.least_blob_events, rules.full_cell_events),
+        np.empty(0, np.int32) if labels is None else labels,
+    )
+    return Blobs(bins, table[:, 0], table[:, 1:3], table[:, 3], table[:, 4:8], at_still)
+
+
+def _things(blobs: Blobs, n_bins: int, cell_px: int, rules: ObjectRules) -> Indices:
+    """Count the things (b,) in each bin: blobs well apart, the largest first."""
+    counts = np.bincount(blobs.bins, minlength=n_bins)
+    starts = np.cumsum(counts) - counts
+    things = np.minimum(counts, 1)
+    for b in np.flatnonzero(counts > 1):
+        of_bin = np.arange(starts[b], starts[b] + counts[b])
+        of_bin = of_bin[np.argsort(-blobs.n_events[of_bin], kind="stable")]
+        kept = [of_bin[0]]
+        for k in of_bin[1:]:
+            if blobs.n_events[k] < rules.least_blob_share * blobs.n_events[kept[0]]:
+                break
+            own = blobs.corners_px[k]
+            if all(_are_apart(own, blobs.corners_px[j], cell_px, rules) for j in kept):
+                kept.append(k)
+        things[b] = len(kept)
+    return things
+
+
+def _are_apart(one: Array, other: Array, cell_px: int, rules: ObjectRules) -> bool:
+    """Whether the gap between two boxes is large beside the larger of them."""
+    gap_px = float(np.max([one[:2] - other[2:], other[:2] - one[2:]]))
+    larger_px = max(np.hypot(*(one[2:] - one[:2])), np.hypot(*(other[2:] - other[:2])))
+    return bool(gap_px > max(rules.apart_cells * cell_px, rules.apart_sizes * larger_px))
+
+
+def _bins_of_their_own_way(pieces: list[Piece], rules: ObjectRules) -> int:
+    """Count the bins in which two pieces are seen that move apart, or towards each other.
+
+    The parts of a large object, which may hang together in some bins and not in others, do not.
+    """
+    n = 0
+    for k, other in enumerate(pieces):
+        for one in pieces[:k]:
+            first, last = max(one.first, other.first), min(one.last, other.last)
+            if last - first < rules.least_bins:
+                continue
+            gaps_px = (
+                one.positions_px[first - one.first : last - one.first]
+                - other.positions_px[first - other.first : last - other.first]
+            )
+            moved_px = float(np.hypot(*(gaps_px[-1] - gaps_px[0])))
+            gap_px = float(np.mean(np.hypot(*gaps_px.T)))
+            least_px = rules.own_way_px + rules.own_way_share * gap_px
+            n += (last - first) * (moved_px > least_px)
+    return n
+
+
+@dataclass
+class _Path:
+    """A piece in the making."""
+
+    bins: list[int]
+    blobs: list[int]
+    is_mixed: bool  # two things that met are in it
+
+    def velocity_px(self, blobs: Blobs, n_bins: int) -> Array:
+        """Pixels per bin (2,), of the last bins."""
+        n = min(len(self.bins), n_bins)
+        if n < 2:
+            return np.zeros(2)
+        moved = blobs.centres_px[self.blobs[-1]] - blobs.centres_px[self.blobs[-n]]
+        return np.asarray(moved / (n - 1))
+
+
+def _paths(blobs: Blobs, n_bins: int, rules: ObjectRules) -> list[list[int]]:
+    """Follow blobs from bin to bin; those of each path, of one a bin."""
+    starts = np.searchsorted(blobs.bins, np.arange(n_bins + 1))
+    going: list[_Path] = []
+    done: list[_Path] = []
+    for b in range(n_bins):
+        here = [int(k) for k in range(starts[b], starts[b + 1]) if not blobs.at_still[k]]
+        followed: list[_Path] = []
+        near: dict[int, list[_Path]] = {k: [] for k in here}
+        inside: dict[int, list[_Path]] = {k: [] for k in here}
+        for path in going:
+            step_px = path.velocity_px(blobs, rules.velocity_bins)
+            there_px = blobs.centres_px[path.blobs[-1]] + step_px
+            reach_px = rules.reach_px + rules.reach_share * float(np.hypot(*step_px))
+            box_px = blobs.corners_px[path.blobs[-1]] + np.tile(step_px, 2)
+            covered = [k for k in here if _overlap(box_px, blobs.corners_px[k])]
+            for k in covered:
+                if _is_within(there_px, blobs.corners_px[k], rules.margin_px):
+                    inside[k].append(path)
+            if len(covered) > 1 or not here:  # it comes apart, or is gone
+                continue
+            distances_px = [float(np.hypot(*(blobs.centres_px[k] - there_px))) for k in here]
+            least = int(np.argmin(distances_px))
+            if distances_px[least] <= reach_px:
+                near[here[least]].append(path)
+        for k in here:
+            met = {id(path): path for path in near[k] + inside[k]}
+            mixed = len(met) > 1 or any(
+                path.is_mixed and len(path.bins) < rules.mixed_bins for path in met.values()
+            )
+            alone = near[k][0] if len(near[k]) == 1 else None
+            if alone is not None:
+                ratio = (blobs.sizes_px[k] + 1.0) / (blobs.sizes_px[alone.blobs[-1]] + 1.0)
+                if mixed != alone.is_mixed or not 1.0 / rules.max_growth < ratio < rules.max_growth:
+                    alone = None
+            if alone is None:
+                alone = _Path([], [], mixed)
+            alone.bins.append(b)
+            alone.blobs.append(k)
+            followed.append(alone)
+        still_going = {id(path) for path in followed}
+        done += [path for path in going if id(path) not in still_going]
+        going = followed
+    return [p.blobs for p in sorted(done + going, key=lambda p: p.bins[0]) if not p.is_mixed]
+
+
+def _overlap(one: Array, other: Array) -> bool:
+    return bool(np.all(one[:2] <= other[2:]) and np.all(other[:2] <= one[2:]))
+
+
+def _is_within(point_px: Array, box_px: Array, margin_px: float) -> bool:
+    low_px, high_px = box_px[:2] - margin_px, box_px[2:] + margin_px
+    return bool(np.all((low_px <= point_px) & (point_px <= high_px)))
+
+
+def _piece(path: list[int], blobs: Blobs, camera: Camera) -> Piece:
+    chosen = np.array(path, np.int64)
+    return Piece(
+        int(blobs.bins[chosen[0]]),
+        undistort_points(camera, blobs.centres_px[chosen]),
+        blobs.n_events[chosen],
+        float(np.median(blobs.sizes_px[chosen])),
+        chosen,
+    )
 
 
 @numba.njit(cache=True)
-def blobs_in_bins(
-    x: NDArray[np.uint16],
-    y: NDArray[np.uint16],
-    bounds: NDArray[np.int64],
+def _blobs_in_bins(
+    x: Pixels,
+    y: Pixels,
+    bounds: Indices,
     cell_px: int,
-    still: NDArray[np.bool_],
-    least: int,
+    still: Mask,
+    least: tuple[int, int],
     labels: NDArray[np.int32],
-) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.bool_]]:
-    """Find connected clusters of cells with events, bin by bin of time.
+) -> tuple[Indices, Array, Mask]:
+    """Find connected clusters of cells with events, bin by bin of time, but for still cells.
 
-    Parameters
-    ----------
-    x, y
-        Pixels of the events, shape (n,).
-    bounds
-        First event of each bin and the one after its last, shape (b, 2).
-    cell_px
-        Side of a cell [px].
-    still
-        Cells (rows, columns) whose events are left out.
-    least
-        Events of the least cluster that is a blob.
-    labels
-        Filled in: the blob of each event, -1 of none; of length 0 where that is not asked for.
+    Bounds (b, 2) are the first event of each bin and the one after its last. At least so many
+    events make a blob, and so many of a cell hold it together with its neighbours. The blob of each
+    event, -1 of none, is filled in; of length 0 where that is not asked for.
 
-    Returns
-    -------
-    tuple
-        Bin (k,) of each blob, ascending; its columns (k, N_COLUMNS); whether it touches a still
-        cell (k,).
+    Gives the bin (k,) of each blob, ascending; its events, mean x and y, rms size, least x and y,
+    and largest x and y (k, 8) [px]; whether it touches a still cell (k,).
     """
+    least_blob, full = least
     rows, columns = still.shape
     counts = np.zeros((rows, columns), np.int64)
     of_cell = np.full((rows, columns), -1, np.int64)
     touched = np.empty(rows * columns, np.int64)
     stack = np.empty(rows * columns, np.int64)
-    sums = np.empty((rows * columns, N_COLUMNS + 1))
+    sums = np.empty((rows * columns, 9))
     touches = np.empty(rows * columns, np.bool_)
     index = np.empty(rows * columns, np.int64)
     bins = [np.int64(0) for _ in range(0)]
-    found = [np.empty(N_COLUMNS) for _ in range(0)]
+    found = [np.empty(8) for _ in range(0)]
     at_still = [False for _ in range(0)]
     for b in range(len(bounds)):
         n_touched = 0
@@ -419,9 +369,9 @@ def blobs_in_bins(
         n_blobs = 0
         for k in range(n_touched):
             row, column = touched[k] // columns, touched[k] % columns
-            if counts[row, column] < _FULL or of_cell[row, column] >= 0 or still[row, column]:
+            if counts[row, column] < full or of_cell[row, column] >= 0 or still[row, column]:
                 continue
-            touches[n_blobs] = _fill(row, column, n_blobs, counts, of_cell, still, stack)
+            touches[n_blobs] = _fill(row, column, n_blobs, full, counts, of_cell, still, stack)
             n_blobs += 1
         sums[:n_blobs, :5] = 0.0
         sums[:n_blobs, 5:7], sums[:n_blobs, 7:] = np.inf, -np.inf
@@ -441,15 +391,15 @@ def blobs_in_bins(
         for label in range(n_blobs):
             own = sums[label]
             index[label] = -1
-            if own[0] < least:
+            if own[0] < least_blob:
                 continue
             index[label] = len(bins)
             mean_x, mean_y = own[1] / own[0], own[2] / own[0]
             spread = (own[3] + own[4]) / own[0] - mean_x * mean_x - mean_y * mean_y
-            row_of = np.empty(N_COLUMNS)
+            row_of = np.empty(8)
             row_of[0], row_of[1], row_of[2] = own[0], mean_x, mean_y
             row_of[3] = np.sqrt(max(spread, 0.0))
-            for c in range(4, N_COLUMNS):
+            for c in range(4, 8):
                 row_of[c] = own[c + 1]
             bins.append(np.int64(b))
             found.append(row_of)
@@ -462,9 +412,9 @@ def blobs_in_bins(
             row, column = touched[k] // columns, touched[k] % columns
             counts[row, column] = 0
             of_cell[row, column] = -1
-    table = np.empty((len(found), N_COLUMNS))
+    table = np.empty((len(found), 8))
     for k in range(len(found)):
-        for c in range(N_COLUMNS):
+        for c in range(8):
             table[k, c] = found[k][c]
     return np.array(bins, np.int64), table, np.array(at_still, np.bool_)
 
@@ -474,10 +424,11 @@ def _fill(
     row: int,
     column: int,
     label: int,
-    counts: NDArray[np.int64],
-    of_cell: NDArray[np.int64],
-    still: NDArray[np.bool_],
-    stack: NDArray[np.int64],
+    full: int,
+    counts: Indices,
+    of_cell: Indices,
+    still: Mask,
+    stack: Indices,
 ) -> bool:
     """Label a full cell, all full ones that hang together with it, and the others beside these.
 
@@ -498,21 +449,16 @@ def _fill(
                 if counts[i, j] == 0 or of_cell[i, j] >= 0:
                     continue
                 of_cell[i, j] = label
-                if counts[i, j] >= _FULL:
+                if counts[i, j] >= full:
                     stack[n] = i * columns + j
                     n += 1
     return touches
 
 
 @numba.njit(cache=True)
-def occupied_bins(
-    x: NDArray[np.uint16],
-    y: NDArray[np.uint16],
-    bounds: NDArray[np.int64],
-    cell_px: int,
-    rows: int,
-    columns: int,
-) -> NDArray[np.int64]:
+def _occupied_bins(
+    x: Pixels, y: Pixels, bounds: Indices, cell_px: int, full: int, rows: int, columns: int
+) -> Indices:
     """Count the bins in which each cell (rows, columns) is full."""
     counts = np.zeros((rows, columns), np.int64)
     found = np.zeros((rows, columns), np.int64)
@@ -520,7 +466,7 @@ def occupied_bins(
         for i in range(bounds[b, 0], bounds[b, 1]):
             row, column = y[i] // cell_px, x[i] // cell_px
             counts[row, column] += 1
-            if counts[row, column] == _FULL:
+            if counts[row, column] == full:
                 found[row, column] += 1
         for i in range(bounds[b, 0], bounds[b, 1]):
             counts[y[i] // cell_px, x[i] // cell_px] = 0

@@ -1,4 +1,4 @@
-"""One camera's events and a pencil of epipolar planes in, the outline's two tangents out.
+"""The two tangents of an object's outline along the epipolar planes, in one camera's events.
 
 The epipolar planes of two cameras are a pencil: they all hold the baseline, and an angle about it
 tells one from another. Whatever the object's shape, the two planes that just touch it are the same
@@ -24,23 +24,15 @@ from ssac.track.motion_kernels import TIE_US
 from ssac.track.outline_kernels import (
     above_limit,
     angles_from_course,
-    events_at,
     highest_in_blocks,
     local_parabolas,
     outermost_from_course,
     ranked_in_windows,
-    taken,
 )
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 Mask = NDArray[np.bool_]
-
-MAX_SHIFT_PX = 6.0
-"""An event that the track's velocity leaves further than this from its tangent is no part of it."""
-
-
-_BLOCKS_PER_STEP = 2  # so that windows are of any whole number of half steps on each side
 
 
 @dataclass(frozen=True)
@@ -59,6 +51,7 @@ class OutlineConfig:
     rough_margin_px: float = 3.0  # inside the rough outline, up to which events are kept
     margin_px: float = 1.0  # the same, inside the deeper rank, once the course is followed
     centred: bool = False  # moves the track from its events' mean times: where these are uneven
+    max_shift_px: float = 6.0  # to its tangent, of an event that the track's velocity moves
 
 
 @dataclass(frozen=True)
@@ -107,7 +100,9 @@ def near_outline(
         lowest_rad = _filled(times_s, rough_rad) - config.rough_margin_px * course.rad_per_px
         chosen = above_limit(values, blocks.bounds, side, blocks.at_edges(np.tan(lowest_rad)))
         events = OutlineEvents(
-            *events_at(chosen, motion.times_us, motion.position_sums_px, motion.border_sums),
+            motion.times_us[chosen],
+            motion.position_sums_px[chosen + 1] - motion.position_sums_px[chosen],
+            motion.border_sums[chosen + 1] > motion.border_sums[chosen],
             course.smoothed(rough_rad, config) if config.passes else np.zeros(len(times_s)),
         )
         for _ in range(config.passes - 1):
@@ -123,26 +118,11 @@ def tangents(
     times_s: Array,
     config: OutlineConfig,
 ) -> list[Tangents]:
-    """Find the upper and the lower tangent of the object's outline.
+    """Find the upper and the lower tangent of the object's outline, that of greater angle first.
 
-    Parameters
-    ----------
-    motion
-        The object's motion; its rules say when a sample is valid.
-    near
-        From `near_outline` with as many times.
-    pencil
-        Of this camera.
-    times_s
-        Shape (n,) [s], n > 1, ascending by equal steps, in this camera's clock.
-    config
-        Parameters.
-
-    Returns
-    -------
-    list of Tangents
-        The one with the greater angle first. A tangent is invalid where the track is, when the
-        event that gives it is on the border, or close to the epipole.
+    Times (n,) [s], n > 1, ascend by equal steps in this camera's clock; `near` is of as many. A
+    tangent is invalid where the track is, when the event that gives it is on the border, or close
+    to the epipole.
     """
     course = _Course.of(motion, pencil, times_s, config.centred)
     return [
@@ -199,7 +179,10 @@ class _Extremes:
 
 @dataclass(frozen=True)
 class _Blocks:
-    """Events in blocks of half a sample step, which begin and end at the samples' windows' ends."""
+    """Events in blocks of half a sample step, which begin and end at the samples' windows' ends.
+
+    So windows are of any whole number of half steps on each side.
+    """
 
     times_us: NDArray[np.int64]  # (m,) of the events
     times_s: Array  # (n,) of the samples
@@ -210,10 +193,10 @@ class _Blocks:
     @staticmethod
     def of(events_us: NDArray[np.int64], times_s: Array, config: OutlineConfig) -> "_Blocks":
         n = len(times_s)
-        length_us = 1e6 * (times_s[-1] - times_s[0]) / (n - 1) / _BLOCKS_PER_STEP
+        length_us = 1e6 * (times_s[-1] - times_s[0]) / (n - 1) / 2
         longest_s = max(config.half_window_s, config.rough_half_window_s)
         padding = max(round(1e6 * longest_s / length_us), 1)
-        numbers = np.arange(-padding, _BLOCKS_PER_STEP * (n - 1) + padding + 1)
+        numbers = np.arange(-padding, 2 * (n - 1) + padding + 1)
         edges_us = 1e6 * times_s[0] + length_us * numbers
         bounds = first_from(events_us, edges_us - TIE_US)
         return _Blocks(events_us, times_s, padding, edges_us, bounds)
@@ -224,16 +207,8 @@ class _Blocks:
 
     def angles(self, points_px: Array, course_rad: Array, pencil: Pencil) -> Array:
         """Tangents of the angles (m,) of the events from a course (n,)."""
-        edges_rad = self.at_edges(course_rad)
-        return angles_from_course(
-            self.times_us,
-            points_px,
-            self.bounds,
-            self.edges_us,
-            edges_rad,
-            pencil.sine,
-            pencil.cosine,
-        )
+        edges = self.bounds, self.edges_us, self.at_edges(course_rad)
+        return angles_from_course(self.times_us, points_px, *edges, pencil.sine, pencil.cosine)
 
     def extremes(
         self, tops: Array, at: Indices, half_window_s: float, usable: Mask, config: OutlineConfig
@@ -244,7 +219,7 @@ class _Blocks:
         more so the fewer events there are near it; the gap to a deeper rank tells how much.
         """
         half = max(round(1e6 * half_window_s / (self.edges_us[1] - self.edges_us[0])), 1)
-        firsts = self.padding + _BLOCKS_PER_STEP * np.arange(len(self.times_s)) - half
+        firsts = self.padding + 2 * np.arange(len(self.times_s)) - half
         ranked, indices = ranked_in_windows(
             tops, at, firsts, 2 * half, usable, config.rank, config.deeper_rank
         )
@@ -275,7 +250,9 @@ def _followed(
     chosen = above_limit(values, blocks.bounds, side, blocks.at_edges(np.tan(lowest_rad)))
     angles_rad = _within(events.course_rad + extremes.angles_rad, config.max_angle_rad)
     return OutlineEvents(
-        *taken(chosen, events.times_us, events.points_px, events.on_border),
+        events.times_us[chosen],
+        events.points_px[chosen],
+        events.on_border[chosen],
         course.smoothed(angles_rad, config),
     )
 
@@ -299,7 +276,7 @@ def _tangent(
     gradients = pencil.gradients(points)
     across = gradients / np.sum(gradients**2, axis=1)[:, None]  # [px/rad]
     shifts = _wrapped(tangent_rad - pencil.angles(points))[:, None] * across
-    valid = np.isfinite(slopes) & (np.linalg.norm(shifts, axis=1) < MAX_SHIFT_PX)
+    valid = np.isfinite(slopes) & (np.linalg.norm(shifts, axis=1) < config.max_shift_px)
     # A pixel makes its first event when it is partly covered, and its last when nearly left.
     velocities = (slopes / (times_s[1] - times_s[0]))[:, None] * across
     speeds = np.linalg.norm(velocities, axis=1)[:, None] + 1e-9

@@ -1,4 +1,4 @@
-"""Events and a course in, their angles from it, the highest in windows, and smoothing out.
+"""Angles of events from a course, the highest of them in windows, and smoothing: compiled loops.
 
 Time is cut into even blocks. The highest values of a window are among the highest of its blocks, so
 that each event is looked at once, however many windows it is in.
@@ -30,21 +30,9 @@ def angles_from_course(
 ) -> Array:
     """Tangents (n,) of the angles of n events from a course; NaN when more than 90 deg from it.
 
-    Parameters
-    ----------
-    times_us
-        Shape (n,) [us], sorted.
-    points_px
-        Shape (n, 2).
-    bounds
-        Shape (b + 1,): the events of block i are those from bounds[i] up to bounds[i + 1]. The
-        values of events in no block are not set.
-    edges_us
-        Shape (b + 1,) [us] of the blocks.
-    course
-        Shape (b + 1,) [rad] at the edges; its direction is interpolated between them.
-    sine, cosine
-        Shape (3,) each, of the pencil.
+    The events of block i are those from bounds[i] (b + 1,) up to bounds[i + 1]; the values of
+    events in no block are not set. The course (b + 1,) [rad] is that at the blocks' edges, between
+    which its direction is interpolated; sine and cosine (3,) are the pencil's.
     """
     out = np.empty(len(times_us))
     for i in range(len(bounds) - 1):
@@ -66,7 +54,7 @@ def outermost_from_course(
     sine: Array,
     cosine: Array,
     depth: int,
-) -> tuple[Array, NDArray[np.float64], NDArray[np.intp]]:
+) -> tuple[Array, Array, Indices]:
     """`angles_from_course` (n,), and `highest_in_blocks` (2, b, depth) of them for sides 1 and -1.
 
     In one pass over all events, whose positions come as sums (n + 1, 2) [px].
@@ -140,7 +128,7 @@ def _tangents(
 @numba.njit(cache=True)
 def highest_in_blocks(
     values: Array, bounds: Indices, side: float, depth: int
-) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+) -> tuple[Array, Indices]:
     """Highest of side * values in each of b blocks, descending: values and indices (b, depth).
 
     Minus infinity where a block has fewer. NaN is never among them.
@@ -163,7 +151,7 @@ def ranked_in_windows(
     usable: NDArray[np.bool_],
     rank: int,
     deeper_rank: int,
-) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+) -> tuple[Array, Indices]:
     """Values (n, 2) of two ranks in windows of `length` blocks, and the index of the first's event.
 
     NaN and 0 where a window is not usable or has fewer events.
@@ -209,43 +197,7 @@ def above_limit(values: Array, bounds: Indices, side: float, limits: Array) -> N
 
 
 @numba.njit(cache=True)
-def events_at(
-    chosen: NDArray[np.int32],
-    times_us: NDArray[np.int64],
-    position_sums_px: Array,
-    border_sums: NDArray[np.int32],
-) -> tuple[NDArray[np.int64], Array, NDArray[np.bool_]]:
-    """Gather chosen events: times (m,) [us], positions (m, 2) [px], whether on the border (m,)."""
-    m = len(chosen)
-    times, points, on_border = np.empty(m, np.int64), np.empty((m, 2)), np.empty(m, np.bool_)
-    for i in range(m):
-        k = chosen[i]
-        times[i] = times_us[k]
-        points[i, 0] = position_sums_px[k + 1, 0] - position_sums_px[k, 0]
-        points[i, 1] = position_sums_px[k + 1, 1] - position_sums_px[k, 1]
-        on_border[i] = border_sums[k + 1] > border_sums[k]
-    return times, points, on_border
-
-
-@numba.njit(cache=True)
-def taken(
-    chosen: NDArray[np.int32],
-    times_us: NDArray[np.int64],
-    points_px: Array,
-    on_border: NDArray[np.bool_],
-) -> tuple[NDArray[np.int64], Array, NDArray[np.bool_]]:
-    """Take chosen ones (m,) of gathered events, in one pass."""
-    m = len(chosen)
-    times, points, border = np.empty(m, np.int64), np.empty((m, 2)), np.empty(m, np.bool_)
-    for i in range(m):
-        k = chosen[i]
-        times[i], border[i] = times_us[k], on_border[k]
-        points[i, 0], points[i, 1] = points_px[k, 0], points_px[k, 1]
-    return times, points, border
-
-
-@numba.njit(cache=True)
-def local_parabolas(values: Array, reach: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def local_parabolas(values: Array, reach: int) -> tuple[Array, Array]:
     """Value and slope per step (n,) of parabolas fitted about each of n even samples.
 
     By tricube weights over `reach` samples on each side; NaN, where the sample is itself or fewer

@@ -1,9 +1,14 @@
-"""Events of one camera and its track in; the centre and the shape of the object's image out.
+"""The silhouette of the object: the centre and the shape of its image, from one camera's events.
 
 The mean of the events strays over the object as it turns: how many events a part makes depends on
 its edges and on which way they move. The centre of the image's area does so far less. Events tell
-the image itself, as `ssac.track.silhouette` has it: what is darker or brighter than what
-the pixel shows when it is bare.
+the image itself: what is darker or brighter than what the pixel shows when it is bare.
+
+A pixel makes an event whenever its brightness has changed by a threshold. Counted up, its events
+say how many thresholds it is off what it shows when nothing is before it: its level. At the instant
+of an event the level is a whole number; in between it is interpolated. Boxes (n, 4) [least x,
+largest x, least y, largest y], ends included, hold all of the object at n times; a pixel that is
+out of the box is at rest.
 """
 
 from dataclasses import dataclass
@@ -14,30 +19,17 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 
 from ssac.camera import Camera, distort_points
+from ssac.rules import SilhouetteRules
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-LEAST_SIZE_PX = 5.0
-"""Least root mean square radius of an image, in the median, that has a silhouette: of one below,
-as of a drone of 17 px, most pixels are neither bare nor covered."""
+Indices = NDArray[np.int64]
+Levels = NDArray[np.int32]
+Pixels = NDArray[np.uint16]
 
-LEAST_CLOSED = 0.8
-"""Least share of the pixels that come to rest where they had been: a sensor's noise and thresholds
-that differ open it, as do events that were left out. Ideal sensors have over 0.99 of them."""
-
-LEAST_SHARE = 0.5
-"""Least share of a track's points that have a silhouette: the mean of the events is of another
-point of the object, so that one of the two is to be followed nearly all the time."""
-
-_REACH, _REACH_PX = 3.0, 4.0  # of the box, from the track: in sizes of the image, and beside
-_AROUND = 20  # points on each side, of which the largest image sets the box
-_GAP_STEPS = 3.0  # beyond which the object may have been anywhere
-_FULL_PERCENTILE = 95.0  # of the events' levels: nearly as dark as the object gets
-_CURVATURE = 1.0  # between a share that is as the level and one of contrast 7
-_RAMP_PX, _LEAST_SPEED_PX_S = 0.5, 20.0  # by which an edge changes a level
-_WINDOW, _LARGE_PERCENTILE = 2.2, 98.0  # of an image by itself, in sizes nearly the largest
-_MOST_OFF = 1.0  # of the centre from the mean of the events, in sizes of the image
+NONE = -1
+"""In place of an event's number."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,9 +59,14 @@ class Silhouettes:
 
 
 def silhouettes(
-    events: NDArray[np.void], camera: Camera, times_s: Array, points_px: Array, sizes_px: Array
+    events: NDArray[np.void],
+    camera: Camera,
+    times_s: Array,
+    points_px: Array,
+    sizes_px: Array,
+    rules: SilhouetteRules,
 ) -> Silhouettes | None:
-    """Find the object's silhouettes.
+    """Find the object's silhouettes; None where it is too small, or the events do not tell.
 
     Parameters
     ----------
@@ -80,113 +77,93 @@ def silhouettes(
     times_s, points_px, sizes_px
         Shapes (n,), (n, 2) and (n,): a track by the mean of the events, undistorted, and the root
         mean square radius of the image.
-
-    Returns
-    -------
-    Silhouettes or None
-        None where the object is too small, or the events do not tell: `LEAST_SIZE_PX`,
-        `LEAST_CLOSED`, `LEAST_SHARE`.
     """
-    if len(times_s) < 2 or float(np.median(sizes_px)) < LEAST_SIZE_PX:
+    if len(times_s) < 2 or float(np.median(sizes_px)) < rules.min_size_px:
         return None
     where_px = distort_points(camera, points_px)
-    samples_us, boxes, own = _boxes(times_s, where_px, sizes_px, camera)
+    samples_us, boxes, own = _boxes(times_s, where_px, sizes_px, camera, rules)
     first = int(np.searchsorted(events["t"], samples_us[0]))
     times_us, x, y, polarities = (np.ascontiguousarray(events[name]) for name in "txyp")
-    linked = linked_levels(
-        times_us, x, y, polarities, camera.width, camera.height, samples_us, boxes
-    )
+    sensor = camera.width, camera.height
+    linked = _linked_levels(times_us, x, y, polarities, *sensor, samples_us, boxes)
     levels, before, after, rests, closed = linked
-    if first == len(events) or closed < LEAST_CLOSED * rests:
+    if first == len(events) or closed < rules.min_closed_share * rests:
         return None
     moving = np.gradient(where_px, times_s, axis=0)
-    speeds = np.maximum(np.linalg.norm(moving, axis=1), _LEAST_SPEED_PX_S)
-    ramps_us = np.interp(1e-6 * samples_us, times_s, 1e6 * _RAMP_PX / speeds)
-    full = float(np.percentile(np.abs(levels[first:]), _FULL_PERCENTILE))
-    half = int(np.ceil(_WINDOW * np.percentile(sizes_px, _LARGE_PERCENTILE)))
+    speeds = np.maximum(np.linalg.norm(moving, axis=1), rules.least_speed_px_s)
+    ramps_us = np.interp(1e-6 * samples_us, times_s, 1e6 * rules.ramp_px / speeds)
+    full = float(np.percentile(np.abs(levels[first:]), rules.full_percentile))
+    half = int(np.ceil(rules.window_sizes * np.percentile(sizes_px, rules.large_percentile)))
     corners = np.rint(where_px).astype(np.int64) - half
     placed = np.zeros((len(samples_us), 2), np.int64)
     placed[own] = corners
     shares = np.zeros((len(samples_us), 2 * half + 1, 2 * half + 1), np.float32)
-    sums = image_sums(
+    sums = _image_sums(
         times_us,
         x,
         y,
-        levels,
-        before,
-        after,
-        camera.width,
-        camera.height,
+        (levels, before, after),
+        *sensor,
         samples_us,
         boxes,
         ramps_us,
         full,
-        _CURVATURE,
+        rules.curvature,
         placed,
         shares,
     )[own]
     off_px = np.linalg.norm(sums[:, 1:3] - where_px, axis=1)
     good = (sums[:, 0] > 0.0) & (sums[:, 6] == 0.0) & (sums[:, 7] == 0.0)
-    good &= off_px < _MOST_OFF * sizes_px
-    if np.mean(good) < LEAST_SHARE:
+    good &= off_px < rules.max_off_sizes * sizes_px
+    if np.mean(good) < rules.min_share:
         return None
     found = np.where(good[:, None], sums[:, 1:6], np.nan)
     return Silhouettes(found[:, :2], found[:, 2:], Images(shares[own], corners))
 
 
 def _boxes(
-    times_s: Array, where_px: Array, sizes_px: Array, camera: Camera
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.intp]]:
+    times_s: Array, where_px: Array, sizes_px: Array, camera: Camera, rules: SilhouetteRules
+) -> tuple[Indices, Indices, NDArray[np.intp]]:
     """Give times [us] and boxes of samples, and which of them are the track's points.
 
     Where there are none, at the beginning and in gaps, the object may be anywhere.
     """
-    reach_px = _REACH * maximum_filter1d(sizes_px, 2 * _AROUND + 1) + _REACH_PX
+    largest_px = maximum_filter1d(sizes_px, 2 * rules.box_points + 1)
+    reach_px = rules.box_sizes * largest_px + rules.box_px
     most = np.array([camera.width - 1, camera.height - 1])
     low = np.clip(np.floor(where_px - reach_px[:, None]), 0, most)
     high = np.clip(np.ceil(where_px + reach_px[:, None]), 0, most)
     boxes = np.column_stack([low[:, 0], high[:, 0], low[:, 1], high[:, 1]]).astype(np.int64)
     steps_s = np.diff(times_s)
-    gaps = np.flatnonzero(steps_s > _GAP_STEPS * np.median(steps_s)) + 1
+    gaps = np.flatnonzero(steps_s > rules.gap_steps * np.median(steps_s)) + 1
     places = np.concatenate([[0], gaps])
     between_s = np.concatenate([[times_s[0] - 1e-3], times_s[gaps] - 0.5 * steps_s[gaps - 1]])
-    everywhere = np.array([0, camera.width - 1, 0, camera.height - 1])
+    whole_view = np.array([0, camera.width - 1, 0, camera.height - 1])
     samples_s = np.insert(times_s, places, between_s)
-    boxes = np.insert(boxes, places, everywhere, axis=0)
+    boxes = np.insert(boxes, places, whole_view, axis=0)
     own = np.arange(len(times_s)) + np.searchsorted(places, np.arange(len(times_s)), side="right")
     return np.rint(1e6 * samples_s).astype(np.int64), boxes, own
 
 
-Indices = NDArray[np.int64]
-
-NONE = -1
-"""In place of an event's number."""
-
-_NEVER = -2
-
-
 @numba.njit(cache=True)
-def linked_levels(
+def _linked_levels(
     times_us: Indices,
-    x: NDArray[np.uint16],
-    y: NDArray[np.uint16],
+    x: Pixels,
+    y: Pixels,
     polarities: NDArray[np.uint8],
     width: int,
     height: int,
     samples_us: Indices,
     boxes: Indices,
-) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32], int, int]:
+) -> tuple[Levels, Levels, Levels, int, int]:
     """Give each event's level, positive where darker, and the events before and after it.
 
     A pixel is not quite back when it is bare again: up to a threshold short of it, so that the
     level at rest is 1 after darkness and -1 after light.
 
-    Returns
-    -------
-    tuple
-        Shapes (m,): levels just after the events; the events of the pixel, while it was in the
-        box, before and after each, `NONE` without. Then how often a pixel came to rest, and how
-        often it did so within a threshold of where it had been.
+    Gives (m,) levels just after the events; the events of the pixel, while it was in the box,
+    before and after each, `NONE` without. Then how often a pixel came to rest, and how often it did
+    so within a threshold of where it had been.
     """
     m, n = len(times_us), len(samples_us)
     levels = np.zeros(m, np.int32)
@@ -195,7 +172,8 @@ def linked_levels(
     step = np.zeros((height, width), np.int8)  # of the pixel's last event
     run = np.zeros((height, width), np.int32)  # of its last events of one polarity
     last = np.full((height, width), NONE, np.int32)
-    inside = np.full((height, width), _NEVER, np.int32)  # the last sample with it in the box
+    never = -2
+    inside = np.full((height, width), never, np.int32)  # the last sample with it in the box
     seen_bare = np.zeros((height, width), np.bool_)
     rests, closed = 0, 0
     i = 0
@@ -206,7 +184,7 @@ def linked_levels(
                     if inside[row, col] < i - 1:  # it comes into the box
                         last[row, col] = NONE
                         if run[row, col] > 1 or abs(level[row, col]) > 1:
-                            if seen_bare[row, col] and inside[row, col] != _NEVER:
+                            if seen_bare[row, col] and inside[row, col] != never:
                                 rests += 1
                                 closed += abs(level[row, col] + step[row, col]) <= 1
                             level[row, col] = -step[row, col]
@@ -232,13 +210,11 @@ def linked_levels(
 
 
 @numba.njit(cache=True)
-def image_sums(
+def _image_sums(
     times_us: Indices,
-    x: NDArray[np.uint16],
-    y: NDArray[np.uint16],
-    levels: NDArray[np.int32],
-    before: NDArray[np.int32],
-    after: NDArray[np.int32],
+    x: Pixels,
+    y: Pixels,
+    linked: tuple[Levels, Levels, Levels],
     width: int,
     height: int,
     samples_us: Indices,
@@ -249,22 +225,19 @@ def image_sums(
     corners: Indices,
     images: NDArray[np.float32],
 ) -> Array:
-    """Sum up the images of the object at the samples.
+    """Sum up the images of the object at n samples.
 
     Parameters
     ----------
-    times_us, x, y
-        Of the events.
-    levels, before, after
-        Of `linked_levels`.
-    width, height, samples_us, boxes
-        As there.
+    times_us, x, y, width, height, samples_us, boxes
+        As of `_linked_levels`.
+    linked
+        Levels, and events before and after, that it gave.
     ramps_us
         Shape (n,): time in which an edge may change a level by one, at most.
-    full
-        Level of a pixel that is covered all over.
-    curvature
-        Log contrast of such a pixel, by which the share that is covered is told from the level.
+    full, curvature
+        Level of a pixel that is covered all over, and its log contrast, by which the share that is
+        covered is told from the level.
     corners, images
         Shapes (n, 2) and (n, w, w): column and row of each image's first pixel, and the images,
         whose shares are written in place.
@@ -275,10 +248,11 @@ def image_sums(
         Shape (n, 8): area [px], its centre x and y [px], its second moments xx, xy, yy [px^2], how
         many pixels of the box were never seen bare, and how many covered ones are on the border.
     """
+    levels, before, after = linked
     m, n = len(times_us), len(samples_us)
     sums = np.zeros((n, 8))
     last = np.full((height, width), NONE, np.int32)
-    inside = np.full((height, width), _NEVER, np.int32)
+    inside = np.full((height, width), -2, np.int32)  # the last sample with it in the box
     seen_bare = np.zeros((height, width), np.bool_)
     # The first event of each stay in the box is found from the one of the stay before.
     following = np.full(m, NONE, np.int32)
@@ -340,9 +314,9 @@ def _level_at(
     a: int,
     b: int,
     times_us: Indices,
-    levels: NDArray[np.int32],
-    before: NDArray[np.int32],
-    after: NDArray[np.int32],
+    levels: Levels,
+    before: Levels,
+    after: Levels,
     ramp_us: float,
 ) -> float:
     """Give a pixel's level, without sign, between its event a and its next, b; either may be none.

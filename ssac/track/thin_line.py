@@ -1,10 +1,9 @@
-"""One camera's events before and after denoising in; those of a line that holds the object, out.
+"""The events of a thin line that holds the object: a thread, a wire, a rod.
 
-What hangs on a wire, or sits on a rod, is seen with the part of it that is next to the object: so
-near, denoising does not tell the two apart, and where that part ends is nothing that two cameras
-share. Further out the line is removed as noise, and there it is told from noise with ease: it
-starts at the object, goes with it, and goes on in one direction. A part of the object itself, as
-an antenna or a leg, ends.
+The part of such a line that is next to the object is seen with it: so near, denoising does not tell
+the two apart, and where that part ends is nothing that two cameras share. Further out the line is
+removed as noise, and there it is told from noise with ease: it starts at the object, goes with it,
+and goes on in one direction. A part of the object itself, as an antenna or a leg, ends.
 """
 
 from dataclasses import dataclass
@@ -14,34 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
+from ssac.rules import LineRules
+
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-
-HALF_WIDTH_PX = 2.0
-"""On each side of the line's middle, whose events are taken for its own. On pendulums in a room
-1.2 to 3 px served alike; a line's image is hardly a pixel wide, but its place is found to one."""
-
-_HALF_WINDOW_US = 20_000
-_SAMPLED = 5  # one window in as many tells whether there is a line, and its first course
-_FIRST = 20  # of those, over all the recording: where none has a line there is none
-_LEAST_SEEN, _LEAST_OF_HALF = 60, 20  # events of the object in a window, and in each half of it
-_REACH = 0.9  # share of the object's events that are within its reach
-_FROM_REACH, _FROM_PX = 1.5, 3.0  # times the reach, and more, from which a line is looked for
-_LENGTH_PX = 60.0  # up to which it is followed from there
-_LEAST_LENGTH_PX = 15.0  # within the view
-_BORDER_PX = 2.0
-_DIRECTIONS = 240
-_LEAST_FAR = 10  # events there at all
-_LEAST_ON = 12  # events of a line
-_ABOVE = 4.0  # and so many times more than as wide a strip beside it has
-_HALF_STRIP_PX, _BESIDE_PX = 1.5, (3.0, 9.0)
-_PARTS, _LEAST_OF_PART = 5, 0.05  # of its length, each of which has such a share of the events
-_GATES_PX = (3.0, 2.0, 2.0)  # on each side, of the events that a line is fitted to
-_LEAST_FITTED = 8
-_LEAST_CLEAR = 8  # windows with a line
-_LEAST_SHARE = 0.3  # of the windows, as nothing is seen of a line that rests
-_LEAST_ALIKE = 0.8  # length of the mean of its directions
-_SMOOTHED = 5  # windows
+Events = NDArray[np.void]
+Times = NDArray[np.int64]
+Pixels = NDArray[np.uint16]
 
 
 @dataclass(frozen=True)
@@ -65,113 +43,120 @@ class _Line:
 
 
 def events_on_line(
-    events: NDArray[np.void], kept: NDArray[np.void], width: int, height: int
+    events: Events, kept: Events, width: int, height: int, rules: LineRules
 ) -> Mask | None:
     """Find the events of a thin line that goes from the object on, far beyond it.
 
     Parameters
     ----------
-    events
-        As recorded, shape (N,), sorted by time.
-    kept
-        Those that denoising left, shape (n,).
+    events, kept
+        All that were recorded, and the n that denoising left; both sorted by time.
     width, height
         Sensor size [px].
 
     Returns
     -------
-    NDArray or None
-        Shape (n,), which of those left lie where such a line is, the object's own there among
-        them. None, unless there is one in much of the recording, on one side of the object.
+    Mask or None
+        Which of the n lie where such a line is, the object's own there among them. None, unless
+        there is one in much of the recording, on one side of the object.
     """
-    if len(kept) < _LEAST_SEEN:
+    if len(kept) < rules.min_events:
         return None
-    middles_us = _middles_us(kept["t"])
-    numbers = list(range(0, len(middles_us), _SAMPLED))
-    step = max(1, len(numbers) // _FIRST)
+    middles_us = _middles_us(kept["t"], rules.half_window_us)
+    numbers = list(range(0, len(middles_us), rules.look_every))
+    step = max(1, len(numbers) // rules.first_windows)
     clear: dict[int, _Line] = {}
     n_tested = 0
     for some in (numbers[::step], [k for i, k in enumerate(numbers) if i % step]):
         for k in some:
-            window = _window(events, kept, middles_us[k])
-            line = None if window is None else _voted(window, width, height)
+            window = _window(events, kept, middles_us[k], rules)
+            line = None if window is None else _voted(window, width, height, rules)
             n_tested += window is not None and (line is None or line.has_room)
             if line is not None and line.is_clear:
                 clear[k] = line
         if not clear:
             return None
-    if len(clear) < max(_LEAST_CLEAR, _LEAST_SHARE * n_tested):
+    if len(clear) < max(rules.min_clear_windows, rules.min_clear_share * n_tested):
         return None
     sampled = dict(sorted(clear.items()))
     angles_rad = np.array([line.angle_rad for line in sampled.values()])
-    if np.abs(np.mean(np.exp(1j * angles_rad))) < _LEAST_ALIKE:
+    if np.abs(np.mean(np.exp(1j * angles_rad))) < rules.min_alike:
         return None
     places = np.arange(len(middles_us))
     guesses_rad = np.interp(places, list(sampled), np.unwrap(angles_rad))
     offsets_px = np.interp(places, list(sampled), [one.offset_px for one in sampled.values()])
     course = np.full((len(middles_us), 6), np.nan)  # centre, velocity, angle, offset
     for k, middle_us in enumerate(middles_us):
-        window = _window(events, kept, middle_us)
+        window = _window(events, kept, middle_us, rules)
         if window is None:
             continue
         course[k, :2], course[k, 2:4] = window.centre_px, window.velocity_px_us
-        line = sampled.get(k) or _fitted(window, guesses_rad[k], offsets_px[k], width, height)
+        line = sampled.get(k)
+        line = line or _fitted(window, guesses_rad[k], offsets_px[k], width, height, rules)
         if line is not None and line.is_clear:
             course[k, 4:] = line.angle_rad, line.offset_px
-    return _beside(kept, middles_us, course)
+    return _beside(kept, middles_us, course, rules)
 
 
 @numba.njit(cache=True)
-def _middles_us(times_us: NDArray[np.int64]) -> NDArray[np.int64]:
+def _middles_us(times_us: Times, half_us: int) -> Times:
     """Cut a recording into windows, and give the middles (m,) of those that hold an event."""
-    length_us = 2 * _HALF_WINDOW_US
+    length_us = 2 * half_us
     middles_us = np.empty((times_us[-1] - times_us[0]) // length_us + 1, np.int64)
     m = first = 0
     while first < len(times_us):
         start_us = times_us[first] - (times_us[first] - times_us[0]) % length_us
-        middles_us[m] = start_us + _HALF_WINDOW_US
+        middles_us[m] = start_us + half_us
         m += 1
         first += np.searchsorted(times_us[first:], start_us + length_us)
     return middles_us[:m]
 
 
-def _window(
-    events: NDArray[np.void], kept: NDArray[np.void], middle_us: np.int64
-) -> _Window | None:
+def _window(events: Events, kept: Events, middle_us: np.int64, rules: LineRules) -> _Window | None:
     """Look at the object about a time; None where too little of it is seen."""
-    object_at = _object_at(kept["t"], kept["x"], kept["y"], middle_us)
-    if object_at is None:
+    half_us, t = rules.half_window_us, kept["t"]
+    first, middle, last = np.searchsorted(t, [middle_us - half_us, middle_us, middle_us + half_us])
+    n, n_early = last - first, middle - first
+    if n < rules.min_events or min(n_early, n - n_early) < rules.min_half_events:
         return None
-    centre, velocity, reach_px = object_at
-    start_px = _FROM_REACH * reach_px + _FROM_PX
-    far = _far_from(events["t"], events["x"], events["y"], middle_us, centre, velocity, start_px)
+    own = kept[first:last]
+    centre, velocity, reach_px = _object_in(
+        own["t"], own["x"], own["y"], n_early, middle_us, half_us, rules.reach_share
+    )
+    start_px = rules.from_reach * reach_px + rules.from_px
+    first, last = np.searchsorted(events["t"], [middle_us - half_us, middle_us + half_us])
+    every = events[first:last]
+    ends_px = start_px, start_px + rules.length_px
+    far = _far_from(every["t"], every["x"], every["y"], middle_us, centre, velocity, *ends_px)
     return _Window(centre, velocity, start_px, far)
 
 
 @numba.njit(cache=True)
-def _object_at(
-    t: NDArray[np.int64], x: NDArray[np.uint16], y: NDArray[np.uint16], middle_us: np.int64
-) -> tuple[Array, Array, float] | None:
+def _object_in(
+    t: Times,
+    x: Pixels,
+    y: Pixels,
+    n_early: int,
+    middle_us: np.int64,
+    half_us: int,
+    reach_share: float,
+) -> tuple[Array, Array, float]:
     """Median place (2,) [px] of a window's events, their velocity (2,) [px/us] and reach [px]."""
-    first, middle, last = _bounds(t, middle_us)
-    n, n_early = last - first, middle - first
-    if n < _LEAST_SEEN or min(n_early, n - n_early) < _LEAST_OF_HALF:
-        return None
+    n = len(t)
     centre, velocity, away_px = np.empty(2), np.empty(2), np.zeros(n)
     places = np.empty(n)
     for axis, pixels in enumerate((x, y)):
-        shift_px = _median(pixels[middle:last]) - _median(pixels[first:middle])
-        velocity[axis] = shift_px / _HALF_WINDOW_US
+        velocity[axis] = (_median(pixels[n_early:]) - _median(pixels[:n_early])) / half_us
         for i in range(n):
-            places[i] = pixels[first + i] - (t[first + i] - middle_us) * velocity[axis]
+            places[i] = pixels[i] - (t[i] - middle_us) * velocity[axis]
         centre[axis] = np.median(places)
         for i in range(n):
             away_px[i] += (places[i] - centre[axis]) ** 2
-    return centre, velocity, _quantile(np.sqrt(away_px), _REACH)
+    return centre, velocity, _quantile(np.sqrt(away_px), reach_share)
 
 
 @numba.njit(cache=True)
-def _median(pixels: NDArray[np.uint16]) -> float:
+def _median(pixels: Pixels) -> float:
     """Median of whole numbers (n,), n > 0, by counting: three times as fast as by sorting."""
     least, most = pixels[0], pixels[0]
     for i in range(len(pixels)):
@@ -202,45 +187,37 @@ def _quantile(values: Array, share: float) -> float:
 
 @numba.njit(cache=True)
 def _far_from(
-    t: NDArray[np.int64],
-    x: NDArray[np.uint16],
-    y: NDArray[np.uint16],
+    t: Times,
+    x: Pixels,
+    y: Pixels,
     middle_us: np.int64,
     centre: Array,
     velocity: Array,
     start_px: float,
-) -> NDArray[np.float64]:
+    end_px: float,
+) -> Array:
     """Places (m, 2) [px], from a moving centre, of a window's events where a line may be."""
-    first, _, last = _bounds(t, middle_us)
-    found = np.empty((last - first, 2))
+    found = np.empty((len(t), 2))
     m = 0
-    for i in range(first, last):
+    for i in range(len(t)):
         age_us = t[i] - middle_us
         found[m, 0] = x[i] - (age_us * velocity[0] + centre[0])
         found[m, 1] = y[i] - (age_us * velocity[1] + centre[1])
         away_px = np.sqrt(found[m, 0] ** 2 + found[m, 1] ** 2)
-        m += start_px < away_px < start_px + _LENGTH_PX  # else it is written over
+        m += start_px < away_px < end_px  # else it is written over
     return found[:m].copy()
 
 
-@numba.njit(cache=True)
-def _bounds(t: NDArray[np.int64], middle_us: np.int64) -> tuple[np.intp, np.intp, np.intp]:
-    """Index of the first event of a window, of its second half, and after it."""
-    half_us = _HALF_WINDOW_US
-    first, last = np.searchsorted(t, middle_us - half_us), np.searchsorted(t, middle_us + half_us)
-    return first, first + np.searchsorted(t[first:last], middle_us), last
-
-
-def _voted(window: _Window, width: int, height: int) -> _Line | None:
+def _voted(window: _Window, width: int, height: int, rules: LineRules) -> _Line | None:
     """Find the line through the object with the most events; None where there are few."""
-    if len(window.far_px) < _LEAST_FAR:
+    if len(window.far_px) < rules.min_far_events:
         return None
-    half = int((window.start_px - _FROM_PX) / _FROM_REACH)  # a line meets the object
-    found = _votes(window.far_px, window.start_px, _DIRECTIONS, half + 1)
+    half = int((window.start_px - rules.from_px) / rules.from_reach)  # a line meets the object
+    found = _votes(window.far_px, window.start_px, rules.n_directions, half + 1)
     strips = found[:, :-2] + found[:, 1:-1] + found[:, 2:]
     direction, strip = np.unravel_index(int(np.argmax(strips)), strips.shape)
-    angle_rad = 2.0 * np.pi * float(direction) / _DIRECTIONS
-    return _fitted(window, angle_rad, float(strip) - half, width, height)
+    angle_rad = 2.0 * np.pi * float(direction) / rules.n_directions
+    return _fitted(window, angle_rad, float(strip) - half, width, height, rules)
 
 
 @numba.njit(cache=True)
@@ -262,13 +239,18 @@ def _votes(points: Array, start_px: float, n_directions: int, most_px: int) -> N
 
 
 def _fitted(
-    window: _Window, angle_rad: float, offset_px: float, width: int, height: int
+    window: _Window,
+    angle_rad: float,
+    offset_px: float,
+    width: int,
+    height: int,
+    rules: LineRules,
 ) -> _Line | None:
     """Fit a line to the events near a first one, and tell whether it is clear; None of few."""
-    for gate_px in _GATES_PX:
+    for gate_px in (rules.first_gate_px, rules.gate_px, rules.gate_px):
         along, across = _turned(window.far_px, angle_rad)
         near = (np.abs(across - offset_px) < gate_px) & (along > window.start_px)
-        if np.count_nonzero(near) < _LEAST_FITTED:
+        if np.count_nonzero(near) < rules.min_fitted_events:
             return None
         mean = along[near].mean()
         ages = along[near] - mean
@@ -278,18 +260,20 @@ def _fitted(
         angle_rad += turn_rad
     along, across = _turned(window.far_px, angle_rad)
     aside = np.abs(across - offset_px)
-    end_px = _room_px(window.centre_px, angle_rad, width, height) - _BORDER_PX
-    end_px = min(window.start_px + _LENGTH_PX, end_px)
-    if end_px - window.start_px < _LEAST_LENGTH_PX:
+    end_px = _room_px(window.centre_px, angle_rad, width, height) - rules.border_px
+    end_px = min(window.start_px + rules.length_px, end_px)
+    if end_px - window.start_px < rules.min_length_px:
         return _Line(angle_rad, offset_px, has_room=False)
     within = (along > window.start_px) & (along < end_px)
-    on = within & (aside < _HALF_STRIP_PX)
-    beside = within & (aside > _BESIDE_PX[0]) & (aside < _BESIDE_PX[1])
+    on = within & (aside < rules.half_strip_px)
+    beside = within & (aside > rules.beside_from_px) & (aside < rules.beside_to_px)
     n_on = int(np.count_nonzero(on))
-    by_chance = np.count_nonzero(beside) * _HALF_STRIP_PX / (_BESIDE_PX[1] - _BESIDE_PX[0])
-    parts = np.histogram(along[on], _PARTS, (window.start_px, end_px))[0]
-    is_even = bool(parts.min() >= _LEAST_OF_PART * n_on)
-    return _Line(angle_rad, offset_px, is_even and n_on >= _LEAST_ON + _ABOVE * by_chance)
+    beside_px = rules.beside_to_px - rules.beside_from_px
+    by_chance = np.count_nonzero(beside) * rules.half_strip_px / beside_px
+    parts = np.histogram(along[on], rules.parts, (window.start_px, end_px))[0]
+    is_even = bool(parts.min() >= rules.min_part_share * n_on)
+    least = rules.min_line_events + rules.min_over_beside * by_chance
+    return _Line(angle_rad, offset_px, is_even and n_on >= least)
 
 
 def _turned(points: Array, angle_rad: float | Array) -> tuple[Array, Array]:
@@ -306,7 +290,7 @@ def _room_px(centre_px: Array, angle_rad: float, width: int, height: int) -> flo
     return float(np.min((ends - centre_px) / np.where(direction == 0.0, 1e-9, direction)))
 
 
-def _beside(kept: NDArray[np.void], middles_us: NDArray[np.int64], course: Array) -> Mask:
+def _beside(kept: Events, middles_us: Times, course: Array, rules: LineRules) -> Mask:
     """Tell the events near the line whose course (m, 6) is known in some windows."""
     middles = middles_us.astype(np.float64)
     turns = np.isfinite(course[:, 4])
@@ -314,12 +298,12 @@ def _beside(kept: NDArray[np.void], middles_us: NDArray[np.int64], course: Array
     for column in course.T:
         known = np.isfinite(column)
         column[:] = np.interp(middles, middles[known], column[known])
-    course[:, 4:] = median_filter(course[:, 4:], (_SMOOTHED, 1), mode="nearest")
+    course[:, 4:] = median_filter(course[:, 4:], (rules.smoothed_windows, 1), mode="nearest")
     times = kept["t"].astype(np.float64)
-    at = np.searchsorted(middles_us + _HALF_WINDOW_US, kept["t"], side="right")
+    at = np.searchsorted(middles_us + rules.half_window_us, kept["t"], side="right")
     ages_us = times - middles[at]
     points = np.column_stack([kept["x"].astype(np.float64), kept["y"].astype(np.float64)])
     points -= course[at, :2] + ages_us[:, None] * course[at, 2:4]
     along, across = _turned(points, np.interp(times, middles, course[:, 4]))
     aside = np.abs(across - np.interp(times, middles, course[:, 5]))
-    return np.asarray((along > 0.0) & (aside < HALF_WIDTH_PX))
+    return np.asarray((along > 0.0) & (aside < rules.half_width_px))

@@ -8,7 +8,7 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from sim.recorded import CameraRecording, Recording, microseconds
+from sim.recorded import CameraRecording, Recording
 from sim.render.renderer import Crops
 from sim.scene.drone import Drone, Part
 from sim.scene.rig import Camera, Rig, two_view_rig
@@ -95,7 +95,7 @@ def whole_images(crops: Iterable[Crops], times_s: Array, background: Image) -> I
 
 def with_time_offset(recording: Recording, t_d_s: float) -> Recording:
     """Return the same recording with another offset between the clocks: `t_cam2 = t_cam1 + t_d`."""
-    change_us = microseconds(t_d_s) - microseconds(recording.truth.t_d_s)
+    change_us = round(1e6 * t_d_s) - round(1e6 * recording.truth.t_d_s)
     second = recording.cameras[1]
     camera = replace(second.camera, time_offset_s=t_d_s)
     events = second.events.copy()

@@ -1,5 +1,6 @@
 """What is added to a recording fires where, when and as often as it says."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from sim.disturb import (
     clouds,
     cloudy_sky,
     clutter,
+    disturbed,
     merged,
     record_disturbed,
     second_seed,
@@ -27,7 +29,7 @@ from sim.disturb import (
 )
 from sim.effects.pixels import CLUSTER_PX
 from sim.errors import SimError
-from sim.recording import SimConfig
+from sim.recording import SimConfig, simulate
 from sim.render.config import RenderConfig, SamplingConfig
 from sim.render.lattice import Lattice
 from sim.scene.trajectory import SplineConfig
@@ -113,31 +115,53 @@ def test_people_walk_in_over_a_side() -> None:
     assert np.ptp(events["y"]) <= 0.3 * VIEW.height
 
 
-def test_of_a_second_object_a_share_is_kept() -> None:
+def test_of_a_second_object_a_share_is_kept_of_each_camera_by_itself() -> None:
     events = drawn(KINDS["noise"])
-    for share in (0.0, 0.1, 1.0):
-        kept = thinned(events, share, 0, 0)
-        assert len(kept) == pytest.approx(share * len(events), abs=5 * np.sqrt(len(events) * 0.09))
-    assert second_seed(3) != second_seed(4)
-    assert 0 <= second_seed(2**32 - 1) < 2**32
+    assert len(thinned(events, 0.0, 0, 0)) == 0
+    np.testing.assert_array_equal(thinned(events, 1.0, 0, 0), events)
+    times_us = [set(thinned(events, 0.1, 0, camera)["t"]) for camera in (0, 1)]
+    expected = 0.1 * len(events)
+    # A draw for each event.
+    assert len(thinned(events, 0.1, 0, 0)) == pytest.approx(expected, abs=5 * expected**0.5)
+    # Both keep one in a hundred; events that share a microsecond make it some more.
+    assert len(times_us[0] & times_us[1]) < 0.3 * expected
+    assert len({second_seed(seed) for seed in range(100)} | set(range(100))) == 200
 
 
 def test_wrong_intrinsics_are_draws_of_the_stated_deviations() -> None:
     K = np.array([[200.0, 0.0, 173.0], [0.0, 210.0, 130.0], [0.0, 0.0, 1.0]])
     config = DisturbConfig(intrinsics_error=(1.0, 3.0))
-    errors = []
-    for seed in range(200):
-        wrong, deviations_px = wrong_intrinsics(K, config, seed, seed % 2)
+    errors = np.empty((400, 2, 4))
+    for seed, camera in np.ndindex(400, 2):
+        wrong, deviations_px = wrong_intrinsics(K, config, seed, camera)
         assert deviations_px == pytest.approx([2.0, 2.1, 3.0, 3.0])
         difference = wrong - K
-        errors.append(difference[[0, 1, 0, 1], [0, 1, 2, 2]] / deviations_px)
+        errors[seed, camera] = difference[[0, 1, 0, 1], [0, 1, 2, 2]] / deviations_px
         difference[[0, 1, 0, 1], [0, 1, 2, 2]] = 0.0
         assert not difference.any()
-    # A variance of 800 normal draws scatters by sqrt(2 / 800) = 5 %.
-    assert np.mean(np.square(errors)) == pytest.approx(1.0, abs=0.2)
+    # The eight numbers of two cameras are independent, of mean 0 and deviation 1: products of 400
+    # pairs of normal draws have means that scatter by 1 / sqrt(400), squares by sqrt(2 / 400).
+    drawn_by = errors.reshape(400, 8)
+    assert np.abs(drawn_by.mean(axis=0)).max() < 5 / 400**0.5
+    np.testing.assert_allclose(drawn_by.T @ drawn_by / 400, np.eye(8), atol=5 * (2 / 400) ** 0.5)
     exact, none = wrong_intrinsics(K, DisturbConfig(), 0, 0)
     assert np.array_equal(exact, K)
     assert not none.any()
+
+
+def test_clutter_bears_the_clock_of_the_camera_that_sees_it() -> None:
+    config = replace(QUICK, t_d_s=0.25, skew_ppm=-20_000.0, clock_jump=(0.7, 0.005))
+    recording, added = simulate(config, 5), DisturbConfig(noise_hz=0.5)
+    spoilt = disturbed(recording, added, 5)
+    for index, (before, after) in enumerate(zip(recording.cameras, spoilt.cameras, strict=True)):
+        noise = clutter(added, View(346, 260, 1.0), 5, index)
+        t_us = noise["t"].copy()
+        if index == 1:  # fast by -2 % about the middle, and late from 0.7 s on
+            t_us += np.rint(-0.02 * (noise["t"] - 500_000)).astype(int) + 250_000
+            t_us += np.where(noise["t"] >= 700_000, 5_000, 0)
+        both = np.sort(np.concatenate([before.events["t"], t_us]))
+        np.testing.assert_array_equal(after.events["t"], both)
+        assert len(noise) > 30_000
 
 
 def test_nothing_asked_for_is_nothing_added() -> None:

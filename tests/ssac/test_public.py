@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 import ssac
+from ssac.methods.method import our_methods
 
 
 @pytest.mark.parametrize("name", ssac.__all__)
@@ -18,19 +19,25 @@ def test_a_public_name_is_what_its_module_defines(name: str) -> None:
     assert name in dir(ssac)
 
 
-def test_types_are_checked_against_the_same_modules() -> None:
+def test_the_public_names_are_these() -> None:
+    types = (
+        "Answer Camera Cameras Chain Clock ClockJump Config EVENT_DTYPE Estimate EventFile Input"
+        " Known Method NetworkResult ObjectMotion Observation Pairs PairsAt PluginError PointTrack"
+        " Reading Result Rig Signal SsacError Status TwoViews"
+    )
+    methods = "albl event_rate joint joint_known ssac_known tangency tangency_known zncc_e zncc_f"
+    others = (
+        "binned checked correlation_estimate counted lags_of load_events load_rig load_track sync"
+        " two_views usable_events zncc"
+    )
+    assert set(ssac.__all__) == {*types.split(), *methods.split(), *others.split()}
+
+
+def test_functions_of_methods_have_their_types() -> None:
     tree = ast.parse(Path(str(ssac.__file__)).read_text(encoding="utf-8"))
-    typed = {
-        alias.name: node.module
-        for block in tree.body
-        if isinstance(block, ast.If)
-        for node in block.body
-        if isinstance(node, ast.ImportFrom)
-        for alias in node.names
-    }
-    homes = {name: home for home, names in ssac._HOMES.items() for name in names.split()}
-    assert typed == homes
-    assert sorted(homes) == sorted([*ssac.__all__, "ssac"])
+    block = next(node for node in tree.body if isinstance(node, ast.If))
+    typed = {ast.unparse(node.target) for node in block.body if isinstance(node, ast.AnnAssign)}
+    assert typed == {"__version__", *(one.name.replace("-", "_") for one in our_methods())}
 
 
 def test_the_name_of_the_module_is_left_alone() -> None:

@@ -78,3 +78,12 @@ def test_an_offset_is_certain_to_25_ms(std_s, status):
     found = Estimate("joint", t_d_s=0.05, t_d_std_s=std_s)
     assert certain(found, Rules().verdict).status == status
     assert certain(found, replace(Rules().verdict, max_t_d_std_s=0.03)).status == Status.OK
+
+
+@pytest.mark.parametrize(("std_deg", "status"), [(4.9, "ok"), (5.1, "degenerate_pose")])
+def test_a_direction_of_the_pose_is_certain_to_5_degrees(std_deg, status):
+    covariance = np.diag([1e-6, *np.deg2rad([0.1, 0.1, std_deg, 0.1, 0.1]) ** 2])
+    pose = {"R": np.eye(3), "t": np.array([1.0, 0.0, 0.0])}
+    found = Estimate("joint", t_d_s=0.05, t_d_std_s=1e-3, covariance=covariance, **pose)
+    assert certain(found, Rules().verdict).status == status
+    assert certain(found, replace(Rules().verdict, max_pose_std_deg=6.0)).status == Status.OK

@@ -1,6 +1,7 @@
 """The cache: what an entry depends on, and that nothing is made twice or half."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from sim.errors import SimError
 from sim.recording import SimConfig
 from sim.render.config import RenderConfig
 from ssac.config import Config
+from ssac.errors import WriteError
 
 pytestmark = pytest.mark.render  # a recording's key names the GL driver
 
@@ -153,3 +155,20 @@ def test_a_run_comes_back_as_it_went_in(tmp_path):
     cache.save_run("abcd", row)
     assert cache.load_run("abcd") == row
     assert [path.name for path in tmp_path.rglob("*") if path.is_file()] == ["abcd.json"]
+
+
+def test_a_run_that_could_not_be_written_whole_is_not_there(tmp_path, monkeypatch):
+    cache, row = Cache(tmp_path), {"status": "ok", "reason": ""}
+    write = Path.write_text
+
+    def half(path, text, **options):
+        write(path, text[: len(text) // 2], **options)
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_text", half)
+    with pytest.raises(WriteError, match="No space left on device"):
+        cache.save_run("abcd", row)
+    assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
+    monkeypatch.undo()
+    cache.save_run("abcd", row)
+    assert cache.load_run("abcd") == row

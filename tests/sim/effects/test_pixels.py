@@ -282,6 +282,26 @@ def test_noise_changes_with_the_light_of_a_pixel() -> None:
     assert dark / bright == pytest.approx(10.0, rel=0.05)  # log_eps counts as light
 
 
+@pytest.mark.parametrize("light", [0.0, 0.5, 0.999])
+def test_shot_noise_of_the_sensor_falls_to_a_quarter_in_full_light(light: float) -> None:
+    config = replace(QUIET, shot_noise_hz=2.0)
+    events = still_events(SensorEffects(latency_s=1e-9), light, 5.0, config)
+    expected = 2.0 * (1.0 - 0.75 * light) * 5.0 * 3000
+    assert len(events) == pytest.approx(expected, abs=5 * expected**0.5)
+    assert (events["p"] == 1).sum() == pytest.approx(expected / 2, abs=5 * (expected / 2) ** 0.5)
+
+
+def test_noise_falls_due_alike_whether_or_not_the_light_changes() -> None:
+    """Pixels are followed at each change: what they wait for meanwhile must not start anew."""
+    config = replace(QUIET, background_hz=3.0)
+    times_s = np.linspace(0.0, 5.0, 501)
+    light = np.empty((501, *SHAPE), np.float32)
+    light[:] = 0.5 + 0.01 * (np.arange(501) % 2)[:, None, None]
+    events = events_of(light, times_s, SensorEffects(latency_s=1e-9), config)
+    expected = 3.0 * 5.0 * 3000
+    assert len(events) == pytest.approx(expected, abs=5 * expected**0.5)
+
+
 def test_rates_spread_over_pixels() -> None:
     spread = 0.25
     effects = SensorEffects(illuminance_lux=0.1, dim_noise_on_hz=20.0, noise_spread_decades=spread)

@@ -8,15 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from ssac.cli.exits import (
-    BAD_INPUT,
-    BUG,
-    DONE,
-    INTERRUPTED,
-    NO_ESTIMATE,
-    PIPE_CLOSED,
-    guarded,
-)
+from ssac.cli.exits import BAD_INPUT, BUG, DONE, INTERRUPTED, NO_ESTIMATE, PIPE_CLOSED, guarded
 from ssac.errors import PluginError, SsacError
 
 

@@ -12,13 +12,7 @@ import pytest
 
 from experiments.real.data_sets import ROUGHNESSES_PPM, data_sets, load_truth
 from experiments.real.drawing import real_figure
-from experiments.real.pairs import (
-    PAIRS_FILE,
-    STRAY_COLUMNS,
-    STRAYS_FILE,
-    TRIPLES_FILE,
-    pair_tables,
-)
+from experiments.real.pairs import PAIRS_FILE, STRAY_COLUMNS, STRAYS_FILE, TRIPLES_FILE, pair_tables
 from ssac.clock import Clock
 from ssac.errors import SsacError
 from ssac.estimate import Estimate

@@ -1,15 +1,130 @@
-"""What cannot be written is said before work begins, or in one line that names the file."""
+"""Files are written whole or not at all, and what a killed process leaves is told from the rest."""
 
 import errno
 import os
 import resource
+import subprocess
+import sys
+import time
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
+from sim.storage import partial_path
 from ssac.errors import SsacError, WriteError
 from ssac.files import whole_file as module
-from ssac.files.whole_file import check_folder, check_targets, check_writable, whole_file
+from ssac.files.whole_file import (
+    LEFT_OVER_S,
+    check_folder,
+    check_targets,
+    check_writable,
+    idle_s,
+    is_left_over,
+    maker_of,
+    remove_left_over,
+    temporary_path,
+    this_process,
+    whole_file,
+)
+from tests.left_over import ELSEWHERE, ended_process, let_lie, made_by
+
+
+def test_no_name_is_given_twice_and_each_tells_its_maker(tmp_path: Path) -> None:
+    paths = [temporary_path(tmp_path / "a.csv") for _ in range(100)]
+    assert len(set(paths)) == 100
+    assert {maker_of(path) for path in paths} == {this_process()}
+    assert {path.parent for path in paths} == {tmp_path}
+
+
+def test_the_simulators_names_tell_the_same(tmp_path: Path) -> None:
+    # Neither side imports the other, so that each has its own few lines.
+    first, second = (partial_path(tmp_path, "recording") for _ in range(2))
+    assert first != second
+    assert maker_of(first) == this_process()
+
+
+def test_equal_process_ids_on_two_hosts_are_two_makers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    here = temporary_path(tmp_path / "a.csv")
+    monkeypatch.setattr(module, "host", lambda: ELSEWHERE)
+    there = temporary_path(tmp_path / "a.csv")
+    one, other = maker_of(here), maker_of(there)
+    assert one is not None
+    assert other is not None
+    assert one.process == other.process == os.getpid()
+    assert one.host != other.host
+
+
+@pytest.mark.parametrize("name", ["a" * 250 + ".csv", "\N{SNOWMAN}" * 80])  # 240 bytes
+def test_long_names_have_temporary_ones_too(tmp_path: Path, name: str) -> None:
+    with whole_file(tmp_path / name) as path:
+        path.write_text("whole")
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+
+
+def test_what_an_ended_process_was_writing_is_left_over(tmp_path: Path) -> None:
+    mine, gone = temporary_path(tmp_path / "a"), made_by(tmp_path / "a", ended_process())
+    for path in (mine, gone):
+        path.touch()
+        let_lie(path, 10 * LEFT_OVER_S)  # on this host the process alone decides
+    assert not is_left_over(mine)
+    assert is_left_over(gone)
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="told by Linux' /proc")
+def test_a_process_that_nobody_asked_how_it_ended_has_ended(tmp_path: Path) -> None:
+    process = subprocess.Popen([sys.executable, "-c", ""], stdout=subprocess.PIPE)
+    assert process.stdout is not None
+    process.stdout.read()  # until it ends; its number stays until we wait for it
+    path = made_by(tmp_path / "a", process.pid)
+    while not is_left_over(path):
+        time.sleep(0.01)  # its pipes close just before it ends
+    process.wait()
+
+
+def test_on_another_host_time_decides(tmp_path: Path) -> None:
+    folder = made_by(tmp_path / "recording", ended_process(), ELSEWHERE)
+    folder.mkdir()
+    (folder / "cam1.h5").touch()
+    assert not is_left_over(folder)
+    let_lie(folder, LEFT_OVER_S + 60.0)
+    assert is_left_over(folder)
+    (folder / "cam1.h5").write_text("still at it")  # which leaves the folder's own time alone
+    assert not is_left_over(folder)
+
+
+def test_time_is_that_of_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "a"
+    path.touch()
+    monkeypatch.setattr(time, "time", lambda: 0.0)  # a host whose clock is decades off
+    assert 0.0 <= idle_s(path) < 60.0
+    assert [one.name for one in tmp_path.iterdir()] == ["a"]
+    assert idle_s(tmp_path / "none") == 0.0
+
+
+def test_only_what_is_left_over_is_removed(tmp_path: Path) -> None:
+    ended = ended_process()
+    folder = made_by(tmp_path / "recording", ended)
+    folder.mkdir()
+    (folder / "cam1.h5").touch()
+    file = made_by(tmp_path / "run.json", ended)
+    file.touch()
+    kept = {"mine": temporary_path(tmp_path / "recording")}
+    kept["host"] = made_by(tmp_path / "recording", ended, ELSEWHERE)
+    kept["name"] = tmp_path / f".recording.{ended}.partial"
+    kept["whole"] = tmp_path / "recording"
+    for path in kept.values():
+        path.mkdir()
+    remove_left_over(tmp_path, "recording")
+    assert set(tmp_path.iterdir()) == {*kept.values(), file}
+    remove_left_over(tmp_path)
+    assert set(tmp_path.iterdir()) == set(kept.values())
+    remove_left_over(tmp_path / "none")
+
+
+# --- What cannot be written ---
 
 
 def test_a_place_that_will_be_made_can_be_written_to(tmp_path):

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import BSpline
@@ -10,9 +11,12 @@ from scipy.spatial.transform import Rotation
 from ssac.camera import Camera
 from ssac.clock import Clock
 from ssac.network.graph import Link, Pair
+from ssac.network.solve import NetworkAnswer, solve_network
 from ssac.network.state import Sightings, sightings
 from ssac.points import PointTrack
+from ssac.rules import Rules
 
+RULES = Rules()
 DURATION_S, FPS, NOISE_PX = 16.0, 20.0, 0.4
 CAMERA = Camera(
     np.array([[900.0, 0.0, 480.0], [0.0, 900.0, 300.0], [0.0, 0.0, 1.0]]),
@@ -52,10 +56,27 @@ class Flight:
         """What camera k's clock shows more than the first's."""
         return float(self.delays_s[k] + 1e-6 * self.skews_ppm[k] * (time_s - 8.0))
 
+    def own_s(self, k: int, shown_s: np.ndarray) -> np.ndarray:
+        """The first clock's times, of what camera k's shows."""
+        times_s = shown_s - self.delays_s[k]
+        return times_s - 1e-6 * self.skews_ppm[k] * (times_s - 8.0)
+
     @property
     def distance_m(self) -> float:
         """Between the first two cameras."""
         return float(np.linalg.norm(self.poses[1][1]))
+
+    def solved(self, links: dict[Pair, Link] | None = None, rules: Rules = RULES) -> NetworkAnswer:
+        """Solve the network, by what all pairs tell or by other links."""
+        links = self.links() if links is None else links
+        return solve_network(self.seen, links, 50.0, self.distance_m, rules)
+
+
+def seen_by(
+    track: PointTrack, name: str, has_frames: bool = False, camera: Camera = CAMERA, **more: Any
+) -> Sightings:
+    """Give the sightings of one of the cameras."""
+    return sightings(track, camera, name, has_frames, RULES.points, **more)
 
 
 def make_flight(n_cameras: int = 4, seed: int = 0, noise_px: float = NOISE_PX) -> Flight:
@@ -82,5 +103,5 @@ def make_flight(n_cameras: int = 4, seed: int = 0, noise_px: float = NOISE_PX) -
         inside = np.all((pixels > 0.0) & (pixels < [959.0, 599.0]), axis=1)
         shown_s = times_s + delays_s[k] + 1e-6 * skews_ppm[k] * (times_s - 8.0)
         track = PointTrack(shown_s[inside], pixels[inside])
-        seen.append(sightings(track, CAMERA, f"cam{k + 1}", has_frames=False))
+        seen.append(seen_by(track, f"cam{k + 1}"))
     return Flight(seen, delays_s, skews_ppm, poses, path)

@@ -12,7 +12,7 @@ from ssac.errors import SsacError
 from ssac.network.comparison import compare, without_lever_arm
 from ssac.network.tum import Path, write_path
 from tests.ssac.command import read_json, run
-from tests.ssac.network.test_time_search import FRAME, flight
+from tests.ssac.network.test_align import FRAME, flight
 
 CLOCK = Clock(31.4, 20.0, 50.0)
 NOISE_M = 0.03

@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation
 from ssac.clock import Clock
 from ssac.estimate import Estimate
 from ssac.network.graph import PairTold, shared_by, told_by
-from ssac.network.solve import solve_network
 from ssac.network.state import start_state
 from tests.ssac.network.flights import make_flight
 
@@ -48,7 +47,7 @@ def test_sure_pairs_carry_clocks_and_poses() -> None:
     links = {
         pair: replace(link, told=true_pair(flight, *pair)) for pair, link in flight.links().items()
     }
-    found = solve_network(flight.seen, links, 50.0, flight.distance_m)
+    found = flight.solved(links)
     for k, camera in enumerate(found.cameras[1:], 1):
         # What is told is true and sure: some deviations are left of it.
         assert abs(camera.t_d_s - flight.shown_s(k, camera.t_ref_s)) < 1e-5
@@ -62,8 +61,8 @@ def test_a_pair_that_the_sightings_contradict_is_left_out() -> None:
     wrong = true_pair(flight, 1, 2, turn_rad=0.2)
     links = flight.links()
     links[1, 2] = replace(links[1, 2], told=wrong)
-    found = solve_network(flight.seen, links, 50.0, flight.distance_m)
-    without = solve_network(flight.seen, flight.links(), 50.0, flight.distance_m)
+    found = flight.solved(links)
+    without = flight.solved()
     assert not found.built[0].network.told
     for mine, other in zip(found.cameras, without.cameras, strict=True):
         assert pytest.approx(other.R) == mine.R

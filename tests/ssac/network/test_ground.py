@@ -8,7 +8,7 @@ from ssac.errors import SsacError
 from ssac.network.ground import ground_of_positions, ground_of_rtk, in_frame
 from ssac.network.solve import solve_network
 from ssac.network.tum import Path, write_path
-from tests.ssac.network.flights import DURATION_S, make_flight
+from tests.ssac.network.flights import DURATION_S, RULES, make_flight
 
 TURN = Rotation.from_rotvec([0.4, -1.0, 0.2]).as_matrix()
 SHIFT_M = np.array([100.0, -50.0, 7.0])
@@ -17,7 +17,7 @@ SHIFT_M = np.array([100.0, -50.0, 7.0])
 @pytest.fixture(scope="module")
 def solved():
     flight = make_flight(4)
-    return flight, solve_network(flight.seen, flight.links(), 50.0)
+    return flight, solve_network(flight.seen, flight.links(), 50.0, 1.0, RULES)
 
 
 def centres_m(flight) -> np.ndarray:

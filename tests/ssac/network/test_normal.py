@@ -1,63 +1,63 @@
-"""The arrowhead: its solution and its covariance are those of the dense matrix; derivatives."""
+"""Splines, the arrowhead of the normal equations, and derivatives of what a camera sees."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.interpolate import BSpline
 
 from ssac.network.adjustment import repeats_in_blocks, repeats_of
-from ssac.network.normal import Linear, Normal, solve
+from ssac.network.normal import ORDER, Linear, Normal, Spline, basis, jerks, knots_for, solve
 from ssac.network.state import DELAY, STRAYS, network_times, projected, start_state, with_strays
-from tests.ssac.network.flights import make_flight
-
-N_COEFFICIENTS, N_BORDER, N = 12, 5, 80
+from tests.ssac.network.flights import RULES, make_flight
 
 
-def problem() -> tuple[Normal, np.ndarray, np.ndarray, Linear]:
-    rng = np.random.default_rng(0)
-    first = rng.integers(0, N_COEFFICIENTS - 3, N)
-    linear = Linear(
-        first,
-        rng.normal(size=(N, 4)),
-        rng.normal(size=(N, 2, 3)),
-        rng.normal(size=(N, 2, 2)),
-        rng.integers(0, N_BORDER, (N, 1)) + np.array([[0, 0]]),
-        rng.normal(size=(N, 2)),
-    )
-    linear.columns[:, 1] = (linear.columns[:, 0] + 1) % N_BORDER
-    normal = Normal(N_COEFFICIENTS, N_BORDER)
-    normal.add(linear)
-    normal.add_rows(np.eye(N_BORDER), np.ones(N_BORDER))
-    m = 3 * N_COEFFICIENTS
-    dense = np.zeros((2 * N + N_BORDER, m + N_BORDER))
-    for i in range(N):
-        for z in range(2):
-            for a in range(4):
-                at = 3 * (first[i] + a)
-                dense[2 * i + z, at : at + 3] += linear.weights[i, a] * linear.by_point[i, z]
-            for c in range(2):
-                dense[2 * i + z, m + linear.columns[i, c]] += linear.by_camera[i, z, c]
-    dense[2 * N :, m:] = np.eye(N_BORDER)
-    right = np.concatenate([linear.residuals.ravel(), np.ones(N_BORDER)])
-    return normal, dense, right, linear
+def dense(normal: Normal, linear: Linear, own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Matrix and right side of the same equations, with what their own diagonals (n,) add."""
+    m, n = len(normal.right_path), len(linear.first)
+    J = np.zeros((2 * n, m + len(normal.right_border)))
+    for i, at in enumerate(linear.first):
+        rows = slice(2 * i, 2 * i + 2)
+        J[rows, 3 * at : 3 * at + 12] = np.kron(linear.weights[i], linear.by_point[i])
+        for c, place in enumerate(linear.columns[i]):
+            J[rows, m + place] += linear.by_camera[i, :, c]
+    return J.T @ J + np.diag(own), J.T @ linear.residuals.ravel()
+
+
+def check(normal: Normal, linear: Linear, matrix: np.ndarray, right: np.ndarray) -> None:
+    """The step, and the covariances of cameras and points: both to rounding."""
+    m, b = len(normal.right_path), len(normal.right_border)
+    found, covariance = solve(normal, np.arange(b)), np.linalg.inv(matrix)
+    step = covariance @ right
+    assert found.path.ravel() == pytest.approx(step[:m], rel=1e-6, abs=1e-8)
+    assert found.border == pytest.approx(step[m:], rel=1e-6, abs=1e-8)
+    assert found.border_covariance() == pytest.approx(covariance[m:, m:], rel=1e-6, abs=1e-8)
+    some = np.arange(0, len(linear.first), 17)  # in all blocks, and where two of them meet
+    of_points = found.path_covariances(linear.first[some], linear.weights[some])
+    for i, k in enumerate(some):
+        at = 3 * linear.first[k]
+        by = np.kron(linear.weights[k], np.eye(3))
+        expected = by @ covariance[at : at + 12, at : at + 12] @ by.T
+        assert of_points[i] == pytest.approx(expected, rel=1e-6, abs=1e-8)
 
 
 def test_the_solution_and_its_covariance_are_those_of_the_dense_matrix() -> None:
-    normal, J, residuals, linear = problem()
-    found = solve(normal, np.arange(N_BORDER))
-    covariance = np.linalg.inv(J.T @ J)
-    step = covariance @ (J.T @ residuals)
-    m = 3 * N_COEFFICIENTS
-    # Both to rounding, of a matrix that is far from singular.
-    assert found.path.ravel() == pytest.approx(step[:m], rel=1e-6, abs=1e-9)
-    assert found.border == pytest.approx(step[m:], rel=1e-6, abs=1e-9)
-    assert found.border_covariance() == pytest.approx(covariance[m:, m:], rel=1e-6, abs=1e-9)
-    of_points = found.path_covariances(linear.first[:5], linear.weights[:5])
-    for i in range(5):
-        at = 3 * linear.first[i]
-        by = np.kron(linear.weights[i], np.eye(3))
-        expected = by @ covariance[at : at + 12, at : at + 12] @ by.T
-        assert of_points[i] == pytest.approx(expected, rel=1e-6, abs=1e-9)
+    rng, n_coefficients, n_border, n = np.random.default_rng(0), 12, 5, 80
+    own = rng.integers(0, n_border, n)
+    linear = Linear(
+        rng.integers(0, n_coefficients - 3, n),
+        rng.normal(size=(n, 4)),
+        rng.normal(size=(n, 2, 3)),
+        rng.normal(size=(n, 2, 2)),
+        np.column_stack([own, (own + 1) % n_border]),
+        rng.normal(size=(n, 2)),
+    )
+    normal = Normal(n_coefficients, n_border)
+    normal.add(linear)
+    normal.add_rows(np.eye(n_border), np.ones(n_border))
+    added = np.repeat([0.0, 1.0], [3 * n_coefficients, n_border])
+    matrix, right = dense(normal, linear, added)
+    check(normal, linear, matrix, right + added)
 
 
 def pieces(n: int) -> tuple[Normal, Linear]:
@@ -80,25 +80,8 @@ def pieces(n: int) -> tuple[Normal, Linear]:
 def test_pieces_of_a_clock_are_solved_as_the_dense_matrix_is() -> None:
     normal, linear = pieces(12)
     normal.band[0] += 1e-3  # the ends of the path have but few sightings
-    m, n = len(normal.right_path), 12
-    J = np.zeros((2 * len(linear.first), m + n))
-    for i, at in enumerate(linear.first):
-        J[2 * i : 2 * i + 2, 3 * at : 3 * at + 12] = np.kron(linear.weights[i], linear.by_point[i])
-        J[2 * i : 2 * i + 2, m + linear.columns[i, 0]] = linear.by_camera[i, :, 0]
-    matrix = J.T @ J + np.diag(np.repeat([1e-3, 1.0], [m, n]))
-    found, covariance = solve(normal, np.arange(n)), np.linalg.inv(matrix)
-    step = covariance @ (J.T @ linear.residuals.ravel())
-    # Both to rounding.
-    assert found.path.ravel() == pytest.approx(step[:m], rel=1e-6, abs=1e-8)
-    assert found.border == pytest.approx(step[m:], rel=1e-6, abs=1e-8)
-    assert found.border_covariance() == pytest.approx(covariance[m:, m:], rel=1e-6, abs=1e-8)
-    some = np.arange(0, len(linear.first), 17)  # in all blocks, and where two of them meet
-    of_points = found.path_covariances(linear.first[some], linear.weights[some])
-    for i, k in enumerate(some):
-        at = 3 * linear.first[k]
-        by = np.kron(linear.weights[k], np.eye(3))
-        expected = by @ covariance[at : at + 12, at : at + 12] @ by.T
-        assert of_points[i] == pytest.approx(expected, rel=1e-6, abs=1e-8)
+    added = np.repeat([1e-3, 1.0], [len(normal.right_path), 12])
+    check(normal, linear, *dense(normal, linear, added))
 
 
 def test_a_piece_of_a_clock_reaches_as_far_in_a_long_flight_as_in_a_short_one() -> None:
@@ -151,9 +134,53 @@ def test_what_lasts_counts_though_it_is_small_beside_what_does_not() -> None:
     times_s = 0.01 * np.arange(60_000)
     white = rng.normal(0.0, 1.0, (len(times_s), 2))
     # Means of 60,000 numbers in blocks of 100: 600 blocks of two axes are 4 % alike.
-    assert repeats_in_blocks(times_s, white) == pytest.approx(1.0, abs=0.15)
+    assert repeats_in_blocks(times_s, white, RULES.network) == pytest.approx(1.0, abs=0.15)
     # A slow error of variance 0.04 that stays for 0.5 s: each of 50 sightings has it, and blocks of
     # a second hold two. Correlations of 0.04 are below those that are summed up.
     slow = np.repeat(rng.normal(0.0, 0.2, (len(times_s) // 50, 2)), 50, axis=0)
-    assert repeats_in_blocks(times_s, white + slow) == pytest.approx(1.0 + 0.04 * 50.0, rel=0.15)
-    assert repeats_of(times_s, white + slow) < 1.5
+    assert repeats_in_blocks(times_s, white + slow, RULES.network) == pytest.approx(
+        1.0 + 0.04 * 50.0, rel=0.15
+    )
+    assert repeats_of(times_s, white + slow, RULES.network) < 1.5
+
+
+def data() -> tuple[np.ndarray, np.ndarray, Spline]:
+    rng = np.random.default_rng(0)
+    times_s = np.concatenate([rng.uniform(0.0, 5.0, 200), rng.uniform(20.0, 25.0, 100)])
+    knots_s = knots_for(times_s, 0.3, 1.0)
+    return times_s, knots_s, Spline(knots_s, rng.normal(size=(len(knots_s) - ORDER, 3)))
+
+
+@pytest.mark.parametrize("derivative", range(4))
+def test_curves_and_derivatives_are_those_of_scipy(derivative: int) -> None:
+    _, knots_s, spline = data()
+    times_s = np.linspace(knots_s[0], knots_s[-1] - 1e-9, 300)
+    expected = BSpline(knots_s, spline.coefficients, 3)(times_s, nu=derivative)
+    scale = np.abs(expected).max()
+    assert spline.at(times_s, derivative) == pytest.approx(expected, abs=1e-12 * scale)  # rounding
+
+
+def test_knots_lie_where_data_are_alone() -> None:
+    times_s, knots_s, _ = data()
+    inner = np.unique(knots_s)
+    assert not np.any((inner > 5.1) & (inner < 19.9))
+    assert inner[0] == times_s.min()
+    assert inner[-1] == times_s.max()
+    gap_s = times_s[times_s > 10.0].min() - times_s[times_s < 10.0].max()
+    assert np.sort(np.diff(inner))[-2:] == pytest.approx([0.3, gap_s], abs=0.02)
+
+
+def test_jerks_sum_to_the_integral() -> None:
+    _, knots_s, spline = data()
+    first, weights = jerks(knots_s)
+    around = spline.coefficients[first[:, None] + np.arange(ORDER)]
+    total = np.sum(np.einsum("na,nax->nx", weights, around) ** 2)
+    times_s = np.linspace(knots_s[0], knots_s[-1], 200_001)
+    dense = np.sum(spline.at(times_s, 3) ** 2, axis=1)
+    # The jerk is constant from knot to knot, and the sum misses its steps by a sample each.
+    assert total == pytest.approx(np.mean(dense) * np.ptp(times_s), rel=5e-3)
+
+
+def test_the_splines_sum_to_one() -> None:
+    times_s, knots_s, _ = data()
+    assert basis(knots_s, times_s)[1].sum(axis=1) == pytest.approx(1.0, abs=1e-12)

@@ -312,10 +312,7 @@ OPTIONS = {
     "zzz": (1, "^zzz: is no argument of sync and no field of ssac.Config$"),
     "config": ({"n_samples": 3}, "^config: expected a ssac.Config, got dict"),
     "method": (ssac.joint, "^unknown method <function joint"),
-    "interval_s": (
-        (1, -1),
-        r"^interval_s must be two finite numbers in ascending order, got",
-    ),
+    "interval_s": ((1, -1), r"^interval_s must be two finite numbers in ascending order, got"),
     "rates": ((-1, 1), "^rates must be positive"),
     "search": (3, "^search must be auto or interval or all, got 3"),
     "clock": (None, "^clock must be auto or affine or pieces, got None"),
@@ -403,8 +400,7 @@ def test_wrong_numbers_of_cameras_are_one_clear_error(numbers, files):
 
 
 @pytest.mark.parametrize(
-    ("name", "value"),
-    [("cameras", (1, 3)), ("known_extrinsics", True), ("estimate_readout", True)],
+    ("name", "value"), [("cameras", (1, 3)), ("known_extrinsics", True), ("estimate_readout", True)]
 )
 def test_what_is_for_two_cameras_is_refused_for_more(name, value):
     with pytest.raises(SsacError, match=f"^{name}: is for two cameras, and more were given"):

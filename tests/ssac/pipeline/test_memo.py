@@ -146,10 +146,7 @@ def test_a_delay_takes_what_is_clean_and_summed_up_along(raw, calls):
         (Config(n_samples=300), {"algorithm_2": 1, "joint_from": 1}),
         (Config(seed=5), {"algorithm_2": 1, "joint_from": 1}),
         (Config(half_window_s=0.015), {"view_of": 2, "algorithm_2": 1, "joint_from": 1}),
-        (
-            Config(border_px=9),
-            {"_summed_up": 2, "view_of": 2, "algorithm_2": 1, "joint_from": 1},
-        ),
+        (Config(border_px=9), {"_summed_up": 2, "view_of": 2, "algorithm_2": 1, "joint_from": 1}),
         (
             Config(interval_s=(-0.5, 0.5)),
             {"one_object": 1, "view_of": 2, "algorithm_2": 1, "joint_from": 1},

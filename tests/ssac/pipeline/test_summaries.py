@@ -7,23 +7,39 @@ import pytest
 
 from ssac.cli.command_line import COMMANDS, command_line, run
 from ssac.cli.sync import complete_method
+from ssac.methods.method import Input, all_summaries, our_methods
 from ssac.pipeline.registry import OURS
-from ssac.pipeline.summaries import DEFAULT, SUMMARIES, all_summaries
 
 HEAVY = {"numba", "scipy", "cv2", "pandas", "matplotlib", "h5py", "pyrender", "trimesh"}
 
 
-def test_the_list_is_that_of_the_registry():
-    assert {method.name: method.summary for method in OURS} == SUMMARIES
-    assert [method.name for method in OURS] == list(SUMMARIES)
-    assert DEFAULT in SUMMARIES
-    assert list(all_summaries())[: len(SUMMARIES)] == list(SUMMARIES)
+def test_ours_are_declared_in_their_files():
+    """In the order of the paper's method, what refines it, and what it is compared with."""
+    names = ["ssac", "ssac-known", "joint", "joint-known", "tangency", "tangency-known"]
+    assert [method.name for method in OURS] == [*names, "albl", "zncc_e", "zncc_f", "event_rate"]
+    assert list(all_summaries())[: len(OURS)] == [method.name for method in OURS]
+
+
+def test_a_file_is_all_that_a_method_takes(tmp_path, monkeypatch):
+    (tmp_path / "mine.py").write_text(
+        '@method("mine-too", "the \'second\'", input=Input.RATES)\n'
+        '@method(\n    "mine",\n    "the first",\n    place=3,\n)\n'
+        "@cached\ndef found(views: TwoViews) -> Estimate:\n    1 / 0\n"
+    )
+    monkeypatch.setattr("ssac.methods.method.__file__", str(tmp_path / "method.py"))
+    first, second = our_methods.__wrapped__()
+    assert (first.name, first.summary, first.runs) == (
+        "mine",
+        "the first",
+        "ssac.methods.mine:found",
+    )
+    assert (second.name, second.summary, second.input) == ("mine-too", "the 'second'", Input.RATES)
 
 
 def test_help_lists_every_method_with_its_summary(capsys):
     assert run(command_line(COMMANDS, ""), ["sync", "--help"], "ssac") == 0
     shown = " ".join(capsys.readouterr().out.split())
-    for name, summary in SUMMARIES.items():
+    for name, summary in all_summaries().items():
         assert f"{name} {summary}" in shown
 
 

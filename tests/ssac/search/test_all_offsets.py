@@ -7,6 +7,7 @@ from ssac.camera import Camera
 from ssac.config import Config
 from ssac.events import EVENT_DTYPE
 from ssac.points import PointTrack
+from ssac.rules import PointRules
 from ssac.search.all_offsets import MAX_COST, search_all_offsets
 from ssac.search.two_views import TwoViews
 from ssac.search.view import MOST, seen_by_both, seen_of, seen_times
@@ -19,8 +20,10 @@ SCENE = make_scene(1)
 
 
 def motions(offset_s, rate=1.0):
-    one = point_motion(frame_track(SCENE, 1, FPS[0], seed=1), CAMERA)
-    other = point_motion(frame_track(SCENE, 2, FPS[1], offset_s, rate, seed=2), CAMERA)
+    one = point_motion(frame_track(SCENE, 1, FPS[0], seed=1), CAMERA, PointRules())
+    other = point_motion(
+        frame_track(SCENE, 2, FPS[1], offset_s, rate, seed=2), CAMERA, PointRules()
+    )
     return one, other
 
 
@@ -54,6 +57,7 @@ def test_an_object_at_rest_tells_nothing():
     still = point_motion(
         PointTrack(np.arange(0.0, 20.0, 0.04), np.full((500, 2), 100.0)),
         CAMERA,
+        PointRules(),
     )
     assert not search_all_offsets(one, still).guesses
 
@@ -74,7 +78,7 @@ def gappy(scene, camera, fps, pieces):
     # Between pieces the clock goes on for ten minutes.
     late_s = 600.0 * np.sum([track.times_s > b for _, b in pieces], axis=0)
     return point_motion(
-        PointTrack(track.times_s[kept] + late_s[kept], track.points_px[kept]), CAMERA
+        PointTrack(track.times_s[kept] + late_s[kept], track.points_px[kept]), CAMERA, PointRules()
     )
 
 

@@ -8,14 +8,15 @@ import pytest
 from ssac import Chain, Config, Status, joint
 from ssac.camera import Cameras, Rig
 from ssac.points import PointTrack
+from ssac.rules import Rules
 from ssac.search.one_object import one_object
 from ssac.track.clean import clean
-from ssac.track.objects import BIN_US
 from ssac.track.observation import tracked
 from tests.ssac.crowds import DURATION_S, T_D_S, branches, flight, mixed
 from tests.ssac.synthetic import CAMERA, denoised, make_scene, rotation_angle_deg, track_pair
 
 RIG = Rig(CAMERA, CAMERA)
+RULES = Rules()
 NEAR = (-1.0, 1.0)  # offsets searched
 NEAR_S = 3e-4  # an answer so near is right, whatever its deviation
 
@@ -39,7 +40,7 @@ def assert_right(found, scene):
 
 def test_one_thing_passes_as_it_is():
     cameras = seen(*flight(4))
-    found, refusal = one_object(cameras, NEAR)
+    found, refusal = one_object(cameras, RULES, NEAR)
     assert refusal is None
     assert [(left.used.seen, left.used.share) for left in found] == [(1, 1.0), (1, 1.0)]
     for camera, left in zip(cameras, found, strict=True):
@@ -50,7 +51,7 @@ def test_one_thing_passes_as_it_is():
 @pytest.mark.parametrize("share", [0.1, 0.2, 1.0])
 def test_a_second_flight_is_left_out(share):
     cameras, things = crowd(flight(4), flight(5, share))
-    found, refusal = one_object(cameras, NEAR)
+    found, refusal = one_object(cameras, RULES, NEAR)
     assert refusal is None
     for camera, left, thing in zip(cameras, found, things, strict=True):
         assert left.used.seen == 2
@@ -61,7 +62,7 @@ def test_a_second_flight_is_left_out(share):
         assert np.all(times_us < left.gaps_us[at, 0])
         # At an instant it is the one or the other: both bear out one geometry.
         kept = np.isin(camera.events["t"], times_us)
-        bins = (camera.events["t"][kept] - camera.events["t"][0]) // BIN_US
+        bins = (camera.events["t"][kept] - camera.events["t"][0]) // RULES.objects.bin_us
         share_of_other = np.bincount(bins, thing[kept])[bins] / np.bincount(bins)[bins]
         assert np.mean((share_of_other > 0.1) & (share_of_other < 0.9)) < 0.1
     assert_right(joint(*found, RIG), make_scene(4))
@@ -70,9 +71,9 @@ def test_a_second_flight_is_left_out(share):
 def test_a_clock_that_shows_more_changes_nothing():
     (cam1, cam2), _ = crowd(flight(4), flight(5))
     later_us = 123_457
-    plain, _ = one_object([cam1, cam2], NEAR)
+    plain, _ = one_object([cam1, cam2], RULES, NEAR)
     shifted = (-1.0 + 1e-6 * later_us, 1.0 + 1e-6 * later_us)
-    late, _ = one_object([cam1, cam2.delayed(1e-6 * later_us)], shifted)
+    late, _ = one_object([cam1, cam2.delayed(1e-6 * later_us)], RULES, shifted)
     assert np.array_equal(late[0].events, plain[0].events)
     assert np.array_equal(late[1].events["t"] - later_us, plain[1].events["t"])
     # But for those before and after all times.
@@ -83,7 +84,7 @@ def test_a_clock_that_shows_more_changes_nothing():
 def test_other_things_in_each_view_are_left_out():
     first, second, third = flight(4), flight(5), flight(6)
     cameras, things = crowd(first, (second[0], third[1]))
-    found, refusal = one_object(cameras, NEAR)
+    found, refusal = one_object(cameras, RULES, NEAR)
     assert refusal is None
     for camera, left, thing in zip(cameras, found, things, strict=True):
         chosen = np.isin(camera.events["t"], left.events["t"])
@@ -106,7 +107,7 @@ def test_no_object_that_both_see_is_refused():
 
 def test_swaying_branches_are_left_out_or_told():
     cameras, _ = crowd(flight(4), (branches(1), branches(2)))
-    found, refusal = one_object(cameras, NEAR)
+    found, refusal = one_object(cameras, RULES, NEAR)
     if refusal is None:
         assert_right(joint(*found, RIG), make_scene(4))
     else:
@@ -120,7 +121,7 @@ def test_a_track_beside_a_crowd_is_one_object():
     inside = np.all((points > 0.0) & (points < [CAMERA.width - 1, CAMERA.height - 1]), axis=1)
     track = tracked(PointTrack(times_s[inside] + T_D_S, points[inside]))
     track = clean(track, CAMERA, Config().cleaning)
-    found, refusal = one_object([cam1, track], NEAR)
+    found, refusal = one_object([cam1, track], RULES, NEAR)
     assert refusal is None
     assert [left.used.seen for left in found] == [2, 1]
     assert found[1].track is track.track
@@ -130,7 +131,7 @@ def test_a_track_beside_a_crowd_is_one_object():
 def test_noise_that_is_kept_hides_things():
     cameras, _ = crowd(flight(4), flight(5))
     kept = [replace(camera, denoised=False) for camera in cameras]
-    found, _ = one_object(kept, NEAR)
+    found, _ = one_object(kept, RULES, NEAR)
     assert found[0].events is kept[0].events
 
 
@@ -143,7 +144,7 @@ def test_three_cameras_keep_one_flight():
     """Bug: each pair chose for itself, so that a camera's two pairs were of different flights."""
     cameras, things = crowd(flight(4), flight(5))
     third, thing = third_camera(4, 5)
-    found, refusal = one_object([*cameras, *seen(third)], NEAR)
+    found, refusal = one_object([*cameras, *seen(third)], RULES, NEAR)
     assert refusal is None
     recorded = (*(camera.events for camera in cameras), third)
     is_second = []  # by tenths of a second of camera 1's clock; NaN: hardly any event is left
@@ -166,7 +167,7 @@ def test_a_camera_that_saw_other_things_is_left_without_events():
     cameras, _ = crowd(flight(4), flight(5))
     third = seen(third_camera(6, 7)[0])
     chain = Chain((*cameras, *third), Cameras((CAMERA,) * 3), Config(interval_s=NEAR))
-    found, refusal = one_object([chain.clean(k) for k in range(3)], NEAR)
+    found, refusal = one_object([chain.clean(k) for k in range(3)], RULES, NEAR)
     assert refusal is None
     assert [left.used.seen for left in found] == [2, 2, 2]
     assert len(found[2].events) == 0

@@ -1,4 +1,4 @@
-"""A body of balls that turns before cameras round it: its one point, beside where that is drawn."""
+"""A body, and a flat plate, that turn before cameras round them: beside what is drawn of them."""
 
 from functools import cache
 
@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from ssac.track.body import Look, body_moves
+from ssac.rules import BodyRules
+from ssac.track.body import Look, View, body_moves, perspective_shifts, second_moments
 
 FOCAL_PX, DISTANCE_M, WIDTH = 200.0, 5.0, 45
 ANGLES_DEG = (0.0, 60.0, 120.0, 180.0)
@@ -71,7 +72,7 @@ def drawn(shape: str) -> tuple[list[Look], np.ndarray, list[np.ndarray]]:
 @cache
 def found(shape: str) -> list[np.ndarray]:
     looks, moments, _ = drawn(shape)
-    moves = body_moves(looks, TIMES_S, moments)
+    moves = body_moves(looks, TIMES_S, moments, BodyRules())
     assert moves is not None
     return moves
 
@@ -103,7 +104,7 @@ def test_a_turned_frame_and_other_numbers_of_cameras_change_nothing() -> None:
         Look(look.times_s, look.R @ G.T, look.focal_px, look.points, look.shares, look.corners_px)
         for look in (looks[k] for k in order)
     ]
-    moves = body_moves(moved, TIMES_S, G @ moments @ G.T)
+    moves = body_moves(moved, TIMES_S, G @ moments @ G.T, BodyRules())
     assert moves is not None
     for k, move in zip(order, moves, strict=True):
         # Sums are in another order, and axes may point the other way: voxels are then others.
@@ -120,7 +121,7 @@ def test_images_of_no_rigid_body_are_refused() -> None:
         )
         for look in looks
     ]  # fmt: skip
-    assert body_moves(torn, TIMES_S, moments) is None
+    assert body_moves(torn, TIMES_S, moments, BodyRules()) is None
 
 
 @pytest.mark.parametrize("n", [0, 20])
@@ -128,4 +129,60 @@ def test_too_few_instants_are_left_alone(n: int) -> None:
     looks, moments, _ = drawn("body")
     unknown = moments.copy()
     unknown[n:] = np.nan
-    assert body_moves(looks, TIMES_S, unknown) is None
+    assert body_moves(looks, TIMES_S, unknown, BodyRules()) is None
+
+
+N_TURNS = 25
+
+
+def plate() -> np.ndarray:
+    """Points all over a plate of 0.5 x 0.3 m, whose middle is the origin."""
+    u, v = np.meshgrid(np.linspace(-0.25, 0.25, 81), np.linspace(-0.15, 0.15, 49))
+    return np.column_stack([u.ravel(), v.ravel(), np.zeros(u.size)])
+
+
+def seen_by(angle_deg: float, turns: Rotation, size: float) -> tuple[View, np.ndarray]:
+    """A camera's view of the plate as it turns, and true centres less images of its middle."""
+    R = Rotation.from_euler("y", angle_deg, degrees=True).as_matrix()
+    t = np.array([0.4, -0.3, DISTANCE_M])
+    spreads, shifts = np.zeros((N_TURNS, 3)), np.zeros((N_TURNS, 2))
+    for i, turn in enumerate(turns):
+        local = turn.apply(size * plate()) @ R.T + t
+        image = FOCAL_PX * local[:, :2] / local[:, 2:]
+        weights = local[:, 2] ** -3.0  # of the area that a part of a plane has in an image
+        centre = weights @ image / weights.sum()
+        off = image - centre
+        covariance = (off * weights[:, None]).T @ off / weights.sum()
+        spreads[i] = covariance[0, 0], covariance[0, 1], covariance[1, 1]
+        shifts[i] = centre - FOCAL_PX * t[:2] / t[2]
+    points = np.tile(t, (N_TURNS, 1))
+    return View(R, np.full(2, FOCAL_PX), points, spreads), shifts
+
+
+def slowly_turning() -> Rotation:
+    """Turns of 3 deg in all, about a tilted attitude: smoothing leaves them as they are."""
+    angles = np.linspace(-1.5, 1.5, N_TURNS)
+    return Rotation.from_euler("xyz", np.column_stack([20.0 + angles, 35.0 + angles, angles]), True)
+
+
+def test_second_moments_are_those_of_the_object() -> None:
+    turns = slowly_turning()
+    views = [seen_by(angle_deg, turns, 0.1)[0] for angle_deg in ANGLES_DEG]
+    assert np.isnan(second_moments(views[:2], 1.0)).all()  # two views have one in common
+    found = second_moments(views, 1.0)
+    flat = 0.01 * np.cov(plate().T, bias=True)
+    true = turns.as_matrix() @ flat @ turns.as_matrix().transpose(0, 2, 1)
+    # Perspective's own share is the size over the distance, 1 %, and smoothing's at the ends.
+    assert found[2:-2] == pytest.approx(true[2:-2], abs=0.03 * np.trace(flat))
+
+
+@pytest.mark.parametrize("size", [1.0, 0.3])
+def test_shifts_are_those_of_a_plate(size: float) -> None:
+    turns = slowly_turning()
+    told = [seen_by(angle_deg, turns, size) for angle_deg in ANGLES_DEG]
+    moments = second_moments([view for view, _ in told], 1.0)
+    largest = max(np.abs(true).max() for _, true in told)
+    for view, true in told:
+        # The next order, of the size over the distance, is left: some 5 % of the largest shift.
+        found = perspective_shifts(view, moments, BodyRules.depth_power)
+        assert found[2:-2] == pytest.approx(true[2:-2], abs=0.1 * largest)

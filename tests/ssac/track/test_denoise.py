@@ -1,33 +1,139 @@
+"""What fires by itself is masked, what fires alone is removed, and nothing that moves is."""
+
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
 from ssac.config import N_MIN
 from ssac.events import EVENT_DTYPE, events_from_arrays
-from ssac.track.denoise import (
-    LEAST_NEIGHBOURS,
-    NEAR_NEIGHBOURS,
-    NEAR_PX,
-    PAPER_NEIGHBOURS,
-    PAPER_PX,
-    least_neighbours,
-    radius_filter,
-    without_noise,
+from ssac.rules import NoiseRules
+from ssac.track.clutter import activity, masked_pixels
+from ssac.track.denoise import least_neighbours, radius_filter, without_noise
+from tests.ssac.cluttered import lamp, merged, noise, pixel_events
+
+WIDTH, HEIGHT = 96, 80
+LONG_US = 6_000_000
+RULES = NoiseRules()
+
+
+def mask_of(events):
+    return masked_pixels(activity(events, WIDTH, HEIGHT, RULES), RULES)
+
+
+def pixels(*squares):
+    found = np.zeros((HEIGHT, WIDTH), bool)
+    for x, y, size_px in squares:
+        found[y : y + size_px, x : x + size_px] = True
+    return found
+
+
+def blob(path, n=60_000, deviation_px=1.8, duration_us=LONG_US):
+    """Events of something whose middle is at path(t) of times [s] -> (x, y) [px]."""
+    rng = np.random.default_rng(0)
+    t = np.sort(rng.integers(0, duration_us, n))
+    x, y = (
+        np.clip(np.rint(at + rng.normal(0.0, deviation_px, n)), 0, most - 1).astype(int)
+        for at, most in zip(path(1e-6 * t), (WIDTH, HEIGHT), strict=True)
+    )
+    return events_from_arrays(t, x, y, rng.integers(0, 2, n))
+
+
+def flight(t_s):
+    return 48 + 30 * np.sin(2.3 * t_s), 40 + 25 * np.sin(3.1 * t_s)
+
+
+def hover(t_s):
+    """Three seconds at one place, within 1.5 px of it, and away in between."""
+    away = np.clip(np.abs((t_s % 3.0) - 1.5) - 0.75, 0.0, None)
+    return 48 + 60 * away + 1.5 * np.sin(7.0 * t_s), 40 + 1.5 * np.cos(5.0 * t_s)
+
+
+def to_and_fro(t_s):
+    """Back at every pixel of a short way several times a second."""
+    return 48 + 6 * np.sin(12.0 * t_s), 40 + 4 * np.sin(17.0 * t_s)
+
+
+def still(t_s):
+    """All along at one place, but for a tremble."""
+    return 48 + 1.5 * np.sin(7.0 * t_s), 40 + 1.5 * np.cos(5.0 * t_s)
+
+
+@pytest.mark.parametrize("path", [flight, hover, to_and_fro, still])
+@pytest.mark.parametrize("hz", [0.0, 10.0])
+def test_what_moves_is_not_masked(path, hz):
+    assert not mask_of(merged(blob(path), noise(WIDTH, HEIGHT, hz, LONG_US))).any()
+
+
+@pytest.mark.parametrize("size_px", [3, 6, 12])
+@pytest.mark.parametrize("hz", [0.0, 10.0])
+def test_a_lamp_is_masked_whole_and_nothing_else(size_px, hz):
+    # Once alone in its corner, and once where the object passes.
+    for x, y in ((3, 60), (40, 35)):
+        flicker = lamp(x, y, size_px, LONG_US)
+        found = mask_of(merged(blob(flight), flicker, noise(WIDTH, HEIGHT, hz, LONG_US)))
+        np.testing.assert_array_equal(found, pixels((x, y, size_px)))
+
+
+def test_clusters_of_hot_pixels_are_masked_whole():
+    squares = [(5, 5, 3), (30, 60, 3), (80, 20, 3)]
+    hot = [pixel_events(x, y, 600, LONG_US) for y, x in np.argwhere(pixels(*squares))]
+    found = mask_of(merged(blob(flight), *hot, noise(WIDTH, HEIGHT, 0.2, LONG_US)))
+    np.testing.assert_array_equal(found, pixels(*squares))
+
+
+def test_a_gap_in_the_recording_changes_nothing():
+    events = merged(lamp(40, 35, 6, LONG_US), blob(flight))
+    late = events.copy()
+    late["t"] += 3_600_000_000
+    np.testing.assert_array_equal(mask_of(merged(events, late)), pixels((40, 35, 6)))
+
+
+def test_short_recordings_do_not_tell_a_lamp():
+    assert not mask_of(lamp(40, 35, 6, 1_500_000)).any()
+    assert mask_of(lamp(40, 35, 6, 3_000_000)).any()
+
+
+@pytest.mark.parametrize(
+    "lone", [[(10, 10)], [(10, 10), (11, 10)], [(0, 0), (63, 47)], [(30, 5), (31, 6)]]
 )
-from tests.ssac.cluttered import merged
+def test_lone_hot_pixels_are_masked_in_short_recordings_too(lone):
+    hot = merged(*(pixel_events(x, y, 800) for x, y in lone))
+    found = mask_of(merged(noise(WIDTH, HEIGHT, 1.0, 1_000_000), hot))
+    np.testing.assert_array_equal(found, pixels(*((x, y, 1) for x, y in lone)))
 
-WIDTH, HEIGHT = 64, 48
+
+def test_a_bar_that_stands_and_flickers_stays():
+    # A thin bar that sweeps, and then stands still and flickers for most of a short recording.
+    sweep = [pixel_events(x, y, 6) for x in range(5, 50) for y in range(10, 25)]
+    stand = [pixel_events(50, y, 700) for y in range(10, 25)]
+    assert not mask_of(merged(*sweep, *stand)).any()
 
 
-def _random_events(n, duration_us, seed=0, first_us=0):
+@pytest.mark.parametrize("hz", [0.2, 1.0, 10.0])
+def test_the_background_is_that_of_ordinary_pixels(hz):
+    start = noise(WIDTH, HEIGHT, 1000.0, 20_000)  # every pixel again and again, at first
+    parts = blob(flight), lamp(3, 60, 12, LONG_US), noise(WIDTH, HEIGHT, hz, LONG_US), start
+    found = activity(merged(*parts), WIDTH, HEIGHT, RULES)
+    # The middle of the object's and the lamp's squares with the others: 7 of 30 squares, a quarter
+    # of the deviation; and a Poisson number's median is 1/3 below its mean, at 0.2 Hz 1/3 of 5.
+    of_square = hz * 25.6
+    assert found.background_hz == pytest.approx(hz, rel=0.3 / of_square + 0.35 / of_square**0.5)
+
+
+def test_no_background_and_no_mask_of_a_clean_recording():
+    assert activity(blob(flight), WIDTH, HEIGHT, RULES).background_hz == 0.0
+    assert not mask_of(blob(flight)).any()
+    assert not mask_of(np.empty(0, EVENT_DTYPE)).any()
+
+
+def random_events(n, duration_us, seed=0, first_us=0):
+    """Exactly n events all over a part of the sensor, which makes them dense."""
     rng = np.random.default_rng(seed)
     t = np.sort(rng.integers(0, duration_us, n)) + first_us
-    return events_from_arrays(
-        t, rng.integers(0, WIDTH, n), rng.integers(0, HEIGHT, n), rng.integers(0, 2, n)
-    )
+    return events_from_arrays(t, rng.integers(0, 64, n), rng.integers(0, 48, n), np.zeros(n, int))
 
 
-def _tree_filter(events, radius_px, ms_per_unit, n_neighbours):
+def tree_filter(events, radius_px=5.0, ms_per_unit=1.0, n_neighbours=20):
     """Filter by a k-d tree; whole numbers keep distances on the boundary exact."""
     us_per_px = 1000 * ms_per_unit
     t = events["t"] - events["t"][0]
@@ -37,7 +143,7 @@ def _tree_filter(events, radius_px, ms_per_unit, n_neighbours):
 
 
 @pytest.mark.parametrize(
-    ("radius_px", "ms_per_unit", "n_neighbours"),
+    "ball",
     [
         (5.0, 1.0, 20),
         (4.3, 1.0, 12),
@@ -50,19 +156,18 @@ def _tree_filter(events, radius_px, ms_per_unit, n_neighbours):
     ],
 )
 @pytest.mark.parametrize("first_us", [0, 1_700_000_000_000_000])
-def test_equals_a_k_d_tree(radius_px, ms_per_unit, n_neighbours, first_us):
-    events = _random_events(8000, 40_000, first_us=first_us)
-    kept = radius_filter(events, radius_px, ms_per_unit, n_neighbours)
-    expected = _tree_filter(events, radius_px, ms_per_unit, n_neighbours)
+def test_equals_a_k_d_tree(ball, first_us):
+    events = random_events(8000, 40_000, first_us=first_us)
+    expected = tree_filter(events, *ball)
     assert 0 < len(expected) < len(events)
-    np.testing.assert_array_equal(kept, expected)
+    np.testing.assert_array_equal(radius_filter(events, *ball), expected)
 
 
 def test_equals_a_k_d_tree_with_events_at_one_instant_and_on_the_boundary():
     # Times in whole milliseconds put many neighbours at exactly 5 units (3-4-0, 0-3-4, ...).
-    events = _random_events(6000, 40)
+    events = random_events(6000, 40)
     events["t"] *= 1000
-    np.testing.assert_array_equal(radius_filter(events), _tree_filter(events, 5.0, 1.0, 20))
+    np.testing.assert_array_equal(radius_filter(events), tree_filter(events))
 
 
 @pytest.mark.parametrize("gap_us", [4000, 9000, 60_000, 10_000_000_000])
@@ -70,10 +175,10 @@ def test_equals_a_k_d_tree_across_gaps_in_time(gap_us):
     # Bursts of very unlike density: what is left of one must not count in the next.
     bursts, first_us = [], 0
     for n, duration_us in ((9000, 12_000), (40, 3000), (12_000, 5000), (3000, 30_000)):
-        bursts.append(_random_events(n, duration_us, n, first_us))
+        bursts.append(random_events(n, duration_us, n, first_us))
         first_us += duration_us + gap_us
     events = np.concatenate(bursts)
-    np.testing.assert_array_equal(radius_filter(events), _tree_filter(events, 5.0, 1.0, 20))
+    np.testing.assert_array_equal(radius_filter(events), tree_filter(events))
 
 
 @pytest.mark.parametrize("gap_us", [0, 4000, 10_000_000_000])
@@ -81,7 +186,7 @@ def test_equals_a_k_d_tree_across_gaps_in_time(gap_us):
     ("radius_px", "n_neighbours"), [(3.0, 12), (3.0, 5), (2.5, 1), (5.0, 20), (1.0, 1)]
 )
 def test_either_way_leaves_the_same(radius_px, n_neighbours, gap_us):
-    events = _random_events(20_000, 60_000, seed=5)  # of which balls hold from none to many
+    events = random_events(20_000, 60_000, seed=5)  # of which balls hold from none to many
     some = events["x"] < 20
     events["x"][some], events["y"][some] = events["x"][some] // 4, events["y"][some] // 4
     events["t"][len(events) // 2 :] += gap_us
@@ -90,76 +195,63 @@ def test_either_way_leaves_the_same(radius_px, n_neighbours, gap_us):
     assert 0 < len(fast) < len(events)
 
 
-def test_neighbours_must_be_as_many_as_asked():
+def test_neighbours_must_be_as_many_as_asked_and_the_input_is_left_alone():
     events = events_from_arrays(np.arange(21), [3] * 21, [4] * 21, [1] * 21)
+    before = events.copy()
     assert len(radius_filter(events)) == 21
     assert len(radius_filter(events[:20])) == 0
-
-
-def test_filtering_what_is_dense_changes_nothing_and_leaves_the_input_alone():
-    events = _random_events(60_000, 40_000)
-    copy = events.copy()
-    np.testing.assert_array_equal(radius_filter(events), events)
-    np.testing.assert_array_equal(events, copy)
-
-
-def test_no_events():
+    np.testing.assert_array_equal(events, before)
     none = np.empty(0, EVENT_DTYPE)
-    assert len(radius_filter(none)) == 0
-    assert len(without_noise(none, WIDTH, HEIGHT)[0]) == 0
+    assert len(radius_filter(none)) == len(without_noise(none, WIDTH, HEIGHT, None, RULES)[0]) == 0
 
 
 def test_noise_alone_leaves_at_most_an_event_in_a_window():
     for hz in (0.2, 2.0, 10.0):
-        n = least_neighbours(hz, WIDTH * HEIGHT, PAPER_PX, 1000)
-        noise = _random_events(round(hz * WIDTH * HEIGHT * 20), 20_000_000)
+        n = least_neighbours(hz, 64 * 48, RULES.ball_px, 1000, RULES)
+        left = radius_filter(noise(64, 48, hz, 20_000_000), n_neighbours=n)
         # One in each of the 500 windows is the limit, and Poisson's deviation of 500 is 22; the
         # events of one ball are kept together, so three times that.
-        assert len(radius_filter(noise, n_neighbours=n)) < 500 + 3 * 22
-        assert n >= LEAST_NEIGHBOURS
-        assert least_neighbours(hz, WIDTH * HEIGHT, PAPER_PX, 6) <= 6
+        assert len(left) < 500 + 3 * 22
+        assert n >= RULES.least_neighbours
+        assert least_neighbours(hz, 64 * 48, RULES.ball_px, 6, RULES) <= 6
 
 
-def _small_object(n, seed=3):
-    """Events of something 3 px wide that goes round in 10 s, and where it is."""
-    rng = np.random.default_rng(seed)
-    t = np.sort(rng.integers(0, 10_000_000, n))
-    turn = 2e-6 * np.pi * t / 2.0
-    x, y = 32 + 20 * np.cos(turn), 24 + 15 * np.sin(2 * turn)
-    return events_from_arrays(
-        t,
-        np.rint(x + rng.uniform(-1.5, 1.5, n)).astype(int),
-        np.rint(y + rng.uniform(-1.5, 1.5, n)).astype(int),
-        rng.integers(0, 2, n),
-    )
+def small(n):
+    """Events of something 3 px wide that goes round in 10 s."""
+    path = lambda t_s: (32 + 20 * np.cos(np.pi * t_s), 24 + 15 * np.sin(2 * np.pi * t_s))  # noqa: E731
+    return blob(path, n, 0.9, 10_000_000)
 
 
-def test_a_thin_object_needs_fewer_neighbours_and_a_dense_one_those_of_the_paper():
-    noise = _random_events(round(0.2 * WIDTH * HEIGHT * 10), 10_000_000)
-    thin, dense = _small_object(15_000), _small_object(200_000)
-    left, found = without_noise(merged(thin, noise), WIDTH, HEIGHT)
-    assert (found.radius_px, found.n_neighbours) == (PAPER_PX, LEAST_NEIGHBOURS)
-    assert found.is_adapted
-    # 60 events in 40 ms: a quarter of them, but at least 20.
-    assert found.n_min == 20
-    assert abs(len(left) - len(thin)) < 0.1 * len(thin)  # the paper's 20 leave none
-    assert len(radius_filter(merged(thin, noise))) < 0.1 * len(thin)
-    left, found = without_noise(merged(dense, noise), WIDTH, HEIGHT)
-    assert (found.n_neighbours, found.n_min, found.is_adapted) == (PAPER_NEIGHBOURS, N_MIN, False)
-    np.testing.assert_array_equal(left, radius_filter(merged(dense, noise)))
+@pytest.mark.parametrize("rate_hz", [1_500, 20_000])
+def test_a_thin_object_needs_fewer_neighbours_and_a_dense_one_those_of_the_paper(rate_hz):
+    ours = small(10 * rate_hz)
+    events = merged(ours, noise(WIDTH, HEIGHT, 0.1, 10_000_000))
+    left, found = without_noise(events, WIDTH, HEIGHT, None, RULES)
+    by_paper = radius_filter(events)
+    assert found.radius_px == RULES.ball_px
+    if rate_hz == 20_000:
+        assert (found.n_neighbours, found.n_min) == (RULES.ball_neighbours, N_MIN)
+        assert not found.is_adapted
+        np.testing.assert_array_equal(left, by_paper)
+    else:
+        assert found.n_neighbours == RULES.least_neighbours
+        assert found.is_adapted
+        assert found.n_min == RULES.least_n_min  # of 60 events in 40 ms a quarter is less
+        assert abs(len(left) - len(ours)) < 0.1 * len(ours)
+        assert len(by_paper) < 0.1 * len(ours)
 
 
 def test_much_noise_takes_the_near_ball():
-    noise = _random_events(round(10.0 * WIDTH * HEIGHT * 10), 10_000_000)
-    dense = _small_object(200_000)
-    left, found = without_noise(merged(dense, noise), WIDTH, HEIGHT)
-    assert (found.radius_px, found.n_neighbours, found.n_min) == (NEAR_PX, NEAR_NEIGHBOURS, N_MIN)
-    far = radius_filter(merged(dense, noise))
-    assert len(dense) < len(left) < len(far)  # less of the noise beside the object is left
+    ours = small(200_000)
+    events = merged(ours, noise(WIDTH, HEIGHT, 10.0, 10_000_000))
+    left, found = without_noise(events, WIDTH, HEIGHT, None, RULES)
+    assert (found.radius_px, found.n_neighbours) == (RULES.near_ball_px, RULES.near_ball_neighbours)
+    assert found.n_min == N_MIN
+    # Less of the noise beside the object is left.
+    assert len(ours) < len(left) < len(radius_filter(events))
 
 
 def test_what_is_asked_for_is_done():
-    thin = _small_object(15_000)
-    left, found = without_noise(thin, WIDTH, HEIGHT, n_neighbours=9)
-    assert (found.radius_px, found.n_neighbours) == (PAPER_PX, 9)
-    np.testing.assert_array_equal(left, radius_filter(thin, n_neighbours=9))
+    left, found = without_noise(small(15_000), WIDTH, HEIGHT, 9, RULES)
+    assert (found.radius_px, found.n_neighbours) == (RULES.ball_px, 9)
+    np.testing.assert_array_equal(left, radius_filter(small(15_000), n_neighbours=9))

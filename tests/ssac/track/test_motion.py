@@ -1,16 +1,21 @@
-"""Window means, velocities and the two rules of validity, against plain sums over the events."""
+"""Positions and velocities of events and of points, against plain sums and known paths."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from ssac.camera import Camera, undistort_points
+from ssac.camera import Camera, distort_points, undistort_points
+from ssac.errors import SsacError
 from ssac.events import EVENT_DTYPE
-from ssac.track.motion import object_motion
-from tests.ssac.synthetic import HEIGHT, WIDTH, K, make_events, make_scene, track_pair
+from ssac.points import PointTrack
+from ssac.rules import PointRules
+from ssac.track.motion import object_motion, point_motion
+from tests.ssac.synthetic import CAMERA, HEIGHT, WIDTH, K, make_events, make_scene, track_pair
 
-CAMERA = Camera(K, WIDTH, HEIGHT)
+RADTAN = Camera(K, WIDTH, HEIGHT, "radtan", (-0.2, 0.05, 0.001, -0.001))
+EVEN_US = np.arange(0, 40_000, 50)
+MIDDLE_S = np.array([0.02])
 
 
 @pytest.fixture(scope="module")
@@ -23,6 +28,11 @@ def column_of_events(t_us, x, y):
     events = np.zeros(len(t_us), EVENT_DTYPE)
     events["t"], events["x"], events["y"] = t_us, x, y
     return events
+
+
+def moving():
+    """Events of a point that moves by 1000 px/s; pixels round."""
+    return column_of_events(EVEN_US, x=100 + np.rint(1e-3 * EVEN_US), y=50)
 
 
 def test_positions_are_the_means_of_the_windows(flight):
@@ -70,16 +80,21 @@ def test_rows_of_samples_are_as_each_of_them_alone(flight):
         assert (together.counts[place], together.valid[place]) == (alone.counts, alone.valid)
 
 
-def test_velocities_follow_the_path(flight):
+def test_velocities_and_sharp_positions_follow_the_path(flight):
     scene, events = flight
     times_s = np.linspace(0.1, 3.9, 200)
     motion = object_motion(events, CAMERA)
-    valid = motion.at(times_s).valid
+    track, valid = motion.sharp_at(times_s), motion.at(times_s).valid
+    assert np.array_equal(track.valid, valid)
+    assert np.array_equal(track.velocities_px_s, motion.velocities_at(times_s))
     truth = (track_pair(scene, times_s + 1e-4)[0] - track_pair(scene, times_s - 1e-4)[0]) / 2e-4
-    error = (motion.velocities_at(times_s) - truth)[valid]
+    error = (track.velocities_px_s - truth)[valid]
     # 500 events of deviation 10 px in each half, 20 ms apart: 0.45 * sqrt(2) / 0.02 = 32 px/s.
     assert np.median(np.abs(error)) < 40.0
     assert np.abs(np.median(error)) < 10.0
+    error = (track.positions_px - track_pair(scene, times_s)[0])[valid]
+    # A thousand events of deviation 10 px: 0.3 px; as much again for perspective.
+    assert np.median(np.abs(error)) < 0.6
 
 
 def test_velocities_do_not_depend_on_when_the_events_come():
@@ -106,18 +121,16 @@ def test_times_far_from_zero_lose_nothing(flight):
 
 def test_windows_with_fewer_than_n_min_events_are_invalid():
     events = column_of_events(np.arange(0, 40_000, 200), x=100, y=100)  # 200 events in 40 ms
-    middle = np.array([0.02])
-    assert object_motion(events, CAMERA, n_min=200).at(middle).valid.all()
-    assert not object_motion(events, CAMERA, n_min=201).at(middle).valid.any()
+    assert object_motion(events, CAMERA, n_min=200).at(MIDDLE_S).valid.all()
+    assert not object_motion(events, CAMERA, n_min=201).at(MIDDLE_S).valid.any()
 
 
 @pytest.mark.parametrize(("x", "y"), [(4, 100), (341, 100), (100, 4), (100, 255)])
 def test_windows_with_events_on_the_border_are_invalid(x, y):
-    t_us = np.arange(0, 40_000, 100)
-    for on_border, is_valid in ((20, True), (21, False)):  # 5 % of 400 events
-        events = column_of_events(t_us, x=100, y=100)
+    for on_border, is_valid in ((40, True), (41, False)):  # 5 % of 800 events
+        events = column_of_events(EVEN_US, x=100, y=100)
         events["x"][:on_border], events["y"][:on_border] = x, y
-        assert object_motion(events, CAMERA).at(np.array([0.02])).valid[0] == is_valid
+        assert object_motion(events, CAMERA).at(MIDDLE_S).valid[0] == is_valid
 
 
 def test_windows_that_reach_into_gaps_are_invalid():
@@ -129,45 +142,30 @@ def test_windows_that_reach_into_gaps_are_invalid():
     assert whole.at(times_s).valid.all()
     expected = [False, True, True, False, False, False, True, True, False]
     assert motion.at(times_s).valid.tolist() == expected
-    later = motion.delayed(1_000_000)
-    assert later.at(times_s + 1.0).valid.tolist() == expected
-
-
-def test_distortion_is_removed_before_the_mean():
-    camera = Camera(K, WIDTH, HEIGHT, "radtan", (-0.2, 0.05, 0.001, -0.001))
-    rng = np.random.default_rng(0)
-    events = column_of_events(
-        np.arange(0, 40_000, 50), rng.integers(20, 60, 800), rng.integers(20, 60, 800)
-    )
-    pixels = np.column_stack([events["x"], events["y"]]).astype(np.float64)
-    expected = undistort_points(camera, pixels).mean(axis=0)
-    track = object_motion(events, camera).at(np.array([0.02]))
-    assert np.allclose(track.positions_px[0], expected, atol=1e-9)
+    assert motion.delayed(1_000_000).at(times_s + 1.0).valid.tolist() == expected
 
 
 def test_no_events_give_no_valid_sample():
     motion = object_motion(np.zeros(0, EVENT_DTYPE), CAMERA)
-    assert not motion.at(np.array([0.0, 1.0])).valid.any()
     assert motion.span_s[0] > motion.span_s[1]
+    for track in (motion.at(np.array([0.0, 1.0])), motion.sharp_at(np.array([0.0, 1.0]))):
+        assert not track.valid.any()
+        assert np.isnan(track.positions_px).all()
 
 
 def test_sharp_positions_weigh_cells_by_the_square_root_of_their_events():
-    t_us = np.arange(0, 40_000, 80)
-    events = column_of_events(t_us, x=np.where(np.arange(500) % 5 == 0, 110, 100), y=50)
+    events = column_of_events(EVEN_US, x=np.where(np.arange(800) % 5 == 0, 110, 100), y=50)
     motion = object_motion(events, CAMERA)
-    middle = np.array([0.02])
-    assert motion.at(middle).positions_px[0, 0] == pytest.approx(102.0)  # 400 and 100 events
-    track = motion.sharp_at(middle)
+    assert motion.at(MIDDLE_S).positions_px[0, 0] == pytest.approx(102.0)  # 640 and 160 events
+    track = motion.sharp_at(MIDDLE_S)
     # The middle of the window is not that of its events: the first comes at its start.
-    assert np.allclose(track.positions_px[0], [(20 * 100 + 10 * 110) / 30, 50.0], atol=0.01)
+    assert np.allclose(track.positions_px[0], [(2 * 100 + 110) / 3, 50.0], atol=0.01)
     assert track.sizes_px[0] == pytest.approx(10.0 * np.sqrt(2.0 / 9.0))
     assert track.valid[0]
 
 
 def test_sharp_images_do_not_move():
-    t_us = np.arange(0, 40_000, 50)
-    events = column_of_events(t_us, x=100 + np.rint(1e-3 * t_us), y=50)  # 1000 px/s
-    track = object_motion(events, CAMERA).sharp_at(np.array([0.02]))
+    track = object_motion(moving(), CAMERA).sharp_at(MIDDLE_S)
     # Pixels and cells both round, by up to half a pixel, and not alike in both halves.
     assert np.allclose(track.positions_px[0], [120.0, 50.0], atol=0.25)
     assert track.sizes_px[0] < 1.0  # 12 px if it moved; pixels round by up to half of one
@@ -175,39 +173,98 @@ def test_sharp_images_do_not_move():
 
 
 def test_centred_positions_do_not_depend_on_when_the_camera_was_blind():
-    t_us = np.arange(0, 40_000, 50)
-    events = column_of_events(t_us, x=100 + np.rint(1e-3 * t_us), y=50)  # 1000 px/s
-    seen = events[(t_us < 21_000) | (t_us >= 31_000)]
-    motion = object_motion(seen, CAMERA)
+    motion = object_motion(moving()[(EVEN_US < 21_000) | (EVEN_US >= 31_000)], CAMERA)
     # The events left are 18 ms old in the mean, and the mean of their pixels is as old.
-    assert motion.at(np.array([0.02])).positions_px[0, 0] == pytest.approx(118.0, abs=0.25)
+    assert motion.at(MIDDLE_S).positions_px[0, 0] == pytest.approx(118.0, abs=0.25)
     centred = motion.centred_at(np.array([0.02, 0.1]))
     assert centred.positions_px[0, 0] == pytest.approx(120.0, abs=0.25)  # pixels round
     assert list(centred.valid) == [True, False]
 
 
-def test_sharp_positions_follow_the_path(flight):
-    scene, events = flight
-    times_s = np.linspace(0.1, 3.9, 200)
-    motion = object_motion(events, CAMERA)
-    track = motion.sharp_at(times_s)
-    assert np.array_equal(track.valid, motion.at(times_s).valid)
-    error = (track.positions_px - track_pair(scene, times_s)[0])[track.valid]
-    # A thousand events of deviation 10 px: 0.3 px; as much again for perspective.
-    assert np.median(np.abs(error)) < 0.6
-
-
-def test_sharp_positions_without_events_are_invalid():
-    track = object_motion(np.zeros(0, EVENT_DTYPE), CAMERA).sharp_at(np.array([0.0, 1.0]))
-    assert not track.valid.any()
-    assert np.isnan(track.positions_px).all()
-
-
 @pytest.mark.parametrize("shift_us", [5_000, 500_000, -123_457, 3_600_000_000])
 def test_samples_half_way_between_microseconds_do_not_depend_on_the_clocks_zero(flight, shift_us):
-    _, events = flight
-    motion = object_motion(events, CAMERA)
+    motion = object_motion(flight[1], CAMERA)
     times_s = (np.arange(0, 4_000_000, 997) + 0.5) * 1e-6
     track, delayed = motion.at(times_s), motion.delayed(shift_us).at(times_s + 1e-6 * shift_us)
     np.testing.assert_array_equal(delayed.counts, track.counts)
     np.testing.assert_array_equal(delayed.positions_px, track.positions_px)
+
+
+# --- Points: a parabola, which local parabolas follow exactly ------------------------------------
+
+RULES = PointRules()
+STEP_S = 0.04
+TIMES_S = STEP_S * np.arange(100.0)
+
+
+def path(times_s):
+    return np.stack([20.0 + 90.0 * times_s - 8.0 * times_s**2, 30.0 + 11.0 * times_s**2], axis=-1)
+
+
+def of_points(times_s, points_px=None, sigmas_px=None, camera=CAMERA, half_window_s=0.02):
+    points_px = path(times_s) if points_px is None else points_px
+    return point_motion(PointTrack(times_s, points_px, sigmas_px), camera, RULES, half_window_s)
+
+
+def test_positions_and_velocities_between_points():
+    wanted_s = np.linspace(0.2, 3.6, 78)
+    motion = of_points(TIMES_S)
+    sharp = motion.sharp_at(wanted_s)
+    assert sharp.valid.all()
+    np.testing.assert_allclose(sharp.positions_px, path(wanted_s), atol=1e-8)
+    velocities = np.stack([90.0 - 16.0 * wanted_s, 22.0 * wanted_s], axis=-1)
+    np.testing.assert_allclose(sharp.velocities_px_s, velocities, atol=1e-6)
+    folded = motion.at(wanted_s.reshape(6, 13)).positions_px
+    np.testing.assert_array_equal(folded, sharp.positions_px.reshape(6, 13, 2))
+
+
+def test_gaps_and_ends_are_not_valid():
+    motion = of_points(TIMES_S[(TIMES_S < 1.0) | (TIMES_S > 2.0)])
+    outside = np.array([-0.5, 0.01, 1.1, 1.5, 1.9, 3.95, 5.0])
+    assert not motion.at(outside).valid.any()
+    assert np.isnan(motion.at(outside).positions_px).all()
+    assert of_points(np.delete(TIMES_S, 50)).at(TIMES_S[3:-3]).valid.all()  # one may be missing
+
+
+def test_windows_of_a_faster_camera_are_those_of_events():
+    assert of_points(np.arange(0.0, 2.0, 1e-3)).half_window_s == 0.02
+    assert of_points(TIMES_S).half_window_s == pytest.approx(RULES.window_intervals * STEP_S)
+
+
+@pytest.mark.parametrize("sigma_px", [0.1, 1.0])
+def test_the_noise_of_points_is_measured(sigma_px):
+    noise = np.random.default_rng(0).normal(0.0, sigma_px, (2000, 2))
+    times_s = 1e-3 * np.arange(2000.0)
+    motion = of_points(times_s, path(times_s) + noise)
+    # Of 4000 residuals, neighbours' being correlated, the median is good to some 3 %.
+    assert motion.sigmas_px[0] == pytest.approx(sigma_px, rel=0.1)
+
+
+def test_points_count_by_their_deviations():
+    is_off = np.arange(100) % 2 == 1
+    points = path(TIMES_S) + np.where(is_off, 5.0, 0.0)[:, None]
+    motion = of_points(TIMES_S, points, np.where(is_off, 1.0, 0.001), half_window_s=0.3)
+    found = motion.at(TIMES_S[20:80]).positions_px
+    np.testing.assert_allclose(found, path(TIMES_S[20:80]), atol=1e-3)
+
+
+def test_distortion_is_removed_before_the_mean():
+    rng = np.random.default_rng(0)
+    x, y = rng.integers(20, 60, (2, 800))
+    mean = undistort_points(RADTAN, np.column_stack([x, y]).astype(np.float64)).mean(axis=0)
+    track = object_motion(column_of_events(EVEN_US, x, y), RADTAN).at(MIDDLE_S)
+    assert np.allclose(track.positions_px[0], mean, atol=1e-9)
+    wanted_s = np.linspace(0.3, 2.0, 9)
+    points = of_points(TIMES_S[:60], distort_points(RADTAN, path(TIMES_S[:60])), camera=RADTAN)
+    np.testing.assert_allclose(points.at(wanted_s).positions_px, path(wanted_s), atol=1e-5)
+
+
+def test_rows_of_a_rolling_shutter_have_times_of_their_own():
+    seen = path(TIMES_S)
+    for _ in range(5):
+        seen = path(TIMES_S + 0.03 * seen[:, 1] / (HEIGHT - 1))
+    motion = of_points(TIMES_S, seen, camera=replace(CAMERA, readout_s=0.03))
+    wanted_s = np.linspace(0.3, 3.5, 9)
+    np.testing.assert_allclose(motion.at(wanted_s).positions_px, path(wanted_s), atol=1e-6)
+    with pytest.raises(SsacError, match="readout_s is 50 ms, but frames follow each other in 40"):
+        of_points(TIMES_S, camera=replace(CAMERA, readout_s=0.05))

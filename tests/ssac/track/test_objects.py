@@ -6,38 +6,40 @@ import numpy as np
 import pytest
 
 from ssac.events import EVENT_DTYPE
-from ssac.track.objects import BIN_US, chains_of, objects_of, seem_several
+from ssac.rules import ObjectRules
+from ssac.track.objects import chains_of, objects_of, seem_several
 from tests.ssac.crowds import branches, flight, mixed
 from tests.ssac.synthetic import CAMERA, make_events, make_scene, track_pair
+
+RULES = ObjectRules()
 
 
 @pytest.fixture(scope="module")
 def both():
     """One camera's events of two flights, which is which, and what is found."""
     events, thing = mixed(flight(4)[0], flight(5)[0])
-    return events, thing, objects_of(events, CAMERA)
+    return events, thing, objects_of(events, CAMERA, RULES)
 
 
 @pytest.mark.parametrize("size_m", [0.2, 0.8])  # images of 8 and 32 px
 def test_one_thing_seems_one(size_m):
     for events in make_events(make_scene(4, duration_s=8.0), 4, size_m=size_m):
-        assert not seem_several(events, CAMERA)
+        assert not seem_several(events, CAMERA, RULES)
+    assert not seem_several(np.empty(0, EVENT_DTYPE), CAMERA, RULES)
 
 
 def test_the_parts_of_a_large_thing_are_one():
     events = make_events(make_scene(6, duration_s=8.0), 6, size_m=1.6)[1]
-    assert seem_several(events, CAMERA)  # points of a cloud of 64 px and more do not hang together
-    assert not objects_of(events, CAMERA).are_several
+    assert seem_several(
+        events, CAMERA, RULES
+    )  # points of a cloud of 64 px and more do not hang together
+    assert not objects_of(events, CAMERA, RULES).are_several
 
 
 @pytest.mark.parametrize("share", [0.1, 0.2, 1.0])
 def test_two_things_seem_several(share):
     for one, other in zip(flight(4), flight(5, share), strict=True):
-        assert seem_several(mixed(one, other)[0], CAMERA)
-
-
-def test_nothing_seems_one():
-    assert not seem_several(np.empty(0, EVENT_DTYPE), CAMERA)
+        assert seem_several(mixed(one, other)[0], CAMERA, RULES)
 
 
 def test_each_piece_is_of_one_thing(both):
@@ -52,15 +54,15 @@ def test_each_piece_is_of_one_thing(both):
     # Where two touch, a bin or two of the few at a piece's ends hold both.
     assert np.mean(np.array(shares) > 0.97) > 0.9
     # Both are in view most of the time, and apart for most of that.
-    assert n_bins > 1.2 * np.ptp(events["t"]) / BIN_US
+    assert n_bins > 1.2 * np.ptp(events["t"]) / RULES.bin_us
 
 
 def test_pieces_follow_the_path():
     scene = make_scene(4, duration_s=8.0)
-    found = objects_of(make_events(scene, 4, size_m=0.4)[0], CAMERA)
+    found = objects_of(make_events(scene, 4, size_m=0.4)[0], CAMERA, RULES)
     for piece in found.pieces:
         bins = np.arange(piece.first, piece.last)
-        times_s = 1e-6 * (found.start_us + BIN_US * (bins + 0.5))
+        times_s = 1e-6 * (found.start_us + RULES.bin_us * (bins + 0.5))
         inner = (times_s > 0.02) & (times_s < 7.98)  # bins that the flight fills
         apart_px = np.linalg.norm(piece.positions_px - track_pair(scene, times_s)[0], axis=1)
         # 500 events of 16 px lie 0.3 px from their mean; what leaves the view is cut.
@@ -69,7 +71,7 @@ def test_pieces_follow_the_path():
 
 def test_what_stays_in_its_place_is_no_piece():
     events, thing = mixed(flight(4)[0], branches(1))
-    found = objects_of(events, CAMERA)
+    found = objects_of(events, CAMERA, RULES)
     assert found.are_several
     assert found.n_seen > 2
     chosen = thing[found.events_of(found.pieces)]
@@ -80,15 +82,10 @@ def test_what_stays_in_its_place_is_no_piece():
 
 def test_chains_go_on_with_the_same_thing(both):
     _, thing, found = both
-    longest = chains_of(found.pieces)[:2]
-    for chain in longest:
+    chains = chains_of(found.pieces, RULES)
+    assert sorted(i for chain in chains for i in chain) == list(range(len(found.pieces)))
+    for chain in chains[:2]:
         assert all(found.pieces[i].last <= found.pieces[j].first for i, j in pairwise(chain))
         of_chain = thing[found.events_of([found.pieces[i] for i in chain])]
         share = np.mean(of_chain)
         assert max(share, 1.0 - share) > 0.6  # a wrong turn is for the two views to find
-
-
-def test_every_piece_is_in_one_chain(both):
-    pieces = both[2].pieces
-    linked = [i for chain in chains_of(pieces) for i in chain]
-    assert sorted(linked) == list(range(len(pieces)))

@@ -55,13 +55,9 @@ def test_what_is_clean_is_not_cleaned_again(cleaned):
     # Equal cameras need not be one object, and noise that has been removed does not come back.
     same = Camera(K.copy(), WIDTH, HEIGHT)
     assert clean(cleaned, same, Cleaning(False, 7)) is cleaned
-
-
-def test_a_track_has_no_noise():
-    times_s = 0.1 * np.arange(10)
-    seen = clean(tracked(PointTrack(times_s, np.ones((10, 2)))), CAMERA, HOW)
-    assert seen.denoised
-    assert clean(seen, CAMERA, HOW) is seen
+    track = clean(tracked(PointTrack(0.1 * np.arange(10), np.ones((10, 2)))), CAMERA, HOW)
+    assert track.denoised
+    assert clean(track, CAMERA, HOW) is track
 
 
 def test_denoising_that_was_skipped_is_made_up_for(raw, cleaned):
@@ -94,8 +90,8 @@ def test_sums_are_made_once_for_each_width_of_the_border(cleaned, monkeypatch):
     made = []
     monkeypatch.setattr(
         "ssac.track.motion.object_motion",
-        lambda *args, work=motion_of.__globals__["object_motion"], **how: (
-            made.append(how["border_px"]) or work(*args, **how)
+        lambda *args, work=motion_of.__globals__["object_motion"]: (
+            made.append(args[4]) or work(*args)
         ),
     )
     for config in (Config(), Config(half_window_s=0.01, n_min=50), Config(border_px=9)) * 2:
@@ -130,6 +126,9 @@ def test_delaying_what_is_clean_equals_cleaning_what_is_delayed(camera, t_d_s, r
     assert np.array_equal(delayed.events, expected.events)
     assert_same_motion(motion_of(delayed, WINDOWS), motion_of(expected, WINDOWS))
     assert np.array_equal(delayed.frame_times_s, expected.frame_times_s)
+    tiny = raw.delayed(1.6e-6)  # rounded to whole microseconds, of frames as well
+    assert np.array_equal(tiny.events["t"], raw.events["t"] + 2)
+    assert tiny.frame_times_s == pytest.approx(raw.frame_times_s + 2e-6, abs=1e-12)
     # Seconds as float64 up to an hour: one unit in the last place is 5e-13 s.
     assert delayed.frame_times_s == pytest.approx(raw.frame_times_s + t_d_s, abs=1e-12)
     assert np.array_equal(later.events["t"], raw.events["t"] + round(t_d_s * 1e6))
@@ -143,12 +142,6 @@ def test_a_delay_moves_gaps_and_tracks(cleaned):
     late = tracked(PointTrack(0.1 * np.arange(10), np.ones((10, 2)))).delayed(0.25)
     assert late.track.times_s == pytest.approx(0.1 * np.arange(10) + 0.25, abs=1e-12)
     assert late.span_s == pytest.approx((0.25, 1.15), abs=1e-12)
-
-
-def test_a_delay_is_rounded_to_whole_microseconds_for_events_and_frames(raw):
-    late = raw.delayed(1.6e-6)
-    assert np.array_equal(late.events["t"], raw.events["t"] + 2)
-    assert late.frame_times_s == pytest.approx(raw.frame_times_s + 2e-6, abs=1e-12)
 
 
 def test_cleaning_and_delaying_change_nothing_that_was_given(raw):

@@ -7,7 +7,8 @@ import pytest
 
 from ssac.camera import Camera
 from ssac.events import EVENT_DTYPE
-from ssac.track.silhouette import LEAST_SIZE_PX, Silhouettes, silhouettes
+from ssac.rules import SilhouetteRules
+from ssac.track.silhouette import Silhouettes, silhouettes
 
 SIZE = 320
 CAMERA = Camera(np.array([[100.0, 0.0, 160.0], [0.0, 100.0, 160.0], [0.0, 0.0, 1.0]]), SIZE, SIZE)
@@ -78,7 +79,7 @@ def recorded(shape, angle_deg, object_luminance=DARK, length_px=240.0):
 
 def found_of(events, times_s, track_px, spread) -> Silhouettes | None:
     sizes = np.full(len(times_s), np.sqrt(np.trace(spread)))
-    return silhouettes(events, CAMERA, times_s, track_px, sizes)
+    return silhouettes(events, CAMERA, times_s, track_px, sizes, SilhouetteRules())
 
 
 @pytest.mark.parametrize("shape", [disc, corner])
@@ -113,8 +114,8 @@ def test_a_bright_object_has_the_centre_of_a_dark_one() -> None:
 
 def test_an_image_too_small_has_no_silhouette() -> None:
     events, times_s, centres, spread = recorded(disc, 0.0)
-    sizes = np.full(len(times_s), 0.99 * LEAST_SIZE_PX)
-    assert silhouettes(events, CAMERA, times_s, centres, sizes) is None
+    small = np.diag([0.99 * SilhouetteRules.min_size_px, 0.0]) ** 2
+    assert found_of(events, times_s, centres, small) is None
     assert found_of(events, times_s, centres, spread) is not None
 
 

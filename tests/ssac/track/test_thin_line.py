@@ -8,11 +8,12 @@ import pytest
 from ssac.camera import Camera
 from ssac.config import Cleaning, Config
 from ssac.events import events_from_arrays
+from ssac.rules import LineRules, NoiseRules
 from ssac.track.clean import clean
 from ssac.track.denoise import without_noise
 from ssac.track.motion import motion_of
 from ssac.track.observation import Observation
-from ssac.track.thin_line import HALF_WIDTH_PX, events_on_line
+from ssac.track.thin_line import events_on_line
 from tests.ssac.cluttered import merged, noise
 
 WIDTH, HEIGHT, DURATION_S = 346, 260, 3.0
@@ -70,8 +71,8 @@ def thread(towards_deg, length_px=400.0, rate_hz=150.0, goes_along=True, seed=0)
 def found_in(*streams):
     """What denoising leaves, and which of it is found to be of a line."""
     events = merged(*streams)
-    kept, _ = without_noise(events, WIDTH, HEIGHT)
-    return kept, events_on_line(events, kept, WIDTH, HEIGHT)
+    kept, _ = without_noise(events, WIDTH, HEIGHT, None, NoiseRules())
+    return kept, events_on_line(events, kept, WIDTH, HEIGHT, LineRules())
 
 
 @pytest.mark.parametrize("towards_deg", [-90.0, 0.0, 40.0, 180.0])
@@ -85,7 +86,7 @@ def test_a_thread_is_found_on_whichever_side_it_is(towards_deg):
     assert np.count_nonzero(of_thread) > 100  # which denoising leaves beside the object
     assert mask[of_thread].mean() > 0.95  # its place is found to a fraction of a pixel
     # Of the disc, what lies in the strip on that side: 13 % where it is twice the half width.
-    share = 2.0 * HALF_WIDTH_PX * RADIUS_PX / (np.pi * RADIUS_PX**2)
+    share = 2.0 * LineRules.half_width_px * RADIUS_PX / (np.pi * RADIUS_PX**2)
     assert mask[np.hypot(x, y) < RADIUS_PX].mean() == pytest.approx(share, rel=0.15)
     assert mask[along < -2.0].mean() < 1e-3
 
@@ -114,7 +115,7 @@ def test_a_line_in_too_little_of_the_recording_is_none():
 
 
 def test_no_events_have_no_line():
-    assert events_on_line(NOISE, NOISE[:0], WIDTH, HEIGHT) is None
+    assert events_on_line(NOISE, NOISE[:0], WIDTH, HEIGHT, LineRules()) is None
 
 
 def test_the_motion_without_the_line_goes_where_the_motion_goes():

@@ -1,0 +1,64 @@
+"""NumPy's own files of events: a structured array (.npy), or an archive with it (.npz).
+
+The array has the fields t [us], x, y and p in any order, as the Metavision SDK's has. An archive
+holds it as `events`, or one array for each of t, x, y and p, and perhaps the sensor's `width` and
+`height`. Nothing in either is unpickled.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ssac.errors import SsacError
+from ssac.events import EVENT_DTYPE, EventFile, events_from_arrays, events_of_array
+from ssac.files.damage import STRICT, Reading, checked_file
+from ssac.files.readable import readable, side_px
+from ssac.files.whole_file import check_writable, whole_file
+
+_FIELDS = ("t", "x", "y", "p")
+
+
+def load_events_numpy(path: Path, reading: Reading = STRICT) -> EventFile:
+    """Read events that NumPy saved; SsacError if the file is damaged or holds something else."""
+    with readable(path, f"a complete {path.suffix} file of NumPy"):
+        if path.suffix.lower() == ".npy":
+            arrays = {"events": np.array(np.load(path, mmap_mode="r", allow_pickle=False))}
+        else:
+            with np.load(path, allow_pickle=False) as archive:
+                wanted = {"events", *_FIELDS, "width", "height"}.intersection(archive.files)
+                arrays = {name: archive[name] for name in wanted}
+    width, height = (_side_px(arrays.get(name), name, path) for name in ("width", "height"))
+    return checked_file(_events(arrays, path), (width, height), path, reading)
+
+
+def save_events_numpy(
+    path: Path | str, events: NDArray[np.void], width: int | None, height: int | None
+) -> None:
+    """Write events, into an archive with the sensor's size [px] beside them where it is known."""
+    path = Path(path)
+    check_writable(path, EVENT_DTYPE.itemsize * len(events))
+    with whole_file(path) as temporary, temporary.open("wb") as file:
+        if path.suffix.lower() == ".npy":
+            np.save(file, events)
+        else:
+            sizes = {"width": width, "height": height}
+            arrays = {name: np.asarray(side) for name, side in sizes.items() if side is not None}
+            np.savez(file, allow_pickle=False, events=events, **arrays)
+
+
+def _events(arrays: dict[str, NDArray[Any]], path: Path) -> NDArray[np.void]:
+    if "events" in arrays and arrays["events"].ndim == 1:
+        return events_of_array(arrays["events"], str(path))
+    if all(field in arrays for field in _FIELDS):
+        t, x, y, p = (arrays[field] for field in _FIELDS)
+        return events_from_arrays(t, x, y, p, name=str(path))
+    raise SsacError(
+        f"{path}: expected a structured array with the fields t [us], x, y and p (in an archive as"
+        " `events`, or an array for each of them): save it so"
+    )
+
+
+def _side_px(value: NDArray[Any] | None, name: str, path: Path) -> int | None:
+    return None if value is None else side_px(value, f"{name} must be a number of", path)

@@ -1,0 +1,186 @@
+"""What a method is, and how one says so: a decorator above the function that runs.
+
+    @method("joint", "ssac, then offset and pose refined together", starts_from="ssac")
+    def joint_from(start: Estimate, views: TwoViews) -> Estimate:
+
+The function takes an estimate and the views that it was found in, where it `starts_from` another
+method; else the views, or both cameras and the config. A file of this folder with such a function
+is all that a method takes: the registry, the command line and `ssac.joint` read it off the source,
+so that a list of methods imports none of them.
+"""
+
+import ast
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from enum import Enum
+from functools import cache
+from importlib import import_module
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+if TYPE_CHECKING:  # what takes long to import is not needed to list methods
+    from ssac.camera import Rig
+    from ssac.config import Config
+    from ssac.estimate import Estimate
+
+PACKAGE = __name__.rpartition(".")[0]
+"""Where our methods are, and the group of entry points of other packages' methods."""
+
+DEFAULT = "tangency"
+"""The most accurate method for unknown extrinsics; its `known_variant` is that for known ones."""
+
+OF_TRACKS = "joint"
+"""The most accurate method where a camera gave a track of points."""
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+_DECORATOR = r"@method\((?:[^\n]*\)\n|\n(?:    [^\n]*\n)*\)\n)"
+_DECLARED = re.compile(rf"^((?:{_DECORATOR})+)(?:@[^\n]*\n)*def (\w+)\(", re.MULTILINE)
+
+
+class Input(Enum):
+    """What a method looks at."""
+
+    TRACKS = "object tracks"
+    RATES = "event rates"
+    FRAMES = "intensity frames"
+
+
+@dataclass(frozen=True)
+class Method:
+    """One way to find the offset, and perhaps the pose."""
+
+    name: str
+    estimate: "Callable[..., Estimate] | None"  # another package's; None: ours, which `runs` names
+    input: Input
+    summary: str  # for lists and error messages
+    needs_extrinsics: bool = False  # the rig must have T_2_1, which no other method is shown
+    known_variant: str = ""  # name of the method to take in its place when the extrinsics are known
+    version: str = ""  # of another package's code, for keys of cached results; empty for ours
+    runs: str = ""  # ours, as "module:function"
+    starts_from: str = ""  # method whose estimate it refines
+    keeps_start: str = ""  # "module:function": of which views that estimate is the answer
+    takes_means: bool = False  # of the frames: images of one pixel give the same estimate
+    follows_clock: bool = False  # what camera 2's clock shows more, t_d gains: nothing else changes
+    counts: str = "pairs of positions"  # what an estimate's `n_samples` are
+    needs_events: bool = False  # a track of points in their place is not enough
+    finds_readout: bool = False  # of a rolling shutter that the rig does not state
+    of_one_object: bool = False  # of several things that move, it is given the events of one
+
+    def rig_of(self, rig: "Rig") -> "Rig":
+        """Give the rig as the method may see it: only one that needs the extrinsics gets them."""
+        return rig if self.needs_extrinsics else rig.unposed
+
+    @property
+    def function(self) -> "Callable[..., Estimate]":
+        """What `runs` names."""
+        found: Callable[..., Estimate] = _imported(self.runs)
+        return found
+
+    def keeps(self, views: Any) -> bool:
+        """Whether the answer for these views is the estimate that it starts from."""
+        return bool(self.keeps_start and _imported(self.keeps_start)(views))
+
+    @property
+    def without_tracks(self) -> str:
+        """Say why the method cannot use a track of points; empty when it can."""
+        if self.input is Input.TRACKS and not self.needs_events:
+            return ""
+        needs = "events" if self.input is Input.TRACKS else self.input.value
+        return f"{self.name} needs {needs}, which a track has not: use {OF_TRACKS}"
+
+    def lacks(
+        self, seen: Sequence[tuple[str, bool]], rig: "Rig", rig_name: str, config: "Config"
+    ) -> str:
+        """Say what the method lacks to run at all; empty when it can.
+
+        Of both cameras, `seen` has a name, and whether it gave a track of points.
+        """
+        for name, has_track in seen:
+            if has_track and self.without_tracks:
+                return f"{name}: is a track of points; {self.without_tracks}"
+        if self.needs_extrinsics and rig.T_2_1 is None:
+            return (
+                f"{rig_name}: {self.name} needs the extrinsics (T_cn_cnm1 of cam1 in a Kalibr file,"
+                " R and T in OpenCV's): add them, or leave --known-extrinsics out"
+            )
+        for (_, has_track), camera in zip(seen, (rig.cam1, rig.cam2), strict=True):
+            if has_track and camera.readout_std_s and not self.finds_readout:
+                asked = "a readout is to be estimated (--estimate-readout)"
+                return f"{asked}, and {self.name} takes shutters as the rig says: use {OF_TRACKS}"
+        if (config.search == "all" or config.rates) and self.input is not Input.TRACKS:
+            return (
+                f"{self.name} compares {self.input.value}, and all offsets are searched with the"
+                " object's path: give an interval (--search), or another method"
+            )
+        return ""
+
+    def without_frames(self, name: str) -> str:
+        """Say that a camera of that name has no intensity frames."""
+        return (
+            f"{name}: {self.name} compares intensity frames, and there are none: use a method for"
+            f" events, such as {DEFAULT}"
+        )
+
+
+def method(name: str, summary: str, place: int = 0, **says: Any) -> Callable[[Function], Function]:
+    """Declare a method that the function below runs; it has no effect at run time.
+
+    Parameters
+    ----------
+    name, summary
+        In quotes, as all of it: nothing is evaluated.
+    place
+        In lists, from 1 on; those without one come last, by name.
+    says
+        Further fields of `Method`.
+    """
+    del name, summary, place, says
+    return lambda function: function
+
+
+@cache
+def our_methods() -> tuple[Method, ...]:
+    """Read all that is declared in this folder off the source."""
+    found = [one for path in Path(__file__).parent.glob("*.py") for one in _declared_in(path)]
+    return tuple(one for _, one in sorted(found, key=lambda pair: (pair[0], pair[1].name)))
+
+
+def all_summaries() -> Mapping[str, str]:
+    """List our methods, then those of other packages, by name, with the package of each."""
+    ours = {one.name: one.summary for one in our_methods()}
+    others = {
+        entry.name: f"of the package {entry.dist.name}" if entry.dist else "of another package"
+        for entry in entry_points(group=PACKAGE)
+    }
+    return ours | {name: others[name] for name in sorted(others.keys() - ours.keys())}
+
+
+def _declared_in(path: Path) -> Iterator[tuple[float, Method]]:
+    """Yield the methods of one file, each with its place."""
+    module = f"{PACKAGE}.{path.stem}"
+    for found in _DECLARED.finditer(path.read_text(encoding="utf-8")):
+        (stub,) = ast.parse(f"{found[1]}def {found[2]}(): ...").body
+        assert isinstance(stub, ast.FunctionDef)
+        for call in stub.decorator_list:
+            assert isinstance(call, ast.Call)
+            name, summary = map(ast.literal_eval, call.args)
+            says = {str(one.arg): _value(one.value) for one in call.keywords}
+            place = says.pop("place", float("inf"))
+            if "keeps_start" in says:
+                says["keeps_start"] = f"{module}:{says['keeps_start']}"
+            kind = says.pop("input", Input.TRACKS)
+            yield place, Method(name, None, kind, summary, runs=f"{module}:{found[2]}", **says)
+
+
+def _value(node: ast.expr) -> Any:
+    """Give what a declaration says: a literal, or a member of `Input`."""
+    return Input[node.attr] if isinstance(node, ast.Attribute) else ast.literal_eval(node)
+
+
+def _imported(place: str) -> Any:
+    """Import what "module:function" names."""
+    module, _, name = place.partition(":")
+    return getattr(import_module(module), name)
