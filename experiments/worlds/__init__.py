@@ -1,0 +1,1 @@
+"""What several studies film: kinds of flights and what spoils their recordings."""

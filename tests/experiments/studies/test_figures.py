@@ -1,0 +1,77 @@
+"""`ssac figures`: which there are, of which flights, and the same bytes every time."""
+
+import json
+from pathlib import Path
+
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from experiments.lab.files import csv_text, read_checksums
+from experiments.lab.grid import named_config
+from experiments.studies.figures import (
+    DRAWINGS,
+    FLIGHT,
+    NOISY_FLIGHT,
+    NOISY_SEED,
+    SEED,
+    check_inputs,
+    choose,
+    figures_command,
+)
+from ssac.errors import SsacError
+from tests.experiments.reported import made_up_runs
+
+
+def run(*arguments: str | Path) -> str:
+    app = typer.Typer()
+    app.command()(figures_command)
+    result = CliRunner().invoke(app, [str(one) for one in arguments], catch_exceptions=False)
+    assert result.exit_code == 0
+    return result.stdout
+
+
+def test_all_figures_are_drawn_when_none_is_named() -> None:
+    papers = ["fig3_preprocessing", "fig4_epipolar", "fig5_d_avg", "alignment"]
+    assert list(choose([])) == [*papers, "error_vs_angle", "beyond_paper"] == list(DRAWINGS)
+    assert list(choose(["fig5_d_avg"])) == ["fig5_d_avg"]
+    with pytest.raises(SsacError, match="unknown figure 'fig6': expected some of fig3"):
+        choose(["fig3_preprocessing", "fig6"])
+
+
+def test_a_missing_table_names_the_command_that_makes_it(tmp_path: Path) -> None:
+    with pytest.raises(SsacError, match=r"runs.csv: missing.*error_vs_angle.*`make tables`"):
+        check_inputs(choose([]), tmp_path)
+    check_inputs(choose(["fig4_epipolar"]), tmp_path)  # needs none
+
+
+@pytest.mark.parametrize(
+    ("name", "flight"),
+    [("esim_20", (FLIGHT, SEED)), ("ablation_davis346", (NOISY_FLIGHT, NOISY_SEED))],
+)
+def test_flights_are_of_tables(name: str, flight: tuple) -> None:
+    assert any((cell.sim, cell.seed) == flight for cell in named_config(name).cells())
+    assert (flight[0].sensor.shot_noise_hz > 0.0) == (name == "ablation_davis346")
+
+
+def test_a_figure_is_drawn_from_its_table_the_same_every_time(tmp_path: Path) -> None:
+    (tmp_path / "runs.csv").write_text(csv_text(made_up_runs(("ssac", "tangency"), 2)))
+    pictures = []
+    for out in (tmp_path / "first", tmp_path / "second"):
+        text = run("beyond_paper", "--results", tmp_path, "--out", out)
+        assert text == f"written to {out / 'beyond_paper.png'}\n"
+        pictures.append((out / "beyond_paper.png").read_bytes())
+    assert pictures[0] == pictures[1]
+    assert len(pictures[0]) < 200_000
+    first = tmp_path / "first"
+    provenance = json.loads((first / "figures.provenance.json").read_text())
+    assert provenance["command"] == "ssac figures beyond_paper"
+    assert provenance["config"]["figures"] == ["beyond_paper"]
+    assert set(read_checksums(first)) == {"beyond_paper.png", "figures.provenance.json"}
+
+
+@pytest.mark.parametrize("name", ["error_vs_angle", "beyond_paper"])
+def test_a_table_that_cannot_be_read_is_named(tmp_path: Path, name: str) -> None:
+    (tmp_path / "runs.csv").write_text("a,b\n1,2\n")
+    with pytest.raises(SsacError, match=r"runs.csv: "):
+        run(name, "--results", tmp_path, "--out", tmp_path)
