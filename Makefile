@@ -60,7 +60,7 @@ types: .venv/.ready ## mypy --strict on sim, ssac and experiments
 
 docs: .venv/.ready ## these pages, the tour (executed) and the API reference as HTML -> out/docs/index.html
 	@rm -rf out/docs docs/generated
-	@.venv/bin/sphinx-build --fail-on-warning --keep-going --quiet --jobs auto \
+	@.venv/bin/sphinx-build --fail-on-warning --keep-going --quiet --jobs auto --fresh-env \
 		--conf-dir docs --doctree-dir out/doctrees . out/docs
 	@cp out/docs/README.html out/docs/index.html
 	@echo out/docs/index.html
@@ -107,7 +107,7 @@ clean-cache: ## remove cache/: recordings and runs kept by tables, studies and s
 	rm -rf cache
 
 clean: ## remove everything that make created, .venv too, except results/
-	rm -rf .venv build out cache docs/generated *.egg-info .pytest_cache .mypy_cache .ruff_cache
+	rm -rf .venv build out cache docs/generated *.egg-info .pytest_cache .hypothesis .mypy_cache .ruff_cache
 	find sim ssac experiments tests -name __pycache__ -prune -exec rm -rf {} +
 
 # --- Set-up ----------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""Camera intrinsics and rigs: measured pixel coordinates in, undistorted pixel coordinates out.
+"""Cameras and rigs, their checks, and points with and without the distortion of a lens.
 
 The lens models are Kalibr's two: "radtan" (radial-tangential, OpenCV's k1, k2, p1, p2, and k3 to k6
 where a calibration by OpenCV has them) and "equidistant" (OpenCV's fisheye k1 to k4). Undistorted
@@ -31,13 +31,8 @@ MAX_READOUT_S = 0.2
 READOUT_STD_S = 0.015
 """Deviation from 0 of a readout of which nothing is known: phones have 10 to 30 ms."""
 
-MAX_ROTATION_ERROR = 1e-3
-"""Largest entry of R'R - I in a rotation that was written with few digits."""
-
 MAX_ROUND_TRIP_PX = 1e-6
 """An undistorted point is accepted when distorting it again comes back this close [px]."""
-
-_STOP = (cv2.TERM_CRITERIA_MAX_ITER | cv2.TERM_CRITERIA_EPS, 500, 1e-7)
 
 
 @dataclass(frozen=True)
@@ -105,14 +100,7 @@ def with_deviations(
 ) -> Camera:
     """Give a camera whose intrinsics are known to a share of the focal lengths, and to pixels.
 
-    Parameters
-    ----------
-    camera
-        Any.
-    focal
-        Deviation of both focal lengths, as a share of them; None: as the camera states it.
-    centre_px
-        Deviation of both coordinates of the principal point [px]; None: likewise.
+    None: as the camera states it.
     """
     said = tuple(camera.intrinsics_std_px)
     fu_px, fv_px = float(camera.K[0, 0]), float(camera.K[1, 1])
@@ -209,8 +197,8 @@ def check_transform(T: NDArray[np.float64], name: str) -> None:
             " one matrix, or leave it out where the pose is not known"
         )
     R = T[:3, :3]
-    error = np.abs(R.T @ R - np.eye(3)).max()
-    if error > MAX_ROTATION_ERROR or np.linalg.det(R) < 0 or not np.array_equal(T[3], (0, 0, 0, 1)):
+    error, most = np.abs(R.T @ R - np.eye(3)).max(), 1e-3  # as few digits leave
+    if error > most or np.linalg.det(R) < 0 or not np.array_equal(T[3], (0, 0, 0, 1)):
         raise SsacError(
             f"{name}: expected a rotation, got {R.tolist()} (R'R differs from I by {error:.2g}): "
             "calibrate again"
@@ -226,39 +214,25 @@ def _floats(values: object) -> NDArray[np.float64]:
 
 
 def undistort_points(camera: Camera, points_px: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Ideal pixel coordinates of measured points: where a lens without distortion shows them.
+    """Ideal pixel coordinates (N, 2) of measured points, as a lens without distortion shows them.
 
-    Parameters
-    ----------
-    camera
-        Intrinsics; the ideal points are in the image of the same K.
-    points_px
-        Measured points, shape (N, 2) [px].
-
-    Returns
-    -------
-    NDArray[np.float64]
-        Ideal points, shape (N, 2) [px]. A point that no ray reaches under the lens model (far out,
-        where a fitted polynomial turns back) becomes NaN; all others come back from
-        `distort_points` to within MAX_ROUND_TRIP_PX.
-
-    Raises
-    ------
-    SsacError
-        If the camera or the shape of the points is invalid.
+    They are in the image of the same K. A point that no ray reaches under the lens model (far out,
+    where a fitted polynomial turns back) becomes NaN; all others come back from `distort_points` to
+    within MAX_ROUND_TRIP_PX. SsacError where the camera or the shape of the points is invalid.
     """
     check_camera(camera)
     measured = _checked_points(points_px)
     if camera.distortion_model == "none" or len(measured) == 0:
         return measured
     coeffs = np.array(camera.distortion_coeffs)
+    stop = cv2.TERM_CRITERIA_MAX_ITER | cv2.TERM_CRITERIA_EPS, 500, 1e-7
     if camera.distortion_model == "radtan":
         ideal = cv2.undistortPointsIter(
-            measured[:, None], camera.K, coeffs, np.eye(3), camera.K, _STOP
+            measured[:, None], camera.K, coeffs, np.eye(3), camera.K, stop
         )
     else:
         ideal = cv2.fisheye.undistortPoints(
-            measured[:, None], camera.K, coeffs, P=camera.K, criteria=_STOP
+            measured[:, None], camera.K, coeffs, P=camera.K, criteria=stop
         )
     ideal_points = np.asarray(ideal, dtype=np.float64).reshape(-1, 2)
     round_trip_px = np.linalg.norm(distort_points(camera, ideal_points) - measured, axis=1)
@@ -267,24 +241,10 @@ def undistort_points(camera: Camera, points_px: NDArray[np.float64]) -> NDArray[
 
 
 def distort_points(camera: Camera, points_px: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Measured pixel coordinates of ideal points, the inverse of `undistort_points`.
+    """Measured pixel coordinates (N, 2) of ideal points, the inverse of `undistort_points`.
 
-    Parameters
-    ----------
-    camera
-        Intrinsics.
-    points_px
-        Ideal points, shape (N, 2) [px], in the image of the same K.
-
-    Returns
-    -------
-    NDArray[np.float64]
-        Measured points, shape (N, 2) [px]; they may lie outside the sensor.
-
-    Raises
-    ------
-    SsacError
-        If the camera or the shape of the points is invalid.
+    They may lie outside the sensor. SsacError where the camera or the shape of the points is
+    invalid.
     """
     check_camera(camera)
     ideal = _checked_points(points_px)
@@ -303,21 +263,8 @@ def distort_points(camera: Camera, points_px: NDArray[np.float64]) -> NDArray[np
 def undistortion_map(camera: Camera) -> NDArray[np.float64]:
     """Ideal coordinates of every pixel, so that events are undistorted by one table look-up.
 
-    Parameters
-    ----------
-    camera
-        Intrinsics.
-
-    Returns
-    -------
-    NDArray[np.float64]
-        Shape (height, width, 2) [px]: `undistortion_map(camera)[y, x]` is the ideal (x, y) of pixel
-        (x, y). NaN where `undistort_points` gives NaN: events there must be left out.
-
-    Raises
-    ------
-    SsacError
-        If the camera is invalid.
+    Of shape (height, width, 2) [px]: `undistortion_map(camera)[y, x]` is the ideal (x, y) of pixel
+    (x, y). NaN where `undistort_points` gives NaN: events there must be left out.
     """
     check_camera(camera)
     y, x = np.mgrid[: camera.height, : camera.width]

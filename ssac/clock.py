@@ -1,4 +1,4 @@
-"""A clock's offset, skew and strays in, times of camera 1 as camera 2 shows them, and back, out.
+"""Camera 2's clock: what it shows at times of camera 1's, and back.
 
 The sign convention of the whole package, with t_ref on camera 1's clock:
 

@@ -139,10 +139,7 @@ class Config:
     def resolved(self, has_track: bool) -> "Config":
         """Settle what is None or "auto" and needs no more than the kind of both cameras.
 
-        Parameters
-        ----------
-        has_track
-            Whether a camera gave a track of points: then clocks run at other rates by far.
+        Where one gave a track of points, clocks run at other rates by far.
         """
         prior_ppm = SKEW_PRIOR_PPM if has_track else EVENT_SKEW_PRIOR_PPM
         return replace(
@@ -155,13 +152,7 @@ class Config:
 
 
 def checked(config: Config | None) -> Config:
-    """Return the config with nothing left open, or the default for None, as methods take it.
-
-    Raises
-    ------
-    SsacError
-        If a value makes no sense.
-    """
+    """Return the config, or the default, with nothing left open; SsacError where it is no good."""
     return validated(config).resolved(has_track=False)
 
 

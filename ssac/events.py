@@ -22,9 +22,6 @@ WRAP_S = 2**24 * 1e-6
 QUANTA_S = (0.010, 0.001)
 """Steps to which recorders are known to round times."""
 
-_ENOUGH = 20  # times that tell a grid from chance
-_WHOLE = 1e-6  # as far from a whole number as a file's last digit may bring it
-
 
 @dataclass(frozen=True)
 class EventFile:
@@ -38,25 +35,15 @@ class EventFile:
 def events_from_arrays(
     t: ArrayLike, x: ArrayLike, y: ArrayLike, p: ArrayLike, name: str = "events"
 ) -> NDArray[np.void]:
-    """Build the event array from one array per field.
+    """Build the event array from one array (N,) per field, in the order given.
 
-    Parameters
-    ----------
-    t, x, y, p
-        Time [us], pixel column and row [px] and polarity, each of shape (N,) and of an integer (or
-        boolean) dtype. The polarity of a darker event may be 0 or -1.
-    name
-        What the arrays belong to; starts the error message.
-
-    Returns
-    -------
-    NDArray[np.void]
-        Events, dtype EVENT_DTYPE, shape (N,), in the order given; `check_events` looks at the rest.
+    Times [us], pixel columns and rows [px] and polarities are of an integer (or boolean) dtype; the
+    polarity of a darker event may be 0 or -1. `check_events` looks at the rest.
 
     Raises
     ------
     SsacError
-        If the lengths differ, or a value does not fit its field.
+        If the lengths differ, or a value does not fit its field; `name` starts the message.
     """
     columns = {"t": np.asarray(t), "x": np.asarray(x), "y": np.asarray(y), "p": np.asarray(p)}
     check_lengths({field: column.shape for field, column in columns.items()}, name)
@@ -67,21 +54,10 @@ def events_from_arrays(
 
 
 def events_of_array(array: NDArray[Any], name: str = "events") -> NDArray[np.void]:
-    """Give a structured array as events: its fields t, x, y and p in any order, and of any width.
+    """Give a structured array as events: its fields t [us], x, y and p in any order and width.
 
-    The Metavision SDK's array of events (x, y, p, t) is one.
-
-    Parameters
-    ----------
-    array
-        Shape (N,), with t in microseconds.
-    name
-        What it is; starts the error message.
-
-    Returns
-    -------
-    NDArray[np.void]
-        Events, dtype EVENT_DTYPE; the very array where it has that already.
+    The Metavision SDK's array of events (x, y, p, t) is one. An array that has EVENT_DTYPE already
+    is given back.
 
     Raises
     ------
@@ -110,21 +86,10 @@ def check_lengths(shapes: Mapping[str, tuple[int, ...]], name: str) -> None:
 
 
 def field_values(field: str, column: NDArray[Any], name: str) -> NDArray[Any]:
-    """Values of one field, ready to be assigned to it without loss.
+    """Values (N,) of the field t, x, y or p, ready to be assigned to it without loss.
 
-    Parameters
-    ----------
-    field
-        "t", "x", "y" or "p".
-    column
-        Values, shape (N,), of an integer or boolean dtype; a polarity of -1 becomes 0.
-    name
-        What they belong to; starts the error message.
-
-    Raises
-    ------
-    SsacError
-        If the dtype is another, or a value does not fit the field.
+    A polarity of -1 becomes 0. SsacError, starting with `name`, where they are no whole numbers or
+    one does not fit.
     """
     if column.dtype.kind not in "iub":
         raise SsacError(
@@ -160,14 +125,8 @@ def check_events(
 ) -> None:
     """Raise SsacError, starting with `name`, unless the events can be used.
 
-    Parameters
-    ----------
-    events
-        Events to check: dtype EVENT_DTYPE, not empty, sorted by time, polarity 0 or 1.
-    width, height
-        Sensor size [px] that the events must lie in; None where it is not known.
-    name
-        What the events are: a file's path, or "camera 1".
+    They must be of EVENT_DTYPE, not empty, sorted by time, of polarity 0 or 1, and within the
+    sensor [px] where its size is known.
     """
     check_event_array(events, name)
     if len(events) == 0:
@@ -195,10 +154,7 @@ def check_events(
 def _look_through(
     t: NDArray[np.int64], x: NDArray[np.uint16], y: NDArray[np.uint16], p: NDArray[np.uint8]
 ) -> tuple[int, int, int, int]:
-    """Index of the first event before the one ahead of it, or n; the largest x, y and p.
-
-    In one pass over the fields (n,), which lie side by side in memory.
-    """
+    """Index of the first event before the one ahead of it, or n; the largest x, y and p."""
     largest_x, largest_y, largest_p = x[0], y[0], p[0]
     before, is_sorted = t[0], True
     for i in range(len(t)):
@@ -250,7 +206,8 @@ def wrap_message(place: str) -> str:
 
 def is_whole(values: NDArray[np.float64]) -> bool:
     """Whether all values (n,) are whole numbers, but for rounding."""
-    return bool(np.all(np.abs(values - np.rint(values)) < _WHOLE * np.maximum(np.abs(values), 1.0)))
+    rounding = 1e-6 * np.maximum(np.abs(values), 1.0)  # as a file's last digit may bring it
+    return bool(np.all(np.abs(values - np.rint(values)) < rounding))
 
 
 def time_quantum_s(times_s: NDArray[np.float64]) -> float:
@@ -258,7 +215,8 @@ def time_quantum_s(times_s: NDArray[np.float64]) -> float:
 
     Even times whose own step is a whole number of such steps, as of 25 frames a second, are exact.
     """
-    if len(times_s) < _ENOUGH or not is_whole(times_s[:_ENOUGH] / QUANTA_S[-1]):
+    enough = 20  # times that tell a grid from chance
+    if len(times_s) < enough or not is_whole(times_s[:enough] / QUANTA_S[-1]):
         return 0.0
     quantum_s = next((step_s for step_s in QUANTA_S if is_whole(times_s / step_s)), 0.0)
     gaps_s = np.diff(times_s)
@@ -267,15 +225,7 @@ def time_quantum_s(times_s: NDArray[np.float64]) -> float:
 
 
 def slice_time(events: NDArray[np.void], start_us: int, end_us: int) -> NDArray[np.void]:
-    """View of the events with start_us <= t < end_us, found by bisection; may be empty.
-
-    Parameters
-    ----------
-    events
-        Events, dtype EVENT_DTYPE, sorted by time.
-    start_us, end_us
-        Interval of time [us], open at its end.
-    """
+    """View of sorted events with start_us <= t < end_us, found by bisection; may be empty."""
     t = events["t"]
     first = bisect_left(t, start_us)
     return events[first : bisect_left(t, end_us, lo=first)]

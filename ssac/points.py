@@ -10,8 +10,6 @@ from ssac.events import is_whole, wrap_message, wrapped
 
 Array = NDArray[np.float64]
 
-_MIN_MOTION_S = 100.0  # between two points: no track of an object has its points so far apart
-
 
 @dataclass(frozen=True)
 class PointTrack:
@@ -28,14 +26,7 @@ class PointTrack:
 def check_track(track: PointTrack, width: int, height: int, name: str) -> None:
     """Raise SsacError, starting with `name`, unless a track can be used.
 
-    Parameters
-    ----------
-    track
-        Track to check: finite, in time order, in the image.
-    width, height
-        Size of the image [px].
-    name
-        What the track is: a file's path, or "camera 1".
+    It must be finite, in time order, and in the image [px].
     """
     times_s, points = track.times_s, track.points_px
     n = len(times_s)
@@ -55,7 +46,8 @@ def check_track(track: PointTrack, width: int, height: int, name: str) -> None:
             "rows in which the object was not seen"
         )
     _check_order(times_s, name)
-    if n > 2 and is_whole(times_s) and np.median(np.diff(times_s)) > _MIN_MOTION_S:
+    longest_s = 100.0  # no track of an object has its points so far apart
+    if n > 2 and is_whole(times_s) and np.median(np.diff(times_s)) > longest_s:
         raise SsacError(
             f"{name}: the times are whole numbers up to {times_s[-1]:.0f}, as of microseconds or "
             "milliseconds: give t_s in seconds"

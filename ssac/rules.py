@@ -180,6 +180,18 @@ class ObjectRules:
 
 
 @dataclass(frozen=True)
+class TrackRules:
+    """The track of the object through one camera's events, and how sure its points are."""
+
+    step_s: float = 0.01  # between points: half of a window's half, so that no motion is lost
+    # Deviation of a point, in sizes of the object's image, by which the mean of the events goes to
+    # and fro over the object as this turns; and of the centre of the image's area.
+    mean_sizes: float = 0.04
+    centre_sizes: float = 0.015
+    least_sigma_px: float = 0.05
+
+
+@dataclass(frozen=True)
 class SilhouetteRules:
     """When events tell the object's silhouette, and where it is looked for."""
 
@@ -227,6 +239,156 @@ class BodyRules:
     better: float = 0.95  # of what is left with another attitude
     max_gap_s: float = 0.35  # between instants of known attitudes
     alignments: int = 2
+
+
+@dataclass(frozen=True)
+class ViewRules:
+    """How one camera's view of a path is summed up (`ssac.search.view`)."""
+
+    # A path is straight when its robust deviation across a line is below both shares: of the
+    # object's rms size, as its events' mean strays so far, and of the deviation along the line.
+    max_width: float = 0.3
+    max_slenderness: float = 1.0 / 8.0
+    # Mean distance of a path from itself a lag later, over its extent, of one that repeats itself.
+    max_return: float = 0.2
+    # Share of the time in which the object must be seen for even sample times; of a flight that is
+    # seen less, the times at which it is seen are sampled.
+    even_share: float = 0.5
+
+
+@dataclass(frozen=True)
+class BlindRules:
+    """When silences among events are readouts of frames (`ssac.search.view.blind_spans`).
+
+    A DAVIS is blind for 5 to 25 ms, some ten times a second.
+    """
+
+    shortest_us: int = 3_000
+    longest_us: int = 30_000
+    beside_us: int = 5_000  # on each side of a silence, where there must be many events
+    least_expected: float = 20.0  # events that it would hold at their rate: by chance it has some
+    least_silences: int = 10  # that make a rhythm
+    most_periods: int = 10  # from one to the next: in between, the object may hardly move
+    same_length: float = 0.2  # share by which lengths differ at the most
+    same_rhythm: float = 0.05  # share of a period by which beats do
+    most_others: float = 0.2  # share of the silences of that length that are off the beat
+    most_lengths: float = 0.4  # share of silences of another length: an object's own, in volleys
+    most_share: float = 0.6  # of a period, in which a camera that is of use is blind
+    most_inside: float = 0.02  # events within spans, as a share of what they would hold
+    least_cut: float = 0.5  # share of the events that lie between spans of the rhythm
+
+
+@dataclass(frozen=True)
+class SearchRules:
+    """Algorithms 1 and 2, and what their cost curve cannot tell (`ssac.search`).
+
+    Thresholds lie in the gap between ordinary simulated flights and those that leave something
+    open; `docs/refusal.md` has the figures on both sides.
+    """
+
+    min_pairs: int = 15  # of a fit: fewer leave too little freedom beside F's seven for a median
+    min_pairs_of_pose: int = 30  # at the offset found: about four for each parameter of F
+    min_in_front: float = 0.75  # share of the pairs that a pose puts in front of both cameras
+    min_overlap: float = 0.5  # of the longest overlap that any offset in the interval gives
+    # First step of the search, in fine steps of 1 ms, for paths that go to and fro as often as the
+    # simulated flights: d_avg is V-shaped to +-100 ms. Livelier ones are searched in shorter steps.
+    coarsest_steps: int = 20
+    least_coarse_steps: int = 5
+    ordinary_swing_hz: float = 2.0
+    kept_minima: int = 3  # local minima of the coarse curve that are searched further
+    deep: float = 0.5  # of the median cost: a minimum below it is looked at, lest it be a rival
+    max_rivals: int = 24
+    rival: float = 3.0  # offsets whose cost is below this many times the least may be the true one
+    one_valley_s: float = 0.05  # offsets nearer than that belong together
+    min_extent: float = 0.6  # rms distance of a track from its middle, over the object's rms size
+    max_residual: float = 0.4  # mean epipolar distance over the rms size: else no one object
+    min_second_best: float = 7.0  # times worse that another F must fit the pairs
+
+
+@dataclass(frozen=True)
+class AllOffsetsRules:
+    """The search over all offsets, of which nothing is known (`ssac.search.all_offsets`)."""
+
+    step_widths: float = 0.16  # step of the offset, in times in which a path goes its own width
+    least_step_s: float = 0.005
+    most_step_s: float = 0.5
+    rate_scan_step: float = 2.0  # of the offset, where many rates are tried, in ordinary steps
+    rate_steps: float = 4.0  # by which a step of the rate moves the ends of the common time
+    rate_freedom: float = 2e-3  # share by which a frame camera's rate may be from what is said
+    pairs: int = 150  # of a fit of F
+    rate_pairs: int = 64  # of one where many rates are tried
+    least_pairs: int = 40  # that an offset leaves
+    least_share: float = 0.15  # of the pairs that the longest common path has
+    moved: float = 0.02  # of a path's extent, between samples that count
+    iterations: int = 4  # of a fit
+    rate_iterations: int = 1
+    fine_iterations: int = 6
+    max_guesses: int = 12
+    apart_steps: float = 5.0  # between offsets that are two
+    worth: float = 0.85  # of the cost at the rate that is said: less is worth another rate
+    rival: float = 2.0  # offsets whose cost is below this many times the least may be the true one
+    max_cost: float = 0.12  # of the best offset, above which the views show no one path
+    # A method searches this far on each side of the offset found, or so many of the search's steps.
+    reach_s: float = 0.5
+    reach_steps: float = 4.0
+    # Times to and fro that are enough where no other offset of all fits nearly as well: chance
+    # would have made several fit.
+    unique_swings: float = 2.0
+
+
+@dataclass(frozen=True)
+class MatchRules:
+    """The one object that all cameras saw, of several (`ssac.search.one_object`).
+
+    Times are half bins of the followed pieces.
+    """
+
+    max_chains: int = 3  # of each view, the longest
+    max_alone: int = 2  # and the longest pieces by themselves
+    minima: int = 2  # of each pair's cost
+    starts: int = 16  # of all pairs, that are looked into
+    same_lag: int = 2  # between offsets that are one
+    as_often: float = 0.6  # of the time that another object is seen
+    pairs: int = 120  # of a fit of F
+    iterations: int = 4
+    trials: int = 1000  # of LMedS
+    least_pairs: int = 60  # that a pair of chains has in common
+    least_moved_px: float = 1.0  # by both, between samples that count
+    least_common: int = 8  # of two pieces, that tells whether they are one object's
+    # Distance of pieces of one object: near_px and a share of their sizes; once there is a match,
+    # at most firm_px and a multiple of its distance.
+    near_px: float = 1.5
+    near_share: float = 0.2
+    firm_px: float = 1.0
+    firm_times: float = 8.0
+    rounds: int = 3
+    # Time in which pieces of both views bear out one offset: less does so by chance; and its share
+    # of the time in which both cameras see anything move: things of other flights reach 0.44, two
+    # flights of which one is common have 0.66 and more.
+    min_common_s: float = 1.5
+    min_share: float = 0.5
+    rival: float = 0.7  # share of the best one's time of another offset that may be the true one
+    clearly: float = 3.0  # times the best one's distance: such a rival is none
+    least_distance_px: float = 0.1  # that counts as the best one's
+    track_size_px: float = 5.0  # of an object of which a track shows the path alone
+
+
+@dataclass(frozen=True)
+class FitRules:
+    """The robust fits of every refinement (`ssac.fit`).
+
+    Chosen on 126 simulated development flights, so that intervals hold (`docs/uncertainty.md`).
+    """
+
+    # Components of the errors' correlation: white noise, and what fades in three times [s].
+    fading_s: tuple[float, float, float] = (0.05, 0.2, 0.8)
+    least_curvature: float = 0.25  # of any direction, as a share of the mean
+    least_mean_curvature: float = 0.05  # of the loss, whose curvature is 1 at zero
+    least_common: float = 0.5  # factor by which common errors may lessen a variance
+    told_combinations: int = 2  # of the intrinsics, that two views of one path tell
+    # Largest change, in deviations of the parameter, by the last of the iterations when these run
+    # out: events that enter and leave the windows move the minimum by a quarter of one for ever.
+    max_last_change: float = 0.5
 
 
 @dataclass(frozen=True)
@@ -321,6 +483,139 @@ class NetworkRules:
 
 
 @dataclass(frozen=True)
+class HypothesesRules:
+    """Offsets and poses in question, and the choice between them (`ssac.methods.hypotheses`)."""
+
+    flat: float = 0.2  # median distance from a homography, over the rms size, of a path in a plane
+    homography_pairs: int = 80  # enough to tell whether the path lies in a plane
+    start_step_s: float = 0.1  # between starts within a long valley
+    max_offsets: int = 12  # in question
+    max_poses: int = 2  # of an offset, where several are in question
+    probes_s: tuple[float, float, float, float] = (-0.2, -0.06, 0.06, 0.2)  # where F is open
+    enough: int = 8  # solutions as good as the best at offsets of their own
+    trimmed: float = 0.9  # share of the distances, the least, that count
+    clearly: float = 2.0  # a solution up to so many times the least distance is as good as the best
+    same_s: float = 0.010  # offsets nearer to each other are one
+    same_deg: float = 3.0  # and poses
+
+
+@dataclass(frozen=True)
+class ClockRules:
+    """Skews, pieces and jumps of camera 2's clock (`ssac.methods.clocks`)."""
+
+    piece_s: float = 5.0  # length of a piece of a clock
+    max_pieces: int = 40
+    # What a skew of the search may be off by at both ends: from twice as far the refinements still
+    # converge; and how many deviations of the prior are tried either way.
+    max_end_s: float = 0.020
+    skew_sigmas: float = 3.0
+    max_skews: int = 61
+    # A step is a jump from so many of its deviations on: in 80 ordinary flights it has 4.7 at most;
+    # from fewer where the fit's skew is far, as a jump bends it so.
+    jump_sigmas: float = 6.0
+    fewer_sigmas: float = 4.5
+    far_sigmas: float = 3.0  # deviations of the skew's prior
+    min_jump_s: float = 0.002  # an object's bias makes smaller ones of its own
+    jump_step_s: float = 1.0  # between instants that are tried
+    jump_margin_s: float = 2.0  # from both ends: a bias does not average out in less
+    max_tried: int = 200
+    jump_near_s: float = 2.0  # of the best of these, the jump is looked for closely
+
+
+@dataclass(frozen=True)
+class JointRules:
+    """The joint refinement of offset and pose (`ssac.methods.joint`)."""
+
+    # Deviations of a view's hidden bias, in sizes of the object's image: anywhere, and per unit of
+    # x / z and of y / z. Fitted to 126 simulated flights of one drone so that regions of R and t
+    # hold. Of a known pose, which takes nothing away, and motion too little for the bias to change,
+    # known_bias_offset stands for bias_offset.
+    bias_offset: float = 0.01
+    bias_slope: float = 0.04
+    known_bias_offset: float = 0.1
+    max_shift_s: float = 0.1  # a refinement that moves the offset further has left the minimum
+    max_rounds: int = 20  # of sampling anew
+    last_hope: int = 2  # round after which one that is far from any ordinary fit is given up
+    last_shift_s: float = 1e-5  # events that enter the windows move the minimum about as far
+    last_stray_s: float = 3e-5  # of a clock's other parameters, rms, which are less certain
+
+
+@dataclass(frozen=True)
+class OutlineRules:
+    """How the outline is found (`ssac.track.outline`); `docs/tangency.md` has other values."""
+
+    rough_half_window_s: float = 0.010  # of events moved by the track's course, not the tangent's
+    half_window_s: float = 0.020  # of events moved by the smoothed tangent: more pixels are crossed
+    smoothing_s: float = 0.040  # on each side, of the local parabolas that smooth a tangent
+    passes: int = 2  # of following the tangent's course; 0: the track's is taken
+    rank: int = 2  # from the extreme event, whose rank is 0 and which may be noise
+    deeper_rank: int = 8
+    outward: float = 0.5  # of the gap between the ranks: how far beyond the first the outline is
+    ahead_px: float = 0.05  # how far an edge is ahead of its events
+    max_angle_rad: float = 0.9  # of a tangent from the track: a pencil says little near the epipole
+    rough_margin_px: float = 3.0  # inside the rough outline, up to which events are kept
+    margin_px: float = 1.0  # the same, inside the deeper rank, once the course is followed
+    centred: bool = False  # moves the track from its events' mean times: where these are uneven
+    max_shift_px: float = 6.0  # to its tangent, of an event that the track's velocity moves
+
+
+@dataclass(frozen=True)
+class TangencyRules:
+    """The refinement by tangents of the outline (`ssac.methods.tangency`).
+
+    `docs/tangency.md` has what other values give.
+    """
+
+    outline: OutlineRules = OutlineRules()
+    step_s: float = 0.020  # between samples, each with two tangents, whatever `n_samples` is
+    cauchy: float = 0.5  # where the loss turns, in robust standard deviations
+    wider_cauchy: float = 1.2  # the same, as long as a round still moves the estimate far
+    sharp_px: float = 0.05  # error of a tangent that is not blurred at all
+    apart: bool = True  # each tangent is a pair; else the point midway between the two is
+    # What outlines are off by all along, where the pose is given and the motion slow or short: no
+    # residual shows it.
+    hidden_px: float = 0.2
+    # Rms size of both images together from which there is an outline: below, tangents rest on
+    # single pixels, and err more than the mean of the events.
+    least_size_px: float = 3.5
+    max_sigmas: float = 3.0  # from the start's offset to the tangents', in the start's deviations
+    max_rounds: int = 8  # of finding the tangents and refining; four are usual
+    steps: int = 3  # of Gauss-Newton in a round: the tangents move more than a fourth would
+    last_turn: float = 1e-4  # [rad] of the pose, between rounds
+    far: float = 300.0  # times those last changes: then the outline is looked for anew
+
+
+@dataclass(frozen=True)
+class AlblRules:
+    """The solver of Albl et al. (`ssac.methods.albl`)."""
+
+    first_step_s: float = 0.02  # of the secants, which is doubled; Albl et al. use 1, 2, ... frames
+    n_steps: int = 6
+    # With fewer inliers the iteration has stopped at a local optimum. In flights of 10 and 20 s the
+    # share is above 0.95 at the true offset and below 0.55 elsewhere.
+    min_inlier_share: float = 0.75
+    inlier_px: float = 2.0  # Sampson distance
+    # Between the offsets from which the solver may start, the odd multiples of half of it: of ten
+    # flights of 10 s and ten of 20 s, one linearisation within half of it makes inliers of 95 % of
+    # the pairs or more, elsewhere of 72 % at most.
+    start_step_s: float = 0.12
+    start_trials: int = 20  # of RANSAC at each
+    trials: int = 300  # at each offset on the way from there
+    max_rounds: int = 20
+    last_rounds: int = 2
+
+
+@dataclass(frozen=True)
+class SignalRules:
+    """The signals that rates and frames are compared by (`ssac.methods.correlations`)."""
+
+    rate_bin_s: float = 0.001  # in which event_rate counts events
+    zncc_bin_s: float = 0.010  # the same of zncc_e, whose errors in the paper are multiples of it
+    frame_s: float = 0.020  # between frames of zncc_f at the paper's 50 Hz: unit of its offsets
+    min_overlap: float = 0.5  # of the shorter signal; the correlation of less is not comparable
+
+
+@dataclass(frozen=True)
 class Rules:
     """The rules of all stages; the defaults are what every committed result was made with."""
 
@@ -329,10 +624,23 @@ class Rules:
     points: PointRules = PointRules()
     objects: ObjectRules = ObjectRules()
     faint: FaintRules = FaintRules()
+    track: TrackRules = TrackRules()
     silhouette: SilhouetteRules = SilhouetteRules()
     body: BodyRules = BodyRules()
     network: NetworkRules = NetworkRules()
+    view: ViewRules = ViewRules()
+    blind: BlindRules = BlindRules()
+    search: SearchRules = SearchRules()
+    all_offsets: AllOffsetsRules = AllOffsetsRules()
+    match: MatchRules = MatchRules()
+    fit: FitRules = FitRules()
     verdict: VerdictRules = VerdictRules()
+    hypotheses: HypothesesRules = HypothesesRules()
+    clock: ClockRules = ClockRules()
+    joint: JointRules = JointRules()
+    tangency: TangencyRules = TangencyRules()
+    albl: AlblRules = AlblRules()
+    signals: SignalRules = SignalRules()
 
 
 def check_rules(rules: object) -> None:

@@ -71,38 +71,23 @@ class Recorded:
 
 
 def by_python(recorded: Recorded, method: str, pair: Pair = FIRST_TWO) -> Estimate:
-    """Call `ssac.sync`; in a tree that has none yet, the function that the command line called."""
-    files, cameras = recorded.of(pair), (pair[0] + 1, pair[1] + 1)
-    known, readout = recorded.known_extrinsics, recorded.estimate_readout
-    try:
-        from ssac import sync
-    except ImportError:
-        from ssac.cli.sync import sync as sync_files
-
-        config = Config(**recorded.config) if recorded.config else None
-        everywhere = recorded.search_all or None
-        return sync_files(
-            *files, recorded.rig, method, known, config, cameras=cameras, search_all=everywhere,
-            rate_range=recorded.rate_range, estimate_readout=readout,
-        ).estimate  # fmt: skip
-    return sync(
-        *files, recorded.rig, method, known_extrinsics=known, cameras=cameras,
-        estimate_readout=readout, **recorded.fields,
-    ).estimate  # fmt: skip
+    """Call `ssac.sync`."""
+    return _synced(recorded, method, pair).estimate
 
 
-_OPTIONS = {"skew_prior_ppm": "--skew-prior", "clock": "--clock", "n_samples": "--n-samples"}
-
-
-def told_by_python(recorded: Recorded, method: str, pair: Pair = FIRST_TWO) -> dict[str, Any]:
-    """Call `ssac.sync`: the estimate, and what the JSON is to hold."""
+def _synced(recorded: Recorded, method: str, pair: Pair) -> Any:
     from ssac import sync
 
-    result = sync(
+    return sync(
         *recorded.of(pair), recorded.rig, method, known_extrinsics=recorded.known_extrinsics,
         cameras=(pair[0] + 1, pair[1] + 1), estimate_readout=recorded.estimate_readout,
         **recorded.fields,
     )  # fmt: skip
+
+
+def told_by_python(recorded: Recorded, method: str, pair: Pair = FIRST_TWO) -> dict[str, Any]:
+    """Call `ssac.sync`: the estimate, and what the JSON is to hold."""
+    result = _synced(recorded, method, pair)
     return {"estimate": result.estimate, "json": untimed(result.to_dict())}
 
 
@@ -115,20 +100,22 @@ def untimed(told: dict[str, Any]) -> dict[str, Any]:
 
 def by_command_line(recorded: Recorded, method: str) -> dict[str, Any]:
     """Run `ssac sync --json` within this process: what the file holds."""
+    from ssac.cli.sync import OPTIONS
     from tests.ssac.command import read_json, run
 
     args: list[object] = [*recorded.files, "--rig", recorded.rig, "--method", method]
     args += ["--known-extrinsics"] * recorded.known_extrinsics
-    args += ["--search-all"] * recorded.search_all
     args += ["--estimate-readout"] * recorded.estimate_readout
-    args += ["--rate-range", *recorded.rate_range] if recorded.rate_range else []
-    for name, value in recorded.config.items():
-        if name == "interval_s":
-            args += ["--search", *value]
-        elif name == "denoise":
-            args += ["--no-denoise"] * (not value)
-        else:
-            args += [_OPTIONS[name], value]
+    given = {name: value for name, value in recorded.fields.items() if value is not None}
+    for name, option in OPTIONS.items():
+        value = given.get(option.field)
+        if option.value is None and value is not None:
+            args += [
+                f"--{name.replace('_', '-')}",
+                *(value if isinstance(value, tuple) else [value]),
+            ]
+        elif option.value is not None and option.value == value:
+            args.append(f"--{name.replace('_', '-')}")
     out = Path(recorded.rig).with_name(f"{method}.json")
     ended = run("sync", *args, "--json", out)
     if ended.exit_code > 1:
@@ -319,10 +306,7 @@ def main() -> None:
     if not Path(sys.modules["ssac"].__file__ or "").is_relative_to(tree):
         sys.exit(f"{sys.modules['ssac'].__file__} is not of {tree}")
     warnings.simplefilter("ignore")
-    try:
-        from ssac.pipeline.registry import OURS
-    except ImportError:  # of a tree without the one pipeline
-        from ssac.cli.registry import OURS
+    from ssac.pipeline.registry import OURS
 
     answers = {}
     for one in json.loads(recorded_file.read_text(encoding="utf-8")):

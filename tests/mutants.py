@@ -5,7 +5,9 @@ one of its tests fails; they are those named with it, or those that mirror its f
 """
 
 import argparse
+import ast
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -23,6 +25,7 @@ else:
 ROOT = Path(__file__).parents[1]
 LIST = Path(__file__).with_suffix(".toml")
 TIMEOUT_S = 900.0
+PACKAGES = ("sim", "ssac", "experiments", "tests")
 
 
 @dataclass(frozen=True)
@@ -62,27 +65,50 @@ def mutants() -> list[Mutant]:
 
 @contextmanager
 def scratch_copy() -> Iterator[Path]:
-    """Check the last commit out elsewhere."""
+    """Check the last commit out elsewhere, with the kernels that are compiled already."""
     with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
         tree = Path(folder) / "tree"
         git = ["git", "-C", str(ROOT), "worktree"]
         subprocess.run([*git, "add", "--quiet", "--detach", str(tree), "HEAD"], check=True)
         try:
+            for package in PACKAGES:
+                for path in (tree / package).rglob("*.py"):
+                    _take_kernels(ROOT / path.relative_to(tree), path)
             yield tree
         finally:
             subprocess.run([*git, "remove", "--force", str(tree)], check=True)
+
+
+def _take_kernels(ours: Path, theirs: Path) -> None:
+    """Copy what numba keeps of a module, which it knows by its time, if the module is the same."""
+    if not ours.is_file() or ours.read_bytes() != theirs.read_bytes():
+        return
+    shutil.copystat(ours, theirs)
+    for kept in (ours.parent / "__pycache__").glob(f"{ours.stem}.*.nb[ci]"):
+        (theirs.parent / "__pycache__").mkdir(exist_ok=True)
+        shutil.copy2(kept, theirs.parent / "__pycache__")
+
+
+def is_compiled(text: str, old: str) -> bool:
+    """Whether a text stands in a kernel, or is a constant that a kernel may take in."""
+    if "njit" not in text:
+        return False
+    first = text[: text.index(old)].count("\n") + 1
+    for node in ast.parse(text).body:
+        if isinstance(node, (ast.FunctionDef, ast.ClassDef)) and first <= (node.end_lineno or 0):
+            return first < node.lineno or any("njit" in ast.dump(by) for by in node.decorator_list)
+    return True
 
 
 def verdict(mutant: Mutant, tree: Path) -> str:
     """Make an error in a copy of the tree, run its tests there, and take it back."""
     path, mutated = tree / mutant.file, mutant.mutated(tree)
     text, stamp = path.read_text(encoding="utf-8"), path.stat()
-    # A kernel is compiled into those that call it, whose caches do not know of its change.
-    is_kernel = "njit" in text
+    settings = os.environ | {"PYTHONPATH": str(tree)}
+    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider"]
     with tempfile.TemporaryDirectory(dir=tree.parent) as own_cache:
-        cache = own_cache if is_kernel else str(tree.parent / "numba")
-        settings = os.environ | {"PYTHONPATH": str(tree), "NUMBA_CACHE_DIR": cache}
-        command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider"]
+        if is_compiled(text, mutant.old):  # kernels that call it do not know of its change
+            settings["NUMBA_CACHE_DIR"] = own_cache
         try:
             path.write_text(mutated, encoding="utf-8")
             done = subprocess.run(

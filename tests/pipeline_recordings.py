@@ -1,6 +1,6 @@
 """Small recordings of all kinds, as files, that every way to an answer must answer alike."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -111,137 +111,33 @@ LONG = make_scene(1, duration_s=8.0)
 REST = _along(lambda t: [0.3 + 0.0 * t, 0.2, 0.1])
 
 
-# --- Events ---------------------------------------------------------------------------------------
+def _clocked(one: Any, other: Any, clock: Callable[[Array], Array]) -> Seen:
+    """Camera 2's clock shows clock(t) [us] in place of t."""
+    return Seen((one, _moved(other, clock)))
 
 
-def ordinary() -> Seen:
-    return Seen(tuple(_events()))
+def _jump(t_us: Array) -> Array:
+    return t_us + 20_000.0 * (t_us > 0.5 * DURATION_S * US_PER_S)
 
 
-def without_pose() -> Seen:
-    return Seen(tuple(_events()), has_pose=False)
-
-
-def known_extrinsics() -> Seen:
-    return Seen(tuple(_events()), options={"known_extrinsics": True})
-
-
-def without_frames() -> Seen:
-    return Seen(tuple(_events()), t_d_s=None)
-
-
-def no_denoise() -> Seen:
-    return Seen(tuple(_events()), options={"config": {"denoise": False}})
-
-
-def skewed_clock() -> Seen:
-    one, other = _events()
-    return Seen((one, _moved(other, lambda t: (1.0 + 60e-6) * t)))
-
-
-def clock_jump() -> Seen:
-    one, other = _events()
-    half_us = 0.5 * DURATION_S * US_PER_S
-    return Seen((one, _moved(other, lambda t: t + 20_000.0 * (t > half_us))))
-
-
-def rounded_events() -> Seen:
-    return Seen(tuple(_moved(one, lambda t: t // 1000 * 1000) for one in _events()))
-
-
-def far_apart() -> Seen:
-    return Seen(tuple(_events(t_d_s=1000.0)), t_d_s=1000.0)
-
-
-def interval_without_common_time() -> Seen:
-    options = {"config": {"interval_s": (-1.5, 1.5)}}
-    return Seen(tuple(_events(t_d_s=1000.0)), t_d_s=1000.0, options=options)
-
-
-def events_at_rest() -> Seen:
-    return Seen(tuple(_events(REST)))
-
-
-def noise_alone() -> Seen:
-    return Seen(tuple(noise(WIDTH, HEIGHT, 1.0, DURATION_US // 5, seed) for seed in (0, 1)))
-
-
-def copied() -> Seen:
-    one, _ = _events()
-    return Seen((one, _moved(one, lambda t: t + 1000.0)))
-
-
-def straight_line() -> Seen:
-    path = _along(lambda t: [1.2 * np.sin(2.0 * t), 0.5 * np.sin(2.0 * t), 0.0])
-    return Seen(tuple(_events(path)))
-
-
-def tiny() -> Seen:
-    return Seen(tuple(_events(size_m=0.06)))
-
-
-def noisy() -> Seen:
+def _noisy() -> Seen:
     seen = zip(_events(), (0, 1), strict=True)
     return Seen(tuple(merged(one, noise(WIDTH, HEIGHT, 0.1, DURATION_US, k)) for one, k in seen))
 
 
-def two_drones() -> Seen:
-    return Seen(_crowd(4, 5), (make_scene(4),))
+def _cut(tracks: list[PointTrack]) -> tuple[PointTrack, ...]:
+    """Times in whole hundredths of a second."""
+    return tuple(replace(one, times_s=np.floor(100.0 * one.times_s) / 100.0) for one in tracks)
 
 
-def people() -> Seen:
-    return Seen(_crowd(4, 5, 6, duration_s=2.0), (make_scene(4),))
-
-
-# --- Tracks ---------------------------------------------------------------------------------------
-
-
-def tracks() -> Seen:
-    return Seen(tuple(_tracks(LONG)), (LONG,))
-
-
-def tracks_far_apart() -> Seen:
-    return Seen(tuple(_tracks(LONG, 7.3)), (LONG,))
-
-
-def tracks_in_an_interval() -> Seen:
-    return Seen(tuple(_tracks(LONG)), (LONG,), options={"config": {"interval_s": (-0.5, 0.6)}})
-
-
-def rounded_tracks() -> Seen:
-    cut = (replace(one, times_s=np.floor(100.0 * one.times_s) / 100.0) for one in _tracks(LONG))
-    return Seen(tuple(cut), (LONG,))
-
-
-def wandering_clock() -> Seen:
+def _wandering() -> Seen:
     one, other = _tracks(LONG, 0.3)
     wandered_s = other.times_s + 0.012 * np.sin(2.0 * np.pi * other.times_s / LONG.duration_s)
     return Seen((one, replace(other, times_s=wandered_s)), (LONG,))
 
 
-def tracks_of_3_s() -> Seen:
-    scene = make_scene(2, duration_s=3.0)
-    return Seen(tuple(_tracks(scene)), (scene,))
-
-
-def tracks_at_rest() -> Seen:
-    return Seen(tuple(_tracks(REST)))
-
-
-def frame_rate() -> Seen:
-    return Seen(tuple(_tracks(LONG, 3.0, 0.71)), (LONG,), options={"rate_range": (0.705, 0.715)})
-
-
-def readout() -> Seen:
-    seen = _tracks(LONG, readout_s=0.03)
-    return Seen(tuple(seen), (LONG,), options={"estimate_readout": True})
-
-
-def event_camera_and_track() -> Seen:
-    return Seen((_events(t_d_s=0.0)[0], _tracks()[1]))
-
-
-# --- Three cameras --------------------------------------------------------------------------------
+def _of_long(tracks: Sequence[PointTrack], **options: Any) -> Seen:
+    return Seen(tuple(tracks), (LONG,), options=options)
 
 
 def _round(seed: int) -> tuple[Scene, Scene]:
@@ -257,28 +153,57 @@ def _three(seed: int) -> list[Any]:
     return [one, two, make_events(second, seed, -0.1, 0.96 * RATE_HZ, SIZE_M)[1]]
 
 
-def three_cameras() -> Seen:
-    return Seen(tuple(_three(4)), _round(4))
-
-
-def three_cameras_two_drones() -> Seen:
+def _three_with_another() -> Seen:
     both = zip(_three(4), _three(5), strict=True)
     return Seen(tuple(mixed(*one)[0] for one in both), _round(4))
 
 
-def three_mixed() -> Seen:
-    one, two, _ = _three(4)
-    return Seen((one, two, frame_track(_round(4)[1], 2, 25.0, 0.2)), _round(4))
-
+FAR_S = 1000.0
+APART = {"config": {"interval_s": (-1.5, 1.5)}}
+SHORT = make_scene(2, duration_s=3.0)
+LINE = _along(lambda t: [1.2 * np.sin(2.0 * t), 0.5 * np.sin(2.0 * t), 0.0])
 
 RECORDINGS: dict[str, Callable[[], Seen]] = {
-    recording.__name__: recording
-    for recording in (
-        ordinary, without_pose, known_extrinsics, without_frames, no_denoise, skewed_clock,
-        clock_jump, rounded_events, far_apart, interval_without_common_time, events_at_rest,
-        noise_alone, copied, straight_line, tiny, noisy, two_drones, people, tracks,
-        tracks_far_apart, tracks_in_an_interval, rounded_tracks, wandering_clock, tracks_of_3_s,
-        tracks_at_rest, frame_rate, readout, event_camera_and_track, three_cameras,
-        three_cameras_two_drones, three_mixed,
-    )
-}  # fmt: skip
+    # Events
+    "ordinary": lambda: Seen(tuple(_events())),
+    "without_pose": lambda: Seen(tuple(_events()), has_pose=False),
+    "known_extrinsics": lambda: Seen(tuple(_events()), options={"known_extrinsics": True}),
+    "without_frames": lambda: Seen(tuple(_events()), t_d_s=None),
+    "no_denoise": lambda: Seen(tuple(_events()), options={"config": {"denoise": False}}),
+    "skewed_clock": lambda: _clocked(*_events(), lambda t: (1.0 + 60e-6) * t),
+    "clock_jump": lambda: _clocked(*_events(), _jump),
+    "rounded_events": lambda: Seen(
+        tuple(_moved(one, lambda t: t // 1000 * 1000) for one in _events())
+    ),
+    "far_apart": lambda: Seen(tuple(_events(t_d_s=FAR_S)), t_d_s=FAR_S),
+    "interval_without_common_time": lambda: Seen(
+        tuple(_events(t_d_s=FAR_S)), t_d_s=FAR_S, options=APART
+    ),
+    "events_at_rest": lambda: Seen(tuple(_events(REST))),
+    "noise_alone": lambda: Seen(
+        tuple(noise(WIDTH, HEIGHT, 1.0, DURATION_US // 5, seed) for seed in (0, 1))
+    ),
+    "copied": lambda: _clocked(*(2 * _events()[:1]), lambda t: t + 1000.0),
+    "straight_line": lambda: Seen(tuple(_events(LINE))),
+    "tiny": lambda: Seen(tuple(_events(size_m=0.06))),
+    "noisy": _noisy,
+    "two_drones": lambda: Seen(_crowd(4, 5), (make_scene(4),)),
+    "people": lambda: Seen(_crowd(4, 5, 6, duration_s=2.0), (make_scene(4),)),
+    # Tracks
+    "tracks": lambda: _of_long(_tracks(LONG)),
+    "tracks_far_apart": lambda: _of_long(_tracks(LONG, 7.3)),
+    "tracks_in_an_interval": lambda: _of_long(_tracks(LONG), config={"interval_s": (-0.5, 0.6)}),
+    "rounded_tracks": lambda: _of_long(_cut(_tracks(LONG))),
+    "wandering_clock": _wandering,
+    "tracks_of_3_s": lambda: Seen(tuple(_tracks(SHORT)), (SHORT,)),
+    "tracks_at_rest": lambda: Seen(tuple(_tracks(REST))),
+    "frame_rate": lambda: _of_long(_tracks(LONG, 3.0, 0.71), rate_range=(0.705, 0.715)),
+    "readout": lambda: _of_long(_tracks(LONG, readout_s=0.03), estimate_readout=True),
+    "event_camera_and_track": lambda: Seen((_events(t_d_s=0.0)[0], _tracks()[1])),
+    # Three cameras
+    "three_cameras": lambda: Seen(tuple(_three(4)), _round(4)),
+    "three_cameras_two_drones": _three_with_another,
+    "three_mixed": lambda: Seen(
+        (*_three(4)[:2], frame_track(_round(4)[1], 2, 25.0, 0.2)), _round(4)
+    ),
+}

@@ -21,7 +21,7 @@ from ssac.config import N_MIN, Config
 from ssac.errors import SsacError
 from ssac.events import US_PER_S, slice_time
 from ssac.geometry.epipolar import epipolar_distance, fundamental_from_pose
-from ssac.geometry.fundamental import MIN_PAIRS, lmeds_fundamental
+from ssac.geometry.fundamental import lmeds_fundamental
 from ssac.pipeline.api import chain_of
 from ssac.pipeline.chain import Chain
 from ssac.pipeline.plots import (
@@ -156,13 +156,14 @@ def d_avg_figure(chain: Chain) -> Figure:
 def d_avg_curves(views: TwoViews, F: Array, offsets_s: Array) -> tuple[Curve, Curve]:
     """Compute d_avg with the true F (Algorithm 1) and with an F fitted at each offset (2)."""
     config, pairs = views.config, views.pairs(offsets_s)
+    min_pairs = config.rules.search.min_pairs
     fitted = np.full(len(offsets_s), np.nan)
     for m in range(len(offsets_s)):
         p1, p2 = pairs.valid_positions(m)
-        if len(p1) >= MIN_PAIRS:
+        if len(p1) >= min_pairs:
             F_m = lmeds_fundamental(p1, p2, config.trials, config.seed)
             fitted[m] = np.mean(epipolar_distance(F_m, p1, p2))
-    known = mean_epipolar_distance(F, pairs, MIN_PAIRS)
+    known = mean_epipolar_distance(F, pairs, min_pairs)
     return (
         Curve("pose known (Algorithm 1)", YELLOW, offsets_s, known),
         Curve("pose unknown (Algorithm 2)", BLUE, offsets_s, fitted),

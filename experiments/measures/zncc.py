@@ -27,11 +27,15 @@ from ssac.errors import SsacError
 from ssac.estimate import Estimate
 from ssac.events import US_PER_S
 from ssac.files.hdf5 import load_frames
-from ssac.methods.correlations import FRAME_S, ZNCC_BIN_S, Signal, binned, lags_of, zncc
+from ssac.methods.correlations import Signal, binned, counted, lags_of, zncc
 from ssac.pipeline.chain import Chain
+from ssac.rules import SignalRules
 from ssac.track.observation import Observation
 
 Array = NDArray[np.float64]
+
+_SIGNALS = SignalRules()
+ZNCC_BIN_S, FRAME_S = _SIGNALS.zncc_bin_s, _SIGNALS.frame_s
 
 RENDERED, MODELLED = "rendered", "modelled"
 """Where a signal comes from."""
@@ -145,13 +149,13 @@ def signal_row(cell: SignalCell, flight: SignalFlight) -> SignalRow:
     found = rendered_agreement(cell.signal, flight)
     if cell.signal != ZNCC_E:
         return SignalRow("ok", **vars(found))
-    rate = binned(flight.chain.clean(1).events["t"] / US_PER_S, None, ZNCC_BIN_S)
+    rate = counted(flight.chain.clean(1).events["t"], round(ZNCC_BIN_S * US_PER_S))
     model = flight.modelled[1][RATE]
     figures = _figures(flight)
     return SignalRow(
         "ok",
         **vars(found),
-        model_fit=float(zncc(rate, model, np.zeros(1, np.int64))[0]),
+        model_fit=float(zncc(rate, model, np.zeros(1, np.int64), _SIGNALS.min_overlap)[0]),
         speed_px_s=figures.speed_px_s if figures else np.nan,
         n_valid=float(figures.n_valid) if figures else np.nan,
         slope_px=figures.slope_px if figures else np.nan,
@@ -171,7 +175,8 @@ def rendered_agreement(signal: str, flight: SignalFlight) -> Agreement:
         changes = [_frame_changes(camera) for camera in (flight.raw.cam1, flight.raw.cam2)]
         return agreement(changes[0], changes[1], FRAME_S)
     bin_s = BINS_S[signal]
-    rates = [binned(flight.chain.clean(k).events["t"] / US_PER_S, None, bin_s) for k in range(2)]
+    bin_us = round(bin_s * US_PER_S)
+    rates = [counted(flight.chain.clean(k).events["t"], bin_us) for k in range(2)]
     return agreement(rates[0], rates[1], bin_s)
 
 
@@ -214,7 +219,9 @@ def modelled_signals(trajectory: Trajectory, camera: Camera) -> dict[str, Signal
 def agreement(signal1: Signal, signal2: Signal, bin_s: float) -> Agreement:
     """Correlate two signals over lags of +-1 s."""
     lags = lags_of(Config(), bin_s)
-    return _agreement(bin_s * lags.astype(np.float64), zncc(signal1, signal2, lags))
+    return _agreement(
+        bin_s * lags.astype(np.float64), zncc(signal1, signal2, lags, _SIGNALS.min_overlap)
+    )
 
 
 def of_estimate(estimate: Estimate) -> Agreement:

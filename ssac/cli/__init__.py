@@ -1,1 +1,1 @@
-"""What a user runs on recordings of their own: the registry of methods, `sync`, its pictures."""
+"""The command line: commands for recordings of one's own, and what all commands share."""

@@ -1,4 +1,4 @@
-"""The tool without the simulator: `python -m ssac.cli sync CAM1 CAM2 --rig rig.yaml`."""
+"""The command line without the simulator: `python -m ssac.cli sync CAM1 CAM2 --rig rig.yaml`."""
 
 import sys
 from collections.abc import Sequence

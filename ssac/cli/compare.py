@@ -89,14 +89,14 @@ def compare_command(
             f"holds at {clock.t_ref_s:.3f} s of the estimate's"
         )
         typer.echo(
-            f"at equal times  {_told(found.in_time.figures())}, "
+            f"at equal times  {_in_words(found.in_time.figures())}, "
             f"{100.0 * found.in_time.coverage:.1f} % of the truth's covered, "
             f"{100.0 * found.in_time.explained:.2f} % of its motion explained"
         )
-    typer.echo(f"as shapes, ICP  {_told(found.as_shape.figures())}")
+    typer.echo(f"as shapes, ICP  {_in_words(found.as_shape.figures())}")
 
 
-def _told(figures: dict[str, float | int]) -> str:
+def _in_words(figures: dict[str, float | int]) -> str:
     return (
         "RMSE {rmse_m:.4f} m, median {median_m:.4f} m, max {max_m:.4f} m, scale {scale:.6g}, "
         "{n_samples} samples"

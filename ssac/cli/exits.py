@@ -1,4 +1,4 @@
-"""A command in, its exit code out: what went wrong is one line on stderr, never a traceback.
+"""Exit codes: what went wrong in a command is one line on stderr, never a traceback.
 
 Imports the standard library alone, so that it can stand guard over the imports of everything else.
 """

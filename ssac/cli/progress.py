@@ -1,4 +1,4 @@
-"""How much of some work is done in; a bar on stderr out, or lines where stderr is no terminal."""
+"""How much of some work is done: a bar on stderr, or lines where that is no terminal."""
 
 import sys
 import threading

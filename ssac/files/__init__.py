@@ -1,1 +1,1 @@
-"""Event files, rig files and results between disk and memory."""
+"""Files of events, tracks and rigs, and writing files whole."""

@@ -222,24 +222,14 @@ def _signs_of_evt3(words: NDArray[np.uint16], repeated: int) -> NDArray[np.int64
     return signs
 
 
-@numba.njit(cache=True)
 def _signs_of_dat(words: NDArray[np.uint64], repeated: int) -> NDArray[np.int64]:
     """Count as `_signs_of_evt2`."""
-    signs = np.zeros(4, np.int64)
-    before, last_us, run = np.uint64(0), -1, 1
-    for i in range(len(words)):
-        word = words[i]
-        time_us = int(word & np.uint64(0xFFFFFFFF))
-        signs[0] += (word >> np.uint64(60)) > np.uint64(1)
-        if time_us < last_us:
-            signs[1] += last_us - time_us <= 1 << 31  # else the counter began anew
-        if i and word == before:
-            run += 1
-            signs[3] += repeated if run == repeated else run > repeated
-        else:
-            run = 1
-        before, last_us = word, time_us
-    return signs
+    steps_us = np.diff((words & np.uint64(0xFFFFFFFF)).astype(np.int64))
+    runs = np.diff(np.flatnonzero(words[1:] != words[:-1]), prepend=-1, append=len(words) - 1)
+    invalid = np.count_nonzero(words >> np.uint64(60) > 1)
+    # By more the counter began anew.
+    back = np.count_nonzero((steps_us < 0) & (steps_us >= -(1 << 31)))
+    return np.array([invalid, back, 0, runs[runs >= repeated].sum()])
 
 
 def check_packets(path: Path) -> list[str]:

@@ -1,15 +1,15 @@
-"""A fit's residuals and their derivatives in, the covariance of its parameters out.
+"""The covariance of a fit's parameters, from its residuals and their derivatives.
 
 What is left after a robust fit is no white noise: the object's outline, and still more the mean of
 its events, strays with attitude, slowly. So n residuals tell less than n independent ones, and the
 fit takes part of the slow error away, so that they look less correlated than they are.
 
 The loss's gradients are taken to be, in each series, a stationary process with the autocovariance
-sum_k a_k exp(-|lag| / TIMES_S[k]), a_k >= 0. The a_k are those for which the residuals' quadratic
-forms are as large as expected *after* the fit (variance components by moments: Rao's MINQUE). Two
-limits keep the result from being too sure: a direction in which the loss is hardly curved counts as
-if it were curved a little, and the degrees of freedom are those of independent residuals, which
-widens 1.96 deviations to Student's 95 %.
+sum_k a_k exp(-|lag| / T_k), a_k >= 0, of white noise and of what fades in some times. The a_k are
+those for which the residuals' quadratic forms are as large as expected *after* the fit (variance
+components by moments: Rao's MINQUE). Two limits keep the result from being too sure: a direction in
+which the loss is hardly curved counts as if it were curved a little, and the degrees of freedom are
+those of independent residuals, which widens 1.96 deviations to Student's 95 %.
 
 Series, such as the upper and the lower tangents, may have errors in common. Those count for the
 parameters of the clock, t_d first, and are left out for the pose. Where there are no others, the
@@ -24,22 +24,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
+from ssac.rules import FitRules
+
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
-
-TIMES_S = (0.0, 0.05, 0.2, 0.8)
-"""Times [s] in which the components of the correlation fade; 0 is white noise."""
 
 NORMAL_95 = 1.96
 
 PRIOR = 1e3
 """Deviation [s, rad, ...] of parameters of which nothing is known but what the data say."""
-
-_LEAST_CURVATURE = 0.25  # of any direction, as a share of the mean
-_LEAST_MEAN_CURVATURE = 0.05  # of the loss, whose curvature is 1 at zero
-_LEAST_PX = 1e-9  # deviation of a residual
-_LEAST_COMMON = 0.5  # factor by which common errors may lessen a variance
-_MAX_BINS = 20_000  # of time
 
 
 def correlated_covariance(
@@ -47,6 +40,7 @@ def correlated_covariance(
     jacobian: Array,
     slopes_px: Array,
     curvatures: Array,
+    rules: FitRules,
     prior_deviations: Array | None = None,
     prior_scales_px: Array | None = None,
     common: Indices | None = None,
@@ -62,6 +56,8 @@ def correlated_covariance(
         Derivatives of the residuals by the parameters, shape (n, p) [px per unit].
     slopes_px, curvatures
         First and second derivatives of the loss at the residuals, each (n,).
+    rules
+        Of the errors' correlation, and of what is too sure.
     prior_deviations
         Of what is known of each parameter beside the data, shape (p,); PRIOR when None.
     prior_scales_px
@@ -71,8 +67,7 @@ def correlated_covariance(
         Places (c,) of the parameters for which it counts what the series' errors have in common;
         the first when None.
     lessens
-        Whether what the series have in common may lessen the first one's variance, too, and not
-        only add to it.
+        Whether what the series have in common may lessen the first one's variance, too.
 
     Returns
     -------
@@ -81,8 +76,8 @@ def correlated_covariance(
         direction that the data do not determine, those of the prior and more.
     """
     n, p = jacobian.shape
-    curvature = mean_curvature(curvatures)
-    scale_px = max(float(np.sqrt(np.mean(slopes_px**2))), _LEAST_PX)
+    curvature, fading_s = mean_curvature(curvatures, rules), rules.fading_s
+    scale_px = max(float(np.sqrt(np.mean(slopes_px**2))), 1e-9)
     # Parameters in which the residuals' derivatives are orthonormal, with p further residuals that
     # say no more than the priors.
     deviations = np.full(p, PRIOR) if prior_deviations is None else prior_deviations
@@ -92,19 +87,19 @@ def correlated_covariance(
     Q, triangle = np.linalg.qr(np.vstack([jacobian, prior]))
     Q, Q_prior = Q[:n], Q[n:]
     left_px = slopes_px - Q @ (Q.T @ slopes_px)
-    meat, independent = _gradient_covariance(times_s, Q, left_px)
+    meat, independent = _gradient_covariance(times_s, Q, left_px, fading_s)
     several = bool(np.any(np.diff(times_s) < 0.0))
     common = np.zeros(1, np.intp) if common is None else common
     is_clock = len(common) == p  # and nothing else: the pose is known
     if several and is_clock:
-        meat, independent = _clock_variance(times_s, Q, left_px, meat)
+        meat, independent = _clock_variance(times_s, Q, left_px, meat, fading_s)
     meat = meat + curvature * Q_prior.T @ (scales_px[:, None] ** 2 * Q_prior)
     bread = Q.T @ (curvatures[:, None] * Q) + curvature * Q_prior.T @ Q_prior
-    root = np.linalg.solve(triangle, bounded_inverse(bread, curvature))
+    root = np.linalg.solve(triangle, bounded_inverse(bread, curvature, rules))
     factors = np.ones(p)
     if several and not is_clock:
         for k in common:
-            factor = _common_factor(times_s, Q @ root[k] * left_px)
+            factor = _common_factor(times_s, Q @ root[k] * left_px, rules)
             # What is in common to all series makes no rate of a clock surer, as it drifts with it.
             may_lessen = lessens and k == common[0]
             factors[k] = np.sqrt(factor if may_lessen else max(factor, 1.0))
@@ -114,59 +109,45 @@ def correlated_covariance(
     return np.asarray(np.outer(factors, factors) * (root @ meat @ root.T))
 
 
-def mean_curvature(curvatures: Array) -> float:
+def mean_curvature(curvatures: Array, rules: FitRules) -> float:
     """Mean of a loss's second derivatives (n,), which is not taken for less than a little."""
-    return max(float(np.mean(curvatures)), _LEAST_MEAN_CURVATURE)
+    return max(float(np.mean(curvatures)), rules.least_mean_curvature)
 
 
-def bounded_inverse(bread: Array, curvature: float) -> Array:
+def bounded_inverse(bread: Array, curvature: float, rules: FitRules) -> Array:
     """Inverse (p, p) of the sum of a loss's curvatures along p orthonormal directions.
 
     A direction in which the loss is hardly curved, or bent downwards by chance, counts as if it
     were curved a little: by a share of the mean curvature.
     """
     shares, axes = np.linalg.eigh(bread)
-    return np.asarray(axes / np.maximum(shares, _LEAST_CURVATURE * curvature) @ axes.T)
+    return np.asarray(axes / np.maximum(shares, rules.least_curvature * curvature) @ axes.T)
 
 
-def repeats(times_s: Array, jacobian: Array, slopes_px: Array) -> float:
-    """How many of a fit's residuals tell as much as an independent one, at least 1.
-
-    Parameters
-    ----------
-    times_s, jacobian, slopes_px
-        As for `correlated_covariance`.
-    """
+def repeats(times_s: Array, jacobian: Array, slopes_px: Array, rules: FitRules) -> float:
+    """How many of a fit's residuals tell as much as an independent one, at least 1."""
     Q = np.linalg.qr(jacobian)[0]
-    independent = _gradient_covariance(times_s, Q, slopes_px - Q @ (Q.T @ slopes_px))[1]
+    left_px = slopes_px - Q @ (Q.T @ slopes_px)
+    independent = _gradient_covariance(times_s, Q, left_px, rules.fading_s)[1]
     return max(len(times_s) / independent, 1.0) if independent > 0.0 else 1.0
 
 
 def mapped_covariance(jacobian: Array, errors_px: Array) -> Array:
     """Covariance (p, p) of least squares on residuals with m independent errors.
 
-    Parameters
-    ----------
-    jacobian
-        As for `correlated_covariance`.
-    errors_px
-        Changes of the residuals by one deviation of each error, shape (n, m) [px].
+    One deviation of each error changes the residuals by its column of `errors_px` (n, m).
     """
     moved = np.linalg.lstsq(jacobian, errors_px)[0]
     return np.asarray(moved @ moved.T)
 
 
-def _gradient_covariance(times_s: Array, Q: Array, left_px: Array) -> tuple[Array, float]:
-    """Covariance of Q' g for the gradients g, and how many independent g would tell as much.
-
-    Parameters
-    ----------
-    times_s, left_px
-        Shapes (n,): instants, and what the fit leaves of g.
-    Q
-        Shape (n, p), with orthonormal columns: left = (1 - Q Q') g.
-    """
-    p, size = Q.shape[1], len(TIMES_S)
+def _gradient_covariance(
+    times_s: Array, Q: Array, left_px: Array, fading_s: tuple[float, ...]
+) -> tuple[Array, float]:
+    """Covariance of Q' g for gradients g (n,), and how many independent ones tell as much."""
+    # Q (n, p) has orthonormal columns, and left = (1 - Q Q') g is what the fit leaves of g.
+    times_of_fading_s = (0.0, *fading_s)
+    p, size = Q.shape[1], len(times_of_fading_s)
     forms = np.zeros(size)  # left' L_k left, with L_k the correlations of component k
     traces = np.zeros((size, size))  # of L_k L_l
     projected = np.zeros((size, p, p))  # Q' L_k Q
@@ -176,7 +157,7 @@ def _gradient_covariance(times_s: Array, Q: Array, left_px: Array) -> tuple[Arra
         n_bins = int(bins[-1]) + 1
         size_fft = 1 << int(2 * n_bins - 1).bit_length()  # room for both signs of the lag
         lags_s = step_s * np.arange(n_bins, dtype=np.float64)
-        fading = np.stack([_fading(lags_s, time_s) for time_s in TIMES_S])
+        fading = np.stack([_fading(lags_s, time_s) for time_s in times_of_fading_s])
         values = np.zeros((n_bins, p + 2))
         np.add.at(values, bins, np.column_stack([Q[part], left_px[part], np.ones(len(bins))]))
         spectra = np.fft.rfft(values, size_fft, axis=0)
@@ -203,22 +184,24 @@ def _gradient_covariance(times_s: Array, Q: Array, left_px: Array) -> tuple[Arra
     return np.einsum("k,kij->ij", amounts, projected), independent
 
 
-def _common_factor(times_s: Array, effects: Array) -> float:
+def _common_factor(times_s: Array, effects: Array, rules: FitRules) -> float:
     """Variance of a sum of effects (n,), over what it were with independent series."""
     apart = sum(
-        _sum_variance(times_s[part], effects[part])[0][0, 0] for part, _, _ in _series(times_s)
+        _sum_variance(times_s[part], effects[part], rules.fading_s)[0][0, 0]
+        for part, _, _ in _series(times_s)
     )
     if not apart > 0.0:
         return 1.0
-    return max(float(_sum_variance(times_s, effects)[0][0, 0] / apart), _LEAST_COMMON)
+    together = _sum_variance(times_s, effects, rules.fading_s)[0][0, 0]
+    return max(float(together / apart), rules.least_common)
 
 
-def _clock_variance(times_s: Array, Q: Array, left_px: Array, apart: Array) -> tuple[Array, float]:
-    """As `_gradient_covariance` of some gradients, their sum at an instant being the process.
-
-    `apart` (p, p) is what it is with independent series: it gives the correlations.
-    """
-    found = [_sum_variance(times_s, column * left_px) for column in Q.T]
+def _clock_variance(
+    times_s: Array, Q: Array, left_px: Array, apart: Array, fading_s: tuple[float, ...]
+) -> tuple[Array, float]:
+    """As `_gradient_covariance` of some gradients, their sum at an instant being the process."""
+    # What it is with independent series, `apart` (p, p), gives the correlations.
+    found = [_sum_variance(times_s, column * left_px, fading_s) for column in Q.T]
     if len(found) == 1:
         return found[0]
     variances = np.array([variance[0, 0] for variance, _ in found])
@@ -226,16 +209,15 @@ def _clock_variance(times_s: Array, Q: Array, left_px: Array, apart: Array) -> t
     return apart * np.outer(deviations, deviations), min(independent for _, independent in found)
 
 
-def _sum_variance(times_s: Array, effects: Array) -> tuple[Array, float]:
-    """Variance (1, 1) of the sum of a process (n,), and how many independent values have it.
-
-    Several values at an instant are one.
-    """
+def _sum_variance(
+    times_s: Array, effects: Array, fading_s: tuple[float, ...]
+) -> tuple[Array, float]:
+    """Variance (1, 1) of the sum of a process (n,), and how many independent values have it."""
     instants_s, places = np.unique(times_s, return_inverse=True)
     m = len(instants_s)
     sums = np.bincount(places, effects, m)
     variance, independent = _gradient_covariance(
-        instants_s, np.full((m, 1), m**-0.5), sums - np.mean(sums)
+        instants_s, np.full((m, 1), m**-0.5), sums - np.mean(sums), fading_s
     )
     return m * variance, independent
 
@@ -247,9 +229,7 @@ def _series(times_s: Array) -> list[tuple[slice, NDArray[np.int64], float]]:
     for start, end in pairwise(bounds):
         since_s = times_s[start:end] - times_s[start]
         gaps_s = np.diff(since_s)
-        step_s = max(
-            float(np.min(gaps_s[gaps_s > 0.0], initial=1.0)), float(since_s[-1]) / _MAX_BINS
-        )
+        step_s = max(float(np.min(gaps_s[gaps_s > 0.0], initial=1.0)), float(since_s[-1]) / 20_000)
         bins = np.rint(since_s / step_s).astype(np.int64)
         found.append((slice(start, end), bins, step_s))
     return found
@@ -261,10 +241,8 @@ def _fading(lags_s: Array, time_s: float) -> Array:
 
 
 def _least_squares_positive(A: Array, b: Array) -> Array:
-    """Solve min |A x - b| with x >= 0, for few unknowns.
-
-    Rows and columns are first scaled, as A is symmetric, to a diagonal of ones.
-    """
+    """Solve min |A x - b| with x >= 0, for few unknowns."""
+    # Rows and columns are first scaled, as A is symmetric, to a diagonal of ones.
     diagonal = np.diag(A)
     scales = np.sqrt(np.maximum(diagonal, 1e-12 * max(np.max(diagonal), 1e-300)))
     return np.asarray(_best_positive(A / np.outer(scales, scales), b / scales) / scales)

@@ -1,4 +1,4 @@
-"""Deviations of a rig's intrinsics in; what allows for them in a fit, and speaks against them, out.
+"""How a fit allows for a rig's uncertain intrinsics, and what speaks against them.
 
 Each of a camera's fu, fv, pu and pv whose deviation is not 0 is one more `Column` with a `Prior`.
 Two views of one path tell two combinations of the eight at most, as F has seven parameters and the
@@ -32,10 +32,6 @@ from ssac.geometry.epipolar import cauchy_weights, fundamental_from_pose, robust
 
 Array = NDArray[np.float64]
 
-_STEP_PX = 0.5  # for the derivative of a lens
-_TOLD = 2  # combinations of the intrinsics that two views of one path tell, the pose being free
-_LEAST = 1e-6  # of a combination's effect, over that of the first, which is then told by nothing
-
 
 @dataclass(frozen=True)
 class Uncertain:
@@ -60,14 +56,7 @@ class Allowance:
     """What a refinement allows for, once a fit has told what the priors weigh.
 
     Until then a clock's priors weigh as if all residuals were independent, and intrinsics are
-    exact.
-
-    Parameters
-    ----------
-    rig
-        With the deviations of its intrinsics.
-    has_priors
-        Whether problems have priors of their own, as that of a clock.
+    exact. A problem may have priors of its own, as that of a clock.
     """
 
     def __init__(self, rig: Rig, has_priors: bool = False) -> None:
@@ -97,6 +86,7 @@ class Allowance:
             residuals.times_s,
             residuals.jacobian[:, problem.free],
             weights * residuals.distances_px,
+            problem.rules,
         )
         self._intrinsics_px = np.sqrt(repeated) * robust_deviation(residuals.distances_px)
         self._clock_px = np.full(len(problem.priors), self._intrinsics_px)
@@ -139,22 +129,10 @@ def columns_of(problem: Problem) -> tuple[Column, ...]:
 
 
 def moves_of(camera: Camera, points_px: Array) -> Array:
-    """Give how points move when the intrinsics that they were undistorted with change.
+    """Give how ideal points (n, 2) move for a value of one of fu, fv, pu, pv: (4, n, 2) [px].
 
     A measured pixel m = c + f d(r) stays where it is: so the ray r changes by
     -(f J)^-1 (dc + df d(r)), with the lens's derivative J = dd/dr.
-
-    Parameters
-    ----------
-    camera
-        Its intrinsics.
-    points_px
-        Ideal points, shape (n, 2) [px].
-
-    Returns
-    -------
-    Array
-        Shape (4, n, 2) [px]: for a value of one of fu, fv, pu, pv, in the image of the same K.
     """
     centre, focal = camera.K[:2, 2], np.diag(camera.K)[:2]
     measured = distort_points(camera, points_px)
@@ -164,10 +142,11 @@ def moves_of(camera: Camera, points_px: Array) -> Array:
         shifts[2 + axis, :, axis] = -focal[axis]
     if camera.distortion_model == "none" or len(points_px) == 0:
         return shifts
+    step_px = 0.5
     derivatives = [
         (distort_points(camera, points_px + step) - distort_points(camera, points_px - step))
-        / (2.0 * _STEP_PX)
-        for step in _STEP_PX * np.eye(2)
+        / (2.0 * step_px)
+        for step in step_px * np.eye(2)
     ]
     lens = np.stack(derivatives, axis=2)  # (n, 2, 2) of the measured by the ideal points
     return np.asarray(np.einsum("nij,knj->kni", np.linalg.inv(lens), shifts))
@@ -190,17 +169,9 @@ def evidence(
     """Give how many deviations the intrinsics that fit best are from those of the rig.
 
     Of each combination that the views tell, the value that fits best by itself is compared with its
-    deviation: the prior's and that of the fit together.
-
-    Parameters
-    ----------
-    problem
-        With what `Allowance` adds; the result is 0 without. It is 0 with a known pose too, where a
-        bias of the positions, or of the pose, speaks as loud as one of the intrinsics.
-    residuals, parameters
-        At its solution.
-    hidden_px
-        Errors that no residual shows, as for `hidden_covariance`.
+    deviation: the prior's and that of the fit together. It is 0 without what `Allowance` adds, and
+    with a known pose too, where a bias of the positions, or of the pose, speaks as loud as one of
+    the intrinsics. Hidden errors are as for `hidden_covariance`.
     """
     n = _n_columns(problem)
     if n == 0 or problem.pose_is_known:
@@ -213,7 +184,8 @@ def evidence(
     _, sizes, axes = np.linalg.svd(left, full_matrices=False)
     roots = np.sqrt(cauchy_weights(residuals.distances_px, problem.turn)[0])
     worst = 0.0
-    for axis in axes[:_TOLD][sizes[:_TOLD] > _LEAST * sizes[0]]:
+    told = problem.rules.told_combinations
+    for axis in axes[:told][sizes[:told] > 1e-6 * sizes[0]]:  # less is told by nothing
         # One combination in place of all, and without a prior.
         one = replace(problem, columns=problem.columns[: 1 - n or None], priors=problem.priors[:-n])
         alone = replace(

@@ -1,8 +1,12 @@
-"""A problem and where to start in; the parameters of least robust loss, and their covariance, out.
+"""What every refinement minimises, and the one solver of it.
 
-The one solver of every refinement: the residuals of `ssac.fit.least_squares` under Cauchy's loss,
-and one more residual for each prior. Pairs are moved along where the solver changes the offset:
-whoever calls samples anew until nothing changes.
+The parameters are, in the order of Jacobians and covariances: t_d [s]; the five small changes [rad]
+of the pose that `ssac.geometry.pose` defines; then one for each `Column` of the problem, such as a
+clock's rate or a focal length.
+
+The residuals are signed Sampson distances [px] of pairs, times the pairs' weights, under Cauchy's
+loss, and one more for each prior. Pairs are sampled at one offset and moved on by the velocity of
+p2 where the parameters change it: whoever calls samples anew until nothing changes.
 """
 
 from dataclasses import dataclass, field, replace
@@ -28,6 +32,7 @@ from ssac.geometry.epipolar import (
     sampson_distance,
 )
 from ssac.geometry.pose import moved_pose, pose_jacobian
+from ssac.rules import FitRules
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -94,6 +99,7 @@ class Problem:
 
     pairs: WeighedPairs
     rig: Rig
+    rules: FitRules
     pose_is_known: bool = False  # it stays as it is
     columns: tuple[Column, ...] = ()
     priors: tuple[Prior, ...] = ()
@@ -173,17 +179,6 @@ def moved(parameters: Parameters, step: Array) -> Parameters:
     )
 
 
-MAX_LAST_CHANGE = 0.5
-"""Largest change, in deviations of the parameter, by the last of the iterations when these run out.
-
-Events that enter and leave the windows of the samples move the minimum to and fro, by a quarter of
-a deviation at most in simulated flights, so that some iterations never end by themselves.
-"""
-
-_MAX_STEPS = 20
-_LAST_STEP = 1e-6  # [s, rad, and the columns' units]
-
-
 @dataclass(frozen=True)
 class Solution:
     """Where the iteration ended."""
@@ -197,21 +192,13 @@ class Solution:
 def solve(
     problem: Problem,
     start: Parameters,
-    max_steps: int = _MAX_STEPS,
-    last_step: float = _LAST_STEP,
+    max_steps: int = 20,
+    last_step: float = 1e-6,
 ) -> Solution:
     """Minimise Cauchy's loss by Gauss-Newton steps on reweighted residuals.
 
-    Parameters
-    ----------
-    problem
-        Pairs, what is free, and priors.
-    start
-        Its columns may be missing: they then begin at zero.
-    max_steps
-        Steps at most.
-    last_step
-        Norm of a step that ends the iteration; at 0 all steps are made.
+    Columns that the start lacks begin at zero. A step whose norm [s, rad, and the columns' units]
+    is below `last_step` ends the iteration; at 0 all steps are made.
     """
     parameters = _with_columns(start, problem)
     free = problem.free
@@ -252,14 +239,7 @@ def weighed_system(
 def covariance_of(problem: Problem, residuals: Residuals, lessens: bool = True) -> Array:
     """Covariance (f, f) of the f free parameters, for errors that the residuals show.
 
-    Parameters
-    ----------
-    problem
-        The one that was solved.
-    residuals
-        At its solution.
-    lessens
-        Whether what its series have in common may do so, as for `correlated_covariance`.
+    Residuals are those at the solution; `lessens` is as for `correlated_covariance`.
     """
     weights, curvatures = cauchy_weights(residuals.distances_px, problem.turn)
     deviations, scales_px = np.full(problem.size, PRIOR), np.full(problem.size, np.nan)
@@ -270,6 +250,7 @@ def covariance_of(problem: Problem, residuals: Residuals, lessens: bool = True) 
         residuals.jacobian[:, problem.free],
         weights * residuals.distances_px,
         curvatures,
+        problem.rules,
         deviations[problem.free],
         scales_px[problem.free],
         np.flatnonzero([place in problem.of_clock for place in problem.free]),
@@ -282,19 +263,14 @@ def fair_scales(problem: Problem, residuals: Residuals) -> Array:
 
     Residuals whose errors are correlated tell less of a parameter than so many independent ones,
     and of each another share of it, by how its derivative goes with time. With these scales a prior
-    and the data share in a parameter by their variances.
-
-    Parameters
-    ----------
-    problem
-        The one that was solved; its priors do not count.
-    residuals
-        At its solution.
+    and the data share in a parameter by their variances. The problem's own priors do not count.
     """
     variances = np.diag(covariance_of(replace(problem, priors=()), residuals))
     curvatures = cauchy_weights(residuals.distances_px, problem.turn)[1]
     Q, triangle = np.linalg.qr(residuals.jacobian[:, problem.free])
-    inverse = bounded_inverse(Q.T @ (curvatures[:, None] * Q), mean_curvature(curvatures))
+    rules = problem.rules
+    curvature = mean_curvature(curvatures, rules)
+    inverse = bounded_inverse(Q.T @ (curvatures[:, None] * Q), curvature, rules)
     back = np.linalg.pinv(triangle)
     independent = np.einsum("ij,jk,ik->i", back, inverse, back)  # variances, of residuals of 1 px
     return np.asarray(np.sqrt(variances / np.maximum(independent, np.finfo(np.float64).tiny)))
@@ -303,14 +279,7 @@ def fair_scales(problem: Problem, residuals: Residuals) -> Array:
 def hidden_covariance(problem: Problem, residuals: Residuals, errors_px: Array) -> Array:
     """Covariance (f, f) of the f free parameters, of errors that no residual shows.
 
-    Parameters
-    ----------
-    problem
-        The one that was solved.
-    residuals
-        At its solution.
-    errors_px
-        Changes of the distances by one deviation of each error, shape (n, m) [px].
+    One deviation of each error changes the distances by its column of `errors_px` (n, m).
     """
     system = residuals.jacobian[:, problem.free]
     if problem.priors:
@@ -323,17 +292,10 @@ def hidden_covariance(problem: Problem, residuals: Residuals, errors_px: Array) 
 def still_moves(change: Array, problem: Problem, covariance: Array) -> bool:
     """Whether iterations that ran out have not come to rest, as far as it matters.
 
-    Parameters
-    ----------
-    change
-        Shape (p,), of the last iteration.
-    problem
-        What was solved.
-    covariance
-        Shape (f, f), of its free parameters.
+    The change (p,) is of the last one, the covariance (f, f) of the free parameters.
     """
     deviations = np.sqrt(np.diag(covariance))
-    return bool(np.any(np.abs(change[problem.free]) > MAX_LAST_CHANGE * deviations))
+    return bool(np.any(np.abs(change[problem.free]) > problem.rules.max_last_change * deviations))
 
 
 def _least_squares(system: Array, target: Array) -> Array:

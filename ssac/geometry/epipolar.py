@@ -11,7 +11,9 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+Entries = Matrix | Sequence[float]
+T = TypeVar("T", float, Matrix)
 
 CAUCHY = 2.385
 """Where Cauchy's loss turns, in robust standard deviations: 95 % efficiency on Gaussian noise."""
@@ -19,32 +21,20 @@ CAUCHY = 2.385
 TO_DEVIATION = 1.4826
 """From the median absolute value of Gaussian noise to its standard deviation."""
 
-_LEAST_DEVIATION = 1e-12  # of residuals that are all zero
 
-
-def robust_deviation(residuals: Array) -> float:
+def robust_deviation(residuals: Matrix) -> float:
     """Deviation, from zero, of Gaussian noise with the same median absolute value."""
     return float(TO_DEVIATION * np.median(np.abs(residuals)))
 
 
-def cauchy_weights(residuals: Array, turn: float = CAUCHY) -> tuple[Array, Array]:
+def cauchy_weights(residuals: Matrix, turn: float = CAUCHY) -> tuple[Matrix, Matrix]:
     """First derivative over residual, and second derivative, of Cauchy's loss: both (n,).
 
-    Parameters
-    ----------
-    residuals
-        Shape (n,).
-    turn
-        Where the loss turns, in robust standard deviations.
+    The loss turns `turn` robust standard deviations from zero.
     """
-    deviation = robust_deviation(residuals) + _LEAST_DEVIATION
+    deviation = robust_deviation(residuals) + 1e-12  # of residuals that are all zero
     squares = (residuals / (turn * deviation)) ** 2
     return 1.0 / (1.0 + squares), (1.0 - squares) / (1.0 + squares) ** 2
-
-
-Matrix = NDArray[np.float64]
-Entries = Matrix | Sequence[float]
-T = TypeVar("T", float, Matrix)
 
 
 def cross_matrix(v: Matrix) -> Matrix:
@@ -68,39 +58,19 @@ def essential_from_fundamental(F: Matrix, K1: Matrix, K2: Matrix) -> Matrix:
 
 
 def epipolar_lines_1(F: Matrix, p2_px: Matrix) -> Matrix:
-    """Epipolar lines in image 1 of points in image 2.
+    """Epipolar lines (..., 3) in image 1 of points (..., 2) in image 2.
 
-    Parameters
-    ----------
-    F
-        Shape (3, 3).
-    p2_px
-        Shape (..., 2) [px].
-
-    Returns
-    -------
-    NDArray[np.float64]
-        Shape (..., 3): lines l1 = F' p2, as (a, b, c) of a x + b y + c = 0, not normalised.
-        Deviation: the paper writes l1 = F p2 below Eq. 3, which contradicts its own Eq. 2.
+    They are l1 = F' p2, as (a, b, c) of a x + b y + c = 0, not normalised.
+    Deviation: the paper writes l1 = F p2 below Eq. 3, which contradicts its own Eq. 2.
     """
     return np.asarray(p2_px @ F[:2] + F[2])
 
 
 def epipolar_distance(F: Matrix, p1_px: Matrix, p2_px: Matrix) -> Matrix:
-    """Distances d(p1, l1) in image 1 between points and epipolar lines, the summands of Eq. 4.
+    """Distances d(p1, l1) (...,) [px] in image 1 of pairs (..., 2), the summands of Eq. 4.
 
-    Parameters
-    ----------
-    F
-        Shape (3, 3).
-    p1_px, p2_px
-        Pairs, shape (..., 2) [px].
-
-    Returns
-    -------
-    NDArray[np.float64]
-        Shape (...,) [px], not negative; NaN where p2 is the epipole, which has no epipolar line,
-        and infinite where the line is that at infinity.
+    NaN where p2 is the epipole, which has no epipolar line; infinite where the line is that at
+    infinity.
     """
     lines = epipolar_lines_1(F, p2_px)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -113,14 +83,7 @@ def epipolar_terms(f: Entries, u1: T, v1: T, u2: T, v2: T) -> tuple[T, T, T, T, 
     """p2' F p1, and the first two coordinates of the lines F p1 in image 2 and F' p2 in image 1.
 
     All that Sampson distances are made of. One definition for arrays and, compiled, for the kernels
-    of `fundamental`.
-
-    Parameters
-    ----------
-    f
-        The nine entries of F, row by row.
-    u1, v1, u2, v2
-        Coordinates of p1 and p2: numbers, or arrays of one shape.
+    here and of `fundamental`; f has the nine entries of F, row by row.
     """
     a2 = f[0] * u1 + f[1] * v1 + f[2]
     b2 = f[3] * u1 + f[4] * v1 + f[5]
@@ -130,20 +93,10 @@ def epipolar_terms(f: Entries, u1: T, v1: T, u2: T, v2: T) -> tuple[T, T, T, T, 
 
 
 def sampson_distance(F: Matrix, p1_px: Matrix, p2_px: Matrix) -> Matrix:
-    """Signed Sampson distances: to first order, how far a pair is from satisfying Eq. 2.
+    """Signed Sampson distances (N,) [px]: to first order, how far pairs (N, 2) are from Eq. 2.
 
-    Parameters
-    ----------
-    F
-        Shape (3, 3).
-    p1_px, p2_px
-        Pairs, shape (N, 2) [px].
-
-    Returns
-    -------
-    NDArray[np.float64]
-        Shape (N,) [px]: p2' F p1 / sqrt(|(F p1)_12|^2 + |(F' p2)_12|^2). Noise of deviation sigma
-        in all four coordinates gives distances of deviation sigma.
+    They are p2' F p1 / sqrt(|(F p1)_12|^2 + |(F' p2)_12|^2). Noise of deviation sigma in all four
+    coordinates gives distances of deviation sigma.
     """
     products, *gradients = epipolar_terms(F.ravel(), *p1_px.T, *p2_px.T)
     return np.asarray(products / np.linalg.norm(np.stack(gradients), axis=0))
@@ -152,38 +105,15 @@ def sampson_distance(F: Matrix, p1_px: Matrix, p2_px: Matrix) -> Matrix:
 def sampson_derivative(
     F: Matrix, dF: Matrix, p1_px: Matrix, p2_px: Matrix, dp2_px: Matrix
 ) -> Matrix:
-    """Differentiate `sampson_distance`, with F and p2 moving at the rates dF and dp2.
-
-    Parameters
-    ----------
-    F, dF
-        Shape (3, 3).
-    p1_px, p2_px, dp2_px
-        Shape (N, 2) [px].
-
-    Returns
-    -------
-    NDArray[np.float64]
-        Shape (N,) [px per unit of the parameter].
-    """
+    """Differentiate `sampson_distance` (N,), with F and p2 moving at the rates dF and dp2."""
     points = (np.ascontiguousarray(points_px) for points_px in (p1_px, p2_px, dp2_px))
     return np.asarray(_derivatives(F.ravel(), dF.ravel(), *points))
 
 
 def sampson_gradient(F: Matrix, p1_px: Matrix, p2_px: Matrix) -> Matrix:
-    """Differentiate `sampson_distance` by the entries of F, with p1 and p2 at rest.
+    """Differentiate `sampson_distance` by the entries of F: (N, 3, 3).
 
-    Parameters
-    ----------
-    F
-        Shape (3, 3).
-    p1_px, p2_px
-        Pairs, shape (N, 2) [px].
-
-    Returns
-    -------
-    NDArray[np.float64]
-        Shape (N, 3, 3): its sum with dF over both indices is `sampson_derivative` by dF.
+    Its sum with dF over both indices is `sampson_derivative` by dF.
     """
     points = (np.ascontiguousarray(points_px) for points_px in (p1_px, p2_px))
     return np.asarray(_by_entries(F.ravel(), *points))
@@ -196,7 +126,6 @@ _terms: Callable[..., tuple[float, float, float, float, float]] = numba.njit(cac
 
 @numba.njit(cache=True, error_model="numpy")  # no line at an epipole: NaN, not an exception
 def _derivatives(f: Matrix, df: Matrix, p1: Matrix, p2: Matrix, dp2: Matrix) -> Matrix:
-    """As `sampson_derivative`, of F and dF (9,) row by row: one pass, without other arrays."""
     found = np.empty(len(p1))
     for i in range(len(p1)):
         u1, v1, u2, v2, du2, dv2 = p1[i, 0], p1[i, 1], p2[i, 0], p2[i, 1], dp2[i, 0], dp2[i, 1]
@@ -213,7 +142,6 @@ def _derivatives(f: Matrix, df: Matrix, p1: Matrix, p2: Matrix, dp2: Matrix) -> 
 
 @numba.njit(cache=True, error_model="numpy")
 def _by_entries(f: Matrix, p1: Matrix, p2: Matrix) -> Matrix:
-    """As `sampson_gradient`, of F (9,) row by row."""
     found = np.empty((len(p1), 3, 3))
     for i in range(len(p1)):
         u1, v1, u2, v2 = p1[i, 0], p1[i, 1], p2[i, 0], p2[i, 1]

@@ -1,10 +1,11 @@
-"""Point pairs with outliers in, F out: LMedS as in the paper, and two alternatives.
+"""The fundamental matrix of point pairs with outliers: LMedS as in the paper, two alternatives.
 
 Deviation: the paper names LMedS only, and its sample uses OpenCV's. That one stops at about 450
 trials (at confidence 0.999), whatever number it is asked for, and returns the seven-point solution
 of its best trial, which makes d_avg a jagged curve. Here every trial asked for is made, with eight
 pairs, whose solution is linear, and the best one starts the reweighted least squares with which
-Rousseeuw's LMedS ends.
+Rousseeuw's LMedS ends. Of most subsets a quick F, found for many of them side by side by vector
+instructions, tells that they are not the best; where it leaves a doubt, the subset is solved alone.
 """
 
 from collections.abc import Callable
@@ -19,11 +20,8 @@ from ssac.geometry.epipolar import CAUCHY, TO_DEVIATION, epipolar_terms, fundame
 
 Matrix = NDArray[np.float64]
 
-_RANK_TOLERANCE = 1e-12  # on coordinates of order 1
 _BLOCK = 64  # pairs counted between two looks at the count: enough for vector instructions
 _SIDE_BY_SIDE = 32  # subsets: enough for vector instructions, and few enough for the nearest cache
-_LEAST_PIVOT = 1e-6  # of a quick F good to 1e-8, and so are its distances
-_WIDER, _FLOOR = 1.0 + 1e-4, 1e-12  # limit of a quick squared distance: more than those errors make
 
 
 @numba.njit(cache=True)
@@ -34,10 +32,12 @@ def best_subset(x1: Matrix, x2: Matrix, uniform: Matrix) -> Matrix:
     """
     n = x1.shape[1]
     middle = n // 2
+    least_pivot = 1e-6  # of a quick F good to 1e-8, and so are its distances
+    wider, floor = 1.0 + 1e-4, 1e-12  # of a squared distance: more than those errors make
     subsets = np.empty((_SIDE_BY_SIDE, 8), np.int64)
     systems, solutions = np.empty((8, 9, _SIDE_BY_SIDE)), np.ones((9, _SIDE_BY_SIDE))
     least_pivots, work = np.empty(_SIDE_BY_SIDE), np.empty((2, _SIDE_BY_SIDE))
-    blocks = _in_blocks(x1, x2)
+    blocks = in_blocks(x1, x2)
     system = np.empty((8, 9))
     F, best_F = np.empty((3, 3)), np.zeros((3, 3))
     best_median = np.inf
@@ -48,15 +48,19 @@ def best_subset(x1: Matrix, x2: Matrix, uniform: Matrix) -> Matrix:
             _fill_in(x1, x2, subsets[m], systems, m)
         _solve_side_by_side(systems, solutions, least_pivots, work)
         for m in range(n_subsets):
-            limit = _WIDER * best_median + _FLOOR
-            if least_pivots[m] > _LEAST_PIVOT and not _may_have_smaller(
-                limit, solutions, m, n, blocks
+            limit = wider * best_median + floor
+            if (
+                least_pivots[m] > least_pivot
+                and count_near(limit, solutions[:, m], n, blocks, middle) <= middle
             ):
                 continue
             for row in range(8):
                 _monomials(x1, x2, subsets[m, row], system[row])
             # A count tells whether the median would be a new best; few need the median itself.
-            if _solve_null_vector(system, F) and _has_smaller_median(best_median, F, x1, x2):
+            if (
+                _solve_null_vector(system, F)
+                and count_near(best_median, F.ravel(), n, blocks, middle) > middle
+            ):
                 squares, _ = sampson(F, x1, x2)
                 best_median = np.sort(squares)[middle]
                 best_F[:] = F
@@ -77,7 +81,7 @@ def _draw(uniform: Matrix, n: int, subset: NDArray[np.int64]) -> None:
 
 
 @numba.njit(cache=True)
-def _in_blocks(x1: Matrix, x2: Matrix) -> Matrix:
+def in_blocks(x1: Matrix, x2: Matrix) -> Matrix:
     """Lay the pairs' coordinates (4, ...) side by side for each _BLOCK of them."""
     n = x1.shape[1]
     blocks = np.zeros((-(-n // _BLOCK), 4, _BLOCK))
@@ -101,12 +105,10 @@ def _fill_in(x1: Matrix, x2: Matrix, subset: NDArray[np.int64], systems: Matrix,
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz"})
 def _solve_side_by_side(A: Matrix, solutions: Matrix, least_pivots: Matrix, work: Matrix) -> None:
-    """Solve A f = 0 for f (9, M), the last entry 1, of M systems A (8, 9, M), which are used up.
-
-    By elimination, in which the larger of two rows takes the other's entry away: of both, whichever
-    it is, the same is done. Fills in the least pivots (M,): a small one is of an F whose last entry
-    is nearly 0, or of pairs that leave F open, and f is not to be relied on.
-    """
+    """Solve A f = 0 for f (9, M), the last entry 1, of M systems A (8, 9, M), which are used up."""
+    # By elimination, in which the larger of two rows takes the other's entry away: of both,
+    # whichever it is, the same is done. A small one of the least pivots (M,) is of an F whose last
+    # entry is nearly 0, or of pairs that leave F open, and f is not to be relied on.
     swapped, ratio = work[0], work[1]
     for k in range(8):
         pivot = A[k, k]
@@ -141,21 +143,20 @@ def _solve_side_by_side(A: Matrix, solutions: Matrix, least_pivots: Matrix, work
 
 
 @numba.njit(cache=True)
-def _may_have_smaller(limit: float, solutions: Matrix, m: int, n: int, blocks: Matrix) -> bool:
-    """As `_has_smaller_median`, of solution m and n pairs `_in_blocks`."""
-    f = (
-        *(solutions[0, m], solutions[1, m], solutions[2, m]),
-        *(solutions[3, m], solutions[4, m], solutions[5, m]),
-        *(solutions[6, m], solutions[7, m], solutions[8, m]),
-    )
+def count_near(limit: float, F: Matrix, n: int, blocks: Matrix, most: int) -> int:
+    """Count the n pairs of `in_blocks` with a squared Sampson distance below the limit.
+
+    Stops, at up to `most`, where the pairs left cannot bring the count above it.
+    """
+    f = _entries(F)
     count, left = 0, n
     for b in range(len(blocks)):
-        block, in_block = blocks[b], min(_BLOCK, left)
-        count += _count_in_block(limit, f, block[0], block[1], block[2], block[3], in_block)
-        left -= in_block
-        if count + left <= n // 2:
-            return False
-    return True
+        block, size = blocks[b], min(_BLOCK, left)
+        count += _count_in_block(limit, f, block[0], block[1], block[2], block[3], size)
+        left -= size
+        if count + left <= most:
+            return count
+    return count
 
 
 @numba.njit(cache=True, fastmath=True)
@@ -183,7 +184,7 @@ def sampson(F: Matrix, x1: Matrix, x2: Matrix) -> tuple[Matrix, Matrix]:
     """Squared Sampson distances (N,) and their squared denominators (N,)."""
     n = x1.shape[1]
     squares, squared_norms = np.empty(n), np.empty(n)
-    f = _entries(F)
+    f = _entries(F.ravel())
     for i in range(n):
         product, norm = _product_and_norm(f, x1[0, i], x1[1, i], x2[0, i], x2[1, i])
         squares[i], squared_norms[i] = product * product / norm, norm
@@ -191,46 +192,9 @@ def sampson(F: Matrix, x1: Matrix, x2: Matrix) -> tuple[Matrix, Matrix]:
 
 
 @numba.njit(cache=True)
-def _has_smaller_median(limit: float, F: Matrix, x1: Matrix, x2: Matrix) -> bool:
-    """Whether more than half of the pairs have a squared Sampson distance below the limit.
-
-    Stops as soon as so many pairs lie above it that the rest cannot turn the answer.
-    """
-    n = x1.shape[1]
-    count = 0
-    for first in range(0, n, _BLOCK):
-        last = min(first + _BLOCK, n)
-        count += _count_below(limit, F, x1, x2, first, last)
-        if count + n - last <= n // 2:
-            return False
-    return True
-
-
-@numba.njit(cache=True, fastmath=True)
-def _count_below(limit: float, F: Matrix, x1: Matrix, x2: Matrix, first: int, last: int) -> int:
-    """Pairs from `first` up to, not including, `last` with a squared distance below the limit.
-
-    F's entries and the rows of points are local variables, so that the loop compiles to vector
-    instructions: four times as fast.
-    """
-    f = _entries(F)
-    u1, v1 = x1[0, first:last], x1[1, first:last]
-    u2, v2 = x2[0, first:last], x2[1, first:last]
-    count = 0
-    for i in range(len(u1)):
-        product, norm = _product_and_norm(f, u1[i], v1[i], u2[i], v2[i])
-        count += product * product < limit * norm
-    return count
-
-
-@numba.njit(cache=True, fastmath=True)
-def _entries(F: Matrix) -> tuple[float, ...]:
-    """Put the entries of F (3, 3) in a tuple, row by row."""
-    return (
-        *(F[0, 0], F[0, 1], F[0, 2]),
-        *(F[1, 0], F[1, 1], F[1, 2]),
-        *(F[2, 0], F[2, 1], F[2, 2]),
-    )
+def _entries(f: Matrix) -> tuple[float, ...]:
+    """Put nine entries in a tuple, so that loops keep them in registers."""
+    return f[0], f[1], f[2], f[3], f[4], f[5], f[6], f[7], f[8]
 
 
 _terms: Callable[..., tuple[float, float, float, float, float]] = numba.njit(
@@ -249,19 +213,17 @@ def _product_and_norm(
 
 @numba.njit(cache=True, fastmath=True)
 def _solve_null_vector(A: Matrix, F: Matrix) -> bool:
-    """Solve A f = 0 for f = F row by row, by Gaussian elimination of A (8, 9), row after row.
-
-    The pivot is the row's largest entry: columns are exchanged, so that the last one left, whose
-    unknown is set to 1, is never one that the others determine to be 0.
-    Overwrites A; returns False when A's rank is below 8.
-    """
+    """Solve A f = 0 for f = F row by row; False when the rank of A (8, 9), used up, is below 8."""
+    # By Gaussian elimination with the row's largest entry as pivot: columns are exchanged, so that
+    # the last one left, whose unknown is set to 1, is never one that the others determine to be 0.
+    rank_tolerance = 1e-12  # on coordinates of order 1
     order = np.arange(9)
     for k in range(8):
         row, pivot, largest = A[k], k, 0.0
         for j in range(k, 9):
             if abs(row[j]) > largest:
                 pivot, largest = j, abs(row[j])
-        if largest < _RANK_TOLERANCE:
+        if largest < rank_tolerance:
             return False
         if pivot != k:
             order[k], order[pivot] = order[pivot], order[k]
@@ -284,11 +246,7 @@ def _solve_null_vector(A: Matrix, F: Matrix) -> bool:
     return True
 
 
-MIN_PAIRS = 15
-"""Fewer pairs leave too little freedom beside F's seven for a median to mean anything."""
-
 _POLISH_ITERATIONS = 8
-_MAGSAC_THRESHOLD_PX = 1.0
 _NOT_YET = np.zeros((3, 3))  # an F
 _TWO_COORDINATES = ((0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2))  # of (u, v, 1)
 
@@ -296,19 +254,8 @@ _TWO_COORDINATES = ((0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2))  # of (u, v,
 def lmeds_fundamental(p1_px: Matrix, p2_px: Matrix, trials: int, seed: int = 0) -> Matrix:
     """F by least median of squares over Sampson distances, then reweighted least squares.
 
-    Parameters
-    ----------
-    p1_px, p2_px
-        Pairs, shape (N, 2) [px], N >= 8.
-    trials
-        Random subsets of eight pairs to try.
-    seed
-        Of the subsets; the same seed gives the same F.
-
-    Returns
-    -------
-    NDArray[np.float64]
-        F, shape (3, 3), rank 2; NaN when the pairs allow none, as those of an object at rest.
+    Of pairs (N, 2) [px], N >= 8, and as many random subsets of eight as there are trials; F has
+    rank 2, and is NaN when the pairs allow none, as those of an object at rest.
     """
     x1, x2, T1, T2 = _normalised(p1_px, p2_px)
     F = best_subset(x1, x2, _uniform(trials, seed))
@@ -364,23 +311,11 @@ def second_best(p1_px: Matrix, p2_px: Matrix) -> float:
 def magsac_fundamental(p1_px: Matrix, p2_px: Matrix, K1: Matrix, K2: Matrix) -> Matrix:
     """F of the essential matrix that OpenCV's MAGSAC++ finds, with the help of the intrinsics.
 
-    Parameters
-    ----------
-    p1_px, p2_px
-        Pairs, shape (N, 2) [px], N >= 8.
-    K1, K2
-        Intrinsics, shape (3, 3) [px].
-
-    Returns
-    -------
-    NDArray[np.float64]
-        F, shape (3, 3), rank 2; NaN when MAGSAC++ finds no model.
+    NaN when it finds none.
     """
     focal_px = np.sqrt(K1[0, 0] * K2[0, 0])
     x1, x2 = (cv2.undistortPoints(p[:, None], K, None)[:, 0] for p, K in ((p1_px, K1), (p2_px, K2)))
-    E, _ = cv2.findEssentialMat(
-        x1, x2, np.eye(3), cv2.USAC_MAGSAC, 0.999, _MAGSAC_THRESHOLD_PX / focal_px
-    )
+    E, _ = cv2.findEssentialMat(x1, x2, np.eye(3), cv2.USAC_MAGSAC, 0.999, 1.0 / focal_px)
     if E is None or E.shape != (3, 3):
         return np.full((3, 3), np.nan)
     return fundamental_from_essential(E.astype(np.float64), K1, K2)
@@ -419,10 +354,7 @@ def _normalised(p1_px: Matrix, p2_px: Matrix) -> tuple[Matrix, Matrix, Matrix, M
 
 @numba.njit(cache=True, error_model="numpy")
 def _reweighted(x1: Matrix, x2: Matrix, F: Matrix, iterations: int = _POLISH_ITERATIONS) -> Matrix:
-    """Iterate the weighted eight-point fit with Sampson and Cauchy weights, starting from F.
-
-    An F of zeros stands for the fit that weighs all pairs alike.
-    """
+    """Iterate the weighted eight-point fit with Sampson and Cauchy weights, from F if not zero."""
     if not F.any():
         F = _eight_point(x1, x2, np.ones(x1.shape[1]))
     for _ in range(iterations):
@@ -444,11 +376,9 @@ def _eight_point(x1: Matrix, x2: Matrix, weights: Matrix) -> Matrix:
 
 @numba.njit(cache=True, fastmath=True)
 def _moments(x1: Matrix, x2: Matrix, weights: Matrix) -> Matrix:
-    """Weighted sums (9, 9) of the products of two monomials, the lower triangle that eigh reads.
-
-    Such a product is one of two coordinates of x2 times one of two coordinates of x1, the third
-    coordinate being 1: six times six sums, each over whole arrays.
-    """
+    """Weighted sums (9, 9) of the products of two monomials, the lower triangle that eigh reads."""
+    # Such a product is one of two coordinates of x2 times one of two coordinates of x1, the third
+    # coordinate being 1: six times six sums, each over whole arrays.
     n = len(weights)
     products_1, products_2 = np.empty((6, n)), np.empty((6, n))
     for i in range(n):

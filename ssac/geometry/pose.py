@@ -1,4 +1,4 @@
-"""Fundamental matrix and point pairs in, relative pose (R, t) out, with t up to its length.
+"""Relative poses (R, t) of two cameras, t up to its length, and the pencil of epipolar planes.
 
 Small changes of a pose are given by five numbers [rad]: a rotation vector w (3) that turns R into
 exp([w]x) R, and two coordinates of t's change along the rows of `tangent_basis(t)`.
@@ -20,15 +20,11 @@ from ssac.geometry.epipolar import (
     sampson_distance,
     sampson_gradient,
 )
-from ssac.geometry.fundamental import MIN_PAIRS, reweighted_fundamental
+from ssac.geometry.fundamental import reweighted_fundamental
+from ssac.rules import SearchRules
 
 Array = NDArray[np.float64]
-
-MIN_IN_FRONT = 0.75
-"""A pose that puts a smaller share of the pairs in front of both cameras is refused."""
-
-_MAX_ITERATIONS = 10
-_LAST_STEP = 1e-7  # [rad]
+Pose = tuple[Array, Array]  # R (3, 3) and t (3,) of length 1
 
 
 @dataclass(frozen=True)
@@ -46,21 +42,9 @@ def pose_from_fundamental(
     """Decompose F, and choose the pose for which most points lie in front of both cameras.
 
     A pair that satisfies the epipolar constraint lies in front of both cameras for exactly one of
-    the four poses, so a share `in_front` far from 1 says that the pairs disagree about the pose.
-
-    Parameters
-    ----------
-    F
-        Shape (3, 3), p2' F p1 = 0.
-    K1, K2
-        Intrinsics, shape (3, 3) [px].
-    p1_px, p2_px
-        Pairs, shape (N, 2) [px], N >= 1, undistorted.
-
-    Returns
-    -------
-    RelativePose
-        Of the closest true essential matrix: E's two singular values are made equal.
+    the four poses, so a share `in_front` far from 1 says that the pairs, at least one, disagree
+    about the pose. It is that of the closest true essential matrix: E's two singular values are
+    made equal.
     """
     U, _, Vt = np.linalg.svd(essential_from_fundamental(F, K1, K2))
     W = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
@@ -83,24 +67,17 @@ def nearest_pose(
     F has two degrees of freedom more than a pose, so the two are never equal. Noise in F is far
     from even over its entries, and `pose_from_fundamental` weighs them all alike; here the mean
     squared difference between the Sampson distances under the pose and under F is made least.
-
-    Parameters
-    ----------
-    pose
-        From `pose_from_fundamental`.
-    F, K1, K2, p1_px, p2_px
-        As for `pose_from_fundamental`.
     """
     target = sampson_distance(F, p1_px, p2_px)
     start = sampson_distance(fundamental_from_pose(K1, K2, pose.R, pose.t), p1_px, p2_px)
     target = target * np.sign(target @ start)  # F's sign is free
     R, t = pose.R, pose.t
-    for _ in range(_MAX_ITERATIONS):
+    for _ in range(10):
         distances = sampson_distance(fundamental_from_pose(K1, K2, R, t), p1_px, p2_px)
         jacobian = pose_jacobian(R, t, K1, K2, p1_px, p2_px)
         step = np.linalg.lstsq(jacobian, target - distances)[0]
         R, t = moved_pose(R, t, step)
-        if np.linalg.norm(step) < _LAST_STEP:
+        if np.linalg.norm(step) < 1e-7:  # [rad]
             break
     return replace(pose, R=R, t=t)
 
@@ -144,18 +121,8 @@ def _cross(a: Array, b: Array) -> Array:
 def depths(R: Array, t: Array, rays1: Array, rays2: Array) -> tuple[Array, Array]:
     """Depths along rays of the points where they pass closest to each other.
 
-    Parameters
-    ----------
-    R, t
-        Shapes (3, 3) and (3,): x2 = R x1 + t.
-    rays1, rays2
-        Directions in each camera's own frame, shape (N, 3), with z = 1.
-
-    Returns
-    -------
-    tuple of NDArray[np.float64]
-        Depths (N,) in camera 1 and camera 2, in units of t; negative behind the camera, infinite or
-        NaN for parallel rays.
+    Rays (N, 3) have z = 1 in each camera's own frame; depths (N,) in camera 1 and camera 2 are in
+    units of t, negative behind the camera, infinite or NaN for parallel rays.
     """
     turned = rays1 @ R.T
     normals = np.cross(turned, rays2)
@@ -177,19 +144,12 @@ def rays_of(K: Array, p_px: Array) -> Array:
     return np.column_stack([p_px, np.ones(len(p_px))]) @ np.linalg.inv(K).T
 
 
-Pose = tuple[Array, Array]  # R (3, 3) and t (3,) of length 1
-
-_LEAST_SHIFT = 1e-9  # a homography of less is that of a turn without a baseline
-_RANSAC_PX = 1.0
-_RANSAC_SEED = 1
-
-
-def possible_poses(p1_px: Array, p2_px: Array, rig: Rig) -> list[Pose]:
+def possible_poses(p1_px: Array, p2_px: Array, rig: Rig, rules: SearchRules) -> list[Pose]:
     """Poses that the pairs may have, of F, of E and of a homography; the best fit comes first.
 
     None where the pairs are too few, or those of an object at rest.
     """
-    if len(p1_px) < MIN_PAIRS:
+    if len(p1_px) < rules.min_pairs:
         return []
     K1, K2 = rig.cam1.K, rig.cam2.K
     F = reweighted_fundamental(p1_px, p2_px)
@@ -198,14 +158,14 @@ def possible_poses(p1_px: Array, p2_px: Array, rig: Rig) -> list[Pose]:
     of_F = pose_from_fundamental(F, K1, K2, p1_px, p2_px)
     poses: list[Pose] = [(of_F.R, of_F.t)]
     x1, x2 = rays_of(K1, p1_px), rays_of(K2, p2_px)
-    cv2.setRNGSeed(_RANSAC_SEED)  # or two calls give two results
-    threshold = _RANSAC_PX / float(np.sqrt(K1[0, 0] * K2[0, 0]))
+    cv2.setRNGSeed(1)  # or two calls give two results
+    threshold = 1.0 / float(np.sqrt(K1[0, 0] * K2[0, 0]))
     E, _ = cv2.findEssentialMat(x1[:, :2], x2[:, :2], np.eye(3), cv2.USAC_MAGSAC, 0.999, threshold)
     if E is not None and E.shape == (3, 3):
         _, R, t, _ = cv2.recoverPose(E, x1[:, :2], x2[:, :2], np.eye(3))
         poses.append((np.asarray(R, dtype=np.float64), np.asarray(t, dtype=np.float64)[:, 0]))
     poses += homography_poses(x1, x2)[1]
-    poses = [(R, t) for R, t in poses if share_in_front(R, t, x1, x2) >= MIN_IN_FRONT]
+    poses = [(R, t) for R, t in poses if share_in_front(R, t, x1, x2) >= rules.min_in_front]
 
     def distance_px(pose: Pose) -> float:
         F = fundamental_from_pose(K1, K2, *pose)
@@ -228,7 +188,7 @@ def homography_poses(x1: Array, x2: Array) -> tuple[float, list[Pose]]:
     for turn, shift in zip(turns, shifts, strict=True):
         R, t = np.asarray(turn, dtype=np.float64), np.asarray(shift, dtype=np.float64)[:, 0]
         length = np.linalg.norm(t)
-        if length > _LEAST_SHIFT:
+        if length > 1e-9:  # less is that of a turn without a baseline
             poses += [(R, t / length), (R, -t / length)]
     return float(np.median(distances)), poses
 

@@ -7,16 +7,15 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from ssac.camera import Rig, known_pose
+from ssac.camera import known_pose
 from ssac.estimate import Estimate, Refusal, Status
 from ssac.geometry.epipolar import cauchy_weights, epipolar_distance, fundamental_from_pose
 from ssac.geometry.fundamental import (
-    MIN_PAIRS,
     lmeds_fundamental,
     magsac_fundamental,
     reweighted_fundamental,
 )
-from ssac.geometry.pose import MIN_IN_FRONT, nearest_pose, pose_from_fundamental
+from ssac.geometry.pose import nearest_pose, pose_from_fundamental
 from ssac.methods.method import method
 from ssac.methods.verdict import offset_estimate, refused
 from ssac.search.observability import (
@@ -40,11 +39,6 @@ from ssac.search.view import View
 
 Array = NDArray[np.float64]
 
-_STRETCH_S = 0.5  # residuals of two such stretches are taken as independent
-_LINE_ITERATIONS = 8
-_LAST_LINE_SHIFT_S = 1e-6
-_ALL_OF_THE_POSE = np.eye(6)[1:]
-
 
 @dataclass(frozen=True)
 class _Line:
@@ -58,22 +52,16 @@ class _Line:
 
 
 def straight_path(method: str, views: TwoViews, lines: tuple[View, View]) -> Estimate:
-    """Time offset of an object on a straight line; its pose is open.
+    """Time offset of an object on a straight line in both views; its pose is open.
 
-    Parameters
-    ----------
-    method
-        Name for the estimate.
-    views
-        Both views.
-    lines
-        The same summed up, and straight.
-
-    Returns
-    -------
-    Estimate
-        "degenerate_pose" with `t_d_s` and `t_d_std_s`, or why there is no offset either.
+    A line in space leaves the epipolar constraint nothing to say: F = l2 a' + b l1' takes every
+    point of the track's line l1 to the line l2, at any offset. But the two images of the line are
+    related by a projectivity of one dimension, s2(t + t_d) = (a s1(t) + b) / (c s1(t) + 1) with the
+    distances s along the lines, and that holds at the true offset only, as long as the speed
+    varies: at a uniform speed position is itself a projectivity of time, and so is any delayed one.
+    The estimate is "degenerate_pose" with an offset, or says why there is none either.
     """
+    config, rules = views.config, views.config.rules.search
 
     def cost_px(t_d_s: Array) -> Array:
         sampled = (_sampled(lines, views, offset_s) for offset_s in t_d_s)
@@ -82,16 +70,18 @@ def straight_path(method: str, views: TwoViews, lines: tuple[View, View]) -> Est
     candidates_s = candidate_offsets(views)
     search = (
         exhaustive_search(cost_px, candidates_s)
-        if views.config.exhaustive
-        else coarse_to_fine_search(cost_px, cost_px, candidates_s, coarsest_step(lines))
+        if config.exhaustive
+        else coarse_to_fine_search(
+            cost_px, cost_px, candidates_s, coarsest_step(lines, rules), rules
+        )
     )
     estimate = offset_estimate(method, search, views)
     if estimate.status != Status.OK:
         return estimate
-    found = valleys(estimate.candidates_s, estimate.costs, estimate.t_d_s)
+    found = valleys(estimate.candidates_s, estimate.costs, estimate.t_d_s, rules)
     misfit_px = float(cost_px(np.array([estimate.t_d_s]))[0])
-    refusal = no_match(misfit_px, views.object_px) or ambiguous_offset(
-        found, views.config.max_valley_s
+    refusal = no_match(misfit_px, views.object_px, rules) or ambiguous_offset(
+        found, config.max_valley_s
     )
     if refusal is not None:
         return refused(estimate, refusal, found)
@@ -103,7 +93,7 @@ def straight_path(method: str, views: TwoViews, lines: tuple[View, View]) -> Est
         " from its speed along the line",
         t_d_s=t_d_s,
         t_d_std_s=std_s,
-        unobservable=_ALL_OF_THE_POSE,
+        unobservable=np.eye(6)[1:],
         n_samples=n_samples,
         d_avg_px=misfit_px,
     )
@@ -112,7 +102,7 @@ def straight_path(method: str, views: TwoViews, lines: tuple[View, View]) -> Est
 def _sampled(lines: tuple[View, View], views: TwoViews, t_d_s: float) -> _Line | None:
     """Sample the valid pairs' positions along the lines; None when they are too few."""
     pairs = views.pairs_at(t_d_s)
-    if len(pairs) < MIN_PAIRS:
+    if len(pairs) < views.config.rules.search.min_pairs:
         return None
     scale_px = float(np.hypot(lines[0].length_px, lines[1].length_px))
     velocities = views.motion2.velocities_at(views.on_clock_2(pairs.times_s, t_d_s))
@@ -131,7 +121,7 @@ def _fitted(line: _Line) -> Array:
     system = np.column_stack([x, np.ones(len(x)), -x * y])  # y = a x + b - c x y
     weights: Array = np.ones(len(x))
     fitted: Array = np.zeros(3)
-    for _ in range(_LINE_ITERATIONS):
+    for _ in range(8):
         fitted = np.asarray(np.linalg.lstsq(system * weights[:, None], y * weights)[0], np.float64)
         residuals, norms = _residuals(fitted, x, y)
         weights = np.sqrt(cauchy_weights(residuals)[0]) / norms
@@ -151,13 +141,9 @@ def _misfit_px(line: _Line) -> float:
 
 
 def _refined(lines: tuple[View, View], views: TwoViews, t_d_s: float) -> tuple[float, float, int]:
-    """Refine t_d and the projectivity together; t_d and its deviation [s], and the pairs.
-
-    The deviation is from the gradients' sums over stretches of time, as residuals within one are
-    not independent.
-    """
+    """Refine t_d and the projectivity together; t_d and its deviation [s], and the pairs."""
     std_s, n_pairs = np.nan, 0
-    for _ in range(_LINE_ITERATIONS):
+    for _ in range(8):
         line = _sampled(lines, views, t_d_s)
         if line is None:
             break
@@ -171,22 +157,20 @@ def _refined(lines: tuple[View, View], views: TwoViews, t_d_s: float) -> tuple[f
         inverse = np.linalg.pinv(jacobian.T @ (weights[:, None] * jacobian))
         gradients = jacobian * (weights * residuals)[:, None]
         shift_s = -float((inverse @ np.sum(gradients, axis=0))[0])
-        stretches = np.unique(np.floor(line.times_s / _STRETCH_S), return_inverse=True)[1]
+        # By the gradients' sums over stretches of 0.5 s, which are taken as independent.
+        stretches = np.unique(np.floor(line.times_s / 0.5), return_inverse=True)[1]
         sums = np.zeros((stretches.max() + 1, 4))
         np.add.at(sums, stretches, gradients)
         freedom = max(len(sums) - 4, 1)
         variance = (inverse @ sums.T @ sums @ inverse)[0, 0] * len(sums) / freedom
         std_s = float(np.sqrt(variance))
         t_d_s += shift_s
-        if abs(shift_s) < _LAST_LINE_SHIFT_S:
+        if abs(shift_s) < 1e-6:
             break
     return t_d_s, std_s, n_pairs
 
 
 Fit = Callable[[Array, Array], Array]  # pairs p1, p2 (n, 2) [px] -> F (3, 3)
-
-MIN_PAIRS_OF_FIT = 30
-"""Pairs at the offset found, when F is fitted to them: about four for each of its 7 parameters."""
 
 _NO_FIT = Refusal(
     Status.NO_MATCH,
@@ -206,27 +190,15 @@ _NO_FIT = Refusal(
 def algorithm_1(views: TwoViews) -> Estimate:
     """Time offset with the extrinsics of the rig: the paper's Algorithm 1.
 
-    Parameters
-    ----------
-    views
-        Both views, whose pose is known.
-
-    Returns
-    -------
-    Estimate
-        With status "ok", or "no_common_time", "too_few_samples", "search_bound", "no_match" or
-        "ambiguous_offset".
-
-    Raises
-    ------
-    SsacError
-        If the rig has no `T_2_1`.
+    The status is "ok", or "no_common_time", "too_few_samples", "search_bound", "no_match" or
+    "ambiguous_offset". SsacError where the rig has no `T_2_1`.
     """
+    min_pairs = views.config.rules.search.min_pairs
     R, t = known_pose(views.rig)
     F = fundamental_from_pose(views.rig.cam1.K, views.rig.cam2.K, R, t)
 
     def d_avg_px(t_d_s: Array) -> Array:  # lines 2 to 8, for all candidates at once
-        return mean_epipolar_distance(F, views.pairs(t_d_s), MIN_PAIRS)
+        return mean_epipolar_distance(F, views.pairs(t_d_s), min_pairs)
 
     search = _search(d_avg_px, d_avg_px, views)  # lines 1 and 10
     estimate = offset_estimate("ssac-known", search, views)
@@ -251,16 +223,18 @@ def algorithm_2(views: TwoViews) -> Estimate:
     or "ambiguous_pose" or "degenerate_pose", with an offset that holds but without R and t.
     """
     config, (view1, view2) = views.config, views.views
+    rules = config.rules.search
     if view1 is not None and view2 is not None and view1.is_straight and view2.is_straight:
         return straight_path("ssac", views, (view1, view2))
 
     def d_avg_px(fit: Fit, n_samples: int, t_d_s: Array) -> Array:  # lines 2 to 9
         pairs = views.pairs(t_d_s, n_samples)
-        return np.array([_d_avg_of_fit(fit, *pairs.valid_positions(m)) for m in range(len(t_d_s))])
+        of_each = map(pairs.valid_positions, range(len(t_d_s)))
+        return np.array([_d_avg_of_fit(fit, p1, p2, rules.min_pairs) for p1, p2 in of_each])
 
     robust_fit = partial(_robust_fit, views=views, trials=config.trials)
     search = _search(  # lines 1 and 10; half the samples are enough to find the valley
-        partial(d_avg_px, reweighted_fundamental, max(config.n_samples // 2, MIN_PAIRS)),
+        partial(d_avg_px, reweighted_fundamental, max(config.n_samples // 2, rules.min_pairs)),
         partial(d_avg_px, robust_fit, config.n_samples),
         views,
     )
@@ -269,7 +243,7 @@ def algorithm_2(views: TwoViews) -> Estimate:
         return estimate
     pairs = views.pairs_at(estimate.t_d_s)
     p1, p2 = pairs.points_px
-    refusal = _too_few_for_fit(len(pairs)) or too_little_motion(
+    refusal = _too_few_for_fit(len(pairs), rules.min_pairs_of_pose) or too_little_motion(
         views.swings(pairs), config.min_swings
     )
     if refusal is not None:
@@ -280,18 +254,18 @@ def algorithm_2(views: TwoViews) -> Estimate:
     estimate = _checked_search(with_fit(estimate, F, p1, p2), views)
     if estimate.status != Status.OK:
         return estimate
-    refusal = open_fundamental(p1, p2)
+    refusal = open_fundamental(p1, p2, rules)
     if refusal is not None:
         return replace(estimate, status=refusal.status, reason=refusal.reason)
-    return with_pose(estimate, F, views.rig, p1, p2)  # line 11
+    return with_pose(estimate, F, views, p1, p2)  # line 11
 
 
 def _search(coarse_cost: Cost, cost: Cost, views: TwoViews) -> OffsetSearch:
-    candidates_s = candidate_offsets(views)
+    candidates_s, rules = candidate_offsets(views), views.config.rules.search
     if views.config.exhaustive:
         return exhaustive_search(cost, candidates_s)
-    coarsest = coarsest_step(views.views)
-    return coarse_to_fine_search(coarse_cost, cost, candidates_s, coarsest, views.returns_s)
+    coarsest = coarsest_step(views.views, rules)
+    return coarse_to_fine_search(coarse_cost, cost, candidates_s, coarsest, rules, views.returns_s)
 
 
 def _robust_fit(p1_px: Array, p2_px: Array, views: TwoViews, trials: int) -> Array:
@@ -301,30 +275,31 @@ def _robust_fit(p1_px: Array, p2_px: Array, views: TwoViews, trials: int) -> Arr
     return lmeds_fundamental(p1_px, p2_px, trials, views.config.seed)
 
 
-def _d_avg_of_fit(fit: Fit, p1_px: Array, p2_px: Array) -> float:
+def _d_avg_of_fit(fit: Fit, p1_px: Array, p2_px: Array, min_pairs: int) -> float:
     """d_avg [px] of Eq. 4 with the F fitted to these pairs; NaN when they are too few."""
-    if len(p1_px) < MIN_PAIRS:
+    if len(p1_px) < min_pairs:
         return np.nan
     return float(np.mean(epipolar_distance(fit(p1_px, p2_px), p1_px, p2_px)))
 
 
 def _checked_search(estimate: Estimate, views: TwoViews) -> Estimate:
     """Refuse an offset at which the views do not match, or that others rival."""
-    found = valleys(estimate.candidates_s, estimate.costs, estimate.t_d_s)
+    rules = views.config.rules.search
+    found = valleys(estimate.candidates_s, estimate.costs, estimate.t_d_s, rules)
     # Of a path that leaves F open the final F may be a bad one, though others fit.
     distance_px = min(estimate.d_avg_px, float(np.nanmin(estimate.costs)))
-    refusal = no_match(distance_px, views.object_px) or ambiguous_offset(
+    refusal = no_match(distance_px, views.object_px, rules) or ambiguous_offset(
         found, views.config.max_valley_s
     )
     return estimate if refusal is None else refused(estimate, refusal, found)
 
 
-def _too_few_for_fit(n_pairs: int) -> Refusal | None:
-    if n_pairs >= MIN_PAIRS_OF_FIT:
+def _too_few_for_fit(n_pairs: int, needed: int) -> Refusal | None:
+    if n_pairs >= needed:
         return None
     return Refusal(
         Status.TOO_FEW_SAMPLES,
-        f"{n_pairs} sample times are valid in both views at the best offset: {MIN_PAIRS_OF_FIT}"
+        f"{n_pairs} sample times are valid in both views at the best offset: {needed}"
         " are needed to find the pose as well",
     )
 
@@ -335,7 +310,9 @@ def with_fit(estimate: Estimate, F: Array, p1_px: Array, p2_px: Array) -> Estima
     return replace(estimate, F=F / np.linalg.norm(F), n_samples=len(p1_px), d_avg_px=d_avg_px)
 
 
-def with_pose(estimate: Estimate, F: Array, rig: Rig, p1_px: Array, p2_px: Array) -> Estimate:
+def with_pose(
+    estimate: Estimate, F: Array, views: TwoViews, p1_px: Array, p2_px: Array
+) -> Estimate:
     """Add the pose that F gives, or the status "ambiguous_pose", to the estimate.
 
     Deviation: the paper does not say how F, which noise keeps from giving a true essential matrix,
@@ -343,12 +320,13 @@ def with_pose(estimate: Estimate, F: Array, rig: Rig, p1_px: Array, p2_px: Array
     `nearest_pose`. Over 10 flights of 20 s at 30 deg the mean error of t is 0.32 deg with it and
     0.69 deg without; at 90 deg 0.19 and 0.23.
     """
-    K1, K2 = rig.cam1.K, rig.cam2.K
+    K1, K2 = views.rig.cam1.K, views.rig.cam2.K
+    least = views.config.rules.search.min_in_front
     pose = pose_from_fundamental(F, K1, K2, p1_px, p2_px)
-    if pose.in_front < MIN_IN_FRONT:
+    if pose.in_front < least:
         reason = (
             f"only {100 * pose.in_front:.0f} % of the pairs lie in front of both cameras with the"
-            f" best of the four poses; {100 * MIN_IN_FRONT:.0f} % are needed"
+            f" best of the four poses; {100 * least:.0f} % are needed"
         )
         return replace(estimate, status=Status.AMBIGUOUS_POSE, reason=reason)
     pose = nearest_pose(pose, F, K1, K2, p1_px, p2_px)

@@ -1,4 +1,4 @@
-"""What may be known of two clocks and shutters beforehand in; columns and priors of the fit out.
+"""What is found of camera 2's clock beside its offset: a skew, strays between knots, a jump.
 
 The offset is the solver's own parameter. Beside it camera 2's clock may have a skew and, as pieces,
 strays that are linear between knots some 5 s apart. Their roughness is the change of the skew from
@@ -33,15 +33,10 @@ from ssac.fit.least_squares import (
 from ssac.geometry.epipolar import CAUCHY, robust_deviation
 from ssac.methods.algorithms import algorithm_1, algorithm_2
 from ssac.methods.verdict import refused
+from ssac.rules import ClockRules
 from ssac.search.two_views import Shutters, TwoViews, shutters_of
 
 Array = NDArray[np.float64]
-
-PIECE_S = 5.0
-"""Length of a piece of a clock."""
-
-_MAX_PIECES = 40
-_HELD_S = 1e-6  # deviation of a readout that is held at a bound
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +46,7 @@ class ClockModel:
     t_ref_s: float  # camera 1's clock
     half_s: float  # length of half the common time
     deviations: Array  # (m,) of what is known of each beforehand
+    rules: ClockRules
     knots_s: Array = field(default_factory=lambda: np.empty(0))  # (k,)
     modes: Array = field(default_factory=lambda: np.empty((0, 0)))  # (k, m - 1) strays by one
     shutters: Shutters = field(default_factory=Shutters)
@@ -99,12 +95,7 @@ class ClockModel:
     ) -> Problem:
         """Add clock and shutters to a problem of pairs that were sampled with those of parameters.
 
-        Parameters
-        ----------
-        pairs, parameters, problem
-            The pairs, with what they were sampled, and what they are part of.
-        views
-            As `views` gives them for the parameters.
+        The views are those that `views` gives for the parameters.
         """
         values = self.values(parameters)
         columns = tuple(
@@ -120,7 +111,7 @@ class ClockModel:
 
     def solve(self, problem: Problem, start: Parameters) -> Solution:
         """Solve a problem with readouts that are not beyond their bounds, but held at these."""
-        found, held = solve(problem, start), problem
+        found, held, held_s = solve(problem, start), problem, 1e-6
         for _ in self.shutters.cameras:
             values_s = self.readouts_s(found.parameters)
             bounds_s = self.shutters.within(values_s)
@@ -129,7 +120,7 @@ class ClockModel:
             if not beyond:
                 break
             priors = [
-                Prior(one.place, float(beyond[one.place]), _HELD_S) if one.place in beyond else one
+                Prior(one.place, float(beyond[one.place]), held_s) if one.place in beyond else one
                 for one in held.priors
             ]
             held = replace(held, priors=tuple(priors))
@@ -207,25 +198,20 @@ class ClockModel:
 def clock_model(views: TwoViews, start: Estimate) -> ClockModel:
     """Say what is to be found of both clocks, as the config asks for, and of shutters.
 
-    Parameters
-    ----------
-    views
-        Both views.
-    start
-        Its offset gives the common time, and so t_ref, unless it has one.
+    The start's offset gives the common time, and so t_ref, unless it has one.
     """
     (first_s,), (last_s,) = views.overlap_s(np.array([start.t_d_s]))
     half_s = 0.5 * float(last_s - first_s)
     t_ref_s = float(start.t_ref_s if np.isfinite(start.t_ref_s) else 0.5 * (first_s + last_s))
-    config = views.config
+    config, rules = views.config, views.config.rules.clock
     skew = np.array([PPM * config.prior_ppm] if config.prior_ppm > 0.0 else [])
-    n_pieces = int(min(np.rint(2.0 * half_s / PIECE_S), _MAX_PIECES))
+    n_pieces = int(min(np.rint(2.0 * half_s / rules.piece_s), rules.max_pieces))
     if config.clock != "pieces" or n_pieces < 2 or not len(skew):
-        return ClockModel(t_ref_s, half_s, skew, shutters=shutters_of(views))
+        return ClockModel(t_ref_s, half_s, skew, rules, shutters=shutters_of(views))
     knots_s: Array = np.linspace(t_ref_s - half_s, t_ref_s + half_s, n_pieces + 1, dtype=np.float64)
     modes, deviations = _modes(knots_s, config.roughness_ppm)
     deviations = np.append(skew, deviations)
-    return ClockModel(t_ref_s, half_s, deviations, knots_s, modes, shutters_of(views))
+    return ClockModel(t_ref_s, half_s, deviations, rules, knots_s, modes, shutters_of(views))
 
 
 def _modes(knots_s: Array, roughness_ppm: float) -> tuple[Array, Array]:
@@ -239,58 +225,37 @@ def _modes(knots_s: Array, roughness_ppm: float) -> tuple[Array, Array]:
     return rest @ axes * np.sqrt(k), PPM * roughness_ppm / np.sqrt(k * amounts)
 
 
-MIN_SIGMAS = 6.0
-"""A step is a jump from so many of its deviations on; in 80 ordinary flights it has 4.7 at most."""
-
-LESS_SIGMAS = 4.5
-"""The same where the fit's skew is `FAR` deviations of its prior or more: a jump bends it so."""
-
-FAR = 3.0
-
-MIN_SIZE_S = 0.002
-"""Smallest jump that is told: an object's bias makes smaller ones of its own."""
-
-_TRIED_STEP_S = 1.0  # between instants that are tried
-_MARGIN_S = 2.0  # from both ends: a bias does not average out in less
-_MAX_TRIED = 200
-_NEAR_S = 2.0  # of the best of these, the jump is looked for closely
-_ROUNDS = 3
-
-
 def checked_clock(
     estimate: Estimate, model: ClockModel, problem: Problem, parameters: Parameters
 ) -> Estimate:
-    """Refuse an estimate where camera 2's clock jumps.
+    """Refuse a refined estimate where camera 2's clock jumps, by its last problem and solution.
 
-    Parameters
-    ----------
-    estimate
-        Refined; returned as it is when no jump shows.
-    model
-        Of its clock.
-    problem, parameters
-        Its last one, and the solution.
+    A step of the offset is tried at every second: one more column of the same least squares, so
+    that neither the pose nor the skew, which a jump bends as well, hides it. Where the best one is
+    beyond chance it is solved for, and moved to the instant from which on the later offset fits
+    better.
     """
+    rules = model.rules
     problem = replace(problem, turn=CAUCHY)  # a jump is no outlier
-    at_s = _likely(problem, parameters)
+    at_s = _likely(problem, parameters, rules)
     if at_s is None:
         return estimate
-    with_step = problem
-    start = parameters
-    for _ in range(_ROUNDS):
+    with_step, start = problem, parameters
+    for _ in range(3):
         with_step = _stepped(problem, at_s)
         found = solve(with_step, start).parameters
         start = replace(found, columns=np.append(found.columns[:-1], 0.0))
-        moved_to_s = _instant(with_step, found, at_s)
+        moved_to_s = _instant(with_step, found, at_s, rules)
         if moved_to_s == at_s:
             break
         at_s = moved_to_s
     size_s = float(found.columns[-1])
     covariance = covariance_of(with_step, linearise(with_step, found))
     std_s = float(np.sqrt(covariance[-1, -1]))
-    is_far = abs(estimate.skew_ppm) * PPM >= FAR * np.min(model.deviations[:1], initial=np.inf)
-    least = LESS_SIGMAS if is_far else MIN_SIGMAS
-    if abs(size_s) < max(MIN_SIZE_S, least * std_s):
+    far = rules.far_sigmas * np.min(model.deviations[:1], initial=np.inf)
+    is_far = abs(estimate.skew_ppm) * PPM >= far
+    least = rules.fewer_sigmas if is_far else rules.jump_sigmas
+    if abs(size_s) < max(rules.min_jump_s, least * std_s):
         return estimate
     before_s = float(model.clock(found).cam2_from_cam1(at_s)) - at_s
     jump = ClockJump(at_s, size_s, std_s, before_s, before_s + size_s)
@@ -303,17 +268,16 @@ def checked_clock(
     return replace(refused(estimate, Refusal(Status.CLOCK_JUMP, reason)), jump=jump)
 
 
-def _likely(problem: Problem, parameters: Parameters) -> float | None:
-    """Find the instant [s] where a step tells most; None where it would be no jump in any case.
-
-    Errors that are correlated in time make a step's deviation larger than it is taken for here.
-    """
+def _likely(problem: Problem, parameters: Parameters, rules: ClockRules) -> float | None:
+    """Find the instant [s] where a step tells most; None where it would be no jump in any case."""
+    # Errors that are correlated in time make a step's deviation larger than it is taken for here.
     residuals = linearise(problem, parameters)
     times_s = residuals.times_s
-    first_s, last_s = float(np.min(times_s)) + _MARGIN_S, float(np.max(times_s)) - _MARGIN_S
+    margin_s = rules.jump_margin_s
+    first_s, last_s = float(np.min(times_s)) + margin_s, float(np.max(times_s)) - margin_s
     if not last_s > first_s:
         return None
-    n = min(int((last_s - first_s) / _TRIED_STEP_S) + 1, _MAX_TRIED)
+    n = min(int((last_s - first_s) / rules.jump_step_s) + 1, rules.max_tried)
     tried_s = np.linspace(first_s, last_s, n)
     system, target = weighed_system(problem, parameters, residuals)
     left = -target
@@ -326,7 +290,7 @@ def _likely(problem: Problem, parameters: Parameters) -> float | None:
     gains_px = np.abs(left @ steps) / norms
     best = int(np.argmax(gains_px))
     scale_px = robust_deviation(residuals.distances_px)
-    is_large = gains_px[best] > LESS_SIGMAS * scale_px
+    is_large = gains_px[best] > rules.fewer_sigmas * scale_px
     return float(tried_s[best]) if is_large else None
 
 
@@ -338,16 +302,18 @@ def _stepped(problem: Problem, at_s: float) -> Problem:
     return replace(problem, columns=(*problem.columns, step))
 
 
-def _instant(problem: Problem, found: Parameters, at_s: float) -> float:
+def _instant(problem: Problem, found: Parameters, at_s: float, rules: ClockRules) -> float:
     """Find the time [s] from which on the offset after a step fits the pairs better."""
-    others, size_s = found.columns[:-1], found.columns[-1]
-    everywhere = replace(problem, columns=(*problem.columns[:-1], _all_along(problem)))
+    others, size_s, pairs = found.columns[:-1], found.columns[-1], problem.pairs
+    column = Column(np.zeros_like(pairs.p1_px), pairs.v2_px_s, is_of_clock=True)
+    all_along = replace(problem, columns=(*problem.columns[:-1], column))
     without, with_it = (
-        linearise(everywhere, replace(found, columns=np.append(others, step_s)))
+        linearise(all_along, replace(found, columns=np.append(others, step_s)))
         for step_s in (0.0, size_s)
     )
-    first_s, last_s = np.min(without.times_s) + _MARGIN_S, np.max(without.times_s) - _MARGIN_S
-    inside = np.abs(without.times_s - at_s) <= _NEAR_S
+    margin_s = rules.jump_margin_s
+    first_s, last_s = np.min(without.times_s) + margin_s, np.max(without.times_s) - margin_s
+    inside = np.abs(without.times_s - at_s) <= rules.jump_near_s
     inside &= (without.times_s >= first_s) & (without.times_s <= last_s)
     order = np.argsort(without.times_s[inside], kind="stable")
     left_px = [one.distances_px[inside][order] for one in (without, with_it)]
@@ -358,33 +324,12 @@ def _instant(problem: Problem, found: Parameters, at_s: float) -> float:
     return float(times_s[min(int(np.argmin(total)), len(times_s) - 1)]) if len(times_s) else at_s
 
 
-def _all_along(problem: Problem) -> Column:
-    pairs = problem.pairs
-    return Column(np.zeros_like(pairs.p1_px), pairs.v2_px_s, is_of_clock=True)
-
-
-MAX_END_S = 0.020
-"""What a skew may be off by at both ends: from twice as far the refinements still converge."""
-
-_SIGMAS = 3.0  # of the prior, either way
-_MAX_SKEWS = 61
-_FITS = (Status.OK, *SETTLED_BY["joint"])
-
-
 def with_coarse_skew(start: Estimate, views: TwoViews) -> Estimate:
     """Search anew with other skews, where the prior allows for ones that matter.
 
-    Parameters
-    ----------
-    start
-        Of Algorithm 1 or 2 with clocks alike.
-    views
-        Both views, as they were searched.
-
-    Returns
-    -------
-    Estimate
-        The one that fits best; `start` itself where no skew matters, or none fits.
+    Where clocks may differ by far, over a long recording, no one offset fits both of its ends. So
+    the search, whose start had clocks alike, is repeated with skews so near to each other that the
+    ends differ by little. Of all the one that fits best is given, or the start where none does.
     """
     skews_ppm = _skews_ppm(start, views) if views.config.search_skews else np.zeros(1)
     if len(skews_ppm) < 2:
@@ -397,7 +342,8 @@ def with_coarse_skew(start: Estimate, views: TwoViews) -> Estimate:
         middle_s = _middle_s(one, views)
         t_d_s = one.t_d_s + PPM * skew_ppm * (middle_s - t_ref_s)
         found.append(replace(one, t_d_s=t_d_s, skew_ppm=skew_ppm, t_ref_s=middle_s))
-    fits = [one for one in found if one.status in _FITS and np.isfinite(one.d_avg_px)]
+    fitting = Status.OK, *SETTLED_BY["joint"]
+    fits = [one for one in found if one.status in fitting and np.isfinite(one.d_avg_px)]
     return min(fits, key=lambda one: one.d_avg_px, default=start)
 
 
@@ -405,11 +351,13 @@ def _skews_ppm(start: Estimate, views: TwoViews) -> Array:
     """Give the skews to be tried, zero among them."""
     (first_s,), (last_s,) = views.overlap_s(np.array([_offset_s(start, views)]))
     half_s = 0.5 * float(last_s - first_s)
-    most_s = _SIGMAS * PPM * views.config.prior_ppm * half_s
-    if not most_s > 2.0 * MAX_END_S:
+    rules = views.config.rules.clock
+    step_s = 2.0 * rules.max_end_s
+    most_s = rules.skew_sigmas * PPM * views.config.prior_ppm * half_s
+    if not most_s > step_s:
         return np.zeros(1)
-    n = int(min(np.ceil(most_s / (2.0 * MAX_END_S)), _MAX_SKEWS // 2))
-    return np.asarray(np.arange(-n, n + 1) * (2.0 * MAX_END_S / (PPM * half_s)), np.float64)
+    n = int(min(np.ceil(most_s / step_s), rules.max_skews // 2))
+    return np.asarray(np.arange(-n, n + 1) * (step_s / (PPM * half_s)), np.float64)
 
 
 def _middle_s(estimate: Estimate, views: TwoViews) -> float:

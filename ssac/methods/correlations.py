@@ -1,4 +1,4 @@
-"""Two signals on one grid of time bins in, the lag of highest correlation out."""
+"""Offsets by correlation of two signals: event rates, and the brightness of frames."""
 
 import math
 from dataclasses import dataclass
@@ -16,8 +16,6 @@ from ssac.methods.method import Input, method
 from ssac.track.observation import Observation
 
 Array = NDArray[np.float64]
-
-_MIN_OVERLAP = 0.5  # of the shorter signal; the correlation of less is not comparable
 
 
 @dataclass(frozen=True)
@@ -43,11 +41,9 @@ def counted(times_us: NDArray[np.int64], bin_us: int) -> Signal:
 def _first_from_each(
     times_us: NDArray[np.int64], bounds_us: NDArray[np.int64]
 ) -> NDArray[np.int64]:
-    """Index (m,) of the first of n sorted times at or after each of ascending bounds [us].
-
-    As `ssac.events.first_from`, but each search begins where the last one ended and goes on in
-    doubled steps: bounds are so near each other that the rest of the times need not be looked at.
-    """
+    """Index (m,) of the first of n sorted times at or after each of ascending bounds [us]."""
+    # As `ssac.events.first_from`, but each search begins where the last one ended and goes on in
+    # doubled steps: bounds are so near each other that the rest of the times need not be looked at.
     indices = np.empty(len(bounds_us), np.int64)
     n, low = len(times_us), 0
     for k in range(len(bounds_us)):
@@ -66,40 +62,25 @@ def _first_from_each(
     return indices
 
 
-def binned(times_s: Array, values: Array | None, bin_s: float) -> Signal:
-    """Count times, or average values, in each bin between the first and the last time.
-
-    Parameters
-    ----------
-    times_s
-        Shape (n,) [s], ascending, may be empty.
-    values
-        Shape (n,), averaged in each bin, empty bins interpolated; None counts the times instead.
-    bin_s
-        Bin length [s].
-    """
+def binned(times_s: Array, values: Array, bin_s: float) -> Signal:
+    """Average values (n,) at ascending times in each bin; empty bins are interpolated."""
     bins = np.floor(times_s / bin_s + 1e-6).astype(np.int64)  # frame times are often exact bounds
     if len(bins) == 0:
         return Signal(0, np.empty(0))
     counts = np.bincount(bins - bins[0])
-    if values is None:
-        return Signal(int(bins[0]), counts.astype(np.float64))
     means = np.bincount(bins - bins[0], values) / np.maximum(counts, 1)
     filled = np.flatnonzero(counts)
     return Signal(int(bins[0]), np.interp(np.arange(len(counts)), filled, means[filled]))
 
 
-def zncc(signal1: Signal, signal2: Signal, lags: NDArray[np.int64]) -> Array:
+def zncc(signal1: Signal, signal2: Signal, lags: NDArray[np.int64], min_overlap: float) -> Array:
     """Zero-normalised cross-correlation of signal1 at bin b with signal2 at bin b + lag.
 
-    Returns
-    -------
-    NDArray[np.float64]
-        Shape of `lags`, from -1 to 1: the correlation coefficient over the bins that both signals
-        cover. NaN when these are fewer than half of the shorter signal, or a signal is constant.
+    From -1 to 1, over the bins that both signals cover; NaN when these are less than a share of the
+    shorter signal, or a signal is constant.
     """
     curve = np.full(len(lags), np.nan)
-    needed = max(2.0, _MIN_OVERLAP * min(len(signal1.values), len(signal2.values)))
+    needed = max(2.0, min_overlap * min(len(signal1.values), len(signal2.values)))
     for i, lag in enumerate(lags.tolist()):
         shift = signal1.first_bin + lag - signal2.first_bin  # bin 0 of signal1 in signal2
         start, end = max(0, -shift), min(len(signal1.values), len(signal2.values) - shift)
@@ -133,10 +114,6 @@ def correlation_estimate(method: str, lags_s: Array, curve: Array) -> Estimate:
     return Estimate(method, t_d_s=float(lags_s[best]), candidates_s=lags_s, costs=-curve)
 
 
-RATE_BIN_S = 0.001
-"""Interval in which events are counted."""
-
-
 @method("event_rate", "event rates, Censi and Scaramuzza (2014)", place=10, input=Input.RATES)
 def event_rate_of_events(one: Observation, other: Observation, config: Config) -> Estimate:
     """Time offset as the lag at which the product of the event rates is largest.
@@ -144,17 +121,11 @@ def event_rate_of_events(one: Observation, other: Observation, config: Config) -
     As the paper describes the method: events are counted over fixed intervals in both streams, and
     the counts, without their means, are correlated. Unlike `zncc_e` the correlation is normalised
     once for the whole recordings, not for the overlap at each lag, and the intervals are 1 ms.
-
-    Parameters
-    ----------
-    one, other
-        Events of cameras 1 and 2 without noise.
-    config
-        Its interval is searched, in steps of one interval.
     """
-    signal1 = counted(one.events["t"], round(RATE_BIN_S * US_PER_S))
-    signal2 = counted(other.events["t"], round(RATE_BIN_S * US_PER_S))
-    lags = lags_of(config, RATE_BIN_S)
+    bin_s = config.rules.signals.rate_bin_s
+    signal1 = counted(one.events["t"], round(bin_s * US_PER_S))
+    signal2 = counted(other.events["t"], round(bin_s * US_PER_S))
+    lags = lags_of(config, bin_s)
     rate1, rate2 = _centred(signal1), _centred(signal2)
     power = float(np.linalg.norm(rate1) * np.linalg.norm(rate2))
     curve: NDArray[np.float64] = np.full(len(lags), np.nan)
@@ -162,7 +133,7 @@ def event_rate_of_events(one: Observation, other: Observation, config: Config) -
         products = _correlated(rate2, rate1) / power
         shifts = np.arange(len(products)) + 1 - len(rate1) + signal2.first_bin - signal1.first_bin
         curve = np.interp(lags, shifts, products, left=np.nan, right=np.nan)
-    return correlation_estimate("event_rate", RATE_BIN_S * lags.astype(np.float64), curve)
+    return correlation_estimate("event_rate", bin_s * lags.astype(np.float64), curve)
 
 
 def _correlated(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -176,34 +147,22 @@ def _centred(signal: Signal) -> NDArray[np.float64]:
     return signal.values - np.sum(signal.values) / max(len(signal.values), 1)
 
 
-ZNCC_BIN_S = 0.010
-"""Deviation: the paper gives no bin length; its errors of ZNCC_E are multiples of 10 ms."""
-
-
 @method("zncc_e", "correlation of event rates, offset only", place=8, input=Input.RATES)
 def zncc_e_of_events(one: Observation, other: Observation, config: Config) -> Estimate:
     """Time offset as the lag at which the event rates of both cameras correlate best.
 
-    After Perot et al. (2020), as the paper uses it: the number of events in bins of 10 ms, and the
-    lag with the highest zero-normalised cross-correlation in the search interval.
-
-    Parameters
-    ----------
-    one, other
-        Events of cameras 1 and 2 without noise.
-    config
-        Its interval is searched, in steps of one bin.
+    After Perot et al. (2020), as the paper uses it: the number of events in bins, and the lag with
+    the highest zero-normalised cross-correlation in the search interval.
+    Deviation: the paper gives no bin length; its errors of ZNCC_E are multiples of 10 ms.
     """
-    signal1 = counted(one.events["t"], round(ZNCC_BIN_S * US_PER_S))
-    signal2 = counted(other.events["t"], round(ZNCC_BIN_S * US_PER_S))
-    lags = lags_of(config, ZNCC_BIN_S)
+    rules = config.rules.signals
+    bin_s = rules.zncc_bin_s
+    signal1 = counted(one.events["t"], round(bin_s * US_PER_S))
+    signal2 = counted(other.events["t"], round(bin_s * US_PER_S))
+    lags = lags_of(config, bin_s)
     return correlation_estimate(
-        "zncc_e", ZNCC_BIN_S * lags.astype(np.float64), zncc(signal1, signal2, lags)
+        "zncc_e", bin_s * lags.astype(np.float64), zncc(signal1, signal2, lags, rules.min_overlap)
     )
-
-
-FRAME_S = 0.020
-"""Time between frames at the paper's 50 Hz, and so the unit of the offsets found."""
 
 
 @method(
@@ -222,33 +181,32 @@ def zncc_f_of_frames(one: Observation, other: Observation, config: Config) -> Es
     are nearest to the paper's at all angles (docs/zncc.md). Frames are put on one grid of 20 ms
     in both clocks, so that the offset found is a multiple of 20 ms, as the paper states.
 
-    Parameters
-    ----------
-    one, other
-        Frames of cameras 1 and 2.
-    config
-        Its interval is searched.
-
     Raises
     ------
     SsacError
         If a camera has no frames, or not one time for each frame.
     """
-    signal1, signal2 = mean_brightness(one, "camera 1"), mean_brightness(other, "camera 2")
-    lags = lags_of(config, FRAME_S)
+    rules = config.rules.signals
+    signal1, signal2 = (
+        mean_brightness(seen, name, rules.frame_s)
+        for seen, name in ((one, "camera 1"), (other, "camera 2"))
+    )
+    lags = lags_of(config, rules.frame_s)
     return correlation_estimate(
-        "zncc_f", FRAME_S * lags.astype(np.float64), zncc(signal1, signal2, lags)
+        "zncc_f",
+        rules.frame_s * lags.astype(np.float64),
+        zncc(signal1, signal2, lags, rules.min_overlap),
     )
 
 
-def mean_brightness(observation: Observation, name: str) -> Signal:
-    """Mean of each frame, on the grid of 20 ms; SsacError when there are no frames."""
+def mean_brightness(observation: Observation, name: str, frame_s: float) -> Signal:
+    """Mean of each frame, on a grid of even frames; SsacError when there are no frames."""
     frames, times_s = observation.frames, observation.frame_times_s
     if frames is None or times_s is None:
         raise SsacError(f"zncc_f compares intensity frames, but {name} recorded none")
     if len(frames) != len(times_s):
         raise SsacError(f"{name} has {len(frames)} frames but {len(times_s)} frame times")
-    return binned(times_s, frame_means(frames), FRAME_S)
+    return binned(times_s, frame_means(frames), frame_s)
 
 
 def frame_means(frames: NDArray[np.generic]) -> NDArray[np.float64]:

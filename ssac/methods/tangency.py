@@ -1,17 +1,17 @@
-"""The joint refinement's result in, offset and pose from the outline's epipolar tangents out.
+"""Offset and pose refined by the outline's epipolar tangents, from the joint refinement's result.
 
 Beyond the paper. Whatever is taken for the object's position, a mean of its events or a sharper
 one, is the image of no fixed point of it: it strays with attitude and viewpoint, and this bias, not
-noise, limits what such positions give, the more the larger the object. Its tangent epipolar planes
-are the same in both views for any shape (`outline`), so the points where they touch are pairs
-without that bias. They take the place of the positions in the same least squares, and are
-found anew after each, as they depend on the pose a little.
+noise, limits what such positions give, the more the larger the object. Its two tangent epipolar
+planes are the same in both views for any shape (`ssac.track.outline`), so the points where they
+touch, those of one side in both views, are pairs without that bias. They take the place of the
+positions in the same least squares, and are found anew after each, as they depend on the pose.
 
 Errors of the outline are one-sided and long-tailed: a thin or pale tip is missed in one view and
 seen in the other. So the loss turns early, and a pair counts by how sharp its outlines are.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -30,40 +30,22 @@ from ssac.fit.least_squares import (
     solve,
     still_moves,
 )
-from ssac.geometry.fundamental import MIN_PAIRS
 from ssac.geometry.pose import pencils
 from ssac.methods.clocks import checked_clock, clock_model
 from ssac.methods.hypotheses import Solution, settled, sharp_solution
-from ssac.methods.joint import (
-    LAST_STRAY_S,
-    astray,
-    has_left,
-    refine,
-    refined_estimate,
-    unsettled,
-)
+from ssac.methods.joint import astray, refine, refined_estimate, unsettled
 from ssac.methods.method import method
 from ssac.methods.verdict import certain
+from ssac.rules import Rules, TangencyRules
 from ssac.search.two_views import TwoViews
 from ssac.track.motion import ObjectMotion
-from ssac.track.outline import OutlineConfig, OutlineEvents, Tangents, near_outline, tangents
+from ssac.track.outline import OutlineEvents, Tangents, near_outline, tangents
 
 Array = NDArray[np.float64]
+TangencyConfig = TangencyRules  # as studies of its variants call it
 
 
-@dataclass(frozen=True)
-class TangencyConfig:
-    """How tangents are used; `docs/tangency.md` has what other values give."""
-
-    outline: OutlineConfig = field(default_factory=OutlineConfig)
-    step_s: float = 0.020  # between samples, each with two tangents, whatever `n_samples` is
-    cauchy: float = 0.5  # where the loss turns, in robust standard deviations
-    wider_cauchy: float = 1.2  # the same, as long as a round still moves the estimate far
-    sharp_px: float = 0.05  # error of a tangent that is not blurred at all
-    apart: bool = True  # each tangent is a pair; else the point midway between the two is
-
-
-def for_blind(config: TangencyConfig, views: TwoViews) -> TangencyConfig:
+def for_blind(config: TangencyRules, views: TwoViews) -> TangencyRules:
     """Look for the outline in a way that bears a camera that is blind now and then, if one is.
 
     The mean of a window's events then has another time than the window's middle, and the course
@@ -76,7 +58,7 @@ def for_blind(config: TangencyConfig, views: TwoViews) -> TangencyConfig:
     return replace(config, outline=outline)
 
 
-def tangent_times(views: TwoViews, t_d_s: float, config: TangencyConfig) -> Array:
+def tangent_times(views: TwoViews, t_d_s: float, config: TangencyRules) -> Array:
     """Even times [s] of camera 1's clock that both recordings cover."""
     (start,), (end,) = views.overlap_s(np.array([t_d_s]))
     n = max(int((end - start) / config.step_s), 2)
@@ -87,27 +69,13 @@ def tangents_under(
     parameters: Parameters,
     views: TwoViews,
     times_s: Array,
-    config: TangencyConfig,
+    config: TangencyRules,
     near: list[list[OutlineEvents]] | None = None,
 ) -> tuple[WeighedPairs, list[list[OutlineEvents]]]:
     """Find and pair the tangents of both views under an offset and a pose.
 
-    Parameters
-    ----------
-    parameters
-        The offset and the pose.
-    views, config
-        As for `refine_tangents`.
-    times_s
-        Shape (n,) [s], even, in camera 1's clock.
-    near
-        The events near each view's outline, from an earlier call with parameters like these; found
-        anew when None.
-
-    Returns
-    -------
-    tuple
-        The pairs, and the events near the outlines.
+    Times (n,) [s] are even, of camera 1's clock. The events near each view's outline may be those
+    of an earlier call with parameters like these; they are found anew when None, and given back.
     """
     rig = views.rig
     sides = list(
@@ -145,7 +113,7 @@ def tangent_pairs(
     view1: list[Tangents],
     view2: list[Tangents],
     t_d_s: float,
-    config: TangencyConfig,
+    config: TangencyRules,
 ) -> WeighedPairs:
     """Pair the tangents of each side, sampled `t_d_s` apart at n instants, where both are valid.
 
@@ -180,26 +148,9 @@ def _midway(upper: Tangents, lower: Tangents) -> Tangents:
     )
 
 
-HIDDEN_PX = 0.2
-"""Deviation of what the outlines are off by all along, where the pose is given and the motion slow
-or short: no residual shows it."""
-
-LEAST_PX = 3.5
-"""Rms size of the object's images, both together, from which they have an outline: below, tangents
-rest on single pixels, and err more than the mean of the events."""
-
-_MAX_SIGMAS = 3.0  # from the start's offset to the tangents', in deviations of the start's
-_ROUNDS = 8  # of finding the tangents and refining; four are the rule
-_STEPS = 3  # of Gauss-Newton in a round: the tangents move more than a fourth would
-_LAST_SHIFT_S = 1e-5  # between rounds
-_LAST_TURN = 1e-4  # [rad] of the pose, between rounds
-_FAR = 300.0  # times those last changes: then the outline is looked for among all events again
-_N_OF_SHARE = 400  # samples that tell how much the object moves
-
-
 def is_tiny(views: TwoViews) -> bool:
     """Whether the object is too small for an outline, so that the start is the answer."""
-    return views.object_px < LEAST_PX
+    return views.object_px < views.config.rules.tangency.least_size_px
 
 
 @method(
@@ -233,18 +184,9 @@ def tangency_from(start: Estimate, views: TwoViews) -> Estimate:
     for the tangents: where `joint` refuses, they are tried from the search that it started from.
     The mean of a tiny object's events is better than its outline: there the start is the answer.
 
-    Parameters
-    ----------
-    start
-        What `joint_from` found.
-    views
-        The same views.
-
-    Returns
-    -------
-    Estimate
-        With `t_d_std_s` and `covariance`. `n_samples` and `d_avg_px` are of the pairs of tangents.
-        The status may be that of the start, or "no_convergence", "clock_jump", "poor_fit".
+    The start is what `joint_from` found of the same views. The result has `t_d_std_s` and
+    `covariance`; its `n_samples` and `d_avg_px` are of the pairs of tangents. Its status may be
+    that of the start, or "no_convergence", "clock_jump", "poor_fit".
     """
     name = "tangency-known" if views.pose_is_known else "tangency"
     search, rules = start.start, views.config.rules.verdict
@@ -258,7 +200,14 @@ def tangency_from(start: Estimate, views: TwoViews) -> Estimate:
         return _despite_the_mean(start, search, views)
     if views.repeats or len(search.alternatives_s) == 0:  # the motion leaves the offset open
         return start
-    fit, weigh = partial(_refine_both, views=views), partial(_tangent_solution, views=views)
+
+    def fit(estimate: Estimate) -> Estimate:
+        return refine_tangents(refine(estimate, views), views)
+
+    def weigh(estimate: Estimate) -> Solution | None:
+        found = sharp_solution(estimate, views)
+        return None if found is None else replace(found, distance_px=estimate.d_avg_px)
+
     told = certain(settled(search, views, fit, weigh), rules)
     return told if told.status == Status.OK else start
 
@@ -266,41 +215,26 @@ def tangency_from(start: Estimate, views: TwoViews) -> Estimate:
 def _despite_the_mean(start: Estimate, search: Estimate, views: TwoViews) -> Estimate:
     """Try the tangents from a search whose refinement was refused for its covariance."""
     fit, weigh = partial(refine, views=views), partial(sharp_solution, views=views)
+    rules = views.config.rules.verdict
     refined = refine_tangents(settled(search, views, fit, weigh), views)
-    outline = certain(refined, views.config.rules.verdict)
+    outline, max_sigmas = certain(refined, rules), views.config.rules.tangency.max_sigmas
     strays_s = abs(outline.t_d_s - start.t_d_s)
-    if outline.status != Status.OK or strays_s > _MAX_SIGMAS * start.t_d_std_s:
+    if outline.status != Status.OK or strays_s > max_sigmas * start.t_d_std_s:
         return start
     return outline
 
 
-def _refine_both(estimate: Estimate, views: TwoViews) -> Estimate:
-    """Refine an estimate by positions, then by tangents."""
-    return refine_tangents(refine(estimate, views), views)
-
-
-def _tangent_solution(estimate: Estimate, views: TwoViews) -> Solution | None:
-    """Weigh an estimate by the distances of its tangents."""
-    found = sharp_solution(estimate, views)
-    return None if found is None else replace(found, distance_px=estimate.d_avg_px)
-
-
 def refine_tangents(
-    start: Estimate, views: TwoViews, config: TangencyConfig | None = None
+    start: Estimate, views: TwoViews, config: TangencyRules | None = None
 ) -> Estimate:
-    """Find tangents and refine offset and pose by turns, from an estimate.
+    """Find tangents and refine offset and pose by turns, from an offset and a pose.
 
-    Parameters
-    ----------
-    start
-        Offset and pose; returned as it is when its status is not "ok".
-    views
-        Both views. With a known pose only t_d is refined, and there is a `t_d_std_s` but no
-        `covariance`.
-    config
-        Parameters; the defaults when None.
+    A start that is not "ok" is returned as it is. With a known pose only t_d is refined, and there
+    is a `t_d_std_s` but no `covariance`. How tangents are used is as the views' config says when
+    None.
     """
-    config = for_blind(config or TangencyConfig(), views)
+    rules, min_pairs = views.config.rules, views.config.rules.search.min_pairs
+    config = for_blind(config or rules.tangency, views)
     if start.status != Status.OK or start.R is None or start.t is None:
         return start
     model = clock_model(views, start)
@@ -309,29 +243,31 @@ def refine_tangents(
     is_far, settles = True, False  # as the start may be
     allowance = Allowance(views.rig, model.has_priors)
     times_s = tangent_times(views, start.t_d_s, config)
-    for _ in range(_ROUNDS):
+    for _ in range(config.max_rounds):
         before = parameters
         seen = views.under(model.clock(before))
         pairs, near = tangents_under(before, seen, times_s, config, None if is_far else near)
-        if len(pairs.times_s) < MIN_PAIRS:
+        if len(pairs.times_s) < min_pairs:
             reason = (
-                f"only {len(pairs.times_s)} tangents are seen in both views, and {MIN_PAIRS} are"
+                f"only {len(pairs.times_s)} tangents are seen in both views, and {min_pairs} are"
                 " needed: the object is too small for an outline, take `joint`"
             )
             return replace(start, status=Status.TOO_FEW_SAMPLES, reason=reason)
         turn = config.wider_cauchy if is_far else config.cauchy
-        problem = Problem(pairs, views.rig, views.pose_is_known, turn=turn)
+        problem = Problem(pairs, views.rig, rules.fit, views.pose_is_known, turn=turn)
         problem = allowance.added(model.problem(pairs, before, problem, seen))
-        found = solve(problem, before, _STEPS, last_step=0.0)
+        found = solve(problem, before, config.steps, last_step=0.0)
         parameters = found.parameters
-        if has_left(start, parameters):
-            return astray(start, parameters)
-        stray_s = model.moved_s(before, parameters)
-        settles = not is_far and allowance.is_made and _are_near(before, parameters)
-        settles = settles and stray_s <= LAST_STRAY_S
+        left = astray(start, parameters, rules.joint)
+        if left is not None:
+            return left
+        stray_s, last_s = model.moved_s(before, parameters), rules.joint.last_stray_s
+        settles = not is_far and allowance.is_made and _are_near(before, parameters, rules)
+        settles = settles and stray_s <= last_s
         if settles:
             break
-        is_far = not _are_near(before, parameters, _FAR) or stray_s > _FAR * LAST_STRAY_S
+        is_far = not _are_near(before, parameters, rules, config.far)
+        is_far = is_far or stray_s > config.far * last_s
         if not is_far:
             allowance.learn(replace(problem, turn=config.cauchy), parameters)
 
@@ -340,11 +276,11 @@ def refine_tangents(
     covariance = covariance_of(problem, residuals, _errors_cancel(views))
     hidden_px: Array | None = None
     if views.pose_is_known:  # a free pose takes it away
-        share = seen.lasting_share(parameters.t_d_s, _N_OF_SHARE)
-        hidden_px = share * _hidden_errors(pairs)
+        share = seen.lasting_share(parameters.t_d_s, 400)
+        hidden_px = share * _hidden_errors(pairs, config.hidden_px)
         covariance = covariance + hidden_covariance(problem, residuals, hidden_px)
     if not settles and still_moves(found.change, problem, covariance):
-        return unsettled(start, _ROUNDS)
+        return unsettled(start, config.max_rounds)
     found_by = model.told(start, parameters, problem, covariance)
     told = refined_estimate(
         found_by,
@@ -353,7 +289,7 @@ def refine_tangents(
         residuals,
         covariance,
         views.object_px,
-        views.config.rules.verdict,
+        rules.verdict,
         hidden_px,
     )
     return checked_clock(told, model, problem, parameters)
@@ -370,16 +306,17 @@ def _errors_cancel(views: TwoViews) -> bool:
     return all(getattr(motion, "bare", None) is None for motion in (views.motion1, views.motion2))
 
 
-def _hidden_errors(pairs: WeighedPairs) -> Array:
+def _hidden_errors(pairs: WeighedPairs, hidden_px: float) -> Array:
     """Give the changes (n, 2) of the residuals by such an error of the upper and lower tangents."""
     starts = np.concatenate([[0], np.flatnonzero(np.diff(pairs.times_s) < 0.0) + 1])
     side = np.searchsorted(starts, np.arange(len(pairs.times_s)), side="right") - 1
     of_side = (side[:, None] == np.arange(len(starts))).astype(np.float64)
-    return np.asarray(HIDDEN_PX * pairs.weights[:, None] * of_side)
+    return np.asarray(hidden_px * pairs.weights[:, None] * of_side)
 
 
-def _are_near(one: Parameters, other: Parameters, factor: float = 1.0) -> bool:
+def _are_near(one: Parameters, other: Parameters, rules: Rules, factor: float = 1.0) -> bool:
     """Whether the changes from one to the other are at most `factor` times the last ones."""
     turn = np.linalg.norm(other.R - one.R) + np.linalg.norm(other.t - one.t)
     shift_s = abs(other.t_d_s - one.t_d_s)
-    return bool(shift_s <= factor * _LAST_SHIFT_S and turn <= factor * _LAST_TURN)
+    last_s, last_turn = rules.joint.last_shift_s, rules.tangency.last_turn
+    return bool(shift_s <= factor * last_s and turn <= factor * last_turn)

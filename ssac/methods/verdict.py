@@ -1,4 +1,4 @@
-"""A search's result or a refined estimate in; it, or why it is not to be relied upon, out."""
+"""Whether an offset, a fit or a covariance is to be relied upon, and what to say where not."""
 
 from dataclasses import replace
 
@@ -9,7 +9,6 @@ from ssac.config import N_MIN
 from ssac.estimate import Estimate, Refusal, Status
 from ssac.events import US_PER_S, time_quantum_s
 from ssac.geometry.epipolar import robust_deviation
-from ssac.geometry.fundamental import MIN_PAIRS
 from ssac.geometry.pose import tangent_basis
 from ssac.rules import VerdictRules
 from ssac.search.observability import Valley
@@ -19,8 +18,6 @@ from ssac.track.motion import PointMotion
 from ssac.track.observation import Observation
 
 Array = NDArray[np.float64]
-
-_LISTED = 0.1  # length of a direction's part, of 1, that is worth its words
 
 
 def offset_estimate(method: str, search: OffsetSearch, views: TwoViews) -> Estimate:
@@ -34,8 +31,8 @@ def offset_estimate(method: str, search: OffsetSearch, views: TwoViews) -> Estim
     elif np.isnan(search.t_d_s):
         status = Status.TOO_FEW_SAMPLES
         reason = (
-            f"at no {where} are {MIN_PAIRS} of {views.config.n_samples} sample times valid in both"
-            f" views: {_rules(views)}"
+            f"at no {where} are {views.config.rules.search.min_pairs} of {views.config.n_samples}"
+            f" sample times valid in both views: {_rules(views)}"
         )
     elif search.at_bound:
         status = Status.SEARCH_BOUND
@@ -67,17 +64,9 @@ def _rules(views: TwoViews) -> str:
 def refused(estimate: Estimate, refusal: Refusal, found: list[Valley] | None = None) -> Estimate:
     """Give the reason why there is no reliable offset, without the pose and clock that were found.
 
-    F and the cost curve stay, for drawings of what was compared.
-
-    Parameters
-    ----------
-    estimate
-        What was found.
-    refusal
-        Why it is not to be relied upon.
-    found
-        Of the cost curve. With status "ambiguous_offset" the estimate keeps its offset when there
-        are other single ones beside it, which go to `alternatives_s`.
+    F and the cost curve stay, for drawings of what was compared. With status "ambiguous_offset" the
+    estimate keeps its offset when the cost curve has other single valleys, whose offsets go to
+    `alternatives_s`.
     """
     others_s = np.array(sorted(valley.least_s for valley in (found or [])[1:]))
     keeps = refusal.status == Status.AMBIGUOUS_OFFSET and len(others_s) > 0
@@ -112,16 +101,8 @@ def doubt(
     few others not far beyond. A second moving thing pulls the positions away for a while: then
     those others lie far out, or all do.
 
-    Parameters
-    ----------
-    distances_px
-        Signed and weighed, shape (n,), of the parameters found.
-    object_px
-        Rms size of the object's images, both together.
-    rules
-        What is ordinary.
-    against_intrinsics
-        Of `ssac.fit.intrinsics.evidence`.
+    Distances (n,) are signed and weighed, of the parameters found; the object's size is the rms of
+    both images together; `against_intrinsics` is of `ssac.fit.intrinsics.evidence`.
     """
     mean_px, spread_px = float(np.mean(np.abs(distances_px))), robust_deviation(distances_px)
     has_tail = mean_px > rules.max_tail * spread_px
@@ -149,15 +130,7 @@ def is_spread(distances_px: Array, object_px: float, rules: VerdictRules) -> boo
 
 
 def certain(estimate: Estimate, rules: VerdictRules) -> Estimate:
-    """Refuse a refined estimate that fits poorly, or that its covariance says is open.
-
-    Parameters
-    ----------
-    estimate
-        With `t_d_std_s`, and with `covariance` when the pose was estimated.
-    rules
-        How certain it must be.
-    """
+    """Refuse a refined estimate that fits poorly, or that its covariance says is open."""
     if estimate.status != Status.OK:
         return estimate
     if estimate.doubt:
@@ -198,19 +171,16 @@ def _in_words(direction: Array, t: Array) -> str:
     parts = []
     for words, vector in (("R about", turn), ("t along", shift)):
         length = np.linalg.norm(vector)
-        if length > _LISTED:
+        if length > 0.1:  # of 1, else not worth its words
             parts.append(f"{words} ({', '.join(f'{x:.2f}' for x in vector / length + 0.0)})")
     return " with ".join(parts)
-
-
-_FEW = 1000  # events of which one is off a coarse grid, unless all are on it
 
 
 def quantum_s(camera: Observation) -> float:
     """Step [s] to which a camera's times were rounded: 10 or 1 ms, or 0."""
     if camera.track is not None:
         return time_quantum_s(camera.track.times_s)
-    some_us = camera.events["t"][:_FEW]
+    some_us = camera.events["t"][:1000]  # of which one is off a coarse grid, or all are on it
     if len(some_us) == 0 or np.any(some_us % 1000):
         return 0.0
     return time_quantum_s(camera.events["t"] / US_PER_S)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ssac.geometry.epipolar import CAUCHY, TO_DEVIATION
 from ssac.network.graph import Pair, PairTold, shared_by
-from ssac.network.normal import Linear, Normal, Solved, Spline, basis, jerks, solve
+from ssac.network.normal import Linear, Normal, Solved, Spline, basis, jerks, products, solve
 from ssac.network.state import (
     BEHIND,
     CENTRE,
@@ -89,14 +89,12 @@ def linearised(
     clipped_s = np.clip(times_s, knots_s[0], knots_s[-1])
     first, weights = basis(knots_s, clipped_s)
     slopes = basis(knots_s, clipped_s, 1)[1]
-    around = network.path.coefficients[first[:, None] + np.arange(4)]
-    points = np.einsum("na,nax->nx", weights, around)
-    velocities = np.einsum("na,nax->nx", slopes, around)
+    points = products(first, weights, network.path.coefficients)
+    velocities = products(first, slopes, network.path.coefficients)
     found = projected(state, seen, points, velocities)
     used = inside & (found.depths > LEAST_DEPTH)
     residuals = seen.points_px - found.points_px
-    columns = found.columns
-    linear = Linear(first, weights, found.by_point, found.by_camera, columns, residuals)
+    linear = Linear(first, weights, found.by_point, found.by_camera, found.columns, residuals)
     return linear, Fit(residuals, found.depths, used)
 
 
@@ -197,24 +195,32 @@ def adjust(
     The masks (n,) of each camera say which sightings count. In each of at most so many rounds
     deviations and smoothness are estimated anew. Readouts, focal lengths and centres may be held.
     """
-    offsets, free = _layout(network, with_intrinsics, priors, cameras)
-    cost, last = np.inf, np.inf
+    offsets = border_offsets(network)
+    given = _Given(cameras, priors, enabled, offsets)
+    free, last = _free(network, given, with_intrinsics), np.inf
     for _ in range(rounds):
-        network, cost, solved = _minimised(network, cameras, priors, enabled, offsets, free)
-        network = _weighed(network, cameras, enabled, solved, offsets)
+        network, cost, solved = _minimised(network, given, free)
+        network = _weighed(network, given, solved)
         if abs(last - cost) < network.rules.settled * abs(cost):
             break
         last = cost
-    normal, _ = _normal(network, cameras, priors, enabled, offsets)
-    return network, solve(normal, free)
+    return network, solve(_normal(network, given)[0], free)
 
 
-def _layout(
-    network: Network, with_intrinsics: bool, priors: list[Priors], cameras: list[Sightings]
-) -> tuple[Indices, Indices]:
-    """Where each camera's parameters begin, and which of all are free."""
-    offsets, free = border_offsets(network), list[int]()
-    for k, (prior, seen) in enumerate(zip(priors, cameras, strict=True)):
+@dataclass(frozen=True, eq=False)
+class _Given:
+    """What is known beside the network itself."""
+
+    cameras: list[Sightings]
+    priors: list[Priors]
+    enabled: list[Mask]
+    offsets: Indices  # (c + 1,) where each camera's parameters begin
+
+
+def _free(network: Network, given: _Given, with_intrinsics: bool) -> Indices:
+    """Which of all cameras' parameters are free."""
+    free = list[int]()
+    for k, (prior, seen) in enumerate(zip(given.priors, given.cameras, strict=True)):
         places = list(range(STRAYS, network.states[k].size))
         if with_intrinsics:
             places += [READOUT] if seen.has_frames and prior.readout_s > 0.0 else []
@@ -224,26 +230,19 @@ def _layout(
         if k:
             places += [DELAY, *range(ROTATION.start, TRANSLATION.stop)]
             places += [RATE] if prior.rate > 0.0 else []
-        free += [int(offsets[k]) + place for place in places]
-    return offsets, np.array(sorted(free), dtype=np.int64)
+        free += [int(given.offsets[k]) + place for place in places]
+    return np.array(sorted(free), dtype=np.int64)
 
 
-def _minimised(
-    network: Network,
-    cameras: list[Sightings],
-    priors: list[Priors],
-    enabled: list[Mask],
-    offsets: Indices,
-    free: Indices,
-) -> tuple[Network, float, Solved]:
+def _minimised(network: Network, given: _Given, free: Indices) -> tuple[Network, float, Solved]:
     """Take steps as long as they lower the cost, at given deviations and smoothness."""
-    normal, cost = _normal(network, cameras, priors, enabled, offsets)
+    normal, cost = _normal(network, given)
     damping, least_damping = 0.0, 1e-4
     for _ in range(network.rules.steps):
         for _ in range(6):
             solved = solve(normal, free, damping)
-            tried = _moved(network, solved, offsets)
-            other, tried_cost = _normal(tried, cameras, priors, enabled, offsets)
+            tried = _moved(network, solved, given.offsets)
+            other, tried_cost = _normal(tried, given)
             if tried_cost <= cost * (1.0 + 1e-9):
                 break
             damping = max(10.0 * damping, least_damping)
@@ -266,24 +265,18 @@ def _moved(network: Network, solved: Solved, offsets: Indices) -> Network:
     return replace(network, states=states, path=path)
 
 
-def _normal(
-    network: Network,
-    cameras: list[Sightings],
-    priors: list[Priors],
-    enabled: list[Mask],
-    offsets: Indices,
-) -> tuple[Normal, float]:
+def _normal(network: Network, given: _Given) -> tuple[Normal, float]:
     """Give the normal equations, and the cost: Cauchy's loss, and the priors' squares."""
-    coefficients = network.path.coefficients
+    coefficients, offsets = network.path.coefficients, given.offsets
     normal, cost = Normal(len(coefficients), int(offsets[-1])), 0.0
-    for k, seen in enumerate(cameras):
-        linear, fit = linearised(network, k, seen, enabled[k])
+    for k, (seen, enabled) in enumerate(zip(given.cameras, given.enabled, strict=True)):
+        linear, fit = linearised(network, k, seen, enabled)
         share = seen.sigmas_px / np.median(seen.sigmas_px) * network.sigmas_px[k]
         over = fit.residuals_px / share[:, None]
         squares = np.sum(over**2, axis=1) / CAUCHY**2
         lost = np.where(fit.used, 0.5 * CAUCHY**2 * np.log1p(squares), 0.0)
         # A point that is not in front of the camera costs as one far off its place.
-        behind = enabled[k] & (fit.depths <= LEAST_DEPTH)
+        behind = enabled & (fit.depths <= LEAST_DEPTH)
         cost += float(np.sum(lost) + 40.0 * np.count_nonzero(behind))
         rows = np.flatnonzero(fit.used)
         scale = 1.0 / (share[rows] * np.sqrt(1.0 + squares[rows]))
@@ -298,29 +291,21 @@ def _normal(
             )
         )
     first, weights = jerks(network.path.knots_s)
-    weights = weights / network.jerk
-    normal.add_smoothness(first, weights, coefficients)
-    values = np.einsum("na,nax->nx", weights, coefficients[first[:, None] + np.arange(4)])
+    values = normal.add_smoothness(first, weights / network.jerk, coefficients)
     cost += 0.5 * float(np.sum(values**2))
-    told, residuals = known(network, cameras, priors, offsets)
+    told, residuals = known(network, given.cameras, given.priors, offsets)
     normal.add_rows(told, residuals)
     return normal, cost + 0.5 * float(np.sum(residuals**2))
 
 
-def _weighed(
-    network: Network,
-    cameras: list[Sightings],
-    enabled: list[Mask],
-    solved: Solved,
-    offsets: Indices,
-) -> Network:
+def _weighed(network: Network, given: _Given, solved: Solved) -> Network:
     """Estimate each camera's deviation, and the path's smoothness, from what is left.
 
     What the path takes up of the residuals, its leverage, is made up for.
     """
     sigmas, repeats = network.sigmas_px.copy(), list[float]()
-    for k, seen in enumerate(cameras):
-        linear, fit = linearised(network, k, seen, enabled[k])
+    for k, (seen, enabled) in enumerate(zip(given.cameras, given.enabled, strict=True)):
+        linear, fit = linearised(network, k, seen, enabled)
         rows = np.flatnonzero(fit.used)
         if len(rows) < 10:
             continue
@@ -334,11 +319,10 @@ def _weighed(
         lever = lever / (share * network.sigmas_px[k]) ** 2
         left = max(0.1, 1.0 - 0.5 * float(np.median(lever)))
         sigmas[k] = deviation_px(over) / np.sqrt(left)
-    sigmas, rules = _alike(sigmas, cameras), network.rules
+    sigmas, rules = _alike(sigmas, given.cameras), network.rules
     least = max(rules.least_sigma_share * float(np.median(sigmas)), rules.least_sigma_px)
     first, weights = jerks(network.path.knots_s)
-    coefficients = network.path.coefficients
-    values = np.einsum("na,nax->nx", weights, coefficients[first[:, None] + np.arange(4)])
+    values = products(first, weights, network.path.coefficients)
     unsure = solved.path_covariances(first, weights, False)
     trace = np.trace(unsure, axis1=1, axis2=2)
     told = 3.0 * len(first) - float(np.sum(trace)) / network.jerk**2
@@ -349,7 +333,7 @@ def _weighed(
         sigmas_px=np.maximum(sigmas, least),
         jerk=max(jerk, 1e-12),
         repeats=mean,
-        lasting=1.0 + (mean - 1.0) * _taken_up(network, cameras, enabled),
+        lasting=1.0 + (mean - 1.0) * _taken_up(network, given),
     )
 
 
@@ -369,7 +353,7 @@ def _alike(sigmas_px: Array, cameras: list[Sightings]) -> Array:
     return found
 
 
-def _taken_up(network: Network, cameras: list[Sightings], enabled: list[Mask]) -> float:
+def _taken_up(network: Network, given: _Given) -> float:
     """Give how much larger slow errors are, as variances, than the residuals show them.
 
     The path follows them in three of the directions in which they are: two for each camera that
@@ -380,10 +364,10 @@ def _taken_up(network: Network, cameras: list[Sightings], enabled: list[Mask]) -
     covered_s = float(np.sum(steps_s[steps_s <= network.rules.max_knot_gap_s]))
     seen_s = sum(
         seen.interval_s * float(np.count_nonzero(mask))
-        for seen, mask in zip(cameras, enabled, strict=True)
+        for seen, mask in zip(given.cameras, given.enabled, strict=True)
     )
-    views = seen_s / max(covered_s, seen_s / len(cameras))
-    if all(seen.spreads_px2 is not None for seen in cameras):
+    views = seen_s / max(covered_s, seen_s / len(given.cameras))
+    if all(seen.spreads_px2 is not None for seen in given.cameras):
         views = max(views, 2.5)
         return views / (views - 2.0)
     directions = max(2.0 * views, 4.0)

@@ -176,67 +176,64 @@ def _spline(path: Path, points_per_knot: int) -> tuple[BSpline, Array]:
     return spline, missed
 
 
-class _ShiftGrid:
-    """Both paths at even times, and how well they agree at each shift of whole steps."""
+def _best_shifts_s(
+    estimate: InTime, truth: InTime, max_shift_s: float | None, with_scale: bool, rules: PathRules
+) -> list[float]:
+    """Give the shifts [s] of the best few peaks of the score over even shifts, best first."""
+    common_s = float(np.ptp(estimate.times_s) + np.ptp(truth.times_s))
+    step_s = min(_step_s(estimate, rules), _step_s(truth, rules))
+    step_s = max(step_s, common_s / 2**20)  # the memory's limit
+    unit = None if with_scale else _spread(truth, rules)
+    one, other = (_at_even_times(path, step_s, unit, rules) for path in (estimate, truth))
+    lags, score = _scores(one, other, with_scale, rules)
+    shifts_s = truth.times_s[0] - estimate.times_s[0] + step_s * lags
+    if max_shift_s is not None:
+        score = np.where(np.abs(shifts_s) <= max_shift_s + step_s, score, -np.inf)
+    around = np.maximum(np.append(score[1:], -np.inf), np.insert(score[:-1], 0, -np.inf))
+    peaks = np.flatnonzero((score >= around) & np.isfinite(score))
+    peaks = peaks[score[peaks] >= rules.rival * np.max(score[peaks], initial=-np.inf)]
+    best = peaks[np.argsort(-score[peaks])][: rules.most_shifts]
+    return [float(shifts_s[k]) for k in best]
 
-    def __init__(self, estimate: InTime, truth: InTime, with_scale: bool, rules: PathRules) -> None:
-        self._with_scale, self._rules = with_scale, rules
-        common_s = float(np.ptp(estimate.times_s) + np.ptp(truth.times_s))
-        step_s = min(_step_s(estimate, rules), _step_s(truth, rules))
-        self._step_s = max(step_s, common_s / 2**20)  # the memory's limit
-        self._first_s = truth.times_s[0] - estimate.times_s[0]
-        unit = None if with_scale else _spread(truth, rules)
-        self._estimate = _at_even_times(estimate, self._step_s, unit, rules)
-        self._truth = _at_even_times(truth, self._step_s, unit, rules)
 
-    def best_shifts_s(self, max_shift_s: float | None) -> list[float]:
-        """Give the shifts [s] of the best few peaks of the score, best first."""
-        lags, score = self.scores()
-        shifts_s = self._first_s + self._step_s * lags
-        if max_shift_s is not None:
-            score = np.where(np.abs(shifts_s) <= max_shift_s + self._step_s, score, -np.inf)
-        around = np.maximum(np.append(score[1:], -np.inf), np.insert(score[:-1], 0, -np.inf))
-        peaks = np.flatnonzero((score >= around) & np.isfinite(score))
-        peaks = peaks[score[peaks] >= self._rules.rival * np.max(score[peaks], initial=-np.inf)]
-        best = peaks[np.argsort(-score[peaks])][: self._rules.most_shifts]
-        return [float(shifts_s[k]) for k in best]
+def _scores(
+    estimate: Array, truth: Array, with_scale: bool, rules: PathRules
+) -> tuple[Array, Array]:
+    """Give the lags (n,) in steps, and the score (n,) of each; -inf for too little in common.
 
-    def scores(self) -> tuple[Array, Array]:
-        """Give the lags (n,) in steps, and the score (n,) of each; -inf for too little in common.
+    Umeyama's similarity needs means, variances and the covariance of what both even paths have in
+    common: correlations of the paths, and of what is seen of them, 0 where nothing is.
+    """
+    rows_e, rows_t = _moments(estimate), _moments(truth)
+    n_e, n_t = rows_e.shape[1], rows_t.shape[1]
+    size = next_fast_len(n_e + n_t - 1, real=True)
+    spectra_e, spectra_t = np.conj(rfft(rows_e, size)), rfft(rows_t, size)
 
-        Umeyama's similarity needs means, variances and the covariance of what both have in
-        common: correlations of the paths, and of what is seen of them, 0 where nothing is.
-        """
-        rows_e, rows_t = _moments(self._estimate), _moments(self._truth)
-        n_e, n_t = rows_e.shape[1], rows_t.shape[1]
-        size = next_fast_len(n_e + n_t - 1, real=True)
-        spectra_e, spectra_t = np.conj(rfft(rows_e, size)), rfft(rows_t, size)
+    def correlated(k: int, m: int) -> Array:  # sum over i of e[k, i] t[m, i + lag]
+        both = irfft(spectra_e[k] * spectra_t[m], size)
+        return np.asarray(np.roll(both, n_e - 1)[: n_e + n_t - 1])
 
-        def correlated(k: int, m: int) -> Array:  # sum over i of e[k, i] t[m, i + lag]
-            both = irfft(spectra_e[k] * spectra_t[m], size)
-            return np.asarray(np.roll(both, n_e - 1)[: n_e + n_t - 1])
-
-        seen, square, rules = 3, 4, self._rules
-        n = np.rint(correlated(seen, seen))
-        least = rules.least_common_share * min(rows_e[seen].sum(), rows_t[seen].sum())
-        enough = n >= max(rules.least_samples, least)
-        n = np.maximum(n, 1.0)
-        mean_e = np.stack([correlated(i, seen) for i in range(3)]) / n
-        mean_t = np.stack([correlated(seen, i) for i in range(3)]) / n
-        var_e = correlated(square, seen) / n - np.sum(mean_e**2, axis=0)
-        var_t = correlated(seen, square) / n - np.sum(mean_t**2, axis=0)
-        covariance = np.empty((len(n), 3, 3))
-        for i, j in np.ndindex(3, 3):
-            covariance[:, i, j] = correlated(j, i) / n - mean_t[i] * mean_e[j]
-        enough &= (var_e > rules.at_rest) & (var_t > rules.at_rest)
-        var_e, var_t = np.maximum(var_e, rules.at_rest), np.maximum(var_t, rules.at_rest)
-        turned = _trace_of_best_turn(covariance)
-        if self._with_scale:
-            unexplained = 1.0 - np.maximum(turned, 0.0) ** 2 / (var_e * var_t)
-        else:
-            unexplained = (var_t + var_e - 2.0 * turned) / var_t
-        score = _likelihood(n, unexplained)
-        return np.arange(1 - n_e, n_t, dtype=np.float64), np.where(enough, score, -np.inf)
+    seen, square = 3, 4
+    n = np.rint(correlated(seen, seen))
+    least = rules.least_common_share * min(rows_e[seen].sum(), rows_t[seen].sum())
+    enough = n >= max(rules.least_samples, least)
+    n = np.maximum(n, 1.0)
+    mean_e = np.stack([correlated(i, seen) for i in range(3)]) / n
+    mean_t = np.stack([correlated(seen, i) for i in range(3)]) / n
+    var_e = correlated(square, seen) / n - np.sum(mean_e**2, axis=0)
+    var_t = correlated(seen, square) / n - np.sum(mean_t**2, axis=0)
+    covariance = np.empty((len(n), 3, 3))
+    for i, j in np.ndindex(3, 3):
+        covariance[:, i, j] = correlated(j, i) / n - mean_t[i] * mean_e[j]
+    enough &= (var_e > rules.at_rest) & (var_t > rules.at_rest)
+    var_e, var_t = np.maximum(var_e, rules.at_rest), np.maximum(var_t, rules.at_rest)
+    turned = _trace_of_best_turn(covariance)
+    if with_scale:
+        unexplained = 1.0 - np.maximum(turned, 0.0) ** 2 / (var_e * var_t)
+    else:
+        unexplained = (var_t + var_e - 2.0 * turned) / var_t
+    score = _likelihood(n, unexplained)
+    return np.arange(1 - n_e, n_t, dtype=np.float64), np.where(enough, score, -np.inf)
 
 
 def _likelihood(n: Array | float, unexplained: Array | float) -> Array:
@@ -322,8 +319,7 @@ def best_shift(
         If the paths share too little time at any shift, or do not move enough.
     """
     path, best, score = smoothed(estimate, rules), None, -np.inf
-    grid = _ShiftGrid(path, smoothed(truth, rules), with_scale, rules)
-    for shift_s in grid.best_shifts_s(max_shift_s):
+    for shift_s in _best_shifts_s(path, smoothed(truth, rules), max_shift_s, with_scale, rules):
         fit = _refined(path, truth, shift_s, rate_std_ppm, with_scale, rules)
         if fit is not None and _score(fit, path, truth) > score:
             best, score = fit, _score(fit, path, truth)

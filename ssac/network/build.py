@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from ssac.network.adjustment import Network, adjust, fit_of
 from ssac.network.graph import Link, Pair, agreeing, supports
 from ssac.network.normal import Solved, knots_for
-from ssac.network.placing import Placed, first_path, grown, place_all, rebased, triangulate
+from ssac.network.placing import Group, Placed, first_path, grown, place_all, rebased, triangulate
 from ssac.network.state import (
     CameraState,
     Priors,
@@ -18,7 +18,7 @@ from ssac.network.state import (
     network_times,
     with_strays,
 )
-from ssac.rules import BodyRules, NetworkRules, Rules
+from ssac.rules import BodyRules, NetworkRules
 from ssac.track.body import Look, View, body_moves, perspective_shifts, second_moments
 
 Array = NDArray[np.float64]
@@ -38,37 +38,27 @@ class Built:
     misfits: list[int]  # cameras of the group that fit nowhere
 
 
-def build(
-    cameras: list[Sightings],
-    links: Mapping[Pair, Link],
-    group: list[int],
-    priors: list[Priors],
-    distance: float,
-    rules: Rules,
-) -> Built | None:
-    """Build the network of a group of all cameras, the distance being that of its first two.
+def build(group: Group, priors: list[Priors], distance: float, body: BodyRules) -> Built | None:
+    """Build the network of a group, the distance being that of its first two cameras.
 
     None where no pair of the group gives a path.
     """
-    by = rules.network
-    trust = supports(links, by)
-    placed = place_all(cameras, links, group, trust, by)
+    placed = place_all(group, supports(group.links, group.rules))
     if placed is None:
         return None
-    both = dict(links) | {(b, a): link.reversed() for (a, b), link in links.items()}
-    built = _first(placed, cameras, priors, distance, by)
-    more = grown(Placed(_states(built), placed.inliers), cameras, both, group, by)
+    built = _first(placed, group, priors, distance)
+    more = grown(Placed(_states(built), placed.inliers), group)
     if len(more.states) > len(built.members):
-        built = _first(more, cameras, priors, distance, by)
+        built = _first(more, group, priors, distance)
     while len(built.members) > 2:
-        worst = _misfit(built, by)
+        worst = _misfit(built, group.rules)
         if worst is None:
             break
         states = _states(built)
         del states[worst]
-        built = _first(Placed(states, 0), cameras, priors, distance, by)
-    built = _whole(built, links, rules)
-    misfits = [k for k in group if k not in built.members]
+        built = _first(Placed(states, 0), group, priors, distance)
+    built = _whole(built, group.links, body)
+    misfits = [k for k in group.members if k not in built.members]
     return replace(built, misfits=misfits)
 
 
@@ -97,15 +87,9 @@ def _states(built: Built) -> dict[int, CameraState]:
     return dict(zip(built.members, built.network.states, strict=True))
 
 
-def _first(
-    placed: Placed,
-    cameras: list[Sightings],
-    priors: list[Priors],
-    distance: float,
-    rules: NetworkRules,
-) -> Built:
+def _first(placed: Placed, group: Group, priors: list[Priors], distance: float) -> Built:
     """Adjust clocks and poses alone, with affine clocks, from where the cameras were placed."""
-    members = sorted(placed.states)
+    members, cameras, rules = sorted(placed.states), group.cameras, group.rules
     states = rebased(placed.states, members[0])
     apart = float(np.linalg.norm(states[members[1]].t))
     listed = [
@@ -148,23 +132,23 @@ def _misfit(built: Built, rules: NetworkRules) -> int | None:
     return None
 
 
-def _whole(built: Built, links: Mapping[Pair, Link], rules: Rules) -> Built:
+def _whole(built: Built, links: Mapping[Pair, Link], body: BodyRules) -> Built:
     """Adjust all that there is, and leave out at last what is far off its place.
 
     What pairs tell enters last, so that one that is wrong shows.
     """
-    network, by = built.network, rules.network
+    network, by = built.network, built.network.rules
     states = [
         with_strays(state, seen, by.piece_s, by.most_pieces) if seen.has_frames else state
         for state, seen in zip(network.states, built.cameras, strict=True)
     ]
     network = replace(network, states=states)
     network, solved = adjust(network, built.cameras, built.priors, built.enabled, by.rounds)
-    centred = _without_perspective(network, built.cameras, rules.body)
+    centred = _without_perspective(network, built.cameras, body)
     if centred is not built.cameras:
         built = replace(built, cameras=centred)
         network, solved = adjust(network, built.cameras, built.priors, built.enabled, by.rounds)
-        followed = _by_their_body(network, built.cameras, rules.body)
+        followed = _by_their_body(network, built.cameras, body)
         if followed is not None:
             built = replace(built, cameras=followed)
             network, solved = adjust(network, built.cameras, built.priors, built.enabled, by.rounds)

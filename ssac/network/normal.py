@@ -35,9 +35,7 @@ class Spline:
     def at(self, times_s: Array, derivative: int = 0) -> Array:
         """Positions (n, 3) at times (n,) [s], or their derivatives; beyond the ends a cubic."""
         first, weights = basis(self.knots_s, times_s, derivative)
-        return np.asarray(
-            np.einsum("na,nax->nx", weights, self.coefficients[first[:, None] + np.arange(ORDER)])
-        )
+        return products(first, weights, self.coefficients)
 
 
 def knots_for(times_s: Array, step_s: float, max_gap_s: float) -> Array:
@@ -84,6 +82,12 @@ def basis(knots_s: Array, times_s: Array, derivative: int = 0) -> tuple[Indices,
                 raised[:, i + 1] += (times_s - low) * share
         weights = raised
     return (span - ORDER + 1).astype(np.int64), weights
+
+
+def products(first: Indices, weights: Array, coefficients: Array) -> Array:
+    """Sum up four neighbouring coefficients (m, 3) each, as of `basis`: (n, 3)."""
+    around = coefficients[first[:, None] + np.arange(ORDER)]
+    return np.asarray(np.einsum("na,nax->nx", weights, around))
 
 
 def jerks(knots_s: Array) -> tuple[Indices, Array]:
@@ -140,15 +144,19 @@ class Normal:
             self.right_border,
         )
 
-    def add_smoothness(self, first: Indices, weights: Array, coefficients: Array) -> None:
-        """Add k rows (k, 4), each of all three axes, whose products with the path are to be 0."""
-        values = np.einsum("na,nax->nx", weights, coefficients[first[:, None] + np.arange(ORDER)])
+    def add_smoothness(self, first: Indices, weights: Array, coefficients: Array) -> Array:
+        """Add rows (k, 4), each of all three axes, whose products (k, 3) with the path are to be 0.
+
+        Give these products.
+        """
+        values = products(first, weights, coefficients)
         for a in range(ORDER):
             for x in range(3):
                 np.add.at(self.right_path, 3 * (first + a) + x, -weights[:, a] * values[:, x])
                 for b in range(a, ORDER):
                     entries = weights[:, a] * weights[:, b]
                     np.add.at(self.band[3 * (b - a)], 3 * (first + a) + x, entries)
+        return values
 
     def add_rows(self, rows: Array, residuals: Array) -> None:
         """Add rows (k, b) that tell of the cameras alone, over their deviations."""

@@ -117,15 +117,25 @@ class Placed:
         return len(self.states), self.inliers
 
 
-def place_all(
-    cameras: list[Sightings],
-    links: Mapping[Pair, Link],
-    members: list[int],
-    trust: Mapping[Pair, int],
-    rules: NetworkRules,
-) -> Placed | None:
+@dataclass(frozen=True, eq=False)
+class Group:
+    """Cameras that are to be in one network."""
+
+    cameras: list[Sightings]  # all of them
+    links: Mapping[Pair, Link]  # what pairs (a, b), a < b, tell
+    members: list[int]  # the numbers of those of the group
+    rules: NetworkRules
+
+    def link(self, a: int, b: int) -> Link | None:
+        """Give what a pair tells, in either order."""
+        if (a, b) in self.links:
+            return self.links[a, b]
+        return self.links[b, a].reversed() if (b, a) in self.links else None
+
+
+def place_all(group: Group, trust: Mapping[Pair, int]) -> Placed | None:
     """Place as many cameras of a group as fit; None where no pair gives a path."""
-    both = dict(links) | {(b, a): link.reversed() for (a, b), link in links.items()}
+    links, members, rules = group.links, group.members, group.rules
     seeds = [
         pair
         for pair, link in links.items()
@@ -134,10 +144,10 @@ def place_all(
     seeds.sort(key=lambda pair: (-trust[pair], links[pair].cost))
     best: Placed | None = None
     for pair in seeds[: rules.most_seeds]:
-        placed = _seed(cameras, pair, links[pair], rules)
+        placed = _seed(group, pair, links[pair])
         if placed is None:
             continue
-        placed = grown(placed, cameras, both, members, rules)
+        placed = grown(placed, group)
         if best is None or placed.merit > best.merit:
             best = placed
         if len(placed.states) == len(members) and seeds.index(pair) >= rules.enough_seeds:
@@ -145,25 +155,19 @@ def place_all(
     return best
 
 
-def grown(
-    placed: Placed,
-    cameras: list[Sightings],
-    links: Mapping[Pair, Link],
-    members: list[int],
-    rules: NetworkRules,
-) -> Placed:
+def grown(placed: Placed, group: Group) -> Placed:
     """Add the cameras that see the path of those placed, the best first, as long as any fits."""
     while True:
-        left = [k for k in members if k not in placed.states]
-        times_s = _common_times(placed, cameras, rules.samples)
-        seen = [cameras[k] for k in placed.states]
-        points = triangulate(list(placed.states.values()), seen, times_s, rules)
+        left = [k for k in group.members if k not in placed.states]
+        times_s = _common_times(placed, group)
+        seen = [group.cameras[k] for k in placed.states]
+        points = triangulate(list(placed.states.values()), seen, times_s, group.rules)
         known = np.isfinite(points[:, 0])
         path = times_s[known], points[known]
         found = [
             (inliers, k, state)
             for k in left
-            for inliers, state in [_best_fit(k, placed, cameras, links, path, rules)]
+            for inliers, state in [_best_fit(k, placed, group, path)]
             if state is not None
         ]
         if not found:
@@ -185,15 +189,15 @@ def rebased(states: dict[int, CameraState], reference: int) -> dict[int, CameraS
     return found
 
 
-def _seed(cameras: list[Sightings], pair: Pair, link: Link, rules: NetworkRules) -> Placed | None:
+def _seed(group: Group, pair: Pair, link: Link) -> Placed | None:
     """Place a pair, and see that its path is in front of both."""
-    a, b = pair
+    (a, b), cameras, rules = pair, group.cameras, group.rules
     first = start_state(cameras[a], 0.0, 0.0, np.eye(3), np.zeros(3))
     if link.R is None or link.t is None:
         return None
     second = _with_clock(start_state(cameras[b], 0.0, 0.0, link.R, link.t), link, first)
     placed = Placed({a: first, b: second}, 0)
-    times_s = _common_times(placed, cameras, rules.samples)
+    times_s = _common_times(placed, group)
     if not len(times_s):
         return None
     points = triangulate([first, second], [cameras[a], cameras[b]], times_s, rules)
@@ -212,37 +216,34 @@ def _with_clock(state: CameraState, link: Link, other: CameraState) -> CameraSta
     return replace(state, delay_s=state.middle_s - float(np.mean(passed_s)), rate=rate)
 
 
-def _common_times(placed: Placed, cameras: list[Sightings], samples: int) -> Array:
+def _common_times(placed: Placed, group: Group) -> Array:
     """Give network times (n,) at which at least two of the cameras placed see the object."""
     spans = [
-        state.network_from_own(np.array(cameras[k].span_s)) for k, state in placed.states.items()
+        state.network_from_own(np.array(group.cameras[k].span_s))
+        for k, state in placed.states.items()
     ]
     start_s, end_s = min(span[0] for span in spans), max(span[1] for span in spans)
-    times_s = np.linspace(start_s, end_s, 8 * samples, dtype=np.float64)
+    times_s = np.linspace(start_s, end_s, 8 * group.rules.samples, dtype=np.float64)
     seen = [
-        cameras[k].motion.at(state.own_from_network(times_s)).valid
+        group.cameras[k].motion.at(state.own_from_network(times_s)).valid
         for k, state in placed.states.items()
     ]
     times_s = times_s[np.count_nonzero(seen, axis=0) >= 2]
-    return np.asarray(times_s[:: max(1, len(times_s) // samples)])
+    return np.asarray(times_s[:: max(1, len(times_s) // group.rules.samples)])
 
 
 def _best_fit(
-    k: int,
-    placed: Placed,
-    cameras: list[Sightings],
-    links: Mapping[Pair, Link],
-    path: tuple[Array, Array],
-    rules: NetworkRules,
+    k: int, placed: Placed, group: Group, path: tuple[Array, Array]
 ) -> tuple[int, CameraState | None]:
     """Find a camera's place on a path, with the clock of each of its links to those placed."""
     best, found = 0, None
     for other, state in placed.states.items():
-        link = links.get((other, k))
+        link = group.link(other, k)
         if link is None:
             continue
-        start = _with_clock(start_state(cameras[k], 0.0, 0.0, np.eye(3), np.zeros(3)), link, state)
-        inliers, fitted = _resected(start, cameras[k], *path, rules)
+        seen = group.cameras[k]
+        start = _with_clock(start_state(seen, 0.0, 0.0, np.eye(3), np.zeros(3)), link, state)
+        inliers, fitted = _resected(start, seen, *path, group.rules)
         if fitted is not None and inliers > best:
             best, found = inliers, fitted
     return best, found

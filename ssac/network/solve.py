@@ -15,7 +15,7 @@ from ssac.network.align import Similarity
 from ssac.network.build import Built, build
 from ssac.network.graph import Link, Pair, Triple, closures_s, groups, told_by
 from ssac.network.normal import basis
-from ssac.network.placing import are_apart
+from ssac.network.placing import Group, are_apart
 from ssac.network.state import (
     DELAY,
     RATE,
@@ -245,18 +245,10 @@ def solve_network(
     distance: float,
     rules: Rules,
 ) -> NetworkAnswer:
-    """Find clocks and poses of all cameras, and the path that they saw.
+    """Find clocks and poses of all cameras, in input order, and the path that they saw.
 
-    Parameters
-    ----------
-    cameras
-        In input order.
-    links
-        What their pairs (a, b), a < b, tell; some may be wrong or missing.
-    skew_prior_ppm
-        Prior deviation of the clocks' skews.
-    distance
-        Between the first two cameras of each group.
+    What their pairs (a, b), a < b, tell may be wrong or missing for some. The prior is the
+    deviation of the clocks' skews, the distance that between the first two cameras of each group.
     """
     listed = list(cameras)
     priors = [_priors_of(seen.camera, seen.has_frames, skew_prior_ppm) for seen in listed]
@@ -266,7 +258,8 @@ def solve_network(
         if len(group) < 2:
             continue
         try:
-            built, reason = build(listed, links, group, priors, distance, rules), _NO_PATH
+            built = build(Group(listed, links, group, rules.network), priors, distance, rules.body)
+            reason = _NO_PATH
         except np.linalg.LinAlgError:
             built, reason = None, _OPEN
         if built is None:

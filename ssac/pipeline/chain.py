@@ -204,22 +204,22 @@ class Chain:
             seen = [_as_it_is(self._framed(k, method), self.rig.cameras[k]) for k in places]
             pair = _Pair(method, places, (seen[0], seen[1]), method.rig_of(rig), config)
             _check_two(self.name(i), self.name(j), *pair.cleans)
-            return self._told(pair, self._run(pair))
+            return self._answer(pair, self._run(pair))
         pair = _Pair(method, places, (self.clean(i), self.clean(j)), method.rig_of(rig), config)
         _check_two(self.name(i), self.name(j), *pair.cleans)
-        everywhere = method.input is Input.TRACKS and self._searches_all(*pair.cleans)
+        tries_all = method.input is Input.TRACKS and self._searches_all(*pair.cleans)
         if method.of_one_object and config.choose_object:
             cleans, refusal = self._one_object(places, config.offsets_s)
             pair = replace(pair, cleans=cleans)
             if refusal is not None:
                 return self._refused(pair, refusal)
         if method.input is Input.RATES:
-            return self._told(pair, self._run(pair))
+            return self._answer(pair, self._run(pair))
         views = self._views(pair.cleans, rig.unposed, config)
-        refusal = unusable(views, pair.cleans, None if everywhere else config.offsets_s)
+        refusal = unusable(views, pair.cleans, None if tries_all else config.offsets_s)
         if refusal is not None:
             return self._refused(pair, refusal)
-        start = self._start(pair, views) if everywhere else None
+        start = self._start(pair, views) if tries_all else None
         if start is not None and start.has_guess:
             pair = replace(pair, config=start.config(config))
         if start is not None and start.refusal is not None:
@@ -236,7 +236,7 @@ class Chain:
             if wandering.has_offset:
                 pair, found, wanders = other, wandering, True
         is_start = bool(pair.method.keeps_start) and pair.method.keeps(self._seen(pair, start))
-        return replace(self._told(pair, found, start), wanders=wanders, is_start=is_start)
+        return replace(self._answer(pair, found, start), wanders=wanders, is_start=is_start)
 
     def _seen(self, pair: _Pair, start: Start | None) -> TwoViews:
         """Give the views that a method of tracks begins with."""
@@ -274,7 +274,7 @@ class Chain:
             return method.function(views)
         return method.function(self._by(choose_method(method.starts_from), pair), views)
 
-    def _told(self, pair: _Pair, estimate: Estimate, start: Start | None = None) -> Answer:
+    def _answer(self, pair: _Pair, estimate: Estimate, start: Start | None = None) -> Answer:
         """Put an estimate into an answer, less sure where the recorders rounded times."""
         quanta_s = quantum_s(pair.cleans[0]), quantum_s(pair.cleans[1])
         return Answer(
@@ -300,7 +300,7 @@ class Chain:
         if start is not None:
             found = start.found
             estimate = replace(estimate, candidates_s=found.candidates_s, costs=found.costs)
-        return self._told(pair, estimate, start)
+        return self._answer(pair, estimate, start)
 
     def _clean(self, k: int) -> Clean:
         if self._undelayed is not None:
@@ -334,12 +334,13 @@ class Chain:
         self, places: tuple[int, int], interval_s: Interval
     ) -> tuple[tuple[Clean, Clean], Refusal | None]:
         """Give two cameras with the events of the one object that is chosen for the whole rig."""
+        config = self.config
 
         def chosen() -> tuple[tuple[Clean, ...], Refusal | None]:
             cleans = [self.clean(k) for k in range(len(self))]
-            everywhere = any(self._searches_all(*two) for two in combinations(cleans, 2))
+            tries_all = any(self._searches_all(*two) for two in combinations(cleans, 2))
             with self.watch.part("objects") as say:
-                found = one_object(cleans, self.config.rules, None if everywhere else interval_s)
+                found = one_object(cleans, self.config.rules, None if tries_all else interval_s)
                 if any(len(one.events) for one in cleans):
                     say(_objects_seen(*found))
             return found
@@ -465,11 +466,11 @@ def _objects_seen(cleans: tuple[Clean, ...], refusal: Refusal | None) -> str:
 
 def _progress(log: Log) -> Callable[[float], None]:
     """Log a line for each fifth of a search that takes long."""
-    start_s, told = time.perf_counter(), [0.0]
+    start_s, logged = time.perf_counter(), [0.0]
 
     def report(share: float) -> None:
-        if share >= told[0] + 0.2 and time.perf_counter() - start_s > 2.0:
-            told[0] = share
+        if share >= logged[0] + 0.2 and time.perf_counter() - start_s > 2.0:
+            logged[0] = share
             log(f"search   {100.0 * share:4.0f} %")
 
     return report

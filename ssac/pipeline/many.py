@@ -33,7 +33,7 @@ def network(chain: Chain, method: Method | None = None, known: Known = NOTHING) 
     for a, b in combinations(range(len(chain)), 2):
         with watch.part(f"{a + 1}-{b + 1}") as say:
             pairs[a, b] = chain.answer(method, a, b)
-            say(_told(pairs[a, b]))
+            say(_in_words(pairs[a, b]))
     with watch.part("network") as say, one_thread():
         answer = solve_pairs(chain, pairs, known.distance_m)
         answer, ground = grounded(answer, known)
@@ -125,8 +125,8 @@ def _sightings(chain: Chain, k: int, pairs: dict[Pair, Answer]) -> Sightings:
         shaped = _followed(chain, k, clean)
     except SsacError:  # its pairs say why
         shaped = ShapedTrack(PointTrack(np.empty(0), np.empty((0, 2))), None)
-    told = shaped.spreads_px2, shaped.images
-    return sightings(shaped.track, clean.camera, name, has_frames, rules, *told)
+    shapes = shaped.spreads_px2, shaped.images
+    return sightings(shaped.track, clean.camera, name, has_frames, rules, *shapes)
 
 
 def _followed(chain: Chain, k: int, clean: Clean) -> ShapedTrack:
@@ -140,7 +140,7 @@ def _followed(chain: Chain, k: int, clean: Clean) -> ShapedTrack:
     return shaped_track_of_events(clean, chain.recorded(k).events, config)
 
 
-def _told(answer: Answer) -> str:
+def _in_words(answer: Answer) -> str:
     estimate = answer.estimate
     if not estimate.has_offset:
         return str(estimate.status)

@@ -141,6 +141,13 @@ def _notes(result: NetworkResult) -> dict[str, list[str]]:
     return found
 
 
+_NUMBERS = (
+    "t_d_s", "t_d_std_s", "t_ref_s", "skew_ppm", "skew_std_ppm", "readout_s", "readout_std_s",
+    "R", "t", "r_std_deg", "t_std",
+)  # fmt: skip
+"""Of a camera, as its answer names them."""
+
+
 def _camera(camera: CameraAnswer, name: str) -> dict[str, Any]:
     return {
         "name": camera.name,
@@ -148,17 +155,7 @@ def _camera(camera: CameraAnswer, name: str) -> dict[str, Any]:
         "status": str(camera.status),
         "reason": camera.reason,
         "group": camera.group or None,
-        "t_d_s": plain(camera.t_d_s),
-        "t_d_std_s": plain(camera.t_d_std_s),
-        "t_ref_s": plain(camera.t_ref_s),
-        "skew_ppm": plain(camera.skew_ppm),
-        "skew_std_ppm": plain(camera.skew_std_ppm),
-        "readout_s": plain(camera.readout_s),
-        "readout_std_s": plain(camera.readout_std_s),
-        "R": plain(camera.R),
-        "t": plain(camera.t),
-        "r_std_deg": plain(camera.r_std_deg),
-        "t_std": plain(camera.t_std),
+        **{name: plain(getattr(camera, name)) for name in _NUMBERS},
         "clock_knots": [
             {"t_s": t_s, "stray_s": stray_s}
             for t_s, stray_s in zip(camera.knots_s.tolist(), camera.strays_s.tolist(), strict=True)

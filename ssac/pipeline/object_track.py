@@ -9,24 +9,12 @@ from ssac.camera import distort_points
 from ssac.config import Config
 from ssac.errors import SsacError
 from ssac.points import PointTrack
-from ssac.rules import ObjectRules
+from ssac.rules import ObjectRules, TrackRules
 from ssac.search.view import seen_of, seen_times
 from ssac.track.clean import Clean
 from ssac.track.motion import SharpTrack, motion_of
 from ssac.track.objects import objects_of, seem_several
 from ssac.track.silhouette import Images, silhouettes
-
-STEP_S = 0.01
-"""Time between points: half of a window's half, so that a track loses nothing of the motion."""
-
-STRAY_SIZES = 0.04
-"""Deviation of a point, in sizes of the object's image: by so much the mean of the events strays
-over the object as this turns."""
-
-SILHOUETTE_SIZES = 0.015
-"""The same, of the centre of the image's area."""
-
-_LEAST_SIGMA_PX = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,8 +34,10 @@ def track_of_events(clean: Clean, config: Config | None = None) -> PointTrack:
     A point is where a window holds enough events, and few of them on the border: in the image as it
     is, distorted. SsacError if the events show no object anywhere.
     """
-    points, sharp = _followed(clean, config or Config())
-    return PointTrack(sharp.times_s, points, _sigmas_px(STRAY_SIZES, sharp.sizes_px))
+    config = config or Config()
+    points, sharp = _followed(clean, config)
+    rules = config.rules.track
+    return PointTrack(sharp.times_s, points, _sigmas_px(rules.mean_sizes, sharp.sizes_px, rules))
 
 
 def things_seen(clean: Clean, rules: ObjectRules) -> int:
@@ -68,14 +58,16 @@ def shaped_track_of_events(
     config = config or Config()
     points, sharp = _followed(clean, config)
     sizes_px = sharp.sizes_px
-    sigmas = _sigmas_px(STRAY_SIZES, sizes_px)
-    track_px, rules = sharp.positions_px, config.rules.silhouette
-    found = silhouettes(recorded, clean.camera, sharp.times_s, track_px, sizes_px, rules)
+    rules, track_px = config.rules.track, sharp.positions_px
+    sigmas = _sigmas_px(rules.mean_sizes, sizes_px, rules)
+    found = silhouettes(
+        recorded, clean.camera, sharp.times_s, track_px, sizes_px, config.rules.silhouette
+    )
     if found is None:
         return ShapedTrack(PointTrack(sharp.times_s, points, sigmas), None)
     known = found.known
     points = np.where(known[:, None], found.centres_px, points)
-    sigmas = np.where(known, _sigmas_px(SILHOUETTE_SIZES, sizes_px), sigmas)
+    sigmas = np.where(known, _sigmas_px(rules.centre_sizes, sizes_px, rules), sigmas)
     track = PointTrack(sharp.times_s, points, sigmas)
     return ShapedTrack(track, found.spreads_px2, found.images)
 
@@ -83,7 +75,7 @@ def shaped_track_of_events(
 def _followed(clean: Clean, config: Config) -> tuple[NDArray[np.float64], SharpTrack]:
     """Give the points (n, 2), distorted, at which the object is in the image, and all of them."""
     motion, camera = motion_of(clean, config.windows), clean.camera
-    seen = seen_of(motion, STEP_S)
+    seen = seen_of(motion, config.rules.track.step_s)
     times_s = seen_times(seen, int(np.count_nonzero(seen.valid)))
     sharp = motion.sharp_at(times_s)
     points = np.full((len(times_s), 2), np.nan)
@@ -106,5 +98,7 @@ def _followed(clean: Clean, config: Config) -> tuple[NDArray[np.float64], SharpT
     return points[good], kept
 
 
-def _sigmas_px(share: float, sizes_px: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.asarray(np.maximum(share * sizes_px, _LEAST_SIGMA_PX))
+def _sigmas_px(
+    share: float, sizes_px: NDArray[np.float64], rules: TrackRules
+) -> NDArray[np.float64]:
+    return np.asarray(np.maximum(share * sizes_px, rules.least_sigma_px))

@@ -26,7 +26,6 @@ from ssac.estimate import Estimate
 from ssac.events import US_PER_S, slice_time
 from ssac.files.whole_file import FIGURE_SUFFIXES, whole_file
 from ssac.geometry.epipolar import epipolar_distance, epipolar_lines_1
-from ssac.geometry.fundamental import MIN_PAIRS
 from ssac.geometry.pose import rays_of
 from ssac.search.offset_search import mean_epipolar_distance
 from ssac.search.two_views import TwoViews
@@ -237,7 +236,8 @@ def d_avg_px(material: Material, offsets_s: Array) -> Array:
     F = material.estimate.F
     if F is None:
         return np.full(len(offsets_s), np.nan)
-    return mean_epipolar_distance(F, material.views.pairs(offsets_s), MIN_PAIRS)
+    views = material.views
+    return mean_epipolar_distance(F, views.pairs(offsets_s), views.config.rules.search.min_pairs)
 
 
 def epipolar_rows(material: Material) -> list[EpipolarRow]:

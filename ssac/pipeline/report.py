@@ -17,6 +17,8 @@ from ssac.track.clean import Clean
 
 _FAR = 3.0  # times what was expected of a skew
 
+_OF_CLOCK = ("t_d_s", "t_d_std_s", "t_ref_s", "skew_ppm", "skew_std_ppm")
+
 
 def report_text(answer: Answer) -> str:
     """Lay out a result for people, the sign of the offset in words."""
@@ -47,11 +49,7 @@ def report_json(answer: Answer) -> dict[str, Any]:
     """Lay out a result for machines: units in the names, None for what is missing."""
     estimate = answer.estimate
     return {
-        "t_d_s": plain(estimate.t_d_s),
-        "t_d_std_s": plain(estimate.t_d_std_s),
-        "t_ref_s": plain(estimate.t_ref_s),
-        "skew_ppm": plain(estimate.skew_ppm),
-        "skew_std_ppm": plain(estimate.skew_std_ppm),
+        **{name: plain(getattr(estimate, name)) for name in _OF_CLOCK},
         "readout_s": plain(estimate.readouts_s),
         "readout_std_s": plain(estimate.readouts_std_s),
         "R": plain(estimate.R),

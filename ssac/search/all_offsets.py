@@ -1,9 +1,9 @@
-"""Two object motions in, the offsets at which they may show one path out, of all there are.
+"""The offsets, of all there are, at which two object motions may show one path.
 
 For recordings of which nothing is known but that they overlap. Every offset that leaves enough
 common time is tried on a grid whose step follows from the paths' speed, with an F fitted at each;
 the best few are refined, and so is the rate of camera 2's clock where it is in question. The cost
-of an offset is its `lag_costs.relative_cost`, times by how many times less common path it leaves
+of an offset is its `relative_cost`, times by how many times less common path it leaves
 than the most that any offset does: a short piece of path fits many another by chance.
 """
 
@@ -15,17 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssac.geometry.fundamental import median_after_fit
+from ssac.rules import AllOffsetsRules
 from ssac.track.motion import Motion
 
 Array = NDArray[np.float64]
 Progress = Callable[[float], None]  # called with the share that is done
-
-LEAST_PAIRS = 40
-"""Pairs that a lag leaves at least."""
-
-_MOVED = 0.02  # of a path's extent, between samples that count
-_LEAST_SHARE = 0.15  # of the pairs that the longest common path has
-_CHUNK = 256  # lags between two calls of `progress`
 
 
 @dataclass(frozen=True)
@@ -57,7 +51,7 @@ class Scan:
     most: int  # samples that count, at the best of the lags
 
 
-def grid_of(motion: Motion, step_s: float, rate: float = 1.0) -> Grid:
+def grid_of(motion: Motion, step_s: float, rules: AllOffsetsRules, rate: float = 1.0) -> Grid:
     """Sample a track at whole steps of a clock that runs `rate` times slower than its own."""
     start_s, end_s = motion.span_s
     first, last = int(np.ceil(start_s / (rate * step_s))), int(end_s / (rate * step_s))
@@ -65,27 +59,23 @@ def grid_of(motion: Motion, step_s: float, rate: float = 1.0) -> Grid:
     seen = track.positions_px[track.valid]
     extent_px = float(np.sum(np.std(seen, axis=0))) if len(seen) else 0.0
     positions = np.where(track.valid[:, None], track.positions_px, 0.0)
-    return Grid(first, positions, track.valid, _MOVED * extent_px)
+    return Grid(first, positions, track.valid, rules.moved * extent_px)
 
 
-def scan_lags(one: Grid, other: Grid, rate: float, fit: Fit, progress: Progress | None) -> Scan:
-    """Find the costs of all lags at which two paths overlap.
-
-    Parameters
-    ----------
-    one, other
-        Of camera 1 and of camera 2, in steps of one length.
-    rate
-        Of camera 2's clock, with which it was sampled.
-    fit
-        How thoroughly F is fitted at each lag.
-    progress
-        Called now and then with the share that is done; may be None.
-    """
+def scan_lags(
+    one: Grid,
+    other: Grid,
+    rate: float,
+    fit: Fit,
+    rules: AllOffsetsRules,
+    progress: Progress | None,
+) -> Scan:
+    """Find the costs of all lags at which two paths, in steps of one length, overlap."""
     lags = np.arange(-len(one.valid) + 1, len(other.valid), dtype=np.int64)
     costs, counts = np.full(len(lags), np.nan), np.zeros(len(lags), np.int64)
-    for start in range(0, len(lags), _CHUNK):
-        part = slice(start, start + _CHUNK)
+    chunk = 256  # lags between two calls of `progress`
+    for start in range(0, len(lags), chunk):
+        part = slice(start, start + chunk)
         costs[part], counts[part] = costs_at_lags(
             one.p_px,
             one.valid,
@@ -94,13 +84,13 @@ def scan_lags(one: Grid, other: Grid, rate: float, fit: Fit, progress: Progress 
             lags[part],
             (one.least_px, other.least_px),
             fit.n_pairs,
-            LEAST_PAIRS,
+            rules.least_pairs,
             fit.iterations,
         )
         if progress is not None:
-            progress(min(1.0, (start + _CHUNK) / len(lags)))
+            progress(min(1.0, (start + chunk) / len(lags)))
     most = int(np.max(counts, initial=0))
-    enough = counts >= max(LEAST_PAIRS, _LEAST_SHARE * most)
+    enough = counts >= max(rules.least_pairs, rules.least_share * most)
     weighed = np.where(enough, costs * most / np.maximum(counts, 1), np.nan)
     return Scan(rate, lags, other.first - one.first, weighed, most)
 
@@ -200,28 +190,6 @@ def width_of(points_px: NDArray[np.float64]) -> float:
     return width_px
 
 
-RIVAL = 2.0
-"""Refined offsets whose cost is below this many times the least may be the true one."""
-
-MAX_COST = 0.12
-"""Cost of the best offset above which the views show no one path."""
-
-RATE_FREEDOM = 2e-3
-"""How far the rate of a frame camera may be from what is said, as a share."""
-
-_STEP_WIDTHS = 0.16  # step of the offset, in times in which a path goes its own width
-_STEPS_S = (0.005, 0.5)
-_RATE_SCAN_STEP = 2.0  # of the offset, where many rates are tried, in ordinary steps
-_RATE_STEPS = 4.0  # by which a step of the rate moves the ends of the common time
-_PAIRS, _RATE_PAIRS = 150, 64  # of a fit
-_ITERATIONS, _RATE_ITERATIONS, _FINE_ITERATIONS = 4, 1, 6
-_GUESSES = 12
-_APART_STEPS = 5.0
-_LAST_STEP_S = 1e-3
-_WORTH = 0.85  # of the cost at the rate that is said: less is worth another
-_SPEED_SAMPLES = 2000
-
-
 @dataclass(frozen=True)
 class Guess:
     """An offset at which both views may show one path."""
@@ -248,65 +216,63 @@ class AllOffsets:
     guesses: list[Guess]  # the best first; each further than some steps from the others
     step_s: float
 
-    @property
-    def rivals(self) -> list[Guess]:
-        """Other guesses that are about as good as the best."""
-        return [g for g in self.guesses[1:] if g.cost < RIVAL * self.guesses[0].cost]
-
 
 def search_all_offsets(
     motion1: Motion,
     motion2: Motion,
+    rules: AllOffsetsRules,
     rate_range: tuple[float, float] = (1.0, 1.0),
     rate_freedom: float = 0.0,
     progress: Progress | None = None,
 ) -> AllOffsets:
     """Try every offset that leaves enough common path, in time linear in their number.
 
-    Parameters
-    ----------
-    motion1, motion2
-        Of both cameras.
-    rate_range
-        Least and largest rate of camera 2's clock, by camera 1's; tried in steps that move the ends
-        of the common time by a few steps of the offset.
-    rate_freedom
-        Share by which a guess may be refined away from its rate.
-    progress
-        Called now and then with the share that is done.
+    Rates of camera 2's clock, by camera 1's, are tried in steps that move the ends of the common
+    time by a few steps of the offset; a guess may be refined away from its rate by a share, the
+    freedom. Progress is called now and then with the share that is done.
     """
-    step_s = min(_step_s(motion1), _step_s(motion2))
+    step_s = min(_step_s(motion1, rules), _step_s(motion2, rules))
     are_seen = all(motion.span_s[0] < motion.span_s[1] for motion in (motion1, motion2))
     if not (are_seen and np.isfinite(step_s)):
         return AllOffsets(np.empty(0), np.empty(0), [], 0.0)
     several = rate_range[0] < rate_range[1]
     if several:
-        step_s *= _RATE_SCAN_STEP
-    rates = _rates(rate_range, step_s, motion1, motion2)
-    fit = Fit(_RATE_PAIRS, _RATE_ITERATIONS) if several else Fit(_PAIRS, _ITERATIONS)
+        step_s *= rules.rate_scan_step
+    rates = _rates(rate_range, rules.rate_steps * step_s, motion1, motion2)
+    fine = Fit(rules.pairs, rules.iterations)
+    fit = Fit(rules.rate_pairs, rules.rate_iterations) if several else fine
     n_scans = len(rates) + several
-    one = grid_of(motion1, step_s)
+    one = grid_of(motion1, step_s, rules)
     scans = [
-        scan_lags(one, grid_of(motion2, step_s, rate), rate, fit, _part(progress, k, n_scans))
+        scan_lags(
+            one,
+            grid_of(motion2, step_s, rules, rate),
+            rate,
+            fit,
+            rules,
+            _part(progress, k, n_scans),
+        )
         for k, rate in enumerate(rates)
     ]
     freedom = max(rate_freedom, 0.5 * (rates[1] / rates[0] - 1.0)) if several else rate_freedom
-    guesses = _guesses(scans, one, motion2, step_s, freedom)
+    guesses = _guesses(scans, one, motion2, step_s, freedom, rules)
     shown = scans[0]
     if several and guesses:  # the curve at the best rate, with all pairs
-        step_s /= _RATE_SCAN_STEP
-        one = grid_of(motion1, step_s)
+        step_s /= rules.rate_scan_step
+        one = grid_of(motion1, step_s, rules)
         rate, said = guesses[0].rate, _part(progress, len(rates), n_scans)
-        shown = scan_lags(one, grid_of(motion2, step_s, rate), rate, Fit(_PAIRS, _ITERATIONS), said)
+        other = grid_of(motion2, step_s, rules, rate)
+        shown = scan_lags(one, other, rate, fine, rules, said)
     return AllOffsets(_offset_s(shown, one, step_s), shown.costs, guesses, step_s)
 
 
-def _step_s(motion: Motion) -> float:
+def _step_s(motion: Motion, rules: AllOffsetsRules) -> float:
     """Step of the offset [s] in which a path goes a share of its width; inf of none."""
     start_s, end_s = motion.span_s
     if not end_s > start_s:
         return np.inf
-    times_s = start_s + (end_s - start_s) * (np.arange(_SPEED_SAMPLES) + 0.5) / _SPEED_SAMPLES
+    n_samples = 2000
+    times_s = start_s + (end_s - start_s) * (np.arange(n_samples) + 0.5) / n_samples
     valid = motion.at(times_s).valid
     positions = motion.at(times_s[valid]).positions_px
     speeds = np.linalg.norm(motion.velocities_at(times_s[valid]), axis=1)
@@ -314,50 +280,57 @@ def _step_s(motion: Motion) -> float:
     if len(speeds) < 2:
         return np.inf
     speed = float(np.sqrt(np.mean(speeds**2)))
-    return float(np.clip(_STEP_WIDTHS * width_of(positions) / max(speed, 1e-9), *_STEPS_S))
+    step_s = rules.step_widths * width_of(positions) / max(speed, 1e-9)
+    return float(np.clip(step_s, rules.least_step_s, rules.most_step_s))
 
 
 def _rates(
-    rate_range: tuple[float, float], step_s: float, motion1: Motion, motion2: Motion
+    rate_range: tuple[float, float], end_step_s: float, motion1: Motion, motion2: Motion
 ) -> list[float]:
     low, high = rate_range
     if not low < high:
         return [low]
     half_s = 0.5 * min(float(np.ptp(motion1.span_s)), float(np.ptp(motion2.span_s)))
-    n = int(np.ceil(np.log(high / low) * half_s / (_RATE_STEPS * step_s))) + 1
+    n = int(np.ceil(np.log(high / low) * half_s / end_step_s)) + 1
     return [float(rate) for rate in np.geomspace(low, high, max(n, 2))]
 
 
 def _guesses(
-    scans: list[Scan], one: Grid, motion2: Motion, step_s: float, freedom: float
+    scans: list[Scan],
+    one: Grid,
+    motion2: Motion,
+    step_s: float,
+    freedom: float,
+    rules: AllOffsetsRules,
 ) -> list[Guess]:
     """Refine the least minima of all scans, and sort them; the nearest to each other are one."""
     most = max(scan.most for scan in scans)
     starts = sorted(
         (float(scan.costs[m]) * most / max(scan.most, 1), k, m)
         for k, scan in enumerate(scans)
-        for m in local_minima(scan.costs, _GUESSES)
+        for m in local_minima(scan.costs, rules.max_guesses)
     )
+    apart_s = rules.apart_steps * step_s
     tried: list[tuple[float, float]] = []
     found: list[Guess] = []
     for _, k, m in starts:
         scan = scans[k]
         lag_s = step_s * float(scan.lags[m] + scan.shift)
         if any(
-            abs(lag_s - other_s) < _APART_STEPS * step_s and abs(scan.rate / rate - 1.0) <= freedom
+            abs(lag_s - other_s) < apart_s and abs(scan.rate / rate - 1.0) <= freedom
             for other_s, rate in tried
         ):
             continue
         tried.append((lag_s, scan.rate))
-        guess = _refined(one, motion2, step_s, int(scan.lags[m]), scan, freedom, most)
+        guess = _refined(one, motion2, step_s, int(scan.lags[m]), scan, freedom, most, rules)
         if guess is not None:
             found.append(guess)
-        if len(tried) >= _GUESSES:
+        if len(tried) >= rules.max_guesses:
             break
     found.sort(key=lambda guess: guess.cost)
     apart: list[Guess] = []
     for guess in found:
-        if all(abs(guess.lag_s - other.lag_s) > _APART_STEPS * step_s for other in apart):
+        if all(abs(guess.lag_s - other.lag_s) > apart_s for other in apart):
             apart.append(guess)
     return apart
 
@@ -370,9 +343,10 @@ def _refined(
     scan: Scan,
     freedom: float,
     most: int,
+    rules: AllOffsetsRules,
 ) -> Guess | None:
     """Refine an offset, and the rate where it is free, by ever shorter steps."""
-    other = grid_of(motion2, step_s, scan.rate)
+    other = grid_of(motion2, step_s, rules, scan.rate)
     chosen = np.empty(len(one.valid), np.int64)
     first, last = max(0, -lag), min(len(one.valid), len(other.valid) - lag)
     count = moving_pairs(
@@ -386,9 +360,9 @@ def _refined(
         (one.least_px, other.least_px),
         chosen,
     )
-    if count < LEAST_PAIRS:
+    if count < rules.least_pairs:
         return None
-    n = min(count, 2 * _PAIRS)
+    n = min(count, 2 * rules.pairs)
     places = chosen[np.arange(n) * count // n]
     times_s = step_s * (one.first + places).astype(np.float64)
     t_ref_s = 0.5 * float(times_s[0] + times_s[-1])
@@ -396,9 +370,10 @@ def _refined(
 
     def cost(t_d_s: float, rate: float) -> float:
         track = motion2.at(t_ref_s + t_d_s + rate * (times_s - t_ref_s))
-        if np.count_nonzero(track.valid) < max(LEAST_PAIRS, len(times_s) // 2):
+        if np.count_nonzero(track.valid) < max(rules.least_pairs, len(times_s) // 2):
             return np.inf
-        value = relative_cost(p1[track.valid], track.positions_px[track.valid], _FINE_ITERATIONS)
+        p2 = track.positions_px[track.valid]
+        value = relative_cost(p1[track.valid], p2, rules.fine_iterations)
         return float(value) if np.isfinite(value) else np.inf
 
     t_d_s = scan.rate * (t_ref_s + step_s * (lag + scan.shift)) - t_ref_s
@@ -408,7 +383,7 @@ def _refined(
         step = min(0.5 * freedom, 2.0 * step_s / half_s)
         starts = [scan.rate * (1.0 + part * freedom) for part in (-0.5, 0.0, 0.5)]
         free = min(_compass(cost, (best[1][0], rate), (0.5 * step_s, step)) for rate in starts)
-        if free[0] < _WORTH * best[0] and abs(free[1][1] / scan.rate - 1.0) <= freedom:
+        if free[0] < rules.worth * best[0] and abs(free[1][1] / scan.rate - 1.0) <= freedom:
             best = free
     (t_d_s, rate), value = best[1], best[0]
     if not np.isfinite(value):
@@ -423,7 +398,7 @@ def _compass(
     """Least cost along two axes, by steps to and fro that are halved where none leads down."""
     best, (offset_s, rate) = cost(*start), start
     step_s, step = steps
-    while step_s > _LAST_STEP_S:
+    while step_s > 1e-3:
         tries = [(offset_s + step_s, rate), (offset_s - step_s, rate)]
         if step > 0.0:
             tries += [(offset_s, rate + step), (offset_s, rate - step)]

@@ -1,8 +1,8 @@
 """What two views, and a search's cost curve, cannot tell, and why.
 
 What an estimate is judged by is in units of the object's own image and motion, so that it holds for
-any resolution, speed and size. Each threshold lies in the gap between ordinary simulated flights
-and those that leave something open; `docs/refusal.md` has the figures on both sides.
+any resolution, speed and size. `docs/refusal.md` has the figures of ordinary simulated flights, and
+of those that leave something open.
 """
 
 from dataclasses import dataclass
@@ -14,27 +14,12 @@ from ssac.config import Config, Interval
 from ssac.estimate import Refusal, Status, first
 from ssac.events import US_PER_S
 from ssac.geometry.fundamental import second_best
-from ssac.search.offset_search import COARSEST, RIVAL
+from ssac.rules import SearchRules
 from ssac.search.two_views import TwoViews
 from ssac.search.view import View
 from ssac.track.clean import Clean
 
 Array = NDArray[np.float64]
-
-MIN_EXTENT = 0.6
-"""Least rms distance of the track from its middle, over the object's rms size: else at rest."""
-
-MAX_RESIDUAL = 0.4
-"""Largest mean epipolar distance over the rms size: else both views show different things."""
-
-MIN_SECOND_BEST = 7.0
-"""Pairs that another F fits less than so many times worse leave the pose open."""
-
-ORDINARY_SWING_HZ = 2.0
-"""Motion that goes to and fro more often is searched in shorter steps."""
-
-_LEAST_STEP = 5  # in fine steps
-_ONE_VALLEY_S = 0.05  # offsets nearer than that belong together, whatever lies between
 
 
 @dataclass(frozen=True)
@@ -56,14 +41,7 @@ def unusable(
 ) -> Refusal | None:
     """Refuse what no search can use: an object at rest, clocks far apart, too few events.
 
-    Parameters
-    ----------
-    views
-        Both views.
-    cleans
-        What they were made of.
-    interval_s
-        Least and largest offset searched; None for any.
+    The interval of the offsets searched is None for any.
     """
     too_few = [
         _too_few(number, clean, views.config)
@@ -71,7 +49,7 @@ def unusable(
         if view is None  # else there are windows that hold enough
     ]
     apart = None if interval_s is None else _no_common_time(cleans, interval_s)
-    return first(at_rest(views.views), apart, *too_few)
+    return first(at_rest(views.views, views.config.rules.search), apart, *too_few)
 
 
 def _no_common_time(cleans: tuple[Clean, Clean], interval_s: Interval) -> Refusal | None:
@@ -119,10 +97,10 @@ def _too_few(number: int, clean: Clean, config: Config) -> Refusal | None:
     )
 
 
-def at_rest(views: tuple[View | None, View | None]) -> Refusal | None:
+def at_rest(views: tuple[View | None, View | None], rules: SearchRules) -> Refusal | None:
     """Refuse an object that hardly leaves its own outline, in either view."""
     for number, view in enumerate(views, start=1):
-        if view is not None and view.extent_px <= MIN_EXTENT * view.size_px:
+        if view is not None and view.extent_px <= rules.min_extent * view.size_px:
             return Refusal(
                 Status.NO_MOTION,
                 f"in camera {number} the object moves by {view.extent_px:.1f} px rms only, of its"
@@ -131,10 +109,11 @@ def at_rest(views: tuple[View | None, View | None]) -> Refusal | None:
     return None
 
 
-def coarsest_step(views: tuple[View | None, View | None]) -> int:
+def coarsest_step(views: tuple[View | None, View | None], rules: SearchRules) -> int:
     """First step of the search, in fine steps: shorter for motion that turns back more often."""
     swing_hz = max((view.swing_hz for view in views if view is not None), default=0.0)
-    return int(np.clip(COARSEST * ORDINARY_SWING_HZ / max(swing_hz, 1e-12), _LEAST_STEP, COARSEST))
+    steps = rules.coarsest_steps * rules.ordinary_swing_hz / max(swing_hz, 1e-12)
+    return int(np.clip(steps, rules.least_coarse_steps, rules.coarsest_steps))
 
 
 def too_little_motion(n_swings: float, least: float) -> Refusal | None:
@@ -148,9 +127,9 @@ def too_little_motion(n_swings: float, least: float) -> Refusal | None:
     )
 
 
-def no_match(distance_px: float, object_px: float) -> Refusal | None:
+def no_match(distance_px: float, object_px: float, rules: SearchRules) -> Refusal | None:
     """Refuse what fits the two views no better than two unrelated paths."""
-    if not distance_px > MAX_RESIDUAL * object_px:
+    if not distance_px > rules.max_residual * object_px:
         return None
     return Refusal(
         Status.NO_MATCH,
@@ -160,9 +139,9 @@ def no_match(distance_px: float, object_px: float) -> Refusal | None:
     )
 
 
-def open_fundamental(p1_px: Array, p2_px: Array) -> Refusal | None:
+def open_fundamental(p1_px: Array, p2_px: Array, rules: SearchRules) -> Refusal | None:
     """Refuse the pose of pairs (n, 2) [px] that another F fits nearly as well as the best."""
-    if second_best(p1_px, p2_px) >= MIN_SECOND_BEST:
+    if second_best(p1_px, p2_px) >= rules.min_second_best:
         return None
     return Refusal(
         Status.DEGENERATE_POSE,
@@ -171,23 +150,18 @@ def open_fundamental(p1_px: Array, p2_px: Array) -> Refusal | None:
     )
 
 
-def valleys(candidates_s: Array, costs: Array, t_d_s: float) -> list[Valley]:
-    """Pieces of the cost curve below RIVAL times the cost at `t_d_s`; the one with it comes first.
+def valleys(candidates_s: Array, costs: Array, t_d_s: float, rules: SearchRules) -> list[Valley]:
+    """Pieces of low cost of a curve, that of `t_d_s`, the offset of least cost, first.
 
-    Parameters
-    ----------
-    candidates_s, costs
-        The curve, shapes (M,), ascending offsets [s]; NaN costs are left out.
-    t_d_s
-        The offset of least cost.
+    The curve (M,) has ascending offsets [s]; NaN costs are left out.
     """
     known = np.isfinite(costs)
     candidates_s, costs = candidates_s[known], costs[known]
     here = int(np.argmin(np.abs(candidates_s - t_d_s)))
-    low = np.flatnonzero(costs < RIVAL * costs[here])
+    low = np.flatnonzero(costs < rules.rival * costs[here])
     if len(low) == 0:  # at a cost of zero
         return [Valley(t_d_s, t_d_s, t_d_s)]
-    ends = np.flatnonzero(np.diff(candidates_s[low]) > _ONE_VALLEY_S)
+    ends = np.flatnonzero(np.diff(candidates_s[low]) > rules.one_valley_s)
     found = [
         Valley(
             float(candidates_s[piece[0]]),

@@ -1,4 +1,4 @@
-"""A cost per offset in, the offset of least cost and the cost curve out."""
+"""The search for the offset of least cost, as in the paper or from coarse to fine."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssac.geometry.epipolar import epipolar_distance
+from ssac.rules import SearchRules
 from ssac.search.two_views import Pairs, TwoViews
 
 Array = NDArray[np.float64]
@@ -15,20 +16,7 @@ Cost = Callable[[Array], Array]  # offsets (M,) [s] -> d_avg (M,) [px], NaN wher
 FINE_STEP_S = 0.001
 """Step of the paper's exhaustive search, on whose grid all candidates lie."""
 
-COARSEST = 20
-"""First step of the search from coarse to fine, in fine steps: d_avg is V-shaped to +-100 ms."""
-
-RIVAL = 3.0
-"""Offsets whose cost is below this many times the least may be the true one."""
-
-_STEPS = (5, 1)  # the next ones
-_KEPT_MINIMA = 3  # local minima of the coarse curve that are searched further
-_DEEP = 0.5  # of the median cost: local minima below it are looked at closely, lest they be rivals
-_MAX_RIVALS = 24
-_CLOSE_STEPS = 3  # on each side of a rival, in fine steps
-_FIT_STEPS = 6  # in fine steps on each side of the minimum
-_FIT_ITERATIONS = 4
-_MIN_OVERLAP = 0.5  # of the longest overlap that any offset in the interval gives
+_FIT_STEPS = 6  # fine steps on each side of the minimum, to which a parabola is fitted
 
 
 @dataclass(frozen=True)
@@ -60,7 +48,8 @@ def candidate_offsets(views: TwoViews) -> Array:
     offsets = low + FINE_STEP_S * np.arange(n_steps + 1, dtype=np.float64)
     start, end = views.overlap_s(offsets)
     lengths = end - start
-    return offsets[(lengths > 0.0) & (lengths >= _MIN_OVERLAP * np.max(lengths, initial=0.0))]
+    least = views.config.rules.search.min_overlap * np.max(lengths, initial=0.0)
+    return offsets[(lengths > 0.0) & (lengths >= least)]
 
 
 def exhaustive_search(cost: Cost, offsets_s: Array) -> OffsetSearch:
@@ -72,7 +61,8 @@ def coarse_to_fine_search(
     coarse_cost: Cost,
     cost: Cost,
     offsets_s: Array,
-    coarsest: int = COARSEST,
+    coarsest: int,
+    rules: SearchRules,
     returns_s: Array | None = None,
 ) -> OffsetSearch:
     """Find what `exhaustive_search` finds from about a tenth of its candidates.
@@ -82,21 +72,12 @@ def coarse_to_fine_search(
     curve are followed to 1 ms as well, with the coarse cost: they are not candidates any more, but
     say whether the least of all has rivals (`observability.valleys`).
 
-    Parameters
-    ----------
-    coarse_cost
-        As the cost, but may be cheaper and less robust.
-    cost
-        d_avg as a function of the offset.
-    offsets_s
-        Candidates from `candidate_offsets`, shape (M,) [s].
-    coarsest
-        First step, in fine steps; 5 or more. Motion that turns back more often than an ordinary
-        flight has narrower valleys.
-    returns_s
-        Lags (k,) [s] after which the motion repeats itself: there are rivals so far from the best.
+    The coarse cost may be cheaper and less robust. Motion that turns back more often than an
+    ordinary flight has narrower valleys, and needs a shorter first step: `coarsest`, of 5 fine
+    steps or more. Motion that repeats itself after some lags (k,) [s] has rivals as far from the
+    best.
     """
-    middle, finest = _STEPS
+    middle, finest, close = 5, 1, 3  # fine steps; the last on each side of a rival
     size = len(offsets_s)
     if size == 0:
         return OffsetSearch(offsets_s, offsets_s, np.nan, False)
@@ -105,7 +86,7 @@ def coarse_to_fine_search(
     coarse_grid = grid = np.append(np.arange(0, size - 1, coarsest), size - 1)
     d_avg_px[grid] = coarse_cost(offsets_s[grid])
     tried = grid
-    minima = _least_local_minima(d_avg_px, grid)
+    minima = _least_local_minima(d_avg_px, grid, rules.kept_minima)
     if len(minima) > 0:
         grid = _neighbourhood(minima, np.arange(-coarsest, coarsest + 1, middle), size)
         d_avg_px[grid] = coarse_cost(offsets_s[grid])
@@ -115,11 +96,13 @@ def coarse_to_fine_search(
         best = known[[np.argmin(d_avg_px[known])]]
         reach = middle + _FIT_STEPS
         grid = _neighbourhood(best, np.arange(-reach, reach + 1, finest), size)
-        rivals = _rivals(d_avg_px, coarse_grid, best[0], coarsest)
+        rivals = _least_local_minima(d_avg_px, coarse_grid, rules.max_rivals)
+        is_deep = d_avg_px[rivals] < rules.deep * np.nanmedian(d_avg_px[coarse_grid])
+        rivals = rivals[is_deep & (np.abs(rivals - best[0]) > coarsest)]
         if returns_s is not None and len(returns_s) > 0:
             repeats = np.rint(np.concatenate([-returns_s, returns_s]) / FINE_STEP_S).astype(np.intp)
             rivals = np.union1d(rivals, _neighbourhood(best, repeats, size))
-        for step, reach in ((middle, coarsest - middle), (finest, _CLOSE_STEPS)):
+        for step, reach in ((middle, coarsest - middle), (finest, close)):
             near = _neighbourhood(rivals, np.arange(-reach, reach + 1, step), size)
             near = near[np.isnan(d_avg_px[near])]
             d_avg_px[near] = coarse_cost(offsets_s[near])
@@ -128,18 +111,9 @@ def coarse_to_fine_search(
         d_avg_px[grid] = cost(offsets_s[grid])
         tried = np.union1d(tried, grid)
         others = np.setdiff1d(_neighbourhood(rivals, np.arange(-coarsest, coarsest), size), grid)
-        others = others[d_avg_px[others] < RIVAL * np.nanmin(d_avg_px[grid], initial=np.inf)]
+        others = others[d_avg_px[others] < rules.rival * np.nanmin(d_avg_px[grid], initial=np.inf)]
         d_avg_px[others] = cost(offsets_s[others])  # lest few samples make a rival by chance
     return _minimum(offsets_s[tried], d_avg_px[tried], np.isin(tried, grid))
-
-
-def _rivals(
-    values: Array, indices: NDArray[np.intp], best: np.intp, apart: int
-) -> NDArray[np.intp]:
-    """Find the deep local minima among the values at these ascending indices, but the best one."""
-    minima = _least_local_minima(values, indices, _MAX_RIVALS)
-    is_deep = values[minima] < _DEEP * np.nanmedian(values[indices])
-    return np.asarray(minima[is_deep & (np.abs(minima - best) > apart)])
 
 
 def _least_within(values: Array, centres: NDArray[np.intp], reach: int) -> NDArray[np.intp]:
@@ -153,9 +127,7 @@ def _least_within(values: Array, centres: NDArray[np.intp], reach: int) -> NDArr
     return np.array(found, np.intp)
 
 
-def _least_local_minima(
-    values: Array, indices: NDArray[np.intp], most: int = _KEPT_MINIMA
-) -> NDArray[np.intp]:
+def _least_local_minima(values: Array, indices: NDArray[np.intp], most: int) -> NDArray[np.intp]:
     """Find the few least local minima among the values at these ascending indices."""
     tried = np.where(np.isnan(values[indices]), np.inf, values[indices])
     padded = np.pad(tried, 1, constant_values=np.inf)
@@ -186,7 +158,7 @@ def _minimum(candidates_s: Array, d_avg_px: Array, eligible: NDArray[np.bool_]) 
         return OffsetSearch(candidates_s, d_avg_px, np.nan, False)
     steps = (candidates_s - candidates_s[best]) / FINE_STEP_S
     vertex = 0.0  # in steps from the best candidate
-    for _ in range(_FIT_ITERATIONS):
+    for _ in range(4):
         root_weights = np.sqrt(np.maximum(1.0 - ((steps - vertex) / _FIT_STEPS) ** 2, 0.0))
         near = (root_weights > 0.0) & np.isfinite(values)
         if np.count_nonzero(near) < 4:

@@ -2,6 +2,10 @@
 
 Nearly all recordings show one thing that moves, and pass as they are. Where a camera sees several,
 those pieces of paths are taken that one epipolar geometry and one offset explain in both views.
+
+Long chains of one view and of the other are paired, and all offsets are tried for each pair of
+them, as far as whole bins of time go. What is best for some pair is a hypothesis: an offset and an
+F. It is judged by the time in which any pieces of both views, of that chain or not, bear it out.
 """
 
 from collections.abc import Sequence
@@ -15,7 +19,7 @@ from ssac.config import Interval
 from ssac.estimate import Refusal, Status
 from ssac.geometry.epipolar import sampson_distance
 from ssac.geometry.fundamental import lmeds_fundamental, reweighted_fundamental
-from ssac.rules import ObjectRules, Rules
+from ssac.rules import Rules
 from ssac.search.all_offsets import costs_at_lags, local_minima
 from ssac.track.clean import Clean, ObjectsUsed
 from ssac.track.clutter import chosen_events
@@ -23,20 +27,6 @@ from ssac.track.motion import point_motion
 from ssac.track.objects import Objects, Piece, chains_of, objects_of, seem_several
 
 Array = NDArray[np.float64]
-
-_CHAINS, _ALONE = 3, 2  # of each view: the longest chains, and the longest pieces
-_MINIMA = 2  # of each pair's cost
-_STARTS = 16  # of all pairs, that are looked into
-_SAME = 2  # half bins between offsets that are one
-_AS_OFTEN = 0.6  # of the time that another object is seen
-_PAIRS, _ITERATIONS = 120, 4  # of a fit
-_LEAST_PAIRS = 60  # half bins that a pair of chains has in common
-_LEAST_MOVED_PX = (1.0, 1.0)  # that both move between samples that count
-_TRIALS = 1000
-_LEAST_COMMON = 8  # half bins of two pieces that tell whether they are one object's
-_NEAR_PX, _NEAR = 1.5, 0.2  # distance of pieces of one object: plus a share of their sizes
-_FIRM_PX, _FIRM = 1.0, 8.0  # the same once there is a match: plus a share of its distance
-_ROUNDS = 3
 
 
 @dataclass(frozen=True)
@@ -64,32 +54,29 @@ def matches(
     pieces1: list[Piece],
     pieces2: list[Piece],
     interval_s: tuple[float, float] | None,
-    rules: ObjectRules,
+    rules: Rules,
 ) -> list[Match]:
     """Find offsets at which pieces of both views are of one object, the best borne out first.
 
-    Parameters
-    ----------
-    pieces1, pieces2
-        Of camera 1 and of camera 2.
-    interval_s
-        Least and largest offset [s], as if both recordings started at a time; None for any.
+    The interval is of offsets [s], as if both recordings started at a time; None for any.
     """
     grids1, grids2 = list(map(_sampled, pieces1)), list(map(_sampled, pieces2))
-    starts, half_bin_s = [], 0.5e-6 * rules.bin_us
+    starts = []
     for chain1 in _candidates(pieces1, rules):
         one = _joined([grids1[i] for i in chain1])
         for chain2 in _candidates(pieces2, rules):
             other = _joined([grids2[j] for j in chain2])
-            for cost, lag in _minima(one, other, interval_s, half_bin_s):
+            for cost, lag in _minima(one, other, interval_s, rules):
                 starts.append((cost, lag, one, other, (chain1, chain2)))
     found: list[Match] = []
-    for _, lag, one, other, chains in sorted(starts, key=lambda start: start[:2])[:_STARTS]:
-        F = lmeds_fundamental(*_common(one, other, lag), _TRIALS)
+    for _, lag, one, other, chains in sorted(starts, key=lambda start: start[:2])[
+        : rules.match.starts
+    ]:
+        F = lmeds_fundamental(*_common(one, other, lag), rules.match.trials)
         if np.isfinite(F).all():
-            match = _grown(lag, F, (grids1, grids2), (pieces1, pieces2), chains)
+            match = _grown(lag, F, (grids1, grids2), (pieces1, pieces2), chains, rules)
             found += [] if match is None else [match]
-    return _distinct(sorted(found, key=lambda match: -match.common))
+    return _distinct(sorted(found, key=lambda match: -match.common), rules)
 
 
 def both_see(pieces1: list[Piece], pieces2: list[Piece], lag: int) -> int:
@@ -99,15 +86,15 @@ def both_see(pieces1: list[Piece], pieces2: list[Piece], lag: int) -> int:
     return len(seen1 & seen2)
 
 
-def _candidates(pieces: list[Piece], rules: ObjectRules) -> list[list[int]]:
+def _candidates(pieces: list[Piece], rules: Rules) -> list[list[int]]:
     """Longest chains, and the longest pieces by themselves: no wrong turn is in these."""
-    chains = chains_of(pieces, rules)[:_CHAINS]
+    chains = chains_of(pieces, rules.objects)[: rules.match.max_chains]
     longest = np.argsort([-len(piece.positions_px) for piece in pieces], kind="stable")
-    alone = [[int(i)] for i in longest[:_ALONE]]
+    alone = [[int(i)] for i in longest[: rules.match.max_alone]]
     return chains + [piece for piece in alone if piece not in chains]
 
 
-def _distinct(found: list[Match]) -> list[Match]:
+def _distinct(found: list[Match], rules: Rules) -> list[Match]:
     """Take one match for each offset: of two objects that bear out the same, that of more events.
 
     The other has to be seen for most of the time that the best borne out is.
@@ -115,9 +102,9 @@ def _distinct(found: list[Match]) -> list[Match]:
     kept: list[Match] = []
     left = found
     while left:
-        same = [match for match in left if abs(match.lag - left[0].lag) <= _SAME]
-        left = [match for match in left if abs(match.lag - left[0].lag) > _SAME]
-        often = [match for match in same if match.common >= _AS_OFTEN * same[0].common]
+        same = [match for match in left if abs(match.lag - left[0].lag) <= rules.match.same_lag]
+        left = [match for match in left if abs(match.lag - left[0].lag) > rules.match.same_lag]
+        often = [match for match in same if match.common >= rules.match.as_often * same[0].common]
         kept.append(max(often, key=lambda match: match.n_events))
     return kept
 
@@ -142,13 +129,13 @@ def _joined(grids: list[_Sampled]) -> _Sampled:
 
 
 def _minima(
-    one: _Sampled, other: _Sampled, interval_s: tuple[float, float] | None, half_bin_s: float
+    one: _Sampled, other: _Sampled, interval_s: tuple[float, float] | None, rules: Rules
 ) -> list[tuple[float, int]]:
     """Find the costs of the best offsets of two chains, and these offsets [half bins].
 
     The more path they have in common, the less an offset costs.
     """
-    shift = other.first - one.first
+    shift, half_bin_s = other.first - one.first, 0.5e-6 * rules.objects.bin_us
     first, last = 1 - len(one.valid), len(other.valid) - 1
     if interval_s is not None:
         low, high = (bound_s / half_bin_s - shift for bound_s in interval_s)
@@ -160,13 +147,15 @@ def _minima(
         other.positions_px,
         other.valid,
         lags,
-        _LEAST_MOVED_PX,
-        _PAIRS,
-        _LEAST_PAIRS,
-        _ITERATIONS,
+        (rules.match.least_moved_px, rules.match.least_moved_px),
+        rules.match.pairs,
+        rules.match.least_pairs,
+        rules.match.iterations,
     )
     shared = costs / np.maximum(counts, 1)
-    return [(float(shared[m]), int(lags[m]) + shift) for m in local_minima(shared, _MINIMA)]
+    return [
+        (float(shared[m]), int(lags[m]) + shift) for m in local_minima(shared, rules.match.minima)
+    ]
 
 
 def _common(one: _Sampled, other: _Sampled, lag: int) -> tuple[Array, Array]:
@@ -187,17 +176,20 @@ def _grown(
     grids: tuple[list[_Sampled], list[_Sampled]],
     pieces: tuple[list[Piece], list[Piece]],
     chains: tuple[list[int], list[int]],
+    rules: Rules,
 ) -> Match | None:
     """Take the pieces that bear an offset and an F out, refine both with these, and again."""
     best: Match | None = None
-    for _ in range(_ROUNDS):
-        most_px = np.inf if best is None else _FIRM_PX + _FIRM * best.distance_px
-        taken = _consistent(lag, F, grids, pieces, chains, most_px)
+    for _ in range(rules.match.rounds):
+        most_px = np.inf
+        if best is not None:
+            most_px = rules.match.firm_px + rules.match.firm_times * best.distance_px
+        taken = _consistent(lag, F, grids, pieces, chains, most_px, rules)
         if not taken:
             return best
         positions = [_common(grids[0][i], grids[1][j], lag) for i, j in taken]
         p1, p2 = (np.concatenate(side) for side in zip(*positions, strict=True))
-        if len(p1) < _LEAST_PAIRS:
+        if len(p1) < rules.match.least_pairs:
             return best
         refit = reweighted_fundamental(p1, p2)
         if _distance_px(refit, p1, p2) < _distance_px(F, p1, p2):
@@ -208,7 +200,7 @@ def _grown(
             for i in {pair[k] for pair in taken}
         )
         best = Match(lag, F, tuple(taken), len(p1), n_events, _distance_px(F, p1, p2))
-        refined = _refined(best, grids)
+        refined = _refined(best, grids, rules)
         lag, F = refined.lag, refined.F
     return best
 
@@ -220,6 +212,7 @@ def _consistent(
     pieces: tuple[list[Piece], list[Piece]],
     chains: tuple[list[int], list[int]],
     most_px: float,
+    rules: Rules,
 ) -> list[tuple[int, int]]:
     """Pairs of pieces near their epipolar lines, those of the chains first; one at a time a view.
 
@@ -231,12 +224,12 @@ def _consistent(
     lasts = firsts + [len(other.valid) for other in grids[1]]
     for i, one in enumerate(grids[0]):
         common = np.minimum(one.first + len(one.valid), lasts) - np.maximum(one.first, firsts)
-        for j in map(int, np.flatnonzero(common >= _LEAST_COMMON)):
+        for j in map(int, np.flatnonzero(common >= rules.match.least_common)):
             p1, p2 = _common(one, grids[1][j], lag)
-            if len(p1) < _LEAST_COMMON:
+            if len(p1) < rules.match.least_common:
                 continue
             size_px = float(np.hypot(pieces[0][i].size_px, pieces[1][j].size_px))
-            limit_px = min(_NEAR_PX + _NEAR * size_px, most_px)
+            limit_px = min(rules.match.near_px + rules.match.near_share * size_px, most_px)
             is_near[i, j] = _distance_px(F, p1, p2) < limit_px
             order.append((-(i in chains[0]) - (j in chains[1]), -len(p1), i, j))
     taken: list[tuple[int, int]] = []
@@ -262,13 +255,13 @@ def _meet(one: Piece, other: Piece) -> bool:
     return one.first < other.last and other.first < one.last
 
 
-def _refined(match: Match, grids: tuple[list[_Sampled], list[_Sampled]]) -> Match:
+def _refined(match: Match, grids: tuple[list[_Sampled], list[_Sampled]], rules: Rules) -> Match:
     """Shift the offset by half bins as long as its pieces then fit better."""
     best = match
     for lag in range(match.lag - 2, match.lag + 3):
         positions = [_common(grids[0][i], grids[1][j], lag) for i, j in match.pairs]
         p1, p2 = (np.concatenate(side) for side in zip(*positions, strict=True))
-        if len(p1) < _LEAST_PAIRS:
+        if len(p1) < rules.match.least_pairs:
             continue
         F = reweighted_fundamental(p1, p2)
         distance_px = _distance_px(F, p1, p2)
@@ -277,34 +270,13 @@ def _refined(match: Match, grids: tuple[list[_Sampled], list[_Sampled]]) -> Matc
     return best
 
 
-MIN_COMMON_S = 1.5
-"""Least time in which pieces of both views bear out one offset: less does so by chance."""
-
-MIN_SHARE = 0.5
-"""Least share of the time in which both cameras see anything move: things of other flights reach
-0.44 of it, and two flights of which one is common have 0.66 and more."""
-
-RIVAL = 0.7
-"""Another offset borne out for this share of the best one's time may be the true one."""
-
-_CLEARLY = 3.0  # times the best one's distance: such a rival is none
-_LEAST_DISTANCE_PX = 0.1
-_FAR_US = 2**61  # before and after all times
-_TRACK_SIZE_PX = 5.0  # of an object of which a track shows the path alone
-
-
 def one_object(
     cleans: Sequence[Clean], rules: Rules, interval_s: Interval | None = None
 ) -> tuple[tuple[Clean, ...], Refusal | None]:
     """Choose the object that all cameras saw, where one of them saw several things at a time.
 
-    Parameters
-    ----------
-    cleans
-        What two or more cameras recorded. With noise in it nothing is chosen: that hangs together
-        too.
-    interval_s
-        Least and largest offset between the clocks of two of them; None for any.
+    Of cameras with noise in their events nothing is chosen: that hangs together too. The interval
+    is of offsets between the clocks of two of them; None for any.
 
     Returns
     -------
@@ -366,7 +338,7 @@ def _objects(seen: Clean, rules: Rules) -> Objects:
     track = point_motion(seen.track, seen.camera, rules.points, half_bin_s).at(times_s)
     positions = np.where(track.valid[:, None], track.positions_px, np.nan)
     none = np.empty(0, np.int64)
-    piece = Piece(0, positions, np.ones(len(times_s)), _TRACK_SIZE_PX, none)
+    piece = Piece(0, positions, np.ones(len(times_s)), rules.match.track_size_px, none)
     return Objects(
         round(1e6 * start_s), rules.objects.bin_us, False, 1, [piece], none.astype(np.int32)
     )
@@ -382,12 +354,14 @@ def _matched(
     start_s = 1e-6 * (other.start_us - one.start_us)  # of camera 2 after camera 1
     if interval_s is not None:
         interval_s = (interval_s[0] - start_s, interval_s[1] - start_s)
-    found = matches(one.pieces, other.pieces, interval_s, rules.objects)
+    found = matches(one.pieces, other.pieces, interval_s, rules)
     things = f"the cameras see {one.n_seen} and {other.n_seen} things at a time"
     pieces = one.pieces, other.pieces
-    needed_s, half_bin_s = MIN_COMMON_S, 0.5e-6 * rules.objects.bin_us
+    needed_s, half_bin_s = rules.match.min_common_s, 0.5e-6 * rules.objects.bin_us
     if found:
-        needed_s = max(needed_s, MIN_SHARE * half_bin_s * both_see(*pieces, found[0].lag))
+        needed_s = max(
+            needed_s, rules.match.min_share * half_bin_s * both_see(*pieces, found[0].lag)
+        )
     common_s = half_bin_s * found[0].common if found else 0.0
     if common_s < needed_s:
         reason = (
@@ -400,8 +374,9 @@ def _matched(
     rivals = [
         match
         for match in found[1:]
-        if match.common >= RIVAL * best.common
-        and match.distance_px <= _CLEARLY * max(best.distance_px, _LEAST_DISTANCE_PX)
+        if match.common >= rules.match.rival * best.common
+        and match.distance_px
+        <= rules.match.clearly * max(best.distance_px, rules.match.least_distance_px)
     ]
     if not rivals:
         return best
@@ -432,7 +407,8 @@ def _only(seen: Clean, objects: Objects, numbers: set[int]) -> Clean:
 
 def _gaps_us(objects: Objects, pieces: list[Piece]) -> NDArray[np.int64]:
     """Give the times (g, 2) [us] between pieces, in order of time, and beyond all."""
+    far_us = 2**61  # before and after all times
     ends = np.array([(piece.first, piece.last) for piece in pieces], np.int64).ravel()
     ends_us = objects.start_us + objects.bin_us * ends
-    gaps_us = np.concatenate([[-_FAR_US], ends_us, [_FAR_US]]).reshape(-1, 2)
+    gaps_us = np.concatenate([[-far_us], ends_us, [far_us]]).reshape(-1, 2)
     return np.asarray(gaps_us[gaps_us[:, 1] > gaps_us[:, 0]])

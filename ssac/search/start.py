@@ -14,24 +14,11 @@ from ssac.clock import PPM
 from ssac.config import Config, Interval
 from ssac.estimate import Estimate, Refusal, Status
 from ssac.events import US_PER_S
-from ssac.search.all_offsets import (
-    MAX_COST,
-    RATE_FREEDOM,
-    AllOffsets,
-    Guess,
-    Progress,
-    search_all_offsets,
-)
+from ssac.rules import AllOffsetsRules
+from ssac.search.all_offsets import AllOffsets, Guess, Progress, search_all_offsets
 from ssac.search.two_views import TwoViews
 from ssac.track.clean import Clean
 from ssac.track.motion import PointMotion
-
-REACH_S, REACH_STEPS = 0.5, 4.0
-"""A method searches this far on each side of the offset found, or so many of the search's steps."""
-
-UNIQUE_SWINGS = 2.0
-"""Times to and fro that are enough where no other offset of all fits nearly as well: chance would
-have made several fit."""
 
 
 @dataclass(frozen=True)
@@ -74,14 +61,15 @@ class Start:
 
     def config(self, config: Config) -> Config:
         """Search near the guess."""
-        reach_s, t_d_s = max(REACH_S, REACH_STEPS * self.found.step_s), self.guess.t_d_s
+        rules, t_d_s = config.rules.all_offsets, self.guess.t_d_s
+        reach_s = max(rules.reach_s, rules.reach_steps * self.found.step_s)
         return replace(
             config,
             interval_s=(t_d_s - reach_s, t_d_s + reach_s),
             search="interval",
             rates=None,
             max_valley_s=max(config.max_valley_s, 2.0 * reach_s),
-            min_swings=min(config.min_swings, UNIQUE_SWINGS),
+            min_swings=min(config.min_swings, rules.unique_swings),
             search_skews=config.search_skews and not self.tried_rates,
         )
 
@@ -137,22 +125,15 @@ class Start:
 def start_of(
     views: TwoViews, rates: Interval | None = None, progress: Progress | None = None
 ) -> Start:
-    """Search all offsets, and all rates of a range, for where to begin.
+    """Search all offsets, and all rates of camera 2's clock in a range, for where to begin.
 
-    Parameters
-    ----------
-    views
-        Both views, with clocks as they were recorded.
-    rates
-        Least and largest rate of camera 2's clock, by camera 1's; None where both are about right.
-    progress
-        Called now and then with the share that is done.
+    Both views have clocks as they were recorded. No range: both clocks are about right.
     """
-    motions = views.motion1, views.motion2
+    motions, rules = (views.motion1, views.motion2), views.config.rules.all_offsets
     has_track = any(isinstance(motion, PointMotion) for motion in motions)
-    freedom = RATE_FREEDOM if has_track else 0.0
-    found = search_all_offsets(*motions, rates or (1.0, 1.0), freedom, progress)
-    return Start(found, _refusal(found), freedom > 0.0 or rates is not None)
+    freedom = rules.rate_freedom if has_track else 0.0
+    found = search_all_offsets(*motions, rules, rates or (1.0, 1.0), freedom, progress)
+    return Start(found, _refusal(found, rules), freedom > 0.0 or rates is not None)
 
 
 def at_rate(cam2: Clean, rate: float, anchor_s: float) -> Clean:
@@ -168,7 +149,7 @@ def at_rate(cam2: Clean, rate: float, anchor_s: float) -> Clean:
     return replace(cam2, events=events, track=track, gaps_us=gaps_us)
 
 
-def _refusal(found: AllOffsets) -> Refusal | None:
+def _refusal(found: AllOffsets, rules: AllOffsetsRules) -> Refusal | None:
     """Refuse what no offset of all explains, or several do."""
     if not found.guesses:
         return Refusal(
@@ -176,8 +157,9 @@ def _refusal(found: AllOffsets) -> Refusal | None:
             "at no offset do both cameras see the object move for long enough to compare its paths:"
             " check that they saw one flight",
         )
-    best, rivals = found.guesses[0], found.rivals
-    if best.cost > MAX_COST:
+    best = found.guesses[0]
+    rivals = [one for one in found.guesses[1:] if one.cost < rules.rival * best.cost]
+    if best.cost > rules.max_cost:
         return Refusal(
             Status.NO_MATCH,
             f"at the best of all offsets, {best.t_d_s:.1f} s, the two paths still disagree by"

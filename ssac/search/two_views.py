@@ -1,4 +1,4 @@
-"""The object's positions in two views, paired by a clock.
+"""The object's positions in two views, paired by a clock, and what their shutters make of them.
 
 The sign convention of the whole package: t_cam2 = t_cam1 + t_d, so that p2(t + t_d) pairs with
 p1(t), as in the paper's Eq. 3, and t_d is positive when camera 2's clock shows more.
@@ -20,9 +20,6 @@ from ssac.track.clean import Clean
 from ssac.track.motion import Motion, PointMotion, SharpTrack, motion_of
 
 Array = NDArray[np.float64]
-
-_SPEED_SAMPLES = 100  # of a path's speed
-_MAX_GAP_S = 0.5  # of a path that is known
 
 
 @dataclass(frozen=True)
@@ -95,8 +92,9 @@ class TwoViews:
 
     def __post_init__(self) -> None:
         motions, longest_s = (self.motion1, self.motion2), float(np.ptp(self.config.offsets_s))
-        if self.alone is None or not self.alone.is_of(motions, longest_s):
-            object.__setattr__(self, "alone", Alone(motions, longest_s))
+        alone = Alone(motions, longest_s, self.config.rules.view, self.config.rules.blind)
+        if self.alone is None or not self.alone.is_like(alone):
+            object.__setattr__(self, "alone", alone)
 
     @property
     def views(self) -> tuple[View | None, View | None]:
@@ -152,22 +150,15 @@ class TwoViews:
         start, end = self.overlap_s(t_d_s)
         times_s = start[:, None] + (end - start)[:, None] * ((np.arange(n) + 0.5) / n)
         if self.seen is not None:
+            even_share = self.config.rules.view.even_share
             for m, offset_s in enumerate(t_d_s):
-                seen_s = seen_by_both(*self.seen, float(offset_s), n)
+                seen_s = seen_by_both(*self.seen, float(offset_s), n, even_share)
                 if seen_s is not None:
                     times_s[m] = seen_s
         return np.asarray(times_s)
 
     def pairs(self, t_d_s: Array, n_samples: int | None = None) -> Pairs:
-        """Pair p1(t_i) with p2(t_i + t_d) at N times for each of the offsets (M,) [s].
-
-        Parameters
-        ----------
-        t_d_s
-            Offsets, shape (M,) [s].
-        n_samples
-            The paper's N; the config's when None.
-        """
+        """Pair p1(t_i) with p2(t_i + t_d) at N times for each of the offsets (M,) [s]."""
         times_s = self.sample_times(t_d_s, n_samples)
         track1 = self.motion1.at(times_s)
         track2 = self.motion2.at(self.on_clock_2(times_s, t_d_s[:, None]))
@@ -205,8 +196,8 @@ class TwoViews:
         """
         if len(pairs) < 2:
             return 0.0
-        duration_s = float(np.sum(np.minimum(np.diff(pairs.times_s), _MAX_GAP_S)))
-        some_s = pairs.times_s[:: -(-len(pairs) // _SPEED_SAMPLES)]
+        duration_s = float(np.sum(np.minimum(np.diff(pairs.times_s), 0.5)))  # of known path
+        some_s = pairs.times_s[:: -(-len(pairs) // 100)]  # enough for its speed
         return min(
             duration_s * swing_hz(positions, motion.velocities_at(clock_s))
             for motion, clock_s, positions in (
@@ -228,18 +219,9 @@ class TwoViews:
 def views_of(
     one: Clean, other: Clean, rig: Rig, config: Config, pose_is_known: bool = False
 ) -> TwoViews:
-    """Sum up both views of what two cameras recorded: the paper's Sec. IV-A.
+    """Sum up both views of what two cameras recorded, without noise: the paper's Sec. IV-A.
 
-    Parameters
-    ----------
-    one, other
-        What cameras 1 and 2 recorded, without noise.
-    rig
-        Theirs; its extrinsics count only where `pose_is_known`.
-    config
-        Parameters.
-    pose_is_known
-        The rig's extrinsics hold, and only the offset is in question.
+    The rig's extrinsics count only where `pose_is_known`: then only the offset is in question.
     """
     motions = motion_of(one, config.windows), motion_of(other, config.windows)
     return TwoViews(*motions, rig, config, pose_is_known)
@@ -247,7 +229,12 @@ def views_of(
 
 @dataclass(frozen=True, eq=False)
 class Shutters:
-    """The k cameras, of both, whose readout is to be estimated; none by default."""
+    """The k cameras, of both, whose readout is to be estimated; none by default.
+
+    A frame's row is exposed its share of the height, times the readout, later than the frame's
+    time. So a readout that is longer by d shows the object at a time t where it was d times that
+    share before: its image moves by that much against its velocity.
+    """
 
     cameras: tuple[int, ...] = ()  # 0 and 1
     expected_s: Array = field(default_factory=lambda: np.empty(0))  # (k,) readouts beforehand
@@ -271,12 +258,7 @@ class Shutters:
     def moves(self, views: TwoViews, times_s: tuple[Array, Array]) -> list[tuple[Array, Array]]:
         """Give how both images move (n, 2) [px] by a longer readout of each, per second of it.
 
-        Parameters
-        ----------
-        views
-            As they are read out.
-        times_s
-            When they are sampled, each (n,) on its camera's clock.
+        Views are as they are read out, and sampled at times, each (n,) on its camera's clock.
         """
         found = []
         for k in self.cameras:

@@ -1,4 +1,13 @@
-"""One camera's object motion in; how far, how straight and how often to and fro it goes, out."""
+"""What one camera alone says of the object: how far, how straight and how often it goes.
+
+When it is seen: where that is most of the time, sample times are even and some of them fail. In
+flights spread over an hour nearly all would, so that the times at which it is seen are sampled.
+
+And when the camera was blind: one that takes frames beside events, as a DAVIS does, loses all
+events while it reads a frame out. A recording need not say so, but its events do: busy times are
+cut off and begin anew, for spans that are all as long, in one rhythm. An object that comes to rest,
+or whose edges cross rows of pixels all at once, is silent too, but never so evenly.
+"""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -7,15 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssac.geometry.epipolar import robust_deviation
+from ssac.rules import BlindRules, ViewRules
 from ssac.track.motion import Motion, ObjectMotion
 
 Array = NDArray[np.float64]
-
-MOST = 0.5
-"""Share of the time in which the object must be seen for even sample times."""
-
-_SEEN_STEP_S = 0.02  # as finely as events' windows tell
-_MAX_STEPS = 50_000
 
 
 @dataclass(frozen=True)
@@ -36,7 +40,8 @@ def seen_of(motion: Motion, step_s: float | None = None) -> Seen:
     """Look at a motion from end to end, in steps of its own choice where none is given."""
     start_s, end_s = motion.span_s
     length_s = max(end_s - start_s, 0.0) if np.isfinite(end_s - start_s) else 0.0
-    step_s = max(_SEEN_STEP_S, length_s / _MAX_STEPS) if step_s is None else step_s
+    if step_s is None:  # as finely as events' windows tell
+        step_s = max(0.02, length_s / 50_000)
     times_s = start_s + step_s * (np.arange(int(length_s / step_s), dtype=np.float64) + 0.5)
     return Seen(start_s, step_s, motion.at(times_s).valid)
 
@@ -46,26 +51,18 @@ def seen_times(seen: Seen, n: int) -> Array:
     return _spread(seen, seen.valid, 0, n)
 
 
-def seen_by_both(one: Seen, other: Seen, t_d_s: float, n: int) -> Array | None:
+def seen_by_both(one: Seen, other: Seen, t_d_s: float, n: int, even_share: float) -> Array | None:
     """Spread n times [s], camera 1's clock, over those at which both cameras see the object.
 
-    None where they do so most of the time that both record, or never.
-
-    Parameters
-    ----------
-    one, other
-        Of camera 1 and 2, in the same steps.
-    t_d_s
-        What camera 2's clock shows more [s].
-    n
-        Times wanted.
+    None where they do so in `even_share` of the time that both record, or more, or never. Both were
+    looked at in the same steps; camera 2's clock shows `t_d_s` more.
     """
     shift = round((one.start_s + t_d_s - other.start_s) / one.step_s)  # other = one + shift
     first, last = max(0, -shift), min(len(one.valid), len(other.valid) - shift)
     if last <= first:
         return None
     both = one.valid[first:last] & other.valid[first + shift : last + shift]
-    if not both.any() or np.mean(both) >= MOST:
+    if not both.any() or np.mean(both) >= even_share:
         return None
     return _spread(one, both, first, n)
 
@@ -81,18 +78,6 @@ def _spread(seen: Seen, valid: NDArray[np.bool_], first: int, n: int) -> Array:
 
 Spans = NDArray[np.int64]
 
-_SHORTEST_US, _LONGEST_US = 3_000, 30_000  # of a readout
-_BESIDE_US = 5_000  # on each side of a silence, where there must be many events
-_EXPECTED = 20.0  # events that a silence would hold at their rate: by chance it holds some
-_LEAST = 10  # silences that make a rhythm
-_MOST_PERIODS = 10  # from one of them to the next: in between, the object may hardly move
-_SAME_LENGTH, _SAME_RHYTHM = 0.2, 0.05  # shares by which lengths, and beats, differ at the most
-_MOST_OTHERS = 0.2  # share of the silences of that length that are off the beat
-_MOST_LENGTHS = 0.4  # share of the silences of another length: an object's own, in volleys
-_MOST_SHARE = 0.6  # of a period, in which a camera that is of use is blind
-_MOST_INSIDE = 0.02  # events within spans, as a share of what they would hold
-_LEAST_CUT = 0.5  # share of the events that lie between spans of the rhythm
-
 
 def no_spans() -> Spans:
     """Give the spans (0, 2) of a camera that is never blind."""
@@ -107,52 +92,46 @@ class Blind:
     period_s: float = np.nan  # from one to the next; NaN of none
 
 
-def blind_spans(times_us: NDArray[np.int64]) -> Blind:
-    """Find the readouts of frames among the times of events.
+def blind_spans(times_us: NDArray[np.int64], rules: BlindRules) -> Blind:
+    """Find the readouts of frames among the sorted times of events.
 
-    Parameters
-    ----------
-    times_us
-        Shape (n,) [us], sorted.
-
-    Returns
-    -------
-    Blind
-        Without spans unless most of the events lie in one rhythm of silences.
+    There are none unless most of the events lie in one rhythm of silences.
     """
-    silences_us = _sudden_silences(times_us)
-    if len(silences_us) < _LEAST:
+    silences_us = _sudden_silences(times_us, rules)
+    if len(silences_us) < rules.least_silences:
         return Blind()
     lengths_us = np.diff(silences_us)[:, 0]
     length_us = float(np.median(lengths_us))
-    alike = np.abs(lengths_us - length_us) <= _SAME_LENGTH * length_us
-    if np.mean(alike) < 1.0 - _MOST_LENGTHS:
+    alike = np.abs(lengths_us - length_us) <= rules.same_length * length_us
+    if np.mean(alike) < 1.0 - rules.most_lengths:
         return Blind()
     spans_us = silences_us[alike]
     since_us = np.diff(spans_us[:, 0])
     period_us = float(np.median(since_us))
     beats = np.rint(since_us / period_us)
-    near = (beats >= 1.0) & (beats <= _MOST_PERIODS)
-    if np.count_nonzero(near) < _LEAST - 1 or length_us > _MOST_SHARE * period_us:
+    near = (beats >= 1.0) & (beats <= rules.most_periods)
+    few = np.count_nonzero(near) < rules.least_silences - 1
+    if few or length_us > rules.most_share * period_us:
         return Blind()
     period_us = float(np.sum(since_us[near]) / np.sum(beats[near]))
-    on_beat = np.abs(since_us - beats * period_us) <= _SAME_RHYTHM * period_us
-    if np.mean(on_beat[near]) < 1.0 - _MOST_OTHERS:
+    on_beat = np.abs(since_us - beats * period_us) <= rules.same_rhythm * period_us
+    if np.mean(on_beat[near]) < 1.0 - rules.most_others:
         return Blind()
     chained = near & on_beat
     spans_us = _filled(spans_us, np.where(chained, beats, 0.0).astype(np.intp))
-    return Blind(spans_us, 1e-6 * period_us) if _cut(times_us, spans_us, period_us) else Blind()
+    is_cut = _cut(times_us, spans_us, period_us, rules)
+    return Blind(spans_us, 1e-6 * period_us) if is_cut else Blind()
 
 
-def _sudden_silences(times_us: NDArray[np.int64]) -> Spans:
+def _sudden_silences(times_us: NDArray[np.int64], rules: BlindRules) -> Spans:
     """Find the silences (g, 2) of busy times, too long for chance."""
-    at = np.flatnonzero(np.diff(times_us) >= _SHORTEST_US)
+    at = np.flatnonzero(np.diff(times_us) >= rules.shortest_us)
     starts_us, ends_us = times_us[at], times_us[at + 1]
-    before = at + 1 - np.searchsorted(times_us, starts_us - _BESIDE_US)
-    after = np.searchsorted(times_us, ends_us + _BESIDE_US, side="right") - (at + 1)
+    before = at + 1 - np.searchsorted(times_us, starts_us - rules.beside_us)
+    after = np.searchsorted(times_us, ends_us + rules.beside_us, side="right") - (at + 1)
     lengths_us = ends_us - starts_us
-    expected = np.minimum(before, after) * lengths_us / _BESIDE_US
-    sudden = (lengths_us <= _LONGEST_US) & (expected >= _EXPECTED)
+    expected = np.minimum(before, after) * lengths_us / rules.beside_us
+    sudden = (lengths_us <= rules.longest_us) & (expected >= rules.least_expected)
     return np.asarray(np.column_stack([starts_us, ends_us])[sudden])
 
 
@@ -167,7 +146,7 @@ def _filled(spans_us: Spans, beats: NDArray[np.intp]) -> Spans:
     return joined[np.argsort(joined[:, 0])]
 
 
-def _cut(times_us: NDArray[np.int64], spans_us: Spans, period_us: float) -> bool:
+def _cut(times_us: NDArray[np.int64], spans_us: Spans, period_us: float, rules: BlindRules) -> bool:
     """Whether next to no events lie within the spans, and most lie between them."""
     lengths_us = np.diff(spans_us)[:, 0]
     middles_us = spans_us + np.outer(lengths_us // 10, [1, -1])  # ends are not to the microsecond
@@ -176,23 +155,7 @@ def _cut(times_us: NDArray[np.int64], spans_us: Spans, period_us: float) -> bool
     bounds = np.searchsorted(times_us, spans_us[:, 0])
     n_cut = np.sum(np.diff(bounds)[within])
     expected = n_cut * float(np.median(lengths_us)) / period_us
-    return bool(inside <= _MOST_INSIDE * expected and n_cut >= _LEAST_CUT * len(times_us))
-
-
-MAX_WIDTH = 0.3
-"""Largest deviation of a track from a straight line, over the object's rms size."""
-
-MAX_SLENDERNESS = 1.0 / 8.0
-"""The same over its deviation along the line."""
-
-MAX_RETURN = 0.2
-"""Mean distance of a path from itself a lag later, over its extent, of one that repeats itself."""
-
-_RETURN_STEP_S = 0.002  # of the lags tried
-_MAX_RETURN_STEPS = 120_000  # of a path: of one longer than 4 minutes they are longer
-_RETURN_SAMPLES = 60  # times at which each is tried
-_VIEW_SAMPLES = 200  # of a track
-_SIZE_SAMPLES = 16  # of the image's size, which takes a pass over the events
+    return bool(inside <= rules.most_inside * expected and n_cut >= rules.least_cut * len(times_us))
 
 
 @dataclass(frozen=True)
@@ -206,23 +169,19 @@ class View:
     swing_hz: float  # how often it goes to and fro, on average: see `swing_hz`
     middle_px: Array  # (2,)
     direction: Array  # (2,) unit vector along the track's longest direction
-
-    @property
-    def is_straight(self) -> bool:
-        """Whether nothing but noise and the object's turning leads off a straight line."""
-        limit_px = min(MAX_WIDTH * self.size_px, MAX_SLENDERNESS * self.length_px)
-        return self.width_px < limit_px
+    is_straight: bool  # nothing but noise and the object's turning leads off a straight line
 
 
-def view_of(motion: Motion) -> View | None:
+def view_of(motion: Motion, rules: ViewRules) -> View | None:
     """Sum up a track; None when it has no two valid samples."""
     start_s, end_s = motion.span_s
     if not end_s > start_s:
         return None
-    times_s = start_s + (end_s - start_s) * (np.arange(_VIEW_SAMPLES) + 0.5) / _VIEW_SAMPLES
+    n_samples = 200
+    times_s = start_s + (end_s - start_s) * (np.arange(n_samples) + 0.5) / n_samples
     track = motion.at(times_s)
-    if np.mean(track.valid) < MOST:
-        times_s = seen_times(seen_of(motion), _VIEW_SAMPLES)
+    if np.mean(track.valid) < rules.even_share:
+        times_s = seen_times(seen_of(motion), n_samples)
         track = motion.at(times_s)
     positions = track.positions_px[track.valid]
     if len(positions) < 2:
@@ -230,20 +189,23 @@ def view_of(motion: Motion) -> View | None:
     middle = np.mean(positions, axis=0)
     _, deviations, axes = np.linalg.svd(positions - middle, full_matrices=False)
     across = (positions - middle) @ axes[1]
+    width_px, length_px = robust_deviation(across), float(deviations[0] / np.sqrt(len(positions)))
+    image_px = size_px(motion, times_s[track.valid])
     return View(
         extent_px=float(np.linalg.norm(deviations) / np.sqrt(len(positions))),
-        width_px=robust_deviation(across),
-        length_px=float(deviations[0] / np.sqrt(len(positions))),
-        size_px=size_px(motion, times_s[track.valid]),
+        width_px=width_px,
+        length_px=length_px,
+        size_px=image_px,
         swing_hz=swing_hz(positions, motion.velocities_at(times_s[track.valid])),
         middle_px=middle,
         direction=axes[0],
+        is_straight=width_px < min(rules.max_width * image_px, rules.max_slenderness * length_px),
     )
 
 
 def size_px(motion: Motion, times_s: Array) -> float:
     """Median rms size of the object's image over some of the times; NaN of none."""
-    some_s = times_s[:: max(1, len(times_s) // _SIZE_SAMPLES)]
+    some_s = times_s[:: max(1, len(times_s) // 16)]  # each takes a pass over its events
     sizes = motion.sharp_at(some_s).sizes_px
     sizes = sizes[np.isfinite(sizes)]
     return float(np.median(sizes)) if len(sizes) else np.nan
@@ -261,35 +223,36 @@ def swing_hz(positions_px: Array, velocities_px_s: Array) -> float:
     return float(speed_px_s / (np.pi * extent_px))
 
 
-def returns_s(motion: Motion, view: View | None, longest_s: float) -> Array:
+def returns_s(motion: Motion, view: View | None, longest_s: float, rules: ViewRules) -> Array:
     """Lags (k,) up to `longest_s` [s] after which a path that repeats itself is back on itself.
 
     What fits at one offset then fits a lag further as well, in a valley that may be too narrow for
     the search's first steps.
     """
     start_s, end_s = motion.span_s
-    step_s = max(_RETURN_STEP_S, (end_s - start_s) / _MAX_RETURN_STEPS)
+    n_samples = 60  # at which each lag is tried
+    step_s = max(0.002, (end_s - start_s) / 120_000)  # longer of a path of more than 4 minutes
     n = int((end_s - start_s) / step_s) if end_s > start_s else 0
     if view is None or n < 4:
         return np.empty(0)
     track = motion.at(start_s + step_s * np.arange(n, dtype=np.float64))
     path_px = np.where(track.valid[:, None], track.positions_px, np.nan)
     lags = np.arange(1, int(min(n // 2, longest_s / step_s + 2)))
-    here = np.linspace(0, n - 1 - lags[-1], _RETURN_SAMPLES).astype(np.intp)
+    here = np.linspace(0, n - 1 - lags[-1], n_samples).astype(np.intp)
     there_px = path_px[here[:, None] + lags]
     distances_px = np.linalg.norm(there_px - path_px[here][:, None], axis=2)
     known = np.isfinite(distances_px)
     distances_px = np.minimum(np.where(known, distances_px, 0.0), 2.0 * view.extent_px)
     counts = np.count_nonzero(known, axis=0)
     means_px = np.where(
-        counts >= _RETURN_SAMPLES // 2,
+        counts >= n_samples // 2,
         np.sum(distances_px, axis=0) / np.maximum(counts, 1),
         np.inf,
     )
     left = np.cumsum(means_px > 0.5 * view.extent_px) > 0
     padded = np.pad(means_px, 1, constant_values=np.inf)
     is_least = (means_px <= padded[:-2]) & (means_px < padded[2:])
-    is_back = left & is_least & (means_px < MAX_RETURN * view.extent_px)
+    is_back = left & is_least & (means_px < rules.max_return * view.extent_px)
     return np.asarray(step_s * lags[is_back])
 
 
@@ -299,26 +262,29 @@ class Alone:
 
     motions: tuple[Motion, Motion]
     longest_s: float  # of the lags in `returns_s`
+    rules: ViewRules
+    of_blind: BlindRules
 
-    def is_of(self, motions: tuple[Motion, Motion], longest_s: float) -> bool:
-        """Whether it is of these very motions and of lags up to this one [s]."""
-        same = all(one is other for one, other in zip(self.motions, motions, strict=True))
-        return same and self.longest_s == longest_s
+    def is_like(self, other: "Alone") -> bool:
+        """Whether it is of the same very motions, up to the same lag, by the same rules."""
+        same = all(one is two for one, two in zip(self.motions, other.motions, strict=True))
+        mine, theirs = ((one.longest_s, one.rules, one.of_blind) for one in (self, other))
+        return same and mine == theirs
 
     @cached_property
     def views(self) -> tuple[View | None, View | None]:
         """As of `TwoViews`, and so are those below."""
-        return view_of(self.motions[0]), view_of(self.motions[1])
+        return view_of(self.motions[0], self.rules), view_of(self.motions[1], self.rules)
 
     @cached_property
     def returns_s(self) -> Array:
         """Lags (k,) [s] after which camera 1's path repeats itself."""
-        return returns_s(self.motions[0], self.views[0], self.longest_s)
+        return returns_s(self.motions[0], self.views[0], self.longest_s, self.rules)
 
     @cached_property
     def repeats(self) -> bool:
         """Whether it does so after any lag."""
-        return len(returns_s(self.motions[0], self.views[0], np.inf)) > 0
+        return len(returns_s(self.motions[0], self.views[0], np.inf, self.rules)) > 0
 
     @cached_property
     def seen(self) -> tuple[Seen, Seen] | None:
@@ -326,7 +292,7 @@ class Alone:
         if any(motion.span_s[1] <= motion.span_s[0] for motion in self.motions):
             return None
         one, other = (seen_of(motion) for motion in self.motions)
-        if one.share + other.share - 1.0 >= MOST:
+        if one.share + other.share - 1.0 >= self.rules.even_share:
             return None
         step_s = max(one.step_s, other.step_s)
         return seen_of(self.motions[0], step_s), seen_of(self.motions[1], step_s)
@@ -335,7 +301,9 @@ class Alone:
     def blind(self) -> tuple[Blind, Blind]:
         """When each camera was blind, in its own clock."""
         one, other = (
-            blind_spans(motion.times_us) if isinstance(motion, ObjectMotion) else Blind()
+            blind_spans(motion.times_us, self.of_blind)
+            if isinstance(motion, ObjectMotion)
+            else Blind()
             for motion in self.motions
         )
         return one, other

@@ -94,19 +94,8 @@ def follow(
 ) -> Followed | None:
     """Follow the one object that a camera sees between and beyond where it is sure.
 
-    Parameters
-    ----------
-    events
-        All events of the camera, sorted by time, without what fires by itself.
-    sure
-        Those of them that a strict filter leaves: next to none of noise.
-    width, height
-        Sensor size [px].
-
-    Returns
-    -------
-    Followed or None
-        None where too few events are sure for the size of the object's image.
+    Of all events, sorted by time and without what fires by itself, a strict filter left those that
+    are sure: next to none of noise. None where these are too few for the size of the image.
     """
     bins, size = _binned(events, rules.bin_us), (width, height)
     sure = _lasting(sure, bins, rules)
@@ -129,7 +118,12 @@ def follow(
     seen = seen & ~_dead_ends(seen, is_sure, rules.dead_end_bins)
     half_sizes_px = rules.corridor_sigmas * np.sqrt(sizes_px2)
     where = path.positions_px, path.velocities_px_s, half_sizes_px
-    inside = _in_corridor(bins.ages_s, events["x"], events["y"], bins.bounds, seen, *where)
+    bin_of_event = bins.of(events)
+    in_seen = np.flatnonzero(seen[bin_of_event])
+    k, ages_s = bin_of_event[in_seen], bins.ages_s[in_seen, None]
+    away_px = np.column_stack([events["x"], events["y"]])[in_seen] - path.positions_px[k]
+    away_px = (away_px - path.velocities_px_s[k] * ages_s) / half_sizes_px[k]
+    inside = in_seen[away_px[:, 0] ** 2 + away_px[:, 1] ** 2 < 1.0]
     return Followed(bins.start_us, *where, seen, events[inside])
 
 
@@ -393,29 +387,3 @@ def _sums_in_bins(
                 sums[k, 3] += weight * (dx + positions_px[k, 0])
                 sums[k, 4] += weight * (dy + positions_px[k, 1])
     return sums
-
-
-@numba.njit(cache=True)
-def _in_corridor(
-    ages_s: Array,
-    x: Pixels,
-    y: Pixels,
-    bounds: Indices,
-    seen: Flags,
-    positions_px: Array,
-    velocities_px_s: Array,
-    half_sizes_px: Array,
-) -> Flags:
-    """Tell which events (m,) lie in an ellipse of half axes (n, 2) about a path, where it is seen.
-
-    Other parameters as of `_sums_in_bins`.
-    """
-    inside = np.zeros(len(ages_s), np.bool_)
-    for k in range(len(seen)):
-        if not seen[k]:
-            continue
-        for i in range(bounds[k], bounds[k + 1]):
-            dx = x[i] - positions_px[k, 0] - velocities_px_s[k, 0] * ages_s[i]
-            dy = y[i] - positions_px[k, 1] - velocities_px_s[k, 1] * ages_s[i]
-            inside[i] = (dx / half_sizes_px[k, 0]) ** 2 + (dy / half_sizes_px[k, 1]) ** 2 < 1.0
-    return inside

@@ -19,6 +19,7 @@ from scipy.ndimage import minimum_filter1d
 
 from ssac.events import first_from
 from ssac.geometry.pose import Pencil
+from ssac.rules import OutlineRules
 from ssac.track.motion import ObjectMotion
 from ssac.track.motion_kernels import TIE_US
 from ssac.track.outline_kernels import (
@@ -26,32 +27,13 @@ from ssac.track.outline_kernels import (
     angles_from_course,
     highest_in_blocks,
     local_parabolas,
-    outermost_from_course,
     ranked_in_windows,
 )
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 Mask = NDArray[np.bool_]
-
-
-@dataclass(frozen=True)
-class OutlineConfig:
-    """How the outline is found; `docs/tangency.md` has what other values give."""
-
-    rough_half_window_s: float = 0.010  # of events moved by the track's course, not the tangent's
-    half_window_s: float = 0.020  # of events moved by the smoothed tangent: more pixels are crossed
-    smoothing_s: float = 0.040  # on each side, of the local parabolas that smooth a tangent
-    passes: int = 2  # of following the tangent's course; 0: the track's is taken
-    rank: int = 2  # from the extreme event, whose rank is 0 and which may be noise
-    deeper_rank: int = 8
-    outward: float = 0.5  # of the gap between the ranks: how far beyond the first the outline is
-    ahead_px: float = 0.05  # how far an edge is ahead of its events
-    max_angle_rad: float = 0.9  # of a tangent from the track: a pencil says little near the epipole
-    rough_margin_px: float = 3.0  # inside the rough outline, up to which events are kept
-    margin_px: float = 1.0  # the same, inside the deeper rank, once the course is followed
-    centred: bool = False  # moves the track from its events' mean times: where these are uneven
-    max_shift_px: float = 6.0  # to its tangent, of an event that the track's velocity moves
+OutlineConfig = OutlineRules
 
 
 @dataclass(frozen=True)
@@ -83,25 +65,17 @@ def near_outline(
     """
     course = _Course.of(motion, pencil, times_s, config.centred)
     blocks = _Blocks.of(motion.times_us, times_s, config)
-    values, tops, at = outermost_from_course(
-        motion.times_us,
-        motion.position_sums_px,
-        blocks.bounds,
-        blocks.edges_us,
-        blocks.at_edges(course.angles_rad),
-        pencil.sine,
-        pencil.cosine,
-        config.deeper_rank + 1,
-    )
+    points_px = np.diff(motion.position_sums_px, axis=0)
+    values = blocks.angles(points_px, course.angles_rad, pencil)
     kept = []
-    for k, side in enumerate((1.0, -1.0)):
-        rough = blocks.extremes(tops[k], at[k], config.rough_half_window_s, course.valid, config)
+    for side in (1.0, -1.0):
+        rough = blocks.extremes(values, side, config.rough_half_window_s, course.valid, config)
         rough_rad = _within(rough.angles_rad, config.max_angle_rad)
         lowest_rad = _filled(times_s, rough_rad) - config.rough_margin_px * course.rad_per_px
         chosen = above_limit(values, blocks.bounds, side, blocks.at_edges(np.tan(lowest_rad)))
         events = OutlineEvents(
             motion.times_us[chosen],
-            motion.position_sums_px[chosen + 1] - motion.position_sums_px[chosen],
+            points_px[chosen],
             motion.border_sums[chosen + 1] > motion.border_sums[chosen],
             course.smoothed(rough_rad, config) if config.passes else np.zeros(len(times_s)),
         )
@@ -211,13 +185,14 @@ class _Blocks:
         return angles_from_course(self.times_us, points_px, *edges, pencil.sine, pencil.cosine)
 
     def extremes(
-        self, tops: Array, at: Indices, half_window_s: float, usable: Mask, config: OutlineConfig
+        self, values: Array, side: float, half_window_s: float, usable: Mask, config: OutlineConfig
     ) -> _Extremes:
         """Find how far up the outline reaches in the windows about the usable samples.
 
         Not to the very highest value, which may be noise. Any rank lies inside the outline, the
         more so the fewer events there are near it; the gap to a deeper rank tells how much.
         """
+        tops, at = highest_in_blocks(values, self.bounds, side, config.deeper_rank + 1)
         half = max(round(1e6 * half_window_s / (self.edges_us[1] - self.edges_us[0])), 1)
         firsts = self.padding + 2 * np.arange(len(self.times_s)) - half
         ranked, indices = ranked_in_windows(
@@ -235,8 +210,8 @@ def _ranked(
     blocks = _Blocks.of(events.times_us, course.times_s, config)
     course_rad = course.angles_rad + side * events.course_rad
     values = blocks.angles(events.points_px, course_rad, pencil)
-    tops, at = highest_in_blocks(values, blocks.bounds, side, config.deeper_rank + 1)
-    return blocks, values, blocks.extremes(tops, at, config.half_window_s, course.valid, config)
+    extremes = blocks.extremes(values, side, config.half_window_s, course.valid, config)
+    return blocks, values, extremes
 
 
 def _followed(

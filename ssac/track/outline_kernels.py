@@ -44,48 +44,6 @@ def angles_from_course(
     return out
 
 
-@numba.njit(cache=True, error_model="numpy")
-def outermost_from_course(
-    times_us: NDArray[np.int64],
-    position_sums_px: Array,
-    bounds: Indices,
-    edges_us: Array,
-    course: Array,
-    sine: Array,
-    cosine: Array,
-    depth: int,
-) -> tuple[Array, Array, Indices]:
-    """`angles_from_course` (n,), and `highest_in_blocks` (2, b, depth) of them for sides 1 and -1.
-
-    In one pass over all events, whose positions come as sums (n + 1, 2) [px].
-    """
-    out = np.empty(len(times_us))
-    n = len(bounds) - 1
-    tops, at = np.full((2, n, depth), -np.inf), np.zeros((2, n, depth), np.intp)
-    longest = 0
-    for i in range(n):
-        longest = max(longest, bounds[i + 1] - bounds[i])
-    points = np.empty(2 * longest)  # of a block
-    for i in range(n):
-        line = _course_of_block(edges_us, course, i)
-        first, last = bounds[i], bounds[i + 1]
-        sums = position_sums_px[first : last + 1].reshape(-1)
-        of_block = points[: 2 * (last - first)]
-        for k in range(len(of_block)):
-            of_block[k] = sums[k + 2] - sums[k]
-        own = slice(first, last)
-        _tangents(of_block, times_us[own], edges_us[i], line, sine, cosine, out[own])
-        highest = lowest = -np.inf  # that are among the tops so far
-        for k in range(first, last):
-            if out[k] > highest:
-                _insert(out[k], k, tops[0, i], at[0, i])
-                highest = tops[0, i, depth - 1] + _TIE
-            if -out[k] > lowest:
-                _insert(-out[k], k, tops[1, i], at[1, i])
-                lowest = tops[1, i, depth - 1] + _TIE
-    return out, tops, at
-
-
 @numba.njit(cache=True)
 def _course_of_block(edges_us: Array, course: Array, i: int) -> tuple[float, float, float, float]:
     """Sine and cosine of the course at the start of block i, and their slopes [1/us]."""

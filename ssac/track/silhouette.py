@@ -68,15 +68,8 @@ def silhouettes(
 ) -> Silhouettes | None:
     """Find the object's silhouettes; None where it is too small, or the events do not tell.
 
-    Parameters
-    ----------
-    events
-        All that the camera recorded, dtype EVENT_DTYPE, sorted: denoised ones count wrong.
-    camera
-        Its intrinsics.
-    times_s, points_px, sizes_px
-        Shapes (n,), (n, 2) and (n,): a track by the mean of the events, undistorted, and the root
-        mean square radius of the image.
+    Events are all that the camera recorded: denoised ones count wrong. The track (n,) is by the
+    mean of the events, undistorted, with the root mean square radius of the image at each point.
     """
     if len(times_s) < 2 or float(np.median(sizes_px)) < rules.min_size_px:
         return None
@@ -225,28 +218,14 @@ def _image_sums(
     corners: Indices,
     images: NDArray[np.float32],
 ) -> Array:
-    """Sum up the images of the object at n samples.
+    """Sum up the images of the object at n samples, by what `_linked_levels` gave.
 
-    Parameters
-    ----------
-    times_us, x, y, width, height, samples_us, boxes
-        As of `_linked_levels`.
-    linked
-        Levels, and events before and after, that it gave.
-    ramps_us
-        Shape (n,): time in which an edge may change a level by one, at most.
-    full, curvature
-        Level of a pixel that is covered all over, and its log contrast, by which the share that is
-        covered is told from the level.
-    corners, images
-        Shapes (n, 2) and (n, w, w): column and row of each image's first pixel, and the images,
-        whose shares are written in place.
+    In a ramp (n,) an edge changes a level by one, at most. The level of a pixel that is covered all
+    over, and its log contrast, tell the share that is covered from the level. Corners (n, 2) are
+    column and row of each image's first pixel; shares of images (n, w, w) are written in place.
 
-    Returns
-    -------
-    Array
-        Shape (n, 8): area [px], its centre x and y [px], its second moments xx, xy, yy [px^2], how
-        many pixels of the box were never seen bare, and how many covered ones are on the border.
+    Gives (n, 8): area [px], its centre x and y [px], its second moments xx, xy, yy [px^2], how many
+    pixels of the box were never seen bare, and how many covered ones are on the border.
     """
     levels, before, after = linked
     m, n = len(times_us), len(samples_us)

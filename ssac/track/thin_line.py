@@ -13,13 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
+from ssac.events import first_from
 from ssac.rules import LineRules
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Events = NDArray[np.void]
-Times = NDArray[np.int64]
-Pixels = NDArray[np.uint16]
 
 
 @dataclass(frozen=True)
@@ -47,22 +46,15 @@ def events_on_line(
 ) -> Mask | None:
     """Find the events of a thin line that goes from the object on, far beyond it.
 
-    Parameters
-    ----------
-    events, kept
-        All that were recorded, and the n that denoising left; both sorted by time.
-    width, height
-        Sensor size [px].
-
-    Returns
-    -------
-    Mask or None
-        Which of the n lie where such a line is, the object's own there among them. None, unless
-        there is one in much of the recording, on one side of the object.
+    Tells which of the n events that denoising left of all lie where such a line is, the object's
+    own there among them; both are sorted by time. None, unless there is one in much of the
+    recording, on one side of the object.
     """
     if len(kept) < rules.min_events:
         return None
-    middles_us = _middles_us(kept["t"], rules.half_window_us)
+    start_us, length_us = kept["t"][0], 2 * rules.half_window_us
+    windows = np.unique((kept["t"] - start_us) // length_us)  # that hold an event
+    middles_us = start_us + windows * length_us + rules.half_window_us
     numbers = list(range(0, len(middles_us), rules.look_every))
     step = max(1, len(numbers) // rules.first_windows)
     clear: dict[int, _Line] = {}
@@ -98,114 +90,35 @@ def events_on_line(
     return _beside(kept, middles_us, course, rules)
 
 
-@numba.njit(cache=True)
-def _middles_us(times_us: Times, half_us: int) -> Times:
-    """Cut a recording into windows, and give the middles (m,) of those that hold an event."""
-    length_us = 2 * half_us
-    middles_us = np.empty((times_us[-1] - times_us[0]) // length_us + 1, np.int64)
-    m = first = 0
-    while first < len(times_us):
-        start_us = times_us[first] - (times_us[first] - times_us[0]) % length_us
-        middles_us[m] = start_us + half_us
-        m += 1
-        first += np.searchsorted(times_us[first:], start_us + length_us)
-    return middles_us[:m]
-
-
 def _window(events: Events, kept: Events, middle_us: np.int64, rules: LineRules) -> _Window | None:
     """Look at the object about a time; None where too little of it is seen."""
-    half_us, t = rules.half_window_us, kept["t"]
-    first, middle, last = np.searchsorted(t, [middle_us - half_us, middle_us, middle_us + half_us])
-    n, n_early = last - first, middle - first
-    if n < rules.min_events or min(n_early, n - n_early) < rules.min_half_events:
+    edges_us = middle_us + rules.half_window_us * np.array([-1, 0, 1])
+    first, middle, last = first_from(kept["t"], edges_us)
+    if last - first < rules.min_events:
         return None
-    own = kept[first:last]
-    centre, velocity, reach_px = _object_in(
-        own["t"], own["x"], own["y"], n_early, middle_us, half_us, rules.reach_share
-    )
-    start_px = rules.from_reach * reach_px + rules.from_px
-    first, last = np.searchsorted(events["t"], [middle_us - half_us, middle_us + half_us])
-    every = events[first:last]
-    ends_px = start_px, start_px + rules.length_px
-    far = _far_from(every["t"], every["x"], every["y"], middle_us, centre, velocity, *ends_px)
-    return _Window(centre, velocity, start_px, far)
-
-
-@numba.njit(cache=True)
-def _object_in(
-    t: Times,
-    x: Pixels,
-    y: Pixels,
-    n_early: int,
-    middle_us: np.int64,
-    half_us: int,
-    reach_share: float,
-) -> tuple[Array, Array, float]:
-    """Median place (2,) [px] of a window's events, their velocity (2,) [px/us] and reach [px]."""
-    n = len(t)
-    centre, velocity, away_px = np.empty(2), np.empty(2), np.zeros(n)
-    places = np.empty(n)
-    for axis, pixels in enumerate((x, y)):
-        velocity[axis] = (_median(pixels[n_early:]) - _median(pixels[:n_early])) / half_us
-        for i in range(n):
-            places[i] = pixels[i] - (t[i] - middle_us) * velocity[axis]
+    if min(middle - first, last - middle) < rules.min_half_events:
+        return None
+    centre, velocity, squares_px2 = np.empty(2), np.empty(2), np.zeros(last - first)
+    ages_us = kept["t"][first:last] - middle_us
+    for axis, name in enumerate(("x", "y")):
+        pixels = kept[name]
+        shift_px = np.median(pixels[middle:last]) - np.median(pixels[first:middle])
+        velocity[axis] = shift_px / rules.half_window_us
+        places = pixels[first:last] - ages_us * velocity[axis]
         centre[axis] = np.median(places)
-        for i in range(n):
-            away_px[i] += (places[i] - centre[axis]) ** 2
-    return centre, velocity, _quantile(np.sqrt(away_px), reach_share)
-
-
-@numba.njit(cache=True)
-def _median(pixels: Pixels) -> float:
-    """Median of whole numbers (n,), n > 0, by counting: three times as fast as by sorting."""
-    least, most = pixels[0], pixels[0]
-    for i in range(len(pixels)):
-        least, most = min(least, pixels[i]), max(most, pixels[i])
-    counts = np.zeros(most - least + 1, np.int32)
-    for i in range(len(pixels)):
-        counts[pixels[i] - least] += 1
-    total, sides = 0, 0
-    for k in range(len(counts)):  # the two in the middle, or twice the one
-        before, total = total, total + counts[k]
-        for place in ((len(pixels) - 1) // 2, len(pixels) // 2):
-            sides += k * (before <= place < total)
-    median: float = least + 0.5 * sides
-    return median
-
-
-@numba.njit(cache=True)
-def _quantile(values: Array, share: float) -> float:
-    """`np.quantile` of values (n,), n > 1, to the last bit, which numba's own is not."""
-    place = share * (len(values) - 1)
-    k = int(place)
-    ordered = np.partition(values, k)
-    low, high, after = ordered[k], np.min(ordered[k + 1 :]), place - k
-    gap = high - low
-    found: float = low + gap * after if after < 0.5 else high - gap * (1.0 - after)
-    return found
-
-
-@numba.njit(cache=True)
-def _far_from(
-    t: Times,
-    x: Pixels,
-    y: Pixels,
-    middle_us: np.int64,
-    centre: Array,
-    velocity: Array,
-    start_px: float,
-    end_px: float,
-) -> Array:
-    """Places (m, 2) [px], from a moving centre, of a window's events where a line may be."""
-    found = np.empty((len(t), 2))
-    m = 0
-    for i in range(len(t)):
-        age_us = t[i] - middle_us
-        found[m, 0] = x[i] - (age_us * velocity[0] + centre[0])
-        found[m, 1] = y[i] - (age_us * velocity[1] + centre[1])
-        away_px = np.sqrt(found[m, 0] ** 2 + found[m, 1] ** 2)
-        m += start_px < away_px < end_px  # else it is written over
-    return found[:m].copy()
+        squares_px2 += (places - centre[axis]) ** 2
+    reach_px = float(np.quantile(np.sqrt(squares_px2), rules.reach_share))
+    start_px = rules.from_reach * reach_px + rules.from_px
+    first, last = first_from(events["t"], np.delete(edges_us, 1))
+    every = events[first:last]
+    ages_us = every["t"] - middle_us
+    points = [
+        every[name] - (ages_us * velocity[axis] + centre[axis])
+        for axis, name in enumerate(("x", "y"))
+    ]
+    away_px = np.sqrt(points[0] ** 2 + points[1] ** 2)
+    far = (away_px > start_px) & (away_px < start_px + rules.length_px)
+    return _Window(centre, velocity, start_px, np.column_stack(points)[far])
 
 
 def _voted(window: _Window, width: int, height: int, rules: LineRules) -> _Line | None:
@@ -290,7 +203,7 @@ def _room_px(centre_px: Array, angle_rad: float, width: int, height: int) -> flo
     return float(np.min((ends - centre_px) / np.where(direction == 0.0, 1e-9, direction)))
 
 
-def _beside(kept: Events, middles_us: Times, course: Array, rules: LineRules) -> Mask:
+def _beside(kept: Events, middles_us: NDArray[np.int64], course: Array, rules: LineRules) -> Mask:
     """Tell the events near the line whose course (m, 6) is known in some windows."""
     middles = middles_us.astype(np.float64)
     turns = np.isfinite(course[:, 4])

@@ -147,13 +147,6 @@ def test_rigs_are_read_back(tmp_path: Path) -> None:
         assert read.intrinsics_std_px == (0.0, 0.0, 0.0, 0.0)  # exact: nothing is to be allowed for
 
 
-def test_estimators_cannot_read_the_truth_out_of_the_rig(tmp_path: Path) -> None:
-    save_recording(made_up_recording(), tmp_path / "out", {})
-    text = (tmp_path / "out" / "rig.yaml").read_text()
-    assert "T_cn" not in text
-    assert str(T_D_S) not in text
-
-
 def test_the_truth_is_complete(tmp_path: Path) -> None:
     recording = made_up_recording()
     save_recording(recording, tmp_path / "out", PROVENANCE)

@@ -1,4 +1,4 @@
-"""Known geometry in, two synthetic cameras' tracks or events out; independent of the simulator.
+"""Two synthetic cameras' tracks or events of known geometry, independent of the simulator.
 
 A cloud of points flies along a random spline in front of two cameras. Each point of the cloud emits
 events at random instants at the pixel onto which it projects.
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
-from ssac.camera import Camera, Rig
+from ssac.camera import Camera, Rig, distort_points
 from ssac.events import EVENT_DTYPE
 from ssac.track.clean import Clean
 
@@ -21,6 +21,9 @@ DISTANCE_M = 5.0  # from each camera to the point both look at
 K = np.array([[FOCAL_PX, 0.0, 173.0], [0.0, FOCAL_PX, 130.0], [0.0, 0.0, 1.0]])
 EXACT_PX = (0.0, 0.0, 0.0, 0.0)  # of intrinsics without error
 CAMERA = Camera(K, WIDTH, HEIGHT, intrinsics_std_px=EXACT_PX)
+K2 = np.array([[250.0, 0.0, 165.0], [0.0, 235.0, 148.0], [0.0, 0.0, 1.0]])
+OTHER = Camera(K2, 340, 290, "radtan", (-0.12, 0.03, 0.001, -0.0015), EXACT_PX)
+"""A camera unlike CAMERA in focal lengths, centre, lens and size."""
 
 
 @dataclass(frozen=True)
@@ -31,18 +34,19 @@ class Scene:
     t: Array  # (3,) [m]
     path: BSpline  # time [s] -> position of the object in camera 1's frame [m]
     duration_s: float
+    cam2: Camera = CAMERA
 
     @property
     def rig(self) -> Rig:
         """The two cameras with their true extrinsics."""
         T_2_1 = np.eye(4)
         T_2_1[:3, :3], T_2_1[:3, 3] = self.R, self.t
-        return Rig(CAMERA, CAMERA, T_2_1)
+        return Rig(CAMERA, self.cam2, T_2_1)
 
     @property
     def unknown_rig(self) -> Rig:
         """The two cameras without their extrinsics."""
-        return Rig(CAMERA, CAMERA)
+        return Rig(CAMERA, self.cam2)
 
 
 def make_scene(seed: int, angle_deg: float = 90.0, duration_s: float = 20.0) -> Scene:
@@ -59,8 +63,8 @@ def make_scene(seed: int, angle_deg: float = 90.0, duration_s: float = 20.0) -> 
     return Scene(R, t, BSpline(knots, control, 5), duration_s)
 
 
-def project(points_m: Array) -> Array:
-    """Pixel coordinates of points (..., 3) in a camera's own frame [m]."""
+def project(points_m: Array, K: Array = K) -> Array:
+    """Ideal pixel coordinates of points (..., 3) in a camera's own frame [m]."""
     homogeneous = points_m @ K.T
     return np.asarray(homogeneous[..., :2] / homogeneous[..., 2:])
 
@@ -68,7 +72,7 @@ def project(points_m: Array) -> Array:
 def track_pair(scene: Scene, times_s: Array) -> tuple[Array, Array]:
     """The object's true image positions (N, 2) [px] in both views at the same instants."""
     points_1 = scene.path(times_s)
-    return project(points_1), project(points_1 @ scene.R.T + scene.t)
+    return project(points_1), project(points_1 @ scene.R.T + scene.t, scene.cam2.K)
 
 
 def make_events(
@@ -83,12 +87,14 @@ def make_events(
     cloud = rng.uniform(-size_m / 2, size_m / 2, (60, 3))
     cloud -= cloud.mean(axis=0)
     streams = []
-    for R, t, offset_s in ((np.eye(3), np.zeros(3), 0.0), (scene.R, scene.t, t_d_s)):
+    poses = (np.eye(3), np.zeros(3), 0.0), (scene.R, scene.t, t_d_s)
+    for (R, t, offset_s), camera in zip(poses, (CAMERA, scene.cam2), strict=True):
         n = rng.poisson(rate_hz * scene.duration_s)
         times_s = np.sort(rng.uniform(0.0, scene.duration_s, n))
         points = (scene.path(times_s) + cloud[rng.integers(len(cloud), size=n)]) @ R.T + t
-        pixels = np.rint(project(points))
-        seen = (points[:, 2] > 0.1) & np.all((pixels >= 0) & (pixels < [WIDTH, HEIGHT]), axis=1)
+        pixels = np.rint(distort_points(camera, project(points, camera.K)))
+        inside = (pixels >= 0) & (pixels < [camera.width, camera.height])
+        seen = (points[:, 2] > 0.1) & np.all(inside, axis=1)
         events = np.zeros(int(seen.sum()), EVENT_DTYPE)
         events["t"] = np.rint((times_s[seen] + offset_s) * 1e6)
         events["x"], events["y"] = pixels[seen].T

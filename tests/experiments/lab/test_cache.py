@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import experiments.lab.cache as module
+import experiments.lab.grid as grid
 from experiments.lab.cache import (
     Brightness,
     Cache,
@@ -15,11 +16,13 @@ from experiments.lab.cache import (
     recording_key,
     run_key,
 )
+from experiments.lab.grid import Cell
 from sim.errors import SimError
 from sim.recording import SimConfig
 from sim.render.config import RenderConfig
 from ssac.config import Config
 from ssac.errors import WriteError
+from ssac.pipeline.registry import METHODS
 
 pytestmark = pytest.mark.render  # a recording's key names the GL driver
 
@@ -172,3 +175,12 @@ def test_a_run_that_could_not_be_written_whole_is_not_there(tmp_path, monkeypatc
     monkeypatch.undo()
     cache.save_run("abcd", row)
     assert cache.load_run("abcd") == row
+
+
+def test_another_version_of_a_method_is_another_run(monkeypatch):
+    cell = Cell(SimConfig(), 0, 0, 0.05, Config(), "ssac", {})
+    before = cell.inputs
+    method = replace(METHODS["ssac"], version="of yesterday")
+    monkeypatch.setattr(grid, "METHODS", {"ssac": method})
+    assert cell.inputs != before
+    assert run_key(("recording",), cell.inputs, ()) != run_key(("recording",), before, ())

@@ -9,6 +9,7 @@ from ssac.camera import Rig
 from ssac.fit.least_squares import Parameters, Problem, WeighedPairs, moved, solve
 from ssac.geometry.epipolar import cross_matrix, fundamental_from_pose, sampson_distance
 from ssac.geometry.pose import tangent_basis
+from ssac.rules import FitRules
 from tests.ssac.synthetic import (
     HEIGHT,
     WIDTH,
@@ -76,7 +77,7 @@ def errors_with_noise(flight: Flight, noises_px: Array, pose_is_known: bool = Fa
             1.0 / noises_px,
             0.0,
         )
-        problem = Problem(pairs, flight.rig, pose_is_known, turn=LEAST_SQUARES)
+        problem = Problem(pairs, flight.rig, FitRules(), pose_is_known, turn=LEAST_SQUARES)
         found = solve(problem, truth).parameters
         angles_deg = rotation_angle_deg(found.R, flight.R), angle_deg(found.t, flight.t)
         errors.append([found.t_d_s, *np.deg2rad(angles_deg)])

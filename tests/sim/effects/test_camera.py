@@ -129,12 +129,6 @@ def test_a_frame_that_starts_late_shows_the_light_of_its_stamp() -> None:
     np.testing.assert_allclose(shown, 1e-6 * times_us, atol=0.6 / 255)  # whole levels
 
 
-def test_camera_2_may_see_another_light() -> None:
-    effects = SensorEffects(illuminance_lux=100.0, camera2_light=0.2)
-    assert effects.of_camera(0).illuminance_lux == 100.0
-    assert effects.of_camera(1).illuminance_lux == 20.0
-
-
 def test_a_configuration_without_effects_is_written_as_before() -> None:
     assert "effects" not in plain(SimConfig())
     acting = plain(SimConfig(effects=SensorEffects(blur_px=0.5)))["effects"]

@@ -1,4 +1,4 @@
-"""Options with a range: what they accept, what they say, how they are shown."""
+"""Options: the range of numbers, what they say of it, and which field of the config each sets."""
 
 from typing import Annotated
 
@@ -6,7 +6,9 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from ssac.cli.options import number
+from ssac.cli import convert, sync
+from ssac.cli.options import config_of, number
+from ssac.config import Config
 from ssac.errors import SsacError
 
 app = typer.Typer(rich_markup_mode=None)
@@ -58,3 +60,36 @@ def test_help_gives_words_for_values_and_their_range():
     assert "--half-window SECONDS Of a sample. From 0.001 to 0.25 seconds. [default: 0.02]" in shown
     assert "--size W H Of a sensor. From 1 to 99. [default: 9, 9]" in shown
     assert "--extent METRES Of a thing. From 1 to 2 metres." in shown
+
+
+# --- Fields of the config ---
+
+GIVEN = {
+    "search": (-0.3, 0.4),
+    "search_all": True,
+    "rate_range": (0.9, 1.1),
+    "skew_prior": 7.0,
+    "clock": "pieces",
+    "roughness": 9.0,
+    "no_denoise": True,
+    "n_samples": 30,
+    "half_window": 0.01,
+    "n_min": 11,
+    "neighbours": 3,
+}
+CASES = [
+    (command, name, option)
+    for command in (sync, convert)
+    for name, option in command.OPTIONS.items()
+    if option.field
+]
+
+
+@pytest.mark.parametrize(("command", "name", "option"), CASES, ids=str)
+def test_an_option_sets_its_field_and_no_other(command, name, option):
+    defaults = {key: one.parameter[1] for key, one in command.OPTIONS.items()}
+    assert config_of(command.OPTIONS, defaults) == Config()
+    changed = config_of(command.OPTIONS, defaults | {name: GIVEN[name]})
+    value = GIVEN[name] if option.value is None else option.value
+    assert getattr(changed, option.field) == value != getattr(Config(), option.field)
+    assert changed == Config(**{option.field: value})

@@ -1,4 +1,4 @@
-"""`ssac sync` and `ssac track` on track files: what they find, and what they refuse."""
+"""`ssac sync` and `ssac track` on track files: what they find, and say."""
 
 import json
 import warnings
@@ -152,81 +152,6 @@ def test_a_track_of_several_things_comes_with_a_warning(tmp_path):
         assert err.count("warning") == (name == "two")
 
 
-@pytest.mark.parametrize("method", ["tangency", "zncc_e", "zncc_f", "event_rate"])
-def test_methods_of_events_say_so(pair, method):
-    code, _, err = run("sync", *pair.args, "--method", method)
-    assert code == 2
-    assert err.count("\n") == 1
-    assert "track" in err
-    assert "use joint" in err
-
-
-def _lines(text):
-    return lambda lines: [lines[0], text, *lines[1:]]
-
-
-BAD = {
-    "no header": (lambda lines: lines[1:], "first line must name the columns"),
-    "half a header": (lambda lines: ["t_s,x_px", *lines[1:]], "must name the columns"),
-    "unsorted": (lambda lines: [lines[0], *reversed(lines[1:])], "must be in time order"),
-    "twice": (lambda lines: [*lines[:3], lines[2], *lines[3:]], "must be in time order"),
-    "NaN": (_lines("-1,nan,3"), "no finite number"),
-    "text": (_lines("-1,here,3"), "must be numbers"),
-    "empty field": (_lines("-1,,3"), "no finite number"),
-    "decimal commas": (_lines("-1,0,100,5,90,25"), "write decimals with a point"),
-    "outside": (_lines("-1,346,3"), "the image is 346 x 260 px"),
-    "nothing": (lambda lines: lines[:1], "there are no points"),
-}
-
-
-@pytest.mark.parametrize("name", BAD)
-def test_bad_tracks_are_one_line(pair, tmp_path, name):
-    change, message = BAD[name]
-    bad = tmp_path / "bad.csv"
-    bad.write_text("\n".join(change((pair.folder / "cam1.csv").read_text().splitlines())) + "\n")
-    code, _, err = run("sync", bad, pair.folder / "cam2.csv", "--rig", pair.folder / "rig.yaml")
-    assert (code, err.count("\n")) == (2, 1), err
-    assert "bad.csv" in err
-    assert message in err
-
-
-def test_microseconds_and_counters_that_wrap_are_named(pair, tmp_path):
-    track = load_track(pair.folder / "cam1.csv")
-    whole = replace(track, times_s=np.rint(1e6 * track.times_s))
-    around = replace(track, times_s=track.times_s % (2**24 * 1e-6))
-    for bad, message in ((whole, "give t_s in seconds"), (around, "counter of 24 bits")):
-        save_track(tmp_path / "bad.csv", bad)
-        args = (tmp_path / "bad.csv", pair.folder / "cam2.csv", "--rig", pair.folder / "rig.yaml")
-        code, _, err = run("sync", *args)
-        assert (code, err.count("\n")) == (2, 1), err
-        assert message in err
-
-
-@pytest.mark.parametrize(
-    ("keys", "more", "message"),
-    [
-        ({"readout_s": 0.05}, (), "readout_s is 50 ms, but frames follow each other in"),
-        ({"readout_s": 33}, (), "give seconds"),
-        ({}, ("--cameras", 1, 3), "there is no cam2 for camera 3"),
-        ({}, ("--cameras", 2, 2), "given for both"),
-        ({}, ("--search-all", "--search", -1, 1), "--search: not with"),
-        ({}, ("--rate-range", 2, 1), "ascending order"),
-    ],
-)
-def test_bad_rigs_and_searches_are_one_line(pair, tmp_path, keys, more, message):
-    rig = tmp_path / "rig.yaml"
-    rig.write_text(yaml.safe_dump(rig_document(**keys)))
-    code, _, err = run("sync", *pair.args[:2], "--rig", rig, *more)
-    assert (code, err.count("\n")) == (2, 1), err
-    assert message in err
-
-
-def test_one_file_for_both_cameras_is_refused(pair):
-    code, _, err = run("sync", pair.args[0], pair.args[0], *pair.args[2:])
-    assert (code, err.count("\n")) == (2, 1)
-    assert "given for both cameras" in err
-
-
 @pytest.mark.parametrize("step_s", [0.001, 0.01])
 def test_times_cut_off_are_noticed_and_make_the_offset_less_sure(pair, tmp_path, step_s):
     track = load_track(pair.folder / "cam1.csv")
@@ -247,3 +172,48 @@ def test_paths_of_different_flights_are_refused(pair, tmp_path):
     code, out, _ = run("sync", *args)
     assert code == 1
     assert "no_match" in out or "ambiguous_offset" in out
+
+
+# --- Rolling shutters ---
+
+READOUT_S = 0.02
+
+
+@pytest.fixture(scope="module")
+def shuttered(tmp_path_factory):
+    """Camera 1's readout is stated, camera 2's is not: none, in truth."""
+    return save_pair(tmp_path_factory.mktemp("tracks"), t_d_s=0.2, readout_s=READOUT_S)
+
+
+def synced(folder, rig="rig.yaml", **more):
+    return sync(folder / "cam1.csv", folder / "cam2.csv", folder / rig, search="interval", **more)
+
+
+def test_the_readout_that_is_not_stated_is_told(shuttered):
+    result = synced(shuttered.folder, estimate_readout=True)
+    report = result.to_dict()
+    assert report["readout_s"][0] == READOUT_S  # exact, as the rig says
+    assert report["readout_std_s"][0] == 0.0
+    assert 0.0 <= report["readout_s"][1] < 4.0 * report["readout_std_s"][1]
+    assert "readout        camera 2 " in result.summary()
+    assert report["note"] == ""
+
+
+def test_without_the_option_a_shutter_is_taken_for_global_and_that_is_said(shuttered):
+    result = synced(shuttered.folder)
+    report = result.to_dict()
+    assert report["readout_s"] == [READOUT_S, None]
+    assert "--estimate-readout" in report["note"]
+
+
+def test_nothing_moves_where_all_is_stated(shuttered):
+    document = rig_document(readout_s=0.0)
+    document["cam0"]["readout_s"] = READOUT_S
+    (shuttered.folder / "stated.yaml").write_text(yaml.safe_dump(document))
+    one, other, unstated = (
+        synced(shuttered.folder, rig, estimate_readout=asked).estimate
+        for rig, asked in (("stated.yaml", True), ("stated.yaml", False), ("rig.yaml", False))
+    )
+    for same in (other, unstated):
+        assert (one.t_d_s, one.t_d_std_s) == (same.t_d_s, same.t_d_std_s)
+        np.testing.assert_array_equal(one.R, same.R)

@@ -7,7 +7,10 @@ import pytest
 from scipy.optimize import nnls
 from scipy.stats import t as student
 
-from ssac.fit.covariance import PRIOR, TIMES_S, correlated_covariance, mapped_covariance
+from ssac.fit.covariance import PRIOR, correlated_covariance, mapped_covariance
+from ssac.rules import FitRules
+
+RULES = FitRules()
 
 
 def waves(times_s, p, rng):
@@ -20,7 +23,7 @@ def least_squares(times_s, jacobian, noise):
     """Parameters of a fit of noise alone, and their covariance."""
     found = np.linalg.lstsq(jacobian, noise)[0]
     left = noise - jacobian @ found
-    return found, correlated_covariance(times_s, jacobian, left, np.ones(len(left)))
+    return found, correlated_covariance(times_s, jacobian, left, np.ones(len(left)), RULES)
 
 
 def correlation(times_s, series, time_s):
@@ -42,7 +45,7 @@ def test_it_is_the_dense_estimator():
     times_s, series = gapped_series(rng)
     n, p = len(times_s), 4
     jacobian, curvatures = waves(times_s, p, rng), rng.uniform(0.5, 1.0, n)
-    kernels = [correlation(times_s, series, time_s) for time_s in TIMES_S]
+    kernels = [correlation(times_s, series, time_s) for time_s in (0.0, *RULES.fading_s)]
     noise = np.linalg.cholesky(kernels[0] + 2.0 * kernels[2]) @ rng.normal(size=n)
     M = np.eye(n) - jacobian @ np.linalg.pinv(jacobian)
     slopes = M @ noise
@@ -55,7 +58,7 @@ def test_it_is_the_dense_estimator():
     independent = n**2 * np.sum(amounts) / np.sum(gamma)
     widening = student.ppf(0.975, independent - p) / 1.96
     expected = widening**2 * bread @ jacobian.T @ gamma @ jacobian @ bread
-    found = correlated_covariance(times_s, jacobian, slopes, curvatures)
+    found = correlated_covariance(times_s, jacobian, slopes, curvatures, RULES)
     found, expected = found[1:, 1:], expected[1:, 1:]  # without what series have in common
     # The prior of 1e3 per parameter, and rounding.
     np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-6 * np.abs(expected).max())
@@ -112,7 +115,9 @@ def test_what_series_have_in_common_need_not_lessen_a_deviation():
         found = np.linalg.lstsq(jacobian, noise)[0]
         left, ones = noise - jacobian @ found, np.ones(1000)
         both = [
-            np.sqrt(correlated_covariance(times_s, jacobian, left, ones, lessens=lessens)[0, 0])
+            np.sqrt(
+                correlated_covariance(times_s, jacobian, left, ones, RULES, lessens=lessens)[0, 0]
+            )
             for lessens in (True, False)
         ]
         normalised.append(np.abs(found[0]) / both)
@@ -170,7 +175,7 @@ def test_an_object_at_rest_and_three_pairs_tell_nothing(n_instants, p, moves):
     times_s = np.tile(0.02 * np.arange(n_instants), 1 if moves else 2)
     jacobian = rng.normal(size=(len(times_s), p)) * moves
     slopes = rng.normal(size=len(times_s))
-    covariance = correlated_covariance(times_s, jacobian, slopes, np.ones(len(times_s)))
+    covariance = correlated_covariance(times_s, jacobian, slopes, np.ones(len(times_s)), RULES)
     assert np.all(np.sqrt(np.diag(covariance)) > 0.9 * PRIOR)
 
 
@@ -179,7 +184,7 @@ def test_a_loss_that_is_not_curved_makes_no_small_deviation():
     times_s = 0.02 * np.arange(500)
     jacobian, slopes = waves(times_s, 3, rng), rng.normal(size=500)
     covariances = [
-        correlated_covariance(times_s, jacobian, slopes, np.full(500, curvature))
+        correlated_covariance(times_s, jacobian, slopes, np.full(500, curvature), RULES)
         for curvature in (1.0, 0.2, 1e-9, -1.0)
     ]
     for one, other in itertools.pairwise(covariances):
@@ -207,3 +212,70 @@ def test_errors_are_mapped_by_least_squares():
         [[4.0, 0.0, 0.0], [0.0, 9.0, 9.0], [0.0, 9.0, 9.0]],
         atol=1e-9,  # rounding
     )
+
+
+def series_against_each_other(rng, n=500, p=3):
+    """Two series whose errors are nearly opposite, so that their sum is small."""
+    instants_s = 0.02 * np.arange(n)
+    jacobian = np.tile(waves(instants_s, p, rng), (2, 1))
+    first = rng.normal(size=n)
+    noise = np.concatenate([first, 0.3 * rng.normal(size=n) - first])
+    left = noise - jacobian @ np.linalg.lstsq(jacobian, noise)[0]
+    return np.tile(instants_s, 2), jacobian, left, np.ones(2 * n)
+
+
+def test_what_series_have_in_common_lessens_the_offset_alone():
+    seen = series_against_each_other(np.random.default_rng(10))
+    apart, one, both = (
+        np.sqrt(np.diag(correlated_covariance(*seen, RULES, common=np.array(places, int))))
+        for places in ([2], [0], [0, 1])
+    )
+    # Opposite errors cancel in the offset, the first of the clock's parameters. A rate drifts with
+    # what is in common, so that its deviation is never the smaller for it.
+    assert one[0] < 0.8 * apart[0]
+    assert both[0] == one[0]
+    assert both[1] == one[1] == apart[1]
+
+
+def test_what_series_have_in_common_widens_each_clock_parameter_and_no_pose():
+    rng = np.random.default_rng(11)
+    instants_s = 0.02 * np.arange(500)
+    jacobian = np.tile(waves(instants_s, 3, rng), (2, 1))
+    noise = np.tile(rng.normal(size=500), 2)
+    left = noise - jacobian @ np.linalg.lstsq(jacobian, noise)[0]
+    seen = np.tile(instants_s, 2), jacobian, left, np.ones(1000)
+    one, both = (
+        np.sqrt(np.diag(correlated_covariance(*seen, RULES, common=np.array(places))))
+        for places in ([0], [0, 1])
+    )
+    assert both[0] == one[0]
+    assert both[1] > 1.2 * one[1]  # twice the variance, of two that are one
+    assert both[2] == one[2]
+
+
+def test_what_was_known_beforehand_takes_no_degree_of_freedom():
+    rng = np.random.default_rng(12)
+    times_s = 0.02 * np.arange(12)
+    jacobian, noise = rng.normal(size=(12, 8)), rng.normal(size=12)
+    left = noise - jacobian[:, :2] @ np.linalg.lstsq(jacobian[:, :2], noise)[0]
+    ones = np.ones(12)
+    alone = correlated_covariance(times_s, jacobian[:, :2], left, ones, RULES)
+    deviations = np.append([PRIOR, PRIOR], np.full(6, 1e-9))
+    held = correlated_covariance(times_s, jacobian, left, ones, RULES, deviations)
+    # Six parameters that are known to 1e-9 are none: of 12 residuals 2 are used up, not 8. Of those
+    # few the correlations are hardly known, so that 4 degrees of freedom would double a deviation.
+    np.testing.assert_allclose(held[:2, :2], alone, rtol=1e-3)
+    # What the data do not tell has the deviation that was known.
+    np.testing.assert_allclose(np.sqrt(np.diag(held)[2:]), 1e-9, rtol=0.3)
+
+
+@pytest.mark.parametrize("deviation", [1e-3, 7.0])
+def test_what_the_data_say_nothing_of_keeps_its_prior(deviation):
+    rng = np.random.default_rng(13)
+    times_s = 0.02 * np.arange(500)
+    jacobian = waves(times_s, 2, rng)
+    jacobian[:, 1] = 0.0
+    seen = times_s, jacobian, rng.normal(size=500), np.ones(500), RULES
+    covariance = correlated_covariance(*seen, np.array([PRIOR, deviation]))
+    # Student's factor of some hundred degrees of freedom.
+    assert np.sqrt(covariance[1, 1]) == pytest.approx(deviation, rel=0.05)

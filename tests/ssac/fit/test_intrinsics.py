@@ -26,6 +26,7 @@ from ssac.fit.least_squares import (
 )
 from ssac.geometry.epipolar import fundamental_from_pose, sampson_distance
 from ssac.methods.clocks import ClockModel, _modes
+from ssac.rules import ClockRules, FitRules
 from tests.ssac.synthetic import (
     HEIGHT,
     WIDTH,
@@ -63,7 +64,7 @@ def problem_of(rig, noise_px=0.0, seed=0, **options):
     v2 = (track_pair(SCENE, TIMES_S + 1e-4)[1] - track_pair(SCENE, TIMES_S - 1e-4)[1]) / 2e-4
     noise = np.random.default_rng(seed).normal(0.0, 1.0, (2, N, 2)) * noise_px
     pairs = WeighedPairs(TIMES_S, p1 + noise[0], p2 + noise[1], v2, np.ones(N), 0.0)
-    return Problem(pairs, rig, **options)
+    return Problem(pairs, rig, FitRules(), **options)
 
 
 def fitted(problem):
@@ -180,7 +181,9 @@ def test_what_a_clock_strays_unseen_makes_no_prior_heavy(gap):
     knots_s = np.linspace(TIMES_S[0], TIMES_S[-1], 41)
     modes, deviations_s = _modes(knots_s, 2000.0)
     middle_s, half_s = float(np.mean(TIMES_S)), 0.5 * float(np.ptp(TIMES_S))
-    model = ClockModel(middle_s, half_s, np.append(1e-3, deviations_s), knots_s, modes)
+    model = ClockModel(
+        middle_s, half_s, np.append(1e-3, deviations_s), ClockRules(), knots_s, modes
+    )
     start = replace(TRUTH, columns=np.zeros(len(model.deviations)))
     problem = model.problem(pairs, start, replace(problem, pairs=pairs), views=None)
     first = solve(problem, start, max_steps=50).parameters
@@ -198,7 +201,7 @@ def test_swapping_the_cameras_states_the_same():
     pairs = one.pairs  # both clocks run alike, so that only the sides change
     v1 = (track_pair(SCENE, TIMES_S + 1e-4)[0] - track_pair(SCENE, TIMES_S - 1e-4)[0]) / 2e-4
     swapped = replace(pairs, p1_px=pairs.p2_px, p2_px=pairs.p1_px, v2_px_s=v1)
-    other = Problem(swapped, Rig(rig.cam2, rig.cam1))
+    other = Problem(swapped, Rig(rig.cam2, rig.cam1), FitRules())
     problem, found = fitted(one)
     allowance = Allowance(other.rig)
     start = Parameters(0.0, SCENE.R.T, -SCENE.R.T @ T)

@@ -22,6 +22,7 @@ from ssac.fit.least_squares import (
     solve,
 )
 from ssac.geometry.epipolar import CAUCHY, fundamental_from_pose, sampson_distance
+from ssac.rules import FitRules
 from tests.ssac.synthetic import K, make_scene, rotation_angle_deg, track_pair
 
 SCENE = make_scene(seed=2)
@@ -53,7 +54,7 @@ def rate_problem(
         noise = lfilter([1.0], [1.0, -kept], noise, axis=1)
     pairs = WeighedPairs(TIMES_S, p1 + noise[0], p2 + noise[1], v2, np.ones(N), 0.0)
     column = Column(np.zeros_like(p1), SINCE_S[:, None] * v2)
-    return Problem(pairs, SCENE.rig, columns=(column,), **options)
+    return Problem(pairs, SCENE.rig, FitRules(), columns=(column,), **options)
 
 
 def truth() -> Parameters:

@@ -15,6 +15,7 @@ from ssac.geometry.pose import (
     possible_poses,
     tangent_basis,
 )
+from ssac.rules import SearchRules
 from tests.ssac.synthetic import K, angle_deg, make_scene, project, track_pair
 
 ROUNDING = 1e-7  # of an SVD of E through K, whose condition number is about 200 squared
@@ -93,7 +94,7 @@ def test_pairs_that_disagree_about_the_pose_show():
 
 def test_an_object_at_rest_has_no_pose():
     points = np.full((40, 2), 100.0)
-    assert possible_poses(points, points, make_scene(seed=4).rig) == []
+    assert possible_poses(points, points, make_scene(seed=4).rig, SearchRules()) == []
 
 
 def test_depths_place_points_back_where_they_were():

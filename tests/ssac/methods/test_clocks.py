@@ -9,9 +9,10 @@ from ssac.clock import Clock
 from ssac.config import Config, checked
 from ssac.errors import SsacError
 from ssac.estimate import Estimate
+from ssac.fit.least_squares import Parameters, Problem
 from ssac.methods import clocks
-from ssac.methods.clocks import PIECE_S, clock_model
-from ssac.methods.joint import refine
+from ssac.methods.clocks import clock_model
+from ssac.methods.joint import refine, sharp_pairs
 from ssac.search.two_views import TwoViews
 from ssac.track.motion import SharpTrack, Track
 from tests.ssac.synthetic import make_scene, track_pair
@@ -113,7 +114,7 @@ def test_a_jump_is_refused_with_its_time_and_size(size_s):
 
 
 def test_a_clock_of_pieces_follows_one_that_wanders():
-    knots_s = np.arange(0.0, SCENE.duration_s + 1.0, PIECE_S)
+    knots_s = np.arange(0.0, SCENE.duration_s + 1.0, 5.0)
     wanders = Clock(0.05, 300.0, MIDDLE_S, knots_s, 0.001 * np.sin(knots_s / 6.0))
     options = {"skew_prior_ppm": 1000.0, "clock": "pieces"}
     found = refine(START, views_of(wanders, **options))
@@ -127,7 +128,7 @@ def test_a_clock_of_pieces_follows_one_that_wanders():
 
 
 def test_a_rougher_clock_follows_better_what_frames_of_a_varying_rate_show():
-    knots_s = np.arange(0.0, SCENE.duration_s + 1.0, PIECE_S)
+    knots_s = np.arange(0.0, SCENE.duration_s + 1.0, 5.0)
     # The skew changes by 1000 ppm twice, as where every 1000th frame is missed for 10 s.
     varies = Clock(0.05, 0.0, MIDDLE_S, knots_s, 0.005 * np.sign(knots_s - MIDDLE_S))
     options = {"skew_prior_ppm": 1000.0, "clock": "pieces"}
@@ -198,8 +199,47 @@ def test_far_skews_are_searched_for_and_near_ones_are_not(known, name, monkeypat
     assert 0.0 not in tried_ppm  # that was the start
     steps_ppm = np.diff(sorted([*tried_ppm, 0.0]))
     # 20 ms at the ends, half a step off; the common time is not known to be the whole 40 s.
-    assert 0.5 * steps_ppm.max() * 1e-6 * 20.0 <= clocks.MAX_END_S * 1.05
+    assert 0.5 * steps_ppm.max() * 1e-6 * 20.0 <= 0.020 * 1.05
     assert found.skew_ppm == min(tried_ppm, key=lambda ppm: abs(ppm - 2900.0))
     assert found.t_ref_s == pytest.approx(MIDDLE_S, abs=0.1)
     fits = replace(START, d_avg_px=1.0)  # better than any other
     assert clocks.with_coarse_skew(fits, views) is fits
+
+
+def test_a_skew_that_is_searched_for_keeps_its_clock():
+    """An offset holds at t_ref, which moves with the common time of what is found."""
+    shown = []
+
+    def search(views):
+        found = replace(START, t_d_s=8.0, d_avg_px=abs(views.clock.skew_ppm - 1500.0))
+        shown.append(replace(views.clock, t_d_s=8.0))
+        return found
+
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(clocks, "algorithm_2", search)
+        views = views_of(Clock(0.05), skew_prior_ppm=1000.0)
+        found = clocks.with_coarse_skew(Estimate("ssac", "no_match"), views)
+    (clock,) = [one for one in shown if one.skew_ppm == found.skew_ppm]
+    assert abs(found.t_ref_s - clock.t_ref_s) > 3.0  # half of the 8 s by which less is common
+    times_s = np.array([0.0, MIDDLE_S, SCENE.duration_s])
+    expected_s = clock.cam2_from_cam1(times_s)
+    np.testing.assert_allclose(found.clock.cam2_from_cam1(times_s), expected_s, atol=1e-12)
+
+
+@pytest.mark.parametrize(("skew_ppm", "status"), [(50.0, "ok"), (200.0, "clock_jump")])
+def test_a_skew_far_from_its_prior_speaks_for_a_jump(skew_ppm, status):
+    """A step of few deviations is one only where the skew, 50 ppm beforehand, is bent by it."""
+    views = views_of(Clock(0.05), jump=(18.0, 0.003))
+    parameters = Parameters(START.t_d_s, START.R, START.t, np.zeros(1))
+    model = clock_model(views, START)
+    times_s = views.sample_times(np.array([START.t_d_s]))[0]
+    pairs, _ = sharp_pairs(*views.sharp_at(times_s, START.t_d_s), START.t_d_s)
+    problem = model.problem(
+        pairs, parameters, Problem(pairs, views.rig, views.config.rules.fit), views
+    )
+    fit = problem, model.solve(problem, parameters).parameters
+    jump = clocks.checked_clock(START, model, *fit).jump
+    sigmas = jump.size_s / jump.size_std_s
+    rules = replace(model.rules, jump_sigmas=1.1 * sigmas, fewer_sigmas=0.5 * sigmas)
+    skewed = replace(START, skew_ppm=skew_ppm)
+    assert clocks.checked_clock(skewed, replace(model, rules=rules), *fit).status == status

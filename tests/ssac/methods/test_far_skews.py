@@ -9,7 +9,6 @@ from ssac.clock import Clock
 from ssac.estimate import Estimate
 from ssac.methods import clocks
 from ssac.methods.joint import refine
-from tests.ssac.methods import test_clocks as flights
 from tests.ssac.methods.test_clocks import START, views_of
 
 
@@ -40,7 +39,9 @@ def test_an_offset_that_was_found_with_a_skew_is_of_the_same_clock_at_the_middle
 def test_a_step_of_less_than_six_deviations_is_a_jump_only_where_it_bends_the_skew_far(
     prior_ppm, status, monkeypatch
 ):
-    """It has 5.9, and bends the skew by 150 ppm: three deviations of 50 ppm, not of 1000."""
-    monkeypatch.setattr(flights, "SIGMA_PX", 0.6)
-    found = refine(START, views_of(Clock(0.05), jump=(15.0, 0.004), skew_prior_ppm=prior_ppm))
-    assert found.status == status
+    """It bends the skew by some 500 ppm: by ten deviations of 50 ppm, half a one of 1000 ppm."""
+    views = views_of(Clock(0.05), jump=(15.0, 0.010), skew_prior_ppm=prior_ppm)
+    jump = refine(START, views).jump
+    covariance_of, wider = clocks.covariance_of, jump.size_s / jump.size_std_s / 5.2
+    monkeypatch.setattr(clocks, "covariance_of", lambda *about: wider**2 * covariance_of(*about))
+    assert refine(START, views).status == status

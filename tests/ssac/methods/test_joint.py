@@ -12,6 +12,7 @@ from ssac.estimate import Estimate
 from ssac.fit.least_squares import Parameters, Problem, linearise, moved, solve
 from ssac.geometry.epipolar import cross_matrix, fundamental_from_pose, sampson_distance
 from ssac.methods.joint import joint_from, refine, sharp_pairs
+from ssac.rules import FitRules, JointRules, Rules
 from ssac.search.two_views import TwoViews
 from ssac.track.motion import SharpTrack, Track
 from ssac.track.observation import Observation
@@ -96,7 +97,7 @@ def test_jacobian_equals_central_differences():
     times_s = (np.arange(400) + 0.5) * scene.duration_s / 400
     pairs, _ = sharp_pairs(*views.sharp_at(times_s, 0.050), 0.050)
     pairs = replace(pairs, weights=np.random.default_rng(1).uniform(0.5, 2.0, len(times_s)))
-    problem = Problem(pairs, scene.rig)
+    problem = Problem(pairs, scene.rig, FitRules())
     parameters = Parameters(0.051, scene.R, scene.t / np.linalg.norm(scene.t))
     analytic = linearise(problem, parameters).jacobian
     for k, h in enumerate([1e-6] * 6):
@@ -265,8 +266,8 @@ def test_going_where_the_views_share_nothing_is_refused(monkeypatch):
     assert "only 0 sample times are valid in both views" in estimate.reason
 
 
-@pytest.mark.parametrize(("name", "fewer"), [("joint._MAX_RESAMPLINGS", 1), ("clocks.solve", 1)])
-def test_iterations_that_run_out_are_refused(name, fewer, monkeypatch):
+@pytest.mark.parametrize("what", ["rounds", "steps"])
+def test_iterations_that_run_out_are_refused(what, monkeypatch):
     """Bug: what the last iteration had reached was "ok"."""
     scene = make_scene(seed=0)
     views = noisy_views(scene, np.random.default_rng(0), sigma_px=0.3)
@@ -274,11 +275,13 @@ def test_iterations_that_run_out_are_refused(name, fewer, monkeypatch):
     views = replace(views, config=replace(views.config, skew_prior_ppm=0.0))
     start = replace(truth_as_start(scene), t_d_s=0.06)
     assert refine(start, views).status == "ok"
-    if name == "clocks.solve":
+    rules = JointRules(max_rounds=1)
+    if what == "steps":
+        rules = JointRules(last_shift_s=1.0)
         fewer = partial(solve, max_steps=1, last_step=1e-12)
-        monkeypatch.setattr("ssac.methods.joint._LAST_SHIFT_S", 1.0)
-    monkeypatch.setattr(f"ssac.methods.{name}", fewer)
-    estimate = refine(start, views)
+        monkeypatch.setattr("ssac.methods.clocks.solve", fewer)
+    config = replace(views.config, rules=Rules(joint=rules))
+    estimate = refine(start, replace(views, config=config))
     assert estimate.status == "no_convergence"
     assert "still moved" in estimate.reason
 

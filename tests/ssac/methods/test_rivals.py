@@ -128,7 +128,7 @@ def test_an_open_pose_is_degenerate_before_it_is_ambiguous(std_rad, status):
         )
         for turn_deg, distance_px in ((0.0, 0.10), (20.0, 0.11))
     ]
-    found = choose(Estimate("joint"), solutions, Rules().verdict)
+    found = choose(Estimate("joint"), solutions, Rules())
     assert found.status == status
     assert found.t_d_s == T_D_S
     assert found.R is None

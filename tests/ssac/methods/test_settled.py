@@ -26,7 +26,7 @@ SEARCH = Estimate(
 
 @pytest.mark.parametrize("status", REFUSALS)
 def test_positions_settle_what_the_table_names_of_a_search(status):
-    views = SimpleNamespace(pose_is_known=True, rig=SCENE.rig)
+    views = SimpleNamespace(pose_is_known=True, rig=SCENE.rig, config=Config())
     tried = hypotheses(replace(SEARCH, status=status), views)
     assert bool(tried) == (status in SETTLED_BY["joint"])
     assert all(one.status == Status.OK for one in tried)

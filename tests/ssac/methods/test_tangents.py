@@ -6,14 +6,13 @@ import pytest
 from ssac import two_views
 from ssac.camera import Camera, Rig
 from ssac.geometry.epipolar import sampson_distance
-from ssac.geometry.pose import Pencil, pencils
+from ssac.geometry.pose import pencils
 from ssac.methods.tangency import TangencyConfig, tangent_pairs
 from ssac.track.outline import OutlineConfig, near_outline, tangents
 from ssac.track.outline_kernels import (
     above_limit,
     angles_from_course,
     highest_in_blocks,
-    outermost_from_course,
     ranked_in_windows,
 )
 from tests.ssac.box import CLEAN, T_D_S, box_events, corners_m, in_view, observations, project, unit
@@ -76,27 +75,6 @@ def test_angles_from_a_course_are_differences_of_angles():
     # A chord in place of an arc of 0.02 rad: 0.02^3 / 36 sqrt(3).
     near = kept.start + np.flatnonzero(~beyond[kept])
     np.testing.assert_allclose(np.arctan(tangents_of[near]), differences[near], rtol=0, atol=1.3e-7)
-
-
-def test_one_pass_gives_the_angles_and_the_highest_of_both_sides():
-    rng = np.random.default_rng(3)
-    pencil = Pencil(np.array([0.001, 0.002, -0.5]), np.array([0.0003, -0.0001, 1.0]))
-    times_us, edges_us, bounds = in_blocks(rng, 4000, 60)
-    sums_px = np.cumsum(rng.integers(0, 300, (4001, 2)), axis=0).astype(np.float64)
-    course = rng.normal(0.0, 0.1, 61)
-    values, tops, at = outermost_from_course(
-        times_us, sums_px, bounds, edges_us, course, pencil.sine, pencil.cosine, 9
-    )
-    points = np.diff(sums_px, axis=0)
-    expected = angles_from_course(
-        times_us, points, bounds, edges_us, course, pencil.sine, pencil.cosine
-    )
-    kept = slice(bounds[0], bounds[-1])
-    np.testing.assert_array_equal(values[kept], expected[kept])
-    for k, side in enumerate((1.0, -1.0)):
-        highest, indices = highest_in_blocks(expected, bounds, side, 9)
-        np.testing.assert_array_equal(tops[k], highest)
-        np.testing.assert_array_equal(at[k], indices)
 
 
 def test_ranks_are_those_of_all_events_of_a_window():

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from ssac.clock import Clock
 from ssac.estimate import Estimate
+from ssac.network.adjustment import border_offsets, known
 from ssac.network.graph import PairTold, shared_by, told_by
 from ssac.network.state import start_state
 from tests.ssac.network.flights import make_flight
@@ -54,6 +55,22 @@ def test_sure_pairs_carry_clocks_and_poses() -> None:
         turn = Rotation.from_matrix(camera.R @ flight.poses[k][0].T).magnitude()
         assert turn < 1e-4
         assert camera.t_d_std_s < 1e-5
+
+
+def test_pairs_count_by_errors_that_last_and_by_the_views_that_they_share() -> None:
+    flight = make_flight(3)
+    links = flight.links()
+    links = {pair: replace(link, told=true_pair(flight, *pair)) for pair, link in links.items()}
+    built = flight.solved(links).built[0]
+    network, offsets = replace(built.network, lasting=8.0), border_offsets(built.network)
+    rows, residuals = known(network, built.cameras, built.priors, offsets)
+    for k, ((a, b), told) in enumerate(network.told.items()):
+        # Errors last for 8 sightings, and each camera is in two of the three pairs.
+        own = slice(7 * k - 22, 7 * k - 15)  # before the last row, which holds the scale
+        by_a, by_b, off = told.rows(network.states[a], network.states[b])
+        np.testing.assert_array_equal(rows[own, offsets[a] : offsets[a + 1]], 2.0 * by_a)
+        np.testing.assert_array_equal(rows[own, offsets[b] : offsets[b + 1]], 2.0 * by_b)
+        np.testing.assert_array_equal(residuals[own], 2.0 * off)
 
 
 def test_a_pair_that_the_sightings_contradict_is_left_out() -> None:

@@ -60,89 +60,6 @@ def test_options_reach_every_pair(files):
     assert "offsets" not in err
 
 
-@pytest.mark.parametrize(
-    ("args", "said"),
-    [
-        (("--lever-arm", 0, 0, 1), "give --rtk too"),
-        (("--distance", 3, "--rtk", "rtk.csv"), "--distance: not with --rtk"),
-        (("--cameras", 2, 3), "--cameras: is for two cameras"),
-        (("--plot", "figures"), "--plot: is for two cameras"),
-        (("--write-synced", "synced.csv"), "--write-synced: is for two cameras"),
-        (("--known-extrinsics",), "--known-extrinsics: is for two cameras"),
-        (("--estimate-readout",), "--estimate-readout: is for two cameras"),
-    ],
-)
-def test_options_that_do_not_go_together_are_one_line(files, args, said):
-    folder, _ = files
-    cameras = [folder / f"cam{k}.csv" for k in (1, 2, 3)]
-    code, _, err = run("sync", *cameras, "--rig", folder / "rig.yaml", *args)
-    assert code == 2
-    assert said in err
-    assert err.strip().count("\n") == 0
-
-
-@pytest.mark.parametrize(
-    ("text", "args", "said"),
-    [
-        ("t_s,lat,lon,alt\n0,47,8,400\n", ("--rtk",), "turn latitude and longitude"),
-        ("x_m,y_m,z_m\n0,47,8\n", ("--rtk",), "needs times"),
-        ("t_s,x_m,y_m,z_m\n0,1,2,3\n", ("--lever-arm", 0, 0, 1, "--rtk"), "no attitude"),
-        ("camera,x_m,y_m,z_m\n1,0,0,0\n1,1,0,0\n", ("--positions",), "camera 1 is there twice"),
-        (None, ("--positions",), "there is no such file"),
-    ],
-)
-def test_what_cannot_be_used_is_told_before_any_work(files, tmp_path, text, args, said):
-    folder, _ = files
-    given = tmp_path / "given.csv"
-    if text is not None:
-        given.write_text(text)
-    cameras = [folder / f"cam{k}.csv" for k in (1, 2, 3)]
-    code, _, err = run("sync", *cameras, "--rig", folder / "rig.yaml", *args, given)
-    assert code == 2
-    assert said in err
-    assert err.strip().count("\n") == 0  # no pair's progress before it
-
-
-@pytest.mark.parametrize("option", ["--json", "--trajectory"])
-@pytest.mark.parametrize("name", ["cam3.csv", "rtk.csv"])
-def test_no_output_takes_the_place_of_an_input(files, tmp_path, option, name):
-    folder, _ = files
-    rtk = folder / "rtk.csv"
-    rtk.write_text("t_s,x_m,y_m,z_m\n0,1,2,3\n")
-    cameras = [folder / f"cam{k}.csv" for k in (1, 2, 3)]
-    before = (folder / name).read_text()
-    args = ("--rig", folder / "rig.yaml", "--rtk", rtk, option, folder / name)
-    code, _, err = run("sync", *cameras, *args)
-    assert code == 2
-    assert f"{name}: is one of the inputs and would be lost" in err
-    assert (folder / name).read_text() == before
-
-
-@pytest.mark.parametrize("last", ["cam2", "cam3"])
-def test_a_rig_of_fewer_cameras_is_told_before_any_work(files, tmp_path, last):
-    folder, _ = files
-    rig = yaml.safe_load((folder / "rig.yaml").read_text())
-    rig[last] = rig.pop("cam2")
-    if last == "cam2":
-        del rig["cam2"]
-    (tmp_path / "rig.yaml").write_text(yaml.safe_dump(rig))
-    fourth = save_another(tmp_path / "cam4.csv", 0.0)
-    cameras = [*(folder / f"cam{k}.csv" for k in (1, 2, 3)), *([fourth] if last == "cam3" else [])]
-    code, _, err = run("sync", *cameras, "--rig", tmp_path / "rig.yaml")
-    assert code == 2
-    assert "there is no cam2 for camera 3" in err
-    assert err.strip().count("\n") == 0
-
-
-def test_a_missing_file_is_told_before_any_work(files):
-    folder, _ = files
-    cameras = [folder / f"cam{k}.csv" for k in (1, 2, 4)]
-    code, _, err = run("sync", *cameras, "--rig", folder / "rig.yaml")
-    assert code == 2
-    assert "cam4.csv: there is no such file" in err
-    assert err.strip().count("\n") == 0
-
-
 def save_another(path, start_s):
     """Save some seconds of another object: they fit nowhere."""
     times_s = start_s + 0.05 * np.arange(60)
@@ -174,15 +91,6 @@ def test_cameras_that_share_no_time_are_told_and_not_averaged_in(files, tmp_path
     assert code == 1, err
     assert "late" in text
     assert "no_match" in text
-
-
-def test_a_camera_twice_is_one_line(files):
-    folder, _ = files
-    cameras = [folder / f"cam{k}.csv" for k in (1, 2, 1)]
-    code, _, err = run("sync", *cameras, "--rig", folder / "rig.yaml")
-    assert code == 2
-    assert "given for cameras 1 and 3" in err
-    assert err.strip().count("\n") == 0
 
 
 def test_two_cameras_write_a_path_with_deviations(files, tmp_path):

@@ -9,7 +9,7 @@ import pytest
 
 from ssac import Chain, Config, Observation, SsacError
 from ssac.camera import Camera, Rig
-from ssac.pipeline.registry import METHODS, OURS
+from ssac.pipeline.registry import OURS
 from ssac.track.clean import clean
 from tests.ssac.cluttered import noisy_flight
 from tests.ssac.synthetic import CAMERA, HEIGHT, K, make_scene
@@ -196,8 +196,3 @@ def test_what_was_never_asked_for_need_not_be_usable(raw):
         chain.estimate("ssac")
     with pytest.raises(SsacError, match="3 recordings for the 2 cameras"):
         Chain((*raw, raw[0]), RIG)
-
-
-def test_all_ten_are_ours():
-    assert set(NAMES) <= set(METHODS)
-    assert len(NAMES) == 10

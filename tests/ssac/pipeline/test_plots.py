@@ -9,7 +9,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 import ssac
-from ssac.camera import Camera
+from ssac.camera import Camera, distort_points
 from ssac.estimate import Estimate
 from ssac.geometry.epipolar import epipolar_distance
 from ssac.pipeline.plots import (
@@ -22,8 +22,9 @@ from ssac.pipeline.plots import (
     draw_alignment,
     draw_epipolar,
     draw_search,
+    epipolar_rows,
     plane_angles,
-    save_figures,
+    window,
 )
 from tests.ssac.synthetic import HEIGHT, WIDTH, K, track_pair
 
@@ -48,11 +49,15 @@ def of(result, estimate):
     return replace(result, answer=replace(result.answer, estimate=estimate))
 
 
-def test_a_folder_gets_one_picture_per_figure(result, tmp_path):
+def test_a_folder_gets_one_picture_per_figure_and_a_page_all_of_them(result, tmp_path, monkeypatch):
+    monkeypatch.setattr("ssac.pipeline.plots._DPI", 40)  # drawn in a third of the time
     written = result.plotted(tmp_path / "new" / "figures")
     assert [path.name for path in written] == ["d_avg.png", "epipolar.png", "alignment.png"]
-    for path in written:
-        assert np.std(cv2.imread(str(path))) > 10.0  # not blank
+    figures = [cv2.imread(str(path)) for path in written]
+    assert min(map(np.std, figures)) > 10.0  # not blank
+    (page,) = result.plotted(tmp_path / "page.png")
+    height, width, _ = cv2.imread(str(page)).shape
+    assert (height, width) == (sum(len(figure) for figure in figures), figures[0].shape[1])
 
 
 def test_an_estimate_without_a_pose_has_its_curve_only(result, tmp_path):
@@ -68,25 +73,29 @@ def test_an_estimate_without_anything_has_no_picture(result, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("t_d_s", [-1.7, 0.0])
-def test_odd_offsets_can_be_drawn(t_d_s, result, tmp_path):
+@pytest.mark.parametrize(("t_d_s", "n_rows"), [(-1.7, 2), (0.0, 1)])
+def test_odd_offsets_can_be_drawn(t_d_s, n_rows, result):
     """At 0 there is no "before"; at -1.7 s the recordings overlap in part only."""
-    assert len(of(result, replace(result.estimate, t_d_s=t_d_s)).plotted(tmp_path)) == 3
+    page = of(result, replace(result.estimate, t_d_s=t_d_s)).plot()
+    search, epipolar, alignment = page.subfigs
+    assert [len(part.axes) for part in (search, epipolar, alignment)] == [2, 2 * n_rows, 4]
+    assert all(axes.collections for axes in (*epipolar.axes, *alignment.axes))
 
 
-def test_one_page_holds_all_figures(result, tmp_path):
-    figures = [cv2.imread(str(path)) for path in result.plotted(tmp_path)]
-    (page,) = result.plotted(tmp_path / "page.png")
-    height, width, _ = cv2.imread(str(page)).shape
-    assert (height, width) == (sum(len(figure) for figure in figures), figures[0].shape[1])
-
-
-def test_a_distorted_lens_can_be_drawn(result, tmp_path):
+def test_events_of_a_distorted_lens_are_drawn_where_a_straight_one_has_them(material):
     camera = Camera(K, WIDTH, HEIGHT, "radtan", (-0.2, 0.05, 0.0, 0.0))
-    material = material_of(result)
     rig = replace(material.rig, cam1=camera)
     bent = replace(material, views=replace(material.views, rig=rig))
-    assert len(save_figures(tmp_path, bent)) == 3
+    figure = Figure()
+    draw_epipolar(figure, bent)
+    for axes, row in zip(figure.axes[::2], epipolar_rows(bent), strict=True):
+        (scatter,) = axes.collections
+        events = window(bent, 0, row.time_s, bent.config.half_window_s)
+        pixels = np.column_stack([events["x"], events["y"]])
+        drawn = np.asarray(scatter.get_offsets())
+        # The inverse of OpenCV's lens, iterated to some thousandths of a pixel.
+        np.testing.assert_allclose(distort_points(camera, drawn), pixels, atol=0.01)
+        assert np.abs(drawn - pixels).max() > 1.0
 
 
 def test_the_search_shows_the_minimum_and_3_ms_around_it(material):

@@ -3,9 +3,14 @@
 import numpy as np
 import pytest
 
-from ssac.search.view import blind_spans
+from ssac.rules import BlindRules
+from ssac.search import view
 
 DURATION_US = 6_000_000
+
+
+def blind_spans(times_us):
+    return view.blind_spans(times_us, BlindRules())
 
 
 def busy_times(seed, rate_hz=50_000.0, swing_hz=0.8):

@@ -48,20 +48,19 @@ def hover(t_s):
     return 48 + 60 * away + 1.5 * np.sin(7.0 * t_s), 40 + 1.5 * np.cos(5.0 * t_s)
 
 
-def to_and_fro(t_s):
-    """Back at every pixel of a short way several times a second."""
-    return 48 + 6 * np.sin(12.0 * t_s), 40 + 4 * np.sin(17.0 * t_s)
+PATHS = {
+    "flight": flight,
+    "hover": hover,
+    "to and fro": lambda t_s: (48 + 6 * np.sin(12.0 * t_s), 40 + 4 * np.sin(17.0 * t_s)),
+    "still": lambda t_s: (48 + 1.5 * np.sin(7.0 * t_s), 40 + 1.5 * np.cos(5.0 * t_s)),
+    "round": lambda t_s: (32 + 20 * np.cos(np.pi * t_s), 24 + 15 * np.sin(2 * np.pi * t_s)),
+}
 
 
-def still(t_s):
-    """All along at one place, but for a tremble."""
-    return 48 + 1.5 * np.sin(7.0 * t_s), 40 + 1.5 * np.cos(5.0 * t_s)
-
-
-@pytest.mark.parametrize("path", [flight, hover, to_and_fro, still])
+@pytest.mark.parametrize("path", PATHS)
 @pytest.mark.parametrize("hz", [0.0, 10.0])
 def test_what_moves_is_not_masked(path, hz):
-    assert not mask_of(merged(blob(path), noise(WIDTH, HEIGHT, hz, LONG_US))).any()
+    assert not mask_of(merged(blob(PATHS[path]), noise(WIDTH, HEIGHT, hz, LONG_US))).any()
 
 
 @pytest.mark.parametrize("size_px", [3, 6, 12])
@@ -133,74 +132,53 @@ def random_events(n, duration_us, seed=0, first_us=0):
     return events_from_arrays(t, rng.integers(0, 64, n), rng.integers(0, 48, n), np.zeros(n, int))
 
 
-def tree_filter(events, radius_px=5.0, ms_per_unit=1.0, n_neighbours=20):
-    """Filter by a k-d tree; whole numbers keep distances on the boundary exact."""
-    us_per_px = 1000 * ms_per_unit
+def bursts(gap_us):
+    """Bursts of very unlike density: what is left of one must not count in the next."""
+    parts, first_us = [], 0
+    for n, duration_us in ((9000, 12_000), (40, 3000), (12_000, 5000), (3000, 30_000)):
+        parts.append(random_events(n, duration_us, n, first_us))
+        first_us += duration_us + gap_us
+    return np.concatenate(parts)
+
+
+def whole_milliseconds():
+    """Many neighbours at exactly 5 units (3-4-0, 0-3-4, ...), and many at one instant."""
+    events = random_events(6000, 40)
+    events["t"] *= 1000
+    return events
+
+
+STREAMS = {
+    "even": random_events(8000, 40_000),
+    "late": random_events(8000, 40_000, first_us=1_700_000_000_000_000),
+    "on the boundary": whole_milliseconds(),
+    **{f"gaps of {gap_us} us": bursts(gap_us) for gap_us in (4000, 9000, 60_000, 10_000_000_000)},
+}
+BALLS = [(5.0, 1.0, 20), (4.3, 1.0, 12), (3.0, 2.0, 8), (2.5, 0.5, 2), (1.4, 3.0, 2),
+         (1.0, 4.0, 1), (0.5, 4.0, 1), (12.0, 1.0, 100)]  # fmt: skip
+
+
+@pytest.mark.parametrize("stream", STREAMS)
+@pytest.mark.parametrize("ball", BALLS)
+@pytest.mark.parametrize("mostly_noise", [False, True])
+def test_either_way_equals_a_k_d_tree(stream, ball, mostly_noise):
+    events, (radius_px, ms_per_unit, n_neighbours) = STREAMS[stream], ball
+    us_per_px = 1000.0 * ms_per_unit  # whole numbers keep distances on the boundary exact
     t = events["t"] - events["t"][0]
     points = np.column_stack([t, events["x"] * us_per_px, events["y"] * us_per_px])
     n_found = cKDTree(points).query_ball_point(points, radius_px * us_per_px, return_length=True)
-    return events[n_found - 1 >= n_neighbours]
-
-
-@pytest.mark.parametrize(
-    "ball",
-    [
-        (5.0, 1.0, 20),
-        (4.3, 1.0, 12),
-        (3.0, 2.0, 8),
-        (2.5, 0.5, 2),
-        (1.4, 3.0, 2),
-        (1.0, 4.0, 1),  # the core is as large as the ball
-        (0.5, 4.0, 1),
-        (12.0, 1.0, 100),
-    ],
-)
-@pytest.mark.parametrize("first_us", [0, 1_700_000_000_000_000])
-def test_equals_a_k_d_tree(ball, first_us):
-    events = random_events(8000, 40_000, first_us=first_us)
-    expected = tree_filter(events, *ball)
+    expected = events[n_found - 1 >= n_neighbours]
     assert 0 < len(expected) < len(events)
-    np.testing.assert_array_equal(radius_filter(events, *ball), expected)
-
-
-def test_equals_a_k_d_tree_with_events_at_one_instant_and_on_the_boundary():
-    # Times in whole milliseconds put many neighbours at exactly 5 units (3-4-0, 0-3-4, ...).
-    events = random_events(6000, 40)
-    events["t"] *= 1000
-    np.testing.assert_array_equal(radius_filter(events), tree_filter(events))
-
-
-@pytest.mark.parametrize("gap_us", [4000, 9000, 60_000, 10_000_000_000])
-def test_equals_a_k_d_tree_across_gaps_in_time(gap_us):
-    # Bursts of very unlike density: what is left of one must not count in the next.
-    bursts, first_us = [], 0
-    for n, duration_us in ((9000, 12_000), (40, 3000), (12_000, 5000), (3000, 30_000)):
-        bursts.append(random_events(n, duration_us, n, first_us))
-        first_us += duration_us + gap_us
-    events = np.concatenate(bursts)
-    np.testing.assert_array_equal(radius_filter(events), tree_filter(events))
-
-
-@pytest.mark.parametrize("gap_us", [0, 4000, 10_000_000_000])
-@pytest.mark.parametrize(
-    ("radius_px", "n_neighbours"), [(3.0, 12), (3.0, 5), (2.5, 1), (5.0, 20), (1.0, 1)]
-)
-def test_either_way_leaves_the_same(radius_px, n_neighbours, gap_us):
-    events = random_events(20_000, 60_000, seed=5)  # of which balls hold from none to many
-    some = events["x"] < 20
-    events["x"][some], events["y"][some] = events["x"][some] // 4, events["y"][some] // 4
-    events["t"][len(events) // 2 :] += gap_us
-    fast = radius_filter(events, radius_px, n_neighbours=n_neighbours, mostly_noise=True)
-    assert np.array_equal(fast, radius_filter(events, radius_px, n_neighbours=n_neighbours))
-    assert 0 < len(fast) < len(events)
-
-
-def test_neighbours_must_be_as_many_as_asked_and_the_input_is_left_alone():
-    events = events_from_arrays(np.arange(21), [3] * 21, [4] * 21, [1] * 21)
     before = events.copy()
+    kept = radius_filter(events, *ball, mostly_noise=mostly_noise)
+    np.testing.assert_array_equal(kept, expected)
+    np.testing.assert_array_equal(events, before)
+
+
+def test_neighbours_must_be_as_many_as_asked():
+    events = events_from_arrays(np.arange(21), [3] * 21, [4] * 21, [1] * 21)
     assert len(radius_filter(events)) == 21
     assert len(radius_filter(events[:20])) == 0
-    np.testing.assert_array_equal(events, before)
     none = np.empty(0, EVENT_DTYPE)
     assert len(radius_filter(none)) == len(without_noise(none, WIDTH, HEIGHT, None, RULES)[0]) == 0
 
@@ -218,8 +196,7 @@ def test_noise_alone_leaves_at_most_an_event_in_a_window():
 
 def small(n):
     """Events of something 3 px wide that goes round in 10 s."""
-    path = lambda t_s: (32 + 20 * np.cos(np.pi * t_s), 24 + 15 * np.sin(2 * np.pi * t_s))  # noqa: E731
-    return blob(path, n, 0.9, 10_000_000)
+    return blob(PATHS["round"], n, 0.9, 10_000_000)
 
 
 @pytest.mark.parametrize("rate_hz", [1_500, 20_000])

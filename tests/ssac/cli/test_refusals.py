@@ -1,0 +1,241 @@
+"""`ssac sync` on input and options that it cannot use: one line each, and nothing is written."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from ssac.cli.exits import BAD_INPUT, NO_ESTIMATE
+from ssac.files.event_files import load_events
+from ssac.files.hdf5 import save_events_h5
+from ssac.files.text import save_events_text
+from ssac.files.track_files import load_track, save_track
+from tests.recorded import empty_events
+from tests.ssac.cluttered import lamp, noise
+from tests.ssac.command import run_sync
+from tests.ssac.synthetic import HEIGHT, WIDTH, make_events
+from tests.ssac.tracks import rig_document, save_pair
+
+PLACES = ((150, 100), (190, 140))  # of lamps, where the object would pass
+
+
+def make_events_of_all_kinds(recorded, folder: Path) -> None:
+    for name in ("cam1.h5", "cam2.h5", "rig.yaml"):
+        (folder / name).write_bytes((recorded / name).read_bytes())
+    (folder / "folder.h5").mkdir()
+    (folder / "zero.h5").write_bytes(b"")
+    (folder / "truncated.h5").write_bytes((recorded / "cam1.h5").read_bytes()[:50_000])
+    (folder / "events.foo").write_bytes(b"1")
+    (folder / "unsorted.txt").write_text(f"{WIDTH} {HEIGHT}\n0.2 1 1 1\n0.1 1 1 1\n")
+    (folder / "outside.txt").write_text("0.1 400 1 1\n0.2 1 1 1\n")
+    (folder / "isolated.txt").write_text(f"{WIDTH} {HEIGHT}\n0.1 1 1 1\n0.2 1 1 1\n")
+    events = load_events(recorded / "cam1.h5").events
+    save_events_text(folder / "sparse.txt", events[::8], WIDTH, HEIGHT)
+    copied = load_events(recorded / "cam2.h5").events
+    copied["t"] += 20_000  # another clock makes no other camera of it
+    late = events.copy()
+    late["t"] += 60_000_000
+    at_rest = replace(recorded.scene, path=lambda t: np.tile([0.3, 0.2, 5.1], (len(t), 1)))
+    for name, some in {
+        "no_events": empty_events(),
+        "late": late,
+        "copy": copied,
+        "still": make_events(at_rest, 0, size_m=0.4)[0],
+        **{f"lamp{k}": lamp(*place, 12, 8_000_000) for k, place in enumerate(PLACES)},
+        **{f"noise{k}": noise(WIDTH, HEIGHT, 5.0, 1_500_000, k) for k in range(2)},
+        "events_only": events,
+    }.items():
+        save_events_h5(folder / f"{name}.h5", some, WIDTH, HEIGHT)
+    rig = (recorded / "rig.yaml").read_text()
+    (folder / "large.yaml").write_text(rig.replace(f"[{WIDTH}, {HEIGHT}]", "[640, 480]"))
+    (folder / "nan.yaml").write_text(rig.replace("173.0", ".nan"))
+    (folder / "where.csv").write_text("camera,x_m,y_m,z_m\n1,0,0,0\n2,1,0,0\n")
+
+
+def make_tracks_of_all_kinds(folder: Path) -> None:
+    save_pair(folder)
+    track, lines = load_track(folder / "cam1.csv"), (folder / "cam1.csv").read_text().splitlines()
+    head, *rows = lines
+    for name, text in {
+        "no_header": rows,
+        "half_a_header": ["t_s,x_px", *rows],
+        "unsorted": [head, *reversed(rows)],
+        "twice": [head, rows[0], *rows],
+        "nan": [head, "-1,nan,3", *rows],
+        "text": [head, "-1,here,3", *rows],
+        "empty_field": [head, "-1,,3", *rows],
+        "commas": [head, "-1,0,100,5,90,25", *rows],
+        "outside": [head, "-1,346,3", *rows],
+        "nothing": [head],
+        "lat_lon": ["t_s,lat,lon,alt", "0,47,8,400"],
+        "no_times": ["x_m,y_m,z_m", "0,47,8"],
+        "no_attitude": ["t_s,x_m,y_m,z_m", "0,1,2,3"],
+        "cameras_twice": ["camera,x_m,y_m,z_m", "1,0,0,0", "1,1,0,0"],
+    }.items():
+        (folder / f"{name}.csv").write_text("\n".join(text) + "\n")
+    for name, times_s in {
+        "whole_us": np.rint(1e6 * track.times_s),
+        "wraps": track.times_s % (2**24 * 1e-6),
+        "third": track.times_s,
+    }.items():
+        save_track(folder / f"{name}.csv", replace(track, times_s=times_s))
+    slow, wrong = rig_document(readout_s=0.05), rig_document(readout_s=33)
+    three = {**rig_document(), "cam2": rig_document()["cam0"]}
+    for name, rig in {"slow": slow, "wrong": wrong, "three": three}.items():
+        (folder / f"{name}.yaml").write_text(yaml.safe_dump(rig))
+
+
+@pytest.fixture(scope="module")
+def folder(recorded, tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("refused")
+    make_events_of_all_kinds(recorded, folder)
+    (folder / "tracks").mkdir()
+    make_tracks_of_all_kinds(folder / "tracks")
+    return folder
+
+
+EVENTS = [
+    ("missing.h5", "missing.h5: there is no such file"),
+    ("zero.h5", "zero.h5: the file is empty"),
+    ("truncated.h5", "truncated.h5: not a readable HDF5 file"),
+    ("folder.h5", "folder.h5: is a folder: give a file of one camera's events"),
+    ("events.foo", "events.foo: unknown extension '.foo': use one of"),
+    ("no_events.h5", "no_events.h5: there are no events"),
+    ("unsorted.txt", "unsorted.txt: events must be sorted by time"),
+    ("outside.txt", "outside.txt with camera 1 of .*: the sensor is 346 x 260 px"),
+    ("cam2.h5", "cam2.h5: given for both cameras"),
+    ("copy.h5", "copy.h5 and cam2.h5 hold the same points: one is a copy of the other"),
+    ("cam1.h5 --search -1e9 1e9", "--search: expected a smaller and a larger offset"),
+    ("cam1.h5 --search 1 -1", "--search: expected a smaller and a larger offset"),
+    ("cam1.h5 --search 0 nan", "--search: expected a smaller and a larger offset"),
+    ("cam1.h5 --search 0 4000", "at most 3600 seconds apart, got 0 4000"),
+    ("cam1.h5 --rig large.yaml", "large.yaml is calibrated at 640 x 480 px, but .*cam1.h5"),
+    ("cam1.h5 --rig nan.yaml", "nan.yaml, cam0, intrinsics: expected 4 finite numbers"),
+    ("cam1.h5 --rig cam1.h5", "cam1.h5: unknown extension '.h5' of a rig"),
+    ("cam1.h5 --known-extrinsics", "rig.yaml: tangency-known needs the extrinsics"),
+    ("cam1.h5 --method scac", "unknown method 'scac': use one of ssac"),
+    ("events_only.h5 --method zncc_f", "events_only.h5: zncc_f compares intensity frames"),
+    ("cam1.h5 --skew-prior -1", "--skew-prior: expected 0 to 100000 ppm, got -1"),
+    ("cam1.h5 --clock quartz", "--clock: expected auto or affine or pieces, got quartz"),
+    ("cam1.h5 --clock pieces --skew-prior 0", "its prior must be above 0 ppm"),
+    ("cam1.h5 --n-samples 0", "--n-samples: expected 20 to 100000, got 0"),
+    ("cam1.h5 --n-samples 100000000", "--n-samples: expected 20 to 100000, got 1000"),
+    ("cam1.h5 --half-window 20", "--half-window: expected 0.001 to 0.25 seconds, got 20"),
+    ("cam1.h5 --half-window nan", "--half-window: expected 0.001 to 0.25 seconds"),
+    ("cam1.h5 --n-min -3", "--n-min: expected 1 to 100000, got -3"),
+    ("cam1.h5 --json no/such/out.json", "out.json: not a file in a folder that exists"),
+    ("cam1.h5 --write-synced out.raw", "out.raw: cannot write the extension '.raw'"),
+    ("cam1.h5 --write-synced cam1.h5", "cam1.h5: is one of the inputs"),
+    ("cam1.h5 --plot cam1.h5", "cam1.h5: exists and is no folder"),
+    ("cam1.h5 --plot cam1.h5/figures", "cam1.h5 is a file: name a folder"),
+    ("cam1.h5 --json a.txt --write-synced a.txt", "a.txt: is named for two outputs"),
+    ("cam1.h5 --json a.txt --trajectory a.txt", "a.txt: is named for two outputs"),
+    ("cam1.h5 --distance 3", "--distance: is for the object's path: give --trajectory too"),
+    ("cam1.h5 --positions where.csv", "--positions: needs three cameras or more"),
+    ("cam1.h5 --positions zero.h5", "zero.h5: the first line must be camera,x_m,y_m,z_m"),
+    ("cam1.h5 --positions cam1.h5", "cam1.h5: not a text file of positions"),
+    ("cam1.h5 --estimate-readout", "expected a track of a frame camera, got events only"),
+    ("cam1.h5 --search -1", "Option '--search' requires 2 arguments; see .*ssac.cli sync --help$"),
+    ("cam1.h5 --n-samples many", "Invalid value for '--n-samples'"),
+]
+
+TRACKS = [
+    ("no_header.csv", "no_header.csv: .*first line must name the columns"),
+    ("half_a_header.csv", "half_a_header.csv: .*must name the columns"),
+    ("unsorted.csv", "unsorted.csv.*must be in time order"),
+    ("twice.csv", "twice.csv.*must be in time order"),
+    ("nan.csv", "nan.csv.*no finite number"),
+    ("text.csv", "text.csv.*must be numbers"),
+    ("empty_field.csv", "empty_field.csv.*no finite number"),
+    ("commas.csv", "commas.csv.*write decimals with a point"),
+    ("outside.csv", "outside.csv.*the image is 346 x 260 px"),
+    ("nothing.csv", "nothing.csv.*there are no points"),
+    ("whole_us.csv", "give t_s in seconds"),
+    ("wraps.csv", "counter of 24 bits"),
+    ("cam2.csv", "given for both cameras"),
+    ("cam1.csv --rig slow.yaml", "readout_s is 50 ms, but frames follow each other in"),
+    ("cam1.csv --rig wrong.yaml", "give seconds"),
+    ("cam1.csv --cameras 1 3", "there is no cam2 for camera 3"),
+    ("cam1.csv --cameras 2 2", "given for both"),
+    ("cam1.csv --search-all --search -1 1", "--search: not with"),
+    ("cam1.csv --rate-range 2 1", "ascending order"),
+    ("cam1.csv --estimate-readout --method ssac", "takes shutters as the rig says: use joint"),
+    *(
+        (f"cam1.csv --method {method}", "is a track of points; .*use joint")
+        for method in ("tangency", "zncc_e", "zncc_f", "event_rate")
+    ),
+]
+
+MANY = [
+    ("third.csv --lever-arm 0 0 1", "give --rtk too"),
+    ("third.csv --distance 3 --rtk rtk.csv", "--distance: not with --rtk"),
+    ("third.csv --cameras 2 3", "--cameras: is for two cameras"),
+    ("third.csv --plot figures", "--plot: is for two cameras"),
+    ("third.csv --write-synced synced.csv", "--write-synced: is for two cameras"),
+    ("third.csv --known-extrinsics", "--known-extrinsics: is for two cameras"),
+    ("third.csv --estimate-readout", "--estimate-readout: is for two cameras"),
+    ("third.csv --rtk lat_lon.csv", "turn latitude and longitude"),
+    ("third.csv --rtk no_times.csv", "needs times"),
+    ("third.csv --lever-arm 0 0 1 --rtk no_attitude.csv", "no attitude"),
+    ("third.csv --positions cameras_twice.csv", "camera 1 is there twice"),
+    ("third.csv --positions nix.csv", "there is no such file"),
+    *(
+        (f"third.csv --rtk no_attitude.csv {option} {name}", f"{name}: is one of the inputs")
+        for option in ("--json", "--trajectory")
+        for name in ("third.csv", "no_attitude.csv")
+    ),
+    ("third.csv --rig rig.yaml", "there is no cam2 for camera 3"),
+    ("nix.csv", "nix.csv: there is no such file"),
+    ("cam1.csv", "given for cameras 1 and 3"),
+]
+
+CASES = [
+    *((".", "{} cam2.h5", "rig.yaml", *case) for case in EVENTS),
+    *(("tracks", "{} cam2.csv", "rig.yaml", *case) for case in TRACKS),
+    *(("tracks", "cam1.csv cam2.csv {}", "three.yaml", *case) for case in MANY),
+    (".", "cam1.h5 {}", None, "cam2.h5", "Missing option '--rig'"),
+]
+
+
+@pytest.mark.parametrize(("where", "form", "rig", "args", "message"), CASES)
+def test_bad_input_is_refused_in_one_line(where, form, rig, args, message, folder, monkeypatch):
+    monkeypatch.chdir(folder / where)
+    before = {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
+    first, _, more = args.partition(" ")
+    rig_of_it = () if rig is None or "--rig" in more else ("--rig", rig)
+    result = run_sync(*form.format(first).split(), *rig_of_it, *more.split())
+    assert result.exit_code == BAD_INPUT
+    assert result.stdout == ""
+    *progress, last = result.stderr.splitlines()
+    assert not any("error" in line for line in progress)
+    assert re.search(f"^error: .*{message}", last)
+    if form.count("cam") > 1:  # of many cameras it is said before any pair is looked at
+        assert not progress
+    assert before == {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
+
+
+@pytest.mark.parametrize(
+    ("args", "message"),
+    [
+        ("isolated.txt cam2.h5", "camera 1: denoising left 0 of 2 events: check .*--no-denoise"),
+        ("sparse.txt cam2.h5 --n-min 200", "1: no window of 40 ms holds 200 events.*--n-min"),
+        ("late.h5 cam2.h5 --search -1 1", r"camera 1 .60.* have no common time .* --search -6.*"),
+        ("late.h5 cam2.h5 --search -1 1 --method ssac", r"no common time .* --search -6.*"),
+        ("still.h5 cam2.h5", "no_motion: in camera 1 the object moves by .*: it is at rest"),
+        ("still.h5 cam2.h5 --search-all", "no_motion: in camera 1 the object moves by .*at rest"),
+        ("lamp0.h5 lamp1.h5", r"camera 1: denoising left 0 of (\d+) events, of which \1 were of l"),
+        ("noise0.h5 noise1.h5", "camera 1: (no window of 40 ms holds 20|denoising left 0)"),
+    ],
+)
+def test_data_that_give_nothing_are_a_status_with_advice(args, message, folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    result = run_sync(*args.split(), "--rig", "rig.yaml")
+    assert result.exit_code == NO_ESTIMATE, result.stderr
+    first, *_ = result.stdout.splitlines()
+    assert first.startswith("no estimate    ")
+    assert re.search(message, first)
+    assert "error" not in result.stderr
+    assert "search  " not in result.stderr
