@@ -133,19 +133,16 @@ def budget_figure(summary: pd.DataFrame) -> "Figure":
 
 
 def page_table(results: Results) -> str:
-    """Lay t_d / R of the budget out: each imperfection alone, and all but it, over the angles."""
+    """Lay t_d / R out over the angles, with nothing, each imperfection alone, and all of them."""
     table = results.table("error_budget")
     means = [_means(table, error.column) for error in (T_D_ERROR, R_ERROR)]
-    # The bench without, and with all of them: at the place of what each row changes.
-    ends = (["nothing", NONE, ALL], *([one, only(one), all_but(one)] for one in IMPERFECTIONS))
-    methods = ("ssac", "tangency")
+    kinds = {NONE: NONE, **{name: only(name) for name in IMPERFECTIONS}, ALL: ALL}
     rows = [
         [name, *(" / ".join(digits(float(of[kind, method])) for of in means)
-                 for method in methods for kind in (alone, without))]
-        for name, alone, without in ends
+                 for method in METHODS)]
+        for name, kind in kinds.items()
     ]  # fmt: skip
-    header = [text for method in methods for text in (f"`{method}`: alone", "all but")]
-    return markdown_table(["imperfection", *header], rows)
+    return markdown_table(["bench", *(f"`{method}`" for method in METHODS)], rows)
 
 
 def _means(summary: pd.DataFrame, error: str) -> "pd.Series[float]":

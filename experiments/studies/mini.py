@@ -18,7 +18,6 @@ from experiments.lab.study import Made, Runs, Study
 from experiments.lab.verify import scored_checks
 from experiments.paper.comparison import (
     PUBLISHED_ERRORS,
-    VERDICTS,
     comparison_table,
     load_published,
 )
@@ -120,25 +119,6 @@ def page_table(results: Results) -> str:
     return markdown_table(["s", "deg", "the paper's SSAC", *(f"`{m}`" for m in METHODS)], rows)
 
 
-def verdicts_table(results: Results) -> str:
-    """Count the cells of `ssac` by verdict, and in how many `tangency` errs by half or less."""
-    compared, rows = results.table("mini_comparison"), []
-    for error, quantity in ERRORS.items():
-        for duration_s in DURATIONS_S:
-            of = (compared["quantity"] == f"ssac_{error}") & (compared["duration_s"] == duration_s)
-            found, ours = compared[of], results.table(f"mini_{duration_s:g}")
-            halved = 2.0 * ours[f"tangency_{error}_mean"] <= ours[f"ssac_{error}_mean"]
-            counts = (
-                len(found),
-                *((found["verdict"] == word).sum() for word in VERDICTS),
-                (found["paper_size_or_better"] == "yes").sum(),
-                halved.sum(),
-            )
-            rows.append([quantity.symbol, f"{duration_s:g}", *map(str, counts)])
-    header = ["", "s", "cells", "agree", "better", "differ", "size or better", "`tangency` half"]
-    return markdown_table(header, rows)
-
-
 def held_table(results: Results) -> str:
     """Count answers, and stated 95 % intervals of t_d that hold the truth, of all recordings."""
     rows = []
@@ -205,7 +185,6 @@ STUDIES = (
         reads=("mini_10.csv",),
         numbers={
             "table.mini": page_table,
-            "table.mini.verdicts": verdicts_table,
             "table.mini.held": held_table,
         },
     ),

@@ -18,8 +18,6 @@ import yaml
 from numpy.typing import NDArray
 
 from experiments.lab.cell import Flight, Measure
-from experiments.lab.markdown import digits, markdown_table
-from experiments.lab.results import Results
 from experiments.lab.study import How, Runs, Study
 from experiments.lab.verify import between, one_of
 from sim.scene.rig import Rig, kalibr_yaml, look_at_rig
@@ -183,23 +181,6 @@ def _errors(found: NetworkResult, clocks: list[Clock], duration_s: float) -> dic
     }
 
 
-def page_table(results: Results) -> str:
-    """Lay out time and memory of ever longer flights."""
-    rows = [
-        [
-            *(f"{row[name]:.0f}" for name in ("duration_s", "points", "wall_s", "cpu_s")),
-            *(f"{row[name]:.0f}" for name in ("pairs_s", "network_s", "peak_mb")),
-            *(digits(row[name]) for name in ("t_d_error_ms", "path_rmse_m")),
-        ]
-        for row in results.table("network_growth").to_dict("records")
-    ]
-    header = [
-        *("flight [s]", "points", "wall [s]", "one core [s]", "pairs [s]", "network [s]"),
-        *("memory [MB]", "t_d, most [ms]", "path [m]"),
-    ]
-    return markdown_table(header, rows)
-
-
 STUDIES = (
     Study(
         "network_growth",
@@ -214,7 +195,6 @@ STUDIES = (
             numbered=False,
             took=("wall_s", "cpu_s", "pairs_s", "network_s", "peak_mb"),
         ),
-        numbers={"table.network.growth": page_table},
         checks=(
             ("all flights are solved", one_of("network_growth", "status", "ok")),
             ("within the mark of time", between("network_growth", "wall_s", 0.0, MARK_S)),

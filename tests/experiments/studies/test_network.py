@@ -137,15 +137,12 @@ def test_tracks_of_long_flights_are_of_one_path_and_of_their_clocks(tmp_path: Pa
         assert np.std(bends_px) == pytest.approx(np.sqrt(20.0) * NOISE_PX, rel=0.1)
 
 
-def test_a_growth_has_a_row_for_each_flight_and_a_line_on_the_page(tmp_path: Path) -> None:
+def test_a_flight_before_eight_cameras_is_solved_and_timed() -> None:
     row = network_growth.growth_row(GrowthCell(30.0), None)
     assert row.status == "ok", row.reason
     assert 0.0 < row.network_s < row.wall_s
     # 30 s before eight cameras state 0.2 ms and some mm; five times as much.
     assert row.t_d_error_ms < 2.0
     assert row.path_rmse_m < 0.05
-    columns = network_growth.STUDIES[0].runs.columns
-    table = pd.DataFrame([{**GrowthCell(30.0).columns, **vars(row)}])
-    table[list(columns)].to_csv(tmp_path / "network_growth.csv", index=False)
-    (line,) = network_growth.page_table(Results(tmp_path)).splitlines()[2:]
-    assert [cell.strip() for cell in line.split("|")[1:3]] == ["30", f"{row.points:.0f}"]
+    (study,) = network_growth.STUDIES
+    assert set(study.runs.columns) <= {*GrowthCell(30.0).columns, *vars(row)}
