@@ -1,6 +1,6 @@
 """What other commands leave in results/, until each is a study of its own."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -14,42 +14,19 @@ from experiments.bench.measurement import Measurement
 from experiments.damage.reliability import COMMAND as DAMAGE_COMMAND
 from experiments.damage.reliability import COMMITTED as DAMAGE
 from experiments.damage.reliability import reliability_faults
-from experiments.drawing.figures import drawings, figures_config
 from experiments.drawing.growth import growth_figure
 from experiments.lab.quote import pages, quotations
 from experiments.lab.results import Results
 from experiments.lab.scored import SCORED
 from experiments.lab.study import How, Made, Runs, Study
-from experiments.network.four import COMMAND as NETWORK_COMMAND
-from experiments.network.long_flights import growth_config
-from experiments.outdoor.flights import outdoor_config, seed_of
-from experiments.outdoor.outdoor_command import COMMAND as OUTDOOR_COMMAND
-from experiments.outdoor.outdoor_command import oracle_table, outdoor_settings
-from experiments.physical.mini import COMMAND as PHYSICAL_COMMAND
-from experiments.physical.mini import comparison_text, mini_config
 from experiments.quoted.cells import NUMBERS
 from experiments.quoted.tables import TABLES
-from experiments.real.data_sets import COMMAND as REAL_COMMAND
-from experiments.real.data_sets import DATA_SETS, real_config
-from experiments.real.drawing import OFFSETS_FIGURE
-from experiments.real.faults import real_faults
-from experiments.real.paths import PATH_FIGURE
-from sim.recording import SimConfig
 from ssac.estimate import Status
 
 
 def no_cells() -> Sequence[Any]:
     """List no cells: they are not known here."""
     return ()
-
-
-def never(*_: Any) -> str:
-    """Stand for what is not made here."""
-    raise NotImplementedError
-
-
-def _drawing(name: str) -> Callable[[Results], Any]:
-    return lambda results: drawings()[name].draw(results.folder, None)  # type: ignore[arg-type]
 
 
 def _bench_faults(results: Results) -> tuple[str, ...]:
@@ -102,23 +79,14 @@ def _growth_faults(results: Results) -> tuple[str, ...]:
 
 _ROOT = Path(__file__).resolve().parents[1]
 _QUOTED = {name for page in pages(_ROOT) for name, *_ in quotations(page.read_text("utf-8"), page)}
-_FLIGHT = (SimConfig(), 0)
 
 STUDIES = (
-    Study(
-        "figures", "The paper's figures", no_cells, SCORED, None,
-        tuple(
-            Made(f"{name}.png", _drawing(name), recordings=(_FLIGHT,) if one.recording else ())
-            for name, one in drawings().items() if one.recording
-        ),
-        config=figures_config(drawings()), command="ssac figures",
-        numbers={name: one for name, one in {**NUMBERS, **TABLES}.items() if name in _QUOTED},
-    ),
     Study(
         "bench", "Speed and memory", no_cells, SCORED,
         Runs("bench.csv", ("name", "unit"), numbered=False),
         checks=(("bench.csv is a benchmark", _bench_faults),),
         config=bench_config(COMMITTED), command=bench_command_line(COMMITTED), how=How.GIVEN,
+        numbers={name: one for name, one in {**NUMBERS, **TABLES}.items() if name in _QUOTED},
     ),
     Study(
         "bench_growth", "Growth of time and memory", no_cells, SCORED,
@@ -126,32 +94,6 @@ STUDIES = (
         (Made("bench_growth.png", lambda results: growth_figure(results.table("bench_growth"))),),
         checks=(("bench_growth.csv has every point", _growth_faults),),
         config=bench_config(COMMITTED), command=bench_command_line(COMMITTED), how=How.GIVEN,
-    ),
-    Study(
-        "outdoor", "The paper's outdoor experiment, simulated", no_cells, SCORED,
-        Runs("outdoor.csv", ("flight", "kind"), numbered=False),
-        (Made("outdoor_oracle.csv", lambda one: oracle_table(one.table("outdoor")), near=True),
-         Made("outdoor.png", never, recordings=((outdoor_config(), seed_of(0)),))),
-        config=outdoor_settings(), command=OUTDOOR_COMMAND, how=How.GIVEN,
-    ),
-    Study(
-        "network_growth", "Run time with eight cameras", no_cells, SCORED,
-        Runs("network_growth.csv", ("duration_s",), numbered=False),
-        config=growth_config(), command=NETWORK_COMMAND, how=How.GIVEN,
-    ),
-    Study(
-        "mini_comparison", "The physical tables beside the paper's", no_cells, SCORED, None,
-        (Made("mini_comparison.csv", lambda results: comparison_text(results.folder)),),
-        config=mini_config(), command=PHYSICAL_COMMAND,
-    ),
-    Study(
-        "real", "Public drone-tracking data sets", no_cells, SCORED,
-        Runs("real_pairs.csv", ("data_set", "camera_1", "camera_2"), numbered=False, digits=8),
-        tuple(Made(file, never, recordings=(_FLIGHT,)) for file in (
-            "real_triples.csv", "real_strays.csv", "real_paths.csv", OFFSETS_FIGURE,
-            *(PATH_FIGURE.format(number) for number in DATA_SETS))),
-        checks=(("real_pairs.csv makes sense", lambda results: real_faults(results.folder)),),
-        config=real_config(), command=REAL_COMMAND, how=How.GIVEN,
     ),
     Study(
         "reliability", "Damaged inputs", no_cells, SCORED,

@@ -1,4 +1,4 @@
-"""A drawn figure in, a small PNG, the same bytes every time, out; and looks that figures share.
+"""Looks that figures share.
 
 Colours are of Okabe and Ito's set, which stays apart for colour-blind people, beside those of
 `ssac.pipeline.plots`. A method that is given the extrinsics has its sibling's colour and a hollow
@@ -7,6 +7,8 @@ marker.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from matplotlib.axes import Axes
@@ -16,6 +18,8 @@ from matplotlib.ticker import LogLocator, NullLocator
 from numpy.typing import NDArray
 
 from experiments.paper.quantities import ANGLE_LABEL
+from ssac.network.comparison import Comparison
+from ssac.pipeline.plots import save_comparison
 
 WIDTH_IN = 9.0
 """Of every figure; at DPI it is as wide as a README shows."""
@@ -83,3 +87,11 @@ def label_grid(
     for axes in grid[-1]:
         axes.set_xlabel(ANGLE_LABEL)
     figure.legend(handles=handles, loc="outside lower center", ncols=4, fontsize=8, frameon=False)
+
+
+def comparison_png(comparison: Comparison) -> bytes:
+    """Draw a path beside the truth as `ssac compare` does it."""
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / "comparison.png"
+        save_comparison(file, comparison)
+        return file.read_bytes()

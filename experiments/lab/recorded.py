@@ -1,7 +1,8 @@
 """A folder of a recording in; what its two cameras saw, and the rig with the true pose, out."""
 
+import json
 from collections.abc import Callable
-from dataclasses import astuple
+from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from experiments.lab.cache import Cache, Denoised
 from sim.recording import SimConfig
 from ssac.camera import Camera, Rig
+from ssac.clock import Clock
 from ssac.config import Cleaning
 from ssac.events import EVENT_DTYPE
 from ssac.files.hdf5 import load_events_h5
@@ -20,7 +22,44 @@ from ssac.track.clean import Clean, clean
 from ssac.track.denoise import Clutter
 from ssac.track.observation import Observation
 
+FloatArray = NDArray[np.float64]
+
 RIG_FILE = "rig_extrinsics.yaml"
+
+
+@dataclass(frozen=True, eq=False)
+class FlightTruth:
+    """What is true of a recorded flight."""
+
+    times_s: FloatArray  # (n,) camera 1's clock
+    positions_m: FloatArray  # (n, 3) of the drone's origin, in the world's frame
+    quaternions: FloatArray  # (n, 4) body to world
+    centres_px: tuple[FloatArray, ...]  # of each camera (n, 2): images of the origin, or NaN
+    poses: tuple[FloatArray, ...]  # of each camera (4, 4): T_k_1, from the first camera's frame
+    R: FloatArray  # (3, 3) x2 = R x1 + t, of the first two cameras
+    t: FloatArray  # (3,) of length 1
+    baseline_m: float
+    clock: Clock  # camera 2's
+
+
+def load_truth(folder: Path, t_d_s: float | None = None) -> FlightTruth:
+    """Read a recording's truth; the clock with another offset where one was added since."""
+    content = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
+    cameras = [content["cameras"][f"cam{k + 1}"] for k in range(len(content["cameras"]))]
+    T_1_W = np.array(cameras[0]["T_C_W"])
+    return FlightTruth(
+        np.array(content["times_s"]),
+        np.array(content["drone_position_W_m"]),
+        np.array(content["drone_quaternion_W_B_xyzw"]),
+        tuple(np.array(camera["drone_px"], np.float64) for camera in cameras),
+        tuple(np.array(camera["T_C_W"]) @ np.linalg.inv(T_1_W) for camera in cameras),
+        np.array(content["R"]),
+        np.array(content["t"]),
+        float(content["baseline_m"]),
+        Clock(
+            content["t_d_s"] if t_d_s is None else t_d_s, content["skew_ppm"], content["t_ref_s"]
+        ),
+    )
 
 
 class Pair(NamedTuple):

@@ -77,17 +77,32 @@ class Made:
     """One file that follows from the files of results: a table, a figure or a page."""
 
     file: str
-    make: "Callable[..., pd.DataFrame | Figure | str]"  # of Results, then of recordings' folders
+    # Of Results, then of recordings' folders; what is None then is not there. None: the study's
+    # own command makes it, of what nobody else has.
+    make: "Callable[..., pd.DataFrame | Figure | bytes | str | None] | None"
     digits: int = 6
     near: bool = False  # made of unrounded rows: the last digit may differ
-    recordings: tuple[Flight, ...] = ()  # that it is made of too: verify has its checksum alone
+    # That it is made of too, by the options of `cells`: verify has its checksum alone.
+    recordings: Callable[..., tuple[Flight, ...]] | None = None
     config: Mapping[str, Any] | None = None  # of its provenance, where it is not the study's
 
-    def bytes_of(self, results: Results, *folders: Path) -> bytes:
+    @property
+    def follows(self) -> bool:
+        """Whether it follows from files of results alone."""
+        return self.make is not None and self.recordings is None
+
+    def filmed(self, options: Options | None = None) -> tuple[Flight, ...]:
+        """Name the recordings that it is made of."""
+        return self.recordings(**(options or {})) if self.recordings else ()
+
+    def bytes_of(self, results: Results, *folders: Path) -> bytes | None:
         """Make the file's content."""
+        assert self.make is not None
         made = self.make(results, *folders)
         if isinstance(made, pd.DataFrame):
             made = csv_text(made, self.digits)
+        if made is None or isinstance(made, bytes):
+            return made
         return made.encode() if isinstance(made, str) else png_bytes(made)
 
 
@@ -209,6 +224,7 @@ def save_study(
     check_folder(out)
     start, outcome = time.perf_counter(), None
     given = {name: value for name, value in (options or {}).items() if name in study.options}
+    others = {name: value for name, value in given.items() if value != study.options[name]}
     more: dict[str, Any] = {}
     if study.runs is not None:
         outcome = run_study(study, cache, workers, shard, given)
@@ -220,16 +236,21 @@ def save_study(
     content = provenance(
         study.command_line(given, shard),
         {"study": study.name, SHARD: f"{shard[0]}/{shard[1]}", **study.config}
-        | ({"options": given} if given else {}),
+        | ({"options": others} if others else {}),
         time.perf_counter() - start,
         context_or_none(),
         **more,
     )
-    return outcome, save_made(study, out, cache, content, shard == WHOLE)
+    return outcome, save_made(study, out, cache, content, shard == WHOLE, given)
 
 
 def save_made(
-    study: Study, out: Path, cache: Cache, content: Mapping[str, Any], is_whole: bool = True
+    study: Study,
+    out: Path,
+    cache: Cache,
+    content: Mapping[str, Any],
+    is_whole: bool = True,
+    options: Options | None = None,
 ) -> list[Path]:
     """Write what is made of the rows beside their file, and the provenance of each table."""
     written = [out / study.runs.file] if study.runs else []
@@ -240,8 +261,11 @@ def save_made(
     results = Results(out)
     for made in study.makes:
         path = out / made.file
-        folders = [cache.recording_folder(*flight) for flight in made.recordings]
+        folders = [cache.recording_folder(*flight) for flight in made.filmed(options)]
         made_bytes = made.bytes_of(results, *folders)
+        if made_bytes is None:
+            path.unlink(missing_ok=True)
+            continue
         with whole_file(path) as temporary:
             temporary.write_bytes(made_bytes)
         if not made.file.endswith(".png"):

@@ -31,6 +31,7 @@ _DRAWN_BY = ("matplotlib", "pillow", "numpy")  # packages that a figure's bytes 
 _ROUNDING_MS = 1e-2  # six digits of an estimate beyond 1000 ms: 5e-3; of its error, less
 _ROUNDING_PPM = 1e-3  # likewise, beyond 100 ppm
 _NOT_OF_CONFIG = ("study", SHARD)
+_OFFSETS = ("sim.t_d_s", "t_d_ms")  # columns of which a flight's recording does not depend
 
 _UNLIKE = (OSError, SimError, SsacError, ValueError, LookupError, TypeError, AttributeError)
 """What a check raises where a file is not there, or has another shape than it expects."""
@@ -96,7 +97,7 @@ def study_findings(study: Study, results: Results) -> Iterator[Finding]:
         what = f"{study.runs.file} has every run of {study.name} once, as it is written"
         yield found(what, partial(_runs_faults, study, results))
     for made in study.makes:
-        if not made.recordings:
+        if made.follows:
             what = f"{made.file} is as it follows from the results"
             yield found(what, partial(_made_faults, study, made, results))
     for what, check in study.checks:
@@ -184,6 +185,20 @@ def ordered(name: str, low: str, high: str) -> Callable[[Results], list[str]]:
     return check
 
 
+def follows(
+    name: str, column: str, formula: Callable[[pd.DataFrame], "pd.Series[float]"], within: float
+) -> Callable[[Results], list[str]]:
+    """Make a check that a column's numbers are what others give, within what rounding leaves."""
+
+    def check(results: Results) -> list[str]:
+        table = results.table(name)
+        off = (formula(table) - table[column]).abs()
+        return [f"{name}.csv, row {row}: {column} is off by {off[row]:g}"
+                for row in off.index[off > within]]  # fmt: skip
+
+    return check
+
+
 def one_of(name: str, column: str, *values: Any) -> Callable[[Results], list[str]]:
     """Make a check that a column has no other values than some."""
 
@@ -202,7 +217,8 @@ def scored_checks(name: str) -> tuple[Check, ...]:
         runs = results.table(name)
         ok = runs[runs["t_d_estimate_ms"].notna()]  # or was refused with an estimate
         skew_ppm = ok.get("sim.skew_ppm", 0.0)
-        off_ms = (ok["t_d_estimate_ms"] - 1e3 * ok["sim.t_d_s"]).abs() - ok["t_d_error_ms"]
+        t_d_ms = ok["t_d_ms"] if "t_d_ms" in ok else 1e3 * ok["sim.t_d_s"]
+        off_ms = (ok["t_d_estimate_ms"] - t_d_ms).abs() - ok["t_d_error_ms"]
         off_ppm = (ok["skew_ppm"] - skew_ppm).abs() - ok["skew_error_ppm"]
         wrong = ~(off_ms.abs() <= _ROUNDING_MS)
         wrong |= off_ppm.abs() > _ROUNDING_PPM + 1e-5 * ok["skew_error_ppm"].abs()
@@ -213,7 +229,7 @@ def scored_checks(name: str) -> tuple[Check, ...]:
     def recordings(results: Results) -> list[str]:
         runs = results.table(name)
         at = list(runs.columns[1 : runs.columns.get_loc("flight")])
-        of = [column for column in at if column.startswith("sim.") and column != "sim.t_d_s"]
+        of = [one for one in at if not one.startswith("ssac.") and one not in _OFFSETS]
         seen = runs[runs["status"] != CRASHED].groupby([*of, "flight"], dropna=False)
         counts = seen[["seed", "n_events_cam1", "n_events_cam2"]].nunique()
         several = counts.index[(counts > 1).any(axis=1)]
@@ -269,7 +285,7 @@ def _made_faults(study: Study, made: Made, results: Results) -> tuple[str, ...]:
             return ()  # drawn by another version: the checksum has to do
         same = (results.folder / made.file).read_bytes() == made.bytes_of(results)
         return () if same else ("it is another picture",)
-    text, again = results.text(made.file), made.bytes_of(results).decode()
+    text, again = results.text(made.file), (made.bytes_of(results) or b"").decode()
     elsewhere = any(one.get("processor") != processor() for one in made_with)
     if made.file.endswith(".csv") and (made.near or elsewhere):
         again = _with_last_digits_of(text, again, made.digits)

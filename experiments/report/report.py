@@ -11,7 +11,6 @@ import numpy as np
 import typer
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from experiments.drawing.figures import FLIGHT, SEED
 from experiments.lab.cache import DEFAULT_FOLDER, Cache
 from experiments.paper.comparison import PUBLISHED_RUNS, RULE
 from experiments.paper.quantities import ERRORS
@@ -27,6 +26,7 @@ from experiments.report.tables import (
     notes,
     number,
 )
+from experiments.studies.figures import FLIGHT, SEED
 from ssac.errors import SsacError
 from ssac.files.whole_file import whole_file
 

@@ -18,8 +18,14 @@ FILES = (
     "fidelity",
     "ablations",
     "spread",
-    "experiments.physical.catalogue",
-    "experiments.network.four",
+    "mini",
+    "error_budget",
+    "light_latency",
+    "outdoor",
+    "network",
+    "network_growth",
+    "real",
+    "figures",
     "experiments.rest",
 )
 """In the order in which they are listed and checked; those beyond this folder are to move here."""

@@ -11,7 +11,6 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments.drawing.figures import drawings
 from experiments.lab.cache import Cache
 from experiments.lab.grid import flight_seed
 from experiments.report import report
@@ -20,6 +19,7 @@ from experiments.report.data import Results, load_results
 from experiments.report.report import report_command, report_page
 from experiments.report.tables import mean_and_std, number
 from experiments.studies.ablations import ABLATIONS
+from experiments.studies.figures import DRAWINGS
 from ssac.errors import SsacError
 from tests.experiments.reported import METHODS, made_up_runs, write_results
 
@@ -168,7 +168,7 @@ def test_a_method_from_outside_is_shown_like_ours(tmp_path: Path, animation: Ani
 
 
 def test_the_figures_are_those_that_are_drawn(results: Results, page: str) -> None:
-    n_figures = len(drawings()) + len(ABLATIONS)  # which their studies draw
+    n_figures = len(DRAWINGS) + len(ABLATIONS)  # which their studies draw
     assert len(results.figures) == n_figures
     assert page.count('<img src="data:image/png;base64,') == n_figures
     assert results.figures[0].size_px == (60, 30)

@@ -10,9 +10,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments.real.data_sets import ROUGHNESSES_PPM, data_sets, load_truth
-from experiments.real.drawing import real_figure
-from experiments.real.pairs import PAIRS_FILE, STRAY_COLUMNS, STRAYS_FILE, TRIPLES_FILE, pair_tables
+from experiments.studies.real import PAIRS, STRAYS, TRIPLES, real_figure
+from experiments.worlds.tracks import (
+    ROUGHNESSES_PPM,
+    STRAY_COLUMNS,
+    data_sets,
+    load_clocks,
+    pair_tables,
+)
 from ssac.clock import Clock
 from ssac.errors import SsacError
 from ssac.estimate import Estimate
@@ -91,15 +96,15 @@ def run_pairs(data, work, numbers):
 
 def test_all_pairs_are_run_and_say_what_they_rest_on(data, tmp_path):
     tables = run_pairs(data, tmp_path, (2,))
-    (row,) = tables[PAIRS_FILE].to_dict("records")
+    (row,) = tables[PAIRS].to_dict("records")
     assert row["status"] == "ok"
     # Labels are put on whole frames: +-0.13 frames of either camera, at most 10 ms together.
     assert abs(row["t_d_s"] - OFFSET_S) < 0.01
     assert 0.0 <= row["readout_1_ms"] < 4.0 * row["readout_1_std_ms"]  # none, in truth
     assert row["t_d_std_ms"] > row["global_std_ms"]  # less is known where readouts are not
-    assert [len(tables[name]) for name in (TRIPLES_FILE, STRAYS_FILE)] == [0, 0]
+    assert [len(tables[name]) for name in (TRIPLES, STRAYS)] == [0, 0]
     strays = pd.DataFrame([(2, 0, 1, 3.0, 1.0, 0.5)], columns=STRAY_COLUMNS)
-    one, other = real_figure(tables[PAIRS_FILE], strays).axes
+    one, other = real_figure(tables[PAIRS], strays).axes
     assert [label.get_text() for label in one.get_xticklabels()] == ["2: 0-1"]
     assert [line.get_label() for line in other.lines] == ["2: 0-1"]
 
@@ -113,9 +118,9 @@ def test_clocks_of_varying_rates_are_followed_ever_more_roughly(data, tmp_path, 
         answer = SimpleNamespace(estimate=estimate, guess=None, start=None, config=config)
         return SimpleNamespace(answer=answer)
 
-    monkeypatch.setattr("experiments.real.data_sets.sync", refused)
-    monkeypatch.setattr("experiments.real.data_sets.VARIABLE_RATES", {(2, 1)})
-    (row,) = run_pairs(data, tmp_path, (2,))[PAIRS_FILE].to_dict("records")
+    monkeypatch.setattr("experiments.worlds.tracks.sync", refused)
+    monkeypatch.setattr("experiments.worlds.tracks.VARIABLE_RATES", {(2, 1)})
+    (row,) = run_pairs(data, tmp_path, (2,))[PAIRS].to_dict("records")
     assert tried == [("pieces", one) for one in sorted(ROUGHNESSES_PPM)]
     assert row["status"] == "clock_jump"
 
@@ -153,7 +158,7 @@ def test_the_closure_of_true_clocks_is_nothing():
 def test_published_clocks_are_read(tmp_path):
     alpha = "| --- | --- |\n|0 | 1.0 | 0.4999 |\n|1 | 2.0 | 1.0 |\n"
     (tmp_path / "README.md").write_text(alpha + "|0 | 0 | 0.5 |\n|1 | -1.0 | 0 |\n")
-    truth = load_truth(tmp_path)
+    truth = load_clocks(tmp_path)
     assert truth.alpha[0, 1] == 0.4999
     # The finer of both directions: frame i = 2 j - 1; 100 s are frame 6000, which is j = 3000.5.
     assert truth.t_d_s(0, 1, (60.0, 30.0), 100.0) == pytest.approx(0.5 / 30.0)
@@ -161,7 +166,7 @@ def test_published_clocks_are_read(tmp_path):
 
 @pytest.mark.skipif(not DATA, reason="SSAC_DRONE_TRACKING names no folder with the data sets")
 def test_triples_of_the_real_data_close(tmp_path):
-    triples = run_pairs(Path(DATA), tmp_path, (1, 2))[TRIPLES_FILE]
+    triples = run_pairs(Path(DATA), tmp_path, (1, 2))[TRIPLES]
     assert len(triples) == 8
     assert triples.closure_ms.abs().max() < 30.0  # the mark
 

@@ -1,30 +1,28 @@
-"""Ever longer flights before eight frame cameras in; time and memory of solving them at once, out.
+"""How time and memory grow with the flight that eight frame cameras see, solved all at once.
 
 The cameras' tracks are projections of a random spline with noise: no events, and nothing is drawn.
 Each flight is solved as `ssac sync` of its files does it, in a process of its own on one core,
 after a short one that loads the kernels.
 """
 
-import json
-import sys
-import tempfile
+import resource
 import time
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import yaml
 from numpy.typing import NDArray
 
-from experiments.bench.measurement import peak_memory_mb
-from experiments.bench.process import in_own_process
+from experiments.lab.cell import Flight, Measure
+from experiments.lab.study import How, Runs, Study
+from experiments.lab.verify import between, one_of
 from sim.scene.rig import Rig, kalibr_yaml, look_at_rig
 from sim.scene.trajectory import SplineConfig, random_spline
 from ssac.clock import Clock
-from ssac.errors import SsacError
 from ssac.estimate import Status
 from ssac.files.track_files import save_track
 from ssac.pipeline.api import sync
@@ -33,18 +31,13 @@ from ssac.points import PointTrack
 
 Array = NDArray[np.float64]
 
+COMMAND = "ssac network"
 N_CAMERAS = 8
 FRAMES_HZ = 60.0
 DURATIONS_S = (150.0, 300.0, 600.0)
 NOISE_PX = 0.5
 MARK_S, MARK_MB = 600.0, 4096.0
 """Of the longest flight."""
-
-COLUMNS = (
-    "duration_s", "cameras", "points", "wall_s", "cpu_s", "pairs_s", "network_s", "peak_mb",
-    "status", "t_d_error_ms", "path_rmse_m",
-)  # fmt: skip
-"""Of the table: a row for each flight; the largest error of a clock, and the path's."""
 
 _SEED = 74_000
 _SHORT_S = 20.0
@@ -58,27 +51,74 @@ _SPLINE = SplineConfig(
 )
 
 
-def network_growth(durations_s: tuple[float, ...], say: Callable[[str], None]) -> pd.DataFrame:
-    """Measure each duration: a row each, with what went wrong as its `status`."""
-    rows = []
-    for duration_s in durations_s:
-        say(f"solving {N_CAMERAS} cameras over {duration_s:g} s ...")
-        row: dict[str, Any] = dict.fromkeys(COLUMNS, np.nan)
-        row |= {"duration_s": duration_s, "cameras": N_CAMERAS}
-        try:
-            row |= in_own_process("experiments.network.long_flights", f"{duration_s:g}")
-        except SsacError as error:
-            row["status"] = f"not measured ({error})"
-        rows.append(row)
-    return pd.DataFrame(rows, columns=COLUMNS)
+@dataclass(frozen=True)
+class GrowthCell:
+    """One flight."""
+
+    duration_s: float
+    recordings: tuple[Flight, ...] = ()
+
+    @property
+    def columns(self) -> dict[str, Any]:
+        """Columns that say which it is."""
+        return {"duration_s": self.duration_s, "cameras": N_CAMERAS}
+
+    @property
+    def inputs(self) -> float:
+        """What the row depends on."""
+        return self.duration_s
 
 
-def growth_config() -> dict[str, Any]:
-    """Give what the table is made with, for its provenance."""
-    return {
-        "durations_s": DURATIONS_S, "cameras": N_CAMERAS, "frames_hz": FRAMES_HZ,
-        "noise_px": NOISE_PX, "seed": _SEED, "spline": _SPLINE,
-    }  # fmt: skip
+@dataclass(frozen=True)
+class GrowthRow:
+    """What a flight took, the largest error of a clock, and the path's."""
+
+    status: str
+    reason: str = ""
+    points: float = np.nan
+    wall_s: float = np.nan
+    cpu_s: float = np.nan
+    pairs_s: float = np.nan
+    network_s: float = np.nan
+    peak_mb: float = np.nan
+    t_d_error_ms: float = np.nan
+    path_rmse_m: float = np.nan
+
+
+def cells() -> list[GrowthCell]:
+    """List the flights."""
+    return [GrowthCell(duration_s) for duration_s in DURATIONS_S]
+
+
+def load_nothing(cells: Sequence[GrowthCell], cache: Any) -> None:
+    """Load nothing: a flight is drawn where it is solved."""
+
+
+def growth_row(cell: GrowthCell, _: None) -> GrowthRow:
+    """Solve a flight in this process."""
+    with TemporaryDirectory() as name:
+        short, whole = Path(name) / "short", Path(name) / "whole"
+        for folder in (short, whole):
+            folder.mkdir()
+        files, clocks = write_tracks(whole, cell.duration_s)
+        sync(write_tracks(short, _SHORT_S)[0][:3], short / "rig.yaml")
+        wall_s, cpu_s = time.perf_counter(), time.process_time()
+        found = sync(files, whole / "rig.yaml")
+        wall_s, cpu_s = time.perf_counter() - wall_s, time.process_time() - cpu_s
+        peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+    parts, status = found.seconds, found.network.status
+    row = GrowthRow(
+        str(status),
+        points=sum(camera.n_seen for camera in found.network.cameras),
+        wall_s=wall_s,
+        cpu_s=cpu_s,
+        pairs_s=sum(seconds for part, seconds in parts.items() if part != "network"),
+        network_s=parts["network"],
+        peak_mb=peak_mb,
+    )
+    if status != Status.OK:
+        return replace(row, reason=found.network.reason)
+    return replace(row, **_errors(found, clocks, cell.duration_s))
 
 
 def write_tracks(folder: Path, duration_s: float) -> tuple[list[Path], list[Clock]]:
@@ -119,32 +159,7 @@ def _rig() -> Rig:
     )
 
 
-def _measured(duration_s: float) -> dict[str, Any]:
-    """Solve a flight in this process."""
-    with tempfile.TemporaryDirectory() as name:
-        short, whole = Path(name) / "short", Path(name) / "whole"
-        for folder in (short, whole):
-            folder.mkdir()
-        files, clocks = write_tracks(whole, duration_s)
-        sync(write_tracks(short, _SHORT_S)[0][:3], short / "rig.yaml")
-        wall_s, cpu_s = time.perf_counter(), time.process_time()
-        found = sync(files, whole / "rig.yaml")
-        wall_s, cpu_s = time.perf_counter() - wall_s, time.process_time() - cpu_s
-        peak_mb = peak_memory_mb()
-    parts = found.seconds
-    return {
-        "points": sum(camera.n_seen for camera in found.network.cameras),
-        "wall_s": wall_s,
-        "cpu_s": cpu_s,
-        "pairs_s": sum(seconds for part, seconds in parts.items() if part != "network"),
-        "network_s": parts["network"],
-        "peak_mb": peak_mb,
-        "status": str(found.network.status),
-        **(_errors(found, clocks, duration_s) if found.network.status == Status.OK else {}),
-    }
-
-
-def _errors(found: NetworkResult, clocks: list[Clock], duration_s: float) -> dict[str, float]:
+def _errors(found: NetworkResult, clocks: list[Clock], duration_s: float) -> dict[str, Any]:
     """Give the largest error of a clock, and the path's in the first camera's frame."""
     errors_s = [
         camera.t_d_s - (float(clock.cam2_from_cam1(camera.t_ref_s)) - camera.t_ref_s)
@@ -166,5 +181,28 @@ def _errors(found: NetworkResult, clocks: list[Clock], duration_s: float) -> dic
     }
 
 
-if __name__ == "__main__":
-    print(json.dumps(_measured(float(sys.argv[1]))))
+STUDIES = (
+    Study(
+        "network_growth",
+        "How time and memory grow with the flight of eight frame cameras",
+        cells,
+        Measure(load_nothing, growth_row, GrowthRow),
+        Runs(
+            "network_growth.csv",
+            ("duration_s",),
+            columns=("duration_s", "cameras", "points", "wall_s", "cpu_s", "pairs_s",
+                     "network_s", "peak_mb", "status", "t_d_error_ms", "path_rmse_m"),
+            numbered=False,
+            took=("wall_s", "cpu_s", "pairs_s", "network_s", "peak_mb"),
+        ),
+        checks=(
+            ("all flights are solved", one_of("network_growth", "status", "ok")),
+            ("within the mark of time", between("network_growth", "wall_s", 0.0, MARK_S)),
+            ("within the mark of memory", between("network_growth", "peak_mb", 0.0, MARK_MB)),
+        ),
+        config={"durations_s": DURATIONS_S, "cameras": N_CAMERAS, "frames_hz": FRAMES_HZ,
+                "noise_px": NOISE_PX, "seed": _SEED, "spline": _SPLINE},
+        command=COMMAND,
+        how=How.ALONE,
+    ),
+)  # fmt: skip

@@ -1,3 +1,5 @@
+"""`ssac figures`: which there are, of which flights, and the same bytes every time."""
+
 import json
 from pathlib import Path
 
@@ -5,18 +7,18 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from experiments.drawing.figures import (
+from experiments.lab.files import csv_text, read_checksums
+from experiments.lab.grid import named_config
+from experiments.studies.figures import (
+    DRAWINGS,
     FLIGHT,
     NOISY_FLIGHT,
     NOISY_SEED,
     SEED,
     check_inputs,
     choose,
-    drawings,
     figures_command,
 )
-from experiments.lab.files import csv_text, read_checksums
-from experiments.lab.grid import named_config
 from ssac.errors import SsacError
 from tests.experiments.reported import made_up_runs
 
@@ -30,13 +32,9 @@ def run(*arguments: str | Path) -> str:
 
 
 def test_all_figures_are_drawn_when_none_is_named() -> None:
-    papers = ["fig3_preprocessing", "fig4_epipolar", "fig5_d_avg"]
-    papers += ["alignment", "error_vs_angle", "beyond_paper"]
-    assert list(choose([])) == papers == list(drawings())
+    papers = ["fig3_preprocessing", "fig4_epipolar", "fig5_d_avg", "alignment"]
+    assert list(choose([])) == [*papers, "error_vs_angle", "beyond_paper"] == list(DRAWINGS)
     assert list(choose(["fig5_d_avg"])) == ["fig5_d_avg"]
-
-
-def test_an_unknown_figure_is_an_error() -> None:
     with pytest.raises(SsacError, match="unknown figure 'fig6': expected some of fig3"):
         choose(["fig3_preprocessing", "fig6"])
 
@@ -47,19 +45,13 @@ def test_a_missing_table_names_the_command_that_makes_it(tmp_path: Path) -> None
     check_inputs(choose(["fig4_epipolar"]), tmp_path)  # needs none
 
 
-def test_the_clean_flight_is_one_of_the_tables() -> None:
-    cells = named_config("esim_20").cells()
-    assert any(cell.sim == FLIGHT and cell.seed == SEED for cell in cells)
-
-
-def test_the_noisy_flight_is_one_of_the_noisy_tables() -> None:
-    cells = named_config("ablation_davis346").cells()
-    assert any(cell.sim == NOISY_FLIGHT and cell.seed == NOISY_SEED for cell in cells)
-
-
-def test_the_noisy_flight_has_noise() -> None:
-    assert NOISY_FLIGHT.sensor.shot_noise_hz > 0.0
-    assert NOISY_FLIGHT.spline.duration_s == 10.0
+@pytest.mark.parametrize(
+    ("name", "flight"),
+    [("esim_20", (FLIGHT, SEED)), ("ablation_davis346", (NOISY_FLIGHT, NOISY_SEED))],
+)
+def test_flights_are_of_tables(name: str, flight: tuple) -> None:
+    assert any((cell.sim, cell.seed) == flight for cell in named_config(name).cells())
+    assert (flight[0].sensor.shot_noise_hz > 0.0) == (name == "ablation_davis346")
 
 
 def test_a_figure_is_drawn_from_its_table_the_same_every_time(tmp_path: Path) -> None:
@@ -78,8 +70,8 @@ def test_a_figure_is_drawn_from_its_table_the_same_every_time(tmp_path: Path) ->
     assert set(read_checksums(first)) == {"beyond_paper.png", "figures.provenance.json"}
 
 
-def test_a_table_that_cannot_be_read_is_named(tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["error_vs_angle", "beyond_paper"])
+def test_a_table_that_cannot_be_read_is_named(tmp_path: Path, name: str) -> None:
     (tmp_path / "runs.csv").write_text("a,b\n1,2\n")
-    for name in ("error_vs_angle", "beyond_paper"):
-        with pytest.raises(SsacError, match=r"runs.csv: "):
-            run(name, "--results", tmp_path, "--out", tmp_path)
+    with pytest.raises(SsacError, match=r"runs.csv: "):
+        run(name, "--results", tmp_path, "--out", tmp_path)

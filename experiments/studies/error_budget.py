@@ -1,35 +1,40 @@
-"""Each imperfection alone, and all but each, in; what it costs in t_d, R and t out.
+"""What each imperfection of a bench costs in t_d, R and t: alone, and all but it.
 
 Each recording has a set-up and a calibration of its own, so that a mean is what one may expect of a
 bench, not the luck of one. All kinds of a recording share its motion: their differences are of the
 imperfection, not of the draw.
 """
 
-from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
-from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator
 
-from experiments.drawing.style import WIDTH_IN, method_looks, quiet_axes
-from experiments.lab.study import Study, summed_study
-from experiments.paper.quantities import ERRORS, T_D_ERROR
-from experiments.physical.cells import cells_of, setup_seed
-from experiments.physical.imperfections import (
+from experiments.lab.markdown import digits, markdown_table
+from experiments.lab.results import Results
+from experiments.lab.study import Made, Runs, Study
+from experiments.lab.verify import between, scored_checks
+from experiments.paper.quantities import ERRORS, R_ERROR, T_D_ERROR
+from experiments.worlds.bench import (
     ALL,
     ANGLES_DEG,
+    COMMAND,
     IMPERFECTIONS,
     KINDS,
     NONE,
+    PHYSICAL,
+    PhysicalCell,
+    Recordings,
     all_but,
     bench_of,
+    cells_of,
     only,
+    setup_seed,
 )
-from experiments.physical.measure import PHYSICAL, PhysicalCell
-from experiments.physical.mini import COMMAND
 from ssac.fit.covariance import NORMAL_95
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 N_RECORDINGS = 1
 """Of each angle, and each of all kinds. 24 of the 34 kinds are simulated apart: half an hour a
@@ -38,40 +43,35 @@ recording at 10 s."""
 FIRST_FLIGHT = 20_000  # of no table
 DURATION_S = 10.0
 T_D_MS = 50.0
-METHOD_NAMES = ("ssac", "joint", "tangency")
+METHODS = ("ssac", "joint", "tangency")
 
 
-def budget_cells(n_recordings: int = N_RECORDINGS) -> list[PhysicalCell]:
+def cells(recordings: Recordings = None) -> list[PhysicalCell]:
     """List the three methods on every kind of each recording."""
     return [
         cell
         for angle_deg in ANGLES_DEG
-        for flight in range(FIRST_FLIGHT, FIRST_FLIGHT + n_recordings)
+        for flight in range(FIRST_FLIGHT, FIRST_FLIGHT + (recordings or N_RECORDINGS))
         for kind in KINDS
         for cell in cells_of(
             bench_of(kind, angle_deg, DURATION_S, setup_seed(angle_deg, flight)),
             {"kind": kind},
             flight,
             (T_D_MS,),
-            METHOD_NAMES,
+            METHODS,
         )
     ]
 
 
 def budget_table(runs: pd.DataFrame) -> pd.DataFrame:
-    """Mean errors by kind, angle and method.
-
-    Parameters
-    ----------
-    runs
-        One row per cell of `budget_cells`.
+    """Mean errors by kind, angle and method, in their order.
 
     Returns
     -------
     pd.DataFrame
-        One row per kind, angle and method in their order: `runs`, `answered` (status "ok"), mean
-        and deviation of each error over these, `t_d_bias_ms`, the mean of the signed error of t_d,
-        and `t_d_held`, the share of the stated 95 % intervals of t_d that hold the truth.
+        `runs`, `answered` (status "ok"), mean and deviation of each error over these,
+        `t_d_bias_ms`, the mean of the signed error of t_d, and `t_d_held`, the share of the stated
+        95 % intervals of t_d that hold the truth.
     """
     rows = []
     for (kind, angle_deg, method), group in runs.groupby(
@@ -92,31 +92,30 @@ def budget_table(runs: pd.DataFrame) -> pd.DataFrame:
     return table
 
 
-def budget_figure(summary: pd.DataFrame, _: pd.DataFrame) -> Figure:
+def budget_figure(summary: pd.DataFrame) -> "Figure":
     """Draw, for each method and error, what each imperfection adds alone and what its lack spares.
 
     The mean over the angles of each imperfection alone (filled) and of all but it (hollow); lines
     stand where there is none and where there are all.
     """
-    means = (
-        summary.groupby(["kind", "method"], sort=False)[[f"{name}_mean" for name in ERRORS]]
-        .mean()
-        .reset_index()
-        .set_index(["method", "kind"])
-    )
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import LogLocator
+
+    from experiments.drawing.style import WIDTH_IN, method_looks, quiet_axes
+
     places = np.arange(len(IMPERFECTIONS))
-    height_in = 1.2 + 0.22 * len(places) * len(METHOD_NAMES)
+    height_in = 1.2 + 0.22 * len(places) * len(METHODS)
     figure = Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
-    grid = figure.subplots(len(METHOD_NAMES), len(ERRORS), sharey=True, squeeze=False)
-    for row, method in zip(grid, METHOD_NAMES, strict=True):
-        look = method_looks([method])[method]
+    grid = figure.subplots(len(METHODS), len(ERRORS), sharey=True, squeeze=False)
+    for row, method in zip(grid, METHODS, strict=True):
+        color = method_looks([method])[method].color
         for axes, (name, quantity) in zip(row, ERRORS.items(), strict=True):
             quiet_axes(axes)
-            values = means.loc[method][f"{name}_mean"]
+            values = _means(summary, name).xs(method, level="method")
             axes.plot(values[[only(one) for one in IMPERFECTIONS]], places, "o", ms=5,
-                      color=look.color, label="alone")  # fmt: skip
+                      color=color, label="alone")  # fmt: skip
             axes.plot(values[[all_but(one) for one in IMPERFECTIONS]], places, "o", ms=5,
-                      color=look.color, mfc="white", label="all but it")  # fmt: skip
+                      color=color, mfc="white", label="all but it")  # fmt: skip
             axes.axvline(values[NONE], color="0.3", lw=0.8, ls=":", label="none")
             axes.axvline(values[ALL], color="0.3", lw=0.8, ls="--", label="all")
             axes.set(xscale="log")
@@ -133,19 +132,47 @@ def budget_figure(summary: pd.DataFrame, _: pd.DataFrame) -> Figure:
     return figure
 
 
-def budget_study(n_recordings: int = N_RECORDINGS, command: str = COMMAND) -> Study:
-    """Give the error budget."""
-    return summed_study(
+def page_table(results: Results) -> str:
+    """Lay t_d / R out over the angles, with nothing, each imperfection alone, and all of them."""
+    table = results.table("error_budget")
+    means = [_means(table, error.column) for error in (T_D_ERROR, R_ERROR)]
+    kinds = {NONE: NONE, **{name: only(name) for name in IMPERFECTIONS}, ALL: ALL}
+    rows = [
+        [name, *(" / ".join(digits(float(of[kind, method])) for of in means)
+                 for method in METHODS)]
+        for name, kind in kinds.items()
+    ]  # fmt: skip
+    return markdown_table(["bench", *(f"`{method}`" for method in METHODS)], rows)
+
+
+def _means(summary: pd.DataFrame, error: str) -> "pd.Series[float]":
+    """Mean over the angles by kind and method."""
+    means: pd.Series[float] = summary.groupby(["kind", "method"], sort=False)[
+        f"{error}_mean"
+    ].mean()
+    return means
+
+
+STUDIES = (
+    Study(
         "error_budget",
         "What each imperfection of a bench costs, alone and of all",
-        partial(budget_cells, n_recordings),
+        cells,
         PHYSICAL,
-        budget_table,
-        keys=("kind", "angle_deg", "flight", "method"),
-        draw=budget_figure,
-        config={"n_recordings": n_recordings, "first_flight": FIRST_FLIGHT,
+        Runs("error_budget_runs.csv", ("kind", "angle_deg", "flight", "method")),
+        (
+            Made("error_budget.csv", lambda one: budget_table(one.table("error_budget_runs"))),
+            Made("error_budget.png", lambda one: budget_figure(one.table("error_budget"))),
+        ),
+        numbers={"table.budget": page_table},
+        checks=(
+            ("shares are shares", between("error_budget", "t_d_held", 0.0, 1.0)),
+            *scored_checks("error_budget_runs"),
+        ),
+        config={"n_recordings": N_RECORDINGS, "first_flight": FIRST_FLIGHT,
                 "duration_s": DURATION_S, "t_d_ms": T_D_MS, "angles_deg": ANGLES_DEG,
-                "kinds": KINDS, "methods": METHOD_NAMES,
+                "kinds": KINDS, "methods": METHODS,
                 "bench": bench_of(ALL, ANGLES_DEG[0], DURATION_S, 0)},
-        command=command,
-    )  # fmt: skip
+        command=COMMAND,
+    ),
+)  # fmt: skip

@@ -1,22 +1,33 @@
-"""Two cameras lit differently in; the offset that appears, and what its parts say of it, out.
+"""The offset that appears where two cameras are lit differently, and what its parts say of it.
 
 A pixel in less light answers later: no geometry tells that from a clock that shows more. But it is
 not the same for both polarities, and it changes its sign when the lights are swapped.
 """
 
 from dataclasses import replace
-from functools import partial
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
-from matplotlib.figure import Figure
 
-from experiments.drawing.style import WIDTH_IN, quiet_axes
-from experiments.lab.study import Study, summed_study
-from experiments.physical.cells import cells_of, setup_seed
-from experiments.physical.imperfections import IMPERFECTIONS, SetUp, ideal
-from experiments.physical.measure import PHYSICAL, PhysicalCell
-from experiments.physical.mini import COMMAND
+from experiments.lab.markdown import digits, markdown_table
+from experiments.lab.results import Results
+from experiments.lab.study import Made, Runs, Study
+from experiments.lab.verify import ordered, scored_checks
+from experiments.worlds.bench import (
+    COMMAND,
+    IMPERFECTIONS,
+    PHYSICAL,
+    PhysicalCell,
+    Recordings,
+    SetUp,
+    cells_of,
+    ideal,
+    setup_seed,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 N_RECORDINGS = 2
 """Each at all ratios, so that these differ in the light alone."""
@@ -48,11 +59,11 @@ def lit(ratio: float, polarity: int | None, setup: int) -> SetUp:
     return replace(bench, sim=replace(bench.sim, effects=effects), polarity=polarity)
 
 
-def latency_cells(n_recordings: int = N_RECORDINGS) -> list[PhysicalCell]:
+def cells(recordings: Recordings = None) -> list[PhysicalCell]:
     """List every ratio and polarity on each recording."""
     return [
         cell
-        for flight in range(FIRST_FLIGHT, FIRST_FLIGHT + n_recordings)
+        for flight in range(FIRST_FLIGHT, FIRST_FLIGHT + (recordings or N_RECORDINGS))
         for ratio in RATIOS
         for name, polarity in POLARITIES.items()
         for cell in cells_of(
@@ -66,48 +77,44 @@ def latency_cells(n_recordings: int = N_RECORDINGS) -> list[PhysicalCell]:
 
 
 def latency_table(runs: pd.DataFrame) -> pd.DataFrame:
-    """Apparent offsets by ratio and polarity.
-
-    Parameters
-    ----------
-    runs
-        One row per cell of `latency_cells`.
+    """Apparent offsets by ratio and polarity, in their order.
 
     Returns
     -------
     pd.DataFrame
-        One row per ratio and polarity in their order: `runs`, `answered`, mean and deviation of
-        the apparent offset, which is the estimated less the clocks' (`apparent_ms_*`), the mean
-        stated deviation, and `swapped_ms`, the mean of the apparent offset of this ratio and its
-        inverse, which swapping the lights leaves.
+        `runs`, `answered`, mean and deviation of the apparent offset, which is the estimated less
+        the clocks' (`apparent_ms_*`), the mean stated deviation, and `swapped_ms`, the mean of the
+        apparent offset of this ratio and its inverse, which swapping the lights leaves.
     """
     runs = runs.assign(apparent_ms=runs["t_d_estimate_ms"] - runs["t_d_ms"])
-    rows = []
+    rows, means = [], dict[Any, float]()
     for (ratio, polarity), group in runs.groupby(["light_ratio", "polarity"], sort=False):
         ok = group[group["status"] == "ok"]
+        means[ratio, polarity] = ok["apparent_ms"].mean()
         rows.append(
             {
                 "light_ratio": ratio,
                 "polarity": polarity,
                 "runs": len(group),
                 "answered": len(ok),
-                "apparent_ms_mean": ok["apparent_ms"].mean(),
+                "apparent_ms_mean": means[ratio, polarity],
                 "apparent_ms_std": ok["apparent_ms"].std(ddof=0),
                 "t_d_std_ms": ok["t_d_std_ms"].mean(),
             }
         )
-    table: pd.DataFrame = pd.DataFrame(rows)
-    names = table[["light_ratio", "polarity"]].itertuples(index=False, name=None)
-    means = dict(zip(names, table["apparent_ms_mean"].to_numpy(np.float64), strict=True))
-    table["swapped_ms"] = [
-        0.5 * (means[(ratio, polarity)] + means.get((1.0 / ratio, polarity), np.nan))
-        for ratio, polarity in zip(table["light_ratio"], table["polarity"], strict=True)
+    swapped_ms = [
+        0.5 * (mean + means.get((1.0 / ratio, polarity), np.nan))
+        for (ratio, polarity), mean in means.items()
     ]
-    return table
+    return pd.DataFrame(rows).assign(swapped_ms=swapped_ms)
 
 
-def latency_figure(summary: pd.DataFrame, _: pd.DataFrame) -> Figure:
+def latency_figure(summary: pd.DataFrame) -> "Figure":
     """Draw the apparent offset against the ratio of the lights, by polarity."""
+    from matplotlib.figure import Figure
+
+    from experiments.drawing.style import WIDTH_IN, quiet_axes
+
     figure = Figure(figsize=(WIDTH_IN, 3.6), layout="constrained")
     axes = figure.subplots()
     quiet_axes(axes)
@@ -131,19 +138,47 @@ def latency_figure(summary: pd.DataFrame, _: pd.DataFrame) -> Figure:
     return figure
 
 
-def latency_study(n_recordings: int = N_RECORDINGS, command: str = COMMAND) -> Study:
-    """Give the study of lights that differ."""
-    return summed_study(
+def page_table(results: Results) -> str:
+    """Lay the apparent offsets out by the ratio of the lights and by polarity [ms]."""
+    rows = []
+    for ratio, of_ratio in results.table("light_latency").groupby("light_ratio", sort=True):
+        by = of_ratio.set_index("polarity")
+        rows.append(
+            [
+                f"{ratio:g}",
+                *(f"{by['apparent_ms_mean'][name]:.2f}" for name in POLARITIES),
+                digits(float(by["t_d_std_ms"]["both"])),
+                f"{by['swapped_ms']['both']:.2f}",
+                f"{int(by['answered']['both'])} of {int(by['runs']['both'])}",
+            ]
+        )
+    header = [
+        *("light 2 / 1", "apparent", "ON alone", "OFF alone", "stated 1 sigma"),
+        *("half sum with its inverse", "answered"),
+    ]
+    return markdown_table(header, rows)
+
+
+STUDIES = (
+    Study(
         "light_latency",
         "Offsets that appear where two cameras are lit differently",
-        partial(latency_cells, n_recordings),
+        cells,
         PHYSICAL,
-        latency_table,
-        keys=("light_ratio", "polarity", "flight"),
-        draw=latency_figure,
-        config={"n_recordings": n_recordings, "first_flight": FIRST_FLIGHT,
+        Runs("light_latency_runs.csv", ("light_ratio", "polarity", "flight")),
+        (
+            Made("light_latency.csv", lambda one: latency_table(one.table("light_latency_runs"))),
+            Made("light_latency.png", lambda one: latency_figure(one.table("light_latency"))),
+        ),
+        numbers={"table.latency": page_table},
+        checks=(
+            ("as many are answered as ran", ordered("light_latency", "answered", "runs")),
+            *scored_checks("light_latency_runs"),
+        ),
+        config={"n_recordings": N_RECORDINGS, "first_flight": FIRST_FLIGHT,
                 "duration_s": DURATION_S, "angle_deg": ANGLE_DEG, "t_d_ms": T_D_MS,
                 "ratios": RATIOS, "illuminance_lux": ILLUMINANCE_LUX, "method": METHOD,
                 "bench": lit(1.0, None, 0)},
-        command=command,
-    )  # fmt: skip
+        command=COMMAND,
+    ),
+)  # fmt: skip

@@ -1,1 +1,0 @@
-"""Real recordings: what the method finds on public data that are not ours to ship."""

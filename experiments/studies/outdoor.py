@@ -1,0 +1,369 @@
+"""The paper's outdoor experiment, simulated: one flight, seven ways to know part of its truth.
+
+Each kind of two cameras takes one thing from the truth, so that one sees what it costs not to know
+it. In the last two nothing is known, and all is adjusted at once, with a third camera or without.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Annotated, Any
+
+import numpy as np
+import pandas as pd
+import typer
+from numpy.typing import NDArray
+
+from experiments.lab.cache import Cache
+from experiments.lab.cell import Flight, Measure
+from experiments.lab.command import command_of
+from experiments.lab.markdown import markdown_table
+from experiments.lab.recorded import FlightTruth, load_truth
+from experiments.lab.results import Results
+from experiments.lab.score import angle_between_deg, rotation_angle_deg
+from experiments.lab.study import Made, Runs, Study
+from experiments.lab.verify import between, ordered
+from experiments.worlds.outdoor import (
+    CLOUDS_PX_S,
+    DURATION_S,
+    FIRST_SEED,
+    LEVER_ARM_M,
+    T_D_S,
+    THIRD_T_D_S,
+    calibrated,
+    outdoor_config,
+    rtk_of,
+    seed_of,
+    third_config,
+    write_events,
+    write_rig,
+    write_tracks,
+)
+from sim.recording import SimConfig
+from ssac.cli.options import number
+from ssac.config import Config
+from ssac.estimate import Estimate, Status
+from ssac.fit.covariance import NORMAL_95
+from ssac.geometry.pose import depths
+from ssac.network.align import smoothed
+from ssac.network.comparison import Comparison, compare
+from ssac.network.solve import CameraAnswer, NetworkAnswer
+from ssac.network.tum import Path as SpacePath
+from ssac.pipeline.answer import Answer
+from ssac.pipeline.api import chain_of, sync
+from ssac.pipeline.many import network
+
+Array = NDArray[np.float64]
+
+N_FLIGHTS = 10
+TWO_AT_ONCE, THREE_CAMERAS = "two_at_once", "three_cameras"
+KINDS = ("as_recorded", "true_tracks", "true_pose", "true_intrinsics", "all_true", TWO_AT_ONCE,
+         THREE_CAMERAS)  # fmt: skip
+
+CONFIG = Config(
+    denoise=False, n_min=8, half_window_s=0.05, n_samples=1200, skew_prior_ppm=50.0, search="all"
+)  # of a small drone, and event cameras' clocks
+_PATH_HZ = 50.0
+_MOST_MISSED = 9.0  # times the median: 6 deviations
+
+Flights = Annotated[int, number("Number of flights.", 1, 1000, metavar="COUNT")]
+Duration = Annotated[float, number("Duration of each flight.", 10, 3600, "seconds")]
+Third = Annotated[
+    bool, typer.Option("--third/--no-third", help="Solve each flight with a third camera too.")
+]
+
+
+@dataclass(frozen=True)
+class OutdoorCell:
+    """One way to know part of the truth of a flight."""
+
+    flight: int
+    kind: str  # of KINDS
+    duration_s: float = DURATION_S
+
+    @property
+    def config(self) -> SimConfig:
+        """The set-up of the first two cameras."""
+        return outdoor_config(self.duration_s)
+
+    @property
+    def recordings(self) -> tuple[Flight, ...]:
+        """That of cameras 1 and 2, and that of cameras 1 and 3 if there is a third."""
+        thirds = (third_config(self.config),) if self.kind == THREE_CAMERAS else ()
+        return tuple((config, seed_of(self.flight)) for config in (self.config, *thirds))
+
+    @property
+    def columns(self) -> dict[str, Any]:
+        """Columns that say which it is."""
+        return {"flight": self.flight, "kind": self.kind}
+
+    @property
+    def inputs(self) -> tuple[Any, ...]:
+        """What the row depends on beside the recordings."""
+        return self.flight, self.kind
+
+
+@dataclass(frozen=True)
+class OutdoorRow:
+    """Errors and stated deviations of camera 2's clock and pose, and the path beside RTK."""
+
+    status: str
+    reason: str = ""
+    t_d_error_ms: float = np.nan
+    t_d_std_ms: float = np.nan
+    skew_error_ppm: float = np.nan
+    skew_std_ppm: float = np.nan
+    r_error_deg: float = np.nan
+    r_std_deg: float = np.nan
+    t_error_deg: float = np.nan
+    t_std_deg: float = np.nan
+    rmse_m: float = np.nan  # at equal times
+    median_m: float = np.nan
+    max_m: float = np.nan
+    icp_rmse_m: float = np.nan
+    scale_error_percent: float = np.nan
+    rtk_samples: float = np.nan
+    coverage: float = np.nan  # share of RTK's samples that the path has
+
+
+MEASURED = tuple(OutdoorRow.__dataclass_fields__)[2:]
+
+
+def cells(
+    flights: Flights = N_FLIGHTS, duration: Duration = DURATION_S, third: Third = True
+) -> list[OutdoorCell]:
+    """List every kind of every flight."""
+    kinds = KINDS if third else KINDS[:-1]
+    return [OutdoorCell(flight, kind, duration) for flight in range(flights) for kind in kinds]
+
+
+def load_outdoor(cells: Sequence[OutdoorCell], cache: Cache) -> tuple[Path, ...]:
+    """Load recordings, which are simulated if they are not there yet."""
+    return tuple(cache.recording_folder(*recording) for recording in cells[0].recordings)
+
+
+def outdoor_row(cell: OutdoorCell, folders: tuple[Path, ...]) -> OutdoorRow:
+    """Find clocks, pose and path in the way of the cell, and compare them with the truth."""
+    truths = truths_of(folders)
+    found: Estimate | CameraAnswer
+    path: SpacePath | None = None
+    if cell.kind in (TWO_AT_ONCE, THREE_CAMERAS):
+        answer = at_once(folders, truths, cell)
+        status, reason, found = str(answer.status), answer.reason, answer.cameras[1]
+        if found.status == Status.OK and found.R is not None and answer.cameras[0].group == 1:
+            path = answer.paths[0].path
+    else:
+        of_two, path = estimated(folders[0], truths[0], cell)
+        found = of_two.estimate
+        status, reason = str(found.status), found.reason
+    row = OutdoorRow(status, reason)
+    if path is None:
+        return row
+    figures = {**_camera_figures(found, truths[0]), **_path_figures(path, truths[0], cell.flight)}
+    return replace(row, **figures)
+
+
+def truths_of(folders: tuple[Path, ...]) -> tuple[FlightTruth, ...]:
+    """Read the truth of a flight's recordings, with the offsets that clocks are given here."""
+    both = zip(folders, (T_D_S, THIRD_T_D_S), strict=False)
+    return tuple(load_truth(folder, t_d_s) for folder, t_d_s in both)
+
+
+def at_once(
+    folders: tuple[Path, ...], truths: tuple[FlightTruth, ...], cell: OutdoorCell
+) -> NetworkAnswer:
+    """Find clocks, poses and path of two or three cameras, as `ssac sync` of their files does."""
+    with TemporaryDirectory() as name:
+        work, n = Path(name), len(folders) + 1
+        write_rig(work / "rig.yaml", calibrated(cell.config, cell.flight)[:n])
+        paths = [work / f"cam{k + 1}.h5" for k in range(n)]
+        for k in reversed(range(1, n)):
+            write_events(work, folders[k - 1], truths[k - 1], cell.flight, second=k)
+            paths[1].rename(paths[k])
+        return network(chain_of(paths, work / "rig.yaml", CONFIG)).network
+
+
+def estimated(
+    folder: Path, truth: FlightTruth, cell: OutdoorCell
+) -> tuple[Answer, SpacePath | None]:
+    """Find clocks, pose and path [baselines, camera 1's frame] of two cameras."""
+    config, flight, kind = cell.config, cell.flight, cell.kind
+    exact = kind in ("true_intrinsics", "all_true")
+    with TemporaryDirectory() as name:
+        work = Path(name)
+        write_rig(work / "rig.yaml", (config,) * 2 if exact else calibrated(config, flight)[:2])
+        if kind in ("true_tracks", "all_true"):
+            files = write_tracks(work, config, truth)
+        else:
+            files = write_events(work, folder, truth, flight)
+        found = sync(*files, work / "rig.yaml", config=CONFIG).answer
+    if not found.estimate.has_offset:
+        return found, None
+    R, t = found.estimate.R, found.estimate.t
+    if kind in ("true_pose", "all_true"):
+        R, t = truth.R, truth.t
+    return found, None if R is None or t is None else triangulated(found, R, t)
+
+
+def triangulated(found: Answer, R: Array, t: Array) -> SpacePath | None:
+    """Triangulate both tracks, smoothed in time; None of too few points in front of both cameras.
+
+    The mean of the two points where the rays pass closest, in camera 1's frame, on its clock. Rays
+    that miss each other by far more than others do, at their depth, are of no one point.
+    """
+    estimate, rig = found.estimate, found.rig
+    views = found.views.under(estimate.clock)
+    start_s, end_s = views.overlap_s(np.array([estimate.t_d_s]))
+    n_samples = int(_PATH_HZ * (end_s[0] - start_s[0]))
+    pairs = views.pairs_at(estimate.t_d_s, n_samples)
+    rays1, rays2 = pairs.rays(rig)
+    depths1, depths2 = depths(R, t, rays1, rays2)
+    before = (depths1 > 0.0) & (depths2 > 0.0) & np.isfinite(depths1 * depths2)
+    if before.sum() < 100:
+        return None
+    first = depths1[:, None] * rays1
+    second = (depths2[:, None] * rays2 - t) @ R
+    missed = np.linalg.norm(first - second, axis=1) / np.abs(depths1)
+    before &= missed < _MOST_MISSED * np.median(missed[before])
+    rough = SpacePath(pairs.times_s[before], (0.5 * (first + second))[before])
+    return replace(rough, positions_m=smoothed(rough).at(rough.times_s))
+
+
+def _camera_figures(found: Estimate | CameraAnswer, truth: FlightTruth) -> dict[str, Any]:
+    """Compare what is said of camera 2's clock and pose with the truth."""
+    assert found.R is not None  # there is no path without
+    assert found.t is not None
+    shown_s = float(truth.clock.cam2_from_cam1(found.t_ref_s)) - found.t_ref_s
+    return {
+        "t_d_error_ms": 1e3 * abs(found.t_d_s - shown_s),
+        "t_d_std_ms": 1e3 * found.t_d_std_s,
+        "skew_error_ppm": abs(found.skew_ppm - truth.clock.skew_ppm),
+        "skew_std_ppm": found.skew_std_ppm,
+        "r_error_deg": rotation_angle_deg(found.R.T @ truth.R),
+        "r_std_deg": found.r_std_deg,
+        "t_error_deg": angle_between_deg(found.t, truth.t),
+        "t_std_deg": found.t_std_deg
+        if isinstance(found, Estimate)
+        else float(np.rad2deg(np.linalg.norm(np.asarray(found.t_std)))),
+    }
+
+
+def compared(path: SpacePath, truth: FlightTruth, flight: int) -> Comparison:
+    """Compare a path with the flight's RTK, whose lever arm is known."""
+    return compare(path, rtk_of(truth, flight), lever_arm_m=LEVER_ARM_M)
+
+
+def _path_figures(path: SpacePath, truth: FlightTruth, flight: int) -> dict[str, Any]:
+    found = compared(path, truth, flight)
+    assert found.in_time is not None  # both paths have times
+    figures = found.in_time.figures()
+    return {
+        "rmse_m": figures["rmse_m"],
+        "median_m": figures["median_m"],
+        "max_m": figures["max_m"],
+        "icp_rmse_m": found.as_shape.rmse_m,
+        "scale_error_percent": 100.0 * abs(figures["scale"] / truth.baseline_m - 1.0),
+        "rtk_samples": figures["n_samples"],
+        "coverage": found.in_time.coverage,
+    }
+
+
+def oracle_table(runs: pd.DataFrame) -> pd.DataFrame:
+    """Give means over the flights that were answered, and how many these are, by kind."""
+    table = []
+    for kind, group in runs.groupby("kind", sort=False):
+        answered = group[group["rmse_m"].notna()]
+        means = {name: answered[name].mean() for name in MEASURED}
+        table.append({"kind": kind, "answered": len(answered), "of": len(group), **means})
+    return pd.DataFrame(table)
+
+
+def first_recording(duration: float = DURATION_S, **_: Any) -> tuple[Flight, ...]:
+    """Name what the figure is drawn of."""
+    return ((outdoor_config(duration), seed_of(0)),)
+
+
+def first_flight(_: Results, folder: Path) -> bytes | None:
+    """Draw the first flight, all adjusted at once, beside its RTK; None if it was refused."""
+    from experiments.drawing.style import comparison_png
+
+    truths = truths_of((folder,))
+    cell = OutdoorCell(0, TWO_AT_ONCE)
+    answer = at_once((folder,), truths, cell)
+    if not answer.paths:
+        return None
+    return comparison_png(compared(answer.paths[0].path, truths[0], cell.flight))
+
+
+def page_table(results: Results) -> str:
+    """Lay out what the flights gave, by what was taken from the truth.
+
+    Errors are means, in brackets the path's largest; of t_d and skew how many of the stated 95 %
+    intervals hold the truth.
+    """
+    rows = []
+    for kind, flights in results.table("outdoor").groupby("kind", sort=False):
+        given = flights[flights["rmse_m"].notna()]
+        held = (
+            f"{(given[f'{name}_error_{unit}'] <= NORMAL_95 * given[f'{name}_std_{unit}']).sum()}"
+            for name, unit in (("t_d", "ms"), ("skew", "ppm"))
+        )
+        rows.append(
+            [
+                str(kind).replace("_", " "),
+                f"{len(given)} of {len(flights)}",
+                f"{given['t_d_error_ms'].mean():.3f}",
+                f"{given['skew_error_ppm'].mean():.2f}",
+                *(f"{given[f'{name}_error_deg'].mean():.3f}" for name in ("r", "t")),
+                ", ".join(held),
+                f"{given['rmse_m'].mean():.3f} ({given['rmse_m'].max():.3f})",
+                f"{given['icp_rmse_m'].mean():.3f}",
+                f"{100 * given['coverage'].mean():.0f}",
+            ]
+        )
+    header = [
+        *("known", "answered", "t_d [ms]", "skew [ppm]", "R [deg]", "t [deg]", "held"),
+        *("path [m]", "ICP [m]", "seen [%]"),
+    ]
+    return markdown_table(header, rows)
+
+
+STUDIES = (
+    Study(
+        "outdoor",
+        "The paper's outdoor experiment, simulated",
+        cells,
+        Measure(load_outdoor, outdoor_row, OutdoorRow),
+        Runs(
+            "outdoor.csv",
+            ("flight", "kind"),
+            columns=("flight", "kind", "status", *MEASURED, "reason"),
+            numbered=False,
+        ),
+        (
+            Made("outdoor_oracle.csv", lambda one: oracle_table(one.table("outdoor")), near=True),
+            Made("outdoor.png", first_flight, recordings=first_recording),
+        ),
+        numbers={"table.outdoor": page_table},
+        checks=(
+            ("a median is no maximum", ordered("outdoor", "median_m", "max_m")),
+            ("shares are shares", between("outdoor", "coverage", 0.0, 1.0)),
+        ),
+        config={
+            "flights": N_FLIGHTS,
+            "first_seed": FIRST_SEED,
+            "kinds": KINDS,
+            "sim": outdoor_config(),
+            "clouds_px_s": CLOUDS_PX_S,
+        },
+        command="ssac outdoor",
+        shows="outdoor_oracle",
+    ),
+)
+
+command = command_of(
+    {"outdoor": STUDIES},
+    "Simulate the paper's outdoor set-up, and find clocks, pose and the drone's path.\n\n"
+    "What is finished is kept in the cache, so that an interrupted run goes on where it was.",
+)

@@ -1,0 +1,378 @@
+"""Public drone-tracking data sets: what is published of each, and what its cameras' tracks give.
+
+Every pair of cameras is synchronised from nothing; then all cameras of a data set are solved at
+once, and the path lies beside RTK. The data are not ours to ship.
+"""
+
+import re
+import time
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from ssac.clock import Clock
+from ssac.config import SKEW_PRIOR_PPM, Config
+from ssac.errors import SsacError
+from ssac.estimate import Estimate, Status
+from ssac.files.drone_tracking import ImportedCamera, import_data_set
+from ssac.network import tum
+from ssac.network.comparison import Comparison, compare
+from ssac.network.graph import Pair, closures_s
+from ssac.network.solve import NetworkAnswer
+from ssac.pipeline.answer import Answer
+from ssac.pipeline.api import chain_of, sync
+from ssac.pipeline.chain import Chain
+from ssac.pipeline.many import solve_pairs
+
+Array = NDArray[np.float64]
+Log = Callable[[str], None]
+Row = dict[str, Any]
+
+DATA_SETS = (1, 2, 4)
+
+UNKNOWN_RATES = {(4, 3): (0.6, 0.8)}
+"""Cameras whose frames were counted at another rate than their calibration says, and the rates that
+are tried: data set 4's camera 3 counts native frames, some 18 to 24 a second, and says 30."""
+
+VARIABLE_RATES = {(4, 2), (4, 3)}
+"""Phones whose frame rate varied by far, as the data set's README says: their clocks, which count
+frames, wander by a tenth of a second."""
+
+ROUGHNESSES_PPM = (2000.0, 6000.0)
+"""How clocks of pairs with such a camera are followed: the smoothest that is not refused. A frame
+more or less in 5 s, of 30 a second, is 6700 ppm."""
+
+RTK_S = 0.2
+"""Time between two samples of RTK; data set 4 counts them, and leaves some out."""
+
+PAIR_COLUMNS = (
+    "data_set", "camera_1", "camera_2", "models", "status", "clock", "t_d_s", "t_d_std_ms",
+    "t_ref_s", "skew_ppm", "skew_std_ppm", "most_stray_ms", "readout_1_ms",
+    "readout_1_std_ms", "readout_2_ms", "readout_2_std_ms", "by_readouts_ms", "global_std_ms",
+    "residual_px", "n_samples", "reason", "from_truth_ms", "seconds", "closure_ms",
+)  # fmt: skip
+TRIPLE_COLUMNS = ("data_set", "cameras", "closure_ms")
+STRAY_COLUMNS = ("data_set", "camera_1", "camera_2", "t_s", "stray_ms", "std_ms")
+PATH_COLUMNS = (
+    "data_set", "cameras", "left_out", "rmse_m", "mean_m", "median_m", "max_m", "n_rtk", "coverage",
+    "shift_s", "rate_ppm", "scale_m", "most_from_truth_ms", "rms_px", "pairs_s", "network_s",
+)  # fmt: skip
+
+_NUMBERS = re.compile(r"^\|\s*\d+\s*\|(.*)\|\s*$")
+
+
+@dataclass(frozen=True)
+class PublishedClocks:
+    """Frame j = alpha frame i + beta."""
+
+    alpha: Array  # (n, n)
+    beta: Array  # (n, n) [frames]
+
+    def t_d_s(self, i: int, j: int, fps: tuple[float, float], time_s: float) -> float:
+        """Offset t_d [s] of camera j by camera i, at a time of camera i's.
+
+        From the direction whose alpha is greater: four decimals of 2 tell twice as much as of 0.5,
+        25 ppm in place of 100, which are 23 ms at mid-flight in data set 4.
+        """
+        frame = time_s * fps[0]
+        if self.alpha[i, j] >= self.alpha[j, i]:
+            other = self.alpha[i, j] * frame + self.beta[i, j]
+        else:
+            other = (frame - self.beta[j, i]) / self.alpha[j, i]
+        return float(other / fps[1] - time_s)
+
+
+@dataclass(frozen=True, eq=False)
+class DataSet:
+    """One flight: its cameras, what is published of it, and what its pairs gave."""
+
+    number: int
+    folder: Path  # as it was published
+    cameras: list[ImportedCamera]
+    tracks: list[Path]  # theirs
+    rig: Path
+    clocks: PublishedClocks | None
+    pairs: dict[Pair, Answer]
+    seconds: dict[Pair, float]  # of one core, each pair
+
+    def off_truth_ms(self, pair: Pair, t_d_s: float, time_s: float) -> float:
+        """Give how far an offset, at a time of the first camera's clock, is off the published one.
+
+        NaN where none is published, or none that applies: that of a remapped video does not.
+        """
+        if self.clocks is None or any((self.number, k) in UNKNOWN_RATES for k in pair):
+            return np.nan
+        fps = self.cameras[pair[0]].fps, self.cameras[pair[1]].fps
+        return 1e3 * (t_d_s - self.clocks.t_d_s(*pair, fps, time_s))
+
+
+def data_sets(
+    data: Path, work: Path, log: Log, numbers: tuple[int, ...] = DATA_SETS
+) -> Iterator[DataSet]:
+    """Read data sets, and synchronise every pair of cameras of each.
+
+    Parameters
+    ----------
+    data
+        Folder with `dataset1` and so on, and `calibration`.
+    work
+        Folder for the tracks and rigs.
+    log
+        Called with a line on each pair.
+    numbers
+        Of the data sets.
+
+    Raises
+    ------
+    SsacError
+        If a folder or file is missing, or not of their form.
+    """
+    for number in numbers:
+        folder, own = data / f"dataset{number}", work / f"dataset{number}"
+        if not folder.is_dir():
+            raise SsacError(f"{folder}: there is no such folder: give that of the data sets")
+        cameras = import_data_set(folder, own)
+        tracks = [own / f"{camera.name}.csv" for camera in cameras]
+        rig = own / "rig.yaml"
+        found = DataSet(number, folder, cameras, tracks, rig, load_clocks(folder), {}, {})
+        for i, j in combinations(range(len(cameras)), 2):
+            start_s = time.process_time()
+            result = _synchronised(number, (i, j), tracks, rig)
+            found.pairs[i, j], found.seconds[i, j] = result, time.process_time() - start_s
+            estimate = result.estimate
+            log(
+                f"{number}: {i} {j} {estimate.status}, {result.config.clock}, "
+                f"t_d {estimate.t_d_s:.4f} s +- {1e3 * estimate.t_d_std_s:.1f} ms, "
+                f"{found.seconds[i, j]:.1f} s"
+            )
+        yield found
+
+
+def load_clocks(folder: Path) -> PublishedClocks | None:
+    """Read the two tables of a data set's README; None where there are none."""
+    path = folder / "README.md"
+    if not path.is_file():
+        return None
+    lines = path.read_text(encoding="utf-8").splitlines()
+    rows = [
+        [float(cell) for cell in found.group(1).split("|")]
+        for found in map(_NUMBERS.match, lines)
+        if found
+    ]
+    n = len(rows) // 2
+    if n == 0 or any(len(row) != n for row in rows):
+        return None
+    return PublishedClocks(np.array(rows[:n]), np.array(rows[n:]))
+
+
+def load_rtk(folder: Path) -> tum.Path:
+    """Read the antenna's positions [m] of a data set, with times from its first sample on [s]."""
+    path = folder / "trajectory" / "rtk.txt"
+    try:
+        table = np.loadtxt(path, dtype=np.float64, ndmin=2)
+    except (OSError, ValueError) as error:
+        raise SsacError(
+            f"{path}: expected lines `[index] x y z` ({error}): get it again"
+        ) from error
+    if table.shape[1] not in (3, 4):
+        raise SsacError(
+            f"{path}: expected lines `[index] x y z`, got {table.shape[1]} columns: get it again"
+        )
+    index = table[:, 0] if table.shape[1] == 4 else np.arange(len(table), dtype=np.float64)
+    return tum.Path(RTK_S * index, table[:, -3:])
+
+
+def rate_range(number: int, i: int, j: int) -> tuple[float, float] | None:
+    """Rates that are tried of camera j's clock by camera i's; None where both are known."""
+    low, high = UNKNOWN_RATES.get((number, j), (1.0, 1.0))
+    slow, fast = UNKNOWN_RATES.get((number, i), (1.0, 1.0))
+    return None if low == high and slow == fast else (low / fast, high / slow)
+
+
+def _synchronised(number: int, pair: Pair, tracks: list[Path], rig: Path) -> Answer:
+    """Synchronise a pair with what is tried in turn for it, until it is answered."""
+    i, j = pair
+    config = Config(search="all", rates=rate_range(number, i, j))
+    configs = [config]  # what sync tries itself
+    if {(number, i), (number, j)} & VARIABLE_RATES:
+        configs = [
+            replace(config, clock="pieces", roughness_ppm=roughness_ppm)
+            for roughness_ppm in ROUGHNESSES_PPM
+        ]
+    for config in configs:
+        answer = sync(
+            tracks[i],
+            tracks[j],
+            rig,
+            config=config,
+            cameras=(i + 1, j + 1),
+            estimate_readout=True,
+        ).answer
+        if answer.estimate.has_offset:
+            break
+    return answer
+
+
+# --- Tables of pairs, triples and clocks that wander ---
+
+
+def pair_tables(sets: Iterable[DataSet]) -> dict[str, pd.DataFrame]:
+    """Lay out what the pairs of data sets gave.
+
+    Returns
+    -------
+    dict of pd.DataFrame
+        By name: a row for each pair; one for each triple of which all pairs are answered; and one
+        for each knot of a clock that wanders.
+    """
+    pairs, triples, strays = list[Row](), list[Row](), list[Row]()
+    for one in sets:
+        clocks = {pair: _clock(one.pairs[pair]) for pair in one.pairs}
+        found = closures_s({pair: clock for pair, clock in clocks.items() if clock is not None})
+        for pair, result in one.pairs.items():
+            mine = [1e3 * abs(s) for triple, s in found.items() if set(pair) <= set(triple)]
+            row = _pair_row(one, pair) | {"closure_ms": max(mine, default=np.nan)}
+            pairs.append(row)
+            strays += _strays(row, result.estimate)
+        triples += [
+            {"data_set": one.number, "cameras": "-".join(map(str, triple)), "closure_ms": 1e3 * s}
+            for triple, s in found.items()
+        ]
+    return {
+        "real_pairs": pd.DataFrame(pairs, columns=PAIR_COLUMNS),
+        "real_triples": pd.DataFrame(triples, columns=TRIPLE_COLUMNS),
+        "real_strays": pd.DataFrame(strays, columns=STRAY_COLUMNS),
+    }
+
+
+def _clock(result: Answer) -> Clock | None:
+    """Give the clock that a pair found; of a mere delay, too, with a time at which to close."""
+    if result.guess is None or not result.estimate.has_offset:
+        return None
+    return replace(result.estimate.clock, t_ref_s=_t_ref_s(result))
+
+
+def _t_ref_s(result: Answer) -> float:
+    estimate, guess = result.estimate, result.guess
+    has_skew = bool(np.isfinite(estimate.skew_ppm))
+    return estimate.t_ref_s if has_skew or guess is None else guess.t_ref_s
+
+
+def _pair_row(one: DataSet, pair: Pair) -> Row:
+    result, (i, j) = one.pairs[pair], pair
+    estimate, t_ref_s = result.estimate, _t_ref_s(result)
+    off_ms = np.nan
+    if estimate.has_offset:
+        off_ms = one.off_truth_ms(pair, estimate.t_d_s, t_ref_s)
+    return {
+        "data_set": one.number,
+        "camera_1": i,
+        "camera_2": j,
+        "models": f"{one.cameras[i].model} {one.cameras[j].model}",
+        "status": str(estimate.status),
+        "clock": result.config.clock,
+        "t_d_s": estimate.t_d_s,
+        "t_d_std_ms": 1e3 * estimate.t_d_std_s,
+        "t_ref_s": t_ref_s,
+        "skew_ppm": estimate.skew_ppm,
+        "skew_std_ppm": estimate.skew_std_ppm,
+        "most_stray_ms": float(np.max(1e3 * np.abs(estimate.strays_s), initial=0.0)),
+        "readout_1_ms": 1e3 * estimate.readouts_s[0],
+        "readout_1_std_ms": 1e3 * estimate.readouts_std_s[0],
+        "readout_2_ms": 1e3 * estimate.readouts_s[1],
+        "readout_2_std_ms": 1e3 * estimate.readouts_std_s[1],
+        "residual_px": estimate.d_avg_px,
+        "n_samples": estimate.n_samples,
+        "reason": estimate.reason,
+        "from_truth_ms": off_ms,
+        "seconds": round(one.seconds[pair], 1),
+        **_effect_of_readouts(result),
+    }
+
+
+def _effect_of_readouts(result: Answer) -> Row:
+    """Say where the offset were with shutters taken for global ones, and how sure it would be."""
+    start = result.start
+    if start is None or not result.estimate.has_offset:
+        return {"by_readouts_ms": np.nan, "global_std_ms": np.nan}
+    cameras = [replace(one, readout_std_s=0.0) for one in (result.rig.cam1, result.rig.cam2)]
+    rig = replace(result.rig, cam1=cameras[0], cam2=cameras[1])
+    seen = result.cleans[0], start.as_seen(result.cleans[1])
+    other = start.as_recorded(Chain(seen, rig, result.config).estimate(result.method))
+    return {
+        "by_readouts_ms": 1e3 * (result.estimate.t_d_s - other.t_d_s),
+        "global_std_ms": 1e3 * other.t_d_std_s,
+    }
+
+
+def _strays(row: Row, estimate: Estimate) -> list[Row]:
+    pair = {name: row[name] for name in STRAY_COLUMNS[:3]}
+    columns = estimate.knots_s, 1e3 * estimate.strays_s, 1e3 * estimate.strays_std_s
+    return [
+        pair | dict(zip(STRAY_COLUMNS[3:], knot, strict=True))
+        for knot in zip(*columns, strict=True)
+    ]
+
+
+# --- The path of all cameras ---
+
+
+def path_of(one: DataSet) -> tuple[Row, Comparison]:
+    """Solve all cameras of a data set at once, from what its pairs gave, and compare with RTK.
+
+    Returns
+    -------
+    tuple
+        The row of the table (PATH_COLUMNS), and how the path lies beside RTK.
+
+    Raises
+    ------
+    SsacError
+        If no cameras see a path together, or RTK cannot be read.
+    """
+    start_s = time.process_time()
+    answer = solve_pairs(chain_of(one.tracks, one.rig), one.pairs)
+    network_s = time.process_time() - start_s
+    if not answer.paths:
+        raise SsacError(f"{one.folder}: no cameras see a path together: {answer.reason}")
+    found = compare(answer.paths[0].path, load_rtk(one.folder), rate_std_ppm=SKEW_PRIOR_PPM)
+    in_time = found.in_time
+    if in_time is None:
+        raise SsacError(f"data set {one.number}: the path and RTK have times, but share none")
+    placed = [camera for camera in answer.cameras if camera.status == Status.OK]
+    row = {
+        "data_set": one.number,
+        "cameras": len(placed),
+        "left_out": " ".join(answer.left_out),
+        "rmse_m": in_time.rmse_m,
+        "mean_m": float(np.mean(in_time.distances_m)),
+        "median_m": float(np.median(in_time.distances_m)),
+        "max_m": float(np.max(in_time.distances_m)),
+        "n_rtk": len(in_time.distances_m),
+        "coverage": in_time.coverage,
+        "shift_s": in_time.clock.t_d_s,
+        "rate_ppm": in_time.clock.skew_ppm,
+        "scale_m": in_time.similarity.scale,
+        "most_from_truth_ms": _most_off_ms(one, answer),
+        "rms_px": float(np.median([camera.rms_px for camera in placed])),
+        "pairs_s": round(sum(one.seconds.values()), 1),
+        "network_s": round(network_s, 1),
+    }
+    return row, found
+
+
+def _most_off_ms(one: DataSet, answer: NetworkAnswer) -> float:
+    """Give the most that a clock of constant rate is off the published one [ms]; NaN of none."""
+    first, *others = answer.cameras
+    off_ms = [
+        abs(one.off_truth_ms((0, k), camera.t_d_s, camera.t_ref_s))
+        for k, camera in enumerate(others, 1)
+        if (one.number, k) not in VARIABLE_RATES and camera.status == Status.OK
+    ]
+    return max(off_ms, default=np.nan) if first.status == Status.OK else np.nan

@@ -1,0 +1,127 @@
+"""Public drone tracks: what is read of them, what is said of them, and what their tables show.
+
+Where the data are at hand, a first flight is found from nothing.
+"""
+
+import os
+from itertools import combinations
+from pathlib import Path
+from shutil import copy
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from experiments.lab.results import Results
+from experiments.lab.verify import Finding, found
+from experiments.studies import real
+from experiments.studies.real import COLUMNS, PAIRS, PATHS, SHIFTED, STRAYS, TRIPLES, WITH_TRUTH
+from experiments.worlds.tracks import VARIABLE_RATES, data_sets, load_rtk, path_of
+from ssac.errors import SsacError
+
+DATA = os.environ.get("SSAC_DRONE_TRACKING", "")  # a folder with dataset1 ...; not ours to ship
+COMMITTED = Path(__file__).resolve().parents[3] / "results"
+(STUDY,) = real.STUDIES
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """The committed tables, to be spoilt."""
+    for name in COLUMNS:
+        copy(COMMITTED / f"{name}.csv", tmp_path)
+    return tmp_path
+
+
+def faulty(folder: Path) -> list[Finding]:
+    results = Results(folder)
+    findings = [found(what, lambda check=check: check(results)) for what, check in STUDY.checks]
+    return [finding for finding in findings if finding.faults]
+
+
+def test_the_committed_tables_make_sense(folder: Path) -> None:
+    assert faulty(folder) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "fault"),
+    [
+        (PAIRS, "closure_ms", "closure_s", "real_pairs.csv has the columns data_set"),
+        (PAIRS, "\n1,0,2,", "\n1,0,1,", "a pair is there twice"),
+        (PAIRS, "\n1,0,3,", "\n1,0,9,", "its rows are not all pairs"),
+        (PAIRS, ",ok,affine,", ",fine,affine,", "real_pairs.csv, row 0: status is fine"),
+        (PAIRS, ",ok,affine,", ",ok,bent,", "real_pairs.csv, row 0: clock is bent"),
+        (PAIRS, ",ok,affine,-0.567791,", ",ok,affine,,", "data set 1, cameras 0 1: t_d_s is nan"),
+        (PAIRS, ",ok,affine,", ",clock_jump,affine,", "data set 1, cameras 0 1: clock_jump, and"),
+        (PAIRS, ",20.51257\n", ",21.51257\n", "(1, 0, 1): closure_ms is 21.51257 in the pairs"),
+        (TRIPLES, "\n1,0-1-2,", "\n1,0-1-9,", "not each triple"),
+        (TRIPLES, "1,0-1-3,-20.51257", "1,0-1-3,-41", "(1, 0, 1): closure_ms is 20.51257"),
+        (STRAYS, ",0.0333667,-2.2786708,", ",0.0333667,-4.5,", "the strays of (2, 0, 1)"),
+        (STRAYS, "\n2,0,1,5.0409629,", "\n2,0,1,6.0409629,", "the knots of (2, 0, 1)"),
+        (STRAYS, "\n2,0,1,", "\n2,0,9,", "it has pairs that are none: (2, 0, 9)"),
+        (PATHS, "\n2,", "\n3,", "real_paths.csv has not each data set once"),
+        (PATHS, ",0.038300288,", ",0.018,", "real_paths.csv, row 0: mean_m is above rmse_m"),
+        (PATHS, ",0.15891153,", ",0.01,", "real_paths.csv, row 0: rmse_m is above max_m"),
+    ],
+)
+def test_what_makes_no_sense_is_found(
+    folder: Path, name: str, old: str, new: str, fault: str
+) -> None:
+    text = (folder / f"{name}.csv").read_text()
+    assert old in text
+    (folder / f"{name}.csv").write_text(text.replace(old, new, 1))
+    faults = [one for finding in faulty(folder) for one in finding.faults]
+    assert any(one.startswith(fault) for one in faults), faults
+
+
+@pytest.mark.parametrize("at", [1, 2, 200, -1])
+@pytest.mark.parametrize("name", [TRIPLES, STRAYS, PATHS, PAIRS])
+def test_a_row_that_is_gone_or_there_twice_is_found(folder: Path, name: str, at: int) -> None:
+    path = folder / f"{name}.csv"
+    lines = path.read_text().splitlines()
+    at = at if at < 0 else min(at, len(lines) - 1)
+    for damaged in (lines[:at] + lines[at:][1:], lines[:at] + lines[at:][:1] + lines[at:]):
+        path.write_text("\n".join(damaged) + "\n")
+        assert faulty(folder), at
+
+
+def test_a_camera_that_is_off_is_told_from_the_others(folder: Path) -> None:
+    off_ms = np.array([3.0, 3.0, 0.0, 0.0, -3.0, 2.0, -2.0])
+    off_ms[SHIFTED] = -40.0
+    table = Results(folder).table(PAIRS)
+    rows = []
+    for i, j in combinations(range(len(off_ms)), 2):
+        row = dict(table.iloc[0]) | {"data_set": WITH_TRUTH, "camera_1": i, "camera_2": j}
+        wild_ms = 500.0 if {(WITH_TRUTH, i), (WITH_TRUTH, j)} & VARIABLE_RATES else 0.0
+        rows.append(row | {"from_truth_ms": off_ms[j] - off_ms[i] + wild_ms})
+    pd.DataFrame(rows).to_csv(folder / f"{PAIRS}.csv", index=False)
+    results = Results(folder)
+    assert STUDY.numbers["real.camera1.apart"](results) == "-40 ms"  # the others' mean is 0
+    assert STUDY.numbers["real.off"](results) == "43 ms"
+    assert STUDY.numbers["real.off.others"](results) == "6 ms"
+
+
+def rtk(folder: Path, rows: np.ndarray) -> Path:
+    (folder / "trajectory").mkdir()
+    np.savetxt(folder / "trajectory" / "rtk.txt", rows)
+    return folder
+
+
+def test_rtk_is_of_5_hz_and_an_index_says_which_samples_are_missing(tmp_path: Path) -> None:
+    positions = np.arange(12.0).reshape(4, 3)
+    found_here = load_rtk(rtk(tmp_path, positions))
+    assert found_here.times_s == pytest.approx([0.0, 0.2, 0.4, 0.6])
+    assert found_here.positions_m == pytest.approx(positions)
+    np.savetxt(tmp_path / "trajectory" / "rtk.txt", np.column_stack([[0, 1, 5], np.eye(3)]))
+    assert load_rtk(tmp_path).times_s == pytest.approx([0.0, 0.2, 1.0])
+    np.savetxt(tmp_path / "trajectory" / "rtk.txt", np.ones((3, 2)))
+    with pytest.raises(SsacError, match="expected lines `\\[index\\] x y z`, got 2 columns"):
+        load_rtk(tmp_path)
+
+
+@pytest.mark.skipif(not DATA, reason="SSAC_DRONE_TRACKING names no folder with the data sets")
+def test_the_first_real_flight_is_found_from_nothing(tmp_path: Path) -> None:
+    (one,) = data_sets(Path(DATA), tmp_path, lambda line: None, (1,))
+    row, _ = path_of(one)
+    assert row["cameras"] == 4
+    assert row["rmse_m"] <= 0.045  # the mark of DESIGN 8
+    assert row["n_rtk"] >= 608  # mvus' coverage
