@@ -18,21 +18,19 @@ from ssac.geometry.fundamental import (
 from ssac.geometry.pose import nearest_pose, pose_from_fundamental
 from ssac.methods.method import method
 from ssac.methods.verdict import offset_estimate, refused
-from ssac.search.observability import (
+from ssac.search.offset_search import (
+    Cost,
+    OffsetSearch,
     ambiguous_offset,
+    candidate_offsets,
+    coarse_to_fine_search,
     coarsest_step,
+    exhaustive_search,
+    mean_epipolar_distance,
     no_match,
     open_fundamental,
     too_little_motion,
     valleys,
-)
-from ssac.search.offset_search import (
-    Cost,
-    OffsetSearch,
-    candidate_offsets,
-    coarse_to_fine_search,
-    exhaustive_search,
-    mean_epipolar_distance,
 )
 from ssac.search.two_views import TwoViews
 from ssac.search.view import View

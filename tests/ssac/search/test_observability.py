@@ -9,16 +9,16 @@ from ssac.config import MAX_VALLEY_S, MIN_SWINGS, Config
 from ssac.events import EVENT_DTYPE
 from ssac.geometry.fundamental import lmeds_fundamental, reweighted_fundamental, second_best
 from ssac.rules import Rules
-from ssac.search.observability import (
+from ssac.search.offset_search import (
     ambiguous_offset,
     at_rest,
+    coarse_to_fine_search,
     no_match,
     open_fundamental,
     too_little_motion,
     unusable,
     valleys,
 )
-from ssac.search.offset_search import coarse_to_fine_search
 from ssac.search.two_views import TwoViews, views_of
 from ssac.search.view import returns_s, view_of
 from ssac.track.clean import Clean
