@@ -638,7 +638,6 @@ class Rules:
     track: TrackRules = TrackRules()
     silhouette: SilhouetteRules = SilhouetteRules()
     body: BodyRules = BodyRules()
-    track: TrackRules = TrackRules()
     network: NetworkRules = NetworkRules()
     view: ViewRules = ViewRules()
     blind: BlindRules = BlindRules()
