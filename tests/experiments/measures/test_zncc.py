@@ -9,6 +9,7 @@ from experiments.measures.zncc import (
     RENDERED,
     RENDERED_SIGNALS,
     SIGNALS,
+    ZNCC_BIN_S,
     SignalCell,
     agreement,
     modelled_signals,
@@ -18,7 +19,7 @@ from sim.render.config import RenderConfig, SamplingConfig
 from sim.render.lattice import Lattice
 from sim.scene.rig import look_at_rig
 from sim.scene.trajectory import SplineConfig, Trajectory
-from ssac.methods.correlations import ZNCC_BIN_S, Signal
+from ssac.methods.correlations import Signal
 
 DURATION_S = 10.0
 CAMERAS = dict(zip((0, 90, 180), look_at_rig((0.0, 90.0, 180.0)).cameras, strict=True))
