@@ -283,7 +283,7 @@ class SearchRules:
     """Algorithms 1 and 2, and what their cost curve cannot tell (`ssac.search`).
 
     Thresholds lie in the gap between ordinary simulated flights and those that leave something
-    open; `docs/refusal.md` has the figures on both sides.
+    open (`docs/refusal.md`).
     """
 
     min_pairs: int = 15  # of a fit: fewer leave too little freedom beside F's seven for a median
@@ -542,7 +542,7 @@ class JointRules:
 
 @dataclass(frozen=True)
 class OutlineRules:
-    """How the outline is found (`ssac.track.outline`); `docs/tangency.md` has other values."""
+    """How the outline is found (`ssac.track.outline`); `ssac study tangency` tries other values."""
 
     rough_half_window_s: float = 0.010  # of events moved by the track's course, not the tangent's
     half_window_s: float = 0.020  # of events moved by the smoothed tangent: more pixels are crossed
@@ -563,7 +563,7 @@ class OutlineRules:
 class TangencyRules:
     """The refinement by tangents of the outline (`ssac.methods.tangency`).
 
-    `docs/tangency.md` has what other values give.
+    `ssac study tangency` tries other values.
     """
 
     outline: OutlineRules = OutlineRules()

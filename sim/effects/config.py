@@ -19,7 +19,7 @@ class SensorEffects:
     """Imperfections beside those of `sim.sensor.events.SensorConfig`, the same in both cameras.
 
     What depends on the light depends on E = illuminance_lux * (I + log_eps) [lux] of each pixel,
-    with I the luminance, 0 to 1. Sources are in docs/physical.md.
+    with I the luminance, 0 to 1. Sources are in docs/sensor.md.
     """
 
     illuminance_lux: float = 1000.0  # light that luminance 1 stands for

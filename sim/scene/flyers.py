@@ -3,8 +3,7 @@
 What the paper's method takes for granted, that the mean of an object's events is the image of one
 of its points, holds for a small or symmetric object, as the default quadrotor is. The others are
 neither: their greys differ from part to part, and the bird's and the plane's from left to right,
-with the body's origin not in the middle. What the parts of the quadrotor of two tones, once the
-default, do to the mean of its events is in docs/simulate.md.
+with the body's origin not in the middle.
 """
 
 from dataclasses import dataclass

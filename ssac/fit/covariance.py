@@ -13,8 +13,8 @@ those of independent residuals, which widens 1.96 deviations to Student's 95 %.
 
 Series, such as the upper and the lower tangents, may have errors in common. Those count for the
 parameters of the clock, t_d first, and are left out for the pose. Where there are no others, the
-sum of the gradients at an instant is itself taken for the process. `docs/uncertainty.md` has the
-flights on which this was chosen, and what was tried beside it.
+sum of the gradients at an instant is itself taken for the process. `docs/uncertainty.md` says
+how far this can be trusted.
 """
 
 from itertools import pairwise

@@ -6,7 +6,7 @@ p2(t_i + t_d), as `ssac.fit.least_squares` has them.
 What limits the accuracy is not noise: the mean of the events is not the image of any fixed point of
 the object, and strays from it by an amount that changes slowly with attitude and grows with the
 object's image. So the positions are those of `ObjectMotion.sharp_at`, and each residual is weighed
-by the inverse of its images' size (`docs/uncertainty.md` compares these choices).
+by the inverse of its images' size.
 """
 
 from dataclasses import replace

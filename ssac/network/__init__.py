@@ -1,1 +1,1 @@
-"""Many cameras: what their pairs told in; clocks and poses of all, and the path, out."""
+"""Clocks, poses and the object's path of many cameras, from what their pairs say."""

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssac.geometry.epipolar import CAUCHY, TO_DEVIATION
-from ssac.network.graph import Pair, PairTold, shared_by
+from ssac.network.graph import Pair, PairConstraint, shared_by
 from ssac.network.normal import Linear, Normal, Solved, Spline, basis, jerks, products, solve
 from ssac.network.state import (
     BEHIND,
@@ -49,7 +49,7 @@ class Network:
     distance: float = 1.0  # that
     repeats: float = 1.0  # sightings that tell as much as an independent one: errors last
     lasting: float = 1.0  # the same, with what the path takes up of such errors
-    told: Mapping[Pair, PairTold] = field(default_factory=dict)  # by pairs of states
+    constraints: Mapping[Pair, PairConstraint] = field(default_factory=dict)  # by pairs of states
     rules: NetworkRules = field(kw_only=True)
 
 
@@ -117,12 +117,12 @@ def known(
     sharper = 1.0 / np.sqrt(network.repeats)
     for k, (state, prior) in enumerate(zip(network.states, priors, strict=True)):
         at = int(offsets[k])
-        told = [(RATE, prior.rate, state.rate - prior.expected_rate)] if k else []
-        told += [(READOUT, prior.readout_s, state.readout_s)]
+        values = [(RATE, prior.rate, state.rate - prior.expected_rate)] if k else []
+        values += [(READOUT, prior.readout_s, state.readout_s)]
         for i in range(2):
-            told += [(FOCAL.start + i, prior.focal[i], float(state.focal[i]))]
-            told += [(CENTRE.start + i, prior.centre_px[i], float(state.centre_px[i]))]
-        for place, deviation, value in told:
+            values += [(FOCAL.start + i, prior.focal[i], float(state.focal[i]))]
+            values += [(CENTRE.start + i, prior.centre_px[i], float(state.centre_px[i]))]
+        for place, deviation, value in values:
             if deviation > 0.0:
                 deviation *= sharper
                 add([at + place], [1.0 / deviation], -value / deviation)
@@ -152,8 +152,8 @@ def known(
     off_px = np.where(by_mean, rules.behind_px, 0.0) - values_px
     for values, residual in zip(weights, weights @ off_px, strict=True):
         add(offsets[of_events] + BEHIND, values, float(residual))
-    alike = shared_by(network.told)
-    for (a, b), pair in network.told.items():
+    alike = shared_by(network.constraints)
+    for (a, b), pair in network.constraints.items():
         by_a, by_b, off_by = pair.rows(network.states[a], network.states[b])
         counts = np.sqrt(network.lasting / alike[a, b])
         for i in range(len(off_by)):
@@ -293,8 +293,8 @@ def _normal(network: Network, given: _Given) -> tuple[Normal, float]:
     first, weights = jerks(network.path.knots_s)
     values = normal.add_smoothness(first, weights / network.jerk, coefficients)
     cost += 0.5 * float(np.sum(values**2))
-    told, residuals = known(network, given.cameras, given.priors, offsets)
-    normal.add_rows(told, residuals)
+    prior_rows, residuals = known(network, given.cameras, given.priors, offsets)
+    normal.add_rows(prior_rows, residuals)
     return normal, cost + 0.5 * float(np.sum(residuals**2))
 
 
@@ -325,8 +325,8 @@ def _weighed(network: Network, given: _Given, solved: Solved) -> Network:
     values = products(first, weights, network.path.coefficients)
     unsure = solved.path_covariances(first, weights, False)
     trace = np.trace(unsure, axis1=1, axis2=2)
-    told = 3.0 * len(first) - float(np.sum(trace)) / network.jerk**2
-    jerk = float(np.sqrt(np.sum(values**2) / max(told, 1.0)))
+    freedom = 3.0 * len(first) - float(np.sum(trace)) / network.jerk**2
+    jerk = float(np.sqrt(np.sum(values**2) / max(freedom, 1.0)))
     mean = float(np.mean(repeats)) if repeats else 1.0
     return replace(
         network,

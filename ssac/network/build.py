@@ -159,8 +159,9 @@ def _whole(built: Built, links: Mapping[Pair, Link], body: BodyRules) -> Built:
         share = seen.sigmas_px / np.median(seen.sigmas_px) * network.sigmas_px[k]
         off = np.linalg.norm(fit.residuals_px, axis=1) / share
         enabled.append(fit.used & (off < by.gate))
-    told = {pair: link.told for pair, link in links.items() if link.told is not None}
-    network = replace(network, told=agreeing(told, built.members, network.states, by))
+    given = {pair: link.constraint for pair, link in links.items() if link.constraint}
+    agreed = agreeing(given, built.members, network.states, by)
+    network = replace(network, constraints=agreed)
     network, solved = adjust(network, built.cameras, built.priors, enabled, by.rounds)
     return replace(built, network=network, solved=solved, enabled=enabled)
 
@@ -195,7 +196,7 @@ def _by_their_body(
 ) -> list[Sightings] | None:
     """Follow one point of the body in place of silhouettes' centres; None where that is not told.
 
-    Where it is not told at some time, the centres stay, and count less.
+    Where it is not known at some time, the centres stay, and count less.
     """
     if any(seen.images is None or seen.camera.distortion_coeffs for seen in cameras):
         return None
@@ -220,9 +221,9 @@ def _by_their_body(
     for seen, state, view, move in zip(cameras, network.states, views, moves, strict=True):
         there = view.focal_px * view.points[:, :2] / view.points[:, 2:]
         found = there + seen.camera.K[:2, 2] + state.centre_px + move
-        told = np.isfinite(move[:, 0])
-        points_px = np.where(told[:, None], found, seen.points_px)
-        sigmas_px = np.where(told, 1.0, network.rules.centre_sigmas) * seen.sigmas_px
+        is_known = np.isfinite(move[:, 0])
+        points_px = np.where(is_known[:, None], found, seen.points_px)
+        sigmas_px = np.where(is_known, 1.0, network.rules.centre_sigmas) * seen.sigmas_px
         followed.append(replace(seen, points_px=points_px, sigmas_px=sigmas_px))
     return followed
 

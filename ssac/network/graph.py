@@ -33,7 +33,7 @@ _STEPS = {DELAY: 1e-6, RATE: 1e-9} | {
 
 
 @dataclass(frozen=True, eq=False)
-class PairTold:
+class PairConstraint:
     """Clock and pose of camera b by camera a, and how sure they are."""
 
     clock: Clock
@@ -92,7 +92,7 @@ class Link:
     t: Array | None = None  # (3,) of length 1
     status: str = "ok"
     reason: str = ""
-    told: PairTold | None = None  # of two event cameras: how sure clock and pose are
+    constraint: PairConstraint | None = None  # of two event cameras: how sure clock and pose are
 
     def reversed(self) -> "Link":
         """Give what the pair (b, a) tells."""
@@ -149,7 +149,7 @@ def groups(n_cameras: int, links: Mapping[Pair, Link]) -> list[list[int]]:
     return sorted(found.values(), key=lambda group: (-len(group), group))
 
 
-def told_by(estimate: Estimate) -> PairTold | None:
+def constraint_of(estimate: Estimate) -> PairConstraint | None:
     """Take what an estimate tells of clock and pose; None of one without their covariance."""
     known, R, t = estimate.covariance, estimate.R, estimate.t
     if estimate.status != Status.OK or known is None or R is None or t is None:
@@ -165,28 +165,28 @@ def told_by(estimate: Estimate) -> PairTold | None:
     except np.linalg.LinAlgError:
         return None
     clock = Clock(estimate.t_d_s, estimate.skew_ppm, estimate.t_ref_s)
-    return PairTold(clock, R, t, deviations[:, None] * factor)
+    return PairConstraint(clock, R, t, deviations[:, None] * factor)
 
 
 def agreeing(
-    told: Mapping[Pair, PairTold],
+    constraints: Mapping[Pair, PairConstraint],
     members: list[int],
     states: list[CameraState],
     rules: NetworkRules,
-) -> dict[Pair, PairTold]:
+) -> dict[Pair, PairConstraint]:
     """Give the pairs of members that tell nearly what the states say, by places among these."""
     places = {k: place for place, k in enumerate(members)}
     return {
         (places[a], places[b]): one
-        for (a, b), one in told.items()
+        for (a, b), one in constraints.items()
         if a in places and b in places and one.fits(states[places[a]], states[places[b]], rules)
     }
 
 
-def shared_by(told: Mapping[Pair, PairTold]) -> dict[Pair, float]:
+def shared_by(constraints: Mapping[Pair, PairConstraint]) -> dict[Pair, float]:
     """Say for how many, of pairs that tell as much, each stands: the mean of both cameras' pairs.
 
     All pairs of a camera look at one and the same outline, whose errors they share.
     """
-    counts = Counter(camera for pair in told for camera in pair)
-    return {(a, b): 0.5 * (counts[a] + counts[b]) for a, b in told}
+    counts = Counter(camera for pair in constraints for camera in pair)
+    return {(a, b): 0.5 * (counts[a] + counts[b]) for a, b in constraints}

@@ -193,11 +193,11 @@ class Solved:
             cameras = cho_solve(self.schur, np.eye(len(self.free)))
             for start, stop, active in _blocks(spans, spread.shape[1], BAND - 1):
                 part = spread[active, start : stop + BAND - 1]
-                told = cameras[np.ix_(active, active)] @ part
+                spread_back = cameras[np.ix_(active, active)] @ part
                 for down in range(min(BAND, part.shape[1])):
                     n = min(stop - start, part.shape[1] - down)
                     inverse[down, start : start + n] += np.einsum(
-                        "fi,fi->i", part[:, :n], told[:, down : down + n]
+                        "fi,fi->i", part[:, :n], spread_back[:, down : down + n]
                     )
         return np.asarray(_point_covariances(first, weights, inverse))
 

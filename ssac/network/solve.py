@@ -13,7 +13,7 @@ from ssac.estimate import Estimate, Status
 from ssac.network.adjustment import border_offsets, fit_of
 from ssac.network.align import Similarity
 from ssac.network.build import Built, build
-from ssac.network.graph import Link, Pair, Triple, closures_s, groups, told_by
+from ssac.network.graph import Link, Pair, Triple, closures_s, constraint_of, groups
 from ssac.network.normal import basis
 from ssac.network.placing import Group, are_apart
 from ssac.network.state import (
@@ -222,8 +222,8 @@ def link_of(estimate: Estimate, guess: Guess | None, of_events: bool = False) ->
     is_ok = estimate.status == Status.OK
     cost = guess.cost if guess is not None else estimate.d_avg_px
     pose = (estimate.R, estimate.t) if is_ok else (None, None)
-    told = told_by(estimate) if of_events else None
-    return Link(clock, reliable, cost, *pose, str(estimate.status), estimate.reason, told)
+    constraint = constraint_of(estimate) if of_events else None
+    return Link(clock, reliable, cost, *pose, str(estimate.status), estimate.reason, constraint)
 
 
 def _priors_of(camera: Camera, has_frames: bool, skew_prior_ppm: float) -> Priors:

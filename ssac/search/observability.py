@@ -1,8 +1,7 @@
 """What two views, and a search's cost curve, cannot tell, and why.
 
 What an estimate is judged by is in units of the object's own image and motion, so that it holds for
-any resolution, speed and size. `docs/refusal.md` has the figures of ordinary simulated flights, and
-of those that leave something open.
+any resolution, speed and size. `docs/refusal.md` says how each case is treated.
 """
 
 from dataclasses import dataclass

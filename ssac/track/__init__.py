@@ -1,1 +1,1 @@
-"""Events of one camera in; the object's track and its outline out."""
+"""Where the object is in the image of one camera, from its events or its track."""

@@ -75,12 +75,12 @@ def second_moments(views: list[View], smoothing: float) -> Array:
             row = np.column_stack([a * b, *mixed])
             normal += row[:, :, None] * row[:, None, :]
             right += row * spread[:, None]
-    told = counts >= LEAST_VIEWS
+    enough = counts >= LEAST_VIEWS
     scales = np.trace(normal, axis1=1, axis2=2) + 1e-300
     # A ridge, as views from nearly one direction leave depth open.
-    normal += (1e-9 * scales + np.where(told, 0.0, 1.0))[:, None, None] * np.eye(6)
-    found = np.linalg.solve(normal, right[..., None])[..., 0] * told[:, None]
-    weights = gaussian_filter1d(told.astype(np.float64), smoothing, truncate=3.0)
+    normal += (1e-9 * scales + np.where(enough, 0.0, 1.0))[:, None, None] * np.eye(6)
+    found = np.linalg.solve(normal, right[..., None])[..., 0] * enough[:, None]
+    weights = gaussian_filter1d(enough.astype(np.float64), smoothing, truncate=3.0)
     smooth = gaussian_filter1d(found, smoothing, axis=0, truncate=3.0)
     with np.errstate(invalid="ignore", divide="ignore"):
         smooth = np.where(weights[:, None] > 1e-6, smooth / weights[:, None], np.nan)

@@ -8,7 +8,7 @@ and of the other are pairs p2' F p1 = 0, as if they were images of one point.
 In a view such a tangent is the extreme of the angles of the object's events. It moves, so the
 events of a window are first taken back by the tangent's own course: by the track's in a first pass
 over short windows, then by the smoothed course that was found, over longer ones. `docs/tangency.md`
-has the study behind the constants.
+says why.
 """
 
 from dataclasses import dataclass

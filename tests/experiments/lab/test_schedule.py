@@ -202,3 +202,16 @@ def test_one_process_is_this_one_and_nothing_to_do_needs_none():
     assert isinstance(schedule._pool(Workers(scheduler="tcp://127.0.0.1:9"), 0), Alone)
     # One task may take its worker down, but not this process with it.
     assert not isinstance(schedule._pool(Workers(2), 1), Alone)
+
+
+def test_a_crash_is_tried_again_and_a_row_is_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(cell: NumberCell, number: int) -> NumberRow:
+        raise KeyError("a bug")
+
+    monkeypatch.setattr(task, "run_key", lambda recordings, inputs, code: f"{recordings} {inputs}")
+    for row, status in ((broken, CRASHED), (broken, CRASHED), (number_row, "ok"), (broken, "ok")):
+        measure = Measure(load_number, row, NumberRow)
+        outcome = run_cells(CELLS[:1], Cache(tmp_path), Workers(1), measure=measure)
+        assert list(outcome.runs["status"]) == [status]

@@ -23,16 +23,12 @@ def _same(a, b):
     np.testing.assert_allclose(a.t, b.t, atol=1e-8)
 
 
-def test_exact_points_give_the_similarity_back():
-    _same(similarity(POINTS, TRUE.apply(POINTS)), TRUE)
-
-
-def test_points_in_a_plane_are_turned_and_not_mirrored():
-    flat = POINTS * (1.0, 1.0, 0.0)
-    found = similarity(flat, TRUE.apply(flat))
-    _same(found, TRUE)
+def test_exact_points_give_the_similarity_back_also_of_a_plane():
+    for points in (POINTS, POINTS * (1.0, 1.0, 0.0)):
+        _same(similarity(points, TRUE.apply(points)), TRUE)
     mirrored = similarity(POINTS, POINTS * (1.0, 1.0, -1.0))
-    assert np.linalg.det(mirrored.R) == pytest.approx(1.0)
+    assert np.linalg.det(mirrored.R) == pytest.approx(1.0)  # turned, not mirrored
+    assert similarity(POINTS, TRUE.apply(POINTS), with_scale=False).scale == 1.0
 
 
 def test_inverse_and_chain_are_those_of_a_group():
@@ -52,10 +48,6 @@ def test_no_similarity_near_by_has_less_squares():
         turn = Rotation.from_rotvec(RNG.normal(0.0, 0.01, 3)).as_matrix()
         scale, shift = found.scale * RNG.normal(1.0, 0.01), RNG.normal(0.0, 0.01, 3)
         assert cost(Similarity(scale, turn @ found.R, found.t + shift)) > cost(found)
-
-
-def test_a_known_scale_stays_one():
-    assert similarity(POINTS, TRUE.apply(POINTS), with_scale=False).scale == 1.0
 
 
 @pytest.mark.parametrize("points", [POINTS * (1.0, 0.0, 0.0), POINTS * 0.0, POINTS[:2]])
@@ -134,7 +126,7 @@ def test_the_rate_is_found_with_its_prior_and_without_one_is_not_tried():
     assert best_shift(estimate, truth, rate_std_ppm=0.0)[0].skew_ppm == 0.0
 
 
-def test_gross_errors_and_gaps_change_nothing():
+def test_gross_errors_and_gaps_change_nothing_and_a_known_scale_is_kept():
     clock = Clock(11.0)
     estimate, truth = both(120.0, 2, clock, (10.0, 110.0))
     rng = np.random.default_rng(9)
@@ -144,11 +136,6 @@ def test_gross_errors_and_gaps_change_nothing():
     spoilt = Path(estimate.times_s[kept], positions[kept])
     few = rng.random(len(truth)) > 0.1
     check(best_shift(spoilt, Path(truth.times_s[few], truth.positions_m[few])), clock, 0.01)
-
-
-def test_a_known_scale_is_kept():
-    clock = Clock(7.0)
-    estimate, truth = both(120.0, 3, clock, (20.0, 100.0))
     metric = replace(estimate, positions_m=FRAME.scale * estimate.positions_m)
     got, frame = best_shift(metric, truth, with_scale=False)
     assert frame.scale == 1.0

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from ssac.clock import Clock
 from ssac.estimate import Estimate
 from ssac.network.adjustment import border_offsets, known
-from ssac.network.graph import PairTold, shared_by, told_by
+from ssac.network.graph import PairConstraint, constraint_of, shared_by
 from ssac.network.state import start_state
 from tests.ssac.network.flights import make_flight
 
@@ -25,7 +25,7 @@ def true_pair(flight, a, b, off_s=0.0, turn_rad=0.0):
     skew_ppm = flight.skews_ppm[b] - flight.skews_ppm[a]
     at_s = 8.0 + flight.delays_s[a]  # in the middle of the flight, on a's clock
     clock = Clock(flight.delays_s[b] - flight.delays_s[a] + off_s, skew_ppm, at_s)
-    return PairTold(clock, R, link.t, np.diag(DEVIATIONS))
+    return PairConstraint(clock, R, link.t, np.diag(DEVIATIONS))
 
 
 def test_derivatives_are_those_of_differences() -> None:
@@ -33,24 +33,25 @@ def test_derivatives_are_those_of_differences() -> None:
     a, b = (
         start_state(flight.seen[k], flight.delays_s[k], 1e-5 * k, *flight.poses[k]) for k in (1, 2)
     )
-    told = replace(true_pair(flight, 1, 2, 1e-3, 1e-2), factor=np.eye(7))
-    by_a, by_b, off = told.rows(a, b)
+    pair = replace(true_pair(flight, 1, 2, 1e-3, 1e-2), factor=np.eye(7))
+    by_a, by_b, off = pair.rows(a, b)
     rng = np.random.default_rng(0)
     step_a, step_b = (1e-5 * rng.normal(size=state.size) for state in (a, b))
     step_a[1], step_b[1] = 1e-7, -2e-7  # rates
     linear = off - by_a @ step_a - by_b @ step_b
     # Second order in steps of 1e-5, of which some are multiplied by the baseline's inverse.
-    assert told.off(a.moved(step_a), b.moved(step_b)) == pytest.approx(linear, abs=1e-8)
+    assert pair.off(a.moved(step_a), b.moved(step_b)) == pytest.approx(linear, abs=1e-8)
 
 
 def test_sure_pairs_carry_clocks_and_poses() -> None:
     flight = make_flight(3)
     links = {
-        pair: replace(link, told=true_pair(flight, *pair)) for pair, link in flight.links().items()
+        pair: replace(link, constraint=true_pair(flight, *pair))
+        for pair, link in flight.links().items()
     }
     found = flight.solved(links)
     for k, camera in enumerate(found.cameras[1:], 1):
-        # What is told is true and sure: some deviations are left of it.
+        # What pairs tell is true and sure: some deviations are left of it.
         assert abs(camera.t_d_s - flight.shown_s(k, camera.t_ref_s)) < 1e-5
         turn = Rotation.from_matrix(camera.R @ flight.poses[k][0].T).magnitude()
         assert turn < 1e-4
@@ -60,14 +61,16 @@ def test_sure_pairs_carry_clocks_and_poses() -> None:
 def test_pairs_count_by_errors_that_last_and_by_the_views_that_they_share() -> None:
     flight = make_flight(3)
     links = flight.links()
-    links = {pair: replace(link, told=true_pair(flight, *pair)) for pair, link in links.items()}
+    links = {
+        pair: replace(link, constraint=true_pair(flight, *pair)) for pair, link in links.items()
+    }
     built = flight.solved(links).built[0]
     network, offsets = replace(built.network, lasting=8.0), border_offsets(built.network)
     rows, residuals = known(network, built.cameras, built.priors, offsets)
-    for k, ((a, b), told) in enumerate(network.told.items()):
+    for k, ((a, b), pair) in enumerate(network.constraints.items()):
         # Errors last for 8 sightings, and each camera is in two of the three pairs.
         own = slice(7 * k - 22, 7 * k - 15)  # before the last row, which holds the scale
-        by_a, by_b, off = told.rows(network.states[a], network.states[b])
+        by_a, by_b, off = pair.rows(network.states[a], network.states[b])
         np.testing.assert_array_equal(rows[own, offsets[a] : offsets[a + 1]], 2.0 * by_a)
         np.testing.assert_array_equal(rows[own, offsets[b] : offsets[b + 1]], 2.0 * by_b)
         np.testing.assert_array_equal(residuals[own], 2.0 * off)
@@ -77,10 +80,10 @@ def test_a_pair_that_the_sightings_contradict_is_left_out() -> None:
     flight = make_flight(3)
     wrong = true_pair(flight, 1, 2, turn_rad=0.2)
     links = flight.links()
-    links[1, 2] = replace(links[1, 2], told=wrong)
+    links[1, 2] = replace(links[1, 2], constraint=wrong)
     found = flight.solved(links)
     without = flight.solved()
-    assert not found.built[0].network.told
+    assert not found.built[0].network.constraints
     for mine, other in zip(found.cameras, without.cameras, strict=True):
         assert pytest.approx(other.R) == mine.R
 
@@ -90,19 +93,19 @@ def test_an_estimate_without_its_covariance_tells_nothing_more() -> None:
         "tangency", t_d_s=1.0, R=np.eye(3), t=np.array([1.0, 0.0, 0.0]), t_ref_s=2.0,
         skew_ppm=3.0, skew_std_ppm=4.0, covariance=np.diag(DEVIATIONS[:6] ** 2),
     )  # fmt: skip
-    told = told_by(whole)
-    assert told is not None
-    assert np.diag(told.factor)[:6] == pytest.approx(DEVIATIONS[:6])
-    assert told.factor[6, 6] == pytest.approx(4e-6)
+    pair = constraint_of(whole)
+    assert pair is not None
+    assert np.diag(pair.factor)[:6] == pytest.approx(DEVIATIONS[:6])
+    assert pair.factor[6, 6] == pytest.approx(4e-6)
     for missing in ({"covariance": None}, {"skew_std_ppm": 0.0}, {"status": "poor_fit"}):
-        assert told_by(replace(whole, **missing)) is None
+        assert constraint_of(replace(whole, **missing)) is None
 
 
 def test_pairs_that_share_views_tell_less_than_pairs_that_share_none():
     flight = make_flight()
-    told = {(a, b): true_pair(flight, a, b) for a, b in combinations(range(4), 2)}
+    pairs = {(a, b): true_pair(flight, a, b) for a, b in combinations(range(4), 2)}
     # Each camera's outline is in three pairs, of six.
-    assert shared_by(told) == dict.fromkeys(told, 3.0)
-    assert shared_by({(0, 1): told[0, 1], (2, 3): told[2, 3]}) == {(0, 1): 1.0, (2, 3): 1.0}
-    assert shared_by({(0, 1): told[0, 1], (1, 2): told[1, 2]}) == {(0, 1): 1.5, (1, 2): 1.5}
+    assert shared_by(pairs) == dict.fromkeys(pairs, 3.0)
+    assert shared_by({(0, 1): pairs[0, 1], (2, 3): pairs[2, 3]}) == {(0, 1): 1.0, (2, 3): 1.0}
+    assert shared_by({(0, 1): pairs[0, 1], (1, 2): pairs[1, 2]}) == {(0, 1): 1.5, (1, 2): 1.5}
     assert shared_by({}) == {}

@@ -135,6 +135,23 @@ def test_deviations_hold_over_many_flights() -> None:
     assert 0.55 < spread < 1.5
 
 
+@pytest.mark.parametrize(
+    ("rule", "value"),
+    [
+        ("gate", 1.0),
+        ("knot_intervals", 8.0),
+        ("behind_px", 0.3),
+        ("first_rounds", 1),
+        ("samples", 90),
+    ],
+)
+def test_rules_of_a_config_are_obeyed(rule: str, value: float) -> None:
+    flight, answer = solved(3)
+    rules = replace(RULES, network=replace(RULES.network, **{rule: value}))
+    found = flight.solved(rules=rules)
+    assert found.cameras[2].t_d_s != answer.cameras[2].t_d_s
+
+
 def test_errors_that_last_make_every_deviation_as_much_wider() -> None:
     built = solved()[1].built[0]
     network = built.network

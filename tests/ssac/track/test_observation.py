@@ -10,6 +10,7 @@ from ssac.camera import Camera, same_camera
 from ssac.config import Cleaning, Config
 from ssac.errors import SsacError
 from ssac.points import PointTrack
+from ssac.rules import Rules
 from ssac.track.clean import clean
 from ssac.track.motion import motion_of
 from ssac.track.observation import tracked
@@ -48,6 +49,16 @@ def test_noise_leaves_the_events_and_all_else_stays(raw, cleaned):
     noisy = clean(raw, CAMERA, Cleaning(False, None))
     assert not noisy.denoised
     assert noisy.events is raw.events
+
+
+def test_rules_of_a_config_are_obeyed(raw, cleaned):
+    for rule, value in (("ball_px", 4.0), ("ball_neighbours", 25), ("noisy_hz", -1.0)):
+        rules = replace(Rules(), noise=replace(Rules().noise, **{rule: value}))
+        assert clean(raw, CAMERA, Config(rules=rules).cleaning).clutter != cleaned.clutter
+    points = clean(tracked(PointTrack(0.1 * np.arange(10), np.ones((10, 2)))), CAMERA, HOW)
+    longer = replace(Rules(), points=replace(Rules().points, window_intervals=4.0))
+    windows = [Config(rules=rules).windows for rules in (Rules(), longer)]
+    assert [motion_of(points, one).half_window_s for one in windows] == pytest.approx([0.26, 0.4])
 
 
 def test_what_is_clean_is_not_cleaned_again(cleaned):
