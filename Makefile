@@ -20,14 +20,16 @@ RUN := .venv/bin/python -m
 help: ## list these commands
 	@awk -F ' *## *' '/^[a-z-]+:.*## / { sub(/:.*/, "", $$1); printf "  make %-11s %s\n", $$1, $$2 }' Makefile
 
+# Commands of `ssac` with their own names; what each makes stands below.
+demo tables figures numbers report verify torture scene outdoor network physical: .venv/.ready
+	@.venv/bin/ssac $@
+
 setup: .venv/.ready ## virtual environment, packages, OpenGL libraries (the others run this first)
 	@:
 
-demo: .venv/.ready ## simulate two cameras, recover offset and pose, draw one figure (a minute) -> out/demo
-	@.venv/bin/ssac demo
+demo: ## simulate two cameras, recover offset and pose, draw one figure (a minute) -> out/demo
 
-tables: .venv/.ready ## the paper's simulation tables, 300 recordings (20 minutes from nothing) -> results/esim_*.csv
-	@.venv/bin/ssac tables
+tables: ## the paper's simulation tables, 300 recordings (20 minutes from nothing) -> results/esim_*.csv
 
 ablations: .venv/.ready ## one parameter varied at a time (half an hour) -> results/ablation_*.csv, *.png
 	@.venv/bin/ssac ablate
@@ -35,17 +37,13 @@ ablations: .venv/.ready ## one parameter varied at a time (half an hour) -> resu
 studies: .venv/.ready ## coverage of the intervals, refusals, Cramer-Rao bound, ... (over an hour) -> results/
 	@.venv/bin/ssac study efficiency coverage refusal imperfect marks tangency zncc
 
-figures: .venv/.ready ## the paper's figures, and errors against the angle -> results/*.png
-	@.venv/bin/ssac figures
+figures: ## the paper's figures, and errors against the angle -> results/*.png
 
-numbers: .venv/.ready ## update the numbers quoted in README.md and docs/ from results/
-	@.venv/bin/ssac numbers
+numbers: ## update the numbers quoted in README.md and docs/ from results/
 
-report: .venv/.ready ## all results on one HTML page -> out/report.html
-	@.venv/bin/ssac report
+report: ## all results on one HTML page -> out/report.html
 
-verify: .venv/.ready ## check that results/ is complete and follows from its runs; rerun a few (two minutes)
-	@.venv/bin/ssac verify
+verify: ## check that results/ is complete and follows from its runs; rerun a few (two minutes)
 
 test: .venv/.ready ## all tests, on up to four cores
 	@$(RUN) pytest --numprocesses auto --maxprocesses 4 --dist loadfile
@@ -76,16 +74,14 @@ audit: .venv/.ready ## known vulnerabilities of the pinned packages, by pip-audi
 	@out/audit/bin/python -m pip install --quiet --disable-pip-version-check --no-input pip-audit==2.10.1
 	@out/audit/bin/pip-audit --requirement requirements.txt --no-deps --disable-pip --strict --progress-spinner off
 
-torture: .venv/.ready ## 20,000 damaged inputs (an hour) -> results/reliability.csv
-	@.venv/bin/ssac torture
+torture: ## 20,000 damaged inputs (an hour) -> results/reliability.csv
 
 bench: .venv/.ready ## speed, memory and their growth, as ratios (15 minutes) -> results/bench*.csv
 	@.venv/bin/python -m pip install --quiet --disable-pip-version-check --no-input --no-deps $(PEER) \
 		2>/dev/null || echo 'make bench: $(PEER) cannot be installed, so it is not measured' >&2
 	@.venv/bin/ssac bench
 
-scene: .venv/.ready ## statistics of the default scene, beside the authors' sample (2 minutes)
-	@.venv/bin/ssac scene
+scene: ## statistics of the default scene, beside the authors' sample (2 minutes)
 
 fidelity: .venv/.ready ## events against dense references, 20 flights (an hour) -> results/fidelity.csv
 	@.venv/bin/ssac study fidelity
@@ -93,14 +89,11 @@ fidelity: .venv/.ready ## events against dense references, 20 flights (an hour) 
 real: .venv/.ready ## drone-tracking data sets, downloaded to DATA=folder: offsets, paths -> results/real_*.csv
 	@.venv/bin/ssac real $(DATA)
 
-outdoor: .venv/.ready ## the paper's outdoor experiment, simulated: 10 flights (2 minutes each) -> results/outdoor.csv
-	@.venv/bin/ssac outdoor
+outdoor: ## the paper's outdoor experiment, simulated: 10 flights (2 minutes each) -> results/outdoor.csv
 
-network: .venv/.ready ## many cameras: errors of four, run time with eight (half an hour) -> results/network*.csv
-	@.venv/bin/ssac network
+network: ## many cameras: errors of four, run time with eight (half an hour) -> results/network*.csv
 
-physical: .venv/.ready ## the paper's small-scale experiment, simulated; error budget (hours) -> results/mini_*.csv
-	@.venv/bin/ssac physical
+physical: ## the paper's small-scale experiment, simulated; error budget (hours) -> results/mini_*.csv
 
 clean-cache: ## remove cache/: recordings and runs kept by tables, studies and sweeps
 	@du -sh cache 2>/dev/null || true

@@ -41,7 +41,7 @@ COMMANDS = (
     Entry("real", REPRODUCE, "Public drone-tracking data sets (download them first).",
           "experiments.studies.real", "real_command"),
     Entry("torture", REPRODUCE, "Robustness: damaged inputs of all kinds.",
-          "experiments.damage.command", "torture_command"),
+          "experiments.studies.reliability", "command"),
     Entry("outdoor", REPRODUCE, "The paper's outdoor experiment, simulated.",
           "experiments.studies.outdoor", "command"),
     Entry("network", REPRODUCE, "Many cameras at once: errors of four, run time with eight.",
@@ -49,7 +49,7 @@ COMMANDS = (
     Entry("physical", REPRODUCE, "The paper's small-scale experiment, simulated; error budget.",
           "experiments.studies.mini", "command"),
     Entry("bench", REPRODUCE, "Speed and memory, beside the reference tools.",
-          "experiments.bench.bench", "bench_command"),
+          "experiments.studies.bench", "command"),
     Entry("verify", REPRODUCE, "Check that results/ is complete and reproducible.",
           "experiments.commands", "verify_command"),
 )  # fmt: skip

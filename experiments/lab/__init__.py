@@ -1,1 +1,1 @@
-"""Cells in, scored rows out: recordings, cache, schedule, score, provenance."""
+"""The laboratory: what every study shares, from its cells to its files, checks and commands."""

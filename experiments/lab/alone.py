@@ -8,11 +8,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from threadpoolctl import threadpool_limits
+
 from experiments.lab.cache import Cache
 from experiments.lab.cell import AnyCell, Measure
 from experiments.lab.pool import DiedError, in_new_process
 from experiments.lab.schedule import Outcome, frame_of
-from experiments.lab.task import Task, refusal, run_task
+from experiments.lab.task import Task, plain, refusal
 from ssac.cli.progress import say
 from ssac.errors import SsacError
 
@@ -30,13 +32,21 @@ def run_alone(cells: Sequence[AnyCell], measure: Measure, label: str) -> Outcome
         for number, cell in enumerate(cells, 1):
             say(f"{label}: {number} of {len(cells)}")
             try:
-                job = partial(run_task, Task((cell,)), Cache(Path(folder)), measure)
-                rows.append(in_new_process(job).rows[0])
+                rows.append(in_new_process(partial(measured, cell, Cache(Path(folder)), measure)))
             except DiedError as error:
                 rows.append(refusal(measure, SsacError(f"its process {error}"), "alone"))
     tasks = [Task((cell,)) for cell in cells]
     found = {index: [row] for index, row in enumerate(rows)}
     return Outcome(frame_of(cells, tasks, found, measure), len(cells), 0, 0.0)
+
+
+def measured(cell: AnyCell, cache: Cache, measure: Measure) -> dict[str, Any]:
+    """Measure a cell in this process; its row is not kept."""
+    with threadpool_limits(1):
+        try:
+            return plain(measure.row(cell, measure.load([cell], cache)))
+        except Exception as error:  # whatever it is: the row says so
+            return refusal(measure, error, "alone")
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""Where `sim` meets `ssac`: a simulated recording in, what an estimator is given out."""
+"""Where `sim` meets `ssac`: what an estimator is given of a simulated recording."""
 
 import warnings
 from pathlib import Path

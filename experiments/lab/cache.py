@@ -1,4 +1,4 @@
-"""A configuration in; the recording or the result that was made with it before, out.
+"""What earlier runs made: recordings, and the rows that were measured on them.
 
 Everything is addressed by its content: by all parameters and by all code that makes it
 (`experiments.lab.code`), so a change of either makes a new entry and never returns an old one.

@@ -1,4 +1,4 @@
-"""Jobs in, what became of each out: the workers of a Dask scheduler as a pool."""
+"""The workers of a Dask scheduler as a pool (`experiments.lab.pool`)."""
 
 import logging
 import time

@@ -203,11 +203,6 @@ def drawn_by(cells: Iterable[Cell], renderer: str, check: bool) -> list[Cell]:
     return [replace(cell, sim=drawn(cell.sim)) for cell in cells]
 
 
-def other_than_default(renderer: str, check: bool) -> list[str]:
-    """Return the options of a command line that draws in this way."""
-    return _given({"--renderer": (renderer, RENDERERS[0]), "--check": (check, True)})
-
-
 def with_options(command: str, options: Mapping[str, tuple[Any, Any]]) -> str:
     """Add to a command line the options that are not as by default."""
     return " ".join([command, *_given(options)])

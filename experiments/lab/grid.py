@@ -1,4 +1,4 @@
-"""A TOML file in, a list of Cells out: every run of a table, an ablation or a sweep.
+"""Grids of parameters, as a TOML file lists them: each run of a table, an ablation or a sweep.
 
     title = "..."                        # of the figure and the report
     flights = 10                         # at each point of the grid: numbers 0, 1, ...
@@ -150,39 +150,14 @@ def flight_seed(duration_s: float, angle_deg: float, flight: int, base_seed: int
     grids with this duration and angle, see the same flights: their differences are of the
     parameter, not of the draw.
 
-    Parameters
-    ----------
-    duration_s
-    angle_deg
-        Between the lines of sight.
-    flight
-        Number of the flight among those of this duration and angle.
-    base_seed
-        Another one gives another set of flights.
-
-    Returns
-    -------
-    int
-        Of 32 bits, the same on every machine.
+    It has 32 bits, the same on every machine; another `base_seed` gives another set of flights.
     """
     text = f"{base_seed} {float(duration_s)!r} {float(angle_deg)!r} {flight}"
     return int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "big")
 
 
 def load_config(path: Path) -> GridConfig:
-    """Read a grid.
-
-    Parameters
-    ----------
-    path
-        A TOML file.
-
-    Raises
-    ------
-    SsacError
-        If the file cannot be read, or has an unknown key, method or parameter, or a value of the
-        wrong type. The message names the file and the key.
-    """
+    """Read a grid; SsacError, which names file and key, if it cannot be read or makes no sense."""
     try:
         with path.open("rb") as file:
             content = tomllib.load(file)
@@ -262,11 +237,8 @@ def grid_from_content(name: str, content: Mapping[str, Any]) -> GridConfig:
 def configs_of(parameters: Mapping[str, Any]) -> tuple[SimConfig, Config]:
     """Set parameters, by dotted names, in the default configurations.
 
-    Raises
-    ------
-    SsacError
-        If there is no such parameter, or its value has the wrong type. A value that makes no sense
-        raises what the configuration raises.
+    SsacError if there is no such parameter, or its value has the wrong type; a value that makes no
+    sense raises what the configuration raises.
     """
     roots = dict(_ROOTS)
     for name, value in parameters.items():

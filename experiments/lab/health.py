@@ -1,4 +1,4 @@
-"""An entry of the cache in; whether it still is what was written, out; a damaged one moved aside.
+"""Whether entries of the cache still are what was written; damaged ones are moved aside.
 
 A disk that was full, a machine that was killed or a flipped bit leave entries that can be read and
 are wrong. So each has its checksum, beside it or in it, and is held against it before it is used.
@@ -53,13 +53,7 @@ def is_sound(folder: Path, names: Collection[str] | None = None) -> bool:
 
 
 def set_aside(path: Path, cache: Path) -> None:
-    """Move a damaged entry of the cache, and its checksums, to where it is not used, and say so.
-
-    Raises
-    ------
-    SsacError
-        If it cannot be moved.
-    """
+    """Move a damaged entry of the cache, and its checksums, to where it is not used, and say so."""
     unique = os.urandom(4).hex()
     for one in (path, _beside(path)):
         if not one.exists():

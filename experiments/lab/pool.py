@@ -170,9 +170,9 @@ class Processes:
 class Worker:
     """A process that does jobs, and our end of the pipe to it."""
 
-    def __init__(self) -> None:
+    def __init__(self, has_children: bool = False) -> None:
         self.pipe, theirs = _SPAWN.Pipe()
-        self.process = _SPAWN.Process(target=_serve, args=(theirs,), daemon=True)
+        self.process = _SPAWN.Process(target=_serve, args=(theirs,), daemon=not has_children)
         with _deaf_to_interrupts():
             self.process.start()
         theirs.close()  # theirs alone from now on: the pipe ends when the process does
@@ -248,13 +248,14 @@ def _end_with_parent() -> None:
 
 def in_new_process(job: Job) -> Any:
     """Do a job in a process that does nothing else; DiedError when that ends without."""
-    worker = Worker()
-    worker.pipe.send(job)
+    worker = Worker(has_children=True)  # if it wants to
     try:
+        worker.pipe.send(job)
         value, error = worker.pipe.recv()
     except (EOFError, OSError):
         raise DiedError(worker.end()) from None
-    worker.end()
+    finally:
+        worker.end()
     if error is not None:
         raise error
     return value

@@ -1,10 +1,11 @@
-"""A folder of a recording in; what its two cameras saw, and the rig with the true pose, out."""
+"""What two cameras of a recording saw, and the rig with the true pose."""
 
 import json
-from collections.abc import Callable
-from dataclasses import astuple, dataclass
+from collections.abc import Callable, Hashable
+from dataclasses import astuple, dataclass, field
+from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numba
 import numpy as np
@@ -25,6 +26,8 @@ from ssac.track.observation import Observation
 FloatArray = NDArray[np.float64]
 
 RIG_FILE = "rig_extrinsics.yaml"
+
+Made = TypeVar("Made")
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +85,33 @@ def recorded_pair(cache: Cache, config: SimConfig, seed: int) -> Pair:
     return Pair(cam1, cam2.delayed(config.t_d_s), rig)
 
 
+@dataclass
+class Flown:
+    """A flight and another one, each loaded when it is first asked for, and what was made of it."""
+
+    load: Callable[[int], Pair]  # by a seed
+    seed: int
+    other_seed: int = 0
+    _made: dict[Hashable, Any] = field(default_factory=dict)
+
+    @cached_property
+    def flight(self) -> Pair:
+        """The flight itself."""
+        return self.load(self.seed)
+
+    @cached_property
+    def other(self) -> Pair:
+        """The other one."""
+        return self.load(self.other_seed)
+
+    def made(self, name: Hashable, make: Callable[[], Made]) -> Made:
+        """Keep what was made last: cells that need the same follow each other."""
+        if name not in self._made:
+            self._made = {name: make()}
+        made: Made = self._made[name]
+        return made
+
+
 def clean_pair(
     folder: Path, load: Callable[[], Pair], how: Cleaning, cache: Cache
 ) -> tuple[Clean, Clean]:
@@ -131,8 +161,8 @@ def packed(events: NDArray[np.void]) -> tuple[NDArray[np.uint8], NDArray[np.int6
     found = np.empty(len(events), _PACKED)
     gaps_us = np.diff(events["t"], prepend=0)
     found["gap_us"] = gaps_us & 255
-    for field in "xyp":
-        found[field] = events[field]
+    for name in "xyp":
+        found[name] = events[name]
     missing_us = gaps_us - found["gap_us"]
     places = np.flatnonzero(missing_us)
     leaps = np.column_stack([places, missing_us[places]])

@@ -1,4 +1,4 @@
-"""Cells in, one row each out: spread over processes or a cluster, resumed where they stopped.
+"""Cells spread over processes or a cluster, and taken up again where they stopped.
 
 Runs that share a cache, on one host or several, share the work: each task is claimed before it is
 begun, and one that is claimed elsewhere comes last, when its rows are in the cache.
@@ -69,27 +69,8 @@ def run_cells(
     filling it. A run that crashed is a row with its reason and is not kept, so the next call tries
     it again. When a worker dies, what it was on is run again by a new one, `MAX_DEATHS` times.
 
-    Parameters
-    ----------
-    cells
-    cache
-    workers
-        One process for each core when None.
-    label
-        Of the progress on stderr.
-    show_progress
-    measure
-        What is measured of the cells: by default, how a method errs.
-
-    Returns
-    -------
-    Outcome
-
-    Raises
-    ------
-    SsacError
-        If there is no scheduler at the address given, or it loses all its workers, or the cache
-        cannot be written to.
+    Without `workers` there is one process for each core. SsacError if there is no scheduler at the
+    address given, or it loses all its workers, or the cache cannot be written to.
     """
     workers = workers or Workers()
     tasks = tasks_of(cells)

@@ -1,6 +1,7 @@
-"""An estimate and the truth in, errors with units out, and how they compare with its deviations."""
+"""How far an estimate is from the truth, and how that compares with its stated deviations."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,22 @@ from ssac.estimate import Estimate
 from ssac.geometry.pose import tangent_basis
 
 FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What an estimate is held against: x2 = R x1 + t, and `t_cam2 = t_cam1 + t_d`."""
+
+    t_d_s: float  # in the middle; NaN: there is none, and any offset is wrong
+    R: FloatArray  # (3, 3)
+    t: FloatArray  # (3,) unit length
+    skew_ppm: float = 0.0
+    t_mid_s: float = 0.0  # camera 1's clock
+
+    def t_d_of(self, estimate: Estimate) -> float:
+        """Offset [s] where the estimate's holds."""
+        since_s = estimate.t_ref_s - self.t_mid_s if np.isfinite(estimate.t_ref_s) else 0.0
+        return self.t_d_s + 1e-6 * self.skew_ppm * since_s
 
 
 @dataclass(frozen=True)
@@ -38,6 +55,44 @@ class PoseScore:
     r_z_normalised: float = np.nan
     t_1_normalised: float = np.nan
     t_2_normalised: float = np.nan
+
+
+def scored(estimate: Estimate, truth: Truth, has_pose: bool = True) -> dict[str, Any]:
+    """Give all columns that say how good an estimate is, NaN where it tells nothing.
+
+    Those of the pose are left out unless `has_pose`: one that was given has no error.
+    """
+    t_d_s = truth.t_d_of(estimate)
+    errors = score(estimate, t_d_s, truth.R, truth.t)
+    skew_error_ppm = estimate.skew_ppm - truth.skew_ppm
+    columns = {
+        "status": str(estimate.status),
+        "reason": estimate.reason,
+        "n_samples": estimate.n_samples,
+        "d_avg_px": estimate.d_avg_px,
+        "t_d_estimate_ms": 1e3 * estimate.t_d_s,
+        "t_d_error_ms": errors.t_d_error_ms,
+        "t_d_std_ms": 1e3 * estimate.t_d_std_s,
+        "t_d_normalised": _over(estimate.t_d_s - t_d_s, estimate.t_d_std_s),
+        "skew_ppm": estimate.skew_ppm,
+        "skew_std_ppm": estimate.skew_std_ppm,
+        "skew_error_ppm": abs(skew_error_ppm),
+        "skew_normalised": _over(skew_error_ppm, estimate.skew_std_ppm),
+    }
+    if not has_pose:
+        return columns
+    pose = {"r_error_deg": errors.r_error_deg, "t_error_deg": errors.t_error_deg}
+    return columns | pose | vars(errors.pose)
+
+
+def kept(row_type: type, columns: dict[str, Any]) -> dict[str, Any]:
+    """Give those columns that a type of rows has."""
+    return {one.name: columns[one.name] for one in fields(row_type) if one.name in columns}
+
+
+def _over(error: float, std: float) -> float:
+    """Give an error over its deviation; NaN of 0, which says that it was not looked for."""
+    return error / std if std else np.nan
 
 
 def score(estimate: Estimate, t_d_s: float, R: FloatArray, t: FloatArray) -> Score:

@@ -1,4 +1,4 @@
-"""Cells of one recording in, one scored row each out: record -> estimate -> score."""
+"""The measure of a grid's cells: a method on a recording, with an offset, scored."""
 
 import hashlib
 from collections.abc import Callable, Sequence
@@ -13,7 +13,7 @@ from experiments.lab.cache import Brightness, Cache
 from experiments.lab.cell import UNUSABLE, Measure
 from experiments.lab.grid import Cell
 from experiments.lab.recorded import RIG_FILE, clean_pair, load_pair
-from experiments.lab.score import score
+from experiments.lab.score import Truth, kept, scored
 from ssac.camera import Rig, known_pose
 from ssac.errors import SsacError
 from ssac.estimate import Estimate, Status
@@ -165,27 +165,11 @@ def _apart(one: Any, other: Any) -> float:
     return float(np.max(np.where(same, 0.0, np.abs(np.subtract(one, other)))))
 
 
-def _scored(estimate: Estimate, cell: Cell, truth: Rig) -> Row:
-    given = METHODS[cell.method].needs_extrinsics  # a pose that was given has no error
-    skew_ppm, middle_s = cell.sim.skew_ppm, 0.5 * cell.sim.spline.duration_s
-    since_s = estimate.t_ref_s - middle_s if np.isfinite(estimate.t_ref_s) else 0.0
-    t_d_s = cell.t_d_s + 1e-6 * skew_ppm * since_s  # where the estimate's holds
-    errors = score(estimate, t_d_s, *known_pose(truth))
-    return Row(
-        str(estimate.status),
-        estimate.reason,
-        1e3 * estimate.t_d_s,
-        errors.t_d_error_ms,
-        np.nan if given else errors.r_error_deg,
-        np.nan if given else errors.t_error_deg,
-        1e3 * estimate.t_d_std_s,
-        n_samples=estimate.n_samples,
-        d_avg_px=estimate.d_avg_px,
-        skew_ppm=estimate.skew_ppm,
-        skew_std_ppm=estimate.skew_std_ppm,
-        skew_error_ppm=abs(estimate.skew_ppm - skew_ppm),
-        **({} if given else vars(errors.pose)),
-    )
+def _scored(estimate: Estimate, cell: Cell, rig: Rig) -> Row:
+    sim = cell.sim
+    truth = Truth(cell.t_d_s, *known_pose(rig), sim.skew_ppm, 0.5 * sim.spline.duration_s)
+    has_pose = not METHODS[cell.method].needs_extrinsics
+    return Row(**kept(Row, scored(estimate, truth, has_pose)))
 
 
 def frames_of(

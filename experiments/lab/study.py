@@ -70,6 +70,8 @@ class Runs:
     numbered: bool = True  # whether a column CELL comes first; that of a shard always has it
     digits: int = 6
     took: tuple[str, ...] = ()  # columns of what a run took: another time, even here
+    table: Callable[[pd.DataFrame, Results], pd.DataFrame] | None = None
+    """Makes what is written of the rows, where that is not a line for each; of a shard all are."""
 
 
 @dataclass(frozen=True)
@@ -128,6 +130,7 @@ class Study:
     again: bool = True  # whether verify draws recordings from it unasked
     reads: tuple[str, ...] = ()  # files of other studies that its own are made of
     shows: str = ""  # the table that its command prints at the end
+    committed: Options = field(default_factory=dict)  # arguments of `cells` for what is committed
     is_committed: bool = True  # whether its files belong to results/
 
     @property
@@ -228,7 +231,8 @@ def save_study(
     more: dict[str, Any] = {}
     if study.runs is not None:
         outcome = run_study(study, cache, workers, shard, given)
-        save_text(out / study.runs.file, runs_text(study.runs, outcome.runs, shard))
+        text = runs_text(study.runs, outcome.runs, shard, Results(out))
+        save_text(out / study.runs.file, text)
         more = {
             "recordings_simulated": outcome.n_simulated,
             "peak_mb_per_worker": round(outcome.peak_mb),
@@ -285,8 +289,18 @@ def save_made(
     return written
 
 
-def runs_text(kept: Runs, runs: pd.DataFrame, shard: tuple[int, int] = WHOLE) -> str:
+def runs_text(
+    kept: Runs,
+    runs: pd.DataFrame,
+    shard: tuple[int, int] = WHOLE,
+    results: Results | None = None,
+) -> str:
     """Write rows as their file has them; those of a shard begin with the cells' numbers."""
+    if kept.table is not None and shard != WHOLE:
+        raise SsacError(f"{kept.file} is made of all rows together: run it without --shard")
+    if kept.table is not None and results is not None:
+        runs = kept.table(runs, results)
+        return csv_text(runs[list(kept.columns)] if kept.columns else runs, kept.digits)
     if kept.columns:
         runs = runs[[CELL, *kept.columns]]
     is_numbered = kept.numbered or shard != WHOLE

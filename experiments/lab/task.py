@@ -37,9 +37,10 @@ class Task:
 
 def tasks_of(cells: Sequence[Any]) -> list[Task]:
     """Group cells by recordings, in the order in which these first appear."""
-    groups: dict[tuple[Flight, ...], list[Any]] = {}
+    groups: dict[tuple[Any, ...], list[Any]] = {}
     for cell in cells:
-        groups.setdefault(cell.recordings, []).append(cell)
+        # Cells that are measured on no recording may say what they share.
+        groups.setdefault(cell.recordings or getattr(cell, "shares", ()), []).append(cell)
     return [Task(tuple(group)) for group in groups.values()]
 
 
@@ -55,6 +56,7 @@ def keys_of(task: Task, measure: Measure) -> list[str]:
 def recordings_key(task: Task) -> str:
     """Name a task by what it is measured on, whatever is measured."""
     keys = " ".join(recording_key(*recording) for recording in task.recordings)
+    keys = keys or repr([cell.inputs for cell in task.cells])
     return hashlib.sha256(keys.encode()).hexdigest()[:24]
 
 

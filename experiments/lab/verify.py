@@ -30,7 +30,7 @@ _CLEAN_COMMIT = re.compile(r"[0-9a-f]{7,40}")
 _DRAWN_BY = ("matplotlib", "pillow", "numpy")  # packages that a figure's bytes depend on
 _ROUNDING_MS = 1e-2  # six digits of an estimate beyond 1000 ms: 5e-3; of its error, less
 _ROUNDING_PPM = 1e-3  # likewise, beyond 100 ppm
-_NOT_OF_CONFIG = ("study", SHARD)
+_NOT_OF_CONFIG = ("study", SHARD, "options")
 _OFFSETS = ("sim.t_d_s", "t_d_ms")  # columns of which a flight's recording does not depend
 
 _UNLIKE = (OSError, SimError, SsacError, ValueError, LookupError, TypeError, AttributeError)
@@ -89,7 +89,7 @@ def file_findings(
 
 def study_findings(study: Study, results: Results) -> Iterator[Finding]:
     """Check a study: its provenances, its rows, all that is made of them, and its own checks."""
-    line = study.command_line()
+    line = study.command_line(study.committed)
     for name, config in study.provenances.items():
         what = f"{name}: a clean commit, today's configuration, versions"
         yield found(what, partial(provenance_faults, results, name, line, config))
@@ -108,7 +108,7 @@ def shared_findings(studies: Iterable[Study], results: Results) -> Iterator[Find
     """Check that runs that several studies measure alike are the same in the files of all."""
     seen: dict[Any, tuple[str, Mapping[str, str]]] = {}
     for study in studies:
-        if study.runs is None or study.how is not How.SHARED:
+        if study.runs is None or study.runs.table is not None or study.how is not How.SHARED:
             continue
         what = f"{study.runs.file} has the rows of other files where the runs are the same"
         yield found(what, partial(_unlike_others, study, results, seen))
@@ -260,7 +260,7 @@ def _runs_faults(study: Study, results: Results) -> tuple[str, ...]:
     assert kept is not None
     text = results.text(kept.file)
     runs = read_table(text)
-    if study.how is How.GIVEN:
+    if study.how is How.GIVEN or kept.table is not None:
         check_keys(kept, runs)
     else:
         check_runs(study, runs, cells_of(study))
@@ -270,7 +270,7 @@ def _runs_faults(study: Study, results: Results) -> tuple[str, ...]:
 @cache
 def cells_of(study: Study) -> Sequence[AnyCell]:
     """List a study's cells, once."""
-    return study.cells()
+    return study.cells(**study.committed)
 
 
 def _made_faults(study: Study, made: Made, results: Results) -> tuple[str, ...]:

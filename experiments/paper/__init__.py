@@ -1,1 +1,1 @@
-"""Runs in, the paper's tables, their comparison and the page of both, out."""
+"""The paper's tables, how ours compare with them, and the page of both."""

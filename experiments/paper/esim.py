@@ -1,4 +1,4 @@
-"""Runs in, the paper's simulation tables out: one row for each angle and offset.
+"""The paper's simulation tables, made of runs: one row for each angle and offset.
 
 A run is one method on one flight with one offset. A table is made only from a whole grid: every
 flight with every method at every angle and offset, each once, failed runs included.

@@ -1,4 +1,4 @@
-"""The configurations of the paper's tables in; their grids, cells, and the axes of both, out."""
+"""The grids of the paper's tables, their cells, and the axes of both."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass

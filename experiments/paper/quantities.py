@@ -1,4 +1,4 @@
-"""Nothing in, what runs are measured by out: columns, names, labels, units and marks."""
+"""What runs are measured by: columns, names, labels, units and marks."""
 
 from dataclasses import dataclass
 

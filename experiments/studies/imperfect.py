@@ -1,23 +1,46 @@
-"""Imperfect recordings in, how often the stated intervals hold all the same out, kind by kind.
+"""How often the stated intervals hold on imperfect recordings, kind by kind.
 
-Flight 31000 + 30 k + i is the i-th of the k-th round: of no table and of no other study, and no
-threshold was set on them. The angles change from flight to flight.
+Kinds of one scene are made of the same flight. Flight 31000 + 30 k + i is the i-th of the k-th
+round: of no table and of no other study, and no threshold was set on them. The angles change from
+flight to flight.
 """
 
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from experiments.lab.cache import Cache
+from experiments.lab.cell import Measure
 from experiments.lab.grid import flight_seed
-from experiments.lab.study import summed_study
-from experiments.measures.imperfect import IMPERFECT_RUNS, ImperfectCell
-from experiments.measures.imperfect_kinds import KINDS, ORDINARY, SCENES
+from experiments.lab.markdown import markdown_table
+from experiments.lab.recorded import Flown, recorded_pair
+from experiments.lab.results import Results
+from experiments.lab.score import Truth, kept, scored
+from experiments.lab.study import Made, Runs, Study
 from experiments.paper.esim import method_order
 from experiments.paper.grids import ANGLES_DEG
-from experiments.studies.coverage import QUANTITIES, Quantity, confidence
+from experiments.studies.coverage import QUANTITIES, Quantity, confidence, sampling_bounds
+from experiments.worlds.spoilt import (
+    CARELESS,
+    GOOD,
+    ORDINARY,
+    SCENES,
+    T_D_S,
+    Kind,
+    KindCell,
+    spoilt_pair,
+)
+from sim.disturb import DisturbConfig
+from ssac.camera import known_pose
+from ssac.estimate import Estimate
+from ssac.pipeline.chain import Chain
+from ssac.pipeline.registry import METHODS
 
 METHOD_NAMES = ("joint", "tangency", "joint-known", "tangency-known")
 N_ROUNDS = 3
@@ -28,6 +51,45 @@ N_ORDINARY = 2
 
 FIRST_FLIGHT, ROUND_STEP = 31_000, 30
 OTHER_FLIGHT = 20  # added to the number, for the flight of the second object
+
+SKEW_STD_PPM = 50.0
+"""Of clocks that run by oscillators: the prior of the methods."""
+
+_TYPICAL = DisturbConfig(noise_hz=1.0, hot_clusters=2, intrinsics_error=GOOD)
+_ALL = DisturbConfig(
+    lamp_px=6, hot_clusters=5, noise_hz=1.0, branches=100_000, people=1, second_object=0.1,
+    intrinsics_error=GOOD,
+)  # fmt: skip
+
+KINDS: dict[str, Kind] = {
+    ORDINARY: Kind(ORDINARY),
+    **{
+        f"noise {hz:g} Hz/px": Kind(ORDINARY, DisturbConfig(noise_hz=hz)) for hz in (1.0, 3.0, 10.0)
+    },
+    "good calibration": Kind(ORDINARY, DisturbConfig(intrinsics_error=GOOD)),
+    "careless calibration": Kind(ORDINARY, DisturbConfig(intrinsics_error=CARELESS)),
+    "skew": Kind(ORDINARY, skew_std_ppm=SKEW_STD_PPM),
+    **{
+        f"second object {100 * share:g} %": Kind(ORDINARY, DisturbConfig(second_object=share))
+        for share in (0.1, 0.2, 1.0)
+    },
+    "lamp 6 px": Kind(ORDINARY, DisturbConfig(lamp_px=6)),
+    "lamp 12 px": Kind(ORDINARY, DisturbConfig(lamp_px=12)),
+    "hot clusters": Kind(ORDINARY, DisturbConfig(hot_clusters=5)),
+    "branches": Kind(ORDINARY, DisturbConfig(branches=500_000)),
+    "people": Kind(ORDINARY, DisturbConfig(people=2)),
+    "all at once": Kind(ORDINARY, _ALL, skew_std_ppm=SKEW_STD_PPM),
+    **{
+        name: kind
+        for scene in SCENES
+        if scene != ORDINARY
+        for name, kind in (
+            (scene, Kind(scene)),
+            (f"{scene}, typical", Kind(scene, _TYPICAL, skew_std_ppm=SKEW_STD_PPM)),
+        )
+    },
+}
+"""By name. "Typical" is noise of 1 Hz/px, two hot clusters, a good calibration and a skew."""
 
 HELD = {name: QUANTITIES[name] for name in ("t_d", "skew", "R", "t")}
 """Quantities whose intervals of 95 % are counted, and whose errors may be confidently wrong."""
@@ -41,7 +103,33 @@ ALL = "all"
 """Kind of the rows of the summary over all kinds."""
 
 
-def imperfect_cells(n_rounds: int = N_ROUNDS) -> list[ImperfectCell]:
+@dataclass(frozen=True)
+class ImperfectRow:
+    """What was said, and its errors over their stated deviations; NaN for what is not given."""
+
+    status: str
+    reason: str = ""
+    offset_given: bool = False
+    pose_given: bool = False
+    t_d_error_ms: float = np.nan
+    r_error_deg: float = np.nan
+    t_error_deg: float = np.nan
+    skew_error_ppm: float = np.nan
+    t_d_std_ms: float = np.nan
+    r_std_deg: float = np.nan
+    t_std_deg: float = np.nan
+    skew_std_ppm: float = np.nan
+    t_d_normalised: float = np.nan  # of an offset that is given; the skew's likewise
+    skew_normalised: float = np.nan
+    r_mahalanobis: float = np.nan  # of a pose that is given, as in `score.PoseScore`
+    t_mahalanobis: float = np.nan
+    true_skew_ppm: float = np.nan
+    n_samples: int = 0
+    n_events_cam1: int = 0  # as recorded, clutter included
+    n_events_cam2: int = 0
+
+
+def imperfect_cells(n_rounds: int = N_ROUNDS) -> list[KindCell]:
     """List every method on every kind that is made of each flight."""
     scenes = [*[ORDINARY] * (N_ORDINARY - 1), *SCENES]
     cells = []
@@ -55,7 +143,7 @@ def imperfect_cells(n_rounds: int = N_ROUNDS) -> list[ImperfectCell]:
                 for one in (flight, flight + OTHER_FLIGHT)
             )
             cells += [
-                ImperfectCell(sim, flight, seed, name, other_seed, method)
+                KindCell(sim, flight, seed, name, other_seed, method)
                 for name, kind in KINDS.items()
                 if kind.scene == scene
                 for method in METHOD_NAMES
@@ -63,13 +151,47 @@ def imperfect_cells(n_rounds: int = N_ROUNDS) -> list[ImperfectCell]:
     return cells
 
 
+def load_flown(cells: Sequence[KindCell], cache: Cache) -> Flown:
+    """Name the flight, whose clocks show the same, and the other one."""
+    sim = replace(cells[0].sim, t_d_s=0.0)
+    return Flown(partial(recorded_pair, cache, sim), cells[0].seed, cells[0].other_seed)
+
+
+def imperfect_row(cell: KindCell, flown: Flown) -> ImperfectRow:
+    """Run one method on one kind, and score what it says."""
+    kind, duration_s = KINDS[cell.kind], cell.sim.spline.duration_s
+
+    def make() -> Chain:
+        pair = spoilt_pair(flown, kind, duration_s)
+        return Chain((pair.cam1, pair.cam2), pair.rig)
+
+    chain = flown.made(cell.kind, make)
+    truth = truth_of(flown, kind, duration_s)
+    columns = given_columns(chain.estimate(cell.method), truth)
+    n_cam1, n_cam2 = (chain.clean(k).n_recorded for k in range(2))
+    return ImperfectRow(**columns, n_events_cam1=n_cam1, n_events_cam2=n_cam2)
+
+
+def truth_of(flown: Flown, kind: Kind, duration_s: float) -> Truth:
+    """Give what is true of a recording of a kind."""
+    pose = known_pose(flown.flight.rig)
+    return Truth(T_D_S, *pose, kind.skew_of(flown.seed), 0.5 * duration_s)
+
+
+def given_columns(estimate: Estimate, truth: Truth) -> dict[str, Any]:
+    """Score what is given: an offset, and a pose that was found."""
+    pose_given = estimate.status == "ok" and not METHODS[estimate.method].needs_extrinsics
+    columns = kept(ImperfectRow, scored(estimate, truth, pose_given))
+    if not estimate.has_offset:
+        columns = {name: columns[name] for name in columns if not name.startswith(("t_d", "skew"))}
+    elif not columns["skew_std_ppm"]:
+        columns["skew_std_ppm"] = np.nan  # it was not looked for
+    given = {"offset_given": estimate.has_offset, "pose_given": pose_given}
+    return columns | given | {"true_skew_ppm": truth.skew_ppm}
+
+
 def imperfect_table(runs: pd.DataFrame) -> pd.DataFrame:
     """Count what was answered, what held, and what was confidently wrong.
-
-    Parameters
-    ----------
-    runs
-        One row per flight, kind and method: `imperfect_cells`.
 
     Returns
     -------
@@ -91,41 +213,95 @@ def imperfect_table(runs: pd.DataFrame) -> pd.DataFrame:
 
 
 def _counts(runs: pd.DataFrame) -> dict[str, Any]:
-    """Row of the table for runs of one kind and method."""
+    row = answers(runs) | {"pose_given": int(runs["pose_given"].astype(bool).sum())}
+    counts, wrong = held(runs, HELD)
+    for name in HELD:
+        n_given = row[f"{name}_given"] = counts[f"{name}_given"]
+        row[f"{name}_held"] = counts[f"{name}_held"] / n_given if n_given else np.nan
+    return row | {"confident_wrong": int(wrong.sum())}
+
+
+def answers(runs: pd.DataFrame) -> dict[str, Any]:
+    """Count the runs, those with an offset, and the statuses of the others."""
     given = runs["offset_given"].astype(bool)
     refused = runs.loc[~given, "status"].value_counts()
-    row: dict[str, Any] = {
-        "runs": len(runs),
-        "answered": int(given.sum()),
-        "refused": " ".join(f"{status}:{count}" for status, count in sorted(refused.items())),
-        "pose_given": int(runs["pose_given"].astype(bool).sum()),
-    }
-    wrong = np.zeros(len(runs), bool)
-    for name, quantity in HELD.items():
-        levels = _levels(runs, quantity)
-        n_given = int(np.isfinite(levels).sum())
-        row[f"{name}_given"] = n_given
-        row[f"{name}_held"] = np.sum(levels <= LEVEL) / n_given if n_given else np.nan
+    statuses = " ".join(f"{status}:{count}" for status, count in sorted(refused.items()))
+    return {"runs": len(runs), "answered": int(given.sum()), "refused": statuses}
+
+
+def held(
+    runs: pd.DataFrame, quantities: Mapping[str, Quantity]
+) -> tuple[dict[str, int], NDArray[np.bool_]]:
+    """Count the quantities that are given, and whose intervals hold; tell the runs that are wrong.
+
+    Returns
+    -------
+    counts : dict of int
+        `<name>_given` and `<name>_held`.
+    wrong : (n,) array of bool
+        Whether any quantity of a run is confidently wrong.
+    """
+    counts, wrong = {}, np.zeros(len(runs), bool)
+    for name, quantity in quantities.items():
+        # The level of the interval on whose border the truth lies.
+        levels = confidence(runs[quantity.column].to_numpy(np.float64), quantity.parameters)
+        counts[f"{name}_given"] = int(np.isfinite(levels).sum())
+        counts[f"{name}_held"] = int(np.sum(levels <= LEVEL))
         wrong |= levels > chi2.cdf(MAX_SIGMAS**2, 1)
-    row["confident_wrong"] = int(wrong.sum())
-    return row
+    return counts, wrong
 
 
-def _levels(runs: pd.DataFrame, quantity: Quantity) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """Level (n,) of the interval on whose border the truth lies; NaN where none is given."""
-    values = runs[quantity.column].to_numpy(np.float64)
-    return confidence(values, quantity.parameters)
+def page_table(results: Results) -> str:
+    """Say of all kinds together how many were answered, and how many of the answers held."""
+
+    def share(row: "pd.Series[Any]", name: str) -> str:
+        n_given, share = int(row[f"{name}_given"]), float(row[f"{name}_held"])
+        if not np.isfinite(share):
+            return ""
+        low, high = sampling_bounds(round(share * n_given), n_given)
+        return f"{100 * share:.0f} ({100 * low:.0f} to {100 * high:.0f})"
+
+    rows = [
+        [
+            *(f"`{row['method']}`", f"{row['answered']:.0f} of {row['runs']:.0f}"),
+            *(share(row, name) for name in HELD),
+            f"{row['confident_wrong']:.0f}",
+        ]
+        for _, row in results.rows("imperfect", kind=ALL).iterrows()
+    ]
+    quantities = (f"{name} [%]" for name in HELD)
+    return markdown_table(["method", "answered", *quantities, "confident wrong"], rows)
 
 
-IMPERFECT = summed_study(
-    "imperfect",
-    "Coverage of the stated intervals on imperfect recordings",
-    imperfect_cells,
-    IMPERFECT_RUNS,
-    imperfect_table,
-    keys=("kind", "flight", "method"),
-    config={"n_rounds": N_ROUNDS, "n_ordinary": N_ORDINARY, "first_flight": FIRST_FLIGHT,
-            "kinds": list(KINDS), "methods": METHOD_NAMES, "angles_deg": ANGLES_DEG},
-)  # fmt: skip
+def kinds(results: Results, column: str) -> str:
+    """List the kinds that `tangency` does not answer throughout, or answers wrongly."""
+    table = results.rows("imperfect", method="tangency")
+    table = table[table["kind"] != ALL]
+    count = table["runs"] - table["answered"] if column == "not_answered" else table[column]
+    listed = zip(table["kind"], count, table["runs"], strict=True)
+    return "; ".join(f"{kind}: {n:.0f} of {runs:.0f}" for kind, n, runs in listed if n > 0)
 
-STUDIES = (IMPERFECT,)
+
+STUDIES = (
+    Study(
+        "imperfect",
+        "Coverage of the stated intervals on imperfect recordings",
+        imperfect_cells,
+        Measure(load_flown, imperfect_row, ImperfectRow),
+        Runs("imperfect_runs.csv", ("kind", "flight", "method")),
+        (Made("imperfect.csv", lambda results: imperfect_table(results.table("imperfect_runs"))),),
+        numbers={
+            "table.imperfect": page_table,
+            "imperfect.kinds_not_answered": partial(kinds, column="not_answered"),
+            "imperfect.kinds_wrong": partial(kinds, column="confident_wrong"),
+        },
+        config={
+            "n_rounds": N_ROUNDS,
+            "n_ordinary": N_ORDINARY,
+            "first_flight": FIRST_FLIGHT,
+            "kinds": list(KINDS),
+            "methods": METHOD_NAMES,
+            "angles_deg": ANGLES_DEG,
+        },
+    ),
+)

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
+from functools import lru_cache, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -75,7 +75,12 @@ def cells(renderer: RendererOption = "native", check: CheckOption = True) -> lis
 
 def runs_of(results: Results) -> pd.DataFrame:
     """Read the runs."""
-    return ordered_runs(runs_from_csv(results.text("runs.csv")))
+    return _read(results.text("runs.csv"))
+
+
+@lru_cache(maxsize=1)
+def _read(text: str) -> pd.DataFrame:
+    return ordered_runs(runs_from_csv(text))
 
 
 def table(results: Results, duration_s: float) -> pd.DataFrame:
@@ -85,7 +90,12 @@ def table(results: Results, duration_s: float) -> pd.DataFrame:
 
 def comparison(results: Results) -> pd.DataFrame:
     """Compare the tables of all flights, and of the first as many as the paper's, with its own."""
-    runs = runs_of(results)
+    return _compared(results.text("runs.csv"))
+
+
+@lru_cache(maxsize=1)
+def _compared(text: str) -> pd.DataFrame:
+    runs = _read(text)
     first = esim_tables(runs[runs["flight"] < PUBLISHED_RUNS])
     return comparison_table(esim_tables(runs), load_published(), first=first)
 

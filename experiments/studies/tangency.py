@@ -1,25 +1,34 @@
-"""Variants of the method `tangency` on flights in, their errors and a figure of them out.
+"""Variants of the method `tangency`, which all start from one refinement (docs/tangency.md).
 
-docs/tangency.md reads them. All variants see the same flights, 100 to 105 of 10 s at each angle,
-which are of no table, so that nothing is tuned on what is reported there.
+All see the same flights, 100 to 105 of 10 s at each angle, which are of no table, so that nothing
+is tuned on what is reported there.
 """
 
-from dataclasses import replace
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
-from matplotlib.figure import Figure
 
-from experiments.drawing.style import WIDTH_IN, method_looks, quiet_axes
-from experiments.lab.study import summed_study
-from experiments.measures.tangency import VARIANT, VariantCell
+from experiments.lab.cache import Cache
+from experiments.lab.cell import FlightCell, Measure
+from experiments.lab.recorded import recorded_pair
+from experiments.lab.score import Truth, kept, scored
+from experiments.lab.study import Made, Runs, Study
 from experiments.paper.grids import ANGLES_DEG, drawn
 from experiments.paper.quantities import ERRORS, R_ERROR, T_D_ERROR
 from sim.recording import SimConfig
 from sim.sensor.frames import FrameConfig
-from ssac.methods.tangency import TangencyConfig
+from ssac.camera import Rig, known_pose
+from ssac.estimate import Estimate
+from ssac.methods.tangency import TangencyConfig, refine_tangents
+from ssac.pipeline.chain import Chain
+from ssac.search.two_views import TwoViews
 from ssac.track.outline import OutlineConfig
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 FIRST_FLIGHT, N_FLIGHTS = 100, 6
 DURATION_S = 10.0
@@ -64,6 +73,37 @@ VARIANTS = {
 }
 
 
+@dataclass(frozen=True)
+class VariantCell(FlightCell):
+    """A variant on a flight with an offset."""
+
+    variant: str
+    config: TangencyConfig | None  # None: the joint refinement, from which the others start
+
+    @property
+    def columns(self) -> dict[str, Any]:
+        """Columns that say which run it is."""
+        return {**self.flown, "variant": self.variant}
+
+    @property
+    def inputs(self) -> tuple[Any, ...]:
+        """What the row depends on beside the recording, which knows no offset."""
+        return self.sim.t_d_s, self.config
+
+
+@dataclass(frozen=True)
+class VariantRow:
+    """Errors of a variant on a flight."""
+
+    status: str
+    reason: str = ""
+    t_d_error_ms: float = np.nan
+    r_error_deg: float = np.nan
+    t_error_deg: float = np.nan
+    t_d_bias_ms: float = np.nan  # the error with its sign
+    normalised: float = np.nan  # that over its stated deviation
+
+
 def variant_cells() -> list[VariantCell]:
     """List the joint refinement and every variant on each flight."""
     spline = replace(SimConfig().spline, duration_s=DURATION_S)
@@ -77,13 +117,29 @@ def variant_cells() -> list[VariantCell]:
     ]
 
 
+def load_started(cells: Sequence[VariantCell], cache: Cache) -> tuple[Estimate, TwoViews, Rig]:
+    """Run the joint refinement on a flight: where the variants part."""
+    cam1, cam2, rig = recorded_pair(cache, cells[0].sim, cells[0].seed)
+    answer = Chain((cam1, cam2), rig).answer("joint")
+    return answer.estimate, answer.views, rig
+
+
+def variant_row(cell: VariantCell, started: tuple[Estimate, TwoViews, Rig]) -> VariantRow:
+    """Run one variant."""
+    estimate, views, rig = started
+    if cell.config is not None:
+        estimate = refine_tangents(estimate, views, cell.config)
+    columns = scored(estimate, Truth(cell.sim.t_d_s, *known_pose(rig)))
+    signed_ms = 1e3 * (estimate.t_d_s - cell.sim.t_d_s)
+    return VariantRow(
+        **kept(VariantRow, columns),
+        t_d_bias_ms=signed_ms,
+        normalised=signed_ms / (1e3 * estimate.t_d_std_s),
+    )
+
+
 def variant_means(runs: pd.DataFrame) -> pd.DataFrame:
     """Mean errors of each variant, over all angles and with t_d's at the worst angle.
-
-    Parameters
-    ----------
-    runs
-        One row per flight and variant: `variant_cells`.
 
     Returns
     -------
@@ -110,12 +166,16 @@ def variant_means(runs: pd.DataFrame) -> pd.DataFrame:
     return means
 
 
-def study_figure(means: pd.DataFrame) -> Figure:
+def study_figure(means: pd.DataFrame) -> "Figure":
     """Draw the variants' errors of t_d and R, from `variant_means`, one line each.
 
     A bar is the mean over all flights, a tick t_d's mean at the worst angle; the method as it is
     comes first, in black, and its mean is the dotted line. `joint` is left out: it is far off.
     """
+    from matplotlib.figure import Figure
+
+    from experiments.drawing.style import WIDTH_IN, method_looks, quiet_axes
+
     variants = means[means["variant"] != JOINT]
     as_it_is = variants["variant"] == AS_IT_IS
     colors = [method_looks(["tangency"])["tangency"].color if it else "0.65" for it in as_it_is]
@@ -134,16 +194,23 @@ def study_figure(means: pd.DataFrame) -> Figure:
     return figure
 
 
-TANGENCY = summed_study(
-    "tangency",
-    "Variants of the method tangency",
-    variant_cells,
-    VARIANT,
-    variant_means,
-    keys=("angle_deg", "flight", "variant"),
-    draw=lambda means, _: study_figure(means),
-    config={"n_flights": N_FLIGHTS, "first_flight": FIRST_FLIGHT, "duration_s": DURATION_S,
-            "angles_deg": ANGLES_DEG, "t_d_s": T_D_S},
-)  # fmt: skip
-
-STUDIES = (TANGENCY,)
+STUDIES = (
+    Study(
+        "tangency",
+        "Variants of the method tangency",
+        variant_cells,
+        Measure(load_started, variant_row, VariantRow),
+        Runs("tangency_runs.csv", ("angle_deg", "flight", "variant")),
+        (
+            Made("tangency.csv", lambda results: variant_means(results.table("tangency_runs"))),
+            Made("tangency.png", lambda results: study_figure(results.table("tangency"))),
+        ),
+        config={
+            "n_flights": N_FLIGHTS,
+            "first_flight": FIRST_FLIGHT,
+            "duration_s": DURATION_S,
+            "angles_deg": ANGLES_DEG,
+            "t_d_s": T_D_S,
+        },
+    ),
+)

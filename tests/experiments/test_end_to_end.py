@@ -19,8 +19,9 @@ from sim.render.config import SamplingConfig
 from sim.scene.trajectory import SplineConfig
 from sim.sensor.events import PRESETS
 from sim.sensor.frames import FrameConfig
+from ssac import joint, joint_known, ssac, ssac_known
 from ssac.config import Config
-from ssac.pipeline.api import joint, joint_known, ssac, ssac_known, usable_events
+from ssac.pipeline.api import usable_events
 from ssac.track.observation import Observation
 
 pytestmark = pytest.mark.render

@@ -1,20 +1,28 @@
 """What commands that run cells share."""
 
+import json
+from dataclasses import replace
 from pathlib import Path
+from typing import Annotated, Any
 
 import pandas as pd
 import pytest
 import typer
+from typer.testing import CliRunner
 
+from experiments.lab import study, task
 from experiments.lab.cache import Cache
-from experiments.lab.cell import CRASHED
-from experiments.lab.command import chosen_parts, drawn_by, finish, other_than_default
+from experiments.lab.cell import CRASHED, Measure
+from experiments.lab.command import chosen_parts, command_of, drawn_by, finish
 from experiments.lab.schedule import Outcome
+from experiments.lab.study import How, Runs
 from experiments.paper.grids import table_cells
 from sim.errors import SimError
 from sim.render.config import RENDERERS
 from ssac.cli.exits import BUG
+from ssac.cli.options import number
 from ssac.errors import SsacError
+from tests.experiments.lab.squares import SQUARES, SquareRow, load_nothing, process_row
 
 
 @pytest.mark.parametrize("renderer", RENDERERS)
@@ -30,11 +38,6 @@ def test_the_renderer_changes_what_draws_and_nothing_else(renderer: str, check: 
 def test_an_unknown_renderer_is_refused() -> None:
     with pytest.raises(SimError, match="unknown renderer 'blender'"):
         drawn_by(table_cells()[:1], "blender", True)
-
-
-def test_a_provenance_names_only_what_is_not_the_default() -> None:
-    assert other_than_default("native", True) == []
-    assert other_than_default("pyrender", False) == ["--renderer", "pyrender", "--no-check"]
 
 
 def test_parts_are_done_in_the_order_in_which_they_were_named_and_all_without_a_name() -> None:
@@ -71,3 +74,61 @@ def test_whose_bug_it_is_is_said(tmp_path: Path, capsys, reasons, whose) -> None
         finish(Outcome(runs, 1, 0, 0.0), Cache(tmp_path))
     assert ended.value.exit_code == BUG
     assert f"error: a bug in {whose}: {len(reasons)} runs crashed" in capsys.readouterr().err
+
+
+# --- Commands made of studies ---
+
+
+def up_to(last: Annotated[int, number("Last number.", 2, 99)] = 7, even: bool = True):
+    return [one for one in SQUARES.cells() if one.number <= last and (even or one.number % 2)]
+
+
+def runs_of(parts, tmp_path: Path, monkeypatch, *words: str) -> tuple[Any, Path]:
+    monkeypatch.setattr(task, "run_key", lambda recordings, inputs, code: f"square{inputs}")
+    monkeypatch.setattr(study, "context_or_none", lambda: None)
+    app = typer.Typer()
+    app.command()(command_of(parts, "Squares."))
+    out = tmp_path / "out"
+    line = [*words, "--out", str(out), "--cache", str(tmp_path / "cache")]
+    return CliRunner().invoke(app, line, catch_exceptions=False), out
+
+
+OPTIONAL = replace(SQUARES, cells=up_to, command="ssac squares", numbers={}, checks=())
+
+
+def test_parameters_of_the_cells_are_options_and_stand_in_the_provenance(tmp_path, monkeypatch):
+    words = ("--last", "4", "--no-even", "--workers", "1")
+    result, out = runs_of({"all": (OPTIONAL,)}, tmp_path, monkeypatch, *words)
+    assert result.exit_code == 0, result.output
+    assert list(pd.read_csv(out / "squares_runs.csv")["number"]) == [3]
+    content = json.loads((out / "squares_runs.provenance.json").read_text())
+    assert content["command"] == "ssac squares --last 4 --no-even"
+    assert content["config"]["options"] == {"last": 4, "even": False}
+    with pytest.raises(SsacError, match="--last: expected 2 to 99, got 100"):
+        runs_of({"all": (OPTIONAL,)}, tmp_path, monkeypatch, "--last", "100")
+
+
+def test_parts_of_a_command_are_its_studies(tmp_path, monkeypatch):
+    other = replace(SQUARES, name="others", runs=Runs("others.csv", ("number",)), makes=())
+    parts = {"first": (OPTIONAL,), "second": (other,)}
+    result, out = runs_of(parts, tmp_path, monkeypatch, "second", "--workers", "1")
+    assert result.exit_code == 0, result.output
+    assert {path.name for path in out.iterdir()} == {
+        "others.csv", "others.provenance.json", "SHA256SUMS",
+    }  # fmt: skip
+    with pytest.raises(SsacError, match="unknown part 'third': use one of first, second"):
+        runs_of(parts, tmp_path, monkeypatch, "third")
+
+
+def test_cells_that_are_measured_alone_have_processes_of_their_own_and_are_not_kept(
+    tmp_path, monkeypatch
+):
+    measure = Measure(load_nothing, process_row, SquareRow)
+    alone = replace(OPTIONAL, measure=measure, how=How.ALONE, makes=())
+    result, out = runs_of({"all": (alone,)}, tmp_path, monkeypatch, "--last", "4")
+    assert result.exit_code == 0, result.output
+    runs = pd.read_csv(out / "squares_runs.csv")
+    assert list(runs["status"]) == ["ok", "ok", "unusable"]
+    assert runs["square"].nunique() == 2  # ids of processes
+    assert runs["reason"].iloc[2] == "its process ended with code 3"
+    assert not (tmp_path / "cache" / "runs").exists()

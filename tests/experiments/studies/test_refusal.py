@@ -1,10 +1,150 @@
-"""The study of refusals: the table, and which flights it draws."""
+"""What counts as a confident wrong answer; the flights that leave something open; the counts."""
 
+from dataclasses import replace
+
+import numpy as np
 import pandas as pd
 import pytest
 
-from experiments.measures.refusal import RefusalRow
-from experiments.studies.refusal import METHOD_NAMES, N_FLIGHTS, refusal_cells, refusal_table
+from experiments.lab import cache
+from experiments.lab.cache import Cache
+from experiments.lab.recorded import Flown, Pair
+from experiments.lab.score import Truth
+from experiments.studies.refusal import (
+    METHOD_NAMES,
+    N_FLIGHTS,
+    RefusalRow,
+    judged,
+    refusal_cells,
+    refusal_row,
+    refusal_table,
+)
+from experiments.worlds.open_flights import (
+    KINDS_OF_FLIGHT,
+    PATHS,
+    T_D_S,
+    OpenCase,
+    flight_config,
+    flight_of,
+)
+from experiments.worlds.spoilt import KindCell
+from ssac.config import Config
+from ssac.estimate import Estimate
+from ssac.track.observation import Observation
+from tests.ssac.synthetic import make_events, make_scene
+
+SCENE = make_scene(0, duration_s=2.0)
+T = SCENE.t / np.linalg.norm(SCENE.t)
+PAIR = Pair(*(Observation(events) for events in make_events(SCENE, 0, T_D_S)), SCENE.rig)
+
+
+def case_of(t_d_s: float = 0.05) -> OpenCase:
+    cam1, cam2 = PAIR[:2]
+    return OpenCase(cam1, cam2, SCENE.rig, Config(denoise=False), Truth(t_d_s, SCENE.R, T))
+
+
+def flown(seed: int) -> Pair:
+    assert seed == 2  # the other flight is asked for by one kind alone
+    return PAIR
+
+
+def joint_estimate(error_s: float, status: str = "ok") -> Estimate:
+    return Estimate(
+        "joint",
+        status,
+        t_d_s=0.05 + error_s,
+        t_d_std_s=1e-3,
+        R=SCENE.R,
+        t=T,
+        covariance=np.diag([1e-6] + 5 * [1e-4]),
+    )
+
+
+@pytest.mark.parametrize(("error_s", "is_wrong"), [(4.9e-3, False), (5.1e-3, True)])
+def test_five_deviations_off_is_a_confident_wrong_answer(error_s, is_wrong):
+    row = judged(joint_estimate(error_s), case_of())
+    assert row.confident_wrong == is_wrong
+    assert row.error_sigmas == pytest.approx(1e3 * error_s)
+
+
+def test_a_wrong_pose_counts_as_well():
+    turned = replace(joint_estimate(0.0), R=SCENE.R @ make_scene(0, 40.0).R)
+    assert judged(turned, case_of()).confident_wrong
+
+
+def test_a_refused_answer_is_not_confident():
+    row = judged(joint_estimate(1.0, "ambiguous_offset"), case_of())
+    assert not row.confident_wrong
+    assert not row.offset_given
+    assert not row.pose_given
+
+
+def test_an_offset_given_without_a_pose_must_hold_too():
+    assert judged(joint_estimate(1.0, "degenerate_pose"), case_of()).confident_wrong
+
+
+def test_any_answer_for_different_objects_is_wrong():
+    assert judged(joint_estimate(0.0), case_of(np.nan)).confident_wrong
+    assert judged(Estimate("ssac", t_d_s=0.05), case_of(np.nan)).confident_wrong
+
+
+def test_the_true_offset_may_be_among_the_alternatives():
+    estimate = replace(joint_estimate(0.8, "ambiguous_offset"), alternatives_s=np.array([0.05]))
+    row = judged(estimate, case_of())
+    assert row.truth_among_offsets
+    assert row.alternatives == 1
+
+
+def test_methods_without_deviations_have_limits():
+    assert not judged(Estimate("ssac", t_d_s=0.0549), case_of()).confident_wrong
+    assert judged(Estimate("ssac", t_d_s=0.0551), case_of()).confident_wrong
+
+
+@pytest.mark.parametrize("kind", ["ordinary", "few-samples", "short"])
+def test_every_method_is_judged_on_every_kind_of_a_flight(kind):
+    shared = Flown(flown, 2, 3)
+    sim = flight_config("ordinary", 90.0)
+    for method in METHOD_NAMES:
+        row = refusal_row(KindCell(sim, 1, 2, kind, 3, method), shared)
+        assert row.status
+    shared.made(kind, lambda: pytest.fail("it was made once, for all methods"))
+
+
+@pytest.mark.parametrize("method", METHOD_NAMES)
+def test_recordings_a_minute_apart_have_no_common_time_in_the_interval(method):
+    cell = KindCell(flight_config("ordinary", 90.0), 1, 2, "no-overlap", 3, method)
+    assert refusal_row(cell, Flown(flown, 2, 3)).status == "no_common_time"
+
+
+@pytest.mark.render
+def test_a_flight_on_a_path_of_its_own_is_simulated_once(tmp_path, monkeypatch):
+    simulated, record = [], cache.record
+
+    def counted(config, seed, *rest):
+        simulated.append(config.trajectory_file)
+        coarse = replace(config.sampling, max_step_px=2.0)
+        return record(replace(config, sampling=coarse), seed, *rest)
+
+    monkeypatch.setattr(cache, "record", counted)
+    config = flight_config("circle", 90.0)
+    first = flight_of("circle", config, 5, Cache(tmp_path))
+    again = flight_of("circle", config, 5, Cache(tmp_path))
+    assert len(simulated) == 1
+    assert simulated[0] is not None
+    assert not simulated[0].exists()
+    assert np.array_equal(first.cam2.events, again.cam2.events)
+    assert (
+        flight_of("circle", config, 6, Cache(tmp_path)).cam1.events.size != first.cam1.events.size
+    )
+    assert len(simulated) == 2
+
+
+def test_every_kind_has_a_flight():
+    kinds = [kind for made in KINDS_OF_FLIGHT.values() for kind in made]
+    assert len(kinds) == len(set(kinds)) == 17
+    for name, path in PATHS.items():
+        positions = path(np.random.default_rng(1))(np.linspace(0.0, 8.0, 50))
+        assert positions.shape == (50, 3), name
 
 
 def test_the_table_counts():
@@ -24,7 +164,7 @@ def test_the_table_counts():
     assert row["confident_wrong"] == 1
 
 
-def test_every_flight_is_drawn_once_and_every_kind_is_run_by_every_method():
+def test_every_kind_is_run_by_every_method_on_flights_of_its_own():
     cells = refusal_cells()
     flights = {cell.seed: cell.flight for cell in cells}
     assert len(flights) == len(set(flights.values())) == 10 * N_FLIGHTS

@@ -22,7 +22,9 @@ from experiments.studies.fidelity import (
 STUDIES = all_studies()
 
 WITH_CELLS = [
-    name for name, study in STUDIES.items() if study.runs is not None and study.how is not How.GIVEN
+    name
+    for name, study in STUDIES.items()
+    if study.runs is not None and study.runs.table is None and study.how is not How.GIVEN
 ]
 
 OWN_FLIGHTS = ("coverage", "refusal", "imperfect", "marks", "tangency", "zncc", "fidelity")

@@ -1,1 +1,0 @@
-"""Speed and memory, as ratios side by side in one run."""

@@ -1,1 +1,0 @@
-"""What studies measure: the cells of one recording in, a row for each out; no drawing here."""

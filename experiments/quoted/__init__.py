@@ -1,1 +1,0 @@
-"""Results results in, the numbers and tables that the pages quote out."""

@@ -1,0 +1,438 @@
+"""Recordings as they come, each kind beside what is required of `tangency`: the study `marks`.
+
+In three groups: what else fires or moves in view, what the clocks do, and what the rig file says of
+the cameras. Flight 40000 + 100 k + i is the i-th of the k-th scene: of no table and of no other
+study, and no threshold was set on them.
+"""
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from experiments.lab.cell import CRASHED, Measure
+from experiments.lab.grid import flight_seed
+from experiments.lab.markdown import markdown_table
+from experiments.lab.recorded import Flown
+from experiments.lab.results import Results
+from experiments.lab.score import Truth, angle_between_deg, rotation_angle_deg
+from experiments.lab.study import Made, Runs, Study
+from experiments.paper.grids import ANGLES_DEG
+from experiments.studies.coverage import Quantity
+from experiments.studies.imperfect import (
+    ImperfectRow,
+    answers,
+    given_columns,
+    held,
+    load_flown,
+    truth_of,
+)
+from experiments.worlds.spoilt import (
+    CARELESS,
+    GOOD,
+    ORDINARY,
+    RIGHT,
+    SCENES,
+    T_D_S,
+    Errors,
+    Kind,
+    KindCell,
+    spoilt_pair,
+)
+from sim.disturb import DisturbConfig
+from sim.recording import SimConfig
+from sim.scene.trajectory import SplineConfig
+from ssac.config import Config
+from ssac.estimate import Estimate
+from ssac.pipeline.chain import Chain
+
+METHOD = "tangency"
+"""What `ssac sync` takes unasked."""
+
+FIRST_FLIGHT, SCENE_STEP = 40_000, 100
+OTHER_FLIGHT = 50  # added to the number, for the other flight
+
+FLIGHTS: Mapping[str, int] = {"10 s": 5, "20 s": 20, "5 px, davis346": 3, "82 s": 2}
+"""Of each scene."""
+
+FEW = 2
+"""Flights of kinds with noise of 10 Hz/px: 18 M events a camera in 20 s."""
+
+FILMED: Mapping[str, SimConfig] = {
+    "10 s": replace(SCENES[ORDINARY], spline=SplineConfig(10.0)),
+    "20 s": SCENES[ORDINARY],
+    "5 px, davis346": SCENES["5 px, davis346"],
+    "82 s": replace(SCENES[ORDINARY], spline=SplineConfig(82.0)),
+}
+
+JUMP_AT_S = 8.0
+
+
+@dataclass(frozen=True)
+class Requirement:
+    """The largest errors that answers of a kind may have, and whether there may be none."""
+
+    t_d_ms: float = np.inf
+    r_deg: float = np.inf
+    skew_ppm: float = np.inf
+    may_refuse: bool = False  # a refusal that says why is as good
+    must_refuse: bool = False  # no answer is right
+
+
+_NEAR = Requirement(t_d_ms=0.3, may_refuse=True)
+_EXACT = Requirement(t_d_ms=0.1, skew_ppm=3.0)
+_REFUSED = Requirement(must_refuse=True)
+
+
+@dataclass(frozen=True)
+class Required:
+    """One kind of recording, and what is required of it."""
+
+    group: str
+    kind: Kind
+    requirement: Requirement | None = None
+    skew_prior_ppm: float | None = None  # of the method; None: its own
+
+
+_LONG: Errors = (0.01, 0.01, 0.0, 0.0)
+_OFF: Errors = (0.0, 0.0, 3.0, 2.0)
+_ONE, _BOTH = "of one camera", "of both cameras"
+
+UNSTATED: Mapping[str, tuple[Errors, Errors]] = {
+    f"focal lengths {_BOTH} 1 % long": (_LONG, _LONG),
+    f"focal lengths {_ONE} 1 % long": (_LONG, RIGHT),
+    f"fu {_ONE} 1 % long": ((0.01, 0.0, 0.0, 0.0), RIGHT),
+    f"fv {_ONE} 1 % long": ((0.0, 0.01, 0.0, 0.0), RIGHT),
+    f"centres {_BOTH} 1 px right": ((0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 1.0, 0.0)),
+    f"centres {_BOTH} 1 px down": ((0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0, 1.0)),
+    f"centre {_ONE} 1 px right": ((0.0, 0.0, 1.0, 0.0), RIGHT),
+    f"centre {_ONE} 1 px down": ((0.0, 0.0, 0.0, 1.0), RIGHT),
+}
+"""Errors that the rig file says nothing of, by what they are."""
+
+
+def _clutter() -> dict[str, Required]:
+    def one(scene: str, requirement: Requirement, others: bool = False, **disturb: Any) -> Required:
+        kind = Kind(scene, DisturbConfig(**disturb), others, skew_ppm=0.0)
+        return Required("clutter", kind, requirement)
+
+    small = "5 px, davis346"
+    return {
+        "nothing": one("10 s", _NEAR),
+        "lamp 6 px": one("10 s", _NEAR, lamp_px=6),
+        "lamp 12 px": one("10 s", _NEAR, lamp_px=12),
+        "5 hot clusters": one("10 s", _NEAR, hot_clusters=5),
+        "branches, 0.5 M events": one("10 s", _NEAR, branches=500_000),
+        "second drone 10 %": one("10 s", _NEAR, second_object=0.1),
+        "second drone 20 %": one("10 s", _NEAR, second_object=0.2),
+        "second drone 100 %": one("10 s", _NEAR, second_object=1.0),
+        "noise 10 Hz/px": one("10 s", _NEAR, noise_hz=10.0),
+        "5 px drone, davis346": one(small, Requirement(t_d_ms=0.1, r_deg=0.3)),
+        "5 px drone, davis346, noise 10 Hz/px": one(small, _NEAR, noise_hz=10.0),
+        "other flights, noise 10 Hz/px": one("20 s", _REFUSED, others=True, noise_hz=10.0),
+    }
+
+
+def _clocks() -> dict[str, Required]:
+    def one(
+        scene: str,
+        requirement: Requirement | None = None,
+        skew_ppm: float = 0.0,
+        jump_s: float | None = None,
+        skew_prior_ppm: float | None = None,
+    ) -> Required:
+        jump = None if jump_s is None else (JUMP_AT_S, jump_s)
+        kind = Kind(scene, skew_ppm=skew_ppm, jump=jump)
+        return Required("clocks", kind, requirement, skew_prior_ppm)
+
+    return {
+        "20 s, clocks alike": one("20 s"),
+        "20 s, clocks alike, no skew looked for": one("20 s", skew_prior_ppm=0.0),
+        "82 s, skew 20 ppm": one("82 s", _EXACT, 20.0),
+        "82 s, skew 50 ppm": one("82 s", _EXACT, 50.0),
+        "82 s, skew 50 ppm, none looked for": one("82 s", skew_ppm=50.0, skew_prior_ppm=0.0),
+        "20 s, jump of 5 ms": one("20 s", _REFUSED, jump_s=1e-3 * 5.0),
+        "20 s, jump of 20 ms": one("20 s", _REFUSED, jump_s=1e-3 * 20.0),
+    }
+
+
+def _intrinsics() -> dict[str, Required]:
+    def one(
+        errors: tuple[Errors, Errors],
+        stated: tuple[float, float] | None = None,
+        drawn: tuple[float, float] | None = None,
+    ) -> Required:
+        disturb = DisturbConfig() if drawn is None else DisturbConfig(intrinsics_error=drawn)
+        kind = Kind("10 s", disturb, skew_ppm=0.0, errors=errors, stated=stated)
+        return Required("intrinsics", kind)
+
+    long, off, right = (_LONG, _LONG), (_OFF, _OFF), (RIGHT, RIGHT)
+    return {
+        "right, stated 0.1 %, 0.3 px": one(right, GOOD),
+        "focal lengths 1 % long, stated 1 %, 3 px": one(long, CARELESS),
+        "focal lengths 1 % long, stated 0.1 %, 0.3 px": one(long, GOOD),
+        "centres (3, 2) px off, stated 1 %, 3 px": one(off, CARELESS),
+        "centres (3, 2) px off, stated 0.1 %, 0.3 px": one(off, GOOD),
+        "drawn from 0.1 %, 0.3 px": one(right, drawn=GOOD),
+        "drawn from 1 %, 3 px": one(right, drawn=CARELESS),
+        **{name: one(errors) for name, errors in UNSTATED.items()},
+    }
+
+
+KINDS: Mapping[str, Required] = {**_clutter(), **_clocks(), **_intrinsics()}
+"""By name, group by group; kinds of one scene are made of the same flights."""
+
+
+@dataclass(frozen=True)
+class RequiredCell(KindCell):
+    """`tangency` on a kind of recording that is made of a flight."""
+
+    method: str = METHOD
+
+    @property
+    def columns(self) -> dict[str, Any]:
+        """Columns that say which run it is."""
+        return {"group": KINDS[self.kind].group, "kind": self.kind, **self.flown}
+
+
+@dataclass(frozen=True)
+class RequiredRow(ImperfectRow):
+    """What was said, its errors, and what it took; NaN for what is not given."""
+
+    ends_error_ms: float = np.nan  # of the offset at both ends of the recording, the larger
+    ends_normalised: float = np.nan  # over its deviation, the larger of both
+    t_d_moved_ms: float = np.nan  # by the rig's errors: from what exact intrinsics give
+    r_moved_deg: float = np.nan
+    t_moved_deg: float = np.nan
+    jump_ms: float = np.nan  # that a clock is said to make
+    jump_at_s: float = np.nan  # camera 1's clock
+    cpu_s: float = np.nan  # all but reading, on the machine that measured
+
+
+def required_cells() -> list[RequiredCell]:
+    """List every kind on the flights of its scene."""
+    cells = []
+    for number, (scene, sim) in enumerate(FILMED.items()):
+        for index in range(FLIGHTS[scene]):
+            flight = FIRST_FLIGHT + SCENE_STEP * number + index
+            # The angles in the middle first, for scenes of few flights.
+            angle_deg = ANGLES_DEG[(2 + index) % len(ANGLES_DEG)]
+            of_angle = replace(sim, angle_deg=angle_deg)
+            seed, other_seed = (
+                flight_seed(sim.spline.duration_s, angle_deg, one)
+                for one in (flight, flight + OTHER_FLIGHT)
+            )
+            cells += [
+                RequiredCell(of_angle, flight, seed, name, other_seed)
+                for name, required in KINDS.items()
+                if required.kind.scene == scene and index < flights_of(required.kind)
+            ]
+    return cells
+
+
+def flights_of(kind: Kind) -> int:
+    """Say on how many flights a kind is measured."""
+    return FEW if kind.disturb.noise_hz > 0.0 else FLIGHTS[kind.scene]
+
+
+def required_row(cell: RequiredCell, flown: Flown) -> RequiredRow:
+    """Run `tangency` on a recording of a kind, and score what it says."""
+    required, duration_s = KINDS[cell.kind], cell.sim.spline.duration_s
+    kind, config = required.kind, Config()
+    pair = spoilt_pair(flown, kind, duration_s)
+    if required.skew_prior_ppm is not None:
+        config = replace(config, skew_prior_ppm=required.skew_prior_ppm)
+    start_s = time.process_time()
+    estimate = Chain((pair.cam1, pair.cam2), pair.rig, config).estimate(METHOD)
+    cpu_s = time.process_time() - start_s
+    truth = truth_of(flown, kind, duration_s)
+    columns = given_columns(estimate, truth) | ends_of(estimate, truth)
+    columns |= {"n_events_cam1": len(pair.cam1.events), "n_events_cam2": len(pair.cam2.events)}
+    if estimate.jump is not None:
+        columns |= {"jump_ms": 1e3 * estimate.jump.size_s, "jump_at_s": estimate.jump.at_s}
+    if kind.errors != Kind.errors:
+        columns |= _moved(estimate, flown)
+    return RequiredRow(**columns, cpu_s=cpu_s)
+
+
+def ends_of(estimate: Estimate, truth: Truth) -> dict[str, float]:
+    """Give the error of the offset where a recording begins or ends, and over its deviation.
+
+    Of both ends the larger each; nothing where no offset is given.
+    """
+    if not estimate.has_offset:
+        return {}
+    ends_s = np.array([0.0, 2.0 * truth.t_mid_s])
+    found_s = estimate.clock.cam2_from_cam1(ends_s) - ends_s
+    true_s = truth.t_d_s + 1e-6 * truth.skew_ppm * (ends_s - truth.t_mid_s)
+    errors_s = np.abs(found_s - true_s)
+    sigmas = errors_s / estimate.clock_std_s(ends_s)
+    return {
+        "ends_error_ms": float(1e3 * np.max(errors_s)),
+        "ends_normalised": float(np.max(sigmas)),
+    }
+
+
+def _moved(estimate: Estimate, flown: Flown) -> dict[str, float]:
+    """Give how far t_d [ms], R and t [deg] are from what exact intrinsics give."""
+
+    def exactly() -> Estimate:
+        cam2 = flown.flight.cam2.delayed(T_D_S)
+        return Chain((flown.flight.cam1, cam2), flown.flight.rig).estimate(METHOD)
+
+    exact = flown.made("exact", exactly)
+    if estimate.R is None or exact.R is None or estimate.t is None or exact.t is None:
+        return {}
+    return {
+        "t_d_moved_ms": 1e3 * abs(estimate.t_d_s - exact.t_d_s),
+        "r_moved_deg": rotation_angle_deg(estimate.R.T @ exact.R),
+        "t_moved_deg": angle_between_deg(estimate.t, exact.t),
+    }
+
+
+HELD = {
+    "t_d": Quantity("t_d_normalised", 1),
+    "skew": Quantity("skew_normalised", 1),
+    "ends": Quantity("ends_normalised", 1),
+    "r": Quantity("r_mahalanobis", 3),
+    "t": Quantity("t_mahalanobis", 2),
+}
+"""Quantities whose intervals of 95 % are counted."""
+
+_ERRORS = ("t_d_error_ms", "skew_error_ppm", "ends_error_ms", "r_error_deg", "t_error_deg")
+_STATED = ("t_d_std_ms", "skew_std_ppm", "r_std_deg", "t_std_deg")
+_MOVED = ("t_d_moved_ms", "r_moved_deg", "t_moved_deg")
+
+
+def required_table(runs: pd.DataFrame) -> pd.DataFrame:
+    """Sum the runs up by kind.
+
+    Returns
+    -------
+    pd.DataFrame
+        One row per kind, in their order: `runs`, `answered` (with an offset), `refused` (statuses
+        of the others with their counts), `reached`, how many do as required (NaN: nothing is); of
+        the answers the largest errors (`_most`; of t_d the rms too), the medians of the stated
+        deviations, how many of the intervals and regions of 95 % hold the truth (`_held`) of those
+        `_given`, and how many are over 3.5 deviations off; the least and the largest jumps that are
+        told; medians and largest of how far wrong intrinsics move the estimate, and of the time.
+    """
+    table: pd.DataFrame = pd.DataFrame(
+        [
+            {
+                "group": required.group,
+                "kind": name,
+                **_summed(runs[runs["kind"] == name], required.requirement),
+            }
+            for name, required in KINDS.items()
+        ]
+    )
+    return table
+
+
+def _summed(runs: pd.DataFrame, requirement: Requirement | None) -> dict[str, Any]:
+    given = runs[runs["offset_given"].astype(bool)]
+    row = answers(runs) | {"reached": np.nan}
+    if requirement is not None:
+        row["reached"] = sum(meets(one, requirement) for one in runs.to_dict("records"))
+    row |= {f"{name}_most": given[name].max() for name in _ERRORS}
+    row["t_d_error_ms_rms"] = np.sqrt((given["t_d_error_ms"] ** 2).mean())
+    row |= {name: _median(given[name]) for name in _STATED}
+    counts, wrong = held(runs, HELD)
+    row |= counts | {"confident_wrong": int(wrong.sum())}
+    for name in ("jump_ms", "jump_at_s"):
+        row |= {f"{name}_least": runs[name].min(), f"{name}_most": runs[name].max()}
+    for name in (*_MOVED, "cpu_s"):
+        row |= {f"{name}_median": _median(runs[name]), f"{name}_most": runs[name].max()}
+    return row
+
+
+def _median(values: "pd.Series[Any]") -> float:
+    """Give the median of what is known; NaN of nothing, without a warning."""
+    known = values.dropna()
+    return float(known.median()) if len(known) else np.nan
+
+
+def meets(run: Mapping[Any, Any], requirement: Requirement) -> bool:
+    """Whether a run does as required."""
+    if not bool(run["offset_given"]):
+        says_why = run["status"] != CRASHED and bool(run["reason"])
+        return says_why and (requirement.may_refuse or requirement.must_refuse)
+    errors = (run["t_d_error_ms"], run["r_error_deg"], run["skew_error_ppm"])
+    limits = (requirement.t_d_ms, requirement.r_deg, requirement.skew_ppm)
+    near = (error <= limit for error, limit in zip(errors, limits, strict=True) if limit < np.inf)
+    return not requirement.must_refuse and all(near)
+
+
+def sensitivity_table(results: Results) -> str:
+    """Lay out how far unstated errors of the intrinsics move the estimate."""
+    body = [
+        [
+            row["kind"],
+            *(f"{row[f'{name}_median']:.2f}, {row[f'{name}_most']:.2f}" for name in _MOVED),
+        ]
+        for row in results.rows("marks", group="intrinsics").to_dict("records")
+        if row["kind"] in UNSTATED
+    ]
+    return markdown_table(["error of the intrinsics", "t_d [ms]", "R [deg]", "t [deg]"], body)
+
+
+def reached(results: Results, kind: str) -> str:
+    """Say how many runs of a kind do as required."""
+    row = results.one("marks", kind=kind)
+    return f"{row['reached']:.0f} of {row['runs']:.0f}"
+
+
+def rms(results: Results, kind: str) -> str:
+    """Say the rms error of t_d on recordings of a kind."""
+    return f"{results.value('marks', 't_d_error_ms_rms', kind=kind):.3f} ms"
+
+
+def jumps(results: Results, kind: str) -> str:
+    """Say how large the jumps are said to be, and when."""
+    row = results.one("marks", kind=kind)
+    size, at = (
+        f"{row[f'{name}_least']:.1f} to {row[f'{name}_most']:.1f}"
+        for name in ("jump_ms", "jump_at_s")
+    )
+    return f"{size} ms, at {at} s"
+
+
+_QUOTED = (
+    ("5_px_drone_davis346", "5 px drone, davis346"),
+    ("5_px_drone_davis346_noise_10_Hz/px", "5 px drone, davis346, noise 10 Hz/px"),
+    ("82_s_skew_50_ppm", "82 s, skew 50 ppm"),
+)
+
+STUDIES = (
+    Study(
+        "marks",
+        "Clutter, clocks and intrinsics of real recordings, each kind beside its mark",
+        required_cells,
+        Measure(load_flown, required_row, RequiredRow),
+        Runs("marks_runs.csv", ("kind", "flight"), took=("cpu_s",)),
+        (Made("marks.csv", lambda results: required_table(results.table("marks_runs"))),),
+        numbers={
+            "table.marks.sensitivity": sensitivity_table,
+            "marks.flights.10_s": lambda _: str(FLIGHTS["10 s"]),
+            "marks.jumps.20_s_jump_of_5_ms": partial(jumps, kind="20 s, jump of 5 ms"),
+            **{f"marks.reached.{name}": partial(reached, kind=kind) for name, kind in _QUOTED},
+            "marks.rms.20_s_clocks_alike": partial(rms, kind="20 s, clocks alike"),
+            "marks.rms.20_s_clocks_alike_no_skew_looked_for": partial(
+                rms, kind="20 s, clocks alike, no skew looked for"
+            ),
+        },
+        config={
+            "flights": dict(FLIGHTS),
+            "few": FEW,
+            "first_flight": FIRST_FLIGHT,
+            "angles_deg": ANGLES_DEG,
+            "kinds": list(KINDS),
+            "method": METHOD,
+        },
+    ),
+)

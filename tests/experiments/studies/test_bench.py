@@ -1,0 +1,243 @@
+"""The benchmark: its parts, what is made of their measurements, and how time and memory grow."""
+
+import math
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from experiments.lab.alone import run_alone
+from experiments.lab.cache import Cache
+from experiments.lab.files import png_bytes, save_csv
+from experiments.lab.pool import Processes, in_new_process
+from experiments.lab.results import Results
+from experiments.lab.task import Task, run_task
+from experiments.machine.growth import POINTS, STEP, STEPS, Point, StepCell
+from experiments.machine.measurement import Measurement
+from experiments.machine.parts import PART, PartCell
+from experiments.machine.sensor import ESIM_FRAMES_PER_S, bench_sensor, beside_peers
+from experiments.machine.sync import MARKS_S, bench_sync
+from experiments.machine.tables import measured_cells
+from experiments.paper.grids import n_recordings, table_cells
+from experiments.studies.bench import (
+    GROWTH,
+    Extent,
+    bench_faults,
+    bench_table,
+    exponent,
+    growth_cells,
+    growth_faults,
+    growth_figure,
+    growth_rows,
+    growth_table,
+    points_of,
+)
+from sim.recording import SimConfig
+from sim.scene.trajectory import SplineConfig
+from ssac.pipeline.registry import OURS
+
+
+def made_up_growth() -> pd.DataFrame:
+    """Return some points, linear in its events: 26 B of one to simulate it, 45 to synchronise."""
+    rows = []
+    for point in POINTS:
+        n = point.events_per_s * point.duration_s
+        of_point = (point.sensor, point.duration_s)
+        s1, s2 = 0.1 + 7e-6 * n, 0.1 + 6e-7 * n
+        mb1, mb2 = 400.0 + 26.0 * n / 2**20, 300.0 + 90.0 * n / 2**20
+        rows += [
+            (*of_point, "simulate", n, s1, s1, mb1, "ok", np.nan),
+            (*of_point, "synchronise", n, s2, s2, mb2, "ok", 0.01),
+        ]
+    return pd.DataFrame(rows, columns=list(GROWTH.runs.columns))
+
+
+@pytest.mark.parametrize(
+    ("value", "mark", "higher", "verdict"),
+    [
+        (9.0, 10.0, False, "meets"),
+        (11.0, 10.0, False, "misses"),
+        (11.0, 10.0, True, "meets"),
+        (9.0, 10.0, True, "misses"),
+        (math.nan, 10.0, True, "misses"),
+        (math.nan, 10.0, False, "misses"),
+        (5.0, None, False, ""),
+    ],
+)
+def test_verdict(value: float, mark: float | None, higher: bool, verdict: str) -> None:
+    assert Measurement("m", value, "s", mark, higher).verdict == verdict
+
+
+def test_a_part_that_cannot_be_measured_is_a_row_and_not_a_gap(tmp_path: Path) -> None:
+    save_csv(tmp_path / "bench_growth.csv", made_up_growth())
+    done = run_task(Task((PartCell("no-such-part"),)), Cache(tmp_path), PART)
+    rows = pd.DataFrame([{"part": "a", "status": "ok", "reason": "", "measurements": []}])
+    failed = {"part": "no-such-part", **done.rows[0]}
+    table = bench_table(pd.concat([rows, pd.DataFrame([failed])]), Results(tmp_path))
+    assert table["name"][0].startswith("no-such-part: not measured (no-such-part: KeyError")
+    assert math.isnan(table["value"][0])
+    assert table["name"].tolist()[1:] == [row.name for row in growth_rows(made_up_growth())]
+
+
+def _with_a_worker() -> int:
+    with Processes(1) as pool:
+        pool.give(0, partial(abs, -3))
+        return pool.ended(60.0)[0].value
+
+
+def test_a_part_has_a_process_of_its_own_and_may_start_more() -> None:
+    outcome = run_alone([PartCell("no-such-part")], PART, "bench")
+    assert outcome.runs["reason"][0].startswith("no-such-part: KeyError")
+    assert in_new_process(_with_a_worker) == 3  # as that of the tables does
+
+
+@pytest.mark.render
+def test_the_sensor_is_timed_on_events(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("experiments.machine.sensor.N_FRAMES", 20)
+    monkeypatch.setattr("experiments.machine.sensor.REPEATS", 1)
+    rows = {(row.name, row.unit): row.value for row in bench_sensor()}
+    assert all(value > 0 for value in rows.values())
+
+
+def test_a_peer_that_is_not_installed_is_quoted_and_the_row_says_so() -> None:
+    (quoted,) = beside_peers(ESIM_FRAMES_PER_S, None)
+    assert quoted.name.endswith("quoted (eventify-dvs is not installed)")
+    assert (quoted.value, quoted.verdict) == (1.0, "meets")
+    peer, ratio, quoted = beside_peers(100.0, 50.0)
+    assert (peer.value, ratio.value, ratio.verdict) == (50.0, 2.0, "meets")
+    assert quoted.verdict == ""  # what is measured here is what counts
+
+
+@pytest.mark.render
+def test_every_stage_and_every_method_is_timed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("experiments.machine.sync.REPEATS", 1)
+    rows = bench_sync(SimConfig(spline=SplineConfig(duration_s=5.0)))
+    names = {row.name for row in rows}
+    assert {f"sync, {method.name}: all but reading" for method in OURS} <= names
+    assert {name.partition(": ")[2] for name in names if name.startswith("sync, stage")} == {
+        *("reading", "checks and denoising", "tracks", "search over +-1 s", "joint refinement"),
+        *("outlines and tangents", "tangents alone", "tangency refinement"),
+    }
+    assert sum(row.mark is not None for row in rows) == len(MARKS_S)
+    assert all(
+        row.value > 0.0 for row in rows if row.name != "sync, stage: outlines"
+    )  # a difference
+
+
+def test_the_measured_recordings_are_some_of_the_tables() -> None:
+    cells = measured_cells()
+    recordings = {(cell.sim, cell.seed) for cell in cells}
+    assert recordings < {(cell.sim, cell.seed) for cell in table_cells()}
+    durations_s = [sim.spline.duration_s for sim, _ in recordings]
+    assert durations_s.count(10.0) == durations_s.count(20.0) == 4
+    assert len(recordings) < n_recordings()
+
+
+def test_a_short_run_leaves_the_largest_points_out() -> None:
+    short, full = points_of(Extent.SHORT), points_of(Extent.FULL)
+    assert set(short) < set(full)
+    assert {one.sensor for one in short} == {"346 x 260", "1280 x 720"}
+    assert [one.duration_s for one in full] == 2 * [5.0, 20.0, 60.0, 120.0]
+
+
+def test_an_exponent_is_that_of_the_power() -> None:
+    events = pd.Series([1e5, 1e6, 3e7])
+    for power in (0.5, 1.0, 2.0):
+        assert exponent(events, 7.0 * events**power) == pytest.approx(power, abs=1e-12)  # rounding
+
+
+def test_what_is_linear_meets_the_marks_and_what_is_not_misses_them() -> None:
+    name = "growth, 1280 x 720: synchronise, {} over events"
+    linear = {row.name: row for row in growth_rows(made_up_growth())}
+    assert {row.verdict for row in linear.values() if row.mark} == {"meets"}
+    assert linear["growth, 1280 x 720: synchronise, memory of an event"].value == pytest.approx(45)
+    table = made_up_growth()
+    for column in ("wall_s", "cpu_s", "peak_mb"):
+        table[column] *= table["events_per_camera"] / 5e6
+    steep = {row.name: row for row in growth_rows(table)}
+    assert steep[name.format("time")].verdict == steep[name.format("memory")].verdict == "misses"
+    assert steep["growth, largest pair: synchronise"].verdict == "misses"
+
+
+def test_a_pair_too_small_for_the_marks_is_not_held_against_them() -> None:
+    short = [one.duration_s for one in points_of(Extent.SHORT) if one.sensor == "1280 x 720"]
+    table = made_up_growth()
+    table = table[(table["sensor"] == "346 x 260") | table["duration_s"].isin(short)]
+    marked = [row.name for row in growth_rows(table) if row.mark and "largest" in row.name]
+    assert not marked
+
+
+def test_a_point_that_was_not_measured_is_a_row_and_left_out_elsewhere() -> None:
+    table = made_up_growth()
+    numbers = ["events_per_camera", "wall_s", "cpu_s", "peak_mb", "t_d_error_ms"]
+    table.loc[15, numbers] = np.nan
+    table.loc[15, "status"] = "not measured (MemoryError)"
+    first, *others = growth_rows(table)
+    assert first.name == "growth, 1280 x 720, 120 s, synchronise: not measured (MemoryError)"
+    assert np.isnan(first.value)
+    assert np.isfinite([row.value for row in others]).all()
+    assert png_bytes(growth_figure(table)) != png_bytes(growth_figure(made_up_growth()))
+
+
+def test_nothing_measured_is_drawn_and_summed_up_as_nothing() -> None:
+    table = made_up_growth()
+    table[["wall_s", "peak_mb"]] = np.nan
+    table["status"] = "not measured (killed)"
+    assert all(np.isnan(row.value) for row in growth_rows(table))
+    assert png_bytes(growth_figure(table))
+
+
+@pytest.mark.render
+def test_both_steps_of_a_point_are_measured_in_processes_of_their_own() -> None:
+    cells = [StepCell(Point(96, 72, 60.0, 0.5, 1e4), step) for step in STEPS]
+    smallest = StepCell(POINTS[0], STEPS[0])
+    runs = run_alone([smallest, *cells], STEP, "growth").runs.iloc[1:].reset_index(drop=True)
+    table = growth_table(runs, Results(Path()))
+    assert (table[["wall_s", "cpu_s", "peak_mb"]] > 0.0).all(axis=None)
+    assert table["status"][0] == "ok"
+    assert table["status"][1] not in ("ok", "")  # half a second tells no offset
+    assert len(set(table["events_per_camera"])) == 1
+
+
+def test_a_step_that_fails_says_why() -> None:
+    runs = run_alone([StepCell(Point(0, 0, 60.0, 0.5, 1e4), STEPS[0])], STEP, "growth").runs
+    table = growth_table(runs, Results(Path()))
+    assert table["status"].str.startswith("not measured (").all()
+    assert table["wall_s"].isna().all()
+
+
+def test_every_step_of_every_point_is_listed_once() -> None:
+    cells = growth_cells(Extent.FULL)
+    assert len({tuple(cell.columns.values()) for cell in cells}) == len(cells) == 16
+    assert growth_cells() == growth_cells(Extent.SHORT) != cells
+
+
+def test_results_that_make_no_sense_are_found(tmp_path: Path) -> None:
+    growth = made_up_growth()
+    save_csv(tmp_path / "bench_growth.csv", growth)
+    row = {"part": "x", "status": "ok", "reason": ""}
+    one = Measurement("drawing", 2.0, "s", 3.0)
+    rows = pd.DataFrame([row | {"measurements": [vars(one)]}])
+    table = bench_table(rows, Results(tmp_path))
+    save_csv(tmp_path / "bench.csv", table)
+    assert not bench_faults(Results(tmp_path))
+    for changed, fault in (
+        (table.assign(verdict="misses"), "it misses"),
+        (table.assign(value=0.0), "drawing is 0"),
+        (table.assign(unit=""), "no unit"),
+        (table.iloc[:-1], "are not those of bench_growth.csv"),
+        (table.drop(columns="mark"), "its columns are"),
+    ):
+        save_csv(tmp_path / "bench.csv", changed)
+        assert fault in "; ".join(bench_faults(Results(tmp_path)))
+    save_csv(tmp_path / "bench.csv", table)
+    assert not growth_faults(Results(tmp_path))
+    for changed, fault in (
+        (growth.iloc[1:], "its steps are not the 16"),
+        (growth.assign(status="no_match", cpu_s=np.nan), "simulate: no_match"),
+        (growth.assign(peak_mb=2 * growth["peak_mb"]), "do not follow from"),
+    ):
+        save_csv(tmp_path / "bench_growth.csv", changed)
+        assert fault in "; ".join(growth_faults(Results(tmp_path)))

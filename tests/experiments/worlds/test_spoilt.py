@@ -1,0 +1,96 @@
+"""What is made of a flight: clutter, clocks that run apart, intrinsics that are off."""
+
+import numpy as np
+import pytest
+
+from experiments.lab.recorded import Flown, Pair
+from experiments.worlds.spoilt import SCENES, T_D_S, Kind, spoilt_pair
+from sim.disturb import DisturbConfig
+from tests.experiments.synthetic_flight import DURATION_S, SCENE, flown
+
+SEED = 5
+
+
+def made(kind: Kind) -> Pair:
+    flights = {SEED: 0, SEED + 1: 1}
+    return spoilt_pair(Flown(lambda seed: flown(flights[seed]), SEED, SEED + 1), kind, DURATION_S)
+
+
+def test_a_plain_kind_adds_an_offset_and_nothing_else() -> None:
+    flight, pair = flown(), made(Kind("ordinary"))
+    assert np.array_equal(pair.cam1.events, flight.cam1.events)
+    assert np.array_equal(pair.cam2.events, flight.cam2.delayed(T_D_S).events)
+    for one, other in ((pair.rig.cam1, flight.rig.cam1), (pair.rig.cam2, flight.rig.cam2)):
+        assert np.array_equal(one.K, other.K)
+        assert not any(one.intrinsics_std_px)
+    assert np.array_equal(pair.rig.T_2_1, flight.rig.T_2_1)
+
+
+def test_what_a_kind_says_is_added() -> None:
+    disturb = DisturbConfig(lamp_px=4, second_object=0.2, intrinsics_error=(1, 3))
+    kind = Kind("ordinary", disturb, skew_std_ppm=50)
+    flight, other, pair = flown(), flown(1), made(kind)
+    lamp = 16 * 100 * 4 * DURATION_S
+    for camera, plain, second in (
+        (pair.cam1, flight.cam1, other.cam1),
+        (pair.cam2, flight.cam2, other.cam2),
+    ):
+        expected = len(plain.events) + lamp + 0.2 * len(second.events)
+        # Of the second object a share is drawn: 5 deviations of it, and what a lamp's jitter loses.
+        spread = 5 * 0.4 * np.sqrt(len(second.events)) + 20
+        assert len(camera.events) == pytest.approx(expected, abs=spread)
+        assert np.all(np.diff(camera.events["t"]) >= 0)
+    end_us = pair.cam2.events["t"][-1] - pair.cam1.events["t"][-1]
+    skew_us = 0.5 * DURATION_S * kind.skew_of(SEED)
+    # Of the lamp's last step in both views, 0.1 ms of jitter each way times a few deviations.
+    assert end_us == pytest.approx(1e6 * T_D_S + skew_us, abs=1000)
+    assert pair.rig.cam1.intrinsics_std_px == pytest.approx((2.0, 2.0, 3.0, 3.0))
+    assert not np.array_equal(pair.rig.cam1.K, flight.rig.cam1.K)
+    assert not np.array_equal(
+        pair.rig.cam1.K - flight.rig.cam1.K, pair.rig.cam2.K - SCENE.rig.cam2.K
+    )
+
+
+def test_skews_are_drawn_from_their_deviation() -> None:
+    kind = Kind("ordinary", skew_std_ppm=50.0)
+    drawn = [kind.skew_of(seed) for seed in range(200)]
+    assert np.std(drawn) == pytest.approx(50.0, rel=0.25)  # that of 200 draws scatters by 5 %
+    assert Kind("ordinary").skew_of(3) == 0.0
+    assert Kind("ordinary", skew_ppm=20.0).skew_of(3) == 20.0
+
+
+def test_scenes_have_the_offset_and_their_textures() -> None:
+    assert all(sim.t_d_s == T_D_S for sim in SCENES.values())
+    textures = [file for sim in SCENES.values() for file in sim.background_files]
+    assert textures
+    assert all(file.is_file() for file in textures)
+
+
+def test_a_clock_runs_fast_about_the_middle_and_jumps_once() -> None:
+    flight = flown()
+    plain_us = flight.cam2.events["t"] + round(1e6 * T_D_S)
+    fast = made(Kind("20 s", skew_ppm=50.0)).cam2.events["t"] - plain_us
+    expected_us = 5e-5 * (flight.cam2.events["t"] - 0.5e6 * DURATION_S)
+    assert np.abs(fast - expected_us).max() <= 0.5  # whole microseconds
+    stepped = made(Kind("20 s", jump=(4.0, 5e-3))).cam2.events["t"] - plain_us
+    assert np.array_equal(stepped, np.where(flight.cam2.events["t"] >= 4_000_000, 5_000, 0))
+
+
+def test_intrinsics_are_off_and_stated_as_a_kind_says() -> None:
+    errors = ((0.01, 0.02, 3.0, -2.0), (0.0, 0.0, 0.0, 0.0))
+    pair, true = made(Kind("10 s", errors=errors, stated=(1.0, 3.0))), SCENE.rig
+    off_px = pair.rig.cam1.K - true.cam1.K
+    assert np.diag(pair.rig.cam1.K) == pytest.approx(np.diag(true.cam1.K) * (1.01, 1.02, 1.0))
+    assert off_px[:2, 2] == pytest.approx((3.0, -2.0))
+    assert np.array_equal(pair.rig.cam2.K, true.cam2.K)
+    focal_px = true.cam2.K[0, 0]
+    assert pair.rig.cam2.intrinsics_std_px == pytest.approx(
+        (0.01 * focal_px, 0.01 * focal_px, 3, 3)
+    )
+
+
+def test_other_flights_are_one_in_each_camera() -> None:
+    other = flown(1)
+    pair = made(Kind("20 s", others=True))
+    assert np.array_equal(pair.cam1.events, flown().cam1.events)
+    assert np.array_equal(pair.cam2.events, other.cam2.delayed(T_D_S).events)
