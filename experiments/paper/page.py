@@ -46,19 +46,7 @@ def results_page(
     comparison: pd.DataFrame,
     provenance: Mapping[str, Any],
 ) -> str:
-    """Write the page.
-
-    Parameters
-    ----------
-    runs
-        As of `esim.ordered_runs`.
-    tables
-        As of `esim.esim_tables`.
-    comparison
-        As of `comparison.comparison_table`.
-    provenance
-        Of the runs.
-    """
+    """Write the page of the runs, their tables and the comparison; the provenance is the runs'."""
     summary = summary_table(comparison)
     ssac = comparison[comparison["quantity"] == "ssac_t_d_error_ms"]
     has_further = int(runs["flight"].max()) >= PUBLISHED_RUNS

@@ -198,14 +198,9 @@ OPTIONS: Mapping[str, SimOption] = {
 
 
 def chosen(options: Mapping[str, Any], **more: Any) -> tuple[SimConfig, DisturbConfig]:
-    """Make the configurations that options ask for.
+    """Make the configurations that options ask for; those that set no field are left out.
 
-    Parameters
-    ----------
-    options
-        By the names of OPTIONS; those that set no field are left out.
-    more
-        Further fields of SimConfig: dataclasses, whose own fields options may set too.
+    `more` are further fields of SimConfig: of dataclasses, options may set fields too.
     """
     values = {OPTIONS[name].field: value for name, value in options.items()}
     values.pop("", None)
@@ -238,10 +233,7 @@ def chosen_sensor(
 ) -> SensorPreset:
     """Make the sensor that the options ask for: what is given takes the place of the preset's.
 
-    Raises
-    ------
-    SimError
-        When a name is unknown or a value makes no sense, or two options contradict each other.
+    SimError when a name is unknown, a value makes no sense, or two options contradict each other.
     """
     if noise not in PRESETS:
         raise SimError(f"--noise: expected one of {', '.join(PRESETS)}, got {noise!r}")
