@@ -1,7 +1,8 @@
 """Runs the mutants of `mutants.toml`: errors made on purpose, each of which a test must notice.
 
 A mutant is a line or two of a file, what takes their place, and what that means. It is killed when
-one of its tests fails; they are those named with it, or those that mirror its file.
+one of its tests fails, and does not fail without it; they are those named with it, or those that
+mirror its file.
 """
 
 import argparse
@@ -12,7 +13,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -104,26 +105,36 @@ def verdict(mutant: Mutant, tree: Path) -> str:
     """Make an error in a copy of the tree, run its tests there, and take it back."""
     path, mutated = tree / mutant.file, mutant.mutated(tree)
     text, stamp = path.read_text(encoding="utf-8"), path.stat()
-    settings = os.environ | {"PYTHONPATH": str(tree)}
-    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider"]
     with tempfile.TemporaryDirectory(dir=tree.parent) as own_cache:
-        if is_compiled(text, mutant.old):  # kernels that call it do not know of its change
-            settings["NUMBA_CACHE_DIR"] = own_cache
+        # Kernels that call the one with the error do not know of its change.
+        cache = own_cache if is_compiled(text, mutant.old) else None
         try:
             path.write_text(mutated, encoding="utf-8")
-            done = subprocess.run(
-                [*command, *mutant.arguments(tree)], cwd=tree, env=settings, timeout=TIMEOUT_S,
-                capture_output=True, text=True, check=False,
-            )  # fmt: skip
+            code, said = _tested(tree, mutant.arguments(tree), cache)
         except subprocess.TimeoutExpired:
             return "killed (it did not end)"
         finally:
             path.write_text(text, encoding="utf-8")
             os.utime(path, ns=(stamp.st_atime_ns, stamp.st_mtime_ns))
-    if done.returncode == 1:
-        failed = [line for line in done.stdout.splitlines() if line.startswith("FAILED")]
-        return f"killed {failed[0].split(' ')[1] if failed else ''}"
-    return "survived" if done.returncode == 0 else f"no verdict:\n{done.stdout}{done.stderr}"
+    failed = [line[7:].split(" - ")[0] for line in said.splitlines() if line.startswith("FAILED ")]
+    if code != 1 or not failed:
+        return "survived" if code == 0 else f"no verdict:\n{said}"
+    without, _ = _tested(tree, failed[:1], None)
+    return (
+        f"killed {failed[0]}" if without == 0 else f"no verdict: without it too {failed[0]} fails"
+    )
+
+
+def _tested(tree: Path, arguments: Sequence[str], cache: str | None) -> tuple[int, str]:
+    """Run tests up to the first that fails: pytest's exit code, and what it said."""
+    settings = os.environ | {"PYTHONPATH": str(tree)}
+    settings |= {} if cache is None else {"NUMBA_CACHE_DIR": cache}
+    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *arguments]
+    done = subprocess.run(
+        command, cwd=tree, env=settings, timeout=TIMEOUT_S, capture_output=True, text=True,
+        check=False,
+    )  # fmt: skip
+    return done.returncode, done.stdout + done.stderr
 
 
 def main() -> int:

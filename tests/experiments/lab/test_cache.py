@@ -64,7 +64,7 @@ def test_every_part_makes_another_run():
     others = [
         (("other",), *base[1:]),
         (("recording", "other"), *base[1:]),
-        (*base[:2], ("experiments.measures.refusal",)),
+        (*base[:2], ("experiments.studies.refusal",)),
     ]
     inputs = (0.06, Config(n_min=100), "joint", "1.0")
     for at, value in enumerate(inputs):
