@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ssac.errors import SsacError
-from ssac.rules import LineRules, NoiseRules, PointRules, Rules, check_rules
+from ssac.rules import LineRules, NoiseRules, PointRules, Rules, check_rules, is_number
 
 N_MIN = 200
 """Events that a window holds at least, the paper's N_min."""
@@ -182,31 +182,27 @@ def validated(config: Config | None) -> Config:
     for name in ("exhaustive", "denoise", "search_skews", "choose_object"):
         if not isinstance(getattr(config, name), (bool, np.bool_)):
             raise SsacError(f"{name} must be True or False, got {getattr(config, name)!r}")
-    if not (_is_number(config.half_window_s) and 0.0 < config.half_window_s < np.inf):
-        raise SsacError(f"half_window_s must be positive and finite, got {config.half_window_s!r}")
-    for name in ("min_swings", "max_valley_s"):
-        value = getattr(config, name)
-        if not (_is_number(value) and 0 <= value < np.inf):
-            raise SsacError(f"{name} must be 0 or more, and finite, got {value!r}")
-    prior_ppm, roughness_ppm = config.prior_ppm, config.roughness_ppm
-    if not (_is_number(prior_ppm) and 0.0 <= prior_ppm <= MAX_SKEW_PPM):
-        raise SsacError(f"skew_prior_ppm must be 0 to {MAX_SKEW_PPM:g}, got {prior_ppm!r}")
-    if not (_is_number(roughness_ppm) and 0.0 < roughness_ppm <= MAX_SKEW_PPM):
-        raise SsacError(
-            f"roughness_ppm must be above 0 and up to {MAX_SKEW_PPM:g}, got {roughness_ppm!r}"
-        )
-    if config.clock == "pieces" and not prior_ppm:
+    for name, value, is_right, need in (
+        ("half_window_s", config.half_window_s, lambda s: 0.0 < s < np.inf, "positive and finite"),
+        ("min_swings", config.min_swings, lambda n: 0 <= n < np.inf, "0 or more, and finite"),
+        ("max_valley_s", config.max_valley_s, lambda s: 0 <= s < np.inf, "0 or more, and finite"),
+        ("skew_prior_ppm", config.prior_ppm, _is_skew, f"0 to {MAX_SKEW_PPM:g}"),
+        (
+            *("roughness_ppm", config.roughness_ppm, lambda ppm: ppm > 0.0 and _is_skew(ppm)),
+            f"above 0 and up to {MAX_SKEW_PPM:g}",
+        ),
+        ("max_border_fraction", config.max_border_fraction, lambda x: 0.0 <= x <= 1.0, "0 to 1"),
+    ):
+        if not (is_number(value) and is_right(value)):
+            raise SsacError(f"{name} must be {need}, got {value!r}")
+    if config.clock == "pieces" and not config.prior_ppm:
         raise SsacError("a clock of pieces has a skew: its prior must be above 0 ppm, got 0")
-    share = config.max_border_fraction
-    if not (_is_number(share) and 0.0 <= share <= 1.0):
-        raise SsacError(f"max_border_fraction must be 0 to 1, got {share!r}")
     check_rules(config.rules)
     return config
 
 
-def _is_number(value: object) -> bool:
-    is_number = isinstance(value, (int, float, np.integer, np.floating))
-    return is_number and not isinstance(value, bool)
+def _is_skew(ppm: float) -> bool:
+    return 0.0 <= ppm <= MAX_SKEW_PPM
 
 
 def _check_count(name: str, value: object, least: int, most: int = MAX_COUNT) -> None:
@@ -222,6 +218,6 @@ def _are_bounds(bounds: object) -> bool:
     """Whether these are two finite numbers, the smaller one first."""
     if not (isinstance(bounds, (tuple, list)) and len(bounds) == 2):
         return False
-    if not all(map(_is_number, bounds)):
+    if not all(map(is_number, bounds)):
         return False
     return bool(np.isfinite(bounds).all() and bounds[0] < bounds[1])

@@ -687,11 +687,16 @@ def _check_part(name: str, kind: Any, value: Any) -> None:
         raise SsacError(f"{name}: expected {word}, got {value!r}")
 
 
+def is_number(value: object) -> bool:
+    """Whether this is a number, of Python or NumPy, and no truth value."""
+    return isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
+
+
 def _is_of(kind: type, value: object) -> bool:
     if kind is bool:
         return isinstance(value, (bool, np.bool_))
-    if isinstance(value, (bool, np.bool_)):
+    if not is_number(value):
         return False
     if kind is int:
         return isinstance(value, (int, np.integer))
-    return isinstance(value, (int, float, np.integer, np.floating)) and math.isfinite(value)
+    return math.isfinite(value)  # type: ignore[arg-type]

@@ -331,11 +331,9 @@ def _uniform(trials: int, seed: int) -> Matrix:
 
 @numba.njit(cache=True)
 def _normalised(p1_px: Matrix, p2_px: Matrix) -> tuple[Matrix, Matrix, Matrix, Matrix]:
-    """Both images' points (2, N), centred and scaled, and the transforms (3, 3) that do so.
-
-    Hartley's normalisation, but with one scale for both images, which keeps Sampson distances
-    proportional to those in pixels.
-    """
+    """Both images' points (2, N), centred and scaled, and the transforms (3, 3) that do so."""
+    # Hartley's normalisation, but with one scale for both images, which keeps Sampson distances
+    # proportional to those in pixels.
     n = len(p1_px)
     x1, x2, T1, T2 = np.empty((2, n)), np.empty((2, n)), np.eye(3), np.eye(3)
     square = 0.0

@@ -141,16 +141,13 @@ def start_offsets(low_s: float, high_s: float, step_s: float) -> Array:
 
 
 def _start(views: TwoViews, starts_s: Array) -> float:
-    """Choose the start [s] from which one linearisation makes inliers of most pairs.
-
-    The same random numbers for each, so that none depends on which others there are.
-    """
+    """Choose the start [s] from which one linearisation makes inliers of most pairs."""
     rules = views.config.rules.albl
     best_s, best_share = float(starts_s[0]), 0.0
     pairs = views.pairs(starts_s)
     both = _secants(views, pairs, 0.5 * rules.start_step_s)
     for m, start_s in enumerate(starts_s.tolist()):
-        rng = np.random.default_rng(views.config.seed)
+        rng = np.random.default_rng(views.config.seed)  # the same numbers for each start
         found = _most_agreed(views, pairs, both, m, rng, best_share, rules.start_trials)
         if found is not None:
             best_s, best_share = start_s, found.inlier_share
@@ -242,12 +239,10 @@ def _centred(
 def _ransac(
     pairs: _Linearised, step_s: float, numbers: Array, share_to_exceed: float, rules: AlblRules
 ) -> _Agreement | None:
-    """Find the shift with most inliers over random subsets of nine pairs; None if these are few.
-
-    One subset per row of random numbers (T, n): the nine least of them.
-    """
+    """Find the shift with most inliers over random subsets of nine pairs; None if these are few."""
     n, (A, B) = len(pairs), pairs.constraints
     limit, longest_s = (rules.inlier_px / pairs.px_per_unit) ** 2, 2.0 * step_s
+    # One subset per row of random numbers (T, n): the nine least of them.
     least = np.argpartition(numbers, 8, axis=1)[:, :9]
     order = np.argsort(np.take_along_axis(numbers, least, axis=1), axis=1)
     subsets = np.take_along_axis(least, order, axis=1)

@@ -195,10 +195,7 @@ def _consistent(
     most_px: float,
     rules: Rules,
 ) -> list[tuple[int, int]]:
-    """Pairs of pieces near their epipolar lines, those of the chains first; one at a time a view.
-
-    A piece is taken whole: it has to be consistent with all of the other view that it meets.
-    """
+    """Pairs of pieces near their epipolar lines, those of the chains first, one at a time."""
     order = []
     is_near: dict[tuple[int, int], bool] = {}
     firsts = np.array([other.first for other in grids[1]]) - lag

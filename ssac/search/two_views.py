@@ -63,8 +63,7 @@ class PairsAt:
 class TwoViews:
     """What two cameras saw of one object, and what a method is told beside it.
 
-    Every method that looks at object tracks starts from here. Which time of camera 2 belongs to one
-    of camera 1 is said in `TwoViews.on_clock_2`, and nowhere else.
+    Which time of camera 2 belongs to one of camera 1 is said in `on_clock_2`, and nowhere else.
     """
 
     motion1: Motion
@@ -133,10 +132,7 @@ class TwoViews:
         return float(np.hypot(sizes_px[0], sizes_px[1]))
 
     def overlap_s(self, t_d_s: Array) -> tuple[Array, Array]:
-        """Start and end (M,) [s], camera 1's clock, of what both recordings cover at offsets (M,).
-
-        The end is before the start, or at it, where that is nothing.
-        """
+        """Start and end (M,) [s] of what both recordings cover at offsets (M,), if start < end."""
         (start1, end1), (start2, end2) = self.motion1.span_s, self.motion2.span_s
         return np.maximum(start1, start2 - t_d_s), np.minimum(end1, end2 - t_d_s)
 
