@@ -3,6 +3,7 @@
 import inspect
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from functools import cache
 from typing import Annotated, Any, get_type_hints
 
 import typer
@@ -76,7 +77,12 @@ class Option:
         if self.value is not None or not self.field:
             default = False if self.default is None and self.type is bool else self.default
             return Annotated[self.type, self.info], default
-        return Annotated[get_type_hints(Config)[self.field], self.info], getattr(Config, self.field)
+        return Annotated[_types()[self.field], self.info], getattr(Config, self.field)
+
+
+@cache
+def _types() -> dict[str, Any]:
+    return get_type_hints(Config)
 
 
 def with_options(
