@@ -73,10 +73,8 @@ def run_task(task: Task, cache: Cache, measure: Measure) -> Done:
 
     Parameters
     ----------
-    task
     cache
         Is given every row as soon as it is there, but for crashed ones.
-    measure
 
     Returns
     -------
