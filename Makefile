@@ -216,6 +216,6 @@ pip --no-build-isolation --editable .
 # Here, since containers often forbid Python to keep what it compiled: each command would do it again.
 .venv/bin/python -m compileall -q ssac sim experiments
 echo "make setup: compiling kernels" >&2
-.venv/bin/python -m experiments.lab.warm_up
+.venv/bin/python -m experiments.warm_up
 endef
 export GL_BACKEND SETUP

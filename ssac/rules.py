@@ -616,6 +616,17 @@ class SignalRules:
 
 
 @dataclass(frozen=True)
+class GroundRules:
+    """When a network fits what is known of its frame (`ssac.network.ground`)."""
+
+    # Rms distance of cameras from where they are said to stand, as a share of their spread: that is
+    # known to 5 cm at best, over tens of metres.
+    max_off_share: float = 0.1
+    least_explained: float = 0.9  # of the motion of RTK, by a path of the same flight
+    rtk_rate_std_ppm: float = 1000.0  # of RTK's clock over a camera's: those of phones
+
+
+@dataclass(frozen=True)
 class Rules:
     """The rules of all stages; the defaults are what every committed result was made with."""
 
@@ -634,6 +645,7 @@ class Rules:
     all_offsets: AllOffsetsRules = AllOffsetsRules()
     match: MatchRules = MatchRules()
     fit: FitRules = FitRules()
+    ground: GroundRules = GroundRules()
     verdict: VerdictRules = VerdictRules()
     hypotheses: HypothesesRules = HypothesesRules()
     clock: ClockRules = ClockRules()

@@ -11,6 +11,9 @@ from tests.test_architecture import FLOORS, ROOT
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
 MAX_WIDTH = 120
 README_LINES = 120
+PAGE_LINES = 200
+WORDS = 22_000
+"""Of all pages together, tables included: what somebody may still read."""
 
 _LINK = re.compile(r"\]\(([^)#\s]+)")
 _PATH = re.compile(r"`((?:sim|ssac|experiments|tests|docs)/[\w./-]*)`")
@@ -64,6 +67,12 @@ def test_lines_fit(page: Path) -> None:
         if len(line) > MAX_WIDTH and not line.startswith("|")
     ]
     assert not wide
+
+
+def test_the_pages_are_short_enough_to_be_read() -> None:
+    texts = {page.name: page.read_text(encoding="utf-8") for page in PAGES}
+    assert not [name for name, text in texts.items() if text.count("\n") > PAGE_LINES]
+    assert sum(len(text.split()) for text in texts.values()) <= WORDS
 
 
 def test_the_readme_is_short_and_shows_its_first_screen() -> None:

@@ -1,4 +1,4 @@
-"""An ablation's means in, its errors against the value out.
+"""Errors of an ablation against the value that it varies.
 
 A row of axes for each method, a column for each error; one line for each angle, or for whatever
 else the grid varies. Where runs failed, one more column shows their share.
@@ -40,19 +40,9 @@ _DECADES = 1.6  # up to which an axis is labelled at 1, 2 and 5
 
 
 def ablation_figure(means: pd.DataFrame, grid: GridConfig) -> Figure:
-    """Draw an ablation.
+    """Draw an ablation of its means, one row for each point of the grid and method.
 
-    Parameters
-    ----------
-    means
-        `results/ablation_<name>.csv`: one row for each point of the grid and method.
-    grid
-        Its configuration, with the table [figure].
-
-    Raises
-    ------
-    SsacError
-        If the configuration says nothing of a figure, or the means lack a column.
+    SsacError if the configuration has no table [figure], or the means lack a column.
     """
     look = grid.figure
     if look is None:

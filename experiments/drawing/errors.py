@@ -54,12 +54,7 @@ class Means:
 def error_figure(runs: pd.DataFrame, published: Mapping[float, pd.DataFrame]) -> Figure:
     """Draw the errors of all methods against the angle, one column of axes for each duration.
 
-    Parameters
-    ----------
-    runs
-        As `experiments.paper.esim.runs_from_csv` reads them.
-    published
-        The paper's table of each duration [s].
+    `published` has the paper's table of each duration [s].
     """
     durations_s = sorted(runs["duration_s"].unique())
     angles_deg = sorted(runs["angle_deg"].unique())
@@ -97,17 +92,8 @@ def error_figure(runs: pd.DataFrame, published: Mapping[float, pd.DataFrame]) ->
 def beyond_figure(runs: pd.DataFrame, published: Mapping[float, pd.DataFrame]) -> Figure:
     """Draw what REFINED gain over the paper, beside the marks that `tangency` is to reach.
 
-    A marker is the mean over flights and offsets. A method without runs is left out.
-
-    Parameters
-    ----------
-    runs, published
-        As for `error_figure`.
-
-    Raises
-    ------
-    SsacError
-        If no run is of one of REFINED.
+    A marker is the mean over flights and offsets. A method without runs is left out; SsacError if
+    no run is of one of REFINED.
     """
     there = set(runs["method"])
     methods = [method for method in REFINED if method in there]

@@ -1,4 +1,4 @@
-"""Recordings in, the paper's Fig. 3, 4 and 5 out.
+"""The paper's Fig. 3, 4 and 5, and the alignment of two cameras, each of one recording.
 
 Fig. 3  raw events, denoised events, and the object's positions p(t), in x-y-t
 Fig. 4  p1, p2, the line l1 and the distance d, before and after the clocks are aligned

@@ -211,21 +211,9 @@ def comparison_table(
     first: Mapping[float, pd.DataFrame] | None = None,
     errors: tuple[PublishedError, ...] = PUBLISHED_ERRORS,
 ) -> pd.DataFrame:
-    """Compare cell by cell.
+    """Compare our tables, by duration [s], with the published ones cell by cell.
 
-    Parameters
-    ----------
-    tables
-        Ours, as of `esim.esim_tables`, by duration [s].
-    published
-        The paper's, as of `load_published`.
-    reasons
-        For the notes.
-    first
-        Ours of the first PUBLISHED_RUNS flights alone, by duration [s]; where there are no further
-        ones, they are `tables` and need not be given.
-    errors
-        That are compared.
+    `first` are ours of the first PUBLISHED_RUNS flights alone, if there are further ones.
 
     Returns
     -------
@@ -354,19 +342,10 @@ def summary_table(comparison: pd.DataFrame) -> pd.DataFrame:
 
 
 def ratio_factor(part: pd.DataFrame, sides: Sequence[str] = ("published", "ours")) -> float:
-    """Find the factor to which the ratio over some cells is known.
+    """Find the factor, at least 1, to which the ratio over cells of one duration is known.
 
-    Parameters
-    ----------
-    part
-        Rows of a comparison: one quantity in the cells of one duration.
-    sides
-        Whose scatter counts: "published", "ours" of all flights, "first" of our first ones.
-
-    Returns
-    -------
-    float
-        At least 1; NaN where a cell has fewer than two runs or a mean of 0.
+    `sides` says whose scatter counts: "published", "ours" of all flights, "first" of our first
+    ones. NaN where a cell has fewer than two runs or a mean of 0.
     """
     published: pd.Series = pd.Series(PUBLISHED_RUNS, part.index)
     runs = {"published": published, "ours": part["n_ours"], "first": part["first_n"]}

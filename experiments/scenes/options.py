@@ -3,11 +3,10 @@
 Such an option has the type and the default of its field, so that the two cannot come apart.
 """
 
-import inspect
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, get_type_hints
+from typing import Annotated, Any, get_type_hints
 
 import typer
 
@@ -19,28 +18,32 @@ from sim.recording import SimConfig
 from sim.render.config import RENDERERS
 from sim.scene.flyers import DRONES
 from sim.sensor.events import PRESETS
-from ssac.cli.options import number
+from ssac.cli.options import Option, flag, named, number
 
 MAX_SEED = 2**32 - 1
 
 _IDEAL = "ideal"
+_DISTURB = "disturb."
 _ON = SimConfig().sensor.threshold_on
-
-Config = TypeVar("Config", SimConfig, DisturbConfig)
 
 
 @dataclass(frozen=True)
-class SimOption:
-    """One option."""
+class SimOption(Option):
+    """One option; its field is of SimConfig, or of DisturbConfig after `disturb.`, dotted."""
 
-    info: Any  # what Typer shows and checks of it
-    field: str = ""  # of SimConfig, or of DisturbConfig after `disturb.`, dotted; "": of neither
-    type: Any = None  # None: the field's
-    default: Any = None  # None: the field's
+    type: Any = None  # None: the field's, as is the default then
 
-
-def _named(metavar: str, text: str) -> Any:
-    return typer.Option(metavar=metavar, help=text)
+    @property
+    def parameter(self) -> tuple[Any, Any]:
+        """Type and default of the command's parameter."""
+        hint, default = self.type, self.default
+        if self.field and hint is None:
+            config: Any = DisturbConfig() if self.field.startswith(_DISTURB) else SimConfig()
+            *path, last = self.field.removeprefix(_DISTURB).split(".")
+            for name in path:
+                config = getattr(config, name)
+            hint, default = get_type_hints(type(config))[last], getattr(config, last)
+        return Annotated[hint, self.info], default
 
 
 OPTIONS: Mapping[str, SimOption] = {
@@ -58,7 +61,7 @@ OPTIONS: Mapping[str, SimOption] = {
                -MAX_SKEW_PPM, MAX_SKEW_PPM, "ppm"), "skew_ppm"
     ),
     "clock_jump": SimOption(
-        _named("T S", "Camera 2's clock jumps forward by S seconds (S > 0) at time T."),
+        named("T S", "Camera 2's clock jumps forward by S seconds (S > 0) at time T."),
         "clock_jump", tuple[float, float] | None
     ),
     "seed": SimOption(
@@ -66,11 +69,11 @@ OPTIONS: Mapping[str, SimOption] = {
         type=int, default=0
     ),
     "trajectory": SimOption(
-        _named("FILE", "CSV t,x,y,z,qx,qy,qz,qw instead of a random spline; sets the duration."),
+        named("FILE", "CSV t,x,y,z,qx,qy,qz,qw instead of a random spline; sets the duration."),
         "trajectory_file"
     ),
     "drone": SimOption(
-        _named("NAME", f"{', '.join(DRONES)}, or a mesh file."), type=str, default=SimConfig.drone
+        named("NAME", f"{', '.join(DRONES)}, or a mesh file."), type=str, default=SimConfig.drone
     ),
     "drone_size": SimOption(
         number("Largest extent of the drone.", 0.01, 100, "metres"), "drone_size_m"
@@ -95,7 +98,7 @@ OPTIONS: Mapping[str, SimOption] = {
         "resolution"
     ),
     "distortion_model": SimOption(
-        _named("NAME", "none, radtan or equidistant."), "distortion_model"
+        named("NAME", "none, radtan or equidistant."), "distortion_model"
     ),
     "distortion": SimOption(
         number("Distortion coefficients: k1 k2 p1 p2 (radtan) or k1 k2 k3 k4 (equidistant).",
@@ -103,14 +106,14 @@ OPTIONS: Mapping[str, SimOption] = {
         "distortion_coeffs", tuple[float, float, float, float], (0.0, 0.0, 0.0, 0.0)
     ),
     "background": SimOption(
-        _named("FILE", "Image behind the drone: give one for all cameras, or one for each."),
+        named("FILE", "Image behind the drone: give one for all cameras, or one for each."),
         "background_files", list[Path] | None
     ),
     "background_luminance": SimOption(
         number("Luminance of the sky where there is no image.", 0, 1), "background_luminance"
     ),
     "preset": SimOption(
-        _named("NAME", "Sensor model with the imperfections of a real one: "
+        named("NAME", "Sensor model with the imperfections of a real one: "
                f"{', '.join(SENSOR_PRESETS)}."), type=str | None
     ),
     "illuminance": SimOption(
@@ -118,11 +121,11 @@ OPTIONS: Mapping[str, SimOption] = {
                1e-3, 1e6, "lux"), type=float | None
     ),
     "effect": SimOption(
-        _named("NAME=VALUE", "Set one effect of the sensor, overriding the preset; names in "
+        named("NAME=VALUE", "Set one effect of the sensor, overriding the preset; names in "
                "docs/sensor.md. May be given several times."), type=list[str] | None
     ),
     "noise": SimOption(
-        _named("NAME", f"Pixel noise without other effects: {', '.join(PRESETS)}."),
+        named("NAME", f"Pixel noise without other effects: {', '.join(PRESETS)}."),
         type=str, default=_IDEAL
     ),
     "lamp": SimOption(
@@ -177,63 +180,27 @@ OPTIONS: Mapping[str, SimOption] = {
         type=tuple[int, int], default=(SimConfig().render.lattice.a, SimConfig().render.lattice.b)
     ),
     "renderer": SimOption(
-        _named("NAME", f"Renderer: {' or '.join(RENDERERS)} (OpenGL)."), "render.renderer"
+        named("NAME", f"Renderer: {' or '.join(RENDERERS)} (OpenGL)."), "render.renderer"
     ),
     "check": SimOption(
         typer.Option("--check/--no-check",
                      help="Check some instants against OpenGL; --no-check where there is none."),
         "render.check"
     ),
-    "gl": SimOption(_named("NAME", "GL backend: auto, osmesa or egl."), "render.backend"),
-    "text": SimOption(
-        typer.Option("--text", help="Write ESIM text files too."), type=bool, default=False
-    ),
+    "gl": SimOption(named("NAME", "GL backend: auto, osmesa or egl."), "render.backend"),
+    "text": SimOption(flag("text", "Write ESIM text files too."), type=bool, default=False),
     "figures": SimOption(
-        typer.Option("--figures",
-                     help="Print statistics of the scene beside those of the authors' sample."),
+        flag("figures", "Print statistics of the scene beside those of the authors' sample."),
         type=bool, default=False
     ),
 }  # fmt: skip
 """By the name of the parameter, in the order of the help."""
 
-_DISTURB = "disturb."
-
-
-def with_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Give a command the parameters of OPTIONS in place of its last, which takes any."""
-    *own, _ = inspect.signature(command).parameters.values()
-    taken = [
-        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=hint)
-        for name, (hint, default) in ((name, _typed(one)) for name, one in OPTIONS.items())
-    ]
-    command.__signature__ = inspect.Signature([*own, *taken])  # type: ignore[attr-defined]
-    command.__annotations__ = {one.name: one.annotation for one in (*own, *taken)}
-    return command
-
-
-def _typed(option: SimOption) -> tuple[Any, Any]:
-    """Give an option's type, with what Typer shows, and its default."""
-    hint, default = option.type, option.default
-    if option.field:
-        is_disturb = option.field.startswith(_DISTURB)
-        config: Any = DisturbConfig() if is_disturb else SimConfig()
-        *path, last = option.field.removeprefix(_DISTURB).split(".")
-        for name in path:
-            config = getattr(config, name)
-        if hint is None:
-            hint, default = get_type_hints(type(config))[last], getattr(config, last)
-    return Annotated[hint, option.info], default
-
 
 def chosen(options: Mapping[str, Any], **more: Any) -> tuple[SimConfig, DisturbConfig]:
-    """Make the configurations that options ask for.
+    """Make the configurations that options ask for; those that set no field are left out.
 
-    Parameters
-    ----------
-    options
-        By the names of OPTIONS; those that set no field are left out.
-    more
-        Further fields of SimConfig: dataclasses, whose own fields options may set too.
+    `more` are further fields of SimConfig: of dataclasses, options may set fields too.
     """
     values = {OPTIONS[name].field: value for name, value in options.items()}
     values.pop("", None)
@@ -266,10 +233,7 @@ def chosen_sensor(
 ) -> SensorPreset:
     """Make the sensor that the options ask for: what is given takes the place of the preset's.
 
-    Raises
-    ------
-    SimError
-        When a name is unknown or a value makes no sense, or two options contradict each other.
+    SimError when a name is unknown, a value makes no sense, or two options contradict each other.
     """
     if noise not in PRESETS:
         raise SimError(f"--noise: expected one of {', '.join(PRESETS)}, got {noise!r}")

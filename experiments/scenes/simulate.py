@@ -7,7 +7,7 @@ import typer
 
 from experiments.lab.bridge import check_mesh, recording_bytes, rig_of
 from experiments.lab.provenance import plain, versions
-from experiments.scenes.options import chosen, chosen_sensor, with_options
+from experiments.scenes.options import OPTIONS, chosen, chosen_sensor
 from experiments.scenes.scene import SceneFigures, pair_figures, scene_table
 from sim.disturb import DisturbConfig, record_disturbed
 from sim.errors import SimError
@@ -18,13 +18,14 @@ from sim.render.lattice import Lattice
 from sim.scene.flyers import DRONES
 from sim.scene.trajectory import SplineConfig
 from sim.storage import Recorded, record
+from ssac.cli.options import with_options
 from ssac.cli.progress import progress
 from ssac.files.hdf5 import load_events_h5
 from ssac.files.whole_file import check_folder, remove_left_over
 from ssac.track.observation import Observation
 
 
-@with_options
+@with_options(OPTIONS)
 def simulate_command(
     out_dir: Annotated[
         Path,

@@ -101,7 +101,8 @@ def points_figure(points: pd.DataFrame, varied: Sequence[str]) -> "Figure":
     others = [name for name in (*varied, "method") if name != x]
     figure = Figure(figsize=(WIDTH_IN, 3.8), layout="constrained")
     for axes, error in zip(figure.subplots(1, len(drawn), squeeze=False)[0], drawn, strict=True):
-        for point, line in points.groupby(others, sort=False, dropna=False):
+        lines = points.groupby(others, sort=False, dropna=False) if others else [((), points)]
+        for point, line in lines:
             if numbers:
                 line = line.sort_values(x)
             mean = line[f"{error}_mean"]

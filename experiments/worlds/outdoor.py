@@ -154,14 +154,7 @@ def write_events(
 ) -> tuple[Path, Path]:
     """Write both cameras' events of the drone, with clouds behind, and camera 2's with its offset.
 
-    Parameters
-    ----------
-    work
-        Folder to write to.
-    folder, truth, flight
-        Of the recording.
-    second
-        Which camera of the flight, from 0 on, is the recording's second.
+    `second` is which camera of the flight, from 0 on, is the recording's second.
     """
     skew_ppm, t_ref_s = truth.clock.skew_ppm, truth.clock.t_ref_s  # the recording has the skew
     offset = Clock(-truth.clock.t_d_s)
@@ -204,16 +197,8 @@ def true_track(
 ) -> PointTrack:
     """Give the images (n, 2) of the drone's origin at times (n,) as a camera's track.
 
-    Parameters
-    ----------
-    times_s, centres_px
-        Of the truth, on camera 1's clock.
-    clock
-        The camera's.
-    resolution
-        Of its image: what is outside is left out.
-    every
-        Samples of the truth from one point to the next.
+    The truth's times are camera 1's; `clock` is the camera's own. What is outside its image is left
+    out, and all but one in `every` samples.
     """
     centres_px = centres_px + _BETWEEN_S * np.gradient(centres_px, times_s, axis=0)
     inside = np.all((centres_px >= 0.0) & (centres_px <= np.array(resolution) - 1.0), axis=1)

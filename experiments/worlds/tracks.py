@@ -117,21 +117,8 @@ def data_sets(
 ) -> Iterator[DataSet]:
     """Read data sets, and synchronise every pair of cameras of each.
 
-    Parameters
-    ----------
-    data
-        Folder with `dataset1` and so on, and `calibration`.
-    work
-        Folder for the tracks and rigs.
-    log
-        Called with a line on each pair.
-    numbers
-        Of the data sets.
-
-    Raises
-    ------
-    SsacError
-        If a folder or file is missing, or not of their form.
+    `data` has the folders `dataset1` and so on, and `calibration`; tracks and rigs go to `work`.
+    SsacError if a folder or file is missing, or not of their form.
     """
     for number in numbers:
         folder, own = data / f"dataset{number}", work / f"dataset{number}"
@@ -223,13 +210,9 @@ def _synchronised(number: int, pair: Pair, tracks: list[Path], rig: Path) -> Ans
 
 
 def pair_tables(sets: Iterable[DataSet]) -> dict[str, pd.DataFrame]:
-    """Lay out what the pairs of data sets gave.
+    """Lay out what the pairs of data sets gave, by the tables' names.
 
-    Returns
-    -------
-    dict of pd.DataFrame
-        By name: a row for each pair; one for each triple of which all pairs are answered; and one
-        for each knot of a clock that wanders.
+    A row is a pair; a triple of which all pairs are answered; or a knot of a clock that wanders.
     """
     pairs, triples, strays = list[Row](), list[Row](), list[Row]()
     for one in sets:
@@ -326,15 +309,8 @@ def _strays(row: Row, estimate: Estimate) -> list[Row]:
 def path_of(one: DataSet) -> tuple[Row, Comparison]:
     """Solve all cameras of a data set at once, from what its pairs gave, and compare with RTK.
 
-    Returns
-    -------
-    tuple
-        The row of the table (PATH_COLUMNS), and how the path lies beside RTK.
-
-    Raises
-    ------
-    SsacError
-        If no cameras see a path together, or RTK cannot be read.
+    Gives the row of the table (PATH_COLUMNS), and how the path lies beside RTK. SsacError if no
+    cameras see a path together, or RTK cannot be read.
     """
     start_s = time.process_time()
     answer = solve_pairs(chain_of(one.tracks, one.rig), one.pairs)

@@ -22,11 +22,9 @@ from ssac.cli.options import (
 )
 from ssac.errors import SsacError
 
-MAX_CAMERA = 1000
-
 OPTIONS = {
     "camera": Option(
-        number("Number of this camera in the rig.", 1, MAX_CAMERA, metavar="K"), type=int, default=1
+        number("Number of this camera in the rig.", 1, 1000, metavar="K"), type=int, default=1
     ),
     "no_denoise": NO_DENOISE,
     "faint": Option(

@@ -37,8 +37,6 @@ TERMINATED = 128 + 15
 PIPE_CLOSED = 128 + 13
 """Whoever read our output stopped reading, as `head` does."""
 
-_INSIST_S = 3.0  # enough to end worker processes and remove temporary files
-
 
 def guarded(run: Callable[[], int], blames_input: tuple[type[Exception], ...] = ()) -> int:
     """Run a command, and turn whatever it raises into one line and an exit code.
@@ -95,7 +93,8 @@ def _insistent_interrupts() -> Iterator[None]:
         return
 
     def interrupt(*_: object) -> None:
-        signal.setitimer(signal.ITIMER_REAL, _INSIST_S)
+        # In 3 s worker processes can end and temporary files be removed.
+        signal.setitimer(signal.ITIMER_REAL, 3.0)
         raise KeyboardInterrupt
 
     before = {

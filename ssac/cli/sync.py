@@ -31,8 +31,6 @@ from ssac.methods.method import DEFAULT, OF_TRACKS, all_summaries
 if TYPE_CHECKING:
     from ssac.pipeline.opened import Known
 
-_MAX_SEARCH_S = 3600.0  # width of a search interval that still ends: its time grows with it
-
 
 def complete_method(incomplete: str) -> list[tuple[str, str]]:
     """List the methods for a shell that completes a name."""
@@ -266,10 +264,11 @@ def _check_search(given: SimpleNamespace) -> None:
     search = given.search
     if search is not None and (given.search_all or given.rate_range is not None):
         raise SsacError("--search: not with --search-all or --rate-range, which try every offset")
-    if search is not None and not 0.0 < search[1] - search[0] <= _MAX_SEARCH_S:
+    most_s = 3600.0  # of a search that still ends: its time grows with the interval
+    if search is not None and not 0.0 < search[1] - search[0] <= most_s:
         raise SsacError(
             "--search: expected a smaller and a larger offset, at most "
-            f"{_MAX_SEARCH_S:g} seconds apart, got {search[0]:g} {search[1]:g}"
+            f"{most_s:g} seconds apart, got {search[0]:g} {search[1]:g}"
         )
     if given.clock not in CLOCKS:
         raise SsacError(f"--clock: expected {' or '.join(CLOCKS)}, got {given.clock}")

@@ -22,8 +22,6 @@ REPEATED = 32
 """So many equal words, or events, in a row are none of a sensor: a block was overwritten."""
 
 _LONGEST_GAP_US = 3600 * US_PER_S  # without an event in one file: no recording pauses for longer
-_SORTED_US = 1000  # out of order by less where a driver mixed events up; by more in a damaged file
-_ANY_SIZE = 1 << 16  # of a sensor [px]: all that an event's field holds
 
 
 @dataclass(frozen=True)
@@ -64,7 +62,7 @@ def checked_file(
     be None), and that is not allowed; or if there are none.
     """
     t, x, y, p = (events[field] for field in ("t", "x", "y", "p"))
-    width, height = (_ANY_SIZE if size is None else size for size in size_px)
+    width, height = (1 << 16 if size is None else size for size in size_px)  # all that fits
     most_equal = len(events) if is_text else REPEATED - 1
     if _is_whole(t, x, y, p, width, height, _LONGEST_GAP_US, most_equal):
         return EventFile(events, *size_px)
@@ -79,7 +77,7 @@ def _in_order(
     events: NDArray[np.void], path: Path, reading: Reading, is_text: bool
 ) -> NDArray[np.void]:
     n_back, first_back, most_back_us, n_leaps, n_repeated = _order(events, _LONGEST_GAP_US)
-    if n_back and not n_leaps and most_back_us < _SORTED_US:
+    if n_back and not n_leaps and most_back_us < 1000:  # as a driver mixes events up
         events = _sorted(events, path, n_back, most_back_us, reading)
         n_back = 0
     elif n_back and not reading.allow_damaged:

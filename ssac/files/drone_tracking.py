@@ -32,7 +32,6 @@ FOCAL_STD, CENTRE_STD_PX = 0.005, 3.0
 """How well phones and camcorders keep a calibration, with focus and stabilisation: between a good
 and a careless one. What a good one allows for, cameras 0 and 1 of data set 1 contradict."""
 
-_LATER = 3  # first data set of the second calibrations
 _LINE = re.compile(r"cam(\d+)\s*-\s*(\S+)")
 
 
@@ -92,7 +91,7 @@ def _camera(folder: Path, name: str, model: str, number: int) -> ImportedCamera:
 
 def _calibration(folder: Path, model: str, number: int) -> tuple[dict[str, Any], float]:
     """Camchain entry and frame rate [1/s] of a model."""
-    name = OF_DATA_SET.get(model, (model, model))[number >= _LATER]
+    name = OF_DATA_SET.get(model, (model, model))[number >= 3]
     path = folder / f"{name}.json"
     try:
         found = json.loads(path.read_text(encoding="utf-8"))

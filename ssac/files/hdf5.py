@@ -37,9 +37,6 @@ EVENTS_PER_BLOCK = 1 << 18
 BYTES_PER_BLOCK = 1 << 24
 """Frames read at once when each of them is summed up."""
 
-_MAX_OFFSET_US = 2.0**60
-_MAX_RATIO = 1000  # no codec makes more bytes of events, or of frames, of one that is stored
-_NEVER_MIND = 1 << 20  # bytes, that anything may take
 _PROPHESEE_ECF = 0x8ECF  # number of the codec of Prophesee's newer HDF5 files, not in hdf5plugin
 
 
@@ -179,7 +176,7 @@ def _offset_us(file: h5py.File, path: Path) -> int:
             f"{offset.dtype}: convert it again"
         )
     value = float(np.ravel(offset[()])[0])
-    if not abs(value) < _MAX_OFFSET_US:  # NaN is not either
+    if not abs(value) < 2.0**60:  # NaN is not either
         raise SsacError(
             f"{path}: t_offset must be a time in microseconds, got {value:g}: convert it again"
         )
@@ -269,7 +266,8 @@ def _check_codec(found: Any, name: str, path: Path) -> None:
 def _check_size(found: Any, name: str, path: Path) -> None:
     largest = max(found.size, math.prod(found.chunks or (0,))) * found.dtype.itemsize
     stored = found.id.get_storage_size()
-    if largest > _NEVER_MIND and largest > _MAX_RATIO * stored:
+    # A megabyte is no matter, and no codec makes more than 1000 bytes of one.
+    if largest > max(1 << 20, 1000 * stored):
         raise SsacError(
             f"{path}: {name} says that it has {found.size} values, but {stored} bytes of it are "
             "stored: the file is damaged, copy or record it again"

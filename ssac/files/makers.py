@@ -48,9 +48,6 @@ _SLACK_EVT3 = 16  # steps of 4.1 ms that the clock of a busy sensor may leave ou
 
 _MAGIC = b"#!AER-DAT4.0\r\n"
 _STREAM = re.compile(rb'<node name="(\d+)"')
-_TABLE_FIELD = 1  # of the header: where the table of packets begins, behind the last of them
-_DESCRIPTION_FIELD = 2  # of the header: the streams, as XML
-_MAX_HEADER = 1 << 24  # bytes
 
 
 def load_makers_file(path: Path, reading: Reading) -> EventFile:
@@ -243,7 +240,7 @@ def check_packets(path: Path) -> list[str]:
         if file.read(len(_MAGIC)) != _MAGIC:
             raise SsacError(f"{path}: not {kind} (its first line is none): copy it again")
         (n_header,) = struct.unpack("<I", file.read(4))
-        if not 16 <= n_header <= min(_MAX_HEADER, size - file.tell()):
+        if not 16 <= n_header <= min(1 << 24, size - file.tell()):
             raise SsacError(
                 f"{path}: not {kind} (its header says that it has {n_header} bytes): copy it again"
             )
@@ -273,7 +270,7 @@ def _broken(file: BinaryIO, end: int, streams: set[int]) -> list[str]:
 
 def _check_description(header: bytes, path: Path) -> None:
     """Raise SsacError unless the header's XML can be parsed: else the library may abort."""
-    place = _field_place(header, _DESCRIPTION_FIELD)
+    place = _field_place(header, 2)
     start = place + struct.unpack_from("<I", header, place)[0] if place else 0
     (length,) = struct.unpack_from("<I", header, start) if place else (0,)
     text = header[start + 4 : start + 4 + length] if place else b""
@@ -289,8 +286,8 @@ def _check_description(header: bytes, path: Path) -> None:
 
 
 def _table_position(header: bytes) -> int:
-    """Read where the table of packets begins off the header; 0 where it does not say."""
-    place = _field_place(header, _TABLE_FIELD)
+    """Read off the header where the table of packets begins, behind them; 0: it does not say."""
+    place = _field_place(header, 1)
     position: int = struct.unpack_from("<q", header, place)[0] if place else 0
     return position
 

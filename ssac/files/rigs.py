@@ -16,9 +16,6 @@ from ssac.camera import MAX_READOUT_S, Camera, Rig, check_camera, check_transfor
 from ssac.errors import SsacError
 from ssac.files.readable import check_is_file, readable, silenced
 
-_MAX_BYTES = 1 << 20  # of a rig file: of a hundred cameras it has less
-_PLUMB_BOB = 5
-_MOST_COEFFICIENTS = 14  # of a lens model, of OpenCV
 _CAMERA = re.compile(r"cam\d+")
 
 _KALIBR_MODELS = {"plumb_bob": "radtan"}  # names of one lens model
@@ -58,9 +55,10 @@ def load_rig(path: Path | str, cameras: tuple[int, int] = (1, 2)) -> Rig:
     if path.suffix.lower() not in (".yaml", ".yml"):
         raise SsacError(f"{path}: unknown extension {path.suffix!r} of a rig: use .yaml or .yml")
     check_is_file(path)
-    if path.stat().st_size > _MAX_BYTES:
+    most_bytes = 1 << 20  # of a hundred cameras it has less
+    if path.stat().st_size > most_bytes:
         raise SsacError(
-            f"{path}: is no rig, which has less than {_MAX_BYTES} bytes: check the path"
+            f"{path}: is no rig, which has less than {most_bytes} bytes: check the path"
         )
     with readable(path, "a readable YAML file of a rig"), silenced():
         text = path.read_text(encoding="utf-8")
@@ -137,9 +135,9 @@ def _camera_from_kalibr(name: str, entry: Any) -> Camera:
     K = np.array([[fu, 0.0, pu], [0.0, fv, pv], [0.0, 0.0, 1.0]])
     model = entry["distortion_model"]
     model = model if isinstance(model, str) else _shown(model)
-    if model == "plumb_bob" and len(coeffs) != _PLUMB_BOB:
+    if model == "plumb_bob" and len(coeffs) != 5:
         raise SsacError(
-            f"{name}: plumb_bob needs {_PLUMB_BOB} coefficients k1 k2 p1 p2 k3, got {len(coeffs)}: "
+            f"{name}: plumb_bob needs 5 coefficients k1 k2 p1 p2 k3, got {len(coeffs)}: "
             "add those missing, as 0 where they are"
         )
     deviations = None
@@ -251,12 +249,15 @@ def _shown(value: Any) -> str:
 
 
 def _is_shaped(value: Any, shape: tuple[int, ...]) -> bool:
-    """Whether lists in lists are of a shape, seen before they are made: YAML's may be endless."""
+    """Whether lists in lists are of a shape, seen before they are made: YAML's may be endless.
+
+    No lens model of OpenCV has more than 14 coefficients.
+    """
     if isinstance(value, np.ndarray):
         return bool(value.shape == shape)
     if not shape:
         return isinstance(value, (int, float, str))
     if not isinstance(value, (list, tuple)):
         return False
-    right = len(value) <= _MOST_COEFFICIENTS if shape[0] == -1 else len(value) == shape[0]
+    right = len(value) <= 14 if shape[0] == -1 else len(value) == shape[0]
     return right and all(_is_shaped(item, shape[1:]) for item in value)

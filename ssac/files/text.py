@@ -19,10 +19,6 @@ from ssac.files.damage import STRICT, Reading, checked_file
 from ssac.files.readable import brief, check_text, side_px
 from ssac.files.whole_file import whole_file
 
-_MAX_WHOLE_S = 1000.0  # times in seconds that go further and are all whole are none of seconds
-_LONGEST_LINE = 4096  # letters of a first line
-_MAX_S = 2.0**62 / US_PER_S  # what a time in whole microseconds holds
-
 LINES_PER_BLOCK = 1_000_000
 """Lines held at once, so that reading needs little more memory than the events."""
 
@@ -84,7 +80,7 @@ def _first_line(path: Path) -> str:
     check_text(path)
     try:
         with path.open(encoding="utf-8-sig") as file:
-            return file.readline(_LONGEST_LINE)
+            return file.readline(4096)
     except UnicodeDecodeError as error:
         raise SsacError(f"{path}: not a text file: give it the extension of its format") from error
 
@@ -138,12 +134,13 @@ def _read_table(
 
 def _microseconds_from_seconds(t_s: NDArray[np.float64], path: Path) -> NDArray[np.int64]:
     """Nearest whole microseconds; SsacError for nan and inf."""
-    if not (np.abs(t_s) < _MAX_S).all():  # NaN is not either
+    most_s = 2.0**62 / US_PER_S  # what a time in whole microseconds holds
+    if not (np.abs(t_s) < most_s).all():  # NaN is not either
         raise SsacError(
-            f"{path}: times must be finite, got nan, inf or more than {_MAX_S:g} s: convert the "
+            f"{path}: times must be finite, got nan, inf or more than {most_s:g} s: convert the "
             "file again"
         )
-    if len(t_s) > 1 and t_s[-1] - t_s[0] > _MAX_WHOLE_S and np.array_equal(t_s, np.rint(t_s)):
+    if len(t_s) > 1 and t_s[-1] - t_s[0] > 1000.0 and np.array_equal(t_s, np.rint(t_s)):
         raise SsacError(
             f"{path}: t must be in seconds, but all times are whole numbers, up to {t_s[-1]:.0f}, "
             "as of microseconds: divide them by 1000000"

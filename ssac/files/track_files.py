@@ -17,7 +17,6 @@ from ssac.points import PointTrack
 TRACK_COLUMNS = ("t_s", "x_px", "y_px")
 TRACK_SUFFIX = ".csv"
 _SIGMA = "sigma_px"
-_LONGEST_LINE = 4096
 
 
 def is_track_file(path: Path) -> bool:
@@ -41,7 +40,7 @@ def load_track(path: Path | str) -> PointTrack:
     check_text(path)
     with readable(path, "a track file, every row of which must be numbers"):
         with path.open(encoding="utf-8") as file:
-            names = _names(file.readline(_LONGEST_LINE))
+            names = _names(file.readline(4096))
         if not set(TRACK_COLUMNS) <= set(names):
             raise SsacError(
                 f"{path}: the first line of a track must name the columns "

@@ -30,8 +30,6 @@ FIGURE_SUFFIXES = (".png", ".pdf", ".svg")
 LEFT_OVER_S = 86_400.0
 """After a day without a write, what a process of another host was writing is left over."""
 
-_LEAST_FREE_BYTES = 1 << 20  # less is a full disk: results are smaller, but there are several
-
 _MADE = re.compile(r"\..*\.(?P<host>[A-Za-z0-9-]+)\.(?P<process>\d+)\.[0-9a-f]{32}\.[a-z]+", re.S)
 
 _NAME_LENGTH = 32  # of 255 bytes that a file's name may have, four for each of these letters
@@ -97,7 +95,8 @@ def check_folder(folder: Path, n_bytes: int = 0) -> None:
         raise WriteError(f"{folder}: {there} is a file: name a folder")
     if not os.access(there, os.W_OK | os.X_OK):
         raise WriteError(f"{folder}: {there} cannot be written to: name another place")
-    free, needed = shutil.disk_usage(there).free, max(n_bytes, _LEAST_FREE_BYTES)
+    # Less than a megabyte is a full disk: results are smaller, but there are several.
+    free, needed = shutil.disk_usage(there).free, max(n_bytes, 1 << 20)
     if free < needed:
         raise WriteError(
             f"{folder}: {free} bytes are free on this disk, and {needed} are needed: make room, or "

@@ -18,21 +18,19 @@ from ssac.geometry.fundamental import (
 from ssac.geometry.pose import nearest_pose, pose_from_fundamental
 from ssac.methods.method import method
 from ssac.methods.verdict import offset_estimate, refused
-from ssac.search.observability import (
+from ssac.search.offset_search import (
+    Cost,
+    OffsetSearch,
     ambiguous_offset,
+    candidate_offsets,
+    coarse_to_fine_search,
     coarsest_step,
+    exhaustive_search,
+    mean_epipolar_distance,
     no_match,
     open_fundamental,
     too_little_motion,
     valleys,
-)
-from ssac.search.offset_search import (
-    Cost,
-    OffsetSearch,
-    candidate_offsets,
-    coarse_to_fine_search,
-    exhaustive_search,
-    mean_epipolar_distance,
 )
 from ssac.search.two_views import TwoViews
 from ssac.search.view import View
@@ -67,14 +65,7 @@ def straight_path(method: str, views: TwoViews, lines: tuple[View, View]) -> Est
         sampled = (_sampled(lines, views, offset_s) for offset_s in t_d_s)
         return np.array([np.nan if line is None else _misfit_px(line) for line in sampled])
 
-    candidates_s = candidate_offsets(views)
-    search = (
-        exhaustive_search(cost_px, candidates_s)
-        if config.exhaustive
-        else coarse_to_fine_search(
-            cost_px, cost_px, candidates_s, coarsest_step(lines, rules), rules
-        )
-    )
+    search = _search(cost_px, cost_px, views)
     estimate = offset_estimate(method, search, views)
     if estimate.status != Status.OK:
         return estimate
@@ -200,7 +191,7 @@ def algorithm_1(views: TwoViews) -> Estimate:
     def d_avg_px(t_d_s: Array) -> Array:  # lines 2 to 8, for all candidates at once
         return mean_epipolar_distance(F, views.pairs(t_d_s), min_pairs)
 
-    search = _search(d_avg_px, d_avg_px, views)  # lines 1 and 10
+    search = _search(d_avg_px, d_avg_px, views, views.returns_s)  # lines 1 and 10
     estimate = offset_estimate("ssac-known", search, views)
     if estimate.status != Status.OK:
         return estimate
@@ -237,6 +228,7 @@ def algorithm_2(views: TwoViews) -> Estimate:
         partial(d_avg_px, reweighted_fundamental, max(config.n_samples // 2, rules.min_pairs)),
         partial(d_avg_px, robust_fit, config.n_samples),
         views,
+        views.returns_s,
     )
     estimate = offset_estimate("ssac", search, views)
     if estimate.status != Status.OK:
@@ -260,12 +252,14 @@ def algorithm_2(views: TwoViews) -> Estimate:
     return with_pose(estimate, F, views, p1, p2)  # line 11
 
 
-def _search(coarse_cost: Cost, cost: Cost, views: TwoViews) -> OffsetSearch:
+def _search(
+    coarse_cost: Cost, cost: Cost, views: TwoViews, returns_s: Array | None = None
+) -> OffsetSearch:
     candidates_s, rules = candidate_offsets(views), views.config.rules.search
     if views.config.exhaustive:
         return exhaustive_search(cost, candidates_s)
     coarsest = coarsest_step(views.views, rules)
-    return coarse_to_fine_search(coarse_cost, cost, candidates_s, coarsest, rules, views.returns_s)
+    return coarse_to_fine_search(coarse_cost, cost, candidates_s, coarsest, rules, returns_s)
 
 
 def _robust_fit(p1_px: Array, p2_px: Array, views: TwoViews, trials: int) -> Array:

@@ -13,6 +13,7 @@ from ssac.errors import SsacError
 from ssac.estimate import Estimate, Status
 from ssac.events import US_PER_S
 from ssac.methods.method import Input, method
+from ssac.rules import SignalRules
 from ssac.track.observation import Observation
 
 Array = NDArray[np.float64]
@@ -62,18 +63,25 @@ def _first_from_each(
     return indices
 
 
-def binned(times_s: Array, values: Array, bin_s: float) -> Signal:
-    """Average values (n,) at ascending times in each bin; empty bins are interpolated."""
+def binned(times_s: Array, values: Array | None, bin_s: float) -> Signal:
+    """Average values (n,) at ascending times in each bin, empty bins interpolated; None counts."""
     bins = np.floor(times_s / bin_s + 1e-6).astype(np.int64)  # frame times are often exact bounds
     if len(bins) == 0:
         return Signal(0, np.empty(0))
     counts = np.bincount(bins - bins[0])
+    if values is None:
+        return Signal(int(bins[0]), counts.astype(np.float64))
     means = np.bincount(bins - bins[0], values) / np.maximum(counts, 1)
     filled = np.flatnonzero(counts)
     return Signal(int(bins[0]), np.interp(np.arange(len(counts)), filled, means[filled]))
 
 
-def zncc(signal1: Signal, signal2: Signal, lags: NDArray[np.int64], min_overlap: float) -> Array:
+def zncc(
+    signal1: Signal,
+    signal2: Signal,
+    lags: NDArray[np.int64],
+    min_overlap: float = SignalRules.min_overlap,
+) -> Array:
     """Zero-normalised cross-correlation of signal1 at bin b with signal2 at bin b + lag.
 
     From -1 to 1, over the bins that both signals cover; NaN when these are less than a share of the

@@ -19,7 +19,7 @@ from ssac.geometry.epipolar import sampson_distance
 from ssac.geometry.pose import Pose, homography_poses, possible_poses, share_in_front
 from ssac.methods.verdict import certain, refused
 from ssac.rules import Rules
-from ssac.search.observability import (
+from ssac.search.offset_search import (
     no_match,
     open_fundamental,
     other_offsets,

@@ -11,8 +11,7 @@ from ssac.events import US_PER_S, time_quantum_s
 from ssac.geometry.epipolar import robust_deviation
 from ssac.geometry.pose import tangent_basis
 from ssac.rules import VerdictRules
-from ssac.search.observability import Valley
-from ssac.search.offset_search import OffsetSearch
+from ssac.search.offset_search import OffsetSearch, Valley
 from ssac.search.two_views import TwoViews
 from ssac.track.motion import PointMotion
 from ssac.track.observation import Observation

@@ -22,13 +22,6 @@ from ssac.network.tum import Path
 
 Array = NDArray[np.float64]
 
-_LEAST_POINTS = 3  # that are not on a line
-_DENSE = 20  # points from one of the truth's to the next, where it is a shape
-_MOST_POINTS = 2000  # of the estimate, evenly, while it is moved
-_N_STEPS = 200
-_DONE = 1e-7  # change of the distance, by itself
-_MOST_GROWTH = 2.0  # of the scale from its start: the nearest points of a small path are one point
-
 
 @dataclass(frozen=True, eq=False)
 class Difference:
@@ -123,9 +116,9 @@ def compare(
         If they share too little time or do not move enough, or the attitude is missing.
     """
     for name, path in (("estimate", estimate), ("truth", truth)):
-        if len(path) < _LEAST_POINTS:
+        if len(path) < 3:
             raise SsacError(
-                f"the {name} has {len(path)} points, and at least {_LEAST_POINTS} tell how it is "
+                f"the {name} has {len(path)} points, and at least 3 tell how it is "
                 "turned: give more of it"
             )
     if lever_arm_m is not None:
@@ -174,7 +167,8 @@ def _shape(truth: Path) -> Array:
     """Points of the truth and between them, but for its gaps."""
     n = len(truth)
     times_s = truth.times_s if truth.has_times else np.arange(n, dtype=np.float64)
-    dense_s = np.interp(np.arange((n - 1) * _DENSE + 1) / _DENSE, np.arange(n), times_s)
+    dense = 20  # points from one to the next
+    dense_s = np.interp(np.arange((n - 1) * dense + 1) / dense, np.arange(n), times_s)
     points = interpolated(replace(truth, times_s=times_s)).at(dense_s)
     return np.asarray(points[np.isfinite(points[:, 0])])
 
@@ -189,7 +183,7 @@ def registered(
     frame to the target's comes the distance (n,) [m] of each point.
     """
     tree = KDTree(target)
-    thin = source[:: max(1, len(source) // _MOST_POINTS)]
+    thin = source[:: max(1, len(source) // 2000)]  # enough while it is moved
     starts = [start] if start is not None else [*_by_main_axes(source, target, with_scale)]
     found = [_closest(thin, target, tree, each, with_scale) for each in starts]
     # By the scale: a path that shrinks is near to everything.
@@ -202,17 +196,18 @@ def _closest(
 ) -> tuple[Similarity, float]:
     """Move the source until its distances rest; give the similarity and their RMS [m]."""
     fit, before = start, np.inf
-    for _ in range(_N_STEPS):
+    most_growth = 2.0  # of the scale: the nearest points of a small path are one point
+    for _ in range(200):
         distances, nearest = tree.query(fit.apply(source))
         rms = float(np.sqrt(np.mean(distances**2)))
-        if before - rms <= _DONE * rms:
+        if before - rms <= 1e-7 * rms:
             break
         before = rms
         try:
             moved = similarity(source, target[nearest], with_scale)
         except SsacError:
             break  # all nearest to one stretch of the truth
-        if not 1.0 / _MOST_GROWTH < moved.scale / start.scale < _MOST_GROWTH:
+        if not 1.0 / most_growth < moved.scale / start.scale < most_growth:
             break
         fit = moved
     return fit, before

@@ -14,18 +14,9 @@ from ssac.network.align import Similarity, similarity
 from ssac.network.comparison import compare, without_lever_arm
 from ssac.network.solve import CameraAnswer, NetworkAnswer, path_of
 from ssac.network.tum import read_path
+from ssac.rules import GroundRules
 
 Array = NDArray[np.float64]
-
-MAX_OFF = 0.1
-"""Rms distance of cameras from where they are said to stand, as a share of their spread, at most:
-known to 5 cm at best, over tens of metres."""
-
-LEAST_EXPLAINED = 0.9
-"""Share of the motion of RTK that a path of the same flight explains, at least."""
-
-RTK_RATE_STD_PPM = 1000.0
-"""Prior deviation of the rate between RTK's clock and a camera's: those of phones."""
 
 POSITION_COLUMNS = ("camera", "x_m", "y_m", "z_m")
 
@@ -38,7 +29,7 @@ class Ground:
     said: str  # how well it fits, for people
 
 
-def ground_of_positions(answer: NetworkAnswer, file: Path) -> Ground:
+def ground_of_positions(answer: NetworkAnswer, file: Path, rules: GroundRules) -> Ground:
     """Fit three cameras or more to where they are said to stand; SsacError if that is not so."""
     said = load_positions(file)
     here, there = [], []
@@ -56,7 +47,7 @@ def ground_of_positions(answer: NetworkAnswer, file: Path) -> Ground:
     off_m = np.linalg.norm(found.apply(np.array(here)) - np.array(there), axis=1)
     spread_m = np.linalg.norm(np.array(there) - np.mean(there, axis=0), axis=1)
     rms_m, extent_m = float(np.sqrt(np.mean(off_m**2))), float(np.sqrt(np.mean(spread_m**2)))
-    if rms_m > MAX_OFF * extent_m:
+    if rms_m > rules.max_off_share * extent_m:
         raise SsacError(
             f"{file}: the cameras' poses contradict these positions, by {rms_m:.2f} m over "
             f"{extent_m:.2f} m: check which camera is which, and the order x y z"
@@ -65,7 +56,10 @@ def ground_of_positions(answer: NetworkAnswer, file: Path) -> Ground:
 
 
 def ground_of_rtk(
-    answer: NetworkAnswer, file: Path, lever_arm_m: tuple[float, float, float] | None = None
+    answer: NetworkAnswer,
+    file: Path,
+    rules: GroundRules,
+    lever_arm_m: tuple[float, float, float] | None = None,
 ) -> Ground:
     """Lay the path of a network over one of RTK, whose clock is free.
 
@@ -73,8 +67,9 @@ def ground_of_rtk(
     attitude, and the path is of the body's origin. SsacError if the file is of another flight.
     """
     path, rtk = answer.paths[0].path, read_path(file)
-    found = compare(path, rtk, rate_std_ppm=RTK_RATE_STD_PPM, lever_arm_m=lever_arm_m).in_time
-    if found is None or found.explained < LEAST_EXPLAINED:
+    std_ppm = rules.rtk_rate_std_ppm
+    found = compare(path, rtk, rate_std_ppm=std_ppm, lever_arm_m=lever_arm_m).in_time
+    if found is None or found.explained < rules.least_explained:
         share = 0.0 if found is None else found.explained
         raise SsacError(
             f"{file}: at the best of all shifts the path explains {100.0 * share:.0f} % of its "

@@ -19,8 +19,6 @@ from ssac.track.clean import Clean
 
 Log = Callable[[str], None]
 
-_NEXT_LINE = "\n" + 19 * " "  # of one part's progress
-
 
 def quiet(line: str) -> None:
     """Log nothing."""
@@ -128,4 +126,5 @@ class Stopwatch:
         took_s = time.perf_counter() - start_s
         self.seconds[name] = self.seconds.get(name, 0.0) + took_s
         if lines:
-            self.log(f"{name:9}{took_s:6.2f} s  {_NEXT_LINE.join(lines)}")
+            between = "\n" + 19 * " "
+            self.log(f"{name:9}{took_s:6.2f} s  {between.join(lines)}")

@@ -29,7 +29,7 @@ from ssac.methods.method import Input, Method
 from ssac.methods.verdict import less_sure, quantum_s
 from ssac.pipeline.answer import Answer, Log, Stopwatch, quiet
 from ssac.pipeline.registry import choose_method, load
-from ssac.search.observability import has_common_time, unusable
+from ssac.search.offset_search import has_common_time, unusable
 from ssac.search.one_object import one_object
 from ssac.search.start import Start, start_of
 from ssac.search.two_views import TwoViews, views_of

@@ -19,6 +19,7 @@ from ssac.pipeline.many_report import NetworkResult, save_many
 from ssac.pipeline.object_track import ShapedTrack, shaped_track_of_events, track_of_events
 from ssac.pipeline.opened import NOTHING, Known
 from ssac.points import PointTrack
+from ssac.rules import GroundRules
 from ssac.track.body import LEAST_VIEWS
 from ssac.track.clean import Clean
 
@@ -36,7 +37,7 @@ def network(chain: Chain, method: Method | None = None, known: Known = NOTHING) 
             say(_in_words(pairs[a, b]))
     with watch.part("network") as say, one_thread():
         answer = solve_pairs(chain, pairs, known.distance_m)
-        answer, ground = grounded(answer, known)
+        answer, ground = grounded(answer, known, chain.config.rules.ground)
         say(", ".join(f"{camera.name} {camera.status}" for camera in answer.cameras))
     in_metres = ground is not None or known.distance_m is not None
     names = tuple(chain.name(k) for k in range(len(chain)))
@@ -66,14 +67,16 @@ def solve_pairs(
     return solve_network(seen, links, prior_ppm, distance_m or 1.0, chain.config.rules)
 
 
-def grounded(answer: NetworkAnswer, known: Known) -> tuple[NetworkAnswer, Ground | None]:
+def grounded(
+    answer: NetworkAnswer, known: Known, rules: GroundRules
+) -> tuple[NetworkAnswer, Ground | None]:
     """Put an answer into the frame that is known, where one is and there is a network at all."""
     if not answer.built:
         return answer, None
     if known.positions is not None:
-        ground = ground_of_positions(answer, known.positions)
+        ground = ground_of_positions(answer, known.positions, rules)
     elif known.rtk is not None:
-        ground = ground_of_rtk(answer, known.rtk, known.lever_arm_m)
+        ground = ground_of_rtk(answer, known.rtk, rules, known.lever_arm_m)
     else:
         return answer, None
     return in_frame(answer, ground), ground
@@ -89,7 +92,7 @@ def write_path_of_two(file: Path, answer: Answer, known: Known, log: Log) -> Non
         distance_m = float(np.linalg.norm(T_2_1[:3, 3]))
     chain = Chain(answer.cleans, answer.rig, answer.config)
     found = solve_pairs(chain, {(0, 1): answer}, distance_m)
-    write_paths(file, grounded(found, known)[0], log)
+    write_paths(file, grounded(found, known, answer.config.rules.ground)[0], log)
 
 
 def write_many(

@@ -1,6 +1,6 @@
 """The track of the object through the events of one camera."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,13 +28,12 @@ class ShapedTrack:
     images: Images | None = None  # at each point; None where there are no silhouettes
 
 
-def track_of_events(clean: Clean, config: Config | None = None) -> PointTrack:
+def track_of_events(clean: Clean, config: Config) -> PointTrack:
     """Follow the object through the events of one camera, whose windows the config has.
 
     A point is where a window holds enough events, and few of them on the border: in the image as it
     is, distorted. SsacError if the events show no object anywhere.
     """
-    config = config or Config()
     points, sharp = _followed(clean, config)
     rules = config.rules.track
     return PointTrack(sharp.times_s, points, _sigmas_px(rules.mean_sizes, sharp.sizes_px, rules))
@@ -48,14 +47,11 @@ def things_seen(clean: Clean, rules: ObjectRules) -> int:
     return found.n_seen if found.are_several else 1
 
 
-def shaped_track_of_events(
-    clean: Clean, recorded: NDArray[np.void], config: Config | None = None
-) -> ShapedTrack:
+def shaped_track_of_events(clean: Clean, recorded: NDArray[np.void], config: Config) -> ShapedTrack:
     """Follow the centre of the image's area, where events tell it, and else the mean of the events.
 
     The times are those of `track_of_events`; `recorded` are all events, noise included.
     """
-    config = config or Config()
     points, sharp = _followed(clean, config)
     sizes_px = sharp.sizes_px
     rules, track_px = config.rules.track, sharp.positions_px
@@ -87,15 +83,8 @@ def _followed(clean: Clean, config: Config) -> tuple[NDArray[np.float64], SharpT
             f"no window of {2e3 * config.half_window_s:g} ms shows an object: {len(clean.events)} "
             "events are left after denoising; record closer to it, or give a smaller --n-min"
         )
-    kept = SharpTrack(
-        times_s[good],
-        sharp.positions_px[good],
-        sharp.counts[good],
-        sharp.valid[good],
-        sharp.velocities_px_s[good],
-        sharp.sizes_px[good],
-    )
-    return points[good], kept
+    kept = {one.name: getattr(sharp, one.name)[good] for one in fields(sharp)}
+    return points[good], SharpTrack(**kept)
 
 
 def _sigmas_px(

@@ -40,8 +40,6 @@ _ARGUMENTS = (
 )  # fmt: skip
 """Of `sync`, beside the fields of a config."""
 
-_LONG_STEP_S = 0.9  # between points of a track: times that count frames are 1 apart
-
 
 @dataclass(frozen=True)
 class Known:
@@ -245,7 +243,7 @@ def _kind(value: object) -> str:
 
 def _warn_of_long_steps(times_s: NDArray[np.float64], path: Path) -> None:
     step_s = float(np.median(np.diff(times_s))) if len(times_s) > 1 else 0.0
-    if step_s > _LONG_STEP_S:
+    if step_s > 0.9:  # times that count frames are 1 apart
         warnings.warn(
             f"{path}: its points are {step_s:.3g} s apart, which tells little of a motion: if t_s "
             "is in milliseconds or counts frames, give seconds",

@@ -43,14 +43,6 @@ ZOOM_S = 0.003
 """Half the width of the zoom around the minimum, as in the paper's Fig. 5."""
 
 _WIDTH_IN, _DPI = 9.0, 150
-_ZOOM_STEP_S = 50e-6
-_MAX_MARKERS = 300
-_AXES_WIDTH_PT = 270.0  # of one of two axes side by side
-_SEARCH_STEP_S = 2e-3
-_STRETCH_PER_OFFSET = 20.0  # the stretch of time drawn is so many offsets long
-_STRETCH_S = (0.4, 2.0)  # and at least and at most this long
-_LEGIBLE_PX = 15.0  # a distance d of this length is seen at a glance
-_MAX_POINTS = 6000  # per camera: more would only blot the picture
 
 
 @dataclass(frozen=True)
@@ -137,7 +129,7 @@ def draw_search(canvas: Canvas, material: Material) -> None:
         whole.plot(offsets_s, -costs, color=BLUE, lw=1)
         whole.set(ylabel="correlation", title="Correlation over the search interval")
     else:
-        marker = "." if len(offsets_s) <= _MAX_MARKERS else ""
+        marker = "." if len(offsets_s) <= 300 else ""
         whole.plot(offsets_s, costs, "-", marker=marker, color=BLUE, lw=1, ms=3)
         whole.set(ylabel="$d_{avg}$ [px]", title="$d_{avg}$ over the search interval")
         whole.set_ylim(bottom=0.0)
@@ -145,8 +137,8 @@ def draw_search(canvas: Canvas, material: Material) -> None:
     if np.isfinite(t_d_s):
         _mark_offset(whole, t_d_s, f"$t_d$ = {1e3 * t_d_s:.2f} ms")
     for zoom in rest:
-        steps = np.arange(-round(ZOOM_S / _ZOOM_STEP_S), round(ZOOM_S / _ZOOM_STEP_S) + 1)
-        near_s: Array = t_d_s + _ZOOM_STEP_S * steps.astype(np.float64)
+        n_steps = round(ZOOM_S / 50e-6)
+        near_s: Array = t_d_s + 50e-6 * np.arange(-n_steps, n_steps + 1, dtype=np.float64)
         zoom.plot(1e3 * near_s, d_avg_px(material, near_s), color=BLUE, lw=1)
         _mark_offset(zoom, 1e3 * t_d_s, f"$t_d$ = {1e3 * t_d_s:.3f} ms")
         zoom.ticklabel_format(useOffset=False)
@@ -227,7 +219,7 @@ def search_curve(material: Material) -> tuple[Array, Array]:
     estimate = material.estimate
     if np.isfinite(estimate.costs).any():
         return estimate.candidates_s, estimate.costs
-    offsets_s: Array = np.arange(*material.config.offsets_s, _SEARCH_STEP_S, dtype=np.float64)
+    offsets_s: Array = np.arange(*material.config.offsets_s, 2e-3, dtype=np.float64)
     return offsets_s, d_avg_px(material, offsets_s)
 
 
@@ -260,7 +252,7 @@ def epipolar_rows(material: Material) -> list[EpipolarRow]:
     else:
         pairings = pairings[1:]
         distances = epipolar_distance(F, *pairs.points_px)
-    time_s = float(times_s[np.argmin(np.abs(distances - _LEGIBLE_PX))])
+    time_s = float(times_s[np.argmin(np.abs(distances - 15.0))])  # px: seen at a glance
     rows = []
     for name, offset_s in pairings:
         p1 = motion1.at(np.array([time_s])).positions_px
@@ -276,7 +268,7 @@ def telling_stretch(material: Material) -> tuple[float, float]:
     Of all that start at a sample time: where the angle of the epipolar plane varies most.
     """
     t_d_s = material.estimate.t_d_s
-    length_s = float(np.clip(_STRETCH_PER_OFFSET * abs(t_d_s), *_STRETCH_S))
+    length_s = float(np.clip(20.0 * abs(t_d_s), 0.4, 2.0))
     pairs = material.views.pairs(np.array([t_d_s]))
     times_s, valid = pairs.times_s[0], pairs.valid[0]
     length_s = min(length_s, float(times_s[-1] - times_s[0]))
@@ -312,7 +304,7 @@ def points_in_time(
 ) -> tuple[Array, Array]:
     """Thin a stretch of events to times (n,) [s] and undistorted positions (n, 2) [px]."""
     events = window(material, camera, start_s + 0.5 * length_s, 0.5 * length_s)
-    events = events[:: max(1, len(events) // _MAX_POINTS)]
+    events = events[:: max(1, len(events) // 6000)]  # more would only blot the picture
     points = undistorted(events, (material.rig.cam1, material.rig.cam2)[camera])
     return events["t"] / US_PER_S, points
 
@@ -381,7 +373,8 @@ def _draw_events(
     events = window(material, camera, time_s, material.config.half_window_s)
     points = undistorted(events, (material.rig.cam1, material.rig.cam2)[camera])
     colors = np.where(events["p"] > 0, YELLOW, BLUE)
-    pixel_pt = 1.15 * _AXES_WIDTH_PT / (2.0 * reach_px)  # a little more, lest they leave gaps
+    width_pt = 270.0  # of one of two axes side by side
+    pixel_pt = 1.15 * width_pt / (2.0 * reach_px)  # a little more, lest they leave gaps
     x, y = points.T
     axes.scatter(x, y, s=pixel_pt**2, c=colors, marker="s", linewidths=0.0, rasterized=True)
 

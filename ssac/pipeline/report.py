@@ -15,8 +15,6 @@ from ssac.methods.method import Method
 from ssac.pipeline.answer import Answer
 from ssac.track.clean import Clean
 
-_FAR = 3.0  # times what was expected of a skew
-
 _OF_CLOCK = ("t_d_s", "t_d_std_s", "t_ref_s", "skew_ppm", "skew_std_ppm")
 
 
@@ -154,7 +152,7 @@ def _skew_rows(estimate: Estimate, answer: Answer) -> list[tuple[str, str]]:
         rows.append(("", f"and strays by up to {most_ms:.3f} ms, {len(estimate.knots_s)} knots"))
     guess, prior_ppm = answer.guess, answer.config.prior_ppm
     is_found = guess is not None and guess.rate != 1.0  # before the prior held
-    if ppm > _FAR * prior_ppm and not is_found:
+    if ppm > 3.0 * prior_ppm and not is_found:
         prior = f"{prior_ppm:g} ppm expected of such clocks"
         rows.append(("", f"far beyond the {prior}: see --skew-prior"))
     return rows

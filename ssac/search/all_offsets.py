@@ -9,6 +9,7 @@ than the most that any offset does: a short piece of path fits many another by c
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -30,8 +31,7 @@ class Fit:
     iterations: int
 
 
-@dataclass(frozen=True)
-class Grid:
+class Grid(NamedTuple):
     """A track sampled at whole steps of time."""
 
     first: int  # steps from time zero
@@ -77,15 +77,7 @@ def scan_lags(
     for start in range(0, len(lags), chunk):
         part = slice(start, start + chunk)
         costs[part], counts[part] = costs_at_lags(
-            one.p_px,
-            one.valid,
-            other.p_px,
-            other.valid,
-            lags[part],
-            (one.least_px, other.least_px),
-            fit.n_pairs,
-            rules.least_pairs,
-            fit.iterations,
+            one, other, lags[part], fit.n_pairs, rules.least_pairs, fit.iterations
         )
         if progress is not None:
             progress(min(1.0, (start + chunk) / len(lags)))
@@ -106,12 +98,9 @@ def local_minima(costs: Array, most: int) -> list[int]:
 
 @numba.njit(cache=True)
 def costs_at_lags(
-    p1_px: NDArray[np.float64],
-    valid1: NDArray[np.bool_],
-    p2_px: NDArray[np.float64],
-    valid2: NDArray[np.bool_],
+    one: Grid,
+    other: Grid,
     lags: NDArray[np.int64],
-    least_px: tuple[float, float],
     n_pairs: int,
     least_pairs: int,
     iterations: int,
@@ -123,51 +112,39 @@ def costs_at_lags(
     below `least_pairs`. An object at rest says nothing, so that a sample counts only when both
     images have moved by `least_px` since the last one that did.
     """
-    n1, n2 = len(valid1), len(valid2)
     costs, counts = np.full(len(lags), np.nan), np.zeros(len(lags), np.int64)
-    chosen = np.empty(n1, np.int64)
+    chosen = np.empty(len(one.valid), np.int64)
     for m in range(len(lags)):
         lag = lags[m]
-        first, last = max(0, -lag), min(n1, n2 - lag)
-        count = moving_pairs(p1_px, valid1, p2_px, valid2, lag, first, last, least_px, chosen)
+        count = moving_pairs(one, other, lag, chosen)
         counts[m] = count
         if count < least_pairs:
             continue
         n = min(count, n_pairs)
-        one, other = np.empty((n, 2)), np.empty((n, 2))
+        p1, p2 = np.empty((n, 2)), np.empty((n, 2))
         for j in range(n):
             i = chosen[j * count // n]
-            one[j], other[j] = p1_px[i], p2_px[i + lag]
-        costs[m] = relative_cost(one, other, iterations)
+            p1[j], p2[j] = one.p_px[i], other.p_px[i + lag]
+        costs[m] = relative_cost(p1, p2, iterations)
     return costs, counts
 
 
 @numba.njit(cache=True)
-def moving_pairs(
-    p1_px: NDArray[np.float64],
-    valid1: NDArray[np.bool_],
-    p2_px: NDArray[np.float64],
-    valid2: NDArray[np.bool_],
-    lag: int,
-    first: int,
-    last: int,
-    least_px: tuple[float, float],
-    chosen: NDArray[np.int64],
-) -> int:
-    """Fill in the samples of track 1, from `first` up to `last`, that count; give their number."""
+def moving_pairs(one: Grid, other: Grid, lag: int, chosen: NDArray[np.int64]) -> int:
+    """Fill in the samples of track 1 that count beside those a lag later; give their number."""
     count = 0
     x1 = y1 = x2 = y2 = 1e12
-    for i in range(first, last):
-        if not (valid1[i] and valid2[i + lag]):
+    for i in range(max(0, -lag), min(len(one.valid), len(other.valid) - lag)):
+        if not (one.valid[i] and other.valid[i + lag]):
             continue
-        one, other = p1_px[i], p2_px[i + lag]
-        if abs(one[0] - x1) + abs(one[1] - y1) < least_px[0]:
+        here, there = one.p_px[i], other.p_px[i + lag]
+        if abs(here[0] - x1) + abs(here[1] - y1) < one.least_px:
             continue
-        if abs(other[0] - x2) + abs(other[1] - y2) < least_px[1]:
+        if abs(there[0] - x2) + abs(there[1] - y2) < other.least_px:
             continue
         chosen[count] = i
         count += 1
-        x1, y1, x2, y2 = one[0], one[1], other[0], other[1]
+        x1, y1, x2, y2 = here[0], here[1], there[0], there[1]
     return count
 
 
@@ -348,18 +325,7 @@ def _refined(
     """Refine an offset, and the rate where it is free, by ever shorter steps."""
     other = grid_of(motion2, step_s, rules, scan.rate)
     chosen = np.empty(len(one.valid), np.int64)
-    first, last = max(0, -lag), min(len(one.valid), len(other.valid) - lag)
-    count = moving_pairs(
-        one.p_px,
-        one.valid,
-        other.p_px,
-        other.valid,
-        lag,
-        first,
-        last,
-        (one.least_px, other.least_px),
-        chosen,
-    )
+    count = moving_pairs(one, other, lag, chosen)
     if count < rules.least_pairs:
         return None
     n = min(count, 2 * rules.pairs)

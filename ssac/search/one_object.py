@@ -20,7 +20,7 @@ from ssac.estimate import Refusal, Status
 from ssac.geometry.epipolar import sampson_distance
 from ssac.geometry.fundamental import lmeds_fundamental, reweighted_fundamental
 from ssac.rules import Rules
-from ssac.search.all_offsets import costs_at_lags, local_minima
+from ssac.search.all_offsets import Grid, costs_at_lags, local_minima
 from ssac.track.clean import Clean, ObjectsUsed
 from ssac.track.clutter import chosen_events
 from ssac.track.motion import point_motion
@@ -41,15 +41,6 @@ class Match:
     distance_px: float  # their median
 
 
-@dataclass(frozen=True)
-class _Sampled:
-    """Paths sampled at half bins."""
-
-    first: int  # half bins from the recording's start
-    positions_px: Array  # (n, 2)
-    valid: NDArray[np.bool_]  # (n,)
-
-
 def matches(
     pieces1: list[Piece],
     pieces2: list[Piece],
@@ -60,7 +51,10 @@ def matches(
 
     The interval is of offsets [s], as if both recordings started at a time; None for any.
     """
-    grids1, grids2 = list(map(_sampled, pieces1)), list(map(_sampled, pieces2))
+    grids1, grids2 = (
+        [_sampled(piece, rules.match.least_moved_px) for piece in pieces]
+        for pieces in (pieces1, pieces2)
+    )
     starts = []
     for chain1 in _candidates(pieces1, rules):
         one = _joined([grids1[i] for i in chain1])
@@ -95,10 +89,7 @@ def _candidates(pieces: list[Piece], rules: Rules) -> list[list[int]]:
 
 
 def _distinct(found: list[Match], rules: Rules) -> list[Match]:
-    """Take one match for each offset: of two objects that bear out the same, that of more events.
-
-    The other has to be seen for most of the time that the best borne out is.
-    """
+    """Take one match for each offset: of two that bear out the same, that of more events."""
     kept: list[Match] = []
     left = found
     while left:
@@ -109,48 +100,38 @@ def _distinct(found: list[Match], rules: Rules) -> list[Match]:
     return kept
 
 
-def _sampled(piece: Piece) -> _Sampled:
+def _sampled(piece: Piece, least_px: float) -> Grid:
     """Sample a piece at half bins, in between by the mean of its neighbours."""
     positions = piece.positions_px
     between = 0.5 * (positions[:-1] + positions[1:])
     sampled = np.empty((2 * len(positions) - 1, 2))
     sampled[::2], sampled[1::2] = positions, between
-    return _Sampled(2 * piece.first, np.nan_to_num(sampled), np.isfinite(sampled[:, 0]))
+    return Grid(2 * piece.first, np.nan_to_num(sampled), np.isfinite(sampled[:, 0]), least_px)
 
 
-def _joined(grids: list[_Sampled]) -> _Sampled:
+def _joined(grids: list[Grid]) -> Grid:
     """Put pieces that follow each other on one grid."""
     first, last = grids[0].first, grids[-1].first + len(grids[-1].valid)
     positions, valid = np.zeros((last - first, 2)), np.zeros(last - first, np.bool_)
     for grid in grids:
         part = slice(grid.first - first, grid.first - first + len(grid.valid))
-        positions[part], valid[part] = grid.positions_px, grid.valid
-    return _Sampled(first, positions, valid)
+        positions[part], valid[part] = grid.p_px, grid.valid
+    return Grid(first, positions, valid, grids[0].least_px)
 
 
 def _minima(
-    one: _Sampled, other: _Sampled, interval_s: tuple[float, float] | None, rules: Rules
+    one: Grid, other: Grid, interval_s: tuple[float, float] | None, rules: Rules
 ) -> list[tuple[float, int]]:
-    """Find the costs of the best offsets of two chains, and these offsets [half bins].
-
-    The more path they have in common, the less an offset costs.
-    """
+    """Find the costs of the best offsets of two chains, and these offsets [half bins]."""
     shift, half_bin_s = other.first - one.first, 0.5e-6 * rules.objects.bin_us
     first, last = 1 - len(one.valid), len(other.valid) - 1
     if interval_s is not None:
         low, high = (bound_s / half_bin_s - shift for bound_s in interval_s)
         first, last = max(first, int(np.ceil(low))), min(last, int(np.floor(high)))
     lags = np.arange(first, last + 1, dtype=np.int64)
+    match = rules.match
     costs, counts = costs_at_lags(
-        one.positions_px,
-        one.valid,
-        other.positions_px,
-        other.valid,
-        lags,
-        (rules.match.least_moved_px, rules.match.least_moved_px),
-        rules.match.pairs,
-        rules.match.least_pairs,
-        rules.match.iterations,
+        one, other, lags, match.pairs, match.least_pairs, match.iterations
     )
     shared = costs / np.maximum(counts, 1)
     return [
@@ -158,7 +139,7 @@ def _minima(
     ]
 
 
-def _common(one: _Sampled, other: _Sampled, lag: int) -> tuple[Array, Array]:
+def _common(one: Grid, other: Grid, lag: int) -> tuple[Array, Array]:
     """Positions (n, 2) of two paths at the half bins that both have, the second's `lag` later."""
     first = max(one.first, other.first - lag)
     last = min(one.first + len(one.valid), other.first - lag + len(other.valid))
@@ -167,13 +148,13 @@ def _common(one: _Sampled, other: _Sampled, lag: int) -> tuple[Array, Array]:
     here = slice(first - one.first, last - one.first)
     there = slice(first + lag - other.first, last + lag - other.first)
     both = one.valid[here] & other.valid[there]
-    return one.positions_px[here][both], other.positions_px[there][both]
+    return one.p_px[here][both], other.p_px[there][both]
 
 
 def _grown(
     lag: int,
     F: Array,
-    grids: tuple[list[_Sampled], list[_Sampled]],
+    grids: tuple[list[Grid], list[Grid]],
     pieces: tuple[list[Piece], list[Piece]],
     chains: tuple[list[int], list[int]],
     rules: Rules,
@@ -208,7 +189,7 @@ def _grown(
 def _consistent(
     lag: int,
     F: Array,
-    grids: tuple[list[_Sampled], list[_Sampled]],
+    grids: tuple[list[Grid], list[Grid]],
     pieces: tuple[list[Piece], list[Piece]],
     chains: tuple[list[int], list[int]],
     most_px: float,
@@ -255,7 +236,7 @@ def _meet(one: Piece, other: Piece) -> bool:
     return one.first < other.last and other.first < one.last
 
 
-def _refined(match: Match, grids: tuple[list[_Sampled], list[_Sampled]], rules: Rules) -> Match:
+def _refined(match: Match, grids: tuple[list[Grid], list[Grid]], rules: Rules) -> Match:
     """Shift the offset by half bins as long as its pieces then fit better."""
     best = match
     for lag in range(match.lag - 2, match.lag + 3):
@@ -347,10 +328,7 @@ def _objects(seen: Clean, rules: Rules) -> Objects:
 def _matched(
     one: Objects, other: Objects, interval_s: Interval | None, rules: Rules
 ) -> Match | Refusal:
-    """Match the pieces of two views at the offset that they bear out best.
-
-    Refused where none are one object's, or those of several offsets may be.
-    """
+    """Match the pieces of two views at the offset that they bear out best."""
     start_s = 1e-6 * (other.start_us - one.start_us)  # of camera 2 after camera 1
     if interval_s is not None:
         interval_s = (interval_s[0] - start_s, interval_s[1] - start_s)

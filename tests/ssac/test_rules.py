@@ -9,10 +9,8 @@ import pytest
 
 import ssac
 from experiments.lab.grid import configs_of
-from ssac import Chain, Config, Observation, SsacError, Status
+from ssac import Chain, Config, Observation, SsacError
 from ssac.config import checked
-from ssac.estimate import Estimate
-from ssac.methods.verdict import certain
 from ssac.rules import Rules
 from tests.ssac.synthetic import make_events, make_scene
 
@@ -83,22 +81,6 @@ def test_rules_of_another_kind_are_refused():
 def test_numbers_of_numpy_and_whole_ones_are_rules_too():
     for value in (np.float64(0.5), np.int64(1), 1):
         checked(with_rule("verdict.max_spread", value))
-
-
-@pytest.mark.parametrize(("std_s", "status"), [(0.024, "ok"), (0.026, "ambiguous_offset")])
-def test_an_offset_is_certain_to_25_ms(std_s, status):
-    found = Estimate("joint", t_d_s=0.05, t_d_std_s=std_s)
-    assert certain(found, Rules().verdict).status == status
-    assert certain(found, replace(Rules().verdict, max_t_d_std_s=0.03)).status == Status.OK
-
-
-@pytest.mark.parametrize(("std_deg", "status"), [(4.9, "ok"), (5.1, "degenerate_pose")])
-def test_a_direction_of_the_pose_is_certain_to_5_degrees(std_deg, status):
-    covariance = np.diag([1e-6, *np.deg2rad([0.1, 0.1, std_deg, 0.1, 0.1]) ** 2])
-    pose = {"R": np.eye(3), "t": np.array([1.0, 0.0, 0.0])}
-    found = Estimate("joint", t_d_s=0.05, t_d_std_s=1e-3, covariance=covariance, **pose)
-    assert certain(found, Rules().verdict).status == status
-    assert certain(found, replace(Rules().verdict, max_pose_std_deg=6.0)).status == Status.OK
 
 
 def test_a_stage_has_no_rules_but_those_of_its_config():

@@ -64,21 +64,18 @@ def test_a_line_holds_the_means_of_one_angle_and_method() -> None:
                 np.testing.assert_allclose(line[:, 1], expected[f"{error}_mean"])
 
 
-def test_the_default_is_marked_in_the_axis_unit() -> None:
+def labels(figure) -> list[str]:
+    return [text.get_text() for text in figure.legends[0].get_texts()]
+
+
+def test_the_default_is_marked_in_the_axis_unit_or_written_where_a_logarithm_lacks_it() -> None:
     grid = named_config("ablation_window")
     for axes in ablation_figure(make_means(grid), grid).axes:
         assert verticals(axes) == [1e3 * Config().half_window_s]
-
-
-def test_a_default_that_a_logarithm_lacks_is_written() -> None:
     grid = named_config("ablation_noise")
     figure = ablation_figure(make_means(grid), grid)
     assert not any(verticals(axes) for axes in figure.axes)
-    labels = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert labels[-1] == "default: 0, not on this axis"
-
-
-def test_defaults_are_those_of_the_configurations() -> None:
+    assert labels(figure)[-1] == "default: 0, not on this axis"
     assert default_value("ssac.n_min") == N_MIN
     assert default_value("sim.spline.sampling_hz") == SimConfig().spline.sampling_hz
     assert default_value("sim.drone_size_m") == 0.65  # None in SimConfig: the quadrotor's own
@@ -135,28 +132,22 @@ def test_a_method_without_a_pose_leaves_its_axes_empty() -> None:
     assert len(drawn(axes[4])) == 3
 
 
-def test_an_axis_without_angles_is_one_line() -> None:
+def test_a_line_bears_the_name_of_its_value_if_there_are_several() -> None:
     grid = named_config("ablation_window")
     alone = replace(grid, axes=tuple(axis for axis in grid.axes if "sim.angle_deg" not in axis[0]))
-    figure = ablation_figure(make_means(alone), alone)
-    assert len(drawn(figure.axes[0])) == 1
-
-
-def test_a_line_of_a_picture_bears_its_name() -> None:
+    assert len(drawn(ablation_figure(make_means(alone), alone).axes[0])) == 1
     grid = named_config("ablation_background")
-    figure = ablation_figure(make_means(grid), grid)
-    labels = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert sorted(labels[:4]) == ["clouds", "even sky", "houses", "leaves"]
-    assert labels[4] == "default: 90"
+    names = labels(ablation_figure(make_means(grid), grid))
+    assert sorted(names[:4]) == ["clouds", "even sky", "houses", "leaves"]
+    assert names[4] == "default: 90"
 
 
 def test_two_parameters_are_told_apart_by_colour_and_by_marker() -> None:
     grid = named_config("ablation_object")
     means = make_means(grid)
     figure = ablation_figure(means, grid)
-    labels = [text.get_text() for text in figure.legends[0].get_texts()]
     objects, angles = ("bird", "plane", "quadrotor", "two-tone"), (30, 90, 150)
-    assert labels[:12] == [f"{angle} deg, {name}" for angle in angles for name in objects]
+    assert labels(figure)[:12] == [f"{angle} deg, {name}" for angle in angles for name in objects]
     lines = [container.lines[0] for container in figure.axes[0].containers]
     colors = np.array([line.get_color() for line in lines]).reshape(3, 4, 4)
     np.testing.assert_array_equal(colors[:, :1].repeat(4, axis=1), colors)  # of all objects

@@ -1,6 +1,8 @@
 """The bench: its kinds of imperfection, and a short recording from nothing to its rows."""
 
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -8,12 +10,14 @@ import pytest
 
 from experiments.lab.cache import Cache
 from experiments.lab.schedule import Workers, run_cells
+from experiments.worlds import bench
 from experiments.worlds.bench import (
     ALL,
     IMPERFECTIONS,
     KINDS,
     NONE,
     PHYSICAL,
+    Flown,
     all_but,
     bench_of,
     cells_of,
@@ -24,7 +28,10 @@ from experiments.worlds.bench import (
     only,
     setup_seed,
 )
+from sim.scene.rig import Camera
+from sim.sensor.kernels import EVENT_DTYPE
 from sim.twin.bench import bench_rig
+from sim.twin.calibration import CalibrationConfig, exact
 from ssac.errors import SsacError
 
 PLACE = (65.06, 10.0, 7)
@@ -69,6 +76,34 @@ def test_what_is_not_calibrated_is_true() -> None:
     # One calibration has both errors, and the pose's then also has those of the intrinsics.
     assert (of_all.cam1.K == of_intrinsics.cam1.K).all()
     assert (of_all.T_2_1 != of_truth.T_2_1).any()
+
+
+def test_each_camera_is_calibrated_with_errors_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Draws alike would go unnoticed by their results: cameras at other places err otherwise."""
+    drawn = []
+
+    def calibrated(camera: Camera, _: CalibrationConfig, rng: np.random.Generator) -> Any:
+        drawn.append(rng.standard_normal())
+        return exact(camera)
+
+    monkeypatch.setattr(bench, "calibrated_camera", calibrated)
+    known_rig(bench_of(only("intrinsics"), 77.0, 10.0, 3))  # which no other test has asked for
+    assert len(set(drawn)) == 2
+
+
+def test_each_camera_sees_the_room_from_its_own_place(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+
+    def events(*about: Any) -> np.ndarray:
+        asked.append(about[-1])
+        return np.empty(0, EVENT_DTYPE)
+
+    monkeypatch.setattr(bench, "room_events", events)
+    nothing = SimpleNamespace(events=np.empty(0, EVENT_DTYPE))
+    flown = Flown((nothing, nothing), ((None, None),) * 2)  # type: ignore[arg-type]
+    setup = bench_of(only("wire"), *PLACE)
+    bench._recorded(next(iter(cells_of(setup, {}, FLIGHT, (5.0,), ("ssac",)))), flown)
+    assert asked == [0, 1]
 
 
 def test_a_short_recording_gives_its_offset_and_kinds_of_it_share_it(tmp_path: Path) -> None:

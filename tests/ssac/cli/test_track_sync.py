@@ -11,11 +11,17 @@ import yaml
 from ssac import sync
 from ssac.config import Config
 from ssac.estimate import Estimate, Status
+from ssac.files.event_files import load_events
 from ssac.files.hdf5 import save_events_h5
+from ssac.files.rigs import load_rig
 from ssac.files.track_files import load_track, save_track
+from ssac.pipeline.object_track import track_of_events
 from ssac.pipeline.registry import choose_method
 from ssac.pipeline.report import report_text
 from ssac.points import PointTrack
+from ssac.rules import Rules, TrackRules
+from ssac.track.clean import clean
+from ssac.track.observation import Observation
 from tests.recorded import T_D_S
 from tests.ssac.command import run
 from tests.ssac.crowds import flight, mixed
@@ -138,6 +144,18 @@ def test_events_and_a_track_of_events_may_be_mixed(recorded, tmp_path):
         result = sync(*files, recorded / "rig.yaml", "joint", search="all")
         assert result.estimate.status == "ok"
         assert result.estimate.t_d_s == pytest.approx(T_D_S, abs=3e-3)  # as for two event files
+
+
+def test_a_track_is_made_by_the_rules_that_are_given(recorded):
+    rig = load_rig(recorded / "rig.yaml")
+    config = Config()
+    seen = clean(Observation(load_events(recorded.pair[0]).events), rig.cam1, config.cleaning)
+    usual = track_of_events(seen, config)
+    rules = replace(Rules(), track=TrackRules(step_s=0.02, mean_sizes=0.08, least_sigma_px=0.2))
+    other = track_of_events(seen, replace(config, rules=rules))
+    assert np.median(np.diff(other.times_s)) == pytest.approx(0.02)
+    assert np.median(other.sigmas_px) == pytest.approx(2.0 * np.median(usual.sigmas_px), rel=0.05)
+    assert other.sigmas_px.min() >= 0.2
 
 
 def test_a_track_of_several_things_comes_with_a_warning(tmp_path):

@@ -8,13 +8,11 @@ import pytest
 from ssac import ssac, ssac_known
 from ssac.config import Config
 from ssac.errors import SsacError
-from ssac.geometry.epipolar import fundamental_from_pose
 from ssac.geometry.fundamental import reweighted_fundamental
 from ssac.points import PointTrack
 from ssac.track.observation import Observation, tracked
 from tests.ssac.synthetic import (
     HEIGHT,
-    angle_deg,
     make_events,
     make_scene,
     rotation_angle_deg,
@@ -35,24 +33,21 @@ def flight():
     return scene, observe(scene, seed=0, t_d_s=0.05)
 
 
-@pytest.mark.parametrize("angle", [30.0, 90.0, 150.0])
-@pytest.mark.parametrize("t_d_s", [0.0, 0.005, 0.5, -0.2])
-def test_offset_and_pose_are_recovered(angle, t_d_s):
-    scene = make_scene(seed=3, angle_deg=angle)
+@pytest.mark.parametrize("t_d_s", [0.0, 0.005, 0.5])
+def test_both_algorithms_find_offsets_near_and_far(t_d_s):
+    scene = make_scene(seed=3, angle_deg=30.0)
     cameras = observe(scene, 3, t_d_s)
-    known = ssac_known(*cameras, scene.rig, CLEAN)
-    unknown = ssac(*cameras, scene.unknown_rig, CLEAN)
-    assert known.status == unknown.status == "ok"
-    # The bound of 400 windows with 0.3 px of noise: 0.16 ms, 0.3 deg and 0.15 deg. Four times that.
-    assert known.t_d_s == pytest.approx(t_d_s, abs=0.0006)
-    assert unknown.t_d_s == pytest.approx(t_d_s, abs=0.0006)
-    assert rotation_angle_deg(unknown.R, scene.R) < 1.2
-    assert angle_deg(unknown.t, scene.t) < 1.2
-    assert unknown.d_avg_px < 0.6
-    assert unknown.n_samples > 300
+    for estimate in (
+        ssac_known(*cameras, scene.rig, CLEAN),
+        ssac(*cameras, scene.unknown_rig, CLEAN),
+    ):
+        assert estimate.status == "ok"
+        # The bound of 400 windows with 0.3 px of noise is 0.16 ms. Four times that.
+        assert estimate.t_d_s == pytest.approx(t_d_s, abs=0.0006)
+        assert estimate.n_samples > 300
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_known_extrinsics_coarse_to_fine_finds_the_exhaustive_minimum(seed):
     scene = make_scene(seed, duration_s=10.0)
     cameras = observe(scene, seed, t_d_s=np.random.default_rng(seed).uniform(-0.9, 0.9))
@@ -62,36 +57,14 @@ def test_known_extrinsics_coarse_to_fine_finds_the_exhaustive_minimum(seed):
     assert len(slow.candidates_s) == 2001
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_unknown_extrinsics_coarse_to_fine_finds_the_exhaustive_minimum(seed):
-    scene = make_scene(seed, angle_deg=(30.0, 90.0, 150.0)[seed], duration_s=10.0)
+    scene = make_scene(seed, angle_deg=(30.0, 150.0)[seed], duration_s=10.0)
     cameras = observe(scene, seed, t_d_s=np.random.default_rng(seed).uniform(-0.25, 0.25))
     config = replace(CLEAN, interval_s=(-0.3, 0.3))  # 601 fits of F instead of 2001
     fast = ssac(*cameras, scene.unknown_rig, config)
     slow = ssac(*cameras, scene.unknown_rig, replace(config, exhaustive=True))
     assert fast.t_d_s == pytest.approx(slow.t_d_s, abs=1e-9)
-
-
-def test_swapping_the_cameras_negates_the_offset_and_inverts_the_pose(flight):
-    scene, (cam1, cam2) = flight
-    there = ssac(cam1, cam2, scene.unknown_rig, CLEAN)
-    back = ssac(cam2, cam1, scene.unknown_rig, CLEAN)
-    # Distances are measured in image 1 and the sample times differ, so only the noise-free problem
-    # is symmetric: the two answers differ by less than the error that either may have.
-    assert back.t_d_s == pytest.approx(-there.t_d_s, abs=0.0004)
-    assert rotation_angle_deg(back.R, there.R.T) < 1.0
-    assert angle_deg(back.t, -there.R.T @ there.t) < 1.0
-
-
-def test_the_result_repeats_and_obeys_its_own_conventions(flight):
-    scene, cameras = flight
-    first, second = (ssac(*cameras, scene.unknown_rig, CLEAN) for _ in range(2))
-    assert first.t_d_s == second.t_d_s
-    assert np.array_equal(first.R, second.R)
-    assert np.linalg.norm(first.t) == pytest.approx(1.0)
-    known = ssac_known(*cameras, scene.rig, CLEAN)
-    F = fundamental_from_pose(scene.rig.cam1.K, scene.rig.cam2.K, known.R, known.t)
-    assert np.allclose(known.F, F / np.linalg.norm(F))
 
 
 def test_magsac_is_an_alternative_to_lmeds(flight):
@@ -139,26 +112,6 @@ def test_recordings_of_unequal_length_and_start(flight):
     short = Observation(cam2.events[cam2.events["t"] < 15_000_000])
     estimate = ssac(late, short, scene.unknown_rig, CLEAN)
     assert estimate.t_d_s == pytest.approx(0.05, abs=0.0008)  # 12 s in common
-
-
-def test_no_common_time_is_refused(flight):
-    scene, (cam1, cam2) = flight
-    events = cam2.events.copy()
-    events["t"] += 100_000_000
-    estimate = ssac(cam1, Observation(events), scene.unknown_rig, NEAR)
-    assert estimate.status == "no_common_time"
-    assert np.isnan(estimate.t_d_s)
-    assert estimate.R is None
-    assert "between -1 and 1 s" in estimate.reason
-
-
-@pytest.mark.parametrize("method", [ssac, ssac_known])
-def test_too_few_events_everywhere_are_refused(flight, method):
-    scene, cameras = flight
-    estimate = method(*cameras, scene.rig, replace(CLEAN, n_min=100_000))
-    assert estimate.status == "too_few_samples"
-    assert "100000 events" in estimate.reason
-    assert "track" not in estimate.reason
 
 
 def test_views_that_share_no_points_are_refused_by_what_a_track_lacks():

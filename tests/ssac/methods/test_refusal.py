@@ -18,11 +18,10 @@ from ssac import (
 )
 from ssac.config import Config
 from ssac.events import EVENT_DTYPE
-from tests.ssac.synthetic import DISTANCE_M, Scene, make_events, make_scene
+from tests.ssac.synthetic import DISTANCE_M, Scene, make_events, make_scene, rotation_angle_deg
 
 T_D_S = 0.05
 CLEAN = Config(denoise=False)
-NEAR = Config(denoise=False, interval_s=(-1.0, 1.0))  # and nowhere else
 DURATION_S = 8.0
 MIDDLE = np.array([0.0, 0.0, DISTANCE_M])
 AXES = np.linalg.qr(np.array([[1.0, 0.3, 0.5], [0.2, 1.0, -0.4], [-0.3, 0.1, 1.0]]))[0].T
@@ -50,6 +49,10 @@ def sway(times_s: np.ndarray) -> np.ndarray:
     """Go to and fro between -1 and 1 without repeating."""
     flight = make_scene(3, duration_s=DURATION_S).path
     return (flight(times_s)[..., :1] - MIDDLE[0]) / 2.0
+
+
+def free(times_s: np.ndarray) -> np.ndarray:
+    return make_scene(0, duration_s=DURATION_S).path(times_s)
 
 
 def at_rest(times_s: np.ndarray) -> np.ndarray:
@@ -90,14 +93,55 @@ def periodic(times_s: np.ndarray, period_s: float = 0.8) -> np.ndarray:
     )
 
 
+MOVING = "ambiguous_offset", "too_little_motion", "no_match"
+OUTSIDE = "no_match", "search_bound"
+REFUSED = [  # path, methods, statuses, words of the reason, fields of the config
+    (at_rest, ALL, ("no_motion",), "at rest", {}),
+    (at_rest, ALL, ("no_motion",), "at rest", {"search": "all"}),  # Bug: it was no match
+    (straight_uniform, FREE, MOVING, "", {}),
+    (circle, FREE, MOVING, "", {}),
+    (helix, FREE, MOVING, "", {}),
+    # Bug: 25 sample times gave errors of 500 ms with status "ok".
+    (free, FREE, ("too_few_samples",), "", {"n_samples": 25}),
+    # Bug: an interval of offsets near the recordings' length left few pairs, which F fits.
+    (free, FREE, (), "", {"interval_s": (DURATION_S - 1, DURATION_S - 0.1)}),
+]
+
+
+@pytest.mark.parametrize(
+    ("path", "method", "statuses", "words", "fields"),
+    [
+        pytest.param(path, method, *others, id=f"{path.__name__}-{method.__name__}-{k}")
+        for k, (path, methods, *others) in enumerate(REFUSED)
+        for method in methods
+    ],
+)
+def test_what_leaves_all_open_is_refused(path, method, statuses, words, fields):
+    estimate = answer(method, scene_of(path), replace(CLEAN, **fields))
+    assert estimate.status in statuses or (not statuses and estimate.status != "ok")
+    assert words in estimate.reason
+    assert estimate.reason
+    assert not estimate.has_offset
+    assert estimate.R is None
+    assert estimate.t is None
+
+
 @pytest.mark.parametrize("method", ALL)
-@pytest.mark.parametrize("config", [CLEAN, replace(CLEAN, search="all")], ids=["near", "all"])
-def test_an_object_at_rest_is_refused(method, config):
-    """Bug: where all offsets were searched, it was said to be no match."""
-    estimate = answer(method, scene_of(at_rest), config)
-    assert estimate.status == "no_motion"
-    assert "at rest" in estimate.reason
-    assert np.isnan(estimate.t_d_s)
+@pytest.mark.parametrize(
+    ("other", "later_s", "interval_s", "statuses"),
+    [
+        (1, 0.0, None, OUTSIDE),  # different objects
+        (0, 2.5, None, OUTSIDE),  # an offset outside the search
+        (0, 100.0, (-1.0, 1.0), ("no_common_time",)),
+    ],
+)
+def test_cameras_that_saw_no_one_path_are_refused(method, other, later_s, interval_s, statuses):
+    scene = make_scene(0, duration_s=DURATION_S)
+    cam1 = seen(scene)[0]
+    cam2 = seen(make_scene(other, duration_s=DURATION_S))[1].delayed(later_s)
+    estimate = method(cam1, cam2, scene.rig, replace(CLEAN, interval_s=interval_s))
+    assert estimate.status in statuses
+    assert not estimate.has_offset
 
 
 @pytest.mark.parametrize("method", ALL)
@@ -128,26 +172,8 @@ def test_a_straight_line_tells_the_offset_but_no_pose(method):
 
 
 @pytest.mark.parametrize("method", KNOWN)
-def test_a_straight_line_tells_the_offset_of_a_known_pose(method):
-    estimate = answer(method, scene_of(straight))
-    assert estimate.status == "ok"
-    assert estimate.t_d_s == pytest.approx(T_D_S, abs=2e-3)
-
-
-@pytest.mark.parametrize("method", FREE)
-@pytest.mark.parametrize("path", [straight_uniform, circle, helix])
-def test_uniform_motion_does_not_tell_the_offset(method, path):
-    estimate = answer(method, scene_of(path))
-    assert estimate.status in ("ambiguous_offset", "too_little_motion", "no_match")
-    assert estimate.reason
-    assert not estimate.has_offset
-    assert estimate.R is None
-    assert estimate.t is None
-
-
-@pytest.mark.parametrize("method", KNOWN)
-@pytest.mark.parametrize("path", [circle, helix])
-def test_uniform_motion_tells_the_offset_of_a_known_pose(method, path):
+@pytest.mark.parametrize("path", [straight, circle, helix])
+def test_a_known_pose_leaves_the_offset_alone_to_be_told(method, path):
     estimate = answer(method, scene_of(path))
     assert estimate.status == "ok"
     assert estimate.t_d_s == pytest.approx(T_D_S, abs=2e-3)  # 0.2 px at 100 px/s
@@ -169,7 +195,7 @@ def test_a_calibrated_pose_is_found_from_a_plane_or_said_to_be_ambiguous(method)
     assert estimate.t_d_s == pytest.approx(T_D_S, abs=5 * estimate.t_d_std_s)
     if estimate.status == "ok":
         # A plane has a second pose, tens of degrees away; noise moves the true one by less.
-        assert np.degrees(np.arccos((np.trace(estimate.R.T @ scene.R) - 1) / 2)) < 5.0
+        assert rotation_angle_deg(estimate.R, scene.R) < 5.0
     else:
         assert estimate.status in ("ambiguous_pose", "degenerate_pose")
 
@@ -184,30 +210,6 @@ def test_periodic_motion_names_the_other_offsets(method, interval_s):
     assert np.min(np.abs(offsets_s - T_D_S)) < 0.020  # the coarse step, for ssac's alternatives
 
 
-@pytest.mark.parametrize("method", ALL)
-def test_different_objects_do_not_match(method):
-    scene, other = (make_scene(seed, duration_s=DURATION_S) for seed in (0, 1))
-    estimate = method(seen(scene)[0], seen(other)[1], scene.rig, CLEAN)
-    assert estimate.status in ("no_match", "search_bound")
-    assert not estimate.has_offset
-
-
-@pytest.mark.parametrize("method", ALL)
-def test_an_offset_outside_the_search_does_not_match(method):
-    scene = make_scene(0, duration_s=DURATION_S)
-    cam1, cam2 = seen(scene)
-    estimate = method(cam1, cam2.delayed(2.5), scene.rig, CLEAN)
-    assert estimate.status in ("no_match", "search_bound")
-
-
-@pytest.mark.parametrize("method", ALL)
-def test_without_common_time_there_is_no_answer(method):
-    scene = make_scene(0, duration_s=DURATION_S)
-    cam1, cam2 = seen(scene)
-    estimate = method(cam1, cam2.delayed(100.0), scene.rig, NEAR)
-    assert estimate.status == "no_common_time"
-
-
 @pytest.mark.parametrize("method", [joint, joint_known])
 def test_clocks_far_apart_are_no_obstacle_where_no_interval_is_given(method):
     """Bug: only the command line searched all offsets then."""
@@ -220,35 +222,15 @@ def test_clocks_far_apart_are_no_obstacle_where_no_interval_is_given(method):
 
 @pytest.mark.parametrize("method", FREE)
 def test_too_short_a_flight_tells_no_pose(method):
-    scene = make_scene(0, duration_s=0.6)
-    estimate = answer(method, scene)
+    estimate = answer(method, make_scene(0, duration_s=0.6))
     assert estimate.status in ("too_little_motion", "search_bound")
     assert not estimate.has_offset
 
 
-@pytest.mark.parametrize("method", FREE)
-def test_few_samples_tell_no_pose(method):
-    """Bug: 25 sample times gave errors of 500 ms with status "ok"."""
-    scene = make_scene(0, duration_s=DURATION_S)
-    estimate = answer(method, scene, replace(CLEAN, n_samples=25))
-    assert estimate.status == "too_few_samples"
-    assert estimate.reason
-
-
-@pytest.mark.parametrize("method", FREE)
-def test_a_small_overlap_tells_nothing(method):
-    """Bug: an interval of offsets near the recordings' length left few pairs, which F fits."""
-    scene = make_scene(0, duration_s=DURATION_S)
-    estimate = answer(method, scene, replace(CLEAN, interval_s=(DURATION_S - 1, DURATION_S - 0.1)))
-    assert estimate.status != "ok"
-    assert not estimate.has_offset
-
-
 @pytest.mark.parametrize("method", ALL)
-@pytest.mark.parametrize("angle_deg", [30.0, 90.0, 150.0])
+@pytest.mark.parametrize("angle_deg", [30.0, 150.0])
 def test_an_ordinary_flight_is_not_refused(method, angle_deg):
-    scene = make_scene(1, angle_deg, DURATION_S)
-    estimate = answer(method, scene)
+    estimate = answer(method, make_scene(1, angle_deg, DURATION_S))
     assert estimate.status == "ok", estimate.reason
     assert estimate.t_d_s == pytest.approx(T_D_S, abs=3e-3)  # a few times ssac's usual error
     assert len(estimate.alternatives_s) == 0

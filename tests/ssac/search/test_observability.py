@@ -6,21 +6,19 @@ import numpy as np
 import pytest
 
 from ssac.config import MAX_VALLEY_S, MIN_SWINGS, Config
-from ssac.estimate import Estimate
 from ssac.events import EVENT_DTYPE
 from ssac.geometry.fundamental import lmeds_fundamental, reweighted_fundamental, second_best
-from ssac.methods.verdict import certain
 from ssac.rules import Rules
-from ssac.search.observability import (
+from ssac.search.offset_search import (
     ambiguous_offset,
     at_rest,
+    coarse_to_fine_search,
     no_match,
     open_fundamental,
     too_little_motion,
     unusable,
     valleys,
 )
-from ssac.search.offset_search import coarse_to_fine_search
 from ssac.search.two_views import TwoViews, views_of
 from ssac.search.view import returns_s, view_of
 from ssac.track.clean import Clean
@@ -262,38 +260,3 @@ def test_points_at_rest_allow_no_fundamental_matrix():
     assert np.isnan(lmeds_fundamental(points, points, trials=50)).all()
     assert np.isnan(reweighted_fundamental(points, points)).all()
     assert second_best(points, points) == 1.0
-
-
-def estimate_with(variances: list[float], t_d_std_s: float = 1e-3) -> Estimate:
-    return Estimate(
-        "joint",
-        t_d_s=0.05,
-        t_d_std_s=t_d_std_s,
-        R=np.eye(3),
-        t=np.array([1.0, 0.0, 0.0]),
-        covariance=np.diag([t_d_std_s**2, *variances]),
-    )
-
-
-def test_a_certain_estimate_stays_as_it_is():
-    estimate = estimate_with([1e-4] * 5)
-    assert certain(estimate, RULES.verdict) is estimate
-
-
-def test_an_open_direction_of_the_pose_is_named():
-    open_to = (1.1 * np.deg2rad(5.0)) ** 2
-    estimate = certain(estimate_with([1e-4, open_to, 1e-4, 1e-4, 1e-4]), RULES.verdict)
-    assert estimate.status == "degenerate_pose"
-    assert estimate.R is None
-    assert estimate.t is None
-    assert estimate.has_offset
-    assert estimate.t_d_s == 0.05
-    assert np.abs(estimate.unobservable) == pytest.approx(np.eye(6)[[2]])
-    assert "R about (0.00, 1.00, 0.00)" in estimate.reason.replace("-", "")
-
-
-def test_an_uncertain_offset_is_none():
-    estimate = certain(estimate_with([1e-4] * 5, 0.026), RULES.verdict)
-    assert estimate.status == "ambiguous_offset"
-    assert np.isnan(estimate.t_d_s)
-    assert not estimate.has_offset

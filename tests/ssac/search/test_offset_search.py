@@ -7,12 +7,12 @@ import pytest
 
 from ssac.config import Config
 from ssac.rules import SearchRules
-from ssac.search.observability import valleys
 from ssac.search.offset_search import (
     candidate_offsets,
     coarse_to_fine_search,
     exhaustive_search,
     mean_epipolar_distance,
+    valleys,
 )
 from ssac.search.two_views import TwoViews
 from ssac.track.motion import object_motion

@@ -267,6 +267,9 @@ def test_rows_of_a_rolling_shutter_have_times_of_their_own():
         seen = distort_points(RADTAN, path(TIMES_S[:60] + 0.03 * rows))
     motion = of_points(TIMES_S[:60], seen, camera=camera)
     np.testing.assert_allclose(motion.rows, seen[:, 1] / (HEIGHT - 1), rtol=1e-12)
+    again = of_points(TIMES_S[:60], seen, camera=RADTAN).read_out(0.01).read_out(0.03)
+    np.testing.assert_allclose(again.times_s, motion.times_s, atol=1e-12)  # not one after the other
+    assert again.interval_s == pytest.approx(STEP_S)
     wanted_s = np.linspace(0.3, 2.0, 9)
     np.testing.assert_allclose(motion.at(wanted_s).positions_px, path(wanted_s), atol=1e-5)
     with pytest.raises(SsacError, match="readout_s is 50 ms, but frames follow each other in 40"):

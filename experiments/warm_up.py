@@ -1,0 +1,74 @@
+"""Compiles numba's kernels into its cache: the last step of `make setup`.
+
+LLVM keeps some 200 MB in each process that compiles, and each worker would compile for itself.
+Workers that find the kernels in the cache stay below 1 GB, and every command starts at once.
+"""
+
+import tempfile
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import replace
+from itertools import islice
+from pathlib import Path
+
+from experiments.lab.cache import Cache
+from experiments.lab.cell import Measure
+from experiments.lab.grid import Cell
+from experiments.lab.recorded import recorded_pair
+from experiments.lab.scored import SCORED
+from experiments.lab.task import Task, run_task
+from experiments.studies import network
+from experiments.worlds.bench import ALL, PHYSICAL, bench_of, cells_of
+from experiments.worlds.four_cameras import FourCameras
+from sim.recording import SimConfig
+from sim.sensor.events import PRESETS
+from ssac.cli.progress import progress
+from ssac.config import Config
+from ssac.errors import SsacError
+from ssac.pipeline.chain import Chain
+from ssac.pipeline.many import solve_pairs
+from ssac.pipeline.registry import OURS
+from ssac.track.faint import faint_object_events
+
+DURATION_S = 2.0
+
+_CAMERAS = Measure(network.load_flight, network.camera_row, network.CameraRow)
+
+
+def warm_up_tasks() -> Iterator[tuple[Task, Measure]]:
+    """Short flights: each kind of noise and none, the bench with all that it does, four cameras."""
+    spline = replace(SimConfig().spline, duration_s=DURATION_S)
+    estimator = Config(interval_s=(-0.1, 0.1))
+    for sensor in PRESETS.values():
+        sim = SimConfig(spline=spline, sensor=sensor)
+        for method in OURS:
+            yield Task((Cell(sim, 0, 0, 0.0, estimator, method.name, {}),)), SCORED
+    bench = bench_of(ALL, 90.0, DURATION_S, 0)
+    yield Task(tuple(islice(cells_of(bench, {}, 0, (0.0,), ("tangency",)), 1))), PHYSICAL
+    four = FourCameras(spline=replace(spline, duration_s=2.0 * DURATION_S))
+    yield Task((network.CameraCell(four, 0, 0, network.KINDS[0], 1),)), _CAMERAS
+
+
+def find_path(task: Task, cache: Cache) -> None:
+    """Search all offsets of a task's recording, and place its cameras and the path as of many."""
+    cam1, cam2, rig = recorded_pair(cache, *task.recordings[0])
+    chain = Chain((cam1, cam2), rig, Config(search="all"))
+    solve_pairs(chain, {(0, 1): chain.answer()})
+    with suppress(SsacError):  # whatever it finds, it is compiled
+        faint_object_events(cam1.events, rig.cam1.width, rig.cam1.height)
+
+
+def main() -> None:
+    """Run them in a folder of their own."""
+    tasks = list(warm_up_tasks())
+    with tempfile.TemporaryDirectory() as folder, progress(len(tasks) + 1, "kernels") as advance:
+        cache = Cache(Path(folder))
+        for n_done, (task, measure) in enumerate(tasks, 1):
+            run_task(task, cache, measure)
+            advance(n_done)
+        find_path(tasks[0][0], cache)
+        advance(len(tasks) + 1)
+
+
+if __name__ == "__main__":
+    main()
