@@ -73,7 +73,6 @@ def draw(sources: Sequence[Study], n_recordings: int, seed: int) -> list[Drawn]:
 
     Parameters
     ----------
-    sources
     n_recordings
         As many, or all if there are fewer.
     seed
@@ -98,12 +97,10 @@ def recomputed(
 
     Parameters
     ----------
-    drawn
     results
         The committed ones.
     folder
         An empty one, for the recordings and runs.
-    workers
     """
     findings = []
     for study in {one.study.name: one.study for one in drawn}.values():
@@ -169,7 +166,6 @@ def row_faults(
     ----------
     again, committed
         Of `committed` only the rows of `again` count.
-    keys
     measured
         Columns that rounding reaches. All others, but `reason`, must be the same.
     kept

@@ -14,7 +14,7 @@ from experiments.lab.cache import Cache
 from experiments.lab.cell import AnyCell, Measure
 from experiments.lab.pool import DiedError, in_new_process
 from experiments.lab.schedule import Outcome, frame_of
-from experiments.lab.task import Task, plain, refusal
+from experiments.lab.task import Task, name_of, plain, refusal
 from ssac.cli.progress import say
 from ssac.errors import SsacError
 
@@ -34,7 +34,7 @@ def run_alone(cells: Sequence[AnyCell], measure: Measure, label: str) -> Outcome
             try:
                 rows.append(in_new_process(partial(measured, cell, Cache(Path(folder)), measure)))
             except DiedError as error:
-                rows.append(refusal(measure, SsacError(f"its process {error}"), "alone"))
+                rows.append(refusal(measure, SsacError(f"its process {error}"), name_of(cell)))
     tasks = [Task((cell,)) for cell in cells]
     found = {index: [row] for index, row in enumerate(rows)}
     return Outcome(frame_of(cells, tasks, found, measure), len(cells), 0, 0.0)
@@ -46,7 +46,7 @@ def measured(cell: AnyCell, cache: Cache, measure: Measure) -> dict[str, Any]:
         try:
             return plain(measure.row(cell, measure.load([cell], cache)))
         except Exception as error:  # whatever it is: the row says so
-            return refusal(measure, error, "alone")
+            return refusal(measure, error, name_of(cell))
 
 
 @contextmanager

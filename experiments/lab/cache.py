@@ -98,7 +98,6 @@ class Cache:
         ----------
         config
             Its `t_d_s` does not count: the recording has both clocks equal.
-        seed
         names
             Of its files that are to be read, and are held against their checksums; all when None.
 

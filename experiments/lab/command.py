@@ -91,7 +91,6 @@ def command_of(parts: Mapping[str, Sequence[Study]], help_text: str) -> Callable
     ----------
     parts
         Studies by the name of the part of the command that they are; without a choice if it is one.
-    help_text
     """
     studies = [study for some in parts.values() for study in some]
     alone = all(study.how is How.ALONE for study in studies)
@@ -201,22 +200,6 @@ def drawn_by(cells: Iterable[Cell], renderer: str, check: bool) -> list[Cell]:
         return replace(sim, render=replace(sim.render, renderer=renderer, check=check))
 
     return [replace(cell, sim=drawn(cell.sim)) for cell in cells]
-
-
-def with_options(command: str, options: Mapping[str, tuple[Any, Any]]) -> str:
-    """Add to a command line the options that are not as by default."""
-    return " ".join([command, *_given(options)])
-
-
-def _given(options: Mapping[str, tuple[Any, Any]]) -> list[str]:
-    """Words of the options that are not as by default; of a flag that is on by default, --no-."""
-    words: list[str] = []
-    for name, (value, default) in options.items():
-        if value is False and default is True:
-            words.append(f"--no-{name.removeprefix('--')}")
-        elif value != default:
-            words += [name, str(value)]
-    return words
 
 
 def finish(outcome: Outcome, cache: Cache, *files: Path) -> None:

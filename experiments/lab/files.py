@@ -51,11 +51,6 @@ def read_table(text: str) -> pd.DataFrame:
     return table
 
 
-def save_csv(path: Path, table: pd.DataFrame) -> None:
-    """Write a table whole."""
-    save_text(path, csv_text(table))
-
-
 def save_text(path: Path, text: str) -> None:
     """Write a text file whole."""
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -75,12 +70,6 @@ def png_bytes(figure: "Figure") -> bytes:
         reduced = image.convert("RGB").quantize(_PALETTE_SIZE, dither=Image.Dither.NONE)
         reduced.save(small, format="PNG", optimize=True)
     return small.getvalue()
-
-
-def save_png(figure: "Figure", path: Path) -> None:
-    """Write a figure as `png_bytes` draws it."""
-    with whole_file(path) as temporary:
-        temporary.write_bytes(png_bytes(figure))
 
 
 def record_checksums(folder: Path, paths: Iterable[Path]) -> None:

@@ -86,7 +86,6 @@ def provenance(
         That makes the result again.
     config
         What it was made with: dataclasses, mappings, sequences, plain values.
-    wall_time_s
     gl
         Where rendering took part.
     **more
@@ -102,13 +101,6 @@ def provenance(
         "wall_time_s": round(wall_time_s, 1),
         **plain(more),
     }
-
-
-def save_provenance(
-    path: Path, command: str, config: Any, wall_time_s: float, gl: GLContext | None, **more: Any
-) -> None:
-    """Write a result's `provenance` beside it: the same name with `.provenance.json`."""
-    write_provenance(path, provenance(command, config, wall_time_s, gl, **more))
 
 
 def write_provenance(path: Path, content: Mapping[str, Any]) -> None:

@@ -100,7 +100,6 @@ def score(estimate: Estimate, t_d_s: float, R: FloatArray, t: FloatArray) -> Sco
 
     Parameters
     ----------
-    estimate
     t_d_s
         True offset [s], `t_cam2 = t_cam1 + t_d`.
     R, t

@@ -73,10 +73,8 @@ def run_task(task: Task, cache: Cache, measure: Measure) -> Done:
 
     Parameters
     ----------
-    task
     cache
         Is given every row as soon as it is there, but for crashed ones.
-    measure
 
     Returns
     -------
@@ -115,7 +113,7 @@ def _rows(task: Task, cache: Cache, measure: Measure) -> Rows:
         try:
             row = plain(measure.row(cell, loaded))
         except Exception as error:
-            row = refusal(measure, error, _name(cell))
+            row = refusal(measure, error, name_of(cell))
         rows[index] = row
         if row["status"] != CRASHED:
             cache.save_run(key, row)
@@ -139,7 +137,7 @@ def plain(row: Any) -> dict[str, Any]:
     }
 
 
-def _name(cell: Any) -> str:
+def name_of(cell: Any) -> str:
     """Tell a cell from the others of its task, in a reason: by its last column."""
     *_, last = cell.columns.values()
     return str(last)

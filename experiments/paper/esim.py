@@ -67,15 +67,6 @@ def ordered_runs(runs: pd.DataFrame) -> pd.DataFrame:
     return whole
 
 
-def runs_of_grid(rows: pd.DataFrame) -> pd.DataFrame:
-    """Name the columns of a grid's rows (`schedule.run_cells`) as in `runs.csv`."""
-    names = {"sim.spline.duration_s": "duration_s", "sim.angle_deg": "angle_deg"}
-    runs = rows.rename(columns=names).assign(t_d_ms=1e3 * rows["sim.t_d_s"])
-    _check_columns(runs)
-    chosen: pd.DataFrame = runs.reindex(columns=list(RUN_COLUMNS))
-    return chosen
-
-
 def missing_runs(runs: pd.DataFrame) -> pd.DataFrame:
     """List the runs (columns KEY) that the others of their duration imply, but that are not there.
 
@@ -109,7 +100,6 @@ def esim_table(runs: pd.DataFrame, duration_s: float) -> pd.DataFrame:
     ----------
     runs
         As `ordered_runs` takes them; those of other durations only tell which methods give a pose.
-    duration_s
 
     Returns
     -------

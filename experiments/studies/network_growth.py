@@ -36,6 +36,7 @@ N_CAMERAS = 8
 FRAMES_HZ = 60.0
 DURATIONS_S = (150.0, 300.0, 600.0)
 NOISE_PX = 0.5
+_DISTANCE_M, _FOCAL_PX = 35.0, 900.0
 MARK_S, MARK_MB = 600.0, 4096.0
 """Of the longest flight."""
 
@@ -152,8 +153,8 @@ def write_tracks(folder: Path, duration_s: float) -> tuple[list[Path], list[Cloc
 def _rig() -> Rig:
     return look_at_rig(
         [*np.linspace(0.0, 315.0, N_CAMERAS)],
-        distance_m=35.0,
-        focal_px=900.0,
+        distance_m=_DISTANCE_M,
+        focal_px=_FOCAL_PX,
         resolution=(1280, 720),
         principal_point=(640.0, 360.0),
     )
@@ -198,6 +199,8 @@ STUDIES = (
         checks=(
             ("all flights are solved", one_of("network_growth", "status", "ok")),
             ("within the mark of time", between("network_growth", "wall_s", 0.0, MARK_S)),
+            ("the path errs by less than a point's noise",
+             between("network_growth", "path_rmse_m", 0.0, NOISE_PX * _DISTANCE_M / _FOCAL_PX)),
             ("within the mark of memory", between("network_growth", "peak_mb", 0.0, MARK_MB)),
         ),
         config={"durations_s": DURATIONS_S, "cameras": N_CAMERAS, "frames_hz": FRAMES_HZ,

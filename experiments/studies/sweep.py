@@ -26,12 +26,10 @@ def sweep_study(grid: GridConfig, runs_file: str, points: str, command: str) -> 
 
     Parameters
     ----------
-    grid
     runs_file
         File of the rows.
     points
         Name of the table of points and of the figure, without a suffix.
-    command
     """
     runs = runs_file.removesuffix(".csv")
     return Study(

@@ -200,16 +200,12 @@ def damaged(tmp_path_factory) -> Path:
     return Path(copytree(RESULTS, tmp_path_factory.mktemp("committed") / "results"))
 
 
-UNGUARDED = {
-    *("network_runs.csv", "bench_growth.csv", "real_strays.csv"),
-}
-"""Files with numbers that nothing else in the results knows: a Mahalanobis distance of a pose, a
+UNGUARDED = ("network_runs.csv", "bench_growth.csv", "real_strays.csv")
+"""Files whose last number nothing else in the results knows: a Mahalanobis distance of a pose, a
 deviation of a clock's stray, and what a bench took."""
 
 COMMITTED = [
-    pytest.param(
-        study.name, file, id=file, marks=[pytest.mark.xfail(strict=True)] * (file in UNGUARDED)
-    )
+    pytest.param(study.name, file, id=file)
     for study in all_studies().values()
     if study.is_committed
     for file in study.files
@@ -230,6 +226,8 @@ def test_no_damage_to_a_committed_file_is_hidden_by_its_checksum(damaged, name, 
     quoted = {name: number(Results(RESULTS)) for name, number in study.numbers.items()}
     try:
         for damage in (delete_a_row, double_a_row, double_a_number):
+            if damage is double_a_number and file in UNGUARDED:
+                continue
             damage(path)
             assert path.read_bytes() != content
             results = Results(damaged)
@@ -280,6 +278,5 @@ def test_studies_that_can_be_run_again_have_cells():
 
 
 def test_the_committed_files_are_those_of_the_studies():
-    assert not faulty(
-        list(file_findings(RESULTS, all_studies().values(), commands.PUBLISHED_SHA256))
-    )
+    committed = [study for study in all_studies().values() if study.is_committed]
+    assert not faulty(file_findings(RESULTS, committed, commands.PUBLISHED_SHA256))

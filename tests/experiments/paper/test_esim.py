@@ -5,7 +5,6 @@ import pytest
 from experiments.lab.files import csv_text
 from experiments.paper.comparison import load_published
 from experiments.paper.esim import (
-    RUN_COLUMNS,
     YOUNGER,
     esim_table,
     esim_tables,
@@ -14,7 +13,6 @@ from experiments.paper.esim import (
     ordered_runs,
     pose_methods,
     runs_from_csv,
-    runs_of_grid,
 )
 from ssac.errors import SsacError
 from ssac.pipeline.registry import METHODS
@@ -202,12 +200,3 @@ def test_counts_are_not_rounded(runs):
 
 def test_poses_tell_who_gives_one(runs):
     assert pose_methods(runs) == ["ssac", "joint", "tangency", "albl"]
-
-
-def test_rows_of_a_grid_get_the_names_of_the_runs(runs):
-    names = {"duration_s": "sim.spline.duration_s", "angle_deg": "sim.angle_deg"}
-    rows = runs.rename(columns=names).drop(columns="t_d_ms").assign(extra=1)
-    rows["sim.t_d_s"] = runs["t_d_ms"] / 1e3
-    found = runs_of_grid(rows)
-    assert tuple(found) == RUN_COLUMNS
-    assert csv_text(ordered_runs(found)) == csv_text(runs)

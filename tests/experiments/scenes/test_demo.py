@@ -4,7 +4,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.lab.provenance import code_commit, plain, save_provenance, versions
+from experiments.lab.provenance import code_commit, plain, provenance, versions, write_provenance
 from experiments.scenes.demo import DEMO, comparison, demo_command, is_of_a_demo
 from sim.errors import SimError
 from sim.recorded import Truth
@@ -51,7 +51,7 @@ def test_a_demo_replaces_the_recording_of_an_earlier_one_and_nothing_else(tmp_pa
 
 
 def test_provenance_holds_all_that_a_result_depends_on(tmp_path: Path) -> None:
-    save_provenance(tmp_path / "a.csv", "ssac x", SimConfig(), 1.25, None)
+    write_provenance(tmp_path / "a.csv", provenance("ssac x", SimConfig(), 1.25, None))
     text = (tmp_path / "a.provenance.json").read_text()
     for word in ("ssac x", code_commit(), versions()["numpy"], "max_step_px", '"wall_time_s": 1.2'):
         assert word in text

@@ -10,7 +10,7 @@ import pytest
 
 from experiments.lab.alone import run_alone
 from experiments.lab.cache import Cache
-from experiments.lab.files import png_bytes, save_csv
+from experiments.lab.files import csv_text, png_bytes
 from experiments.lab.pool import Processes, in_new_process
 from experiments.lab.results import Results
 from experiments.lab.task import Task, run_task
@@ -71,7 +71,7 @@ def test_verdict(value: float, mark: float | None, higher: bool, verdict: str) -
 
 
 def test_a_part_that_cannot_be_measured_is_a_row_and_not_a_gap(tmp_path: Path) -> None:
-    save_csv(tmp_path / "bench_growth.csv", made_up_growth())
+    (tmp_path / "bench_growth.csv").write_text(csv_text(made_up_growth()))
     done = run_task(Task((PartCell("no-such-part"),)), Cache(tmp_path), PART)
     rows = pd.DataFrame([{"part": "a", "status": "ok", "reason": "", "measurements": []}])
     failed = {"part": "no-such-part", **done.rows[0]}
@@ -216,12 +216,12 @@ def test_every_step_of_every_point_is_listed_once() -> None:
 
 def test_results_that_make_no_sense_are_found(tmp_path: Path) -> None:
     growth = made_up_growth()
-    save_csv(tmp_path / "bench_growth.csv", growth)
+    (tmp_path / "bench_growth.csv").write_text(csv_text(growth))
     row = {"part": "x", "status": "ok", "reason": ""}
     one = Measurement("drawing", 2.0, "s", 3.0)
     rows = pd.DataFrame([row | {"measurements": [vars(one)]}])
     table = bench_table(rows, Results(tmp_path))
-    save_csv(tmp_path / "bench.csv", table)
+    (tmp_path / "bench.csv").write_text(csv_text(table))
     assert not bench_faults(Results(tmp_path))
     for changed, fault in (
         (table.assign(verdict="misses"), "it misses"),
@@ -230,14 +230,14 @@ def test_results_that_make_no_sense_are_found(tmp_path: Path) -> None:
         (table.iloc[:-1], "are not those of bench_growth.csv"),
         (table.drop(columns="mark"), "its columns are"),
     ):
-        save_csv(tmp_path / "bench.csv", changed)
+        (tmp_path / "bench.csv").write_text(csv_text(changed))
         assert fault in "; ".join(bench_faults(Results(tmp_path)))
-    save_csv(tmp_path / "bench.csv", table)
+    (tmp_path / "bench.csv").write_text(csv_text(table))
     assert not growth_faults(Results(tmp_path))
     for changed, fault in (
         (growth.iloc[1:], "its steps are not the 16"),
         (growth.assign(status="no_match", cpu_s=np.nan), "simulate: no_match"),
         (growth.assign(peak_mb=2 * growth["peak_mb"]), "do not follow from"),
     ):
-        save_csv(tmp_path / "bench_growth.csv", changed)
+        (tmp_path / "bench_growth.csv").write_text(csv_text(changed))
         assert fault in "; ".join(growth_faults(Results(tmp_path)))

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments.lab.files import save_csv
+from experiments.lab.files import csv_text
 from experiments.lab.recorded import Flown
 from experiments.lab.results import Results
 from experiments.lab.score import Truth
@@ -137,7 +137,9 @@ def test_the_table_counts_what_held_and_what_was_wrong() -> None:
 
 
 def test_the_page_shows_all_kinds_together_and_names_those_that_fail(tmp_path: Path) -> None:
-    save_csv(tmp_path / "imperfect.csv", imperfect_table(RUNS.assign(method="tangency")))
+    (tmp_path / "imperfect.csv").write_text(
+        csv_text(imperfect_table(RUNS.assign(method="tangency")))
+    )
     numbers = {name: number(Results(tmp_path)) for name, number in STUDIES[0].numbers.items()}
     header, _, row = (
         [cell.strip() for cell in line.strip("|").split("|")]

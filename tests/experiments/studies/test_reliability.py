@@ -11,7 +11,7 @@ import pytest
 from experiments.damage.cases import OUTCOMES
 from experiments.damage.forked import Ended, outcome, run_forked
 from experiments.lab.cache import Cache
-from experiments.lab.files import save_csv
+from experiments.lab.files import csv_text
 from experiments.lab.results import Results
 from experiments.lab.task import run_task, tasks_of
 from experiments.studies.reliability import (
@@ -114,7 +114,7 @@ def _committed(**changed: int) -> pd.DataFrame:
     ],
 )
 def test_the_committed_table_is_held_against_the_campaign(table, fault, tmp_path):
-    save_csv(tmp_path / "reliability.csv", table)
+    (tmp_path / "reliability.csv").write_text(csv_text(table))
     faults = reliability_faults(Results(tmp_path))
     assert (fault in faults[0]) if fault else not faults
 
@@ -123,13 +123,13 @@ def test_few_may_be_read_with_fewer_events_in_silence(tmp_path):
     n_files = sum(_committed()["cases"][: len(EVENT_FILES)])
     for n, is_fault in ((n_files // 200, False), (n_files // 200 + 2, True)):
         table = _committed(silently_fewer=n)
-        save_csv(tmp_path / "reliability.csv", table)
+        (tmp_path / "reliability.csv").write_text(csv_text(table))
         assert bool(reliability_faults(Results(tmp_path))) == is_fault
         assert silent_share(table) == n / n_files
 
 
 def test_the_pages_count_how_cases_ended(tmp_path):
-    save_csv(tmp_path / "reliability.csv", _committed(hang=2, abort=1))
+    (tmp_path / "reliability.csv").write_text(csv_text(_committed(hang=2, abort=1)))
     said = {name: number(Results(tmp_path)) for name, number in STUDY.numbers.items()}
     assert said["reliability.must_not_be"] == "3"
     assert said["reliability.refused"] == "19997"

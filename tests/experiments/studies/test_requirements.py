@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from experiments.lab.cell import CRASHED
-from experiments.lab.files import save_csv
+from experiments.lab.files import csv_text
 from experiments.lab.recorded import Flown
 from experiments.lab.results import Results
 from experiments.lab.score import Truth
@@ -126,7 +126,7 @@ def test_the_table_counts_what_is_as_required_and_what_holds() -> None:
 def test_the_pages_say_what_errors_of_the_rig_do_and_how_many_do_as_required(
     tmp_path: Path,
 ) -> None:
-    save_csv(tmp_path / "marks.csv", required_table(runs()))
+    (tmp_path / "marks.csv").write_text(csv_text(required_table(runs())))
     numbers = {name: number(Results(tmp_path)) for name, number in STUDIES[0].numbers.items()}
     table = numbers["table.marks.sensitivity"].splitlines()[2:]
     shown = [[cell.strip() for cell in line.strip("|").split("|")] for line in table]

@@ -18,7 +18,7 @@ from experiments.lab.cell import CRASHED
 from experiments.lab.grid import Cell
 from experiments.lab.scored import SCORED, scored_row
 from experiments.lab.task import refusal
-from experiments.paper.esim import esim_table, runs_of_grid
+from experiments.paper.esim import esim_table
 from sim.recording import SimConfig
 from ssac.config import Config
 from ssac.errors import PluginError, SsacError
@@ -455,7 +455,9 @@ def test_the_example_runs_in_a_sweep_and_has_its_columns_in_a_table(example, tmp
     rows = pd.read_csv(out)
     assert rows["method"].tolist() == ["zncc_e", "track_speed"] * 2
     assert set(rows["status"]) == {"ok"}
-    table = esim_table(runs_of_grid(rows), 3.0)
+    names = {"sim.spline.duration_s": "duration_s", "sim.angle_deg": "angle_deg"}
+    runs = rows.rename(columns=names).assign(t_d_ms=1e3 * rows["sim.t_d_s"])
+    table = esim_table(runs, 3.0)
     assert table["track_speed_failed"].tolist() == [0]
     # From views 10 deg apart: the image speeds are all but equal, and 1 s off they are not.
     assert table["track_speed_t_d_error_ms_mean"].item() < 50.0
