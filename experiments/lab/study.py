@@ -438,32 +438,3 @@ def _read_provenance(path: Path) -> dict[str, Any]:
             f"know what it is part of ({error})"
         ) from error
     return content
-
-
-def summed_study(
-    name: str,
-    title: str,
-    cells: Callable[..., Sequence[AnyCell]],
-    measure: Measure,
-    summarise: Callable[..., pd.DataFrame],
-    keys: tuple[str, ...],
-    draw: "Callable[[pd.DataFrame, pd.DataFrame], Figure] | None" = None,
-    reads: tuple[str, ...] = (),
-    took: tuple[str, ...] = (),
-    **more: Any,
-) -> Study:
-    """Make a study whose files are <name>_runs.csv, <name>.csv and, if it is drawn, <name>.png."""
-
-    def summary(results: Results) -> pd.DataFrame:
-        others = (results.table(file.removesuffix(".csv")) for file in reads)
-        return summarise(results.table(f"{name}_runs"), *others)
-
-    def figure(results: Results) -> "Figure":
-        assert draw is not None
-        return draw(results.table(name), results.table(f"{name}_runs"))
-
-    makes = [Made(f"{name}.csv", summary)]
-    if draw is not None:
-        makes.append(Made(f"{name}.png", figure))
-    runs = Runs(f"{name}_runs.csv", keys, took=took)
-    return Study(name, title, cells, measure, runs, tuple(makes), reads=reads, **more)

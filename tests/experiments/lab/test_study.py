@@ -23,7 +23,7 @@ from experiments.lab.cache import Cache
 from experiments.lab.cell import Measure
 from experiments.lab.files import SUMS_FILE, csv_text, read_table
 from experiments.lab.schedule import Workers
-from experiments.lab.study import Study, check_runs, numbered, run_study, summed_study
+from experiments.lab.study import Made, Runs, Study, check_runs, numbered, run_study
 from sim.recording import SimConfig
 from ssac.cli.exits import BUG
 from ssac.errors import SsacError
@@ -85,9 +85,14 @@ def sums(runs: pd.DataFrame) -> pd.DataFrame:
     return ok.groupby("letter", as_index=False)[["count", "share"]].sum()
 
 
-STUDY = summed_study(
-    "words", "Letters of words", word_cells, Measure(load_word, count_row, WordRow), sums,
-    keys=("word", "letter"), draw=lambda means, runs: Figure(), config={"words": WORDS},
+STUDY = Study(
+    "words", "Letters of words", word_cells, Measure(load_word, count_row, WordRow),
+    Runs("words_runs.csv", ("word", "letter")),
+    (
+        Made("words.csv", lambda results: sums(results.table("words_runs"))),
+        Made("words.png", lambda _: Figure()),
+    ),
+    config={"words": WORDS},
 )  # fmt: skip
 
 CELLS = word_cells()
