@@ -13,7 +13,10 @@ import time
 import warnings
 from collections.abc import Callable
 from pathlib import Path
+from threading import RLock
 from typing import NamedTuple
+
+from tqdm import tqdm
 
 from sim.errors import SimError
 from ssac.cli.exits import BAD_INPUT, BUG, DONE, guarded, warnings_as_lines
@@ -92,6 +95,7 @@ def outcome(ended: Ended, name: str, good: int) -> str:
 def _child(work: Callable[[], int], folder: Path, stderr: int, writing: int) -> None:
     """Do it and end: nothing of the parent may run on."""
     code = BUG
+    tqdm.set_lock(RLock())  # not one of the system's, which would outlive this process
     try:
         os.setsid()  # a group of its own
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)

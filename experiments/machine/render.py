@@ -30,10 +30,7 @@ def bench_render(by: str) -> list[Measurement]:
     channel; "untouched" is pyrender as it comes, which draws 8-bit colour and reads its depth back
     as well. Of the native renderer also the ratio to our own crops by OpenGL.
 
-    Parameters
-    ----------
-    by
-        "native", or the OpenGL backend that draws our crops and pyrender's frames.
+    Both are drawn by "native", or by an OpenGL backend.
     """
     rig = two_view_rig(90.0)
     camera, drone = rig.cameras[0], quadrotor()

@@ -101,17 +101,9 @@ class Animation:
 
 
 def make_animation(folder: Path) -> Animation:
-    """Estimate the offset of a recording whose camera 2 is set T_D_S ahead, and take a stretch.
+    """Estimate the offset of a recording with t_d = 0 whose camera 2 is set T_D_S ahead.
 
-    Parameters
-    ----------
-    folder
-        A recording as `sim.storage` writes it, with t_d = 0.
-
-    Raises
-    ------
-    SimError
-        When the recording gives no estimate, or is shorter than the stretch.
+    SimError when it gives no estimate, or is shorter than the stretch.
     """
     files = folder / "cam1.h5", folder / "cam2.h5"
     chain = chain_of(files, folder / "rig.yaml").delayed(T_D_S)

@@ -96,18 +96,9 @@ class Results:
 
 
 def load_results(folder: Path) -> Results:
-    """Read all that the report shows.
+    """Read all that the report shows, as `make tables ablations figures` writes it.
 
-    Parameters
-    ----------
-    folder
-        As `make tables ablations figures` writes it.
-
-    Raises
-    ------
-    SsacError
-        If a file is missing, or is not what it should be. The message names the command that makes
-        it.
+    SsacError, which names the command that makes it, if a file is missing or is not as it should.
     """
     tables = {
         duration_s: _read(folder / f"esim_{duration_s:g}.csv", "make tables", _table)

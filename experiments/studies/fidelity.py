@@ -125,13 +125,7 @@ def fidelity_row(_: FidelityCell, both: tuple[Pair, Pair]) -> FidelityRow:
 
 
 def compare_events(events: NDArray[Any], reference: NDArray[Any]) -> EventFidelity:
-    """Match events with those of the reference and sum up how they differ.
-
-    Parameters
-    ----------
-    events, reference
-        EVENT_DTYPE, of the same scene.
-    """
+    """Match events (n,) of EVENT_DTYPE with those of the reference, and sum up how they differ."""
     keys = [_sort_by_pixel(e) for e in (events, reference)]
     difference_us = _match(*keys[0], *keys[1], MATCH_WINDOW_US)
     n_matched = len(difference_us)

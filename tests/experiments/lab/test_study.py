@@ -88,8 +88,10 @@ def sums(runs: pd.DataFrame) -> pd.DataFrame:
 STUDY = Study(
     "words", "Letters of words", word_cells, Measure(load_word, count_row, WordRow),
     Runs("words_runs.csv", ("word", "letter")),
-    (Made("words.csv", lambda results: sums(results.table("words_runs"))),
-     Made("words.png", lambda _: Figure())),
+    (
+        Made("words.csv", lambda results: sums(results.table("words_runs"))),
+        Made("words.png", lambda _: Figure()),
+    ),
     config={"words": WORDS},
 )  # fmt: skip
 
