@@ -78,14 +78,14 @@ GIVEN = {
     "neighbours": 3,
 }
 CASES = [
-    (command, name, option)
+    pytest.param(command, name, option, id=f"{command.__name__}-{name}")
     for command in (sync, convert)
     for name, option in command.OPTIONS.items()
     if option.field
 ]
 
 
-@pytest.mark.parametrize(("command", "name", "option"), CASES, ids=str)
+@pytest.mark.parametrize(("command", "name", "option"), CASES)
 def test_an_option_sets_its_field_and_no_other(command, name, option):
     defaults = {key: one.parameter[1] for key, one in command.OPTIONS.items()}
     assert config_of(command.OPTIONS, defaults) == Config()
