@@ -9,7 +9,7 @@ suspended, both make the same thing, and either is whole (`whole_file`, `sim.sto
 """
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from filelock import SoftFileLease, Timeout
@@ -52,7 +52,14 @@ def claimed(path: Path) -> Iterator[bool]:
 
 
 def remove_lapsed(folder: Path) -> None:
-    """Remove the locks in a folder whose holders are gone."""
+    """Remove the locks in a folder whose holders are gone.
+
+    One who was killed before it wrote who it is has left an empty file, which would never lapse.
+    """
     for path in folder.glob(f".*{SUFFIX}"):
+        with suppress(OSError):
+            if path.stat().st_size == 0:
+                path.unlink()
+                continue
         with claimed(path):
             pass

@@ -75,11 +75,12 @@ def test_what_a_killed_process_held_is_free_at_once(path):
     left = path.read_text()
     with claimed(path) as is_ours:
         assert is_ours
-    # And what nobody asks for again is tidied away.
-    path.write_text(left)
-    with claimed(kept):
-        remove_lapsed(path.parent)
-        assert list(path.parent.iterdir()) == [kept]
+    # And what nobody asks for again is tidied away, also of one that was killed as it began.
+    for text in (left, ""):
+        path.write_text(text)
+        with claimed(kept):
+            remove_lapsed(path.parent)
+            assert list(path.parent.iterdir()) == [kept]
 
 
 def test_a_holder_elsewhere_keeps_it_until_it_is_silent_for_long(path, monkeypatch):
