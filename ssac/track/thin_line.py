@@ -53,8 +53,9 @@ def events_on_line(
     if len(kept) < rules.min_events:
         return None
     start_us, length_us = kept["t"][0], 2 * rules.half_window_us
-    windows = np.unique((kept["t"] - start_us) // length_us)  # that hold an event
-    middles_us = start_us + windows * length_us + rules.half_window_us
+    starts_us = np.arange(start_us, kept["t"][-1] + 1, length_us)
+    ends = first_from(kept["t"], np.append(starts_us[1:], kept["t"][-1] + 1))
+    middles_us = starts_us[np.diff(ends, prepend=0) > 0] + rules.half_window_us  # hold an event
     numbers = list(range(0, len(middles_us), rules.look_every))
     step = max(1, len(numbers) // rules.first_windows)
     clear: dict[int, _Line] = {}
