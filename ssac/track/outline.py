@@ -117,8 +117,12 @@ class _Course:
 
     def smoothed(self, angles_rad: Array, config: OutlineConfig) -> Array:
         """Smooth the angles (n,) of a tangent, and interpolate where they are NaN."""
-        smooth, _ = local_parabolas(angles_rad, self.steps(config.smoothing_s))
+        smooth, _ = local_parabolas(angles_rad, self.reach(config))
         return _filled(self.times_s, smooth)
+
+    def reach(self, config: OutlineConfig) -> int:
+        """Sample steps to each side of a parabola: two at least, however short it is to be."""
+        return max(self.steps(config.smoothing_s), 2)
 
     def steps(self, duration_s: float) -> int:
         """Sample steps in a duration."""
@@ -243,7 +247,7 @@ def _tangent(
     _, _, extremes = _ranked(side, events, course, pencil, config)
     angles_rad = _within(events.course_rad + extremes.angles_rad, config.max_angle_rad)
     tangent_rad = course.angles_rad + side * angles_rad
-    _, slopes = local_parabolas(tangent_rad, course.steps(config.smoothing_s))
+    _, slopes = local_parabolas(tangent_rad, course.reach(config))
 
     # Along the line, the event and the track's velocity say well enough where it touches.
     ages_s = 1e-6 * events.times_us[extremes.indices] - times_s
