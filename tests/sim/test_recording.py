@@ -1,3 +1,4 @@
+import json
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -8,27 +9,22 @@ import trimesh
 from numpy.typing import NDArray
 
 import sim.render.native
+from sim.effects.config import SENSOR_PRESETS
 from sim.errors import SimError
-from sim.recorded import Recording
+from sim.recorded import Drift, Recording, drift_of
 from sim.recording import SimConfig, simulate, stream
-from sim.render.config import RenderConfig, SamplingConfig
-from sim.render.lattice import Lattice
+from sim.render.config import SamplingConfig
 from sim.scene.drone import drone_from_file
 from sim.scene.rig import Camera
-from sim.scene.trajectory import SplineConfig, random_spline, trajectory_to_csv
+from sim.scene.trajectory import random_spline, trajectory_to_csv
+from sim.seeds import generator, sequence
 from sim.sensor.events import PRESETS
 from sim.sensor.frames import FrameConfig
-from tests.sim.scenes import with_time_offset
+from sim.storage import record
+from tests.sim.scenes import QUICK, counts, with_time_offset
 
 pytestmark = pytest.mark.render
 
-# A second of a coarse recording: 60 ms.
-QUICK = SimConfig(
-    spline=SplineConfig(duration_s=1.0),
-    sampling=SamplingConfig(max_step_px=1.0),
-    render=RenderConfig(Lattice(3, 1)),
-    background_luminance=0.5,
-)
 SKY = 128  # its code in a frame
 
 
@@ -42,23 +38,18 @@ def assert_same(a: Recording, b: Recording) -> None:
         np.testing.assert_array_equal(getattr(a.truth, name), getattr(b.truth, name))
 
 
-def differ(a: Recording, b: Recording) -> bool:
-    return any(
-        len(one.events) != len(other.events) or bool((one.events != other.events).any())
-        for one, other in zip(a.cameras, b.cameras, strict=True)
-    )
+DIM = SENSOR_PRESETS["davis346-dim"]
 
 
-def skew(t: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.array([[0, -t[2], t[1]], [t[2], 0, -t[0]], [-t[1], t[0], 0]])
-
-
-@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.parametrize("preset", [*PRESETS, "davis346-dim"])
 def test_a_seed_is_a_recording(preset: str) -> None:
-    config = replace(QUICK, sensor=PRESETS[preset])
+    config = replace(QUICK, sensor=PRESETS.get(preset, DIM.sensor))
+    if preset not in PRESETS:
+        config = replace(config, effects=DIM.effects)
     first, again, other = (simulate(config, seed) for seed in (3, 3, 4))
     assert_same(first, again)
-    assert differ(first, other)
+    pairs = zip(first.cameras, other.cameras, strict=True)
+    assert all(not np.array_equal(a.events, b.events) for a, b in pairs)
     assert (first.truth.T_W_B != other.truth.T_W_B).any()
     for camera in first.cameras:
         assert len(camera.events) > 1000
@@ -69,18 +60,8 @@ def test_a_seed_is_a_recording(preset: str) -> None:
 
 def test_noise_differs_between_cameras_and_seeds() -> None:
     config = replace(QUICK, sensor=replace(PRESETS["davis346"], background_hz=1.0))
-    ideal = simulate(QUICK, 3)
-    noisy = simulate(config, 3)
-    counts = [
-        np.bincount(camera.events["y"].astype(int) * 346 + camera.events["x"], minlength=89_960)
-        for camera in noisy.cameras
-    ]
-    quiet = [
-        np.bincount(camera.events["y"].astype(int) * 346 + camera.events["x"], minlength=89_960)
-        for camera in ideal.cameras
-    ]
-    still = (quiet[0] == 0) & (quiet[1] == 0)
-    noise = [count[still] for count in counts]
+    still = sum(counts(camera.events, (260, 346)) for camera in simulate(QUICK, 3).cameras) == 0
+    noise = [counts(camera.events, (260, 346))[still] for camera in simulate(config, 3).cameras]
     assert noise[0].mean() > 0.5  # events a pixel in a second
     # Independent: no correlation beyond chance.
     assert abs(np.corrcoef(noise[0], noise[1])[0, 1]) < 5 / still.sum() ** 0.5
@@ -111,12 +92,12 @@ def test_the_offset_shifts_camera_2_and_nothing_else(t_d_s: float, preset: str) 
 def test_true_centres_fulfil_the_epipolar_equation(angle_deg: float) -> None:
     """x2' E x1 = 0 with E = [t]x R, normalised coordinates, on the drone's true centre."""
     truth = simulate(replace(QUICK, angle_deg=angle_deg), 1).truth
-    E = skew(truth.t) @ truth.R
     K = np.array([[200.0, 0.0, 173.0], [0.0, 200.0, 130.0], [0.0, 0.0, 1.0]])
     x1, x2 = (
         np.linalg.solve(K, np.column_stack([px, np.ones(len(px))]).T).T for px in truth.centres_px
     )
-    np.testing.assert_allclose(np.einsum("ni,ij,nj->n", x2, E, x1), 0.0, atol=1e-13)  # round-off
+    residuals = (x2 * np.cross(truth.t, x1 @ truth.R.T)).sum(axis=1)
+    np.testing.assert_allclose(residuals, 0.0, atol=1e-13)  # round-off
     assert np.linalg.norm(truth.t) == pytest.approx(1.0, abs=1e-15)
     # Two cameras 5 m from the origin, seen from there `angle_deg` apart.
     assert truth.baseline_m == pytest.approx(10.0 * np.sin(np.deg2rad(angle_deg / 2)))
@@ -220,17 +201,20 @@ def test_a_drone_that_is_never_in_view() -> None:
     assert 10_000 < len(noisy.cameras[0].events) < 30_000
 
 
-def test_progress_goes_from_0_to_1() -> None:
+def test_progress_goes_from_0_to_1_and_the_backend_is_recorded() -> None:
     seen: list[float] = []
-    simulate(QUICK, 1, seen.append)
+    recording = simulate(QUICK, 1, seen.append)
     assert seen[-1] == 1.0
     assert all(a <= b for a, b in pairwise(seen))
     assert min(seen) >= 0.0
+    assert recording.gl.backend in ("osmesa", "egl")
+    assert recording.gl.renderer
+    assert recording.n_instants > 100
 
 
 def test_what_is_recorded_is_handed_on_meanwhile(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sim.render.native, "BATCH", 32)  # of the few instants that there are
     """Frames one by one, events in order; little of either is left for the end of a camera."""
+    monkeypatch.setattr(sim.render.native, "BATCH", 32)  # of the few instants that there are
     calls: list[tuple[str, str, int]] = []
 
     class Images:
@@ -268,8 +252,62 @@ def test_what_is_recorded_is_handed_on_meanwhile(monkeypatch: pytest.MonkeyPatch
         assert mine[-1] == ("close", 50)
 
 
-def test_the_backend_is_recorded() -> None:
-    recording = simulate(QUICK, 1)
-    assert recording.gl.backend in ("osmesa", "egl")
-    assert recording.gl.renderer
-    assert recording.n_instants > 100
+DRIFTING = replace(QUICK, skew_ppm=-20_000.0, clock_jump=(0.7, 0.005))
+
+
+@pytest.mark.parametrize("skew_ppm", [0.0, 50.0, -50.0, 100_000.0, -100_000.0])
+def test_the_skew_adds_its_share_since_the_middle_and_keeps_the_order(skew_ppm: float) -> None:
+    times_us = np.arange(0, 2_000_000, 7)
+    drift = drift_of(skew_ppm, None, 2.0)
+    expected_us = skew_ppm * 1e-6 * (times_us - 1e6)
+    # Half a microsecond by rounding, and the last digits of a float.
+    np.testing.assert_allclose(drift.added_us(times_us), expected_us, rtol=0, atol=0.5 + 1e-6)
+    dense_us = np.arange(0, 50_000)
+    assert np.diff(dense_us + drift.added_us(dense_us)).min() >= 0
+
+
+def test_a_jump_adds_its_size_from_its_time_on() -> None:
+    added_us = Drift(jump=(0.5, 0.02)).added_us(np.array([0, 499_999, 500_000, 900_000]))
+    np.testing.assert_array_equal(added_us, [0, 0, 20_000, 20_000])
+
+
+def test_a_drifting_clock_changes_the_stamps_of_camera_2_and_nothing_else() -> None:
+    plain, drifting = simulate(QUICK, 5), simulate(DRIFTING, 5)
+    np.testing.assert_array_equal(plain.cameras[0].events, drifting.cameras[0].events)
+    drift = drifting.truth.drift
+    assert drift == Drift(-20_000.0, 0.5, (0.7, 0.005))
+    events, times_us = plain.cameras[1].events.copy(), plain.cameras[1].frames.times_us
+    assert len(events) > 1000
+    events["t"] += drift.added_us(events["t"])
+    np.testing.assert_array_equal(drifting.cameras[1].events, events)
+    assert np.diff(events["t"]).min() >= 0
+    stamps_us = drifting.cameras[1].frames.times_us
+    np.testing.assert_array_equal(stamps_us, times_us + drift.added_us(times_us))
+    # And one recording serves all offsets, to the last bit.
+    shifted = simulate(replace(DRIFTING, t_d_s=0.0123456), 5)
+    assert_same(with_time_offset(drifting, 0.0123456), shifted)
+
+
+@pytest.mark.parametrize(
+    ("config", "skew_ppm", "jump"),
+    [(QUICK, 0.0, None), (DRIFTING, -20_000.0, {"at_s": 0.7, "size_s": 0.005})],
+)
+def test_the_truth_tells_how_the_clock_strays(
+    tmp_path: Path, config: SimConfig, skew_ppm: float, jump: dict[str, float] | None
+) -> None:
+    record(config, 0, tmp_path / "out", {})
+    truth = json.loads((tmp_path / "out" / "truth.json").read_text())
+    assert (truth["skew_ppm"], truth["t_ref_s"], truth["clock_jump"]) == (skew_ppm, 0.5, jump)
+
+
+def test_a_stream_is_the_branch_that_numpy_spawns() -> None:
+    branch = np.random.SeedSequence(5).spawn(4)[3].spawn(2)[1]
+    np.testing.assert_array_equal(sequence(5, 3, 1).generate_state(8), branch.generate_state(8))
+    expected = np.random.default_rng(branch).random(100)
+    np.testing.assert_array_equal(generator(5, 3, 1).random(100), expected)
+
+
+def test_streams_and_seeds_have_no_number_in_common() -> None:
+    streams = [generator(seed, *at) for seed in (0, 1) for at in ((), (0,), (1,), (0, 1), (1, 0))]
+    drawn = np.concatenate([stream.integers(0, 2**63, 100) for stream in streams])
+    assert len(np.unique(drawn)) == len(drawn)

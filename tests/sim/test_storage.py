@@ -11,13 +11,10 @@ from scipy.spatial.transform import Rotation
 import sim.storage
 from sim.errors import SimError
 from sim.recorded import CameraRecording, Recording, Truth
-from sim.recording import SimConfig, simulate
-from sim.render.config import RenderConfig, SamplingConfig
+from sim.recording import simulate
 from sim.render.gl_context import GLContext
-from sim.render.lattice import Lattice
 from sim.render.renderer import RenderCheck
 from sim.scene.rig import two_view_rig
-from sim.scene.trajectory import SplineConfig
 from sim.sensor.events import PRESETS
 from sim.sensor.frames import Frames
 from sim.sensor.kernels import EVENT_DTYPE
@@ -25,16 +22,12 @@ from sim.storage import check_out_dir, record, save_events_text, save_recording
 from ssac.files.event_files import load_events
 from ssac.files.hdf5 import load_frames
 from ssac.files.rigs import load_rig
+from tests.sim import scenes
 
 T_D_S = 0.05
-PROVENANCE = {"seed": 3, "angle_deg": 70.0}
-# A second of a coarse recording: 60 ms.
-QUICK = SimConfig(
-    t_d_s=T_D_S,
-    spline=SplineConfig(duration_s=1.0),
-    sampling=SamplingConfig(max_step_px=1.0),
-    render=RenderConfig(Lattice(3, 1)),
-)
+SPLINE = {"duration_s": 20.0}
+PROVENANCE = {"seed": 3, "spline": SPLINE, "files": ["a.csv"], "none": None, "on": True}
+QUICK = replace(scenes.QUICK, t_d_s=T_D_S)
 
 
 def made_up_recording(
@@ -99,12 +92,15 @@ def test_hdf5_is_read_back(tmp_path: Path, n_events: int, n_frames: int) -> None
             np.testing.assert_array_equal(read.events, camera.events)
             assert (read.width, read.height) == (346, 260)
         frames = load_frames(path)
-        if n_frames:
-            assert frames is not None
+        assert (frames is not None) == (n_frames > 0)
+        if frames is not None:
             np.testing.assert_array_equal(frames[0], camera.frames.times_us)
             np.testing.assert_array_equal(frames[1], camera.frames.images)
-        else:
-            assert frames is None
+
+
+def test_esim_text_without_events(tmp_path: Path) -> None:
+    save_events_text(made_up_recording(0).rig.cameras[0], [], tmp_path / "cam1.txt")
+    assert (tmp_path / "cam1.txt").read_text() == "346 260\n"
 
 
 @pytest.mark.parametrize("first_us", [-1_234_567, -400_000, 0, 7])
@@ -123,11 +119,6 @@ def test_esim_text_is_read_back(tmp_path: Path, first_us: int) -> None:
         read = load_events(path)
         np.testing.assert_array_equal(read.events, camera.events)
         assert (read.width, read.height) == (346, 260)
-
-
-def test_esim_text_without_events(tmp_path: Path) -> None:
-    save_events_text(made_up_recording(0).rig.cameras[0], [], tmp_path / "cam1.txt")
-    assert (tmp_path / "cam1.txt").read_text() == "346 260\n"
 
 
 def test_rigs_are_read_back(tmp_path: Path) -> None:
@@ -155,6 +146,7 @@ def test_the_truth_is_complete(tmp_path: Path) -> None:
     np.testing.assert_array_equal(truth["R"], recording.truth.R)
     np.testing.assert_array_equal(truth["t"], recording.truth.t)
     assert truth["provenance"] == PROVENANCE
+    assert truth["n_instants"] == recording.n_instants
     assert truth["gl"] == {"backend": "osmesa", "renderer": "llvmpipe", "version": "4.5"}
     # Rounded to nine decimals.
     np.testing.assert_allclose(truth["times_s"], recording.truth.times_s, atol=1e-9)
@@ -262,46 +254,31 @@ def test_a_folder_that_was_filled_meanwhile_is_left_alone(tmp_path: Path) -> Non
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
-def test_the_reason_is_told(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    with pytest.raises(SimError, match=r"cannot write the recording to .*file/out"):
-        save_recording(made_up_recording(5, 0), tmp_path / "file" / "out", {})
+@pytest.mark.parametrize(
+    ("out", "reason"),
+    [
+        ("taken", "is not empty: name a new folder"),
+        ("taken/notes.txt", r"notes\.txt is a file: name a folder"),
+        ("taken/notes.txt/out", r"cannot write the recording to .*notes\.txt/out"),
+    ],
+)
+def test_what_is_there_is_left_alone(tmp_path: Path, out: str, reason: str) -> None:
+    (tmp_path / "taken").mkdir()
+    (tmp_path / "taken" / "notes.txt").write_text("mine")
+    with pytest.raises(SimError, match=reason):
+        save_recording(made_up_recording(5, 0), tmp_path / out, {})
+    assert contents(tmp_path / "taken") == {"notes.txt": b"mine"}
 
 
-def test_an_occupied_folder_is_left_alone(tmp_path: Path) -> None:
-    (tmp_path / "notes.txt").write_text("mine")
-    with pytest.raises(SimError, match="is not empty: name a new folder"):
-        save_recording(made_up_recording(5, 0), tmp_path, {})
-    assert contents(tmp_path) == {"notes.txt": b"mine"}
-    with pytest.raises(SimError, match=r"notes\.txt is a file: name a folder"):
-        check_out_dir(tmp_path / "notes.txt")
-
-
-@pytest.mark.parametrize("out", ["new", "deep/er/new", "empty", "empty/"])
-def test_new_and_empty_folders_are_taken(tmp_path: Path, out: str) -> None:
-    (tmp_path / "empty").mkdir()
-    check_out_dir(tmp_path / out)
-    save_recording(made_up_recording(5, 1), tmp_path / out, {})
-    assert "truth.json" in contents(tmp_path / out)
-    assert not list(tmp_path.rglob("*.partial"))
-
-
-@pytest.mark.parametrize("out", [".", "./", "../here"])
-def test_the_present_folder_is_taken_too(
+@pytest.mark.parametrize("out", ["new", "deep/er/new", "empty", "empty/", ".", "./", "../here"])
+def test_new_and_empty_folders_are_taken_and_the_present_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, out: str
 ) -> None:
     here = tmp_path / "here"
-    here.mkdir()
+    (here / "empty" if "empty" in out else here).mkdir(parents=True)
     monkeypatch.chdir(here)
+    check_out_dir(Path(out))
     save_recording(made_up_recording(5, 1), Path(out), {})
-    assert "truth.json" in contents(Path("."))  # still the same folder
+    assert "truth.json" in contents(Path(out))  # of the present folder: still the same one
     assert [path.name for path in tmp_path.iterdir()] == ["here"]
-
-
-def test_provenance_may_hold_what_a_configuration_holds(tmp_path: Path) -> None:
-    recording = replace(made_up_recording(5, 0), n_instants=7)
-    provenance = {"spline": {"duration_s": 20.0}, "files": ["a.csv"], "none": None, "on": True}
-    save_recording(recording, tmp_path / "out", provenance)
-    truth = json.loads((tmp_path / "out" / "truth.json").read_text())
-    assert truth["provenance"] == provenance
-    assert truth["n_instants"] == 7
+    assert not list(tmp_path.rglob("*.partial"))

@@ -10,7 +10,17 @@ from numpy.typing import NDArray
 from sim.effects.config import SENSOR_PRESETS, SensorEffects
 from sim.effects.pixels import EffectsSensor
 from sim.sensor.events import SensorConfig, events_from_frames
-from tests.sim.sensor.videos import EPS, feed_crop, rng, smooth_video, spread_px
+from tests.sim.scenes import (
+    EPS,
+    by_pixel,
+    counts,
+    events_of_crops,
+    feed,
+    gaps_us,
+    passing_square,
+    rng,
+    smooth_video,
+)
 
 SHAPE = (50, 60)
 FLICKER_RAD = 1.0  # away from crests, where a threshold may just be reached or not
@@ -28,8 +38,7 @@ def events_of(
     video = np.ascontiguousarray(light, np.float32)
     about = (config or SensorConfig(), effects, video[0], float(times_s[0]), rng(seed))
     sensor = EffectsSensor(*about, effects_rng=rng(seed + 1000), flicker_rad=FLICKER_RAD)
-    zeros = np.zeros(len(times_s) - 1, np.int64)
-    sensor.feed(times_s[1:], zeros, zeros, video[1:])
+    feed(sensor, times_s[1:], video[1:])
     return sensor.finish(float(times_s[-1]))
 
 
@@ -67,35 +76,21 @@ FINE = SensorConfig(threshold_on=0.02, threshold_off=0.02)
 )
 def test_effects_that_are_next_to_nothing_give_the_ideal_events(effects: SensorEffects) -> None:
     video, times_s = smooth_video(60, 20, 30), 1e-3 * np.arange(60)
-    ideal = events_from_frames(video, times_s)
-    events = events_of(video, times_s, effects)
-    assert len(events) == len(ideal) > 5000
-    order = [np.lexsort((each["t"], each["x"], each["y"])) for each in (ideal, events)]
-    for name in ("x", "y", "p"):
-        np.testing.assert_array_equal(events[name][order[1]], ideal[name][order[0]])
+    ideal = by_pixel(events_from_frames(video, times_s))
+    events = by_pixel(events_of(video, times_s, effects))
+    assert len(ideal) > 5000
+    np.testing.assert_array_equal(events[["x", "y", "p"]], ideal[["x", "y", "p"]])
     # The time constant, and half a microsecond of rounding each.
-    assert np.abs(events["t"][order[1]] - ideal["t"][order[0]]).max() <= 2
+    assert np.abs(events["t"] - ideal["t"]).max() <= 2
 
 
 @pytest.mark.parametrize("name", SENSOR_PRESETS)
 def test_crops_give_the_events_of_whole_frames(name: str) -> None:
-    preset = SENSOR_PRESETS[name]
-    n, height, width = 80, 30, 40
-    wall = smooth_video(1, height, width)[0]
-    video = np.repeat(wall[None], n, axis=0)
-    for k in range(8, 70):
-        video[k, 8 + k // 8 : 15 + k // 8, max(k // 2 - 5, 0) : k // 2 + 4] = 0.1
-    times_s = 1e-3 * np.arange(n)
+    preset, (video, times_s) = SENSOR_PRESETS[name], passing_square(0)
     whole = events_of(video, times_s, preset.effects, preset.sensor)
-    about = (preset.sensor, preset.effects, wall, 0.0, rng(1))
-    by_crops = EffectsSensor(
-        *about, background=wall, effects_rng=rng(1001), flicker_rad=FLICKER_RAD
-    )
-    boxes = spread_px(video, 0)
-    for k in range(1, n):
-        if (video[k - 1 : k + 2] != wall).any():
-            feed_crop(by_crops, times_s[k], video[k], boxes[k])
-    np.testing.assert_array_equal(by_crops.finish(times_s[-1]), whole)
+    sensor = EffectsSensor(preset.sensor, preset.effects, video[0], 0.0, rng(1),
+                           effects_rng=rng(1001), flicker_rad=FLICKER_RAD)  # fmt: skip
+    np.testing.assert_array_equal(events_of_crops(sensor, times_s, video, 0), whole)
     assert len(whole) > 300
 
 
@@ -171,11 +166,9 @@ def test_no_two_events_of_a_pixel_within_the_dead_time(dead_s: float) -> None:
     config = replace(preset.sensor, refractory_s=dead_s)
     video, times_s = smooth_video(150, 20, 30), 1e-3 * np.arange(150)
     events = events_of(video, times_s, effects, config)
-    by_pixel = events[np.lexsort((events["t"], events["x"], events["y"]))]
-    same = (np.diff(by_pixel["x"]) == 0) & (np.diff(by_pixel["y"]) == 0)
-    gaps_us = np.diff(by_pixel["t"])[same]
-    assert len(gaps_us) > 1000
-    assert gaps_us.min() >= round(dead_s * 1e6)
+    gaps = gaps_us(events)
+    assert len(gaps) > 1000
+    assert gaps.min() >= round(dead_s * 1e6)
 
 
 def test_a_signal_that_turns_within_an_interval_passes_its_threshold() -> None:
@@ -229,18 +222,14 @@ def test_flicker_is_what_light_that_swings_would_be(cutoff_hz: float) -> None:
 
 def test_leaking_pixels_under_faint_flicker_fire_at_the_crests() -> None:
     config = SensorConfig(leak_hz=2.0)
-    events = events_of(
-        np.full((2, *SHAPE), 0.5), np.array([0.0, 5.0]), SensorEffects(flicker_depth=0.05), config
-    )
+    still, faint = np.full((2, *SHAPE), 0.5), SensorEffects(flicker_depth=0.05)
+    events = events_of(still, np.array([0.0, 5.0]), faint, config)
     assert (events["p"] == 1).all()
     # A crest lifts the signal by 0.05 of the 0.25 that leak away in half a second, and the level
     # memorised there is as much higher: the rate stays.
     assert len(events) / 3000 / 5.0 == pytest.approx(2.0, rel=0.05)
     phases = np.exp(1j * (2 * np.pi * 100.0 * 1e-6 * events["t"] + FLICKER_RAD))
     assert np.angle(phases.mean()) == pytest.approx(0.0, abs=0.5)  # crests, a little before
-
-
-DIM = SensorEffects(dim_noise_on_hz=5.0, dim_noise_off_hz=3.7)
 
 
 @pytest.mark.parametrize(("lux", "falls"), [(0.1, 1.0), (1.0, 10**-0.75), (161.0, 1610**-0.75)])
@@ -259,9 +248,7 @@ def test_a_davis346_is_on_heavy_in_bright_light_and_noisy_in_dim() -> None:
     preset = SENSOR_PRESETS["davis346"]
     rates = {}
     for lux in (0.1, 161.0):
-        effects = SensorEffects(
-            **{**vars(preset.effects), **{"illuminance_lux": lux / 0.5, "hot_clusters": 0}}
-        )
+        effects = replace(preset.effects, illuminance_lux=lux / 0.5, hot_clusters=0)
         config = SensorConfig(leak_hz=preset.sensor.leak_hz)
         events = still_events(effects, 0.5, 20.0, config)
         on = (events["p"] == 1).mean()
@@ -295,8 +282,7 @@ def test_noise_falls_due_alike_whether_or_not_the_light_changes() -> None:
     """Pixels are followed at each change: what they wait for meanwhile must not start anew."""
     config = replace(QUIET, background_hz=3.0)
     times_s = np.linspace(0.0, 5.0, 501)
-    light = np.empty((501, *SHAPE), np.float32)
-    light[:] = 0.5 + 0.01 * (np.arange(501) % 2)[:, None, None]
+    light = np.broadcast_to(0.5 + 0.01 * (np.arange(501) % 2)[:, None, None], (501, *SHAPE))
     events = events_of(light, times_s, SensorEffects(latency_s=1e-9), config)
     expected = 3.0 * 5.0 * 3000
     assert len(events) == pytest.approx(expected, abs=5 * expected**0.5)
@@ -306,10 +292,9 @@ def test_rates_spread_over_pixels() -> None:
     spread = 0.25
     effects = SensorEffects(illuminance_lux=0.1, dim_noise_on_hz=20.0, noise_spread_decades=spread)
     events = still_events(effects, 0.9, 60.0)
-    counts = np.bincount(events["y"].astype(int) * SHAPE[1] + events["x"], minlength=3000)
     assert len(events) == pytest.approx(20.0 * 60.0 * 3000, rel=0.05)  # 3000 draws: 1.2 %
     # Counts of a thousand each add 0.014 decades.
-    assert np.log10(counts).std() == pytest.approx(np.hypot(spread, 0.014), rel=0.05)
+    assert np.log10(counts(events, SHAPE)).std() == pytest.approx(np.hypot(spread, 0.014), rel=0.05)
 
 
 @pytest.mark.parametrize("jitter", [0.0, 0.1, 0.2])
@@ -318,9 +303,7 @@ def test_times_between_leak_events_jitter(jitter: float) -> None:
     events = still_events(SensorEffects(leak_jitter=jitter, latency_s=1e-9), 0.5, 10.0, config)
     assert (events["p"] == 1).all()
     assert len(events) == pytest.approx(3.0 * 10.0 * 3000, rel=0.01)
-    by_pixel = events[np.lexsort((events["t"], events["x"], events["y"]))]
-    same = (np.diff(by_pixel["x"]) == 0) & (np.diff(by_pixel["y"]) == 0)
-    gaps_s = 1e-6 * np.diff(by_pixel["t"])[same]
+    gaps_s = 1e-6 * gaps_us(events)
     assert gaps_s.mean() == pytest.approx(1 / 3.0, rel=0.01)
     assert gaps_s.std() * 3.0 == pytest.approx(jitter, rel=0.05, abs=1e-5)
 
@@ -329,11 +312,11 @@ def test_hot_clusters() -> None:
     effects = SensorEffects(hot_clusters=40, hot_cluster_hz=100.0)
     events = still_events(effects, 0.5, 10.0, QUIET, (200, 200))
     assert (events["p"] == 1).all()
-    counts = np.bincount(events["y"].astype(int) * 200 + events["x"], minlength=40_000)
-    hot = counts.reshape(200, 200) > 0
+    fired = counts(events, (200, 200))
+    hot = fired.reshape(200, 200) > 0
     assert 40 * 9 * 0.9 < hot.sum() <= 40 * 9  # some overlap
     neighbours = sum(np.roll(hot, shift, axis) for shift in (-1, 1) for axis in (0, 1))
     assert (neighbours[hot] >= 2).all()
     # Log-normal of spread 0.7 about the median.
-    rates = counts[counts > 0] / 10.0
+    rates = fired[fired > 0] / 10.0
     assert np.log(np.median(rates) / 100.0) == pytest.approx(0.0, abs=5 * 1.25 * 0.7 / 360**0.5)

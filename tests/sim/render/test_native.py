@@ -9,13 +9,13 @@ import sim.render.renderer
 import sim.scene.drone
 from sim.errors import SimError
 from sim.render.config import RenderConfig
+from sim.render.footprint import Views
 from sim.render.gl_atlas import GLPainter
 from sim.render.lattice import Lattice, pixels_of_tile, runs_of_tile
 from sim.render.native import NativePainter
 from sim.render.renderer import Renderer
 from sim.scene.drone import Drone, Part
 from sim.scene.flyers import quadrotor
-from sim.scene.rig import Camera
 from tests.sim.render.drawing import BOX, HALF_VGA, drawn
 from tests.sim.scenes import (
     LENSES,
@@ -68,10 +68,7 @@ def test_the_check_compares_instants_and_says_how_far_they_were() -> None:
     times_s = np.linspace(0.0, 1.0, 300)
     T_W_B = straight(times_s, (-1.0, 0.0, 0.0), (2.0, 0.0, 0.3))
     with Renderer(quadrotor(), RenderConfig(), seed=5) as renderer:
-        assert (
-            sum(len(crop.times_s) for crop in renderer.crops(camera, times_s, T_W_B, grey(camera)))
-            > 0
-        )
+        assert list(renderer.crops(camera, times_s, T_W_B, grey(camera)))
         check = renderer.check
     assert check.n_instants == sim.render.renderer.CHECKED_INSTANTS
     assert check.n_pixels > 25 * 50  # a flat drone from its side, 36 px wide
@@ -100,12 +97,8 @@ def test_a_renderer_that_differs_is_refused(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(NativePainter, "paint", shifted)
     camera = make_camera()
     T_W_B = straight(np.arange(2.0), (0.0, 0.0, 0.0), (0.2, 0.0, 0.0))
-    with (
-        Renderer(quadrotor()) as renderer,
-        pytest.raises(
-            SimError, match=r"native renderer differs from pyrender by up to 0\..*report"
-        ),
-    ):
+    said = r"native renderer differs from pyrender by up to 0\..*report"
+    with Renderer(quadrotor()) as renderer, pytest.raises(SimError, match=said):
         list(renderer.crops(camera, np.arange(2.0), T_W_B, grey(camera)))
 
 
@@ -123,25 +116,13 @@ def test_without_the_check_opengl_is_not_opened(monkeypatch: pytest.MonkeyPatch)
 
 def cut_up(drone: Drone, n: int) -> Drone:
     """The same surface in n * n times as many triangles, whose corners are in single precision."""
+    upright = [((i, j), (i + 1, j), (i, j + 1)) for i in range(n) for j in range(n - i)]
+    turned = [((i + 1, j), (i + 1, j + 1), (i, j + 1)) for i in range(n) for j in range(n - 1 - i)]
+    x, y = np.moveaxis(np.array(upright + turned) / n, -1, 0)[..., None]
     parts = []
     for part in drone.parts:
-        corners = part.vertices_B_m[part.faces]
-        pieces = []
-        for i in range(n):
-            for j in range(n - i):
-                a, b, c = (
-                    corners[:, 0],
-                    corners[:, 1] - corners[:, 0],
-                    corners[:, 2] - corners[:, 0],
-                )
-                at = [a + b * (x / n) + c * (y / n) for x, y in ((i, j), (i + 1, j), (i, j + 1))]
-                pieces.append(np.stack(at, axis=1))
-                if i + j < n - 1:
-                    other = ((i + 1, j), (i + 1, j + 1), (i, j + 1))
-                    pieces.append(
-                        np.stack([a + b * (x / n) + c * (y / n) for x, y in other], axis=1)
-                    )
-        vertices = np.concatenate(pieces).reshape(-1, 3)
+        a, b, c = part.vertices_B_m[part.faces].transpose(1, 0, 2)[:, :, None, None]
+        vertices = (a + (b - a) * x + (c - a) * y).reshape(-1, 3)
         faces = np.arange(len(vertices)).reshape(-1, 3)
         parts.append(Part(vertices, faces, np.full(len(faces), part.albedo[0])))
     return replace(drone, parts=tuple(parts))
@@ -168,8 +149,10 @@ def test_a_wall_fills_the_view_however_far_it_reaches(lattice: Lattice) -> None:
     """Faces 10^7 px wide, with corners behind the camera too: nothing overflows, nothing leaks."""
     camera = make_camera(resolution=HALF_VGA)
     config = RenderConfig(lattice, ambient=1.0, check=False)
-    with Renderer(BOX, config) as renderer:
-        views = _one_view(renderer, camera)
+    # A drone that fills the whole image, in the world's own frame.
+    box, every = np.array([[0, 0, camera.width, camera.height]]), np.zeros((1, 2))
+    T_C_W = camera.T_C_W.astype(np.float32)[None]
+    views = Views(np.zeros(1), np.ones(1, bool), every, every, every, box, [T_C_W])
     for reach_m in (10.0, 1e3, 1e5):
         # Slanted, so that it passes the camera's plane: seen at the left, behind at the right.
         near, far = -4.5 - reach_m, -4.5 + reach_m
@@ -177,44 +160,25 @@ def test_a_wall_fills_the_view_however_far_it_reaches(lattice: Lattice) -> None:
             [[-reach_m, far, -reach_m], [reach_m, near, -reach_m],
              [reach_m, near, reach_m], [-reach_m, far, reach_m]]
         )  # fmt: skip
-        wall = Drone(
-            (Part(corners, np.array([[0, 1, 2], [0, 2, 3]]), np.full(2, 0.3)),), "wall", 1.0
-        )
-        image = NativePainter(wall, config).paint(
-            camera, views, np.zeros((1, 2), np.int64), grey(camera, 0.0)
-        )[0]
+        part = Part(corners, np.array([[0, 1, 2], [0, 2, 3]]), np.full(2, 0.3))
+        painter = NativePainter(Drone((part,), "wall", 1.0), config)
+        (image,) = painter.paint(camera, views, np.zeros((1, 2), np.int64), grey(camera, 0.0))
         # Where a ray meets the plane before the camera: x + y = -4.5 in the world, by geometry.
         x, y = np.meshgrid(np.arange(HALF_VGA[0]), np.arange(HALF_VGA[1]))
         slope_x = (x - camera.K[0, 2]) / camera.K[0, 0]
         slope_z = -(y - camera.K[1, 2]) / camera.K[1, 1]
         depth = 0.5 / (1.0 + slope_x)
-        hit = (
-            (depth > 0) & (np.abs(depth * slope_x) < reach_m) & (np.abs(depth * slope_z) < reach_m)
-        )
+        reached_m = np.abs(depth) * np.maximum(np.abs(slope_x), np.abs(slope_z))
+        hit = (depth > 0) & (reached_m < reach_m)
         assert hit.mean() > 0.9
         np.testing.assert_allclose(image[hit], 0.3, atol=2e-5)  # codes are 1/65535 apart
 
 
-def _one_view(renderer: Renderer, camera: Camera):  # type: ignore[no-untyped-def]
-    """The view of a drone that fills the whole image, in the world's own frame."""
-    from sim.render.footprint import Views
-
-    T_C_W = camera.T_C_W.astype(np.float32)[None]
-    box = np.array([[0, 0, camera.width, camera.height]])
-    every = np.array([[0.0, 0.0]])
-    return Views(np.zeros(1), np.ones(1, bool), every, every, every, box, [T_C_W.copy()])
-
-
 @pytest.mark.parametrize("lattice", [Lattice(1, 0), Lattice(5, 0), Lattice(5, 1)], ids=repr)
-def test_each_pixel_has_all_its_samples(lattice: Lattice) -> None:
+def test_each_pixel_has_all_its_samples_in_runs_that_lie_in_one_row(lattice: Lattice) -> None:
     pixels = pixels_of_tile(lattice, (7, 4))
-    counts = np.bincount(pixels.ravel(), minlength=29)
-    np.testing.assert_array_equal(counts[:28], lattice.samples_per_pixel)
-
-
-@pytest.mark.parametrize("lattice", [Lattice(1, 0), Lattice(5, 0), Lattice(5, 1)], ids=repr)
-def test_a_run_of_samples_lies_in_one_pixel_and_one_row(lattice: Lattice) -> None:
-    pixels = pixels_of_tile(lattice, (7, 4))
+    samples = np.bincount(pixels.ravel(), minlength=29)
+    np.testing.assert_array_equal(samples[:28], lattice.samples_per_pixel)
     run_of, start, pixel = runs_of_tile(lattice, (7, 4))
     np.testing.assert_array_equal(pixel[run_of], pixels.ravel())
     np.testing.assert_array_equal(np.repeat(np.arange(len(pixel)), np.diff(start)), run_of)
@@ -224,18 +188,15 @@ def test_a_run_of_samples_lies_in_one_pixel_and_one_row(lattice: Lattice) -> Non
 
 def test_a_nearer_part_hides_a_farther_one_in_any_order() -> None:
     camera = make_camera()
+    plates = ((0.5, -0.5, 0.1), (1.0, 0.5, 0.8))  # [m], [m] and albedo
+    boxes = [(box_drone((w, 0.1, w), albedo).parts[0], y) for w, y, albedo in plates]
     near, far = (
-        replace(box.parts[0], vertices_B_m=box.parts[0].vertices_B_m + np.array([0.0, y_m, 0.0]))
-        for box, y_m in (
-            (box_drone((0.5, 0.1, 0.5), 0.1), -0.5),
-            (box_drone((1.0, 0.1, 1.0), 0.8), 0.5),
-        )
+        replace(p, vertices_B_m=p.vertices_B_m + np.array([0.0, y, 0.0])) for p, y in boxes
     )
     config = RenderConfig(ambient=1.0, check=False)
     for parts in ((near, far), (far, near)):
-        (image,) = drawn(
-            Drone(parts, "two", 1.0), camera, np.zeros(1), np.eye(4)[None], grey(camera), config
-        )
+        drone = Drone(parts, "two", 1.0)
+        (image,) = drawn(drone, camera, np.zeros(1), np.eye(4)[None], grey(camera), config)
         assert image[130, 173] == pytest.approx(0.1, abs=2e-5)
         assert image[130, 173 + 15] == pytest.approx(0.8, abs=2e-5)
 

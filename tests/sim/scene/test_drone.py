@@ -1,5 +1,7 @@
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -7,8 +9,23 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from sim.errors import SimError
+from sim.recording import simulate
+from sim.render.config import SamplingConfig
+from sim.render.footprint import choose_instants, footprint
 from sim.scene.drone import DEFAULT_ALBEDO, Drone, Joint, Part, drone_from_file
-from sim.scene.flyers import quadrotor, two_tone
+from sim.scene.flyers import (
+    DRONES,
+    FLAP_RAD,
+    QUADROTORS,
+    bird,
+    built_in_drone,
+    plane,
+    quadrotor,
+    two_tone,
+)
+from sim.scene.rig import two_view_rig
+from sim.scene.trajectory import SplineConfig, random_spline
+from tests.sim.scenes import QUICK
 
 Z_AXIS = np.array([0.0, 0.0, 1.0])
 TWO_TONE = [0.696762889, 0.130206804, 0.00717278679, 0.0, 0.000715607516]
@@ -17,12 +34,19 @@ Builder = Callable[..., Drone]
 BUILDERS = pytest.mark.parametrize("build", [quadrotor, two_tone])
 
 
+def vertices_m(drone: Drone, time_s: float = 0.0) -> np.ndarray:
+    return np.concatenate([at(part, time_s) for part in drone.parts])
+
+
+def at(part: Part, time_s: float) -> np.ndarray:
+    if part.joint is None:
+        return part.vertices_B_m
+    T_B_P = part.joint.transforms(np.array([time_s]))[0]
+    return part.vertices_B_m @ T_B_P[:3, :3].T + T_B_P[:3, 3]
+
+
 def as_mesh(part: Part) -> trimesh.Trimesh:
     return trimesh.Trimesh(part.vertices_B_m, part.faces, process=True)
-
-
-def n_faces(drone: Drone) -> int:
-    return sum(len(part.faces) for part in drone.parts)
 
 
 # --- Quadrotors ------------------------------------------------------------------------------
@@ -32,13 +56,8 @@ def n_faces(drone: Drone) -> int:
 @pytest.mark.parametrize("rotor_hz", [0.0, 40.0])
 def test_quadrotor_fits_its_size(build: Builder, rotor_hz: float) -> None:
     drone = build(size_m=2.0, rotor_hz=rotor_hz)
-    times_s = np.arange(180) / 180 / 40.0  # one turn; a tip misses the extreme by 1 - cos(1 deg)
-    still = Joint(Z_AXIS, np.zeros(3), rate_hz=0.0)
-    swept_B_m = [
-        part.vertices_B_m @ T_B_P[:3, :3].T + T_B_P[:3, 3]
-        for part in drone.parts
-        for T_B_P in (part.joint or still).transforms(times_s)
-    ]
+    # One turn; a tip misses the extreme by 1 - cos(1 deg).
+    swept_B_m = [vertices_m(drone, time_s) for time_s in np.arange(180) / 180 / 40.0]
     length, width, height = np.ptp(np.concatenate(swept_B_m), axis=0)
     assert length <= 2.0 + 1e-12
     assert width < length
@@ -48,23 +67,21 @@ def test_quadrotor_fits_its_size(build: Builder, rotor_hz: float) -> None:
 
 
 @BUILDERS
-def test_spinning_rotors_are_parts_of_their_own(build: Builder) -> None:
+def test_spinning_rotors_are_parts_of_their_own_and_turn_alike_on_both_sides(
+    build: Builder,
+) -> None:
     still, spinning = build(), build(rotor_hz=40.0)
-    assert len(still.parts) == 1
-    assert still.parts[0].joint is None
-    assert len(spinning.parts) == 5
+    assert [part.joint is None for part in still.parts] == [True]
     assert [part.joint is None for part in spinning.parts] == [True, False, False, False, False]
-    assert n_faces(still) == n_faces(spinning)
-    rates_hz = [part.joint.rate_hz for part in spinning.parts[1:] if part.joint]
-    assert sorted(rates_hz) == [-40.0, -40.0, 40.0, 40.0]
-
-
-@BUILDERS
-def test_quadrotor_is_cheap(build: Builder) -> None:
-    drone = build()
-    assert 250 <= n_faces(drone) <= 550  # rendered 10,000 times a second
-    albedo = drone.parts[0].albedo
-    assert ((albedo > 0) & (albedo <= 1)).all()
+    n_faces = sum(len(part.faces) for part in spinning.parts)
+    assert len(still.parts[0].faces) == n_faces
+    assert 250 <= n_faces <= 550  # rendered 10,000 times a second
+    assert ((still.parts[0].albedo > 0) & (still.parts[0].albedo <= 1)).all()
+    joints = [part.joint for part in spinning.parts[1:] if part.joint]
+    turns = {tuple(np.sign(joint.origin_B_m[:2])): joint.rate_hz for joint in joints}
+    rate_hz = turns[1, 1]
+    assert turns == {(1, 1): rate_hz, (-1, -1): rate_hz, (1, -1): -rate_hz, (-1, 1): -rate_hz}
+    assert abs(rate_hz) == 40.0
 
 
 @pytest.mark.parametrize("mirror", [(-1, 1, 1), (1, -1, 1)], ids=["fore and aft", "left and right"])
@@ -83,24 +100,12 @@ def test_quadrotor_is_its_own_mirror_image(mirror: tuple[int, int, int]) -> None
     np.testing.assert_allclose(volumes, volumes[image], rtol=1e-9)
 
 
-def test_quadrotor_turns_alike_on_both_sides() -> None:
-    joints = [part.joint for part in quadrotor(rotor_hz=5.0).parts[1:] if part.joint]
-    assert len(joints) == 4
-    turns = {tuple(np.sign(joint.origin_B_m[:2])): joint.rate_hz for joint in joints}
-    for (x_sign, y_sign), rate_hz in turns.items():
-        assert turns[-x_sign, -y_sign] == rate_hz
-        assert turns[x_sign, -y_sign] == -rate_hz
-        assert turns[-x_sign, y_sign] == -rate_hz
-
-
 def test_two_tone_is_paler_in_front_and_stands_askew() -> None:
     part = two_tone().parts[0]
     front = part.vertices_B_m[part.faces].mean(axis=1)[:, 0] > 0
     assert part.albedo[front].mean() > 1.2 * part.albedo[~front].mean()
-    quadrotor_m, two_tone_m = (
-        np.ptp(build().parts[0].vertices_B_m, axis=0) for build in (quadrotor, two_tone)
-    )
-    assert quadrotor_m[2] < 0.6 * two_tone_m[2]
+    heights_m = [np.ptp(vertices_m(build())[:, 2]) for build in (quadrotor, two_tone)]
+    assert heights_m[0] < 0.6 * heights_m[1]
 
 
 def test_two_tone_is_what_it_was() -> None:
@@ -123,9 +128,8 @@ def test_joint_keeps_its_axis_and_turns_by_the_right_hand() -> None:
     T_B_P = joint.transforms(np.array([0.0, 0.05, 0.2]))  # no turn, a quarter, a whole one
     on_axis = np.array([1.0, 0.0, 3.0, 1.0])
     np.testing.assert_allclose(T_B_P @ on_axis, np.tile(on_axis, (3, 1)), atol=1e-14)
-    off_axis = T_B_P @ np.array([2.0, 0.0, 0.0, 1.0])
     expected = [[2, 0, 0, 1], [1, 1, 0, 1], [2, 0, 0, 1]]
-    np.testing.assert_allclose(off_axis, expected, atol=1e-14)  # round-off of sines
+    np.testing.assert_allclose(T_B_P @ [2.0, 0.0, 0.0, 1.0], expected, atol=1e-14)  # sines
 
 
 def test_joint_flaps_within_its_amplitude() -> None:
@@ -133,38 +137,35 @@ def test_joint_flaps_within_its_amplitude() -> None:
     T_B_P = joint.transforms(np.linspace(0, 1, 1001))
     angle_rad = np.arctan2(T_B_P[:, 1, 0], T_B_P[:, 0, 0])
     # 333 samples per flap miss the extreme by less than 1e-4 of it.
-    assert angle_rad.max() == pytest.approx(0.4, rel=1e-4)
-    assert angle_rad.min() == pytest.approx(-0.4, rel=1e-4)
+    assert (angle_rad.min(), angle_rad.max()) == pytest.approx((-0.4, 0.4), rel=1e-4)
     assert angle_rad[0] == pytest.approx(0.4 * np.sin(0.3))
 
 
 # --- Files ------------------------------------------------------------------------------------
 
 
-def export(mesh: trimesh.Trimesh | trimesh.Scene, path: Path) -> Path:
+def from_file(mesh: Any, path: Path, size_m: float | None = None) -> Drone:
     mesh.export(path)
-    return path
+    return drone_from_file(path, size_m)
 
 
-def test_file_is_centred_and_scaled(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("size_m", "extents"), [(None, (4.0, 2.0, 8.0)), (0.5, (0.5, 0.25, 1.0))])
+def test_file_is_centred_scaled_and_grey_without_colours(
+    tmp_path: Path, size_m: float | None, extents: tuple[float, ...]
+) -> None:
     box = trimesh.creation.box((4.0, 2.0, 8.0))
     box.apply_translation((5.0, 6.0, 7.0))
-    path = export(box, tmp_path / "box.stl")
-    for size_m, extents in ((None, (4.0, 2.0, 8.0)), (0.5, (0.5, 0.25, 1.0))):
-        drone = drone_from_file(path, size_m)
-        vertices = drone.parts[0].vertices_B_m
-        np.testing.assert_allclose(
-            vertices.max(axis=0), np.divide(extents, 2), rtol=1e-6
-        )  # float32
-        np.testing.assert_allclose(vertices.min(axis=0), np.divide(extents, -2), rtol=1e-6)
-        assert drone.size_m == pytest.approx(extents[0])
-        assert drone.name == "box"
+    drone = from_file(box, tmp_path / "box.stl", size_m)
+    ends_m = np.stack([drone.parts[0].vertices_B_m.min(axis=0), vertices_m(drone).max(axis=0)])
+    np.testing.assert_allclose(ends_m, np.outer((-0.5, 0.5), extents), rtol=1e-6)  # float32
+    assert (drone.name, drone.size_m) == ("box", pytest.approx(extents[0]))
+    np.testing.assert_array_equal(drone.parts[0].albedo, DEFAULT_ALBEDO)
 
 
 def test_inside_out_file_is_turned_outward(tmp_path: Path) -> None:
     box = trimesh.creation.box()
     box.invert()
-    part = drone_from_file(export(box, tmp_path / "box.stl")).parts[0]
+    (part,) = from_file(box, tmp_path / "box.stl").parts
     assert len(part.faces) == 12
     assert as_mesh(part).volume == pytest.approx(1.0)
 
@@ -172,22 +173,23 @@ def test_inside_out_file_is_turned_outward(tmp_path: Path) -> None:
 def test_open_mesh_shows_both_sides(tmp_path: Path) -> None:
     box = trimesh.creation.box()
     box.update_faces(np.arange(12) > 1)
-    part = drone_from_file(export(box, tmp_path / "open.stl")).parts[0]
+    (part,) = from_file(box, tmp_path / "open.stl").parts
     assert len(part.faces) == len(part.albedo) == 20
     triangles = part.vertices_B_m[part.faces]
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     np.testing.assert_allclose(normals[:10], -normals[10:], atol=1e-12)  # round-off
 
 
+# Red by Rec. 709, and sRGB 128 / 255 by its table.
 @pytest.mark.parametrize("suffix", [".ply", ".glb", ".obj"])
-def test_colours_become_linear_luminance(tmp_path: Path, suffix: str) -> None:
+@pytest.mark.parametrize(("rgb", "light"), [((255, 0, 0), 0.2126), ((128, 128, 128), 0.2159)])
+def test_colours_become_linear_luminance(
+    tmp_path: Path, suffix: str, rgb: tuple[int, int, int], light: float
+) -> None:
     box = trimesh.creation.box()
-    box.visual.face_colors = (255, 0, 0, 255)
-    part = drone_from_file(export(box, tmp_path / f"red{suffix}")).parts[0]
-    np.testing.assert_allclose(part.albedo, 0.2126)  # red in Rec. 709
-    box.visual.face_colors = (128, 128, 128, 255)
-    part = drone_from_file(export(box, tmp_path / f"grey{suffix}")).parts[0]
-    np.testing.assert_allclose(part.albedo, 0.2159, atol=1e-4)  # sRGB 128 / 255, by its table
+    box.visual.face_colors = (*rgb, 255)
+    (part,) = from_file(box, tmp_path / f"box{suffix}").parts
+    np.testing.assert_allclose(part.albedo, light, atol=5e-5)  # its last digit
 
 
 def test_scene_keeps_each_mesh_its_colour(tmp_path: Path) -> None:
@@ -196,20 +198,23 @@ def test_scene_keeps_each_mesh_its_colour(tmp_path: Path) -> None:
     material = trimesh.visual.material.PBRMaterial(baseColorFactor=(0, 255, 0, 255))
     green.visual = trimesh.visual.TextureVisuals(material=material)
     green.apply_translation((3.0, 0.0, 0.0))
-    part = drone_from_file(export(trimesh.Scene([red, green]), tmp_path / "two.glb")).parts[0]
+    (part,) = from_file(trimesh.Scene([red, green]), tmp_path / "two.glb").parts
     behind = part.vertices_B_m[part.faces].mean(axis=1)[:, 0] < 0
-    np.testing.assert_allclose(part.albedo[behind], 0.2126)
-    np.testing.assert_allclose(part.albedo[~behind], 0.7152)
+    np.testing.assert_allclose(part.albedo, np.where(behind, 0.2126, 0.7152))
 
 
-def test_file_without_colours_is_grey(tmp_path: Path) -> None:
-    part = drone_from_file(export(trimesh.creation.box(), tmp_path / "box.stl")).parts[0]
-    np.testing.assert_array_equal(part.albedo, DEFAULT_ALBEDO)
+LOST_VERTEX = (
+    "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
+    "property float z\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n"
+    "0 0 0\n1 0 0\n0 1 0\n3 0 1 7\n"
+)
 
 
 @pytest.mark.parametrize(
     ("name", "text", "message"),
     [
+        ("mesh.ply", LOST_VERTEX, "faces whose vertices are missing"),
+        ("mesh.stl", None, "does not exist"),
         ("mesh.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\n", "has no faces"),
         ("mesh.obj", "v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "not finite"),
         ("mesh.obj", "v 0 0 0\nv 0 0 1\nv 0 0 2\nf 1 2 3\n", "no extent along x or y"),
@@ -217,29 +222,114 @@ def test_file_without_colours_is_grey(tmp_path: Path) -> None:
         ("mesh.docx", "not a mesh", "cannot read the drone's mesh"),
     ],
 )
-def test_bad_file(tmp_path: Path, name: str, text: str, message: str) -> None:
+def test_bad_file(tmp_path: Path, name: str, text: str | None, message: str) -> None:
     path = tmp_path / name
-    path.write_text(text)
+    if text is not None:
+        path.write_text(text)
     with pytest.raises(SimError, match=message) as error:
         drone_from_file(path)
     assert str(path) in str(error.value)
 
 
-def test_face_without_its_vertices(tmp_path: Path) -> None:
-    path = tmp_path / "mesh.ply"
-    path.write_text(
-        "ply\nformat ascii 1.0\nelement vertex 3\n"
-        "property float x\nproperty float y\nproperty float z\n"
-        "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
-        "0 0 0\n1 0 0\n0 1 0\n3 0 1 7\n"
-    )
-    with pytest.raises(SimError, match="faces whose vertices are missing"):
-        drone_from_file(path)
-
-
-def test_missing_file_and_bad_size(tmp_path: Path) -> None:
-    with pytest.raises(SimError, match="does not exist"):
-        drone_from_file(tmp_path / "none.stl")
-    path = export(trimesh.creation.box(), tmp_path / "box.stl")
+def test_bad_size(tmp_path: Path) -> None:
     with pytest.raises(SimError, match="size must be a positive number of metres, got 0"):
-        drone_from_file(path, size_m=0.0)
+        from_file(trimesh.creation.box(), tmp_path / "box.stl", size_m=0.0)
+
+
+@pytest.mark.parametrize(
+    "drone",
+    [*(build(rotor_hz=hz) for build in QUADROTORS.values() for hz in (0.0, 40.0)),
+     bird(), bird(flap_hz=0.0), plane()],
+)  # fmt: skip
+def test_every_piece_is_closed_and_faces_outward(drone: Drone) -> None:
+    for part in drone.parts:
+        pieces = as_mesh(part).split()
+        assert sum(len(piece.faces) for piece in pieces) == len(part.faces)
+        for piece in pieces:
+            assert piece.is_volume
+            assert piece.volume > 0
+
+
+@pytest.mark.parametrize("name", DRONES)
+def test_size_is_the_largest_horizontal_extent_and_scales_all(name: str) -> None:
+    small, large = built_in_drone(name, 0.5), built_in_drone(name, 1.5)
+    assert (small.name, small.size_m, large.size_m) == (name, 0.5, 1.5)
+    np.testing.assert_allclose(3.0 * vertices_m(small), vertices_m(large), atol=1e-15)  # round-off
+    length, width, height = np.ptp(vertices_m(large), axis=0)
+    # A quadrotor's blades at rest do not reach the end of their sweep.
+    assert max(length, width) == pytest.approx(1.5, rel=0.1 if name in QUADROTORS else 1e-12)
+    assert height < 0.5 * max(length, width)
+    if name in QUADROTORS:
+        by_name, built = built_in_drone(name, 1.0, rotor_hz=40.0), QUADROTORS[name](1.0, 40.0)
+        np.testing.assert_array_equal(vertices_m(by_name, 0.001), vertices_m(built, 0.001))
+        np.testing.assert_array_equal(by_name.parts[-1].faces, built.parts[-1].faces)
+
+
+@pytest.mark.parametrize("drone", [bird(2.0), plane(2.0)])
+def test_bird_and_plane_are_not_symmetric(drone: Drone) -> None:
+    corners = [part.vertices_B_m[part.faces].mean(axis=1) for part in drone.parts]
+    centres, albedo = np.concatenate(corners), np.concatenate([p.albedo for p in drone.parts])
+    assert ((albedo > 0) & (albedo <= 1)).all()
+    assert len(np.unique(albedo)) >= 5
+    wings = np.abs(centres[:, 1]) > 0.26 * drone.size_m  # beyond the plane's pod
+    left = centres[:, 1] > 0
+    assert albedo[wings & left].mean() > 1.5 * albedo[wings & ~left].mean()
+    low, high = vertices_m(drone).min(axis=0), vertices_m(drone).max(axis=0)
+    assert abs(low[0] + high[0]) > 0.02 * drone.size_m  # the origin is not in the middle
+
+
+# --- Wings ------------------------------------------------------------------------------------
+
+
+def test_both_wings_rise_and_fall_together() -> None:
+    drone = bird(1.0, flap_hz=5.0)
+    assert [part.joint is None for part in drone.parts] == [True, False, False]
+    shoulders = [part.joint.origin_B_m for part in drone.parts[1:] if part.joint]
+    np.testing.assert_array_equal(shoulders[0] * [1, -1, 1], shoulders[1])
+    for time_s, angle_rad in ((0.0, 0.0), (0.05, FLAP_RAD), (0.15, -FLAP_RAD)):
+        left, right = (at(part, time_s) for part in drone.parts[1:])
+        np.testing.assert_allclose(left * [1, -1, 1], right, atol=1e-12)  # round-off
+        tip = left[np.argmax(left[:, 1])] - shoulders[0]
+        # The tip is 1.5 mm thick at 465 mm from the shoulder.
+        assert np.arctan2(tip[2], tip[1]) == pytest.approx(angle_rad, abs=0.004)
+
+
+def test_a_gliding_bird_is_one_part_with_level_wings() -> None:
+    gliding, flapping = bird(flap_hz=0.0), bird(flap_hz=5.0)
+    assert len(gliding.parts) == 1
+    # At half a beat; round-off.
+    np.testing.assert_allclose(vertices_m(gliding), vertices_m(flapping, 0.2), atol=1e-12)
+
+
+@pytest.mark.parametrize("flap_hz", [3.0, 8.0])
+def test_no_step_is_longer_than_the_bound_when_wings_flap(flap_hz: float) -> None:
+    drone, camera = bird(1.0, flap_hz), two_view_rig(90.0).cameras[0]
+    trajectory = random_spline(SplineConfig(duration_s=2.0), np.random.default_rng(1))
+    times_s = choose_instants(drone, camera, trajectory, SamplingConfig(max_step_px=0.25))
+    T_W_B = trajectory.poses(times_s)
+    # Every corner of the mesh, not the hulls' alone by which the instants were chosen.
+    corners_B_m = np.stack([vertices_m(drone, time_s) for time_s in times_s])
+    corners_W_m = corners_B_m @ T_W_B[:, :3, :3].transpose(0, 2, 1) + T_W_B[:, None, :3, 3]
+    steps_px = np.linalg.norm(np.diff(camera.project(corners_W_m), axis=0), axis=-1).max(axis=1)
+    seen = footprint(drone, camera, times_s, T_W_B).visible
+    both = seen[1:] & seen[:-1]
+    # Between probes, 1 ms apart, the speed is taken as constant; a wing gains 2 % on it.
+    assert steps_px[both].max() <= 1.02 * 0.25
+    still_s = choose_instants(bird(1.0, 0.0), camera, trajectory, SamplingConfig(max_step_px=0.25))
+    assert len(times_s) > 1.1 * len(still_s)  # so the flapping counts
+
+
+# --- By configuration -------------------------------------------------------------------------
+
+
+@pytest.mark.render
+def test_a_drone_by_its_name() -> None:
+    recordings = {name: simulate(replace(QUICK, drone=name), 1) for name in DRONES}
+    counts = {name: len(found.cameras[0].events) for name, found in recordings.items()}
+    assert min(counts.values()) > 1000
+    assert len(set(counts.values())) == len(DRONES)
+    gliding = simulate(replace(QUICK, drone="bird", flap_hz=0.0), 1)
+    assert len(gliding.cameras[0].events) < counts["bird"]
+    # The path is the flight's own, whatever flies it.
+    paths = [found.truth.T_W_B for found in recordings.values()]
+    np.testing.assert_array_equal(paths[0], paths[1])

@@ -1,4 +1,5 @@
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -6,7 +7,10 @@ import pytest
 import yaml
 from scipy.spatial.transform import Rotation
 
+from sim.errors import SimError
+from sim.scene.background import load_background, uniform_background
 from sim.scene.rig import Camera, Rig, kalibr_yaml, look_at_rig, two_view_rig
+from tests.sim.scenes import make_camera, noise_image
 
 RADTAN = (-0.12, 0.03, 0.002, -0.001)
 EQUIDISTANT = (0.02, -0.01, 0.005, -0.002)
@@ -15,9 +19,8 @@ POINTS_W = np.random.default_rng(0).uniform(-2.5, 2.5, (500, 3))  # [m], before 
 lenses = pytest.mark.parametrize(("model", "coeffs"), LENSES, ids=[model for model, _ in LENSES])
 
 
-def one_camera(model: str, coeffs: tuple[float, ...] = (), focal_px: float = 200.0) -> Camera:
-    rig = look_at_rig((0.0,), focal_px=focal_px, distortion_model=model, distortion_coeffs=coeffs)
-    return rig.cameras[0]
+def one_camera(model: str, coeffs: tuple[float, ...]) -> Camera:
+    return look_at_rig((0.0,), distortion_model=model, distortion_coeffs=coeffs).cameras[0]
 
 
 # --- Geometry of the rig ----------------------------------------------------------------------
@@ -33,43 +36,47 @@ def test_origin_projects_to_the_principal_point_of_every_camera(
         np.testing.assert_allclose(camera.project(np.zeros(3)), (173, 130), atol=1e-12)
 
 
-def test_camera_1_stands_in_front_with_the_image_down_below() -> None:
-    camera = look_at_rig((0.0,)).cameras[0]
-    # By hand: f = 200 px at 5 m, so 1 m is 40 px; x right, z up, y away.
-    np.testing.assert_allclose(camera.project(np.array([1.0, 0.0, 0.0])), (213, 130))
-    np.testing.assert_allclose(camera.project(np.array([0.0, 0.0, 1.0])), (173, 90))
-    np.testing.assert_allclose(camera.project(np.array([1.0, 5.0, 0.0])), (193, 130))
+# By hand: f = 200 px at 5 m, so 1 m is 40 px. Camera 1 has x to its right, z up and y away;
+# camera 2, counter-clockwise at (5, 0, 0), looks along -x, with y to its right.
+@pytest.mark.parametrize(
+    ("camera", "point_W", "pixel"),
+    [
+        (0, (1.0, 0.0, 0.0), (213, 130)),
+        (0, (0.0, 0.0, 1.0), (173, 90)),
+        (0, (1.0, 5.0, 0.0), (193, 130)),
+        (1, (0.0, 1.0, 0.0), (213, 130)),
+        (1, (2.5, 0.0, 1.0), (173, 50)),
+    ],
+)
+def test_where_the_cameras_stand(
+    camera: int, point_W: tuple[float, ...], pixel: tuple[int, int]
+) -> None:
+    np.testing.assert_allclose(two_view_rig(90.0).cameras[camera].project(np.array(point_W)), pixel)
 
 
-def test_camera_2_stands_counter_clockwise() -> None:
-    camera = two_view_rig(90.0).cameras[1]  # at (5, 0, 0), looking along -x, with y to its right
-    pixels = camera.project(np.array([[0.0, 1.0, 0.0], [2.5, 0.0, 1.0]]))
-    np.testing.assert_allclose(pixels, [(213, 130), (173, 50)])
-
-
-@pytest.mark.parametrize("angle_deg", [30.0, 60.0, 90.0, 120.0, 150.0])
-def test_extrinsics_follow_from_the_angle(angle_deg: float) -> None:
-    R, t, baseline_m = two_view_rig(angle_deg).extrinsics()
+@pytest.mark.parametrize("angle_deg", [30.0, 60.0, 70.0, 90.0, 120.0, 150.0])
+def test_extrinsics_follow_from_the_angle_and_relate_the_two_views(angle_deg: float) -> None:
+    rig = two_view_rig(angle_deg)
+    R, t, baseline_m = rig.extrinsics()
     assert np.rad2deg(Rotation.from_matrix(R).magnitude()) == pytest.approx(angle_deg)
     assert np.linalg.norm(t) == pytest.approx(1.0)
     assert baseline_m == pytest.approx(10.0 * np.sin(np.deg2rad(angle_deg) / 2))  # a chord
-
-
-def test_extrinsics_relate_the_two_views() -> None:
-    rig = two_view_rig(70.0)
-    R, t, baseline_m = rig.extrinsics()
-    points_W = np.c_[POINTS_W, np.ones(500)]
-    x1 = points_W @ rig.cameras[0].T_C_W.T
-    x2 = points_W @ rig.cameras[1].T_C_W.T
-    np.testing.assert_allclose(x1[:, :3] @ R.T + baseline_m * t, x2[:, :3], atol=1e-13)  # round-off
+    x1, x2 = (np.c_[POINTS_W, np.ones(500)] @ camera.T_C_W[:3].T for camera in rig.cameras)
+    np.testing.assert_allclose(x1 @ R.T + baseline_m * t, x2, atol=1e-13)  # round-off
 
 
 def test_relative_poses_chain_and_invert() -> None:
     rig = look_at_rig((0, 40, 110))
     chained = rig.relative_pose(1, 2) @ rig.relative_pose(0, 1)
     np.testing.assert_allclose(chained, rig.relative_pose(0, 2), atol=1e-14)
-    round_trip = rig.relative_pose(2, 0) @ rig.relative_pose(0, 2)
-    np.testing.assert_allclose(round_trip, np.eye(4), atol=1e-14)
+    np.testing.assert_allclose(rig.relative_pose(2, 0) @ chained, np.eye(4), atol=1e-14)
+
+
+def test_clocks() -> None:
+    assert [c.time_offset_s for c in two_view_rig(90.0, t_d_s=0.05).cameras] == [0.0, 0.05]
+    rig = look_at_rig((0, 10, 20), time_offsets_s=(0.0, -0.1, 0.2))
+    assert [c.time_offset_s for c in rig.cameras] == [0.0, -0.1, 0.2]
+    assert [c.name for c in rig.cameras] == ["cam1", "cam2", "cam3"]
 
 
 @lenses
@@ -88,41 +95,23 @@ def test_a_rigid_move_of_the_world_changes_nothing(model: str, coeffs: tuple[flo
         np.testing.assert_allclose(a, b, atol=1e-13)
 
 
-def test_clocks() -> None:
-    assert [c.time_offset_s for c in two_view_rig(90.0, t_d_s=0.05).cameras] == [0.0, 0.05]
-    rig = look_at_rig((0, 10, 20), time_offsets_s=(0.0, -0.1, 0.2))
-    assert [(c.name, c.time_offset_s) for c in rig.cameras] == [
-        ("cam1", 0.0),
-        ("cam2", -0.1),
-        ("cam3", 0.2),
-    ]
-
-
 # --- Projection and distortion ----------------------------------------------------------------
 
 
-def test_projection_agrees_with_opencv() -> None:
-    for model, coeffs in LENSES:
-        camera = one_camera(model, coeffs)
-        rotation_vector, translation = cv2.Rodrigues(camera.T_C_W[:3, :3])[0], camera.T_C_W[:3, 3]
-        distortion = np.array(coeffs or (0.0,) * 4)
-        if model == "equidistant":
-            expected, _ = cv2.fisheye.projectPoints(
-                POINTS_W[:, None], rotation_vector, translation, camera.K, distortion
-            )
-        else:
-            expected, _ = cv2.projectPoints(
-                POINTS_W, rotation_vector, translation, camera.K, distortion
-            )
-        # Round-off, of OpenCV's rotation vector above all.
-        np.testing.assert_allclose(camera.project(POINTS_W), expected[:, 0], atol=1e-9)
+@lenses
+def test_projection_agrees_with_opencv(model: str, coeffs: tuple[float, ...]) -> None:
+    camera = one_camera(model, coeffs)
+    pose = cv2.Rodrigues(camera.T_C_W[:3, :3])[0], camera.T_C_W[:3, 3]
+    project = cv2.fisheye.projectPoints if model == "equidistant" else cv2.projectPoints
+    expected, _ = project(POINTS_W[:, None], *pose, camera.K, np.array(coeffs or (0.0,) * 4))
+    # Round-off, of OpenCV's rotation vector above all.
+    np.testing.assert_allclose(camera.project(POINTS_W), expected[:, 0], atol=1e-9)
 
 
 def test_equidistant_is_smooth_on_the_axis() -> None:
-    camera = one_camera("equidistant", EQUIDISTANT)
-    np.testing.assert_array_equal(camera.project(np.zeros(3)), (173, 130))
-    nearly = camera.project(np.array([1e-9, 0.0, 0.0]))
-    np.testing.assert_allclose(nearly, (173, 130), atol=1e-7)  # 1e-9 m are 4e-8 px
+    on, beside = one_camera("equidistant", EQUIDISTANT).project(np.array([[0.0] * 3, [1e-9, 0, 0]]))
+    np.testing.assert_array_equal(on, (173, 130))
+    np.testing.assert_allclose(beside, (173, 130), atol=1e-7)  # 1e-9 m are 4e-8 px
 
 
 @lenses
@@ -145,7 +134,7 @@ def test_points_past_the_lens_model_are_not_folded_into_the_image() -> None:
 # --- Kalibr's YAML ----------------------------------------------------------------------------
 
 
-def test_kalibr_camchain() -> None:
+def test_kalibr_camchain_keeps_the_truth_to_itself_unless_asked() -> None:
     rig = look_at_rig((0, 40, 110), distortion_model="radtan", distortion_coeffs=RADTAN)
     chain = yaml.safe_load(kalibr_yaml(rig, with_extrinsics=True))
     assert list(chain) == ["cam0", "cam1", "cam2"]
@@ -159,13 +148,80 @@ def test_kalibr_camchain() -> None:
     }
     for n in (1, 2):
         np.testing.assert_array_equal(chain[f"cam{n}"]["T_cn_cnm1"], rig.relative_pose(n - 1, n))
+    blind = kalibr_yaml(two_view_rig(90.0, t_d_s=0.123), with_extrinsics=False)
+    assert "T_cn_cnm1" not in blind
+    assert "0.123" not in blind
+    assert yaml.safe_load(blind)["cam1"]["distortion_coeffs"] == []
 
 
-def test_kalibr_camchain_keeps_the_truth_to_itself() -> None:
-    text = kalibr_yaml(two_view_rig(90.0, t_d_s=0.123), with_extrinsics=False)
-    assert "T_cn_cnm1" not in text
-    assert "0.123" not in text
-    assert yaml.safe_load(text)["cam1"]["distortion_coeffs"] == []
+CAMERA = make_camera(resolution=(64, 48))
 
 
-# --- Bad input --------------------------------------------------------------------------------
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_images_are_srgb(tmp_path: Path, dtype: type) -> None:
+    full = np.iinfo(dtype).max
+    srgb = np.linspace(0, full, 48 * 64).astype(dtype).reshape(48, 64)
+    cv2.imwrite(str(tmp_path / "wall.png"), srgb)
+    light = load_background(tmp_path / "wall.png", CAMERA)
+    assert light.dtype == np.float32
+    assert light[0, 0] == 0.0
+    assert light[-1, -1] == 1.0
+    middle = np.abs(srgb / full - 0.5).argmin()
+    # sRGB 0.5 is linear 0.214; steps of 1/255, of slope 0.9 there.
+    assert light.flat[middle] == pytest.approx(0.2140, abs=2e-3)
+    steps = np.diff(light.ravel())
+    assert (steps >= 0).all()
+    # The line near black and the power meet: nowhere steeper than at white, where it is 2.28.
+    assert steps.max() <= 2.3 * np.diff(srgb.ravel().astype(float)).max() / full
+
+
+def test_arrays_and_images_of_floating_point_are_linear(tmp_path: Path) -> None:
+    image = noise_image(CAMERA)
+    np.save(tmp_path / "wall.npy", image.astype(np.float64))
+    cv2.imwrite(str(tmp_path / "wall.tiff"), image)
+    for name in ("wall.npy", "wall.tiff"):
+        np.testing.assert_array_equal(load_background(tmp_path / name, CAMERA), image)
+    sky = uniform_background(CAMERA, 0.6)
+    assert (sky.shape, sky.dtype) == ((48, 64), np.float32)
+    assert (sky == np.float32(0.6)).all()
+
+
+def wall_with(light: float) -> np.ndarray:
+    wall = np.full((48, 64), 0.5)
+    wall[3, 4] = light
+    return wall
+
+
+@pytest.mark.parametrize(
+    ("wall", "message"),
+    [
+        *((np.zeros(shape), r"wall\.npy: expected 64 x 48 pixels .* resize")
+          for shape in ((48, 63), (64, 48), (48, 64, 3))),
+        *((wall_with(light), r"wall\.npy: expected linear luminance in \[0, 1\]")
+          for light in (-0.1, 1.1, np.nan, np.inf)),
+        (np.array(["a"] * 4), r"wall\.npy"),
+        (np.array([None]), r"wall\.npy"),
+    ],
+)  # fmt: skip
+def test_an_array_that_is_no_wall_is_refused(
+    tmp_path: Path, wall: np.ndarray, message: str
+) -> None:
+    np.save(tmp_path / "wall.npy", wall)
+    with pytest.raises(SimError, match=message):
+        load_background(tmp_path / "wall.npy", CAMERA)
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["missing.png", "missing.npy", "text.png", "text.npy", "empty.npy", "folder.png", "two.npy"],
+)
+def test_what_cannot_be_read_is_named(tmp_path: Path, name: str) -> None:
+    (tmp_path / "text.png").write_text("not an image")
+    (tmp_path / "text.npy").write_text("not an array")
+    (tmp_path / "empty.npy").touch()
+    (tmp_path / "folder.png").mkdir()
+    with (tmp_path / "two.npy").open("wb") as file:
+        np.savez(file, image=np.zeros((48, 64)))
+    reason = "" if name == "two.npy" else "cannot read the background "
+    with pytest.raises(SimError, match=f"{reason}.*{name}"):
+        load_background(tmp_path / name, CAMERA)

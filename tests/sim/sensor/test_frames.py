@@ -89,28 +89,23 @@ def test_timestamps_are_mid_exposure() -> None:
 
 
 @pytest.mark.parametrize(
-    ("duration_s", "n"), [(0.0049, 0), (0.005, 1), (0.0249, 1), (0.025, 2), (1.0, 50), (20.0, 1000)]
-)
-def test_only_whole_exposures_become_frames(duration_s: float, n: int) -> None:
-    times_s = np.array([0.0, duration_s])
-    frames = expose(FrameConfig(50.0, 0.005), np.full((2, 1, 1), 0.5, np.float32), times_s)
-    assert len(frames.times_us) == len(frames.images) == n
+    ("config", "duration_s", "n"),
+    [
+        *((FrameConfig(50.0, 0.005), duration_s, n) for duration_s, n in (
+            (0.0049, 0), (0.005, 1), (0.0249, 1), (0.025, 2), (1.0, 50), (20.0, 1000)
+        )),
+        # The last of exposures without gaps.
+        *((FrameConfig(rate_hz, 1.0 / rate_hz), 2.0, int(2.0 * rate_hz + 1e-6))
+          for rate_hz in (3.0, 7.0, 30.0, 60.0, 1000.0 / 3.0)),
+        (FrameConfig(0.0), 2.0, 0),
+    ],
+)  # fmt: skip
+def test_only_whole_exposures_become_frames(config: FrameConfig, duration_s: float, n: int) -> None:
+    still = np.full((2, 4, 5), 0.5, np.float32)
+    frames = expose(config, still, np.array([0.0, duration_s]))
+    assert frames.times_us.shape == (n,)
+    assert frames.images.shape == (n, 4, 5)
     assert (frames.images == 128).all()
-
-
-@pytest.mark.parametrize("rate_hz", [3.0, 7.0, 30.0, 60.0, 1000.0 / 3.0])
-def test_the_last_frame_of_an_exposure_without_gaps(rate_hz: float) -> None:
-    times_s = np.array([0.0, 2.0])
-    config = FrameConfig(rate_hz, 1.0 / rate_hz)
-    frames = expose(config, np.full((2, 1, 1), 0.5, np.float32), times_s)
-    assert len(frames.images) == int(2.0 * rate_hz + 1e-6)
-    assert (frames.images == 128).all()
-
-
-def test_rate_zero_gives_no_frames() -> None:
-    frames = expose(FrameConfig(0.0), np.ones((3, 4, 5), np.float32), np.arange(3.0))
-    assert frames.images.shape == (0, 4, 5)
-    assert frames.times_us.shape == (0,)
 
 
 def test_crops_and_gaps_show_the_background() -> None:
