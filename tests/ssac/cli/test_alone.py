@@ -23,8 +23,8 @@ runpy.run_module("ssac.cli", run_name="__main__", alter_sys=True)
 """
 
 
-def tool(*args: object) -> "subprocess.CompletedProcess[str]":
-    command = [sys.executable, "-c", WITHOUT, *map(str, args)]
+def python(code: str, *args: object) -> "subprocess.CompletedProcess[str]":
+    command = [sys.executable, "-c", code, *map(str, args)]
     return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
 
 
@@ -32,26 +32,20 @@ def tool(*args: object) -> "subprocess.CompletedProcess[str]":
 def test_sync_needs_neither(method, recorded, tmp_path):
     out, figures = tmp_path / "out.json", tmp_path / "figures"
     args = ("--rig", recorded / "rig.yaml", "--method", method, "--json", out, "--plot", figures)
-    result = tool("sync", *recorded.pair, *args)
+    result = python(WITHOUT, "sync", *recorded.pair, *args)
     assert result.returncode == 0, result.stderr
     assert abs(json.loads(out.read_text())["t_d_s"] - T_D_S) < 0.05
     assert (figures / "d_avg.png").exists()
 
 
 def test_only_its_own_commands_are_listed():
-    result = tool("--help")
+    result = python(WITHOUT, "--help")
     assert result.returncode == 0
     assert "sync" in result.stdout
     assert "simulate" not in result.stdout
-
-
-def test_what_is_barred_is_barred():
-    """Or else the test above would say nothing."""
+    # Or else neither test would say anything: what is barred is barred.
     code = WITHOUT.replace('runpy.run_module("ssac.cli"', 'import sim.errors\nrunpy.run_module("x"')
-    result = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=False
-    )
-    assert "sim is not here" in result.stderr
+    assert "sim is not here" in python(code).stderr
 
 
 # --- What the start of a command does not wait for ---
@@ -75,13 +69,7 @@ HEAVY = {
 @pytest.mark.parametrize("method", ["tangency", "event_rate"])
 def test_sync_imports_no_more_than_it_needs(method, recorded):
     args = ("sync", *recorded.pair, "--rig", recorded / "rig.yaml", "--method", method)
-    result = subprocess.run(
-        [sys.executable, "-c", CODE, *map(str, args)],
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
+    result = python(CODE, *args)
     assert result.returncode == 0, result.stderr
     *_, modules, threads = result.stdout.splitlines()
     imported = modules.split()

@@ -54,22 +54,24 @@ def test_the_list_is_grouped_whole_and_imports_nothing(flag, capsys):
     assert "greeting_of_a_test" not in sys.modules
 
 
-def test_a_command_is_imported_and_run(capsys):
+def test_a_command_is_imported_and_run_and_its_help_has_its_lists(capsys):
     assert ssac("greet", "ada", "--loud") == DONE
     assert capsys.readouterr().out == "hello ada!\n"
     assert ssac("greet", "nobody") == 1
-
-
-def test_the_help_of_a_command_has_its_lists(capsys):
+    capsys.readouterr()
     assert ssac("greet", "--help") == DONE
     shown = " ".join(capsys.readouterr().out.split())
     assert shown.startswith("Usage: ssac greet [OPTIONS] NAME Say hello.")
     assert shown.endswith("People: ada wrote programs")
 
 
-def test_the_version(capsys):
+def test_the_version_goes_to_stdout_and_the_list_without_a_command_to_stderr(capsys):
     assert ssac("--version") == DONE
     assert capsys.readouterr().out == f"ssac {version('ssac-suite')}\n"
+    assert ssac() == BAD_INPUT
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("Usage: ssac [OPTIONS] COMMAND")
 
 
 @pytest.mark.parametrize(
@@ -88,28 +90,17 @@ def test_bad_usage_is_one_line(args, line, capsys):
     assert capsys.readouterr() == ("", f"error: {line}\n")
 
 
-def test_without_a_command_the_list_goes_to_stderr(capsys):
-    assert ssac() == BAD_INPUT
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert err.startswith("Usage: ssac [OPTIONS] COMMAND")
-
-
-def test_a_shell_completes_names_without_importing(capsys, monkeypatch):
+@pytest.mark.parametrize(
+    ("typed", "place", "shown"), [("ssac gr", 1, "greet"), ("ssac greet --l", 2, "--loud")]
+)
+def test_a_shell_completes_names_without_importing_and_options(
+    typed, place, shown, capsys, monkeypatch
+):
     monkeypatch.setenv("_SSAC_COMPLETE", "complete_bash")
-    monkeypatch.setenv("COMP_WORDS", "ssac gr")
-    monkeypatch.setenv("COMP_CWORD", "1")
+    monkeypatch.setenv("COMP_WORDS", typed)
+    monkeypatch.setenv("COMP_CWORD", str(place))
     with pytest.raises(SystemExit) as end:
         ssac()
     assert end.value.code == 0
-    assert capsys.readouterr().out.split() == ["greet"]
-    assert "greeting_of_a_test" not in sys.modules
-
-
-def test_a_shell_completes_the_options_of_a_command(capsys, monkeypatch):
-    monkeypatch.setenv("_SSAC_COMPLETE", "complete_bash")
-    monkeypatch.setenv("COMP_WORDS", "ssac greet --l")
-    monkeypatch.setenv("COMP_CWORD", "2")
-    with pytest.raises(SystemExit):
-        ssac()
-    assert capsys.readouterr().out.split() == ["--loud"]
+    assert capsys.readouterr().out.split() == [shown]
+    assert ("greeting_of_a_test" in sys.modules) == (shown == "--loud")

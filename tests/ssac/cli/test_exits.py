@@ -4,7 +4,6 @@ import os
 import signal
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -42,27 +41,28 @@ def test_what_is_wrong_with_the_input_is_one_line(error, line, capsys):
     assert capsys.readouterr() == ("", f"error: {line}\n")
 
 
-@pytest.mark.parametrize("error", [OwnError("x"), KeyError("x"), RuntimeError(), MemoryError()])
-def test_a_bug_is_one_line_and_a_traceback_in_a_file(error, capsys, tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("error", "start"),
+    [
+        *(
+            (error, f"a bug in this program, {type(error).__name__}")
+            for error in (OwnError("x"), KeyError("x"), RuntimeError(), MemoryError())
+        ),
+        (  # of another package, which is not called ours
+            PluginError("mine 1.2: KeyError (mine.py, line 3)"),
+            "mine 1.2: KeyError (mine.py, line 3); please report it with",
+        ),
+    ],
+)
+def test_a_bug_is_one_line_and_a_traceback_in_a_file(error, start, capsys, tmp_path, monkeypatch):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     assert guarded(raising(error)) == BUG
     out, err = capsys.readouterr()
     (file,) = tmp_path.glob("ssac-bug-*/traceback.txt")
-    assert out == ""
-    assert err.count("\n") == 1
-    assert err.startswith(f"error: a bug in this program, {type(error).__name__}")
+    assert (out, err.count("\n")) == ("", 1)
+    assert err.startswith(f"error: {start}")
     assert err.rstrip().endswith(str(file))
     assert "in run\n    raise error" in file.read_text()
-
-
-def test_a_bug_of_another_package_is_not_called_ours(capsys, tmp_path, monkeypatch):
-    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    assert guarded(raising(PluginError("mine 1.2: KeyError (mine.py, line 3)"))) == BUG
-    err = capsys.readouterr().err
-    (file,) = tmp_path.glob("ssac-bug-*/traceback.txt")
-    assert err.startswith("error: mine 1.2: KeyError (mine.py, line 3); please report it with")
-    assert err.rstrip().endswith(str(file))
-    assert err.count("\n") == 1
 
 
 def test_a_bug_without_a_temporary_folder_is_still_one_line(capsys, monkeypatch):
@@ -71,11 +71,6 @@ def test_a_bug_without_a_temporary_folder_is_still_one_line(capsys, monkeypatch)
     err = capsys.readouterr().err
     assert err.count("\n") == 1
     assert "raise error" in err
-
-
-def test_an_interrupt_is_one_line(capsys):
-    assert guarded(raising(KeyboardInterrupt())) == INTERRUPTED == 130
-    assert capsys.readouterr().err == "interrupted\n"
 
 
 def guarded_process(body: str, **options) -> subprocess.Popen:
@@ -103,37 +98,31 @@ def test_a_closed_output_is_no_crash(monkeypatch):
     assert guarded(lambda: DONE) == DONE
 
 
-def test_an_interrupted_import_is_one_line(tmp_path: Path):
-    """As when the user changes their mind in the first second."""
-    (tmp_path / "slow.py").write_text("print('here', flush=True)\nimport time\ntime.sleep(60)\n")
-    body = f"    sys.path.insert(0, {str(tmp_path)!r})\n    import slow"
-    process = guarded_process(body, stdout=subprocess.PIPE)
-    assert process.stdout is not None
-    assert process.stdout.readline() == b"here\n"
-    process.send_signal(signal.SIGINT)
-    assert process.communicate(timeout=30)[1] == b"interrupted\n"
-    assert process.returncode == INTERRUPTED
-
-
-def test_an_interrupt_that_an_import_swallows_comes_again():
-    body = """
-    import time
+SLEEP = "import time\n{0}print('here', flush=True)\n{0}time.sleep(60)\n"
+SWALLOWED = f"""
     try:
-        print('here', flush=True)
-        time.sleep(60)
+        {SLEEP.format(8 * " ")}
     except BaseException:
         print('swallowed', flush=True)
     time.sleep(60)"""
+
+
+@pytest.mark.parametrize(("body", "said"), [("    import slow", b""), (SWALLOWED, b"swallowed\n")])
+def test_an_interrupt_is_one_line_amid_an_import_and_though_it_is_swallowed(body, said, tmp_path):
+    """As when the user changes their mind in the first second."""
+    (tmp_path / "slow.py").write_text(SLEEP.format(""))
+    body = f"    sys.path.insert(0, {str(tmp_path)!r})\n{body}"
     process = guarded_process(body, stdout=subprocess.PIPE)
     assert process.stdout is not None
     assert process.stdout.readline() == b"here\n"
     process.send_signal(signal.SIGINT)
-    assert process.communicate(timeout=30) == (b"swallowed\n", b"interrupted\n")
+    assert process.communicate(timeout=30) == (said, b"interrupted\n")
     assert process.returncode == INTERRUPTED
 
 
-def test_the_signals_of_the_caller_are_left_as_they_were():
+def test_an_interrupt_is_one_line_and_leaves_the_callers_signals_as_they_were(capsys):
     numbers = (signal.SIGINT, signal.SIGALRM, signal.SIGTERM)
     before = [signal.getsignal(number) for number in numbers]
-    guarded(raising(KeyboardInterrupt()))
+    assert guarded(raising(KeyboardInterrupt())) == INTERRUPTED == 130
+    assert capsys.readouterr().err == "interrupted\n"
     assert [signal.getsignal(number) for number in numbers] == before

@@ -1,3 +1,5 @@
+"""Progress on stderr: lines where it is a file, and a bar on a terminal."""
+
 import sys
 import time
 
@@ -10,46 +12,39 @@ from ssac.cli.progress import Lines, progress, say
 class Clock:
     """A clock that is set by hand."""
 
-    def __init__(self) -> None:
-        self.now_s = 0.0
+    now_s = 0.0
 
     def __call__(self) -> float:
         return self.now_s
 
 
-@pytest.fixture
-def clock() -> Clock:
-    return Clock()
-
-
-def run(lines: Lines, clock: Clock, total: int, step_s: float) -> None:
-    """Do things of equal length, one after the other."""
-    for n_done in range(1, total + 1):
+def said(capsys, total: int, step_s: float, n_done: int = 0, **options: bool) -> list[str]:
+    """Do things of equal length, one after the other; give the lines."""
+    clock = Clock()
+    lines = Lines(total, "flights", clock=clock, **options)
+    for n in range(1, (n_done or total) + 1):
         clock.now_s += step_s
-        lines(n_done)
+        lines(n)
+    return capsys.readouterr().err.splitlines()
 
 
-def test_each_tenth_is_a_line(clock, capsys):
-    run(Lines(300, "recordings", clock=clock), clock, 300, 0.5)
-    lines = capsys.readouterr().err.splitlines()
+def test_each_tenth_is_a_line(capsys):
+    lines = said(capsys, 300, 0.5)
     assert [line.split(" done")[0] for line in lines] == [
-        f"recordings: {n} of 300" for n in range(30, 301, 30)
+        f"flights: {n} of 300" for n in range(30, 301, 30)
     ]
-    assert lines[0] == "recordings: 30 of 300 done after 00:15, 02:15 left"
-    assert lines[-1] == "recordings: 300 of 300 done after 02:30"
+    assert lines[0] == "flights: 30 of 300 done after 00:15, 02:15 left"
+    assert lines[-1] == "flights: 300 of 300 done after 02:30"
 
 
-def test_between_tenths_there_is_a_line_every_30_s(clock, capsys):
-    run(Lines(100, "recordings", clock=clock), clock, 9, 12.0)
-    said = [line.split(" done")[0] for line in capsys.readouterr().err.splitlines()]
-    assert said == ["recordings: 3 of 100", "recordings: 6 of 100", "recordings: 9 of 100"]
-
-
-def test_there_are_lines_before_the_first_is_done(clock, capsys):
-    lines = Lines(2, "flights", clock=clock)
+def test_between_tenths_there_is_a_line_every_30_s_and_before_the_first_is_done(capsys):
+    lines = said(capsys, 100, 12.0, n_done=9)
+    assert [line[:10] for line in lines] == ["flights: 3", "flights: 6", "flights: 9"]
+    clock = Clock()
+    waiting = Lines(2, "flights", clock=clock)
     for _ in range(70):
         clock.now_s += 1.0
-        lines.look()
+        waiting.look()
     assert capsys.readouterr().err.splitlines() == [
         "flights: 0 of 2 done after 00:30",
         "flights: 0 of 2 done after 01:00",
@@ -57,21 +52,17 @@ def test_there_are_lines_before_the_first_is_done(clock, capsys):
 
 
 @pytest.mark.parametrize("total", [1, 3, 7, 12])
-def test_few_things_are_a_line_each_and_the_last_says_all(clock, capsys, total):
-    run(Lines(total, "flights", clock=clock), clock, total, 1.0)
-    lines = capsys.readouterr().err.splitlines()
+def test_few_things_are_a_line_each_and_the_last_says_all(capsys, total):
+    lines = said(capsys, total, 1.0)
     assert len(lines) == min(total, 10)
     assert lines[-1].startswith(f"flights: {total} of {total} done after ")
 
 
-def test_brief_work_says_nothing_until_it_is_long(clock, capsys):
-    run(Lines(100, "simulating", is_brief=True, clock=clock), clock, 100, 0.2)
-    assert capsys.readouterr().err == ""
-    clock.now_s = 0.0
-    run(Lines(100, "simulating", is_brief=True, clock=clock), clock, 100, 1.0)
-    lines = capsys.readouterr().err.splitlines()
-    assert lines[0] == "simulating: 30 of 100 done after 00:30, 01:10 left"
-    assert lines[-1] == "simulating: 100 of 100 done after 01:40"
+def test_brief_work_says_nothing_until_it_is_long(capsys):
+    assert said(capsys, 100, 0.2, is_brief=True) == []
+    lines = said(capsys, 100, 1.0, is_brief=True)
+    assert lines[0] == "flights: 30 of 100 done after 00:30, 01:10 left"
+    assert lines[-1] == "flights: 100 of 100 done after 01:40"
 
 
 def shown(total: int, **options: bool) -> None:

@@ -13,7 +13,6 @@ from ssac.files.event_files import load_events
 from ssac.files.hdf5 import save_events_h5
 from ssac.files.text import save_events_text
 from ssac.files.track_files import load_track, save_track
-from tests.recorded import empty_events
 from tests.ssac.cluttered import lamp, noise
 from tests.ssac.command import run_sync
 from tests.ssac.synthetic import HEIGHT, WIDTH, make_events
@@ -28,8 +27,6 @@ def make_events_of_all_kinds(recorded, folder: Path) -> None:
     (folder / "folder.h5").mkdir()
     (folder / "zero.h5").write_bytes(b"")
     (folder / "truncated.h5").write_bytes((recorded / "cam1.h5").read_bytes()[:50_000])
-    (folder / "events.foo").write_bytes(b"1")
-    (folder / "unsorted.txt").write_text(f"{WIDTH} {HEIGHT}\n0.2 1 1 1\n0.1 1 1 1\n")
     (folder / "outside.txt").write_text("0.1 400 1 1\n0.2 1 1 1\n")
     (folder / "isolated.txt").write_text(f"{WIDTH} {HEIGHT}\n0.1 1 1 1\n0.2 1 1 1\n")
     events = load_events(recorded / "cam1.h5").events
@@ -40,7 +37,6 @@ def make_events_of_all_kinds(recorded, folder: Path) -> None:
     late["t"] += 60_000_000
     at_rest = replace(recorded.scene, path=lambda t: np.tile([0.3, 0.2, 5.1], (len(t), 1)))
     for name, some in {
-        "no_events": empty_events(),
         "late": late,
         "copy": copied,
         "still": make_events(at_rest, 0, size_m=0.4)[0],
@@ -51,7 +47,6 @@ def make_events_of_all_kinds(recorded, folder: Path) -> None:
         save_events_h5(folder / f"{name}.h5", some, WIDTH, HEIGHT)
     rig = (recorded / "rig.yaml").read_text()
     (folder / "large.yaml").write_text(rig.replace(f"[{WIDTH}, {HEIGHT}]", "[640, 480]"))
-    (folder / "nan.yaml").write_text(rig.replace("173.0", ".nan"))
     (folder / "where.csv").write_text("camera,x_m,y_m,z_m\n1,0,0,0\n2,1,0,0\n")
 
 
@@ -99,22 +94,15 @@ def folder(recorded, tmp_path_factory) -> Path:
 
 EVENTS = [
     ("missing.h5", "missing.h5: there is no such file"),
-    ("zero.h5", "zero.h5: the file is empty"),
     ("truncated.h5", "truncated.h5: not a readable HDF5 file"),
     ("folder.h5", "folder.h5: is a folder: give a file of one camera's events"),
-    ("events.foo", "events.foo: unknown extension '.foo': use one of"),
-    ("no_events.h5", "no_events.h5: there are no events"),
-    ("unsorted.txt", "unsorted.txt: events must be sorted by time"),
     ("outside.txt", "outside.txt with camera 1 of .*: the sensor is 346 x 260 px"),
     ("cam2.h5", "cam2.h5: given for both cameras"),
     ("copy.h5", "copy.h5 and cam2.h5 hold the same points: one is a copy of the other"),
     ("cam1.h5 --search -1e9 1e9", "--search: expected a smaller and a larger offset"),
-    ("cam1.h5 --search 1 -1", "--search: expected a smaller and a larger offset"),
     ("cam1.h5 --search 0 nan", "--search: expected a smaller and a larger offset"),
     ("cam1.h5 --search 0 4000", "at most 3600 seconds apart, got 0 4000"),
     ("cam1.h5 --rig large.yaml", "large.yaml is calibrated at 640 x 480 px, but .*cam1.h5"),
-    ("cam1.h5 --rig nan.yaml", "nan.yaml, cam0, intrinsics: expected 4 finite numbers"),
-    ("cam1.h5 --rig cam1.h5", "cam1.h5: unknown extension '.h5' of a rig"),
     ("cam1.h5 --known-extrinsics", "rig.yaml: tangency-known needs the extrinsics"),
     ("cam1.h5 --method scac", "unknown method 'scac': use one of ssac"),
     ("events_only.h5 --method zncc_f", "events_only.h5: zncc_f compares intensity frames"),
@@ -122,9 +110,7 @@ EVENTS = [
     ("cam1.h5 --clock quartz", "--clock: expected auto or affine or pieces, got quartz"),
     ("cam1.h5 --clock pieces --skew-prior 0", "its prior must be above 0 ppm"),
     ("cam1.h5 --n-samples 0", "--n-samples: expected 20 to 100000, got 0"),
-    ("cam1.h5 --n-samples 100000000", "--n-samples: expected 20 to 100000, got 1000"),
     ("cam1.h5 --half-window 20", "--half-window: expected 0.001 to 0.25 seconds, got 20"),
-    ("cam1.h5 --half-window nan", "--half-window: expected 0.001 to 0.25 seconds"),
     ("cam1.h5 --n-min -3", "--n-min: expected 1 to 100000, got -3"),
     ("cam1.h5 --json no/such/out.json", "out.json: not a file in a folder that exists"),
     ("cam1.h5 --write-synced out.raw", "out.raw: cannot write the extension '.raw'"),

@@ -29,17 +29,9 @@ KEYS = {"t_d_s", "t_d_std_s", "R", "t", "status", "reason", "method", "n_samples
 
 @pytest.fixture(scope="module")
 def joint_run(recorded):
-    json_file, synced = recorded / "joint.json", recorded / "synced.h5"
-    result = run_sync(
-        *recorded.pair,
-        "--rig",
-        recorded / "rig.yaml",
-        "--json",
-        json_file,
-        "--write-synced",
-        synced,
-    )
-    return result, read_json(json_file), synced
+    out, synced = recorded / "joint.json", recorded / "synced.h5"
+    options = ("--rig", recorded / "rig.yaml", "--json", out, "--write-synced", synced)
+    return run_sync(*recorded.pair, *options), read_json(out), synced
 
 
 def test_offset_and_pose_are_found(joint_run, recorded):
@@ -158,10 +150,9 @@ def test_an_offset_without_a_deviation_comes_with_no_advice_to_apply_it(method, 
 
 def test_no_reliable_estimate_says_why(recorded, tmp_path):
     out, synced, plot = tmp_path / "out.json", tmp_path / "synced.h5", tmp_path / "figures"
-    result = run_sync(
-        *recorded.pair, "--rig", recorded / "rig.yaml", "--search", "-1", "0.02", "--json", out,
-        "--write-synced", synced, "--plot", plot,
-    )  # fmt: skip
+    outputs = ("--json", out, "--write-synced", synced, "--plot", plot)
+    args = ("--rig", recorded / "rig.yaml", "--search", "-1", "0.02", *outputs)
+    result = run_sync(*recorded.pair, *args)
     assert result.exit_code == NO_ESTIMATE
     found = read_json(out)
     assert found["status"] == "search_bound"

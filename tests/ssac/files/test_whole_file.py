@@ -32,16 +32,11 @@ from tests.left_over import ELSEWHERE, ended_process, let_lie, made_by
 
 def test_no_name_is_given_twice_and_each_tells_its_maker(tmp_path: Path) -> None:
     paths = [temporary_path(tmp_path / "a.csv") for _ in range(100)]
-    assert len(set(paths)) == 100
+    # The simulator's names tell the same: neither side imports the other, and has its own lines.
+    paths += [partial_path(tmp_path, "recording") for _ in range(2)]
+    assert len(set(paths)) == 102
     assert {maker_of(path) for path in paths} == {this_process()}
     assert {path.parent for path in paths} == {tmp_path}
-
-
-def test_the_simulators_names_tell_the_same(tmp_path: Path) -> None:
-    # Neither side imports the other, so that each has its own few lines.
-    first, second = (partial_path(tmp_path, "recording") for _ in range(2))
-    assert first != second
-    assert maker_of(first) == this_process()
 
 
 def test_equal_process_ids_on_two_hosts_are_two_makers(
@@ -127,12 +122,9 @@ def test_only_what_is_left_over_is_removed(tmp_path: Path) -> None:
 # --- What cannot be written ---
 
 
-def test_a_place_that_will_be_made_can_be_written_to(tmp_path):
-    check_writable(tmp_path / "new" / "deeper" / "out.csv")
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_what_cannot_be_a_file_is_refused_before_any_work(tmp_path, monkeypatch):
+    check_writable(tmp_path / "new" / "deeper" / "out.csv")
+    assert list(tmp_path.iterdir()) == []  # a folder that is lacking will be made
     (tmp_path / "file").touch()
     with pytest.raises(WriteError, match=f"{tmp_path}: is a folder: name a file to write"):
         check_writable(tmp_path)
@@ -155,9 +147,6 @@ def test_a_disk_without_room_is_refused_before_any_work(tmp_path, monkeypatch):
     check_folder(tmp_path, 5_000_000)
     with pytest.raises(WriteError, match="5000000 bytes are free on this disk, and 5000001 are"):
         check_folder(tmp_path, 5_000_001)
-
-
-def test_a_limit_of_files_sizes_counts_as_room(tmp_path, monkeypatch):
     monkeypatch.setattr(module.resource, "getrlimit", lambda _: (10_000, resource.RLIM_INFINITY))
     with pytest.raises(WriteError, match=r"files may have 10000 bytes here, .* raise the limit"):
         check_folder(tmp_path)
@@ -181,9 +170,5 @@ def test_a_disk_that_runs_full_is_one_line_and_leaves_what_was_there(tmp_path, h
 
 
 def test_an_error_about_another_file_stays_what_it_is(tmp_path):
-    def write():
-        with whole_file(tmp_path / "out.csv"):
-            (tmp_path / "in.csv").read_text()
-
-    with pytest.raises(FileNotFoundError, match=r"in\.csv"):
-        write()
+    with pytest.raises(FileNotFoundError, match=r"in\.csv"), whole_file(tmp_path / "out.csv"):
+        (tmp_path / "in.csv").read_text()

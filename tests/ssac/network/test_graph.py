@@ -28,6 +28,14 @@ def true_pair(flight, a, b, off_s=0.0, turn_rad=0.0):
     return PairConstraint(clock, R, link.t, np.diag(DEVIATIONS))
 
 
+def true_links(flight):
+    """What all pairs tell, each with what a pair without errors would."""
+    links = flight.links()
+    return {
+        pair: replace(link, constraint=true_pair(flight, *pair)) for pair, link in links.items()
+    }
+
+
 def test_derivatives_are_those_of_differences() -> None:
     flight = make_flight(3)
     a, b = (
@@ -45,11 +53,7 @@ def test_derivatives_are_those_of_differences() -> None:
 
 def test_sure_pairs_carry_clocks_and_poses() -> None:
     flight = make_flight(3)
-    links = {
-        pair: replace(link, constraint=true_pair(flight, *pair))
-        for pair, link in flight.links().items()
-    }
-    found = flight.solved(links)
+    found = flight.solved(true_links(flight))
     for k, camera in enumerate(found.cameras[1:], 1):
         # What pairs tell is true and sure: some deviations are left of it.
         assert abs(camera.t_d_s - flight.shown_s(k, camera.t_ref_s)) < 1e-5
@@ -60,11 +64,7 @@ def test_sure_pairs_carry_clocks_and_poses() -> None:
 
 def test_pairs_count_by_errors_that_last_and_by_the_views_that_they_share() -> None:
     flight = make_flight(3)
-    links = flight.links()
-    links = {
-        pair: replace(link, constraint=true_pair(flight, *pair)) for pair, link in links.items()
-    }
-    built = flight.solved(links).built[0]
+    built = flight.solved(true_links(flight)).built[0]
     network, offsets = replace(built.network, lasting=8.0), border_offsets(built.network)
     rows, residuals = known(network, built.cameras, built.priors, offsets)
     for k, ((a, b), pair) in enumerate(network.constraints.items()):

@@ -16,10 +16,18 @@ SHIFT_M = np.array([100.0, -50.0, 7.0])
 GROUND = GroundRules()
 
 
+TIMES_S = np.arange(0.0, DURATION_S, 0.2)
+
+
 @pytest.fixture(scope="module")
 def solved():
     flight = make_flight(4)
     return flight, solve_network(flight.seen, flight.links(), 50.0, 1.0, RULES)
+
+
+def on_ground(flight):
+    """The path in a frame of the ground."""
+    return flight.path(TIMES_S) @ TURN.T + SHIFT_M
 
 
 def centres_m(flight) -> np.ndarray:
@@ -54,9 +62,7 @@ def test_positions_give_metres_and_the_frame(solved, tmp_path):
 
 def test_rtk_gives_them_too_whatever_its_clock_shows(solved, tmp_path):
     flight, answer = solved
-    times_s = np.arange(0.0, DURATION_S, 0.2)
-    truth = Path(times_s + 77.7, flight.path(times_s) @ TURN.T + SHIFT_M)
-    write_path(tmp_path / "rtk.csv", truth)
+    write_path(tmp_path / "rtk.csv", Path(TIMES_S + 77.7, on_ground(flight)))
     ground = ground_of_rtk(answer, tmp_path / "rtk.csv", GROUND)
     assert off_m(flight, in_frame(answer, ground)) < 0.05
     assert "77.7" in ground.said
@@ -64,61 +70,47 @@ def test_rtk_gives_them_too_whatever_its_clock_shows(solved, tmp_path):
 
 def test_the_lever_arm_of_rtk_is_taken_away(solved, tmp_path):
     flight, answer = solved
-    times_s, arm_m = np.arange(0.0, DURATION_S, 0.2), (0.3, -0.2, 0.5)
-    yaw_rad = 3.0 * np.sin(0.7 * times_s)  # so that the alignment cannot take it
-    turns = Rotation.from_euler("z", yaw_rad)
-    body_m = flight.path(times_s) @ TURN.T + SHIFT_M
-    antenna = Path(times_s + 5.0, body_m + turns.apply(arm_m), quaternions=turns.as_quat())
-    write_path(tmp_path / "rtk.tum", antenna)
-    ground = ground_of_rtk(answer, tmp_path / "rtk.tum", GROUND, arm_m)
+    rtk, arm_m = tmp_path / "rtk.tum", (0.3, -0.2, 0.5)
+    # It yaws so that the alignment cannot take the arm.
+    turns = Rotation.from_euler("z", 3.0 * np.sin(0.7 * TIMES_S))
+    antenna_m = on_ground(flight) + turns.apply(arm_m)
+    write_path(rtk, Path(TIMES_S + 5.0, antenna_m, quaternions=turns.as_quat()))
+    ground = ground_of_rtk(answer, rtk, GROUND, arm_m)
     assert off_m(flight, in_frame(answer, ground)) < 0.05  # as without an arm
-    assert (
-        off_m(flight, in_frame(answer, ground_of_rtk(answer, tmp_path / "rtk.tum", GROUND))) > 0.1
-    )
-    write_path(tmp_path / "rtk.csv", Path(antenna.times_s, antenna.positions_m))
+    assert off_m(flight, in_frame(answer, ground_of_rtk(answer, rtk, GROUND))) > 0.1
+    write_path(tmp_path / "rtk.csv", Path(TIMES_S + 5.0, antenna_m))
     with pytest.raises(SsacError, match="lever arm turns with the body"):
         ground_of_rtk(answer, tmp_path / "rtk.csv", GROUND, arm_m)
 
 
-def test_rtk_in_degrees_or_without_times_is_one_line(solved, tmp_path):
-    _, answer = solved
-    (tmp_path / "rtk.csv").write_text("t_s,lat,lon,alt_m\n0,47.1,8.2,400\n")
-    with pytest.raises(SsacError, match="latitude and longitude"):
-        ground_of_rtk(answer, tmp_path / "rtk.csv", GROUND)
-    (tmp_path / "rtk.csv").write_text("x_m,y_m,z_m\n1,2,3\n2,2,4\n")
-    with pytest.raises(SsacError, match="needs times"):
-        ground_of_rtk(answer, tmp_path / "rtk.csv", GROUND)
+CONTRADICT = "contradict these positions, by"
 
 
-def test_positions_that_contradict_the_poses_are_one_line(solved, tmp_path):
+@pytest.mark.parametrize(
+    ("change", "rules", "message"),
+    [
+        (lambda centres: centres[[1, 0, 3, 2]] * [1.0, 3.0, 1.0], GROUND, CONTRADICT),
+        (lambda centres: centres, GroundRules(max_off_share=0.0), CONTRADICT),
+        (lambda centres: centres[:2], GROUND, "at least 3 cameras"),
+    ],
+)
+def test_positions_that_do_not_fit_by_the_rules_are_refused(
+    change, rules, message, solved, tmp_path
+):
     flight, answer = solved
-    write_positions(tmp_path / "positions.csv", centres_m(flight)[[1, 0, 3, 2]] * [1.0, 3.0, 1.0])
-    with pytest.raises(SsacError, match="contradict these positions, by"):
-        ground_of_positions(answer, tmp_path / "positions.csv", GROUND)
+    write_positions(tmp_path / "positions.csv", change(centres_m(flight)))
+    with pytest.raises(SsacError, match=message):
+        ground_of_positions(answer, tmp_path / "positions.csv", rules)
 
 
-def test_rtk_of_another_flight_is_refused(solved, tmp_path):
-    _, answer = solved
-    times_s = np.arange(0.0, DURATION_S, 0.2)
-    other = np.random.default_rng(0).normal(size=(len(times_s), 3))
-    write_path(tmp_path / "rtk.csv", Path(times_s, other))
-    with pytest.raises(SsacError, match="flight"):
-        ground_of_rtk(answer, tmp_path / "rtk.csv", GROUND)
-
-
-def test_two_positions_are_too_few(solved, tmp_path):
+def test_rtk_of_another_flight_or_too_little_alike_by_the_rules_is_refused(solved, tmp_path):
     flight, answer = solved
-    write_positions(tmp_path / "positions.csv", centres_m(flight)[:2])
-    with pytest.raises(SsacError, match="at least 3 cameras"):
-        ground_of_positions(answer, tmp_path / "positions.csv", GROUND)
-
-
-def test_the_rules_of_the_frame_are_those_that_are_given(solved, tmp_path):
-    flight, answer = solved
-    write_positions(tmp_path / "positions.csv", centres_m(flight))
-    with pytest.raises(SsacError, match="contradict these positions, by"):
-        ground_of_positions(answer, tmp_path / "positions.csv", GroundRules(max_off_share=0.0))
-    times_s = np.arange(0.0, DURATION_S, 0.2)
-    write_path(tmp_path / "rtk.csv", Path(times_s, flight.path(times_s)))
-    with pytest.raises(SsacError, match="explains 100 % of its motion only"):
-        ground_of_rtk(answer, tmp_path / "rtk.csv", GroundRules(least_explained=1.1))
+    other = np.random.default_rng(0).normal(size=(len(TIMES_S), 3))
+    strict = GroundRules(least_explained=1.1)
+    for path_m, rules, message in (
+        (other, GROUND, "flight"),
+        (flight.path(TIMES_S), strict, "explains 100 % of its motion only"),
+    ):
+        write_path(tmp_path / "rtk.csv", Path(TIMES_S, path_m))
+        with pytest.raises(SsacError, match=message):
+            ground_of_rtk(answer, tmp_path / "rtk.csv", rules)

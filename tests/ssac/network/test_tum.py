@@ -30,13 +30,6 @@ def test_a_path_survives_writing(tmp_path, name, with_deviations):
         np.testing.assert_allclose(again.deviations_m, path.deviations_m, rtol=1e-8)
 
 
-def test_a_tum_file_has_eight_numbers_a_line_and_a_unit_quaternion(tmp_path):
-    write_path(tmp_path / "path.tum", _path())
-    rows = [line.split(" ") for line in (tmp_path / "path.tum").read_text().splitlines()]
-    assert {len(row) for row in rows} == {8}
-    assert {tuple(row[4:]) for row in rows} == {("0", "0", "0", "1")}
-
-
 @pytest.mark.parametrize(
     "text",
     [
@@ -44,28 +37,28 @@ def test_a_tum_file_has_eight_numbers_a_line_and_a_unit_quaternion(tmp_path):
         "0 1 2 3\n0.5 2 2 4\n",
         "t_s,x_m,y_m,z_m\n0,1,2,3\n0.5,2,2,4\n",
         "\ufefffix, z, y, t, x\r\n1, 3, 2, 0, 1\r\n\r\n1, 4, 2, 0.5, 2\r\n",
+        "1 2 3\n2 2 4\n",  # which is read where no times are needed
     ],
 )
 def test_forms_that_are_read(tmp_path, text):
+    has_times = not text.startswith("1 2 3")
     (tmp_path / "path").write_text(text, encoding="utf-8")
-    path = read_path(tmp_path / "path")
-    np.testing.assert_array_equal(path.times_s, [0.0, 0.5])
+    path = read_path(tmp_path / "path", needs_times=has_times)
+    assert path.has_times == has_times
+    if has_times:
+        np.testing.assert_array_equal(path.times_s, [0.0, 0.5])
     np.testing.assert_array_equal(path.positions_m, [[1.0, 2.0, 3.0], [2.0, 2.0, 4.0]])
 
 
-def test_positions_alone_are_read_where_no_times_are_needed(tmp_path):
-    (tmp_path / "path").write_text("1 2 3\n2 2 4\n")
-    path = read_path(tmp_path / "path", needs_times=False)
-    assert not path.has_times
-    np.testing.assert_array_equal(path.positions_m, [[1.0, 2.0, 3.0], [2.0, 2.0, 4.0]])
-
-
-def test_an_attitude_survives_and_no_attitude_is_none(tmp_path):
-    turned = np.tile([0.0, 0.6, 0.0, 0.8], (50, 1))
-    write_path(tmp_path / "path.tum", replace(_path(), quaternions=turned))
-    np.testing.assert_array_equal(read_path(tmp_path / "path.tum").quaternions, turned)
-    write_path(tmp_path / "path.tum", _path())
-    assert read_path(tmp_path / "path.tum").quaternions is None
+def test_an_attitude_survives_and_no_attitude_is_a_unit_quaternion(tmp_path):
+    file, turned = tmp_path / "path.tum", np.tile([0.0, 0.6, 0.0, 0.8], (50, 1))
+    write_path(file, replace(_path(), quaternions=turned))
+    np.testing.assert_array_equal(read_path(file).quaternions, turned)
+    write_path(file, _path())
+    assert read_path(file).quaternions is None
+    rows = [line.split(" ") for line in file.read_text().splitlines()]
+    assert {len(row) for row in rows} == {8}
+    assert {tuple(row[4:]) for row in rows} == {("0", "0", "0", "1")}
 
 
 @pytest.mark.parametrize(
