@@ -16,8 +16,11 @@ from sim.errors import SimError
 
 
 @pytest.mark.parametrize("entry", cli.COMMANDS, ids=lambda entry: entry.name)
-def test_every_command_is_where_the_table_says(entry):
+def test_every_command_is_where_the_table_says_with_a_summary_of_one_line(entry):
     assert inspect.getdoc(getattr(import_module(entry.module), entry.function))
+    widest = max(len(entry.name) for entry in cli.COMMANDS)
+    assert len(f"  {'':{widest}}  {entry.summary}") <= 80
+    assert entry.summary.endswith((".", "?"))
 
 
 def test_use_comes_before_reproduce_and_every_name_once():
@@ -26,13 +29,6 @@ def test_use_comes_before_reproduce_and_every_name_once():
     groups = [entry.group for entry in cli.COMMANDS]
     assert groups == sorted(groups, key=("Use", "Reproduce").index)
     assert names[:3] == ["simulate", "sync", "demo"]
-
-
-@pytest.mark.parametrize("entry", cli.COMMANDS, ids=lambda entry: entry.name)
-def test_a_summary_is_one_whole_line_of_the_list(entry):
-    widest = max(len(entry.name) for entry in cli.COMMANDS)
-    assert len(f"  {'':{widest}}  {entry.summary}") <= 80
-    assert entry.summary.endswith((".", "?"))
 
 
 @pytest.mark.parametrize(

@@ -5,8 +5,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments.drawing.ablations import ablation_figure, default_value, other_parameters
-from experiments.lab.grid import GridConfig, config_names, named_config
+from experiments.drawing.ablations import ablation_figure, default_value
+from experiments.lab.grid import GridConfig, named_config
 from sim.recording import SimConfig
 from ssac.config import N_MIN, Config
 from ssac.errors import SsacError
@@ -35,18 +35,6 @@ def drawn(axes) -> list[np.ndarray]:
 
 def verticals(axes) -> list[float]:
     return [float(line.get_xdata()[0]) for line in axes.lines if line.get_linestyle() == "--"]
-
-
-@pytest.mark.parametrize("name", config_names("ablation_"))
-def test_every_ablation_of_ours_can_be_drawn(name: str) -> None:
-    grid = named_config(name)
-    means = make_means(grid)
-    figure = ablation_figure(means, grid)
-    assert grid.figure is not None
-    assert len(figure.axes) == len(ERRORS) * len(grid.methods)
-    shuffled = ablation_figure(means.sample(frac=1.0, random_state=0), grid)
-    for first, second in zip(figure.axes, shuffled.axes, strict=True):
-        np.testing.assert_array_equal(drawn(first), drawn(second))  # whatever the rows' order
 
 
 def test_a_line_holds_the_means_of_one_angle_and_method() -> None:
@@ -79,12 +67,6 @@ def test_the_default_is_marked_in_the_axis_unit_or_written_where_a_logarithm_lac
     assert default_value("ssac.n_min") == N_MIN
     assert default_value("sim.spline.sampling_hz") == SimConfig().spline.sampling_hz
     assert default_value("sim.drone_size_m") == 0.65  # None in SimConfig: the quadrotor's own
-
-
-def test_parameters_that_move_together_make_no_lines() -> None:
-    grid = named_config("ablation_resolution")
-    assert other_parameters(grid, "sim.focal_px") == ["sim.angle_deg"]
-    assert other_parameters(grid, "sim.angle_deg") == ["sim.focal_px"]
 
 
 def test_failures_have_axes_only_where_there_are_some() -> None:
@@ -130,34 +112,6 @@ def test_a_method_without_a_pose_leaves_its_axes_empty() -> None:
     axes = ablation_figure(means, grid).axes
     assert len(drawn(axes[1])) == 0
     assert len(drawn(axes[4])) == 3
-
-
-def test_a_line_bears_the_name_of_its_value_if_there_are_several() -> None:
-    grid = named_config("ablation_window")
-    alone = replace(grid, axes=tuple(axis for axis in grid.axes if "sim.angle_deg" not in axis[0]))
-    assert len(drawn(ablation_figure(make_means(alone), alone).axes[0])) == 1
-    grid = named_config("ablation_background")
-    names = labels(ablation_figure(make_means(grid), grid))
-    assert sorted(names[:4]) == ["clouds", "even sky", "houses", "leaves"]
-    assert names[4] == "default: 90"
-
-
-def test_two_parameters_are_told_apart_by_colour_and_by_marker() -> None:
-    grid = named_config("ablation_object")
-    means = make_means(grid)
-    figure = ablation_figure(means, grid)
-    objects, angles = ("bird", "plane", "quadrotor", "two-tone"), (30, 90, 150)
-    assert labels(figure)[:12] == [f"{angle} deg, {name}" for angle in angles for name in objects]
-    lines = [container.lines[0] for container in figure.axes[0].containers]
-    colors = np.array([line.get_color() for line in lines]).reshape(3, 4, 4)
-    np.testing.assert_array_equal(colors[:, :1].repeat(4, axis=1), colors)  # of all objects
-    assert len(np.unique(colors[:, 0], axis=0)) == 3
-    markers = [line.get_marker() for line in lines]
-    assert markers[:4] * 3 == markers
-    assert len(set(markers[:4])) == 4
-    chosen = (means["method"] == "ssac") & (means["sim.angle_deg"] == 90)
-    expected = means[chosen & (means["sim.drone"] == "plane")].sort_values("sim.distance_m")
-    np.testing.assert_allclose(lines[5].get_ydata(), expected["t_d_error_ms_mean"])
 
 
 def test_what_cannot_be_drawn_is_named() -> None:

@@ -24,6 +24,7 @@ from experiments.paper.comparison import (
     verdict_of,
 )
 from experiments.paper.esim import RUN_COLUMNS, esim_tables
+from experiments.paper.grids import table_axes
 from experiments.paper.quantities import ERRORS, split_quantity
 from ssac.errors import SsacError
 from tests.experiments.reported import made_up_runs
@@ -328,3 +329,11 @@ def test_every_error_is_a_column_of_the_runs_and_a_field_of_the_score() -> None:
     assert split_quantity("ssac-known_t_d_error_ms") == ("ssac-known", "t_d_error_ms")
     assert split_quantity("zncc_e_r_error_deg") == ("zncc_e", "r_error_deg")
     assert split_quantity("speed") == ("speed", "")
+
+
+def test_the_axes_are_those_of_the_published_tables() -> None:
+    axes, published = table_axes(), load_published()
+    assert axes.durations_s == tuple(published) == (10.0, 20.0)
+    for table in published.values():
+        assert axes.angles_deg == tuple(sorted(set(table["angle_deg"])))
+        assert axes.t_ds_ms == tuple(sorted(set(table["t_d_ms"]))) == (5.0, 50.0, 500.0)

@@ -131,47 +131,56 @@ def test_where_no_run_is_ok_the_means_are_empty_cells(runs, status):
     assert cells["zncc_e_t_d_error_ms_mean"] == cells["zncc_e_t_d_error_ms_std"] == ""
 
 
-@pytest.mark.parametrize("frame_of", [ordered_runs, esim_tables])
-def test_a_run_that_is_not_there_is_noticed(runs, frame_of):
-    without = runs[~(place(runs, "joint") & (runs["flight"] == 7))]
-    with pytest.raises(SsacError, match=r"missing: 10 s, 60 deg, t_d 50 ms, flight 7, joint$"):
-        frame_of(without)
-    assert len(missing_runs(without)) == 1
+def one_run(runs: pd.DataFrame, method: str = "joint") -> pd.Series:
+    return place(runs, method) & (runs["flight"] == 7)
+
+
+def without_cell(runs: pd.DataFrame) -> pd.DataFrame:
+    in_cell = (runs["angle_deg"] == 60.0) & (runs["t_d_ms"] == 50.0) & (runs["duration_s"] == 10.0)
+    return runs[~in_cell]
+
+
+def without_error(runs: pd.DataFrame) -> pd.DataFrame:
+    return runs.assign(t_d_error_ms=runs["t_d_error_ms"].mask(one_run(runs, "ssac")))
+
+
+@pytest.mark.parametrize(
+    ("spoilt", "read", "match"),
+    [
+        (lambda r: r[~one_run(r)], ordered_runs, "10 s, 60 deg, t_d 50 ms, flight 7, joint$"),
+        (
+            lambda r: r[~one_run(r)],
+            esim_tables,
+            "missing: 10 s, 60 deg, t_d 50 ms, flight 7, joint$",
+        ),
+        (without_cell, ordered_runs, "and 95 more"),  # 10 flights, 10 methods, 5 shown
+        (
+            lambda r: pd.concat([r, r[one_run(r)]]),
+            ordered_runs,
+            "more than once: 10 s, 60 deg, t_d",
+        ),
+        (without_error, esim_tables, '"ok" without an error of t_d: .* flight 7, ssac'),
+        (lambda r: r.drop(columns="status"), ordered_runs, r"not there: \['status'\]"),
+        (lambda r: r.iloc[:0], ordered_runs, "got none"),
+        (
+            lambda r: r,
+            lambda r: esim_table(r, 30.0),
+            "no run has a duration of 30 s: there are 10, 20",
+        ),
+        (lambda _: "", runs_from_csv, "not a table of runs"),
+        (lambda _: "a,b\n1,2\n", runs_from_csv, r"not there: \['duration_s'"),
+        (
+            lambda r: csv_text(r).replace("10,30,5,0,", "ten,30,5,0,"),
+            runs_from_csv,
+            "not a table of",
+        ),
+    ],
+)
+def test_bad_tables_are_refused(runs, spoilt, read, match):
+    with pytest.raises(SsacError, match=match):
+        read(spoilt(runs))
+    assert len(missing_runs(runs[~one_run(runs)])) == 1
     assert missing_runs(runs).empty
-
-
-def test_a_whole_cell_that_is_not_there_is_noticed(runs):
-    gone = (runs["angle_deg"] == 60.0) & (runs["t_d_ms"] == 50.0) & (runs["duration_s"] == 10.0)
-    with pytest.raises(SsacError, match="and 95 more"):  # 10 flights, 10 methods, 5 shown
-        ordered_runs(runs[~gone])
-
-
-def test_a_run_that_is_there_twice_is_noticed(runs):
-    twice = pd.concat([runs, runs[place(runs, "joint") & (runs["flight"] == 7)]])
-    with pytest.raises(SsacError, match="more than once: 10 s, 60 deg, t_d 50 ms, flight 7, joint"):
-        ordered_runs(twice)
-
-
-def test_a_run_that_is_ok_has_an_error(runs):
-    runs = runs.copy()
-    runs.loc[place(runs, "ssac") & (runs["flight"] == 0), "t_d_error_ms"] = np.nan
-    with pytest.raises(SsacError, match=r'"ok" without an error of t_d: .* flight 0, ssac'):
-        esim_table(runs, 10.0)
-
-
-def test_bad_tables_are_refused(runs):
-    with pytest.raises(SsacError, match=r"not there: \['status'\]"):
-        ordered_runs(runs.drop(columns="status"))
-    with pytest.raises(SsacError, match="got none"):
-        ordered_runs(runs.iloc[:0])
-    with pytest.raises(SsacError, match="no run has a duration of 30 s: there are 10, 20 s"):
-        esim_table(runs, 30.0)
-    with pytest.raises(SsacError, match="not a table of runs"):
-        runs_from_csv("")
-    with pytest.raises(SsacError, match=r"not there: \['duration_s'"):
-        runs_from_csv("a,b\n1,2\n")
-    with pytest.raises(SsacError, match="not a table of runs"):
-        runs_from_csv(csv_text(runs).replace("10,30,5,0,", "ten,30,5,0,"))
 
 
 def test_runs_of_before_a_column_was_there_can_be_read(runs):

@@ -1,18 +1,27 @@
-"""`ssac simulate` as its users run it."""
+"""`ssac simulate` as its users run it, and the configurations that its options make."""
 
 import hashlib
+import inspect
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
-from experiments.cli import app, main
+from experiments.cli import app
 from experiments.lab import provenance
+from experiments.scenes.options import OPTIONS, chosen, chosen_sensor
+from experiments.scenes.simulate import simulate_command
+from sim.disturb import DisturbConfig
 from sim.effects.config import SENSOR_PRESETS
 from sim.errors import SimError
+from sim.recording import SimConfig
+from sim.render.config import RenderConfig
+from sim.render.lattice import Lattice
+from sim.sensor.events import PRESETS, SensorConfig
 from ssac.errors import SsacError
 from ssac.files.event_files import load_events
 from ssac.files.hdf5 import load_frames
@@ -207,17 +216,63 @@ def test_a_folder_that_is_not_empty_is_left_alone(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
 
 
-def test_the_command_line_turns_errors_into_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(
-        "sys.argv", ["ssac", "simulate", str(tmp_path / "out"), "--distance", "1.5"]
+OTHERS = {"drone": "bird", "distortion_model": "radtan", "renderer": "pyrender", "gl": "egl",
+          "trajectory": "flight.csv", "background": ("sky.png",), "distortion": (0.1, 0, 0, 0),
+          "clock_jump": (1.0, 0.1), "drone_size": 0.5, "check": False, "resolution": (64, 48),
+          "intrinsics_error": (1.0, 1.0)}  # fmt: skip
+"""Values beside the default, where half of it is none."""
+
+
+def test_an_option_that_is_not_given_has_the_default_of_its_field() -> None:
+    parameters = inspect.signature(simulate_command).parameters
+    defaults = {name: parameters[name].default for name in OPTIONS}
+    defaults |= {"distortion": (), "background": ()}
+    assert chosen(defaults) == (SimConfig(), DisturbConfig())
+
+
+@pytest.mark.parametrize("name", [name for name, option in OPTIONS.items() if option.field])
+def test_an_option_sets_its_field_and_no_other(name: str) -> None:
+    parameter = inspect.signature(simulate_command).parameters[name]
+    kind = get_args(parameter.annotation)[0]
+    default = parameter.default
+    value = OTHERS.get(name, 0.5 * default if default and kind is float else 1)
+    field = OPTIONS[name].field
+    root, *path = field.split(".") if field.startswith("disturb.") else ("sim", *field.split("."))
+    before, after = (
+        dict(zip(("sim", "disturb"), made, strict=True))
+        for made in (chosen({}), chosen({name: value}))
     )
-    with pytest.raises(SystemExit) as exit_info:
-        main()
-    assert exit_info.value.code == 2
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert captured.err.startswith("error: ")
-    assert "reaches into the camera" in captured.err
-    assert captured.err.count("\n") == 1
+    assert {one for one in before if before[one] != after[one]} == {root}
+    changed = [
+        key for key in vars(before[root]) if getattr(before[root], key) != getattr(after[root], key)
+    ]
+    assert changed == path[:1]
+    found = after[root]
+    for part in path:
+        found = getattr(found, part)
+    assert found == value
+
+
+def test_an_option_keeps_what_else_is_said_of_its_part() -> None:
+    config, _ = chosen({"gl": "egl"}, render=RenderConfig(lattice=Lattice(4, 1)))
+    assert config.render == RenderConfig(lattice=Lattice(4, 1), backend="egl")
+
+
+def test_no_option_makes_the_ideal_sensor() -> None:
+    sensor = chosen_sensor(None, "ideal", None, None, None, ())
+    assert sensor.sensor == SensorConfig()
+    assert sensor.effects.is_none
+    assert chosen_sensor(None, "davis346", None, None, None, ()).sensor == PRESETS["davis346"]
+
+
+def test_options_take_the_place_of_the_presets_values() -> None:
+    effects = ["latency_s=2e-3", "hot_clusters = 7"]
+    sensor = chosen_sensor("davis346-dim", "ideal", 0.1, None, 2.0, effects)
+    preset = SENSOR_PRESETS["davis346-dim"]
+    assert (sensor.sensor.threshold_on, sensor.sensor.threshold_off) == (
+        0.1,
+        preset.sensor.threshold_off,
+    )
+    assert sensor.effects.illuminance_lux == 2.0
+    assert (sensor.effects.latency_s, sensor.effects.hot_clusters) == (2e-3, 7)
+    assert sensor.effects.cutoff_hz_per_lux == preset.effects.cutoff_hz_per_lux

@@ -1,4 +1,4 @@
-"""Ablations: what becomes of runs, and one real one on a tiny grid."""
+"""Ablations: what becomes of runs, one real one on a tiny grid, and tangency's variants."""
 
 import numpy as np
 import pandas as pd
@@ -12,7 +12,9 @@ from experiments.lab.grid import grid_from_content
 from experiments.lab.schedule import Workers
 from experiments.lab.study import save_study
 from experiments.studies.ablations import ABLATIONS, ablation_study, ablation_table
+from experiments.studies.tangency import AS_IT_IS, VARIANTS, variant_means
 from ssac.errors import SsacError
+from ssac.methods.tangency import TangencyConfig
 
 VARIED = ("sim.angle_deg", "sim.resolution")
 
@@ -112,3 +114,32 @@ def test_a_real_ablation_leaves_csv_figure_and_provenance(tmp_path):
         "ablation_tiny.csv", "ablation_tiny.png", "ablation_tiny.provenance.json", "cache",
         "ablation_tiny_runs.csv", "ablation_tiny_runs.provenance.json", SUMS_FILE,
     }  # fmt: skip
+
+
+def variant_runs() -> pd.DataFrame:
+    """Two angles, two variants; one run failed."""
+    columns = ("variant", "angle_deg", "status", "t_d_error_ms", "normalised")
+    rows = [
+        (AS_IT_IS, 30.0, "ok", 0.1, 1.0),
+        (AS_IT_IS, 30.0, "ok", 0.3, -1.0),
+        (AS_IT_IS, 90.0, "ok", 0.5, 2.0),
+        ("one pass", 30.0, "ok", 0.2, 3.0),
+        ("one pass", 90.0, "no_convergence", np.nan, np.nan),
+    ]
+    table = pd.DataFrame(rows, columns=columns)
+    return table.assign(r_error_deg=0.1, t_error_deg=0.05, t_d_bias_ms=0.01)
+
+
+def test_means_are_of_runs_that_did_not_fail():
+    means = variant_means(variant_runs()).set_index("variant")
+    assert list(means.index) == [AS_IT_IS, "one pass"]
+    assert means.loc[AS_IT_IS, "t_d_error_ms"] == pytest.approx(0.3)
+    assert means.loc[AS_IT_IS, "t_d_error_ms_worst"] == pytest.approx(0.5)  # at 90 deg
+    assert means.loc[AS_IT_IS, "normalised_rms"] == pytest.approx(np.sqrt(2.0))
+    assert list(means["failed"]) == [0, 1]
+    assert means.loc["one pass", "t_d_error_ms"] == pytest.approx(0.2)
+
+
+def test_the_variants_differ_from_the_method_and_from_each_other():
+    assert VARIANTS[AS_IT_IS] == TangencyConfig()
+    assert len(set(VARIANTS.values())) == len(VARIANTS)

@@ -4,12 +4,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments.lab.grid import named_config
 from experiments.studies.coverage import (
     LEVELS,
     QUANTITIES,
     confidence,
-    coverage_figure,
     coverage_table,
     sampling_bounds,
 )
@@ -108,28 +106,3 @@ def test_the_levels_of_one_two_and_three_parameters():
     assert confidence(np.array([1.96, -1.96]), 1) == pytest.approx(0.95, abs=1e-4)
     assert confidence(np.array([2.4477]), 2) == pytest.approx(0.95, abs=1e-4)
     assert confidence(np.array([2.7955]), 3) == pytest.approx(0.95, abs=1e-4)
-
-
-def test_the_figure_has_a_panel_for_each_of_t_d_r_and_t():
-    figure = coverage_figure(made_up_runs(200))
-    titles = [axes.get_title() for axes in figure.axes]
-    assert titles == [q.label for q in QUANTITIES.values() if q.label]
-    for axes, n_methods in zip(figure.axes, (2, 1, 1), strict=True):
-        curves = [line for line in axes.lines if line.get_label().startswith("joint")]
-        assert len(curves) == n_methods
-        for curve in curves:
-            nominal, observed = curve.get_data()
-            assert np.all(np.diff(observed) >= 0.0)
-            # Kolmogorov's distance of 200 runs: 1.63 / sqrt(200) in one case of a hundred.
-            assert np.max(np.abs(observed - nominal)) < 11.5
-
-
-def test_the_study_is_of_flights_that_nothing_was_tuned_on():
-    cells = named_config("coverage").cells()
-    assert len({cell.seed for cell in cells}) >= 100
-    assert min(cell.flight for cell in cells) >= 1000
-
-
-def test_each_flight_is_seen_at_one_angle_and_each_angle_by_as_many():
-    angles = {cell.seed: cell.sim.angle_deg for cell in named_config("coverage").cells()}
-    assert set(np.unique(list(angles.values()), return_counts=True)[1]) == {len(angles) // 5}

@@ -6,10 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments.drawing.efficiency import efficiency_figure, pooled
-from experiments.paper.grids import table_grids
+from experiments.drawing.efficiency import pooled
 from experiments.studies.efficiency import (
-    bound_cells,
     efficiency_table,
     runs_beside_bounds,
 )
@@ -80,49 +78,13 @@ def test_errors_as_large_as_the_bound_lets_expect_have_efficiency_one() -> None:
     assert efficiencies.mean() == pytest.approx(1.0, abs=0.03)
 
 
-def test_a_method_that_is_given_the_pose_has_no_errors_of_it() -> None:
-    cells = efficiency_table(beside_bounds())
-    known = cells["method"].isin(KNOWN_POSE)
-    columns = [f"{name}_{kind}" for name in "rt" for kind in ("bound_deg", "rms_deg", "efficiency")]
-    assert cells.loc[known, columns].isna().all(axis=None)
-    assert cells.loc[~known, columns].notna().all(axis=None)
-
-
-def test_runs_that_failed_have_no_error_to_compare() -> None:
-    runs = made_up_runs(("joint",), 2)
+def test_neither_failed_runs_nor_flights_without_a_bound_are_compared() -> None:
+    runs, bounds = made_up_runs(("joint",), 3), made_up_bounds(3)
     runs.loc[0, ["status", "t_d_error_ms"]] = ["too_few_samples", np.nan]
-    cells = efficiency_table(runs_beside_bounds(runs, made_up_bounds(2)))
+    bounds.loc[bounds["flight"] == 2, "status"] = "unusable"
+    cells = efficiency_table(runs_beside_bounds(runs, bounds))
     assert sorted(cells["n_runs"].unique()) == [1, 2]
     assert cells["t_d_efficiency"].notna().all()
-
-
-def test_a_flight_without_a_bound_is_left_out() -> None:
-    bounds = made_up_bounds(2)
-    bounds.loc[bounds["flight"] == 1, "status"] = "unusable"
-    cells = efficiency_table(runs_beside_bounds(made_up_runs(("joint",), 2), bounds))
-    assert list(cells["n_runs"].unique()) == [1]
-
-
-def test_every_flight_of_the_tables_has_a_bound_for_each_method() -> None:
-    cells = bound_cells()
-    n_recordings = sum(5 * grid.flights for grid in table_grids())
-    assert len(cells) == len(SAMPLES) * n_recordings
-    assert len({cell.recordings for cell in cells}) == n_recordings
-
-
-def test_the_figure_shows_bound_and_error_of_each_method_and_angle() -> None:
-    cells = efficiency_table(beside_bounds())
-    figure = efficiency_figure(cells)
-    assert len(figure.axes) == 6
-    for number, axes in enumerate(figure.axes):
-        drawn = [line for line in axes.lines if len(line.get_xdata()) == 5]
-        n_methods = len(BOUNDED) if number < 2 else 3  # three give a pose
-        assert len(drawn) == 2 * n_methods
-        assert len(axes.collections) == n_methods
-        x = np.sort(np.concatenate([line.get_xdata() for line in drawn[::2]]))
-        assert np.all(np.abs(x - 30.0 * np.rint(x / 30.0)) < 15.0)  # beside its own angle
-    labels = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert labels == [*BOUNDED, "root mean square error", "its Cramer-Rao bound"]
 
 
 def test_offsets_are_pooled_as_many_runs_as_each_has() -> None:

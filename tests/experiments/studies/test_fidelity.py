@@ -1,5 +1,7 @@
 """Events against those of another rendering."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
@@ -22,39 +24,33 @@ def random_events(n: int, seed: int) -> np.ndarray:
     return np.sort(events, order="t")
 
 
-def test_the_same_events_are_the_same() -> None:
+def changed(events: np.ndarray, of: slice = slice(None), **steps: int) -> np.ndarray:
+    """Return events of which some have a field moved on; polarities turn."""
+    events = events.copy()
+    for name, step in steps.items():
+        events[name][of] = 1 - events[name][of] if name == "p" else events[name][of] + step
+    return events
+
+
+@pytest.mark.parametrize(
+    ("made", "late_us", "spurious", "missing"),
+    [
+        (lambda e: e, 0, 0.0, 0.0),
+        (lambda e: changed(e, t=120), 120, 0.0, 0.0),
+        # 100 more, at pixels of which the reference has nothing
+        (lambda e: np.concatenate([e, changed(e[:100], x=200)]), 0, 100 / 2100, 0.0),
+        (lambda e: e[500:], 0, 0.0, 500 / 2000),
+        (lambda e: changed(e, slice(1, None), p=1), 0, 1999 / 2000, 1999 / 2000),
+    ],
+    ids=["the same", "late", "more", "fewer", "other polarity"],
+)
+def test_events_are_compared_with_their_counterparts(
+    made: Callable[[np.ndarray], np.ndarray], late_us: int, spurious: float, missing: float
+) -> None:
     events = random_events(2000, 0)
-    result = compare_events(events, events)
-    assert (result.median_us, result.p95_us, result.spurious, result.missing) == (0, 0, 0, 0)
-
-
-def test_a_shift_is_measured() -> None:
-    events = random_events(2000, 1)
-    late = events.copy()
-    late["t"] += 120
-    result = compare_events(late, events)
-    assert (result.median_us, result.p95_us, result.spurious, result.missing) == (120, 120, 0, 0)
-
-
-def test_extra_and_lost_events_are_counted() -> None:
-    events = random_events(2000, 2)
-    extra = events[:100].copy()
-    extra["x"] += 200  # pixels of which the reference has nothing
-    more = compare_events(np.sort(np.concatenate([events, extra]), order="t"), events)
-    assert more.spurious == pytest.approx(100 / 2100)
-    assert more.missing == 0.0
-    fewer = compare_events(events[500:], events)
-    assert fewer.spurious == 0.0
-    assert fewer.missing == pytest.approx(500 / 2000)
-
-
-def test_other_polarity_or_a_late_time_is_no_counterpart() -> None:
-    events = random_events(500, 3)
-    other = events.copy()
-    other["p"] = 1 - other["p"]
-    other["t"][0] += 0
-    both = compare_events(np.concatenate([events[:1], other[1:]]), events)
-    assert both.spurious == pytest.approx(499 / 500)
+    result = compare_events(np.sort(made(events), order="t"), events)
+    assert (result.median_us, result.p95_us) == (late_us, late_us)
+    assert (result.spurious, result.missing) == pytest.approx((spurious, missing))
 
 
 def test_the_reference_is_denser_in_time_and_space() -> None:

@@ -1,25 +1,18 @@
 """Imperfect recordings: how an estimate is scored, the cells, the counts, and what pages quote."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from experiments.lab.files import csv_text
 from experiments.lab.recorded import Flown
-from experiments.lab.results import Results
 from experiments.lab.score import Truth
 from experiments.studies.imperfect import (
     ALL,
-    FIRST_FLIGHT,
     KINDS,
-    METHOD_NAMES,
-    STUDIES,
     ImperfectRow,
     given_columns,
-    imperfect_cells,
     imperfect_row,
     imperfect_table,
 )
@@ -77,21 +70,6 @@ def test_a_method_is_run_on_what_was_spoilt() -> None:
     assert np.isfinite([row.t_d_normalised, row.skew_normalised]).all()
 
 
-def test_every_round_has_every_kind_by_every_method_on_flights_of_its_own() -> None:
-    cells = imperfect_cells(12)
-    table = pd.DataFrame([cell.columns for cell in cells])
-    assert len(table.drop_duplicates(["kind", "flight"])) >= 600
-    counts = table.groupby(["kind", "method"]).size()
-    assert len(counts) == len(KINDS) * len(METHOD_NAMES)
-    assert set(counts) == {12, 24}  # ordinary flights are two a round
-    seeds = {cell.seed for cell in cells}
-    others = {cell.other_seed for cell in cells}
-    assert len(seeds) == 13 * 12
-    assert not seeds & others
-    assert table["flight"].between(FIRST_FLIGHT, FIRST_FLIGHT + 400).all()
-    assert set(table["angle_deg"]) == {30.0, 60.0, 90.0, 120.0, 150.0}
-
-
 def rows_of(kind: str, rows: list[ImperfectRow], method: str = "joint") -> list[dict[str, object]]:
     return [{"kind": kind, "method": method, **vars(row)} for row in rows]
 
@@ -134,22 +112,6 @@ def test_the_table_counts_what_held_and_what_was_wrong() -> None:
     known = table.loc[("skew", "joint-known")]
     assert (known["R_given"], known["skew_held"], known["confident_wrong"]) == (0, 0.0, 0)
     assert np.isnan(known["R_held"])
-
-
-def test_the_page_shows_all_kinds_together_and_names_those_that_fail(tmp_path: Path) -> None:
-    (tmp_path / "imperfect.csv").write_text(
-        csv_text(imperfect_table(RUNS.assign(method="tangency")))
-    )
-    numbers = {name: number(Results(tmp_path)) for name, number in STUDIES[0].numbers.items()}
-    header, _, row = (
-        [cell.strip() for cell in line.strip("|").split("|")]
-        for line in numbers["table.imperfect"].splitlines()
-    )
-    shares = [f"{name} [%]" for name in ("t_d", "skew", "R", "t")]
-    assert header == ["method", "answered", *shares, "confident wrong"]
-    assert row[:3] == ["`tangency`", "4 of 5", "75 (19 to 99)"]
-    assert numbers["imperfect.kinds_not_answered"] == "lamp 6 px: 1 of 4"
-    assert numbers["imperfect.kinds_wrong"] == "lamp 6 px: 1 of 4"
 
 
 def test_every_scene_has_kinds_and_every_kind_a_scene() -> None:

@@ -9,7 +9,7 @@ import pytest
 from experiments.lab.files import csv_text
 from experiments.lab.results import Results
 from experiments.studies import error_budget, light_latency, mini
-from experiments.worlds.bench import ANGLES_DEG, KINDS
+from experiments.worlds.bench import KINDS
 
 STUDIES = (*mini.STUDIES, *error_budget.STUDIES, *light_latency.STUDIES)
 
@@ -19,11 +19,6 @@ def test_the_tables_share_recordings_among_offsets_and_set_ups_among_recordings(
     assert len({cell.recordings for cell in cells}) == 4 * 10
     assert len({cell.sim.setup_seed for cell in cells}) == 4
     assert len({cell.seed for cell in cells}) == 4 * 10
-
-
-def test_seeds_of_tables_budget_and_latency_are_their_own() -> None:
-    seeds = [{cell.seed for cell in study.cells()} for study in STUDIES]
-    assert sum(map(len, seeds)) == len(set().union(*seeds))
 
 
 def test_a_trial_run_has_fewer_recordings_and_says_so() -> None:
@@ -47,22 +42,6 @@ def test_the_papers_own_tables_agree_with_themselves(tmp_path: Path) -> None:
     comparison = mini.comparison(Results(tmp_path))
     assert len(comparison) == len(mini.DURATIONS_S) * 12 * 3
     assert (comparison["verdict"] == "agrees").all()
-
-
-def test_a_table_is_drawn_beside_what_the_paper_has_of_it(tmp_path: Path) -> None:
-    runs = pd.DataFrame(
-        [
-            {"duration_s": 10.0, "angle_deg": angle_deg, "flight": flight, "method": method,
-             "status": "ok", "t_d_error_ms": 0.5, "r_error_deg": 1.0, "t_error_deg": 1.0}
-            for angle_deg in ANGLES_DEG
-            for flight in range(2)
-            for method in ("ssac", "zncc_e")  # of which the paper has no physical table
-        ]
-    )  # fmt: skip
-    (tmp_path / "mini_10_runs.csv").write_text(csv_text(runs))
-    axes = mini.figure(Results(tmp_path), 10.0).axes
-    stars = [[line for line in one.get_lines() if line.get_marker() == "*"] for one in axes]
-    assert [len(lines) for lines in stars] == [1, 1, 1]
 
 
 def test_the_budget_counts_and_averages_what_was_answered() -> None:

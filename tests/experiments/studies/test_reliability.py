@@ -126,10 +126,3 @@ def test_few_may_be_read_with_fewer_events_in_silence(tmp_path):
         (tmp_path / "reliability.csv").write_text(csv_text(table))
         assert bool(reliability_faults(Results(tmp_path))) == is_fault
         assert silent_share(table) == n / n_files
-
-
-def test_the_pages_count_how_cases_ended(tmp_path):
-    (tmp_path / "reliability.csv").write_text(csv_text(_committed(hang=2, abort=1)))
-    said = {name: number(Results(tmp_path)) for name, number in STUDY.numbers.items()}
-    assert said["reliability.must_not_be"] == "3"
-    assert said["reliability.refused"] == "19997"

@@ -1,29 +1,21 @@
 """Recordings as they come: how they are run and judged, and what the pages show."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
 from experiments.lab.cell import CRASHED
-from experiments.lab.files import csv_text
 from experiments.lab.recorded import Flown
-from experiments.lab.results import Results
 from experiments.lab.score import Truth
 from experiments.studies.requirements import (
-    FILMED,
-    FLIGHTS,
     KINDS,
-    STUDIES,
     UNSTATED,
     RequiredCell,
     RequiredRow,
     Requirement,
     ends_of,
-    flights_of,
-    required_cells,
     required_row,
     required_table,
 )
@@ -73,16 +65,6 @@ def test_a_skew_that_is_not_looked_for_has_no_deviation() -> None:
     assert np.isfinite(row.ends_normalised)
 
 
-def test_every_kind_is_run_on_the_flights_of_its_scene() -> None:
-    table = pd.DataFrame([cell.columns for cell in required_cells()])
-    counts = table.groupby("kind").size()
-    for name, one in KINDS.items():
-        assert counts[name] == flights_of(one.kind) <= FLIGHTS[one.kind.scene]
-    seeds = {cell.seed for cell in required_cells()}
-    assert len(seeds) == sum(FLIGHTS[scene] for scene in FILMED)
-    assert not seeds & {cell.other_seed for cell in required_cells()}
-
-
 def rows_of(kind: str, *rows: RequiredRow) -> list[dict[str, object]]:
     return [{"group": KINDS[kind].group, "kind": kind, **vars(row)} for row in rows]
 
@@ -121,19 +103,6 @@ def test_the_table_counts_what_is_as_required_and_what_holds() -> None:
     assert table.loc["20 s, jump of 5 ms", "reached"] == 1
     assert table.loc["5 px drone, davis346", "reached"] == 1  # a refusal is no answer there
     assert np.isnan(table.loc[next(iter(UNSTATED)), "reached"])
-
-
-def test_the_pages_say_what_errors_of_the_rig_do_and_how_many_do_as_required(
-    tmp_path: Path,
-) -> None:
-    (tmp_path / "marks.csv").write_text(csv_text(required_table(runs())))
-    numbers = {name: number(Results(tmp_path)) for name, number in STUDIES[0].numbers.items()}
-    table = numbers["table.marks.sensitivity"].splitlines()[2:]
-    shown = [[cell.strip() for cell in line.strip("|").split("|")] for line in table]
-    assert [row[:2] for row in shown] == [[kind, "0.50, 0.50"] for kind in UNSTATED]
-    assert numbers["marks.reached.5_px_drone_davis346"] == "1 of 2"
-    assert numbers["marks.jumps.20_s_jump_of_5_ms"] == "4.5 to 4.5 ms, at 8.1 to 8.1 s"
-    assert numbers["marks.rms.20_s_clocks_alike"] == "0.200 ms"
 
 
 @pytest.mark.parametrize(

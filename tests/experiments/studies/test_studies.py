@@ -1,25 +1,29 @@
-"""All studies: their names, keys and flights."""
+"""All studies: their names, keys and flights, and that committed files follow from their rows."""
 
 from collections import defaultdict
 from dataclasses import replace
+from itertools import combinations
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
 from experiments.lab.grid import config_names, flight_seed, named_config
+from experiments.lab.results import Results
 from experiments.lab.study import How
+from experiments.lab.verify import study_findings
 from experiments.studies import all_studies
 from experiments.studies.ablations import ABLATIONS
 from experiments.studies.fidelity import (
     DIFFERENCES,
     RENDERER_FLIGHTS,
-    fidelity_cells,
     fidelity_table,
     renderer_cells,
 )
 
 STUDIES = all_studies()
+RESULTS = Path(__file__).resolve().parents[3] / "results"
 
 WITH_CELLS = [
     name
@@ -27,7 +31,10 @@ WITH_CELLS = [
     if study.runs is not None and study.runs.table is None and study.how is not How.GIVEN
 ]
 
-OWN_FLIGHTS = ("coverage", "refusal", "imperfect", "marks", "tangency", "zncc", "fidelity")
+OWN_FLIGHTS = (
+    *("coverage", "refusal", "imperfect", "marks", "tangency", "zncc", "fidelity"),
+    *("mini_10", "mini_20", "error_budget", "light_latency"),
+)
 """Studies whose flights are those of no table."""
 
 
@@ -53,42 +60,34 @@ def test_keys_tell_all_cells_apart_and_seeds_follow_from_the_columns(name: str) 
         assert seed == cell.columns["seed"] == expected
 
 
-def test_flights_of_studies_are_of_no_table() -> None:
+def test_flights_of_studies_are_their_own() -> None:
     seeds: dict[str, set[int]] = defaultdict(set)
     for table in ("esim_10", "esim_20"):
         seeds["tables"] |= {cell.seed for cell in named_config(table).cells()}
     for name in OWN_FLIGHTS:
-        seeds[name] = {cell.columns["seed"] for cell in STUDIES[name].cells()}
-    names = list(seeds)
-    for at, name in enumerate(names):
-        for other in names[at + 1 :]:
-            assert not seeds[name] & seeds[other], (name, other)
+        cells = STUDIES[name].cells()
+        seeds[name] = {cell.columns["seed"] for cell in cells}
+        others = {cell.other_seed for cell in cells if hasattr(cell, "other_seed")}
+        assert not seeds[name] & others, name
+    for (name, mine), (other, theirs) in combinations(seeds.items(), 2):
+        assert not mine & theirs, (name, other)
 
 
-def test_fidelity_sums_up_each_duration() -> None:
-    assert len(fidelity_cells({10.0: 2, 20.0: 1})) == 3
-    rows = [
-        {"duration_s": 10.0, "status": "ok", "n_reference": 10, "median_us": 40.0,
-         "joint_t_d_difference_ms": sign * 0.02}
-        for sign in (1.0, -1.0)
-    ]  # fmt: skip
-    rows.append({**rows[0], "status": "crashed", "median_us": 99.0})
-    names = ("p95_us", "spurious", "missing", "ssac_t_d_difference_ms",
-             "ssac_known_t_d_difference_ms", "tangency_t_d_difference_ms")  # fmt: skip
-    (row,) = fidelity_table(pd.DataFrame(rows).assign(**dict.fromkeys(names, 0.5))).to_dict(
-        "records"
-    )
-    assert (row["n_runs"], row["failed"], row["n_reference"], row["median_us"]) == (3, 1, 10, 40.0)
-    assert row["joint_t_d_difference_ms"] == row["joint_t_d_difference_max_ms"] == 0.02
-    assert row["joint_t_d_difference_se_ms"] == 0.0  # both are as large
+@pytest.mark.parametrize("name", [name for name, study in STUDIES.items() if study.is_committed])
+def test_what_is_committed_follows_from_its_rows(name: str) -> None:
+    """Rows are those of the cells; tables, pages and figures come out byte for byte."""
+    findings = study_findings(STUDIES[name], Results(RESULTS))
+    assert not {one.what: one.faults for one in findings if one.faults}
 
 
-def test_a_mean_difference_comes_with_its_standard_error_and_the_largest() -> None:
+def test_fidelity_has_means_with_their_standard_errors_and_the_largest() -> None:
     sizes = np.array([0.01, 0.03, 0.02, 0.06])
     values = dict.fromkeys(DIFFERENCES, sizes * [1, -1, 1, -1])
     runs = pd.DataFrame({"duration_s": 20.0, "status": "ok", "n_reference": 5, "median_us": 1.0,
                          "p95_us": 2.0, "spurious": 0.0, "missing": 0.0, **values})  # fmt: skip
-    (row,) = fidelity_table(runs).to_dict("records")
+    crashed = runs.iloc[:1].assign(status="crashed", median_us=99.0)
+    (row,) = fidelity_table(pd.concat([runs, crashed])).to_dict("records")
+    assert (row["n_runs"], row["failed"], row["n_reference"], row["median_us"]) == (5, 1, 20, 1.0)
     for name in DIFFERENCES:
         start = name.removesuffix("_ms")
         assert row[name] == pytest.approx(0.03)

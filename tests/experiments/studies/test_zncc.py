@@ -7,10 +7,6 @@ import pytest
 from experiments.lab.cache import Cache
 from experiments.lab.task import Task, run_task
 from experiments.studies.zncc import (
-    DEFAULT,
-    FIRST_FLIGHT,
-    MODELLED,
-    N_MORE,
     RENDERED,
     RENDERED_SIGNALS,
     STUDIES,
@@ -18,7 +14,6 @@ from experiments.studies.zncc import (
     SignalCell,
     agreement,
     modelled_signals,
-    signal_cells,
     signal_means,
 )
 from sim.recording import SimConfig
@@ -117,14 +112,3 @@ def test_means_count_the_gross_errors():
     assert (row["flights"], row["error_ms_mean"], row["gross_share"]) == (4, 130.0, 0.25)
     assert row["at_truth"] == 0.5
     assert not {"cell", "flight", "seed"} & set(row)
-
-
-def test_scenes_share_flights_and_no_flight_is_the_tables():
-    cells = signal_cells()
-    assert min(cell.flight for cell in cells) == FIRST_FLIGHT
-    rendered = [cell for cell in cells if cell.source == RENDERED]
-    at_90 = [{c.seed for c in rendered if c.scene == scene and c.sim.angle_deg == 90.0}
-             for scene in (DEFAULT, "no turning")]  # fmt: skip
-    assert at_90[1] < at_90[0]
-    assert len(at_90[0]) == N_MORE[DEFAULT, 90.0]
-    assert {cell.source for cell in cells} == {RENDERED, MODELLED}
