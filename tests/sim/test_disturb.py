@@ -35,8 +35,9 @@ from sim.render.lattice import Lattice
 from sim.scene.trajectory import SplineConfig
 from sim.sensor.events import SensorConfig
 from sim.sensor.frames import FrameConfig
+from tests.sim.scenes import reference_levels
 
-VIEW = View(346, 260, 2.0)
+VIEW, SMALL_VIEW = View(346, 260, 2.0), View(120, 90, 2.0)
 
 KINDS = {
     "lamp": DisturbConfig(lamp_px=6),
@@ -66,6 +67,9 @@ def test_clutter_is_in_order_within_view_and_time_and_drawn_by_seed_and_camera(k
 
 
 def test_one_disturbance_more_leaves_the_others_as_they_are() -> None:
+    assert DisturbConfig().is_none
+    assert not any(config.is_none for config in KINDS.values())
+    assert len(drawn(DisturbConfig())) == 0
     both = drawn(DisturbConfig(hot_clusters=5, people=3))
     apart = merged(drawn(KINDS["clusters"]), drawn(KINDS["people"]))
     assert np.array_equal(both, apart)
@@ -164,15 +168,6 @@ def test_clutter_bears_the_clock_of_the_camera_that_sees_it() -> None:
         assert len(noise) > 30_000
 
 
-def test_nothing_asked_for_is_nothing_added() -> None:
-    assert DisturbConfig().is_none
-    assert not any(config.is_none for config in KINDS.values())
-    assert len(drawn(DisturbConfig())) == 0
-
-
-SMALL_VIEW = View(120, 90, 2.0)
-
-
 def test_a_sky_has_blue_and_white_and_is_one_again_beyond_its_border() -> None:
     sky = cloudy_sky(SMALL_VIEW, np.random.default_rng(0))
     assert sky.shape == (256, 256)
@@ -201,13 +196,11 @@ def test_large_spots_are_stronger_than_small_ones() -> None:
 @pytest.mark.parametrize("drift_px_s", [3.0, 12.0])
 def test_events_add_up_to_the_change_of_light(drift_px_s: float) -> None:
     events = clouds(SMALL_VIEW, drift_px_s, np.random.default_rng(5))
-    change = np.zeros((SMALL_VIEW.height, SMALL_VIEW.width))
-    sign = 2.0 * events["p"].astype(float) - 1.0
-    np.add.at(change, (events["y"], events["x"]), SensorConfig().threshold_on * sign)
+    threshold = SensorConfig().threshold_on
+    change = reference_levels(events, threshold, threshold, (SMALL_VIEW.height, SMALL_VIEW.width))
     # From blue to white at most, and what a pixel remembers may be a threshold beside either.
-    most = np.log(CLOUD_LUMINANCE / SKY_LUMINANCE) + 2.0 * SensorConfig().threshold_on
-    assert np.abs(change).max() <= most
-    assert np.abs(change).max() > SensorConfig().threshold_on
+    most = np.log(CLOUD_LUMINANCE / SKY_LUMINANCE) + 2.0 * threshold
+    assert threshold < np.abs(change).max() <= most
 
 
 def test_clouds_twice_as_fast_make_twice_the_events_all_along() -> None:

@@ -12,9 +12,8 @@ OBJECT = np.uint32(1 << COUNT_BIT)
 
 def samples(lattice: Lattice, x_px: int, y_px: int) -> np.ndarray:
     """Lattice coordinates (n, 2) of a pixel's samples."""
-    origin = [
-        (u, v) for u, first, stop in lattice.pixel_columns for v in range(int(first), int(stop))
-    ]
+    columns = lattice.pixel_columns
+    origin = [(u, v) for u, first, stop in columns for v in range(int(first), int(stop))]
     return np.array(origin) + lattice.A @ [x_px, y_px]
 
 
@@ -27,9 +26,8 @@ def average(
     lattice: Lattice, atlas: np.ndarray, size_px: tuple[int, int], background: np.ndarray
 ) -> np.ndarray:
     """The pixels of a crop at the image's corner whose tile is the whole atlas."""
-    zero = np.zeros(1, np.int64)
     corner = np.zeros((1, 2), np.int64)
-    return average_pixels(atlas, lattice, corner, zero, zero, size_px, background)[0]
+    return average_pixels(atlas, lattice, corner, *corner.T, size_px, background)[0]
 
 
 @pytest.mark.parametrize("lattice", LATTICES, ids=IDS)
@@ -61,9 +59,7 @@ def test_a_tile_covers_its_crop_and_nothing_else(
 ) -> None:
     width, height = size_px
     x0, y0 = 17, -4
-    owned = np.concatenate(
-        [samples(lattice, x0 + i, y0 + j) for i in range(width) for j in range(height)]
-    )
+    owned = np.concatenate([samples(lattice, x0 + i, y0 + j) for i, j in np.ndindex(size_px)])
     (origin,) = lattice.tile_origin(np.array([x0]), np.array([y0]), height)
     np.testing.assert_array_equal(owned.min(axis=0), origin)
     np.testing.assert_array_equal(owned.max(axis=0) - origin + 1, lattice.tile_size(width, height))
@@ -97,28 +93,22 @@ def test_average_pixels_equals_a_brute_force_sum(lattice: Lattice) -> None:
     x0, y0 = np.array([0, 11, 33]), np.array([26, 3, 0])
     got = average_pixels(atlas, lattice, corners, x0, y0, (width, height), background)
     origins = lattice.tile_origin(x0, y0, height)
-    for k in range(3):
-        for j in range(height):
-            for i in range(width):
-                u, v = (samples(lattice, x0[k] + i, y0[k] + j) - origins[k] + corners[k]).T
-                words = atlas[v, u].astype(np.int64)
-                light = np.where(
-                    words > 0, (words & (OBJECT - 1)) / FULL_CODE, background[y0[k] + j, x0[k] + i]
-                )
-                assert got[k, j, i] == pytest.approx(light.mean(), abs=3e-7)  # float32
+    for k, j, i in np.ndindex(3, height, width):
+        x, y = x0[k] + i, y0[k] + j
+        u, v = (samples(lattice, x, y) - origins[k] + corners[k]).T
+        words = atlas[v, u].astype(np.int64)
+        light = np.where(words > 0, (words & (OBJECT - 1)) / FULL_CODE, background[y, x])
+        assert got[k, j, i] == pytest.approx(light.mean(), abs=3e-7)  # float32
 
 
-def test_sums_down_a_high_tile_may_overflow() -> None:
+@pytest.mark.parametrize(
+    ("b", "height", "code", "behind"), [(0, 200, 40_000, 1.0), (1, 3, FULL_CODE, 0.0)]
+)
+def test_sums_may_overflow_and_the_brightest_light_fits_a_word(
+    b: int, height: int, code: int, behind: float
+) -> None:
     """The count of 2048 object samples fills a word; whole images at 16 samples reach that."""
-    lattice = Lattice(16, 0)
-    width, height = 2, 200
-    atlas = np.full(lattice.tile_size(width, height)[::-1], OBJECT + 40000, np.uint32)
-    got = average(lattice, atlas, (width, height), np.ones((height, width), np.float32))
-    np.testing.assert_allclose(got, 40000 / FULL_CODE, rtol=3e-7)  # float32
-
-
-def test_brightest_light_fits_a_word() -> None:
-    lattice = Lattice(16, 1)
-    atlas = np.full(lattice.tile_size(3, 3)[::-1], OBJECT + FULL_CODE, np.uint32)
-    got = average(lattice, atlas, (3, 3), np.zeros((3, 3), np.float32))
-    np.testing.assert_allclose(got, 1.0, rtol=3e-7)  # float32
+    lattice = Lattice(16, b)
+    atlas = np.full(lattice.tile_size(3, height)[::-1], OBJECT + code, np.uint32)
+    got = average(lattice, atlas, (3, height), np.full((height, 3), behind, np.float32))
+    np.testing.assert_allclose(got, code / FULL_CODE, rtol=3e-7)  # float32

@@ -165,30 +165,24 @@ def test_distortion_warps_the_undistorted_image(lens: str) -> None:
     K = camera.K.copy()
     K[:2] *= n
     K[:2, 2] += n * border + (n - 1) / 2
-    pinhole = replace(
-        camera, K=K, width=int(fine[0]), height=int(fine[1]), distortion_model="none",
-        distortion_coeffs=(),
-    )  # fmt: skip
+    straight_lens = {"distortion_model": "none", "distortion_coeffs": ()}
+    pinhole = replace(camera, K=K, width=int(fine[0]), height=int(fine[1]), **straight_lens)
     drone = painted(quadrotor(1.6), 0.2)
     T_W_B = poses(np.array([[-0.9, -1.5, 0.6]]), seed=8)
     time_s = np.zeros(1)
-    (sharp,) = rendered(
-        drone, pinhole, time_s, T_W_B, grey(pinhole), RenderConfig(Lattice(1, 0), ambient=1.0)
+    sharp, got = (
+        rendered(drone, view, time_s, T_W_B, grey(view), replace(BRIGHT, lattice=Lattice(a, 0)))[0]
+        for view, a in ((pinhole, 1), (camera, n))
     )
-    across = (np.arange(n * HALF_VGA[0]) - (n - 1) / 2) / n
-    down = (np.arange(n * HALF_VGA[1]) - (n - 1) / 2) / n
+    across, down = ((np.arange(n * size) - (n - 1) / 2) / n for size in HALF_VGA)
     pixels = np.stack(np.meshgrid(across, down), axis=-1).reshape(-1, 1, 2)
     coeffs = np.array(camera.distortion_coeffs)
     undistort = cv2.fisheye.undistortPoints if lens == "equidistant" else cv2.undistortPoints
     rays = undistort(pixels, camera.K, coeffs)
     at = (rays @ K[:2, :2].T + K[:2, 2]).astype(np.float32).reshape(len(down), len(across), 2)
-    looked_up = cv2.remap(
-        sharp, at[..., 0], at[..., 1], cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE
-    )
+    beyond = {"borderMode": cv2.BORDER_REPLICATE}
+    looked_up = cv2.remap(sharp, at[..., 0], at[..., 1], cv2.INTER_NEAREST, **beyond)
     expected = looked_up.reshape(HALF_VGA[1], n, HALF_VGA[0], n).mean(axis=(1, 3))
-    (got,) = rendered(
-        drone, camera, time_s, T_W_B, grey(camera), RenderConfig(Lattice(n, 0), ambient=1.0)
-    )
     changed = np.abs(expected - 0.6) > 1e-3
     assert changed.sum() > 200  # px
     # 64 samples a pixel, of a contrast of 0.4. The nearest sample of the pinhole image lies up to
@@ -230,10 +224,8 @@ def test_leaving_and_entering_are_seen_as_a_change() -> None:
 def test_a_drone_that_reaches_into_the_camera_is_refused(y_m: float) -> None:
     camera = make_camera()
     T_W_B = poses(np.array([[0.0, y_m, 0.0]]))
-    with (
-        Renderer(BOX) as renderer,
-        pytest.raises(SimError, match=r"cam1: at 1\.500 s the drone reaches into the camera"),
-    ):
+    said = r"cam1: at 1\.500 s the drone reaches into the camera"
+    with Renderer(BOX) as renderer, pytest.raises(SimError, match=said):
         next(renderer.crops(camera, np.array([1.5]), T_W_B, grey(camera)))
 
 
@@ -244,13 +236,8 @@ def test_crops_hold_edges_that_the_lens_bends(lens: str, z_m: float) -> None:
     camera = make_camera(lens)
     plate = box_drone((1.5, 1.5, 0.1))
     T_W_B = poses(np.array([[0.0, -3.0, z_m], [0.1, -3.0, z_m]]))
-    times_s = np.arange(2.0)
-    background = grey(camera)
-    config = RenderConfig(Lattice(4, 0))
-    np.testing.assert_array_equal(
-        rendered(plate, camera, times_s, T_W_B, background, config),
-        full_frames(plate, camera, times_s, T_W_B, background, config),
-    )
+    scene = (plate, camera, np.arange(2.0), T_W_B, grey(camera), RenderConfig(Lattice(4, 0)))
+    np.testing.assert_array_equal(rendered(*scene), full_frames(*scene))
 
 
 # --- Light -------------------------------------------------------------------------------------
@@ -262,9 +249,10 @@ def test_luminance_is_mixed_with_the_background_by_coverage() -> None:
     T_W_B = tumbling(5, 9, (0.0, 0.0, 0.0), (2.0, 2.0, 1.0))
     times_s = np.arange(5.0)
     texture = noise_image(camera)
-    white = painted(quadrotor(), 1.0)
-    coverage = rendered(white, camera, times_s, T_W_B, grey(camera, 0.0), BRIGHT)
-    textured = rendered(painted(quadrotor(), 0.25), camera, times_s, T_W_B, texture, BRIGHT)
+    coverage, textured = (
+        rendered(painted(quadrotor(), albedo), camera, times_s, T_W_B, behind, BRIGHT)
+        for albedo, behind in ((1.0, grey(camera, 0.0)), (0.25, texture))
+    )
     expected = coverage * np.float32(0.25) + (1 - coverage) * texture
     # Luminance 0.25 is coded to 1/65535.
     np.testing.assert_allclose(textured, expected, atol=1e-5)
@@ -286,9 +274,8 @@ def test_luminance_is_mixed_with_the_background_by_coverage() -> None:
 def test_lambert(lens: str, light_W: tuple[float, float, float], lambert: float) -> None:
     camera = make_camera(lens)
     config = RenderConfig(light_W=light_W, ambient=0.3)
-    (image,) = rendered(
-        box_drone((1.0, 1.0, 1.0), 0.4), camera, np.zeros(1), np.eye(4)[None], grey(camera), config
-    )
+    box = box_drone((1.0, 1.0, 1.0), 0.4)
+    (image,) = rendered(box, camera, np.zeros(1), np.eye(4)[None], grey(camera), config)
     face = image[120:141, 163:184]  # the one that the camera looks at squarely
     # Codes are 1/65535 apart.
     np.testing.assert_allclose(face, 0.4 * (0.3 + 0.7 * lambert), atol=1e-5)

@@ -121,23 +121,17 @@ def test_crops_and_gaps_show_the_background() -> None:
     exposer, cropped = exposer_in_memory(FrameConfig(50.0, 0.012), background, 0.4)
     near = [k for k in range(n) if (video[max(k - 1, 0) : k + 2] != background).any()]
     batches = np.split(near, [11, 12, 42, 70])
-    for batch, (x0, y0, x1, y1) in zip(
-        batches, [(0, 0, 25, 20), (3, 4, 18, 12), (2, 3, 20, 12), (3, 4, 18, 13), (3, 4, 19, 12)],
-        strict=True,
-    ):  # fmt: skip
-        size = len(batch)
-        exposer.feed(
-            times_s[batch], np.full(size, x0), np.full(size, y0),
-            np.ascontiguousarray(video[batch, y0:y1, x0:x1]),
-        )  # fmt: skip
+    boxes = [(0, 0, 25, 20), (3, 4, 18, 12), (2, 3, 20, 12), (3, 4, 18, 13), (3, 4, 19, 12)]
+    for batch, (x0, y0, x1, y1) in zip(batches, boxes, strict=True):
+        crops = np.ascontiguousarray(video[batch, y0:y1, x0:x1])
+        exposer.feed(times_s[batch], np.full(len(batch), x0), np.full(len(batch), y0), crops)
     exposer.finish()
     # Sums in float32, of other terms: a value near a half code may round the other way.
     difference = np.abs(cropped.images.astype(int) - whole.images)
     assert difference.max() <= 1
     assert (difference > 0).mean() < 1e-3
-    away = (whole.times_us > times_s[61] * 1e6 + 6000) & (
-        whole.times_us < times_s[108] * 1e6 - 6000
-    )
+    first_us, last_us = 1e6 * times_s[61] + 6000, 1e6 * times_s[108] - 6000
+    away = (whole.times_us > first_us) & (whole.times_us < last_us)
     assert away.any()
     still = np.rint(background * 255).astype(np.uint8)
     assert (cropped.images[away] == still).all()
