@@ -75,12 +75,11 @@ def test_the_offset_shifts_camera_2_and_nothing_else(t_d_s: float, preset: str) 
     shifted = simulate(replace(config, t_d_s=t_d_s), 5)
     shift_us = round(t_d_s * 1e6)
     np.testing.assert_array_equal(shifted.cameras[0].events, plain.cameras[0].events)
-    moved = plain.cameras[1].events.copy()
+    before, after = plain.cameras[1], shifted.cameras[1]
+    moved = before.events.copy()
     moved["t"] += shift_us
-    np.testing.assert_array_equal(shifted.cameras[1].events, moved)
-    np.testing.assert_array_equal(
-        shifted.cameras[1].frames.times_us, plain.cameras[1].frames.times_us + shift_us
-    )
+    np.testing.assert_array_equal(after.events, moved)
+    np.testing.assert_array_equal(after.frames.times_us, before.frames.times_us + shift_us)
     assert shifted.truth.t_d_s == t_d_s
     assert shifted.rig.cameras[1].time_offset_s == t_d_s
     assert_same(with_time_offset(plain, t_d_s), shifted)
@@ -175,15 +174,12 @@ def test_spinning_rotors_make_events_of_their_own() -> None:
 
 def test_a_textured_background(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
-    walls = [rng.uniform(0.3, 0.9, (260, 346)) for _ in range(2)]
-    paths = tuple(tmp_path / f"wall{k}.npy" for k in (1, 2))
+    walls, paths = rng.uniform(0.3, 0.9, (2, 260, 346)), (tmp_path / "1.npy", tmp_path / "2.npy")
     for path, wall in zip(paths, walls, strict=True):
         np.save(path, wall)
     own = simulate(replace(QUICK, background_files=paths), 1)
     for camera, wall in zip(own.cameras, walls, strict=True):
-        code = np.rint(wall.astype(np.float32) * 255)
-        shows_wall = (camera.frames.images == code).mean()
-        assert shows_wall > 0.9
+        assert (camera.frames.images == np.rint(wall.astype(np.float32) * 255)).mean() > 0.9
     shared = simulate(replace(QUICK, background_files=paths[:1]), 1)
     np.testing.assert_array_equal(shared.cameras[0].events, own.cameras[0].events)
     assert (shared.cameras[1].frames.images[0] != own.cameras[1].frames.images[0]).any()

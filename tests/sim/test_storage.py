@@ -124,14 +124,10 @@ def test_esim_text_is_read_back(tmp_path: Path, first_us: int) -> None:
 def test_rigs_are_read_back(tmp_path: Path) -> None:
     recording = made_up_recording()
     save_recording(recording, tmp_path / "out", {})
-    unknown, known = (
-        load_rig(tmp_path / "out" / name) for name in ("rig.yaml", "rig_extrinsics.yaml")
-    )
-    assert unknown.T_2_1 is None
-    np.testing.assert_allclose(known.T_2_1[:3, :3], recording.truth.R, atol=1e-12)  # round-off
-    np.testing.assert_allclose(
-        known.T_2_1[:3, 3], recording.truth.t * recording.truth.baseline_m, atol=1e-12
-    )
+    assert load_rig(tmp_path / "out" / "rig.yaml").T_2_1 is None
+    known, truth = load_rig(tmp_path / "out" / "rig_extrinsics.yaml"), recording.truth
+    np.testing.assert_allclose(known.T_2_1[:3, :3], truth.R, atol=1e-12)  # round-off
+    np.testing.assert_allclose(known.T_2_1[:3, 3], truth.t * truth.baseline_m, atol=1e-12)
     for read, made in zip((known.cam1, known.cam2), recording.rig.cameras, strict=True):
         np.testing.assert_array_equal(read.K, made.K)
         assert (read.width, read.height) == (made.width, made.height)
@@ -152,14 +148,10 @@ def test_the_truth_is_complete(tmp_path: Path) -> None:
     np.testing.assert_allclose(truth["times_s"], recording.truth.times_s, atol=1e-9)
     positions_m = np.array(truth["drone_position_W_m"])
     np.testing.assert_allclose(positions_m, recording.truth.T_W_B[:, :3, 3], atol=1e-9)
-    np.testing.assert_allclose(
-        Rotation.from_quat(truth["drone_quaternion_W_B_xyzw"]).as_matrix(),
-        recording.truth.T_W_B[:, :3, :3],
-        atol=1e-8,
-    )
-    for name, centres_px, offset_s in zip(
-        ("cam1", "cam2"), recording.truth.centres_px, (0.0, T_D_S), strict=True
-    ):
+    R = Rotation.from_quat(truth["drone_quaternion_W_B_xyzw"]).as_matrix()
+    np.testing.assert_allclose(R, recording.truth.T_W_B[:, :3, :3], atol=1e-8)
+    clocks = (("cam1", 0.0), ("cam2", T_D_S))
+    for (name, offset_s), centres_px in zip(clocks, recording.truth.centres_px, strict=True):
         camera = truth["cameras"][name]
         assert camera["time_offset_s"] == offset_s
         assert camera["n_events"] == 5000

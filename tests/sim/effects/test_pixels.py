@@ -96,13 +96,7 @@ def test_crops_give_the_events_of_whole_frames(name: str) -> None:
 
 @pytest.mark.parametrize(
     ("lux", "light", "expected_hz"),
-    [
-        (1.0, 0.4, 12.0),
-        (20.0, 0.4, 240.0),
-        (20.0, 0.2, 120.0),
-        (1e4, 0.4, 3000.0),
-        (0.01, 0.4, 5.0),
-    ],
+    [(1.0, 0.4, 12.0), (20.0, 0.4, 240.0), (20.0, 0.2, 120.0), (1e4, 0.4, 3e3), (0.01, 0.4, 5.0)],
 )
 def test_a_step_is_followed_with_the_time_constant_of_its_light(
     lux: float, light: float, expected_hz: float
@@ -207,8 +201,7 @@ def test_flicker_is_what_light_that_swings_would_be(cutoff_hz: float) -> None:
     )
     times_s = np.linspace(0.0, 0.3, 30_001)
     # The pixel starts in the middle of all, as if it had followed the lamps for long.
-    gain = 1 / np.hypot(1, hz / cutoff_hz)
-    lag = np.arctan(hz / cutoff_hz)
+    gain, lag = 1 / np.hypot(1, hz / cutoff_hz), np.arctan(hz / cutoff_hz)
     swinging = 0.5 * (1.0 + depth * np.cos(2 * np.pi * hz * times_s + FLICKER_RAD))
     swinging[0] = 0.5 * (1.0 + depth * gain * np.cos(FLICKER_RAD - lag))
     by_light = events_of(swinging[:, None, None], times_s, filtered)
@@ -247,15 +240,13 @@ def test_shot_noise_falls_with_the_light(lux: float, falls: float) -> None:
 def test_a_davis346_is_on_heavy_in_bright_light_and_noisy_in_dim() -> None:
     preset = SENSOR_PRESETS["davis346"]
     rates = {}
+    config = SensorConfig(leak_hz=preset.sensor.leak_hz)
     for lux in (0.1, 161.0):
         effects = replace(preset.effects, illuminance_lux=lux / 0.5, hot_clusters=0)
-        config = SensorConfig(leak_hz=preset.sensor.leak_hz)
         events = still_events(effects, 0.5, 20.0, config)
-        on = (events["p"] == 1).mean()
-        rates[lux] = len(events) / 3000 / 20.0, on
+        rates[lux] = len(events) / 3000 / 20.0, (events["p"] == 1).mean()
     # Measured: ON 5 and OFF 3.7 Hz, of which leaks are a part; 0.08 to 0.25 Hz, ON only.
-    assert rates[0.1][0] == pytest.approx(8.7, rel=0.05)
-    assert rates[0.1][1] == pytest.approx(5.0 / 8.7, rel=0.05)
+    assert rates[0.1] == pytest.approx((8.7, 5.0 / 8.7), rel=0.05)
     assert 0.08 < rates[161.0][0] < 0.25
     assert rates[161.0][1] > 0.9
 

@@ -18,13 +18,14 @@ from sim.scene.trajectory import (
     trajectory_from_csv,
     trajectory_to_csv,
 )
+from tests.sim.scenes import rng
 
 SHORT = SplineConfig(duration_s=6.0, max_radius_m=np.inf)
 ROW = "{},{},0,1,0,0,0,1\n"  # t, x
 
 
 def spline(seed: int, config: SplineConfig = SHORT) -> Trajectory:
-    return random_spline(config, np.random.default_rng(seed))
+    return random_spline(config, rng(seed))
 
 
 def flights(n: int, config: SplineConfig) -> np.ndarray:
@@ -80,8 +81,8 @@ def test_third_derivative_is_continuous_and_fourth_is_not() -> None:
 
 
 def test_fit_minimises_its_functional() -> None:
-    rng = np.random.default_rng(0)
-    times_s, values = np.linspace(0, 4, 21), rng.uniform(-1, 1, (21, 1))
+    draws = rng(0)
+    times_s, values = np.linspace(0, 4, 21), draws.uniform(-1, 1, (21, 1))
     fit = _fit_smoothing_spline(times_s, values, order=5, n_segments=20, smoothing=0.05)
     dense_s = np.linspace(0, 4, 20001)
 
@@ -92,15 +93,14 @@ def test_fit_minimises_its_functional() -> None:
 
     best = cost(fit.c)
     for _ in range(20):
-        step = 1e-3 * rng.standard_normal(fit.c.shape)
+        step = 1e-3 * draws.standard_normal(fit.c.shape)
         # At a minimum both directions cost more; a wrong penalty would show a slope.
         assert cost(fit.c + step) > best
         assert cost(fit.c - step) > best
 
 
 def test_smoothing_limits() -> None:
-    rng = np.random.default_rng(0)
-    times_s, values = np.linspace(0, 4, 21), rng.uniform(-1, 1, (21, 1))
+    times_s, values = np.linspace(0, 4, 21), rng(0).uniform(-1, 1, (21, 1))
     # Infinitely stiff: the regression line. 1e9 leaves bending of the order of 1e-9.
     stiff = _fit_smoothing_spline(times_s, values, order=5, n_segments=20, smoothing=1e9)
     line = np.polyval(np.polyfit(times_s, values[:, 0], 1), times_s)
