@@ -94,14 +94,6 @@ def test_known_extrinsics_are_used(recorded, tmp_path):
     assert f"as given in {rig}" in result.stdout
 
 
-def test_the_format_of_a_file_does_not_matter(recorded):
-    results = [
-        sync(recorded / "cam1.h5", recorded / name, recorded / "rig.yaml", "ssac")
-        for name in ("cam2.h5", "cam2.txt")
-    ]
-    assert results[0].estimate.t_d_s == results[1].estimate.t_d_s
-
-
 def test_recordings_of_unequal_start_and_length(recorded, tmp_path):
     events1, events2 = (load_events(recorded / name).events for name in ("cam1.h5", "cam2.h5"))
     save_events_h5(tmp_path / "1.h5", slice_time(events1, 1_300_000, 8_000_000), WIDTH, HEIGHT)
@@ -179,27 +171,19 @@ def test_a_lamp_in_view_of_each_camera_changes_little(recorded, tmp_path):
     assert "camera 1: 144 px that fire by themselves masked" in result.summary()
 
 
-def test_deviations_of_the_intrinsics_widen_those_of_the_pose(recorded, tmp_path):
-    found = []
+def test_options_reach_the_method_and_deviations_of_the_intrinsics_widen_the_poses(
+    recorded, tmp_path
+):
+    found, out = [], tmp_path / "out.json"
+    args = (*recorded.pair, "--rig", recorded / "rig.yaml", "--method", "joint", "--json", out)
+    options = ["--no-denoise", "--n-samples", "150", "--half-window", "0.01", "--n-min", "100"]
     for focal, centre in (("0", "0"), ("1", "3")):
-        out = tmp_path / "out.json"
-        result = run_sync(
-            *recorded.pair, "--rig", recorded / "rig.yaml", "--method", "joint", "--json", out,
-            "--focal-std", focal, "--centre-std", centre,
-        )  # fmt: skip
+        result = run_sync(*args, *options, "--focal-std", focal, "--centre-std", centre)
         assert result.exit_code == 0
+        assert " pairs of positions used, of 150 sample times\n" in result.stdout
+        assert "denoise" not in result.stderr
         found.append(np.sqrt(np.diag(read_json(out)["covariance"]))[1:])
     assert np.all(found[1] > found[0])
-
-
-def test_options_reach_the_method(recorded):
-    result = run_sync(
-        *recorded.pair, "--rig", recorded / "rig.yaml", "--no-denoise", "--n-samples", "150",
-        "--half-window", "0.01", "--n-min", "100", "--method", "joint",
-    )  # fmt: skip
-    assert result.exit_code == 0
-    assert " pairs of positions used, of 150 sample times\n" in result.stdout
-    assert "denoise" not in result.stderr
 
 
 @pytest.mark.parametrize("suffix", FIGURE_SUFFIXES)

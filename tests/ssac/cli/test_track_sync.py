@@ -36,6 +36,10 @@ def pair(tmp_path_factory):
     return save_pair(tmp_path_factory.mktemp("tracks"))
 
 
+def synced(folder, rig="rig.yaml", **more):
+    return sync(folder / "cam1.csv", folder / "cam2.csv", folder / rig, **more)
+
+
 def answer(pair, *more, out):
     code, _, err = run("sync", *pair.args, "--json", out, *more)
     assert code == 0, err
@@ -81,10 +85,9 @@ def test_an_unknown_frame_rate_is_found(tmp_path):
 
 
 def test_a_rolling_shutter_is_taken_out(tmp_path):
-    readout_s = 0.03  # half of it is the mean shift: 15 ms
-    pair = save_pair(tmp_path, readout_s=readout_s)
-    result = sync(*(pair.folder / name for name in ("cam1.csv", "cam2.csv", "rig.yaml")))
-    assert abs(result.estimate.t_d_s - pair.t_d_s) < WIDE * result.estimate.t_d_std_s
+    pair = save_pair(tmp_path, readout_s=0.03)  # half of it is the mean shift: 15 ms
+    found = synced(pair.folder).estimate
+    assert abs(found.t_d_s - pair.t_d_s) < WIDE * found.t_d_std_s
 
 
 def test_times_that_are_hardly_seconds_are_pointed_out(pair, tmp_path):
@@ -126,9 +129,8 @@ def test_a_clock_of_pieces_is_tried_before_a_track_is_refused(
 
     method = replace(choose_method("joint"), estimate=estimate)
     monkeypatch.setattr("ssac.pipeline.api.choose_method", lambda *names: method)
-    files = (pair.folder / name for name in ("cam1.csv", "cam2.csv", "rig.yaml"))
     config = Config(interval_s=(7.0, 8.0), skew_prior_ppm=prior_ppm)
-    answer = sync(*files, config=config).answer
+    answer = synced(pair.folder, config=config).answer
     assert (tried, answer.estimate.status) == (clocks, given)
     assert answer.wanders == (given not in (affine, JUMPS))
     assert answer.config.clock == ("pieces" if answer.wanders else "affine")
@@ -203,12 +205,8 @@ def shuttered(tmp_path_factory):
     return save_pair(tmp_path_factory.mktemp("tracks"), t_d_s=0.2, readout_s=READOUT_S)
 
 
-def synced(folder, rig="rig.yaml", **more):
-    return sync(folder / "cam1.csv", folder / "cam2.csv", folder / rig, search="interval", **more)
-
-
 def test_the_readout_that_is_not_stated_is_told(shuttered):
-    result = synced(shuttered.folder, estimate_readout=True)
+    result = synced(shuttered.folder, search="interval", estimate_readout=True)
     report = result.to_dict()
     assert report["readout_s"][0] == READOUT_S  # exact, as the rig says
     assert report["readout_std_s"][0] == 0.0
@@ -218,7 +216,7 @@ def test_the_readout_that_is_not_stated_is_told(shuttered):
 
 
 def test_without_the_option_a_shutter_is_taken_for_global_and_that_is_said(shuttered):
-    result = synced(shuttered.folder)
+    result = synced(shuttered.folder, search="interval")
     report = result.to_dict()
     assert report["readout_s"] == [READOUT_S, None]
     assert "--estimate-readout" in report["note"]
@@ -229,7 +227,7 @@ def test_nothing_moves_where_all_is_stated(shuttered):
     document["cam0"]["readout_s"] = READOUT_S
     (shuttered.folder / "stated.yaml").write_text(yaml.safe_dump(document))
     one, other, unstated = (
-        synced(shuttered.folder, rig, estimate_readout=asked).estimate
+        synced(shuttered.folder, rig, search="interval", estimate_readout=asked).estimate
         for rig, asked in (("stated.yaml", True), ("stated.yaml", False), ("rig.yaml", False))
     )
     for same in (other, unstated):

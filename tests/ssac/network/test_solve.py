@@ -184,17 +184,17 @@ def test_a_path_that_leaves_clocks_open_is_no_crash_and_no_answer(speed_m_s) -> 
 @pytest.mark.parametrize("is_told", [True, False])
 def test_readouts_are_counted_once_told_by_the_rig_or_found(is_told: bool) -> None:
     flight, readouts_s = make_flight(3, noise_px=0.05), (0.0, 0.03, 0.015)
-    seen = []
-    for k, (one, (R, t)) in enumerate(zip(flight.seen, flight.poses, strict=True)):
-        frames_s = flight.own_s(k, one.times_s)
-        pixels = one.points_px
+
+    def read_out(k: int, times_s: np.ndarray) -> tuple[np.ndarray, dict]:
+        before, (R, t) = flight.seen[k].points_px, flight.poses[k]
+        pixels = before
         for _ in range(4):  # a row is read out when its share of the readout has passed
-            local = flight.path(frames_s + readouts_s[k] * pixels[:, 1] / 599.0) @ R.T + t
+            local = flight.path(times_s + readouts_s[k] * pixels[:, 1] / 599.0) @ R.T + t
             pixels = (local @ CAMERA.K.T)[:, :2] / local[:, 2:]
         camera = replace(CAMERA, readout_s=readouts_s[k] if is_told else None)
-        track = PointTrack(one.times_s, pixels)
-        seen.append(seen_by(track, one.name, True, camera=camera))
-    found = replace(flight, seen=seen).solved()
+        return pixels - before, {"camera": camera}
+
+    found = seen_as(flight, read_out, has_frames=True).solved()
     for k, camera in enumerate(found.cameras):
         # Without noise; a prior of 10 ms draws what is found by little.
         assert camera.readout_s == pytest.approx(readouts_s[k], abs=5e-4)

@@ -1,5 +1,8 @@
 """`ssac sync` of three cameras, and the path of two: files in, files out."""
 
+from dataclasses import dataclass
+from pathlib import Path
+
 import numpy as np
 import pytest
 import yaml
@@ -8,13 +11,29 @@ from ssac.files.track_files import save_track
 from ssac.network.tum import read_path
 from ssac.points import PointTrack
 from tests.ssac.command import read_json, run
-from tests.ssac.network.flights import DURATION_S, make_flight
+from tests.ssac.network.flights import DURATION_S, Flight, make_flight
+
+
+@dataclass(frozen=True)
+class Files:
+    """Three tracks of one flight and their rig."""
+
+    folder: Path
+    flight: Flight
+
+    def cameras(self, n: int) -> list[Path]:
+        return [self.folder / f"cam{k + 1}.csv" for k in range(n)]
+
+    def rms_off_m(self, file: Path) -> float:
+        """How far a path that was written is off the true one."""
+        path = read_path(file)
+        off_m = np.linalg.norm(path.positions_m - self.flight.path(path.times_s), axis=1)
+        return float(np.sqrt(np.mean(off_m**2)))
 
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory):
-    """Three tracks of one flight and their rig."""
-    folder, flight = tmp_path_factory.mktemp("many"), make_flight(3)
+    files = Files(tmp_path_factory.mktemp("many"), make_flight(3))
     entry = {
         "camera_model": "pinhole",
         "intrinsics": [900.0, 900.0, 480.0, 300.0],
@@ -22,19 +41,21 @@ def files(tmp_path_factory):
         "resolution": [960, 600],
         "intrinsics_std": [0.0, 0.0, 0.0, 0.0],
     }
-    for k, seen in enumerate(flight.seen):
-        save_track(folder / f"cam{k + 1}.csv", PointTrack(seen.times_s, seen.points_px))
+    for file, seen in zip(files.cameras(3), files.flight.seen, strict=True):
+        save_track(file, PointTrack(seen.times_s, seen.points_px))
     rig = {f"cam{k}": entry for k in range(3)}
-    (folder / "rig.yaml").write_text(yaml.safe_dump(rig))
-    return folder, flight
+    (files.folder / "rig.yaml").write_text(yaml.safe_dump(rig))
+    return files
+
+
+def sync(files, cameras, *more):
+    return run("sync", *cameras, "--rig", files.folder / "rig.yaml", *more)
 
 
 def test_three_cameras(files, tmp_path):
-    folder, flight = files
-    cameras = [folder / f"cam{k}.csv" for k in (1, 2, 3)]
-    out, path_file = tmp_path / "out.json", tmp_path / "path.tum"
-    args = ("--rig", folder / "rig.yaml", "--json", out, "--trajectory", path_file)
-    code, text, err = run("sync", *cameras, *args, "--distance", flight.distance_m)
+    flight, out, path_file = files.flight, tmp_path / "out.json", tmp_path / "path.tum"
+    options = ("--json", out, "--trajectory", path_file, "--distance", flight.distance_m)
+    code, text, err = sync(files, files.cameras(3), *options)
     assert code == 0, err
     assert "cam3" in text
     found = read_json(out)
@@ -45,16 +66,12 @@ def test_three_cameras(files, tmp_path):
         assert abs(camera["t_d_s"] - true_s) < 4.0 * camera["t_d_std_s"]
         assert camera["t_d_std_s"] < 0.02
     assert np.linalg.norm(found["cameras"][1]["t"]) == pytest.approx(flight.distance_m, rel=1e-4)
-    path = read_path(path_file)
-    off_m = np.linalg.norm(path.positions_m - flight.path(path.times_s), axis=1)
-    assert np.sqrt(np.mean(off_m**2)) < 0.1  # 5 ms of readouts, at some 5 m/s, and 9 mm of noise
-    assert np.ptp(path.times_s) > 0.7 * DURATION_S  # all three see it most of the time
+    assert files.rms_off_m(path_file) < 0.1  # 5 ms of readouts, at some 5 m/s, and 9 mm of noise
+    assert np.ptp(read_path(path_file).times_s) > 0.7 * DURATION_S  # all three see it most of it
 
 
 def test_options_reach_every_pair(files):
-    folder, _ = files
-    cameras = [folder / f"cam{k}.csv" for k in (1, 2, 3)]
-    code, _, err = run("sync", *cameras, "--rig", folder / "rig.yaml", "--search", -1, 1)
+    code, _, err = sync(files, files.cameras(3), "--search", -1, 1)
     assert code == 1, err
     assert err.count("no_common_time") == 2  # clocks 26 and 30 s apart
     assert "offsets" not in err
@@ -70,13 +87,11 @@ def save_another(path, start_s):
 
 @pytest.mark.parametrize("n_cameras", [2, 3])
 def test_where_nothing_fits_that_is_told_and_no_error_of_the_frame(files, tmp_path, n_cameras):
-    folder, _ = files
-    rtk, out = tmp_path / "rtk.csv", tmp_path / "out.json"
+    rtk, out, path = tmp_path / "rtk.csv", tmp_path / "out.json", tmp_path / "path.tum"
     rtk.write_text("t_s,x_m,y_m,z_m\n0,1,2,3\n1,2,2,3\n2,2,3,3\n")
     strangers = [save_another(tmp_path / f"{k}.csv", 1e3 * k) for k in range(1, n_cameras)]
-    path = tmp_path / "path.tum"
-    args = ("--rig", folder / "rig.yaml", "--rtk", rtk, "--trajectory", path, "--json", out)
-    code, _, err = run("sync", folder / "cam1.csv", *strangers, *args)
+    options = ("--rtk", rtk, "--trajectory", path, "--json", out)
+    code, _, err = sync(files, [*files.cameras(1), *strangers], *options)
     assert code == 1, err
     assert f"not written: {path}" in err
     assert not path.exists()
@@ -84,40 +99,32 @@ def test_where_nothing_fits_that_is_told_and_no_error_of_the_frame(files, tmp_pa
 
 
 def test_cameras_that_share_no_time_are_told_and_not_averaged_in(files, tmp_path):
-    folder, _ = files
     late = save_another(tmp_path / "late.csv", 1000.0)
-    cameras = [folder / "cam1.csv", folder / "cam2.csv", late]
-    code, text, err = run("sync", *cameras, "--rig", folder / "rig.yaml")
+    code, text, err = sync(files, [*files.cameras(2), late])
     assert code == 1, err
     assert "late" in text
     assert "no_match" in text
 
 
 def test_two_cameras_write_a_path_with_deviations(files, tmp_path):
-    folder, flight = files
-    cameras, out = [folder / f"cam{k}.csv" for k in (1, 2)], tmp_path / "path.csv"
-    args = ("--rig", folder / "rig.yaml", "--trajectory", out, "--distance", flight.distance_m)
-    code, text, err = run("sync", *cameras, *args)
+    out = tmp_path / "path.csv"
+    options = ("--trajectory", out, "--distance", files.flight.distance_m)
+    code, text, err = sync(files, files.cameras(2), *options)
     assert code == 0, err
     assert "time offset" in text
     assert "which hold from" in err
+    assert files.rms_off_m(out) < 0.15  # as of three cameras, and one less to hold them
     path = read_path(out)
-    off_m = np.linalg.norm(path.positions_m - flight.path(path.times_s), axis=1)
-    assert np.sqrt(np.mean(off_m**2)) < 0.15  # as of three cameras, and one less to hold them
     assert path.deviations_m.shape == path.positions_m.shape
 
 
 def test_the_path_of_known_extrinsics_has_their_scale(files, tmp_path):
-    folder, flight = files
-    R, t_m = flight.poses[1]
-    rig = yaml.safe_load((folder / "rig.yaml").read_text())
+    R, t_m = files.flight.poses[1]
+    rig, out = yaml.safe_load((files.folder / "rig.yaml").read_text()), tmp_path / "path.csv"
     T_2_1 = np.vstack([np.column_stack([R, t_m]), [0.0, 0.0, 0.0, 1.0]])
     rig["cam1"]["T_cn_cnm1"] = T_2_1.tolist()
     (tmp_path / "rig.yaml").write_text(yaml.safe_dump(rig))
-    cameras, out = [folder / f"cam{k}.csv" for k in (1, 2)], tmp_path / "path.csv"
-    args = ("--rig", tmp_path / "rig.yaml", "--known-extrinsics", "--trajectory", out)
-    code, _, err = run("sync", *cameras, *args)
+    options = ("--rig", tmp_path / "rig.yaml", "--known-extrinsics", "--trajectory", out)
+    code, _, err = run("sync", *files.cameras(2), *options)
     assert code == 0, err
-    path = read_path(out)
-    off_m = np.linalg.norm(path.positions_m - flight.path(path.times_s), axis=1)
-    assert np.sqrt(np.mean(off_m**2)) < 0.15  # as where --distance says the scale
+    assert files.rms_off_m(out) < 0.15  # as where --distance says the scale

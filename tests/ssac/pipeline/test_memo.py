@@ -137,6 +137,9 @@ def test_a_delay_takes_what_is_clean_and_summed_up_along(raw, calls):
         late.under(Config(n_min=0))
 
 
+FROM_VIEWS = {"view_of": 2, "algorithm_2": 1, "joint_from": 1}
+
+
 @pytest.mark.parametrize(
     ("config", "expected"),
     [
@@ -145,23 +148,10 @@ def test_a_delay_takes_what_is_clean_and_summed_up_along(raw, calls):
         (Config(roughness_ppm=100.0), {"joint_from": 1}),
         (Config(n_samples=300), {"algorithm_2": 1, "joint_from": 1}),
         (Config(seed=5), {"algorithm_2": 1, "joint_from": 1}),
-        (Config(half_window_s=0.015), {"view_of": 2, "algorithm_2": 1, "joint_from": 1}),
-        (Config(border_px=9), {"_summed_up": 2, "view_of": 2, "algorithm_2": 1, "joint_from": 1}),
-        (
-            Config(interval_s=(-0.5, 0.5)),
-            {"one_object": 1, "view_of": 2, "algorithm_2": 1, "joint_from": 1},
-        ),
-        (
-            Config(n_neighbours=2),
-            {
-                "clean": 2,
-                "one_object": 1,
-                "_summed_up": 2,
-                "view_of": 2,
-                "algorithm_2": 1,
-                "joint_from": 1,
-            },
-        ),
+        (Config(half_window_s=0.015), FROM_VIEWS),
+        (Config(border_px=9), {"_summed_up": 2, **FROM_VIEWS}),
+        (Config(interval_s=(-0.5, 0.5)), {"one_object": 1, **FROM_VIEWS}),
+        (Config(n_neighbours=2), {"clean": 2, "one_object": 1, "_summed_up": 2, **FROM_VIEWS}),
     ],
 )
 def test_other_parameters_share_all_that_they_leave_alone(config, expected, raw, chain, calls):

@@ -115,11 +115,6 @@ def test_a_method_object_says_the_rest(site):
     assert re.fullmatch(r"whole 1\.2 [0-9a-f]{16} w3", method.version)
 
 
-def test_a_method_of_a_package_runs(site, chain):
-    install(site, "plain", "mine = plain:estimate")
-    assert chain.estimate(Registry()["mine"]).t_d_s == 0.25
-
-
 BROKEN = {
     "a missing module": ("mine = broken:f", "import no_such_module", "ModuleNotFoundError"),
     "a syntax error": ("mine = broken:f", "def f(:", "SyntaxError"),
@@ -156,20 +151,17 @@ def test_a_broken_package_is_named_when_it_is_asked_for_only(case, site):
             registry[name]
 
 
-def test_a_name_of_ours_is_not_given_away(site):
+def test_a_name_is_not_given_away_nor_taken_twice(site):
     install(site, "greedy", "ssac = greedy:estimate")
+    for package in ("second", "first"):
+        install(site, package, f"mine = {package}:estimate")
     registry = Registry()
     assert registry["joint"].name == "joint"
     assert list(registry).count("ssac") == 1
     with pytest.raises(SsacError, match=r"'ssac' is taken twice, by this suite and by greedy 1\.2"):
         registry["ssac"]
-
-
-def test_two_packages_with_one_name(site):
-    install(site, "second", "mine = second:estimate")
-    install(site, "first", "mine = first:estimate")
     with pytest.raises(SsacError, match=r"by first 1\.2 .* and by second 1\.2 \(entry point mine"):
-        Registry()["mine"]
+        registry["mine"]
 
 
 @pytest.mark.parametrize(
@@ -235,18 +227,20 @@ def test_an_input_that_a_package_refuses_is_no_crash(site, chain):
         chain.estimate(Registry()["mine"])
 
 
-def test_a_package_with_a_callable_object_runs(site, chain):
-    source = """
+CALLABLE = """
 from dataclasses import dataclass
-from ssac import Estimate
 
 @dataclass  # which cannot be hashed
 class Mine:
-    def __call__(self, cam1, cam2, rig, config): return Estimate("mine", t_d_s=0.25)
+    def __call__(self, cam1, cam2, rig, config): return estimate(cam1, cam2, rig)
 
 mine = Mine()
 """
-    install(site, "called", "mine = called:mine", source)
+
+
+@pytest.mark.parametrize("name", ["estimate", "mine"])
+def test_a_function_or_another_callable_of_a_package_runs(name, site, chain):
+    install(site, "called", f"mine = called:{name}", GOOD + CALLABLE)
     assert chain.estimate(Registry()["mine"]).t_d_s == 0.25
 
 

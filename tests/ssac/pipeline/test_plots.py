@@ -36,10 +36,6 @@ def result(recorded):
 
 @pytest.fixture(scope="module")
 def material(result):
-    return material_of(result)
-
-
-def material_of(result):
     one, other = result.answer.cleans
     return Material(result.estimate, (one.events, other.events), result.answer.views)
 
@@ -60,17 +56,16 @@ def test_a_folder_gets_one_picture_per_figure_and_a_page_all_of_them(result, tmp
     assert (height, width) == (sum(len(figure) for figure in figures), figures[0].shape[1])
 
 
-def test_an_estimate_without_a_pose_has_its_curve_only(result, tmp_path):
-    curve = {"candidates_s": np.linspace(-1, 1, 9), "costs": -np.cos(np.linspace(-1, 1, 9))}
-    written = of(result, Estimate("zncc_e", t_d_s=0.0, **curve)).plotted(tmp_path)
-    assert [path.name for path in written] == ["d_avg.png"]
-
-
-def test_an_estimate_without_anything_has_no_picture(result, tmp_path):
+def test_an_estimate_without_a_pose_has_its_curve_only_and_one_of_nothing_no_picture(
+    result, tmp_path
+):
     refused = of(result, Estimate("albl", "too_few_samples", "few"))
     assert refused.plotted(tmp_path / "page.png") == []
     assert refused.plot() is None
     assert not list(tmp_path.iterdir())
+    curve = {"candidates_s": np.linspace(-1, 1, 9), "costs": -np.cos(np.linspace(-1, 1, 9))}
+    written = of(result, Estimate("zncc_e", t_d_s=0.0, **curve)).plotted(tmp_path)
+    assert [path.name for path in written] == ["d_avg.png"]
 
 
 @pytest.mark.parametrize(("t_d_s", "n_rows"), [(-1.7, 2), (0.0, 1)])

@@ -8,7 +8,6 @@ from functools import cache
 import numpy as np
 import pytest
 
-import ssac.methods.algorithms
 from ssac.camera import Rig
 from ssac.cli.command_line import COMMANDS, command_line, run
 from ssac.cli.sync import complete_method
@@ -81,28 +80,17 @@ def test_without_frames_a_method_that_needs_them_says_so(data):
         chain.estimate("zncc_f")
 
 
-def test_the_best_method_is_the_default():
+def test_a_name_and_known_extrinsics_choose_a_method():
     assert choose_method().name == DEFAULT
     assert choose_method(known_extrinsics=True).name == "tangency-known"
     assert choose_method("ssac", known_extrinsics=True).name == "ssac-known"
     assert choose_method("ssac-known").name == "ssac-known"
-
-
-def test_a_variant_for_known_extrinsics_needs_them():
     for method in OURS:
-        if method.known_variant:
-            assert METHODS[method.known_variant].needs_extrinsics
-
-
-@pytest.mark.parametrize("name", [name for name in NAMES if METHODS[name].starts_from])
-def test_a_method_that_starts_from_another_gives_the_same_with_its_estimate(name, data):
-    shared, method = chain_of(data), METHODS[name]
-    started = shared.estimate(method.starts_from)
-    refined, whole = shared.estimate(name), chain_of(data).estimate(name)
-    assert refined.start is started
-    assert (refined.method, refined.status, refined.t_d_s) == (name, "ok", whole.t_d_s)
-    assert np.array_equal(refined.R, whole.R)
-    assert np.array_equal(refined.covariance, whole.covariance)
+        assert not method.known_variant or METHODS[method.known_variant].needs_extrinsics
+    with pytest.raises(SsacError, match="zncc_e makes no use of known extrinsics"):
+        choose_method("zncc_e", known_extrinsics=True)
+    with pytest.raises(SsacError, match=r"unknown method 'scac': use one of .*ssac-known"):
+        choose_method("scac")
 
 
 @pytest.mark.parametrize("delay_s", [-0.3, 0.005, 0.5])
@@ -120,32 +108,6 @@ def test_a_delay_of_camera_2_moves_the_offset_and_nothing_else(name, delay_s, da
         if wanted is not None:
             # Rounding of times in seconds; events may not enter or leave the windows by it.
             np.testing.assert_allclose(found, wanted, rtol=1e-7, atol=1e-10)
-
-
-def test_a_chain_finds_each_estimate_once(data, monkeypatch):
-    found = []
-    for name in ("algorithm_1", "algorithm_2"):
-        function = getattr(ssac.methods.algorithms, name)
-
-        def counted(views, function=function):
-            found.append(function.__name__)
-            return function(views)
-
-        monkeypatch.setattr(ssac.methods.algorithms, name, counted)
-    chain = chain_of(data)
-    for name in ("tangency", "joint", "ssac", "joint-known", "tangency"):
-        assert chain.estimate(name).method == name
-    assert found == ["algorithm_2", "algorithm_1"]
-
-
-def test_an_unknown_name_lists_the_known_ones():
-    with pytest.raises(SsacError, match=r"unknown method 'scac': use one of .*ssac-known"):
-        choose_method("scac")
-
-
-def test_extrinsics_are_not_dropped_in_silence():
-    with pytest.raises(SsacError, match="zncc_e makes no use of known extrinsics"):
-        choose_method("zncc_e", known_extrinsics=True)
 
 
 # --- No method knows where in the search interval the offset is ---
@@ -224,14 +186,11 @@ def test_a_file_is_all_that_a_method_takes(tmp_path, monkeypatch):
     assert (second.name, second.summary, second.input) == ("mine-too", "the 'second'", Input.RATES)
 
 
-def test_help_lists_every_method_with_its_summary(capsys):
+def test_help_lists_every_method_with_its_summary_and_a_shell_completes_its_name(capsys):
     assert run(command_line(COMMANDS, ""), ["sync", "--help"], "ssac") == 0
     shown = " ".join(capsys.readouterr().out.split())
     for name, summary in all_summaries().items():
         assert f"{name} {summary}" in shown
-
-
-def test_a_shell_completes_a_methods_name():
     assert [name for name, _ in complete_method("zncc")] == ["zncc_e", "zncc_f"]
 
 

@@ -19,46 +19,37 @@ def answer(recorded) -> Answer:
     return sync(*recorded.pair, recorded / "rig.yaml", "ssac").answer
 
 
+def told(answer: Answer, **changes):
+    """Give the text and the JSON for another estimate than the answer's."""
+    other = replace(answer, estimate=replace(answer.estimate, **changes))
+    return report_text(other), report_json(other)
+
+
 def used(answer: Answer, *objects: ObjectsUsed) -> Answer:
     """Say of both cameras what became of the things that they saw."""
     pairs = zip(answer.cleans, objects, strict=True)
     return replace(answer, cleans=tuple(replace(seen, used=said) for seen, said in pairs))
 
 
+NO_POSE = {"reason": "so it is", "R": None, "t": None}
+
+
 def test_an_unreliable_offset_is_not_explained_as_if_it_held(answer):
-    doubtful = replace(
-        answer.estimate,
-        status="ambiguous_offset",
-        reason="so it is",
-        alternatives_s=np.array([-0.75, 0.85]),
-        R=None,
-        t=None,
-    )
-    doubted = replace(answer, estimate=doubtful)
-    text = report_text(doubted)
+    others_s = np.array([-0.75, 0.85])
+    text, report = told(answer, status="ambiguous_offset", alternatives_s=others_s, **NO_POSE)
     assert text.startswith("no estimate    ambiguous_offset: so it is\nnot reliable   t_d = ")
     assert "or             t_d = -750, 850 ms" in text
     assert "camera 2's clock" not in text
-    report = report_json(doubted)
     assert report["alternatives_s"] == [-0.75, 0.85]
     assert report["t_d_is_reliable"] is False
 
 
 def test_an_offset_that_holds_is_given_without_a_pose(answer):
     direction = np.eye(6)[[5]]
-    partial = replace(
-        answer.estimate,
-        status="degenerate_pose",
-        reason="so it is",
-        unobservable=direction,
-        R=None,
-        t=None,
-    )
-    text = report_text(replace(answer, estimate=partial))
+    text, report = told(answer, status="degenerate_pose", unobservable=direction, **NO_POSE)
     assert text.startswith("no pose        degenerate_pose: so it is\ntime offset    t_d = ")
     assert "camera 2's clock shows" in text
     assert "rotation" not in text
-    report = report_json(replace(answer, estimate=partial))
     assert report["t_d_is_reliable"] is True
     assert report["unobservable"] == direction.tolist()
 
@@ -68,30 +59,20 @@ def test_clocks_are_told(answer):
     names = ("t_ref_s", "skew_ppm", "skew_std_ppm", "clock_covariance", "clock_jump")
     assert [plain[name] for name in names] == [None] * 5  # the paper's takes them to run alike
     assert plain["clock_knots"] == []
-    knots_s = np.array([0.0, 5.0, 10.0])
-    wandering = replace(
-        answer.estimate,
-        t_ref_s=5.0,
-        skew_ppm=-400.0,
-        skew_std_ppm=2.5,
-        knots_s=knots_s,
-        strays_s=np.array([0.001, -0.002, 0.001]),
-        strays_std_s=np.full(3, 1e-4),
-    )
-    text = report_text(replace(answer, estimate=wandering))
+    clock = {"t_ref_s": 5.0, "skew_ppm": -400.0, "skew_std_ppm": 2.5}
+    strays_s = np.array([0.001, -0.002, 0.001])
+    knots = {"knots_s": np.array([0.0, 5.0, 10.0]), "strays_std_s": np.full(3, 1e-4)}
+    text, report = told(answer, strays_s=strays_s, **clock, **knots)
     assert "clock skew     -400.0 ppm, 1 sigma 2.5 ppm\n" in text
     assert "camera 2's clock runs slow; t_d holds at 5.000 s of camera 1's\n" in text
     assert "and strays by up to 2.000 ms, 3 knots\n" in text
     assert "far beyond the 50 ppm expected of such clocks: see --skew-prior\n" in text
-    report = report_json(replace(answer, estimate=wandering))
-    assert (report["t_ref_s"], report["skew_ppm"], report["skew_std_ppm"]) == (5.0, -400.0, 2.5)
+    assert {name: report[name] for name in clock} == clock
     assert report["clock_knots"][1] == {"t_s": 5.0, "stray_s": -0.002, "std_s": 1e-4}
     jump = ClockJump(3.0, 0.02, 0.001, 0.05, 0.07)
-    jumping = Estimate("joint", "clock_jump", "so it is", jump=jump)
-    assert report_text(replace(answer, estimate=jumping)).startswith(
-        "no estimate    clock_jump: so"
-    )
-    report = report_json(replace(answer, estimate=jumping))
+    jumping = replace(answer, estimate=Estimate("joint", "clock_jump", "so it is", jump=jump))
+    assert report_text(jumping).startswith("no estimate    clock_jump: so")
+    report = report_json(jumping)
     assert report["clock_jump"] == {
         "at_s": 3.0, "size_s": 0.02, "size_std_s": 0.001, "before_s": 0.05, "after_s": 0.07,
     }  # fmt: skip
