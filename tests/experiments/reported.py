@@ -10,9 +10,12 @@ import pandas as pd
 
 from experiments.lab.files import csv_text
 from experiments.lab.grid import config_names, flight_seed
+from experiments.lab.recorded import Pair
 from experiments.paper.comparison import comparison_table, load_published
 from experiments.paper.esim import esim_tables, ordered_runs
+from ssac.camera import Rig
 from ssac.files.hdf5 import save_events_h5
+from ssac.track.observation import Observation
 from tests.recorded import KALIBR
 from tests.ssac.synthetic import HEIGHT, WIDTH, Scene, make_events, make_scene
 
@@ -103,3 +106,18 @@ def record_flight(folder: Path, duration_s: float = 10.0) -> Scene:
     }
     (folder / "truth.json").write_text(json.dumps(truth))
     return scene
+
+
+DURATION_S = 6.0
+SCENE = make_scene(0, duration_s=DURATION_S)
+
+
+def flown(seed: int = 0) -> Pair:
+    """Synthetic cameras whose clocks show the same, with events within the flight alone."""
+    first, second = (
+        Observation(events[(events["t"] >= 0) & (events["t"] < 1e6 * DURATION_S)])
+        for events in make_events(make_scene(seed, duration_s=DURATION_S), seed, size_m=0.4)
+    )
+    T_2_1 = np.eye(4)
+    T_2_1[:3, :3], T_2_1[:3, 3] = SCENE.R, SCENE.t
+    return Pair(first, second, Rig(SCENE.rig.cam1, SCENE.rig.cam2, T_2_1))

@@ -48,6 +48,20 @@ from tests.ssac.synthetic import HEIGHT, WIDTH, K
 
 VOID = {"meta", "link", "img", "br", "input"}
 PAGE = Path(report.__file__).parent / "page"
+TICKS = 1 << 13
+
+
+@pytest.fixture(scope="module")
+def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording that nobody changes."""
+    folder = tmp_path_factory.mktemp("flight")
+    record_flight(folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def animation(flight: Path) -> Animation:
+    return make_animation(flight)
 
 
 @pytest.fixture(scope="module")
@@ -327,22 +341,6 @@ def _row_order(comparison: pd.DataFrame) -> list[dict[str, float]]:
     place = comparison["quantity"].map(quantities.index)
     keys = ["duration_s", "angle_deg", "t_d_ms", "place"]
     return comparison.assign(place=place).sort_values(keys).to_dict("records")
-
-
-@pytest.fixture(scope="session")
-def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A recording that nobody changes."""
-    folder = tmp_path_factory.mktemp("flight")
-    record_flight(folder)
-    return folder
-
-
-@pytest.fixture(scope="session")
-def animation(flight: Path) -> Animation:
-    return make_animation(flight)
-
-
-TICKS = 1 << 13
 
 
 def test_the_offset_that_was_put_in_is_found(animation: Animation) -> None:

@@ -1,11 +1,23 @@
-"""Events against those of another rendering."""
+"""Events against those of another rendering, and what is summed up of them."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 
-from experiments.studies.fidelity import DENSER, MATCH_WINDOW_US, compare_events, reference_config
+from experiments.lab.grid import named_config
+from experiments.studies.fidelity import (
+    DENSER,
+    DIFFERENCES,
+    MATCH_WINDOW_US,
+    RENDERER_FLIGHTS,
+    compare_events,
+    fidelity_table,
+    reference_config,
+    renderer_cells,
+)
 from sim.recording import SimConfig
 from sim.sensor.kernels import EVENT_DTYPE
 
@@ -59,3 +71,30 @@ def test_the_reference_is_denser_in_time_and_space() -> None:
     assert dense.sampling.max_step_px * DENSER == config.sampling.max_step_px
     assert dense.render.lattice.samples_per_pixel >= 256
     assert dense.spline == config.spline
+
+
+def test_fidelity_has_means_with_their_standard_errors_and_the_largest() -> None:
+    sizes = np.array([0.01, 0.03, 0.02, 0.06])
+    values = dict.fromkeys(DIFFERENCES, sizes * [1, -1, 1, -1])
+    runs = pd.DataFrame({"duration_s": 20.0, "status": "ok", "n_reference": 5, "median_us": 1.0,
+                         "p95_us": 2.0, "spurious": 0.0, "missing": 0.0, **values})  # fmt: skip
+    crashed = runs.iloc[:1].assign(status="crashed", median_us=99.0)
+    (row,) = fidelity_table(pd.concat([runs, crashed])).to_dict("records")
+    assert (row["n_runs"], row["failed"], row["n_reference"], row["median_us"]) == (5, 1, 5, 1.0)
+    for name in DIFFERENCES:
+        start = name.removesuffix("_ms")
+        assert row[name] == pytest.approx(0.03)
+        assert row[f"{start}_se_ms"] == pytest.approx(sizes.std(ddof=1) / 2)
+        assert row[f"{start}_max_ms"] == 0.06
+    (alone,) = fidelity_table(runs.iloc[:1]).to_dict("records")
+    assert np.isnan(alone["ssac_t_d_difference_se_ms"])  # one flight does not tell
+
+
+def test_the_renderers_are_compared_on_flights_of_the_tables() -> None:
+    cells = renderer_cells()
+    assert len(cells) == 2 * 5 * RENDERER_FLIGHTS
+    of_tables = {(c.sim, c.seed) for t in ("esim_10", "esim_20") for c in named_config(t).cells()}
+    for cell in cells:
+        assert (replace(cell.sim, t_d_s=0.0), cell.seed) in of_tables
+        render = cell.reference.render
+        assert render == replace(cell.sim.render, renderer="pyrender") != cell.sim.render

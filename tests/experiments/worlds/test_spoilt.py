@@ -6,7 +6,7 @@ import pytest
 from experiments.lab.recorded import Flown, Pair
 from experiments.worlds.spoilt import SCENES, T_D_S, Kind, spoilt_pair
 from sim.disturb import DisturbConfig
-from tests.experiments.synthetic_flight import DURATION_S, SCENE, flown
+from tests.experiments.reported import DURATION_S, SCENE, flown
 
 SEED = 5
 
