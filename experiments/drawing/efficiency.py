@@ -1,4 +1,4 @@
-"""Errors beside their Cramer-Rao bounds in, how far each method is from its own bound out.
+"""The figure of how far the errors of each method are from its own Cramer-Rao bound.
 
 For each angle and method a line goes from the bound, a stroke, up to the root mean square error, a
 marker: its length on the logarithmic axis is what is lost.

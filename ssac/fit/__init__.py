@@ -1,1 +1,1 @@
-"""A problem of least squares in, its robust solution and an honest covariance out."""
+"""The one robust least squares of all refinements, and the covariance of what it finds."""

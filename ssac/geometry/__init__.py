@@ -1,1 +1,1 @@
-"""Epipolar geometry of two views: points and poses in, distances, F and poses out."""
+"""Epipolar geometry of two views: distances, fundamental matrices and poses."""

@@ -1,1 +1,1 @@
-"""Two tracks and an offset to start from in; offset, pose and their deviations out."""
+"""The methods by which offset and pose are found, ours and those that ours are compared with."""

@@ -1,4 +1,4 @@
-"""An estimate that its cost curve or F may leave open in, what its refinement makes of it out.
+"""Which offset and pose are right, where the cost curve or F leaves several open.
 
 F has seven parameters and a pose only five, so that a path on which F is open, one in a plane say,
 may still tell the pose; and where the cost curve of F has several valleys, refined poses may tell

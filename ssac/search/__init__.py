@@ -1,1 +1,1 @@
-"""Two tracks in; the time offset of least cost, and what they cannot tell, out."""
+"""The search for the time offset of least cost, and what two tracks cannot tell."""

@@ -1,4 +1,4 @@
-"""Several synthetic flights in, what a camera that sees them all records, out."""
+"""Recordings of a camera that sees several synthetic flights at once."""
 
 import numpy as np
 
