@@ -20,8 +20,7 @@ from experiments.lab.markdown import markdown_table
 from experiments.lab.results import Results
 from experiments.lab.study import How, Made, Runs, Study
 from experiments.machine.growth import POINTS, SIMULATE, STEP, STEPS, SYNCHRONISE, Point, StepCell
-from experiments.machine.measurement import Measurement
-from experiments.machine.parts import PART, PARTS, PartCell
+from experiments.machine.parts import PART, PARTS, Measurement, PartCell
 from ssac.estimate import Status
 
 if TYPE_CHECKING:
