@@ -1,7 +1,4 @@
-"""All files of results that the report shows, read at once; a missing one is an error.
-
-The error names the command that makes the file.
-"""
+"""All files of results that the report shows; the error of a missing one names what makes it."""
 
 import json
 from collections.abc import Callable
@@ -13,15 +10,14 @@ from typing import Any, TypeVar
 import pandas as pd
 
 from experiments.lab.grid import config_names, named_config
+from experiments.lab.results import PROVENANCE
 from experiments.paper.esim import RUN_COLUMNS, runs_from_csv
 from experiments.paper.grids import table_axes
 from experiments.paper.quantities import T_D_ERROR
 from ssac.errors import SsacError
 
-_PNG = b"\x89PNG\r\n\x1a\n"
 _COMPARED = ("duration_s", "angle_deg", "t_d_ms", "quantity", "ours_mean", "ours_std", "n_ours",
              "published_mean", "published_std", "verdict")  # fmt: skip
-_ABLATION = "Mean errors of {flights} flights at each value and angle."
 _FIGURES = {
     "error_vs_angle": (
         "Error against the angle between the cameras",
@@ -82,17 +78,13 @@ class Results:
     @property
     def methods(self) -> list[str]:
         """Every method that any table has, in the order of its columns."""
-        end = f"_{T_D_ERROR.column}_mean"
-        columns = [str(column) for table in self.tables.values() for column in table]
-        return list(dict.fromkeys(c.removesuffix(end) for c in columns if c.endswith(end)))
+        return self.methods_with(T_D_ERROR.column)
 
     def methods_with(self, error: str) -> list[str]:
         """Methods that give this error."""
-        return [
-            method
-            for method in self.methods
-            if any(f"{method}_{error}_mean" in table for table in self.tables.values())
-        ]
+        end = f"_{error}_mean"
+        columns = dict.fromkeys(str(one) for table in self.tables.values() for one in table)
+        return [column.removesuffix(end) for column in columns if column.endswith(end)]
 
 
 def load_results(folder: Path) -> Results:
@@ -100,62 +92,55 @@ def load_results(folder: Path) -> Results:
 
     SsacError, which names the command that makes it, if a file is missing or is not as it should.
     """
-    tables = {
-        duration_s: _read(folder / f"esim_{duration_s:g}.csv", "make tables", _table)
-        for duration_s in table_axes().durations_s
-    }
-    figures = []
-    for name, (title, caption) in _FIGURES.items():
-        command = "make studies" if name == "efficiency" else "make figures"
-        png = _read(folder / f"{name}.png", command, _png)
-        figures.append(ReportFigure(title, caption, png))
+
+    def read(file: str, command: str, parse: Callable[[bytes], Content]) -> Content:
+        path = folder / file
+        try:
+            return parse(path.read_bytes())
+        except FileNotFoundError:
+            raise SsacError(f"{path} is missing: run `{command}` first") from None
+        except (OSError, ValueError, SsacError) as error:
+            raise SsacError(f"{path} cannot be used ({error}): run `{command}` again") from error
+
+    drawn = [
+        (name, "make studies" if name == "efficiency" else "make figures", *words)
+        for name, words in _FIGURES.items()
+    ]
     for name in config_names("ablation_"):
         config = named_config(name)
-        caption = _ABLATION.format(flights=config.flights)
-        png = _read(folder / f"{name}.png", "make ablations", _png)
-        figures.append(ReportFigure(config.title, caption, png))
-    paths = {folder / "esim_20.provenance.json", *folder.glob("*.provenance.json")}
-    provenance = {
-        path.name.removesuffix(".provenance.json"): _read(path, "make tables", _provenance)
-        for path in sorted(paths)
-    }
+        caption = f"Mean errors of {config.flights} flights at each value and angle."
+        drawn.append((name, "make ablations", config.title, caption))
+    made = {f"esim_20{PROVENANCE}", *(path.name for path in folder.glob(f"*{PROVENANCE}"))}
     return Results(
-        tables,
-        _read(folder / "runs.csv", "make tables", _runs),
-        _read(folder / "comparison.csv", "make tables", _comparison),
-        tuple(figures),
-        provenance,
+        {
+            duration_s: read(f"esim_{duration_s:g}.csv", "make tables", _table)
+            for duration_s in table_axes().durations_s
+        },
+        read("runs.csv", "make tables", _runs),
+        read("comparison.csv", "make tables", _comparison),
+        tuple(
+            ReportFigure(title, caption, read(f"{name}.png", command, _png))
+            for name, command, title, caption in drawn
+        ),
+        {
+            file.removesuffix(PROVENANCE): read(file, "make tables", _provenance)
+            for file in sorted(made)
+        },
     )
-
-
-def _read(path: Path, command: str, parse: Callable[[bytes], Content]) -> Content:
-    """Parse a file; SsacError that names it and the command that makes it, when it cannot be."""
-    try:
-        return parse(path.read_bytes())
-    except FileNotFoundError:
-        raise SsacError(f"{path} is missing: run `{command}` first") from None
-    except (OSError, ValueError, SsacError) as error:
-        raise SsacError(f"{path} cannot be used ({error}): run `{command}` again") from error
 
 
 def _runs(content: bytes) -> pd.DataFrame:
-    runs = runs_from_csv(content.decode("utf-8"))
-    _check_columns(runs, RUN_COLUMNS)
-    return runs
+    return _with_columns(runs_from_csv(content.decode("utf-8")), RUN_COLUMNS)
 
 
 def _table(content: bytes) -> pd.DataFrame:
-    table = pd.read_csv(BytesIO(content))
-    _check_columns(table, ("angle_deg", "t_d_ms", "n_runs"))
-    return table
+    return _with_columns(pd.read_csv(BytesIO(content)), ("angle_deg", "t_d_ms", "n_runs"))
 
 
 def _comparison(content: bytes) -> pd.DataFrame:
-    comparison = pd.read_csv(
-        BytesIO(content), keep_default_na=False, na_values={"ours_mean": [""], "ours_std": [""]}
-    )
-    _check_columns(comparison, _COMPARED)
-    return comparison
+    unknown = {"ours_mean": [""], "ours_std": [""]}
+    table = pd.read_csv(BytesIO(content), keep_default_na=False, na_values=unknown)
+    return _with_columns(table, _COMPARED)
 
 
 def _provenance(content: bytes) -> dict[str, Any]:
@@ -166,12 +151,13 @@ def _provenance(content: bytes) -> dict[str, Any]:
 
 
 def _png(content: bytes) -> bytes:
-    if not content.startswith(_PNG):
+    if not content.startswith(b"\x89PNG\r\n\x1a\n"):
         raise ValueError("not a PNG")
     return content
 
 
-def _check_columns(table: pd.DataFrame, expected: tuple[str, ...]) -> None:
+def _with_columns(table: pd.DataFrame, expected: tuple[str, ...]) -> pd.DataFrame:
     absent = [column for column in expected if column not in table]
     if absent:
         raise ValueError(f"it lacks the columns {', '.join(absent)}")
+    return table
