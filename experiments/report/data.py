@@ -12,7 +12,7 @@ import pandas as pd
 from experiments.lab.grid import config_names, named_config
 from experiments.lab.results import PROVENANCE
 from experiments.paper.esim import RUN_COLUMNS, runs_from_csv
-from experiments.paper.grids import table_axes
+from experiments.paper.grids import DURATIONS_S
 from experiments.paper.quantities import T_D_ERROR
 from ssac.errors import SsacError
 
@@ -114,7 +114,7 @@ def load_results(folder: Path) -> Results:
     return Results(
         {
             duration_s: read(f"esim_{duration_s:g}.csv", "make tables", _table)
-            for duration_s in table_axes().durations_s
+            for duration_s in DURATIONS_S
         },
         read("runs.csv", "make tables", _runs),
         read("comparison.csv", "make tables", _comparison),

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from experiments.drawing.style import method_looks
-from experiments.paper.grids import table_axes
+from experiments.paper.grids import DURATIONS_S
 from experiments.paper.quantities import ERRORS, split_quantity
 from experiments.report.data import Results
 from ssac.pipeline.registry import METHODS
@@ -223,7 +223,7 @@ def _chart_row(
         "summary": METHODS[method].summary if method in METHODS else "",
         "color": "currentColor" if look.color == "#000000" else look.color,
         "hollow": look.hollow,
-        "shortest_s": min(table_axes().durations_s),
+        "shortest_s": min(DURATIONS_S),
         "dots": [(*place(cell["mean"], cell["angle_deg"]), cell)
                  for cell in cells.to_dict("records")],
         "strokes": list(map(place, published["published_mean"], published["angle_deg"])),
