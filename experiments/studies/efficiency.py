@@ -175,7 +175,7 @@ def summary(results: Results) -> pd.DataFrame:
 
 def figure(results: Results) -> "Figure":
     """Draw each method's errors and bounds."""
-    from experiments.drawing.efficiency import efficiency_figure
+    from experiments.drawing.errors import efficiency_figure
 
     return efficiency_figure(results.table("efficiency"))
 
