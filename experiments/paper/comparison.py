@@ -183,16 +183,11 @@ def comparison_table(
 ) -> pd.DataFrame:
     """Compare our tables, by duration [s], with the published ones cell by cell.
 
-    `first` are ours of the first PUBLISHED_RUNS flights alone, if there are further ones.
-
-    Returns
-    -------
-    pd.DataFrame
-        One row for each number that both have, in the paper's order of rows: duration, angle,
-        offset, quantity (`method_error`), both means and deviations, our runs that are "ok"
-        (`n_ours`), the ends of the 95 % interval of the difference, the verdict, whether our mean
-        is of the paper's size or better (SIZE_RULE), whether it is at most the published mean, our
-        numbers, interval and verdict by the first flights alone (`first_*`), and a note.
+    `first` are ours of the first PUBLISHED_RUNS flights alone, if there are further ones. One row
+    for each number that both have, in the paper's order of rows: where it stands, both means and
+    deviations, our runs that are "ok" (`n_ours`), the ends of the 95 % interval of the difference,
+    the verdict, whether our mean is of the paper's size or better (SIZE_RULE) and whether it is at
+    most the published mean; the same by the first flights alone (`first_*`), and a note.
     """
     parts = []
     for duration_s, theirs in published.items():
@@ -261,16 +256,12 @@ def _ours(table: pd.DataFrame, quantity: PublishedError) -> Sample:
 def summary_table(comparison: pd.DataFrame) -> pd.DataFrame:
     """Sum up each quantity over the cells of a duration.
 
-    Returns
-    -------
-    pd.DataFrame
-        By quantity and duration: the number of cells and of each verdict; the geometric mean of the
-        ratios of our mean to the published one, the factor to which it is known, and the least and
-        the largest ratio; the median of the intervals' half-widths over the published mean
-        (`visible`: a difference that a cell would just tell); then by our first flights alone, as
-        many as the paper's, the verdicts, ratio and factor (`first_*`), how many cells have another
-        verdict by all (`changed`), and the factor that the paper's flights alone leave
-        (`factor_paper`), to which that of ours tends with ever more flights.
+    The number of cells and of each verdict; the geometric mean of the ratios of our mean to the
+    published one, the factor to which it is known, and the least and the largest ratio; the median
+    of the intervals' half-widths over the published mean (`visible`: a difference that a cell would
+    just tell); the same by our first flights alone, as many as the paper's (`first_*`), how many
+    cells have another verdict by all (`changed`), and the factor that the paper's flights alone
+    leave (`factor_paper`), to which that of ours tends with ever more flights.
     """
     rows = []
     place = {quantity.name: number for number, quantity in enumerate(PUBLISHED_ERRORS)}

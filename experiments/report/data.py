@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import pandas as pd
 
@@ -19,45 +19,25 @@ from ssac.errors import SsacError
 _COMPARED = ("duration_s", "angle_deg", "t_d_ms", "quantity", "ours_mean", "ours_std", "n_ours",
              "published_mean", "published_std", "verdict")  # fmt: skip
 _FIGURES = {
-    "error_vs_angle": (
-        "Error against the angle between the cameras",
-        "Every method, with the paper's values where it gives them.",
-    ),
-    "beyond_paper": (
-        "What is gained beyond the paper",
-        "The paper, its method as built here, the joint refinement, and epipolar tangency.",
-    ),
-    "efficiency": (
-        "Errors and their Cramer-Rao bound",
-        "Root mean square errors, and the least that the true tracks and the noise of each "
-        "method's own samples allow.",
-    ),
-    "fig3_preprocessing": (
-        "From events to a trajectory",
-        "Raw events, the events that denoising leaves, and the drone's path in x, y and t: the "
-        "paper's Fig. 3 from a recording of ours.",
-    ),
-    "fig4_epipolar": (
-        "The epipolar distance",
-        "The drone's position, its epipolar line and the distance between them on event images: "
-        "the paper's Fig. 4.",
-    ),
-    "fig5_d_avg": (
-        "The mean distance over the offset",
-        "d_avg over a second on each side, and over 3 ms around its minimum: the paper's Fig. 5.",
-    ),
+    "error_vs_angle": "make figures",
+    "beyond_paper": "make figures",
+    "efficiency": "make studies",
+    "fig3_preprocessing": "make figures",
+    "fig4_epipolar": "make figures",
+    "fig5_d_avg": "make figures",
 }
+"""What makes them; the page has their words."""
 
 Content = TypeVar("Content")
 
 
-@dataclass(frozen=True)
-class ReportFigure:
-    """One picture with its words."""
+class ReportFigure(NamedTuple):
+    """One picture, and what it varies if it is of an ablation."""
 
-    title: str
-    caption: str
+    name: str
     png: bytes
+    varied: str = ""
+    flights: int = 0
 
     @property
     def size_px(self) -> tuple[int, int]:
@@ -102,14 +82,11 @@ def load_results(folder: Path) -> Results:
         except (OSError, ValueError, SsacError) as error:
             raise SsacError(f"{path} cannot be used ({error}): run `{command}` again") from error
 
-    drawn = [
-        (name, "make studies" if name == "efficiency" else "make figures", *words)
-        for name, words in _FIGURES.items()
-    ]
+    figures = [ReportFigure(name, read(f"{name}.png", made_by, _png))
+               for name, made_by in _FIGURES.items()]  # fmt: skip
     for name in config_names("ablation_"):
-        config = named_config(name)
-        caption = f"Mean errors of {config.flights} flights at each value and angle."
-        drawn.append((name, "make ablations", config.title, caption))
+        png, config = read(f"{name}.png", "make ablations", _png), named_config(name)
+        figures.append(ReportFigure(name, png, config.title, config.flights))
     made = {f"esim_20{PROVENANCE}", *(path.name for path in folder.glob(f"*{PROVENANCE}"))}
     return Results(
         {
@@ -118,10 +95,7 @@ def load_results(folder: Path) -> Results:
         },
         read("runs.csv", "make tables", _runs),
         read("comparison.csv", "make tables", _comparison),
-        tuple(
-            ReportFigure(title, caption, read(f"{name}.png", command, _png))
-            for name, command, title, caption in drawn
-        ),
+        tuple(figures),
         {
             file.removesuffix(PROVENANCE): read(file, "make tables", _provenance)
             for file in sorted(made)

@@ -19,7 +19,7 @@ from experiments.lab.grid import named_config
 from experiments.lab.recorded import load_pair
 from experiments.lab.results import Results
 from experiments.lab.study import Made, Runs, Study
-from experiments.paper.esim import method_order
+from experiments.paper.esim import in_order
 from experiments.paper.grids import TABLES
 from experiments.paper.quantities import ERRORS
 from experiments.worlds.bound import KNOWN_POSE, SAMPLES, TrueMotion, load_truth, method_bounds
@@ -125,13 +125,7 @@ def runs_beside_bounds(runs: pd.DataFrame, bounds: pd.DataFrame) -> pd.DataFrame
     good = runs.loc[runs["status"] == "ok", [*FLIGHT, "t_d_ms", *ERRORS]]
     bounded = bounds.loc[bounds["status"] == "ok", [*FLIGHT, "sigma_px", "n_samples", *found]]
     both = good.merge(bounded, on=list(FLIGHT), how="inner", validate="many_to_one")
-    place = {name: number for number, name in enumerate(method_order(both["method"]))}
-    beside: pd.DataFrame = both.sort_values(
-        ["duration_s", "angle_deg", "t_d_ms", "flight", "method"],
-        key=lambda column: column.map(place) if column.name == "method" else column,
-        ignore_index=True,
-    )
-    return beside
+    return in_order(both, ["duration_s", "angle_deg", "t_d_ms", "flight", "method"])
 
 
 def efficiency_table(beside: pd.DataFrame) -> pd.DataFrame:
