@@ -82,25 +82,20 @@ def load_results(folder: Path) -> Results:
         except (OSError, ValueError, SsacError) as error:
             raise SsacError(f"{path} cannot be used ({error}): run `{command}` again") from error
 
+    tables = {d: read(f"esim_{d:g}.csv", "make tables", _table) for d in DURATIONS_S}
+    runs = read("runs.csv", "make tables", _runs)
+    comparison = read("comparison.csv", "make tables", _comparison)
+    made = {f"esim_20{PROVENANCE}", *(path.name for path in folder.glob(f"*{PROVENANCE}"))}
+    provenance = {
+        file.removesuffix(PROVENANCE): read(file, "make tables", _provenance)
+        for file in sorted(made)
+    }
     figures = [ReportFigure(name, read(f"{name}.png", made_by, _png))
                for name, made_by in _FIGURES.items()]  # fmt: skip
     for name in config_names("ablation_"):
         png, config = read(f"{name}.png", "make ablations", _png), named_config(name)
         figures.append(ReportFigure(name, png, config.title, config.flights))
-    made = {f"esim_20{PROVENANCE}", *(path.name for path in folder.glob(f"*{PROVENANCE}"))}
-    return Results(
-        {
-            duration_s: read(f"esim_{duration_s:g}.csv", "make tables", _table)
-            for duration_s in DURATIONS_S
-        },
-        read("runs.csv", "make tables", _runs),
-        read("comparison.csv", "make tables", _comparison),
-        tuple(figures),
-        {
-            file.removesuffix(PROVENANCE): read(file, "make tables", _provenance)
-            for file in sorted(made)
-        },
-    )
+    return Results(tables, runs, comparison, tuple(figures), provenance)
 
 
 def _runs(content: bytes) -> pd.DataFrame:

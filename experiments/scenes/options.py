@@ -3,7 +3,7 @@
 Such an option has the type and the default of its field, so that the two cannot come apart.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from functools import reduce
 from pathlib import Path
@@ -196,18 +196,12 @@ def _changed(default: Any, values: Mapping[str, Any]) -> Any:
     return replace(default, **changes)
 
 
-def chosen_sensor(
-    preset: str | None,
-    noise: str,
-    threshold_on: float | None,
-    threshold_off: float | None,
-    illuminance_lux: float | None,
-    effects: Iterable[str],
-) -> SensorPreset:
+def chosen_sensor(options: Mapping[str, Any]) -> SensorPreset:
     """Make the sensor that the options ask for: what is given takes the place of the preset's.
 
     SimError when a name is unknown, a value makes no sense, or two options contradict each other.
     """
+    preset, noise = options["preset"], options["noise"]
     if noise not in PRESETS:
         raise SimError(f"--noise: expected one of {', '.join(PRESETS)}, got {noise!r}")
     if preset is not None and noise != _IDEAL:
@@ -218,13 +212,13 @@ def chosen_sensor(
         raise SimError(f"--preset: expected one of {', '.join(SENSOR_PRESETS)}, got {preset!r}")
     ideal = SensorPreset(PRESETS[noise], SensorEffects())
     start = ideal if preset is None else sensor_preset(preset)
-    thresholds = {"threshold_on": threshold_on, "threshold_off": threshold_off}
+    thresholds = {name: options[name] for name in ("threshold_on", "threshold_off")}
     given = {name: value for name, value in thresholds.items() if value is not None}
-    changes = dict(_parsed(effect) for effect in effects)
-    if illuminance_lux is not None:
+    changes = dict(_parsed(effect) for effect in options["effect"] or ())
+    if options["illuminance"] is not None:
         if "illuminance_lux" in changes:
             raise SimError("--illuminance and --effect illuminance_lux are one: leave one out")
-        changes["illuminance_lux"] = illuminance_lux
+        changes["illuminance_lux"] = options["illuminance"]
     return SensorPreset(replace(start.sensor, **given), replace(start.effects, **changes))
 
 

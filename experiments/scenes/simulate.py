@@ -8,7 +8,7 @@ import typer
 from experiments.lab.bridge import check_mesh, recording_bytes, rig_of
 from experiments.lab.provenance import plain, versions
 from experiments.scenes.options import OPTIONS, chosen, chosen_sensor
-from experiments.scenes.scene import SceneFigures, pair_figures, scene_table
+from experiments.scenes.scene import pair_figures, scene_table
 from sim.disturb import DisturbConfig, record_disturbed
 from sim.errors import SimError
 from sim.recording import SimConfig
@@ -36,10 +36,7 @@ def simulate_command(
     given = dict(options)
     width, height = given["resolution"]
     spread, default = given["spread"], SplineConfig()
-    sensor = chosen_sensor(
-        given["preset"], given["noise"], given["threshold_on"], given["threshold_off"],
-        given["illuminance"], given["effect"] or (),
-    )  # fmt: skip
+    sensor = chosen_sensor(given)
     given["background"] = tuple(given["background"] or ())
     if given["distortion_model"] == "none":
         given["distortion"] = ()
@@ -62,7 +59,13 @@ def simulate_command(
     recorded = record_with_progress(config, given["seed"], out_dir, given["text"], disturb)
     typer.echo(summary(recorded, out_dir))
     if given["figures"]:
-        typer.echo(scene_table(_figures(recorded, out_dir)))
+        flight = recorded.flight
+        cam1, cam2 = (
+            Observation(load_events_h5(out_dir / f"{camera.name}.h5").events)
+            for camera in flight.rig.cameras[:2]
+        )
+        rig = rig_of(flight, with_extrinsics=True)
+        typer.echo(scene_table(pair_figures(cam1, cam2, rig, flight.truth.t_d_s)))
 
 
 def record_with_progress(
@@ -114,13 +117,3 @@ def _drone(name: str) -> dict[str, Any]:
         )
     check_mesh(Path(name))
     return {"drone_file": Path(name)}
-
-
-def _figures(recorded: Recorded, folder: Path) -> SceneFigures:
-    """Measure a recording that lies in a folder."""
-    flight = recorded.flight
-    cam1, cam2 = (
-        Observation(load_events_h5(folder / f"{camera.name}.h5").events)
-        for camera in flight.rig.cameras[:2]
-    )
-    return pair_figures(cam1, cam2, rig_of(flight, with_extrinsics=True), flight.truth.t_d_s)

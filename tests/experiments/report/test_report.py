@@ -212,7 +212,6 @@ def test_the_figures_are_those_that_are_drawn(results: Results, page: str) -> No
     ("name", "command"),
     [
         ("runs.csv", "make tables"),
-        ("esim_10.csv", "make tables"),
         ("comparison.csv", "make tables"),
         ("esim_20.provenance.json", "make tables"),
         ("fig4_epipolar.png", "make figures"),
