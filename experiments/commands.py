@@ -117,8 +117,7 @@ def sweep_command(
 def merge_command(
     out: Annotated[Path, typer.Argument(help="CSV to write.", metavar="OUT", show_default=False)],
     shards: Annotated[
-        list[Path],
-        typer.Argument(help="CSVs of all shards.", metavar="SHARD", show_default=False),
+        list[Path], typer.Argument(help="CSVs of all shards.", metavar="SHARD", show_default=False)
     ],
     cache: CacheOption = DEFAULT_FOLDER,
 ) -> None:

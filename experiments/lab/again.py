@@ -49,10 +49,7 @@ class Drawn:
 def sources_of(
     studies: Mapping[str, Study], slow: bool = False, only: str | None = None
 ) -> list[Study]:
-    """List the studies to draw from; those that take minutes a recording only if asked for.
-
-    SsacError if there is none of the name that is asked for.
-    """
+    """List the studies to draw from; those that take minutes a recording only if asked for."""
     able = {
         name: study
         for name, study in studies.items()
@@ -131,10 +128,7 @@ def row_faults(
     measured: Collection[str],
     kept: Runs,
 ) -> tuple[str, ...]:
-    """Compare rows with the committed ones of the same keys, all as texts.
-
-    Rounding reaches the columns `measured`; all others, but `reason`, must be the same.
-    """
+    """Compare rows with the committed ones of the same keys, all as texts."""
     theirs_by_key = {tuple(row[name] for name in keys): row for row in committed.to_dict("records")}
     faults = []
     for row in again.to_dict("records"):

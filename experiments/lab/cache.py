@@ -102,12 +102,10 @@ class Cache:
         tell: Callable[[], Arrays],
         inputs: Any = None,
     ) -> Arrays:
-        """Give arrays of some names that are told of a recording once for all methods.
+        """Give arrays of some names, one kind of RECORDED, that some code tells of a recording.
 
-        The kind is one of RECORDED; it is told by some code, of `inputs`.
-
-        To read all frames takes longer than most methods do. To tell noise takes an eighth of the
-        time that all methods take, and to read the events for it nearly as much.
+        Once for all methods: to read all frames takes longer than most of them do, and to tell
+        noise, reading the events included, a quarter of the time that all of them take.
         """
         by = code_digest(*code), package_versions(SSAC_PACKAGES)
         key = _digest(recording.name, by, names, inputs)
@@ -236,10 +234,7 @@ def recording_key(config: SimConfig, seed: int) -> str:
 
 
 def run_key(recordings: tuple[str, ...], inputs: Any, code: tuple[str, ...]) -> str:
-    """Name a row by the keys of its recordings, all else that goes in, and the code that makes it.
-
-    The inputs are parameters, the method's name and its version; the code is as of `code_of`.
-    """
+    """Name a row by the keys of its recordings, all else that goes in, and code as of `code_of`."""
     return _digest(recordings, content(inputs), code_digest(*code), package_versions(SSAC_PACKAGES))
 
 
@@ -260,10 +255,7 @@ def _digest(*parts: Any) -> str:
 
 
 def recording_bytes(config: SimConfig) -> int:
-    """Space that a recording takes at most, both cameras and truth: a rough bound.
-
-    A disk that runs full while HDF5 writes ends the process, so that it must not come to this.
-    """
+    """Bound the space of a recording: a disk that runs full while HDF5 writes ends the process."""
     frames = 0.1 * config.frames.rate_hz * config.resolution[0] * config.resolution[1]  # as coded
     events = 200_000.0  # of 60,000 events a second and camera, at 3 bytes each
     truth = 100_000.0
@@ -346,13 +338,10 @@ def claimed(path: Path) -> Iterator[bool]:
 
 
 def remove_lapsed(folder: Path) -> None:
-    """Remove the locks in a folder whose holders are gone.
-
-    One who was killed before it wrote who it is has left an empty file, which would never lapse.
-    """
+    """Remove the locks in a folder whose holders are gone."""
     for path in folder.glob(f".*{CLAIM}"):
         with suppress(OSError):
-            if path.stat().st_size == 0:
+            if path.stat().st_size == 0:  # it was killed before it wrote who it is
                 path.unlink()
                 continue
         with claimed(path):

@@ -17,15 +17,7 @@ from experiments.lab.cell import CRASHED
 from experiments.lab.grid import Cell
 from experiments.lab.results import Results
 from experiments.lab.schedule import Outcome, Workers
-from experiments.lab.study import (
-    WHOLE,
-    How,
-    Options,
-    Study,
-    check_reads,
-    parse_shard,
-    save_study,
-)
+from experiments.lab.study import WHOLE, How, Options, Study, check_reads, parse_shard, save_study
 from sim.recording import SimConfig
 from sim.render.config import RENDERERS
 from ssac.cli.exits import BUG
@@ -50,12 +42,10 @@ def _some(workers: int) -> int:
 
 
 WorkersOption = Annotated[
-    int,
-    typer.Option(help="Worker processes; -1: one per core.", metavar="COUNT", callback=_some),
+    int, typer.Option(help="Worker processes; -1: one per core.", metavar="COUNT", callback=_some)
 ]
 SchedulerOption = Annotated[
-    str,
-    typer.Option(help="Run on a Dask cluster: host:port of its scheduler.", metavar="ADDRESS"),
+    str, typer.Option(help="Run on a Dask cluster: host:port of its scheduler.", metavar="ADDRESS")
 ]
 OutOption = Annotated[Path, typer.Option(metavar="FOLDER", help="Folder for the results.")]
 CacheOption = Annotated[
@@ -205,10 +195,7 @@ def drawn_by(cells: Iterable[Cell], renderer: str, check: bool) -> list[Cell]:
 
 
 def finish(outcomes: Sequence[Outcome], cache: Cache, *files: Path) -> None:
-    """Say what was done, and whether runs crashed, which is a bug: ours, or of other packages.
-
-    SsacError if runs have no recording, as nothing can be simulated of what was asked for.
-    """
+    """Say what was done, and whether runs crashed, which is a bug: ours, or of other packages."""
     if outcomes:
         _tell(outcomes, cache)
     for path in files:

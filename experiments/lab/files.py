@@ -73,10 +73,7 @@ def png_bytes(figure: "Figure") -> bytes:
 
 
 def record_checksums(folder: Path, paths: Iterable[Path]) -> None:
-    """Note what files of results are now, each with its provenance; notes on others stay.
-
-    Several commands may write to the folder at once.
-    """
+    """Note what files of results are now, each with its provenance; notes on others stay."""
     with _alone(folder):
         sums = read_checksums(folder) if (folder / SUMS_FILE).exists() else {}
         for path in paths:

@@ -35,6 +35,8 @@ ANSWERS_WITHIN_S = 10.0
 _LOOK_S = 5.0  # how often it is seen whether a scheduler still has workers
 _SPAWN = get_context("spawn")
 
+Running = Future[Any]
+
 Job = Callable[[], Any]
 """With what it returns, something that pickle takes: a `functools.partial` of a function."""
 
@@ -44,23 +46,18 @@ class DiedError(Exception):
 
 
 class Pool:
-    """The pool of this process alone: a job that takes it down takes everything down.
-
-    When the block of a pool is left, none of its workers is on a job.
-    """
+    """The pool of this process alone: a job that takes it down takes everything down."""
 
     room: float = 1  # jobs at a time
 
-    def submit(self, job: Job) -> "Future[Any]":
+    def submit(self, job: Job) -> Running:
         """Have a job done, however long it takes."""
-        future: Future[Any] = Future()
+        future: Running = Future()
         value, error = _done(job)
         future.set_exception(error) if error else future.set_result(value)
         return future
 
-    def ended(
-        self, running: Collection["Future[Any]"], timeout_s: float | None
-    ) -> set["Future[Any]"]:
+    def ended(self, running: Collection[Running], timeout_s: float | None) -> set[Running]:
         """Wait until jobs have ended, one or more, or for some seconds; None: for ever."""
         return wait(running, timeout_s, FIRST_COMPLETED).done
 
@@ -79,7 +76,7 @@ class Processes(Pool):
         self._threads = ThreadPoolExecutor(count)  # each waits for one process
         self._busy: set[Worker] = set()
 
-    def submit(self, job: Job) -> "Future[Any]":
+    def submit(self, job: Job) -> Running:
         """Hand a job to an idle process, or to a new one."""
         worker = _IDLE.pop() if _IDLE else Worker()
         if not worker.process.is_alive():  # it died idle: of nothing that we gave it
@@ -189,11 +186,7 @@ def _end_with_parent() -> None:
 
 
 class Cluster(Pool):
-    """The workers of a Dask scheduler, which has a queue of its own.
-
-    It gives the job of a worker that died to another one, several times (its setting
-    `allowed-failures`), and then gives up with an error of its own.
-    """
+    """The workers of a Dask scheduler, which has a queue of its own and replaces those that die."""
 
     room = math.inf
 
@@ -203,17 +196,15 @@ class Cluster(Pool):
         self._executor = self._client.get_executor(pure=False)
         self._seen_s = time.monotonic()  # when there were workers
 
-    def submit(self, job: Job) -> "Future[Any]":
+    def submit(self, job: Job) -> Running:
         """Hand a job to the scheduler."""
-        future: Future[Any] = self._executor.submit(job)
+        future: Running = self._executor.submit(job)
         return future
 
-    def ended(
-        self, running: Collection["Future[Any]"], timeout_s: float | None
-    ) -> set["Future[Any]"]:
+    def ended(self, running: Collection[Running], timeout_s: float | None) -> set[Running]:
         """Wait until jobs have ended; SsacError when scheduler or workers are gone."""
         until_s = time.monotonic() + (math.inf if timeout_s is None else timeout_s)
-        found: set[Future[Any]] = set()
+        found: set[Running] = set()
         while not found and time.monotonic() < until_s:
             found = super().ended(running, min(_LOOK_S, max(0.0, until_s - time.monotonic())))
             self._look(bool(found))

@@ -23,9 +23,8 @@ _ROOT = Path(__file__).resolve().parents[2]
 def plain(value: Any) -> Any:
     """Turn nested dataclasses, tuples and paths into what JSON holds.
 
-    Parts of a configuration that say of themselves that they do nothing are left out, and so are
-    fields marked as `later` at their default: what is new changes no provenance of what it has no
-    part in.
+    Parts that say of themselves that they do nothing, and fields marked as `later` at their
+    default, are left out: what is new changes no provenance of what it has no part in.
     """
     if is_dataclass(value) and not isinstance(value, type):
         parts = ((one, getattr(value, one.name)) for one in fields(value))
@@ -43,10 +42,7 @@ def plain(value: Any) -> Any:
 
 
 def code_commit() -> str:
-    """Return the commit of the code, `-dirty` when files differ from it; "unknown" outside git.
-
-    Files in `results` do not count: they are what is being made.
-    """
+    """Name the code's commit, `-dirty` when any file but results differs; "unknown" outside git."""
     head = ["rev-parse", "--short=12", "HEAD"]
     status = ["status", "--porcelain", "--untracked-files=no", "--", ".", ":!results"]
     try:

@@ -52,11 +52,7 @@ def rewrite_numbers(root: Path, numbers: Numbers) -> list[Path]:
 
 
 def stale_numbers(root: Path, numbers: Numbers) -> list[str]:
-    """Say, one line each, where pages and results differ.
-
-    That is where a page quotes other than what its results say, where a name, file, row or column
-    is not there, and which names no page quotes.
-    """
+    """Say where pages and results differ, what is not there, and which names no page quotes."""
     results = Results(root / "results")
     lines, unquoted = [], dict(numbers)
     for path in pages(root):
@@ -81,10 +77,7 @@ def stale_numbers(root: Path, numbers: Numbers) -> list[str]:
 
 
 def quotations(text: str, page: Path) -> Iterator[tuple[re.Match[str], str]]:
-    """Yield each number that a page quotes, with its place; code is no quotation.
-
-    SsacError where a comment is opened and not closed.
-    """
+    """Yield each number that a page quotes, with its place; code is no quotation."""
     for match in _CODE_OR_QUOTED.finditer(text):
         nested = _OPEN.search(text, *match.span("text")) if match["text"] else None
         start = (nested or match).start()

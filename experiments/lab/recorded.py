@@ -116,11 +116,7 @@ class Flown:
 def clean_pair(
     folder: Path, load: Callable[[], Pair], how: Cleaning, cache: Cache
 ) -> tuple[Clean, Clean]:
-    """Both cameras of a recording of the cache without noise, which is told once.
-
-    Its folder need not be whole: `load`, which reads it, is called only where that cannot be
-    helped.
-    """
+    """Both cameras of a recording without noise, which is told once: only then is it loaded."""
     rig = load_rig(folder / RIG_FILE)
     cameras = dict(zip(_CAMERAS, (rig.cam1, rig.cam2), strict=True))
 
@@ -162,10 +158,7 @@ What is beyond that, after a pause, is a leap: the event's number and what is mi
 
 
 def packed(events: NDArray[np.void]) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
-    """Pack sorted events (n,) of EVENT_DTYPE: the bytes (n, 6) of `_PACKED`, and leaps (k, 2).
-
-    As bytes, since NumPy writes and reads those of a structure field by field.
-    """
+    """Pack sorted events (n,) of EVENT_DTYPE: the bytes (n, 6) of `_PACKED`, and leaps (k, 2)."""
     found = np.empty(len(events), _PACKED)
     gaps_us = np.diff(events["t"], prepend=0)
     found["gap_us"] = gaps_us & 255

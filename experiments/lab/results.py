@@ -32,10 +32,6 @@ class Results:
     _texts: dict[str, str] = field(default_factory=dict, repr=False)
     _tables: dict[str, pd.DataFrame] = field(default_factory=dict, repr=False)
 
-    def has(self, name: str) -> bool:
-        """Return whether there is `<name>.csv`."""
-        return f"{name}.csv" in self._texts or (self.folder / f"{name}.csv").is_file()
-
     def text(self, file: str) -> str:
         """Read a file; SsacError when it cannot be read."""
         if file not in self._texts:

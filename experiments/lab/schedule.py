@@ -80,9 +80,6 @@ def run_cells(
     Rows depend neither on the number of workers nor on what was in the cache, nor on who else is
     filling it. A run that crashed is a row with its reason and is not kept, so the next call tries
     it again. When a worker dies, what it was on is run again by a new one, `MAX_DEATHS` times.
-
-    SsacError if there is no scheduler at the address given, or it loses all its workers, or the
-    cache cannot be written to.
     """
     cache = Cache(cache.folder.resolve())  # the same for workers with another working directory
     work = _Work(tasks_of(cells), cache, measure)

@@ -113,10 +113,7 @@ def pose_score(estimate: Estimate, R: FloatArray, t: FloatArray) -> dict[str, fl
 def pose_errors_rad(
     R: FloatArray, t: FloatArray, R_true: FloatArray, t_true: FloatArray
 ) -> FloatArray:
-    """Errors (5,) of a pose as the covariance counts them, of any size.
-
-    The step that `moved_pose` would take from the estimate to the truth, negated.
-    """
+    """Errors (5,) of a pose: the step that `moved_pose` would take to the truth, negated."""
     along = tangent_basis(t) @ t_true
     length = np.linalg.norm(along)
     direction = along / length if length > 0.0 else np.array([1.0, 0.0])

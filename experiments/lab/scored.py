@@ -89,11 +89,7 @@ def load_recorded(cells: Sequence[Cell], cache: Cache) -> Chain:
 
 
 def scored_row(cell: Cell, chain: Chain) -> Row:
-    """Run one method on one recording, with the cell's offset, and score it.
-
-    What other methods found on the same recording spares a method that starts from there to do it
-    again; and what a method found before a delay of camera 2's clock, to do it again after that.
-    """
+    """Run one method on one recording, with the cell's offset, and score it."""
     method, chain = METHODS[cell.method], chain.under(cell.estimator)
     n_cam1, n_cam2 = (chain.clean(k).n_recorded for k in range(2))
     reason = chain.lacks(method)
@@ -115,11 +111,6 @@ def _estimate(cell: Cell, method: Method, chain: Chain) -> Estimate:
 
     Cells of one flight that search alike around their true offsets so share one run, and none
     depends on which others are measured. A refusal names offsets in its reason: it is made anew.
-
-    Raises
-    ------
-    ArithmeticError
-        If a cell that is made both ways, as one offset of a flight in GUARDED is, differs.
     """
 
     def whole() -> Estimate:
@@ -174,10 +165,7 @@ def _scored(estimate: Estimate, cell: Cell, rig: Rig) -> Row:
 
 
 def frames_of(
-    folder: Path,
-    methods: Sequence[Method],
-    cache: Cache,
-    whole: Callable[[], Path] | None = None,
+    folder: Path, methods: Sequence[Method], cache: Cache, whole: Callable[[], Path] | None = None
 ) -> tuple[Frames, Frames]:
     """Frames of both cameras where a method looks at them; images of one pixel if that will do.
 

@@ -164,10 +164,7 @@ def run_study(
     shard: tuple[int, int] = WHOLE,
     options: Options | None = None,
 ) -> Outcome:
-    """Measure the cells of a study, or those of a shard, that the cache does not hold.
-
-    Its runs have the column CELL first.
-    """
+    """Measure the cells of a study or shard that the cache does not hold; CELL comes first."""
     of_shard = numbered(study.cells(**(options or {})), shard)
     cells = [cell for _, cell in of_shard]
     if study.how is How.ALONE:
@@ -179,10 +176,7 @@ def run_study(
 
 
 def numbered(cells: Sequence[AnyCell], shard: tuple[int, int] = WHOLE) -> list[tuple[int, AnyCell]]:
-    """Return the numbered cells of shard (i, n), i from 1: every n-th recording with all its cells.
-
-    A recording is never split, so no two shards simulate the same one.
-    """
+    """Return the numbered cells of shard (i, n), i from 1: all those of every n-th recording."""
     index, n_shards = shard
     mine = {id(cell) for task in tasks_of(cells)[index - 1 :: n_shards] for cell in task.cells}
     return [(number, cell) for number, cell in enumerate(cells) if id(cell) in mine]
@@ -275,10 +269,7 @@ def save_made(
 
 
 def runs_text(
-    kept: Runs,
-    runs: pd.DataFrame,
-    shard: tuple[int, int] = WHOLE,
-    results: Results | None = None,
+    kept: Runs, runs: pd.DataFrame, shard: tuple[int, int] = WHOLE, results: Results | None = None
 ) -> str:
     """Write rows as their file has them; those of a shard begin with the cells' numbers."""
     if kept.table is not None and shard != WHOLE:
@@ -325,10 +316,7 @@ def check_keys(kept: Runs, runs: pd.DataFrame) -> None:
 
 
 def merge(
-    shards: Sequence[Path],
-    out: Path,
-    study_of: Callable[[Mapping[str, Any]], Study],
-    cache: Cache,
+    shards: Sequence[Path], out: Path, study_of: Callable[[Mapping[str, Any]], Study], cache: Cache
 ) -> list[Path]:
     """Join the shards of a study to the same bytes as in one piece, and make what follows.
 

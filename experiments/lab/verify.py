@@ -63,10 +63,7 @@ def found(what: str, check: Callable[[], Iterable[str]]) -> Finding:
 def file_findings(
     results: Path, studies: Iterable[Study], others: Mapping[str, str] | None = None
 ) -> Iterator[Finding]:
-    """Check that every file is there, no other, and each as its command wrote it.
-
-    The others are files that no study makes, with their digests.
-    """
+    """Check that every file is there, those of no study by their digests, and no other one."""
     digests = dict(others or {})
     files = {*digests, SUMS_FILE}.union(*({*one.files, *one.provenances} for one in studies))
     there = {p.relative_to(results).as_posix() for p in results.rglob("*") if not p.is_dir()}

@@ -61,23 +61,6 @@ def wait_for_ever(_: int) -> None:
         time.sleep(1.0)
 
 
-def make_each_once(folder: Path, names: list[str]) -> None:
-    """Make files that others make too; note each making."""
-    from experiments.lab.cache import claimed
-
-    left = list(names)
-    while left:
-        for name in list(left):
-            with claimed(folder / f".{name}.claim") as is_ours:
-                if not is_ours:
-                    continue
-                left.remove(name)
-                if not (folder / name).exists():
-                    with (folder / "log").open("a") as log:
-                        log.write(f"{name}\n")
-                    (folder / name).touch()
-
-
 def hold(path: Path) -> None:
     """Lock, say so, and never give it back."""
     from experiments.lab.cache import claimed

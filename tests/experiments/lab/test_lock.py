@@ -6,16 +6,12 @@ import subprocess
 import sys
 import time
 from contextlib import suppress
-from functools import partial
 from pathlib import Path
 
 import pytest
 
 from experiments.lab import cache
 from experiments.lab.cache import claimed, remove_lapsed
-from experiments.lab.pool import Processes
-from tests.experiments.lab import jobs
-from tests.experiments.lab.jobs import work_off
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -47,15 +43,6 @@ def test_one_holds_it_at_a_time_and_gives_it_back(path):
         assert again
         raise ValueError("whatever it is")
     assert list(path.parent.iterdir()) == []
-
-
-def test_two_processes_share_what_is_to_be_made(tmp_path):
-    names = [f"file{number}" for number in range(40)]
-    with Processes(2) as pool:
-        found = work_off(pool, [partial(jobs.make_each_once, tmp_path, names)] * 2)
-    assert [one.exception() for one in found] == [None, None]
-    assert sorted((tmp_path / "log").read_text().split()) == sorted(names)
-    assert {path.name for path in tmp_path.iterdir()} == {"log", *names}
 
 
 def test_what_a_killed_process_held_is_free_at_once(path):

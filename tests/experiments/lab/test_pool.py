@@ -6,7 +6,6 @@ import signal
 import subprocess
 import sys
 from functools import partial
-from pathlib import Path
 
 import pytest
 
@@ -14,8 +13,6 @@ from experiments.lab import pool as module
 from experiments.lab.pool import DiedError, Pool, Processes, n_cores
 from tests.experiments.lab import jobs
 from tests.experiments.lab.jobs import work_off
-
-ROOT = Path(__file__).resolve().parents[3]
 
 
 @pytest.mark.parametrize(
@@ -83,8 +80,8 @@ def test_what_cannot_be_sent_or_read_back_is_an_error_and_no_death():
 
 def test_workers_end_when_the_process_that_started_them_is_killed():
     command = [sys.executable, "-m", "tests.experiments.lab.jobs"]
-    environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    parent = subprocess.Popen(command, env=environment, cwd=ROOT, stdout=subprocess.PIPE)
+    environment = os.environ | {"PYTHONPATH": os.getcwd()}
+    parent = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE)
     assert [parent.stdout.readline() for _ in range(2)] == [b"waiting\n"] * 2
     parent.kill()
     # The pipe ends when nobody holds its other end: neither the parent nor a worker.
