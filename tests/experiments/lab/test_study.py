@@ -4,9 +4,10 @@ Real processes that share a cache or die are in `tests/experiments/sweep`.
 """
 
 import json
+from collections.abc import Sequence
 from concurrent.futures import Future
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,16 +20,63 @@ from experiments.cli import app
 from experiments.lab import schedule, task
 from experiments.lab import study as module
 from experiments.lab.cache import Cache, claimed
-from experiments.lab.cell import CRASHED
+from experiments.lab.cell import CRASHED, Measure
 from experiments.lab.files import SUMS_FILE, csv_text, read_table
 from experiments.lab.pool import DiedError, Pool, Processes
 from experiments.lab.schedule import MAX_DEATHS, Workers, run_cells
-from experiments.lab.study import check_runs, numbered, run_study
+from experiments.lab.study import Runs, check_runs, numbered, run_study
 from experiments.lab.task import Task, recordings_key
+from sim.recording import SimConfig
 from ssac.cli.exits import BUG
 from ssac.errors import SsacError
-from tests.experiments.lab.powers import CELLS, FAULTS, LOADED, MEASURE, NUMBERS, STUDY, VALUES
+from tests.experiments.lab.squares import SQUARES, SquareCell, SquareRow
 from tests.left_over import ended_process, made_by
+
+NUMBERS = range(4)
+LOADED: list[int] = []  # numbers whose recordings were loaded
+FAULTS: dict[str, BaseException] = {}  # what is raised, by "number 3" or "power 2"
+
+
+@dataclass(frozen=True)
+class PowerCell(SquareCell):
+    """A power of a number, over 7; each number is a recording."""
+
+    power: int
+
+    @property
+    def recordings(self) -> tuple[Any, ...]:
+        return ((SimConfig(), self.number),)
+
+    @property
+    def columns(self) -> dict[str, Any]:
+        return {**super().columns, "power": self.power}
+
+    @property
+    def inputs(self) -> int:
+        return self.power
+
+
+def load_number(cells: Sequence[PowerCell], _: Cache) -> int:
+    number = cells[0].number
+    LOADED.append(number)
+    if f"number {number}" in FAULTS:
+        raise FAULTS[f"number {number}"]
+    return number
+
+
+def power_row(cell: PowerCell, number: int) -> SquareRow:
+    if f"power {cell.power}" in FAULTS:
+        raise FAULTS[f"power {cell.power}"]
+    return SquareRow("ok", "", number**cell.power / 7)
+
+
+CELLS = [PowerCell(number, power) for power in (1, 2) for number in NUMBERS]
+VALUES = [cell.number**cell.power / 7 for cell in CELLS]
+MEASURE = Measure(load_number, power_row, SquareRow)
+STUDY = replace(
+    SQUARES, cells=lambda: CELLS, measure=MEASURE, config={"powers": (1, 2)},
+    runs=Runs("squares_runs.csv", ("number", "power")),
+)  # fmt: skip
 
 
 @pytest.fixture(autouse=True)
@@ -39,16 +87,16 @@ def no_gl(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(task, "recording_key", lambda sim, seed: f"recording {seed}")
     monkeypatch.setattr(task, "run_key", lambda *parts: str(abs(hash(parts))))
     monkeypatch.setattr(module, "context_or_none", lambda: None)
-    monkeypatch.setattr(commands, "all_studies", lambda: {"powers": STUDY})
+    monkeypatch.setattr(commands, "all_studies", lambda: {"squares": STUDY})
 
 
 def run(cache: Path) -> Any:
     return run_study(STUDY, Cache(cache), Workers(1))
 
 
-def values(outcome: Any) -> list[int]:
+def values(outcome: Any) -> list[float]:
     """Values of all rows, in the order of the cells."""
-    return [int(value) for value in outcome.runs["value"]]
+    return outcome.runs["square"].tolist()
 
 
 def study(*arguments: object) -> Any:
@@ -60,20 +108,18 @@ def study(*arguments: object) -> Any:
 
 
 def test_every_cell_is_a_row_and_the_files_follow_from_it(tmp_path: Path) -> None:
-    result = study("powers", "--out", tmp_path, "--cache", tmp_path / "cache")
+    result = study("squares", "--out", tmp_path, "--cache", tmp_path / "cache")
     assert result.exit_code == 0, result.output
-    assert {path.name for path in tmp_path.iterdir() if path.is_file()} == {
-        "powers_runs.csv", "powers_runs.provenance.json", "powers.csv", "powers.provenance.json",
-        "powers.png", SUMS_FILE,
-    }  # fmt: skip
-    first, second, third, *_ = (tmp_path / "powers_runs.csv").read_text().splitlines()
-    assert first == "cell,number,pair,power,status,reason,value,share"
-    assert second == '0,0,"[0, 1]",1,ok,,0,0'
-    assert third == '1,1,"[1, 1]",1,ok,,1,0.142857'
-    assert (tmp_path / "powers.csv").read_text().splitlines()[1] == "1,6,0.857142"
-    content = json.loads((tmp_path / "powers_runs.provenance.json").read_text())
-    assert content["command"] == "ssac study powers"
-    assert content["config"] == {"study": "powers", "shard": "1/1", "powers": [1, 2]}
+    names = {path.name for path in tmp_path.iterdir() if path.is_file()}
+    assert names == {*STUDY.files, *STUDY.provenances, SUMS_FILE}
+    first, second, third, *_ = (tmp_path / "squares_runs.csv").read_text().splitlines()
+    assert first == "cell,number,pair,power,status,reason,square"
+    assert second == '0,0,"[0, 1]",1,ok,,0'
+    assert third == '1,1,"[1, 1]",1,ok,,0.142857'
+    assert (tmp_path / "squares.csv").read_text().splitlines()[1] == "low,0.428571"
+    content = json.loads((tmp_path / "squares_runs.provenance.json").read_text())
+    assert content["command"] == "ssac study squares"
+    assert content["config"] == {"study": "squares", "shard": "1/1", "powers": [1, 2]}
 
 
 @pytest.mark.parametrize("n_shards", [1, 2, 3, 5])
@@ -85,35 +131,35 @@ def test_shards_are_a_partition_that_splits_no_recording(n_shards: int) -> None:
 
 def test_merged_shards_are_the_same_bytes(tmp_path: Path) -> None:
     whole = tmp_path / "whole"
-    assert study("powers", "--out", whole, "--cache", tmp_path / "cache").exit_code == 0
+    assert study("squares", "--out", whole, "--cache", tmp_path / "cache").exit_code == 0
     parts = []
     for index in (1, 2, 3):
         folder = tmp_path / f"part{index}"
-        done = study("powers", "--out", folder, "--cache", folder, "--shard", f"{index}/3")
+        done = study("squares", "--out", folder, "--cache", folder, "--shard", f"{index}/3")
         assert done.exit_code == 0
-        assert not (folder / "powers.csv").exists()
-        parts.append(folder / "powers_runs.csv")
+        assert not (folder / "squares.csv").exists()
+        parts.append(folder / "squares_runs.csv")
 
     def merge(out: Path, *shards: Path) -> str:
         result = CliRunner().invoke(app, ["merge", str(out), *map(str, shards)])
         return str(result.exception or "")
 
-    out = tmp_path / "merged" / "powers_runs.csv"
+    out = tmp_path / "merged" / "squares_runs.csv"
     assert merge(out, *reversed(parts)) == ""
-    for name in ("powers_runs.csv", "powers.csv", "powers.png"):
+    for name in ("squares_runs.csv", "squares.csv", "squares.png"):
         assert (out.parent / name).read_bytes() == (whole / name).read_bytes(), name
-    merged = json.loads((out.parent / "powers.provenance.json").read_text())
+    merged = json.loads((out.parent / "squares.provenance.json").read_text())
     assert [one["config"]["shard"] for one in merged["shards"]] == ["3/3", "2/3", "1/3"]
 
-    x = tmp_path / "x" / "powers_runs.csv"
+    x = tmp_path / "x" / "squares_runs.csv"
     assert "2 of 8 cells are in none of the shards" in merge(x, *parts[:2])
     assert "cell 0 is in" in merge(x, parts[0], parts[0])
-    assert "are named powers_runs.csv" in merge(tmp_path / "x.csv", *parts)
+    assert "are named squares_runs.csv" in merge(tmp_path / "x.csv", *parts)
     content = json.loads(parts[1].with_suffix(".provenance.json").read_text())
     text = parts[1].read_text()
     for new, config, said in (
         (text, {"powers": [3]}, "is of another grid"),
-        (text.replace("value", "worth", 1), {}, "has other columns"),
+        (text.replace("square", "worth", 1), {}, "has other columns"),
         ("", {}, "is empty: run this shard again"),
         (f"{text}-1,x\n", {}, "a row begins with '-1', no cell's number"),
     ):
@@ -122,7 +168,7 @@ def test_merged_shards_are_the_same_bytes(tmp_path: Path) -> None:
         parts[1].with_suffix(".provenance.json").write_text(json.dumps(changed))
         assert said in merge(x, *parts)
     parts[1].with_suffix(".provenance.json").unlink()
-    assert "expected powers_runs.provenance.json beside it" in merge(x, *parts)
+    assert "expected squares_runs.provenance.json beside it" in merge(x, *parts)
     assert not x.exists()
 
 
@@ -143,15 +189,15 @@ def test_gaps_in_the_runs_are_found(tmp_path: Path) -> None:
 def test_the_command_refuses_before_the_work(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert study("--list").output.split() == ["powers", "Powers", "of", "numbers"]
+    assert study("--list").output.split() == ["squares", "Squares", "of", "numbers"]
     needy = replace(STUDY, reads=("runs.csv",))
-    monkeypatch.setattr(commands, "all_studies", lambda: {"powers": needy})
+    monkeypatch.setattr(commands, "all_studies", lambda: {"squares": needy})
     for words, said in (
-        (("roots",), "unknown study 'roots': use one of powers"),
-        ((), "name a study: powers"),
-        *((("powers", "--shard", text), "--shard: expected i/n")
+        (("roots",), "unknown study 'roots': use one of squares"),
+        ((), "name a study: squares"),
+        *((("squares", "--shard", text), "--shard: expected i/n")
           for text in ("0/2", "3/2", "1", "a/b", "-1/2")),
-        (("powers", "--out", tmp_path), "`ssac study powers` needs runs.csv in "),
+        (("squares", "--out", tmp_path), "`ssac study squares` needs runs.csv in "),
     ):  # fmt: skip
         with pytest.raises(SsacError, match=said):
             study(*words)
@@ -197,9 +243,9 @@ def test_a_crash_is_a_row_that_is_tried_again_and_leaves_the_others(tmp_path: Pa
 
 def test_a_crashed_run_makes_the_command_fail(tmp_path: Path) -> None:
     FAULTS["power 1"] = RuntimeError("a bug")
-    result = study("powers", "--out", tmp_path, "--cache", tmp_path / "cache")
+    result = study("squares", "--out", tmp_path, "--cache", tmp_path / "cache")
     assert result.exit_code == BUG
-    assert (pd.read_csv(tmp_path / "powers_runs.csv")["status"] == "crashed").sum() == 4
+    assert (pd.read_csv(tmp_path / "squares_runs.csv")["status"] == "crashed").sum() == 4
 
 
 def test_what_killed_runs_left_is_removed(tmp_path):
