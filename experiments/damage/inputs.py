@@ -18,9 +18,8 @@ from faery.file_encoder import events_to_file
 from numpy.typing import NDArray
 
 from experiments.lab.bridge import check_mesh
-from experiments.lab.cache import Brightness, Cache
+from experiments.lab.cache import BRIGHTNESS_CODE, Cache, is_sound, save_sums
 from experiments.lab.grid import CONFIGS, load_config
-from experiments.lab.health import is_sound, save_sums
 from experiments.worlds.bound import load_truth
 from sim.scene.flyers import quadrotor
 from sim.scene.trajectory import trajectory_from_csv
@@ -225,7 +224,11 @@ def _used(read: Callable[[Path], object], path: Path) -> int:
 
 
 _ROW = {"status": "ok", "reason": "", "t_d_error_ms": 0.12345, "n_samples": 348}
-_MEANS = Brightness(np.arange(50) / 50.0, np.arange(50), np.arange(50) / 50.0, np.arange(50))
+_MEANS = {
+    name: np.arange(50) if "times" in name else np.arange(50) / 50.0
+    for name in ("cam1", "times1_us", "cam2", "times2_us")
+}
+_TOLD = BRIGHTNESS_CODE, [*_MEANS], lambda: _MEANS
 
 
 def _entries(folder: Path, events: Events) -> list[Input]:
@@ -233,7 +236,7 @@ def _entries(folder: Path, events: Events) -> list[Input]:
     cache = Cache(folder / "cache")
     cache.save_run("abcd", _ROW)
     made = folder / "cache" / "recordings" / "abcd"
-    cache.brightness(made, lambda: _MEANS)
+    cache.told("brightness", made, *_TOLD)
     (means,) = (folder / "cache" / "brightness").iterdir()
     made.mkdir(parents=True)
     save_events_h5(made / "cam1.h5", events, WIDTH, HEIGHT)
@@ -260,11 +263,11 @@ def _use_row(path: Path) -> int:
 def _use_brightness(path: Path) -> int:
     cache = Cache(path.parent / "cache")
     recording = cache.folder / "recordings" / "abcd"
-    cache.brightness(recording, lambda: _MEANS)
+    cache.told("brightness", recording, *_TOLD)
     (put,) = (cache.folder / "brightness").iterdir()
     put.write_bytes(path.read_bytes())
-    for kept, made in zip(cache.brightness(recording, lambda: _MEANS), _MEANS, strict=True):
-        if not np.array_equal(kept, made):
+    for name, kept in cache.told("brightness", recording, *_TOLD).items():
+        if not np.array_equal(kept, _MEANS[name]):
             raise AssertionError("damaged means are used")
     return 1
 

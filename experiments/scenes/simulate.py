@@ -5,7 +5,8 @@ from typing import Annotated, Any
 
 import typer
 
-from experiments.lab.bridge import check_mesh, recording_bytes, rig_of
+from experiments.lab.bridge import check_mesh, rig_of
+from experiments.lab.cache import recording_bytes
 from experiments.lab.provenance import plain, versions
 from experiments.scenes.options import OPTIONS, chosen, chosen_sensor
 from experiments.scenes.scene import pair_figures, scene_table

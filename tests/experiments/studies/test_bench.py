@@ -8,11 +8,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments.lab.alone import run_alone
 from experiments.lab.cache import Cache
 from experiments.lab.files import csv_text, png_bytes
 from experiments.lab.pool import Processes, in_new_process
 from experiments.lab.results import Results
+from experiments.lab.schedule import run_alone
 from experiments.lab.task import Task, run_task
 from experiments.machine.growth import POINTS, STEP, STEPS, Point, StepCell
 from experiments.machine.parts import PART, Measurement, PartCell
@@ -82,8 +82,7 @@ def test_a_part_that_cannot_be_measured_is_a_row_and_not_a_gap(tmp_path: Path) -
 
 def _with_a_worker() -> int:
     with Processes(1) as pool:
-        pool.give(0, partial(abs, -3))
-        return pool.ended(60.0)[0].value
+        return pool.submit(partial(abs, -3)).result(60.0)
 
 
 def test_a_part_has_a_process_of_its_own_and_may_start_more() -> None:

@@ -93,7 +93,7 @@ def test_ones_own_file_ends_in_a_table_and_a_figure(tmp_path, monkeypatch, line,
     result = CliRunner().invoke(app, [*arguments, "--cache", str(tmp_path)], catch_exceptions=False)
     assert result.exit_code == 0, result.output
     assert {path.name for path in out.iterdir()} == names
-    assert "t_d_error_ms_median" in result.output  # the table is shown, too
+    assert "t_d_error_ms ± median" in result.output  # the table is shown, too
 
 
 def test_a_file_of_ones_own_is_checked_before_the_work(tmp_path):
@@ -103,4 +103,4 @@ def test_a_file_of_ones_own_is_checked_before_the_work(tmp_path):
         with pytest.raises(SsacError, match=r"my\.toml: unknown parameter 'sim\.angel_deg'"):
             CliRunner().invoke(app, [command, str(config)], catch_exceptions=False)
     with pytest.raises(SsacError, match="unknown ablation 'mine'"):
-        commands.ablate_command(["mine"])
+        commands.ablate_command(names=["mine"])
