@@ -24,7 +24,7 @@ from ssac.geometry.epipolar import robust_deviation
 from ssac.points import PointTrack
 from ssac.rules import PointRules
 from ssac.track.clean import Clean
-from ssac.track.clutter import chosen_events, of_pixels
+from ssac.track.clutter import of_pixels
 from ssac.track.motion_kernels import (
     first_from_each,
     local_parabolas_at,
@@ -271,7 +271,7 @@ def object_motion(
     if camera.distortion_model != "none":
         ideal = undistortion_map(camera)
         known = of_pixels(np.isfinite(ideal[..., 0]), events["x"], events["y"])
-        events = events if known.all() else chosen_events(events, known)
+        events = events if known.all() else events.compress(known)
     n, (slice_bits, n_slices) = len(events), _slices(events["t"])
     times_us, position_sums_px = np.empty(n, np.int64), np.empty((n + 1, 2))
     border_sums, slice_starts = np.empty(n + 1, np.int32), np.zeros(n_slices + 1, np.int32)
