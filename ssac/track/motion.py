@@ -11,7 +11,6 @@ suggest stands for it.
 """
 
 from dataclasses import dataclass, field, replace
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,24 +56,7 @@ class SharpTrack(Track):
     sizes_px: Array  # (...,) root mean square distance of the image from its position
 
 
-class Motion(Protocol):
-    """One camera's view of the object, to be sampled at any times: of events or of points."""
-
-    @property
-    def span_s(self) -> tuple[float, float]:
-        """Times of the first and last event or point [s]."""
-
-    def at(self, times_s: Array) -> Track:
-        """Positions at times (...,) [s]."""
-
-    def velocities_at(self, times_s: Array) -> Array:
-        """Image velocities (..., 2) [px/s] at times (...,) [s]."""
-
-    def sharp_at(self, times_s: Array) -> SharpTrack:
-        """Sharp positions, velocities and sizes at times (n,) [s]."""
-
-
-def motion_of(clean: Clean, how: Windows) -> Motion:
+def motion_of(clean: Clean, how: Windows) -> "Motion":
     """Sum up a camera's object for sampling at any time (Sec. IV-A).
 
     Sums over its events are kept with what is clean: they depend on the width of the border alone,
@@ -331,8 +313,7 @@ class PointMotion:
 
     def at(self, times_s: Array) -> Track:
         """Sample the track at times (...,) [s]; invalid in gaps and beyond the ends."""
-        sharp = self.sharp_at(times_s)
-        return Track(sharp.times_s, sharp.positions_px, sharp.counts, sharp.valid)
+        return self.sharp_at(times_s)
 
     def velocities_at(self, times_s: Array) -> Array:
         """Image velocity (..., 2) [px/s] at times (...,) [s]; NaN where it is not known."""
@@ -362,6 +343,10 @@ class PointMotion:
             velocities.reshape(*shape, 2),
             sizes.reshape(shape),
         )
+
+
+Motion = ObjectMotion | PointMotion
+"""One camera's view of the object, to be sampled at any times: of events or of points."""
 
 
 def point_motion(
