@@ -91,13 +91,5 @@ def _checked(seen: Observation, camera: Camera, name: str) -> Clean:
         check_events(seen.events, camera.width, camera.height, name)
     if isinstance(seen, Clean):
         return replace(seen, camera=camera)
-    return Clean(
-        seen.events,
-        seen.frames,
-        seen.frame_times_s,
-        seen.track,
-        seen.name,
-        camera=camera,
-        n_recorded=len(seen.events),
-        denoised=seen.has_track,
-    )
+    n, has_track = len(seen.events), seen.has_track
+    return Clean(**vars(seen), camera=camera, n_recorded=n, denoised=has_track)

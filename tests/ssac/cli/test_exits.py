@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+from functools import partial
 
 import pytest
 
@@ -81,7 +82,12 @@ def run():
 {body}
 sys.exit(guarded(run))
 """
-    return subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.PIPE, **options)
+    command, heed = (
+        [sys.executable, "-c", code],
+        partial(signal.signal, signal.SIGINT, signal.SIG_DFL),
+    )
+    # Whoever runs the tests in the background may have made them deaf to interrupts.
+    return subprocess.Popen(command, stderr=subprocess.PIPE, preexec_fn=heed, **options)
 
 
 def test_a_reader_that_stops_reading_is_no_crash():

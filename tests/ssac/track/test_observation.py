@@ -92,20 +92,6 @@ def test_other_windows_than_those_summed_up_are_obeyed(change, raw, cleaned):
     assert_same_motion(motion_of(cleaned, WINDOWS), motion_of(clean(raw, CAMERA, HOW), WINDOWS))
 
 
-def test_sums_are_made_once_for_each_width_of_the_border(cleaned, monkeypatch):
-    made = []
-    monkeypatch.setattr(
-        "ssac.track.motion.object_motion",
-        lambda *args, work=motion_of.__globals__["object_motion"]: (
-            made.append(args[4]) or work(*args)
-        ),
-    )
-    for config in (Config(), Config(half_window_s=0.01, n_min=50), Config(border_px=9)) * 2:
-        motion_of(cleaned, config.windows)
-        motion_of(cleaned.delayed(0.1), config.windows)
-    assert made == [5, 9]
-
-
 @pytest.mark.parametrize("camera", [RADTAN, Camera(K * [[2.0], [2.0], [1.0]], WIDTH, HEIGHT)])
 def test_another_camera_is_obeyed(camera, cleaned):
     before = motion_of(cleaned, WINDOWS)
