@@ -87,8 +87,10 @@ def test_a_gap_in_the_recording_changes_nothing():
     np.testing.assert_array_equal(mask_of(merged(events, late)), pixels((40, 35, 6)))
 
 
-def test_short_recordings_do_not_tell_a_lamp():
-    assert not mask_of(lamp(40, 35, 6, 1_500_000)).any()
+def test_short_recordings_do_not_tell_a_lamp_and_clean_ones_have_no_background():
+    assert activity(blob(flight), WIDTH, HEIGHT, RULES).background_hz == 0.0
+    for events in (lamp(40, 35, 6, 1_500_000), np.empty(0, EVENT_DTYPE)):
+        assert not mask_of(events).any()
     assert mask_of(lamp(40, 35, 6, 3_000_000)).any()
 
 
@@ -117,12 +119,6 @@ def test_the_background_is_that_of_ordinary_pixels(hz):
     # of the deviation; and a Poisson number's median is 1/3 below its mean, at 0.2 Hz 1/3 of 5.
     of_square = hz * 25.6
     assert found.background_hz == pytest.approx(hz, rel=0.3 / of_square + 0.35 / of_square**0.5)
-
-
-def test_no_background_and_no_mask_of_a_clean_recording():
-    assert activity(blob(flight), WIDTH, HEIGHT, RULES).background_hz == 0.0
-    assert not mask_of(blob(flight)).any()
-    assert not mask_of(np.empty(0, EVENT_DTYPE)).any()
 
 
 def random_events(n, duration_us, seed=0, first_us=0):
@@ -176,6 +172,9 @@ def test_the_filter_equals_a_k_d_tree(stream, ball):
 
 def test_neighbours_must_be_as_many_as_asked():
     events = events_from_arrays(np.arange(21), [3] * 21, [4] * 21, [1] * 21)
+    left, found = without_noise(small(15_000), WIDTH, HEIGHT, 9, RULES)
+    assert (found.radius_px, found.n_neighbours) == (RULES.ball_px, 9)
+    np.testing.assert_array_equal(left, radius_filter(small(15_000), n_neighbours=9))
     assert len(radius_filter(events)) == 21
     assert len(radius_filter(events[:20])) == 0
     none = np.empty(0, EVENT_DTYPE)
@@ -225,9 +224,3 @@ def test_much_noise_takes_the_near_ball():
     assert found.n_min == N_MIN
     # Less of the noise beside the object is left.
     assert len(ours) < len(left) < len(radius_filter(events))
-
-
-def test_what_is_asked_for_is_done():
-    left, found = without_noise(small(15_000), WIDTH, HEIGHT, 9, RULES)
-    assert (found.radius_px, found.n_neighbours) == (RULES.ball_px, 9)
-    np.testing.assert_array_equal(left, radius_filter(small(15_000), n_neighbours=9))
