@@ -1,10 +1,9 @@
 """The commands `ssac track` and `ssac import`, which make track files of other recordings."""
 
 import warnings
-from enum import Enum
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -96,15 +95,10 @@ def track_command(
     )
 
 
-class Form(str, Enum):
-    """What can be imported."""
-
-    DRONE_TRACKING = "drone-tracking"
-
-
 def import_command(
     form: Annotated[
-        Form, typer.Argument(metavar="FORM", help="Data set: drone-tracking.", show_default=False)
+        Literal["drone-tracking"],
+        typer.Argument(metavar="FORM", help="Data set: drone-tracking.", show_default=False),
     ],
     folder: Annotated[
         Path, typer.Argument(metavar="FOLDER", help="Folder of one data set.", show_default=False)
