@@ -63,12 +63,8 @@ def clean(seen: Observation, camera: Camera, how: Cleaning, name: str = "camera"
     """Check what a camera recorded, and remove the noise from its events (Sec. IV-A).
 
     What is clean already stays as it is, but for denoising that was skipped and is asked for now.
-    Messages call the camera by the recording's name, or else by `name`.
-
-    Raises
-    ------
-    SsacError
-        If the camera, or its events or points, cannot be used: empty, unsorted, outside its sensor.
+    SsacError, of the recording's name or else of `name`, if the camera, or its events or points,
+    cannot be used: empty, unsorted, outside its sensor.
     """
     if not isinstance(seen, Clean):
         seen = _checked(seen, camera, seen.name or name)

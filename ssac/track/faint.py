@@ -68,11 +68,7 @@ def faint_object_events(events: Events, width: int, height: int, by: Rules | Non
 
     What the radius filter leaves is surely the object's, but has gaps where it is far or slow;
     through these it is followed. Where that is too little to follow, it is all that is given.
-
-    Raises
-    ------
-    SsacError
-        When no event is surely of an object.
+    SsacError when no event is surely of an object.
     """
     by = by or Rules()
     rules = by.faint

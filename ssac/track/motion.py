@@ -229,25 +229,15 @@ def object_motion(
     border_px: int = 5,
     max_border_fraction: float = 0.05,
 ) -> ObjectMotion:
-    """Prepare the events of one camera for sampling (the paper's Sec. IV-A).
+    """Prepare the events (n,) of one camera for sampling (the paper's Sec. IV-A).
 
-    Parameters
-    ----------
-    events
-        Dtype EVENT_DTYPE, shape (n,), sorted by time and denoised. May be empty: every sample is
-        then invalid.
-    camera
-        Its distortion is removed from the coordinates before they are averaged; events at pixels
-        that its lens model cannot undistort are left out.
-    half_window_s, n_min
-        Half the length of the window around a sample time, and the events that it holds at least.
-    border_px
-        Width of the border, in raw pixels.
-        Deviation: the paper drops what lies "on the image boundary" and gives no width. With 1 px,
-        an object 40 px wide loses half of itself before 5 % of its events lie on the border, and
-        its mean shifts by pixels; with 5 px it is dropped before it is cut.
-    max_border_fraction
-        A sample with more of its events on the border is dropped.
+    They are sorted by time and denoised; of none, every sample is invalid. Distortion is removed
+    from their coordinates before these are averaged; events at pixels that the lens model cannot
+    undistort are left out. Windows hold at least `n_min` events within half a window [s] of a
+    sample, and at most such a fraction on the border, `border_px` raw pixels wide.
+    Deviation: the paper drops what lies "on the image boundary" and gives no width. With 1 px, an
+    object 40 px wide loses half of itself before 5 % of its events lie on the border, and its mean
+    shifts by pixels; with 5 px it is dropped before it is cut.
     """
     ideal = None
     if camera.distortion_model != "none":
@@ -356,24 +346,12 @@ def point_motion(
     half_window_s: float = 0.020,
     name: str = "track",
 ) -> PointMotion:
-    """Prepare the points of one camera for sampling.
+    """Prepare the points of one camera, in time order, for sampling.
 
-    Parameters
-    ----------
-    track
-        Points in time order.
-    camera
-        Its distortion is removed; points that its lens model cannot undistort are left out. With a
-        rolling shutter, each point was seen `readout_s` times its row's share of the height later.
-    half_window_s
-        Half of the window of a local parabola [s]; longer where that holds fewer than five points.
-    name
-        What the track is; starts error messages.
-
-    Raises
-    ------
-    SsacError
-        If the readout is longer than from one frame to the next.
+    Distortion is removed; points that the lens model cannot undistort are left out. With a rolling
+    shutter, each point was seen `readout_s` times its row's share of the height later. Windows of
+    local parabolas are longer where `half_window_s` [s] holds fewer than five points. SsacError,
+    which starts with what the track is, if the readout is longer than from one frame to the next.
     """
     times_s = track.times_s
     interval_s = float(np.median(np.diff(times_s))) if len(times_s) > 1 else 0.0
