@@ -25,6 +25,7 @@ from ssac.rules import PointRules
 from ssac.track.clean import Clean
 from ssac.track.clutter import of_pixels
 from ssac.track.motion_kernels import (
+    Sliced,
     first_from_each,
     local_parabolas_at,
     mean_times_us,
@@ -130,15 +131,12 @@ class ObjectMotion:
         `max_border_fraction` lie on the border: the two rules of the paper's Sec. IV-A. It also
         must not reach into a gap.
         """
-        positions_px, counts, on_border = window_sums(
-            self.times_us,
-            self.slice_bits,
-            self.slice_starts,
-            self.position_sums_px,
-            self.border_sums,
-            times_s.ravel(),
-            self.half_window_s,
+        sums, n = (
+            (self.position_sums_px, self.border_sums),
             times_s.shape[-1] if times_s.ndim else 1,
+        )
+        positions_px, counts, on_border = window_sums(
+            self._sliced, sums, times_s.ravel(), self.half_window_s, n
         )
         valid = (counts >= self.n_min) & (on_border <= self.max_border_fraction * counts)
         if len(self.gaps_us):
@@ -206,8 +204,11 @@ class ObjectMotion:
     def _indices(self, times_s: Array, side: int) -> Indices:
         """Index of the first event at or after each time, moved by -1, 0 or +1 half-windows."""
         wanted_s = (times_s + side * self.half_window_s).ravel()
-        indices = first_from_each(wanted_s, self.times_us, self.slice_bits, self.slice_starts)
-        return indices.reshape(times_s.shape)
+        return first_from_each(wanted_s, self._sliced).reshape(times_s.shape)
+
+    @property
+    def _sliced(self) -> Sliced:
+        return self.times_us, self.slice_bits, self.slice_starts
 
     def _mean_positions(self, first: Indices, last: Indices) -> Array:
         """Mean position (..., 2) [px] of the events from `first` up to, not including, `last`."""
