@@ -78,7 +78,8 @@ def _in_order(
     t, x, y = (events[field] for field in "txy")
     steps_us, is_back = np.diff(t), t[1:] < t[:-1]
     n_back = np.count_nonzero(is_back)
-    n_leaps = np.count_nonzero(~is_back & ((steps_us > _LONGEST_GAP_US) | (steps_us < 0)))  # int64
+    is_leap = (steps_us > _LONGEST_GAP_US) | (steps_us < 0)  # which no longer fits 64 bits
+    n_leaps = np.count_nonzero(~is_back & is_leap)
     most_back_us = int(np.max(np.maximum.accumulate(t) - t, initial=0))
     if n_back and not n_leaps and most_back_us < 1000:  # as a driver mixes events up
         late = f"{n_back} of {len(events)}", f"up to {most_back_us} us too late"
@@ -87,7 +88,7 @@ def _in_order(
                 f"{path}: events must be sorted by time, but {late[0]} come {late[1]}: sort them "
                 "with --sort"
             )
-        warnings.warn(f"{path}: {late[0]} events came {late[1]} and were sorted", stacklevel=4)
+        warnings.warn(f"{path}: {late[0]} events came {late[1]} and were sorted", stacklevel=3)
         events, n_back = events[np.argsort(t, kind="stable")], 0
     elif n_back and not reading.allow_damaged:
         i = int(np.argmax(is_back)) + 1
