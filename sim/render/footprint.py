@@ -1,7 +1,7 @@
 """Where the drone's image lies: the instants to render, and the pixels to draw at each."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit, types
@@ -12,7 +12,7 @@ from scipy.spatial import ConvexHull, QhullError
 from sim.arrays import Float32Array, FloatArray, IntArray
 from sim.errors import SimError
 from sim.render.config import SamplingConfig
-from sim.scene.drone import Drone, Part
+from sim.scene.drone import Drone
 from sim.scene.rig import MIN_DEPTH_M, Camera
 from sim.scene.trajectory import PosesAt, Trajectory
 
@@ -229,29 +229,23 @@ def choose_instants(
 MARGIN_PX = {"none": 0.01, "radtan": 1.0, "equidistant": 1.0}
 
 
-@dataclass(frozen=True)
-class Views:
+class Views(NamedTuple):
     """What drawing n instants of one camera needs."""
 
     times_s: FloatArray  # (n,) [s]
     visible: NDArray[np.bool_]  # (n,)
-    low_px: FloatArray  # (n, 2) least column and row that the image may touch
-    high_px: FloatArray  # (n, 2) greatest
     depth_m: FloatArray  # (n, 2) least and greatest depth
     boxes: IntArray  # (n, 4) x0, y0, x1, y1 (exclusive) of the whole pixels touched in the image
-    T_C_P: list[Float32Array]  # of each part (n, 4, 4); the last row is for the tile
+    T_C_P: Float32Array  # (n, parts, 4, 4)
 
     def chosen(self, which: slice | IntArray) -> "Views":
         """Return some of the instants."""
-        return Views(
-            self.times_s[which],
-            self.visible[which],
-            self.low_px[which],
-            self.high_px[which],
-            self.depth_m[which],
-            self.boxes[which],
-            [matrices[which] for matrices in self.T_C_P],
-        )
+        return Views(**{name: values[which] for name, values in self._asdict().items()})
+
+    def crop_size(self) -> tuple[int, int]:
+        """Width and height [px] of the smallest crop that is large enough for every box."""
+        width, height = (self.boxes[:, 2:] - self.boxes[:, :2]).max(axis=0)
+        return int(width), int(height)
 
 
 def plan_views(
@@ -271,23 +265,9 @@ def plan_views(
     first_px = np.clip(np.floor(low + 0.5), 0, last)
     last_px = np.clip(np.floor(high + 0.5), 0, last)
     boxes: IntArray = np.concatenate([first_px, last_px + 1], axis=1).astype(np.int64)
-    poses = T_W_B[chosen]
-    T_C_P = [_placed(camera, part, times_s[chosen], poses, visible) for part in drone.parts]
-    return Views(times_s[chosen], visible, low, high, seen.depth_m[chosen], boxes, T_C_P)
-
-
-def crop_size(boxes: IntArray) -> tuple[int, int]:
-    """Width and height [px] of the smallest crop that is large enough for every box."""
-    size = (boxes[:, 2:] - boxes[:, :2]).max(axis=0)
-    return int(size[0]), int(size[1])
-
-
-def _placed(
-    camera: Camera, part: Part, times_s: FloatArray, T_W_B: FloatArray, visible: NDArray[np.bool_]
-) -> Float32Array:
-    """Return T_C_P (n, 4, 4) of a part; out of view it shrinks to a point and covers no sample."""
-    T_W_P = T_W_B if part.joint is None else T_W_B @ part.joint.transforms(times_s)
-    matrices = camera.T_C_W @ T_W_P
-    matrices[~visible] = np.diag([0.0, 0.0, 0.0, 1.0])
-    matrices[~visible, 2, 3] = 1.0  # on the axis, in front of the camera
-    return matrices.astype(np.float32)
+    T_C_P = camera.T_C_W @ _parts_in_world(drone, times_s[chosen], T_W_B[chosen])
+    # Out of view a part shrinks to a point on the axis, in front, which covers no sample.
+    T_C_P[:, ~visible] = np.diag([0.0, 0.0, 0.0, 1.0])
+    T_C_P[:, ~visible, 2, 3] = 1.0
+    matrices = np.ascontiguousarray(T_C_P.swapaxes(0, 1), np.float32)
+    return Views(times_s[chosen], visible, seen.depth_m[chosen], boxes, matrices)

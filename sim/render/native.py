@@ -7,7 +7,7 @@ import numpy as np
 
 from sim.arrays import Float32Array, IntArray
 from sim.render.config import DISTORTION_MODELS, RenderConfig
-from sim.render.footprint import Views, crop_size
+from sim.render.footprint import Views
 from sim.render.lattice import runs_of_tile
 from sim.render.native_kernels import paint_crops
 from sim.scene.drone import Drone, in_memory, part_faces, piece_size_m
@@ -35,7 +35,7 @@ class NativePainter:
     ) -> Float32Array:
         """Draw crops (n, height, width), whose first pixels are at `corner_px` (n, 2)."""
         lattice = self._config.lattice
-        width, height = crop_size(views.boxes)
+        width, height = views.crop_size()
         largest = max(1, BLOCK_SAMPLES // lattice.a)
         block_px = tuple(-(-size // -(-size // largest)) for size in (width, height))
         tile = lattice.tile_size(*block_px)
@@ -44,7 +44,7 @@ class NativePainter:
         luminance = np.empty((len(views.times_s), height, width), np.float32)
         paint_crops(  # type: ignore[no-untyped-call]
             mesh.vertices, mesh.first_vertex, mesh.faces, mesh.normals, mesh.albedo,
-            mesh.first_face, np.stack(views.T_C_P).astype(np.float64), views.visible,
+            mesh.first_face, views.T_C_P.astype(np.float64), views.visible,
             (K[0, 0], K[1, 1], K[0, 2], K[1, 2]), DISTORTION_MODELS[camera.distortion_model],
             tuple(camera.distortion_coeffs) or (0.0, 0.0, 0.0, 0.0), (lattice.a, lattice.b),
             tuple(lattice.centre),
