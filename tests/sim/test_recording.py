@@ -235,7 +235,7 @@ def test_what_is_recorded_is_handed_on_meanwhile(monkeypatch: pytest.MonkeyPatch
 
     config = replace(QUICK, frames=FrameConfig(50.0))
     flight, whole = stream(config, 1, CountingSink), simulate(config, 1)
-    assert flight.n_instants == whole.flight.n_instants
+    assert flight.n_instants == whole.n_instants
     assert [name for name, what, _ in calls if what == "close"] == ["cam1", "cam2"]
     for camera in whole.cameras:
         mine = [call[1:] for call in calls if call[0] == camera.camera.name]

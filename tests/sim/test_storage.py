@@ -195,7 +195,7 @@ def test_what_is_recorded_meanwhile_is_what_was_simulated_before(
 
 @pytest.mark.parametrize("error", [OSError("No space left on device"), KeyboardInterrupt()])
 @pytest.mark.parametrize(
-    "step", ["_ImageChunks", "_regrouped", "save_events_text", "kalibr_yaml", "_truth"]
+    "step", ["CameraFiles", "_joined", "save_events_text", "kalibr_yaml", "_truth"]
 )
 @pytest.mark.parametrize("out", ["new", "empty", "a/b/new"])
 def test_nothing_is_left_of_a_recording_that_cannot_be_written(
