@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -82,12 +83,9 @@ def solid(mesh: trimesh.Trimesh, albedo: float) -> Part:
 def join(parts: list[Part], scale: float = 1.0, joint: Joint | None = None) -> Part:
     """Join parts into one, scaled, on the given joint."""
     first = np.cumsum([0] + [len(part.vertices_B_m) for part in parts])
-    return Part(
-        vertices_B_m=np.concatenate([part.vertices_B_m for part in parts]) * scale,
-        faces=np.concatenate([part.faces + n for part, n in zip(parts, first, strict=False)]),
-        albedo=np.concatenate([part.albedo for part in parts]),
-        joint=joint,
-    )
+    vertices = np.concatenate([part.vertices_B_m for part in parts]) * scale
+    faces = np.concatenate([part.faces + n for part, n in zip(parts, first, strict=False)])
+    return Part(vertices, faces, np.concatenate([part.albedo for part in parts]), joint)
 
 
 def check_size(size_m: float) -> None:
@@ -176,16 +174,10 @@ def hexagonal_hull(sections: Sequence[tuple[float, float, float, float]]) -> tri
     """Return the hull of hexagonal cross sections: x, half width, bottom, top of each."""
     return hull(
         [
-            (x, y, z)
+            (x, side * share * half_width, z)
             for x, half_width, bottom, top in sections
-            for y, z in (
-                (-half_width, 0.0),
-                (half_width, 0.0),
-                (-0.6 * half_width, bottom),
-                (0.6 * half_width, bottom),
-                (-0.6 * half_width, top),
-                (0.6 * half_width, top),
-            )
+            for share, z in ((1.0, 0.0), (0.6, bottom), (0.6, top))
+            for side in (-1, 1)
         ]
     )
 
@@ -218,6 +210,12 @@ def prism(n_sides: int, radius: float, length: float) -> trimesh.Trimesh:
     return hull(np.concatenate(ends))
 
 
+def moved(mesh: trimesh.Trimesh, by: ArrayLike) -> trimesh.Trimesh:
+    """Move a mesh, in place, and return it."""
+    mesh.apply_translation(by)
+    return mesh
+
+
 def pose(origin: ArrayLike, yaw_rad: float = 0.0, pitch_rad: float = 0.0) -> FloatArray:
     """Return the (4, 4) transform that turns about y, then about z, then moves to `origin`."""
     T = np.eye(4)
@@ -244,15 +242,6 @@ def piece_size_m(drone: Drone, camera: Camera) -> float | None:
     return None if camera.distortion_model == "none" else drone.size_m * PIECE_OF_SIZE
 
 
-def part_faces(part: Part, piece_m: float | None) -> Faces:
-    """Return a part's faces, split until no edge is longer than `piece_m`.
-
-    SimError when the mesh does not fit the memory.
-    """
-    with in_memory(len(part.faces)):
-        return _faces(part, piece_m)
-
-
 @contextmanager
 def in_memory(n_faces: int) -> Iterator[None]:
     """Refuse a mesh of so many faces that the memory does not hold."""
@@ -264,19 +253,17 @@ def in_memory(n_faces: int) -> Iterator[None]:
         ) from error
 
 
-def _faces(part: Part, piece_m: float | None) -> Faces:
-    vertices, faces, albedo = part.vertices_B_m, part.faces, part.albedo
-    if piece_m is not None:
-        vertices, faces, index = trimesh.remesh.subdivide_to_size(  # type: ignore[no-untyped-call]
-            vertices, faces, piece_m, return_index=True
-        )
-        albedo = albedo[index]
-    corners = vertices[faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    has_area = length[:, 0] > 0.0  # the others show nothing
-    return Faces(
-        corners[has_area].astype(np.float32),
-        (normals[has_area] / length[has_area]).astype(np.float32),
-        albedo[has_area].astype(np.float32),
-    )
+def part_faces(part: Part, piece_m: float | None) -> Faces:
+    """Return a part's faces, split until no edge is longer than `piece_m`; see `in_memory`."""
+    with in_memory(len(part.faces)):
+        vertices, faces, albedo = part.vertices_B_m, part.faces, part.albedo
+        if piece_m is not None:
+            split: Any = trimesh.remesh.subdivide_to_size
+            vertices, faces, index = split(vertices, faces, piece_m, return_index=True)
+            albedo = albedo[index]
+        corners = vertices[faces]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        length = np.linalg.norm(normals, axis=1, keepdims=True)
+        has_area = length[:, 0] > 0.0  # the others show nothing
+        shown = (corners[has_area], normals[has_area] / length[has_area], albedo[has_area])
+        return Faces(*(values.astype(np.float32) for values in shown))

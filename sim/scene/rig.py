@@ -40,37 +40,27 @@ class Camera:
     time_offset_s: float  # t_cam = t_world + time_offset_s
 
     def __post_init__(self) -> None:
-        if self.K.shape != (3, 3) or self.T_C_W.shape != (4, 4):
-            raise SimError(
-                f"{self.name}: K must be (3, 3) and T_C_W (4, 4), "
-                f"got {self.K.shape} and {self.T_C_W.shape}"
+        K, model, coeffs = self.K, self.distortion_model, self.distortion_coeffs
+        if K.shape != (3, 3) or self.T_C_W.shape != (4, 4):
+            said = f"K must be (3, 3) and T_C_W (4, 4), got {K.shape} and {self.T_C_W.shape}"
+        elif not (K[0, 0] > 0 and K[1, 1] > 0 and self.width > 0 and self.height > 0):
+            got = f"{K[0, 0]}, {K[1, 1]} px and {self.width} x {self.height}"
+            said = f"focal lengths and resolution must be positive, got {got}"
+        elif not (np.isfinite(K).all() and np.isfinite(self.T_C_W).all()):
+            said = f"K and T_C_W must be finite, got {K.tolist()} and {self.T_C_W.tolist()}"
+        elif model not in N_COEFFS:
+            said = f"unknown distortion model {model!r}: use one of {', '.join(N_COEFFS)}"
+        elif len(coeffs) != N_COEFFS[model] or not np.isfinite(coeffs).all():
+            needs = f"{N_COEFFS[model]} finite coefficients"
+            said = f"the distortion model {model!r} needs {needs}, got {coeffs}"
+        elif self._folds_within_image():
+            said = (
+                f"the {model} coefficients {coeffs} fold the image back on itself before its "
+                "border: use weaker distortion"
             )
-        if not (self.K[0, 0] > 0 and self.K[1, 1] > 0 and self.width > 0 and self.height > 0):
-            raise SimError(
-                f"{self.name}: focal lengths and resolution must be positive, "
-                f"got {self.K[0, 0]}, {self.K[1, 1]} px and {self.width} x {self.height}"
-            )
-        if not (np.isfinite(self.K).all() and np.isfinite(self.T_C_W).all()):
-            raise SimError(
-                f"{self.name}: K and T_C_W must be finite, got {self.K.tolist()} and "
-                f"{self.T_C_W.tolist()}"
-            )
-        if self.distortion_model not in N_COEFFS:
-            raise SimError(
-                f"{self.name}: unknown distortion model {self.distortion_model!r}: "
-                f"use one of {', '.join(N_COEFFS)}"
-            )
-        n_coeffs = N_COEFFS[self.distortion_model]
-        if len(self.distortion_coeffs) != n_coeffs or not np.isfinite(self.distortion_coeffs).all():
-            raise SimError(
-                f"{self.name}: the distortion model {self.distortion_model!r} needs {n_coeffs} "
-                f"finite coefficients, got {self.distortion_coeffs}"
-            )
-        if self._folds_within_image():
-            raise SimError(
-                f"{self.name}: the {self.distortion_model} coefficients {self.distortion_coeffs} "
-                "fold the image back on itself before its border: use weaker distortion"
-            )
+        else:
+            return
+        raise SimError(f"{self.name}: {said}")
 
     def project(self, points_W: FloatArray) -> FloatArray:
         """Project points (..., 3) [m] of the world to distorted pixels (..., 2), column and row.
@@ -194,22 +184,11 @@ def look_at_rig(
 ) -> Rig:
     """Place equal cameras, cam1, cam2, ..., on a horizontal circle, all looking at the origin.
 
-    Parameters
-    ----------
-    angles_deg
-        One per camera [deg], counter-clockwise seen from above: at 0 the camera stands at
-        (0, -distance_m, 0), looks along +y, and the image's down is the world's -z.
-    resolution
-        Width and height [px].
-    principal_point
-        Column and row [px].
-    time_offsets_s
-        Each camera's clock minus the world's [s]; zero by default.
-
-    Raises
-    ------
-    SimError
-        When the distance is not positive, or the numbers of angles and offsets differ.
+    Angles [deg] are counter-clockwise seen from above: at 0 a camera stands at (0, -distance_m, 0),
+    looks along +y, and the image's down is the world's -z. Offsets are each camera's clock minus
+    the world's [s]; zero by default. The resolution is width and height, the principal point column
+    and row [px]. SimError when the distance is not positive, or the numbers of angles and offsets
+    differ.
     """
     if not distance_m > 0:
         raise SimError(f"the cameras' distance must be positive, got {distance_m} m")
@@ -218,20 +197,14 @@ def look_at_rig(
         raise SimError(f"{len(angles_deg)} cameras need as many time offsets, got {len(offsets_s)}")
     u, v = principal_point
     K = np.array([[focal_px, 0.0, u], [0.0, focal_px, v], [0.0, 0.0, 1.0]])
-    cameras = tuple(
-        Camera(
-            name=f"cam{number}",
-            K=K,
-            width=resolution[0],
-            height=resolution[1],
-            distortion_model=distortion_model,
-            distortion_coeffs=tuple(distortion_coeffs),
-            T_C_W=_look_at_origin(angle_deg, distance_m),
-            time_offset_s=offset_s,
+    lens = (distortion_model, tuple(distortion_coeffs))
+    placed = enumerate(zip(angles_deg, offsets_s, strict=True), 1)
+    return Rig(
+        tuple(
+            Camera(f"cam{n}", K, *resolution, *lens, _look_at_origin(angle_deg, distance_m), offset)
+            for n, (angle_deg, offset) in placed
         )
-        for number, (angle_deg, offset_s) in enumerate(zip(angles_deg, offsets_s, strict=True), 1)
     )
-    return Rig(cameras)
 
 
 def two_view_rig(angle_deg: float, *, t_d_s: float = 0.0, **placed: Any) -> Rig:
@@ -276,14 +249,9 @@ def kalibr_yaml(rig: Rig, with_extrinsics: bool) -> str:
 
 def _look_at_origin(angle_deg: float, distance_m: float) -> FloatArray:
     """Return T_C_W of a camera at (0, -distance_m, 0), looking at the origin, turned about z."""
-    T_C0_W = np.array(
-        [
-            [1.0, 0.0, 0.0, 0.0],
-            [0.0, 0.0, -1.0, 0.0],
-            [0.0, 1.0, 0.0, distance_m],
-            [0.0, 0.0, 0.0, 1.0],
-        ]
-    )
+    # Across is the world's x, down its -z, and forward its y.
+    T_C0_W = np.eye(4)[[0, 2, 1, 3]]
+    T_C0_W[1, 2], T_C0_W[2, 3] = -1.0, distance_m
     cos, sin = np.cos(np.deg2rad(angle_deg)), np.sin(np.deg2rad(angle_deg))
     # Undoes the turn: the camera turned by +angle sees the world turned by -angle.
     T_W0_W = np.eye(4)

@@ -203,7 +203,7 @@ def test_a_mesh_too_large_for_memory_is_refused(monkeypatch: pytest.MonkeyPatch)
     def full(*_: object, **__: object) -> None:
         raise MemoryError
 
-    monkeypatch.setattr(sim.scene.drone, "_faces", full)
+    monkeypatch.setattr(sim.scene.drone, "Faces", full)
     camera = make_camera()
     with pytest.raises(SimError, match="mesh of 12 faces does not fit the memory: simplify it"):
         drawn(painted(BOX, 0.2), camera, np.zeros(1), poses(np.zeros((1, 3))), grey(camera), NO_GL)
