@@ -221,8 +221,8 @@ def test_by_time_row_column_and_order_of_emission(span_s: float, n: int) -> None
     about = np.stack([rng(n + 1).integers(0, high, n) for high in (WIDTH, HEIGHT, 2)])
     buffer = EventBuffer()
     buffer.n = n
-    buffer.t_s[:n] = t_s
-    buffer.x[:n], buffer.y[:n], buffer.p[:n] = about
+    for name, values in zip(("t_s", "x", "y", "p"), (t_s, *about), strict=True):
+        buffer.events[name][:n] = values
     rows = np.column_stack([np.rint(1e6 * t_s).astype(np.int64), *about])
     expected = rows[np.lexsort((rows[:, 1], rows[:, 2], rows[:, 0]))]  # a stable sort
     until_us = 0.25e6 * span_s
