@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
 from sim.arrays import Float32Array, FloatArray
@@ -18,11 +17,12 @@ from sim.effects.pixels import CLUSTER_PX
 from sim.errors import SimError, check_numbers
 from sim.recorded import CameraRecording, Recording
 from sim.recording import SimConfig, simulate
+from sim.scene.rig import Known
 from sim.seeds import generator, sequence
 from sim.sensor.events import HOT_SPREAD, SensorConfig, slow_events
 from sim.sensor.frames import FrameConfig
 from sim.sensor.kernels import EVENT_DTYPE
-from sim.storage import Recorded, check_out_dir, save_recording, true_rig_files
+from sim.storage import Recorded, check_out_dir, save_recording
 
 
 @dataclass(frozen=True)
@@ -316,15 +316,7 @@ def merged(*streams: NDArray[Any]) -> NDArray[Any]:
 def wrong_intrinsics(
     K: FloatArray, config: DisturbConfig, seed: int, camera: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Draw intrinsics as a calibration of stated deviations would give them.
-
-    Returns
-    -------
-    K : (3, 3) array
-        What the rig is to say [px]. All four numbers are wrong independently.
-    deviations_px : (4,) array
-        Of fu, fv, pu and pv.
-    """
+    """Draw K (3, 3) [px] as a calibration of stated deviations (4,) of fu, fv, pu, pv gives it."""
     percent, centre_px = config.intrinsics_error
     focal = 0.01 * percent
     deviations_px = np.array([focal * K[0, 0], focal * K[1, 1], centre_px, centre_px])
@@ -370,10 +362,14 @@ def record_disturbed(
         without_frames = replace(config, frames=FrameConfig(rate_hz=0.0))
         second = flight(1, without_frames, second_seed(seed))
     recording = disturbed(recording, disturb, seed, second)
-    true = {camera.name: camera.K.tolist() for camera in recording.rig.cameras}
+    cameras = recording.cameras
+    true = {one.camera.name: one.camera.K.tolist() for one in cameras}
     spoilt = {"disturbances": asdict(disturb), "true_K": true}
-    wrong = _wrong_rig_files(recording, disturb, seed) if any(disturb.intrinsics_error) else None
-    return save_recording(recording, out_dir, provenance | spoilt, text, wrong)
+    known: Known | None = None
+    if any(disturb.intrinsics_error):
+        draws = [wrong_intrinsics(one.camera.K, disturb, seed, k) for k, one in enumerate(cameras)]
+        known = [(K, deviations_px.tolist()) for K, deviations_px in draws]
+    return save_recording(recording, out_dir, provenance | spoilt, text, known)
 
 
 def disturbed(
@@ -398,17 +394,3 @@ def disturbed(
             streams.append(thinned(others, disturb.second_object, seed, index))
         cameras.append(CameraRecording(model, merged(*streams), camera.frames))
     return replace(recording, cameras=tuple(cameras))
-
-
-def _wrong_rig_files(recording: Recording, disturb: DisturbConfig, seed: int) -> dict[str, str]:
-    """Give rig files with the intrinsics that were drawn in the place of the true ones."""
-    texts = {}
-    for name, text in true_rig_files(recording.rig).items():
-        chain = yaml.safe_load(text)
-        for index, camera in enumerate(recording.rig.cameras):
-            K, deviations_px = wrong_intrinsics(camera.K, disturb, seed, index)
-            entry = chain[f"cam{index}"]
-            entry["intrinsics"] = [float(k) for k in (K[0, 0], K[1, 1], K[0, 2], K[1, 2])]
-            entry["intrinsics_std"] = deviations_px.tolist()
-        texts[name] = yaml.safe_dump(chain, default_flow_style=None, sort_keys=False)
-    return texts

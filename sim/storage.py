@@ -18,7 +18,7 @@ import os
 import platform
 import re
 import shutil
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass
 from functools import cache
@@ -36,7 +36,7 @@ from sim.arrays import FloatArray, IntArray
 from sim.errors import SimError
 from sim.recorded import Flight, OpenSink, Recording
 from sim.recording import SimConfig, stream
-from sim.scene.rig import Camera, Rig, kalibr_yaml
+from sim.scene.rig import Camera, Known, kalibr_yaml
 from sim.sensor.kernels import EVENT_DTYPE
 
 _NAME_LENGTH = 32  # of 255 bytes that a file's name may have, four for each of these letters
@@ -198,7 +198,7 @@ def save_recording(
     out_dir: Path,
     provenance: dict[str, Any],
     text: bool = False,
-    rig_files: Mapping[str, str] | None = None,
+    known: Known | None = None,
 ) -> Recorded:
     """Write a recording as a folder.
 
@@ -210,8 +210,8 @@ def save_recording(
         What the recording was made with; goes into truth.json as it is.
     text
         Write the events as ESIM text (cam1.txt, ...) too.
-    rig_files
-        Name -> text, in place of `true_rig_files` of the recording's rig.
+    known
+        What the rig files say of the intrinsics, in place of the truth; see `kalibr_yaml`.
 
     Raises
     ------
@@ -228,7 +228,7 @@ def save_recording(
             sink.close()
         return recording
 
-    return _write(replay, out_dir, provenance, text, rig_files)
+    return _write(replay, out_dir, provenance, text, known)
 
 
 def _write(
@@ -236,7 +236,7 @@ def _write(
     out_dir: Path,
     provenance: dict[str, Any],
     text: bool,
-    rig_files: Mapping[str, str] | None = None,
+    known: Known | None = None,
 ) -> Recorded:
     """Write what a flight's cameras record, and then all other files."""
     sinks: list[CameraFiles] = []
@@ -248,21 +248,13 @@ def _write(
 
         flight = film(open_sink)
         n_events = tuple(sink.n_events for sink in sinks)
-        for name, content in (rig_files or true_rig_files(flight.rig)).items():
-            (partial / name).write_text(content)
+        for name, with_extrinsics in (("rig.yaml", False), ("rig_extrinsics.yaml", True)):
+            (partial / name).write_text(kalibr_yaml(flight.rig, with_extrinsics, known))
         truth = _truth(flight, n_events) | {"provenance": provenance}
         # A line for each entry: json's own indentation is ten times as slow as all else about it.
         lines = (f"{json.dumps(name)}: {json.dumps(value)}" for name, value in truth.items())
         (partial / "truth.json").write_text("{\n" + ",\n".join(lines) + "\n}\n")
     return Recorded(flight, n_events, tuple(sink.n_frames for sink in sinks))
-
-
-def true_rig_files(rig: Rig) -> dict[str, str]:
-    """Give the texts of the rig's files by name, without the true extrinsics and with them."""
-    return {
-        "rig.yaml": kalibr_yaml(rig, with_extrinsics=False),
-        "rig_extrinsics.yaml": kalibr_yaml(rig, with_extrinsics=True),
-    }
 
 
 @contextmanager

@@ -223,19 +223,24 @@ def two_view_rig(angle_deg: float, *, t_d_s: float = 0.0, **placed: Any) -> Rig:
     return look_at_rig((0.0, angle_deg), time_offsets_s=(0.0, t_d_s), **placed)
 
 
-def kalibr_yaml(rig: Rig, with_extrinsics: bool) -> str:
+Known = list[tuple[FloatArray, list[float]]]
+"""Of each camera K (3, 3) and the deviations of fu, fv, pu and pv [px] that are stated."""
+
+
+def kalibr_yaml(rig: Rig, with_extrinsics: bool, known: Known | None = None) -> str:
     """Write a rig as a Kalibr camchain: cam0 is our camera 1, cam1 our camera 2, ...
 
     Clock offsets are not written, nor are the extrinsics (`T_cn_cnm1`: previous camera to this one)
-    unless asked for: they are what an estimator has to find.
+    unless asked for: they are what an estimator has to find. What is `known` of the intrinsics is
+    by default the truth.
     """
     chain: dict[str, dict[str, object]] = {}
     for n, camera in enumerate(rig.cameras):
-        K = camera.K
+        K, deviations_px = known[n] if known else (camera.K, [0.0] * 4)
         entry: dict[str, object] = {
             "camera_model": "pinhole",
             "intrinsics": [float(k) for k in (K[0, 0], K[1, 1], K[0, 2], K[1, 2])],
-            "intrinsics_std": [0.0, 0.0, 0.0, 0.0],  # [px] they are the ones simulated with
+            "intrinsics_std": deviations_px,
             "distortion_model": camera.distortion_model,
             "distortion_coeffs": [float(c) for c in camera.distortion_coeffs],
             "resolution": [camera.width, camera.height],

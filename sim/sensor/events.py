@@ -51,13 +51,8 @@ class SensorConfig:
     @property
     def is_ideal_in_time(self) -> bool:
         """Whether nothing but a change of light makes a pixel act."""
-        return not (
-            self.refractory_s
-            or self.leak_hz
-            or self.shot_noise_hz
-            or self.background_hz
-            or self.hot_pixel_share
-        )
+        noise_hz = self.leak_hz + self.shot_noise_hz + self.background_hz
+        return not (noise_hz or self.refractory_s or self.hot_pixel_share)
 
 
 PRESETS = {
@@ -97,14 +92,14 @@ class Sensor:
             self._image.copy() if background is None else background, np.float32
         )
         self._reference = self._image.astype(np.float64) + config.log_eps
-        thresholds = [
-            np.maximum(nominal + config.threshold_mismatch * rng.standard_normal(shape), low)
-            for nominal, low in (
-                (config.threshold_on, min(MIN_THRESHOLD, config.threshold_on)),
-                (config.threshold_off, min(MIN_THRESHOLD, config.threshold_off)),
+        on, off = (
+            np.maximum(
+                nominal + config.threshold_mismatch * rng.standard_normal(shape),
+                min(MIN_THRESHOLD, nominal),
             )
-        ]
-        self._up, self._down = np.exp(thresholds[0]), np.exp(-thresholds[1])
+            for nominal in (config.threshold_on, config.threshold_off)
+        )
+        self._up, self._down = np.exp(on), np.exp(-off)
         self._high = (self._reference * self._up - config.log_eps).astype(np.float32)
         self._low = (self._reference * self._down - config.log_eps).astype(np.float32)
         self._time_s = time_s
@@ -161,7 +156,7 @@ class Sensor:
         """
         if self._noise is not None:
             return np.empty(0, EVENT_DTYPE)
-        return self._take(before_us=np.rint(self._time_s * 1e6))
+        return self._events.take(np.rint(self._time_s * 1e6), *self._image.shape[::-1])
 
     def finish(self, time_s: float) -> NDArray[Any]:
         """Hold the last image until `time_s` and return all events that were not taken yet.
@@ -169,17 +164,11 @@ class Sensor:
         They are sorted by time, then row, column and order of emission.
         """
         if self._noise is not None:
-            height, width = self._image.shape
-            self._box[:] = 0, 0, width, height
-            still = self._image[None].copy()
+            self._box[:] = 0, 0, *self._image.shape[::-1]
             zero = np.zeros(1, np.int64)
-            self.feed(np.array([max(time_s, self._time_s)]), zero, zero, still)
-        return self._take(before_us=np.inf)
-
-    def _take(self, before_us: float) -> NDArray[Any]:
-        """Take the events before a time [us] out of the buffer, in order."""
-        height, width = self._image.shape
-        return self._events.take(before_us, width, height)
+            last_s = np.array([max(time_s, self._time_s)])
+            self.feed(last_s, zero, zero, self._image[None].copy())
+        return self._events.take(np.inf, *self._image.shape[::-1])
 
 
 def events_from_frames(
@@ -190,21 +179,10 @@ def events_from_frames(
 ) -> NDArray[Any]:
     """Turn a stack of frames, a user's own video for instance, into events, sorted by time.
 
-    Parameters
-    ----------
-    frames
-        Shape (n, height, width): floating point in [0, 1], or unsigned integers of full scale 1.
-        Linear light: undo a video's gamma first.
-    times_s
-        Shape (n,) [s], increasing.
-    rng
-        Default: seeded with 0.
-
-    Raises
-    ------
-    SimError
-        Shapes that do not fit, times that do not increase, fewer than 2 frames, values outside [0,
-        1] or not finite.
+    Frames (n, height, width) are floating point in [0, 1], or unsigned integers of full scale 1, of
+    linear light: undo a video's gamma first. Times (n,) [s] increase. `rng` is by default seeded
+    with 0. SimError for shapes that do not fit, times that do not increase, fewer than 2 frames, or
+    values outside [0, 1] or not finite.
     """
     times_s = np.asarray(times_s, np.float64)
     if frames.ndim != 3 or times_s.shape != frames.shape[:1] or len(times_s) < 2:
@@ -215,9 +193,8 @@ def events_from_frames(
     if not (np.isfinite(times_s).all() and (np.diff(times_s) > 0).all()):
         raise SimError("frames: times must be finite and increase from frame to frame; sort them")
     config = config or SensorConfig()
-    sensor = Sensor(
-        config, _unit_range(frames[0]), float(times_s[0]), rng or np.random.default_rng(0)
-    )
+    rng = rng or np.random.default_rng(0)
+    sensor = Sensor(config, _unit_range(frames[0]), float(times_s[0]), rng)
     zero = np.zeros(1, np.int64)
     for time_s, frame in zip(times_s[1:], frames[1:], strict=True):
         sensor.feed(np.array([time_s]), zero, zero, _unit_range(frame)[None])
