@@ -65,7 +65,7 @@ class RenderCheck:
 
 
 class Renderer:
-    """Draws one drone; use as a context manager, or call `close`.
+    """Draws one drone; use as a context manager.
 
     The seed chooses the instants that are checked. SimError where no GL context can be opened, or
     it lacks what is needed; `check=False` needs none.
@@ -92,10 +92,6 @@ class Renderer:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Free what this renderer holds."""
         if self._reference is not None:
             self._reference.close()
 

@@ -71,8 +71,9 @@ class Camera:
         points_C = np.asarray(points_W) @ self.T_C_W[:3, :3].T + self.T_C_W[:3, 3]
         depth_m = np.where(points_C[..., 2] > MIN_DEPTH_M, points_C[..., 2], np.nan)
         rays = points_C[..., :2] / depth_m[..., None]
-        angle_rad = np.arctan(np.linalg.norm(rays, axis=-1))
-        rays = np.where((angle_rad <= self.field_angle_rad)[..., None], rays, np.nan)
+        slope2 = rays[..., 0] ** 2 + rays[..., 1] ** 2
+        is_within = slope2 <= math.tan(self.field_angle_rad) ** 2
+        rays = np.where(is_within[..., None], rays, np.nan)
         return self._pixels(self.distort(rays))
 
     def distort(self, rays: FloatArray) -> FloatArray:

@@ -53,23 +53,6 @@ def test_more_instants_than_are_projected_at_a_time() -> None:
     np.testing.assert_array_equal(whole.low_px[4000:4200], part.low_px)
 
 
-@pytest.mark.parametrize("rotor_hz", [0.0, 30.0])
-def test_the_compiled_pass_finds_what_the_camera_projects(rotor_hz: float) -> None:
-    """A lens that could distort, but does not, takes the other way."""
-    drone = quadrotor(rotor_hz=rotor_hz)
-    plain, bent = (
-        two_view_rig(30.0, distortion_model=lens, distortion_coeffs=coeffs).cameras[1]
-        for lens, coeffs in (("none", ()), ("radtan", (0.0, 0.0, 0.0, 0.0)))
-    )
-    ours, theirs = (footprint(drone, camera, *across_the_view(200)) for camera in (plain, bent))
-    assert ours.visible.any()
-    np.testing.assert_array_equal(ours.visible, theirs.visible)
-    # Rounding: of a few parts in 1e16, of some 1000 px.
-    np.testing.assert_allclose(ours.low_px, theirs.low_px, rtol=0, atol=1e-11)
-    np.testing.assert_allclose(ours.high_px, theirs.high_px, rtol=0, atol=1e-11)
-    np.testing.assert_allclose(ours.depth_m, theirs.depth_m, rtol=0, atol=1e-13)
-
-
 def test_where_lines_bend_points_along_the_edges_are_outline_too() -> None:
     plain, bent = (outline_points(DRONE, RIGS[lens].cameras[0]) for lens in ("none", "radtan"))
     for corners, points in zip(plain, bent, strict=True):
