@@ -283,8 +283,7 @@ def second_seed(seed: int) -> int:
 def clutter(config: DisturbConfig, view: View, seed: int, camera: int) -> NDArray[Any]:
     """Draw all that fires in a view beside the drone, but for a second object.
 
-    The events are in order of time, on the scene's clock. Each camera, given by its index, has
-    clutter of its own. SimError where something does not fit into the view.
+    The events are in order of time, on the scene's clock; each camera, by its index, has its own.
     """
     kinds: tuple[tuple[Draw, float], ...] = (
         (lamp, config.lamp_px),
@@ -340,9 +339,8 @@ def record_disturbed(
 ) -> Recorded:
     """Simulate one flight, spoil it and write it as a folder; unlike `record`, all in memory.
 
-    SimError as of `record`, when a disturbance does not fit into the view, or when the trajectory
-    of a second object is a file's. truth.json has the disturbances and the true intrinsics within
-    its provenance; the rig files have the intrinsics that were drawn, and their deviations.
+    truth.json has the disturbances and the true intrinsics within its provenance. SimError as of
+    `record`, when a disturbance does not fit, or when a second object's trajectory is a file's.
     """
     check_out_dir(out_dir)
     if disturb.second_object and config.trajectory_file is not None:

@@ -37,8 +37,7 @@ class Drift:
     def added_us(self, times_us: IntArray) -> IntArray:
         """Return what the clock shows more (n,) [us] at times (n,) [us] of the scene.
 
-        Rounded without the offset, so that recordings that differ in their offset alone differ by
-        one number. Stamps stay in order: a microsecond adds less than one.
+        Rounded without the offset, so that recordings that differ in it alone differ by one number.
         """
         added_us = np.zeros(len(times_us), np.int64)
         if self.skew_ppm:

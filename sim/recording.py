@@ -174,9 +174,8 @@ def stream(
 ) -> Flight:
     """Simulate one flight as `simulate` does, and hand on what each camera records meanwhile.
 
-    Cameras record one after the other; the sink of each is opened before. Memory does not grow with
-    the duration, but for some numbers per instant; with a sensor whose pixels act by themselves,
-    for its events too.
+    Cameras record one after the other; the sink of each is opened before. Memory grows by some
+    numbers per instant, and with a sensor whose pixels act by themselves by its events too.
     """
     if seed < 0:
         raise SimError(f"seed: expected 0 or a positive integer, got {seed}")

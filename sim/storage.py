@@ -185,8 +185,7 @@ def record(
 ) -> Recorded:
     """Simulate one flight and write it meanwhile; only one camera's events are in memory.
 
-    The arguments are those of `simulate` and `save_recording`, and so are the errors; the folder is
-    not there then, or as empty as before.
+    The arguments and errors are those of `simulate` and `save_recording`.
     """
     return _write(
         lambda open_sink: stream(config, seed, open_sink, progress), out_dir, provenance, text
@@ -200,23 +199,11 @@ def save_recording(
     text: bool = False,
     known: Known | None = None,
 ) -> Recorded:
-    """Write a recording as a folder.
+    """Write a recording as a folder, new or empty, which appears only when all of it is written.
 
-    Parameters
-    ----------
-    out_dir
-        New, or empty. The folder appears under this name only when all of it is written.
-    provenance
-        What the recording was made with; goes into truth.json as it is.
-    text
-        Write the events as ESIM text (cam1.txt, ...) too.
-    known
-        What the rig files say of the intrinsics, in place of the truth; see `kalibr_yaml`.
-
-    Raises
-    ------
-    SimError
-        When the folder is not empty or cannot be written.
+    `provenance`, what it was made with, goes into truth.json as it is; `text` writes the events as
+    ESIM text (cam1.txt, ...) too; `known` is what the rig files say of the intrinsics in place of
+    the truth. SimError when the folder is not empty or cannot be written.
     """
 
     def replay(open_sink: OpenSink) -> Flight:

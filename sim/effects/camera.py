@@ -75,8 +75,7 @@ class CameraEffects:
     def read_out(self, events: NDArray[Any], end_s: float) -> NDArray[Any]:
         """Deliver all events of a recording that ends at a time [s], as the readout does.
 
-        Events are sorted by time [us of the scene], before and after; none is outside of the
-        recording.
+        They are sorted by time [us of the scene], before and after, and within the recording.
         """
         effects, frames = self.effects, self.frames
         if effects.is_none:
@@ -204,10 +203,7 @@ def without_gaps(events: NDArray[Any], starts_us: FloatArray, gap_us: float) -> 
 
 
 def queued(events: NDArray[Any], readout_hz: float, queue: int) -> NDArray[Any]:
-    """Read events, sorted by time, out one at a time; each is stamped when its turn comes.
-
-    Beside the one that is read out at most `queue` wait; an event that finds as many is lost.
-    """
+    """Read events, sorted by time, out one by one, stamped then; beside one, `queue` may wait."""
     stamps_us, is_read = _serve(events["t"], 1e6 / readout_hz, queue)
     delivered: NDArray[Any] = events[is_read]
     delivered["t"] = stamps_us[is_read]

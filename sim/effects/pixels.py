@@ -19,9 +19,8 @@ class EffectsSensor(Sensor):
     """The pixels of one camera, with the effects that act within a pixel.
 
     They have seen their first image for long, and memorised it at the start. `effects_rng` draws
-    what the effects add to `config`: with all of them off, mismatch and hot pixels are those of a
-    `Sensor` with the same `rng`. `flicker_rad` is the phase of the lamps at time 0. SimError when
-    the image is smaller than a hot cluster.
+    what the effects add; `flicker_rad` is the phase of the lamps at time 0. SimError when the image
+    is smaller than a hot cluster.
     """
 
     def __init__(

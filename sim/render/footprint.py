@@ -127,9 +127,8 @@ def choose_instants(
 ) -> FloatArray:
     """Choose the instants [s] to render for one camera, from 0 to the trajectory's end.
 
-    Each camera has instants of its own, so that the bound holds in all of them without any being
-    rendered as densely as the fastest view needs: between two of them no point of the drone's
-    outline moves by more than `max_step_px`, to about 1 %, where it is in view.
+    Between two of them no point of the drone's outline moves by more than `max_step_px`, to about
+    1 %, where it is in view; each camera has instants of its own.
     """
     config = config or SamplingConfig()
     turns_hz = [abs(part.joint.rate_hz) for part in drone.parts if part.joint is not None]

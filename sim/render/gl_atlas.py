@@ -29,10 +29,9 @@ BACKGROUND = np.zeros(4, np.uint32)
 class GLPainter:
     """Draws one drone with OpenGL: what pyrender's own full frame shows, crop by crop.
 
-    One draw call renders many instants: each is an instance of the mesh, put into its own tile of
-    an atlas. The vertex shader is the camera (it projects, distorts and rounds to the rasteriser's
-    grid), so an instant has the same pixels wherever its tile lies, and the same as in a full
-    frame. SimError where no GL context can be opened, or it lacks what is needed.
+    One draw call renders many instants: each is an instance of the mesh in its own tile of an
+    atlas. The vertex shader is the camera and rounds to the rasteriser's grid, so an instant has
+    the same pixels wherever its tile lies. SimError without a GL context that can do it.
     """
 
     def __init__(self, drone: Drone, config: RenderConfig) -> None:

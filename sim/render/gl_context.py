@@ -1,7 +1,6 @@
 """The GL context that everything is drawn in: OSMesa where the system has it, EGL otherwise.
 
-PyOpenGL binds to one platform when it is first imported, so a process has one backend, and here one
-context, for its life.
+PyOpenGL binds to one platform when first imported: a process has one backend, and here one context.
 """
 
 import ctypes.util
@@ -30,8 +29,7 @@ class GLContext:
 def open_context(backend: str = "auto") -> GLContext:
     """Open the GL context of this process, or return the one that is open.
 
-    The backend "auto" is OSMesa where the system has it, EGL otherwise. SimError without a usable
-    GL library, or when this process already draws with the other backend.
+    SimError without a usable GL library, or when this process draws with the other backend.
     """
     if backend not in ("auto", *BACKENDS):
         raise SimError(f"GL backend: expected auto, osmesa or egl, got {backend!r}")

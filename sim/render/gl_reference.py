@@ -84,8 +84,7 @@ class PyrenderFullFrame:
     def stock(self, time_s: float, T_W_B: FloatArray) -> NDArray[np.bool_]:
         """Draw one instant with pyrender as it is: which samples see the drone.
 
-        There are a x a samples in each pixel, (height * a, width * a). SimError when the camera
-        distorts or the lattice is turned: pyrender knows neither.
+        There are a x a samples in each pixel, (height * a, width * a).
         """
         from pyrender.constants import RenderFlags
 

@@ -54,10 +54,7 @@ class Lattice:
 
     @cached_property
     def pixel_columns(self) -> IntArray:
-        """Samples of the pixel at the origin, by lattice columns, (n_columns, 3).
-
-        A row is a column, its first lattice row, and one past its last.
-        """
+        """Samples of the pixel at the origin by lattice columns, (n, 3): column, first row, end."""
         reach = np.arange(-self.a - self.b, self.a + self.b + 1)
         q = np.stack(np.meshgrid(reach, reach, indexing="ij"), axis=-1)
         n = self.samples_per_pixel

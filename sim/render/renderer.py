@@ -104,9 +104,9 @@ class Renderer:
     ) -> Iterator[Crops]:
         """Render, in order, the instants at which the drone is in view, and those next to them.
 
-        `times_s` (n,) are increasing, `T_W_B` (n, 4, 4) the poses of the drone's body. Instants
-        missing from all crops show the background (height, width), and so do the instants before
-        and after them. SimError when the two painters differ by more than rounding explains.
+        `times_s` (n,) are increasing, `T_W_B` (n, 4, 4) the body's poses. Instants missing from all
+        crops show the background (height, width), as do those before and after them. SimError when
+        the two painters differ by more than rounding explains.
         """
         seen = footprint(self.drone, camera, times_s, T_W_B)
         # One more instant on each side, so that leaving and entering the view are seen as a change.

@@ -34,15 +34,13 @@ class Joint:
     origin_B_m: FloatArray  # (3,) [m], a point on the axis
     rate_hz: float  # turns, or flaps, per second; the sign is the sense of turning
     amplitude_rad: float | None = None  # of a flap; None: the part spins
-    phase_rad: float = 0.0
 
     def transforms(self, times_s: FloatArray) -> FloatArray:
         """Return T_B_P (n, 4, 4): the part's vertices at rest [m] to the body frame, at each time.
 
-        The angle is `2 pi rate t + phase` when the part spins, and `amplitude sin(2 pi rate t +
-        phase)` when it flaps.
+        The angle is `2 pi rate t` of a part that spins, `amplitude sin(2 pi rate t)` of a flap.
         """
-        cycle_rad = 2.0 * np.pi * self.rate_hz * np.asarray(times_s) + self.phase_rad
+        cycle_rad = 2.0 * np.pi * self.rate_hz * np.asarray(times_s)
         if self.amplitude_rad is None:
             angle_rad = cycle_rad
         else:
@@ -99,9 +97,8 @@ def drone_from_file(path: Path, size_m: float | None = None) -> Drone:
 
     x is forward, y left, z up; the middle of the bounding box becomes the origin. With a size [m]
     the mesh is scaled so that its larger horizontal extent is that; else the file's units are
-    metres. Albedo is the luminance of the file's colours (sRGB, alpha ignored), or a dark grey. The
-    faces of a mesh that is not closed are doubled, one for each side, since the renderer culls back
-    faces. SimError for a file or a size that cannot be used.
+    metres. Albedo is the luminance of the file's colours (sRGB, alpha ignored), or a dark grey. A
+    mesh that is not closed shows both sides. SimError for what cannot be used.
     """
     path = Path(path)
     if size_m is not None:
@@ -183,10 +180,7 @@ def hexagonal_hull(sections: Sequence[tuple[float, float, float, float]]) -> tri
 
 
 def panel(outline: Sequence[tuple[float, float, float, float]]) -> trimesh.Trimesh:
-    """Return a flat convex panel about its outline's corners: x, y, z, thickness along z of each.
-
-    The thickness lets it taper: the corners must lie on one plane, and convexly.
-    """
+    """Return a flat convex panel about its corners: x, y, z, thickness along z of each."""
     return hull([(x, y, z + 0.5 * side * h) for x, y, z, h in outline for side in (-1, 1)])
 
 

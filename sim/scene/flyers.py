@@ -54,10 +54,9 @@ def quadrotor(size_m: float = DEFAULT_SIZE_M, rotor_hz: float = 0.0) -> Drone:
     """Build a quadrotor: shell, four level arms with motors, legs and two-blade rotors.
 
     It is flat, black all over, and its own mirror image from front to back and from left to right,
-    blades at rest included: the mean of its events is then near the image of one point of it, from
-    wherever it is seen. Its size is its length, from the front rotors' sweep to the rear ones' [m];
-    the width is 9 % less. Rotors that turn are parts on joints, neighbours in opposite senses; at 0
-    Hz the whole drone is one part.
+    blades at rest included. Its size is its length, from the front rotors' sweep to the rear ones'
+    [m]; the width is 9 % less. Rotors that turn are parts on joints, neighbours in opposite senses;
+    at 0 Hz the whole drone is one part.
     """
     nose, middle = (0.19, 0.045, -0.018, 0.018), (0.09, 0.095, -0.04, 0.04)
     tail, behind = (-0.19, *nose[1:]), (-0.09, *middle[1:])
@@ -111,8 +110,7 @@ ALBEDO_FRONT_ROTOR, ALBEDO_REAR_ROTOR = 0.42, 0.08
 def two_tone(size_m: float = DEFAULT_SIZE_M, rotor_hz: float = 0.0) -> Drone:
     """Build a quadrotor: shell, gimbal, four arms with motors and two-blade rotors, two skids.
 
-    Its front is brighter than its back and its nose and tail differ, so that, as with many a real
-    drone, the mean of its events is not the image of any fixed point of it.
+    Its front is brighter than its back, so that the mean of its events is no fixed point's image.
     """
     gimbal = prism(6, radius=0.04, length=0.07)
     gimbal.apply_transform(pose((0.17, 0.0, -0.075), pitch_rad=np.pi / 2))
@@ -223,8 +221,7 @@ def _wing(side: int, albedos: tuple[float, float]) -> list[Part]:
 def plane(size_m: float = DEFAULT_SIZE_M) -> Drone:
     """Build a small plane with a fixed wing, its origin within the wing, ahead of the middle.
 
-    It carries a pod under the left wing only; its propeller stands still. Its size is the wing span
-    [m]; the length is 26 % less.
+    It carries a pod under the left wing only. Its size is the wing span [m], 1.36 times its length.
     """
     check_size(size_m)
     propeller = trimesh.creation.box((0.012, 0.2, 0.022))
@@ -275,10 +272,7 @@ DRONES = (*QUADROTORS, "bird", "plane")
 def built_in_drone(
     name: str, size_m: float | None = None, rotor_hz: float = 0.0, flap_hz: float = FLAP_HZ
 ) -> Drone:
-    """Build one of `DRONES`, by default of 0.65 m.
-
-    SimError for an unknown name, a size or rate that makes no sense, or rotors on what has none.
-    """
+    """Build one of `DRONES`, by default of 0.65 m; SimError for what makes no sense."""
     check_drone_name(name)
     size_m = DEFAULT_SIZE_M if size_m is None else size_m
     if name in QUADROTORS:

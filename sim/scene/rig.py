@@ -108,8 +108,7 @@ class Camera:
     def field_angle_rad(self) -> float:
         """Largest angle from the optical axis [rad] up to which the distortion is one-to-one.
 
-        There the determinant of its Jacobian, positive on the axis, first fails to be positive; it
-        is looked for on a polar grid of rays, whatever the model.
+        There the determinant of its Jacobian, on a polar grid of rays, first fails to be positive.
         """
         angles_rad = MAX_FIELD_ANGLE_RAD * np.arange(1, 721) / 720
         by_angle, by_azimuth = np.gradient(self.distort(_cone_rays(angles_rad)), axis=(0, 1))
@@ -186,10 +185,8 @@ def look_at_rig(
     """Place equal cameras, cam1, cam2, ..., on a horizontal circle, all looking at the origin.
 
     Angles [deg] are counter-clockwise seen from above: at 0 a camera stands at (0, -distance_m, 0),
-    looks along +y, and the image's down is the world's -z. Offsets are each camera's clock minus
-    the world's [s]; zero by default. The resolution is width and height, the principal point column
-    and row [px]. SimError when the distance is not positive, or the numbers of angles and offsets
-    differ.
+    looks along +y, and the image's down is the world's -z. Offsets are the clocks minus the world's
+    [s]. Resolution is width and height, the principal point column and row [px].
     """
     if not distance_m > 0:
         raise SimError(f"the cameras' distance must be positive, got {distance_m} m")
@@ -211,8 +208,7 @@ def look_at_rig(
 def two_view_rig(angle_deg: float, *, t_d_s: float = 0.0, **placed: Any) -> Rig:
     """Place the paper's two cameras: lines of sight `angle_deg` apart, clocks `t_d_s` apart.
 
-    The other arguments are those of `look_at_rig`; camera 2's clock shows t_cam1 + t_d_s. SimError
-    when the angle is not strictly between 0 and 180 deg, or the offset is not finite.
+    The other arguments are those of `look_at_rig`; camera 2's clock shows t_cam1 + t_d_s.
     """
     if not 0.0 < angle_deg < 180.0:
         raise SimError(
@@ -231,9 +227,8 @@ Known = list[tuple[FloatArray, list[float]]]
 def kalibr_yaml(rig: Rig, with_extrinsics: bool, known: Known | None = None) -> str:
     """Write a rig as a Kalibr camchain: cam0 is our camera 1, cam1 our camera 2, ...
 
-    Clock offsets are not written, nor are the extrinsics (`T_cn_cnm1`: previous camera to this one)
-    unless asked for: they are what an estimator has to find. What is `known` of the intrinsics is
-    by default the truth.
+    Neither clock offsets are written nor, unless asked for, the extrinsics (`T_cn_cnm1`: previous
+    camera to this one): an estimator has to find them. `known` is by default the true intrinsics.
     """
     chain: dict[str, dict[str, object]] = {}
     for n, camera in enumerate(rig.cameras):

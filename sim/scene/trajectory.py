@@ -109,13 +109,11 @@ def random_spline(config: SplineConfig, rng: np.random.Generator) -> Trajectory:
 
     As ESIM does (Rebecq et al., ESIM: an Open Event Camera Simulator, CoRL 2018; its trajectory
     factory): each of the six degrees of freedom (position, rotation vector) is drawn uniformly from
-    [-1, 1] at regular times, times its multiplier, plus its offset; a smoothing B-spline of these
-    values is the trajectory.
+    [-1, 1] at regular times, times its multiplier, plus its offset, and smoothed by a B-spline.
 
     Deviation: a trajectory that leaves the circle of `max_radius_m` about the origin is drawn again
-    (one in six by default), so that the drone never flies into a camera; of one with more than
-    `LONG_SEGMENTS` segments, only the part about where it leaves. SimError when none of MAX_DRAWS
-    trajectories stays within the circle.
+    (one in six by default); of one with more than `LONG_SEGMENTS` segments, only the part about
+    where it leaves. SimError when none of MAX_DRAWS trajectories stays within the circle.
     """
     n_poses = round(config.duration_s * config.sampling_hz)
     times_s: FloatArray = np.linspace(0.0, config.duration_s, n_poses, dtype=np.float64)
@@ -210,11 +208,9 @@ def trajectory_from_csv(path: Path) -> Trajectory:
     """Read a trajectory from a CSV file and interpolate it smoothly.
 
     Columns are t [s], x, y, z [m], qx, qy, qz, qw (attitude T_W_B, scalar last, of any norm), in
-    this order, or in any order under a header that names them. `#` starts a comment. ESIM's own
-    files have the same columns but times in nanoseconds. Position is a cubic spline through the
-    rows, attitude scipy's `RotationSpline`: velocity and acceleration, linear and angular, are
-    continuous. The first row's time becomes 0. SimError, with the line, for a file that is no such
-    table of 4 rows or more.
+    this order, or in any order under a header that names them. `#` starts a comment. Position is a
+    cubic spline through the rows, attitude scipy's `RotationSpline`. The first row's time becomes
+    0. SimError, with the line, for a file that is no such table of 4 rows or more.
     """
     line_numbers, table = _read_table(path)
     times_s, quaternions = table[:, 0], table[:, 4:]

@@ -72,9 +72,8 @@ class Sensor:
     """The pixels of one camera and what each remembers.
 
     They start at `time_s` [s] with an image (height, width) of luminance in [0, 1], from which no
-    event comes. `rng` draws the pixels' mismatch and noise; the same state gives the same events,
-    however the recording is cut into crops. `background`, by default the image at the start,
-    surrounds the crops.
+    event comes. `rng` draws mismatch and noise: the same state gives the same events, however the
+    recording is cut into crops. `background`, by default the image, surrounds the crops.
     """
 
     def __init__(
@@ -149,10 +148,9 @@ class Sensor:
         self._time_s = float(times_s[-1])
 
     def take_settled(self) -> NDArray[Any]:
-        """Return the events that no later one comes before, sorted as by `finish`, and forget them.
+        """Return, and forget, the events that no later one comes before, sorted as by `finish`.
 
-        None where pixels act by themselves: one that is left alone emits what it did meanwhile when
-        it is next looked at.
+        None where pixels act by themselves: one that is left alone tells later what it did.
         """
         if self._noise is not None:
             return np.empty(0, EVENT_DTYPE)
@@ -223,12 +221,12 @@ def slow_events(
     of_memory: np.random.Generator,
     of_pixels: np.random.Generator,
 ) -> NDArray[Any]:
-    """Let pixels without noise follow a light that they have seen for long.
+    """Let pixels without noise follow a light that they have seen for long; events by time.
 
     `first` is the luminance (height, width) in [0, 1] at time 0, `batches` are later times (n,) [s]
-    and luminance (n, height, width) at them; the last image stays until `end_s`. Of the config,
-    only the thresholds count. `of_memory` draws the level that each pixel remembers, any that makes
-    no event at the start, and `of_pixels` the thresholds' mismatch. The events are sorted by time.
+    and luminance (n, height, width); the last image stays until `end_s`. Of the config, only the
+    thresholds count. `of_memory` draws the level that each pixel remembers, `of_pixels` the
+    thresholds' mismatch.
     """
     phases = of_memory.uniform(-0.95, 0.95, first.shape)
     threshold = min(config.threshold_on, config.threshold_off)

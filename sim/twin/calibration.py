@@ -64,10 +64,7 @@ def exact(camera: Camera) -> CalibratedCamera:
 def calibrated_camera(
     camera: Camera, config: CalibrationConfig, rng: np.random.Generator
 ) -> CalibratedCamera:
-    """Calibrate a camera of the model "radtan" or "none" by itself.
-
-    SimError when it has another lens, or the board does not fit into its view.
-    """
+    """Calibrate a camera of the model "radtan" or "none" by itself; SimError if it cannot be."""
     _check_lens(camera)
     board = _board(config)
     views = _own_views(camera, board, config, rng)
@@ -104,8 +101,7 @@ def calibrated_pose(
 ) -> FloatArray:
     """Find T_2_1 (4, 4), camera 1 [m] to camera 2 [m], from views that both cameras share.
 
-    The two look at the world's origin. Their intrinsics stay as they are known. SimError as of
-    `calibrated_camera`.
+    The two look at the world's origin. Their intrinsics stay as they are known.
     """
     if len(rig.cameras) != 2:
         raise SimError(f"calibration: expected two cameras, got {len(rig.cameras)}")

@@ -60,11 +60,9 @@ class Hanging:
 
 
 def hanging(config: PendulumConfig, duration_s: float, rng: np.random.Generator) -> Hanging:
-    """Draw the motion of a hanging body.
+    """Draw the motion of a hanging body, within `max_radius_m` of the origin, the wire taut.
 
-    Motions that leave the ball of `max_radius_m` about the origin, or in which the wire would go
-    slack, are drawn again. SimError when the duration is not positive, or none of MAX_DRAWS motions
-    stays within the ball.
+    SimError when the duration is not positive, or none of MAX_DRAWS motions is so.
     """
     if not (np.isfinite(duration_s) and duration_s > 0.0):
         raise SimError(f"pendulum: the duration must be a positive number, got {duration_s}")

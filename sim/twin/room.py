@@ -54,8 +54,7 @@ def room_events(
 ) -> NDArray[Any]:
     """Draw the events that a room adds, in order of time, on the scene's clock.
 
-    Of the sensor, only the thresholds count. The light is one for both cameras, all else is each
-    one's own.
+    Of the sensor, only the thresholds count. The light is one for both cameras.
     """
     camera = scene.rig.cameras[index]
     view = View(camera.width, camera.height, scene.trajectory.duration_s)

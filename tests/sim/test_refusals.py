@@ -191,6 +191,7 @@ CASES: list[tuple[Callable[[], Any], str]] = [
         ({"background_files": (Path("a"), Path("b"), Path("c"))}, "expected one image"),
         ({"trajectory_file": Path("missing.csv")}, r"missing\.csv"),
         ({"drone_file": Path("missing.stl")}, r"missing\.stl"),
+        ({"drone_file": Path("missing.stl"), "drone_size_m": 0.0}, "number of metres, got 0"),
         ({"distance_m": 0.5}, "reaches into the camera"),
     )),
     (lambda: simulate(QUICK, -1), "seed: expected 0 or a positive integer, got -1"),

@@ -147,12 +147,6 @@ def test_latency_and_jitter_depend_on_the_light(lux: float) -> None:
     assert delays_us.std() == pytest.approx(expected_us / 10, rel=0.05)
 
 
-def test_a_jitter_alone_is_symmetric() -> None:
-    video, times_s = stepping(0.2, 0.3, 1.0, 2.0, SHAPE)
-    events = events_of(video, times_s, SensorEffects(jitter_s=50e-6))
-    assert (events["t"] - 1e6).mean() == pytest.approx(0.0, abs=5 * 50 / 3000**0.5)
-
-
 @pytest.mark.parametrize("dead_s", [0.002, 0.01])
 def test_no_two_events_of_a_pixel_within_the_dead_time(dead_s: float) -> None:
     preset = SENSOR_PRESETS["davis346"]
@@ -177,20 +171,6 @@ def test_a_signal_that_turns_within_an_interval_passes_its_threshold() -> None:
     events = [events_of(each, t, effects) for each, t in ((light, coarse_s), (fine, fine_s))]
     assert len(events[0]) == len(events[1]) >= 2
     np.testing.assert_allclose(events[0]["t"], events[1]["t"], atol=2)  # of 10 ms; rounding
-
-
-@pytest.mark.parametrize(("depth", "steps"), [(0.1, 0), (0.2, 1), (0.3, 2)])
-def test_flicker_makes_as_many_events_as_its_swing_has_thresholds(depth: float, steps: int) -> None:
-    effects = SensorEffects(flicker_depth=depth)
-    events = events_of(np.full((2, 10, 10), 0.5), np.array([0.0, 2.0]), effects)
-    swing = np.log((1 + depth) / (1 - depth))
-    assert steps == np.floor(swing / 0.25)
-    late = events[events["t"] >= 1_000_000]
-    assert len(late) == 100 * 100 * 2 * steps
-    if steps:
-        binned = np.histogram(late["t"], bins=10_000, range=(1e6, 2e6))[0]
-        spectrum = np.abs(np.fft.rfft(binned))[1:1000]
-        assert (np.argmax(spectrum) + 1) % 100 == 0  # lines at 100 Hz and its multiples
 
 
 @pytest.mark.parametrize("cutoff_hz", [1e6, 50.0])
@@ -225,11 +205,12 @@ def test_leaking_pixels_under_faint_flicker_fire_at_the_crests() -> None:
     assert np.angle(phases.mean()) == pytest.approx(0.0, abs=0.5)  # crests, a little before
 
 
+@pytest.mark.parametrize("light", [0.1, 0.9])
 @pytest.mark.parametrize(("lux", "falls"), [(0.1, 1.0), (1.0, 10**-0.75), (161.0, 1610**-0.75)])
-def test_shot_noise_falls_with_the_light(lux: float, falls: float) -> None:
+def test_shot_noise_falls_with_the_light(lux: float, falls: float, light: float) -> None:
     duration_s = 10.0 / falls**0.5
-    effects = SensorEffects(illuminance_lux=lux / 0.5, dim_noise_on_hz=5.0, dim_noise_off_hz=3.7)
-    events = still_events(effects, 0.5, duration_s)
+    effects = SensorEffects(illuminance_lux=lux / light, dim_noise_on_hz=5.0, dim_noise_off_hz=3.7)
+    events = still_events(effects, light, duration_s)
     on = int((events["p"] == 1).sum())
     # At least 5000 events: a deviation of 1.4 % at most.
     per_pixel = falls * duration_s * 3000
@@ -249,15 +230,6 @@ def test_a_davis346_is_on_heavy_in_bright_light_and_noisy_in_dim() -> None:
     assert rates[0.1] == pytest.approx((8.7, 5.0 / 8.7), rel=0.05)
     assert 0.08 < rates[161.0][0] < 0.25
     assert rates[161.0][1] > 0.9
-
-
-def test_noise_changes_with_the_light_of_a_pixel() -> None:
-    """Half of the image is a hundred times darker."""
-    effects = SensorEffects(
-        illuminance_lux=100.0, dim_noise_on_hz=5.0, dim_noise_off_hz=5.0, dim_noise_exponent=0.5
-    )
-    dark, bright = (len(still_events(effects, light, 20.0)) for light in (0.009, 0.999))
-    assert dark / bright == pytest.approx(10.0, rel=0.05)  # log_eps counts as light
 
 
 @pytest.mark.parametrize("light", [0.0, 0.5, 0.999])

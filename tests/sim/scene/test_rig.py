@@ -1,4 +1,3 @@
-from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -9,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from sim.errors import SimError
 from sim.scene.background import load_background, uniform_background
-from sim.scene.rig import Camera, Rig, kalibr_yaml, look_at_rig, two_view_rig
+from sim.scene.rig import Camera, kalibr_yaml, look_at_rig, two_view_rig
 from tests.sim.scenes import make_camera, noise_image
 
 RADTAN = (-0.12, 0.03, 0.002, -0.001)
@@ -63,36 +62,6 @@ def test_extrinsics_follow_from_the_angle_and_relate_the_two_views(angle_deg: fl
     assert baseline_m == pytest.approx(10.0 * np.sin(np.deg2rad(angle_deg) / 2))  # a chord
     x1, x2 = (np.c_[POINTS_W, np.ones(500)] @ camera.T_C_W[:3].T for camera in rig.cameras)
     np.testing.assert_allclose(x1 @ R.T + baseline_m * t, x2, atol=1e-13)  # round-off
-
-
-def test_relative_poses_chain_and_invert() -> None:
-    rig = look_at_rig((0, 40, 110))
-    chained = rig.relative_pose(1, 2) @ rig.relative_pose(0, 1)
-    np.testing.assert_allclose(chained, rig.relative_pose(0, 2), atol=1e-14)
-    np.testing.assert_allclose(rig.relative_pose(2, 0) @ chained, np.eye(4), atol=1e-14)
-
-
-def test_clocks() -> None:
-    assert [c.time_offset_s for c in two_view_rig(90.0, t_d_s=0.05).cameras] == [0.0, 0.05]
-    rig = look_at_rig((0, 10, 20), time_offsets_s=(0.0, -0.1, 0.2))
-    assert [c.time_offset_s for c in rig.cameras] == [0.0, -0.1, 0.2]
-    assert [c.name for c in rig.cameras] == ["cam1", "cam2", "cam3"]
-
-
-@lenses
-def test_a_rigid_move_of_the_world_changes_nothing(model: str, coeffs: tuple[float, ...]) -> None:
-    rig = look_at_rig((0, 75), distortion_model=model, distortion_coeffs=coeffs)
-    T_V_W = np.eye(4)  # a world V instead of W
-    T_V_W[:3, :3] = Rotation.from_rotvec([0.3, -1.0, 2.0]).as_matrix()
-    T_V_W[:3, 3] = (4.0, -7.0, 1.0)
-    points_V = POINTS_W @ T_V_W[:3, :3].T + T_V_W[:3, 3]
-    T_W_V = np.linalg.inv(T_V_W)
-    moved = Rig(tuple(replace(camera, T_C_W=camera.T_C_W @ T_W_V) for camera in rig.cameras))
-    for before, after in zip(rig.cameras, moved.cameras, strict=True):
-        # Round-off of 10 m in 200 px per unit of depth.
-        np.testing.assert_allclose(after.project(points_V), before.project(POINTS_W), atol=1e-10)
-    for a, b in zip(rig.extrinsics(), moved.extrinsics(), strict=True):
-        np.testing.assert_allclose(a, b, atol=1e-13)
 
 
 # --- Projection and distortion ----------------------------------------------------------------

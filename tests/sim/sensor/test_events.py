@@ -85,16 +85,6 @@ def test_crossings_of_a_linear_ramp(config: SensorConfig, before: float, after: 
     np.testing.assert_allclose(events["t"], times_us, atol=0.5 + 0.05)
 
 
-@pytest.mark.parametrize("parts", [2, 3, 17])
-def test_a_ramp_may_be_cut_into_instants(parts: int) -> None:
-    ramp = np.linspace(0.1, 0.9, parts + 1, dtype=np.float32)[:, None, None]
-    times_s = np.linspace(0.0, 0.5, parts + 1)
-    whole = events_from_frames(ramp[[0, -1]], times_s[[0, -1]])
-    cut = events_from_frames(ramp, times_s)
-    np.testing.assert_array_equal(cut["p"], whole["p"])
-    assert np.abs(cut["t"] - whole["t"]).max() <= 1  # float32 light, then microseconds
-
-
 def test_still_light_gives_no_events() -> None:
     video = np.repeat(smooth_video(1, 8, 9), 5, axis=0)
     for config in (IDEAL, SLOW, SensorConfig(threshold_mismatch=0.1)):
