@@ -11,7 +11,7 @@ from sim.errors import SimError
 from sim.render.config import RenderConfig
 from sim.render.footprint import Views
 from sim.render.gl_atlas import GLPainter
-from sim.render.lattice import Lattice, runs_of_tile
+from sim.render.lattice import Lattice
 from sim.render.native import NativePainter
 from sim.render.renderer import Renderer
 from sim.scene.drone import Drone, Part
@@ -141,16 +141,6 @@ def test_a_wall_fills_the_view_however_far_it_reaches(lattice: Lattice) -> None:
         hit = (depth > 0) & (reached_m < reach_m)
         assert hit.mean() > 0.9
         np.testing.assert_allclose(image[hit], 0.3, atol=2e-5)  # codes are 1/65535 apart
-
-
-@pytest.mark.parametrize("lattice", [Lattice(1, 0), Lattice(5, 0), Lattice(5, 1)], ids=repr)
-def test_each_pixel_has_all_its_samples_in_runs_that_lie_in_one_row(lattice: Lattice) -> None:
-    run_of, start, pixel = runs_of_tile(lattice, (7, 4))
-    samples = np.bincount(pixel[run_of], minlength=29)
-    np.testing.assert_array_equal(samples[:28], lattice.samples_per_pixel)
-    np.testing.assert_array_equal(np.repeat(np.arange(len(pixel)), np.diff(start)), run_of)
-    row = np.arange(len(run_of)) // lattice.tile_size(7, 4)[0]
-    np.testing.assert_array_equal(row[start[:-1]], row[start[1:] - 1])
 
 
 def test_a_mesh_too_large_for_memory_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

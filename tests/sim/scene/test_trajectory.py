@@ -4,7 +4,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.interpolate import BSpline
-from scipy.spatial.transform import Rotation
 
 from sim.errors import SimError
 from sim.scene import trajectory
@@ -147,18 +146,6 @@ def test_csv_header_order_comments_and_start_time(tmp_path: Path) -> None:
     np.testing.assert_array_equal(from_plain.poses(times_s), from_named.poses(times_s))
     # A parabola is a cubic: not-a-knot reproduces it to round-off.
     np.testing.assert_allclose(from_plain.poses(times_s)[:, 0, 3], (times_s + 10) ** 2, atol=1e-11)
-
-
-def test_csv_attitude_turns_at_a_steady_rate(tmp_path: Path) -> None:
-    times_s = np.arange(5.0)
-    quaternions = Rotation.from_euler("z", 0.5 * times_s).as_quat()
-    quaternions[2] *= -1.0  # the same rotation, in the other half of the sphere
-    rows = np.column_stack([times_s, np.zeros((5, 3)), quaternions])
-    path = write(tmp_path, "\n".join(",".join(map(str, row)) for row in rows))
-    between_s = np.linspace(0, 4, 33)
-    R = Rotation.from_matrix(trajectory_from_csv(path).poses(between_s)[:, :3, :3])
-    # RotationSpline iterates to 1e-9 rad/s.
-    np.testing.assert_allclose(R.as_rotvec()[:, 2], 0.5 * between_s, atol=1e-8)
 
 
 GOOD = [ROW.format(t, 0) for t in (0.0, 0.1, 0.2, 0.3)]

@@ -189,18 +189,6 @@ def test_air_takes_the_energy_at_the_rate_of_the_damping() -> None:
     assert rate == pytest.approx(damping_per_s, rel=0.02)
 
 
-def test_the_body_is_one_wire_from_a_hand_that_stands_still() -> None:
-    config = PendulumConfig(hand_m=(0.0, 0.0, 0.0), start_rad=0.1, damping_per_s=0.0)
-    drawn = hanging(config, 5.0, rng(3))
-    times_s = np.linspace(0.0, 5.0, 501)
-    wire = drawn.wire(times_s)
-    held = drawn.hand(times_s)
-    np.testing.assert_allclose(held, np.broadcast_to([0.0, 0.0, config.length_m], held.shape))
-    body = drawn.trajectory.position(times_s)
-    # Two cubic splines through nodes 2 ms apart.
-    np.testing.assert_allclose(body, held + config.length_m * wire, atol=1e-9)
-
-
 def test_the_body_hangs_along_the_wire_when_nothing_rocks_it() -> None:
     drawn = hanging(PendulumConfig(rocking_rad=0.0), 5.0, rng(0))
     times_s = np.linspace(0.0, 5.0, 100)
