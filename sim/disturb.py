@@ -4,7 +4,7 @@ Clutter is drawn in the image, for each camera by itself: no two views of it sho
 second object is the same for both. Neither clutter nor drone hides the other.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -59,10 +59,7 @@ class DisturbConfig:
         return self == DisturbConfig()
 
 
-MAX_FOCAL_PERCENT = 10.0
-"""Of which ten deviations are a focal length."""
-
-
+MAX_FOCAL_PERCENT = 10.0  # of which ten deviations are a focal length
 LAMP_HZ = 100.0  # mains of 50 Hz: bright at both crests
 LAMP_STEPS = 2  # thresholds that its light passes on the way up, and again on the way down
 LAMP_JITTER_S = 1e-4
@@ -224,9 +221,9 @@ def clouds(view: View, drift_px_s: float, rng: np.random.Generator) -> NDArray[A
     n = max(2, int(np.ceil(view.duration_s * drift_px_s / _STEP_PX)))
     times_s: FloatArray = view.duration_s * np.arange(1, n + 1) / n
     first = _seen(sky, view, np.zeros((1, 2)))[0]
-    return slow_events(
-        first, _frames(sky, view, drift, times_s), view.duration_s, SensorConfig(), rng, rng
-    )
+    chunks = (times_s[start : start + _BATCH] for start in range(0, n, _BATCH))
+    frames = ((chunk, _seen(sky, view, -np.multiply.outer(chunk, drift))) for chunk in chunks)
+    return slow_events(first, frames, view.duration_s, SensorConfig(), rng, rng)
 
 
 def cloudy_sky(view: View, rng: np.random.Generator) -> Float32Array:
@@ -241,15 +238,6 @@ def cloudy_sky(view: View, rng: np.random.Generator) -> Float32Array:
     contrast = np.log(CLOUD_LUMINANCE / SKY_LUMINANCE)
     sky: Float32Array = (SKY_LUMINANCE * np.exp(contrast * share)).astype(np.float32)
     return sky
-
-
-def _frames(
-    sky: Float32Array, view: View, drift_px_s: FloatArray, times_s: FloatArray
-) -> Iterator[tuple[FloatArray, Float32Array]]:
-    """Yield times (n,) [s] and what is seen at them (n, height, width), in batches."""
-    for start in range(0, len(times_s), _BATCH):
-        chunk = times_s[start : start + _BATCH]
-        yield chunk, _seen(sky, view, -np.multiply.outer(chunk, drift_px_s))
 
 
 def _seen(sky: Float32Array, view: View, corners_px: FloatArray) -> Float32Array:

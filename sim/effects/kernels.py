@@ -334,13 +334,9 @@ def _follow(  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True, error_model="numpy")
 def _noise_hz(luminance, state, rates, dim_hz):  # type: ignore[no-untyped-def]
     """Rate of a pixel's noise events of all causes."""
-    nominal_hz = _shot_hz(luminance, rates) + _dim_hz(luminance, dim_hz)
+    shot_hz = rates.shot_hz * (1.0 - SHOT_NOISE_DROP * min(max(luminance, 0.0), 1.0))
+    nominal_hz = shot_hz + _dim_hz(luminance, dim_hz)
     return state.noisiness * nominal_hz + state.hot_hz + rates.background_hz
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _shot_hz(luminance, rates):  # type: ignore[no-untyped-def]
-    return rates.shot_hz * (1.0 - SHOT_NOISE_DROP * min(max(luminance, 0.0), 1.0))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -13,8 +13,8 @@ import numpy as np
 
 from sim.errors import SimError
 
-BACKENDS = ("osmesa", "egl")
-_LIBRARIES = {"osmesa": "OSMesa", "egl": "EGL"}
+BACKENDS = {"osmesa": "OSMesa", "egl": "EGL"}
+"""Their libraries, the one that is taken first, first."""
 
 
 @dataclass(frozen=True)
@@ -52,8 +52,8 @@ def context_or_none() -> GLContext | None:
 
 
 def _first_available() -> str:
-    for backend in BACKENDS:
-        if ctypes.util.find_library(_LIBRARIES[backend]):
+    for backend, library in BACKENDS.items():
+        if ctypes.util.find_library(library):
             return backend
     raise SimError(
         "no GL library on this machine: install one with "
@@ -77,11 +77,8 @@ def _open(backend: str) -> GLContext:
         # that every frame compiles its shaders anew and leaks them.
         OpenGL.contextdata.getContext = lambda context=None: 1
         _KEEP_ALIVE.append(OffscreenRenderer(1, 1))
-        return GLContext(
-            backend=backend,
-            renderer=GL.glGetString(GL.GL_RENDERER).decode(),
-            version=GL.glGetString(GL.GL_VERSION).decode(),
-        )
+        about = (GL.glGetString(of).decode() for of in (GL.GL_RENDERER, GL.GL_VERSION))
+        return GLContext(backend, *about)
     except Exception as error:  # whatever the driver, PyOpenGL or ctypes raise
         raise SimError(
             f"cannot open a GL context with {backend} ({type(error).__name__}: {error}): "

@@ -32,9 +32,7 @@ class EventBuffer:
         taken, key = np.empty(self.n, EVENT_DTYPE), np.empty(self.n, np.int64)
         n_taken = _move_out(self.events, self.n, before_us, width, height, taken, key)
         self.n -= n_taken
-        in_order = np.empty(n_taken, EVENT_DTYPE)
-        _gather(taken, _stable_order(key[:n_taken]), in_order)
-        return in_order
+        return np.take(taken, _stable_order(key[:n_taken]))
 
 
 @njit(cache=True, nogil=True)
@@ -70,13 +68,6 @@ def _stable_order(key: IntArray) -> IntArray:
     if not len(key) or int(np.ptp(key)) >> (63 - bits):
         return np.argsort(key, kind="stable")
     return np.sort((key - key.min()) << bits | np.arange(len(key))) & ((1 << bits) - 1)
-
-
-@njit(cache=True, nogil=True)
-def _gather(events: NDArray[Any], order: IntArray, gathered: NDArray[Any]) -> None:
-    """Do what `events[order]` does, of records of 13 bytes far more quickly."""
-    for i in range(order.size):
-        gathered[i] = events[order[i]]
 
 
 NOISE_STATE_DTYPE = np.dtype(
@@ -198,10 +189,9 @@ def process_noisy(  # type: ignore[no-untyped-def]
         cx1, cy1 = cx0 + width, cy0 + height
         for y in range(min(cy0, box[1]), max(cy1, box[3])):
             for x in range(min(cx0, box[0]), max(cx1, box[2])):
-                if cy0 <= y < cy1 and cx0 <= x < cx1:
-                    value = np.float64(luminance[k, y - cy0, x - cx0])
-                else:
-                    value = np.float64(background[y, x])
+                in_crop = cy0 <= y < cy1 and cx0 <= x < cx1
+                light = luminance[k, y - cy0, x - cx0] if in_crop else background[y, x]
+                value = np.float64(light)
                 # A pixel left alone since has seen one and the same light until now.
                 for part in range(2):
                     end = time_s if part == 0 else times_s[k]

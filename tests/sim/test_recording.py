@@ -14,7 +14,6 @@ from sim.effects.config import SENSOR_PRESETS
 from sim.errors import SimError
 from sim.recorded import Drift, Recording, drift_of
 from sim.recording import SimConfig, simulate, stream
-from sim.render.config import SamplingConfig
 from sim.scene.drone import drone_from_file
 from sim.scene.rig import Camera
 from sim.scene.trajectory import random_spline, trajectory_to_csv
@@ -138,14 +137,6 @@ def test_a_file_in_place_of_the_quadrotor(tmp_path: Path) -> None:
     assert min(len(camera.events) for camera in recording.cameras) > 1000
     with pytest.raises(SimError, match="rotors spin on the built-in quadrotors only"):
         simulate(replace(config, rotor_hz=20.0), 1)
-
-
-def test_spinning_rotors_make_events_of_their_own() -> None:
-    config = replace(QUICK, sampling=SamplingConfig(max_step_px=2.0))
-    still, spinning = (simulate(replace(config, rotor_hz=hz), 1) for hz in (0.0, 30.0))
-    assert spinning.n_instants > 2 * still.n_instants
-    for a, b in zip(still.cameras, spinning.cameras, strict=True):
-        assert len(b.events) > 1.2 * len(a.events)
 
 
 def test_a_textured_background(tmp_path: Path) -> None:

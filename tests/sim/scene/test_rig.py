@@ -161,36 +161,38 @@ def wall_with(light: float) -> np.ndarray:
     return wall
 
 
+SIZE, LIGHT = "expected 64 x 48 pixels .* resize", r"expected linear luminance in \[0, 1\]"
+UNREAD = "cannot read the background .*"
+
+
 @pytest.mark.parametrize(
-    ("wall", "message"),
+    ("name", "holds", "said"),
     [
-        *((np.zeros(shape), r"wall\.npy: expected 64 x 48 pixels .* resize")
-          for shape in ((48, 63), (64, 48), (48, 64, 3))),
-        *((wall_with(light), r"wall\.npy: expected linear luminance in \[0, 1\]")
-          for light in (-0.1, 1.1, np.nan, np.inf)),
-        (np.array(["a"] * 4), r"wall\.npy"),
-        (np.array([None]), r"wall\.npy"),
+        *(("wall.npy", np.zeros(shape), SIZE) for shape in ((48, 63), (64, 48), (48, 64, 3))),
+        *(("wall.npy", wall_with(light), LIGHT) for light in (-0.1, 1.1, np.nan, np.inf)),
+        *(("wall.npy", np.array(odd), "wall") for odd in (["a"] * 4, [None])),
+        *(("missing" + suffix, None, UNREAD) for suffix in (".png", ".npy")),
+        *(("text" + suffix, b"neither image nor array", UNREAD) for suffix in (".png", ".npy")),
+        ("empty.npy", b"", UNREAD),
     ],
-)  # fmt: skip
-def test_an_array_that_is_no_wall_is_refused(
-    tmp_path: Path, wall: np.ndarray, message: str
-) -> None:
-    np.save(tmp_path / "wall.npy", wall)
-    with pytest.raises(SimError, match=message):
-        load_background(tmp_path / "wall.npy", CAMERA)
-
-
-@pytest.mark.parametrize(
-    "name",
-    ["missing.png", "missing.npy", "text.png", "text.npy", "empty.npy", "folder.png", "two.npy"],
 )
-def test_what_cannot_be_read_is_named(tmp_path: Path, name: str) -> None:
-    (tmp_path / "text.png").write_text("not an image")
-    (tmp_path / "text.npy").write_text("not an array")
-    (tmp_path / "empty.npy").touch()
+def test_what_is_no_wall_is_refused(
+    tmp_path: Path, name: str, holds: np.ndarray | bytes | None, said: str
+) -> None:
+    path = tmp_path / name
+    if isinstance(holds, bytes):
+        path.write_bytes(holds)
+    elif holds is not None:
+        np.save(path, holds)
+    with pytest.raises(SimError, match=said) as error:
+        load_background(path, CAMERA)
+    assert name in str(error.value)
+
+
+def test_neither_a_folder_nor_several_arrays_are_a_wall(tmp_path: Path) -> None:
     (tmp_path / "folder.png").mkdir()
     with (tmp_path / "two.npy").open("wb") as file:
         np.savez(file, image=np.zeros((48, 64)))
-    reason = "" if name == "two.npy" else "cannot read the background "
-    with pytest.raises(SimError, match=f"{reason}.*{name}"):
-        load_background(tmp_path / name, CAMERA)
+    for name in ("folder.png", "two.npy"):
+        with pytest.raises(SimError, match=name):
+            load_background(tmp_path / name, CAMERA)

@@ -56,20 +56,6 @@ def test_linear_light_is_integrated_exactly(n: int, exposure_s: float) -> None:
     np.testing.assert_allclose(frames.images * CODE, expected, atol=0.5 * CODE + 1e-5)
 
 
-def test_a_moving_edge_is_blurred_over_its_path() -> None:
-    """Dark behind the edge, bright before it: a ramp as wide as the edge moved."""
-    width, speed_px_s, exposure_s = 60, 2000.0, 0.01  # 20 px within an exposure
-    times_s = np.linspace(0.0, 0.025, 501)
-    covered = np.clip(speed_px_s * times_s[:, None] - np.arange(width) + 0.5, 0.0, 1.0)
-    video = (1.0 - covered)[:, None, :].astype(np.float32)
-    frames = expose(FrameConfig(50.0, exposure_s), video, times_s, np.ones((1, width), np.float32))
-    (first,) = frames.images[:, 0]
-    ramp = first[1:20].astype(float) * CODE
-    # The pixel at x is reached at x / speed: bright for that share of the exposure.
-    np.testing.assert_allclose(ramp, np.arange(1, 20) / 20, atol=0.6 * CODE)
-    assert (first[21:] == 255).all()
-
-
 @pytest.mark.parametrize(
     ("config", "duration_s", "n"),
     [
@@ -117,20 +103,6 @@ def test_crops_and_gaps_show_the_background() -> None:
     assert away.any()
     still = np.rint(background * 255).astype(np.uint8)
     assert (cropped.images[away] == still).all()
-
-
-def test_frames_do_not_depend_on_who_owns_the_crops() -> None:
-    """A caller may fill the same array with the next crop."""
-    times_s = np.linspace(0.0, 0.1, 21)
-    light = np.linspace(0.0, 1.0, 21, dtype=np.float32)
-    expected = expose(FrameConfig(50.0, 0.02), light[:, None, None], times_s)
-    exposer, frames = exposer_in_memory(FrameConfig(50.0, 0.02), np.zeros((1, 1), np.float32), 0.1)
-    crop, zero = np.empty((1, 1, 1), np.float32), np.zeros(1, np.int64)
-    for time_s, value in zip(times_s, light, strict=True):
-        crop[:] = value
-        exposer.feed(np.array([time_s]), zero, zero, crop)
-    exposer.finish()
-    np.testing.assert_array_equal(frames.images, expected.images)
 
 
 @pytest.mark.parametrize("batch", [1, 7, 201])

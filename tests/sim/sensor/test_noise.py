@@ -100,10 +100,3 @@ def test_a_pixel_memorises_anew_at_the_end_of_its_dead_time() -> None:
         expected_s.append(crossing_s)
         level = 0.1 + 0.8 * (crossing_s + dead_s) + EPS
     np.testing.assert_allclose(events["t"], 1e6 * np.array(expected_s), atol=0.6)  # us, float32
-
-
-def test_a_step_within_the_dead_time_is_lost() -> None:
-    light = np.array([0.1, 0.2, 0.8, 0.8, 0.8], np.float32)[:, None, None]
-    times_s = np.array([0.0, 0.001, 0.002, 0.5, 0.6])
-    events = events_from_frames(light, times_s, SensorConfig(refractory_s=0.1))
-    assert events["p"].tolist() == [1]
