@@ -127,7 +127,6 @@ class CameraFiles:
             for name in ("t", "x", "y", "p")
         }
         events = _joined(self._events)
-        self._events = []
         for start in range(0, self.n_events, _EVENTS_PER_CHUNK):
             stop = start + _EVENTS_PER_CHUNK
             for name, column in columns.items():
@@ -149,10 +148,15 @@ def save_events_text(camera: Camera, blocks: Iterable[NDArray[Any]], path: Path)
 
 
 def _joined(blocks: list[NDArray[Any]]) -> NDArray[Any]:
-    """Join events as plain bytes: NumPy copies records field by field."""
-    as_bytes = [block.view(f"V{EVENT_DTYPE.itemsize}") for block in blocks]
-    joined: NDArray[Any] = np.concatenate(as_bytes).view(EVENT_DTYPE)
-    return joined
+    """Join events, and empty the list meanwhile, so that memory holds them once."""
+    as_bytes = f"V{EVENT_DTYPE.itemsize}"  # NumPy copies records field by field
+    joined, n = np.empty(sum(map(len, blocks)), as_bytes), 0
+    blocks.reverse()
+    while blocks:
+        block = blocks.pop()
+        joined[n : n + len(block)] = block.view(as_bytes)
+        n += len(block)
+    return joined.view(EVENT_DTYPE)
 
 
 _DIGITS = 9  # decimals of the truth: nanometres and nanoseconds
