@@ -4,13 +4,12 @@ Clutter is drawn in the image, for each camera by itself: no two views of it sho
 second object is the same for both. Neither clutter nor drone hides the other.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
 from sim.arrays import Float32Array, FloatArray
@@ -18,11 +17,12 @@ from sim.effects.pixels import CLUSTER_PX
 from sim.errors import SimError, check_numbers
 from sim.recorded import CameraRecording, Recording
 from sim.recording import SimConfig, simulate
+from sim.scene.rig import Known
 from sim.seeds import generator, sequence
 from sim.sensor.events import HOT_SPREAD, SensorConfig, slow_events
 from sim.sensor.frames import FrameConfig
 from sim.sensor.kernels import EVENT_DTYPE
-from sim.storage import Recorded, check_out_dir, save_recording, true_rig_files
+from sim.storage import Recorded, check_out_dir, save_recording
 
 
 @dataclass(frozen=True)
@@ -59,10 +59,7 @@ class DisturbConfig:
         return self == DisturbConfig()
 
 
-MAX_FOCAL_PERCENT = 10.0
-"""Of which ten deviations are a focal length."""
-
-
+MAX_FOCAL_PERCENT = 10.0  # of which ten deviations are a focal length
 LAMP_HZ = 100.0  # mains of 50 Hz: bright at both crests
 LAMP_STEPS = 2  # thresholds that its light passes on the way up, and again on the way down
 LAMP_JITTER_S = 1e-4
@@ -224,9 +221,9 @@ def clouds(view: View, drift_px_s: float, rng: np.random.Generator) -> NDArray[A
     n = max(2, int(np.ceil(view.duration_s * drift_px_s / _STEP_PX)))
     times_s: FloatArray = view.duration_s * np.arange(1, n + 1) / n
     first = _seen(sky, view, np.zeros((1, 2)))[0]
-    return slow_events(
-        first, _frames(sky, view, drift, times_s), view.duration_s, SensorConfig(), rng, rng
-    )
+    chunks = (times_s[start : start + _BATCH] for start in range(0, n, _BATCH))
+    frames = ((chunk, _seen(sky, view, -np.multiply.outer(chunk, drift))) for chunk in chunks)
+    return slow_events(first, frames, view.duration_s, SensorConfig(), rng, rng)
 
 
 def cloudy_sky(view: View, rng: np.random.Generator) -> Float32Array:
@@ -241,15 +238,6 @@ def cloudy_sky(view: View, rng: np.random.Generator) -> Float32Array:
     contrast = np.log(CLOUD_LUMINANCE / SKY_LUMINANCE)
     sky: Float32Array = (SKY_LUMINANCE * np.exp(contrast * share)).astype(np.float32)
     return sky
-
-
-def _frames(
-    sky: Float32Array, view: View, drift_px_s: FloatArray, times_s: FloatArray
-) -> Iterator[tuple[FloatArray, Float32Array]]:
-    """Yield times (n,) [s] and what is seen at them (n, height, width), in batches."""
-    for start in range(0, len(times_s), _BATCH):
-        chunk = times_s[start : start + _BATCH]
-        yield chunk, _seen(sky, view, -np.multiply.outer(chunk, drift_px_s))
 
 
 def _seen(sky: Float32Array, view: View, corners_px: FloatArray) -> Float32Array:
@@ -283,8 +271,7 @@ def second_seed(seed: int) -> int:
 def clutter(config: DisturbConfig, view: View, seed: int, camera: int) -> NDArray[Any]:
     """Draw all that fires in a view beside the drone, but for a second object.
 
-    The events are in order of time, on the scene's clock. Each camera, given by its index, has
-    clutter of its own. SimError where something does not fit into the view.
+    The events are in order of time, on the scene's clock; each camera, by its index, has its own.
     """
     kinds: tuple[tuple[Draw, float], ...] = (
         (lamp, config.lamp_px),
@@ -316,15 +303,7 @@ def merged(*streams: NDArray[Any]) -> NDArray[Any]:
 def wrong_intrinsics(
     K: FloatArray, config: DisturbConfig, seed: int, camera: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Draw intrinsics as a calibration of stated deviations would give them.
-
-    Returns
-    -------
-    K : (3, 3) array
-        What the rig is to say [px]. All four numbers are wrong independently.
-    deviations_px : (4,) array
-        Of fu, fv, pu and pv.
-    """
+    """Draw K (3, 3) [px] as a calibration of stated deviations (4,) of fu, fv, pu, pv gives it."""
     percent, centre_px = config.intrinsics_error
     focal = 0.01 * percent
     deviations_px = np.array([focal * K[0, 0], focal * K[1, 1], centre_px, centre_px])
@@ -348,9 +327,8 @@ def record_disturbed(
 ) -> Recorded:
     """Simulate one flight, spoil it and write it as a folder; unlike `record`, all in memory.
 
-    SimError as of `record`, when a disturbance does not fit into the view, or when the trajectory
-    of a second object is a file's. truth.json has the disturbances and the true intrinsics within
-    its provenance; the rig files have the intrinsics that were drawn, and their deviations.
+    truth.json has the disturbances and the true intrinsics within its provenance. SimError as of
+    `record`, when a disturbance does not fit, or when a second object's trajectory is a file's.
     """
     check_out_dir(out_dir)
     if disturb.second_object and config.trajectory_file is not None:
@@ -370,10 +348,14 @@ def record_disturbed(
         without_frames = replace(config, frames=FrameConfig(rate_hz=0.0))
         second = flight(1, without_frames, second_seed(seed))
     recording = disturbed(recording, disturb, seed, second)
-    true = {camera.name: camera.K.tolist() for camera in recording.rig.cameras}
+    cameras = recording.cameras
+    true = {one.camera.name: one.camera.K.tolist() for one in cameras}
     spoilt = {"disturbances": asdict(disturb), "true_K": true}
-    wrong = _wrong_rig_files(recording, disturb, seed) if any(disturb.intrinsics_error) else None
-    return save_recording(recording, out_dir, provenance | spoilt, text, wrong)
+    known: Known | None = None
+    if any(disturb.intrinsics_error):
+        draws = [wrong_intrinsics(one.camera.K, disturb, seed, k) for k, one in enumerate(cameras)]
+        known = [(K, deviations_px.tolist()) for K, deviations_px in draws]
+    return save_recording(recording, out_dir, provenance | spoilt, text, known)
 
 
 def disturbed(
@@ -398,17 +380,3 @@ def disturbed(
             streams.append(thinned(others, disturb.second_object, seed, index))
         cameras.append(CameraRecording(model, merged(*streams), camera.frames))
     return replace(recording, cameras=tuple(cameras))
-
-
-def _wrong_rig_files(recording: Recording, disturb: DisturbConfig, seed: int) -> dict[str, str]:
-    """Give rig files with the intrinsics that were drawn in the place of the true ones."""
-    texts = {}
-    for name, text in true_rig_files(recording.rig).items():
-        chain = yaml.safe_load(text)
-        for index, camera in enumerate(recording.rig.cameras):
-            K, deviations_px = wrong_intrinsics(camera.K, disturb, seed, index)
-            entry = chain[f"cam{index}"]
-            entry["intrinsics"] = [float(k) for k in (K[0, 0], K[1, 1], K[0, 2], K[1, 2])]
-            entry["intrinsics_std"] = deviations_px.tolist()
-        texts[name] = yaml.safe_dump(chain, default_flow_style=None, sort_keys=False)
-    return texts

@@ -18,7 +18,6 @@ from sim.render.renderer import RenderCheck
 from sim.scene.rig import Camera, Rig
 from sim.scene.trajectory import Trajectory
 from sim.sensor.frames import Frames, Images
-from sim.sensor.kernels import EVENT_DTYPE
 
 MAX_SKEW_PPM = 100_000.0
 """Largest skew, either way: a tenth, far beyond any oscillator."""
@@ -38,8 +37,7 @@ class Drift:
     def added_us(self, times_us: IntArray) -> IntArray:
         """Return what the clock shows more (n,) [us] at times (n,) [us] of the scene.
 
-        Rounded without the offset, so that recordings that differ in their offset alone differ by
-        one number. Stamps stay in order: a microsecond adds less than one.
+        Rounded without the offset, so that recordings that differ in it alone differ by one number.
         """
         added_us = np.zeros(len(times_us), np.int64)
         if self.skew_ppm:
@@ -52,12 +50,7 @@ class Drift:
 
 
 def drift_of(skew_ppm: float, jump: Jump | None, duration_s: float) -> Drift:
-    """Check what a clock is to do during a recording; SimError when it cannot be.
-
-    A skew is at most `MAX_SKEW_PPM`, either way. A jump lies within the recording and goes
-    forwards: a clock that is set back would give each stamp of a while twice; what a driver makes
-    of that differs, and seen from the other camera it is a jump forwards.
-    """
+    """Check what a clock is to do during a recording; SimError when it cannot be."""
     if not abs(skew_ppm) <= MAX_SKEW_PPM:
         raise SimError(
             f"clock skew: expected -{MAX_SKEW_PPM:g} to {MAX_SKEW_PPM:g} ppm, got {skew_ppm:g}"
@@ -75,9 +68,6 @@ def drift_of(skew_ppm: float, jump: Jump | None, duration_s: float) -> Drift:
                 " set back are out of order; a jump forwards with the cameras swapped is the same"
             )
     return Drift(skew_ppm, duration_s / 2.0, jump)
-
-
-TRUTH_HZ = 200.0  # rate at which the truth lists poses: smooth enough to interpolate
 
 
 @dataclass(frozen=True)
@@ -120,11 +110,6 @@ class Recording(Flight):
 
     cameras: tuple[CameraRecording, ...]
 
-    @property
-    def flight(self) -> Flight:
-        """The same without what the cameras recorded."""
-        return Flight(self.rig, self.truth, self.n_instants, self.gl, self.check)
-
 
 class Sink(Protocol):
     """Takes what one camera records, as it records it, on the camera's clock."""
@@ -144,26 +129,7 @@ OpenSink = Callable[[Camera, IntArray, float], Sink]
 """Opens the sink of a camera, given the times of its frames (n,) [us] and their exposure [s]."""
 
 
-class InMemory:
-    """A sink that keeps all."""
-
-    def __init__(self, camera: Camera, times_us: IntArray, exposure_s: float) -> None:
-        self.camera = camera
-        self.images = np.empty((len(times_us), camera.height, camera.width), np.uint8)
-        self._frames = Frames(times_us, self.images, exposure_s)
-        self._events: list[NDArray[Any]] = []
-
-    def add(self, events: NDArray[Any]) -> None:
-        """Keep events."""
-        self._events.append(events)
-
-    def close(self) -> None:
-        """Join the events."""
-        self._events = [np.concatenate([np.empty(0, EVENT_DTYPE), *self._events])]
-
-    def recording(self) -> CameraRecording:
-        """Return all that was recorded."""
-        return CameraRecording(self.camera, self._events[0], self._frames)
+TRUTH_HZ = 200.0  # rate at which the truth lists poses: smooth enough to interpolate
 
 
 def truth_of(rig: Rig, trajectory: Trajectory, t_d_s: float, drift: Drift) -> Truth:

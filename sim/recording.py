@@ -4,7 +4,7 @@
 memory, `sim.storage.record` writes them to files.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.arrays import Float32Array, FloatArray
+from sim.arrays import Float32Array, IntArray
 from sim.effects.camera import CameraEffects, check_gap
 from sim.effects.config import SensorEffects
 from sim.errors import SimError
 from sim.recorded import (
+    CameraRecording,
     Drift,
     Flight,
-    InMemory,
     Jump,
     OpenSink,
     Recording,
@@ -28,7 +28,7 @@ from sim.recorded import (
 )
 from sim.render.config import RenderConfig, SamplingConfig
 from sim.render.footprint import choose_instants
-from sim.render.renderer import Crops, Renderer
+from sim.render.renderer import Renderer
 from sim.scene.background import load_background, uniform_background
 from sim.scene.drone import Drone, drone_from_file
 from sim.scene.flyers import FLAP_HZ, built_in_drone, check_drone_name
@@ -50,7 +50,8 @@ from sim.scene.trajectory import (
 )
 from sim.seeds import generator
 from sim.sensor.events import Sensor, SensorConfig
-from sim.sensor.frames import FrameConfig, FrameExposer, frame_times_us
+from sim.sensor.frames import FrameConfig, FrameExposer, Frames, frame_times_us
+from sim.sensor.kernels import EVENT_DTYPE
 
 TRAJECTORY_STREAM = 0
 """Branch of the seed that draws the path; see `sim.seeds`."""
@@ -128,6 +129,22 @@ def two_view_rig_of(config: SimConfig) -> Rig:
     )
 
 
+class _InMemory:
+    """A sink that keeps all."""
+
+    def __init__(self, camera: Camera, times_us: IntArray, exposure_s: float) -> None:
+        self.camera = camera
+        self.images = np.empty((len(times_us), camera.height, camera.width), np.uint8)
+        self.frames = Frames(times_us, self.images, exposure_s)
+        self.events: list[NDArray[Any]] = [np.empty(0, EVENT_DTYPE)]
+
+    def add(self, events: NDArray[Any]) -> None:
+        self.events.append(events)
+
+    def close(self) -> None:
+        self.events = [np.concatenate(self.events)]
+
+
 def simulate(
     config: SimConfig, seed: int, progress: Callable[[float], None] | None = None
 ) -> Recording:
@@ -138,14 +155,14 @@ def simulate(
     called now and then with the share of the work done, 0 to 1. SimError for input that makes no
     sense, or without GL.
     """
-    sinks: list[InMemory] = []
+    sinks: list[_InMemory] = []
 
-    def open_sink(*about: Any) -> InMemory:
-        sinks.append(InMemory(*about))
+    def open_sink(*about: Any) -> _InMemory:
+        sinks.append(_InMemory(*about))
         return sinks[-1]
 
     flight = stream(config, seed, open_sink, progress)
-    cameras = tuple(sink.recording() for sink in sinks)
+    cameras = tuple(CameraRecording(sink.camera, sink.events[0], sink.frames) for sink in sinks)
     return Recording(**vars(flight), cameras=cameras)
 
 
@@ -157,56 +174,51 @@ def stream(
 ) -> Flight:
     """Simulate one flight as `simulate` does, and hand on what each camera records meanwhile.
 
-    Cameras record one after the other; the sink of each is opened before. Memory does not grow with
-    the duration, but for some numbers per instant; with a sensor whose pixels act by themselves,
-    for its events too.
+    Cameras record one after the other; the sink of each is opened before. Memory grows by some
+    numbers per instant, and with a sensor whose pixels act by themselves by its events too.
     """
     if seed < 0:
         raise SimError(f"seed: expected 0 or a positive integer, got {seed}")
     scene = config.scene(seed)
-    rig, backgrounds, trajectory = scene.rig, scene.backgrounds, scene.trajectory
-    drone = scene.drone
-    drift = drift_of(config.skew_ppm, config.clock_jump, trajectory.duration_s)
+    rig, duration_s = scene.rig, scene.trajectory.duration_s
+    drift = drift_of(config.skew_ppm, config.clock_jump, duration_s)
     n_instants = 0
-    with Renderer(drone, config.render, seed) as renderer:
-        for index, camera in enumerate(rig.cameras):
-            rng = generator(seed, _SENSOR_STREAM, index)
+    with Renderer(scene.drone, config.render, seed) as renderer:
+        for index in range(len(rig.cameras)):
 
             def report(time_s: float, done: int = index) -> None:
                 if progress is not None:
-                    progress((done + time_s / trajectory.duration_s) / len(rig.cameras))
+                    progress((done + time_s / duration_s) / len(rig.cameras))
 
-            instants_s = choose_instants(drone, camera, trajectory, config.sampling)
-            n_instants += len(instants_s)
-            T_W_B = PosesAt(trajectory, instants_s)
-            views = renderer.crops(camera, instants_s, T_W_B, backgrounds[index])
-            effects = CameraEffects(
-                config.effects, config.sensor, config.frames, backgrounds[index], seed, index
-            )
-            of_camera = (camera, drift if index == 1 else Drift(), effects, rng)
-            _record(config, views, instants_s, *of_camera, open_sink, report)
+            added = drift if index == 1 else Drift()
+            n_instants += _record(config, scene, seed, index, renderer, added, open_sink, report)
         gl, check = renderer.context, renderer.check
-    return Flight(rig, truth_of(rig, trajectory, config.t_d_s, drift), n_instants, gl, check)
+    truth = truth_of(rig, scene.trajectory, config.t_d_s, drift)
+    return Flight(rig, truth, n_instants, gl, check)
 
 
 def _record(
     config: SimConfig,
-    views: Iterator[Crops],
-    instants_s: FloatArray,
-    camera: Camera,
+    scene: Scene,
+    seed: int,
+    index: int,
+    renderer: Renderer,
     drift: Drift,
-    effects: CameraEffects,
-    rng: np.random.Generator,
     open_sink: OpenSink,
     report: Callable[[float], None],
-) -> None:
-    """Sense and expose one camera's view, batch by batch."""
-    end_s = float(instants_s[-1])
-    clock_us = round(1e6 * camera.time_offset_s)
+) -> int:
+    """Render, sense and expose one camera's view, batch by batch; returns how many instants."""
+    camera, sharp = scene.rig.cameras[index], scene.backgrounds[index]
+    instants_s = choose_instants(scene.drone, camera, scene.trajectory, config.sampling)
+    start_s, end_s = float(instants_s[0]), float(instants_s[-1])
+    rng = generator(seed, _SENSOR_STREAM, index)
+    effects = CameraEffects(config.effects, config.sensor, config.frames, sharp, seed, index)
+    background = effects.background
     times_us = frame_times_us(config.frames, end_s, effects.frame_start_s)
+    clock_us = round(1e6 * camera.time_offset_s)
     stamps_us = times_us + drift.added_us(times_us) + clock_us
     sink = open_sink(camera, stamps_us, config.frames.exposure_s)
-    background, images = effects.background, effects.images(sink.images)
+    images = effects.images(sink.images)
     exposer = FrameExposer(config.frames, background, len(times_us), images, effects.frame_start_s)
 
     def hand_on(events: NDArray[Any]) -> None:
@@ -214,33 +226,29 @@ def _record(
         sink.add(events)
 
     sensor: Sensor | None = None
-    for sharp in views:
-        crops = effects.through_lens(sharp)
+    T_W_B = PosesAt(scene.trajectory, instants_s)
+    for crops in map(effects.through_lens, renderer.crops(camera, instants_s, T_W_B, sharp)):
         exposer.feed(crops.times_s, crops.x0_px, crops.y0_px, crops.luminance)
         if sensor is None:
-            starts = crops.times_s[0] == instants_s[0]  # in view from the start
-            image = _paste(crops, background) if starts else background
-            sensor = effects.start_sensor(image, float(instants_s[0]), rng, background)
+            starts = crops.times_s[0] == start_s  # in view from the start
+            image = background.copy()
+            if starts:
+                height, width = crops.luminance.shape[1:]
+                y0, x0 = crops.y0_px[0], crops.x0_px[0]
+                image[y0 : y0 + height, x0 : x0 + width] = crops.luminance[0]
+            sensor = effects.start_sensor(image, start_s, rng, background)
             crops = crops.since(1 if starts else 0)
         if len(crops.times_s):
             sensor.feed(crops.times_s, crops.x0_px, crops.y0_px, crops.luminance)
             hand_on(sensor.take_settled())
             report(float(crops.times_s[-1]))
     if sensor is None:  # never in view
-        sensor = effects.start_sensor(background, float(instants_s[0]), rng)
+        sensor = effects.start_sensor(background, start_s, rng)
     hand_on(effects.read_out(sensor.finish(end_s), end_s))
     exposer.finish()
     sink.close()
     report(end_s)
-
-
-def _paste(crops: Crops, background: Float32Array) -> Float32Array:
-    """Return the whole image at the first instant of the crops."""
-    image = background.copy()
-    height, width = crops.luminance.shape[1:]
-    y0, x0 = crops.y0_px[0], crops.x0_px[0]
-    image[y0 : y0 + height, x0 : x0 + width] = crops.luminance[0]
-    return image
+    return len(instants_s)
 
 
 def _backgrounds(config: SimConfig, rig: Rig) -> list[Float32Array]:

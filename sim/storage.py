@@ -18,7 +18,7 @@ import os
 import platform
 import re
 import shutil
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass
 from functools import cache
@@ -34,9 +34,9 @@ from scipy.spatial.transform import Rotation
 
 from sim.arrays import FloatArray, IntArray
 from sim.errors import SimError
-from sim.recorded import Flight, Recording
+from sim.recorded import Flight, OpenSink, Recording
 from sim.recording import SimConfig, stream
-from sim.scene.rig import Camera, Rig, kalibr_yaml
+from sim.scene.rig import Camera, Known, kalibr_yaml
 from sim.sensor.kernels import EVENT_DTYPE
 
 _NAME_LENGTH = 32  # of 255 bytes that a file's name may have, four for each of these letters
@@ -78,19 +78,34 @@ class CameraFiles:
     def __init__(
         self, folder: Path, text: bool, camera: Camera, times_us: IntArray, exposure_s: float
     ) -> None:
-        self.camera = camera
-        self.n_events, self.n_frames = 0, len(times_us)
+        self.camera, self.n_events, self.n_frames = camera, 0, len(times_us)
+        self.images = self
         self._text_path = folder / f"{camera.name}.txt" if text else None
         self._events: list[NDArray[Any]] = []
         self._file = h5py.File(folder / f"{camera.name}.h5", "w")
         self._file.attrs["width"], self._file.attrs["height"] = camera.width, camera.height
-        self.images = _ImageChunks(self._file, camera, times_us, exposure_s)
+        if not self.n_frames:
+            return
+        at_once = min(_FRAMES_PER_CHUNK, _MAX_CHUNK_BYTES // (camera.height * camera.width))
+        chunk = (max(min(at_once, self.n_frames), 1), camera.height, camera.width)
+        self._waiting = np.empty(chunk, np.uint8)
+        self._file.create_dataset("frames/t", data=times_us)
+        self._file["frames"].attrs["exposure_us"] = round(exposure_s * 1e6)
+        about = {"shape": (self.n_frames, *chunk[1:]), "dtype": np.uint8, "chunks": chunk}
+        self._dataset = self._file.create_dataset("frames/images", **about, **_FRAME_CODEC)
 
     def __enter__(self) -> "CameraFiles":
         return self
 
     def __exit__(self, *_: object) -> None:
         self._file.close()
+
+    def __setitem__(self, k: int, image: NDArray[np.uint8]) -> None:
+        """Write frame k, of frames that come in their order."""
+        at = k % len(self._waiting)
+        self._waiting[at] = image
+        if at == len(self._waiting) - 1 or k == self.n_frames - 1:
+            self._dataset[k - at : k + 1] = self._waiting[: at + 1]
 
     def add(self, events: NDArray[Any]) -> None:
         """Keep events: their columns must not lie between frames wherever these happen to end."""
@@ -99,54 +114,24 @@ class CameraFiles:
 
     def close(self) -> None:
         """Write the events and close the file."""
+        if self._text_path is not None:
+            save_events_text(self.camera, self._events, self._text_path)
+        chunks = {"chunks": (min(self.n_events, _EVENTS_PER_CHUNK),), **_EVENT_CODEC}
         columns = {
             name: self._file.create_dataset(
                 f"events/{name}",
-                shape=(self.n_events,),
-                dtype=EVENT_DTYPE[name],
-                **({"chunks": (min(self.n_events, _EVENTS_PER_CHUNK),)} | dict(_EVENT_CODEC)
-                   if self.n_events else {}),
+                (self.n_events,),
+                EVENT_DTYPE[name],
+                **chunks if self.n_events else {},
             )
             for name in ("t", "x", "y", "p")
-        }  # fmt: skip
-        start = 0
-        for events in _regrouped(self._events, _EVENTS_PER_CHUNK):
+        }
+        events = _joined(self._events)
+        for start in range(0, self.n_events, _EVENTS_PER_CHUNK):
+            stop = start + _EVENTS_PER_CHUNK
             for name, column in columns.items():
-                column[start : start + len(events)] = events[name]
-            start += len(events)
-        if self._text_path is not None:
-            save_events_text(self.camera, self._events, self._text_path)
-        self._events = []
+                column[start:stop] = events[start:stop][name]
         self._file.close()
-
-
-class _ImageChunks:
-    """Writes frames, given in their order, to an open HDF5 file."""
-
-    def __init__(
-        self, file: h5py.File, camera: Camera, times_us: IntArray, exposure_s: float
-    ) -> None:
-        self._n = len(times_us)
-        if not self._n:
-            return
-        shape = (camera.height, camera.width)
-        at_once = min(_FRAMES_PER_CHUNK, _MAX_CHUNK_BYTES // (shape[0] * shape[1]), self._n)
-        self._waiting = np.empty((max(at_once, 1), *shape), np.uint8)
-        file.create_dataset("frames/t", data=times_us)
-        file["frames"].attrs["exposure_us"] = round(exposure_s * 1e6)
-        self._dataset = file.create_dataset(
-            "frames/images",
-            shape=(self._n, *shape),
-            dtype=np.uint8,
-            chunks=self._waiting.shape,
-            **_FRAME_CODEC,
-        )
-
-    def __setitem__(self, k: int, image: NDArray[np.uint8]) -> None:
-        at = k % len(self._waiting)
-        self._waiting[at] = image
-        if at == len(self._waiting) - 1 or k == self._n - 1:
-            self._dataset[k - at : k + 1] = self._waiting[: at + 1]
 
 
 def save_events_text(camera: Camera, blocks: Iterable[NDArray[Any]], path: Path) -> None:
@@ -162,28 +147,16 @@ def save_events_text(camera: Camera, blocks: Iterable[NDArray[Any]], path: Path)
             file.writelines(f"{m}{s}.{us:06d} {x} {y} {p}\n" for m, s, us, x, y, p in rows)
 
 
-def _regrouped(blocks: Iterable[NDArray[Any]], size: int) -> Iterator[NDArray[Any]]:
-    """Cut and join blocks of any length to blocks of one length, but for the last."""
-    parts: list[NDArray[Any]] = []
-    n_waiting = 0
-    for block in blocks:
-        start = 0
-        while n_waiting + len(block) - start >= size:
-            stop = start + size - n_waiting
-            piece = block[start:stop]
-            yield _joined([*parts, piece]) if parts else piece
-            start, parts, n_waiting = stop, [], 0
-        parts.append(block[start:])
-        n_waiting += len(block) - start
-    if n_waiting:
-        yield _joined(parts)
-
-
-def _joined(parts: list[NDArray[Any]]) -> NDArray[Any]:
-    """Join events as plain bytes: NumPy copies records field by field."""
-    as_bytes = [part.view(f"V{part.itemsize}") for part in parts]
-    joined: NDArray[Any] = np.concatenate(as_bytes).view(EVENT_DTYPE)
-    return joined
+def _joined(blocks: list[NDArray[Any]]) -> NDArray[Any]:
+    """Join events, and empty the list meanwhile, so that memory holds them once."""
+    as_bytes = f"V{EVENT_DTYPE.itemsize}"  # NumPy copies records field by field
+    joined, n = np.empty(sum(map(len, blocks)), as_bytes), 0
+    blocks.reverse()
+    while blocks:
+        block = blocks.pop()
+        joined[n : n + len(block)] = block.view(as_bytes)
+        n += len(block)
+    return joined.view(EVENT_DTYPE)
 
 
 _DIGITS = 9  # decimals of the truth: nanometres and nanoseconds
@@ -216,20 +189,11 @@ def record(
 ) -> Recorded:
     """Simulate one flight and write it meanwhile; only one camera's events are in memory.
 
-    The arguments are those of `simulate` and `save_recording`, and so are the errors; the folder is
-    not there then, or as empty as before.
+    The arguments and errors are those of `simulate` and `save_recording`.
     """
-    with _whole_folder(out_dir) as partial, ExitStack() as open_files:
-        sinks: list[CameraFiles] = []
-
-        def open_sink(*about: Any) -> CameraFiles:
-            sinks.append(open_files.enter_context(CameraFiles(partial, text, *about)))
-            return sinks[-1]
-
-        flight = stream(config, seed, open_sink, progress)
-        recorded = _recorded(flight, sinks)
-        _save_about(recorded, partial, provenance)
-    return recorded
+    return _write(
+        lambda open_sink: stream(config, seed, open_sink, progress), out_dir, provenance, text
+    )
 
 
 def save_recording(
@@ -237,48 +201,51 @@ def save_recording(
     out_dir: Path,
     provenance: dict[str, Any],
     text: bool = False,
-    rig_files: Mapping[str, str] | None = None,
+    known: Known | None = None,
 ) -> Recorded:
-    """Write a recording as a folder.
+    """Write a recording as a folder, new or empty, which appears only when all of it is written.
 
-    Parameters
-    ----------
-    out_dir
-        New, or empty. The folder appears under this name only when all of it is written.
-    provenance
-        What the recording was made with; goes into truth.json as it is.
-    text
-        Write the events as ESIM text (cam1.txt, ...) too.
-    rig_files
-        Name -> text, in place of `true_rig_files` of the recording's rig.
-
-    Raises
-    ------
-    SimError
-        When the folder is not empty or cannot be written.
+    `provenance`, what it was made with, goes into truth.json as it is; `text` writes the events as
+    ESIM text (cam1.txt, ...) too; `known` is what the rig files say of the intrinsics in place of
+    the truth. SimError when the folder is not empty or cannot be written.
     """
-    with _whole_folder(out_dir) as partial:
-        sinks = []
+
+    def replay(open_sink: OpenSink) -> Flight:
         for camera in recording.cameras:
-            frames = camera.frames
-            about = (camera.camera, frames.times_us, frames.exposure_s)
-            with CameraFiles(partial, text, *about) as sink:
-                for k, image in enumerate(frames.images):
-                    sink.images[k] = image
-                sink.add(camera.events)
-                sink.close()
-            sinks.append(sink)
-        recorded = _recorded(recording.flight, sinks)
-        _save_about(recorded, partial, provenance, rig_files)
-    return recorded
+            sink = open_sink(camera.camera, camera.frames.times_us, camera.frames.exposure_s)
+            for k, image in enumerate(camera.frames.images):
+                sink.images[k] = image
+            sink.add(camera.events)
+            sink.close()
+        return recording
+
+    return _write(replay, out_dir, provenance, text, known)
 
 
-def true_rig_files(rig: Rig) -> dict[str, str]:
-    """Give the texts of the rig's files by name, without the true extrinsics and with them."""
-    return {
-        "rig.yaml": kalibr_yaml(rig, with_extrinsics=False),
-        "rig_extrinsics.yaml": kalibr_yaml(rig, with_extrinsics=True),
-    }
+def _write(
+    film: Callable[[OpenSink], Flight],
+    out_dir: Path,
+    provenance: dict[str, Any],
+    text: bool,
+    known: Known | None = None,
+) -> Recorded:
+    """Write what a flight's cameras record, and then all other files."""
+    sinks: list[CameraFiles] = []
+    with _whole_folder(out_dir) as partial, ExitStack() as open_files:
+
+        def open_sink(*about: Any) -> CameraFiles:
+            sinks.append(open_files.enter_context(CameraFiles(partial, text, *about)))
+            return sinks[-1]
+
+        flight = film(open_sink)
+        n_events = tuple(sink.n_events for sink in sinks)
+        for name, with_extrinsics in (("rig.yaml", False), ("rig_extrinsics.yaml", True)):
+            (partial / name).write_text(kalibr_yaml(flight.rig, with_extrinsics, known))
+        truth = _truth(flight, n_events) | {"provenance": provenance}
+        # A line for each entry: json's own indentation is ten times as slow as all else about it.
+        lines = (f"{json.dumps(name)}: {json.dumps(value)}" for name, value in truth.items())
+        (partial / "truth.json").write_text("{\n" + ",\n".join(lines) + "\n}\n")
+    return Recorded(flight, n_events, tuple(sink.n_frames for sink in sinks))
 
 
 @contextmanager
@@ -311,29 +278,8 @@ def _unwritable(out_dir: Path, error: OSError) -> SimError:
     return SimError(f"cannot write the recording to {out_dir}: {error}")
 
 
-def _recorded(flight: Flight, sinks: Sequence[CameraFiles]) -> Recorded:
-    n_events = tuple(sink.n_events for sink in sinks)
-    return Recorded(flight, n_events, tuple(sink.n_frames for sink in sinks))
-
-
-def _save_about(
-    recorded: Recorded,
-    folder: Path,
-    provenance: dict[str, Any],
-    rig_files: Mapping[str, str] | None = None,
-) -> None:
-    """Write all files but those of the cameras."""
-    for name, text in (rig_files or true_rig_files(recorded.flight.rig)).items():
-        (folder / name).write_text(text)
-    truth = _truth(recorded) | {"provenance": provenance}
-    # A line for each entry: json's own indentation is ten times as slow as all else about it.
-    lines = (f"{json.dumps(name)}: {json.dumps(value)}" for name, value in truth.items())
-    (folder / "truth.json").write_text("{\n" + ",\n".join(lines) + "\n}\n")
-
-
-def _truth(recorded: Recorded) -> dict[str, Any]:
+def _truth(flight: Flight, n_events: tuple[int, ...]) -> dict[str, Any]:
     """Return the content of truth.json, with frames and units in the names."""
-    flight = recorded.flight
     truth, jump = flight.truth, flight.truth.drift.jump
     quaternions = Rotation.from_matrix(truth.T_W_B[:, :3, :3]).as_quat()
     return {
@@ -350,11 +296,11 @@ def _truth(recorded: Recorded) -> dict[str, Any]:
             camera.name: {
                 "time_offset_s": camera.time_offset_s,
                 "T_C_W": camera.T_C_W.tolist(),
-                "n_events": n_events,
+                "n_events": n,
                 "drone_px": _rounded(centres),
             }
-            for camera, n_events, centres in zip(
-                flight.rig.cameras, recorded.n_events, truth.centres_px, strict=True
+            for camera, n, centres in zip(
+                flight.rig.cameras, n_events, truth.centres_px, strict=True
             )
         },
         "times_s": _rounded(truth.times_s),

@@ -27,7 +27,6 @@ class CameraEffects:
     """What stands between one camera's light and what it records; nothing by default.
 
     `background` is the luminance (height, width) of the empty scene, `index` the camera's, 0 or 1.
-    SimError when a frame's readout would end after the next frame's exposure.
     """
 
     def __init__(
@@ -39,11 +38,9 @@ class CameraEffects:
         seed: int,
         index: int,
     ) -> None:
-        check_gap(effects, frames)
         self.effects = effects.of_camera(index)
-        self._sensor, self._frames = sensor, frames
-        self._seed, self._index = seed, index
-        self._sharp = background
+        self.frames = frames
+        self._sensor, self._seed, self._index, self._sharp = sensor, seed, index, background
         self.background = background
         """Luminance (height, width) of the empty scene behind the lens."""
         if effects.blur_px:
@@ -78,18 +75,18 @@ class CameraEffects:
     def read_out(self, events: NDArray[Any], end_s: float) -> NDArray[Any]:
         """Deliver all events of a recording that ends at a time [s], as the readout does.
 
-        Events are sorted by time [us of the scene], before and after; none is outside of the
-        recording.
+        They are sorted by time [us of the scene], before and after, and within the recording.
         """
-        effects, frames = self.effects, self._frames
+        effects, frames = self.effects, self.frames
         if effects.is_none:
             return events
         if effects.frame_gap_s and frames.rate_hz:
             n_frames = int(np.ceil(end_s * frames.rate_hz)) + 1
             ends_s = self.frame_start_s + np.arange(n_frames) / frames.rate_hz + frames.exposure_s
             events = without_gaps(events, 1e6 * ends_s, 1e6 * effects.frame_gap_s)
-        if effects.scan_s:
-            events = scanned(events, 1e6 * effects.scan_s)
+        if effects.scan_s:  # all pixels are looked at in turns: an event bears its turn's time
+            events, period_us = events.copy(), 1e6 * effects.scan_s
+            events["t"] = np.rint(np.ceil(events["t"] / period_us) * period_us)
         if effects.readout_hz:
             events = queued(events, effects.readout_hz, effects.readout_queue)
         is_within = (events["t"] >= 0) & (events["t"] <= np.rint(1e6 * end_s))
@@ -101,9 +98,15 @@ class CameraEffects:
         effects = self.effects
         if not (effects.frame_read_noise or effects.frame_full_well_e or effects.flicker_depth):
             return images
-        rng = self._rng(_FRAMES, self._index)
-        about = (effects, self._frames, self.frame_start_s)
-        return NoisyImages(images, *about, rng, self.flicker_rad)
+        return _NoisyImages(images, self, self._rng(_FRAMES, self._index))
+
+    def brightness(self, k: int) -> float:
+        """Give the mean of the lamps' light during frame k, over its mean in the long run."""
+        depth, exposure_s = self.effects.flicker_depth, self.frames.exposure_s
+        rad_s = 2.0 * np.pi * self.effects.flicker_hz
+        from_rad = rad_s * (self.frame_start_s + k / self.frames.rate_hz) + self.flicker_rad
+        change = np.sin(from_rad + rad_s * exposure_s) - np.sin(from_rad)
+        return float(1.0 + depth * change / (rad_s * exposure_s))
 
     def _rng(self, stream: int, index: int) -> np.random.Generator:
         return generator(self._seed, _STREAM, stream, index)
@@ -144,10 +147,7 @@ def blurred_image(image: Float32Array, blur_px: float) -> Float32Array:
 def blurred_crops(
     crops: Crops, blur_px: float, background: Float32Array, blurred: Float32Array
 ) -> Crops:
-    """Blur crops of an image, whose background (height, width) is given sharp and blurred.
-
-    The new crops are wider by the blur's reach where the image goes on.
-    """
+    """Blur crops, which widens them, of an image whose background is given sharp and blurred."""
     weights = point_spread(blur_px).astype(np.float32)
     margin = len(weights) // 2
     n, height, width = crops.luminance.shape
@@ -194,11 +194,7 @@ def _blur(  # type: ignore[no-untyped-def]
 
 
 def without_gaps(events: NDArray[Any], starts_us: FloatArray, gap_us: float) -> NDArray[Any]:
-    """Lose the events during gaps.
-
-    Events are sorted by time. Gaps begin at `starts_us` (n,), increasing, and each ends before the
-    next begins.
-    """
+    """Lose the events, sorted by time, during gaps that begin at `starts_us` (n,), increasing."""
     if not len(starts_us):
         return events
     gap = np.searchsorted(starts_us, events["t"], side="right") - 1
@@ -206,18 +202,8 @@ def without_gaps(events: NDArray[Any], starts_us: FloatArray, gap_us: float) -> 
     return events[~is_lost]
 
 
-def scanned(events: NDArray[Any], period_us: float) -> NDArray[Any]:
-    """Stamp each event when its pixel is next looked at: all are, at the same times, in turns."""
-    delivered = events.copy()
-    delivered["t"] = np.rint(np.ceil(events["t"] / period_us) * period_us)
-    return delivered
-
-
 def queued(events: NDArray[Any], readout_hz: float, queue: int) -> NDArray[Any]:
-    """Read events, sorted by time, out one at a time; each is stamped when its turn comes.
-
-    Beside the one that is read out at most `queue` wait; an event that finds as many is lost.
-    """
+    """Read events, sorted by time, out one by one, stamped then; beside one, `queue` may wait."""
     stamps_us, is_read = _serve(events["t"], 1e6 / readout_hz, queue)
     delivered: NDArray[Any] = events[is_read]
     delivered["t"] = stamps_us[is_read]
@@ -246,52 +232,26 @@ _QUANTILES = ndtri((np.arange(1 << _BITS) + 0.5) / (1 << _BITS)).astype(np.float
 _QUANTILES /= _QUANTILES.std()
 
 
-class NoisyImages:
-    """Gives frames their flicker and noise, and hands them on to `images`.
+class _NoisyImages:
+    """Gives frames their flicker and noise, and hands them on."""
 
-    The first exposure begins at `start_s`; `flicker_rad` is the phase of the lamps at time 0.
-    """
-
-    def __init__(
-        self,
-        images: Images,
-        effects: SensorEffects,
-        config: FrameConfig,
-        start_s: float,
-        rng: np.random.Generator,
-        flicker_rad: float,
-    ) -> None:
-        self._images = images
-        self._effects = effects
-        self._config = config
-        self._start_s = start_s
-        self._rng = rng
-        self._flicker_rad = flicker_rad
+    def __init__(self, images: Images, camera: CameraEffects, rng: np.random.Generator) -> None:
+        self._images, self._camera, self._rng = images, camera, rng
 
     def __setitem__(self, k: int, image: NDArray[np.uint8], /) -> None:
-        """Take frame k, (height, width)."""
-        effects = self._effects
-        levels = np.arange(256) * self._brightness(k) / _FULL_SCALE
+        effects = self._camera.effects
+        levels = np.arange(256) * self._camera.brightness(k) / _FULL_SCALE
         variance = np.full(256, effects.frame_read_noise**2)
         if effects.frame_full_well_e:
             variance += levels / effects.frame_full_well_e
         deviation = np.sqrt(variance)
-        per_draw = 64 // _BITS
-        draws = self._rng.integers(0, 2**64, -(-image.size // per_draw), np.uint64)
+        draws = self._rng.integers(0, 2**64, -(-image.size // (64 // _BITS)), np.uint64)
         noisy = np.empty_like(image)
         _add_noise(
             image.reshape(-1), draws, (_FULL_SCALE * levels).astype(np.float32),
             (_FULL_SCALE * deviation).astype(np.float32), _QUANTILES, noisy.reshape(-1),
         )  # fmt: skip
         self._images[k] = noisy
-
-    def _brightness(self, k: int) -> float:
-        """Give the mean of the lamps' light during an exposure, over its mean in the long run."""
-        depth, exposure_s = self._effects.flicker_depth, self._config.exposure_s
-        rad_s = 2.0 * np.pi * self._effects.flicker_hz
-        from_rad = rad_s * (self._start_s + k / self._config.rate_hz) + self._flicker_rad
-        change = np.sin(from_rad + rad_s * exposure_s) - np.sin(from_rad)
-        return float(1.0 + depth * change / (rad_s * exposure_s))
 
 
 @njit(cache=True, nogil=True)

@@ -52,25 +52,21 @@ class SensorEffects:
     def __post_init__(self) -> None:
         check_numbers(self, "effects: ", or_zero=vars(self))
         check_numbers(self, "effects: ", _POSITIVE)
-        if self.frame_phase_spread > 1.0:
-            raise SimError(
-                f"effects: frame_phase_spread is a share, 0 to 1, got {self.frame_phase_spread}"
-            )
-        if self.flicker_depth >= 1.0:
-            raise SimError(
-                f"effects: flicker_depth must be less than 1, got {self.flicker_depth}: "
-                "there is no negative light"
-            )
-        if self.cutoff_min_hz > self.cutoff_max_hz:
-            raise SimError(
-                f"effects: cutoff_min_hz must be at most cutoff_max_hz, got {self.cutoff_min_hz} "
-                f"and {self.cutoff_max_hz}"
-            )
-        if self.readout_queue < 1:
-            raise SimError(
-                f"effects: readout_queue must be 1 or more, got {self.readout_queue}: "
-                "leave out readout_hz for a readout without a queue"
-            )
+        low_hz, high_hz, queue = self.cutoff_min_hz, self.cutoff_max_hz, self.readout_queue
+        for is_right, said in (
+            (self.frame_phase_spread <= 1.0,
+             f"frame_phase_spread is a share, 0 to 1, got {self.frame_phase_spread}"),
+            (self.flicker_depth < 1.0,
+             f"flicker_depth must be less than 1, got {self.flicker_depth}: there is no negative "
+             "light"),
+            (low_hz <= high_hz,
+             f"cutoff_min_hz must be at most cutoff_max_hz, got {low_hz} and {high_hz}"),
+            (queue >= 1,
+             f"readout_queue must be 1 or more, got {queue}: leave out readout_hz for a readout "
+             "without a queue"),
+        ):  # fmt: skip
+            if not is_right:
+                raise SimError(f"effects: {said}")
 
     @property
     def is_none(self) -> bool:

@@ -177,7 +177,7 @@ class PixelRates(NamedTuple):
 @njit(cache=True, nogil=True, error_model="numpy")
 def follow_changes(  # type: ignore[no-untyped-def]
     times_s, x0_px, y0_px, luminance, background, time_s, box, image, pixels, rates, dim_hz,
-    ev_t, ev_x, ev_y, ev_p, n,
+    events, n,
 ):  # fmt: skip
     """Follow the pixels whose light changes; see `sim.sensor.events.Sensor.feed`."""
     height, width = luminance.shape[1:]
@@ -192,16 +192,12 @@ def follow_changes(  # type: ignore[no-untyped-def]
             y, x = loud[j]
             i0, i1 = np.float64(before[j]), np.float64(image[y, x])
             if pixels[y, x].time_s < time_s:
-                ev_t, ev_x, ev_y, ev_p, n = _follow(
-                    y, x, time_s, i0, i0, pixels, rates, dim_hz, ev_t, ev_x, ev_y, ev_p, n
-                )
-            ev_t, ev_x, ev_y, ev_p, n = _follow(
-                y, x, times_s[k], i0, i1, pixels, rates, dim_hz, ev_t, ev_x, ev_y, ev_p, n
-            )
+                events, n = _follow(y, x, time_s, i0, i0, pixels, rates, dim_hz, events, n)
+            events, n = _follow(y, x, times_s[k], i0, i1, pixels, rates, dim_hz, events, n)
         x0, y0 = x0_px[k], y0_px[k]
         box[0], box[1], box[2], box[3] = x0, y0, x0 + width, y0 + height
         time_s = times_s[k]
-    return ev_t, ev_x, ev_y, ev_p, n
+    return events, n
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -230,17 +226,15 @@ def _follow_quiet(  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def follow_all(  # type: ignore[no-untyped-def]
-    time_s, image, pixels, rates, dim_hz, ev_t, ev_x, ev_y, ev_p, n
+    time_s, image, pixels, rates, dim_hz, events, n
 ):
     """Follow all pixels, whose light stays, up to a time."""
     for y in range(image.shape[0]):
         for x in range(image.shape[1]):
             i, state = np.float64(image[y, x]), pixels[y, x]
             if state.time_s < time_s and not _stays_quiet(state, time_s, i, i, rates, dim_hz):
-                ev_t, ev_x, ev_y, ev_p, n = _follow(
-                    y, x, time_s, i, i, pixels, rates, dim_hz, ev_t, ev_x, ev_y, ev_p, n
-                )
-    return ev_t, ev_x, ev_y, ev_p, n
+                events, n = _follow(y, x, time_s, i, i, pixels, rates, dim_hz, events, n)
+    return events, n
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -273,7 +267,7 @@ def _stays_quiet(state, t1, i0, i1, rates, dim_hz):  # type: ignore[no-untyped-d
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _follow(  # type: ignore[no-untyped-def]
-    y, x, t1, i0, i1, pixels, rates, dim_hz, ev_t, ev_x, ev_y, ev_p, n
+    y, x, t1, i0, i1, pixels, rates, dim_hz, events, n
 ):
     """Follow one pixel up to t1 while its luminance goes linearly from i0 to i1."""
     state = pixels[y, x]
@@ -321,10 +315,10 @@ def _follow(  # type: ignore[no-untyped-def]
             state.budget = -np.log(1.0 - uniform(state))
             polarity = _noise_polarity(middle, noise_hz, state, rates, dim_hz)
         signal = signal_at(t, course)
-        if n == ev_t.size:
-            ev_t, ev_x, ev_y, ev_p = grown(ev_t, ev_x, ev_y, ev_p)
-        ev_t[n] = t + _delay(signal + rates.eps, state, rates)
-        ev_x[n], ev_y[n], ev_p[n] = x, y, polarity
+        if n == events.size:
+            events = grown(events)
+        event, delay_s = events[n], _delay(signal + rates.eps, state, rates)
+        event.t_s, event.x, event.y, event.p = t + delay_s, x, y, polarity
         n += 1
         level = signal + rates.eps
         if rates.refractory_s > 0.0:
@@ -334,19 +328,15 @@ def _follow(  # type: ignore[no-untyped-def]
             leak = state.mean_leak_per_s / late
             state.leak_per_s = leak
     state.level, state.signal, state.time_s = level, receptor(t1, course), t1
-    return ev_t, ev_x, ev_y, ev_p, n
+    return events, n
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _noise_hz(luminance, state, rates, dim_hz):  # type: ignore[no-untyped-def]
     """Rate of a pixel's noise events of all causes."""
-    nominal_hz = _shot_hz(luminance, rates) + _dim_hz(luminance, dim_hz)
+    shot_hz = rates.shot_hz * (1.0 - SHOT_NOISE_DROP * min(max(luminance, 0.0), 1.0))
+    nominal_hz = shot_hz + _dim_hz(luminance, dim_hz)
     return state.noisiness * nominal_hz + state.hot_hz + rates.background_hz
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _shot_hz(luminance, rates):  # type: ignore[no-untyped-def]
-    return rates.shot_hz * (1.0 - SHOT_NOISE_DROP * min(max(luminance, 0.0), 1.0))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -19,9 +19,8 @@ class EffectsSensor(Sensor):
     """The pixels of one camera, with the effects that act within a pixel.
 
     They have seen their first image for long, and memorised it at the start. `effects_rng` draws
-    what the effects add to `config`: with all of them off, mismatch and hot pixels are those of a
-    `Sensor` with the same `rng`. `flicker_rad` is the phase of the lamps at time 0. SimError when
-    the image is smaller than a hot cluster.
+    what the effects add; `flicker_rad` is the phase of the lamps at time 0. SimError when the image
+    is smaller than a hot cluster.
     """
 
     def __init__(
@@ -40,11 +39,26 @@ class EffectsSensor(Sensor):
             self._noise = self._start_noise(time_s, rng)
         effects_rng = effects_rng or np.random.default_rng(0)
         self._pixels = _start(self._noise, config, effects, self._up, self._image, effects_rng)
-        lit = self._image * _flicker_at(time_s, self._image, config, effects, flicker_rad)
+        rad = 2.0 * np.pi * effects.flicker_hz * time_s + flicker_rad
+        lit = self._image * _flicker_at(rad, self._image, config, effects)
         level = self._reference * (lit + config.log_eps) / (self._image + config.log_eps)
         self._pixels["down"], self._pixels["level"] = self._down, level
-        self._dim_hz = _dim_noise_hz(config, effects)
-        self._rates_of_all = _rates(config, effects, flicker_rad)
+        # Of the shot noise in dim light, over luminance from 0 to 1.
+        lux = effects.illuminance_lux * (np.linspace(0.0, 1.0, _TABLE) + config.log_eps)
+        dim_hz = effects.dim_noise_on_hz + effects.dim_noise_off_hz
+        self._dim_hz = dim_hz * np.maximum(lux / DIM_LUX, 1.0) ** (-effects.dim_noise_exponent)
+        same = {name: value for name, value in vars(effects).items() if name in PixelRates._fields}
+        self._rates_of_all = PixelRates(
+            eps=config.log_eps,
+            lux=effects.illuminance_lux,
+            refractory_s=config.refractory_s,
+            shot_hz=config.shot_noise_hz,
+            background_hz=config.background_hz,
+            dim_on_share=effects.dim_noise_on_hz / dim_hz if dim_hz else 0.0,
+            flicker_rad_s=2.0 * np.pi * effects.flicker_hz,
+            flicker_rad=flicker_rad,
+            **same,
+        )
 
     def feed(
         self, times_s: FloatArray, x0_px: IntArray, y0_px: IntArray, luminance: Float32Array
@@ -66,7 +80,7 @@ class EffectsSensor(Sensor):
         self._events.follow(
             follow_all, self._time_s, self._image, self._pixels, self._rates_of_all, self._dim_hz
         )  # fmt: skip
-        return self._take(before_us=np.inf)
+        return self._events.take(np.inf, *self._image.shape[::-1])
 
 
 def _start(
@@ -105,15 +119,10 @@ def _start(
 
 
 def _flicker_at(
-    time_s: float,
-    image: Float32Array,
-    config: SensorConfig,
-    effects: SensorEffects,
-    flicker_rad: float,
+    rad_at: float, image: Float32Array, config: SensorConfig, effects: SensorEffects
 ) -> FloatArray:
     """Give what flicker multiplies each pixel's signal by, (height, width)."""
-    rad_s = 2.0 * np.pi * effects.flicker_hz
-    rad: FloatArray = np.full(image.shape, rad_s * time_s + flicker_rad)
+    rad: FloatArray = np.full(image.shape, rad_at)
     depth: Any = effects.flicker_depth
     if effects.cutoff_hz_per_lux:
         lux = effects.illuminance_lux * (image.astype(np.float64) + config.log_eps)
@@ -122,29 +131,3 @@ def _flicker_at(
         rad, depth = rad - np.arctan(ratio), depth / np.hypot(1.0, ratio)
     factor: FloatArray = 1.0 + depth * np.cos(rad)
     return factor
-
-
-def _dim_noise_hz(config: SensorConfig, effects: SensorEffects) -> FloatArray:
-    """Tabulate the shot noise in dim light over luminance, 0 to 1."""
-    luminance = np.linspace(0.0, 1.0, _TABLE)
-    lux = effects.illuminance_lux * (luminance + config.log_eps)
-    dim_hz = effects.dim_noise_on_hz + effects.dim_noise_off_hz
-    rates_hz: FloatArray = dim_hz * np.maximum(lux / DIM_LUX, 1.0) ** (-effects.dim_noise_exponent)
-    return rates_hz
-
-
-def _rates(config: SensorConfig, effects: SensorEffects, flicker_rad: float) -> PixelRates:
-    """Say what all pixels share: the effects of the same name, and what is not one's own."""
-    dim_hz = effects.dim_noise_on_hz + effects.dim_noise_off_hz
-    same = {name: value for name, value in vars(effects).items() if name in PixelRates._fields}
-    return PixelRates(
-        eps=config.log_eps,
-        lux=effects.illuminance_lux,
-        refractory_s=config.refractory_s,
-        shot_hz=config.shot_noise_hz,
-        background_hz=config.background_hz,
-        dim_on_share=effects.dim_noise_on_hz / dim_hz if dim_hz else 0.0,
-        flicker_rad_s=2.0 * np.pi * effects.flicker_hz,
-        flicker_rad=flicker_rad,
-        **same,
-    )

@@ -6,7 +6,7 @@ import numpy as np
 
 from sim.arrays import FloatArray
 from sim.errors import SimError, check_numbers
-from sim.render.lattice import GL_MAX_A, Lattice
+from sim.render.lattice import Lattice
 from sim.scene.rig import Camera
 
 RENDERERS = ("native", "pyrender")
@@ -28,11 +28,6 @@ class RenderConfig:
     def __post_init__(self) -> None:
         if self.renderer not in RENDERERS:
             raise SimError(f"unknown renderer {self.renderer!r}: use one of {', '.join(RENDERERS)}")
-        if self.lattice.a > GL_MAX_A and (self.renderer == "pyrender" or self.check):
-            raise SimError(
-                f"OpenGL draws lattices up to a = {GL_MAX_A}, got a = {self.lattice.a}: use the "
-                "native renderer without its check"
-            )
         if not 0.0 <= self.ambient <= 1.0:
             raise SimError(f"ambient light: expected 0 to 1, got {self.ambient}")
         if not (np.isfinite(self.light_W).all() and np.any(self.light_W)):

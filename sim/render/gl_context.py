@@ -1,7 +1,6 @@
 """The GL context that everything is drawn in: OSMesa where the system has it, EGL otherwise.
 
-PyOpenGL binds to one platform when it is first imported, so a process has one backend, and here one
-context, for its life.
+PyOpenGL binds to one platform when first imported: a process has one backend, and here one context.
 """
 
 import ctypes.util
@@ -14,8 +13,8 @@ import numpy as np
 
 from sim.errors import SimError
 
-BACKENDS = ("osmesa", "egl")
-_LIBRARIES = {"osmesa": "OSMesa", "egl": "EGL"}
+BACKENDS = {"osmesa": "OSMesa", "egl": "EGL"}
+"""Their libraries, the one that is taken first, first."""
 
 
 @dataclass(frozen=True)
@@ -30,8 +29,7 @@ class GLContext:
 def open_context(backend: str = "auto") -> GLContext:
     """Open the GL context of this process, or return the one that is open.
 
-    The backend "auto" is OSMesa where the system has it, EGL otherwise. SimError without a usable
-    GL library, or when this process already draws with the other backend.
+    SimError without a usable GL library, or when this process draws with the other backend.
     """
     if backend not in ("auto", *BACKENDS):
         raise SimError(f"GL backend: expected auto, osmesa or egl, got {backend!r}")
@@ -54,8 +52,8 @@ def context_or_none() -> GLContext | None:
 
 
 def _first_available() -> str:
-    for backend in BACKENDS:
-        if ctypes.util.find_library(_LIBRARIES[backend]):
+    for backend, library in BACKENDS.items():
+        if ctypes.util.find_library(library):
             return backend
     raise SimError(
         "no GL library on this machine: install one with "
@@ -79,11 +77,8 @@ def _open(backend: str) -> GLContext:
         # that every frame compiles its shaders anew and leaks them.
         OpenGL.contextdata.getContext = lambda context=None: 1
         _KEEP_ALIVE.append(OffscreenRenderer(1, 1))
-        return GLContext(
-            backend=backend,
-            renderer=GL.glGetString(GL.GL_RENDERER).decode(),
-            version=GL.glGetString(GL.GL_VERSION).decode(),
-        )
+        about = (GL.glGetString(of).decode() for of in (GL.GL_RENDERER, GL.GL_VERSION))
+        return GLContext(backend, *about)
     except Exception as error:  # whatever the driver, PyOpenGL or ctypes raise
         raise SimError(
             f"cannot open a GL context with {backend} ({type(error).__name__}: {error}): "

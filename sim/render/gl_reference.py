@@ -5,7 +5,7 @@ with our shaders, so it has the same samples as the atlas. `PyrenderFullFrame.st
 untouched, shaders and all, so its silhouette is a check that shares no code with ours.
 """
 
-from functools import cache
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -15,20 +15,19 @@ from sim.arrays import Float32Array, FloatArray
 from sim.errors import SimError
 from sim.render.config import RenderConfig
 from sim.render.gl_atlas import (
+    BACKGROUND,
     SHADERS,
     attach_renderbuffers,
     make_primitive,
-    set_camera_uniforms,
-    set_tile_uniforms,
+    set_uniforms,
 )
 from sim.render.gl_context import make_current, open_context
-from sim.render.lattice import average_pixels
+from sim.render.lattice import average_tiles
 from sim.scene.drone import Drone, Part, piece_size_m
 from sim.scene.rig import Camera
 
 # OpenGL's camera looks along its -z with y up, ours along z with y down.
 T_GL_C = np.diag([1.0, -1.0, -1.0, 1.0])
-_BACKGROUND = np.zeros(4, np.uint32)
 
 
 class PyrenderFullFrame:
@@ -44,16 +43,14 @@ class PyrenderFullFrame:
         self._drone, self._camera = drone, camera
         lattice = self.config.lattice
         self._size = lattice.tile_size(camera.width, camera.height)
-        zero = np.zeros(1, np.int64)
-        self._origin = lattice.tile_origin(zero, zero, camera.height)
-        piece_m = piece_size_m(drone, camera)
         # The whole image is one tile, which starts at the corner of the buffer.
-        tile = np.eye(4)
-        tile[3, :2], tile[3, 3] = -self._origin, 0.0
+        tile, zero = np.eye(4), np.array(0)
+        tile[3, :2] = -lattice.tile_origin(zero, zero, camera.height)
+        tile[3, 3] = 0.0
         self._scene = pyrender.Scene(bg_color=np.zeros(4))
         self._nodes = []
         for part in drone.parts:
-            primitive = make_primitive(part, piece_m, None)
+            primitive = make_primitive(part, piece_size_m(drone, camera), None)
             primitive.poses = tile
             self._nodes.append(self._scene.add(pyrender.Mesh([primitive])))
         self._scene.add(pyrender.IntrinsicsCamera(1.0, 1.0, 0.0, 0.0))  # the shader has its own
@@ -62,47 +59,32 @@ class PyrenderFullFrame:
         self._program = self._renderer._get_primitive_program(
             primitive, RenderFlags.NONE, ProgramFlags.USE_MATERIAL
         )
-        self._words = np.empty(self._size[::-1], np.uint32)
-        self._stock: tuple[Any, list[Any]] | None = None
 
     def render(self, time_s: float, T_W_B: FloatArray, background: Float32Array) -> Float32Array:
         """Draw the luminance (height, width) of the whole image at one instant."""
-        camera, lattice = self._camera, self.config.lattice
-        words = self.words(time_s, T_W_B)
-        zero = np.zeros(1, np.int64)
-        size_px = (camera.width, camera.height)
-        corner = np.zeros((1, 2), np.int64)
-        image: Float32Array = average_pixels(
-            words, lattice, corner, zero, zero, size_px, background
-        )[0]
-        return image
-
-    def words(self, time_s: float, T_W_B: FloatArray) -> NDArray[np.uint32]:
-        """Draw the sample words of the whole image, as one tile; valid until the next call."""
         from OpenGL import GL
         from pyrender.constants import RenderFlags
 
-        width, height = self._size
+        camera, size = self._camera, self._size
         depths_m = []
         for node, part in zip(self._nodes, self._drone.parts, strict=True):
-            T_C_P = self._camera.T_C_W @ _placed(part, time_s, T_W_B)
+            T_C_P = camera.T_C_W @ _placed(part, time_s, T_W_B)
             self._scene.set_pose(node, T_C_P)
             depths_m.append(part.vertices_B_m @ T_C_P[2, :3] + T_C_P[2, 3])
-        near_m, far_m = min(map(np.min, depths_m)), max(map(np.max, depths_m))
-        config, program_id = self.config, self._program._program_id
-        light_C = config.light_in(self._camera)
+        range_m = (0.9 * min(map(np.min, depths_m)), 1.1 * max(map(np.max, depths_m)))
         self._program._bind()
-        set_camera_uniforms(program_id, self._camera, config.lattice, light_C, config.ambient)
-        set_tile_uniforms(program_id, self._size, self._size, (0.9 * near_m, 1.1 * far_m))
+        set_uniforms(self._program._program_id, camera, self.config, size, size, range_m)
         self._renderer.render(self._scene, RenderFlags.NONE)
-        GL.glReadPixels(0, 0, width, height, GL.GL_RED_INTEGER, GL.GL_UNSIGNED_INT, self._words)
-        return self._words
+        words, corner = np.empty(size[::-1], np.uint32), np.zeros((1, 2), np.int64)
+        GL.glReadPixels(0, 0, *size, GL.GL_RED_INTEGER, GL.GL_UNSIGNED_INT, words)
+        about = (corner, corner, (camera.width, camera.height), background)
+        image: Float32Array = average_tiles(words, self.config.lattice, *about)[0]
+        return image
 
     def stock(self, time_s: float, T_W_B: FloatArray) -> NDArray[np.bool_]:
         """Draw one instant with pyrender as it is: which samples see the drone.
 
-        There are a x a samples in each pixel, (height * a, width * a). SimError when the camera
-        distorts or the lattice is turned: pyrender knows neither.
+        There are a x a samples in each pixel, (height * a, width * a).
         """
         from pyrender.constants import RenderFlags
 
@@ -110,12 +92,10 @@ class PyrenderFullFrame:
             raise SimError(
                 "pyrender itself draws undistorted images on a regular grid only: use b = 0"
             )
-        a = self.config.lattice.a
-        if self._stock is None:
-            self._stock = self._stock_scene(a)
-        scene, nodes = self._stock
+        scene, nodes = self._stock_scene
         for node, part in zip(nodes, self._drone.parts, strict=True):
             scene.set_pose(node, T_GL_C @ self._camera.T_C_W @ _placed(part, time_s, T_W_B))
+        a = self.config.lattice.a
         renderer = _stock_renderer(self._camera.width * a, self._camera.height * a)
         try:
             colour, _ = renderer.render(scene, RenderFlags.SEG, dict.fromkeys(nodes, 255))
@@ -124,12 +104,13 @@ class PyrenderFullFrame:
         covered: NDArray[np.bool_] = colour[..., 0] > 0
         return covered
 
-    def _stock_scene(self, a: int) -> tuple[Any, list[Any]]:
+    @cached_property
+    def _stock_scene(self) -> tuple[Any, list[Any]]:
         """Build the scene from the parts alone, without our primitives."""
         import pyrender
         import trimesh
 
-        K = self._camera.K
+        a, K = self.config.lattice.a, self._camera.K
         camera = pyrender.IntrinsicsCamera(
             a * K[0, 0], a * K[1, 1], a * (K[0, 2] + 0.5), a * (K[1, 2] + 0.5)
         )
@@ -160,8 +141,7 @@ def _words_renderer(size: tuple[int, int]) -> Any:
             self._framebuffer = GL.glGenFramebuffers(1)
             self._buffers = GL.glGenRenderbuffers(2)
             GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, self._framebuffer)
-            words_buffer, depth_buffer = self._buffers
-            attach_renderbuffers(words_buffer, depth_buffer, size)
+            attach_renderbuffers(self._buffers, size)
 
         def _configure_forward_pass_viewport(self, flags: int) -> None:
             GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, self._framebuffer)
@@ -172,7 +152,7 @@ def _words_renderer(size: tuple[int, int]) -> Any:
 
         def _get_camera_matrices(self, scene: Any) -> Any:
             # pyrender has just cleared colour and depth, but clears integers to no defined value.
-            GL.glClearBufferuiv(GL.GL_COLOR, 0, _BACKGROUND)
+            GL.glClearBufferuiv(GL.GL_COLOR, 0, BACKGROUND)
             return super()._get_camera_matrices(scene)
 
         def delete(self) -> None:

@@ -20,11 +20,9 @@ from sim.errors import SimError
 # A sample word is 0 where the sample sees the background, and COUNT + the luminance's code where it
 # sees the object, so a sum of words holds both the sum of codes and the number of object samples.
 FULL_CODE = 65535  # of luminance 1
-COUNT_BIT = 21
-GL_MAX_A = 16  # codes down a pixel's column must add up to less than 2^COUNT_BIT
-WORD_COUNT_BIT = 26  # as COUNT_BIT in the native renderer's words: of 257 codes it needs 25 bits
+COUNT_BIT = 26  # of 31^2 + 1 codes it needs 26 bits
+MAX_A = 31
 LANES = 16  # samples that the native renderer draws, or sums, at a time
-MAX_A = 31  # codes of a pixel must add up to less than the native renderer's 2^26
 
 
 @dataclass(frozen=True)
@@ -56,10 +54,7 @@ class Lattice:
 
     @cached_property
     def pixel_columns(self) -> IntArray:
-        """Samples of the pixel at the origin, by lattice columns, (n_columns, 3).
-
-        A row is a column, its first lattice row, and one past its last.
-        """
+        """Samples of the pixel at the origin by lattice columns, (n, 3): column, first row, end."""
         reach = np.arange(-self.a - self.b, self.a + self.b + 1)
         q = np.stack(np.meshgrid(reach, reach, indexing="ij"), axis=-1)
         n = self.samples_per_pixel
@@ -99,49 +94,33 @@ class Lattice:
         return np.stack([u0, v0], axis=-1)
 
 
-def average_pixels(
+def average_tiles(
     atlas: NDArray[np.uint32],
     lattice: Lattice,
     corners: IntArray,
-    x0_px: IntArray,
-    y0_px: IntArray,
+    corner_px: IntArray,
     size_px: tuple[int, int],
     background: Float32Array,
 ) -> Float32Array:
-    """Average the samples of every pixel of every tile of an atlas, over the background.
+    """Average the samples of each pixel of n crops (n, height, width), over the background.
 
-    Parameters
-    ----------
-    atlas
-        Sample words, shape (atlas height, atlas width).
-    corners
-        Atlas column and row at which each tile starts, shape (n, 2).
-    x0_px, y0_px
-        Image column and row at which each tile's crop starts, shape (n,) [px].
-    size_px
-        Width and height of the crops [px].
-
-    Returns
-    -------
-    Float32Array
-        Luminance of the crops, shape (n, height, width).
+    Their tiles start at `corners` (n, 2), column and row, of an atlas of sample words, the crops of
+    `size_px`, width and height, at `corner_px` (n, 2) of the image.
     """
     width, height = size_px
-    tile_width, tile_height = lattice.tile_size(width, height)
-    columns = lattice.pixel_columns
-    u0, v0 = lattice.tile_origin(np.array(0), np.array(0), height)
     luminance = np.empty((len(corners), height, width), np.float32)
-    # Positions below are indices into the flattened sums of one tile.
-    first, last = (columns[:, row] * tile_width + columns[:, 0] for row in (1, 2))
-    origin = -int(v0) * tile_width - int(u0)
-    steps = (lattice.b * tile_width + lattice.a, lattice.a * tile_width - lattice.b)
-    sums = np.empty((tile_height + 1) * tile_width, np.uint32)
-    for k, (column, row) in enumerate(corners):
-        _sum_down(atlas[row : row + tile_height, column : column + tile_width], sums)
-        behind = background[y0_px[k] :, x0_px[k] :]
-        about = (first, last, origin, *steps, lattice.samples_per_pixel)
-        _average_tile(sums, *about, behind, luminance[k])
+    columns, n_samples = _columns_in_tile(lattice, height), lattice.samples_per_pixel
+    for image, (column, row), (x0, y0) in zip(luminance, corners, corner_px, strict=True):
+        tile, behind = atlas[row:, column:], background[y0:, x0:]
+        _average_tile(tile, columns, lattice.a, lattice.b, n_samples, behind, image)
     return luminance
+
+
+def _columns_in_tile(lattice: Lattice, height_px: int) -> IntArray:
+    """Give `pixel_columns` of the first pixel of a tile, counted from the tile's corner."""
+    u0, v0 = lattice.tile_origin(np.array(0), np.array(0), height_px)
+    columns: IntArray = lattice.pixel_columns - np.array([u0, v0, v0])
+    return columns
 
 
 @lru_cache(maxsize=64)
@@ -151,28 +130,17 @@ def runs_of_tile(
     """Say which runs of samples along the rows of a crop's tile belong to one pixel.
 
     Returns the run of each sample, row by row; the first sample of each run, and one past the last
-    run's; and the pixel of each run, numbered as by `pixels_of_tile`.
+    run's; and the pixel of each run: width times row plus column, or width times height of none.
     """
-    pixel_of = pixels_of_tile(lattice, size_px)
+    width, height = size_px
+    pixel_of = np.full(lattice.tile_size(width, height)[::-1], width * height, np.int32)
+    columns = _columns_in_tile(lattice, height)
+    _number_samples(columns, lattice.a, lattice.b, width, height, pixel_of)
     is_first = np.ones(pixel_of.shape, np.bool_)
     is_first[:, 1:] = pixel_of[:, 1:] != pixel_of[:, :-1]
     start = np.flatnonzero(is_first)
     run_of = np.cumsum(is_first.ravel(), dtype=np.int32) - np.int32(1)
     return run_of, np.append(start, pixel_of.size).astype(np.int32), pixel_of.ravel()[start]
-
-
-def pixels_of_tile(lattice: Lattice, size_px: tuple[int, int]) -> NDArray[np.int32]:
-    """Say which pixel of a crop each sample of its tile (tile height, tile width) belongs to.
-
-    A pixel's number is width times row plus column; width times height is that of no pixel.
-    """
-    width, height = size_px
-    tile_width, tile_height = lattice.tile_size(width, height)
-    pixel_of = np.full((tile_height, tile_width), width * height, np.int32)
-    u0, v0 = lattice.tile_origin(np.array(0), np.array(0), height)
-    columns = lattice.pixel_columns - np.array([u0, v0, v0])
-    _number_samples(columns, lattice.a, lattice.b, width, height, pixel_of)
-    return pixel_of
 
 
 @njit(cache=True, nogil=True)
@@ -187,39 +155,27 @@ def _number_samples(columns, a, b, width, height, pixel_of):  # type: ignore[no-
 
 
 @njit(cache=True, nogil=True)
-def _sum_down(tile, sums):  # type: ignore[no-untyped-def]
-    """Fill `sums` (height + 1, width) with the running sums of words down each column."""
-    # They wrap around, but the difference of two of them, over the few rows of a pixel, is exact.
-    height, width = tile.shape
-    sums[:width] = 0
-    for v in range(height):
-        above = sums[v * width : (v + 1) * width]
-        below = sums[(v + 1) * width : (v + 2) * width]
-        samples = tile[v]
-        for u in range(width):
-            below[u] = above[u] + samples[u]
+def _average_tile(  # type: ignore[no-untyped-def]
+    tile, columns, a, b, n_samples, background, luminance
+):
+    for j in range(luminance.shape[0]):
+        for i in range(luminance.shape[1]):
+            total = np.int64(0)
+            for c in range(columns.shape[0]):
+                u = columns[c, 0] + a * i - b * j
+                for v in range(columns[c, 1] + b * i + a * j, columns[c, 2] + b * i + a * j):
+                    total += np.int64(tile[v, u])
+            luminance[j, i] = _mixed(total, n_samples, background[j, i])
 
 
 @njit(cache=True, nogil=True)
-def _average_tile(  # type: ignore[no-untyped-def]
-    sums, first, last, origin, step_x, step_y, n_samples, background, luminance
-):
-    height, width = luminance.shape
-    code_mask = np.uint32((1 << COUNT_BIT) - 1)
-    code_scale = np.float32(1.0 / (FULL_CODE * n_samples))
-    n = np.float32(n_samples)
-    for j in range(height):
-        for i in range(width):
-            at = origin + i * step_x + j * step_y
-            codes = np.uint32(0)
-            seen = np.uint32(0)
-            for c in range(first.size):
-                run = np.uint32(sums[np.uint64(at + last[c])] - sums[np.uint64(at + first[c])])
-                codes += run & code_mask
-                seen += run >> np.uint32(COUNT_BIT)
-            # Divided, not scaled: where there is no object this is the background, bit for bit.
-            share = (n - np.float32(seen)) / n
-            luminance[j, i] = np.float32(codes) * code_scale + share * background[j, i]
+def _mixed(total, n_samples, background):  # type: ignore[no-untyped-def]
+    """Turn a pixel's sum of words into luminance, over the background."""
+    n, scale = np.float32(n_samples), np.float32(1.0 / (FULL_CODE * n_samples))
+    codes = total & ((np.int64(1) << COUNT_BIT) - 1)
+    # Divided, not scaled: where there is no object this is the background, bit for bit.
+    share = (n - np.float32(total >> COUNT_BIT)) / n
+    return np.float32(codes) * scale + share * background
 
 
 @njit(cache=True, nogil=True)
@@ -251,14 +207,8 @@ def sum_runs(  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def average_block(sums, width, n_samples, background, image):  # type: ignore[no-untyped-def]
-    """Turn sums of words into luminance, over the background."""
-    scale = np.float32(1.0 / (FULL_CODE * n_samples))
-    n = np.float32(n_samples)
-    code_mask = (np.int64(1) << WORD_COUNT_BIT) - 1
+    """Turn sums of words into luminance, over the background, and empty them."""
     for j in range(image.shape[0]):
         for i in range(image.shape[1]):
-            total = sums[j * width + i]
-            # Divided, not scaled: where there is no object this is the background, bit for bit.
-            share = (n - np.float32(total >> WORD_COUNT_BIT)) / n
-            image[j, i] = np.float32(total & code_mask) * scale + share * background[j, i]
+            image[j, i] = _mixed(sums[j * width + i], n_samples, background[j, i])
     sums[:] = 0

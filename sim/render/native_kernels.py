@@ -12,7 +12,7 @@ Depth and sample word share one 64-bit key, depth above: the nearest triangle ha
 import numpy as np
 from numba import njit
 
-from sim.render.lattice import FULL_CODE, LANES, WORD_COUNT_BIT, average_block, sum_runs
+from sim.render.lattice import COUNT_BIT, FULL_CODE, LANES, average_block, sum_runs
 from sim.scene.rig import MIN_DEPTH_M
 
 # Corners further out than this [1/256 sample] would overflow the products of the edge functions,
@@ -106,7 +106,7 @@ def shade(  # type: ignore[no-untyped-def]
             length = np.sqrt(nx * nx + ny * ny + nz * nz)
             lit = max((nx * light[0] + ny * light[1] + nz * light[2]) / length, 0.0)
             luminance = min(max(albedo[f] * (ambient + (1.0 - ambient) * lit), 0.0), 1.0)
-            words[f] = (np.int64(1) << WORD_COUNT_BIT) | np.int64(luminance * FULL_CODE + 0.5)
+            words[f] = (np.int64(1) << COUNT_BIT) | np.int64(luminance * FULL_CODE + 0.5)
 
 
 @njit(cache=True, nogil=True)
@@ -166,11 +166,11 @@ def paint_crops(  # type: ignore[no-untyped-def]
         shift_u = centre[0] - origins[k, 0]
         shift_v = centre[1] - origins[k, 1]
         nearest, farthest, whole = place(
-            vertices, first_vertex, T_C_P[:, k], intrinsics, model, coeffs, lattice,
+            vertices, first_vertex, T_C_P[k], intrinsics, model, coeffs, lattice,
             shift_u, shift_v, placed, snapped,
         )  # fmt: skip
         scale = float(1 << DEPTH_BITS) / (nearest - farthest)
-        shade(first_face, normals, albedo, T_C_P[:, k], light, ambient, words)
+        shade(first_face, normals, albedo, T_C_P[k], light, ambient, words)
         n_front = facing(faces, snapped, front) if whole else 0
         for by in range(0, height_px, block_px[1]):
             for bx in range(0, width_px, block_px[0]):

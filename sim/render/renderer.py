@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from sim.arrays import Float32Array, FloatArray, IntArray
 from sim.errors import SimError
 from sim.render.config import RenderConfig
-from sim.render.footprint import Views, crop_size, footprint, plan_views
+from sim.render.footprint import Views, footprint, plan_views
 from sim.render.gl_atlas import MAX_INSTANCES, GLPainter
 from sim.render.gl_context import GLContext
 from sim.render.native import NativePainter
@@ -65,7 +65,7 @@ class RenderCheck:
 
 
 class Renderer:
-    """Draws one drone; use as a context manager, or call `close`.
+    """Draws one drone; use as a context manager.
 
     The seed chooses the instants that are checked. SimError where no GL context can be opened, or
     it lacks what is needed; `check=False` needs none.
@@ -92,10 +92,6 @@ class Renderer:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Free what this renderer holds."""
         if self._reference is not None:
             self._reference.close()
 
@@ -108,9 +104,9 @@ class Renderer:
     ) -> Iterator[Crops]:
         """Render, in order, the instants at which the drone is in view, and those next to them.
 
-        `times_s` (n,) are increasing, `T_W_B` (n, 4, 4) the poses of the drone's body. Instants
-        missing from all crops show the background (height, width), and so do the instants before
-        and after them. SimError when the two painters differ by more than rounding explains.
+        `times_s` (n,) are increasing, `T_W_B` (n, 4, 4) the body's poses. Instants missing from all
+        crops show the background (height, width), as do those before and after them. SimError when
+        the two painters differ by more than rounding explains.
         """
         seen = footprint(self.drone, camera, times_s, T_W_B)
         # One more instant on each side, so that leaving and entering the view are seen as a change.
@@ -127,7 +123,7 @@ class Renderer:
             left_over = MAX_INSTANCES if len(chosen) > PLANNED_AT_ONCE else 0
             start = 0
             while start < len(views.times_s) - left_over:
-                stop = self._end_of_batch(views.boxes, start)
+                stop = self._end_of_batch(views, start)
                 batch = views.chosen(slice(start, stop))
                 yield self._drawn(camera, batch, background, is_checked[chosen[start:stop]])
                 start = stop
@@ -137,7 +133,7 @@ class Renderer:
         self, camera: Camera, batch: Views, background: Float32Array, is_checked: NDArray[np.bool_]
     ) -> Crops:
         """Draw a batch, and compare those of its instants that are to be checked."""
-        width, height = crop_size(batch.boxes)
+        width, height = batch.crop_size()
         corner_px = np.minimum(batch.boxes[:, :2], [camera.width - width, camera.height - height])
         luminance = self._painter.paint(camera, batch, corner_px, background)
         if is_checked.any():
@@ -145,13 +141,16 @@ class Renderer:
             self._compare(camera, batch, here, corner_px, background, luminance)
         return Crops(batch.times_s, corner_px[:, 0], corner_px[:, 1], luminance)
 
-    def _end_of_batch(self, boxes: IntArray, start: int) -> int:
+    def _end_of_batch(self, views: Views, start: int) -> int:
         """Find how many of the coming instants are painted at a time, in crops of one size."""
         # The crop grows with the batch, so the first one's room bounds that of all.
-        stop = min(len(boxes), start + self._painter.room(*crop_size(boxes[start : start + 1])))
-        while (room := self._painter.room(*crop_size(boxes[start:stop]))) < stop - start:
+        room = self._painter.room(*views.chosen(slice(start, start + 1)).crop_size())
+        stop = min(len(views.times_s), start + room)
+        while True:
+            room = self._painter.room(*views.chosen(slice(start, stop)).crop_size())
+            if room >= stop - start:
+                return stop
             stop = start + room
-        return stop
 
     def _checked(self, visible: IntArray) -> IntArray:
         """Choose instants spread evenly over those in view, each within its share of them."""
@@ -178,7 +177,7 @@ class Renderer:
         at_most = MAX_ROWS_OF_PIXEL * (lattice.a + lattice.b) * contrast / lattice.samples_per_pixel
         for k in here:
             alone = batch.chosen(np.array([k]))
-            width, height = crop_size(alone.boxes)
+            width, height = alone.crop_size()
             x0, y0 = alone.boxes[0, :2]
             wanted = self._reference.paint(camera, alone, alone.boxes[:, :2], background)[0]
             drawn = luminance[k, y0 - corner_px[k, 1] :, x0 - corner_px[k, 0] :][:height, :width]

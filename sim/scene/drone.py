@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -33,15 +34,13 @@ class Joint:
     origin_B_m: FloatArray  # (3,) [m], a point on the axis
     rate_hz: float  # turns, or flaps, per second; the sign is the sense of turning
     amplitude_rad: float | None = None  # of a flap; None: the part spins
-    phase_rad: float = 0.0
 
     def transforms(self, times_s: FloatArray) -> FloatArray:
         """Return T_B_P (n, 4, 4): the part's vertices at rest [m] to the body frame, at each time.
 
-        The angle is `2 pi rate t + phase` when the part spins, and `amplitude sin(2 pi rate t +
-        phase)` when it flaps.
+        The angle is `2 pi rate t` of a part that spins, `amplitude sin(2 pi rate t)` of a flap.
         """
-        cycle_rad = 2.0 * np.pi * self.rate_hz * np.asarray(times_s) + self.phase_rad
+        cycle_rad = 2.0 * np.pi * self.rate_hz * np.asarray(times_s)
         if self.amplitude_rad is None:
             angle_rad = cycle_rad
         else:
@@ -82,12 +81,9 @@ def solid(mesh: trimesh.Trimesh, albedo: float) -> Part:
 def join(parts: list[Part], scale: float = 1.0, joint: Joint | None = None) -> Part:
     """Join parts into one, scaled, on the given joint."""
     first = np.cumsum([0] + [len(part.vertices_B_m) for part in parts])
-    return Part(
-        vertices_B_m=np.concatenate([part.vertices_B_m for part in parts]) * scale,
-        faces=np.concatenate([part.faces + n for part, n in zip(parts, first, strict=False)]),
-        albedo=np.concatenate([part.albedo for part in parts]),
-        joint=joint,
-    )
+    vertices = np.concatenate([part.vertices_B_m for part in parts]) * scale
+    faces = np.concatenate([part.faces + n for part, n in zip(parts, first, strict=False)])
+    return Part(vertices, faces, np.concatenate([part.albedo for part in parts]), joint)
 
 
 def check_size(size_m: float) -> None:
@@ -101,9 +97,8 @@ def drone_from_file(path: Path, size_m: float | None = None) -> Drone:
 
     x is forward, y left, z up; the middle of the bounding box becomes the origin. With a size [m]
     the mesh is scaled so that its larger horizontal extent is that; else the file's units are
-    metres. Albedo is the luminance of the file's colours (sRGB, alpha ignored), or a dark grey. The
-    faces of a mesh that is not closed are doubled, one for each side, since the renderer culls back
-    faces. SimError for a file or a size that cannot be used.
+    metres. Albedo is the luminance of the file's colours (sRGB, alpha ignored), or a dark grey. A
+    mesh that is not closed shows both sides. SimError for what cannot be used.
     """
     path = Path(path)
     if size_m is not None:
@@ -176,25 +171,16 @@ def hexagonal_hull(sections: Sequence[tuple[float, float, float, float]]) -> tri
     """Return the hull of hexagonal cross sections: x, half width, bottom, top of each."""
     return hull(
         [
-            (x, y, z)
+            (x, side * share * half_width, z)
             for x, half_width, bottom, top in sections
-            for y, z in (
-                (-half_width, 0.0),
-                (half_width, 0.0),
-                (-0.6 * half_width, bottom),
-                (0.6 * half_width, bottom),
-                (-0.6 * half_width, top),
-                (0.6 * half_width, top),
-            )
+            for share, z in ((1.0, 0.0), (0.6, bottom), (0.6, top))
+            for side in (-1, 1)
         ]
     )
 
 
 def panel(outline: Sequence[tuple[float, float, float, float]]) -> trimesh.Trimesh:
-    """Return a flat convex panel about its outline's corners: x, y, z, thickness along z of each.
-
-    The thickness lets it taper: the corners must lie on one plane, and convexly.
-    """
+    """Return a flat convex panel about its corners: x, y, z, thickness along z of each."""
     return hull([(x, y, z + 0.5 * side * h) for x, y, z, h in outline for side in (-1, 1)])
 
 
@@ -216,6 +202,12 @@ def prism(n_sides: int, radius: float, length: float) -> trimesh.Trimesh:
     ring = radius * np.column_stack([-np.cos(angles_rad), np.sin(angles_rad)])
     ends = [np.column_stack([ring, np.full(n_sides, z)]) for z in (-length / 2, length / 2)]
     return hull(np.concatenate(ends))
+
+
+def moved(mesh: trimesh.Trimesh, by: ArrayLike) -> trimesh.Trimesh:
+    """Move a mesh, in place, and return it."""
+    mesh.apply_translation(by)
+    return mesh
 
 
 def pose(origin: ArrayLike, yaw_rad: float = 0.0, pitch_rad: float = 0.0) -> FloatArray:
@@ -244,15 +236,6 @@ def piece_size_m(drone: Drone, camera: Camera) -> float | None:
     return None if camera.distortion_model == "none" else drone.size_m * PIECE_OF_SIZE
 
 
-def part_faces(part: Part, piece_m: float | None) -> Faces:
-    """Return a part's faces, split until no edge is longer than `piece_m`.
-
-    SimError when the mesh does not fit the memory.
-    """
-    with in_memory(len(part.faces)):
-        return _faces(part, piece_m)
-
-
 @contextmanager
 def in_memory(n_faces: int) -> Iterator[None]:
     """Refuse a mesh of so many faces that the memory does not hold."""
@@ -264,19 +247,17 @@ def in_memory(n_faces: int) -> Iterator[None]:
         ) from error
 
 
-def _faces(part: Part, piece_m: float | None) -> Faces:
-    vertices, faces, albedo = part.vertices_B_m, part.faces, part.albedo
-    if piece_m is not None:
-        vertices, faces, index = trimesh.remesh.subdivide_to_size(  # type: ignore[no-untyped-call]
-            vertices, faces, piece_m, return_index=True
-        )
-        albedo = albedo[index]
-    corners = vertices[faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    has_area = length[:, 0] > 0.0  # the others show nothing
-    return Faces(
-        corners[has_area].astype(np.float32),
-        (normals[has_area] / length[has_area]).astype(np.float32),
-        albedo[has_area].astype(np.float32),
-    )
+def part_faces(part: Part, piece_m: float | None) -> Faces:
+    """Return a part's faces, split until no edge is longer than `piece_m`; see `in_memory`."""
+    with in_memory(len(part.faces)):
+        vertices, faces, albedo = part.vertices_B_m, part.faces, part.albedo
+        if piece_m is not None:
+            split: Any = trimesh.remesh.subdivide_to_size
+            vertices, faces, index = split(vertices, faces, piece_m, return_index=True)
+            albedo = albedo[index]
+        corners = vertices[faces]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        length = np.linalg.norm(normals, axis=1, keepdims=True)
+        has_area = length[:, 0] > 0.0  # the others show nothing
+        shown = (corners[has_area], normals[has_area] / length[has_area], albedo[has_area])
+        return Faces(*(values.astype(np.float32) for values in shown))

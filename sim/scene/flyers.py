@@ -6,7 +6,6 @@ neither: their greys differ from part to part, and the bird's and the plane's fr
 with the body's origin not in the middle.
 """
 
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -23,6 +22,7 @@ from sim.scene.drone import (
     check_size,
     hexagonal_hull,
     join,
+    moved,
     panel,
     pose,
     prism,
@@ -46,175 +46,145 @@ MOTOR_RADIUS, MOTOR_HEIGHT = 0.03, 0.06
 ARM_WIDTH, ARM_HEIGHT = 0.034, 0.026
 LEG_RADIUS, LEG_REACH = 0.025, 0.07  # stout: a thin leg's end makes few events
 
+Blades = tuple[FloatArray, float, float]
+"""The two blades of a rotor: hub (3,) in units of the size, frame B; yaw at rest [rad]; albedo."""
+
 
 def quadrotor(size_m: float = DEFAULT_SIZE_M, rotor_hz: float = 0.0) -> Drone:
     """Build a quadrotor: shell, four level arms with motors, legs and two-blade rotors.
 
     It is flat, black all over, and its own mirror image from front to back and from left to right,
-    blades at rest included: the mean of its events is then near the image of one point of it, from
-    wherever it is seen. Its size is its length, from the front rotors' sweep to the rear ones' [m];
-    the width is 9 % less. Rotors that turn are parts on joints, neighbours in opposite senses; at 0
-    Hz the whole drone is one part.
+    blades at rest included. Its size is its length, from the front rotors' sweep to the rear ones'
+    [m]; the width is 9 % less. Rotors that turn are parts on joints, neighbours in opposite senses;
+    at 0 Hz the whole drone is one part.
     """
-    shell = hexagonal_hull(
-        (
-            (-0.19, 0.045, -0.018, 0.018),
-            (-0.09, 0.095, -0.04, 0.04),
-            (0.09, 0.095, -0.04, 0.04),
-            (0.19, 0.045, -0.018, 0.018),
-        )
-    )
-    frame, blades = [solid(shell, ALBEDO_BLACK)], []
+    nose, middle = (0.19, 0.045, -0.018, 0.018), (0.09, 0.095, -0.04, 0.04)
+    tail, behind = (-0.19, *nose[1:]), (-0.09, *middle[1:])
+    meshes, blades = [hexagonal_hull((tail, behind, middle, nose))], []
     for x_sign, y_sign in CORNERS:
         hub = np.array([x_sign * MOTOR_X, y_sign * MOTOR_Y, BLADE_Z])
-        frame += [solid(mesh, ALBEDO_BLACK) for mesh in _level_arm(hub * (1.0, 1.0, 0.0))]
-        blades.append(Blades(hub, x_sign * y_sign * BLADE_YAW_RAD, ALBEDO_BLACK))
-    return with_rotors("quadrotor", size_m, frame, blades, rotor_hz)
+        meshes += _level_arm(hub * (1.0, 1.0, 0.0))
+        blades.append((hub, x_sign * y_sign * BLADE_YAW_RAD, ALBEDO_BLACK))
+    frame = [solid(mesh, ALBEDO_BLACK) for mesh in meshes]
+    return _with_rotors("quadrotor", size_m, frame, blades, rotor_hz)
 
 
-@dataclass(frozen=True)
-class Blades:
-    """The two blades of a rotor, in units of the drone's size."""
-
-    hub_B: FloatArray  # (3,), frame B
-    yaw_rad: float  # at rest
-    albedo: float
-
-
-def with_rotors(
+def _with_rotors(
     name: str, size_m: float, frame: list[Part], rotors: list[Blades], rotor_hz: float
 ) -> Drone:
-    """Put four rotors, in the order of CORNERS, on a frame in units of the size.
-
-    SimError when the size is not positive or the rate is not finite.
-    """
+    """Put four rotors, in the order of CORNERS, on a frame in units of the size."""
     check_size(size_m)
     if not np.isfinite(rotor_hz):
         raise SimError(f"the rotors' rate must be a finite number [1/s], got {rotor_hz}")
-    parts = []
-    for rotor, (x_sign, y_sign) in zip(rotors, CORNERS, strict=True):
+    spinning = []
+    for (hub, yaw_rad, albedo), (x_sign, y_sign) in zip(rotors, CORNERS, strict=True):
         blades = trimesh.creation.box((BLADE_LENGTH, BLADE_CHORD, BLADE_THICKNESS))
-        blades.apply_transform(pose(rotor.hub_B, rotor.yaw_rad))
-        joint = Joint(np.array([0.0, 0.0, 1.0]), rotor.hub_B * size_m, x_sign * y_sign * rotor_hz)
-        parts.append(join([solid(blades, rotor.albedo)], size_m, joint if rotor_hz else None))
-    body = join(frame, size_m)
-    whole = (body, *parts) if rotor_hz else (join([body, *parts]),)
-    return Drone(whole, name, size_m)
+        blades.apply_transform(pose(hub, yaw_rad))
+        joint = Joint(np.array([0.0, 0.0, 1.0]), hub * size_m, x_sign * y_sign * rotor_hz)
+        spinning.append(join([solid(blades, albedo)], size_m, joint if rotor_hz else None))
+    return _whole(name, size_m, join(frame, size_m), spinning)
+
+
+def _whole(name: str, size_m: float, body: Part, others: list[Part]) -> Drone:
+    """Make a drone of its parts; of one, where none moves."""
+    moves = any(part.joint for part in others)
+    return Drone((body, *others) if moves else (join([body, *others]),), name, size_m)
 
 
 def _level_arm(hub: FloatArray) -> list[trimesh.Trimesh]:
     """Return the arm that ends at `hub`, the motor about its end, and the leg below it."""
-    motor = prism(6, MOTOR_RADIUS, MOTOR_HEIGHT)
-    motor.apply_translation(hub)
     root = 0.2 * hub  # within the shell
     length = float(np.linalg.norm(hub - root))
     arm = trimesh.creation.box((length, ARM_WIDTH, ARM_HEIGHT))
     arm.apply_transform(pose(0.5 * (hub + root), yaw_rad=float(np.arctan2(hub[1], hub[0]))))
     inside = 0.5 * MOTOR_HEIGHT - 0.01  # from the arm's middle down to the leg's upper end
     leg = prism(4, LEG_RADIUS, LEG_REACH - inside)
-    leg.apply_translation(hub - (0.0, 0.0, 0.5 * (LEG_REACH + inside)))
-    return [arm, motor, leg]
+    motor = prism(6, MOTOR_RADIUS, MOTOR_HEIGHT)
+    return [arm, moved(motor, hub), moved(leg, hub - (0.0, 0.0, 0.5 * (LEG_REACH + inside)))]
 
 
 ROTOR_Z = 0.075
-ALBEDO_SHELL, ALBEDO_NOSE, ALBEDO_BATTERY = 0.22, 0.38, 0.12
-ALBEDO_ARM, ALBEDO_MOTOR, ALBEDO_LEG = 0.16, 0.10, 0.14
 ALBEDO_FRONT_ROTOR, ALBEDO_REAR_ROTOR = 0.42, 0.08
 
 
 def two_tone(size_m: float = DEFAULT_SIZE_M, rotor_hz: float = 0.0) -> Drone:
     """Build a quadrotor: shell, gimbal, four arms with motors and two-blade rotors, two skids.
 
-    Its front is brighter than its back and its nose and tail differ, so that, as with many a real
-    drone, the mean of its events is not the image of any fixed point of it.
+    Its front is brighter than its back, so that the mean of its events is no fixed point's image.
     """
-    frame = _fuselage()
-    rotors: list[Blades] = []
-    for x_sign, y_sign in CORNERS:
-        hub = np.array([x_sign * MOTOR_X, y_sign * MOTOR_Y, ROTOR_Z])
-        frame += _arm(hub)
-        albedo = ALBEDO_FRONT_ROTOR if x_sign > 0 else ALBEDO_REAR_ROTOR
-        # No two blades stand alike when at rest.
-        rotors.append(Blades(hub, 0.5 + 0.9 * len(rotors), albedo))
-    return with_rotors("two-tone", size_m, frame, rotors, rotor_hz)
-
-
-def _fuselage() -> list[Part]:
-    """Return shell, nose, tail and the two landing skids."""
-    # The shell is the hull of four hexagonal cross sections: x, half width, bottom, top.
-    sections = (
-        (-0.2, 0.055, -0.02, 0.03),
-        (-0.09, 0.1, -0.055, 0.065),
-        (0.1, 0.095, -0.055, 0.055),
-        (0.21, 0.04, -0.025, 0.015),
-    )
-    shell = hexagonal_hull(sections)
     gimbal = prism(6, radius=0.04, length=0.07)
     gimbal.apply_transform(pose((0.17, 0.0, -0.075), pitch_rad=np.pi / 2))
-    battery = trimesh.creation.box((0.13, 0.11, 0.05))
-    battery.apply_translation((-0.14, 0.0, 0.05))
-    pieces = [
-        solid(shell, ALBEDO_SHELL),
-        solid(gimbal, ALBEDO_NOSE),
-        solid(battery, ALBEDO_BATTERY),
+    frame = [
+        solid(hexagonal_hull(TWO_TONE_SHELL), 0.22),
+        solid(gimbal, 0.38),
+        solid(moved(trimesh.creation.box((0.13, 0.11, 0.05)), (-0.14, 0.0, 0.05)), 0.12),  # battery
     ]
     for side in (1, -1):
         foot_y, foot_z = side * 0.17, -0.19
         skid = beam((-0.15, foot_y, foot_z), (0.17, foot_y, foot_z), 0.016)
         struts = [beam((x, side * 0.06, -0.04), (x, foot_y, foot_z), 0.018) for x in (-0.08, 0.1)]
-        pieces += [solid(leg, ALBEDO_LEG) for leg in (skid, *struts)]
-    return pieces
+        frame += [solid(leg, 0.14) for leg in (skid, *struts)]
+    rotors: list[Blades] = []
+    for x_sign, y_sign in CORNERS:
+        hub = np.array([x_sign * MOTOR_X, y_sign * MOTOR_Y, ROTOR_Z])
+        arm = beam(np.array([0.3, 0.2, 0.0]) * hub, hub - (0.0, 0.0, 0.055), 0.036)
+        motor = moved(prism(5, radius=0.033, length=0.075), hub - (0.0, 0.0, 0.04))
+        frame += [solid(arm, 0.16), solid(motor, 0.10)]
+        albedo = ALBEDO_FRONT_ROTOR if x_sign > 0 else ALBEDO_REAR_ROTOR
+        # No two blades stand alike when at rest.
+        rotors.append((hub, 0.5 + 0.9 * len(rotors), albedo))
+    return _with_rotors("two-tone", size_m, frame, rotors, rotor_hz)
 
 
-def _arm(hub: FloatArray) -> list[Part]:
-    """Return the arm that carries the rotor at `hub`, and its motor."""
-    motor = prism(5, radius=0.033, length=0.075)
-    motor.apply_translation(hub - (0.0, 0.0, 0.04))
-    root = np.array([0.3, 0.2, 0.0]) * hub
-    arm = beam(root, hub - (0.0, 0.0, 0.055), 0.036)
-    return [solid(arm, ALBEDO_ARM), solid(motor, ALBEDO_MOTOR)]
+# Hexagonal cross sections, from back to front: x, half width, bottom, top.
+TWO_TONE_SHELL = (
+    (-0.2, 0.055, -0.02, 0.03),
+    (-0.09, 0.1, -0.055, 0.065),
+    (0.1, 0.095, -0.055, 0.055),
+    (0.21, 0.04, -0.025, 0.015),
+)
+# The others in units of the wing span, which is the size.
+BIRD_BODY = (
+    (-0.17, 0.018, -0.008, 0.016),
+    (-0.06, 0.05, -0.04, 0.038),
+    (0.07, 0.055, -0.052, 0.042),
+    (0.16, 0.03, -0.012, 0.04),
+)
+BIRD_HEAD = ((0.13, 0.026, 0.004, 0.05), (0.175, 0.036, 0.0, 0.064), (0.225, 0.018, 0.012, 0.046))
+BIRD_BEAK = ((0.21, 0.012, 0.018, 0.038), (0.275, 0.002, 0.012, 0.016))
+FUSELAGE = (
+    (-0.44, 0.012, -0.01, 0.016),
+    (-0.1, 0.042, -0.05, 0.04),
+    (0.12, 0.048, -0.055, 0.04),
+    (0.27, 0.022, -0.03, 0.015),
+)
+CANOPY = ((-0.04, 0.02, 0.02, 0.05), (0.05, 0.032, 0.0, 0.078), (0.15, 0.018, 0.0, 0.042))
 
+# Corners of panels: x, y, z, thickness.
+BIRD_TAIL = (
+    (-0.14, 0.016, 0.002, 0.01),
+    (-0.14, -0.016, 0.002, 0.01),
+    (-0.31, -0.085, -0.004, 0.004),
+    (-0.335, 0.0, -0.005, 0.004),
+    (-0.31, 0.085, -0.004, 0.004),
+)
+TAILPLANE = (
+    (-0.36, 0.16, 0.006, 0.008),
+    (-0.34, -0.16, 0.006, 0.008),
+    (-0.43, -0.16, 0.006, 0.008),
+    (-0.44, 0.16, 0.006, 0.008),
+)
+FIN = (
+    (-0.31, 0.0, 0.0, 0.01),
+    (-0.44, 0.0, 0.0, 0.01),
+    (-0.45, 0.16, 0.0, 0.006),
+    (-0.4, 0.16, 0.0, 0.006),
+)  # before y becomes z
 
-QUADROTORS = {"quadrotor": quadrotor, "two-tone": two_tone}
-DRONES = (*QUADROTORS, "bird", "plane")
-
-# Lengths below are in units of the wing span, which is the size.
 SHOULDER = np.array([0.03, 0.035, 0.025])  # about which the left wing flaps
 FLAP_RAD = 0.6  # to either side of level
 FLAP_HZ = 4.0  # of a gull or a crow
-
-ALBEDO_BODY, ALBEDO_HEAD, ALBEDO_BEAK, ALBEDO_TAIL = 0.2, 0.07, 0.5, 0.11
 ALBEDO_WINGS = ((0.3, 0.12), (0.16, 0.05))  # left, right: inner half, outer half
-
-ALBEDO_FUSELAGE, ALBEDO_CANOPY, ALBEDO_PROPELLER = 0.24, 0.06, 0.42
-ALBEDO_LEFT_WING, ALBEDO_RIGHT_WING = 0.3, 0.14
-ALBEDO_TAILPLANE, ALBEDO_FIN, ALBEDO_POD, ALBEDO_WHEEL = 0.12, 0.45, 0.08, 0.05
-
-
-@lru_cache(maxsize=8)
-def built_in_drone(
-    name: str, size_m: float | None = None, rotor_hz: float = 0.0, flap_hz: float = FLAP_HZ
-) -> Drone:
-    """Build one of `DRONES`, by default of 0.65 m.
-
-    SimError for an unknown name, a size or rate that makes no sense, or rotors on what has none.
-    """
-    check_drone_name(name)
-    if rotor_hz and name not in QUADROTORS:
-        raise SimError(
-            f"rotors spin on the built-in quadrotors only ({', '.join(QUADROTORS)}), not on a "
-            f"{name}: leave out rotor_hz"
-        )
-    size_m = DEFAULT_SIZE_M if size_m is None else size_m
-    if name in QUADROTORS:
-        return QUADROTORS[name](size_m, rotor_hz)
-    return bird(size_m, flap_hz) if name == "bird" else plane(size_m)
-
-
-def check_drone_name(name: str) -> None:
-    """Raise SimError when no drone is built in under this name."""
-    if name not in DRONES:
-        raise SimError(f"drone: expected one of {', '.join(DRONES)}, got {name!r}")
 
 
 def bird(size_m: float = DEFAULT_SIZE_M, flap_hz: float = FLAP_HZ) -> Drone:
@@ -226,141 +196,64 @@ def bird(size_m: float = DEFAULT_SIZE_M, flap_hz: float = FLAP_HZ) -> Drone:
     check_size(size_m)
     if not np.isfinite(flap_hz):
         raise SimError(f"the wings' rate must be a finite number [1/s], got {flap_hz}")
+    hulls = ((BIRD_BODY, 0.2), (BIRD_HEAD, 0.07), (BIRD_BEAK, 0.5))
+    body = [solid(hexagonal_hull(sections), albedo) for sections, albedo in hulls]
+    body.append(solid(panel(BIRD_TAIL), 0.11))
     wings = []
     for side, albedos in zip((1, -1), ALBEDO_WINGS, strict=True):
-        mirror = np.array([1.0, side, 1.0])
         # About +x the left wing rises with the angle, about -x the right one.
-        joint = Joint(
-            np.array([float(side), 0.0, 0.0]), mirror * SHOULDER * size_m, flap_hz, FLAP_RAD
-        )
+        axis, shoulder = np.array([float(side), 0.0, 0.0]), np.array([1.0, side, 1.0]) * SHOULDER
+        joint = Joint(axis, shoulder * size_m, flap_hz, FLAP_RAD)
         wings.append(join(_wing(side, albedos), size_m, joint if flap_hz else None))
-    body = join(_bird_body(), size_m)
-    parts = (body, *wings) if flap_hz else (join([body, *wings]),)
-    return Drone(parts, "bird", size_m)
-
-
-def plane(size_m: float = DEFAULT_SIZE_M) -> Drone:
-    """Build a small plane with a fixed wing, its origin within the wing, ahead of the middle.
-
-    It carries a pod under the left wing only. Its size is the wing span [m]; the length is 26 %
-    less.
-    """
-    check_size(size_m)
-    return Drone(
-        (join([*_plane_body(), *_plane_wings(), *_plane_tail()], size_m),), "plane", size_m
-    )
-
-
-def _bird_body() -> list[Part]:
-    body = hexagonal_hull(
-        (
-            (-0.17, 0.018, -0.008, 0.016),
-            (-0.06, 0.05, -0.04, 0.038),
-            (0.07, 0.055, -0.052, 0.042),
-            (0.16, 0.03, -0.012, 0.04),
-        )
-    )
-    head = hexagonal_hull(
-        ((0.13, 0.026, 0.004, 0.05), (0.175, 0.036, 0.0, 0.064), (0.225, 0.018, 0.012, 0.046))
-    )
-    beak = hexagonal_hull(((0.21, 0.012, 0.018, 0.038), (0.275, 0.002, 0.012, 0.016)))
-    tail = panel(
-        (
-            (-0.14, 0.016, 0.002, 0.01),
-            (-0.14, -0.016, 0.002, 0.01),
-            (-0.31, -0.085, -0.004, 0.004),
-            (-0.335, 0.0, -0.005, 0.004),
-            (-0.31, 0.085, -0.004, 0.004),
-        )
-    )
-    return [
-        solid(body, ALBEDO_BODY),
-        solid(head, ALBEDO_HEAD),
-        solid(beak, ALBEDO_BEAK),
-        solid(tail, ALBEDO_TAIL),
-    ]
+    return _whole("bird", size_m, join(body, size_m), wings)
 
 
 def _wing(side: int, albedos: tuple[float, float]) -> list[Part]:
     """Return the inner and the outer half of a bird's wing; side is 1 for the left one."""
     z = SHOULDER[2]
-    inner = (
-        (0.1, side * 0.02, z, 0.016),
-        (-0.08, side * 0.02, z, 0.016),
-        (-0.07, side * 0.26, z, 0.009),
-        (0.13, side * 0.26, z, 0.009),
-    )
-    outer = (
-        (0.13, side * 0.26, z, 0.009),
-        (-0.07, side * 0.26, z, 0.009),
-        (-0.075, side * 0.5, z, 0.003),
-        (-0.04, side * 0.5, z, 0.003),
-    )
-    halves = zip((inner, outer), albedos, strict=True)
-    return [solid(panel(outline), albedo) for outline, albedo in halves]
+    root = [(0.1, side * 0.02, z, 0.016), (-0.08, side * 0.02, z, 0.016)]
+    elbow = [(-0.07, side * 0.26, z, 0.009), (0.13, side * 0.26, z, 0.009)]
+    tip = [(-0.075, side * 0.5, z, 0.003), (-0.04, side * 0.5, z, 0.003)]
+    halves = ([*root, *elbow], [*elbow[::-1], *tip])
+    return [solid(panel(half), albedo) for half, albedo in zip(halves, albedos, strict=True)]
 
 
-def _plane_body() -> list[Part]:
-    """Return fuselage, canopy, propeller (which stands still) and nose wheel."""
-    fuselage = hexagonal_hull(
-        (
-            (-0.44, 0.012, -0.01, 0.016),
-            (-0.1, 0.042, -0.05, 0.04),
-            (0.12, 0.048, -0.055, 0.04),
-            (0.27, 0.022, -0.03, 0.015),
-        )
-    )
-    canopy = hexagonal_hull(
-        ((-0.04, 0.02, 0.02, 0.05), (0.05, 0.032, 0.0, 0.078), (0.15, 0.018, 0.0, 0.042))
-    )
+def plane(size_m: float = DEFAULT_SIZE_M) -> Drone:
+    """Build a small plane with a fixed wing, its origin within the wing, ahead of the middle.
+
+    It carries a pod under the left wing only. Its size is the wing span [m], 1.36 times its length.
+    """
+    check_size(size_m)
     propeller = trimesh.creation.box((0.012, 0.2, 0.022))
     propeller.apply_transform(_rolled(0.6))
-    propeller.apply_translation((0.28, 0.0, -0.006))
     wheel = prism(6, radius=0.03, length=0.018)
     wheel.apply_transform(pose((0.17, 0.0, -0.125), yaw_rad=np.pi / 2, pitch_rad=np.pi / 2))
-    return [
-        solid(fuselage, ALBEDO_FUSELAGE),
-        solid(canopy, ALBEDO_CANOPY),
-        solid(propeller, ALBEDO_PROPELLER),
-        solid(beam((0.16, 0.0, -0.03), (0.17, 0.0, -0.12), 0.016), ALBEDO_WHEEL),
-        solid(wheel, ALBEDO_WHEEL),
+    wings = [
+        panel(
+            (
+                (0.1, side * 0.02, 0.015, 0.024),
+                (-0.07, side * 0.02, 0.015, 0.024),
+                (-0.045, side * 0.5, 0.05, 0.008),
+                (0.035, side * 0.5, 0.05, 0.008),
+            )
+        )
+        for side in (1, -1)
     ]
-
-
-def _plane_wings() -> list[Part]:
-    """Return both wings and the pod under the left one."""
-    wings = []
-    for side, albedo in ((1, ALBEDO_LEFT_WING), (-1, ALBEDO_RIGHT_WING)):
-        outline = (
-            (0.1, side * 0.02, 0.015, 0.024),
-            (-0.07, side * 0.02, 0.015, 0.024),
-            (-0.045, side * 0.5, 0.05, 0.008),
-            (0.035, side * 0.5, 0.05, 0.008),
-        )
-        wings.append(solid(panel(outline), albedo))
-    pod = beam((-0.07, 0.24, -0.015), (0.11, 0.24, -0.015), 0.05)
-    return [*wings, solid(pod, ALBEDO_POD)]
-
-
-def _plane_tail() -> list[Part]:
-    tailplane = panel(
-        (
-            (-0.36, 0.16, 0.006, 0.008),
-            (-0.34, -0.16, 0.006, 0.008),
-            (-0.43, -0.16, 0.006, 0.008),
-            (-0.44, 0.16, 0.006, 0.008),
-        )
+    fin = panel(FIN)
+    fin.apply_transform(_rolled(np.pi / 2))
+    pieces = (
+        (hexagonal_hull(FUSELAGE), 0.24),
+        (hexagonal_hull(CANOPY), 0.06),
+        (moved(propeller, (0.28, 0.0, -0.006)), 0.42),
+        (beam((0.16, 0.0, -0.03), (0.17, 0.0, -0.12), 0.016), 0.05),  # leg of the nose wheel
+        (wheel, 0.05),
+        (wings[0], 0.3),
+        (wings[1], 0.14),
+        (beam((-0.07, 0.24, -0.015), (0.11, 0.24, -0.015), 0.05), 0.08),  # pod
+        (panel(TAILPLANE), 0.12),
+        (fin, 0.45),
     )
-    fin = panel(
-        (
-            (-0.31, 0.0, 0.0, 0.01),
-            (-0.44, 0.0, 0.0, 0.01),
-            (-0.45, 0.16, 0.0, 0.006),
-            (-0.4, 0.16, 0.0, 0.006),
-        )
-    )
-    fin.apply_transform(_rolled(np.pi / 2))  # y becomes z
-    return [solid(tailplane, ALBEDO_TAILPLANE), solid(fin, ALBEDO_FIN)]
+    return Drone((join([solid(*piece) for piece in pieces], size_m),), "plane", size_m)
 
 
 def _rolled(angle_rad: float) -> FloatArray:
@@ -369,3 +262,30 @@ def _rolled(angle_rad: float) -> FloatArray:
     T = np.eye(4)
     T[1:3, 1:3] = [[cos, -sin], [sin, cos]]
     return T
+
+
+QUADROTORS = {"quadrotor": quadrotor, "two-tone": two_tone}
+DRONES = (*QUADROTORS, "bird", "plane")
+
+
+@lru_cache(maxsize=8)
+def built_in_drone(
+    name: str, size_m: float | None = None, rotor_hz: float = 0.0, flap_hz: float = FLAP_HZ
+) -> Drone:
+    """Build one of `DRONES`, by default of 0.65 m; SimError for what makes no sense."""
+    check_drone_name(name)
+    size_m = DEFAULT_SIZE_M if size_m is None else size_m
+    if name in QUADROTORS:
+        return QUADROTORS[name](size_m, rotor_hz)
+    if rotor_hz:
+        raise SimError(
+            f"rotors spin on the built-in quadrotors only ({', '.join(QUADROTORS)}), not on a "
+            f"{name}: leave out rotor_hz"
+        )
+    return bird(size_m, flap_hz) if name == "bird" else plane(size_m)
+
+
+def check_drone_name(name: str) -> None:
+    """Raise SimError when no drone is built in under this name."""
+    if name not in DRONES:
+        raise SimError(f"drone: expected one of {', '.join(DRONES)}, got {name!r}")

@@ -40,37 +40,27 @@ class Camera:
     time_offset_s: float  # t_cam = t_world + time_offset_s
 
     def __post_init__(self) -> None:
-        if self.K.shape != (3, 3) or self.T_C_W.shape != (4, 4):
-            raise SimError(
-                f"{self.name}: K must be (3, 3) and T_C_W (4, 4), "
-                f"got {self.K.shape} and {self.T_C_W.shape}"
+        K, model, coeffs = self.K, self.distortion_model, self.distortion_coeffs
+        if K.shape != (3, 3) or self.T_C_W.shape != (4, 4):
+            said = f"K must be (3, 3) and T_C_W (4, 4), got {K.shape} and {self.T_C_W.shape}"
+        elif not (K[0, 0] > 0 and K[1, 1] > 0 and self.width > 0 and self.height > 0):
+            got = f"{K[0, 0]}, {K[1, 1]} px and {self.width} x {self.height}"
+            said = f"focal lengths and resolution must be positive, got {got}"
+        elif not (np.isfinite(K).all() and np.isfinite(self.T_C_W).all()):
+            said = f"K and T_C_W must be finite, got {K.tolist()} and {self.T_C_W.tolist()}"
+        elif model not in N_COEFFS:
+            said = f"unknown distortion model {model!r}: use one of {', '.join(N_COEFFS)}"
+        elif len(coeffs) != N_COEFFS[model] or not np.isfinite(coeffs).all():
+            needs = f"{N_COEFFS[model]} finite coefficients"
+            said = f"the distortion model {model!r} needs {needs}, got {coeffs}"
+        elif self._folds_within_image():
+            said = (
+                f"the {model} coefficients {coeffs} fold the image back on itself before its "
+                "border: use weaker distortion"
             )
-        if not (self.K[0, 0] > 0 and self.K[1, 1] > 0 and self.width > 0 and self.height > 0):
-            raise SimError(
-                f"{self.name}: focal lengths and resolution must be positive, "
-                f"got {self.K[0, 0]}, {self.K[1, 1]} px and {self.width} x {self.height}"
-            )
-        if not (np.isfinite(self.K).all() and np.isfinite(self.T_C_W).all()):
-            raise SimError(
-                f"{self.name}: K and T_C_W must be finite, got {self.K.tolist()} and "
-                f"{self.T_C_W.tolist()}"
-            )
-        if self.distortion_model not in N_COEFFS:
-            raise SimError(
-                f"{self.name}: unknown distortion model {self.distortion_model!r}: "
-                f"use one of {', '.join(N_COEFFS)}"
-            )
-        n_coeffs = N_COEFFS[self.distortion_model]
-        if len(self.distortion_coeffs) != n_coeffs or not np.isfinite(self.distortion_coeffs).all():
-            raise SimError(
-                f"{self.name}: the distortion model {self.distortion_model!r} needs {n_coeffs} "
-                f"finite coefficients, got {self.distortion_coeffs}"
-            )
-        if self._folds_within_image():
-            raise SimError(
-                f"{self.name}: the {self.distortion_model} coefficients {self.distortion_coeffs} "
-                "fold the image back on itself before its border: use weaker distortion"
-            )
+        else:
+            return
+        raise SimError(f"{self.name}: {said}")
 
     def project(self, points_W: FloatArray) -> FloatArray:
         """Project points (..., 3) [m] of the world to distorted pixels (..., 2), column and row.
@@ -81,8 +71,9 @@ class Camera:
         points_C = np.asarray(points_W) @ self.T_C_W[:3, :3].T + self.T_C_W[:3, 3]
         depth_m = np.where(points_C[..., 2] > MIN_DEPTH_M, points_C[..., 2], np.nan)
         rays = points_C[..., :2] / depth_m[..., None]
-        angle_rad = np.arctan(np.linalg.norm(rays, axis=-1))
-        rays = np.where((angle_rad <= self.field_angle_rad)[..., None], rays, np.nan)
+        slope2 = rays[..., 0] ** 2 + rays[..., 1] ** 2
+        is_within = slope2 <= math.tan(self.field_angle_rad) ** 2
+        rays = np.where(is_within[..., None], rays, np.nan)
         return self._pixels(self.distort(rays))
 
     def distort(self, rays: FloatArray) -> FloatArray:
@@ -117,8 +108,7 @@ class Camera:
     def field_angle_rad(self) -> float:
         """Largest angle from the optical axis [rad] up to which the distortion is one-to-one.
 
-        There the determinant of its Jacobian, positive on the axis, first fails to be positive; it
-        is looked for on a polar grid of rays, whatever the model.
+        There the determinant of its Jacobian, on a polar grid of rays, first fails to be positive.
         """
         angles_rad = MAX_FIELD_ANGLE_RAD * np.arange(1, 721) / 720
         by_angle, by_azimuth = np.gradient(self.distort(_cone_rays(angles_rad)), axis=(0, 1))
@@ -194,22 +184,9 @@ def look_at_rig(
 ) -> Rig:
     """Place equal cameras, cam1, cam2, ..., on a horizontal circle, all looking at the origin.
 
-    Parameters
-    ----------
-    angles_deg
-        One per camera [deg], counter-clockwise seen from above: at 0 the camera stands at
-        (0, -distance_m, 0), looks along +y, and the image's down is the world's -z.
-    resolution
-        Width and height [px].
-    principal_point
-        Column and row [px].
-    time_offsets_s
-        Each camera's clock minus the world's [s]; zero by default.
-
-    Raises
-    ------
-    SimError
-        When the distance is not positive, or the numbers of angles and offsets differ.
+    Angles [deg] are counter-clockwise seen from above: at 0 a camera stands at (0, -distance_m, 0),
+    looks along +y, and the image's down is the world's -z. Offsets are the clocks minus the world's
+    [s]. Resolution is width and height, the principal point column and row [px].
     """
     if not distance_m > 0:
         raise SimError(f"the cameras' distance must be positive, got {distance_m} m")
@@ -218,27 +195,20 @@ def look_at_rig(
         raise SimError(f"{len(angles_deg)} cameras need as many time offsets, got {len(offsets_s)}")
     u, v = principal_point
     K = np.array([[focal_px, 0.0, u], [0.0, focal_px, v], [0.0, 0.0, 1.0]])
-    cameras = tuple(
-        Camera(
-            name=f"cam{number}",
-            K=K,
-            width=resolution[0],
-            height=resolution[1],
-            distortion_model=distortion_model,
-            distortion_coeffs=tuple(distortion_coeffs),
-            T_C_W=_look_at_origin(angle_deg, distance_m),
-            time_offset_s=offset_s,
+    lens = (distortion_model, tuple(distortion_coeffs))
+    placed = enumerate(zip(angles_deg, offsets_s, strict=True), 1)
+    return Rig(
+        tuple(
+            Camera(f"cam{n}", K, *resolution, *lens, _look_at_origin(angle_deg, distance_m), offset)
+            for n, (angle_deg, offset) in placed
         )
-        for number, (angle_deg, offset_s) in enumerate(zip(angles_deg, offsets_s, strict=True), 1)
     )
-    return Rig(cameras)
 
 
 def two_view_rig(angle_deg: float, *, t_d_s: float = 0.0, **placed: Any) -> Rig:
     """Place the paper's two cameras: lines of sight `angle_deg` apart, clocks `t_d_s` apart.
 
-    The other arguments are those of `look_at_rig`; camera 2's clock shows t_cam1 + t_d_s. SimError
-    when the angle is not strictly between 0 and 180 deg, or the offset is not finite.
+    The other arguments are those of `look_at_rig`; camera 2's clock shows t_cam1 + t_d_s.
     """
     if not 0.0 < angle_deg < 180.0:
         raise SimError(
@@ -250,19 +220,23 @@ def two_view_rig(angle_deg: float, *, t_d_s: float = 0.0, **placed: Any) -> Rig:
     return look_at_rig((0.0, angle_deg), time_offsets_s=(0.0, t_d_s), **placed)
 
 
-def kalibr_yaml(rig: Rig, with_extrinsics: bool) -> str:
+Known = list[tuple[FloatArray, list[float]]]
+"""Of each camera K (3, 3) and the deviations of fu, fv, pu and pv [px] that are stated."""
+
+
+def kalibr_yaml(rig: Rig, with_extrinsics: bool, known: Known | None = None) -> str:
     """Write a rig as a Kalibr camchain: cam0 is our camera 1, cam1 our camera 2, ...
 
-    Clock offsets are not written, nor are the extrinsics (`T_cn_cnm1`: previous camera to this one)
-    unless asked for: they are what an estimator has to find.
+    Neither clock offsets are written nor, unless asked for, the extrinsics (`T_cn_cnm1`: previous
+    camera to this one): an estimator has to find them. `known` is by default the true intrinsics.
     """
     chain: dict[str, dict[str, object]] = {}
     for n, camera in enumerate(rig.cameras):
-        K = camera.K
+        K, deviations_px = known[n] if known else (camera.K, [0.0] * 4)
         entry: dict[str, object] = {
             "camera_model": "pinhole",
             "intrinsics": [float(k) for k in (K[0, 0], K[1, 1], K[0, 2], K[1, 2])],
-            "intrinsics_std": [0.0, 0.0, 0.0, 0.0],  # [px] they are the ones simulated with
+            "intrinsics_std": deviations_px,
             "distortion_model": camera.distortion_model,
             "distortion_coeffs": [float(c) for c in camera.distortion_coeffs],
             "resolution": [camera.width, camera.height],
@@ -276,14 +250,9 @@ def kalibr_yaml(rig: Rig, with_extrinsics: bool) -> str:
 
 def _look_at_origin(angle_deg: float, distance_m: float) -> FloatArray:
     """Return T_C_W of a camera at (0, -distance_m, 0), looking at the origin, turned about z."""
-    T_C0_W = np.array(
-        [
-            [1.0, 0.0, 0.0, 0.0],
-            [0.0, 0.0, -1.0, 0.0],
-            [0.0, 1.0, 0.0, distance_m],
-            [0.0, 0.0, 0.0, 1.0],
-        ]
-    )
+    # Across is the world's x, down its -z, and forward its y.
+    T_C0_W = np.eye(4)[[0, 2, 1, 3]]
+    T_C0_W[1, 2], T_C0_W[2, 3] = -1.0, distance_m
     cos, sin = np.cos(np.deg2rad(angle_deg)), np.sin(np.deg2rad(angle_deg))
     # Undoes the turn: the camera turned by +angle sees the world turned by -angle.
     T_W0_W = np.eye(4)

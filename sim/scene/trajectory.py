@@ -28,6 +28,7 @@ MAX_DRAWS = 100  # of a random trajectory, before its configuration is blamed
 # trajectory stays near the origin from end to end. Shorter ones keep to what they always were.
 LONG_SEGMENTS = 2000
 _REDRAWN_S = 1.0  # of a long trajectory, on each side of where it leaves the circle
+_POSITION_AND_TURN = (slice(0, 3), slice(3, 6))  # of the six degrees of freedom
 
 
 @dataclass(frozen=True)
@@ -108,13 +109,11 @@ def random_spline(config: SplineConfig, rng: np.random.Generator) -> Trajectory:
 
     As ESIM does (Rebecq et al., ESIM: an Open Event Camera Simulator, CoRL 2018; its trajectory
     factory): each of the six degrees of freedom (position, rotation vector) is drawn uniformly from
-    [-1, 1] at regular times, times its multiplier, plus its offset; a smoothing B-spline of these
-    values is the trajectory.
+    [-1, 1] at regular times, times its multiplier, plus its offset, and smoothed by a B-spline.
 
     Deviation: a trajectory that leaves the circle of `max_radius_m` about the origin is drawn again
-    (one in six by default), so that the drone never flies into a camera; of one with more than
-    `LONG_SEGMENTS` segments, only the part about where it leaves. SimError when none of MAX_DRAWS
-    trajectories stays within the circle.
+    (one in six by default); of one with more than `LONG_SEGMENTS` segments, only the part about
+    where it leaves. SimError when none of MAX_DRAWS trajectories stays within the circle.
     """
     n_poses = round(config.duration_s * config.sampling_hz)
     times_s: FloatArray = np.linspace(0.0, config.duration_s, n_poses, dtype=np.float64)
@@ -127,12 +126,11 @@ def random_spline(config: SplineConfig, rng: np.random.Generator) -> Trajectory:
         drawn = offset + multiplier * rng.uniform(-1.0, 1.0, (n_poses, 6))
         values = np.where(is_drawn[:, None], drawn, values)
         spline = _fit_smoothing_spline(times_s, values, config.order, n_segments, config.smoothing)
-        position = BSpline(spline.t, spline.c[:, :3], spline.k)
-        rotation_vector = BSpline(spline.t, spline.c[:, 3:], spline.k)
+        position, turn = (BSpline(spline.t, spline.c[:, of], spline.k) for of in _POSITION_AND_TURN)
         check_s = np.linspace(0.0, config.duration_s, 10 * n_segments)
         is_inside = np.hypot(*position(check_s)[:, :2].T) <= config.max_radius_m
         if is_inside.all():
-            return Trajectory(config.duration_s, position, _RotationVectorSpline(rotation_vector))
+            return Trajectory(config.duration_s, position, _attitude(turn))
         if n_segments > LONG_SEGMENTS:
             is_drawn = _near(check_s[~is_inside], times_s)
     raise SimError(
@@ -141,14 +139,8 @@ def random_spline(config: SplineConfig, rng: np.random.Generator) -> Trajectory:
     )
 
 
-@dataclass(frozen=True)
-class _RotationVectorSpline:
-    """A spline of rotation vectors [rad] as a function from times [s] to rotations."""
-
-    rotation_vector: BSpline
-
-    def __call__(self, times_s: FloatArray) -> Rotation:
-        return Rotation.from_rotvec(self.rotation_vector(times_s))
+def _attitude(rotation_vector: BSpline) -> Attitude:
+    return lambda times_s: Rotation.from_rotvec(rotation_vector(times_s))
 
 
 def _near(some_s: FloatArray, times_s: FloatArray) -> NDArray[np.bool_]:
@@ -182,7 +174,6 @@ def _fit_smoothing_spline(
     basis = BSpline(knots, np.eye(n_segments + degree), degree)
     curvature = basis.derivative(2)(nodes_s)
     penalty = curvature.T @ (weights_s[:, None] * curvature)
-
     design = basis(times_s)
     coefficients = np.linalg.solve(design.T @ design + smoothing * penalty, design.T @ values)
     return BSpline(knots, coefficients, degree)
@@ -217,11 +208,9 @@ def trajectory_from_csv(path: Path) -> Trajectory:
     """Read a trajectory from a CSV file and interpolate it smoothly.
 
     Columns are t [s], x, y, z [m], qx, qy, qz, qw (attitude T_W_B, scalar last, of any norm), in
-    this order, or in any order under a header that names them. `#` starts a comment. ESIM's own
-    files have the same columns but times in nanoseconds. Position is a cubic spline through the
-    rows, attitude scipy's `RotationSpline`: velocity and acceleration, linear and angular, are
-    continuous. The first row's time becomes 0. SimError, with the line, for a file that is no such
-    table of 4 rows or more.
+    this order, or in any order under a header that names them. `#` starts a comment. Position is a
+    cubic spline through the rows, attitude scipy's `RotationSpline`. The first row's time becomes
+    0. SimError, with the line, for a file that is no such table of 4 rows or more.
     """
     line_numbers, table = _read_table(path)
     times_s, quaternions = table[:, 0], table[:, 4:]
@@ -270,14 +259,9 @@ def _read_table(path: Path) -> tuple[list[int], FloatArray]:
         text = Path(path).read_text(encoding="utf-8-sig")  # spreadsheets begin with a mark
     except (OSError, UnicodeDecodeError) as error:
         raise SimError(f"cannot read the trajectory {path}: {error}") from error
-    lines = [line.split("#")[0] for line in text.splitlines()]
-    rows = {
-        number: [field.strip() for field in line.split(",")]
-        for number, line in enumerate(lines, start=1)
-        if line.strip()
-    }
-    header = list(CSV_COLUMNS)
-    first = next(iter(rows), 0)
+    lines = enumerate((line.split("#")[0] for line in text.splitlines()), start=1)
+    rows = {n: [field.strip() for field in line.split(",")] for n, line in lines if line.strip()}
+    header, first = list(CSV_COLUMNS), next(iter(rows), 0)
     if rows and rows[first][0].isidentifier():  # a name, not a number
         header = rows.pop(first)
     wanted = ", ".join(CSV_COLUMNS)

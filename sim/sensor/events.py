@@ -51,13 +51,8 @@ class SensorConfig:
     @property
     def is_ideal_in_time(self) -> bool:
         """Whether nothing but a change of light makes a pixel act."""
-        return not (
-            self.refractory_s
-            or self.leak_hz
-            or self.shot_noise_hz
-            or self.background_hz
-            or self.hot_pixel_share
-        )
+        noise_hz = self.leak_hz + self.shot_noise_hz + self.background_hz
+        return not (noise_hz or self.refractory_s or self.hot_pixel_share)
 
 
 PRESETS = {
@@ -77,9 +72,8 @@ class Sensor:
     """The pixels of one camera and what each remembers.
 
     They start at `time_s` [s] with an image (height, width) of luminance in [0, 1], from which no
-    event comes. `rng` draws the pixels' mismatch and noise; the same state gives the same events,
-    however the recording is cut into crops. `background`, by default the image at the start,
-    surrounds the crops.
+    event comes. `rng` draws mismatch and noise: the same state gives the same events, however the
+    recording is cut into crops. `background`, by default the image, surrounds the crops.
     """
 
     def __init__(
@@ -97,14 +91,14 @@ class Sensor:
             self._image.copy() if background is None else background, np.float32
         )
         self._reference = self._image.astype(np.float64) + config.log_eps
-        thresholds = [
-            np.maximum(nominal + config.threshold_mismatch * rng.standard_normal(shape), low)
-            for nominal, low in (
-                (config.threshold_on, min(MIN_THRESHOLD, config.threshold_on)),
-                (config.threshold_off, min(MIN_THRESHOLD, config.threshold_off)),
+        on, off = (
+            np.maximum(
+                nominal + config.threshold_mismatch * rng.standard_normal(shape),
+                min(MIN_THRESHOLD, nominal),
             )
-        ]
-        self._up, self._down = np.exp(thresholds[0]), np.exp(-thresholds[1])
+            for nominal in (config.threshold_on, config.threshold_off)
+        )
+        self._up, self._down = np.exp(on), np.exp(-off)
         self._high = (self._reference * self._up - config.log_eps).astype(np.float32)
         self._low = (self._reference * self._down - config.log_eps).astype(np.float32)
         self._time_s = time_s
@@ -154,14 +148,13 @@ class Sensor:
         self._time_s = float(times_s[-1])
 
     def take_settled(self) -> NDArray[Any]:
-        """Return the events that no later one comes before, sorted as by `finish`, and forget them.
+        """Return, and forget, the events that no later one comes before, sorted as by `finish`.
 
-        None where pixels act by themselves: one that is left alone emits what it did meanwhile when
-        it is next looked at.
+        None where pixels act by themselves: one that is left alone tells later what it did.
         """
         if self._noise is not None:
             return np.empty(0, EVENT_DTYPE)
-        return self._take(before_us=np.rint(self._time_s * 1e6))
+        return self._events.take(np.rint(self._time_s * 1e6), *self._image.shape[::-1])
 
     def finish(self, time_s: float) -> NDArray[Any]:
         """Hold the last image until `time_s` and return all events that were not taken yet.
@@ -169,17 +162,11 @@ class Sensor:
         They are sorted by time, then row, column and order of emission.
         """
         if self._noise is not None:
-            height, width = self._image.shape
-            self._box[:] = 0, 0, width, height
-            still = self._image[None].copy()
+            self._box[:] = 0, 0, *self._image.shape[::-1]
             zero = np.zeros(1, np.int64)
-            self.feed(np.array([max(time_s, self._time_s)]), zero, zero, still)
-        return self._take(before_us=np.inf)
-
-    def _take(self, before_us: float) -> NDArray[Any]:
-        """Take the events before a time [us] out of the buffer, in order."""
-        height, width = self._image.shape
-        return self._events.take(before_us, width, height)
+            last_s = np.array([max(time_s, self._time_s)])
+            self.feed(last_s, zero, zero, self._image[None].copy())
+        return self._events.take(np.inf, *self._image.shape[::-1])
 
 
 def events_from_frames(
@@ -190,21 +177,10 @@ def events_from_frames(
 ) -> NDArray[Any]:
     """Turn a stack of frames, a user's own video for instance, into events, sorted by time.
 
-    Parameters
-    ----------
-    frames
-        Shape (n, height, width): floating point in [0, 1], or unsigned integers of full scale 1.
-        Linear light: undo a video's gamma first.
-    times_s
-        Shape (n,) [s], increasing.
-    rng
-        Default: seeded with 0.
-
-    Raises
-    ------
-    SimError
-        Shapes that do not fit, times that do not increase, fewer than 2 frames, values outside [0,
-        1] or not finite.
+    Frames (n, height, width) are floating point in [0, 1], or unsigned integers of full scale 1, of
+    linear light: undo a video's gamma first. Times (n,) [s] increase. `rng` is by default seeded
+    with 0. SimError for shapes that do not fit, times that do not increase, fewer than 2 frames, or
+    values outside [0, 1] or not finite.
     """
     times_s = np.asarray(times_s, np.float64)
     if frames.ndim != 3 or times_s.shape != frames.shape[:1] or len(times_s) < 2:
@@ -215,9 +191,8 @@ def events_from_frames(
     if not (np.isfinite(times_s).all() and (np.diff(times_s) > 0).all()):
         raise SimError("frames: times must be finite and increase from frame to frame; sort them")
     config = config or SensorConfig()
-    sensor = Sensor(
-        config, _unit_range(frames[0]), float(times_s[0]), rng or np.random.default_rng(0)
-    )
+    rng = rng or np.random.default_rng(0)
+    sensor = Sensor(config, _unit_range(frames[0]), float(times_s[0]), rng)
     zero = np.zeros(1, np.int64)
     for time_s, frame in zip(times_s[1:], frames[1:], strict=True):
         sensor.feed(np.array([time_s]), zero, zero, _unit_range(frame)[None])
@@ -246,12 +221,12 @@ def slow_events(
     of_memory: np.random.Generator,
     of_pixels: np.random.Generator,
 ) -> NDArray[Any]:
-    """Let pixels without noise follow a light that they have seen for long.
+    """Let pixels without noise follow a light that they have seen for long; events by time.
 
     `first` is the luminance (height, width) in [0, 1] at time 0, `batches` are later times (n,) [s]
-    and luminance (n, height, width) at them; the last image stays until `end_s`. Of the config,
-    only the thresholds count. `of_memory` draws the level that each pixel remembers, any that makes
-    no event at the start, and `of_pixels` the thresholds' mismatch. The events are sorted by time.
+    and luminance (n, height, width); the last image stays until `end_s`. Of the config, only the
+    thresholds count. `of_memory` draws the level that each pixel remembers, `of_pixels` the
+    thresholds' mismatch.
     """
     phases = of_memory.uniform(-0.95, 0.95, first.shape)
     threshold = min(config.threshold_on, config.threshold_off)

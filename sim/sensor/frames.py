@@ -109,10 +109,9 @@ class FrameExposer:
 
 
 def frame_times_us(config: FrameConfig, duration_s: float, start_s: float = 0.0) -> IntArray:
-    """Middle of each exposure [us], shape (n,).
+    """Middle of each exposure [us], (n,), of frames exposed wholly within the duration.
 
-    Frame k is exposed from start_s + k / rate on; only frames exposed wholly within the duration
-    are taken.
+    Frame k is exposed from start_s + k / rate on.
     """
     room_s = duration_s - config.exposure_s - start_s
     n = int(np.floor(room_s * config.rate_hz + 1e-9)) + 1 if config.rate_hz else 0

@@ -16,7 +16,7 @@ from sim.arrays import Float32Array, FloatArray
 from sim.errors import SimError
 from sim.recording import Scene, SimConfig, two_view_rig_of
 from sim.scene.background import uniform_background
-from sim.scene.drone import Drone, check_size, hull, join, pose, prism, solid
+from sim.scene.drone import Drone, check_size, hull, join, moved, pose, prism, solid
 from sim.scene.rig import Camera, Rig
 from sim.seeds import generator
 from sim.sensor.frames import FrameConfig
@@ -44,8 +44,7 @@ def printed(size_m: float = SIZE_M) -> Drone:
     """
     check_size(size_m)
     eye = prism(6, _EYE_RADIUS, 0.5 * HEIGHT - 0.09)
-    eye.apply_translation((0.0, 0.0, 0.5 * (0.5 * HEIGHT + 0.09)))
-    pieces = [_body(), eye]
+    pieces = [_body(), moved(eye, (0.0, 0.0, 0.5 * (0.5 * HEIGHT + 0.09)))]
     for x_sign, y_sign in ((1, 1), (1, -1), (-1, -1), (-1, 1)):
         pieces += _arm(np.array([x_sign * _CORNER, y_sign * _CORNER, 0.0]))
     return Drone((join([solid(piece, ALBEDO) for piece in pieces], size_m),), "printed", size_m)
@@ -70,10 +69,9 @@ def _arm(corner: FloatArray) -> list[trimesh.Trimesh]:
     arm = trimesh.creation.box((length, _ARM_WIDTH, _ARM_HEIGHT))
     arm.apply_transform(pose(0.5 * corner, yaw_rad=float(np.arctan2(corner[1], corner[0]))))
     disc = prism(12, _DISC_RADIUS, _DISC_THICKNESS)
-    disc.apply_translation(corner + np.array([0.0, 0.0, _DISC_Z]))
     foot = prism(4, _FOOT_RADIUS, _DISC_Z + 0.5 * HEIGHT)
-    foot.apply_translation(corner + np.array([0.0, 0.0, 0.5 * (_DISC_Z - 0.5 * HEIGHT)]))
-    return [arm, disc, foot]
+    up, down = (np.array([0.0, 0.0, z]) for z in (_DISC_Z, 0.5 * (_DISC_Z - 0.5 * HEIGHT)))
+    return [arm, moved(disc, corner + up), moved(foot, corner + down)]
 
 
 MEAN_LUMINANCE = 0.4
@@ -166,13 +164,10 @@ def bench_rig(config: TwinConfig) -> Rig:
     The lines of sight are `angle_deg` apart all the same, as that is what was measured: a camera
     is turned about the point that it looks at, not about itself, but for its roll.
     """
-    ideal = two_view_rig_of(config).cameras
     rng = generator(config.setup_seed, _CAMERA_STREAM)
-    cameras = [
-        _put_up(camera, distance_m, rng)
-        for camera, distance_m in zip(ideal, config.distances_m, strict=True)
-    ]
-    return Rig(tuple(cameras))
+    ideal = two_view_rig_of(config).cameras
+    pairs = zip(ideal, config.distances_m, strict=True)
+    return Rig(tuple(_put_up(camera, distance_m, rng) for camera, distance_m in pairs))
 
 
 def bench_walls(config: TwinConfig, rig: Rig) -> tuple[Float32Array, ...]:

@@ -4,7 +4,7 @@ The board's corners are projected, not drawn: a corner detector's error stands f
 then calibrates each camera by itself, and the pose of both from views that they share.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -64,10 +64,7 @@ def exact(camera: Camera) -> CalibratedCamera:
 def calibrated_camera(
     camera: Camera, config: CalibrationConfig, rng: np.random.Generator
 ) -> CalibratedCamera:
-    """Calibrate a camera of the model "radtan" or "none" by itself.
-
-    SimError when it has another lens, or the board does not fit into its view.
-    """
+    """Calibrate a camera of the model "radtan" or "none" by itself; SimError if it cannot be."""
     _check_lens(camera)
     board = _board(config)
     views = _own_views(camera, board, config, rng)
@@ -104,8 +101,7 @@ def calibrated_pose(
 ) -> FloatArray:
     """Find T_2_1 (4, 4), camera 1 [m] to camera 2 [m], from views that both cameras share.
 
-    The two look at the world's origin. Their intrinsics stay as they are known. SimError as of
-    `calibrated_camera`.
+    The two look at the world's origin. Their intrinsics stay as they are known.
     """
     if len(rig.cameras) != 2:
         raise SimError(f"calibration: expected two cameras, got {len(rig.cameras)}")
@@ -114,16 +110,13 @@ def calibrated_pose(
     board = _board(config)
     seen = _shared_views(rig, board, config, rng)
     corners = [[_found(camera, points, config, rng) for points in seen] for camera in rig.cameras]
-    intrinsics = [
-        value
-        for one in cameras
-        for value in (one.K.copy(), np.array(one.distortion_coeffs or (0.0,) * 4))
-    ]
+    lenses = [(one.K.copy(), np.array(one.distortion_coeffs or (0.0,) * 4)) for one in cameras]
     with _one_thread():
         *_, R, t, _, _ = cv2.stereoCalibrate(
             [board.astype(np.float32)] * len(seen),
             *corners,
-            *intrinsics,
+            *lenses[0],
+            *lenses[1],
             (rig.cameras[0].width, rig.cameras[0].height),
             flags=cv2.CALIB_FIX_INTRINSIC,
             criteria=_STOP,
@@ -160,16 +153,29 @@ def _board(config: CalibrationConfig) -> FloatArray:
     return np.column_stack([flat, np.zeros(len(flat))])
 
 
+def _views(n: int, draw: Callable[[], FloatArray | None], camera: Camera) -> list[FloatArray]:
+    """Draw places of the board, its corners (n, 3) [m] in the world, until n are in view."""
+    views: list[FloatArray] = []
+    for _ in range(MAX_TRIES):
+        if len(views) == n:
+            return views
+        points_W = draw()
+        if points_W is not None:
+            views.append(points_W)
+    raise SimError(
+        f"calibration: of {MAX_TRIES} places for the board too few are in view of {camera.name}: "
+        "take a smaller one, or hold it elsewhere"
+    )
+
+
 def _own_views(
     camera: Camera, board: FloatArray, config: CalibrationConfig, rng: np.random.Generator
 ) -> list[FloatArray]:
-    """Hold the board before one camera; its corners (n, 3) [m] in the world, view by view."""
+    """Hold the board before one camera."""
     T_W_C = np.linalg.inv(camera.T_C_W)
     half = 0.5 * np.array([camera.width, camera.height]) / camera.K[0, 0]
-    views: list[FloatArray] = []
-    for _ in range(MAX_TRIES):
-        if len(views) == config.n_views:
-            return views
+
+    def draw() -> FloatArray | None:
         depth_m = rng.uniform(*config.distance_m)
         place = np.append(rng.uniform(-0.8, 0.8, 2) * half, 1.0) * depth_m
         axis = np.append(rng.standard_normal(2), 0.0)
@@ -177,10 +183,10 @@ def _own_views(
         roll = (0.0, 0.0, rng.uniform(-0.5, 0.5))
         turn = Rotation.from_rotvec(tilt) * Rotation.from_rotvec(roll)
         points_C = board @ turn.as_matrix().T + place
-        points_W = points_C @ T_W_C[:3, :3].T + T_W_C[:3, 3]
-        if _is_seen(camera, points_W):
-            views.append(points_W)
-    raise _too_large(camera)
+        points_W: FloatArray = points_C @ T_W_C[:3, :3].T + T_W_C[:3, 3]
+        return points_W if _is_seen(camera, points_W) else None
+
+    return _views(config.n_views, draw, camera)
 
 
 def _shared_views(
@@ -194,21 +200,17 @@ def _shared_views(
     x = np.cross((0.0, 0.0, -1.0), z)
     x /= np.linalg.norm(x)
     facing = Rotation.from_matrix(np.column_stack([x, np.cross(z, x), z]))
-    views: list[FloatArray] = []
-    for _ in range(MAX_TRIES):
-        if len(views) == config.n_shared:
-            return views
+
+    def draw() -> FloatArray | None:
         tilt = np.deg2rad(config.shared_tilt_deg) * rng.standard_normal(3)
         turn = facing * Rotation.from_rotvec(tilt)
-        points_W = board @ turn.as_matrix().T + config.shared_m * rng.standard_normal(3)
-        middle = points_W.mean(axis=0)
-        normal = -turn.as_matrix()[:, 2]
-        cosines = [
-            normal @ (centre - middle) / np.linalg.norm(centre - middle) for centre in centres
-        ]
-        if min(cosines) > MIN_COSINE and all(_is_seen(c, points_W) for c in rig.cameras):
-            views.append(points_W)
-    raise _too_large(rig.cameras[0])
+        points_W: FloatArray = board @ turn.as_matrix().T + config.shared_m * rng.standard_normal(3)
+        middle, normal = points_W.mean(axis=0), -turn.as_matrix()[:, 2]
+        cosines = [normal @ (c - middle) / np.linalg.norm(c - middle) for c in centres]
+        is_seen = min(cosines) > MIN_COSINE and all(_is_seen(c, points_W) for c in rig.cameras)
+        return points_W if is_seen else None
+
+    return _views(config.n_shared, draw, rig.cameras[0])
 
 
 def _is_seen(camera: Camera, points_W: FloatArray) -> bool:
@@ -225,10 +227,3 @@ def _found(
     pixels = camera.project(points_W)
     pixels = pixels + config.corner_std_px * rng.standard_normal(pixels.shape)
     return pixels.astype(np.float32)[:, None]
-
-
-def _too_large(camera: Camera) -> SimError:
-    return SimError(
-        f"calibration: of {MAX_TRIES} places for the board too few are in view of {camera.name}: "
-        "take a smaller one, or hold it elsewhere"
-    )

@@ -4,6 +4,7 @@ The wire is straight and of constant length, without mass; the body hangs along 
 and rocks a little. The hand draws a random smooth path. Frames as in `sim.scene.trajectory`.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,12 +14,15 @@ from scipy.spatial.transform import Rotation
 
 from sim.arrays import FloatArray
 from sim.errors import SimError, check_numbers
-from sim.scene.trajectory import MAX_DRAWS, Trajectory, Vector3
+from sim.scene.trajectory import MAX_DRAWS, Attitude, Trajectory, Vector3
 
 GRAVITY_M_S2 = 9.81
 STEPS_HZ = 500.0  # of the solution: a swing takes a second
 _N_WAVES = 3  # that a twist or a rocking is the sum of
 _SPREAD = 0.3  # of their frequencies, as a share
+
+Waves = Callable[[FloatArray], FloatArray]
+"""An angle [rad] at times (n,) [s]."""
 
 
 @dataclass(frozen=True)
@@ -56,11 +60,9 @@ class Hanging:
 
 
 def hanging(config: PendulumConfig, duration_s: float, rng: np.random.Generator) -> Hanging:
-    """Draw the motion of a hanging body.
+    """Draw the motion of a hanging body, within `max_radius_m` of the origin, the wire taut.
 
-    Motions that leave the ball of `max_radius_m` about the origin, or in which the wire would go
-    slack, are drawn again. SimError when the duration is not positive, or none of MAX_DRAWS motions
-    stays within the ball.
+    SimError when the duration is not positive, or none of MAX_DRAWS motions is so.
     """
     if not (np.isfinite(duration_s) and duration_s > 0.0):
         raise SimError(f"pendulum: the duration must be a positive number, got {duration_s}")
@@ -119,83 +121,59 @@ def _draw(config: PendulumConfig, duration_s: float, rng: np.random.Generator) -
     places_s = np.arange(n_places) / config.hand_hz - 1.5 / config.hand_hz  # around the recording
     above_m = np.array([0.0, 0.0, config.length_m])
     places_m = above_m + rng.uniform(-1.0, 1.0, (n_places, 3)) * config.hand_m
-    rough = make_interp_spline(places_s, places_m, k=3)
     # As control points of a curve, not points on it, they make a smooth path.
-    hand = BSpline(rough.t, places_m, 3)
+    hand = BSpline(make_interp_spline(places_s, places_m, k=3).t, places_m, 3)
     tilt_rad = config.start_rad * rng.standard_normal(2)
     q = np.array([np.sin(tilt_rad[0]), np.sin(tilt_rad[1]), -1.0])
     q /= np.linalg.norm(q)
     sideways = np.append(rng.standard_normal(2), 0.0)
-    dq = (
-        config.start_rad * np.sqrt(GRAVITY_M_S2 / config.length_m) * (sideways - (sideways @ q) * q)
-    )
-    waves = [
-        _waves(hz, rad, rng)
-        for hz, rad in (
-            (config.twist_hz, config.twist_rad),
-            (config.rocking_hz, config.rocking_rad),
-            (config.rocking_hz, config.rocking_rad),
-        )
-    ]
-    halves_s: FloatArray = np.linspace(
-        0.0, duration_s, 2 * max(4, int(np.ceil(duration_s * STEPS_HZ))) + 1, dtype=np.float64
-    )
-    times_s = halves_s[::2]
-    states = swing(
-        config.length_m, config.damping_per_s, hand(halves_s, 2), np.append(q, dq), times_s[1]
-    )
+    swing_rad_s = config.start_rad * np.sqrt(GRAVITY_M_S2 / config.length_m)
+    dq = swing_rad_s * (sideways - (sideways @ q) * q)
+    rocking = (config.rocking_hz, config.rocking_rad)
+    waves = [_waves(*of, rng) for of in ((config.twist_hz, config.twist_rad), rocking, rocking)]
+    n_steps = max(4, int(np.ceil(duration_s * STEPS_HZ)))
+    halves_s: FloatArray = np.linspace(0.0, duration_s, 2 * n_steps + 1, dtype=np.float64)
+    times_s, start = halves_s[::2], np.append(q, dq)
+    states = swing(config.length_m, config.damping_per_s, hand(halves_s, 2), start, times_s[1])
     q, dq = states[:, :3], states[:, 3:]
     pull = -hand(times_s, 2) - np.array([0.0, 0.0, GRAVITY_M_S2])
     tension = np.sum(pull * q, axis=1) + config.length_m * np.sum(dq * dq, axis=1)
     places = hand(times_s) + config.length_m * q
     if tension.min() <= 0.0 or np.linalg.norm(places, axis=1).max() > config.max_radius_m:
         return None
-    wire = CubicSpline(times_s, q)
-    position = CubicSpline(times_s, places)
-    trajectory = Trajectory(duration_s, position, _Attitude(wire, tuple(waves)))
-    return Hanging(trajectory, hand, wire)
+    wire, position = CubicSpline(times_s, q), CubicSpline(times_s, places)
+    return Hanging(Trajectory(duration_s, position, _attitude(wire, waves)), hand, wire)
 
 
-@dataclass(frozen=True)
-class _Waves:
-    """A sum of sines of random phases."""
-
-    amplitudes: FloatArray
-    rates_hz: FloatArray
-    phases_rad: FloatArray
-
-    def __call__(self, times_s: FloatArray) -> FloatArray:
-        """Value at times (n,) [s]."""
-        angles = 2.0 * np.pi * np.multiply.outer(times_s, self.rates_hz) + self.phases_rad
-        summed: FloatArray = np.sin(angles) @ self.amplitudes
-        return summed
-
-
-def _waves(rate_hz: float, deviation: float, rng: np.random.Generator) -> _Waves:
+def _waves(rate_hz: float, deviation: float, rng: np.random.Generator) -> Waves:
+    """Sum sines of random phases."""
     amplitudes = np.full(_N_WAVES, deviation * np.sqrt(2.0 / _N_WAVES))
     rates_hz = rate_hz * (1.0 + _SPREAD * rng.uniform(-1.0, 1.0, _N_WAVES))
-    return _Waves(amplitudes, rates_hz, rng.uniform(0.0, 2.0 * np.pi, _N_WAVES))
+    phases_rad = rng.uniform(0.0, 2.0 * np.pi, _N_WAVES)
+
+    def value(times_s: FloatArray) -> FloatArray:
+        angles = 2.0 * np.pi * np.multiply.outer(times_s, rates_hz) + phases_rad
+        summed: FloatArray = np.sin(angles) @ amplitudes
+        return summed
+
+    return value
 
 
-@dataclass(frozen=True)
-class _Attitude:
-    """Upright along the wire, turned about it, and rocking."""
+def _attitude(wire: CubicSpline, waves: list[Waves]) -> Attitude:
+    """Upright along the wire, turned about it, and rocking about the body's x and y."""
 
-    wire: CubicSpline
-    waves: tuple[_Waves, ...]  # twist, and rocking about the body's x and y
-
-    def __call__(self, times_s: FloatArray) -> Rotation:
-        """Rotations body to world at times (n,) [s]."""
+    def rotations(times_s: FloatArray) -> Rotation:
         times_s = np.asarray(times_s, np.float64)
-        up = -self.wire(times_s)
+        up = -wire(times_s)
         up /= np.linalg.norm(up, axis=-1, keepdims=True)
         # The least turn that takes the world's z to the wire.
         axis = np.stack([-up[..., 1], up[..., 0], np.zeros_like(up[..., 0])], axis=-1)
         sine = np.linalg.norm(axis, axis=-1, keepdims=True)
         angle = np.arctan2(sine, up[..., 2:])
-        tilt = Rotation.from_rotvec(axis * np.divide(angle, sine, out=np.ones_like(sine),
-                                                     where=sine > 1e-12))  # fmt: skip
-        twist, about_x, about_y = (wave(times_s) for wave in self.waves)
-        turn = Rotation.from_euler("z", twist)
+        per_sine = np.divide(angle, sine, out=np.ones_like(sine), where=sine > 1e-12)
+        twist, about_x, about_y = (wave(times_s) for wave in waves)
         rocking = np.stack([about_x, about_y, np.zeros_like(about_x)], axis=-1)
+        tilt, turn = Rotation.from_rotvec(axis * per_sine), Rotation.from_euler("z", twist)
         return tilt * turn * Rotation.from_rotvec(rocking)
+
+    return rotations

@@ -54,14 +54,16 @@ def room_events(
 ) -> NDArray[Any]:
     """Draw the events that a room adds, in order of time, on the scene's clock.
 
-    Of the sensor, only the thresholds count. The light is one for both cameras, all else is each
-    one's own.
+    Of the sensor, only the thresholds count. The light is one for both cameras.
     """
     camera = scene.rig.cameras[index]
     view = View(camera.width, camera.height, scene.trajectory.duration_s)
     streams = []
     if config.light_std or config.shadow:
-        streams.append(_lit(config, view, scene, hanging, sensor, seed, index))
+        frames = _frames(config, view, scene, hanging, seed, index)
+        rngs = (generator(seed, _PHASE_STREAM, index, *pixels) for pixels in ((), (1,)))
+        about = (scene.backgrounds[index], frames, view.duration_s, sensor)
+        streams.append(slow_events(*about, *rngs))
     if config.wire_m:
         rng = generator(seed, _WIRE_STREAM, index)
         streams.append(_wire(config, view, camera, hanging, sensor, rng))
@@ -75,36 +77,17 @@ def wire_contrast(config: RoomConfig, camera: Camera, depth_m: float) -> float:
     return float(-np.log1p(-_WIRE_CONTRAST * share))
 
 
-def _lit(
-    config: RoomConfig,
-    view: View,
-    scene: Scene,
-    hanging: Hanging,
-    sensor: SensorConfig,
-    seed: int,
-    index: int,
-) -> NDArray[Any]:
-    """Let the light on the wall change, and a shadow pass over it."""
-    wall = scene.backgrounds[index]
-    return slow_events(
-        wall,
-        _frames(config, view, scene, hanging, seed, index),
-        view.duration_s,
-        sensor,
-        generator(seed, _PHASE_STREAM, index),
-        generator(seed, _PHASE_STREAM, index, 1),
-    )
-
-
 def _frames(
     config: RoomConfig, view: View, scene: Scene, hanging: Hanging, seed: int, index: int
 ) -> Iterator[tuple[FloatArray, Float32Array]]:
-    """Yield times (n,) [s] and luminance (n, height, width) of the wall, in batches."""
+    """Yield batches of times (n,) [s] and luminance of the wall: its light, and a shadow on it."""
     n = max(2, int(np.ceil(view.duration_s * FRAMES_HZ)))
     times_s: FloatArray = view.duration_s * np.arange(1, n + 1) / n
     gains = np.exp(_light(config.light_std, times_s, generator(seed, _LIGHT_STREAM)))
-    # The hand itself is far out of view, where no lens model holds.
-    held = hanging.hand(times_s) - np.array([0.0, 0.0, _wire_m(scene, hanging)])
+    # The hand itself is far out of view, where no lens model holds; the wire is always as long.
+    first_s = np.zeros(1)
+    wire_m = np.linalg.norm(scene.trajectory.position(first_s) - hanging.hand(first_s))
+    held = hanging.hand(times_s) - np.array([0.0, 0.0, float(wire_m)])
     centres = scene.rig.cameras[index].project(held)
     side = generator(seed, _SHADOW_STREAM, index).choice((-1.0, 1.0))
     centres = centres + np.array([side * _SHADOW_OFF_PX[1], _SHADOW_OFF_PX[0]])
@@ -120,12 +103,6 @@ def _frames(
             edge = np.exp(far_px * np.float32(4.0 / _PENUMBRA_PX))
             images *= 1.0 - np.float32(config.shadow) / (1.0 + edge)
         yield times_s[chunk], np.clip(images, 0.0, 1.0, dtype=np.float32)
-
-
-def _wire_m(scene: Scene, hanging: Hanging) -> float:
-    """Length of the wire, which is the same at all times."""
-    first_s = np.zeros(1)
-    return float(np.linalg.norm(scene.trajectory.position(first_s) - hanging.hand(first_s)))
 
 
 def _light(deviation: float, times_s: FloatArray, rng: np.random.Generator) -> FloatArray:
@@ -157,21 +134,15 @@ def _wire(
     forward = last > first
     border = np.where(forward, pixels[k + 1, rows], pixels[k, rows]) - 0.5
     crossed_s = times_s[k] + (times_s[k + 1] - times_s[k]) * (border - first) / (last - first)
-    depth_m = float((camera.T_C_W @ np.append(hanging.trajectory.position(times_s).mean(axis=0),
-                                              1.0))[2])  # fmt: skip
-    contrast = wire_contrast(config, camera, depth_m)
+    middle_W = np.append(hanging.trajectory.position(times_s).mean(axis=0), 1.0)
+    contrast = wire_contrast(config, camera, float((camera.T_C_W @ middle_W)[2]))
     streams = []
     for brighter, entered in ((False, pixels[k + 1, rows]), (True, pixels[k, rows])):
         threshold = sensor.threshold_on if brighter else sensor.threshold_off
         fires = rng.random(len(k)) < contrast / threshold  # from any level that it remembers
-        streams.append(
-            view.events(
-                crossed_s[fires],
-                entered[fires],
-                rows[fires].astype(np.float64),
-                np.full(int(fires.sum()), brighter),
-            )
-        )
+        polarity = np.full(int(fires.sum()), brighter)
+        at = (crossed_s[fires], entered[fires], rows[fires].astype(np.float64))
+        streams.append(view.events(*at, polarity))
     return np.concatenate(streams)
 
 

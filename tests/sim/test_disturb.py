@@ -14,7 +14,6 @@ from sim.disturb import (
     LAMP_HZ,
     LAMP_STEPS,
     SKY_LUMINANCE,
-    SPOTS_PX,
     DisturbConfig,
     View,
     clouds,
@@ -29,13 +28,12 @@ from sim.disturb import (
 )
 from sim.effects.pixels import CLUSTER_PX
 from sim.errors import SimError
-from sim.recording import SimConfig, simulate
-from sim.render.config import RenderConfig, SamplingConfig
+from sim.recording import simulate
+from sim.render.config import RenderConfig
 from sim.render.lattice import Lattice
-from sim.scene.trajectory import SplineConfig
 from sim.sensor.events import SensorConfig
 from sim.sensor.frames import FrameConfig
-from tests.sim.scenes import reference_levels
+from tests.sim import scenes
 
 VIEW, SMALL_VIEW = View(346, 260, 2.0), View(120, 90, 2.0)
 
@@ -183,21 +181,13 @@ def test_a_sky_has_blue_and_white_and_is_one_again_beyond_its_border() -> None:
         assert np.sqrt(np.mean(across**2)) < 3.0 * np.sqrt(np.mean(steps**2))
 
 
-def test_large_spots_are_stronger_than_small_ones() -> None:
-    sky = np.log(cloudy_sky(View(346, 260, 1.0), np.random.default_rng(3)))
-    power = np.abs(np.fft.rfft2(sky - sky.mean())) ** 2
-    waves = np.hypot(np.fft.fftfreq(len(sky))[:, None], np.fft.rfftfreq(len(sky)))
-    coarse = power[(waves > 1.0 / SPOTS_PX) & (waves < 2.0 / SPOTS_PX)].mean()
-    fine = power[(waves > 8.0 / SPOTS_PX) & (waves < 16.0 / SPOTS_PX)].mean()
-    # Kolmogorov's 8^(-11/3) is 1/2048; where clear and white cut it off, edges weaken the fall.
-    assert 1 / 4096 < fine / coarse < 1 / 128
-
-
 @pytest.mark.parametrize("drift_px_s", [3.0, 12.0])
 def test_events_add_up_to_the_change_of_light(drift_px_s: float) -> None:
     events = clouds(SMALL_VIEW, drift_px_s, np.random.default_rng(5))
     threshold = SensorConfig().threshold_on
-    change = reference_levels(events, threshold, threshold, (SMALL_VIEW.height, SMALL_VIEW.width))
+    change = scenes.reference_levels(
+        events, threshold, threshold, (SMALL_VIEW.height, SMALL_VIEW.width)
+    )
     # From blue to white at most, and what a pixel remembers may be a threshold beside either.
     most = np.log(CLOUD_LUMINANCE / SKY_LUMINANCE) + 2.0 * threshold
     assert threshold < np.abs(change).max() <= most
@@ -212,11 +202,8 @@ def test_clouds_twice_as_fast_make_twice_the_events_all_along() -> None:
     assert np.mean(slow["t"] < 2e5) == pytest.approx(0.1, abs=0.03)
 
 
-QUICK = SimConfig(
-    spline=SplineConfig(1.0),
-    sampling=SamplingConfig(max_step_px=2.0),
-    render=RenderConfig(lattice=Lattice(2, 0), check=False),
-    frames=FrameConfig(rate_hz=0.0),
+QUICK = replace(
+    scenes.QUICK, render=RenderConfig(Lattice(2, 0), check=False), frames=FrameConfig(rate_hz=0.0)
 )
 WRONG_RIG = DisturbConfig(intrinsics_error=(1.0, 3.0))
 

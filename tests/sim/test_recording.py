@@ -2,6 +2,7 @@ import json
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +14,6 @@ from sim.effects.config import SENSOR_PRESETS
 from sim.errors import SimError
 from sim.recorded import Drift, Recording, drift_of
 from sim.recording import SimConfig, simulate, stream
-from sim.render.config import SamplingConfig
 from sim.scene.drone import drone_from_file
 from sim.scene.rig import Camera
 from sim.scene.trajectory import random_spline, trajectory_to_csv
@@ -21,7 +21,7 @@ from sim.seeds import generator, sequence
 from sim.sensor.events import PRESETS
 from sim.sensor.frames import FrameConfig
 from sim.storage import record
-from tests.sim.scenes import QUICK, counts, with_time_offset
+from tests.sim.scenes import QUICK, counts
 
 pytestmark = pytest.mark.render
 
@@ -82,58 +82,33 @@ def test_the_offset_shifts_camera_2_and_nothing_else(t_d_s: float, preset: str) 
     np.testing.assert_array_equal(after.frames.times_us, before.frames.times_us + shift_us)
     assert shifted.truth.t_d_s == t_d_s
     assert shifted.rig.cameras[1].time_offset_s == t_d_s
-    assert_same(with_time_offset(plain, t_d_s), shifted)
-    assert_same(with_time_offset(shifted, 0.0), plain)
     assert plain.cameras[1].events["t"].max() <= 1_000_000  # arguments stay as they are
 
 
-@pytest.mark.parametrize("angle_deg", [30.0, 90.0, 150.0])
-def test_true_centres_fulfil_the_epipolar_equation(angle_deg: float) -> None:
-    """x2' E x1 = 0 with E = [t]x R, normalised coordinates, on the drone's true centre."""
-    truth = simulate(replace(QUICK, angle_deg=angle_deg), 1).truth
-    K = np.array([[200.0, 0.0, 173.0], [0.0, 200.0, 130.0], [0.0, 0.0, 1.0]])
-    x1, x2 = (
-        np.linalg.solve(K, np.column_stack([px, np.ones(len(px))]).T).T for px in truth.centres_px
-    )
-    residuals = (x2 * np.cross(truth.t, x1 @ truth.R.T)).sum(axis=1)
-    np.testing.assert_allclose(residuals, 0.0, atol=1e-13)  # round-off
-    assert np.linalg.norm(truth.t) == pytest.approx(1.0, abs=1e-15)
-    # Two cameras 5 m from the origin, seen from there `angle_deg` apart.
-    assert truth.baseline_m == pytest.approx(10.0 * np.sin(np.deg2rad(angle_deg / 2)))
-    assert np.degrees(np.arccos((np.trace(truth.R) - 1) / 2)) == pytest.approx(angle_deg)
-    assert (truth.times_s[0], truth.times_s[-1]) == (0.0, 1.0)
-
-
-def test_events_lie_around_the_true_centre() -> None:
+def test_events_and_frames_show_the_drone_where_it_was() -> None:
     """On camera 1's clock, and on camera 2's with the offset taken off."""
-    recording = simulate(replace(QUICK, t_d_s=0.25), 2)
+    recording = simulate(replace(QUICK, t_d_s=0.25, frames=FrameConfig(20.0, 0.002)), 2)
     truth = recording.truth
     for camera, centres_px in zip(recording.cameras, truth.centres_px, strict=True):
+
+        def centre_px(scene_s: Any, centres_px: NDArray[Any] = centres_px) -> list[Any]:
+            return [np.interp(scene_s, truth.times_s, centres_px[:, k]) for k in (0, 1)]
+
         scene_s = 1e-6 * camera.events["t"] - camera.camera.time_offset_s
         assert scene_s.min() >= 0.0
         assert scene_s.max() <= 1.0 + 1e-6
-        at = [np.interp(scene_s, truth.times_s, centres_px[:, k]) for k in (0, 1)]
-        distance_px = np.hypot(camera.events["x"] - at[0], camera.events["y"] - at[1])
+        x, y = centre_px(scene_s)
+        distance_px = np.hypot(camera.events["x"] - x, camera.events["y"] - y)
         # The 0.7 m drone is at most 0.43 m from its centre: 43 px when 2 m away.
         depth_m = truth.T_W_B[:, :3, 3] @ camera.camera.T_C_W[2, :3] + camera.camera.T_C_W[2, 3]
         reach_px = 200.0 * 0.43 / (np.interp(scene_s, truth.times_s, depth_m) - 0.43) + 1.0
         assert (distance_px < reach_px).all()
         assert np.median(distance_px) < 0.5 * np.median(reach_px)
-
-
-def test_frames_show_the_drone_where_it_was() -> None:
-    recording = simulate(replace(QUICK, t_d_s=0.25, frames=FrameConfig(20.0, 0.002)), 2)
-    truth = recording.truth
-    for camera, centres_px in zip(recording.cameras, truth.centres_px, strict=True):
-        frames = camera.frames
-        offset_us = round(1e6 * camera.camera.time_offset_s)
-        np.testing.assert_array_equal(
-            frames.times_us - offset_us, np.rint(1e6 * (np.arange(20) / 20 + 0.001))
-        )
-        assert frames.images.shape == (20, 260, 346)
-        for time_us, image in zip(frames.times_us, frames.images, strict=True):
-            scene_s = 1e-6 * (time_us - offset_us)
-            x, y = (np.interp(scene_s, truth.times_s, centres_px[:, k]) for k in (0, 1))
+        assert camera.frames.images.shape == (20, 260, 346)
+        frames_us = camera.frames.times_us - round(1e6 * camera.camera.time_offset_s)
+        np.testing.assert_array_equal(frames_us, np.rint(1e6 * (np.arange(20) / 20 + 0.001)))
+        for scene_us, image in zip(frames_us, camera.frames.images, strict=True):
+            x, y = centre_px(1e-6 * scene_us)
             ys, xs = np.nonzero(image != SKY)
             if 40 < x < 306 and 40 < y < 220:
                 # The middle of a 20 to 50 px silhouette is near the drone's centre.
@@ -162,14 +137,6 @@ def test_a_file_in_place_of_the_quadrotor(tmp_path: Path) -> None:
     assert min(len(camera.events) for camera in recording.cameras) > 1000
     with pytest.raises(SimError, match="rotors spin on the built-in quadrotors only"):
         simulate(replace(config, rotor_hz=20.0), 1)
-
-
-def test_spinning_rotors_make_events_of_their_own() -> None:
-    config = replace(QUICK, sampling=SamplingConfig(max_step_px=2.0))
-    still, spinning = (simulate(replace(config, rotor_hz=hz), 1) for hz in (0.0, 30.0))
-    assert spinning.n_instants > 2 * still.n_instants
-    for a, b in zip(still.cameras, spinning.cameras, strict=True):
-        assert len(b.events) > 1.2 * len(a.events)
 
 
 def test_a_textured_background(tmp_path: Path) -> None:
@@ -213,17 +180,13 @@ def test_what_is_recorded_is_handed_on_meanwhile(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(sim.render.native, "BATCH", 32)  # of the few instants that there are
     calls: list[tuple[str, str, int]] = []
 
-    class Images:
-        def __init__(self, name: str) -> None:
-            self.name = name
-
-        def __setitem__(self, k: int, image: NDArray[np.uint8]) -> None:
-            calls.append((self.name, "frame", k))
-
     class CountingSink:
         def __init__(self, camera: Camera, times_us: NDArray[np.int64], exposure_s: float) -> None:
             self.name, self.n_frames, self.last_us = camera.name, len(times_us), -1
-            self.images = Images(camera.name)
+            self.images = self
+
+        def __setitem__(self, k: int, image: NDArray[np.uint8]) -> None:
+            calls.append((self.name, "frame", k))
 
         def add(self, events: NDArray[np.void]) -> None:
             assert (np.diff(events["t"], prepend=self.last_us) >= 0).all()
@@ -235,7 +198,7 @@ def test_what_is_recorded_is_handed_on_meanwhile(monkeypatch: pytest.MonkeyPatch
 
     config = replace(QUICK, frames=FrameConfig(50.0))
     flight, whole = stream(config, 1, CountingSink), simulate(config, 1)
-    assert flight.n_instants == whole.flight.n_instants
+    assert flight.n_instants == whole.n_instants
     assert [name for name, what, _ in calls if what == "close"] == ["cam1", "cam2"]
     for camera in whole.cameras:
         mine = [call[1:] for call in calls if call[0] == camera.camera.name]
@@ -281,7 +244,9 @@ def test_a_drifting_clock_changes_the_stamps_of_camera_2_and_nothing_else() -> N
     np.testing.assert_array_equal(stamps_us, times_us + drift.added_us(times_us))
     # And one recording serves all offsets, to the last bit.
     shifted = simulate(replace(DRIFTING, t_d_s=0.0123456), 5)
-    assert_same(with_time_offset(drifting, 0.0123456), shifted)
+    moved = drifting.cameras[1].events.copy()
+    moved["t"] += 12_346
+    np.testing.assert_array_equal(shifted.cameras[1].events, moved)
 
 
 @pytest.mark.parametrize(
@@ -301,9 +266,3 @@ def test_a_stream_is_the_branch_that_numpy_spawns() -> None:
     np.testing.assert_array_equal(sequence(5, 3, 1).generate_state(8), branch.generate_state(8))
     expected = np.random.default_rng(branch).random(100)
     np.testing.assert_array_equal(generator(5, 3, 1).random(100), expected)
-
-
-def test_streams_and_seeds_have_no_number_in_common() -> None:
-    streams = [generator(seed, *at) for seed in (0, 1) for at in ((), (0,), (1,), (0, 1), (1, 0))]
-    drawn = np.concatenate([stream.integers(0, 2**63, 100) for stream in streams])
-    assert len(np.unique(drawn)) == len(drawn)

@@ -163,8 +163,6 @@ CASES: list[tuple[Callable[[], Any], str]] = [
     # Pictures.
     *((lambda a=a, b=b: Lattice(a, b), "expected 1 <= a <= 31 and b = 0 or 1")
       for a, b in ((0, 0), (32, 0), (8, 2), (8, -1))),
-    *((lambda c=c: RenderConfig(Lattice(17, 1), **c), "draws lattices up to a = 16, got a = 17")
-      for c in ({"renderer": "pyrender", "check": False}, {"check": True})),
     (lambda: RenderConfig(renderer="blender"), "'blender': use one of native, pyrender"),
     *((lambda s=s: RenderConfig(ambient=s), "ambient light: expected 0 to 1")
       for s in (-0.1, 1.1, NAN)),
@@ -193,6 +191,7 @@ CASES: list[tuple[Callable[[], Any], str]] = [
         ({"background_files": (Path("a"), Path("b"), Path("c"))}, "expected one image"),
         ({"trajectory_file": Path("missing.csv")}, r"missing\.csv"),
         ({"drone_file": Path("missing.stl")}, r"missing\.stl"),
+        ({"drone_file": Path("missing.stl"), "drone_size_m": 0.0}, "number of metres, got 0"),
         ({"distance_m": 0.5}, "reaches into the camera"),
     )),
     (lambda: simulate(QUICK, -1), "seed: expected 0 or a positive integer, got -1"),

@@ -18,7 +18,7 @@ from sim.scene.rig import two_view_rig
 from sim.sensor.events import PRESETS
 from sim.sensor.frames import Frames
 from sim.sensor.kernels import EVENT_DTYPE
-from sim.storage import check_out_dir, record, save_events_text, save_recording
+from sim.storage import check_out_dir, record, save_recording
 from ssac.files.event_files import load_events
 from ssac.files.hdf5 import load_frames
 from ssac.files.rigs import load_rig
@@ -96,11 +96,6 @@ def test_hdf5_is_read_back(tmp_path: Path, n_events: int, n_frames: int) -> None
         if frames is not None:
             np.testing.assert_array_equal(frames[0], camera.frames.times_us)
             np.testing.assert_array_equal(frames[1], camera.frames.images)
-
-
-def test_esim_text_without_events(tmp_path: Path) -> None:
-    save_events_text(made_up_recording(0).rig.cameras[0], [], tmp_path / "cam1.txt")
-    assert (tmp_path / "cam1.txt").read_text() == "346 260\n"
 
 
 @pytest.mark.parametrize("first_us", [-1_234_567, -400_000, 0, 7])
@@ -195,7 +190,7 @@ def test_what_is_recorded_meanwhile_is_what_was_simulated_before(
 
 @pytest.mark.parametrize("error", [OSError("No space left on device"), KeyboardInterrupt()])
 @pytest.mark.parametrize(
-    "step", ["_ImageChunks", "_regrouped", "save_events_text", "kalibr_yaml", "_truth"]
+    "step", ["CameraFiles", "_joined", "save_events_text", "kalibr_yaml", "_truth"]
 )
 @pytest.mark.parametrize("out", ["new", "empty", "a/b/new"])
 def test_nothing_is_left_of_a_recording_that_cannot_be_written(

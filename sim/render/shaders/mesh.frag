@@ -1,5 +1,5 @@
 #version 330 core
-// Flat Lambert luminance, linear (no gamma), as the sample word that sim/lattice.py adds up.
+// Flat Lambert luminance, linear (no gamma), as the sample word that sim/render/lattice.py adds up.
 
 flat in uint word;
 out uint frag_word;

@@ -70,5 +70,5 @@ void main()
     vec3 n = normalize(mat3(T_C_P) * normal);
     float shade = ambient + (1.0 - ambient) * max(dot(n, light), 0.0);
     uint code = uint(clamp(color_0.r * shade, 0.0, 1.0) * 65535.0 + 0.5);
-    word = (1u << 21) | code;              // one object sample of this luminance
+    word = (1u << 26) | code;              // one object sample of this luminance
 }

@@ -15,7 +15,6 @@ from sim.effects.camera import (
     blurred_image,
     point_spread,
     queued,
-    without_gaps,
 )
 from sim.effects.config import SENSOR_PRESETS, SensorEffects
 from sim.recording import SimConfig, simulate
@@ -175,14 +174,6 @@ def test_a_burst_is_stamped_late_and_then_dropped() -> None:
     np.testing.assert_array_equal(delivered["x"], burst["x"][:300])
 
 
-def test_a_readout_without_queue_or_frames_changes_nothing() -> None:
-    events = events_at(20 * np.arange(1000))
-    np.testing.assert_array_equal(queued(events, 1e5, 1), events)
-    camera = camera_of(SensorEffects(frame_gap_s=0.01), FrameConfig(rate_hz=0.0))
-    np.testing.assert_array_equal(camera.read_out(events, 1.0), events)
-    np.testing.assert_array_equal(without_gaps(events, np.empty(0), 1e3), events)
-
-
 @pytest.mark.parametrize("load", [0.5, 0.8])
 def test_events_wait_as_in_a_queue_with_random_arrivals(load: float) -> None:
     """Mean wait of an M/D/1 queue: load / (2 (1 - load)) services (Pollaczek, Khinchin)."""
@@ -193,17 +184,6 @@ def test_events_wait_as_in_a_queue_with_random_arrivals(load: float) -> None:
     # 400,000 arrivals, whose waits are correlated over 1 / (1 - load)^2 of them.
     assert wait_us == pytest.approx(service_us * load / (2 * (1 - load)), rel=0.03)
     assert (np.diff(delivered["t"]) >= service_us - 1).all()
-
-
-@pytest.mark.parametrize("load", [1.25, 3.0])
-def test_what_is_too_much_for_the_readout_is_dropped(load: float) -> None:
-    arrivals_us = np.cumsum(rng(2).exponential(10.0 / load, 100_000)).astype(np.int64)
-    delivered = queued(events_at(arrivals_us), 1e5, 50)
-    assert len(delivered) / len(arrivals_us) == pytest.approx(1 / load, rel=0.02)
-    # At most as many wait as may: the last of them is stamped so much after it came.
-    came = np.searchsorted(arrivals_us, delivered["t"] - 50 * 10 - 1)
-    assert (np.diff(delivered["t"]) >= 9).all()
-    assert came[-1] > 0.99 * len(arrivals_us)
 
 
 @pytest.mark.parametrize(("gap_s", "rate_hz"), [(0.005, 25.0), (0.025, 25.0), (0.01, 50.0)])

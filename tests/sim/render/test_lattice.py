@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from sim.render.lattice import COUNT_BIT, FULL_CODE, Lattice, average_pixels
+from sim.render.lattice import COUNT_BIT, FULL_CODE, MAX_A, Lattice, average_tiles
 
 LATTICES = [
     Lattice(a, b) for a, b in ((1, 0), (2, 0), (5, 0), (8, 0), (1, 1), (6, 1), (7, 1), (16, 1))
@@ -20,14 +20,6 @@ def samples(lattice: Lattice, x_px: int, y_px: int) -> np.ndarray:
 def positions_px(lattice: Lattice, q: np.ndarray) -> np.ndarray:
     """Where in the image samples lie, as the vertex shader puts them: q = A p + centre."""
     return np.linalg.solve(lattice.A, (q - lattice.centre).T).T
-
-
-def average(
-    lattice: Lattice, atlas: np.ndarray, size_px: tuple[int, int], background: np.ndarray
-) -> np.ndarray:
-    """The pixels of a crop at the image's corner whose tile is the whole atlas."""
-    corner = np.zeros((1, 2), np.int64)
-    return average_pixels(atlas, lattice, corner, *corner.T, size_px, background)[0]
 
 
 @pytest.mark.parametrize("lattice", LATTICES, ids=IDS)
@@ -67,21 +59,21 @@ def test_a_tile_covers_its_crop_and_nothing_else(
 
 @pytest.mark.parametrize("lattice", LATTICES, ids=IDS)
 def test_the_average_of_a_ramp_is_its_value_at_the_pixel_centre(lattice: Lattice) -> None:
-    width, height = 6, 5
-    tile_width, tile_height = lattice.tile_size(width, height)
-    (origin,) = lattice.tile_origin(np.zeros(1, np.int64), np.zeros(1, np.int64), height)
-    q = np.stack(np.meshgrid(np.arange(tile_width), np.arange(tile_height)), axis=-1) + origin
-    p = positions_px(lattice, q.reshape(-1, 2)).reshape(q.shape)
-    ramp = np.clip(0.3 + 0.05 * p[..., 0] + 0.04 * p[..., 1], 0.0, 1.0)
+    size_px, corner = (6, 5), np.zeros((1, 2), np.int64)
+    (origin,) = lattice.tile_origin(*corner.T, size_px[1])
+    q = np.stack(np.meshgrid(*map(np.arange, lattice.tile_size(*size_px))), axis=-1) + origin
+    x, y = positions_px(lattice, q.reshape(-1, 2)).T.reshape(2, *q.shape[:2])
+    ramp = np.clip(0.3 + 0.05 * x + 0.04 * y, 0.0, 1.0)
     atlas = OBJECT + np.rint(ramp * FULL_CODE).astype(np.uint32)
-    got = average(lattice, atlas, (width, height), np.zeros((height, width), np.float32))
-    x, y = np.meshgrid(np.arange(width), np.arange(height))
+    black = np.zeros(size_px[::-1], np.float32)
+    (got,) = average_tiles(atlas, lattice, corner, corner, size_px, black)
+    x, y = np.meshgrid(np.arange(6), np.arange(5))
     # A sample's code is rounded by half a step; float32 adds 1e-7.
     np.testing.assert_allclose(got, 0.3 + 0.05 * x + 0.04 * y, atol=0.5 / FULL_CODE + 2e-7)
 
 
 @pytest.mark.parametrize("lattice", LATTICES, ids=IDS)
-def test_average_pixels_equals_a_brute_force_sum(lattice: Lattice) -> None:
+def test_the_average_equals_a_brute_force_sum(lattice: Lattice) -> None:
     rng = np.random.default_rng(1)
     width, height = 7, 4
     tile = np.array(lattice.tile_size(width, height))
@@ -90,25 +82,20 @@ def test_average_pixels_equals_a_brute_force_sum(lattice: Lattice) -> None:
     codes = rng.integers(0, FULL_CODE + 1, atlas_size[::-1])
     atlas = np.where(rng.random(codes.shape) < 0.6, OBJECT + codes, 0).astype(np.uint32)
     background = rng.random((30, 40)).astype(np.float32)
-    x0, y0 = np.array([0, 11, 33]), np.array([26, 3, 0])
-    got = average_pixels(atlas, lattice, corners, x0, y0, (width, height), background)
-    origins = lattice.tile_origin(x0, y0, height)
+    corner_px = np.array([[0, 26], [11, 3], [33, 0]])
+    got = average_tiles(atlas, lattice, corners, corner_px, (width, height), background)
+    origins = lattice.tile_origin(*corner_px.T, height)
     for k, j, i in np.ndindex(3, height, width):
-        x, y = x0[k] + i, y0[k] + j
+        x, y = corner_px[k] + (i, j)
         u, v = (samples(lattice, x, y) - origins[k] + corners[k]).T
         words = atlas[v, u].astype(np.int64)
         light = np.where(words > 0, (words & (OBJECT - 1)) / FULL_CODE, background[y, x])
         assert got[k, j, i] == pytest.approx(light.mean(), abs=3e-7)  # float32
 
 
-@pytest.mark.parametrize(
-    ("b", "height", "code", "behind"), [(0, 200, 40_000, 1.0), (1, 3, FULL_CODE, 0.0)]
-)
-def test_sums_may_overflow_and_the_brightest_light_fits_a_word(
-    b: int, height: int, code: int, behind: float
-) -> None:
-    """The count of 2048 object samples fills a word; whole images at 16 samples reach that."""
-    lattice = Lattice(16, b)
-    atlas = np.full(lattice.tile_size(3, height)[::-1], OBJECT + code, np.uint32)
-    got = average(lattice, atlas, (3, height), np.full((height, 3), behind, np.float32))
-    np.testing.assert_allclose(got, code / FULL_CODE, rtol=3e-7)  # float32
+@pytest.mark.parametrize("b", [0, 1])
+def test_the_brightest_light_of_the_finest_lattice_fits_a_word(b: int) -> None:
+    lattice, corner = Lattice(MAX_A, b), np.zeros((1, 2), np.int64)
+    atlas = np.full(lattice.tile_size(3, 2)[::-1], OBJECT + FULL_CODE, np.uint32)
+    got = average_tiles(atlas, lattice, corner, corner, (3, 2), np.zeros((2, 3), np.float32))
+    np.testing.assert_allclose(got, 1.0, rtol=3e-7)  # float32

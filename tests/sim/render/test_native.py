@@ -11,7 +11,7 @@ from sim.errors import SimError
 from sim.render.config import RenderConfig
 from sim.render.footprint import Views
 from sim.render.gl_atlas import GLPainter
-from sim.render.lattice import Lattice, pixels_of_tile, runs_of_tile
+from sim.render.lattice import Lattice
 from sim.render.native import NativePainter
 from sim.render.renderer import Renderer
 from sim.scene.drone import Drone, Part
@@ -20,7 +20,6 @@ from tests.sim.render.drawing import BOX, HALF_VGA, drawn
 from tests.sim.scenes import (
     LENSES,
     Image,
-    box_drone,
     grey,
     make_camera,
     noise_image,
@@ -114,36 +113,6 @@ def test_without_the_check_opengl_is_not_opened(monkeypatch: pytest.MonkeyPatch)
 # --- Laws --------------------------------------------------------------------------------------
 
 
-def cut_up(drone: Drone, n: int) -> Drone:
-    """The same surface in n * n times as many triangles, whose corners are in single precision."""
-    upright = [((i, j), (i + 1, j), (i, j + 1)) for i in range(n) for j in range(n - i)]
-    turned = [((i + 1, j), (i + 1, j + 1), (i, j + 1)) for i in range(n) for j in range(n - 1 - i)]
-    x, y = np.moveaxis(np.array(upright + turned) / n, -1, 0)[..., None]
-    parts = []
-    for part in drone.parts:
-        a, b, c = part.vertices_B_m[part.faces].transpose(1, 0, 2)[:, :, None, None]
-        vertices = (a + (b - a) * x + (c - a) * y).reshape(-1, 3)
-        faces = np.arange(len(vertices)).reshape(-1, 3)
-        parts.append(Part(vertices, faces, np.full(len(faces), part.albedo[0])))
-    return replace(drone, parts=tuple(parts))
-
-
-def test_neighbours_share_an_edge_without_gap_or_overlap() -> None:
-    """A surface in small pieces covers the same samples but for its own, newly rounded, corners."""
-    camera = make_camera()
-    times_s = np.arange(5.0)
-    T_W_B = tumbling(5, 2, (0.0, -2.0, 0.0), (1.0, 1.0, 1.0))
-    config = RenderConfig(ambient=1.0, check=False)
-    black = grey(camera, 0.0)
-    whole = drawn(BOX, camera, times_s, T_W_B, black, config)
-    pieces = drawn(cut_up(BOX, 9), camera, times_s, T_W_B, black, config)
-    inside = whole == whole.max()
-    assert inside.sum() > 2000
-    # A gap between two pieces would show inside.
-    np.testing.assert_array_equal(pieces[inside], whole[inside])
-    assert np.abs(pieces - whole).max() <= 0.2 * 4 / 64
-
-
 @pytest.mark.parametrize("lattice", [Lattice(8, 0), Lattice(8, 1)], ids=repr)
 def test_a_wall_fills_the_view_however_far_it_reaches(lattice: Lattice) -> None:
     """Faces 10^7 px wide, with corners behind the camera too: nothing overflows, nothing leaks."""
@@ -152,7 +121,7 @@ def test_a_wall_fills_the_view_however_far_it_reaches(lattice: Lattice) -> None:
     # A drone that fills the whole image, in the world's own frame.
     box, every = np.array([[0, 0, camera.width, camera.height]]), np.zeros((1, 2))
     T_C_W = camera.T_C_W.astype(np.float32)[None]
-    views = Views(np.zeros(1), np.ones(1, bool), every, every, every, box, [T_C_W])
+    views = Views(np.zeros(1), np.ones(1, bool), every, box, T_C_W[:, None])
     for reach_m in (10.0, 1e3, 1e5):
         # Slanted, so that it passes the camera's plane: seen at the left, behind at the right.
         near, far = -4.5 - reach_m, -4.5 + reach_m
@@ -174,38 +143,11 @@ def test_a_wall_fills_the_view_however_far_it_reaches(lattice: Lattice) -> None:
         np.testing.assert_allclose(image[hit], 0.3, atol=2e-5)  # codes are 1/65535 apart
 
 
-@pytest.mark.parametrize("lattice", [Lattice(1, 0), Lattice(5, 0), Lattice(5, 1)], ids=repr)
-def test_each_pixel_has_all_its_samples_in_runs_that_lie_in_one_row(lattice: Lattice) -> None:
-    pixels = pixels_of_tile(lattice, (7, 4))
-    samples = np.bincount(pixels.ravel(), minlength=29)
-    np.testing.assert_array_equal(samples[:28], lattice.samples_per_pixel)
-    run_of, start, pixel = runs_of_tile(lattice, (7, 4))
-    np.testing.assert_array_equal(pixel[run_of], pixels.ravel())
-    np.testing.assert_array_equal(np.repeat(np.arange(len(pixel)), np.diff(start)), run_of)
-    row = np.arange(pixels.size) // pixels.shape[1]
-    np.testing.assert_array_equal(row[start[:-1]], row[start[1:] - 1])
-
-
-def test_a_nearer_part_hides_a_farther_one_in_any_order() -> None:
-    camera = make_camera()
-    plates = ((0.5, -0.5, 0.1), (1.0, 0.5, 0.8))  # [m], [m] and albedo
-    boxes = [(box_drone((w, 0.1, w), albedo).parts[0], y) for w, y, albedo in plates]
-    near, far = (
-        replace(p, vertices_B_m=p.vertices_B_m + np.array([0.0, y, 0.0])) for p, y in boxes
-    )
-    config = RenderConfig(ambient=1.0, check=False)
-    for parts in ((near, far), (far, near)):
-        drone = Drone(parts, "two", 1.0)
-        (image,) = drawn(drone, camera, np.zeros(1), np.eye(4)[None], grey(camera), config)
-        assert image[130, 173] == pytest.approx(0.1, abs=2e-5)
-        assert image[130, 173 + 15] == pytest.approx(0.8, abs=2e-5)
-
-
 def test_a_mesh_too_large_for_memory_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: object, **__: object) -> None:
         raise MemoryError
 
-    monkeypatch.setattr(sim.scene.drone, "_faces", full)
+    monkeypatch.setattr(sim.scene.drone, "Faces", full)
     camera = make_camera()
     with pytest.raises(SimError, match="mesh of 12 faces does not fit the memory: simplify it"):
         drawn(painted(BOX, 0.2), camera, np.zeros(1), poses(np.zeros((1, 3))), grey(camera), NO_GL)

@@ -10,8 +10,6 @@ from scipy.spatial import cKDTree
 
 from sim.errors import SimError
 from sim.recording import simulate
-from sim.render.config import SamplingConfig
-from sim.render.footprint import choose_instants, footprint
 from sim.scene.drone import DEFAULT_ALBEDO, Drone, Joint, Part, drone_from_file
 from sim.scene.flyers import (
     DRONES,
@@ -23,8 +21,6 @@ from sim.scene.flyers import (
     quadrotor,
     two_tone,
 )
-from sim.scene.rig import two_view_rig
-from sim.scene.trajectory import SplineConfig, random_spline
 from tests.sim.scenes import QUICK
 
 Z_AXIS = np.array([0.0, 0.0, 1.0])
@@ -50,20 +46,6 @@ def as_mesh(part: Part) -> trimesh.Trimesh:
 
 
 # --- Quadrotors ------------------------------------------------------------------------------
-
-
-@BUILDERS
-@pytest.mark.parametrize("rotor_hz", [0.0, 40.0])
-def test_quadrotor_fits_its_size(build: Builder, rotor_hz: float) -> None:
-    drone = build(size_m=2.0, rotor_hz=rotor_hz)
-    # One turn; a tip misses the extreme by 1 - cos(1 deg).
-    swept_B_m = [vertices_m(drone, time_s) for time_s in np.arange(180) / 180 / 40.0]
-    length, width, height = np.ptp(np.concatenate(swept_B_m), axis=0)
-    assert length <= 2.0 + 1e-12
-    assert width < length
-    assert height < 0.5 * length
-    if rotor_hz:
-        assert length == pytest.approx(2.0, rel=1e-3)
 
 
 @BUILDERS
@@ -100,14 +82,6 @@ def test_quadrotor_is_its_own_mirror_image(mirror: tuple[int, int, int]) -> None
     np.testing.assert_allclose(volumes, volumes[image], rtol=1e-9)
 
 
-def test_two_tone_is_paler_in_front_and_stands_askew() -> None:
-    part = two_tone().parts[0]
-    front = part.vertices_B_m[part.faces].mean(axis=1)[:, 0] > 0
-    assert part.albedo[front].mean() > 1.2 * part.albedo[~front].mean()
-    heights_m = [np.ptp(vertices_m(build())[:, 2]) for build in (quadrotor, two_tone)]
-    assert heights_m[0] < 0.6 * heights_m[1]
-
-
 def test_two_tone_is_what_it_was() -> None:
     # Figures of the mesh when it was the default: a change of it moves results of other names.
     part = two_tone(1.0).parts[0]
@@ -130,15 +104,6 @@ def test_joint_keeps_its_axis_and_turns_by_the_right_hand() -> None:
     np.testing.assert_allclose(T_B_P @ on_axis, np.tile(on_axis, (3, 1)), atol=1e-14)
     expected = [[2, 0, 0, 1], [1, 1, 0, 1], [2, 0, 0, 1]]
     np.testing.assert_allclose(T_B_P @ [2.0, 0.0, 0.0, 1.0], expected, atol=1e-14)  # sines
-
-
-def test_joint_flaps_within_its_amplitude() -> None:
-    joint = Joint(Z_AXIS, np.zeros(3), rate_hz=3.0, amplitude_rad=0.4, phase_rad=0.3)
-    T_B_P = joint.transforms(np.linspace(0, 1, 1001))
-    angle_rad = np.arctan2(T_B_P[:, 1, 0], T_B_P[:, 0, 0])
-    # 333 samples per flap miss the extreme by less than 1e-4 of it.
-    assert (angle_rad.min(), angle_rad.max()) == pytest.approx((-0.4, 0.4), rel=1e-4)
-    assert angle_rad[0] == pytest.approx(0.4 * np.sin(0.3))
 
 
 # --- Files ------------------------------------------------------------------------------------
@@ -231,11 +196,6 @@ def test_bad_file(tmp_path: Path, name: str, text: str | None, message: str) -> 
     assert str(path) in str(error.value)
 
 
-def test_bad_size(tmp_path: Path) -> None:
-    with pytest.raises(SimError, match="size must be a positive number of metres, got 0"):
-        from_file(trimesh.creation.box(), tmp_path / "box.stl", size_m=0.0)
-
-
 @pytest.mark.parametrize(
     "drone",
     [*(build(rotor_hz=hz) for build in QUADROTORS.values() for hz in (0.0, 40.0)),
@@ -255,14 +215,14 @@ def test_size_is_the_largest_horizontal_extent_and_scales_all(name: str) -> None
     small, large = built_in_drone(name, 0.5), built_in_drone(name, 1.5)
     assert (small.name, small.size_m, large.size_m) == (name, 0.5, 1.5)
     np.testing.assert_allclose(3.0 * vertices_m(small), vertices_m(large), atol=1e-15)  # round-off
-    length, width, height = np.ptp(vertices_m(large), axis=0)
-    # A quadrotor's blades at rest do not reach the end of their sweep.
-    assert max(length, width) == pytest.approx(1.5, rel=0.1 if name in QUADROTORS else 1e-12)
+    times_s = [0.0]
+    if name in QUADROTORS:  # with what its blades sweep in one turn
+        large, times_s = built_in_drone(name, 1.5, rotor_hz=40.0), np.arange(180) / 180 / 40.0
+    swept_m = np.concatenate([vertices_m(large, time_s) for time_s in times_s])
+    length, width, height = np.ptp(swept_m, axis=0)
+    # A tip misses the extreme by 1 - cos(1 deg).
+    assert max(length, width) == pytest.approx(1.5, rel=1e-3 if name in QUADROTORS else 1e-12)
     assert height < 0.5 * max(length, width)
-    if name in QUADROTORS:
-        by_name, built = built_in_drone(name, 1.0, rotor_hz=40.0), QUADROTORS[name](1.0, 40.0)
-        np.testing.assert_array_equal(vertices_m(by_name, 0.001), vertices_m(built, 0.001))
-        np.testing.assert_array_equal(by_name.parts[-1].faces, built.parts[-1].faces)
 
 
 @pytest.mark.parametrize("drone", [bird(2.0), plane(2.0)])
@@ -292,31 +252,10 @@ def test_both_wings_rise_and_fall_together() -> None:
         tip = left[np.argmax(left[:, 1])] - shoulders[0]
         # The tip is 1.5 mm thick at 465 mm from the shoulder.
         assert np.arctan2(tip[2], tip[1]) == pytest.approx(angle_rad, abs=0.004)
-
-
-def test_a_gliding_bird_is_one_part_with_level_wings() -> None:
-    gliding, flapping = bird(flap_hz=0.0), bird(flap_hz=5.0)
+    gliding = bird(1.0, flap_hz=0.0)
     assert len(gliding.parts) == 1
-    # At half a beat; round-off.
-    np.testing.assert_allclose(vertices_m(gliding), vertices_m(flapping, 0.2), atol=1e-12)
-
-
-@pytest.mark.parametrize("flap_hz", [3.0, 8.0])
-def test_no_step_is_longer_than_the_bound_when_wings_flap(flap_hz: float) -> None:
-    drone, camera = bird(1.0, flap_hz), two_view_rig(90.0).cameras[0]
-    trajectory = random_spline(SplineConfig(duration_s=2.0), np.random.default_rng(1))
-    times_s = choose_instants(drone, camera, trajectory, SamplingConfig(max_step_px=0.25))
-    T_W_B = trajectory.poses(times_s)
-    # Every corner of the mesh, not the hulls' alone by which the instants were chosen.
-    corners_B_m = np.stack([vertices_m(drone, time_s) for time_s in times_s])
-    corners_W_m = corners_B_m @ T_W_B[:, :3, :3].transpose(0, 2, 1) + T_W_B[:, None, :3, 3]
-    steps_px = np.linalg.norm(np.diff(camera.project(corners_W_m), axis=0), axis=-1).max(axis=1)
-    seen = footprint(drone, camera, times_s, T_W_B).visible
-    both = seen[1:] & seen[:-1]
-    # Between probes, 1 ms apart, the speed is taken as constant; a wing gains 2 % on it.
-    assert steps_px[both].max() <= 1.02 * 0.25
-    still_s = choose_instants(bird(1.0, 0.0), camera, trajectory, SamplingConfig(max_step_px=0.25))
-    assert len(times_s) > 1.1 * len(still_s)  # so the flapping counts
+    # Level, as at half a beat; round-off.
+    np.testing.assert_allclose(vertices_m(gliding), vertices_m(drone, 0.2), atol=1e-12)
 
 
 # --- By configuration -------------------------------------------------------------------------
