@@ -17,7 +17,7 @@ from ssac.errors import SsacError
 from ssac.fit.least_squares import Parameters
 from ssac.methods.algorithms import algorithm_2
 from ssac.methods.joint import joint_from
-from ssac.methods.tangency import TangencyConfig, refine_tangents, tangent_times, tangents_under
+from ssac.methods.tangency import refine_tangents, tangent_times, tangents_under
 from ssac.pipeline.chain import MEANS, Chain, Source
 from ssac.pipeline.opened import opened, opened_rig
 from ssac.pipeline.registry import OURS, Input, Method
@@ -48,7 +48,7 @@ def bench_sync(config: SimConfig | None = None) -> list[Measurement]:
 
 
 def _stages(files: Sequence[Source], rig: Cameras) -> list[Measurement]:
-    config, outline = Config(), TangencyConfig()
+    config = Config()
     seconds: dict[str, float] = {}
     read = partial(_read, files)
     seconds["reading"], (cam1, cam2) = best_seconds(read, REPEATS)
@@ -63,8 +63,8 @@ def _stages(files: Sequence[Source], rig: Cameras) -> list[Measurement]:
     if R is None or t is None:
         raise SsacError(f"joint found no pose in the benchmark's pair: {start.reason}")
     parameters = Parameters(start.t_d_s, R, t)
-    times_s = tangent_times(views, start.t_d_s, outline)
-    under = partial(tangents_under, parameters, views, times_s, outline)
+    times_s = tangent_times(views, start.t_d_s)
+    under = partial(tangents_under, parameters, views, times_s)
     seconds["outlines and tangents"], (_, near) = best_seconds(under, REPEATS)
     seconds["tangents alone"], _ = best_seconds(partial(under, near), REPEATS)
     refinement = partial(refine_tangents, start, views)

@@ -53,9 +53,8 @@ def pose_from_fundamental(
     for turn in (W, W.T):
         R = U @ turn @ Vt
         R = R * np.sign(np.linalg.det(R))  # E's sign is free, so U's and Vt's determinants are too
-        poses += [
-            RelativePose(R, t, share_in_front(R, t, rays1, rays2)) for t in (U[:, 2], -U[:, 2])
-        ]
+        both = (U[:, 2], -U[:, 2])
+        poses += [RelativePose(R, t, share_in_front(R, t, rays1, rays2)) for t in both]
     return max(poses, key=lambda pose: pose.in_front)
 
 
@@ -105,17 +104,16 @@ def moved_pose(R: Array, t: Array, step: Array) -> tuple[Array, Array]:
 
 def tangent_basis(t: Array) -> Array:
     """Two unit vectors (2, 3), orthogonal to each other and to the unit vector t (3,)."""
+
+    def cross(a: Array, b: Array) -> Array:  # `np.cross` takes ten times as long
+        (x, y, z), (u, v, w) = a.tolist(), b.tolist()
+        return np.array([y * w - z * v, z * u - x * w, x * v - y * u])
+
     axis = np.zeros(3)
     axis[np.argmin(np.abs(t))] = 1.0
-    first = _cross(t, axis)
+    first = cross(t, axis)
     first /= np.linalg.norm(first)
-    return np.stack([first, _cross(t, first)])
-
-
-def _cross(a: Array, b: Array) -> Array:
-    """Give the cross product of two vectors (3,), for which `np.cross` takes ten times as long."""
-    (x, y, z), (u, v, w) = a.tolist(), b.tolist()
-    return np.array([y * w - z * v, z * u - x * w, x * v - y * u])
+    return np.stack([first, cross(t, first)])
 
 
 def depths(R: Array, t: Array, rays1: Array, rays2: Array) -> tuple[Array, Array]:
@@ -211,10 +209,8 @@ class Pencil:
         return np.asarray(along / (sines**2 + cosines**2)[:, None])
 
     def _parts(self, points_px: Array) -> tuple[Array, Array]:
-        return (
-            points_px @ self.sine[:2] + self.sine[2],
-            points_px @ self.cosine[:2] + self.cosine[2],
-        )
+        sine, cosine = self.sine, self.cosine
+        return points_px @ sine[:2] + sine[2], points_px @ cosine[:2] + cosine[2]
 
 
 def pencils(R: Array, t: Array, K1: Array, K2: Array) -> tuple[Pencil, Pencil]:

@@ -1,6 +1,5 @@
 """Every baseline recovers the offset of a signal that was delayed by hand."""
 
-import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +12,7 @@ from ssac.config import Config
 from ssac.errors import SsacError
 from ssac.events import EVENT_DTYPE
 from ssac.geometry.epipolar import sampson_distance
-from ssac.methods.albl import _Linearised, _polished, _ransac
+from ssac.methods.albl import _Linearised, _ransac
 from ssac.methods.correlations import (
     Signal,
     binned,
@@ -60,71 +59,65 @@ def solutions(pairs, subsets):
 
 
 def linearised(x1, x2, v2):
-    return _Linearised(*(np.ascontiguousarray(x.T) for x in (x1, x2, v2)), 100.0)
+    return _Linearised(*(np.ascontiguousarray(x.T) for x in (x1, x2, v2)), 100.0, 0.02)
 
 
-def delayed(events, t_d_s):
-    later = events.copy()
-    later["t"] += round(t_d_s * 1e6)
-    return later
-
-
-@pytest.mark.parametrize("t_d_s", [0.0, 0.13, -0.71])
-@pytest.mark.parametrize(("method", "unit_s"), OF_EVENTS)
-def test_delayed_event_rates_are_recovered(method, unit_s, t_d_s):
-    events = flickering_events(np.random.default_rng(0))
-    estimate = method(Observation(events), Observation(delayed(events, t_d_s)), CLEAN)
-    assert estimate.status == "ok"
-    assert estimate.t_d_s == pytest.approx(t_d_s, abs=1e-9)  # a multiple of the unit
-    assert np.allclose(np.diff(estimate.candidates_s), unit_s)
-    assert np.argmin(estimate.costs) == np.argmin(np.abs(estimate.candidates_s - t_d_s))
-    assert estimate.R is None
+def pairs_of(rng, sigma=0.0):
+    """Coordinates of order 1, of 0.01 of a pixel, of a flight; and where outliers may be."""
+    scene, times_s = make_scene(seed=0), np.linspace(0.0, 20.0, 90)
+    x1, x2 = (0.01 * (p - [173.0, 130.0]) for p in track_pair(scene, times_s))
+    return x1, x2 + rng.normal(0.0, sigma, x2.shape)
 
 
 @pytest.mark.parametrize(("method", "unit_s"), OF_EVENTS)
-def test_offsets_between_units_are_found_to_one_unit(method, unit_s):
-    events = flickering_events(np.random.default_rng(1))
-    estimate = method(Observation(events), Observation(delayed(events, 0.0337)), CLEAN)
-    assert estimate.t_d_s == pytest.approx(0.0337, abs=unit_s)
+def test_delayed_event_rates_are_recovered(method, unit_s):
+    camera = Observation(flickering_events(np.random.default_rng(0)))
+    for t_d_s in (0.0, 0.13, -0.71):
+        estimate = method(camera, camera.delayed(t_d_s), CLEAN)
+        assert estimate.status == "ok"
+        assert estimate.t_d_s == pytest.approx(t_d_s, abs=1e-9)  # a multiple of the unit
+        assert np.allclose(np.diff(estimate.candidates_s), unit_s)
+        assert np.argmin(estimate.costs) == np.argmin(np.abs(estimate.candidates_s - t_d_s))
+        assert estimate.R is None
+    between = method(camera, camera.delayed(0.0337), CLEAN)
+    assert between.t_d_s == pytest.approx(0.0337, abs=unit_s)
 
 
-@pytest.mark.parametrize("t_d_s", [0.0, 0.1, -0.5])
-def test_delayed_frames_are_recovered(t_d_s):
-    rng = np.random.default_rng(0)
-    times_s = 0.02 * np.arange(500)
+def test_delayed_frames_are_recovered():
+    rng, times_s = np.random.default_rng(0), 0.02 * np.arange(500)
     frames = np.cumsum(rng.normal(size=(500, 4, 5)) * rng.uniform(0.1, 2.0, (500, 1, 1)), axis=0)
-    events = flickering_events(rng, duration_s=1.0)
-    cam1 = Observation(events, frames, times_s)
-    cam2 = Observation(events, frames, times_s + t_d_s)
-    estimate = zncc_f_of_frames(cam1, cam2, CLEAN)
-    assert estimate.t_d_s == pytest.approx(t_d_s, abs=1e-9)
-    off_grid = Observation(events, frames, times_s + t_d_s + 0.005)
-    units = zncc_f_of_frames(cam1, off_grid, CLEAN).t_d_s / 0.02
-    assert units == pytest.approx(round(units), abs=1e-7)
+    nothing = np.zeros(0, EVENT_DTYPE)
+
+    def found(later_s):
+        cameras = [Observation(nothing, frames, times_s + by_s) for by_s in (0.0, later_s)]
+        return zncc_f_of_frames(*cameras, CLEAN).t_d_s
+
+    for t_d_s in (0.0, 0.1, -0.5):
+        assert found(t_d_s) == pytest.approx(t_d_s, abs=1e-9)  # rounding
+        units = found(t_d_s + 0.005) / 0.02
+        assert units == pytest.approx(round(units), abs=1e-7)  # rounding, over a unit
 
 
-def test_frames_of_whole_numbers_are_as_bright_as_the_same_in_floating_point():
-    rng = np.random.default_rng(0)
-    frames = rng.integers(0, 256, (100, 6, 7), dtype=np.uint8)
-    events, times_s = flickering_events(rng, duration_s=1.0), 0.02 * np.arange(100)
-    whole, floating = (
-        zncc_f_of_frames(
-            Observation(events, images, times_s),
-            Observation(events, images[::-1], times_s),
-            CLEAN,
-        )
-        for images in (frames, frames.astype(np.float64))
-    )
+def test_what_is_compared_of_frames_is_their_mean():
+    rng = np.random.default_rng(3)
+    times_s, nothing, cameras = 0.02 * np.arange(300) + 0.01, np.zeros(0, EVENT_DTYPE), []
+    for lag in (0, 5):
+        frames = rng.integers(0, 255, (300, 6, 8), dtype=np.uint8)
+        frames[:, 0, 0] = np.roll(np.linspace(0, 255, 300) % 40, lag)
+        means = frame_means(frames).reshape(-1, 1, 1)
+        forms = frames, frames.astype(np.float64), means
+        cameras.append([Observation(nothing, form, times_s) for form in forms])
+    whole, floating, means = (zncc_f(*pair, RIG) for pair in zip(*cameras, strict=True))
     assert np.isfinite(whole.costs).sum() > 40
     # Sums of whole numbers are exact. NaN where less than half overlaps.
     assert np.array_equal(whole.costs, floating.costs, equal_nan=True)
+    assert np.array_equal(whole.costs, means.costs, equal_nan=True)
 
 
 @pytest.mark.parametrize("shift_s", [0.0, 0.013, -0.4])
 def test_the_solver_of_albl_finds_the_shift_and_f_of_exact_pairs(shift_s):
-    scene = make_scene(seed=0)
     rng = np.random.default_rng(0)
-    x1, x2 = (0.01 * (p - [173.0, 130.0]) for p in track_pair(scene, np.linspace(0.0, 20.0, 90)))
+    x1, x2 = pairs_of(rng)
     v2 = rng.normal(size=(90, 2))
     pairs = linearised(x1, x2 - shift_s * v2, v2)
     A, B = pairs.constraints
@@ -139,15 +132,13 @@ def test_the_solver_of_albl_finds_the_shift_and_f_of_exact_pairs(shift_s):
 
 @pytest.mark.parametrize("outlier_share", [0.0, 0.3])
 def test_ransac_of_albl_finds_the_most_inliers_of_all_trials(outlier_share):
-    scene = make_scene(seed=0)
     rng = np.random.default_rng(0)
-    x1, x2 = (0.01 * (p - [173.0, 130.0]) for p in track_pair(scene, np.linspace(0.0, 20.0, 90)))
-    x2 = x2 + rng.normal(0.0, 0.005, x2.shape)  # 0.5 px
+    x1, x2 = pairs_of(rng, 0.005)  # 0.5 px
     bad = rng.random(90) < outlier_share
     x2[bad] = rng.uniform(-1.5, 1.5, (bad.sum(), 2))
     pairs = linearised(x1, x2, rng.normal(0.0, 2.0, (90, 2)))
     numbers = rng.random((200, 90))
-    found = _ransac(pairs, 0.02, numbers, 0.0, AlblRules())
+    found = _ransac(pairs, numbers, 0.0, AlblRules())
     shifts_s, F = solutions(pairs, np.argsort(numbers, axis=1)[:, :9])
     shares = [
         np.mean(np.abs(sampson_distance(f, x1, x2 + b * pairs.v2.T)) < 0.02)  # 2 px
@@ -155,19 +146,17 @@ def test_ransac_of_albl_finds_the_most_inliers_of_all_trials(outlier_share):
         if abs(b) <= 0.04
     ]
     assert found.inlier_share == max(shares)
-    less = _ransac(
-        pairs, 0.02, numbers, max(shares) - 0.05, AlblRules()
-    )  # that bars all but the best
+    less = _ransac(pairs, numbers, max(shares) - 0.05, AlblRules())  # that bars all but the best
     assert (less.shift_s, less.inlier_share) == (found.shift_s, found.inlier_share)
     assert max(shares) == 1.0 if outlier_share == 0.0 else 0.6 < max(shares) < 0.8
     # 0.5 px of noise at 200 px/s in 60 pairs or more, six parameters: about 0.4 ms.
-    assert abs(_polished(found, 0.02)) < 0.002
+    assert abs(found.polished(0.02)) < 0.002
 
 
 def test_albl_recovers_large_offsets_or_refuses():
     # More than the object takes to turn round, so that often no growing step leads there.
     n_right = 0
-    for seed, t_d_s in itertools.product(range(3), (-0.8, -0.2, 0.05, 0.5)):
+    for seed, t_d_s in ((0, -0.8), (0, 0.05), (1, 0.5), (1, -0.2), (2, -0.8), (2, 0.5)):
         scene = make_scene(seed, duration_s=8.0)
         cameras = [Observation(events) for events in make_events(scene, seed, t_d_s)]
         estimate = albl(*cameras, scene.unknown_rig, CLEAN)
@@ -178,7 +167,7 @@ def test_albl_recovers_large_offsets_or_refuses():
             assert estimate.status == "no_convergence"
             assert np.isnan(estimate.t_d_s)
             assert "local optimum" in estimate.reason
-    assert n_right >= 9  # of 12; from those refused no growing step leads to the offset
+    assert n_right >= 4  # of 6; from those refused no growing step leads to the offset
 
 
 def test_zncc_is_one_for_scaled_signals_at_their_lag():
@@ -213,20 +202,6 @@ def test_constant_signals_are_refused():
     assert np.isnan(estimate.t_d_s)
 
 
-def test_zncc_f_looks_at_the_means_of_frames_only():
-    rng = np.random.default_rng(3)
-    cameras, reduced = [], []
-    for lag in (0, 5):
-        frames = rng.integers(0, 255, (300, 6, 8), dtype=np.uint8)
-        frames[:, 0, 0] = np.roll(np.linspace(0, 255, 300) % 40, lag)
-        times_s = 0.02 * np.arange(300) + 0.01
-        nothing = np.zeros(0, EVENT_DTYPE)
-        cameras.append(Observation(nothing, frames, times_s))
-        reduced.append(Observation(nothing, frame_means(frames).reshape(-1, 1, 1), times_s))
-    whole, means = zncc_f(*cameras, RIG), zncc_f(*reduced, RIG)
-    assert np.array_equal(whole.costs, means.costs)
-
-
 def test_zncc_f_needs_frames():
     events = flickering_events(np.random.default_rng(0), duration_s=1.0)
     with pytest.raises(SsacError, match="camera 1: zncc_f compares intensity frames"):
@@ -236,16 +211,12 @@ def test_zncc_f_needs_frames():
         zncc_f_of_frames(uneven, uneven, CLEAN)
 
 
-def test_albl_refuses_too_few_samples():
-    scene = make_scene(seed=0, duration_s=4.0)
-    cameras = [Observation(events[::100]) for events in make_events(scene, 0)]
-    assert albl(*cameras, scene.unknown_rig, CLEAN).status == "too_few_samples"
-
-
-def test_albl_says_that_no_pairs_agree_where_enough_are_valid():
+def test_albl_refuses_too_few_samples_and_says_that_no_pairs_agree():
     """Bug: where no shift stayed in the interval, many valid pairs were "too few"."""
     scene = make_scene(seed=0, duration_s=6.0)
     cameras = [Observation(events) for events in make_events(scene, 0, t_d_s=0.05)]
+    few = [Observation(camera.events[::100]) for camera in cameras]
+    assert albl(*few, scene.unknown_rig, CLEAN).status == "too_few_samples"
     config = replace(CLEAN, interval_s=(0.05, 0.05 + 1e-7))
     estimate = albl(*cameras, scene.unknown_rig, config)
     assert estimate.status == "no_convergence"

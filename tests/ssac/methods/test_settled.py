@@ -8,8 +8,9 @@ import pytest
 
 from ssac import Chain, Config, Estimate, Status, two_views
 from ssac.estimate import SETTLED_BY
-from ssac.methods.hypotheses import hypotheses
+from ssac.methods.hypotheses import Choice
 from ssac.methods.tangency import tangency_from
+from ssac.rules import Rules
 from ssac.track.observation import tracked
 from tests.ssac.box import CLEAN, box_events, observations
 from tests.ssac.synthetic import make_scene
@@ -26,8 +27,8 @@ SEARCH = Estimate(
 
 @pytest.mark.parametrize("status", REFUSALS)
 def test_positions_settle_what_the_table_names_of_a_search(status):
-    views = SimpleNamespace(pose_is_known=True, rig=SCENE.rig, config=Config())
-    tried = hypotheses(replace(SEARCH, status=status), views)
+    views = SimpleNamespace(pose_is_known=True, rig=SCENE.rig, rules=Rules())
+    tried = Choice(views, refine=None).hypotheses(replace(SEARCH, status=status))
     assert bool(tried) == (status in SETTLED_BY["joint"])
     assert all(one.status == Status.OK for one in tried)
 
@@ -42,17 +43,20 @@ def views():
 def test_tangents_settle_what_the_table_names_of_joint(status, searched, views, monkeypatch):
     found = Estimate("tangency", t_d_s=T_D_S, t_d_std_s=1e-4)
     looked = []
-    for name in ("_despite_the_mean", "settled"):
-        monkeypatch.setattr(
-            f"ssac.methods.tangency.{name}", lambda *_, name=name: looked.append(name) or found
-        )
+
+    def settled(choice, start):
+        looked.append(choice.by_own_pairs)
+        return found
+
+    monkeypatch.setattr("ssac.methods.hypotheses.Choice.settled", settled)
     search = replace(SEARCH, status=searched, alternatives_s=np.array([0.1]))
     start = Estimate("joint", status, "a reason", start=search)
     estimate = tangency_from(start, views)
     assert estimate.method == "tangency"
     if status in SETTLED_BY["tangency"]:
         assert estimate.status == Status.OK
-        assert looked == ["_despite_the_mean" if searched == Status.OK else "settled"]
+        # Where the search has an offset, it is of positions; else tangents are to find one.
+        assert looked == [searched != Status.OK]
     else:
         assert (estimate.status, estimate.reason) == (status, "a reason")
         assert looked == []

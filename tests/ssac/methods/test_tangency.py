@@ -1,4 +1,4 @@
-"""Tangents and what is estimated from them, on a spinning box whose corners alone make events."""
+"""Tangents of a spinning box whose corners alone make events, and what is estimated from them."""
 
 from dataclasses import replace
 
@@ -6,19 +6,53 @@ import numpy as np
 import pytest
 
 from ssac import joint_known, tangency, two_views
-from ssac.estimate import Estimate
+from ssac.camera import Camera, Rig
+from ssac.geometry.epipolar import fundamental_from_pose, sampson_distance
+from ssac.geometry.pose import pencils
 from ssac.methods.algorithms import algorithm_2
 from ssac.methods.joint import joint_from
-from ssac.methods.tangency import TangencyConfig, for_blind, refine_tangents, tangency_from
-from tests.ssac.box import CLEAN, T_D_S, box_events, errors, observations, off_the_truth, unit
+from ssac.methods.tangency import (
+    TangencyConfig,
+    for_blind,
+    refine_tangents,
+    tangency_from,
+    tangent_pairs,
+)
+from ssac.track.outline import OutlineConfig, near_outline, tangents
+from ssac.track.outline_kernels import (
+    above_limit,
+    angles_from_course,
+    highest_in_blocks,
+    ranked_in_windows,
+)
+from tests.ssac.box import (
+    CLEAN,
+    T_D_S,
+    box_events,
+    corners_m,
+    errors,
+    in_view,
+    observations,
+    off_the_truth,
+    project,
+    unit,
+)
+from tests.ssac.cluttered import merged
 from tests.ssac.synthetic import (
     HEIGHT,
     WIDTH,
+    K,
     angle_deg,
     denoised,
     make_scene,
     rotation_angle_deg,
 )
+
+SCENE = make_scene(0, duration_s=6.0)
+STREAMS = box_events(SCENE, 0)
+VIEWS = two_views(*observations(*STREAMS), SCENE.unknown_rig, CLEAN)
+START = off_the_truth(SCENE)
+TRUTH = replace(START, t_d_s=T_D_S, R=SCENE.R, t=unit(SCENE.t))
 
 
 def without_frames(events, phase_us):
@@ -32,7 +66,7 @@ def test_frames_that_blind_the_cameras_do_not_shift_the_offset(phases_us):
     streams = box_events(scene, 0, 0.4)
     blinded = [without_frames(*one) for one in zip(streams, phases_us, strict=True)]
     views = two_views(*observations(*blinded), scene.rig, CLEAN)
-    assert all(len(blind.spans_us) > 150 for blind in views.blind)  # of 200
+    assert all(len(blind.spans_us) > 150 for blind in views.alone.blind)  # of 200
     estimate = refine_tangents(off_the_truth(scene), views)
     assert estimate.status == "ok"
     # As of a lopsided box; with tangents found as ever, 2.0 and 0.5 ms.
@@ -40,38 +74,33 @@ def test_frames_that_blind_the_cameras_do_not_shift_the_offset(phases_us):
 
 
 def test_nothing_changes_where_no_camera_was_blind():
-    scene, config = make_scene(1, duration_s=8.0), TangencyConfig()
-    views = two_views(*observations(*box_events(scene, 1)), scene.rig, CLEAN)
-    assert for_blind(config, views) is config
+    assert for_blind(VIEWS) is VIEWS
 
 
 def with_thread(events, seed):
     """Events, those of a thread upwards from the box among them, and which these are."""
     rng = np.random.default_rng((seed, 5))
-    on = np.sort(rng.choice(len(events), len(events) // 10, replace=False))
-    thread = events[on]
-    above = rng.integers(1, 40, len(on))
+    thread = events[np.sort(rng.choice(len(events), len(events) // 10, replace=False))]
+    above = rng.integers(1, 40, len(thread))
     thread["y"] -= np.minimum(above, thread["y"]).astype(np.uint16)
-    both = np.concatenate([events, thread])
-    order = np.argsort(both["t"], kind="stable")
-    return both[order], order >= len(events)
+    order = np.argsort(np.concatenate([events["t"], thread["t"]]), kind="stable")
+    return merged(events, thread), order >= len(events)
 
 
 def test_the_outline_is_that_of_the_object_without_the_line_that_holds_it():
-    scene = make_scene(0, duration_s=8.0)
-    streams = box_events(scene, 0)
-    start, errors_of = off_the_truth(scene), {}
+    errors_of = []
     for told in (False, True):
-        held = []
-        for events, mask in map(with_thread, streams, (0, 1)):
-            held.append(replace(denoised(events), on_line=mask if told else None))
-        estimate = refine_tangents(start, two_views(*held, scene.rig, CLEAN))
+        held = [
+            replace(denoised(events), on_line=mask if told else None)
+            for events, mask in map(with_thread, STREAMS, (0, 1))
+        ]
+        estimate = refine_tangents(START, two_views(*held, SCENE.rig, CLEAN))
         assert estimate.status == "ok"
-        errors_of[told] = np.array(errors(estimate, scene))
-    alone = refine_tangents(start, two_views(*observations(*streams), scene.rig, CLEAN))
+        errors_of.append(np.array(errors(estimate, SCENE)))
     # The same events, so the same tangents, but for rounding of sums.
-    assert errors_of[True] == pytest.approx(errors(alone, scene), rel=1e-3, abs=1e-4)
-    assert errors_of[False] != pytest.approx(errors_of[True], rel=0.1)
+    alone = errors(refine_tangents(START, VIEWS), SCENE)
+    assert errors_of[1] == pytest.approx(alone, rel=1e-3, abs=1e-4)
+    assert errors_of[0] != pytest.approx(errors_of[1], rel=0.1)
 
 
 @pytest.mark.parametrize("size_m", [0.2, 1.6])
@@ -104,8 +133,7 @@ def test_noise_does_not_set_the_extremes():
         shifts = rng.uniform(5.0, 20.0, (80, 2)) * rng.choice([-1, 1], (80, 2))
         for field, shift, size in zip("xy", shifts.T, (WIDTH, HEIGHT), strict=True):
             noise[field] = np.clip(np.rint(noise[field] + shift), 0, size - 1)
-        both = np.concatenate([events, noise])
-        noisy.append(both[np.argsort(both["t"], kind="stable")])
+        noisy.append(merged(events, noise))
     clean = tangency(*observations(*streams), scene.unknown_rig, CLEAN)
     disturbed = tangency(*observations(*noisy), scene.unknown_rig, CLEAN)
     # A noise event takes one rank: the next is the same corner's in another window's place.
@@ -114,61 +142,164 @@ def test_noise_does_not_set_the_extremes():
     assert angle_deg(disturbed.t, clean.t) < 0.1
 
 
-def test_samples_sparser_than_the_smoothing_are_answered_alike():
-    scene = make_scene(0, duration_s=8.0)
-    views = two_views(*observations(*box_events(scene, 0)), scene.rig, CLEAN)
-    start = off_the_truth(scene)
-    dense = refine_tangents(start, views)
-    sparse = replace(CLEAN.rules, tangency=replace(CLEAN.rules.tangency, step_s=0.08))
-    views = two_views(*observations(*box_events(scene, 0)), scene.rig, replace(CLEAN, rules=sparse))
-    found = refine_tangents(start, views)
-    assert found.status == "ok"
-    # A quarter of the samples, and eight corners alone: three times the tables' goal.
-    assert abs(found.t_d_s - dense.t_d_s) < 0.3e-3
-
-
-def test_the_start_does_not_matter():
-    scene = make_scene(0, duration_s=8.0)
-    cameras = observations(*box_events(scene, 0))
-    views = two_views(*cameras, scene.rig, CLEAN)
-    truth = Estimate("tangency", t_d_s=T_D_S, R=scene.R, t=unit(scene.t))
-    one, other = (refine_tangents(start, views) for start in (truth, off_the_truth(scene)))
+def test_neither_the_start_nor_sparse_samples_matter():
+    one, other = (refine_tangents(start, VIEWS) for start in (TRUTH, START))
     assert one.t_d_s == pytest.approx(other.t_d_s, abs=0.03e-3)  # where the rounds stop
     assert rotation_angle_deg(one.R, other.R) < 0.03
     assert angle_deg(one.t, other.t) < 0.03
+    # Sparser than the smoothing.
+    sparse = refine_tangents(START, VIEWS.by(tangency=TangencyConfig(step_s=0.08)))
+    assert sparse.status == "ok"
+    # A quarter of the samples, and eight corners alone: four times the tables' goal.
+    assert abs(sparse.t_d_s - one.t_d_s) < 0.4e-3
 
 
-def test_no_tangents_and_a_lost_minimum_are_refused():
-    scene = make_scene(0, duration_s=6.0)
-    views = two_views(*observations(*box_events(scene, 0)), scene.rig, CLEAN)
-    truth = Estimate("tangency", t_d_s=T_D_S, R=scene.R, t=unit(scene.t))
-    nowhere = refine_tangents(replace(truth, t_d_s=100.0), views)
-    assert nowhere.status == "too_few_samples"
-    assert "only 0 tangents" in nowhere.reason
-    views = replace(views, pose_is_known=True)
-    far = refine_tangents(replace(truth, t_d_s=T_D_S + 0.12), views)
-    assert far.status == "no_convergence"
-    assert far.t_d_s == T_D_S + 0.12
-
-
-def test_rounds_that_run_out_are_refused():
+def test_no_tangents_a_lost_minimum_and_rounds_that_run_out_are_refused():
     """Bug: what the last round had reached was "ok"."""
-    scene = make_scene(0, duration_s=6.0)
-    views = two_views(*observations(*box_events(scene, 0)), scene.rig, CLEAN)
-    assert refine_tangents(off_the_truth(scene), views).status == "ok"
-    estimate = refine_tangents(off_the_truth(scene), views, TangencyConfig(max_rounds=1))
-    assert estimate.status == "no_convergence"
-    assert "still moved" in estimate.reason
+    once, known = (
+        VIEWS.by(tangency=TangencyConfig(max_rounds=1)),
+        replace(VIEWS, pose_is_known=True),
+    )
+    for start, views, status, words in (
+        (replace(TRUTH, t_d_s=100.0), VIEWS, "too_few_samples", "only 0 tangents"),
+        (replace(TRUTH, t_d_s=T_D_S + 0.12), known, "no_convergence", "further than 100 ms"),
+        (START, once, "no_convergence", "still moved"),
+    ):
+        found = refine_tangents(start, views)
+        assert (found.status, found.t_d_s) == (status, start.t_d_s)
+        assert words in found.reason
 
 
 def test_tangents_go_back_to_the_search_where_the_mean_is_refused():
-    scene = make_scene(0, duration_s=6.0)
-    views = two_views(*observations(*box_events(scene, 0)), scene.unknown_rig, CLEAN)
-    search = algorithm_2(views)
-    refused = replace(
-        joint_from(search, views), status="degenerate_pose", reason="too large", R=None, t=None
-    )
-    estimate = tangency_from(refused, views)
+    is_open = {"status": "degenerate_pose", "reason": "too large", "R": None, "t": None}
+    refused = replace(joint_from(algorithm_2(VIEWS), VIEWS), **is_open)
+    estimate = tangency_from(refused, VIEWS)
     assert (estimate.method, estimate.status) == ("tangency", "ok")
-    alone = tangency_from(replace(refused, start=None), views)  # nothing to go back to
+    alone = tangency_from(replace(refused, start=None), VIEWS)  # nothing to go back to
     assert alone.status == "degenerate_pose"
+
+
+def found_tangents(scene, streams, rig):
+    """Both views' tangents with the true pose and offset, at times in camera 1's clock."""
+    seen = two_views(*observations(*streams), rig, CLEAN)
+    motions = seen.motion1, seen.motion2
+    times_s = np.arange(0.1, scene.duration_s - 0.1, TangencyConfig().step_s)
+    pair = pencils(scene.R, unit(scene.t), rig.cam1.K, rig.cam2.K)
+    views = []
+    for motion, pencil, clock_s in zip(motions, pair, (times_s, times_s + T_D_S), strict=True):
+        near = near_outline(motion, pencil, clock_s, OutlineConfig())
+        views.append(tangents(motion, near, pencil, clock_s, OutlineConfig()))
+    return times_s, pair, views
+
+
+def test_a_plane_has_the_same_angle_in_both_views():
+    rng = np.random.default_rng(0)
+    scene = make_scene(0, angle_deg=60.0)
+    points = rng.uniform(-1.0, 1.0, (200, 3)) + np.array([0.0, 0.0, 5.0])
+    first, second = pencils(scene.R, unit(scene.t), K, K)
+    angles = [
+        pencil.angles(project(in_view(points, scene, view), K))
+        for view, pencil in enumerate((first, second))
+    ]
+    np.testing.assert_allclose(angles[0], angles[1], atol=1e-12)  # rounding
+    pixels, h = project(points, K), 1e-4
+    for axis in range(2):
+        step = h * np.eye(2)[axis]
+        numeric = (first.angles(pixels + step) - first.angles(pixels - step)) / (2 * h)
+        # Central differences of angles of order 1: 1e-16 / 1e-4.
+        np.testing.assert_allclose(first.gradients(pixels)[:, axis], numeric, atol=1e-10)
+
+
+def in_blocks(rng, n_events, n_blocks):
+    """Sorted times [us] of events, the blocks' edges [us], and the first event from each on."""
+    times_us = np.sort(rng.integers(0, 1_000_000, n_events))
+    edges_us = np.linspace(100_000.0, 900_000.0, n_blocks + 1)
+    return times_us, edges_us, np.searchsorted(times_us, edges_us)
+
+
+def test_angles_from_a_course_are_differences_of_angles():
+    rng = np.random.default_rng(0)
+    scene = make_scene(0, angle_deg=60.0)
+    pencil, _ = pencils(scene.R, unit(scene.t), K, K)
+    times_us, edges_us, bounds = in_blocks(rng, 3000, 40)
+    points = rng.uniform([0.0, 0.0], [WIDTH, HEIGHT], (3000, 2))
+    course = pencil.angles(np.array([[WIDTH / 2, HEIGHT / 2]])) + 1e-6 * edges_us  # 1 rad/s
+    tangents_of = angles_from_course(
+        times_us, points, bounds, edges_us, course, pencil.sine, pencil.cosine
+    )
+    kept = slice(bounds[0], bounds[-1])
+    differences = pencil.angles(points) - np.interp(times_us, edges_us, course)
+    differences = (differences + np.pi) % (2 * np.pi) - np.pi
+    beyond = np.abs(differences) > np.pi / 2
+    np.testing.assert_array_equal(np.isnan(tangents_of[kept]), beyond[kept])
+    # A chord in place of an arc of 0.02 rad: 0.02^3 / 36 sqrt(3).
+    near = kept.start + np.flatnonzero(~beyond[kept])
+    np.testing.assert_allclose(np.arctan(tangents_of[near]), differences[near], rtol=0, atol=1.3e-7)
+
+
+def test_ranks_are_those_of_all_events_of_a_window():
+    rng = np.random.default_rng(1)
+    _, _, bounds = in_blocks(rng, 2000, 50)
+    values = rng.normal(size=2000)
+    values[rng.choice(2000, 50)] = np.nan
+    firsts = np.arange(0, 46, 3)
+    usable = rng.random(len(firsts)) < 0.8
+    for side in (1.0, -1.0):
+        tops = highest_in_blocks(values, bounds, side, 9)
+        ranked, indices = ranked_in_windows(*tops, firsts, 4, usable, 2, 8)
+        for i, first in enumerate(firsts):
+            window = values[bounds[first] : bounds[first + 4]]
+            descending = np.sort(side * window[np.isfinite(window)])[::-1]
+            expected = [descending[2], descending[8]] if usable[i] else [np.nan, np.nan]
+            np.testing.assert_array_equal(ranked[i], expected)
+            if usable[i]:
+                assert side * values[indices[i]] == descending[2]
+    few, _ = ranked_in_windows(*tops, firsts, 4, usable | True, 2, 8)
+    assert np.isfinite(few).all()
+    too_few = highest_in_blocks(values[:20], np.array([0, 2, 4]), 1.0, 9)
+    assert np.isnan(ranked_in_windows(*too_few, np.array([0]), 2, usable[:1] | True, 2, 8)[0]).all()
+    limits = rng.normal(size=51)
+    chosen = above_limit(values, bounds, 1.0, limits)
+    block = np.searchsorted(bounds, np.arange(2000), side="right") - 1
+    inside = (block >= 0) & (block < 50)
+    lower = np.minimum(limits[:-1], limits[1:])[np.clip(block, 0, 49)]
+    np.testing.assert_array_equal(chosen, np.flatnonzero(inside & (values > lower)))
+
+
+@pytest.mark.parametrize("scale", [1, 8])
+def test_tangents_touch_the_outermost_corners(scale):
+    scene = make_scene(1, duration_s=6.0)
+    camera = Camera(np.diag([scale, scale, 1.0]) @ K, scale * WIDTH, scale * HEIGHT)
+    streams = box_events(scene, 0, size_m=0.5, scale=scale)
+    config_rig = Rig(camera, camera)
+    times_s, pair, views = found_tangents(scene, streams, config_rig)
+    for view, pencil in enumerate(pair):
+        corners = in_view(corners_m(scene, times_s, 0.5), scene, view)
+        true_angles = pencil.angles(project(corners, camera.K).reshape(-1, 2)).reshape(-1, 8)
+        extremes = true_angles.max(axis=1), true_angles.min(axis=1)
+        for found, true in zip(views[view], extremes, strict=True):
+            valid = found.valid
+            assert valid.sum() > 100
+            across = np.linalg.norm(pencil.gradients(found.points_px[valid]), axis=1)
+            misses_px = (pencil.angles(found.points_px[valid]) - true[valid]) / across / scale
+            # An event is up to 0.7 px from its corner, and those furthest out are taken. Of a finer
+            # sensor's pixels little is left, but the corner's course bends within a window.
+            assert np.median(np.abs(misses_px)) < (0.7 if scale == 1 else 0.2)
+            rates = np.gradient(true, times_s)[valid]
+            speeds = np.sum(
+                found.velocities_px_s[valid] * pencil.gradients(found.points_px[valid]), axis=1
+            )
+            # The tangent goes over from corner to corner, where its rate jumps.
+            assert np.median(np.abs(speeds - rates)) < 0.1 * np.median(np.abs(rates))
+
+
+def test_frontier_points_are_pairs():
+    scene = make_scene(1, duration_s=6.0)
+    streams = box_events(scene, 0, size_m=0.5)
+    times_s, _, views = found_tangents(scene, streams, scene.unknown_rig)
+    pairs = tangent_pairs(times_s, *views, T_D_S, TangencyConfig())
+    F = fundamental_from_pose(K, K, scene.R, unit(scene.t))
+    distances = sampson_distance(F, pairs.p1_px, pairs.p2_px)
+    assert abs(np.median(distances)) < 0.1  # no bias
+    assert np.median(np.abs(distances)) < 0.35  # rounding to pixels, as above
+    assert np.median(pairs.weights) == pytest.approx(1.0)
