@@ -121,15 +121,6 @@ def repeats(times_s: Array, jacobian: Array, slopes_px: Array, rules: FitRules) 
     return max(len(times_s) / independent, 1.0) if independent > 0.0 else 1.0
 
 
-def mapped_covariance(jacobian: Array, errors_px: Array) -> Array:
-    """Covariance (p, p) of least squares on residuals with m independent errors.
-
-    One deviation of each error changes the residuals by its column of `errors_px` (n, m).
-    """
-    moved = np.linalg.lstsq(jacobian, errors_px)[0]
-    return np.asarray(moved @ moved.T)
-
-
 def _gradient_covariance(
     times_s: Array, Q: Array, left_px: Array, rules: FitRules
 ) -> tuple[Array, float]:
@@ -165,7 +156,9 @@ def _gradient_covariance(
         there = values[:, p + 1, None] * spread
         products += np.einsum("kti,lti->kl", there, spread)
     expected = traces - 2.0 * products + np.einsum("kij,lij->kl", projected, projected)
-    amounts = _least_squares_positive(expected, forms)
+    diagonal = np.diag(expected)  # rows and columns are scaled alike, to one of ones
+    scales = np.sqrt(np.maximum(diagonal, 1e-12 * max(np.max(diagonal), 1e-300)))
+    amounts = _best_positive(expected / np.outer(scales, scales), forms / scales) / scales
     variance = float(np.sum(amounts))
     if not variance > 0.0:
         return np.zeros((p, p)), 0.0
@@ -205,13 +198,6 @@ def _series(times_s: Array) -> list[tuple[slice, NDArray[np.int64], float]]:
         bins = np.rint(since_s / step_s).astype(np.int64)
         found.append((slice(start, end), bins, step_s))
     return found
-
-
-def _least_squares_positive(A: Array, b: Array) -> Array:
-    """Solve min |A x - b| with x >= 0, for few unknowns."""
-    diagonal = np.diag(A)  # rows and columns are scaled, as A is symmetric, to one of ones
-    scales = np.sqrt(np.maximum(diagonal, 1e-12 * max(np.max(diagonal), 1e-300)))
-    return np.asarray(_best_positive(A / np.outer(scales, scales), b / scales) / scales)
 
 
 @numba.njit(cache=True)

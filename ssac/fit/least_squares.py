@@ -17,14 +17,7 @@ from numpy.typing import NDArray
 
 from ssac.camera import Rig
 from ssac.fit import covariance
-from ssac.geometry.epipolar import (
-    CAUCHY,
-    cauchy_weights,
-    fundamental_from_pose,
-    robust_deviation,
-    sampson_derivative,
-    sampson_distance,
-)
+from ssac.geometry import epipolar
 from ssac.geometry.pose import moved_pose, pose_jacobian
 from ssac.rules import FitRules
 
@@ -95,7 +88,7 @@ class Problem:
     pose_is_known: bool = False  # it stays as it is
     columns: tuple[Column, ...] = ()
     priors: tuple[Prior, ...] = ()
-    turn: float = CAUCHY  # where the loss turns, in robust standard deviations
+    turn: float = epipolar.CAUCHY  # where the loss turns, in robust standard deviations
 
     @property
     def size(self) -> int:
@@ -138,7 +131,7 @@ class Residuals:
     @property
     def weights(self) -> tuple[Array, Array]:
         """First derivative over residual, and second derivative, of the loss: both (n,)."""
-        return cauchy_weights(self.distances_px, self.problem.turn)
+        return epipolar.cauchy_weights(self.distances_px, self.problem.turn)
 
     @property
     def free(self) -> Array:
@@ -197,7 +190,8 @@ class Residuals:
             rows = self._prior_rows()[:, self.problem.free]
             system = np.vstack([system, rows])
             errors_px = np.vstack([errors_px, np.zeros((len(rows), errors_px.shape[1]))])
-        return covariance.mapped_covariance(system, errors_px)
+        moved = np.linalg.lstsq(system, errors_px)[0]
+        return np.asarray(moved @ moved.T)
 
     def fair_scales(self) -> Array:
         """Give what one deviation of a prior is to count as, by free parameter: shape (f,) [px].
@@ -229,7 +223,7 @@ class Residuals:
         places = [prior.place for prior in priors]
         deviations = np.array([prior.deviation for prior in priors])
         scales_px = np.array([prior.scale_px for prior in priors])
-        independent = robust_deviation(self.distances_px)
+        independent = epipolar.robust_deviation(self.distances_px)
         scales_px = np.where(np.isfinite(scales_px), scales_px, independent)
         return np.asarray(np.eye(self.problem.size)[places] * (scales_px / deviations)[:, None])
 
@@ -242,16 +236,16 @@ def linearise(problem: Problem, parameters: Parameters) -> Residuals:
     for column, value in zip(problem.columns, parameters.columns, strict=True):
         value -= column.at
         p1, p2 = p1 + value * column.dp1_px, p2 + value * column.dp2_px
-    F = fundamental_from_pose(K1, K2, R, t)
+    F = epipolar.fundamental_from_pose(K1, K2, R, t)
     by_columns = [
-        sampson_derivative(F.T, p2, p1, column.dp1_px)
-        + sampson_derivative(F, p1, p2, column.dp2_px)
+        epipolar.sampson_derivative(F.T, p2, p1, column.dp1_px)
+        + epipolar.sampson_derivative(F, p1, p2, column.dp2_px)
         for column in problem.columns
     ]
-    by_offset = sampson_derivative(F, p1, p2, pairs.v2_px_s)
+    by_offset = epipolar.sampson_derivative(F, p1, p2, pairs.v2_px_s)
     jacobian = np.column_stack([by_offset, pose_jacobian(R, t, K1, K2, p1, p2, F), *by_columns])
     jacobian = pairs.weights[:, None] * jacobian
-    distances_px = pairs.weights * sampson_distance(F, p1, p2)
+    distances_px = pairs.weights * epipolar.sampson_distance(F, p1, p2)
     return Residuals(problem, parameters, F, p1, p2, distances_px, jacobian)
 
 
@@ -297,15 +291,6 @@ def solve(
         if np.linalg.norm(step) < last_step:
             return Solution(parameters, True, change, step)
     return Solution(parameters, last_step == 0.0, change, step)
-
-
-def still_moves(change: Array, problem: Problem, covariance: Array) -> bool:
-    """Whether iterations that ran out have not come to rest, as far as it matters.
-
-    The change (p,) is of the last one, the covariance (f, f) of the free parameters.
-    """
-    deviations = np.sqrt(np.diag(covariance))
-    return bool(np.any(np.abs(change[problem.free]) > problem.rules.max_last_change * deviations))
 
 
 def _least_squares(system: Array, target: Array) -> Array:

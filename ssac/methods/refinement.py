@@ -21,7 +21,6 @@ from ssac.fit.least_squares import (
     Solution,
     WeighedPairs,
     linearise,
-    still_moves,
 )
 from ssac.geometry.epipolar import CAUCHY
 from ssac.methods.algorithms import with_fit
@@ -113,7 +112,9 @@ class Refinement(ABC):
             covariance = covariance + residuals.hidden_covariance(hidden_px)
         unfinished = [] if settles else [found.change]
         unfinished += [] if found.converged else [found.last_step]
-        if any(still_moves(change, residuals.problem, covariance) for change in unfinished):
+        # The last change, or step, of the free parameters may not matter beside their deviations.
+        most, free = self.rules.fit.max_last_change * np.sqrt(np.diag(covariance)), problem.free
+        if any(np.any(np.abs(change[free]) > most) for change in unfinished):
             reason = f"after {self.max_rounds} rounds the refinement from {start.t_d_s:.3f} s"
             return self.no_convergence(f"{reason} still moved")
         told = model.told(start, residuals, covariance)

@@ -11,9 +11,7 @@ Errors of the outline are one-sided and long-tailed: a thin or pale tip is misse
 seen in the other. So the loss turns early, and a pair counts by how sharp its outlines are.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -107,24 +105,15 @@ def tangent_pairs(
     """
     if not config.apart:
         view1, view2 = [_midway(*view1)], [_midway(*view2)]
-    sides = [(one, two, one.valid & two.valid) for one, two in zip(view1, view2, strict=True)]
-
-    def joined(of: Callable[[Tangents, Tangents, Any], Array]) -> Array:
-        return np.concatenate([of(*side) for side in sides])
-
-    errors_px = joined(
-        lambda one, two, k: np.sqrt(
-            config.sharp_px**2 + one.spreads_px[k] ** 2 + two.spreads_px[k] ** 2
-        )
-    )
-    return WeighedPairs(
-        joined(lambda one, two, k: times_s[k]),
-        joined(lambda one, two, k: one.points_px[k]),
-        joined(lambda one, two, k: two.points_px[k]),
-        joined(lambda one, two, k: two.velocities_px_s[k]),
-        np.median(errors_px) / errors_px if len(errors_px) else errors_px,
-        t_d_s,
-    )
+    parts = []
+    for one, two in zip(view1, view2, strict=True):
+        k = one.valid & two.valid
+        spread_px = np.sqrt(config.sharp_px**2 + one.spreads_px[k] ** 2 + two.spreads_px[k] ** 2)
+        points = one.points_px[k], two.points_px[k], two.velocities_px_s[k]
+        parts.append((times_s[k], *points, spread_px))
+    times_s, p1, p2, v2, errors_px = (np.concatenate(of) for of in zip(*parts, strict=True))
+    weights = np.median(errors_px) / errors_px if len(errors_px) else errors_px
+    return WeighedPairs(times_s, p1, p2, v2, weights, t_d_s)
 
 
 def _midway(upper: Tangents, lower: Tangents) -> Tangents:

@@ -9,6 +9,7 @@ than the most that any offset does: a short piece of path fits many another by c
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numba
@@ -120,7 +121,6 @@ class Guess:
     t_ref_s: float  # camera 1's clock: the middle of the common time
     rate: float  # camera 2's clock runs so many times as fast
     cost: float
-    common_s: float  # time that both see the object in motion
     lag_s: float  # t_cam2 / rate = t_cam1 + lag
 
     @property
@@ -207,20 +207,21 @@ class _Scan:
     most: int  # samples that count, at the best of the lags
 
 
+@dataclass(frozen=True)
 class _Search:
     """Both paths on grids of one step, at any rate of camera 2's clock."""
 
-    def __init__(
-        self,
-        motion1: Motion,
-        motion2: Motion,
-        rules: AllOffsetsRules,
-        step_s: float,
-        freedom: float,
-        progress: Progress | None,
-    ) -> None:
-        self.rules, self.step_s, self.freedom, self.progress = rules, step_s, freedom, progress
-        self.motion2, self.one = motion2, self._grid(motion1)
+    motion1: Motion
+    motion2: Motion
+    rules: AllOffsetsRules
+    step_s: float
+    freedom: float  # share by which a guess's rate may be from that of its scan
+    progress: Progress | None
+
+    @cached_property
+    def one(self) -> Grid:
+        """Camera 1's path."""
+        return self._grid(self.motion1)
 
     def _grid(self, motion: Motion, rate: float = 1.0) -> Grid:
         """Sample a track at whole steps of a clock that runs `rate` times slower than its own."""
@@ -324,7 +325,7 @@ class _Search:
         if not np.isfinite(value):
             return None
         lag_s = (t_ref_s + t_d_s) / rate - t_ref_s
-        return Guess(t_d_s, t_ref_s, rate, value * most / count, step_s * count, lag_s)
+        return Guess(t_d_s, t_ref_s, rate, value * most / count, lag_s)
 
 
 def _compass(

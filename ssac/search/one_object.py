@@ -336,21 +336,16 @@ def _only(seen: Clean, objects: Objects, numbers: set[int]) -> Clean:
     if seen.track is not None:
         return seen
     pieces = [objects.pieces[i] for i in sorted(numbers)]
-    chosen = objects.events_of(pieces)
+    chosen, far_us = objects.events_of(pieces), 2**61  # before and after all times
+    ends = np.array([(piece.first, piece.last) for piece in pieces], np.int64).ravel()
+    ends_us = objects.start_us + objects.bin_us * ends
+    # Between pieces, in order of time, and beyond all.
+    gaps_us = np.concatenate([[-far_us], ends_us, [far_us]]).reshape(-1, 2)
     return replace(
         seen,
         events=chosen_events(seen.events, chosen),
         clutter=None,
         on_line=None,
-        gaps_us=_gaps_us(objects, pieces),
+        gaps_us=np.asarray(gaps_us[gaps_us[:, 1] > gaps_us[:, 0]]),
         used=ObjectsUsed(objects.n_seen, float(np.mean(chosen))),
     )
-
-
-def _gaps_us(objects: Objects, pieces: list[Piece]) -> NDArray[np.int64]:
-    """Give the times (g, 2) [us] between pieces, in order of time, and beyond all."""
-    far_us = 2**61  # before and after all times
-    ends = np.array([(piece.first, piece.last) for piece in pieces], np.int64).ravel()
-    ends_us = objects.start_us + objects.bin_us * ends
-    gaps_us = np.concatenate([[-far_us], ends_us, [far_us]]).reshape(-1, 2)
-    return np.asarray(gaps_us[gaps_us[:, 1] > gaps_us[:, 0]])

@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import nnls
 from scipy.stats import t as student
 
-from ssac.fit.covariance import PRIOR, correlated_covariance, mapped_covariance
+from ssac.fit.covariance import PRIOR, correlated_covariance
 from ssac.rules import FitRules
 
 RULES = FitRules()
@@ -196,13 +196,6 @@ def test_few_residuals_leave_the_deviation_wide():
     ]
     # Two degrees of freedom: Student's 95 % is what the deviations are made for.
     assert np.mean(np.array(errors) < 1.96) > 0.9
-
-
-def test_errors_are_mapped_by_least_squares():
-    jacobian = np.random.default_rng(7).normal(size=(50, 3))
-    errors = jacobian @ np.diag([2.0, 3.0])[[0, 1, 1], :]
-    expected = [[4.0, 0.0, 0.0], [0.0, 9.0, 9.0], [0.0, 9.0, 9.0]]
-    np.testing.assert_allclose(mapped_covariance(jacobian, errors), expected, atol=1e-9)  # rounding
 
 
 @pytest.mark.parametrize("are_opposite", [True, False])

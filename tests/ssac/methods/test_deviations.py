@@ -10,23 +10,14 @@ from ssac.geometry.epipolar import fundamental_from_pose, sampson_distance
 from ssac.geometry.pose import pose_from_fundamental
 from ssac.methods.tangency import TangencyConfig, tangent_pairs
 from ssac.track.outline import Tangents
+from tests.ssac import synthetic
 from tests.ssac.methods.flights import CLEAN, DURATION_S, MIDDLE, T_D_S, seen
-from tests.ssac.synthetic import (
-    DISTANCE_M,
-    FOCAL_PX,
-    K,
-    angle_deg,
-    make_events,
-    make_scene,
-    rotation_angle_deg,
-    track_pair,
-)
 
 SIZE_M = 0.2  # of the cloud of points
 UNIFORM_S = 3.0
 NEAR = replace(CLEAN, interval_s=(T_D_S - 0.2, T_D_S + 0.2))
 # Root mean square size of the cloud, 5 m away, in both images together.
-IMAGES_PX = np.sqrt(2.0) * FOCAL_PX / DISTANCE_M * np.sqrt(2.0 / 12.0) * SIZE_M
+IMAGES_PX = np.sqrt(2.0) * synthetic.FOCAL_PX / synthetic.DISTANCE_M * np.sqrt(2.0 / 12.0) * SIZE_M
 
 
 @pytest.mark.parametrize(
@@ -46,14 +37,14 @@ def test_what_strays_all_along_is_allowed_for(method, low_px, high_px):
     def path(times_s):
         return MIDDLE + (times_s - UNIFORM_S / 2)[..., None] * np.array([0.2, 0.9, 0.3])
 
-    scene = replace(make_scene(0, duration_s=UNIFORM_S), path=path)
-    streams = make_events(scene, 0, T_D_S, rate_hz=50_000.0, size_m=SIZE_M)
+    scene = replace(synthetic.make_scene(0, duration_s=UNIFORM_S), path=path)
+    streams = synthetic.make_events(scene, 0, T_D_S, rate_hz=50_000.0, size_m=SIZE_M)
     estimate = Chain([*map(Observation, streams)], scene.rig, NEAR).estimate(method)
     assert estimate.status == Status.OK
     # How fast [px/s] a change of t_d makes a shift of all points good again, by least squares.
     times_s = np.linspace(0.1, UNIFORM_S - 0.1, 200)
-    F = fundamental_from_pose(K, K, scene.R, scene.t)
-    p1, p2 = track_pair(scene, times_s)[0], track_pair(scene, times_s + 1e-3)[1]
+    F = fundamental_from_pose(synthetic.K, synthetic.K, scene.R, scene.t)
+    p1, p2 = synthetic.track_pair(scene, times_s)[0], synthetic.track_pair(scene, times_s + 1e-3)[1]
     rates = sampson_distance(F, p1, p2) / 1e-3
     lever_px_s = np.mean(rates**2) / np.abs(np.mean(rates))
     assert low_px < estimate.t_d_std_s * lever_px_s < high_px
@@ -63,14 +54,14 @@ def test_what_strays_all_along_is_allowed_for(method, low_px, high_px):
 def test_deviations_are_neither_too_small_nor_too_large():
     offsets, poses = [], []
     for seed in range(4):
-        scene = make_scene(seed, duration_s=DURATION_S)
+        scene = synthetic.make_scene(seed, duration_s=DURATION_S)
         chain = Chain(seen(scene, seed), scene.rig, NEAR)
         for method in ("joint", "joint-known", "tangency", "tangency-known"):
             estimate = chain.estimate(method)
             offsets.append((estimate.t_d_s - T_D_S) / estimate.t_d_std_s)
             if estimate.covariance is not None:
-                poses.append(rotation_angle_deg(estimate.R, scene.R) / estimate.r_std_deg)
-                poses.append(angle_deg(estimate.t, scene.t) / estimate.t_std_deg)
+                poses.append(synthetic.rotation_angle_deg(estimate.R, scene.R) / estimate.r_std_deg)
+                poses.append(synthetic.angle_deg(estimate.t, scene.t) / estimate.t_std_deg)
     # The root mean square of 16 is known to 18 %. It is 1.1 of both: deviations of half the size,
     # or of twice, are out of these bounds.
     for normalised in (offsets, poses):
@@ -79,17 +70,17 @@ def test_deviations_are_neither_too_small_nor_too_large():
 
 
 def test_the_pose_is_the_nearest_to_the_fundamental_matrix():
-    scene = make_scene(0, angle_deg=30.0, duration_s=DURATION_S)
+    scene = synthetic.make_scene(0, angle_deg=30.0, duration_s=DURATION_S)
     estimate = Chain(seen(scene), scene.rig, NEAR).estimate("ssac")
-    p1, p2 = track_pair(scene, np.linspace(0.0, DURATION_S, 200))
+    p1, p2 = synthetic.track_pair(scene, np.linspace(0.0, DURATION_S, 200))
     distances = sampson_distance(estimate.F, p1, p2)
 
     def misfit_px(R, t):
-        of_pose = sampson_distance(fundamental_from_pose(K, K, R, t), p1, p2)
+        of_pose = sampson_distance(fundamental_from_pose(synthetic.K, synthetic.K, R, t), p1, p2)
         return min(np.std(distances - of_pose), np.std(distances + of_pose))  # F's sign is free
 
     # Equal singular values weigh all entries of F alike, pixels do not: three to thirty times.
-    decomposed = pose_from_fundamental(estimate.F, K, K, p1, p2)
+    decomposed = pose_from_fundamental(estimate.F, synthetic.K, synthetic.K, p1, p2)
     assert misfit_px(estimate.R, estimate.t) < 0.5 * misfit_px(decomposed.R, decomposed.t)
 
 

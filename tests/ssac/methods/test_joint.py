@@ -99,12 +99,6 @@ def test_a_bias_that_no_residual_shows_is_allowed_for():
     assert 0.3 * biased.r_std_deg < error_deg < 2.0 * biased.r_std_deg
 
 
-def test_white_noise_bound_of_the_design():
-    # 0.157 ms, 0.27 deg, 0.14 deg for the authors' trajectory; ours fill more of the view.
-    bounds = np.mean([cramer_rao(make_scene(seed), 0.3) for seed in range(8)], axis=0)
-    assert np.all((bounds > [0.05e-3, 0.05, 0.02]) & (bounds < [0.3e-3, 0.27, 0.14]))
-
-
 @pytest.mark.parametrize("view", [0, 1])
 @pytest.mark.parametrize("part", range(3))
 def test_hidden_errors_are_what_a_bias_of_a_view_does(view, part):
@@ -164,11 +158,3 @@ def test_iterations_that_run_out_are_refused(what, monkeypatch):
     estimate = refine(start, views.by(joint=rules))
     assert estimate.status == "no_convergence"
     assert "still moved" in estimate.reason
-
-
-def test_f_fits_the_refined_pose():
-    estimate = refine(truth_of(SCENE), VIEWS)
-    F = fundamental_from_pose(K, K, estimate.R, estimate.t)
-    p1, p2 = track_pair(SCENE, np.linspace(0.0, 20.0, 30))
-    ours, theirs = (np.abs(sampson_distance(one, p1, p2)) for one in (F, estimate.F))
-    assert np.allclose(ours, theirs)

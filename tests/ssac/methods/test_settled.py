@@ -62,23 +62,27 @@ def test_tangents_settle_what_the_table_names_of_joint(status, searched, views, 
         assert looked == []
 
 
-@pytest.mark.parametrize("status", REFUSALS)
-@pytest.mark.parametrize("helps", [True, False])
-def test_a_clock_of_pieces_settles_what_the_table_names_of_tracks(status, helps, monkeypatch):
+def answered(config, status, helps, monkeypatch):
+    """The answer of joint, which refuses an affine clock, and the clocks that were tried."""
     tried = []
 
     def joint_from(start, views):
         tried.append(views.config.clock)
-        refused = Estimate("joint", status, "a reason", start=start)
-        if views.config.clock == "affine" or not helps:
-            return refused
-        return Estimate("joint", t_d_s=T_D_S, t_d_std_s=1e-3)
+        if views.config.clock == "pieces" and helps:
+            return Estimate("joint", t_d_s=T_D_S, t_d_std_s=1e-3)
+        return Estimate("joint", status, "a reason", start=start)
 
     monkeypatch.setattr("ssac.methods.joint.joint_from", joint_from)
     monkeypatch.setattr("ssac.methods.algorithms.algorithm_2", lambda views: SEARCH)
     tracks = [tracked(frame_track(SCENE, k + 1, 30.0, k * T_D_S, seed=k)) for k in range(2)]
-    chain = Chain(tracks, SCENE.unknown_rig, Config(interval_s=(-0.5, 0.5)))
-    answer = chain.answer("joint")
+    config = replace(config, interval_s=(-0.5, 0.5))
+    return Chain(tracks, SCENE.unknown_rig, config).answer("joint"), tried
+
+
+@pytest.mark.parametrize("status", REFUSALS)
+@pytest.mark.parametrize("helps", [True, False])
+def test_a_clock_of_pieces_settles_what_the_table_names_of_tracks(status, helps, monkeypatch):
+    answer, tried = answered(Config(), status, helps, monkeypatch)
     is_settled = status in SETTLED_BY["pieces"]
     assert tried == (["affine", "pieces"] if is_settled else ["affine"])
     assert answer.wanders == (is_settled and helps)
@@ -87,13 +91,9 @@ def test_a_clock_of_pieces_settles_what_the_table_names_of_tracks(status, helps,
     assert ("a clock wanders" in answer.note) == answer.wanders
 
 
-@pytest.mark.parametrize("config", [Config(clock="affine"), Config(skew_prior_ppm=0.0)])
+@pytest.mark.parametrize(
+    "config", [Config(clock="affine"), Config(skew_prior_ppm=0.0)], ids=["affine", "no-skew"]
+)
 def test_a_clock_that_was_asked_for_stays(config, monkeypatch):
-    refused = Estimate("joint", Status.CLOCK_JUMP, "a jump")
-    monkeypatch.setattr("ssac.methods.joint.joint_from", lambda start, views: refused)
-    monkeypatch.setattr("ssac.methods.algorithms.algorithm_2", lambda views: SEARCH)
-    tracks = [tracked(frame_track(SCENE, k + 1, 30.0, k * T_D_S, seed=k)) for k in range(2)]
-    chain = Chain(tracks, SCENE.unknown_rig, replace(config, interval_s=(-0.5, 0.5)))
-    answer = chain.answer("joint")
-    assert answer.estimate.status == Status.CLOCK_JUMP
-    assert not answer.wanders
+    answer, tried = answered(config, Status.CLOCK_JUMP, True, monkeypatch)
+    assert (answer.estimate.status, answer.wanders, tried) == ("clock_jump", False, ["affine"])

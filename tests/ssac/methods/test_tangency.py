@@ -9,50 +9,18 @@ from ssac import joint_known, tangency, two_views
 from ssac.camera import Camera, Rig
 from ssac.geometry.epipolar import fundamental_from_pose, sampson_distance
 from ssac.geometry.pose import pencils
+from ssac.methods import tangency as by_tangents
 from ssac.methods.algorithms import algorithm_2
 from ssac.methods.joint import joint_from
-from ssac.methods.tangency import (
-    TangencyConfig,
-    for_blind,
-    refine_tangents,
-    tangency_from,
-    tangent_pairs,
-)
 from ssac.track.outline import OutlineConfig, near_outline, tangents
-from ssac.track.outline_kernels import (
-    above_limit,
-    angles_from_course,
-    highest_in_blocks,
-    ranked_in_windows,
-)
-from tests.ssac.box import (
-    CLEAN,
-    T_D_S,
-    box_events,
-    corners_m,
-    errors,
-    in_view,
-    observations,
-    off_the_truth,
-    project,
-    unit,
-)
+from tests.ssac import box, synthetic
 from tests.ssac.cluttered import merged
-from tests.ssac.synthetic import (
-    HEIGHT,
-    WIDTH,
-    K,
-    angle_deg,
-    denoised,
-    make_scene,
-    rotation_angle_deg,
-)
 
-SCENE = make_scene(0, duration_s=6.0)
-STREAMS = box_events(SCENE, 0)
-VIEWS = two_views(*observations(*STREAMS), SCENE.unknown_rig, CLEAN)
-START = off_the_truth(SCENE)
-TRUTH = replace(START, t_d_s=T_D_S, R=SCENE.R, t=unit(SCENE.t))
+SCENE = synthetic.make_scene(0, duration_s=6.0)
+STREAMS = box.box_events(SCENE, 0)
+VIEWS = two_views(*box.observations(*STREAMS), SCENE.unknown_rig, box.CLEAN)
+START = box.off_the_truth(SCENE)
+TRUTH = replace(START, t_d_s=box.T_D_S, R=SCENE.R, t=box.unit(SCENE.t))
 
 
 def without_frames(events, phase_us):
@@ -62,19 +30,19 @@ def without_frames(events, phase_us):
 
 @pytest.mark.parametrize("phases_us", [(3_000, 33_000), (10_000, 0)])
 def test_frames_that_blind_the_cameras_do_not_shift_the_offset(phases_us):
-    scene = make_scene(0, duration_s=8.0)
-    streams = box_events(scene, 0, 0.4)
+    scene = synthetic.make_scene(0, duration_s=8.0)
+    streams = box.box_events(scene, 0, 0.4)
     blinded = [without_frames(*one) for one in zip(streams, phases_us, strict=True)]
-    views = two_views(*observations(*blinded), scene.rig, CLEAN)
+    views = two_views(*box.observations(*blinded), scene.rig, box.CLEAN)
     assert all(len(blind.spans_us) > 150 for blind in views.alone.blind)  # of 200
-    estimate = refine_tangents(off_the_truth(scene), views)
+    estimate = by_tangents.refine_tangents(box.off_the_truth(scene), views)
     assert estimate.status == "ok"
     # As of a lopsided box; with tangents found as ever, 2.0 and 0.5 ms.
-    assert np.all(np.array(errors(estimate, scene)) < [0.3, 0.6, 0.3])
+    assert np.all(np.array(box.errors(estimate, scene)) < [0.3, 0.6, 0.3])
 
 
 def test_nothing_changes_where_no_camera_was_blind():
-    assert for_blind(VIEWS) is VIEWS
+    assert by_tangents.for_blind(VIEWS) is VIEWS
 
 
 def with_thread(events, seed):
@@ -91,14 +59,14 @@ def test_the_outline_is_that_of_the_object_without_the_line_that_holds_it():
     errors_of = []
     for told in (False, True):
         held = [
-            replace(denoised(events), on_line=mask if told else None)
+            replace(synthetic.denoised(events), on_line=mask if told else None)
             for events, mask in map(with_thread, STREAMS, (0, 1))
         ]
-        estimate = refine_tangents(START, two_views(*held, SCENE.rig, CLEAN))
+        estimate = by_tangents.refine_tangents(START, two_views(*held, SCENE.rig, box.CLEAN))
         assert estimate.status == "ok"
-        errors_of.append(np.array(errors(estimate, SCENE)))
+        errors_of.append(np.array(box.errors(estimate, SCENE)))
     # The same events, so the same tangents, but for rounding of sums.
-    alone = errors(refine_tangents(START, VIEWS), SCENE)
+    alone = box.errors(by_tangents.refine_tangents(START, VIEWS), SCENE)
     assert errors_of[1] == pytest.approx(alone, rel=1e-3, abs=1e-4)
     assert errors_of[0] != pytest.approx(errors_of[1], rel=0.1)
 
@@ -107,15 +75,15 @@ def test_the_outline_is_that_of_the_object_without_the_line_that_holds_it():
 def test_a_lopsided_object_biases_positions_and_not_tangents(size_m):
     means, outline = [], []
     for seed in range(2):
-        scene = make_scene(seed, duration_s=8.0)
-        cameras = observations(*box_events(scene, seed, size_m, lopsided=3.0))
+        scene = synthetic.make_scene(seed, duration_s=8.0)
+        cameras = box.observations(*box.box_events(scene, seed, size_m, lopsided=3.0))
         # Whether means so biased are a start at all is for `joint` to say.
-        views = two_views(*cameras, scene.rig, CLEAN)
-        estimate = refine_tangents(off_the_truth(scene), views)
+        views = two_views(*cameras, scene.rig, box.CLEAN)
+        estimate = by_tangents.refine_tangents(box.off_the_truth(scene), views)
         assert estimate.status == "ok"
-        outline.append(errors(estimate, scene))
-        known = joint_known(*cameras, scene.rig, CLEAN)
-        means.append(1e3 * abs(known.t_d_s - T_D_S))
+        outline.append(box.errors(estimate, scene))
+        known = joint_known(*cameras, scene.rig, box.CLEAN)
+        means.append(1e3 * abs(known.t_d_s - box.T_D_S))
     # A few pixels from 8 s of events, and eight corners alone: three times the tables' marks.
     assert np.all(np.mean(outline, axis=0) < [0.3, 0.6, 0.3])
     if size_m > 1.0:
@@ -123,32 +91,36 @@ def test_a_lopsided_object_biases_positions_and_not_tangents(size_m):
 
 
 def test_noise_does_not_set_the_extremes():
-    scene = make_scene(2, duration_s=8.0)
-    streams = box_events(scene, 2)
+    scene = synthetic.make_scene(2, duration_s=8.0)
+    streams = box.box_events(scene, 2)
     rng = np.random.default_rng(0)
     noisy = []
     for events in streams:
         # 10 a second, 5 to 20 px from an event: half of the windows have one or two outside.
         noise = events[np.sort(rng.choice(len(events), 80))].copy()
         shifts = rng.uniform(5.0, 20.0, (80, 2)) * rng.choice([-1, 1], (80, 2))
-        for field, shift, size in zip("xy", shifts.T, (WIDTH, HEIGHT), strict=True):
+        for field, shift, size in zip(
+            "xy", shifts.T, (synthetic.WIDTH, synthetic.HEIGHT), strict=True
+        ):
             noise[field] = np.clip(np.rint(noise[field] + shift), 0, size - 1)
         noisy.append(merged(events, noise))
-    clean = tangency(*observations(*streams), scene.unknown_rig, CLEAN)
-    disturbed = tangency(*observations(*noisy), scene.unknown_rig, CLEAN)
+    clean = tangency(*box.observations(*streams), scene.unknown_rig, box.CLEAN)
+    disturbed = tangency(*box.observations(*noisy), scene.unknown_rig, box.CLEAN)
     # A noise event takes one rank: the next is the same corner's in another window's place.
     assert disturbed.t_d_s == pytest.approx(clean.t_d_s, abs=0.1e-3)
-    assert rotation_angle_deg(disturbed.R, clean.R) < 0.15
-    assert angle_deg(disturbed.t, clean.t) < 0.1
+    assert synthetic.rotation_angle_deg(disturbed.R, clean.R) < 0.15
+    assert synthetic.angle_deg(disturbed.t, clean.t) < 0.1
 
 
 def test_neither_the_start_nor_sparse_samples_matter():
-    one, other = (refine_tangents(start, VIEWS) for start in (TRUTH, START))
+    one, other = (by_tangents.refine_tangents(start, VIEWS) for start in (TRUTH, START))
     assert one.t_d_s == pytest.approx(other.t_d_s, abs=0.03e-3)  # where the rounds stop
-    assert rotation_angle_deg(one.R, other.R) < 0.03
-    assert angle_deg(one.t, other.t) < 0.03
+    assert synthetic.rotation_angle_deg(one.R, other.R) < 0.03
+    assert synthetic.angle_deg(one.t, other.t) < 0.03
     # Sparser than the smoothing.
-    sparse = refine_tangents(START, VIEWS.by(tangency=TangencyConfig(step_s=0.08)))
+    sparse = by_tangents.refine_tangents(
+        START, VIEWS.by(tangency=by_tangents.TangencyConfig(step_s=0.08))
+    )
     assert sparse.status == "ok"
     # A quarter of the samples, and eight corners alone: four times the tables' goal.
     assert abs(sparse.t_d_s - one.t_d_s) < 0.4e-3
@@ -157,15 +129,15 @@ def test_neither_the_start_nor_sparse_samples_matter():
 def test_no_tangents_a_lost_minimum_and_rounds_that_run_out_are_refused():
     """Bug: what the last round had reached was "ok"."""
     once, known = (
-        VIEWS.by(tangency=TangencyConfig(max_rounds=1)),
+        VIEWS.by(tangency=by_tangents.TangencyConfig(max_rounds=1)),
         replace(VIEWS, pose_is_known=True),
     )
     for start, views, status, words in (
         (replace(TRUTH, t_d_s=100.0), VIEWS, "too_few_samples", "only 0 tangents"),
-        (replace(TRUTH, t_d_s=T_D_S + 0.12), known, "no_convergence", "further than 100 ms"),
+        (replace(TRUTH, t_d_s=box.T_D_S + 0.12), known, "no_convergence", "further than 100 ms"),
         (START, once, "no_convergence", "still moved"),
     ):
-        found = refine_tangents(start, views)
+        found = by_tangents.refine_tangents(start, views)
         assert (found.status, found.t_d_s) == (status, start.t_d_s)
         assert words in found.reason
 
@@ -173,20 +145,20 @@ def test_no_tangents_a_lost_minimum_and_rounds_that_run_out_are_refused():
 def test_tangents_go_back_to_the_search_where_the_mean_is_refused():
     is_open = {"status": "degenerate_pose", "reason": "too large", "R": None, "t": None}
     refused = replace(joint_from(algorithm_2(VIEWS), VIEWS), **is_open)
-    estimate = tangency_from(refused, VIEWS)
+    estimate = by_tangents.tangency_from(refused, VIEWS)
     assert (estimate.method, estimate.status) == ("tangency", "ok")
-    alone = tangency_from(replace(refused, start=None), VIEWS)  # nothing to go back to
+    alone = by_tangents.tangency_from(replace(refused, start=None), VIEWS)  # nothing to go back to
     assert alone.status == "degenerate_pose"
 
 
 def found_tangents(scene, streams, rig):
     """Both views' tangents with the true pose and offset, at times in camera 1's clock."""
-    seen = two_views(*observations(*streams), rig, CLEAN)
+    seen = two_views(*box.observations(*streams), rig, box.CLEAN)
     motions = seen.motion1, seen.motion2
-    times_s = np.arange(0.1, scene.duration_s - 0.1, TangencyConfig().step_s)
-    pair = pencils(scene.R, unit(scene.t), rig.cam1.K, rig.cam2.K)
+    times_s = np.arange(0.1, scene.duration_s - 0.1, by_tangents.TangencyConfig().step_s)
+    pair = pencils(scene.R, box.unit(scene.t), rig.cam1.K, rig.cam2.K)
     views = []
-    for motion, pencil, clock_s in zip(motions, pair, (times_s, times_s + T_D_S), strict=True):
+    for motion, pencil, clock_s in zip(motions, pair, (times_s, times_s + box.T_D_S), strict=True):
         near = near_outline(motion, pencil, clock_s, OutlineConfig())
         views.append(tangents(motion, near, pencil, clock_s, OutlineConfig()))
     return times_s, pair, views
@@ -194,15 +166,15 @@ def found_tangents(scene, streams, rig):
 
 def test_a_plane_has_the_same_angle_in_both_views():
     rng = np.random.default_rng(0)
-    scene = make_scene(0, angle_deg=60.0)
+    scene = synthetic.make_scene(0, angle_deg=60.0)
     points = rng.uniform(-1.0, 1.0, (200, 3)) + np.array([0.0, 0.0, 5.0])
-    first, second = pencils(scene.R, unit(scene.t), K, K)
+    first, second = pencils(scene.R, box.unit(scene.t), synthetic.K, synthetic.K)
     angles = [
-        pencil.angles(project(in_view(points, scene, view), K))
+        pencil.angles(box.project(box.in_view(points, scene, view), synthetic.K))
         for view, pencil in enumerate((first, second))
     ]
     np.testing.assert_allclose(angles[0], angles[1], atol=1e-12)  # rounding
-    pixels, h = project(points, K), 1e-4
+    pixels, h = box.project(points, synthetic.K), 1e-4
     for axis in range(2):
         step = h * np.eye(2)[axis]
         numeric = (first.angles(pixels + step) - first.angles(pixels - step)) / (2 * h)
@@ -210,72 +182,20 @@ def test_a_plane_has_the_same_angle_in_both_views():
         np.testing.assert_allclose(first.gradients(pixels)[:, axis], numeric, atol=1e-10)
 
 
-def in_blocks(rng, n_events, n_blocks):
-    """Sorted times [us] of events, the blocks' edges [us], and the first event from each on."""
-    times_us = np.sort(rng.integers(0, 1_000_000, n_events))
-    edges_us = np.linspace(100_000.0, 900_000.0, n_blocks + 1)
-    return times_us, edges_us, np.searchsorted(times_us, edges_us)
-
-
-def test_angles_from_a_course_are_differences_of_angles():
-    rng = np.random.default_rng(0)
-    scene = make_scene(0, angle_deg=60.0)
-    pencil, _ = pencils(scene.R, unit(scene.t), K, K)
-    times_us, edges_us, bounds = in_blocks(rng, 3000, 40)
-    points = rng.uniform([0.0, 0.0], [WIDTH, HEIGHT], (3000, 2))
-    course = pencil.angles(np.array([[WIDTH / 2, HEIGHT / 2]])) + 1e-6 * edges_us  # 1 rad/s
-    tangents_of = angles_from_course(
-        times_us, points, bounds, edges_us, course, pencil.sine, pencil.cosine
-    )
-    kept = slice(bounds[0], bounds[-1])
-    differences = pencil.angles(points) - np.interp(times_us, edges_us, course)
-    differences = (differences + np.pi) % (2 * np.pi) - np.pi
-    beyond = np.abs(differences) > np.pi / 2
-    np.testing.assert_array_equal(np.isnan(tangents_of[kept]), beyond[kept])
-    # A chord in place of an arc of 0.02 rad: 0.02^3 / 36 sqrt(3).
-    near = kept.start + np.flatnonzero(~beyond[kept])
-    np.testing.assert_allclose(np.arctan(tangents_of[near]), differences[near], rtol=0, atol=1.3e-7)
-
-
-def test_ranks_are_those_of_all_events_of_a_window():
-    rng = np.random.default_rng(1)
-    _, _, bounds = in_blocks(rng, 2000, 50)
-    values = rng.normal(size=2000)
-    values[rng.choice(2000, 50)] = np.nan
-    firsts = np.arange(0, 46, 3)
-    usable = rng.random(len(firsts)) < 0.8
-    for side in (1.0, -1.0):
-        tops = highest_in_blocks(values, bounds, side, 9)
-        ranked, indices = ranked_in_windows(*tops, firsts, 4, usable, 2, 8)
-        for i, first in enumerate(firsts):
-            window = values[bounds[first] : bounds[first + 4]]
-            descending = np.sort(side * window[np.isfinite(window)])[::-1]
-            expected = [descending[2], descending[8]] if usable[i] else [np.nan, np.nan]
-            np.testing.assert_array_equal(ranked[i], expected)
-            if usable[i]:
-                assert side * values[indices[i]] == descending[2]
-    few, _ = ranked_in_windows(*tops, firsts, 4, usable | True, 2, 8)
-    assert np.isfinite(few).all()
-    too_few = highest_in_blocks(values[:20], np.array([0, 2, 4]), 1.0, 9)
-    assert np.isnan(ranked_in_windows(*too_few, np.array([0]), 2, usable[:1] | True, 2, 8)[0]).all()
-    limits = rng.normal(size=51)
-    chosen = above_limit(values, bounds, 1.0, limits)
-    block = np.searchsorted(bounds, np.arange(2000), side="right") - 1
-    inside = (block >= 0) & (block < 50)
-    lower = np.minimum(limits[:-1], limits[1:])[np.clip(block, 0, 49)]
-    np.testing.assert_array_equal(chosen, np.flatnonzero(inside & (values > lower)))
-
-
 @pytest.mark.parametrize("scale", [1, 8])
 def test_tangents_touch_the_outermost_corners(scale):
-    scene = make_scene(1, duration_s=6.0)
-    camera = Camera(np.diag([scale, scale, 1.0]) @ K, scale * WIDTH, scale * HEIGHT)
-    streams = box_events(scene, 0, size_m=0.5, scale=scale)
+    scene = synthetic.make_scene(1, duration_s=6.0)
+    camera = Camera(
+        np.diag([scale, scale, 1.0]) @ synthetic.K,
+        scale * synthetic.WIDTH,
+        scale * synthetic.HEIGHT,
+    )
+    streams = box.box_events(scene, 0, size_m=0.5, scale=scale)
     config_rig = Rig(camera, camera)
     times_s, pair, views = found_tangents(scene, streams, config_rig)
     for view, pencil in enumerate(pair):
-        corners = in_view(corners_m(scene, times_s, 0.5), scene, view)
-        true_angles = pencil.angles(project(corners, camera.K).reshape(-1, 2)).reshape(-1, 8)
+        corners = box.in_view(box.corners_m(scene, times_s, 0.5), scene, view)
+        true_angles = pencil.angles(box.project(corners, camera.K).reshape(-1, 2)).reshape(-1, 8)
         extremes = true_angles.max(axis=1), true_angles.min(axis=1)
         for found, true in zip(views[view], extremes, strict=True):
             valid = found.valid
@@ -294,11 +214,11 @@ def test_tangents_touch_the_outermost_corners(scale):
 
 
 def test_frontier_points_are_pairs():
-    scene = make_scene(1, duration_s=6.0)
-    streams = box_events(scene, 0, size_m=0.5)
+    scene = synthetic.make_scene(1, duration_s=6.0)
+    streams = box.box_events(scene, 0, size_m=0.5)
     times_s, _, views = found_tangents(scene, streams, scene.unknown_rig)
-    pairs = tangent_pairs(times_s, *views, T_D_S, TangencyConfig())
-    F = fundamental_from_pose(K, K, scene.R, unit(scene.t))
+    pairs = by_tangents.tangent_pairs(times_s, *views, box.T_D_S, by_tangents.TangencyConfig())
+    F = fundamental_from_pose(synthetic.K, synthetic.K, scene.R, box.unit(scene.t))
     distances = sampson_distance(F, pairs.p1_px, pairs.p2_px)
     assert abs(np.median(distances)) < 0.1  # no bias
     assert np.median(np.abs(distances)) < 0.35  # rounding to pixels, as above

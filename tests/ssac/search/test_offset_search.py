@@ -7,13 +7,7 @@ import pytest
 
 from ssac.config import Config
 from ssac.rules import SearchRules
-from ssac.search.offset_search import (
-    candidate_offsets,
-    coarse_to_fine_search,
-    exhaustive_search,
-    mean_epipolar_distance,
-    valleys,
-)
+from ssac.search import offset_search
 from ssac.search.two_views import TwoViews
 from ssac.track.motion import object_motion
 from tests.ssac.synthetic import make_events, make_scene
@@ -23,7 +17,7 @@ OFFSETS_S = np.arange(-1000, 1001) * 1e-3
 
 
 def searched(cost, offsets_s=OFFSETS_S, coarsest=20, returns_s=None):
-    return coarse_to_fine_search(cost, cost, offsets_s, coarsest, RULES, returns_s)
+    return offset_search.coarse_to_fine_search(cost, cost, offsets_s, coarsest, RULES, returns_s)
 
 
 def rounded_v(centre_s, depth=0.0):
@@ -47,7 +41,7 @@ def views():
 @pytest.mark.parametrize("centre_s", [-0.4321, 0.0, 0.00037, 0.777])
 def test_the_minimum_is_found_between_candidates(centre_s):
     for search in (
-        exhaustive_search(rounded_v(centre_s), OFFSETS_S),
+        offset_search.exhaustive_search(rounded_v(centre_s), OFFSETS_S),
         searched(rounded_v(centre_s)),
     ):
         # A parabola through 12 points of another curve: 3 us; 10 us is the resolution promised.
@@ -102,7 +96,7 @@ def test_an_interval_shorter_than_a_step_is_searched(n, coarsest):
     """Bug: no step from the coarse minimum reached another candidate, and the search fell over."""
     offsets_s = 0.2 + 0.001 * np.arange(n)
     search = searched(rounded_v(0.2), offsets_s, coarsest)
-    assert search.t_d_s == exhaustive_search(rounded_v(0.2), offsets_s).t_d_s
+    assert search.t_d_s == offset_search.exhaustive_search(rounded_v(0.2), offsets_s).t_d_s
     assert search.at_bound
 
 
@@ -114,12 +108,14 @@ def test_a_return_of_the_path_where_no_cost_is_known_is_no_rival():
 
     search = searched(cost, returns_s=np.array([0.4]))
     assert search.t_d_s == pytest.approx(0.2, abs=5e-6)
-    assert len(valleys(search.candidates_s, search.d_avg_px, search.t_d_s, RULES)) == 1
+    assert (
+        len(offset_search.valleys(search.candidates_s, search.d_avg_px, search.t_d_s, RULES)) == 1
+    )
 
 
 def test_candidates_keep_half_of_the_longest_overlap(views):
     near, far = (
-        candidate_offsets(replace(views, config=Config(interval_s=interval_s)))
+        offset_search.candidate_offsets(replace(views, config=Config(interval_s=interval_s)))
         for interval_s in ((-10.0, 10.0), (20.0, 30.0))
     )
     # The overlap is 4 s at 0.25 s and falls to 2 s at 2 s on either side.
@@ -131,5 +127,5 @@ def test_too_few_pairs_have_no_distance(views):
     pairs = views.pairs(np.array([0.25]), n_samples=40)
     n_valid = int(pairs.valid.sum())
     F = np.diag([1.0, -1.0, 0.0])
-    assert np.isfinite(mean_epipolar_distance(F, pairs, min_pairs=n_valid)).all()
-    assert np.isnan(mean_epipolar_distance(F, pairs, min_pairs=n_valid + 1)).all()
+    assert np.isfinite(offset_search.mean_epipolar_distance(F, pairs, min_pairs=n_valid)).all()
+    assert np.isnan(offset_search.mean_epipolar_distance(F, pairs, min_pairs=n_valid + 1)).all()
