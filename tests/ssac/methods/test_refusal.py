@@ -34,9 +34,9 @@ OUTSIDE = "no_match", "search_bound"
 REFUSED = [  # path, methods, statuses, words of the reason, fields of the config
     (at_rest, ALL, ("no_motion",), "at rest", {}),
     (at_rest, ALL, ("no_motion",), "at rest", {"search": "all"}),  # Bug: it was no match
-    (straight_uniform, FREE, MOVING, "", {"interval_s": (-0.25, 0.35)}),
+    (straight_uniform, FREE, MOVING, "", {"interval_s": (-0.15, 0.25)}),
     (circle, FREE, MOVING, "", {}),
-    (helix, FREE, MOVING, "", {}),
+    (helix, FREE, MOVING, "", {"interval_s": (-0.2, 0.3)}),
     # Bug: 25 sample times gave errors of 500 ms with status "ok".
     (free, FREE, ("too_few_samples",), "", {"n_samples": 25}),
     # Bug: an interval of offsets near the recordings' length left few pairs, which F fits.
