@@ -31,7 +31,7 @@ from ssac.files.text import save_events_text
 from ssac.fit.least_squares import Parameters
 from ssac.methods.algorithms import algorithm_2
 from ssac.methods.joint import joint_from
-from ssac.methods.tangency import TangencyConfig, refine_tangents, tangent_times, tangents_under
+from ssac.methods.tangency import refine_tangents, tangent_times, tangents_under
 from ssac.pipeline.chain import MEANS, Chain, Source
 from ssac.pipeline.opened import opened, opened_rig
 from ssac.pipeline.registry import OURS, Input, Method
@@ -68,7 +68,7 @@ def bench_sync(config: SimConfig | None = None) -> list[Measurement]:
 
 
 def _stages(files: Sequence[Source], rig: Cameras) -> list[Measurement]:
-    config, outline = Config(), TangencyConfig()
+    config = Config()
     rows = []
 
     def timed(stage: str, function: Callable[..., Any], *arguments: Any) -> Any:
@@ -84,7 +84,7 @@ def _stages(files: Sequence[Source], rig: Cameras) -> list[Measurement]:
     if start.R is None or start.t is None:
         raise SsacError(f"joint found no pose in the benchmark's pair: {start.reason}")
     parameters = Parameters(start.t_d_s, start.R, start.t)
-    times_s = tangent_times(views, start.t_d_s, outline)
+    times_s = tangent_times(views, start.t_d_s)
     under = partial(tangents_under, parameters)
     _, near = timed("outlines and tangents", under, views, times_s, outline)
     timed("tangents alone", under, views, times_s, outline, near)

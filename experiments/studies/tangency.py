@@ -128,7 +128,7 @@ def variant_row(cell: VariantCell, started: tuple[Estimate, TwoViews, Rig]) -> V
     """Run one variant."""
     estimate, views, rig = started
     if cell.config is not None:
-        estimate = refine_tangents(estimate, views, cell.config)
+        estimate = refine_tangents(estimate, views.by(tangency=cell.config))
     columns = scored(estimate, Truth(cell.sim.t_d_s, *known_pose(rig)))
     signed_ms = 1e3 * (estimate.t_d_s - cell.sim.t_d_s)
     return VariantRow(

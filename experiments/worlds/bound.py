@@ -43,7 +43,7 @@ from ssac.geometry.epipolar import (
 )
 from ssac.geometry.pose import pose_jacobian
 from ssac.methods.joint import sharp_pairs
-from ssac.methods.tangency import TangencyConfig, tangent_times, tangents_under
+from ssac.methods.tangency import tangent_times, tangents_under
 from ssac.search.two_views import TwoViews
 
 Array = NDArray[np.float64]
@@ -127,7 +127,7 @@ def fisher_information(
     """
     K1, K2 = rig.cam1.K, rig.cam2.K
     F = fundamental_from_pose(K1, K2, R, t)
-    by_t_d = sampson_derivative(F, np.zeros((3, 3)), p1_px, p2_px, v2_px_s)
+    by_t_d = sampson_derivative(F, p1_px, p2_px, v2_px_s)
     J = np.column_stack([by_t_d, pose_jacobian(R, t, K1, K2, p1_px, p2_px)])
     J = J / np.broadcast_to(noise_px, len(J))[:, None]
     return np.asarray(J.T @ J)
@@ -234,10 +234,9 @@ def sharp_samples(views: TwoViews, t_d_s: float) -> Samples:
 
 def tangent_samples(views: TwoViews, t_d_s: float) -> Samples:
     """Sample as `tangency` does in its last round, if it has found the truth."""
-    config = TangencyConfig()
     R, t = known_pose(views.rig)
-    times_s = tangent_times(views, t_d_s, config)
-    pairs, _ = tangents_under(Parameters(t_d_s, R, t), views, times_s, config)
+    times_s = tangent_times(views, t_d_s)
+    pairs, _ = tangents_under(Parameters(t_d_s, R, t), views, times_s)
     return Samples(pairs.times_s, pairs.p1_px, pairs.p2_px, pairs.weights)
 
 

@@ -46,37 +46,21 @@ def correlated_covariance(
     common: Indices | None = None,
     lessens: bool = True,
 ) -> Array:
-    """Covariance of M-estimated parameters whose residuals are correlated in time.
+    """Covariance (p, p) of M-estimated parameters whose residuals (n,) are correlated in time.
 
-    Parameters
-    ----------
-    times_s
-        Of the residuals, shape (n,) [s]: one series after another, each ascending.
-    jacobian
-        Derivatives of the residuals by the parameters, shape (n, p) [px per unit].
-    slopes_px, curvatures
-        First and second derivatives of the loss at the residuals, each (n,).
-    rules
-        Of the errors' correlation, and of what is too sure.
-    prior_deviations
-        Of what is known of each parameter beside the data, shape (p,); PRIOR when None.
-    prior_scales_px
-        What one of those deviations counted as in the fit, shape (p,) [px]; as a residual that is
-        independent of the others where it is NaN, and everywhere when None.
-    common
-        Places (c,) of the parameters for which it counts what the series' errors have in common;
-        the first when None.
-    lessens
-        Whether what the series have in common may lessen the first one's variance, too.
+    Times [s] of the residuals are of one series after another, each ascending; `jacobian` (n, p)
+    has their derivatives [px per unit], `slopes_px` and `curvatures` (n,) are the first and second
+    derivatives of the loss. Of what is known of each parameter beside the data, `prior_deviations`
+    (p,) are PRIOR when None; `prior_scales_px` (p,) say what one deviation counted as in the fit: a
+    residual that is independent of the others where NaN, and everywhere when None. What the series'
+    errors have in common counts for the parameters at the places `common` (c,), the first when
+    None, and may lessen the first one's variance, too, if it `lessens`.
 
-    Returns
-    -------
-    Array
-        Shape (p, p). Its deviations are such that +-1.96 of them hold the truth in 95 %; of a
-        direction that the data do not determine, those of the prior and more.
+    Deviations are such that +-1.96 of them hold the truth in 95 %; of a direction that the data do
+    not determine, they are those of the prior and more.
     """
     n, p = jacobian.shape
-    curvature, fading_s = mean_curvature(curvatures, rules), rules.fading_s
+    curvature = mean_curvature(curvatures, rules)
     scale_px = max(float(np.sqrt(np.mean(slopes_px**2))), 1e-9)
     # Parameters in which the residuals' derivatives are orthonormal, with p further residuals that
     # say no more than the priors.
@@ -87,12 +71,17 @@ def correlated_covariance(
     Q, triangle = np.linalg.qr(np.vstack([jacobian, prior]))
     Q, Q_prior = Q[:n], Q[n:]
     left_px = slopes_px - Q @ (Q.T @ slopes_px)
-    meat, independent = _gradient_covariance(times_s, Q, left_px, fading_s)
+    meat, independent = _gradient_covariance(times_s, Q, left_px, rules)
     several = bool(np.any(np.diff(times_s) < 0.0))
     common = np.zeros(1, np.intp) if common is None else common
     is_clock = len(common) == p  # and nothing else: the pose is known
-    if several and is_clock:
-        meat, independent = _clock_variance(times_s, Q, left_px, meat, fading_s)
+    if several and is_clock:  # the gradients' sum at an instant is the process
+        found = [_sum_variance(times_s, column * left_px, rules) for column in Q.T]
+        # What it is with independent series, `meat`, gives the correlations.
+        variances = [variance for variance, _ in found]
+        ratios = np.sqrt(variances / np.maximum(np.diag(meat), 1e-300))
+        meat = meat * np.outer(ratios, ratios) if p > 1 else np.array([variances])
+        independent = min(independent for _, independent in found)
     meat = meat + curvature * Q_prior.T @ (scales_px[:, None] ** 2 * Q_prior)
     bread = Q.T @ (curvatures[:, None] * Q) + curvature * Q_prior.T @ Q_prior
     root = np.linalg.solve(triangle, bounded_inverse(bread, curvature, rules))
@@ -128,26 +117,16 @@ def repeats(times_s: Array, jacobian: Array, slopes_px: Array, rules: FitRules) 
     """How many of a fit's residuals tell as much as an independent one, at least 1."""
     Q = np.linalg.qr(jacobian)[0]
     left_px = slopes_px - Q @ (Q.T @ slopes_px)
-    independent = _gradient_covariance(times_s, Q, left_px, rules.fading_s)[1]
+    independent = _gradient_covariance(times_s, Q, left_px, rules)[1]
     return max(len(times_s) / independent, 1.0) if independent > 0.0 else 1.0
 
 
-def mapped_covariance(jacobian: Array, errors_px: Array) -> Array:
-    """Covariance (p, p) of least squares on residuals with m independent errors.
-
-    One deviation of each error changes the residuals by its column of `errors_px` (n, m).
-    """
-    moved = np.linalg.lstsq(jacobian, errors_px)[0]
-    return np.asarray(moved @ moved.T)
-
-
 def _gradient_covariance(
-    times_s: Array, Q: Array, left_px: Array, fading_s: tuple[float, ...]
+    times_s: Array, Q: Array, left_px: Array, rules: FitRules
 ) -> tuple[Array, float]:
     """Covariance of Q' g for gradients g (n,), and how many independent ones tell as much."""
     # Q (n, p) has orthonormal columns, and left = (1 - Q Q') g is what the fit leaves of g.
-    times_of_fading_s = (0.0, *fading_s)
-    p, size = Q.shape[1], len(times_of_fading_s)
+    p, size = Q.shape[1], 1 + len(rules.fading_s)
     forms = np.zeros(size)  # left' L_k left, with L_k the correlations of component k
     traces = np.zeros((size, size))  # of L_k L_l
     projected = np.zeros((size, p, p))  # Q' L_k Q
@@ -157,7 +136,8 @@ def _gradient_covariance(
         n_bins = int(bins[-1]) + 1
         size_fft = 1 << int(2 * n_bins - 1).bit_length()  # room for both signs of the lag
         lags_s = step_s * np.arange(n_bins, dtype=np.float64)
-        fading = np.stack([_fading(lags_s, time_s) for time_s in times_of_fading_s])
+        white = np.where(lags_s > 0.0, 0.0, 1.0)
+        fading = np.stack([white, *(np.exp(-lags_s / time_s) for time_s in rules.fading_s)])
         values = np.zeros((n_bins, p + 2))
         np.add.at(values, bins, np.column_stack([Q[part], left_px[part], np.ones(len(bins))]))
         spectra = np.fft.rfft(values, size_fft, axis=0)
@@ -176,7 +156,9 @@ def _gradient_covariance(
         there = values[:, p + 1, None] * spread
         products += np.einsum("kti,lti->kl", there, spread)
     expected = traces - 2.0 * products + np.einsum("kij,lij->kl", projected, projected)
-    amounts = _least_squares_positive(expected, forms)
+    diagonal = np.diag(expected)  # rows and columns are scaled alike, to one of ones
+    scales = np.sqrt(np.maximum(diagonal, 1e-12 * max(np.max(diagonal), 1e-300)))
+    amounts = _best_positive(expected / np.outer(scales, scales), forms / scales) / scales
     variance = float(np.sum(amounts))
     if not variance > 0.0:
         return np.zeros((p, p)), 0.0
@@ -187,39 +169,22 @@ def _gradient_covariance(
 def _common_factor(times_s: Array, effects: Array, rules: FitRules) -> float:
     """Variance of a sum of effects (n,), over what it were with independent series."""
     apart = sum(
-        _sum_variance(times_s[part], effects[part], rules.fading_s)[0][0, 0]
-        for part, _, _ in _series(times_s)
+        _sum_variance(times_s[part], effects[part], rules)[0] for part, _, _ in _series(times_s)
     )
     if not apart > 0.0:
         return 1.0
-    together = _sum_variance(times_s, effects, rules.fading_s)[0][0, 0]
+    together = _sum_variance(times_s, effects, rules)[0]
     return max(float(together / apart), rules.least_common)
 
 
-def _clock_variance(
-    times_s: Array, Q: Array, left_px: Array, apart: Array, fading_s: tuple[float, ...]
-) -> tuple[Array, float]:
-    """As `_gradient_covariance` of some gradients, their sum at an instant being the process."""
-    # What it is with independent series, `apart` (p, p), gives the correlations.
-    found = [_sum_variance(times_s, column * left_px, fading_s) for column in Q.T]
-    if len(found) == 1:
-        return found[0]
-    variances = np.array([variance[0, 0] for variance, _ in found])
-    deviations = np.sqrt(variances / np.maximum(np.diag(apart), 1e-300))
-    return apart * np.outer(deviations, deviations), min(independent for _, independent in found)
-
-
-def _sum_variance(
-    times_s: Array, effects: Array, fading_s: tuple[float, ...]
-) -> tuple[Array, float]:
-    """Variance (1, 1) of the sum of a process (n,), and how many independent values have it."""
+def _sum_variance(times_s: Array, effects: Array, rules: FitRules) -> tuple[float, float]:
+    """Variance of the sum of a process (n,), and how many independent values have it."""
     instants_s, places = np.unique(times_s, return_inverse=True)
     m = len(instants_s)
     sums = np.bincount(places, effects, m)
-    variance, independent = _gradient_covariance(
-        instants_s, np.full((m, 1), m**-0.5), sums - np.mean(sums), fading_s
-    )
-    return m * variance, independent
+    ones = np.full((m, 1), m**-0.5)
+    variance, independent = _gradient_covariance(instants_s, ones, sums - np.mean(sums), rules)
+    return m * variance[0, 0], independent
 
 
 def _series(times_s: Array) -> list[tuple[slice, NDArray[np.int64], float]]:
@@ -233,19 +198,6 @@ def _series(times_s: Array) -> list[tuple[slice, NDArray[np.int64], float]]:
         bins = np.rint(since_s / step_s).astype(np.int64)
         found.append((slice(start, end), bins, step_s))
     return found
-
-
-def _fading(lags_s: Array, time_s: float) -> Array:
-    """Correlation at lags from 0 on."""
-    return np.exp(-lags_s / time_s) if time_s > 0.0 else np.where(lags_s > 0.0, 0.0, 1.0)
-
-
-def _least_squares_positive(A: Array, b: Array) -> Array:
-    """Solve min |A x - b| with x >= 0, for few unknowns."""
-    # Rows and columns are first scaled, as A is symmetric, to a diagonal of ones.
-    diagonal = np.diag(A)
-    scales = np.sqrt(np.maximum(diagonal, 1e-12 * max(np.max(diagonal), 1e-300)))
-    return np.asarray(_best_positive(A / np.outer(scales, scales), b / scales) / scales)
 
 
 @numba.njit(cache=True)

@@ -16,19 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssac.camera import Camera, Rig, distort_points
-from ssac.fit.covariance import repeats
-from ssac.fit.least_squares import (
-    Column,
-    Parameters,
-    Prior,
-    Problem,
-    Residuals,
-    covariance_of,
-    fair_scales,
-    hidden_covariance,
-    linearise,
-)
-from ssac.geometry.epipolar import cauchy_weights, fundamental_from_pose, robust_deviation
+from ssac.fit.least_squares import Column, Parameters, Prior, Problem, Residuals, linearise
+from ssac.geometry.epipolar import fundamental_from_pose, robust_deviation
 
 Array = NDArray[np.float64]
 
@@ -44,12 +33,12 @@ class Uncertain:
 
 def uncertain_ones(rig: Rig) -> tuple[Uncertain, ...]:
     """Numbers of both cameras that are not exact."""
-    found = []
-    for n, camera in enumerate((rig.cam1, rig.cam2)):
-        for place, std_px in enumerate(camera.intrinsics_std_px):
-            focal_px = float(camera.K[place % 2, place % 2])
-            found += [Uncertain(n, place, std_px / focal_px)] if std_px > 0.0 else []
-    return tuple(found)
+    return tuple(
+        Uncertain(n, place, std_px / float(camera.K[place % 2, place % 2]))
+        for n, camera in enumerate((rig.cam1, rig.cam2))
+        for place, std_px in enumerate(camera.intrinsics_std_px)
+        if std_px > 0.0
+    )
 
 
 class Allowance:
@@ -61,14 +50,9 @@ class Allowance:
 
     def __init__(self, rig: Rig, has_priors: bool = False) -> None:
         self._uncertain = uncertain_ones(rig)
-        self._has_priors = has_priors or bool(self._uncertain)
-        self._clock_px: Array | None = None  # (m,) what its priors' deviations count as
+        self._scales_px: Array | None = None  # (m,) what deviations of a clock's priors count as
         self._intrinsics_px = 0.0  # the same of the intrinsics
-
-    @property
-    def is_made(self) -> bool:
-        """Whether problems now have all that is to be allowed for."""
-        return not self._has_priors or self._clock_px is not None
+        self.is_made = not (has_priors or self._uncertain)  # nothing is missing in problems now
 
     def learn(self, problem: Problem, parameters: Parameters) -> None:
         """Take from a fit, whose loss turns where the last one's will, what priors weigh.
@@ -81,38 +65,29 @@ class Allowance:
         if self.is_made:
             return
         residuals = linearise(problem, parameters)
-        weights = cauchy_weights(residuals.distances_px, problem.turn)[0]
-        repeated = repeats(
-            residuals.times_s,
-            residuals.jacobian[:, problem.free],
-            weights * residuals.distances_px,
-            problem.rules,
-        )
-        self._intrinsics_px = np.sqrt(repeated) * robust_deviation(residuals.distances_px)
-        self._clock_px = np.full(len(problem.priors), self._intrinsics_px)
+        scale_px = np.sqrt(residuals.repeats()) * robust_deviation(residuals.distances_px)
+        self._intrinsics_px, self.is_made = scale_px, True
+        self._scales_px = np.full(len(problem.priors), scale_px)
         if len(problem.of_clock) > 1:
             skew = replace(problem, columns=problem.columns[:1], priors=problem.priors[:1])
-            alone = replace(residuals, jacobian=residuals.jacobian[:, : skew.size])
-            self._clock_px[0] = fair_scales(skew, alone)[-1]
+            jacobian = residuals.jacobian[:, : skew.size]
+            alone = replace(residuals, problem=skew, jacobian=jacobian)
+            self._scales_px[0] = alone.fair_scales()[-1]
 
     def added(self, problem: Problem) -> Problem:
         """Add what its priors weigh, and the uncertain intrinsics, to a problem, once known."""
-        if self._clock_px is None:
+        if self._scales_px is None:
             return problem
-        first = problem.size
         of_clock = [
             replace(prior, scale_px=float(scale_px))
-            for prior, scale_px in zip(problem.priors, self._clock_px, strict=True)
+            for prior, scale_px in zip(problem.priors, self._scales_px, strict=True)
         ]
         of_cameras = [
-            Prior(first + k, 0.0, one.deviation, self._intrinsics_px)
+            Prior(problem.size + k, 0.0, one.deviation, self._intrinsics_px)
             for k, one in enumerate(self._uncertain)
         ]
-        return replace(
-            problem,
-            columns=(*problem.columns, *columns_of(problem)),
-            priors=(*of_clock, *of_cameras),
-        )
+        columns = (*problem.columns, *columns_of(problem))
+        return replace(problem, columns=columns, priors=(*of_clock, *of_cameras))
 
 
 def columns_of(problem: Problem) -> tuple[Column, ...]:
@@ -154,26 +129,24 @@ def moves_of(camera: Camera, points_px: Array) -> Array:
 
 def fundamental_of(problem: Problem, parameters: Parameters) -> Array:
     """F (3, 3) of the undistorted points as they came, with the intrinsics that were found."""
-    cameras = [problem.rig.cam1.K.copy(), problem.rig.cam2.K.copy()]
-    n = _n_columns(problem)
+    Ks, n = [problem.rig.cam1.K.copy(), problem.rig.cam2.K.copy()], problem.n_of_cameras
     values = parameters.columns[len(parameters.columns) - n :]
     for one, value in zip(uncertain_ones(problem.rig)[:n], values, strict=True):
-        K, axis = cameras[one.camera], one.place % 2
+        K, axis = Ks[one.camera], one.place % 2
         K[axis, axis if one.place < 2 else 2] += value * K[axis, axis]
-    return fundamental_from_pose(cameras[0], cameras[1], parameters.R, parameters.t)
+    return fundamental_from_pose(Ks[0], Ks[1], parameters.R, parameters.t)
 
 
-def evidence(
-    problem: Problem, residuals: Residuals, parameters: Parameters, hidden_px: Array | None = None
-) -> float:
+def evidence(residuals: Residuals, hidden_px: Array | None = None) -> float:
     """Give how many deviations the intrinsics that fit best are from those of the rig.
 
     Of each combination that the views tell, the value that fits best by itself is compared with its
     deviation: the prior's and that of the fit together. It is 0 without what `Allowance` adds, and
     with a known pose too, where a bias of the positions, or of the pose, speaks as loud as one of
-    the intrinsics. Hidden errors are as for `hidden_covariance`.
+    the intrinsics. Hidden errors are as for `Residuals.hidden_covariance`.
     """
-    n = _n_columns(problem)
+    problem = residuals.problem
+    n = problem.n_of_cameras
     if n == 0 or problem.pose_is_known:
         return 0.0
     first = problem.size - n
@@ -182,25 +155,17 @@ def evidence(
     effects = residuals.jacobian[:, first:] * deviations
     left = effects - others @ np.linalg.lstsq(others, effects)[0]
     _, sizes, axes = np.linalg.svd(left, full_matrices=False)
-    roots = np.sqrt(cauchy_weights(residuals.distances_px, problem.turn)[0])
-    worst = 0.0
-    told = problem.rules.told_combinations
+    roots = np.sqrt(residuals.weights[0])
+    # One combination in place of all, and without a prior.
+    one = replace(problem, columns=problem.columns[: 1 - n or None], priors=problem.priors[:-n])
+    told, worst = problem.rules.told_combinations, 0.0
     for axis in axes[:told][sizes[:told] > 1e-6 * sizes[0]]:  # less is told by nothing
-        # One combination in place of all, and without a prior.
-        one = replace(problem, columns=problem.columns[: 1 - n or None], priors=problem.priors[:-n])
-        alone = replace(
-            residuals, jacobian=np.column_stack([residuals.jacobian[:, :first], effects @ axis])
-        )
-        free = alone.jacobian[:, one.free]
-        step = np.linalg.lstsq(roots[:, None] * free, -roots * residuals.distances_px)[0][-1]
-        covariance = covariance_of(one, alone)
+        jacobian = np.column_stack([residuals.jacobian[:, :first], effects @ axis])
+        alone = replace(residuals, problem=one, jacobian=jacobian)
+        step = np.linalg.lstsq(roots[:, None] * alone.free, -roots * residuals.distances_px)[0][-1]
+        covariance = alone.covariance()
         if hidden_px is not None:
-            covariance = covariance + hidden_covariance(one, alone, hidden_px)
-        value = float(axis @ (parameters.columns[-n:] / deviations) + step)
+            covariance = covariance + alone.hidden_covariance(hidden_px)
+        value = float(axis @ (residuals.parameters.columns[-n:] / deviations) + step)
         worst = max(worst, abs(value) / float(np.sqrt(1.0 + covariance[-1, -1])))
     return worst
-
-
-def _n_columns(problem: Problem) -> int:
-    """How many of a problem's columns, the last ones, are of intrinsics."""
-    return sum(column.is_of_camera for column in problem.columns)

@@ -16,21 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssac.camera import Rig
-from ssac.fit.covariance import (
-    PRIOR,
-    bounded_inverse,
-    correlated_covariance,
-    mapped_covariance,
-    mean_curvature,
-)
-from ssac.geometry.epipolar import (
-    CAUCHY,
-    cauchy_weights,
-    fundamental_from_pose,
-    robust_deviation,
-    sampson_derivative,
-    sampson_distance,
-)
+from ssac.fit import covariance
+from ssac.geometry import epipolar
 from ssac.geometry.pose import moved_pose, pose_jacobian
 from ssac.rules import FitRules
 
@@ -42,8 +29,6 @@ T_D = 0
 
 FIRST_COLUMN = 6
 """Place of the first column's value; the pose's five changes stand between."""
-
-_NO_CHANGE = np.zeros((3, 3))
 
 
 @dataclass(frozen=True)
@@ -103,15 +88,7 @@ class Problem:
     pose_is_known: bool = False  # it stays as it is
     columns: tuple[Column, ...] = ()
     priors: tuple[Prior, ...] = ()
-    turn: float = CAUCHY  # where the loss turns, in robust standard deviations
-
-    def __post_init__(self) -> None:
-        for prior in self.priors:
-            if prior.place != T_D and not FIRST_COLUMN <= prior.place < self.size:
-                raise ValueError(
-                    f"a prior is of the offset (place {T_D}) or of a column (from {FIRST_COLUMN}"
-                    f" up to {self.size - 1}), got place {prior.place}"
-                )
+    turn: float = epipolar.CAUCHY  # where the loss turns, in robust standard deviations
 
     @property
     def size(self) -> int:
@@ -130,16 +107,125 @@ class Problem:
         more = [k for k, column in enumerate(self.columns, FIRST_COLUMN) if column.is_of_clock]
         return [T_D, *more]
 
+    @property
+    def n_of_cameras(self) -> int:
+        """How many of the columns, the last ones, are of intrinsics."""
+        return sum(column.is_of_camera for column in self.columns)
+
 
 @dataclass(frozen=True)
 class Residuals:
-    """What is left of n pairs, and its derivatives by all parameters."""
+    """What is left of a problem's n pairs at some parameters, and its derivatives by all of them.
 
-    times_s: Array  # (n,) camera 1's clock
+    Free parameters are f of the p, and priors q.
+    """
+
+    problem: Problem
+    parameters: Parameters
+    F: Array  # (3, 3) of the points, with all that moves them
     p1_px: Array  # (n, 2)
     p2_px: Array  # (n, 2)
     distances_px: Array  # (n,) signed, times the pair's weight, whose median is 1
     jacobian: Array  # (n, p) [px per unit of the parameter]
+
+    @property
+    def weights(self) -> tuple[Array, Array]:
+        """First derivative over residual, and second derivative, of the loss: both (n,)."""
+        return epipolar.cauchy_weights(self.distances_px, self.problem.turn)
+
+    @property
+    def free(self) -> Array:
+        """Derivatives (n, f) by the parameters that are estimated."""
+        return self.jacobian[:, self.problem.free]
+
+    def system(self) -> tuple[Array, Array]:
+        """Give the rows (n + q, f) of the next step of the free parameters, and its target.
+
+        The first n are of the residuals, times the roots of their weights, the others of priors.
+        """
+        problem, parameters = self.problem, self.parameters
+        root_weights = np.sqrt(self.weights[0])
+        system = root_weights[:, None] * self.free
+        target = -root_weights * self.distances_px
+        if not problem.priors:
+            return system, target
+        pose = np.zeros(FIRST_COLUMN - 1)
+        values = np.concatenate([[parameters.t_d_s], pose, parameters.columns])
+        means = np.zeros(problem.size)
+        for prior in problem.priors:
+            means[prior.place] = prior.value
+        rows = self._prior_rows()
+        system = np.vstack([system, rows[:, problem.free]])
+        return system, np.append(target, rows @ (means - values))
+
+    def covariance(self, lessens: bool = True) -> Array:
+        """Covariance (f, f) of the free parameters, for errors that the residuals show.
+
+        The parameters are the solution; `lessens` is as for `correlated_covariance`.
+        """
+        problem, (weights, curvatures) = self.problem, self.weights
+        deviations = np.full(problem.size, covariance.PRIOR)
+        scales_px = np.full(problem.size, np.nan)
+        for prior in problem.priors:
+            deviations[prior.place], scales_px[prior.place] = prior.deviation, prior.scale_px
+        return covariance.correlated_covariance(
+            problem.pairs.times_s,
+            self.free,
+            weights * self.distances_px,
+            curvatures,
+            problem.rules,
+            deviations[problem.free],
+            scales_px[problem.free],
+            np.flatnonzero([place in problem.of_clock for place in problem.free]),
+            lessens,
+        )
+
+    def hidden_covariance(self, errors_px: Array) -> Array:
+        """Covariance (f, f) of the free parameters, of errors that no residual shows.
+
+        One deviation of each error changes the distances by its column of `errors_px` (n, m).
+        """
+        system = self.free
+        if self.problem.priors:
+            rows = self._prior_rows()[:, self.problem.free]
+            system = np.vstack([system, rows])
+            errors_px = np.vstack([errors_px, np.zeros((len(rows), errors_px.shape[1]))])
+        moved = np.linalg.lstsq(system, errors_px)[0]
+        return np.asarray(moved @ moved.T)
+
+    def fair_scales(self) -> Array:
+        """Give what one deviation of a prior is to count as, by free parameter: shape (f,) [px].
+
+        Residuals whose errors are correlated tell less of a parameter than so many independent
+        ones, and of each another share of it, by how its derivative goes with time. With these
+        scales a prior and the data share in a parameter by their variances. The problem's own
+        priors do not count.
+        """
+        plain = replace(self, problem=replace(self.problem, priors=()))
+        variances, rules = np.diag(plain.covariance()), self.problem.rules
+        curvatures = self.weights[1]
+        Q, triangle = np.linalg.qr(self.free)
+        curvature = covariance.mean_curvature(curvatures, rules)
+        inverse = covariance.bounded_inverse(Q.T @ (curvatures[:, None] * Q), curvature, rules)
+        back = np.linalg.pinv(triangle)
+        independent = np.einsum("ij,jk,ik->i", back, inverse, back)  # variances, of errors of 1 px
+        return np.asarray(np.sqrt(variances / np.maximum(independent, np.finfo(np.float64).tiny)))
+
+    def repeats(self) -> float:
+        """How many of the residuals tell as much as an independent one, at least 1."""
+        slopes_px = self.weights[0] * self.distances_px
+        times_s, rules = self.problem.pairs.times_s, self.problem.rules
+        return covariance.repeats(times_s, self.free, slopes_px, rules)
+
+    def _prior_rows(self) -> Array:
+        """Give the priors' rows (q, p) of the system."""
+        priors = self.problem.priors
+        places = [prior.place for prior in priors]
+        deviations = np.array([prior.deviation for prior in priors])
+        scales_px = np.array([prior.scale_px for prior in priors])
+        independent = epipolar.robust_deviation(self.distances_px)
+        scales_px = np.where(np.isfinite(scales_px), scales_px, independent)
+        return np.asarray(np.eye(self.problem.size)[places] * (scales_px / deviations)[:, None])
 
 
 def linearise(problem: Problem, parameters: Parameters) -> Residuals:
@@ -150,25 +236,17 @@ def linearise(problem: Problem, parameters: Parameters) -> Residuals:
     for column, value in zip(problem.columns, parameters.columns, strict=True):
         value -= column.at
         p1, p2 = p1 + value * column.dp1_px, p2 + value * column.dp2_px
-    F = fundamental_from_pose(K1, K2, R, t)
-    jacobian = np.column_stack(
-        [
-            sampson_derivative(F, _NO_CHANGE, p1, p2, pairs.v2_px_s),
-            pose_jacobian(R, t, K1, K2, p1, p2, F),
-            *(
-                sampson_derivative(F.T, _NO_CHANGE, p2, p1, column.dp1_px)
-                + sampson_derivative(F, _NO_CHANGE, p1, p2, column.dp2_px)
-                for column in problem.columns
-            ),
-        ]
-    )
-    return Residuals(
-        pairs.times_s,
-        p1,
-        p2,
-        pairs.weights * sampson_distance(F, p1, p2),
-        pairs.weights[:, None] * jacobian,
-    )
+    F = epipolar.fundamental_from_pose(K1, K2, R, t)
+    by_columns = [
+        epipolar.sampson_derivative(F.T, p2, p1, column.dp1_px)
+        + epipolar.sampson_derivative(F, p1, p2, column.dp2_px)
+        for column in problem.columns
+    ]
+    by_offset = epipolar.sampson_derivative(F, p1, p2, pairs.v2_px_s)
+    jacobian = np.column_stack([by_offset, pose_jacobian(R, t, K1, K2, p1, p2, F), *by_columns])
+    jacobian = pairs.weights[:, None] * jacobian
+    distances_px = pairs.weights * epipolar.sampson_distance(F, p1, p2)
+    return Residuals(problem, parameters, F, p1, p2, distances_px, jacobian)
 
 
 def moved(parameters: Parameters, step: Array) -> Parameters:
@@ -184,7 +262,7 @@ class Solution:
     """Where the iteration ended."""
 
     parameters: Parameters
-    converged: bool  # it ended by itself
+    converged: bool  # it ended by itself, or all steps were asked for
     change: Array  # (p,) of the parameters, from the start on
     last_step: Array  # (p,) of the change
 
@@ -200,102 +278,19 @@ def solve(
     Columns that the start lacks begin at zero. A step whose norm [s, rad, and the columns' units]
     is below `last_step` ends the iteration; at 0 all steps are made.
     """
-    parameters = _with_columns(start, problem)
-    free = problem.free
+    columns = np.zeros(len(problem.columns))
+    kept = start.columns[: len(columns)]
+    columns[: len(kept)] = kept
+    parameters, free = replace(start, columns=columns), problem.free
     change: Array = np.zeros(problem.size)
-    step: Array = np.zeros(problem.size)
+    step = change
     for _ in range(max_steps):
-        residuals = linearise(problem, parameters)
-        system, target = weighed_system(problem, parameters, residuals)
         step = np.zeros(problem.size)
-        step[free] = _least_squares(system, target)
+        step[free] = _least_squares(*linearise(problem, parameters).system())
         parameters, change = moved(parameters, step), change + step
         if np.linalg.norm(step) < last_step:
             return Solution(parameters, True, change, step)
-    return Solution(parameters, False, change, step)
-
-
-def weighed_system(
-    problem: Problem, parameters: Parameters, residuals: Residuals
-) -> tuple[Array, Array]:
-    """Give the rows (n + q, f) of the next step of the f free parameters, and its target (n + q,).
-
-    The first n are of the residuals, times the roots of their weights, the others of the priors.
-    """
-    root_weights = np.sqrt(cauchy_weights(residuals.distances_px, problem.turn)[0])
-    system = root_weights[:, None] * residuals.jacobian[:, problem.free]
-    target = -root_weights * residuals.distances_px
-    if not problem.priors:
-        return system, target
-    rows = _prior_weights(problem, residuals)
-    values = np.concatenate([[parameters.t_d_s], np.zeros(FIRST_COLUMN - 1), parameters.columns])
-    means = np.zeros(problem.size)
-    for prior in problem.priors:
-        means[prior.place] = prior.value
-    system = np.vstack([system, rows[:, problem.free]])
-    return system, np.append(target, rows @ (means - values))
-
-
-def covariance_of(problem: Problem, residuals: Residuals, lessens: bool = True) -> Array:
-    """Covariance (f, f) of the f free parameters, for errors that the residuals show.
-
-    Residuals are those at the solution; `lessens` is as for `correlated_covariance`.
-    """
-    weights, curvatures = cauchy_weights(residuals.distances_px, problem.turn)
-    deviations, scales_px = np.full(problem.size, PRIOR), np.full(problem.size, np.nan)
-    for prior in problem.priors:
-        deviations[prior.place], scales_px[prior.place] = prior.deviation, prior.scale_px
-    return correlated_covariance(
-        residuals.times_s,
-        residuals.jacobian[:, problem.free],
-        weights * residuals.distances_px,
-        curvatures,
-        problem.rules,
-        deviations[problem.free],
-        scales_px[problem.free],
-        np.flatnonzero([place in problem.of_clock for place in problem.free]),
-        lessens,
-    )
-
-
-def fair_scales(problem: Problem, residuals: Residuals) -> Array:
-    """Give what one deviation of a prior is to count as, by free parameter: shape (f,) [px].
-
-    Residuals whose errors are correlated tell less of a parameter than so many independent ones,
-    and of each another share of it, by how its derivative goes with time. With these scales a prior
-    and the data share in a parameter by their variances. The problem's own priors do not count.
-    """
-    variances = np.diag(covariance_of(replace(problem, priors=()), residuals))
-    curvatures = cauchy_weights(residuals.distances_px, problem.turn)[1]
-    Q, triangle = np.linalg.qr(residuals.jacobian[:, problem.free])
-    rules = problem.rules
-    curvature = mean_curvature(curvatures, rules)
-    inverse = bounded_inverse(Q.T @ (curvatures[:, None] * Q), curvature, rules)
-    back = np.linalg.pinv(triangle)
-    independent = np.einsum("ij,jk,ik->i", back, inverse, back)  # variances, of residuals of 1 px
-    return np.asarray(np.sqrt(variances / np.maximum(independent, np.finfo(np.float64).tiny)))
-
-
-def hidden_covariance(problem: Problem, residuals: Residuals, errors_px: Array) -> Array:
-    """Covariance (f, f) of the f free parameters, of errors that no residual shows.
-
-    One deviation of each error changes the distances by its column of `errors_px` (n, m).
-    """
-    system = residuals.jacobian[:, problem.free]
-    if problem.priors:
-        rows = _prior_weights(problem, residuals)[:, problem.free]
-        system = np.vstack([system, rows])
-        errors_px = np.vstack([errors_px, np.zeros((len(rows), errors_px.shape[1]))])
-    return mapped_covariance(system, errors_px)
-
-
-def still_moves(change: Array, problem: Problem, covariance: Array) -> bool:
-    """Whether iterations that ran out have not come to rest, as far as it matters.
-
-    The change (p,) is of the last one, the covariance (f, f) of the free parameters.
-    """
-    deviations = np.sqrt(np.diag(covariance))
-    return bool(np.any(np.abs(change[problem.free]) > problem.rules.max_last_change * deviations))
+    return Solution(parameters, last_step == 0.0, change, step)
 
 
 def _least_squares(system: Array, target: Array) -> Array:
@@ -339,22 +334,3 @@ def _product(one: Array, other: Array) -> float:
     for i in range(len(one)):
         total += one[i] * other[i]
     return total
-
-
-def _with_columns(start: Parameters, problem: Problem) -> Parameters:
-    if len(start.columns) == len(problem.columns):
-        return start
-    columns = np.zeros(len(problem.columns))
-    kept = start.columns[: len(columns)]
-    columns[: len(kept)] = kept
-    return Parameters(start.t_d_s, start.R, start.t, columns)
-
-
-def _prior_weights(problem: Problem, residuals: Residuals) -> Array:
-    """Give the priors' rows (q, p) of the system."""
-    places = [prior.place for prior in problem.priors]
-    deviations = np.array([prior.deviation for prior in problem.priors])
-    scales_px = np.array([prior.scale_px for prior in problem.priors])
-    independent = robust_deviation(residuals.distances_px)
-    scales_px = np.where(np.isfinite(scales_px), scales_px, independent)
-    return np.asarray(np.eye(problem.size)[places] * (scales_px / deviations)[:, None])

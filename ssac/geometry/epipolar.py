@@ -15,11 +15,8 @@ Matrix = NDArray[np.float64]
 Entries = Matrix | Sequence[float]
 T = TypeVar("T", float, Matrix)
 
-CAUCHY = 2.385
-"""Where Cauchy's loss turns, in robust standard deviations: 95 % efficiency on Gaussian noise."""
-
-TO_DEVIATION = 1.4826
-"""From the median absolute value of Gaussian noise to its standard deviation."""
+CAUCHY = 2.385  # robust deviations where Cauchy's loss turns: 95 % efficiency on Gaussian noise
+TO_DEVIATION = 1.4826  # from the median absolute value of Gaussian noise to its deviation
 
 
 def robust_deviation(residuals: Matrix) -> float:
@@ -102,19 +99,14 @@ def sampson_distance(F: Matrix, p1_px: Matrix, p2_px: Matrix) -> Matrix:
     return np.asarray(products / np.linalg.norm(np.stack(gradients), axis=0))
 
 
-def sampson_derivative(
-    F: Matrix, dF: Matrix, p1_px: Matrix, p2_px: Matrix, dp2_px: Matrix
-) -> Matrix:
-    """Differentiate `sampson_distance` (N,), with F and p2 moving at the rates dF and dp2."""
+def sampson_derivative(F: Matrix, p1_px: Matrix, p2_px: Matrix, dp2_px: Matrix) -> Matrix:
+    """Differentiate `sampson_distance` (N,), with p2 moving at the rate dp2."""
     points = (np.ascontiguousarray(points_px) for points_px in (p1_px, p2_px, dp2_px))
-    return np.asarray(_derivatives(F.ravel(), dF.ravel(), *points))
+    return np.asarray(_derivatives(F.ravel(), *points))
 
 
 def sampson_gradient(F: Matrix, p1_px: Matrix, p2_px: Matrix) -> Matrix:
-    """Differentiate `sampson_distance` by the entries of F: (N, 3, 3).
-
-    Its sum with dF over both indices is `sampson_derivative` by dF.
-    """
+    """Differentiate `sampson_distance` by the entries of F: (N, 3, 3)."""
     points = (np.ascontiguousarray(points_px) for points_px in (p1_px, p2_px))
     return np.asarray(_by_entries(F.ravel(), *points))
 
@@ -125,17 +117,16 @@ _terms: Callable[..., tuple[float, float, float, float, float]] = numba.njit(cac
 
 
 @numba.njit(cache=True, error_model="numpy")  # no line at an epipole: NaN, not an exception
-def _derivatives(f: Matrix, df: Matrix, p1: Matrix, p2: Matrix, dp2: Matrix) -> Matrix:
+def _derivatives(f: Matrix, p1: Matrix, p2: Matrix, dp2: Matrix) -> Matrix:
     found = np.empty(len(p1))
     for i in range(len(p1)):
         u1, v1, u2, v2, du2, dv2 = p1[i, 0], p1[i, 1], p2[i, 0], p2[i, 1], dp2[i, 0], dp2[i, 1]
         product, a2, b2, a1, b1 = _terms(f, u1, v1, u2, v2)
-        d_product, d_a2, d_b2, d_a1, d_b1 = _terms(df, u1, v1, u2, v2)
-        d_product += a2 * du2 + b2 * dv2
-        d_a1 += f[0] * du2 + f[3] * dv2
-        d_b1 += f[1] * du2 + f[4] * dv2
+        d_product = a2 * du2 + b2 * dv2
+        d_a1 = f[0] * du2 + f[3] * dv2
+        d_b1 = f[1] * du2 + f[4] * dv2
         norm = np.sqrt(a2 * a2 + b2 * b2 + a1 * a1 + b1 * b1)
-        d_norm = (a2 * d_a2 + b2 * d_b2 + a1 * d_a1 + b1 * d_b1) / norm
+        d_norm = (a1 * d_a1 + b1 * d_b1) / norm
         found[i] = (d_product - product / norm * d_norm) / norm
     return found
 
@@ -149,10 +140,8 @@ def _by_entries(f: Matrix, p1: Matrix, p2: Matrix) -> Matrix:
         norm = np.sqrt(a2 * a2 + b2 * b2 + a1 * a1 + b1 * b1)
         ratio = product / norm**2
         x1, x2 = (u1, v1, 1.0), (u2, v2, 1.0)
-        by_line_2, by_line_1 = (
-            (u2 - ratio * a2, v2 - ratio * b2, 1.0),
-            (ratio * a1, ratio * b1, 0.0),
-        )
+        by_line_2 = (u2 - ratio * a2, v2 - ratio * b2, 1.0)
+        by_line_1 = (ratio * a1, ratio * b1, 0.0)
         for row in range(3):
             for column in range(3):
                 entry = by_line_2[row] * x1[column] - x2[row] * by_line_1[column]

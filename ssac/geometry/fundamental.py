@@ -45,7 +45,8 @@ def best_subset(x1: Matrix, x2: Matrix, uniform: Matrix) -> Matrix:
         n_subsets = min(_SIDE_BY_SIDE, len(uniform) - first)
         for m in range(n_subsets):
             _draw(uniform[first + m], n, subsets[m])
-            _fill_in(x1, x2, subsets[m], systems, m)
+            for row in range(8):
+                _monomials(x1, x2, subsets[m, row], systems[row, :, m])
         _solve_side_by_side(systems, solutions, least_pivots, work)
         for m in range(n_subsets):
             limit = wider * best_median + floor
@@ -90,17 +91,6 @@ def in_blocks(x1: Matrix, x2: Matrix) -> Matrix:
         block[0, place], block[1, place] = x1[0, i], x1[1, i]
         block[2, place], block[3, place] = x2[0, i], x2[1, i]
     return blocks
-
-
-@numba.njit(cache=True)
-def _fill_in(x1: Matrix, x2: Matrix, subset: NDArray[np.int64], systems: Matrix, m: int) -> None:
-    """Fill in the system (8, 9) of subset m, as of `_monomials`."""
-    for row in range(8):
-        i, of_row = subset[row], systems[row]
-        u1, v1, u2, v2 = x1[0, i], x1[1, i], x2[0, i], x2[1, i]
-        of_row[0, m], of_row[1, m], of_row[2, m] = u2 * u1, u2 * v1, u2
-        of_row[3, m], of_row[4, m], of_row[5, m] = v2 * u1, v2 * v1, v2
-        of_row[6, m], of_row[7, m], of_row[8, m] = u1, v1, 1.0
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz"})

@@ -12,14 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from ssac.camera import Rig
-from ssac.geometry.epipolar import (
-    cross_matrix,
-    essential_from_fundamental,
-    fundamental_from_essential,
-    fundamental_from_pose,
-    sampson_distance,
-    sampson_gradient,
-)
+from ssac.geometry import epipolar
 from ssac.geometry.fundamental import reweighted_fundamental
 from ssac.rules import SearchRules
 
@@ -46,16 +39,15 @@ def pose_from_fundamental(
     about the pose. It is that of the closest true essential matrix: E's two singular values are
     made equal.
     """
-    U, _, Vt = np.linalg.svd(essential_from_fundamental(F, K1, K2))
+    U, _, Vt = np.linalg.svd(epipolar.essential_from_fundamental(F, K1, K2))
     W = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     rays1, rays2 = rays_of(K1, p1_px), rays_of(K2, p2_px)
     poses = []
     for turn in (W, W.T):
         R = U @ turn @ Vt
         R = R * np.sign(np.linalg.det(R))  # E's sign is free, so U's and Vt's determinants are too
-        poses += [
-            RelativePose(R, t, share_in_front(R, t, rays1, rays2)) for t in (U[:, 2], -U[:, 2])
-        ]
+        both = (U[:, 2], -U[:, 2])
+        poses += [RelativePose(R, t, share_in_front(R, t, rays1, rays2)) for t in both]
     return max(poses, key=lambda pose: pose.in_front)
 
 
@@ -68,12 +60,16 @@ def nearest_pose(
     from even over its entries, and `pose_from_fundamental` weighs them all alike; here the mean
     squared difference between the Sampson distances under the pose and under F is made least.
     """
-    target = sampson_distance(F, p1_px, p2_px)
-    start = sampson_distance(fundamental_from_pose(K1, K2, pose.R, pose.t), p1_px, p2_px)
+    target = epipolar.sampson_distance(F, p1_px, p2_px)
+    start = epipolar.sampson_distance(
+        epipolar.fundamental_from_pose(K1, K2, pose.R, pose.t), p1_px, p2_px
+    )
     target = target * np.sign(target @ start)  # F's sign is free
     R, t = pose.R, pose.t
     for _ in range(10):
-        distances = sampson_distance(fundamental_from_pose(K1, K2, R, t), p1_px, p2_px)
+        distances = epipolar.sampson_distance(
+            epipolar.fundamental_from_pose(K1, K2, R, t), p1_px, p2_px
+        )
         jacobian = pose_jacobian(R, t, K1, K2, p1_px, p2_px)
         step = np.linalg.lstsq(jacobian, target - distances)[0]
         R, t = moved_pose(R, t, step)
@@ -89,11 +85,11 @@ def pose_jacobian(
 
     F is that of the pose, where it is known already.
     """
-    F = fundamental_from_pose(K1, K2, R, t) if F is None else F
-    dE = [cross_matrix(t) @ cross_matrix(axis) @ R for axis in np.eye(3)]
-    dE += [cross_matrix(direction) @ R for direction in tangent_basis(t)]
-    dF = fundamental_from_essential(np.stack(dE), K1, K2)
-    gradient = sampson_gradient(F, p1_px, p2_px)
+    F = epipolar.fundamental_from_pose(K1, K2, R, t) if F is None else F
+    dE = [epipolar.cross_matrix(t) @ epipolar.cross_matrix(axis) @ R for axis in np.eye(3)]
+    dE += [epipolar.cross_matrix(direction) @ R for direction in tangent_basis(t)]
+    dF = epipolar.fundamental_from_essential(np.stack(dE), K1, K2)
+    gradient = epipolar.sampson_gradient(F, p1_px, p2_px)
     return np.asarray(gradient.reshape(-1, 9) @ dF.reshape(5, 9).T)
 
 
@@ -105,17 +101,16 @@ def moved_pose(R: Array, t: Array, step: Array) -> tuple[Array, Array]:
 
 def tangent_basis(t: Array) -> Array:
     """Two unit vectors (2, 3), orthogonal to each other and to the unit vector t (3,)."""
+
+    def cross(a: Array, b: Array) -> Array:  # `np.cross` takes ten times as long
+        (x, y, z), (u, v, w) = a.tolist(), b.tolist()
+        return np.array([y * w - z * v, z * u - x * w, x * v - y * u])
+
     axis = np.zeros(3)
     axis[np.argmin(np.abs(t))] = 1.0
-    first = _cross(t, axis)
+    first = cross(t, axis)
     first /= np.linalg.norm(first)
-    return np.stack([first, _cross(t, first)])
-
-
-def _cross(a: Array, b: Array) -> Array:
-    """Give the cross product of two vectors (3,), for which `np.cross` takes ten times as long."""
-    (x, y, z), (u, v, w) = a.tolist(), b.tolist()
-    return np.array([y * w - z * v, z * u - x * w, x * v - y * u])
+    return np.stack([first, cross(t, first)])
 
 
 def depths(R: Array, t: Array, rays1: Array, rays2: Array) -> tuple[Array, Array]:
@@ -168,8 +163,8 @@ def possible_poses(p1_px: Array, p2_px: Array, rig: Rig, rules: SearchRules) -> 
     poses = [(R, t) for R, t in poses if share_in_front(R, t, x1, x2) >= rules.min_in_front]
 
     def distance_px(pose: Pose) -> float:
-        F = fundamental_from_pose(K1, K2, *pose)
-        return float(np.median(np.abs(sampson_distance(F, p1_px, p2_px))))
+        F = epipolar.fundamental_from_pose(K1, K2, *pose)
+        return float(np.median(np.abs(epipolar.sampson_distance(F, p1_px, p2_px))))
 
     return sorted(poses, key=distance_px)
 
@@ -211,10 +206,8 @@ class Pencil:
         return np.asarray(along / (sines**2 + cosines**2)[:, None])
 
     def _parts(self, points_px: Array) -> tuple[Array, Array]:
-        return (
-            points_px @ self.sine[:2] + self.sine[2],
-            points_px @ self.cosine[:2] + self.cosine[2],
-        )
+        sine, cosine = self.sine, self.cosine
+        return points_px @ sine[:2] + sine[2], points_px @ cosine[:2] + cosine[2]
 
 
 def pencils(R: Array, t: Array, K1: Array, K2: Array) -> tuple[Pencil, Pencil]:

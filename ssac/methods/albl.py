@@ -21,7 +21,7 @@ from ssac.geometry.epipolar import sampson_distance
 from ssac.geometry.fundamental import count_near, in_blocks, reweighted_fundamental, sampson
 from ssac.methods.algorithms import with_fit, with_pose
 from ssac.methods.method import method
-from ssac.rules import AlblRules
+from ssac.rules import AlblRules, Rules
 from ssac.search.offset_search import candidate_offsets
 from ssac.search.two_views import Pairs, TwoViews
 from ssac.track.motion import Track
@@ -37,6 +37,7 @@ class _Linearised:
     x2: Array  # (2, n)
     v2: Array  # (2, n) [1/s]
     px_per_unit: float
+    step_s: float  # of the secants
 
     def __len__(self) -> int:
         return self.x1.shape[1]
@@ -52,14 +53,6 @@ class _Linearised:
 
 
 @dataclass(frozen=True)
-class _Secants:
-    """Where p2 is some time after the times of pairs."""
-
-    ahead: Track  # (M, N)
-    step_s: float  # negative: before them
-
-
-@dataclass(frozen=True)
 class _Agreement:
     """The solution of nine pairs with which most pairs agree."""
 
@@ -70,6 +63,18 @@ class _Agreement:
     @property
     def inlier_share(self) -> float:
         return float(np.mean(self.inliers))
+
+    def polished(self, step_s: float) -> float:
+        """Shift [s] near the one found at which all its inliers agree best."""
+        A, B = (of_all[self.inliers] for of_all in self.pairs.constraints)
+        moments = A.T @ A, A.T @ B + B.T @ A, B.T @ B
+        polished = minimize_scalar(
+            lambda b: np.linalg.eigvalsh(moments[0] + b * moments[1] + b**2 * moments[2])[0],
+            args=(),
+            bounds=(self.shift_s - step_s, self.shift_s + step_s),
+            method="bounded",
+        )
+        return float(polished.x)
 
 
 @method("albl", "eigenvalue solver of Albl et al. (2017)", place=7)
@@ -86,7 +91,7 @@ def albl_of_views(views: TwoViews) -> Estimate:
     of that follow at the end, whether they gain inliers or not, as all pairs may be inliers some
     milliseconds off. They do not say when to distrust the result.
     """
-    rules, min_pairs = views.config.rules.albl, views.config.rules.search.min_pairs
+    rules, min_pairs = views.rules.albl, views.rules.search.min_pairs
     usable_s = candidate_offsets(views)
     if len(usable_s) == 0:
         low, high = views.config.offsets_s
@@ -142,13 +147,13 @@ def start_offsets(low_s: float, high_s: float, step_s: float) -> Array:
 
 def _start(views: TwoViews, starts_s: Array) -> float:
     """Choose the start [s] from which one linearisation makes inliers of most pairs."""
-    rules = views.config.rules.albl
-    best_s, best_share = float(starts_s[0]), 0.0
+    rules, best_s, best_share = views.rules.albl, float(starts_s[0]), 0.0
     pairs = views.pairs(starts_s)
     both = _secants(views, pairs, 0.5 * rules.start_step_s)
     for m, start_s in enumerate(starts_s.tolist()):
         rng = np.random.default_rng(views.config.seed)  # the same numbers for each start
-        found = _most_agreed(views, pairs, both, m, rng, best_share, rules.start_trials)
+        linearised = [_linearised(pairs, *secants, m) for secants in both]
+        found = _most_agreed(linearised, views.rules, rng, best_share, rules.start_trials)
         if found is not None:
             best_s, best_share = start_s, found.inlier_share
         if best_share == 1.0:  # none is better
@@ -157,62 +162,53 @@ def _start(views: TwoViews, starts_s: Array) -> float:
 
 
 def _best_shift(
-    views: TwoViews,
-    pairs: Pairs,
-    step_s: float,
-    rng: np.random.Generator,
-    share_to_exceed: float = 0.0,
+    views: TwoViews, pairs: Pairs, step_s: float, rng: np.random.Generator, to_exceed: float = 0.0
 ) -> tuple[float, float]:
     """Shift [s] of one offset with most inliers, by secants ahead or back, and their share."""
-    both, trials = _secants(views, pairs, step_s), views.config.rules.albl.trials
-    found = _most_agreed(views, pairs, both, 0, rng, share_to_exceed, trials)
-    return (0.0, 0.0) if found is None else (_polished(found, step_s), found.inlier_share)
+    both = [_linearised(pairs, *secants, 0) for secants in _secants(views, pairs, step_s)]
+    found = _most_agreed(both, views.rules, rng, to_exceed, views.rules.albl.trials)
+    return (0.0, 0.0) if found is None else (found.polished(step_s), found.inlier_share)
 
 
-def _secants(views: TwoViews, pairs: Pairs, step_s: float) -> list[_Secants]:
-    """Look where p2 is a step after its times, and a step before them."""
+def _secants(views: TwoViews, pairs: Pairs, step_s: float) -> list[tuple[Track, float]]:
+    """Look where p2 (M, N) is a step after its times, and a step before them."""
     clock_s = views.on_clock_2(pairs.times_s, pairs.t_d_s[:, None])
-    return [_Secants(views.motion2.at(clock_s + by_s), by_s) for by_s in (step_s, -step_s)]
+    return [(views.motion2.at(clock_s + by_s), by_s) for by_s in (step_s, -step_s)]
 
 
 def _most_agreed(
-    views: TwoViews,
-    pairs: Pairs,
-    both: list[_Secants],
-    m: int,
+    both: list[_Linearised],
+    rules: Rules,
     rng: np.random.Generator,
-    share_to_exceed: float,
+    to_exceed: float,
     trials: int,
 ) -> _Agreement | None:
-    """Find what more than a share of the pairs of offset m agree with, by either of the secants.
+    """Find what more than a share of the pairs of an offset agree with, by either of the secants.
 
     Nothing exceeds a share of 1, so there the solver is not run; what it would have drawn is passed
     over, so that no other draw depends on it.
     """
     best: _Agreement | None = None
-    best_share, rules = share_to_exceed, views.config.rules
-    for secants in both:
-        linearised = _linearised(pairs, secants, m)
+    for linearised in both:
         n = len(linearised)
         if n < max(rules.search.min_pairs, 9):
             continue
-        if best_share < 1.0:
-            step_s, numbers = abs(secants.step_s), rng.random((trials, n))
-            found = _ransac(linearised, step_s, numbers, best_share, rules.albl)
-            if found is not None and found.inlier_share > best_share:
-                best, best_share = found, found.inlier_share
+        if to_exceed < 1.0:
+            found = _ransac(linearised, rng.random((trials, n)), to_exceed, rules.albl)
+            if found is not None and found.inlier_share > to_exceed:
+                best, to_exceed = found, found.inlier_share
         else:
             cast(np.random.PCG64, rng.bit_generator).advance(trials * n)
     return best
 
 
-def _linearised(pairs: Pairs, secants: _Secants, m: int) -> _Linearised:
+def _linearised(pairs: Pairs, ahead: Track, step_s: float, m: int) -> _Linearised:
     """Pairs of offset m, with the mean velocity of p2 from t + t_d to t + t_d + step."""
-    valid, ahead_px = pairs.valid[m] & secants.ahead.valid[m], secants.ahead.positions_px[m]
-    points, squares = _centred(pairs.p1_px[m], pairs.p2_px[m], ahead_px, valid, secants.step_s)
+    valid, ahead_px = pairs.valid[m] & ahead.valid[m], ahead.positions_px[m]
+    points, squares = _centred(pairs.p1_px[m], pairs.p2_px[m], ahead_px, valid, step_s)
     unit_px = float(np.sqrt(np.mean(squares))) if squares.any() else 1.0
     x1, x2, v2 = points / unit_px
-    return _Linearised(x1, x2, v2, unit_px)
+    return _Linearised(x1, x2, v2, unit_px, abs(step_s))
 
 
 @numba.njit(cache=True)
@@ -237,11 +233,11 @@ def _centred(
 
 
 def _ransac(
-    pairs: _Linearised, step_s: float, numbers: Array, share_to_exceed: float, rules: AlblRules
+    pairs: _Linearised, numbers: Array, share_to_exceed: float, rules: AlblRules
 ) -> _Agreement | None:
     """Find the shift with most inliers over random subsets of nine pairs; None if these are few."""
     n, (A, B) = len(pairs), pairs.constraints
-    limit, longest_s = (rules.inlier_px / pairs.px_per_unit) ** 2, 2.0 * step_s
+    limit, longest_s = (rules.inlier_px / pairs.px_per_unit) ** 2, 2.0 * pairs.step_s
     # One subset per row of random numbers (T, n): the nine least of them.
     least = np.argpartition(numbers, 8, axis=1)[:, :9]
     order = np.argsort(np.take_along_axis(numbers, least, axis=1), axis=1)
@@ -330,16 +326,3 @@ def _most_inliers(
         if count > most:
             best, most = s, count
     return best, most
-
-
-def _polished(found: _Agreement, step_s: float) -> float:
-    """Shift [s] near the one found at which all its inliers agree best."""
-    A, B = (of_all[found.inliers] for of_all in found.pairs.constraints)
-    moments = A.T @ A, A.T @ B + B.T @ A, B.T @ B
-    polished = minimize_scalar(
-        lambda b: np.linalg.eigvalsh(moments[0] + b * moments[1] + b**2 * moments[2])[0],
-        args=(),
-        bounds=(found.shift_s - step_s, found.shift_s + step_s),
-        method="bounded",
-    )
-    return float(polished.x)

@@ -10,25 +10,16 @@ from numpy.typing import NDArray
 from ssac.camera import known_pose
 from ssac.estimate import Estimate, Refusal, Status
 from ssac.geometry.epipolar import cauchy_weights, epipolar_distance, fundamental_from_pose
-from ssac.geometry.fundamental import (
-    lmeds_fundamental,
-    magsac_fundamental,
-    reweighted_fundamental,
-)
+from ssac.geometry.fundamental import lmeds_fundamental, magsac_fundamental, reweighted_fundamental
 from ssac.geometry.pose import nearest_pose, pose_from_fundamental
 from ssac.methods.method import method
 from ssac.methods.verdict import offset_estimate, refused
 from ssac.search.offset_search import (
-    Cost,
-    OffsetSearch,
     ambiguous_offset,
-    candidate_offsets,
-    coarse_to_fine_search,
-    coarsest_step,
-    exhaustive_search,
     mean_epipolar_distance,
     no_match,
     open_fundamental,
+    search_offsets,
     too_little_motion,
     valleys,
 )
@@ -39,8 +30,8 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class _Line:
-    """Positions along both lines, in one unit, at n instants."""
+class _Along:
+    """Positions along the lines of both views, in one unit, at n instants."""
 
     times_s: Array  # (n,)
     s1: Array  # (n,)
@@ -48,8 +39,30 @@ class _Line:
     speeds2: Array  # (n,) of s2 [1/s]
     scale_px: float  # of the unit
 
+    def fitted(self) -> Array:
+        """Fit (a, b, c) of the projectivity by reweighted least squares."""
+        x, y = self.s1, self.s2
+        system = np.column_stack([x, np.ones(len(x)), -x * y])  # y = a x + b - c x y
+        weights: Array = np.ones(len(x))
+        for _ in range(8):
+            found = np.linalg.lstsq(system * weights[:, None], y * weights)[0]
+            fitted = np.asarray(found, np.float64)
+            residuals, norms = self.residuals(fitted)
+            weights = np.sqrt(cauchy_weights(residuals)[0]) / norms
+        return fitted
 
-def straight_path(method: str, views: TwoViews, lines: tuple[View, View]) -> Estimate:
+    def residuals(self, fitted: Array) -> tuple[Array, Array]:
+        """Distances (n,) from a projectivity to first order, and the norms that they were over."""
+        (a, b, c), x, y = fitted, self.s1, self.s2
+        norms = np.sqrt((c * x + 1.0) ** 2 + (c * y - a) ** 2) + 1e-12
+        return (y * (c * x + 1.0) - a * x - b) / norms, norms
+
+    def misfit_px(self) -> float:
+        """Mean distance from the projectivity that fits best."""
+        return float(np.mean(np.abs(self.residuals(self.fitted())[0]))) * self.scale_px
+
+
+def straight_path(views: TwoViews, lines: tuple[View, View]) -> Estimate:
     """Time offset of an object on a straight line in both views; its pose is open.
 
     A line in space leaves the epipolar constraint nothing to say: F = l2 a' + b l1' takes every
@@ -59,23 +72,18 @@ def straight_path(method: str, views: TwoViews, lines: tuple[View, View]) -> Est
     varies: at a uniform speed position is itself a projectivity of time, and so is any delayed one.
     The estimate is "degenerate_pose" with an offset, or says why there is none either.
     """
-    config, rules = views.config, views.config.rules.search
 
     def cost_px(t_d_s: Array) -> Array:
-        sampled = (_sampled(lines, views, offset_s) for offset_s in t_d_s)
-        return np.array([np.nan if line is None else _misfit_px(line) for line in sampled])
+        sampled = (_along(lines, views, offset_s) for offset_s in t_d_s)
+        return np.array([np.nan if along is None else along.misfit_px() for along in sampled])
 
-    search = _search(cost_px, cost_px, views)
-    estimate = offset_estimate(method, search, views)
+    estimate = offset_estimate("ssac", search_offsets(views, cost_px, cost_px), views)
     if estimate.status != Status.OK:
         return estimate
-    found = valleys(estimate.candidates_s, estimate.costs, estimate.t_d_s, rules)
     misfit_px = float(cost_px(np.array([estimate.t_d_s]))[0])
-    refusal = no_match(misfit_px, views.object_px, rules) or ambiguous_offset(
-        found, config.max_valley_s
-    )
-    if refusal is not None:
-        return refused(estimate, refusal, found)
+    estimate = _checked(estimate, misfit_px, views)
+    if estimate.status != Status.OK:
+        return estimate
     t_d_s, std_s, n_samples = _refined(lines, views, estimate.t_d_s)
     return replace(
         estimate,
@@ -90,66 +98,41 @@ def straight_path(method: str, views: TwoViews, lines: tuple[View, View]) -> Est
     )
 
 
-def _sampled(lines: tuple[View, View], views: TwoViews, t_d_s: float) -> _Line | None:
+def _along(lines: tuple[View, View], views: TwoViews, t_d_s: float) -> _Along | None:
     """Sample the valid pairs' positions along the lines; None when they are too few."""
-    pairs = views.pairs_at(t_d_s)
-    if len(pairs) < views.config.rules.search.min_pairs:
+    pairs, (one, other) = views.pairs_at(t_d_s), lines
+    if len(pairs) < views.rules.search.min_pairs:
         return None
-    scale_px = float(np.hypot(lines[0].length_px, lines[1].length_px))
+    scale_px = float(np.hypot(one.length_px, other.length_px))
     velocities = views.motion2.velocities_at(views.on_clock_2(pairs.times_s, t_d_s))
-    return _Line(
+    return _Along(
         pairs.times_s,
-        (pairs.p1_px - lines[0].middle_px) @ lines[0].direction / scale_px,
-        (pairs.p2_px - lines[1].middle_px) @ lines[1].direction / scale_px,
-        np.nan_to_num(velocities @ lines[1].direction) / scale_px,
+        (pairs.p1_px - one.middle_px) @ one.direction / scale_px,
+        (pairs.p2_px - other.middle_px) @ other.direction / scale_px,
+        np.nan_to_num(velocities @ other.direction) / scale_px,
         scale_px,
     )
-
-
-def _fitted(line: _Line) -> Array:
-    """Fit (a, b, c) of the projectivity by reweighted least squares."""
-    x, y = line.s1, line.s2
-    system = np.column_stack([x, np.ones(len(x)), -x * y])  # y = a x + b - c x y
-    weights: Array = np.ones(len(x))
-    fitted: Array = np.zeros(3)
-    for _ in range(8):
-        fitted = np.asarray(np.linalg.lstsq(system * weights[:, None], y * weights)[0], np.float64)
-        residuals, norms = _residuals(fitted, x, y)
-        weights = np.sqrt(cauchy_weights(residuals)[0]) / norms
-    return np.asarray(fitted)
-
-
-def _residuals(fitted: Array, x: Array, y: Array) -> tuple[Array, Array]:
-    """Distances (n,) from the projectivity to first order, and the norms that they were over."""
-    a, b, c = fitted
-    norms = np.sqrt((c * x + 1.0) ** 2 + (c * y - a) ** 2) + 1e-12
-    return (y * (c * x + 1.0) - a * x - b) / norms, norms
-
-
-def _misfit_px(line: _Line) -> float:
-    """Mean distance from the projectivity that fits best [px]."""
-    return float(np.mean(np.abs(_residuals(_fitted(line), line.s1, line.s2)[0]))) * line.scale_px
 
 
 def _refined(lines: tuple[View, View], views: TwoViews, t_d_s: float) -> tuple[float, float, int]:
     """Refine t_d and the projectivity together; t_d and its deviation [s], and the pairs."""
     std_s, n_pairs = np.nan, 0
     for _ in range(8):
-        line = _sampled(lines, views, t_d_s)
-        if line is None:
+        along = _along(lines, views, t_d_s)
+        if along is None:
             break
-        n_pairs = len(line.times_s)
-        fitted = _fitted(line)
-        residuals, norms = _residuals(fitted, line.s1, line.s2)
+        n_pairs = len(along.times_s)
+        fitted = along.fitted()
+        residuals, norms = along.residuals(fitted)
         weights = cauchy_weights(residuals)[0]
-        rates = (fitted[2] * line.s1 + 1.0) * line.speeds2
-        ones = np.ones(len(rates))
-        jacobian = np.column_stack([rates, -line.s1, -ones, line.s1 * line.s2]) / norms[:, None]
+        rates = (fitted[2] * along.s1 + 1.0) * along.speeds2
+        by_others = [-along.s1, -np.ones(n_pairs), along.s1 * along.s2]
+        jacobian = np.column_stack([rates, *by_others]) / norms[:, None]
         inverse = np.linalg.pinv(jacobian.T @ (weights[:, None] * jacobian))
         gradients = jacobian * (weights * residuals)[:, None]
         shift_s = -float((inverse @ np.sum(gradients, axis=0))[0])
         # By the gradients' sums over stretches of 0.5 s, which are taken as independent.
-        stretches = np.unique(np.floor(line.times_s / 0.5), return_inverse=True)[1]
+        stretches = np.unique(np.floor(along.times_s / 0.5), return_inverse=True)[1]
         sums = np.zeros((stretches.max() + 1, 4))
         np.add.at(sums, stretches, gradients)
         freedom = max(len(sums) - 4, 1)
@@ -160,8 +143,6 @@ def _refined(lines: tuple[View, View], views: TwoViews, t_d_s: float) -> tuple[f
             break
     return t_d_s, std_s, n_pairs
 
-
-Fit = Callable[[Array, Array], Array]  # pairs p1, p2 (n, 2) [px] -> F (3, 3)
 
 _NO_FIT = Refusal(
     Status.NO_MATCH,
@@ -184,19 +165,19 @@ def algorithm_1(views: TwoViews) -> Estimate:
     The status is "ok", or "no_common_time", "too_few_samples", "search_bound", "no_match" or
     "ambiguous_offset". SsacError where the rig has no `T_2_1`.
     """
-    min_pairs = views.config.rules.search.min_pairs
     R, t = known_pose(views.rig)
     F = fundamental_from_pose(views.rig.cam1.K, views.rig.cam2.K, R, t)
 
     def d_avg_px(t_d_s: Array) -> Array:  # lines 2 to 8, for all candidates at once
-        return mean_epipolar_distance(F, views.pairs(t_d_s), min_pairs)
+        return mean_epipolar_distance(F, views.pairs(t_d_s), views.rules.search.min_pairs)
 
-    search = _search(d_avg_px, d_avg_px, views, views.returns_s)  # lines 1 and 10
+    search = search_offsets(views, d_avg_px, d_avg_px, views.alone.returns_s)  # lines 1 and 10
     estimate = offset_estimate("ssac-known", search, views)
     if estimate.status != Status.OK:
         return estimate
     p1, p2 = views.pairs_at(estimate.t_d_s).points_px
-    return _checked_search(replace(with_fit(estimate, F, p1, p2), R=R, t=t), views)
+    estimate = replace(with_fit(estimate, F, p1, p2), R=R, t=t)
+    return _checked(estimate, _distance_px(estimate), views)
 
 
 @method(
@@ -213,53 +194,50 @@ def algorithm_2(views: TwoViews) -> Estimate:
     As `algorithm_1`, but the rig's `T_2_1` is not used. The status may also be "too_little_motion";
     or "ambiguous_pose" or "degenerate_pose", with an offset that holds but without R and t.
     """
-    config, (view1, view2) = views.config, views.views
-    rules = config.rules.search
+    config, rules, (view1, view2) = views.config, views.rules.search, views.alone.views
     if view1 is not None and view2 is not None and view1.is_straight and view2.is_straight:
-        return straight_path("ssac", views, (view1, view2))
+        return straight_path(views, (view1, view2))
 
-    def d_avg_px(fit: Fit, n_samples: int, t_d_s: Array) -> Array:  # lines 2 to 9
-        pairs = views.pairs(t_d_s, n_samples)
-        of_each = map(pairs.valid_positions, range(len(t_d_s)))
-        return np.array([_d_avg_of_fit(fit, p1, p2, rules.min_pairs) for p1, p2 in of_each])
+    def d_avg_px(fit: Callable[..., Array], n_samples: int, t_d_s: Array) -> Array:  # lines 2 to 9
+        pairs, found = views.pairs(t_d_s, n_samples), np.full(len(t_d_s), np.nan)
+        for m in range(len(t_d_s)):
+            p1, p2 = pairs.valid_positions(m)
+            if len(p1) >= rules.min_pairs:
+                found[m] = np.mean(epipolar_distance(fit(p1, p2), p1, p2))
+        return found
 
     robust_fit = partial(_robust_fit, views=views, trials=config.trials)
-    search = _search(  # lines 1 and 10; half the samples are enough to find the valley
+    search = search_offsets(  # lines 1 and 10; half the samples are enough to find the valley
+        views,
         partial(d_avg_px, reweighted_fundamental, max(config.n_samples // 2, rules.min_pairs)),
         partial(d_avg_px, robust_fit, config.n_samples),
-        views,
-        views.returns_s,
+        views.alone.returns_s,
     )
     estimate = offset_estimate("ssac", search, views)
     if estimate.status != Status.OK:
         return estimate
     pairs = views.pairs_at(estimate.t_d_s)
     p1, p2 = pairs.points_px
-    refusal = _too_few_for_fit(len(pairs), rules.min_pairs_of_pose) or too_little_motion(
-        views.swings(pairs), config.min_swings
-    )
+    refusal = too_little_motion(views.swings(pairs), config.min_swings)
+    if len(pairs) < rules.min_pairs_of_pose:
+        refusal = Refusal(
+            Status.TOO_FEW_SAMPLES,
+            f"{len(pairs)} sample times are valid in both views at the best offset:"
+            f" {rules.min_pairs_of_pose} are needed to find the pose as well",
+        )
     if refusal is not None:
         return refused(estimate, refusal)
     F = _robust_fit(p1, p2, views, config.final_trials)
     if not np.isfinite(F).all():
         return refused(estimate, _NO_FIT)
-    estimate = _checked_search(with_fit(estimate, F, p1, p2), views)
+    estimate = with_fit(estimate, F, p1, p2)
+    estimate = _checked(estimate, _distance_px(estimate), views)
     if estimate.status != Status.OK:
         return estimate
     refusal = open_fundamental(p1, p2, rules)
     if refusal is not None:
         return replace(estimate, status=refusal.status, reason=refusal.reason)
     return with_pose(estimate, F, views, p1, p2)  # line 11
-
-
-def _search(
-    coarse_cost: Cost, cost: Cost, views: TwoViews, returns_s: Array | None = None
-) -> OffsetSearch:
-    candidates_s, rules = candidate_offsets(views), views.config.rules.search
-    if views.config.exhaustive:
-        return exhaustive_search(cost, candidates_s)
-    coarsest = coarsest_step(views.views, rules)
-    return coarse_to_fine_search(coarse_cost, cost, candidates_s, coarsest, rules, returns_s)
 
 
 def _robust_fit(p1_px: Array, p2_px: Array, views: TwoViews, trials: int) -> Array:
@@ -269,33 +247,18 @@ def _robust_fit(p1_px: Array, p2_px: Array, views: TwoViews, trials: int) -> Arr
     return lmeds_fundamental(p1_px, p2_px, trials, views.config.seed)
 
 
-def _d_avg_of_fit(fit: Fit, p1_px: Array, p2_px: Array, min_pairs: int) -> float:
-    """d_avg [px] of Eq. 4 with the F fitted to these pairs; NaN when they are too few."""
-    if len(p1_px) < min_pairs:
-        return np.nan
-    return float(np.mean(epipolar_distance(fit(p1_px, p2_px), p1_px, p2_px)))
-
-
-def _checked_search(estimate: Estimate, views: TwoViews) -> Estimate:
-    """Refuse an offset at which the views do not match, or that others rival."""
-    rules = views.config.rules.search
+def _checked(estimate: Estimate, distance_px: float, views: TwoViews) -> Estimate:
+    """Refuse an offset at which the views are so far from a match, or that others rival."""
+    rules = views.rules.search
     found = valleys(estimate.candidates_s, estimate.costs, estimate.t_d_s, rules)
-    # Of a path that leaves F open the final F may be a bad one, though others fit.
-    distance_px = min(estimate.d_avg_px, float(np.nanmin(estimate.costs)))
-    refusal = no_match(distance_px, views.object_px, rules) or ambiguous_offset(
-        found, views.config.max_valley_s
-    )
+    differ = no_match(distance_px, views.object_px, rules)
+    refusal = differ or ambiguous_offset(found, views.config.max_valley_s)
     return estimate if refusal is None else refused(estimate, refusal, found)
 
 
-def _too_few_for_fit(n_pairs: int, needed: int) -> Refusal | None:
-    if n_pairs >= needed:
-        return None
-    return Refusal(
-        Status.TOO_FEW_SAMPLES,
-        f"{n_pairs} sample times are valid in both views at the best offset: {needed}"
-        " are needed to find the pose as well",
-    )
+def _distance_px(estimate: Estimate) -> float:
+    # Of a path that leaves F open the final F may be a bad one, though others fit.
+    return min(estimate.d_avg_px, float(np.nanmin(estimate.costs)))
 
 
 def with_fit(estimate: Estimate, F: Array, p1_px: Array, p2_px: Array) -> Estimate:
@@ -315,7 +278,7 @@ def with_pose(
     0.69 deg without; at 90 deg 0.19 and 0.23.
     """
     K1, K2 = views.rig.cam1.K, views.rig.cam2.K
-    least = views.config.rules.search.min_in_front
+    least = views.rules.search.min_in_front
     pose = pose_from_fundamental(F, K1, K2, p1_px, p2_px)
     if pose.in_front < least:
         reason = (

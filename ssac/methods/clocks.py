@@ -10,6 +10,7 @@ camera saw what it saw, as clocks do.
 """
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,12 +24,10 @@ from ssac.fit.least_squares import (
     Parameters,
     Prior,
     Problem,
+    Residuals,
     Solution,
-    WeighedPairs,
-    covariance_of,
     linearise,
     solve,
-    weighed_system,
 )
 from ssac.geometry.epipolar import CAUCHY, robust_deviation
 from ssac.methods.algorithms import algorithm_1, algorithm_2
@@ -47,14 +46,19 @@ class ClockModel:
     half_s: float  # length of half the common time
     deviations: Array  # (m,) of what is known of each beforehand
     rules: ClockRules
+    shutters: Shutters
     knots_s: Array = field(default_factory=lambda: np.empty(0))  # (k,)
     modes: Array = field(default_factory=lambda: np.empty((0, 0)))  # (k, m - 1) strays by one
-    shutters: Shutters = field(default_factory=Shutters)
 
     @property
     def has_priors(self) -> bool:
         """Whether anything but the offset is to be found."""
         return len(self.deviations) > 0 or len(self.shutters.cameras) > 0
+
+    @property
+    def first_readout(self) -> int:
+        """Place of the first readout among the parameters."""
+        return FIRST_COLUMN + len(self.deviations)
 
     def clock(self, parameters: Parameters) -> Clock:
         """Give the clock of some parameters."""
@@ -87,44 +91,50 @@ class ClockModel:
         if len(self.knots_s) and len(estimate.knots_s):
             strays_s = np.interp(self.knots_s, estimate.knots_s, estimate.strays_s)
             values[1:] = np.linalg.lstsq(self.modes, strays_s)[0]
-        found_s = estimate.readouts_s[list(self.shutters.cameras)]
-        return np.append(values, np.where(np.isnan(found_s), self.shutters.expected_s, found_s))
+        return np.append(values, self.shutters.readouts_s(estimate))
 
-    def problem(
-        self, pairs: WeighedPairs, parameters: Parameters, problem: Problem, views: TwoViews
-    ) -> Problem:
+    def problem(self, problem: Problem, parameters: Parameters, views: TwoViews) -> Problem:
         """Add clock and shutters to a problem of pairs that were sampled with those of parameters.
 
         The views are those that `views` gives for the parameters.
         """
-        values = self.values(parameters)
-        columns = tuple(
-            Column(np.zeros_like(pairs.p1_px), by[:, None] * pairs.v2_px_s, float(value), True)
-            for by, value in zip(self._functions(pairs.times_s), values, strict=True)
-        )
-        priors = tuple(
+        pairs, shutters, first = problem.pairs, self.shutters, self.first_readout
+        nothing = np.zeros_like(pairs.p1_px)
+        columns = [
+            Column(nothing, by[:, None] * pairs.v2_px_s, float(value), True)
+            for by, value in zip(
+                self._functions(pairs.times_s), self.values(parameters), strict=True
+            )
+        ]
+        priors = [
             Prior(FIRST_COLUMN + k, 0.0, float(deviation))
             for k, deviation in enumerate(self.deviations)
-        )
-        more, known = self._of_shutters(pairs, parameters, views)
-        return replace(problem, columns=columns + more, priors=priors + known)
+        ]
+        if shutters.cameras:
+            times_s = pairs.times_s, self.clock(parameters).cam2_from_cam1(pairs.times_s)
+            values = self.readouts_s(parameters).tolist()
+            moves = zip(shutters.moves(views, times_s), values, strict=True)
+            columns += [Column(*both_px, value) for both_px, value in moves]
+            known = zip(shutters.expected_s.tolist(), shutters.deviations_s.tolist(), strict=True)
+            priors += [Prior(first + k, *beforehand) for k, beforehand in enumerate(known)]
+        return replace(problem, columns=tuple(columns), priors=tuple(priors))
 
-    def solve(self, problem: Problem, start: Parameters) -> Solution:
+    def solve(self, problem: Problem, start: Parameters, **how: Any) -> Solution:
         """Solve a problem with readouts that are not beyond their bounds, but held at these."""
-        found, held, held_s = solve(problem, start), problem, 1e-6
+        found, held, held_s = solve(problem, start, **how), problem, 1e-6
         for _ in self.shutters.cameras:
             values_s = self.readouts_s(found.parameters)
             bounds_s = self.shutters.within(values_s)
-            first = FIRST_COLUMN + len(self.deviations)
-            beyond = {first + k: bounds_s[k] for k in np.flatnonzero(values_s != bounds_s)}
+            at = np.flatnonzero(values_s != bounds_s)
+            beyond = {self.first_readout + k: float(bounds_s[k]) for k in at}
             if not beyond:
                 break
             priors = [
-                Prior(one.place, float(beyond[one.place]), held_s) if one.place in beyond else one
+                Prior(one.place, beyond[one.place], held_s) if one.place in beyond else one
                 for one in held.priors
             ]
             held = replace(held, priors=tuple(priors))
-            found = solve(held, start)
+            found = solve(held, start, **how)
         return found
 
     def moved_s(self, one: Parameters, other: Parameters) -> float:
@@ -136,56 +146,40 @@ class ClockModel:
         strayed = np.hypot(change[0] * self.half_s / np.sqrt(3.0), np.linalg.norm(change[1:]))
         return float(np.hypot(strayed, read_out))
 
-    def told(
-        self, estimate: Estimate, parameters: Parameters, problem: Problem, covariance: Array
-    ) -> Estimate:
-        """Put the clock found, and the covariance (f, f) of all that was free, into an estimate."""
-        estimate = self._with_readouts(estimate, parameters, problem, covariance)
+    def told(self, estimate: Estimate, residuals: Residuals, covariance: Array) -> Estimate:
+        """Put the clock found, and readouts said and found, into an estimate.
+
+        The covariance (f, f) is of all that was free.
+        """
+        problem, parameters = residuals.problem, residuals.parameters
+        said = [camera.readout_s for camera in (problem.rig.cam1, problem.rig.cam2)]
+        readouts_s = np.array([np.nan if one is None else one for one in said])
+        stds_s, chosen = 0.0 * readouts_s, list(self.shutters.cameras)
+        free = np.searchsorted(problem.free, self.first_readout + np.arange(len(chosen)))
+        readouts_s[chosen] = self.shutters.within(self.readouts_s(parameters))
+        stds_s[chosen] = np.sqrt(np.diag(covariance)[free])
         clock = self.clock(parameters)
+        told = replace(
+            estimate,
+            readouts_s=readouts_s,
+            readouts_std_s=stds_s,
+            t_ref_s=self.t_ref_s,
+            skew_ppm=clock.skew_ppm,
+            skew_std_ppm=0.0,
+        )
         if not len(self.deviations):  # both run alike: that was said beforehand
-            return replace(estimate, t_ref_s=self.t_ref_s, skew_ppm=0.0, skew_std_ppm=0.0)
-        places = [T_D, *range(FIRST_COLUMN, FIRST_COLUMN + len(self.deviations))]
-        free = np.searchsorted(problem.free, places)
+            return told
+        free = np.searchsorted(problem.free, [T_D, *range(FIRST_COLUMN, self.first_readout)])
         covariance = covariance[np.ix_(free, free)]
         by = np.vstack([np.ones_like(self.knots_s), *self._functions(self.knots_s)])
         return replace(
-            estimate,
-            t_ref_s=self.t_ref_s,
-            skew_ppm=clock.skew_ppm,
+            told,
             skew_std_ppm=float(np.sqrt(covariance[1, 1])) / PPM,
             clock_covariance=covariance[:2, :2],
             knots_s=clock.knots_s,
             strays_s=clock.strays_s,
             strays_std_s=np.sqrt(np.einsum("ik,ij,jk->k", by, covariance, by)),
         )
-
-    def _of_shutters(
-        self, pairs: WeighedPairs, parameters: Parameters, views: TwoViews
-    ) -> tuple[tuple[Column, ...], tuple[Prior, ...]]:
-        """Give columns and priors (k,) of readouts that are to be estimated."""
-        shutters, first = self.shutters, FIRST_COLUMN + len(self.deviations)
-        if not shutters.cameras:
-            return (), ()
-        times_s = pairs.times_s, self.clock(parameters).cam2_from_cam1(pairs.times_s)
-        moves = zip(
-            shutters.moves(views, times_s), self.readouts_s(parameters).tolist(), strict=True
-        )
-        beforehand = zip(shutters.expected_s.tolist(), shutters.deviations_s.tolist(), strict=True)
-        columns = tuple(Column(*both_px, value) for both_px, value in moves)
-        return columns, tuple(Prior(first + k, *known) for k, known in enumerate(beforehand))
-
-    def _with_readouts(
-        self, estimate: Estimate, parameters: Parameters, problem: Problem, covariance: Array
-    ) -> Estimate:
-        """Put the readouts that the rig says, and those found, into an estimate."""
-        said = [camera.readout_s for camera in (problem.rig.cam1, problem.rig.cam2)]
-        readouts_s = np.array([np.nan if one is None else one for one in said])
-        stds_s, chosen = 0.0 * readouts_s, list(self.shutters.cameras)
-        first = FIRST_COLUMN + len(self.deviations)
-        free = np.searchsorted(problem.free, [first + k for k in range(len(chosen))])
-        readouts_s[chosen] = self.shutters.within(self.readouts_s(parameters))
-        stds_s[chosen] = np.sqrt(np.diag(covariance)[free])
-        return replace(estimate, readouts_s=readouts_s, readouts_std_s=stds_s)
 
     def _functions(self, times_s: Array) -> list[Array]:
         """Give what a value of one of each parameter adds (n,) at times (n,) [s]."""
@@ -200,18 +194,18 @@ def clock_model(views: TwoViews, start: Estimate) -> ClockModel:
 
     The start's offset gives the common time, and so t_ref, unless it has one.
     """
-    (first_s,), (last_s,) = views.overlap_s(np.array([start.t_d_s]))
-    half_s = 0.5 * float(last_s - first_s)
+    first_s, last_s = views.common_s(start.t_d_s)
+    half_s = 0.5 * (last_s - first_s)
     t_ref_s = float(start.t_ref_s if np.isfinite(start.t_ref_s) else 0.5 * (first_s + last_s))
-    config, rules = views.config, views.config.rules.clock
+    config, rules = views.config, views.rules.clock
     skew = np.array([PPM * config.prior_ppm] if config.prior_ppm > 0.0 else [])
+    model = ClockModel(t_ref_s, half_s, skew, rules, shutters_of(views))
     n_pieces = int(min(np.rint(2.0 * half_s / rules.piece_s), rules.max_pieces))
     if config.clock != "pieces" or n_pieces < 2 or not len(skew):
-        return ClockModel(t_ref_s, half_s, skew, rules, shutters=shutters_of(views))
+        return model
     knots_s: Array = np.linspace(t_ref_s - half_s, t_ref_s + half_s, n_pieces + 1, dtype=np.float64)
     modes, deviations = _modes(knots_s, config.roughness_ppm)
-    deviations = np.append(skew, deviations)
-    return ClockModel(t_ref_s, half_s, deviations, rules, knots_s, modes, shutters_of(views))
+    return replace(model, deviations=np.append(skew, deviations), knots_s=knots_s, modes=modes)
 
 
 def _modes(knots_s: Array, roughness_ppm: float) -> tuple[Array, Array]:
@@ -225,10 +219,8 @@ def _modes(knots_s: Array, roughness_ppm: float) -> tuple[Array, Array]:
     return rest @ axes * np.sqrt(k), PPM * roughness_ppm / np.sqrt(k * amounts)
 
 
-def checked_clock(
-    estimate: Estimate, model: ClockModel, problem: Problem, parameters: Parameters
-) -> Estimate:
-    """Refuse a refined estimate where camera 2's clock jumps, by its last problem and solution.
+def checked_clock(estimate: Estimate, model: ClockModel, last: Residuals) -> Estimate:
+    """Refuse a refined estimate where camera 2's clock jumps, by the residuals of its solution.
 
     A step of the offset is tried at every second: one more column of the same least squares, so
     that neither the pose nor the skew, which a jump bends as well, hides it. Where the best one is
@@ -236,13 +228,12 @@ def checked_clock(
     better.
     """
     rules = model.rules
-    problem = replace(problem, turn=CAUCHY)  # a jump is no outlier
-    at_s = _likely(problem, parameters, rules)
+    problem, start = replace(last.problem, turn=CAUCHY), last.parameters  # a jump is no outlier
+    at_s = _likely(linearise(problem, start), rules)
     if at_s is None:
         return estimate
-    with_step, start = problem, parameters
     for _ in range(3):
-        with_step = _stepped(problem, at_s)
+        with_step = _with_step(problem, problem.pairs.times_s >= at_s)
         found = solve(with_step, start).parameters
         start = replace(found, columns=np.append(found.columns[:-1], 0.0))
         moved_to_s = _instant(with_step, found, at_s, rules)
@@ -250,8 +241,7 @@ def checked_clock(
             break
         at_s = moved_to_s
     size_s = float(found.columns[-1])
-    covariance = covariance_of(with_step, linearise(with_step, found))
-    std_s = float(np.sqrt(covariance[-1, -1]))
+    std_s = float(np.sqrt(linearise(with_step, found).covariance()[-1, -1]))
     far = rules.far_sigmas * np.min(model.deviations[:1], initial=np.inf)
     is_far = abs(estimate.skew_ppm) * PPM >= far
     least = rules.fewer_sigmas if is_far else rules.jump_sigmas
@@ -268,18 +258,17 @@ def checked_clock(
     return replace(refused(estimate, Refusal(Status.CLOCK_JUMP, reason)), jump=jump)
 
 
-def _likely(problem: Problem, parameters: Parameters, rules: ClockRules) -> float | None:
+def _likely(residuals: Residuals, rules: ClockRules) -> float | None:
     """Find the instant [s] where a step tells most; None where it would be no jump in any case."""
     # Errors that are correlated in time make a step's deviation larger than it is taken for here.
-    residuals = linearise(problem, parameters)
-    times_s = residuals.times_s
+    times_s = residuals.problem.pairs.times_s
     margin_s = rules.jump_margin_s
     first_s, last_s = float(np.min(times_s)) + margin_s, float(np.max(times_s)) - margin_s
     if not last_s > first_s:
         return None
     n = min(int((last_s - first_s) / rules.jump_step_s) + 1, rules.max_tried)
     tried_s = np.linspace(first_s, last_s, n)
-    system, target = weighed_system(problem, parameters, residuals)
+    system, target = residuals.system()
     left = -target
     # A step moves the later pairs as the offset, the first of the parameters, does, and no prior.
     steps: Array = np.zeros((len(system), n))
@@ -290,38 +279,35 @@ def _likely(problem: Problem, parameters: Parameters, rules: ClockRules) -> floa
     gains_px = np.abs(left @ steps) / norms
     best = int(np.argmax(gains_px))
     scale_px = robust_deviation(residuals.distances_px)
-    is_large = gains_px[best] > rules.fewer_sigmas * scale_px
-    return float(tried_s[best]) if is_large else None
+    return float(tried_s[best]) if gains_px[best] > rules.fewer_sigmas * scale_px else None
 
 
-def _stepped(problem: Problem, at_s: float) -> Problem:
-    """Add a step of the offset from an instant on, as the last column."""
+def _with_step(problem: Problem, later: Any) -> Problem:
+    """Add a step of the offset, of those pairs (n,) that are later, as the last column."""
     pairs = problem.pairs
-    later = (pairs.times_s >= at_s)[:, None]
-    step = Column(np.zeros_like(pairs.p1_px), later * pairs.v2_px_s, is_of_clock=True)
+    moves_px = later[:, None] * pairs.v2_px_s
+    step = Column(np.zeros_like(pairs.p1_px), moves_px, is_of_clock=True)
     return replace(problem, columns=(*problem.columns, step))
 
 
-def _instant(problem: Problem, found: Parameters, at_s: float, rules: ClockRules) -> float:
+def _instant(with_step: Problem, found: Parameters, at_s: float, rules: ClockRules) -> float:
     """Find the time [s] from which on the offset after a step fits the pairs better."""
-    others, size_s, pairs = found.columns[:-1], found.columns[-1], problem.pairs
-    column = Column(np.zeros_like(pairs.p1_px), pairs.v2_px_s, is_of_clock=True)
-    all_along = replace(problem, columns=(*problem.columns[:-1], column))
-    without, with_it = (
-        linearise(all_along, replace(found, columns=np.append(others, step_s)))
-        for step_s in (0.0, size_s)
-    )
+    times_s, (*_, size_s) = with_step.pairs.times_s, found.columns
+    plain = replace(with_step, columns=with_step.columns[:-1])
+    all_along = _with_step(plain, np.ones(len(times_s)))
     margin_s = rules.jump_margin_s
-    first_s, last_s = np.min(without.times_s) + margin_s, np.max(without.times_s) - margin_s
-    inside = np.abs(without.times_s - at_s) <= rules.jump_near_s
-    inside &= (without.times_s >= first_s) & (without.times_s <= last_s)
-    order = np.argsort(without.times_s[inside], kind="stable")
-    left_px = [one.distances_px[inside][order] for one in (without, with_it)]
-    scale_px = robust_deviation(linearise(problem, found).distances_px)
-    losses = [np.log1p((left / max(scale_px, 1e-12)) ** 2) for left in left_px]
+    first_s, last_s = np.min(times_s) + margin_s, np.max(times_s) - margin_s
+    inside = np.abs(times_s - at_s) <= rules.jump_near_s
+    inside &= (times_s >= first_s) & (times_s <= last_s)
+    order = np.flatnonzero(inside)[np.argsort(times_s[inside], kind="stable")]
+    scale_px = robust_deviation(linearise(with_step, found).distances_px)
+    losses = []
+    for step_s in (0.0, size_s):
+        columns = np.append(found.columns[:-1], step_s)
+        left_px = linearise(all_along, replace(found, columns=columns)).distances_px[order]
+        losses.append(np.log1p((left_px / max(scale_px, 1e-12)) ** 2))
     total = np.concatenate([[0.0], np.cumsum(losses[0] - losses[1])])
-    times_s = without.times_s[inside][order]
-    return float(times_s[min(int(np.argmin(total)), len(times_s) - 1)]) if len(times_s) else at_s
+    return float(times_s[order][min(int(np.argmin(total)), len(order) - 1)]) if len(order) else at_s
 
 
 def with_coarse_skew(start: Estimate, views: TwoViews) -> Estimate:
@@ -331,15 +317,19 @@ def with_coarse_skew(start: Estimate, views: TwoViews) -> Estimate:
     the search, whose start had clocks alike, is repeated with skews so near to each other that the
     ends differ by little. Of all the one that fits best is given, or the start where none does.
     """
-    skews_ppm = _skews_ppm(start, views) if views.config.search_skews else np.zeros(1)
-    if len(skews_ppm) < 2:
+    first_s, last_s = _common_s(start, views)
+    half_s, t_ref_s = 0.5 * (last_s - first_s), 0.5 * (first_s + last_s)
+    rules, found = views.rules.clock, [start]
+    step_s = 2.0 * rules.max_end_s
+    most_s = rules.skew_sigmas * PPM * views.config.prior_ppm * half_s
+    if not (views.config.search_skews and most_s > step_s):
         return start
     search = algorithm_1 if views.pose_is_known else algorithm_2
-    t_ref_s = _middle_s(start, views)
-    found = [start]
+    n = int(min(np.ceil(most_s / step_s), rules.max_skews // 2))
+    skews_ppm = np.arange(-n, n + 1) * (step_s / (PPM * half_s))
     for skew_ppm in skews_ppm[skews_ppm != 0.0].tolist():
         one = search(views.under(Clock(0.0, skew_ppm, t_ref_s)))
-        middle_s = _middle_s(one, views)
+        middle_s = 0.5 * sum(_common_s(one, views))
         t_d_s = one.t_d_s + PPM * skew_ppm * (middle_s - t_ref_s)
         found.append(replace(one, t_d_s=t_d_s, skew_ppm=skew_ppm, t_ref_s=middle_s))
     fitting = Status.OK, *SETTLED_BY["joint"]
@@ -347,25 +337,7 @@ def with_coarse_skew(start: Estimate, views: TwoViews) -> Estimate:
     return min(fits, key=lambda one: one.d_avg_px, default=start)
 
 
-def _skews_ppm(start: Estimate, views: TwoViews) -> Array:
-    """Give the skews to be tried, zero among them."""
-    (first_s,), (last_s,) = views.overlap_s(np.array([_offset_s(start, views)]))
-    half_s = 0.5 * float(last_s - first_s)
-    rules = views.config.rules.clock
-    step_s = 2.0 * rules.max_end_s
-    most_s = rules.skew_sigmas * PPM * views.config.prior_ppm * half_s
-    if not most_s > step_s:
-        return np.zeros(1)
-    n = int(min(np.ceil(most_s / step_s), rules.max_skews // 2))
-    return np.asarray(np.arange(-n, n + 1) * (step_s / (PPM * half_s)), np.float64)
-
-
-def _middle_s(estimate: Estimate, views: TwoViews) -> float:
-    """Middle of the common time at an estimate's offset."""
-    (first_s,), (last_s,) = views.overlap_s(np.array([_offset_s(estimate, views)]))
-    return 0.5 * float(first_s + last_s)
-
-
-def _offset_s(estimate: Estimate, views: TwoViews) -> float:
+def _common_s(estimate: Estimate, views: TwoViews) -> tuple[float, float]:
+    """Start and end of the common time at an estimate's offset, or amid all that are searched."""
     known = np.isfinite(estimate.t_d_s)
-    return float(estimate.t_d_s if known else np.mean(views.config.offsets_s))
+    return views.common_s(float(estimate.t_d_s if known else np.mean(views.config.offsets_s)))

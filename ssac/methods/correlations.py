@@ -3,7 +3,6 @@
 import math
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
@@ -33,34 +32,9 @@ def counted(times_us: NDArray[np.int64], bin_us: int) -> Signal:
         return Signal(0, np.empty(0))
     first_bin, last_bin = int(times_us[0]) // bin_us, int(times_us[-1]) // bin_us
     bounds_us = bin_us * np.arange(first_bin + 1, last_bin + 1, dtype=np.int64)
-    before = _first_from_each(times_us, bounds_us)
+    before = np.searchsorted(times_us, bounds_us)
     counts = np.diff(before, prepend=0, append=len(times_us))
     return Signal(first_bin, counts.astype(np.float64))
-
-
-@numba.njit(cache=True)
-def _first_from_each(
-    times_us: NDArray[np.int64], bounds_us: NDArray[np.int64]
-) -> NDArray[np.int64]:
-    """Index (m,) of the first of n sorted times at or after each of ascending bounds [us]."""
-    # As `ssac.events.first_from`, but each search begins where the last one ended and goes on in
-    # doubled steps: bounds are so near each other that the rest of the times need not be looked at.
-    indices = np.empty(len(bounds_us), np.int64)
-    n, low = len(times_us), 0
-    for k in range(len(bounds_us)):
-        bound_us, step = bounds_us[k], 1
-        while low + step < n and times_us[low + step] < bound_us:
-            low += step
-            step *= 2
-        high = min(low + step, n)
-        while low < high:
-            middle = (low + high) // 2
-            if times_us[middle] < bound_us:
-                low = middle + 1
-            else:
-                high = middle
-        indices[k] = low
-    return indices
 
 
 def binned(times_s: Array, values: Array | None, bin_s: float) -> Signal:
@@ -105,9 +79,8 @@ def zncc(
 def lags_of(config: Config, bin_s: float) -> NDArray[np.int64]:
     """All whole lags [bins] within the search interval."""
     low, high = config.offsets_s
-    return np.arange(np.ceil(low / bin_s - 1e-9), np.floor(high / bin_s + 1e-9) + 1).astype(
-        np.int64
-    )
+    first, last = np.ceil(low / bin_s - 1e-9), np.floor(high / bin_s + 1e-9)
+    return np.arange(first, last + 1).astype(np.int64)
 
 
 def correlation_estimate(method: str, lags_s: Array, curve: Array) -> Estimate:
@@ -131,28 +104,21 @@ def event_rate_of_events(one: Observation, other: Observation, config: Config) -
     once for the whole recordings, not for the overlap at each lag, and the intervals are 1 ms.
     """
     bin_s = config.rules.signals.rate_bin_s
-    signal1 = counted(one.events["t"], round(bin_s * US_PER_S))
-    signal2 = counted(other.events["t"], round(bin_s * US_PER_S))
-    lags = lags_of(config, bin_s)
-    rate1, rate2 = _centred(signal1), _centred(signal2)
+    signals = [counted(seen.events["t"], round(bin_s * US_PER_S)) for seen in (one, other)]
+    lags, shift = lags_of(config, bin_s), signals[1].first_bin - signals[0].first_bin
+    rate1, rate2 = (
+        signal.values - np.sum(signal.values) / max(len(signal.values), 1) for signal in signals
+    )
     power = float(np.linalg.norm(rate1) * np.linalg.norm(rate2))
     curve: NDArray[np.float64] = np.full(len(lags), np.nan)
     if power > 0.0:
-        products = _correlated(rate2, rate1) / power
-        shifts = np.arange(len(products)) + 1 - len(rate1) + signal2.first_bin - signal1.first_bin
+        n = len(rate2) + len(rate1) - 1
+        n_fast = next_fast_len(n, real=True)
+        spectrum = rfft(rate2, n_fast) * rfft(rate1[::-1], n_fast)  # as scipy.signal does
+        products = np.asarray(irfft(spectrum, n_fast)[:n], np.float64) / power
+        shifts = np.arange(n) + 1 - len(rate1) + shift
         curve = np.interp(lags, shifts, products, left=np.nan, right=np.nan)
     return correlation_estimate("event_rate", bin_s * lags.astype(np.float64), curve)
-
-
-def _correlated(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Correlate a with b at shifts from 1 - len(b) to len(a) - 1, as scipy.signal does."""
-    n = len(a) + len(b) - 1
-    n_fast = next_fast_len(n, real=True)
-    return np.asarray(irfft(rfft(a, n_fast) * rfft(b[::-1], n_fast), n_fast)[:n], np.float64)
-
-
-def _centred(signal: Signal) -> NDArray[np.float64]:
-    return signal.values - np.sum(signal.values) / max(len(signal.values), 1)
 
 
 @method("zncc_e", "correlation of event rates, offset only", place=8, input=Input.RATES)
@@ -163,14 +129,15 @@ def zncc_e_of_events(one: Observation, other: Observation, config: Config) -> Es
     the highest zero-normalised cross-correlation in the search interval.
     Deviation: the paper gives no bin length; its errors of ZNCC_E are multiples of 10 ms.
     """
-    rules = config.rules.signals
-    bin_s = rules.zncc_bin_s
-    signal1 = counted(one.events["t"], round(bin_s * US_PER_S))
-    signal2 = counted(other.events["t"], round(bin_s * US_PER_S))
+    bin_s = config.rules.signals.zncc_bin_s
+    signals = [counted(seen.events["t"], round(bin_s * US_PER_S)) for seen in (one, other)]
+    return _most_alike("zncc_e", signals, bin_s, config)
+
+
+def _most_alike(method: str, signals: list[Signal], bin_s: float, config: Config) -> Estimate:
     lags = lags_of(config, bin_s)
-    return correlation_estimate(
-        "zncc_e", bin_s * lags.astype(np.float64), zncc(signal1, signal2, lags, rules.min_overlap)
-    )
+    curve = zncc(signals[0], signals[1], lags, config.rules.signals.min_overlap)
+    return correlation_estimate(method, bin_s * lags.astype(np.float64), curve)
 
 
 @method(
@@ -187,24 +154,12 @@ def zncc_f_of_frames(one: Observation, other: Observation, config: Config) -> Es
     highest zero-normalised cross-correlation in the search interval.
     Deviation: the paper does not say which number; here it is the mean brightness, whose errors
     are nearest to the paper's at all angles (docs/zncc.md). Frames are put on one grid of 20 ms
-    in both clocks, so that the offset found is a multiple of 20 ms, as the paper states.
-
-    Raises
-    ------
-    SsacError
-        If a camera has no frames, or not one time for each frame.
+    in both clocks, so that the offset found is a multiple of 20 ms, as the paper states. SsacError
+    if a camera has no frames, or not one time for each frame.
     """
-    rules = config.rules.signals
-    signal1, signal2 = (
-        mean_brightness(seen, name, rules.frame_s)
-        for seen, name in ((one, "camera 1"), (other, "camera 2"))
-    )
-    lags = lags_of(config, rules.frame_s)
-    return correlation_estimate(
-        "zncc_f",
-        rules.frame_s * lags.astype(np.float64),
-        zncc(signal1, signal2, lags, rules.min_overlap),
-    )
+    frame_s, named = config.rules.signals.frame_s, ((one, "camera 1"), (other, "camera 2"))
+    signals = [mean_brightness(seen, name, frame_s) for seen, name in named]
+    return _most_alike("zncc_f", signals, frame_s, config)
 
 
 def mean_brightness(observation: Observation, name: str, frame_s: float) -> Signal:

@@ -10,32 +10,20 @@ by the inverse of its images' size.
 """
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ssac.camera import Rig
 from ssac.estimate import Estimate, Status
-from ssac.fit.intrinsics import Allowance, evidence, fundamental_of
-from ssac.fit.least_squares import (
-    Parameters,
-    Problem,
-    Residuals,
-    WeighedPairs,
-    covariance_of,
-    hidden_covariance,
-    linearise,
-    still_moves,
-)
-from ssac.geometry.epipolar import fundamental_from_pose, sampson_derivative
+from ssac.fit.least_squares import Parameters, Residuals, WeighedPairs, linearise
+from ssac.geometry.epipolar import sampson_derivative
 from ssac.geometry.pose import rays_of
-from ssac.methods.algorithms import with_fit
-from ssac.methods.clocks import checked_clock, clock_model, with_coarse_skew
-from ssac.methods.hypotheses import confirmed, settled, sharp_solution
+from ssac.methods.clocks import checked_clock, with_coarse_skew
+from ssac.methods.hypotheses import Choice
 from ssac.methods.method import method
+from ssac.methods.refinement import Refinement, Round
 from ssac.methods.verdict import certain, doubt, is_spread
-from ssac.rules import JointRules, VerdictRules
 from ssac.search.two_views import TwoViews
 from ssac.track.motion import SharpTrack
 
@@ -72,8 +60,8 @@ def joint_from(start: Estimate, views: TwoViews) -> Estimate:
     name = "joint-known" if views.pose_is_known else "joint"
     start = with_coarse_skew(start, views)
     start = replace(start, method=name, start=start)
-    best = settled(start, views, partial(refine, views=views), partial(sharp_solution, views=views))
-    return confirmed(certain(best, views.config.rules.verdict), start, views)
+    choice = Choice(views, refine)
+    return choice.confirmed(certain(choice.settled(start), views.rules.verdict), start)
 
 
 def refine(start: Estimate, views: TwoViews) -> Estimate:
@@ -84,118 +72,57 @@ def refine(start: Estimate, views: TwoViews) -> Estimate:
     """
     if start.status != Status.OK or start.R is None or start.t is None:
         return start
-    model, rules = clock_model(views, start), views.config.rules
-    parameters = Parameters(start.t_d_s, start.R, start.t, model.start(start))
-    times_s = views.sample_times(np.array([start.t_d_s]))[0]
-    allowance, settles = Allowance(views.rig, model.has_priors), False
-    motion1, track1 = views.motion1, views.motion1.sharp_at(times_s)
-    for round_ in range(rules.joint.max_rounds):
-        before = parameters
-        seen = model.views(views, before)
-        if seen.motion1 is not motion1:  # as the readout of a shutter changes it
-            motion1, track1 = seen.motion1, seen.motion1.sharp_at(times_s)
-        track2 = seen.motion2.sharp_at(seen.on_clock_2(times_s, before.t_d_s))
-        pairs, size_px = sharp_pairs(track1, track2, before.t_d_s)
-        if len(pairs.times_s) < rules.search.min_pairs:
-            return _unseen(start, before, len(pairs.times_s), rules.search.min_pairs)
-        problem = Problem(pairs, views.rig, rules.fit, views.pose_is_known)
-        problem = allowance.added(model.problem(pairs, before, problem, seen))
-        found = model.solve(problem, before)
-        parameters = found.parameters
-        left = astray(start, parameters, rules.joint)
-        if left is not None:
-            return left
-        shift_s, stray_s = abs(parameters.t_d_s - before.t_d_s), model.moved_s(before, parameters)
-        settles = allowance.is_made and shift_s < rules.joint.last_shift_s
-        settles = settles and stray_s < rules.joint.last_stray_s
-        if settles:
-            break
-        if round_ == rules.joint.last_hope:
-            distances_px = linearise(problem, parameters).distances_px
-            if is_spread(distances_px, size_px, rules.verdict):
-                found_by = checked_clock(start, model, problem, parameters)
+    return _OfPositions(start, views).estimate(start.R, start.t)
+
+
+class _OfPositions(Refinement):
+    """Pairs of the object's sharp positions."""
+
+    def __init__(self, start: Estimate, views: TwoViews) -> None:
+        super().__init__(start, views)
+        self.max_rounds = self.rules.joint.max_rounds
+        self.times_s = views.sample_times(np.array([start.t_d_s]))[0]
+        self.one = views.motion1, views.motion1.sharp_at(self.times_s)
+
+    def pairs(self, seen: TwoViews, parameters: Parameters) -> WeighedPairs:
+        if seen.motion1 is not self.one[0]:  # as the readout of a shutter changes it
+            self.one = seen.motion1, seen.motion1.sharp_at(self.times_s)
+        track2 = seen.motion2.sharp_at(seen.on_clock_2(self.times_s, parameters.t_d_s))
+        pairs, self.size_px = sharp_pairs(self.one[1], track2, parameters.t_d_s)
+        return pairs
+
+    def unseen(self, n_pairs: int, parameters: Parameters) -> Estimate:
+        # Views that are cut in pieces share next to nothing at some offsets.
+        return self.no_convergence(
+            f"{self.moved(parameters)}, where only {n_pairs} sample times are valid in both views,"
+            f" and {self.rules.search.min_pairs} are needed"
+        )
+
+    def settles(self, last: Round) -> bool:
+        rules, stray_s = self.rules.joint, self.model.moved_s(last.before, last.found.parameters)
+        return last.shift_s < rules.last_shift_s and stray_s < rules.last_stray_s
+
+    def refused(self, last: Round) -> Estimate | None:
+        rules, parameters = self.rules.verdict, last.found.parameters
+        if last.number == self.rules.joint.last_hope:
+            residuals = linearise(last.problem, parameters)
+            if is_spread(residuals.distances_px, self.size_px, rules):
+                found_by = checked_clock(self.start, self.model, residuals)
                 if found_by.status == Status.CLOCK_JUMP:
                     return found_by
-                reason = doubt(distances_px, size_px, rules.verdict)
-                return replace(start, status=Status.POOR_FIT, reason=reason, R=None, t=None)
-        allowance.learn(problem, parameters)
-
-    residuals = linearise(problem, parameters)
-    offset = rules.joint.bias_offset
-    if views.pose_is_known:
-        seen = model.views(views, parameters)
-        offset = max(offset, rules.joint.known_bias_offset * seen.lasting_share(parameters.t_d_s))
-    F = _fundamental(parameters, views.rig)
-    bias = np.array([rules.joint.bias_slope, rules.joint.bias_slope, offset])
-    hidden_px = _hidden_errors(F, residuals, size_px, bias, views.rig)
-    covariance = covariance_of(problem, residuals)
-    covariance = covariance + hidden_covariance(problem, residuals, hidden_px)
-    unfinished = [] if settles else [found.change]
-    unfinished += [] if found.converged else [found.last_step]
-    if any(still_moves(change, problem, covariance) for change in unfinished):
-        return unsettled(start, rules.joint.max_rounds)
-    found_by = model.told(start, parameters, problem, covariance)
-    told = refined_estimate(
-        found_by, problem, parameters, residuals, covariance, size_px, rules.verdict, hidden_px
-    )
-    return checked_clock(told, model, problem, parameters)
-
-
-def refined_estimate(
-    start: Estimate,
-    problem: Problem,
-    parameters: Parameters,
-    residuals: Residuals,
-    covariance: Array,
-    object_px: float,
-    rules: VerdictRules,
-    hidden_px: Array | None = None,
-) -> Estimate:
-    """Put the parameters found, and the covariance of those that were free, into the estimate."""
-    F = _fundamental(parameters, problem.rig)  # of the points with all that is allowed for
-    fitted = with_fit(start, F, residuals.p1_px, residuals.p2_px)
-    F = fundamental_of(problem, parameters)
-    return replace(
-        fitted,
-        F=F / np.linalg.norm(F),
-        t_d_s=parameters.t_d_s,
-        t_d_std_s=float(np.sqrt(covariance[0, 0])),
-        R=parameters.R,
-        t=parameters.t,
-        covariance=None if problem.pose_is_known else covariance[:6, :6],
-        doubt=doubt(
-            residuals.distances_px,
-            object_px,
-            rules,
-            evidence(problem, residuals, parameters, hidden_px),
-        ),
-    )
-
-
-def astray(start: Estimate, parameters: Parameters, rules: JointRules) -> Estimate | None:
-    """Refuse a refinement that has left the minimum that it started in."""
-    if not abs(parameters.t_d_s - start.t_d_s) > rules.max_shift_s:
+                reason = doubt(residuals.distances_px, self.size_px, rules)
+                return replace(self.start, status=Status.POOR_FIT, reason=reason, R=None, t=None)
+        self.allowance.learn(last.problem, parameters)
         return None
-    reason = (
-        f"the refinement moved t_d from {start.t_d_s:.3f} to {parameters.t_d_s:.3f} s, further than"
-        f" {1e3 * rules.max_shift_s:.0f} ms"
-    )
-    return replace(start, status=Status.NO_CONVERGENCE, reason=reason)
 
-
-def _unseen(start: Estimate, parameters: Parameters, n_pairs: int, needed: int) -> Estimate:
-    # Views that are cut in pieces share next to nothing at some offsets.
-    reason = (
-        f"the refinement moved t_d from {start.t_d_s:.3f} to {parameters.t_d_s:.3f} s, where only"
-        f" {n_pairs} sample times are valid in both views, and {needed} are needed"
-    )
-    return replace(start, status=Status.NO_CONVERGENCE, reason=reason)
-
-
-def unsettled(start: Estimate, rounds: int) -> Estimate:
-    """Refuse a refinement whose iterations ran out."""
-    reason = f"after {rounds} rounds the refinement from {start.t_d_s:.3f} s still moved"
-    return replace(start, status=Status.NO_CONVERGENCE, reason=reason)
+    def hidden_px(self, last: Round, residuals: Residuals) -> Array:
+        parameters, rules = residuals.parameters, self.rules.joint
+        offset, rig = rules.bias_offset, self.views.rig
+        if self.views.pose_is_known:
+            seen = self.model.views(self.views, parameters)
+            offset = max(offset, rules.known_bias_offset * seen.lasting_share(parameters.t_d_s))
+        bias = self.size_px, np.array([rules.bias_slope, rules.bias_slope, offset])
+        return _hidden_errors(residuals.F, residuals.p1_px, residuals.p2_px, *bias, rig)
 
 
 def sharp_pairs(track1: SharpTrack, track2: SharpTrack, t_d_s: float) -> tuple[WeighedPairs, float]:
@@ -217,11 +144,7 @@ def sharp_pairs(track1: SharpTrack, track2: SharpTrack, t_d_s: float) -> tuple[W
     return pairs, size_px
 
 
-def _fundamental(parameters: Parameters, rig: Rig) -> Array:
-    return fundamental_from_pose(rig.cam1.K, rig.cam2.K, parameters.R, parameters.t)
-
-
-def _hidden_errors(F: Array, residuals: Residuals, size_px: float, bias: Array, rig: Rig) -> Array:
+def _hidden_errors(F: Array, p1: Array, p2: Array, size_px: float, bias: Array, rig: Rig) -> Array:
     """Give what each part of the hidden bias, one deviation of it, does to the distances: (n, 12).
 
     The mean of the events lies elsewhere on the object as this is seen from elsewhere, and a change
@@ -229,12 +152,11 @@ def _hidden_errors(F: Array, residuals: Residuals, size_px: float, bias: Array, 
     it. Distances are weighed by the inverse of the image's size, and the bias (3,) is a part of it:
     so the weights drop out.
     """
-    p1, p2 = residuals.p1_px, residuals.p2_px
     parts = []
     for F_there, there, here, K in ((F.T, p2, p1, rig.cam1.K), (F, p1, p2, rig.cam2.K)):
         shifts = size_px * rays_of(K, here) * bias
         for axis in np.eye(2):
             along = np.tile(axis, (len(here), 1))
-            by_shift = sampson_derivative(F_there, np.zeros((3, 3)), there, here, along)
+            by_shift = sampson_derivative(F_there, there, here, along)
             parts.append(by_shift[:, None] * shifts)
     return np.hstack(parts)

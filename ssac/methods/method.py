@@ -25,14 +25,9 @@ if TYPE_CHECKING:  # what takes long to import is not needed to list methods
     from ssac.config import Config
     from ssac.estimate import Estimate
 
-PACKAGE = __name__.rpartition(".")[0]
-"""Where our methods are, and the group of entry points of other packages' methods."""
-
-DEFAULT = "tangency"
-"""The most accurate method for unknown extrinsics; its `known_variant` is that for known ones."""
-
-OF_TRACKS = "joint"
-"""The most accurate method where a camera gave a track of points."""
+PACKAGE = __name__.rpartition(".")[0]  # of our methods, and the group of others' entry points
+DEFAULT = "tangency"  # the most accurate of unknown extrinsics; its `known_variant`: of known ones
+OF_TRACKS = "joint"  # the most accurate where a camera gave a track of points
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -128,14 +123,8 @@ class Method:
 def method(name: str, summary: str, place: int = 0, **says: Any) -> Callable[[Function], Function]:
     """Declare a method that the function below runs; it has no effect at run time.
 
-    Parameters
-    ----------
-    name, summary
-        In quotes, as all of it: nothing is evaluated.
-    place
-        In lists, from 1 on; those without one come last, by name.
-    says
-        Further fields of `Method`.
+    All is in quotes, or numbers, as nothing is evaluated: name and summary, the place in lists from
+    1 on (those without one come last, by name), and further fields of `Method`.
     """
     del name, summary, place, says
     return lambda function: function

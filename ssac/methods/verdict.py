@@ -30,23 +30,18 @@ def offset_estimate(method: str, search: OffsetSearch, views: TwoViews) -> Estim
     elif np.isnan(search.t_d_s):
         status = Status.TOO_FEW_SAMPLES
         reason = (
-            f"at no {where} are {views.config.rules.search.min_pairs} of {views.config.n_samples}"
-            f" sample times valid in both views: {_rules(views)}"
+            f"at no {where} are {views.rules.search.min_pairs} of {views.config.n_samples}"
+            f" sample times valid in both views: {_needed(views)}"
         )
     elif search.at_bound:
         status = Status.SEARCH_BOUND
         reason = f"the best offset, {search.t_d_s:.3f} s, bounds the search: widen the interval"
-    return Estimate(
-        method,
-        status,
-        reason,
-        search.t_d_s if status == Status.OK else np.nan,
-        candidates_s=search.candidates_s,
-        costs=search.d_avg_px,
-    )
+    t_d_s = search.t_d_s if status == Status.OK else np.nan
+    found = Estimate(method, status, reason, t_d_s)
+    return replace(found, candidates_s=search.candidates_s, costs=search.d_avg_px)
 
 
-def _rules(views: TwoViews) -> str:
+def _needed(views: TwoViews) -> str:
     """Say when a sample time is valid, by what the cameras gave."""
     config = views.config
     of_points = [isinstance(motion, PointMotion) for motion in (views.motion1, views.motion2)]
@@ -56,8 +51,11 @@ def _rules(views: TwoViews) -> str:
         f" {100 * config.max_border_fraction:g} % of them on the border"
     )
     of_tracks = "a track must have points just before and just after it"
-    rules = [of_events] * (not all(of_points)) + [of_tracks] * any(of_points)
-    return "; ".join(rules)
+    return "; ".join([of_events] * (not all(of_points)) + [of_tracks] * any(of_points))
+
+
+_STAYS = ("F", "unobservable", "jump", "doubt", "start")
+_OF_SEARCH = ("n_samples", "d_avg_px", "candidates_s", "costs")
 
 
 def refused(estimate: Estimate, refusal: Refusal, found: list[Valley] | None = None) -> Estimate:
@@ -69,26 +67,10 @@ def refused(estimate: Estimate, refusal: Refusal, found: list[Valley] | None = N
     """
     others_s = np.array(sorted(valley.least_s for valley in (found or [])[1:]))
     keeps = refusal.status == Status.AMBIGUOUS_OFFSET and len(others_s) > 0
-    return replace(
-        estimate,
-        status=refusal.status,
-        reason=refusal.reason,
-        t_d_s=estimate.t_d_s if keeps else np.nan,
-        alternatives_s=others_s if keeps else np.empty(0),
-        R=None,
-        t=None,
-        t_d_std_s=np.nan,
-        covariance=None,
-        t_ref_s=np.nan,
-        skew_ppm=np.nan,
-        skew_std_ppm=np.nan,
-        clock_covariance=None,
-        knots_s=np.empty(0),
-        strays_s=np.empty(0),
-        strays_std_s=np.empty(0),
-        readouts_s=np.full(2, np.nan),
-        readouts_std_s=np.full(2, np.nan),
-    )
+    t_d_s, alternatives_s = (estimate.t_d_s, others_s) if keeps else (np.nan, np.empty(0))
+    stays = {name: getattr(estimate, name) for name in _STAYS + _OF_SEARCH}
+    plain = Estimate(estimate.method, refusal.status, refusal.reason, t_d_s, **stays)
+    return replace(plain, alternatives_s=alternatives_s)
 
 
 def doubt(
@@ -143,9 +125,8 @@ def certain(estimate: Estimate, rules: VerdictRules) -> Estimate:
     if estimate.covariance is None or estimate.t is None:
         return estimate
     pose = estimate.covariance[1:, 1:]
-    variances, directions = (
-        np.linalg.eigh(pose) if np.isfinite(pose).all() else (np.full(5, np.inf), np.eye(5))
-    )
+    is_known = np.isfinite(pose).all()
+    variances, directions = np.linalg.eigh(pose) if is_known else (np.full(5, np.inf), np.eye(5))
     is_open = ~(variances <= np.deg2rad(rules.max_pose_std_deg) ** 2)
     if not is_open.any():
         return estimate
@@ -154,14 +135,8 @@ def certain(estimate: Estimate, rules: VerdictRules) -> Estimate:
     worst_deg = np.degrees(np.sqrt(np.max(variances)))
     named = "; ".join(_in_words(direction, estimate.t) for direction in unobservable)
     reason = f"the motion leaves the pose open by {worst_deg:.0f} deg (1 sigma): {named}"
-    return replace(
-        estimate,
-        status=Status.DEGENERATE_POSE,
-        reason=reason,
-        R=None,
-        t=None,
-        unobservable=unobservable,
-    )
+    open_pose = replace(estimate, status=Status.DEGENERATE_POSE, reason=reason, R=None, t=None)
+    return replace(open_pose, unobservable=unobservable)
 
 
 def _in_words(direction: Array, t: Array) -> str:

@@ -10,7 +10,7 @@ from ssac.config import Config
 from ssac.errors import SsacError
 from ssac.points import PointTrack
 from ssac.rules import ObjectRules, TrackRules
-from ssac.search.view import seen_of, seen_times
+from ssac.search.view import seen_of
 from ssac.track.clean import Clean
 from ssac.track.motion import SharpTrack, motion_of
 from ssac.track.objects import objects_of, seem_several
@@ -72,7 +72,7 @@ def _followed(clean: Clean, config: Config) -> tuple[NDArray[np.float64], SharpT
     """Give the points (n, 2), distorted, at which the object is in the image, and all of them."""
     motion, camera = motion_of(clean, config.windows), clean.camera
     seen = seen_of(motion, config.rules.track.step_s)
-    times_s = seen_times(seen, int(np.count_nonzero(seen.valid)))
+    times_s = seen.spread(int(np.count_nonzero(seen.valid)))
     sharp = motion.sharp_at(times_s)
     points = np.full((len(times_s), 2), np.nan)
     points[sharp.valid] = distort_points(camera, sharp.positions_px[sharp.valid])

@@ -8,7 +8,8 @@ than the most that any offset does: a short piece of path fits many another by c
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numba
@@ -23,14 +24,6 @@ Array = NDArray[np.float64]
 Progress = Callable[[float], None]  # called with the share that is done
 
 
-@dataclass(frozen=True)
-class Fit:
-    """How thoroughly F is fitted."""
-
-    n_pairs: int
-    iterations: int
-
-
 class Grid(NamedTuple):
     """A track sampled at whole steps of time."""
 
@@ -38,53 +31,6 @@ class Grid(NamedTuple):
     p_px: Array  # (n, 2)
     valid: NDArray[np.bool_]  # (n,)
     least_px: float  # that it moves between samples that count
-
-
-@dataclass(frozen=True)
-class Scan:
-    """Costs at all lags, for one rate of camera 2's clock."""
-
-    rate: float
-    lags: NDArray[np.int64]  # (m,) of the grids' indices
-    shift: int  # to be added to a lag for steps of time
-    costs: Array  # (m,) for comparison: the less common path, the more
-    most: int  # samples that count, at the best of the lags
-
-
-def grid_of(motion: Motion, step_s: float, rules: AllOffsetsRules, rate: float = 1.0) -> Grid:
-    """Sample a track at whole steps of a clock that runs `rate` times slower than its own."""
-    start_s, end_s = motion.span_s
-    first, last = int(np.ceil(start_s / (rate * step_s))), int(end_s / (rate * step_s))
-    track = motion.at(rate * step_s * np.arange(first, last + 1, dtype=np.float64))
-    seen = track.positions_px[track.valid]
-    extent_px = float(np.sum(np.std(seen, axis=0))) if len(seen) else 0.0
-    positions = np.where(track.valid[:, None], track.positions_px, 0.0)
-    return Grid(first, positions, track.valid, rules.moved * extent_px)
-
-
-def scan_lags(
-    one: Grid,
-    other: Grid,
-    rate: float,
-    fit: Fit,
-    rules: AllOffsetsRules,
-    progress: Progress | None,
-) -> Scan:
-    """Find the costs of all lags at which two paths, in steps of one length, overlap."""
-    lags = np.arange(-len(one.valid) + 1, len(other.valid), dtype=np.int64)
-    costs, counts = np.full(len(lags), np.nan), np.zeros(len(lags), np.int64)
-    chunk = 256  # lags between two calls of `progress`
-    for start in range(0, len(lags), chunk):
-        part = slice(start, start + chunk)
-        costs[part], counts[part] = costs_at_lags(
-            one, other, lags[part], fit.n_pairs, rules.least_pairs, fit.iterations
-        )
-        if progress is not None:
-            progress(min(1.0, (start + chunk) / len(lags)))
-    most = int(np.max(counts, initial=0))
-    enough = counts >= max(rules.least_pairs, rules.least_share * most)
-    weighed = np.where(enough, costs * most / np.maximum(counts, 1), np.nan)
-    return Scan(rate, lags, other.first - one.first, weighed, most)
 
 
 def local_minima(costs: Array, most: int) -> list[int]:
@@ -175,7 +121,6 @@ class Guess:
     t_ref_s: float  # camera 1's clock: the middle of the common time
     rate: float  # camera 2's clock runs so many times as fast
     cost: float
-    common_s: float  # time that both see the object in motion
     lag_s: float  # t_cam2 / rate = t_cam1 + lag
 
     @property
@@ -212,35 +157,25 @@ def search_all_offsets(
     are_seen = all(motion.span_s[0] < motion.span_s[1] for motion in (motion1, motion2))
     if not (are_seen and np.isfinite(step_s)):
         return AllOffsets(np.empty(0), np.empty(0), [], 0.0)
-    several = rate_range[0] < rate_range[1]
-    if several:
-        step_s *= rules.rate_scan_step
-    rates = _rates(rate_range, rules.rate_steps * step_s, motion1, motion2)
-    fine = Fit(rules.pairs, rules.iterations)
-    fit = Fit(rules.rate_pairs, rules.rate_iterations) if several else fine
-    n_scans = len(rates) + several
-    one = grid_of(motion1, step_s, rules)
-    scans = [
-        scan_lags(
-            one,
-            grid_of(motion2, step_s, rules, rate),
-            rate,
-            fit,
-            rules,
-            _part(progress, k, n_scans),
-        )
-        for k, rate in enumerate(rates)
-    ]
-    freedom = max(rate_freedom, 0.5 * (rates[1] / rates[0] - 1.0)) if several else rate_freedom
-    guesses = _guesses(scans, one, motion2, step_s, freedom, rules)
-    shown = scans[0]
-    if several and guesses:  # the curve at the best rate, with all pairs
-        step_s /= rules.rate_scan_step
-        one = grid_of(motion1, step_s, rules)
-        rate, said = guesses[0].rate, _part(progress, len(rates), n_scans)
-        other = grid_of(motion2, step_s, rules, rate)
-        shown = scan_lags(one, other, rate, fine, rules, said)
-    return AllOffsets(_offset_s(shown, one, step_s), shown.costs, guesses, step_s)
+    low, high = rate_range
+    if not low < high:
+        search = _Search(motion1, motion2, rules, step_s, rate_freedom, progress)
+        return search.guessed([search.scan(low, rules.pairs, rules.iterations, (0, 1))])
+    half_s = 0.5 * min(float(np.ptp(motion1.span_s)), float(np.ptp(motion2.span_s)))
+    wide_s = step_s * rules.rate_scan_step
+    n = int(np.ceil(np.log(high / low) * half_s / (rules.rate_steps * wide_s))) + 1
+    rates = [float(rate) for rate in np.geomspace(low, high, max(n, 2))]
+    freedom = max(rate_freedom, 0.5 * (rates[1] / rates[0] - 1.0))
+    search = _Search(motion1, motion2, rules, wide_s, freedom, progress)
+    few, n_scans = (rules.rate_pairs, rules.rate_iterations), len(rates) + 1
+    found = search.guessed([search.scan(rate, *few, (k, n_scans)) for k, rate in enumerate(rates)])
+    if not found.guesses:
+        return found
+    # The curve at the best rate, with all pairs.
+    fine = _Search(motion1, motion2, rules, wide_s / rules.rate_scan_step, freedom, progress)
+    rate, last = found.guesses[0].rate, (len(rates), n_scans)
+    shown = fine.shown(fine.scan(rate, rules.pairs, rules.iterations, last))
+    return replace(shown, guesses=found.guesses)
 
 
 def _step_s(motion: Motion, rules: AllOffsetsRules) -> float:
@@ -250,9 +185,9 @@ def _step_s(motion: Motion, rules: AllOffsetsRules) -> float:
         return np.inf
     n_samples = 2000
     times_s = start_s + (end_s - start_s) * (np.arange(n_samples) + 0.5) / n_samples
-    valid = motion.at(times_s).valid
-    positions = motion.at(times_s[valid]).positions_px
-    speeds = np.linalg.norm(motion.velocities_at(times_s[valid]), axis=1)
+    times_s = times_s[motion.at(times_s).valid]
+    positions = motion.at(times_s).positions_px
+    speeds = np.linalg.norm(motion.velocities_at(times_s), axis=1)
     speeds = speeds[np.isfinite(speeds)]
     if len(speeds) < 2:
         return np.inf
@@ -261,101 +196,136 @@ def _step_s(motion: Motion, rules: AllOffsetsRules) -> float:
     return float(np.clip(step_s, rules.least_step_s, rules.most_step_s))
 
 
-def _rates(
-    rate_range: tuple[float, float], end_step_s: float, motion1: Motion, motion2: Motion
-) -> list[float]:
-    low, high = rate_range
-    if not low < high:
-        return [low]
-    half_s = 0.5 * min(float(np.ptp(motion1.span_s)), float(np.ptp(motion2.span_s)))
-    n = int(np.ceil(np.log(high / low) * half_s / end_step_s)) + 1
-    return [float(rate) for rate in np.geomspace(low, high, max(n, 2))]
+@dataclass(frozen=True)
+class _Scan:
+    """Costs at all lags, for one rate of camera 2's clock."""
+
+    rate: float
+    lags: NDArray[np.int64]  # (m,) of the grids' indices
+    shift: int  # to be added to a lag for steps of time
+    costs: Array  # (m,) for comparison: the less common path, the more
+    most: int  # samples that count, at the best of the lags
 
 
-def _guesses(
-    scans: list[Scan],
-    one: Grid,
-    motion2: Motion,
-    step_s: float,
-    freedom: float,
-    rules: AllOffsetsRules,
-) -> list[Guess]:
-    """Refine the least minima of all scans, and sort them; the nearest to each other are one."""
-    most = max(scan.most for scan in scans)
-    starts = sorted(
-        (float(scan.costs[m]) * most / max(scan.most, 1), k, m)
-        for k, scan in enumerate(scans)
-        for m in local_minima(scan.costs, rules.max_guesses)
-    )
-    apart_s = rules.apart_steps * step_s
-    tried: list[tuple[float, float]] = []
-    found: list[Guess] = []
-    for _, k, m in starts:
-        scan = scans[k]
-        lag_s = step_s * float(scan.lags[m] + scan.shift)
-        if any(
-            abs(lag_s - other_s) < apart_s and abs(scan.rate / rate - 1.0) <= freedom
-            for other_s, rate in tried
-        ):
-            continue
-        tried.append((lag_s, scan.rate))
-        guess = _refined(one, motion2, step_s, int(scan.lags[m]), scan, freedom, most, rules)
-        if guess is not None:
-            found.append(guess)
-        if len(tried) >= rules.max_guesses:
-            break
-    found.sort(key=lambda guess: guess.cost)
-    apart: list[Guess] = []
-    for guess in found:
-        if all(abs(guess.lag_s - other.lag_s) > apart_s for other in apart):
-            apart.append(guess)
-    return apart
+@dataclass(frozen=True)
+class _Search:
+    """Both paths on grids of one step, at any rate of camera 2's clock."""
 
+    motion1: Motion
+    motion2: Motion
+    rules: AllOffsetsRules
+    step_s: float
+    freedom: float  # share by which a guess's rate may be from that of its scan
+    progress: Progress | None
 
-def _refined(
-    one: Grid,
-    motion2: Motion,
-    step_s: float,
-    lag: int,
-    scan: Scan,
-    freedom: float,
-    most: int,
-    rules: AllOffsetsRules,
-) -> Guess | None:
-    """Refine an offset, and the rate where it is free, by ever shorter steps."""
-    other = grid_of(motion2, step_s, rules, scan.rate)
-    chosen = np.empty(len(one.valid), np.int64)
-    count = moving_pairs(one, other, lag, chosen)
-    if count < rules.least_pairs:
-        return None
-    n = min(count, 2 * rules.pairs)
-    places = chosen[np.arange(n) * count // n]
-    times_s = step_s * (one.first + places).astype(np.float64)
-    t_ref_s = 0.5 * float(times_s[0] + times_s[-1])
-    p1 = one.p_px[places]
+    @cached_property
+    def one(self) -> Grid:
+        """Camera 1's path."""
+        return self._grid(self.motion1)
 
-    def cost(t_d_s: float, rate: float) -> float:
-        track = motion2.at(t_ref_s + t_d_s + rate * (times_s - t_ref_s))
-        if np.count_nonzero(track.valid) < max(rules.least_pairs, len(times_s) // 2):
-            return np.inf
-        p2 = track.positions_px[track.valid]
-        value = relative_cost(p1[track.valid], p2, rules.fine_iterations)
-        return float(value) if np.isfinite(value) else np.inf
+    def _grid(self, motion: Motion, rate: float = 1.0) -> Grid:
+        """Sample a track at whole steps of a clock that runs `rate` times slower than its own."""
+        (start_s, end_s), step_s = motion.span_s, rate * self.step_s
+        first, last = int(np.ceil(start_s / step_s)), int(end_s / step_s)
+        track = motion.at(step_s * np.arange(first, last + 1, dtype=np.float64))
+        seen = track.positions_px[track.valid]
+        extent_px = float(np.sum(np.std(seen, axis=0))) if len(seen) else 0.0
+        positions = np.where(track.valid[:, None], track.positions_px, 0.0)
+        return Grid(first, positions, track.valid, self.rules.moved * extent_px)
 
-    t_d_s = scan.rate * (t_ref_s + step_s * (lag + scan.shift)) - t_ref_s
-    best = _compass(cost, (t_d_s, scan.rate), (0.5 * step_s, 0.0))
-    half_s = 0.5 * float(times_s[-1] - times_s[0])
-    if freedom > 0.0:
-        step = min(0.5 * freedom, 2.0 * step_s / half_s)
-        starts = [scan.rate * (1.0 + part * freedom) for part in (-0.5, 0.0, 0.5)]
-        free = min(_compass(cost, (best[1][0], rate), (0.5 * step_s, step)) for rate in starts)
-        if free[0] < rules.worth * best[0] and abs(free[1][1] / scan.rate - 1.0) <= freedom:
-            best = free
-    (t_d_s, rate), value = best[1], best[0]
-    if not np.isfinite(value):
-        return None
-    lag_s = (t_ref_s + t_d_s) / rate - t_ref_s
-    return Guess(t_d_s, t_ref_s, rate, value * most / count, step_s * count, lag_s)
+    def scan(self, rate: float, pairs: int, iterations: int, part: tuple[int, int]) -> _Scan:
+        """Find the costs of all lags at which the paths overlap: the k-th of n scans."""
+        one, other, least = self.one, self._grid(self.motion2, rate), self.rules.least_pairs
+        lags = np.arange(-len(one.valid) + 1, len(other.valid), dtype=np.int64)
+        costs, counts = np.full(len(lags), np.nan), np.zeros(len(lags), np.int64)
+        chunk, (k, n) = 256, part  # lags between two calls of `progress`
+        for start in range(0, len(lags), chunk):
+            some = slice(start, start + chunk)
+            costs[some], counts[some] = costs_at_lags(
+                one, other, lags[some], pairs, least, iterations
+            )
+            if self.progress is not None:
+                self.progress((k + min(1.0, (start + chunk) / len(lags))) / n)
+        most = int(np.max(counts, initial=0))
+        enough = counts >= max(least, self.rules.least_share * most)
+        weighed = np.where(enough, costs * most / np.maximum(counts, 1), np.nan)
+        return _Scan(rate, lags, other.first - one.first, weighed, most)
+
+    def shown(self, scan: _Scan) -> AllOffsets:
+        """Give a scan's offsets, at the middle of camera 1's recording, and no guess."""
+        middle_s = self.step_s * (self.one.first + 0.5 * len(self.one.valid))
+        lags_s = self.step_s * (scan.lags + scan.shift).astype(np.float64)
+        offsets_s = np.asarray(scan.rate * (middle_s + lags_s) - middle_s)
+        return AllOffsets(offsets_s, scan.costs, [], self.step_s)
+
+    def guessed(self, scans: list[_Scan]) -> AllOffsets:
+        """Refine the least minima of all scans, and sort them; the nearest to each other are one.
+
+        The curve is that of the first scan.
+        """
+        most, rules = max(scan.most for scan in scans), self.rules
+        starts = sorted(
+            (float(scan.costs[m]) * most / max(scan.most, 1), k, m)
+            for k, scan in enumerate(scans)
+            for m in local_minima(scan.costs, rules.max_guesses)
+        )
+        apart_s = rules.apart_steps * self.step_s
+        tried: list[tuple[float, float]] = []
+        found: list[Guess] = []
+        for _, k, m in starts:
+            scan = scans[k]
+            lag_s = self.step_s * float(scan.lags[m] + scan.shift)
+            if any(
+                abs(lag_s - other_s) < apart_s and abs(scan.rate / rate - 1.0) <= self.freedom
+                for other_s, rate in tried
+            ):
+                continue
+            tried.append((lag_s, scan.rate))
+            guess = self._refined(int(scan.lags[m]), scan, most)
+            found += [] if guess is None else [guess]
+            if len(tried) >= rules.max_guesses:
+                break
+        apart: list[Guess] = []
+        for guess in sorted(found, key=lambda one: one.cost):
+            if all(abs(guess.lag_s - other.lag_s) > apart_s for other in apart):
+                apart.append(guess)
+        return replace(self.shown(scans[0]), guesses=apart)
+
+    def _refined(self, lag: int, scan: _Scan, most: int) -> Guess | None:
+        """Refine an offset, and the rate where it is free, by ever shorter steps."""
+        rules, step_s, one, freedom = self.rules, self.step_s, self.one, self.freedom
+        chosen = np.empty(len(one.valid), np.int64)
+        count = moving_pairs(one, self._grid(self.motion2, scan.rate), lag, chosen)
+        if count < rules.least_pairs:
+            return None
+        n = min(count, 2 * rules.pairs)
+        places = chosen[np.arange(n) * count // n]
+        times_s = step_s * (one.first + places).astype(np.float64)
+        t_ref_s = 0.5 * float(times_s[0] + times_s[-1])
+        p1 = one.p_px[places]
+
+        def cost(t_d_s: float, rate: float) -> float:
+            track = self.motion2.at(t_ref_s + t_d_s + rate * (times_s - t_ref_s))
+            if np.count_nonzero(track.valid) < max(rules.least_pairs, len(times_s) // 2):
+                return np.inf
+            p2 = track.positions_px[track.valid]
+            value = relative_cost(p1[track.valid], p2, rules.fine_iterations)
+            return float(value) if np.isfinite(value) else np.inf
+
+        t_d_s = scan.rate * (t_ref_s + step_s * (lag + scan.shift)) - t_ref_s
+        best = _compass(cost, (t_d_s, scan.rate), (0.5 * step_s, 0.0))
+        half_s = 0.5 * float(times_s[-1] - times_s[0])
+        if freedom > 0.0:
+            step = min(0.5 * freedom, 2.0 * step_s / half_s)
+            starts = [scan.rate * (1.0 + part * freedom) for part in (-0.5, 0.0, 0.5)]
+            free = min(_compass(cost, (best[1][0], rate), (0.5 * step_s, step)) for rate in starts)
+            if free[0] < rules.worth * best[0] and abs(free[1][1] / scan.rate - 1.0) <= freedom:
+                best = free
+        value, (t_d_s, rate) = best
+        if not np.isfinite(value):
+            return None
+        lag_s = (t_ref_s + t_d_s) / rate - t_ref_s
+        return Guess(t_d_s, t_ref_s, rate, value * most / count, lag_s)
 
 
 def _compass(
@@ -375,17 +345,3 @@ def _compass(
         else:
             step_s, step = 0.5 * step_s, 0.5 * step
     return best, (offset_s, rate)
-
-
-def _offset_s(scan: Scan, one: Grid, step_s: float) -> Array:
-    """Offsets t_d (m,) [s] of a scan's lags, at the middle of camera 1's recording."""
-    middle_s = step_s * (one.first + 0.5 * len(one.valid))
-    lags_s = step_s * (scan.lags + scan.shift).astype(np.float64)
-    return np.asarray(scan.rate * (middle_s + lags_s) - middle_s)
-
-
-def _part(progress: Progress | None, k: int, n: int) -> Progress | None:
-    """Progress of part k of n."""
-    if progress is None:
-        return None
-    return lambda share: progress((k + share) / n)

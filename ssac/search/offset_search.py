@@ -24,9 +24,7 @@ from ssac.track.clean import Clean
 Array = NDArray[np.float64]
 Cost = Callable[[Array], Array]  # offsets (M,) [s] -> d_avg (M,) [px], NaN where it has none
 
-FINE_STEP_S = 0.001
-"""Step of the paper's exhaustive search, on whose grid all candidates lie."""
-
+FINE_STEP_S = 0.001  # of the paper's exhaustive search, on whose grid all candidates lie
 _FIT_STEPS = 6  # fine steps on each side of the minimum, to which a parabola is fitted
 
 
@@ -59,8 +57,22 @@ def candidate_offsets(views: TwoViews) -> Array:
     offsets = low + FINE_STEP_S * np.arange(n_steps + 1, dtype=np.float64)
     start, end = views.overlap_s(offsets)
     lengths = end - start
-    least = views.config.rules.search.min_overlap * np.max(lengths, initial=0.0)
+    least = views.rules.search.min_overlap * np.max(lengths, initial=0.0)
     return offsets[(lengths > 0.0) & (lengths >= least)]
+
+
+def search_offsets(
+    views: TwoViews, coarse_cost: Cost, cost: Cost, returns_s: Array | None = None
+) -> OffsetSearch:
+    """Search the offsets of two views as the config asks for, exhaustively or coarse to fine."""
+    candidates_s, rules = candidate_offsets(views), views.rules.search
+    if views.config.exhaustive:
+        return exhaustive_search(cost, candidates_s)
+    # The first step is shorter for motion that turns back more often.
+    swing_hz = max((view.swing_hz for view in views.alone.views if view is not None), default=0.0)
+    steps = rules.coarsest_steps * rules.ordinary_swing_hz / max(swing_hz, 1e-12)
+    coarsest = int(np.clip(steps, rules.least_coarse_steps, rules.coarsest_steps))
+    return coarse_to_fine_search(coarse_cost, cost, candidates_s, coarsest, rules, returns_s)
 
 
 def exhaustive_search(cost: Cost, offsets_s: Array) -> OffsetSearch:
@@ -79,14 +91,13 @@ def coarse_to_fine_search(
     """Find what `exhaustive_search` finds from about a tenth of its candidates.
 
     Every 20 ms first, then every 5 ms around the three least local minima, both with the coarse
-    cost; then every 1 ms around the least of all with the cost itself. The other deep minima of the
-    curve are followed to 1 ms as well, with the coarse cost: they are not candidates any more, but
-    say whether the least of all has rivals (`valleys`).
+    cost, which may be cheaper and less robust; then every 1 ms around the least of all with the
+    cost itself. The other deep minima of the curve are followed to 1 ms as well, with the coarse
+    cost: they are not candidates any more, but say whether the least of all has rivals (`valleys`).
 
-    The coarse cost may be cheaper and less robust. Motion that turns back more often than an
-    ordinary flight has narrower valleys, and needs a shorter first step: `coarsest`, of 5 fine
-    steps or more. Motion that repeats itself after some lags (k,) [s] has rivals as far from the
-    best.
+    Motion that turns back more often than an ordinary flight has narrower valleys, and needs a
+    shorter first step: `coarsest`, of 5 fine steps or more. Motion that repeats itself after some
+    lags (k,) [s] has rivals as far from the best.
     """
     middle, finest, close = 5, 1, 3  # fine steps; the last on each side of a rival
     size = len(offsets_s)
@@ -158,7 +169,7 @@ def _neighbourhood(
 def _minimum(candidates_s: Array, d_avg_px: Array, eligible: NDArray[np.bool_]) -> OffsetSearch:
     """Take the least of the eligible candidates, refined between candidates.
 
-    Deviation: the paper takes the best candidate. Events that enter and leave the windows make
+    Deviation: the paper takes the best. Events that enter and leave the windows make
     d_avg jump by about 1e-3 px between offsets 10 us apart, so the minimum is read off a parabola
     fitted to d_avg within 6 ms. Its weights fall off towards both ends of a window centred on the
     minimum itself, so that the result does not depend on where the candidates lie.
@@ -190,11 +201,6 @@ class Valley:
     last_s: float
     least_s: float  # where the cost is least
 
-    @property
-    def length_s(self) -> float:
-        """From end to end [s]."""
-        return self.last_s - self.first_s
-
 
 def unusable(
     views: TwoViews, cleans: tuple[Clean, Clean], interval_s: Interval | None
@@ -205,11 +211,11 @@ def unusable(
     """
     too_few = [
         _too_few(number, clean, views.config)
-        for number, (clean, view) in enumerate(zip(cleans, views.views, strict=True), start=1)
+        for number, (clean, view) in enumerate(zip(cleans, views.alone.views, strict=True), start=1)
         if view is None  # else there are windows that hold enough
     ]
     apart = None if interval_s is None else _no_common_time(cleans, interval_s)
-    return first(at_rest(views.views, views.config.rules.search), apart, *too_few)
+    return first(at_rest(views.alone.views, views.rules.search), apart, *too_few)
 
 
 def _no_common_time(cleans: tuple[Clean, Clean], interval_s: Interval) -> Refusal | None:
@@ -240,21 +246,20 @@ def _too_few(number: int, clean: Clean, config: Config) -> Refusal | None:
     left = f"denoising left {n} of {clean.n_recorded} events"
     if clean.clutter is not None and clean.clutter.masked_events:
         left += f", of which {clean.clutter.masked_events} were of lamps and hot pixels"
-    if n == 0:
-        return Refusal(
-            Status.TOO_FEW_SAMPLES,
-            f"camera {number}: {left}: check that an object moves in this recording and that its"
-            " times are in the unit of its format, or try --no-denoise",
-        )
     t_us, window_us = clean.events["t"], 2 * config.half_window_s * US_PER_S
-    if n >= n_min and np.min(t_us[n_min - 1 :] - t_us[: n - n_min + 1]) <= window_us:
-        return None
-    return Refusal(
-        Status.TOO_FEW_SAMPLES,
-        f"camera {number}: no window of {window_us / 1e3:g} ms holds {n_min} events"
+    reason = (
+        f"no window of {window_us / 1e3:g} ms holds {n_min} events"
         f"{f' ({left})' if clean.denoised else ''}: record closer to the object, or give a smaller"
-        " --n-min or a longer --half-window",
+        " --n-min or a longer --half-window"
     )
+    if n == 0:
+        reason = (
+            f"{left}: check that an object moves in this recording and that its times are in the"
+            " unit of its format, or try --no-denoise"
+        )
+    elif n >= n_min and np.min(t_us[n_min - 1 :] - t_us[: n - n_min + 1]) <= window_us:
+        return None
+    return Refusal(Status.TOO_FEW_SAMPLES, f"camera {number}: {reason}")
 
 
 def at_rest(views: tuple[View | None, View | None], rules: SearchRules) -> Refusal | None:
@@ -269,45 +274,34 @@ def at_rest(views: tuple[View | None, View | None], rules: SearchRules) -> Refus
     return None
 
 
-def coarsest_step(views: tuple[View | None, View | None], rules: SearchRules) -> int:
-    """First step of the search, in fine steps: shorter for motion that turns back more often."""
-    swing_hz = max((view.swing_hz for view in views if view is not None), default=0.0)
-    steps = rules.coarsest_steps * rules.ordinary_swing_hz / max(swing_hz, 1e-12)
-    return int(np.clip(steps, rules.least_coarse_steps, rules.coarsest_steps))
-
-
 def too_little_motion(n_swings: float, least: float) -> Refusal | None:
     """Refuse a path too short to tell an offset and a pose from chance."""
-    if n_swings >= least:
-        return None
-    return Refusal(
-        Status.TOO_LITTLE_MOTION,
+    reason = (
         f"the object goes to and fro {n_swings:.1f} times while both cameras see it, and"
-        f" {least} are needed to tell offset and pose: record longer, or a livelier flight",
+        f" {least} are needed to tell offset and pose: record longer, or a livelier flight"
     )
+    return None if n_swings >= least else Refusal(Status.TOO_LITTLE_MOTION, reason)
 
 
 def no_match(distance_px: float, object_px: float, rules: SearchRules) -> Refusal | None:
     """Refuse what fits the two views no better than two unrelated paths."""
-    if not distance_px > rules.max_residual * object_px:
-        return None
-    return Refusal(
-        Status.NO_MATCH,
+    reason = (
         f"at the best offset the two paths still disagree by {distance_px:.1f} px, and the object's"
         f" rms size is {object_px:.1f} px: the cameras see different objects, or the offset lies"
-        " outside the search",
+        " outside the search"
     )
+    is_far = distance_px > rules.max_residual * object_px
+    return Refusal(Status.NO_MATCH, reason) if is_far else None
 
 
 def open_fundamental(p1_px: Array, p2_px: Array, rules: SearchRules) -> Refusal | None:
     """Refuse the pose of pairs (n, 2) [px] that another F fits nearly as well as the best."""
-    if second_best(p1_px, p2_px) >= rules.min_second_best:
-        return None
-    return Refusal(
-        Status.DEGENERATE_POSE,
+    reason = (
         "the path lies near a plane, or near another surface on which many fundamental matrices"
-        " fit as well: F leaves the pose open",
+        " fit as well: F leaves the pose open"
     )
+    is_open = not second_best(p1_px, p2_px) >= rules.min_second_best
+    return Refusal(Status.DEGENERATE_POSE, reason) if is_open else None
 
 
 def valleys(candidates_s: Array, costs: Array, t_d_s: float, rules: SearchRules) -> list[Valley]:
@@ -322,31 +316,26 @@ def valleys(candidates_s: Array, costs: Array, t_d_s: float, rules: SearchRules)
     if len(low) == 0:  # at a cost of zero
         return [Valley(t_d_s, t_d_s, t_d_s)]
     ends = np.flatnonzero(np.diff(candidates_s[low]) > rules.one_valley_s)
-    found = [
-        Valley(
-            float(candidates_s[piece[0]]),
-            float(candidates_s[piece[-1]]),
-            float(candidates_s[piece[np.argmin(costs[piece])]]),
-        )
-        for piece in np.split(low, ends + 1)
-    ]
-    return sorted(
-        found, key=lambda valley: not valley.first_s <= candidates_s[here] <= valley.last_s
-    )
+    found = []
+    for piece in np.split(low, ends + 1):
+        first, last, least = piece[0], piece[-1], piece[np.argmin(costs[piece])]
+        found.append(Valley(*(float(candidates_s[k]) for k in (first, last, least))))
+    at_s = candidates_s[here]
+    return sorted(found, key=lambda valley: not valley.first_s <= at_s <= valley.last_s)
 
 
 def ambiguous_offset(found: list[Valley], longest_s: float) -> Refusal | None:
     """Refuse a cost curve with several valleys as deep as each other, or one without an end."""
-    alternatives_s = sorted(valley.least_s for valley in found[1:])
+    first, *others = found
+    alternatives_s = sorted(valley.least_s for valley in others)
+    reason = (
+        f"all offsets from {first.first_s:.2f} to {first.last_s:.2f} s fit alike: uniform motion"
+        " along a line, circle or helix does not tell the offset"
+    )
     if alternatives_s:
-        return Refusal(Status.AMBIGUOUS_OFFSET, other_offsets(alternatives_s))
-    if found[0].length_s > longest_s:
-        return Refusal(
-            Status.AMBIGUOUS_OFFSET,
-            f"all offsets from {found[0].first_s:.2f} to {found[0].last_s:.2f} s fit alike: uniform"
-            " motion along a line, circle or helix does not tell the offset",
-        )
-    return None
+        reason = other_offsets(alternatives_s)
+    is_long = first.last_s - first.first_s > longest_s
+    return Refusal(Status.AMBIGUOUS_OFFSET, reason) if alternatives_s or is_long else None
 
 
 def other_offsets(alternatives_s: list[float]) -> str:

@@ -10,7 +10,7 @@ F. It is judged by the time in which any pieces of both views, of that chain or 
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,102 +40,166 @@ class Match:
     distance_px: float  # their median
 
 
-def matches(
-    pieces1: list[Piece],
-    pieces2: list[Piece],
-    interval_s: tuple[float, float] | None,
-    rules: Rules,
-) -> list[Match]:
-    """Find offsets at which pieces of both views are of one object, the best borne out first.
+Pieces = tuple[list[Piece], list[Piece]]  # of both views
+Chains = tuple[list[int], list[int]]  # places of pieces
 
-    The interval is of offsets [s], as if both recordings started at a time; None for any.
-    """
-    grids1, grids2 = (
-        [_sampled(piece, rules.match.least_moved_px) for piece in pieces]
-        for pieces in (pieces1, pieces2)
-    )
-    starts = []
-    for chain1 in _candidates(pieces1, rules):
-        one = _joined([grids1[i] for i in chain1])
-        for chain2 in _candidates(pieces2, rules):
-            other = _joined([grids2[j] for j in chain2])
-            for cost, lag in _minima(one, other, interval_s, rules):
-                starts.append((cost, lag, one, other, (chain1, chain2)))
-    found: list[Match] = []
-    for _, lag, one, other, chains in sorted(starts, key=lambda start: start[:2])[
-        : rules.match.starts
-    ]:
-        F = lmeds_fundamental(*_common(one, other, lag), rules.match.trials)
-        if np.isfinite(F).all():
-            match = _grown(lag, F, (grids1, grids2), (pieces1, pieces2), chains, rules)
+
+class _Matching:
+    """The pieces of both views on grids of half bins, and what they have in common."""
+
+    def __init__(self, pieces: Pieces, interval_s: Interval | None, rules: Rules) -> None:
+        """Take pieces, and the offsets [s] searched, as if both recordings started at a time."""
+        self.pieces, self.interval_s = pieces, interval_s
+        self.rules, self.match = rules, rules.match
+        self.grids = [[self._sampled(piece) for piece in of_view] for of_view in pieces]
+
+    def matches(self) -> list[Match]:
+        """Find offsets at which pieces of both views are of one object, the best first."""
+        one, other = (self._chains(of_view) for of_view in self.pieces)
+        starts = [
+            (cost, lag, chains)
+            for chains in product(one, other)
+            for cost, lag in self._minima(*self._joined(chains))
+        ]
+        starts.sort(key=lambda start: start[:2])
+        found: list[Match] = []
+        for _, lag, chains in starts[: self.match.starts]:
+            F = lmeds_fundamental(*_common(*self._joined(chains), lag), self.match.trials)
+            match = self._grown(lag, F, chains) if np.isfinite(F).all() else None
             found += [] if match is None else [match]
-    return _distinct(sorted(found, key=lambda match: -match.common), rules)
+        left = sorted(found, key=lambda match: -match.common)
+        kept: list[Match] = []  # one for each offset: of two that bear out the same, that of more
+        while left:
+            same = [one for one in left if abs(one.lag - left[0].lag) <= self.match.same_lag]
+            often = [one for one in same if one.common >= self.match.as_often * same[0].common]
+            kept.append(max(often, key=lambda match: match.n_events))
+            left = [one for one in left if abs(one.lag - left[0].lag) > self.match.same_lag]
+        return kept
 
+    def both_see(self, lag: int) -> int:
+        """Count the half bins in which both cameras see anything that moves, at an offset."""
+        seen1, seen2 = (
+            {k for piece in of_view for k in range(2 * piece.first, 2 * piece.last)}
+            for of_view in self.pieces
+        )
+        return len(seen1 & {k - lag for k in seen2})
 
-def both_see(pieces1: list[Piece], pieces2: list[Piece], lag: int) -> int:
-    """Count the half bins in which both cameras see anything that moves, at an offset."""
-    seen1 = {k for piece in pieces1 for k in range(2 * piece.first, 2 * piece.last)}
-    seen2 = {k - lag for piece in pieces2 for k in range(2 * piece.first, 2 * piece.last)}
-    return len(seen1 & seen2)
+    def _chains(self, pieces: list[Piece]) -> list[list[int]]:
+        """Longest chains, and the longest pieces by themselves: no wrong turn is in these."""
+        chains = chains_of(pieces, self.rules.objects)[: self.match.max_chains]
+        longest = np.argsort([-len(piece.positions_px) for piece in pieces], kind="stable")
+        alone = [[int(i)] for i in longest[: self.match.max_alone]]
+        return chains + [piece for piece in alone if piece not in chains]
 
+    def _sampled(self, piece: Piece) -> Grid:
+        """Sample a piece at half bins, in between by the mean of its neighbours."""
+        positions = piece.positions_px
+        sampled = np.empty((2 * len(positions) - 1, 2))
+        sampled[::2], sampled[1::2] = positions, 0.5 * (positions[:-1] + positions[1:])
+        known, least_px = np.isfinite(sampled[:, 0]), self.match.least_moved_px
+        return Grid(2 * piece.first, np.nan_to_num(sampled), known, least_px)
 
-def _candidates(pieces: list[Piece], rules: Rules) -> list[list[int]]:
-    """Longest chains, and the longest pieces by themselves: no wrong turn is in these."""
-    chains = chains_of(pieces, rules.objects)[: rules.match.max_chains]
-    longest = np.argsort([-len(piece.positions_px) for piece in pieces], kind="stable")
-    alone = [[int(i)] for i in longest[: rules.match.max_alone]]
-    return chains + [piece for piece in alone if piece not in chains]
+    def _joined(self, chains: Chains) -> tuple[Grid, Grid]:
+        """Put pieces that follow each other on one grid, of each view."""
+        joined = []
+        for of_view, chain in zip(self.grids, chains, strict=True):
+            grids = [of_view[i] for i in chain]
+            first, last = grids[0].first, grids[-1].first + len(grids[-1].valid)
+            positions, valid = np.zeros((last - first, 2)), np.zeros(last - first, np.bool_)
+            for grid in grids:
+                part = slice(grid.first - first, grid.first - first + len(grid.valid))
+                positions[part], valid[part] = grid.p_px, grid.valid
+            joined.append(Grid(first, positions, valid, grids[0].least_px))
+        return joined[0], joined[1]
 
+    def _minima(self, one: Grid, other: Grid) -> list[tuple[float, int]]:
+        """Find the costs of the best offsets of two chains, and these offsets [half bins]."""
+        shift, half_bin_s = other.first - one.first, 0.5e-6 * self.rules.objects.bin_us
+        first, last = 1 - len(one.valid), len(other.valid) - 1
+        if self.interval_s is not None:
+            low, high = (bound_s / half_bin_s - shift for bound_s in self.interval_s)
+            first, last = max(first, int(np.ceil(low))), min(last, int(np.floor(high)))
+        lags, match = np.arange(first, last + 1, dtype=np.int64), self.match
+        least = match.least_pairs
+        costs, counts = costs_at_lags(one, other, lags, match.pairs, least, match.iterations)
+        shared = costs / np.maximum(counts, 1)
+        best = local_minima(shared, match.minima)
+        return [(float(shared[m]), int(lags[m]) + shift) for m in best]
 
-def _distinct(found: list[Match], rules: Rules) -> list[Match]:
-    """Take one match for each offset: of two that bear out the same, that of more events."""
-    kept: list[Match] = []
-    left = found
-    while left:
-        same = [match for match in left if abs(match.lag - left[0].lag) <= rules.match.same_lag]
-        left = [match for match in left if abs(match.lag - left[0].lag) > rules.match.same_lag]
-        often = [match for match in same if match.common >= rules.match.as_often * same[0].common]
-        kept.append(max(often, key=lambda match: match.n_events))
-    return kept
+    def _grown(self, lag: int, F: Array, chains: Chains) -> Match | None:
+        """Take the pieces that bear an offset and an F out, refine both with these, and again."""
+        best: Match | None = None
+        for _ in range(self.match.rounds):
+            most_px = np.inf
+            if best is not None:
+                most_px = self.match.firm_px + self.match.firm_times * best.distance_px
+            taken = self._consistent(lag, F, chains, most_px)
+            if not taken:
+                return best
+            p1, p2 = self._positions(taken, lag)
+            if len(p1) < self.match.least_pairs:
+                return best
+            refit = reweighted_fundamental(p1, p2)
+            if _distance_px(refit, p1, p2) < _distance_px(F, p1, p2):
+                F = refit
+            n_events = sum(
+                float(np.sum(of_view[i].n_events))
+                for of_view, numbers in zip(self.pieces, zip(*taken, strict=True), strict=True)
+                for i in set(numbers)
+            )
+            best = Match(lag, F, tuple(taken), len(p1), n_events, _distance_px(F, p1, p2))
+            refined = self._refined(best)
+            lag, F = refined.lag, refined.F
+        return best
 
+    def _positions(self, pairs: Sequence[tuple[int, int]], lag: int) -> tuple[Array, Array]:
+        """Join what the pieces of pairs have in common at an offset: positions (n, 2) of both."""
+        of_each = [_common(self.grids[0][i], self.grids[1][j], lag) for i, j in pairs]
+        p1, p2 = (np.concatenate(side) for side in zip(*of_each, strict=True))
+        return p1, p2
 
-def _sampled(piece: Piece, least_px: float) -> Grid:
-    """Sample a piece at half bins, in between by the mean of its neighbours."""
-    positions = piece.positions_px
-    between = 0.5 * (positions[:-1] + positions[1:])
-    sampled = np.empty((2 * len(positions) - 1, 2))
-    sampled[::2], sampled[1::2] = positions, between
-    return Grid(2 * piece.first, np.nan_to_num(sampled), np.isfinite(sampled[:, 0]), least_px)
+    def _consistent(
+        self, lag: int, F: Array, chains: Chains, most_px: float
+    ) -> list[tuple[int, int]]:
+        """Pairs of pieces near their epipolar lines, those of the chains first, one at a time."""
+        order, match, (pieces1, pieces2) = [], self.match, self.pieces
+        is_near: dict[tuple[int, int], bool] = {}
+        firsts = np.array([other.first for other in self.grids[1]]) - lag
+        lasts = firsts + [len(other.valid) for other in self.grids[1]]
+        for i, one in enumerate(self.grids[0]):
+            common = np.minimum(one.first + len(one.valid), lasts) - np.maximum(one.first, firsts)
+            for j in map(int, np.flatnonzero(common >= match.least_common)):
+                p1, p2 = _common(one, self.grids[1][j], lag)
+                if len(p1) < match.least_common:
+                    continue
+                size_px = float(np.hypot(pieces1[i].size_px, pieces2[j].size_px))
+                limit_px = min(match.near_px + match.near_share * size_px, most_px)
+                is_near[i, j] = _distance_px(F, p1, p2) < limit_px
+                order.append((-(i in chains[0]) - (j in chains[1]), -len(p1), i, j))
+        taken: list[tuple[int, int]] = []
+        for _, _, i, j in sorted(order):
+            if is_near[i, j] and all(
+                (k == i or not _meet(pieces1[i], pieces1[k]))
+                and (m == j or not _meet(pieces2[j], pieces2[m]))
+                and is_near.get((i, m), True)
+                and is_near.get((k, j), True)
+                for k, m in taken
+            ):
+                taken.append((i, j))
+        return taken
 
-
-def _joined(grids: list[Grid]) -> Grid:
-    """Put pieces that follow each other on one grid."""
-    first, last = grids[0].first, grids[-1].first + len(grids[-1].valid)
-    positions, valid = np.zeros((last - first, 2)), np.zeros(last - first, np.bool_)
-    for grid in grids:
-        part = slice(grid.first - first, grid.first - first + len(grid.valid))
-        positions[part], valid[part] = grid.p_px, grid.valid
-    return Grid(first, positions, valid, grids[0].least_px)
-
-
-def _minima(
-    one: Grid, other: Grid, interval_s: tuple[float, float] | None, rules: Rules
-) -> list[tuple[float, int]]:
-    """Find the costs of the best offsets of two chains, and these offsets [half bins]."""
-    shift, half_bin_s = other.first - one.first, 0.5e-6 * rules.objects.bin_us
-    first, last = 1 - len(one.valid), len(other.valid) - 1
-    if interval_s is not None:
-        low, high = (bound_s / half_bin_s - shift for bound_s in interval_s)
-        first, last = max(first, int(np.ceil(low))), min(last, int(np.floor(high)))
-    lags = np.arange(first, last + 1, dtype=np.int64)
-    match = rules.match
-    costs, counts = costs_at_lags(
-        one, other, lags, match.pairs, match.least_pairs, match.iterations
-    )
-    shared = costs / np.maximum(counts, 1)
-    return [
-        (float(shared[m]), int(lags[m]) + shift) for m in local_minima(shared, rules.match.minima)
-    ]
+    def _refined(self, match: Match) -> Match:
+        """Shift the offset by half bins as long as its pieces then fit better."""
+        best = match
+        for lag in range(match.lag - 2, match.lag + 3):
+            p1, p2 = self._positions(match.pairs, lag)
+            if len(p1) < self.match.least_pairs:
+                continue
+            F = reweighted_fundamental(p1, p2)
+            distance_px = _distance_px(F, p1, p2)
+            if distance_px < best.distance_px:
+                best = replace(match, lag=lag, F=F, distance_px=distance_px)
+        return best
 
 
 def _common(one: Grid, other: Grid, lag: int) -> tuple[Array, Array]:
@@ -150,78 +214,6 @@ def _common(one: Grid, other: Grid, lag: int) -> tuple[Array, Array]:
     return one.p_px[here][both], other.p_px[there][both]
 
 
-def _grown(
-    lag: int,
-    F: Array,
-    grids: tuple[list[Grid], list[Grid]],
-    pieces: tuple[list[Piece], list[Piece]],
-    chains: tuple[list[int], list[int]],
-    rules: Rules,
-) -> Match | None:
-    """Take the pieces that bear an offset and an F out, refine both with these, and again."""
-    best: Match | None = None
-    for _ in range(rules.match.rounds):
-        most_px = np.inf
-        if best is not None:
-            most_px = rules.match.firm_px + rules.match.firm_times * best.distance_px
-        taken = _consistent(lag, F, grids, pieces, chains, most_px, rules)
-        if not taken:
-            return best
-        positions = [_common(grids[0][i], grids[1][j], lag) for i, j in taken]
-        p1, p2 = (np.concatenate(side) for side in zip(*positions, strict=True))
-        if len(p1) < rules.match.least_pairs:
-            return best
-        refit = reweighted_fundamental(p1, p2)
-        if _distance_px(refit, p1, p2) < _distance_px(F, p1, p2):
-            F = refit
-        n_events = sum(
-            float(np.sum(pieces[k][i].n_events))
-            for k in range(2)
-            for i in {pair[k] for pair in taken}
-        )
-        best = Match(lag, F, tuple(taken), len(p1), n_events, _distance_px(F, p1, p2))
-        refined = _refined(best, grids, rules)
-        lag, F = refined.lag, refined.F
-    return best
-
-
-def _consistent(
-    lag: int,
-    F: Array,
-    grids: tuple[list[Grid], list[Grid]],
-    pieces: tuple[list[Piece], list[Piece]],
-    chains: tuple[list[int], list[int]],
-    most_px: float,
-    rules: Rules,
-) -> list[tuple[int, int]]:
-    """Pairs of pieces near their epipolar lines, those of the chains first, one at a time."""
-    order = []
-    is_near: dict[tuple[int, int], bool] = {}
-    firsts = np.array([other.first for other in grids[1]]) - lag
-    lasts = firsts + [len(other.valid) for other in grids[1]]
-    for i, one in enumerate(grids[0]):
-        common = np.minimum(one.first + len(one.valid), lasts) - np.maximum(one.first, firsts)
-        for j in map(int, np.flatnonzero(common >= rules.match.least_common)):
-            p1, p2 = _common(one, grids[1][j], lag)
-            if len(p1) < rules.match.least_common:
-                continue
-            size_px = float(np.hypot(pieces[0][i].size_px, pieces[1][j].size_px))
-            limit_px = min(rules.match.near_px + rules.match.near_share * size_px, most_px)
-            is_near[i, j] = _distance_px(F, p1, p2) < limit_px
-            order.append((-(i in chains[0]) - (j in chains[1]), -len(p1), i, j))
-    taken: list[tuple[int, int]] = []
-    for _, _, i, j in sorted(order):
-        if is_near[i, j] and all(
-            (k == i or not _meet(pieces[0][i], pieces[0][k]))
-            and (m == j or not _meet(pieces[1][j], pieces[1][m]))
-            and is_near.get((i, m), True)
-            and is_near.get((k, j), True)
-            for k, m in taken
-        ):
-            taken.append((i, j))
-    return taken
-
-
 def _distance_px(F: Array, p1_px: Array, p2_px: Array) -> float:
     """Median distance of pairs (n, 2) from F."""
     return float(np.median(np.abs(sampson_distance(F, p1_px, p2_px))))
@@ -230,21 +222,6 @@ def _distance_px(F: Array, p1_px: Array, p2_px: Array) -> float:
 def _meet(one: Piece, other: Piece) -> bool:
     """Whether two pieces are seen at a time."""
     return one.first < other.last and other.first < one.last
-
-
-def _refined(match: Match, grids: tuple[list[Grid], list[Grid]], rules: Rules) -> Match:
-    """Shift the offset by half bins as long as its pieces then fit better."""
-    best = match
-    for lag in range(match.lag - 2, match.lag + 3):
-        positions = [_common(grids[0][i], grids[1][j], lag) for i, j in match.pairs]
-        p1, p2 = (np.concatenate(side) for side in zip(*positions, strict=True))
-        if len(p1) < rules.match.least_pairs:
-            continue
-        F = reweighted_fundamental(p1, p2)
-        distance_px = _distance_px(F, p1, p2)
-        if distance_px < best.distance_px:
-            best = replace(match, lag=lag, F=F, distance_px=distance_px)
-    return best
 
 
 def one_object(
@@ -269,11 +246,10 @@ def one_object(
     objects = [_objects(one, rules) for one in cleans]
     if not any(one.are_several for one, several in zip(objects, seem, strict=True) if several):
         return tuple(cleans), None
-    pieces = _chosen(objects, interval_s, rules)
+    pieces, both = _chosen(objects, interval_s, rules), zip(cleans, objects, strict=True)
     if isinstance(pieces, Refusal):
-        seen = [ObjectsUsed(one.n_seen, 0.0) for one in objects]
-        return tuple(replace(one, used=n) for one, n in zip(cleans, seen, strict=True)), pieces
-    return tuple(_only(*one) for one in zip(cleans, objects, pieces, strict=True)), None
+        return tuple(replace(one, used=ObjectsUsed(of.n_seen, 0.0)) for one, of in both), pieces
+    return tuple(_only(*two, one) for two, one in zip(both, pieces, strict=True)), None
 
 
 def _chosen(
@@ -291,18 +267,16 @@ def _chosen(
         return refusals[0]
     pair = max(matched, key=lambda one: matched[one].common)
     pieces = {k: {both[place] for both in matched[pair].pairs} for place, k in enumerate(pair)}
-    alone = [_with_only(objects[k], pieces[k]) for k in pair]
+    alone = [
+        replace(objects[k], n_seen=1, pieces=[objects[k].pieces[i] for i in sorted(pieces[k])])
+        for k in pair
+    ]
     for k in set(range(len(objects))) - set(pair):
         found_by = [_matched(one, objects[k], interval_s, rules) for one in alone]
         fits = [one for one in found_by if isinstance(one, Match)]
         best = max(fits, key=lambda one: one.common, default=None)
         pieces[k] = set() if best is None else {both[1] for both in best.pairs}
     return [pieces[k] for k in range(len(objects))]
-
-
-def _with_only(objects: Objects, numbers: set[int]) -> Objects:
-    """Give what a camera saw without the other pieces."""
-    return replace(objects, n_seen=1, pieces=[objects.pieces[i] for i in sorted(numbers)])
 
 
 def _objects(seen: Clean, rules: Rules) -> Objects:
@@ -316,9 +290,8 @@ def _objects(seen: Clean, rules: Rules) -> Objects:
     positions = np.where(track.valid[:, None], track.positions_px, np.nan)
     none = np.empty(0, np.int64)
     piece = Piece(0, positions, np.ones(len(times_s)), rules.match.track_size_px, none)
-    return Objects(
-        round(1e6 * start_s), rules.objects.bin_us, False, 1, [piece], none.astype(np.int32)
-    )
+    start_us, bin_us = round(1e6 * start_s), rules.objects.bin_us
+    return Objects(start_us, bin_us, False, 1, [piece], none.astype(np.int32))
 
 
 def _matched(
@@ -328,14 +301,12 @@ def _matched(
     start_s = 1e-6 * (other.start_us - one.start_us)  # of camera 2 after camera 1
     if interval_s is not None:
         interval_s = (interval_s[0] - start_s, interval_s[1] - start_s)
-    found = matches(one.pieces, other.pieces, interval_s, rules)
+    matching = _Matching((one.pieces, other.pieces), interval_s, rules)
+    found, match = matching.matches(), rules.match
     things = f"the cameras see {one.n_seen} and {other.n_seen} things at a time"
-    pieces = one.pieces, other.pieces
-    needed_s, half_bin_s = rules.match.min_common_s, 0.5e-6 * rules.objects.bin_us
+    needed_s, half_bin_s = match.min_common_s, 0.5e-6 * rules.objects.bin_us
     if found:
-        needed_s = max(
-            needed_s, rules.match.min_share * half_bin_s * both_see(*pieces, found[0].lag)
-        )
+        needed_s = max(needed_s, match.min_share * half_bin_s * matching.both_see(found[0].lag))
     common_s = half_bin_s * found[0].common if found else 0.0
     if common_s < needed_s:
         reason = (
@@ -345,16 +316,12 @@ def _matched(
         )
         return Refusal(Status.SEVERAL_OBJECTS, reason)
     best = found[0]
-    rivals = [
-        match
-        for match in found[1:]
-        if match.common >= rules.match.rival * best.common
-        and match.distance_px
-        <= rules.match.clearly * max(best.distance_px, rules.match.least_distance_px)
-    ]
+    most_px = match.clearly * max(best.distance_px, match.least_distance_px)
+    often = [one for one in found[1:] if one.common >= match.rival * best.common]
+    rivals = [one for one in often if one.distance_px <= most_px]
     if not rivals:
         return best
-    offsets_s = [start_s + half_bin_s * match.lag for match in [best, *rivals]]
+    offsets_s = [start_s + half_bin_s * one.lag for one in [best, *rivals]]
     others = ", ".join(f"{offset_s:.2f}" for offset_s in offsets_s[1:6])
     reason = (
         f"{things}: two of them fit one epipolar geometry at an offset of {offsets_s[0]:.2f} s, and"
@@ -368,21 +335,16 @@ def _only(seen: Clean, objects: Objects, numbers: set[int]) -> Clean:
     if seen.track is not None:
         return seen
     pieces = [objects.pieces[i] for i in sorted(numbers)]
-    chosen = objects.events_of(pieces)
+    chosen, far_us = objects.events_of(pieces), 2**61  # before and after all times
+    ends = np.array([(piece.first, piece.last) for piece in pieces], np.int64).ravel()
+    ends_us = objects.start_us + objects.bin_us * ends
+    # Between pieces, in order of time, and beyond all.
+    gaps_us = np.concatenate([[-far_us], ends_us, [far_us]]).reshape(-1, 2)
     return replace(
         seen,
         events=seen.events.compress(chosen),
         clutter=None,
         on_line=None,
-        gaps_us=_gaps_us(objects, pieces),
+        gaps_us=np.asarray(gaps_us[gaps_us[:, 1] > gaps_us[:, 0]]),
         used=ObjectsUsed(objects.n_seen, float(np.mean(chosen))),
     )
-
-
-def _gaps_us(objects: Objects, pieces: list[Piece]) -> NDArray[np.int64]:
-    """Give the times (g, 2) [us] between pieces, in order of time, and beyond all."""
-    far_us = 2**61  # before and after all times
-    ends = np.array([(piece.first, piece.last) for piece in pieces], np.int64).ravel()
-    ends_us = objects.start_us + objects.bin_us * ends
-    gaps_us = np.concatenate([[-far_us], ends_us, [far_us]]).reshape(-1, 2)
-    return np.asarray(gaps_us[gaps_us[:, 1] > gaps_us[:, 0]])

@@ -12,7 +12,7 @@ import numpy as np
 
 from ssac.clock import PPM
 from ssac.config import Config, Interval
-from ssac.estimate import Estimate, Refusal, Status
+from ssac.estimate import ClockJump, Estimate, Refusal, Status
 from ssac.events import US_PER_S
 from ssac.rules import AllOffsetsRules
 from ssac.search.all_offsets import AllOffsets, Guess, Progress, search_all_offsets
@@ -49,15 +49,13 @@ class Start:
         """Say what the search over all offsets found."""
         if not self.found.guesses:
             return "no offset leaves enough common path"
-        guess, others = self.guess, self.found.guesses[1:]
-        rate = "" if guess.rate == 1.0 else f", camera 2's clock {guess.rate:.6g} times as fast"
-        second = (
-            f"; the next best fits {others[0].cost / guess.cost:.1f} times worse" if others else ""
-        )
-        return (
-            f"{len(self.found.candidates_s)} offsets, {self.found.step_s:.3g} s apart: "
-            f"{guess.t_d_s:.2f} s{rate}{second}"
-        )
+        guess, others, n = self.guess, self.found.guesses[1:], len(self.found.candidates_s)
+        said = f"{n} offsets, {self.found.step_s:.3g} s apart: {guess.t_d_s:.2f} s"
+        if guess.rate != 1.0:
+            said += f", camera 2's clock {guess.rate:.6g} times as fast"
+        if others:
+            said += f"; the next best fits {others[0].cost / guess.cost:.1f} times worse"
+        return said
 
     def config(self, config: Config) -> Config:
         """Search near the guess."""
@@ -74,8 +72,21 @@ class Start:
         )
 
     def as_seen(self, cam2: Clean) -> Clean:
-        """Camera 2 on a clock that runs as camera 1's, as far as the guess tells."""
-        return cam2 if self.guess.rate == 1.0 else at_rate(cam2, self.guess.rate, self.anchor_s)
+        """Camera 2 on a clock that runs as camera 1's, as far as the guess tells.
+
+        It shows the same at the anchor.
+        """
+        rate, anchor_s = self.guess.rate, self.anchor_s
+        if rate == 1.0:
+            return cam2
+        events, track, gaps_us = cam2.events, cam2.track, cam2.gaps_us
+        if track is not None:
+            track = replace(track, times_s=anchor_s + (track.times_s - anchor_s) / rate)
+        elif len(events):
+            events, anchor_us = events.copy(), anchor_s * US_PER_S
+            events["t"] = np.rint(anchor_us + (events["t"] - anchor_us) / rate).astype(np.int64)
+            gaps_us = np.rint(anchor_us + (gaps_us - anchor_us) / rate).astype(np.int64)
+        return replace(cam2, events=events, track=track, gaps_us=gaps_us)
 
     def as_recorded(self, estimate: Estimate) -> Estimate:
         """Put an estimate on camera 2's own clock.
@@ -97,13 +108,9 @@ class Start:
             factors = np.array([rate, 1.0, 1.0, 1.0, 1.0, 1.0])
             covariance = covariance * np.outer(factors, factors)
         if jump is not None:
-            jump = replace(
-                jump,
-                size_s=rate * jump.size_s,
-                size_std_s=rate * jump.size_std_s,
-                before_s=offset_s(jump.before_s, jump.at_s),
-                after_s=offset_s(jump.after_s, jump.at_s),
-            )
+            before_s, after_s = (offset_s(at, jump.at_s) for at in (jump.before_s, jump.after_s))
+            size_s, size_std_s = rate * jump.size_s, rate * jump.size_std_s
+            jump = ClockJump(jump.at_s, size_s, size_std_s, before_s, after_s)
         return replace(
             estimate,
             t_d_s=offset_s(estimate.t_d_s),
@@ -129,34 +136,21 @@ def start_of(
 
     Both views have clocks as they were recorded. No range: both clocks are about right.
     """
-    motions, rules = (views.motion1, views.motion2), views.config.rules.all_offsets
+    motions, rules = (views.motion1, views.motion2), views.rules.all_offsets
     has_track = any(isinstance(motion, PointMotion) for motion in motions)
     freedom = rules.rate_freedom if has_track else 0.0
     found = search_all_offsets(*motions, rules, rates or (1.0, 1.0), freedom, progress)
     return Start(found, _refusal(found, rules), freedom > 0.0 or rates is not None)
 
 
-def at_rate(cam2: Clean, rate: float, anchor_s: float) -> Clean:
-    """Camera 2 on a clock that runs 1 / rate times as fast and shows the same at the anchor."""
-    events, track, gaps_us = cam2.events, cam2.track, cam2.gaps_us
-    if track is not None:
-        track = replace(track, times_s=anchor_s + (track.times_s - anchor_s) / rate)
-    elif len(events):
-        events = events.copy()
-        anchor_us = anchor_s * US_PER_S
-        events["t"] = np.rint(anchor_us + (events["t"] - anchor_us) / rate).astype(np.int64)
-        gaps_us = np.rint(anchor_us + (gaps_us - anchor_us) / rate).astype(np.int64)
-    return replace(cam2, events=events, track=track, gaps_us=gaps_us)
-
-
 def _refusal(found: AllOffsets, rules: AllOffsetsRules) -> Refusal | None:
     """Refuse what no offset of all explains, or several do."""
     if not found.guesses:
-        return Refusal(
-            Status.TOO_FEW_SAMPLES,
+        reason = (
             "at no offset do both cameras see the object move for long enough to compare its paths:"
-            " check that they saw one flight",
+            " check that they saw one flight"
         )
+        return Refusal(Status.TOO_FEW_SAMPLES, reason)
     best = found.guesses[0]
     rivals = [one for one in found.guesses[1:] if one.cost < rules.rival * best.cost]
     if best.cost > rules.max_cost:

@@ -6,6 +6,7 @@ Deviation: the paper's Eq. 1 has the opposite sign, which contradicts its Eq. 3.
 """
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,8 @@ from ssac.clock import Clock
 from ssac.config import MIN_SWINGS, Config
 from ssac.estimate import Estimate
 from ssac.geometry.pose import rays_of
-from ssac.search.view import Alone, Blind, Seen, View, seen_by_both, size_px, swing_hz
+from ssac.rules import Rules
+from ssac.search.view import Alone, seen_by_both, size_px, swing_hz
 from ssac.track.clean import Clean
 from ssac.track.motion import Motion, PointMotion, SharpTrack, motion_of
 
@@ -72,7 +74,7 @@ class TwoViews:
     config: Config
     pose_is_known: bool = False  # the rig's extrinsics hold: only the offset is in question
     clock: Clock = field(default_factory=Clock)  # of camera 2, beside the offset that is tried
-    alone: Alone | None = field(default=None, repr=False)  # kept by `replace` while it holds
+    alone: Alone = field(default=None, repr=False)  # type: ignore[assignment] # kept while it holds
 
     def under(self, clock: Clock) -> "TwoViews":
         """Return the same views with the skew and the strays of a clock, and any offset."""
@@ -90,51 +92,35 @@ class TwoViews:
         return shown_s if self.clock.is_delay else shown_s + self.clock.added_s(times_s)
 
     def __post_init__(self) -> None:
-        motions, longest_s = (self.motion1, self.motion2), float(np.ptp(self.config.offsets_s))
-        alone = Alone(motions, longest_s, self.config.rules.view, self.config.rules.blind)
+        longest_s = float(np.ptp(self.config.offsets_s))
+        alone = Alone((self.motion1, self.motion2), longest_s, self.rules.view, self.rules.blind)
         if self.alone is None or not self.alone.is_like(alone):
             object.__setattr__(self, "alone", alone)
 
-    @property
-    def views(self) -> tuple[View | None, View | None]:
-        """Each view summed up; None without valid samples."""
-        return self._alone.views
+    def by(self, **rules: Any) -> "TwoViews":
+        """Return the same views where some of a stage's rules are others."""
+        return replace(self, config=replace(self.config, rules=replace(self.rules, **rules)))
 
     @property
-    def returns_s(self) -> Array:
-        """Lags (k,) [s] within the search interval after which the path repeats itself."""
-        return self._alone.returns_s
-
-    @property
-    def repeats(self) -> bool:
-        """Whether the path repeats itself after any lag."""
-        return self._alone.repeats
-
-    @property
-    def seen(self) -> tuple[Seen, Seen] | None:
-        """When each camera sees the object; None where both do so most of the time."""
-        return self._alone.seen
-
-    @property
-    def blind(self) -> tuple[Blind, Blind]:
-        """When each camera was blind, in its own clock, as its events tell; never, of a track."""
-        return self._alone.blind
-
-    @property
-    def _alone(self) -> Alone:
-        assert self.alone is not None  # since __post_init__
-        return self.alone
+    def rules(self) -> Rules:
+        """By which each stage decides, as the config says."""
+        return self.config.rules
 
     @property
     def object_px(self) -> float:
         """Rms size of the object's images, both together; NaN where a view has none."""
-        sizes_px = [np.nan if view is None else view.size_px for view in self.views]
-        return float(np.hypot(sizes_px[0], sizes_px[1]))
+        one, other = (np.nan if view is None else view.size_px for view in self.alone.views)
+        return float(np.hypot(one, other))
 
     def overlap_s(self, t_d_s: Array) -> tuple[Array, Array]:
         """Start and end (M,) [s] of what both recordings cover at offsets (M,), if start < end."""
         (start1, end1), (start2, end2) = self.motion1.span_s, self.motion2.span_s
         return np.maximum(start1, start2 - t_d_s), np.minimum(end1, end2 - t_d_s)
+
+    def common_s(self, t_d_s: float) -> tuple[float, float]:
+        """Start and end [s] of what both recordings cover at an offset."""
+        (start,), (end,) = self.overlap_s(np.array([t_d_s]))
+        return float(start), float(end)
 
     def sample_times(self, t_d_s: Array, n_samples: int | None = None) -> Array:
         """Spread N times (M, N) [s], camera 1's clock, evenly over the overlap at offsets (M,).
@@ -145,12 +131,11 @@ class TwoViews:
         n = self.config.n_samples if n_samples is None else n_samples
         start, end = self.overlap_s(t_d_s)
         times_s = start[:, None] + (end - start)[:, None] * ((np.arange(n) + 0.5) / n)
-        if self.seen is not None:
-            even_share = self.config.rules.view.even_share
+        seen, even_share = self.alone.seen, self.rules.view.even_share
+        if seen is not None:
             for m, offset_s in enumerate(t_d_s):
-                seen_s = seen_by_both(*self.seen, float(offset_s), n, even_share)
-                if seen_s is not None:
-                    times_s[m] = seen_s
+                seen_s = seen_by_both(*seen, float(offset_s), n, even_share)
+                times_s[m] = times_s[m] if seen_s is None else seen_s
         return np.asarray(times_s)
 
     def pairs(self, t_d_s: Array, n_samples: int | None = None) -> Pairs:
@@ -158,13 +143,8 @@ class TwoViews:
         times_s = self.sample_times(t_d_s, n_samples)
         track1 = self.motion1.at(times_s)
         track2 = self.motion2.at(self.on_clock_2(times_s, t_d_s[:, None]))
-        return Pairs(
-            t_d_s,
-            times_s,
-            track1.positions_px,
-            track2.positions_px,
-            track1.valid & track2.valid,
-        )
+        valid = track1.valid & track2.valid
+        return Pairs(t_d_s, times_s, track1.positions_px, track2.positions_px, valid)
 
     def pairs_at(self, t_d_s: float, n_samples: int | None = None) -> PairsAt:
         """Give the valid pairs at one offset [s]."""
@@ -173,10 +153,8 @@ class TwoViews:
 
     def sharp_at(self, times_s: Array, t_d_s: float) -> tuple[SharpTrack, SharpTrack]:
         """Both views' sharp positions at times (n,) [s] of camera 1's clock."""
-        return (
-            self.motion1.sharp_at(times_s),
-            self.motion2.sharp_at(self.on_clock_2(times_s, t_d_s)),
-        )
+        on_clock_2 = self.on_clock_2(times_s, t_d_s)
+        return self.motion1.sharp_at(times_s), self.motion2.sharp_at(on_clock_2)
 
     def size_px_at(self, pairs: PairsAt) -> float:
         """Rms size of the object's images at some of the pairs, both views together."""
@@ -194,13 +172,10 @@ class TwoViews:
             return 0.0
         duration_s = float(np.sum(np.minimum(np.diff(pairs.times_s), 0.5)))  # of known path
         some_s = pairs.times_s[:: -(-len(pairs) // 100)]  # enough for its speed
-        return min(
-            duration_s * swing_hz(positions, motion.velocities_at(clock_s))
-            for motion, clock_s, positions in (
-                (self.motion1, some_s, pairs.p1_px),
-                (self.motion2, self.on_clock_2(some_s, pairs.t_d_s), pairs.p2_px),
-            )
-        )
+        velocities_1 = self.motion1.velocities_at(some_s)
+        velocities_2 = self.motion2.velocities_at(self.on_clock_2(some_s, pairs.t_d_s))
+        swings_1 = duration_s * swing_hz(pairs.p1_px, velocities_1)
+        return min(swings_1, duration_s * swing_hz(pairs.p2_px, velocities_2))
 
     def lasting_share(self, t_d_s: float, n_samples: int | None = None) -> float:
         """Share, up to 1, of an object's bias that stays all along.
@@ -225,17 +200,17 @@ def views_of(
 
 @dataclass(frozen=True, eq=False)
 class Shutters:
-    """The k cameras, of both, whose readout is to be estimated; none by default.
+    """The k cameras, of both, whose readout is to be estimated.
 
     A frame's row is exposed its share of the height, times the readout, later than the frame's
     time. So a readout that is longer by d shows the object at a time t where it was d times that
     share before: its image moves by that much against its velocity.
     """
 
-    cameras: tuple[int, ...] = ()  # 0 and 1
-    expected_s: Array = field(default_factory=lambda: np.empty(0))  # (k,) readouts beforehand
-    deviations_s: Array = field(default_factory=lambda: np.empty(0))  # (k,) of what is expected
-    longest_s: Array = field(default_factory=lambda: np.empty(0))  # (k,) a frame's length
+    cameras: tuple[int, ...]  # 0 and 1
+    expected_s: Array  # (k,) readouts beforehand
+    deviations_s: Array  # (k,) of what is expected
+    longest_s: Array  # (k,) a frame's length
 
     def views(self, views: TwoViews, readouts_s: Array) -> TwoViews:
         """Give both views with points where readouts (k,) [s] put them in time."""
@@ -246,10 +221,10 @@ class Shutters:
                 motions[k] = motion.read_out(readout_s)
         return replace(views, motion1=motions[0], motion2=motions[1]) if self.cameras else views
 
-    def told(self, views: TwoViews, estimate: Estimate) -> TwoViews:
-        """Give both views with the readouts of an estimate, or those expected where it has none."""
+    def readouts_s(self, estimate: Estimate) -> Array:
+        """Give the readouts (k,) [s] of an estimate, or those expected where it has none."""
         found_s = estimate.readouts_s[list(self.cameras)]
-        return self.views(views, np.where(np.isnan(found_s), self.expected_s, found_s))
+        return np.where(np.isnan(found_s), self.expected_s, found_s)
 
     def moves(self, views: TwoViews, times_s: tuple[Array, Array]) -> list[tuple[Array, Array]]:
         """Give how both images move (n, 2) [px] by a longer readout of each, per second of it.
@@ -274,13 +249,11 @@ class Shutters:
 
 def shutters_of(views: TwoViews) -> Shutters:
     """Say which cameras' readouts are to be estimated: of tracks, and not exactly known."""
-    found = []
+    found, cameras = [], (views.rig.cam1, views.rig.cam2)
     for k, motion in enumerate((views.motion1, views.motion2)):
-        camera = (views.rig.cam1, views.rig.cam2)[k]
-        if camera.readout_std_s > 0.0 and isinstance(motion, PointMotion):
+        if cameras[k].readout_std_s > 0.0 and isinstance(motion, PointMotion):
+            expected_s = cameras[k].readout_s or 0.0
             longest_s = min(motion.interval_s, MAX_READOUT_S)
-            found.append((k, camera.readout_s or 0.0, camera.readout_std_s, longest_s))
-    if not found:
-        return Shutters()
-    cameras, *numbers = zip(*found, strict=True)
-    return Shutters(cameras, *(np.array(some, np.float64) for some in numbers))
+            found.append((k, expected_s, cameras[k].readout_std_s, longest_s))
+    numbers = np.array(found, np.float64).reshape(-1, 4).T
+    return Shutters(tuple(k for k, *_ in found), *numbers[1:])

@@ -9,7 +9,7 @@ cut off and begin anew, for spans that are all as long, in one rhythm. An object
 or whose edges cross rows of pixels all at once, is silent too, but never so evenly.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -20,6 +20,8 @@ from ssac.rules import BlindRules, ViewRules
 from ssac.track.motion import Motion, ObjectMotion
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Spans = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -28,12 +30,24 @@ class Seen:
 
     start_s: float
     step_s: float
-    valid: NDArray[np.bool_]  # (n,) at the middle of each step
+    valid: Mask  # (n,) at the middle of each step
 
     @property
     def share(self) -> float:
         """Of the time."""
         return float(np.mean(self.valid)) if len(self.valid) else 0.0
+
+    def spread(self, n: int, some: slice = slice(None), more: Mask | bool = True) -> Array:
+        """Spread n times [s] evenly over those steps, of some, at which it is seen, and more holds.
+
+        Empty where there is none.
+        """
+        steps = np.flatnonzero(self.valid[some] & more)
+        if len(steps) == 0:
+            return np.empty(0)
+        places = (np.arange(n) + 0.5) * len(steps) / n  # in steps of those valid
+        whole, first = places.astype(np.intp), some.start or 0
+        return np.asarray(self.start_s + self.step_s * (first + steps[whole] + places - whole))
 
 
 def seen_of(motion: Motion, step_s: float | None = None) -> Seen:
@@ -46,11 +60,6 @@ def seen_of(motion: Motion, step_s: float | None = None) -> Seen:
     return Seen(start_s, step_s, motion.at(times_s).valid)
 
 
-def seen_times(seen: Seen, n: int) -> Array:
-    """Spread n times [s] evenly over those at which one camera sees the object; empty for none."""
-    return _spread(seen, seen.valid, 0, n)
-
-
 def seen_by_both(one: Seen, other: Seen, t_d_s: float, n: int, even_share: float) -> Array | None:
     """Spread n times [s], camera 1's clock, over those at which both cameras see the object.
 
@@ -61,35 +70,22 @@ def seen_by_both(one: Seen, other: Seen, t_d_s: float, n: int, even_share: float
     first, last = max(0, -shift), min(len(one.valid), len(other.valid) - shift)
     if last <= first:
         return None
-    both = one.valid[first:last] & other.valid[first + shift : last + shift]
+    there = other.valid[first + shift : last + shift]
+    both = one.valid[first:last] & there
     if not both.any() or np.mean(both) >= even_share:
         return None
-    return _spread(one, both, first, n)
-
-
-def _spread(seen: Seen, valid: NDArray[np.bool_], first: int, n: int) -> Array:
-    steps = np.flatnonzero(valid)
-    places = (np.arange(n) + 0.5) * len(steps) / n  # in steps of those valid
-    whole = places.astype(np.intp)
-    if len(steps) == 0:
-        return np.empty(0)
-    return np.asarray(seen.start_s + seen.step_s * (first + steps[whole] + places - whole))
-
-
-Spans = NDArray[np.int64]
-
-
-def no_spans() -> Spans:
-    """Give the spans (0, 2) of a camera that is never blind."""
-    return np.empty((0, 2), np.int64)
+    return one.spread(n, slice(first, last), there)
 
 
 @dataclass(frozen=True)
 class Blind:
     """When a camera was blind."""
 
-    spans_us: Spans = field(default_factory=no_spans)  # (g, 2) [us] in its clock, ascending
+    spans_us: Spans  # (g, 2) [us] in its clock, ascending
     period_s: float = np.nan  # from one to the next; NaN of none
+
+
+NEVER = Blind(np.empty((0, 2), np.int64))
 
 
 def blind_spans(times_us: NDArray[np.int64], rules: BlindRules) -> Blind:
@@ -99,12 +95,12 @@ def blind_spans(times_us: NDArray[np.int64], rules: BlindRules) -> Blind:
     """
     silences_us = _sudden_silences(times_us, rules)
     if len(silences_us) < rules.least_silences:
-        return Blind()
+        return NEVER
     lengths_us = np.diff(silences_us)[:, 0]
     length_us = float(np.median(lengths_us))
     alike = np.abs(lengths_us - length_us) <= rules.same_length * length_us
     if np.mean(alike) < 1.0 - rules.most_lengths:
-        return Blind()
+        return NEVER
     spans_us = silences_us[alike]
     since_us = np.diff(spans_us[:, 0])
     period_us = float(np.median(since_us))
@@ -112,15 +108,15 @@ def blind_spans(times_us: NDArray[np.int64], rules: BlindRules) -> Blind:
     near = (beats >= 1.0) & (beats <= rules.most_periods)
     few = np.count_nonzero(near) < rules.least_silences - 1
     if few or length_us > rules.most_share * period_us:
-        return Blind()
+        return NEVER
     period_us = float(np.sum(since_us[near]) / np.sum(beats[near]))
     on_beat = np.abs(since_us - beats * period_us) <= rules.same_rhythm * period_us
     if np.mean(on_beat[near]) < 1.0 - rules.most_others:
-        return Blind()
+        return NEVER
     chained = near & on_beat
     spans_us = _filled(spans_us, np.where(chained, beats, 0.0).astype(np.intp))
     is_cut = _cut(times_us, spans_us, period_us, rules)
-    return Blind(spans_us, 1e-6 * period_us) if is_cut else Blind()
+    return Blind(spans_us, 1e-6 * period_us) if is_cut else NEVER
 
 
 def _sudden_silences(times_us: NDArray[np.int64], rules: BlindRules) -> Spans:
@@ -181,7 +177,7 @@ def view_of(motion: Motion, rules: ViewRules) -> View | None:
     times_s = start_s + (end_s - start_s) * (np.arange(n_samples) + 0.5) / n_samples
     track = motion.at(times_s)
     if np.mean(track.valid) < rules.even_share:
-        times_s = seen_times(seen_of(motion), n_samples)
+        times_s = seen_of(motion).spread(n_samples)
         track = motion.at(times_s)
     positions = track.positions_px[track.valid]
     if len(positions) < 2:
@@ -189,14 +185,15 @@ def view_of(motion: Motion, rules: ViewRules) -> View | None:
     middle = np.mean(positions, axis=0)
     _, deviations, axes = np.linalg.svd(positions - middle, full_matrices=False)
     across = (positions - middle) @ axes[1]
-    width_px, length_px = robust_deviation(across), float(deviations[0] / np.sqrt(len(positions)))
-    image_px = size_px(motion, times_s[track.valid])
+    root_n, seen_s = np.sqrt(len(positions)), times_s[track.valid]
+    width_px, length_px = robust_deviation(across), float(deviations[0] / root_n)
+    image_px = size_px(motion, seen_s)
     return View(
-        extent_px=float(np.linalg.norm(deviations) / np.sqrt(len(positions))),
+        extent_px=float(np.linalg.norm(deviations) / root_n),
         width_px=width_px,
         length_px=length_px,
         size_px=image_px,
-        swing_hz=swing_hz(positions, motion.velocities_at(times_s[track.valid])),
+        swing_hz=swing_hz(positions, motion.velocities_at(seen_s)),
         middle_px=middle,
         direction=axes[0],
         is_straight=width_px < min(rules.max_width * image_px, rules.max_slenderness * length_px),
@@ -244,11 +241,8 @@ def returns_s(motion: Motion, view: View | None, longest_s: float, rules: ViewRu
     known = np.isfinite(distances_px)
     distances_px = np.minimum(np.where(known, distances_px, 0.0), 2.0 * view.extent_px)
     counts = np.count_nonzero(known, axis=0)
-    means_px = np.where(
-        counts >= n_samples // 2,
-        np.sum(distances_px, axis=0) / np.maximum(counts, 1),
-        np.inf,
-    )
+    means_px = np.sum(distances_px, axis=0) / np.maximum(counts, 1)
+    means_px = np.where(counts >= n_samples // 2, means_px, np.inf)
     left = np.cumsum(means_px > 0.5 * view.extent_px) > 0
     padded = np.pad(means_px, 1, constant_values=np.inf)
     is_least = (means_px <= padded[:-2]) & (means_px < padded[2:])
@@ -273,7 +267,7 @@ class Alone:
 
     @cached_property
     def views(self) -> tuple[View | None, View | None]:
-        """As of `TwoViews`, and so are those below."""
+        """Each view summed up; None without valid samples."""
         return view_of(self.motions[0], self.rules), view_of(self.motions[1], self.rules)
 
     @cached_property
@@ -300,10 +294,8 @@ class Alone:
     @cached_property
     def blind(self) -> tuple[Blind, Blind]:
         """When each camera was blind, in its own clock."""
+        times_us = [one.times_us if isinstance(one, ObjectMotion) else None for one in self.motions]
         one, other = (
-            blind_spans(motion.times_us, self.of_blind)
-            if isinstance(motion, ObjectMotion)
-            else Blind()
-            for motion in self.motions
+            NEVER if of_one is None else blind_spans(of_one, self.of_blind) for of_one in times_us
         )
         return one, other

@@ -7,20 +7,13 @@ import pytest
 
 from ssac import ssac, ssac_known
 from ssac.config import Config
-from ssac.errors import SsacError
 from ssac.geometry.fundamental import reweighted_fundamental
 from ssac.points import PointTrack
 from ssac.track.observation import Observation, tracked
-from tests.ssac.synthetic import (
-    HEIGHT,
-    make_events,
-    make_scene,
-    rotation_angle_deg,
-    track_pair,
-)
+from tests.ssac.cluttered import merged
+from tests.ssac.synthetic import HEIGHT, make_events, make_scene, rotation_angle_deg, track_pair
 
 CLEAN = Config(denoise=False)  # the synthetic events have no noise to remove
-NEAR = replace(CLEAN, interval_s=(-1.0, 1.0))  # and no other offsets, whatever the recordings
 
 
 def observe(scene, seed, t_d_s=0.0, **kwargs):
@@ -29,47 +22,38 @@ def observe(scene, seed, t_d_s=0.0, **kwargs):
 
 @pytest.fixture(scope="module")
 def flight():
-    scene = make_scene(seed=0)
+    scene = make_scene(seed=0, duration_s=12.0)
     return scene, observe(scene, seed=0, t_d_s=0.05)
 
 
-@pytest.mark.parametrize("t_d_s", [0.0, 0.005, 0.5])
+@pytest.mark.parametrize("t_d_s", [0.0, 0.5])
 def test_both_algorithms_find_offsets_near_and_far(t_d_s):
     scene = make_scene(seed=3, angle_deg=30.0)
     cameras = observe(scene, 3, t_d_s)
-    for estimate in (
-        ssac_known(*cameras, scene.rig, CLEAN),
-        ssac(*cameras, scene.unknown_rig, CLEAN),
-    ):
+    for method, rig in ((ssac_known, scene.rig), (ssac, scene.unknown_rig)):
+        estimate = method(*cameras, rig, CLEAN)
         assert estimate.status == "ok"
         # The bound of 400 windows with 0.3 px of noise is 0.16 ms. Four times that.
         assert estimate.t_d_s == pytest.approx(t_d_s, abs=0.0006)
         assert estimate.n_samples > 300
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_known_extrinsics_coarse_to_fine_finds_the_exhaustive_minimum(seed):
-    scene = make_scene(seed, duration_s=10.0)
-    cameras = observe(scene, seed, t_d_s=np.random.default_rng(seed).uniform(-0.9, 0.9))
-    fast = ssac_known(*cameras, scene.rig, CLEAN)
-    slow = ssac_known(*cameras, scene.rig, replace(CLEAN, exhaustive=True))
+@pytest.mark.parametrize(
+    ("method", "low_s", "t_d_s", "tried"), [(ssac_known, -1.0, 0.77, 2001), (ssac, -0.2, 0.13, 401)]
+)
+def test_coarse_to_fine_finds_the_exhaustive_minimum(method, low_s, t_d_s, tried):
+    scene = make_scene(1, angle_deg=150.0, duration_s=8.0)
+    cameras, config = observe(scene, 1, t_d_s), replace(CLEAN, interval_s=(low_s, -low_s))
+    fast = method(*cameras, scene.rig, config)
+    slow = method(*cameras, scene.rig, replace(config, exhaustive=True))
     assert fast.t_d_s == pytest.approx(slow.t_d_s, abs=1e-9)  # the same cost on the same grid
-    assert len(slow.candidates_s) == 2001
-
-
-@pytest.mark.parametrize("seed", range(2))
-def test_unknown_extrinsics_coarse_to_fine_finds_the_exhaustive_minimum(seed):
-    scene = make_scene(seed, angle_deg=(30.0, 150.0)[seed], duration_s=10.0)
-    cameras = observe(scene, seed, t_d_s=np.random.default_rng(seed).uniform(-0.25, 0.25))
-    config = replace(CLEAN, interval_s=(-0.3, 0.3))  # 601 fits of F instead of 2001
-    fast = ssac(*cameras, scene.unknown_rig, config)
-    slow = ssac(*cameras, scene.unknown_rig, replace(config, exhaustive=True))
-    assert fast.t_d_s == pytest.approx(slow.t_d_s, abs=1e-9)
+    assert len(slow.candidates_s) == tried
 
 
 def test_magsac_is_an_alternative_to_lmeds(flight):
     scene, cameras = flight
     estimate = ssac(*cameras, scene.unknown_rig, replace(CLEAN, robust="magsac"))
+    # As the bound, of MAGSAC's best minimal sample alone.
     assert estimate.t_d_s == pytest.approx(0.05, abs=0.001)
     assert rotation_angle_deg(estimate.R, scene.R) < 1.5
 
@@ -90,28 +74,25 @@ def test_pairs_that_no_model_fits_at_last_are_refused(flight, monkeypatch):
 
 
 def test_denoising_removes_what_would_mislead():
-    scene = make_scene(seed=0)
-    cameras = observe(scene, 0, t_d_s=0.05, size_m=0.4)  # dense enough for the radius filter
-    rng = np.random.default_rng(0)
-    noisy = []
-    for camera in cameras:
-        noise = camera.events[rng.integers(len(camera.events), size=100_000)]
-        noise["x"], noise["y"] = rng.integers(346, size=100_000), rng.integers(260, size=100_000)
-        events = np.concatenate([camera.events, noise])
-        noisy.append(Observation(events[np.argsort(events["t"], kind="stable")]))
+    scene = make_scene(seed=0, duration_s=10.0)
+    rng, noisy = np.random.default_rng(0), []
+    for camera in observe(scene, 0, t_d_s=0.05, size_m=0.4):  # dense enough for the radius filter
+        noise = camera.events[rng.integers(len(camera.events), size=50_000)]
+        noise["x"], noise["y"] = rng.integers(346, size=50_000), rng.integers(260, size=50_000)
+        noisy.append(Observation(merged(camera.events, noise)))
     estimate = ssac(*noisy, scene.unknown_rig, Config())
     misled = ssac(*noisy, scene.unknown_rig, CLEAN)
-    assert estimate.t_d_s == pytest.approx(0.05, abs=0.0006)
+    assert estimate.t_d_s == pytest.approx(0.05, abs=0.0009)  # as above, of half the samples
     assert rotation_angle_deg(estimate.R, scene.R) < 3.0  # noise close to the object stays
     assert rotation_angle_deg(misled.R, scene.R) > 5.0  # noise draws every mean to the centre
 
 
 def test_recordings_of_unequal_length_and_start(flight):
     scene, (cam1, cam2) = flight
-    late = Observation(cam1.events[cam1.events["t"] > 3_000_000])
-    short = Observation(cam2.events[cam2.events["t"] < 15_000_000])
+    late = Observation(cam1.events[cam1.events["t"] > 2_000_000])
+    short = Observation(cam2.events[cam2.events["t"] < 10_000_000])
     estimate = ssac(late, short, scene.unknown_rig, CLEAN)
-    assert estimate.t_d_s == pytest.approx(0.05, abs=0.0008)  # 12 s in common
+    assert estimate.t_d_s == pytest.approx(0.05, abs=0.0009)  # 8 s in common
 
 
 def test_views_that_share_no_points_are_refused_by_what_a_track_lacks():
@@ -137,17 +118,3 @@ def test_an_offset_outside_the_interval_is_refused():
     cameras = observe(scene, seed=0, t_d_s=0.15)  # d_avg falls towards it from 100 ms away
     config = replace(CLEAN, interval_s=(0.0, 0.1))
     assert ssac_known(*cameras, scene.rig, config).status == "search_bound"
-
-
-def test_malformed_input_raises(flight):
-    scene, (cam1, cam2) = flight
-    with pytest.raises(SsacError, match="the rig: ssac-known needs the extrinsics"):
-        ssac_known(cam1, cam2, scene.unknown_rig, CLEAN)
-    with pytest.raises(SsacError, match="ascending order"):
-        ssac(cam1, cam2, scene.rig, replace(CLEAN, interval_s=(1.0, -1.0)))
-    with pytest.raises(SsacError, match="robust must be lmeds or magsac"):
-        ssac(cam1, cam2, scene.rig, replace(CLEAN, robust="ransac"))
-    with pytest.raises(SsacError, match="n_samples must be a whole number of 1 "):
-        ssac(cam1, cam2, scene.rig, replace(CLEAN, n_samples=0))
-    with pytest.raises(SsacError, match="camera 2"):
-        ssac(cam1, Observation(cam2.events[::-1]), scene.rig, CLEAN)

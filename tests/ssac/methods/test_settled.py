@@ -8,8 +8,9 @@ import pytest
 
 from ssac import Chain, Config, Estimate, Status, two_views
 from ssac.estimate import SETTLED_BY
-from ssac.methods.hypotheses import hypotheses
+from ssac.methods.hypotheses import Choice
 from ssac.methods.tangency import tangency_from
+from ssac.rules import Rules
 from ssac.track.observation import tracked
 from tests.ssac.box import CLEAN, box_events, observations
 from tests.ssac.synthetic import make_scene
@@ -26,8 +27,8 @@ SEARCH = Estimate(
 
 @pytest.mark.parametrize("status", REFUSALS)
 def test_positions_settle_what_the_table_names_of_a_search(status):
-    views = SimpleNamespace(pose_is_known=True, rig=SCENE.rig, config=Config())
-    tried = hypotheses(replace(SEARCH, status=status), views)
+    views = SimpleNamespace(pose_is_known=True, rig=SCENE.rig, rules=Rules())
+    tried = Choice(views, refine=None).hypotheses(replace(SEARCH, status=status))
     assert bool(tried) == (status in SETTLED_BY["joint"])
     assert all(one.status == Status.OK for one in tried)
 
@@ -42,39 +43,46 @@ def views():
 def test_tangents_settle_what_the_table_names_of_joint(status, searched, views, monkeypatch):
     found = Estimate("tangency", t_d_s=T_D_S, t_d_std_s=1e-4)
     looked = []
-    for name in ("_despite_the_mean", "settled"):
-        monkeypatch.setattr(
-            f"ssac.methods.tangency.{name}", lambda *_, name=name: looked.append(name) or found
-        )
+
+    def settled(choice, start):
+        looked.append(choice.by_own_pairs)
+        return found
+
+    monkeypatch.setattr("ssac.methods.hypotheses.Choice.settled", settled)
     search = replace(SEARCH, status=searched, alternatives_s=np.array([0.1]))
     start = Estimate("joint", status, "a reason", start=search)
     estimate = tangency_from(start, views)
     assert estimate.method == "tangency"
     if status in SETTLED_BY["tangency"]:
         assert estimate.status == Status.OK
-        assert looked == ["_despite_the_mean" if searched == Status.OK else "settled"]
+        # Where the search has an offset, it is of positions; else tangents are to find one.
+        assert looked == [searched != Status.OK]
     else:
         assert (estimate.status, estimate.reason) == (status, "a reason")
         assert looked == []
 
 
-@pytest.mark.parametrize("status", REFUSALS)
-@pytest.mark.parametrize("helps", [True, False])
-def test_a_clock_of_pieces_settles_what_the_table_names_of_tracks(status, helps, monkeypatch):
+def answered(config, status, helps, monkeypatch):
+    """The answer of joint, which refuses an affine clock, and the clocks that were tried."""
     tried = []
 
     def joint_from(start, views):
         tried.append(views.config.clock)
-        refused = Estimate("joint", status, "a reason", start=start)
-        if views.config.clock == "affine" or not helps:
-            return refused
-        return Estimate("joint", t_d_s=T_D_S, t_d_std_s=1e-3)
+        if views.config.clock == "pieces" and helps:
+            return Estimate("joint", t_d_s=T_D_S, t_d_std_s=1e-3)
+        return Estimate("joint", status, "a reason", start=start)
 
     monkeypatch.setattr("ssac.methods.joint.joint_from", joint_from)
     monkeypatch.setattr("ssac.methods.algorithms.algorithm_2", lambda views: SEARCH)
     tracks = [tracked(frame_track(SCENE, k + 1, 30.0, k * T_D_S, seed=k)) for k in range(2)]
-    chain = Chain(tracks, SCENE.unknown_rig, Config(interval_s=(-0.5, 0.5)))
-    answer = chain.answer("joint")
+    config = replace(config, interval_s=(-0.5, 0.5))
+    return Chain(tracks, SCENE.unknown_rig, config).answer("joint"), tried
+
+
+@pytest.mark.parametrize("status", REFUSALS)
+@pytest.mark.parametrize("helps", [True, False])
+def test_a_clock_of_pieces_settles_what_the_table_names_of_tracks(status, helps, monkeypatch):
+    answer, tried = answered(Config(), status, helps, monkeypatch)
     is_settled = status in SETTLED_BY["pieces"]
     assert tried == (["affine", "pieces"] if is_settled else ["affine"])
     assert answer.wanders == (is_settled and helps)
@@ -83,13 +91,9 @@ def test_a_clock_of_pieces_settles_what_the_table_names_of_tracks(status, helps,
     assert ("a clock wanders" in answer.note) == answer.wanders
 
 
-@pytest.mark.parametrize("config", [Config(clock="affine"), Config(skew_prior_ppm=0.0)])
+@pytest.mark.parametrize(
+    "config", [Config(clock="affine"), Config(skew_prior_ppm=0.0)], ids=["affine", "no-skew"]
+)
 def test_a_clock_that_was_asked_for_stays(config, monkeypatch):
-    refused = Estimate("joint", Status.CLOCK_JUMP, "a jump")
-    monkeypatch.setattr("ssac.methods.joint.joint_from", lambda start, views: refused)
-    monkeypatch.setattr("ssac.methods.algorithms.algorithm_2", lambda views: SEARCH)
-    tracks = [tracked(frame_track(SCENE, k + 1, 30.0, k * T_D_S, seed=k)) for k in range(2)]
-    chain = Chain(tracks, SCENE.unknown_rig, replace(config, interval_s=(-0.5, 0.5)))
-    answer = chain.answer("joint")
-    assert answer.estimate.status == Status.CLOCK_JUMP
-    assert not answer.wanders
+    answer, tried = answered(config, Status.CLOCK_JUMP, True, monkeypatch)
+    assert (answer.estimate.status, answer.wanders, tried) == ("clock_jump", False, ["affine"])

@@ -6,33 +6,16 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from ssac import (
-    Config,
-    Estimate,
-    Observation,
-    Status,
-    joint,
-    joint_known,
-    ssac,
-    two_views,
-)
+from ssac import Estimate, Observation, Status, joint, joint_known, ssac
 from ssac.camera import Rig
 from ssac.methods.hypotheses import Solution, choose
 from ssac.methods.joint import joint_from
 from ssac.methods.tangency import tangency_from
 from ssac.methods.verdict import certain, doubt, less_sure
 from ssac.rules import Rules
-from tests.ssac.methods.test_refusal import (
-    CLEAN,
-    DURATION_S,
-    MIDDLE,
-    T_D_S,
-    circle,
-    periodic,
-    scene_of,
-    seen,
-)
-from tests.ssac.synthetic import Scene, make_events, make_scene, rotation_angle_deg
+from tests.ssac.cluttered import merged
+from tests.ssac.methods import flights
+from tests.ssac.synthetic import make_events, make_scene, rotation_angle_deg
 
 RULES = Rules().verdict
 OBJECT_PX = 10.0
@@ -80,7 +63,7 @@ def with_deviations(t_d_std_s=1e-3, **turns_deg):
     degrees = [turns_deg.get(f"angle_{k}", 0.1) for k in range(5)]
     return Estimate(
         "joint",
-        t_d_s=T_D_S,
+        t_d_s=flights.T_D_S,
         t_d_std_s=t_d_std_s,
         R=np.eye(3),
         t=np.array([1.0, 0.0, 0.0]),
@@ -110,56 +93,44 @@ def test_what_is_not_certain_is_refused(estimate, status, words):
         assert found.R is found.t is None
         assert found.has_offset == (status == Status.DEGENERATE_POSE)
     if status == Status.DEGENERATE_POSE:
-        assert found.t_d_s == T_D_S
+        assert found.t_d_s == flights.T_D_S
         assert np.abs(found.unobservable) == pytest.approx(np.eye(6)[[2]])
 
 
 @pytest.mark.parametrize("share", [0.2, 1.0])
 def test_a_second_object_is_refused_or_does_no_harm(share):
-    scene, other = make_scene(seed=4, duration_s=8.0), make_scene(seed=5, duration_s=8.0)
-    streams = []
-    for events, clutter in zip(
-        make_events(scene, seed=4, t_d_s=T_D_S, size_m=0.4),
-        make_events(other, seed=5, t_d_s=T_D_S, rate_hz=25_000.0 * share, size_m=0.4),
-        strict=True,
-    ):
-        mixed = np.concatenate([events, clutter])
-        streams.append(mixed[np.argsort(mixed["t"], kind="stable")])
-    cameras = [Observation(events) for events in streams]
-    found = joint(*cameras, scene.unknown_rig, CLEAN)
+    scene, other = (make_scene(seed, duration_s=flights.DURATION_S) for seed in (4, 5))
+    clutter = make_events(other, 5, flights.T_D_S, rate_hz=25_000.0 * share, size_m=0.4)
+    streams = make_events(scene, 4, flights.T_D_S, size_m=0.4)
+    cameras = [Observation(merged(*both)) for both in zip(streams, clutter, strict=True)]
+    near = replace(flights.CLEAN, interval_s=(flights.T_D_S - 0.3, flights.T_D_S + 0.3))
+    found = joint(*cameras, scene.unknown_rig, near)
     if found.status == Status.OK:
-        error_s = abs(found.t_d_s - T_D_S)
-        assert error_s < max(3.5 * found.t_d_std_s, NEAR_S)
+        assert abs(found.t_d_s - flights.T_D_S) < max(3.5 * found.t_d_std_s, NEAR_S)
         assert rotation_angle_deg(found.R, scene.R) < max(3.5 * found.r_std_deg, 0.3)
     else:
         assert found.reason
 
 
 def test_extrinsics_of_another_rig_are_refused_or_widen_the_deviation():
-    scene, other = make_scene(seed=4, duration_s=8.0), make_scene(seed=4, angle_deg=97.0)
-    streams = make_events(scene, seed=4, t_d_s=T_D_S, size_m=0.4)
-    cameras = [Observation(events) for events in streams]
-    assert joint_known(*cameras, scene.rig, CLEAN).status == Status.OK
+    scene, other = make_scene(4, duration_s=flights.DURATION_S), make_scene(4, angle_deg=97.0)
+    cameras = flights.seen(scene, 4)
+    assert joint_known(*cameras, scene.rig, flights.CLEAN).status == Status.OK
     wrong = Rig(scene.rig.cam1, scene.rig.cam2, other.rig.T_2_1)
-    found = joint_known(*cameras, wrong, CLEAN)
-    is_held = abs(found.t_d_s - T_D_S) < 3.5 * found.t_d_std_s
+    found = joint_known(*cameras, wrong, flights.CLEAN)
+    is_held = abs(found.t_d_s - flights.T_D_S) < 3.5 * found.t_d_std_s
     assert found.status != Status.OK or is_held
 
 
-def continued(method, start: Estimate, scene: Scene) -> Estimate:
-    """What a refining method makes of a start that is given."""
-    return method(start, two_views(*seen(scene), scene.rig, CLEAN))
-
-
-def nearly_periodic(stray_m: float, from_s: float = 0.0) -> Scene:
+def nearly_periodic(stray_m, from_s=0.0):
     """Go round every 0.8 s, and from a time on stray from that by so much, never alike."""
-    wandering = make_scene(7, duration_s=DURATION_S).path
+    wandering = make_scene(7, duration_s=flights.DURATION_S).path
 
     def path(times_s):
         stray = stray_m * (times_s > from_s)[..., None]
-        return periodic(times_s) + stray * (wandering(times_s) - MIDDLE) / 2.5
+        return flights.periodic(times_s) + stray * (wandering(times_s) - flights.MIDDLE) / 2.5
 
-    return scene_of(path)
+    return path
 
 
 @pytest.mark.parametrize(
@@ -168,53 +139,43 @@ def nearly_periodic(stray_m: float, from_s: float = 0.0) -> Scene:
 def test_an_offset_must_fit_twice_as_well_as_any_other(stray_m, status):
     # The mean of 1000 events is off by 0.2 px. A stray of 0.01 m, 0.4 px, less what the pose takes
     # of it, makes an offset a turn away fit 1.1 to 2 times worse; twice that, 2 to 3.5 times.
-    scene = nearly_periodic(stray_m)
-    estimate = joint(*seen(scene), scene.rig, CLEAN)
+    estimate = flights.found(nearly_periodic(stray_m), "joint")
     assert estimate.status == status
-    assert estimate.t_d_s == pytest.approx(T_D_S, abs=5e-4)  # a few deviations of joint's
+    assert estimate.t_d_s == pytest.approx(flights.T_D_S, abs=5e-4)  # a few deviations of joint's
 
 
 def test_all_but_the_worst_pairs_tell_solutions_apart():
     # For two fifths of the flight an offset a turn away fits as well as the true one.
-    scene = nearly_periodic(0.03, from_s=0.4 * DURATION_S)
-    assert joint_known(*seen(scene), scene.rig, CLEAN).status == Status.OK
+    path = nearly_periodic(0.03, from_s=0.4 * flights.DURATION_S)
+    assert flights.found(path, "joint-known").status == Status.OK
 
 
 def test_where_the_fundamental_matrix_is_open_other_offsets_are_tried():
     # On a circle each offset has a pose that fits, the wrong ones at 0.1 s too.
-    scene = scene_of(circle)
-    start = Estimate("ssac", Status.DEGENERATE_POSE, "F is open", t_d_s=T_D_S)
-    estimate = continued(joint_from, start, scene)
+    start = Estimate("ssac", Status.DEGENERATE_POSE, "F is open", t_d_s=flights.T_D_S)
+    estimate = joint_from(start, flights.flown(flights.circle).under(flights.CLEAN).views())
     assert estimate.status == Status.AMBIGUOUS_OFFSET
     assert not estimate.has_offset
 
 
 @pytest.mark.parametrize(("std_s", "status"), [(0.001, Status.DEGENERATE_POSE), (0.005, Status.OK)])
 def test_tangents_may_not_stray_far_from_a_start_they_are_to_mend(std_s, status):
-    scene = make_scene(1, duration_s=DURATION_S)
-    found = joint(*seen(scene), scene.rig, CLEAN)
-    start = replace(
-        found,
-        status=Status.DEGENERATE_POSE,
-        reason="open",
-        t_d_s=T_D_S + 0.005,  # 5 deviations, or 1
-        t_d_std_s=std_s,
-        R=None,
-        t=None,
-    )
-    assert continued(tangency_from, start, scene).status == status
+    off = {"t_d_s": flights.T_D_S + 0.005, "t_d_std_s": std_s, "R": None, "t": None}  # by 5, or 1
+    chain = flights.flown(flights.free).under(flights.CLEAN)
+    start = replace(chain.estimate("joint"), status=Status.DEGENERATE_POSE, reason="open", **off)
+    assert tangency_from(start, chain.views()).status == status
 
 
 def test_time_out_of_view_is_no_motion():
     # 0.7 s, 8.3 s of nothing, and 0.7 s: six swings between them that nobody saw.
     scene = make_scene(5, duration_s=12.0)
-    streams = make_events(scene, 5, T_D_S, size_m=0.4)
+    streams = make_events(scene, 5, flights.T_D_S, size_m=0.4)
     cameras = []
-    for events, offset_s in zip(streams, (0.0, T_D_S), strict=True):
+    for events, offset_s in zip(streams, (0.0, flights.T_D_S), strict=True):
         times_s = 1e-6 * events["t"] - offset_s
         seen_then = ((times_s > 1.0) & (times_s < 1.7)) | ((times_s > 10.0) & (times_s < 10.7))
         cameras.append(Observation(events[seen_then]))
-    config = Config(interval_s=(T_D_S - 0.25, T_D_S + 0.25), denoise=False)
+    config = replace(flights.CLEAN, interval_s=(flights.T_D_S - 0.25, flights.T_D_S + 0.25))
     estimate = ssac(*cameras, scene.rig, config)
     assert estimate.status == Status.TOO_LITTLE_MOTION
 
@@ -225,25 +186,16 @@ def test_time_out_of_view_is_no_motion():
 )
 def test_an_open_pose_is_degenerate_before_it_is_ambiguous(std_rad, status):
     """Bug: the search put the one first and the refinement the other."""
-    variances = [1e-6, std_rad**2, *[1e-6] * 4]
+    turns = (Rotation.from_euler("y", deg, degrees=True).as_matrix() for deg in (0.0, 20.0))
     solutions = [
         Solution(
-            Estimate(
-                "joint",
-                t_d_s=T_D_S,
-                t_d_std_s=1e-3,
-                R=Rotation.from_euler("y", turn_deg, degrees=True).as_matrix(),
-                t=np.array([1.0, 0.0, 0.0]),
-                covariance=np.diag(variances),
-            ),
-            distance_px=distance_px,
-            object_px=10.0,
+            replace(with_deviations(angle_0=np.rad2deg(std_rad)), R=R), distance_px, object_px=10.0
         )
-        for turn_deg, distance_px in ((0.0, 0.10), (20.0, 0.11))
+        for R, distance_px in zip(turns, (0.10, 0.11), strict=True)
     ]
     found = choose(Estimate("joint"), solutions, Rules())
     assert found.status == status
-    assert found.t_d_s == T_D_S
+    assert found.t_d_s == flights.T_D_S
     assert found.R is None
 
 

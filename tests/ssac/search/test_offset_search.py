@@ -7,13 +7,7 @@ import pytest
 
 from ssac.config import Config
 from ssac.rules import SearchRules
-from ssac.search.offset_search import (
-    candidate_offsets,
-    coarse_to_fine_search,
-    exhaustive_search,
-    mean_epipolar_distance,
-    valleys,
-)
+from ssac.search import offset_search
 from ssac.search.two_views import TwoViews
 from ssac.track.motion import object_motion
 from tests.ssac.synthetic import make_events, make_scene
@@ -22,8 +16,8 @@ RULES = SearchRules()
 OFFSETS_S = np.arange(-1000, 1001) * 1e-3
 
 
-def searched_through(coarse_cost, cost, offsets_s, coarsest=20, returns_s=None):
-    return coarse_to_fine_search(coarse_cost, cost, offsets_s, coarsest, RULES, returns_s)
+def searched(cost, offsets_s=OFFSETS_S, coarsest=20, returns_s=None):
+    return offset_search.coarse_to_fine_search(cost, cost, offsets_s, coarsest, RULES, returns_s)
 
 
 def rounded_v(centre_s, depth=0.0):
@@ -47,8 +41,8 @@ def views():
 @pytest.mark.parametrize("centre_s", [-0.4321, 0.0, 0.00037, 0.777])
 def test_the_minimum_is_found_between_candidates(centre_s):
     for search in (
-        exhaustive_search(rounded_v(centre_s), OFFSETS_S),
-        searched_through(rounded_v(centre_s), rounded_v(centre_s), OFFSETS_S),
+        offset_search.exhaustive_search(rounded_v(centre_s), OFFSETS_S),
+        searched(rounded_v(centre_s)),
     ):
         # A parabola through 12 points of another curve: 3 us; 10 us is the resolution promised.
         assert search.t_d_s == pytest.approx(centre_s, abs=5e-6)
@@ -61,18 +55,18 @@ def test_what_lies_far_from_the_minimum_does_not_move_it():
 
     # The parabola reaches 6 ms to each side; to 20 ms and more it is drawn to the flat side by far
     # more than 10 us, the resolution promised.
-    assert searched_through(cost, cost, OFFSETS_S).t_d_s == pytest.approx(0.2, abs=1e-5)
+    assert searched(cost).t_d_s == pytest.approx(0.2, abs=1e-5)
 
 
 def test_the_deeper_of_two_valleys_is_found():
     def cost(t_d_s):
         return np.minimum(rounded_v(-0.6, depth=1.0)(t_d_s), rounded_v(0.3)(t_d_s))
 
-    assert searched_through(cost, cost, OFFSETS_S).t_d_s == pytest.approx(0.3, abs=5e-6)
+    assert searched(cost).t_d_s == pytest.approx(0.3, abs=5e-6)
 
 
 def test_coarse_to_fine_tries_a_tenth_of_the_candidates():
-    search = searched_through(rounded_v(0.1), rounded_v(0.1), OFFSETS_S)
+    search = searched(rounded_v(0.1))
     assert len(search.candidates_s) < len(OFFSETS_S) / 10
     assert np.all(np.diff(search.candidates_s) > 0.0)
     assert np.array_equal(search.d_avg_px, rounded_v(0.1)(search.candidates_s))
@@ -83,17 +77,17 @@ def test_a_minimum_outside_the_interval_is_reported_at_its_bound(centre_s):
     def cost(t_d_s):
         return np.abs(t_d_s - centre_s)
 
-    assert searched_through(cost, cost, OFFSETS_S).at_bound
+    assert searched(cost).at_bound
 
 
 def test_costs_without_a_number_are_passed_over():
     def cost(t_d_s):
         return np.where(t_d_s < 0.0, np.nan, rounded_v(0.2)(t_d_s))
 
-    assert searched_through(cost, cost, OFFSETS_S).t_d_s == pytest.approx(0.2, abs=5e-6)
-    nothing = searched_through(lambda t: t * np.nan, lambda t: t * np.nan, OFFSETS_S)
+    assert searched(cost).t_d_s == pytest.approx(0.2, abs=5e-6)
+    nothing = searched(lambda t: t * np.nan)
     assert np.isnan(nothing.t_d_s)
-    assert np.isnan(searched_through(cost, cost, np.empty(0)).t_d_s)
+    assert np.isnan(searched(cost, np.empty(0)).t_d_s)
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 8])
@@ -101,8 +95,8 @@ def test_costs_without_a_number_are_passed_over():
 def test_an_interval_shorter_than_a_step_is_searched(n, coarsest):
     """Bug: no step from the coarse minimum reached another candidate, and the search fell over."""
     offsets_s = 0.2 + 0.001 * np.arange(n)
-    search = searched_through(rounded_v(0.2), rounded_v(0.2), offsets_s, coarsest)
-    assert search.t_d_s == exhaustive_search(rounded_v(0.2), offsets_s).t_d_s
+    search = searched(rounded_v(0.2), offsets_s, coarsest)
+    assert search.t_d_s == offset_search.exhaustive_search(rounded_v(0.2), offsets_s).t_d_s
     assert search.at_bound
 
 
@@ -112,26 +106,26 @@ def test_a_return_of_the_path_where_no_cost_is_known_is_no_rival():
     def cost(t_d_s):
         return np.where(t_d_s > 0.45, np.nan, rounded_v(0.2)(t_d_s))
 
-    search = searched_through(cost, cost, OFFSETS_S, returns_s=np.array([0.4]))
+    search = searched(cost, returns_s=np.array([0.4]))
     assert search.t_d_s == pytest.approx(0.2, abs=5e-6)
-    assert len(valleys(search.candidates_s, search.d_avg_px, search.t_d_s, RULES)) == 1
+    assert (
+        len(offset_search.valleys(search.candidates_s, search.d_avg_px, search.t_d_s, RULES)) == 1
+    )
 
 
 def test_candidates_keep_half_of_the_longest_overlap(views):
-    offsets_s = candidate_offsets(searched(views, -10.0, 10.0))
+    near, far = (
+        offset_search.candidate_offsets(replace(views, config=Config(interval_s=interval_s)))
+        for interval_s in ((-10.0, 10.0), (20.0, 30.0))
+    )
     # The overlap is 4 s at 0.25 s and falls to 2 s at 2 s on either side.
-    assert offsets_s[0] == pytest.approx(-1.75, abs=0.002)
-    assert offsets_s[-1] == pytest.approx(2.25, abs=0.002)
-    assert len(candidate_offsets(searched(views, 20.0, 30.0))) == 0
-
-
-def searched(views, low_s, high_s):
-    return replace(views, config=Config(interval_s=(low_s, high_s)))
+    assert near[[0, -1]] == pytest.approx([-1.75, 2.25], abs=0.002)
+    assert len(far) == 0
 
 
 def test_too_few_pairs_have_no_distance(views):
     pairs = views.pairs(np.array([0.25]), n_samples=40)
     n_valid = int(pairs.valid.sum())
     F = np.diag([1.0, -1.0, 0.0])
-    assert np.isfinite(mean_epipolar_distance(F, pairs, min_pairs=n_valid)).all()
-    assert np.isnan(mean_epipolar_distance(F, pairs, min_pairs=n_valid + 1)).all()
+    assert np.isfinite(offset_search.mean_epipolar_distance(F, pairs, min_pairs=n_valid)).all()
+    assert np.isnan(offset_search.mean_epipolar_distance(F, pairs, min_pairs=n_valid + 1)).all()

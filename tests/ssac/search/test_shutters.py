@@ -99,19 +99,14 @@ def test_the_row_that_counts_is_the_one_that_the_lens_shows(monkeypatch):
     assert np.nanmedian(errors[far]) < 2.0  # px/s, of 50; ideal rows are off by 9
 
 
-def test_a_readout_that_is_set_again_takes_the_place_of_the_first():
+def test_a_readout_is_set_anew_and_lies_between_none_and_a_frame():
     views = two_views(*flight(2, (0.0, 0.0)), Rig(UNKNOWN, UNKNOWN), CONFIG)
-    frames = views.motion1
+    shutters, frames = shutters_of(views), views.motion1
     once = frames.read_out(0.02)
     np.testing.assert_allclose(once.times_s, frames.times_s + 0.02 * frames.rows, rtol=1e-15)
     again = frames.read_out(0.005).read_out(0.02)
     np.testing.assert_allclose(again.times_s, once.times_s, atol=1e-12)  # rounding
     np.testing.assert_allclose(once.read_out(0.0).times_s, frames.times_s, atol=1e-12)
-
-
-def test_a_readout_lies_between_none_and_a_frame():
-    views = two_views(*flight(2, (0.0, 0.0)), Rig(UNKNOWN, UNKNOWN), CONFIG)
-    shutters = shutters_of(views)
     np.testing.assert_allclose(shutters.within(np.array([-0.01, 1.0])), [0.0, 1.0 / FPS[1]])
     read_out = shutters.views(views, np.array([0.02, 0.03]))
     np.testing.assert_allclose(shutters_of(read_out).longest_s, shutters.longest_s)  # of frames

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import ssac.search.view
 from ssac import two_views
 from ssac.config import Config
 from ssac.errors import SsacError
@@ -62,24 +61,6 @@ def test_sample_times_cover_the_overlap(t_d_s, start_s, end_s, views):
     assert times_s[0] == pytest.approx(start_s, abs=0.01)  # half a sampling step
     assert times_s[-1] == pytest.approx(end_s, abs=0.01)
     assert len(views.sample_times(np.array([t_d_s]))[0]) == Config.n_samples
-
-
-def test_the_views_are_summed_up_once(events, monkeypatch):
-    """Bug: each method, and each of its steps, did it again."""
-    calls = []
-    for name in ("view_of", "returns_s"):
-        work = getattr(ssac.search.view, name)
-        monkeypatch.setattr(
-            ssac.search.view,
-            name,
-            lambda *args, work=work, name=name: calls.append(name) or work(*args),
-        )
-    views = two_views(*(Observation(stream) for stream in events), SCENE.rig)
-    for _ in range(2):
-        assert views.object_px > 0.0
-        assert len(views.returns_s) == 0
-        assert not views.repeats
-    assert calls == ["view_of", "view_of", "returns_s", "returns_s"]
 
 
 @pytest.mark.parametrize(("number", "name"), [(1, "cam1"), (2, "cam2")])

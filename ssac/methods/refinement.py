@@ -1,0 +1,154 @@
+"""The one refinement of offset and pose by robust least squares, whatever its pairs are.
+
+Pairs are sampled under an estimate, the problem is solved, and pairs are sampled anew under what
+was found, until nothing changes. What pairs are, and when nothing changes, is for `joint` and
+`tangency` to say.
+"""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ssac.estimate import Estimate, Status
+from ssac.fit.intrinsics import Allowance, evidence, fundamental_of
+from ssac.fit.least_squares import (
+    Parameters,
+    Problem,
+    Residuals,
+    Solution,
+    WeighedPairs,
+    linearise,
+)
+from ssac.geometry.epipolar import CAUCHY
+from ssac.methods.algorithms import with_fit
+from ssac.methods.clocks import checked_clock, clock_model
+from ssac.methods.verdict import doubt
+from ssac.search.two_views import TwoViews
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Round:
+    """Pairs that were sampled with some parameters, and what was found of them."""
+
+    number: int
+    seen: TwoViews  # under the clock and with the readouts of the parameters
+    before: Parameters
+    problem: Problem
+    found: Solution
+
+    @property
+    def shift_s(self) -> float:
+        """By which it changes the offset."""
+        return abs(self.found.parameters.t_d_s - self.before.t_d_s)
+
+
+class Refinement(ABC):
+    """Rounds of sampling pairs and solving for offset, pose, clock and what is allowed for."""
+
+    max_rounds: int
+    size_px: float  # rms size of the object's images, both together
+    turn = last_turn = CAUCHY  # where the loss turns, in a round and at last
+    lessens = True  # as for `correlated_covariance`
+
+    def __init__(self, start: Estimate, views: TwoViews) -> None:
+        self.start, self.views, self.rules = start, views, views.rules
+        self.model = clock_model(views, start)
+        self.allowance = Allowance(views.rig, self.model.has_priors)
+        self.solving: dict[str, Any] = {}  # options of `solve` in a round
+
+    @abstractmethod
+    def pairs(self, seen: TwoViews, parameters: Parameters) -> WeighedPairs:
+        """Sample pairs with some parameters, under whose clock the views are seen."""
+
+    @abstractmethod
+    def unseen(self, n_pairs: int, parameters: Parameters) -> Estimate:
+        """Refuse parameters with which too few pairs are sampled."""
+
+    @abstractmethod
+    def settles(self, last: Round) -> bool:
+        """Whether nothing changes any more, once all is allowed for."""
+
+    @abstractmethod
+    def refused(self, last: Round) -> Estimate | None:
+        """Give up after a round, or make ready for the next one."""
+
+    @abstractmethod
+    def hidden_px(self, last: Round, residuals: Residuals) -> Array | None:
+        """Give what errors that no residual shows do to the distances: (n, m); None for none."""
+
+    def estimate(self, R: Array, t: Array) -> Estimate:
+        """Refine the start's offset, and a pose if it is not known.
+
+        With a known pose there is a `t_d_std_s` but no `covariance`.
+        """
+        start, views, model = self.start, self.views, self.model
+        parameters = Parameters(start.t_d_s, R, t, model.start(start))
+        for number in range(self.max_rounds):
+            before, seen = parameters, model.views(views, parameters)
+            pairs = self.pairs(seen, before)
+            if len(pairs.times_s) < self.rules.search.min_pairs:
+                return self.unseen(len(pairs.times_s), before)
+            plain = Problem(pairs, views.rig, self.rules.fit, views.pose_is_known, turn=self.turn)
+            problem = self.allowance.added(model.problem(plain, before, seen))
+            found = model.solve(problem, before, **self.solving)
+            last, parameters = Round(number, seen, before, problem, found), found.parameters
+            if abs(parameters.t_d_s - start.t_d_s) > self.rules.joint.max_shift_s:
+                return self._astray(parameters)
+            settles = self.allowance.is_made and self.settles(last)
+            if settles:
+                break
+            refused = self.refused(last)
+            if refused is not None:
+                return refused
+        residuals = linearise(replace(problem, turn=self.last_turn), parameters)
+        hidden_px = self.hidden_px(last, residuals)
+        covariance = residuals.covariance(self.lessens)
+        if hidden_px is not None:
+            covariance = covariance + residuals.hidden_covariance(hidden_px)
+        unfinished = [] if settles else [found.change]
+        unfinished += [] if found.converged else [found.last_step]
+        # The last change, or step, of the free parameters may not matter beside their deviations.
+        most, free = self.rules.fit.max_last_change * np.sqrt(np.diag(covariance)), problem.free
+        if any(np.any(np.abs(change[free]) > most) for change in unfinished):
+            reason = f"after {self.max_rounds} rounds the refinement from {start.t_d_s:.3f} s"
+            return self.no_convergence(f"{reason} still moved")
+        told = model.told(start, residuals, covariance)
+        return checked_clock(self._told(told, residuals, covariance, hidden_px), model, residuals)
+
+    def no_convergence(self, reason: str) -> Estimate:
+        """Refuse what the iterations do not lead to."""
+        return replace(self.start, status=Status.NO_CONVERGENCE, reason=reason)
+
+    def moved(self, parameters: Parameters) -> str:
+        """Say where the refinement went."""
+        where = f"from {self.start.t_d_s:.3f} to {parameters.t_d_s:.3f} s"
+        return f"the refinement moved t_d {where}"
+
+    def _astray(self, parameters: Parameters) -> Estimate:
+        """Refuse to leave the minimum of the start."""
+        furthest_ms = 1e3 * self.rules.joint.max_shift_s
+        return self.no_convergence(f"{self.moved(parameters)}, further than {furthest_ms:.0f} ms")
+
+    def _told(
+        self, start: Estimate, residuals: Residuals, covariance: Array, hidden_px: Array | None
+    ) -> Estimate:
+        """Put the parameters found, and the covariance of those that were free, into the start."""
+        problem, parameters = residuals.problem, residuals.parameters
+        fitted = with_fit(start, residuals.F, residuals.p1_px, residuals.p2_px)
+        F = fundamental_of(problem, parameters)
+        against = evidence(residuals, hidden_px)
+        return replace(
+            fitted,
+            F=F / np.linalg.norm(F),
+            t_d_s=parameters.t_d_s,
+            t_d_std_s=float(np.sqrt(covariance[0, 0])),
+            R=parameters.R,
+            t=parameters.t,
+            covariance=None if problem.pose_is_known else covariance[:6, :6],
+            doubt=doubt(residuals.distances_px, self.size_px, self.rules.verdict, against),
+        )

@@ -1,0 +1,80 @@
+"""Flights that leave something open, before two cameras 90 degrees apart, and what is found."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+
+from ssac import Chain, Observation
+from ssac.config import Config
+from tests.ssac.synthetic import DISTANCE_M, make_events, make_scene
+
+T_D_S = 0.05
+CLEAN = Config(denoise=False)  # the synthetic events have no noise
+DURATION_S = 8.0
+MIDDLE = np.array([0.0, 0.0, DISTANCE_M])
+AXES = np.linalg.qr(np.array([[1.0, 0.3, 0.5], [0.2, 1.0, -0.4], [-0.3, 0.1, 1.0]]))[0].T
+
+
+def scene_of(path, angle_deg=90.0):
+    """A scene of a path: times (n,) [s] -> positions (n, 3) [m] in camera 1's frame."""
+    return replace(make_scene(0, angle_deg, DURATION_S), path=path)
+
+
+def seen(scene, seed=0):
+    return [Observation(events) for events in make_events(scene, seed, T_D_S, size_m=0.4)]
+
+
+@cache
+def flown(path):
+    """The chain of a path's recording; its methods share what they start from."""
+    scene = scene_of(path)
+    return Chain(seen(scene), scene.rig)
+
+
+def found(path, method, **fields):
+    return flown(path).under(replace(CLEAN, **fields)).estimate(method)
+
+
+def free(times_s):
+    return make_scene(0, duration_s=DURATION_S).path(times_s)
+
+
+def at_rest(times_s):
+    return np.broadcast_to(MIDDLE, (*times_s.shape, 3))
+
+
+def straight(times_s):
+    """Go to and fro along a line without repeating."""
+    flight = make_scene(3, duration_s=DURATION_S).path
+    return MIDDLE + 0.75 * (flight(times_s)[..., :1] - MIDDLE[0]) * AXES[0]
+
+
+def straight_uniform(times_s):
+    return MIDDLE + 0.4 * (times_s - DURATION_S / 2)[..., None] * AXES[0]
+
+
+def circle(times_s, rise_m_s=0.0):
+    turn = 2.0 * np.pi * times_s[..., None] / 2.7
+    height = rise_m_s * (times_s[..., None] - DURATION_S / 2)
+    around = np.cos(turn) * AXES[0] + np.sin(turn) * AXES[1]
+    return MIDDLE + 1.2 * around + height * AXES[2]
+
+
+def helix(times_s):
+    return circle(times_s, rise_m_s=0.25)
+
+
+def planar(times_s):
+    flight = make_scene(5, duration_s=DURATION_S).path(times_s) - MIDDLE
+    return MIDDLE + 0.8 * flight[..., :2] @ AXES[:2]
+
+
+def periodic(times_s, period_s=0.8):
+    turn = 2.0 * np.pi * times_s[..., None] / period_s
+    return (
+        MIDDLE
+        + (np.cos(turn) + 0.4 * np.sin(2 * turn)) * AXES[0]
+        + (0.8 * np.sin(turn) + 0.3 * np.cos(3 * turn)) * AXES[1]
+        + 0.7 * np.cos(2 * turn + 1.0) * AXES[2]
+    )
