@@ -35,7 +35,7 @@ class Difference:
         """Root of the mean square."""
         return float(np.sqrt(np.mean(self.distances_m**2)))
 
-    def figures(self) -> dict[str, float | int]:
+    def figures(self) -> dict[str, Any]:
         """Give its numbers by name, as machines read them."""
         return {
             "rmse_m": self.rmse_m,
@@ -62,6 +62,19 @@ class InTime(Difference):
         about_mean = np.sum((self.truth_m - self.truth_m.mean(axis=0)) ** 2)
         return float(1.0 - np.sum(self.distances_m**2) / about_mean)
 
+    def figures(self) -> dict[str, Any]:
+        """Give its numbers by name, as machines read them."""
+        clock, frame = self.clock, self.similarity
+        return super().figures() | {
+            "coverage": self.coverage,
+            "explained": self.explained,
+            "shift_s": clock.t_d_s,
+            "rate_ppm": clock.skew_ppm,
+            "t_ref_s": clock.t_ref_s,
+            "R": frame.R.tolist(),
+            "t": frame.t.tolist(),
+        }
+
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
@@ -74,19 +87,8 @@ class Comparison:
 
     def figures(self) -> dict[str, Any]:
         """Give its numbers by name, as machines read them."""
-        found: dict[str, Any] = {"in_time": None, "as_shape": self.as_shape.figures()}
-        if self.in_time is not None:
-            clock, frame = self.in_time.clock, self.in_time.similarity
-            found["in_time"] = self.in_time.figures() | {
-                "coverage": self.in_time.coverage,
-                "explained": self.in_time.explained,
-                "shift_s": clock.t_d_s,
-                "rate_ppm": clock.skew_ppm,
-                "t_ref_s": clock.t_ref_s,
-                "R": frame.R.tolist(),
-                "t": frame.t.tolist(),
-            }
-        return found
+        in_time = None if self.in_time is None else self.in_time.figures()
+        return {"in_time": in_time, "as_shape": self.as_shape.figures()}
 
 
 def compare(
@@ -103,10 +105,8 @@ def compare(
     ----------
     estimate, truth
         In frames and on clocks of their own; where one has no times, they are compared as shapes.
-    with_scale
-        Whether the estimate's scale is unknown.
-    max_shift_s, rate_std_ppm
-        Of the truth's clock, as `ssac.network.align.best_shift` has them.
+    with_scale, max_shift_s, rate_std_ppm
+        As `ssac.network.align.best_shift` has them.
     lever_arm_m
         Where the truth's antenna is in the body (forward, left, up); needs the truth's attitude.
 

@@ -13,6 +13,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
 
 from ssac.clock import PPM, Clock
@@ -26,9 +27,7 @@ Pair = tuple[int, int]
 Triple = tuple[int, int, int]
 
 _SIZE = 7  # offset, turn, direction, skew
-_STEPS = {DELAY: 1e-6, RATE: 1e-9} | {
-    place: 1e-6 for part in (ROTATION, TRANSLATION) for place in range(part.start, part.stop)
-}
+_STEPS = {DELAY: 1e-6, RATE: 1e-9, **dict.fromkeys(range(ROTATION.start, TRANSLATION.stop), 1e-6)}
 """By place of a camera's parameters: steps of the derivatives, all of functions nearly linear."""
 
 
@@ -67,18 +66,20 @@ class PairConstraint:
         """Give derivatives (7, s) by a's and by b's parameters, and residuals (7,), all weighed."""
         off = self.off(a, b)
         by_a, by_b = np.zeros((_SIZE, a.size)), np.zeros((_SIZE, b.size))
-        for place, size in _STEPS.items():
-            for by, state, pair in (
-                (by_a, a, lambda moved: (moved, b)),
-                (by_b, b, lambda moved: (a, moved)),
-            ):
-                step = np.zeros(state.size)
-                step[place] = size
-                ahead, behind = (self.off(*pair(state.moved(way))) for way in (step, -step))
-                by[:, place] = (behind - ahead) / (2.0 * size)  # of what the states say
+        for place, size in _STEPS.items():  # of what the states say
+            ahead, behind = (self.off(a.moved(way), b) for way in _both_ways(a, place, size))
+            by_a[:, place] = (behind - ahead) / (2.0 * size)
+            ahead, behind = (self.off(a, b.moved(way)) for way in _both_ways(b, place, size))
+            by_b[:, place] = (behind - ahead) / (2.0 * size)
         beside = np.column_stack([by_a, by_b, off])
         weighed = np.asarray(solve_triangular(self.factor, beside, lower=True), dtype=np.float64)
         return weighed[:, : a.size], weighed[:, a.size : -1], weighed[:, -1]
+
+
+def _both_ways(state: CameraState, place: int, size: float) -> tuple[Array, Array]:
+    step = np.zeros(state.size)
+    step[place] = size
+    return step, -step
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,13 +107,12 @@ def closures_s(clocks: Mapping[Pair, Clock]) -> dict[Triple, float]:
 
     From a to b to c, less from a to c straight [s], at the reference time of (a, c).
     """
-    cameras = sorted({camera for pair in clocks for camera in pair})
     found = {}
-    for a, b, c in combinations(cameras, 3):
+    for a, b, c in combinations(sorted({camera for pair in clocks for camera in pair}), 3):
         if all(pair in clocks for pair in ((a, b), (b, c), (a, c))):
-            time_s = clocks[a, c].t_ref_s
-            round_about = clocks[b, c].cam2_from_cam1(clocks[a, b].cam2_from_cam1(time_s))
-            found[a, b, c] = float(round_about - clocks[a, c].cam2_from_cam1(time_s))
+            straight = clocks[a, c]
+            way_s = clocks[b, c].cam2_from_cam1(clocks[a, b].cam2_from_cam1(straight.t_ref_s))
+            found[a, b, c] = float(way_s - straight.cam2_from_cam1(straight.t_ref_s))
     return found
 
 
@@ -133,20 +133,12 @@ def supports(links: Mapping[Pair, Link], rules: NetworkRules) -> dict[Pair, int]
 
 def groups(n_cameras: int, links: Mapping[Pair, Link]) -> list[list[int]]:
     """Give the cameras that reliable links connect, the largest group first; lone ones too."""
-    parents = list(range(n_cameras))
-
-    def root(camera: int) -> int:
-        while parents[camera] != camera:
-            camera = parents[camera]
-        return camera
-
-    for (a, b), link in links.items():
-        if link.is_reliable:
-            parents[max(root(a), root(b))] = min(root(a), root(b))
-    found = dict[int, list[int]]()
-    for camera in range(n_cameras):
-        found.setdefault(root(camera), []).append(camera)
-    return sorted(found.values(), key=lambda group: (-len(group), group))
+    pairs = [pair for pair, link in links.items() if link.is_reliable]
+    joined = np.zeros((n_cameras, n_cameras))
+    joined[tuple(np.array(pairs, np.int64).reshape(-1, 2).T)] = 1.0
+    n_groups, labels = connected_components(joined, directed=False)
+    found = [np.flatnonzero(labels == k).tolist() for k in range(n_groups)]
+    return sorted(found, key=lambda group: (-len(group), group))
 
 
 def constraint_of(estimate: Estimate) -> PairConstraint | None:

@@ -35,8 +35,8 @@ def ground_of_positions(answer: NetworkAnswer, file: Path, rules: GroundRules) -
     here, there = [], []
     for k, position in said.items():
         camera = answer.cameras[k - 1] if k <= len(answer.cameras) else None
-        if camera is not None and camera.group == 1 and camera.R is not None:
-            here.append(_centre(camera))
+        if camera is not None and camera.group == 1 and camera.centre is not None:
+            here.append(camera.centre)
             there.append(position)
     if len(here) < 3:
         raise SsacError(
@@ -126,12 +126,6 @@ def load_positions(file: Path) -> dict[int, Array]:
             raise SsacError(f"{file}: camera {number} is there twice: leave one out")
         found[number] = position
     return found
-
-
-def _centre(camera: CameraAnswer) -> Array:
-    if camera.R is None or camera.t is None:
-        return np.full(3, np.nan)
-    return np.asarray(-camera.R.T @ camera.t)
 
 
 def _moved(camera: CameraAnswer, frame: Similarity) -> CameraAnswer:

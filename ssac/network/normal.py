@@ -112,6 +112,15 @@ class Linear:
     columns: Indices  # (n, p) among the border's
     residuals: Array  # (n, 2)
 
+    def weighed(self, rows: Indices, scale: Array, offset: int) -> "Linear":
+        """Give some rows, times a scale each, of a camera whose columns begin at an offset."""
+        by_point, by_camera = (
+            part[rows] * scale[:, None, None] for part in (self.by_point, self.by_camera)
+        )
+        residuals = self.residuals[rows] * scale[:, None]
+        places = self.columns[rows] + offset
+        return Linear(self.first[rows], self.weights[rows], by_point, by_camera, places, residuals)
+
 
 class Normal:
     """Normal equations: m numbers of the path, b of the cameras."""
@@ -126,23 +135,11 @@ class Normal:
 
     def add(self, linear: Linear) -> None:
         """Add the sightings of one camera."""
-        weights, by_point = linear.weights, linear.by_point
-        parts = weights, by_point, linear.by_camera
-        weights, by_point, by_camera = (np.ascontiguousarray(part) for part in parts)
-        residuals = np.ascontiguousarray(linear.residuals)
-        _add_sightings(
-            linear.first,
-            weights,
-            by_point,
-            by_camera,
-            linear.columns,
-            residuals,
-            self.band,
-            self.mixed,
-            self.border,
-            self.right_path,
-            self.right_border,
-        )
+        parts = linear.weights, linear.by_point, linear.by_camera, linear.residuals
+        weights, by_point, by_camera, residuals = map(np.ascontiguousarray, parts)
+        path, border = (self.band, self.right_path), (self.border, self.right_border)
+        places = linear.first, linear.columns
+        _add_sightings(places, weights, by_point, by_camera, residuals, path, border, self.mixed)
 
     def add_smoothness(self, first: Indices, weights: Array, coefficients: Array) -> Array:
         """Add rows (k, 4), each of all three axes, whose products (k, 3) with the path are to be 0.
@@ -251,19 +248,17 @@ def _blocks(spans: Indices, m: int, more: int = 0) -> Iterator[tuple[int, int, I
 
 @numba.njit(cache=True)
 def _add_sightings(
-    first: Indices,
+    places: tuple[Indices, Indices],
     weights: Array,
     by_point: Array,
     by_camera: Array,
-    columns: Indices,
     residuals: Array,
-    band: Array,
+    of_path: tuple[Array, Array],
+    of_border: tuple[Array, Array],
     mixed: Array,
-    border: Array,
-    right_path: Array,
-    right_border: Array,
 ) -> None:
     """Add n sightings, as of `Linear`, to the normal equations, as of `Normal`."""
+    (first, columns), (band, right_path), (border, right_border) = places, of_path, of_border
     n, p = columns.shape
     for i in range(n):
         for a in range(4):
