@@ -62,22 +62,17 @@ def test_every_method_keeps_the_contract(name, data):
         assert abs(estimate.t_d_s - T_D_S) < 3e-3  # 8 s of noisy pixels: about 1 ms
 
 
-@pytest.mark.parametrize("name", [method.name for method in OURS if method.needs_extrinsics])
-def test_without_extrinsics_a_method_that_needs_them_says_so(name, data):
+def test_what_a_method_lacks_is_said(data):
     cam1, cam2, rig = data
-    chain = chain_of((cam1, cam2, Rig(rig.cam1, rig.cam2)))
-    assert f"the rig: {name} needs the extrinsics" in chain.lacks(METHODS[name])
-    with pytest.raises(SsacError, match=f"the rig: {name} needs the extrinsics .*: add them"):
-        chain.estimate(name)
-
-
-def test_without_frames_a_method_that_needs_them_says_so(data):
-    cam1, cam2, rig = data
-    chain = chain_of((cam1, Observation(cam2.events), rig))
-    said = "camera 2: zncc_f compares intensity frames, and there are none"
-    assert said in chain.lacks(METHODS["zncc_f"])
-    with pytest.raises(SsacError, match=said):
-        chain.estimate("zncc_f")
+    unposed, blind = Rig(rig.cam1, rig.cam2), Observation(cam2.events)
+    lacks = {one.name: (cam1, cam2, unposed) for one in OURS if one.needs_extrinsics}
+    for name, given in (lacks | {"zncc_f": (cam1, blind, rig)}).items():
+        chain, said = chain_of(given), f"the rig: {name} needs the extrinsics"
+        if name == "zncc_f":
+            said = "camera 2: zncc_f compares intensity frames, and there are none"
+        assert said in chain.lacks(METHODS[name])
+        with pytest.raises(SsacError, match=said):
+            chain.estimate(name)
 
 
 def test_a_name_and_known_extrinsics_choose_a_method():
@@ -93,7 +88,7 @@ def test_a_name_and_known_extrinsics_choose_a_method():
         choose_method("scac")
 
 
-@pytest.mark.parametrize("delay_s", [-0.3, 0.005, 0.5])
+@pytest.mark.parametrize("delay_s", [-0.3, 0.005])
 @pytest.mark.parametrize("name", [name for name in NAMES if METHODS[name].follows_clock])
 def test_a_delay_of_camera_2_moves_the_offset_and_nothing_else(name, delay_s, data):
     cam1, cam2, rig = data
@@ -113,7 +108,7 @@ def test_a_delay_of_camera_2_moves_the_offset_and_nothing_else(name, delay_s, da
 # --- No method knows where in the search interval the offset is ---
 
 DURATION_S = 8.0
-SHIFTS_S = (0.3, -0.3, 0.3137)  # the last one by no whole step of any search
+SHIFTS_S = (-0.3, 0.3137)  # the last one by no whole step of any search
 
 
 @cache
@@ -163,14 +158,11 @@ def test_every_method_answers_alike_wherever_the_interval_lies(name, shift_s):
 HEAVY = {"numba", "scipy", "cv2", "pandas", "matplotlib", "h5py", "pyrender", "trimesh"}
 
 
-def test_ours_are_declared_in_their_files():
+def test_ours_are_declared_in_their_files_which_is_all_that_a_method_takes(tmp_path, monkeypatch):
     """In the order of the paper's method, what refines it, and what it is compared with."""
     names = ["ssac", "ssac-known", "joint", "joint-known", "tangency", "tangency-known"]
     assert [method.name for method in OURS] == [*names, "albl", "zncc_e", "zncc_f", "event_rate"]
     assert list(all_summaries())[: len(OURS)] == [method.name for method in OURS]
-
-
-def test_a_file_is_all_that_a_method_takes(tmp_path, monkeypatch):
     (tmp_path / "mine.py").write_text(
         '@method("mine-too", "the \'second\'", input=Input.RATES)\n'
         '@method(\n    "mine",\n    "the first",\n    place=3,\n)\n'
@@ -178,12 +170,10 @@ def test_a_file_is_all_that_a_method_takes(tmp_path, monkeypatch):
     )
     monkeypatch.setattr("ssac.methods.method.__file__", str(tmp_path / "method.py"))
     first, second = our_methods.__wrapped__()
-    assert (first.name, first.summary, first.runs) == (
-        "mine",
-        "the first",
-        "ssac.methods.mine:found",
-    )
-    assert (second.name, second.summary, second.input) == ("mine-too", "the 'second'", Input.RATES)
+    told = first.name, first.summary, first.runs
+    assert told == ("mine", "the first", "ssac.methods.mine:found")
+    told = second.name, second.summary, second.input
+    assert told == ("mine-too", "the 'second'", Input.RATES)
 
 
 def test_help_lists_every_method_with_its_summary_and_a_shell_completes_its_name(capsys):
@@ -195,7 +185,7 @@ def test_help_lists_every_method_with_its_summary_and_a_shell_completes_its_name
 
 
 @pytest.mark.parametrize("module", ["ssac.cli", "experiments"])
-@pytest.mark.parametrize("args", [("--help",), ("--version",), ("sync", "--help"), ("sync",)])
+@pytest.mark.parametrize("args", [("--version",), ("sync", "--help"), ("sync",)])
 def test_nothing_heavy_is_imported_for_help_or_for_bad_usage(module, args):
     code = f"""
 import runpy, sys
