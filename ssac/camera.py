@@ -16,7 +16,7 @@ from ssac.errors import SsacError
 DISTORTION_LENGTHS = {"none": (0,), "radtan": (4, 5, 8), "equidistant": (4,)}
 """Numbers of distortion coefficients that each lens model may have."""
 
-# Deviations where a good calibration says nothing of them: a share of focal lengths, and of centres.
+# Deviations where a calibration says nothing of them: a share of focal lengths, and of centres.
 GOOD_FOCAL, GOOD_CENTRE_PX = 0.001, 0.3
 MAX_PIXELS = 200_000_000  # of a camera: as many as tables of all pixels leave memory for
 MAX_READOUT_S = 0.2  # of a rolling shutter: the slowest sensors of still cameras
@@ -87,10 +87,7 @@ def with_deviations(
     focal: float | None = GOOD_FOCAL,
     centre_px: float | None = GOOD_CENTRE_PX,
 ) -> Camera:
-    """Give a camera whose intrinsics are known to a share of the focal lengths, and to pixels.
-
-    None: as the camera states it.
-    """
+    """Give a camera with other deviations: a share of focal lengths, pixels; None: as it states."""
     said = tuple(camera.intrinsics_std_px)
     fu_px, fv_px = float(camera.K[0, 0]), float(camera.K[1, 1])
     focals = said[:2] if focal is None else (focal * fu_px, focal * fv_px)
@@ -209,9 +206,8 @@ def _floats(values: object) -> NDArray[np.float64]:
 def undistort_points(camera: Camera, points_px: NDArray[np.float64]) -> NDArray[np.float64]:
     """Ideal pixel coordinates (N, 2) of measured points, as a lens without distortion shows them.
 
-    They are in the image of the same K. A point that no ray reaches under the lens model (far out,
-    where a fitted polynomial turns back) becomes NaN; all others come back from `distort_points` to
-    within MAX_ROUND_TRIP_PX. SsacError where the camera or the shape of the points is invalid.
+    They are in the image of the same K; NaN where no ray reaches a point under the lens model (far
+    out, where a fitted polynomial turns back). SsacError where camera or points are invalid.
     """
     check_camera(camera)
     measured = _checked_points(points_px)
@@ -234,11 +230,7 @@ def undistort_points(camera: Camera, points_px: NDArray[np.float64]) -> NDArray[
 
 
 def distort_points(camera: Camera, points_px: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Measured pixel coordinates (N, 2) of ideal points, the inverse of `undistort_points`.
-
-    They may lie outside the sensor. SsacError where the camera or the shape of the points is
-    invalid.
-    """
+    """Measured coordinates (N, 2) [px] of ideal ones: the inverse of `undistort_points`."""
     check_camera(camera)
     ideal = _checked_points(points_px)
     if camera.distortion_model == "none" or len(ideal) == 0:
@@ -254,11 +246,7 @@ def distort_points(camera: Camera, points_px: NDArray[np.float64]) -> NDArray[np
 
 
 def undistortion_map(camera: Camera) -> NDArray[np.float64]:
-    """Ideal coordinates of every pixel, so that events are undistorted by one table look-up.
-
-    Of shape (height, width, 2) [px]: `undistortion_map(camera)[y, x]` is the ideal (x, y) of pixel
-    (x, y). NaN where `undistort_points` gives NaN: events there must be left out.
-    """
+    """Ideal (x, y) of every pixel (height, width, 2) [px], at [y, x]; NaN where no ray reaches."""
     check_camera(camera)
     y, x = np.mgrid[: camera.height, : camera.width]
     pixels = np.column_stack([x.ravel(), y.ravel()]).astype(np.float64)

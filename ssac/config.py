@@ -137,10 +137,7 @@ class Config:
         )
 
     def resolved(self, has_track: bool) -> "Config":
-        """Settle what is None or "auto" and needs no more than the kind of both cameras.
-
-        Where one gave a track of points, clocks run at other rates by far.
-        """
+        """Settle what is open by the kind of cameras: clocks of tracks run at other rates."""
         prior_ppm = SKEW_PRIOR_PPM if has_track else EVENT_SKEW_PRIOR_PPM
         return replace(
             self,

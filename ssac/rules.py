@@ -614,8 +614,8 @@ def check_rules(rules: object) -> None:
 
 def _check_part(name: str, kind: Any, value: Any) -> None:
     """Check one rule, or all of a group of rules."""
-    if is_dataclass(kind):
-        if not isinstance(value, kind):  # type: ignore[arg-type]
+    if isinstance(kind, type) and is_dataclass(kind):
+        if not isinstance(value, kind):
             raise SsacError(f"{name}: expected {kind.__name__}, got {value!r}")
         for one, inner in get_type_hints(kind).items():
             _check_part(f"{name}.{one}", inner, getattr(value, one))

@@ -24,10 +24,7 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, eq=False)
 class Network:
-    """Cameras and the path: all in the frame of the first, whose distance from the second is known.
-
-    Each list is in the order of the cameras.
-    """
+    """Cameras, in one order, and the path: in the frame of the first."""
 
     cameras: list[Sightings]
     priors: list[Priors]
@@ -160,11 +157,7 @@ def deviation_px(residuals_px: Array) -> float:
 
 
 def adjust(network: Network, rounds: int, with_intrinsics: bool = True) -> tuple[Network, Solved]:
-    """Adjust cameras and path together; give them, and the last solution, for its covariance.
-
-    In each of at most so many rounds deviations and smoothness are estimated anew. Readouts, focal
-    lengths and centres may be held.
-    """
+    """Adjust cameras and path, deviations anew in each round; give the last solution too."""
     free, last = _free(network, with_intrinsics), np.inf
     for _ in range(rounds):
         network, cost, solved = _minimised(network, free)
@@ -246,10 +239,7 @@ def _normal(network: Network) -> tuple[Normal, float]:
 
 
 def _weighed(network: Network, solved: Solved) -> Network:
-    """Estimate each camera's deviation, and the path's smoothness, from what is left.
-
-    What the path takes up of the residuals, its leverage, is made up for.
-    """
+    """Estimate deviations and smoothness from what is left, the path's leverage made up for."""
     sigmas, repeats, rules = network.sigmas_px.copy(), list[float](), network.rules
     for k, seen in enumerate(network.cameras):
         linear, fit = linearised(network, k)
@@ -322,10 +312,7 @@ def _taken_up(network: Network) -> float:
 
 
 def repeats_of(times_s: Array, residuals: Array, rules: NetworkRules) -> float:
-    """Count the sightings that tell as much as an independent one: 1 + 2 sum of correlations.
-
-    Of residuals (n, 2) at times (n,), until they vanish, within each stretch without gaps.
-    """
+    """Count the sightings (n, 2) that tell as much as one: 1 + 2 sum of their correlations."""
     limit = 3.0 * deviation_px(residuals) + 1e-12
     clipped = np.clip(residuals, -limit, limit)
     variance = float(np.mean(clipped**2))

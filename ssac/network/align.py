@@ -77,11 +77,7 @@ class Similarity:
 
 
 def similarity(source: Array, target: Array, with_scale: bool = True) -> Similarity:
-    """Fit the similarity of least squares (Umeyama, PAMI 1991, Eqs. 34 to 43).
-
-    It takes points (n, 3) of the source's frame to the same ones in the target's; its scale is 1 if
-    it is not free. SsacError if the points of one side lie on a line, so that a turn is unknown.
-    """
+    """Fit scale R x + t to points (n, 3) by least squares (Umeyama, PAMI 1991, Eqs. 34 to 43)."""
     shares: Array = np.full(len(source), 1.0 / max(len(source), 1))
     middle, middle_target = shares @ source, shares @ target
     centred, centred_target = source - middle, target - middle_target
@@ -126,11 +122,7 @@ class InTime:
 
 
 def interpolated(path: Path) -> InTime:
-    """Give the curve through all points, at least two.
-
-    Akima's cubics: each depends on the points near by alone, so that no gap and no outlier swings
-    further than two points.
-    """
+    """Give Akima's cubics through all points: no gap and no outlier swings beyond two."""
     curve = Akima1DInterpolator(path.times_s, path.positions_m, axis=0)
     return InTime(path.times_s, curve)
 
@@ -249,10 +241,7 @@ def _trace_of_best_turn(covariance: Array) -> Array:
 
 
 def _at_even_times(path: InTime, step_s: float, unit: float | None) -> Array:
-    """Positions (n, 3), every `step_s` from the first one on; NaN where there is none.
-
-    About their middle, in units of their spread if no unit is given.
-    """
+    """Positions (n, 3) from the first on, NaN where none is, about their middle by a unit."""
     times_s = np.arange(path.times_s[0], path.times_s[-1] + step_s, step_s)
     middle = np.median(path.at(path.times_s), axis=0)
     return np.asarray((path.at(times_s) - middle) / (unit or _spread(path)))
@@ -353,10 +342,7 @@ def _stepped(
     rate_std_ppm: float,
     with_scale: bool,
 ) -> tuple[Clock, Similarity]:
-    """Make one Gauss-Newton step with Cauchy's weights, about the middle of the points.
-
-    Parameters: shift [s], rate, turn (3) [rad], move (3), and the scale's logarithm.
-    """
+    """Step by Gauss-Newton, Cauchy's weights: shift [s], rate, turn [rad], move, log of scale."""
     laid = frame.apply(path.at(times_s))
     missed = target - laid  # (n, 3)
     weights = cauchy_weights(np.linalg.norm(missed, axis=1))[0]

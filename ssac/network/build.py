@@ -34,10 +34,7 @@ class Built:
 
 
 def build(group: Group, priors: list[Priors], distance: float, body: BodyRules) -> Built | None:
-    """Build the network of a group, the distance being that of its first two cameras.
-
-    None where no pair of the group gives a path.
-    """
+    """Build the network of a group, by its first two's distance; None: no pair gives a path."""
     placed = place_all(group, supports(group.links, group.rules))
     if placed is None:
         return None
@@ -115,10 +112,7 @@ def _misfit(built: Built, rules: NetworkRules) -> int | None:
 
 
 def _whole(built: Built, links: Mapping[Pair, Link], body: BodyRules) -> Built:
-    """Adjust all that there is, and leave out at last what is far off its place.
-
-    What pairs tell enters last, so that one that is wrong shows.
-    """
+    """Adjust all, leave out what is far off; pairs enter last, so that wrong ones show."""
     network, by = built.network, built.network.rules
     states = [
         with_strays(state, seen, by.piece_s, by.most_pieces) if seen.has_frames else state
@@ -165,10 +159,7 @@ def _without_perspective(network: Network, rules: BodyRules) -> list[Sightings]:
 
 
 def _by_their_body(network: Network, rules: BodyRules) -> list[Sightings] | None:
-    """Follow one point of the body in place of silhouettes' centres; None where that is not told.
-
-    Where it is not known at some time, the centres stay, and count less.
-    """
+    """Follow one point of the body; centres of silhouettes count less. None: it is not told."""
     looks, views = [], []
     for k, (state, seen) in enumerate(zip(network.states, network.cameras, strict=True)):
         if seen.images is None or seen.spreads_px2 is None or seen.camera.distortion_coeffs:

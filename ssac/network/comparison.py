@@ -176,11 +176,9 @@ def _shape(truth: Path) -> Array:
 def registered(
     source: Array, target: Array, start: Similarity | None, with_scale: bool
 ) -> tuple[Similarity, Array]:
-    """Register points (n, 3) [m] of one path to those of another, dense beside the errors sought.
+    """Register points (n, 3) [m] to dense ones; give the distance (n,) [m] of each point too.
 
-    Without a start the middles, sizes and main axes agree at first, in the best of the ways that
-    they can, for which both must be of the whole flight. Beside the similarity from the source's
-    frame to the target's comes the distance (n,) [m] of each point.
+    Without a start the middles, sizes and main axes of whole flights agree at first.
     """
     tree = KDTree(target)
     thin = source[:: max(1, len(source) // 2000)]  # enough while it is moved

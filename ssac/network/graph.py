@@ -103,10 +103,7 @@ class Link:
 
 
 def closures_s(clocks: Mapping[Pair, Clock]) -> dict[Triple, float]:
-    """Go round each triple (a, b, c), a < b < c, of which all three pairs are answered.
-
-    From a to b to c, less from a to c straight [s], at the reference time of (a, c).
-    """
+    """Go from a to b to c, less from a to c straight [s] at its t_ref, in each triple."""
     found = {}
     for a, b, c in combinations(sorted({camera for pair in clocks for camera in pair}), 3):
         if all(pair in clocks for pair in ((a, b), (b, c), (a, c))):
@@ -117,11 +114,7 @@ def closures_s(clocks: Mapping[Pair, Clock]) -> dict[Triple, float]:
 
 
 def supports(links: Mapping[Pair, Link], rules: NetworkRules) -> dict[Pair, int]:
-    """Count, for each pair, the triples that close with it; -1 where it has some and none does.
-
-    A wrong clock closes no triple, but by chance, and spoils those of others: these close with the
-    cameras that are right.
-    """
+    """Count the triples that close with each pair, as wrong clocks do not; -1: none of some."""
     closures = closures_s({pair: link.clock for pair, link in links.items()})
     found = dict[Pair, int]()
     for pair in links:
@@ -176,9 +169,6 @@ def agreeing(
 
 
 def shared_by(constraints: Mapping[Pair, PairConstraint]) -> dict[Pair, float]:
-    """Say for how many, of pairs that tell as much, each stands: the mean of both cameras' pairs.
-
-    All pairs of a camera look at one and the same outline, whose errors they share.
-    """
+    """Say for how many pairs each stands that share outlines: the mean of both cameras' pairs."""
     counts = Counter(camera for pair in constraints for camera in pair)
     return {(a, b): 0.5 * (counts[a] + counts[b]) for a, b in constraints}

@@ -209,10 +209,7 @@ def _with_clock(state: CameraState, link: Link, other: CameraState) -> CameraSta
 
 
 def _path_of(placed: Placed, group: Group) -> tuple[Array, Array]:
-    """Give network times (n,) at which two of the cameras placed see the object, and where (n, 3).
-
-    NaN where that is not told.
-    """
+    """Give times (n,) at which two cameras placed see the object, and points (n, 3) or NaN."""
     states, cameras = list(placed.states.values()), [group.cameras[k] for k in placed.states]
     both = list(zip(states, cameras, strict=True))
     spans = [state.network_from_own(np.array(seen.span_s)) for state, seen in both]
@@ -244,10 +241,7 @@ def _best_fit(
 def _resected(
     state: CameraState, seen: Sightings, times_s: Array, points: Array, rules: NetworkRules
 ) -> tuple[int, CameraState | None]:
-    """Find a camera's pose from points (n, 3) at the network's times, with the clock it has.
-
-    Gives at how many times it sees the path in place, and its state; 0 and None where it does not.
-    """
+    """Find a pose from points (n, 3) with its clock, and how many it fits; or 0 and None."""
     track = seen.motion.at(state.own_from_network(times_s))
     valid = track.valid
     n = int(np.count_nonzero(valid))

@@ -124,10 +124,7 @@ def _holds_at(network: Network, times_s: Array) -> Mask:
 
 
 def path_at(built: Built, times_s: Array, frame: Similarity | None = None) -> Path:
-    """Give the path at times (n,), with its deviations, wherever it holds or not.
-
-    In the frame of the first camera, or in one that a similarity takes that to.
-    """
+    """Give the path at times (n,), whether it holds or not; in the first camera's frame."""
     network = built.network
     first, weights = basis(network.path.knots_s, times_s)
     covariances = built.solved.path_covariances(first, weights) * network.lasting
@@ -185,10 +182,7 @@ class NetworkAnswer:
 
 
 def link_of(estimate: Estimate, guess: Guess | None, of_events: bool = False) -> Link | None:
-    """Say what a pair's estimate tells the network; None where it tells nothing.
-
-    That of two event cameras tells of more than their sightings, and enters the adjustment too.
-    """
+    """Say what a pair tells; of two event cameras more than their sightings; None for nothing."""
     reliable = estimate.has_offset
     if reliable:
         t_ref_s = estimate.t_ref_s

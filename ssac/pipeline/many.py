@@ -47,10 +47,7 @@ def network(chain: Chain, method: Method | None = None, known: Known = NOTHING) 
 def solve_pairs(
     chain: Chain, pairs: dict[Pair, Answer], distance_m: float | None = None
 ) -> NetworkAnswer:
-    """Solve two cameras or more at once, from what all their pairs gave.
-
-    `distance_m` is that between the first two cameras; None: it is the unit of lengths.
-    """
+    """Solve two cameras or more, `distance_m` between the first two; None: the unit of lengths."""
     seen = []
     for k in range(len(chain)):
         with chain.watch.part("follow") as say:
@@ -133,10 +130,7 @@ def _sightings(chain: Chain, k: int, pairs: dict[Pair, Answer]) -> Sightings:
 
 
 def _followed(chain: Chain, k: int, clean: Clean) -> ShapedTrack:
-    """Follow the object through events.
-
-    What perspective does to silhouettes takes three cameras to tell.
-    """
+    """Follow the object; what perspective does to silhouettes takes three cameras to tell."""
     config = chain.config
     if len(chain) < LEAST_VIEWS:
         return ShapedTrack(track_of_events(clean, config), None)

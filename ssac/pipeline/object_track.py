@@ -48,10 +48,7 @@ def things_seen(clean: Clean, rules: ObjectRules) -> int:
 
 
 def shaped_track_of_events(clean: Clean, recorded: NDArray[np.void], config: Config) -> ShapedTrack:
-    """Follow the centre of the image's area, where events tell it, and else the mean of the events.
-
-    The times are those of `track_of_events`; `recorded` are all events, noise included.
-    """
+    """Follow the centre of its area, where all events recorded tell it, or else their mean."""
     points, sharp = _followed(clean, config)
     sizes_px = sharp.sizes_px
     rules, track_px = config.rules.track, sharp.positions_px

@@ -28,12 +28,13 @@ def true_pair(flight, a, b, off_s=0.0, turn_rad=0.0):
     return PairConstraint(clock, R, link.t, np.diag(DEVIATIONS))
 
 
-def true_links(flight):
-    """What all pairs tell, each with what a pair without errors would."""
-    links = flight.links()
-    return {
-        pair: replace(link, constraint=true_pair(flight, *pair)) for pair, link in links.items()
-    }
+@pytest.fixture(scope="module")
+def sure():
+    """A flight, and the answer where all pairs tell what one without errors would."""
+    flight = make_flight(3)
+    links = flight.links().items()
+    told = {pair: replace(link, constraint=true_pair(flight, *pair)) for pair, link in links}
+    return flight, flight.solved(told)
 
 
 def test_derivatives_are_those_of_differences() -> None:
@@ -52,9 +53,8 @@ def test_derivatives_are_those_of_differences() -> None:
     assert pair.off(a.moved(step_a), b.moved(step_b)) == pytest.approx(linear, abs=1e-8)
 
 
-def test_sure_pairs_carry_clocks_and_poses() -> None:
-    flight = make_flight(3)
-    found = flight.solved(true_links(flight))
+def test_sure_pairs_carry_clocks_and_poses(sure) -> None:
+    flight, found = sure
     for k, camera in enumerate(found.cameras[1:], 1):
         # What pairs tell is true and sure: some deviations are left of it.
         assert abs(camera.t_d_s - flight.shown_s(k, camera.t_ref_s)) < 1e-5
@@ -63,9 +63,8 @@ def test_sure_pairs_carry_clocks_and_poses() -> None:
         assert camera.t_d_std_s < 1e-5
 
 
-def test_pairs_count_by_errors_that_last_and_by_the_views_that_they_share() -> None:
-    flight = make_flight(3)
-    network = replace(flight.solved(true_links(flight)).built[0].network, lasting=8.0)
+def test_pairs_count_by_errors_that_last_and_by_the_views_that_they_share(sure) -> None:
+    network = replace(sure[1].built[0].network, lasting=8.0)
     offsets, (rows, residuals) = border_offsets(network), known(network)
     for k, ((a, b), pair) in enumerate(network.constraints.items()):
         # Errors last for 8 sightings, and each camera is in two of the three pairs.

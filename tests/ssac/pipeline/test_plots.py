@@ -23,7 +23,6 @@ from ssac.pipeline.plots import (
     draw_search,
     epipolar_rows,
     plane_angles,
-    window,
 )
 from tests.ssac.synthetic import HEIGHT, WIDTH, K, track_pair
 
@@ -78,13 +77,13 @@ def test_odd_offsets_can_be_drawn(t_d_s, n_rows, result):
 
 def test_events_of_a_distorted_lens_are_drawn_where_a_straight_one_has_them(material):
     camera = Camera(K, WIDTH, HEIGHT, "radtan", (-0.2, 0.05, 0.0, 0.0))
-    rig = replace(material.rig, cam1=camera)
+    rig = replace(material.views.rig, cam1=camera)
     bent = replace(material, views=replace(material.views, rig=rig))
     figure = Figure()
     draw_epipolar(figure, bent)
     for axes, row in zip(figure.axes[::2], epipolar_rows(bent), strict=True):
         (scatter,) = axes.collections
-        events = window(bent, 0, row.time_s, bent.config.half_window_s)
+        events, _ = bent.window(0, row.time_s, bent.views.config.half_window_s)
         pixels = np.column_stack([events["x"], events["y"]])
         drawn = np.asarray(scatter.get_offsets())
         # The inverse of OpenCV's lens, iterated to some thousandths of a pixel.
