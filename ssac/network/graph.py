@@ -91,15 +91,12 @@ class Link:
     cost: float  # how badly the two paths fit: the least of many is the best
     R: Array | None = None  # (3, 3) x_b = R x_a + t
     t: Array | None = None  # (3,) of length 1
-    status: str = "ok"
-    reason: str = ""
     constraint: PairConstraint | None = None  # of two event cameras: how sure clock and pose are
 
     def reversed(self) -> "Link":
         """Give what the pair (b, a) tells."""
-        clock = self.clock.inverse()
         R, t = (None, None) if self.R is None or self.t is None else (self.R.T, -self.R.T @ self.t)
-        return Link(clock, self.is_reliable, self.cost, R, t, self.status, self.reason)
+        return Link(self.clock.inverse(), self.is_reliable, self.cost, R, t)
 
 
 def closures_s(clocks: Mapping[Pair, Clock]) -> dict[Triple, float]:

@@ -152,7 +152,6 @@ class NetworkAnswer:
     """What is found of many cameras."""
 
     cameras: list[CameraAnswer]  # in input order
-    links: dict[Pair, Link]
     closures_s: dict[Triple, float]
     wrong_pairs: dict[Pair, float]  # by how much [s] their clocks contradict the network
     built: list[Built]  # a network for each group
@@ -183,22 +182,20 @@ class NetworkAnswer:
 
 def link_of(estimate: Estimate, guess: Guess | None, of_events: bool = False) -> Link | None:
     """Say what a pair tells; of two event cameras more than their sightings; None for nothing."""
-    reliable = estimate.has_offset
-    if reliable:
+    if estimate.has_offset:  # what its clock strays is the network's to find
         t_ref_s = estimate.t_ref_s
         if not np.isfinite(t_ref_s):
             t_ref_s = 0.0 if guess is None else guess.t_ref_s
         skew_ppm = estimate.skew_ppm if np.isfinite(estimate.skew_ppm) else 0.0
-        clock = Clock(estimate.t_d_s, skew_ppm, t_ref_s)  # what it strays is the network's to find
+        clock = Clock(estimate.t_d_s, skew_ppm, t_ref_s)
     elif guess is not None:
         clock = Clock(guess.t_d_s, guess.skew_ppm, guess.t_ref_s)
     else:
         return None
-    is_ok = estimate.status == Status.OK
     cost = guess.cost if guess is not None else estimate.d_avg_px
-    pose = (estimate.R, estimate.t) if is_ok else (None, None)
+    pose = (estimate.R, estimate.t) if estimate.status == Status.OK else (None, None)
     constraint = constraint_of(estimate) if of_events else None
-    return Link(clock, reliable, cost, *pose, str(estimate.status), estimate.reason, constraint)
+    return Link(clock, estimate.has_offset, cost, *pose, constraint)
 
 
 def _priors_of(camera: Camera, has_frames: bool, skew_prior_ppm: float) -> Priors:
@@ -246,7 +243,6 @@ def solve_network(
                 answers[k] = answer_of(built, place, len(built_all))
     return NetworkAnswer(
         answers,
-        dict(links),
         closures_s({pair: link.clock for pair, link in links.items()}),
         _contradicted(built_all, links, rules.network.max_closure_s),
         built_all,

@@ -1,5 +1,6 @@
 """Clocks and poses of all cameras of a rig, and the path that they saw, from all its pairs."""
 
+import json
 from itertools import combinations
 from pathlib import Path
 
@@ -7,6 +8,7 @@ import numpy as np
 
 from ssac.errors import SsacError
 from ssac.estimate import Status
+from ssac.files.whole_file import whole_file
 from ssac.methods.method import Method
 from ssac.network.graph import Link, Pair
 from ssac.network.ground import Ground, ground_of_positions, ground_of_rtk, in_frame
@@ -15,13 +17,12 @@ from ssac.network.state import Sightings, sightings
 from ssac.network.tum import write_path
 from ssac.pipeline.answer import Answer, Log, Stopwatch
 from ssac.pipeline.chain import Chain, one_thread
-from ssac.pipeline.many_report import NetworkResult, save_many
+from ssac.pipeline.many_report import NetworkResult
 from ssac.pipeline.object_track import ShapedTrack, shaped_track_of_events, track_of_events
 from ssac.pipeline.opened import NOTHING, Known
 from ssac.points import PointTrack
 from ssac.rules import GroundRules
 from ssac.track.body import LEAST_VIEWS
-from ssac.track.clean import Clean
 
 
 def network(chain: Chain, method: Method | None = None, known: Known = NOTHING) -> NetworkResult:
@@ -97,7 +98,9 @@ def write_many(
 ) -> None:
     """Write what was asked for, and say so."""
     if json_file is not None:
-        save_many(json_file, result)
+        with whole_file(json_file) as temporary:
+            text = json.dumps(result.to_dict(), indent=1, allow_nan=False)
+            temporary.write_text(text + "\n", encoding="utf-8")
         log(f"wrote {json_file}")
     if trajectory is not None:
         write_paths(trajectory, result.network, log)
@@ -117,24 +120,19 @@ def write_paths(file: Path, answer: NetworkAnswer, log: Log) -> None:
 def _sightings(chain: Chain, k: int, pairs: dict[Pair, Answer]) -> Sightings:
     """Say where a camera saw the object; nowhere, of one whose events show none."""
     clean = next(answer.cleans[pair.index(k)] for pair, answer in pairs.items() if k in pair)
-    name, has_frames = Path(chain.name(k)).stem, clean.has_track
-    rules = chain.config.rules.points
+    name, rules = Path(chain.name(k)).stem, chain.config.rules.points
     if clean.track is not None:
-        return sightings(clean.track, clean.camera, name, has_frames, rules)
+        return sightings(clean.track, clean.camera, name, clean.has_track, rules)
     try:
-        shaped = _followed(chain, k, clean)
+        if len(chain) < LEAST_VIEWS:  # to tell what perspective does to silhouettes
+            shaped = ShapedTrack(track_of_events(clean, chain.config), None)
+        else:
+            events = chain.recorded(k).events
+            shaped = shaped_track_of_events(clean, events, chain.config)
     except SsacError:  # its pairs say why
         shaped = ShapedTrack(PointTrack(np.empty(0), np.empty((0, 2))), None)
     shapes = shaped.spreads_px2, shaped.images
-    return sightings(shaped.track, clean.camera, name, has_frames, rules, *shapes)
-
-
-def _followed(chain: Chain, k: int, clean: Clean) -> ShapedTrack:
-    """Follow the object; what perspective does to silhouettes takes three cameras to tell."""
-    config = chain.config
-    if len(chain) < LEAST_VIEWS:
-        return ShapedTrack(track_of_events(clean, config), None)
-    return shaped_track_of_events(clean, chain.recorded(k).events, config)
+    return sightings(shaped.track, clean.camera, name, clean.has_track, rules, *shapes)
 
 
 def _in_words(answer: Answer) -> str:

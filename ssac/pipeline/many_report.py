@@ -1,15 +1,12 @@
 """What is found of many cameras, as text for people and as JSON for machines."""
 
-import json
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ssac.estimate import Status
-from ssac.files.whole_file import whole_file
 from ssac.network.graph import Pair
 from ssac.network.ground import Ground
 from ssac.network.solve import CameraAnswer, NetworkAnswer
@@ -46,11 +43,70 @@ class NetworkResult:
 
     def summary(self) -> str:
         """Lay it out for people: what `ssac sync` prints."""
-        return many_text(self)
+        answer, rows = self.network, list[tuple[str, str]]()
+        if answer.reason:
+            rows.append(("incomplete", answer.reason))
+        if self.ground is not None:
+            rows.append(("frame", self.ground.said))
+        for camera in answer.cameras:
+            rows += _camera_rows(camera)
+        notes = dict[str, list[str]]()  # each with the pairs that it is said of
+        for (a, b), pair in self.pairs.items():
+            for note in pair.notes:
+                notes.setdefault(note, []).append(f"{a + 1}-{b + 1}")
+        rows += [("note", f"{note} (cameras {', '.join(of)})") for note, of in notes.items()]
+        for (a, b), off_s in answer.wrong_pairs.items():
+            rows.append(("wrong pair", f"{a + 1} and {b + 1}: its clock is {off_s:+.3f} s off"))
+        unit = "m" if self.scale_is_known else "distances of the first two cameras"
+        for k, found in enumerate(answer.paths, start=1):
+            sigma = ", ".join(f"{value:.2g}" for value in found.typical_deviations)
+            rows.append((f"path {k}", f"{len(found.path)} samples, 1 sigma ({sigma}), in {unit}"))
+            for start_s, end_s in found.spans_s:
+                rows.append(("", f"holds from {start_s:.3f} to {end_s:.3f} s"))
+        return "\n".join(f"{name:15}{value}" for name, value in rows)
 
     def to_dict(self) -> dict[str, Any]:
-        """Lay it out for machines: what `ssac sync --json` writes."""
-        return many_json(self)
+        """Lay it out for machines, None for what is missing: what `ssac sync --json` writes."""
+        answer = self.network
+        return {
+            "status": str(answer.status),
+            "reason": answer.reason,
+            "cameras": [
+                _camera(camera, name)
+                for camera, name in zip(answer.cameras, self.names, strict=True)
+            ],
+            "pairs": [
+                {
+                    "cameras": [a + 1, b + 1],
+                    "status": str(pair.estimate.status),
+                    "reason": pair.estimate.reason,
+                    "note": pair.note,
+                    "t_d_s": plain(pair.estimate.t_d_s),
+                    "t_d_std_s": plain(pair.estimate.t_d_std_s),
+                    "contradicted_by_s": answer.wrong_pairs.get((a, b)),
+                }
+                for (a, b), pair in self.pairs.items()
+            ],
+            "closures": [
+                {"cameras": [k + 1 for k in triple], "closure_s": off_s}
+                for triple, off_s in answer.closures_s.items()
+            ],
+            "groups": [
+                {
+                    "cameras": [k + 1 for k in built.members],
+                    "n_path": len(found.path),
+                    "path_spans_s": plain(found.spans_s),
+                }
+                for built, found in zip(answer.built, answer.paths, strict=True)
+            ],
+            "scale_is_known": self.scale_is_known,
+            "frame": "of each group's first camera" if self.ground is None else self.ground.said,
+            "conventions": "of each group's first camera, 1: t_camK = t_cam1 + t_d + skew (t_cam1 "
+            "- t_ref), and what it strays at knots, linear in between; x_K = R X + t, X in the "
+            "frame, |t| of the second camera is 1, or metres where the scale is known",
+            "rig": self.rig_name,
+            "seconds": {part: round(value, 3) for part, value in self.seconds.items()},
+        }
 
     def __repr__(self) -> str:
         placed = sum(camera.status == Status.OK for camera in self.network.cameras)
@@ -58,87 +114,6 @@ class NetworkResult:
 
     def _repr_html_(self) -> str:
         return html_of(self.summary())
-
-
-def many_text(result: NetworkResult) -> str:
-    """Lay out what is found of many cameras for people."""
-    answer, rows = result.network, list[tuple[str, str]]()
-    if answer.reason:
-        rows.append(("incomplete", answer.reason))
-    if result.ground is not None:
-        rows.append(("frame", result.ground.said))
-    for camera in answer.cameras:
-        rows += _camera_rows(camera)
-    for note, pairs in _notes(result).items():
-        rows.append(("note", f"{note} (cameras {', '.join(pairs)})"))
-    for (a, b), off_s in answer.wrong_pairs.items():
-        rows.append(("wrong pair", f"{a + 1} and {b + 1}: its clock is {off_s:+.3f} s off"))
-    unit = "m" if result.scale_is_known else "distances of the first two cameras"
-    for k, found in enumerate(answer.paths):
-        sigma = ", ".join(f"{value:.2g}" for value in found.typical_deviations)
-        rows.append((f"path {k + 1}", f"{len(found.path)} samples, 1 sigma ({sigma}), in {unit}"))
-        for start_s, end_s in found.spans_s:
-            rows.append(("", f"holds from {start_s:.3f} to {end_s:.3f} s"))
-    return "\n".join(f"{name:15}{value}" for name, value in rows)
-
-
-def many_json(result: NetworkResult) -> dict[str, Any]:
-    """Lay out what is found of many cameras for machines; None for what is missing."""
-    answer = result.network
-    return {
-        "status": str(answer.status),
-        "reason": answer.reason,
-        "cameras": [
-            _camera(camera, name) for camera, name in zip(answer.cameras, result.names, strict=True)
-        ],
-        "pairs": [
-            {
-                "cameras": [a + 1, b + 1],
-                "status": str(pair.estimate.status),
-                "reason": pair.estimate.reason,
-                "note": pair.note,
-                "t_d_s": plain(pair.estimate.t_d_s),
-                "t_d_std_s": plain(pair.estimate.t_d_std_s),
-                "contradicted_by_s": answer.wrong_pairs.get((a, b)),
-            }
-            for (a, b), pair in result.pairs.items()
-        ],
-        "closures": [
-            {"cameras": [k + 1 for k in triple], "closure_s": off_s}
-            for triple, off_s in answer.closures_s.items()
-        ],
-        "groups": [
-            {
-                "cameras": [k + 1 for k in built.members],
-                "n_path": len(found.path),
-                "path_spans_s": plain(found.spans_s),
-            }
-            for built, found in zip(answer.built, answer.paths, strict=True)
-        ],
-        "scale_is_known": result.scale_is_known,
-        "frame": "of each group's first camera" if result.ground is None else result.ground.said,
-        "conventions": "of each group's first camera, 1: t_camK = t_cam1 + t_d + skew (t_cam1 - "
-        "t_ref), and what it strays at knots, linear in between; x_K = R X + t, X in the frame, "
-        "|t| of the second camera is 1, or metres where the scale is known",
-        "rig": result.rig_name,
-        "seconds": {part: round(value, 3) for part, value in result.seconds.items()},
-    }
-
-
-def save_many(path: Path, result: NetworkResult) -> None:
-    """Write `many_json`; the file appears only when it is complete."""
-    with whole_file(path) as temporary:
-        text = json.dumps(many_json(result), indent=1, allow_nan=False)
-        temporary.write_text(text + "\n", encoding="utf-8")
-
-
-def _notes(result: NetworkResult) -> dict[str, list[str]]:
-    """Give what users must know of pairs, each with the pairs that it is said of."""
-    found = dict[str, list[str]]()
-    for (a, b), pair in result.pairs.items():
-        for note in pair.notes:
-            found.setdefault(note, []).append(f"{a + 1}-{b + 1}")
-    return found
 
 
 _NUMBERS = (

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from ssac.estimate import Estimate
 from ssac.files.whole_file import whole_file
-from ssac.methods.method import Method
+from ssac.methods.method import Input, Method
 from ssac.pipeline.answer import Answer
 
 Array = NDArray[np.float64]
@@ -34,7 +34,7 @@ def report_text(answer: Answer) -> str:
         rows.append(("pose", f"as given in {answer.rig_name}"))
     elif estimate.R is not None and estimate.t is not None:
         rows += _pose_rows(estimate, estimate.R, estimate.t)
-    if answer.has_samples:
+    if answer.method.input is Input.TRACKS:
         rows.append(("samples", _samples(answer)))
     rows += _clutter_rows(answer)
     if np.isfinite(estimate.d_avg_px):
@@ -56,7 +56,7 @@ def report_json(answer: Answer) -> dict[str, Any]:
         "reason": estimate.reason,
         "note": answer.note,
         "method": answer.method.name,
-        "n_samples": estimate.n_samples if answer.has_samples else None,
+        "n_samples": estimate.n_samples if answer.method.input is Input.TRACKS else None,
         "d_avg_px": plain(estimate.d_avg_px),
         "t_d_is_reliable": estimate.has_offset,
         "alternatives_s": plain(estimate.alternatives_s),

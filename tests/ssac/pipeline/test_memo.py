@@ -129,25 +129,22 @@ def test_a_delay_takes_what_is_clean_and_summed_up_along(raw, calls):
 
 
 FROM_VIEWS = {"view_of": 2, "algorithm_2": 1, "joint_from": 1}
-
-
-@pytest.mark.parametrize(
-    ("config", "expected"),
-    [
-        (Config(), {}),
-        (Config(skew_prior_ppm=20.0), {"joint_from": 1}),
-        (Config(seed=5), {"algorithm_2": 1, "joint_from": 1}),
-        (Config(half_window_s=0.015), FROM_VIEWS),
-        (Config(border_px=9), {"_summed_up": 2, **FROM_VIEWS}),
-        (Config(interval_s=(-0.5, 0.5)), {"one_object": 1, **FROM_VIEWS}),
-        (Config(n_neighbours=2), {"clean": 2, "one_object": 1, "_summed_up": 2, **FROM_VIEWS}),
-    ],
+SHARED = (
+    (Config(), {}),
+    (Config(skew_prior_ppm=20.0), {"joint_from": 1}),
+    (Config(seed=5), {"algorithm_2": 1, "joint_from": 1}),
+    (Config(half_window_s=0.015), FROM_VIEWS),
+    (Config(border_px=9), {"_summed_up": 2, **FROM_VIEWS}),
+    (Config(interval_s=(-0.5, 0.5)), {"one_object": 1, **FROM_VIEWS}),
+    (Config(n_neighbours=2), {"clean": 2, "one_object": 1, "_summed_up": 2, **FROM_VIEWS}),
 )
+
+
+@pytest.mark.parametrize(("config", "expected"), SHARED, ids=range(len(SHARED)))
 def test_other_parameters_share_all_that_they_leave_alone(config, expected, raw, chain, calls):
     chain.estimate("joint")
     calls.clear()
-    other = chain.under(config)
-    found = other.estimate("joint")
+    found = chain.under(config).estimate("joint")
     assert +calls == Counter(expected)
     assert_equal(found, Chain(raw, RIG, config).estimate("joint"))
 
