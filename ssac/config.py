@@ -127,14 +127,8 @@ class Config:
     @property
     def searching(self) -> "Config":
         """The same with the clocks as they are by default, which no search looks at."""
-        plain = Config()
-        return replace(
-            self,
-            skew_prior_ppm=plain.skew_prior_ppm,
-            search_skews=plain.search_skews,
-            clock=plain.clock,
-            roughness_ppm=plain.roughness_ppm,
-        )
+        of_clocks = "skew_prior_ppm", "search_skews", "clock", "roughness_ppm"
+        return replace(self, **{name: getattr(Config, name) for name in of_clocks})
 
     def resolved(self, has_track: bool) -> "Config":
         """Settle what is open by the kind of cameras: clocks of tracks run at other rates."""

@@ -192,7 +192,10 @@ def _minimised(network: Network, free: Indices) -> tuple[Network, float, Solved]
     for _ in range(network.rules.steps):
         for _ in range(6):
             solved = solve(normal, free, damping)
-            tried = _moved(network, solved)
+            steps = np.split(solved.border, border_offsets(network)[1:-1])
+            moved = [state.moved(step) for state, step in zip(network.states, steps, strict=True)]
+            path = replace(network.path, coefficients=network.path.coefficients + solved.path)
+            tried = replace(network, states=moved, path=path)
             other, tried_cost = _normal(tried)
             if tried_cost <= cost * (1.0 + 1e-9):
                 break
@@ -205,13 +208,6 @@ def _minimised(network: Network, free: Indices) -> tuple[Network, float, Solved]
         if gained < 0.1 * network.rules.settled * cost:
             break
     return network, cost, solved
-
-
-def _moved(network: Network, solved: Solved) -> Network:
-    steps = np.split(solved.border, border_offsets(network)[1:-1])
-    states = [state.moved(step) for state, step in zip(network.states, steps, strict=True)]
-    path = replace(network.path, coefficients=network.path.coefficients + solved.path)
-    return replace(network, states=states, path=path)
 
 
 def _normal(network: Network) -> tuple[Normal, float]:

@@ -212,7 +212,9 @@ def _scores(estimate: Array, truth: Array, with_scale: bool) -> tuple[Array, Arr
         covariance[:, i, j] = correlated(j, i) / n - mean_t[i] * mean_e[j]
     enough &= (var_e > RULES.at_rest) & (var_t > RULES.at_rest)
     var_e, var_t = np.maximum(var_e, RULES.at_rest), np.maximum(var_t, RULES.at_rest)
-    turned = _trace_of_best_turn(covariance)
+    # The largest trace of R' C over rotations R.
+    values, mirrors = np.linalg.svd(covariance, compute_uv=False), np.linalg.det(covariance) < 0.0
+    turned = values[:, 0] + values[:, 1] + np.where(mirrors, -1.0, 1.0) * values[:, 2]
     if with_scale:
         unexplained = 1.0 - np.maximum(turned, 0.0) ** 2 / (var_e * var_t)
     else:
@@ -231,13 +233,6 @@ def _moments(positions: Array) -> Array:
     seen = np.isfinite(positions[:, 0])
     filled = np.where(seen[:, None], positions, 0.0)
     return np.vstack([filled.T, seen, np.sum(filled**2, axis=1)])
-
-
-def _trace_of_best_turn(covariance: Array) -> Array:
-    """Largest trace of R' C (n,) over rotations R, for covariances (n, 3, 3)."""
-    values = np.linalg.svd(covariance, compute_uv=False)
-    mirrors = np.linalg.det(covariance) < 0.0
-    return np.asarray(values[:, 0] + values[:, 1] + np.where(mirrors, -1.0, 1.0) * values[:, 2])
 
 
 def _at_even_times(path: InTime, step_s: float, unit: float | None) -> Array:

@@ -111,11 +111,6 @@ class Placed:
     states: dict[int, CameraState]
     inliers: int  # sample times at which they see the path in place, over all of them
 
-    @property
-    def merit(self) -> tuple[int, int]:
-        """More cameras count first, then more sightings in place."""
-        return len(self.states), self.inliers
-
 
 @dataclass(frozen=True, eq=False)
 class Group:
@@ -142,14 +137,15 @@ def place_all(group: Group, trust: Mapping[Pair, int]) -> Placed | None:
         if set(pair) <= set(members) and link.is_reliable and link.R is not None
     ]
     seeds.sort(key=lambda pair: (-trust[pair], links[pair].cost))
-    best: Placed | None = None
+    best, merit = None, (0, 0)
     for pair in seeds[: rules.most_seeds]:
         placed = _seed(group, pair, links[pair])
         if placed is None:
             continue
         placed = grown(placed, group)
-        if best is None or placed.merit > best.merit:
-            best = placed
+        # More cameras count first, then more sightings in place.
+        if (len(placed.states), placed.inliers) > merit:
+            best, merit = placed, (len(placed.states), placed.inliers)
         if len(placed.states) == len(members) and seeds.index(pair) >= rules.enough_seeds:
             break
     return best

@@ -64,14 +64,6 @@ class PathAnswer:
     path: Path
     spans_s: Array  # (k, 2) between which it holds
 
-    @property
-    def typical_deviations(self) -> Array:
-        """Medians (3,) of the deviations along x, y and z; NaN of an empty path."""
-        deviations = self.path.deviations_m
-        if deviations is None or not len(deviations):
-            return np.full(3, np.nan)
-        return np.asarray(np.median(deviations, axis=0))
-
 
 def answer_of(built: Built, k: int, group: int) -> CameraAnswer:
     """Tell of the k-th camera of a network."""

@@ -14,7 +14,7 @@ from collections.abc import Callable, Hashable, Sequence
 from contextlib import AbstractContextManager
 from copy import copy
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from itertools import combinations
 from typing import Any, Protocol, TypeVar
 
@@ -214,8 +214,9 @@ class Chain:
             start = self._start(pair, views)
             pair, refusal = replace(pair, start=start), start.refusal
             if start.has_guess:
-                seen = cleans[0], self._as_seen(start, cleans[1])
-                pair = replace(pair, seen=seen, config=start.config(config))
+                key = "seen", id(cleans[1]), start.guess.rate, start.anchor_s
+                other = self._once(key, partial(start.as_seen, cleans[1]), cleans)
+                pair = replace(pair, seen=(cleans[0], other), config=start.config(config))
         return self._refined(pair) if refusal is None else self._refused(pair, refusal)
 
     def _refined(self, pair: _Pair) -> Answer:
@@ -366,11 +367,6 @@ class Chain:
             return start
 
         return self._once(("start", _ids(pair.cleans), pair.config), found, pair.cleans)
-
-    def _as_seen(self, start: Start, other: Clean) -> Clean:
-        """Give camera 2 on a clock that runs as camera 1's, as far as a search found the rate."""
-        key = "seen", id(other), start.guess.rate, start.anchor_s
-        return self._once(key, lambda: start.as_seen(other), (other,))
 
     def _views(self, cleans: tuple[Clean, Clean], rig: Rig, config: Config) -> TwoViews:
         key = "views", _ids(cleans), config.windows, config.offsets_s

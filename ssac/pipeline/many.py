@@ -35,7 +35,9 @@ def network(chain: Chain, method: Method | None = None, known: Known = NOTHING) 
     for a, b in combinations(range(len(chain)), 2):
         with watch.part(f"{a + 1}-{b + 1}") as say:
             pairs[a, b] = chain.answer(method, a, b)
-            say(_in_words(pairs[a, b]))
+            one = pairs[a, b].estimate
+            offset = f", t_d {one.t_d_s:.4f} s, 1 sigma {1e3 * one.t_d_std_s:.2f} ms"
+            say(f"{one.status}{offset if one.has_offset else ''}")
     with watch.part("network") as say, one_thread():
         answer = solve_pairs(chain, pairs, known.distance_m)
         answer, ground = grounded(answer, known, chain.config.rules.ground)
@@ -133,11 +135,3 @@ def _sightings(chain: Chain, k: int, pairs: dict[Pair, Answer]) -> Sightings:
         shaped = ShapedTrack(PointTrack(np.empty(0), np.empty((0, 2))), None)
     shapes = shaped.spreads_px2, shaped.images
     return sightings(shaped.track, clean.camera, name, clean.has_track, rules, *shapes)
-
-
-def _in_words(answer: Answer) -> str:
-    estimate = answer.estimate
-    if not estimate.has_offset:
-        return str(estimate.status)
-    sigma_ms = 1e3 * estimate.t_d_std_s
-    return f"{estimate.status}, t_d {estimate.t_d_s:.4f} s, 1 sigma {sigma_ms:.2f} ms"

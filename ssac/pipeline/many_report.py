@@ -59,7 +59,9 @@ class NetworkResult:
             rows.append(("wrong pair", f"{a + 1} and {b + 1}: its clock is {off_s:+.3f} s off"))
         unit = "m" if self.scale_is_known else "distances of the first two cameras"
         for k, found in enumerate(answer.paths, start=1):
-            sigma = ", ".join(f"{value:.2g}" for value in found.typical_deviations)
+            stds = found.path.deviations_m
+            medians = np.full(3, np.nan) if stds is None or not len(stds) else np.median(stds, 0)
+            sigma = ", ".join(f"{value:.2g}" for value in medians)
             rows.append((f"path {k}", f"{len(found.path)} samples, 1 sigma ({sigma}), in {unit}"))
             for start_s, end_s in found.spans_s:
                 rows.append(("", f"holds from {start_s:.3f} to {end_s:.3f} s"))

@@ -132,21 +132,18 @@ class _CheckedFunction:
         except SsacError:
             raise
         except Exception as error:
-            fault, where = f"{type(error).__name__}: {error}", self._place(error)
-            raise PluginError(self._said(fault, where)) from error
+            frames = traceback.extract_tb(error.__traceback__)
+            theirs = [frame for frame in frames if Path(frame.filename).is_relative_to(self.home)]
+            # In which line of that package it arose, or was let through.
+            where = f"{theirs[-1].filename}, line {theirs[-1].lineno}" if theirs else self.home
+            raise PluginError(self._said(f"{type(error).__name__}: {error}", where)) from error
         fault = _fault_of(estimate)
         if fault:
-            raise PluginError(self._said(fault, str(self.home)))
+            raise PluginError(self._said(fault, self.home))
         return estimate
 
-    def _said(self, fault: str, where: str) -> str:
+    def _said(self, fault: str, where: Path | str) -> str:
         return f"{self.origin}: {fault} ({where}): a bug of that package"
-
-    def _place(self, error: Exception) -> str:
-        """Say in which line of that package an error arose, or was let through."""
-        frames = traceback.extract_tb(error.__traceback__)
-        theirs = [frame for frame in frames if Path(frame.filename).is_relative_to(self.home)]
-        return f"{theirs[-1].filename}, line {theirs[-1].lineno}" if theirs else str(self.home)
 
 
 def _fault_of(estimate: object) -> str:

@@ -63,7 +63,12 @@ def report_json(answer: Answer) -> dict[str, Any]:
         "unobservable": plain(estimate.unobservable),
         "covariance": plain(estimate.covariance),
         "clock_covariance": plain(estimate.clock_covariance),
-        "clock_knots": _knots(estimate),
+        "clock_knots": [  # with the deviation of all that the clock shows there
+            dict(zip(("t_s", "stray_s", "std_s"), knot.tolist(), strict=True))
+            for knot in np.column_stack(
+                [estimate.knots_s, estimate.strays_s, estimate.strays_std_s]
+            )
+        ],
         "objects": [asdict(seen.used) for seen in answer.cleans]
         if answer.looks_at_one_object
         else None,
@@ -172,15 +177,6 @@ def _readout_rows(estimate: Estimate) -> list[tuple[str, str]]:
         if std_s > 0.0
     ]
     return [("readout", "; ".join(found))] if found else []
-
-
-def _knots(estimate: Estimate) -> list[dict[str, float]]:
-    """List what the clock strays at each knot, with the deviation of all it shows there."""
-    columns = estimate.knots_s, estimate.strays_s, estimate.strays_std_s
-    return [
-        {"t_s": t_s, "stray_s": stray_s, "std_s": std_s}
-        for t_s, stray_s, std_s in zip(*(column.tolist() for column in columns), strict=True)
-    ]
 
 
 def _pose_rows(estimate: Estimate, R: Array, t: Array) -> list[tuple[str, str]]:
