@@ -28,7 +28,7 @@ from ssac.track.clean import Clean
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from ssac.pipeline.many_report import NetworkResult
+    from ssac.pipeline.many import NetworkResult
     from ssac.pipeline.plots import Material
 
 
