@@ -265,27 +265,11 @@ def best_shift(
 ) -> tuple[Clock, Similarity]:
     """Find the clock and the frame of the truth as the estimate sees them.
 
-    Parameters
-    ----------
-    estimate, truth
-        The two paths; each may begin and end where it likes and have gaps.
-    max_shift_s
-        Shifts that are tried, to both sides; None: all that leave enough common time.
-    rate_std_ppm
-        Prior deviation of the rate between the clocks; 0: they run alike.
-    with_scale
-        Whether the estimate's scale is unknown.
-
-    Returns
-    -------
-    tuple of Clock and Similarity
-        `clock.cam2_from_cam1` takes times of the estimate to the truth's clock, t_ref being in
-        the middle of the common time; the similarity takes positions to the truth's frame.
-
-    Raises
-    ------
-    SsacError
-        If the paths share too little time at any shift, or do not move enough.
+    Each path may begin and end where it likes and have gaps. Shifts are tried up to a bound, to
+    both sides, or all that leave enough common time; the prior of the rate is 0 where clocks run
+    alike. `clock.cam2_from_cam1` takes times of the estimate to the truth's clock, t_ref being in
+    the middle of the common time; the similarity takes positions to the truth's frame. SsacError if
+    the paths share too little time at any shift, or do not move enough.
     """
     path, best, score = smoothed(estimate), None, -np.inf
     for shift_s in _best_shifts_s(path, smoothed(truth), max_shift_s, with_scale):

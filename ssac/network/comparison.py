@@ -99,21 +99,12 @@ def compare(
     rate_std_ppm: float = RATE_STD_PPM,
     lever_arm_m: tuple[float, float, float] | None = None,
 ) -> Comparison:
-    """Compare an estimated path with a true one.
+    """Compare an estimated path with a true one, each in a frame and on a clock of its own.
 
-    Parameters
-    ----------
-    estimate, truth
-        In frames and on clocks of their own; where one has no times, they are compared as shapes.
-    with_scale, max_shift_s, rate_std_ppm
-        As `ssac.network.align.best_shift` has them.
-    lever_arm_m
-        Where the truth's antenna is in the body (forward, left, up); needs the truth's attitude.
-
-    Raises
-    ------
-    SsacError
-        If they share too little time or do not move enough, or the attitude is missing.
+    Where one has no times they are compared as shapes. Scale, shift and rate are as of
+    `ssac.network.align.best_shift`; the lever arm is where the truth's antenna is in the body
+    (forward, left, up), and needs its attitude. SsacError if that is missing, or they share too
+    little time or do not move enough.
     """
     for name, path in (("estimate", estimate), ("truth", truth)):
         if len(path) < 3:

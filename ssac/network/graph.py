@@ -6,7 +6,7 @@ enter at once: by the clock and the pose that fit them best, and by the covarian
 """
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -65,21 +65,21 @@ class PairConstraint:
     def rows(self, a: CameraState, b: CameraState) -> tuple[Array, Array, Array]:
         """Give derivatives (7, s) by a's and by b's parameters, and residuals (7,), all weighed."""
         off = self.off(a, b)
-        by_a, by_b = np.zeros((_SIZE, a.size)), np.zeros((_SIZE, b.size))
-        for place, size in _STEPS.items():  # of what the states say
-            ahead, behind = (self.off(a.moved(way), b) for way in _both_ways(a, place, size))
-            by_a[:, place] = (behind - ahead) / (2.0 * size)
-            ahead, behind = (self.off(a, b.moved(way)) for way in _both_ways(b, place, size))
-            by_b[:, place] = (behind - ahead) / (2.0 * size)
+        by_a = _slopes(lambda moved: self.off(moved, b), a)
+        by_b = _slopes(lambda moved: self.off(a, moved), b)
         beside = np.column_stack([by_a, by_b, off])
         weighed = np.asarray(solve_triangular(self.factor, beside, lower=True), dtype=np.float64)
         return weighed[:, : a.size], weighed[:, a.size : -1], weighed[:, -1]
 
 
-def _both_ways(state: CameraState, place: int, size: float) -> tuple[Array, Array]:
-    step = np.zeros(state.size)
-    step[place] = size
-    return step, -step
+def _slopes(off: Callable[[CameraState], Array], state: CameraState) -> Array:
+    """Give derivatives (7, s), of what a state says, by differences."""
+    by = np.zeros((_SIZE, state.size))
+    for place, size in _STEPS.items():
+        step = np.zeros(state.size)
+        step[place] = size
+        by[:, place] = (off(state.moved(-step)) - off(state.moved(step))) / (2.0 * size)
+    return by
 
 
 @dataclass(frozen=True, eq=False)
