@@ -69,8 +69,9 @@ def test_rtk_gives_them_too_whatever_its_clock_shows(solved, tmp_path):
 def test_the_lever_arm_of_rtk_is_taken_away(solved, tmp_path):
     flight, answer = solved
     rtk, arm_m = tmp_path / "rtk.tum", (0.3, -0.2, 0.5)
-    # It yaws so that the alignment cannot take the arm.
-    turns = Rotation.from_euler("z", 3.0 * np.sin(0.7 * TIMES_S))
+    # It turns so that the alignment cannot take the arm.
+    yaw, tilt = 3.0 * np.sin(0.7 * TIMES_S), 0.3 * np.cos(TIMES_S)
+    turns = Rotation.from_euler("zxy", np.column_stack([yaw, tilt, 0.5 * tilt]))
     antenna_m = on_ground(flight.path(TIMES_S)) + turns.apply(arm_m)
     write_path(rtk, Path(TIMES_S + 5.0, antenna_m, quaternions=turns.as_quat()))
     ground = ground_of_rtk(answer, rtk, GROUND, arm_m)
