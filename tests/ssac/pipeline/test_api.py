@@ -92,9 +92,10 @@ RIGS = {
 }
 
 
-@pytest.mark.parametrize(("one", "other"), zip(CAMERAS, [*[*CAMERAS][1:], "path"], strict=True))
-def test_every_kind_of_camera_gives_the_same(one, other, files, result):
-    cameras = CAMERAS[one](files, 1), CAMERAS[other](files, 2)
+@pytest.mark.parametrize("k", range(len(CAMERAS)), ids=CAMERAS)
+def test_every_kind_of_camera_gives_the_same(k, files, result):
+    kinds = [*CAMERAS.values()]
+    cameras = kinds[k](files, 1), kinds[k - 1](files, 2)
     assert_same(ssac.sync(*cameras, files / "rig.yaml").estimate, result.estimate)
 
 
