@@ -105,14 +105,7 @@ class Result:
 
 
 @overload
-def sync(
-    cam1: Sequence[CameraInput],
-    cam2: RigInput,
-    rig: None = None,
-    method: str | None = None,
-    config: Config | None = None,
-    **options: Any,
-) -> "NetworkResult": ...
+def sync(cam1: Sequence[CameraInput], cam2: RigInput, **options: Any) -> "NetworkResult": ...
 
 
 @overload
