@@ -51,7 +51,7 @@ if TYPE_CHECKING:  # the list of public names, which is read below too
     from ssac.pipeline.api import two_views as two_views
     from ssac.pipeline.api import usable_events as usable_events
     from ssac.pipeline.chain import Chain as Chain
-    from ssac.pipeline.many_report import NetworkResult as NetworkResult
+    from ssac.pipeline.many import NetworkResult as NetworkResult
     from ssac.pipeline.opened import Known as Known
     from ssac.pipeline.registry import EstimateFunction as _Function
     from ssac.points import PointTrack as PointTrack

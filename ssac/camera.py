@@ -16,23 +16,12 @@ from ssac.errors import SsacError
 DISTORTION_LENGTHS = {"none": (0,), "radtan": (4, 5, 8), "equidistant": (4,)}
 """Numbers of distortion coefficients that each lens model may have."""
 
-GOOD_FOCAL = 0.001
-"""Deviation of a focal length, as a share of it, where a good calibration says nothing of it."""
-
-GOOD_CENTRE_PX = 0.3
-"""The same of each coordinate of the principal point."""
-
-MAX_PIXELS = 200_000_000
-"""Of a camera: more than any has, and as many as tables of all pixels leave memory for."""
-
-MAX_READOUT_S = 0.2
-"""Longest readout of a rolling shutter: of the slowest sensors of still cameras."""
-
-READOUT_STD_S = 0.015
-"""Deviation from 0 of a readout of which nothing is known: phones have 10 to 30 ms."""
-
-MAX_ROUND_TRIP_PX = 1e-6
-"""An undistorted point is accepted when distorting it again comes back this close [px]."""
+# Deviations where a calibration says nothing of them: a share of focal lengths, and of centres.
+GOOD_FOCAL, GOOD_CENTRE_PX = 0.001, 0.3
+MAX_PIXELS = 200_000_000  # of a camera: as many as tables of all pixels leave memory for
+MAX_READOUT_S = 0.2  # of a rolling shutter: the slowest sensors of still cameras
+READOUT_STD_S = 0.015  # from 0, of a readout of which nothing is known: phones have 10 to 30 ms
+MAX_ROUND_TRIP_PX = 1e-6  # from an undistorted point that is accepted, distorted again
 
 
 @dataclass(frozen=True)
@@ -98,10 +87,7 @@ def with_deviations(
     focal: float | None = GOOD_FOCAL,
     centre_px: float | None = GOOD_CENTRE_PX,
 ) -> Camera:
-    """Give a camera whose intrinsics are known to a share of the focal lengths, and to pixels.
-
-    None: as the camera states it.
-    """
+    """Give a camera with other deviations: a share of focal lengths, pixels; None: as it states."""
     said = tuple(camera.intrinsics_std_px)
     fu_px, fv_px = float(camera.K[0, 0]), float(camera.K[1, 1])
     focals = said[:2] if focal is None else (focal * fu_px, focal * fv_px)
@@ -128,54 +114,58 @@ def check_camera(camera: Camera, name: str = "camera") -> None:
     """Raise SsacError unless `camera` is a usable pinhole camera; `name` starts the message."""
     if not isinstance(camera, Camera):
         raise SsacError(f"{name}: expected a ssac.Camera, got {type(camera).__name__}")
-    K = camera.K
+    K, model = camera.K, camera.distortion_model
+    coeffs, deviations = _floats(camera.distortion_coeffs), _floats(camera.intrinsics_std_px)
+    readout = _floats([camera.readout_s or 0.0, camera.readout_std_s])
+    size = camera.width, camera.height
+    said = ""
     if K.shape != (3, 3) or not np.isfinite(K).all():
-        raise SsacError(f"{name}: K must be a finite 3x3 matrix, got {K.tolist()}: calibrate again")
-    if K[0, 0] <= 0 or K[1, 1] <= 0:
-        raise SsacError(
-            f"{name}: focal lengths must be positive, got fu = {K[0, 0]:g}, fv = {K[1, 1]:g} px: "
+        said = f"K must be a finite 3x3 matrix, got {K.tolist()}: calibrate again"
+    elif K[0, 0] <= 0 or K[1, 1] <= 0:
+        said = (
+            f"focal lengths must be positive, got fu = {K[0, 0]:g}, fv = {K[1, 1]:g} px: "
             "check the order [fu, fv, pu, pv] of the intrinsics"
         )
-    if K[0, 1] != 0 or K[1, 0] != 0 or not np.array_equal(K[2], (0.0, 0.0, 1.0)):
-        raise SsacError(
-            f"{name}: K must be [[fu, 0, pu], [0, fv, pv], [0, 0, 1]], got {K.tolist()}: "
+    elif K[0, 1] != 0 or K[1, 0] != 0 or not np.array_equal(K[2], (0.0, 0.0, 1.0)):
+        said = (
+            f"K must be [[fu, 0, pu], [0, fv, pv], [0, 0, 1]], got {K.tolist()}: "
             "calibrate with a pinhole model without skew"
         )
-    size = camera.width, camera.height
-    is_size = all(isinstance(side, (int, np.integer)) and side >= 1 for side in size)
-    if not is_size or camera.width * camera.height > MAX_PIXELS:
-        raise SsacError(
-            f"{name}: the resolution must be at least 1 x 1 px and at most {MAX_PIXELS} pixels, "
+    elif not (
+        all(isinstance(side, (int, np.integer)) and side >= 1 for side in size)
+        and camera.width * camera.height <= MAX_PIXELS
+    ):
+        said = (
+            f"the resolution must be at least 1 x 1 px and at most {MAX_PIXELS} pixels, "
             f"got {camera.width} x {camera.height}: give it as [width, height]"
         )
-    if camera.distortion_model not in tuple(DISTORTION_LENGTHS):
-        raise SsacError(
-            f"{name}: unknown distortion model {camera.distortion_model!r}: "
-            f"use one of {', '.join(DISTORTION_LENGTHS)}"
+    elif model not in tuple(DISTORTION_LENGTHS):
+        known = ", ".join(DISTORTION_LENGTHS)
+        said = f"unknown distortion model {model!r}: use one of {known}"
+    elif (
+        coeffs.ndim != 1
+        or len(coeffs) not in DISTORTION_LENGTHS[model]
+        or not np.isfinite(coeffs).all()
+    ):
+        lengths = " or ".join(map(str, DISTORTION_LENGTHS[model]))
+        said = (
+            f"the distortion model {model!r} needs {lengths} finite coefficients, got"
+            f" {coeffs.tolist()}: calibrate again"
         )
-    lengths = DISTORTION_LENGTHS[camera.distortion_model]
-    coeffs = _floats(camera.distortion_coeffs)
-    if coeffs.ndim != 1 or len(coeffs) not in lengths or not np.isfinite(coeffs).all():
-        raise SsacError(
-            f"{name}: the distortion model {camera.distortion_model!r} needs "
-            f"{' or '.join(map(str, lengths))} finite coefficients, got {coeffs.tolist()}: "
-            "calibrate again"
-        )
-    deviations = _floats(camera.intrinsics_std_px)
-    if deviations.shape != (4,) or not (np.isfinite(deviations) & (deviations >= 0.0)).all():
-        raise SsacError(
-            f"{name}: intrinsics_std must be 4 deviations of fu, fv, pu, pv [px], none negative, "
+    elif deviations.shape != (4,) or not (np.isfinite(deviations) & (deviations >= 0.0)).all():
+        said = (
+            "intrinsics_std must be 4 deviations of fu, fv, pu, pv [px], none negative, "
             f"got {deviations.tolist()}: give 0 for exact ones"
         )
-    readout_s = 0.0 if camera.readout_s is None else camera.readout_s
-    readout = _floats([readout_s, camera.readout_std_s])
-    if readout.shape != (2,) or not (
+    elif readout.shape != (2,) or not (
         0.0 <= readout[0] <= MAX_READOUT_S and 0.0 <= readout[1] < np.inf
     ):
-        raise SsacError(
-            f"{name}: the readout must take 0 to {MAX_READOUT_S:g} s, and its deviation must be 0 "
+        said = (
+            f"the readout must take 0 to {MAX_READOUT_S:g} s, and its deviation must be 0 "
             f"or more, got {camera.readout_s} s and {camera.readout_std_s} s: give seconds"
         )
+    if said:
+        raise SsacError(f"{name}: {said}")
 
 
 def check_cameras(rig: Cameras) -> None:
@@ -216,9 +206,8 @@ def _floats(values: object) -> NDArray[np.float64]:
 def undistort_points(camera: Camera, points_px: NDArray[np.float64]) -> NDArray[np.float64]:
     """Ideal pixel coordinates (N, 2) of measured points, as a lens without distortion shows them.
 
-    They are in the image of the same K. A point that no ray reaches under the lens model (far out,
-    where a fitted polynomial turns back) becomes NaN; all others come back from `distort_points` to
-    within MAX_ROUND_TRIP_PX. SsacError where the camera or the shape of the points is invalid.
+    They are in the image of the same K; NaN where no ray reaches a point under the lens model (far
+    out, where a fitted polynomial turns back). SsacError where camera or points are invalid.
     """
     check_camera(camera)
     measured = _checked_points(points_px)
@@ -241,11 +230,7 @@ def undistort_points(camera: Camera, points_px: NDArray[np.float64]) -> NDArray[
 
 
 def distort_points(camera: Camera, points_px: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Measured pixel coordinates (N, 2) of ideal points, the inverse of `undistort_points`.
-
-    They may lie outside the sensor. SsacError where the camera or the shape of the points is
-    invalid.
-    """
+    """Measured coordinates (N, 2) [px] of ideal ones: the inverse of `undistort_points`."""
     check_camera(camera)
     ideal = _checked_points(points_px)
     if camera.distortion_model == "none" or len(ideal) == 0:
@@ -261,11 +246,7 @@ def distort_points(camera: Camera, points_px: NDArray[np.float64]) -> NDArray[np
 
 
 def undistortion_map(camera: Camera) -> NDArray[np.float64]:
-    """Ideal coordinates of every pixel, so that events are undistorted by one table look-up.
-
-    Of shape (height, width, 2) [px]: `undistortion_map(camera)[y, x]` is the ideal (x, y) of pixel
-    (x, y). NaN where `undistort_points` gives NaN: events there must be left out.
-    """
+    """Ideal (x, y) of every pixel (height, width, 2) [px], at [y, x]; NaN where no ray reaches."""
     check_camera(camera)
     y, x = np.mgrid[: camera.height, : camera.width]
     pixels = np.column_stack([x.ravel(), y.ravel()]).astype(np.float64)

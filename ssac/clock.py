@@ -33,10 +33,7 @@ class Clock:
         return not self.skew_ppm and not len(self.knots_s)
 
     def added_s(self, times_s: Array) -> Array:
-        """Give what it shows more (...,) [s], the offset apart, at times of camera 1's clock.
-
-        Between knots the strays are linear; before the first and after the last they stay.
-        """
+        """Give what it shows more (...,) [s], the offset apart; strays stay beyond the knots."""
         added_s = PPM * self.skew_ppm * (times_s - self.t_ref_s)
         if len(self.knots_s):
             added_s = added_s + np.interp(times_s, self.knots_s, self.strays_s)

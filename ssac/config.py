@@ -127,20 +127,11 @@ class Config:
     @property
     def searching(self) -> "Config":
         """The same with the clocks as they are by default, which no search looks at."""
-        plain = Config()
-        return replace(
-            self,
-            skew_prior_ppm=plain.skew_prior_ppm,
-            search_skews=plain.search_skews,
-            clock=plain.clock,
-            roughness_ppm=plain.roughness_ppm,
-        )
+        of_clocks = "skew_prior_ppm", "search_skews", "clock", "roughness_ppm"
+        return replace(self, **{name: getattr(Config, name) for name in of_clocks})
 
     def resolved(self, has_track: bool) -> "Config":
-        """Settle what is None or "auto" and needs no more than the kind of both cameras.
-
-        Where one gave a track of points, clocks run at other rates by far.
-        """
+        """Settle what is open by the kind of cameras: clocks of tracks run at other rates."""
         prior_ppm = SKEW_PRIOR_PPM if has_track else EVENT_SKEW_PRIOR_PPM
         return replace(
             self,

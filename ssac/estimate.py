@@ -12,11 +12,9 @@ Array = NDArray[np.float64]
 
 
 class Status(str, Enum):
-    """How far an estimate is to be relied upon; each member has its sentence in `meaning`.
+    """How far an estimate is to be relied upon, a word (`Status.OK == "ok"`) with its `meaning`.
 
-    A member is its own word in files, tables and comparisons: `Status.OK == "ok"`. They stand in
-    the order in which the stages of `ssac.pipeline.chain` come to them: of several that hold, the
-    first is given.
+    They stand in the order in which the stages come to them: of several the first is given.
     """
 
     meaning: str  # for users

@@ -15,12 +15,8 @@ EVENT_DTYPE = np.dtype([("t", "<i8"), ("x", "<u2"), ("y", "<u2"), ("p", "u1")])
 """One event: `t` [us], pixel column `x`, pixel row `y`, polarity `p` (1 = brighter)."""
 
 US_PER_S = 1_000_000
-
-WRAP_S = 2**24 * 1e-6
-"""After this time a counter of 24 bits that counts microseconds begins anew."""
-
-QUANTA_S = (0.010, 0.001)
-"""Steps to which recorders are known to round times."""
+WRAP_S = 2**24 * 1e-6  # after which a counter of 24 bits that counts microseconds begins anew
+QUANTA_S = (0.010, 0.001)  # to which recorders are known to round times
 
 
 @dataclass(frozen=True)
@@ -38,12 +34,8 @@ def events_from_arrays(
     """Build the event array from one array (N,) per field, in the order given.
 
     Times [us], pixel columns and rows [px] and polarities are of an integer (or boolean) dtype; the
-    polarity of a darker event may be 0 or -1. `check_events` looks at the rest.
-
-    Raises
-    ------
-    SsacError
-        If the lengths differ, or a value does not fit its field; `name` starts the message.
+    polarity of a darker event may be 0 or -1. SsacError, led by `name`, if the lengths differ or a
+    value does not fit its field; `check_events` looks at the rest.
     """
     columns = {"t": np.asarray(t), "x": np.asarray(x), "y": np.asarray(y), "p": np.asarray(p)}
     check_lengths({field: column.shape for field, column in columns.items()}, name)
@@ -56,13 +48,8 @@ def events_from_arrays(
 def events_of_array(array: NDArray[Any], name: str = "events") -> NDArray[np.void]:
     """Give a structured array as events: its fields t [us], x, y and p in any order and width.
 
-    The Metavision SDK's array of events (x, y, p, t) is one. An array that has EVENT_DTYPE already
-    is given back.
-
-    Raises
-    ------
-    SsacError
-        If a field is missing, or a value does not fit its own.
+    The Metavision SDK's (x, y, p, t) is one; one of EVENT_DTYPE is given back. SsacError if a field
+    is missing, or a value does not fit its own.
     """
     if array.dtype == EVENT_DTYPE:
         return array
@@ -86,11 +73,7 @@ def check_lengths(shapes: Mapping[str, tuple[int, ...]], name: str) -> None:
 
 
 def field_values(field: str, column: NDArray[Any], name: str) -> NDArray[Any]:
-    """Values (N,) of the field t, x, y or p, ready to be assigned to it without loss.
-
-    A polarity of -1 becomes 0. SsacError, starting with `name`, where they are no whole numbers or
-    one does not fit.
-    """
+    """Values (N,) of a field t, x, y or p, -1 being 0; SsacError where one does not fit."""
     if column.dtype.kind not in "iub":
         raise SsacError(
             f"{name}: {field} must hold whole numbers (t in microseconds), got values of type "
@@ -123,11 +106,7 @@ def check_event_array(events: Any, name: str) -> None:
 def check_events(
     events: NDArray[np.void], width: int | None, height: int | None, name: str
 ) -> None:
-    """Raise SsacError, starting with `name`, unless the events can be used.
-
-    They must be of EVENT_DTYPE, not empty, sorted by time, of polarity 0 or 1, and within the
-    sensor [px] where its size is known.
-    """
+    """Raise SsacError unless events are there, sorted, within the sensor, of p 0 or 1."""
     check_event_array(events, name)
     if len(events) == 0:
         raise SsacError(f"{name}: there are no events: record again, or check the right file")
@@ -178,11 +157,7 @@ def copied(events: NDArray[np.void]) -> NDArray[np.void]:
 
 @numba.njit(cache=True)
 def first_from(times_us: NDArray[np.int64], bounds_us: NDArray[Any]) -> NDArray[np.intp]:
-    """Index (m,) of the first of n sorted times at or after each bound [us], whole or not.
-
-    NumPy's own search would first copy the times out of the events, or make them all
-    floating-point numbers, which takes longer than the search.
-    """
+    """Index (m,) of the first of n times at or after each bound [us], without copies."""
     return np.searchsorted(times_us, bounds_us)
 
 
@@ -211,10 +186,7 @@ def is_whole(values: NDArray[np.float64]) -> bool:
 
 
 def time_quantum_s(times_s: NDArray[np.float64]) -> float:
-    """Step [s] to which times (n,) were rounded: one of QUANTA_S; 0 where they are finer.
-
-    Even times whose own step is a whole number of such steps, as of 25 frames a second, are exact.
-    """
+    """Step [s] of QUANTA_S to which times (n,) were rounded; 0 where they are finer."""
     enough = 20  # times that tell a grid from chance
     if len(times_s) < enough or not is_whole(times_s[:enough] / QUANTA_S[-1]):
         return 0.0

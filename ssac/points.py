@@ -24,10 +24,7 @@ class PointTrack:
 
 
 def check_track(track: PointTrack, width: int, height: int, name: str) -> None:
-    """Raise SsacError, starting with `name`, unless a track can be used.
-
-    It must be finite, in time order, and in the image [px].
-    """
+    """Raise SsacError, led by `name`, unless a track is finite, in order and in the image."""
     times_s, points = track.times_s, track.points_px
     n = len(times_s)
     if points.shape != (n, 2) or (track.sigmas_px is not None and track.sigmas_px.shape != (n,)):

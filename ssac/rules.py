@@ -6,7 +6,7 @@ the configuration that it is given, and has no copy of its own.
 """
 
 import math
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, is_dataclass
 from typing import Any, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -18,8 +18,7 @@ from ssac.errors import SsacError
 class NoiseRules:
     """What is noise: pixels that fire by themselves, and events that are alone."""
 
-    # A pixel that is active in nearly all short bins of every part of a recording never pauses, as
-    # no object does: one that hovers for long still leaves, or comes, or is gone, in some part.
+    # A pixel that is active in nearly all short bins of every part never pauses, as no object does.
     bin_us: int = 100_000
     parts: int = 10
     min_active_share: float = 0.2  # of the bins of every part
@@ -34,8 +33,7 @@ class NoiseRules:
     comparable_ratio: float = 8.0
     square_px: int = 16  # side of the squares whose events tell the background
 
-    # The paper's ball [px, ms] and the neighbours that an event needs in it; and a smaller one for
-    # much noise, as a large one keeps what lies beside the object by chance.
+    # The paper's ball [px, ms], its neighbours; and one for much noise, which keeps less beside it.
     ball_px: float = 5.0
     ball_neighbours: int = 20
     near_ball_px: float = 3.0
@@ -45,8 +43,7 @@ class NoiseRules:
     min_kept_share: float = 0.9
     least_neighbours: int = 5  # however little noise there is
     window_s: float = 0.040  # in which noise leaves an event at most, whatever the config's window
-    # An object of fewer events in a window than so many times the paper's N_min is thin: a share of
-    # them is then enough, though not less than the least.
+    # Of fewer events in a window than so many times N_min an object is thin: a share is enough.
     thin_ratio: float = 2.0
     thin_n_min_share: float = 0.25
     least_n_min: int = 20
@@ -56,8 +53,7 @@ class NoiseRules:
 class LineRules:
     """When a thin line holds the object, and which events are its."""
 
-    # On each side of the line's middle, whose events are its own. On pendulums in a room 1.2 to
-    # 3 px served alike; a line's image is hardly a pixel wide, but its place is found to one.
+    # On each side of the line's middle: of pendulums in a room 1.2 to 3 px served alike.
     half_width_px: float = 2.0
     half_window_us: int = 20_000
     look_every: int = 5  # windows, of which one tells whether there is a line, and its course
@@ -92,8 +88,7 @@ class LineRules:
 class PointRules:
     """How a track of points is sampled in place of events."""
 
-    # What stands for the object's size, whichever is more: so many deviations of a point, or so
-    # many of the image's widths.
+    # The object's size, whichever is more: deviations of a point, or widths of the image.
     size_sigmas: float = 10.0
     size_widths: float = 0.01
     window_intervals: float = 2.6  # least half of a parabola's window, in intervals: five points
@@ -105,22 +100,18 @@ class PointRules:
 class FaintRules:
     """How an object is followed that makes too few events to be told by their neighbours."""
 
-    # Of the radius filter: an image of 6 px that moves by 60 px/s has some 500 events a second, and
-    # none has the paper's 20 neighbours within 5 ms. Noise and the edges of clouds have two in this
-    # longer ball, and by chance ten; but such clumps have too few among themselves, and melt when
-    # they are filtered again, while the object's events keep each other.
+    # Of the radius filter: a 6 px image at 60 px/s makes some 500 events a second, noise and the
+    # edges of clouds two in this ball, by chance ten; their clumps melt when filtered again.
     n_neighbours: int = 10
     ms_per_px: float = 8.0
     rounds: int = 4
     bin_us: int = 20_000  # in which a slow object goes less than its own size
-    # Density of the image's acceleration [px^2/s^3]: 20 px/s in two seconds, as of a drone that
-    # flies 5 m/s at 35 m. Of 200 and 600, chosen on four flights of the outdoor twin from seed
-    # 71,000 on.
+    # Density of the image's acceleration [px^2/s^3]: as of 5 m/s at 35 m. Of 200 and 600, by four
+    # flights of the outdoor twin from seed 71,000 on.
     acceleration: float = 200.0
     max_speed_variance: float = 1e4  # between two sights [px^2/s^2]
     lost_px: float = 3.0  # deviation of the predicted place, from which nothing is looked for
-    # Deviations of the background's number of events, above which the object is seen. With 4, a
-    # path followed the edges of clouds for up to a tenth of the time.
+    # Deviations of the background's events, above which an object is seen; 4 follow clouds.
     significant: float = 6.0
     corridor_sigmas: float = 2.5  # half its width, in deviations of the object's image
     counted: float = 4.0  # squared deviations: the best part of the object over least background
@@ -148,8 +139,7 @@ class ObjectRules:
     """When several things move before a camera, and how each is followed."""
 
     bin_us: int = 20_000  # in which an object goes a small part of its own size
-    # Share of the bins with more than one thing, above which there are several. Of 24 recordings of
-    # one drone, 10 s each, none had more than 0.02 of them.
+    # Share of the bins with more than one thing: 24 recordings of one drone had 0.02 at most.
     several_share: float = 0.04
     still_share: float = 0.35  # of the bins in which a cell is full that stays in its place
     look_every: int = 5  # bins, of which one is looked at first
@@ -184,8 +174,7 @@ class TrackRules:
     """The track of the object through one camera's events, and how sure its points are."""
 
     step_s: float = 0.01  # between points: half of a window's half, so that no motion is lost
-    # Deviation of a point, in sizes of the object's image, by which the mean of the events goes to
-    # and fro over the object as this turns; and of the centre of the image's area.
+    # Deviation of a point, in image sizes: of the events' mean as the object turns; of its area.
     mean_sizes: float = 0.04
     centre_sizes: float = 0.015
     least_sigma_px: float = 0.05
@@ -195,14 +184,11 @@ class TrackRules:
 class SilhouetteRules:
     """When events tell the object's silhouette, and where it is looked for."""
 
-    # Least root mean square radius of an image, in the median: of one below, as of a drone of
-    # 17 px, most pixels are neither bare nor covered.
+    # Least rms radius of an image, in the median: of a drone of 17 px few pixels tell anything.
     min_size_px: float = 5.0
-    # Of the pixels, those that come to rest where they had been: a sensor's noise and thresholds
-    # that differ open it, as do events that were left out. Ideal sensors have over 0.99 of them.
+    # Of the pixels, those that come to rest where they were: ideal sensors have over 0.99 of them.
     min_closed_share: float = 0.8
-    # Of a track's points, those that have a silhouette: the mean of the events is of another point
-    # of the object, so that one of the two is to be followed nearly all the time.
+    # Of a track's points, those with a silhouette: one point of the object is to be followed.
     min_share: float = 0.5
     box_sizes: float = 3.0  # reach of the box from the track, in sizes of the image, and beside
     box_px: float = 4.0
@@ -221,8 +207,7 @@ class SilhouetteRules:
 class BodyRules:
     """When one point of a rigid body is followed in several cameras' silhouettes."""
 
-    # How the area of a part of the image goes with its depth, as a power, and one more for its
-    # place: 3 for a ball and its like, 4 for a flat thing, as most drones are.
+    # Power of its depth with which a part of the image counts: 3 for a ball, 4 for a flat thing.
     depth_power: float = 4.0
     step_s: float = 0.1  # between the instants of attitudes, which are interpolated in between
     max_left: float = 0.15  # share of the images, as squares, that a rigid body may leave
@@ -245,26 +230,22 @@ class BodyRules:
 class ViewRules:
     """How one camera's view of a path is summed up (`ssac.search.view`)."""
 
-    # A path is straight when its robust deviation across a line is below both shares: of the
-    # object's rms size, as its events' mean strays so far, and of the deviation along the line.
+    # A path is straight when its deviation across a line is below both: by the object's rms size,
+    # which its events' mean strays by, and by the deviation along the line.
     max_width: float = 0.3
     max_slenderness: float = 1.0 / 8.0
     # Mean distance of a path from itself a lag later, over its extent, of one that repeats itself.
     max_return: float = 0.2
-    # Share of the time in which the object must be seen for even sample times; of a flight that is
-    # seen less, the times at which it is seen are sampled.
+    # Share of the time it is seen, for even sample times; else those it is seen at
     even_share: float = 0.5
 
 
 @dataclass(frozen=True)
 class BlindRules:
-    """When silences among events are readouts of frames (`ssac.search.view.blind_spans`).
-
-    A DAVIS is blind for 5 to 25 ms, some ten times a second.
-    """
+    """When silences among events are readouts of frames (`ssac.search.view.blind_spans`)."""
 
     shortest_us: int = 3_000
-    longest_us: int = 30_000
+    longest_us: int = 30_000  # a DAVIS is blind for 5 to 25 ms, some ten times a second
     beside_us: int = 5_000  # on each side of a silence, where there must be many events
     least_expected: float = 20.0  # events that it would hold at their rate: by chance it has some
     least_silences: int = 10  # that make a rhythm
@@ -280,18 +261,13 @@ class BlindRules:
 
 @dataclass(frozen=True)
 class SearchRules:
-    """Algorithms 1 and 2, and what their cost curve cannot tell (`ssac.search`).
-
-    Thresholds lie in the gap between ordinary simulated flights and those that leave something
-    open (`docs/refusal.md`).
-    """
+    """Algorithms 1 and 2 (`ssac.search`): between ordinary flights and others (docs/refusal.md)."""
 
     min_pairs: int = 15  # of a fit: fewer leave too little freedom beside F's seven for a median
     min_pairs_of_pose: int = 30  # at the offset found: about four for each parameter of F
     min_in_front: float = 0.75  # share of the pairs that a pose puts in front of both cameras
     min_overlap: float = 0.5  # of the longest overlap that any offset in the interval gives
-    # First step of the search, in fine steps of 1 ms, for paths that go to and fro as often as the
-    # simulated flights: d_avg is V-shaped to +-100 ms. Livelier ones are searched in shorter steps.
+    # First step, in steps of 1 ms, of paths as lively as simulated flights: d_avg is a V to 100 ms.
     coarsest_steps: int = 20
     least_coarse_steps: int = 5
     ordinary_swing_hz: float = 2.0
@@ -328,20 +304,16 @@ class AllOffsetsRules:
     worth: float = 0.85  # of the cost at the rate that is said: less is worth another rate
     rival: float = 2.0  # offsets whose cost is below this many times the least may be the true one
     max_cost: float = 0.12  # of the best offset, above which the views show no one path
-    # A method searches this far on each side of the offset found, or so many of the search's steps.
+    # A method searches this far on each side of the offset found, or so many of the steps.
     reach_s: float = 0.5
     reach_steps: float = 4.0
-    # Times to and fro that are enough where no other offset of all fits nearly as well: chance
-    # would have made several fit.
+    # Times to and fro that are enough where no other offset fits nearly as well, as by chance.
     unique_swings: float = 2.0
 
 
 @dataclass(frozen=True)
 class MatchRules:
-    """The one object that all cameras saw, of several (`ssac.search.one_object`).
-
-    Times are half bins of the followed pieces.
-    """
+    """The one object that all cameras saw (`ssac.search.one_object`); times are half bins."""
 
     max_chains: int = 3  # of each view, the longest
     max_alone: int = 2  # and the longest pieces by themselves
@@ -355,16 +327,14 @@ class MatchRules:
     least_pairs: int = 60  # that a pair of chains has in common
     least_moved_px: float = 1.0  # by both, between samples that count
     least_common: int = 8  # of two pieces, that tells whether they are one object's
-    # Distance of pieces of one object: near_px and a share of their sizes; once there is a match,
-    # at most firm_px and a multiple of its distance.
+    # Distance of pieces of one object: px and a share of their sizes; once matched, at most these.
     near_px: float = 1.5
     near_share: float = 0.2
     firm_px: float = 1.0
     firm_times: float = 8.0
     rounds: int = 3
-    # Time in which pieces of both views bear out one offset: less does so by chance; and its share
-    # of the time in which both cameras see anything move: things of other flights reach 0.44, two
-    # flights of which one is common have 0.66 and more.
+    # Time in which both views bear out one offset: less does by chance; and its share of the time
+    # in which both see anything: things of other flights reach 0.44, of a common one 0.66 and more.
     min_common_s: float = 1.5
     min_share: float = 0.5
     rival: float = 0.7  # share of the best one's time of another offset that may be the true one
@@ -375,10 +345,7 @@ class MatchRules:
 
 @dataclass(frozen=True)
 class FitRules:
-    """The robust fits of every refinement (`ssac.fit`).
-
-    Chosen on 126 simulated development flights, so that intervals hold (`docs/uncertainty.md`).
-    """
+    """The robust fits of every refinement (`ssac.fit`), by 126 flights (docs/uncertainty.md)."""
 
     # Components of the errors' correlation: white noise, and what fades in three times [s].
     fading_s: tuple[float, float, float] = (0.05, 0.2, 0.8)
@@ -386,8 +353,7 @@ class FitRules:
     least_mean_curvature: float = 0.05  # of the loss, whose curvature is 1 at zero
     least_common: float = 0.5  # factor by which common errors may lessen a variance
     told_combinations: int = 2  # of the intrinsics, that two views of one path tell
-    # Largest change, in deviations of the parameter, by the last of the iterations when these run
-    # out: events that enter and leave the windows move the minimum by a quarter of one for ever.
+    # Largest change, in deviations, by the last iteration: events that enter the windows move it.
     max_last_change: float = 0.5
 
 
@@ -399,8 +365,7 @@ class VerdictRules:
     max_pose_std_deg: float = 5.0  # of a direction of the pose; a less certain one is unobservable
     # Largest robust deviation of the last step's distances, over the object's rms size.
     max_spread: float = 0.12
-    # Largest mean of those distances over their robust deviation, 0.8 for normal errors, where the
-    # mean is above small_px and small_share times the object's rms size.
+    # Largest mean of those distances over that deviation, 0.8 for normal errors, above both sizes.
     max_tail: float = 1.8
     small_px: float = 0.2
     small_share: float = 0.06
@@ -412,8 +377,7 @@ class VerdictRules:
 class NetworkRules:
     """How many cameras are brought together from what their pairs tell."""
 
-    # Three clocks that go round to within this agree: readouts and wandering clocks stay below it,
-    # and an offset found by chance is off by seconds.
+    # Three clocks that go round to within this agree: one found by chance is off by seconds.
     max_closure_s: float = 0.25
     max_off_s: float = 0.02  # of a pair from the sightings; one further off is left out
     max_turn_deg: float = 5.0  # the same of its pose
@@ -422,7 +386,7 @@ class NetworkRules:
     samples: int = 500
     least_angle_deg: float = 4.0  # between two rays, where they tell a depth
     max_off_depths: float = 0.03  # from a ray, of a point that its camera sees
-    # Sample times, and the share of all common ones, at which a camera must see the path in place.
+    # Sample times, and the share of all common ones, at which a camera sees the path in place.
     least_inliers: int = 30
     least_inlier_share: float = 0.4
     seed_share: float = 0.5  # of a seed's common samples, to be in front of both cameras
@@ -432,8 +396,7 @@ class NetworkRules:
     trials: int = 400  # of a camera's pose
     first_jerk: float = 3.0  # of a first path, in extents / s^2.5
     first_sigma_widths: float = 0.004  # of a sighting, in widths of the image
-    # A camera does not fit whose deviation is more than so many times the others' median, and than
-    # so many widths of the image.
+    # A camera does not fit by this many times the others' median, and this many image widths.
     misfit: float = 8.0
     least_misfit_widths: float = 0.004
 
@@ -447,14 +410,12 @@ class NetworkRules:
 
     # Priors, and what errors are taken for.
     aspect_share: float = 0.2  # of the focal lengths' difference: focus changes both
-    # Length by which events are behind, its deviation in all cameras alike, and that of each
-    # beside: it is 0.2 px in noisy recordings of small drones, 0.1 px in ideal ones, and within
-    # 0.03 px the same in cameras of one kind (trial flights 900 to 903 of outdoor and network).
+    # Length by which events are behind, its deviation in all cameras alike, and each one's beside:
+    # 0.2 px with noise, 0.1 px ideal, within 0.03 px in one kind (flights 900 to 903).
     behind_px: float = 0.15
     behind_std_px: float = 0.08
     behind_own_px: float = 0.035
-    # The same of silhouettes, which are told from both sides of an edge and are not behind: 0.01 px
-    # (ideal flights 73000 and 74000).
+    # The same of silhouettes, which are not behind: 0.01 px (ideal flights 73000 and 74000).
     level_std_px: float = 0.03
     level_own_px: float = 0.02
     least_sigma_share: float = 0.3  # of the cameras' median deviation: no camera's is less
@@ -471,9 +432,8 @@ class NetworkRules:
     # The object's shape, which turns more slowly than this is smoothed.
     shape_step_s: float = 0.01
     shape_smoothing_s: float = 0.1
-    # Deviations of a centre of area, in those of the body's one point, where that is followed: it
-    # is another point, some 0.15 px off, and the body's is known to 0.025 px (flights 73000 and
-    # 74000).
+    # Deviations of a centre of area, in those of the body's one point, which is known to 0.025 px
+    # and some 0.15 px off (flights 73000 and 74000).
     centre_sigmas: float = 5.0
 
     # A camera sees the object at a time where it did so within this, or so many of its intervals.
@@ -505,13 +465,13 @@ class ClockRules:
 
     piece_s: float = 5.0  # length of a piece of a clock
     max_pieces: int = 40
-    # What a skew of the search may be off by at both ends: from twice as far the refinements still
-    # converge; and how many deviations of the prior are tried either way.
+    # What a tried skew may be off by at both ends: refinements converge from twice as far; and how
+    # many deviations of the prior are tried either way.
     max_end_s: float = 0.020
     skew_sigmas: float = 3.0
     max_skews: int = 61
-    # A step is a jump from so many of its deviations on: in 80 ordinary flights it has 4.7 at most;
-    # from fewer where the fit's skew is far, as a jump bends it so.
+    # A step is a jump from so many deviations on: in 80 ordinary flights it has 4.7 at most; from
+    # fewer where the fit's skew is far, as a jump bends it so.
     jump_sigmas: float = 6.0
     fewer_sigmas: float = 4.5
     far_sigmas: float = 3.0  # deviations of the skew's prior
@@ -526,10 +486,8 @@ class ClockRules:
 class JointRules:
     """The joint refinement of offset and pose (`ssac.methods.joint`)."""
 
-    # Deviations of a view's hidden bias, in sizes of the object's image: anywhere, and per unit of
-    # x / z and of y / z. Fitted to 126 simulated flights of one drone so that regions of R and t
-    # hold. Of a known pose, which takes nothing away, and motion too little for the bias to change,
-    # known_bias_offset stands for bias_offset.
+    # Deviations of a view's hidden bias, in image sizes: anywhere, and per unit of x / z and y / z,
+    # by 126 flights of one drone so that regions hold; of a known pose and little motion the last.
     bias_offset: float = 0.01
     bias_slope: float = 0.04
     known_bias_offset: float = 0.1
@@ -561,10 +519,7 @@ class OutlineRules:
 
 @dataclass(frozen=True)
 class TangencyRules:
-    """The refinement by tangents of the outline (`ssac.methods.tangency`).
-
-    `ssac study tangency` tries other values.
-    """
+    """The refinement by tangents (`ssac.methods.tangency`); `ssac study tangency` varies them."""
 
     outline: OutlineRules = OutlineRules()
     step_s: float = 0.020  # between samples, each with two tangents, whatever `n_samples` is
@@ -572,11 +527,9 @@ class TangencyRules:
     wider_cauchy: float = 1.2  # the same, as long as a round still moves the estimate far
     sharp_px: float = 0.05  # error of a tangent that is not blurred at all
     apart: bool = True  # each tangent is a pair; else the point midway between the two is
-    # What outlines are off by all along, where the pose is given and the motion slow or short: no
-    # residual shows it.
+    # What outlines are off by all along where the pose is given: no residual shows it.
     hidden_px: float = 0.2
-    # Rms size of both images together from which there is an outline: below, tangents rest on
-    # single pixels, and err more than the mean of the events.
+    # Rms size of both images together from which there is an outline: else pixels are too few.
     least_size_px: float = 3.5
     max_sigmas: float = 3.0  # from the start's offset to the tangents', in the start's deviations
     max_rounds: int = 8  # of finding the tangents and refining; four are usual
@@ -591,13 +544,11 @@ class AlblRules:
 
     first_step_s: float = 0.02  # of the secants, which is doubled; Albl et al. use 1, 2, ... frames
     n_steps: int = 6
-    # With fewer inliers the iteration has stopped at a local optimum. In flights of 10 and 20 s the
-    # share is above 0.95 at the true offset and below 0.55 elsewhere.
+    # With fewer inliers it is a local optimum: 0.95 at the true offset, below 0.55 elsewhere.
     min_inlier_share: float = 0.75
     inlier_px: float = 2.0  # Sampson distance
-    # Between the offsets from which the solver may start, the odd multiples of half of it: of ten
-    # flights of 10 s and ten of 20 s, one linearisation within half of it makes inliers of 95 % of
-    # the pairs or more, elsewhere of 72 % at most.
+    # Between starts, at odd multiples of half of it: of twenty flights one linearisation within
+    # half of it makes inliers of 95 % of the pairs or more, elsewhere of 72 % at most.
     start_step_s: float = 0.12
     start_trials: int = 20  # of RANSAC at each
     trials: int = 300  # at each offset on the way from there
@@ -619,8 +570,7 @@ class SignalRules:
 class GroundRules:
     """When a network fits what is known of its frame (`ssac.network.ground`)."""
 
-    # Rms distance of cameras from where they are said to stand, as a share of their spread: that is
-    # known to 5 cm at best, over tens of metres.
+    # Rms distance of cameras from where they are said to stand, as a share of their spread.
     max_off_share: float = 0.1
     least_explained: float = 0.9  # of the motion of RTK, by a path of the same flight
     rtk_rate_std_ppm: float = 1000.0  # of RTK's clock over a camera's: those of phones
@@ -656,13 +606,7 @@ class Rules:
 
 
 def check_rules(rules: object) -> None:
-    """Refuse rules that are none, or of which one is not of its type or not finite.
-
-    Raises
-    ------
-    SsacError
-        It names the rule, as in `rules.verdict.max_t_d_std_s`.
-    """
+    """Raise SsacError, which names the rule, where one is not of its type or not finite."""
     if not isinstance(rules, Rules):
         raise SsacError(f"rules: expected a ssac.rules.Rules, got {rules!r}")
     _check_part("rules", Rules, rules)
@@ -673,30 +617,29 @@ def _check_part(name: str, kind: Any, value: Any) -> None:
     if isinstance(kind, type) and is_dataclass(kind):
         if not isinstance(value, kind):
             raise SsacError(f"{name}: expected {kind.__name__}, got {value!r}")
-        hints = get_type_hints(kind)
-        for one in fields(kind):
-            _check_part(f"{name}.{one.name}", hints[one.name], getattr(value, one.name))
+        for one, inner in get_type_hints(kind).items():
+            _check_part(f"{name}.{one}", inner, getattr(value, one))
     elif get_origin(kind) is tuple:
         kinds = get_args(kind)
         if not (isinstance(value, tuple) and len(value) == len(kinds)):
             raise SsacError(f"{name}: expected {len(kinds)} numbers in a tuple, got {value!r}")
         for place, (inner, item) in enumerate(zip(kinds, value, strict=True)):
             _check_part(f"{name}[{place}]", inner, item)
-    elif not _is_of(kind, value):
-        word = {bool: "True or False", int: "a whole number", float: "a finite number"}[kind]
-        raise SsacError(f"{name}: expected {word}, got {value!r}")
+    else:
+        types, word = _KINDS[kind]
+        is_finite = kind is not float or (is_number(value) and math.isfinite(value))
+        if not (isinstance(value, types) and is_number(value) == (kind is not bool) and is_finite):
+            raise SsacError(f"{name}: expected {word}, got {value!r}")
+
+
+_NUMBERS = int, np.integer, float, np.floating
+_KINDS: dict[type, tuple[tuple[type, ...], str]] = {
+    bool: ((bool, np.bool_), "True or False"),
+    int: (_NUMBERS[:2], "a whole number"),
+    float: (_NUMBERS, "a finite number"),
+}
 
 
 def is_number(value: object) -> bool:
     """Whether this is a number, of Python or NumPy, and no truth value."""
-    return isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
-
-
-def _is_of(kind: type, value: object) -> bool:
-    if kind is bool:
-        return isinstance(value, (bool, np.bool_))
-    if not is_number(value):
-        return False
-    if kind is int:
-        return isinstance(value, (int, np.integer))
-    return math.isfinite(value)  # type: ignore[arg-type]
+    return isinstance(value, _NUMBERS) and not isinstance(value, bool)

@@ -10,6 +10,7 @@ import pickle
 import sys
 import warnings
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field, is_dataclass, replace
 from functools import cache
 from itertools import combinations
@@ -56,10 +57,6 @@ class Recorded:
         search = {"search": "all"} if self.search_all else {}
         return {**self.config, **search, "rates": self.rate_range}
 
-    def of(self, pair: Pair) -> list[str]:
-        """Files of two of the cameras."""
-        return [self.files[k] for k in pair]
-
     def without_paths(self, text: str) -> str:
         """Name cameras and rig as a caller without files knows them."""
         for number, path in enumerate(self.files, start=1):
@@ -70,25 +67,22 @@ class Recorded:
 # --- The ways: each gives an estimate, or raises SsacError ----------------------------------------
 
 
-def by_python(recorded: Recorded, method: str, pair: Pair = FIRST_TWO) -> Estimate:
-    """Call `ssac.sync`."""
-    return _synced(recorded, method, pair).estimate
-
-
-def _synced(recorded: Recorded, method: str, pair: Pair) -> Any:
-    from ssac import sync
-
-    return sync(
-        *recorded.of(pair), recorded.rig, method, known_extrinsics=recorded.known_extrinsics,
-        cameras=(pair[0] + 1, pair[1] + 1), estimate_readout=recorded.estimate_readout,
-        **recorded.fields,
-    )  # fmt: skip
-
-
 def told_by_python(recorded: Recorded, method: str, pair: Pair = FIRST_TWO) -> dict[str, Any]:
     """Call `ssac.sync`: the estimate, and what the JSON is to hold."""
-    result = _synced(recorded, method, pair)
+    from ssac import sync
+
+    result = sync(
+        *(recorded.files[k] for k in pair), recorded.rig, method,
+        known_extrinsics=recorded.known_extrinsics, cameras=(pair[0] + 1, pair[1] + 1),
+        estimate_readout=recorded.estimate_readout, **recorded.fields,
+    )  # fmt: skip
     return {"estimate": result.estimate, "json": untimed(result.to_dict())}
+
+
+def by_python(recorded: Recorded, method: str, pair: Pair = FIRST_TWO) -> Estimate:
+    """Call `ssac.sync`."""
+    estimate: Estimate = told_by_python(recorded, method, pair)["estimate"]
+    return estimate
 
 
 def untimed(told: dict[str, Any]) -> dict[str, Any]:
@@ -106,16 +100,12 @@ def by_command_line(recorded: Recorded, method: str) -> dict[str, Any]:
     args: list[object] = [*recorded.files, "--rig", recorded.rig, "--method", method]
     args += ["--known-extrinsics"] * recorded.known_extrinsics
     args += ["--estimate-readout"] * recorded.estimate_readout
-    given = {name: value for name, value in recorded.fields.items() if value is not None}
     for name, option in OPTIONS.items():
-        value = given.get(option.field)
+        value, flag = recorded.fields.get(option.field), f"--{name.replace('_', '-')}"
         if option.value is None and value is not None:
-            args += [
-                f"--{name.replace('_', '-')}",
-                *(value if isinstance(value, tuple) else [value]),
-            ]
+            args += [flag, *(value if isinstance(value, tuple) else [value])]
         elif option.value is not None and option.value == value:
-            args.append(f"--{name.replace('_', '-')}")
+            args.append(flag)
     out = Path(recorded.rig).with_name(f"{method}.json")
     ended = run("sync", *args, "--json", out)
     if ended.exit_code > 1:
@@ -179,23 +169,21 @@ def _chain(recorded: Recorded) -> Any:
     return Chain(opened(recorded.files, rig), rig, Config(**recorded.fields))
 
 
-class _Paired(Exception):  # noqa: N818 - no error
-    """What all pairs gave, before it is solved."""
-
-
 def by_network(recorded: Recorded, method: str) -> dict[Pair, Estimate]:
     """Synchronise all cameras at once: the estimate of each pair, which are not solved then."""
     from ssac import sync
 
-    def paired(chain: Any, pairs: Any, *more: Any) -> None:
-        raise _Paired(pairs)
+    paired = dict[Pair, Any]()
 
-    try:
-        with patch("ssac.pipeline.many.solve_pairs", paired):
-            sync([*recorded.files], recorded.rig, None, method, **recorded.fields)
-    except _Paired as found:
-        return {pair: answer.estimate for pair, answer in found.args[0].items()}
-    raise AssertionError("sync did not solve what the pairs gave")
+    class NotSolvedError(Exception): ...
+
+    def found(chain: Any, pairs: dict[Pair, Any], *more: Any) -> None:
+        paired.update(pairs)
+        raise NotSolvedError
+
+    with patch("ssac.pipeline.many.solve_pairs", found), suppress(NotSolvedError):
+        sync([*recorded.files], recorded.rig, None, method, **recorded.fields)
+    return {pair: answer.estimate for pair, answer in paired.items()}
 
 
 def _chosen(recorded: Recorded, method: str) -> str:

@@ -99,11 +99,10 @@ def _tracks(
 
 def _crowd(*seeds: int, duration_s: float = DURATION_S) -> tuple[Any, ...]:
     """Events of several flights, the first one twice as dense as the others."""
-    flights = []
-    for k, seed in enumerate(seeds):
-        rate_hz = RATE_HZ if k == 0 else 0.5 * RATE_HZ
-        scene = make_scene(seed, duration_s=duration_s)
-        flights.append(make_events(scene, seed, T_D_S, rate_hz, SIZE_M))
+    flights = [
+        make_events(make_scene(seed, duration_s=duration_s), seed, T_D_S, RATE_HZ * share, SIZE_M)
+        for seed, share in zip(seeds, (1.0, 0.5, 0.5), strict=False)
+    ]
     return tuple(mixed(*streams)[0] for streams in zip(*flights, strict=True))
 
 

@@ -86,8 +86,8 @@ def _stages(files: Sequence[Source], rig: Cameras) -> list[Measurement]:
     parameters = Parameters(start.t_d_s, start.R, start.t)
     times_s = tangent_times(views, start.t_d_s)
     under = partial(tangents_under, parameters)
-    _, near = timed("outlines and tangents", under, views, times_s, outline)
-    timed("tangents alone", under, views, times_s, outline, near)
+    _, near = timed("outlines and tangents", under, views, times_s)
+    timed("tangents alone", under, views, times_s, near)
     timed("tangency refinement", refine_tangents, start, views)
     n_events = sum(len(one.events) for one in seen) / 2
     return [Measurement("sync: events per camera", n_events, "events"), *rows]

@@ -26,7 +26,7 @@ from ssac.clock import Clock
 from ssac.estimate import Status
 from ssac.files.track_files import save_track
 from ssac.pipeline.api import sync
-from ssac.pipeline.many_report import NetworkResult
+from ssac.pipeline.many import NetworkResult
 from ssac.points import PointTrack
 
 Array = NDArray[np.float64]

@@ -11,25 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssac.geometry.epipolar import CAUCHY, TO_DEVIATION
+from ssac.network import state as layout
 from ssac.network.graph import Pair, PairConstraint, shared_by
 from ssac.network.normal import Linear, Normal, Solved, Spline, basis, jerks, products, solve
-from ssac.network.state import (
-    BEHIND,
-    CENTRE,
-    DELAY,
-    FOCAL,
-    LEAST_DEPTH,
-    RATE,
-    READOUT,
-    ROTATION,
-    STRAYS,
-    TRANSLATION,
-    CameraState,
-    Priors,
-    Sightings,
-    network_times,
-    projected,
-)
+from ssac.network.state import CameraState, Priors, Sightings, network_times, projected
 from ssac.rules import NetworkRules
 
 Array = NDArray[np.float64]
@@ -39,18 +24,20 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, eq=False)
 class Network:
-    """Cameras, in the order of their sightings, and the path: all in the frame of the first."""
+    """Cameras, in one order, and the path: in the frame of the first."""
 
+    cameras: list[Sightings]
+    priors: list[Priors]
+    enabled: list[Mask]  # (n,) sightings that count
     states: list[CameraState]
     path: Spline
     sigmas_px: Array  # (c,) of each camera's residuals
     jerk: float  # root of its spectral density: unit / s^2.5
-    scale_camera: int  # whose distance from the first sets the scale
-    distance: float = 1.0  # that
+    distance: float
+    rules: NetworkRules
     repeats: float = 1.0  # sightings that tell as much as an independent one: errors last
     lasting: float = 1.0  # the same, with what the path takes up of such errors
     constraints: Mapping[Pair, PairConstraint] = field(default_factory=dict)  # by pairs of states
-    rules: NetworkRules = field(kw_only=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +45,7 @@ class Fit:
     """Residuals of one camera."""
 
     residuals_px: Array  # (n, 2) seen less projected
-    depths: Array  # (n,)
+    in_front: Mask  # (n,) of the camera
     used: Mask  # (n,) within the path, in front, and not switched off
 
     @property
@@ -72,37 +59,31 @@ def border_offsets(network: Network) -> Indices:
     return np.concatenate([[0], np.cumsum([state.size for state in network.states])]).astype(int)
 
 
-def fit_of(network: Network, k: int, seen: Sightings, enabled: Mask | None = None) -> Fit:
-    """Compare what camera k saw with what the network has it see."""
-    return linearised(network, k, seen, enabled)[1]
-
-
-def linearised(
-    network: Network, k: int, seen: Sightings, enabled: Mask | None
-) -> tuple[Linear, Fit]:
-    """Linearise camera k's sightings, not over their deviations yet."""
-    state, knots_s = network.states[k], network.path.knots_s
+def linearised(network: Network, k: int) -> tuple[Linear, Fit]:
+    """Linearise camera k's sightings, not over their deviations yet, and compare them."""
+    state, seen, knots_s = network.states[k], network.cameras[k], network.path.knots_s
     times_s = network_times(state, seen)
-    inside = (times_s >= knots_s[0]) & (times_s <= knots_s[-1])
-    if enabled is not None:
-        inside &= enabled
+    inside = (times_s >= knots_s[0]) & (times_s <= knots_s[-1]) & network.enabled[k]
     clipped_s = np.clip(times_s, knots_s[0], knots_s[-1])
     first, weights = basis(knots_s, clipped_s)
     slopes = basis(knots_s, clipped_s, 1)[1]
     points = products(first, weights, network.path.coefficients)
     velocities = products(first, slopes, network.path.coefficients)
     found = projected(state, seen, points, velocities)
-    used = inside & (found.depths > LEAST_DEPTH)
     residuals = seen.points_px - found.points_px
     linear = Linear(first, weights, found.by_point, found.by_camera, found.columns, residuals)
-    return linear, Fit(residuals, found.depths, used)
+    return linear, Fit(residuals, found.in_front, inside & found.in_front)
 
 
-def known(
-    network: Network, cameras: list[Sightings], priors: list[Priors], offsets: Indices
-) -> tuple[Array, Array]:
+def fit_of(network: Network, k: int) -> Fit:
+    """Compare what camera k saw with what the network has it see."""
+    return linearised(network, k)[1]
+
+
+def known(network: Network) -> tuple[Array, Array]:
     """Give rows (k, b) and residuals (k,) of the priors of the cameras and their pairs."""
     rows, residuals = list[Array](), list[float]()
+    cameras, rules, offsets = network.cameras, network.rules, border_offsets(network)
 
     def add(places: Indices | list[int], values: Array | list[float], residual: float) -> None:
         row = np.zeros(int(offsets[-1]))
@@ -112,33 +93,34 @@ def known(
 
     # The distance that sets the scale is none of the data's, and strays have no offset or slope:
     # they are held so firmly that only rounding limits it.
-    scale_std, held_stray_s, rules = 1e-6, 1e-6, network.rules
+    scale_std, held_stray_s = 1e-6, 1e-6
     # The sightings count in full, so that errors which last are made up for on the other side.
     sharper = 1.0 / np.sqrt(network.repeats)
-    for k, (state, prior) in enumerate(zip(network.states, priors, strict=True)):
+    for k, (state, prior) in enumerate(zip(network.states, network.priors, strict=True)):
         at = int(offsets[k])
-        values = [(RATE, prior.rate, state.rate - prior.expected_rate)] if k else []
-        values += [(READOUT, prior.readout_s, state.readout_s)]
+        values = [(layout.RATE, prior.rate, state.rate - prior.expected_rate)] if k else []
+        values += [(layout.READOUT, prior.readout_s, state.readout_s)]
         for i in range(2):
-            values += [(FOCAL.start + i, prior.focal[i], float(state.focal[i]))]
-            values += [(CENTRE.start + i, prior.centre_px[i], float(state.centre_px[i]))]
+            values += [(layout.FOCAL.start + i, prior.focal[i], float(state.focal[i]))]
+            values += [(layout.CENTRE.start + i, prior.centre_px[i], float(state.centre_px[i]))]
         for place, deviation, value in values:
             if deviation > 0.0:
                 deviation *= sharper
                 add([at + place], [1.0 / deviation], -value / deviation)
         if min(prior.focal) > 0.0:
             deviation = rules.aspect_share * sharper * min(prior.focal)
-            places = at + np.arange(FOCAL.start, FOCAL.stop)
+            places = at + np.arange(layout.FOCAL.start, layout.FOCAL.stop)
             off = float(state.focal[0] - state.focal[1])
             add(places, [1.0 / deviation, -1.0 / deviation], -off / deviation)
         n = len(state.strays_s)
         if n:
-            places = at + STRAYS + np.arange(n)
+            places = at + layout.STRAYS + np.arange(n)
             step_s = float(state.knots_s[1] - state.knots_s[0])
             bend_s = sharper * prior.roughness * step_s
+            bends = np.array([1.0, -2.0, 1.0])
             for i in range(n - 2):
-                bend = float(np.array([1.0, -2.0, 1.0]) @ state.strays_s[i : i + 3])
-                add(places[i : i + 3], np.array([1.0, -2.0, 1.0]) / bend_s, -bend / bend_s)
+                bend = float(bends @ state.strays_s[i : i + 3])
+                add(places[i : i + 3], bends / bend_s, -bend / bend_s)
             slope = np.linspace(-1.0, 1.0, n, dtype=np.float64)
             for mode in (np.full(n, 1.0 / n), slope / np.sum(slope**2)):
                 value = float(mode @ state.strays_s)
@@ -148,33 +130,25 @@ def known(
     by_mean = np.array([cameras[k].spreads_px2 is None for k in of_events], np.bool_)
     common_px = np.where(by_mean, rules.behind_std_px, rules.level_std_px)
     own_px = np.where(by_mean, rules.behind_own_px, rules.level_own_px)
-    weights = _alike_but_for(common_px, own_px) / sharper
+    # One error is common to all of them, beside each one's own.
+    covariance = np.outer(common_px, common_px) + np.diag(own_px**2)
+    weights = np.linalg.inv(np.linalg.cholesky(covariance)) / sharper
     off_px = np.where(by_mean, rules.behind_px, 0.0) - values_px
     for values, residual in zip(weights, weights @ off_px, strict=True):
-        add(offsets[of_events] + BEHIND, values, float(residual))
+        add(offsets[of_events] + layout.BEHIND, values, float(residual))
     alike = shared_by(network.constraints)
     for (a, b), pair in network.constraints.items():
         by_a, by_b, off_by = pair.rows(network.states[a], network.states[b])
         counts = np.sqrt(network.lasting / alike[a, b])
-        for i in range(len(off_by)):
-            row = np.zeros(int(offsets[-1]))
-            row[offsets[a] : offsets[a + 1]] = counts * by_a[i]
-            row[offsets[b] : offsets[b + 1]] = counts * by_b[i]
-            rows.append(row)
-            residuals.append(float(counts * off_by[i]))
-    k = network.scale_camera
-    t = network.states[k].t
+        places = np.r_[offsets[a] : offsets[a + 1], offsets[b] : offsets[b + 1]]
+        for by, residual in zip(np.hstack([by_a, by_b]), off_by, strict=True):
+            add(places, counts * by, float(counts * residual))
+    t = network.states[1].t
     length = float(np.linalg.norm(t))
-    by_t = t / length**2 / scale_std
     off = np.log(network.distance / length) / scale_std
-    add(offsets[k] + np.arange(TRANSLATION.start, TRANSLATION.stop), by_t, off)
+    places = offsets[1] + np.arange(layout.TRANSLATION.start, layout.TRANSLATION.stop)
+    add(places, t / length**2 / scale_std, off)
     return np.array(rows), np.array(residuals)
-
-
-def _alike_but_for(common: Array, own: Array) -> Array:
-    """Give rows (n, n) over their deviations of n numbers that share one error beside their own."""
-    covariance = np.outer(common, common) + np.diag(own**2)
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)), dtype=np.float64)
 
 
 def deviation_px(residuals_px: Array) -> float:
@@ -182,67 +156,47 @@ def deviation_px(residuals_px: Array) -> float:
     return float(TO_DEVIATION * np.median(np.abs(residuals_px)) if len(residuals_px) else np.nan)
 
 
-def adjust(
-    network: Network,
-    cameras: list[Sightings],
-    priors: list[Priors],
-    enabled: list[Mask],
-    rounds: int,
-    with_intrinsics: bool = True,
-) -> tuple[Network, Solved]:
-    """Adjust cameras and path together; give them, and the last solution, for its covariance.
-
-    The masks (n,) of each camera say which sightings count. In each of at most so many rounds
-    deviations and smoothness are estimated anew. Readouts, focal lengths and centres may be held.
-    """
-    offsets = border_offsets(network)
-    given = _Given(cameras, priors, enabled, offsets)
-    free, last = _free(network, given, with_intrinsics), np.inf
+def adjust(network: Network, rounds: int, with_intrinsics: bool = True) -> tuple[Network, Solved]:
+    """Adjust cameras and path, deviations anew in each round; give the last solution too."""
+    free, last = _free(network, with_intrinsics), np.inf
     for _ in range(rounds):
-        network, cost, solved = _minimised(network, given, free)
-        network = _weighed(network, given, solved)
+        network, cost, solved = _minimised(network, free)
+        network = _weighed(network, solved)
         if abs(last - cost) < network.rules.settled * abs(cost):
             break
         last = cost
-    return network, solve(_normal(network, given)[0], free)
+    return network, solve(_normal(network)[0], free)
 
 
-@dataclass(frozen=True, eq=False)
-class _Given:
-    """What is known beside the network itself."""
-
-    cameras: list[Sightings]
-    priors: list[Priors]
-    enabled: list[Mask]
-    offsets: Indices  # (c + 1,) where each camera's parameters begin
-
-
-def _free(network: Network, given: _Given, with_intrinsics: bool) -> Indices:
+def _free(network: Network, with_intrinsics: bool) -> Indices:
     """Which of all cameras' parameters are free."""
     free = list[int]()
-    for k, (prior, seen) in enumerate(zip(given.priors, given.cameras, strict=True)):
-        places = list(range(STRAYS, network.states[k].size))
+    for k, (prior, seen) in enumerate(zip(network.priors, network.cameras, strict=True)):
+        places = list(range(layout.STRAYS, network.states[k].size))
         if with_intrinsics:
-            places += [READOUT] if seen.has_frames and prior.readout_s > 0.0 else []
-            places += [] if seen.has_frames else [BEHIND]
-            places += [FOCAL.start + i for i in range(2) if prior.focal[i] > 0.0]
-            places += [CENTRE.start + i for i in range(2) if prior.centre_px[i] > 0.0]
+            places += [layout.READOUT] if seen.has_frames and prior.readout_s > 0.0 else []
+            places += [] if seen.has_frames else [layout.BEHIND]
+            places += [layout.FOCAL.start + i for i in range(2) if prior.focal[i] > 0.0]
+            places += [layout.CENTRE.start + i for i in range(2) if prior.centre_px[i] > 0.0]
         if k:
-            places += [DELAY, *range(ROTATION.start, TRANSLATION.stop)]
-            places += [RATE] if prior.rate > 0.0 else []
-        free += [int(given.offsets[k]) + place for place in places]
+            places += [layout.DELAY, *range(layout.ROTATION.start, layout.TRANSLATION.stop)]
+            places += [layout.RATE] if prior.rate > 0.0 else []
+        free += [int(border_offsets(network)[k]) + place for place in places]
     return np.array(sorted(free), dtype=np.int64)
 
 
-def _minimised(network: Network, given: _Given, free: Indices) -> tuple[Network, float, Solved]:
+def _minimised(network: Network, free: Indices) -> tuple[Network, float, Solved]:
     """Take steps as long as they lower the cost, at given deviations and smoothness."""
-    normal, cost = _normal(network, given)
+    normal, cost = _normal(network)
     damping, least_damping = 0.0, 1e-4
     for _ in range(network.rules.steps):
         for _ in range(6):
             solved = solve(normal, free, damping)
-            tried = _moved(network, solved, given.offsets)
-            other, tried_cost = _normal(tried, given)
+            steps = np.split(solved.border, border_offsets(network)[1:-1])
+            moved = [state.moved(step) for state, step in zip(network.states, steps, strict=True)]
+            path = replace(network.path, coefficients=network.path.coefficients + solved.path)
+            tried = replace(network, states=moved, path=path)
+            other, tried_cost = _normal(tried)
             if tried_cost <= cost * (1.0 + 1e-9):
                 break
             damping = max(10.0 * damping, least_damping)
@@ -256,70 +210,49 @@ def _minimised(network: Network, given: _Given, free: Indices) -> tuple[Network,
     return network, cost, solved
 
 
-def _moved(network: Network, solved: Solved, offsets: Indices) -> Network:
-    states = [
-        state.moved(solved.border[offsets[k] : offsets[k + 1]])
-        for k, state in enumerate(network.states)
-    ]
-    path = replace(network.path, coefficients=network.path.coefficients + solved.path)
-    return replace(network, states=states, path=path)
-
-
-def _normal(network: Network, given: _Given) -> tuple[Normal, float]:
+def _normal(network: Network) -> tuple[Normal, float]:
     """Give the normal equations, and the cost: Cauchy's loss, and the priors' squares."""
-    coefficients, offsets = network.path.coefficients, given.offsets
+    coefficients, offsets = network.path.coefficients, border_offsets(network)
     normal, cost = Normal(len(coefficients), int(offsets[-1])), 0.0
-    for k, (seen, enabled) in enumerate(zip(given.cameras, given.enabled, strict=True)):
-        linear, fit = linearised(network, k, seen, enabled)
-        share = seen.sigmas_px / np.median(seen.sigmas_px) * network.sigmas_px[k]
+    for k, seen in enumerate(network.cameras):
+        linear, fit = linearised(network, k)
+        share = seen.shares * network.sigmas_px[k]
         over = fit.residuals_px / share[:, None]
         squares = np.sum(over**2, axis=1) / CAUCHY**2
         lost = np.where(fit.used, 0.5 * CAUCHY**2 * np.log1p(squares), 0.0)
         # A point that is not in front of the camera costs as one far off its place.
-        behind = enabled & (fit.depths <= LEAST_DEPTH)
+        behind = network.enabled[k] & ~fit.in_front
         cost += float(np.sum(lost) + 40.0 * np.count_nonzero(behind))
         rows = np.flatnonzero(fit.used)
         scale = 1.0 / (share[rows] * np.sqrt(1.0 + squares[rows]))
-        normal.add(
-            Linear(
-                linear.first[rows],
-                linear.weights[rows],
-                linear.by_point[rows] * scale[:, None, None],
-                linear.by_camera[rows] * scale[:, None, None],
-                linear.columns[rows] + offsets[k],
-                linear.residuals[rows] * scale[:, None],
-            )
-        )
+        normal.add(linear.weighed(rows, scale, int(offsets[k])))
     first, weights = jerks(network.path.knots_s)
     values = normal.add_smoothness(first, weights / network.jerk, coefficients)
     cost += 0.5 * float(np.sum(values**2))
-    prior_rows, residuals = known(network, given.cameras, given.priors, offsets)
+    prior_rows, residuals = known(network)
     normal.add_rows(prior_rows, residuals)
     return normal, cost + 0.5 * float(np.sum(residuals**2))
 
 
-def _weighed(network: Network, given: _Given, solved: Solved) -> Network:
-    """Estimate each camera's deviation, and the path's smoothness, from what is left.
-
-    What the path takes up of the residuals, its leverage, is made up for.
-    """
-    sigmas, repeats = network.sigmas_px.copy(), list[float]()
-    for k, (seen, enabled) in enumerate(zip(given.cameras, given.enabled, strict=True)):
-        linear, fit = linearised(network, k, seen, enabled)
+def _weighed(network: Network, solved: Solved) -> Network:
+    """Estimate deviations and smoothness from what is left, the path's leverage made up for."""
+    sigmas, repeats, rules = network.sigmas_px.copy(), list[float](), network.rules
+    for k, seen in enumerate(network.cameras):
+        linear, fit = linearised(network, k)
         rows = np.flatnonzero(fit.used)
         if len(rows) < 10:
             continue
         share = seen.sigmas_px[rows] / np.median(seen.sigmas_px)
         over = fit.residuals_px[rows] / share[:, None]
         count = repeats_of if seen.spreads_px2 is None else repeats_in_blocks
-        repeats.append(count(seen.times_s[rows], over, network.rules))
+        repeats.append(count(seen.times_s[rows], over, rules))
         covariances = solved.path_covariances(linear.first[rows], linear.weights[rows], False)
         by_point = linear.by_point[rows]
         lever = np.einsum("nix,nxy,niy->n", by_point, covariances, by_point)
         lever = lever / (share * network.sigmas_px[k]) ** 2
         left = max(0.1, 1.0 - 0.5 * float(np.median(lever)))
         sigmas[k] = deviation_px(over) / np.sqrt(left)
-    sigmas, rules = _alike(sigmas, given.cameras), network.rules
+    sigmas = _alike(sigmas, network.cameras)
     least = max(rules.least_sigma_share * float(np.median(sigmas)), rules.least_sigma_px)
     first, weights = jerks(network.path.knots_s)
     values = products(first, weights, network.path.coefficients)
@@ -333,7 +266,7 @@ def _weighed(network: Network, given: _Given, solved: Solved) -> Network:
         sigmas_px=np.maximum(sigmas, least),
         jerk=max(jerk, 1e-12),
         repeats=mean,
-        lasting=1.0 + (mean - 1.0) * _taken_up(network, given),
+        lasting=1.0 + (mean - 1.0) * _taken_up(network),
     )
 
 
@@ -353,21 +286,21 @@ def _alike(sigmas_px: Array, cameras: list[Sightings]) -> Array:
     return found
 
 
-def _taken_up(network: Network, given: _Given) -> float:
+def _taken_up(network: Network) -> float:
     """Give how much larger slow errors are, as variances, than the residuals show them.
 
     The path follows them in three of the directions in which they are: two for each camera that
     sees the object. Those of silhouettes are along the object's width, mostly, and that of what
     flies is level: in one direction for each camera, of which the path follows two.
     """
-    steps_s = np.diff(network.path.knots_s)
+    cameras, steps_s = network.cameras, np.diff(network.path.knots_s)
     covered_s = float(np.sum(steps_s[steps_s <= network.rules.max_knot_gap_s]))
     seen_s = sum(
         seen.interval_s * float(np.count_nonzero(mask))
-        for seen, mask in zip(given.cameras, given.enabled, strict=True)
+        for seen, mask in zip(cameras, network.enabled, strict=True)
     )
-    views = seen_s / max(covered_s, seen_s / len(given.cameras))
-    if all(seen.spreads_px2 is not None for seen in given.cameras):
+    views = seen_s / max(covered_s, seen_s / len(cameras))
+    if all(seen.spreads_px2 is not None for seen in cameras):
         views = max(views, 2.5)
         return views / (views - 2.0)
     directions = max(2.0 * views, 4.0)
@@ -375,10 +308,7 @@ def _taken_up(network: Network, given: _Given) -> float:
 
 
 def repeats_of(times_s: Array, residuals: Array, rules: NetworkRules) -> float:
-    """Count the sightings that tell as much as an independent one: 1 + 2 sum of correlations.
-
-    Of residuals (n, 2) at times (n,), until they vanish, within each stretch without gaps.
-    """
+    """Count the sightings (n, 2) that tell as much as one: 1 + 2 sum of their correlations."""
     limit = 3.0 * deviation_px(residuals) + 1e-12
     clipped = np.clip(residuals, -limit, limit)
     variance = float(np.mean(clipped**2))

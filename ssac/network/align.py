@@ -10,7 +10,7 @@ together by robust least squares, and the one that explains most of the motion i
 Deviation: the paper does not align times; it registers both paths as sets of points (ICP).
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,7 +52,7 @@ class PathRules:
     most_growth: float = 3.0  # of the scale while it is refined; at a wrong shift it runs to 0
 
 
-DEFAULT = PathRules()
+RULES = PathRules()
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,16 +77,7 @@ class Similarity:
 
 
 def similarity(source: Array, target: Array, with_scale: bool = True) -> Similarity:
-    """Fit the similarity of least squares (Umeyama, PAMI 1991, Eqs. 34 to 43).
-
-    It takes points (n, 3) of the source's frame to the same ones in the target's; its scale is 1 if
-    it is not free.
-
-    Raises
-    ------
-    SsacError
-        If the points of one side lie on a line or in a point, so that a turn is unknown.
-    """
+    """Fit scale R x + t to points (n, 3) by least squares (Umeyama, PAMI 1991, Eqs. 34 to 43)."""
     shares: Array = np.full(len(source), 1.0 / max(len(source), 1))
     middle, middle_target = shares @ source, shares @ target
     centred, centred_target = source - middle, target - middle_target
@@ -108,11 +99,11 @@ def similarity(source: Array, target: Array, with_scale: bool = True) -> Similar
 class InTime:
     """A path as a function of time: a curve, and where there is nothing of it."""
 
-    def __init__(self, times_s: Array, curve: PPoly | BSpline, rules: PathRules) -> None:
+    def __init__(self, times_s: Array, curve: PPoly | BSpline) -> None:
         self.times_s = times_s  # (n,) of the points that it was made of
         self._curve, self._velocity = curve, curve.derivative()
         steps_s = np.diff(times_s)
-        self._is_gap = steps_s > max(rules.gap_s, rules.gap_steps * float(np.median(steps_s)))
+        self._is_gap = steps_s > max(RULES.gap_s, RULES.gap_steps * float(np.median(steps_s)))
 
     def at(self, times_s: Array) -> Array:
         """Give positions (n, 3); NaN before the first point, after the last one and in gaps."""
@@ -130,34 +121,30 @@ class InTime:
         return np.asarray(inside & (~self._is_gap[piece] | (times_s == self.times_s[piece])))
 
 
-def interpolated(path: Path, rules: PathRules = DEFAULT) -> InTime:
-    """Give the curve through all points, at least two.
-
-    Akima's cubics: each depends on the points near by alone, so that no gap and no outlier swings
-    further than two points.
-    """
+def interpolated(path: Path) -> InTime:
+    """Give Akima's cubics through all points: no gap and no outlier swings beyond two."""
     curve = Akima1DInterpolator(path.times_s, path.positions_m, axis=0)
-    return InTime(path.times_s, curve, rules)
+    return InTime(path.times_s, curve)
 
 
-def smoothed(path: Path, rules: PathRules = DEFAULT) -> InTime:
+def smoothed(path: Path) -> InTime:
     """Give the cubic spline of robust least squares that cross-validation says is the smoothest.
 
     A shift that is sought on points with noise would go half-way between them, where interpolation
     takes the mean of two and so half of the noise: 10 ms of a path at 50 Hz.
     """
     best, least = None, np.inf
-    for n in rules.points_per_knot:
-        if len(path) < max(rules.least_points, 2 * n):
+    for n in RULES.points_per_knot:
+        if len(path) < max(RULES.least_points, 2 * n):
             break
         spline, missed = _spline(path, n)
         freedom = 1.0 - len(spline.c) / len(path)
         squares = np.sum(missed**2, axis=1)
-        ordinary = squares <= np.percentile(squares, rules.ordinary_percent)
+        ordinary = squares <= np.percentile(squares, RULES.ordinary_percent)
         score = float(np.mean(squares[ordinary])) / freedom**2  # generalised cross-validation
         if score < least:
             best, least = spline, score
-    return interpolated(path, rules) if best is None else InTime(path.times_s, best, rules)
+    return interpolated(path) if best is None else InTime(path.times_s, best)
 
 
 def _spline(path: Path, points_per_knot: int) -> tuple[BSpline, Array]:
@@ -177,28 +164,26 @@ def _spline(path: Path, points_per_knot: int) -> tuple[BSpline, Array]:
 
 
 def _best_shifts_s(
-    estimate: InTime, truth: InTime, max_shift_s: float | None, with_scale: bool, rules: PathRules
+    estimate: InTime, truth: InTime, max_shift_s: float | None, with_scale: bool
 ) -> list[float]:
     """Give the shifts [s] of the best few peaks of the score over even shifts, best first."""
     common_s = float(np.ptp(estimate.times_s) + np.ptp(truth.times_s))
-    step_s = min(_step_s(estimate, rules), _step_s(truth, rules))
+    step_s = min(_step_s(estimate), _step_s(truth))
     step_s = max(step_s, common_s / 2**20)  # the memory's limit
-    unit = None if with_scale else _spread(truth, rules)
-    one, other = (_at_even_times(path, step_s, unit, rules) for path in (estimate, truth))
-    lags, score = _scores(one, other, with_scale, rules)
+    unit = None if with_scale else _spread(truth)
+    one, other = (_at_even_times(path, step_s, unit) for path in (estimate, truth))
+    lags, score = _scores(one, other, with_scale)
     shifts_s = truth.times_s[0] - estimate.times_s[0] + step_s * lags
     if max_shift_s is not None:
         score = np.where(np.abs(shifts_s) <= max_shift_s + step_s, score, -np.inf)
     around = np.maximum(np.append(score[1:], -np.inf), np.insert(score[:-1], 0, -np.inf))
     peaks = np.flatnonzero((score >= around) & np.isfinite(score))
-    peaks = peaks[score[peaks] >= rules.rival * np.max(score[peaks], initial=-np.inf)]
-    best = peaks[np.argsort(-score[peaks])][: rules.most_shifts]
+    peaks = peaks[score[peaks] >= RULES.rival * np.max(score[peaks], initial=-np.inf)]
+    best = peaks[np.argsort(-score[peaks])][: RULES.most_shifts]
     return [float(shifts_s[k]) for k in best]
 
 
-def _scores(
-    estimate: Array, truth: Array, with_scale: bool, rules: PathRules
-) -> tuple[Array, Array]:
+def _scores(estimate: Array, truth: Array, with_scale: bool) -> tuple[Array, Array]:
     """Give the lags (n,) in steps, and the score (n,) of each; -inf for too little in common.
 
     Umeyama's similarity needs means, variances and the covariance of what both even paths have in
@@ -215,8 +200,8 @@ def _scores(
 
     seen, square = 3, 4
     n = np.rint(correlated(seen, seen))
-    least = rules.least_common_share * min(rows_e[seen].sum(), rows_t[seen].sum())
-    enough = n >= max(rules.least_samples, least)
+    least = RULES.least_common_share * min(rows_e[seen].sum(), rows_t[seen].sum())
+    enough = n >= max(RULES.least_samples, least)
     n = np.maximum(n, 1.0)
     mean_e = np.stack([correlated(i, seen) for i in range(3)]) / n
     mean_t = np.stack([correlated(seen, i) for i in range(3)]) / n
@@ -225,9 +210,11 @@ def _scores(
     covariance = np.empty((len(n), 3, 3))
     for i, j in np.ndindex(3, 3):
         covariance[:, i, j] = correlated(j, i) / n - mean_t[i] * mean_e[j]
-    enough &= (var_e > rules.at_rest) & (var_t > rules.at_rest)
-    var_e, var_t = np.maximum(var_e, rules.at_rest), np.maximum(var_t, rules.at_rest)
-    turned = _trace_of_best_turn(covariance)
+    enough &= (var_e > RULES.at_rest) & (var_t > RULES.at_rest)
+    var_e, var_t = np.maximum(var_e, RULES.at_rest), np.maximum(var_t, RULES.at_rest)
+    # The largest trace of R' C over rotations R.
+    values, mirrors = np.linalg.svd(covariance, compute_uv=False), np.linalg.det(covariance) < 0.0
+    turned = values[:, 0] + values[:, 1] + np.where(mirrors, -1.0, 1.0) * values[:, 2]
     if with_scale:
         unexplained = 1.0 - np.maximum(turned, 0.0) ** 2 / (var_e * var_t)
     else:
@@ -248,41 +235,25 @@ def _moments(positions: Array) -> Array:
     return np.vstack([filled.T, seen, np.sum(filled**2, axis=1)])
 
 
-def _trace_of_best_turn(covariance: Array) -> Array:
-    """Largest trace of R' C (n,) over rotations R, for covariances (n, 3, 3)."""
-    values = np.linalg.svd(covariance, compute_uv=False)
-    mirrors = np.linalg.det(covariance) < 0.0
-    return np.asarray(values[:, 0] + values[:, 1] + np.where(mirrors, -1.0, 1.0) * values[:, 2])
-
-
-def _at_even_times(path: InTime, step_s: float, unit: float | None, rules: PathRules) -> Array:
-    """Positions (n, 3), every `step_s` from the first one on; NaN where there is none.
-
-    About their middle, in units of their spread if no unit is given.
-    """
+def _at_even_times(path: InTime, step_s: float, unit: float | None) -> Array:
+    """Positions (n, 3) from the first on, NaN where none is, about their middle by a unit."""
     times_s = np.arange(path.times_s[0], path.times_s[-1] + step_s, step_s)
     middle = np.median(path.at(path.times_s), axis=0)
-    return np.asarray((path.at(times_s) - middle) / (unit or _spread(path, rules)))
+    return np.asarray((path.at(times_s) - middle) / (unit or _spread(path)))
 
 
-def _spread(path: InTime, rules: PathRules) -> float:
+def _spread(path: InTime) -> float:
     """Length [m] of the diagonal of what nearly all of a path lies within."""
-    ends = rules.few_percent, 100.0 - rules.few_percent
+    ends = RULES.few_percent, 100.0 - RULES.few_percent
     low, high = np.percentile(path.at(path.times_s), ends, axis=0)
     return float(np.linalg.norm(high - low)) or 1.0
 
 
-def _step_s(path: InTime, rules: PathRules) -> float:
+def _step_s(path: InTime) -> float:
     """Step [s] in which a path that moves gets a small share of its spread further."""
     speeds = np.linalg.norm(path.velocity(path.times_s), axis=1)
-    speed = max(float(np.percentile(speeds, rules.moving_percent)), np.finfo(float).tiny)
-    return float(np.clip(_spread(path, rules) / (rules.steps_per_spread * speed), *rules.steps_s))
-
-
-@dataclass(frozen=True, eq=False)
-class _Fit:
-    clock: Clock
-    similarity: Similarity
+    speed = max(float(np.percentile(speeds, RULES.moving_percent)), np.finfo(float).tiny)
+    return float(np.clip(_spread(path) / (RULES.steps_per_spread * speed), *RULES.steps_s))
 
 
 def best_shift(
@@ -291,101 +262,75 @@ def best_shift(
     max_shift_s: float | None = None,
     rate_std_ppm: float = RATE_STD_PPM,
     with_scale: bool = True,
-    rules: PathRules = DEFAULT,
 ) -> tuple[Clock, Similarity]:
     """Find the clock and the frame of the truth as the estimate sees them.
 
-    Parameters
-    ----------
-    estimate, truth
-        The two paths; each may begin and end where it likes and have gaps.
-    max_shift_s
-        Shifts that are tried, to both sides; None: all that leave enough common time.
-    rate_std_ppm
-        Prior deviation of the rate between the clocks; 0: they run alike.
-    with_scale
-        Whether the estimate's scale is unknown.
-
-    Returns
-    -------
-    tuple of Clock and Similarity
-        `clock.cam2_from_cam1` takes times of the estimate to the truth's clock, t_ref being in
-        the middle of the common time; the similarity takes positions of the estimate to the
-        truth's frame.
-
-    Raises
-    ------
-    SsacError
-        If the paths share too little time at any shift, or do not move enough.
+    Each path may begin and end where it likes and have gaps. Shifts are tried up to a bound, to
+    both sides, or all that leave enough common time; the prior of the rate is 0 where clocks run
+    alike. `clock.cam2_from_cam1` takes times of the estimate to the truth's clock, t_ref being in
+    the middle of the common time; the similarity takes positions to the truth's frame. SsacError if
+    the paths share too little time at any shift, or do not move enough.
     """
-    path, best, score = smoothed(estimate, rules), None, -np.inf
-    for shift_s in _best_shifts_s(path, smoothed(truth, rules), max_shift_s, with_scale, rules):
-        fit = _refined(path, truth, shift_s, rate_std_ppm, with_scale, rules)
-        if fit is not None and _score(fit, path, truth) > score:
-            best, score = fit, _score(fit, path, truth)
+    path, best, score = smoothed(estimate), None, -np.inf
+    for shift_s in _best_shifts_s(path, smoothed(truth), max_shift_s, with_scale):
+        fit = _refined(path, truth, shift_s, rate_std_ppm, with_scale)
+        if fit is not None and _score(*fit, path, truth) > score:
+            best, score = fit, _score(*fit, path, truth)
     if best is None:
         within = "" if max_shift_s is None else f" within {max_shift_s:g} s"
         raise SsacError(
             f"the estimate and the truth have no shift{within} at which they share time and move "
             "alike: check that they are of one flight"
         )
-    return best.clock, best.similarity
+    return best
 
 
 def _refined(
-    path: InTime,
-    truth: Path,
-    shift_s: float,
-    rate_std_ppm: float,
-    with_scale: bool,
-    rules: PathRules,
-) -> _Fit | None:
+    path: InTime, truth: Path, shift_s: float, rate_std_ppm: float, with_scale: bool
+) -> tuple[Clock, Similarity] | None:
     """Refine shift, rate and similarity by Gauss-Newton; None where they run away."""
     common_s = truth.times_s[path.covers(truth.times_s - shift_s)] - shift_s
-    if len(common_s) < rules.least_samples:
+    if len(common_s) < RULES.least_samples:
         return None
     clock = Clock(shift_s, 0.0, float(common_s[0] + common_s[-1]) / 2.0)
     seen = path.covers(clock.cam1_from_cam2(truth.times_s))
     try:
-        first = similarity(path.at(common_s), truth.positions_m[seen], with_scale)
+        frame = first = similarity(path.at(common_s), truth.positions_m[seen], with_scale)
     except SsacError:
         return None  # on a line, or at rest
-    fit = _Fit(clock, first)
     for _ in range(30):
-        times_s = fit.clock.cam1_from_cam2(truth.times_s)
+        times_s, before_s = clock.cam1_from_cam2(truth.times_s), clock.t_d_s
         seen = path.covers(times_s)
-        if seen.sum() < rules.least_samples:
+        if seen.sum() < RULES.least_samples:
             return None
-        before = fit.clock
-        fit = _stepped(fit, path, times_s[seen], truth.positions_m[seen], rate_std_ppm, with_scale)
-        if not 1.0 / rules.most_growth < fit.similarity.scale / first.scale < rules.most_growth:
+        target = truth.positions_m[seen]
+        clock, frame = _stepped(clock, frame, path, times_s[seen], target, rate_std_ppm, with_scale)
+        if not 1.0 / RULES.most_growth < frame.scale / first.scale < RULES.most_growth:
             return None
-        if abs(fit.clock.t_d_s - before.t_d_s) < 1e-7:
+        if abs(clock.t_d_s - before_s) < 1e-7:
             break
-    return fit
+    return clock, frame
 
 
 def _stepped(
-    fit: _Fit,
+    clock: Clock,
+    frame: Similarity,
     path: InTime,
     times_s: Array,
     target: Array,
     rate_std_ppm: float,
     with_scale: bool,
-) -> _Fit:
-    """Make one Gauss-Newton step with Cauchy's weights, about the middle of the points.
-
-    Parameters: shift [s], rate, turn (3) [rad], move (3), and the scale's logarithm.
-    """
-    laid = fit.similarity.apply(path.at(times_s))
+) -> tuple[Clock, Similarity]:
+    """Step by Gauss-Newton, Cauchy's weights: shift [s], rate, turn [rad], move, log of scale."""
+    laid = frame.apply(path.at(times_s))
     missed = target - laid  # (n, 3)
     weights = cauchy_weights(np.linalg.norm(missed, axis=1))[0]
     middle = weights @ laid / weights.sum()
     arm = laid - middle
-    moving = fit.similarity.scale * path.velocity(times_s) @ fit.similarity.R.T
+    moving = frame.scale * path.velocity(times_s) @ frame.R.T
     J = np.zeros((len(times_s), 3, 9))
     J[:, :, 0] = -moving  # the truth's clock shows more: an earlier point of the estimate
-    J[:, :, 1] = -moving * (times_s - fit.clock.t_ref_s)[:, None]
+    J[:, :, 1] = -moving * (times_s - clock.t_ref_s)[:, None]
     for k, axis in enumerate(np.eye(3)):
         J[:, :, 2 + k] = np.cross(axis, arm)
         J[:, k, 5 + k] = 1.0
@@ -397,7 +342,7 @@ def _stepped(
     if rate_std_ppm > 0.0:
         prior = (robust_deviation(missed) / (PPM * rate_std_ppm)) ** 2
         normal[1, 1] += prior
-        right[1] -= prior * PPM * fit.clock.skew_ppm
+        right[1] -= prior * PPM * clock.skew_ppm
     unit = np.sqrt(np.maximum(np.diag(normal), np.finfo(float).tiny))  # seconds beside metres
     step = np.zeros(9)
     scaled = (normal / np.outer(unit, unit))[np.ix_(free, free)]
@@ -405,20 +350,16 @@ def _stepped(
     turn = Rotation.from_rotvec(step[2:5]).as_matrix()
     scale = float(np.exp(np.clip(step[8], -1.0, 1.0)))
     about_middle = Similarity(scale, turn, middle + step[5:8] - scale * turn @ middle)
-    clock = replace(
-        fit.clock,
-        t_d_s=fit.clock.t_d_s + float(step[0]),
-        skew_ppm=fit.clock.skew_ppm + float(step[1]) / PPM,
-    )
-    return _Fit(clock, about_middle.after(fit.similarity))
+    t_d_s, skew_ppm = clock.t_d_s + float(step[0]), clock.skew_ppm + float(step[1]) / PPM
+    return Clock(t_d_s, skew_ppm, clock.t_ref_s), about_middle.after(frame)
 
 
-def _score(fit: _Fit, path: InTime, truth: Path) -> float:
+def _score(clock: Clock, frame: Similarity, path: InTime, truth: Path) -> float:
     """Log likelihood by the share of the truth's motion that is left; a gross error counts once."""
-    times_s = fit.clock.cam1_from_cam2(truth.times_s)
+    times_s = clock.cam1_from_cam2(truth.times_s)
     seen = path.covers(times_s)
     target = truth.positions_m[seen]
-    squares = np.sum((target - fit.similarity.apply(path.at(times_s[seen]))) ** 2, axis=1)
+    squares = np.sum((target - frame.apply(path.at(times_s[seen]))) ** 2, axis=1)
     spread = float(np.mean(np.sum((target - target.mean(axis=0)) ** 2, axis=1)))
     unexplained = float(np.mean(np.minimum(squares, spread))) / max(spread, np.finfo(float).tiny)
     return float(_likelihood(float(seen.sum()), unexplained))

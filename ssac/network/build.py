@@ -10,14 +10,7 @@ from ssac.network.adjustment import Network, adjust, fit_of
 from ssac.network.graph import Link, Pair, agreeing, supports
 from ssac.network.normal import Solved, knots_for
 from ssac.network.placing import Group, Placed, first_path, grown, place_all, rebased, triangulate
-from ssac.network.state import (
-    CameraState,
-    Priors,
-    Sightings,
-    is_near,
-    network_times,
-    with_strays,
-)
+from ssac.network.state import CameraState, Priors, Sightings, is_near, network_times, with_strays
 from ssac.rules import BodyRules, NetworkRules
 from ssac.track.body import Look, View, body_moves, perspective_shifts, second_moments
 
@@ -27,39 +20,36 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, eq=False)
 class Built:
-    """A network, what it was made of, and what stayed out of it."""
+    """A network, and what stayed out of it."""
 
     members: list[int]  # cameras in it, in input order; the first is its reference
-    cameras: list[Sightings]  # theirs
-    priors: list[Priors]
     network: Network
     solved: Solved
-    enabled: list[Mask]  # sightings that count
     misfits: list[int]  # cameras of the group that fit nowhere
+
+    @property
+    def states(self) -> dict[int, CameraState]:
+        """Give what is known of each member."""
+        return dict(zip(self.members, self.network.states, strict=True))
 
 
 def build(group: Group, priors: list[Priors], distance: float, body: BodyRules) -> Built | None:
-    """Build the network of a group, the distance being that of its first two cameras.
-
-    None where no pair of the group gives a path.
-    """
+    """Build the network of a group, by its first two's distance; None: no pair gives a path."""
     placed = place_all(group, supports(group.links, group.rules))
     if placed is None:
         return None
     built = _first(placed, group, priors, distance)
-    more = grown(Placed(_states(built), placed.inliers), group)
+    more = grown(Placed(built.states, placed.inliers), group)
     if len(more.states) > len(built.members):
         built = _first(more, group, priors, distance)
     while len(built.members) > 2:
         worst = _misfit(built, group.rules)
         if worst is None:
             break
-        states = _states(built)
-        del states[worst]
+        states = {k: state for k, state in built.states.items() if k != worst}
         built = _first(Placed(states, 0), group, priors, distance)
-    built = _whole(built, group.links, body)
     misfits = [k for k in group.members if k not in built.members]
-    return replace(built, misfits=misfits)
+    return replace(_whole(built, group.links, body), misfits=misfits)
 
 
 def _supported(
@@ -67,12 +57,13 @@ def _supported(
 ) -> tuple[list[Array], list[Mask]]:
     """Give each camera's sightings' network times, and which of them another camera shares."""
     times = [network_times(state, seen) for state, seen in zip(states, cameras, strict=True)]
+    reaches_s = [max(reach_s, 2.5 * seen.interval_s) for seen in cameras]
     masks = list[Mask]()
     for k, own_s in enumerate(times):
         near: Mask = np.zeros(len(own_s), dtype=np.bool_)
         for j, other_s in enumerate(times):
             if j != k:
-                near |= is_near(own_s, other_s, max(reach_s, 2.5 * cameras[j].interval_s))
+                near |= is_near(own_s, other_s, reaches_s[j])
         masks.append(near)
     return times, masks
 
@@ -83,107 +74,83 @@ def _knot_step_s(cameras: list[Sightings], rules: NetworkRules) -> float:
     return float(np.clip(rules.knot_intervals * intervals[-2], *rules.knot_steps_s))
 
 
-def _states(built: Built) -> dict[int, CameraState]:
-    return dict(zip(built.members, built.network.states, strict=True))
-
-
 def _first(placed: Placed, group: Group, priors: list[Priors], distance: float) -> Built:
     """Adjust clocks and poses alone, with affine clocks, from where the cameras were placed."""
-    members, cameras, rules = sorted(placed.states), group.cameras, group.rules
-    states = rebased(placed.states, members[0])
-    apart = float(np.linalg.norm(states[members[1]].t))
-    listed = [
-        replace(states[k], t=states[k].t * distance / apart if apart > 0.0 else states[k].t)
+    members, rules = sorted(placed.states), group.rules
+    based = rebased(placed.states, members[0])
+    apart = float(np.linalg.norm(based[members[1]].t))
+    states = [
+        replace(based[k], t=based[k].t * distance / apart if apart > 0.0 else based[k].t)
         for k in members
     ]
-    theirs = [cameras[k] for k in members]
-    step_s = _knot_step_s(theirs, rules)
-    times, masks = _supported(listed, theirs, step_s)
+    cameras = [group.cameras[k] for k in members]
+    step_s = _knot_step_s(cameras, rules)
+    times, masks = _supported(states, cameras, step_s)
     shared_s = np.concatenate([t[mask] for t, mask in zip(times, masks, strict=True)])
     knots_s = knots_for(shared_s, step_s, rules.max_gap_s)
     sample_s = np.sort(shared_s)[:: max(1, len(shared_s) // (4 * len(knots_s)))]
-    points = triangulate(listed, theirs, sample_s, rules)
-    known = np.isfinite(points[:, 0])
-    path, jerk = first_path(knots_s, sample_s[known], points[known], rules)
-    sigmas = np.array([rules.first_sigma_widths * seen.camera.width for seen in theirs])
-    network = Network(listed, path, sigmas, jerk, 1, distance, rules=rules)
-    theirs_priors = [
+    points = triangulate(states, cameras, sample_s, rules)
+    seen = np.isfinite(points[:, 0])
+    path, jerk = first_path(knots_s, sample_s[seen], points[seen], rules)
+    sigmas = np.array([rules.first_sigma_widths * camera.camera.width for camera in cameras])
+    expected = [
         replace(priors[k], expected_rate=state.rate if abs(state.rate) > 0.01 else 0.0)
-        for k, state in zip(members, listed, strict=True)
+        for k, state in zip(members, states, strict=True)
     ]
-    network, solved = adjust(
-        network, theirs, theirs_priors, masks, rules.first_rounds, with_intrinsics=False
-    )
-    return Built(members, theirs, theirs_priors, network, solved, masks, [])
+    network = Network(cameras, expected, masks, states, path, sigmas, jerk, distance, rules)
+    return Built(members, *adjust(network, rules.first_rounds, with_intrinsics=False), [])
 
 
 def _misfit(built: Built, rules: NetworkRules) -> int | None:
     """Give the camera that fits far worse than the others, if one does."""
-    rms = np.array(
-        [
-            fit_of(built.network, k, seen, built.enabled[k]).rms_px / seen.camera.width
-            for k, seen in enumerate(built.cameras)
-        ]
-    )
+    cameras = enumerate(built.network.cameras)
+    rms = np.array([fit_of(built.network, k).rms_px / seen.camera.width for k, seen in cameras])
     worst = int(np.argmax(rms))
     others = float(np.median(np.delete(rms, worst)))
-    if rms[worst] > max(rules.misfit * others, rules.least_misfit_widths):
-        return built.members[worst]
-    return None
+    is_far = rms[worst] > max(rules.misfit * others, rules.least_misfit_widths)
+    return built.members[worst] if is_far else None
 
 
 def _whole(built: Built, links: Mapping[Pair, Link], body: BodyRules) -> Built:
-    """Adjust all that there is, and leave out at last what is far off its place.
-
-    What pairs tell enters last, so that one that is wrong shows.
-    """
+    """Adjust all, leave out what is far off; pairs enter last, so that wrong ones show."""
     network, by = built.network, built.network.rules
     states = [
         with_strays(state, seen, by.piece_s, by.most_pieces) if seen.has_frames else state
-        for state, seen in zip(network.states, built.cameras, strict=True)
+        for state, seen in zip(network.states, network.cameras, strict=True)
     ]
-    network = replace(network, states=states)
-    network, solved = adjust(network, built.cameras, built.priors, built.enabled, by.rounds)
-    centred = _without_perspective(network, built.cameras, body)
-    if centred is not built.cameras:
-        built = replace(built, cameras=centred)
-        network, solved = adjust(network, built.cameras, built.priors, built.enabled, by.rounds)
-        followed = _by_their_body(network, built.cameras, body)
+    network, _ = adjust(replace(network, states=states), by.rounds)
+    if any(seen.spreads_px2 is not None for seen in network.cameras):
+        network = replace(network, cameras=_without_perspective(network, body))
+        network, _ = adjust(network, by.rounds)
+        followed = _by_their_body(network, body)
         if followed is not None:
-            built = replace(built, cameras=followed)
-            network, solved = adjust(network, built.cameras, built.priors, built.enabled, by.rounds)
-    masks = _supported(network.states, built.cameras, _knot_step_s(built.cameras, by))[1]
-    enabled = []
-    for k, seen in enumerate(built.cameras):
-        fit = fit_of(network, k, seen, masks[k])
-        share = seen.sigmas_px / np.median(seen.sigmas_px) * network.sigmas_px[k]
-        off = np.linalg.norm(fit.residuals_px, axis=1) / share
+            network, _ = adjust(replace(network, cameras=followed), by.rounds)
+    cameras = network.cameras
+    masks = _supported(network.states, cameras, _knot_step_s(cameras, by))[1]
+    network, enabled = replace(network, enabled=masks), list[Mask]()
+    for k, seen in enumerate(cameras):
+        fit = fit_of(network, k)
+        off = np.linalg.norm(fit.residuals_px, axis=1) / (seen.shares * network.sigmas_px[k])
         enabled.append(fit.used & (off < by.gate))
     given = {pair: link.constraint for pair, link in links.items() if link.constraint}
     agreed = agreeing(given, built.members, network.states, by)
-    network = replace(network, constraints=agreed)
-    network, solved = adjust(network, built.cameras, built.priors, enabled, by.rounds)
-    return replace(built, network=network, solved=solved, enabled=enabled)
+    network = replace(network, enabled=enabled, constraints=agreed)
+    return Built(built.members, *adjust(network, by.rounds), [])
 
 
-def _without_perspective(
-    network: Network, cameras: list[Sightings], rules: BodyRules
-) -> list[Sightings]:
-    """Take what perspective does off silhouettes' centres; the very same cameras without any."""
-    if not any(seen.spreads_px2 is not None for seen in cameras):
-        return cameras
-    knots_s = network.path.knots_s
-    even_s, moments = _shape(network, cameras)
+def _without_perspective(network: Network, rules: BodyRules) -> list[Sightings]:
+    """Take what perspective does off silhouettes' centres."""
+    even_s, moments = _shape(network)
     centred = []
-    for k, (state, seen) in enumerate(zip(network.states, cameras, strict=True)):
+    for k, seen in enumerate(network.cameras):
         if seen.spreads_px2 is None:
             centred.append(seen)
             continue
-        times_s = np.clip(network_times(state, seen), knots_s[0], knots_s[-1])
+        times_s = _times_on_path(network, k)
         nearest = np.clip(
             np.rint((times_s - even_s[0]) / network.rules.shape_step_s), 0, len(even_s) - 1
         )
-        view = _view(network, k, seen, times_s, seen.spreads_px2)
+        view = _view(network, k, times_s, seen.spreads_px2)
         shifts_px = perspective_shifts(view, moments[nearest.astype(np.int64)], rules.depth_power)
         known = np.isfinite(seen.spreads_px2[:, :1])  # of the others it is another point
         points_px = seen.points_px - np.where(known, np.nan_to_num(shifts_px), 0.0)
@@ -191,34 +158,25 @@ def _without_perspective(
     return centred
 
 
-def _by_their_body(
-    network: Network, cameras: list[Sightings], rules: BodyRules
-) -> list[Sightings] | None:
-    """Follow one point of the body in place of silhouettes' centres; None where that is not told.
-
-    Where it is not known at some time, the centres stay, and count less.
-    """
-    if any(seen.images is None or seen.camera.distortion_coeffs for seen in cameras):
-        return None
-    knots_s = network.path.knots_s
+def _by_their_body(network: Network, rules: BodyRules) -> list[Sightings] | None:
+    """Follow one point of the body; centres of silhouettes count less. None: it is not told."""
     looks, views = [], []
-    for k, (state, seen) in enumerate(zip(network.states, cameras, strict=True)):
-        if seen.images is None or seen.spreads_px2 is None:
+    for k, (state, seen) in enumerate(zip(network.states, network.cameras, strict=True)):
+        if seen.images is None or seen.spreads_px2 is None or seen.camera.distortion_coeffs:
             return None
-        times_s = np.clip(network_times(state, seen), knots_s[0], knots_s[-1])
-        view = _view(network, k, seen, times_s, seen.spreads_px2)
+        times_s = _times_on_path(network, k)
+        view = _view(network, k, times_s, seen.spreads_px2)
         known = np.isfinite(seen.spreads_px2[:, :1])
         corners = seen.images.corners_px - seen.camera.K[:2, 2] - state.centre_px
         corners = np.where(known, corners, np.nan)
-        looks.append(
-            Look(times_s, state.R, view.focal_px, view.points, seen.images.shares, corners)
-        )
+        shares = seen.images.shares
+        looks.append(Look(times_s, state.R, view.focal_px, view.points, shares, corners))
         views.append(view)
-    moves = body_moves(looks, *_shape(network, cameras), rules)
+    moves = body_moves(looks, *_shape(network), rules)
     if moves is None:
         return None
     followed = []
-    for seen, state, view, move in zip(cameras, network.states, views, moves, strict=True):
+    for seen, state, view, move in zip(network.cameras, network.states, views, moves, strict=True):
         there = view.focal_px * view.points[:, :2] / view.points[:, 2:]
         found = there + seen.camera.K[:2, 2] + state.centre_px + move
         is_known = np.isfinite(move[:, 0])
@@ -228,20 +186,26 @@ def _by_their_body(
     return followed
 
 
-def _shape(network: Network, cameras: list[Sightings]) -> tuple[Array, Array]:
+def _times_on_path(network: Network, k: int) -> Array:
+    """Give the network's times (n,) of camera k's sightings, within the path."""
+    knots_s = network.path.knots_s
+    return np.clip(network_times(network.states[k], network.cameras[k]), knots_s[0], knots_s[-1])
+
+
+def _shape(network: Network) -> tuple[Array, Array]:
     """Give even network times (m,), and the object's second moments (m, 3, 3) then."""
     knots_s, step_s = network.path.knots_s, network.rules.shape_step_s
     even_s: Array = np.arange(knots_s[0], knots_s[-1], step_s)
     even = [
-        _view(network, k, seen, even_s, _spreads_at(state.own_from_network(even_s), seen))
-        for k, (state, seen) in enumerate(zip(network.states, cameras, strict=True))
+        _view(network, k, even_s, _spreads_at(state.own_from_network(even_s), seen))
+        for k, (state, seen) in enumerate(zip(network.states, network.cameras, strict=True))
     ]
     return even_s, second_moments(even, network.rules.shape_smoothing_s / step_s)
 
 
-def _view(network: Network, k: int, seen: Sightings, times_s: Array, spreads_px2: Array) -> View:
+def _view(network: Network, k: int, times_s: Array, spreads_px2: Array) -> View:
     """Give what camera k sees of the path at network times (n,)."""
-    state, K = network.states[k], seen.camera.K
+    state, K = network.states[k], network.cameras[k].camera.K
     points = network.path.at(times_s) @ state.R.T + state.t
     return View(state.R, np.array([K[0, 0], K[1, 1]]) * (1.0 + state.focal), points, spreads_px2)
 

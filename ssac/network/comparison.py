@@ -35,7 +35,7 @@ class Difference:
         """Root of the mean square."""
         return float(np.sqrt(np.mean(self.distances_m**2)))
 
-    def figures(self) -> dict[str, float | int]:
+    def figures(self) -> dict[str, Any]:
         """Give its numbers by name, as machines read them."""
         return {
             "rmse_m": self.rmse_m,
@@ -62,6 +62,19 @@ class InTime(Difference):
         about_mean = np.sum((self.truth_m - self.truth_m.mean(axis=0)) ** 2)
         return float(1.0 - np.sum(self.distances_m**2) / about_mean)
 
+    def figures(self) -> dict[str, Any]:
+        """Give its numbers by name, as machines read them."""
+        clock, frame = self.clock, self.similarity
+        return super().figures() | {
+            "coverage": self.coverage,
+            "explained": self.explained,
+            "shift_s": clock.t_d_s,
+            "rate_ppm": clock.skew_ppm,
+            "t_ref_s": clock.t_ref_s,
+            "R": frame.R.tolist(),
+            "t": frame.t.tolist(),
+        }
+
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
@@ -74,19 +87,8 @@ class Comparison:
 
     def figures(self) -> dict[str, Any]:
         """Give its numbers by name, as machines read them."""
-        found: dict[str, Any] = {"in_time": None, "as_shape": self.as_shape.figures()}
-        if self.in_time is not None:
-            clock, frame = self.in_time.clock, self.in_time.similarity
-            found["in_time"] = self.in_time.figures() | {
-                "coverage": self.in_time.coverage,
-                "explained": self.in_time.explained,
-                "shift_s": clock.t_d_s,
-                "rate_ppm": clock.skew_ppm,
-                "t_ref_s": clock.t_ref_s,
-                "R": frame.R.tolist(),
-                "t": frame.t.tolist(),
-            }
-        return found
+        in_time = None if self.in_time is None else self.in_time.figures()
+        return {"in_time": in_time, "as_shape": self.as_shape.figures()}
 
 
 def compare(
@@ -97,23 +99,12 @@ def compare(
     rate_std_ppm: float = RATE_STD_PPM,
     lever_arm_m: tuple[float, float, float] | None = None,
 ) -> Comparison:
-    """Compare an estimated path with a true one.
+    """Compare an estimated path with a true one, each in a frame and on a clock of its own.
 
-    Parameters
-    ----------
-    estimate, truth
-        In frames and on clocks of their own; where one has no times, they are compared as shapes.
-    with_scale
-        Whether the estimate's scale is unknown.
-    max_shift_s, rate_std_ppm
-        Of the truth's clock, as `ssac.network.align.best_shift` has them.
-    lever_arm_m
-        Where the truth's antenna is in the body (forward, left, up); needs the truth's attitude.
-
-    Raises
-    ------
-    SsacError
-        If they share too little time or do not move enough, or the attitude is missing.
+    Where one has no times they are compared as shapes. Scale, shift and rate are as of
+    `ssac.network.align.best_shift`; the lever arm is where the truth's antenna is in the body
+    (forward, left, up), and needs its attitude. SsacError if that is missing, or they share too
+    little time or do not move enough.
     """
     for name, path in (("estimate", estimate), ("truth", truth)):
         if len(path) < 3:
@@ -176,11 +167,9 @@ def _shape(truth: Path) -> Array:
 def registered(
     source: Array, target: Array, start: Similarity | None, with_scale: bool
 ) -> tuple[Similarity, Array]:
-    """Register points (n, 3) [m] of one path to those of another, dense beside the errors sought.
+    """Register points (n, 3) [m] to dense ones; give the distance (n,) [m] of each point too.
 
-    Without a start the middles, sizes and main axes agree at first, in the best of the ways that
-    they can, for which both must be of the whole flight. Beside the similarity from the source's
-    frame to the target's comes the distance (n,) [m] of each point.
+    Without a start the middles, sizes and main axes of whole flights agree at first.
     """
     tree = KDTree(target)
     thin = source[:: max(1, len(source) // 2000)]  # enough while it is moved

@@ -6,13 +6,14 @@ enter at once: by the clock and the pose that fit them best, and by the covarian
 """
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
 
 from ssac.clock import PPM, Clock
@@ -26,9 +27,7 @@ Pair = tuple[int, int]
 Triple = tuple[int, int, int]
 
 _SIZE = 7  # offset, turn, direction, skew
-_STEPS = {DELAY: 1e-6, RATE: 1e-9} | {
-    place: 1e-6 for part in (ROTATION, TRANSLATION) for place in range(part.start, part.stop)
-}
+_STEPS = {DELAY: 1e-6, RATE: 1e-9, **dict.fromkeys(range(ROTATION.start, TRANSLATION.stop), 1e-6)}
 """By place of a camera's parameters: steps of the derivatives, all of functions nearly linear."""
 
 
@@ -66,19 +65,21 @@ class PairConstraint:
     def rows(self, a: CameraState, b: CameraState) -> tuple[Array, Array, Array]:
         """Give derivatives (7, s) by a's and by b's parameters, and residuals (7,), all weighed."""
         off = self.off(a, b)
-        by_a, by_b = np.zeros((_SIZE, a.size)), np.zeros((_SIZE, b.size))
-        for place, size in _STEPS.items():
-            for by, state, pair in (
-                (by_a, a, lambda moved: (moved, b)),
-                (by_b, b, lambda moved: (a, moved)),
-            ):
-                step = np.zeros(state.size)
-                step[place] = size
-                ahead, behind = (self.off(*pair(state.moved(way))) for way in (step, -step))
-                by[:, place] = (behind - ahead) / (2.0 * size)  # of what the states say
+        by_a = _slopes(lambda moved: self.off(moved, b), a)
+        by_b = _slopes(lambda moved: self.off(a, moved), b)
         beside = np.column_stack([by_a, by_b, off])
         weighed = np.asarray(solve_triangular(self.factor, beside, lower=True), dtype=np.float64)
         return weighed[:, : a.size], weighed[:, a.size : -1], weighed[:, -1]
+
+
+def _slopes(off: Callable[[CameraState], Array], state: CameraState) -> Array:
+    """Give derivatives (7, s), of what a state says, by differences."""
+    by = np.zeros((_SIZE, state.size))
+    for place, size in _STEPS.items():
+        step = np.zeros(state.size)
+        step[place] = size
+        by[:, place] = (off(state.moved(-step)) - off(state.moved(step))) / (2.0 * size)
+    return by
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,38 +91,27 @@ class Link:
     cost: float  # how badly the two paths fit: the least of many is the best
     R: Array | None = None  # (3, 3) x_b = R x_a + t
     t: Array | None = None  # (3,) of length 1
-    status: str = "ok"
-    reason: str = ""
     constraint: PairConstraint | None = None  # of two event cameras: how sure clock and pose are
 
     def reversed(self) -> "Link":
         """Give what the pair (b, a) tells."""
-        clock = self.clock.inverse()
         R, t = (None, None) if self.R is None or self.t is None else (self.R.T, -self.R.T @ self.t)
-        return Link(clock, self.is_reliable, self.cost, R, t, self.status, self.reason)
+        return Link(self.clock.inverse(), self.is_reliable, self.cost, R, t)
 
 
 def closures_s(clocks: Mapping[Pair, Clock]) -> dict[Triple, float]:
-    """Go round each triple (a, b, c), a < b < c, of which all three pairs are answered.
-
-    From a to b to c, less from a to c straight [s], at the reference time of (a, c).
-    """
-    cameras = sorted({camera for pair in clocks for camera in pair})
+    """Go from a to b to c, less from a to c straight [s] at its t_ref, in each triple."""
     found = {}
-    for a, b, c in combinations(cameras, 3):
+    for a, b, c in combinations(sorted({camera for pair in clocks for camera in pair}), 3):
         if all(pair in clocks for pair in ((a, b), (b, c), (a, c))):
-            time_s = clocks[a, c].t_ref_s
-            round_about = clocks[b, c].cam2_from_cam1(clocks[a, b].cam2_from_cam1(time_s))
-            found[a, b, c] = float(round_about - clocks[a, c].cam2_from_cam1(time_s))
+            straight = clocks[a, c]
+            way_s = clocks[b, c].cam2_from_cam1(clocks[a, b].cam2_from_cam1(straight.t_ref_s))
+            found[a, b, c] = float(way_s - straight.cam2_from_cam1(straight.t_ref_s))
     return found
 
 
 def supports(links: Mapping[Pair, Link], rules: NetworkRules) -> dict[Pair, int]:
-    """Count, for each pair, the triples that close with it; -1 where it has some and none does.
-
-    A wrong clock closes no triple, but by chance, and spoils those of others: these close with the
-    cameras that are right.
-    """
+    """Count the triples that close with each pair, as wrong clocks do not; -1: none of some."""
     closures = closures_s({pair: link.clock for pair, link in links.items()})
     found = dict[Pair, int]()
     for pair in links:
@@ -133,20 +123,12 @@ def supports(links: Mapping[Pair, Link], rules: NetworkRules) -> dict[Pair, int]
 
 def groups(n_cameras: int, links: Mapping[Pair, Link]) -> list[list[int]]:
     """Give the cameras that reliable links connect, the largest group first; lone ones too."""
-    parents = list(range(n_cameras))
-
-    def root(camera: int) -> int:
-        while parents[camera] != camera:
-            camera = parents[camera]
-        return camera
-
-    for (a, b), link in links.items():
-        if link.is_reliable:
-            parents[max(root(a), root(b))] = min(root(a), root(b))
-    found = dict[int, list[int]]()
-    for camera in range(n_cameras):
-        found.setdefault(root(camera), []).append(camera)
-    return sorted(found.values(), key=lambda group: (-len(group), group))
+    pairs = [pair for pair, link in links.items() if link.is_reliable]
+    joined = np.zeros((n_cameras, n_cameras))
+    joined[tuple(np.array(pairs, np.int64).reshape(-1, 2).T)] = 1.0
+    n_groups, labels = connected_components(joined, directed=False)
+    found = [np.flatnonzero(labels == k).tolist() for k in range(n_groups)]
+    return sorted(found, key=lambda group: (-len(group), group))
 
 
 def constraint_of(estimate: Estimate) -> PairConstraint | None:
@@ -184,9 +166,6 @@ def agreeing(
 
 
 def shared_by(constraints: Mapping[Pair, PairConstraint]) -> dict[Pair, float]:
-    """Say for how many, of pairs that tell as much, each stands: the mean of both cameras' pairs.
-
-    All pairs of a camera look at one and the same outline, whose errors they share.
-    """
+    """Say for how many pairs each stands that share outlines: the mean of both cameras' pairs."""
     counts = Counter(camera for pair in constraints for camera in pair)
     return {(a, b): 0.5 * (counts[a] + counts[b]) for a, b in constraints}

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssac.errors import SsacError
-from ssac.estimate import Status
 from ssac.files.readable import check_is_file, readable
 from ssac.network.align import Similarity, similarity
 from ssac.network.comparison import compare, without_lever_arm
@@ -35,8 +34,8 @@ def ground_of_positions(answer: NetworkAnswer, file: Path, rules: GroundRules) -
     here, there = [], []
     for k, position in said.items():
         camera = answer.cameras[k - 1] if k <= len(answer.cameras) else None
-        if camera is not None and camera.group == 1 and camera.R is not None:
-            here.append(_centre(camera))
+        if camera is not None and camera.group == 1 and camera.centre is not None:
+            here.append(camera.centre)
             there.append(position)
     if len(here) < 3:
         raise SsacError(
@@ -92,11 +91,14 @@ def check_rtk(file: Path, lever_arm_m: tuple[float, float, float] | None = None)
 
 def in_frame(answer: NetworkAnswer, ground: Ground) -> NetworkAnswer:
     """Give cameras and path of the first group in a frame that is known; others stay."""
-    frame = ground.similarity
-    cameras = [
-        _moved(camera, frame) if camera.group == 1 and camera.status == Status.OK else camera
-        for camera in answer.cameras
-    ]
+    frame, cameras = ground.similarity, list[CameraAnswer]()
+    for camera in answer.cameras:
+        R, t, t_std = camera.R, camera.t, camera.t_std
+        if camera.group == 1 and R is not None and t is not None and t_std is not None:
+            R = R @ frame.R.T  # x_k = R X + t in metres, X in the known frame
+            t = frame.scale * t - R @ frame.t
+            camera = replace(camera, R=R, t=t, t_std=frame.scale * t_std)
+        cameras.append(camera)
     paths = [path_of(answer.built[0], frame), *answer.paths[1:]]
     return replace(answer, cameras=cameras, paths=paths)
 
@@ -126,18 +128,3 @@ def load_positions(file: Path) -> dict[int, Array]:
             raise SsacError(f"{file}: camera {number} is there twice: leave one out")
         found[number] = position
     return found
-
-
-def _centre(camera: CameraAnswer) -> Array:
-    if camera.R is None or camera.t is None:
-        return np.full(3, np.nan)
-    return np.asarray(-camera.R.T @ camera.t)
-
-
-def _moved(camera: CameraAnswer, frame: Similarity) -> CameraAnswer:
-    """Give a camera's pose from the known frame, x_k = R X + t in metres."""
-    if camera.R is None or camera.t is None or camera.t_std is None:
-        return camera
-    R = camera.R @ frame.R.T
-    t = frame.scale * camera.t - R @ frame.t
-    return replace(camera, R=R, t=t, t_std=frame.scale * camera.t_std)

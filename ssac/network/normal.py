@@ -39,10 +39,7 @@ class Spline:
 
 
 def knots_for(times_s: Array, step_s: float, max_gap_s: float) -> Array:
-    """Place knots (m + 4,), the ends fourfold, where there are data at times (n,), in any order.
-
-    They are at most a step apart, but where longer times than a gap hold no data.
-    """
+    """Place knots (m + 4,), ends fourfold, a step apart where times (n,) have no gaps."""
     ordered = np.sort(times_s)
     ends = np.flatnonzero(np.diff(ordered) > max_gap_s)
     starts = np.concatenate([[0], ends + 1])
@@ -91,11 +88,7 @@ def products(first: Indices, weights: Array, coefficients: Array) -> Array:
 
 
 def jerks(knots_s: Array) -> tuple[Indices, Array]:
-    """Say what the third derivative is in each span, times the root of the span's length.
-
-    The sum of its squares is the integral of the squared jerk. As of `basis`: (k,) and (k, 4)
-    [s^-2.5].
-    """
+    """Give each span's third derivative [s^-2.5], of squares that sum to its integral."""
     inner = knots_s[ORDER - 1 : len(knots_s) - ORDER + 1]
     first, weights = basis(knots_s, 0.5 * (inner[:-1] + inner[1:]), 3)
     return first, weights * np.sqrt(np.diff(inner))[:, None]
@@ -112,6 +105,15 @@ class Linear:
     columns: Indices  # (n, p) among the border's
     residuals: Array  # (n, 2)
 
+    def weighed(self, rows: Indices, scale: Array, offset: int) -> "Linear":
+        """Give some rows, times a scale each, of a camera whose columns begin at an offset."""
+        by_point, by_camera = (
+            part[rows] * scale[:, None, None] for part in (self.by_point, self.by_camera)
+        )
+        residuals = self.residuals[rows] * scale[:, None]
+        places = self.columns[rows] + offset
+        return Linear(self.first[rows], self.weights[rows], by_point, by_camera, places, residuals)
+
 
 class Normal:
     """Normal equations: m numbers of the path, b of the cameras."""
@@ -126,29 +128,14 @@ class Normal:
 
     def add(self, linear: Linear) -> None:
         """Add the sightings of one camera."""
-        weights, by_point = linear.weights, linear.by_point
-        parts = weights, by_point, linear.by_camera
-        weights, by_point, by_camera = (np.ascontiguousarray(part) for part in parts)
-        residuals = np.ascontiguousarray(linear.residuals)
-        _add_sightings(
-            linear.first,
-            weights,
-            by_point,
-            by_camera,
-            linear.columns,
-            residuals,
-            self.band,
-            self.mixed,
-            self.border,
-            self.right_path,
-            self.right_border,
-        )
+        parts = linear.weights, linear.by_point, linear.by_camera, linear.residuals
+        weights, by_point, by_camera, residuals = map(np.ascontiguousarray, parts)
+        path, border = (self.band, self.right_path), (self.border, self.right_border)
+        places = linear.first, linear.columns
+        _add_sightings(places, weights, by_point, by_camera, residuals, path, border, self.mixed)
 
     def add_smoothness(self, first: Indices, weights: Array, coefficients: Array) -> Array:
-        """Add rows (k, 4), each of all three axes, whose products (k, 3) with the path are to be 0.
-
-        Give these products.
-        """
+        """Add rows (k, 4) of all axes, whose products (k, 3) with the path are to be 0."""
         values = products(first, weights, coefficients)
         for a in range(ORDER):
             for x in range(3):
@@ -203,13 +190,7 @@ class Solved:
 
 
 def solve(normal: Normal, free: Indices, damping: float = 0.0) -> Solved:
-    """Solve the normal equations for the path and the free of the cameras' parameters.
-
-    Raises
-    ------
-    np.linalg.LinAlgError
-        If the data leave a combination of them open.
-    """
+    """Solve for the path and the free parameters; LinAlgError if the data leave some open."""
     band = normal.band.copy()
     band[0] *= 1.0 + damping
     factor = np.asarray(cholesky_banded(band, lower=True), np.float64)
@@ -238,10 +219,7 @@ def solve(normal: Normal, free: Indices, damping: float = 0.0) -> Solved:
 
 
 def _blocks(spans: Indices, m: int, more: int = 0) -> Iterator[tuple[int, int, Indices]]:
-    """Cut m places into blocks, and say which rows, of spans (f, 2), are not 0 in or just behind.
-
-    Most of a camera's parameters move all of the path; those of a clock's pieces do so for seconds.
-    """
+    """Cut m places into blocks, and say which rows, of spans (f, 2), are not 0 there."""
     block = 256
     for start in range(0, m, block):
         stop = min(start + block, m)
@@ -251,19 +229,17 @@ def _blocks(spans: Indices, m: int, more: int = 0) -> Iterator[tuple[int, int, I
 
 @numba.njit(cache=True)
 def _add_sightings(
-    first: Indices,
+    places: tuple[Indices, Indices],
     weights: Array,
     by_point: Array,
     by_camera: Array,
-    columns: Indices,
     residuals: Array,
-    band: Array,
+    of_path: tuple[Array, Array],
+    of_border: tuple[Array, Array],
     mixed: Array,
-    border: Array,
-    right_path: Array,
-    right_border: Array,
 ) -> None:
     """Add n sightings, as of `Linear`, to the normal equations, as of `Normal`."""
+    (first, columns), (band, right_path), (border, right_border) = places, of_path, of_border
     n, p = columns.shape
     for i in range(n):
         for a in range(4):
@@ -343,10 +319,7 @@ def _backward(factor: Array, right: Array, spans: Indices) -> tuple[Array, Indic
 
 @numba.njit(cache=True)
 def _inverse_band(factor: Array) -> Array:
-    """Give the band of a matrix's inverse from its Cholesky factor's, both in lower form (BAND, m).
-
-    By Takahashi's recursion.
-    """
+    """Give the band of L L''s inverse from L's (BAND, m): Takahashi's recursion."""
     m = factor.shape[1]
     inverse = np.zeros_like(factor)
     for i in range(m - 1, -1, -1):

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ssac.network.graph import Link, Pair
 from ssac.network.normal import Linear, Normal, Spline, basis, jerks, solve
-from ssac.network.state import CameraState, Sightings, start_state
+from ssac.network.state import CameraState, Sightings
 from ssac.rules import NetworkRules
 
 Array = NDArray[np.float64]
@@ -111,11 +111,6 @@ class Placed:
     states: dict[int, CameraState]
     inliers: int  # sample times at which they see the path in place, over all of them
 
-    @property
-    def merit(self) -> tuple[int, int]:
-        """More cameras count first, then more sightings in place."""
-        return len(self.states), self.inliers
-
 
 @dataclass(frozen=True, eq=False)
 class Group:
@@ -142,14 +137,15 @@ def place_all(group: Group, trust: Mapping[Pair, int]) -> Placed | None:
         if set(pair) <= set(members) and link.is_reliable and link.R is not None
     ]
     seeds.sort(key=lambda pair: (-trust[pair], links[pair].cost))
-    best: Placed | None = None
+    best, merit = None, (0, 0)
     for pair in seeds[: rules.most_seeds]:
         placed = _seed(group, pair, links[pair])
         if placed is None:
             continue
         placed = grown(placed, group)
-        if best is None or placed.merit > best.merit:
-            best = placed
+        # More cameras count first, then more sightings in place.
+        if (len(placed.states), placed.inliers) > merit:
+            best, merit = placed, (len(placed.states), placed.inliers)
         if len(placed.states) == len(members) and seeds.index(pair) >= rules.enough_seeds:
             break
     return best
@@ -158,22 +154,17 @@ def place_all(group: Group, trust: Mapping[Pair, int]) -> Placed | None:
 def grown(placed: Placed, group: Group) -> Placed:
     """Add the cameras that see the path of those placed, the best first, as long as any fits."""
     while True:
-        left = [k for k in group.members if k not in placed.states]
-        times_s = _common_times(placed, group)
-        seen = [group.cameras[k] for k in placed.states]
-        points = triangulate(list(placed.states.values()), seen, times_s, group.rules)
+        times_s, points = _path_of(placed, group)
         known = np.isfinite(points[:, 0])
-        path = times_s[known], points[known]
-        found = [
-            (inliers, k, state)
-            for k in left
-            for inliers, state in [_best_fit(k, placed, group, path)]
-            if state is not None
-        ]
-        if not found:
+        path, best, found = (times_s[known], points[known]), 0, placed.states
+        for k in group.members:
+            if k not in placed.states:
+                inliers, state = _best_fit(k, placed, group, path)
+                if state is not None and inliers > best:
+                    best, found = inliers, placed.states | {k: state}
+        if not best:
             return placed
-        inliers, k, state = max(found, key=lambda each: each[0])
-        placed = Placed(placed.states | {k: state}, placed.inliers + inliers)
+        placed = Placed(found, placed.inliers + best)
 
 
 def rebased(states: dict[int, CameraState], reference: int) -> dict[int, CameraState]:
@@ -192,19 +183,16 @@ def rebased(states: dict[int, CameraState], reference: int) -> dict[int, CameraS
 def _seed(group: Group, pair: Pair, link: Link) -> Placed | None:
     """Place a pair, and see that its path is in front of both."""
     (a, b), cameras, rules = pair, group.cameras, group.rules
-    first = start_state(cameras[a], 0.0, 0.0, np.eye(3), np.zeros(3))
     if link.R is None or link.t is None:
         return None
-    second = _with_clock(start_state(cameras[b], 0.0, 0.0, link.R, link.t), link, first)
+    first = CameraState(middle_s=cameras[a].middle_s)
+    second = CameraState(middle_s=cameras[b].middle_s, R=link.R, t=link.t)
+    second = _with_clock(second, link, first)
     placed = Placed({a: first, b: second}, 0)
-    times_s = _common_times(placed, group)
-    if not len(times_s):
-        return None
-    points = triangulate([first, second], [cameras[a], cameras[b]], times_s, rules)
+    points = _path_of(placed, group)[1]
     inliers = int(np.count_nonzero(np.isfinite(points[:, 0])))
-    if inliers < max(rules.least_inliers, rules.seed_share * len(times_s)):
-        return None
-    return Placed(placed.states, 2 * inliers)
+    is_enough = inliers >= max(rules.least_inliers, rules.seed_share * len(points))
+    return Placed(placed.states, 2 * inliers) if is_enough else None
 
 
 def _with_clock(state: CameraState, link: Link, other: CameraState) -> CameraState:
@@ -216,20 +204,17 @@ def _with_clock(state: CameraState, link: Link, other: CameraState) -> CameraSta
     return replace(state, delay_s=state.middle_s - float(np.mean(passed_s)), rate=rate)
 
 
-def _common_times(placed: Placed, group: Group) -> Array:
-    """Give network times (n,) at which at least two of the cameras placed see the object."""
-    spans = [
-        state.network_from_own(np.array(group.cameras[k].span_s))
-        for k, state in placed.states.items()
-    ]
+def _path_of(placed: Placed, group: Group) -> tuple[Array, Array]:
+    """Give times (n,) at which two cameras placed see the object, and points (n, 3) or NaN."""
+    states, cameras = list(placed.states.values()), [group.cameras[k] for k in placed.states]
+    both = list(zip(states, cameras, strict=True))
+    spans = [state.network_from_own(np.array(seen.span_s)) for state, seen in both]
     start_s, end_s = min(span[0] for span in spans), max(span[1] for span in spans)
     times_s = np.linspace(start_s, end_s, 8 * group.rules.samples, dtype=np.float64)
-    seen = [
-        group.cameras[k].motion.at(state.own_from_network(times_s)).valid
-        for k, state in placed.states.items()
-    ]
-    times_s = times_s[np.count_nonzero(seen, axis=0) >= 2]
-    return np.asarray(times_s[:: max(1, len(times_s) // group.rules.samples)])
+    seen_by = [seen.motion.at(state.own_from_network(times_s)).valid for state, seen in both]
+    times_s = times_s[np.count_nonzero(seen_by, axis=0) >= 2]
+    times_s = times_s[:: max(1, len(times_s) // group.rules.samples)]
+    return times_s, triangulate(states, cameras, times_s, group.rules)
 
 
 def _best_fit(
@@ -242,7 +227,7 @@ def _best_fit(
         if link is None:
             continue
         seen = group.cameras[k]
-        start = _with_clock(start_state(seen, 0.0, 0.0, np.eye(3), np.zeros(3)), link, state)
+        start = _with_clock(CameraState(middle_s=seen.middle_s), link, state)
         inliers, fitted = _resected(start, seen, *path, group.rules)
         if fitted is not None and inliers > best:
             best, found = inliers, fitted
@@ -252,10 +237,7 @@ def _best_fit(
 def _resected(
     state: CameraState, seen: Sightings, times_s: Array, points: Array, rules: NetworkRules
 ) -> tuple[int, CameraState | None]:
-    """Find a camera's pose from points (n, 3) at the network's times, with the clock it has.
-
-    Gives at how many times it sees the path in place, and its state; 0 and None where it does not.
-    """
+    """Find a pose from points (n, 3) with its clock, and how many it fits; or 0 and None."""
     track = seen.motion.at(state.own_from_network(times_s))
     valid = track.valid
     n = int(np.count_nonzero(valid))

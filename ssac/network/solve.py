@@ -1,7 +1,7 @@
 """Clocks, poses and paths of all cameras, of each group that pairs connect."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 
 import numpy as np
@@ -10,23 +10,14 @@ from numpy.typing import NDArray
 from ssac.camera import READOUT_STD_S, Camera
 from ssac.clock import PPM, Clock
 from ssac.estimate import Estimate, Status
-from ssac.network.adjustment import border_offsets, fit_of
+from ssac.network import state as layout
+from ssac.network.adjustment import Network, border_offsets, fit_of
 from ssac.network.align import Similarity
 from ssac.network.build import Built, build
 from ssac.network.graph import Link, Pair, Triple, closures_s, constraint_of, groups
 from ssac.network.normal import basis
 from ssac.network.placing import Group, are_apart
-from ssac.network.state import (
-    DELAY,
-    RATE,
-    READOUT,
-    ROTATION,
-    TRANSLATION,
-    Priors,
-    Sightings,
-    is_near,
-    network_times,
-)
+from ssac.network.state import Priors, Sightings, is_near, network_times
 from ssac.network.tum import Path
 from ssac.rules import Rules
 from ssac.search.all_offsets import Guess
@@ -60,6 +51,11 @@ class CameraAnswer:
     n_seen: int = 0
     rms_px: float = np.nan
 
+    @property
+    def centre(self) -> Array | None:
+        """Where it stands (3,) in its group's frame; None where that is not known."""
+        return None if self.R is None or self.t is None else np.asarray(-self.R.T @ self.t)
+
 
 @dataclass(frozen=True, eq=False)
 class PathAnswer:
@@ -68,19 +64,11 @@ class PathAnswer:
     path: Path
     spans_s: Array  # (k, 2) between which it holds
 
-    @property
-    def typical_deviations(self) -> Array:
-        """Medians (3,) of the deviations along x, y and z; NaN of an empty path."""
-        deviations = self.path.deviations_m
-        if deviations is None or not len(deviations):
-            return np.full(3, np.nan)
-        return np.asarray(np.median(deviations, axis=0))
-
 
 def answer_of(built: Built, k: int, group: int) -> CameraAnswer:
     """Tell of the k-th camera of a network."""
-    state, seen, network = built.network.states[k], built.cameras[k], built.network
-    fit = fit_of(network, k, seen, built.enabled[k])
+    network = built.network
+    state, seen, fit = network.states[k], network.cameras[k], fit_of(network, k)
     used_s = network_times(state, seen)[fit.used]
     t_ref_s = 0.5 * float(used_s[0] + used_s[-1])
     own_s = (t_ref_s + state.delay_s - state.rate * state.middle_s) / (1.0 - state.rate)
@@ -88,10 +76,9 @@ def answer_of(built: Built, k: int, group: int) -> CameraAnswer:
     covariance = built.solved.border_covariance()[at : at + state.size, at : at + state.size]
     covariance = covariance * network.lasting
     by = np.zeros(state.size)
-    by[DELAY], by[RATE] = 1.0, own_s - state.middle_s
+    by[layout.DELAY], by[layout.RATE] = 1.0, own_s - state.middle_s
     by /= 1.0 - state.rate
     deviations = np.sqrt(np.diag(covariance))
-    rotation = np.diag(covariance)[ROTATION]
     return CameraAnswer(
         seen.name,
         group=group,
@@ -99,13 +86,13 @@ def answer_of(built: Built, k: int, group: int) -> CameraAnswer:
         t_d_std_s=float(np.sqrt(by @ covariance @ by)),
         t_ref_s=t_ref_s,
         skew_ppm=(1.0 / (1.0 - state.rate) - 1.0) / PPM,
-        skew_std_ppm=float(deviations[RATE]) / (1.0 - state.rate) ** 2 / PPM,
+        skew_std_ppm=float(deviations[layout.RATE]) / (1.0 - state.rate) ** 2 / PPM,
         readout_s=(seen.camera.readout_s or 0.0) + state.readout_s,
-        readout_std_s=float(deviations[READOUT]),
+        readout_std_s=float(deviations[layout.READOUT]),
         R=state.R,
         t=state.t,
-        r_std_deg=float(np.rad2deg(np.sqrt(np.sum(rotation)))),
-        t_std=deviations[TRANSLATION],
+        r_std_deg=float(np.rad2deg(np.sqrt(np.sum(np.diag(covariance)[layout.ROTATION])))),
+        t_std=deviations[layout.TRANSLATION],
         knots_s=state.network_from_own(state.knots_s),
         strays_s=state.strays_s,
         n_samples=int(np.count_nonzero(fit.used)),
@@ -114,34 +101,22 @@ def answer_of(built: Built, k: int, group: int) -> CameraAnswer:
     )
 
 
-def _holds_at(built: Built, times_s: Array) -> Mask:
+def _holds_at(network: Network, times_s: Array) -> Mask:
     """Whether two cameras, whose rays are apart, see the object at times (n,): the path holds."""
-    rules = built.network.rules
-    near = np.stack(
-        [
-            is_near(
-                times_s,
-                network_times(state, seen)[enabled],
-                max(rules.reach_s, rules.reach_intervals * seen.interval_s),
-            )
-            for state, seen, enabled in zip(
-                built.network.states, built.cameras, built.enabled, strict=True
-            )
-        ]
-    )
-    points = built.network.path.at(times_s)
-    rays = np.stack([points - state.centre for state in built.network.states])
+    rules, near = network.rules, list[Mask]()
+    for state, seen, enabled in zip(network.states, network.cameras, network.enabled, strict=True):
+        reach_s = max(rules.reach_s, rules.reach_intervals * seen.interval_s)
+        near.append(is_near(times_s, network_times(state, seen)[enabled], reach_s))
+    points = network.path.at(times_s)
+    rays = np.stack([points - state.centre for state in network.states])
     rays /= np.linalg.norm(rays, axis=2, keepdims=True)
-    holds = are_apart(rays, near, rules.least_angle_deg)
-    knots_s = built.network.path.knots_s
+    holds = are_apart(rays, np.stack(near), rules.least_angle_deg)
+    knots_s = network.path.knots_s
     return np.asarray(holds & (times_s >= knots_s[0]) & (times_s <= knots_s[-1]))
 
 
 def path_at(built: Built, times_s: Array, frame: Similarity | None = None) -> Path:
-    """Give the path at times (n,), with its deviations, wherever it holds or not.
-
-    In the frame of the first camera, or in one that a similarity takes that to.
-    """
+    """Give the path at times (n,), whether it holds or not; in the first camera's frame."""
     network = built.network
     first, weights = basis(network.path.knots_s, times_s)
     covariances = built.solved.path_covariances(first, weights) * network.lasting
@@ -154,19 +129,14 @@ def path_at(built: Built, times_s: Array, frame: Similarity | None = None) -> Pa
 
 def path_of(built: Built, frame: Similarity | None = None) -> PathAnswer:
     """Sample the path evenly where it holds; in a frame as of `path_at`."""
-    knots_s = built.network.path.knots_s
-    step_s = max(built.network.rules.path_step_s, min(seen.interval_s for seen in built.cameras))
+    network, knots_s = built.network, built.network.path.knots_s
+    step_s = max(network.rules.path_step_s, min(seen.interval_s for seen in network.cameras))
     times_s = np.arange(knots_s[0], knots_s[-1] + 0.5 * step_s, step_s)
     times_s = np.minimum(times_s, knots_s[-1])
-    holds = _holds_at(built, times_s)
+    holds = _holds_at(network, times_s)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], holds, [False]]).astype(int)))
     spans_s = np.column_stack([times_s[edges[::2]], times_s[edges[1::2] - 1]])
     return PathAnswer(path_at(built, times_s[holds], frame), spans_s)
-
-
-def _left_out(seen: Sightings, group: int, reason: str) -> CameraAnswer:
-    """Tell of a camera that is in no network."""
-    return CameraAnswer(seen.name, Status.NO_MATCH, reason, group, n_seen=len(seen))
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,7 +144,6 @@ class NetworkAnswer:
     """What is found of many cameras."""
 
     cameras: list[CameraAnswer]  # in input order
-    links: dict[Pair, Link]
     closures_s: dict[Triple, float]
     wrong_pairs: dict[Pair, float]  # by how much [s] their clocks contradict the network
     built: list[Built]  # a network for each group
@@ -197,33 +166,28 @@ class NetworkAnswer:
         """Why not all cameras are in one network; empty where they are."""
         said = []
         if len(self.built) > 1:
-            names = [" ".join(seen.name for seen in built.cameras) for built in self.built]
+            names = [" ".join(seen.name for seen in one.network.cameras) for one in self.built]
             said.append(f"no pair connects {' with '.join(names)}: a solution for each")
         said += [f"{c.name}: {c.reason}" for c in self.cameras if c.status != Status.OK]
         return "; ".join(said)
 
 
 def link_of(estimate: Estimate, guess: Guess | None, of_events: bool = False) -> Link | None:
-    """Say what a pair's estimate tells the network; None where it tells nothing.
-
-    That of two event cameras tells of more than their sightings, and enters the adjustment too.
-    """
-    reliable = estimate.has_offset
-    if reliable:
+    """Say what a pair tells; of two event cameras more than their sightings; None for nothing."""
+    if estimate.has_offset:  # what its clock strays is the network's to find
         t_ref_s = estimate.t_ref_s
         if not np.isfinite(t_ref_s):
             t_ref_s = 0.0 if guess is None else guess.t_ref_s
         skew_ppm = estimate.skew_ppm if np.isfinite(estimate.skew_ppm) else 0.0
-        clock = Clock(estimate.t_d_s, skew_ppm, t_ref_s)  # what it strays is the network's to find
+        clock = Clock(estimate.t_d_s, skew_ppm, t_ref_s)
     elif guess is not None:
         clock = Clock(guess.t_d_s, guess.skew_ppm, guess.t_ref_s)
     else:
         return None
-    is_ok = estimate.status == Status.OK
     cost = guess.cost if guess is not None else estimate.d_avg_px
-    pose = (estimate.R, estimate.t) if is_ok else (None, None)
+    pose = (estimate.R, estimate.t) if estimate.status == Status.OK else (None, None)
     constraint = constraint_of(estimate) if of_events else None
-    return Link(clock, reliable, cost, *pose, str(estimate.status), estimate.reason, constraint)
+    return Link(clock, estimate.has_offset, cost, *pose, constraint)
 
 
 def _priors_of(camera: Camera, has_frames: bool, skew_prior_ppm: float) -> Priors:
@@ -250,32 +214,28 @@ def solve_network(
     What their pairs (a, b), a < b, tell may be wrong or missing for some. The prior is the
     deviation of the clocks' skews, the distance that between the first two cameras of each group.
     """
-    listed = list(cameras)
+    listed, built_all = list(cameras), list[Built]()
     priors = [_priors_of(seen.camera, seen.has_frames, skew_prior_ppm) for seen in listed]
-    answers = [_left_out(seen, 0, _LONELY) for seen in listed]
-    built_all: list[Built] = []
-    for group in groups(len(listed), links):
-        if len(group) < 2:
+    answers = [
+        CameraAnswer(seen.name, Status.NO_MATCH, _LONELY, n_seen=len(seen)) for seen in listed
+    ]
+    for members in groups(len(listed), links):
+        if len(members) < 2:
             continue
+        group, built, reason = Group(listed, links, members, rules.network), None, _NO_PATH
         try:
-            built = build(Group(listed, links, group, rules.network), priors, distance, rules.body)
-            reason = _NO_PATH
+            built = build(group, priors, distance, rules.body)
         except np.linalg.LinAlgError:
-            built, reason = None, _OPEN
-        if built is None:
-            for k in group:
-                answers[k] = _left_out(listed[k], 0, reason)
-            continue
-        built_all.append(built)
-        for place, k in enumerate(built.members):
-            answers[k] = answer_of(built, place, len(built_all))
-        for k in built.misfits:
-            answers[k] = _left_out(listed[k], 0, _MISFIT)
-    closures = closures_s({pair: link.clock for pair, link in links.items()})
+            reason = _OPEN
+        for k in members if built is None else built.misfits:
+            answers[k] = replace(answers[k], reason=reason if built is None else _MISFIT)
+        if built is not None:
+            built_all.append(built)
+            for place, k in enumerate(built.members):
+                answers[k] = answer_of(built, place, len(built_all))
     return NetworkAnswer(
         answers,
-        dict(links),
-        closures,
+        closures_s({pair: link.clock for pair, link in links.items()}),
         _contradicted(built_all, links, rules.network.max_closure_s),
         built_all,
         [path_of(built) for built in built_all],
@@ -303,7 +263,7 @@ def _contradicted(
     """Give the pairs whose clocks the network contradicts, and by how much [s]."""
     found = {}
     for built in built_all:
-        states = dict(zip(built.members, built.network.states, strict=True))
+        states = built.states
         for a, b in combinations(built.members, 2):
             link = links.get((a, b))
             if link is None:

@@ -11,7 +11,8 @@ Events come once an edge has gone on by some share of a pixel: the object seems 
 it is, by a length along its motion in the image, not by a time. Where it is slow that is longer.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,6 +65,11 @@ class Sightings:
         """Median time between sightings [s]."""
         return float(np.median(np.diff(self.times_s)))
 
+    @property
+    def shares(self) -> Array:
+        """Deviation of each sighting (n,), by the median of them."""
+        return np.asarray(self.sigmas_px / np.median(self.sigmas_px))
+
     def rays_at(self, times_s: Array) -> Array:
         """Directions (n, 3), z = 1, at times (n,) of its clock; NaN where it did not see it."""
         return rays_of(self.camera.K, self.motion.at(times_s).positions_px)
@@ -104,25 +110,24 @@ BEHIND = 13
 STRAYS = 14  # the first of them
 """Places of a camera's parameters."""
 
-LEAST_DEPTH = 1e-6
-"""Depth, in the path's unit, below which a point is not in front of a camera."""
+_ZEROS, _NONE = partial(np.zeros, 2), partial(np.empty, 0)
 
 
 @dataclass(frozen=True, eq=False)
 class CameraState:
-    """What is known of one camera of a network."""
+    """What is known of one camera of a network; by default it is at its frame's origin."""
 
-    delay_s: float
-    rate: float  # by which share of its own time its clock is fast
-    middle_s: float  # T_mid, its own clock
-    readout_s: float  # beside what its rig says
-    R: Array  # (3, 3) x = R X + t, X in the network's frame
-    t: Array  # (3,)
-    focal: Array  # (2,) change of fu and fv, as a share
-    centre_px: Array  # (2,) change of pu and pv
-    behind_px: float  # by which the object seems to be behind its motion
-    knots_s: Array  # (k,) its own clock; empty: its clock is affine
-    strays_s: Array  # (k,)
+    delay_s: float = 0.0
+    rate: float = 0.0  # by which share of its own time its clock is fast
+    middle_s: float = 0.0  # T_mid, its own clock
+    readout_s: float = 0.0  # beside what its rig says
+    R: Array = field(default_factory=partial(np.eye, 3))  # x = R X + t, X in the network's frame
+    t: Array = field(default_factory=partial(np.zeros, 3))
+    focal: Array = field(default_factory=_ZEROS)  # (2,) change of fu and fv, as a share
+    centre_px: Array = field(default_factory=_ZEROS)  # (2,) change of pu and pv
+    behind_px: float = 0.0  # by which the object seems to be behind its motion
+    knots_s: Array = field(default_factory=_NONE)  # (k,) its own clock; empty: its clock is affine
+    strays_s: Array = field(default_factory=_NONE)  # (k,)
 
     @property
     def size(self) -> int:
@@ -166,12 +171,6 @@ class CameraState:
         )
 
 
-def start_state(seen: Sightings, delay_s: float, rate: float, R: Array, t: Array) -> CameraState:
-    """Give the state of a camera with a clock, a pose, and the intrinsics of its rig."""
-    none, nothing = np.zeros(2), np.empty(0)
-    return CameraState(delay_s, rate, seen.middle_s, 0.0, R, t, none, none, 0.0, nothing, nothing)
-
-
 def with_strays(state: CameraState, seen: Sightings, piece_s: float, most: int) -> CameraState:
     """Let its clock stray between knots some seconds apart, as far as it records."""
     start_s, end_s = seen.span_s
@@ -192,7 +191,7 @@ class Projected:
     """Where a camera is to see points of the path, and what changes that."""
 
     points_px: Array  # (n, 2)
-    depths: Array  # (n,)
+    in_front: NDArray[np.bool_]  # (n,)
     by_point: Array  # (n, 2, 3)
     by_camera: Array  # (n, 2, p) of the parameters at `columns`
     columns: Indices  # (n, p) places among the camera's own
@@ -200,11 +199,11 @@ class Projected:
 
 def projected(state: CameraState, seen: Sightings, points: Array, velocities: Array) -> Projected:
     """Project the path's points (n, 3), one for each sighting, with velocities (n, 3) there."""
-    K, n = seen.camera.K, len(points)
+    K, n, k = seen.camera.K, len(points), len(state.knots_s)
     turned = points @ state.R.T
     local = turned + state.t
-    depths = local[:, 2]
-    safe = np.where(depths > LEAST_DEPTH, depths, 1.0)
+    in_front = local[:, 2] > 1e-6  # in the path's unit
+    safe = np.where(in_front, local[:, 2], 1.0)
     x = local[:, :2] / safe[:, None]
     lengths_px = np.array([K[0, 0], K[1, 1]]) * (1.0 + state.focal)
     by_local = np.zeros((n, 2, 3))
@@ -212,7 +211,7 @@ def projected(state: CameraState, seen: Sightings, points: Array, velocities: Ar
     by_local[:, :, 2] = -lengths_px * x / safe[:, None]
     by_point = by_local @ state.R
     by_time = np.einsum("nij,nj->ni", by_point, velocities)
-    p = STRAYS + (2 if len(state.knots_s) else 0)
+    p = STRAYS + (2 if k else 0)
     by_camera = np.zeros((n, 2, p))
     by_camera[:, :, DELAY] = -by_time
     by_camera[:, :, RATE] = -by_time * (seen.times_s - state.middle_s)[:, None]
@@ -226,8 +225,7 @@ def projected(state: CameraState, seen: Sightings, points: Array, velocities: Ar
     speeds = np.sqrt(np.sum(by_time**2, axis=1) + 1.0)
     by_camera[:, :, BEHIND] = -by_time / speeds[:, None]  # how that turns moves next to nothing
     columns = np.tile(np.arange(p), (n, 1))
-    if len(state.knots_s):
-        k = len(state.knots_s)
+    if k:
         piece = np.clip(np.searchsorted(state.knots_s, seen.times_s, "right") - 1, 0, k - 2)
         low, high = state.knots_s[piece], state.knots_s[piece + 1]
         share = np.clip((seen.times_s - low) / (high - low), 0.0, 1.0)
@@ -236,7 +234,7 @@ def projected(state: CameraState, seen: Sightings, points: Array, velocities: Ar
         columns[:, STRAYS], columns[:, STRAYS + 1] = STRAYS + piece, STRAYS + piece + 1
     behind_px = state.behind_px * by_camera[:, :, BEHIND]
     points_px = lengths_px * x + K[:2, 2] + state.centre_px + behind_px
-    return Projected(points_px, depths, by_point, by_camera, columns.astype(np.int64))
+    return Projected(points_px, in_front, by_point, by_camera, columns.astype(np.int64))
 
 
 @dataclass(frozen=True)

@@ -51,45 +51,33 @@ def read_path(file: pathlib.Path | str, needs_times: bool = True) -> Path:
     """Read a path, TUM or comma-separated.
 
     Rows are `t x y z qx qy qz qw`, `t x y z` or, where no times are needed, `x y z`; or a csv file
-    names its columns in its first line.
-
-    Raises
-    ------
-    SsacError
-        If the file is missing, is not of numbers, is not in time order, or has degrees of latitude
-        and longitude. The message names the file.
+    names its columns in its first line. SsacError, which names the file, if it is missing, is not
+    of numbers, is not in time order, or has degrees of latitude and longitude.
     """
     file = pathlib.Path(file)
     check_is_file(file)
     columns = _columns(file)
-    rows = np.column_stack([*columns.values()])
-    finite = np.isfinite(rows).all(axis=1)
-    if not finite.all():
-        raise SsacError(
-            f"{file}: point {int(np.argmin(finite))} has a value that is no finite number: leave "
-            "the row out"
-        )
+    finite = np.isfinite(np.column_stack([*columns.values()])).all(axis=1)
     times_s = columns.get(PATH_COLUMNS[0])
-    if times_s is not None:
-        _check_times(times_s, file)
-    elif needs_times:
-        raise SsacError(
-            f"{file}: a path needs times: put t_s (seconds) before x y z, as its first column"
-        )
-    positions = _stacked(columns, PATH_COLUMNS[1:])
-    assert positions is not None  # every form that is read has them
-    _check_metres(positions, file)
+    said = ""
+    if not finite.all():
+        k = int(np.argmin(finite))
+        said = f"point {k} has a value that is no finite number: leave the row out"
+    elif times_s is None and needs_times:
+        said = "a path needs times: put t_s (seconds) before x y z, as its first column"
+    elif times_s is not None:
+        said = _fault_of_times(times_s)
+    positions = np.column_stack([columns[name] for name in PATH_COLUMNS[1:]])
+    said = said or _fault_of_metres(positions)
     quaternions = _stacked(columns, ATTITUDE_COLUMNS)
     if quaternions is not None and np.all(quaternions == _NO_ATTITUDE):
         quaternions = None
     if quaternions is not None and not np.linalg.norm(quaternions, axis=1).all():
-        raise SsacError(f"{file}: a quaternion is zero: for no attitude write 0 0 0 1 in each row")
-    return Path(
-        np.full(len(positions), np.nan) if times_s is None else times_s,
-        positions,
-        _stacked(columns, DEVIATION_COLUMNS),
-        quaternions,
-    )
+        said = said or "a quaternion is zero: for no attitude write 0 0 0 1 in each row"
+    if said:
+        raise SsacError(f"{file}: {said}")
+    times_s = np.full(len(positions), np.nan) if times_s is None else times_s
+    return Path(times_s, positions, _stacked(columns, DEVIATION_COLUMNS), quaternions)
 
 
 def _stacked(columns: dict[str, Array], names: tuple[str, ...]) -> Array | None:
@@ -123,11 +111,15 @@ def _columns(file: pathlib.Path) -> dict[str, Array]:
         lines = [line.strip() for line in file.read_text(encoding="utf-8-sig").splitlines()]
     except UnicodeDecodeError as error:
         raise SsacError(f"{file}: not a text file: give a path as TUM or csv") from error
-    rows = [_cells(line) for line in lines if line and not line.startswith("#")]
+    rows = [
+        [cell.strip() for cell in line.split(",")] if "," in line else line.split()
+        for line in lines
+        if line and not line.startswith("#")
+    ]
     has_header = bool(rows) and not all(map(is_number, rows[0]))
     if len(rows) <= has_header:
         raise SsacError(f"{file}: there are no points: give a path of some")
-    names = _names(rows[0], file) if has_header else _names_of(len(rows[0]), file)
+    names = _names(rows[0], has_header, file)
     wanted = (*PATH_COLUMNS, *DEVIATION_COLUMNS, *ATTITUDE_COLUMNS)
     kept = {name: names.index(name) for name in wanted if name in names}
     numbers = np.empty((len(rows) - has_header, len(kept)))
@@ -141,60 +133,52 @@ def _columns(file: pathlib.Path) -> dict[str, Array]:
     return dict(zip(kept, numbers.T, strict=True))
 
 
-def _cells(line: str) -> list[str]:
-    return [cell.strip() for cell in line.split(",")] if "," in line else line.split()
-
-
-def _names(words: list[str], file: pathlib.Path) -> list[str]:
-    """Our names of the columns that a first line names."""
-    names = [_OTHER_NAMES.get(word.lower(), word.lower()) for word in words]
+def _names(row: list[str], is_header: bool, file: pathlib.Path) -> list[str]:
+    """Give our names of the columns, by the first line or by how many there are."""
+    if not is_header:
+        by_count = {len(one): [*one] for one in (PATH_COLUMNS[1:], PATH_COLUMNS, _TUM_COLUMNS)}
+        if len(row) in by_count:
+            return by_count[len(row)]
+        raise SsacError(
+            f"{file}: a row of a path is `t x y z qx qy qz qw`, `t x y z` or `x y z`, got"
+            f" {len(row)} numbers: convert the file"
+        )
+    names, said = [_OTHER_NAMES.get(word.lower(), word.lower()) for word in row], ",".join(row)
     if any(name.startswith(_GLOBE) for name in names):
         raise SsacError(
-            f"{file}: positions must be metres in a local frame, got {','.join(words)[:60]!r}: "
+            f"{file}: positions must be metres in a local frame, got {said[:60]!r}: "
             "turn latitude and longitude into east and north"
         )
     if not set(PATH_COLUMNS[1:]) <= set(names):
         raise SsacError(
             f"{file}: the first line of a path must name the columns {','.join(PATH_COLUMNS)}, got "
-            f"{','.join(words)[:60]!r}: add that line"
+            f"{said[:60]!r}: add that line"
         )
     return names
 
 
-def _names_of(n_columns: int, file: pathlib.Path) -> list[str]:
-    """Names of the columns of a file that names none."""
-    if n_columns == len(PATH_COLUMNS) - 1:
-        return [*PATH_COLUMNS[1:]]
-    if n_columns in (len(PATH_COLUMNS), len(_TUM_COLUMNS)):
-        return [*_TUM_COLUMNS[:n_columns]]
-    raise SsacError(
-        f"{file}: a row of a path is `t x y z qx qy qz qw`, `t x y z` or `x y z`, got {n_columns} "
-        "numbers: convert the file"
-    )
-
-
-def _check_times(times_s: Array, file: pathlib.Path) -> None:
+def _fault_of_times(times_s: Array) -> str:
     steps_s = np.diff(times_s)
     if (steps_s <= 0.0).any():
         k = int(np.argmax(steps_s <= 0.0)) + 1
-        raise SsacError(
-            f"{file}: rows must be in time order, but point {k} is at {times_s[k]:.10g} s, after "
+        return (
+            f"rows must be in time order, but point {k} is at {times_s[k]:.10g} s, after "
             f"one at {times_s[k - 1]:.10g} s: sort the rows, one point a time"
         )
     if len(steps_s) and np.median(steps_s) > 1000.0:
-        raise SsacError(
-            f"{file}: points are {np.median(steps_s):g} s apart, as if times were of microseconds "
-            "or the like: give seconds"
-        )
+        apart = f"points are {np.median(steps_s):g} s apart"
+        return f"{apart}, as if times were of microseconds or the like: give seconds"
+    return ""
 
 
-def _check_metres(positions: Array, file: pathlib.Path) -> None:
-    """Raise SsacError for what looks like degrees beside metres of height."""
+def _fault_of_metres(positions: Array) -> str:
+    """Say what looks like degrees beside metres of height."""
     spans = np.ptp(positions, axis=0)
     level = np.abs(positions[:, :2]).max(axis=0)
     is_globe = level.max() <= 180.0 and level.min() > 0.0 and 0.0 < spans[:2].max() < 0.05
-    if is_globe and spans[2] > 100.0 * spans[:2].max():
-        raise SsacError(
-            f"{file}: x and y stay within {spans[:2].max():.2g} while z moves by {spans[2]:.2g}, "
-            "as of degrees and metres: turn latitude and longitude into east and north in metres"
-        )
+    if not (is_globe and spans[2] > 100.0 * spans[:2].max()):
+        return ""
+    return (
+        f"x and y stay within {spans[:2].max():.2g} while z moves by {spans[2]:.2g}, "
+        "as of degrees and metres: turn latitude and longitude into east and north in metres"
+    )

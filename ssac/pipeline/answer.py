@@ -11,7 +11,7 @@ import numpy as np
 from ssac.camera import Rig
 from ssac.config import Config
 from ssac.estimate import Estimate
-from ssac.methods.method import Input, Method
+from ssac.methods.method import Method
 from ssac.search.all_offsets import Guess
 from ssac.search.start import Start
 from ssac.search.two_views import TwoViews, views_of
@@ -77,7 +77,10 @@ class Answer:
                 f"{estimate.method} states no standard deviation, so nothing says how far off this"
                 " offset is: compare it with that of a method that states one, such as tangency"
             )
-        elif self._taken_for_global:
+        elif any(
+            seen.has_track and camera.readout_s is None and not camera.readout_std_s
+            for camera, seen in zip((self.rig.cam1, self.rig.cam2), self.cleans, strict=True)
+        ):
             said.append(
                 "the rig states no readout_s, so shutters are taken for global ones; rolling ones"
                 " shift the offset by up to their readout, beyond its deviation: see"
@@ -91,23 +94,9 @@ class Answer:
         return "; ".join(self.notes)
 
     @property
-    def _taken_for_global(self) -> bool:
-        """Whether a camera with a track has a shutter of which nothing is said."""
-        cameras = zip((self.rig.cam1, self.rig.cam2), self.cleans, strict=True)
-        return any(
-            seen.has_track and camera.readout_s is None and not camera.readout_std_s
-            for camera, seen in cameras
-        )
-
-    @property
     def looks_at_one_object(self) -> bool:
         """Whether the method was given one object of those that the cameras saw."""
         return self.method.of_one_object and self.config.choose_object
-
-    @property
-    def has_samples(self) -> bool:
-        """Whether the estimate rests on samples of the object's path."""
-        return self.method.input is Input.TRACKS
 
 
 class Stopwatch:

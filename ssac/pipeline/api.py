@@ -1,7 +1,7 @@
 """One call from recordings to clocks and poses, for scripts, notebooks and the command line."""
 
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
@@ -16,25 +16,19 @@ from ssac.estimate import Estimate
 from ssac.files.damage import STRICT, Reading
 from ssac.methods.method import Method
 from ssac.methods.verdict import quantum_s
+from ssac.pipeline import opened as border
 from ssac.pipeline.answer import Answer, Log, quiet
 from ssac.pipeline.chain import Chain
-from ssac.pipeline.opened import (
-    NOTHING,
-    CameraInput,
-    Known,
-    RigInput,
-    config_of,
-    opened,
-    opened_rig,
-)
+from ssac.pipeline.opened import NOTHING, CameraInput, Known, RigInput
 from ssac.pipeline.registry import EstimateFunction, choose_method
+from ssac.pipeline.report import html_of, report_json, report_text
 from ssac.search.two_views import TwoViews
 from ssac.track.clean import Clean
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from ssac.pipeline.many_report import NetworkResult
+    from ssac.pipeline.many import NetworkResult
     from ssac.pipeline.plots import Material
 
 
@@ -60,14 +54,10 @@ class Result:
 
     def summary(self) -> str:
         """Lay it out for people: what `ssac sync` prints."""
-        from ssac.pipeline.report import report_text
-
         return report_text(self.answer)
 
     def to_dict(self) -> dict[str, Any]:
         """Lay it out for machines: what `ssac sync --json` writes."""
-        from ssac.pipeline.report import report_json
-
         return report_json(self.answer)
 
     def plot(self, path: Path | str | None = None) -> "Figure | None":
@@ -105,29 +95,17 @@ class Result:
         return sorted({*super().__dir__(), *names})
 
     def __repr__(self) -> str:
-        estimate = self.estimate
-        said = f"<ssac.Result {estimate.method} {estimate.status}"
-        if estimate.has_offset:
-            said += (
-                f", t_d {1e3 * estimate.t_d_s:.3f} ms, 1 sigma {1e3 * estimate.t_d_std_s:.3f} ms"
-            )
-        return f"{said}>"
+        one, offset = self.estimate, ""
+        if one.has_offset:
+            offset = f", t_d {1e3 * one.t_d_s:.3f} ms, 1 sigma {1e3 * one.t_d_std_s:.3f} ms"
+        return f"<ssac.Result {one.method} {one.status}{offset}>"
 
     def _repr_html_(self) -> str:
-        from ssac.pipeline.report import html_of
-
         return html_of(self.summary())
 
 
 @overload
-def sync(
-    cam1: Sequence[CameraInput],
-    cam2: RigInput,
-    rig: None = None,
-    method: str | None = None,
-    config: Config | None = None,
-    **options: Any,
-) -> "NetworkResult": ...
+def sync(cam1: Sequence[CameraInput], cam2: RigInput, **options: Any) -> "NetworkResult": ...
 
 
 @overload
@@ -212,50 +190,14 @@ def sync(
     if len(seen) < 2:
         raise SsacError(f"sync: expected two cameras or more, got a list of {len(seen)}")
     of_two = len(seen) == 2
-    _check_options(of_two, cameras, known_extrinsics, estimate_readout, known)
     for name, value in (("focal_std", focal_std), ("centre_std_px", centre_std_px)):
         if value is not None and not (isinstance(value, (int, float)) and 0.0 <= value < np.inf):
             raise SsacError(f"{name}: expected a deviation of 0 or more, got {value!r}")
-    if not isinstance(reading, Reading):
-        raise SsacError(f"reading: expected a ssac.Reading, got {reading!r}")
+    for name, given, kind in (("reading", reading, Reading), ("known", known, Known)):
+        if not isinstance(given, kind):
+            raise SsacError(f"{name}: expected a ssac.{kind.__name__}, got {given!r}")
     if not callable(log):
         raise SsacError(f"log: expected a function of a line of text, such as print, got {log!r}")
-    models = opened_rig(rig, len(seen), cameras if of_two else None)
-    sources = opened(seen, models, cameras if isinstance(rig, (str, Path)) and of_two else None,
-                     reading)  # fmt: skip
-    has_track = any(one.has_track for one in sources)
-    chosen = choose_method(method, known_extrinsics, has_track)
-    if estimate_readout and not has_track:
-        raise SsacError(
-            "--estimate-readout: expected a track of a frame camera, got events only, which no "
-            "shutter reads out: leave it out"
-        )
-    stated = tuple(
-        to_be_read_out(model) if estimate_readout and source.has_track else model
-        for model, source in zip(
-            (with_deviations(one, focal_std, centre_std_px) for one in models.cameras),
-            sources,
-            strict=True,
-        )
-    )
-    chain = Chain(sources, replace(models, cameras=stated), config_of(config, fields), log)
-    if not of_two:
-        from ssac.pipeline.many import network
-
-        found = network(chain, None if method is None else chosen, known)
-        _warn_of_rounding((chain.name(k), chain.clean(k)) for k in range(len(chain)))
-        return found
-    result = Result(chain.answer(chosen))
-    _warn_of_rounding(zip(result.answer.names, result.answer.cleans, strict=True))
-    return result
-
-
-def _check_options(
-    of_two: bool, cameras: Any, known_extrinsics: bool, estimate_readout: bool, known: Known
-) -> None:
-    """Refuse what is of two cameras where there are more, and the other way round."""
-    if not isinstance(known, Known):
-        raise SsacError(f"known: expected a ssac.Known, got {known!r}")
     if of_two and known != NOTHING:
         raise SsacError("known: is for more than two cameras, and two were given: leave it out")
     of_two_alone = {
@@ -263,24 +205,55 @@ def _check_options(
         "known_extrinsics": known_extrinsics,
         "estimate_readout": estimate_readout,
     }
-    given = [name for name, is_given in of_two_alone.items() if is_given and not of_two]
-    if given:
-        raise SsacError(f"{given[0]}: is for two cameras, and more were given: leave it out")
+    for name, is_given in of_two_alone.items():
+        if is_given and not of_two:
+            raise SsacError(f"{name}: is for two cameras, and more were given: leave it out")
+    models = border.opened_rig(rig, len(seen), cameras if of_two else None)
+    numbers = cameras if isinstance(rig, (str, Path)) and of_two else None
+    sources = border.opened(seen, models, numbers, reading)
+    has_track = any(one.has_track for one in sources)
+    chosen = choose_method(method, known_extrinsics, has_track)
+    if estimate_readout and not has_track:
+        raise SsacError(
+            "--estimate-readout: expected a track of a frame camera, got events only, which no "
+            "shutter reads out: leave it out"
+        )
+    stated = [with_deviations(one, focal_std, centre_std_px) for one in models.cameras]
+    for k, source in enumerate(sources):
+        if estimate_readout and source.has_track:
+            stated[k] = to_be_read_out(stated[k])
+    models = replace(models, cameras=tuple(stated))
+    chain = Chain(sources, models, border.config_of(config, fields), log)
+    found: Result | NetworkResult
+    if of_two:
+        found = Result(chain.answer(chosen))
+        cleans: tuple[Clean, ...] = found.answer.cleans
+    else:
+        from ssac.pipeline.many import network
+
+        found = network(chain, None if method is None else chosen, known)
+        cleans = tuple(chain.clean(k) for k in range(len(chain)))
+    for k, clean in enumerate(cleans):
+        step_s = quantum_s(clean)
+        if step_s:
+            warnings.warn(
+                f"{chain.name(k)}: all times are whole {1e3 * step_s:g} ms: whoever wrote it"
+                " rounded them, and by so much the offset may be off; its deviation is widened",
+                stacklevel=2,
+            )
+    return found
 
 
 def chain_of(cameras: Sequence[CameraInput], rig: RigInput, config: Config | None = None) -> Chain:
     """Make a chain of what cameras recorded, in all the forms that `sync` takes."""
-    models = opened_rig(rig, len(cameras))
-    return Chain(opened(cameras, models), models, config)
+    models = border.opened_rig(rig, len(cameras))
+    return Chain(border.opened(cameras, models), models, config)
 
 
 def two_views(
     cam1: CameraInput, cam2: CameraInput, rig: RigInput, config: Config | None = None
 ) -> TwoViews:
-    """Give the object's motion in both views of what two cameras recorded: the paper's Sec. IV-A.
-
-    What is clean already is not cleaned again; the rig's extrinsics are handed on, and not used.
-    """
+    """Give the object's motion in both views (the paper's Sec. IV-A), and hand on the rig."""
     return chain_of((cam1, cam2), rig, config).views()
 
 
@@ -295,18 +268,6 @@ def usable_events(
     return chain.clean(0).events, chain.clean(1).events
 
 
-def _warn_of_rounding(recorded: Iterable[tuple[str, Clean]]) -> None:
-    """Warn of recordings, each with its name, whose times somebody rounded."""
-    for name, seen in recorded:
-        step_s = quantum_s(seen)
-        if step_s:
-            warnings.warn(
-                f"{name}: all times are whole {1e3 * step_s:g} ms: whoever wrote it"
-                " rounded them, and by so much the offset may be off; its deviation is widened",
-                stacklevel=3,
-            )
-
-
 def function_of(method: Method) -> EstimateFunction:
     """Make the function of one method: `ssac.tangency(cam1, cam2, rig, config)`."""
 
@@ -318,13 +279,6 @@ def function_of(method: Method) -> EstimateFunction:
     estimate.__name__ = estimate.__qualname__ = method.name.replace("-", "_")
     estimate.__doc__ = f"""Estimate as `sync(..., method="{method.name}")` does: {method.summary}.
 
-    Parameters
-    ----------
-    cam1, cam2
-        What the two cameras recorded, as for `sync`.
-    rig
-        As for `sync`, with the extrinsics where the method needs them.
-    config
-        Parameters; the defaults when None.
+    Cameras and rig are as for `sync`, the extrinsics among it where the method needs them.
     """
     return estimate

@@ -14,14 +14,14 @@ from collections.abc import Callable, Hashable, Sequence
 from contextlib import AbstractContextManager
 from copy import copy
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from itertools import combinations
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
-from ssac.camera import Camera, Cameras, Rig, check_cameras
+from ssac.camera import Cameras, Rig, check_cameras
 from ssac.config import Config, Interval, validated
 from ssac.errors import SsacError
 from ssac.estimate import SETTLED_BY, Estimate, Refusal, Status
@@ -67,12 +67,10 @@ class _Pair:
     method: Method
     places: tuple[int, int]
     cleans: tuple[Clean, Clean]
+    seen: tuple[Clean, Clean]  # the same on clocks that run alike, as far as a search found that
     rig: Rig  # as the method may see it
     config: Config  # with nothing left open
-
-    @property
-    def of_track(self) -> bool:
-        return any(one.has_track for one in self.cleans)
+    start: Start | None = None
 
 
 class Chain:
@@ -198,97 +196,80 @@ class Chain:
             return self._once(key, lambda: self._answered(chosen, (i, j), config))
 
     def _answered(self, method: Method, places: tuple[int, int], config: Config) -> Answer:
-        i, j = places
-        rig = self.rig.pair(i, j)
-        if method.input is Input.FRAMES:
-            seen = [_as_it_is(self._framed(k, method), self.rig.cameras[k]) for k in places]
-            pair = _Pair(method, places, (seen[0], seen[1]), method.rig_of(rig), config)
-            _check_two(self.name(i), self.name(j), *pair.cleans)
-            return self._answer(pair, self._run(pair))
-        pair = _Pair(method, places, (self.clean(i), self.clean(j)), method.rig_of(rig), config)
-        _check_two(self.name(i), self.name(j), *pair.cleans)
-        tries_all = method.input is Input.TRACKS and self._searches_all(*pair.cleans)
-        if method.of_one_object and config.choose_object:
+        rig, of_frames = self.rig.pair(*places), method.input is Input.FRAMES
+        cleans = self._given(method, places[0]), self._given(method, places[1])
+        pair = _Pair(method, places, cleans, cleans, method.rig_of(rig), config)
+        _check_two(self.name(places[0]), self.name(places[1]), *cleans)
+        tries_all = method.input is Input.TRACKS and self._searches_all(*cleans)
+        if method.of_one_object and config.choose_object and not of_frames:
             cleans, refusal = self._one_object(places, config.offsets_s)
-            pair = replace(pair, cleans=cleans)
+            pair = replace(pair, cleans=cleans, seen=cleans)
             if refusal is not None:
                 return self._refused(pair, refusal)
-        if method.input is Input.RATES:
+        if method.input is not Input.TRACKS:
             return self._answer(pair, self._run(pair))
-        views = self._views(pair.cleans, rig.unposed, config)
-        refusal = unusable(views, pair.cleans, None if tries_all else config.offsets_s)
-        if refusal is not None:
-            return self._refused(pair, refusal)
-        start = self._start(pair, views) if tries_all else None
-        if start is not None and start.has_guess:
-            pair = replace(pair, config=start.config(config))
-        if start is not None and start.refusal is not None:
-            return self._refused(pair, start.refusal, start)
-        return self._refined(pair, start)
+        views = self._views(cleans, rig.unposed, config)
+        refusal = unusable(views, cleans, None if tries_all else config.offsets_s)
+        if refusal is None and tries_all:
+            start = self._start(pair, views)
+            pair, refusal = replace(pair, start=start), start.refusal
+            if start.has_guess:
+                key = "seen", id(cleans[1]), start.guess.rate, start.anchor_s
+                other = self._once(key, partial(start.as_seen, cleans[1]), cleans)
+                pair = replace(pair, seen=(cleans[0], other), config=start.config(config))
+        return self._refined(pair) if refusal is None else self._refused(pair, refusal)
 
-    def _refined(self, pair: _Pair, start: Start | None) -> Answer:
+    def _refined(self, pair: _Pair) -> Answer:
         """Run the method from where it is to begin, with a clock of pieces where no other fits."""
-        found, wanders = self._run(pair, start), False
-        tries = self.config.clock == "auto" and pair.config.prior_ppm > 0.0
-        if pair.of_track and tries and found.status in SETTLED_BY["pieces"]:
+        found, wanders = self._run(pair), False
+        of_track = any(one.has_track for one in pair.cleans)
+        tries = of_track and self.config.clock == "auto" and pair.config.prior_ppm > 0.0
+        if tries and found.status in SETTLED_BY["pieces"]:
             other = replace(pair, config=replace(pair.config, clock=WANDERING))
-            wandering = self._run(other, start)
+            wandering = self._run(other)
             if wandering.has_offset:
                 pair, found, wanders = other, wandering, True
-        is_start = bool(pair.method.keeps_start) and pair.method.keeps(self._seen(pair, start))
-        return replace(self._answer(pair, found, start), wanders=wanders, is_start=is_start)
+        is_start = bool(pair.method.keeps_start) and pair.method.keeps(
+            self._views(pair.seen, pair.rig.unposed, pair.config)
+        )
+        return replace(self._answer(pair, found), wanders=wanders, is_start=is_start)
 
-    def _seen(self, pair: _Pair, start: Start | None) -> TwoViews:
-        """Give the views that a method of tracks begins with."""
-        cleans = pair.cleans[0], self._as_seen(pair, start)
-        return self._views(cleans, pair.rig.unposed, pair.config)
-
-    def _run(self, pair: _Pair, start: Start | None = None) -> Estimate:
+    def _run(self, pair: _Pair) -> Estimate:
         """Run a method, after those that it starts from, and put it on camera 2's own clock."""
         with self.watch.part("estimate") as say:
-            seen = replace(pair, cleans=(pair.cleans[0], self._as_seen(pair, start)))
-            estimate = self._by(pair.method, seen)
+            estimate = self._by(pair.method, pair)
             wanders = pair.config.clock == WANDERING
             say(pair.method.name + (", with a clock that wanders" if wanders else ""))
-        return estimate if start is None else start.as_recorded(estimate)
+        return estimate if pair.start is None else pair.start.as_recorded(estimate)
 
     def _by(self, method: Method, pair: _Pair) -> Estimate:
         """Give the estimate of a method of two cameras; each is found once."""
         config = pair.config
         if method.input is Input.TRACKS and not method.starts_from and method.runs:
             config = config.searching
-        whose = tuple(id(one) for one in pair.cleans)
-        return self._once(
-            ("estimate", method, whose, config), lambda: self._found(method, pair), pair.cleans
-        )
+        key = "estimate", method, _ids(pair.seen), config
+        return self._once(key, lambda: self._found(method, pair), pair.seen)
 
     def _found(self, method: Method, pair: _Pair) -> Estimate:
         if method.estimate is not None:
-            return method.estimate(*pair.cleans, pair.rig, pair.config)
+            return method.estimate(*pair.seen, pair.rig, pair.config)
         if method.input is not Input.TRACKS:
-            return method.function(*pair.cleans, pair.config)
-        views = self._views(pair.cleans, pair.rig.unposed, pair.config)
+            return method.function(*pair.seen, pair.config)
+        views = self._views(pair.seen, pair.rig.unposed, pair.config)
         if method.needs_extrinsics:
             views = views.with_pose(pair.rig)
         if not method.starts_from:
             return method.function(views)
         return method.function(self._by(choose_method(method.starts_from), pair), views)
 
-    def _answer(self, pair: _Pair, estimate: Estimate, start: Start | None = None) -> Answer:
+    def _answer(self, pair: _Pair, estimate: Estimate) -> Answer:
         """Put an estimate into an answer, less sure where the recorders rounded times."""
         quanta_s = quantum_s(pair.cleans[0]), quantum_s(pair.cleans[1])
-        return Answer(
-            less_sure(estimate, quanta_s),
-            pair.method,
-            pair.cleans,
-            self.rig.pair(*pair.places),
-            pair.config,
-            self.rig.name,
-            start,
-            seconds=dict(self.watch.seconds),
-        )
+        rig, seconds = self.rig.pair(*pair.places), dict(self.watch.seconds)
+        made_from = pair.method, pair.cleans, rig, pair.config, self.rig.name, pair.start
+        return Answer(less_sure(estimate, quanta_s), *made_from, seconds=seconds)
 
-    def _refused(self, pair: _Pair, refusal: Refusal, start: Start | None = None) -> Answer:
+    def _refused(self, pair: _Pair, refusal: Refusal) -> Answer:
         """Answer with the reason why a stage before the method gives nothing."""
         estimate = Estimate(
             pair.method.name,
@@ -297,10 +278,20 @@ class Chain:
             refusal.t_d_s,
             alternatives_s=np.array(refusal.alternatives_s),
         )
-        if start is not None:
-            found = start.found
+        if pair.start is not None:
+            found = pair.start.found
             estimate = replace(estimate, candidates_s=found.candidates_s, costs=found.costs)
-        return self._answer(pair, estimate, start)
+        return self._answer(pair, estimate)
+
+    def _given(self, method: Method, k: int) -> Clean:
+        """Give what a method sees of a camera; one of frames does not look at its events."""
+        if method.input is not Input.FRAMES:
+            return self.clean(k)
+        seen, camera = self._framed(k, method), self.rig.cameras[k]
+        if isinstance(seen, Clean):
+            return seen
+        fields = {name: getattr(seen, name) for name in Observation.__dataclass_fields__}
+        return Clean(**fields, camera=camera, n_recorded=len(seen.events))
 
     def _clean(self, k: int) -> Clean:
         if self._undelayed is not None:
@@ -340,16 +331,13 @@ class Chain:
             cleans = [self.clean(k) for k in range(len(self))]
             tries_all = any(self._searches_all(*two) for two in combinations(cleans, 2))
             with self.watch.part("objects") as say:
-                found = one_object(cleans, self.config.rules, None if tries_all else interval_s)
+                found = one_object(cleans, config.rules, None if tries_all else interval_s)
                 if any(len(one.events) for one in cleans):
                     say(_objects_seen(*found))
             return found
 
-        config = self.config
-        key = (
-            *("object", config.cleaning, config.rules, interval_s),
-            *(config.interval_s, config.search, config.rates),
-        )
+        searched = interval_s, config.interval_s, config.search, config.rates
+        key = "object", config.cleaning, config.rules, *searched
         every, refusal = self._once(key, chosen)
         two = every[places[0]], every[places[1]]
         lost = [k for k in places if every[k].used.seen > 1 and every[k].used.share == 0.0]
@@ -378,20 +366,10 @@ class Chain:
                 say(start.words)
             return start
 
-        whose = tuple(id(one) for one in pair.cleans)
-        return self._once(("start", whose, pair.config), found, pair.cleans)
-
-    def _as_seen(self, pair: _Pair, start: Start | None) -> Clean:
-        """Give camera 2 on a clock that runs as camera 1's, as far as a search found the rate."""
-        other = pair.cleans[1]
-        if start is None or start.guess.rate == 1.0:
-            return other
-        key = "seen", id(other), start.guess.rate, start.anchor_s
-        return self._once(key, lambda: start.as_seen(other), (other,))
+        return self._once(("start", _ids(pair.cleans), pair.config), found, pair.cleans)
 
     def _views(self, cleans: tuple[Clean, Clean], rig: Rig, config: Config) -> TwoViews:
-        whose = tuple(id(one) for one in cleans)
-        key = "views", whose, config.windows, config.offsets_s
+        key = "views", _ids(cleans), config.windows, config.offsets_s
         views = self._once(key, lambda: views_of(*cleans, rig, config), cleans)
         return views if views.config == config else replace(views, config=config)
 
@@ -419,19 +397,12 @@ def _kind(value: object) -> str:
     return type(value).__name__
 
 
-def _as_it_is(seen: Observation, camera: Camera) -> Clean:
-    """Give what a camera recorded for a method that does not look at its events."""
-    if isinstance(seen, Clean):
-        return seen
-    fields = {name: getattr(seen, name) for name in Observation.__dataclass_fields__}
-    return Clean(**fields, camera=camera, n_recorded=len(seen.events))
+def _ids(cleans: tuple[Clean, Clean]) -> tuple[int, int]:
+    return id(cleans[0]), id(cleans[1])
 
 
 def _check_two(name1: str, name2: str, one: Clean, other: Clean) -> None:
-    """Raise SsacError when two cameras gave what one saw, be it at other times.
-
-    There is no baseline then, and any translation fits.
-    """
+    """Refuse two cameras that gave what one saw: without a baseline all fits."""
     if one.track is not None and other.track is not None:
         same = np.array_equal(one.track.points_px, other.track.points_px)
     else:
@@ -484,9 +455,6 @@ def one_thread() -> AbstractContextManager[Any]:
 
 @cache
 def _blas(has_scipy: bool) -> ThreadpoolController:
-    """Give the control of BLAS's threads; anew when SciPy has brought a BLAS of its own.
-
-    Looking for them takes some milliseconds.
-    """
+    """Find BLAS's threads, which takes milliseconds; anew when SciPy has brought one of its own."""
     del has_scipy
     return ThreadpoolController()

@@ -9,7 +9,7 @@ from ssac.camera import distort_points
 from ssac.config import Config
 from ssac.errors import SsacError
 from ssac.points import PointTrack
-from ssac.rules import ObjectRules, TrackRules
+from ssac.rules import ObjectRules
 from ssac.search.view import seen_of
 from ssac.track.clean import Clean
 from ssac.track.motion import SharpTrack, motion_of
@@ -35,8 +35,9 @@ def track_of_events(clean: Clean, config: Config) -> PointTrack:
     is, distorted. SsacError if the events show no object anywhere.
     """
     points, sharp = _followed(clean, config)
-    rules = config.rules.track
-    return PointTrack(sharp.times_s, points, _sigmas_px(rules.mean_sizes, sharp.sizes_px, rules))
+    return PointTrack(
+        sharp.times_s, points, _sigmas_px(sharp, config.rules.track.mean_sizes, config)
+    )
 
 
 def things_seen(clean: Clean, rules: ObjectRules) -> int:
@@ -48,24 +49,16 @@ def things_seen(clean: Clean, rules: ObjectRules) -> int:
 
 
 def shaped_track_of_events(clean: Clean, recorded: NDArray[np.void], config: Config) -> ShapedTrack:
-    """Follow the centre of the image's area, where events tell it, and else the mean of the events.
-
-    The times are those of `track_of_events`; `recorded` are all events, noise included.
-    """
+    """Follow the centre of its area, where all events recorded tell it, or else their mean."""
     points, sharp = _followed(clean, config)
-    sizes_px = sharp.sizes_px
-    rules, track_px = config.rules.track, sharp.positions_px
-    sigmas = _sigmas_px(rules.mean_sizes, sizes_px, rules)
-    found = silhouettes(
-        recorded, clean.camera, sharp.times_s, track_px, sizes_px, config.rules.silhouette
-    )
+    rules, times_s, sizes_px = config.rules.track, sharp.times_s, sharp.sizes_px
+    sigmas, given = _sigmas_px(sharp, rules.mean_sizes, config), (times_s, sharp.positions_px)
+    found = silhouettes(recorded, clean.camera, *given, sizes_px, config.rules.silhouette)
     if found is None:
-        return ShapedTrack(PointTrack(sharp.times_s, points, sigmas), None)
-    known = found.known
-    points = np.where(known[:, None], found.centres_px, points)
-    sigmas = np.where(known, _sigmas_px(rules.centre_sizes, sizes_px, rules), sigmas)
-    track = PointTrack(sharp.times_s, points, sigmas)
-    return ShapedTrack(track, found.spreads_px2, found.images)
+        return ShapedTrack(PointTrack(times_s, points, sigmas), None)
+    points = np.where(found.known[:, None], found.centres_px, points)
+    sigmas = np.where(found.known, _sigmas_px(sharp, rules.centre_sizes, config), sigmas)
+    return ShapedTrack(PointTrack(times_s, points, sigmas), found.spreads_px2, found.images)
 
 
 def _followed(clean: Clean, config: Config) -> tuple[NDArray[np.float64], SharpTrack]:
@@ -87,7 +80,5 @@ def _followed(clean: Clean, config: Config) -> tuple[NDArray[np.float64], SharpT
     return points[good], SharpTrack(**kept)
 
 
-def _sigmas_px(
-    share: float, sizes_px: NDArray[np.float64], rules: TrackRules
-) -> NDArray[np.float64]:
-    return np.asarray(np.maximum(share * sizes_px, rules.least_sigma_px))
+def _sigmas_px(sharp: SharpTrack, share: float, config: Config) -> NDArray[np.float64]:
+    return np.asarray(np.maximum(share * sharp.sizes_px, config.rules.track.least_sigma_px))

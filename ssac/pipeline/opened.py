@@ -85,17 +85,19 @@ class Recording:
         return is_track_file(self.path)
 
     def read(self, frames: str = "") -> Observation:
-        """Read what the camera recorded, and check it against its calibration.
-
-        `frames` is "images" or "means" for intensity frames beside the events, where the file has
-        them. SsacError, which names the file, if it cannot be used or does not fit the rig.
-        """
+        """Read it, with frames ("images" or "means") where the file has them, and check it."""
         what = f"{self.path} with {self.camera_name}"
         if self.has_track:
             track = load_track(self.path)
             check_track(track, self.camera.width, self.camera.height, what)
             check_readout(track.times_s, self.camera.readout_s or 0.0, what)
-            _warn_of_long_steps(track.times_s, self.path)
+            step_s = float(np.median(np.diff(track.times_s))) if len(track) > 1 else 0.0
+            if step_s > 0.9:  # times that count frames are 1 apart
+                warnings.warn(
+                    f"{self.path}: its points are {step_s:.3g} s apart, which tells little of a"
+                    " motion: if t_s is in milliseconds or counts frames, give seconds",
+                    stacklevel=2,
+                )
             return tracked(track, self.name)
         from ssac.files.event_files import load_events
 
@@ -113,12 +115,12 @@ class Recording:
 
 
 def opened_rig(rig: RigInput, n: int, numbers: tuple[int, int] | None = None) -> Cameras:
-    """Open a rig of n cameras, given in any form.
-
-    `numbers` are those of two cameras in a rig file, from 1 on; None: the first n. SsacError if the
-    rig cannot be used, or is of fewer cameras.
-    """
-    if numbers is not None and not _are_numbers(numbers):
+    """Open a rig of n cameras, in any form; or two of a file's, by their numbers from 1 on."""
+    if numbers is not None and not (
+        isinstance(numbers, (tuple, list))
+        and len(numbers) == 2
+        and all(isinstance(one, int) and one >= 1 for one in numbers)
+    ):
         raise SsacError(
             f"cameras: expected the numbers of two cameras of the rig, from 1 on, got {numbers!r}"
         )
@@ -155,11 +157,7 @@ def opened(
     numbers: Sequence[int] | None = None,
     reading: Reading = STRICT,
 ) -> tuple[Observation | Recording, ...]:
-    """Open what each camera of a rig recorded, as far as that can be done without reading files.
-
-    `numbers` are those of the cameras in the rig file, from 1 on; None: 1, 2 and so on. SsacError
-    if something is no recording, is not there, or is given twice.
-    """
+    """Open what each camera recorded, without reading files; by its number in the rig file."""
     numbers = numbers or range(1, len(seen) + 1)
     for (a, one), (b, other) in combinations(zip(numbers, seen, strict=True), 2):
         if a == b:
@@ -228,27 +226,10 @@ def _same_file(one: object, other: object) -> bool:
     return first.exists() and second.exists() and first.samefile(second)
 
 
-def _are_numbers(numbers: object) -> bool:
-    """Whether these are two numbers of cameras."""
-    if not (isinstance(numbers, (tuple, list)) and len(numbers) == 2):
-        return False
-    return all(isinstance(one, int) and one >= 1 for one in numbers)
-
-
 def _kind(value: object) -> str:
     """Name what came in the place of something else."""
     text = repr(value)
     return f"{type(value).__name__} {text if len(text) < 40 else ''}".strip()
-
-
-def _warn_of_long_steps(times_s: NDArray[np.float64], path: Path) -> None:
-    step_s = float(np.median(np.diff(times_s))) if len(times_s) > 1 else 0.0
-    if step_s > 0.9:  # times that count frames are 1 apart
-        warnings.warn(
-            f"{path}: its points are {step_s:.3g} s apart, which tells little of a motion: if t_s "
-            "is in milliseconds or counts frames, give seconds",
-            stacklevel=3,
-        )
 
 
 def _pixels_of_mean(frames: NDArray[np.uint8]) -> NDArray[np.float64]:

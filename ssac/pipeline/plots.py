@@ -20,8 +20,7 @@ from matplotlib.figure import Figure, SubFigure
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from ssac.camera import Camera, Rig, undistortion_map
-from ssac.config import Config
+from ssac.camera import Camera, undistortion_map
 from ssac.estimate import Estimate
 from ssac.events import US_PER_S, slice_time
 from ssac.files.whole_file import FIGURE_SUFFIXES, whole_file
@@ -36,13 +35,22 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 Canvas = Figure | SubFigure
+Draw = Callable[[Canvas, "Material"], None]
 
 BLUE, YELLOW, RED = "#004488", "#DDAA33", "#BB5566"
 
-ZOOM_S = 0.003
-"""Half the width of the zoom around the minimum, as in the paper's Fig. 5."""
+CAMERA_COLORS = BLUE, YELLOW
+POLARITIES = Patch(color=YELLOW, label="brighter"), Patch(color=BLUE, label="darker")
+ZOOM_S = 0.003  # half the width of the zoom around the minimum, as in the paper's Fig. 5
 
 _WIDTH_IN, _DPI = 9.0, 150
+_POINT: dict[str, Any] = {
+    "marker": "X",
+    "markersize": 11,
+    "markerfacecolor": "black",
+    "markeredgecolor": "white",
+    "linestyle": "none",
+}
 
 
 @dataclass(frozen=True)
@@ -59,14 +67,24 @@ class Material:
         return self.views.motion1, self.views.motion2
 
     @property
-    def rig(self) -> Rig:
-        """Both cameras."""
-        return self.views.rig
+    def cameras(self) -> tuple[Camera, Camera]:
+        """Both cameras of the rig."""
+        return self.views.rig.cam1, self.views.rig.cam2
 
-    @property
-    def config(self) -> Config:
-        """The method's parameters."""
-        return self.views.config
+    def window(
+        self, camera: int, time_s: float, half_length_s: float, most: int | None = None
+    ) -> tuple[NDArray[np.void], Array]:
+        """Give events of camera 0 or 1 around a time of its clock, and undistorted points (n, 2).
+
+        About so many at most; NaN where the lens model has no point.
+        """
+        bounds_us = (round((time_s + side * half_length_s) * US_PER_S) for side in (-1, 1))
+        events = slice_time(self.events[camera], *bounds_us)
+        events = events if most is None else events[:: max(1, len(events) // most)]
+        if self.cameras[camera].distortion_model == "none":
+            return events, np.stack([events["x"], events["y"]], axis=1).astype(np.float64)
+        table = undistortion_map(self.cameras[camera])
+        return events, np.asarray(table[events["y"], events["x"]])
 
 
 @dataclass(frozen=True)
@@ -88,35 +106,50 @@ def save_figures(target: Path, material: Material) -> list[Path]:
     The target is a folder, made if need be, for one PNG per figure; or a file of FIGURE_SUFFIXES
     for all figures, one below the other.
     """
+    figures = figures_of(material)
+    if not figures:
+        return []
     if target.suffix.lower() in FIGURE_SUFFIXES:
-        page = page_of(material)
-        if page is None:
-            return []
-        _save(page, target)
-        return [target]
-    figures = [figure for figure in _FIGURES if figure.can_draw(material)]
-    if figures:
+        pages = {target: figures}
+    else:
         target.mkdir(parents=True, exist_ok=True)
-    written = []
-    for figure in figures:
-        page = Figure(figsize=(_WIDTH_IN, figure.height_in(material)), layout="constrained")
-        figure.draw(page, material)
-        written.append(target / f"{figure.name}.png")
-        _save(page, written[-1])
-    return written
+        pages = {target / f"{figure[0]}.png": [figure] for figure in figures}
+    for path, shown in pages.items():
+        _save(_page(shown, material), path, _DPI)
+    return list(pages)
 
 
 def page_of(material: Material) -> Figure | None:
     """Draw all figures that an estimate allows, one below the other; None where there are none."""
-    figures = [figure for figure in _FIGURES if figure.can_draw(material)]
-    if not figures:
-        return None
-    heights = [figure.height_in(material) for figure in figures]
+    figures = figures_of(material)
+    return _page(figures, material) if figures else None
+
+
+def figures_of(material: Material) -> list[tuple[str, float, Draw]]:
+    """List the figures that an estimate allows: name, height [in] and who draws it."""
+    estimate, found = material.estimate, list[tuple[str, float, Draw]]()
+    has_fit = estimate.F is not None and bool(np.isfinite(estimate.t_d_s))
+    if has_fit or np.isfinite(estimate.costs).any():
+        found.append(("d_avg", 3.2, draw_search))
+    if has_fit:
+        found.append(("epipolar", 3.6 * len(epipolar_rows(material)), draw_epipolar))
+    if has_fit and estimate.R is not None:
+        found.append(("alignment", 7.0, draw_alignment))
+    return found
+
+
+def _page(figures: list[tuple[str, float, Draw]], material: Material) -> Figure:
+    heights = [height_in for _, height_in, _ in figures]
     page = Figure(figsize=(_WIDTH_IN, sum(heights)), layout="constrained")
-    parts = page.subfigures(len(figures), 1, height_ratios=heights, squeeze=False)[:, 0]
-    for figure, part in zip(figures, parts, strict=True):
-        figure.draw(part, material)
+    parts = [page] if len(figures) == 1 else page.subfigures(len(figures), height_ratios=heights)
+    for (_, _, draw), part in zip(figures, parts, strict=True):
+        draw(part, material)
     return page
+
+
+def _save(page: Figure, path: Path, dpi: int) -> None:
+    with whole_file(path) as temporary:
+        page.savefig(temporary, format=path.suffix[1:].lower(), dpi=dpi)
 
 
 def draw_search(canvas: Canvas, material: Material) -> None:
@@ -156,8 +189,9 @@ def draw_epipolar(canvas: Canvas, material: Material) -> None:
     for (left, right), row in zip(canvas.subplots(len(rows), 2, squeeze=False), rows, strict=True):
         _draw_events(left, material, 0, row.time_s, reach_px)
         _draw_events(right, material, 1, row.time_s + row.offset_s, reach_px)
-        foot = _foot(row.line_1, row.p1)
-        along = np.array([-row.line_1[1], row.line_1[0]]) / np.hypot(*row.line_1[:2])
+        normal = row.line_1[:2]
+        foot = row.p1 - (normal @ row.p1 + row.line_1[2]) / (normal @ normal) * normal
+        along = np.array([-normal[1], normal[0]]) / np.hypot(*normal)
         left.axline(foot, foot + along, color="black", lw=1.2, label="line $l_1$ of $p_2$")
         left.plot(*np.stack([row.p1, foot]).T, color=RED, lw=3, label="distance $d$")
         left.plot(*row.p1, **_POINT, label="$p_1$, $p_2$")
@@ -178,18 +212,17 @@ def draw_alignment(canvas: Canvas, material: Material) -> None:
     The plane through both cameras and a point has one angle about the baseline, the same for both
     views whatever the point: only what is seen at one instant has equal angles.
     """
-    t_d_s = material.estimate.t_d_s
     start_s, length_s = telling_stretch(material)
+    pairings = clocks(material.estimate.t_d_s)
     clouds = [
-        points_in_time(material, camera, start_s + offset_s, length_s)
-        for camera, offset_s in ((0, 0.0), (1, t_d_s))
+        _points_in_time(material, camera, start_s + pairings[camera][1], length_s)
+        for camera in (0, 1)
     ]
-    for column, (name, offset_s) in enumerate(clocks(t_d_s)):
+    for column, (name, offset_s) in enumerate(pairings):
         axes = canvas.add_subplot(2, 2, 1 + column, projection="3d")
         for camera, (times_s, points) in enumerate(clouds):
-            shown_s = times_s - camera * offset_s
+            shown_s, color = times_s - camera * offset_s, CAMERA_COLORS[camera]
             label = f"camera {camera + 1}"
-            color = _CAMERA_COLORS[camera]
             axes.scatter(shown_s, points[:, 0], points[:, 1], s=0.4, color=color, label=label)
         axes.set(xlabel="time [s]", ylabel="x [px]", zlabel="y [px]")
         axes.invert_zaxis()
@@ -198,7 +231,7 @@ def draw_alignment(canvas: Canvas, material: Material) -> None:
         axes.locator_params(nbins=4)
         axes.xaxis.labelpad = 10
         axes.legend(loc="upper right", fontsize="small", markerscale=12)
-    for column, (name, offset_s) in enumerate(clocks(t_d_s)):
+    for column, (name, offset_s) in enumerate(pairings):
         axes = canvas.add_subplot(2, 2, 3 + column)
         _draw_angles(axes, material, offset_s, start_s, length_s)
         axes.set(
@@ -219,7 +252,7 @@ def search_curve(material: Material) -> tuple[Array, Array]:
     estimate = material.estimate
     if np.isfinite(estimate.costs).any():
         return estimate.candidates_s, estimate.costs
-    offsets_s: Array = np.arange(*material.config.offsets_s, 2e-3, dtype=np.float64)
+    offsets_s: Array = np.arange(*material.views.config.offsets_s, 2e-3, dtype=np.float64)
     return offsets_s, d_avg_px(material, offsets_s)
 
 
@@ -233,10 +266,7 @@ def d_avg_px(material: Material, offsets_s: Array) -> Array:
 
 
 def epipolar_rows(material: Material) -> list[EpipolarRow]:
-    """Rows before and after at one sample time; only after where before no time is valid.
-
-    The time is one at which d, before, can be seen well.
-    """
+    """Rows before, if a time is valid, and after, at one time where d is seen well."""
     F = np.asarray(material.estimate.F)
     motion1, motion2 = material.motions
     t_d_s = material.estimate.t_d_s
@@ -263,10 +293,7 @@ def epipolar_rows(material: Material) -> list[EpipolarRow]:
 
 
 def telling_stretch(material: Material) -> tuple[float, float]:
-    """Start [s], camera 1's clock, and length [s] of a stretch that both views see well.
-
-    Of all that start at a sample time: where the angle of the epipolar plane varies most.
-    """
+    """Start [s], camera 1's clock, and length [s] of where the plane's angle varies most."""
     t_d_s = material.estimate.t_d_s
     length_s = float(np.clip(20.0 * abs(t_d_s), 0.4, 2.0))
     pairs = material.views.pairs(np.array([t_d_s]))
@@ -283,13 +310,9 @@ def telling_stretch(material: Material) -> tuple[float, float]:
 
 
 def plane_angles(material: Material, camera: int, points: Array) -> Array:
-    """Angle (n,) [deg] about the baseline of the epipolar planes of undistorted points (n, 2).
-
-    Zero is the plane of camera 1's line of sight.
-    """
+    """Angle (n,) [deg] about the baseline of points (n, 2); 0: camera 1's line of sight."""
     R, t = np.asarray(material.estimate.R), np.asarray(material.estimate.t)
-    K = (material.rig.cam1, material.rig.cam2)[camera].K
-    rays = rays_of(K, points)
+    rays = rays_of(material.cameras[camera].K, points)
     if camera == 1:
         rays = rays @ R  # from camera 2's frame to camera 1's
     baseline = R.T @ t
@@ -299,65 +322,13 @@ def plane_angles(material: Material, camera: int, points: Array) -> Array:
     return np.asarray(np.degrees(np.arctan2(rays @ across, rays @ ahead)))
 
 
-def points_in_time(
+def _points_in_time(
     material: Material, camera: int, start_s: float, length_s: float
 ) -> tuple[Array, Array]:
-    """Thin a stretch of events to times (n,) [s] and undistorted positions (n, 2) [px]."""
-    events = window(material, camera, start_s + 0.5 * length_s, 0.5 * length_s)
-    events = events[:: max(1, len(events) // 6000)]  # more would only blot the picture
-    points = undistorted(events, (material.rig.cam1, material.rig.cam2)[camera])
+    """Give times (n,) [s] and positions (n, 2) [px] of a stretch; more would blot the picture."""
+    half_s = 0.5 * length_s
+    events, points = material.window(camera, start_s + half_s, half_s, most=6000)
     return events["t"] / US_PER_S, points
-
-
-def window(
-    material: Material, camera: int, time_s: float, half_length_s: float
-) -> NDArray[np.void]:
-    """Return the events of camera 0 or 1 around a time of its own clock."""
-    bounds_us = (round((time_s + side * half_length_s) * US_PER_S) for side in (-1, 1))
-    return slice_time(material.events[camera], *bounds_us)
-
-
-def undistorted(events: NDArray[np.void], camera: Camera) -> Array:
-    """Positions (n, 2) [px] without distortion; NaN where the lens model has none."""
-    if camera.distortion_model == "none":
-        return np.stack([events["x"], events["y"]], axis=1).astype(np.float64)
-    return np.asarray(undistortion_map(camera)[events["y"], events["x"]])
-
-
-def has_curve(material: Material) -> bool:
-    """Tell whether there is a cost curve to draw."""
-    return bool(np.isfinite(material.estimate.costs).any()) or has_fit(material)
-
-
-def has_fit(material: Material) -> bool:
-    """Tell whether there are an offset and an F."""
-    return material.estimate.F is not None and bool(np.isfinite(material.estimate.t_d_s))
-
-
-def has_pose(material: Material) -> bool:
-    """Tell whether there are an offset and a pose."""
-    return has_fit(material) and material.estimate.R is not None
-
-
-@dataclass(frozen=True)
-class _Figure:
-    """One figure: how tall it is, when there are the data for it, and who draws it."""
-
-    name: str
-    height_in: Callable[[Material], float]
-    can_draw: Callable[[Material], bool]
-    draw: Callable[[Canvas, Material], None]
-
-
-_POINT: dict[str, Any] = {
-    "marker": "X",
-    "markersize": 11,
-    "markerfacecolor": "black",
-    "markeredgecolor": "white",
-    "linestyle": "none",
-}
-_CAMERA_COLORS = (BLUE, YELLOW)
-POLARITIES = (Patch(color=YELLOW, label="brighter"), Patch(color=BLUE, label="darker"))
 
 
 def _mark_offset(axes: Axes, position: float, label: str) -> None:
@@ -370,19 +341,12 @@ def _draw_events(
     axes: Axes, material: Material, camera: int, time_s: float, reach_px: float
 ) -> None:
     """Draw the events of the window around a time as pixels, the last on top."""
-    events = window(material, camera, time_s, material.config.half_window_s)
-    points = undistorted(events, (material.rig.cam1, material.rig.cam2)[camera])
+    events, points = material.window(camera, time_s, material.views.config.half_window_s)
     colors = np.where(events["p"] > 0, YELLOW, BLUE)
     width_pt = 270.0  # of one of two axes side by side
     pixel_pt = 1.15 * width_pt / (2.0 * reach_px)  # a little more, lest they leave gaps
     x, y = points.T
     axes.scatter(x, y, s=pixel_pt**2, c=colors, marker="s", linewidths=0.0, rasterized=True)
-
-
-def _foot(line: Array, point: Array) -> Array:
-    """Foot (2,) of the perpendicular from the point to the line (a, b, c)."""
-    normal = line[:2]
-    return np.asarray(point - (normal @ point + line[2]) / (normal @ normal) * normal)
 
 
 def _draw_angles(
@@ -391,9 +355,9 @@ def _draw_angles(
     """Draw the angles of both cameras' events and tracks; camera 2's moved by the offset."""
     events, colors = [], []
     for camera, shift_s in ((0, 0.0), (1, offset_s)):
-        times_s, points = points_in_time(material, camera, start_s + shift_s, length_s)
+        times_s, points = _points_in_time(material, camera, start_s + shift_s, length_s)
         events.append(np.column_stack([times_s - shift_s, plane_angles(material, camera, points)]))
-        colors += [_CAMERA_COLORS[camera]] * len(times_s)
+        colors += [CAMERA_COLORS[camera]] * len(times_s)
     # In random order, lest one camera cover the other.
     order = np.random.default_rng(0).permutation(len(colors))
     times_s, angles = np.concatenate(events)[order].T
@@ -402,24 +366,10 @@ def _draw_angles(
     for camera, shift_s, style in ((0, 0.0, "-"), (1, offset_s, "--")):
         track = material.motions[camera].at(grid_s + shift_s)
         angles = np.where(track.valid, plane_angles(material, camera, track.positions_px), np.nan)
-        color, label = _CAMERA_COLORS[camera], f"camera {camera + 1}"
+        color, label = CAMERA_COLORS[camera], f"camera {camera + 1}"
         axes.plot(grid_s, angles, "-", color="white", lw=4, zorder=3)
         axes.plot(grid_s, angles, style, color=color, lw=2, zorder=4, label=label)
     axes.legend(loc="best", fontsize="small")
-
-
-def _save(page: Figure, path: Path) -> None:
-    with whole_file(path) as temporary:
-        page.savefig(temporary, format=path.suffix[1:].lower(), dpi=_DPI)
-
-
-_FIGURES = (
-    _Figure("d_avg", lambda _: 3.2, has_curve, draw_search),
-    _Figure(
-        "epipolar", lambda material: 3.6 * len(epipolar_rows(material)), has_fit, draw_epipolar
-    ),
-    _Figure("alignment", lambda _: 7.0, has_pose, draw_alignment),
-)
 
 
 def save_comparison(file: Path, comparison: "Comparison") -> None:
@@ -432,8 +382,7 @@ def save_comparison(file: Path, comparison: "Comparison") -> None:
         left, right = page.subfigures(1, 2)
         _draw_shape(left, comparison)
         _draw_over_time(right, in_time)
-    with whole_file(file) as temporary:
-        page.savefig(temporary, format=file.suffix[1:].lower(), dpi=130)
+    _save(page, file, 130)
 
 
 def _draw_shape(canvas: Canvas, comparison: "Comparison") -> None:
@@ -444,14 +393,11 @@ def _draw_shape(canvas: Canvas, comparison: "Comparison") -> None:
     # Smaller than the canvas, which does not count the labels of axes in space as its own.
     axes.set_box_aspect(np.maximum(np.ptp(comparison.truth_m, axis=0), 1e-9), zoom=0.88)
     axes.legend(loc="upper right", fontsize="small")
-    if comparison.in_time is None:
-        axes.set_title(f"RMSE {comparison.as_shape.rmse_m:.3f} m (ICP)", fontsize="medium")
-    else:
-        axes.set_title(
-            f"RMSE {comparison.in_time.rmse_m:.3f} m at equal times, "
-            f"{comparison.as_shape.rmse_m:.3f} m by ICP",
-            fontsize="medium",
-        )
+    shape_m, in_time = comparison.as_shape.rmse_m, comparison.in_time
+    said = f"{shape_m:.3f} m (ICP)"
+    if in_time is not None:
+        said = f"{in_time.rmse_m:.3f} m at equal times, {shape_m:.3f} m by ICP"
+    axes.set_title(f"RMSE {said}", fontsize="medium")
 
 
 def _broken(points: Array) -> Array:

@@ -51,39 +51,33 @@ class Registry(Mapping[str, Method]):
         self._ours = {method.name: method for method in OURS}
         self._loaded: dict[str, Method] = {}
 
-    def __iter__(self) -> Iterator[str]:
-        yield from self._ours
-        yield from sorted(self._entry_points.keys() - self._ours.keys())
-
-    def __len__(self) -> int:
-        return len(self._ours.keys() | self._entry_points.keys())
-
-    def __contains__(self, name: object) -> bool:
-        return name in self._ours or name in self._entry_points
-
-    def __getitem__(self, name: str) -> Method:
-        if name not in self._loaded:
-            self._loaded[name] = self._load(name)
-        return self._loaded[name]
-
     @cached_property
     def _entry_points(self) -> dict[str, list[EntryPoint]]:
-        found: dict[str, list[EntryPoint]] = {}
-        for entry in entry_points(group=_METHODS):
+        found: dict[str, list[EntryPoint]] = {name: [] for name in self._ours}
+        for entry in sorted(entry_points(group=_METHODS), key=lambda entry: entry.name):
             found.setdefault(entry.name, []).append(entry)
         return found
 
-    def _load(self, name: str) -> Method:
-        entries = self._entry_points.get(name, [])
-        owners = ["this suite"] * (name in self._ours) + sorted(map(_origin, entries))
-        if not owners:
-            raise KeyError(name)
-        if len(owners) > 1:
-            raise SsacError(
-                f"the method name {name!r} is taken twice, by {' and by '.join(owners)}: "
-                "uninstall one, or change its entry point's name"
-            )
-        return self._ours[name] if name in self._ours else _method_from(entries[0])
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._entry_points)
+
+    def __len__(self) -> int:
+        return len(self._entry_points)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._entry_points
+
+    def __getitem__(self, name: str) -> Method:
+        if name not in self._loaded:
+            entries = self._entry_points[name]
+            owners = ["this suite"] * (name in self._ours) + sorted(map(_origin, entries))
+            if len(owners) > 1:
+                raise SsacError(
+                    f"the method name {name!r} is taken twice, by {' and by '.join(owners)}: "
+                    "uninstall one, or change its entry point's name"
+                )
+            self._loaded[name] = self._ours.get(name) or _method_from(entries[0])
+        return self._loaded[name]
 
 
 METHODS: Mapping[str, Method] = Registry()
@@ -100,11 +94,7 @@ def load(method: Method) -> None:
 def choose_method(
     name: str | None = None, known_extrinsics: bool = False, has_track: bool = False
 ) -> Method:
-    """Look up a method by its name; None for the best one, also of tracks of points.
-
-    With known extrinsics it is the variant that is given them. SsacError if there is no such method
-    or variant, or the package that it comes from is broken.
-    """
+    """Look up a method, or the best one for None; with known extrinsics its variant for them."""
     name = (OF_TRACKS if has_track else DEFAULT) if name is None else name
     method = METHODS.get(name) if isinstance(name, str) else None
     if method is None:
@@ -142,24 +132,18 @@ class _CheckedFunction:
         except SsacError:
             raise
         except Exception as error:
-            raise PluginError(
-                f"{self.origin}: {type(error).__name__}: {error} ({self._place(error)}): a bug of"
-                " that package"
-            ) from error
+            frames = traceback.extract_tb(error.__traceback__)
+            theirs = [frame for frame in frames if Path(frame.filename).is_relative_to(self.home)]
+            # In which line of that package it arose, or was let through.
+            where = f"{theirs[-1].filename}, line {theirs[-1].lineno}" if theirs else self.home
+            raise PluginError(self._said(f"{type(error).__name__}: {error}", where)) from error
         fault = _fault_of(estimate)
         if fault:
-            raise PluginError(f"{self.origin}: {fault} ({self.home}): a bug of that package")
+            raise PluginError(self._said(fault, self.home))
         return estimate
 
-    def _place(self, error: Exception) -> str:
-        """Say in which line of that package an error arose, or was let through."""
-        frames = traceback.extract_tb(error.__traceback__)
-        theirs = [frame for frame in frames if _is_within(Path(frame.filename), self.home)]
-        return f"{theirs[-1].filename}, line {theirs[-1].lineno}" if theirs else str(self.home)
-
-
-def _is_within(file: Path, home: Path) -> bool:
-    return file == home or home in file.parents
+    def _said(self, fault: str, where: Path | str) -> str:
+        return f"{self.origin}: {fault} ({where}): a bug of that package"
 
 
 def _fault_of(estimate: object) -> str:
@@ -236,10 +220,10 @@ def _code_hash(entry: EntryPoint) -> str:
     """Hash an imported entry point's whole top-level package: its version says nothing of edits."""
     home, suffixes = _home(entry), (*SOURCE_SUFFIXES, *EXTENSION_SUFFIXES)
     within = sorted(home.rglob("*")) if home.is_dir() else [home]
-    files = [path for path in within if path.is_file() and path.name.endswith(suffixes)]
-    digest = hashlib.sha256()
-    for path in files:
-        content = path.read_bytes()
-        digest.update(f"{path.relative_to(home.parent).as_posix()} {len(content)}\n".encode())
-        digest.update(content)
+    digest, files = hashlib.sha256(), 0
+    for path in within:
+        if path.is_file() and path.name.endswith(suffixes):
+            content, files = path.read_bytes(), files + 1
+            digest.update(f"{path.relative_to(home.parent).as_posix()} {len(content)}\n".encode())
+            digest.update(content)
     return digest.hexdigest()[:16] if files else ""

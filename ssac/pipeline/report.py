@@ -11,9 +11,10 @@ from scipy.spatial.transform import Rotation
 
 from ssac.estimate import Estimate
 from ssac.files.whole_file import whole_file
-from ssac.methods.method import Method
+from ssac.methods.method import Input, Method
 from ssac.pipeline.answer import Answer
-from ssac.track.clean import Clean
+
+Array = NDArray[np.float64]
 
 _OF_CLOCK = ("t_d_s", "t_d_std_s", "t_ref_s", "skew_ppm", "skew_std_ppm")
 
@@ -26,17 +27,16 @@ def report_text(answer: Answer) -> str:
         rows.append((title, f"{estimate.status}: {estimate.reason}"))
     if np.isfinite(estimate.t_d_s):
         rows += _offset_rows(estimate) + _skew_rows(estimate, answer) + _readout_rows(estimate)
-    if _objects(answer):
-        rows.append(("objects", _objects(answer)))
+    rows += _objects_row(answer)
     if answer.note:
         rows.append(("note", answer.note))
     if answer.method.needs_extrinsics:
         rows.append(("pose", f"as given in {answer.rig_name}"))
     elif estimate.R is not None and estimate.t is not None:
-        rows += _pose_rows(estimate.R, estimate.t, (estimate.r_std_deg, estimate.t_std_deg))
-    if answer.has_samples:
+        rows += _pose_rows(estimate, estimate.R, estimate.t)
+    if answer.method.input is Input.TRACKS:
         rows.append(("samples", _samples(answer)))
-    rows += [("clutter", f"camera {k}: {words}") for k, words in _clutter_words(answer)]
+    rows += _clutter_rows(answer)
     if np.isfinite(estimate.d_avg_px):
         rows.append(("d_avg", f"{estimate.d_avg_px:.3f} px from point to epipolar line"))
     rows.append(("method", f"{answer.method.name}: {answer.method.summary}"))
@@ -56,19 +56,29 @@ def report_json(answer: Answer) -> dict[str, Any]:
         "reason": estimate.reason,
         "note": answer.note,
         "method": answer.method.name,
-        "n_samples": estimate.n_samples if answer.has_samples else None,
+        "n_samples": estimate.n_samples if answer.method.input is Input.TRACKS else None,
         "d_avg_px": plain(estimate.d_avg_px),
         "t_d_is_reliable": estimate.has_offset,
         "alternatives_s": plain(estimate.alternatives_s),
         "unobservable": plain(estimate.unobservable),
         "covariance": plain(estimate.covariance),
         "clock_covariance": plain(estimate.clock_covariance),
-        "clock_knots": _knots(estimate),
+        "clock_knots": [  # with the deviation of all that the clock shows there
+            dict(zip(("t_s", "stray_s", "std_s"), knot.tolist(), strict=True))
+            for knot in np.column_stack(
+                [estimate.knots_s, estimate.strays_s, estimate.strays_std_s]
+            )
+        ],
         "objects": [asdict(seen.used) for seen in answer.cleans]
         if answer.looks_at_one_object
         else None,
         "clock_jump": None if estimate.jump is None else asdict(estimate.jump),
-        "clutter": [_of_clutter(camera, answer) for camera in answer.cleans],
+        "clutter": [
+            None
+            if seen.clutter is None
+            else asdict(seen.clutter) | {"n_min": seen.n_min(answer.config.n_min)}
+            for seen in answer.cleans
+        ],
         "conventions": "t_cam2 = t_cam1 + t_d + skew (t_cam1 - t_ref), and what it strays at knots,"
         " linear in between; x2 = R x1 + t, |t| = 1; covariance of t_d [s], "
         "rotation vector of exp([w]x) R [rad] and t's two tangents [rad]; unobservable: unit "
@@ -81,17 +91,17 @@ def report_json(answer: Answer) -> dict[str, Any]:
     }
 
 
-def _objects(answer: Answer) -> str:
-    """Say what was seen beside the object; empty where that was one thing at a time."""
+def _objects_row(answer: Answer) -> list[tuple[str, str]]:
+    """Say what was seen beside the object; nothing where that was one thing at a time."""
     objects = [seen.used for seen in answer.cleans]
     if not answer.looks_at_one_object or all(used.seen == 1 for used in objects):
-        return ""
+        return []
     parts = [
         f"camera {number} sees {used.seen}"
         + (f", {100.0 * used.share:.0f} % of its events used" if used.share > 0.0 else "")
         for number, used in enumerate(objects, start=1)
     ]
-    return "; ".join(parts)
+    return [("objects", "; ".join(parts))]
 
 
 def html_of(text: str) -> str:
@@ -153,36 +163,25 @@ def _skew_rows(estimate: Estimate, answer: Answer) -> list[tuple[str, str]]:
     guess, prior_ppm = answer.guess, answer.config.prior_ppm
     is_found = guess is not None and guess.rate != 1.0  # before the prior held
     if ppm > 3.0 * prior_ppm and not is_found:
-        prior = f"{prior_ppm:g} ppm expected of such clocks"
-        rows.append(("", f"far beyond the {prior}: see --skew-prior"))
+        expected = f"{prior_ppm:g} ppm expected of such clocks"
+        rows.append(("", f"far beyond the {expected}: see --skew-prior"))
     return rows
 
 
 def _readout_rows(estimate: Estimate) -> list[tuple[str, str]]:
     """Row on the rolling shutters that were estimated."""
+    readouts = zip(estimate.readouts_s, estimate.readouts_std_s, strict=True)
     found = [
         f"camera {number} {1e3 * readout_s:.1f} ms, 1 sigma {1e3 * std_s:.1f} ms"
-        for number, readout_s, std_s in zip(
-            (1, 2), estimate.readouts_s, estimate.readouts_std_s, strict=True
-        )
+        for number, (readout_s, std_s) in enumerate(readouts, start=1)
         if std_s > 0.0
     ]
     return [("readout", "; ".join(found))] if found else []
 
 
-def _knots(estimate: Estimate) -> list[dict[str, float]]:
-    """List what the clock strays at each knot, with the deviation of all it shows there."""
-    columns = estimate.knots_s, estimate.strays_s, estimate.strays_std_s
-    return [
-        {"t_s": t_s, "stray_s": stray_s, "std_s": std_s}
-        for t_s, stray_s, std_s in zip(*(column.tolist() for column in columns), strict=True)
-    ]
-
-
-def _pose_rows(
-    R: NDArray[np.float64], t: NDArray[np.float64], stds_deg: tuple[float, float]
-) -> list[tuple[str, str]]:
-    """Rows on the pose x2 = R x1 + t, with the deviations of R and of t where they are known."""
+def _pose_rows(estimate: Estimate, R: Array, t: Array) -> list[tuple[str, str]]:
+    """Rows on the pose x2 = R x1 + t, with its deviations where they are known."""
+    stds_deg = estimate.r_std_deg, estimate.t_std_deg
     rotation = Rotation.from_matrix(R).as_rotvec(degrees=True)
     sigmas = [f", 1 sigma {std:.3f} deg" if np.isfinite(std) else "" for std in stds_deg]
     apart_deg = np.degrees(np.arccos(np.clip(R[2, 2], -1.0, 1.0)))
@@ -204,9 +203,9 @@ def _samples(answer: Answer) -> str:
     return f"{estimate.n_samples} {counts} used{times}"
 
 
-def _clutter_words(answer: Answer) -> list[tuple[int, str]]:
-    """Say of each camera, from 1 on, what was masked, filtered in another way, or left out."""
-    found = []
+def _clutter_rows(answer: Answer) -> list[tuple[str, str]]:
+    """Say of each camera what was masked, filtered in another way, or left out."""
+    rows = []
     for number, camera in enumerate(answer.cleans, start=1):
         clutter, parts = camera.clutter, list[str]()
         if clutter is not None and clutter.masked_pixels:
@@ -226,22 +225,15 @@ def _clutter_words(answer: Answer) -> list[tuple[int, str]]:
                 f" ({np.count_nonzero(camera.on_line)} events)"
             )
         if parts:
-            found.append((number, "; ".join(parts)))
-    return found
+            rows.append(("clutter", f"camera {number}: {'; '.join(parts)}"))
+    return rows
 
 
-def _of_clutter(camera: Clean, answer: Answer) -> dict[str, float] | None:
-    """Give what denoising did to a camera's events; None where it did nothing, as to a track."""
-    if camera.clutter is None:
-        return None
-    return asdict(camera.clutter) | {"n_min": camera.n_min(answer.config.n_min)}
-
-
-def _vector(values: NDArray[np.float64], digits: int) -> str:
+def _vector(values: Array, digits: int) -> str:
     return f"({', '.join(f'{value:.{digits}f}' for value in values + 0.0)})"
 
 
-def plain(value: float | NDArray[np.float64] | None) -> Any:
+def plain(value: float | Array | None) -> Any:
     """Nested lists of Python numbers, None for what is missing or not finite."""
     if value is None:
         return None

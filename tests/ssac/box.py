@@ -7,7 +7,7 @@ from ssac.config import Config
 from ssac.estimate import Estimate
 from ssac.events import EVENT_DTYPE
 from ssac.track.observation import Observation
-from tests.ssac.synthetic import HEIGHT, WIDTH, K, angle_deg, rotation_angle_deg
+from tests.ssac.synthetic import HEIGHT, WIDTH, angle_deg, project, rotation_angle_deg
 
 CLEAN = Config(denoise=False)
 CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
@@ -28,11 +28,6 @@ def in_view(points_m, scene, view):
     return points_m @ scene.R.T + scene.t if view else points_m
 
 
-def project(points_m, K):
-    homogeneous = points_m @ K.T
-    return homogeneous[..., :2] / homogeneous[..., 2:]
-
-
 def box_events(scene, seed, size_m=0.8, t_d_s=T_D_S, lopsided=0.0, scale=1, rate_hz=20_000.0):
     """Events of both cameras at the corners' pixels.
 
@@ -47,7 +42,7 @@ def box_events(scene, seed, size_m=0.8, t_d_s=T_D_S, lopsided=0.0, scale=1, rate
         odds = 1.0 + lopsided * (CORNERS[:, view] > 0)
         chosen = rng.choice(8, n, p=odds / odds.sum())
         points = in_view(corners_m(scene, times_s, size_m)[np.arange(n), chosen], scene, view)
-        pixels = np.rint(scale * project(points, K))
+        pixels = np.rint(scale * project(points))
         seen = np.all((pixels >= 0) & (pixels < [scale * WIDTH, scale * HEIGHT]), axis=1)
         seen &= points[:, 2] > 0.1
         events = np.zeros(int(seen.sum()), EVENT_DTYPE)

@@ -40,19 +40,12 @@ def test_functions_of_methods_have_their_types() -> None:
     assert typed == {"__version__", *(one.name.replace("-", "_") for one in our_methods())}
 
 
-def test_the_name_of_the_module_is_left_alone() -> None:
-    """The paper's method has the module's name, and is asked for as `ssac.ssac`."""
+def test_other_names_are_what_they_say() -> None:
     names: dict[str, object] = {}
     exec("import ssac\nfrom ssac import *", names)
-    assert names["ssac"] is ssac
+    assert names["ssac"] is ssac  # whose name the paper's method has
     assert callable(ssac.ssac)
-
-
-def test_the_version_is_that_of_the_distribution() -> None:
     assert ssac.__version__ == version("ssac-suite")
-
-
-def test_an_unknown_name_is_an_attribute_error() -> None:
     with pytest.raises(AttributeError, match="has no attribute 'jiont'"):
         ssac.jiont  # noqa: B018
 

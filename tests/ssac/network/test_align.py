@@ -23,31 +23,23 @@ def _same(a, b):
     np.testing.assert_allclose(a.t, b.t, atol=1e-8)
 
 
-def test_exact_points_give_the_similarity_back_also_of_a_plane():
-    for points in (POINTS, POINTS * (1.0, 1.0, 0.0)):
+def test_a_similarity_is_that_of_the_points_and_one_of_a_group():
+    for points in (POINTS, POINTS * (1.0, 1.0, 0.0)):  # of a plane too
         _same(similarity(points, TRUE.apply(points)), TRUE)
     mirrored = similarity(POINTS, POINTS * (1.0, 1.0, -1.0))
     assert np.linalg.det(mirrored.R) == pytest.approx(1.0)  # turned, not mirrored
     assert similarity(POINTS, TRUE.apply(POINTS), with_scale=False).scale == 1.0
-
-
-def test_inverse_and_chain_are_those_of_a_group():
     _same(TRUE.after(TRUE.inverse()), Similarity(1.0, np.eye(3), np.zeros(3)))
     other = similarity(POINTS, POINTS @ TRUE.R)
     np.testing.assert_allclose(other.after(TRUE).apply(POINTS), other.apply(TRUE.apply(POINTS)))
-
-
-def test_no_similarity_near_by_has_less_squares():
     target = TRUE.apply(POINTS) + RNG.normal(0.0, 0.3, POINTS.shape)
-
-    def cost(fit):
-        return np.sum((fit.apply(POINTS) - target) ** 2)
-
     found = similarity(POINTS, target)
-    for _ in range(50):
+    for _ in range(50):  # no other near by has less squares
         turn = Rotation.from_rotvec(RNG.normal(0.0, 0.01, 3)).as_matrix()
         scale, shift = found.scale * RNG.normal(1.0, 0.01), RNG.normal(0.0, 0.01, 3)
-        assert cost(Similarity(scale, turn @ found.R, found.t + shift)) > cost(found)
+        near = Similarity(scale, turn @ found.R, found.t + shift)
+        costs = [np.sum((fit.apply(POINTS) - target) ** 2) for fit in (near, found)]
+        assert costs[0] > costs[1]
 
 
 @pytest.mark.parametrize("points", [POINTS * (1.0, 0.0, 0.0), POINTS * 0.0, POINTS[:2]])
@@ -94,14 +86,12 @@ def check(found, clock, tolerance_s=0.004):
     assert np.degrees(off) < 0.5  # as the scale
 
 
-@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("shift_s", [0.0, -301.37, 1.7e9])
-def test_any_shift_is_found(seed, shift_s):
-    clock = Clock(shift_s)
-    check(best_shift(*both(120.0, seed, clock, (20.0, 100.0))), clock)
+def test_any_shift_is_found(shift_s):
+    check(best_shift(*both(120.0, 0, Clock(shift_s), (20.0, 100.0))), Clock(shift_s))
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize(
     ("hovers", "span_s"),
     [
@@ -142,15 +132,11 @@ def test_gross_errors_and_gaps_change_nothing_and_a_known_scale_is_kept():
     check((got, replace(frame, scale=FRAME.scale)), clock)
 
 
-def test_shifts_beyond_the_bound_are_not_taken():
-    clock = Clock(40.0)
+def test_shifts_beyond_the_bound_are_not_taken_and_paths_at_rest_have_none():
+    clock, times_s = Clock(40.0), np.arange(0.0, 60.0, 0.2)
     estimate, truth = both(120.0, 1, clock, (20.0, 100.0))
     check(best_shift(estimate, truth, 60.0), clock)
     assert abs(best_shift(estimate, truth, 20.0)[0].t_d_s) < 25.0
-
-
-def test_paths_at_rest_have_no_shift():
-    times_s = np.arange(0.0, 60.0, 0.2)
     rest = Path(times_s, np.zeros((len(times_s), 3)))
     moving = Path(times_s, flight(60.0, 0)(times_s))
     for pair in ((rest, moving), (moving, rest)):

@@ -8,8 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from ssac.clock import Clock
-from ssac.errors import SsacError
-from ssac.network.comparison import compare, without_lever_arm
+from ssac.network.comparison import compare
 from ssac.network.tum import Path, write_path
 from tests.ssac.command import read_json, run
 from tests.ssac.network.test_align import FRAME, flight
@@ -83,19 +82,6 @@ def test_shapes_are_compared_where_there_are_no_times():
     assert found.as_shape.rmse_m == pytest.approx(np.sqrt(2.0) * NOISE_M, rel=0.06)
     turn = Rotation.from_matrix(found.as_shape.similarity.R.T @ FRAME.R)
     assert np.degrees(turn.magnitude()) < 0.3
-
-
-def test_a_lever_arm_is_taken_away_by_the_attitude():
-    truth, arm_m = _truth(), (0.5, -0.2, 0.8)
-    t = truth.times_s
-    turns = Rotation.from_euler("xyz", np.column_stack([0.5 * np.sin(t), 0.3 * np.cos(t), t]))
-    antenna = Path(t, truth.positions_m + turns.apply(arm_m), quaternions=turns.as_quat())
-    moved = without_lever_arm(antenna, arm_m)
-    np.testing.assert_allclose(moved.positions_m, truth.positions_m, atol=1e-12)
-    assert compare(_estimate(0.0), antenna).in_time.rmse_m > 0.1
-    assert compare(_estimate(0.0), antenna, lever_arm_m=arm_m).in_time.rmse_m < 0.02
-    with pytest.raises(SsacError, match="no attitude"):
-        without_lever_arm(truth, arm_m)
 
 
 def test_the_command_prints_and_writes_what_it_found(tmp_path):

@@ -11,7 +11,7 @@ from ssac.clock import Clock
 from ssac.estimate import Estimate
 from ssac.network.adjustment import border_offsets, known
 from ssac.network.graph import PairConstraint, constraint_of, shared_by
-from ssac.network.state import start_state
+from ssac.network.state import CameraState
 from tests.ssac.network.flights import make_flight
 
 DEVIATIONS = np.array([1e-6, 1e-5, 1e-5, 1e-5, 1e-5, 1e-5, 1e-6])
@@ -28,18 +28,20 @@ def true_pair(flight, a, b, off_s=0.0, turn_rad=0.0):
     return PairConstraint(clock, R, link.t, np.diag(DEVIATIONS))
 
 
-def true_links(flight):
-    """What all pairs tell, each with what a pair without errors would."""
-    links = flight.links()
-    return {
-        pair: replace(link, constraint=true_pair(flight, *pair)) for pair, link in links.items()
-    }
+@pytest.fixture(scope="module")
+def sure():
+    """A flight, and the answer where all pairs tell what one without errors would."""
+    flight = make_flight(3)
+    links = flight.links().items()
+    told = {pair: replace(link, constraint=true_pair(flight, *pair)) for pair, link in links}
+    return flight, flight.solved(told)
 
 
 def test_derivatives_are_those_of_differences() -> None:
     flight = make_flight(3)
     a, b = (
-        start_state(flight.seen[k], flight.delays_s[k], 1e-5 * k, *flight.poses[k]) for k in (1, 2)
+        CameraState(flight.delays_s[k], 1e-5 * k, flight.seen[k].middle_s, 0.0, *flight.poses[k])
+        for k in (1, 2)
     )
     pair = replace(true_pair(flight, 1, 2, 1e-3, 1e-2), factor=np.eye(7))
     by_a, by_b, off = pair.rows(a, b)
@@ -51,9 +53,8 @@ def test_derivatives_are_those_of_differences() -> None:
     assert pair.off(a.moved(step_a), b.moved(step_b)) == pytest.approx(linear, abs=1e-8)
 
 
-def test_sure_pairs_carry_clocks_and_poses() -> None:
-    flight = make_flight(3)
-    found = flight.solved(true_links(flight))
+def test_sure_pairs_carry_clocks_and_poses(sure) -> None:
+    flight, found = sure
     for k, camera in enumerate(found.cameras[1:], 1):
         # What pairs tell is true and sure: some deviations are left of it.
         assert abs(camera.t_d_s - flight.shown_s(k, camera.t_ref_s)) < 1e-5
@@ -62,11 +63,9 @@ def test_sure_pairs_carry_clocks_and_poses() -> None:
         assert camera.t_d_std_s < 1e-5
 
 
-def test_pairs_count_by_errors_that_last_and_by_the_views_that_they_share() -> None:
-    flight = make_flight(3)
-    built = flight.solved(true_links(flight)).built[0]
-    network, offsets = replace(built.network, lasting=8.0), border_offsets(built.network)
-    rows, residuals = known(network, built.cameras, built.priors, offsets)
+def test_pairs_count_by_errors_that_last_and_by_the_views_that_they_share(sure) -> None:
+    network = replace(sure[1].built[0].network, lasting=8.0)
+    offsets, (rows, residuals) = border_offsets(network), known(network)
     for k, ((a, b), pair) in enumerate(network.constraints.items()):
         # Errors last for 8 sightings, and each camera is in two of the three pairs.
         own = slice(7 * k - 22, 7 * k - 15)  # before the last row, which holds the scale
@@ -78,11 +77,9 @@ def test_pairs_count_by_errors_that_last_and_by_the_views_that_they_share() -> N
 
 def test_a_pair_that_the_sightings_contradict_is_left_out() -> None:
     flight = make_flight(3)
-    wrong = true_pair(flight, 1, 2, turn_rad=0.2)
-    links = flight.links()
-    links[1, 2] = replace(links[1, 2], constraint=wrong)
+    links, without = flight.links(), flight.solved()
+    links[1, 2] = replace(links[1, 2], constraint=true_pair(flight, 1, 2, turn_rad=0.2))
     found = flight.solved(links)
-    without = flight.solved()
     assert not found.built[0].network.constraints
     for mine, other in zip(found.cameras, without.cameras, strict=True):
         assert pytest.approx(other.R) == mine.R

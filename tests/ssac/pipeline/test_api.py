@@ -3,7 +3,8 @@
 import copy
 import json
 import pickle
-from dataclasses import dataclass, replace
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +22,7 @@ from ssac.pipeline.opened import Known
 from ssac.points import PointTrack
 from ssac.track.observation import Observation, tracked
 from tests.answers import differences, fields_of
-from tests.ssac.command import read_json, run
+from tests.ssac.command import run
 from tests.ssac.synthetic import HEIGHT, WIDTH, K, make_events, make_scene
 from tests.ssac.tracks import frame_track, rig_document
 
@@ -34,22 +35,9 @@ OTHER_ORDER = np.dtype([("p", "u1"), ("y", "<i4"), ("t", "<i8"), ("x", "<i4")])
 METAVISION = np.dtype([("x", "<u2"), ("y", "<u2"), ("p", "<i2"), ("t", "<i8")])
 
 
-@dataclass(frozen=True)
-class Files:
-    """Two event cameras, a third one, a track, and rigs of two and of three cameras."""
-
-    folder: Path
-
-    def __truediv__(self, name: str) -> str:
-        return str(self.folder / name)
-
-    @property
-    def three(self) -> list[str]:
-        return [self / f"cam{k}.h5" for k in (1, 2, 3)]
-
-
 @pytest.fixture(scope="module")
-def files(tmp_path_factory) -> Files:
+def files(tmp_path_factory) -> Path:
+    """A folder of three event cameras, a track, and rigs of two and of three cameras."""
     folder = tmp_path_factory.mktemp("api")
     for k, events in enumerate((*EVENTS, THIRD), start=1):
         save_events_h5(folder / f"cam{k}.h5", events, WIDTH, HEIGHT)
@@ -57,12 +45,17 @@ def files(tmp_path_factory) -> Files:
     rig = rig_document()
     (folder / "rig.yaml").write_text(yaml.safe_dump(rig))
     (folder / "three.yaml").write_text(yaml.safe_dump({**rig, "cam2": rig["cam0"]}))
-    return Files(folder)
+    return folder
 
 
 @pytest.fixture(scope="module")
 def result(files):
     return ssac.sync(files / "cam1.h5", files / "cam2.h5", files / "rig.yaml")
+
+
+@pytest.fixture(scope="module")
+def network(files):
+    return ssac.sync([files / f"cam{k}.h5" for k in (1, 2, 3)], files / "three.yaml")
 
 
 def assert_same(one: Estimate, other: Estimate) -> None:
@@ -80,8 +73,8 @@ def as_fields(events, dtype):
 # --- Every kind of input gives the same bits ---
 
 CAMERAS = {
-    "path": lambda files, k: Path(files / f"cam{k}.h5"),
-    "str": lambda files, k: files / f"cam{k}.h5",
+    "path": lambda files, k: files / f"cam{k}.h5",
+    "str": lambda files, k: str(files / f"cam{k}.h5"),
     "array": lambda files, k: EVENTS[k - 1],
     "other order": lambda files, k: as_fields(EVENTS[k - 1], OTHER_ORDER),
     "big endian": lambda files, k: EVENTS[k - 1].astype(EVENTS[0].dtype.newbyteorder(">")),
@@ -90,7 +83,7 @@ CAMERAS = {
     "EventFile": lambda files, k: ssac.load_events(files / f"cam{k}.h5"),
 }
 RIGS = {
-    "path": lambda files: Path(files / "rig.yaml"),
+    "str": lambda files: str(files / "rig.yaml"),
     "Rig": lambda files: RIG,
     "loaded": lambda files: ssac.load_rig(files / "rig.yaml"),
     "two cameras": lambda files: (CAMERA, CAMERA),
@@ -99,21 +92,18 @@ RIGS = {
 }
 
 
-@pytest.mark.parametrize(
-    ("one", "other"),
-    [*((kind, kind) for kind in CAMERAS), ("path", "Metavision"), ("EventFile", "Observation")],
-)
-def test_every_kind_of_camera_gives_the_same(one, other, files, result):
-    cameras = CAMERAS[one](files, 1), CAMERAS[other](files, 2)
+@pytest.mark.parametrize("k", range(len(CAMERAS)), ids=CAMERAS)
+def test_every_kind_of_camera_gives_the_same(k, files, result):
+    kinds = [*CAMERAS.values()]
+    cameras = kinds[k](files, 1), kinds[k - 1](files, 2)
     assert_same(ssac.sync(*cameras, files / "rig.yaml").estimate, result.estimate)
 
 
 @pytest.mark.parametrize("kind", RIGS)
 def test_every_kind_of_rig_gives_the_same(kind, files, result):
-    found = ssac.sync(*EVENTS, RIGS[kind](files))
-    assert_same(found.estimate, result.estimate)
-    assert_same(ssac.sync([*EVENTS], RIGS[kind](files)).estimate, result.estimate)
-    assert_same(ssac.tangency(*EVENTS, RIGS[kind](files)), result.estimate)
+    rig = RIGS[kind](files)
+    for found in (ssac.sync([*EVENTS], rig).estimate, ssac.tangency(*EVENTS, rig)):
+        assert_same(found, result.estimate)
 
 
 def test_a_track_beside_events_gives_the_same_in_every_form(files):
@@ -123,7 +113,7 @@ def test_a_track_beside_events_gives_the_same_in_every_form(files):
 
     track = ssac.load_track(files / "cam1.csv")
     whole = replace(track, times_s=np.round(track.times_s, 3))
-    save_track(files.folder / "whole.csv", whole)
+    save_track(files / "whole.csv", whole)
     expected = synced(files / "whole.csv")
     for camera in (ssac.load_track(files / "whole.csv"), tracked(whole)):
         assert_same(synced(camera), expected)
@@ -131,7 +121,11 @@ def test_a_track_beside_events_gives_the_same_in_every_form(files):
 
 def test_a_config_or_its_fields_are_the_same():
     fields = {"interval_s": (-0.3, 0.4), "trials": 500, "denoise": False, "seed": 3}
-    by_config = ssac.sync(*EVENTS, RIG, "joint", Config(**fields))
+    given, camera = copy.deepcopy(EVENTS), copy.deepcopy(CAMERA)
+    by_config = ssac.sync(*given, [camera, camera], "joint", Config(**fields))
+    # What is given is not changed.
+    assert all(np.array_equal(one, other) for one, other in zip(given, EVENTS, strict=True))
+    assert np.array_equal(camera.K, K)
     assert_same(ssac.sync(*EVENTS, RIG, "joint", **fields).estimate, by_config.estimate)
     mixed = ssac.sync(*EVENTS, RIG, "joint", config=Config(trials=500, seed=9), **{
         name: value for name, value in fields.items() if name != "trials"})  # fmt: skip
@@ -139,34 +133,17 @@ def test_a_config_or_its_fields_are_the_same():
     assert by_config.answer.config.interval_s == (-0.3, 0.4)
 
 
-def test_three_cameras_in_every_form_give_the_same(files):
-    def told(found):
-        return {key: value for key, value in found.to_dict().items() if key != "seconds"}
-
-    expected = ssac.sync(files.three, files / "three.yaml")
-    assert set(expected.pairs) == {(0, 1), (0, 2), (1, 2)}
+def test_three_cameras_in_every_form_give_the_same(files, network):
+    assert set(network.pairs) == {(0, 1), (0, 2), (1, 2)}
     cameras = [EVENTS[0], Observation(EVENTS[1]), ssac.load_events(files / "cam3.h5")]
     found = ssac.sync(cameras, rig=[CAMERA] * 3)
     assert found.names == ("camera 1", "camera 2", "camera 3")
-    for pair, answer in expected.pairs.items():
-        there = found.pairs[pair].estimate
-        named = replace(there, reason=answer.estimate.reason)
+    for pair, answer in network.pairs.items():
+        named = replace(found.pairs[pair].estimate, reason=answer.estimate.reason)
         assert_same(named, answer.estimate)
-    assert_same_numbers(told(found), told(expected))
-
-
-def assert_same_numbers(one, other) -> None:
-    """Compare what JSON holds but for words, which name files."""
-    assert type(one) is type(other)
-    if isinstance(one, dict):
-        assert one.keys() == other.keys()
-        for key in one:
-            assert_same_numbers(one[key], other[key])
-    elif isinstance(one, list):
-        for part, its in zip(one, other, strict=True):
-            assert_same_numbers(part, its)
-    elif not isinstance(one, str):
-        assert one == other
+    told = ({**one.to_dict(), "seconds": None} for one in (found, network))
+    one, other = (re.sub(r'"[^"]*"', "", json.dumps(each)) for each in told)  # words name files
+    assert one == other
 
 
 def test_an_interval_that_is_said_is_searched_though_it_is_the_default_one():
@@ -175,13 +152,6 @@ def test_an_interval_that_is_said_is_searched_though_it_is_the_default_one():
     said = ssac.sync(EVENTS[0], far, RIG, "ssac", interval_s=(-1.0, 1.0))
     assert (said.status, said.answer.start) == ("no_common_time", None)
     assert ssac.sync(EVENTS[0], far, RIG, "ssac").answer.start is not None
-
-
-def test_nothing_that_is_given_is_changed(files):
-    events, camera = copy.deepcopy(EVENTS), copy.deepcopy(CAMERA)
-    ssac.sync(*events, [camera, camera], "joint")
-    assert all(np.array_equal(one, other) for one, other in zip(events, EVENTS, strict=True))
-    assert np.array_equal(camera.K, K)
 
 
 # --- What the result has ---
@@ -197,59 +167,49 @@ def test_a_result_has_what_the_estimate_has(result):
         result.t_d_ms  # noqa: B018
 
 
-def test_a_result_says_what_the_command_line_says(files, result, tmp_path):
-    out = tmp_path / "out.json"
-    args = (files / "cam1.h5", files / "cam2.h5", "--rig", files / "rig.yaml", "--json", out)
-    code, text, err = run("sync", *args)
+def test_a_result_says_what_the_command_line_prints(files, result):
+    code, text, err = run("sync", files / "cam1.h5", files / "cam2.h5", "--rig", files / "rig.yaml")
     assert code == 0, err
     assert result.summary() + "\n" == text
-    told, found = read_json(out), json.loads(json.dumps(result.to_dict()))
-    assert set(told.pop("seconds")) == set(found.pop("seconds"))
-    assert told == found
-    assert result.note == told["note"]
+    assert result.note == result.to_dict()["note"]
 
 
-def test_a_result_shows_itself(result):
+def test_a_result_shows_itself_and_can_be_pickled_and_copied(result, network):
     assert repr(result).startswith("<ssac.Result tangency ok, t_d 47.")
     assert len(repr(result)) < 80
     refused = ssac.sync(*EVENTS, RIG, "joint", interval_s=(-1.0, -0.5))
     assert repr(refused) == f"<ssac.Result joint {refused.status}>"
     assert refused.status != "ok"
-    strange = replace(result.answer, rig_name="<a & b>", method=replace(
-        result.answer.method, needs_extrinsics=True))  # fmt: skip
-    html = replace(result, answer=strange)._repr_html_()
+    method = replace(result.answer.method, needs_extrinsics=True)
+    strange = replace(result, answer=replace(result.answer, rig_name="<a & b>", method=method))
+    html = strange._repr_html_()
     assert "&lt;a &amp; b&gt;" in html
     assert "<a" not in html
-    assert html.count("<tr>") == len(replace(result, answer=strange).summary().splitlines())
-
-
-def test_a_result_draws_itself(result, tmp_path):
-    from matplotlib.figure import Figure
-
-    assert isinstance(result.plot(), Figure)
-    assert isinstance(result.plot(tmp_path / "page.png"), Figure)
-    assert (tmp_path / "page.png").stat().st_size > 1000
-    assert ssac.sync(*[np.delete(one, slice(20, None)) for one in EVENTS], RIG).plot() is None
-
-
-def test_a_result_can_be_pickled_and_copied(result):
+    assert html.count("<tr>") == len(strange.summary().splitlines())
     for again in (pickle.loads(pickle.dumps(result)), copy.deepcopy(result), copy.copy(result)):
         assert_same(again.estimate, result.estimate)
         assert again.summary() == result.summary()
-
-
-def test_a_network_shows_itself(files):
-    found = ssac.sync(files.three, files / "three.yaml")
-    assert repr(found).startswith(f"<ssac.NetworkResult {found.status}, ")
-    assert found._repr_html_().count("<tr>") == len(found.summary().splitlines())
-    again = pickle.loads(pickle.dumps(found))
-    assert again.summary() == found.summary()
+    assert repr(network).startswith(f"<ssac.NetworkResult {network.status}, ")
+    assert network._repr_html_().count("<tr>") == len(network.summary().splitlines())
+    assert pickle.loads(pickle.dumps(network)).summary() == network.summary()
 
 
 # --- Wrong arguments ---
 
 ONE, OTHER = EVENTS
 A_CAMERA = "expected a file, a structured array of events with the fields t, x, y and p, a ssac.Obs"
+BAD_CAMERAS = (
+    ("K", "nonsense", "K must be a finite 3x3 matrix"),
+    ("width", None, "the resolution must be at least 1 x 1 px .* got None x 260"),
+    ("height", 260.5, "the resolution must be .* got 346 x 260.5"),
+    ("distortion_model", ["radtan"], "unknown distortion model"),
+    ("distortion_coeffs", "abcd", "the distortion model 'none' needs 0 finite"),
+    ("intrinsics_std_px", "abcd", "intrinsics_std must be 4 deviations"),
+    ("readout_s", "a", "the readout must take 0 to 0.2 s"),
+    ("readout_std_s", None, "the readout must take 0 to 0.2 s"),
+)
+BAD_K = [3.0, None, np.eye(2), [[1, 2], [3]], {"fx": 200}, np.zeros((3, 3)), -K]
+POSES = [np.eye(3), "nonsense", np.full((4, 4), np.nan), 2.0 * np.eye(4)]
 WRONG = {
     "an int": ((1, OTHER, RIG), rf"^camera 1: {A_CAMERA}.* got int 1$"),
     "nothing": ((None, OTHER, RIG), rf"^camera 1: {A_CAMERA}.* got NoneType None$"),
@@ -300,7 +260,14 @@ WRONG = {
     "a misspelt method": ((ONE, OTHER, RIG, "tangnecy"), "^unknown method 'tangnecy': use one of"),
     "a list as method": ((ONE, OTHER, RIG, ["joint"]), r"^unknown method \['joint'\]: use one of"),
     "a config as method": ((ONE, OTHER, RIG, Config()), r"^unknown method Config\(.*: use one of"),
-}  # fmt: skip
+}
+for name, value, said in BAD_CAMERAS:
+    bad = Rig(replace(CAMERA, **{name: value}), CAMERA)
+    WRONG[f"{name} of a camera"] = ((ONE, OTHER, bad), f"^camera 1: {said}")
+for k, bad in enumerate(BAD_K):
+    WRONG[f"K {k}"] = ((ONE, OTHER, [CAMERA, Camera(bad, WIDTH, HEIGHT)]), "^camera 2: .*got")
+for k, bad in enumerate(POSES):
+    WRONG[f"pose {k}"] = ((ONE, OTHER, Rig(CAMERA, CAMERA, bad)), "^the rig, .*: expected a")
 
 OPTIONS = {
     "n_sample": (3, "^n_sample: is no argument of sync and no field of .*: did you mean n_samples"),
@@ -333,21 +300,6 @@ OPTIONS = {
     "log": (3, "^log: expected a function of a line of text, such as print, got 3"),
 }
 
-BAD_CAMERAS = {
-    "K": (None, "^camera 1: K must be a finite 3x3 matrix"),
-    "width": (None, "^camera 1: the resolution must be at least 1 x 1 px .* got None x 260"),
-    "height": (260.5, "^camera 1: the resolution must be .* got 346 x 260.5"),
-    "distortion_model": (["radtan"], "^camera 1: unknown distortion model"),
-    "distortion_coeffs": ("abcd", "^camera 1: the distortion model 'none' needs 0 finite"),
-    "intrinsics_std_px": ("abcd", "^camera 1: intrinsics_std must be 4 deviations"),
-    "readout_s": ("a", "^camera 1: the readout must take 0 to 0.2 s"),
-    "readout_std_s": (None, "^camera 1: the readout must take 0 to 0.2 s"),
-}
-
-BAD_K = [3.0, "nonsense", np.eye(2), [[1, 2], [3]], {"fx": 200}, np.zeros((3, 3)), -K]
-
-POSES = [np.eye(3), "nonsense", np.full((4, 4), np.nan), 2.0 * np.eye(4)]
-
 
 @pytest.mark.parametrize("case", WRONG)
 def test_a_wrong_argument_is_one_clear_error(case):
@@ -363,60 +315,27 @@ def test_a_wrong_option_is_one_clear_error(name):
         ssac.sync(ONE, OTHER, RIG, **{name: value})
 
 
-@pytest.mark.parametrize("name", BAD_CAMERAS)
-def test_a_wrong_camera_is_one_clear_error_on_every_path(name):
-    value, message = BAD_CAMERAS[name]
-    rig = Rig(replace(CAMERA, **{name: value}), CAMERA)
-    if (name, value) == ("K", None):
-        rig = Rig(Camera(None, WIDTH, HEIGHT), CAMERA)
-    for call in (ssac.sync, ssac.joint, ssac.two_views, ssac.usable_events):
-        with pytest.raises(SsacError, match=message):
+def test_a_wrong_camera_or_chain_is_one_clear_error_on_every_path():
+    rig, seen = Rig(replace(CAMERA, width=None), CAMERA), (Observation(ONE), Observation(OTHER))
+    for call in (ssac.joint, ssac.two_views, ssac.usable_events):
+        with pytest.raises(SsacError, match=r"^camera 1: the resolution must be"):
             call(ONE, OTHER, rig)
-    with pytest.raises(SsacError, match=message):
-        ssac.Chain((Observation(ONE), Observation(OTHER)), rig)
-
-
-@pytest.mark.parametrize(
-    ("rig", "message"),
-    [
-        *(([CAMERA, Camera(K_2, WIDTH, HEIGHT)], "^camera 2: .*got") for K_2 in BAD_K),
-        *((Rig(CAMERA, CAMERA, T_2_1), "^the rig, .* camera 2: expected a") for T_2_1 in POSES),
-    ],
-)
-def test_nonsense_as_intrinsics_or_pose_is_one_clear_error(rig, message):
-    with pytest.raises(SsacError, match=message):
-        ssac.sync(ONE, OTHER, rig)
-
-
-@pytest.mark.parametrize(
-    "numbers", [3, (1,), "ab", ("a", "b"), (1.5, 2), (0, 1), (1, 1), (1, 3)], ids=repr
-)
-def test_wrong_numbers_of_cameras_are_one_clear_error(numbers, files):
-    with pytest.raises(SsacError, match=r"^cameras: expected the numbers|given for both|no cam2"):
-        ssac.sync(ONE, OTHER, files / "rig.yaml", cameras=numbers)
-
-
-@pytest.mark.parametrize(
-    ("name", "value"), [("cameras", (1, 3)), ("known_extrinsics", True), ("estimate_readout", True)]
-)
-def test_what_is_for_two_cameras_is_refused_for_more(name, value):
-    with pytest.raises(SsacError, match=f"^{name}: is for two cameras, and more were given"):
-        ssac.sync([ONE, OTHER, THIRD], [CAMERA] * 3, **{name: value})
-
-
-@pytest.mark.parametrize(
-    "fields", [{"distance_m": "a"}, {"distance_m": -1.0}, {"distance_m": 1.0, "rtk": Path("a")}]
-)
-def test_what_is_known_must_make_sense(fields):
-    with pytest.raises(SsacError, match=r"distance_m"):
-        Known(**fields)
-
-
-def test_a_chain_of_something_else_or_a_pair_that_is_not_there_is_one_clear_error():
-    seen = Observation(ONE), Observation(OTHER)
-    for args in ((None, RIG), (seen[:1], RIG), ((ONE, OTHER), RIG), (seen, None)):
-        with pytest.raises(SsacError, match=r"expected|recordings for the 2 cameras"):
+    for args in ((seen, rig), (None, RIG), (seen[:1], RIG), ((ONE, OTHER), RIG), (seen, None)):
+        with pytest.raises(SsacError, match=r"resolution|expected|recordings for the 2 cameras"):
             ssac.Chain(*args)
     for pair in ((0, 5), (1, 0), (1, 1)):
         with pytest.raises(SsacError, match="there are 2, numbered from 0 on"):
             ssac.Chain(seen, RIG).answer("joint", *pair)
+
+
+def test_wrong_numbers_of_cameras_and_what_is_known_are_one_clear_error(files):
+    for numbers in (3, (1,), "ab", ("a", "b"), (1.5, 2), (0, 1), (1, 1), (1, 3)):
+        with pytest.raises(SsacError, match=r"^cameras: expected the numbers|for both|no cam2"):
+            ssac.sync(ONE, OTHER, files / "rig.yaml", cameras=numbers)
+    of_two = {"cameras": (1, 3), "known_extrinsics": True, "estimate_readout": True}
+    for name, value in of_two.items():
+        with pytest.raises(SsacError, match=f"^{name}: is for two cameras, and more were given"):
+            ssac.sync([ONE, OTHER, THIRD], [CAMERA] * 3, **{name: value})
+    for fields in ({"distance_m": "a"}, {"distance_m": -1}, {"distance_m": 1, "rtk": Path("a")}):
+        with pytest.raises(SsacError, match=r"distance_m"):
+            Known(**fields)

@@ -1,12 +1,13 @@
 """What methods, offsets and parameters have in common is found once, and answers stay the same."""
 
 from collections import Counter
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from importlib import import_module
 
 import numpy as np
 import pytest
 
+import ssac
 from ssac import Chain, Config, Observation, SsacError
 from ssac.camera import Camera, Rig
 from ssac.pipeline.registry import OURS
@@ -46,18 +47,16 @@ def calls(monkeypatch):
     """How often each stage is called from now on, by its name."""
     counts = Counter()
 
-    def counted(place):
-        module, _, name = place.rpartition(".")
-        work = getattr(import_module(module), name)
-
+    def counted(name, work):
         def called(*args, **options):
             counts[name] += 1
             return work(*args, **options)
 
-        monkeypatch.setattr(place, called)
+        return called
 
     for place in STAGES:
-        counted(place)
+        module, _, name = place.rpartition(".")
+        monkeypatch.setattr(place, counted(name, getattr(import_module(module), name)))
     return counts
 
 
@@ -68,14 +67,13 @@ def assert_equal(estimate, expected):
             np.testing.assert_array_equal(ours, theirs, err_msg=field.name)  # the same arithmetic
 
 
-@dataclass
 class File:
     """What one camera recorded, and how often that was read."""
 
-    seen: Observation
-    asked: list[str]
-    name: str = ""
-    has_track: bool = False
+    name, has_track = "", False
+
+    def __init__(self, seen: Observation) -> None:
+        self.seen, self.asked = seen, []
 
     def read(self, frames=""):
         self.asked.append(frames)
@@ -83,7 +81,7 @@ class File:
 
 
 def test_each_stage_runs_once_for_all_ten_methods(raw, calls):
-    files = [File(seen, []) for seen in raw]
+    files = [File(seen) for seen in raw]
     chain = Chain(files, RIG)
     for name in NAMES * 2:
         assert chain.estimate(name).method == name
@@ -102,19 +100,12 @@ def test_each_stage_runs_once_for_all_ten_methods(raw, calls):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_method_gives_the_same_for_what_is_clean_already(name, raw, chain):
+def test_a_method_gives_the_same_for_what_is_clean_and_for_a_delayed_camera(name, raw, chain):
     expected = chain.estimate(name)
-    assert expected.status == "ok"
-    assert expected.method == name
+    assert (expected.status, expected.method) == ("ok", name)
     cleaned = [clean(seen, CAMERA, Config().cleaning) for seen in raw]
-    assert_equal(Chain(cleaned, RIG).estimate(name), expected)
-    assert_equal(getattr(import_module("ssac"), name.replace("-", "_"))(*cleaned, RIG), expected)
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_a_method_gives_the_same_for_a_delayed_camera(name, raw, chain):
-    chain.estimate(name)  # so that what it found before the delay is there to be misused
-    late = Chain([raw[0], raw[1].delayed(0.3)], RIG)
+    assert_equal(getattr(ssac, name.replace("-", "_"))(*cleaned, RIG), expected)
+    late = Chain([raw[0], raw[1].delayed(0.3)], RIG)  # of which nothing is there to be misused
     assert_equal(chain.delayed(0.3).estimate(name), late.estimate(name))
 
 
@@ -138,27 +129,22 @@ def test_a_delay_takes_what_is_clean_and_summed_up_along(raw, calls):
 
 
 FROM_VIEWS = {"view_of": 2, "algorithm_2": 1, "joint_from": 1}
-
-
-@pytest.mark.parametrize(
-    ("config", "expected"),
-    [
-        (Config(), {}),
-        (Config(skew_prior_ppm=20.0), {"joint_from": 1}),
-        (Config(roughness_ppm=100.0), {"joint_from": 1}),
-        (Config(n_samples=300), {"algorithm_2": 1, "joint_from": 1}),
-        (Config(seed=5), {"algorithm_2": 1, "joint_from": 1}),
-        (Config(half_window_s=0.015), FROM_VIEWS),
-        (Config(border_px=9), {"_summed_up": 2, **FROM_VIEWS}),
-        (Config(interval_s=(-0.5, 0.5)), {"one_object": 1, **FROM_VIEWS}),
-        (Config(n_neighbours=2), {"clean": 2, "one_object": 1, "_summed_up": 2, **FROM_VIEWS}),
-    ],
+SHARED = (
+    (Config(), {}),
+    (Config(skew_prior_ppm=20.0), {"joint_from": 1}),
+    (Config(seed=5), {"algorithm_2": 1, "joint_from": 1}),
+    (Config(half_window_s=0.015), FROM_VIEWS),
+    (Config(border_px=9), {"_summed_up": 2, **FROM_VIEWS}),
+    (Config(interval_s=(-0.5, 0.5)), {"one_object": 1, **FROM_VIEWS}),
+    (Config(n_neighbours=2), {"clean": 2, "one_object": 1, "_summed_up": 2, **FROM_VIEWS}),
 )
+
+
+@pytest.mark.parametrize(("config", "expected"), SHARED, ids=range(len(SHARED)))
 def test_other_parameters_share_all_that_they_leave_alone(config, expected, raw, chain, calls):
     chain.estimate("joint")
     calls.clear()
-    other = chain.under(config)
-    found = other.estimate("joint")
+    found = chain.under(config).estimate("joint")
     assert +calls == Counter(expected)
     assert_equal(found, Chain(raw, RIG, config).estimate("joint"))
 

@@ -9,16 +9,14 @@ from importlib import import_module
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 import yaml
 
 import ssac.pipeline.registry
 from experiments.lab.cell import CRASHED
-from experiments.lab.grid import Cell
+from experiments.lab.grid import Cell, load_config
 from experiments.lab.scored import SCORED, scored_row
 from experiments.lab.task import refusal
-from experiments.paper.esim import esim_table
 from sim.recording import SimConfig
 from ssac.config import Config
 from ssac.errors import PluginError, SsacError
@@ -85,50 +83,56 @@ def site(tmp_path, monkeypatch):
             del sys.modules[name]
 
 
-def test_ours_come_first_then_others_by_name(site):
+OF_METHOD = (
+    GOOD
+    + """
+from ssac import Input, Method
+M = Method("%s", estimate, Input.%s, "sums up", **%r)
+"""
+)
+
+
+def test_ours_come_first_then_others_by_name_and_no_name_is_taken_twice(site):
     others = [name for name in Registry() if name not in NAMES]  # of this environment
-    install(site, "package_a", "zz = package_a:estimate")
-    install(site, "package_b", "aa = package_b:estimate")
+    entries = {"a": "zz", "b": "aa", "first": "mine", "second": "mine", "greedy": "ssac"}
+    for package, name in entries.items():
+        install(site, package, f"{name} = {package}:estimate")
     registry = Registry()
-    assert list(registry) == [*NAMES, *sorted([*others, "aa", "zz"])]
+    assert list(registry) == [*NAMES, *sorted([*others, "aa", "mine", "zz"])]
     assert len(registry) == len(list(registry))
     assert "aa" in registry
     assert registry.get("ab") is None
+    assert registry["joint"].name == "joint"
+    with pytest.raises(SsacError, match=r"'ssac' is taken twice, by this suite and by greedy 1\.2"):
+        registry["ssac"]
+    with pytest.raises(SsacError, match=r"by first 1\.2 .* and by second 1\.2 \(entry point mine"):
+        registry["mine"]
 
 
-def test_a_function_is_a_method_of_tracks(site):
+def test_a_function_is_a_method_of_tracks_and_a_method_object_says_the_rest(site):
     install(site, "plain", "mine = plain:estimate")
-    method = Registry()["mine"]
-    assert (method.name, method.input, method.summary) == ("mine", Input.TRACKS, "Always the same.")
-    assert not method.needs_extrinsics
-    assert re.fullmatch(r"plain 1\.2 [0-9a-f]{16}", method.version)
+    more = {"needs_extrinsics": True, "version": "w3", "known_variant": "no-such"}
+    install(site, "whole", "other = whole:M", OF_METHOD % ("other", "RATES", more))
+    plain, whole = (Registry()[name] for name in ("mine", "other"))
+    assert (plain.name, plain.input, plain.summary) == ("mine", Input.TRACKS, "Always the same.")
+    assert (plain.needs_extrinsics, whole.needs_extrinsics) == (False, True)
+    assert re.fullmatch(r"plain 1\.2 [0-9a-f]{16}", plain.version)
+    assert (whole.input, whole.summary) == (Input.RATES, "sums up")
+    assert re.fullmatch(r"whole 1\.2 [0-9a-f]{16} w3", whole.version)
 
 
-def test_a_method_object_says_the_rest(site):
-    source = GOOD + (
-        "from ssac import Input, Method\n"
-        'M = Method("mine", estimate, Input.RATES, "sums up", needs_extrinsics=True, version="w3")'
-    )
-    install(site, "whole", "mine = whole:M", source)
-    method = Registry()["mine"]
-    assert (method.input, method.summary, method.needs_extrinsics) == (Input.RATES, "sums up", True)
-    assert re.fullmatch(r"whole 1\.2 [0-9a-f]{16} w3", method.version)
-
-
+NO_FUNCTION = "expected a function of"
 BROKEN = {
-    "a missing module": ("mine = broken:f", "import no_such_module", "ModuleNotFoundError"),
-    "a syntax error": ("mine = broken:f", "def f(:", "SyntaxError"),
-    "an error of its own": ("mine = broken:f", "1 / 0", "ZeroDivisionError: division by zero"),
-    "a missing name": ("mine = broken:f", "", "AttributeError"),
-    "no function": ("mine = broken:f", "f = 3", "expected a function of .* got int"),
-    "other arguments": ("mine = broken:f", "def f(a, b): pass", "expected a function of"),
-    "a class": ("mine = broken:f", "class f: pass", "expected a function of"),
-    "a bad name": ("my/ne = broken:estimate", GOOD, "a method's name must match"),
+    "a missing module": ("import no_such_module", "ModuleNotFoundError"),
+    "a syntax error": ("def f(:", "SyntaxError"),
+    "an error of its own": ("1 / 0", "ZeroDivisionError: division by zero"),
+    "a missing name": ("", "AttributeError"),
+    "no function": ("f = 3", f"{NO_FUNCTION} .* got int"),
+    "other arguments": ("def f(a, b): pass", NO_FUNCTION),
+    "a class": ("class f: pass", NO_FUNCTION),
+    "a bad name": ("def f(a, b, c, d): pass", "a method's name must match"),
     "two names": (
-        "mine = broken:M",
-        GOOD
-        + "from ssac import Input, Method\n"
-        + 'M = Method("yours", estimate, Input.TRACKS, "")',
+        OF_METHOD % ("yours", "TRACKS", {}) + "f = M",
         "the Method is named 'yours': give both one name",
     ),
 }
@@ -136,8 +140,9 @@ BROKEN = {
 
 @pytest.mark.parametrize("case", BROKEN)
 def test_a_broken_package_is_named_when_it_is_asked_for_only(case, site):
-    entry, source, message = BROKEN[case]
-    name = entry.partition(" = ")[0]
+    source, message = BROKEN[case]
+    name = "my/ne" if case == "a bad name" else "mine"
+    entry = f"{name} = broken:f"
     install(site, "broken", entry, source)
     install(site, "sound", "sound = sound:estimate")
     registry = Registry()
@@ -149,19 +154,6 @@ def test_a_broken_package_is_named_when_it_is_asked_for_only(case, site):
     for _ in range(2):  # not only the first time
         with pytest.raises(SsacError, match=f"{origin}: .*{message}"):
             registry[name]
-
-
-def test_a_name_is_not_given_away_nor_taken_twice(site):
-    install(site, "greedy", "ssac = greedy:estimate")
-    for package in ("second", "first"):
-        install(site, package, f"mine = {package}:estimate")
-    registry = Registry()
-    assert registry["joint"].name == "joint"
-    assert list(registry).count("ssac") == 1
-    with pytest.raises(SsacError, match=r"'ssac' is taken twice, by this suite and by greedy 1\.2"):
-        registry["ssac"]
-    with pytest.raises(SsacError, match=r"by first 1\.2 .* and by second 1\.2 \(entry point mine"):
-        registry["mine"]
 
 
 @pytest.mark.parametrize(
@@ -220,28 +212,26 @@ def test_in_a_table_a_crash_is_a_row_that_names_the_package(site, chain, monkeyp
     assert "PluginError: fragile 1.2 (entry point mine = fragile:estimate): Lin" in row["reason"]
 
 
-def test_an_input_that_a_package_refuses_is_no_crash(site, chain):
-    source = "from ssac import SsacError\ndef f(a, b, c, d): raise SsacError('a is too dark')"
-    install(site, "picky", "mine = picky:f", source)
-    with pytest.raises(SsacError, match=r"^a is too dark$"):
-        chain.estimate(Registry()["mine"])
-
-
 CALLABLE = """
 from dataclasses import dataclass
+from ssac import SsacError
 
 @dataclass  # which cannot be hashed
 class Mine:
     def __call__(self, cam1, cam2, rig, config): return estimate(cam1, cam2, rig)
 
 mine = Mine()
+
+def picky(a, b, c, d): raise SsacError('a is too dark')
 """
 
 
-@pytest.mark.parametrize("name", ["estimate", "mine"])
-def test_a_function_or_another_callable_of_a_package_runs(name, site, chain):
-    install(site, "called", f"mine = called:{name}", GOOD + CALLABLE)
-    assert chain.estimate(Registry()["mine"]).t_d_s == 0.25
+def test_any_callable_runs_and_an_input_that_it_refuses_is_no_crash(site, chain):
+    for name in ("estimate", "mine", "picky"):
+        install(site, name, f"{name} = {name}:{name}", GOOD + CALLABLE)
+    assert [chain.estimate(Registry()[name]).t_d_s for name in ("estimate", "mine")] == [0.25] * 2
+    with pytest.raises(SsacError, match=r"^a is too dark$"):
+        chain.estimate(Registry()["picky"])
 
 
 LOOKING = """
@@ -274,43 +264,37 @@ def looking(site, monkeypatch):
     return install_one
 
 
-@pytest.mark.parametrize("name", ["TRACKS", "RATES", "FRAMES", "estimate", "KNOWN"])
+@pytest.mark.parametrize("name", ["TRACKS", "FRAMES", "KNOWN"])
 def test_only_who_asks_for_the_extrinsics_is_shown_them(looking, recorded, tmp_path, name):
+    """By the command line, by Python, in a study, and in each pair of three cameras."""
     seen, rig = looking(name), recorded / "rig_extrinsics.yaml"
     code, _, err = run("sync", *recorded.pair, "--rig", rig, "--method", "mine")
     assert code == 0, err
     ssac.sync(*recorded.pair, rig, "mine")
-    if name != "FRAMES":
-        cameras = [ssac.load_events(path) for path in recorded.pair]
-        ssac.sync(*cameras, ssac.load_rig(rig), "mine", search="interval")
-    by_study("mine", recorded)
+    loaded = load_rig(rig)
+    cameras = [Recording(Path(file), loaded.cam1, "it") for file in recorded.pair]
+    cell = Cell(SimConfig(), 0, 0, T_D_S, Config(), "mine", {"sim.t_d_s": T_D_S})
+    assert scored_row(cell, Chain(cameras, loaded, Config())).status == "ok"
     three, third = yaml.safe_load(rig.read_text()), tmp_path / "third.h5"
     three["cam2"] = three["cam1"]
     (tmp_path / "rig.yaml").write_text(yaml.safe_dump(three))
-    events = load_events(recorded / "cam1.h5").events
-    events = np.delete(events, slice(None, None, 100))  # or else it is refused as a copy
-    save_events_h5(third, events, WIDTH, HEIGHT)
+    save_almost(recorded / "cam1.h5", third, 0)
     add_frames(third, 0.0)
     ssac.sync([*recorded.pair, third], tmp_path / "rig.yaml", method="mine")
-    assert len(seen) == (6 if name == "FRAMES" else 7)
-    for one in seen:
-        rig_shown, views = one[2], one[5]
-        assert (rig_shown.T_2_1 is not None) == (name == "KNOWN")
-        assert (views.rig.T_2_1 is not None) == (name == "KNOWN")
+    assert len(seen) == 6
+    for _, _, rig_shown, _, _, views in seen:
+        assert (rig_shown.T_2_1 is not None) == (views.rig.T_2_1 is not None) == (name == "KNOWN")
 
 
-def by_study(name, recorded):
-    """Measure a row of a table."""
-    rig = load_rig(recorded / "rig_extrinsics.yaml")
-    cameras = [Recording(recorded / f"cam{k}.h5", rig.cam1, f"camera {k}") for k in (1, 2)]
-    sim = SimConfig()
-    cell = Cell(sim, 0, 0, T_D_S, Config(), name, {"sim.t_d_s": T_D_S})
-    assert scored_row(cell, Chain(cameras, rig, Config())).status == "ok"
+def save_almost(file, other, later_us):
+    """Save a camera's events without some, or else they are refused as a copy."""
+    events = load_events(file).events.copy()
+    events["t"] += later_us
+    save_events_h5(other, np.delete(events, slice(None, None, 100)), WIDTH, HEIGHT)
 
 
-def test_what_a_method_gets_is_clean_and_stays_so(looking, recorded):
-    seen = looking("TRACKS")
-    rig = load_rig(recorded / "rig.yaml")
+def test_what_a_method_gets_is_clean_and_stays_so_and_has_frames_if_it_asks(looking, recorded):
+    seen, rig = looking("TRACKS"), load_rig(recorded / "rig.yaml")
     files = (Recording(recorded / f"cam{k}.h5", rig.cam1, f"camera {k}") for k in (1, 2))
     chain = Chain([*files], rig)
     chain.estimate("mine")
@@ -321,13 +305,9 @@ def test_what_a_method_gets_is_clean_and_stays_so(looking, recorded):
     assert views.motion1.times_us is chain.views().motion1.times_us
     assert config.interval_s == (-1.0, 1.0)
     assert (cam1.frames, cam1.frame_times_s) == (None, None)
-
-
-def test_a_method_of_frames_gets_them(looking, recorded):
     seen = looking("FRAMES")
     ssac.sync(*recorded.pair, recorded / "rig.yaml", "mine")
-    ((cam1, cam2, *_),) = seen
-    for camera in (cam1, cam2):
+    for camera in seen[-1][:2]:
         assert len(camera.frames) == len(camera.frame_times_s) == 400
 
 
@@ -352,10 +332,7 @@ def test_the_version_follows_every_source_file(site):
 
 
 def test_a_variant_that_is_not_there_is_an_error(site, monkeypatch):
-    source = GOOD + (
-        "from ssac import Input, Method\n"
-        'M = Method("mine", estimate, Input.TRACKS, "", known_variant="mine-known")'
-    )
+    source = OF_METHOD % ("mine", "TRACKS", {"known_variant": "mine-known"})
     install(site, "halved", "mine = halved:M", source)
     monkeypatch.setattr(ssac.pipeline.registry, "METHODS", Registry())
     assert choose_method("mine").name == "mine"
@@ -384,82 +361,33 @@ def code_blocks(text: str, language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
 
 
-def run_python(folder: Path, *args: str) -> str:
-    """Run Python as a user does who has the folder's packages installed."""
-    path = os.pathsep.join([str(folder), str(ROOT)])
-    command = [sys.executable, *args]
-    result = subprocess.run(
-        command, env={**os.environ, "PYTHONPATH": path}, cwd=folder, capture_output=True, text=True
-    )
-    assert result.returncode == 0, result.stderr
-    return result.stdout
-
-
 def test_the_example_finds_the_offset_of_equal_views(example, recorded, tmp_path):
     """Both cameras see the same, so that the image speeds are equal at the true offset."""
     folder, _, _ = example
-    events = load_events(recorded / "cam1.h5").events.copy()
-    events["t"] += 250_000
-    events = np.delete(events, slice(None, None, 100))  # or else it is refused as a copy
-    save_events_h5(tmp_path / "later.h5", events, WIDTH, HEIGHT)
+    save_almost(recorded / "cam1.h5", tmp_path / "later.h5", 250_000)
     out = tmp_path / "out.json"
     args = (recorded / "cam1.h5", tmp_path / "later.h5", "--rig", recorded / "rig.yaml")
     options = ("--method", "track_speed", "--json", out)
-    shown = run_python(folder, "-m", "experiments.cli", "sync", *map(str, (*args, *options)))
-    assert "track_speed: Correlation of the object's image speeds, offset only." in shown
+    command = [sys.executable, "-m", "experiments.cli", "sync", *map(str, (*args, *options))]
+    found_in = {**os.environ, "PYTHONPATH": os.pathsep.join([str(folder), str(ROOT)])}
+    ended = subprocess.run(command, env=found_in, cwd=folder, capture_output=True, text=True)
+    assert ended.returncode == 0, ended.stderr
+    assert "track_speed: Correlation of the object's image speeds, offset only." in ended.stdout
     found = json.loads(out.read_text())
     assert found["method"] == "track_speed"
     assert found["t_d_s"] == pytest.approx(0.25, abs=1e-9)  # a whole number of its steps
 
 
-def test_the_grid_of_the_example_is_read(example):
-    folder, grid, _ = example
-    script = """
-from pathlib import Path
-from experiments.lab.grid import load_config
-
-print(*[cell.method for cell in load_config(Path("angles.toml")).cells()])
-"""
-    methods = run_python(folder, "-c", script).split()
+def test_the_grid_of_the_example_is_read_and_it_may_be_an_object(example, site, monkeypatch):
+    folder, grid, method_object = example
+    source = (folder / "track_speed.py").read_text() + method_object
+    install(site, "track_speed", "track_speed = track_speed:METHOD", source)
+    registry = Registry()
+    summary = "correlation of the object's image speeds, offset only"
+    assert registry["track_speed"].summary == summary
+    monkeypatch.setattr("experiments.lab.grid.METHODS", registry)
+    monkeypatch.setattr(ssac.pipeline.registry, "METHODS", registry)
+    methods = [cell.method for cell in load_config(folder / "angles.toml").cells()]
     each = grid["flights"] * len(grid["grid"]["sim"]["angle_deg"])
     assert [methods.count(name) for name in grid["methods"]] == [each, each]
     assert len(methods) == 2 * each
-
-
-SWEEP = """
-flights = 2
-methods = ["zncc_e", "track_speed"]
-[fixed]
-sim.angle_deg = 10.0
-sim.t_d_s = 0.05
-sim.spline.duration_s = 3.0
-sim.sampling.max_step_px = 1.0
-sim.frames.rate_hz = 0.0
-"""
-
-
-@pytest.mark.render
-def test_the_example_runs_in_a_sweep_and_has_its_columns_in_a_table(example, tmp_path):
-    """In two processes, which find the package by themselves."""
-    (tmp_path / "two.toml").write_text(SWEEP)
-    out = tmp_path / "two.csv"
-    options = ("--out", out, "--cache", tmp_path / "cache", "--workers", 2)
-    args = ("sweep", tmp_path / "two.toml", *options)
-    run_python(example[0], "-m", "experiments.cli", *map(str, args))
-    rows = pd.read_csv(out)
-    assert rows["method"].tolist() == ["zncc_e", "track_speed"] * 2
-    assert set(rows["status"]) == {"ok"}
-    names = {"sim.spline.duration_s": "duration_s", "sim.angle_deg": "angle_deg"}
-    runs = rows.rename(columns=names).assign(t_d_ms=1e3 * rows["sim.t_d_s"])
-    table = esim_table(runs, 3.0)
-    assert table["track_speed_failed"].tolist() == [0]
-    # From views 10 deg apart: the image speeds are all but equal, and 1 s off they are not.
-    assert table["track_speed_t_d_error_ms_mean"].item() < 50.0
-
-
-def test_the_example_as_an_object(example, site):
-    folder, _, method_object = example
-    source = (folder / "track_speed.py").read_text() + method_object
-    install(site, "track_speed", "track_speed = track_speed:METHOD", source)
-    method = Registry()["track_speed"]
-    assert method.summary == "correlation of the object's image speeds, offset only"

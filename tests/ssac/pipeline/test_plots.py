@@ -18,13 +18,11 @@ from ssac.pipeline.plots import (
     YELLOW,
     ZOOM_S,
     Material,
-    _foot,
     draw_alignment,
     draw_epipolar,
     draw_search,
     epipolar_rows,
     plane_angles,
-    window,
 )
 from tests.ssac.synthetic import HEIGHT, WIDTH, K, track_pair
 
@@ -51,8 +49,8 @@ def test_a_folder_gets_one_picture_per_figure_and_a_page_all_of_them(result, tmp
     assert [path.name for path in written] == ["d_avg.png", "epipolar.png", "alignment.png"]
     figures = [cv2.imread(str(path)) for path in written]
     assert min(map(np.std, figures)) > 10.0  # not blank
-    (page,) = result.plotted(tmp_path / "page.png")
-    height, width, _ = cv2.imread(str(page)).shape
+    assert isinstance(result.plot(tmp_path / "page.png"), Figure)
+    height, width, _ = cv2.imread(str(tmp_path / "page.png")).shape
     assert (height, width) == (sum(len(figure) for figure in figures), figures[0].shape[1])
 
 
@@ -79,13 +77,13 @@ def test_odd_offsets_can_be_drawn(t_d_s, n_rows, result):
 
 def test_events_of_a_distorted_lens_are_drawn_where_a_straight_one_has_them(material):
     camera = Camera(K, WIDTH, HEIGHT, "radtan", (-0.2, 0.05, 0.0, 0.0))
-    rig = replace(material.rig, cam1=camera)
+    rig = replace(material.views.rig, cam1=camera)
     bent = replace(material, views=replace(material.views, rig=rig))
     figure = Figure()
     draw_epipolar(figure, bent)
     for axes, row in zip(figure.axes[::2], epipolar_rows(bent), strict=True):
         (scatter,) = axes.collections
-        events = window(bent, 0, row.time_s, bent.config.half_window_s)
+        events, _ = bent.window(0, row.time_s, bent.views.config.half_window_s)
         pixels = np.column_stack([events["x"], events["y"]])
         drawn = np.asarray(scatter.get_offsets())
         # The inverse of OpenCV's lens, iterated to some thousandths of a pixel.
@@ -93,42 +91,35 @@ def test_events_of_a_distorted_lens_are_drawn_where_a_straight_one_has_them(mate
         assert np.abs(drawn - pixels).max() > 1.0
 
 
-def test_the_search_shows_the_minimum_and_3_ms_around_it(material):
-    figure = Figure()
-    draw_search(figure, material)
-    whole, zoom = figure.axes
+def test_what_is_drawn_is_the_search_the_distance_and_tracks_that_coincide(material):
+    search, epipolar, alignment = Figure(), Figure(), Figure()
+    draw_search(search, material)
+    whole, zoom = search.axes
     t_d_s = material.estimate.t_d_s
-    offsets_s, costs = whole.lines[0].get_data()
-    assert np.array_equal(offsets_s, material.estimate.candidates_s)
-    assert np.array_equal(costs, material.estimate.costs)
-    near_ms, d_avg_px = zoom.lines[0].get_data()
-    np.testing.assert_allclose(
-        [near_ms[0], near_ms[-1]], 1e3 * np.array([t_d_s - ZOOM_S, t_d_s + ZOOM_S])
+    assert np.array_equal(
+        whole.lines[0].get_data(), (material.estimate.candidates_s, material.estimate.costs)
     )
+    near_ms, d_avg_px = zoom.lines[0].get_data()
+    ends_ms = 1e3 * np.array([t_d_s - ZOOM_S, t_d_s + ZOOM_S])
+    np.testing.assert_allclose(near_ms[[0, -1]], ends_ms)
     # The estimate is of tangents, the curve of means: on these random pixels 1 ms apart or so.
     assert abs(near_ms[np.argmin(d_avg_px)] - 1e3 * t_d_s) < 2.0
-
-
-def test_the_distance_drawn_is_the_distance(material):
-    figure = Figure()
-    draw_epipolar(figure, material)
-    assert len(figure.axes) == 4
+    draw_epipolar(epipolar, material)
+    assert len(epipolar.axes) == 4
     drawn_px = []
-    for left, right in (figure.axes[:2], figure.axes[2:]):
+    for left, right in (epipolar.axes[:2], epipolar.axes[2:]):
         segment = np.transpose(left.lines[1].get_data())
         p1, p2 = (np.ravel(axes.lines[-1].get_data()) for axes in (left, right))
-        expected_px = epipolar_distance(material.estimate.F, p1, p2)
         drawn_px.append(np.linalg.norm(segment[1] - segment[0]))
-        assert drawn_px[-1] == pytest.approx(expected_px)
+        assert drawn_px[-1] == pytest.approx(epipolar_distance(material.estimate.F, p1, p2))
         assert f"{drawn_px[-1]:.2f} px" in left.get_title()
     assert drawn_px[1] < drawn_px[0]
-
-
-def test_the_foot_is_the_nearest_point_of_the_line():
-    line, point = np.array([3.0, 4.0, -10.0]), np.array([6.0, 8.0])
-    foot = _foot(line, point)
-    assert line @ [*foot, 1.0] == pytest.approx(0.0, abs=1e-12)
-    assert np.linalg.norm(foot - point) == pytest.approx(8.0)  # |3*6 + 4*8 - 10| / 5
+    draw_alignment(alignment, material)
+    before, after = (
+        np.nanmedian(np.abs(axes.lines[1].get_ydata() - axes.lines[3].get_ydata()))
+        for axes in alignment.axes[2:]
+    )
+    assert after < 0.3 * before
 
 
 def test_one_point_has_one_plane_angle_in_both_views(recorded, material):
@@ -139,16 +130,6 @@ def test_one_point_has_one_plane_angle_in_both_views(recorded, material):
     angles_1, angles_2 = plane_angles(exact, 0, p1), plane_angles(exact, 1, p2)
     np.testing.assert_allclose(angles_1, angles_2, atol=1e-9)
     assert np.ptp(angles_1) > 5.0
-
-
-def test_the_tracks_coincide_after_alignment(material):
-    figure = Figure()
-    draw_alignment(figure, material)
-    before, after = (
-        np.nanmedian(np.abs(axes.lines[1].get_ydata() - axes.lines[3].get_ydata()))
-        for axes in figure.axes[2:]
-    )
-    assert after < 0.3 * before
 
 
 def test_colours_stay_apart_in_grey():
