@@ -5,36 +5,20 @@ bench, not the luck of one. All kinds of a recording share its motion: their dif
 imperfection, not of the draw.
 """
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
+from experiments.drawing.panels import Figure, legend_below, panels
 from experiments.lab.markdown import digits, markdown_table
 from experiments.lab.results import Results
-from experiments.lab.study import Made, Runs, Study
+from experiments.lab.study import Runs, Study
+from experiments.lab.summary import answered, by_group, held, made_of, statistics
 from experiments.lab.verify import between, scored_checks
 from experiments.paper.quantities import ERRORS, R_ERROR, T_D_ERROR
-from experiments.worlds.bench import (
-    ALL,
-    ANGLES_DEG,
-    COMMAND,
-    IMPERFECTIONS,
-    KINDS,
-    NONE,
-    PHYSICAL,
-    PhysicalCell,
-    Recordings,
-    all_but,
-    bench_of,
-    cells_of,
-    only,
-    setup_seed,
-)
-from ssac.fit.covariance import NORMAL_95
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from experiments.worlds import bench
+from experiments.worlds.bench import ALL, ANGLES_DEG, IMPERFECTIONS, KINDS, NONE, all_but, only
 
 N_RECORDINGS = 1
 """Of each angle, and each of all kinds. 24 of the 34 kinds are simulated apart: half an hour a
@@ -47,76 +31,58 @@ METHODS = ("ssac", "joint", "tangency")
 ON_THE_PAGE = ("ssac", "tangency")
 
 
-def cells(recordings: Recordings = None) -> list[PhysicalCell]:
+def cells(recordings: bench.Recordings = None) -> list[bench.PhysicalCell]:
     """List the three methods on every kind of each recording."""
-    return [
-        cell
-        for angle_deg in ANGLES_DEG
-        for flight in range(FIRST_FLIGHT, FIRST_FLIGHT + (recordings or N_RECORDINGS))
-        for kind in KINDS
-        for cell in cells_of(
-            bench_of(kind, angle_deg, DURATION_S, setup_seed(angle_deg, flight)),
-            {"kind": kind},
-            flight,
-            (T_D_MS,),
-            METHODS,
-        )
-    ]
+    found: list[bench.PhysicalCell] = []
+    for angle_deg in ANGLES_DEG:
+        for flight in range(FIRST_FLIGHT, FIRST_FLIGHT + (recordings or N_RECORDINGS)):
+            setup = bench.setup_seed(angle_deg, flight)
+            for kind in KINDS:
+                of_kind = bench.bench_of(kind, angle_deg, DURATION_S, setup)
+                found += bench.cells_of(of_kind, {"kind": kind}, flight, (T_D_MS,), METHODS)
+    return found
 
 
 def budget_table(runs: pd.DataFrame) -> pd.DataFrame:
-    """Mean errors by kind, angle and method, in their order.
+    """Mean errors by kind, angle and method, of the runs that are answered ("ok").
 
-    Returns
-    -------
-    pd.DataFrame
-        `runs`, `answered` (status "ok"), mean and deviation of each error over these,
-        `t_d_bias_ms`, the mean of the signed error of t_d, and `t_d_held`, the share of the stated
-        95 % intervals of t_d that hold the truth.
+    `t_d_bias_ms` is the mean of the signed error of t_d, `t_d_held` the share of the stated 95 %
+    intervals of t_d that hold the truth.
     """
-    rows = []
-    for (kind, angle_deg, method), group in runs.groupby(
-        ["kind", "angle_deg", "method"], sort=False
-    ):
-        ok = group[group["status"] == "ok"]
-        row: dict[str, Any] = {"kind": kind, "angle_deg": angle_deg, "method": method,
-                               "runs": len(group), "answered": len(ok)}  # fmt: skip
-        for error in ERRORS:
-            row[f"{error}_mean"] = ok[error].mean()
-            row[f"{error}_std"] = ok[error].std(ddof=0)
-        row["t_d_bias_ms"] = (ok["t_d_estimate_ms"] - ok["t_d_ms"]).mean()
+
+    def row(group: pd.DataFrame) -> dict[str, Any]:
+        ok = answered(group)
         stated = ok[np.isfinite(ok["t_d_std_ms"].astype(float))]
-        held = stated["t_d_error_ms"] <= NORMAL_95 * stated["t_d_std_ms"]
-        row["t_d_held"] = held.mean() if len(stated) else np.nan
-        rows.append(row)
-    table: pd.DataFrame = pd.DataFrame(rows)
-    return table
+        return {
+            **{"runs": len(group), "answered": len(ok)},
+            **statistics(ok, [*ERRORS], "mean", "std"),
+            "t_d_bias_ms": (ok["t_d_estimate_ms"] - ok["t_d_ms"]).mean(),
+            "t_d_held": held(stated, "t_d", "ms").mean() if len(stated) else np.nan,
+        }
+
+    return by_group(runs, ("kind", "angle_deg", "method"), row)
 
 
-def budget_figure(summary: pd.DataFrame) -> "Figure":
+def budget_figure(summary: pd.DataFrame) -> Figure:
     """Draw, for each method and error, what each imperfection adds alone and what its lack spares.
 
     The mean over the angles of each imperfection alone (filled) and of all but it (hollow); lines
     stand where there is none and where there are all.
     """
-    from matplotlib.figure import Figure
     from matplotlib.ticker import LogLocator
 
-    from experiments.drawing.style import WIDTH_IN, method_looks, quiet_axes
+    from experiments.drawing.style import method_looks
 
-    places = np.arange(len(IMPERFECTIONS))
+    places, looks = np.arange(len(IMPERFECTIONS)), method_looks([*METHODS])
     height_in = 1.2 + 0.22 * len(places) * len(METHODS)
-    figure = Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
-    grid = figure.subplots(len(METHODS), len(ERRORS), sharey=True, squeeze=False)
+    figure, grid = panels(height_in, len(METHODS), len(ERRORS), sharey=True)
     for row, method in zip(grid, METHODS, strict=True):
-        color = method_looks([method])[method].color
+        dots: dict[str, Any] = {"ms": 5, "color": looks[method].color}
         for axes, (name, quantity) in zip(row, ERRORS.items(), strict=True):
-            quiet_axes(axes)
             values = _means(summary, name).xs(method, level="method")
-            axes.plot(values[[only(one) for one in IMPERFECTIONS]], places, "o", ms=5,
-                      color=color, label="alone")  # fmt: skip
-            axes.plot(values[[all_but(one) for one in IMPERFECTIONS]], places, "o", ms=5,
-                      color=color, mfc="white", label="all but it")  # fmt: skip
+            alone, without = (values[[*map(of, IMPERFECTIONS)]] for of in (only, all_but))
+            axes.plot(alone, places, "o", label="alone", **dots)
+            axes.plot(without, places, "o", mfc="white", label="all but it", **dots)
             axes.axvline(values[NONE], color="0.3", lw=0.8, ls=":", label="none")
             axes.axvline(values[ALL], color="0.3", lw=0.8, ls="--", label="all")
             axes.set(xscale="log")
@@ -128,8 +94,7 @@ def budget_figure(summary: pd.DataFrame) -> "Figure":
                 axes.set_title(method, fontsize=10, loc="left")
         row[0].set_yticks(places, list(IMPERFECTIONS), fontsize=8)
     grid[0, 0].invert_yaxis()
-    handles, labels = grid[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=8, frameon=False)
+    legend_below(figure, 4)
     return figure
 
 
@@ -148,10 +113,8 @@ def page_table(results: Results) -> str:
 
 def _means(summary: pd.DataFrame, error: str) -> "pd.Series[float]":
     """Mean over the angles by kind and method."""
-    means: pd.Series[float] = summary.groupby(["kind", "method"], sort=False)[
-        f"{error}_mean"
-    ].mean()
-    return means
+    by_kind = summary.groupby(["kind", "method"], sort=False)
+    return by_kind[f"{error}_mean"].mean()
 
 
 STUDIES = (
@@ -159,21 +122,17 @@ STUDIES = (
         "error_budget",
         "What each imperfection of a bench costs, alone and of all",
         cells,
-        PHYSICAL,
+        bench.PHYSICAL,
         Runs("error_budget_runs.csv", ("kind", "angle_deg", "flight", "method")),
-        (
-            Made("error_budget.csv", lambda one: budget_table(one.table("error_budget_runs"))),
-            Made("error_budget.png", lambda one: budget_figure(one.table("error_budget"))),
-        ),
+        (made_of("error_budget.csv", budget_table, "error_budget_runs"),
+         made_of("error_budget.png", budget_figure, "error_budget")),
         numbers={"table.budget": page_table},
-        checks=(
-            ("shares are shares", between("error_budget", "t_d_held", 0.0, 1.0)),
-            *scored_checks("error_budget_runs"),
-        ),
+        checks=(("shares are shares", between("error_budget", "t_d_held", 0.0, 1.0)),
+                *scored_checks("error_budget_runs")),
         config={"n_recordings": N_RECORDINGS, "first_flight": FIRST_FLIGHT,
                 "duration_s": DURATION_S, "t_d_ms": T_D_MS, "angles_deg": ANGLES_DEG,
                 "kinds": KINDS, "methods": METHODS,
-                "bench": bench_of(ALL, ANGLES_DEG[0], DURATION_S, 0)},
-        command=COMMAND,
+                "bench": bench.bench_of(ALL, ANGLES_DEG[0], DURATION_S, 0)},
+        command=bench.COMMAND,
     ),
 )  # fmt: skip

@@ -17,25 +17,17 @@ from scipy.stats import chi2
 
 from experiments.lab.cache import Cache
 from experiments.lab.cell import Measure
-from experiments.lab.grid import flight_seed
 from experiments.lab.markdown import markdown_table
 from experiments.lab.recorded import Flown, recorded_pair
 from experiments.lab.results import Results
 from experiments.lab.score import Truth, kept, scored
-from experiments.lab.study import Made, Runs, Study
+from experiments.lab.study import Runs, Study
+from experiments.lab.summary import made_of
 from experiments.paper.esim import method_order
 from experiments.paper.grids import ANGLES_DEG
 from experiments.studies.coverage import QUANTITIES, Quantity, confidence, sampling_bounds
-from experiments.worlds.spoilt import (
-    CARELESS,
-    GOOD,
-    ORDINARY,
-    SCENES,
-    T_D_S,
-    Kind,
-    KindCell,
-    spoilt_pair,
-)
+from experiments.worlds import spoilt
+from experiments.worlds.spoilt import CARELESS, GOOD, ORDINARY, SCENES, T_D_S, Kind, KindCell
 from sim.disturb import DisturbConfig
 from ssac.camera import known_pose
 from ssac.estimate import Estimate
@@ -61,35 +53,30 @@ _ALL = DisturbConfig(
     intrinsics_error=GOOD,
 )  # fmt: skip
 
+
+def _ordinary(skew_std_ppm: float = 0.0, **disturb: Any) -> Kind:
+    return Kind(ORDINARY, DisturbConfig(**disturb), skew_std_ppm=skew_std_ppm)
+
+
 KINDS: dict[str, Kind] = {
-    ORDINARY: Kind(ORDINARY),
-    **{
-        f"noise {hz:g} Hz/px": Kind(ORDINARY, DisturbConfig(noise_hz=hz)) for hz in (1.0, 3.0, 10.0)
-    },
-    "good calibration": Kind(ORDINARY, DisturbConfig(intrinsics_error=GOOD)),
-    "careless calibration": Kind(ORDINARY, DisturbConfig(intrinsics_error=CARELESS)),
-    "skew": Kind(ORDINARY, skew_std_ppm=SKEW_STD_PPM),
-    **{
-        f"second object {100 * share:g} %": Kind(ORDINARY, DisturbConfig(second_object=share))
-        for share in (0.1, 0.2, 1.0)
-    },
-    "lamp 6 px": Kind(ORDINARY, DisturbConfig(lamp_px=6)),
-    "lamp 12 px": Kind(ORDINARY, DisturbConfig(lamp_px=12)),
-    "hot clusters": Kind(ORDINARY, DisturbConfig(hot_clusters=5)),
-    "branches": Kind(ORDINARY, DisturbConfig(branches=500_000)),
-    "people": Kind(ORDINARY, DisturbConfig(people=2)),
+    ORDINARY: _ordinary(),
+    **{f"noise {hz:g} Hz/px": _ordinary(noise_hz=hz) for hz in (1.0, 3.0, 10.0)},
+    "good calibration": _ordinary(intrinsics_error=GOOD),
+    "careless calibration": _ordinary(intrinsics_error=CARELESS),
+    "skew": _ordinary(SKEW_STD_PPM),
+    **{f"second object {100 * one:g} %": _ordinary(second_object=one) for one in (0.1, 0.2, 1.0)},
+    "lamp 6 px": _ordinary(lamp_px=6),
+    "lamp 12 px": _ordinary(lamp_px=12),
+    "hot clusters": _ordinary(hot_clusters=5),
+    "branches": _ordinary(branches=500_000),
+    "people": _ordinary(people=2),
     "all at once": Kind(ORDINARY, _ALL, skew_std_ppm=SKEW_STD_PPM),
-    **{
-        name: kind
-        for scene in SCENES
-        if scene != ORDINARY
-        for name, kind in (
-            (scene, Kind(scene)),
-            (f"{scene}, typical", Kind(scene, _TYPICAL, skew_std_ppm=SKEW_STD_PPM)),
-        )
-    },
 }
 """By name. "Typical" is noise of 1 Hz/px, two hot clusters, a good calibration and a skew."""
+
+for _scene in [*SCENES][1:]:
+    KINDS[_scene] = Kind(_scene)
+    KINDS[f"{_scene}, typical"] = Kind(_scene, _TYPICAL, skew_std_ppm=SKEW_STD_PPM)
 
 HELD = {name: QUANTITIES[name] for name in ("t_d", "skew", "R", "t")}
 """Quantities whose intervals of 95 % are counted, and whose errors may be confidently wrong."""
@@ -129,25 +116,19 @@ class ImperfectRow:
     n_events_cam2: int = 0
 
 
-def imperfect_cells(n_rounds: int = N_ROUNDS) -> list[KindCell]:
+def imperfect_cells() -> list[KindCell]:
     """List every method on every kind that is made of each flight."""
-    scenes = [*[ORDINARY] * (N_ORDINARY - 1), *SCENES]
     cells = []
-    for number in range(n_rounds):
-        for index, scene in enumerate(scenes):
+    for number in range(N_ROUNDS):
+        for index, scene in enumerate([*[ORDINARY] * (N_ORDINARY - 1), *SCENES]):
             flight = FIRST_FLIGHT + ROUND_STEP * number + index
             angle_deg = ANGLES_DEG[(2 * index + number) % len(ANGLES_DEG)]
-            sim = replace(SCENES[scene], angle_deg=angle_deg)
-            seed, other_seed = (
-                flight_seed(sim.spline.duration_s, angle_deg, one)
-                for one in (flight, flight + OTHER_FLIGHT)
+            sim, flights = (
+                replace(SCENES[scene], angle_deg=angle_deg),
+                (flight, flight + OTHER_FLIGHT),
             )
-            cells += [
-                KindCell(sim, flight, seed, name, other_seed, method)
-                for name, kind in KINDS.items()
-                if kind.scene == scene
-                for method in METHOD_NAMES
-            ]
+            kinds = [name for name, kind in KINDS.items() if kind.scene == scene]
+            cells += spoilt.kind_cells(sim, flights, kinds, METHOD_NAMES, KindCell)
     return cells
 
 
@@ -162,7 +143,7 @@ def imperfect_row(cell: KindCell, flown: Flown) -> ImperfectRow:
     kind, duration_s = KINDS[cell.kind], cell.sim.spline.duration_s
 
     def make() -> Chain:
-        pair = spoilt_pair(flown, kind, duration_s)
+        pair = spoilt.spoilt_pair(flown, kind, duration_s)
         return Chain((pair.cam1, pair.cam2), pair.rig)
 
     chain = flown.made(cell.kind, make)
@@ -191,25 +172,19 @@ def given_columns(estimate: Estimate, truth: Truth) -> dict[str, Any]:
 
 
 def imperfect_table(runs: pd.DataFrame) -> pd.DataFrame:
-    """Count what was answered, what held, and what was confidently wrong.
+    """Count what was answered, what held, and what was confidently wrong, by kind and method.
 
-    Returns
-    -------
-    pd.DataFrame
-        One row per kind and method, in their order, those of all kinds together first: runs,
-        `answered` (with an offset), `refused` (statuses of the others with their counts),
-        `pose_given`, for each quantity how often it was given with a deviation and the share of
-        these whose interval or region of 95 % holds the truth, and the confident wrong answers.
+    Those of all kinds together come first. Answers have an offset; of each quantity it is counted
+    how often it was given with a deviation, and the share of these whose interval or region of 95 %
+    holds the truth.
     """
     kinds = {ALL: runs} | {kind: runs[runs["kind"] == kind] for kind in dict.fromkeys(runs["kind"])}
-    table: pd.DataFrame = pd.DataFrame(
-        [
-            {"kind": kind, "method": method, **_counts(part[part["method"] == method])}
-            for kind, part in kinds.items()
-            for method in method_order(part["method"])
-        ]
-    )
-    return table
+    rows = [
+        {"kind": kind, "method": method, **_counts(part[part["method"] == method])}
+        for kind, part in kinds.items()
+        for method in method_order(part["method"])
+    ]
+    return pd.DataFrame(rows)
 
 
 def _counts(runs: pd.DataFrame) -> dict[str, Any]:
@@ -232,14 +207,9 @@ def answers(runs: pd.DataFrame) -> dict[str, Any]:
 def held(
     runs: pd.DataFrame, quantities: Mapping[str, Quantity]
 ) -> tuple[dict[str, int], NDArray[np.bool_]]:
-    """Count the quantities that are given, and whose intervals hold; tell the runs that are wrong.
+    """Count `<name>_given` and `<name>_held` of quantities; tell the runs (n,) that are wrong.
 
-    Returns
-    -------
-    counts : dict of int
-        `<name>_given` and `<name>_held`.
-    wrong : (n,) array of bool
-        Whether any quantity of a run is confidently wrong.
+    A run is confidently wrong if any of its quantities is.
     """
     counts, wrong = {}, np.zeros(len(runs), bool)
     for name, quantity in quantities.items():
@@ -254,7 +224,7 @@ def held(
 def page_table(results: Results) -> str:
     """Say of all kinds together how many were answered, and how many of the answers held."""
 
-    def share(row: "pd.Series[Any]", name: str) -> str:
+    def share(row: Mapping[Any, Any], name: str) -> str:
         n_given, share = int(row[f"{name}_given"]), float(row[f"{name}_held"])
         if not np.isfinite(share):
             return ""
@@ -264,10 +234,9 @@ def page_table(results: Results) -> str:
     rows = [
         [
             *(f"`{row['method']}`", f"{row['answered']:.0f} of {row['runs']:.0f}"),
-            *(share(row, name) for name in HELD),
-            f"{row['confident_wrong']:.0f}",
+            *(*(share(row, name) for name in HELD), f"{row['confident_wrong']:.0f}"),
         ]
-        for _, row in results.rows("imperfect", kind=ALL).iterrows()
+        for row in results.rows("imperfect", kind=ALL).to_dict("records")
     ]
     quantities = (f"{name} [%]" for name in HELD)
     return markdown_table(["method", "answered", *quantities, "confident wrong"], rows)
@@ -276,10 +245,9 @@ def page_table(results: Results) -> str:
 def kinds(results: Results, column: str) -> str:
     """List the kinds that `tangency` does not answer throughout, or answers wrongly."""
     table = results.rows("imperfect", method="tangency")
-    table = table[table["kind"] != ALL]
-    count = table["runs"] - table["answered"] if column == "not_answered" else table[column]
-    listed = zip(table["kind"], count, table["runs"], strict=True)
-    return "; ".join(f"{kind}: {n:.0f} of {runs:.0f}" for kind, n, runs in listed if n > 0)
+    table = table[table["kind"] != ALL].assign(not_answered=table["runs"] - table["answered"])
+    listed = table[table[column] > 0][["kind", column, "runs"]].itertuples(index=False)
+    return "; ".join(f"{kind}: {n:.0f} of {runs:.0f}" for kind, n, runs in listed)
 
 
 STUDIES = (
@@ -289,19 +257,13 @@ STUDIES = (
         imperfect_cells,
         Measure(load_flown, imperfect_row, ImperfectRow),
         Runs("imperfect_runs.csv", ("kind", "flight", "method")),
-        (Made("imperfect.csv", lambda results: imperfect_table(results.table("imperfect_runs"))),),
+        (made_of("imperfect.csv", imperfect_table, "imperfect_runs"),),
         numbers={
             "table.imperfect": page_table,
             "imperfect.kinds_not_answered": partial(kinds, column="not_answered"),
             "imperfect.kinds_wrong": partial(kinds, column="confident_wrong"),
         },
-        config={
-            "n_rounds": N_ROUNDS,
-            "n_ordinary": N_ORDINARY,
-            "first_flight": FIRST_FLIGHT,
-            "kinds": list(KINDS),
-            "methods": METHOD_NAMES,
-            "angles_deg": ANGLES_DEG,
-        },
+        config={"n_rounds": N_ROUNDS, "n_ordinary": N_ORDINARY, "first_flight": FIRST_FLIGHT,
+                "kinds": list(KINDS), "methods": METHOD_NAMES, "angles_deg": ANGLES_DEG},
     ),
-)
+)  # fmt: skip

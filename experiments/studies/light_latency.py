@@ -5,29 +5,17 @@ not the same for both polarities, and it changes its sign when the lights are sw
 """
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 
+from experiments.drawing.panels import Figure, panels
 from experiments.lab.markdown import digits, markdown_table
 from experiments.lab.results import Results
-from experiments.lab.study import Made, Runs, Study
+from experiments.lab.study import Runs, Study
+from experiments.lab.summary import answered, by_group, made_of, statistics
 from experiments.lab.verify import ordered, scored_checks
-from experiments.worlds.bench import (
-    COMMAND,
-    IMPERFECTIONS,
-    PHYSICAL,
-    PhysicalCell,
-    Recordings,
-    SetUp,
-    cells_of,
-    ideal,
-    setup_seed,
-)
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from experiments.worlds import bench
 
 N_RECORDINGS = 2
 """Each at all ratios, so that these differ in the light alone."""
@@ -45,88 +33,66 @@ ILLUMINANCE_LUX = 100.0
 POLARITIES = {"both": None, "on": 1, "off": 0}
 """Events that are used."""
 
+_LOOKS = {
+    "both": ("#000000", "D", "both polarities"),
+    "on": ("#D55E00", "^", "ON events alone"),
+    "off": ("#0072B2", "v", "OFF events alone"),
+}
 
-def lit(ratio: float, polarity: int | None, setup: int) -> SetUp:
+
+def lit(ratio: float, polarity: int | None, setup: int) -> bench.SetUp:
     """Give a bench whose photoreceptors are real ones, all else ideal, and whose lights differ."""
-    bench = ideal(ANGLE_DEG, DURATION_S, setup)
+    found = bench.ideal(ANGLE_DEG, DURATION_S, setup)
     for name in ("low-pass", "latency"):
-        bench = IMPERFECTIONS[name](bench)
-    effects = replace(
-        bench.sim.effects,
-        illuminance_lux=float(ILLUMINANCE_LUX / np.sqrt(ratio)),
-        camera2_light=ratio,
-    )
-    return replace(bench, sim=replace(bench.sim, effects=effects), polarity=polarity)
+        found = bench.IMPERFECTIONS[name](found)
+    illuminance_lux = float(ILLUMINANCE_LUX / np.sqrt(ratio))
+    effects = replace(found.sim.effects, illuminance_lux=illuminance_lux, camera2_light=ratio)
+    return replace(found, sim=replace(found.sim, effects=effects), polarity=polarity)
 
 
-def cells(recordings: Recordings = None) -> list[PhysicalCell]:
+def cells(recordings: bench.Recordings = None) -> list[bench.PhysicalCell]:
     """List every ratio and polarity on each recording."""
-    return [
-        cell
-        for flight in range(FIRST_FLIGHT, FIRST_FLIGHT + (recordings or N_RECORDINGS))
-        for ratio in RATIOS
-        for name, polarity in POLARITIES.items()
-        for cell in cells_of(
-            lit(ratio, polarity, setup_seed(ANGLE_DEG, flight)),
-            {"light_ratio": ratio, "polarity": name},
-            flight,
-            (T_D_MS,),
-            (METHOD,),
-        )
-    ]
+    found: list[bench.PhysicalCell] = []
+    for flight in range(FIRST_FLIGHT, FIRST_FLIGHT + (recordings or N_RECORDINGS)):
+        setup = bench.setup_seed(ANGLE_DEG, flight)
+        for ratio in RATIOS:
+            for name, polarity in POLARITIES.items():
+                of, named = lit(ratio, polarity, setup), {"light_ratio": ratio, "polarity": name}
+                found += bench.cells_of(of, named, flight, (T_D_MS,), (METHOD,))
+    return found
 
 
 def latency_table(runs: pd.DataFrame) -> pd.DataFrame:
-    """Apparent offsets by ratio and polarity, in their order.
+    """Apparent offsets, which are the estimated less the clocks', by ratio and polarity.
 
-    Returns
-    -------
-    pd.DataFrame
-        `runs`, `answered`, mean and deviation of the apparent offset, which is the estimated less
-        the clocks' (`apparent_ms_*`), the mean stated deviation, and `swapped_ms`, the mean of the
-        apparent offset of this ratio and its inverse, which swapping the lights leaves.
+    `swapped_ms` is the mean of that of a ratio and its inverse, which swapping the lights leaves.
     """
     runs = runs.assign(apparent_ms=runs["t_d_estimate_ms"] - runs["t_d_ms"])
-    rows, means = [], dict[Any, float]()
-    for (ratio, polarity), group in runs.groupby(["light_ratio", "polarity"], sort=False):
-        ok = group[group["status"] == "ok"]
-        means[ratio, polarity] = ok["apparent_ms"].mean()
-        rows.append(
-            {
-                "light_ratio": ratio,
-                "polarity": polarity,
-                "runs": len(group),
-                "answered": len(ok),
-                "apparent_ms_mean": means[ratio, polarity],
-                "apparent_ms_std": ok["apparent_ms"].std(ddof=0),
-                "t_d_std_ms": ok["t_d_std_ms"].mean(),
-            }
-        )
-    swapped_ms = [
-        0.5 * (mean + means.get((1.0 / ratio, polarity), np.nan))
-        for (ratio, polarity), mean in means.items()
-    ]
-    return pd.DataFrame(rows).assign(swapped_ms=swapped_ms)
+
+    def row(group: pd.DataFrame) -> dict[str, float]:
+        ok = answered(group)
+        counts = {"runs": len(group), "answered": len(ok)}
+        apparent = statistics(ok, ["apparent_ms"], "mean", "std")
+        return {**counts, **apparent, "t_d_std_ms": ok["t_d_std_ms"].mean()}
+
+    table = by_group(runs, ("light_ratio", "polarity"), row)
+    means = table["apparent_ms_mean"]
+    inverse = table.set_index(["light_ratio", "polarity"])["apparent_ms_mean"]
+    swapped = list(zip(1.0 / table["light_ratio"], table["polarity"], strict=True))
+    return table.assign(swapped_ms=0.5 * (means + inverse.reindex(swapped).to_numpy()))
 
 
-def latency_figure(summary: pd.DataFrame) -> "Figure":
+def latency_figure(summary: pd.DataFrame) -> Figure:
     """Draw the apparent offset against the ratio of the lights, by polarity."""
-    from matplotlib.figure import Figure
-
-    from experiments.drawing.style import WIDTH_IN, quiet_axes
-
-    figure = Figure(figsize=(WIDTH_IN, 3.6), layout="constrained")
-    axes = figure.subplots()
-    quiet_axes(axes)
-    looks = {"both": ("#000000", "D"), "on": ("#D55E00", "^"), "off": ("#0072B2", "v")}
-    for polarity, (color, marker) in looks.items():
-        part = summary[summary["polarity"] == polarity]
+    figure, ((axes,),) = panels(3.6)
+    by_polarity = dict(list(summary.groupby("polarity")))
+    for polarity, (color, marker, label) in _LOOKS.items():
+        part = by_polarity[polarity]
         axes.errorbar(
             part["light_ratio"], part["apparent_ms_mean"], part["apparent_ms_std"], color=color,
-            marker=marker, ms=5, lw=0.9, label=f"{polarity} polarities"
-            if polarity == "both" else f"{polarity.upper()} events alone",
+            marker=marker, ms=5, lw=0.9, label=label,
         )  # fmt: skip
-    both = summary[summary["polarity"] == "both"]
+    both = by_polarity["both"]
     axes.plot(both["light_ratio"], both["swapped_ms"], color="0.5", ls=":", marker="x",
               label="mean with the lights swapped")  # fmt: skip
     axes.set(xscale="log", xticks=RATIOS)
@@ -143,20 +109,16 @@ def page_table(results: Results) -> str:
     rows = []
     for ratio, of_ratio in results.table("light_latency").groupby("light_ratio", sort=True):
         by = of_ratio.set_index("polarity")
+        both, apparent = by.loc["both"], by["apparent_ms_mean"]
         rows.append(
             [
-                f"{ratio:g}",
-                *(f"{by['apparent_ms_mean'][name]:.2f}" for name in POLARITIES),
-                digits(float(by["t_d_std_ms"]["both"])),
-                f"{by['swapped_ms']['both']:.2f}",
-                f"{int(by['answered']['both'])} of {int(by['runs']['both'])}",
+                *(f"{ratio:g}", *(f"{apparent[name]:.2f}" for name in POLARITIES)),
+                *(digits(float(both["t_d_std_ms"])), f"{both['swapped_ms']:.2f}"),
+                f"{int(both['answered'])} of {int(both['runs'])}",
             ]
         )
-    header = [
-        *("light 2 / 1", "apparent", "ON alone", "OFF alone", "stated 1 sigma"),
-        *("half sum with its inverse", "answered"),
-    ]
-    return markdown_table(header, rows)
+    header = ["light 2 / 1", "apparent", "ON alone", "OFF alone", "stated 1 sigma"]
+    return markdown_table([*header, "half sum with its inverse", "answered"], rows)
 
 
 STUDIES = (
@@ -164,21 +126,17 @@ STUDIES = (
         "light_latency",
         "Offsets that appear where two cameras are lit differently",
         cells,
-        PHYSICAL,
+        bench.PHYSICAL,
         Runs("light_latency_runs.csv", ("light_ratio", "polarity", "flight")),
-        (
-            Made("light_latency.csv", lambda one: latency_table(one.table("light_latency_runs"))),
-            Made("light_latency.png", lambda one: latency_figure(one.table("light_latency"))),
-        ),
+        (made_of("light_latency.csv", latency_table, "light_latency_runs"),
+         made_of("light_latency.png", latency_figure, "light_latency")),
         numbers={"table.latency": page_table},
-        checks=(
-            ("as many are answered as ran", ordered("light_latency", "answered", "runs")),
-            *scored_checks("light_latency_runs"),
-        ),
+        checks=(("as many are answered as ran", ordered("light_latency", "answered", "runs")),
+                *scored_checks("light_latency_runs")),
         config={"n_recordings": N_RECORDINGS, "first_flight": FIRST_FLIGHT,
                 "duration_s": DURATION_S, "angle_deg": ANGLE_DEG, "t_d_ms": T_D_MS,
                 "ratios": RATIOS, "illuminance_lux": ILLUMINANCE_LUX, "method": METHOD,
                 "bench": lit(1.0, None, 0)},
-        command=COMMAND,
+        command=bench.COMMAND,
     ),
 )  # fmt: skip

@@ -17,7 +17,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from experiments.lab.cell import Flight, Measure
+from experiments.lab.cell import Measure, PlainCell
 from experiments.lab.study import How, Runs, Study
 from experiments.lab.verify import between, one_of
 from sim.scene.rig import Rig, kalibr_yaml, look_at_rig
@@ -53,21 +53,11 @@ _SPLINE = SplineConfig(
 
 
 @dataclass(frozen=True)
-class GrowthCell:
+class GrowthCell(PlainCell):
     """One flight."""
 
     duration_s: float
-    recordings: tuple[Flight, ...] = ()
-
-    @property
-    def columns(self) -> dict[str, Any]:
-        """Columns that say which it is."""
-        return {"duration_s": self.duration_s, "cameras": N_CAMERAS}
-
-    @property
-    def inputs(self) -> float:
-        """What the row depends on."""
-        return self.duration_s
+    cameras: int = N_CAMERAS
 
 
 @dataclass(frozen=True)
@@ -110,16 +100,12 @@ def growth_row(cell: GrowthCell, _: None) -> GrowthRow:
     parts, status = found.seconds, found.network.status
     row = GrowthRow(
         str(status),
-        points=sum(camera.n_seen for camera in found.network.cameras),
-        wall_s=wall_s,
-        cpu_s=cpu_s,
-        pairs_s=sum(seconds for part, seconds in parts.items() if part != "network"),
-        network_s=parts["network"],
-        peak_mb=peak_mb,
+        found.network.reason if status != Status.OK else "",
+        sum(camera.n_seen for camera in found.network.cameras),
+        *(wall_s, cpu_s, sum(seconds for part, seconds in parts.items() if part != "network")),
+        *(parts["network"], peak_mb),
     )
-    if status != Status.OK:
-        return replace(row, reason=found.network.reason)
-    return replace(row, **_errors(found, clocks, cell.duration_s))
+    return replace(row, **_errors(found, clocks, cell.duration_s)) if status == Status.OK else row
 
 
 def write_tracks(folder: Path, duration_s: float) -> tuple[list[Path], list[Clock]]:

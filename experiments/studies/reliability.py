@@ -13,7 +13,7 @@ import pandas as pd
 import typer
 
 from experiments.damage.cases import OUTCOMES, Damaging, damaged_case
-from experiments.lab.cell import Measure
+from experiments.lab.cell import Measure, PlainCell
 from experiments.lab.command import command_of
 from experiments.lab.results import Results
 from experiments.lab.study import Runs, Study
@@ -41,29 +41,17 @@ ALL = "all"
 
 
 @dataclass(frozen=True)
-class DamageCell:
+class DamageCell(PlainCell):
     """Some cases, by their numbers: those of a kind follow each other by as many as there are."""
 
     seed: int
     first: int
     end: int
 
-    recordings = ()
-
-    @property
-    def columns(self) -> dict[str, Any]:
-        """Columns that say which cases they are."""
-        return {"seed": self.seed, "first": self.first, "end": self.end}
-
     @property
     def shares(self) -> tuple[int, ...]:
         """Each is a task of its own."""
         return (self.first,)
-
-    @property
-    def inputs(self) -> tuple[int, int, int]:
-        """What the cases depend on beside the code."""
-        return self.seed, self.first, self.end
 
 
 @dataclass(frozen=True)
@@ -103,17 +91,13 @@ def damage_row(cell: DamageCell, damaging: Damaging) -> DamageRow:
 
 def reliability_table(rows: pd.DataFrame, _: Results) -> pd.DataFrame:
     """Count outcomes by kind of input, and of all."""
-    counts: Counter[tuple[str, str]] = Counter()
-    for outcomes in rows["outcomes"]:
-        for kind, outcome, count in outcomes:
-            counts[kind, outcome] += count
-    there = {kind for kind, _ in counts}
-    found = [[counts[kind, name] for name in OUTCOMES] for kind in KINDS if kind in there]
-    table = pd.DataFrame(found, columns=list(OUTCOMES))
+    counted = pd.DataFrame(rows["outcomes"].sum(), columns=["input", "outcome", "n"])
+    table = counted.pivot_table("n", "input", "outcome", "sum", 0).astype(int)
+    table = table.reindex([kind for kind in KINDS if kind in table.index])
+    table = table.reindex(columns=list(OUTCOMES), fill_value=0)
+    table.loc[ALL] = table.sum()
     table.insert(0, "cases", table.sum(axis=1))
-    table.insert(0, "input", [kind for kind in KINDS if kind in there])
-    table.loc[len(table)] = [ALL, *table.drop(columns="input").sum()]
-    return table
+    return table.reset_index().rename_axis(columns=None)
 
 
 def silent_share(table: pd.DataFrame) -> float:
@@ -149,6 +133,8 @@ def count(results: Results, columns: tuple[str, ...]) -> str:
     return f"{sum(row[column] for column in columns):.0f}"
 
 
+_COUNTED = ("cases", "refused", "warned", "silently_fewer")
+
 STUDIES = (
     Study(
         "reliability",
@@ -157,10 +143,7 @@ STUDIES = (
         Measure(load_damaging, damage_row, DamageRow),
         Runs("reliability.csv", ("input",), numbered=False, table=reliability_table),
         numbers={
-            **{
-                f"reliability.{name}": partial(count, columns=(name,))
-                for name in ("cases", "refused", "warned", "silently_fewer")
-            },
+            **{f"reliability.{name}": partial(count, columns=(name,)) for name in _COUNTED},
             "reliability.must_not_be": partial(count, columns=BAD),
         },
         checks=(("every case is there, and none ended as it must not", reliability_faults),),

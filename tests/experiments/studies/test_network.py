@@ -11,9 +11,15 @@ from scipy.spatial.transform import Rotation
 from experiments.lab.cache import recording_key
 from experiments.lab.recorded import FlightTruth
 from experiments.studies import network, network_growth
-from experiments.studies.network import CameraRow, Flown, path_off_best_point_m
+from experiments.studies.network import (
+    ANGLE_DEG,
+    N_CAMERAS,
+    CameraRow,
+    Flown,
+    FourCameras,
+    path_off_best_point_m,
+)
 from experiments.studies.network_growth import FRAMES_HZ, NOISE_PX, GrowthCell, write_tracks
-from experiments.worlds.four_cameras import ANGLE_DEG, N_CAMERAS, FourCameras
 from sim.recording import SimConfig
 from sim.scene.rig import kalibr_yaml
 from ssac.clock import Clock

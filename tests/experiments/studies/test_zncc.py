@@ -49,11 +49,11 @@ def noise(n: int = 2000) -> np.ndarray:
 def test_the_lag_of_a_delayed_signal_is_its_error():
     values = noise()
     found = agreement(Signal(0, values), Signal(35, values), ZNCC_BIN_S)
-    assert found.error_ms == pytest.approx(350.0)
+    assert found["error_ms"] == pytest.approx(350.0)
     late = agreement(Signal(0, values), Signal(0, values), ZNCC_BIN_S)
-    assert late.error_ms == 0.0
-    assert late.at_truth == pytest.approx(1.0)
-    assert late.elsewhere < 0.15  # of 200 lags of white noise, each with a spread of 2000^-0.5
+    assert late["error_ms"] == 0.0
+    assert late["at_truth"] == pytest.approx(1.0)
+    assert late["elsewhere"] < 0.15  # of 200 lags of white noise, each with a spread of 2000^-0.5
 
 
 def test_vertical_motion_is_the_same_from_all_sides():
@@ -73,7 +73,7 @@ def test_horizontal_motion_is_not():
 def test_one_camera_s_near_is_the_opposite_one_s_far():
     near, far = (signals((0, 1, 0), angle)["distance"] for angle in (0, 180))
     np.testing.assert_allclose(near.values**-0.5 + far.values**-0.5, 10.0)
-    assert agreement(near, far, ZNCC_BIN_S).at_truth < -0.9  # but for the curvature of 1 / d^2
+    assert agreement(near, far, ZNCC_BIN_S)["at_truth"] < -0.9  # but for the curvature of 1 / d^2
 
 
 def test_what_is_out_of_the_image_makes_no_events():
