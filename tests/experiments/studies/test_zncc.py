@@ -56,13 +56,10 @@ def test_the_lag_of_a_delayed_signal_is_its_error():
     assert late["elsewhere"] < 0.15  # of 200 lags of white noise, each with a spread of 2000^-0.5
 
 
-def test_vertical_motion_is_the_same_from_all_sides():
+def test_vertical_motion_is_the_same_from_all_sides_and_horizontal_motion_is_not():
     for name in ("rate", "speed", "distance"):
         first, other = (signals((0, 0, 1), angle)[name] for angle in (0, 90))
         np.testing.assert_allclose(first.values, other.values, rtol=1e-9, atol=1e-9)
-
-
-def test_horizontal_motion_is_not():
     across, along_sight = (signals((1, 0, 0), angle)["speed"].values for angle in (0, 90))
     assert np.max(along_sight) < 1e-6  # the root of a difference of squares
     # Seen from the front, all of the speed but for what widens the distance: 1.2 m of 5 m aside.

@@ -51,15 +51,11 @@ def test_what_a_kind_says_is_added() -> None:
     )
 
 
-def test_skews_are_drawn_from_their_deviation() -> None:
-    kind = Kind("ordinary", skew_std_ppm=50.0)
-    drawn = [kind.skew_of(seed) for seed in range(200)]
+def test_skews_are_drawn_from_their_deviation_and_scenes_have_the_offset_and_textures() -> None:
+    drawn = [Kind("ordinary", skew_std_ppm=50.0).skew_of(seed) for seed in range(200)]
     assert np.std(drawn) == pytest.approx(50.0, rel=0.25)  # that of 200 draws scatters by 5 %
     assert Kind("ordinary").skew_of(3) == 0.0
     assert Kind("ordinary", skew_ppm=20.0).skew_of(3) == 20.0
-
-
-def test_scenes_have_the_offset_and_their_textures() -> None:
     assert all(sim.t_d_s == T_D_S for sim in SCENES.values())
     textures = [file for sim in SCENES.values() for file in sim.background_files]
     assert textures
