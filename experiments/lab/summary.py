@@ -5,6 +5,8 @@ from typing import Any
 
 import pandas as pd
 
+from experiments.lab.markdown import markdown_table
+from experiments.lab.results import Results
 from experiments.lab.study import Made
 from ssac.fit.covariance import NORMAL_95
 
@@ -45,3 +47,18 @@ def statistics(runs: pd.DataFrame, columns: Sequence[str], *names: str) -> dict[
 def made_of(file: str, make: Callable[[pd.DataFrame], Any], table: str, **more: Any) -> Made:
     """Declare a file that is made of one table of results alone."""
     return Made(file, lambda results: make(results.table(table)), **more)
+
+
+def quoted(table: str, form: str, **where: Any) -> Callable[[Results], str]:
+    """Declare a number of a page: columns of the one row of a table, as "{runs:.0f}" shows them."""
+    return lambda results: form.format(**results.one(table, **where))
+
+
+def shown_table(rows: pd.DataFrame, columns: Mapping[str, str]) -> str:
+    """Lay rows out as Markdown: under each heading their columns, as "{runs:.0f}" shows them."""
+    cells = [[form.format(**row) for form in columns.values()] for row in _records(rows)]
+    return markdown_table(list(columns), cells)
+
+
+def _records(rows: pd.DataFrame) -> list[dict[str, Any]]:
+    return [{str(name): value for name, value in row.items()} for row in rows.to_dict("records")]

@@ -20,7 +20,7 @@ from experiments.lab.markdown import listed, markdown_table
 from experiments.lab.results import Results
 from experiments.lab.scored import SCORED
 from experiments.lab.study import Runs, Study
-from experiments.lab.summary import answered, made_of
+from experiments.lab.summary import answered, made_of, quoted
 from experiments.lab.verify import scored_checks
 from experiments.paper.esim import method_order
 from ssac.fit.covariance import NORMAL_95
@@ -30,12 +30,9 @@ FloatArray = NDArray[np.float64]
 GRID = named_config("coverage")
 METHODS = ("joint", "tangency", "joint-known", "tangency-known")
 
-MARK = 0.93
-"""Intervals of 95 % shall hold the truth in at least this share of the flights."""
-
+MARK = 0.93  # intervals of 95 % shall hold the truth in at least this share of the flights
 LEVELS = (0.50, 0.68, 0.90, 0.95, 0.99)
-SAMPLING = 0.95
-"""Of the interval around an observed share, for the number of runs."""
+SAMPLING = 0.95  # of the interval around an observed share, for the number of runs
 
 
 @dataclass(frozen=True)
@@ -179,12 +176,6 @@ def page_table(results: Results) -> str:
     return markdown_table([*header, "t_d: rms of error / deviation"], rows)
 
 
-def flights(results: Results) -> str:
-    """Count the flights."""
-    of = {"method": "joint", "quantity": "t_d", "angle_deg": "all"}
-    return f"{results.value('coverage', 'n_runs', **of):.0f}"
-
-
 def below_the_mark(results: Results) -> str:
     """List the methods and quantities whose 95 % intervals hold the truth less often than MARK."""
     table = results.rows("coverage", angle_deg="all")
@@ -195,14 +186,16 @@ def below_the_mark(results: Results) -> str:
     return listed(found) if found else "nowhere"
 
 
+_ALL_FLIGHTS = {"method": "joint", "quantity": "t_d", "angle_deg": "all"}
+
 STUDIES = (
     Study(
         "coverage", GRID.title, GRID.cells, SCORED,
         Runs("coverage_runs.csv", (*GRID.varied, "flight", "method")),
         (made_of("coverage.csv", coverage_table, "coverage_runs"),
          made_of("coverage.png", coverage_figure, "coverage_runs")),
-        numbers={"coverage.flights": flights, "coverage.below": below_the_mark,
-                 "table.coverage": page_table},
+        numbers={"coverage.flights": quoted("coverage", "{n_runs:.0f}", **_ALL_FLIGHTS),
+                 "coverage.below": below_the_mark, "table.coverage": page_table},
         checks=scored_checks("coverage_runs"), config=GRID.content,
     ),
 )  # fmt: skip

@@ -29,17 +29,12 @@ from ssac.config import Config
 from ssac.pipeline.chain import Chain
 from ssac.search.two_views import TwoViews
 
-Flown = tuple[TwoViews, TrueMotion]
-"""A flight as the methods see it, and as it was."""
-
-FLIGHT = ("duration_s", "angle_deg", "flight", "method")
-"""Columns that name a bound."""
-
+Flown = tuple[TwoViews, TrueMotion]  # a flight as the methods see it, and as it was
+FLIGHT = ("duration_s", "angle_deg", "flight", "method")  # columns that name a bound
 CELL = ("duration_s", "angle_deg", "t_d_ms", "method")
 KINDS = ("bound", "error")
 
-UNITS = {error.parameter: error.unit for error in ERRORS.values()}
-"""Of the errors of t_d, R and t."""
+UNITS = {error.parameter: error.unit for error in ERRORS.values()}  # of the errors of t_d, R and t
 
 
 @dataclass(frozen=True)

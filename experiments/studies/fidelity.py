@@ -37,12 +37,8 @@ REFERENCE_LATTICE = Lattice(31, 1)  # 962 samples per pixel, none of them where 
 MATCH_WINDOW_US = 5000  # events of one pixel and polarity further apart are not the same: 1 px here
 
 FIRST_FLIGHT = 200
-N_FLIGHTS = {10.0: 10, 20.0: 10}
-"""Flights of each duration [s]."""
-
-RENDERER_FLIGHTS = 1
-"""Of each duration and angle."""
-
+N_FLIGHTS = {10.0: 10, 20.0: 10}  # flights of each duration [s]
+RENDERER_FLIGHTS = 1  # of each duration and angle
 MARKS_MS = {"ssac": 0.02, "joint": 0.02, "tangency": 0.015}
 """The mean absolute difference of t_d from the dense reference is to be at most this."""
 

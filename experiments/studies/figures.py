@@ -32,8 +32,7 @@ from ssac.files.whole_file import whole_file
 
 COMMAND = "ssac figures"
 
-FLIGHT = SimConfig(angle_deg=90.0)
-"""A flight of the 20 s table."""
+FLIGHT = SimConfig(angle_deg=90.0)  # a flight of the 20 s table
 
 NOISY_FLIGHT = SimConfig(
     angle_deg=90.0,

@@ -17,12 +17,11 @@ from scipy.stats import chi2
 
 from experiments.lab.cache import Cache
 from experiments.lab.cell import Measure
-from experiments.lab.markdown import markdown_table
 from experiments.lab.recorded import Flown, recorded_pair
 from experiments.lab.results import Results
 from experiments.lab.score import Truth, kept, scored
 from experiments.lab.study import Runs, Study
-from experiments.lab.summary import made_of
+from experiments.lab.summary import made_of, shown_table
 from experiments.paper.esim import method_order
 from experiments.paper.grids import ANGLES_DEG
 from experiments.studies.coverage import QUANTITIES, Quantity, confidence, sampling_bounds
@@ -35,18 +34,14 @@ from ssac.pipeline.chain import Chain
 from ssac.pipeline.registry import METHODS
 
 METHOD_NAMES = ("joint", "tangency", "joint-known", "tangency-known")
-N_ROUNDS = 3
-"""Of all kinds, on new flights: 162 recordings, 648 runs."""
-
+N_ROUNDS = 3  # of all kinds, on new flights: 162 recordings, 648 runs
 N_ORDINARY = 2
 """Ordinary flights of a round, each of which has all their kinds; of the other scenes one."""
 
 FIRST_FLIGHT, ROUND_STEP = 31_000, 30
 OTHER_FLIGHT = 20  # added to the number, for the flight of the second object
 
-SKEW_STD_PPM = 50.0
-"""Of clocks that run by oscillators: the prior of the methods."""
-
+SKEW_STD_PPM = 50.0  # of clocks that run by oscillators: the prior of the methods
 _TYPICAL = DisturbConfig(noise_hz=1.0, hot_clusters=2, intrinsics_error=GOOD)
 _ALL = DisturbConfig(
     lamp_px=6, hot_clusters=5, noise_hz=1.0, branches=100_000, people=1, second_object=0.1,
@@ -86,8 +81,7 @@ MAX_SIGMAS = 3.5
 """A larger error of any quantity that is given is a confident wrong answer; of several angles
 together, one that is as improbable."""
 
-ALL = "all"
-"""Kind of the rows of the summary over all kinds."""
+ALL = "all"  # kind of the rows of the summary over all kinds
 
 
 @dataclass(frozen=True)
@@ -223,23 +217,27 @@ def held(
 
 def page_table(results: Results) -> str:
     """Say of all kinds together how many were answered, and how many of the answers held."""
+    rows = results.rows("imperfect", kind=ALL)
+    shares = {}
+    for name in HELD:
+        given = zip(rows[f"{name}_held"], rows[f"{name}_given"], strict=True)
+        shares[f"shown_{name}"] = [_share(share, int(n_given)) for share, n_given in given]
+    return shown_table(
+        rows.assign(**shares),
+        {
+            "method": "`{method}`",
+            "answered": "{answered} of {runs}",
+            **{f"{name} [%]": f"{{shown_{name}}}" for name in HELD},
+            "confident wrong": "{confident_wrong}",
+        },
+    )
 
-    def share(row: Mapping[Any, Any], name: str) -> str:
-        n_given, share = int(row[f"{name}_given"]), float(row[f"{name}_held"])
-        if not np.isfinite(share):
-            return ""
-        low, high = sampling_bounds(round(share * n_given), n_given)
-        return f"{100 * share:.0f} ({100 * low:.0f} to {100 * high:.0f})"
 
-    rows = [
-        [
-            *(f"`{row['method']}`", f"{row['answered']:.0f} of {row['runs']:.0f}"),
-            *(*(share(row, name) for name in HELD), f"{row['confident_wrong']:.0f}"),
-        ]
-        for row in results.rows("imperfect", kind=ALL).to_dict("records")
-    ]
-    quantities = (f"{name} [%]" for name in HELD)
-    return markdown_table(["method", "answered", *quantities, "confident wrong"], rows)
+def _share(share: float, n_given: int) -> str:
+    if not np.isfinite(share):
+        return ""
+    low, high = sampling_bounds(round(share * n_given), n_given)
+    return f"{100 * share:.0f} ({100 * low:.0f} to {100 * high:.0f})"
 
 
 def kinds(results: Results, column: str) -> str:

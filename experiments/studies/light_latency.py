@@ -17,9 +17,7 @@ from experiments.lab.summary import answered, by_group, made_of, statistics
 from experiments.lab.verify import ordered, scored_checks
 from experiments.worlds import bench
 
-N_RECORDINGS = 2
-"""Each at all ratios, so that these differ in the light alone."""
-
+N_RECORDINGS = 2  # each at all ratios, so that these differ in the light alone
 FIRST_FLIGHT = 30_000  # of no table
 DURATION_S, ANGLE_DEG, T_D_MS = 6.0, 95.18, 50.0
 METHOD = "tangency"
@@ -30,8 +28,7 @@ so that a ratio and its inverse are the same cameras with their lights swapped."
 
 ILLUMINANCE_LUX = 100.0
 
-POLARITIES = {"both": None, "on": 1, "off": 0}
-"""Events that are used."""
+POLARITIES = {"both": None, "on": 1, "off": 0}  # events that are used
 
 _LOOKS = {
     "both": ("#000000", "D", "both polarities"),

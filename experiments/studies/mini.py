@@ -26,9 +26,7 @@ from experiments.worlds import bench
 from experiments.worlds.bench import ALL, ANGLES_DEG
 from ssac.pipeline.registry import OURS
 
-N_RECORDINGS = 10
-"""Of each angle and duration, as in the paper."""
-
+N_RECORDINGS = 10  # of each angle and duration, as in the paper
 DURATIONS_S = (10.0, 20.0)
 T_DS_MS = (5.0, 50.0, 500.0)
 METHODS = ("ssac", "joint", "tangency")  # that pages show

@@ -20,12 +20,12 @@ from scipy.stats import chi2
 from experiments.lab.cache import Cache
 from experiments.lab.cell import FlightCell, Measure
 from experiments.lab.command import command_of
-from experiments.lab.markdown import digits, markdown_table
+from experiments.lab.markdown import digits
 from experiments.lab.provenance import plain
 from experiments.lab.recorded import FlightTruth, load_truth
 from experiments.lab.results import Results
 from experiments.lab.study import Runs, Study
-from experiments.lab.summary import answered, by_group, made_of, statistics
+from experiments.lab.summary import answered, by_group, made_of, shown_table, statistics
 from experiments.lab.verify import between, follows
 from experiments.studies import network_growth
 from experiments.studies.outdoor import PlacedRow, placed_errors
@@ -53,9 +53,7 @@ T_D_S = (0.0, 0.05, -0.23, 0.41)
 """By how much each clock shows more than the first; added where events are written."""
 
 N_CAMERAS = len(T_D_S)
-ANGLE_DEG = 60.0
-"""From each camera to the next, on a half circle."""
-
+ANGLE_DEG = 60.0  # from each camera to the next, on a half circle
 N_FLIGHTS = 4
 FIRST_SEED = 78_000  # those from 73,000 to 77,003 were looked at
 AS_RECORDED, TRUE_TRACKS = "as_recorded", "true_tracks"
@@ -269,22 +267,18 @@ def page_table(results: Results) -> str:
     truth, of the path the share of its coordinates.
     """
     table = results.table("network")
-    rows = []
-    for row in table.to_dict("records"):
-        errors = (
-            f"{row[name]:.3f} ({row[f'{name}_most']:.3f})"
-            for name in ("t_d_error_ms", "r_error_deg", "t_error_deg")
-        )
-        rows.append(
-            [
-                *(str(row["kind"]).replace("_", " "), *errors),
-                ", ".join(f"{row[f'{name}_held']:.0f}" for name in ("t_d", "skew", "r", "t")),
-                f"{row['path_rmse_mm']:.1f} ({row['path_rmse_mm_most']:.1f})",
-                *(digits(row["path_point_rmse_mm"]), f"{100 * row['path_held']:.0f}"),
-            ]
-        )
-    header = ["tracks", "t_d [ms]", "R [deg]", "t [deg]", f"held of {table['told'].iloc[-1]}"]
-    return markdown_table([*header, "path [mm]", "nearest", "held [%]"], rows)
+    kinds, nearest = table["kind"].str.replace("_", " "), table["path_point_rmse_mm"].map(digits)
+    shown = table.assign(kind=kinds, nearest=nearest, path_held=100 * table["path_held"])
+    return shown_table(shown, {
+        "tracks": "{kind}",
+        "t_d [ms]": "{t_d_error_ms:.3f} ({t_d_error_ms_most:.3f})",
+        "R [deg]": "{r_error_deg:.3f} ({r_error_deg_most:.3f})",
+        "t [deg]": "{t_error_deg:.3f} ({t_error_deg_most:.3f})",
+        f"held of {table['told'].iloc[-1]}": "{t_d_held}, {skew_held}, {r_held}, {t_held}",
+        "path [mm]": "{path_rmse_mm:.1f} ({path_rmse_mm_most:.1f})",
+        "nearest": "{nearest}",
+        "held [%]": "{path_held:.0f}",
+    })  # fmt: skip
 
 
 def _normal(name: str, unit: str) -> Callable[[pd.DataFrame], "pd.Series[float]"]:

@@ -37,9 +37,7 @@ FRAMES_HZ = 60.0
 DURATIONS_S = (150.0, 300.0, 600.0)
 NOISE_PX = 0.5
 _DISTANCE_M, _FOCAL_PX = 35.0, 900.0
-MARK_S, MARK_MB = 600.0, 4096.0
-"""Of the longest flight."""
-
+MARK_S, MARK_MB = 600.0, 4096.0  # of the longest flight
 _SEED = 74_000
 _SHORT_S = 20.0
 _OFFSETS_S, _SKEWS_PPM = 20.0, 20.0  # of the clocks, at most and as a deviation

@@ -18,12 +18,11 @@ from numpy.typing import NDArray
 from experiments.lab.cache import Cache
 from experiments.lab.cell import Flight, Measure, PlainCell
 from experiments.lab.command import command_of
-from experiments.lab.markdown import markdown_table
 from experiments.lab.recorded import FlightTruth, load_truth
 from experiments.lab.results import Results
 from experiments.lab.score import angle_between_deg, rotation_angle_deg
 from experiments.lab.study import Made, Runs, Study
-from experiments.lab.summary import by_group, held, made_of
+from experiments.lab.summary import by_group, held, made_of, shown_table
 from experiments.lab.verify import between, ordered
 from experiments.worlds import outdoor as world
 from experiments.worlds.outdoor import DURATION_S, outdoor_config, seed_of
@@ -290,22 +289,30 @@ def page_table(results: Results) -> str:
     Errors are means, in brackets the path's largest; of t_d and skew how many of the stated 95 %
     intervals hold the truth.
     """
-    rows = []
-    for kind, flights in results.table("outdoor").groupby("kind", sort=False):
+
+    def row(flights: pd.DataFrame) -> dict[str, Any]:
         given = flights[flights["rmse_m"].notna()]
-        mean = given.mean(numeric_only=True)
-        n_t_d, n_skew = held(given, "t_d", "ms").sum(), held(given, "skew", "ppm").sum()
-        rows.append(
-            [
-                *(str(kind).replace("_", " "), f"{len(given)} of {len(flights)}"),
-                *(f"{mean['t_d_error_ms']:.3f}", f"{mean['skew_error_ppm']:.2f}"),
-                *(f"{mean['r_error_deg']:.3f}", f"{mean['t_error_deg']:.3f}"),
-                *(f"{n_t_d}, {n_skew}", f"{mean['rmse_m']:.3f} ({given['rmse_m'].max():.3f})"),
-                *(f"{mean['icp_rmse_m']:.3f}", f"{100 * mean['coverage']:.0f}"),
-            ]
-        )
-    header = ["known", "answered", "t_d [ms]", "skew [ppm]", "R [deg]", "t [deg]", "held"]
-    return markdown_table([*header, "path [m]", "ICP [m]", "seen [%]"], rows)
+        return {
+            **given.mean(numeric_only=True),
+            **{"answered": len(given), "of": len(flights), "most_m": given["rmse_m"].max()},
+            "n_t_d": held(given, "t_d", "ms").sum(),
+            "n_skew": held(given, "skew", "ppm").sum(),
+            "seen": 100 * given["coverage"].mean(),
+        }
+
+    table = by_group(results.table("outdoor"), ("kind",), row)
+    return shown_table(table.assign(kind=table["kind"].str.replace("_", " ")), {
+        "known": "{kind}",
+        "answered": "{answered} of {of}",
+        "t_d [ms]": "{t_d_error_ms:.3f}",
+        "skew [ppm]": "{skew_error_ppm:.2f}",
+        "R [deg]": "{r_error_deg:.3f}",
+        "t [deg]": "{t_error_deg:.3f}",
+        "held": "{n_t_d}, {n_skew}",
+        "path [m]": "{rmse_m:.3f} ({most_m:.3f})",
+        "ICP [m]": "{icp_rmse_m:.3f}",
+        "seen [%]": "{seen:.0f}",
+    })  # fmt: skip
 
 
 STUDIES = (

@@ -25,6 +25,7 @@ from experiments.lab.provenance import provenance, write_provenance
 from experiments.lab.results import Results
 from experiments.lab.scored import SCORED
 from experiments.lab.study import Check, How, Made, Runs, Study
+from experiments.lab.summary import shown_table
 from experiments.lab.verify import one_of, ordered
 from experiments.worlds import tracks
 from experiments.worlds.tracks import DATA_SETS, UNKNOWN_RATES, VARIABLE_RATES
@@ -43,9 +44,7 @@ PAIRS, TRIPLES, STRAYS, PATHS = "real_pairs", "real_triples", "real_strays", "re
 OFFSETS_FIGURE, PATH_FIGURE = "real_offsets.png", "real_path_{}.png"
 COLUMNS = {PAIRS: tracks.PAIR_COLUMNS, TRIPLES: tracks.TRIPLE_COLUMNS,
            STRAYS: tracks.STRAY_COLUMNS, PATHS: tracks.PATH_COLUMNS}  # fmt: skip
-KEY = [*tracks.PAIR_COLUMNS[:3]]
-"""Columns that name a pair."""
-
+KEY = [*tracks.PAIR_COLUMNS[:3]]  # columns that name a pair
 COMMAND = "make real DATA=..."
 _DIGITS = 8
 
@@ -343,23 +342,21 @@ def pairs_table(results: Results) -> str:
 
 def paths_table(results: Results) -> str:
     """Lay out how each path lies beside RTK, mvus' beside it."""
-    body = []
-    for row in results.table(PATHS).to_dict("records"):
-        rmse_m, n_rtk = MVUS[int(row["data_set"])]
-        off_ms = float(row["most_from_truth_ms"])
-        body.append(
-            [
-                *(f"{row['data_set']:.0f}", f"{row['cameras']:.0f}"),
-                f"{row['rmse_m']:.3f} / {row['median_m']:.3f} / {row['max_m']:.2f} m",
-                *(f"{row['n_rtk']:.0f}", f"{100 * row['coverage']:.0f} %"),
-                f"{off_ms:.0f} ms" if np.isfinite(off_ms) else "",
-                f"{row['rms_px']:.2f} px",
-                f"{row['pairs_s']:.0f} + {row['network_s']:.0f} s",
-                f"{rmse_m:.3f} m, {n_rtk}",
-            ]
-        )
-    header = ["set", "cameras", "RMSE / median / most", "RTK", "seen", "clocks off", "residual"]
-    return markdown_table([*header, "time", "mvus: RMSE, RTK"], body)
+    paths = results.table(PATHS)
+    off_ms, mvus = paths["most_from_truth_ms"], paths["data_set"].map(MVUS)
+    off = off_ms.map(lambda ms: f"{ms:.0f} ms" if np.isfinite(ms) else "")
+    shown = paths.assign(off=off, seen=100 * paths["coverage"], mvus=mvus)
+    return shown_table(shown, {
+        "set": "{data_set}",
+        "cameras": "{cameras}",
+        "RMSE / median / most": "{rmse_m:.3f} / {median_m:.3f} / {max_m:.2f} m",
+        "RTK": "{n_rtk}",
+        "seen": "{seen:.0f} %",
+        "clocks off": "{off}",
+        "residual": "{rms_px:.2f} px",
+        "time": "{pairs_s:.0f} + {network_s:.0f} s",
+        "mvus: RMSE, RTK": "{mvus[0]:.3f} m, {mvus[1]}",
+    })  # fmt: skip
 
 
 def _closures_ms(results: Results, number: int) -> FloatArray:

@@ -35,18 +35,12 @@ from ssac.pipeline.chain import Chain
 from ssac.pipeline.registry import METHODS
 
 METHOD_NAMES = ("ssac", "joint", "tangency", "ssac-known", "joint-known", "tangency-known")
-N_FLIGHTS = 2
-"""Of each kind of flight."""
-
+N_FLIGHTS = 2  # of each kind of flight
 FIRST_FLIGHT, KIND_STEP = 1000, 100
 OTHER_FLIGHT = 50_000  # added to the number, for the flight that only camera 2 sees
 
-MAX_SIGMAS = 5.0
-"""A larger error, with status "ok", is a confident wrong answer."""
-
-MAX_ERROR_MS, MAX_ERROR_DEG = 5.0, 5.0
-"""The same for methods that state no deviation."""
-
+MAX_SIGMAS = 5.0  # a larger error, with status "ok", is a confident wrong answer
+MAX_ERROR_MS, MAX_ERROR_DEG = 5.0, 5.0  # the same for methods that state no deviation
 _LISTED_MS = 10.0  # a listed offset is the true one when it is as near
 
 

@@ -6,7 +6,7 @@ The same seed damages the same way. A cell is a hundred cases, which are kept to
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import partial, wraps
+from functools import wraps
 from typing import Annotated, Any
 
 import pandas as pd
@@ -17,16 +17,14 @@ from experiments.lab.cell import Measure, PlainCell
 from experiments.lab.command import command_of
 from experiments.lab.results import Results
 from experiments.lab.study import Runs, Study
+from experiments.lab.summary import quoted
 from ssac.cli.exits import NO_ESTIMATE
 from ssac.cli.options import number
 
 N_TOGETHER = 100
 
-BAD = OUTCOMES[OUTCOMES.index("unclear") :]
-"""Outcomes that must not be."""
-
-MAX_SILENT = 0.005
-"""Share of the event files damaged in the middle that may be `silently_fewer`."""
+BAD = OUTCOMES[OUTCOMES.index("unclear") :]  # outcomes that must not be
+MAX_SILENT = 0.005  # share of the event files damaged in the middle that may be `silently_fewer`
 
 EVENT_FILES = (
     "hdf5", "hdf5 dsec", "hdf5 prophesee", "esim text", "csv", "aedat4", "evt2", "evt3",
@@ -127,10 +125,9 @@ def reliability_faults(results: Results) -> list[str]:
     return faults
 
 
-def count(results: Results, columns: tuple[str, ...]) -> str:
-    """Count the damaged inputs that ended in one of these ways."""
-    row = results.one("reliability", input=ALL)
-    return f"{sum(row[column] for column in columns):.0f}"
+def must_not_be(results: Results) -> str:
+    """Count the damaged inputs that ended as none should."""
+    return f"{results.one('reliability', input=ALL)[list(BAD)].sum():.0f}"
 
 
 _COUNTED = ("cases", "refused", "warned", "silently_fewer")
@@ -143,8 +140,11 @@ STUDIES = (
         Measure(load_damaging, damage_row, DamageRow),
         Runs("reliability.csv", ("input",), numbered=False, table=reliability_table),
         numbers={
-            **{f"reliability.{name}": partial(count, columns=(name,)) for name in _COUNTED},
-            "reliability.must_not_be": partial(count, columns=BAD),
+            **{
+                f"reliability.{name}": quoted("reliability", f"{{{name}:.0f}}", input=ALL)
+                for name in _COUNTED
+            },
+            "reliability.must_not_be": must_not_be,
         },
         checks=(("every case is there, and none ended as it must not", reliability_faults),),
         config={"cases": 20_000, "seed": 0},

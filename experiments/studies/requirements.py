@@ -8,19 +8,17 @@ study, and no threshold was set on them.
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from experiments.lab.cell import CRASHED, Measure
-from experiments.lab.markdown import markdown_table
 from experiments.lab.recorded import Flown
 from experiments.lab.results import Results
 from experiments.lab.score import Truth, angle_between_deg, rotation_angle_deg
 from experiments.lab.study import Runs, Study
-from experiments.lab.summary import made_of, statistics
+from experiments.lab.summary import made_of, quoted, shown_table, statistics
 from experiments.paper.grids import ANGLES_DEG
 from experiments.studies import imperfect
 from experiments.studies.coverage import QUANTITIES, Quantity
@@ -33,17 +31,14 @@ from ssac.config import Config
 from ssac.estimate import Estimate
 from ssac.pipeline.chain import Chain
 
-METHOD = "tangency"
-"""What `ssac sync` takes unasked."""
-
+METHOD = "tangency"  # what `ssac sync` takes unasked
 FIRST_FLIGHT, SCENE_STEP = 40_000, 100
 OTHER_FLIGHT = 50  # added to the number, for the other flight
 
 FLIGHTS: Mapping[str, int] = {"10 s": 5, "20 s": 20, "5 px, davis346": 3, "82 s": 2}
 """Of each scene."""
 
-FEW = 2
-"""Flights of kinds with noise of 10 Hz/px: 18 M events a camera in 20 s."""
+FEW = 2  # flights of kinds with noise of 10 Hz/px: 18 M events a camera in 20 s
 
 FILMED: Mapping[str, SimConfig] = {
     "10 s": replace(SCENES[ORDINARY], spline=SplineConfig(10.0)),
@@ -326,44 +321,35 @@ def meets(run: Mapping[Any, Any], requirement: Requirement) -> bool:
 
 def sensitivity_table(results: Results) -> str:
     """Lay out how far unstated errors of the intrinsics move the estimate."""
-    body = []
-    for kind in UNSTATED:
-        row = results.one("marks", kind=kind)
-        moved = (f"{row[f'{name}_median']:.2f}, {row[f'{name}_most']:.2f}" for name in _MOVED)
-        body.append([kind, *moved])
-    return markdown_table(["error of the intrinsics", "t_d [ms]", "R [deg]", "t [deg]"], body)
+    rows = results.table("marks")
+    moved = {
+        heading: f"{{{column}_median:.2f}}, {{{column}_most:.2f}}"
+        for heading, column in zip(("t_d [ms]", "R [deg]", "t [deg]"), _MOVED, strict=True)
+    }
+    unstated = rows[rows["kind"].isin(UNSTATED)]
+    return shown_table(unstated, {"error of the intrinsics": "{kind}", **moved})
 
 
-def reached(results: Results, kind: str) -> str:
-    """Say how many runs of a kind do as required."""
-    row = results.one("marks", kind=kind)
-    return f"{row['reached']:.0f} of {row['runs']:.0f}"
-
-
-def rms(results: Results, kind: str) -> str:
-    """Say the rms error of t_d on recordings of a kind."""
-    return f"{results.value('marks', 't_d_error_ms_rms', kind=kind):.3f} ms"
-
-
-def jumps(results: Results, kind: str) -> str:
-    """Say how large the jumps are said to be, and when."""
-    row = results.one("marks", kind=kind)
-    size, at = (
-        f"{row[f'{name}_least']:.1f} to {row[f'{name}_most']:.1f}"
-        for name in ("jump_ms", "jump_at_s")
-    )
-    return f"{size} ms, at {at} s"
-
-
-_REACHED = (
-    ("5_px_drone_davis346", "5 px drone, davis346"),
-    ("5_px_drone_davis346_noise_10_Hz/px", "5 px drone, davis346, noise 10 Hz/px"),
-    ("82_s_skew_50_ppm", "82 s, skew 50 ppm"),
+_JUMPS = (
+    "{jump_ms_least:.1f} to {jump_ms_most:.1f} ms, at {jump_at_s_least:.1f} to "
+    "{jump_at_s_most:.1f} s"
 )
-_RMS = (
-    ("20_s_clocks_alike", "20 s, clocks alike"),
-    ("20_s_clocks_alike_no_skew_looked_for", "20 s, clocks alike, no skew looked for"),
-)
+_REACHED, _RMS_MS = "{reached:.0f} of {runs:.0f}", "{t_d_error_ms_rms:.3f} ms"
+_QUOTED = {
+    "jumps.20_s_jump_of_5_ms": (_JUMPS, "20 s, jump of 5 ms"),
+    "reached.5_px_drone_davis346": (_REACHED, "5 px drone, davis346"),
+    "reached.5_px_drone_davis346_noise_10_Hz/px": (
+        _REACHED,
+        "5 px drone, davis346, noise 10 Hz/px",
+    ),
+    "reached.82_s_skew_50_ppm": (_REACHED, "82 s, skew 50 ppm"),
+    "rms.20_s_clocks_alike": (_RMS_MS, "20 s, clocks alike"),
+    "rms.20_s_clocks_alike_no_skew_looked_for": (
+        _RMS_MS,
+        "20 s, clocks alike, no skew looked for",
+    ),
+}
+
 
 STUDIES = (
     Study(
@@ -376,9 +362,10 @@ STUDIES = (
         numbers={
             "table.marks.sensitivity": sensitivity_table,
             "marks.flights.10_s": lambda _: str(FLIGHTS["10 s"]),
-            "marks.jumps.20_s_jump_of_5_ms": partial(jumps, kind="20 s, jump of 5 ms"),
-            **{f"marks.reached.{name}": partial(reached, kind=kind) for name, kind in _REACHED},
-            **{f"marks.rms.{name}": partial(rms, kind=kind) for name, kind in _RMS},
+            **{
+                f"marks.{name}": quoted("marks", form, kind=kind)
+                for name, (form, kind) in _QUOTED.items()
+            },
         },
         config={"flights": dict(FLIGHTS), "few": FEW, "first_flight": FIRST_FLIGHT,
                 "angles_deg": ANGLES_DEG, "kinds": list(KINDS), "method": METHOD},

@@ -33,9 +33,7 @@ FIRST_FLIGHT, N_FLIGHTS = 100, 6
 DURATION_S = 10.0
 T_D_S = 0.05
 
-JOINT = "joint"
-"""The refinement from which all variants start, beside them."""
-
+JOINT = "joint"  # the refinement from which all variants start, beside them
 _WORST = f"{T_D_ERROR.column}_worst"
 
 

@@ -46,9 +46,7 @@ Array = NDArray[np.float64]
 _SIGNALS = SignalRules()
 ZNCC_BIN_S, FRAME_S = _SIGNALS.zncc_bin_s, _SIGNALS.frame_s
 
-RENDERED, MODELLED = "rendered", "modelled"
-"""Where a signal comes from."""
-
+RENDERED, MODELLED = "rendered", "modelled"  # where a signal comes from
 BINS_S = {f"zncc_e, bins of {1e3 * bin_s:g} ms": bin_s for bin_s in (0.005, 0.020, 0.050)}
 """Signals that are the event rate in other bins than the 10 ms of ZNCC_E."""
 
@@ -91,8 +89,7 @@ class SignalRow:
     slope_px: float = np.nan
 
 
-Agreement = dict[str, Any]
-"""How two signals correlate: the first three numbers of a `SignalRow`."""
+Agreement = dict[str, Any]  # how two signals correlate: the first three numbers of a `SignalRow`
 
 
 @dataclass
@@ -263,12 +260,8 @@ MODELLED_SCENES = [scene for scene in SCENES if scene != "no turning"]
 
 RENDERED_S, MODELLED_S = 20.0, (10.0, 20.0)
 FIRST_FLIGHT = 300
-N_RENDERED, N_MODELLED = 10, 100
-"""Flights at each scene, duration and angle."""
-
-N_MORE = {(DEFAULT, 90.0): 20}
-"""Rendered flights where ten tell too little."""
-
+N_RENDERED, N_MODELLED = 10, 100  # flights at each scene, duration and angle
+N_MORE = {(DEFAULT, 90.0): 20}  # rendered flights where ten tell too little
 GROSS_MS = 100.0  # a larger error is another peak of the correlation, not the true one read badly
 MAX_STEP_PX = 1.0  # four times the default: a third of the time, correlations within 0.02 the same
 

@@ -51,9 +51,7 @@ Recordings = Annotated[
 """Option of the command."""
 
 PRESET = sensor_preset("davis346")
-ANGLES_DEG = (43.14, 65.06, 95.18, 131.77)
-"""Of the paper's data-1 to data-4."""
-
+ANGLES_DEG = (43.14, 65.06, 95.18, 131.77)  # of the paper's data-1 to data-4
 LIGHT_STD = 0.1  # of the logarithm of a room's light within a recording
 SHADOW = 0.3  # share of the light that a hand's shadow takes
 WIRE_M = 1e-4  # a hair, or the finest fishing line
@@ -73,9 +71,7 @@ _ONLY, _ALL_BUT = "only ", "all but "
 SETTLING_S = 0.1
 """First part of a recording that is left out: pixels that leak or flicker start all at once."""
 
-SEARCH_AROUND_TRUTH_S = (-1.0, 1.0)
-"""As of the simulation tables."""
-
+SEARCH_AROUND_TRUTH_S = (-1.0, 1.0)  # as of the simulation tables
 _MOTION_SEEDS, _SETUP_SEEDS = 14, 15  # sets of seeds, beside that of the simulation tables
 
 # Branches of the set-up's seed, beside those of `sim.twin`.
@@ -225,7 +221,7 @@ def cells_of(
     """Yield every method at every offset on one recording; `named` are their first columns."""
     sim, (low_s, high_s) = bench.sim, SEARCH_AROUND_TRUTH_S
     flown = {"duration_s": sim.spline.duration_s, "angle_deg": sim.angle_deg}
-    seed = motion_seed(*flown.values(), flight)
+    seed = motion_seed(sim.spline.duration_s, sim.angle_deg, flight)
     for t_d_ms in t_ds_ms:
         t_d_s, columns = 1e-3 * t_d_ms, {**named, **flown, "t_d_ms": t_d_ms}
         estimator = replace(Config(), interval_s=(t_d_s + low_s, t_d_s + high_s))
@@ -288,7 +284,7 @@ def _known_rig(
     T_2_1 = rig.relative_pose(0, 1)
     if is_truth_calibrated:
         T_2_1 = calibrated_pose(rig, cameras, config, generator(sim.setup_seed, _POSE_STREAM))
-    return Rig(*known, T_2_1)
+    return Rig(known[0], known[1], T_2_1)
 
 
 def _recorded(cell: PhysicalCell, flown: Flown) -> Chain:

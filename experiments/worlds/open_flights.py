@@ -34,9 +34,7 @@ _CSV_HZ = 200.0
 _OUTSIDE_S = 3.0  # an offset that the search interval does not hold
 _SHORT_S = 0.6
 _PATH_STREAM = 7  # of the seed
-OTHER_OBJECT = "other-object"
-"""The kind of which camera 2 sees another flight."""
-
+OTHER_OBJECT = "other-object"  # the kind of which camera 2 sees another flight
 _PACES = {"slow": 0.25, "stationary": 4.0, "straight-uniform": 4.0}
 """How fast the drone turns, beside ordinary flights; of "slow" also how fast it flies."""
 

@@ -48,8 +48,7 @@ ROUGHNESSES_PPM = (2000.0, 6000.0)
 """How clocks of pairs with such a camera are followed: the smoothest that is not refused. A frame
 more or less in 5 s, of 30 a second, is 6700 ppm."""
 
-RTK_S = 0.2
-"""Time between two samples of RTK; data set 4 counts them, and leaves some out."""
+RTK_S = 0.2  # time between two samples of RTK; data set 4 counts them, and leaves some out
 
 PAIR_COLUMNS = (
     "data_set", "camera_1", "camera_2", "models", "status", "clock", "t_d_s", "t_d_std_ms",
