@@ -32,7 +32,7 @@ def run(*arguments: str | Path) -> str:
     return result.stdout
 
 
-def test_all_figures_are_drawn_when_none_is_named() -> None:
+def test_all_figures_are_drawn_when_none_is_named(tmp_path: Path) -> None:
     papers = ["fig3_preprocessing", "fig4_epipolar", "fig5_d_avg", "alignment"]
     assert (
         list(choose([], RESULTS)) == [*papers, "error_vs_angle", "beyond_paper"] == list(DRAWINGS)
@@ -40,9 +40,6 @@ def test_all_figures_are_drawn_when_none_is_named() -> None:
     assert list(choose(["fig5_d_avg"], RESULTS)) == ["fig5_d_avg"]
     with pytest.raises(SsacError, match="unknown figure 'fig6': expected some of fig3"):
         choose(["fig3_preprocessing", "fig6"], RESULTS)
-
-
-def test_a_missing_table_names_the_command_that_makes_it(tmp_path: Path) -> None:
     with pytest.raises(SsacError, match=r"runs.csv: missing.*error_vs_angle.*`make tables`"):
         choose([], tmp_path)
     choose(["fig4_epipolar"], tmp_path)  # needs none

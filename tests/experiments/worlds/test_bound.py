@@ -183,38 +183,34 @@ def test_what_the_motion_does_not_tell_has_no_bound(flight: Flight) -> None:
 TIMES_S = np.linspace(0.5, 9.5, 181)
 
 
-@pytest.fixture(scope="module")
-def scene() -> Scene:
-    return make_scene(seed=0, duration_s=10.0)
+SCENE = make_scene(seed=0, duration_s=10.0)
 
 
 @pytest.fixture(scope="module")
-def truth(scene: Scene) -> TrueMotion:
+def truth() -> TrueMotion:
     T_2_1 = np.eye(4)
-    T_2_1[:3, :3], T_2_1[:3, 3] = scene.R, scene.t
+    T_2_1[:3, :3], T_2_1[:3, 3] = SCENE.R, SCENE.t
     times_s = np.linspace(0.0, 10.0, 2001)
-    return TrueMotion(times_s, scene.path(times_s), np.stack([np.eye(4), T_2_1]))
+    return TrueMotion(times_s, SCENE.path(times_s), np.stack([np.eye(4), T_2_1]))
 
 
 @pytest.fixture(scope="module")
-def observations(scene: Scene) -> tuple[Observation, Observation]:
-    first, second = make_events(scene, 0, size_m=0.4)
+def observations() -> tuple[Observation, Observation]:
+    first, second = make_events(SCENE, 0, size_m=0.4)
     return Observation(first), Observation(second)
 
 
-def views_of(
-    observations: tuple[Observation, Observation], scene: Scene, t_d_s: float = 0.0
-) -> TwoViews:
+def views_of(observations: tuple[Observation, Observation], t_d_s: float = 0.0) -> TwoViews:
     cam1, cam2 = observations
-    return two_views(cam1, cam2.delayed(t_d_s), scene.rig, Config(denoise=False))
+    return two_views(cam1, cam2.delayed(t_d_s), SCENE.rig, Config(denoise=False))
 
 
-def test_the_true_track_is_where_the_cameras_see_the_drone(scene: Scene, truth: TrueMotion) -> None:
+def test_the_true_track_is_where_the_cameras_see_the_drone(truth: TrueMotion) -> None:
     turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     T = np.block([[turn, np.array([[3.0], [-2.0], [7.0]])], [np.zeros((1, 3)), np.ones((1, 1))]])
     positions_m = truth.positions_W_m @ turn.T + T[:3, 3]
     moved_world = TrueMotion(truth.times_s, positions_m, truth.T_C_W @ np.linalg.inv(T))
-    for camera, expected in enumerate(track_pair(scene, TIMES_S)):
+    for camera, expected in enumerate(track_pair(SCENE, TIMES_S)):
         p_px, v_px_s = truth.seen(camera, K, TIMES_S)
         # A spline through 200 positions a second of a path with 2.5 knots a second.
         np.testing.assert_allclose(p_px, expected, atol=1e-5)
@@ -225,10 +221,10 @@ def test_the_true_track_is_where_the_cameras_see_the_drone(scene: Scene, truth: 
             np.testing.assert_allclose(other, same, rtol=1e-9, atol=1e-9)
 
 
-def test_the_noise_measured_is_that_of_the_positions(scene: Scene) -> None:
+def test_the_noise_measured_is_that_of_the_positions() -> None:
     rng = np.random.default_rng(0)
-    p1, p2 = track_pair(scene, np.linspace(0.0, 10.0, 20_000))
-    F = fundamental_from_pose(K, K, scene.R, scene.t)
+    p1, p2 = track_pair(SCENE, np.linspace(0.0, 10.0, 20_000))
+    F = fundamental_from_pose(K, K, SCENE.R, SCENE.t)
     noise = 0.3 * rng.standard_normal((2, *p1.shape))
     distances = sampson_distance(F, p1 + noise[0], p2 + noise[1])
     assert robust_deviation(distances) == pytest.approx(0.3, rel=0.03)  # three times 1.17 / sqrt(n)
@@ -237,15 +233,15 @@ def test_the_noise_measured_is_that_of_the_positions(scene: Scene) -> None:
 
 
 def test_the_bound_is_that_of_the_true_track_at_the_valid_times(
-    scene: Scene, truth: TrueMotion, observations: tuple[Observation, Observation]
+    truth: TrueMotion, observations: tuple[Observation, Observation]
 ) -> None:
-    views = views_of(observations, scene)
+    views = views_of(observations)
     found, of_known = (method_bound(one, views, truth) for one in ("ssac", "ssac-known"))
     times_s = views.pairs_at(0.0).times_s
-    p1, p2 = track_pair(scene, times_s)
+    p1, p2 = track_pair(SCENE, times_s)
     _, v2 = truth.seen(1, K, times_s)
-    t = scene.t / np.linalg.norm(scene.t)
-    information = fisher_information(p1, p2, v2, scene.R, t, scene.rig, found.sigma_px)
+    t = SCENE.t / np.linalg.norm(SCENE.t)
+    information = fisher_information(p1, p2, v2, SCENE.R, t, SCENE.rig, found.sigma_px)
     expected = cramer_rao_bound(information)
     assert found.n_samples == len(times_s)
     assert found.bound.t_d_s == pytest.approx(expected.t_d_s)
@@ -256,10 +252,10 @@ def test_the_bound_is_that_of_the_true_track_at_the_valid_times(
 
 
 def test_each_method_has_its_own_samples_and_an_offset_moves_timestamps_alone(
-    scene: Scene, truth: TrueMotion, observations: tuple[Observation, Observation]
+    truth: TrueMotion, observations: tuple[Observation, Observation]
 ) -> None:
-    views, t_d_s = views_of(observations, scene), 0.5
-    late = views_of(observations, scene, t_d_s)
+    views, t_d_s = views_of(observations), 0.5
+    late = views_of(observations, t_d_s)
     found = {method: method_bound(method, views, truth) for method in SAMPLES}
     for method in ("ssac", "joint", "tangency"):
         assert found[method].sigma_px == found[f"{method}-known"].sigma_px
@@ -277,14 +273,14 @@ def test_each_method_has_its_own_samples_and_an_offset_moves_timestamps_alone(
 
 
 def test_samples_are_of_both_views_at_one_instant(
-    scene: Scene, observations: tuple[Observation, Observation]
+    observations: tuple[Observation, Observation],
 ) -> None:
-    views = views_of(observations, scene)
+    views = views_of(observations)
     for sampler in set(SAMPLES.values()):
         samples = sampler(views, 0.0)
         assert len(samples.times_s) == len(samples.p1_px) == len(samples.p2_px) > 300
         for p_px, expected in zip(
-            (samples.p1_px, samples.p2_px), track_pair(scene, samples.times_s), strict=True
+            (samples.p1_px, samples.p2_px), track_pair(SCENE, samples.times_s), strict=True
         ):
             # The cloud is 0.4 m wide, 16 px at 5 m, and some flights come nearer.
             assert np.median(np.linalg.norm(p_px - expected, axis=1)) < 16.0
@@ -296,21 +292,20 @@ def test_a_recording_has_all_that_the_bounds_need(
     truth: TrueMotion,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    folder = tmp_path / "recording"
-    scene = record_flight(folder)
-    (folder / "rig_extrinsics.yaml").write_text(kalibr_with_pose(scene.R, scene.t))
-    read = bound.load_truth(folder)
+    scene = record_flight(tmp_path)
+    (tmp_path / "rig_extrinsics.yaml").write_text(kalibr_with_pose(scene.R, scene.t))
+    read = bound.load_truth(tmp_path)
     np.testing.assert_allclose(read.positions_W_m, truth.positions_W_m)
     np.testing.assert_allclose(read.T_C_W, truth.T_C_W)
-    monkeypatch.setattr(Cache, "recording_folder", lambda *_: folder)
+    monkeypatch.setattr(Cache, "recording_folder", lambda *_: tmp_path)
     cell = BoundCell(SimConfig(), 0, 0, Config(), "ssac")
-    row = bound_row(cell, load_flown([cell], Cache(tmp_path)))
+    loaded = load_flown([cell], Cache(tmp_path))
+    row, known = (bound_row(replace(cell, method=one), loaded) for one in ("ssac", "ssac-known"))
     views = two_views(*observations, scene.rig, Config(denoise=True))
     expected = method_bound("ssac", views, read)
     assert (row.sigma_px, row.n_samples) == (expected.sigma_px, expected.n_samples)
     assert row.t_d_bound_ms == 1e3 * expected.bound.t_d_s
     assert row.r_bound_deg == np.rad2deg(expected.bound.R_rad)
-    known = bound_row(replace(cell, method="ssac-known"), load_flown([cell], Cache(tmp_path)))
     assert known.t_d_bound_ms < row.t_d_bound_ms
     assert np.isnan(known.r_bound_deg)
 
