@@ -101,6 +101,14 @@ class FlightCell(PlainCell):
 
 
 @dataclass(frozen=True)
+class RunRow:
+    """How a run ended; what was measured are more fields, with defaults for where it was not."""
+
+    status: str
+    reason: str = ""
+
+
+@dataclass(frozen=True)
 class Measure:
     """How the cells of one task become rows: functions of modules, which other processes find."""
 

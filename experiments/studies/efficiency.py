@@ -15,7 +15,7 @@ import pandas as pd
 
 from experiments.drawing.panels import Figure
 from experiments.lab.cache import Cache
-from experiments.lab.cell import FlightCell, Measure
+from experiments.lab.cell import FlightCell, Measure, RunRow
 from experiments.lab.grid import named_config
 from experiments.lab.recorded import load_pair
 from experiments.lab.results import Results
@@ -46,11 +46,9 @@ class BoundCell(FlightCell):
 
 
 @dataclass(frozen=True)
-class BoundRow:
+class BoundRow(RunRow):
     """The bound of a method on a flight; NaN for the pose where it is given."""
 
-    status: str
-    reason: str = ""
     sigma_px: float = np.nan  # measured noise of a sample of median weight
     n_samples: int = 0  # that the bound counts
     t_d_bound_ms: float = np.nan

@@ -14,7 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from experiments.lab.cache import Cache
-from experiments.lab.cell import Flight, FlightCell, Measure
+from experiments.lab.cell import Flight, FlightCell, Measure, RunRow
 from experiments.lab.markdown import markdown_table
 from experiments.lab.recorded import Pair, recorded_pair
 from experiments.lab.results import Results
@@ -61,14 +61,12 @@ class FidelityCell(FlightCell):
 
 
 @dataclass(frozen=True)
-class FidelityRow:
+class FidelityRow(RunRow):
     """How events and offsets differ from the reference's, by pixel and polarity.
 
     Numbers and shares are the mean of both cameras.
     """
 
-    status: str
-    reason: str = ""
     n_reference: int = 0
     median_us: float = np.nan  # of the distance in time between an event and its counterpart
     p95_us: float = np.nan

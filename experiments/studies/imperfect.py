@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from experiments.lab.cache import Cache
-from experiments.lab.cell import Measure
+from experiments.lab.cell import Measure, RunRow
 from experiments.lab.recorded import Flown, recorded_pair
 from experiments.lab.results import Results
 from experiments.lab.score import Truth, kept, scored
@@ -85,11 +85,9 @@ ALL = "all"  # kind of the rows of the summary over all kinds
 
 
 @dataclass(frozen=True)
-class ImperfectRow:
+class ImperfectRow(RunRow):
     """What was said, and its errors over their stated deviations; NaN for what is not given."""
 
-    status: str
-    reason: str = ""
     offset_given: bool = False
     pose_given: bool = False
     t_d_error_ms: float = np.nan

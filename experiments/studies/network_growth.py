@@ -17,7 +17,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from experiments.lab.cell import Measure, PlainCell
+from experiments.lab.cell import Measure, PlainCell, RunRow
 from experiments.lab.study import How, Runs, Study
 from experiments.lab.verify import between, one_of
 from sim.scene.rig import Rig, kalibr_yaml, look_at_rig
@@ -59,11 +59,9 @@ class GrowthCell(PlainCell):
 
 
 @dataclass(frozen=True)
-class GrowthRow:
+class GrowthRow(RunRow):
     """What a flight took, the largest error of a clock, and the path's."""
 
-    status: str
-    reason: str = ""
     points: float = np.nan
     wall_s: float = np.nan
     cpu_s: float = np.nan

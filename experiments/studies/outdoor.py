@@ -16,7 +16,7 @@ import typer
 from numpy.typing import NDArray
 
 from experiments.lab.cache import Cache
-from experiments.lab.cell import Flight, Measure, PlainCell
+from experiments.lab.cell import Flight, Measure, PlainCell, RunRow
 from experiments.lab.command import command_of
 from experiments.lab.recorded import FlightTruth, load_truth
 from experiments.lab.results import Results
@@ -85,11 +85,9 @@ class OutdoorCell(PlainCell):
 
 
 @dataclass(frozen=True)
-class PlacedRow:
+class PlacedRow(RunRow):
     """Errors and stated deviations of a camera's clock and pose."""
 
-    status: str
-    reason: str = ""
     t_d_error_ms: float = np.nan
     t_d_std_ms: float = np.nan
     skew_error_ppm: float = np.nan

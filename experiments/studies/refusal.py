@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from experiments.lab.cache import Cache
-from experiments.lab.cell import Measure
+from experiments.lab.cell import Measure, RunRow
 from experiments.lab.recorded import Flown
 from experiments.lab.results import Results
 from experiments.lab.score import kept, scored
@@ -45,11 +45,9 @@ _LISTED_MS = 10.0  # a listed offset is the true one when it is as near
 
 
 @dataclass(frozen=True)
-class RefusalRow:
+class RefusalRow(RunRow):
     """What was said, its errors, and whether it is a confident wrong answer."""
 
-    status: str
-    reason: str = ""
     offset_given: bool = False
     pose_given: bool = False
     alternatives: int = 0

@@ -13,7 +13,7 @@ import pandas as pd
 import typer
 
 from experiments.damage.cases import OUTCOMES, Damaging, damaged_case
-from experiments.lab.cell import Measure, PlainCell
+from experiments.lab.cell import Measure, PlainCell, RunRow
 from experiments.lab.command import command_of
 from experiments.lab.results import Results
 from experiments.lab.study import Runs, Study
@@ -53,11 +53,9 @@ class DamageCell(PlainCell):
 
 
 @dataclass(frozen=True)
-class DamageRow:
+class DamageRow(RunRow):
     """How the cases ended."""
 
-    status: str  # "bad" if one ended as none should
-    reason: str = ""  # what those said
     outcomes: list[list[Any]] = field(default_factory=list)  # kind, outcome, how many
 
 

@@ -19,7 +19,7 @@ import typer
 from scipy.spatial.transform import Rotation
 
 from experiments.drawing.panels import Figure, legend_below, panels
-from experiments.lab.cell import Measure, PlainCell
+from experiments.lab.cell import Measure, PlainCell, RunRow
 from experiments.lab.study import How, Runs, Study
 from experiments.lab.summary import answered, made_of
 from ssac.config import N_MIN, Config
@@ -51,11 +51,9 @@ class SpreadCell(PlainCell):
 
 
 @dataclass(frozen=True)
-class SpreadRow:
+class SpreadRow(RunRow):
     """An answer; NaN for what the method does not give."""
 
-    status: str
-    reason: str = ""
     t_d_ms: float = np.nan
     t_d_std_ms: float = np.nan
     r_x_deg: float = np.nan  # the rotation vector of R

@@ -13,7 +13,7 @@ import pandas as pd
 
 from experiments.drawing.panels import Figure, panels
 from experiments.lab.cache import Cache
-from experiments.lab.cell import FlightCell, Measure
+from experiments.lab.cell import FlightCell, Measure, RunRow
 from experiments.lab.recorded import recorded_pair
 from experiments.lab.score import Truth, kept, scored
 from experiments.lab.study import Runs, Study
@@ -79,11 +79,9 @@ class VariantCell(FlightCell):
 
 
 @dataclass(frozen=True)
-class VariantRow:
+class VariantRow(RunRow):
     """Errors of a variant on a flight."""
 
-    status: str
-    reason: str = ""
     t_d_error_ms: float = np.nan
     r_error_deg: float = np.nan
     t_error_deg: float = np.nan

@@ -18,7 +18,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from experiments.lab.cache import Cache
-from experiments.lab.cell import FlightCell, Measure
+from experiments.lab.cell import FlightCell, Measure, RunRow
 from experiments.lab.markdown import markdown_table
 from experiments.lab.recorded import Pair, load_pair
 from experiments.lab.results import Results
@@ -75,11 +75,9 @@ class SignalCell(FlightCell):
 
 
 @dataclass(frozen=True)
-class SignalRow:
+class SignalRow(RunRow):
     """How a signal of two views agrees; what is measured once a flight stands with ZNCC_E."""
 
-    status: str
-    reason: str = ""
     error_ms: float = np.nan  # of the lag with the highest correlation, the true one being zero
     at_truth: float = np.nan  # correlation at the true lag
     elsewhere: float = np.nan  # highest correlation at lags far from the true one

@@ -10,11 +10,9 @@ import pytest
 from experiments.lab.grid import named_config
 from experiments.studies.fidelity import (
     DENSER,
-    DIFFERENCES,
     MATCH_WINDOW_US,
     RENDERER_FLIGHTS,
     compare_events,
-    fidelity_table,
     reference_config,
     renderer_cells,
 )
@@ -59,23 +57,6 @@ def test_events_are_compared_with_their_counterparts(
     result = compare_events(np.sort(made(events), order="t"), events)
     assert (result.median_us, result.p95_us) == (late_us, late_us)
     assert (result.spurious, result.missing) == pytest.approx((spurious, missing))
-
-
-def test_fidelity_has_means_with_their_standard_errors_and_the_largest() -> None:
-    sizes = np.array([0.01, 0.03, 0.02, 0.06])
-    values = dict.fromkeys(DIFFERENCES, sizes * [1, -1, 1, -1])
-    runs = pd.DataFrame({"duration_s": 20.0, "status": "ok", "n_reference": 5, "median_us": 1.0,
-                         "p95_us": 2.0, "spurious": 0.0, "missing": 0.0, **values})  # fmt: skip
-    crashed = runs.iloc[:1].assign(status="crashed", median_us=99.0)
-    (row,) = fidelity_table(pd.concat([runs, crashed])).to_dict("records")
-    assert (row["n_runs"], row["failed"], row["n_reference"], row["median_us"]) == (5, 1, 5, 1.0)
-    for name in DIFFERENCES:
-        start = name.removesuffix("_ms")
-        assert row[name] == pytest.approx(0.03)
-        assert row[f"{start}_se_ms"] == pytest.approx(sizes.std(ddof=1) / 2)
-        assert row[f"{start}_max_ms"] == 0.06
-    (alone,) = fidelity_table(runs.iloc[:1]).to_dict("records")
-    assert np.isnan(alone["ssac_t_d_difference_se_ms"])  # one flight does not tell
 
 
 def test_the_reference_is_denser_and_renderers_are_compared_on_flights_of_the_tables() -> None:

@@ -4,14 +4,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
 from experiments.lab.cache import recording_key
 from experiments.lab.recorded import FlightTruth
 from experiments.studies import network, network_growth
-from experiments.studies.network import ANGLE_DEG, N_CAMERAS, CameraRow, FourCameras
+from experiments.studies.network import ANGLE_DEG, N_CAMERAS, FourCameras
 from experiments.studies.network_growth import FRAMES_HZ, NOISE_PX, GrowthCell, write_tracks
 from sim.recording import SimConfig
 from sim.scene.rig import kalibr_yaml
@@ -84,25 +83,6 @@ def test_a_path_of_another_point_of_the_body_is_off_by_its_lever_arm_alone() -> 
     noisy = seen + rng.normal(0.0, 0.01, seen.shape)  # 30 mm in metres
     off_m = network.path_off_best_point_m(SpacePath(times_s, noisy), true_m, truth)
     assert off_m == pytest.approx(0.03 * np.sqrt(3.0), rel=0.1)  # of 1200 numbers: 2 %, thrice
-
-
-def test_the_table_counts_what_intervals_hold() -> None:
-    rows = []
-    for cell in network.cells(2):
-        is_off = cell.flight == 1 and cell.camera == 2
-        path = {"path_rmse_mm": 4.0 + cell.flight, "path_held": 0.9} if cell.camera == 1 else {}
-        row = CameraRow(
-            "ok", t_d_error_ms=0.1 * cell.camera, t_d_normalised=2.5 if is_off else 0.5,
-            skew_normalised=0.1, r_mahalanobis=2.5, t_mahalanobis=2.5, **path,
-        )  # fmt: skip
-        rows.append({**cell.columns, **vars(row)})
-    table = network.camera_table(pd.DataFrame(rows))
-    assert list(table["told"]) == [6, 6]  # the first camera is the reference
-    assert list(table["t_d_held"]) == [5, 5]
-    # 2.5 deviations are within the region of 95 % of three numbers, not of two.
-    assert list(table["r_held"]) == [6, 6]
-    assert list(table["t_held"]) == [0, 0]
-    assert table["t_d_error_ms_most"].to_numpy() == pytest.approx(0.1 * N_CAMERAS)
 
 
 def test_tracks_of_long_flights_are_of_one_path_and_of_their_clocks(tmp_path: Path) -> None:

@@ -3,7 +3,6 @@
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
@@ -12,7 +11,7 @@ from experiments.cli import app
 from experiments.lab.recorded import FlightTruth
 from experiments.lab.results import Results
 from experiments.studies import outdoor
-from experiments.studies.outdoor import KINDS, MEASURED, OutdoorCell, OutdoorRow, oracle_table
+from experiments.studies.outdoor import KINDS, OutdoorCell
 from experiments.worlds import outdoor as world
 from sim.scene.rig import Rig, two_view_rig
 from sim.scene.trajectory import random_spline
@@ -69,17 +68,6 @@ def test_options_are_those_of_the_cells_and_stand_in_the_command_line() -> None:
     assert [cell.kind for cell in with_third] == ["three_cameras"]
 
 
-def test_the_oracle_table_has_the_means_of_what_was_answered() -> None:
-    ones = vars(OutdoorRow("ok", **dict.fromkeys(MEASURED, 1.0)))
-    rows = [ones | {"kind": kind} for kind in ("a", "a", "b")]
-    rows[0]["rmse_m"], rows[0]["t_d_error_ms"], rows[2]["rmse_m"] = 3.0, 3.0, np.nan
-    runs = pd.DataFrame(rows)
-    table = oracle_table(runs).set_index("kind")
-    assert table.loc["a", "rmse_m"] == 2.0
-    assert list(table["answered"]) == [2, 0]
-    assert list(table["of"]) == [2, 1]
-
-
 DURATION_S = 60.0
 CONFIG = world.outdoor_config(DURATION_S)
 
@@ -130,7 +118,5 @@ def test_rtk_is_the_antenna_on_a_clock_of_its_own(truth: FlightTruth) -> None:
 def test_calibrations_err_each_by_its_own_and_are_the_same_again() -> None:
     cameras = world.calibrated(CONFIG, 0)
     assert len({(one.focal_px, one.principal_point) for one in cameras}) == 3
-    for one in cameras:
-        assert abs(one.focal_px / CONFIG.focal_px - 1.0) < 0.005  # five deviations
-    assert world.calibrated(CONFIG, 0) == cameras
-    assert len({world.seed_of(flight) for flight in range(10)}) == 10
+    assert all(abs(one.focal_px / CONFIG.focal_px - 1.0) < 0.005 for one in cameras)  # 5 deviations
+    assert world.calibrated(CONFIG, 0) == cameras != world.calibrated(CONFIG, 1)

@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-import pandas as pd
 import pytest
 
 from experiments.lab import cache
@@ -11,7 +10,7 @@ from experiments.lab.cache import Cache
 from experiments.lab.recorded import Flown, Pair
 from experiments.lab.score import Truth
 from experiments.studies import refusal
-from experiments.studies.refusal import METHOD_NAMES, RefusalRow, judged
+from experiments.studies.refusal import METHOD_NAMES, judged
 from experiments.worlds.open_flights import (
     KINDS_OF_FLIGHT,
     PATHS,
@@ -107,18 +106,3 @@ def test_every_kind_has_a_flight():
     for name, path in PATHS.items():
         positions = path(np.random.default_rng(1))(np.linspace(0.0, 8.0, 50))
         assert positions.shape == (50, 3), name
-
-
-def test_the_table_counts():
-    said = [
-        RefusalRow("ambiguous_offset", error_sigmas=900.0, t_d_error_ms=900.0),
-        RefusalRow("ok", offset_given=True, pose_given=True, error_sigmas=1.0, t_d_error_ms=1.0),
-        RefusalRow("ok", offset_given=True, pose_given=True, error_sigmas=100.0,
-                   t_d_error_ms=100.0, confident_wrong=True),
-    ]  # fmt: skip
-    rows = [{"kind": "circle", "method": "joint", **vars(row)} for row in said]
-    (row,) = refusal.refusal_table(pd.DataFrame(rows)).to_dict("records")
-    assert (row["runs"], row["offset_given"], row["pose_given"]) == (3, 2, 2)
-    assert row["statuses"] == "ok:2 ambiguous_offset:1"
-    assert row["error_sigmas_worst"] == pytest.approx(100.0)
-    assert row["confident_wrong"] == 1

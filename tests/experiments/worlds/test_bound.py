@@ -152,15 +152,6 @@ def test_the_bound_follows_noise_samples_and_speed_and_not_the_order_of_cameras(
     assert swapped.R_rad == pytest.approx(usual.R_rad, rel=1e-5)
 
 
-def test_to_know_the_pose_can_only_help(flight: Flight) -> None:
-    information = flight.information()
-    known, unknown = known_pose_bound(information), cramer_rao_bound(information)
-    assert known.t_d_s < unknown.t_d_s
-    # DESIGN's 1 / (I_dd - I_dp I_pp^-1 I_pd).
-    schur = information[0, 1:] @ np.linalg.solve(information[1:, 1:], information[1:, 0])
-    assert unknown.t_d_s == pytest.approx((information[0, 0] - schur) ** -0.5)
-
-
 def test_what_the_motion_does_not_tell_has_no_bound(flight: Flight) -> None:
     few = replace(flight, p1=flight.p1[:5], p2=flight.p2[:5], v2=flight.v2[:5])
     assert few.bound.t_d_s == np.inf
@@ -275,15 +266,13 @@ def test_each_method_has_its_own_samples_and_an_offset_moves_timestamps_alone(
 def test_samples_are_of_both_views_at_one_instant(
     observations: tuple[Observation, Observation],
 ) -> None:
-    views = views_of(observations)
     for sampler in set(SAMPLES.values()):
-        samples = sampler(views, 0.0)
+        samples = sampler(views_of(observations), 0.0)
         assert len(samples.times_s) == len(samples.p1_px) == len(samples.p2_px) > 300
-        for p_px, expected in zip(
-            (samples.p1_px, samples.p2_px), track_pair(SCENE, samples.times_s), strict=True
-        ):
-            # The cloud is 0.4 m wide, 16 px at 5 m, and some flights come nearer.
-            assert np.median(np.linalg.norm(p_px - expected, axis=1)) < 16.0
+        found, expected = (samples.p1_px, samples.p2_px), track_pair(SCENE, samples.times_s)
+        off_px = np.linalg.norm(np.subtract(found, expected), axis=2)
+        # The cloud is 0.4 m wide, 16 px at 5 m, and some flights come nearer.
+        assert (np.median(off_px, axis=1) < 16.0).all()
 
 
 def test_a_recording_has_all_that_the_bounds_need(
