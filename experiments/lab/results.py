@@ -88,11 +88,6 @@ class Results:
         values = self._column(self.rows(name, **where), name, column)
         return values.to_numpy(np.float64)
 
-    def texts(self, name: str, column: str, /, **where: Any) -> list[str]:
-        """Return a column's cells in these rows as words, numbers as short as they can be."""
-        values = self._column(self.rows(name, **where), name, column)
-        return [f"{v:g}" if isinstance(v, float | int) else str(v) for v in values]
-
     def provenances(self, name: str) -> list[dict[str, Any]]:
         """Read what `<name>` was made with: once, or once for each shard that was merged."""
         file = f"{name}{PROVENANCE}"

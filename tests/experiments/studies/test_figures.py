@@ -68,10 +68,6 @@ def test_a_figure_is_drawn_from_its_table_the_same_every_time(tmp_path: Path) ->
     assert provenance["command"] == "ssac figures beyond_paper"
     assert provenance["config"]["figures"] == ["beyond_paper"]
     assert set(read_checksums(first)) == {"beyond_paper.png", "figures.provenance.json"}
-
-
-@pytest.mark.parametrize("name", ["error_vs_angle", "beyond_paper"])
-def test_a_table_that_cannot_be_read_is_named(tmp_path: Path, name: str) -> None:
     (tmp_path / "runs.csv").write_text("a,b\n1,2\n")
     with pytest.raises(SsacError, match=r"runs.csv: "):
-        run(name, "--results", tmp_path, "--out", tmp_path)
+        run("error_vs_angle", "--results", tmp_path, "--out", tmp_path)
