@@ -13,23 +13,20 @@ from experiments.lab.bridge import check_mesh
 from experiments.lab.cache import DEFAULT_FOLDER, Cache
 from experiments.lab.command import (
     CacheOption,
+    Chosen,
     SchedulerOption,
     ShardOption,
     WorkersOption,
+    chosen,
     run_studies,
+    running,
 )
 from experiments.lab.grid import GridConfig, grid_from_content, load_config
 from experiments.lab.quote import pages, rewrite_numbers, stale_numbers
 from experiments.lab.results import Results
 from experiments.lab.schedule import Workers
 from experiments.lab.study import How, Study, merge
-from experiments.lab.verify import (
-    Finding,
-    file_findings,
-    found,
-    shared_findings,
-    study_findings,
-)
+from experiments.lab.verify import Finding, file_findings, found, shared_findings, study_findings
 from experiments.paper.comparison import PUBLISHED_SHA256
 from experiments.studies import all_studies
 from experiments.studies.ablations import ABLATIONS, sweep_study
@@ -42,9 +39,8 @@ N_RECORDINGS = 6
 
 _SEEDS = 2**32
 
-OutOption = Annotated[Path, typer.Option(help="Folder for the CSVs and figures.", metavar="FOLDER")]
 
-
+@running
 def study_command(
     names: Annotated[
         list[str] | None,
@@ -55,28 +51,26 @@ def study_command(
         ),
     ] = None,
     list_them: Annotated[bool, typer.Option("--list", help="List the studies.")] = False,
-    shard: ShardOption = "1/1",
-    out: OutOption = Path("results"),
-    workers: WorkersOption = -1,
-    scheduler: SchedulerOption = "",
-    cache: CacheOption = DEFAULT_FOLDER,
-) -> None:
+) -> Chosen:
     """Run studies; all runs and their summary as CSV, and a figure each."""
-    known = _runnable()
+    known = {
+        name: study
+        for name, study in all_studies().items()
+        if not study.command or study.command.startswith("ssac ablate")  # none of its own
+    }
     if list_them:
         for study in known.values():
             typer.echo(f"{study.name:20} {study.title}")
-        return
+        raise typer.Exit
     if not names:
         raise SsacError(f"name a study: {', '.join(known)}")
-    options = {}
-    if names[0] in known and known[names[0]].how is How.GIVEN:
-        options = _given(known[names[0]], names[1:])
-        names = names[:1]
-    studies = _chosen(names, known, "study")
-    run_studies(studies, out, Cache(cache), Workers(workers, scheduler), shard, options)
+    first = known.get(names[0])
+    if first is not None and first.how is How.GIVEN:
+        return [first], _given(first, names[1:])
+    return chosen(names, known, "study"), {}
 
 
+@running
 def ablate_command(
     names: Annotated[
         list[str] | None,
@@ -86,16 +80,10 @@ def ablate_command(
             show_default=False,
         ),
     ] = None,
-    shard: ShardOption = "1/1",
-    out: OutOption = Path("results"),
-    workers: WorkersOption = -1,
-    scheduler: SchedulerOption = "",
-    cache: CacheOption = DEFAULT_FOLDER,
-) -> None:
+) -> Chosen:
     """Vary one parameter of simulator or estimator at a time; mean errors as CSV, and a figure."""
     own = {name: _own(Path(name)) for name in names or () if name.endswith(".toml")}
-    studies = _chosen(names or list(ABLATIONS), {**ABLATIONS, **own}, "ablation")
-    run_studies(studies, out, Cache(cache), Workers(workers, scheduler), shard)
+    return chosen(names or list(ABLATIONS), {**ABLATIONS, **own}, "ablation"), {}
 
 
 def sweep_command(
@@ -128,8 +116,7 @@ def sweep_command(
 def merge_command(
     out: Annotated[Path, typer.Argument(help="CSV to write.", metavar="OUT", show_default=False)],
     shards: Annotated[
-        list[Path],
-        typer.Argument(help="CSVs of all shards.", metavar="SHARD", show_default=False),
+        list[Path], typer.Argument(help="CSVs of all shards.", metavar="SHARD", show_default=False)
     ],
     cache: CacheOption = DEFAULT_FOLDER,
 ) -> None:
@@ -243,16 +230,6 @@ def all_numbers() -> dict[str, Callable[[Results], str]]:
     }
 
 
-def _runnable() -> dict[str, Study]:
-    """List the studies that have no command of their own."""
-    studies = all_studies().values()
-    return {
-        study.name: study
-        for study in studies
-        if not study.command or study.command.startswith("ssac ablate")
-    }
-
-
 def _given(study: Study, words: Sequence[str]) -> dict[str, Path]:
     """Take the files that a study of the user's data needs from the words behind its name."""
     needed = list(study.options)
@@ -263,13 +240,6 @@ def _given(study: Study, words: Sequence[str]) -> dict[str, Path]:
     if absent:
         raise SsacError(f"{absent[0]}: no such file")
     return dict(zip(needed, map(Path, words), strict=True))
-
-
-def _chosen(names: Sequence[str], known: Mapping[str, Study], kind: str) -> list[Study]:
-    unknown = [name for name in names if name not in known]
-    if unknown:
-        raise SsacError(f"unknown {kind} {unknown[0]!r}: use one of {', '.join(known)}")
-    return [known[name] for name in names]
 
 
 def _own(path: Path) -> Study:

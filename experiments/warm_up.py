@@ -31,8 +31,6 @@ from ssac.track.faint import faint_object_events
 
 DURATION_S = 2.0
 
-_CAMERAS = Measure(network.load_flight, network.camera_row, network.CameraRow)
-
 
 def warm_up_tasks() -> Iterator[tuple[Task, Measure]]:
     """Short flights: each kind of noise and none, the bench with all that it does, four cameras."""
@@ -45,27 +43,23 @@ def warm_up_tasks() -> Iterator[tuple[Task, Measure]]:
     bench = bench_of(ALL, 90.0, DURATION_S, 0)
     yield Task(tuple(islice(cells_of(bench, {}, 0, (0.0,), ("tangency",)), 1))), PHYSICAL
     four = network.FourCameras(spline=replace(spline, duration_s=2.0 * DURATION_S))
-    yield Task((network.CameraCell(four, 0, 0, network.KINDS[0], 1),)), _CAMERAS
-
-
-def find_path(task: Task, cache: Cache) -> None:
-    """Search all offsets of a task's recording, and place its cameras and the path as of many."""
-    cam1, cam2, rig = recorded_pair(cache, *task.recordings[0])
-    chain = Chain((cam1, cam2), rig, Config(search="all"))
-    solve_pairs(chain, {(0, 1): chain.answer()})
-    with suppress(SsacError):  # whatever it finds, it is compiled
-        faint_object_events(cam1.events, rig.cam1.width, rig.cam1.height)
+    cameras = Measure(network.load_flight, network.camera_row, network.CameraRow)
+    yield Task((network.CameraCell(four, 0, 0, network.KINDS[0], 1),)), cameras
 
 
 def main() -> None:
-    """Run them in a folder of their own."""
+    """Run them, and a search of all offsets and of the path, in a folder of their own."""
     tasks = list(warm_up_tasks())
     with tempfile.TemporaryDirectory() as folder, progress(len(tasks) + 1, "kernels") as advance:
         cache = Cache(Path(folder))
         for n_done, (task, measure) in enumerate(tasks, 1):
             run_task(task, cache, measure)
             advance(n_done)
-        find_path(tasks[0][0], cache)
+        cam1, cam2, rig = recorded_pair(cache, *tasks[0][0].recordings[0])
+        chain = Chain((cam1, cam2), rig, Config(search="all"))
+        solve_pairs(chain, {(0, 1): chain.answer()})
+        with suppress(SsacError):  # whatever it finds, it is compiled
+            faint_object_events(cam1.events, rig.cam1.width, rig.cam1.height)
         advance(len(tasks) + 1)
 
 

@@ -6,7 +6,8 @@ import sys
 import time
 from pathlib import Path
 
-from ssac.files.whole_file import temporary_path, this_process
+from ssac.files.whole_file import host as this_host
+from ssac.files.whole_file import temporary_path
 
 ELSEWHERE = "elsewhere-01234567"
 """A host that is not this one."""
@@ -21,10 +22,8 @@ def ended_process() -> int:
 
 def made_by(path: Path, process: int, host: str = "") -> Path:
     """A temporary name that another process, of this host or another one, gives a path."""
-    me = this_process()
-    name = temporary_path(path).name
-    name = name.replace(f".{me.host}.{me.process}.", f".{host or me.host}.{process}.")
-    return path.with_name(name)
+    maker, name = f".{this_host()}.{os.getpid()}.", temporary_path(path).name
+    return path.with_name(name.replace(maker, f".{host or this_host()}.{process}."))
 
 
 def let_lie(path: Path, idle_s: float) -> None:

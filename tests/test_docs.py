@@ -3,7 +3,9 @@
 import importlib.util
 import re
 import runpy
+from contextlib import nullcontext
 from pathlib import Path
+from textwrap import dedent
 from types import ModuleType
 
 import cv2
@@ -62,21 +64,17 @@ def test_a_video_becomes_the_track_of_what_moves_in_it(tmp_path: Path) -> None:
 
 
 @pytest.mark.render
-def test_the_readme_shows_what_its_example_prints() -> None:
+def test_the_readme_shows_what_its_commands_and_its_python_print(tmp_path, monkeypatch, capsys):
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    monkeypatch.setattr(example, "TemporaryDirectory", lambda: nullcontext(tmp_path))
+    printed = example.example()
     # Digits depend on the GL library, so only the words are compared.
-    assert _words(example.shown_in(readme)) == _words(example.example()), "run docs/example.py"
-
-
-@pytest.mark.render
-def test_the_readme_s_python_prints_what_its_command_does(tmp_path: Path, monkeypatch, capsys):
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert _words(example.shown_in(readme)) == _words(printed), "run docs/example.py"
     (code,) = re.findall(r"```python\n(.*?)```", readme, re.DOTALL)
-    example.printed(example.SIMULATE, tmp_path)
     monkeypatch.chdir(tmp_path)
     exec(code, {})
     out = capsys.readouterr().out
-    assert out.startswith(example.printed(example.SYNC, tmp_path))
+    assert out.startswith(dedent(printed).split(f"$ {example.SYNC}\n")[1].rstrip())
     assert "\nok 0.0" in out
 
 

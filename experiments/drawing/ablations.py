@@ -5,6 +5,7 @@ else the grid varies. Where runs failed, one more column shows their share.
 """
 
 import re
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -27,7 +28,6 @@ from ssac.errors import SsacError
 
 FAILED = "failed"
 
-_FAILED_LABEL = "failed runs [%]"
 _PARTS = ("mean", "std")  # of an error's columns
 # Of a line, by the parameter that it stands for.
 _NAMES = {"sim.angle_deg": "{:g} deg", "sim.spline.duration_s": "{:g} s", "sim.drone": "{}"}
@@ -47,51 +47,45 @@ def ablation_figure(means: pd.DataFrame, grid: GridConfig) -> Figure:
     look = grid.figure
     if look is None:
         raise SsacError(f"{grid.name}: its TOML has no table [figure]: add one with x and label")
-    others = other_parameters(grid, look.x)
+    # Each axis of the grid, but for the one on which x moves, by its first parameter.
+    others = [next(iter(axis[0])) for axis in grid.axes if look.x not in axis[0]]
     columns = [look.x, *others, "method", "n_runs", FAILED]
     columns += [f"{error}_{part}" for error in ERRORS for part in _PARTS]
     absent = [column for column in columns if column not in means]
     if absent:
         raise SsacError(f"{grid.name}: its means lack the columns {', '.join(absent)}: rerun it")
 
-    methods, quantities = method_order(means["method"]), drawn_quantities(means)
+    methods = method_order(means["method"])
+    quantities = [error for error in ERRORS if means[f"{error}_mean"].notna().any()]
+    if (means[FAILED] > 0).any():
+        quantities.append(FAILED)
     figure = Figure(figsize=(WIDTH_IN, 1.1 + 2.0 * len(methods)), layout="constrained")
     rows = figure.subplots(len(methods), len(quantities), sharex=True, sharey="col", squeeze=False)
-    lines = lines_of(means, others)
-    looks = _line_looks(means, others)
+    lines = _lines(means, others)
     for row, method in zip(rows, methods, strict=True):
         for axes, quantity in zip(row, quantities, strict=True):
             quiet_axes(axes)
-            for line, (_, part) in zip(looks, lines, strict=True):
-                _draw_line(axes, part[part["method"] == method], look, quantity, line)
+            for part, style in lines.values():
+                _draw_line(axes, part[part["method"] == method], look, quantity, style)
         row[0].set_ylabel(method, weight="bold")
-    default = look.scale * default_value(look.x)
     for axes, quantity in zip(rows[0], quantities, strict=True):
-        axes.set_title(ERRORS[quantity].label if quantity in ERRORS else _FAILED_LABEL, fontsize=10)
+        axes.set_title(
+            "failed runs [%]" if quantity == FAILED else ERRORS[quantity].label, fontsize=10
+        )
         _set_scales(axes, means, look, quantity)
-    if _on_axis(default, look):
-        for axes in rows.flat:
-            axes.axvline(default, color="0.4", lw=0.9, ls="--", zorder=1)
+    default = look.scale * default_value(look.x)
+    on_axis = default > 0.0 or not look.log
+    for axes in rows.flat if on_axis else ():
+        axes.axvline(default, color="0.4", lw=0.9, ls="--", zorder=1)
     figure.supxlabel(look.label, fontsize=10)
     handles = [
-        Line2D([], [], label=label, lw=1.2, ms=4.5, **line)
-        for line, (label, _) in zip(looks, lines, strict=True)
+        Line2D([], [], label=name, lw=1.2, ms=4.5, **style) for name, (_, style) in lines.items()
     ]
-    style, where = ("--", "") if _on_axis(default, look) else ("none", ", not on this axis")
-    handles.append(Line2D([], [], color="0.4", ls=style, label=f"default: {default:g}{where}"))
-    figure.legend(
-        handles=handles,
-        loc="outside upper center",
-        ncols=6 if len(handles) <= 6 else 4,
-        fontsize=9,
-        frameon=False,
-    )
+    label = f"default: {default:g}{'' if on_axis else ', not on this axis'}"
+    handles.append(Line2D([], [], color="0.4", ls="--" if on_axis else "none", label=label))
+    figure.legend(handles=handles, loc="outside upper center",
+                  ncols=6 if len(handles) <= 6 else 4, fontsize=9, frameon=False)  # fmt: skip
     return figure
-
-
-def other_parameters(grid: GridConfig, x: str) -> list[str]:
-    """Name each axis of the grid, but for the one on which `x` moves, by its first parameter."""
-    return [next(iter(axis[0])) for axis in grid.axes if x not in axis[0]]
 
 
 def default_value(name: str) -> float:
@@ -101,29 +95,35 @@ def default_value(name: str) -> float:
     if name == "ssac.n_min":  # whose default, None, may leave it to a thin object
         return N_MIN
     root, *path = name.split(".")
-    value: Any = dict(zip(("sim", "ssac"), configs_of({}), strict=True))[root]
-    for part in path:
-        value = getattr(value, part)
-    return float(value)
+    roots: dict[str, Any] = dict(zip(("sim", "ssac"), configs_of({}), strict=True))
+    return float(reduce(getattr, path, roots[root]))
 
 
-def drawn_quantities(means: pd.DataFrame) -> list[str]:
-    """Errors that any method gives, and the share of failed runs if there is any."""
-    drawn = [error for error in ERRORS if means[f"{error}_mean"].notna().any()]
-    return [*drawn, FAILED] if (means[FAILED] > 0).any() else drawn
+def _lines(
+    means: pd.DataFrame, others: list[str]
+) -> dict[str, tuple[pd.DataFrame, dict[str, Any]]]:
+    """Split the means by the other parameters: rows and look of each line, by what it is of.
 
-
-def lines_of(means: pd.DataFrame, others: list[str]) -> list[tuple[str, pd.DataFrame]]:
-    """Split the means by the other parameters: label and rows of each line."""
+    The first parameter sets the colour, from dark to light, which stays in order in grey. A second
+    one sets marker and dashes; the first sets the marker where it is alone.
+    """
     if not others:
-        return [("mean", means)]
-    return [
-        (
-            ", ".join(_line_name(name, value) for name, value in zip(others, values, strict=True)),
-            part,
-        )
-        for values, part in means.groupby(others, sort=True)
-    ]
+        return {"mean": (means, _look(0.0, 0, 0))}
+    parts = list(means.groupby(others, sort=True))
+    values = [means[name].nunique() for name in others]
+    n_inner = values[1] if len(values) == 2 else 1
+    shades = np.linspace(0.0, _LIGHTEST, len(parts) // n_inner)
+    lines = {}
+    for k, (key, part) in enumerate(parts):
+        outer, inner = divmod(k, n_inner)
+        style = _look(shades[outer], *((outer, 0) if n_inner == 1 else (inner, inner)))
+        lines[", ".join(map(_line_name, others, key))] = part, style
+    return lines
+
+
+def _look(shade: float, kind: int, dash: int) -> dict[str, Any]:
+    marker, dashes = _MARKERS[kind % len(_MARKERS)], _DASHES[dash % len(_DASHES)]
+    return {"color": colormaps["viridis"](shade), "marker": marker, "ls": dashes}
 
 
 def _line_name(name: str, value: Any) -> str:
@@ -133,45 +133,18 @@ def _line_name(name: str, value: Any) -> str:
     return _NAMES.get(name, f"{name} = {{}}").format(value)
 
 
-def _line_looks(means: pd.DataFrame, others: list[str]) -> list[dict[str, Any]]:
-    """Colour, marker and dashes of each of `lines_of`.
-
-    The first parameter sets the colour, from dark to light, which stays in order in grey. A second
-    one sets marker and dashes; the first sets the marker where it is alone.
-    """
-    if len(others) != 2:
-        n_lines = len(lines_of(means, others))
-        shades, kinds = np.linspace(0.0, _LIGHTEST, n_lines), np.arange(n_lines)
-        dashes = np.zeros(n_lines, np.intp)
-    else:
-        values = [np.unique(means[name]) for name in others]
-        steps = np.linspace(0.0, _LIGHTEST, len(values[0]))
-        shades = np.repeat(steps, len(values[1]))
-        dashes = kinds = np.tile(np.arange(len(values[1])), len(values[0]))
-    return [
-        {
-            "color": colormaps["viridis"](shade),
-            "marker": _MARKERS[kind % len(_MARKERS)],
-            "ls": _DASHES[dash % len(_DASHES)],
-        }
-        for shade, kind, dash in zip(shades, kinds, dashes, strict=True)
-    ]
-
-
 def _draw_line(
-    axes: Axes, rows: pd.DataFrame, look: FigureConfig, quantity: str, line: dict[str, Any]
+    axes: Axes, rows: pd.DataFrame, look: FigureConfig, quantity: str, style: dict[str, Any]
 ) -> None:
     """Draw means and their standard errors, which on a mean of errors never reach zero."""
     rows = rows.sort_values(look.x)
     x = look.scale * rows[look.x].to_numpy(np.float64)
-    if quantity != FAILED and rows[f"{quantity}_mean"].isna().all():
-        return
     if quantity == FAILED:
-        axes.plot(x, 100.0 * rows[FAILED] / rows["n_runs"], lw=1.2, ms=4.5, **line)
-        return
-    n_ok = (rows["n_runs"] - rows[FAILED]).clip(lower=1).to_numpy(np.float64)
-    mean, std = (rows[f"{quantity}_{part}"].to_numpy(np.float64) for part in _PARTS)
-    axes.errorbar(x, mean, std / np.sqrt(n_ok), lw=1.2, ms=4.5, elinewidth=0.9, **line)
+        axes.plot(x, 100.0 * rows[FAILED] / rows["n_runs"], lw=1.2, ms=4.5, **style)
+    elif rows[f"{quantity}_mean"].notna().any():
+        n_ok = (rows["n_runs"] - rows[FAILED]).clip(lower=1).to_numpy(np.float64)
+        mean, std = (rows[f"{quantity}_{part}"].to_numpy(np.float64) for part in _PARTS)
+        axes.errorbar(x, mean, std / np.sqrt(n_ok), lw=1.2, ms=4.5, elinewidth=0.9, **style)
 
 
 def _set_scales(axes: Axes, means: pd.DataFrame, look: FigureConfig, quantity: str) -> None:
@@ -184,15 +157,12 @@ def _set_scales(axes: Axes, means: pd.DataFrame, look: FigureConfig, quantity: s
         axes.set_xticks(values)
         axes.xaxis.set_minor_locator(NullLocator())
         axes.tick_params("x", labelsize=7)
-    if quantity == FAILED:
+    found = means[FAILED if quantity == FAILED else f"{quantity}_mean"].to_numpy(np.float64)
+    if quantity == FAILED or np.nanmax(found) < _LOG_FROM * np.nanmin(found):
         axes.set_ylim(bottom=0.0)
-        return
-    found = means[f"{quantity}_mean"].to_numpy(np.float64)
-    if np.nanmax(found) < _LOG_FROM * np.nanmin(found):
-        axes.set_ylim(bottom=0.0)
-        return
-    axes.set_yscale("log")
-    _label_log_axis(axes.yaxis, found)
+    else:
+        axes.set_yscale("log")
+        _label_log_axis(axes.yaxis, found)
 
 
 def _label_log_axis(axis: Axis, values: NDArray[np.float64]) -> None:
@@ -202,7 +172,3 @@ def _label_log_axis(axis: Axis, values: NDArray[np.float64]) -> None:
     if np.nanmax(values) < 10.0**_DECADES * np.nanmin(values):
         axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axis.set_minor_locator(NullLocator())
-
-
-def _on_axis(value: float, look: FigureConfig) -> bool:
-    return value > 0.0 or not look.log

@@ -1,11 +1,11 @@
-"""Errors of methods against the angle, beside the paper's: of all methods, and of the refinements.
+"""Errors of methods against the angle: beside the paper's, of the refinements, over their bounds.
 
-A point is one run, a marker the mean over flights and offsets. Runs that failed have no error; the
-legend counts them.
+Each figure has a row of axes for each error and a column for each duration. A marker is the mean
+over flights and offsets. Runs that failed have no error; a legend counts them.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -16,226 +16,233 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullLocator
 
-from experiments.drawing.style import (
-    WIDTH_IN,
-    Look,
-    error_axes,
-    label_grid,
-    method_looks,
-    quiet_axes,
-)
+from experiments.drawing.style import WIDTH_IN, Look, method_looks, quiet_axes
 from experiments.paper.comparison import PUBLISHED_ERRORS, PUBLISHED_RUNS
 from experiments.paper.esim import method_order
-from experiments.paper.quantities import ERRORS, T_D_ERROR
+from experiments.paper.quantities import ANGLE_LABEL, ERRORS, T_D_ERROR, Quantity
 from ssac.errors import SsacError
 
 REFINED = ("ssac", "joint", "tangency")
 """Methods without the extrinsics, from the paper's on; each starts from the one before."""
 
 _LEAST = 0.01  # of each error, in its own unit: what is below is drawn there
-_ROW_HEIGHTS = (1.7, 1.0, 1.0)
 _ANGLE_STEP_DEG = 30.0  # at most
-_SHARE = 0.84  # of the least step between angles that the methods' columns take
 
 _PAPER = Look("#555555", "*", hollow=True)
 _MARK_COLOR = "#D55E00"
 _SPREAD_DEG = 2.0  # between the columns of neighbouring methods, so that bars do not cover
 
-
-@dataclass(frozen=True)
-class Means:
-    """Means of one error by angle."""
-
-    angles_deg: tuple[float, ...]
-    means: tuple[float, ...]
-    standard_errors: tuple[float, ...]
+_BAR = ("standard error of a mean", {"marker": "|", "ls": "none", "ms": 9, "mew": 1.2})
 
 
 def error_figure(runs: pd.DataFrame, published: Mapping[float, pd.DataFrame]) -> Figure:
-    """Draw the errors of all methods against the angle, one column of axes for each duration.
+    """Draw the errors of all methods, single runs and means, beside the paper's.
 
     `published` has the paper's table of each duration [s].
     """
-    durations_s = sorted(runs["duration_s"].unique())
     angles_deg = sorted(runs["angle_deg"].unique())
-    # The methods' columns are beside the angle, so that they do not cover each other.
     step_deg = float(np.diff(angles_deg).min(initial=_ANGLE_STEP_DEG))
-    methods = method_order(runs["method"])
-    looks = method_looks(methods)
-    figure = Figure(figsize=(WIDTH_IN, 9.6), layout="constrained")
-    grid = figure.subplots(
-        len(ERRORS),
-        len(durations_s),
-        sharex=True,
-        sharey="row",
-        squeeze=False,
-        height_ratios=_ROW_HEIGHTS,
+    looks = method_looks(method_order(runs["method"]))
+
+    def draw(axes: Axes, duration_s: float, part: pd.DataFrame, error: Quantity) -> None:
+        drawn = [m for m in looks if runs.loc[runs["method"] == m, error.column].notna().any()]
+        for method, shift_deg in _columns(drawn, 0.84 * step_deg):
+            look = looks[method]
+            ok = _answered(part[part["method"] == method], error.column)
+            if len(ok):
+                axes.plot(
+                    ok["angle_deg"] + shift_deg, ok[error.column].clip(lower=_LEAST), ls="none",
+                    marker=".", ms=3.0, mew=0.0, color=look.color, alpha=0.5, zorder=2,
+                )  # fmt: skip
+                means = flight_means(ok, error.column).assign(
+                    mean=lambda of: of["mean"].clip(lower=_LEAST)
+                )
+                _draw_bars(axes, means, look, shift_deg, lw=0.8, elinewidth=1.2, zorder=4)
+            paper = published_means(published, duration_s, method, error.column)
+            if paper is not None:
+                _draw_bars(axes, paper, replace(look, marker="*", hollow=True), shift_deg, ls=":")
+        for left, right in pairwise(angles_deg):
+            axes.axvline(0.5 * (left + right), color="0.9", lw=0.6, zorder=0)
+
+    labelled = {}
+    for method, look in looks.items():
+        own = runs[runs["method"] == method]
+        failed = int((own["status"] != "ok").sum())
+        labelled[f"{method} ({failed} of {len(own)} failed)" if failed else method] = look
+    styles = (
+        ("the paper's mean", {"marker": "*", "mfc": "white", "ls": ":", "ms": 9}),
+        _BAR,
+        ("a single run", {"marker": ".", "ls": "none", "ms": 5, "mew": 0.0}),
     )
-    for row, (error, quantity) in zip(grid, ERRORS.items(), strict=True):
-        drawn = [m for m in methods if runs.loc[runs["method"] == m, error].notna().any()]
-        for axes, duration_s in zip(row, durations_s, strict=True):
-            of_duration = runs[runs["duration_s"] == duration_s]
-            table = published.get(float(duration_s))
-            for slot, method in enumerate(drawn):
-                shift_deg = step_deg * _SHARE * ((slot + 0.5) / len(drawn) - 0.5)
-                own = of_duration[of_duration["method"] == method]
-                _draw_method(axes, own, error, looks[method], shift_deg)
-                column = _published_column(method, error)
-                if table is not None and f"{column}_mean" in table:
-                    _draw_published(axes, published_means(table, column), looks[method], shift_deg)
-            _set_scales(axes, angles_deg, error)
-        row[0].set_ylabel(quantity.label)
-    label_grid(figure, grid, durations_s, _error_legend(runs, looks))
-    return figure
+    handles = _handles(labelled, 0.8, *styles)
+    return _error_grid(runs, 9.6, draw, handles, 0.85 * _LEAST, height_ratios=(1.7, 1.0, 1.0))
 
 
 def beyond_figure(runs: pd.DataFrame, published: Mapping[float, pd.DataFrame]) -> Figure:
     """Draw what REFINED gain over the paper, beside the marks that `tangency` is to reach.
 
-    A marker is the mean over flights and offsets. A method without runs is left out; SsacError if
-    no run is of one of REFINED.
+    A method without runs is left out; SsacError if no run is of one of REFINED.
     """
     there = set(runs["method"])
     methods = [method for method in REFINED if method in there]
     if not methods:
         raise SsacError(f"expected runs of {', '.join(REFINED)}, got none of these")
     looks = method_looks(methods)
-    durations_s = sorted(runs["duration_s"].unique())
-    figure = Figure(figsize=(WIDTH_IN, 8.0), layout="constrained")
-    grid = figure.subplots(len(ERRORS), len(durations_s), sharex=True, sharey="row", squeeze=False)
-    for row, (error, quantity) in zip(grid, ERRORS.items(), strict=True):
-        ends = [quantity.mark]
+    ends: dict[str, list[float]] = {error: [] for error in ERRORS}
+
+    def draw(axes: Axes, duration_s: float, part: pd.DataFrame, error: Quantity) -> None:
+        """Draw means, the paper's first and the methods' beside it, in order."""
+        axes.axhline(error.mark, color=_MARK_COLOR, lw=1.0, ls="--", zorder=1)
+        paper = published_means(published, duration_s, "ssac", error.column)
+        if paper is not None:
+            _draw_bars(axes, paper, _PAPER, -0.5 * _SPREAD_DEG * len(REFINED), ls=":")
+        ours = {m: flight_means(part[part["method"] == m], error.column) for m in methods}
+        for place, (method, means) in enumerate(ours.items(), start=1):
+            _draw_bars(axes, means, looks[method], _SPREAD_DEG * (place - 0.5 * len(REFINED)))
+        within = ends[error.column]
+        within.append(error.mark)
+        for means in (*ours.values(), *([] if paper is None else [paper])):
+            # The ends of the bars, but none below half its mean.
+            lower = np.maximum(means["mean"] - means["standard_error"], 0.5 * means["mean"])
+            within += [*lower, *(means["mean"] + means["standard_error"])]
+        axes.set_ylim(0.9 * min(within), 1.1 * max(within))
+
+    first = Line2D([], [], color=_PAPER.color, marker="*", mfc="white", ls=":", ms=9,
+                   label="the paper")  # fmt: skip
+    mark = ("mark for tangency", {"color": _MARK_COLOR, "ls": "--", "lw": 1.0})
+    return _error_grid(runs, 8.0, draw, [first, *_handles(looks, 1.2, _BAR, mark)])
+
+
+def efficiency_figure(cells: pd.DataFrame) -> Figure:
+    """Draw `results/efficiency.csv`: how far the errors of each method are from its own bound.
+
+    For each angle and method a line goes from the bound, a stroke, up to the root mean square
+    error, a marker: its length on the logarithmic axis is what is lost. The offsets of an angle are
+    pooled.
+    """
+    looks = method_looks(method_order(cells["method"]))
+
+    def draw(axes: Axes, _: float, part: pd.DataFrame, error: Quantity) -> None:
+        columns = [f"{error.parameter}_{kind}_{error.unit}" for kind in ("bound", "rms")]
+        drawn = [
+            m for m in looks if cells.loc[cells["method"] == m, columns].notna().all(axis=None)
+        ]
+        for method, shift_deg in _columns(drawn, 0.7 * _ANGLE_STEP_DEG):
+            look, values = looks[method], pooled(part[part["method"] == method], columns)
+            x = values.index.to_numpy(np.float64) + shift_deg
+            bounds, errors = (values[column].to_numpy(np.float64) for column in columns)
+            axes.vlines(x, bounds, errors, color=look.color, lw=1.2, alpha=0.6, zorder=2)
+            axes.plot(x, bounds, ls="none", marker="_", ms=8, mew=1.8, color=look.color, zorder=3)
+            axes.plot(x, errors, ls="none", marker=look.marker, ms=5, mfc=look.face,
+                      mec=look.color, zorder=4)  # fmt: skip
+
+    styles = (
+        ("root mean square error", {"marker": "o", "ms": 5, "lw": 0}),
+        ("its Cramer-Rao bound", {"marker": "_", "ms": 8, "mew": 1.8, "lw": 0}),
+    )
+    return _error_grid(cells, 8.0, draw, _handles(looks, 0, *styles))
+
+
+def _error_grid(
+    table: pd.DataFrame,
+    height_in: float,
+    draw: Callable[[Axes, float, pd.DataFrame, Quantity], None],
+    handles: Sequence[Line2D],
+    bottom: float | None = None,
+    **ratios: Any,
+) -> Figure:
+    """Lay out axes with angles below, and errors on a logarithmic axis.
+
+    They are within a decade or two, but for those of t_d of all methods, from `bottom` on.
+    """
+    durations_s, angles_deg = (sorted(table[name].unique()) for name in ("duration_s", "angle_deg"))
+    figure = Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
+    shape = len(ERRORS), len(durations_s)
+    grid = figure.subplots(*shape, sharex=True, sharey="row", squeeze=False, **ratios)
+    for row, error in zip(grid, ERRORS.values(), strict=True):
         for axes, duration_s in zip(row, durations_s, strict=True):
-            error_axes(axes, sorted(runs["angle_deg"].unique()))
-            axes.axhline(quantity.mark, color=_MARK_COLOR, lw=1.0, ls="--", zorder=1)
-            table = published.get(float(duration_s))
-            if table is not None:
-                paper = published_means(table, _published_column("ssac", error))
-                ends += _draw_means(axes, paper, _PAPER, 0, ":")
-            of_duration = runs[runs["duration_s"] == duration_s]
-            for place, method in enumerate(methods, start=1):
-                own = of_duration[of_duration["method"] == method]
-                ends += _draw_means(axes, flight_means(own, error), looks[method], place, "-")
-        row[0].set_ylim(0.9 * min(ends), 1.1 * max(ends))
-        row[0].set_ylabel(quantity.label)
-    label_grid(figure, grid, durations_s, _beyond_legend(looks))
+            draw(axes, float(duration_s), table[table["duration_s"] == duration_s], error)
+            quiet_axes(axes)
+            axes.set(yscale="log", xticks=angles_deg)
+            if bottom is not None:
+                axes.set_ylim(bottom=bottom)
+            axes.yaxis.set_major_formatter("{x:g}")
+            axes.yaxis.set_minor_formatter("")
+            if bottom is None or error is not T_D_ERROR:
+                axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+                axes.yaxis.set_minor_locator(NullLocator())
+        row[0].set_ylabel(error.label)
+    for column, duration_s in zip(grid.T, durations_s, strict=True):
+        column[0].set_title(f"Recordings of {duration_s:g} s", fontsize=11)
+        column[-1].set_xlabel(ANGLE_LABEL)
+    figure.legend(handles=handles, loc="outside lower center", ncols=4, fontsize=8, frameon=False)
     return figure
 
 
-def flight_means(runs: pd.DataFrame, error: str) -> Means:
+def _columns(methods: Sequence[str], width_deg: float) -> list[tuple[str, float]]:
+    """Give methods their columns beside an angle, so that they do not cover each other."""
+    n = len(methods)
+    return [(method, width_deg * ((k + 0.5) / n - 0.5)) for k, method in enumerate(methods)]
+
+
+def flight_means(runs: pd.DataFrame, error: str) -> pd.DataFrame:
     """Mean error by angle over all runs that are "ok", and its standard error.
 
     All offsets of a flight share its recording, so a flight counts once in the standard error.
     """
-    found = []
-    for angle_deg, group in _by_angle(_answered(runs, error)):
-        by_flight = group.groupby("flight")[error].mean()
-        standard_error = by_flight.std(ddof=0) / np.sqrt(len(by_flight))
-        found.append((angle_deg, float(group[error].mean()), float(standard_error)))
-    return Means(*(tuple(one[k] for one in found) for k in range(3)))
+    ok = _answered(runs, error)
+    of_flight = ok.groupby(["angle_deg", "flight"])[error].mean().groupby("angle_deg")
+    standard_error = of_flight.std(ddof=0) / np.sqrt(of_flight.size())
+    means = ok.groupby("angle_deg")[error].mean()
+    return pd.DataFrame({"mean": means, "standard_error": standard_error})
 
 
-def published_means(table: pd.DataFrame, column: str) -> Means:
-    """Give the paper's means by angle, pooled over offsets; a flight counts once as well."""
-    found = []
-    for angle_deg, group in _by_angle(table):
-        variance = float((group[f"{column}_std"] ** 2).mean())
-        mean, standard_error = group[f"{column}_mean"].mean(), np.sqrt(variance / PUBLISHED_RUNS)
-        found.append((angle_deg, float(mean), float(standard_error)))
-    return Means(*(tuple(one[k] for one in found) for k in range(3)))
+def published_means(
+    published: Mapping[float, pd.DataFrame], duration_s: float, method: str, error: str
+) -> pd.DataFrame | None:
+    """Give the paper's means by angle, pooled over offsets; a flight counts once as well.
+
+    None where the paper has none.
+    """
+    columns = [q.published for q in PUBLISHED_ERRORS if (q.method, q.error) == (method, error)]
+    table = published.get(duration_s)
+    if table is None or not columns or f"{columns[0]}_mean" not in table:
+        return None
+    by_angle = table.assign(variance=table[f"{columns[0]}_std"] ** 2).groupby("angle_deg")
+    standard_error = np.sqrt(by_angle["variance"].mean() / PUBLISHED_RUNS)
+    means = by_angle[f"{columns[0]}_mean"].mean()
+    return pd.DataFrame({"mean": means, "standard_error": standard_error})
 
 
-def _by_angle(rows: pd.DataFrame) -> list[tuple[float, pd.DataFrame]]:
-    angles_deg = sorted(rows["angle_deg"].unique())
-    return [(float(angle), rows[rows["angle_deg"] == angle]) for angle in angles_deg]
+def pooled(cells: pd.DataFrame, columns: list[str]) -> pd.DataFrame:
+    """Root mean squares of some columns by angle, over the offsets, as many runs as each has."""
+    squares = cells[columns].pow(2).mul(cells["n_runs"], axis=0)
+    by_angle = squares.groupby(cells["angle_deg"]).sum()
+    n_runs = cells["n_runs"].groupby(cells["angle_deg"]).sum()
+    result: pd.DataFrame = by_angle.div(n_runs, axis=0).pow(0.5)
+    return result
 
 
 def _answered(runs: pd.DataFrame, error: str) -> pd.DataFrame:
     return runs[(runs["status"] == "ok") & runs[error].notna()]
 
 
-def _published_column(method: str, error: str) -> str:
-    """Start of the column of the paper's tables; empty where the paper has none."""
-    columns = [q.published for q in PUBLISHED_ERRORS if (q.method, q.error) == (method, error)]
-    return columns[0] if columns else ""
-
-
-def _set_scales(axes: Axes, angles_deg: list[float], error: str) -> None:
-    quiet_axes(axes)
-    axes.set(yscale="log", xticks=angles_deg)
-    axes.set_ylim(bottom=0.85 * _LEAST)
-    axes.yaxis.set_major_formatter("{x:g}")
-    axes.yaxis.set_minor_formatter("")
-    if error != T_D_ERROR.column:  # two decades at most
-        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-        axes.yaxis.set_minor_locator(NullLocator())
-    for left, right in pairwise(angles_deg):
-        axes.axvline(0.5 * (left + right), color="0.9", lw=0.6, zorder=0)
-
-
-def _draw_method(axes: Axes, runs: pd.DataFrame, error: str, look: Look, shift: float) -> None:
-    ok = _answered(runs, error)
-    if ok.empty:
-        return
-    axes.plot(
-        ok["angle_deg"] + shift, ok[error].clip(lower=_LEAST), ls="none", marker=".",
-        ms=3.0, mew=0.0, color=look.color, alpha=0.5, zorder=2,
-    )  # fmt: skip
-    means = flight_means(runs, error)
+def _draw_bars(axes: Axes, means: pd.DataFrame, look: Look, shift_deg: float, **style: Any) -> None:
+    """Draw means by angle, a line through them, and their standard errors."""
     axes.errorbar(
-        np.add(means.angles_deg, shift), np.maximum(means.means, _LEAST),
-        means.standard_errors, ls="-", lw=0.8,
-        color=look.color, marker=look.marker, ms=5, mfc=look.face, mec=look.color, elinewidth=1.2,
-        zorder=4,
+        means.index.to_numpy(np.float64) + shift_deg, means["mean"], means["standard_error"],
+        color=look.color, marker=look.marker, ms=9 if look.marker == "*" else 5, mfc=look.face,
+        mec=look.color, **{"ls": "-", "lw": 1.2, "elinewidth": 1.0, "zorder": 3, **style},
     )  # fmt: skip
 
 
-def _draw_published(axes: Axes, means: Means, look: Look, shift: float) -> None:
-    axes.errorbar(
-        np.add(means.angles_deg, shift), means.means, means.standard_errors, ls=":", lw=1.2,
-        color=look.color, marker="*", ms=9, mfc="white", mec=look.color, elinewidth=1.0, zorder=3,
-    )  # fmt: skip
-
-
-def _draw_means(axes: Axes, means: Means, look: Look, place: int, line: str) -> list[float]:
-    """Draw means, the paper's first and the methods' beside it, in order.
-
-    Return the ends of their bars, but none below half its mean.
-    """
-    shift_deg = _SPREAD_DEG * (place - 0.5 * len(REFINED))
-    axes.errorbar(
-        np.asarray(means.angles_deg, np.float64) + shift_deg, means.means, means.standard_errors,
-        ls=line, color=look.color, marker=look.marker, ms=9 if look is _PAPER else 5,
-        mfc=look.face, mec=look.color, lw=1.2, elinewidth=1.0, zorder=3,
-    )  # fmt: skip
-    middles, reach = np.array(means.means), np.array(means.standard_errors)
-    return [*np.maximum(middles - reach, 0.5 * middles).tolist(), *(middles + reach).tolist()]
-
-
-def _error_legend(runs: pd.DataFrame, looks: Mapping[str, Look]) -> list[Line2D]:
-    handles = []
-    for method, look in looks.items():
-        own = runs[runs["method"] == method]
-        failed = int((own["status"] != "ok").sum())
-        label = f"{method} ({failed} of {len(own)} failed)" if failed else method
-        handles.append(Line2D([], [], color=look.color, marker=look.marker, mfc=look.face, lw=0.8,
-                              ms=5, label=label))  # fmt: skip
-    styles: tuple[tuple[str, dict[str, Any]], ...] = (
-        ("the paper's mean", {"marker": "*", "mfc": "white", "ls": ":", "ms": 9}),
-        ("standard error of a mean", {"marker": "|", "ls": "none", "ms": 9, "mew": 1.2}),
-        ("a single run", {"marker": ".", "ls": "none", "ms": 5, "mew": 0.0}),
-    )
-    return handles + [Line2D([], [], color="0.3", label=text, **style) for text, style in styles]
-
-
-def _beyond_legend(looks: Mapping[str, Look]) -> list[Line2D]:
-    handles = [Line2D([], [], color=_PAPER.color, marker="*", mfc="white", ls=":", ms=9,
-                      label="the paper")]  # fmt: skip
-    handles += [
-        Line2D([], [], color=look.color, marker=look.marker, lw=1.2, ms=5, label=method)
-        for method, look in looks.items()
-    ]
-    handles.append(Line2D([], [], color="0.3", marker="|", ls="none", ms=9, mew=1.2,
-                          label="standard error of a mean"))  # fmt: skip
-    handles.append(Line2D([], [], color=_MARK_COLOR, ls="--", lw=1.0, label="mark for tangency"))
-    return handles
+def _handles(
+    looks: Mapping[str, Look], width: float, *others: tuple[str, Mapping[str, Any]]
+) -> list[Line2D]:
+    """Name looks in a legend, then other marks."""
+    named = [
+        Line2D([], [], color=look.color, marker=look.marker, mfc=look.face, lw=width, ms=5,
+               label=name)
+        for name, look in looks.items()
+    ]  # fmt: skip
+    return named + [Line2D([], [], label=text, **{"color": "0.3", **st}) for text, st in others]

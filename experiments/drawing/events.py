@@ -5,12 +5,10 @@ Fig. 4  p1, p2, the line l1 and the distance d, before and after the clocks are 
 Fig. 5  d_avg over +-1 s and +-3 ms of offset, where the true offset is zero
 """
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
@@ -46,16 +44,6 @@ SEARCH_S = 1.0
 _TRACK_STEP_S = 0.004
 _MAX_EVENTS = 15000  # drawn of the raw stretch: more would only blot the picture
 _SEARCH_STEP_S, _ZOOM_STEP_S = 5e-3, 50e-6
-
-
-@dataclass(frozen=True)
-class Curve:
-    """d_avg of one way to come by F, over offsets."""
-
-    label: str
-    color: str
-    offsets_s: Array  # (n,) [s]
-    d_avg_px: Array  # (n,) [px]
 
 
 def load_recording(folder: Path, t_d_s: float = 0.0) -> Chain:
@@ -129,23 +117,26 @@ def d_avg_figure(chain: Chain) -> Figure:
     F = fundamental_from_pose(rig.cam1.K, rig.cam2.K, *known_pose(rig))
     figure = Figure(figsize=(WIDTH_IN, 3.3), layout="constrained")
     whole, zoom = figure.subplots(1, 2)
-    for axes, reach_s, step_s, per_s in (
-        (whole, SEARCH_S, _SEARCH_STEP_S, 1.0),
-        (zoom, ZOOM_S, _ZOOM_STEP_S, 1e3),
+    for axes, reach_s, step_s, per_s, unit, title in (
+        (whole, SEARCH_S, _SEARCH_STEP_S, 1.0, "s", "(a) From -1 s to 1 s"),
+        (zoom, ZOOM_S, _ZOOM_STEP_S, 1e3, "ms", "(b) From -3 ms to 3 ms"),
     ):
         n_steps = round(reach_s / step_s)
         offsets_s = step_s * np.arange(-n_steps, n_steps + 1, dtype=np.float64)
-        for curve in d_avg_curves(views, F, offsets_s):
-            _draw_curve(axes, curve, per_s)
+        for (label, d_px), color in zip(
+            d_avg_curves(views, F, offsets_s).items(), (YELLOW, BLUE), strict=True
+        ):
+            axes.plot(per_s * offsets_s, d_px, color=color, lw=1.4, label=label)
+            best = np.nanargmin(d_px)
+            place = float(per_s * offsets_s[best]), float(d_px[best])
+            axes.plot(*place, "o", color=color, mec="black", ms=5, zorder=4)
         axes.axvline(0.0, color="black", lw=0.9, ls="--", label="true offset", zorder=1)
         axes.set_xlim(-per_s * reach_s, per_s * reach_s)
         quiet_axes(axes)
-    whole.set(xlabel="offset $t_d$ [s]", ylabel="$d_{avg}$ [px]")
-    whole.set_title("(a) From -1 s to 1 s", fontsize=10)
+        axes.set(xlabel=f"offset $t_d$ [{unit}]", ylabel="$d_{avg}$ [px]")
+        axes.set_title(title, fontsize=10)
     whole.set_ylim(bottom=0.0)
     whole.locator_params("x", nbins=5)
-    zoom.set(xlabel="offset $t_d$ [ms]", ylabel="$d_{avg}$ [px]")
-    zoom.set_title("(b) From -3 ms to 3 ms", fontsize=10)
     least = Line2D([], [], color="white", marker="o", mec="black", ms=5, label="least $d_{avg}$")
     handles, _ = whole.get_legend_handles_labels()
     figure.legend(handles=[*handles, least], loc="outside lower center", ncols=4, fontsize=9,
@@ -153,8 +144,8 @@ def d_avg_figure(chain: Chain) -> Figure:
     return figure
 
 
-def d_avg_curves(views: TwoViews, F: Array, offsets_s: Array) -> tuple[Curve, Curve]:
-    """Compute d_avg with the true F (Algorithm 1) and with an F fitted at each offset (2)."""
+def d_avg_curves(views: TwoViews, F: Array, offsets_s: Array) -> dict[str, Array]:
+    """Compute d_avg [px] with the true F (Algorithm 1) and with one fitted at each offset (2)."""
     config, pairs = views.config, views.pairs(offsets_s)
     min_pairs = config.rules.search.min_pairs
     fitted = np.full(len(offsets_s), np.nan)
@@ -164,18 +155,7 @@ def d_avg_curves(views: TwoViews, F: Array, offsets_s: Array) -> tuple[Curve, Cu
             F_m = lmeds_fundamental(p1, p2, config.trials, config.seed)
             fitted[m] = np.mean(epipolar_distance(F_m, p1, p2))
     known = mean_epipolar_distance(F, pairs, min_pairs)
-    return (
-        Curve("pose known (Algorithm 1)", YELLOW, offsets_s, known),
-        Curve("pose unknown (Algorithm 2)", BLUE, offsets_s, fitted),
-    )
-
-
-def _draw_curve(axes: Axes, curve: Curve, per_s: float) -> None:
-    """Draw d_avg over the offset, in `per_s` units per second, and its least value."""
-    axes.plot(per_s * curve.offsets_s, curve.d_avg_px, color=curve.color, lw=1.4, label=curve.label)
-    best_s = float(curve.offsets_s[np.nanargmin(curve.d_avg_px)])
-    least_px = float(np.nanmin(curve.d_avg_px))
-    axes.plot(per_s * best_s, least_px, "o", color=curve.color, mec="black", ms=5, zorder=4)
+    return {"pose known (Algorithm 1)": known, "pose unknown (Algorithm 2)": fitted}
 
 
 def _x_y_t_axes(axes: Any, camera: Camera) -> None:

@@ -5,19 +5,12 @@ Colours are of Okabe and Ito's set, which stays apart for colour-blind people, b
 marker.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.ticker import LogLocator, NullLocator
-from numpy.typing import NDArray
 
-from experiments.paper.quantities import ANGLE_LABEL
 from ssac.network.comparison import Comparison
 from ssac.pipeline.plots import save_comparison
 
@@ -67,26 +60,6 @@ def quiet_axes(axes: Axes) -> None:
     axes.grid(axis="y", color="0.9", lw=0.6)
     axes.set_axisbelow(True)
     axes.tick_params(labelsize=8)
-
-
-def error_axes(axes: Axes, angles_deg: list[float]) -> None:
-    """Set angles below, and errors within a decade or two on a logarithmic axis."""
-    quiet_axes(axes)
-    axes.set(yscale="log", xticks=angles_deg)
-    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axes.yaxis.set_minor_locator(NullLocator())
-    axes.yaxis.set_major_formatter("{x:g}")
-
-
-def label_grid(
-    figure: Figure, grid: NDArray[Any], durations_s: Sequence[float], handles: list[Line2D]
-) -> None:
-    """Name a figure's columns by duration, its axes by the angle, and put the legend below it."""
-    for axes, duration_s in zip(grid[0], durations_s, strict=True):
-        axes.set_title(f"Recordings of {duration_s:g} s", fontsize=11)
-    for axes in grid[-1]:
-        axes.set_xlabel(ANGLE_LABEL)
-    figure.legend(handles=handles, loc="outside lower center", ncols=4, fontsize=8, frameon=False)
 
 
 def comparison_png(comparison: Comparison) -> bytes:

@@ -9,8 +9,8 @@ import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import partial
-from io import StringIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -21,7 +21,7 @@ from experiments.lab.results import Results
 from experiments.lab.schedule import Workers, run_cells
 from experiments.lab.study import CELL, How, Runs, Study, runs_text
 from experiments.lab.task import Task, tasks_of
-from experiments.lab.verify import Finding, cells_of, found, near, same_driver
+from experiments.lab.verify import Finding, cells_of, found, near, same_driver, table_of_texts
 from ssac.errors import SsacError
 from ssac.pipeline.registry import OURS
 
@@ -49,13 +49,7 @@ class Drawn:
 def sources_of(
     studies: Mapping[str, Study], slow: bool = False, only: str | None = None
 ) -> list[Study]:
-    """List the studies to draw from; those that take minutes a recording only if asked for.
-
-    Raises
-    ------
-    SsacError
-        If there is none of the name that is asked for.
-    """
+    """List the studies to draw from; those that take minutes a recording only if asked for."""
     able = {
         name: study
         for name, study in studies.items()
@@ -69,15 +63,7 @@ def sources_of(
 
 
 def draw(sources: Sequence[Study], n_recordings: int, seed: int) -> list[Drawn]:
-    """Draw recordings: every other one of the first study, the others of any other, each once.
-
-    Parameters
-    ----------
-    n_recordings
-        As many, or all if there are fewer.
-    seed
-        The same draws the same.
-    """
+    """Draw recordings, or all if there are fewer: every other one of the first study, each once."""
     generator = np.random.default_rng(seed)
     left = {study.name: _shuffled(study, generator) for study in sources}
     drawn: list[Drawn] = []
@@ -93,59 +79,41 @@ def draw(sources: Sequence[Study], n_recordings: int, seed: int) -> list[Drawn]:
 def recomputed(
     drawn: Sequence[Drawn], results: Results, folder: Path, workers: Workers
 ) -> list[Finding]:
-    """Make the runs on the drawn recordings again, and compare them: one finding for each.
-
-    Parameters
-    ----------
-    results
-        The committed ones.
-    folder
-        An empty one, for the recordings and runs.
-    """
+    """Make the runs on the drawn recordings again in an empty folder: one finding for each."""
     findings = []
     for study in {one.study.name: one.study for one in drawn}.values():
-        assert study.runs is not None
         tasks = [one.task for one in drawn if one.study.name == study.name]
         cells = [cell for task in tasks for cell in task.cells]
         outcome = run_cells(cells, Cache(folder), workers, study.name, measure=study.measure)
-        first = 0
+        rows = rows_again(study, outcome.runs, cells)
         for task in tasks:
-            last = first + len(task.cells)
-            runs = outcome.runs.iloc[first:last].reset_index(drop=True)
-            first = last
-            rows = rows_again(study, runs, task.cells)
+            mine, rows = rows[: len(task.cells)], rows[len(task.cells) :]
             flight = dict(task.cells[0].columns)
             where = ", ".join(f"{key} {value}" for key, value in flight.items())
-            what = f"{study.runs.file}: {len(rows)} runs on the recording of {where}"
-            findings.append(found(what, partial(compared, rows, study, task, results)))
+            what = f"{_runs(study).file}: {len(mine)} runs on the recording of {where}"
+            findings.append(found(what, partial(compared, mine, study, task, results)))
     return findings
 
 
 def rows_again(study: Study, runs: pd.DataFrame, cells: Sequence[AnyCell]) -> pd.DataFrame:
     """Turn new runs of some of a study's cells into rows of its file, as texts."""
-    assert study.runs is not None
     number = {id(cell): at for at, cell in enumerate(cells_of(study))}
     runs = runs.copy()
     runs.insert(0, CELL, [number[id(cell)] for cell in cells])
-    return _texts(runs_text(study.runs, runs))
+    return table_of_texts(runs_text(_runs(study), runs))
 
 
 def compared(rows: pd.DataFrame, study: Study, task: Task, results: Results) -> tuple[str, ...]:
     """Compare rows made again with the committed ones."""
-    kept = study.runs
-    assert kept is not None
-    committed, keys = _texts(results.text(kept.file)), keys_of_rows(kept)
+    kept = _runs(study)
+    committed = table_of_texts(results.text(kept.file))
+    keys = (CELL,) if kept.numbered else kept.keys
     made_with = results.provenances(kept.file.removesuffix(".csv"))
     by_gl = any(sim.render.renderer == "pyrender" for sim, _ in task.recordings)
     if by_gl and not same_driver(made_with):
         shown = [*keys, "status", "reason"]  # what another driver draws is not the same
         rows, committed = rows[shown], committed[shown]
     return row_faults(rows, committed, keys, measured_by(study), kept)
-
-
-def keys_of_rows(kept: Runs) -> tuple[str, ...]:
-    """Columns by which a row of the file is found."""
-    return (CELL,) if kept.numbered else kept.keys
 
 
 def measured_by(study: Study) -> frozenset[str]:
@@ -160,58 +128,51 @@ def row_faults(
     measured: Collection[str],
     kept: Runs,
 ) -> tuple[str, ...]:
-    """Compare rows with the committed ones of the same keys; tables of texts.
-
-    Parameters
-    ----------
-    again, committed
-        Of `committed` only the rows of `again` count.
-    measured
-        Columns that rounding reaches. All others, but `reason`, must be the same.
-    kept
-        Says which columns are times, and how many digits there are.
-    """
+    """Compare rows with the committed ones of the same keys, all as texts."""
     theirs_by_key = {tuple(row[name] for name in keys): row for row in committed.to_dict("records")}
     faults = []
     for row in again.to_dict("records"):
         key = tuple(row[name] for name in keys)
         where = ", ".join(f"{name} {value}" for name, value in zip(keys, key, strict=True))
-        if key not in theirs_by_key:
+        theirs = theirs_by_key.get(key)
+        if theirs is None:
             faults.append(f"{where}: no such run is committed")
-            continue
-        if row["status"] == CRASHED:
+        elif row["status"] == CRASHED:
             faults.append(f"{where}: crashed: {row['reason']}")
-            continue
-        theirs = {str(name): value for name, value in theirs_by_key[key].items()}
-        names = dict.fromkeys(["status", *theirs, *map(str, row)])
-        for name in (name for name in names if name not in kept.took):
-            mine, other = str(row.get(name, "no column")), str(theirs.get(name, "no column"))
-            if name == "reason":
-                is_alike = _alike_in_words(mine, other)
-            else:
-                is_alike = _alike(mine, other, name in measured, kept.digits)
-            if not is_alike:
-                faults.append(f"{where}: {name} is {mine}, committed: {other}. {row['reason']}")
-                break
+        else:
+            faults += [f"{where}: {one}. {row['reason']}"
+                       for one in _unlike(row, theirs, measured, kept)][:1]  # fmt: skip
     return tuple(faults)
+
+
+def _unlike(
+    row: Mapping[Any, str], theirs: Mapping[Any, str], measured: Collection[str], kept: Runs
+) -> list[str]:
+    found = []
+    for name in dict.fromkeys(["status", *theirs, *row]):
+        mine, other = (str(one.get(name, "no column")) for one in (row, theirs))
+        is_alike = name in kept.took or (
+            _alike_in_words(mine, other)
+            if name == "reason"
+            else _alike(mine, other, name in measured, kept.digits)
+        )
+        if not is_alike:
+            found.append(f"{name} is {mine}, committed: {other}")
+    return found
 
 
 def _alike(mine: str, other: str, is_measured: bool, digits: int) -> bool:
     """Compare two texts, as numbers where they are; a table may round a whole number to digits."""
     if mine == other:
         return True
-    if mine.isdecimal() and other.isdecimal():
-        return is_measured and _close(float(mine), float(other), digits)
     try:
         a, b = float(mine), float(other)
     except ValueError:
         return False
-    return f"{a:.{digits}g}" == f"{b:.{digits}g}" or (is_measured and _close(a, b, digits))
-
-
-def _close(mine: float, other: float, digits: int) -> bool:
-    """Whether rounding may make the one of the other."""
-    return near(mine, other, digits) or abs(mine - other) <= ROUNDING
+    if is_measured and (near(a, b, digits) or abs(a - b) <= ROUNDING):
+        return True
+    is_rounded = not (mine.isdecimal() and other.isdecimal())
+    return is_rounded and f"{a:.{digits}g}" == f"{b:.{digits}g}"
 
 
 def _alike_in_words(mine: str, other: str) -> bool:
@@ -232,6 +193,6 @@ def _shuffled(study: Study, generator: np.random.Generator) -> list[Task]:
     return [tasks[index] for index in generator.permutation(len(tasks))]
 
 
-def _texts(text: str) -> pd.DataFrame:
-    table: pd.DataFrame = pd.read_csv(StringIO(text), dtype=str, keep_default_na=False)
-    return table
+def _runs(study: Study) -> Runs:
+    assert study.runs is not None
+    return study.runs

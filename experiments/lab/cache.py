@@ -1,89 +1,74 @@
-"""What earlier runs made: recordings, and the rows that were measured on them.
+"""What earlier runs made, recordings and the rows that were measured on them, and who makes what.
 
 Everything is addressed by its content: by all parameters and by all code that makes it
 (`experiments.lab.code`), so a change of either makes a new entry and never returns an old one.
 
     recordings/<key>/     as sim.storage writes them, with t_d = 0: ordinary input of `ssac sync`
-    recordings/<key>.sha256  checksums of its files
+    recordings/<key>.sha256  checksums of its files: it is not there without them
     brightness/<key>.npz  the mean of each of their frames
     denoised/<key>.npz    the events that denoising leaves, in 6 bytes each
     runs/<ab>/<key>.json  one measured row, and its checksum
-    damaged/              entries that were not what had been written (`experiments.lab.health`)
+    damaged/              entries that were not what had been written
 
-What methods read of a recording stands in the last two: as long as these are there, it is not read.
+What methods read of a recording stands in brightness and denoised: as long as these are there, it
+is not read. A disk that was full, a machine that was killed or a flipped bit leave entries that can
+be read and are wrong, so each is held against its checksum before it is used.
+
+What is being made is locked by a file that its holder touches now and then. A lock is free when its
+holder is a process of this host that has ended, or when nobody touched it for `LAPSES_S`. Locks
+save work, and nothing rests on them: should two processes make one entry, either is whole.
 """
 
 import hashlib
 import json
+import os
 import time
-from collections.abc import Callable, Collection, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any
 
 import numpy as np
+from filelock import SoftFileLease, Timeout
 from numpy.typing import NDArray
 
-from experiments.lab.bridge import recording_bytes
-from experiments.lab.code import SIM_PACKAGES, SSAC_PACKAGES, code_digest, code_of, package_versions
-from experiments.lab.health import is_sound, row_of_text, save_sums, set_aside, text_of_row
-from experiments.lab.lock import ASK_AGAIN_S, claimed, remove_lapsed
-from experiments.lab.lock import SUFFIX as CLAIM
-from experiments.lab.provenance import plain
+from experiments.lab.code import SIM_PACKAGES, SSAC_PACKAGES, code_digest, package_versions
 from sim.recording import SimConfig
 from sim.render.gl_context import open_context
 from sim.storage import record
-from ssac.errors import WriteError
+from ssac.cli.progress import say
+from ssac.errors import SsacError, WriteError
 from ssac.files.whole_file import check_folder, remove_left_over, whole_file
 
 DEFAULT_FOLDER = Path("cache")
 
+ASIDE = "damaged"
+"""Folder of the cache that damaged entries are moved to, for who wants to know what happened."""
+
 RECORDED = ("recordings", "brightness", "denoised")
 """Folders of recordings, and of what is told of them once for all methods."""
 
+# What makes an entry: nothing of `experiments`, so that recordings outlive its edits.
 RECORDING_CODE = ("sim.recording", "sim.storage")
-"""What makes a recording: nothing of `experiments`, so that recordings outlive its edits."""
-
 BRIGHTNESS_CODE = ("ssac.methods.correlations", "ssac.files.hdf5")
-
 DENOISED_CODE = ("ssac.track.clean", "ssac.files.hdf5")
 
+CLAIM = ".claim"
 
-class Brightness(NamedTuple):
-    """Means of the frames of both cameras, and their times [us]; empty where there are none."""
+LAPSES_S = 120.0
+"""Longer than a client of a network disk may show old times (NFS: 60 s), and a touch or two."""
 
-    cam1: NDArray[np.float64]
-    times1_us: NDArray[np.int64]
-    cam2: NDArray[np.float64]
-    times2_us: NDArray[np.int64]
-
-
-class Denoised(NamedTuple):
-    """What denoising did to the events of both cameras."""
-
-    n_recorded: NDArray[np.int64]  # (2,) events of both cameras before it
-    events1: NDArray[np.uint8]  # (n, 6) those that it left, as `recorded` packs them
-    leaps1: NDArray[np.int64]  # (k, 2) of their times
-    clutter1: NDArray[np.float64]  # (6,) the fields of `ssac.track.denoise.Clutter`
-    on_line1: NDArray[np.bool_]  # whether each is on a thin line; empty where there is none
-    events2: NDArray[np.uint8]
-    leaps2: NDArray[np.int64]
-    clutter2: NDArray[np.float64]
-    on_line2: NDArray[np.bool_]
+ASK_AGAIN_S = 1.0
+"""How long those wait who find something locked."""
 
 
-Kept = TypeVar("Kept", Brightness, Denoised)
+Arrays = dict[str, NDArray[Any]]
 
 
 @dataclass(frozen=True)
 class Cache:
-    """What earlier runs made, in one folder.
-
-    Several processes may share it, of several hosts if the folder is on a network disk: entries
-    appear whole, under names that say all about them. What is being made is claimed
-    (`experiments.lab.lock`), so that nobody else makes it meanwhile.
-    """
+    """What earlier runs made, in one folder, which processes of several hosts may share."""
 
     folder: Path = DEFAULT_FOLDER
     simulated: list[Path] = field(default_factory=list, compare=False)  # by this object
@@ -94,19 +79,9 @@ class Cache:
     ) -> Path:
         """Give the folder of a recording, simulating it first if it is not there yet.
 
-        Parameters
-        ----------
-        config
-            Its `t_d_s` does not count: the recording has both clocks equal.
-        names
-            Of its files that are to be read, and are held against their checksums; all when None.
-
-        Raises
-        ------
-        SimError
-            When it cannot be simulated.
-        WriteError
-            When it cannot be written, or there is no room for it.
+        Its clocks are equal, whatever the config's `t_d_s`. Only the files of these names, all when
+        None, are held against their checksums. SimError when it cannot be simulated, WriteError
+        when it cannot be written, or there is no room for it.
         """
         config = replace(config, t_d_s=0.0)
         folder = self._recording_path(config, seed)
@@ -114,29 +89,38 @@ class Cache:
             with claimed(folder.with_name(f".{folder.name}{CLAIM}")) as is_ours:
                 if not is_ours:  # another process makes it
                     time.sleep(ASK_AGAIN_S)
-                elif not folder.exists():
+                elif not self._is_kept(folder, names):
                     self._simulate(config, seed, folder)
         return folder
 
-    def brightness(self, recording: Path, measure: Callable[[], Brightness]) -> Brightness:
-        """Give the means of a recording's frames, which `measure` takes if it was not done before.
+    def told(
+        self,
+        kind: str,
+        recording: Path,
+        code: tuple[str, ...],
+        names: Sequence[str],
+        tell: Callable[[], Arrays],
+        inputs: Any = None,
+    ) -> Arrays:
+        """Give arrays of some names, one kind of RECORDED, that some code tells of a recording.
 
-        Reading all frames takes longer than most methods do.
+        Once for all methods: to read all frames takes longer than most of them do, and to tell
+        noise, reading the events included, a quarter of the time that all of them take.
         """
-        key = _digest(recording.name, code_digest(*BRIGHTNESS_CODE), Brightness._fields)
-        return self._arrays(Brightness, self.folder / "brightness" / f"{key}.npz", measure)
-
-    def denoised(
-        self, recording: Path, n_neighbours: int | None, denoise: Callable[[], Denoised]
-    ) -> Denoised:
-        """Give what denoising leaves of a recording, which `denoise` tells if it was not done yet.
-
-        It takes an eighth of the time that all methods take, and to read the recording for it
-        nearly as much.
-        """
-        by = code_digest(*DENOISED_CODE), package_versions(SSAC_PACKAGES)
-        key = _digest(recording.name, n_neighbours, *by, Denoised._fields)
-        return self._arrays(Denoised, self.folder / "denoised" / f"{key}.npz", denoise)
+        by = code_digest(*code), package_versions(SSAC_PACKAGES)
+        key = _digest(recording.name, by, names, inputs)
+        path = self.folder / kind / f"{key}.npz"
+        if path.exists():
+            try:
+                with np.load(path) as kept:  # whose parts have checksums
+                    return {name: kept[name] for name in names}
+            except Exception:  # of zip, of the format, of what stands in it
+                self._set_aside(path)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        told = tell()
+        with whole_file(path) as temporary, temporary.open("wb") as file:
+            np.savez(file, **told)  # type: ignore[arg-type]
+        return told
 
     def load_run(self, key: str) -> dict[str, Any] | None:
         """Return a run's row; None when there is none."""
@@ -145,7 +129,7 @@ class Cache:
             return None
         row = row_of_text(path.read_bytes())
         if row is None:
-            set_aside(path, self.folder)
+            self._set_aside(path)
         return row
 
     def save_run(self, key: str, row: dict[str, Any]) -> None:
@@ -158,7 +142,7 @@ class Cache:
             temporary.write_text(text_of_row(row), encoding="utf-8")
 
     def claim_of_runs(self, recordings: str) -> Path:
-        """Name the claim to all runs on some recordings, as `task.recordings_key` names these."""
+        """Name the lock of all runs on some recordings, as `task.recordings_key` names these."""
         return self.folder / "runs" / f".{recordings}{CLAIM}"
 
     @contextmanager
@@ -176,41 +160,48 @@ class Cache:
 
     def _is_kept(self, folder: Path, names: Collection[str] | None) -> bool:
         """Whether a recording is there and whole; a damaged one is moved aside."""
-        if folder not in self.sound and folder.exists():
-            if not is_sound(folder, names):
-                set_aside(folder, self.folder)
-                return False
-            if names is None:
-                self.sound.add(folder)
-        return folder.exists()
+        if folder in self.sound and folder.exists():
+            return True
+        if not (folder.exists() and _sums_path(folder).exists()):
+            return False
+        if not is_sound(folder, names):
+            self._set_aside(folder)
+            return False
+        if names is None:
+            self.sound.add(folder)
+        return True
 
     def _simulate(self, config: SimConfig, seed: int, folder: Path) -> None:
-        provenance = {"config": plain(config), "seed": seed}
         check_folder(folder.parent, recording_bytes(config))
+        if folder.exists():  # and has no checksums: who made it was killed just then
+            self._set_aside(folder)
         try:
-            record(config, seed, folder, provenance)
+            record(config, seed, folder, {"config": content(config), "seed": seed})
             save_sums(folder)
             self.sound.add(folder)
             self.simulated.append(folder)
         except Exception as error:
             if isinstance(error.__cause__, OSError):
                 raise WriteError(str(error)) from error
-            if not folder.exists():  # unless another process was first, its claim having lapsed
+            if not folder.exists():  # unless another process was first, its lock having lapsed
                 raise
 
-    def _arrays(self, kind: type[Kept], path: Path, measure: Callable[[], Kept]) -> Kept:
-        """Load arrays, which are measured and kept first where they are not there, or damaged."""
-        if path.exists():
+    def _set_aside(self, path: Path) -> None:
+        """Move a damaged entry, and its checksums, to where it is not used, and say so."""
+        unique = os.urandom(4).hex()
+        for one in (path, _sums_path(path)):
+            aside = self.folder / ASIDE / f"{one.stem}.{unique}{one.suffix}"
             try:
-                with np.load(path) as kept:  # whose parts have checksums
-                    return kind(*(kept[name] for name in kind._fields))
-            except Exception:  # of zip, of the format, of what stands in it
-                set_aside(path, self.folder)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        made = measure()
-        with whole_file(path) as temporary, temporary.open("wb") as file:
-            np.savez(file, **made._asdict())
-        return made
+                aside.parent.mkdir(parents=True, exist_ok=True)
+                one.rename(aside)
+            except FileNotFoundError:  # it has none, or another process was faster
+                continue
+            except OSError as error:
+                raise SsacError(
+                    f"{one}: is damaged and cannot be moved aside ({error.strerror}): delete it"
+                ) from error
+            if one == path:
+                say(f"{path} was damaged: moved to {aside}, and made again")
 
     def _tidy(self) -> None:
         runs = self.folder / "runs"
@@ -226,6 +217,9 @@ class Cache:
         return self.folder / "runs" / key[:2] / f"{key}.json"
 
 
+# --- What an entry depends on ---
+
+
 def recording_key(config: SimConfig, seed: int) -> str:
     """Name a recording by all that it depends on: if OpenGL draws it, this machine's driver too."""
     drawn_with_gl = config.render.renderer == "pyrender"
@@ -233,24 +227,14 @@ def recording_key(config: SimConfig, seed: int) -> str:
     return _digest(
         content(replace(config, t_d_s=0.0)),
         seed,
-        code_digest(*RECORDING_CODE, *code_of(type(config))),  # whose scene it is
+        code_digest(*RECORDING_CODE, type(config).__module__),  # whose scene it is
         package_versions(SIM_PACKAGES),
-        plain(context) if context else None,
+        content(context),
     )
 
 
 def run_key(recordings: tuple[str, ...], inputs: Any, code: tuple[str, ...]) -> str:
-    """Name a row by all that it depends on.
-
-    Parameters
-    ----------
-    recordings
-        Keys of the recordings that it is measured on.
-    inputs
-        Everything else that goes in: parameters, the method's name and its version.
-    code
-        That measures it, as of `code_of`.
-    """
+    """Name a row by the keys of its recordings, all else that goes in, and code as of `code_of`."""
     return _digest(recordings, content(inputs), code_digest(*code), package_versions(SSAC_PACKAGES))
 
 
@@ -268,3 +252,97 @@ def content(value: Any) -> Any:
 def _digest(*parts: Any) -> str:
     text = json.dumps(parts, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:24]
+
+
+def recording_bytes(config: SimConfig) -> int:
+    """Bound the space of a recording: a disk that runs full while HDF5 writes ends the process."""
+    frames = 0.1 * config.frames.rate_hz * config.resolution[0] * config.resolution[1]  # as coded
+    events = 200_000.0  # of 60,000 events a second and camera, at 3 bytes each
+    truth = 100_000.0
+    return round(config.spline.duration_s * (2.0 * (frames + events) + truth))
+
+
+# --- Whether an entry is what was written ---
+
+
+def save_sums(folder: Path) -> None:
+    """Note the checksums of a folder's files beside it."""
+    with whole_file(_sums_path(folder)) as temporary:
+        temporary.write_text(json.dumps(_sums(folder)), encoding="utf-8")
+
+
+def is_sound(folder: Path, names: Collection[str] | None = None) -> bool:
+    """Whether a folder's files, or those of some names, are those that were written."""
+    try:
+        noted = json.loads(_sums_path(folder).read_text(encoding="utf-8"))
+        noted = {name: sum_ for name, sum_ in noted.items() if names is None or name in names}
+    except (ValueError, AttributeError):
+        return False
+    return noted == _sums(folder, names)
+
+
+def text_of_row(row: dict[str, Any]) -> str:
+    """Give the text of an entry that holds one measured row."""
+    return json.dumps({"row": row, "sha256": _sha256(json.dumps(row).encode())})
+
+
+def row_of_text(text: bytes) -> dict[str, Any] | None:
+    """Read a row; None when the text is damaged."""
+    try:
+        entry = json.loads(text.decode("utf-8"))
+        row: dict[str, Any] = entry["row"]
+        return row if entry["sha256"] == _sha256(json.dumps(row).encode()) else None
+    except (ValueError, KeyError, TypeError, RecursionError):
+        return None
+
+
+def _sums_path(folder: Path) -> Path:
+    return folder.with_name(f"{folder.name}.sha256")
+
+
+def _sums(folder: Path, names: Collection[str] | None = None) -> dict[str, str]:
+    return {
+        path.name: _sha256(path.read_bytes())
+        for path in folder.iterdir()
+        if path.is_file() and (names is None or path.name in names)
+    }
+
+
+def _sha256(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()
+
+
+# --- Locks that one process at a time can hold, whatever host it runs on ---
+
+_SEEN: dict[Path, SoftFileLease] = {}
+"""Of those who found a lock taken: each remembers since when nobody has touched it."""
+
+
+@contextmanager
+def claimed(path: Path) -> Iterator[bool]:
+    """Hold a lock, whose file ends with CLAIM, while the block runs; False when another has it."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    lease = _SEEN.pop(path, None) or SoftFileLease(
+        path, lease_duration=LAPSES_S, timeout=0, thread_local=False
+    )
+    try:
+        lease.acquire()
+    except Timeout:
+        _SEEN[path] = lease
+        yield False
+        return
+    try:
+        yield True
+    finally:
+        lease.release()
+
+
+def remove_lapsed(folder: Path) -> None:
+    """Remove the locks in a folder whose holders are gone."""
+    for path in folder.glob(f".*{CLAIM}"):
+        with suppress(OSError):
+            if path.stat().st_size == 0:  # it was killed before it wrote who it is
+                path.unlink()
+                continue
+        with claimed(path):
+            pass

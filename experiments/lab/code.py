@@ -12,7 +12,7 @@ of functions do not count: better prose changes no number.
 
 import ast
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.metadata import version
@@ -39,14 +39,16 @@ _TREES = ("sim", "ssac")  # where data files belong to the code; those of `exper
 _HARMLESS = {"dataclass", "njit", "cache", "lru_cache", "contextmanager"}
 """Decorators that register nothing elsewhere."""
 
+_DEFINING = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)
+
 
 @dataclass(frozen=True)
-class Definition:
-    """One statement at the top level of a module."""
+class Code:
+    """A module, or one statement at its top level: what it does without its prose, and uses."""
 
     digest: str
     names: frozenset[str]  # that it mentions, of its module or not
-    uses: frozenset[Use]  # that it imports itself
+    imports: frozenset[tuple[str, Use]]  # of our packages, with the name that each has here
     strings: frozenset[str]  # that may name a module or a definition
 
 
@@ -54,11 +56,9 @@ class Definition:
 class Source:
     """One file of code."""
 
-    digest: str  # of the code without its prose
-    uses: frozenset[Use]
-    strings: frozenset[str]  # with a dot
-    imports: dict[str, Use]  # by the name that each has here
-    definitions: dict[str, tuple[Definition, ...]]  # by the names that they bind
+    whole: Code
+    imports: dict[str, Use]  # at the top level
+    definitions: dict[str, list[Code]]  # by the names that they bind
 
 
 @dataclass
@@ -87,94 +87,80 @@ class SourceTree:
         of the package count.
         """
         found: set[str] = set()
-        left: list[Use] = []
-        for start in starts:
-            module, _, name = start.partition(":")
-            left.append((module, name))
         done: set[Use] = set()
+        left = [(module, name) for module, _, name in (start.partition(":") for start in starts)]
         while left:
             use = left.pop()
-            if use in done:
-                continue
-            done.add(use)
-            left += self._follow(*use, found)
+            if use not in done:
+                done.add(use)
+                left += self._follow(*use, found)
         return found
 
     def _digest_of(self, name: str) -> str:
-        module, _, definition = name.partition(":")
+        module, is_definition, definition = name.partition(":")
         source = self._source(module)
-        if ":" not in name:
-            return source.digest
+        if not is_definition:
+            return source.whole.digest
         return " ".join(one.digest for one in source.definitions[definition])
 
-    def _follow(self, module: str, name: str, found: set[str]) -> list[Use]:
+    def _follow(self, module: str, name: str, found: set[str]) -> Iterable[Use]:
         """Add what a use of a module (or of a name of it) brings in; return its own uses."""
         if name and self._path(f"{module}.{name}"):
             return [(f"{module}.{name}", "")]
-        path = self._path(module)
-        if path is None:
-            raise FileNotFoundError(f"no module {module} under {self.root}")
         source = self._source(module)
-        if path.name == "__init__.py":
+        uses = [use for _, use in source.whole.imports]
+        path = self._path(module)
+        if path is not None and path.name == "__init__.py":
             found.add(module)
-            return self._follow_package(module, name, source)
+            origins = {use for use in uses if use[1] == name}
+            if name and len(origins) == 1:
+                return origins
+            return [*uses, *self._inside((f"{module}.",) if name else ())]
         if module.partition(".")[0] != BY_DEFINITIONS:
             found.add(module)
-            return [*source.uses, *self._named(source.strings)]
+            return [*uses, *self._named(source.whole.strings)]
         if name in source.imports:
             return [source.imports[name]]
-        chosen = {name} if name in source.definitions else set(source.definitions)
-        if _ALWAYS in source.definitions:
-            chosen.add(_ALWAYS)
+        chosen = {name, _ALWAYS} & set(source.definitions)
+        if not name or name not in chosen:
+            chosen = set(source.definitions)
         found |= {f"{module}:{one}" for one in chosen}
-        return [use for one in chosen for use in self._uses_of(module, source, one)]
+        codes = [code for one in chosen for code in source.definitions[one]]
+        return [use for code in codes for use in self._uses_of(module, source, code)]
 
-    def _follow_package(self, module: str, name: str, source: Source) -> list[Use]:
-        origins = [use for use in source.uses if use[1] == name]
-        if name and len(origins) == 1:
-            return origins
-        if not name:
-            return list(source.uses)
-        inside = [(other, "") for other in self._modules() if other.startswith(f"{module}.")]
-        return [*source.uses, *inside]
+    def _uses_of(self, module: str, source: Source, code: Code) -> Iterator[Use]:
+        """Yield what a definition uses, of its own module or of others."""
+        yield from (use for _, use in code.imports)
+        yield from self._named(code.strings)
+        for mentioned in code.names | code.strings:
+            if mentioned in source.definitions and mentioned != _ALWAYS:
+                yield module, mentioned
+            elif mentioned in source.imports:
+                yield source.imports[mentioned]
 
-    def _uses_of(self, module: str, source: Source, name: str) -> Iterator[Use]:
-        """Yield what the definitions of a name use, of their own module or of others."""
-        for one in source.definitions[name]:
-            yield from one.uses
-            yield from self._named(one.strings)
-            for mentioned in one.names | one.strings:
-                if mentioned in source.definitions and mentioned != _ALWAYS:
-                    yield module, mentioned
-                elif mentioned in source.imports:
-                    yield source.imports[mentioned]
-
-    def _named(self, strings: frozenset[str]) -> list[Use]:
+    def _named(self, strings: Iterable[str]) -> list[Use]:
         """Modules that a string names, "a.b.c" or "a.b.c:name"; of a folder all that are in it."""
         names = {text.partition(":")[0] for text in strings if "." in text}
         folders = tuple(f"{name}." for name in names if self._path(f"{name}.__init__"))
-        inside = [name for name in self._modules() if name.startswith(folders)] if folders else []
-        return [(name, "") for name in [*names, *inside] if self._path(name)]
+        return [(name, "") for name in names if self._path(name)] + self._inside(folders)
 
-    def _modules(self) -> Iterator[str]:
-        for package in PACKAGES:
-            for path in (self.root / package).rglob("*.py"):
-                if path.name != "__init__.py":
-                    yield ".".join(path.relative_to(self.root).with_suffix("").parts)
+    def _inside(self, folders: tuple[str, ...]) -> list[Use]:
+        """List all modules in some folders, "a.b."; none without reading the disk."""
+        paths = [path for package in PACKAGES if folders
+                 for path in (self.root / package).rglob("*.py")]  # fmt: skip
+        names = (".".join(path.relative_to(self.root).with_suffix("").parts)
+                 for path in paths if path.name != "__init__.py")  # fmt: skip
+        return [(name, "") for name in names if name.startswith(folders)]
 
     def _path(self, module: str) -> Path | None:
         """File of a module of ours, None where there is none."""
         if module not in self.paths:
-            self.paths[module] = self._found(module)
+            parts = module.split(".")
+            is_ours = parts[0] in PACKAGES and all(part.isidentifier() for part in parts)
+            base = self.root.joinpath(*parts)
+            files = [base.with_suffix(".py"), base / "__init__.py"] if is_ours else []
+            self.paths[module] = next((path for path in files if path.is_file()), None)
         return self.paths[module]
-
-    def _found(self, module: str) -> Path | None:
-        parts = module.split(".")
-        if parts[0] not in PACKAGES or not all(part.isidentifier() for part in parts):
-            return None
-        base = self.root.joinpath(*parts)
-        candidates = (base.with_suffix(".py"), base / "__init__.py")
-        return next((path for path in candidates if path.is_file()), None)
 
     def _data_beside(self, module: str) -> Iterator[Path]:
         """Files that are no code, in a module's folder and in folders there without modules."""
@@ -201,48 +187,56 @@ def read_source(text: str) -> Source:
     """Read code: what it does, what it uses of our packages, and its definitions."""
     tree = ast.parse(text)
     for node in list(ast.walk(tree)):
-        if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef, ast.Module)):
+        if isinstance(node, (*_DEFINING, ast.Module)):
             node.body = [line for line in node.body if not _is_prose(line)]
-    digest = _digest(tree)
-    strings = frozenset(text for text in _strings(tree) if "." in text)
-    uses = frozenset(use for _, use in _imports(tree))
+    whole = _code(tree)
     imports: dict[str, Use] = {}
-    definitions: dict[str, list[Definition]] = {}
+    definitions: dict[str, list[Code]] = {}
     for line in tree.body:
-        if _is_for_types(line):
-            continue
-        imports.update(_imports(line))
-        if isinstance(line, (ast.Import, ast.ImportFrom)):
-            continue
-        one = _definition(line)
-        for name in _bound(line) or {_ALWAYS}:
-            definitions.setdefault(name, []).append(one)
-    found = {name: tuple(some) for name, some in definitions.items()}
-    return Source(digest, uses, strings, imports, found)
+        if isinstance(line, ast.If) and getattr(line.test, "id", "") == "TYPE_CHECKING":
+            continue  # never run
+        for node in ast.walk(line):
+            if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
+                node.returns = None
+            elif isinstance(node, ast.arg):
+                node.annotation = None
+        code = _code(line)
+        imports.update(code.imports)
+        if not isinstance(line, (ast.Import, ast.ImportFrom)):
+            for name in _bound(line):
+                definitions.setdefault(name, []).append(code)
+    return Source(whole, imports, definitions)
 
 
-def _definition(line: ast.stmt) -> Definition:
-    for node in ast.walk(line):
-        if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
-            node.returns = None
-        elif isinstance(node, ast.arg):
-            node.annotation = None
-    names = frozenset(node.id for node in ast.walk(line) if isinstance(node, ast.Name))
-    uses = frozenset(use for _, use in _imports(line))
-    return Definition(_digest(line), names, uses, frozenset(_strings(line)))
+def _code(tree: ast.AST) -> Code:
+    imports: set[tuple[str, Use]] = set()
+    names, strings = set(), set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Name):
+            names.add(node.id)
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+            strings.add(node.value)
+        elif isinstance(node, ast.Import):
+            for alias in node.names:
+                imports.add((alias.asname or alias.name.partition(".")[0], (alias.name, "")))
+        elif isinstance(node, ast.ImportFrom):
+            for alias in node.names:
+                imports.add((alias.asname or alias.name, (str(node.module), alias.name)))
+    ours = frozenset(one for one in imports if one[1][0].partition(".")[0] in PACKAGES)
+    digest = hashlib.sha256(ast.dump(tree).encode()).hexdigest()
+    return Code(digest, frozenset(names), ours, frozenset(strings))
 
 
 def _bound(line: ast.stmt) -> set[str]:
     """Names that a statement binds; _ALWAYS among them where it may do something else too."""
-    if isinstance(line, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)):
+    if isinstance(line, _DEFINING):
         may_register = any(_decorator(one) not in _HARMLESS for one in line.decorator_list)
         return {line.name} | ({_ALWAYS} if may_register else set())
     inside = list(ast.walk(line))
     stored = {
         one.id for one in inside if isinstance(one, ast.Name) and isinstance(one.ctx, ast.Store)
     }
-    defined = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)
-    return stored | {one.name for one in inside if isinstance(one, defined)}
+    return stored | {one.name for one in inside if isinstance(one, _DEFINING)} or {_ALWAYS}
 
 
 def _decorator(node: ast.expr) -> str:
@@ -250,40 +244,10 @@ def _decorator(node: ast.expr) -> str:
     return called.attr if isinstance(called, ast.Attribute) else getattr(called, "id", "")
 
 
-def _imports(tree: ast.AST) -> Iterator[tuple[str, Use]]:
-    """Yield the name here, and what it stands for, of all imports of ours."""
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Import):
-            for alias in node.names:
-                if alias.name.partition(".")[0] in PACKAGES:
-                    yield alias.asname or alias.name.partition(".")[0], (alias.name, "")
-        elif isinstance(node, ast.ImportFrom) and (node.module or "").partition(".")[0] in PACKAGES:
-            for alias in node.names:
-                yield alias.asname or alias.name, (str(node.module), alias.name)
-
-
-def _strings(tree: ast.AST) -> Iterator[str]:
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Constant) and isinstance(node.value, str):
-            yield node.value
-
-
-def _is_for_types(line: ast.stmt) -> bool:
-    """Return whether a statement is `if TYPE_CHECKING:`, which is never run."""
-    return isinstance(line, ast.If) and getattr(line.test, "id", "") == "TYPE_CHECKING"
-
-
 def _is_prose(line: ast.stmt) -> bool:
     """Return whether a statement is a string and nothing else: a docstring, or one of a name."""
-    return (
-        isinstance(line, ast.Expr)
-        and isinstance(line.value, ast.Constant)
-        and isinstance(line.value.value, str)
-    )
-
-
-def _digest(tree: ast.AST) -> str:
-    return hashlib.sha256(ast.dump(tree).encode()).hexdigest()
+    value = line.value if isinstance(line, ast.Expr) else None
+    return isinstance(value, ast.Constant) and isinstance(value.value, str)
 
 
 def code_of(*things: Any) -> tuple[str, ...]:

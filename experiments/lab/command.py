@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from inspect import Parameter, Signature, signature
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 import pandas as pd
 import typer
@@ -17,19 +17,16 @@ from experiments.lab.cell import CRASHED
 from experiments.lab.grid import Cell
 from experiments.lab.results import Results
 from experiments.lab.schedule import Outcome, Workers
-from experiments.lab.study import (
-    WHOLE,
-    How,
-    Options,
-    Study,
-    check_reads,
-    parse_shard,
-    save_study,
-)
+from experiments.lab.study import WHOLE, How, Options, Study, check_reads, parse_shard, save_study
 from sim.recording import SimConfig
 from sim.render.config import RENDERERS
 from ssac.cli.exits import BUG
 from ssac.errors import PluginError, SsacError
+
+T = TypeVar("T")
+
+_KEYWORD = Parameter.KEYWORD_ONLY
+_SCREEN = 120  # characters in a line
 
 NOT_SIMULATED = "recording: SimError: "
 """Begins the reason of a run of which the simulator says that its configuration makes no sense."""
@@ -45,12 +42,10 @@ def _some(workers: int) -> int:
 
 
 WorkersOption = Annotated[
-    int,
-    typer.Option(help="Worker processes; -1: one per core.", metavar="COUNT", callback=_some),
+    int, typer.Option(help="Worker processes; -1: one per core.", metavar="COUNT", callback=_some)
 ]
 SchedulerOption = Annotated[
-    str,
-    typer.Option(help="Run on a Dask cluster: host:port of its scheduler.", metavar="ADDRESS"),
+    str, typer.Option(help="Run on a Dask cluster: host:port of its scheduler.", metavar="ADDRESS")
 ]
 OutOption = Annotated[Path, typer.Option(metavar="FOLDER", help="Folder for the results.")]
 CacheOption = Annotated[
@@ -84,44 +79,61 @@ ALL_OPTIONS: Mapping[str, tuple[Any, Any]] = {
 """Of every command that runs studies: annotation and default by name."""
 
 
-def command_of(parts: Mapping[str, Sequence[Study]], help_text: str) -> Callable[..., None]:
-    """Make the command that runs some studies.
+Chosen = tuple[Sequence[Study], Options]
+"""Studies to run, and values of their options."""
 
-    Parameters
-    ----------
-    parts
-        Studies by the name of the part of the command that they are; without a choice if it is one.
-    """
+
+def command_of(parts: Mapping[str, Sequence[Study]], help_text: str) -> Callable[..., None]:
+    """Make the command that runs some studies, by the part of it that each is."""
     studies = [study for some in parts.values() for study in some]
+    options = {k: v for study in studies for k, v in signature(study.cells).parameters.items()}
+    argument = typer.Argument(
+        help=f"Parts to run: {', '.join(parts)}.  [default: all]",
+        metavar="PART",
+        show_default=False,
+    )
+    named = Parameter(
+        "parts", _KEYWORD, annotation=Annotated[list[str] | None, argument], default=None
+    )
+
+    def choose(**given: Any) -> Chosen:
+        some = chosen(given.pop("parts", None) or [*parts], parts, "part")
+        return [study for part in some for study in part], given
+
+    own = [one.replace(kind=_KEYWORD) for one in options.values()]
+    choose.__signature__ = Signature([named, *own] if len(parts) > 1 else own)  # type: ignore[attr-defined]
+    choose.__doc__ = help_text
     alone = all(study.how is How.ALONE for study in studies)
-    of_studies = {
-        name: one for study in studies for name, one in signature(study.cells).parameters.items()
-    }
-    of_all = {
-        name: Parameter(name, Parameter.KEYWORD_ONLY, annotation=annotation, default=default)
-        for name, (annotation, default) in ALL_OPTIONS.items()
-        if not alone or name in ("out", "cache")
-    }
-    parameters = [one.replace(kind=Parameter.KEYWORD_ONLY) for one in of_studies.values()]
-    if len(parts) > 1:
-        named = Annotated[list[str] | None, parts_argument(parts)]
-        first = Parameter("parts", Parameter.KEYWORD_ONLY, annotation=named, default=None)
-        parameters.insert(0, first)
-    parameters += of_all.values()
+    return running(choose, ("out", "cache") if alone else tuple(ALL_OPTIONS))
+
+
+def running(
+    choose: Callable[..., Chosen], shared: Sequence[str] = tuple(ALL_OPTIONS)
+) -> Callable[..., None]:
+    """Make the command that runs what its own parameters choose."""
+    own = {name: one.replace(kind=_KEYWORD) for name, one in signature(choose).parameters.items()}
+    options = {name: ALL_OPTIONS[name] for name in shared}
+    parameters = [*own.values(), *(Parameter(name, _KEYWORD, annotation=annotation, default=default)
+                                   for name, (annotation, default) in options.items())]  # fmt: skip
 
     def command(**given: Any) -> None:
-        """Run the studies of the parts that are named."""
-        chosen = chosen_parts(given.pop("parts", None), parts)
-        some = [study for part in chosen for study in parts[part]]
-        options = {name: given[name] for name in of_studies}
+        studies, values = choose(**{name: given.pop(name) for name in own})
         workers = Workers(given.get("workers", 1), given.get("scheduler", ""))
         cache, shard = Cache(given["cache"]), given.get("shard", "1/1")
-        run_studies(some, given["out"], cache, workers, shard, options)
+        run_studies(studies, given["out"], cache, workers, shard, values)
 
-    command.__doc__ = help_text
+    command.__doc__ = choose.__doc__
     command.__annotations__ = {one.name: one.annotation for one in parameters}
     command.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
     return command
+
+
+def chosen(names: Iterable[str], known: Mapping[str, T], kind: str) -> list[T]:
+    """Return what is named, in that order; SsacError if there is none of a name."""
+    for name in names:
+        if name not in known:
+            raise SsacError(f"unknown {kind} {name!r}: use one of {', '.join(known)}")
+    return [known[name] for name in names]
 
 
 def run_studies(
@@ -140,51 +152,31 @@ def run_studies(
     outcomes, written = [], []
     for study in studies:
         outcome, paths = save_study(study, out, cache, workers, part, options)
-        if outcome is not None:
-            outcomes.append(outcome)
+        outcomes += [outcome] if outcome else []
         written += paths
         if study.shows and part == WHOLE:
-            typer.echo(Results(out).table(study.shows).to_string(index=False))
-    if outcomes:
-        finish(_joined(outcomes), cache, *written)
-    else:
-        for path in written:
-            typer.echo(f"written to {path}")
+            typer.echo(on_screen(Results(out).table(study.shows)))
+    finish(outcomes, cache, *written)
 
 
-def _joined(outcomes: Sequence[Outcome]) -> Outcome:
-    """Sum up several studies."""
-    return Outcome(
-        pd.concat([outcome.runs for outcome in outcomes], ignore_index=True),
-        sum(outcome.n_recordings for outcome in outcomes),
-        sum(outcome.n_simulated for outcome in outcomes),
-        max(outcome.peak_mb for outcome in outcomes),
-        sum(outcome.n_deaths for outcome in outcomes),
-    )
-
-
-def parts_argument(parts: Iterable[str]) -> Any:
-    """Make the argument that names some parts of a command; `chosen_parts` reads it."""
-    return typer.Argument(
-        help=f"Parts to run: {', '.join(parts)}.  [default: all]",
-        metavar="PART",
-        show_default=False,
-    )
-
-
-def chosen_parts(named: Sequence[str] | None, parts: Iterable[str]) -> list[str]:
-    """Return the parts of a command that were named, all where none was.
-
-    Raises
-    ------
-    SsacError
-        If there is no such part.
-    """
-    known = list(parts)
-    unknown = [name for name in named or () if name not in known]
-    if unknown:
-        raise SsacError(f"unknown part {unknown[0]!r}: use one of {', '.join(known)}")
-    return list(named or known)
+def on_screen(table: pd.DataFrame) -> str:
+    """Lay a table out for a screen: a mean, its 95 % interval and the median are one column."""
+    shown = {}
+    for name in map(str, table):
+        error, _, kind = name.rpartition("_")
+        if f"{error}_low" not in table or f"{error}_median" not in table:
+            texts = table[name].map(lambda one: f"{one:g}" if isinstance(one, float) else str(one))
+            none = "0" if name == "refusals" else ""
+            shown[name] = texts.where(table[name].notna(), none)
+        elif kind == "mean" and table[name].notna().any():
+            half = (table[name] - table[f"{error}_low"]).map("{:.2g}".format)
+            mean, median = (
+                table[f"{error}_{of}"].map("{:.3g}".format) for of in ("mean", "median")
+            )
+            text = (mean + "±" + half + " " + median).str.replace("±nan", "")
+            shown[f"{error} ± median"] = text.where(table[name].notna(), "")
+    lines: str = pd.DataFrame(shown).to_string(index=False, line_width=_SCREEN)
+    return lines
 
 
 def check_is_folder(out: Path) -> None:
@@ -202,42 +194,44 @@ def drawn_by(cells: Iterable[Cell], renderer: str, check: bool) -> list[Cell]:
     return [replace(cell, sim=drawn(cell.sim)) for cell in cells]
 
 
-def finish(outcome: Outcome, cache: Cache, *files: Path) -> None:
-    """Say what was done, and whether runs crashed, which is a bug: ours, or of other packages.
-
-    Raises
-    ------
-    SsacError
-        If runs have no recording, as nothing can be simulated of what the configuration asks for.
-    """
-    runs = outcome.runs
-    failed = runs[runs["status"] != "ok"]
-    of = next((name for name in ("method", "variant", "signal") if name in failed), "status")
-    typer.echo(
-        f"{len(runs)} runs; recordings worked on: {outcome.n_recordings} "
-        f"({outcome.n_simulated} of them simulated)",
-        err=True,
-    )
-    if outcome.n_deaths:
-        typer.echo(f"{outcome.n_deaths} workers died and were replaced", err=True)
-    if outcome.peak_mb:
-        typer.echo(f"peak memory of a worker: {outcome.peak_mb:.0f} MB", err=True)
-    typer.echo(f"size of the cache {cache.folder}: {cache.size_bytes() / 1e9:.2f} GB", err=True)
-    for (name, status), group in failed.groupby([of, "status"]):
-        typer.echo(f"{name}: {len(group)} runs {status}: {group['reason'].iloc[0]}", err=True)
+def finish(outcomes: Sequence[Outcome], cache: Cache, *files: Path) -> None:
+    """Say what was done, and whether runs crashed, which is a bug: ours, or of other packages."""
+    if outcomes:
+        _tell(outcomes, cache)
     for path in files:
         typer.echo(f"written to {path}")
-    crashed = runs[runs["status"] == CRASHED]
-    refused = crashed[crashed["reason"].astype(str).str.startswith(NOT_SIMULATED)]
-    if len(crashed) and len(refused) == len(crashed):
-        reason = str(refused["reason"].iloc[0]).removeprefix(NOT_SIMULATED)
-        raise SsacError(f"{len(refused)} runs have no recording, the first of them: {reason}")
-    if outcome.n_crashed:
-        theirs = crashed["reason"].astype(str).str.contains(f" {PluginError.__name__}: ")
-        whose = "other packages' methods" if theirs.all() else "this program"
-        typer.echo(
-            f"error: a bug in {whose}: {outcome.n_crashed} runs crashed, their reasons are in the"
-            " rows; run again to try them again",
-            err=True,
-        )
-        raise typer.Exit(BUG)
+    rows = [outcome.runs for outcome in outcomes if outcome.n_crashed]
+    if not rows:
+        return
+    runs = pd.concat(rows, ignore_index=True)
+    reasons = runs["reason"][runs["status"] == CRASHED].astype(str)
+    if reasons.str.startswith(NOT_SIMULATED).all():
+        reason = reasons.iloc[0].removeprefix(NOT_SIMULATED)
+        raise SsacError(f"{len(reasons)} runs have no recording, the first of them: {reason}")
+    theirs = reasons.str.contains(f" {PluginError.__name__}: ").all()
+    whose = "other packages' methods" if theirs else "this program"
+    typer.echo(
+        f"error: a bug in {whose}: {len(reasons)} runs crashed, their reasons are in the rows; run"
+        " again to try them again",
+        err=True,
+    )
+    raise typer.Exit(BUG)
+
+
+def _tell(outcomes: Sequence[Outcome], cache: Cache) -> None:
+    runs = pd.concat([outcome.runs for outcome in outcomes], ignore_index=True)
+    n_recordings = sum(outcome.n_recordings for outcome in outcomes)
+    n_simulated = sum(outcome.n_simulated for outcome in outcomes)
+    n_deaths = sum(outcome.n_deaths for outcome in outcomes)
+    peak_mb = max(outcome.peak_mb for outcome in outcomes)
+    lines = [
+        f"{len(runs)} runs; recordings worked on: {n_recordings} ({n_simulated} of them simulated)",
+        *([f"{n_deaths} workers died and were replaced"] if n_deaths else []),
+        *([f"peak memory of a worker: {peak_mb:.0f} MB"] if peak_mb else []),
+        f"size of the cache {cache.folder}: {cache.size_bytes() / 1e9:.2f} GB",
+    ]
+    failed = runs[runs["status"] != "ok"]
+    of = next((name for name in ("method", "variant", "signal") if name in failed), "status")
+    for (name, status), group in failed.groupby([of, "status"]):
+        lines.append(f"{name}: {len(group)} runs {status}: {group['reason'].iloc[0]}")
+    typer.echo("\n".join(lines), err=True)

@@ -9,6 +9,7 @@ import hashlib
 import io
 import json
 import os
+import re
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -27,7 +28,6 @@ SUMS_FILE = "SHA256SUMS"
 DPI = 110
 
 _PALETTE_SIZE = 96  # colours of a PNG: a third of the bytes, and no difference to be seen
-_DIGEST_DIGITS = 64
 
 
 def csv_text(table: pd.DataFrame, digits: int = 6) -> str:
@@ -73,15 +73,7 @@ def png_bytes(figure: "Figure") -> bytes:
 
 
 def record_checksums(folder: Path, paths: Iterable[Path]) -> None:
-    """Note what files of a folder of results are now; the notes on its other files stay.
-
-    Parameters
-    ----------
-    folder
-        Of the results. Several commands may write to it at once.
-    paths
-        Files in it that were just written, each with its provenance if that lies beside it.
-    """
+    """Note what files of results are now, each with its provenance; notes on others stay."""
     with _alone(folder):
         sums = read_checksums(folder) if (folder / SUMS_FILE).exists() else {}
         for path in paths:
@@ -102,14 +94,10 @@ def read_checksums(folder: Path) -> dict[str, str]:
         raise SsacError(f"{path} cannot be read: {error}") from error
     sums = {}
     for number, line in enumerate(lines, start=1):
-        digest, gap, name = (
-            line[:_DIGEST_DIGITS],
-            line[_DIGEST_DIGITS : _DIGEST_DIGITS + 2],
-            line[_DIGEST_DIGITS + 2 :],
-        )
-        if set(digest) - set("0123456789abcdef") or gap != "  " or not name:
+        noted = re.fullmatch(r"([0-9a-f]{64})  (.+)", line)
+        if noted is None:
             raise SsacError(f"{path}: line {number} is no digest and name: {line[:100]!r}")
-        sums[name] = digest
+        sums[noted[2]] = noted[1]
     return sums
 
 

@@ -29,6 +29,7 @@ from itertools import product
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
+from experiments.lab.cell import FlightCell
 from sim.errors import SimError
 from sim.recording import SimConfig
 from ssac.config import Config, checked
@@ -55,21 +56,16 @@ _ROOTS: dict[str, Any] = {"sim": SimConfig(), "ssac": Config()}
 
 
 @dataclass(frozen=True)
-class Cell:
-    """One run: a method with its parameters, on one flight, with one offset."""
+class Cell(FlightCell):
+    """One run: a method with its parameters, on one flight, with one offset.
 
-    sim: SimConfig  # t_d_s = 0: the offset is added to the recording
-    flight: int  # its number among those of one duration and angle
-    seed: int  # as of `flight_seed`: of `sim.recording.simulate`, and of `ssac simulate --seed`
+    The `t_d_s` of its `sim` is 0: the offset is added to the recording.
+    """
+
     t_d_s: float
     estimator: Config
     method: str  # of the registry
     parameters: Mapping[str, Any]  # dotted name -> value: all that the grid's TOML sets
-
-    @property
-    def recordings(self) -> tuple[tuple[SimConfig, int], ...]:
-        """The one that it is run on (`task.AnyCell`)."""
-        return ((self.sim, self.seed),)
 
     @property
     def columns(self) -> dict[str, Any]:
@@ -120,25 +116,22 @@ class GridConfig:
     def _cells(self) -> Iterator[Cell]:
         flights = range(self.first_flight, self.first_flight + self.flights)
         for point in product(*self.axes):
-            parameters = dict(self.fixed)
-            for part in point:
-                parameters.update(part)
+            parameters = {**self.fixed, **{k: v for part in point for k, v in part.items()}}
             sim, estimator = configs_of(parameters)
-            t_d_s = sim.t_d_s
             if self.search_around_truth_s is not None:
                 low, high = self.search_around_truth_s
-                estimator = replace(estimator, interval_s=(t_d_s + low, t_d_s + high))
+                estimator = replace(estimator, interval_s=(sim.t_d_s + low, sim.t_d_s + high))
             checked(estimator)
-            if not 0.0 < sim.spline.duration_s <= MAX_DURATION_S:
+            duration_s = sim.spline.duration_s
+            if not 0.0 < duration_s <= MAX_DURATION_S:
                 raise SsacError(
                     f"sim.spline.duration_s: expected up to {MAX_DURATION_S:g} s, got "
-                    f"{sim.spline.duration_s:g}"
+                    f"{duration_s:g}"
                 )
             recorded = replace(sim, t_d_s=0.0)
-            for flight in flights:
-                seed = flight_seed(sim.spline.duration_s, sim.angle_deg, flight)
-                for method in self.methods:
-                    yield Cell(recorded, flight, seed, t_d_s, estimator, method, parameters)
+            for flight, method in product(flights, self.methods):
+                seed = flight_seed(duration_s, sim.angle_deg, flight)
+                yield Cell(recorded, flight, seed, sim.t_d_s, estimator, method, parameters)
 
 
 def flight_seed(duration_s: float, angle_deg: float, flight: int, base_seed: int = 0) -> int:
@@ -194,19 +187,16 @@ def grid_from_content(name: str, content: Mapping[str, Any]) -> GridConfig:
             raise SsacError(f"methods must be a list of names, got {method!r} in it")
         choose_method(method)
     flights, first_flight = content.get("flights", 10), content.get("first_flight", 0)
-    if not (_is_count(flights) and flights > 0):
+    if not (type(flights) is int and flights > 0):
         raise SsacError(f"flights must be a positive integer, got {flights!r}")
-    if not (_is_count(first_flight) and 0 <= first_flight <= MAX_CELLS):
+    if not (type(first_flight) is int and 0 <= first_flight <= MAX_CELLS):
         raise SsacError(f"first_flight must be 0 or a positive integer, got {first_flight!r}")
     fixed = dict(_flat(content.get("fixed", {})))
-    axes = [
-        tuple({key: value} for value in _values(key, values))
-        for key, values in _flat(content.get("grid", {}))
-    ]
     together = content.get("together", {})
     if not isinstance(together, Mapping):
         raise SsacError(f"together must be a table of tables, got {together!r}")
-    axes += [_axis(axis, dict(_flat(part))) for axis, part in together.items()]
+    lone = [_axis(key, {key: values}) for key, values in _flat(content.get("grid", {}))]
+    axes = lone + [_axis(f"together.{key}", dict(_flat(part))) for key, part in together.items()]
     n_cells = flights * len(methods) * math.prod(map(len, axes))
     if n_cells > MAX_CELLS:
         raise SsacError(f"the grid has {n_cells} runs, and {MAX_CELLS} are the most: split it")
@@ -290,7 +280,7 @@ def _converted(value: Any, hint: Any) -> Any:
 
 def _type_name(hint: Any) -> str:
     choices = [kind for kind in get_args(hint) if kind is not type(None)]
-    if len(choices) == 1:  # a union with None, which TOML lacks
+    if len(choices) == 1:  # a union with None
         return _type_name(choices[0])
     return hint.__name__ if isinstance(hint, type) and not choices else str(hint)
 
@@ -298,7 +288,7 @@ def _type_name(hint: Any) -> str:
 def _flat(table: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
     """Yield dotted names and values of nested tables."""
     if not isinstance(table, Mapping):
-        raise SsacError(f"{prefix.rstrip('.') or 'fixed, grid and together'} must be tables")
+        raise SsacError("fixed, grid and together must be tables")
     for key, value in table.items():
         if isinstance(value, Mapping):
             yield from _flat(value, f"{prefix}{key}.")
@@ -306,25 +296,16 @@ def _flat(table: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
             yield f"{prefix}{key}", value
 
 
-def _values(name: str, values: Any) -> list[Any]:
-    if not isinstance(values, list) or not values:
-        raise SsacError(f"{name}: expected a list of values, got {values!r}")
-    return values
-
-
 def _axis(axis: str, lists: Mapping[str, Any]) -> tuple[dict[str, Any], ...]:
-    """Build the points of an axis on which several parameters move together."""
-    lengths = {name: len(_values(name, values)) for name, values in lists.items()}
-    if len(set(lengths.values())) != 1:
-        found = ", ".join(f"{name} has {length}" for name, length in lengths.items())
-        raise SsacError(f"together.{axis}: expected lists of one length, but {found or 'none'}")
-    return tuple(
-        dict(zip(lists, values, strict=True)) for values in zip(*lists.values(), strict=True)
-    )
-
-
-def _is_count(value: Any) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool)
+    """Build the points of an axis on which parameters move, one or several together."""
+    for name, values in lists.items():
+        if not isinstance(values, list) or not values:
+            raise SsacError(f"{name}: expected a list of values, got {values!r}")
+    if len({len(values) for values in lists.values()}) != 1:
+        found = ", ".join(f"{name} has {len(values)}" for name, values in lists.items())
+        raise SsacError(f"{axis}: expected lists of one length, but {found or 'none'}")
+    points = zip(*lists.values(), strict=True)
+    return tuple(dict(zip(lists, values, strict=True)) for values in points)
 
 
 def _interval(value: Any) -> tuple[float, float] | None:
@@ -338,10 +319,8 @@ def _interval(value: Any) -> tuple[float, float] | None:
 
 
 def _figure(table: Any) -> FigureConfig | None:
-    if table is None:
-        return None
     try:
-        return FigureConfig(**table)
+        return None if table is None else FigureConfig(**table)
     except TypeError:
         known = ", ".join(one.name for one in fields(FigureConfig))
         raise SsacError(f"figure: expected a table with {known}, got {table!r}") from None

@@ -20,18 +20,14 @@ def markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     columns = list(zip(header, *rows, strict=True))
     widths = [max(3, *map(len, column)) for column in columns]
     right = [all(_NUMBER.fullmatch(cell) for cell in column[1:]) for column in columns]
-    rule = [
-        "-" * (width - 1) + ":" if to_right else "-" * width
-        for width, to_right in zip(widths, right, strict=True)
-    ]
-    lines = [
-        " | ".join(
-            cell.rjust(width) if to_right else cell.ljust(width)
-            for cell, width, to_right in zip(row, widths, right, strict=True)
-        )
-        for row in (header, rule, *rows)
-    ]
-    return "\n".join(f"| {line} |" for line in lines)
+    rule = ["-:".rjust(width, "-") if to_right else "-" * width
+            for width, to_right in zip(widths, right, strict=True)]  # fmt: skip
+
+    def line(row: Sequence[str]) -> str:
+        cells = zip(row, widths, right, strict=True)
+        return " | ".join(one.rjust(n) if to_right else one.ljust(n) for one, n, to_right in cells)
+
+    return "\n".join(f"| {line(row)} |" for row in (header, rule, *rows))
 
 
 def paragraph(text: str) -> str:

@@ -1,33 +1,41 @@
-"""Worker processes of this machine: those that die are replaced, and lose one job alone.
+"""Who does the jobs of a run: this process, worker processes, or those of a Dask scheduler.
 
-Each process has a pipe of its own and one job at a time, so that when one dies it is known on which
-job, and no other job is lost. They are spawned, not forked: threads and OpenGL do not survive a
-fork. They import our code once, then serve one pool after the other until this process ends; and
-they end with it, even when it is killed.
+Each worker process has a pipe of its own and one job at a time, so that when one dies it is known
+on which job, and no other job is lost. They are spawned, not forked: threads and OpenGL do not
+survive a fork. They import our code once, then serve one pool after the other until this process
+ends; and they end with it, even when it is killed.
 """
 
 import ctypes
+import logging
+import math
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+import time
+from collections.abc import Callable, Collection
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, ThreadPoolExecutor, wait
+from contextlib import suppress
 from multiprocessing import get_context, parent_process
-from multiprocessing.connection import Connection, wait
+from multiprocessing.connection import Connection
 from pathlib import Path
-from types import TracebackType
-from typing import Any, NamedTuple, Protocol
+from typing import Any
 
-LARGEST_BYTES = 1 << 25
-"""Of what is kept: the most that glibc allows. A camera's events of 20 s are half of it."""
-
-_TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # parameters of glibc's mallopt
-_MOST_KEPT_BYTES = 1 << 30
+from ssac.errors import SsacError
 
 ENDS_WITHIN_S = 5.0
 """After that a process that was told to end is killed."""
 
+WAIT_FOR_WORKERS_S = 60.0
+"""Those of a scheduler may be on their way, or be started again."""
+
+ANSWERS_WITHIN_S = 10.0
+"""After that there is no scheduler."""
+
+_LOOK_S = 5.0  # how often it is seen whether a scheduler still has workers
 _SPAWN = get_context("spawn")
+
+Running = Future[Any]
 
 Job = Callable[[], Any]
 """With what it returns, something that pickle takes: a `functools.partial` of a function."""
@@ -37,134 +45,58 @@ class DiedError(Exception):
     """The worker of a job ended in the middle of it."""
 
 
-class Ended(NamedTuple):
-    """What became of a job."""
+class Pool:
+    """The pool of this process alone: a job that takes it down takes everything down."""
 
-    number: int  # as it was given
-    value: Any  # that it returned
-    error: Exception | None = None  # that it raised, or a DiedError
+    room: float = 1  # jobs at a time
 
+    def submit(self, job: Job) -> Running:
+        """Have a job done, however long it takes."""
+        future: Running = Future()
+        value, error = _done(job)
+        future.set_exception(error) if error else future.set_result(value)
+        return future
 
-class Pool(Protocol):
-    """Workers; when its block is left, none of them is on a job."""
-
-    def has_room(self) -> bool:
-        """Whether it takes a job now."""
-
-    def give(self, number: int, job: Job) -> None:
-        """Have a job done."""
-
-    def ended(self, timeout_s: float | None) -> list[Ended]:
+    def ended(self, running: Collection[Running], timeout_s: float | None) -> set[Running]:
         """Wait until jobs have ended, one or more, or for some seconds; None: for ever."""
+        return wait(running, timeout_s, FIRST_COMPLETED).done
 
     def __enter__(self) -> "Pool":
-        """Begin."""
+        return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """End what is still being done."""
 
 
-class Alone:
-    """The pool of this process alone: a job that takes it down takes everything down."""
-
-    def __init__(self) -> None:
-        self._job: tuple[int, Job] | None = None
-
-    def has_room(self) -> bool:
-        """Whether there is no job."""
-        return self._job is None
-
-    def give(self, number: int, job: Job) -> None:
-        """Take a job."""
-        self._job = number, job
-
-    def ended(self, timeout_s: float | None) -> list[Ended]:
-        """Do it now, however long it takes."""
-        del timeout_s
-        if self._job is None:
-            return []
-        (number, job), self._job = self._job, None
-        return [done(number, job)]
-
-    def __enter__(self) -> "Alone":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._job = None
-
-
-def done(number: int, job: Job) -> Ended:
-    """Do a job here."""
-    try:
-        return Ended(number, job())
-    except Exception as error:
-        return Ended(number, None, error)
-
-
-def n_cores() -> int:
-    """Count the cores that this process may use: a container's share of them, rounded up."""
-    allowed = getattr(os, "sched_getaffinity", None)
-    count = len(allowed(0)) if allowed else os.cpu_count() or 1
-    with suppress(OSError, ValueError):  # not Linux, or no limit
-        quota, period = Path("/sys/fs/cgroup/cpu.max").read_text(encoding="ascii").split()
-        count = min(count, -(-int(quota) // int(period)))
-    return max(count, 1)
-
-
-class Processes:
+class Processes(Pool):
     """A pool of some processes; those that died are replaced."""
 
     def __init__(self, count: int) -> None:
-        self._count = count
-        self._busy: dict[Connection, tuple[Worker, int]] = {}
+        self.room = count
+        self._threads = ThreadPoolExecutor(count)  # each waits for one process
+        self._busy: set[Worker] = set()
 
-    def has_room(self) -> bool:
-        """Whether fewer are busy than there may be."""
-        return len(self._busy) < self._count
-
-    def give(self, number: int, job: Job) -> None:
+    def submit(self, job: Job) -> Running:
         """Hand a job to an idle process, or to a new one."""
         worker = _IDLE.pop() if _IDLE else Worker()
-        try:
-            worker.pipe.send(job)
-        except OSError:  # it died idle: of nothing that we gave it
+        if not worker.process.is_alive():  # it died idle: of nothing that we gave it
             worker.end()
             worker = Worker()
-            worker.pipe.send(job)
-        self._busy[worker.pipe] = worker, number
-
-    def ended(self, timeout_s: float | None) -> list[Ended]:
-        """Wait until jobs have ended."""
-        found = []
-        ready = wait(list(self._busy), timeout_s)
-        for pipe in [one for one in self._busy if one in ready]:
-            worker, number = self._busy.pop(pipe)
-            try:
-                value, error = pipe.recv()
-            except (EOFError, OSError):
-                found.append(Ended(number, None, DiedError(worker.end())))
-                continue
-            except Exception as unreadable:  # what it sent cannot be unpickled; all of it was read
-                value, error = None, unreadable
-            _IDLE.append(worker)
-            found.append(Ended(number, value, error))
-        return found
-
-    def __enter__(self) -> "Processes":
-        return self
+        self._busy.add(worker)
+        return self._threads.submit(self._do, worker, job)
 
     def __exit__(self, *_: object) -> None:
-        busy = [worker for worker, _ in self._busy.values()]
-        self._busy.clear()
-        for worker in busy:
+        for worker in list(self._busy):
             worker.process.terminate()
-        for worker in busy:
-            worker.end()
+        self._threads.shutdown()
+
+    def _do(self, worker: "Worker", job: Job) -> Any:
+        try:
+            return worker.do(job)
+        finally:
+            self._busy.discard(worker)
+            if not worker.pipe.closed:
+                _IDLE.append(worker)
 
 
 class Worker:
@@ -173,9 +105,26 @@ class Worker:
     def __init__(self, has_children: bool = False) -> None:
         self.pipe, theirs = _SPAWN.Pipe()
         self.process = _SPAWN.Process(target=_serve, args=(theirs,), daemon=not has_children)
-        with _deaf_to_interrupts():
+        # It ignores Ctrl-C from its start on: we get it too, and end our workers in silence.
+        is_main = threading.current_thread() is threading.main_thread()
+        before = signal.signal(signal.SIGINT, signal.SIG_IGN) if is_main else None
+        try:
             self.process.start()
+        finally:
+            if is_main:
+                signal.signal(signal.SIGINT, before)
         theirs.close()  # theirs alone from now on: the pipe ends when the process does
+
+    def do(self, job: Job) -> Any:
+        """Have a job done; DiedError when the process ends in the middle of it."""
+        try:
+            self.pipe.send(job)
+            value, error = self.pipe.recv()
+        except (EOFError, OSError):
+            raise DiedError(self.end()) from None
+        if error is not None:
+            raise error
+        return value
 
     def end(self) -> str:
         """Wait for its end, or bring it about; say how it came."""
@@ -192,17 +141,20 @@ _IDLE: list[Worker] = []
 """To start one takes seconds, so that they are kept for the next pool."""
 
 
-@contextmanager
-def _deaf_to_interrupts() -> Iterator[None]:
-    """Let what starts here ignore Ctrl-C: we get it too, and end our workers in silence."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+def in_new_process(job: Job) -> Any:
+    """Do a job in a process that does nothing else; DiedError when that ends without."""
+    worker = Worker(has_children=True)  # if it wants to
     try:
-        yield
+        return worker.do(job)
     finally:
-        signal.signal(signal.SIGINT, before)
+        worker.end()
+
+
+def _done(job: Job) -> tuple[Any, Exception | None]:
+    try:
+        return job(), None
+    except Exception as error:
+        return None, error
 
 
 def _serve(pipe: Connection) -> None:
@@ -211,31 +163,18 @@ def _serve(pipe: Connection) -> None:
     threading.Thread(target=_end_with_parent, daemon=True).start()
     with suppress(EOFError, OSError):
         while True:
-            ended = done(0, _received(pipe))
             try:
-                pipe.send((ended.value, ended.error))
+                answer = _done(pipe.recv())
+            except (EOFError, OSError):
+                return
+            except Exception as error:  # it cannot be unpickled, as its module is not here
+                answer = None, error
+            try:
+                pipe.send(answer)
             except OSError:
-                raise
+                return
             except Exception as error:  # something that pickle does not take
-                pipe.send((None, TypeError(f"{ended.error or ended.value!r}: {error}")))
-
-
-def _received(pipe: Connection) -> Job:
-    """Wait for a job; one that cannot be unpickled, as its module is not here, becomes an error."""
-    try:
-        job: Job = pipe.recv()
-    except (EOFError, OSError):
-        raise EOFError from None
-    except Exception as error:
-        return _raising(error)
-    return job
-
-
-def _raising(error: Exception) -> Job:
-    def raise_it() -> None:
-        raise error
-
-    return raise_it
+                pipe.send((None, TypeError(f"{answer!r}: {error}")))
 
 
 def _end_with_parent() -> None:
@@ -246,19 +185,96 @@ def _end_with_parent() -> None:
     os._exit(1)
 
 
-def in_new_process(job: Job) -> Any:
-    """Do a job in a process that does nothing else; DiedError when that ends without."""
-    worker = Worker(has_children=True)  # if it wants to
+class Cluster(Pool):
+    """The workers of a Dask scheduler, which has a queue of its own and replaces those that die."""
+
+    room = math.inf
+
+    def __init__(self, address: str) -> None:
+        self._address = address
+        self._client = _connected(address)
+        self._executor = self._client.get_executor(pure=False)
+        self._seen_s = time.monotonic()  # when there were workers
+
+    def submit(self, job: Job) -> Running:
+        """Hand a job to the scheduler."""
+        future: Running = self._executor.submit(job)
+        return future
+
+    def ended(self, running: Collection[Running], timeout_s: float | None) -> set[Running]:
+        """Wait until jobs have ended; SsacError when scheduler or workers are gone."""
+        until_s = time.monotonic() + (math.inf if timeout_s is None else timeout_s)
+        found: set[Running] = set()
+        while not found and time.monotonic() < until_s:
+            found = super().ended(running, min(_LOOK_S, max(0.0, until_s - time.monotonic())))
+            self._look(bool(found))
+        for future in found:
+            if future.cancelled() or isinstance(future.exception(), CancelledError):
+                raise SsacError(
+                    f"the Dask scheduler at {self._address} is gone: what is done is in the cache, "
+                    "start it again and run again"
+                )
+        return found
+
+    def __exit__(self, *_: object) -> None:
+        log = logging.getLogger("distributed.client")
+        level = log.level
+        log.setLevel(logging.CRITICAL)  # it would tell at length how it cannot connect again
+        try:
+            self._executor.shutdown(wait=False)
+            self._client.close()
+        finally:
+            log.setLevel(level)
+
+    def _look(self, is_alive: bool) -> None:
+        """Refuse to wait for ever where nobody works."""
+        if not is_alive:
+            with suppress(OSError):  # the scheduler does not answer
+                is_alive = bool(self._client.scheduler_info()["workers"])
+        now_s = time.monotonic()
+        if is_alive:
+            self._seen_s = now_s
+        elif now_s - self._seen_s > WAIT_FOR_WORKERS_S:
+            raise SsacError(
+                f"the Dask scheduler at {self._address} has no workers any more: what is done is "
+                "in the cache, start some and run again"
+            )
+
+
+def _connected(address: str) -> Any:
+    """Give a client of the scheduler, which has workers."""
     try:
-        worker.pipe.send(job)
-        value, error = worker.pipe.recv()
-    except (EOFError, OSError):
-        raise DiedError(worker.end()) from None
-    finally:
-        worker.end()
-    if error is not None:
-        raise error
-    return value
+        from distributed import Client
+    except ImportError as error:
+        raise SsacError(
+            '--scheduler needs Dask: .venv/bin/pip install "dask[distributed]"'
+        ) from error
+    try:
+        client = Client(address, timeout=ANSWERS_WITHIN_S, set_as_default=False)  # type: ignore[no-untyped-call]
+    except (OSError, ValueError) as error:
+        raise SsacError(
+            f"no Dask scheduler answers at {address!r}: expected an address such as "
+            f"tcp://host:8786 ({error})"
+        ) from error
+    try:
+        client.wait_for_workers(1, timeout=WAIT_FOR_WORKERS_S)
+    except OSError as error:  # TimeoutError is one
+        client.close()  # type: ignore[no-untyped-call]
+        raise SsacError(
+            f"the Dask scheduler at {address} has no workers: start some with "
+            f"dask worker {address} --nthreads 1"
+        ) from error
+    return client
+
+
+def n_cores() -> int:
+    """Count the cores that this process may use: a container's share of them, rounded up."""
+    allowed = getattr(os, "sched_getaffinity", None)
+    count = len(allowed(0)) if allowed else os.cpu_count() or 1
+    with suppress(OSError, ValueError):  # not Linux, or no limit
+        quota, period = Path("/sys/fs/cgroup/cpu.max").read_text(encoding="ascii").split()
+        count = min(count, -(-int(quota) // int(period)))
+    return max(count, 1)
 
 
 def keep_freed_memory() -> None:
@@ -268,7 +284,8 @@ def keep_freed_memory() -> None:
     one's pages are zeroed anew as they are touched: a fifteenth of the time of cached tables. What
     a process needs at most stays the same.
     """
+    trim_threshold, mmap_threshold = -1, -3  # of glibc's mallopt, with the most bytes of each
     with suppress(OSError, AttributeError):  # other C libraries do not have it
         mallopt = ctypes.CDLL(None).mallopt
-        mallopt(_MMAP_THRESHOLD, LARGEST_BYTES)
-        mallopt(_TRIM_THRESHOLD, _MOST_KEPT_BYTES)
+        mallopt(mmap_threshold, 1 << 25)  # the most allowed: a camera's events of 20 s are half
+        mallopt(trim_threshold, 1 << 30)

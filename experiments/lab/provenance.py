@@ -23,18 +23,17 @@ _ROOT = Path(__file__).resolve().parents[2]
 def plain(value: Any) -> Any:
     """Turn nested dataclasses, tuples and paths into what JSON holds.
 
-    Parts of a configuration that say of themselves that they do nothing are left out, and so are
-    fields marked as `later` at their default: what is new changes no provenance of what it has no
-    part in.
+    Parts that say of themselves that they do nothing, and fields marked as `later` at their
+    default, are left out: what is new changes no provenance of what it has no part in.
     """
     if is_dataclass(value) and not isinstance(value, type):
-        parts = {
-            one.name: getattr(value, one.name)
-            for one in fields(value)
-            if not ("later" in one.metadata and getattr(value, one.name) == one.default)
+        parts = ((one, getattr(value, one.name)) for one in fields(value))
+        return {
+            one.name: plain(part)
+            for one, part in parts
+            if not ("later" in one.metadata and part == one.default)
+            and not getattr(part, "is_none", False)
         }
-        acting = {name: part for name, part in parts.items() if not getattr(part, "is_none", False)}
-        return plain(acting)
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
@@ -43,28 +42,25 @@ def plain(value: Any) -> Any:
 
 
 def code_commit() -> str:
-    """Return the commit of the code, `-dirty` when files differ from it; "unknown" outside git.
-
-    Files in `results` do not count: they are what is being made.
-    """
+    """Name the code's commit, `-dirty` when any file but results differs; "unknown" outside git."""
+    head = ["rev-parse", "--short=12", "HEAD"]
+    status = ["status", "--porcelain", "--untracked-files=no", "--", ".", ":!results"]
     try:
-        commit = _git("rev-parse", "--short=12", "HEAD")
-        changed = _git("status", "--porcelain", "--untracked-files=no", "--", ".", ":!results")
+        commit, changed = (
+            subprocess.run(
+                ["git", *arguments], cwd=_ROOT, capture_output=True, text=True, check=True
+            ).stdout.strip()
+            for arguments in (head, status)
+        )
     except (OSError, subprocess.CalledProcessError):
         return "unknown"
     return f"{commit}-dirty" if changed else commit
 
 
-def _git(*arguments: str) -> str:
-    result = subprocess.run(
-        ["git", *arguments], cwd=_ROOT, capture_output=True, text=True, check=True
-    )
-    return result.stdout.strip()
-
-
+@cache
 def versions() -> dict[str, str]:
     """Return the versions of Python and of the packages that numbers depend on."""
-    return {"python": platform.python_version(), **{name: _version(name) for name in _PACKAGES}}
+    return {"python": platform.python_version(), **{name: version(name) for name in _PACKAGES}}
 
 
 def processor() -> str:
@@ -72,25 +68,10 @@ def processor() -> str:
     return str(get_host_cpu_name())
 
 
-_version = cache(version)  # which reads a package's whole description
-
-
 def provenance(
     command: str, config: Any, wall_time_s: float, gl: GLContext | None, **more: Any
 ) -> dict[str, Any]:
-    """Say what a result was made with.
-
-    Parameters
-    ----------
-    command
-        That makes the result again.
-    config
-        What it was made with: dataclasses, mappings, sequences, plain values.
-    gl
-        Where rendering took part.
-    **more
-        Further entries.
-    """
+    """Say what a result was made with: by which command and configuration, and what rendered."""
     return {
         "command": command,
         "commit": code_commit(),

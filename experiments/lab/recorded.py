@@ -7,11 +7,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments.lab.cache import Cache, Denoised
+from experiments.lab.cache import DENOISED_CODE, Arrays, Cache
 from sim.recording import SimConfig
 from ssac.camera import Camera, Rig
 from ssac.clock import Clock
@@ -26,6 +25,8 @@ from ssac.track.observation import Observation
 FloatArray = NDArray[np.float64]
 
 RIG_FILE = "rig_extrinsics.yaml"
+_CAMERAS = ("cam1", "cam2")
+_TOLD = ("events", "leaps", "clutter", "on_line", "n_recorded")
 
 Made = TypeVar("Made")
 
@@ -115,35 +116,38 @@ class Flown:
 def clean_pair(
     folder: Path, load: Callable[[], Pair], how: Cleaning, cache: Cache
 ) -> tuple[Clean, Clean]:
-    """Both cameras of a recording of the cache without noise, which is told once.
-
-    Parameters
-    ----------
-    folder
-        Of the recording, which need not be whole.
-    load
-        Reads it; called only where that cannot be helped.
-    how
-        Noise is removed.
-    cache
-        That keeps what is left.
-    """
+    """Both cameras of a recording without noise, which is told once: only then is it loaded."""
     rig = load_rig(folder / RIG_FILE)
-    cameras = rig.cam1, rig.cam2
+    cameras = dict(zip(_CAMERAS, (rig.cam1, rig.cam2), strict=True))
 
-    def denoise() -> Denoised:
-        seen = zip(load()[:2], cameras, _CAMERAS, strict=True)
-        first, second = (clean(one, camera, how, name) for one, camera, name in seen)
-        n_recorded = np.array([first.n_recorded, second.n_recorded])
-        return Denoised(n_recorded, *_entry(first), *_entry(second))
+    def denoised() -> Arrays:
+        told: Arrays = {}
+        for seen, (name, camera) in zip(load()[:2], cameras.items(), strict=True):
+            one = clean(seen, camera, how, name)
+            assert one.clutter is not None  # of a recording, which was not denoised before
+            told[f"{name}_events"], told[f"{name}_leaps"] = packed(one.events)
+            told[f"{name}_clutter"] = np.array(astuple(one.clutter), dtype=np.float64)
+            told[f"{name}_on_line"] = np.empty(0, bool) if one.on_line is None else one.on_line
+            told[f"{name}_n_recorded"] = np.array(one.n_recorded)
+        return told
 
-    kept = cache.denoised(folder, how.n_neighbours, denoise)
-    n_recorded = kept.n_recorded.tolist()
-    first, second = (
-        _clean(n, camera, *entry)
-        for n, camera, entry in zip(n_recorded, cameras, (kept[1:5], kept[5:]), strict=True)
-    )
+    names = [f"{name}_{what}" for name in _CAMERAS for what in _TOLD]
+    told = cache.told("denoised", folder, DENOISED_CODE, names, denoised, how.n_neighbours)
+    first, second = (_clean(told, name, camera) for name, camera in cameras.items())
     return first, second
+
+
+def _clean(told: Arrays, name: str, camera: Camera) -> Clean:
+    pixels, masked, hz, radius_px, n_neighbours, n_min = told[f"{name}_clutter"].tolist()
+    on_line = told[f"{name}_on_line"]
+    return Clean(
+        unpacked(told[f"{name}_events"], told[f"{name}_leaps"]),
+        camera=camera,
+        n_recorded=int(told[f"{name}_n_recorded"]),
+        denoised=True,
+        clutter=Clutter(int(pixels), int(masked), hz, radius_px, int(n_neighbours), int(n_min)),
+        on_line=on_line if len(on_line) else None,
+    )
 
 
 _PACKED = np.dtype([("gap_us", "u1"), ("x", "<u2"), ("y", "<u2"), ("p", "u1")])
@@ -154,10 +158,7 @@ What is beyond that, after a pause, is a leap: the event's number and what is mi
 
 
 def packed(events: NDArray[np.void]) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
-    """Pack sorted events (n,) of EVENT_DTYPE: the bytes (n, 6) of `_PACKED`, and leaps (k, 2).
-
-    As bytes, since NumPy writes and reads those of a structure field by field.
-    """
+    """Pack sorted events (n,) of EVENT_DTYPE: the bytes (n, 6) of `_PACKED`, and leaps (k, 2)."""
     found = np.empty(len(events), _PACKED)
     gaps_us = np.diff(events["t"], prepend=0)
     found["gap_us"] = gaps_us & 255
@@ -171,50 +172,11 @@ def packed(events: NDArray[np.void]) -> tuple[NDArray[np.uint8], NDArray[np.int6
 
 def unpacked(found: NDArray[np.uint8], leaps: NDArray[np.int64]) -> NDArray[np.void]:
     """Give the events that were `packed`."""
+    packed_events = found.reshape(-1).view(_PACKED)
+    gaps_us = packed_events["gap_us"].astype(np.int64)
+    gaps_us[leaps[:, 0]] += leaps[:, 1]
     events = np.empty(len(found), EVENT_DTYPE)
-    _unpack(found.reshape(-1).view(_PACKED), leaps, events)
+    events["t"] = np.cumsum(gaps_us)
+    for name in "xyp":
+        events[name] = packed_events[name]
     return events
-
-
-@numba.njit(cache=True)
-def _unpack(found: NDArray[np.void], leaps: NDArray[np.int64], events: NDArray[np.void]) -> None:
-    t_us, k = np.int64(0), 0
-    for i in range(len(found)):
-        one, event = found[i], events[i]
-        t_us += one.gap_us
-        if k < len(leaps) and leaps[k, 0] == i:
-            t_us += leaps[k, 1]
-            k += 1
-        event.t, event.x, event.y, event.p = t_us, one.x, one.y, one.p
-
-
-def _entry(
-    one: Clean,
-) -> tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.float64], NDArray[np.bool_]]:
-    """Give what `_clean` needs."""
-    assert one.clutter is not None  # of a recording, which was not denoised before
-    clutter = np.array(astuple(one.clutter), dtype=np.float64)
-    on_line = np.empty(0, np.bool_) if one.on_line is None else one.on_line
-    return *packed(one.events), clutter, on_line
-
-
-def _clean(
-    n_recorded: int,
-    camera: Camera,
-    events: NDArray[np.uint8],
-    leaps: NDArray[np.int64],
-    clutter: NDArray[np.float64],
-    on_line: NDArray[np.bool_],
-) -> Clean:
-    pixels, masked, hz, radius_px, n_neighbours, n_min = clutter.tolist()
-    return Clean(
-        unpacked(events, leaps),
-        camera=camera,
-        n_recorded=n_recorded,
-        denoised=True,
-        clutter=Clutter(int(pixels), int(masked), hz, radius_px, int(n_neighbours), int(n_min)),
-        on_line=on_line if len(on_line) else None,
-    )
-
-
-_CAMERAS = ("cam1", "cam2")

@@ -22,15 +22,15 @@ MERGED = "ssac merge"
 
 @dataclass(frozen=True)
 class Results:
-    """The CSVs, provenances and pages of one folder."""
+    """The CSVs, provenances and pages of one folder.
+
+    Its rows are those whose columns have the given values, of which there is one at least; a
+    keyword's double underscore stands for a dot of the column's name.
+    """
 
     folder: Path
     _texts: dict[str, str] = field(default_factory=dict, repr=False)
     _tables: dict[str, pd.DataFrame] = field(default_factory=dict, repr=False)
-
-    def has(self, name: str) -> bool:
-        """Return whether there is `<name>.csv`."""
-        return f"{name}.csv" in self._texts or (self.folder / f"{name}.csv").is_file()
 
     def text(self, file: str) -> str:
         """Read a file; SsacError when it cannot be read."""
@@ -56,10 +56,7 @@ class Results:
         return self._tables[name]
 
     def rows(self, name: str, /, **where: Any) -> pd.DataFrame:
-        """Return the rows of a table whose columns have the given values; at least one.
-
-        A keyword's double underscore stands for a dot of the column's name.
-        """
+        """Return rows of a table."""
         rows = self.table(name)
         for keyword, value in where.items():
             column = keyword.replace("__", ".")
@@ -78,15 +75,12 @@ class Results:
 
     def value(self, name: str, column: str, /, **where: Any) -> float:
         """Return the number of the one row that these values single out."""
-        row = self.one(name, **where)
-        if column not in row:
-            raise SsacError(f"{self.folder / name}.csv: no column {column}")
-        return float(row[column])
+        return float(self._column(self.one(name, **where), name, column))
 
     def column(self, name: str, column: str, /, **where: Any) -> FloatArray:
         """Return a column's numbers in these rows, NaN where a cell is empty."""
-        values = self._column(self.rows(name, **where), name, column)
-        return values.to_numpy(np.float64)
+        values: FloatArray = self._column(self.rows(name, **where), name, column).to_numpy(float)
+        return values
 
     def provenances(self, name: str) -> list[dict[str, Any]]:
         """Read what `<name>` was made with: once, or once for each shard that was merged."""
@@ -107,7 +101,8 @@ class Results:
             path = self.folder / f"{name}{PROVENANCE}"
             raise SsacError(f"{path}: does not tell the wall time: {error!r}") from error
 
-    def _column(self, rows: pd.DataFrame, name: str, column: str) -> "pd.Series[Any]":
+    def _column(self, rows: Any, name: str, column: str) -> Any:
+        """Take a column of a table, or a cell of a row."""
         if column not in rows:
             raise SsacError(f"{self.folder / name}.csv: no column {column}")
         return rows[column]

@@ -4,26 +4,38 @@ Runs that share a cache, on one host or several, share the work: each task is cl
 begun, and one that is claimed elsewhere comes last, when its rows are in the cache.
 """
 
-import math
+import os
+import tempfile
 import time
 from collections import Counter, deque
 from collections.abc import Iterator, Sequence, Sized
+from concurrent.futures import Future
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
+from threadpoolctl import threadpool_limits
 
-from experiments.lab.cache import Cache
+from experiments.lab.cache import ASK_AGAIN_S, Cache, claimed
 from experiments.lab.cell import CRASHED, AnyCell, Measure, Rows
-from experiments.lab.cluster import Cluster
-from experiments.lab.lock import ASK_AGAIN_S, claimed
-from experiments.lab.pool import Alone, DiedError, Job, Pool, Processes, n_cores
+from experiments.lab.pool import Cluster, DiedError, Pool, Processes, in_new_process, n_cores
 from experiments.lab.scored import SCORED
-from experiments.lab.task import Done, Task, keys_of, recordings_key, refusal, run_task, tasks_of
+from experiments.lab.task import (
+    Done,
+    Task,
+    keys_of,
+    measured,
+    name_of,
+    recordings_key,
+    refusal,
+    run_task,
+    tasks_of,
+)
 from ssac.cli.progress import progress, say
-from ssac.errors import WriteError
+from ssac.errors import SsacError, WriteError
 from ssac.files.whole_file import check_folder
 
 MAX_DEATHS = 2
@@ -68,37 +80,28 @@ def run_cells(
     Rows depend neither on the number of workers nor on what was in the cache, nor on who else is
     filling it. A run that crashed is a row with its reason and is not kept, so the next call tries
     it again. When a worker dies, what it was on is run again by a new one, `MAX_DEATHS` times.
-
-    Without `workers` there is one process for each core. SsacError if there is no scheduler at the
-    address given, or it loses all its workers, or the cache cannot be written to.
     """
-    workers = workers or Workers()
-    tasks = tasks_of(cells)
     cache = Cache(cache.folder.resolve())  # the same for workers with another working directory
-    keys = [keys_of(task, measure) for task in tasks]  # the machine's GL driver is part of them
+    work = _Work(tasks_of(cells), cache, measure)
+    keys = [keys_of(task, measure) for task in work.tasks]  # the GL driver is part of them
     found: dict[int, Rows] = {}
-    left: list[int] = []
-    for index, task in enumerate(tasks):
-        known = [cache.load_run(key) for key in keys[index]]
-        rows = [row for row in known if row is not None]
-        if len(rows) == len(task.cells):
+    for index, some in enumerate(keys):
+        rows = [row for row in map(cache.load_run, some) if row is not None]
+        if len(rows) == len(some):
             found[index] = rows
-        else:
-            left.append(index)
     # The longest first, so that no worker is left alone with one at the end.
-    left.sort(key=lambda index: (-tasks[index].cost_s, index))
+    left = [index for index in range(len(keys)) if index not in found]
+    left.sort(key=lambda index: (-work.tasks[index].cost_s, index))
     n_simulated, peak_mb = 0, 0.0
-    work = _Work(tasks, cache, measure)
-    bar = progress(len(left), label, is_shown=show_progress)
     if left:
         check_folder(cache.folder)
     with (
-        _resumable(found, tasks, cache),
-        bar as advance,
+        _resumable(found, keys, cache),
+        progress(len(left), label, is_shown=show_progress) as advance,
         cache.tidied(),
-        _pool(workers, len(left)) as pool,
+        _pool(workers or Workers(), len(left)) as pool,
     ):
-        for n_done, (index, done) in enumerate(_spread(work, left, pool), 1):
+        for n_done, (index, done) in enumerate(work.spread(left, pool), 1):
             found[index] = done.rows
             for key, row in zip(keys[index], done.rows, strict=True):
                 if row["status"] != CRASHED:
@@ -106,7 +109,12 @@ def run_cells(
             n_simulated += done.n_simulated
             peak_mb = max(peak_mb, done.peak_mb)
             advance(n_done)
-    runs = frame_of(cells, tasks, found, measure)
+    by_cell = {
+        id(cell): row
+        for index, task in enumerate(work.tasks)
+        for cell, row in zip(task.cells, found[index], strict=True)
+    }
+    runs = _frame(cells, [by_cell[id(cell)] for cell in cells], measure)
     return Outcome(runs, len(left), n_simulated, peak_mb, work.deaths.total())
 
 
@@ -123,6 +131,15 @@ def _resumable(found: Sized, tasks: Sized, cache: Cache) -> Iterator[None]:
         raise
 
 
+def _pool(workers: Workers, n_tasks: int) -> Pool:
+    """Gather who does the work."""
+    if n_tasks == 0 or (workers.processes == 1 and not workers.scheduler):
+        return Pool()
+    if workers.scheduler:
+        return Cluster(workers.scheduler)
+    return Processes(n_cores() if workers.processes == -1 else workers.processes)
+
+
 @dataclass(frozen=True)
 class _Work:
     """What is to be done, and how."""
@@ -132,94 +149,108 @@ class _Work:
     measure: Measure
     deaths: Counter[int] = field(default_factory=Counter)  # of workers, by task
 
-    def job(self, index: int) -> Job:
-        """Give what is to be done for a task."""
-        task = self.tasks[index]
-        claim = self.cache.claim_of_runs(recordings_key(task))
-        return partial(_claimed, claim, task, self.cache, self.measure)
+    def spread(self, left: Sequence[int], pool: Pool) -> Iterator[tuple[int, Done]]:
+        """Yield each task's index and what it gave, in the order in which they are done."""
+        ready, later = deque(left), deque[tuple[float, int]]()  # when, on our clock [s], and what
+        running: dict[Future[Any], int] = {}
+        has_said = False
+        while ready or later or running:
+            now_s = time.monotonic()
+            while later and later[0][0] <= now_s:
+                ready.append(later.popleft()[1])
+            while ready and len(running) < pool.room:
+                index = ready.popleft()
+                job = partial(_claimed, self.tasks[index], self.cache, self.measure)
+                running[pool.submit(job)] = index
+            wait_s = later[0][0] - now_s if later and len(running) < pool.room else None
+            if not running:
+                if not has_said:
+                    say(f"waiting for what another run is on: {len(later)} recordings")
+                    has_said = True
+                time.sleep(wait_s or 0.0)
+                continue
+            for future in pool.ended(running, wait_s):
+                index, error = running.pop(future), future.exception()
+                if isinstance(error, DiedError):
+                    error = self._after_death(index, error)
+                    if error is None:
+                        ready.append(index)  # behind the others: what was too much may fit then
+                        continue
+                if isinstance(error, WriteError):
+                    raise error
+                if error is not None:
+                    yield index, self._crashed(index, error)
+                elif future.result() is None:
+                    later.append((time.monotonic() + ASK_AGAIN_S, index))
+                else:
+                    yield index, future.result()
+
+    def _after_death(self, index: int, error: DiedError) -> DiedError | None:
+        """Say that a worker died; None if its task is to be tried again."""
+        self.deaths[index] += 1
+        is_last = self.deaths[index] == MAX_DEATHS
+        flights = " and ".join(
+            f"{sim.spline.duration_s:g} s at {sim.angle_deg:g} deg with seed {seed}"
+            for sim, seed in self.tasks[index].recordings
+        )
+        what = "given up" if is_last else "run again by a new one"
+        say(f"a worker {error} on the flight of {flights}, which is {what}")
+        if not is_last:
+            return None
+        return DiedError(f"{MAX_DEATHS} workers died of it, the last one {error}")
+
+    def _crashed(self, index: int, error: BaseException) -> Done:
+        """Make the rows of a task that ended without: those that it kept before are good."""
+        crashed = refusal(self.measure, error, "worker") | {"status": CRASHED}
+        known = [self.cache.load_run(key) for key in keys_of(self.tasks[index], self.measure)]
+        return Done([crashed if row is None else row for row in known], 0, 0.0)
 
 
-def _pool(workers: Workers, n_tasks: int) -> Pool:
-    """Gather who does the work."""
-    if n_tasks == 0 or (workers.processes == 1 and not workers.scheduler):
-        return Alone()
-    if workers.scheduler:
-        return Cluster(workers.scheduler)
-    return Processes(n_cores() if workers.processes == -1 else workers.processes)
-
-
-def _spread(work: _Work, left: Sequence[int], pool: Pool) -> Iterator[tuple[int, Done]]:
-    """Yield each task's index and what it gave, in the order in which they are done."""
-    ready = deque(left)
-    later: deque[tuple[float, int]] = deque()  # when, on our clock [s], and what
-    n_given, has_said = 0, False
-    while ready or later or n_given:
-        now_s = time.monotonic()
-        while later and later[0][0] <= now_s:
-            ready.append(later.popleft()[1])
-        while ready and pool.has_room():
-            index = ready.popleft()
-            pool.give(index, work.job(index))
-            n_given += 1
-        wait_s = later[0][0] - now_s if later and pool.has_room() else None
-        if not n_given:
-            if not has_said:
-                say(f"waiting for what another run is on: {len(later)} recordings")
-                has_said = True
-            time.sleep(wait_s or 0.0)
-            continue
-        for index, value, error in pool.ended(wait_s):
-            n_given -= 1
-            if isinstance(error, WriteError):
-                raise error
-            if isinstance(error, DiedError):
-                work.deaths[index] += 1
-                is_last = work.deaths[index] == MAX_DEATHS
-                say(f"a worker {error} on {_name(work.tasks[index])}, which is "
-                     f"{'given up' if is_last else 'run again by a new one'}")  # fmt: skip
-                if not is_last:
-                    ready.append(index)  # behind the others: what was too much may fit then
-                    continue
-                error = DiedError(f"{MAX_DEATHS} workers died of it, the last one {error}")
-            if error is not None:
-                yield index, _crashed(work, index, error)
-            elif value is None:
-                later.append((time.monotonic() + ASK_AGAIN_S, index))
-            else:
-                yield index, value
-
-
-def _claimed(claim: Path, task: Task, cache: Cache, measure: Measure) -> Done | None:
+def _claimed(task: Task, cache: Cache, measure: Measure) -> Done | None:
     """Run a task, unless another run that shares the cache is on these recordings: then None."""
-    with claimed(claim) as is_ours:
+    with claimed(cache.claim_of_runs(recordings_key(task))) as is_ours:
         return run_task(task, cache, measure) if is_ours else None
 
 
-def _crashed(work: _Work, index: int, error: Exception) -> Done:
-    """Make the rows of a task that ended without: those that it kept before are good."""
-    crashed = refusal(work.measure, error, "worker") | {"status": CRASHED}
-    known = [work.cache.load_run(key) for key in keys_of(work.tasks[index], work.measure)]
-    return Done([crashed if row is None else row for row in known], 0, 0.0)
+def _frame(cells: Sequence[AnyCell], rows: Rows, measure: Measure) -> pd.DataFrame:
+    """Put each cell's columns before its row."""
+    pairs = zip(cells, rows, strict=True)
+    frame: pd.DataFrame = pd.DataFrame([{**cell.columns, **row} for cell, row in pairs])
+    unknown = [one.name for one in fields(measure.row_type) if one.default != one.default]  # NaN
+    return frame.astype(dict.fromkeys(unknown, float)) if len(frame) else frame
 
 
-def _name(task: Task) -> str:
-    """Tell a task's flights from others, for a reader."""
-    flights = (f"{sim.spline.duration_s:g} s at {sim.angle_deg:g} deg with seed {seed}"
-               for sim, seed in task.recordings)  # fmt: skip
-    return "the flight of " + " and ".join(flights)
+def run_alone(cells: Sequence[AnyCell], measure: Measure, label: str) -> Outcome:
+    """Measure cells one after the other, each in a process of its own on one core; none is kept.
+
+    All of them get one cache, which is gone at the end, so that a cell may use what those before
+    it have made. A process that dies is a row that says so.
+    """
+    rows = []
+    with tempfile.TemporaryDirectory(prefix="ssac-alone-") as folder, _one_core():
+        for number, cell in enumerate(cells, 1):
+            say(f"{label}: {number} of {len(cells)}")
+            try:
+                rows.append(in_new_process(partial(_alone, cell, Cache(Path(folder)), measure)))
+            except DiedError as error:
+                rows.append(refusal(measure, SsacError(f"its process {error}"), name_of(cell)))
+    return Outcome(_frame(cells, rows, measure), len(cells), 0, 0.0)
 
 
-def frame_of(
-    cells: Sequence[AnyCell], tasks: Sequence[Task], found: dict[int, Rows], measure: Measure
-) -> pd.DataFrame:
-    """Put the rows in the order of the cells, and each cell's columns before its row."""
-    rows = {
-        id(cell): row
-        for index, task in enumerate(tasks)
-        for cell, row in zip(task.cells, found[index], strict=True)
-    }
-    frame: pd.DataFrame = pd.DataFrame([{**cell.columns, **rows[id(cell)]} for cell in cells])
-    for name, value in vars(measure.row_type("")).items():
-        if isinstance(value, float) and math.isnan(value):
-            frame[name] = frame[name].astype(float)
-    return frame
+def _alone(cell: AnyCell, cache: Cache, measure: Measure) -> dict[str, Any]:
+    with threadpool_limits(1):
+        return measured(cell, measure, lambda: measure.load([cell], cache))
+
+
+@contextmanager
+def _one_core() -> Iterator[None]:
+    """Give the processes that are started here one thread for each library."""
+    before = dict(os.environ)
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
+        os.environ[name] = "1"
+    os.environ.pop("PYOPENGL_PLATFORM", None)
+    try:
+        yield
+    finally:
+        os.environ.clear()
+        os.environ.update(before)

@@ -1,6 +1,6 @@
 """How far an estimate is from the truth, and how that compares with its stated deviations."""
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,19 @@ from ssac.estimate import Estimate
 from ssac.geometry.pose import tangent_basis
 
 FloatArray = NDArray[np.float64]
+
+POSE_SCORES = (
+    "r_std_deg",  # of R's angle: root of the trace of its covariance
+    "t_std_deg",
+    "r_mahalanobis",  # of R's three angles; its square is chi^2 of 3 if all is well
+    "t_mahalanobis",  # of t's two angles
+    "r_x_normalised",  # signed error of an angle over its deviation
+    "r_y_normalised",
+    "r_z_normalised",
+    "t_1_normalised",
+    "t_2_normalised",
+)
+"""Errors of a pose beside its covariance; the angles are those of `ssac.geometry.pose`."""
 
 
 @dataclass(frozen=True)
@@ -36,25 +49,6 @@ class Score:
     t_d_error_ms: float  # |estimate - truth|
     r_error_deg: float  # angle of R_est' R_true
     t_error_deg: float  # angle between the translation directions, sign included
-    pose: "PoseScore" = field(default_factory=lambda: PoseScore())
-
-
-@dataclass(frozen=True)
-class PoseScore:
-    """The errors of a pose beside its covariance; NaN where an estimate has none.
-
-    The five angles are those of `ssac.geometry.pose`: R's rotation vector and t's two coordinates.
-    """
-
-    r_std_deg: float = np.nan  # of R's angle: root of the trace of its covariance
-    t_std_deg: float = np.nan
-    r_mahalanobis: float = np.nan  # of R's three angles; its square is chi^2 of 3 if all is well
-    t_mahalanobis: float = np.nan  # of t's two angles
-    r_x_normalised: float = np.nan  # signed error of an angle over its deviation
-    r_y_normalised: float = np.nan
-    r_z_normalised: float = np.nan
-    t_1_normalised: float = np.nan
-    t_2_normalised: float = np.nan
 
 
 def scored(estimate: Estimate, truth: Truth, has_pose: bool = True) -> dict[str, Any]:
@@ -63,7 +57,7 @@ def scored(estimate: Estimate, truth: Truth, has_pose: bool = True) -> dict[str,
     Those of the pose are left out unless `has_pose`: one that was given has no error.
     """
     t_d_s = truth.t_d_of(estimate)
-    errors = score(estimate, t_d_s, truth.R, truth.t)
+    errors = vars(score(estimate, t_d_s, truth.R, truth.t))
     skew_error_ppm = estimate.skew_ppm - truth.skew_ppm
     columns = {
         "status": str(estimate.status),
@@ -71,7 +65,7 @@ def scored(estimate: Estimate, truth: Truth, has_pose: bool = True) -> dict[str,
         "n_samples": estimate.n_samples,
         "d_avg_px": estimate.d_avg_px,
         "t_d_estimate_ms": 1e3 * estimate.t_d_s,
-        "t_d_error_ms": errors.t_d_error_ms,
+        "t_d_error_ms": errors["t_d_error_ms"],
         "t_d_std_ms": 1e3 * estimate.t_d_std_s,
         "t_d_normalised": _over(estimate.t_d_s - t_d_s, estimate.t_d_std_s),
         "skew_ppm": estimate.skew_ppm,
@@ -79,10 +73,7 @@ def scored(estimate: Estimate, truth: Truth, has_pose: bool = True) -> dict[str,
         "skew_error_ppm": abs(skew_error_ppm),
         "skew_normalised": _over(skew_error_ppm, estimate.skew_std_ppm),
     }
-    if not has_pose:
-        return columns
-    pose = {"r_error_deg": errors.r_error_deg, "t_error_deg": errors.t_error_deg}
-    return columns | pose | vars(errors.pose)
+    return columns | errors | pose_score(estimate, truth.R, truth.t) if has_pose else columns
 
 
 def kept(row_type: type, columns: dict[str, Any]) -> dict[str, Any]:
@@ -96,46 +87,33 @@ def _over(error: float, std: float) -> float:
 
 
 def score(estimate: Estimate, t_d_s: float, R: FloatArray, t: FloatArray) -> Score:
-    """Score an estimate.
-
-    Parameters
-    ----------
-    t_d_s
-        True offset [s], `t_cam2 = t_cam1 + t_d`.
-    R, t
-        True rotation (3, 3) and translation direction (3,): x2 = R x1 + t.
-    """
+    """Score an estimate: `t_cam2 = t_cam1 + t_d` [s], x2 = R x1 + t with t (3,) of length 1."""
     return Score(
         t_d_error_ms=abs(estimate.t_d_s - t_d_s) * 1e3,
         r_error_deg=np.nan if estimate.R is None else rotation_angle_deg(estimate.R.T @ R),
         t_error_deg=np.nan if estimate.t is None else angle_between_deg(estimate.t, t),
-        pose=pose_score(estimate, R, t),
     )
 
 
-def pose_score(estimate: Estimate, R: FloatArray, t: FloatArray) -> PoseScore:
-    """Compare an estimate's covariance with its pose's errors; parameters as for `score`."""
+def pose_score(estimate: Estimate, R: FloatArray, t: FloatArray) -> dict[str, float]:
+    """Give POSE_SCORES of an estimate, NaN if it has no covariance; parameters as for `score`."""
     if estimate.covariance is None or estimate.R is None or estimate.t is None:
-        return PoseScore()
+        return dict.fromkeys(POSE_SCORES, np.nan)
     errors_rad = pose_errors_rad(estimate.R, estimate.t, R, t)
     covariance = estimate.covariance[1:, 1:]
-    of_r, of_t = covariance[:3, :3], covariance[3:, 3:]
-    return PoseScore(
-        estimate.r_std_deg,
-        estimate.t_std_deg,
-        float(np.sqrt(errors_rad[:3] @ np.linalg.solve(of_r, errors_rad[:3]))),
-        float(np.sqrt(errors_rad[3:] @ np.linalg.solve(of_t, errors_rad[3:]))),
-        *(float(value) for value in errors_rad / np.sqrt(np.diag(covariance))),
+    mahalanobis = (
+        float(np.sqrt(errors_rad[of] @ np.linalg.solve(covariance[of, of], errors_rad[of])))
+        for of in (slice(3), slice(3, None))
     )
+    normalised = (errors_rad / np.sqrt(np.diag(covariance))).tolist()
+    values = (estimate.r_std_deg, estimate.t_std_deg, *mahalanobis, *normalised)
+    return dict(zip(POSE_SCORES, values, strict=True))
 
 
 def pose_errors_rad(
     R: FloatArray, t: FloatArray, R_true: FloatArray, t_true: FloatArray
 ) -> FloatArray:
-    """Errors (5,) of a pose as the covariance counts them, of any size.
-
-    The step that `moved_pose` would take from the estimate to the truth, negated.
-    """
+    """Errors (5,) of a pose: the step that `moved_pose` would take to the truth, negated."""
     along = tangent_basis(t) @ t_true
     length = np.linalg.norm(along)
     direction = along / length if length > 0.0 else np.array([1.0, 0.0])

@@ -3,13 +3,14 @@
 import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments.lab.cache import Brightness, Cache
+from experiments.lab.cache import BRIGHTNESS_CODE, Cache
 from experiments.lab.cell import UNUSABLE, Measure
 from experiments.lab.grid import Cell
 from experiments.lab.recorded import RIG_FILE, clean_pair, load_pair
@@ -47,7 +48,7 @@ class Row:
     r_error_deg: float = np.nan  # NaN for a method that was given the pose, as is t_error_deg
     t_error_deg: float = np.nan
     t_d_std_ms: float = np.nan
-    r_std_deg: float = np.nan  # this and those below as in `score.PoseScore`
+    r_std_deg: float = np.nan  # this and those below as in `score.POSE_SCORES`
     t_std_deg: float = np.nan
     r_mahalanobis: float = np.nan
     t_mahalanobis: float = np.nan
@@ -88,11 +89,7 @@ def load_recorded(cells: Sequence[Cell], cache: Cache) -> Chain:
 
 
 def scored_row(cell: Cell, chain: Chain) -> Row:
-    """Run one method on one recording, with the cell's offset, and score it.
-
-    What other methods found on the same recording spares a method that starts from there to do it
-    again; and what a method found before a delay of camera 2's clock, to do it again after that.
-    """
+    """Run one method on one recording, with the cell's offset, and score it."""
     method, chain = METHODS[cell.method], chain.under(cell.estimator)
     n_cam1, n_cam2 = (chain.clean(k).n_recorded for k in range(2))
     reason = chain.lacks(method)
@@ -114,11 +111,6 @@ def _estimate(cell: Cell, method: Method, chain: Chain) -> Estimate:
 
     Cells of one flight that search alike around their true offsets so share one run, and none
     depends on which others are measured. A refusal names offsets in its reason: it is made anew.
-
-    Raises
-    ------
-    ArithmeticError
-        If a cell that is made both ways, as one offset of a flight in GUARDED is, differs.
     """
 
     def whole() -> Estimate:
@@ -173,36 +165,31 @@ def _scored(estimate: Estimate, cell: Cell, rig: Rig) -> Row:
 
 
 def frames_of(
-    folder: Path,
-    methods: Sequence[Method],
-    cache: Cache,
-    whole: Callable[[], Path] | None = None,
+    folder: Path, methods: Sequence[Method], cache: Cache, whole: Callable[[], Path] | None = None
 ) -> tuple[Frames, Frames]:
     """Frames of both cameras where a method looks at them; images of one pixel if that will do.
 
     The folder of the recording is read only where `whole`, if given, has said that it is sound.
     """
-    whole = whole or (lambda: folder)
     looking = [method for method in methods if method.input is Input.FRAMES]
     if not looking:
         return (None, None), (None, None)
+
+    names = [f"{name}_{what}" for name in ("cam1", "cam2") for what in ("times_us", "images")]
+
+    def images(take: Callable[..., Any] | None = None) -> dict[str, NDArray[Any]]:
+        none = np.empty(0, np.int64), np.empty(0)
+        paths = [(whole() if whole else folder) / f"{name}.h5" for name in ("cam1", "cam2")]
+        loaded = [array for path in paths for array in load_frames(path, take) or none]
+        return dict(zip(names, loaded, strict=True))
+
     if all(method.takes_means for method in looking):
-        means = cache.brightness(folder, lambda: _brightness(whole()))
-        return _timed(means.times1_us, means.cam1), _timed(means.times2_us, means.cam2)
-    folder = whole()
-    return _timed(*_images(folder / "cam1.h5")), _timed(*_images(folder / "cam2.h5"))
-
-
-def _images(path: Path) -> tuple[NDArray[np.int64], NDArray[np.generic]]:
-    return load_frames(path) or (np.empty(0, np.int64), np.empty((0, 1, 1)))
-
-
-def _brightness(folder: Path) -> Brightness:
-    none = np.empty(0, np.int64), np.empty(0)
-    (times1_us, means1), (times2_us, means2) = (
-        load_frames(folder / name, frame_means) or none for name in ("cam1.h5", "cam2.h5")
-    )
-    return Brightness(means1, times1_us, means2, times2_us)
+        code, tell = BRIGHTNESS_CODE, partial(images, frame_means)
+        told = cache.told("brightness", folder, code, names, tell)
+    else:
+        told = images()
+    first, second = (_timed(told[f"{k}_times_us"], told[f"{k}_images"]) for k in ("cam1", "cam2"))
+    return first, second
 
 
 def _timed(times_us: NDArray[np.int64], images: NDArray[np.generic]) -> Frames:

@@ -9,7 +9,7 @@ text of their file, rounded as it is there, so that anyone who has the file make
 import json
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import Enum
 from inspect import Parameter, signature
 from pathlib import Path
@@ -17,19 +17,12 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from experiments.lab.alone import run_alone
 from experiments.lab.cache import Cache
 from experiments.lab.cell import AnyCell, Flight, Measure
-from experiments.lab.files import (
-    csv_text,
-    png_bytes,
-    read_table,
-    record_checksums,
-    save_text,
-)
+from experiments.lab.files import csv_text, png_bytes, read_table, record_checksums, save_text
 from experiments.lab.provenance import provenance, write_provenance
 from experiments.lab.results import MERGED, PROVENANCE, Results
-from experiments.lab.schedule import Outcome, Workers, run_cells
+from experiments.lab.schedule import Outcome, Workers, run_alone, run_cells
 from experiments.lab.task import tasks_of
 from sim.render.gl_context import context_or_none
 from ssac.errors import SsacError
@@ -171,30 +164,22 @@ def run_study(
     shard: tuple[int, int] = WHOLE,
     options: Options | None = None,
 ) -> Outcome:
-    """Measure the cells of a study, or those of a shard, that the cache does not hold.
-
-    Its runs have the column CELL first.
-    """
+    """Measure the cells of a study or shard that the cache does not hold; CELL comes first."""
     of_shard = numbered(study.cells(**(options or {})), shard)
     cells = [cell for _, cell in of_shard]
     if study.how is How.ALONE:
         outcome = run_alone(cells, study.measure, study.name)
     else:
         outcome = run_cells(cells, cache, workers, study.name, measure=study.measure)
-    runs = outcome.runs.copy()
-    runs.insert(0, CELL, [number for number, _ in of_shard])
-    return replace(outcome, runs=runs)
+    outcome.runs.insert(0, CELL, [number for number, _ in of_shard])
+    return outcome
 
 
 def numbered(cells: Sequence[AnyCell], shard: tuple[int, int] = WHOLE) -> list[tuple[int, AnyCell]]:
-    """Return the numbered cells of shard (i, n), i from 1: every n-th recording with all its cells.
-
-    A recording is never split, so no two shards simulate the same one.
-    """
+    """Return the numbered cells of shard (i, n), i from 1: all those of every n-th recording."""
     index, n_shards = shard
-    number = {id(cell): at for at, cell in enumerate(cells)}
-    mine = [cell for task in tasks_of(cells)[index - 1 :: n_shards] for cell in task.cells]
-    return sorted(((number[id(cell)], cell) for cell in mine), key=lambda pair: pair[0])
+    mine = {id(cell) for task in tasks_of(cells)[index - 1 :: n_shards] for cell in task.cells}
+    return [(number, cell) for number, cell in enumerate(cells) if id(cell) in mine]
 
 
 def parse_shard(text: str) -> tuple[int, int]:
@@ -207,8 +192,7 @@ def parse_shard(text: str) -> tuple[int, int]:
 
 def check_reads(study: Study, out: Path, made_before: Collection[str] = ()) -> None:
     """Raise SsacError, before hours of work, when a file that a study reads is not there."""
-    reads = [name for name in study.reads if name not in made_before]
-    absent = [name for name in reads if not (out / name).is_file()]
+    absent = [one for one in study.reads if one not in made_before and not (out / one).is_file()]
     if absent:
         raise SsacError(
             f"`{study.command_line()}` needs {', '.join(absent)} in {out}: make them first"
@@ -228,19 +212,16 @@ def save_study(
     start, outcome = time.perf_counter(), None
     given = {name: value for name, value in (options or {}).items() if name in study.options}
     others = {name: value for name, value in given.items() if value != study.options[name]}
+    config = {"study": study.name, SHARD: f"{shard[0]}/{shard[1]}", **study.config}
     more: dict[str, Any] = {}
     if study.runs is not None:
         outcome = run_study(study, cache, workers, shard, given)
-        text = runs_text(study.runs, outcome.runs, shard, Results(out))
-        save_text(out / study.runs.file, text)
-        more = {
-            "recordings_simulated": outcome.n_simulated,
-            "peak_mb_per_worker": round(outcome.peak_mb),
-        }
+        save_text(out / study.runs.file, runs_text(study.runs, outcome.runs, shard, Results(out)))
+        more["recordings_simulated"] = outcome.n_simulated
+        more["peak_mb_per_worker"] = round(outcome.peak_mb)
     content = provenance(
         study.command_line(given, shard),
-        {"study": study.name, SHARD: f"{shard[0]}/{shard[1]}", **study.config}
-        | ({"options": others} if others else {}),
+        config | ({"options": others} if others else {}),
         time.perf_counter() - start,
         context_or_none(),
         **more,
@@ -278,33 +259,28 @@ def save_made(
         if _is_table(made.file):
             config = content["config"] if made.config is None else dict(made.config)
             write_provenance(path, {**content, "config": config})
-    if not study.is_committed:
-        return written
-    if study.runs is None:
+    if study.is_committed and study.runs is None:
         beside = out / f"{study.name}{PROVENANCE}"
         write_provenance(beside.with_name(f"{study.name}.csv"), content)
         record_checksums(out, [*written, beside])
-    else:
+    elif study.is_committed:
         record_checksums(out, written)
     return written
 
 
 def runs_text(
-    kept: Runs,
-    runs: pd.DataFrame,
-    shard: tuple[int, int] = WHOLE,
-    results: Results | None = None,
+    kept: Runs, runs: pd.DataFrame, shard: tuple[int, int] = WHOLE, results: Results | None = None
 ) -> str:
     """Write rows as their file has them; those of a shard begin with the cells' numbers."""
     if kept.table is not None and shard != WHOLE:
         raise SsacError(f"{kept.file} is made of all rows together: run it without --shard")
+    columns = list(kept.columns)
     if kept.table is not None and results is not None:
         runs = kept.table(runs, results)
-        return csv_text(runs[list(kept.columns)] if kept.columns else runs, kept.digits)
-    if kept.columns:
-        runs = runs[[CELL, *kept.columns]]
+        return csv_text(runs[columns] if columns else runs, kept.digits)
+    columns = columns or [str(name) for name in runs if name != CELL]
     is_numbered = kept.numbered or shard != WHOLE
-    return csv_text(runs if is_numbered else runs.drop(columns=CELL), kept.digits)
+    return csv_text(runs[[CELL, *columns] if is_numbered else columns], kept.digits)
 
 
 def check_runs(study: Study, runs: pd.DataFrame, cells: Sequence[AnyCell]) -> None:
@@ -316,23 +292,20 @@ def check_runs(study: Study, runs: pd.DataFrame, cells: Sequence[AnyCell]) -> No
         ours = expected["method"].isin([one.name for one in OURS])
         expected = expected[ours].reset_index(drop=True)  # others are of another package
     names = [str(name) for name in expected]
-    absent = [name for name in (*names, "status") if name not in runs]
-    if kept.numbered and CELL not in runs:
-        absent.insert(0, CELL)
+    needed = [*([CELL] if kept.numbered else []), *names, "status"]
+    absent = [name for name in needed if name not in runs]
     if absent:
         raise SsacError(f"{kept.file}: has no columns {', '.join(absent)}{again}")
-    if len(runs) != len(expected) or (
-        kept.numbered and list(runs[CELL]) != list(range(len(expected)))
-    ):
+    n = len(expected)
+    if len(runs) != n or (kept.numbered and list(runs[CELL]) != list(range(n))):
         raise SsacError(
-            f"{kept.file}: expected the cells 0 to {len(expected) - 1} in order, got "
-            f"{len(runs)} rows{again}"
+            f"{kept.file}: expected the cells 0 to {n - 1} in order, got {len(runs)} rows{again}"
         )
-    same = (runs[names].astype(str) == expected.astype(str)).all(axis=1)
-    if not same.all():
-        first = int((~same).to_numpy().argmax())
-        found, wanted = runs[names].to_dict("records")[first], expected.to_dict("records")[first]
-        raise SsacError(f"{kept.file}: row {first} is of {found}, expected {wanted}{again}")
+    unlike = (runs[names].astype(str) != expected.astype(str)).any(axis=1).to_numpy()
+    if unlike.any():
+        row = int(unlike.argmax())
+        found, wanted = runs[names].to_dict("records")[row], expected.to_dict("records")[row]
+        raise SsacError(f"{kept.file}: row {row} is of {found}, expected {wanted}{again}")
     check_keys(kept, runs)
 
 
@@ -343,60 +316,43 @@ def check_keys(kept: Runs, runs: pd.DataFrame) -> None:
 
 
 def merge(
-    shards: Sequence[Path],
-    out: Path,
-    study_of: Callable[[Mapping[str, Any]], Study],
-    cache: Cache,
+    shards: Sequence[Path], out: Path, study_of: Callable[[Mapping[str, Any]], Study], cache: Cache
 ) -> list[Path]:
     """Join the shards of a study to the same bytes as in one piece, and make what follows.
 
-    Parameters
-    ----------
-    shards
-        CSVs, each with its provenance beside it.
-    out
-        CSV to write.
-    study_of
-        Gives the study by the configuration of a shard's provenance.
-
-    Raises
-    ------
-    SsacError
-        If the shards are of different grids, overlap, or do not cover the grid.
+    Each shard has its provenance beside it, of whose configuration `study_of` gives the study.
+    SsacError if the shards are of different grids, overlap, or do not cover the grid.
     """
     provenances = [_read_provenance(path) for path in shards]
-    wholes = [
-        {key: value for key, value in one["config"].items() if key != SHARD} for one in provenances
-    ]
-    rows: dict[int, tuple[str, Path]] = {}
-    header = ""
+    wholes = [{k: v for k, v in one["config"].items() if k != SHARD} for one in provenances]
+    lines: dict[int, tuple[str, Path]] = {}
+    headers = []
     for path, whole in zip(shards, wholes, strict=True):
         if whole != wholes[0]:
             raise SsacError(f"{path} is of another grid than {shards[0]}: merge the shards of one")
-        first, *lines = _lines(path)
-        if header and first != header:
+        header, rows = _numbered_lines(path)
+        headers.append(header)
+        if header != headers[0]:
             raise SsacError(f"{path} has other columns than {shards[0]}: was the code the same?")
-        header = first
-        for line in lines:
-            number = _number(line, path)
-            if number in rows:
-                raise SsacError(f"cell {number} is in {rows[number][1]} and in {path}")
-            rows[number] = line, path
+        for number, line in rows:
+            if number in lines:
+                raise SsacError(f"cell {number} is in {lines[number][1]} and in {path}")
+            lines[number] = line, path
     study = study_of(wholes[0])
     if study.runs is None or out.name != study.runs.file:
         runs_file = study.runs.file if study.runs else "none"
         raise SsacError(f"{out}: the runs of this study are named {runs_file}")
     n_cells = len(study.cells(**wholes[0].get("options", {})))
-    missing = sorted(set(range(n_cells)) - set(rows))
+    missing = sorted(set(range(n_cells)) - set(lines))
     if missing:
         raise SsacError(
             f"{len(missing)} of {n_cells} cells are in none of the shards, the first of them "
             f"{missing[0]}: give the CSVs of all shards"
         )
-    lines = [header, *(rows[number][0] for number in range(n_cells))]
+    text = [headers[0], *(lines[number][0] for number in range(n_cells))]
     if not study.runs.numbered:
-        lines = [line.partition(",")[2] for line in lines]
-    save_text(out, "\n".join(lines) + "\n")
+        text = [line.partition(",")[2] for line in text]
+    save_text(out, "\n".join(text) + "\n")
     content = {"command": MERGED, "config": wholes[0], "shards": provenances}
     return save_made(study, out.parent, cache, content)
 
@@ -405,23 +361,21 @@ def _is_table(file: str) -> bool:
     return file.endswith(".csv")
 
 
-def _lines(path: Path) -> list[str]:
+def _numbered_lines(path: Path) -> tuple[str, list[tuple[int, str]]]:
+    """Read a shard: its header, and its other lines with the number that each begins with."""
     try:
-        lines = path.read_bytes().decode("utf-8").splitlines()
+        header, *lines = path.read_bytes().decode("utf-8").splitlines() or [""]
     except (OSError, UnicodeDecodeError) as error:
         raise SsacError(f"{path}: cannot be read ({error}): run this shard again") from error
-    if not lines:
+    if not header:
         raise SsacError(f"{path}: is empty: run this shard again")
-    return lines
-
-
-def _number(line: str, path: Path) -> int:
-    first = line.partition(",")[0]
-    if not (first.isascii() and first.isdecimal()):
-        raise SsacError(
-            f"{path}: a row begins with {first[:40]!r}, no cell's number: run this shard again"
-        )
-    return int(first)
+    numbers = [line.partition(",")[0] for line in lines]
+    for number in numbers:
+        if not (number.isascii() and number.isdecimal()):
+            raise SsacError(
+                f"{path}: a row begins with {number[:40]!r}, no cell's number: run this shard again"
+            )
+    return header, list(zip(map(int, numbers), lines, strict=True))
 
 
 def _read_provenance(path: Path) -> dict[str, Any]:
@@ -429,8 +383,6 @@ def _read_provenance(path: Path) -> dict[str, Any]:
     try:
         content: dict[str, Any] = json.loads(beside.read_text(encoding="utf-8"))
         content["config"][SHARD]
-        if not isinstance(content["config"], dict):
-            raise TypeError("config is no table")
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise SsacError(
             f"{path}: expected {beside.name} beside it, as ssac sweep and ssac study write it, to "

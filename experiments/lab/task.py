@@ -3,7 +3,7 @@
 import hashlib
 import resource
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -69,22 +69,9 @@ class Done(NamedTuple):
 
 
 def run_task(task: Task, cache: Cache, measure: Measure) -> Done:
-    """Measure those cells of a task that the cache does not hold yet.
+    """Measure those cells of a task that the cache does not hold yet, and keep each row at once.
 
-    Parameters
-    ----------
-    cache
-        Is given every row as soon as it is there, but for crashed ones.
-
-    Returns
-    -------
-    Done
-        Nothing that a cell does raises.
-
-    Raises
-    ------
-    WriteError
-        If the cache cannot be written to.
+    Nothing that a cell does raises; WriteError if the cache cannot be written to.
     """
     keep_freed_memory()
     with threadpool_limits(1):  # one worker a core, and sums in the same order everywhere
@@ -108,19 +95,24 @@ def _rows(task: Task, cache: Cache, measure: Measure) -> Rows:
         failed = refusal(measure, error, "recording")
         return [failed if row is None else row for row in rows]
     for index, (key, cell) in enumerate(zip(keys, task.cells, strict=True)):
-        if rows[index] is not None:
+        row = rows[index]
+        if row is not None:
             continue
-        try:
-            row = plain(measure.row(cell, loaded))
-        except Exception as error:
-            row = refusal(measure, error, name_of(cell))
-        rows[index] = row
+        row = rows[index] = measured(cell, measure, lambda: loaded)
         if row["status"] != CRASHED:
             cache.save_run(key, row)
     return [row for row in rows if row is not None]
 
 
-def refusal(measure: Measure, error: Exception, where: str) -> dict[str, Any]:
+def measured(cell: Any, measure: Measure, load: Callable[[], Any]) -> dict[str, Any]:
+    """Make a cell's row of what is loaded."""
+    try:
+        return plain(measure.row(cell, load()))
+    except Exception as error:  # whatever it is: the row says so
+        return refusal(measure, error, name_of(cell))
+
+
+def refusal(measure: Measure, error: BaseException, where: str) -> dict[str, Any]:
     """Make the row of a cell that could not be measured."""
     text = " ".join(str(error).split())
     if isinstance(error, SsacError):
@@ -130,14 +122,12 @@ def refusal(measure: Measure, error: Exception, where: str) -> dict[str, Any]:
 
 def plain(row: Any) -> dict[str, Any]:
     """Turn a row into what JSON holds exactly: None for NaN."""
-    values: Mapping[str, Any] = vars(row)
     return {
         name: None if isinstance(value, float) and np.isnan(value) else value
-        for name, value in values.items()
+        for name, value in vars(row).items()
     }
 
 
 def name_of(cell: Any) -> str:
     """Tell a cell from the others of its task, in a reason: by its last column."""
-    *_, last = cell.columns.values()
-    return str(last)
+    return str(list(cell.columns.values())[-1])

@@ -63,21 +63,9 @@ def found(what: str, check: Callable[[], Iterable[str]]) -> Finding:
 def file_findings(
     results: Path, studies: Iterable[Study], others: Mapping[str, str] | None = None
 ) -> Iterator[Finding]:
-    """Check that every file is there, no other, and each as its command wrote it.
-
-    Parameters
-    ----------
-    results
-        Folder of the results.
-    studies
-        That left their files there.
-    others
-        Digests of files that no study makes.
-    """
+    """Check that every file is there, those of no study by their digests, and no other one."""
     digests = dict(others or {})
-    files = {*digests, SUMS_FILE}
-    for study in studies:
-        files |= {*study.files, *study.provenances}
+    files = {*digests, SUMS_FILE}.union(*({*one.files, *one.provenances} for one in studies))
     there = {p.relative_to(results).as_posix() for p in results.rglob("*") if not p.is_dir()}
     yield Finding("every file that there must be is there", tuple(sorted(files - there)))
     yield Finding("no other file is there", tuple(sorted(there - files)))
@@ -150,6 +138,8 @@ def text_difference(committed: str, made: str) -> tuple[str, ...]:
 
 def near(mine: float, other: float, digits: int) -> bool:
     """Whether two numbers differ by one unit of the last of some digits at most."""
+    if not np.isfinite(other):
+        return False
     unit = 10.0 ** (np.floor(np.log10(abs(other))) + 1 - digits) if other else 0.0
     return bool(abs(mine - other) <= 1.001 * unit)  # 1.001: units are no binary numbers
 
@@ -163,26 +153,33 @@ def same_driver(made_with: Iterable[Mapping[str, Any]]) -> bool:
     )
 
 
-def between(name: str, column: str, low: float, high: float) -> Callable[[Results], list[str]]:
-    """Make a check that a column's numbers lie between two bounds; empty cells may stand there."""
+def _each(
+    name: str,
+    wrong: Callable[[pd.DataFrame], "pd.Series[Any]"],
+    said: Callable[["pd.Series[Any]"], str],
+) -> Callable[[Results], list[str]]:
+    """Make a check that says something of each row of a table that is wrong."""
 
     def check(results: Results) -> list[str]:
-        values = results.table(name)[column]
-        beyond = values[values.notna() & ~values.between(low, high)]
-        return [f"{name}.csv, row {row}: {column} is {value:g}" for row, value in beyond.items()]
+        table = results.table(name)
+        at = table.index[wrong(table)]
+        return [f"{name}.csv, row {row}: {said(table.loc[row])}" for row in at]
 
     return check
+
+
+def between(name: str, column: str, low: float, high: float) -> Callable[[Results], list[str]]:
+    """Make a check that a column's numbers lie between two bounds; empty cells may stand there."""
+    return _each(
+        name,
+        lambda table: table[column].notna() & ~table[column].between(low, high),
+        lambda row: f"{column} is {row[column]:g}",
+    )
 
 
 def ordered(name: str, low: str, high: str) -> Callable[[Results], list[str]]:
     """Make a check that no number of one column is above that of another."""
-
-    def check(results: Results) -> list[str]:
-        table = results.table(name)
-        beyond = table[table[low] > table[high]]
-        return [f"{name}.csv, row {row}: {low} is above {high}" for row in beyond.index]
-
-    return check
+    return _each(name, lambda t: t[low] > t[high], lambda _: f"{low} is above {high}")
 
 
 def follows(
@@ -193,38 +190,28 @@ def follows(
     def check(results: Results) -> list[str]:
         table = results.table(name)
         off = (formula(table) - table[column]).abs()
-        return [f"{name}.csv, row {row}: {column} is off by {off[row]:g}"
-                for row in off.index[off > within]]  # fmt: skip
+        wrong = off[off > within].items()
+        return [f"{name}.csv, row {row}: {column} is off by {value:g}" for row, value in wrong]
 
     return check
 
 
 def one_of(name: str, column: str, *values: Any) -> Callable[[Results], list[str]]:
     """Make a check that a column has no other values than some."""
-
-    def check(results: Results) -> list[str]:
-        other = results.table(name)[column]
-        other = other[~other.isin(values)]
-        return [f"{name}.csv, row {row}: {column} is {value}" for row, value in other.items()]
-
-    return check
+    return _each(name, lambda t: ~t[column].isin(values), lambda row: f"{column} is {row[column]}")
 
 
 def scored_checks(name: str) -> tuple[Check, ...]:
     """Make the checks of a file of runs that were scored (`lab.scored`), whatever methods find."""
 
-    def errors(results: Results) -> list[str]:
-        runs = results.table(name)
-        ok = runs[runs["t_d_estimate_ms"].notna()]  # or was refused with an estimate
-        skew_ppm = ok.get("sim.skew_ppm", 0.0)
-        t_d_ms = ok["t_d_ms"] if "t_d_ms" in ok else 1e3 * ok["sim.t_d_s"]
-        off_ms = (ok["t_d_estimate_ms"] - t_d_ms).abs() - ok["t_d_error_ms"]
-        off_ppm = (ok["skew_ppm"] - skew_ppm).abs() - ok["skew_error_ppm"]
+    def off(runs: pd.DataFrame) -> "pd.Series[bool]":
+        t_d_ms = runs["t_d_ms"] if "t_d_ms" in runs else 1e3 * runs["sim.t_d_s"]
+        off_ms = (runs["t_d_estimate_ms"] - t_d_ms).abs() - runs["t_d_error_ms"]
+        off_ppm = (runs["skew_ppm"] - runs.get("sim.skew_ppm", 0.0)).abs() - runs["skew_error_ppm"]
         wrong = ~(off_ms.abs() <= _ROUNDING_MS)
-        wrong |= off_ppm.abs() > _ROUNDING_PPM + 1e-5 * ok["skew_error_ppm"].abs()
-        wrong |= off_ppm.isna() & (ok["skew_ppm"].notna() | ok["skew_error_ppm"].notna())
-        what = "its errors are not those of its estimate"
-        return [f"{name}.csv, row {row}: {what}" for row in ok[wrong].index]
+        wrong |= off_ppm.abs() > _ROUNDING_PPM + 1e-5 * runs["skew_error_ppm"].abs()
+        wrong |= off_ppm.isna() & (runs["skew_ppm"].notna() | runs["skew_error_ppm"].notna())
+        return wrong & runs["t_d_estimate_ms"].notna()  # of the others nothing is known
 
     def recordings(results: Results) -> list[str]:
         runs = results.table(name)
@@ -236,10 +223,11 @@ def scored_checks(name: str) -> tuple[Check, ...]:
         return [f"{name}.csv, {key}: several numbers of events" for key in several]
 
     return (
-        ("errors are those of the estimates", errors),
+        ("errors are those of the estimates",
+         _each(name, off, lambda _: "its errors are not those of its estimate")),
         ("all runs on a flight saw the same events", recordings),
         ("angles are angles", between(name, "r_error_deg", 0.0, 180.0)),
-    )
+    )  # fmt: skip
 
 
 def _changed(results: Path, files: Iterable[str]) -> list[str]:
@@ -274,11 +262,9 @@ def cells_of(study: Study) -> Sequence[AnyCell]:
 
 
 def _made_faults(study: Study, made: Made, results: Results) -> tuple[str, ...]:
-    name = made.file.partition(".")[0]
-    beside = name if f"{name}{PROVENANCE}" in study.provenances else None
-    if beside is None:
-        beside = next(iter(study.provenances)).removesuffix(PROVENANCE)
-    made_with = results.provenances(beside)
+    own = f"{made.file.partition('.')[0]}{PROVENANCE}"
+    beside = own if own in study.provenances else next(iter(study.provenances))
+    made_with = results.provenances(beside.removesuffix(PROVENANCE))
     here = versions()
     if made.file.endswith(".png"):
         if any(one["versions"].get(key) != here[key] for one in made_with for key in _DRAWN_BY):
@@ -292,25 +278,22 @@ def _made_faults(study: Study, made: Made, results: Results) -> tuple[str, ...]:
     return text_difference(text, again)
 
 
+def table_of_texts(text: str) -> pd.DataFrame:
+    """Read a table as it stands in its file."""
+    table: pd.DataFrame = pd.read_csv(StringIO(text), dtype=str, keep_default_na=False)
+    return table
+
+
 def _with_last_digits_of(text: str, again: str, digits: int) -> str:
     """Take from a text the numbers that differ from those made again by a unit of the last."""
-    theirs, mine = (pd.read_csv(StringIO(one), dtype=str, keep_default_na=False)
-                    for one in (text, again))  # fmt: skip
+    theirs, mine = table_of_texts(text), table_of_texts(again)
     if theirs.shape != mine.shape or list(theirs) != list(mine):
         return again
     for name in mine:
-        for row in np.flatnonzero((mine[name] != theirs[name]).to_numpy()):
-            a, b = mine[name].iloc[row], theirs[name].iloc[row]
-            if _is_number(a) and _is_number(b) and near(float(a), float(b), digits):
-                mine.loc[row, name] = b
+        a, b = (pd.to_numeric(one[name], errors="coerce") for one in (mine, theirs))
+        is_near = [near(*pair, digits) for pair in zip(a, b, strict=True)]
+        mine[name] = mine[name].where(~np.array(is_near, dtype=bool), theirs[name])
     return csv_text(mine)
-
-
-def _is_number(text: str) -> bool:
-    try:
-        return bool(np.isfinite(float(text)))
-    except ValueError:
-        return False
 
 
 def _unlike_others(
@@ -318,12 +301,12 @@ def _unlike_others(
 ) -> Iterator[str]:
     assert study.runs is not None
     cells, file = cells_of(study), study.runs.file
-    table = pd.read_csv(StringIO(results.text(file)), dtype=str, keep_default_na=False)
+    table = table_of_texts(results.text(file))
     if len(table) != len(cells):
         cells = [cell for cell in cells if getattr(cell, "method", "") in set(table["method"])]
-    own = set(cells[0].columns) | {"cell"} if cells else set()
-    measured = [name for name in table if name not in own and name not in study.runs.took]
-    rows: list[dict[str, str]] = table[measured].to_dict("records")  # type: ignore[assignment]
+    own = {"cell", *study.runs.took, *(cells[0].columns if cells else ())}
+    measured = table[[name for name in table if name not in own]]
+    rows: list[dict[str, str]] = measured.to_dict("records")  # type: ignore[assignment]
     for number, (cell, row) in enumerate(zip(cells, rows, strict=True)):
         try:
             key = (study.measure.row, cell.recordings, cell.inputs)

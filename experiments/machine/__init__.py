@@ -1,1 +1,1 @@
-"""What the machine makes of our code: speed and memory, as ratios side by side in one run."""
+"""Speed and memory of each part, side by side in one run."""

@@ -18,15 +18,13 @@ import numpy as np
 
 from experiments.lab.cache import Cache
 from experiments.lab.cell import Measure
-from experiments.machine.measurement import peak_memory_mb
+from experiments.machine.parts import peak_memory_mb
 from sim.recording import SimConfig
 from sim.storage import record
 from ssac.estimate import Status
 from ssac.pipeline.api import Result, sync
 
-SIMULATE, SYNCHRONISE = "simulate", "synchronise"
-STEPS = (SIMULATE, SYNCHRONISE)
-DURATIONS_S = (5.0, 20.0, 60.0, 120.0)
+STEPS = SIMULATE, SYNCHRONISE = "simulate", "synchronise"
 T_D_S = 0.05
 
 
@@ -58,11 +56,10 @@ class Point:
         )
 
 
-SENSORS = ((346, 260, 200.0, 0.05e6), (1280, 720, 440.0, 0.46e6))
 POINTS = tuple(
     Point(width, height, focal_px, duration_s, rate)
-    for width, height, focal_px, rate in SENSORS
-    for duration_s in DURATIONS_S
+    for width, height, focal_px, rate in ((346, 260, 200.0, 0.05e6), (1280, 720, 440.0, 0.46e6))
+    for duration_s in (5.0, 20.0, 60.0, 120.0)
 )
 
 
@@ -108,19 +105,18 @@ def step_row(cell: StepCell, folder: Path) -> StepRow:
     """Take a step in this process, after a smaller one that loads the kernels."""
     smallest = folder / "smallest"
     pair = smallest if cell.point == POINTS[0] else folder / "pair"
-    with tempfile.TemporaryDirectory() as other:
-        if cell.step == SIMULATE:
+    if cell.step == SIMULATE:
+        with tempfile.TemporaryDirectory() as other:
             record(replace(POINTS[0], duration_s=1.0).config, 0, Path(other) / "short", {})
-        else:
-            _sync(smallest)
+    else:
+        _sync(smallest)
+    status, n_events, error_ms = str(Status.OK.value), np.nan, np.nan
     wall_s, cpu_s = time.perf_counter(), time.process_time()
     if cell.step == SIMULATE:
-        recorded = record(cell.point.config, 0, pair, {})
-        status, error_ms = str(Status.OK.value), np.nan
-        n_events = float(np.mean(recorded.n_events))
+        n_events = float(np.mean(record(cell.point.config, 0, pair, {}).n_events))
     else:
         estimate = _sync(pair).estimate
-        status, n_events = str(estimate.status), np.nan
+        status = str(estimate.status)
         error_ms = 1e3 * abs(estimate.t_d_s - T_D_S) if status == Status.OK.value else np.nan
     wall_s, cpu_s = time.perf_counter() - wall_s, time.process_time() - cpu_s
     if cell.step == SYNCHRONISE and pair != smallest:

@@ -1,29 +1,73 @@
-"""Parts of the benchmark, each of which is measured in a process of its own on one core.
+"""Parts of the benchmark, each measured in a process of its own on one core, and how.
 
 So none sees another's memory, and both GL backends can be compared. Each part is a function of a
-module that is loaded where it is measured, and not before.
+module that is loaded where it is measured: `ssac simulate` is measured in a process that loads
+what that command does, and no more.
 """
 
+import resource
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from experiments.lab.cell import Measure
-from experiments.machine.measurement import Measurement, peak_memory_mb
+
+Result = TypeVar("Result")
 
 PARTS: Mapping[str, tuple[str, str, tuple[Any, ...]]] = {
-    **{f"render-{by}": ("render", "bench_render", (by,)) for by in ("native", "osmesa", "egl")},
-    "sensor": ("sensor", "bench_sensor", ()),
+    **{f"render-{by}": ("simulating", "bench_render", (by,)) for by in ("native", "osmesa", "egl")},
+    "sensor": ("simulating", "bench_sensor", ()),
     "recording": ("parts", "bench_recording", ()),
-    "sync": ("sync", "bench_sync", ()),
-    "reading": ("reading", "bench_reading", ()),
+    "sync": ("synchronising", "bench_sync", ()),
+    "reading": ("synchronising", "bench_reading", ()),
     "tables": ("tables", "bench_tables", ()),  # which has two workers
 }
 """Module, function and arguments by name."""
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """A figure, what it is held against, and the mark to reach."""
+
+    name: str
+    value: float
+    unit: str
+    mark: float | None = None  # of the value; None: for information
+    higher_is_better: bool = False
+
+    @property
+    def verdict(self) -> str:
+        """Return "meets", "misses", or nothing where there is no mark."""
+        if self.mark is None:
+            return ""
+        met = self.value >= self.mark if self.higher_is_better else self.value <= self.mark
+        return "meets" if met else "misses"
+
+
+def best_seconds(work: Callable[[], Result], repeats: int) -> tuple[float, Result]:
+    """Least processor time [s] of a few runs after a warm-up, and the result."""
+    result = work()
+    seconds = []
+    for _ in range(repeats):
+        start = time.process_time()
+        result = work()
+        seconds.append(time.process_time() - start)
+    return min(seconds), result
+
+
+def best_rate(work: Callable[[], int], repeats: int) -> float:
+    """Return how much work is done per second of processor time, at best, after a warm-up."""
+    seconds, done = best_seconds(work, repeats)
+    return done / seconds
+
+
+def peak_memory_mb() -> float:
+    """Return the most memory that this process has had."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
 
 
 @dataclass(frozen=True)

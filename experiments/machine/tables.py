@@ -9,7 +9,7 @@ from pathlib import Path
 from experiments.lab.cache import RECORDED, Cache
 from experiments.lab.grid import Cell, GridConfig, named_config
 from experiments.lab.schedule import Outcome, Workers, run_cells
-from experiments.machine.measurement import Measurement
+from experiments.machine.parts import Measurement
 from experiments.paper.grids import TABLES, n_recordings
 
 ANGLES_DEG = (30.0, 60.0, 120.0, 150.0)  # an even number, so that two workers end together
@@ -28,12 +28,15 @@ def bench_tables() -> list[Measurement]:
     """
     cells = measured_cells()
     n_measured = len({(cell.sim, cell.seed) for cell in cells})
+    # Small flights, one for each worker, that load the code and its kernels.
+    small = replace(named_config(TABLES[0]), fixed={"sim.spline.duration_s": 2.0})
     seconds: dict[tuple[str, int], float] = {}
     peak_mb = 0.0
     with tempfile.TemporaryDirectory() as folder:
         for count in (1, 2):
             cache = Cache(Path(folder) / f"by_{count}")
-            _run(_warm_up(count), Cache(Path(folder) / f"warm_{count}"), count)
+            warm_up = _cells(replace(small, flights=count))
+            _run(warm_up, Cache(Path(folder) / f"warm_{count}"), count)
             seconds["from nothing", count], outcome = _run(cells, cache, count)
             peak_mb = max(peak_mb, outcome.peak_mb)
             without_runs = Cache(Path(folder) / f"cached_{count}")
@@ -58,15 +61,8 @@ def bench_tables() -> list[Measurement]:
 
 def measured_cells() -> list[Cell]:
     """List the cells of a few recordings of both tables: as many of 10 s as of 20 s."""
-    return [
-        cell for name in TABLES for cell in _cells(replace(named_config(name), flights=N_FLIGHTS))
-    ]
-
-
-def _warm_up(count: int) -> list[Cell]:
-    """List the cells of small flights, one for each worker, that load the code and its kernels."""
-    grid = replace(named_config(TABLES[0]), flights=count)
-    return _cells(replace(grid, fixed={"sim.spline.duration_s": 2.0}))
+    grids = [replace(named_config(name), flights=N_FLIGHTS) for name in TABLES]
+    return [cell for grid in grids for cell in _cells(grid)]
 
 
 def _cells(grid: GridConfig) -> list[Cell]:

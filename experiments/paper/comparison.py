@@ -18,15 +18,15 @@ Our flights may be more than the paper's; each verdict is also given by our firs
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
-from scipy.stats import norm
+from numpy.typing import ArrayLike, NDArray
+from scipy.stats import gmean, norm
 from scipy.stats import t as student
 
-from experiments.paper.grids import table_axes
+from experiments.paper.grids import DURATIONS_S
 from experiments.paper.quantities import R_ERROR, T_D_ERROR, T_ERROR
 from ssac.errors import SsacError
 
@@ -43,6 +43,9 @@ PUBLISHED = Path(__file__).resolve().parents[2] / "results" / "published"
 PUBLISHED_RUNS = 10
 """Of each cell. All 30 published means of ZNCC_E are whole tenths of sums of multiples of its unit
 of 10 ms, and so are the deviations if they are taken over 10 runs, not over 10 - 1."""
+
+PLACE = ["angle_deg", "t_d_ms"]
+"""Columns that say which cell of a table a row is."""
 
 
 @dataclass(frozen=True)
@@ -81,107 +84,75 @@ SIZE_RULE = (
 
 VERDICTS = ("agrees", "better", "differs")
 
-_NORMAL = float(norm.ppf(0.975))  # half of a 95 % interval, in deviations
+REASONS: Mapping[str, Mapping[str, Sequence[Any]]] = {
+    "the paper's mean of ten flights says little more than how many are gross errors "
+    "(docs/zncc.md)": {
+        "quantity": ("zncc_e_t_d_error_ms", "zncc_f_t_d_error_ms"),
+        "angle_deg": (60.0, 90.0, 120.0),
+    },
+    "a lag is a multiple of 10 ms, so this offset adds up to half a bin: compare 50 and 500 ms": {
+        "quantity": ("zncc_e_t_d_error_ms",),
+        "angle_deg": (30.0,),
+        "t_d_ms": (5.0,),
+    },
+    "opposed views: near the truth the rates correlate negatively, and any other lag may win; "
+    "the paper's own three offsets differ as much (docs/zncc.md)": {
+        "quantity": ("zncc_e_t_d_error_ms", "zncc_f_t_d_error_ms"),
+        "angle_deg": (150.0,),
+    },
+    "the paper's means at 5 and 500 ms lie around ours, which is one for all offsets as they "
+    "share their flights; of 90 cells of ssac some differ by chance": {
+        "quantity": ("ssac_t_d_error_ms",),
+        "duration_s": (10.0,),
+        "angle_deg": (90.0,),
+        "t_d_ms": (50.0,),
+    },
+}
+"""Why cells do not agree, and which, by values of columns: found by looking into the runs. It is
+noted beside those of the cells that do not."""
 
 
-@dataclass(frozen=True)
-class Reason:
-    """Why cells do not agree; it is noted beside those of the cells that do not."""
+class Sample(NamedTuple):
+    """What is known of the errors in cells."""
 
-    text: str
-    quantities: tuple[str, ...]
-    durations_s: tuple[float, ...] = ()  # empty: all
-    angles_deg: tuple[float, ...] = ()
-    t_ds_ms: tuple[float, ...] = ()
-
-    def covers(self, quantity: str, duration_s: float, angle_deg: float, t_d_ms: float) -> bool:
-        """Return whether the reason is meant for a cell."""
-        return quantity in self.quantities and all(
-            not values or value in values
-            for value, values in (
-                (duration_s, self.durations_s),
-                (angle_deg, self.angles_deg),
-                (t_d_ms, self.t_ds_ms),
-            )
-        )
-
-
-REASONS = (
-    Reason(
-        "the paper's mean of ten flights says little more than how many are gross errors "
-        "(docs/zncc.md)",
-        ("zncc_e_t_d_error_ms", "zncc_f_t_d_error_ms"),
-        angles_deg=(60.0, 90.0, 120.0),
-    ),
-    Reason(
-        "a lag is a multiple of 10 ms, so this offset adds up to half a bin: compare 50 and 500 ms",
-        ("zncc_e_t_d_error_ms",),
-        angles_deg=(30.0,),
-        t_ds_ms=(5.0,),
-    ),
-    Reason(
-        "opposed views: near the truth the rates correlate negatively, and any other lag may win; "
-        "the paper's own three offsets differ as much (docs/zncc.md)",
-        ("zncc_e_t_d_error_ms", "zncc_f_t_d_error_ms"),
-        angles_deg=(150.0,),
-    ),
-    Reason(
-        "the paper's means at 5 and 500 ms lie around ours, which is one for all offsets as they "
-        "share their flights; of 90 cells of ssac some differ by chance",
-        ("ssac_t_d_error_ms",),
-        durations_s=(10.0,),
-        angles_deg=(90.0,),
-        t_ds_ms=(50.0,),
-    ),
-)
-"""Found by looking into the runs; none is here that was not."""
-
-
-@dataclass(frozen=True)
-class Sample:
-    """What is known of the errors in a cell."""
-
-    mean: float
-    std: float  # over n, not n - 1
-    n: int
+    mean: ArrayLike
+    std: ArrayLike  # over n, not n - 1
+    n: ArrayLike
 
 
 def difference_interval(
     ours: Sample, published: Sample, resolution: float, confidence: float
-) -> tuple[float, float]:
+) -> tuple[FloatArray, FloatArray]:
     """Welch's confidence interval of the difference of two means, ours less the published one.
 
     Half a unit of the last printed digit, `resolution`, is added on both sides. Both ends are NaN
-    when a side has fewer than two runs.
+    where a side has fewer than two runs.
     """
-    if min(ours.n, published.n) < 2:
-        return np.nan, np.nan
-    variances = [side.std**2 / (side.n - 1) for side in (ours, published)]  # of the means
-    total = sum(variances)
-    half_width = 0.0
-    if total > 0.0:
-        freedom = 1.0 / sum(
-            (variance / total) ** 2 / (side.n - 1)
-            for variance, side in zip(variances, (ours, published), strict=True)
-        )
-        half_width = float(student.ppf(0.5 + confidence / 2, freedom)) * np.sqrt(total)
-    difference = ours.mean - published.mean
+    (mean1, std1, n1), (mean2, std2, n2) = (
+        np.array(side, np.float64) for side in (ours, published)
+    )
+    known = np.minimum(n1, n2) >= 2
+    with np.errstate(divide="ignore", invalid="ignore"):
+        variance1, variance2 = std1**2 / (n1 - 1), std2**2 / (n2 - 1)  # of the means
+        total = variance1 + variance2
+        freedom = 1.0 / ((variance1 / total) ** 2 / (n1 - 1) + (variance2 / total) ** 2 / (n2 - 1))
+        half_width = student.ppf(0.5 + confidence / 2, freedom) * np.sqrt(total)
+    half_width = np.where(total > 0.0, half_width, 0.0)
     half_width += resolution / 2
+    difference = np.where(known, mean1 - mean2, np.nan)
     return difference - half_width, difference + half_width
 
 
-def verdict_of(interval: tuple[float, float]) -> str:
-    """Say "agrees", "better" or "differs" of the 95 % interval of a difference."""
-    low, high = interval
-    if high < 0.0:
-        return "better"
-    return "agrees" if low <= 0.0 <= high else "differs"
+def verdicts_of(low: ArrayLike, high: ArrayLike) -> NDArray[np.str_]:
+    """Say "agrees", "better" or "differs" of the 95 % intervals of differences."""
+    is_better, is_above = np.less(high, 0.0), ~np.less_equal(low, 0.0)  # or unknown
+    return np.where(is_better, "better", np.where(is_above, "differs", "agrees"))
 
 
 def load_published(
     folder: Path = PUBLISHED,
     name: str = "esim",
-    durations_s: Sequence[float] | None = None,
+    durations_s: Sequence[float] = DURATIONS_S,
     errors: tuple[PublishedError, ...] = PUBLISHED_ERRORS,
 ) -> dict[float, pd.DataFrame]:
     """Read the paper's tables `<name>_<duration>.csv`, by duration [s].
@@ -189,15 +160,14 @@ def load_published(
     By default those of the simulations. SsacError if one cannot be read, or lacks one of `errors`.
     """
     tables = {}
-    for duration_s in table_axes().durations_s if durations_s is None else durations_s:
+    for duration_s in durations_s:
         path = folder / f"{name}_{duration_s:g}.csv"
         try:
             table = pd.read_csv(path)
         except (OSError, ValueError) as error:
             raise SsacError(f"{path}: the published table cannot be read: {error}") from error
-        needed = ["angle_deg", "t_d_ms"]
-        needed += [f"{q.published}_{part}" for q in errors for part in ("mean", "std")]
-        absent = [column for column in needed if column not in table]
+        needed = [f"{q.published}_{part}" for q in errors for part in ("mean", "std")]
+        absent = [column for column in (*PLACE, *needed) if column not in table]
         if absent:
             raise SsacError(f"{path}: the published table lacks the columns {', '.join(absent)}")
         tables[duration_s] = table
@@ -207,105 +177,91 @@ def load_published(
 def comparison_table(
     tables: Mapping[float, pd.DataFrame],
     published: Mapping[float, pd.DataFrame],
-    reasons: tuple[Reason, ...] = REASONS,
+    reasons: Mapping[str, Mapping[str, Sequence[Any]]] = REASONS,
     first: Mapping[float, pd.DataFrame] | None = None,
     errors: tuple[PublishedError, ...] = PUBLISHED_ERRORS,
 ) -> pd.DataFrame:
     """Compare our tables, by duration [s], with the published ones cell by cell.
 
-    `first` are ours of the first PUBLISHED_RUNS flights alone, if there are further ones.
-
-    Returns
-    -------
-    pd.DataFrame
-        One row for each number that both have, in the paper's order of rows: duration, angle,
-        offset, quantity (`method_error`), both means and deviations, our runs that are "ok"
-        (`n_ours`), the ends of the 95 % interval of the difference, the verdict, whether our mean
-        is of the paper's size or better (SIZE_RULE), whether it is at most the published mean, our
-        numbers, interval and verdict by the first flights alone (`first_*`), and a note.
+    `first` are ours of the first PUBLISHED_RUNS flights alone, if there are further ones. One row
+    for each number that both have, in the paper's order of rows: where it stands, both means and
+    deviations, our runs that are "ok" (`n_ours`), the ends of the 95 % interval of the difference,
+    the verdict, whether our mean is of the paper's size or better (SIZE_RULE) and whether it is at
+    most the published mean; the same by the first flights alone (`first_*`), and a note.
     """
-    first = tables if first is None else first
-    rows = []
+    parts = []
     for duration_s, theirs in published.items():
         if duration_s not in tables:
             continue
-        place_of_cell = ["angle_deg", "t_d_ms"]
-        both = theirs.merge(tables[duration_s], on=place_of_cell)
-        if duration_s not in first:
+        if duration_s not in (first or tables):
             raise SsacError(f"the first {PUBLISHED_RUNS} flights of {duration_s:g} s are not there")
-        early = theirs.merge(first[duration_s], on=place_of_cell)
-        pairs = zip(both.to_dict("records"), early.to_dict("records"), strict=True)
-        for cell, first_cell in pairs:
-            for quantity in errors:
-                if f"{quantity.name}_mean" in cell:
-                    place = {
-                        "duration_s": duration_s,
-                        "angle_deg": float(cell["angle_deg"]),
-                        "t_d_ms": float(cell["t_d_ms"]),
-                        "quantity": quantity.name,
-                    }
-                    rows.append({**place, **_compared(cell, first_cell, quantity)})
-    if not rows:
+        both, early = (theirs.merge(of[duration_s], on=PLACE) for of in (tables, first or tables))
+        compared = [_compared(both, early, q) for q in errors if f"{q.name}_mean" in both]
+        if compared:  # by cell, then by quantity
+            part = pd.concat(compared).sort_index(kind="stable")
+            part.insert(0, "duration_s", duration_s)
+            parts.append(part)
+    if not parts:
         raise SsacError("our tables and the published ones have no cell in common")
-    table: pd.DataFrame = pd.DataFrame(rows)
-    keys = table[["quantity", "duration_s", "angle_deg", "t_d_ms"]]
-    table["note"] = [
-        "" if verdict == "agrees" else "; ".join(r.text for r in reasons if r.covers(*key))
-        for verdict, key in zip(table["verdict"], keys.itertuples(index=False), strict=True)
-    ]
+    table: pd.DataFrame = pd.concat(parts, ignore_index=True)
+    notes: list[list[str]] = [[] for _ in range(len(table))]
+    for text, where in reasons.items():
+        of = table["verdict"] != "agrees"
+        for column, values in where.items():
+            of &= table[column].isin(values)
+        for row in np.flatnonzero(of):
+            notes[row].append(text)
+    table["note"] = ["; ".join(texts) for texts in notes]
     return table
 
 
-def _compared(
-    cell: Mapping[Any, Any], first_cell: Mapping[Any, Any], quantity: PublishedError
-) -> dict[str, float | int | str]:
-    """Compare one number of one row of both tables."""
-    ours, first = (_ours(row, quantity) for row in (cell, first_cell))
-    published = Sample(
-        cell[f"{quantity.published}_mean"], cell[f"{quantity.published}_std"], PUBLISHED_RUNS
-    )
+def _compared(both: pd.DataFrame, early: pd.DataFrame, quantity: PublishedError) -> pd.DataFrame:
+    """Compare one number of all rows of the published table and of ours, all and the first."""
+    ours, first = _ours(both, quantity), _ours(early, quantity)
+    mean, std = (both[f"{quantity.published}_{part}"] for part in ("mean", "std"))
+    published = Sample(mean, std, np.full(len(both), PUBLISHED_RUNS))
     low, high = difference_interval(ours, published, quantity.resolution, 0.95)
     low_one_sided, _ = difference_interval(ours, published, quantity.resolution, 0.90)
     first_low, first_high = difference_interval(first, published, quantity.resolution, 0.95)
-    return {
+    columns = {
+        **both[PLACE].astype(np.float64),
+        "quantity": quantity.name,
         "ours_mean": ours.mean,
         "ours_std": ours.std,
         "n_ours": ours.n,
-        "published_mean": published.mean,
-        "published_std": published.std,
+        "published_mean": mean,
+        "published_std": std,
         "difference_low": low,
         "difference_high": high,
-        "verdict": verdict_of((low, high)),
-        "paper_size_or_better": "yes" if low_one_sided <= 0.0 else "no",
-        "mean_at_most_published": "yes" if ours.mean <= published.mean else "no",
+        "verdict": verdicts_of(low, high),
+        "paper_size_or_better": np.where(low_one_sided <= 0.0, "yes", "no"),
+        "mean_at_most_published": np.where(np.less_equal(ours.mean, mean), "yes", "no"),
         "first_mean": first.mean,
         "first_std": first.std,
         "first_n": first.n,
         "first_low": first_low,
         "first_high": first_high,
-        "first_verdict": verdict_of((first_low, first_high)),
+        "first_verdict": verdicts_of(first_low, first_high),
     }
+    return pd.DataFrame(columns, both.index)
 
 
-def _ours(cell: Mapping[Any, Any], quantity: PublishedError) -> Sample:
-    """Give what a row of our table knows of a quantity; a method may lack it in few flights."""
-    mean, std = (float(cell.get(f"{quantity.name}_{part}", np.nan)) for part in ("mean", "std"))
-    return Sample(mean, std, int(cell["n_runs"] - cell[f"{quantity.method}_failed"]))
+def _ours(table: pd.DataFrame, quantity: PublishedError) -> Sample:
+    """Give what our table knows of a quantity; a method may lack it in few flights."""
+    unknown = np.full(len(table), np.nan)
+    mean, std = (table.get(f"{quantity.name}_{part}", unknown) for part in ("mean", "std"))
+    return Sample(mean, std, (table["n_runs"] - table[f"{quantity.method}_failed"]).astype(int))
 
 
 def summary_table(comparison: pd.DataFrame) -> pd.DataFrame:
     """Sum up each quantity over the cells of a duration.
 
-    Returns
-    -------
-    pd.DataFrame
-        By quantity and duration: the number of cells and of each verdict; the geometric mean of the
-        ratios of our mean to the published one, the factor to which it is known, and the least and
-        the largest ratio; the median of the intervals' half-widths over the published mean
-        (`visible`: a difference that a cell would just tell); then by our first flights alone, as
-        many as the paper's, the verdicts, ratio and factor (`first_*`), how many cells have another
-        verdict by all (`changed`), and the factor that the paper's flights alone leave
-        (`factor_paper`), to which that of ours tends with ever more flights.
+    The number of cells and of each verdict; the geometric mean of the ratios of our mean to the
+    published one, the factor to which it is known, and the least and the largest ratio; the median
+    of the intervals' half-widths over the published mean (`visible`: a difference that a cell would
+    just tell); the same by our first flights alone, as many as the paper's (`first_*`), how many
+    cells have another verdict by all (`changed`), and the factor that the paper's flights alone
+    leave (`factor_paper`), to which that of ours tends with ever more flights.
     """
     rows = []
     place = {quantity.name: number for number, quantity in enumerate(PUBLISHED_ERRORS)}
@@ -324,14 +280,14 @@ def summary_table(comparison: pd.DataFrame) -> pd.DataFrame:
                 "quantity": name,
                 "duration_s": duration_s,
                 "cells": len(part),
-                **_counts(part["verdict"]),
-                "ratio": geometric_mean(ratios),
+                **{word: int((part["verdict"] == word).sum()) for word in VERDICTS},
+                "ratio": gmean(ratios),
                 "factor": ratio_factor(part),
                 "ratio_min": ratios.min(),
                 "ratio_max": ratios.max(),
                 "visible": (half_widths / published).median(),
-                **{f"first_{word}": n for word, n in _counts(part["first_verdict"]).items()},
-                "first_ratio": geometric_mean(first_ratios),
+                **{f"first_{w}": int((part["first_verdict"] == w).sum()) for w in VERDICTS},
+                "first_ratio": gmean(first_ratios),
                 "first_factor": ratio_factor(part, ("published", "first")),
                 "changed": int((part["verdict"] != part["first_verdict"]).sum()),
                 "factor_paper": ratio_factor(part, ("published",)),
@@ -352,26 +308,11 @@ def ratio_factor(part: pd.DataFrame, sides: Sequence[str] = ("published", "ours"
     angles_deg = part["angle_deg"].to_numpy()
     variance = 0.0
     for side in sides:
-        errors = _relative_errors(part[f"{side}_mean"], part[f"{side}_std"], runs[side])
+        means, stds, n = part[f"{side}_mean"], part[f"{side}_std"], runs[side]
+        known = (means > 0.0) & (n > 1)
+        # Standard errors over the means; deviations are over n.
+        errors = (stds / (means * np.sqrt((n - 1).where(known)))).to_numpy(np.float64)
         variance += sum(
             float(errors[angles_deg == angle].sum()) ** 2 for angle in np.unique(angles_deg)
         )
-    return float(np.exp(_NORMAL * np.sqrt(variance) / len(part)))
-
-
-def geometric_mean(values: FloatArray) -> float:
-    """Geometric mean; 0 where a value is 0, NaN where one is unknown."""
-    with np.errstate(divide="ignore"):
-        return float(np.exp(np.mean(np.log(values))))
-
-
-def _relative_errors(means: pd.Series, stds: pd.Series, n: pd.Series) -> FloatArray:
-    """Give standard errors of means over the means; NaN of a mean of 0 or of one run."""
-    known = (means > 0.0) & (n > 1)
-    errors: pd.Series = stds / (means * np.sqrt((n - 1).where(known)))  # stds are over n
-    return np.asarray(errors, np.float64)
-
-
-def _counts(verdicts: pd.Series) -> dict[str, int]:
-    counts = verdicts.value_counts()
-    return {word: int(counts.get(word, 0)) for word in VERDICTS}
+    return float(np.exp(norm.ppf(0.975) * np.sqrt(variance) / len(part)))

@@ -4,7 +4,7 @@ A run is one method on one flight with one offset. A table is made only from a w
 flight with every method at every angle and offset, each once, failed runs included.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from io import StringIO
 from itertools import product
 from typing import Any
@@ -34,22 +34,10 @@ _SHOWN = 5  # runs that an error message lists
 
 
 def ordered_runs(runs: pd.DataFrame) -> pd.DataFrame:
-    """Check that the runs make a whole grid, and put them into the order of `runs.csv`.
+    """Check that runs make a whole grid, and put them into the order of `runs.csv`.
 
-    Parameters
-    ----------
-    runs
-        RUN_COLUMNS, in any order of rows; further columns are dropped, YOUNGER ones may be absent.
-
-    Returns
-    -------
-    pd.DataFrame
-        By duration, angle, offset, flight and method (`method_order`); counts are whole numbers.
-
-    Raises
-    ------
-    SsacError
-        If a column or a run is missing, a run is there twice, or a run that is "ok" has no error.
+    Further columns are dropped, YOUNGER ones may be absent; counts become whole numbers. SsacError
+    if a column or a run is missing, a run is there twice, or a run that is "ok" has no error.
     """
     _check_columns(runs)
     if runs.empty:
@@ -59,12 +47,19 @@ def ordered_runs(runs: pd.DataFrame) -> pd.DataFrame:
     _check_listed("missing", missing_runs(runs))
     without_error = (runs["status"] == "ok") & runs["t_d_error_ms"].isna()
     _check_listed('"ok" without an error of t_d', runs.loc[without_error, KEY])
-    place = {name: number for number, name in enumerate(method_order(runs["method"]))}
-    ordered = runs.sort_values(
-        KEY, key=lambda column: column.map(place) if column.name == "method" else column
-    )
-    whole: pd.DataFrame = ordered.astype(dict.fromkeys(_WHOLE, "Int64")).reset_index(drop=True)
+    whole: pd.DataFrame = in_order(runs, KEY).astype(dict.fromkeys(_WHOLE, "Int64"))
     return whole
+
+
+def in_order(rows: pd.DataFrame, keys: Sequence[str]) -> pd.DataFrame:
+    """Sort rows by columns, methods as `method_order` does."""
+    place = {name: number for number, name in enumerate(method_order(rows["method"]))}
+    ordered: pd.DataFrame = rows.sort_values(
+        list(keys),
+        key=lambda column: column.map(place) if column.name == "method" else column,
+        ignore_index=True,
+    )
+    return ordered
 
 
 def missing_runs(runs: pd.DataFrame) -> pd.DataFrame:
@@ -96,18 +91,11 @@ def pose_methods(runs: pd.DataFrame) -> list[str]:
 def esim_table(runs: pd.DataFrame, duration_s: float) -> pd.DataFrame:
     """Mean errors of all methods on the recordings of one duration, in the paper's row order.
 
-    Parameters
-    ----------
-    runs
-        As `ordered_runs` takes them; those of other durations only tell which methods give a pose.
-
-    Returns
-    -------
-    pd.DataFrame
-        Columns `angle_deg`, `t_d_ms`, `n_runs` (flights), then for each method the mean and the
-        standard deviation (over the number of runs, as in the paper) of each error, and
-        `<method>_failed`, the number of runs whose status is not "ok". These do not enter the
-        means; where no run is "ok" the means are NaN.
+    Runs are as `ordered_runs` takes them; those of other durations only tell which methods give a
+    pose. Columns are `angle_deg`, `t_d_ms`, `n_runs` (flights), then for each method the mean and
+    the standard deviation (over the number of runs, as in the paper) of each error, and
+    `<method>_failed`, the number of runs whose status is not "ok". These do not enter the means;
+    where no run is "ok" the means are NaN.
     """
     runs = ordered_runs(runs)
     poses = pose_methods(runs)
@@ -141,10 +129,7 @@ def esim_tables(runs: pd.DataFrame) -> dict[float, pd.DataFrame]:
 def runs_from_csv(text: str) -> pd.DataFrame:
     """Read `runs.csv`: the inverse of `csv_text(ordered_runs(runs))`, but for its rounding.
 
-    Raises
-    ------
-    SsacError
-        If the text is no such table.
+    SsacError if the text is no such table.
     """
     # An empty cell is an unknown number, but an empty reason is just that.
     unknown = {name: [""] for name in RUN_COLUMNS if name not in _TEXT}

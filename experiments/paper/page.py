@@ -92,6 +92,10 @@ def _records(table: pd.DataFrame) -> list[dict[str, Any]]:
     return [{str(key): value for key, value in row.items()} for row in table.to_dict("records")]
 
 
+def _place(row: Mapping[str, Any]) -> list[str]:
+    return [label(row["quantity"]), f"{row['duration_s']:g} s"]
+
+
 def _from_to(low: float, high: float, decimals: int) -> str:
     return f"{number(low, decimals)} to {number(high, decimals)}"
 
@@ -99,8 +103,8 @@ def _from_to(low: float, high: float, decimals: int) -> str:
 def _against_the_paper(summary: pd.DataFrame) -> Rows:
     return [
         [
-            label(row["quantity"]), f"{row['duration_s']:g} s", str(row["cells"]),
-            *(str(row[word]) for word in VERDICTS), number(row["ratio"], 2),
+            *_place(row), *(str(row[word]) for word in ("cells", *VERDICTS)),
+            number(row["ratio"], 2),
             _from_to(row["ratio"] / row["factor"], row["ratio"] * row["factor"], 2),
             _from_to(row["ratio_min"], row["ratio_max"], 2),
             f"{number(100 * row['visible'], 0)} %",
@@ -113,9 +117,8 @@ def _further_flights(summary: pd.DataFrame) -> Rows:
     """Show which verdicts and intervals our further flights changed."""
     return [
         [
-            label(row["quantity"]), f"{row['duration_s']:g} s",
-            *(f"{row[f'first_{word}']} -> {row[word]}" for word in VERDICTS), str(row["changed"]),
-            f"{number(row['first_ratio'], 2)} -> {number(row['ratio'], 2)}",
+            *_place(row), *(f"{row[f'first_{word}']} -> {row[word]}" for word in VERDICTS),
+            str(row["changed"]), f"{number(row['first_ratio'], 2)} -> {number(row['ratio'], 2)}",
             *(number(row[name], 2) for name in ("first_factor", "factor", "factor_paper")),
         ]
         for row in _records(summary)
@@ -125,15 +128,14 @@ def _further_flights(summary: pd.DataFrame) -> Rows:
 def _changed_verdicts(comparison: pd.DataFrame) -> Rows:
     """List the cells whose verdict changed, those that changed alike in one row."""
     changed = comparison[comparison["verdict"] != comparison["first_verdict"]]
-    keys = ["quantity", "duration_s", "first_verdict", "verdict"]
     rows = []
-    for (quantity, duration_s, before, after), part in changed.groupby(keys):
+    for _, part in changed.groupby(["quantity", "duration_s", "first_verdict", "verdict"]):
         cells = [
             f"{angle_deg:g}: {', '.join(f'{t_d_ms:g}' for t_d_ms in at_angle['t_d_ms'])}"
             for angle_deg, at_angle in part.groupby("angle_deg")
         ]
-        start = [label(str(quantity)), f"{duration_s:g} s", str(before), str(after)]
-        rows.append([*start, "; ".join(cells)])
+        first = _records(part)[0]
+        rows.append([*_place(first), first["first_verdict"], first["verdict"], "; ".join(cells)])
     return rows
 
 
@@ -218,67 +220,62 @@ def _flights(
 
 def _beside_the_paper(part: pd.DataFrame, names: Sequence[str], decimals: int) -> Table:
     """Ours, the paper's and the verdict for some quantities, one row for each angle and offset."""
-    header = ["angle [deg]", "t_d [ms]"]
-    columns: Rows = []
+    columns: list[tuple[str, list[str]]] = []
     for name in names:
         chosen = part[part["quantity"] == name]
-        if chosen.empty:
-            continue
-        columns = columns or _places(chosen)
-        header += [label(name), "paper", "verdict"]
-        columns += [
-            means_with_stds(chosen["ours_mean"], chosen["ours_std"], decimals),
-            means_with_stds(chosen["published_mean"], chosen["published_std"], decimals),
-            list(chosen["verdict"]),
-        ]
-    return header, [list(row) for row in zip(*columns, strict=True)]
+        if len(chosen):
+            columns = columns or _places(chosen)
+            columns += [
+                (head, means_with_stds(chosen[f"{whose}_mean"], chosen[f"{whose}_std"], decimals))
+                for head, whose in ((label(name), "ours"), ("paper", "published"))
+            ]
+            columns.append(("verdict", list(chosen["verdict"])))
+    return _table(columns)
 
 
 def _others(table: pd.DataFrame, errors: Sequence[tuple[str, str]]) -> Table:
     """Errors (method, error) of the table, one row for each angle and offset."""
-    header, columns = ["angle [deg]", "t_d [ms]"], _places(table)
+    columns = _places(table)
     for method, error in errors:
-        header.append(label(f"{method}_{error}"))
         means, stds = (table[f"{method}_{error}_{part}"] for part in ("mean", "std"))
         decimals = 1 if means.max() >= 10 else 3 if error == T_D_ERROR.column else 2
-        cells = means_with_stds(means, stds, decimals)
         n_ok = table["n_runs"] - table[f"{method}_failed"]
-        columns.append(
-            [
-                cell if n == n_runs or not n else f"{cell} ({n} runs)"
-                for cell, n, n_runs in zip(cells, n_ok, table["n_runs"], strict=True)
-            ]
-        )
-    return header, [list(row) for row in zip(*columns, strict=True)]
+        cells = [
+            cell if n == n_runs or not n else f"{cell} ({n} runs)"
+            for cell, n, n_runs in zip(
+                means_with_stds(means, stds, decimals), n_ok, table["n_runs"], strict=True
+            )
+        ]
+        columns.append((label(f"{method}_{error}"), cells))
+    return _table(columns)
 
 
-def _places(rows: pd.DataFrame) -> Rows:
-    return [[f"{value:g}" for value in rows[name]] for name in ("angle_deg", "t_d_ms")]
+def _places(rows: pd.DataFrame) -> list[tuple[str, list[str]]]:
+    heads = {"angle_deg": "angle [deg]", "t_d_ms": "t_d [ms]"}
+    return [(head, [f"{value:g}" for value in rows[name]]) for name, head in heads.items()]
+
+
+def _table(columns: Sequence[tuple[str, list[str]]]) -> Table:
+    rows = zip(*(cells for _, cells in columns), strict=True)
+    return [head for head, _ in columns], [list(row) for row in rows]
 
 
 def _differences(comparison: pd.DataFrame) -> Rows:
     """List the cells that differ, with the reasons known."""
     return [
         [
-            label(row["quantity"]),
-            f"{row['duration_s']:g} s",
-            f"{row['angle_deg']:g}",
-            f"{row['t_d_ms']:g}",
-            number(row["ours_mean"], 3),
-            number(row["published_mean"], 2),
-            _from_to(row["difference_low"], row["difference_high"], 3),
-            row["note"] or "not known",
+            *_place(row), f"{row['angle_deg']:g}", f"{row['t_d_ms']:g}",
+            number(row["ours_mean"], 3), number(row["published_mean"], 2),
+            _from_to(row["difference_low"], row["difference_high"], 3), row["note"] or "not known",
         ]
         for row in _records(comparison[comparison["verdict"] == "differs"])
-    ]
+    ]  # fmt: skip
 
 
 def _failures(runs: pd.DataFrame) -> Rows:
     """Count the runs that gave no estimate, with one reason of each kind."""
-    failed = runs[runs["status"] != "ok"]
+    groups = runs[runs["status"] != "ok"].groupby(["method", "duration_s", "status"])
     return [
         [f"`{method}`", f"{duration_s:g} s", str(status), str(len(group)), group["reason"].iloc[0]]
-        for (method, duration_s, status), group in failed.groupby(
-            ["method", "duration_s", "status"]
-        )
+        for (method, duration_s, status), group in groups
     ]

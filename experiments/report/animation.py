@@ -1,14 +1,17 @@
 """A few seconds of two event streams before and after synchronisation, to be animated.
 
 Camera 2's clock is set ahead by a known offset; the offset and F are estimated as for any
-recording. What is kept: thinned events, the object's positions, d_avg over offsets.
+recording. What is kept: thinned events, the object's positions, d_avg over offsets. The player
+needs JavaScript; still pictures, before and after, take its place without, and in print.
 """
 
+import base64
 import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,7 +19,7 @@ from experiments.lab.score import Score, score
 from sim.errors import SimError
 from ssac.config import Config
 from ssac.events import US_PER_S, slice_time
-from ssac.geometry.epipolar import epipolar_distance
+from ssac.geometry.epipolar import epipolar_distance, epipolar_lines_1
 from ssac.pipeline.api import chain_of
 from ssac.pipeline.plots import Material, d_avg_px
 
@@ -30,11 +33,17 @@ HALF_WINDOW_S = Config.half_window_s  # of the events whose mean is the position
 TRAIL_S = 0.35  # of events before these, fading
 TRACK_STEP_S = 0.01  # between the object's positions
 
+# Of camera 1 and camera 2 (brighter, darker): legible on light and dark ground, apart in grey and
+# for colour-blind people. The page's style and the player use the same two hues.
+CAMERA_RGB = (((74, 151, 224), (36, 100, 176)), ((242, 166, 60), (198, 112, 20)))
+
 _OFFSET_STEP_S = 0.005
 _MAX_EVENTS = 150_000  # per camera: 0.8 MB of the page
 _MOMENT_S = 0.01
 _FAR_PX = 60.0  # farther off the line than this tells no more
 _END_S = 1e-6  # makes a range include its end
+_FADED, _FADE_S = 0.42, 0.13  # opacity of an event past its window, and when it falls to 1/e
+_TIME_BITS, _POLARITY_BIT, _Y_BIT = 13, 18, 9  # of an event's 32 bits: time, polarity, y (9), x (9)
 
 
 @dataclass(frozen=True)
@@ -42,9 +51,7 @@ class View:
     """One camera's part: its own clock, in seconds since the start of the stretch."""
 
     times_s: Array  # (n,) of events, ascending
-    x_px: NDArray[np.uint16]  # (n,)
-    y_px: NDArray[np.uint16]
-    brighter: NDArray[np.bool_]
+    events: Events  # (n,)
     track_px: Array  # (m, 2) object's position every `TRACK_STEP_S`; NaN where invalid
 
 
@@ -68,7 +75,6 @@ class Animation:
     F: Array  # (3, 3)
     errors: Score
     n_samples: int
-    d_avg_px: float
     offsets_s: Array  # (k,) from 0 to twice the offset
     curve_px: Array  # (k,) d_avg at these offsets with this F
     views: tuple[View, View]
@@ -86,6 +92,18 @@ class Animation:
     def mean_distance_px(self, offset_s: float) -> float:
         """d_avg [px] at an offset, off the curve."""
         return float(np.interp(offset_s, self.offsets_s, self.curve_px))
+
+    @property
+    def top_px(self) -> float:
+        """d_avg [px] at the upper edge of the curve's box."""
+        return float(1.08 * np.nanmax(self.curve_px))
+
+    @property
+    def curve_points(self) -> str:
+        """The d_avg curve as points of an SVG polyline in a box of 1000 x 1000."""
+        x = 1000.0 * self.offsets_s / self.offsets_s[-1]
+        y = 1000.0 * (1.0 - self.curve_px / self.top_px)
+        return " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x, y, strict=True) if np.isfinite(b))
 
     @property
     def telling_time_s(self) -> float:
@@ -119,14 +137,12 @@ def make_animation(folder: Path) -> Animation:
     material = Material(estimate, (one.events, other.events), answer.views)
     start_s = _telling_start(material)
     truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
-    longer_s = LENGTH_S + 2.0 * T_D_S
+    lengths_s = LENGTH_S, LENGTH_S + 2.0 * T_D_S
     views = []
-    lengths_s = LENGTH_S, longer_s
-    cameras = chain.recorded(0), chain.recorded(1)
-    for camera, motion, length_s in zip(cameras, material.motions, lengths_s, strict=True):
+    for k, (motion, length_s) in enumerate(zip(material.motions, lengths_s, strict=True)):
         track = motion.at(start_s + _steps(length_s))
         track_px = np.where(track.valid[:, None], track.positions_px, np.nan)
-        views.append(_view(camera.events, start_s, length_s, track_px))
+        views.append(_view(chain.recorded(k).events, start_s, length_s, track_px))
     return Animation(
         one.camera.width,
         one.camera.height,
@@ -135,11 +151,10 @@ def make_animation(folder: Path) -> Animation:
         estimate.F,
         score(estimate, T_D_S, np.array(truth["R"]), np.array(truth["t"])),
         estimate.n_samples,
-        estimate.d_avg_px,
         offsets_s,
         d_avg_px(material, offsets_s),
         (views[0], views[1]),
-        _plan(truth, start_s - T_D_S, longer_s),
+        _plan(truth, start_s - T_D_S, lengths_s[1]),
     )
 
 
@@ -174,9 +189,7 @@ def _view(events: Events, start_s: float, length_s: float, track_px: Array) -> V
     _, last = np.unique(keys[::-1], return_index=True)
     stretch = stretch[np.sort(len(keys) - 1 - last)]
     stretch = stretch[:: 1 + len(stretch) // _MAX_EVENTS]
-    return View(
-        stretch["t"] / US_PER_S - start_s, stretch["x"], stretch["y"], stretch["p"] > 0, track_px
-    )
+    return View(stretch["t"] / US_PER_S - start_s, stretch, track_px)
 
 
 def _plan(truth: dict[str, Any], start_s: float, length_s: float) -> Plan:
@@ -205,3 +218,122 @@ def _interpolated(track_px: Array, time_s: float) -> Array:
     before = min(int(place), len(track_px) - 2)
     part = place - before
     return np.asarray((1.0 - part) * track_px[before] + part * track_px[before + 1])
+
+
+def player_json(animation: Animation) -> str:
+    """All that the player draws, as JSON that is safe inside a script element."""
+    if max(animation.width, animation.height) > 1 << _Y_BIT:
+        raise SimError(
+            f"the animation takes images of at most {1 << _Y_BIT} px, got "
+            f"{animation.width} x {animation.height}: simulate a smaller one"
+        )
+    plan = animation.plan
+    content = {
+        "width": animation.width,
+        "height": animation.height,
+        "start": round(animation.start_s, 6),
+        "length": LENGTH_S,
+        "trail": TRAIL_S,
+        "window": HALF_WINDOW_S,
+        "faded": _FADED,
+        "fade": _FADE_S,
+        "step": TRACK_STEP_S,
+        "still": animation.telling_time_s,
+        "found": round(animation.t_d_s, 6),
+        "true": T_D_S,
+        "F": [[float(f"{value:.9g}") for value in row] for row in animation.F],
+        "offsets": _rounded(animation.offsets_s, 6),
+        "top": round(animation.top_px, 3),
+        "curve": _rounded(animation.curve_px, 3),
+        "views": [
+            {
+                "end": TRACK_STEP_S * (len(view.track_px) - 1),
+                "track": _rounded(view.track_px, 2),
+                "events": base64.b64encode(packed_events(view)).decode("ascii"),
+            }
+            for view in animation.views
+        ],
+        "plan": {
+            "cameras": _rounded(plan.cameras_m, 3),
+            "sights": _rounded(plan.sights, 4),
+            "path": _rounded(plan.path_m, 3),
+        },
+        "colors": CAMERA_RGB,
+    }
+    return json.dumps(content, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+
+
+def packed_events(view: View) -> bytes:
+    """Pack a view's events to 32 bits each, little-endian: 13 of time, 1 of polarity, 9 of y and x.
+
+    The time counts 1 / 8192 of the view's length, from the start of its first trail to the end of
+    its last window.
+    """
+    end_s = TRACK_STEP_S * (len(view.track_px) - 1)
+    share = (view.times_s + TRAIL_S) / (TRAIL_S + end_s + HALF_WINDOW_S)
+    # An event on either end may be beyond it by a rounding.
+    ticks = np.clip(np.floor(share * (1 << _TIME_BITS)), 0, (1 << _TIME_BITS) - 1).astype(np.uint32)
+    packed = (
+        ticks << np.uint32(_POLARITY_BIT + 1)
+        | (view.events["p"] > 0).astype(np.uint32) << np.uint32(_POLARITY_BIT)
+        | view.events["y"].astype(np.uint32) << np.uint32(_Y_BIT)
+        | view.events["x"].astype(np.uint32)
+    )
+    return bytes(packed.astype("<u4"))
+
+
+def stills(animation: Animation) -> list[dict[str, Any]]:
+    """Both views at one instant, before and after: with each offset between the clocks."""
+    time_s = animation.telling_time_s
+    return [
+        {
+            "name": name,
+            "time_s": animation.start_s + time_s,  # camera 1's clock
+            "offset_s": offset_s,
+            "distance_px": animation.distance_px(time_s, offset_s),
+            "views": [still_view(animation, camera, time_s, offset_s) for camera in (0, 1)],
+        }
+        for name, offset_s in (("Clocks as recorded", 0.0), ("Synchronised", animation.t_d_s))
+    ]
+
+
+def still_view(
+    animation: Animation, camera: int, time_s: float, offset_s: float
+) -> tuple[bytes, Array, Array]:
+    """One camera's view at an instant of camera 1's clock.
+
+    Its events as a PNG; ends of the epipolar line, and of the gap from the object's position to the
+    line, (4,) each: x1 y1 x2 y2 [px].
+    """
+    points = animation.at(time_s, offset_s)
+    line = epipolar_lines_1(animation.F.T if camera else animation.F, points[1 - camera])
+    point = points[camera]
+    foot = point - (line[:2] @ point + line[2]) / (line[:2] @ line[:2]) * line[:2]
+    along = np.array([-line[1], line[0]]) / np.hypot(*line[:2]) * 2.0 * animation.width
+    png = cv2.imencode(".png", event_image(animation, camera, time_s + camera * offset_s))[1]
+    gap = np.concatenate([point, foot])
+    return png.tobytes(), np.concatenate([foot - along, foot + along]), gap
+
+
+def event_image(animation: Animation, camera: int, time_s: float) -> NDArray[np.uint8]:
+    """Draw one camera's newest event of each pixel, BGRA (height, width, 4), older ones fainter."""
+    view = animation.views[camera]
+    shown = slice(*np.searchsorted(view.times_s, [time_s - TRAIL_S, time_s + HALF_WINDOW_S]))
+    events = view.events[shown]
+    past_s = time_s - HALF_WINDOW_S - view.times_s[shown]  # since the event left the window
+    opacity = np.where(past_s <= 0.0, 1.0, _FADED * np.exp(-past_s / _FADE_S))
+    brighter, darker = (np.array(color[::-1]) for color in CAMERA_RGB[camera])
+    colors = np.where(events["p"][:, None] > 0, brighter, darker)
+    image = np.zeros((animation.height, animation.width, 4), np.uint8)
+    # Ascending in time, so that the last event of a pixel is the one that stays.
+    for y, x, color, alpha in zip(events["y"], events["x"], colors, opacity, strict=True):
+        image[y, x] = (*color, round(255.0 * alpha))
+    return image
+
+
+def _rounded(values: Array, digits: int) -> list[Any]:
+    """Nested lists of rounded numbers, with null where there is none."""
+    rounded = np.round(values, digits).astype(object)
+    rounded[~np.isfinite(values)] = None
+    result: list[Any] = rounded.tolist()
+    return result

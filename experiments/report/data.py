@@ -1,67 +1,43 @@
-"""All files of results that the report shows, read at once; a missing one is an error.
-
-The error names the command that makes the file.
-"""
+"""All files of results that the report shows; the error of a missing one names what makes it."""
 
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import pandas as pd
 
 from experiments.lab.grid import config_names, named_config
+from experiments.lab.results import PROVENANCE
 from experiments.paper.esim import RUN_COLUMNS, runs_from_csv
-from experiments.paper.grids import table_axes
+from experiments.paper.grids import DURATIONS_S
 from experiments.paper.quantities import T_D_ERROR
 from ssac.errors import SsacError
 
-_PNG = b"\x89PNG\r\n\x1a\n"
 _COMPARED = ("duration_s", "angle_deg", "t_d_ms", "quantity", "ours_mean", "ours_std", "n_ours",
              "published_mean", "published_std", "verdict")  # fmt: skip
-_ABLATION = "Mean errors of {flights} flights at each value and angle."
 _FIGURES = {
-    "error_vs_angle": (
-        "Error against the angle between the cameras",
-        "Every method, with the paper's values where it gives them.",
-    ),
-    "beyond_paper": (
-        "What is gained beyond the paper",
-        "The paper, its method as built here, the joint refinement, and epipolar tangency.",
-    ),
-    "efficiency": (
-        "Errors and their Cramer-Rao bound",
-        "Root mean square errors, and the least that the true tracks and the noise of each "
-        "method's own samples allow.",
-    ),
-    "fig3_preprocessing": (
-        "From events to a trajectory",
-        "Raw events, the events that denoising leaves, and the drone's path in x, y and t: the "
-        "paper's Fig. 3 from a recording of ours.",
-    ),
-    "fig4_epipolar": (
-        "The epipolar distance",
-        "The drone's position, its epipolar line and the distance between them on event images: "
-        "the paper's Fig. 4.",
-    ),
-    "fig5_d_avg": (
-        "The mean distance over the offset",
-        "d_avg over a second on each side, and over 3 ms around its minimum: the paper's Fig. 5.",
-    ),
+    "error_vs_angle": "make figures",
+    "beyond_paper": "make figures",
+    "efficiency": "make studies",
+    "fig3_preprocessing": "make figures",
+    "fig4_epipolar": "make figures",
+    "fig5_d_avg": "make figures",
 }
+"""What makes them; the page has their words."""
 
 Content = TypeVar("Content")
 
 
-@dataclass(frozen=True)
-class ReportFigure:
-    """One picture with its words."""
+class ReportFigure(NamedTuple):
+    """One picture, and what it varies if it is of an ablation."""
 
-    title: str
-    caption: str
+    name: str
     png: bytes
+    varied: str = ""
+    flights: int = 0
 
     @property
     def size_px(self) -> tuple[int, int]:
@@ -82,17 +58,13 @@ class Results:
     @property
     def methods(self) -> list[str]:
         """Every method that any table has, in the order of its columns."""
-        end = f"_{T_D_ERROR.column}_mean"
-        columns = [str(column) for table in self.tables.values() for column in table]
-        return list(dict.fromkeys(c.removesuffix(end) for c in columns if c.endswith(end)))
+        return self.methods_with(T_D_ERROR.column)
 
     def methods_with(self, error: str) -> list[str]:
         """Methods that give this error."""
-        return [
-            method
-            for method in self.methods
-            if any(f"{method}_{error}_mean" in table for table in self.tables.values())
-        ]
+        end = f"_{error}_mean"
+        columns = dict.fromkeys(str(one) for table in self.tables.values() for one in table)
+        return [column.removesuffix(end) for column in columns if column.endswith(end)]
 
 
 def load_results(folder: Path) -> Results:
@@ -100,62 +72,44 @@ def load_results(folder: Path) -> Results:
 
     SsacError, which names the command that makes it, if a file is missing or is not as it should.
     """
-    tables = {
-        duration_s: _read(folder / f"esim_{duration_s:g}.csv", "make tables", _table)
-        for duration_s in table_axes().durations_s
-    }
-    figures = []
-    for name, (title, caption) in _FIGURES.items():
-        command = "make studies" if name == "efficiency" else "make figures"
-        png = _read(folder / f"{name}.png", command, _png)
-        figures.append(ReportFigure(title, caption, png))
-    for name in config_names("ablation_"):
-        config = named_config(name)
-        caption = _ABLATION.format(flights=config.flights)
-        png = _read(folder / f"{name}.png", "make ablations", _png)
-        figures.append(ReportFigure(config.title, caption, png))
-    paths = {folder / "esim_20.provenance.json", *folder.glob("*.provenance.json")}
+
+    def read(file: str, command: str, parse: Callable[[bytes], Content]) -> Content:
+        path = folder / file
+        try:
+            return parse(path.read_bytes())
+        except FileNotFoundError:
+            raise SsacError(f"{path} is missing: run `{command}` first") from None
+        except (OSError, ValueError, SsacError) as error:
+            raise SsacError(f"{path} cannot be used ({error}): run `{command}` again") from error
+
+    tables = {d: read(f"esim_{d:g}.csv", "make tables", _table) for d in DURATIONS_S}
+    runs = read("runs.csv", "make tables", _runs)
+    comparison = read("comparison.csv", "make tables", _comparison)
+    made = {f"esim_20{PROVENANCE}", *(path.name for path in folder.glob(f"*{PROVENANCE}"))}
     provenance = {
-        path.name.removesuffix(".provenance.json"): _read(path, "make tables", _provenance)
-        for path in sorted(paths)
+        file.removesuffix(PROVENANCE): read(file, "make tables", _provenance)
+        for file in sorted(made)
     }
-    return Results(
-        tables,
-        _read(folder / "runs.csv", "make tables", _runs),
-        _read(folder / "comparison.csv", "make tables", _comparison),
-        tuple(figures),
-        provenance,
-    )
-
-
-def _read(path: Path, command: str, parse: Callable[[bytes], Content]) -> Content:
-    """Parse a file; SsacError that names it and the command that makes it, when it cannot be."""
-    try:
-        return parse(path.read_bytes())
-    except FileNotFoundError:
-        raise SsacError(f"{path} is missing: run `{command}` first") from None
-    except (OSError, ValueError, SsacError) as error:
-        raise SsacError(f"{path} cannot be used ({error}): run `{command}` again") from error
+    figures = [ReportFigure(name, read(f"{name}.png", made_by, _png))
+               for name, made_by in _FIGURES.items()]  # fmt: skip
+    for name in config_names("ablation_"):
+        png, config = read(f"{name}.png", "make ablations", _png), named_config(name)
+        figures.append(ReportFigure(name, png, config.title, config.flights))
+    return Results(tables, runs, comparison, tuple(figures), provenance)
 
 
 def _runs(content: bytes) -> pd.DataFrame:
-    runs = runs_from_csv(content.decode("utf-8"))
-    _check_columns(runs, RUN_COLUMNS)
-    return runs
+    return _with_columns(runs_from_csv(content.decode("utf-8")), RUN_COLUMNS)
 
 
 def _table(content: bytes) -> pd.DataFrame:
-    table = pd.read_csv(BytesIO(content))
-    _check_columns(table, ("angle_deg", "t_d_ms", "n_runs"))
-    return table
+    return _with_columns(pd.read_csv(BytesIO(content)), ("angle_deg", "t_d_ms", "n_runs"))
 
 
 def _comparison(content: bytes) -> pd.DataFrame:
-    comparison = pd.read_csv(
-        BytesIO(content), keep_default_na=False, na_values={"ours_mean": [""], "ours_std": [""]}
-    )
-    _check_columns(comparison, _COMPARED)
-    return comparison
+    unknown = {"ours_mean": [""], "ours_std": [""]}
+    table = pd.read_csv(BytesIO(content), keep_default_na=False, na_values=unknown)
+    return _with_columns(table, _COMPARED)
 
 
 def _provenance(content: bytes) -> dict[str, Any]:
@@ -166,12 +120,13 @@ def _provenance(content: bytes) -> dict[str, Any]:
 
 
 def _png(content: bytes) -> bytes:
-    if not content.startswith(_PNG):
+    if not content.startswith(b"\x89PNG\r\n\x1a\n"):
         raise ValueError("not a PNG")
     return content
 
 
-def _check_columns(table: pd.DataFrame, expected: tuple[str, ...]) -> None:
+def _with_columns(table: pd.DataFrame, expected: tuple[str, ...]) -> pd.DataFrame:
     absent = [column for column in expected if column not in table]
     if absent:
         raise ValueError(f"it lacks the columns {', '.join(absent)}")
+    return table

@@ -1,14 +1,14 @@
 """The numbers of the report in the order in which the template `results.html` lays them out."""
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
 from experiments.drawing.style import method_looks
-from experiments.paper.grids import table_axes
+from experiments.paper.grids import DURATIONS_S
 from experiments.paper.quantities import ERRORS, split_quantity
 from experiments.report.data import Results
 from ssac.pipeline.registry import METHODS
@@ -16,33 +16,18 @@ from ssac.pipeline.registry import METHODS
 VERDICTS = {"better": "<", "agrees": "≈", "differs": "≠"}
 """Of a cell, and the sign that stands for it where colours are not seen."""
 
-NONE = "\N{EN DASH}"
-_SHOWN_REASONS = 12
+_SOUND_SHARE = 0.9  # of a method's runs give an estimate, or it cannot be called the best
 
 
-def number(value: float) -> str:
-    """Show an error as the paper does, with two decimals, fewer of large ones."""
-    return f"{value:.{_decimals(value)}f}" if np.isfinite(value) else NONE
+def number(value: float, like: float | None = None) -> str:
+    """Show an error as the paper does, with two decimals, fewer of large ones; or with another's.
 
-
-def mean_and_std(mean: float, std: float) -> tuple[str, str]:
-    """Show a mean as `number` does, and its deviation to the same decimal."""
-    if not (np.isfinite(mean) and np.isfinite(std)):
-        return number(mean), number(std)
-    return number(mean), f"{std:.{_decimals(mean)}f}"
-
-
-def _decimals(value: float) -> int:
-    return 3 if abs(value) < 0.1 else 2 if abs(value) < 10.0 else 1 if abs(value) < 100.0 else 0
-
-
-class Row(NamedTuple):
-    """The cells of one angle and offset."""
-
-    angle_deg: float
-    span: int  # rows that share the angle; 0 where it stands above
-    t_d_ms: float
-    cells: list[Any]
+    `like` is the mean, where the value is its deviation.
+    """
+    if not np.isfinite(value):
+        return "\N{EN DASH}"
+    size = abs(value if like is None or not np.isfinite(like) else like)
+    return f"{value:.{3 if size < 0.1 else 2 if size < 10.0 else 1 if size < 100.0 else 0}f}"
 
 
 class Table(NamedTuple):
@@ -50,42 +35,31 @@ class Table(NamedTuple):
 
     title: str
     heads: list[tuple[str, str]]  # method, and which of its errors
-    rows: list[Row]
+    rows: list[tuple[float, int, float, list[Any]]]  # angle, as many rows share it (0 where it
+    # stands above), offset, cells
 
 
-class Compared(NamedTuple):
-    """Our mean beside the paper's."""
+def _table(
+    title: str, heads: list[tuple[str, str]], cells: Mapping[tuple[float, float], list[Any]]
+) -> Table:
+    spans = Counter(angle_deg for angle_deg, _ in cells)
+    rows = [(angle, spans.pop(angle, 0), t_d, line) for (angle, t_d), line in cells.items()]
+    return Table(title, heads, rows)
 
-    verdict: str
-    ours: str
-    theirs: str
-    title: str
 
-
-def compared_tables(results: Results) -> list[Table]:
-    """Lay out one table for each duration: our number over the paper's."""
+def compared_tables(comparison: pd.DataFrame) -> list[Table]:
+    """Lay out one table for each duration; a cell is a row of the comparison, or none."""
     tables = []
-    for duration_s, part in results.comparison.groupby("duration_s"):
-        quantities = list(dict.fromkeys(part["quantity"]))
-        lines: dict[tuple[float, float], dict[str, Compared]] = {}
+    for duration_s, part in comparison.groupby("duration_s"):
+        quantities = list(part["quantity"].unique())
+        lines: dict[tuple[float, float], dict[str, Any]] = {}
         for cell in part.to_dict("records"):
-            line = lines.setdefault((cell["angle_deg"], cell["t_d_ms"]), {})
-            line[cell["quantity"]] = _compared(cell)
-        split = [split_quantity(quantity) for quantity in quantities]
+            lines.setdefault((cell["angle_deg"], cell["t_d_ms"]), {})[cell["quantity"]] = cell
+        split = map(split_quantity, quantities)
         heads = [(method, ERRORS[e].title if e in ERRORS else "") for method, e in split]
-        cells = {key: [line.get(q) for q in quantities] for key, line in lines.items()}
-        tables.append(Table(f"Flights of {duration_s:g} s", heads, _rows(cells)))
+        cells = {place: [line.get(q) for q in quantities] for place, line in lines.items()}
+        tables.append(_table(f"Flights of {duration_s:g} s", heads, cells))
     return tables
-
-
-def _compared(cell: Mapping[Any, Any]) -> Compared:
-    ours, theirs = (
-        " ± ".join(mean_and_std(cell[f"{side}_mean"], cell[f"{side}_std"]))
-        for side in ("ours", "published")
-    )
-    note = str(cell.get("note") or "")
-    title = f"{cell['verdict']}, {cell['n_ours']} of our runs{f': {note}' if note else ''}"
-    return Compared(str(cell["verdict"]), ours, theirs, title)
 
 
 def notes(comparison: pd.DataFrame) -> list[tuple[str, int, str]]:
@@ -99,24 +73,18 @@ def notes(comparison: pd.DataFrame) -> list[tuple[str, int, str]]:
     ]
 
 
-class Mean(NamedTuple):
-    """One method's mean in a cell."""
-
-    mean: str
-    std: str
-    percent: float | None  # of its bar, on a logarithmic scale; None: there is no mean
-    failed: int
-    n_runs: int
-
-
 def method_tables(results: Results) -> list[Table]:
-    """Lay out all methods: a table for each kind of error and duration."""
+    """Lay out all methods: a table for each kind of error and duration.
+
+    A cell is mean, deviation, length of its bar on a logarithmic scale [%] or none, failed runs and
+    runs.
+    """
     tables = []
     for error, quantity in ERRORS.items():
         methods = results.methods_with(error)
         if not methods:
             continue
-        low, high = _range(results, methods, error)
+        low, high = _range(results, [f"{method}_{error}_mean" for method in methods])
         for duration_s, table in results.tables.items():
             cells = {
                 (row["angle_deg"], row["t_d_ms"]): [
@@ -125,22 +93,22 @@ def method_tables(results: Results) -> list[Table]:
                 for row in table.to_dict("records")
             }
             title = f"{quantity.title}, flights of {duration_s:g} s"
-            tables.append(Table(title, [(method, "") for method in methods], _rows(cells)))
+            tables.append(_table(title, [(method, "") for method in methods], cells))
     return tables
 
 
-def _mean(row: Mapping[Any, Any], method: str, error: str, low: float, high: float) -> Mean:
+def _mean(
+    row: Mapping[Any, Any], method: str, error: str, low: float, high: float
+) -> tuple[Any, ...]:
     mean, std = (row.get(f"{method}_{error}_{part}", np.nan) for part in ("mean", "std"))
     percent = None
     if np.isfinite(mean):
         percent = 100.0 * float(np.clip(np.log(max(mean, low) / low) / np.log(high / low), 0.02, 1))
-    shown = mean_and_std(mean, std)
-    return Mean(*shown, percent, int(row.get(f"{method}_failed", 0)), int(row["n_runs"]))
+    return mean, std, percent, int(row.get(f"{method}_failed", 0)), int(row["n_runs"])
 
 
-def _range(results: Results, methods: list[str], error: str) -> tuple[float, float]:
+def _range(results: Results, columns: list[str]) -> tuple[float, float]:
     """Return the ends of the bars' scale: a little below the least mean, and the largest."""
-    columns = [f"{method}_{error}_mean" for method in methods]
     values = pd.concat([table.filter(columns).stack() for table in results.tables.values()])
     values = values[values > 0.0]
     if values.empty:
@@ -149,92 +117,46 @@ def _range(results: Results, methods: list[str], error: str) -> tuple[float, flo
     return low, max(float(values.max()), 3.0 * low)
 
 
-def _rows(cells: Mapping[tuple[float, float], list[Any]]) -> list[Row]:
-    spans = Counter(angle_deg for angle_deg, _ in cells)
+def failures(runs: pd.DataFrame) -> list[dict[str, Any]]:
+    """List which runs gave no estimate: of which method, where and why."""
+    n_runs = runs["method"].value_counts().to_dict()
+    failed = runs[runs["status"] != "ok"]
     return [
-        Row(angle_deg, spans.pop(angle_deg, 0), t_d_ms, row)
-        for (angle_deg, t_d_ms), row in cells.items()
+        {
+            "method": method,
+            "status": status,
+            "n_failed": len(group),
+            "n_runs": n_runs[method],
+            "angles": ", ".join(f"{angle:g}°" for angle in sorted(group["angle_deg"].unique())),
+            "reasons": list(group["reason"].value_counts(sort=False).items()),
+        }
+        for (method, status), group in failed.groupby(["method", "status"], sort=False)
     ]
 
 
-class Failed(NamedTuple):
-    """The runs of one method that gave no estimate for one status."""
-
-    method: str
-    status: str
-    n_failed: int
-    n_runs: int
-    angles: str
-    reasons: list[tuple[str, int]]  # the first ones, each with how often it came
-    n_reasons: int
-
-
-def failures(runs: pd.DataFrame) -> list[Failed]:
-    """List which runs gave no estimate: of which method, where and why."""
-    rows = []
-    failed = runs[runs["status"] != "ok"]
-    for (method, status), group in failed.groupby(["method", "status"], sort=False):
-        counted = group["reason"].value_counts(sort=False)
-        reasons = [(str(reason), int(count)) for reason, count in counted.items()]
-        angles = ", ".join(f"{angle:g}°" for angle in sorted(group["angle_deg"].unique()))
-        n_runs = int((runs["method"] == method).sum())
-        shown = reasons[:_SHOWN_REASONS]
-        rows.append(
-            Failed(str(method), str(status), len(group), n_runs, angles, shown, len(reasons))
-        )
-    return rows
+def headline(results: Results) -> dict[str, Any]:
+    """Sum up all runs: the best method that is not given the pose, if any is good enough."""
+    runs, comparison = results.runs, results.comparison
+    ok = runs[runs["status"] == "ok"]
+    means = ok.groupby("method")[list(ERRORS)].mean()
+    # With a pose, and reliable: the mean of a few lucky runs says nothing.
+    shares = ok["method"].value_counts() / runs["method"].value_counts()
+    sound = means[shares.reindex(means.index) >= _SOUND_SHARE].dropna()
+    best = "" if sound.empty else str(sound["t_d_error_ms"].idxmin())
+    of_ssac = comparison[comparison["quantity"] == "ssac_t_d_error_ms"]
+    has_ssac = "ssac" in means.index and not of_ssac.empty
+    return {
+        "best": best,
+        "best_errors": np.asarray(sound.loc[best]) if best else (),
+        "ours": means["t_d_error_ms"].to_dict()["ssac"] if has_ssac else None,
+        "published": of_ssac["published_mean"].mean(),
+        "n_good": int(comparison["verdict"].isin(["agrees", "better"]).sum()),
+        "n_failed": len(runs) - len(ok),
+    }
 
 
-class Dot(NamedTuple):
-    """A mean in a row of the chart: where it stands, in percent, and what it says."""
-
-    left: float
-    top: float
-    is_short: bool = False  # of a short flight
-    title: str = ""
-
-
-class ChartRow(NamedTuple):
-    """One method: a dot for each cell, a stroke for each mean of the paper."""
-
-    method: str
-    summary: str
-    color: str
-    hollow: bool
-    dots: list[Dot]
-    strokes: list[Dot]
-    mean: str  # of its cells
-
-
-class Chart(NamedTuple):
-    """Every cell of every method at its mean error, on a logarithmic axis."""
-
-    title: str
-    ticks: list[tuple[float, float]]  # place [%] and value
-    rows: list[ChartRow]
-
-
-class Axis(NamedTuple):
-    """A logarithmic axis from one power of ten to another."""
-
-    low: int
-    high: int
-
-    def percent(self, value: float) -> float:
-        """Place of a value along the axis, 0 to 100."""
-        share = (np.log10(max(value, 10.0**self.low)) - self.low) / (self.high - self.low)
-        return float(100.0 * np.clip(share, 0.0, 1.0))
-
-    @property
-    def ticks(self) -> list[tuple[float, float]]:
-        """The powers of ten, and 2 and 5 times these where there are few."""
-        steps = (1, 2, 5) if self.high - self.low <= 2 else (1,)
-        below = [step * 10.0**power for power in range(self.low, self.high) for step in steps]
-        return [(self.percent(tick), tick) for tick in (*below, 10.0**self.high)]
-
-
-def charts(results: Results) -> list[Chart]:
-    """Draw one chart for each kind of error that any method gives.
+def charts(results: Results) -> list[dict[str, Any]]:
+    """Place each cell of each method at its mean error, on a logarithmic axis for each error.
 
     The dots of a row go down from 30 to 150 deg, so that a method that suffers from the angle
     slants.
@@ -246,10 +168,24 @@ def charts(results: Results) -> list[Chart]:
         if not values:
             continue
         logs = np.log10(values)
-        low, high = int(np.floor(logs.min())), int(np.ceil(logs.max()))
-        axis = Axis(low, max(high, low + 1))
-        rows = [_chart_row(results, method, error, cells[method], axis) for method in cells]
-        drawn.append(Chart(quantity.title, axis.ticks, rows))
+        low = int(np.floor(logs.min()))
+        high = max(int(np.ceil(logs.max())), low + 1)
+
+        def percent(value: float, low: int = low, high: int = high) -> float:
+            share = (np.log10(max(value, 10.0**low)) - low) / (high - low)
+            return float(100.0 * np.clip(share, 0.0, 1.0))
+
+        steps = (1, 2, 5) if high - low <= 2 else (1,)
+        ticks = [step * 10.0**power for power in range(low, high) for step in steps]
+        drawn.append(
+            {
+                "title": quantity.title,
+                "ticks": [(percent(tick), tick) for tick in (*ticks, 10.0**high)],
+                "rows": [
+                    _chart_row(results, method, error, cells[method], percent) for method in cells
+                ],
+            }
+        )
     return drawn
 
 
@@ -265,27 +201,31 @@ def _cells(results: Results, method: str, error: str) -> pd.DataFrame:
 
 
 def _chart_row(
-    results: Results, method: str, error: str, cells: pd.DataFrame, axis: Axis
-) -> ChartRow:
+    results: Results,
+    method: str,
+    error: str,
+    cells: pd.DataFrame,
+    percent: Callable[[float], float],
+) -> dict[str, Any]:
+    """Lay out one method: a dot for each cell, a stroke for each mean of the paper."""
     angles = sorted(cells["angle_deg"].unique())
-    shortest_s = min(table_axes().durations_s)
 
-    def dot(mean: float, angle: float, is_short: bool = False, title: str = "") -> Dot:
+    def place(mean: float, angle: float) -> tuple[float, float]:
         spread = angle in angles and len(angles) > 1
         top = 15.0 + 70.0 * angles.index(angle) / (len(angles) - 1) if spread else 50.0
-        return Dot(axis.percent(mean), top, is_short, title)
+        return percent(mean), top
 
-    dots = []
-    for cell in cells.to_dict("records"):
-        where = f"{cell['angle_deg']:g}°, t_d {cell['t_d_ms']:g} ms, {cell['duration_s']:g} s"
-        title = f"{where}: {number(cell['mean'])}"
-        is_short = cell["duration_s"] == shortest_s
-        dots.append(dot(cell["mean"], cell["angle_deg"], is_short, title))
     of_paper = results.comparison["quantity"].map(split_quantity) == (method, error)
     published = results.comparison[of_paper]
-    strokes = list(map(dot, published["published_mean"], published["angle_deg"]))
     look = method_looks(results.methods)[method]
-    summary = METHODS[method].summary if method in METHODS else ""
-    color = "currentColor" if look.color == "#000000" else look.color
-    mean = number(float(cells["mean"].mean()))
-    return ChartRow(method, summary, color, look.hollow, dots, strokes, mean)
+    return {
+        "method": method,
+        "summary": METHODS[method].summary if method in METHODS else "",
+        "color": "currentColor" if look.color == "#000000" else look.color,
+        "hollow": look.hollow,
+        "shortest_s": min(DURATIONS_S),
+        "dots": [(*place(cell["mean"], cell["angle_deg"]), cell)
+                 for cell in cells.to_dict("records")],
+        "strokes": list(map(place, published["published_mean"], published["angle_deg"])),
+        "mean": cells["mean"].mean(),
+    }  # fmt: skip

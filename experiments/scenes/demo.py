@@ -21,8 +21,6 @@ from ssac.cli.options import number
 from ssac.estimate import Estimate
 from ssac.pipeline.api import sync
 
-FloatArray = NDArray[np.float64]
-
 DEMO = SimConfig(angle_deg=90.0, t_d_s=0.05)  # 20 s, as in the paper
 METHODS = ("ssac", "tangency")
 
@@ -68,8 +66,8 @@ def comparison(estimate: Estimate, truth: Truth) -> str:
         ("", "estimate", "truth", "error"),
         ("t_d", f"{1e3 * estimate.t_d_s:.3f} ms", f"{1e3 * truth.t_d_s:.3f} ms",
          f"{errors.t_d_error_ms:.3f} ms"),
-        ("R", _vector(_rotation_vector_deg(estimate.R)) + " deg",
-         _vector(_rotation_vector_deg(truth.R)) + " deg", f"{errors.r_error_deg:.3f} deg"),
+        ("R", *(f"{_vector(Rotation.from_matrix(R).as_rotvec(degrees=True))} deg"
+                for R in (estimate.R, truth.R)), f"{errors.r_error_deg:.3f} deg"),
         ("t", _vector(estimate.t), _vector(truth.t), f"{errors.t_error_deg:.3f} deg"),
     ]  # fmt: skip
     lines = [f"{name:4}{a:>30}{b:>30}{c:>12}" for name, a, b, c in rows]
@@ -77,9 +75,5 @@ def comparison(estimate: Estimate, truth: Truth) -> str:
     return "\n".join([head, *lines])
 
 
-def _rotation_vector_deg(R: FloatArray) -> FloatArray:
-    return np.rad2deg(Rotation.from_matrix(R).as_rotvec())
-
-
-def _vector(values: FloatArray) -> str:
+def _vector(values: NDArray[np.float64]) -> str:
     return " ".join(f"{value:.3f}" for value in values)

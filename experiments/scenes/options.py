@@ -3,8 +3,9 @@
 Such an option has the type and the default of its field, so that the two cannot come apart.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
+from functools import reduce
 from pathlib import Path
 from typing import Annotated, Any, get_type_hints
 
@@ -36,163 +37,136 @@ class SimOption(Option):
     @property
     def parameter(self) -> tuple[Any, Any]:
         """Type and default of the command's parameter."""
-        hint, default = self.type, self.default
-        if self.field and hint is None:
-            config: Any = DisturbConfig() if self.field.startswith(_DISTURB) else SimConfig()
-            *path, last = self.field.removeprefix(_DISTURB).split(".")
-            for name in path:
-                config = getattr(config, name)
-            hint, default = get_type_hints(type(config))[last], getattr(config, last)
-        return Annotated[hint, self.info], default
+        if not self.field or self.type is not None:
+            return Annotated[self.type, self.info], self.default
+        config: Any = DisturbConfig() if self.field.startswith(_DISTURB) else SimConfig()
+        *path, last = self.field.removeprefix(_DISTURB).split(".")
+        owner = reduce(getattr, path, config)
+        return Annotated[get_type_hints(type(owner))[last], self.info], getattr(owner, last)
+
+
+def _of(field: str, info: Any) -> SimOption:
+    """Make an option with the type and the default of its field."""
+    return SimOption(info, field)
+
+
+def _own(type_: Any, default: Any, info: Any, field: str = "") -> SimOption:
+    """Make an option with a type and a default of its own."""
+    return SimOption(info, field, type_, default)
 
 
 OPTIONS: Mapping[str, SimOption] = {
-    "angle": SimOption(
-        number("Angle between the two lines of sight.", 1, 179, "degrees"), "angle_deg"
+    "angle": _of("angle_deg", number("Angle between the two lines of sight.", 1, 179, "degrees")),
+    "duration": _of("spline.duration_s", number("Duration of the flight.", 1, 3600, "seconds")),
+    "t_d": _of(
+        "t_d_s", number("Time offset: t_cam2 = t_cam1 + t_d.", -86400, 86400, "seconds")
     ),
-    "duration": SimOption(
-        number("Duration of the flight.", 1, 3600, "seconds"), "spline.duration_s"
+    "skew_ppm": _of("skew_ppm", number(
+        "Camera 2's clock runs fast by this rate; t_d then holds at mid-flight.",
+        -MAX_SKEW_PPM, MAX_SKEW_PPM, "ppm",
+    )),
+    "clock_jump": _own(tuple[float, float] | None, None, named(
+        "T S", "Camera 2's clock jumps forward by S seconds (S > 0) at time T."), "clock_jump"
     ),
-    "t_d": SimOption(
-        number("Time offset: t_cam2 = t_cam1 + t_d.", -86400, 86400, "seconds"), "t_d_s"
+    "seed": _own(int, 0, number("Random seed: the same seed gives the same bytes.", 0, MAX_SEED)),
+    "trajectory": _of("trajectory_file", named(
+        "FILE", "CSV t,x,y,z,qx,qy,qz,qw instead of a random spline; sets the duration."
+    )),
+    "drone": _own(str, SimConfig.drone, named("NAME", f"{', '.join(DRONES)}, or a mesh file.")),
+    "drone_size": _of("drone_size_m", number("Largest extent of the drone.", 0.01, 100, "metres")),
+    "rotor_hz": _of(
+        "rotor_hz", number("Turns per second of a quadrotor's rotors.", -1000, 1000, "hertz")
     ),
-    "skew_ppm": SimOption(
-        number("Camera 2's clock runs fast by this rate; t_d then holds at mid-flight.",
-               -MAX_SKEW_PPM, MAX_SKEW_PPM, "ppm"), "skew_ppm"
+    "flap_hz": _of("flap_hz", number("Beats per second of the bird's wings.", 0, 100, "hertz")),
+    "distance": _of("distance_m", number(
+        "Distance of the cameras from the point they look at.", 0.1, 10_000, "metres"
+    )),
+    "spread": _own(float, 1.0, number(
+        "Scale of the random flight; below 1 keeps a near drone in view.", 0.01, 100
+    )),
+    "focal": _of("focal_px", number("Focal length.", 10, 100_000, "pixels")),
+    "resolution": _of("resolution", number(
+        "Width and height of each camera's image.", 16, 8192, "pixels", "WIDTH HEIGHT"
+    )),
+    "distortion_model": _of("distortion_model", named("NAME", "none, radtan or equidistant.")),
+    "distortion": _own(tuple[float, float, float, float], (0.0, 0.0, 0.0, 0.0), number(
+        "Distortion coefficients: k1 k2 p1 p2 (radtan) or k1 k2 k3 k4 (equidistant).",
+        -10, 10, metavar="K K K K"), "distortion_coeffs",
     ),
-    "clock_jump": SimOption(
-        named("T S", "Camera 2's clock jumps forward by S seconds (S > 0) at time T."),
-        "clock_jump", tuple[float, float] | None
+    "background": _own(list[Path] | None, None, named(
+        "FILE", "Image behind the drone: give one for all cameras, or one for each."),
+        "background_files",
     ),
-    "seed": SimOption(
-        number("Random seed: the same seed gives the same bytes.", 0, MAX_SEED),
-        type=int, default=0
+    "background_luminance": _of(
+        "background_luminance", number("Luminance of the sky where there is no image.", 0, 1)
     ),
-    "trajectory": SimOption(
-        named("FILE", "CSV t,x,y,z,qx,qy,qz,qw instead of a random spline; sets the duration."),
-        "trajectory_file"
+    "preset": _own(str | None, None, named(
+        "NAME", f"Sensor model with the imperfections of a real one: {', '.join(SENSOR_PRESETS)}."
+    )),
+    "illuminance": _own(float | None, None, number(
+        "Illuminance of the scene, on which the sensor's effects depend.", 1e-3, 1e6, "lux"
+    )),
+    "effect": _own(list[str] | None, None, named(
+        "NAME=VALUE", "Set one effect of the sensor, overriding the preset; names in "
+        "docs/sensor.md. May be given several times."
+    )),
+    "noise": _own(str, _IDEAL, named(
+        "NAME", f"Pixel noise without other effects: {', '.join(PRESETS)}."
+    )),
+    "lamp": _of("disturb.lamp_px", number(
+        "Side of a flickering square, such as a lamp; 0 for none.", 0, 100, "pixels"
+    )),
+    "hot_clusters": _of(
+        "disturb.hot_clusters", number("Number of 3x3 clusters of hot pixels.", 0, 1000)
     ),
-    "drone": SimOption(
-        named("NAME", f"{', '.join(DRONES)}, or a mesh file."), type=str, default=SimConfig.drone
+    "noise_hz": _of("disturb.noise_hz", number(
+        "Rate of noise events per pixel, added to --noise.", 0, 100, "hertz"
+    )),
+    "branches": _of("disturb.branches", number(
+        "Number of events from swaying branches, in each camera.", 0, 100_000_000, metavar="EVENTS"
+    )),
+    "people": _of(
+        "disturb.people", number("Number of people who walk through each view.", 0, 100)
     ),
-    "drone_size": SimOption(
-        number("Largest extent of the drone.", 0.01, 100, "metres"), "drone_size_m"
+    "clouds": _of(
+        "disturb.clouds_px_s", number("Speed of drifting clouds; 0 for none.", 0, 100, "px/s")
     ),
-    "rotor_hz": SimOption(
-        number("Turns per second of a quadrotor's rotors.", -1000, 1000, "hertz"), "rotor_hz"
+    "second_object": _of("disturb.second_object", number(
+        "Add this share of the events of a second drone.", 0, 1, metavar="SHARE"
+    )),
+    "intrinsics_error": _of("disturb.intrinsics_error", number(
+        "Standard deviations of errors drawn for the rig file: focal lengths, at most "
+        f"{MAX_FOCAL_PERCENT:g} %, and centres.", 0, 100, metavar="PERCENT PX"
+    )),
+    "threshold_on": _own(float | None, None, number(
+        f"ON contrast threshold, in log intensity; default: {_ON:g}, or the preset's.", 0.01, 5
+    )),
+    "threshold_off": _own(
+        float | None, None, number("OFF contrast threshold; same default.", 0.01, 5)
     ),
-    "flap_hz": SimOption(
-        number("Beats per second of the bird's wings.", 0, 100, "hertz"), "flap_hz"
+    "frame_rate": _of(
+        "frames.rate_hz", number("Intensity frames per second; 0 for none.", 0, 1000, "hertz")
     ),
-    "distance": SimOption(
-        number("Distance of the cameras from the point they look at.", 0.1, 10_000, "metres"),
-        "distance_m"
+    "exposure": _of("frames.exposure_s", number("Exposure time of a frame.", 1e-5, 1, "seconds")),
+    "max_step": _of("sampling.max_step_px", number(
+        "Largest image motion between rendered instants.", 0.005, 10, "pixels"
+    )),
+    "lattice": _own(
+        tuple[int, int], (SimConfig().render.lattice.a, SimConfig().render.lattice.b), number(
+        "Supersampling: a*a + b*b samples per pixel, b = 0 or 1.", 0, 64, metavar="A B"
+    )),
+    "renderer": _of(
+        "render.renderer", named("NAME", f"Renderer: {' or '.join(RENDERERS)} (OpenGL).")
     ),
-    "spread": SimOption(
-        number("Scale of the random flight; below 1 keeps a near drone in view.", 0.01, 100),
-        type=float, default=1.0
-    ),
-    "focal": SimOption(number("Focal length.", 10, 100_000, "pixels"), "focal_px"),
-    "resolution": SimOption(
-        number("Width and height of each camera's image.", 16, 8192, "pixels", "WIDTH HEIGHT"),
-        "resolution"
-    ),
-    "distortion_model": SimOption(
-        named("NAME", "none, radtan or equidistant."), "distortion_model"
-    ),
-    "distortion": SimOption(
-        number("Distortion coefficients: k1 k2 p1 p2 (radtan) or k1 k2 k3 k4 (equidistant).",
-               -10, 10, metavar="K K K K"),
-        "distortion_coeffs", tuple[float, float, float, float], (0.0, 0.0, 0.0, 0.0)
-    ),
-    "background": SimOption(
-        named("FILE", "Image behind the drone: give one for all cameras, or one for each."),
-        "background_files", list[Path] | None
-    ),
-    "background_luminance": SimOption(
-        number("Luminance of the sky where there is no image.", 0, 1), "background_luminance"
-    ),
-    "preset": SimOption(
-        named("NAME", "Sensor model with the imperfections of a real one: "
-               f"{', '.join(SENSOR_PRESETS)}."), type=str | None
-    ),
-    "illuminance": SimOption(
-        number("Illuminance of the scene, on which the sensor's effects depend.",
-               1e-3, 1e6, "lux"), type=float | None
-    ),
-    "effect": SimOption(
-        named("NAME=VALUE", "Set one effect of the sensor, overriding the preset; names in "
-               "docs/sensor.md. May be given several times."), type=list[str] | None
-    ),
-    "noise": SimOption(
-        named("NAME", f"Pixel noise without other effects: {', '.join(PRESETS)}."),
-        type=str, default=_IDEAL
-    ),
-    "lamp": SimOption(
-        number("Side of a flickering square, such as a lamp; 0 for none.", 0, 100, "pixels"),
-        "disturb.lamp_px"
-    ),
-    "hot_clusters": SimOption(
-        number("Number of 3x3 clusters of hot pixels.", 0, 1000), "disturb.hot_clusters"
-    ),
-    "noise_hz": SimOption(
-        number("Rate of noise events per pixel, added to --noise.", 0, 100, "hertz"),
-        "disturb.noise_hz"
-    ),
-    "branches": SimOption(
-        number("Number of events from swaying branches, in each camera.", 0, 100_000_000,
-               metavar="EVENTS"), "disturb.branches"
-    ),
-    "people": SimOption(
-        number("Number of people who walk through each view.", 0, 100), "disturb.people"
-    ),
-    "clouds": SimOption(
-        number("Speed of drifting clouds; 0 for none.", 0, 100, "px/s"), "disturb.clouds_px_s"
-    ),
-    "second_object": SimOption(
-        number("Add this share of the events of a second drone.", 0, 1, metavar="SHARE"),
-        "disturb.second_object"
-    ),
-    "intrinsics_error": SimOption(
-        number("Standard deviations of errors drawn for the rig file: focal lengths, at most "
-               f"{MAX_FOCAL_PERCENT:g} %, and centres.", 0, 100, metavar="PERCENT PX"),
-        "disturb.intrinsics_error"
-    ),
-    "threshold_on": SimOption(
-        number(f"ON contrast threshold, in log intensity; default: {_ON:g}, or the preset's.",
-               0.01, 5), type=float | None
-    ),
-    "threshold_off": SimOption(
-        number("OFF contrast threshold; same default.", 0.01, 5), type=float | None
-    ),
-    "frame_rate": SimOption(
-        number("Intensity frames per second; 0 for none.", 0, 1000, "hertz"), "frames.rate_hz"
-    ),
-    "exposure": SimOption(
-        number("Exposure time of a frame.", 1e-5, 1, "seconds"), "frames.exposure_s"
-    ),
-    "max_step": SimOption(
-        number("Largest image motion between rendered instants.", 0.005, 10, "pixels"),
-        "sampling.max_step_px"
-    ),
-    "lattice": SimOption(
-        number("Supersampling: a*a + b*b samples per pixel, b = 0 or 1.", 0, 64, metavar="A B"),
-        type=tuple[int, int], default=(SimConfig().render.lattice.a, SimConfig().render.lattice.b)
-    ),
-    "renderer": SimOption(
-        named("NAME", f"Renderer: {' or '.join(RENDERERS)} (OpenGL)."), "render.renderer"
-    ),
-    "check": SimOption(
-        typer.Option("--check/--no-check",
-                     help="Check some instants against OpenGL; --no-check where there is none."),
-        "render.check"
-    ),
-    "gl": SimOption(named("NAME", "GL backend: auto, osmesa or egl."), "render.backend"),
-    "text": SimOption(flag("text", "Write ESIM text files too."), type=bool, default=False),
-    "figures": SimOption(
-        flag("figures", "Print statistics of the scene beside those of the authors' sample."),
-        type=bool, default=False
-    ),
+    "check": _of("render.check", typer.Option(
+        "--check/--no-check",
+        help="Check some instants against OpenGL; --no-check where there is none.",
+    )),
+    "gl": _of("render.backend", named("NAME", "GL backend: auto, osmesa or egl.")),
+    "text": _own(bool, False, flag("text", "Write ESIM text files too.")),
+    "figures": _own(bool, False, flag(
+        "figures", "Print statistics of the scene beside those of the authors' sample."
+    )),
 }  # fmt: skip
 """By the name of the parameter, in the order of the help."""
 
@@ -202,16 +176,15 @@ def chosen(options: Mapping[str, Any], **more: Any) -> tuple[SimConfig, DisturbC
 
     `more` are further fields of SimConfig: of dataclasses, options may set fields too.
     """
-    values = {OPTIONS[name].field: value for name, value in options.items()}
-    values.pop("", None)
-    disturb = {name.removeprefix(_DISTURB): values.pop(name)
-               for name in list(values) if name.startswith(_DISTURB)}  # fmt: skip
-    return _changed(SimConfig(), values, more), _changed(DisturbConfig(), disturb, {})
+    values = {OPTIONS[name].field: value for name, value in options.items() if OPTIONS[name].field}
+    disturb = {name: values.pop(name) for name in list(values) if name.startswith(_DISTURB)}
+    of_disturb = {name.removeprefix(_DISTURB): value for name, value in disturb.items()}
+    return _changed(SimConfig(), more | values), replace(DisturbConfig(), **of_disturb)
 
 
-def _changed(default: Any, values: Mapping[str, Any], whole: Mapping[str, Any]) -> Any:
+def _changed(default: Any, values: Mapping[str, Any]) -> Any:
     """Change fields by dotted names, all at once: a configuration checks them together."""
-    changes, parts = dict(whole), dict[str, dict[str, Any]]()
+    changes, parts = dict[str, Any](), dict[str, dict[str, Any]]()
     for name, value in values.items():
         head, _, rest = name.partition(".")
         if rest:
@@ -219,22 +192,16 @@ def _changed(default: Any, values: Mapping[str, Any], whole: Mapping[str, Any]) 
         else:
             changes[head] = value
     for head, part in parts.items():
-        changes[head] = _changed(changes.get(head, getattr(default, head)), part, {})
+        changes[head] = replace(changes.get(head, getattr(default, head)), **part)
     return replace(default, **changes)
 
 
-def chosen_sensor(
-    preset: str | None,
-    noise: str,
-    threshold_on: float | None,
-    threshold_off: float | None,
-    illuminance_lux: float | None,
-    effects: Iterable[str],
-) -> SensorPreset:
+def chosen_sensor(options: Mapping[str, Any]) -> SensorPreset:
     """Make the sensor that the options ask for: what is given takes the place of the preset's.
 
     SimError when a name is unknown, a value makes no sense, or two options contradict each other.
     """
+    preset, noise = options["preset"], options["noise"]
     if noise not in PRESETS:
         raise SimError(f"--noise: expected one of {', '.join(PRESETS)}, got {noise!r}")
     if preset is not None and noise != _IDEAL:
@@ -243,16 +210,15 @@ def chosen_sensor(
         )
     if preset is not None and preset not in SENSOR_PRESETS:
         raise SimError(f"--preset: expected one of {', '.join(SENSOR_PRESETS)}, got {preset!r}")
-    start = SensorPreset(PRESETS[noise], SensorEffects())
-    if preset is not None:
-        start = sensor_preset(preset)
-    thresholds = {"threshold_on": threshold_on, "threshold_off": threshold_off}
+    ideal = SensorPreset(PRESETS[noise], SensorEffects())
+    start = ideal if preset is None else sensor_preset(preset)
+    thresholds = {name: options[name] for name in ("threshold_on", "threshold_off")}
     given = {name: value for name, value in thresholds.items() if value is not None}
-    changes = dict(_parsed(effect) for effect in effects)
-    if illuminance_lux is not None:
+    changes = dict(_parsed(effect) for effect in options["effect"] or ())
+    if options["illuminance"] is not None:
         if "illuminance_lux" in changes:
             raise SimError("--illuminance and --effect illuminance_lux are one: leave one out")
-        changes["illuminance_lux"] = illuminance_lux
+        changes["illuminance_lux"] = options["illuminance"]
     return SensorPreset(replace(start.sensor, **given), replace(start.effects, **changes))
 
 

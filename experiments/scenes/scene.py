@@ -24,15 +24,16 @@ FloatArray = NDArray[np.float64]
 SLOPE_STEP_S = 0.010  # the slope of d_avg is read 10 ms on each side of the truth
 _WIDTH_QUANTILES = (0.01, 0.99)  # of the columns of a window's events: its width without strays
 
-AUTHORS_SAMPLE = {
-    "median image speed [px/s]": "198",
-    "sample times valid in both views": "348 of 400",
-    "mean distance, true F [px]": "0.41",
-    "median distance, true F [px]": "0.20",
-    "slope of d_avg [px per 10 ms]": "1.3",
-    "width in the event image [px]": "20-45",
-    "events per camera": "",
-}
+SHOWN = (
+    ("median image speed [px/s]", "198", "{speed_px_s:.0f}"),
+    ("sample times valid in both views", "348 of 400", "{n_valid:.0f} of {n_samples:.0f}"),
+    ("mean distance, true F [px]", "0.41", "{mean_distance_px:.2f}"),
+    ("median distance, true F [px]", "0.20", "{median_distance_px:.2f}"),
+    ("slope of d_avg [px per 10 ms]", "1.3", "{slope_px:.2f}"),
+    ("width in the event image [px]", "20-45", "{narrow_px:.0f}-{wide_px:.0f}"),
+    ("events per camera", "", "{n_events:.0f}"),
+)
+"""What it is, in the authors' sample, and of `SceneFigures`."""
 
 
 @dataclass(frozen=True)
@@ -61,26 +62,23 @@ def pair_figures(cam1: Observation, cam2: Observation, rig: Rig, t_d_s: float) -
     config = Config()
     views = Chain((cam1, cam2), rig, config).views()
     F = fundamental_from_pose(rig.cam1.K, rig.cam2.K, *known_pose(rig))
-    offsets_s = t_d_s + np.array([-SLOPE_STEP_S, 0.0, SLOPE_STEP_S])
-    pairs = views.pairs(offsets_s)
+    pairs = views.pairs(t_d_s + np.array([-SLOPE_STEP_S, 0.0, SLOPE_STEP_S]))
     distances = [epipolar_distance(F, *pairs.valid_positions(m)) for m in range(3)]
+    before, mean, after = (np.mean(of_offset) for of_offset in distances)
     times_s = pairs.times_s[1][pairs.valid[1]]
-    velocities = [
-        views.motion1.velocities_at(times_s),
-        views.motion2.velocities_at(times_s + t_d_s),
-    ]
-    widths = [
-        width_px
-        for camera, shift_s in ((cam1, 0.0), (cam2, t_d_s))
-        for width_px in _widths_px(camera, times_s + shift_s, config.half_window_s)
-    ]
+    velocities, widths = [], []
+    for motion, camera, shift_s in zip(
+        (views.motion1, views.motion2), (cam1, cam2), (0.0, t_d_s), strict=True
+    ):
+        velocities.append(motion.velocities_at(times_s + shift_s))
+        widths += _widths_px(camera, times_s + shift_s, config.half_window_s)
     return SceneFigures(
         speed_px_s=float(np.nanmedian(np.linalg.norm(velocities, axis=-1))),
         n_valid=float(np.count_nonzero(pairs.valid[1])),
         n_samples=config.n_samples,
-        mean_distance_px=float(np.mean(distances[1])),
+        mean_distance_px=float(mean),
         median_distance_px=float(np.median(distances[1])),
-        slope_px=float((np.mean(distances[0]) + np.mean(distances[2])) / 2 - np.mean(distances[1])),
+        slope_px=float((before + after) / 2 - mean),
         narrow_px=float(np.percentile(widths, 5)),
         wide_px=float(np.percentile(widths, 95)),
         n_events=float(np.mean([len(camera.events) for camera in (cam1, cam2)])),
@@ -107,19 +105,8 @@ def scene_command(
 
 def scene_table(figures: SceneFigures) -> str:
     """Lay the figures out beside those of the authors' sample, as a Markdown table."""
-    ours = (
-        f"{figures.speed_px_s:.0f}",
-        f"{figures.n_valid:.0f} of {figures.n_samples:.0f}",
-        f"{figures.mean_distance_px:.2f}",
-        f"{figures.median_distance_px:.2f}",
-        f"{figures.slope_px:.2f}",
-        f"{figures.narrow_px:.0f}-{figures.wide_px:.0f}",
-        f"{figures.n_events:.0f}",
-    )
-    rows = [
-        f"| {name} | {theirs} | {value} |"
-        for (name, theirs), value in zip(AUTHORS_SAMPLE.items(), ours, strict=True)
-    ]
+    rows = [f"| {name} | {theirs} | {ours.format_map(vars(figures))} |"
+            for name, theirs, ours in SHOWN]  # fmt: skip
     return "\n".join(["| quantity | authors' sample | ours |", "|---|---|---|", *rows])
 
 
@@ -128,8 +115,5 @@ def _widths_px(camera: Observation, times_s: FloatArray, half_window_s: float) -
     t_us, x = camera.events["t"], camera.events["x"]
     first = np.searchsorted(t_us, (times_s - half_window_s) * 1e6)
     last = np.searchsorted(t_us, (times_s + half_window_s) * 1e6)
-    widths = []
-    for a, b in zip(first, last, strict=True):
-        low, high = np.quantile(x[a:b], _WIDTH_QUANTILES)
-        widths.append(float(high - low + 1.0))
-    return widths
+    ends = [np.quantile(x[a:b], _WIDTH_QUANTILES) for a, b in zip(first, last, strict=True)]
+    return [float(high - low + 1.0) for low, high in ends]

@@ -5,13 +5,13 @@ from typing import Annotated, Any
 
 import typer
 
-from experiments.lab.bridge import check_mesh, recording_bytes, rig_of
+from experiments.lab.bridge import check_mesh, rig_of
+from experiments.lab.cache import recording_bytes
 from experiments.lab.provenance import plain, versions
 from experiments.scenes.options import OPTIONS, chosen, chosen_sensor
-from experiments.scenes.scene import SceneFigures, pair_figures, scene_table
+from experiments.scenes.scene import pair_figures, scene_table
 from sim.disturb import DisturbConfig, record_disturbed
 from sim.errors import SimError
-from sim.recorded import Flight
 from sim.recording import SimConfig
 from sim.render.config import RenderConfig
 from sim.render.lattice import Lattice
@@ -36,16 +36,18 @@ def simulate_command(
     """Simulate two event cameras that watch one drone, and write the recording as a folder."""
     given = dict(options)
     width, height = given["resolution"]
-    sensor = chosen_sensor(
-        given["preset"], given["noise"], given["threshold_on"], given["threshold_off"],
-        given["illuminance"], given["effect"] or (),
-    )  # fmt: skip
+    spread, default = given["spread"], SplineConfig()
+    sensor = chosen_sensor(given)
     given["background"] = tuple(given["background"] or ())
     if given["distortion_model"] == "none":
         given["distortion"] = ()
     config, disturb = chosen(
         given,
-        spline=_spline(given["spread"]),
+        # The box of random positions, and the circle that keeps clear of the cameras.
+        spline=SplineConfig(
+            multiplier_xyz_m=tuple(spread * one for one in default.multiplier_xyz_m),
+            max_radius_m=spread * default.max_radius_m,
+        ),
         **_drone(given["drone"]),
         principal_point=(width / 2, height / 2),
         render=RenderConfig(lattice=Lattice(*given["lattice"])),
@@ -58,7 +60,13 @@ def simulate_command(
     recorded = record_with_progress(config, given["seed"], out_dir, given["text"], disturb)
     typer.echo(summary(recorded, out_dir))
     if given["figures"]:
-        typer.echo(scene_table(_figures(recorded, out_dir)))
+        flight = recorded.flight
+        cam1, cam2 = (
+            Observation(load_events_h5(out_dir / f"{camera.name}.h5").events)
+            for camera in flight.rig.cameras[:2]
+        )
+        rig = rig_of(flight, with_extrinsics=True)
+        typer.echo(scene_table(pair_figures(cam1, cam2, rig, flight.truth.t_d_s)))
 
 
 def record_with_progress(
@@ -81,28 +89,23 @@ def record_with_progress(
 
 
 def summary(recorded: Recorded, out_dir: Path) -> str:
-    """Say in a few lines what was recorded and where it lies."""
-    flight = recorded.flight
+    """Say in a few lines what was recorded, what drew it and how well, and where it lies."""
+    flight, gl, check = recorded.flight, recorded.flight.gl, recorded.flight.check
     lines = [
         f"{camera.name}: {n_events} events, {n_frames} frames"
         for camera, n_events, n_frames in zip(
             flight.rig.cameras, recorded.n_events, recorded.n_frames, strict=True
         )
     ]
-    return "\n".join([*lines, *_drawn_by(flight), f"written to {out_dir}"])
-
-
-def _drawn_by(flight: Flight) -> list[str]:
-    """Name what drew, and how far it was from the definition."""
-    gl, check = flight.gl, flight.check
-    by_gl = f"{gl.backend} ({gl.renderer})" if gl else "the native renderer"
-    if not check.n_instants:
-        return [f"{flight.n_instants} instants rendered with {by_gl}"]
-    return [
-        f"{flight.n_instants} instants rendered with the native renderer",
-        f"{check.n_instants} of them with {by_gl} too: luminance differs by "
-        f"{check.mean_difference:.0e} in the mean, {check.max_difference:.0e} at most",
-    ]
+    native, rendered = "the native renderer", f"{flight.n_instants} instants rendered with"
+    by_gl = f"{gl.backend} ({gl.renderer})" if gl else native
+    lines.append(f"{rendered} {native if check.n_instants else by_gl}")
+    if check.n_instants:
+        lines.append(
+            f"{check.n_instants} of them with {by_gl} too: luminance differs by "
+            f"{check.mean_difference:.0e} in the mean, {check.max_difference:.0e} at most"
+        )
+    return "\n".join([*lines, f"written to {out_dir}"])
 
 
 def _drone(name: str) -> dict[str, Any]:
@@ -115,20 +118,3 @@ def _drone(name: str) -> dict[str, Any]:
         )
     check_mesh(Path(name))
     return {"drone_file": Path(name)}
-
-
-def _spline(spread: float) -> SplineConfig:
-    """Scale the default box of random positions, and the circle that keeps clear of cameras."""
-    default = SplineConfig()
-    x, y, z = (spread * multiplier for multiplier in default.multiplier_xyz_m)
-    return SplineConfig(multiplier_xyz_m=(x, y, z), max_radius_m=spread * default.max_radius_m)
-
-
-def _figures(recorded: Recorded, folder: Path) -> SceneFigures:
-    """Measure a recording that lies in a folder."""
-    flight = recorded.flight
-    cam1, cam2 = (
-        Observation(load_events_h5(folder / f"{camera.name}.h5").events)
-        for camera in flight.rig.cameras[:2]
-    )
-    return pair_figures(cam1, cam2, rig_of(flight, with_extrinsics=True), flight.truth.t_d_s)

@@ -22,8 +22,7 @@ from experiments.lab.results import Results
 from experiments.lab.study import How, Runs, Study
 from experiments.lab.summary import answered, made_of
 from experiments.machine.growth import POINTS, SIMULATE, STEP, STEPS, SYNCHRONISE, Point, StepCell
-from experiments.machine.measurement import Measurement
-from experiments.machine.parts import PART, PARTS, PartCell
+from experiments.machine.parts import PART, PARTS, Measurement, PartCell
 from ssac.estimate import Status
 
 SHORT_EVENTS = 15e6  # a camera, about: larger points are left out of a short run

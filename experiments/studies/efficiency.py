@@ -21,7 +21,7 @@ from experiments.lab.recorded import load_pair
 from experiments.lab.results import Results
 from experiments.lab.study import Made, Runs, Study
 from experiments.lab.summary import answered, by_group, made_of
-from experiments.paper.esim import method_order
+from experiments.paper.esim import in_order
 from experiments.paper.grids import TABLES
 from experiments.paper.quantities import ERRORS
 from experiments.worlds.bound import KNOWN_POSE, SAMPLES, TrueMotion, load_truth, method_bound
@@ -90,13 +90,7 @@ def runs_beside_bounds(runs: pd.DataFrame, bounds: pd.DataFrame) -> pd.DataFrame
     good = answered(runs)[[*FLIGHT, "t_d_ms", *ERRORS]]
     bounded = answered(bounds)[[*FLIGHT, "sigma_px", "n_samples", *found]]
     both = good.merge(bounded, on=list(FLIGHT), how="inner", validate="many_to_one")
-    place = {name: number for number, name in enumerate(method_order(both["method"]))}
-    beside: pd.DataFrame = both.sort_values(
-        ["duration_s", "angle_deg", "t_d_ms", "flight", "method"],
-        key=lambda column: column.map(place) if column.name == "method" else column,
-        ignore_index=True,
-    )
-    return beside
+    return in_order(both, ["duration_s", "angle_deg", "t_d_ms", "flight", "method"])
 
 
 def efficiency_table(beside: pd.DataFrame) -> pd.DataFrame:
@@ -123,7 +117,7 @@ def summary(results: Results) -> pd.DataFrame:
 
 def figure(table: pd.DataFrame) -> Figure:
     """Draw each method's errors and bounds."""
-    from experiments.drawing.efficiency import efficiency_figure
+    from experiments.drawing.errors import efficiency_figure
 
     return efficiency_figure(table)
 

@@ -100,7 +100,7 @@ class ImperfectRow(RunRow):
     skew_std_ppm: float = np.nan
     t_d_normalised: float = np.nan  # of an offset that is given; the skew's likewise
     skew_normalised: float = np.nan
-    r_mahalanobis: float = np.nan  # of a pose that is given, as in `score.PoseScore`
+    r_mahalanobis: float = np.nan  # of a pose that is given, as in `score.POSE_SCORES`
     t_mahalanobis: float = np.nan
     true_skew_ppm: float = np.nan
     n_samples: int = 0

@@ -69,7 +69,7 @@ def figure(runs: pd.DataFrame) -> Figure:
 def comparison(results: Results) -> pd.DataFrame:
     """Compare both tables with the paper's, cell by cell."""
     tables = {duration_s: results.table(f"mini_{duration_s:g}") for duration_s in DURATIONS_S}
-    return comparison_table(tables, published_tables(), reasons=(), errors=_ERRORS)
+    return comparison_table(tables, published_tables(), reasons={}, errors=_ERRORS)
 
 
 def page_table(results: Results) -> str:

@@ -41,39 +41,16 @@ class Entry:
 USE = "Use"
 """Heading of the commands for recordings of one's own; the others reproduce results."""
 
-SYNC = Entry(
-    "sync",
-    USE,
-    "Find time offset and pose of two or more cameras.",
-    "ssac.cli.sync",
-    "sync_command",
+COMMANDS = tuple(
+    Entry(name, USE, summary, f"ssac.cli.{module}", f"{name}_command")
+    for name, module, summary in (
+        ("sync", "sync", "Find time offset and pose of two or more cameras."),
+        ("track", "convert", "Extract the object's image track from a camera's events."),
+        ("import", "convert", "Convert a public data set to track files and a rig."),
+        ("compare", "compare", "Compare an estimated path in space with a reference."),
+    )
 )
-
-TRACK = Entry(
-    "track",
-    USE,
-    "Extract the object's image track from a camera's events.",
-    "ssac.cli.convert",
-    "track_command",
-)
-
-IMPORT = Entry(
-    "import",
-    USE,
-    "Convert a public data set to track files and a rig.",
-    "ssac.cli.convert",
-    "import_command",
-)
-
-COMPARE = Entry(
-    "compare",
-    USE,
-    "Compare an estimated path in space with a reference.",
-    "ssac.cli.compare",
-    "compare_command",
-)
-
-COMMANDS = (SYNC, TRACK, IMPORT, COMPARE)
+SYNC, TRACK, IMPORT, COMPARE = COMMANDS
 
 
 def command_line(entries: Sequence[Entry], description: str) -> typer.Typer:
@@ -140,8 +117,14 @@ class _LazyGroup(TyperGroup):
         entry = self.entries.get(cmd_name)
         if entry is not None:
             module = import_module(entry.module)
-            sections = getattr(module, "help_sections", dict)
-            return _command(entry.name, getattr(module, entry.function), sections)
+            app = typer.Typer(
+                add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None
+            )
+            app.command(entry.name, cls=_ListingCommand)(getattr(module, entry.function))
+            command = get_command(app)
+            assert isinstance(command, _ListingCommand)  # as asked for
+            command.sections = getattr(module, "help_sections", dict)
+            return command
         if not (ctx.resilient_parsing or cmd_name.startswith("-")):
             close = difflib.get_close_matches(cmd_name, self.entries)
             meant = f": did you mean {' or '.join(close)}?" if close else ""
@@ -167,44 +150,14 @@ class _LazyGroup(TyperGroup):
         ]
 
 
-class _WordyCommand(TyperCommand):
-    """A command whose usage shows arguments as they are written, and with lists below its help."""
+class _ListingCommand(TyperCommand):
+    """A command with lists below its help."""
 
     sections: Callable[[], Sections] = dict
-
-    def collect_usage_pieces(self, ctx: Any) -> list[str]:
-        """Show a required argument without braces."""
-        return [
-            piece.replace("{", "").replace("}", "") for piece in super().collect_usage_pieces(ctx)
-        ]
-
-    def format_options(self, ctx: Any, formatter: Any) -> None:
-        """Write arguments without their Python types, then options."""
-        rows: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": []}
-        for param in self.get_params(ctx):
-            record = param.get_help_record(ctx)
-            if record is None:
-                continue
-            if param.param_type_name == "argument":
-                rows["Arguments"].append((record[0].partition(" <")[0], record[1]))
-            else:
-                rows["Options"].append(record)
-        _write({heading: some for heading, some in rows.items() if some}, formatter)
 
     def format_epilog(self, ctx: Any, formatter: Any) -> None:
         """Add the lists."""
         _write(self.sections(), formatter)
-
-
-def _command(
-    name: str, function: Callable[..., Any], sections: Callable[[], Sections]
-) -> _WordyCommand:
-    app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
-    app.command(name, cls=_WordyCommand)(function)
-    command = get_command(app)
-    assert isinstance(command, _WordyCommand)  # as asked for
-    command.sections = sections
-    return command
 
 
 def _write(sections: Sections, formatter: Any) -> None:

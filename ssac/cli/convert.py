@@ -1,10 +1,9 @@
 """The commands `ssac track` and `ssac import`, which make track files of other recordings."""
 
 import warnings
-from enum import Enum
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -55,7 +54,7 @@ def track_command(
     from ssac.files.event_files import load_events
     from ssac.files.rigs import check_resolution, load_camera
     from ssac.files.track_files import TRACK_SUFFIX, is_track_file, save_track
-    from ssac.files.whole_file import check_target
+    from ssac.files.whole_file import check_targets
     from ssac.pipeline.object_track import things_seen, track_of_events
     from ssac.track.clean import clean
     from ssac.track.faint import faint_object_events
@@ -65,7 +64,7 @@ def track_command(
         raise SsacError(f"{out}: a track is written as {TRACK_SUFFIX}: name such a file")
     if given.faint and given.no_denoise:
         raise SsacError("--faint tells the object from noise, --no-denoise keeps it: leave one out")
-    check_target(out, (cam,))
+    check_targets((out,), (cam,))
     if is_track_file(cam):
         raise SsacError(f"{cam}: is a track already: give a camera's events")
     calibrated, name = load_camera(rig, given.camera), f"camera {given.camera} of {rig}"
@@ -96,15 +95,10 @@ def track_command(
     )
 
 
-class Form(str, Enum):
-    """What can be imported."""
-
-    DRONE_TRACKING = "drone-tracking"
-
-
 def import_command(
     form: Annotated[
-        Form, typer.Argument(metavar="FORM", help="Data set: drone-tracking.", show_default=False)
+        Literal["drone-tracking"],
+        typer.Argument(metavar="FORM", help="Data set: drone-tracking.", show_default=False),
     ],
     folder: Annotated[
         Path, typer.Argument(metavar="FOLDER", help="Folder of one data set.", show_default=False)

@@ -46,7 +46,7 @@ def guarded(run: Callable[[], int], blames_input: tuple[type[Exception], ...] = 
     """
     faults_of_input: tuple[type[Exception], ...] = (SsacError, OSError, *blames_input)
     try:
-        with _insistent_interrupts(), _termination_that_tidies_up():
+        with _signals_as_exceptions():
             code = run()
         if sys.stdout is not None:  # closed by whoever started us, as some services do
             sys.stdout.flush()
@@ -82,48 +82,37 @@ def warnings_as_lines() -> Iterator[None]:
 
 
 @contextmanager
-def _insistent_interrupts() -> Iterator[None]:
-    """Raise KeyboardInterrupt again and again after a Ctrl-C, until the block is left.
+def _signals_as_exceptions() -> Iterator[None]:
+    """Leave the block as an exception does on Ctrl-C and SIGTERM, where nobody has other wishes.
 
-    Packages that try an import and catch whatever comes of it would else swallow the only one.
+    KeyboardInterrupt is raised again and again until the block is left: packages that try an import
+    and catch whatever comes of it would else swallow the only one. SIGTERM would end the process on
+    the spot.
     """
-    can_insist = hasattr(signal, "setitimer")
-    if not can_insist or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
-        yield  # another system, or whoever started us wants no interrupts
-        return
 
     def interrupt(*_: object) -> None:
         # In 3 s worker processes can end and temporary files be removed.
         signal.setitimer(signal.ITIMER_REAL, 3.0)
         raise KeyboardInterrupt
 
-    before = {
-        number: signal.signal(number, interrupt) for number in (signal.SIGINT, signal.SIGALRM)
-    }
-    try:
-        yield
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
-@contextmanager
-def _termination_that_tidies_up() -> Iterator[None]:
-    """Leave the block as an exception does on SIGTERM, which else ends the process on the spot."""
-
     def end(*_: object) -> None:
         os.write(2, b"terminated\n")
         raise SystemExit(TERMINATED)
 
-    if signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL:
-        yield  # whoever started us has other wishes
-        return
-    signal.signal(signal.SIGTERM, end)
+    handlers: dict[signal.Signals, Callable[..., None]] = {}
+    can_insist = hasattr(signal, "setitimer")  # not on every system
+    if can_insist and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        handlers |= {signal.SIGINT: interrupt, signal.SIGALRM: interrupt}
+    if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
+        handlers[signal.SIGTERM] = end
+    before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        if signal.SIGALRM in before:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _bug_line(error: Exception) -> str:

@@ -36,9 +36,14 @@ def check_outputs(inputs: Sequence[Path], outputs: Outputs) -> None:
     if synced is not None:
         check_written(synced, (TRACK_SUFFIX,) if is_track_file(inputs[1]) else WRITTEN)
     files = [outputs.json_file, synced, outputs.trajectory]
-    if plot is not None and _is_figure(plot):
+    if plot is not None and plot.suffix.lower() in FIGURE_SUFFIXES:
         files.append(plot)
     elif plot is not None:
+        if plot.exists() and not plot.is_dir():
+            raise SsacError(
+                f"{plot}: exists and is no folder: name a folder, or a file ending in "
+                f"{', '.join(FIGURE_SUFFIXES)}"
+            )
         check_folder(plot)
     check_targets(files, inputs)
 
@@ -57,33 +62,16 @@ def write_outputs(result: Result, outputs: Outputs, cam2: Path, reading: Reading
     if synced is not None and estimate.has_offset:
         with clock.part("write") as say:
             # Read again, whole: what is in memory has been denoised.
-            _write_synced(synced, result, cam2, reading)
+            if is_track_file(cam2):
+                track = load_track(cam2)
+                times_s = estimate.clock.cam1_from_cam2(track.times_s)
+                save_track(synced, replace(track, times_s=times_s))
+            else:
+                write_synced(synced, load_events(cam2, reading), estimate.clock)
             known = np.isfinite(estimate.t_d_std_s)
             say(str(synced) if known else f"{synced}, by an offset of unknown accuracy")
     elif synced is not None:
         log(f"not written: {synced}, since there is no reliable offset")
-
-
-def _write_synced(path: Path, result: Result, cam2: Path, reading: Reading) -> None:
-    """Write camera 2's events or points on camera 1's clock."""
-    clock = result.estimate.clock
-    if not is_track_file(cam2):
-        write_synced(path, load_events(cam2, reading), clock)
-        return
-    track = load_track(cam2)
-    save_track(path, replace(track, times_s=clock.cam1_from_cam2(track.times_s)))
-
-
-def _is_figure(plot: Path) -> bool:
-    """Tell a file for all figures from a folder for them; SsacError for what can be neither."""
-    if plot.suffix.lower() in FIGURE_SUFFIXES:
-        return True
-    if plot.exists() and not plot.is_dir():
-        raise SsacError(
-            f"{plot}: exists and is no folder: name a folder, or a file ending in "
-            f"{', '.join(FIGURE_SUFFIXES)}"
-        )
-    return False
 
 
 def known_of(

@@ -227,9 +227,12 @@ def sync_command(
             "--known-extrinsics": given.known_extrinsics,
             "--estimate-readout": given.estimate_readout,
         }
-        if more:
-            _check_for_two([name for name, value in for_two.items() if value])
-        else:
+        refused = [name for name, value in for_two.items() if value and more]
+        if refused:
+            raise SsacError(
+                f"{refused[0]}: is for two cameras, and more were given: leave it out, or give two"
+            )
+        if not more:
             _check_known_of_two(known, given.trajectory is not None)
         call: Callable[..., Any] = sync
         result = call(
@@ -276,20 +279,9 @@ def _check_search(given: SimpleNamespace) -> None:
 
 def help_sections() -> Sections:
     """List the methods, and what an estimate's status may be, below the help."""
-    estimate: Any = import_module("ssac.estimate")
-    statuses = [(str(status), status.meaning) for status in getattr(estimate, "Status", ())]
-    return {
-        "Methods": list(all_summaries().items()),
-        **({"Statuses": statuses} if statuses else {}),
-    }
-
-
-def _check_for_two(given: list[str]) -> None:
-    """Refuse options that are of two cameras."""
-    if given:
-        raise SsacError(
-            f"{given[0]}: is for two cameras, and more were given: leave it out, or give two"
-        )
+    estimate = import_module("ssac.estimate")
+    statuses = [(str(status), status.meaning) for status in estimate.Status]
+    return {"Methods": list(all_summaries().items()), "Statuses": statuses}
 
 
 def _check_known_of_two(known: "Known", has_trajectory: bool) -> None:

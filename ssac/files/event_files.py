@@ -20,9 +20,10 @@ suffix        format                                         absolute time
 To add a format is to add a module that reads it, and perhaps writes it, and its line in FORMATS.
 """
 
+from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -34,29 +35,28 @@ from ssac.files.readable import check_is_file
 
 
 class Format(NamedTuple):
-    """How files of an extension are read and written, as "module:function"; imported when asked."""
+    """How files of an extension are read and written: functions of a module, by their names."""
 
+    module: str  # of this folder
     reader: str  # (path, reading) -> EventFile
     writer: str = ""  # (path, events, width, height); empty: none
 
+    def function(self, name: str) -> Callable[..., Any]:
+        """Import its reader or writer."""
+        found: Callable[..., Any] = getattr(import_module(f"ssac.files.{self.module}"), name)
+        return found
 
-_HDF5 = Format("ssac.files.hdf5:load_events_h5", "ssac.files.hdf5:save_events_h5")
-_MAKERS = Format("ssac.files.makers:load_makers_file")
-_NUMPY = Format(
-    "ssac.files.numpy_files:load_events_numpy", "ssac.files.numpy_files:save_events_numpy"
-)
+
+_HDF5 = Format("hdf5", "load_events_h5", "save_events_h5")
+_NUMPY = Format("numpy_files", "load_events_numpy", "save_events_numpy")
+_MAKERS = Format("makers", "load_makers_file")
 
 FORMATS = {
-    ".h5": _HDF5,
-    ".hdf5": _HDF5,
-    ".txt": Format("ssac.files.text:load_events_text", "ssac.files.text:save_events_text"),
-    ".csv": Format("ssac.files.text:load_events_csv"),
-    ".npy": _NUMPY,
-    ".npz": _NUMPY,
-    ".aedat4": _MAKERS,
-    ".raw": _MAKERS,
-    ".dat": _MAKERS,
-    ".es": _MAKERS,
+    ".txt": Format("text", "load_events_text", "save_events_text"),
+    ".csv": Format("text", "load_events_csv"),
+    **dict.fromkeys((".h5", ".hdf5"), _HDF5),
+    **dict.fromkeys((".npy", ".npz"), _NUMPY),
+    **dict.fromkeys((".aedat4", ".raw", ".dat", ".es"), _MAKERS),
 }
 
 WRITTEN = tuple(suffix for suffix, form in FORMATS.items() if form.writer)
@@ -97,8 +97,7 @@ def load_events(path: Path | str, reading: Reading = STRICT) -> EventFile:
     check_is_file(path)
     if path.stat().st_size == 0:
         raise SsacError(f"{path}: the file is empty (0 bytes): record or copy it again")
-    module, _, name = form.reader.partition(":")
-    found: EventFile = getattr(import_module(module), name)(path, reading)
+    found: EventFile = form.function(form.reader)(path, reading)
     return found
 
 
@@ -111,8 +110,8 @@ def write_synced(path: Path | str, cam2: EventFile, clock: Clock) -> None:
         events["t"] -= round(clock.t_d_s * US_PER_S)
     else:
         events["t"] = np.rint(US_PER_S * clock.cam1_from_cam2(events["t"] / US_PER_S))
-    module, _, name = FORMATS[path.suffix.lower()].writer.partition(":")
-    getattr(import_module(module), name)(path, events, cam2.width, cam2.height)
+    form = FORMATS[path.suffix.lower()]
+    form.function(form.writer)(path, events, cam2.width, cam2.height)
 
 
 def check_written(path: Path, suffixes: tuple[str, ...] = WRITTEN) -> None:

@@ -10,8 +10,8 @@ Nothing in it leads out of it: links to other files are refused.
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +37,7 @@ EVENTS_PER_BLOCK = 1 << 18
 BYTES_PER_BLOCK = 1 << 24
 """Frames read at once when each of them is summed up."""
 
+_KIND = "a readable HDF5 file"
 _PROPHESEE_ECF = 0x8ECF  # number of the codec of Prophesee's newer HDF5 files, not in hdf5plugin
 
 
@@ -45,7 +46,7 @@ def load_events_h5(path: Path, reading: Reading = STRICT) -> EventFile:
 
     SsacError if it is damaged, in another layout, or its events fail `checked_file`.
     """
-    with _open_h5(path) as file:
+    with readable(path, _KIND), h5py.File(path, "r") as file:
         size_px = _sensor_size(file, path)
         cd = _dataset(file, "CD/events", path)
         columns = {field: _dataset(file, f"events/{field}", path) for field in FIELDS}
@@ -69,9 +70,10 @@ def load_events_h5(path: Path, reading: Reading = STRICT) -> EventFile:
             if offset_us:
                 events["t"] += offset_us
         else:
+            has = f"{sorted(file)[:5]}{' and more' if len(file) > 5 else ''}"
             raise SsacError(
                 f"{path}: expected the datasets events/t, events/x, events/y, events/p, or "
-                f"CD/events; the file has {_brief_list(file)}: convert it to one of these layouts"
+                f"CD/events; the file has {has}: convert it to one of these layouts"
             )
     return checked_file(events, size_px, path, reading)
 
@@ -81,24 +83,14 @@ def load_frames(
 ) -> tuple[NDArray[np.int64], NDArray[Any]] | None:
     """Read the intensity frames of a recording; only our HDF5 layout can hold any.
 
-    Parameters
-    ----------
-    path
-        Event file.
-    summary
-        What to keep of frames, (k, height, width) in, (k, ...) out: called with some at a time, so
-        that never all are in memory. They are kept as they are when None.
-
-    Returns
-    -------
-    tuple of NDArray, or None
-        Times of mid-exposure, shape (n,) [us], and images, shape (n, height, width), uint8, or the
-        summaries of all. None when the file has no frames.
+    Gives times of mid-exposure (n,) [us] and uint8 images (n, height, width), or None where there
+    are none. A summary of frames, (k, height, width) in, (k, ...) out, is called with some at a
+    time, so that never all are in memory; what it gives is then kept in their place.
     """
     path = Path(path)
     if path.suffix.lower() not in HDF5_SUFFIXES:
         return None
-    with _open_h5(path) as file:
+    with readable(path, _KIND), h5py.File(path, "r") as file:
         times, images = (_dataset(file, f"frames/{name}", path) for name in ("t", "images"))
         if times is None or images is None:
             return None
@@ -156,13 +148,6 @@ def _summarised(
     step = per_chunk * max(1, BYTES_PER_BLOCK // max(1, per_chunk * height * width))
     starts = range(0, max(n, 1), step)
     return np.concatenate([summary(images[start : start + step]) for start in starts])
-
-
-@contextmanager
-def _open_h5(path: Path) -> Iterator[h5py.File]:
-    """Open an HDF5 file for reading; what the library cannot read becomes one SsacError."""
-    with readable(path, "a readable HDF5 file"), h5py.File(path, "r") as file:
-        yield file
 
 
 def _offset_us(file: h5py.File, path: Path) -> int:
@@ -232,12 +217,6 @@ def _sensor_size(file: h5py.File, path: Path) -> tuple[int | None, int | None]:
         None if size is None else _side_px(size, key, path) for key, size in sizes.items()
     )
     return width, height
-
-
-def _brief_list(file: h5py.File) -> str:
-    """Names of what stands in a file, not too many."""
-    names = sorted(file)
-    return f"{names[:5]}{' and more' if len(names) > 5 else ''}"
 
 
 def _side_px(value: Any, key: str, path: Path) -> int:

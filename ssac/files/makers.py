@@ -26,7 +26,6 @@ from pathlib import Path
 from typing import Any, BinaryIO
 from xml.etree import ElementTree
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -35,14 +34,14 @@ from ssac.events import EVENT_DTYPE, EventFile
 from ssac.files.damage import REPEATED, Reading, checked_file, refuse_damaged
 from ssac.files.readable import brief, readable, silenced
 
+Words = NDArray[Any]
+
 _ENDS = (KeyboardInterrupt, SystemExit)
 
 UNKNOWN_SIZE = (65535, 65535)
 """What faery is told to assume when a header does not give the sensor's size."""
 
 _KINDS = ("words that mean nothing", "times that run back", "leaps of the clock", "repeated words")
-
-_OF_EVENTS = 1 << 0x0 | 1 << 0x2 | 1 << 0x3 | 1 << 0x6  # kinds of EVT3 words: y, x, x, time
 
 _SLACK_EVT3 = 16  # steps of 4.1 ms that the clock of a busy sensor may leave out
 
@@ -96,10 +95,24 @@ def _signs(path: Path) -> list[str]:
     """Look for damage that faery passes over, or that would take it down."""
     suffix = path.suffix.lower()
     if suffix == ".aedat4":
-        return check_packets(path)
-    if suffix == ".dat":
-        return dat_signs(path)
-    return raw_signs(path, _evt_version(path)) if suffix == ".raw" else []
+        return _signs_of_packets(path)
+    if suffix == ".es":
+        return []
+    encoding = "dat" if suffix == ".dat" else _evt_version(path)
+    dtype, n_about, find = {
+        "evt2": ("<u4", 0, _signs_of_evt2),
+        "evt3": ("<u2", 0, _signs_of_evt3),
+        "dat": ("<u8", 2, _signs_of_dat),  # after the type and the size of a record
+    }[encoding]
+    words, rest = _words(path, np.dtype(dtype), n_about)
+    signs = [
+        f"{count} {kind} ({100.0 * count / len(words):.2g} %)"
+        for count, kind in zip(find(words), _KINDS, strict=True)
+        if count
+    ]
+    if rest:
+        signs.append(f"{rest} bytes beyond the last whole word of {words.itemsize}")
+    return signs
 
 
 def _evt_version(path: Path) -> str:
@@ -113,20 +126,7 @@ def _evt_version(path: Path) -> str:
     return version
 
 
-def raw_signs(path: Path, version: str) -> list[str]:
-    """Say what is wrong with the words of a RAW file of version "evt2" or "evt3"."""
-    words, rest = _words(path, np.dtype("<u2" if version == "evt3" else "<u4"), 0)
-    find = _signs_of_evt3 if version == "evt3" else _signs_of_evt2
-    return _said(find(words, REPEATED), len(words), rest, words.itemsize)
-
-
-def dat_signs(path: Path) -> list[str]:
-    """Say what is wrong with the records of a DAT file."""
-    words, rest = _words(path, np.dtype("<u8"), 2)  # after the type and the size of a record
-    return _said(_signs_of_dat(words, REPEATED), len(words), rest, words.itemsize)
-
-
-def _words(path: Path, dtype: np.dtype[Any], n_about: int) -> tuple[NDArray[Any], int]:
+def _words(path: Path, dtype: np.dtype[Any], n_about: int) -> tuple[Words, int]:
     """Words behind the header and `n_about` bytes, and how many bytes are left over."""
     with readable(path, "a readable file"), path.open("rb") as file:
         start = 0
@@ -143,99 +143,63 @@ def _words(path: Path, dtype: np.dtype[Any], n_about: int) -> tuple[NDArray[Any]
     return words, n_bytes - len(words) * dtype.itemsize
 
 
-def _said(counts: NDArray[np.int64], n_words: int, rest: int, size: int) -> list[str]:
-    signs = [
-        f"{count} {kind} ({100.0 * count / n_words:.2g} %)"
-        for count, kind in zip(counts.tolist(), _KINDS, strict=True)
-        if count
-    ]
-    if rest:
-        signs.append(f"{rest} bytes beyond the last whole word of {size}")
-    return signs
-
-
-@numba.njit(cache=True)
-def _signs_of_evt2(words: NDArray[np.uint32], repeated: int) -> NDArray[np.int64]:
+def _signs_of_evt2(words: Words) -> tuple[int, ...]:
     """Count invalid words, times that run back, leaps, repeated words."""
-    signs = np.zeros(4, np.int64)
-    high, last_us, before, run = -1, -1, -1, 1
-    previous = 16
-    for i in range(len(words)):
-        word = int(words[i])
-        kind = word >> 28
-        if kind <= 1:
-            run = run + 1 if word == before else 1
-            signs[3] += repeated if run == repeated else run > repeated
-            time_us = high << 6 | (word >> 22) & 0x3F
-            if high >= 0:
-                signs[1] += time_us < last_us
-                last_us = time_us
-        elif kind == 0x8:
-            new = word & 0xFFFFFFF
-            if new < high:
-                signs[1] += high - new <= 1 << 27  # else the counter began anew
-                last_us = -1
-            high = new
-        elif not (kind == 0xA or kind == 0xE or (kind == 0xF and previous in (0xE, 0xF))):
-            signs[0] += 1
-        previous = kind
-        before = word
-    return signs
+    kinds = words >> 28
+    is_event, is_high = kinds <= 1, kinds == 0x8
+    falls = -np.diff((words[is_high] & 0xFFFFFFF).astype(np.int64))
+    n_back = np.count_nonzero((falls > 0) & (falls <= 1 << 27))  # else the counter began anew
+    low, n_high = words[is_event] >> 22 & 0x3F, np.cumsum(is_high)[is_event]
+    under_one = (n_high[1:] == n_high[:-1]) & (n_high[1:] > 0)
+    n_back += np.count_nonzero((low[1:] < low[:-1]) & under_one)
+    n_invalid = _meaningless(kinds, (0x0, 0x1, 0x8, 0xA, 0xE), (0xF,))
+    return n_invalid, n_back, 0, _repeated(words, is_event)
 
 
-@numba.njit(cache=True)
-def _signs_of_evt3(words: NDArray[np.uint16], repeated: int) -> NDArray[np.int64]:
+def _signs_of_evt3(words: Words) -> tuple[int, ...]:
     """Count as `_signs_of_evt2`."""
-    signs = np.zeros(4, np.int64)
-    n_same = n_steps = 0
-    high, before, run = -1, -1, 1
-    previous = 16
-    for i in range(len(words)):
-        word = int(words[i])
-        kind = word >> 12
-        if _OF_EVENTS >> kind & 1:  # first, as nearly all words are of these kinds
-            if word == before:
-                run += 1
-                signs[3] += repeated if run == repeated else run > repeated
-            else:
-                run = 1
-        elif kind == 0x8:
-            new = word & 0xFFF
-            if high >= 0:
-                step = (new - high) & 0xFFF
-                n_steps += 1
-                n_same += step == 0
-                signs[1] += step >= 0x800
-                signs[2] += _SLACK_EVT3 < step < 0x800
-            high = new
-        elif kind == 0x7 or kind == 0xF:
-            signs[0] += not (previous == 0xE or previous == 0x7 or previous == 0xF)
-        elif not (kind == 0x4 or kind == 0x5 or kind == 0xA or kind == 0xE):
-            signs[0] += 1
-        previous = kind
-        before = word
-    if n_same * 10 < n_steps:  # written when it changes, and so not while nothing happens
-        signs[2] = 0
-    return signs
+    kinds = words >> 12
+    steps = np.diff((words[kinds == 0x8] & 0xFFF).astype(np.int64)) & 0xFFF
+    n_leaps = np.count_nonzero((steps > _SLACK_EVT3) & (steps < 0x800))
+    if np.count_nonzero(steps == 0) * 10 < len(steps):
+        n_leaps = 0  # time is written when it changes, and so not while nothing happens
+    n_invalid = _meaningless(kinds, (0x0, 0x2, 0x3, 0x4, 0x5, 0x6, 0x8, 0xA, 0xE), (0x7, 0xF))
+    n_repeated = _repeated(words, np.isin(kinds, (0x0, 0x2, 0x3, 0x6)))  # y, x, x, time
+    return n_invalid, np.count_nonzero(steps >= 0x800), n_leaps, n_repeated
 
 
-def _signs_of_dat(words: NDArray[np.uint64], repeated: int) -> NDArray[np.int64]:
+def _signs_of_dat(words: Words) -> tuple[int, ...]:
     """Count as `_signs_of_evt2`."""
     steps_us = np.diff((words & np.uint64(0xFFFFFFFF)).astype(np.int64))
-    runs = np.diff(np.flatnonzero(words[1:] != words[:-1]), prepend=-1, append=len(words) - 1)
-    invalid = np.count_nonzero(words >> np.uint64(60) > 1)
+    n_invalid = np.count_nonzero(words >> np.uint64(60) > 1)
     # By more the counter began anew.
-    back = np.count_nonzero((steps_us < 0) & (steps_us >= -(1 << 31)))
-    return np.array([invalid, back, 0, runs[runs >= repeated].sum()])
+    n_back = np.count_nonzero((steps_us < 0) & (steps_us >= -(1 << 31)))
+    return n_invalid, n_back, 0, _repeated(words, np.ones(len(words), np.bool_))
 
 
-def check_packets(path: Path) -> list[str]:
+def _meaningless(kinds: Words, alone: tuple[int, ...], going_on: tuple[int, ...]) -> int:
+    """Count words that are of no kind, or that continue nothing."""
+    goes_on = np.isin(kinds, going_on)
+    goes_on[:1] = False
+    goes_on[1:] &= np.isin(kinds[:-1], (0xE, *going_on))
+    return np.count_nonzero(~(np.isin(kinds, alone) | goes_on))
+
+
+def _repeated(words: Words, is_event: NDArray[np.bool_]) -> int:
+    """Count the words of events that stand there `REPEATED` times in a row or more."""
+    same = np.flatnonzero((words[1:] == words[:-1]) & is_event[1:])
+    starts = np.flatnonzero(np.diff(same, prepend=-2) != 1)
+    runs = np.diff(starts, append=len(same)) + 1
+    return int(runs[runs >= REPEATED].sum())
+
+
+def _signs_of_packets(path: Path) -> list[str]:
     """Say what is wrong with an AEDAT 4 file that still leaves packets to read.
 
     SsacError if its header is none.
     """
     kind = f"a complete {path.suffix} file"
-    with readable(path, kind), path.open("rb") as file:
+    with _readable(path), path.open("rb") as file:
         size = path.stat().st_size
         if file.read(len(_MAGIC)) != _MAGIC:
             raise SsacError(f"{path}: not {kind} (its first line is none): copy it again")
@@ -247,7 +211,8 @@ def check_packets(path: Path) -> list[str]:
         header = file.read(n_header)
         _check_description(header, path)
         streams = {int(number) for number in _STREAM.findall(header)}
-        table = _table_position(header)
+        place = _field_place(header, 1)  # of the position of the table of packets, behind them
+        table = struct.unpack_from("<q", header, place)[0] if place else 0
         if table > size:
             return [f"the table of its packets is at byte {table} of {size}"]
         return _broken(file, table if table > 0 else size, streams)
@@ -283,13 +248,6 @@ def _check_description(header: bytes, path: Path) -> None:
             f"{path}: not a complete {path.suffix} file (its header's XML: {brief(error)}): copy "
             "it again"
         ) from error
-
-
-def _table_position(header: bytes) -> int:
-    """Read off the header where the table of packets begins, behind them; 0: it does not say."""
-    place = _field_place(header, 1)
-    position: int = struct.unpack_from("<q", header, place)[0] if place else 0
-    return position
 
 
 def _field_place(header: bytes, number: int) -> int:

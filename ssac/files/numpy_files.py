@@ -29,8 +29,11 @@ def load_events_numpy(path: Path, reading: Reading = STRICT) -> EventFile:
             with np.load(path, allow_pickle=False) as archive:
                 wanted = {"events", *_FIELDS, "width", "height"}.intersection(archive.files)
                 arrays = {name: archive[name] for name in wanted}
-    width, height = (_side_px(arrays.get(name), name, path) for name in ("width", "height"))
-    return checked_file(_events(arrays, path), (width, height), path, reading)
+    sides = [
+        side_px(arrays[name], f"{name} must be a number of", path) if name in arrays else None
+        for name in ("width", "height")
+    ]
+    return checked_file(_events(arrays, path), (sides[0], sides[1]), path, reading)
 
 
 def save_events_numpy(
@@ -58,7 +61,3 @@ def _events(arrays: dict[str, NDArray[Any]], path: Path) -> NDArray[np.void]:
         f"{path}: expected a structured array with the fields t [us], x, y and p (in an archive as"
         " `events`, or an array for each of them): save it so"
     )
-
-
-def _side_px(value: NDArray[Any] | None, name: str, path: Path) -> int | None:
-    return None if value is None else side_px(value, f"{name} must be a number of", path)

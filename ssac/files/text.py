@@ -19,6 +19,8 @@ from ssac.files.damage import STRICT, Reading, checked_file
 from ssac.files.readable import brief, check_text, side_px
 from ssac.files.whole_file import whole_file
 
+_SIZE = "the sensor's size in the first line must be"
+
 LINES_PER_BLOCK = 1_000_000
 """Lines held at once, so that reading needs little more memory than the events."""
 
@@ -28,7 +30,7 @@ def load_events_text(path: Path, reading: Reading = STRICT) -> EventFile:
     first_line = _first_line(path).split()
     width, height = None, None
     if len(first_line) == 2 and all(map(_is_whole_number, first_line)):
-        width, height = (_side_px(word, path) for word in first_line)
+        width, height = (side_px(word, _SIZE, path) for word in first_line)
     elif len(first_line) not in (0, 4):
         raise SsacError(
             f"{path}: the first line must be `t x y p` or `width height`, got "
@@ -48,7 +50,7 @@ def load_events_csv(path: Path, reading: Reading = STRICT) -> EventFile:
         name, _, size = word.strip().partition("@")
         columns.append("p" if name == "on" else name)
         if _is_whole_number(size):
-            sizes[name] = _side_px(size, path)
+            sizes[name] = side_px(size, _SIZE, path)
     if not set("txyp") <= set(columns):
         raise SsacError(
             f"{path}: the first line must name the columns t,x,y,p (t in microseconds) of events, "
@@ -87,10 +89,6 @@ def _first_line(path: Path) -> str:
 
 def _is_whole_number(word: str) -> bool:
     return word.isascii() and word.isdigit()  # "³" is a digit too
-
-
-def _side_px(word: str, path: Path) -> int:
-    return side_px(word, "the sensor's size in the first line must be", path)
 
 
 def _read_table(

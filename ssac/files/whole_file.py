@@ -20,7 +20,6 @@ from contextlib import contextmanager, suppress
 from functools import cache
 from hashlib import sha256
 from pathlib import Path
-from typing import NamedTuple
 
 from ssac.errors import SsacError, WriteError
 
@@ -35,22 +34,20 @@ _MADE = re.compile(r"\..*\.(?P<host>[A-Za-z0-9-]+)\.(?P<process>\d+)\.[0-9a-f]{3
 _NAME_LENGTH = 32  # of 255 bytes that a file's name may have, four for each of these letters
 
 
-def check_target(output: Path, inputs: Iterable[Path]) -> None:
-    """Raise SsacError, before any work is done, unless a file can be written and is no input."""
-    if output.is_dir() or not output.parent.is_dir():
-        raise SsacError(f"{output}: not a file in a folder that exists: name another")
-    if any(output.exists() and path.exists() and output.samefile(path) for path in inputs):
-        raise SsacError(f"{output}: is one of the inputs and would be lost: name another file")
-    check_writable(output)
-
-
 def check_targets(outputs: Iterable[Path | None], inputs: Collection[Path]) -> None:
-    """Check each output, but for None, as `check_target` does, and that no two are one file."""
+    """Raise SsacError, before any work is done, unless each output but None can be written.
+
+    None may be an input, and no two one file.
+    """
     named: set[Path] = set()
     for output in outputs:
         if output is None:
             continue
-        check_target(output, inputs)
+        if output.is_dir() or not output.parent.is_dir():
+            raise SsacError(f"{output}: not a file in a folder that exists: name another")
+        if any(output.exists() and path.exists() and output.samefile(path) for path in inputs):
+            raise SsacError(f"{output}: is one of the inputs and would be lost: name another file")
+        check_writable(output)
         if output.resolve() in named:
             raise SsacError(f"{output}: is named for two outputs: name a file for each")
         named.add(output.resolve())
@@ -110,28 +107,6 @@ def check_folder(folder: Path, n_bytes: int = 0) -> None:
         )
 
 
-class Maker(NamedTuple):
-    """A process that writes."""
-
-    host: str  # as `host` of this module gives it
-    process: int
-
-    @property
-    def is_here(self) -> bool:
-        """Whether it runs, or ran, where its number tells us something."""
-        return self.host == host()
-
-    @property
-    def is_gone(self) -> bool:
-        """Whether it is known to have ended: False for those of other hosts."""
-        return self.is_here and not _runs(self.process)
-
-
-def this_process() -> Maker:
-    """Say who we are."""
-    return Maker(host(), os.getpid())
-
-
 @cache
 def host() -> str:
     """Name the place in which a process id has one meaning: a machine, since it was started.
@@ -150,15 +125,8 @@ def host() -> str:
 
 def temporary_path(path: Path) -> Path:
     """Give a name beside a path that is given only once, by any process of any host."""
-    maker = this_process()
-    name = path.name[:_NAME_LENGTH]
-    return path.with_name(f".{name}.{maker.host}.{maker.process}.{os.urandom(16).hex()}.part")
-
-
-def maker_of(path: Path) -> Maker | None:
-    """Read who made a temporary file or folder off its name; None where the name does not tell."""
-    found = _MADE.fullmatch(path.name)
-    return Maker(found["host"], int(found["process"])) if found else None
+    name, maker = path.name[:_NAME_LENGTH], f"{host()}.{os.getpid()}"
+    return path.with_name(f".{name}.{maker}.{os.urandom(16).hex()}.part")
 
 
 def is_left_over(path: Path) -> bool:
@@ -167,10 +135,12 @@ def is_left_over(path: Path) -> bool:
     For a process of this host, that it has ended decides; for one of another host, that nothing was
     written for `LEFT_OVER_S`. False for a name that is not of ours.
     """
-    maker = maker_of(path)
-    if maker is None:
+    made = _MADE.fullmatch(path.name)
+    if made is None:
         return False
-    return maker.is_gone if maker.is_here else idle_s(path) > LEFT_OVER_S
+    if made["host"] != host():
+        return idle_s(path) > LEFT_OVER_S
+    return not _runs(int(made["process"]))
 
 
 def remove_left_over(folder: Path, name: str = "") -> None:

@@ -22,7 +22,6 @@ from ssac.geometry.fundamental import lmeds_fundamental, reweighted_fundamental
 from ssac.rules import Rules
 from ssac.search.all_offsets import Grid, costs_at_lags, local_minima
 from ssac.track.clean import Clean, ObjectsUsed
-from ssac.track.clutter import chosen_events
 from ssac.track.motion import point_motion
 from ssac.track.objects import Objects, Piece, chains_of, objects_of, seem_several
 
@@ -372,7 +371,7 @@ def _only(seen: Clean, objects: Objects, numbers: set[int]) -> Clean:
     chosen = objects.events_of(pieces)
     return replace(
         seen,
-        events=chosen_events(seen.events, chosen),
+        events=seen.events.compress(chosen),
         clutter=None,
         on_line=None,
         gaps_us=_gaps_us(objects, pieces),

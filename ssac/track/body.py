@@ -141,20 +141,11 @@ class _Instants:
 def body_moves(
     looks: list[Look], shape_s: Array, moments: Array, rules: BodyRules
 ) -> list[Array] | None:
-    """Find the body's origin in images.
+    """Find the body's origin in the images of all cameras.
 
-    Parameters
-    ----------
-    looks
-        Of all cameras.
-    shape_s, moments
-        Shapes (m,) and (m, 3, 3): the body's second moments at even times, as of `second_moments`.
-
-    Returns
-    -------
-    list of Array or None
-        For each camera (n, 2) [px]: where the origin is less where it was thought to be; NaN where
-        that is not known. None where the images are not those of a rigid body, or too few.
+    The body's second moments (m, 3, 3), at even times (m,), are those of `second_moments`. Gives
+    for each camera (n, 2) [px]: where the origin is less where it was thought to be; NaN where that
+    is not known. None where the images are not those of a rigid body, or too few.
     """
     instants, attitudes, size = _instants(looks, shape_s, moments, rules.step_s)
     if len(attitudes) < rules.least_instants:

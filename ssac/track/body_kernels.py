@@ -18,6 +18,9 @@ Drawn = tuple[Images, Array, Array, Array, Array]
 the principal point (n, 2) [px], the body's origin in the cameras' frames (n, 3), its axes there, or
 what turns the axes' frame to the cameras' (n, 3, 3), and focal lengths (n, 2) [px]."""
 
+View = tuple[Array, Array, Array, Array]
+"""Of one image the same but for the image itself, and the body's axes first: as a camera has it."""
+
 FINE = 2
 """Pixels of a drawing across one of the image."""
 
@@ -31,12 +34,11 @@ def seen_shares(voxels: Array, least: float, drawn: Drawn) -> Array:
     hits = np.zeros(len(voxels))
     width = images.shape[1]
     for i in range(len(images)):
+        view = turns[i], points[i], focals[i], corners[i]
         for j in range(len(voxels)):
-            u, v, _ = _placed(voxels[j], turns[i], points[i], focals[i], corners[i])
-            a, b = int(np.floor(u)), int(np.floor(v))
-            if a < 0 or b < 0 or a >= width - 1 or b >= width - 1:
+            b, a, q, p, _ = _placed(voxels[j], view, 1, width)
+            if b < 0:
                 continue
-            p, q = u - a, v - b
             above = images[i, b, a] * (1.0 - p) + images[i, b, a + 1] * p
             below = images[i, b + 1, a] * (1.0 - p) + images[i, b + 1, a + 1] * p
             hits[j] += above * (1.0 - q) + below * q >= least
@@ -46,14 +48,15 @@ def seen_shares(voxels: Array, least: float, drawn: Drawn) -> Array:
 @numba.njit(cache=True)
 def improved(body: Voxels, drawn: Drawn) -> Array:
     """Fit the voxels' densities (m,) to images by one multiplicative step of least squares."""
-    voxels, densities, step = body
+    voxels, densities, _ = body
     images, corners, points, turns, focals = drawn
     m, width = len(voxels), images.shape[1]
     fine = FINE * width
     depths, by_image, by_drawn = np.zeros((3, fine, fine))
     seen, shown = np.full(m, _NONE), np.full(m, _NONE)
     for i in range(len(images)):
-        _draw(depths, voxels, densities, step, turns[i], points[i], focals[i], corners[i])
+        view = turns[i], points[i], focals[i], corners[i]
+        _draw(depths, body, view)
         for y in range(width):
             for x in range(width):
                 share = _share_of(depths, y, x)
@@ -63,12 +66,9 @@ def improved(body: Voxels, drawn: Drawn) -> Array:
                         by_image[row, col] = through * images[i, y, x]
                         by_drawn[row, col] = through * share
         for j in range(m):
-            u, v, _ = _placed(voxels[j], turns[i], points[i], focals[i], corners[i])
-            u, v = FINE * u + 0.5 * (FINE - 1), FINE * v + 0.5 * (FINE - 1)
-            a, b = int(np.floor(u)), int(np.floor(v))
-            if a < 0 or b < 0 or a >= fine - 1 or b >= fine - 1:
+            b, a, q, p, _ = _placed(voxels[j], view, FINE, fine)
+            if b < 0:
                 continue
-            p, q = u - a, v - b
             for row, col, weight in (
                 (b, a, (1.0 - p) * (1.0 - q)),
                 (b, a + 1, p * (1.0 - q)),
@@ -91,7 +91,6 @@ def registered(
     drawings were moved (c, 2) [px]; which share of the images was left, as squares, before the last
     round's step.
     """
-    voxels, densities, step = body
     images, corners, points, views, focals = drawn
     turn_rad, move_px = 0.02, 0.1  # steps of the derivatives
     most_turn_rad, most_move_px = 0.15, 1.0  # of one round
@@ -117,8 +116,7 @@ def registered(
                     axes = attitude @ _turned(small)
                 elif changed:
                     off[changed - 4] -= move_px
-                turn = views[k] @ axes
-                _draw(depths, voxels, densities, step, turn, points[k], focals[k], off)
+                _draw(depths, body, (views[k] @ axes, points[k], focals[k], off))
                 for y in range(width):
                     for x in range(width):
                         shares[changed, y, x] = _share_of(depths, y, x)
@@ -171,38 +169,35 @@ def aligned(body: Voxels, drawn: Drawn, rounds: int) -> tuple[Array, Array]:
 
 @numba.njit(cache=True)
 def _placed(
-    voxel: Array, turn: Array, point: Array, focal: Array, corner: Array
-) -> tuple[float, float, float]:
-    """Give a voxel's column and row in an image, and its depth."""
+    voxel: Array, view: View, scale: int, width: int
+) -> tuple[int, int, float, float, float]:
+    """Give the pixel up and left of a voxel's image, how far down and right of it, and the depth.
+
+    The image has `scale` times as many pixels as the camera's, so many across; row -1: outside.
+    """
+    turn, point, focal, corner = view
     x = turn[0, 0] * voxel[0] + turn[0, 1] * voxel[1] + turn[0, 2] * voxel[2] + point[0]
     y = turn[1, 0] * voxel[0] + turn[1, 1] * voxel[1] + turn[1, 2] * voxel[2] + point[1]
     z = turn[2, 0] * voxel[0] + turn[2, 1] * voxel[1] + turn[2, 2] * voxel[2] + point[2]
     z = max(z, _NONE)
-    return focal[0] * x / z - corner[0], focal[1] * y / z - corner[1], z
+    u = scale * (focal[0] * x / z - corner[0]) + 0.5 * (scale - 1)
+    v = scale * (focal[1] * y / z - corner[1]) + 0.5 * (scale - 1)
+    column, row = int(np.floor(u)), int(np.floor(v))
+    is_in = 0 <= column < width - 1 and 0 <= row < width - 1
+    return row if is_in else -1, column, v - row, u - column, z
 
 
 @numba.njit(cache=True)
-def _draw(
-    depths: Array,
-    voxels: Array,
-    densities: Array,
-    step: float,
-    turn: Array,
-    point: Array,
-    focal: Array,
-    corner: Array,
-) -> None:
+def _draw(depths: Array, body: Voxels, view: View) -> None:
     """Sum up optical depths (FINE w, FINE w), in place."""
+    voxels, densities, step = body
     depths[:] = 0.0
-    fine = len(depths)
-    area = (FINE * step) ** 2 * focal[0] * focal[1]
+    area = (FINE * step) ** 2 * view[2][0] * view[2][1]
     for j in range(len(voxels)):
-        u, v, z = _placed(voxels[j], turn, point, focal, corner)
-        u, v = FINE * u + 0.5 * (FINE - 1), FINE * v + 0.5 * (FINE - 1)
-        a, b = int(np.floor(u)), int(np.floor(v))
-        if a < 0 or b < 0 or a >= fine - 1 or b >= fine - 1:
+        b, a, q, p, z = _placed(voxels[j], view, FINE, len(depths))
+        if b < 0:
             continue
-        p, q, depth = u - a, v - b, densities[j] * area / z**2
+        depth = densities[j] * area / z**2
         depths[b, a] += depth * (1.0 - p) * (1.0 - q)
         depths[b, a + 1] += depth * p * (1.0 - q)
         depths[b + 1, a] += depth * (1.0 - p) * q

@@ -63,12 +63,8 @@ def clean(seen: Observation, camera: Camera, how: Cleaning, name: str = "camera"
     """Check what a camera recorded, and remove the noise from its events (Sec. IV-A).
 
     What is clean already stays as it is, but for denoising that was skipped and is asked for now.
-    Messages call the camera by the recording's name, or else by `name`.
-
-    Raises
-    ------
-    SsacError
-        If the camera, or its events or points, cannot be used: empty, unsorted, outside its sensor.
+    SsacError, of the recording's name or else of `name`, if the camera, or its events or points,
+    cannot be used: empty, unsorted, outside its sensor.
     """
     if not isinstance(seen, Clean):
         seen = _checked(seen, camera, seen.name or name)
@@ -91,13 +87,5 @@ def _checked(seen: Observation, camera: Camera, name: str) -> Clean:
         check_events(seen.events, camera.width, camera.height, name)
     if isinstance(seen, Clean):
         return replace(seen, camera=camera)
-    return Clean(
-        seen.events,
-        seen.frames,
-        seen.frame_times_s,
-        seen.track,
-        seen.name,
-        camera=camera,
-        n_recorded=len(seen.events),
-        denoised=seen.has_track,
-    )
+    n, has_track = len(seen.events), seen.has_track
+    return Clean(**vars(seen), camera=camera, n_recorded=n, denoised=has_track)

@@ -14,7 +14,7 @@ from scipy.special import pdtrc
 from ssac.config import N_MIN
 from ssac.events import first_from
 from ssac.rules import NoiseRules
-from ssac.track.clutter import activity, chosen_events, masked_pixels, unmasked
+from ssac.track.clutter import activity, masked_pixels, unmasked
 
 Events = NDArray[np.void]
 Times = NDArray[np.int64]
@@ -59,7 +59,7 @@ def without_noise(
     if n_neighbours is None and hz > rules.noisy_hz:
         radius_px, near_n = rules.near_ball_px, rules.near_ball_neighbours
         n = least_neighbours(hz, width * height, radius_px, near_n, rules)
-        left = radius_filter(events, radius_px, n_neighbours=n, mostly_noise=True, size_px=size_px)
+        left = radius_filter(events, radius_px, n_neighbours=n, size_px=size_px)
         fewer = radius_filter(left, radius_px, n_neighbours=near_n, size_px=size_px)
         if len(fewer) > rules.min_kept_share * len(left):
             left, n = fewer, near_n
@@ -105,8 +105,6 @@ def radius_filter(
     radius_px: float = NoiseRules.ball_px,
     ms_per_unit: float = 1.0,
     n_neighbours: int = NoiseRules.ball_neighbours,
-    *,
-    mostly_noise: bool = False,
     size_px: tuple[int, int] | None = None,
 ) -> Events:
     """Events with enough neighbours in a ball of x-y-t space, as the paper's authors filter.
@@ -118,28 +116,31 @@ def radius_filter(
     The core of the ball, for as long as all of it lasts, has its events counted as they come and
     go, and where it holds enough the event is kept at a cost that depends neither on the rate of
     events nor on the size of the sensor. For the others, the events of each pixel around are looked
-    through from the latest one on, the nearest pixels first. Where most are noise, the events of
-    tiles are counted instead: those around an event hold the ball, and where they have too few it
-    is removed. Both are exact; of noise the latter is twice as fast, of an object a tenth.
+    through from the latest one on, the nearest pixels first.
     """
     if len(events) <= n_neighbours:
         return events[:0]
+    t, x, y = events["t"], events["x"], events["y"]
     offsets_px, spans_us = _ball(radius_px, US_PER_MS * ms_per_unit)
-    where = events["t"], events["x"], events["y"]
-    if mostly_noise or radius_px < 1.0:
-        keep = _has_neighbours_in_noise(*where, offsets_px, spans_us, n_neighbours)
-        return chosen_events(events, keep)
-    width, height = size_px or _extent(*where[1:])
+    width, height = size_px or (int(x.max()) + 1, int(y.max()) + 1)
     margin_px = int(radius_px)
     n_rows = height + 2 * margin_px
     # Pixels nearer than 0.4 of the ball's squared radius are the core: which share changes nothing.
     squared_px = max(0.4 * radius_px**2, 1.0)
     core_us = int(np.min(spans_us[np.sum(offsets_px**2, axis=1) <= squared_px]))
+    if radius_px < 1.0:  # the core is larger: it counts at no time
+        core_us = _NEVER_US
     steps = offsets_px[:, 0] * n_rows + offsets_px[:, 1]
     sensor = width + 2 * margin_px, n_rows, margin_px
-    core = _core(squared_px, n_rows), core_us
-    keep = _has_neighbours(*where, sensor, steps, spans_us, *core, n_neighbours)
-    return chosen_events(events, keep)
+    ball = steps, spans_us, _core(squared_px, n_rows), core_us
+    longest_us = max(core_us, 0) // 8
+    length = 1 << (_most_within(t, 2 * int(spans_us[0]) + longest_us) - 1).bit_length()
+    return events.compress(
+        _has_neighbours(t, x, y, sensor, *ball, longest_us, length, n_neighbours)
+    )
+
+
+_NEVER_US = -(1 << 61)
 
 
 def _core(squared_px: float, n_rows: int) -> tuple[int, ...]:
@@ -181,6 +182,8 @@ def _has_neighbours(
     spans_us: Times,
     core: tuple[int, ...],
     core_us: int,
+    longest_us: int,
+    length: int,
     n_neighbours: int,
 ) -> Mask:
     """Whether each event has `n_neighbours` others within a ball.
@@ -189,13 +192,12 @@ def _has_neighbours(
     The ball is of cells `steps` from an event's, the nearest first, for `spans_us` before and after
     it; all that are at most one row from `core` belong to it for `core_us`. As the core is a tuple,
     of a length that is known, loops over it are compiled without a loop; and an index without a
-    sign needs no look whether it counts from the end.
+    sign needs no look whether it counts from the end. Events of at most `longest_us` are taken
+    together; the power of two `length` is above the number of all that they and a ball reach.
     """
     n, radius_us = len(t), spans_us[0]
     together, leap = 64, 16  # events are taken by so many, so that loops are few, and long
-    longest_us = core_us // 8
     n_columns, n_rows, margin_px = sensor
-    length = _power_above(_most_within(t, 2 * radius_us + longest_us))
     mask = np.uint32(length - 1)
     # A pixel's events are a chain from its latest one back, kept for as long as a ball reaches.
     previous, cells = np.empty(length, np.int32), np.empty(length, np.int32)
@@ -254,77 +256,6 @@ def _has_neighbours(
 
 
 @numba.njit(cache=True)
-def _has_neighbours_in_noise(
-    t: Times,
-    x: Pixels,
-    y: Pixels,
-    offsets_px: NDArray[np.int64],
-    spans_us: Times,
-    n_neighbours: int,
-) -> Mask:
-    """Tell the same as `_has_neighbours`, fast where next to all events have too few.
-
-    The events of square tiles are counted over the ball's time: few counters, which stay near.
-    """
-    n, radius_us = len(t), spans_us[0]
-    slot_us = radius_us // 16 + 1  # of time, in which tiles are counted
-    margin_px = int(np.max(offsets_px))
-    n_columns, n_rows = _extent(x, y)
-    n_columns, n_rows = n_columns + 2 * margin_px, n_rows + 2 * margin_px
-    steps = offsets_px[:, 0] * n_rows + offsets_px[:, 1]
-    bits = 0  # a tile's side is a power of two, at least the ball's radius
-    while 1 << bits < margin_px:
-        bits += 1
-    tiles = np.zeros(((n_columns >> bits) + 1, (n_rows >> bits) + 1), np.int32)
-    length = _power_above(_most_within(t, 2 * radius_us + slot_us))
-    previous = np.empty(length, np.int64)
-    latest = np.full(n_columns * n_rows, -1, np.int64)
-
-    keep = np.zeros(n, np.bool_)
-    start = first = end = 0
-    while start < n:
-        slot_start_us = t[0] + (t[start] - t[0]) // slot_us * slot_us
-        slot_end_us = slot_start_us + slot_us
-        while first < end and t[first] < slot_start_us - radius_us:
-            tiles[(x[first] + margin_px) >> bits, (y[first] + margin_px) >> bits] -= 1
-            first += 1
-        while end < n and t[end] < slot_end_us + radius_us:
-            column, row = x[end] + margin_px, y[end] + margin_px
-            tiles[column >> bits, row >> bits] += 1
-            previous[end & (length - 1)] = latest[column * n_rows + row]
-            latest[column * n_rows + row] = end
-            end += 1
-        while start < n and t[start] < slot_end_us:
-            column, row = int(x[start]), int(y[start])
-            n_around = -1  # the event finds itself
-            for i in range(column >> bits, ((column + 2 * margin_px) >> bits) + 1):
-                for j in range(row >> bits, ((row + 2 * margin_px) >> bits) + 1):
-                    n_around += tiles[i, j]
-            if n_around >= n_neighbours:
-                here = (column + margin_px) * n_rows + row + margin_px
-                n_found = -1
-                for k in range(len(steps)):
-                    j = latest[here + steps[k]]
-                    while j >= first and t[start] - t[j] <= spans_us[k]:
-                        n_found += t[j] - t[start] <= spans_us[k]
-                        j = previous[j & (length - 1)]
-                    if n_found >= n_neighbours:
-                        break
-                keep[start] = n_found >= n_neighbours
-            start += 1
-    return keep
-
-
-@numba.njit(cache=True)
-def _extent(x: Pixels, y: Pixels) -> tuple[int, int]:
-    """Columns and rows that hold all events."""
-    largest_x = largest_y = 0
-    for i in range(len(x)):
-        largest_x, largest_y = max(largest_x, x[i]), max(largest_y, y[i])
-    return largest_x + 1, largest_y + 1
-
-
-@numba.njit(cache=True)
 def _most_within(t: Times, duration_us: int) -> int:
     """Bound the events of the busiest stretch of time, both ends included, from above."""
     look = 64  # events between two that are looked at
@@ -335,11 +266,3 @@ def _most_within(t: Times, duration_us: int) -> int:
             end += look
         most = max(most, end - start + look)  # any stretch that begins after `start - look`
     return most
-
-
-@numba.njit(cache=True)
-def _power_above(number: int) -> int:
-    power = 1
-    while power < number:
-        power *= 2
-    return power

@@ -68,11 +68,7 @@ def faint_object_events(events: Events, width: int, height: int, by: Rules | Non
 
     What the radius filter leaves is surely the object's, but has gaps where it is far or slow;
     through these it is followed. Where that is too little to follow, it is all that is given.
-
-    Raises
-    ------
-    SsacError
-        When no event is surely of an object.
+    SsacError when no event is surely of an object.
     """
     by = by or Rules()
     rules = by.faint
@@ -242,19 +238,11 @@ def _sums(
     rules: FaintRules,
 ) -> Array:
     """Sum up the events about a path, as `_sums_in_bins` does."""
-    return _sums_in_bins(
-        bins.ages_s,
-        bins.events["x"],
-        bins.events["y"],
-        bins.bounds,
-        path.known,
-        path.positions_px,
-        path.velocities_px_s,
-        sizes_px2 + np.where(path.known[:, None], path.variances_px2, 0.0),
-        (rules.half_px, rules.counted, rules.inside, rules.around),
-        rates,
-        background,
-    )
+    variances_px2 = sizes_px2 + np.where(path.known[:, None], path.variances_px2, 0.0)
+    events = bins.ages_s, bins.events["x"], bins.events["y"], bins.bounds
+    expected = path.known, path.positions_px, path.velocities_px_s, variances_px2
+    limits = rules.half_px, rules.counted, rules.inside, rules.around
+    return _sums_in_bins(events, expected, limits, rates, background)
 
 
 def _dead_ends(seen: Flags, is_sure: Flags, dead_end_bins: int) -> Flags:
@@ -342,29 +330,26 @@ def smoothed_path(
 
 @numba.njit(cache=True)
 def _sums_in_bins(
-    ages_s: Array,
-    x: Pixels,
-    y: Pixels,
-    bounds: Indices,
-    known: Flags,
-    positions_px: Array,
-    velocities_px_s: Array,
-    variances_px2: Array,
+    events: tuple[Array, Pixels, Pixels, Indices],
+    path: tuple[Flags, Array, Array, Array],
     limits: tuple[float, float, float, float],
     rates: Array,
     background: Array,
 ) -> Array:
     """Sum up the events (m,) about a path, in the bins (n,) where it is known.
 
-    Ages are from the middle of their bins on; bin k begins with event bounds[k]. Positions,
-    velocities and the variances of events about them are (n, 2); rates and background (n,) are
-    events of the object in a bin, and of all else in a bin and a pixel. The limits: half the side
-    of the square in which events are looked at [px], and in squared deviations up to where they are
-    counted, up to where they may be the object's, and from where they tell what lies around.
+    Of the events ages from the middle of their bins on, x and y; bin k begins with event bounds[k].
+    Of the path where it is known, and positions, velocities and variances of events about them,
+    (n, 2). The limits: half the side of the square in which events are looked at [px], and in
+    squared deviations up to where they are counted, up to where they may be the object's, and from
+    where they tell what lies around. Rates and background (n,) are events of the object in a bin,
+    and of all else in a bin and a pixel.
 
     Gives (n, 5): events counted, events around; weights, of each event the share of the object in
     all that is there; and weighted sums of x and y.
     """
+    ages_s, x, y, bounds = events
+    known, positions_px, velocities_px_s, variances_px2 = path
     half_px, counted, inside, around = limits
     sums = np.zeros((len(known), 5))
     for k in range(len(known)):

@@ -11,7 +11,6 @@ suggest stands for it.
 """
 
 from dataclasses import dataclass, field, replace
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +23,9 @@ from ssac.geometry.epipolar import robust_deviation
 from ssac.points import PointTrack
 from ssac.rules import PointRules
 from ssac.track.clean import Clean
-from ssac.track.clutter import chosen_events, of_pixels
+from ssac.track.clutter import of_pixels
 from ssac.track.motion_kernels import (
+    Sliced,
     first_from_each,
     local_parabolas_at,
     mean_times_us,
@@ -57,24 +57,7 @@ class SharpTrack(Track):
     sizes_px: Array  # (...,) root mean square distance of the image from its position
 
 
-class Motion(Protocol):
-    """One camera's view of the object, to be sampled at any times: of events or of points."""
-
-    @property
-    def span_s(self) -> tuple[float, float]:
-        """Times of the first and last event or point [s]."""
-
-    def at(self, times_s: Array) -> Track:
-        """Positions at times (...,) [s]."""
-
-    def velocities_at(self, times_s: Array) -> Array:
-        """Image velocities (..., 2) [px/s] at times (...,) [s]."""
-
-    def sharp_at(self, times_s: Array) -> SharpTrack:
-        """Sharp positions, velocities and sizes at times (n,) [s]."""
-
-
-def motion_of(clean: Clean, how: Windows) -> Motion:
+def motion_of(clean: Clean, how: Windows) -> "Motion":
     """Sum up a camera's object for sampling at any time (Sec. IV-A).
 
     Sums over its events are kept with what is clean: they depend on the width of the border alone,
@@ -148,15 +131,12 @@ class ObjectMotion:
         `max_border_fraction` lie on the border: the two rules of the paper's Sec. IV-A. It also
         must not reach into a gap.
         """
-        positions_px, counts, on_border = window_sums(
-            self.times_us,
-            self.slice_bits,
-            self.slice_starts,
-            self.position_sums_px,
-            self.border_sums,
-            times_s.ravel(),
-            self.half_window_s,
+        sums, n = (
+            (self.position_sums_px, self.border_sums),
             times_s.shape[-1] if times_s.ndim else 1,
+        )
+        positions_px, counts, on_border = window_sums(
+            self._sliced, sums, times_s.ravel(), self.half_window_s, n
         )
         valid = (counts >= self.n_min) & (on_border <= self.max_border_fraction * counts)
         if len(self.gaps_us):
@@ -224,8 +204,11 @@ class ObjectMotion:
     def _indices(self, times_s: Array, side: int) -> Indices:
         """Index of the first event at or after each time, moved by -1, 0 or +1 half-windows."""
         wanted_s = (times_s + side * self.half_window_s).ravel()
-        indices = first_from_each(wanted_s, self.times_us, self.slice_bits, self.slice_starts)
-        return indices.reshape(times_s.shape)
+        return first_from_each(wanted_s, self._sliced).reshape(times_s.shape)
+
+    @property
+    def _sliced(self) -> Sliced:
+        return self.times_us, self.slice_bits, self.slice_starts
 
     def _mean_positions(self, first: Indices, last: Indices) -> Array:
         """Mean position (..., 2) [px] of the events from `first` up to, not including, `last`."""
@@ -247,31 +230,21 @@ def object_motion(
     border_px: int = 5,
     max_border_fraction: float = 0.05,
 ) -> ObjectMotion:
-    """Prepare the events of one camera for sampling (the paper's Sec. IV-A).
+    """Prepare the events (n,) of one camera for sampling (the paper's Sec. IV-A).
 
-    Parameters
-    ----------
-    events
-        Dtype EVENT_DTYPE, shape (n,), sorted by time and denoised. May be empty: every sample is
-        then invalid.
-    camera
-        Its distortion is removed from the coordinates before they are averaged; events at pixels
-        that its lens model cannot undistort are left out.
-    half_window_s, n_min
-        Half the length of the window around a sample time, and the events that it holds at least.
-    border_px
-        Width of the border, in raw pixels.
-        Deviation: the paper drops what lies "on the image boundary" and gives no width. With 1 px,
-        an object 40 px wide loses half of itself before 5 % of its events lie on the border, and
-        its mean shifts by pixels; with 5 px it is dropped before it is cut.
-    max_border_fraction
-        A sample with more of its events on the border is dropped.
+    They are sorted by time and denoised; of none, every sample is invalid. Distortion is removed
+    from their coordinates before these are averaged; events at pixels that the lens model cannot
+    undistort are left out. Windows hold at least `n_min` events within half a window [s] of a
+    sample, and at most such a fraction on the border, `border_px` raw pixels wide.
+    Deviation: the paper drops what lies "on the image boundary" and gives no width. With 1 px, an
+    object 40 px wide loses half of itself before 5 % of its events lie on the border, and its mean
+    shifts by pixels; with 5 px it is dropped before it is cut.
     """
     ideal = None
     if camera.distortion_model != "none":
         ideal = undistortion_map(camera)
         known = of_pixels(np.isfinite(ideal[..., 0]), events["x"], events["y"])
-        events = events if known.all() else chosen_events(events, known)
+        events = events if known.all() else events.compress(known)
     n, (slice_bits, n_slices) = len(events), _slices(events["t"])
     times_us, position_sums_px = np.empty(n, np.int64), np.empty((n + 1, 2))
     border_sums, slice_starts = np.empty(n + 1, np.int32), np.zeros(n_slices + 1, np.int32)
@@ -331,8 +304,7 @@ class PointMotion:
 
     def at(self, times_s: Array) -> Track:
         """Sample the track at times (...,) [s]; invalid in gaps and beyond the ends."""
-        sharp = self.sharp_at(times_s)
-        return Track(sharp.times_s, sharp.positions_px, sharp.counts, sharp.valid)
+        return self.sharp_at(times_s)
 
     def velocities_at(self, times_s: Array) -> Array:
         """Image velocity (..., 2) [px/s] at times (...,) [s]; NaN where it is not known."""
@@ -364,6 +336,10 @@ class PointMotion:
         )
 
 
+Motion = ObjectMotion | PointMotion
+"""One camera's view of the object, to be sampled at any times: of events or of points."""
+
+
 def point_motion(
     track: PointTrack,
     camera: Camera,
@@ -371,24 +347,12 @@ def point_motion(
     half_window_s: float = 0.020,
     name: str = "track",
 ) -> PointMotion:
-    """Prepare the points of one camera for sampling.
+    """Prepare the points of one camera, in time order, for sampling.
 
-    Parameters
-    ----------
-    track
-        Points in time order.
-    camera
-        Its distortion is removed; points that its lens model cannot undistort are left out. With a
-        rolling shutter, each point was seen `readout_s` times its row's share of the height later.
-    half_window_s
-        Half of the window of a local parabola [s]; longer where that holds fewer than five points.
-    name
-        What the track is; starts error messages.
-
-    Raises
-    ------
-    SsacError
-        If the readout is longer than from one frame to the next.
+    Distortion is removed; points that the lens model cannot undistort are left out. With a rolling
+    shutter, each point was seen `readout_s` times its row's share of the height later. Windows of
+    local parabolas are longer where `half_window_s` [s] holds fewer than five points. SsacError,
+    which starts with what the track is, if the readout is longer than from one frame to the next.
     """
     times_s = track.times_s
     interval_s = float(np.median(np.diff(times_s))) if len(times_s) > 1 else 0.0

@@ -10,6 +10,9 @@ Indices = NDArray[np.intp]
 Pixels = NDArray[np.uint16]
 Starts = NDArray[np.int32]
 
+Sliced = tuple[Times, int, Starts]
+"""Sorted times [us], and the slices of 2**bits us that they are cut into: bits, and starts."""
+
 TIE_US = 1e-3
 """Far more than times in seconds lose by rounding, far less than lies between even samples.
 
@@ -69,17 +72,13 @@ def _whole_us(time_s: float) -> np.int64:
 
 
 @numba.njit(cache=True)
-def _slice_of(
-    time_us: np.int64,
-    times_us: Times,
-    slice_bits: int,
-    slice_starts: Starts,
-) -> tuple[int, int]:
+def _slice_of(time_us: np.int64, sliced: Sliced) -> tuple[int, int]:
     """Least and greatest index that the first of the sorted times at or after one may have.
 
     With `_first_within` this is np.searchsorted, but four times as fast: the slice is known at
     once, and its few times stand side by side in memory.
     """
+    times_us, slice_bits, slice_starts = sliced
     n_slices = len(slice_starts) - 1
     if n_slices == 0 or time_us <= times_us[0]:
         return 0, 0
@@ -101,28 +100,20 @@ def _first_within(time_us: np.int64, times_us: Times, low: int, high: int) -> in
 
 
 @numba.njit(cache=True)
-def first_from_each(
-    wanted_s: Array,
-    times_us: Times,
-    slice_bits: int,
-    slice_starts: Starts,
-) -> Indices:
+def first_from_each(wanted_s: Array, sliced: Sliced) -> Indices:
     """Index (m,) of the first of the sorted times [us] at or after each wanted one [s]."""
     indices = np.empty(len(wanted_s), np.intp)
     for i in range(len(wanted_s)):
         time_us = _whole_us(wanted_s[i])
-        low, high = _slice_of(time_us, times_us, slice_bits, slice_starts)
-        indices[i] = _first_within(time_us, times_us, low, high)
+        low, high = _slice_of(time_us, sliced)
+        indices[i] = _first_within(time_us, sliced[0], low, high)
     return indices
 
 
 @numba.njit(cache=True)
 def window_sums(
-    times_us: Times,
-    slice_bits: int,
-    slice_starts: Starts,
-    position_sums_px: Array,
-    border_sums: Starts,
+    sliced: Sliced,
+    sums: tuple[Array, Starts],
     middles_s: Array,
     half_window_s: float,
     row_length: int,
@@ -133,6 +124,7 @@ def window_sums(
     tried, the first samples come first, which lie side by side in memory; and some windows take
     each step together, as the processor can then fetch what many of them need at a time.
     """
+    times_us, (position_sums_px, border_sums) = sliced[0], sums
     n, together = len(middles_s), 64
     means = np.empty((n, 2))
     counts, on_border = np.empty(n, np.int64), np.empty(n, np.int64)
@@ -146,7 +138,7 @@ def window_sums(
             edges_us[j, 0] = _whole_us(middles_s[place] - half_window_s)
             edges_us[j, 1] = _whole_us(middles_s[place] + half_window_s)
             for k in range(2):
-                bounds[j, k] = _slice_of(edges_us[j, k], times_us, slice_bits, slice_starts)
+                bounds[j, k] = _slice_of(edges_us[j, k], sliced)
             place += row_length
             if place >= n:  # that was the last row
                 column += 1

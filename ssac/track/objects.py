@@ -6,7 +6,7 @@ bin to bin as pieces of paths, which end where two meet or one comes apart. What
 as a branch in the wind, is none of them: its cells are left out.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numba
 import numpy as np
@@ -75,25 +75,22 @@ def seem_several(events: Events, camera: Camera, rules: ObjectRules) -> bool:
     """Whether more than one thing is seen at a time, by some of the bins."""
     if len(events) == 0:
         return False
-    bounds = _bounds(events, rules.bin_us, rules.look_every)
-    blobs = _blobs(events, camera, bounds, _nothing_still(camera, rules), rules)
-    n_things = _things(blobs, len(bounds), _cell_px(camera, rules), rules)
+    cells, bounds = _Cells.of(camera, rules), _bounds(events, rules.bin_us, rules.look_every)
+    blobs, *_ = _blobs(events, bounds, cells, rules)
+    n_things = _things(blobs, len(bounds), cells.size_px, rules)
     return bool(np.mean(n_things > 1) > rules.several_share)
 
 
 def objects_of(events: Events, camera: Camera, rules: ObjectRules) -> Objects:
     """Follow all that moves in a camera's denoised events (n,), sorted by time."""
-    cell_px, still = _cell_px(camera, rules), _nothing_still(camera, rules)
-    bounds = _bounds(events, rules.bin_us)
-    blobs = _blobs(events, camera, bounds, still, rules)
-    n_things = _things(blobs, len(bounds), cell_px, rules)
+    cells, bounds = _Cells.of(camera, rules), _bounds(events, rules.bin_us)
+    blobs, _, n_full = _blobs(events, bounds, cells, rules)
+    n_things = _things(blobs, len(bounds), cells.size_px, rules)
     n_seen = int(np.quantile(n_things, 1.0 - rules.several_share))
-    x, y = events["x"], events["y"]
-    counts = _occupied_bins(x, y, bounds, cell_px, rules.full_cell_events, *still.shape)
-    still = counts > rules.still_share * len(bounds)
-    share_still = float(np.mean(still[y // cell_px, x // cell_px]))
-    labels = np.full(len(events), -1, np.int32)
-    blobs = _blobs(events, camera, bounds, still, rules, labels)
+    cells = replace(cells, still=n_full > rules.still_share * len(bounds))
+    rows, columns = events["y"] // cells.size_px, events["x"] // cells.size_px
+    share_still = float(np.mean(cells.still[rows, columns]))
+    blobs, labels, _ = _blobs(events, bounds, cells, rules)
     paths = [path for path in _paths(blobs, len(bounds), rules) if len(path) >= rules.least_bins]
     pieces = [_piece(path, blobs, camera) for path in paths]
     share_apart = _bins_of_their_own_way(pieces, rules) / len(bounds)
@@ -150,18 +147,23 @@ def _link_cost(one: Piece, other: Piece, rules: ObjectRules) -> float:
 
 
 def _step_px(positions_px: Array) -> Array:
-    """Velocity (2,) [px per bin] over positions (n, 2) of successive bins."""
-    n = len(positions_px)
-    return np.asarray((positions_px[-1] - positions_px[0]) / max(n - 1, 1))
+    """Velocity (2,) [px per bin] over positions (n, 2) of successive bins; 0 of one."""
+    return np.asarray((positions_px[-1] - positions_px[0]) / max(len(positions_px) - 1, 1))
 
 
-def _cell_px(camera: Camera, rules: ObjectRules) -> int:
-    return max(1, round(rules.cell_widths * camera.width))
+@dataclass(frozen=True)
+class _Cells:
+    """Squares of a sensor."""
 
+    size_px: int
+    still: Mask  # (rows, columns) in which something stays in its place
 
-def _nothing_still(camera: Camera, rules: ObjectRules) -> Mask:
-    cell_px = _cell_px(camera, rules)
-    return np.zeros((-(-camera.height // cell_px), -(-camera.width // cell_px)), np.bool_)
+    @staticmethod
+    def of(camera: Camera, rules: ObjectRules) -> "_Cells":
+        """Cut a sensor into cells, none of them still."""
+        size_px = max(1, round(rules.cell_widths * camera.width))
+        shape = -(-camera.height // size_px), -(-camera.width // size_px)
+        return _Cells(size_px, np.zeros(shape, np.bool_))
 
 
 def _bounds(events: Events, bin_us: int, every: int = 1) -> Indices:
@@ -177,23 +179,20 @@ def _bounds(events: Events, bin_us: int, every: int = 1) -> Indices:
 
 
 def _blobs(
-    events: Events,
-    camera: Camera,
-    bounds: Indices,
-    still: Mask,
-    rules: ObjectRules,
-    labels: NDArray[np.int32] | None = None,
-) -> Blobs:
-    bins, table, at_still = _blobs_in_bins(
-        events["x"],
-        events["y"],
-        bounds,
-        _cell_px(camera, rules),
-        still,
-        (rules.least_blob_events, rules.full_cell_events),
-        np.empty(0, np.int32) if labels is None else labels,
-    )
-    return Blobs(bins, table[:, 0], table[:, 1:3], table[:, 3], table[:, 4:8], at_still)
+    events: Events, bounds: Indices, cells: _Cells, rules: ObjectRules
+) -> tuple[Blobs, NDArray[np.int32], Indices]:
+    """Find the blobs, that of each event (n,), -1 of none, and in how many bins cells are full."""
+    x, y, least = events["x"], events["y"], rules.full_cell_events
+    labels, bins, at_still, n_full = _labelled(x, y, bounds, cells.size_px, cells.still, least)
+    sums = _summed(x, y, bounds, labels, len(bins))
+    kept = sums[:, 0] >= rules.least_blob_events
+    bins, sums, at_still = bins[kept], sums[kept], at_still[kept]
+    labels = np.append(np.where(kept, np.cumsum(kept) - 1, -1), -1).astype(np.int32)[labels]
+    n = sums[:, 0]
+    means = sums[:, 1:3] / n[:, None]
+    spreads = (sums[:, 3] + sums[:, 4]) / n - means[:, 0] ** 2 - means[:, 1] ** 2
+    sizes = np.sqrt(np.maximum(spreads, 0.0))
+    return Blobs(bins, n, means, sizes, sums[:, 5:], at_still), labels, n_full
 
 
 def _things(blobs: Blobs, n_bins: int, cell_px: int, rules: ObjectRules) -> Indices:
@@ -248,17 +247,8 @@ def _bins_of_their_own_way(pieces: list[Piece], rules: ObjectRules) -> int:
 class _Path:
     """A piece in the making."""
 
-    bins: list[int]
-    blobs: list[int]
+    blobs: list[int]  # of successive bins
     is_mixed: bool  # two things that met are in it
-
-    def velocity_px(self, blobs: Blobs, n_bins: int) -> Array:
-        """Pixels per bin (2,), of the last bins."""
-        n = min(len(self.bins), n_bins)
-        if n < 2:
-            return np.zeros(2)
-        moved = blobs.centres_px[self.blobs[-1]] - blobs.centres_px[self.blobs[-n]]
-        return np.asarray(moved / (n - 1))
 
 
 def _paths(blobs: Blobs, n_bins: int, rules: ObjectRules) -> list[list[int]]:
@@ -272,7 +262,7 @@ def _paths(blobs: Blobs, n_bins: int, rules: ObjectRules) -> list[list[int]]:
         near: dict[int, list[_Path]] = {k: [] for k in here}
         inside: dict[int, list[_Path]] = {k: [] for k in here}
         for path in going:
-            step_px = path.velocity_px(blobs, rules.velocity_bins)
+            step_px = _step_px(blobs.centres_px[path.blobs[-rules.velocity_bins :]])
             there_px = blobs.centres_px[path.blobs[-1]] + step_px
             reach_px = rules.reach_px + rules.reach_share * float(np.hypot(*step_px))
             box_px = blobs.corners_px[path.blobs[-1]] + np.tile(step_px, 2)
@@ -289,7 +279,7 @@ def _paths(blobs: Blobs, n_bins: int, rules: ObjectRules) -> list[list[int]]:
         for k in here:
             met = {id(path): path for path in near[k] + inside[k]}
             mixed = len(met) > 1 or any(
-                path.is_mixed and len(path.bins) < rules.mixed_bins for path in met.values()
+                path.is_mixed and len(path.blobs) < rules.mixed_bins for path in met.values()
             )
             alone = near[k][0] if len(near[k]) == 1 else None
             if alone is not None:
@@ -297,14 +287,17 @@ def _paths(blobs: Blobs, n_bins: int, rules: ObjectRules) -> list[list[int]]:
                 if mixed != alone.is_mixed or not 1.0 / rules.max_growth < ratio < rules.max_growth:
                     alone = None
             if alone is None:
-                alone = _Path([], [], mixed)
-            alone.bins.append(b)
+                alone = _Path([], mixed)
             alone.blobs.append(k)
             followed.append(alone)
         still_going = {id(path) for path in followed}
         done += [path for path in going if id(path) not in still_going]
         going = followed
-    return [p.blobs for p in sorted(done + going, key=lambda p: p.bins[0]) if not p.is_mixed]
+    return [
+        p.blobs
+        for p in sorted(done + going, key=lambda p: blobs.bins[p.blobs[0]])
+        if not p.is_mixed
+    ]
 
 
 def _overlap(one: Array, other: Array) -> bool:
@@ -328,36 +321,22 @@ def _piece(path: list[int], blobs: Blobs, camera: Camera) -> Piece:
 
 
 @numba.njit(cache=True)
-def _blobs_in_bins(
-    x: Pixels,
-    y: Pixels,
-    bounds: Indices,
-    cell_px: int,
-    still: Mask,
-    least: tuple[int, int],
-    labels: NDArray[np.int32],
-) -> tuple[Indices, Array, Mask]:
-    """Find connected clusters of cells with events, bin by bin of time, but for still cells.
+def _labelled(
+    x: Pixels, y: Pixels, bounds: Indices, cell_px: int, still: Mask, full: int
+) -> tuple[NDArray[np.int32], Indices, Mask, Indices]:
+    """Label connected clusters of cells with events, bin by bin of time, but for still cells.
 
-    Bounds (b, 2) are the first event of each bin and the one after its last. At least so many
-    events make a blob, and so many of a cell hold it together with its neighbours. The blob of each
-    event, -1 of none, is filled in; of length 0 where that is not asked for.
-
-    Gives the bin (k,) of each blob, ascending; its events, mean x and y, rms size, least x and y,
-    and largest x and y (k, 8) [px]; whether it touches a still cell (k,).
+    Bounds (b, 2) are the first event of each bin and the one after its last. So many events of a
+    cell hold it together with its neighbours: it is full. Gives the cluster of each event (n,), -1
+    of none; the bin (k,) of each cluster, ascending, and whether it touches a still cell (k,); and
+    in how many bins each cell (rows, columns) is full.
     """
-    least_blob, full = least
     rows, columns = still.shape
-    counts = np.zeros((rows, columns), np.int64)
-    of_cell = np.full((rows, columns), -1, np.int64)
-    touched = np.empty(rows * columns, np.int64)
-    stack = np.empty(rows * columns, np.int64)
-    sums = np.empty((rows * columns, 9))
-    touches = np.empty(rows * columns, np.bool_)
-    index = np.empty(rows * columns, np.int64)
-    bins = [np.int64(0) for _ in range(0)]
-    found = [np.empty(8) for _ in range(0)]
-    at_still = [False for _ in range(0)]
+    labels = np.full(len(x), -1, np.int32)
+    counts, n_full = np.zeros(still.shape, np.int64), np.zeros(still.shape, np.int64)
+    of_cell = np.full(still.shape, -1, np.int64)
+    touched, stack = np.empty(rows * columns, np.int64), np.empty(rows * columns, np.int64)
+    bins, at_still = [np.int64(0) for _ in range(0)], [False for _ in range(0)]
     for b in range(len(bounds)):
         n_touched = 0
         for i in range(bounds[b, 0], bounds[b, 1]):
@@ -366,57 +345,39 @@ def _blobs_in_bins(
                 touched[n_touched] = row * columns + column
                 n_touched += 1
             counts[row, column] += 1
-        n_blobs = 0
-        for k in range(n_touched):
-            row, column = touched[k] // columns, touched[k] % columns
-            if counts[row, column] < full or of_cell[row, column] >= 0 or still[row, column]:
+        for cell in touched[:n_touched]:
+            row, column = cell // columns, cell % columns
+            if counts[row, column] < full:
                 continue
-            touches[n_blobs] = _fill(row, column, n_blobs, full, counts, of_cell, still, stack)
-            n_blobs += 1
-        sums[:n_blobs, :5] = 0.0
-        sums[:n_blobs, 5:7], sums[:n_blobs, 7:] = np.inf, -np.inf
+            n_full[row, column] += 1
+            if of_cell[row, column] < 0 and not still[row, column]:
+                at_still.append(_fill(row, column, len(bins), full, counts, of_cell, still, stack))
+                bins.append(np.int64(b))
         for i in range(bounds[b, 0], bounds[b, 1]):
-            label = of_cell[y[i] // cell_px, x[i] // cell_px]
-            if label < 0:
+            labels[i] = of_cell[y[i] // cell_px, x[i] // cell_px]
+        for cell in touched[:n_touched]:
+            counts[cell // columns, cell % columns] = 0
+            of_cell[cell // columns, cell % columns] = -1
+    return labels, np.array(bins, np.int64), np.array(at_still, np.bool_), n_full
+
+
+@numba.njit(cache=True)
+def _summed(
+    x: Pixels, y: Pixels, bounds: Indices, labels: NDArray[np.int32], n_labels: int
+) -> Array:
+    """Sum up the events of each label (k, 9): number, x, y, x^2, y^2, least x, y, largest x, y."""
+    sums = np.zeros((n_labels, 9))
+    sums[:, 5:7], sums[:, 7:] = np.inf, -np.inf
+    for b in range(len(bounds)):
+        for i in range(bounds[b, 0], bounds[b, 1]):
+            if labels[i] < 0:
                 continue
-            column_px, row_px = float(x[i]), float(y[i])
-            own = sums[label]
-            own[0] += 1.0
-            own[1] += column_px
-            own[2] += row_px
-            own[3] += column_px * column_px
-            own[4] += row_px * row_px
-            own[5], own[6] = min(own[5], column_px), min(own[6], row_px)
-            own[7], own[8] = max(own[7], column_px), max(own[8], row_px)
-        for label in range(n_blobs):
-            own = sums[label]
-            index[label] = -1
-            if own[0] < least_blob:
-                continue
-            index[label] = len(bins)
-            mean_x, mean_y = own[1] / own[0], own[2] / own[0]
-            spread = (own[3] + own[4]) / own[0] - mean_x * mean_x - mean_y * mean_y
-            row_of = np.empty(8)
-            row_of[0], row_of[1], row_of[2] = own[0], mean_x, mean_y
-            row_of[3] = np.sqrt(max(spread, 0.0))
-            for c in range(4, 8):
-                row_of[c] = own[c + 1]
-            bins.append(np.int64(b))
-            found.append(row_of)
-            at_still.append(touches[label])
-        if len(labels):
-            for i in range(bounds[b, 0], bounds[b, 1]):
-                label = of_cell[y[i] // cell_px, x[i] // cell_px]
-                labels[i] = index[label] if label >= 0 else -1
-        for k in range(n_touched):
-            row, column = touched[k] // columns, touched[k] % columns
-            counts[row, column] = 0
-            of_cell[row, column] = -1
-    table = np.empty((len(found), 8))
-    for k in range(len(found)):
-        for c in range(8):
-            table[k, c] = found[k][c]
-    return np.array(bins, np.int64), table, np.array(at_still, np.bool_)
+            own, u, v = sums[labels[i]], float(x[i]), float(y[i])
+            own[0], own[1], own[2] = own[0] + 1.0, own[1] + u, own[2] + v
+            own[3], own[4] = own[3] + u * u, own[4] + v * v
+            own[5], own[6] = min(own[5], u), min(own[6], v)
+            own[7], own[8] = max(own[7], u), max(own[8], v)
+    return sums
 
 
 @numba.njit(cache=True)
@@ -453,21 +414,3 @@ def _fill(
                     stack[n] = i * columns + j
                     n += 1
     return touches
-
-
-@numba.njit(cache=True)
-def _occupied_bins(
-    x: Pixels, y: Pixels, bounds: Indices, cell_px: int, full: int, rows: int, columns: int
-) -> Indices:
-    """Count the bins in which each cell (rows, columns) is full."""
-    counts = np.zeros((rows, columns), np.int64)
-    found = np.zeros((rows, columns), np.int64)
-    for b in range(len(bounds)):
-        for i in range(bounds[b, 0], bounds[b, 1]):
-            row, column = y[i] // cell_px, x[i] // cell_px
-            counts[row, column] += 1
-            if counts[row, column] == full:
-                found[row, column] += 1
-        for i in range(bounds[b, 0], bounds[b, 1]):
-            counts[y[i] // cell_px, x[i] // cell_px] = 0
-    return found

@@ -94,9 +94,11 @@ def highest_in_blocks(
     n = len(bounds) - 1
     tops, at = np.full((n, depth), -np.inf), np.zeros((n, depth), np.intp)
     for i in range(n):
+        least = -np.inf
         for k in range(bounds[i], bounds[i + 1]):
-            if side * values[k] > tops[i, depth - 1] + _TIE:
+            if side * values[k] > least:
                 _insert(side * values[k], k, tops[i], at[i])
+                least = tops[i, depth - 1] + _TIE
     return tops, at
 
 

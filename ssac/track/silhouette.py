@@ -28,6 +28,10 @@ Indices = NDArray[np.int64]
 Levels = NDArray[np.int32]
 Pixels = NDArray[np.uint16]
 
+Linked = tuple[Levels, Levels, Levels]
+Seen = tuple[tuple[Indices, Pixels, Pixels], tuple[int, int], tuple[Indices, Indices]]
+"""Events: times [us], columns and rows; the sensor's height and width; samples [us] and boxes."""
+
 NONE = -1
 """In place of an event's number."""
 
@@ -77,9 +81,8 @@ def silhouettes(
     samples_us, boxes, own = _boxes(times_s, where_px, sizes_px, camera, rules)
     first = int(np.searchsorted(events["t"], samples_us[0]))
     times_us, x, y, polarities = (np.ascontiguousarray(events[name]) for name in "txyp")
-    sensor = camera.width, camera.height
-    linked = _linked_levels(times_us, x, y, polarities, *sensor, samples_us, boxes)
-    levels, before, after, rests, closed = linked
+    seen: Seen = (times_us, x, y), (camera.height, camera.width), (samples_us, boxes)
+    levels, before, after, rests, closed = _linked_levels(seen, polarities)
     if first == len(events) or closed < rules.min_closed_share * rests:
         return None
     moving = np.gradient(where_px, times_s, axis=0)
@@ -91,20 +94,8 @@ def silhouettes(
     placed = np.zeros((len(samples_us), 2), np.int64)
     placed[own] = corners
     shares = np.zeros((len(samples_us), 2 * half + 1, 2 * half + 1), np.float32)
-    sums = _image_sums(
-        times_us,
-        x,
-        y,
-        (levels, before, after),
-        *sensor,
-        samples_us,
-        boxes,
-        ramps_us,
-        full,
-        rules.curvature,
-        placed,
-        shares,
-    )[own]
+    linked, share_of = (levels, before, after), (full, rules.curvature)
+    sums = _image_sums(seen, linked, ramps_us, share_of, placed, shares)[own]
     off_px = np.linalg.norm(sums[:, 1:3] - where_px, axis=1)
     good = (sums[:, 0] > 0.0) & (sums[:, 6] == 0.0) & (sums[:, 7] == 0.0)
     good &= off_px < rules.max_off_sizes * sizes_px
@@ -140,14 +131,7 @@ def _boxes(
 
 @numba.njit(cache=True)
 def _linked_levels(
-    times_us: Indices,
-    x: Pixels,
-    y: Pixels,
-    polarities: NDArray[np.uint8],
-    width: int,
-    height: int,
-    samples_us: Indices,
-    boxes: Indices,
+    seen: Seen, polarities: NDArray[np.uint8]
 ) -> tuple[Levels, Levels, Levels, int, int]:
     """Give each event's level, positive where darker, and the events before and after it.
 
@@ -158,16 +142,17 @@ def _linked_levels(
     before and after each, `NONE` without. Then how often a pixel came to rest, and how often it did
     so within a threshold of where it had been.
     """
+    (times_us, x, y), shape, (samples_us, boxes) = seen
     m, n = len(times_us), len(samples_us)
     levels = np.zeros(m, np.int32)
     before, after = np.full(m, NONE, np.int32), np.full(m, NONE, np.int32)
-    level = np.zeros((height, width), np.int32)
-    step = np.zeros((height, width), np.int8)  # of the pixel's last event
-    run = np.zeros((height, width), np.int32)  # of its last events of one polarity
-    last = np.full((height, width), NONE, np.int32)
+    level = np.zeros(shape, np.int32)
+    step = np.zeros(shape, np.int8)  # of the pixel's last event
+    run = np.zeros(shape, np.int32)  # of its last events of one polarity
+    last = np.full(shape, NONE, np.int32)
     never = -2
-    inside = np.full((height, width), never, np.int32)  # the last sample with it in the box
-    seen_bare = np.zeros((height, width), np.bool_)
+    inside = np.full(shape, never, np.int32)  # the last sample with it in the box
+    seen_bare = np.zeros(shape, np.bool_)
     rests, closed = 0, 0
     i = 0
     for e in range(m):
@@ -204,38 +189,32 @@ def _linked_levels(
 
 @numba.njit(cache=True)
 def _image_sums(
-    times_us: Indices,
-    x: Pixels,
-    y: Pixels,
-    linked: tuple[Levels, Levels, Levels],
-    width: int,
-    height: int,
-    samples_us: Indices,
-    boxes: Indices,
+    seen: Seen,
+    linked: Linked,
     ramps_us: Array,
-    full: float,
-    curvature: float,
+    share_of: tuple[float, float],
     corners: Indices,
     images: NDArray[np.float32],
 ) -> Array:
     """Sum up the images of the object at n samples, by what `_linked_levels` gave.
 
     In a ramp (n,) an edge changes a level by one, at most. The level of a pixel that is covered all
-    over, and its log contrast, tell the share that is covered from the level. Corners (n, 2) are
-    column and row of each image's first pixel; shares of images (n, w, w) are written in place.
+    over, and its log contrast, are the two numbers by which a level tells the share. Corners (n, 2)
+    are column and row of each image's first pixel; images (n, w, w) are written in place.
 
     Gives (n, 8): area [px], its centre x and y [px], its second moments xx, xy, yy [px^2], how many
     pixels of the box were never seen bare, and how many covered ones are on the border.
     """
-    levels, before, after = linked
+    (times_us, x, y), shape, (samples_us, boxes) = seen
+    (levels, before, after), (height, width), (full, curvature) = linked, shape, share_of
     m, n = len(times_us), len(samples_us)
     sums = np.zeros((n, 8))
-    last = np.full((height, width), NONE, np.int32)
-    inside = np.full((height, width), -2, np.int32)  # the last sample with it in the box
-    seen_bare = np.zeros((height, width), np.bool_)
+    last = np.full(shape, NONE, np.int32)
+    inside = np.full(shape, -2, np.int32)  # the last sample with it in the box
+    seen_bare = np.zeros(shape, np.bool_)
     # The first event of each stay in the box is found from the one of the stay before.
     following = np.full(m, NONE, np.int32)
-    coming = np.full((height, width), NONE, np.int32)
+    coming = np.full(shape, NONE, np.int32)
     for e in range(m - 1, -1, -1):
         following[e] = coming[y[e], x[e]]
         if before[e] == NONE:

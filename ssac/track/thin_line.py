@@ -25,6 +25,7 @@ Events = NDArray[np.void]
 class _Window:
     """The object in a window, and what is beside it, moved to the window's middle."""
 
+    size_px: tuple[int, int]  # of the view
     centre_px: Array  # (2,)
     velocity_px_us: Array  # (2,)
     start_px: float  # of a line, from the centre
@@ -62,8 +63,8 @@ def events_on_line(
     n_tested = 0
     for some in (numbers[::step], [k for i, k in enumerate(numbers) if i % step]):
         for k in some:
-            window = _window(events, kept, middles_us[k], rules)
-            line = None if window is None else _voted(window, width, height, rules)
+            window = _window(events, kept, middles_us[k], (width, height), rules)
+            line = None if window is None else _voted(window, rules)
             n_tested += window is not None and (line is None or line.has_room)
             if line is not None and line.is_clear:
                 clear[k] = line
@@ -80,18 +81,19 @@ def events_on_line(
     offsets_px = np.interp(places, list(sampled), [one.offset_px for one in sampled.values()])
     course = np.full((len(middles_us), 6), np.nan)  # centre, velocity, angle, offset
     for k, middle_us in enumerate(middles_us):
-        window = _window(events, kept, middle_us, rules)
+        window = _window(events, kept, middle_us, (width, height), rules)
         if window is None:
             continue
         course[k, :2], course[k, 2:4] = window.centre_px, window.velocity_px_us
-        line = sampled.get(k)
-        line = line or _fitted(window, guesses_rad[k], offsets_px[k], width, height, rules)
+        line = sampled.get(k) or _fitted(window, guesses_rad[k], offsets_px[k], rules)
         if line is not None and line.is_clear:
             course[k, 4:] = line.angle_rad, line.offset_px
     return _beside(kept, middles_us, course, rules)
 
 
-def _window(events: Events, kept: Events, middle_us: np.int64, rules: LineRules) -> _Window | None:
+def _window(
+    events: Events, kept: Events, middle_us: np.int64, size_px: tuple[int, int], rules: LineRules
+) -> _Window | None:
     """Look at the object about a time; None where too little of it is seen."""
     edges_us = middle_us + rules.half_window_us * np.array([-1, 0, 1])
     first, middle, last = first_from(kept["t"], edges_us)
@@ -119,10 +121,10 @@ def _window(events: Events, kept: Events, middle_us: np.int64, rules: LineRules)
     ]
     away_px = np.sqrt(points[0] ** 2 + points[1] ** 2)
     far = (away_px > start_px) & (away_px < start_px + rules.length_px)
-    return _Window(centre, velocity, start_px, np.column_stack(points)[far])
+    return _Window(size_px, centre, velocity, start_px, np.column_stack(points)[far])
 
 
-def _voted(window: _Window, width: int, height: int, rules: LineRules) -> _Line | None:
+def _voted(window: _Window, rules: LineRules) -> _Line | None:
     """Find the line through the object with the most events; None where there are few."""
     if len(window.far_px) < rules.min_far_events:
         return None
@@ -131,7 +133,7 @@ def _voted(window: _Window, width: int, height: int, rules: LineRules) -> _Line 
     strips = found[:, :-2] + found[:, 1:-1] + found[:, 2:]
     direction, strip = np.unravel_index(int(np.argmax(strips)), strips.shape)
     angle_rad = 2.0 * np.pi * float(direction) / rules.n_directions
-    return _fitted(window, angle_rad, float(strip) - half, width, height, rules)
+    return _fitted(window, angle_rad, float(strip) - half, rules)
 
 
 @numba.njit(cache=True)
@@ -152,14 +154,7 @@ def _votes(points: Array, start_px: float, n_directions: int, most_px: int) -> N
     return found
 
 
-def _fitted(
-    window: _Window,
-    angle_rad: float,
-    offset_px: float,
-    width: int,
-    height: int,
-    rules: LineRules,
-) -> _Line | None:
+def _fitted(window: _Window, angle_rad: float, offset_px: float, rules: LineRules) -> _Line | None:
     """Fit a line to the events near a first one, and tell whether it is clear; None of few."""
     for gate_px in (rules.first_gate_px, rules.gate_px, rules.gate_px):
         along, across = _turned(window.far_px, angle_rad)
@@ -174,7 +169,10 @@ def _fitted(
         angle_rad += turn_rad
     along, across = _turned(window.far_px, angle_rad)
     aside = np.abs(across - offset_px)
-    end_px = _room_px(window.centre_px, angle_rad, width, height) - rules.border_px
+    direction = np.array([np.cos(angle_rad), np.sin(angle_rad)])
+    ends_px = np.where(direction > 0.0, np.array(window.size_px) - 1.0, 0.0) - window.centre_px
+    room_px = float(np.min(ends_px / np.where(direction == 0.0, 1e-9, direction)))
+    end_px = room_px - rules.border_px  # to the border of the view
     end_px = min(window.start_px + rules.length_px, end_px)
     if end_px - window.start_px < rules.min_length_px:
         return _Line(angle_rad, offset_px, has_room=False)
@@ -195,13 +193,6 @@ def _turned(points: Array, angle_rad: float | Array) -> tuple[Array, Array]:
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     x, y = points[:, 0], points[:, 1]
     return np.asarray(x * c + y * s), np.asarray(y * c - x * s)
-
-
-def _room_px(centre_px: Array, angle_rad: float, width: int, height: int) -> float:
-    """How far it is from a place to the border of the view."""
-    direction = np.array([np.cos(angle_rad), np.sin(angle_rad)])
-    ends = np.where(direction > 0.0, [width - 1.0, height - 1.0], 0.0)
-    return float(np.min((ends - centre_px) / np.where(direction == 0.0, 1e-9, direction)))
 
 
 def _beside(kept: Events, middles_us: NDArray[np.int64], course: Array, rules: LineRules) -> Mask:

@@ -15,15 +15,12 @@ from experiments import cli
 from sim.errors import SimError
 
 
-@pytest.mark.parametrize("entry", cli.COMMANDS, ids=lambda entry: entry.name)
-def test_every_command_is_where_the_table_says_with_a_summary_of_one_line(entry):
-    assert inspect.getdoc(getattr(import_module(entry.module), entry.function))
+def test_every_command_is_where_the_table_says_with_a_summary_of_one_line():
     widest = max(len(entry.name) for entry in cli.COMMANDS)
-    assert len(f"  {'':{widest}}  {entry.summary}") <= 80
-    assert entry.summary.endswith((".", "?"))
-
-
-def test_use_comes_before_reproduce_and_every_name_once():
+    for entry in cli.COMMANDS:
+        assert inspect.getdoc(getattr(import_module(entry.module), entry.function)), entry.name
+        assert len(f"  {'':{widest}}  {entry.summary}") <= 80, entry.name
+        assert entry.summary.endswith((".", "?")), entry.name
     names = [entry.name for entry in cli.COMMANDS]
     assert len(set(names)) == len(names)
     groups = [entry.group for entry in cli.COMMANDS]

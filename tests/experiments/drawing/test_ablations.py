@@ -1,3 +1,5 @@
+"""An ablation's means, drawn: a line for each angle, its default, failed runs, gaps."""
+
 from dataclasses import replace
 from itertools import product
 
@@ -33,11 +35,7 @@ def drawn(axes) -> list[np.ndarray]:
     return [np.transpose(container.lines[0].get_data()) for container in axes.containers]
 
 
-def verticals(axes) -> list[float]:
-    return [float(line.get_xdata()[0]) for line in axes.lines if line.get_linestyle() == "--"]
-
-
-def test_a_line_holds_the_means_of_one_angle_and_method() -> None:
+def test_a_line_holds_the_means_of_one_angle_and_method_and_the_default_is_marked() -> None:
     grid = named_config("ablation_window")
     means = make_means(grid)
     axes = ablation_figure(means, grid).axes
@@ -50,44 +48,38 @@ def test_a_line_holds_the_means_of_one_angle_and_method() -> None:
                 expected = means[chosen]
                 np.testing.assert_allclose(line[:, 0], 1e3 * expected["ssac.half_window_s"])
                 np.testing.assert_allclose(line[:, 1], expected[f"{error}_mean"])
+    for one in axes:  # in the axis' unit
+        dashed = [line for line in one.lines if line.get_linestyle() == "--"]
+        assert [line.get_xdata()[0] for line in dashed] == [1e3 * Config().half_window_s]
+    # A method without a pose leaves its axes empty.
+    poses = [f"r_error_deg_{part}" for part in ("mean", "std")]
+    means.loc[means["method"] == "ssac", poses] = np.nan
+    axes = ablation_figure(means, grid).axes
+    assert [len(drawn(axes[k])) for k in (1, 4)] == [0, 3]
 
 
-def labels(figure) -> list[str]:
-    return [text.get_text() for text in figure.legends[0].get_texts()]
-
-
-def test_the_default_is_marked_in_the_axis_unit_or_written_where_a_logarithm_lacks_it() -> None:
-    grid = named_config("ablation_window")
-    for axes in ablation_figure(make_means(grid), grid).axes:
-        assert verticals(axes) == [1e3 * Config().half_window_s]
+def test_a_default_that_a_logarithm_lacks_is_written() -> None:
     grid = named_config("ablation_noise")
     figure = ablation_figure(make_means(grid), grid)
-    assert not any(verticals(axes) for axes in figure.axes)
-    assert labels(figure)[-1] == "default: 0, not on this axis"
+    dashed = [line for axes in figure.axes for line in axes.lines if line.get_linestyle() == "--"]
+    assert not dashed
+    assert figure.legends[0].get_texts()[-1].get_text() == "default: 0, not on this axis"
     assert default_value("ssac.n_min") == N_MIN
     assert default_value("sim.spline.sampling_hz") == SimConfig().spline.sampling_hz
     assert default_value("sim.drone_size_m") == 0.65  # None in SimConfig: the quadrotor's own
 
 
-def test_failures_have_axes_only_where_there_are_some() -> None:
+def test_failures_have_axes_only_where_there_are_some_and_leave_a_gap() -> None:
     grid = named_config("ablation_n_min")
     means = make_means(grid)
-    last = (means["ssac.n_min"] == 1600) & (means["sim.angle_deg"] == 90)
-    means.loc[last & (means["method"] == "ssac"), "failed"] = 3
+    lost = (means["ssac.n_min"] == 1600) & (means["method"] == "ssac")
+    means.loc[lost & (means["sim.angle_deg"] == 90), "failed"] = 3
     axes = ablation_figure(means, grid).axes
     assert len(axes) == 8
     assert axes[3].get_title() == "failed runs [%]"
     shares = [line.get_ydata() for line in axes[3].lines if line.get_linestyle() == "-"]
     assert [float(share[-1]) for share in shares] == [0.0, 30.0, 0.0]
-
-
-def test_a_point_without_any_estimate_is_a_gap() -> None:
-    grid = named_config("ablation_n_min")
-    means = make_means(grid)
-    lost = means["ssac.n_min"] == 1600
-    means.loc[lost, "failed"] = 10
-    for error in ERRORS:
-        means.loc[lost, [f"{error}_mean", f"{error}_std"]] = np.nan
+    means.loc[lost, [f"{error}_{part}" for error in ERRORS for part in ("mean", "std")]] = np.nan
     for line in drawn(ablation_figure(means, grid).axes[0]):
         assert np.isnan(line[-1, 1])
         assert np.isfinite(line[:-1]).all()
@@ -98,20 +90,11 @@ def test_standard_errors_stay_above_zero_on_a_logarithmic_axis() -> None:
     grid = named_config("ablation_samples")
     means = make_means(grid)
     means["t_d_error_ms_std"] = 3.0 * means["t_d_error_ms_mean"]  # 9 runs at 0, one far off
-    means.loc[0, "t_d_error_ms_mean"], means.loc[0, "t_d_error_ms_std"] = 100.0, 300.0
+    means.loc[0, ["t_d_error_ms_mean", "t_d_error_ms_std"]] = 100.0, 300.0
     axes = ablation_figure(means, grid).axes[0]
     assert axes.get_yscale() == "log"
     ends = [bars.get_segments() for container in axes.containers for bars in container.lines[2]]
     assert np.min(np.concatenate(ends)[:, :, 1]) > 0.0
-
-
-def test_a_method_without_a_pose_leaves_its_axes_empty() -> None:
-    grid = named_config("ablation_window")
-    means = make_means(grid)
-    means.loc[means["method"] == "ssac", ["r_error_deg_mean", "r_error_deg_std"]] = np.nan
-    axes = ablation_figure(means, grid).axes
-    assert len(drawn(axes[1])) == 0
-    assert len(drawn(axes[4])) == 3
 
 
 def test_what_cannot_be_drawn_is_named() -> None:

@@ -4,11 +4,13 @@ import os
 import signal
 import sys
 import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, wait
 from functools import partial
 from pathlib import Path
+from typing import Any
 
-from experiments.lab.lock import claimed
-from experiments.lab.pool import Ended, Pool, Processes
+from experiments.lab.pool import Pool, Processes
 
 
 def square(number: int) -> int:
@@ -59,35 +61,24 @@ def wait_for_ever(_: int) -> None:
         time.sleep(1.0)
 
 
-def make_each_once(folder: Path, names: list[str]) -> None:
-    """Make files that others make too; note each making."""
-    left = list(names)
-    while left:
-        for name in list(left):
-            with claimed(folder / f".{name}.claim") as is_ours:
-                if not is_ours:
-                    continue
-                left.remove(name)
-                if not (folder / name).exists():
-                    with (folder / "log").open("a") as log:
-                        log.write(f"{name}\n")
-                    (folder / name).touch()
-
-
 def hold(path: Path) -> None:
-    """Claim, say so, and never give it back."""
+    """Lock, say so, and never give it back."""
+    from experiments.lab.cache import claimed
+
     with claimed(path) as is_ours:
         print(is_ours, flush=True)
         time.sleep(1e6)
 
 
-def work_off(pool: Pool, jobs: list) -> dict[int, Ended]:
+def work_off(pool: Pool, jobs: Sequence[Callable[[], Any]]) -> list["Future[Any]"]:
     """Have a pool do jobs, each one once."""
-    found, ready = {}, list(enumerate(jobs))
-    while len(found) < len(jobs):
-        while ready and pool.has_room():
-            pool.give(*ready.pop(0))
-        found |= {one.number: one for one in pool.ended(None)}
+    found: list[Future[Any]] = []
+    for job in jobs:
+        running = [one for one in found if not one.done()]
+        if len(running) >= pool.room:
+            assert pool.ended(running, None)
+        found.append(pool.submit(job))
+    wait(found)
     return found
 
 

@@ -1,5 +1,6 @@
-"""The cache: what an entry depends on, and that nothing is made twice or half."""
+"""The cache: what an entry depends on, that nothing is made twice or half, and none is damaged."""
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,33 +10,38 @@ import pytest
 import experiments.lab.cache as module
 import experiments.lab.grid as grid
 from experiments.lab.cache import (
-    Brightness,
+    ASIDE,
+    BRIGHTNESS_CODE,
     Cache,
-    Denoised,
     content,
+    is_sound,
     recording_key,
+    row_of_text,
     run_key,
+    save_sums,
+    text_of_row,
 )
 from experiments.lab.grid import Cell
 from sim.errors import SimError
 from sim.recording import SimConfig
 from sim.render.config import RenderConfig
 from ssac.config import Config
-from ssac.errors import WriteError
+from ssac.errors import SsacError, WriteError
+from ssac.files.hdf5 import save_events_h5
 from ssac.pipeline.registry import METHODS
+from tests.recorded import empty_events
 
 pytestmark = pytest.mark.render  # a recording's key names the GL driver
 
-DENOISED = Denoised(
-    np.array([11, 12]),
-    *(
-        np.full((9, 6), 3, np.uint8),
-        np.array([[0, 512]]),
-        np.array([1.0, 9.0, 0.1, 5.0, 20.0, 20.0]),
-    ),
-    *(np.empty(0, np.bool_), np.full((2, 6), 7, np.uint8), np.empty((0, 2), np.int64)),
-    *(np.array([0.0, 0.0, 0.2, 3.0, 5.0, 12.0]), np.array([True, False])),
-)
+ROW = {"status": "ok", "reason": "", "t_d_error_ms": 0.1 + 0.2, "r_error_deg": None}
+MEANS = {"cam1": np.linspace(0, 1, 9), "times1_us": np.arange(9), "cam2": np.empty(0)}
+
+
+def files_in(folder: Path) -> list[str]:
+    return [path.name for path in folder.rglob("*") if path.is_file()]
+
+
+# --- What an entry depends on ---
 
 
 def test_every_parameter_and_the_seed_make_another_recording_but_the_offset_does_not():
@@ -46,8 +52,7 @@ def test_every_parameter_and_the_seed_make_another_recording_but_the_offset_does
         recording_key(replace(SimConfig(), sensor=replace(SimConfig().sensor, leak_hz=0.1)), 0),
     ]
     assert len({base, *others}) == 4
-    assert recording_key(replace(SimConfig(), t_d_s=0.5), 0) == base
-    assert recording_key(SimConfig(), 0) == base
+    assert recording_key(replace(SimConfig(), t_d_s=0.5), 0) == recording_key(SimConfig(), 0)
 
 
 def test_a_file_counts_by_what_is_in_it(tmp_path):
@@ -59,7 +64,7 @@ def test_a_file_counts_by_what_is_in_it(tmp_path):
     assert content(SimConfig(drone_file=one)) != content(SimConfig(drone_file=two))
 
 
-def test_every_part_makes_another_run():
+def test_every_part_makes_another_run_and_so_does_another_version_of_a_method(monkeypatch):
     base = (("recording",), (0.05, Config(), "ssac", ""), ("experiments.lab.scored",))
     others = [
         (("other",), *base[1:]),
@@ -71,6 +76,11 @@ def test_every_part_makes_another_run():
         changed = (*base[1][:at], value, *base[1][at + 1 :])
         others.append((base[0], changed, base[2]))
     assert len({run_key(*parts) for parts in (base, *others)}) == 1 + len(others)
+    cell = Cell(SimConfig(), 0, 0, 0.05, Config(), "ssac", {})
+    before = cell.inputs
+    method = replace(METHODS["ssac"], version="of yesterday")
+    monkeypatch.setattr(grid, "METHODS", {"ssac": method})
+    assert run_key(("recording",), cell.inputs, ()) != run_key(("recording",), before, ())
 
 
 @pytest.mark.parametrize("packages", ["SIM_PACKAGES", "SSAC_PACKAGES"])
@@ -90,6 +100,9 @@ def test_another_version_of_a_package_is_another_key(monkeypatch, packages):
     assert {name for name, key in keys().items() if key != before[name]} == {packages}
 
 
+# --- Nothing is made twice or half ---
+
+
 def test_a_recording_is_simulated_once_and_kept_as_a_whole(tmp_path, monkeypatch):
     calls = []
 
@@ -107,80 +120,152 @@ def test_a_recording_is_simulated_once_and_kept_as_a_whole(tmp_path, monkeypatch
     assert {path.name for path in folder.iterdir()} == names
     assert cache.recording_folder(replace(config, t_d_s=0.0), 3) == folder
     assert calls == [(replace(config, t_d_s=0.0), 3)]
-    assert cache.size_bytes() == sum(
-        path.stat().st_size for path in (tmp_path / "cache").rglob("*") if path.is_file()
-    )
+    files = [path for path in (tmp_path / "cache").rglob("*") if path.is_file()]
+    assert cache.size_bytes() == sum(path.stat().st_size for path in files)
 
 
-def test_a_simulation_that_fails_leaves_nothing(tmp_path):
-    config = SimConfig(angle_deg=200.0)
-    with pytest.raises(SimError):
+@pytest.mark.parametrize(
+    ("config", "said"),
+    [
+        (SimConfig(angle_deg=200.0), "the angle between"),
+        (SimConfig(render=RenderConfig(backend="vulkan")), "vulkan"),
+    ],
+    ids=["angle", "backend"],
+)
+def test_a_simulation_that_fails_is_the_simulators_error_and_leaves_nothing(tmp_path, config, said):
+    with pytest.raises(SimError, match=said):
         Cache(tmp_path).recording_folder(config, 0)
-    assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
+    assert files_in(tmp_path) == []
 
 
-def test_a_backend_that_is_not_there_is_the_simulators_error(tmp_path):
-    config = SimConfig(render=RenderConfig(backend="vulkan"))
-    with pytest.raises(SimError, match="vulkan"):
-        Cache(tmp_path).recording_folder(config, 0)
+def test_what_is_told_of_a_recording_is_told_once_for_all_that_it_depends_on(tmp_path):
+    cache, recording, told = Cache(tmp_path), tmp_path / "recordings" / "abc", []
+    for inputs in (None, 5, None, 5):
+        made = cache.told(
+            "brightness", recording, BRIGHTNESS_CODE, [*MEANS],
+            lambda inputs=inputs: told.append(inputs) or MEANS, inputs,
+        )  # fmt: skip
+        for name, one in MEANS.items():
+            np.testing.assert_array_equal(made[name], one, strict=True)
+    assert told == [None, 5]
 
 
-def test_brightness_is_measured_once(tmp_path):
-    cache, recording = Cache(tmp_path), tmp_path / "recordings" / "abc"
-    times_us = np.array([2_500, 22_500])
-    made = Brightness(np.array([0.1, 0.2]), times_us, np.empty(0), np.empty(0, np.int64))
-    cache.brightness(recording, lambda: made)
-
-    def never():
-        raise AssertionError("done before")
-
-    for one, other in zip(made, cache.brightness(recording, never), strict=True):
-        assert np.array_equal(one, other)
-        assert one.dtype == other.dtype
-
-
-def test_what_denoising_did_is_found_once_for_each_number_of_neighbours(tmp_path):
-    cache, recording = Cache(tmp_path), tmp_path / "recordings" / "abc"
-    found = []
-    for n_neighbours in (None, 5, None, 5):
-        made = cache.denoised(
-            recording, n_neighbours, lambda n=n_neighbours: found.append(n) or DENOISED
-        )
-        for one, other in zip(made, DENOISED, strict=True):
-            np.testing.assert_array_equal(one, other, strict=True)
-    assert found == [None, 5]
-
-
-def test_a_run_comes_back_as_it_went_in(tmp_path):
-    cache = Cache(tmp_path)
-    row = {"status": "ok", "reason": "", "t_d_error_ms": 0.1 + 0.2, "r_error_deg": None}
-    assert cache.load_run("abcd") is None
-    cache.save_run("abcd", row)
-    assert cache.load_run("abcd") == row
-    assert [path.name for path in tmp_path.rglob("*") if path.is_file()] == ["abcd.json"]
-
-
-def test_a_run_that_could_not_be_written_whole_is_not_there(tmp_path, monkeypatch):
-    cache, row = Cache(tmp_path), {"status": "ok", "reason": ""}
-    write = Path.write_text
+def test_a_run_comes_back_as_it_went_in_and_is_not_there_unless_it_was_written_whole(
+    tmp_path, monkeypatch
+):
+    cache, write = Cache(tmp_path), Path.write_text
 
     def half(path, text, **options):
         write(path, text[: len(text) // 2], **options)
         raise OSError(28, "No space left on device")
 
+    assert cache.load_run("abcd") is None
     monkeypatch.setattr(Path, "write_text", half)
     with pytest.raises(WriteError, match="No space left on device"):
-        cache.save_run("abcd", row)
-    assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
+        cache.save_run("abcd", ROW)
+    assert files_in(tmp_path) == []
     monkeypatch.undo()
-    cache.save_run("abcd", row)
-    assert cache.load_run("abcd") == row
+    cache.save_run("abcd", ROW)
+    assert cache.load_run("abcd") == ROW
+    assert files_in(tmp_path) == ["abcd.json"]
 
 
-def test_another_version_of_a_method_is_another_run(monkeypatch):
-    cell = Cell(SimConfig(), 0, 0, 0.05, Config(), "ssac", {})
-    before = cell.inputs
-    method = replace(METHODS["ssac"], version="of yesterday")
-    monkeypatch.setattr(grid, "METHODS", {"ssac": method})
-    assert cell.inputs != before
-    assert run_key(("recording",), cell.inputs, ()) != run_key(("recording",), before, ())
+# --- Entries that are no longer what was written ---
+
+
+def flipped(data: bytes, at: int) -> bytes:
+    return data[:at] + bytes([data[at] ^ 1]) + data[at + 1 :]
+
+
+def test_no_flipped_bit_of_a_row_goes_unseen():
+    text = text_of_row(ROW).encode()
+    assert row_of_text(text) == ROW
+    for at in range(len(text)):
+        assert row_of_text(flipped(text, at)) in (None, ROW)  # 1e0 and 1E0 are one number
+        assert row_of_text(text[:at]) is None
+
+
+def test_a_damaged_row_is_moved_aside_and_said_once(tmp_path, capsys):
+    cache = Cache(tmp_path)
+    cache.save_run("abcd", ROW)
+    (path,) = tmp_path.rglob("*.json")
+    path.write_text(path.read_text().replace("0.3", "0.4"))
+    assert cache.load_run("abcd") is None
+    assert cache.load_run("abcd") is None
+    assert capsys.readouterr().err.count("was damaged: moved to") == 1
+    assert [one.parent.name for one in tmp_path.rglob("*.json")] == [ASIDE]
+    cache.save_run("abcd", ROW)
+    assert cache.load_run("abcd") == ROW
+
+
+def test_damaged_brightness_is_told_again(tmp_path):
+    def brightness():
+        recording = tmp_path / "recordings" / "abcd"
+        return Cache(tmp_path).told(
+            "brightness", recording, BRIGHTNESS_CODE, [*MEANS], lambda: MEANS
+        )
+
+    brightness()
+    (path,) = (tmp_path / "brightness").iterdir()
+    whole = path.read_bytes()
+    for damaged in (whole[: len(whole) // 2], flipped(whole, 200), b""):
+        path.write_bytes(damaged)
+        for name, kept in brightness().items():
+            np.testing.assert_array_equal(kept, MEANS[name])
+        assert path.read_bytes() == whole
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """The recording that the cache in `tmp_path` has, with its checksums."""
+    made = tmp_path / "recordings" / "abcd"
+    made.mkdir(parents=True)
+    save_events_h5(made / "cam1.h5", empty_events(), 346, 260)
+    (made / "rig.yaml").write_text("cam0:\n")
+    save_sums(made)
+    monkeypatch.setattr(Cache, "_recording_path", lambda *_: made)
+    return made
+
+
+def test_a_recording_is_what_its_checksums_say(folder):
+    assert is_sound(folder)
+    whole = (folder / "cam1.h5").read_bytes()
+    (folder / "cam1.h5").write_bytes(flipped(whole, len(whole) // 2))
+    assert not is_sound(folder)
+    assert is_sound(folder, ("rig.yaml",))
+    (folder / "cam1.h5").write_bytes(whole)
+    assert is_sound(folder)
+    (folder / "rig.yaml").unlink()
+    assert not is_sound(folder)
+    assert not is_sound(folder, ("rig.yaml",))
+    folder.with_name("abcd.sha256").write_text("[3")
+    assert not is_sound(folder)
+
+
+@pytest.mark.parametrize("damaged", ["rig.yaml", "../abcd.sha256"], ids=["file", "no checksums"])
+def test_a_damaged_recording_is_made_again(folder, tmp_path, monkeypatch, capsys, damaged):
+    shutil.copytree(folder, tmp_path / "kept")
+    calls = []
+
+    def record(config, seed, out, provenance):
+        calls.append(seed)
+        shutil.copytree(tmp_path / "kept", out)
+
+    monkeypatch.setattr(module, "record", record)
+    if damaged == "rig.yaml":
+        (folder / damaged).write_text("cam1:\n")
+    else:
+        (folder / damaged).unlink()  # as of a run that was killed just then
+    cache = Cache(tmp_path)
+    for _ in range(2):
+        assert cache.recording_folder(SimConfig(), 3) == folder
+    assert calls == [3]
+    assert is_sound(folder)
+    assert capsys.readouterr().err.count("was damaged") == 1
+
+
+def test_an_entry_that_cannot_be_moved_is_one_error(folder, tmp_path):
+    (folder / "rig.yaml").unlink()
+    (tmp_path / ASIDE).write_text("a file in the folder's place")
+    with pytest.raises(SsacError, match="is damaged and cannot be moved aside"):
+        Cache(tmp_path).recording_folder(SimConfig(), 0)

@@ -82,7 +82,7 @@ def changed_by(tree: SourceTree, before: dict[str, str], path: str, old: str, ne
         ("experiments/lab/score.py", "1e3", "1e6", {"runs"}),
         ("experiments/lab/recorded.py", "gaps_us & 255", "gaps_us & 127", {"runs"}),
         # An edit of a lock, a checksum, the cache, the schedule, a drawing or a summary.
-        ("experiments/lab/lock.py", "LAPSES_S = ", "LAPSES_S = 2.0 * ", set()),
+        ("experiments/lab/cache.py", "LAPSES_S = ", "LAPSES_S = 2.0 * ", set()),
         ("experiments/lab/cache.py", "while not", "while 1 and not", set()),
         ("experiments/lab/files.py", "DPI = 110", "DPI = 120", set()),
         ("experiments/lab/schedule.py", "MAX_DEATHS = 2", "MAX_DEATHS = 3", set()),
@@ -198,18 +198,18 @@ def test_a_row_depends_on_what_its_pipeline_calls_and_on_nothing_else_of_it() ->
     methods = ("algorithms", "joint", "tangency", "albl", "correlations")
     assert {f"ssac.methods.{name}" for name in methods} <= row
     assert {"experiments.lab.scored:scored_row", "experiments.lab.grid:Cell"} <= row
-    assert not {name for name in row if name.startswith("experiments.lab.lock")}
     assert not {name for name in row if name.startswith("experiments.lab.cache:Cache")}
-
-
-def test_how_an_object_moves_is_no_matter_of_what_is_left_without_noise() -> None:
+    # How an object moves is no matter of what is left without noise.
     assert not {name for name in SourceTree().closure(*DENOISED_CODE) if "motion" in name}
 
 
 def test_prose_does_not_count_but_code_does() -> None:
-    base = read_source("def f(x):\n    return x + 1\n").digest
-    assert read_source('"""A."""\ndef f(x):  # b\n    """C."""\n    return x + 1').digest == base
-    assert read_source("def f(x):\n    return x + 2\n").digest != base
+    def digest(text: str) -> str:
+        return read_source(text).whole.digest
+
+    base = digest("def f(x):\n    return x + 1\n")
+    assert digest('"""A."""\ndef f(x):  # b\n    """C."""\n    return x + 1') == base
+    assert digest("def f(x):\n    return x + 2\n") != base
 
 
 def test_packages_only_list_names() -> None:
@@ -262,7 +262,7 @@ def test_all_code_that_a_run_calls_is_in_its_key(
     assert {"ssac.methods.tangency", "ssac.track.denoise"} <= ours
     assert "experiments.lab.score:pose_score" in ours
     # What names, runs and keeps the entries is no part of them.
-    keeping = ("code", "pool", "task", "cache", "files", "lock", "health", "bridge", "provenance")
+    keeping = ("code", "pool", "task", "cache", "files", "bridge", "provenance")
     ours = {name for name in ours if not name.startswith(
         tuple(f"experiments.lab.{file}" for file in keeping))}  # fmt: skip
     assert ours - SourceTree().closure(*CODES["runs"]) == set()

@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import pandas as pd
 import pytest
 import typer
@@ -13,7 +14,7 @@ from typer.testing import CliRunner
 from experiments.lab import study, task
 from experiments.lab.cache import Cache
 from experiments.lab.cell import CRASHED, Measure
-from experiments.lab.command import chosen_parts, command_of, drawn_by, finish
+from experiments.lab.command import command_of, drawn_by, finish, on_screen
 from experiments.lab.schedule import Outcome
 from experiments.lab.study import How, Runs
 from experiments.paper.grids import table_cells
@@ -40,40 +41,49 @@ def test_an_unknown_renderer_is_refused() -> None:
         drawn_by(table_cells()[:1], "blender", True)
 
 
-def test_parts_are_done_in_the_order_in_which_they_were_named_and_all_without_a_name() -> None:
-    parts = {"four": 1, "growth": 2}
-    assert chosen_parts(None, parts) == chosen_parts([], parts) == ["four", "growth"]
-    assert chosen_parts(["growth", "four"], parts) == ["growth", "four"]
-    with pytest.raises(SsacError, match="unknown part 'five': use one of four, growth"):
-        chosen_parts(["four", "five"], parts)
+NOT_SIMULATED = "recording: SimError: a.obj has no faces"
+THEIRS, OURS = "mine: PluginError: p 1.0", "ssac: KeyError: 3"
 
 
-def test_what_cannot_be_simulated_is_the_inputs_fault_and_what_crashed_is_ours(
-    tmp_path: Path,
-) -> None:
-    not_simulated, crashed = "recording: SimError: a.obj has no faces", "ssac: KeyError: 3"
-    runs = pd.DataFrame({"status": ["ok", CRASHED], "reason": ["", not_simulated]})
+def outcome(*reasons: str) -> Outcome:
+    status = [CRASHED if reason else "ok" for reason in reasons]
+    return Outcome(pd.DataFrame({"status": status, "reason": reasons}), 1, 0, 0.0)
+
+
+def test_what_cannot_be_simulated_is_the_inputs_fault(tmp_path: Path) -> None:
     with pytest.raises(SsacError, match=r"1 runs have no recording, the first .*: a\.obj has no"):
-        finish(Outcome(runs, 1, 0, 0.0), Cache(tmp_path))
-    runs = pd.DataFrame({"status": [CRASHED, CRASHED], "reason": [crashed, not_simulated]})
-    with pytest.raises(typer.Exit) as ended:
-        finish(Outcome(runs, 1, 0, 0.0), Cache(tmp_path))
-    assert ended.value.exit_code == BUG
+        finish([outcome("", NOT_SIMULATED), outcome("")], Cache(tmp_path))
+    finish([outcome("")], Cache(tmp_path))
 
 
 @pytest.mark.parametrize(
     ("reasons", "whose"),
     [
-        (["mine: PluginError: p 1.0"], "other packages' methods"),
-        (["mine: PluginError: p 1.0", "ssac: KeyError: 3"], "this program"),
+        ([THEIRS], "other packages' methods"),
+        ([THEIRS, OURS], "this program"),
+        ([OURS, NOT_SIMULATED], "this program"),
     ],
 )
 def test_whose_bug_it_is_is_said(tmp_path: Path, capsys, reasons, whose) -> None:
-    runs = pd.DataFrame({"status": CRASHED, "reason": reasons})
     with pytest.raises(typer.Exit) as ended:
-        finish(Outcome(runs, 1, 0, 0.0), Cache(tmp_path))
+        finish([outcome("", *reasons)], Cache(tmp_path))
     assert ended.value.exit_code == BUG
     assert f"error: a bug in {whose}: {len(reasons)} runs crashed" in capsys.readouterr().err
+
+
+def test_a_table_fits_a_screen_and_says_that_there_is_no_refusal() -> None:
+    errors = {
+        f"{name}_{of}": [value, np.nan]
+        for name in ("t_d_error_ms", "r_error_deg", "t_error_deg")
+        for of, value in (("mean", 1.23456), ("low", 1.0), ("high", 1.46912), ("median", 1.2))
+    }
+    point = {"sim.angle_deg": [30, 150], "method": ["tangency-known", "ssac"], "runs": 10}
+    table = pd.DataFrame(point | {"refusals": [np.nan, "no_match 10"]} | errors)
+    header, first, second = on_screen(table).splitlines()
+    assert max(map(len, (header, first, second))) <= 120
+    assert header.split()[:5] == ["sim.angle_deg", "method", "runs", "refusals", "t_d_error_ms"]
+    assert first.split() == ["30", "tangency-known", "10", "0", *["1.23±0.23", "1.2"] * 3]
+    assert second.split() == ["150", "ssac", "10", "no_match", "10"]
 
 
 # --- Commands made of studies ---

@@ -1,4 +1,4 @@
-"""Checksums of results: as sha256sum reads them, kept for files that were not written again."""
+"""Files of results: their checksums as sha256sum reads them, and which code made them."""
 
 import subprocess
 from concurrent.futures import ThreadPoolExecutor
@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from experiments.lab import provenance
 from experiments.lab.files import SUMS_FILE, read_checksums, record_checksums, sha256
 from ssac.errors import SsacError
 
@@ -21,6 +22,8 @@ def test_a_file_and_its_provenance_are_noted_and_the_others_stay(tmp_path: Path)
     written(tmp_path, "a.provenance.json", "{}")
     record_checksums(tmp_path, [table])
     assert list(read_checksums(tmp_path)) == ["a.csv", "a.provenance.json"]
+    command = ["sha256sum", "--check", SUMS_FILE]
+    assert subprocess.run(command, cwd=tmp_path, capture_output=True, check=False).returncode == 0
     before = read_checksums(tmp_path)["a.csv"]
     written(tmp_path, "a.csv", "2")  # by hand
     record_checksums(tmp_path, [written(tmp_path, "b.png", "3")])
@@ -28,14 +31,6 @@ def test_a_file_and_its_provenance_are_noted_and_the_others_stay(tmp_path: Path)
     table.unlink()
     record_checksums(tmp_path, [tmp_path / "b.png"])
     assert "a.csv" not in read_checksums(tmp_path)
-
-
-def test_sha256sum_takes_them(tmp_path: Path) -> None:
-    record_checksums(tmp_path, [written(tmp_path, name, name) for name in ("b", "a")])
-    done = subprocess.run(
-        ["sha256sum", "--check", SUMS_FILE], cwd=tmp_path, capture_output=True, check=False
-    )
-    assert done.returncode == 0
 
 
 def test_commands_that_write_at_once_lose_no_note(tmp_path: Path) -> None:
@@ -52,3 +47,33 @@ def test_a_line_that_is_none_is_an_error(tmp_path: Path, line: str) -> None:
         read_checksums(tmp_path)
     with pytest.raises(SsacError, match="cannot be read"):
         read_checksums(tmp_path / "none")
+
+
+def test_changed_code_makes_the_commit_dirty_and_results_that_are_being_made_do_not(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setattr(provenance, "_ROOT", tmp_path)
+    monkeypatch.setenv("GIT_CEILING_DIRECTORIES", str(tmp_path.parent))
+    assert provenance.code_commit() == "unknown"
+
+    def git(*arguments):
+        identity = ("-c", "user.name=a", "-c", "user.email=a@b", "-c", "commit.gpgsign=false")
+        subprocess.run(["git", *identity, *arguments], cwd=tmp_path, check=True)
+
+    (tmp_path / "results").mkdir()
+    for name in ("code.py", "results/table.csv"):
+        (tmp_path / name).write_text("1\n")
+    git("init", "-q")
+    git("add", ".")
+    git("commit", "-q", "-m", "x")
+    commit = provenance.code_commit()
+    assert len(commit) == 12
+    (tmp_path / "results" / "table.csv").write_text("2\n")
+    (tmp_path / "untracked.txt").write_text("3\n")
+    assert provenance.code_commit() == commit
+    (tmp_path / "code.py").write_text("2\n")
+    assert provenance.code_commit() == f"{commit}-dirty"
+
+
+def test_a_provenance_names_the_processor_which_decides_the_last_digits():
+    assert provenance.provenance("ssac tables", {}, 1.0, None)["processor"]

@@ -1,6 +1,7 @@
 """Grids: what a TOML may hold, and the cells that it stands for."""
 
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,6 @@ from experiments.lab.grid import (
     named_config,
 )
 from experiments.lab.schedule import Workers, run_cells
-from sim.errors import SimError
 from sim.recording import SimConfig
 from sim.sensor.events import PRESETS
 from sim.sensor.frames import FrameConfig
@@ -28,6 +28,7 @@ from ssac.files.hdf5 import load_events_h5
 from ssac.pipeline.registry import METHODS
 from ssac.track.observation import Observation
 
+TABLES = ("esim_10", "esim_20")
 SMALL = {
     "flights": 2,
     "methods": ["ssac", "zncc_e"],
@@ -38,15 +39,12 @@ SMALL = {
 
 
 def test_the_tables_are_the_papers_grid():
-    cells = [cell for name in ("esim_10", "esim_20") for cell in named_config(name).cells()]
-    assert {cell.method for cell in cells} == set(METHODS)
-    for method in METHODS:
-        of_method = [cell for cell in cells if cell.method == method]
-        assert len(of_method) == 900
-        assert {cell.sim.spline.duration_s for cell in of_method} == {10.0, 20.0}
-        assert {cell.sim.angle_deg for cell in of_method} == {30.0, 60.0, 90.0, 120.0, 150.0}
-        assert {cell.t_d_s for cell in of_method} == {0.005, 0.05, 0.5}
-        assert {cell.flight for cell in of_method} == set(range(30))
+    cells = [cell for name in TABLES for cell in named_config(name).cells()]
+    at = product((10.0, 20.0), (30.0, 60.0, 90.0, 120.0, 150.0), (0.005, 0.05, 0.5), range(30))
+    assert sorted(
+        (cell.sim.spline.duration_s, cell.sim.angle_deg, cell.t_d_s, cell.flight, cell.method)
+        for cell in cells
+    ) == sorted((*where, method) for where in at for method in METHODS)
     # 300 recordings: offsets and methods share theirs.
     assert len({(cell.sim, cell.seed) for cell in cells}) == 300
     for cell in cells:
@@ -69,25 +67,28 @@ def test_no_two_flights_that_are_called_independent_are_one():
     }
     assert len(flights) >= 2 * 5 * 30 + 5 * 20  # tables, coverage
     assert len(set(flights.values())) == len(flights)
+    tables = {cell.seed for name in TABLES for cell in named_config(name).cells()}
+    assert len(tables) == 300
+    assert not tables & {cell.seed for cell in named_config("coverage").cells()}
 
 
-def test_studies_of_fresh_flights_have_none_of_the_tables_or_of_each_other():
-    groups = [("esim_10", "esim_20"), ("coverage",)]
-    seeds = [{cell.seed for name in names for cell in named_config(name).cells()}
-             for names in groups]  # fmt: skip
-    assert len(seeds[0]) == 300
-    assert len(set().union(*seeds)) == sum(map(len, seeds))
-
-
-def test_a_seed_depends_on_nothing_else():
+def test_cells_of_one_recording_differ_in_nothing_that_is_simulated():
     """So that offsets, methods and values of a parameter are compared on the same flights."""
-    content = SMALL | {"together": {"c": {"ssac": {"n_min": [1, 2]}, "sim": {"focal_px": [1, 2]}}}}
-    cells = grid_from_content("small", content).cells()
-    places = {(cell.sim.angle_deg, cell.flight) for cell in cells}
+    cells = grid_from_content("small", SMALL).cells()
+    assert len(cells) == 2 * 2 * 2 * 2
+    assert all(cell.sim.t_d_s == 0.0 for cell in cells)
+    assert len({cell.sim for cell in cells}) == 2
+    first = cells[0]
+    assert (first.method, first.flight, first.t_d_s) == ("ssac", 0, 0.005)
+    parameters = {"sim.spline.duration_s": 10, "sim.angle_deg": 30, "sim.t_d_s": 0.005}
+    assert first.parameters == parameters
+    assert first.estimator.interval_s == (-0.995, 1.005)
+    together = {"together": {"c": {"ssac": {"n_min": [1, 2]}, "sim": {"focal_px": [1, 2]}}}}
+    cells = grid_from_content("small", SMALL | together).cells()
     assert {(cell.sim.angle_deg, cell.flight, cell.seed) for cell in cells} == {
-        (angle_deg, flight, flight_seed(10.0, angle_deg, flight)) for angle_deg, flight in places
-    }
-    assert len(places) == 4
+        (angle_deg, flight, flight_seed(10.0, angle_deg, flight))
+        for angle_deg in (30.0, 90.0) for flight in (0, 1)
+    }  # fmt: skip
 
 
 @pytest.mark.render
@@ -120,22 +121,6 @@ def test_a_row_is_of_the_recording_that_ssac_simulate_makes_of_its_columns(tmp_p
         assert np.array_equal(simulated.events, cached.delayed(t_d_s).events)
 
 
-@pytest.mark.parametrize("name", config_names("ablation_"))
-def test_an_ablation_varies_what_its_figure_shows_over_enough_values(name):
-    grid = named_config(name)
-    cells = grid.cells()
-    assert grid.figure is not None
-    assert grid.figure.x in grid.varied
-    values = {str(cell.parameters[grid.figure.x]) for cell in cells}
-    of_estimator = name in ("ablation_window", "ablation_n_min", "ablation_samples")
-    of_scene = name in ("ablation_rotors", "ablation_brightness")  # at one angle
-    pictures = name == "ablation_background"  # a line each, over the angle
-    assert len(values) >= (7 if of_estimator else 3 if pictures else 5)
-    assert len({cell.sim.angle_deg for cell in cells}) >= (1 if of_scene else 3)
-    uses_tables = of_estimator or name == "ablation_angle"
-    assert grid.flights >= 10 if uses_tables else grid.flights >= 1
-
-
 def test_a_file_of_the_project_is_found_from_any_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     files = {file for cell in named_config("ablation_background").cells()
@@ -146,39 +131,17 @@ def test_a_file_of_the_project_is_found_from_any_folder(tmp_path, monkeypatch):
 
 
 def test_ablations_of_the_estimator_use_the_recordings_of_the_tables():
-    of_tables = {(cell.sim, cell.seed) for cell in named_config("esim_20").cells()}
-    of_tables |= {(cell.sim, cell.seed) for cell in named_config("esim_10").cells()}
+    def recordings(*names):
+        return {(cell.sim, cell.seed) for name in names for cell in named_config(name).cells()}
+
+    of_tables = recordings(*TABLES)
     for name in ("window", "n_min", "samples", "angle"):
-        cells = named_config(f"ablation_{name}").cells()
-        assert {(cell.sim, cell.seed) for cell in cells} <= of_tables
-
-
-def test_the_noisy_tables_have_the_preset_and_are_the_same_cells_otherwise():
-    grid = named_config("ablation_davis346")
-    noisy = {(cell.sim, cell.seed) for cell in grid.cells()}
-    ideal = {
-        (replace(cell.sim, frames=FrameConfig(rate_hz=0.0), sensor=PRESETS["davis346"]), cell.seed)
-        for name in ("esim_10", "esim_20")
-        for cell in named_config(name).cells()
-        if cell.flight < grid.flights
-    }
-    assert noisy == ideal
-
-
-def test_cells_of_one_recording_differ_in_nothing_that_is_simulated():
-    cells = grid_from_content("small", SMALL).cells()
-    assert len(cells) == 2 * 2 * 2 * 2
-    assert all(cell.sim.t_d_s == 0.0 for cell in cells)
-    assert len({cell.sim for cell in cells}) == 2
-    first = cells[0]
-    assert (first.method, first.flight, first.t_d_s) == ("ssac", 0, 0.005)
-    assert first.seed == flight_seed(10, 30, 0)
-    assert first.parameters == {
-        "sim.spline.duration_s": 10,
-        "sim.angle_deg": 30,
-        "sim.t_d_s": 0.005,
-    }
-    assert first.estimator.interval_s == (-0.995, 1.005)
+        assert recordings(f"ablation_{name}") <= of_tables
+    flights = named_config("ablation_davis346").flights
+    noisy = {"frames": FrameConfig(rate_hz=0.0), "sensor": PRESETS["davis346"]}
+    cells = [cell for name in TABLES for cell in named_config(name).cells()]
+    ideal = {(replace(one.sim, **noisy), one.seed) for one in cells if one.flight < flights}
+    assert recordings("ablation_davis346") == ideal
 
 
 def test_parameters_reach_the_field_that_they_name():
@@ -244,24 +207,21 @@ def test_what_makes_no_sense_is_an_error_that_says_so(change, message):
         grid_from_content("small", SMALL | change)
 
 
-def test_a_value_that_the_simulator_refuses_names_the_file(tmp_path):
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (b"[fixed]\nsim.spline.duration_s = -1\n", "duration_s must be a positive number"),
+        (b"title = \n", "cannot be read as TOML"),
+        (b'title = "\xff"\n', "cannot be read as TOML: .* can't decode"),
+        (None, "cannot be read as TOML"),
+    ],
+    ids=["simulator", "syntax", "no text", "no file"],
+)
+def test_what_is_wrong_with_a_file_names_it(tmp_path, text, message):
     path = tmp_path / "bad.toml"
-    path.write_text("[fixed]\nsim.spline.duration_s = -1\n")
-    with pytest.raises(SsacError, match=r"bad\.toml: duration_s must be a positive number"):
-        load_config(path)
-    with pytest.raises(SimError):
-        configs_of({"sim.spline.duration_s": -1.0})
-
-
-def test_a_file_that_is_no_toml_names_the_file(tmp_path):
-    path = tmp_path / "bad.toml"
-    path.write_text("title = \n")
-    with pytest.raises(SsacError, match=r"bad\.toml: cannot be read as TOML"):
-        load_config(path)
-    with pytest.raises(SsacError, match=r"none\.toml: cannot be read as TOML"):
-        load_config(tmp_path / "none.toml")
-    path.write_bytes(b'title = "\xff"\n')
-    with pytest.raises(SsacError, match=r"bad\.toml: cannot be read as TOML: .* can't decode"):
+    if text is not None:
+        path.write_bytes(text)
+    with pytest.raises(SsacError, match=rf"bad\.toml: {message}"):
         load_config(path)
 
 

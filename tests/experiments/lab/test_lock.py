@@ -1,20 +1,17 @@
 """Locks: one holder at a time, taken over from those that are gone, given back to nobody else."""
 
 import os
+import socket
 import subprocess
 import sys
 import time
 from contextlib import suppress
-from functools import partial
 from pathlib import Path
 
 import pytest
 
-from experiments.lab import lock
-from experiments.lab.lock import claimed, remove_lapsed
-from experiments.lab.pool import Processes
-from tests.experiments.lab import jobs
-from tests.experiments.lab.jobs import work_off
+from experiments.lab import cache
+from experiments.lab.cache import claimed, remove_lapsed
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -29,8 +26,6 @@ def write_elsewhere(path: Path) -> str:
     with claimed(path) as is_ours:
         assert is_ours
         mine = path.read_text()
-    import socket
-
     text = mine.replace(socket.gethostname(), "elsewhere")
     assert text != mine
     path.write_text(text)
@@ -48,15 +43,6 @@ def test_one_holds_it_at_a_time_and_gives_it_back(path):
         assert again
         raise ValueError("whatever it is")
     assert list(path.parent.iterdir()) == []
-
-
-def test_two_processes_share_what_is_to_be_made(tmp_path):
-    names = [f"file{number}" for number in range(40)]
-    with Processes(2) as pool:
-        found = work_off(pool, [partial(jobs.make_each_once, tmp_path, names)] * 2)
-    assert [one.error for one in found.values()] == [None, None]
-    assert sorted((tmp_path / "log").read_text().split()) == sorted(names)
-    assert {path.name for path in tmp_path.iterdir()} == {"log", *names}
 
 
 def test_what_a_killed_process_held_is_free_at_once(path):
@@ -84,37 +70,36 @@ def test_what_a_killed_process_held_is_free_at_once(path):
 
 
 def test_a_holder_elsewhere_keeps_it_until_it_is_silent_for_long(path, monkeypatch):
-    monkeypatch.setattr(lock, "LAPSES_S", 1.5)
+    monkeypatch.setattr(cache, "LAPSES_S", 1.5)
     text = write_elsewhere(path)
+
+    def is_free() -> bool:
+        with claimed(path) as is_ours:
+            return is_ours
+
     begun_s = time.monotonic()
     while time.monotonic() < begun_s + 1.0:
-        with claimed(path) as is_ours:
-            assert not is_ours
+        assert not is_free()
         time.sleep(0.2)
     assert path.read_text() == text
     os.utime(path)  # a sign of life
-    with claimed(path) as is_ours:
-        assert not is_ours
+    assert not is_free()
     time.sleep(1.0)
-    with claimed(path) as is_ours:
-        assert not is_ours
+    assert not is_free()
     time.sleep(1.0)
-    with claimed(path) as is_ours:
-        assert is_ours
+    assert is_free()
     assert list(path.parent.iterdir()) == []
 
 
-def test_a_holder_is_not_silent(path, monkeypatch):
-    monkeypatch.setattr(lock, "LAPSES_S", 0.6)
+def test_a_holder_is_not_silent_and_does_not_give_back_the_lock_of_another(path, monkeypatch):
+    monkeypatch.setattr(cache, "LAPSES_S", 0.6)
     with claimed(path):
         before = path.stat().st_mtime_ns
         time.sleep(1.5)
         assert path.stat().st_mtime_ns > before
         with claimed(path) as is_ours:
             assert not is_ours
-
-
-def test_who_lost_it_does_not_give_back_the_lock_of_another(path):
+    monkeypatch.undo()
     with claimed(path):
         path.unlink()
         text = write_elsewhere(path)

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from experiments.lab import scored
-from experiments.lab.cache import Cache
+from experiments.lab.cache import Cache, save_sums
 from experiments.lab.grid import Cell, flight_seed
-from experiments.lab.health import save_sums
 from experiments.lab.scored import GUARDED, is_guarded, load_recorded, scored_row
 from sim.recording import SimConfig
 from ssac.config import Config

@@ -1,112 +1,102 @@
-"""A study from its cells to its files: resumed, in shards, with crashes; no OpenGL.
+"""Cells to rows to files: resumed, in shards, with crashes, with others on it, with deaths.
 
-The study counts letters: what is tested is the bookkeeping.
+Real processes that share a cache or die are in `tests/experiments/sweep`.
 """
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from concurrent.futures import Future
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 import pytest
-from matplotlib.figure import Figure
 from typer.testing import CliRunner
 
 from experiments import commands
 from experiments.cli import app
+from experiments.lab import schedule, task
 from experiments.lab import study as module
-from experiments.lab import task
-from experiments.lab.cache import Cache
-from experiments.lab.cell import Measure
+from experiments.lab.cache import Cache, claimed
+from experiments.lab.cell import CRASHED, Measure
 from experiments.lab.files import SUMS_FILE, csv_text, read_table
-from experiments.lab.schedule import Workers
-from experiments.lab.study import Made, Runs, Study, check_runs, numbered, run_study
+from experiments.lab.pool import DiedError, Pool, Processes
+from experiments.lab.schedule import MAX_DEATHS, Workers, run_cells
+from experiments.lab.study import Runs, check_runs, numbered, run_study
+from experiments.lab.task import Task, recordings_key
 from sim.recording import SimConfig
 from ssac.cli.exits import BUG
 from ssac.errors import SsacError
+from tests.experiments.lab.squares import SQUARES, SquareCell, SquareRow
+from tests.left_over import ended_process, made_by
 
-WORDS = ("one", "two", "three", "four")
+NUMBERS = range(4)
+LOADED: list[int] = []  # numbers whose recordings were loaded
+FAULTS: dict[str, BaseException] = {}  # what is raised, by "number 3" or "power 2"
 
 
 @dataclass(frozen=True)
-class WordCell:
-    word: str
-    letter: str
+class PowerCell(SquareCell):
+    """A power of a number, over 7; each number is a recording."""
+
+    power: int
 
     @property
     def recordings(self) -> tuple[Any, ...]:
-        return ((SimConfig(), WORDS.index(self.word)),)
+        return ((SimConfig(), self.number),)
 
     @property
     def columns(self) -> dict[str, Any]:
-        return {"word": self.word, "sizes": [len(self.word), 1], "letter": self.letter}
+        return {**super().columns, "power": self.power}
 
     @property
-    def inputs(self) -> str:
-        return self.letter
+    def inputs(self) -> int:
+        return self.power
 
 
-@dataclass(frozen=True)
-class WordRow:
-    status: str
-    reason: str = ""
-    count: int = 0
-    share: float = np.nan
+def load_number(cells: Sequence[PowerCell], _: Cache) -> int:
+    number = cells[0].number
+    LOADED.append(number)
+    if f"number {number}" in FAULTS:
+        raise FAULTS[f"number {number}"]
+    return number
 
 
-LOADED: list[str] = []
-FAULTS: dict[str, BaseException] = {}
+def power_row(cell: PowerCell, number: int) -> SquareRow:
+    if f"power {cell.power}" in FAULTS:
+        raise FAULTS[f"power {cell.power}"]
+    return SquareRow("ok", "", number**cell.power / 7)
 
 
-def load_word(cells: Sequence[WordCell], _: Cache) -> str:
-    word = cells[0].word
-    LOADED.append(word)
-    if word in FAULTS:
-        raise FAULTS[word]
-    return word
-
-
-def count_row(cell: WordCell, word: str) -> WordRow:
-    if cell.letter in FAULTS:
-        raise FAULTS[cell.letter]
-    count = word.count(cell.letter)
-    return WordRow("ok", "", count, count / 3 / len(word))
-
-
-def word_cells() -> list[WordCell]:
-    return [WordCell(word, letter) for letter in "eo" for word in WORDS]
-
-
-def sums(runs: pd.DataFrame) -> pd.DataFrame:
-    ok = runs[runs["status"] == "ok"]
-    return ok.groupby("letter", as_index=False)[["count", "share"]].sum()
-
-
-STUDY = Study(
-    "words", "Letters of words", word_cells, Measure(load_word, count_row, WordRow),
-    Runs("words_runs.csv", ("word", "letter")),
-    (
-        Made("words.csv", lambda results: sums(results.table("words_runs"))),
-        Made("words.png", lambda _: Figure()),
-    ),
-    config={"words": WORDS},
+CELLS = [PowerCell(number, power) for power in (1, 2) for number in NUMBERS]
+VALUES = [cell.number**cell.power / 7 for cell in CELLS]
+MEASURE = Measure(load_number, power_row, SquareRow)
+STUDY = replace(
+    SQUARES, cells=lambda: CELLS, measure=MEASURE, config={"powers": (1, 2)},
+    runs=Runs("squares_runs.csv", ("number", "power")),
 )  # fmt: skip
-
-CELLS = word_cells()
 
 
 @pytest.fixture(autouse=True)
 def no_gl(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Words need no recordings, so no OpenGL, and stand in no module of ours."""
+    """Numbers need no recordings, so no OpenGL, and stand in no module of ours."""
     LOADED.clear()
     FAULTS.clear()
     monkeypatch.setattr(task, "recording_key", lambda sim, seed: f"recording {seed}")
     monkeypatch.setattr(task, "run_key", lambda *parts: str(abs(hash(parts))))
     monkeypatch.setattr(module, "context_or_none", lambda: None)
-    monkeypatch.setattr(commands, "all_studies", lambda: {"words": STUDY})
+    monkeypatch.setattr(commands, "all_studies", lambda: {"squares": STUDY})
+
+
+def run(cache: Path) -> Any:
+    return run_study(STUDY, Cache(cache), Workers(1))
+
+
+def values(outcome: Any) -> list[float]:
+    """Values of all rows, in the order of the cells."""
+    return outcome.runs["square"].tolist()
 
 
 def study(*arguments: object) -> Any:
@@ -114,134 +104,255 @@ def study(*arguments: object) -> Any:
     return CliRunner().invoke(app, line, catch_exceptions=False)
 
 
+# --- Files ---
+
+
 def test_every_cell_is_a_row_and_the_files_follow_from_it(tmp_path: Path) -> None:
-    result = study("words", "--out", tmp_path, "--cache", tmp_path / "cache")
+    result = study("squares", "--out", tmp_path, "--cache", tmp_path / "cache")
     assert result.exit_code == 0, result.output
-    assert {path.name for path in tmp_path.iterdir() if path.is_file()} == {
-        "words_runs.csv", "words_runs.provenance.json", "words.csv", "words.provenance.json",
-        "words.png", SUMS_FILE,
-    }  # fmt: skip
-    text = (tmp_path / "words_runs.csv").read_text()
-    first, second, *_ = text.splitlines()
-    assert first == "cell,word,sizes,letter,status,reason,count,share"
-    assert second == '0,one,"[3, 1]",e,ok,,1,0.111111'
-    summary = (tmp_path / "words.csv").read_text()
-    assert summary.splitlines()[1] == "e,3,0.244444"
-    content = json.loads((tmp_path / "words_runs.provenance.json").read_text())
-    assert content["command"] == "ssac study words"
-    assert content["config"] == {"study": "words", "shard": "1/1", "words": list(WORDS)}
-
-
-def test_what_is_done_is_not_done_again(tmp_path: Path) -> None:
-    first = run_study(STUDY, Cache(tmp_path), Workers(1))
-    assert sorted(LOADED) == sorted(WORDS)  # each once, for both letters
-    LOADED.clear()
-    again = run_study(STUDY, Cache(tmp_path), Workers(1))
-    assert LOADED == []
-    pd.testing.assert_frame_equal(first.runs, again.runs)
-
-
-def test_an_interrupted_study_goes_on_where_it_was(tmp_path: Path) -> None:
-    FAULTS["three"] = KeyboardInterrupt()
-    with pytest.raises(KeyboardInterrupt):
-        run_study(STUDY, Cache(tmp_path), Workers(1))
-    done = LOADED[:-1]
-    assert LOADED[-1] == "three"
-    assert done
-    FAULTS.clear()
-    LOADED.clear()
-    runs = run_study(STUDY, Cache(tmp_path), Workers(1)).runs
-    assert sorted(LOADED) == sorted(set(WORDS) - set(done))
-    assert list(runs["status"]) == ["ok"] * 8
-
-
-def test_a_crash_is_a_row_and_leaves_the_others(tmp_path: Path) -> None:
-    FAULTS["e"] = RuntimeError("a bug")
-    FAULTS["two"] = SsacError("unreadable")
-    runs = run_study(STUDY, Cache(tmp_path), Workers(1)).runs.set_index(["word", "letter"])
-    assert len(runs) == 8
-    assert runs.loc[("one", "e"), "status"] == "crashed"
-    assert runs.loc[("one", "e"), "reason"] == "e: RuntimeError: a bug"
-    assert runs.loc[("one", "o"), "status"] == "ok"
-    assert list(runs.loc["two", "status"]) == ["unusable"] * 2
-    # Crashed cells are tried again, and no others.
-    FAULTS.clear()
-    LOADED.clear()
-    again = run_study(STUDY, Cache(tmp_path), Workers(1)).runs.set_index(["word", "letter"])
-    assert sorted(LOADED) == ["four", "one", "three"]
-    assert (again.loc[("one", "e"), "status"], again.loc[("two", "e"), "status"]) == (
-        "ok", "unusable",
-    )  # fmt: skip
-
-
-def test_a_crashed_run_makes_the_command_fail(tmp_path: Path) -> None:
-    FAULTS["o"] = RuntimeError("a bug")
-    result = study("words", "--out", tmp_path, "--cache", tmp_path / "cache")
-    assert result.exit_code == BUG
-    assert (pd.read_csv(tmp_path / "words_runs.csv")["status"] == "crashed").sum() == 4
+    names = {path.name for path in tmp_path.iterdir() if path.is_file()}
+    assert names == {*STUDY.files, *STUDY.provenances, SUMS_FILE}
+    first, second, third, *_ = (tmp_path / "squares_runs.csv").read_text().splitlines()
+    assert first == "cell,number,pair,power,status,reason,square"
+    assert second == '0,0,"[0, 1]",1,ok,,0'
+    assert third == '1,1,"[1, 1]",1,ok,,0.142857'
+    assert (tmp_path / "squares.csv").read_text().splitlines()[1] == "low,0.428571"
+    content = json.loads((tmp_path / "squares_runs.provenance.json").read_text())
+    assert content["command"] == "ssac study squares"
+    assert content["config"] == {"study": "squares", "shard": "1/1", "powers": [1, 2]}
 
 
 @pytest.mark.parametrize("n_shards", [1, 2, 3, 5])
 def test_shards_are_a_partition_that_splits_no_recording(n_shards: int) -> None:
-    shards = [numbered(word_cells(), (index + 1, n_shards)) for index in range(n_shards)]
+    shards = [numbered(CELLS, (index + 1, n_shards)) for index in range(n_shards)]
     assert sorted(number for shard in shards for number, _ in shard) == list(range(8))
-    words = [{cell.word for _, cell in shard} for shard in shards]
-    assert sum(map(len, words)) == 4
+    assert sum(len({cell.number for _, cell in shard}) for shard in shards) == 4
 
 
 def test_merged_shards_are_the_same_bytes(tmp_path: Path) -> None:
     whole = tmp_path / "whole"
-    assert study("words", "--out", whole, "--cache", tmp_path / "cache").exit_code == 0
+    assert study("squares", "--out", whole, "--cache", tmp_path / "cache").exit_code == 0
     parts = []
     for index in (1, 2, 3):
         folder = tmp_path / f"part{index}"
-        done = study("words", "--out", folder, "--cache", folder, "--shard", f"{index}/3")
+        done = study("squares", "--out", folder, "--cache", folder, "--shard", f"{index}/3")
         assert done.exit_code == 0
-        assert not (folder / "words.csv").exists()
-        parts.append(folder / "words_runs.csv")
-    out = tmp_path / "merged" / "words_runs.csv"
-    arguments = ["merge", str(out), *map(str, reversed(parts))]
-    result = CliRunner().invoke(app, arguments, catch_exceptions=False)
-    assert result.exit_code == 0, result.output
-    for name in ("words_runs.csv", "words.csv", "words.png"):
+        assert not (folder / "squares.csv").exists()
+        parts.append(folder / "squares_runs.csv")
+
+    def merge(out: Path, *shards: Path) -> str:
+        result = CliRunner().invoke(app, ["merge", str(out), *map(str, shards)])
+        return str(result.exception or "")
+
+    out = tmp_path / "merged" / "squares_runs.csv"
+    assert merge(out, *reversed(parts)) == ""
+    for name in ("squares_runs.csv", "squares.csv", "squares.png"):
         assert (out.parent / name).read_bytes() == (whole / name).read_bytes(), name
-    assert (out.parent / "words.provenance.json").is_file()
-    missing = CliRunner().invoke(app, ["merge", str(out), *map(str, parts[:2])])
-    assert "2 of 8 cells are in none of the shards" in str(missing.exception)
-    other = CliRunner().invoke(app, ["merge", str(tmp_path / "x.csv"), *map(str, parts)])
-    assert "are named words_runs.csv" in str(other.exception)
+    merged = json.loads((out.parent / "squares.provenance.json").read_text())
+    assert [one["config"]["shard"] for one in merged["shards"]] == ["3/3", "2/3", "1/3"]
+
+    x = tmp_path / "x" / "squares_runs.csv"
+    assert "2 of 8 cells are in none of the shards" in merge(x, *parts[:2])
+    assert "cell 0 is in" in merge(x, parts[0], parts[0])
+    assert "are named squares_runs.csv" in merge(tmp_path / "x.csv", *parts)
+    content = json.loads(parts[1].with_suffix(".provenance.json").read_text())
+    text = parts[1].read_text()
+    for new, config, said in (
+        (text, {"powers": [3]}, "is of another grid"),
+        (text.replace("square", "worth", 1), {}, "has other columns"),
+        ("", {}, "is empty: run this shard again"),
+        (f"{text}-1,x\n", {}, "a row begins with '-1', no cell's number"),
+    ):
+        parts[1].write_text(new)
+        changed = content | {"config": content["config"] | config}
+        parts[1].with_suffix(".provenance.json").write_text(json.dumps(changed))
+        assert said in merge(x, *parts)
+    parts[1].with_suffix(".provenance.json").unlink()
+    assert "expected squares_runs.provenance.json beside it" in merge(x, *parts)
+    assert not x.exists()
 
 
 def test_gaps_in_the_runs_are_found(tmp_path: Path) -> None:
-    runs = read_table(csv_text(run_study(STUDY, Cache(tmp_path), Workers(1)).runs))
+    runs = read_table(csv_text(run(tmp_path).runs))
     check_runs(STUDY, runs, CELLS)
-    with pytest.raises(SsacError, match="the cells 0 to 7 in order, got 7 rows"):
-        check_runs(STUDY, runs.drop(index=3), CELLS)
-    with pytest.raises(SsacError, match="the cells 0 to 7 in order"):
-        check_runs(STUDY, runs.iloc[[1, 0, *range(2, 8)]], CELLS)
-    with pytest.raises(SsacError, match=r"row 2 is of .*'word': 'one'"):
-        check_runs(STUDY, runs.assign(word=runs["word"].replace("three", "one")), CELLS)
-    with pytest.raises(SsacError, match="row 0 is of"):
-        check_runs(STUDY, runs.assign(sizes="[1, 1]"), CELLS)
-    with pytest.raises(SsacError, match="no columns letter"):
-        check_runs(STUDY, runs.drop(columns="letter"), CELLS)
+    for damaged, said in (
+        (runs.drop(index=3), "the cells 0 to 7 in order, got 7 rows"),
+        (runs.iloc[[1, 0, *range(2, 8)]], "the cells 0 to 7 in order"),
+        (runs.assign(number=runs["number"].replace(2, 0)), r"row 2 is of .*'number': 0"),
+        (runs.assign(pair="[1, 1]"), "row 0 is of"),
+        (runs.drop(columns="power"), "no columns power"),
+    ):
+        with pytest.raises(SsacError, match=said):
+            check_runs(STUDY, damaged, CELLS)
 
 
-def test_a_summary_that_needs_another_file_says_so_before_the_work(
+def test_the_command_refuses_before_the_work(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    needy = Study(**{**vars(STUDY), "reads": ("runs.csv",)})
-    monkeypatch.setattr(commands, "all_studies", lambda: {"words": needy})
-    with pytest.raises(SsacError, match=r"`ssac study words` needs runs.csv in "):
-        study("words", "--out", tmp_path, "--cache", tmp_path / "cache")
+    assert study("--list").output.split() == ["squares", "Squares", "of", "numbers"]
+    needy = replace(STUDY, reads=("runs.csv",))
+    monkeypatch.setattr(commands, "all_studies", lambda: {"squares": needy})
+    for words, said in (
+        (("roots",), "unknown study 'roots': use one of squares"),
+        ((), "name a study: squares"),
+        *((("squares", "--shard", text), "--shard: expected i/n")
+          for text in ("0/2", "3/2", "1", "a/b", "-1/2")),
+        (("squares", "--out", tmp_path), "`ssac study squares` needs runs.csv in "),
+    ):  # fmt: skip
+        with pytest.raises(SsacError, match=said):
+            study(*words)
     assert LOADED == []
 
 
-def test_the_command_lists_studies_and_knows_no_others() -> None:
-    assert study("--list").output.split() == ["words", "Letters", "of", "words"]
-    with pytest.raises(SsacError, match="unknown study 'letters': use one of words"):
-        study("letters")
-    with pytest.raises(SsacError, match="name a study: words"):
-        study()
-    with pytest.raises(SsacError, match="--shard: expected i/n"):
-        study("words", "--shard", "3/2")
+# --- What is done, and what is left ---
+
+
+def test_what_is_done_is_not_done_again_and_an_interrupted_study_goes_on(tmp_path: Path) -> None:
+    FAULTS["number 2"] = KeyboardInterrupt()
+    with pytest.raises(KeyboardInterrupt):
+        run(tmp_path)
+    assert LOADED == [0, 1, 2]
+    FAULTS.clear()
+    LOADED.clear()
+    first = run(tmp_path)
+    assert LOADED == [2, 3]  # each once, for both powers
+    assert values(first) == VALUES
+    assert list(first.runs["status"]) == ["ok"] * 8
+    LOADED.clear()
+    pd.testing.assert_frame_equal(first.runs, run(tmp_path).runs)
+    assert LOADED == []
+
+
+def test_a_crash_is_a_row_that_is_tried_again_and_leaves_the_others(tmp_path: Path) -> None:
+    FAULTS["power 2"] = RuntimeError("a bug")
+    FAULTS["number 1"] = SsacError("unreadable")
+    runs = run(tmp_path).runs.set_index(["number", "power"])
+    assert len(runs) == 8
+    assert runs.loc[(0, 2), "status"] == CRASHED
+    assert runs.loc[(0, 2), "reason"] == "2: RuntimeError: a bug"
+    assert runs.loc[(0, 1), "status"] == "ok"
+    assert list(runs.loc[1, "status"]) == ["unusable"] * 2
+    FAULTS.clear()
+    LOADED.clear()
+    for loaded in ([0, 2, 3], []):
+        again = run(tmp_path).runs.set_index(["number", "power"])["status"]
+        assert loaded == LOADED
+        assert (again[0, 2], again[1, 2]) == ("ok", "unusable")
+        LOADED.clear()
+
+
+def test_a_crashed_run_makes_the_command_fail(tmp_path: Path) -> None:
+    FAULTS["power 1"] = RuntimeError("a bug")
+    result = study("squares", "--out", tmp_path, "--cache", tmp_path / "cache")
+    assert result.exit_code == BUG
+    assert (pd.read_csv(tmp_path / "squares_runs.csv")["status"] == "crashed").sum() == 4
+
+
+def test_what_killed_runs_left_is_removed(tmp_path):
+    ended = ended_process()
+    recordings, runs = tmp_path / "recordings", tmp_path / "runs"
+    (recordings / "whole").mkdir(parents=True)
+    (runs / "ab").mkdir(parents=True)
+    left = made_by(recordings / "half", ended)
+    left.mkdir()
+    (left / "cam1.h5").touch()
+    made_by(runs / "ab" / "abc.json", ended).touch()
+    run(tmp_path)
+    assert [path.name for path in recordings.iterdir()] == ["whole"]
+    assert not list(tmp_path.rglob(".*"))
+
+
+# --- Others on it, and workers that die ---
+
+
+def test_what_another_run_is_on_comes_last_and_is_not_done_twice(tmp_path, monkeypatch, capsys):
+    cache = Cache(tmp_path)
+    first = Task(tuple(cell for cell in CELLS if cell.number == 0))
+    with ExitStack() as other:
+        assert other.enter_context(claimed(cache.claim_of_runs(recordings_key(first))))
+
+        def sleep(_: float) -> None:
+            if 0 not in LOADED:  # the other run takes its time
+                assert LOADED == [1, 2, 3]  # all that is left is its
+                task.run_task(first, cache, MEASURE)
+                other.close()
+
+        monkeypatch.setattr(schedule, "ASK_AGAIN_S", 0.01)
+        monkeypatch.setattr(schedule.time, "sleep", sleep)
+        outcome = run(tmp_path)
+    assert values(outcome) == VALUES
+    assert sorted(LOADED) == [*NUMBERS]
+    assert not list(tmp_path.rglob("*.claim"))
+    assert "waiting for what another run is on: 1 recordings" in capsys.readouterr().err
+
+
+def test_what_another_run_gives_up_is_done_here(tmp_path, monkeypatch):
+    claim = Cache(tmp_path).claim_of_runs(recordings_key(Task((CELLS[0],))))
+    with ExitStack() as other:
+        other.enter_context(claimed(claim))
+        monkeypatch.setattr(schedule, "ASK_AGAIN_S", 0.01)
+        monkeypatch.setattr(schedule.time, "sleep", lambda _: other.close())
+        assert values(run(tmp_path)) == VALUES
+    assert LOADED == [1, 2, 3, 0]
+
+
+class Mortal(Pool):
+    """A pool of two that does its jobs here, and whose workers die when it is told."""
+
+    room = 2
+
+    def __init__(self, deaths: dict[int, int]) -> None:
+        self.deaths = dict(deaths)  # how often the recording of a number kills its worker
+        self.given: list[int] = []
+
+    def submit(self, job: Any) -> "Future[Any]":
+        number = job.args[0].cells[0].number
+        self.given.append(number)
+        if not self.deaths.get(number, 0):
+            return super().submit(job)
+        self.deaths[number] -= 1
+        future: Future[Any] = Future()
+        future.set_exception(DiedError("ended by SIGKILL"))
+        return future
+
+
+def test_a_worker_that_dies_once_costs_its_task_nothing_but_time(tmp_path, monkeypatch, capsys):
+    pool = Mortal({1: 1, 3: 1})
+    monkeypatch.setattr(schedule, "_pool", lambda *_: pool)
+    outcome = run(tmp_path)
+    assert values(outcome) == VALUES
+    assert (outcome.n_deaths, outcome.n_crashed) == (2, 0)
+    assert sorted(pool.given) == sorted([*NUMBERS, 1, 3])
+    said = capsys.readouterr().err
+    assert said.count("run again by a new one") == 2
+    assert "a worker ended by SIGKILL on the flight of 20 s at 90 deg with seed 1" in said
+
+
+def test_a_task_that_kills_all_its_workers_is_a_crash_and_the_others_go_on(
+    tmp_path, monkeypatch, capsys
+):
+    pool = Mortal({2: 100})
+    monkeypatch.setattr(schedule, "_pool", lambda *_: pool)
+    outcome = run(tmp_path)
+    assert pool.given.count(2) == MAX_DEATHS == outcome.n_deaths
+    crashed = outcome.runs["number"] == 2
+    expected = f"worker: DiedError: {MAX_DEATHS} workers died of it, the last one ended by SIGKILL"
+    assert set(outcome.runs[crashed]["status"]) == {CRASHED}
+    assert set(outcome.runs[crashed]["reason"]) == {expected}
+    assert set(outcome.runs[~crashed]["status"]) == {"ok"}
+    assert "given up" in capsys.readouterr().err
+    # It is not kept: the next run tries it again, and nothing else.
+    monkeypatch.undo()
+    monkeypatch.setattr(task, "recording_key", lambda sim, seed: f"recording {seed}")
+    monkeypatch.setattr(task, "run_key", lambda *parts: str(abs(hash(parts))))
+    LOADED.clear()
+    assert values(run(tmp_path)) == VALUES
+    assert LOADED == [2]
+
+
+def test_one_process_is_this_one_and_nothing_to_do_needs_none(tmp_path):
+    for workers, n in ((Workers(1), 5), (Workers(scheduler="tcp://127.0.0.1:9"), 0)):
+        assert type(schedule._pool(workers, n)) is Pool
+    # One task may take its worker down, but not this process with it.
+    assert isinstance(schedule._pool(Workers(2), 1), Processes)
+    assert len(run_cells([], Cache(tmp_path), measure=MEASURE).runs) == 0

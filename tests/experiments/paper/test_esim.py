@@ -1,3 +1,7 @@
+"""The paper's tables, made of runs: whole grids alone, in order, with failed runs counted."""
+
+from collections.abc import Sequence
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -9,7 +13,6 @@ from experiments.paper.esim import (
     esim_table,
     esim_tables,
     method_order,
-    missing_runs,
     ordered_runs,
     pose_methods,
     runs_from_csv,
@@ -18,54 +21,40 @@ from ssac.errors import SsacError
 from ssac.pipeline.registry import METHODS
 from tests.experiments.reported import made_up_runs
 
-
-@pytest.fixture(scope="module")
-def runs() -> pd.DataFrame:
-    return made_up_runs()
+RUNS = made_up_runs()
 
 
-def place(
-    runs: pd.DataFrame, method: str, duration_s: float = 10.0, angle_deg: float = 60.0,
-    t_d_ms: float = 50.0,
-) -> pd.Series:  # fmt: skip
-    """Which rows are the runs of a method in one cell of a table."""
-    return (
-        (runs["duration_s"] == duration_s)
-        & (runs["angle_deg"] == angle_deg)
-        & (runs["t_d_ms"] == t_d_ms)
-        & (runs["method"] == method)
-    )
+def place(runs: pd.DataFrame, method: str, flights: Sequence[int] = tuple(range(10))) -> pd.Series:
+    """Which rows are runs of a method in one cell of a table."""
+    of = {"duration_s": 10.0, "angle_deg": 60.0, "t_d_ms": 50.0, "method": method}
+    is_there = runs["flight"].isin(flights)
+    for name, value in of.items():
+        is_there &= runs[name] == value
+    return is_there
 
 
-def cell(table: pd.DataFrame, angle_deg: float = 60.0, t_d_ms: float = 50.0) -> pd.Series:
-    return table[(table["angle_deg"] == angle_deg) & (table["t_d_ms"] == t_d_ms)].iloc[0]
+def cell(table: pd.DataFrame) -> pd.Series:
+    return table[(table["angle_deg"] == 60.0) & (table["t_d_ms"] == 50.0)].iloc[0]
 
 
-def failing(runs: pd.DataFrame, rows: pd.Series) -> pd.DataFrame:
+def with_status(rows: pd.Series, status: str = "search_bound") -> pd.DataFrame:
     """Return the runs with some of them failed."""
-    runs = runs.copy()
-    runs.loc[rows, "status"] = "search_bound"
-    return runs
+    return RUNS.assign(status=RUNS["status"].mask(rows, status))
 
 
-def test_the_order_of_the_rows_of_runs_changes_no_byte(runs):
-    shuffled = runs.sample(frac=1.0, random_state=1)
-    assert csv_text(ordered_runs(shuffled)) == csv_text(ordered_runs(runs))
-    for duration_s, table in esim_tables(runs).items():
-        assert csv_text(esim_table(shuffled, duration_s)) == csv_text(table)
-
-
-def test_rows_are_in_the_order_of_the_paper(runs):
+def test_rows_are_in_the_order_of_the_paper_whatever_the_order_of_the_runs():
+    shuffled = RUNS.sample(frac=1.0, random_state=1)
+    assert csv_text(ordered_runs(shuffled)) == csv_text(ordered_runs(RUNS))
+    tables, places = esim_tables(RUNS), ["angle_deg", "t_d_ms"]
     for duration_s, published in load_published().items():
-        ours = esim_table(runs, duration_s)
-        pd.testing.assert_frame_equal(
-            ours[["angle_deg", "t_d_ms"]], published[["angle_deg", "t_d_ms"]], check_dtype=False
-        )
+        table = tables[duration_s]
+        assert csv_text(esim_table(shuffled, duration_s)) == csv_text(table)
+        pd.testing.assert_frame_equal(table[places], published[places], check_dtype=False)
 
 
-def test_means_and_deviations_are_over_the_flights(runs):
-    errors = runs.loc[place(runs, "ssac"), "r_error_deg"].to_numpy()
-    row = cell(esim_table(runs, 10.0))
+def test_means_and_deviations_are_over_the_flights():
+    errors = RUNS.loc[place(RUNS, "ssac"), "r_error_deg"].to_numpy()
+    row = cell(esim_table(RUNS, 10.0))
     assert row["ssac_r_error_deg_mean"] == pytest.approx(np.mean(errors))
     # Over n, not n - 1.
     assert row["ssac_r_error_deg_std"] == pytest.approx(
@@ -74,42 +63,31 @@ def test_means_and_deviations_are_over_the_flights(runs):
     assert row["n_runs"] == len(errors) == 10
 
 
-def test_columns_are_those_of_the_methods_in_order(runs):
+def test_columns_are_those_of_the_methods_in_order():
     expected = ["angle_deg", "t_d_ms", "n_runs"]
-    for name in METHODS:
-        if name not in set(runs["method"]):
-            continue
-        errors = ["t_d_error_ms"]
-        if name in ("ssac", "joint", "tangency", "albl"):
-            errors += ["r_error_deg", "t_error_deg"]
+    posed = ["ssac", "joint", "tangency", "albl"]
+    for name in [name for name in METHODS if name in set(RUNS["method"])]:
+        errors = ["t_d_error_ms", *(["r_error_deg", "t_error_deg"] if name in posed else [])]
         expected += [f"{name}_{error}_{part}" for error in errors for part in ("mean", "std")]
         expected.append(f"{name}_failed")
-    assert list(esim_table(runs, 20.0).columns) == expected
-
-
-def test_a_method_that_gives_a_pose_at_one_duration_has_its_columns_at_all(runs):
-    runs = failing(runs, (runs["method"] == "joint") & (runs["duration_s"] == 10.0))
-    poses = ["r_error_deg", "t_error_deg"]
-    runs.loc[runs["status"] != "ok", poses] = np.nan
+    assert list(esim_table(RUNS, 20.0).columns) == expected
+    assert pose_methods(RUNS) == posed
+    # A method that gives a pose at one duration has its columns at all.
+    lost = (RUNS["method"] == "joint") & (RUNS["duration_s"] == 10.0)
+    runs = with_status(lost)
+    runs.loc[lost, ["r_error_deg", "t_error_deg"]] = np.nan
     table = esim_table(runs, 10.0)
     assert table["joint_r_error_deg_mean"].isna().all()
     assert (table["joint_failed"] == 10).all()
+    # Methods of other packages come last, by name.
+    names = ["zzz", "zncc_e", "aaa", "joint", "zzz"]
+    assert method_order(names) == ["joint", "zncc_e", "aaa", "zzz"]
 
 
-def test_methods_of_other_packages_come_last_by_name():
-    assert method_order(["zzz", "zncc_e", "aaa", "joint", "zzz"]) == [
-        "joint",
-        "zncc_e",
-        "aaa",
-        "zzz",
-    ]
-
-
-def test_a_failed_run_does_not_enter_the_means_but_is_counted(runs):
-    which = place(runs, "ssac") & (runs["flight"] == 3)
-    assert which.sum() == 1
-    before, after = (cell(esim_table(table, 10.0)) for table in (runs, failing(runs, which)))
-    left = runs.loc[place(runs, "ssac") & (runs["flight"] != 3), "t_d_error_ms"]
+def test_a_failed_run_does_not_enter_the_means_but_is_counted():
+    runs = with_status(place(RUNS, "ssac", [3]))
+    before, after = (cell(esim_table(table, 10.0)) for table in (RUNS, runs))
+    left = RUNS.loc[place(RUNS, "ssac", [0, 1, 2, *range(4, 10)]), "t_d_error_ms"]
     assert len(left) == 9
     assert after["ssac_t_d_error_ms_mean"] == pytest.approx(left.mean())
     assert (before["ssac_failed"], after["ssac_failed"]) == (0, 1)
@@ -118,94 +96,67 @@ def test_a_failed_run_does_not_enter_the_means_but_is_counted(runs):
     pd.testing.assert_series_equal(before[others], after[others])
 
 
-@pytest.mark.parametrize("status", ["search_bound", "too_few_samples", "skipped", "crashed"])
-def test_where_no_run_is_ok_the_means_are_empty_cells(runs, status):
-    runs = runs.copy()
-    runs.loc[place(runs, "zncc_e"), "status"] = status
-    table = esim_table(runs, 10.0)
-    row = cell(table)
-    assert row["zncc_e_failed"] == 10
-    assert np.isnan(row["zncc_e_t_d_error_ms_mean"])
+def test_where_no_run_is_ok_the_means_are_empty_cells():
+    table = esim_table(with_status(place(RUNS, "zncc_e"), "crashed"), 10.0)
+    assert cell(table)["zncc_e_failed"] == 10
     (line,) = (line for line in csv_text(table).splitlines() if line.startswith("60,50,10,"))
     cells = dict(zip(table.columns, line.split(","), strict=True))
     assert cells["zncc_e_t_d_error_ms_mean"] == cells["zncc_e_t_d_error_ms_std"] == ""
 
 
-def one_run(runs: pd.DataFrame, method: str = "joint") -> pd.Series:
-    return place(runs, method) & (runs["flight"] == 7)
+def without(method: str) -> pd.DataFrame:
+    return RUNS[~place(RUNS, method, [7])]
 
 
-def without_cell(runs: pd.DataFrame) -> pd.DataFrame:
-    in_cell = (runs["angle_deg"] == 60.0) & (runs["t_d_ms"] == 50.0) & (runs["duration_s"] == 10.0)
-    return runs[~in_cell]
-
-
-def without_error(runs: pd.DataFrame) -> pd.DataFrame:
-    return runs.assign(t_d_error_ms=runs["t_d_error_ms"].mask(one_run(runs, "ssac")))
+ONE = RUNS[place(RUNS, "joint", [7])]
+IN_CELL = (RUNS["angle_deg"] == 60.0) & (RUNS["t_d_ms"] == 50.0) & (RUNS["duration_s"] == 10.0)
+UNKNOWN = RUNS["t_d_error_ms"].mask(place(RUNS, "ssac", [7]))
 
 
 @pytest.mark.parametrize(
-    ("spoilt", "read", "match"),
+    ("read", "spoilt", "match"),
     [
-        (lambda r: r[~one_run(r)], ordered_runs, "10 s, 60 deg, t_d 50 ms, flight 7, joint$"),
+        (ordered_runs, without("joint"), "10 s, 60 deg, t_d 50 ms, flight 7, joint$"),
+        (esim_tables, without("joint"), "missing: 10 s, 60 deg, t_d 50 ms, flight 7, joint$"),
+        (ordered_runs, RUNS[~IN_CELL], "and 95 more"),  # 10 flights, 10 methods, 5 shown
+        (ordered_runs, pd.concat([RUNS, ONE]), "more than once: 10 s, 60 deg, t_d"),
         (
-            lambda r: r[~one_run(r)],
             esim_tables,
-            "missing: 10 s, 60 deg, t_d 50 ms, flight 7, joint$",
+            RUNS.assign(t_d_error_ms=UNKNOWN),
+            '"ok" without an error of t_d: .* flight 7, ssac',
         ),
-        (without_cell, ordered_runs, "and 95 more"),  # 10 flights, 10 methods, 5 shown
+        (ordered_runs, RUNS.drop(columns="status"), r"not there: \['status'\]"),
+        (ordered_runs, RUNS.iloc[:0], "got none"),
+        (lambda runs: esim_table(runs, 30.0), RUNS, "no run has a duration of 30 s: .* 10, 20"),
+        (runs_from_csv, "", "not a table of runs"),
+        (runs_from_csv, "a,b\n1,2\n", r"not there: \['duration_s'"),
         (
-            lambda r: pd.concat([r, r[one_run(r)]]),
-            ordered_runs,
-            "more than once: 10 s, 60 deg, t_d",
-        ),
-        (without_error, esim_tables, '"ok" without an error of t_d: .* flight 7, ssac'),
-        (lambda r: r.drop(columns="status"), ordered_runs, r"not there: \['status'\]"),
-        (lambda r: r.iloc[:0], ordered_runs, "got none"),
-        (
-            lambda r: r,
-            lambda r: esim_table(r, 30.0),
-            "no run has a duration of 30 s: there are 10, 20",
-        ),
-        (lambda _: "", runs_from_csv, "not a table of runs"),
-        (lambda _: "a,b\n1,2\n", runs_from_csv, r"not there: \['duration_s'"),
-        (
-            lambda r: csv_text(r).replace("10,30,5,0,", "ten,30,5,0,"),
             runs_from_csv,
+            csv_text(RUNS).replace("10,30,5,0,", "ten,30,5,0,"),
             "not a table of",
         ),
     ],
+    ids=range(11),
 )
-def test_bad_tables_are_refused(runs, spoilt, read, match):
+def test_bad_tables_are_refused(read, spoilt, match):
     with pytest.raises(SsacError, match=match):
-        read(spoilt(runs))
-    assert len(missing_runs(runs[~one_run(runs)])) == 1
-    assert missing_runs(runs).empty
+        read(spoilt)
 
 
-def test_runs_of_before_a_column_was_there_can_be_read(runs):
-    old = runs.drop(columns=list(YOUNGER))
-    read = runs_from_csv(csv_text(old))
-    assert read[list(YOUNGER)].isna().all(axis=None)
-    assert csv_text(ordered_runs(read)) == csv_text(ordered_runs(old)) == csv_text(runs)
-
-
-def test_runs_survive_being_written_and_read(runs):
-    runs = runs.copy()
+def test_runs_survive_being_written_and_read():
+    runs = RUNS.copy()
     runs.loc[0, ["status", "reason"]] = "crashed", 'a "quoted", reason: nan'
+    runs.loc[0, "n_events_cam1"] = 1242193
     text = csv_text(ordered_runs(runs))
+    assert ",1242193," in text  # counts are whole
     read = runs_from_csv(text)
     assert csv_text(ordered_runs(read)) == text
     assert read.loc[0, "reason"] == 'a "quoted", reason: nan'
     assert (read.loc[runs["status"] == "ok", "reason"] == "").all()
-    # Six significant digits; counts whole.
-    np.testing.assert_allclose(read["t_d_error_ms"], runs["t_d_error_ms"], rtol=5e-6)
+    np.testing.assert_allclose(read["t_d_error_ms"], runs["t_d_error_ms"], rtol=5e-6)  # six digits
     assert (read["n_events_cam2"] == runs["n_events_cam2"]).all()
-
-
-def test_counts_are_not_rounded(runs):
-    assert ",1242193," in csv_text(ordered_runs(runs.assign(n_events_cam1=1242193.0)))
-
-
-def test_poses_tell_who_gives_one(runs):
-    assert pose_methods(runs) == ["ssac", "joint", "tangency", "albl"]
+    # Runs of before a column was there.
+    old = RUNS.drop(columns=list(YOUNGER))
+    read = runs_from_csv(csv_text(old))
+    assert read[list(YOUNGER)].isna().all(axis=None)
+    assert csv_text(ordered_runs(read)) == csv_text(ordered_runs(old)) == csv_text(RUNS)

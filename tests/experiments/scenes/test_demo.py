@@ -9,7 +9,7 @@ import pytest
 from experiments.lab.provenance import code_commit, plain, provenance, versions, write_provenance
 from experiments.scenes import scene
 from experiments.scenes.demo import DEMO, comparison, demo_command, is_of_a_demo
-from experiments.scenes.scene import AUTHORS_SAMPLE, SceneFigures, scene_figures, scene_table
+from experiments.scenes.scene import SHOWN, SceneFigures, scene_figures
 from sim.errors import SimError
 from sim.recorded import Recording, Truth
 from sim.recording import SimConfig, simulate
@@ -38,9 +38,6 @@ def test_the_comparison_shows_estimate_truth_and_error() -> None:
     assert t_d.split() == ["t_d", "51.200", "ms", "50.000", "ms", "1.200", "ms"]
     assert R.endswith("0.000 deg")
     assert t.endswith("0.000 deg")
-
-
-def test_no_estimate_says_why() -> None:
     refused = Estimate("ssac", status="too_few_samples", reason="only 3 of them")
     assert comparison(refused, TRUTH) == "ssac: too_few_samples: only 3 of them"
 
@@ -95,31 +92,26 @@ def test_figures_are_those_of_the_truth(recording: Recording) -> None:
     assert 0 < figures.median_distance_px < figures.mean_distance_px < 2.0
     assert figures.slope_px > 0.0
     assert figures.n_events == np.mean([len(camera.events) for camera in recording.cameras])
+    # They do not depend on the offset.
+    late = [scene_figures(with_time_offset(recording, t_d_s)) for t_d_s in (0.0, 0.25)]
+    assert late[0] == late[1]
 
 
-@pytest.mark.render
-def test_figures_do_not_depend_on_the_offset(recording: Recording) -> None:
-    early, late = (scene_figures(with_time_offset(recording, t_d_s)) for t_d_s in (0.0, 0.25))
-    assert early == late
-
-
-def test_the_command_flies_what_it_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_command_flies_what_it_is_told_and_shows_each_figure(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     flown = []
 
     def take(config: SimConfig, seed: int) -> SceneFigures:
         flown.append((config.drone, config.angle_deg, config.spline.duration_s, seed))
-        return SceneFigures(198.0, 348, 400, 0.41, 0.2, 1.3, 20.0, 45.0, 1e6)
+        return SceneFigures(197.6, 348, 400, 0.412, 0.2, 1.3, 19.6, 45.4, 1e6)
 
     monkeypatch.setattr(scene, "simulate", take)
     monkeypatch.setattr(scene, "scene_figures", lambda figures: figures)
     scene.scene_command(seeds=2, first_seed=9100, drone="two-tone")
     assert flown == [("two-tone", 90.0, 20.0, seed) for seed in (9100, 9101)]
-
-
-def test_the_table_has_a_row_for_each_figure() -> None:
-    table = scene_table(SceneFigures(197.6, 348, 400, 0.412, 0.2, 1.3, 19.6, 45.4, 1e6))
-    lines = table.splitlines()
-    assert len(lines) == 2 + len(AUTHORS_SAMPLE)
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 2 + len(SHOWN)
     assert lines[2] == "| median image speed [px/s] | 198 | 198 |"
     assert lines[3] == "| sample times valid in both views | 348 of 400 | 348 of 400 |"
     assert lines[7] == "| width in the event image [px] | 20-45 | 20-45 |"

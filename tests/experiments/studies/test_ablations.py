@@ -106,7 +106,7 @@ def test_ones_own_file_ends_in_a_table_and_a_figure(
     result = CliRunner().invoke(app, [*line, "--cache", str(tmp_path)], catch_exceptions=False)
     assert result.exit_code == 0, result.output
     assert {path.name for path in out.iterdir()} == names
-    assert "t_d_error_ms_median" in result.output  # the table is shown, too
+    assert "t_d_error_ms ± median" in result.output  # the table is shown, too
 
 
 def test_what_is_named_is_checked_before_the_work(tmp_path: Path) -> None:

@@ -8,17 +8,16 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments.lab.alone import run_alone
 from experiments.lab.cache import Cache
 from experiments.lab.files import csv_text, png_bytes
 from experiments.lab.pool import Processes, in_new_process
 from experiments.lab.results import Results
+from experiments.lab.schedule import run_alone
 from experiments.lab.task import Task, run_task
 from experiments.machine.growth import POINTS, STEP, STEPS, Point, StepCell
-from experiments.machine.measurement import Measurement
-from experiments.machine.parts import PART, PartCell
-from experiments.machine.sensor import ESIM_FRAMES_PER_S, bench_sensor, beside_peers
-from experiments.machine.sync import MARKS_S, bench_sync
+from experiments.machine.parts import PART, Measurement, PartCell
+from experiments.machine.simulating import ESIM_FRAMES_PER_S, bench_sensor, beside_peers
+from experiments.machine.synchronising import MARKS_S, bench_sync
 from experiments.machine.tables import measured_cells
 from experiments.paper.grids import n_recordings, table_cells
 from experiments.studies import bench
@@ -72,8 +71,7 @@ def test_a_part_that_cannot_be_measured_is_a_row_and_not_a_gap(tmp_path: Path) -
 
 def _with_a_worker() -> int:
     with Processes(1) as pool:
-        pool.give(0, partial(abs, -3))
-        return pool.ended(60.0)[0].value
+        return pool.submit(partial(abs, -3)).result(60.0)
 
 
 def test_a_process_of_its_own_may_start_more() -> None:
@@ -82,8 +80,8 @@ def test_a_process_of_its_own_may_start_more() -> None:
 
 @pytest.mark.render
 def test_the_sensor_is_timed_on_events(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("experiments.machine.sensor.N_FRAMES", 20)
-    monkeypatch.setattr("experiments.machine.sensor.REPEATS", 1)
+    monkeypatch.setattr("experiments.machine.simulating.N_FRAMES", 20)
+    monkeypatch.setattr("experiments.machine.simulating.REPEATS", 1)
     rows = {(row.name, row.unit): row.value for row in bench_sensor()}
     assert all(value > 0 for value in rows.values())
 
@@ -99,7 +97,7 @@ def test_a_peer_that_is_not_installed_is_quoted_and_the_row_says_so() -> None:
 
 @pytest.mark.render
 def test_every_stage_and_every_method_is_timed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("experiments.machine.sync.REPEATS", 1)
+    monkeypatch.setattr("experiments.machine.synchronising.REPEATS", 1)
     rows = bench_sync(SimConfig(spline=SplineConfig(duration_s=5.0)))
     names = {row.name for row in rows}
     assert {f"sync, {method.name}: all but reading" for method in OURS} <= names

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments.drawing.efficiency import pooled
+from experiments.drawing.errors import pooled
 from experiments.studies.coverage import (
     LEVELS,
     QUANTITIES,

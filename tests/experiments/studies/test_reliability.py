@@ -8,8 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments.damage.cases import OUTCOMES
-from experiments.damage.forked import Ended, outcome, run_forked
+from experiments.damage.cases import OUTCOMES, Ended, outcome, run_forked
 from experiments.lab.cache import Cache
 from experiments.lab.files import csv_text
 from experiments.lab.results import Results

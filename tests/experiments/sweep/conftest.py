@@ -34,7 +34,7 @@ def plugin(folder):
     info.mkdir(parents=True)
     (plugin / "failing.py").write_text(PLUGIN)
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: failing\nVersion: 1.0\n")
-    names = ("raising", "refusing", "dying", "dying_once")
+    names = ("raising", "refusing", "dying_once")
     entries = "".join(f"{name} = failing:{name}\n" for name in names)
     (info / "entry_points.txt").write_text(f"[ssac.methods]\n{entries}")
     return plugin

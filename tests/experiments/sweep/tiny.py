@@ -32,7 +32,7 @@ sim.angle_deg = [90]
 sim.t_d_s = [0.005, 0.05]
 """
 
-# A plugin whose methods fail in the four ways there are; docs/methods.md tells about plugins.
+# A plugin whose methods fail in the ways there are; docs/methods.md tells about plugins.
 PLUGIN = """
 import os
 import signal
@@ -47,9 +47,6 @@ def raising(cam1, cam2, rig, config=None):
 
 def refusing(cam1, cam2, rig, config=None):
     raise SsacError("not with these data")
-
-def dying(cam1, cam2, rig, config=None):
-    os._exit(3)
 
 def dying_once(cam1, cam2, rig, config=None):
     try:

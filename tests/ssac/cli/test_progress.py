@@ -65,9 +65,9 @@ def test_brief_work_says_nothing_until_it_is_long(capsys):
     assert lines[-1] == "flights: 100 of 100 done after 01:40"
 
 
-def shown(total: int, **options: bool) -> None:
+def shown(total: int) -> None:
     """Do so many things, and say something else amid them."""
-    with progress(total, "flights", **options) as advance:
+    with progress(total, "flights") as advance:
         for n_done in range(total + 1):
             advance(n_done)
             if n_done == 1:
@@ -75,6 +75,10 @@ def shown(total: int, **options: bool) -> None:
 
 
 def test_where_stderr_is_no_terminal_nothing_is_written_over(capsys):
+    for total, is_shown in ((0, True), (5, False)):
+        with progress(total, "flights", is_shown=is_shown) as advance:
+            advance(total)
+    assert capsys.readouterr().err == ""
     shown(2)
     out, err = capsys.readouterr()
     assert out == ""
@@ -105,10 +109,3 @@ def test_a_terminal_has_a_bar(capsys, monkeypatch):
     assert "\rflights: 100%|" in err
     assert "2/2 [" in err
     assert "done after" not in err
-
-
-@pytest.mark.parametrize(("total", "is_shown"), [(0, True), (5, False)])
-def test_nothing_to_show(capsys, total, is_shown):
-    with progress(total, "flights", is_shown=is_shown) as advance:
-        advance(total)
-    assert capsys.readouterr().err == ""

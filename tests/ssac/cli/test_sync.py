@@ -1,16 +1,10 @@
 """`ssac sync`: what it finds, prints and writes."""
 
-import warnings
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from sim.recording import SimConfig, simulate
-from sim.render.config import SamplingConfig
-from sim.scene.trajectory import SplineConfig
-from sim.sensor.events import PRESETS
-from sim.storage import save_recording
 from ssac import sync
 from ssac.cli.exits import NO_ESTIMATE
 from ssac.clock import Clock
@@ -194,41 +188,3 @@ def test_one_file_holds_all_figures(suffix, recorded, tmp_path):
     assert result.exit_code == 0
     assert [path.name for path in tmp_path.iterdir()] == [plot.name]
     assert str(plot) in result.stderr
-
-
-def test_a_warning_is_one_line(recorded, tmp_path, monkeypatch):
-    def warn_and_load(path, reading):
-        warnings.warn(f"{path} starts at time 0", stacklevel=2)
-        return load_events(path)
-
-    monkeypatch.setattr("ssac.files.event_files.load_events", warn_and_load)
-    result = run_sync(*recorded.pair, "--rig", recorded / "rig.yaml", "--method", "zncc_e")
-    assert f"warning: {recorded / 'cam1.h5'} starts at time 0\n" in result.stderr
-
-
-@pytest.mark.render
-@pytest.mark.parametrize(
-    ("noise", "t_d_s", "angle"), [("ideal", 0.05, 90.0), ("davis346", -0.5, 60.0)]
-)
-def test_a_simulated_recording_end_to_end(noise, t_d_s, angle, tmp_path):
-    recording = simulate(
-        SimConfig(
-            angle_deg=angle,
-            t_d_s=t_d_s,
-            spline=SplineConfig(duration_s=8.0),
-            sampling=SamplingConfig(max_step_px=1.0),
-            sensor=PRESETS[noise],
-        ),
-        seed=0,
-    )
-    folder = tmp_path / "recording"
-    save_recording(recording, folder, {})
-    result = sync(folder / "cam1.h5", folder / "cam2.h5", folder / "rig.yaml")
-    estimate, truth = result.estimate, recording.truth
-    assert estimate.status == "ok"
-    assert estimate.R is not None
-    assert estimate.t is not None
-    # The bias of the events' mean, over the few passes of 8 s.
-    assert abs(estimate.t_d_s - truth.t_d_s) < 3e-3
-    assert rotation_angle_deg(estimate.R, truth.R) < 4.0
-    assert angle_deg(estimate.t, truth.t) < 4.0

@@ -205,21 +205,21 @@ def shuttered(tmp_path_factory):
     return save_pair(tmp_path_factory.mktemp("tracks"), t_d_s=0.2, readout_s=READOUT_S)
 
 
-def test_the_readout_that_is_not_stated_is_told(shuttered):
-    result = synced(shuttered.folder, search="interval", estimate_readout=True)
+@pytest.mark.parametrize("asked", [True, False])
+def test_the_readout_that_is_not_stated_is_told_or_taken_for_none_and_that_is_said(
+    shuttered, asked
+):
+    result = synced(shuttered.folder, search="interval", estimate_readout=asked)
     report = result.to_dict()
     assert report["readout_s"][0] == READOUT_S  # exact, as the rig says
+    if not asked:
+        assert report["readout_s"][1] is None
+        assert "--estimate-readout" in report["note"]
+        return
     assert report["readout_std_s"][0] == 0.0
     assert 0.0 <= report["readout_s"][1] < 4.0 * report["readout_std_s"][1]
     assert "readout        camera 2 " in result.summary()
     assert report["note"] == ""
-
-
-def test_without_the_option_a_shutter_is_taken_for_global_and_that_is_said(shuttered):
-    result = synced(shuttered.folder, search="interval")
-    report = result.to_dict()
-    assert report["readout_s"] == [READOUT_S, None]
-    assert "--estimate-readout" in report["note"]
 
 
 def test_nothing_moves_where_all_is_stated(shuttered):

@@ -1,8 +1,6 @@
 """Events of all formats: read as they were written, refused with what is wrong, written whole."""
 
 import os
-import subprocess
-import sys
 import tracemalloc
 
 import faery
@@ -376,49 +374,39 @@ def test_hdf5_that_is_not_what_it_says_is_one_error(tmp_path, change, message):
     assert "cam1.h5" in str(raised.value)
 
 
-_READ_WITHOUT_THE_PLUGIN = """
-import sys
-sys.modules["hdf5plugin"] = None
-from ssac.errors import SsacError
-from ssac.files.event_files import load_events
-from ssac.files.hdf5 import load_frames
-print(len(load_events(sys.argv[1]).events))
-for load in (load_events, load_frames):
-    try:
-        load(sys.argv[2])
-    except SsacError as error:
-        print(error)
-"""
-
-
-def test_a_codec_that_is_not_installed_is_named_with_its_package(tmp_path):
-    events = random_events()
-    plain, packed = tmp_path / "plain.h5", tmp_path / "packed.h5"
-    save_events_h5(plain, events, WIDTH, HEIGHT)
-    with h5py.File(packed, "w") as file:
-        for field in ("t", "x", "y", "p"):
-            file.create_dataset(f"events/{field}", data=events[field], **hdf5plugin.Blosc())
-        file["frames/t"] = [0]
-        file.create_dataset("frames/images", shape=(1, 4, 5), dtype="u1", **hdf5plugin.Zstd())
-    command = [sys.executable, "-c", _READ_WITHOUT_THE_PLUGIN, plain, packed]
-    result = subprocess.run(command, capture_output=True, text=True, check=True)
-    assert result.stdout.splitlines() == [
-        str(len(events)),
-        f"{packed}: events/t is compressed with blosc (number 32001), which this HDF5 library does "
-        "not have: pip install hdf5plugin",
-        f"{packed}: frames/images is compressed with HDF5 zstd filter (number 32015), which this "
-        "HDF5 library does not have: pip install hdf5plugin",
-    ]
-
-
-def test_prophesees_own_codec_is_not_in_that_package(tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("dataset", "data", "codec", "number", "remedy"),
+    [
+        ("CD/events", random_events(9), hdf5plugin.Blosc(), 32001, "pip install hdf5plugin"),
+        (
+            "frames/images",
+            np.zeros((1, 4, 5), "u1"),
+            hdf5plugin.Zstd(),
+            32015,
+            "pip install hdf5pl",
+        ),
+        (
+            "CD/events",
+            random_events(9),
+            hdf5plugin.Blosc(),
+            32001,
+            "install Prophesee's HDF5 plugin",
+        ),
+    ],
+)
+def test_a_codec_that_is_not_installed_is_named_with_its_package(
+    dataset, data, codec, number, remedy, tmp_path, monkeypatch
+):
     path = tmp_path / "cam1.h5"
     with h5py.File(path, "w") as file:
-        file.create_dataset("CD/events", data=random_events(), **hdf5plugin.Blosc())
-    monkeypatch.setattr(hdf5, "_PROPHESEE_ECF", 32001)
+        file.create_dataset(dataset, data=data, **codec)
+        file["frames/t"] = [0]
+    if remedy.startswith("install"):
+        monkeypatch.setattr(hdf5, "_PROPHESEE_ECF", number)
     monkeypatch.setattr(h5py.h5z, "filter_avail", lambda code: False)
-    with pytest.raises(SsacError, match="install Prophesee's HDF5 plugin, or convert the file"):
-        load_events(path)
+    message = rf"{dataset} is compressed with .* \(number {number}\), which this HDF5 .*: {remedy}"
+    with pytest.raises(SsacError, match=rf"cam1\.h5: {message}"):
+        (hdf5.load_frames if dataset == "frames/images" else load_events)(path)
 
 
 # --- Frames beside the events ---

@@ -58,13 +58,22 @@ def test_deviations_of_the_intrinsics_and_the_readout(tmp_path):
     np.testing.assert_allclose(rig.cam2.intrinsics_std_px, (0.200, 0.201, 0.3, 0.3), rtol=1e-12)
 
 
-@pytest.mark.parametrize("coeffs", [None, [], [0.0, 0.0, 0.0, 0.0]])
-def test_kalibr_without_distortion_or_pose(tmp_path, coeffs):
+FIVE = [-0.3, 0.1, 0.001, -0.0005, 0.02]
+
+
+@pytest.mark.parametrize(
+    ("model", "coeffs", "expected"),
+    [
+        *(("none", coeffs, ("none", ())) for coeffs in (None, [], [0.0, 0.0, 0.0, 0.0])),
+        ("plumb_bob", FIVE, ("radtan", tuple(FIVE))),
+    ],
+)
+def test_kalibr_models_of_other_names_and_without_a_pose(tmp_path, model, coeffs, expected):
     document = _kalibr()
     del document["cam1"]["T_cn_cnm1"]
-    document["cam0"] |= {"distortion_model": "none", "distortion_coeffs": coeffs}
+    document["cam0"] |= {"distortion_model": model, "distortion_coeffs": coeffs}
     rig = load_rig(_write(tmp_path / "rig.yml", document))
-    assert rig.cam1.distortion_coeffs == ()
+    assert (rig.cam1.distortion_model, rig.cam1.distortion_coeffs) == expected
     assert rig.T_2_1 is None
 
 
@@ -84,6 +93,7 @@ MISSING = object()
         ("cam1", "readout_s", "fast", "readout_s: expected a finite number, got fast"),
         ("cam0", "intrinsics_std", [0, 0, 0, -1], "cam0: intrinsics_std must be 4 devi"),
         ("cam0", "resolution", [346], "cam0, resolution: expected 2 finite numbers"),
+        ("cam0", "distortion_model", "plumb_bob", "plumb_bob needs 5 coefficients"),
         ("cam1", "distortion_model", "fov", "cam1: unknown distortion model 'fov'"),
         ("cam1", "distortion_coeffs", [0.1], "cam1: the distortion model 'equidistant' needs 4"),
         ("cam1", "distortion_coeffs", [0, 0, 0, np.nan], "distortion_coeffs: expected a list of"),
@@ -215,13 +225,3 @@ def test_a_camchain_of_several_cameras_gives_any_two_of_them(tmp_path):
     assert load_camera(path, 3).K[0, 0] == 300.0
     with pytest.raises(SsacError, match="there is no cam3 for camera 4, only cam0, cam1, cam2"):
         load_rig(path, (1, 4))
-
-
-def test_plumb_bob_is_radtan_with_five_coefficients(tmp_path):
-    document, coeffs = _kalibr(), [-0.3, 0.1, 0.001, -0.0005, 0.02]
-    document["cam0"] |= {"distortion_model": "plumb_bob", "distortion_coeffs": coeffs}
-    camera = load_rig(_write(tmp_path / "rig.yaml", document)).cam1
-    assert (camera.distortion_model, camera.distortion_coeffs) == ("radtan", tuple(coeffs))
-    document["cam0"]["distortion_coeffs"] = coeffs[:4]
-    with pytest.raises(SsacError, match="plumb_bob needs 5 coefficients"):
-        load_rig(_write(tmp_path / "rig.yaml", document))

@@ -87,8 +87,10 @@ def test_a_gap_in_the_recording_changes_nothing():
     np.testing.assert_array_equal(mask_of(merged(events, late)), pixels((40, 35, 6)))
 
 
-def test_short_recordings_do_not_tell_a_lamp():
-    assert not mask_of(lamp(40, 35, 6, 1_500_000)).any()
+def test_short_recordings_do_not_tell_a_lamp_and_clean_ones_have_no_background():
+    assert activity(blob(flight), WIDTH, HEIGHT, RULES).background_hz == 0.0
+    for events in (lamp(40, 35, 6, 1_500_000), np.empty(0, EVENT_DTYPE)):
+        assert not mask_of(events).any()
     assert mask_of(lamp(40, 35, 6, 3_000_000)).any()
 
 
@@ -117,12 +119,6 @@ def test_the_background_is_that_of_ordinary_pixels(hz):
     # of the deviation; and a Poisson number's median is 1/3 below its mean, at 0.2 Hz 1/3 of 5.
     of_square = hz * 25.6
     assert found.background_hz == pytest.approx(hz, rel=0.3 / of_square + 0.35 / of_square**0.5)
-
-
-def test_no_background_and_no_mask_of_a_clean_recording():
-    assert activity(blob(flight), WIDTH, HEIGHT, RULES).background_hz == 0.0
-    assert not mask_of(blob(flight)).any()
-    assert not mask_of(np.empty(0, EVENT_DTYPE)).any()
 
 
 def random_events(n, duration_us, seed=0, first_us=0):
@@ -160,8 +156,7 @@ BALLS = [(5.0, 1.0, 20), (4.3, 1.0, 12), (3.0, 2.0, 8), (2.5, 0.5, 2), (1.4, 3.0
 
 @pytest.mark.parametrize("stream", STREAMS)
 @pytest.mark.parametrize("ball", BALLS)
-@pytest.mark.parametrize("mostly_noise", [False, True])
-def test_either_way_equals_a_k_d_tree(stream, ball, mostly_noise):
+def test_the_filter_equals_a_k_d_tree(stream, ball):
     events, (radius_px, ms_per_unit, n_neighbours) = STREAMS[stream], ball
     us_per_px = 1000.0 * ms_per_unit  # whole numbers keep distances on the boundary exact
     t = events["t"] - events["t"][0]
@@ -170,13 +165,16 @@ def test_either_way_equals_a_k_d_tree(stream, ball, mostly_noise):
     expected = events[n_found - 1 >= n_neighbours]
     assert 0 < len(expected) < len(events)
     before = events.copy()
-    kept = radius_filter(events, *ball, mostly_noise=mostly_noise)
+    kept = radius_filter(events, *ball)
     np.testing.assert_array_equal(kept, expected)
     np.testing.assert_array_equal(events, before)
 
 
 def test_neighbours_must_be_as_many_as_asked():
     events = events_from_arrays(np.arange(21), [3] * 21, [4] * 21, [1] * 21)
+    left, found = without_noise(small(15_000), WIDTH, HEIGHT, 9, RULES)
+    assert (found.radius_px, found.n_neighbours) == (RULES.ball_px, 9)
+    np.testing.assert_array_equal(left, radius_filter(small(15_000), n_neighbours=9))
     assert len(radius_filter(events)) == 21
     assert len(radius_filter(events[:20])) == 0
     none = np.empty(0, EVENT_DTYPE)
@@ -226,9 +224,3 @@ def test_much_noise_takes_the_near_ball():
     assert found.n_min == N_MIN
     # Less of the noise beside the object is left.
     assert len(ours) < len(left) < len(radius_filter(events))
-
-
-def test_what_is_asked_for_is_done():
-    left, found = without_noise(small(15_000), WIDTH, HEIGHT, 9, RULES)
-    assert (found.radius_px, found.n_neighbours) == (RULES.ball_px, 9)
-    np.testing.assert_array_equal(left, radius_filter(small(15_000), n_neighbours=9))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import yaml
 
-from ssac.events import EVENT_DTYPE, events_from_arrays
+from ssac.events import events_from_arrays
 from ssac.files.hdf5 import save_events_h5
 from ssac.files.track_files import load_track
 from ssac.rules import FaintRules
@@ -77,6 +77,9 @@ def test_noise_alone_is_not_followed():
     in_gap = (middles_s > GAP_S[0] + 0.3) & (middles_s < GAP_S[1] - 0.3)
     assert not found.seen[in_gap].any()
     assert found.seen[middles_s < GAP_S[0]].mean() > 0.98
+    events, sure, _ = recorded(120.0)
+    for few in (sure[:0], sure[:10]):  # too few for a size
+        assert follow(events, few, WIDTH, HEIGHT, RULES) is None
 
 
 def test_a_path_that_leads_to_no_sure_place_is_kept_for_half_a_second():
@@ -92,12 +95,6 @@ def test_a_clock_that_shows_more_changes_nothing():
         each["t"] += 1_700_000_000_000_000
     later, _ = followed(events, sure)
     np.testing.assert_array_equal(found.events[["x", "y", "p"]], later.events[["x", "y", "p"]])
-
-
-def test_nothing_is_followed_where_nothing_is_sure():
-    events, sure, _ = recorded(120.0)
-    for few in (np.empty(0, EVENT_DTYPE), sure[:10]):  # too few for a size
-        assert follow(events, few, WIDTH, HEIGHT, RULES) is None
 
 
 def test_the_path_is_as_uncertain_in_a_gap_as_a_random_acceleration_makes_it():

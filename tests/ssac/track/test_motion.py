@@ -7,7 +7,7 @@ import pytest
 
 from ssac.camera import Camera, distort_points, undistort_points
 from ssac.errors import SsacError
-from ssac.events import EVENT_DTYPE
+from ssac.events import EVENT_DTYPE, events_from_arrays
 from ssac.points import PointTrack
 from ssac.rules import PointRules
 from ssac.track.motion import object_motion, point_motion
@@ -25,9 +25,8 @@ def flight():
 
 
 def column_of_events(t_us, x, y):
-    events = np.zeros(len(t_us), EVENT_DTYPE)
-    events["t"], events["x"], events["y"] = t_us, x, y
-    return events
+    x, y = (np.broadcast_to(side, np.shape(t_us)).astype(int) for side in (x, y))
+    return events_from_arrays(t_us, x, y, np.zeros(len(t_us), int))
 
 
 def moving():
@@ -214,6 +213,8 @@ def test_positions_and_velocities_between_points():
     np.testing.assert_allclose(sharp.positions_px, path(wanted_s), atol=1e-8)
     velocities = np.stack([90.0 - 16.0 * wanted_s, 22.0 * wanted_s], axis=-1)
     np.testing.assert_allclose(sharp.velocities_px_s, velocities, atol=1e-6)
+    assert motion.half_window_s == pytest.approx(RULES.window_intervals * STEP_S)
+    assert of_points(np.arange(0.0, 2.0, 1e-3)).half_window_s == 0.02  # of a faster camera
     folded = motion.at(wanted_s.reshape(6, 13)).positions_px
     np.testing.assert_array_equal(folded, sharp.positions_px.reshape(6, 13, 2))
 
@@ -224,11 +225,6 @@ def test_gaps_and_ends_are_not_valid():
     assert not motion.at(outside).valid.any()
     assert np.isnan(motion.at(outside).positions_px).all()
     assert of_points(np.delete(TIMES_S, 50)).at(TIMES_S[3:-3]).valid.all()  # one may be missing
-
-
-def test_windows_of_a_faster_camera_are_those_of_events():
-    assert of_points(np.arange(0.0, 2.0, 1e-3)).half_window_s == 0.02
-    assert of_points(TIMES_S).half_window_s == pytest.approx(RULES.window_intervals * STEP_S)
 
 
 @pytest.mark.parametrize("sigma_px", [0.1, 1.0])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ssac.camera import Camera
-from ssac.events import EVENT_DTYPE
+from ssac.events import events_from_arrays
 from ssac.geometry.pose import Pencil
 from ssac.track.motion import object_motion
 from ssac.track.outline import OutlineConfig, near_outline, tangents
@@ -22,9 +22,8 @@ LEVEL = Pencil(np.array([0.0, 1.0, -MIDDLE_Y]) / FOCAL_PX, np.array([0.0, 0.0, 1
 def motion_of(times_s, points_px):
     """Motion of events at points (n, 2) between pixels: what is left of a lens's distortion."""
     order = np.argsort(times_s, kind="stable")
-    events = np.zeros(len(times_s), EVENT_DTYPE)
-    events["t"] = np.rint(1e6 * times_s[order])
-    events["x"], events["y"] = np.rint(points_px[order]).T
+    t_us, pixels = np.rint(1e6 * times_s[order]).astype(int), np.rint(points_px[order]).astype(int)
+    events = events_from_arrays(t_us, *pixels.T, np.zeros(len(t_us), int))
     camera = Camera(np.diag([FOCAL_PX, FOCAL_PX, 1.0]), WIDTH, HEIGHT)
     motion = object_motion(events, camera, n_min=50)
     sums_px = np.zeros((len(events) + 1, 2))

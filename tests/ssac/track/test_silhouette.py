@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ssac.camera import Camera
-from ssac.events import EVENT_DTYPE
+from ssac.events import events_from_arrays
 from ssac.rules import SilhouetteRules
 from ssac.track.silhouette import Silhouettes, silhouettes
 
@@ -64,9 +64,7 @@ def recorded(shape, angle_deg, object_luminance=DARK, length_px=240.0):
         was[:] = now
     table = np.concatenate(rows)
     table = table[np.argsort(table[:, 0], kind="stable")]
-    events = np.zeros(len(table), EVENT_DTYPE)
-    for name, column in zip(("t", "x", "y", "p"), table.T, strict=True):
-        events[name] = np.rint(column)
+    events = events_from_arrays(*np.rint(table).astype(np.int64).T)
     fine = np.arange(-25.0, 25.0, 0.05)
     u, v = np.meshgrid(fine, fine)
     inside = shape(u, v)

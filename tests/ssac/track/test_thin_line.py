@@ -112,9 +112,6 @@ def test_a_line_in_too_little_of_the_recording_is_none():
     short = thread(-90.0)
     short = short[short["t"] < 0.2e6 * DURATION_S]  # of the three tenths that are asked for
     assert found_in(disc(), short, NOISE)[1] is None
-
-
-def test_no_events_have_no_line():
     assert events_on_line(NOISE, NOISE[:0], WIDTH, HEIGHT, LineRules()) is None
 
 
