@@ -47,7 +47,7 @@ COMMANDS = (
     Entry("network", REPRODUCE, "Many cameras at once: errors of four, run time with eight.",
           "experiments.studies.network", "command"),
     Entry("physical", REPRODUCE, "The paper's small-scale experiment, simulated; error budget.",
-          "experiments.studies.mini", "command"),
+          "experiments.studies.physical", "command"),
     Entry("bench", REPRODUCE, "Speed and memory, beside the reference tools.",
           "experiments.studies.bench", "command"),
     Entry("verify", REPRODUCE, "Check that results/ is complete and reproducible.",

@@ -29,8 +29,7 @@ from experiments.lab.study import How, Study, merge
 from experiments.lab.verify import Finding, file_findings, found, shared_findings, study_findings
 from experiments.paper.comparison import PUBLISHED_SHA256
 from experiments.studies import all_studies
-from experiments.studies.ablations import ABLATIONS
-from experiments.studies.sweep import sweep_study
+from experiments.studies.ablations import ABLATIONS, sweep_study
 from ssac.cli.options import number
 from ssac.errors import SsacError
 from ssac.files.whole_file import check_writable

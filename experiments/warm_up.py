@@ -19,7 +19,6 @@ from experiments.lab.scored import SCORED
 from experiments.lab.task import Task, run_task
 from experiments.studies import network
 from experiments.worlds.bench import ALL, PHYSICAL, bench_of, cells_of
-from experiments.worlds.four_cameras import FourCameras
 from sim.recording import SimConfig
 from sim.sensor.events import PRESETS
 from ssac.cli.progress import progress
@@ -43,7 +42,7 @@ def warm_up_tasks() -> Iterator[tuple[Task, Measure]]:
             yield Task((Cell(sim, 0, 0, 0.0, estimator, method.name, {}),)), SCORED
     bench = bench_of(ALL, 90.0, DURATION_S, 0)
     yield Task(tuple(islice(cells_of(bench, {}, 0, (0.0,), ("tangency",)), 1))), PHYSICAL
-    four = FourCameras(spline=replace(spline, duration_s=2.0 * DURATION_S))
+    four = network.FourCameras(spline=replace(spline, duration_s=2.0 * DURATION_S))
     cameras = Measure(network.load_flight, network.camera_row, network.CameraRow)
     yield Task((network.CameraCell(four, 0, 0, network.KINDS[0], 1),)), cameras
 

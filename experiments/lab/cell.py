@@ -5,7 +5,7 @@ row; a cell that cannot be measured gives a row with a status and a reason.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, Protocol
 
 from sim.recording import SimConfig
@@ -39,8 +39,33 @@ class AnyCell(Protocol):
 
 
 @dataclass(frozen=True)
-class FlightCell:
-    """One run on one flight: what the cells of studies have in common."""
+class PlainCell:
+    """One run on no recording: its fields are its inputs, words and numbers its columns too."""
+
+    @property
+    def recordings(self) -> tuple[Flight, ...]:
+        """Flights that it is measured on."""
+        return ()
+
+    @property
+    def own(self) -> dict[str, Any]:
+        """Fields by name, but for those that say which flight it is."""
+        return {one.name: getattr(self, one.name) for one in fields(self)}
+
+    @property
+    def columns(self) -> dict[str, Any]:
+        """Columns of its row that say which run it is."""
+        return {name: v for name, v in self.own.items() if isinstance(v, str | int | float)}
+
+    @property
+    def inputs(self) -> Any:
+        """Everything beside recordings and code that its row depends on."""
+        return tuple(self.own.values())
+
+
+@dataclass(frozen=True)
+class FlightCell(PlainCell):
+    """One run on one flight; what a study adds to say which, it adds as fields."""
 
     sim: SimConfig
     flight: int  # its number among those of its duration and angle
@@ -52,12 +77,35 @@ class FlightCell:
         return ((self.sim, self.seed),)
 
     @property
+    def own(self) -> dict[str, Any]:
+        """Fields by name, but for those of the flight."""
+        return {one.name: getattr(self, one.name) for one in fields(self)[3:]}
+
+    @property
     def flown(self) -> dict[str, Any]:
         """Columns that say which flight it is."""
         return {
             "duration_s": self.sim.spline.duration_s, "angle_deg": self.sim.angle_deg,
             "flight": self.flight, "seed": self.seed,
         }  # fmt: skip
+
+    @property
+    def columns(self) -> dict[str, Any]:
+        """Columns that say which run it is: those of the flight first."""
+        return {**self.flown, **super().columns}
+
+    @property
+    def inputs(self) -> Any:
+        """What its row depends on beside recording and code; offsets are added to recordings."""
+        return self.sim.t_d_s, *super().inputs
+
+
+@dataclass(frozen=True)
+class RunRow:
+    """How a run ended; what was measured are more fields, with defaults for where it was not."""
+
+    status: str
+    reason: str = ""
 
 
 @dataclass(frozen=True)

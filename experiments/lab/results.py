@@ -82,11 +82,6 @@ class Results:
         values: FloatArray = self._column(self.rows(name, **where), name, column).to_numpy(float)
         return values
 
-    def texts(self, name: str, column: str, /, **where: Any) -> list[str]:
-        """Return a column's cells in these rows as words, numbers as short as they can be."""
-        values = self._column(self.rows(name, **where), name, column)
-        return [f"{v:g}" if isinstance(v, float | int) else str(v) for v in values]
-
     def provenances(self, name: str) -> list[dict[str, Any]]:
         """Read what `<name>` was made with: once, or once for each shard that was merged."""
         file = f"{name}{PROVENANCE}"

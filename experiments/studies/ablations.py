@@ -1,97 +1,59 @@
-"""Ablations: one parameter varied at a time, and how far each method's mean errors move with it.
+"""Studies of a grid: the ablations, and a user's own (`ssac ablate`, `ssac sweep`).
 
-An ablation is a grid in `experiments/configs/` whose name begins with `ablation_`. All methods and
-points of a grid see the same flights.
+An ablation is a grid in `experiments/configs/` whose name begins with `ablation_`: one parameter is
+varied at a time, to see how far each method's mean errors move with it. All methods and points of a
+grid see the same flights. Of a user's own grid docs/sweeps.md says what the columns are.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pandas as pd
+from scipy.stats import t as student
 
+from experiments.drawing.panels import Figure, legend_below, panels
 from experiments.lab.grid import GridConfig, config_names, named_config
 from experiments.lab.markdown import digits, markdown_table
 from experiments.lab.results import Results
 from experiments.lab.scored import SCORED
 from experiments.lab.study import Made, Runs, Study
+from experiments.lab.summary import answered, by_group, made_of, statistics
 from experiments.lab.verify import scored_checks
-from experiments.paper.quantities import NOISY_T_D_MARK_MS, R_ERROR, T_D_ERROR
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from experiments.paper.quantities import ERRORS, NOISY_T_D_MARK_MS, POSE_ERRORS, R_ERROR, T_D_ERROR
 
 PREFIX = "ablation_"
 
-_ERRORS = {
-    "t_d_error_ms": ("mean", "std", "median"),
-    "r_error_deg": ("mean", "std"),
-    "t_error_deg": ("mean", "std"),
-}
-
-SHOWN: Mapping[str, Sequence[str]] = {
-    "size": ["sim.drone_size_m"],
-}
-"""Of ablations that a page shows: columns that tell the rows apart; all else is averaged over."""
-
 
 def ablation_table(runs: pd.DataFrame, varied: Sequence[str]) -> pd.DataFrame:
-    """Mean errors at each point of a grid.
+    """Mean errors of the runs that are "ok", at each point of a grid and by method."""
 
-    Parameters
-    ----------
-    runs
-        Rows of the grid's runs.
-    varied
-        Columns that tell the points apart.
+    def row(group: pd.DataFrame) -> dict[str, Any]:
+        ok = answered(group)
+        return {
+            **{"n_runs": len(group), "failed": len(group) - len(ok)},
+            **statistics(ok, [T_D_ERROR.column], "mean", "std", "median"),
+            **statistics(ok, POSE_ERRORS, "mean", "std"),
+            **statistics(ok, ["n_samples"], "mean"),
+        }
 
-    Returns
-    -------
-    pd.DataFrame
-        One row for each point and method, in their order: the varied parameters, `method`,
-        `n_runs`, `failed` (status not "ok"), and over the other runs the mean, standard deviation
-        (over the number of runs) and median of the errors, and the mean number of samples.
-    """
-    keys = [*varied, "method"]
-    rows = []
-    for point, group in runs.groupby(keys, sort=False):
-        ok = group[group["status"] == "ok"]
-        row: dict[str, Any] = dict(zip(keys, point, strict=True))
-        row |= {"n_runs": len(group), "failed": len(group) - len(ok)}
-        for error, statistics in _ERRORS.items():
-            row[f"{error}_mean"] = ok[error].mean()
-            row[f"{error}_std"] = ok[error].std(ddof=0)
-            if "median" in statistics:
-                row[f"{error}_median"] = ok[error].median()
-        row["n_samples_mean"] = ok["n_samples"].mean()
-        rows.append(row)
-    table: pd.DataFrame = pd.DataFrame(rows)
-    return table
+    return by_group(runs, [*varied, "method"], row)
 
 
-def page_table(results: Results, name: str) -> str:
-    """Mean errors of t_d and R over all angles, for each value of what varies, by method."""
-    stem, varied = f"{PREFIX}{name}", SHOWN[name]
-    table = results.table(stem)
-    methods = list(dict.fromkeys(table["method"]))
-    columns = [results.texts(stem, column) for column in varied]
-    points = list(zip(*columns, strict=True))
-    rows = []
-    for values in dict.fromkeys(points):
-        part = table[[point == values for point in points]]
-        cells = list(values)
+def sizes_table(results: Results) -> str:
+    """Mean errors of t_d and R over all angles, by the drone's size and method."""
+    table, varied = results.table("ablation_size"), "sim.drone_size_m"
+    methods, rows = list(dict.fromkeys(table["method"])), []
+    for size_m, of_size in table.groupby(varied, sort=False):
+        cells = [f"{size_m:g}"]
         for method in methods:
-            of = part[part["method"] == method]
-            answered = int((of["n_runs"] - of["failed"]).sum())
-            shown = [
-                digits(float(of[column].mean())) if column in of else "none"
-                for column in (f"{T_D_ERROR.column}_mean", f"{R_ERROR.column}_mean")
-            ]
-            means = " / ".join(text for text in shown if text != "none") or "none"
-            cells.append(f"{means} ({answered}/{int(of['n_runs'].sum())})")
+            of = of_size[of_size["method"] == method]
+            means = [float(of[f"{error.column}_mean"].mean()) for error in (T_D_ERROR, R_ERROR)]
+            shown = " / ".join(digits(mean) for mean in means if np.isfinite(mean)) or "none"
+            n_runs = int(of["n_runs"].sum())
+            cells.append(f"{shown} ({n_runs - int(of['failed'].sum())}/{n_runs})")
         rows.append(cells)
-    return markdown_table([*(c.split(".")[-1] for c in varied), *(f"`{m}`" for m in methods)], rows)
+    return markdown_table([varied.split(".")[-1], *(f"`{method}`" for method in methods)], rows)
 
 
 def largest_with_noise(results: Results) -> str:
@@ -100,41 +62,111 @@ def largest_with_noise(results: Results) -> str:
     return f"{np.nanmax(means):.3f} ms"
 
 
-def ablation_study(grid: GridConfig, command: str = "", **more: Any) -> Study:
+_NUMBERS: Mapping[str, Mapping[str, Callable[[Results], str]]] = {
+    "ablation_size": {"table.ablation.size": sizes_table},
+    "ablation_davis346": {
+        "davis346.largest": largest_with_noise,
+        "davis346.mark": lambda _: f"{NOISY_T_D_MARK_MS:g} ms",
+    },
+}
+
+
+def ablation_study(grid: GridConfig, command: str = "") -> Study:
     """Make the study of a grid that shows mean errors, drawn if its TOML says how."""
+    name, runs = grid.name, f"{grid.name}_runs"
 
-    def table(results: Results) -> pd.DataFrame:
-        return ablation_table(results.table(f"{grid.name}_runs"), grid.varied)
-
-    def figure(results: Results) -> "Figure":
+    def figure(table: pd.DataFrame) -> Figure:
         from experiments.drawing.ablations import ablation_figure
 
-        return ablation_figure(results.table(grid.name), grid)
+        return ablation_figure(table, grid)
 
-    makes = [Made(f"{grid.name}.csv", table)]
+    makes: list[Made] = [made_of(f"{name}.csv", lambda of: ablation_table(of, grid.varied), runs)]
     if grid.figure is not None:
-        makes.append(Made(f"{grid.name}.png", figure))
-    runs = Runs(f"{grid.name}_runs.csv", (*grid.varied, "flight", "method"))
+        makes.append(made_of(f"{name}.png", figure, name))
     return Study(
-        grid.name, grid.title, grid.cells, SCORED, runs, tuple(makes),
-        checks=scored_checks(f"{grid.name}_runs"), config=grid.content, command=command, **more,
+        name, grid.title, grid.cells, SCORED,
+        Runs(f"{runs}.csv", (*grid.varied, "flight", "method")), tuple(makes),
+        numbers=_NUMBERS.get(name, {}), checks=scored_checks(runs), config=grid.content,
+        command=command,
     )  # fmt: skip
 
 
-def _study(name: str) -> Study:
-    numbers: dict[str, Callable[[Results], str]] = {}
-    if name in SHOWN:
-        numbers[f"table.ablation.{name}"] = partial(page_table, name=name)
-    if name == "davis346":
-        numbers |= {
-            "davis346.largest": largest_with_noise,
-            "davis346.mark": lambda _: f"{NOISY_T_D_MARK_MS:g} ms",
-        }
-    return ablation_study(named_config(PREFIX + name), f"ssac ablate {name}", numbers=numbers)
+LEVEL = 0.95  # of the interval of a mean
+
+
+def sweep_study(grid: GridConfig, runs_file: str, points: str, command: str) -> Study:
+    """Make the study of a grid; `points` is the stem of the table of points, and of the figure."""
+    runs = runs_file.removesuffix(".csv")
+    figure = f"{runs if points != grid.name else points}.png"
+    return Study(
+        grid.name, grid.title, grid.cells, SCORED,
+        Runs(runs_file, (*grid.varied, "flight", "method")),
+        (made_of(f"{points}.csv", lambda table: points_table(table, grid.varied), runs),
+         made_of(figure, lambda table: points_figure(table, grid.varied), points)),
+        config={"grid": dict(grid.content), "name": grid.name}, command=command, shows=points,
+        is_committed=False,
+    )  # fmt: skip
+
+
+def points_table(runs: pd.DataFrame, varied: Sequence[str]) -> pd.DataFrame:
+    """Sum up the runs at each point of a grid, by method.
+
+    `refusals` says how often each status but "ok" came; of each error there are, over the answered
+    runs, the mean, its 95 % interval `_low` to `_high` (Student's t), and the median. Empty where
+    nothing is known.
+    """
+
+    def row(group: pd.DataFrame) -> dict[str, Any]:
+        ok, statuses = answered(group), group["status"].value_counts().sort_index()
+        row: dict[str, Any] = {"runs": len(group), "answered": len(ok)}
+        row["refusals"] = ", ".join(f"{one} {n}" for one, n in statuses.items() if one != "ok")
+        for error in ERRORS:
+            row |= {f"{error}_{name}": value for name, value in _of_error(ok[error]).items()}
+        return row
+
+    return by_group(runs, [*varied, "method"], row, dropna=False)
+
+
+def _of_error(column: "pd.Series[Any]") -> dict[str, float]:
+    """Mean of an error with its interval, and the median."""
+    values = column.dropna().to_numpy(np.float64)
+    n = len(values)
+    if n == 0:
+        return dict.fromkeys(("mean", "low", "high", "median"), np.nan)
+    mean, half = float(np.mean(values)), np.nan
+    if n > 1:
+        deviation = float(np.std(values, ddof=1)) / np.sqrt(n)
+        half = float(student.ppf(0.5 + 0.5 * LEVEL, n - 1)) * deviation
+    return {"mean": mean, "low": mean - half, "high": mean + half, "median": np.median(values)}
+
+
+def points_figure(points: pd.DataFrame, varied: Sequence[str]) -> Figure:
+    """Draw the mean errors with their intervals against the first number that varies."""
+    drawn = [error for error in ERRORS if points[f"{error}_mean"].notna().any()] or [*ERRORS][:1]
+    numbers = [name for name in varied if pd.api.types.is_numeric_dtype(points[name])]
+    x = numbers[0] if numbers else "method"
+    others = [name for name in (*varied, "method") if name != x]
+    figure, (panel_of,) = panels(3.8, columns=len(drawn))
+    for axes, error in zip(panel_of, drawn, strict=True):
+        lines = points.groupby(others, sort=False, dropna=False) if others else [((), points)]
+        for point, line in lines:
+            line = line.sort_values(x) if numbers else line
+            mean = line[f"{error}_mean"]
+            below, above = mean - line[f"{error}_low"], line[f"{error}_high"] - mean
+            axes.errorbar(
+                line[x].to_numpy(), mean.to_numpy(), np.nan_to_num([below, above]), marker="o",
+                ms=4, lw=1.2, elinewidth=0.9, label=", ".join(str(value) for value in point),
+            )  # fmt: skip
+        axes.set_ylim(bottom=0.0)
+        axes.set_xlabel(x, fontsize=9)
+        axes.set_title(ERRORS[error].label, fontsize=10)
+    legend_below(figure, 4)
+    return figure
 
 
 ABLATIONS = {
-    name: _study(name) for name in (full.removeprefix(PREFIX) for full in config_names(PREFIX))
+    name: ablation_study(named_config(PREFIX + name), f"ssac ablate {name}")
+    for name in (full.removeprefix(PREFIX) for full in config_names(PREFIX))
 }
 """By the names that `ssac ablate` takes."""
 

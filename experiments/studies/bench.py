@@ -8,24 +8,22 @@ from collections.abc import Iterator
 from dataclasses import asdict
 from enum import Enum
 from functools import partial
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
 import typer
 from numpy.typing import ArrayLike
 
+from experiments.drawing.panels import Axes, Figure, legend_below, panels
 from experiments.lab.command import command_of
 from experiments.lab.markdown import markdown_table
 from experiments.lab.results import Results
-from experiments.lab.study import How, Made, Runs, Study
+from experiments.lab.study import How, Runs, Study
+from experiments.lab.summary import answered, made_of
 from experiments.machine.growth import POINTS, SIMULATE, STEP, STEPS, SYNCHRONISE, Point, StepCell
 from experiments.machine.parts import PART, PARTS, Measurement, PartCell
 from ssac.estimate import Status
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 SHORT_EVENTS = 15e6  # a camera, about: larger points are left out of a short run
 
@@ -84,24 +82,25 @@ def bench_table(rows: pd.DataFrame, results: Results) -> pd.DataFrame:
     """Lay out what the parts measured, then how time and memory grow."""
     measured: list[Measurement] = []
     for row in rows.to_dict("records"):
-        if row["status"] != "ok":
-            name = f"{row['part']}: not measured ({row['reason']})"
-            measured.append(Measurement(name, float("nan"), ""))
-            continue
-        measured += [Measurement(**one) for one in row["measurements"]]
+        if row["status"] == "ok":
+            measured += [Measurement(**one) for one in row["measurements"]]
+        else:
+            measured.append(_missing(f"{row['part']}: not measured ({row['reason']})"))
     measured += growth_rows(results.table("bench_growth"))
     return pd.DataFrame([asdict(one) | {"verdict": one.verdict} for one in measured])
 
 
+def _missing(name: str) -> Measurement:
+    return Measurement(name, float("nan"), "")
+
+
 def growth_rows(table: pd.DataFrame) -> list[Measurement]:
     """Sum up the steps: the largest point, and how time and memory grow up to it."""
-    is_ok = table["status"] == Status.OK.value
     rows = [
-        Measurement(f"growth, {row.sensor}, {row.duration_s:g} s, {row.step}: {row.status}",
-                    float("nan"), "")
-        for row in table[~is_ok].itertuples()
-    ]  # fmt: skip
-    table = table[is_ok]
+        _missing(f"growth, {row.sensor}, {row.duration_s:g} s, {row.step}: {row.status}")
+        for row in table[table["status"] != "ok"].itertuples()
+    ]
+    table = answered(table)
     for (sensor, step), of_step in table.groupby(["sensor", "step"], sort=False):
         if len(of_step) < 2:
             continue
@@ -152,56 +151,40 @@ _WHAT = {"wall_s": "time [s]", "peak_mb": "peak memory [MB]"}
 _GUIDE: dict[str, Any] = {"color": "0.7", "lw": 1.0, "ls": ":", "zorder": 1}
 
 
-def growth_figure(table: pd.DataFrame) -> "Figure":
+def growth_figure(table: pd.DataFrame) -> Figure:
     """Draw time and memory on logarithmic axes: the smaller sensor's points are hollow.
 
     What could not be measured is left out.
     """
-    from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
-    from experiments.drawing.style import WIDTH_IN, Look
-
-    looks = {SIMULATE: Look("#0072B2", "o"), SYNCHRONISE: Look("#000000", "D")}
-    figure = Figure(figsize=(WIDTH_IN, 4.2), layout="constrained")
+    looks: dict[str, dict[str, Any]] = {SIMULATE: {"color": "#0072B2", "marker": "o"},
+             SYNCHRONISE: {"color": "#000000", "marker": "D"}}  # fmt: skip
+    figure, (both,) = panels(4.2, columns=2)
     measured = table[table["wall_s"].notna()]
     sensors = list(dict.fromkeys(measured["sensor"]))
-    for axes, (column, label) in zip(figure.subplots(1, 2), _WHAT.items(), strict=True):
+    for axes, (column, label) in zip(both, _WHAT.items(), strict=True):
         axes.set(xscale="log", yscale="log", xlabel="events of a camera", ylabel=label)
         axes.grid(color="0.92", lw=0.6)
-        axes.spines[["top", "right"]].set_visible(False)
-        axes.tick_params(labelsize=8)
+        axes.set_axisbelow("line")  # the guide is below the grid
         for step, look in looks.items():
             for sensor in sensors:
-                here = (measured["step"] == step) & (measured["sensor"] == sensor)
-                is_largest = sensor == sensors[-1]
-                axes.plot(
-                    measured.loc[here, "events_per_camera"],
-                    measured.loc[here, column],
-                    color=look.color,
-                    marker=look.marker,
-                    mfc=look.color if is_largest else "white",
-                    ms=5,
-                    lw=1.2,
-                    zorder=3,
-                )
+                here = measured[(measured["step"] == step) & (measured["sensor"] == sensor)]
+                face = look["color"] if sensor == sensors[-1] else "white"
+                line: dict[str, Any] = {**look, "mfc": face, "ms": 5, "lw": 1.2, "zorder": 3}
+                axes.plot(here["events_per_camera"], here[column], **line)
         if len(measured):
             _draw_guide(axes, measured, column)
-    handles = [
-        Line2D([], [], color=look.color, marker=look.marker, ms=5, lw=1.2, label=step)
-        for step, look in looks.items()
-    ]
-    handles += [
-        Line2D([], [], color="0.3", marker="o", ms=5, lw=0, label=sensor,
-               mfc="0.3" if sensor == sensors[-1] else "white")
-        for sensor in sensors
-    ]  # fmt: skip
+    handles = [Line2D([], [], ms=5, lw=1.2, label=step, **look) for step, look in looks.items()]
+    for sensor in sensors:
+        face = "0.3" if sensor == sensors[-1] else "white"
+        handles.append(Line2D([], [], color="0.3", marker="o", ms=5, lw=0, label=sensor, mfc=face))
     handles.append(Line2D([], [], label="linear in the events", **_GUIDE))
-    figure.legend(handles=handles, loc="outside lower center", ncols=5, fontsize=8, frameon=False)
+    legend_below(figure, 5, handles)
     return figure
 
 
-def _draw_guide(axes: "Axes", measured: pd.DataFrame, column: str) -> None:
+def _draw_guide(axes: Axes, measured: pd.DataFrame, column: str) -> None:
     """Draw a line of slope one through the largest value."""
     top = measured.loc[measured[column].idxmax()]
     events = np.array([measured["events_per_camera"].min(), top["events_per_camera"]])
@@ -219,12 +202,9 @@ def bench_faults(results: Results) -> list[str]:
     if table.empty:
         return ["it is empty"]
     faults = []
-    for row in table.to_dict("records"):
-        given: dict[str, Any] = {
-            str(k): None if isinstance(v, float) and np.isnan(v) else v for k, v in row.items()
-        }
-        verdict = given.pop("verdict") or ""
-        one = Measurement(**given)
+    for row in table.astype(object).replace({np.nan: None}).to_dict("records"):
+        verdict = row.pop("verdict") or ""
+        one = Measurement(**{str(name): value for name, value in row.items()})
         if not 0.0 < (one.value or np.nan) < np.inf:
             faults.append(f"{one.name} is {one.value}")
         if not one.unit:
@@ -333,6 +313,10 @@ def minutes(results: Results, what: str, decimals: int) -> str:
     return f"{results.value('bench', 'value', name=row) / 60:.{decimals}f}"
 
 
+_SHARED: dict[str, Any] = {"config": {"growth": POINTS}, "command": "ssac bench",
+                           "how": How.ALONE, "committed": COMMITTED}  # fmt: skip
+_TOOK = ("wall_s", "cpu_s", "peak_mb")
+
 GROWTH = Study(
     "bench_growth",
     "Time and memory of ever longer flights",
@@ -341,42 +325,32 @@ GROWTH = Study(
     Runs(
         "bench_growth.csv",
         ("sensor", "duration_s", "step"),
-        (
-            *("sensor", "duration_s", "step", "events_per_camera"),
-            *("wall_s", "cpu_s", "peak_mb", "status", "t_d_error_ms"),
-        ),
+        ("sensor", "duration_s", "step", "events_per_camera", *_TOOK, "status", "t_d_error_ms"),
         numbered=False,
-        took=("wall_s", "cpu_s", "peak_mb"),
+        took=_TOOK,
         table=growth_table,
     ),
-    (Made("bench_growth.png", lambda results: growth_figure(results.table("bench_growth"))),),
+    (made_of("bench_growth.png", growth_figure, "bench_growth"),),
     checks=(("every step was measured", growth_faults),),
-    config={"growth": POINTS},
-    command="ssac bench",
-    how=How.ALONE,
-    committed=COMMITTED,
+    **_SHARED,
 )
 BENCH = Study(
     "bench",
     "Speed and memory, as ratios side by side",
     part_cells,
     PART,
-    Runs(
-        "bench.csv", ("name", "unit"), numbered=False, took=("value", "verdict"), table=bench_table
-    ),
+    Runs("bench.csv", ("name", "unit"), numbered=False, took=("value", "verdict"),
+         table=bench_table),
     numbers={
         "table.bench": page_table,
         "minutes.tables.cached": partial(minutes, what="recordings cached", decimals=1),
         "minutes.tables.nothing": partial(minutes, what="from nothing", decimals=0),
     },
     checks=(("it is a benchmark", bench_faults),),
-    config={"growth": POINTS},
-    command="ssac bench",
-    how=How.ALONE,
-    committed=COMMITTED,
     reads=("bench_growth.csv",),
     shows="bench",
-)
+    **_SHARED,
+)  # fmt: skip
 
 STUDIES = (GROWTH, BENCH)
 

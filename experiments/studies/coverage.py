@@ -7,37 +7,32 @@ chi^2's quantile. The flights are those of configs/coverage.toml.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 from scipy.stats import beta, chi2
 
+from experiments.drawing.panels import Axes, Figure, legend_below, panels
 from experiments.lab.grid import named_config
 from experiments.lab.markdown import listed, markdown_table
 from experiments.lab.results import Results
 from experiments.lab.scored import SCORED
-from experiments.lab.study import Made, Runs, Study
+from experiments.lab.study import Runs, Study
+from experiments.lab.summary import answered, made_of, quoted
 from experiments.lab.verify import scored_checks
 from experiments.paper.esim import method_order
 from ssac.fit.covariance import NORMAL_95
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 FloatArray = NDArray[np.float64]
 
 GRID = named_config("coverage")
 METHODS = ("joint", "tangency", "joint-known", "tangency-known")
 
-MARK = 0.93
-"""Intervals of 95 % shall hold the truth in at least this share of the flights."""
-
+MARK = 0.93  # intervals of 95 % shall hold the truth in at least this share of the flights
 LEVELS = (0.50, 0.68, 0.90, 0.95, 0.99)
-SAMPLING = 0.95
-"""Of the interval around an observed share, for the number of runs."""
+SAMPLING = 0.95  # of the interval around an observed share, for the number of runs
 
 
 @dataclass(frozen=True)
@@ -48,123 +43,42 @@ class Quantity:
     parameters: int
     label: str = ""  # of its panel in the figure; "": none
 
+    def normalised(self, runs: pd.DataFrame) -> FloatArray:
+        """Values over the runs that are "ok" and give it."""
+        return np.asarray(answered(runs)[self.column].dropna(), dtype=np.float64)
+
 
 QUANTITIES = {
     "t_d": Quantity("t_d_normalised", 1, "$t_d$"),
     "R": Quantity("r_mahalanobis", 3, "R, three angles"),
     "t": Quantity("t_mahalanobis", 2, "t, two angles"),
-    "R_x": Quantity("r_x_normalised", 1),
-    "R_y": Quantity("r_y_normalised", 1),
-    "R_z": Quantity("r_z_normalised", 1),
-    "t_1": Quantity("t_1_normalised", 1),
-    "t_2": Quantity("t_2_normalised", 1),
-    "skew": Quantity("skew_normalised", 1),
-}
+    **{name: Quantity(f"{name.lower()}_normalised", 1)
+       for name in ("R_x", "R_y", "R_z", "t_1", "t_2", "skew")},
+}  # fmt: skip
 
 
 def coverage_table(runs: pd.DataFrame) -> pd.DataFrame:
-    """Shares of the runs whose intervals hold the truth.
+    """Shares of the runs whose intervals hold the truth, by method, quantity and angle.
 
-    Parameters
-    ----------
-    runs
-        Rows of `schedule.run_cells`, of `coverage.toml`'s grid.
-
-    Returns
-    -------
-    pd.DataFrame
-        For each method, quantity and angle between the cameras, all angles ("all") first:
-        `n_runs`, `refused` (status not "ok"; these do not count further), `rms_normalised` (1 if
-        the deviations are right), and for each level in per cent `coverage_<level>` with the
-        bounds `_low` and `_high` that the number of runs leaves (Clopper and Pearson, 95 %).
+    All angles ("all") come first. Refused runs (not "ok") are counted, and count no further;
+    `rms_normalised` is 1 if the deviations are right; each level has the bounds of its share that
+    the number of runs leaves (Clopper and Pearson, 95 %).
     """
     runs = _with_clocks(runs)
-    angles = {"all": runs} | {
-        f"{angle_deg:g}": part for angle_deg, part in runs.groupby("sim.angle_deg")
-    }
-    rows: list[dict[str, Any]] = []
-    for method in method_order(runs["method"]):
-        for name, quantity in QUANTITIES.items():
-            for angle, part in angles.items():
-                of_method = part[part["method"] == method]
-                row = _coverage(of_method, quantity)
-                if row:
-                    rows.append({"method": method, "quantity": name, "angle_deg": angle, **row})
-    table: pd.DataFrame = pd.DataFrame(rows)
-    return table
-
-
-def confidence(normalised: FloatArray, parameters: int) -> FloatArray:
-    """Level (n,) of the interval or region on whose border the truth lies: uniform if all is well.
-
-    Parameters
-    ----------
-    normalised
-        Errors over their deviations, or Mahalanobis distances, shape (n,).
-    parameters
-        Their number: chi^2's degrees of freedom.
-    """
-    return np.asarray(chi2.cdf(np.square(normalised), parameters))
-
-
-def sampling_bounds(n_inside: int, n_runs: int) -> tuple[float, float]:
-    """Bounds of a share, of which `n_inside` of `n_runs` were seen: Clopper and Pearson's."""
-    tail = 0.5 * (1.0 - SAMPLING)
-    low = beta.ppf(tail, n_inside, n_runs - n_inside + 1) if n_inside > 0 else 0.0
-    high = beta.ppf(1.0 - tail, n_inside + 1, n_runs - n_inside) if n_inside < n_runs else 1.0
-    return float(low), float(high)
-
-
-def coverage_figure(runs: pd.DataFrame) -> "Figure":
-    """Draw observed against nominal coverage: a panel for each of t_d, R and t.
-
-    The band is where 95 % of the runs' shares would lie if the deviations were right.
-    """
-    from matplotlib.figure import Figure
-
-    from experiments.drawing.style import WIDTH_IN, method_looks, quiet_axes
-
-    runs = _with_clocks(runs)
-    panels = {name: quantity for name, quantity in QUANTITIES.items() if quantity.label}
-    methods = method_order(runs["method"])
-    figure = Figure(figsize=(WIDTH_IN, 3.6), layout="constrained")
-    for axes, quantity in zip(figure.subplots(1, len(panels)), panels.values(), strict=True):
-        _draw_panel(axes, runs, quantity, method_looks(methods))
-        quiet_axes(axes)
-    handles, labels = figure.axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=5, fontsize=8, frameon=False)
-    return figure
-
-
-def _draw_panel(
-    axes: "Axes", runs: pd.DataFrame, quantity: Quantity, looks: Mapping[str, Any]
-) -> None:
-    nominal = np.linspace(0.0, 1.0, 101)
-    most = 0
-    for method, look in looks.items():
-        values = _normalised(runs[runs["method"] == method], quantity)
-        if len(values) == 0:
-            continue
-        levels = confidence(values, quantity.parameters)
-        observed = np.mean(levels[:, None] <= nominal, axis=0)
-        style = "--" if look.hollow else "-"
-        axes.plot(100 * nominal, 100 * observed, style, color=look.color, lw=1.4, label=method)
-        most = max(most, len(values))
-    axes.plot([0, 100], [0, 100], color="0.6", lw=0.8)
-    if most:
-        half = NORMAL_95 * np.sqrt(nominal * (1.0 - nominal) / most)
-        axes.fill_between(
-            100 * nominal, 100 * (nominal - half), 100 * (nominal + half), color="0.9", lw=0,
-            label=f"sampling error of {most} runs",
-        )  # fmt: skip
-    axes.set(xlim=(0, 100), ylim=(0, 100), aspect="equal", xlabel="nominal coverage [%]")
-    axes.set_ylabel("observed coverage [%]")
-    axes.set_title(quantity.label, fontsize=11)
+    angles = {"all": runs, **{f"{deg:g}": part for deg, part in runs.groupby("sim.angle_deg")}}
+    rows = [
+        {"method": method, "quantity": name, "angle_deg": angle, **row}
+        for method in method_order(runs["method"])
+        for name, quantity in QUANTITIES.items()
+        for angle, part in angles.items()
+        if (row := _coverage(part[part["method"] == method], quantity))
+    ]
+    return pd.DataFrame(rows)
 
 
 def _coverage(runs: pd.DataFrame, quantity: Quantity) -> Mapping[str, Any]:
     """Row of the table for runs of one method; empty when it does not give the quantity."""
-    values = _normalised(runs, quantity)
+    values = quantity.normalised(runs)
     if len(values) == 0:
         return {}
     levels = confidence(values, quantity.parameters)
@@ -181,10 +95,21 @@ def _coverage(runs: pd.DataFrame, quantity: Quantity) -> Mapping[str, Any]:
     return row
 
 
-def _normalised(runs: pd.DataFrame, quantity: Quantity) -> FloatArray:
-    """Values of a quantity over the runs that are "ok" and give it."""
-    values = runs.loc[runs["status"] == "ok", quantity.column].dropna()
-    return np.asarray(values, dtype=np.float64)
+def confidence(normalised: FloatArray, parameters: int) -> FloatArray:
+    """Level (n,) of the interval or region on whose border the truth lies: uniform if all is well.
+
+    `normalised` (n,) are errors over their deviations, or Mahalanobis distances of so many
+    parameters, which are chi^2's degrees of freedom.
+    """
+    return np.asarray(chi2.cdf(np.square(normalised), parameters))
+
+
+def sampling_bounds(n_inside: int, n_runs: int) -> tuple[float, float]:
+    """Bounds of a share, of which `n_inside` of `n_runs` were seen: Clopper and Pearson's."""
+    tail = 0.5 * (1.0 - SAMPLING)
+    low = beta.ppf(tail, n_inside, n_runs - n_inside + 1) if n_inside > 0 else 0.0
+    high = beta.ppf(1.0 - tail, n_inside + 1, n_runs - n_inside) if n_inside < n_runs else 1.0
+    return float(low), float(high)
 
 
 def _with_clocks(runs: pd.DataFrame) -> pd.DataFrame:
@@ -196,63 +121,81 @@ def _with_clocks(runs: pd.DataFrame) -> pd.DataFrame:
     )
 
 
+def coverage_figure(runs: pd.DataFrame) -> Figure:
+    """Draw observed against nominal coverage: a panel for each of t_d, R and t.
+
+    The band is where 95 % of the runs' shares would lie if the deviations were right.
+    """
+    runs, drawn = _with_clocks(runs), [one for one in QUANTITIES.values() if one.label]
+    figure, grid = panels(3.6, columns=len(drawn))
+    for axes, quantity in zip(grid[0], drawn, strict=True):
+        _draw_panel(axes, runs, quantity)
+    legend_below(figure, 5)
+    return figure
+
+
+def _draw_panel(axes: Axes, runs: pd.DataFrame, quantity: Quantity) -> None:
+    from experiments.drawing.style import method_looks
+
+    nominal, most = np.linspace(0.0, 1.0, 101), 0
+    for method, look in method_looks(method_order(runs["method"])).items():
+        values = quantity.normalised(runs[runs["method"] == method])
+        if len(values) == 0:
+            continue
+        observed = np.mean(confidence(values, quantity.parameters)[:, None] <= nominal, axis=0)
+        style = "--" if look.hollow else "-"
+        axes.plot(100 * nominal, 100 * observed, style, color=look.color, lw=1.4, label=method)
+        most = max(most, len(values))
+    axes.plot([0, 100], [0, 100], color="0.6", lw=0.8)
+    if most:
+        half = NORMAL_95 * np.sqrt(nominal * (1.0 - nominal) / most)
+        axes.fill_between(
+            100 * nominal, 100 * (nominal - half), 100 * (nominal + half), color="0.9", lw=0,
+            label=f"sampling error of {most} runs",
+        )  # fmt: skip
+    axes.set(xlim=(0, 100), ylim=(0, 100), aspect="equal", xlabel="nominal coverage [%]")
+    axes.set_ylabel("observed coverage [%]")
+    axes.set_title(quantity.label, fontsize=11)
+
+
 def page_table(results: Results) -> str:
     """Shares of the truths in the 95 % intervals, over all angles."""
-
-    def share(method: str, quantity: str) -> str:
-        of = {"method": method, "quantity": quantity, "angle_deg": "all"}
-        return f"{100 * results.value('coverage', 'coverage_95', **of):.1f}"
-
-    def row(method: str) -> list[str]:
-        of = results.one("coverage", method=method, quantity="t_d", angle_deg="all")
-        poses = ["", ""] if method.endswith("-known") else [share(method, q) for q in "Rt"]
-        sampling = f"{100 * of['coverage_95_low']:.1f} to {100 * of['coverage_95_high']:.1f}"
-        return [
-            *(f"`{method}`", share(method, "t_d"), sampling, *poses),
-            *(share(method, "skew"), f"{of['rms_normalised']:.2f}"),
-        ]
-
-    header = [
-        *("method", "t_d [%]", "sampling [%]", "R [%]", "t [%]", "skew [%]"),
-        "t_d: rms of error / deviation",
-    ]
-    return markdown_table(header, [row(method) for method in METHODS])
-
-
-def flights(results: Results) -> str:
-    """Count the flights."""
-    of = {"method": "joint", "quantity": "t_d", "angle_deg": "all"}
-    return f"{results.value('coverage', 'n_runs', **of):.0f}"
+    rows = []
+    for method in METHODS:
+        of = results.rows("coverage", method=method, angle_deg="all").set_index("quantity")
+        shares, t_d = 100 * of["coverage_95"], of.loc["t_d"]
+        poses = [] if method.endswith("-known") else [f"{shares[one]:.1f}" for one in "Rt"]
+        sampling = f"{100 * t_d['coverage_95_low']:.1f} to {100 * t_d['coverage_95_high']:.1f}"
+        rows.append(
+            [
+                *(f"`{method}`", f"{shares['t_d']:.1f}", sampling, *(poses or ["", ""])),
+                *(f"{shares['skew']:.1f}", f"{t_d['rms_normalised']:.2f}"),
+            ]
+        )
+    header = ["method", "t_d [%]", "sampling [%]", "R [%]", "t [%]", "skew [%]"]
+    return markdown_table([*header, "t_d: rms of error / deviation"], rows)
 
 
 def below_the_mark(results: Results) -> str:
     """List the methods and quantities whose 95 % intervals hold the truth less often than MARK."""
-    table = results.table("coverage")
-    low = table[(table["angle_deg"] == "all") & (table["coverage_95"] < MARK)]
+    table = results.rows("coverage", angle_deg="all")
     found = [
         f"{100 * row['coverage_95']:.0f} % ({row['quantity']} of `{row['method']}`)"
-        for row in low.to_dict("records")
+        for row in table[table["coverage_95"] < MARK].to_dict("records")
     ]
     return listed(found) if found else "nowhere"
 
 
+_ALL_FLIGHTS = {"method": "joint", "quantity": "t_d", "angle_deg": "all"}
+
 STUDIES = (
     Study(
-        "coverage",
-        GRID.title,
-        GRID.cells,
-        SCORED,
+        "coverage", GRID.title, GRID.cells, SCORED,
         Runs("coverage_runs.csv", (*GRID.varied, "flight", "method")),
-        (
-            Made("coverage.csv", lambda results: coverage_table(results.table("coverage_runs"))),
-            Made("coverage.png", lambda results: coverage_figure(results.table("coverage_runs"))),
-        ),
-        numbers={
-            "coverage.flights": flights,
-            "coverage.below": below_the_mark,
-            "table.coverage": page_table,
-        },
-        checks=scored_checks("coverage_runs"),
-        config=GRID.content,
+        (made_of("coverage.csv", coverage_table, "coverage_runs"),
+         made_of("coverage.png", coverage_figure, "coverage_runs")),
+        numbers={"coverage.flights": quoted("coverage", "{n_runs:.0f}", **_ALL_FLIGHTS),
+                 "coverage.below": below_the_mark, "table.coverage": page_table},
+        checks=scored_checks("coverage_runs"), config=GRID.content,
     ),
-)
+)  # fmt: skip

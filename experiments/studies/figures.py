@@ -5,14 +5,15 @@ from the same runs and recordings.
 """
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
+from experiments.drawing.panels import Figure
 from experiments.lab.cache import DEFAULT_FOLDER, Cache
 from experiments.lab.cell import Flight
 from experiments.lab.files import record_checksums
@@ -29,13 +30,9 @@ from sim.sensor.frames import FrameConfig
 from ssac.errors import SsacError
 from ssac.files.whole_file import whole_file
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 COMMAND = "ssac figures"
 
-FLIGHT = SimConfig(angle_deg=90.0)
-"""A flight of the 20 s table."""
+FLIGHT = SimConfig(angle_deg=90.0)  # a flight of the 20 s table
 
 NOISY_FLIGHT = SimConfig(
     angle_deg=90.0,
@@ -51,50 +48,49 @@ NOISY_SEED = flight_seed(10.0, 90.0, 0)
 
 EPIPOLAR_T_D_S = 0.05  # at the tables' 50 ms the distance before alignment is seen at a glance
 
-
-def _drawn(name: str, t_d_s: float = 0.0) -> "Callable[[Results, Path], Figure]":
-    """Draw a figure of `experiments.drawing.events` of a recording, with an offset added."""
-
-    def draw(_: Results, folder: Path) -> "Figure":
-        from experiments.drawing import events
-
-        figure: Figure = getattr(events, name)(events.load_recording(folder, t_d_s))
-        return figure
-
-    return draw
+_OF: Mapping[str, tuple[str, float, Flight]] = {
+    "fig3_preprocessing": ("preprocessing_figure", 0.0, (NOISY_FLIGHT, NOISY_SEED)),
+    "fig4_epipolar": ("epipolar_figure", EPIPOLAR_T_D_S, (FLIGHT, SEED)),
+    "fig5_d_avg": ("d_avg_figure", 0.0, (FLIGHT, SEED)),
+    "alignment": ("alignment_figure", EPIPOLAR_T_D_S, (FLIGHT, SEED)),
+}
+"""By its file: function of `drawing.events`, offset that is added, recording."""
 
 
-_OF: Sequence[tuple[str, Callable[..., Any], Flight]] = (
-    ("fig3_preprocessing", _drawn("preprocessing_figure"), (NOISY_FLIGHT, NOISY_SEED)),
-    ("fig4_epipolar", _drawn("epipolar_figure", EPIPOLAR_T_D_S), (FLIGHT, SEED)),
-    ("fig5_d_avg", _drawn("d_avg_figure"), (FLIGHT, SEED)),
-    ("alignment", _drawn("alignment_figure", EPIPOLAR_T_D_S), (FLIGHT, SEED)),
-)
+def _drawn(name: str, _: Results, folder: Path) -> Figure:
+    from experiments.drawing import events
+
+    function, t_d_s, _flight = _OF[name]
+    figure: Figure = getattr(events, function)(events.load_recording(folder, t_d_s))
+    return figure
 
 
-def _recording(flight: Flight, **_: Any) -> tuple[Flight, ...]:
-    return (flight,)
+def _recording(name: str, **_: Any) -> tuple[Flight, ...]:
+    return (_OF[name][2],)
 
-
-_OF_TABLES = tuple(made for made in tables.STUDIES[0].makes if made.file.endswith(".png"))
 
 DRAWINGS = {
-    made.file.removesuffix(".png"): made
-    for made in (
-        *(
-            Made(f"{name}.png", draw, recordings=partial(_recording, flight))
-            for name, draw, flight in _OF
-        ),
-        *_OF_TABLES,
-    )
+    **{
+        name: Made(f"{name}.png", partial(_drawn, name), recordings=partial(_recording, name))
+        for name in _OF
+    },
+    **{
+        made.file.removesuffix(".png"): made
+        for made in tables.STUDIES[0].makes
+        if made.file.endswith(".png")
+    },
 }
 """Every figure that the command draws."""
 
 
 def config(names: Sequence[str] = tuple(DRAWINGS)) -> dict[str, Any]:
     """Give what figures are made with, for their provenance."""
-    recordings = {name: flight[0] for name, _, flight in _OF if name in names}
+    recordings = {name: flight[0] for name, (_, _, flight) in _OF.items() if name in names}
     return {"figures": list(names), "recordings": recordings, "flight": 0}
+
+
+def _folder(words: str) -> Any:
+    return typer.Option(help=words, metavar="FOLDER")
 
 
 def figures_command(
@@ -102,20 +98,13 @@ def figures_command(
         list[str] | None,
         typer.Argument(help="Figures to draw, by file name.  [default: all]", metavar="NAME"),
     ] = None,
-    results: Annotated[Path, typer.Option(help="Folder with the CSVs.", metavar="FOLDER")] = Path(
-        "results"
-    ),
-    cache: Annotated[
-        Path, typer.Option(help="Folder of cached recordings.", metavar="FOLDER")
-    ] = DEFAULT_FOLDER,
-    out: Annotated[Path, typer.Option(help="Folder for the PNGs.", metavar="FOLDER")] = Path(
-        "results"
-    ),
+    results: Annotated[Path, _folder("Folder with the CSVs.")] = Path("results"),
+    cache: Annotated[Path, _folder("Folder of cached recordings.")] = DEFAULT_FOLDER,
+    out: Annotated[Path, _folder("Folder for the PNGs.")] = Path("results"),
 ) -> None:
     """Draw the paper's Fig. 3 to 5, and all methods' errors; studies draw their own figures."""
     start = time.perf_counter()
-    chosen = choose(names or ())
-    check_inputs(chosen, results)
+    chosen = choose(names or (), results)
     out.mkdir(parents=True, exist_ok=True)
     for made in chosen.values():
         folders = [Cache(cache).recording_folder(*flight) for flight in made.filmed()]
@@ -126,33 +115,30 @@ def figures_command(
         with whole_file(out / made.file) as temporary:
             temporary.write_bytes(picture or b"")
         typer.echo(f"written to {out / made.file}")
-    line = " ".join([COMMAND, *(names or ())])
-    content = provenance(
-        line, config(tuple(chosen)), time.perf_counter() - start, context_or_none()
-    )
+    line, took_s = " ".join([COMMAND, *(names or ())]), time.perf_counter() - start
+    content = provenance(line, config(tuple(chosen)), took_s, context_or_none())
     write_provenance(out / "figures.png", content)
-    record_checksums(
-        out, [*(out / made.file for made in chosen.values()), out / f"figures{PROVENANCE}"]
-    )
+    written = [*(made.file for made in chosen.values()), f"figures{PROVENANCE}"]
+    record_checksums(out, [out / file for file in written])
 
 
-def choose(names: Sequence[str]) -> dict[str, Made]:
-    """Look up figures; all of them when none is named. SsacError for an unknown name."""
+def choose(names: Sequence[str], results: Path) -> dict[str, Made]:
+    """Look up figures; all of them when none is named.
+
+    SsacError, before any work is done, for an unknown name, or when the tables' runs are missing.
+    """
     for name in names:
         if name not in DRAWINGS:
             raise SsacError(f"unknown figure {name!r}: expected some of {', '.join(DRAWINGS)}")
-    return {name: DRAWINGS[name] for name in names} or dict(DRAWINGS)
-
-
-def check_inputs(chosen: dict[str, Made], results: Path) -> None:
-    """Raise SsacError, before any work is done, when the tables' runs are missing."""
+    chosen = {name: DRAWINGS[name] for name in names or DRAWINGS}
+    path = results / "runs.csv"
     for name, made in chosen.items():
-        path = results / "runs.csv"
         if not made.recordings and not path.is_file():
             raise SsacError(
                 f"{path}: missing, and {name} is drawn from it: run `make tables` first, or "
                 "name the figures to draw"
             )
+    return chosen
 
 
 STUDIES = (

@@ -16,26 +16,17 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from experiments.lab.cache import Cache
-from experiments.lab.cell import Measure
-from experiments.lab.grid import flight_seed
-from experiments.lab.markdown import markdown_table
+from experiments.lab.cell import Measure, RunRow
 from experiments.lab.recorded import Flown, recorded_pair
 from experiments.lab.results import Results
 from experiments.lab.score import Truth, kept, scored
-from experiments.lab.study import Made, Runs, Study
+from experiments.lab.study import Runs, Study
+from experiments.lab.summary import made_of, shown_table
 from experiments.paper.esim import method_order
 from experiments.paper.grids import ANGLES_DEG
 from experiments.studies.coverage import QUANTITIES, Quantity, confidence, sampling_bounds
-from experiments.worlds.spoilt import (
-    CARELESS,
-    GOOD,
-    ORDINARY,
-    SCENES,
-    T_D_S,
-    Kind,
-    KindCell,
-    spoilt_pair,
-)
+from experiments.worlds import spoilt
+from experiments.worlds.spoilt import CARELESS, GOOD, ORDINARY, SCENES, T_D_S, Kind, KindCell
 from sim.disturb import DisturbConfig
 from ssac.camera import known_pose
 from ssac.estimate import Estimate
@@ -43,53 +34,44 @@ from ssac.pipeline.chain import Chain
 from ssac.pipeline.registry import METHODS
 
 METHOD_NAMES = ("joint", "tangency", "joint-known", "tangency-known")
-N_ROUNDS = 3
-"""Of all kinds, on new flights: 162 recordings, 648 runs."""
-
+N_ROUNDS = 3  # of all kinds, on new flights: 162 recordings, 648 runs
 N_ORDINARY = 2
 """Ordinary flights of a round, each of which has all their kinds; of the other scenes one."""
 
 FIRST_FLIGHT, ROUND_STEP = 31_000, 30
 OTHER_FLIGHT = 20  # added to the number, for the flight of the second object
 
-SKEW_STD_PPM = 50.0
-"""Of clocks that run by oscillators: the prior of the methods."""
-
+SKEW_STD_PPM = 50.0  # of clocks that run by oscillators: the prior of the methods
 _TYPICAL = DisturbConfig(noise_hz=1.0, hot_clusters=2, intrinsics_error=GOOD)
 _ALL = DisturbConfig(
     lamp_px=6, hot_clusters=5, noise_hz=1.0, branches=100_000, people=1, second_object=0.1,
     intrinsics_error=GOOD,
 )  # fmt: skip
 
+
+def _ordinary(skew_std_ppm: float = 0.0, **disturb: Any) -> Kind:
+    return Kind(ORDINARY, DisturbConfig(**disturb), skew_std_ppm=skew_std_ppm)
+
+
 KINDS: dict[str, Kind] = {
-    ORDINARY: Kind(ORDINARY),
-    **{
-        f"noise {hz:g} Hz/px": Kind(ORDINARY, DisturbConfig(noise_hz=hz)) for hz in (1.0, 3.0, 10.0)
-    },
-    "good calibration": Kind(ORDINARY, DisturbConfig(intrinsics_error=GOOD)),
-    "careless calibration": Kind(ORDINARY, DisturbConfig(intrinsics_error=CARELESS)),
-    "skew": Kind(ORDINARY, skew_std_ppm=SKEW_STD_PPM),
-    **{
-        f"second object {100 * share:g} %": Kind(ORDINARY, DisturbConfig(second_object=share))
-        for share in (0.1, 0.2, 1.0)
-    },
-    "lamp 6 px": Kind(ORDINARY, DisturbConfig(lamp_px=6)),
-    "lamp 12 px": Kind(ORDINARY, DisturbConfig(lamp_px=12)),
-    "hot clusters": Kind(ORDINARY, DisturbConfig(hot_clusters=5)),
-    "branches": Kind(ORDINARY, DisturbConfig(branches=500_000)),
-    "people": Kind(ORDINARY, DisturbConfig(people=2)),
+    ORDINARY: _ordinary(),
+    **{f"noise {hz:g} Hz/px": _ordinary(noise_hz=hz) for hz in (1.0, 3.0, 10.0)},
+    "good calibration": _ordinary(intrinsics_error=GOOD),
+    "careless calibration": _ordinary(intrinsics_error=CARELESS),
+    "skew": _ordinary(SKEW_STD_PPM),
+    **{f"second object {100 * one:g} %": _ordinary(second_object=one) for one in (0.1, 0.2, 1.0)},
+    "lamp 6 px": _ordinary(lamp_px=6),
+    "lamp 12 px": _ordinary(lamp_px=12),
+    "hot clusters": _ordinary(hot_clusters=5),
+    "branches": _ordinary(branches=500_000),
+    "people": _ordinary(people=2),
     "all at once": Kind(ORDINARY, _ALL, skew_std_ppm=SKEW_STD_PPM),
-    **{
-        name: kind
-        for scene in SCENES
-        if scene != ORDINARY
-        for name, kind in (
-            (scene, Kind(scene)),
-            (f"{scene}, typical", Kind(scene, _TYPICAL, skew_std_ppm=SKEW_STD_PPM)),
-        )
-    },
 }
 """By name. "Typical" is noise of 1 Hz/px, two hot clusters, a good calibration and a skew."""
+
+for _scene in [*SCENES][1:]:
+    KINDS[_scene] = Kind(_scene)
+    KINDS[f"{_scene}, typical"] = Kind(_scene, _TYPICAL, skew_std_ppm=SKEW_STD_PPM)
 
 HELD = {name: QUANTITIES[name] for name in ("t_d", "skew", "R", "t")}
 """Quantities whose intervals of 95 % are counted, and whose errors may be confidently wrong."""
@@ -99,16 +81,13 @@ MAX_SIGMAS = 3.5
 """A larger error of any quantity that is given is a confident wrong answer; of several angles
 together, one that is as improbable."""
 
-ALL = "all"
-"""Kind of the rows of the summary over all kinds."""
+ALL = "all"  # kind of the rows of the summary over all kinds
 
 
 @dataclass(frozen=True)
-class ImperfectRow:
+class ImperfectRow(RunRow):
     """What was said, and its errors over their stated deviations; NaN for what is not given."""
 
-    status: str
-    reason: str = ""
     offset_given: bool = False
     pose_given: bool = False
     t_d_error_ms: float = np.nan
@@ -129,25 +108,19 @@ class ImperfectRow:
     n_events_cam2: int = 0
 
 
-def imperfect_cells(n_rounds: int = N_ROUNDS) -> list[KindCell]:
+def imperfect_cells() -> list[KindCell]:
     """List every method on every kind that is made of each flight."""
-    scenes = [*[ORDINARY] * (N_ORDINARY - 1), *SCENES]
     cells = []
-    for number in range(n_rounds):
-        for index, scene in enumerate(scenes):
+    for number in range(N_ROUNDS):
+        for index, scene in enumerate([*[ORDINARY] * (N_ORDINARY - 1), *SCENES]):
             flight = FIRST_FLIGHT + ROUND_STEP * number + index
             angle_deg = ANGLES_DEG[(2 * index + number) % len(ANGLES_DEG)]
-            sim = replace(SCENES[scene], angle_deg=angle_deg)
-            seed, other_seed = (
-                flight_seed(sim.spline.duration_s, angle_deg, one)
-                for one in (flight, flight + OTHER_FLIGHT)
+            sim, flights = (
+                replace(SCENES[scene], angle_deg=angle_deg),
+                (flight, flight + OTHER_FLIGHT),
             )
-            cells += [
-                KindCell(sim, flight, seed, name, other_seed, method)
-                for name, kind in KINDS.items()
-                if kind.scene == scene
-                for method in METHOD_NAMES
-            ]
+            kinds = [name for name, kind in KINDS.items() if kind.scene == scene]
+            cells += spoilt.kind_cells(sim, flights, kinds, METHOD_NAMES, KindCell)
     return cells
 
 
@@ -162,7 +135,7 @@ def imperfect_row(cell: KindCell, flown: Flown) -> ImperfectRow:
     kind, duration_s = KINDS[cell.kind], cell.sim.spline.duration_s
 
     def make() -> Chain:
-        pair = spoilt_pair(flown, kind, duration_s)
+        pair = spoilt.spoilt_pair(flown, kind, duration_s)
         return Chain((pair.cam1, pair.cam2), pair.rig)
 
     chain = flown.made(cell.kind, make)
@@ -191,25 +164,19 @@ def given_columns(estimate: Estimate, truth: Truth) -> dict[str, Any]:
 
 
 def imperfect_table(runs: pd.DataFrame) -> pd.DataFrame:
-    """Count what was answered, what held, and what was confidently wrong.
+    """Count what was answered, what held, and what was confidently wrong, by kind and method.
 
-    Returns
-    -------
-    pd.DataFrame
-        One row per kind and method, in their order, those of all kinds together first: runs,
-        `answered` (with an offset), `refused` (statuses of the others with their counts),
-        `pose_given`, for each quantity how often it was given with a deviation and the share of
-        these whose interval or region of 95 % holds the truth, and the confident wrong answers.
+    Those of all kinds together come first. Answers have an offset; of each quantity it is counted
+    how often it was given with a deviation, and the share of these whose interval or region of 95 %
+    holds the truth.
     """
     kinds = {ALL: runs} | {kind: runs[runs["kind"] == kind] for kind in dict.fromkeys(runs["kind"])}
-    table: pd.DataFrame = pd.DataFrame(
-        [
-            {"kind": kind, "method": method, **_counts(part[part["method"] == method])}
-            for kind, part in kinds.items()
-            for method in method_order(part["method"])
-        ]
-    )
-    return table
+    rows = [
+        {"kind": kind, "method": method, **_counts(part[part["method"] == method])}
+        for kind, part in kinds.items()
+        for method in method_order(part["method"])
+    ]
+    return pd.DataFrame(rows)
 
 
 def _counts(runs: pd.DataFrame) -> dict[str, Any]:
@@ -232,14 +199,9 @@ def answers(runs: pd.DataFrame) -> dict[str, Any]:
 def held(
     runs: pd.DataFrame, quantities: Mapping[str, Quantity]
 ) -> tuple[dict[str, int], NDArray[np.bool_]]:
-    """Count the quantities that are given, and whose intervals hold; tell the runs that are wrong.
+    """Count `<name>_given` and `<name>_held` of quantities; tell the runs (n,) that are wrong.
 
-    Returns
-    -------
-    counts : dict of int
-        `<name>_given` and `<name>_held`.
-    wrong : (n,) array of bool
-        Whether any quantity of a run is confidently wrong.
+    A run is confidently wrong if any of its quantities is.
     """
     counts, wrong = {}, np.zeros(len(runs), bool)
     for name, quantity in quantities.items():
@@ -253,33 +215,35 @@ def held(
 
 def page_table(results: Results) -> str:
     """Say of all kinds together how many were answered, and how many of the answers held."""
+    rows = results.rows("imperfect", kind=ALL)
+    shares = {}
+    for name in HELD:
+        given = zip(rows[f"{name}_held"], rows[f"{name}_given"], strict=True)
+        shares[f"shown_{name}"] = [_share(share, int(n_given)) for share, n_given in given]
+    return shown_table(
+        rows.assign(**shares),
+        {
+            "method": "`{method}`",
+            "answered": "{answered} of {runs}",
+            **{f"{name} [%]": f"{{shown_{name}}}" for name in HELD},
+            "confident wrong": "{confident_wrong}",
+        },
+    )
 
-    def share(row: "pd.Series[Any]", name: str) -> str:
-        n_given, share = int(row[f"{name}_given"]), float(row[f"{name}_held"])
-        if not np.isfinite(share):
-            return ""
-        low, high = sampling_bounds(round(share * n_given), n_given)
-        return f"{100 * share:.0f} ({100 * low:.0f} to {100 * high:.0f})"
 
-    rows = [
-        [
-            *(f"`{row['method']}`", f"{row['answered']:.0f} of {row['runs']:.0f}"),
-            *(share(row, name) for name in HELD),
-            f"{row['confident_wrong']:.0f}",
-        ]
-        for _, row in results.rows("imperfect", kind=ALL).iterrows()
-    ]
-    quantities = (f"{name} [%]" for name in HELD)
-    return markdown_table(["method", "answered", *quantities, "confident wrong"], rows)
+def _share(share: float, n_given: int) -> str:
+    if not np.isfinite(share):
+        return ""
+    low, high = sampling_bounds(round(share * n_given), n_given)
+    return f"{100 * share:.0f} ({100 * low:.0f} to {100 * high:.0f})"
 
 
 def kinds(results: Results, column: str) -> str:
     """List the kinds that `tangency` does not answer throughout, or answers wrongly."""
     table = results.rows("imperfect", method="tangency")
-    table = table[table["kind"] != ALL]
-    count = table["runs"] - table["answered"] if column == "not_answered" else table[column]
-    listed = zip(table["kind"], count, table["runs"], strict=True)
-    return "; ".join(f"{kind}: {n:.0f} of {runs:.0f}" for kind, n, runs in listed if n > 0)
+    table = table[table["kind"] != ALL].assign(not_answered=table["runs"] - table["answered"])
+    listed = table[table[column] > 0][["kind", column, "runs"]].itertuples(index=False)
+    return "; ".join(f"{kind}: {n:.0f} of {runs:.0f}" for kind, n, runs in listed)
 
 
 STUDIES = (
@@ -289,19 +253,13 @@ STUDIES = (
         imperfect_cells,
         Measure(load_flown, imperfect_row, ImperfectRow),
         Runs("imperfect_runs.csv", ("kind", "flight", "method")),
-        (Made("imperfect.csv", lambda results: imperfect_table(results.table("imperfect_runs"))),),
+        (made_of("imperfect.csv", imperfect_table, "imperfect_runs"),),
         numbers={
             "table.imperfect": page_table,
             "imperfect.kinds_not_answered": partial(kinds, column="not_answered"),
             "imperfect.kinds_wrong": partial(kinds, column="confident_wrong"),
         },
-        config={
-            "n_rounds": N_ROUNDS,
-            "n_ordinary": N_ORDINARY,
-            "first_flight": FIRST_FLIGHT,
-            "kinds": list(KINDS),
-            "methods": METHOD_NAMES,
-            "angles_deg": ANGLES_DEG,
-        },
+        config={"n_rounds": N_ROUNDS, "n_ordinary": N_ORDINARY, "first_flight": FIRST_FLIGHT,
+                "kinds": list(KINDS), "methods": METHOD_NAMES, "angles_deg": ANGLES_DEG},
     ),
-)
+)  # fmt: skip

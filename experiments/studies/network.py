@@ -20,16 +20,19 @@ from scipy.stats import chi2
 from experiments.lab.cache import Cache
 from experiments.lab.cell import FlightCell, Measure
 from experiments.lab.command import command_of
-from experiments.lab.markdown import digits, markdown_table
+from experiments.lab.markdown import digits
 from experiments.lab.provenance import plain
 from experiments.lab.recorded import FlightTruth, load_truth
 from experiments.lab.results import Results
-from experiments.lab.score import angle_between_deg
-from experiments.lab.study import Made, Runs, Study
+from experiments.lab.study import Runs, Study
+from experiments.lab.summary import answered, by_group, made_of, shown_table, statistics
 from experiments.lab.verify import between, follows
 from experiments.studies import network_growth
-from experiments.worlds.four_cameras import ANGLE_DEG, N_CAMERAS, T_D_S, FourCameras
+from experiments.studies.outdoor import PlacedRow, placed_errors
 from experiments.worlds.outdoor import true_track
+from sim.recording import Scene, SimConfig
+from sim.scene.rig import look_at_rig
+from sim.sensor.frames import FrameConfig
 from ssac.cli.options import number
 from ssac.clock import Clock
 from ssac.estimate import Status
@@ -46,6 +49,11 @@ from ssac.pipeline.api import sync
 
 Array = NDArray[np.float64]
 
+T_D_S = (0.0, 0.05, -0.23, 0.41)
+"""By how much each clock shows more than the first; added where events are written."""
+
+N_CAMERAS = len(T_D_S)
+ANGLE_DEG = 60.0  # from each camera to the next, on a half circle
 N_FLIGHTS = 4
 FIRST_SEED = 78_000  # those from 73,000 to 77,003 were looked at
 AS_RECORDED, TRUE_TRACKS = "as_recorded", "true_tracks"
@@ -63,36 +71,37 @@ Flights = Annotated[int, number("Flights seen by four cameras.", 1, 1000, metava
 
 
 @dataclass(frozen=True)
+class FourCameras(SimConfig):
+    """The default flight and drone, before four cameras with ideal sensors and equal clocks."""
+
+    angle_deg: float = ANGLE_DEG
+    frames: FrameConfig = field(default_factory=lambda: FrameConfig(rate_hz=0.0))
+
+    def scene(self, seed: int) -> Scene:
+        """Build the default scene, with more cameras: all equal, as are their backgrounds."""
+        two = super().scene(seed)
+        rig = look_at_rig(
+            [self.angle_deg * k for k in range(N_CAMERAS)],
+            distance_m=self.distance_m,
+            focal_px=self.focal_px,
+            resolution=self.resolution,
+            principal_point=self.principal_point,
+        )
+        return Scene(rig, two.backgrounds[:1] * N_CAMERAS, two.drone, two.trajectory)
+
+
+@dataclass(frozen=True)
 class CameraCell(FlightCell):
     """One camera of a flight; of the first, whose clock and frame the others go by, the path."""
 
     kind: str  # of KINDS
     camera: int  # from 1 on
 
-    @property
-    def columns(self) -> dict[str, Any]:
-        """Columns that say which it is."""
-        return {**self.flown, "kind": self.kind, "camera": self.camera}
-
-    @property
-    def inputs(self) -> tuple[Any, ...]:
-        """What the row depends on beside the recording."""
-        return self.kind, self.camera
-
 
 @dataclass(frozen=True)
-class CameraRow:
+class CameraRow(PlacedRow):
     """Errors and stated deviations of a camera, or, of the first, of the path."""
 
-    status: str
-    reason: str = ""
-    t_d_error_ms: float = np.nan
-    t_d_std_ms: float = np.nan
-    skew_error_ppm: float = np.nan
-    skew_std_ppm: float = np.nan
-    r_error_deg: float = np.nan
-    r_std_deg: float = np.nan
-    t_error_deg: float = np.nan
     t_d_normalised: float = np.nan
     skew_normalised: float = np.nan
     r_mahalanobis: float = np.nan
@@ -171,26 +180,20 @@ def _pose_figures(answer: NetworkAnswer, k: int, truth: FlightTruth) -> dict[str
     assert camera.R is not None  # the network has it
     assert camera.t is not None
     at = int(border_offsets(built.network)[built.members.index(k)])
-    covariance = built.solved.border_covariance() * built.network.lasting
-    part = covariance[at:, at:]
+    part = (built.solved.border_covariance() * built.network.lasting)[at:, at:]
     turned = Rotation.from_matrix(T_k_1[:3, :3] @ camera.R.T).as_rotvec()
     length = float(np.linalg.norm(camera.t))
     direction = T_k_1[:3, 3] / np.linalg.norm(T_k_1[:3, 3])
     across = tangent_basis(camera.t / length)
-    moved = across @ direction * length
     t_d_error_ms = 1e3 * (camera.t_d_s - T_D_S[k])
-    return {
-        "t_d_error_ms": abs(t_d_error_ms),
-        "t_d_std_ms": 1e3 * camera.t_d_std_s,
-        "skew_error_ppm": abs(camera.skew_ppm),
-        "skew_std_ppm": camera.skew_std_ppm,
+    return placed_errors(camera, T_D_S[k], 0.0, T_k_1[:3, :3], direction) | {
         "r_error_deg": float(np.rad2deg(np.linalg.norm(turned))),
-        "r_std_deg": camera.r_std_deg,
-        "t_error_deg": angle_between_deg(camera.t, direction),
         "t_d_normalised": t_d_error_ms / (1e3 * camera.t_d_std_s),
         "skew_normalised": camera.skew_ppm / camera.skew_std_ppm,
         "r_mahalanobis": _mahalanobis(turned, part[ROTATION, ROTATION]),
-        "t_mahalanobis": _mahalanobis(moved, across @ part[TRANSLATION, TRANSLATION] @ across.T),
+        "t_mahalanobis": _mahalanobis(
+            across @ direction * length, across @ part[TRANSLATION, TRANSLATION] @ across.T
+        ),
     }
 
 
@@ -236,33 +239,25 @@ def path_off_best_point_m(path: SpacePath, true_m: Array, truth: FlightTruth) ->
 
 
 def camera_table(runs: pd.DataFrame) -> pd.DataFrame:
-    """Sum up the flights by kind.
+    """Sum up the flights by kind: means of all that was measured, and the largest of the errors.
 
-    Returns
-    -------
-    pd.DataFrame
-        One row per kind: `cameras`, `answered`, means of all that was measured, the largest of
-        the errors, and how many of the stated intervals and regions of 95 % hold the truth, of
-        those that were `told` (cameras but the first of each flight).
+    Of those `told`, which are cameras but the first of each flight, it is counted how many of the
+    stated intervals and regions of 95 % hold the truth.
     """
-    rows = []
-    for kind, group in runs.groupby("kind", sort=False):
-        good = group[group["status"] == Status.OK.value]
+
+    def row(group: pd.DataFrame) -> dict[str, Any]:
+        good = answered(group)
         others = good[good["camera"] > 1]
-        measured = list(good.columns[good.columns.get_loc("status") + 2 :])
-        row: dict[str, Any] = {"kind": kind, "cameras": len(group), "answered": len(good)}
+        measured = [str(name) for name in good][list(good).index("status") + 2 :]
+        row: dict[str, Any] = {"cameras": len(group), "answered": len(good)}
         row |= {name: good[name].mean() for name in measured if name not in _HELD}
-        row |= {f"{name}_most": good[name].max() for name in _WORST}
-        row |= {"told": len(others)}
-        row |= {
-            f"{name.rsplit('_', 1)[0]}_held": int(
-                np.sum(others[name] ** 2 <= chi2.ppf(LEVEL, free))
-            )
-            for name, free in _HELD.items()
-        }
-        rows.append(row)
-    table: pd.DataFrame = pd.DataFrame(rows)
-    return table
+        row |= statistics(good, _WORST, "most") | {"told": len(others)}
+        for name, free in _HELD.items():
+            holds = others[name] ** 2 <= chi2.ppf(LEVEL, free)
+            row[f"{name.rsplit('_', 1)[0]}_held"] = int(np.sum(holds))
+        return row
+
+    return by_group(runs, ("kind",), row)
 
 
 def page_table(results: Results) -> str:
@@ -271,27 +266,19 @@ def page_table(results: Results) -> str:
     Errors are means, in brackets the largest; of the stated regions of 95 % how many hold the
     truth, of the path the share of its coordinates.
     """
-    rows, n_stated = [], 0
-    for row in results.table("network").to_dict("records"):
-        n_stated = int(row["told"])
-        rows.append(
-            [
-                str(row["kind"]).replace("_", " "),
-                *(
-                    f"{row[name]:.3f} ({row[f'{name}_most']:.3f})"
-                    for name in ("t_d_error_ms", "r_error_deg", "t_error_deg")
-                ),
-                ", ".join(f"{row[f'{name}_held']:.0f}" for name in ("t_d", "skew", "r", "t")),
-                f"{row['path_rmse_mm']:.1f} ({row['path_rmse_mm_most']:.1f})",
-                digits(row["path_point_rmse_mm"]),
-                f"{100 * row['path_held']:.0f}",
-            ]
-        )
-    header = [
-        *("tracks", "t_d [ms]", "R [deg]", "t [deg]", f"held of {n_stated}"),
-        *("path [mm]", "nearest", "held [%]"),
-    ]
-    return markdown_table(header, rows)
+    table = results.table("network")
+    kinds, nearest = table["kind"].str.replace("_", " "), table["path_point_rmse_mm"].map(digits)
+    shown = table.assign(kind=kinds, nearest=nearest, path_held=100 * table["path_held"])
+    return shown_table(shown, {
+        "tracks": "{kind}",
+        "t_d [ms]": "{t_d_error_ms:.3f} ({t_d_error_ms_most:.3f})",
+        "R [deg]": "{r_error_deg:.3f} ({r_error_deg_most:.3f})",
+        "t [deg]": "{t_error_deg:.3f} ({t_error_deg_most:.3f})",
+        f"held of {table['told'].iloc[-1]}": "{t_d_held}, {skew_held}, {r_held}, {t_held}",
+        "path [mm]": "{path_rmse_mm:.1f} ({path_rmse_mm_most:.1f})",
+        "nearest": "{nearest}",
+        "held [%]": "{path_held:.0f}",
+    })  # fmt: skip
 
 
 def _normal(name: str, unit: str) -> Callable[[pd.DataFrame], "pd.Series[float]"]:
@@ -305,30 +292,20 @@ STUDIES = (
         cells,
         Measure(load_flight, camera_row, CameraRow),
         Runs("network_runs.csv", ("flight", "kind", "camera")),
-        (Made("network.csv", lambda results: camera_table(results.table("network_runs"))),),
+        (made_of("network.csv", camera_table, "network_runs"),),
         numbers={"table.network": page_table},
         checks=(
             ("shares are shares", between("network_runs", "path_held", 0.0, 1.0)),
-            (
-                "errors are their deviations times what is normalised",
-                follows("network_runs", "t_d_error_ms", _normal("t_d", "ms"), within=1e-6),
-            ),
-            (
-                "and so are those of skews",
-                follows("network_runs", "skew_error_ppm", _normal("skew", "ppm"), within=1e-4),
-            ),
+            ("errors are their deviations times what is normalised",
+             follows("network_runs", "t_d_error_ms", _normal("t_d", "ms"), within=1e-6)),
+            ("and so are those of skews",
+             follows("network_runs", "skew_error_ppm", _normal("skew", "ppm"), within=1e-4)),
         ),
-        config={
-            "n_flights": N_FLIGHTS,
-            "first_seed": FIRST_SEED,
-            "angle_deg": ANGLE_DEG,
-            "t_d_s": T_D_S,
-            "kinds": KINDS,
-            "sim": plain(FourCameras()),
-        },
+        config={"n_flights": N_FLIGHTS, "first_seed": FIRST_SEED, "angle_deg": ANGLE_DEG,
+                "t_d_s": T_D_S, "kinds": KINDS, "sim": plain(FourCameras())},
         command=network_growth.COMMAND,
     ),
-)
+)  # fmt: skip
 
 command = command_of(
     {"four": STUDIES, "growth": network_growth.STUDIES},

@@ -17,7 +17,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from experiments.lab.cell import Flight, Measure
+from experiments.lab.cell import Measure, PlainCell, RunRow
 from experiments.lab.study import How, Runs, Study
 from experiments.lab.verify import between, one_of
 from sim.scene.rig import Rig, kalibr_yaml, look_at_rig
@@ -37,9 +37,7 @@ FRAMES_HZ = 60.0
 DURATIONS_S = (150.0, 300.0, 600.0)
 NOISE_PX = 0.5
 _DISTANCE_M, _FOCAL_PX = 35.0, 900.0
-MARK_S, MARK_MB = 600.0, 4096.0
-"""Of the longest flight."""
-
+MARK_S, MARK_MB = 600.0, 4096.0  # of the longest flight
 _SEED = 74_000
 _SHORT_S = 20.0
 _OFFSETS_S, _SKEWS_PPM = 20.0, 20.0  # of the clocks, at most and as a deviation
@@ -53,29 +51,17 @@ _SPLINE = SplineConfig(
 
 
 @dataclass(frozen=True)
-class GrowthCell:
+class GrowthCell(PlainCell):
     """One flight."""
 
     duration_s: float
-    recordings: tuple[Flight, ...] = ()
-
-    @property
-    def columns(self) -> dict[str, Any]:
-        """Columns that say which it is."""
-        return {"duration_s": self.duration_s, "cameras": N_CAMERAS}
-
-    @property
-    def inputs(self) -> float:
-        """What the row depends on."""
-        return self.duration_s
+    cameras: int = N_CAMERAS
 
 
 @dataclass(frozen=True)
-class GrowthRow:
+class GrowthRow(RunRow):
     """What a flight took, the largest error of a clock, and the path's."""
 
-    status: str
-    reason: str = ""
     points: float = np.nan
     wall_s: float = np.nan
     cpu_s: float = np.nan
@@ -110,16 +96,12 @@ def growth_row(cell: GrowthCell, _: None) -> GrowthRow:
     parts, status = found.seconds, found.network.status
     row = GrowthRow(
         str(status),
-        points=sum(camera.n_seen for camera in found.network.cameras),
-        wall_s=wall_s,
-        cpu_s=cpu_s,
-        pairs_s=sum(seconds for part, seconds in parts.items() if part != "network"),
-        network_s=parts["network"],
-        peak_mb=peak_mb,
+        found.network.reason if status != Status.OK else "",
+        sum(camera.n_seen for camera in found.network.cameras),
+        *(wall_s, cpu_s, sum(seconds for part, seconds in parts.items() if part != "network")),
+        *(parts["network"], peak_mb),
     )
-    if status != Status.OK:
-        return replace(row, reason=found.network.reason)
-    return replace(row, **_errors(found, clocks, cell.duration_s))
+    return replace(row, **_errors(found, clocks, cell.duration_s)) if status == Status.OK else row
 
 
 def write_tracks(folder: Path, duration_s: float) -> tuple[list[Path], list[Clock]]:

@@ -5,7 +5,7 @@ it. In the last two nothing is known, and all is adjusted at once, with a third 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated, Any
@@ -16,35 +16,20 @@ import typer
 from numpy.typing import NDArray
 
 from experiments.lab.cache import Cache
-from experiments.lab.cell import Flight, Measure
+from experiments.lab.cell import Flight, Measure, PlainCell, RunRow
 from experiments.lab.command import command_of
-from experiments.lab.markdown import markdown_table
 from experiments.lab.recorded import FlightTruth, load_truth
 from experiments.lab.results import Results
 from experiments.lab.score import angle_between_deg, rotation_angle_deg
 from experiments.lab.study import Made, Runs, Study
+from experiments.lab.summary import by_group, held, made_of, shown_table
 from experiments.lab.verify import between, ordered
-from experiments.worlds.outdoor import (
-    CLOUDS_PX_S,
-    DURATION_S,
-    FIRST_SEED,
-    LEVER_ARM_M,
-    T_D_S,
-    THIRD_T_D_S,
-    calibrated,
-    outdoor_config,
-    rtk_of,
-    seed_of,
-    third_config,
-    write_events,
-    write_rig,
-    write_tracks,
-)
+from experiments.worlds import outdoor as world
+from experiments.worlds.outdoor import DURATION_S, outdoor_config, seed_of
 from sim.recording import SimConfig
 from ssac.cli.options import number
 from ssac.config import Config
 from ssac.estimate import Estimate, Status
-from ssac.fit.covariance import NORMAL_95
 from ssac.geometry.pose import depths
 from ssac.network.align import smoothed
 from ssac.network.comparison import Comparison, compare
@@ -75,7 +60,7 @@ Third = Annotated[
 
 
 @dataclass(frozen=True)
-class OutdoorCell:
+class OutdoorCell(PlainCell):
     """One way to know part of the truth of a flight."""
 
     flight: int
@@ -90,7 +75,7 @@ class OutdoorCell:
     @property
     def recordings(self) -> tuple[Flight, ...]:
         """That of cameras 1 and 2, and that of cameras 1 and 3 if there is a third."""
-        thirds = (third_config(self.config),) if self.kind == THREE_CAMERAS else ()
+        thirds = (world.third_config(self.config),) if self.kind == THREE_CAMERAS else ()
         return tuple((config, seed_of(self.flight)) for config in (self.config, *thirds))
 
     @property
@@ -98,18 +83,11 @@ class OutdoorCell:
         """Columns that say which it is."""
         return {"flight": self.flight, "kind": self.kind}
 
-    @property
-    def inputs(self) -> tuple[Any, ...]:
-        """What the row depends on beside the recordings."""
-        return self.flight, self.kind
-
 
 @dataclass(frozen=True)
-class OutdoorRow:
-    """Errors and stated deviations of camera 2's clock and pose, and the path beside RTK."""
+class PlacedRow(RunRow):
+    """Errors and stated deviations of a camera's clock and pose."""
 
-    status: str
-    reason: str = ""
     t_d_error_ms: float = np.nan
     t_d_std_ms: float = np.nan
     skew_error_ppm: float = np.nan
@@ -117,6 +95,12 @@ class OutdoorRow:
     r_error_deg: float = np.nan
     r_std_deg: float = np.nan
     t_error_deg: float = np.nan
+
+
+@dataclass(frozen=True)
+class OutdoorRow(PlacedRow):
+    """Those of camera 2, and the path beside RTK."""
+
     t_std_deg: float = np.nan
     rmse_m: float = np.nan  # at equal times
     median_m: float = np.nan
@@ -127,7 +111,7 @@ class OutdoorRow:
     coverage: float = np.nan  # share of RTK's samples that the path has
 
 
-MEASURED = tuple(OutdoorRow.__dataclass_fields__)[2:]
+MEASURED = [one.name for one in fields(OutdoorRow)[2:]]
 
 
 def cells(
@@ -146,27 +130,49 @@ def load_outdoor(cells: Sequence[OutdoorCell], cache: Cache) -> tuple[Path, ...]
 def outdoor_row(cell: OutdoorCell, folders: tuple[Path, ...]) -> OutdoorRow:
     """Find clocks, pose and path in the way of the cell, and compare them with the truth."""
     truths = truths_of(folders)
+    truth, path = truths[0], None
     found: Estimate | CameraAnswer
-    path: SpacePath | None = None
     if cell.kind in (TWO_AT_ONCE, THREE_CAMERAS):
         answer = at_once(folders, truths, cell)
-        status, reason, found = str(answer.status), answer.reason, answer.cameras[1]
+        row, found = OutdoorRow(str(answer.status), answer.reason), answer.cameras[1]
         if found.status == Status.OK and found.R is not None and answer.cameras[0].group == 1:
             path = answer.paths[0].path
     else:
-        of_two, path = estimated(folders[0], truths[0], cell)
+        of_two, path = estimated(folders[0], truth, cell)
         found = of_two.estimate
-        status, reason = str(found.status), found.reason
-    row = OutdoorRow(status, reason)
+        row = OutdoorRow(str(found.status), found.reason)
     if path is None:
         return row
-    figures = {**_camera_figures(found, truths[0]), **_path_figures(path, truths[0], cell.flight)}
-    return replace(row, **figures)
+    shown_s = float(truth.clock.cam2_from_cam1(found.t_ref_s)) - found.t_ref_s
+    std_deg = (
+        found.t_std_deg
+        if isinstance(found, Estimate)
+        else float(np.rad2deg(np.linalg.norm(np.asarray(found.t_std))))
+    )
+    placed = placed_errors(found, shown_s, truth.clock.skew_ppm, truth.R, truth.t)
+    return replace(row, **placed, t_std_deg=std_deg, **_path_errors(path, truth, cell.flight))
+
+
+def placed_errors(
+    found: Estimate | CameraAnswer, t_d_s: float, skew_ppm: float, R: Array, t: Array
+) -> dict[str, Any]:
+    """Compare a clock and a pose with the truth: columns of `PlacedRow`."""
+    assert found.R is not None  # there is no path without
+    assert found.t is not None
+    return {
+        "t_d_error_ms": 1e3 * abs(found.t_d_s - t_d_s),
+        "t_d_std_ms": 1e3 * found.t_d_std_s,
+        "skew_error_ppm": abs(found.skew_ppm - skew_ppm),
+        "skew_std_ppm": found.skew_std_ppm,
+        "r_error_deg": rotation_angle_deg(found.R.T @ R),
+        "r_std_deg": found.r_std_deg,
+        "t_error_deg": angle_between_deg(found.t, t),
+    }
 
 
 def truths_of(folders: tuple[Path, ...]) -> tuple[FlightTruth, ...]:
     """Read the truth of a flight's recordings, with the offsets that clocks are given here."""
-    both = zip(folders, (T_D_S, THIRD_T_D_S), strict=False)
+    both = zip(folders, (world.T_D_S, world.THIRD_T_D_S), strict=False)
     return tuple(load_truth(folder, t_d_s) for folder, t_d_s in both)
 
 
@@ -176,10 +182,10 @@ def at_once(
     """Find clocks, poses and path of two or three cameras, as `ssac sync` of their files does."""
     with TemporaryDirectory() as name:
         work, n = Path(name), len(folders) + 1
-        write_rig(work / "rig.yaml", calibrated(cell.config, cell.flight)[:n])
+        world.write_rig(work / "rig.yaml", world.calibrated(cell.config, cell.flight)[:n])
         paths = [work / f"cam{k + 1}.h5" for k in range(n)]
         for k in reversed(range(1, n)):
-            write_events(work, folders[k - 1], truths[k - 1], cell.flight, second=k)
+            world.write_events(work, folders[k - 1], truths[k - 1], cell.flight, second=k)
             paths[1].rename(paths[k])
         return network(chain_of(paths, work / "rig.yaml", CONFIG)).network
 
@@ -189,21 +195,21 @@ def estimated(
 ) -> tuple[Answer, SpacePath | None]:
     """Find clocks, pose and path [baselines, camera 1's frame] of two cameras."""
     config, flight, kind = cell.config, cell.flight, cell.kind
-    exact = kind in ("true_intrinsics", "all_true")
+    is_exact = kind in ("true_intrinsics", "all_true")
     with TemporaryDirectory() as name:
         work = Path(name)
-        write_rig(work / "rig.yaml", (config,) * 2 if exact else calibrated(config, flight)[:2])
+        rig = (config,) * 2 if is_exact else world.calibrated(config, flight)[:2]
+        world.write_rig(work / "rig.yaml", rig)
         if kind in ("true_tracks", "all_true"):
-            files = write_tracks(work, config, truth)
+            files = world.write_tracks(work, config, truth)
         else:
-            files = write_events(work, folder, truth, flight)
+            files = world.write_events(work, folder, truth, flight)
         found = sync(*files, work / "rig.yaml", config=CONFIG).answer
-    if not found.estimate.has_offset:
+    is_given = kind in ("true_pose", "all_true")
+    R, t = (truth.R, truth.t) if is_given else (found.estimate.R, found.estimate.t)
+    if not found.estimate.has_offset or R is None or t is None:
         return found, None
-    R, t = found.estimate.R, found.estimate.t
-    if kind in ("true_pose", "all_true"):
-        R, t = truth.R, truth.t
-    return found, None if R is None or t is None else triangulated(found, R, t)
+    return found, triangulated(found, R, t)
 
 
 def triangulated(found: Answer, R: Array, t: Array) -> SpacePath | None:
@@ -230,38 +236,17 @@ def triangulated(found: Answer, R: Array, t: Array) -> SpacePath | None:
     return replace(rough, positions_m=smoothed(rough).at(rough.times_s))
 
 
-def _camera_figures(found: Estimate | CameraAnswer, truth: FlightTruth) -> dict[str, Any]:
-    """Compare what is said of camera 2's clock and pose with the truth."""
-    assert found.R is not None  # there is no path without
-    assert found.t is not None
-    shown_s = float(truth.clock.cam2_from_cam1(found.t_ref_s)) - found.t_ref_s
-    return {
-        "t_d_error_ms": 1e3 * abs(found.t_d_s - shown_s),
-        "t_d_std_ms": 1e3 * found.t_d_std_s,
-        "skew_error_ppm": abs(found.skew_ppm - truth.clock.skew_ppm),
-        "skew_std_ppm": found.skew_std_ppm,
-        "r_error_deg": rotation_angle_deg(found.R.T @ truth.R),
-        "r_std_deg": found.r_std_deg,
-        "t_error_deg": angle_between_deg(found.t, truth.t),
-        "t_std_deg": found.t_std_deg
-        if isinstance(found, Estimate)
-        else float(np.rad2deg(np.linalg.norm(np.asarray(found.t_std)))),
-    }
-
-
 def compared(path: SpacePath, truth: FlightTruth, flight: int) -> Comparison:
     """Compare a path with the flight's RTK, whose lever arm is known."""
-    return compare(path, rtk_of(truth, flight), lever_arm_m=LEVER_ARM_M)
+    return compare(path, world.rtk_of(truth, flight), lever_arm_m=world.LEVER_ARM_M)
 
 
-def _path_figures(path: SpacePath, truth: FlightTruth, flight: int) -> dict[str, Any]:
+def _path_errors(path: SpacePath, truth: FlightTruth, flight: int) -> dict[str, Any]:
     found = compared(path, truth, flight)
     assert found.in_time is not None  # both paths have times
     figures = found.in_time.figures()
     return {
-        "rmse_m": figures["rmse_m"],
-        "median_m": figures["median_m"],
-        "max_m": figures["max_m"],
+        **{name: figures[name] for name in ("rmse_m", "median_m", "max_m")},
         "icp_rmse_m": found.as_shape.rmse_m,
         "scale_error_percent": 100.0 * abs(figures["scale"] / truth.baseline_m - 1.0),
         "rtk_samples": figures["n_samples"],
@@ -271,12 +256,13 @@ def _path_figures(path: SpacePath, truth: FlightTruth, flight: int) -> dict[str,
 
 def oracle_table(runs: pd.DataFrame) -> pd.DataFrame:
     """Give means over the flights that were answered, and how many these are, by kind."""
-    table = []
-    for kind, group in runs.groupby("kind", sort=False):
+
+    def row(group: pd.DataFrame) -> dict[str, Any]:
         answered = group[group["rmse_m"].notna()]
         means = {name: answered[name].mean() for name in MEASURED}
-        table.append({"kind": kind, "answered": len(answered), "of": len(group), **means})
-    return pd.DataFrame(table)
+        return {"answered": len(answered), "of": len(group), **means}
+
+    return by_group(runs, ("kind",), row)
 
 
 def first_recording(duration: float = DURATION_S, **_: Any) -> tuple[Flight, ...]:
@@ -288,8 +274,7 @@ def first_flight(_: Results, folder: Path) -> bytes | None:
     """Draw the first flight, all adjusted at once, beside its RTK; None if it was refused."""
     from experiments.drawing.style import comparison_png
 
-    truths = truths_of((folder,))
-    cell = OutdoorCell(0, TWO_AT_ONCE)
+    truths, cell = truths_of((folder,)), OutdoorCell(0, TWO_AT_ONCE)
     answer = at_once((folder,), truths, cell)
     if not answer.paths:
         return None
@@ -302,31 +287,30 @@ def page_table(results: Results) -> str:
     Errors are means, in brackets the path's largest; of t_d and skew how many of the stated 95 %
     intervals hold the truth.
     """
-    rows = []
-    for kind, flights in results.table("outdoor").groupby("kind", sort=False):
+
+    def row(flights: pd.DataFrame) -> dict[str, Any]:
         given = flights[flights["rmse_m"].notna()]
-        held = (
-            f"{(given[f'{name}_error_{unit}'] <= NORMAL_95 * given[f'{name}_std_{unit}']).sum()}"
-            for name, unit in (("t_d", "ms"), ("skew", "ppm"))
-        )
-        rows.append(
-            [
-                str(kind).replace("_", " "),
-                f"{len(given)} of {len(flights)}",
-                f"{given['t_d_error_ms'].mean():.3f}",
-                f"{given['skew_error_ppm'].mean():.2f}",
-                *(f"{given[f'{name}_error_deg'].mean():.3f}" for name in ("r", "t")),
-                ", ".join(held),
-                f"{given['rmse_m'].mean():.3f} ({given['rmse_m'].max():.3f})",
-                f"{given['icp_rmse_m'].mean():.3f}",
-                f"{100 * given['coverage'].mean():.0f}",
-            ]
-        )
-    header = [
-        *("known", "answered", "t_d [ms]", "skew [ppm]", "R [deg]", "t [deg]", "held"),
-        *("path [m]", "ICP [m]", "seen [%]"),
-    ]
-    return markdown_table(header, rows)
+        return {
+            **given.mean(numeric_only=True),
+            **{"answered": len(given), "of": len(flights), "most_m": given["rmse_m"].max()},
+            "n_t_d": held(given, "t_d", "ms").sum(),
+            "n_skew": held(given, "skew", "ppm").sum(),
+            "seen": 100 * given["coverage"].mean(),
+        }
+
+    table = by_group(results.table("outdoor"), ("kind",), row)
+    return shown_table(table.assign(kind=table["kind"].str.replace("_", " ")), {
+        "known": "{kind}",
+        "answered": "{answered} of {of}",
+        "t_d [ms]": "{t_d_error_ms:.3f}",
+        "skew [ppm]": "{skew_error_ppm:.2f}",
+        "R [deg]": "{r_error_deg:.3f}",
+        "t [deg]": "{t_error_deg:.3f}",
+        "held": "{n_t_d}, {n_skew}",
+        "path [m]": "{rmse_m:.3f} ({most_m:.3f})",
+        "ICP [m]": "{icp_rmse_m:.3f}",
+        "seen [%]": "{seen:.0f}",
+    })  # fmt: skip
 
 
 STUDIES = (
@@ -335,32 +319,19 @@ STUDIES = (
         "The paper's outdoor experiment, simulated",
         cells,
         Measure(load_outdoor, outdoor_row, OutdoorRow),
-        Runs(
-            "outdoor.csv",
-            ("flight", "kind"),
-            columns=("flight", "kind", "status", *MEASURED, "reason"),
-            numbered=False,
-        ),
-        (
-            Made("outdoor_oracle.csv", lambda one: oracle_table(one.table("outdoor")), near=True),
-            Made("outdoor.png", first_flight, recordings=first_recording),
-        ),
+        Runs("outdoor.csv", ("flight", "kind"), numbered=False,
+             columns=("flight", "kind", "status", *MEASURED, "reason")),
+        (made_of("outdoor_oracle.csv", oracle_table, "outdoor", near=True),
+         Made("outdoor.png", first_flight, recordings=first_recording)),
         numbers={"table.outdoor": page_table},
-        checks=(
-            ("a median is no maximum", ordered("outdoor", "median_m", "max_m")),
-            ("shares are shares", between("outdoor", "coverage", 0.0, 1.0)),
-        ),
-        config={
-            "flights": N_FLIGHTS,
-            "first_seed": FIRST_SEED,
-            "kinds": KINDS,
-            "sim": outdoor_config(),
-            "clouds_px_s": CLOUDS_PX_S,
-        },
+        checks=(("a median is no maximum", ordered("outdoor", "median_m", "max_m")),
+                ("shares are shares", between("outdoor", "coverage", 0.0, 1.0))),
+        config={"flights": N_FLIGHTS, "first_seed": world.FIRST_SEED, "kinds": KINDS,
+                "sim": outdoor_config(), "clouds_px_s": world.CLOUDS_PX_S},
         command="ssac outdoor",
         shows="outdoor_oracle",
     ),
-)
+)  # fmt: skip
 
 command = command_of(
     {"outdoor": STUDIES},

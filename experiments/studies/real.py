@@ -5,18 +5,19 @@ is checked in its place.
 """
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterator, Mapping
 from functools import partial
 from itertools import combinations
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
 import typer
 from numpy.typing import NDArray
 
+from experiments.drawing.panels import Axes, Figure, panels
 from experiments.lab.command import OutOption, check_is_folder
 from experiments.lab.files import csv_text, png_bytes, record_checksums, save_text
 from experiments.lab.markdown import markdown_table
@@ -24,22 +25,10 @@ from experiments.lab.provenance import provenance, write_provenance
 from experiments.lab.results import Results
 from experiments.lab.scored import SCORED
 from experiments.lab.study import Check, How, Made, Runs, Study
+from experiments.lab.summary import shown_table
 from experiments.lab.verify import one_of, ordered
-from experiments.worlds.tracks import (
-    DATA_SETS,
-    PAIR_COLUMNS,
-    PATH_COLUMNS,
-    ROUGHNESSES_PPM,
-    STRAY_COLUMNS,
-    TRIPLE_COLUMNS,
-    UNKNOWN_RATES,
-    VARIABLE_RATES,
-    DataSet,
-    Row,
-    data_sets,
-    pair_tables,
-    path_of,
-)
+from experiments.worlds import tracks
+from experiments.worlds.tracks import DATA_SETS, UNKNOWN_RATES, VARIABLE_RATES
 from ssac.cli.progress import say
 from ssac.clock import PPM, Clock
 from ssac.config import CLOCKS
@@ -48,17 +37,14 @@ from ssac.files.whole_file import whole_file
 from ssac.fit.covariance import NORMAL_95
 from ssac.network.graph import closures_s
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
 FloatArray = NDArray[np.float64]
 Key = tuple[int, int, int]  # data set and two cameras
 
 PAIRS, TRIPLES, STRAYS, PATHS = "real_pairs", "real_triples", "real_strays", "real_paths"
 OFFSETS_FIGURE, PATH_FIGURE = "real_offsets.png", "real_path_{}.png"
-COLUMNS = {PAIRS: PAIR_COLUMNS, TRIPLES: TRIPLE_COLUMNS, STRAYS: STRAY_COLUMNS,
-           PATHS: PATH_COLUMNS}  # fmt: skip
+COLUMNS = {PAIRS: tracks.PAIR_COLUMNS, TRIPLES: tracks.TRIPLE_COLUMNS,
+           STRAYS: tracks.STRAY_COLUMNS, PATHS: tracks.PATH_COLUMNS}  # fmt: skip
+KEY = [*tracks.PAIR_COLUMNS[:3]]  # columns that name a pair
 COMMAND = "make real DATA=..."
 _DIGITS = 8
 
@@ -92,19 +78,19 @@ def real_command(
     from experiments.drawing.style import comparison_png
 
     check_is_folder(out)
-    start_s, paths, sets = time.perf_counter(), list[Row](), list[DataSet]()
+    start_s, paths, sets = time.perf_counter(), list[tracks.Row](), list[tracks.DataSet]()
     pictures = dict[str, bytes]()
     with TemporaryDirectory() as work:
-        for one in data_sets(data, Path(work), say):
+        for one in tracks.data_sets(data, Path(work), say):
             sets.append(one)
-            row, comparison = path_of(one)
+            row, comparison = tracks.path_of(one)
             paths.append(row)
             pictures[PATH_FIGURE.format(one.number)] = comparison_png(comparison)
             say(
                 f"{one.number}: {row['cameras']} cameras, RMSE {row['rmse_m']:.3f} m at "
                 f"{row['n_rtk']} samples of RTK, {row['network_s']:.0f} s"
             )
-    tables = {**pair_tables(sets), PATHS: pd.DataFrame(paths, columns=PATH_COLUMNS)}
+    tables = {**tracks.pair_tables(sets), PATHS: pd.DataFrame(paths, columns=COLUMNS[PATHS])}
     pictures[OFFSETS_FIGURE] = png_bytes(real_figure(tables[PAIRS], tables[STRAYS]))
     content = provenance(COMMAND, config(), time.perf_counter() - start_s, None)
     for name, table in tables.items():
@@ -123,57 +109,44 @@ def config() -> dict[str, Any]:
     """Give what all pairs are made with, for provenance."""
     rates = {f"data set {number}, camera {k}": rate for (number, k), rate in UNKNOWN_RATES.items()}
     variable = [f"data set {number}, camera {k}" for number, k in sorted(VARIABLE_RATES)]
-    return {
-        "data_sets": DATA_SETS,
-        "rates": rates,
-        "variable_rates": {"cameras": variable, "roughnesses_ppm": ROUGHNESSES_PPM},
-    }
+    roughnesses = {"cameras": variable, "roughnesses_ppm": tracks.ROUGHNESSES_PPM}
+    return {"data_sets": DATA_SETS, "rates": rates, "variable_rates": roughnesses}
 
 
-def real_figure(pairs: pd.DataFrame, strays: pd.DataFrame) -> "Figure":
+def real_figure(pairs: pd.DataFrame, strays: pd.DataFrame) -> Figure:
     """Draw how far readouts move the offsets, and how far the clocks of frames wander."""
-    from matplotlib.figure import Figure
-
-    from experiments.drawing.style import WIDTH_IN, quiet_axes
-
-    figure = Figure(figsize=(WIDTH_IN, 3.6), layout="constrained")
-    left, right = figure.subplots(1, 2)
-    for axes in (left, right):
-        quiet_axes(axes)
+    figure, ((left, right),) = panels(3.6, columns=2)
     _draw_readouts(left, pairs[pairs["by_readouts_ms"].notna()])
     _draw_strays(right, strays)
     return figure
 
 
-def _draw_readouts(axes: "Axes", pairs: pd.DataFrame) -> None:
+def _draw_readouts(axes: Axes, pairs: pd.DataFrame) -> None:
     places = np.arange(len(pairs))
     moved_ms = pairs["by_readouts_ms"].to_numpy()
-    for shift, offset_ms, column, label in (
-        (-0.15, 0.0 * moved_ms, "global_std_ms", "shutters taken for global ones"),
-        (0.15, moved_ms, "t_d_std_ms", "readouts estimated"),
+    for shift, offset_ms, column, color, label in (
+        (-0.15, 0.0 * moved_ms, "global_std_ms", _COLORS[1], "shutters taken for global ones"),
+        (0.15, moved_ms, "t_d_std_ms", _COLORS[0], "readouts estimated"),
     ):
-        error_ms = NORMAL_95 * pairs[column].to_numpy()
-        color = _COLORS[int(shift < 0.0)]
         axes.errorbar(
-            places + shift, offset_ms, error_ms, fmt="o", ms=3, lw=1.0, color=color, label=label
-        )
+            places + shift, offset_ms, NORMAL_95 * pairs[column].to_numpy(), fmt="o", ms=3, lw=1.0,
+            color=color, label=label,
+        )  # fmt: skip
     names = [f"{one.data_set}: {one.camera_1}-{one.camera_2}" for one in pairs.itertuples()]
     axes.set_xticks(places, names, rotation=90, fontsize=6)
     axes.set_ylabel("offset, moved by readouts [ms]")
     axes.legend(fontsize=7, frameon=False)
 
 
-def _draw_strays(axes: "Axes", strays: pd.DataFrame) -> None:
-    for k, (name, knots) in enumerate(strays.groupby(["data_set", "camera_1", "camera_2"])):
-        number, one, other = name
+def _draw_strays(axes: Axes, strays: pd.DataFrame) -> None:
+    for k, ((number, one, other), knots) in enumerate(strays.groupby(KEY)):
         color, style = _COLORS[k % len(_COLORS)], ("-", "--")[k // len(_COLORS) % 2]
         axes.plot(
             knots["t_s"], knots["stray_ms"], color=color, ls=style, lw=1.0,
             label=f"{number}: {one}-{other}",
         )  # fmt: skip
-    axes.set(
-        xlabel="time of the first camera's clock [s]", ylabel="stray from an affine clock [ms]"
-    )
+    axes.set_xlabel("time of the first camera's clock [s]")
+    axes.set_ylabel("stray from an affine clock [ms]")
     if len(strays):
         axes.legend(fontsize=6, frameon=False, ncols=2)
 
@@ -188,22 +161,23 @@ def _columns(results: Results) -> Iterator[str]:
             yield f"{name}.csv has the columns {', '.join(there)}; expected {', '.join(columns)}"
 
 
+def _keys(rows: pd.DataFrame) -> list[Key]:
+    return list(rows[KEY].itertuples(index=False, name=None))
+
+
 def _pair_faults(results: Results) -> Iterator[str]:
     pairs = results.table(PAIRS)
-    rows: dict[Key, Any] = {_key(row): row for row in pairs.to_dict("records")}
-    if len(rows) < len(pairs):
+    keys = list(dict.fromkeys(_keys(pairs)))
+    if len(keys) < len(pairs):
         yield "a pair is there twice"
-    expected = [
-        (number, *two)
-        for number in DATA_SETS
-        for two in combinations(
-            range(max((k[2] for k in rows if k[0] == number), default=1) + 1), 2
-        )
-    ]
-    if list(rows) != expected:
+    expected = []
+    for number in DATA_SETS:
+        last = max((j for one, _, j in keys if one == number), default=1)
+        expected += [(number, *two) for two in combinations(range(last + 1), 2)]
+    if keys != expected:
         yield "its rows are not all pairs of cameras of each data set, in order"
-    for (number, i, j), row in rows.items():
-        name = f"data set {number}, cameras {i} {j}"
+    for row in pairs.to_dict("records"):
+        name = f"data set {row['data_set']}, cameras {row['camera_1']} {row['camera_2']}"
         if row["status"] in OFFSET_GIVEN:
             yield from (
                 f"{name}: {column} is {row[column]}"
@@ -215,52 +189,44 @@ def _pair_faults(results: Results) -> Iterator[str]:
 
 
 def _triple_faults(results: Results) -> Iterator[str]:
-    pairs = results.table(PAIRS).to_dict("records")
-    answered = {_key(row) for row in pairs if row["status"] in OFFSET_GIVEN}
-    closures_ms: dict[Key, float] = {}
-    found: list[tuple[int, ...]] = []
-    for row in results.table(TRIPLES).to_dict("records"):
-        number, cameras = int(row["data_set"]), tuple(map(int, row["cameras"].split("-")))
-        found.append((number, *cameras))
-        for i, j in combinations(cameras, 2):
-            most_ms = max(closures_ms.get((number, i, j), 0.0), abs(row["closure_ms"]))
-            closures_ms[number, i, j] = most_ms
-    n_cameras = 1 + max((j for _, _, j in answered), default=0)
+    pairs = results.table(PAIRS)
+    answered = pairs[pairs["status"].isin(OFFSET_GIVEN)]
+    known = set(_keys(answered))
+    found = [
+        ((int(number), *map(int, cameras.split("-"))), closure_ms)
+        for number, cameras, closure_ms in results.table(TRIPLES).itertuples(index=False)
+    ]
+    n_cameras = 1 + max((j for _, _, j in known), default=0)
     expected = [
         (number, *three)
         for number in DATA_SETS
         for three in combinations(range(n_cameras), 3)
-        if all((number, *two) in answered for two in combinations(three, 2))
+        if all((number, *two) in known for two in combinations(three, 2))
     ]
-    if found != expected:
+    if [triple for triple, _ in found] != expected:
         yield "not each triple of which all pairs are answered is there once"
     for number in DATA_SETS:
-        clocks = {
-            _key(row)[1:]: Clock(row["t_d_s"], np.nan_to_num(row["skew_ppm"]), row["t_ref_s"])
-            for row in pairs
-            if row["data_set"] == number and _key(row) in answered and row["clock"] == "affine"
-        }
-        of_set = results.table(TRIPLES).set_index(["data_set", "cameras"])["closure_ms"]
+        rows = answered[(answered["data_set"] == number) & (answered["clock"] == "affine")]
+        numbers = rows[["t_d_s", "skew_ppm", "t_ref_s"]].fillna({"skew_ppm": 0.0}).to_numpy()
+        found_s = zip(_keys(rows), numbers.tolist(), strict=True)
+        clocks = {key[1:]: Clock(*clock) for key, clock in found_s}
         for triple, closure_s in closures_s(clocks).items():
-            there_ms = of_set.get((number, "-".join(map(str, triple))), np.nan)
+            there_ms = dict(found).get((number, *triple), np.nan)
             if not abs(1e3 * closure_s - there_ms) <= _CLOSURE_MS:
                 yield f"data set {number}, {triple}: closes to {there_ms} ms, not as its pairs do"
-    yield from _unlike(pairs, "closure_ms", closures_ms, np.nan)
+    most_ms: dict[Key, float] = {}
+    for (number, *three), closure_ms in found:
+        for i, j in combinations(three, 2):
+            most_ms[number, i, j] = max(most_ms.get((number, i, j), 0.0), abs(closure_ms))
+    yield from _unlike(pairs, "closure_ms", most_ms, np.nan)
 
 
 def _stray_faults(results: Results) -> Iterator[str]:
-    strays = results.table(STRAYS)
-    most_ms: dict[Key, float] = {}
-    for row in strays.to_dict("records"):
-        most_ms[_key(row)] = max(most_ms.get(_key(row), 0.0), abs(row["stray_ms"]))
-    pairs = results.table(PAIRS).to_dict("records")
-    yield from _unlike(pairs, "most_stray_ms", most_ms, 0.0)
-    none = set(most_ms) - {_key(row) for row in pairs}
-    if none:
-        yield f"it has pairs that are none: {', '.join(map(str, sorted(none)))}"
-    for _, knots in strays.groupby(["data_set", "camera_1", "camera_2"]):
-        key = _key(knots.iloc[0].to_dict())
+    pairs, strays, most_ms = results.table(PAIRS), results.table(STRAYS), dict[Key, float]()
+    for _, knots in strays.groupby(KEY):
+        key = _keys(knots)[0]
         times_s, strays_ms = knots["t_s"].to_numpy(), knots["stray_ms"].to_numpy()
+        most_ms[key] = float(np.abs(strays_ms).max())
         if len(knots) < 2 or np.ptp(np.diff(times_s)) > _KNOT_S:
             yield f"the knots of {key} are not several, evenly spaced"
             continue
@@ -269,16 +235,20 @@ def _stray_faults(results: Results) -> Iterator[str]:
         off_ms = max(abs(strays_ms.sum()), abs(lever_s @ strays_ms) / np.abs(lever_s).max())
         if off_ms > _LAST_DIGIT * np.abs(strays_ms).sum():
             yield f"the strays of {key} are not beside an affine clock"
+    yield from _unlike(pairs, "most_stray_ms", most_ms, 0.0)
+    none = sorted(set(most_ms) - set(_keys(pairs)))
+    if none:
+        yield f"it has pairs that are none: {', '.join(map(str, none))}"
 
 
 def _unlike(
-    pairs: Sequence[Mapping[Any, Any]], column: str, others: dict[Key, float], default: float
+    pairs: pd.DataFrame, column: str, others: Mapping[Key, float], default: float
 ) -> Iterator[str]:
     """Compare a column of the pairs with what another table gives for it."""
-    for row in pairs:
-        value, other = row[column], others.get(_key(row), default)
+    for key, value in zip(_keys(pairs), pairs[column], strict=True):
+        other = others.get(key, default)
         if not np.isclose(value, other, rtol=_LAST_DIGIT, atol=1e-6, equal_nan=True):
-            yield f"{_key(row)}: {column} is {value} in the pairs, {other} here"
+            yield f"{key}: {column} is {value} in the pairs, {other} here"
 
 
 def _path_faults(results: Results) -> Iterator[str]:
@@ -287,10 +257,6 @@ def _path_faults(results: Results) -> Iterator[str]:
         yield f"{PATHS}.csv has not each data set once"
     if not paths["coverage"].between(0.0, 1.0).all():
         yield "a coverage is no share"
-
-
-def _key(row: Mapping[Any, Any]) -> Key:
-    return int(row["data_set"]), int(row["camera_1"]), int(row["camera_2"])
 
 
 def _check(what: str, faults: Callable[[Results], Iterator[str]]) -> Check:
@@ -320,27 +286,21 @@ def apart(results: Results) -> str:
     By least squares each camera is off by an amount of its own, and a pair by their difference.
     """
     rows = _constant(results)
-    cameras = sorted({*rows["camera_1"], *rows["camera_2"]})
-    by = np.zeros((len(rows), len(cameras)))
-    for n, (i, j) in enumerate(zip(rows["camera_1"], rows["camera_2"], strict=True)):
-        by[n, cameras.index(i)], by[n, cameras.index(j)] = -1.0, 1.0
-    off_ms = np.linalg.lstsq(by, rows["from_truth_ms"].to_numpy(), rcond=None)[0]
-    at = cameras.index(SHIFTED)
+    firsts, seconds = (pd.get_dummies(rows[f"camera_{k}"], dtype=float) for k in (1, 2))
+    by = seconds.sub(firsts, fill_value=0.0)
+    off_ms = np.linalg.lstsq(by.to_numpy(), rows["from_truth_ms"], rcond=None)[0]
+    at = list(by).index(SHIFTED)
     return f"{off_ms[at] - np.mean(np.delete(off_ms, at)):.0f} ms"
 
 
 def readouts_of(results: Results, camera: int) -> str:
     """Range of the readouts that the pairs of a camera found, with the largest deviation."""
-    rows = results.rows(PAIRS, data_set=WITH_TRUTH)
-    found = [
-        rows[rows[f"camera_{k}"] == camera][[f"readout_{k}_ms", f"readout_{k}_std_ms"]].to_numpy()
-        for k in (1, 2)
-    ]
-    values_ms, stds_ms = np.vstack(found).T
-    return (
-        f"{np.nanmin(values_ms):.0f} to {np.nanmax(values_ms):.0f} ms (1 sigma up to "
-        f"{np.nanmax(stds_ms):.0f} ms)"
-    )
+    rows, found = results.rows(PAIRS, data_set=WITH_TRUTH), []
+    for k in (1, 2):
+        of_camera = rows[rows[f"camera_{k}"] == camera]
+        found.append(of_camera[[f"readout_{k}_ms", f"readout_{k}_std_ms"]].to_numpy())
+    (low_ms, _), (high_ms, std_ms) = (of(np.vstack(found), axis=0) for of in (np.nanmin, np.nanmax))
+    return f"{low_ms:.0f} to {high_ms:.0f} ms (1 sigma up to {std_ms:.0f} ms)"
 
 
 def moved_by_readouts(results: Results) -> str:
@@ -366,52 +326,42 @@ def pairs_table(results: Results) -> str:
     body = []
     for number in DATA_SETS:
         rows = results.rows(PAIRS, data_set=number)
-        tried = np.array([any((number, k) in UNKNOWN_RATES for k in pair) for pair in _pairs(rows)])
-        seconds = rows["seconds"].to_numpy()
-        n_triples = len(_closures_ms(results, number))
+        is_tried, seconds = _of_some(rows, UNKNOWN_RATES), rows["seconds"]
+        closures = f"{len(_closures_ms(results, number))}, {largest_closure(results, number)}"
         body.append(
             [
-                str(number),
-                f"{int(rows['status'].isin(OFFSET_GIVEN).sum())} of {len(rows)}",
-                f"{n_triples}, {largest_closure(results, number)}",
-                f"{np.median(rows['t_d_std_ms']):.1f} ms",
-                f"{seconds[~tried].max():.0f} s",
-                f"{seconds[tried].max():.0f} s" if tried.any() else "",
+                *(str(number), f"{int(rows['status'].isin(OFFSET_GIVEN).sum())} of {len(rows)}"),
+                *(closures, f"{np.median(rows['t_d_std_ms']):.1f} ms"),
+                f"{seconds[~is_tried].max():.0f} s",
+                f"{seconds[is_tried].max():.0f} s" if is_tried.any() else "",
             ]
         )
-    header = ["data set", "pairs answered", "triples, most open"]
-    header += ["median deviation", "longest pair", "with a search of rates"]
-    return markdown_table(header, body)
+    header = ["data set", "pairs answered", "triples, most open", "median deviation"]
+    return markdown_table([*header, "longest pair", "with a search of rates"], body)
 
 
 def paths_table(results: Results) -> str:
     """Lay out how each path lies beside RTK, mvus' beside it."""
-    body = []
-    for row in results.table(PATHS).to_dict("records"):
-        rmse_m, n_rtk = MVUS[int(row["data_set"])]
-        off_ms = float(row["most_from_truth_ms"])
-        body.append(
-            [
-                f"{row['data_set']:.0f}",
-                f"{row['cameras']:.0f}",
-                f"{row['rmse_m']:.3f} / {row['median_m']:.3f} / {row['max_m']:.2f} m",
-                f"{row['n_rtk']:.0f}",
-                f"{100 * row['coverage']:.0f} %",
-                f"{off_ms:.0f} ms" if np.isfinite(off_ms) else "",
-                f"{row['rms_px']:.2f} px",
-                f"{row['pairs_s']:.0f} + {row['network_s']:.0f} s",
-                f"{rmse_m:.3f} m, {n_rtk}",
-            ]
-        )
-    header = ["set", "cameras", "RMSE / median / most", "RTK", "seen", "clocks off", "residual"]
-    header += ["time", "mvus: RMSE, RTK"]
-    return markdown_table(header, body)
+    paths = results.table(PATHS)
+    off_ms, mvus = paths["most_from_truth_ms"], paths["data_set"].map(MVUS)
+    off = off_ms.map(lambda ms: f"{ms:.0f} ms" if np.isfinite(ms) else "")
+    shown = paths.assign(off=off, seen=100 * paths["coverage"], mvus=mvus)
+    return shown_table(shown, {
+        "set": "{data_set}",
+        "cameras": "{cameras}",
+        "RMSE / median / most": "{rmse_m:.3f} / {median_m:.3f} / {max_m:.2f} m",
+        "RTK": "{n_rtk}",
+        "seen": "{seen:.0f} %",
+        "clocks off": "{off}",
+        "residual": "{rms_px:.2f} px",
+        "time": "{pairs_s:.0f} + {network_s:.0f} s",
+        "mvus: RMSE, RTK": "{mvus[0]:.3f} m, {mvus[1]}",
+    })  # fmt: skip
 
 
 def _closures_ms(results: Results, number: int) -> FloatArray:
     """Give the closures (k,) of a data set's triples, of which there may be none."""
-    table = results.table(TRIPLES)
-    return table["closure_ms"][table["data_set"] == number].to_numpy(np.float64)
+    return results.table(TRIPLES).query(f"data_set == {number}")["closure_ms"].to_numpy(np.float64)
 
 
 def _constant(results: Results) -> pd.DataFrame:
@@ -422,12 +372,13 @@ def _constant(results: Results) -> pd.DataFrame:
 
 
 def _varies(rows: pd.DataFrame) -> "pd.Series[bool]":
-    found = [any((WITH_TRUTH, k) in VARIABLE_RATES for k in pair) for pair in _pairs(rows)]
+    return _of_some(rows, VARIABLE_RATES)
+
+
+def _of_some(rows: pd.DataFrame, cameras: Container[tuple[int, int]]) -> "pd.Series[bool]":
+    """Whether a pair has one of some cameras, which are named by data set and number."""
+    found = [any((number, k) in cameras for k in pair) for number, *pair in _keys(rows)]
     return pd.Series(found, index=rows.index)
-
-
-def _pairs(rows: pd.DataFrame) -> list[tuple[int, int]]:
-    return list(zip(rows["camera_1"], rows["camera_2"], strict=True))
 
 
 STUDIES = (
@@ -436,13 +387,12 @@ STUDIES = (
         "Public drone-tracking data sets",
         lambda: (),
         SCORED,
-        Runs(f"{PAIRS}.csv", PAIR_COLUMNS[:3], numbered=False, digits=_DIGITS),
+        Runs(f"{PAIRS}.csv", tuple(KEY), numbered=False, digits=_DIGITS),
         tuple(
             Made(file, None, _DIGITS)
             for file in (
                 *(f"{name}.csv" for name in (TRIPLES, STRAYS, PATHS)),
-                OFFSETS_FIGURE,
-                *(PATH_FIGURE.format(number) for number in DATA_SETS),
+                *(OFFSETS_FIGURE, *map(PATH_FIGURE.format, DATA_SETS)),
             )
         ),
         numbers={

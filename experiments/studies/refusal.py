@@ -8,20 +8,20 @@ study, and no threshold was set on them. The angles change from flight to flight
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from experiments.lab.cache import Cache
-from experiments.lab.cell import Measure
-from experiments.lab.grid import flight_seed
+from experiments.lab.cell import Measure, RunRow
 from experiments.lab.recorded import Flown
 from experiments.lab.results import Results
 from experiments.lab.score import kept, scored
-from experiments.lab.study import Made, Runs, Study
+from experiments.lab.study import Runs, Study
+from experiments.lab.summary import by_group, made_of
 from experiments.paper.grids import ANGLES_DEG
 from experiments.worlds.open_flights import (
-    DURATION_S,
     FLIGHT_OF,
     KINDS_OF_FLIGHT,
     OpenCase,
@@ -29,33 +29,25 @@ from experiments.worlds.open_flights import (
     flight_of,
     open_case,
 )
-from experiments.worlds.spoilt import KindCell
+from experiments.worlds.spoilt import KindCell, kind_cells
 from ssac.estimate import Estimate
 from ssac.pipeline.chain import Chain
 from ssac.pipeline.registry import METHODS
 
 METHOD_NAMES = ("ssac", "joint", "tangency", "ssac-known", "joint-known", "tangency-known")
-N_FLIGHTS = 2
-"""Of each kind of flight."""
-
+N_FLIGHTS = 2  # of each kind of flight
 FIRST_FLIGHT, KIND_STEP = 1000, 100
 OTHER_FLIGHT = 50_000  # added to the number, for the flight that only camera 2 sees
 
-MAX_SIGMAS = 5.0
-"""A larger error, with status "ok", is a confident wrong answer."""
-
-MAX_ERROR_MS, MAX_ERROR_DEG = 5.0, 5.0
-"""The same for methods that state no deviation."""
-
+MAX_SIGMAS = 5.0  # a larger error, with status "ok", is a confident wrong answer
+MAX_ERROR_MS, MAX_ERROR_DEG = 5.0, 5.0  # the same for methods that state no deviation
 _LISTED_MS = 10.0  # a listed offset is the true one when it is as near
 
 
 @dataclass(frozen=True)
-class RefusalRow:
+class RefusalRow(RunRow):
     """What was said, its errors, and whether it is a confident wrong answer."""
 
-    status: str
-    reason: str = ""
     offset_given: bool = False
     pose_given: bool = False
     alternatives: int = 0
@@ -76,16 +68,8 @@ def refusal_cells() -> list[KindCell]:
     for index in range(N_FLIGHTS):
         for number, (of_flight, kinds) in enumerate(KINDS_OF_FLIGHT.items()):
             flight = FIRST_FLIGHT + KIND_STEP * number + index
-            angle_deg = ANGLES_DEG[(2 * index + number) % len(ANGLES_DEG)]
-            sim = flight_config(of_flight, angle_deg)
-            seed, other_seed = (
-                flight_seed(DURATION_S, angle_deg, one) for one in (flight, flight + OTHER_FLIGHT)
-            )
-            cells += [
-                KindCell(sim, flight, seed, kind, other_seed, method)
-                for kind in kinds
-                for method in METHOD_NAMES
-            ]
+            sim = flight_config(of_flight, ANGLES_DEG[(2 * index + number) % len(ANGLES_DEG)])
+            cells += kind_cells(sim, (flight, flight + OTHER_FLIGHT), kinds, METHOD_NAMES, KindCell)
     return cells
 
 
@@ -136,34 +120,24 @@ def judged(estimate: Estimate, case: OpenCase) -> RefusalRow:
 def refusal_table(runs: pd.DataFrame) -> pd.DataFrame:
     """Count what each method says of each kind.
 
-    Returns
-    -------
-    pd.DataFrame
-        One row per kind and method, in their order: runs, `statuses` with their counts, how often
-        the offset and the pose were given, how often the true offset is the one given or one of the
-        alternatives, the largest error of what was given (t_d in ms, and in stated deviations of
-        any of t_d, R and t), and the confident wrong answers.
+    `truth_among_offsets` is how often the true offset is the one given or one of the alternatives;
+    the worst errors are of what was given: of t_d, and of any of t_d, R and t over its deviation.
     """
-    rows = []
-    for (kind, method), group in runs.groupby(["kind", "method"], sort=False):
-        given = group[group["offset_given"]]
-        counts = group["status"].value_counts()
-        rows.append(
-            {
-                "kind": kind,
-                "method": method,
-                "runs": len(group),
-                "statuses": " ".join(f"{status}:{count}" for status, count in counts.items()),
-                "offset_given": len(given),
-                "pose_given": int(group["pose_given"].sum()),
-                "truth_among_offsets": int(group["truth_among_offsets"].sum()),
-                "t_d_error_ms_worst": given["t_d_error_ms"].max(),
-                "error_sigmas_worst": given["error_sigmas"].max(),
-                "confident_wrong": int(group["confident_wrong"].sum()),
-            }
-        )
-    table: pd.DataFrame = pd.DataFrame(rows)
-    return table
+
+    def row(group: pd.DataFrame) -> dict[str, Any]:
+        given, statuses = group[group["offset_given"]], group["status"].value_counts()
+        return {
+            "runs": len(group),
+            "statuses": " ".join(f"{status}:{count}" for status, count in statuses.items()),
+            "offset_given": len(given),
+            "pose_given": int(group["pose_given"].sum()),
+            "truth_among_offsets": int(group["truth_among_offsets"].sum()),
+            "t_d_error_ms_worst": given["t_d_error_ms"].max(),
+            "error_sigmas_worst": given["error_sigmas"].max(),
+            "confident_wrong": int(group["confident_wrong"].sum()),
+        }
+
+    return by_group(runs, ("kind", "method"), row)
 
 
 def recordings(results: Results) -> str:
@@ -189,7 +163,7 @@ STUDIES = (
         refusal_cells,
         Measure(load_kinds, refusal_row, RefusalRow),
         Runs("refusal_runs.csv", ("kind", "flight", "method")),
-        (Made("refusal.csv", lambda results: refusal_table(results.table("refusal_runs"))),),
+        (made_of("refusal.csv", refusal_table, "refusal_runs"),),
         numbers={
             "refusal.recordings": recordings,
             "refusal.ordinary": ordinary_answered,

@@ -6,27 +6,25 @@ The same seed damages the same way. A cell is a hundred cases, which are kept to
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import partial, wraps
+from functools import wraps
 from typing import Annotated, Any
 
 import pandas as pd
 import typer
 
 from experiments.damage.cases import OUTCOMES, Damaging, damaged_case
-from experiments.lab.cell import Measure
+from experiments.lab.cell import Measure, PlainCell, RunRow
 from experiments.lab.command import command_of
 from experiments.lab.results import Results
 from experiments.lab.study import Runs, Study
+from experiments.lab.summary import quoted
 from ssac.cli.exits import NO_ESTIMATE
 from ssac.cli.options import number
 
 N_TOGETHER = 100
 
-BAD = OUTCOMES[OUTCOMES.index("unclear") :]
-"""Outcomes that must not be."""
-
-MAX_SILENT = 0.005
-"""Share of the event files damaged in the middle that may be `silently_fewer`."""
+BAD = OUTCOMES[OUTCOMES.index("unclear") :]  # outcomes that must not be
+MAX_SILENT = 0.005  # share of the event files damaged in the middle that may be `silently_fewer`
 
 EVENT_FILES = (
     "hdf5", "hdf5 dsec", "hdf5 prophesee", "esim text", "csv", "aedat4", "evt2", "evt3",
@@ -41,37 +39,23 @@ ALL = "all"
 
 
 @dataclass(frozen=True)
-class DamageCell:
+class DamageCell(PlainCell):
     """Some cases, by their numbers: those of a kind follow each other by as many as there are."""
 
     seed: int
     first: int
     end: int
 
-    recordings = ()
-
-    @property
-    def columns(self) -> dict[str, Any]:
-        """Columns that say which cases they are."""
-        return {"seed": self.seed, "first": self.first, "end": self.end}
-
     @property
     def shares(self) -> tuple[int, ...]:
         """Each is a task of its own."""
         return (self.first,)
 
-    @property
-    def inputs(self) -> tuple[int, int, int]:
-        """What the cases depend on beside the code."""
-        return self.seed, self.first, self.end
-
 
 @dataclass(frozen=True)
-class DamageRow:
+class DamageRow(RunRow):
     """How the cases ended."""
 
-    status: str  # "bad" if one ended as none should
-    reason: str = ""  # what those said
     outcomes: list[list[Any]] = field(default_factory=list)  # kind, outcome, how many
 
 
@@ -103,17 +87,13 @@ def damage_row(cell: DamageCell, damaging: Damaging) -> DamageRow:
 
 def reliability_table(rows: pd.DataFrame, _: Results) -> pd.DataFrame:
     """Count outcomes by kind of input, and of all."""
-    counts: Counter[tuple[str, str]] = Counter()
-    for outcomes in rows["outcomes"]:
-        for kind, outcome, count in outcomes:
-            counts[kind, outcome] += count
-    there = {kind for kind, _ in counts}
-    found = [[counts[kind, name] for name in OUTCOMES] for kind in KINDS if kind in there]
-    table = pd.DataFrame(found, columns=list(OUTCOMES))
+    counted = pd.DataFrame(rows["outcomes"].sum(), columns=["input", "outcome", "n"])
+    table = counted.pivot_table("n", "input", "outcome", "sum", 0).astype(int)
+    table = table.reindex([kind for kind in KINDS if kind in table.index])
+    table = table.reindex(columns=list(OUTCOMES), fill_value=0)
+    table.loc[ALL] = table.sum()
     table.insert(0, "cases", table.sum(axis=1))
-    table.insert(0, "input", [kind for kind in KINDS if kind in there])
-    table.loc[len(table)] = [ALL, *table.drop(columns="input").sum()]
-    return table
+    return table.reset_index().rename_axis(columns=None)
 
 
 def silent_share(table: pd.DataFrame) -> float:
@@ -143,11 +123,12 @@ def reliability_faults(results: Results) -> list[str]:
     return faults
 
 
-def count(results: Results, columns: tuple[str, ...]) -> str:
-    """Count the damaged inputs that ended in one of these ways."""
-    row = results.one("reliability", input=ALL)
-    return f"{sum(row[column] for column in columns):.0f}"
+def must_not_be(results: Results) -> str:
+    """Count the damaged inputs that ended as none should."""
+    return f"{results.one('reliability', input=ALL)[list(BAD)].sum():.0f}"
 
+
+_COUNTED = ("cases", "refused", "warned", "silently_fewer")
 
 STUDIES = (
     Study(
@@ -158,10 +139,10 @@ STUDIES = (
         Runs("reliability.csv", ("input",), numbered=False, table=reliability_table),
         numbers={
             **{
-                f"reliability.{name}": partial(count, columns=(name,))
-                for name in ("cases", "refused", "warned", "silently_fewer")
+                f"reliability.{name}": quoted("reliability", f"{{{name}:.0f}}", input=ALL)
+                for name in _COUNTED
             },
-            "reliability.must_not_be": partial(count, columns=BAD),
+            "reliability.must_not_be": must_not_be,
         },
         checks=(("every case is there, and none ended as it must not", reliability_faults),),
         config={"cases": 20_000, "seed": 0},

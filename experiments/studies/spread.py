@@ -11,23 +11,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
 import typer
 from scipy.spatial.transform import Rotation
 
-from experiments.lab.cell import Measure
-from experiments.lab.results import Results
-from experiments.lab.study import How, Made, Runs, Study
+from experiments.drawing.panels import Figure, legend_below, panels
+from experiments.lab.cell import Measure, PlainCell, RunRow
+from experiments.lab.study import How, Runs, Study
+from experiments.lab.summary import answered, made_of
 from ssac.config import N_MIN, Config
 from ssac.pipeline.api import chain_of
 from ssac.pipeline.chain import Chain
 from ssac.pipeline.registry import METHODS
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 SHOWN = ("ssac", "joint", "tangency")
 HALF_WINDOWS_S = tuple(factor * Config().half_window_s for factor in (0.5, 0.75, 1.0, 1.5, 2.0))
@@ -37,7 +35,7 @@ File = Annotated[Path, typer.Argument(show_default=False)]
 
 
 @dataclass(frozen=True)
-class SpreadCell:
+class SpreadCell(PlainCell):
     """A method with one window on the pair of recordings."""
 
     files: tuple[Path, ...]  # cameras 1 and 2, rig
@@ -47,27 +45,15 @@ class SpreadCell:
     method: str
 
     @property
-    def recordings(self) -> tuple[()]:
-        """None that is simulated."""
-        return ()
-
-    @property
-    def columns(self) -> dict[str, Any]:
-        """Which run it is."""
-        return {"half_window_s": self.half_window_s, "n_min": self.n_min, "method": self.method}
-
-    @property
     def inputs(self) -> tuple[Any, ...]:
         """What the row depends on beside the code."""
-        return (*self.digests, *self.columns.values(), METHODS[self.method].version)
+        return *self.digests, *self.columns.values(), METHODS[self.method].version
 
 
 @dataclass(frozen=True)
-class SpreadRow:
+class SpreadRow(RunRow):
     """An answer; NaN for what the method does not give."""
 
-    status: str
-    reason: str = ""
     t_d_ms: float = np.nan
     t_d_std_ms: float = np.nan
     r_x_deg: float = np.nan  # the rotation vector of R
@@ -110,19 +96,14 @@ def row(cell: SpreadCell, chain: Chain) -> SpreadRow:
 
 
 def spread_table(runs: pd.DataFrame) -> pd.DataFrame:
-    """Sum up the windows of each method.
+    """Sum up the windows of each method, for each quantity that it gives.
 
-    Returns
-    -------
-    pd.DataFrame
-        One row for each method and quantity that it gives (`t_d_ms`, `R_deg`, `t_deg`): `windows`,
-        `answered` ("ok"), `median` of t_d, `spread` (root mean square from the mean over the
-        windows; of R and t as an angle), `most` (largest distance from the mean), `stated` (median
-        of the stated deviations) and `spread_over_stated`.
+    `spread` is the root mean square from the mean over the windows, `most` the largest distance
+    from it (of R and t as an angle), and `stated` the median of the stated deviations.
     """
     rows = []
     for method, group in runs.groupby("method", sort=False):
-        ok = group[group["status"] == "ok"]
+        ok = answered(group)
         counts = {"method": method, "windows": len(group), "answered": len(ok)}
         for quantity, (off, stated) in _deviations(ok).items():
             spread = float(np.sqrt(np.mean(np.square(off)))) if len(off) else np.nan
@@ -131,8 +112,7 @@ def spread_table(runs: pd.DataFrame) -> pd.DataFrame:
                 row["median"] = ok["t_d_ms"].median()
             row |= {"spread": spread, "most": np.max(np.abs(off), initial=0.0), "stated": stated}
             rows.append({**row, "spread_over_stated": spread / stated if stated > 0.0 else np.nan})
-    table: pd.DataFrame = pd.DataFrame(rows)
-    return table
+    return pd.DataFrame(rows)
 
 
 def _deviations(ok: pd.DataFrame) -> dict[str, tuple[Any, float]]:
@@ -151,33 +131,21 @@ def _deviations(ok: pd.DataFrame) -> dict[str, tuple[Any, float]]:
     return found
 
 
-def spread_figure(runs: pd.DataFrame) -> "Figure":
+def spread_figure(runs: pd.DataFrame) -> Figure:
     """Draw t_d with its stated deviation against the half-window, a panel for each method."""
-    from matplotlib.figure import Figure
-
-    from experiments.drawing.style import WIDTH_IN, quiet_axes
-
-    methods = list(dict.fromkeys(runs["method"]))
-    figure = Figure(figsize=(WIDTH_IN, 3.4), layout="constrained")
-    panels = figure.subplots(1, len(methods), sharey=True, squeeze=False)[0]
-    for axes, method in zip(panels, methods, strict=True):
-        ok = runs[(runs["method"] == method) & (runs["status"] == "ok")]
-        for n_min, line in ok.groupby("n_min"):
+    by_method = runs.groupby("method", sort=False)
+    figure, (panel_of,) = panels(3.4, columns=by_method.ngroups, sharey=True)
+    for axes, (method, group) in zip(panel_of, by_method, strict=True):
+        for n_min, line in answered(group).groupby("n_min"):
             axes.errorbar(
                 1e3 * line["half_window_s"], line["t_d_ms"], line["t_d_std_ms"].fillna(0.0),
                 marker="o", ms=4, lw=1.2, elinewidth=0.9, label=f"at least {n_min:g} events",
             )  # fmt: skip
-        quiet_axes(axes)
         axes.set_title(method, fontsize=10)
         axes.set_xlabel("half-window [ms]")
-    panels[0].set_ylabel("$t_d$ [ms]")
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=8, frameon=False)
+    panel_of[0].set_ylabel("$t_d$ [ms]")
+    legend_below(figure, 3)
     return figure
-
-
-def _runs(results: Results) -> pd.DataFrame:
-    return results.table("spread_runs")
 
 
 STUDIES = (
@@ -188,8 +156,8 @@ STUDIES = (
         Measure(load, row, SpreadRow),
         Runs("spread_runs.csv", ("half_window_s", "n_min", "method")),
         (
-            Made("spread.csv", lambda results: spread_table(_runs(results))),
-            Made("spread.png", lambda results: spread_figure(_runs(results))),
+            made_of("spread.csv", spread_table, "spread_runs"),
+            made_of("spread.png", spread_figure, "spread_runs"),
         ),
         how=How.GIVEN,
         shows="spread",

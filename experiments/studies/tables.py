@@ -1,14 +1,14 @@
 """The paper's simulation tables: every method on every recording, beside what the paper gives."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import lru_cache, partial
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 from scipy.stats import gmean
 
+from experiments.drawing.panels import Figure
 from experiments.lab.cell import CRASHED
 from experiments.lab.command import CheckOption, RendererOption, command_of, drawn_by
 from experiments.lab.grid import Cell
@@ -16,28 +16,12 @@ from experiments.lab.markdown import digits, listed, markdown_table
 from experiments.lab.results import Results
 from experiments.lab.scored import SCORED
 from experiments.lab.study import Check, Made, Runs, Study
-from experiments.paper.comparison import (
-    PUBLISHED_RUNS,
-    VERDICTS,
-    comparison_table,
-    load_published,
-    summary_table,
-)
-from experiments.paper.esim import (
-    KEY,
-    RUN_COLUMNS,
-    describe,
-    esim_table,
-    esim_tables,
-    ordered_runs,
-    runs_from_csv,
-)
+from experiments.lab.summary import answered
+from experiments.paper import comparison as compared
+from experiments.paper import esim
 from experiments.paper.grids import DURATIONS_S, TABLES, offset_ms, table_cells, table_grids
 from experiments.paper.page import results_page
 from experiments.paper.quantities import ERRORS, POSE_ERRORS, T_D_ERROR
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 METHODS = ("ssac", "ssac-known", "joint", "joint-known", "tangency", "tangency-known")
 SYMBOLS = {error.symbol: error for error in ERRORS.values()}
@@ -57,17 +41,14 @@ _ROUNDING_MS = 1e-2  # six digits of an estimate beyond 1000 ms: 5e-3; of its er
 
 def cells(renderer: RendererOption = "native", check: CheckOption = True) -> list[Cell]:
     """List every run of the tables, with the columns that tell the runs apart there."""
-    return [
-        replace(
-            cell,
-            parameters={
-                "duration_s": cell.sim.spline.duration_s,
-                "angle_deg": cell.sim.angle_deg,
-                "t_d_ms": offset_ms(cell),
-            },
-        )
-        for cell in drawn_by(table_cells(), renderer, check)
-    ]
+    return [replace(cell, parameters=_place(cell))
+            for cell in drawn_by(table_cells(), renderer, check)]  # fmt: skip
+
+
+def _place(cell: Cell) -> dict[str, float]:
+    sim = cell.sim
+    return {"duration_s": sim.spline.duration_s, "angle_deg": sim.angle_deg,
+            "t_d_ms": offset_ms(cell)}  # fmt: skip
 
 
 # --- What is made of the runs ---
@@ -80,12 +61,12 @@ def runs_of(results: Results) -> pd.DataFrame:
 
 @lru_cache(maxsize=1)
 def _read(text: str) -> pd.DataFrame:
-    return ordered_runs(runs_from_csv(text))
+    return esim.ordered_runs(esim.runs_from_csv(text))
 
 
 def table(results: Results, duration_s: float) -> pd.DataFrame:
     """Mean errors of one duration."""
-    return esim_table(runs_of(results), duration_s)
+    return esim.esim_table(runs_of(results), duration_s)
 
 
 def comparison(results: Results) -> pd.DataFrame:
@@ -96,57 +77,53 @@ def comparison(results: Results) -> pd.DataFrame:
 @lru_cache(maxsize=1)
 def _compared(text: str) -> pd.DataFrame:
     runs = _read(text)
-    first = esim_tables(runs[runs["flight"] < PUBLISHED_RUNS])
-    return comparison_table(esim_tables(runs), load_published(), first=first)
+    first = esim.esim_tables(runs[runs["flight"] < compared.PUBLISHED_RUNS])
+    published = compared.load_published()
+    return compared.comparison_table(esim.esim_tables(runs), published, first=first)
 
 
 def page(results: Results) -> str:
     """Write `results/README.md`."""
     runs = runs_of(results)
     (made_with,) = results.provenances("runs")
-    return results_page(runs, esim_tables(runs), comparison(results), made_with)
+    return results_page(runs, esim.esim_tables(runs), comparison(results), made_with)
 
 
 def summary(results: Results) -> pd.DataFrame:
     """Sum up the comparison."""
-    return summary_table(comparison(results))
+    return compared.summary_table(comparison(results))
 
 
-def errors_by_angle(results: Results) -> "Figure":
-    """Draw the errors of all methods against the angle, beside the paper's."""
-    from experiments.drawing.errors import error_figure
+def figure(results: Results, name: str) -> Figure:
+    """Draw errors against the angle, beside the paper's: of all methods, or of ours beyond it."""
+    from experiments.drawing import errors
 
-    return error_figure(runs_of(results), load_published())
-
-
-def beyond_the_paper(results: Results) -> "Figure":
-    """Draw what our methods reach beyond the paper's."""
-    from experiments.drawing.errors import beyond_figure
-
-    return beyond_figure(runs_of(results), load_published())
+    drawn: Figure = getattr(errors, name)(runs_of(results), compared.load_published())
+    return drawn
 
 
 # --- What must hold of any runs, whatever the methods find ---
 
 
 def _described(runs: pd.DataFrame) -> list[str]:
-    return [describe(row) for row in runs.to_dict("records")]
+    return [esim.describe(row) for row in runs.to_dict("records")]
 
 
 def _off(runs: pd.DataFrame) -> list[str]:
     off_ms = (runs["t_d_estimate_ms"] - runs["t_d_ms"]).abs() - runs["t_d_error_ms"]
-    return _described(runs[~(off_ms.abs() <= _ROUNDING_MS)])
+    return _described(runs[~(off_ms.abs() <= _ROUNDING_MS) & (runs["status"] == "ok")])
 
 
 def _impossible(runs: pd.DataFrame) -> list[str]:
     is_so = ~runs["t_d_error_ms"].between(0.0, _SEARCH_MS)
     for name in POSE_ERRORS:
         is_so |= runs[name].notna() & ~runs[name].between(0.0, 180.0)
-    return _described(runs[is_so])
+    return _described(runs[is_so & (runs["status"] == "ok")])
 
 
 def _poses_at_times(runs: pd.DataFrame) -> list[str]:
-    poses = runs[list(POSE_ERRORS)].notna().groupby(runs["method"]).mean()
+    ok = answered(runs)
+    poses = ok[list(POSE_ERRORS)].notna().groupby(ok["method"]).mean()
     return list(poses.index[((poses > 0.0) & (poses < 1.0)).any(axis=1)])
 
 
@@ -159,27 +136,20 @@ def _several_recordings(runs: pd.DataFrame) -> list[str]:
     ]
 
 
-def _check(what: str, faults: Callable[[pd.DataFrame], list[str]], status: str = "any") -> Check:
-    """Make a check of the runs that are "ok", that have "failed", or of any."""
+def _unexplained(runs: pd.DataFrame) -> list[str]:
+    return _described(runs[(runs["status"] != "ok") & (runs["reason"] == "")])
 
-    def check(results: Results) -> Sequence[str]:
-        runs = runs_from_csv(results.text("runs.csv"))
-        is_ok = runs["status"] == "ok"
-        return faults({"ok": runs[is_ok], "failed": runs[~is_ok], "any": runs}[status])
 
-    return what, check
+def _check(what: str, faults: Callable[[pd.DataFrame], list[str]]) -> Check:
+    return what, lambda results: faults(esim.runs_from_csv(results.text("runs.csv")))
 
 
 CHECKS = (
     _check("no run crashed", lambda runs: _described(runs[runs["status"] == CRASHED])),
-    _check(
-        "every failed run has a reason",
-        lambda runs: _described(runs[runs["reason"] == ""]),
-        "failed",
-    ),
-    _check("errors are those of the estimates", _off, "ok"),
-    _check("errors are possible ones", _impossible, "ok"),
-    _check("a method gives a pose always or never", _poses_at_times, "ok"),
+    _check("every failed run has a reason", _unexplained),
+    _check("errors are those of the estimates", _off),
+    _check("errors are possible ones", _impossible),
+    _check("a method gives a pose always or never", _poses_at_times),
     _check("all methods and offsets saw the same recording", _several_recordings),
 )
 
@@ -187,11 +157,15 @@ CHECKS = (
 # --- What pages quote ---
 
 
+_MANY = {"agrees": "agree", "better": "are better", "differs": "differ"}
+_ONE = _MANY | {"agrees": "agrees", "better": "is better", "differs": "differs"}
+
+
 def verdicts(results: Results, quantity: str) -> str:
     """Say how many cells of a published quantity agree, are better, and differ."""
     rows = results.rows("comparison", quantity=quantity)
-    counts = {word: int((rows["verdict"] == word).sum()) for word in VERDICTS}
-    words = (f"{n} {_plural(word, n)}" for word, n in counts.items() if n)
+    counts = {word: int((rows["verdict"] == word).sum()) for word in compared.VERDICTS}
+    words = (f"{n} {(_ONE if n == 1 else _MANY)[word]}" for word, n in counts.items() if n)
     return f"of {len(rows)} cells {listed(words)}"
 
 
@@ -232,33 +206,27 @@ def largest(results: Results, symbol: str) -> str:
     return f"{max(cell_means(results, 'tangency', error.column)):.3f} {error.unit}"
 
 
-def answered(results: Results) -> str:
+def tables_answered(results: Results) -> str:
     """Say how many runs of the tables gave an estimate."""
-    status = results.table("runs")["status"]
-    return f"{int((status == 'ok').sum())} of {len(status)} runs"
+    runs = results.table("runs")
+    return f"{len(answered(runs))} of {len(runs)} runs"
 
 
 def methods_table(results: Results) -> str:
     """Mean errors of every method, the range over the cells of each table."""
     rows = []
     for method in (*METHODS, "albl", "zncc_e", "zncc_f", "event_rate"):
-        cells_of_row = [f"`{method}`"]
+        ranges = []
         for error in (quantity.column for quantity in SYMBOLS.values()):
             has_it = f"{method}_{error}_mean" in results.table(TABLES[0])
-            means = cell_means(results, method, error) if has_it else [np.nan]
             # of methods with the pose known, that of R and t is the pose they were given
-            known = method.endswith("-known") and error != T_D_ERROR.column
-            is_empty = known or not np.isfinite(means).any()
+            is_given = method.endswith("-known") and error != T_D_ERROR.column
+            means = cell_means(results, method, error) if has_it and not is_given else [np.nan]
+            is_empty = not np.isfinite(means).any()
             shown = "" if is_empty else f"{digits(np.nanmin(means))} to {digits(np.nanmax(means))}"
-            cells_of_row.append(shown)
-        rows.append(cells_of_row)
+            ranges.append(shown)
+        rows.append([f"`{method}`", *ranges])
     return markdown_table(["method", *(error.heading for error in SYMBOLS.values())], rows)
-
-
-def _plural(verdict: str, n: int) -> str:
-    one = {"agrees": "agrees", "better": "is better", "differs": "differs"}
-    many = {"agrees": "agree", "better": "are better", "differs": "differ"}
-    return one[verdict] if n == 1 else many[verdict]
 
 
 NUMBERS: Mapping[str, Callable[[Results], str]] = {
@@ -270,16 +238,11 @@ NUMBERS: Mapping[str, Callable[[Results], str]] = {
         for q in ("ssac.t_d", "ssac.R", "ssac.t")
         for d in DURATIONS_S
     },
-    "tables.runs": answered,
+    "tables.runs": tables_answered,
     **{f"tables.mark.{s}": partial(mark_met, symbol=s) for s in SYMBOLS},
     **{f"tables.largest.{s}": partial(largest, symbol=s) for s in SYMBOLS},
     "table.methods": methods_table,
 }
-
-
-def config() -> dict[str, Any]:
-    """Give what the tables are made with."""
-    return {grid.name: grid.content for grid in table_grids()}
 
 
 STUDIES = (
@@ -288,7 +251,7 @@ STUDIES = (
         "The paper's simulation tables, all methods",
         cells,
         SCORED,
-        Runs("runs.csv", tuple(KEY), columns=RUN_COLUMNS, numbered=False),
+        Runs("runs.csv", tuple(esim.KEY), columns=esim.RUN_COLUMNS, numbered=False),
         (
             *(
                 Made(f"{name}.csv", partial(table, duration_s=duration_s))
@@ -297,12 +260,12 @@ STUDIES = (
             Made("comparison.csv", comparison),
             Made("comparison_summary.csv", summary),
             Made("README.md", page),
-            Made("error_vs_angle.png", errors_by_angle),
-            Made("beyond_paper.png", beyond_the_paper),
+            Made("error_vs_angle.png", partial(figure, name="error_figure")),
+            Made("beyond_paper.png", partial(figure, name="beyond_figure")),
         ),
         numbers=NUMBERS,
         checks=CHECKS,
-        config=config(),
+        config={grid.name: grid.content for grid in table_grids()},
         command="ssac tables",
         shows="comparison_summary",
     ),

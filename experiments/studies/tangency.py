@@ -6,16 +6,18 @@ is tuned on what is reported there.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
+from experiments.drawing.panels import Figure, panels
 from experiments.lab.cache import Cache
-from experiments.lab.cell import FlightCell, Measure
+from experiments.lab.cell import FlightCell, Measure, RunRow
 from experiments.lab.recorded import recorded_pair
 from experiments.lab.score import Truth, kept, scored
-from experiments.lab.study import Made, Runs, Study
+from experiments.lab.study import Runs, Study
+from experiments.lab.summary import answered, by_group, made_of
 from experiments.paper.grids import ANGLES_DEG, drawn
 from experiments.paper.quantities import ERRORS, R_ERROR, T_D_ERROR
 from sim.recording import SimConfig
@@ -27,16 +29,11 @@ from ssac.pipeline.chain import Chain
 from ssac.search.two_views import TwoViews
 from ssac.track.outline import OutlineConfig
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 FIRST_FLIGHT, N_FLIGHTS = 100, 6
 DURATION_S = 10.0
 T_D_S = 0.05
 
-JOINT = "joint"
-"""The refinement from which all variants start, beside them."""
-
+JOINT = "joint"  # the refinement from which all variants start, beside them
 _WORST = f"{T_D_ERROR.column}_worst"
 
 
@@ -80,23 +77,11 @@ class VariantCell(FlightCell):
     variant: str
     config: TangencyConfig | None  # None: the joint refinement, from which the others start
 
-    @property
-    def columns(self) -> dict[str, Any]:
-        """Columns that say which run it is."""
-        return {**self.flown, "variant": self.variant}
-
-    @property
-    def inputs(self) -> tuple[Any, ...]:
-        """What the row depends on beside the recording, which knows no offset."""
-        return self.sim.t_d_s, self.config
-
 
 @dataclass(frozen=True)
-class VariantRow:
+class VariantRow(RunRow):
     """Errors of a variant on a flight."""
 
-    status: str
-    reason: str = ""
     t_d_error_ms: float = np.nan
     r_error_deg: float = np.nan
     t_error_deg: float = np.nan
@@ -141,49 +126,37 @@ def variant_row(cell: VariantCell, started: tuple[Estimate, TwoViews, Rig]) -> V
 def variant_means(runs: pd.DataFrame) -> pd.DataFrame:
     """Mean errors of each variant, over all angles and with t_d's at the worst angle.
 
-    Returns
-    -------
-    pd.DataFrame
-        One row per variant in their order: runs, failed, mean errors, `t_d_error_ms_worst` of
-        the angles' means, `t_d_bias_ms`, and the root mean square of t_d's error over its stated
-        deviation.
+    `normalised_rms` is the root mean square of t_d's error over its stated deviation.
     """
-    rows = []
-    for variant, group in runs.groupby("variant", sort=False):
-        good = group[group["status"] == "ok"]
-        rows.append(
-            {
-                "variant": variant,
-                "runs": len(group),
-                "failed": len(group) - len(good),
-                **good[list(ERRORS)].mean(),
-                _WORST: good.groupby("angle_deg")[T_D_ERROR.column].mean().max(),
-                "t_d_bias_ms": good["t_d_bias_ms"].mean(),
-                "normalised_rms": float(np.sqrt(np.mean(np.square(good["normalised"])))),
-            }
-        )
-    means: pd.DataFrame = pd.DataFrame(rows)
-    return means
+
+    def row(group: pd.DataFrame) -> dict[str, Any]:
+        good = answered(group)
+        return {
+            "runs": len(group),
+            "failed": len(group) - len(good),
+            **good[list(ERRORS)].mean(),
+            _WORST: good.groupby("angle_deg")[T_D_ERROR.column].mean().max(),
+            "t_d_bias_ms": good["t_d_bias_ms"].mean(),
+            "normalised_rms": float(np.sqrt(np.mean(np.square(good["normalised"])))),
+        }
+
+    return by_group(runs, ("variant",), row)
 
 
-def study_figure(means: pd.DataFrame) -> "Figure":
+def study_figure(means: pd.DataFrame) -> Figure:
     """Draw the variants' errors of t_d and R, from `variant_means`, one line each.
 
     A bar is the mean over all flights, a tick t_d's mean at the worst angle; the method as it is
     comes first, in black, and its mean is the dotted line. `joint` is left out: it is far off.
     """
-    from matplotlib.figure import Figure
-
-    from experiments.drawing.style import WIDTH_IN, method_looks, quiet_axes
+    from experiments.drawing.style import method_looks
 
     variants = means[means["variant"] != JOINT]
     as_it_is = variants["variant"] == AS_IT_IS
     colors = [method_looks(["tangency"])["tangency"].color if it else "0.65" for it in as_it_is]
     lines = np.arange(len(variants))
-    figure = Figure(figsize=(WIDTH_IN, 0.8 + 0.22 * len(variants)), layout="constrained")
-    axes = figure.subplots(1, 2, sharey=True)
+    figure, (axes,) = panels(0.8 + 0.22 * len(variants), columns=2, sharey=True)
     for ax, error in zip(axes, (T_D_ERROR, R_ERROR), strict=True):
-        quiet_axes(ax)
         ax.grid(visible=False)
         ax.barh(lines, variants[error.column], color=colors, height=0.7)
         ax.axvline(float(variants.loc[as_it_is, error.column].iloc[0]), color="0.3", lw=0.8, ls=":")
@@ -201,16 +174,9 @@ STUDIES = (
         variant_cells,
         Measure(load_started, variant_row, VariantRow),
         Runs("tangency_runs.csv", ("angle_deg", "flight", "variant")),
-        (
-            Made("tangency.csv", lambda results: variant_means(results.table("tangency_runs"))),
-            Made("tangency.png", lambda results: study_figure(results.table("tangency"))),
-        ),
-        config={
-            "n_flights": N_FLIGHTS,
-            "first_flight": FIRST_FLIGHT,
-            "duration_s": DURATION_S,
-            "angles_deg": ANGLES_DEG,
-            "t_d_s": T_D_S,
-        },
+        (made_of("tangency.csv", variant_means, "tangency_runs"),
+         made_of("tangency.png", study_figure, "tangency")),
+        config={"n_flights": N_FLIGHTS, "first_flight": FIRST_FLIGHT, "duration_s": DURATION_S,
+                "angles_deg": ANGLES_DEG, "t_d_s": T_D_S},
     ),
-)
+)  # fmt: skip

@@ -6,10 +6,10 @@ Flights 300, 301, ... of each duration and angle, the same ones in all scenes an
 are of no table.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
+from itertools import pairwise, product
 from pathlib import Path
 from typing import Any
 
@@ -18,13 +18,14 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from experiments.lab.cache import Cache
-from experiments.lab.cell import FlightCell, Measure
+from experiments.lab.cell import FlightCell, Measure, RunRow
 from experiments.lab.markdown import markdown_table
 from experiments.lab.recorded import Pair, load_pair
 from experiments.lab.results import Results
-from experiments.lab.study import Made, Runs, Study
+from experiments.lab.study import Runs, Study
+from experiments.lab.summary import answered, made_of
 from experiments.paper.grids import ANGLES_DEG, drawn
-from experiments.scenes.scene import SceneFigures, pair_figures
+from experiments.scenes.scene import pair_figures
 from sim.recording import TRAJECTORY_STREAM, SimConfig
 from sim.render.config import SamplingConfig
 from sim.scene.rig import Camera, look_at_rig
@@ -45,9 +46,7 @@ Array = NDArray[np.float64]
 _SIGNALS = SignalRules()
 ZNCC_BIN_S, FRAME_S = _SIGNALS.zncc_bin_s, _SIGNALS.frame_s
 
-RENDERED, MODELLED = "rendered", "modelled"
-"""Where a signal comes from."""
-
+RENDERED, MODELLED = "rendered", "modelled"  # where a signal comes from
 BINS_S = {f"zncc_e, bins of {1e3 * bin_s:g} ms": bin_s for bin_s in (0.005, 0.020, 0.050)}
 """Signals that are the event rate in other bins than the 10 ms of ZNCC_E."""
 
@@ -71,22 +70,14 @@ class SignalCell(FlightCell):
     @property
     def columns(self) -> dict[str, Any]:
         """Columns that say which run it is."""
-        return {
-            "source": self.source, "scene": self.scene, **self.flown, "signal": self.signal,
-        }  # fmt: skip
-
-    @property
-    def inputs(self) -> tuple[str, str]:
-        """What the row depends on beside the flight."""
-        return self.source, self.signal
+        of_signal = {"source": self.source, "scene": self.scene}
+        return {**of_signal, **self.flown, "signal": self.signal}
 
 
 @dataclass(frozen=True)
-class SignalRow:
+class SignalRow(RunRow):
     """How a signal of two views agrees; what is measured once a flight stands with ZNCC_E."""
 
-    status: str
-    reason: str = ""
     error_ms: float = np.nan  # of the lag with the highest correlation, the true one being zero
     at_truth: float = np.nan  # correlation at the true lag
     elsewhere: float = np.nan  # highest correlation at lags far from the true one
@@ -96,13 +87,7 @@ class SignalRow:
     slope_px: float = np.nan
 
 
-@dataclass(frozen=True)
-class Agreement:
-    """How two signals correlate, the true lag being zero."""
-
-    error_ms: float  # of the lag with the highest correlation
-    at_truth: float  # correlation at the true lag
-    elsewhere: float  # highest correlation at other lags
+Agreement = dict[str, Any]  # how two signals correlate: the first three numbers of a `SignalRow`
 
 
 @dataclass
@@ -114,18 +99,12 @@ class SignalFlight:
     cache: Cache
 
     @cached_property
-    def folder(self) -> Path:
-        """Of the recording."""
-        return self.cache.recording_folder(self.sim, self.seed)
-
-    @cached_property
     def raw(self) -> Pair:
         """What both cameras recorded, with frames."""
-        cam1, cam2, rig = load_pair(self.folder)
-        first, second = (
-            _with_frames(camera, self.folder / f"{name}.h5")
-            for name, camera in (("cam1", cam1), ("cam2", cam2))
-        )
+        folder = self.cache.recording_folder(self.sim, self.seed)
+        cam1, cam2, rig = load_pair(folder)
+        named = (("cam1.h5", cam1), ("cam2.h5", cam2))
+        first, second = (_with_frames(camera, folder / file) for file, camera in named)
         return Pair(first, second, rig)
 
     @cached_property
@@ -150,24 +129,21 @@ def load_flight(cells: Sequence[SignalCell], cache: Cache) -> SignalFlight:
 def signal_row(cell: SignalCell, flight: SignalFlight) -> SignalRow:
     """Correlate one signal of both views."""
     if cell.source == MODELLED:
-        first, second = flight.modelled
-        return SignalRow(
-            "ok", **vars(agreement(first[cell.signal], second[cell.signal], ZNCC_BIN_S))
-        )
-    found = rendered_agreement(cell.signal, flight)
+        first, second = (signals[cell.signal] for signals in flight.modelled)
+        return SignalRow("ok", **agreement(first, second, ZNCC_BIN_S))
+    row = SignalRow("ok", **rendered_agreement(cell.signal, flight))
     if cell.signal != ZNCC_E:
-        return SignalRow("ok", **vars(found))
-    rate = counted(flight.chain.clean(1).events["t"], round(ZNCC_BIN_S * US_PER_S))
-    model = flight.modelled[1][RATE]
-    figures = _figures(flight)
-    return SignalRow(
-        "ok",
-        **vars(found),
-        model_fit=float(zncc(rate, model, np.zeros(1, np.int64), _SIGNALS.min_overlap)[0]),
-        speed_px_s=figures.speed_px_s if figures else np.nan,
-        n_valid=float(figures.n_valid) if figures else np.nan,
-        slope_px=figures.slope_px if figures else np.nan,
-    )
+        return row
+    rate, model = _rates(flight, ZNCC_BIN_S)[1], flight.modelled[1][RATE]
+    fit = zncc(rate, model, np.zeros(1, np.int64), _SIGNALS.min_overlap)[0]
+    row = replace(row, model_fit=float(fit))
+    if flight.sim.angle_deg != SimConfig.angle_deg:  # the authors' sample is of another angle
+        return row
+    seen = pair_figures(*flight.raw, t_d_s=0.0)
+    if seen is None:
+        return row
+    n_valid = float(seen.n_valid)
+    return replace(row, speed_px_s=seen.speed_px_s, n_valid=n_valid, slope_px=seen.slope_px)
 
 
 def rendered_agreement(signal: str, flight: SignalFlight) -> Agreement:
@@ -177,12 +153,17 @@ def rendered_agreement(signal: str, flight: SignalFlight) -> Agreement:
     if signal in (ZNCC_E, ZNCC_F):
         return of_estimate(flight.chain.estimate(signal))
     if signal == CHANGES:
-        changes = [_frame_changes(camera) for camera in (flight.raw.cam1, flight.raw.cam2)]
-        return agreement(changes[0], changes[1], FRAME_S)
-    bin_s = BINS_S[signal]
-    bin_us = round(bin_s * US_PER_S)
-    rates = [counted(flight.chain.clean(k).events["t"], bin_us) for k in range(2)]
-    return agreement(rates[0], rates[1], bin_s)
+        first, second = (_frame_changes(camera) for camera in flight.raw[:2])
+        return agreement(first, second, FRAME_S)
+    return agreement(*_rates(flight, BINS_S[signal]), BINS_S[signal])
+
+
+def _rates(flight: SignalFlight, bin_s: float) -> tuple[Signal, Signal]:
+    """Event rates of both cameras, without noise."""
+    first, second = (
+        counted(flight.chain.clean(k).events["t"], round(bin_s * US_PER_S)) for k in range(2)
+    )
+    return first, second
 
 
 def flown(sim: SimConfig, seed: int) -> Trajectory:
@@ -193,12 +174,9 @@ def flown(sim: SimConfig, seed: int) -> Trajectory:
 def modelled_signals(trajectory: Trajectory, camera: Camera) -> dict[str, Signal]:
     """Model a camera's event rate: the drone's outline sweeps over pixels.
 
-    Returns
-    -------
-    dict of Signal
-        In bins of `ZNCC_BIN_S`, each in a unit of its own: "rate", the drone's image speed times
-        its image's width times the share of it in the image; and two factors that make up the rate,
-        "speed", of the drone across the line of sight, and "distance", one over its square.
+    In bins of `ZNCC_BIN_S`, each in a unit of its own: "rate", the drone's image speed times its
+    image's width times the share of it in the image; and two factors that make up the rate,
+    "speed", of the drone across the line of sight, and "distance", one over its square.
     """
     n = int(trajectory.duration_s / ZNCC_BIN_S)
     times_s = ZNCC_BIN_S * (np.arange(n, dtype=np.float64) + 0.5)
@@ -245,18 +223,11 @@ def _frame_changes(camera: Observation) -> Signal:
 
 
 def _agreement(lags_s: Array, curve: Array) -> Agreement:
-    return Agreement(
-        error_ms=1e3 * abs(float(lags_s[np.nanargmax(curve)])),
-        at_truth=float(curve[np.argmin(np.abs(lags_s))]),
-        elsewhere=float(np.nanmax(curve[np.abs(lags_s) > ELSEWHERE_S])),
-    )
-
-
-def _figures(flight: SignalFlight) -> SceneFigures | None:
-    """How the scene looks, at the angle at which the authors' sample is known."""
-    if flight.sim.angle_deg != SimConfig.angle_deg:
-        return None
-    return pair_figures(*flight.raw, t_d_s=0.0)
+    return {
+        "error_ms": 1e3 * abs(float(lags_s[np.nanargmax(curve)])),
+        "at_truth": float(curve[np.argmin(np.abs(lags_s))]),
+        "elsewhere": float(np.nanmax(curve[np.abs(lags_s) > ELSEWHERE_S])),
+    }
 
 
 def _with_frames(camera: Observation, path: Path) -> Observation:
@@ -287,50 +258,46 @@ MODELLED_SCENES = [scene for scene in SCENES if scene != "no turning"]
 
 RENDERED_S, MODELLED_S = 20.0, (10.0, 20.0)
 FIRST_FLIGHT = 300
-N_RENDERED, N_MODELLED = 10, 100
-"""Flights at each scene, duration and angle."""
-
-N_MORE = {(DEFAULT, 90.0): 20}
-"""Rendered flights where ten tell too little."""
-
+N_RENDERED, N_MODELLED = 10, 100  # flights at each scene, duration and angle
+N_MORE = {(DEFAULT, 90.0): 20}  # rendered flights where ten tell too little
 GROSS_MS = 100.0  # a larger error is another peak of the correlation, not the true one read badly
 MAX_STEP_PX = 1.0  # four times the default: a third of the time, correlations within 0.02 the same
 
 
 def signal_cells() -> list[SignalCell]:
-    """List every signal of the rendered flights, then of the modelled ones."""
-    return [*_rendered(), *_modelled()]
+    """List every signal of the rendered flights, then of the modelled ones.
 
-
-def _rendered() -> Iterator[SignalCell]:
+    Of these the factors of the event rate are listed in the default scene alone.
+    """
+    cells: list[SignalCell] = []
     for scene, angles_deg in RENDERED_AT.items():
+        spline = replace(SCENES[scene], duration_s=RENDERED_S)
         for angle_deg in angles_deg:
-            sim = SimConfig(
-                angle_deg=angle_deg,
-                spline=replace(SCENES[scene], duration_s=RENDERED_S),
-                sampling=SamplingConfig(max_step_px=MAX_STEP_PX),
-            )
+            sampling = SamplingConfig(max_step_px=MAX_STEP_PX)
+            sim = SimConfig(angle_deg=angle_deg, spline=spline, sampling=sampling)
             n_flights = N_MORE.get((scene, angle_deg), N_RENDERED)
-            for flight, seed in drawn(sim, range(FIRST_FLIGHT, FIRST_FLIGHT + n_flights)):
-                for signal in RENDERED_SIGNALS:
-                    yield SignalCell(sim, flight, seed, RENDERED, scene, signal)
+            cells += _of_flights(sim, n_flights, RENDERED, scene, RENDERED_SIGNALS)
+    for scene, duration_s, angle_deg in product(MODELLED_SCENES, MODELLED_S, ANGLES_DEG):
+        spline = replace(SCENES[scene], duration_s=duration_s)
+        sim = SimConfig(angle_deg=angle_deg, spline=spline)
+        signals = MODELLED_SIGNALS if scene == DEFAULT else (RATE,)
+        cells += _of_flights(sim, N_MODELLED, MODELLED, scene, signals)
+    return cells
 
 
-def _modelled() -> Iterator[SignalCell]:
-    """Yield modelled signals: the factors of the event rate in the default scene alone."""
-    for scene in MODELLED_SCENES:
-        for duration_s in MODELLED_S:
-            for angle_deg in ANGLES_DEG:
-                spline = replace(SCENES[scene], duration_s=duration_s)
-                sim = SimConfig(angle_deg=angle_deg, spline=spline)
-                for flight, seed in drawn(sim, range(FIRST_FLIGHT, FIRST_FLIGHT + N_MODELLED)):
-                    for signal in MODELLED_SIGNALS if scene == DEFAULT else (RATE,):
-                        yield SignalCell(sim, flight, seed, MODELLED, scene, signal)
+def _of_flights(
+    sim: SimConfig, n_flights: int, source: str, scene: str, signals: Sequence[str]
+) -> list[SignalCell]:
+    return [
+        SignalCell(sim, flight, seed, source, scene, signal)
+        for flight, seed in drawn(sim, range(FIRST_FLIGHT, FIRST_FLIGHT + n_flights))
+        for signal in signals
+    ]
 
 
 def signal_means(runs: pd.DataFrame) -> pd.DataFrame:
     """Mean over the flights; `gross_share` is that of errors above GROSS_MS."""
-    runs = runs[runs["status"] == "ok"]
+    runs = answered(runs)
     measured = runs.drop(columns=["cell", "status", "reason", "flight", "seed"], errors="ignore")
     measured["gross_share"] = (runs["error_ms"] > GROSS_MS).astype(float)
     groups = measured.groupby(["source", "scene", "duration_s", "signal", "angle_deg"], sort=False)
@@ -346,55 +313,43 @@ _ANGLE_HEADER = [f"{angle:g} deg" for angle in ANGLES_DEG]
 
 def correlation_table(results: Results) -> str:
     """Correlation of the two views at the true lag, default scene, 20 s."""
-
-    def row(words: str, source: str, signal: str, column: str = "at_truth") -> list[str]:
-        return [words, *_by_angle(results, source, signal, column, "{:.2f}")]
-
     rows = [
-        row("speed across the line of sight (model)", MODELLED, "speed"),
-        row("1 / distance squared (model)", MODELLED, "distance"),
-        row("event rate (model)", MODELLED, RATE),
-        row("event rate, rendered: `zncc_e`", RENDERED, ZNCC_E),
-        row("mean brightness of a frame: `zncc_f`", RENDERED, ZNCC_F),
-        row("change from frame to frame", RENDERED, CHANGES),
-        row("highest value elsewhere (event rate, model)", MODELLED, RATE, "elsewhere"),
+        [words, *(f"{value:.2f}" for value in _by_angle(results, source, signal, column))]
+        for words, source, signal, column in (
+            ("speed across the line of sight (model)", MODELLED, "speed", "at_truth"),
+            ("1 / distance squared (model)", MODELLED, "distance", "at_truth"),
+            ("event rate (model)", MODELLED, RATE, "at_truth"),
+            ("event rate, rendered: `zncc_e`", RENDERED, ZNCC_E, "at_truth"),
+            ("mean brightness of a frame: `zncc_f`", RENDERED, ZNCC_F, "at_truth"),
+            ("change from frame to frame", RENDERED, CHANGES, "at_truth"),
+            ("highest value elsewhere (event rate, model)", MODELLED, RATE, "elsewhere"),
+        )
     ]
     return markdown_table(["", *_ANGLE_HEADER], rows)
 
 
 def frames_table(results: Results) -> str:
     """Lay out errors and their deviations of what ZNCC_F may take of a frame, over 20 s."""
-    of = {"quantity": "zncc_f_t_d_error_ms", "duration_s": RENDERED_S}
-    published = (
-        [
-            f"{results.column('comparison', f'published_{part}', angle_deg=angle, **of).mean():.0f}"
-            for angle in ANGLES_DEG
-        ]
-        for part in ("mean", "std")
-    )
-    rows = [["paper, ZNCC_F", *_with_deviations(*published)]]
+    of = results.rows("comparison", quantity="zncc_f_t_d_error_ms", duration_s=RENDERED_S)
+    published = of.groupby("angle_deg")[["published_mean", "published_std"]].mean()
+    found: dict[str, Iterable[Any]] = {"paper, ZNCC_F": published.itertuples(index=False)}
     for words, source, signal in (
         ("1 / distance squared (model)", MODELLED, "distance"),
         ("mean brightness: `zncc_f`", RENDERED, ZNCC_F),
         ("change from frame to frame", RENDERED, CHANGES),
     ):
-        both = (
-            _by_angle(results, source, signal, f"error_ms_{part}", "{:.0f}")
-            for part in ("mean", "std")
-        )
-        rows.append([words, *_with_deviations(*both)])
+        columns = ("error_ms_mean", "error_ms_std")
+        found[words] = zip(*(_by_angle(results, source, signal, c) for c in columns), strict=True)
+    rows = [
+        [words, *(f"{mean:.0f} ({std:.0f})" for mean, std in errors)]
+        for words, errors in found.items()
+    ]
     return markdown_table(["mean error (deviation) [ms]", *_ANGLE_HEADER], rows)
 
 
-def _by_angle(results: Results, source: str, signal: str, column: str, form: str) -> list[str]:
+def _by_angle(results: Results, source: str, signal: str, column: str) -> Array:
     of = {"source": source, "signal": signal, "scene": DEFAULT, "duration_s": RENDERED_S}
-    return [
-        form.format(results.value("zncc", column, angle_deg=angle, **of)) for angle in ANGLES_DEG
-    ]
-
-
-def _with_deviations(means: Sequence[str], deviations: Sequence[str]) -> list[str]:
-    return [f"{mean} ({std})" for mean, std in zip(means, deviations, strict=True)]
+    return results.column("zncc", column, **of)
 
 
 STUDIES = (
@@ -404,16 +359,9 @@ STUDIES = (
         signal_cells,
         Measure(load_flight, signal_row, SignalRow),
         Runs("zncc_runs.csv", ("source", "scene", "duration_s", "angle_deg", "flight", "signal")),
-        (Made("zncc.csv", lambda results: signal_means(results.table("zncc_runs"))),),
-        numbers={
-            "table.zncc.correlation": correlation_table,
-            "table.zncc.frames": frames_table,
-        },
-        config={
-            "scenes": SCENES,
-            "first_flight": FIRST_FLIGHT,
-            "n_rendered": N_RENDERED,
-            "n_modelled": N_MODELLED,
-        },
+        (made_of("zncc.csv", signal_means, "zncc_runs"),),
+        numbers={"table.zncc.correlation": correlation_table, "table.zncc.frames": frames_table},
+        config={"scenes": SCENES, "first_flight": FIRST_FLIGHT, "n_rendered": N_RENDERED,
+                "n_modelled": N_MODELLED},
     ),
-)
+)  # fmt: skip

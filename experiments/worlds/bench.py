@@ -51,9 +51,7 @@ Recordings = Annotated[
 """Option of the command."""
 
 PRESET = sensor_preset("davis346")
-ANGLES_DEG = (43.14, 65.06, 95.18, 131.77)
-"""Of the paper's data-1 to data-4."""
-
+ANGLES_DEG = (43.14, 65.06, 95.18, 131.77)  # of the paper's data-1 to data-4
 LIGHT_STD = 0.1  # of the logarithm of a room's light within a recording
 SHADOW = 0.3  # share of the light that a hand's shadow takes
 WIRE_M = 1e-4  # a hair, or the finest fishing line
@@ -73,9 +71,7 @@ _ONLY, _ALL_BUT = "only ", "all but "
 SETTLING_S = 0.1
 """First part of a recording that is left out: pixels that leak or flicker start all at once."""
 
-SEARCH_AROUND_TRUTH_S = (-1.0, 1.0)
-"""As of the simulation tables."""
-
+SEARCH_AROUND_TRUTH_S = (-1.0, 1.0)  # as of the simulation tables
 _MOTION_SEEDS, _SETUP_SEEDS = 14, 15  # sets of seeds, beside that of the simulation tables
 
 # Branches of the set-up's seed, beside those of `sim.twin`.
@@ -223,14 +219,12 @@ def cells_of(
     methods: Sequence[str],
 ) -> Iterator[PhysicalCell]:
     """Yield every method at every offset on one recording; `named` are their first columns."""
-    sim = bench.sim
-    duration_s, angle_deg = sim.spline.duration_s, sim.angle_deg
+    sim, (low_s, high_s) = bench.sim, SEARCH_AROUND_TRUTH_S
+    flown = {"duration_s": sim.spline.duration_s, "angle_deg": sim.angle_deg}
+    seed = motion_seed(sim.spline.duration_s, sim.angle_deg, flight)
     for t_d_ms in t_ds_ms:
-        t_d_s = 1e-3 * t_d_ms
-        low, high = SEARCH_AROUND_TRUTH_S
-        estimator = replace(Config(), interval_s=(t_d_s + low, t_d_s + high))
-        columns = {**named, "duration_s": duration_s, "angle_deg": angle_deg, "t_d_ms": t_d_ms}
-        seed = motion_seed(duration_s, angle_deg, flight)
+        t_d_s, columns = 1e-3 * t_d_ms, {**named, **flown, "t_d_ms": t_d_ms}
+        estimator = replace(Config(), interval_s=(t_d_s + low_s, t_d_s + high_s))
         for method in methods:
             yield PhysicalCell(sim, flight, seed, t_d_s, estimator, method, columns, bench)
 
@@ -278,39 +272,30 @@ def known_rig(bench: SetUp) -> Rig:
 def _known_rig(
     sim: TwinConfig, config: CalibrationConfig, is_calibrated: bool, is_truth_calibrated: bool
 ) -> Rig:
-    rig = bench_rig(sim)
-    cameras = [
-        calibrated_camera(camera, config, generator(sim.setup_seed, _INTRINSICS_STREAM, index))
-        if is_calibrated
-        else exact(camera)
-        for index, camera in enumerate(rig.cameras)
-    ]
+    rig, cameras, known = bench_rig(sim), [], []
+    for index, camera in enumerate(rig.cameras):
+        one = exact(camera)
+        if is_calibrated:
+            rng = generator(sim.setup_seed, _INTRINSICS_STREAM, index)
+            one = calibrated_camera(camera, config, rng)
+        size, model = (camera.width, camera.height), camera.distortion_model
+        cameras.append(one)
+        known.append(Camera(one.K, *size, model, one.distortion_coeffs, one.intrinsics_std_px))
     T_2_1 = rig.relative_pose(0, 1)
     if is_truth_calibrated:
         T_2_1 = calibrated_pose(rig, cameras, config, generator(sim.setup_seed, _POSE_STREAM))
-    first, second = (
-        Camera(
-            one.K,
-            camera.width,
-            camera.height,
-            camera.distortion_model,
-            one.distortion_coeffs,
-            one.intrinsics_std_px,
-        )
-        for one, camera in zip(cameras, rig.cameras, strict=True)
-    )
-    return Rig(first, second, T_2_1)
+    return Rig(known[0], known[1], T_2_1)
 
 
 def _recorded(cell: PhysicalCell, flown: Flown) -> Chain:
     """Make of a recording what the bench's cameras saw."""
     bench, cameras = cell.bench, []
-    scene, hanging = None, None
+    sees_room = bench.room != RoomConfig()
+    scene = bench.sim.scene(cell.seed) if sees_room else None
+    hanging = hanging_of(bench.sim, cell.seed) if sees_room else None
     for index, frames in enumerate(flown.frames):
         events = flown.pair[:2][index].events
-        if bench.room != RoomConfig():
-            scene = scene or bench.sim.scene(cell.seed)
-            hanging = hanging or hanging_of(bench.sim, cell.seed)
+        if scene and hanging:
             added = room_events(bench.room, scene, hanging, bench.sim.sensor, cell.seed, index)
             events = merged(events, added)
         events = events[events["t"] >= round(US_PER_S * SETTLING_S)]

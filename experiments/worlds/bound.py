@@ -25,6 +25,7 @@ where they touch; the bound from those is 1 to 6 % lower.
 """
 
 import json
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -50,21 +51,6 @@ Array = NDArray[np.float64]
 
 _MAX_CONDITION = 1e14  # of the information; beyond it a parameter is not seen at all
 
-MEANS, SHARP, TANGENTS = "means of the events", "sharp positions", "tangents"
-"""Kinds of samples."""
-
-SAMPLES = {
-    "ssac": MEANS,
-    "ssac-known": MEANS,
-    "joint": SHARP,
-    "joint-known": SHARP,
-    "tangency": TANGENTS,
-    "tangency-known": TANGENTS,
-}
-"""Of each method that has a bound. The others do not look at positions, or do not use F."""
-
-KNOWN_POSE = tuple(method for method in SAMPLES if method.endswith("-known"))
-
 
 @dataclass(frozen=True)
 class Bound:
@@ -76,13 +62,7 @@ class Bound:
 
 
 def cramer_rao_bound(information: Array) -> Bound:
-    """Bound when offset and pose are unknown.
-
-    Parameters
-    ----------
-    information
-        Shape (6, 6), from `fisher_information`.
-    """
+    """Bound when offset and pose are unknown, of an information (6, 6)."""
     if not np.linalg.cond(information) < _MAX_CONDITION:
         return Bound(np.inf, np.inf, np.inf)
     variances = np.diag(np.linalg.inv(information))
@@ -105,25 +85,11 @@ def fisher_information(
     rig: Rig,
     noise_px: float | Array,
 ) -> Array:
-    """Sum up what n pairs tell of the offset and the pose, six parameters.
+    """Sum up what n pairs tell of t_d [s] and the five small changes [rad] of the pose: (6, 6).
 
-    Parameters
-    ----------
-    p1_px, p2_px
-        True positions, undistorted, at the same instants: shape (n, 2), p2' F p1 = 0.
-    v2_px_s
-        True image velocity of p2, shape (n, 2).
-    R, t
-        True pose: x2 = R x1 + t, shapes (3, 3) and (3,), |t| = 1.
-    rig
-        Intrinsics; the extrinsics are not used.
-    noise_px
-        Standard deviation of the noise of each coordinate: one for all pairs, or shape (n,).
-
-    Returns
-    -------
-    NDArray[np.float64]
-        Shape (6, 6), of t_d [s] and the five small changes [rad] of the pose.
+    Pairs (n, 2) are true positions, undistorted, at the same instants, with the true image velocity
+    of p2, and x2 = R x1 + t with |t| = 1; of the rig only the intrinsics count. The noise of each
+    coordinate is one for all pairs, or (n,).
     """
     K1, K2 = rig.cam1.K, rig.cam2.K
     F = fundamental_from_pose(K1, K2, R, t)
@@ -185,38 +151,21 @@ def load_truth(folder: Path) -> TrueMotion:
     return TrueMotion(times_s, positions_m, poses)
 
 
-def method_bounds(
-    methods: list[str], views: TwoViews, truth: TrueMotion, t_d_s: float = 0.0
-) -> dict[str, MethodBound]:
-    """Give the bounds of some methods of SAMPLES, by name.
-
-    Parameters
-    ----------
-    methods
-        Names.
-    views
-        As the methods see them; their rig has the true extrinsics.
-    truth
-        The flight.
-    t_d_s
-        The true offset.
-    """
-    found, kinds, rig = {}, {SAMPLES[method] for method in methods}, views.rig
+def method_bound(
+    method: str, views: TwoViews, truth: TrueMotion, t_d_s: float = 0.0
+) -> MethodBound:
+    """Give the bound of a method of SAMPLES on views whose rig has the true extrinsics."""
+    rig, samples = views.rig, SAMPLES[method](views, t_d_s)
     R, t = known_pose(rig)
     F = fundamental_from_pose(rig.cam1.K, rig.cam2.K, R, t)
-    for kind in kinds:
-        samples = _SAMPLERS[kind](views, t_d_s)
-        distances_px = sampson_distance(F, samples.p1_px, samples.p2_px)
-        sigma_px = robust_deviation(samples.weights * distances_px)
-        p1_px, _ = truth.seen(0, rig.cam1.K, samples.times_s)
-        p2_px, v2_px_s = truth.seen(1, rig.cam2.K, samples.times_s)
-        noise_px = sigma_px / samples.weights
-        information = fisher_information(p1_px, p2_px, v2_px_s, R, t, rig, noise_px)
-        for method in methods:
-            if SAMPLES[method] == kind:
-                least = known_pose_bound if method in KNOWN_POSE else cramer_rao_bound
-                found[method] = MethodBound(sigma_px, len(samples.times_s), least(information))
-    return found
+    distances_px = sampson_distance(F, samples.p1_px, samples.p2_px)
+    sigma_px = robust_deviation(samples.weights * distances_px)
+    p1_px, _ = truth.seen(0, rig.cam1.K, samples.times_s)
+    p2_px, v2_px_s = truth.seen(1, rig.cam2.K, samples.times_s)
+    noise_px = sigma_px / samples.weights
+    information = fisher_information(p1_px, p2_px, v2_px_s, R, t, rig, noise_px)
+    least = known_pose_bound if method in KNOWN_POSE else cramer_rao_bound
+    return MethodBound(sigma_px, len(samples.times_s), least(information))
 
 
 def mean_samples(views: TwoViews, t_d_s: float) -> Samples:
@@ -240,4 +189,14 @@ def tangent_samples(views: TwoViews, t_d_s: float) -> Samples:
     return Samples(pairs.times_s, pairs.p1_px, pairs.p2_px, pairs.weights)
 
 
-_SAMPLERS = {MEANS: mean_samples, SHARP: sharp_samples, TANGENTS: tangent_samples}
+SAMPLES: Mapping[str, Callable[[TwoViews, float], Samples]] = {
+    "ssac": mean_samples,
+    "ssac-known": mean_samples,
+    "joint": sharp_samples,
+    "joint-known": sharp_samples,
+    "tangency": tangent_samples,
+    "tangency-known": tangent_samples,
+}
+"""Of each method that has a bound. The others do not look at positions, or do not use F."""
+
+KNOWN_POSE = tuple(method for method in SAMPLES if method.endswith("-known"))

@@ -34,9 +34,7 @@ _CSV_HZ = 200.0
 _OUTSIDE_S = 3.0  # an offset that the search interval does not hold
 _SHORT_S = 0.6
 _PATH_STREAM = 7  # of the seed
-OTHER_OBJECT = "other-object"
-"""The kind of which camera 2 sees another flight."""
-
+OTHER_OBJECT = "other-object"  # the kind of which camera 2 sees another flight
 _PACES = {"slow": 0.25, "stationary": 4.0, "straight-uniform": 4.0}
 """How fast the drone turns, beside ordinary flights; of "slow" also how fast it flies."""
 
@@ -92,10 +90,6 @@ def _circle(rng: np.random.Generator, rise_m: float = 0.0) -> Position:
     return position
 
 
-def _helix(rng: np.random.Generator) -> Position:
-    return _circle(rng, rise_m=2.0)
-
-
 def _planar(rng: np.random.Generator) -> Position:
     path = random_spline(SplineConfig(DURATION_S), rng).position
     plane, middle = _frame(rng)[:2], rng.uniform(-0.4, 0.4, 3)
@@ -115,14 +109,10 @@ def _periodic(rng: np.random.Generator) -> Position:
 
 
 PATHS: dict[str, Callable[[np.random.Generator], Position]] = {
-    "stationary": _stationary,
-    "straight": _straight,
-    "straight-uniform": _straight_uniform,
-    "circle": _circle,
-    "helix": _helix,
-    "planar": _planar,
+    "stationary": _stationary, "straight": _straight, "straight-uniform": _straight_uniform,
+    "circle": _circle, "helix": lambda rng: _circle(rng, rise_m=2.0), "planar": _planar,
     "periodic": _periodic,
-}
+}  # fmt: skip
 """Kinds with a path of their own."""
 
 KINDS_OF_FLIGHT: dict[str, tuple[str, ...]] = {
@@ -130,16 +120,9 @@ KINDS_OF_FLIGHT: dict[str, tuple[str, ...]] = {
     "periodic": ("periodic", "periodic-wide"),
     "slow": ("slow",),
     "noise-kept": ("noise-kept",),
-    "ordinary": (
-        "ordinary",
-        OTHER_OBJECT,
-        "no-overlap",
-        "small-overlap",
-        "outside-search",
-        "short",
-        "few-samples",
-    ),
-}
+    "ordinary": ("ordinary", OTHER_OBJECT, "no-overlap", "small-overlap", "outside-search", "short",
+                 "few-samples"),
+}  # fmt: skip
 """Kinds by the flight that they are made of: those of one flight differ in what methods get."""
 
 FLIGHT_OF = {kind: flight for flight, kinds in KINDS_OF_FLIGHT.items() for kind in kinds}
@@ -147,12 +130,8 @@ FLIGHT_OF = {kind: flight for flight, kinds in KINDS_OF_FLIGHT.items() for kind 
 
 def flight_config(flight: str, angle_deg: float) -> SimConfig:
     """Give the configuration of a flight of KINDS_OF_FLIGHT, but for a path of its own."""
-    config = SimConfig(
-        angle_deg=angle_deg,
-        t_d_s=T_D_S,
-        spline=SplineConfig(DURATION_S),
-        frames=FrameConfig(rate_hz=0.0),
-    )
+    spline, frames = SplineConfig(DURATION_S), FrameConfig(rate_hz=0.0)
+    config = SimConfig(angle_deg=angle_deg, t_d_s=T_D_S, spline=spline, frames=frames)
     return replace(config, sensor=PRESETS["davis346"]) if flight == "noise-kept" else config
 
 

@@ -121,13 +121,10 @@ def calibrated(config: SimConfig, flight: int) -> tuple[SimConfig, ...]:
     rng = np.random.default_rng([_STREAM, seed_of(flight), 1])
     cameras = []
     for _ in range(3):
-        focal = 1.0 + rng.normal(0.0, FOCAL_STD)
-        du_px, dv_px = rng.normal(0.0, CENTRE_STD_PX, 2)
-        u_px, v_px = config.principal_point
-        centre = (float(u_px + du_px), float(v_px + dv_px))
-        cameras.append(
-            replace(config, focal_px=float(config.focal_px * focal), principal_point=centre)
-        )
+        focal_px = float(config.focal_px * (1.0 + rng.normal(0.0, FOCAL_STD)))
+        off_px, (u_px, v_px) = rng.normal(0.0, CENTRE_STD_PX, 2), config.principal_point
+        centre = (float(u_px + off_px[0]), float(v_px + off_px[1]))
+        cameras.append(replace(config, focal_px=focal_px, principal_point=centre))
     return tuple(cameras)
 
 
@@ -156,15 +153,14 @@ def write_events(
 
     `second` is which camera of the flight, from 0 on, is the recording's second.
     """
-    skew_ppm, t_ref_s = truth.clock.skew_ppm, truth.clock.t_ref_s  # the recording has the skew
-    offset = Clock(-truth.clock.t_d_s)
+    clock = truth.clock  # of which the recording has the skew
     duration_s = float(truth.times_s[-1])
-    for name, camera, ppm, clock in (
+    for file, camera, ppm, shown in (
         ("cam1.h5", 0, 0.0, Clock()),
-        ("cam2.h5", second, skew_ppm, offset),
+        ("cam2.h5", second, clock.skew_ppm, Clock(-clock.t_d_s)),
     ):
-        found = drone_events(folder / name, flight, camera, ppm, t_ref_s, duration_s)
-        write_synced(work / name, found, clock)
+        found = drone_events(folder / file, flight, camera, ppm, clock.t_ref_s, duration_s)
+        write_synced(work / file, found, shown)
     return work / "cam1.h5", work / "cam2.h5"
 
 

@@ -5,11 +5,13 @@ kinds are made of one flight. What spoils a recording is the same in all of a ki
 and what varies from flight to flight, is drawn by the flight's seed.
 """
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from experiments.lab.cell import FlightCell
+from experiments.lab.grid import flight_seed
 from experiments.lab.recorded import Flown, Pair
 from sim.disturb import DisturbConfig, View, clutter, merged, thinned, wrong_intrinsics
 from sim.recorded import Drift, Jump
@@ -55,7 +57,25 @@ class KindCell(FlightCell):
     @property
     def inputs(self) -> tuple[Any, ...]:
         """What the row depends on beside the recording and the code."""
-        return self.kind, self.other_seed, self.method, METHODS[self.method].version
+        return *self.own.values(), METHODS[self.method].version
+
+
+AnyKindCell = TypeVar("AnyKindCell", bound=KindCell)
+
+
+def kind_cells(
+    sim: SimConfig,
+    flights: tuple[int, int],
+    kinds: Iterable[str],
+    methods: Sequence[str],
+    cell: type[AnyKindCell],
+) -> list[AnyKindCell]:
+    """List every method on every kind that is made of a flight; the other flight comes second."""
+    seed, other_seed = (
+        flight_seed(sim.spline.duration_s, sim.angle_deg, flight) for flight in flights
+    )
+    of_flight = (sim, flights[0], seed)
+    return [cell(*of_flight, kind, other_seed, method) for kind in kinds for method in methods]
 
 
 @dataclass(frozen=True)

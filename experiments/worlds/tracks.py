@@ -48,8 +48,7 @@ ROUGHNESSES_PPM = (2000.0, 6000.0)
 """How clocks of pairs with such a camera are followed: the smoothest that is not refused. A frame
 more or less in 5 s, of 30 a second, is 6700 ppm."""
 
-RTK_S = 0.2
-"""Time between two samples of RTK; data set 4 counts them, and leaves some out."""
+RTK_S = 0.2  # time between two samples of RTK; data set 4 counts them, and leaves some out
 
 PAIR_COLUMNS = (
     "data_set", "camera_1", "camera_2", "models", "status", "clock", "t_d_s", "t_d_std_ms",
@@ -147,11 +146,8 @@ def load_clocks(folder: Path) -> PublishedClocks | None:
     if not path.is_file():
         return None
     lines = path.read_text(encoding="utf-8").splitlines()
-    rows = [
-        [float(cell) for cell in found.group(1).split("|")]
-        for found in map(_NUMBERS.match, lines)
-        if found
-    ]
+    matched = filter(None, map(_NUMBERS.match, lines))
+    rows = [[float(cell) for cell in found.group(1).split("|")] for found in matched]
     n = len(rows) // 2
     if n == 0 or any(len(row) != n for row in rows):
         return None
@@ -161,16 +157,13 @@ def load_clocks(folder: Path) -> PublishedClocks | None:
 def load_rtk(folder: Path) -> tum.Path:
     """Read the antenna's positions [m] of a data set, with times from its first sample on [s]."""
     path = folder / "trajectory" / "rtk.txt"
+    expected = f"{path}: expected lines `[index] x y z`"
     try:
         table = np.loadtxt(path, dtype=np.float64, ndmin=2)
     except (OSError, ValueError) as error:
-        raise SsacError(
-            f"{path}: expected lines `[index] x y z` ({error}): get it again"
-        ) from error
+        raise SsacError(f"{expected} ({error}): get it again") from error
     if table.shape[1] not in (3, 4):
-        raise SsacError(
-            f"{path}: expected lines `[index] x y z`, got {table.shape[1]} columns: get it again"
-        )
+        raise SsacError(f"{expected}, got {table.shape[1]} columns: get it again")
     index = table[:, 0] if table.shape[1] == 4 else np.arange(len(table), dtype=np.float64)
     return tum.Path(RTK_S * index, table[:, -3:])
 
@@ -188,18 +181,10 @@ def _synchronised(number: int, pair: Pair, tracks: list[Path], rig: Path) -> Ans
     config = Config(search="all", rates=rate_range(number, i, j))
     configs = [config]  # what sync tries itself
     if {(number, i), (number, j)} & VARIABLE_RATES:
-        configs = [
-            replace(config, clock="pieces", roughness_ppm=roughness_ppm)
-            for roughness_ppm in ROUGHNESSES_PPM
-        ]
+        configs = [replace(config, clock="pieces", roughness_ppm=ppm) for ppm in ROUGHNESSES_PPM]
     for config in configs:
         answer = sync(
-            tracks[i],
-            tracks[j],
-            rig,
-            config=config,
-            cameras=(i + 1, j + 1),
-            estimate_readout=True,
+            tracks[i], tracks[j], rig, config=config, cameras=(i + 1, j + 1), estimate_readout=True
         ).answer
         if answer.estimate.has_offset:
             break
@@ -250,9 +235,8 @@ def _t_ref_s(result: Answer) -> float:
 def _pair_row(one: DataSet, pair: Pair) -> Row:
     result, (i, j) = one.pairs[pair], pair
     estimate, t_ref_s = result.estimate, _t_ref_s(result)
-    off_ms = np.nan
-    if estimate.has_offset:
-        off_ms = one.off_truth_ms(pair, estimate.t_d_s, t_ref_s)
+    has_offset, readouts = estimate.has_offset, (estimate.readouts_s, estimate.readouts_std_s)
+    (readout_1_s, readout_2_s), (std_1_s, std_2_s) = readouts
     return {
         "data_set": one.number,
         "camera_1": i,
@@ -266,14 +250,12 @@ def _pair_row(one: DataSet, pair: Pair) -> Row:
         "skew_ppm": estimate.skew_ppm,
         "skew_std_ppm": estimate.skew_std_ppm,
         "most_stray_ms": float(np.max(1e3 * np.abs(estimate.strays_s), initial=0.0)),
-        "readout_1_ms": 1e3 * estimate.readouts_s[0],
-        "readout_1_std_ms": 1e3 * estimate.readouts_std_s[0],
-        "readout_2_ms": 1e3 * estimate.readouts_s[1],
-        "readout_2_std_ms": 1e3 * estimate.readouts_std_s[1],
+        **{"readout_1_ms": 1e3 * readout_1_s, "readout_1_std_ms": 1e3 * std_1_s},
+        **{"readout_2_ms": 1e3 * readout_2_s, "readout_2_std_ms": 1e3 * std_2_s},
         "residual_px": estimate.d_avg_px,
         "n_samples": estimate.n_samples,
         "reason": estimate.reason,
-        "from_truth_ms": off_ms,
+        "from_truth_ms": one.off_truth_ms(pair, estimate.t_d_s, t_ref_s) if has_offset else np.nan,
         "seconds": round(one.seconds[pair], 1),
         **_effect_of_readouts(result),
     }
@@ -297,10 +279,8 @@ def _effect_of_readouts(result: Answer) -> Row:
 def _strays(row: Row, estimate: Estimate) -> list[Row]:
     pair = {name: row[name] for name in STRAY_COLUMNS[:3]}
     columns = estimate.knots_s, 1e3 * estimate.strays_s, 1e3 * estimate.strays_std_s
-    return [
-        pair | dict(zip(STRAY_COLUMNS[3:], knot, strict=True))
-        for knot in zip(*columns, strict=True)
-    ]
+    knots = zip(*columns, strict=True)
+    return [pair | dict(zip(STRAY_COLUMNS[3:], knot, strict=True)) for knot in knots]
 
 
 # --- The path of all cameras ---
@@ -322,23 +302,22 @@ def path_of(one: DataSet) -> tuple[Row, Comparison]:
     if in_time is None:
         raise SsacError(f"data set {one.number}: the path and RTK have times, but share none")
     placed = [camera for camera in answer.cameras if camera.status == Status.OK]
+    distances_m, clock = in_time.distances_m, in_time.clock
     row = {
         "data_set": one.number,
         "cameras": len(placed),
         "left_out": " ".join(answer.left_out),
         "rmse_m": in_time.rmse_m,
-        "mean_m": float(np.mean(in_time.distances_m)),
-        "median_m": float(np.median(in_time.distances_m)),
-        "max_m": float(np.max(in_time.distances_m)),
-        "n_rtk": len(in_time.distances_m),
+        "mean_m": float(np.mean(distances_m)),
+        "median_m": float(np.median(distances_m)),
+        "max_m": float(np.max(distances_m)),
+        "n_rtk": len(distances_m),
         "coverage": in_time.coverage,
-        "shift_s": in_time.clock.t_d_s,
-        "rate_ppm": in_time.clock.skew_ppm,
+        **{"shift_s": clock.t_d_s, "rate_ppm": clock.skew_ppm},
         "scale_m": in_time.similarity.scale,
         "most_from_truth_ms": _most_off_ms(one, answer),
         "rms_px": float(np.median([camera.rms_px for camera in placed])),
-        "pairs_s": round(sum(one.seconds.values()), 1),
-        "network_s": round(network_s, 1),
+        **{"pairs_s": round(sum(one.seconds.values()), 1), "network_s": round(network_s, 1)},
     }
     return row, found
 

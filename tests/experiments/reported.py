@@ -1,6 +1,7 @@
 """What the report is made of: results with made-up numbers, and a recording without OpenGL."""
 
 import json
+from functools import cache
 from itertools import product
 from pathlib import Path
 
@@ -112,6 +113,7 @@ DURATION_S = 6.0
 SCENE = make_scene(0, duration_s=DURATION_S)
 
 
+@cache
 def flown(seed: int = 0) -> Pair:
     """Synthetic cameras whose clocks show the same, with events within the flight alone."""
     first, second = (

@@ -1,145 +1,153 @@
-"""Ablations: what becomes of runs, one real one on a tiny grid, and tangency's variants."""
+"""Ablations and grids of one's own: what becomes of their runs, and tangency's variants."""
+
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.stats import t as student
 from typer.testing import CliRunner
 
 from experiments.cli import app
+from experiments.lab import study as lab
 from experiments.lab.cache import Cache
 from experiments.lab.files import SUMS_FILE
 from experiments.lab.grid import grid_from_content
-from experiments.lab.schedule import Workers
+from experiments.lab.schedule import Outcome, Workers
 from experiments.lab.study import save_study
-from experiments.studies.ablations import ABLATIONS, ablation_study, ablation_table
-from experiments.studies.tangency import AS_IT_IS, VARIANTS, variant_means
+from experiments.paper.quantities import ERRORS
+from experiments.studies import ablations
+from experiments.studies.ablations import ABLATIONS, ablation_table, points_figure, points_table
+from experiments.studies.tangency import AS_IT_IS, VARIANTS
 from ssac.errors import SsacError
 from ssac.methods.tangency import TangencyConfig
 
-VARIED = ("sim.angle_deg", "sim.resolution")
+VARIED = ["sim.angle_deg"]
+TOML = """
+title = "mine"
+flights = 4
+methods = ["ssac", "event_rate"]
+[grid]
+sim.angle_deg = [30, 90]
+"""
 
 
-def runs(**changes):
-    """Two angles, two image sizes, two flights, one method."""
+def runs() -> pd.DataFrame:
+    """Two angles, four flights, a method with poses and one without; three runs are refused."""
     rows = [
-        {
-            "sim.angle_deg": angle_deg,
-            "sim.resolution": str(resolution),
-            "flight": seed,
-            "method": "ssac",
-            "status": "ok",
-            "reason": "",
-            "t_d_error_ms": angle_deg + resolution[0] + seed,
-            "r_error_deg": 0.5 + seed,
-            "t_error_deg": np.nan,
-            "n_samples": 300 + seed,
-        }
+        {"sim.angle_deg": angle_deg, "flight": flight, "seed": 1, "method": method,
+         "status": "ok", "reason": "", "n_samples": 300 + flight,
+         "t_d_error_ms": 1.0 + flight + angle_deg,
+         "r_error_deg": 0.5 + flight if method == "ssac" else np.nan,
+         "t_error_deg": 0.5 if method == "ssac" else np.nan}
         for angle_deg in (30, 90)
-        for resolution in ([100, 50], [200, 100])
-        for seed in (0, 2)
-    ]
-    return pd.DataFrame(rows).assign(**changes)
+        for flight in range(4)
+        for method in ("ssac", "event_rate")
+    ]  # fmt: skip
+    table = pd.DataFrame(rows)
+    table.loc[[0, 2], "status"] = "search_bound"
+    table.loc[4, "status"] = "no_match"
+    return table
 
 
-def test_each_point_is_a_row_with_the_means_of_its_flights():
-    table = ablation_table(runs(), VARIED)
-    assert list(table["sim.angle_deg"]) == [30, 30, 90, 90]
-    assert list(table["sim.resolution"]) == ["[100, 50]", "[200, 100]"] * 2
-    assert list(table["t_d_error_ms_mean"]) == [131, 231, 191, 291]
-    assert (table["t_d_error_ms_std"] == 1.0).all()
-    assert list(table["t_d_error_ms_median"]) == [131, 231, 191, 291]
-    assert (table["r_error_deg_mean"] == 1.5).all()
-    assert table["t_error_deg_mean"].isna().all()
-    assert (table["n_runs"] == 2).all()
-    assert (table["failed"] == 0).all()
-    assert (table["n_samples_mean"] == 301).all()
+@pytest.mark.parametrize("table", [ablation_table(runs(), VARIED), points_table(runs(), VARIED)])
+def test_each_point_is_a_row_with_the_means_of_what_was_answered(table: pd.DataFrame) -> None:
+    assert list(zip(table["sim.angle_deg"], table["method"], strict=True)) == [
+        (30, "ssac"), (30, "event_rate"), (90, "ssac"), (90, "event_rate"),
+    ]  # fmt: skip
+    assert list(table["t_d_error_ms_mean"]) == [34.0, 32.5, 92.5, 92.5]
+    assert list(table["t_d_error_ms_median"]) == [34.0, 32.5, 92.5, 92.5]
+    assert list(table["r_error_deg_mean"].dropna()) == [3.5, 2.0]
+    assert table.iloc[1][["r_error_deg_mean", "t_error_deg_mean"]].isna().all()
 
 
-def test_a_failed_run_is_counted_and_leaves_the_means():
-    table = runs()
-    table.loc[0, "status"] = "too_few_samples"
-    table.loc[[2, 3], "status"] = "search_bound"
-    means = ablation_table(table, VARIED)
-    assert list(means["n_runs"]) == [2, 2, 2, 2]
-    assert list(means["failed"]) == [1, 2, 0, 0]
-    assert means["t_d_error_ms_mean"][0] == 132
-    assert np.isnan(means["t_d_error_ms_mean"][1])
+def test_ablations_and_points_count_what_was_refused_and_how_runs_scatter() -> None:
+    means, points = ablation_table(runs(), VARIED), points_table(runs(), VARIED)
+    assert list(means["n_runs"]) == list(points["runs"]) == [4, 4, 4, 4]
+    assert list(means["failed"]) == [3, 0, 0, 0]
+    assert means["n_samples_mean"][1] == 301.5
+    assert list(points["answered"]) == [1, 4, 4, 4]
+    assert list(points["refusals"]) == ["no_match 1, search_bound 2", "", "", ""]
+    values = np.array([31.0, 32.0, 33.0, 34.0])
+    assert means["t_d_error_ms_std"][1] == pytest.approx(values.std())
+    half = student.ppf(0.975, 3) * values.std(ddof=1) / 2.0
+    assert points["t_d_error_ms_low"][1] == pytest.approx(32.5 - half)
+    assert points["t_d_error_ms_high"][1] == pytest.approx(32.5 + half)
+    assert np.isnan(points["t_d_error_ms_low"][0])  # one run has no interval
 
 
-def test_the_order_of_flights_does_not_matter():
-    shuffled = runs().sort_values("flight", kind="stable")
-    pd.testing.assert_frame_equal(
-        ablation_table(shuffled, VARIED).sort_values(list(VARIED), ignore_index=True),
-        ablation_table(runs(), VARIED).sort_values(list(VARIED), ignore_index=True),
-    )
+@pytest.mark.parametrize("kind", [float, str])
+def test_the_figure_has_a_panel_for_each_error_and_a_line_for_each_method(kind: type) -> None:
+    table = points_table(runs(), VARIED).astype({"sim.angle_deg": kind})
+    figure = points_figure(table, VARIED)
+    assert len(figure.axes) == len(ERRORS)
+    if kind is float:  # words are drawn by their methods
+        assert [len(axes.containers) for axes in figure.axes] == [2, 2, 2]
+        assert [text.get_text() for text in figure.legends[0].get_texts()] == ["ssac", "event_rate"]
 
 
-def test_an_unknown_ablation_lists_the_known_ones():
+@pytest.mark.parametrize(
+    ("command", "names"),
+    [
+        ("ablate", {"my_runs.csv", "my_runs.provenance.json", "my.csv", "my.provenance.json",
+                    "my.png"}),
+        ("sweep", {"rows.csv", "rows.provenance.json", "rows_cells.csv",
+                   "rows_cells.provenance.json", "rows.png"}),
+    ],
+)  # fmt: skip
+def test_ones_own_file_ends_in_a_table_and_a_figure(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str, names: set[str]
+) -> None:
+    config, out = tmp_path / "my.toml", tmp_path / "out"
+    config.write_text(TOML)
+    monkeypatch.setattr(lab, "run_cells", lambda *_, **__: Outcome(runs(), 8, 8, 1.0))
+    monkeypatch.setattr(lab, "context_or_none", lambda: None)
+    line = [command, str(config), "--out", str(out / "rows.csv" if command == "sweep" else out)]
+    result = CliRunner().invoke(app, [*line, "--cache", str(tmp_path)], catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    assert {path.name for path in out.iterdir()} == names
+    assert "t_d_error_ms ± median" in result.output  # the table is shown, too
+
+
+def test_what_is_named_is_checked_before_the_work(tmp_path: Path) -> None:
+    config = tmp_path / "my.toml"
+    config.write_text(TOML.replace("sim.angle_deg", "sim.angel_deg"))
+    for command in ("ablate", "sweep"):
+        with pytest.raises(SsacError, match=r"my\.toml: unknown parameter 'sim\.angel_deg'"):
+            CliRunner().invoke(app, [command, str(config)], catch_exceptions=False)
     with pytest.raises(SsacError, match=r"unknown ablation 'windows': use one of .*window"):
         CliRunner().invoke(app, ["ablate", "windows"], catch_exceptions=False)
     assert {"window", "n_min", "samples", "contrast", "noise", "size", "speed"} <= set(ABLATIONS)
 
 
 @pytest.mark.render
-def test_a_real_ablation_leaves_csv_figure_and_provenance(tmp_path):
+def test_a_real_ablation_leaves_csv_figure_and_provenance(tmp_path: Path) -> None:
+    sim = {
+        "spline": {"duration_s": 3.0}, "frames": {"rate_hz": 0.0},
+        "render": {"lattice": {"a": 4}}, "sampling": {"max_step_px": 0.5},
+    }  # fmt: skip
     content = {
         "flights": 1,
         "first_flight": 1,  # the first of these short ones moves too little
         "methods": ["ssac", "ssac-known"],
         "search_around_truth_s": [-0.1, 0.1],
-        "fixed": {
-            "sim": {
-                "spline": {"duration_s": 3.0},
-                "frames": {"rate_hz": 0.0},
-                "render": {"lattice": {"a": 4}},
-                "sampling": {"max_step_px": 0.5},
-            },
-            "ssac": {"trials": 200},
-        },
+        "fixed": {"sim": sim, "ssac": {"trials": 200}},
         # No window holds a million events, so that value has nothing but failures.
-        "grid": {"sim": {"angle_deg": [90]}, "ssac": {"n_min": [100, 200, 1000000]}},
+        "grid": {"sim": {"angle_deg": [90]}, "ssac": {"n_min": [100, 1000000]}},
         "figure": {"x": "ssac.n_min", "label": "events", "log": True},
     }
-    grid = grid_from_content("ablation_tiny", content)
-    study = ablation_study(grid)
+    study = ablations.ablation_study(grid_from_content("ablation_tiny", content))
     outcome, _ = save_study(study, tmp_path, Cache(tmp_path / "cache"), Workers(1))
     assert outcome.n_crashed == 0
     table = pd.read_csv(tmp_path / "ablation_tiny.csv")
-    assert list(table["ssac.n_min"]) == [100, 100, 200, 200, 1000000, 1000000]
-    assert list(table["failed"]) == [0, 0, 0, 0, 1, 1]
+    assert list(table["ssac.n_min"]) == [100, 100, 1000000, 1000000]
+    assert list(table["failed"]) == [0, 0, 1, 1]
     # 3 s of a coarse flight: an estimate is within a few ms, or something is wrong.
     assert (table["t_d_error_ms_mean"].dropna() < 10.0).all()
     names = {path.name for path in tmp_path.iterdir()}
-    assert names == {
-        "ablation_tiny.csv", "ablation_tiny.png", "ablation_tiny.provenance.json", "cache",
-        "ablation_tiny_runs.csv", "ablation_tiny_runs.provenance.json", SUMS_FILE,
-    }  # fmt: skip
+    assert names == {*study.files, *study.provenances, SUMS_FILE, "cache"}
 
 
-def variant_runs() -> pd.DataFrame:
-    """Two angles, two variants; one run failed."""
-    columns = ("variant", "angle_deg", "status", "t_d_error_ms", "normalised")
-    rows = [
-        (AS_IT_IS, 30.0, "ok", 0.1, 1.0),
-        (AS_IT_IS, 30.0, "ok", 0.3, -1.0),
-        (AS_IT_IS, 90.0, "ok", 0.5, 2.0),
-        ("one pass", 30.0, "ok", 0.2, 3.0),
-        ("one pass", 90.0, "no_convergence", np.nan, np.nan),
-    ]
-    table = pd.DataFrame(rows, columns=columns)
-    return table.assign(r_error_deg=0.1, t_error_deg=0.05, t_d_bias_ms=0.01)
-
-
-def test_means_are_of_runs_that_did_not_fail():
-    means = variant_means(variant_runs()).set_index("variant")
-    assert list(means.index) == [AS_IT_IS, "one pass"]
-    assert means.loc[AS_IT_IS, "t_d_error_ms"] == pytest.approx(0.3)
-    assert means.loc[AS_IT_IS, "t_d_error_ms_worst"] == pytest.approx(0.5)  # at 90 deg
-    assert means.loc[AS_IT_IS, "normalised_rms"] == pytest.approx(np.sqrt(2.0))
-    assert list(means["failed"]) == [0, 1]
-    assert means.loc["one pass", "t_d_error_ms"] == pytest.approx(0.2)
-
-
-def test_the_variants_differ_from_the_method_and_from_each_other():
+def test_the_variants_of_tangency_differ_from_it_and_from_each_other() -> None:
     assert VARIANTS[AS_IT_IS] == TangencyConfig()
     assert len(set(VARIANTS.values())) == len(VARIANTS)

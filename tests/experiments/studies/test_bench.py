@@ -20,19 +20,8 @@ from experiments.machine.simulating import ESIM_FRAMES_PER_S, bench_sensor, besi
 from experiments.machine.synchronising import MARKS_S, bench_sync
 from experiments.machine.tables import measured_cells
 from experiments.paper.grids import n_recordings, table_cells
-from experiments.studies.bench import (
-    GROWTH,
-    Extent,
-    bench_faults,
-    bench_table,
-    exponent,
-    growth_cells,
-    growth_faults,
-    growth_figure,
-    growth_rows,
-    growth_table,
-    points_of,
-)
+from experiments.studies import bench
+from experiments.studies.bench import GROWTH, Extent, bench_table, growth_rows, growth_table
 from sim.recording import SimConfig
 from sim.scene.trajectory import SplineConfig
 from ssac.pipeline.registry import OURS
@@ -43,13 +32,13 @@ def made_up_growth() -> pd.DataFrame:
     rows = []
     for point in POINTS:
         n = point.events_per_s * point.duration_s
-        of_point = (point.sensor, point.duration_s)
-        s1, s2 = 0.1 + 7e-6 * n, 0.1 + 6e-7 * n
-        mb1, mb2 = 400.0 + 26.0 * n / 2**20, 300.0 + 90.0 * n / 2**20
-        rows += [
-            (*of_point, "simulate", n, s1, s1, mb1, "ok", np.nan),
-            (*of_point, "synchronise", n, s2, s2, mb2, "ok", 0.01),
-        ]
+        for step, s, bytes_, base_mb, error_ms in (
+            ("simulate", 7e-6, 26.0, 400.0, np.nan),
+            ("synchronise", 6e-7, 90.0, 300.0, 0.01),
+        ):
+            took_s, mb = 0.1 + s * n, base_mb + bytes_ * n / 2**20
+            of_point = (point.sensor, point.duration_s, step, n)
+            rows.append((*of_point, took_s, took_s, mb, "ok", error_ms))
     return pd.DataFrame(rows, columns=list(GROWTH.runs.columns))
 
 
@@ -85,9 +74,7 @@ def _with_a_worker() -> int:
         return pool.submit(partial(abs, -3)).result(60.0)
 
 
-def test_a_part_has_a_process_of_its_own_and_may_start_more() -> None:
-    outcome = run_alone([PartCell("no-such-part")], PART, "bench")
-    assert outcome.runs["reason"][0].startswith("no-such-part: KeyError")
+def test_a_process_of_its_own_may_start_more() -> None:
     assert in_new_process(_with_a_worker) == 3  # as that of the tables does
 
 
@@ -134,16 +121,21 @@ def test_the_measured_recordings_are_some_of_the_tables() -> None:
 
 
 def test_a_short_run_leaves_the_largest_points_out() -> None:
-    short, full = points_of(Extent.SHORT), points_of(Extent.FULL)
+    short, full = bench.points_of(Extent.SHORT), bench.points_of(Extent.FULL)
     assert set(short) < set(full)
     assert {one.sensor for one in short} == {"346 x 260", "1280 x 720"}
     assert [one.duration_s for one in full] == 2 * [5.0, 20.0, 60.0, 120.0]
+    cells = bench.growth_cells(Extent.FULL)
+    assert len({tuple(cell.columns.values()) for cell in cells}) == len(cells) == 16
+    assert bench.growth_cells() == bench.growth_cells(Extent.SHORT) != cells
 
 
 def test_an_exponent_is_that_of_the_power() -> None:
     events = pd.Series([1e5, 1e6, 3e7])
     for power in (0.5, 1.0, 2.0):
-        assert exponent(events, 7.0 * events**power) == pytest.approx(power, abs=1e-12)  # rounding
+        assert bench.exponent(events, 7.0 * events**power) == pytest.approx(
+            power, abs=1e-12
+        )  # rounding
 
 
 def test_what_is_linear_meets_the_marks_and_what_is_not_misses_them() -> None:
@@ -160,82 +152,63 @@ def test_what_is_linear_meets_the_marks_and_what_is_not_misses_them() -> None:
 
 
 def test_a_pair_too_small_for_the_marks_is_not_held_against_them() -> None:
-    short = [one.duration_s for one in points_of(Extent.SHORT) if one.sensor == "1280 x 720"]
     table = made_up_growth()
-    table = table[(table["sensor"] == "346 x 260") | table["duration_s"].isin(short)]
-    marked = [row.name for row in growth_rows(table) if row.mark and "largest" in row.name]
-    assert not marked
+    short = table[table["events_per_camera"] <= bench.SHORT_EVENTS]
+    assert 0 < len(short) < len(table)
+    assert not [row.name for row in growth_rows(short) if row.mark and "largest" in row.name]
 
 
 def test_a_point_that_was_not_measured_is_a_row_and_left_out_elsewhere() -> None:
-    table = made_up_growth()
-    numbers = ["events_per_camera", "wall_s", "cpu_s", "peak_mb", "t_d_error_ms"]
+    table, numbers = made_up_growth(), [*GROWTH.runs.columns[3:7], "t_d_error_ms"]
     table.loc[15, numbers] = np.nan
     table.loc[15, "status"] = "not measured (MemoryError)"
     first, *others = growth_rows(table)
     assert first.name == "growth, 1280 x 720, 120 s, synchronise: not measured (MemoryError)"
     assert np.isnan(first.value)
     assert np.isfinite([row.value for row in others]).all()
-    assert png_bytes(growth_figure(table)) != png_bytes(growth_figure(made_up_growth()))
-
-
-def test_nothing_measured_is_drawn_and_summed_up_as_nothing() -> None:
-    table = made_up_growth()
-    table[["wall_s", "peak_mb"]] = np.nan
-    table["status"] = "not measured (killed)"
+    whole = png_bytes(bench.growth_figure(made_up_growth()))
+    assert png_bytes(bench.growth_figure(table)) != whole
+    table.loc[:, numbers], table["status"] = np.nan, "not measured (killed)"
     assert all(np.isnan(row.value) for row in growth_rows(table))
-    assert png_bytes(growth_figure(table))
+    assert png_bytes(bench.growth_figure(table)) != whole  # of nothing
 
 
 @pytest.mark.render
-def test_both_steps_of_a_point_are_measured_in_processes_of_their_own() -> None:
-    cells = [StepCell(Point(96, 72, 60.0, 0.5, 1e4), step) for step in STEPS]
-    smallest = StepCell(POINTS[0], STEPS[0])
-    runs = run_alone([smallest, *cells], STEP, "growth").runs.iloc[1:].reset_index(drop=True)
-    table = growth_table(runs, Results(Path()))
-    assert (table[["wall_s", "cpu_s", "peak_mb"]] > 0.0).all(axis=None)
+def test_steps_of_a_point_are_measured_in_processes_of_their_own_or_say_why_not() -> None:
+    steps = [StepCell(Point(96, 72, 60.0, 0.5, 1e4), step) for step in STEPS]
+    none = StepCell(Point(0, 0, 60.0, 0.5, 1e4), STEPS[0])
+    runs = run_alone([StepCell(POINTS[0], STEPS[0]), *steps, none], STEP, "growth").runs
+    table = growth_table(runs.iloc[1:].reset_index(drop=True), Results(Path()))
+    assert (table.loc[:1, ["wall_s", "cpu_s", "peak_mb"]] > 0.0).all(axis=None)
     assert table["status"][0] == "ok"
     assert table["status"][1] not in ("ok", "")  # half a second tells no offset
     assert len(set(table["events_per_camera"])) == 1
-
-
-def test_a_step_that_fails_says_why() -> None:
-    runs = run_alone([StepCell(Point(0, 0, 60.0, 0.5, 1e4), STEPS[0])], STEP, "growth").runs
-    table = growth_table(runs, Results(Path()))
-    assert table["status"].str.startswith("not measured (").all()
-    assert table["wall_s"].isna().all()
-
-
-def test_every_step_of_every_point_is_listed_once() -> None:
-    cells = growth_cells(Extent.FULL)
-    assert len({tuple(cell.columns.values()) for cell in cells}) == len(cells) == 16
-    assert growth_cells() == growth_cells(Extent.SHORT) != cells
+    assert table["status"][2].startswith("not measured (")
+    assert np.isnan(table["wall_s"][2])
 
 
 def test_results_that_make_no_sense_are_found(tmp_path: Path) -> None:
-    growth = made_up_growth()
+    growth, one = made_up_growth(), Measurement("drawing", 2.0, "s", 3.0)
     (tmp_path / "bench_growth.csv").write_text(csv_text(growth))
-    row = {"part": "x", "status": "ok", "reason": ""}
-    one = Measurement("drawing", 2.0, "s", 3.0)
-    rows = pd.DataFrame([row | {"measurements": [vars(one)]}])
-    table = bench_table(rows, Results(tmp_path))
+    row = {"part": "x", "status": "ok", "reason": "", "measurements": [vars(one)]}
+    table = bench_table(pd.DataFrame([row]), Results(tmp_path))
     (tmp_path / "bench.csv").write_text(csv_text(table))
-    assert not bench_faults(Results(tmp_path))
-    for changed, fault in (
-        (table.assign(verdict="misses"), "it misses"),
-        (table.assign(value=0.0), "drawing is 0"),
-        (table.assign(unit=""), "no unit"),
-        (table.iloc[:-1], "are not those of bench_growth.csv"),
-        (table.drop(columns="mark"), "its columns are"),
-    ):
-        (tmp_path / "bench.csv").write_text(csv_text(changed))
-        assert fault in "; ".join(bench_faults(Results(tmp_path)))
-    (tmp_path / "bench.csv").write_text(csv_text(table))
-    assert not growth_faults(Results(tmp_path))
-    for changed, fault in (
-        (growth.iloc[1:], "its steps are not the 16"),
-        (growth.assign(status="no_match", cpu_s=np.nan), "simulate: no_match"),
-        (growth.assign(peak_mb=2 * growth["peak_mb"]), "do not follow from"),
-    ):
-        (tmp_path / "bench_growth.csv").write_text(csv_text(changed))
-        assert fault in "; ".join(growth_faults(Results(tmp_path)))
+    for file, whole, check, changes in (
+        ("bench.csv", table, bench.bench_faults, (
+            (table.assign(verdict="misses"), "it misses"),
+            (table.assign(value=0.0), "drawing is 0"),
+            (table.assign(unit=""), "no unit"),
+            (table.iloc[:-1], "are not those of bench_growth.csv"),
+            (table.drop(columns="mark"), "its columns are"),
+        )),
+        ("bench_growth.csv", growth, bench.growth_faults, (
+            (growth.iloc[1:], "its steps are not the 16"),
+            (growth.assign(status="no_match", cpu_s=np.nan), "simulate: no_match"),
+            (growth.assign(peak_mb=2 * growth["peak_mb"]), "do not follow from"),
+        )),
+    ):  # fmt: skip
+        assert not check(Results(tmp_path))
+        for changed, fault in changes:
+            (tmp_path / file).write_text(csv_text(changed))
+            assert fault in "; ".join(check(Results(tmp_path)))
+        (tmp_path / file).write_text(csv_text(whole))

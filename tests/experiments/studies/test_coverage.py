@@ -1,9 +1,13 @@
-"""Coverage: of errors drawn as the deviations say, of runs that fail, and of real flights."""
+"""Coverage of errors drawn as the deviations say, and efficiency beside made-up bounds."""
+
+from itertools import product
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
 
+from experiments.drawing.errors import pooled
 from experiments.studies.coverage import (
     LEVELS,
     QUANTITIES,
@@ -11,52 +15,48 @@ from experiments.studies.coverage import (
     coverage_table,
     sampling_bounds,
 )
+from experiments.studies.efficiency import efficiency_table, runs_beside_bounds
+from experiments.worlds.bound import KNOWN_POSE, SAMPLES
+from tests.experiments.reported import made_up_runs
 
-T_D_S = 0.05
+T_D_MS = 50.0
 OF_CLOCKS = {"t_d", "skew"}  # what is found where the pose is known
 
 
-def made_up_runs(n=400, scale=1.0, seed=0):
+def drawn_runs(n: int = 400, scale: float = 1.0) -> pd.DataFrame:
     """Runs of two methods at two angles; errors are `scale` of the stated deviations."""
-    rng = np.random.default_rng(seed)
-    rows = []
-    for number in range(n):
-        for method in ("joint", "joint-known"):
-            angles = scale * rng.normal(size=5)
-            error_ms = 0.2 * scale * rng.normal()
-            row = {
-                "sim.t_d_s": T_D_S,
-                "sim.angle_deg": 30.0 if number % 2 else 90.0,
-                "flight": 1000 + number // 2,
-                "method": method,
-                "status": "ok",
-                "t_d_estimate_ms": 1e3 * T_D_S + error_ms,
-                "t_d_std_ms": 0.2,
-                "skew_error_ppm": abs(30.0 * scale * rng.normal()),
-                "skew_std_ppm": 30.0,
-            }
-            names = [q.column for name, q in QUANTITIES.items() if name not in OF_CLOCKS]
-            known = [np.linalg.norm(angles[:3]), np.linalg.norm(angles[3:]), *angles]
-            values = known if method == "joint" else [np.nan] * 7
-            rows.append(row | dict(zip(names, values, strict=True)))
+    rng, rows = np.random.default_rng(0), []
+    of_pose = [one.column for name, one in QUANTITIES.items() if name not in OF_CLOCKS]
+    for number, method in product(range(n), ("joint", "joint-known")):
+        angles = scale * rng.normal(size=5)
+        pose = [np.linalg.norm(angles[:3]), np.linalg.norm(angles[3:]), *angles]
+        error_ms, skew_ppm = 0.2 * scale * rng.normal(), abs(30.0 * scale * rng.normal())
+        row = {
+            "sim.t_d_s": 1e-3 * T_D_MS, "sim.angle_deg": 30.0 if number % 2 else 90.0,
+            "flight": 1000 + number // 2, "method": method, "status": "ok",
+            "t_d_estimate_ms": T_D_MS + error_ms, "t_d_std_ms": 0.2,
+            "skew_error_ppm": skew_ppm, "skew_std_ppm": 30.0,
+        }  # fmt: skip
+        values = pose if method == "joint" else [np.nan] * 7
+        rows.append(row | dict(zip(of_pose, values, strict=True)))
     return pd.DataFrame(rows)
 
 
-def cells(table, quantity, method="joint", angle="all"):
-    chosen = table[
-        (table["quantity"] == quantity)
-        & (table["method"] == method)
-        & (table["angle_deg"] == angle)
-    ]
-    (row,) = chosen.to_dict("records")
+def row_of(table: pd.DataFrame, quantity: str, angle: str = "all") -> dict[str, Any]:
+    is_it = (table["quantity"] == quantity) & (table["angle_deg"] == angle)
+    (row,) = table[is_it & (table["method"] == "joint")].to_dict("records")
     return row
 
 
+@pytest.fixture(scope="module")
+def right() -> pd.DataFrame:
+    return coverage_table(drawn_runs())
+
+
 @pytest.mark.parametrize("quantity", QUANTITIES)
-def test_right_deviations_cover_what_they_say(quantity):
-    row = cells(coverage_table(made_up_runs()), quantity)
-    assert row["n_runs"] == 400
-    assert row["refused"] == 0
+def test_right_deviations_cover_what_they_say(right: pd.DataFrame, quantity: str) -> None:
+    row = row_of(right, quantity)
+    assert (row["n_runs"], row["refused"]) == (400, 0)
     # 400 runs: 1 / sqrt(800) of the root mean square and sqrt(p (1 - p) / 400), four times each.
     assert row["rms_normalised"] == pytest.approx(1.0, abs=0.14)
     for level in LEVELS:
@@ -66,43 +66,78 @@ def test_right_deviations_cover_what_they_say(quantity):
 
 
 @pytest.mark.parametrize(("scale", "sign"), [(1.5, -1), (0.6, 1)])
-@pytest.mark.parametrize("quantity", ["t_d", "R", "t"])
-def test_wrong_deviations_are_found_out(scale, sign, quantity):
-    row = cells(coverage_table(made_up_runs(scale=scale)), quantity)
-    assert row["rms_normalised"] == pytest.approx(scale, rel=0.14)
-    assert sign * (row["coverage_68"] - 0.68) > 0.1
-    bound = row["coverage_95_low" if sign > 0 else "coverage_95_high"]
-    assert sign * (bound - 0.95) > 0.0
+def test_wrong_deviations_are_found_out(scale: float, sign: int) -> None:
+    table = coverage_table(drawn_runs(scale=scale))
+    for quantity in ("t_d", "R", "t"):
+        row = row_of(table, quantity)
+        assert row["rms_normalised"] == pytest.approx(scale, rel=0.14)
+        assert sign * (row["coverage_68"] - 0.68) > 0.1
+        bound = row["coverage_95_low" if sign > 0 else "coverage_95_high"]
+        assert sign * (bound - 0.95) > 0.0
 
 
-def test_angles_are_told_apart_and_a_known_pose_has_no_region():
-    table = coverage_table(made_up_runs(100))
-    assert set(table["angle_deg"]) == {"all", "30", "90"}
-    assert cells(table, "t_d", angle="30")["n_runs"] == 50
-    of_known = table[table["method"] == "joint-known"]
-    assert set(of_known["quantity"]) == OF_CLOCKS
+def test_angles_are_told_apart_and_a_known_pose_has_no_region(right: pd.DataFrame) -> None:
+    assert set(right["angle_deg"]) == {"all", "30", "90"}
+    assert row_of(right, "t_d", "30")["n_runs"] == 200
+    assert set(right.loc[right["method"] == "joint-known", "quantity"]) == OF_CLOCKS
 
 
-def test_a_refused_run_is_counted_and_covers_nothing():
-    runs = made_up_runs(100)
-    out = runs["method"].eq("joint") & runs["flight"].lt(1005)
-    runs.loc[out, "status"] = "degenerate_pose"
-    runs.loc[out, "t_d_estimate_ms"] = 0.0  # far from the truth
-    before, after = (cells(coverage_table(table), "t_d") for table in (made_up_runs(100), runs))
+def test_a_refused_run_is_counted_and_covers_nothing() -> None:
+    runs = drawn_runs(100)
+    refused = runs["method"].eq("joint") & runs["flight"].lt(1005)
+    out = runs.assign(status=runs["status"].mask(refused, "degenerate_pose"))
+    out.loc[refused, "t_d_estimate_ms"] = 0.0  # far from the truth
+    before, after = (row_of(coverage_table(table), "t_d") for table in (runs, out))
     assert (after["n_runs"], after["refused"]) == (100, 10)
     inside = np.round(100 * before["coverage_99"]), np.round(90 * after["coverage_99"])
     assert inside[0] - 10 <= inside[1] <= inside[0]
 
 
-def test_bounds_are_clopper_and_pearsons():
+def test_bounds_are_clopper_and_pearsons_and_levels_those_of_chi_squared() -> None:
     # Their closed forms at the ends: (1 - share)^n = 0.025, and the mirror of it for all inside.
     assert sampling_bounds(0, 20) == pytest.approx((0.0, 1.0 - 0.025 ** (1 / 20)))
     assert sampling_bounds(20, 20) == pytest.approx((0.025 ** (1 / 20), 1.0))
-    low, high = sampling_bounds(475, 500)
-    assert (low, high) == pytest.approx((0.927, 0.967), abs=0.001)  # their table
+    assert sampling_bounds(475, 500) == pytest.approx((0.927, 0.967), abs=0.001)  # their table
+    for parameters, limit in ((1, 1.96), (1, -1.96), (2, 2.4477), (3, 2.7955)):
+        assert confidence(np.array([limit]), parameters) == pytest.approx(0.95, abs=1e-4)
 
 
-def test_the_levels_of_one_two_and_three_parameters():
-    assert confidence(np.array([1.96, -1.96]), 1) == pytest.approx(0.95, abs=1e-4)
-    assert confidence(np.array([2.4477]), 2) == pytest.approx(0.95, abs=1e-4)
-    assert confidence(np.array([2.7955]), 3) == pytest.approx(0.95, abs=1e-4)
+def made_up_bounds(flights: int = 3) -> pd.DataFrame:
+    """Bounds of all methods, each another one."""
+    flown = product((10.0, 20.0), (30.0, 60.0, 90.0, 120.0, 150.0), range(flights), SAMPLES)
+    table = pd.DataFrame(flown, columns=["duration_s", "angle_deg", "flight", "method"])
+    known = table["method"].isin(KNOWN_POSE)
+    t_d_bound_ms = 1e-3 * (table["angle_deg"] + table["flight"]) / np.sqrt(table["duration_s"])
+    return table.assign(
+        status="ok", sigma_px=0.3, n_samples=340, t_d_bound_ms=t_d_bound_ms,
+        r_bound_deg=np.where(known, np.nan, 0.06), t_bound_deg=np.where(known, np.nan, 0.03),
+    )  # fmt: skip
+
+
+def test_errors_as_large_as_the_bound_lets_expect_have_efficiency_one() -> None:
+    beside = runs_beside_bounds(made_up_runs(("joint",), 30), made_up_bounds(30))
+    beside = pd.concat([beside] * 10, ignore_index=True)
+    noise = np.random.default_rng(0).standard_normal(len(beside))
+    beside["t_d_error_ms"] = np.abs(noise) * beside["t_d_bound_ms"]
+    efficiencies = efficiency_table(beside)["t_d_efficiency"]
+    # 300 errors in each of 30 cells: deviations of 1 / sqrt(600), four of which are 0.16.
+    assert np.all(np.abs(efficiencies - 1.0) < 0.16)
+    assert efficiencies.mean() == pytest.approx(1.0, abs=0.03)
+
+
+def test_neither_failed_runs_nor_flights_without_a_bound_are_compared() -> None:
+    runs, bounds = made_up_runs(("joint", "zncc_e"), 3), made_up_bounds()
+    runs.loc[0, ["status", "t_d_error_ms"]] = ["too_few_samples", np.nan]
+    bounds.loc[bounds["flight"] == 2, "status"] = "unusable"
+    cells = efficiency_table(runs_beside_bounds(runs, bounds))
+    assert set(cells["method"]) == {"joint"}
+    assert sorted(cells["n_runs"].unique()) == [1, 2]
+    assert cells["t_d_efficiency"].notna().all()
+
+
+def test_offsets_are_pooled_as_many_runs_as_each_has() -> None:
+    cells = pd.DataFrame(
+        {"angle_deg": [30.0, 30.0, 60.0], "n_runs": [1, 3, 2], "t_d_rms_ms": [2.0, 1.0, 5.0]}
+    )
+    found = pooled(cells, ["t_d_rms_ms"])["t_d_rms_ms"]
+    assert list(found) == pytest.approx([np.sqrt((4.0 + 3.0) / 4.0), 5.0])

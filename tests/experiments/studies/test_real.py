@@ -96,20 +96,16 @@ def test_a_camera_that_is_off_is_told_from_the_others(folder: Path) -> None:
     assert STUDY.numbers["real.off.others"](results) == "6 ms"
 
 
-def rtk(folder: Path, rows: np.ndarray) -> Path:
-    (folder / "trajectory").mkdir()
-    np.savetxt(folder / "trajectory" / "rtk.txt", rows)
-    return folder
-
-
 def test_rtk_is_of_5_hz_and_an_index_says_which_samples_are_missing(tmp_path: Path) -> None:
-    positions = np.arange(12.0).reshape(4, 3)
-    found_here = load_rtk(rtk(tmp_path, positions))
+    (tmp_path / "trajectory").mkdir()
+    file, positions = tmp_path / "trajectory" / "rtk.txt", np.arange(12.0).reshape(4, 3)
+    np.savetxt(file, positions)
+    found_here = load_rtk(tmp_path)
     assert found_here.times_s == pytest.approx([0.0, 0.2, 0.4, 0.6])
     assert found_here.positions_m == pytest.approx(positions)
-    np.savetxt(tmp_path / "trajectory" / "rtk.txt", np.column_stack([[0, 1, 5], np.eye(3)]))
+    np.savetxt(file, np.column_stack([[0, 1, 5], np.eye(3)]))
     assert load_rtk(tmp_path).times_s == pytest.approx([0.0, 0.2, 1.0])
-    np.savetxt(tmp_path / "trajectory" / "rtk.txt", np.ones((3, 2)))
+    np.savetxt(file, np.ones((3, 2)))
     with pytest.raises(SsacError, match="expected lines `\\[index\\] x y z`, got 2 columns"):
         load_rtk(tmp_path)
 

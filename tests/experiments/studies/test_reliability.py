@@ -52,18 +52,8 @@ def _said(line, error=SsacError):
     return work
 
 
-def _killed():
-    os.kill(os.getpid(), signal.SIGKILL)
-    return 1
-
-
-def _large():
-    return len(np.ones(1 << 40, np.uint8))
-
-
 def _slow():
     time.sleep(60.0)
-    return 1
 
 
 @pytest.mark.parametrize(
@@ -74,8 +64,8 @@ def _slow():
         (_said("a.h5: is damaged"), "refused"),
         (_said("is damaged"), "unclear"),  # what is?
         (_said("a.h5", KeyError), "traceback"),
-        (_killed, "abort"),
-        (_large, "over_memory"),
+        (lambda: os.kill(os.getpid(), signal.SIGKILL), "abort"),
+        (lambda: len(np.ones(1 << 40, np.uint8)), "over_memory"),
         (_slow, "hang"),
     ],
 )
@@ -83,8 +73,6 @@ def test_each_outcome_is_told_from_the_others(work, expected, tmp_path):
     ended = run_forked(work, tmp_path, 0.3 if work is _slow else 20.0)
     assert outcome(ended, "a.h5", 100) == expected
 
-
-def test_a_warning_is_none_of_silence():
     assert outcome(Ended(0, "warning: a.h5 is damaged\n", 5, False), "a.h5", 100) == "warned"
 
 
@@ -92,14 +80,13 @@ def _committed(**changed: int) -> pd.DataFrame:
     """The table of a whole campaign of which all event files are refused, but for some cases."""
     n_cases = damage_cells()[-1].end
     counts = [len(range(k, n_cases, len(KINDS))) for k in range(len(KINDS))]
-    table = pd.DataFrame(0, index=range(len(KINDS)), columns=list(OUTCOMES))
+    table = pd.DataFrame(0, index=list(KINDS), columns=list(OUTCOMES))
     table["refused"] = counts
     for name, n in changed.items():
-        table.loc[0, [name, "refused"]] += (n, -n)
-    table.insert(0, "cases", counts)
-    table.insert(0, "input", list(KINDS))
-    table.loc[len(table)] = ["all", *table.drop(columns="input").sum()]
-    return table
+        table.loc[KINDS[0], [name, "refused"]] += (n, -n)
+    table.loc["all"] = table.sum()
+    table.insert(0, "cases", [*counts, n_cases])
+    return table.reset_index(names="input")
 
 
 @pytest.mark.parametrize(

@@ -50,15 +50,11 @@ def test_the_spread_is_that_of_the_answers_beside_what_they_state():
 
 
 def test_a_method_that_never_answers_is_a_row_and_a_figure():
-    runs = made_up()
-    runs["status"] = "no_match"
+    runs = made_up().assign(status="no_match")
     table = spread_table(runs)
     assert list(table["answered"]) == [0, 0]
     assert table["spread"].isna().all()
     assert len(spread_figure(runs).axes) == 2
-
-
-def test_the_defaults_are_among_the_windows():
     assert Config().half_window_s in HALF_WINDOWS_S
     assert N_MIN in N_MINS
 
@@ -66,19 +62,15 @@ def test_the_defaults_are_among_the_windows():
 def test_the_command_takes_ones_own_recordings(tmp_path, monkeypatch):
     monkeypatch.setattr(spread, "HALF_WINDOWS_S", HALF_WINDOWS_S[1:3])  # to be done sooner
     monkeypatch.setattr(spread, "N_MINS", N_MINS[1:2])
-    folder = tmp_path / "mine"
-    record_flight(folder, 4.0)
-    files = [str(folder / name) for name in ("cam1.h5", "cam2.h5", "rig.yaml")]
+    record_flight(tmp_path / "mine", 4.0)
+    files = [str(tmp_path / "mine" / name) for name in ("cam1.h5", "cam2.h5", "rig.yaml")]
     line = ["study", "spread", *files, "--out", str(tmp_path / "out"), "--workers", "1"]
-    result = CliRunner().invoke(
-        app, [*line, "--cache", str(tmp_path / "cache")], catch_exceptions=False
-    )
+    line += ["--cache", str(tmp_path / "cache")]
+    result = CliRunner().invoke(app, line, catch_exceptions=False)
     assert result.exit_code == 0, result.output
+    (study,) = spread.STUDIES
     names = {path.name for path in (tmp_path / "out").iterdir()}
-    assert names == {
-        "spread_runs.csv", "spread_runs.provenance.json", "spread.csv", "spread.provenance.json",
-        "spread.png",
-    }  # fmt: skip
+    assert names == {*study.files, *study.provenances}
     runs = pd.read_csv(tmp_path / "out" / "spread_runs.csv")
     assert len(runs) == 2 * len(SHOWN)
     table = pd.read_csv(tmp_path / "out" / "spread.csv")
@@ -87,8 +79,8 @@ def test_the_command_takes_ones_own_recordings(tmp_path, monkeypatch):
     assert (of_t_d["median"].abs() < 10.0).all()
 
 
-def test_other_files_than_it_needs_are_one_line(tmp_path):
-    with pytest.raises(SsacError, match="spread: expected CAM1 CAM2 RIG behind it, got 'a b'"):
-        CliRunner().invoke(app, ["study", "spread", "a", "b"], catch_exceptions=False)
-    with pytest.raises(SsacError, match="a: no such file"):
-        CliRunner().invoke(app, ["study", "spread", "a", "b", "c"], catch_exceptions=False)
+def test_other_files_than_it_needs_are_one_line():
+    for given, fault in (("a b", "expected CAM1 CAM2 RIG behind it, got 'a b'"),
+                         ("a b c", "a: no such file")):  # fmt: skip
+        with pytest.raises(SsacError, match=fault):
+            CliRunner().invoke(app, ["study", "spread", *given.split()], catch_exceptions=False)

@@ -10,7 +10,7 @@ import pytest
 from experiments.lab.grid import config_names, flight_seed, named_config
 from experiments.lab.results import Results
 from experiments.lab.study import How
-from experiments.lab.verify import study_findings
+from experiments.lab.verify import cells_of, study_findings
 from experiments.studies import all_studies
 from experiments.studies.ablations import ABLATIONS
 
@@ -39,10 +39,9 @@ def test_every_grid_of_the_project_is_a_table_or_a_study() -> None:
 
 @pytest.mark.parametrize("name", WITH_CELLS)
 def test_keys_tell_all_cells_apart_and_seeds_follow_from_the_columns(name: str) -> None:
-    study = STUDIES[name]
-    cells = study.cells()
+    cells = cells_of(STUDIES[name])
     table = pd.DataFrame([cell.columns for cell in cells])
-    keys = table[list(study.runs.keys)].astype(str)
+    keys = table[list(STUDIES[name].runs.keys)].astype(str)
     assert not keys.duplicated().any()
     for cell in cells[:: max(1, len(cells) // 50)]:
         if name.startswith(("network", "outdoor", "mini", "error", "light")):
@@ -57,7 +56,7 @@ def test_flights_of_studies_are_their_own() -> None:
     for table in ("esim_10", "esim_20"):
         seeds["tables"] |= {cell.seed for cell in named_config(table).cells()}
     for name in OWN_FLIGHTS:
-        cells = STUDIES[name].cells()
+        cells = cells_of(STUDIES[name])
         seeds[name] = {cell.columns["seed"] for cell in cells}
         others = {cell.other_seed for cell in cells if hasattr(cell, "other_seed")}
         assert not seeds[name] & others, name

@@ -1,7 +1,6 @@
 """Signals of two views: what they share by geometry, and on a rendered flight."""
 
 import numpy as np
-import pandas as pd
 import pytest
 
 from experiments.lab.cache import Cache
@@ -14,7 +13,6 @@ from experiments.studies.zncc import (
     SignalCell,
     agreement,
     modelled_signals,
-    signal_means,
 )
 from sim.recording import SimConfig
 from sim.render.config import RenderConfig, SamplingConfig
@@ -49,20 +47,17 @@ def noise(n: int = 2000) -> np.ndarray:
 def test_the_lag_of_a_delayed_signal_is_its_error():
     values = noise()
     found = agreement(Signal(0, values), Signal(35, values), ZNCC_BIN_S)
-    assert found.error_ms == pytest.approx(350.0)
+    assert found["error_ms"] == pytest.approx(350.0)
     late = agreement(Signal(0, values), Signal(0, values), ZNCC_BIN_S)
-    assert late.error_ms == 0.0
-    assert late.at_truth == pytest.approx(1.0)
-    assert late.elsewhere < 0.15  # of 200 lags of white noise, each with a spread of 2000^-0.5
+    assert late["error_ms"] == 0.0
+    assert late["at_truth"] == pytest.approx(1.0)
+    assert late["elsewhere"] < 0.15  # of 200 lags of white noise, each with a spread of 2000^-0.5
 
 
-def test_vertical_motion_is_the_same_from_all_sides():
+def test_vertical_motion_is_the_same_from_all_sides_and_horizontal_motion_is_not():
     for name in ("rate", "speed", "distance"):
         first, other = (signals((0, 0, 1), angle)[name] for angle in (0, 90))
         np.testing.assert_allclose(first.values, other.values, rtol=1e-9, atol=1e-9)
-
-
-def test_horizontal_motion_is_not():
     across, along_sight = (signals((1, 0, 0), angle)["speed"].values for angle in (0, 90))
     assert np.max(along_sight) < 1e-6  # the root of a difference of squares
     # Seen from the front, all of the speed but for what widens the distance: 1.2 m of 5 m aside.
@@ -73,12 +68,9 @@ def test_horizontal_motion_is_not():
 def test_one_camera_s_near_is_the_opposite_one_s_far():
     near, far = (signals((0, 1, 0), angle)["distance"] for angle in (0, 180))
     np.testing.assert_allclose(near.values**-0.5 + far.values**-0.5, 10.0)
-    assert agreement(near, far, ZNCC_BIN_S).at_truth < -0.9  # but for the curvature of 1 / d^2
-
-
-def test_what_is_out_of_the_image_makes_no_events():
+    assert agreement(near, far, ZNCC_BIN_S)["at_truth"] < -0.9  # but for the curvature of 1 / d^2
     aside = Trajectory(DURATION_S, lambda t: np.array([[6.0, 0.0, 0.0]]) + 0.0 * t[:, None], None)
-    assert not modelled_signals(aside, CAMERAS[0])["rate"].values.any()
+    assert not modelled_signals(aside, CAMERAS[0])["rate"].values.any()  # out of the image
 
 
 @pytest.mark.render
@@ -100,15 +92,3 @@ def test_all_signals_of_a_rendered_flight_agree_somehow_and_the_model_follows_it
     assert first["speed_px_s"] == pytest.approx(200.0, rel=0.5)
     assert all(row["model_fit"] is None for row in others)
     assert all(-1.0 <= row["at_truth"] <= 1.0 for row in done.rows)
-
-
-def test_means_count_the_gross_errors():
-    key = {"source": "s", "scene": "c", "duration_s": 1.0, "signal": "e", "angle_deg": 30.0}
-    rows = [{**key, "error_ms": error, "at_truth": 0.5} for error in (0.0, 20.0, 400.0, 100.0)]
-    rows += [{**key, "error_ms": 900.0, "at_truth": 0.0, "status": "crashed"}]
-    rows += [{**key, "angle_deg": 60.0, "error_ms": 7.0, "at_truth": 0.1}]
-    runs = pd.DataFrame(rows).fillna({"status": "ok"}).assign(cell=1, flight=3, seed=4, reason="")
-    (row,) = signal_means(runs).iloc[:1].to_dict("records")
-    assert (row["flights"], row["error_ms_mean"], row["gross_share"]) == (4, 130.0, 0.25)
-    assert row["at_truth"] == 0.5
-    assert not {"cell", "flight", "seed"} & set(row)

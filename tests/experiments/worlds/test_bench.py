@@ -1,5 +1,6 @@
 """The bench: its kinds of imperfection, and a short recording from nothing to its rows."""
 
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -11,23 +12,7 @@ import pytest
 from experiments.lab.cache import Cache
 from experiments.lab.schedule import Workers, run_cells
 from experiments.worlds import bench
-from experiments.worlds.bench import (
-    ALL,
-    IMPERFECTIONS,
-    KINDS,
-    NONE,
-    PHYSICAL,
-    Flown,
-    all_but,
-    bench_of,
-    cells_of,
-    had_by,
-    ideal,
-    known_rig,
-    motion_seed,
-    only,
-    setup_seed,
-)
+from experiments.worlds.bench import ALL, IMPERFECTIONS, KINDS, NONE, all_but, bench_of, only
 from sim.scene.rig import Camera
 from sim.sensor.kernels import EVENT_DTYPE
 from sim.twin.bench import bench_rig
@@ -38,38 +23,30 @@ PLACE = (65.06, 10.0, 7)
 ANGLE_DEG, DURATION_S, FLIGHT = 95.18, 6.0, 50_000
 
 
-def test_a_kind_has_the_imperfections_that_it_says() -> None:
+def test_a_kind_has_the_imperfections_that_it_says_and_each_changes_the_bench() -> None:
     names = set(IMPERFECTIONS)
-    assert set(had_by(NONE)) == set()
-    assert set(had_by(ALL)) == names
+    assert set(bench.had_by(NONE)) == set()
+    assert set(bench.had_by(ALL)) == names
     for name in names:
-        assert set(had_by(only(name))) == {name}
-        assert set(had_by(all_but(name))) == names - {name}
-    assert len(KINDS) == len(set(KINDS)) == 2 * len(names) + 2
+        assert set(bench.had_by(only(name))) == {name}
+        assert set(bench.had_by(all_but(name))) == names - {name}
+    assert len(KINDS) == len({bench_of(kind, *PLACE) for kind in KINDS}) == 2 * len(names) + 2
+    assert bench_of(NONE, *PLACE) == bench.ideal(*PLACE)
     with pytest.raises(SsacError, match=r"unknown kind 'only rain': use none, all.*turning"):
         bench_of("only rain", *PLACE)
 
 
-def test_each_imperfection_changes_the_ideal_bench_and_its_lack_the_real_one() -> None:
-    assert bench_of(NONE, *PLACE) == ideal(*PLACE)
-    assert len({bench_of(kind, *PLACE) for kind in KINDS}) == len(KINDS)
-
-
 def test_what_is_not_calibrated_is_true() -> None:
-    true = bench_rig(ideal(*PLACE).sim)
-    rig = known_rig(ideal(*PLACE))
+    true = bench_rig(bench.ideal(*PLACE).sim)
+    rig, of_intrinsics, of_truth, of_all = (
+        bench.known_rig(bench_of(kind, *PLACE))
+        for kind in (NONE, only("intrinsics"), only("truth"), ALL)
+    )
     assert (rig.cam1.K == true.cameras[0].K).all()
     assert (true.relative_pose(0, 1) == rig.T_2_1).all()
-    of_intrinsics, of_truth, of_all = (
-        known_rig(bench_of(kind, *PLACE)) for kind in (only("intrinsics"), only("truth"), ALL)
-    )
-    assert (of_intrinsics.cam1.K != true.cameras[0].K).any()
-    # One draw for both cameras would make them err alike.
-    errors = [
-        one.K - camera.K
-        for one, camera in zip((of_intrinsics.cam1, of_intrinsics.cam2), true.cameras, strict=True)
-    ]
-    assert not np.allclose(*errors, rtol=1e-3)
+    errors = [of_intrinsics.cam1.K - rig.cam1.K, of_intrinsics.cam2.K - rig.cam2.K]
+    assert errors[0].any()
+    assert not np.allclose(*errors, rtol=1e-3)  # one draw for both would make them err alike
     assert (of_intrinsics.T_2_1 == rig.T_2_1).all()
     assert (of_truth.cam1.K == rig.cam1.K).all()
     assert (of_truth.T_2_1 != rig.T_2_1).any()
@@ -87,7 +64,9 @@ def test_each_camera_is_calibrated_with_errors_of_its_own(monkeypatch: pytest.Mo
         return exact(camera)
 
     monkeypatch.setattr(bench, "calibrated_camera", calibrated)
-    known_rig(bench_of(only("intrinsics"), 77.0, 10.0, 3))  # which no other test has asked for
+    bench.known_rig(
+        bench_of(only("intrinsics"), 77.0, 10.0, 3)
+    )  # which no other test has asked for
     assert len(set(drawn)) == 2
 
 
@@ -100,30 +79,24 @@ def test_each_camera_sees_the_room_from_its_own_place(monkeypatch: pytest.Monkey
 
     monkeypatch.setattr(bench, "room_events", events)
     nothing = SimpleNamespace(events=np.empty(0, EVENT_DTYPE))
-    flown = Flown((nothing, nothing), ((None, None),) * 2)  # type: ignore[arg-type]
-    setup = bench_of(only("wire"), *PLACE)
-    bench._recorded(next(iter(cells_of(setup, {}, FLIGHT, (5.0,), ("ssac",)))), flown)
+    flown = bench.Flown((nothing, nothing), ((None, None),) * 2)  # type: ignore[arg-type]
+    (cell,) = bench.cells_of(bench_of(only("wire"), *PLACE), {}, FLIGHT, (5.0,), ("ssac",))
+    bench._recorded(cell, flown)
     assert asked == [0, 1]
 
 
 def test_a_short_recording_gives_its_offset_and_kinds_of_it_share_it(tmp_path: Path) -> None:
-    setup = setup_seed(ANGLE_DEG, FLIGHT)
-    cells = [
-        cell
-        for kind in (NONE, only("wire"))
-        for cell in cells_of(
-            bench_of(kind, ANGLE_DEG, DURATION_S, setup),
-            {"kind": kind},
-            FLIGHT,
-            (5.0, 50.0),
-            ("ssac", "joint", "tangency"),
-        )
-    ]
-    outcome = run_cells(cells, Cache(tmp_path), Workers(1), show_progress=False, measure=PHYSICAL)
+    setup, cells = bench.setup_seed(ANGLE_DEG, FLIGHT), list[bench.PhysicalCell]()
+    for kind in (NONE, only("wire")):
+        of_kind = bench_of(kind, ANGLE_DEG, DURATION_S, setup)
+        methods = ("ssac", "joint", "tangency")
+        cells += bench.cells_of(of_kind, {"kind": kind}, FLIGHT, (5.0, 50.0), methods)
+    run = partial(run_cells, cells, Cache(tmp_path), Workers(1), "", False, measure=bench.PHYSICAL)
+    outcome = run()
     runs = outcome.runs
     assert outcome.n_simulated == 1
     assert (runs["status"] == "ok").all(), runs["reason"]
-    assert (runs["seed"] == motion_seed(DURATION_S, ANGLE_DEG, FLIGHT)).all()
+    assert (runs["seed"] == bench.motion_seed(DURATION_S, ANGLE_DEG, FLIGHT)).all()
     # Six seconds on an ideal bench leave `ssac` 0.2 to 1.6 ms (four recordings): a drone of
     # 26 px moves a pixel in 6 ms, and its middle is no point of it. Twice the most, for any method.
     assert runs["t_d_error_ms"].max() < 3.3
@@ -135,6 +108,6 @@ def test_a_short_recording_gives_its_offset_and_kinds_of_it_share_it(tmp_path: P
     np.testing.assert_allclose(errors[5.0], errors[50.0], atol=1e-6)
     counts = runs.groupby("kind")["n_events_cam1"].first()
     assert counts[only("wire")] > counts[NONE]
-    again = run_cells(cells, Cache(tmp_path), Workers(1), show_progress=False, measure=PHYSICAL)
+    again = run()
     pd.testing.assert_frame_equal(again.runs, runs)
     assert again.n_recordings == 0

@@ -51,15 +51,11 @@ def test_what_a_kind_says_is_added() -> None:
     )
 
 
-def test_skews_are_drawn_from_their_deviation() -> None:
-    kind = Kind("ordinary", skew_std_ppm=50.0)
-    drawn = [kind.skew_of(seed) for seed in range(200)]
+def test_skews_are_drawn_from_their_deviation_and_scenes_have_the_offset_and_textures() -> None:
+    drawn = [Kind("ordinary", skew_std_ppm=50.0).skew_of(seed) for seed in range(200)]
     assert np.std(drawn) == pytest.approx(50.0, rel=0.25)  # that of 200 draws scatters by 5 %
     assert Kind("ordinary").skew_of(3) == 0.0
     assert Kind("ordinary", skew_ppm=20.0).skew_of(3) == 20.0
-
-
-def test_scenes_have_the_offset_and_their_textures() -> None:
     assert all(sim.t_d_s == T_D_S for sim in SCENES.values())
     textures = [file for sim in SCENES.values() for file in sim.background_files]
     assert textures
@@ -67,30 +63,27 @@ def test_scenes_have_the_offset_and_their_textures() -> None:
 
 
 def test_a_clock_runs_fast_about_the_middle_and_jumps_once() -> None:
-    flight = flown()
-    plain_us = flight.cam2.events["t"] + round(1e6 * T_D_S)
-    fast = made(Kind("20 s", skew_ppm=50.0)).cam2.events["t"] - plain_us
-    expected_us = 5e-5 * (flight.cam2.events["t"] - 0.5e6 * DURATION_S)
-    assert np.abs(fast - expected_us).max() <= 0.5  # whole microseconds
-    stepped = made(Kind("20 s", jump=(4.0, 5e-3))).cam2.events["t"] - plain_us
-    assert np.array_equal(stepped, np.where(flight.cam2.events["t"] >= 4_000_000, 5_000, 0))
+    cam2_us = flown().cam2.events["t"]
+    fast, stepped = (
+        made(kind).cam2.events["t"] - cam2_us - round(1e6 * T_D_S)
+        for kind in (Kind("20 s", skew_ppm=50.0), Kind("20 s", jump=(4.0, 5e-3)))
+    )
+    # Whole microseconds.
+    assert np.abs(fast - 5e-5 * (cam2_us - 0.5e6 * DURATION_S)).max() <= 0.5
+    assert np.array_equal(stepped, np.where(cam2_us >= 4_000_000, 5_000, 0))
 
 
 def test_intrinsics_are_off_and_stated_as_a_kind_says() -> None:
     errors = ((0.01, 0.02, 3.0, -2.0), (0.0, 0.0, 0.0, 0.0))
     pair, true = made(Kind("10 s", errors=errors, stated=(1.0, 3.0))), SCENE.rig
-    off_px = pair.rig.cam1.K - true.cam1.K
     assert np.diag(pair.rig.cam1.K) == pytest.approx(np.diag(true.cam1.K) * (1.01, 1.02, 1.0))
-    assert off_px[:2, 2] == pytest.approx((3.0, -2.0))
+    assert (pair.rig.cam1.K - true.cam1.K)[:2, 2] == pytest.approx((3.0, -2.0))
     assert np.array_equal(pair.rig.cam2.K, true.cam2.K)
-    focal_px = true.cam2.K[0, 0]
-    assert pair.rig.cam2.intrinsics_std_px == pytest.approx(
-        (0.01 * focal_px, 0.01 * focal_px, 3, 3)
-    )
+    focal_px = 0.01 * true.cam2.K[0, 0]
+    assert pair.rig.cam2.intrinsics_std_px == pytest.approx((focal_px, focal_px, 3, 3))
 
 
 def test_other_flights_are_one_in_each_camera() -> None:
-    other = flown(1)
     pair = made(Kind("20 s", others=True))
     assert np.array_equal(pair.cam1.events, flown().cam1.events)
-    assert np.array_equal(pair.cam2.events, other.cam2.delayed(T_D_S).events)
+    assert np.array_equal(pair.cam2.events, flown(1).cam2.delayed(T_D_S).events)

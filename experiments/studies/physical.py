@@ -1,0 +1,395 @@
+"""The paper's physical set-up by its twin: its tables, what each fault costs, and unequal light.
+
+The tables (`mini_10`, `mini_20`) have ten recordings of each angle and duration, and all of an
+angle are of one set-up with one calibration, as in the paper: what that errs by, all cells of the
+angle share. In the `error_budget` each recording has a set-up and a calibration of its own, so that
+a mean is what one may expect of a bench; all kinds of a recording share its motion.
+
+`light_latency`: a pixel in less light answers later. No geometry tells that from a clock that shows
+more, but it is not the same for both polarities, and changes its sign when the lights are swapped.
+"""
+
+from collections.abc import Iterable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from experiments.drawing.panels import Figure, legend_below, panels
+from experiments.lab.command import command_of
+from experiments.lab.markdown import digits, markdown_table
+from experiments.lab.results import Results
+from experiments.lab.study import Made, Runs, Study
+from experiments.lab.summary import answered, by_group, held, made_of, statistics
+from experiments.lab.verify import between, ordered, scored_checks
+from experiments.paper.comparison import PUBLISHED_ERRORS, comparison_table, load_published
+from experiments.paper.esim import esim_table
+from experiments.paper.quantities import ERRORS, R_ERROR, T_D_ERROR
+from experiments.worlds import bench
+from experiments.worlds.bench import ALL, ANGLES_DEG, IMPERFECTIONS, KINDS, NONE, all_but, only
+from ssac.pipeline.registry import OURS
+
+N_RECORDINGS = 10  # of each angle and duration, as in the paper
+DURATIONS_S = (10.0, 20.0)
+T_DS_MS = (5.0, 50.0, 500.0)
+METHODS = ("ssac", "joint", "tangency")  # that pages show
+
+PUBLISHED = Path(__file__).parents[1] / "worlds" / "published"
+_ERRORS = tuple(one for one in PUBLISHED_ERRORS if one.method == "ssac")
+
+
+def cells(duration_s: float, recordings: bench.Recordings = None) -> list[bench.PhysicalCell]:
+    """List every method on every recording of a duration, with each offset."""
+    methods, found = [method.name for method in OURS], list[bench.PhysicalCell]()
+    for angle_deg in ANGLES_DEG:
+        for flight in range(recordings or N_RECORDINGS):
+            found += bench.cells_of(_bench(angle_deg, duration_s), {}, flight, T_DS_MS, methods)
+    return found
+
+
+def _bench(angle_deg: float, duration_s: float) -> bench.SetUp:
+    return bench.bench_of(ALL, angle_deg, duration_s, bench.setup_seed(angle_deg, 0))
+
+
+def published_tables() -> dict[float, pd.DataFrame]:
+    """Read the paper's physical tables, by duration [s]."""
+    return load_published(PUBLISHED, "mini", DURATIONS_S, _ERRORS)
+
+
+def figure(runs: pd.DataFrame) -> Figure:
+    """Draw the errors of all methods beside the paper's."""
+    from experiments.drawing.errors import error_figure
+
+    return error_figure(runs, published_tables())
+
+
+def comparison(results: Results) -> pd.DataFrame:
+    """Compare both tables with the paper's, cell by cell."""
+    tables = {duration_s: results.table(f"mini_{duration_s:g}") for duration_s in DURATIONS_S}
+    return comparison_table(tables, published_tables(), reasons={}, errors=_ERRORS)
+
+
+def page_table(results: Results) -> str:
+    """Lay out the paper's means and ours by duration and angle, over the offsets, as t_d / R / t.
+
+    The offsets of a recording leave the same errors here, and other recordings in the paper.
+    """
+    rows = []
+    compared = results.table("mini_comparison").groupby(["duration_s", "angle_deg"], sort=False)
+    for (duration_s, angle_deg), of in compared:
+        published = of.groupby("quantity")["published_mean"].mean()
+        ours = results.rows(f"mini_{duration_s:g}", angle_deg=angle_deg).mean(numeric_only=True)
+        means = [[ours[f"{name}_{error}_mean"] for error in ERRORS] for name in METHODS]
+        shown = [[published[f"ssac_{error}"] for error in ERRORS], *means]
+        rows.append([f"{duration_s:g}", f"{angle_deg:g}", *map(_slashed, shown)])
+    return markdown_table(["s", "deg", "the paper's SSAC", *(f"`{m}`" for m in METHODS)], rows)
+
+
+def held_table(results: Results) -> str:
+    """Count answers, and stated 95 % intervals of t_d that hold the truth, of all recordings."""
+    rows = []
+    for duration_s in DURATIONS_S:
+        for method in METHODS[1:]:
+            mine = results.rows(f"mini_{duration_s:g}_runs", method=method, t_d_ms=T_DS_MS[0])
+            ok = answered(mine)
+            means = (digits(float(ok[name].mean())) for name in ("t_d_error_ms", "t_d_std_ms"))
+            share = f"{100.0 * held(ok, 't_d', 'ms').mean():.0f}"
+            count = f"{len(ok)} of {len(mine)}"
+            rows.append([f"{duration_s:g}", f"`{method}`", count, share, *means])
+    header = ["s", "method", "answered", "held [%]", "error of t_d [ms]", "stated 1 sigma [ms]"]
+    return markdown_table(header, rows)
+
+
+def _slashed(values: Iterable[float]) -> str:
+    return " / ".join(digits(float(value)) for value in values)
+
+
+def _config(duration_s: float) -> dict[str, Any]:
+    return {
+        "n_recordings": N_RECORDINGS, "duration_s": duration_s, "angles_deg": ANGLES_DEG,
+        "t_ds_ms": T_DS_MS, "imperfections": list(IMPERFECTIONS),
+        "bench": _bench(ANGLES_DEG[0], duration_s),
+    }  # fmt: skip
+
+
+def _study(duration_s: float, *more: Made, **others: Any) -> Study:
+    name = f"mini_{duration_s:g}"
+    return Study(
+        name,
+        f"The paper's physical experiments of {duration_s:g} s, by their twin",
+        partial(cells, duration_s),
+        bench.PHYSICAL,
+        Runs(f"{name}_runs.csv", ("angle_deg", "t_d_ms", "flight", "method")),
+        (made_of(f"{name}.csv", partial(esim_table, duration_s=duration_s), f"{name}_runs"),
+         made_of(f"{name}.png", figure, f"{name}_runs"), *more),
+        checks=scored_checks(f"{name}_runs"),
+        config=_config(duration_s),
+        command=bench.COMMAND,
+        **others,
+    )  # fmt: skip
+
+
+_CONFIGS = {f"mini_{duration_s:g}": _config(duration_s) for duration_s in DURATIONS_S}
+
+
+TABLES = (
+    _study(10.0),
+    _study(
+        20.0,
+        Made("mini_comparison.csv", comparison, config=_CONFIGS),
+        reads=("mini_10.csv",),
+        numbers={"table.mini": page_table, "table.mini.held": held_table},
+    ),
+)
+
+
+# --- What each fault costs ---
+
+
+BUDGET_RECORDINGS = 1
+"""Of each angle, and each of all kinds. 24 of the 34 kinds are simulated apart: half an hour a
+recording at 10 s."""
+
+BUDGET_FIRST = 20_000  # of no table
+BUDGET_S = 10.0
+BUDGET_T_D_MS = 50.0
+ON_THE_PAGE = ("ssac", "tangency")
+
+
+def budget_cells(recordings: bench.Recordings = None) -> list[bench.PhysicalCell]:
+    """List the three methods on every kind of each recording."""
+    found: list[bench.PhysicalCell] = []
+    for angle_deg in ANGLES_DEG:
+        for flight in range(BUDGET_FIRST, BUDGET_FIRST + (recordings or BUDGET_RECORDINGS)):
+            setup = bench.setup_seed(angle_deg, flight)
+            for kind in KINDS:
+                of_kind = bench.bench_of(kind, angle_deg, BUDGET_S, setup)
+                found += bench.cells_of(of_kind, {"kind": kind}, flight, (BUDGET_T_D_MS,), METHODS)
+    return found
+
+
+def budget_table(runs: pd.DataFrame) -> pd.DataFrame:
+    """Mean errors by kind, angle and method, of the runs that are answered ("ok").
+
+    `t_d_bias_ms` is the mean of the signed error of t_d, `t_d_held` the share of the stated 95 %
+    intervals of t_d that hold the truth.
+    """
+
+    def row(group: pd.DataFrame) -> dict[str, Any]:
+        ok = answered(group)
+        stated = ok[np.isfinite(ok["t_d_std_ms"].astype(float))]
+        return {
+            **{"runs": len(group), "answered": len(ok)},
+            **statistics(ok, [*ERRORS], "mean", "std"),
+            "t_d_bias_ms": (ok["t_d_estimate_ms"] - ok["t_d_ms"]).mean(),
+            "t_d_held": held(stated, "t_d", "ms").mean() if len(stated) else np.nan,
+        }
+
+    return by_group(runs, ("kind", "angle_deg", "method"), row)
+
+
+def budget_figure(summary: pd.DataFrame) -> Figure:
+    """Draw, for each method and error, what each imperfection adds alone and what its lack spares.
+
+    The mean over the angles of each imperfection alone (filled) and of all but it (hollow); lines
+    stand where there is none and where there are all.
+    """
+    from matplotlib.ticker import LogLocator
+
+    from experiments.drawing.style import method_looks
+
+    places, looks = np.arange(len(IMPERFECTIONS)), method_looks([*METHODS])
+    height_in = 1.2 + 0.22 * len(places) * len(METHODS)
+    figure, grid = panels(height_in, len(METHODS), len(ERRORS), sharey=True)
+    for row, method in zip(grid, METHODS, strict=True):
+        dots: dict[str, Any] = {"ms": 5, "color": looks[method].color}
+        for axes, (name, quantity) in zip(row, ERRORS.items(), strict=True):
+            values = _budget_means(summary, name).xs(method, level="method")
+            alone, without = (values[[*map(of, IMPERFECTIONS)]] for of in (only, all_but))
+            axes.plot(alone, places, "o", label="alone", **dots)
+            axes.plot(without, places, "o", mfc="white", label="all but it", **dots)
+            axes.axvline(values[NONE], color="0.3", lw=0.8, ls=":", label="none")
+            axes.axvline(values[ALL], color="0.3", lw=0.8, ls="--", label="all")
+            axes.set(xscale="log")
+            axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            axes.xaxis.set_major_formatter("{x:g}")
+            axes.xaxis.set_minor_formatter("")
+            axes.set_xlabel(quantity.label, fontsize=9)
+            if name == T_D_ERROR.column:
+                axes.set_title(method, fontsize=10, loc="left")
+        row[0].set_yticks(places, list(IMPERFECTIONS), fontsize=8)
+    grid[0, 0].invert_yaxis()
+    legend_below(figure, 4)
+    return figure
+
+
+def budget_page(results: Results) -> str:
+    """Lay t_d / R out over the angles, with nothing, each imperfection alone, and all of them."""
+    table = results.table("error_budget")
+    means = [_budget_means(table, error.column) for error in (T_D_ERROR, R_ERROR)]
+    kinds = {NONE: NONE, **{name: only(name) for name in IMPERFECTIONS}, ALL: ALL}
+    rows = [
+        [name, *(" / ".join(digits(float(of[kind, method])) for of in means)
+                 for method in ON_THE_PAGE)]
+        for name, kind in kinds.items()
+    ]  # fmt: skip
+    return markdown_table(["bench", *(f"`{method}`" for method in ON_THE_PAGE)], rows)
+
+
+def _budget_means(summary: pd.DataFrame, error: str) -> "pd.Series[float]":
+    """Mean over the angles by kind and method."""
+    by_kind = summary.groupby(["kind", "method"], sort=False)
+    return by_kind[f"{error}_mean"].mean()
+
+
+BUDGET = Study(
+    "error_budget",
+    "What each imperfection of a bench costs, alone and of all",
+    budget_cells,
+    bench.PHYSICAL,
+    Runs("error_budget_runs.csv", ("kind", "angle_deg", "flight", "method")),
+    (made_of("error_budget.csv", budget_table, "error_budget_runs"),
+     made_of("error_budget.png", budget_figure, "error_budget")),
+    numbers={"table.budget": budget_page},
+    checks=(("shares are shares", between("error_budget", "t_d_held", 0.0, 1.0)),
+            *scored_checks("error_budget_runs")),
+    config={"n_recordings": BUDGET_RECORDINGS, "first_flight": BUDGET_FIRST,
+            "duration_s": BUDGET_S, "t_d_ms": BUDGET_T_D_MS, "angles_deg": ANGLES_DEG,
+            "kinds": KINDS, "methods": METHODS,
+            "bench": bench.bench_of(ALL, ANGLES_DEG[0], BUDGET_S, 0)},
+    command=bench.COMMAND,
+)  # fmt: skip
+
+
+# --- Light that is not the same ---
+
+
+LIGHT_RECORDINGS = 2  # each at all ratios, so that these differ in the light alone
+LIGHT_FIRST = 30_000  # of no table
+LIGHT_S, LIGHT_ANGLE_DEG, LIGHT_T_D_MS = 6.0, 95.18, 50.0
+LIGHT_METHOD = "tangency"
+
+RATIOS = (0.03125, 0.125, 0.5, 1.0, 2.0, 8.0, 32.0)
+"""Of camera 2's light to camera 1's; together they have `ILLUMINANCE_LUX` in the geometric mean,
+so that a ratio and its inverse are the same cameras with their lights swapped."""
+
+ILLUMINANCE_LUX = 100.0
+
+POLARITIES = {"both": None, "on": 1, "off": 0}  # events that are used
+
+_LOOKS = {
+    "both": ("#000000", "D", "both polarities"),
+    "on": ("#D55E00", "^", "ON events alone"),
+    "off": ("#0072B2", "v", "OFF events alone"),
+}
+
+
+def lit(ratio: float, polarity: int | None, setup: int) -> bench.SetUp:
+    """Give a bench whose photoreceptors are real ones, all else ideal, and whose lights differ."""
+    found = bench.ideal(LIGHT_ANGLE_DEG, LIGHT_S, setup)
+    for name in ("low-pass", "latency"):
+        found = bench.IMPERFECTIONS[name](found)
+    illuminance_lux = float(ILLUMINANCE_LUX / np.sqrt(ratio))
+    effects = replace(found.sim.effects, illuminance_lux=illuminance_lux, camera2_light=ratio)
+    return replace(found, sim=replace(found.sim, effects=effects), polarity=polarity)
+
+
+def light_cells(recordings: bench.Recordings = None) -> list[bench.PhysicalCell]:
+    """List every ratio and polarity on each recording."""
+    found: list[bench.PhysicalCell] = []
+    for flight in range(LIGHT_FIRST, LIGHT_FIRST + (recordings or LIGHT_RECORDINGS)):
+        setup = bench.setup_seed(LIGHT_ANGLE_DEG, flight)
+        for ratio in RATIOS:
+            for name, polarity in POLARITIES.items():
+                of, named = lit(ratio, polarity, setup), {"light_ratio": ratio, "polarity": name}
+                found += bench.cells_of(of, named, flight, (LIGHT_T_D_MS,), (LIGHT_METHOD,))
+    return found
+
+
+def latency_table(runs: pd.DataFrame) -> pd.DataFrame:
+    """Apparent offsets, which are the estimated less the clocks', by ratio and polarity.
+
+    `swapped_ms` is the mean of that of a ratio and its inverse, which swapping the lights leaves.
+    """
+    runs = runs.assign(apparent_ms=runs["t_d_estimate_ms"] - runs["t_d_ms"])
+
+    def row(group: pd.DataFrame) -> dict[str, float]:
+        ok = answered(group)
+        counts = {"runs": len(group), "answered": len(ok)}
+        apparent = statistics(ok, ["apparent_ms"], "mean", "std")
+        return {**counts, **apparent, "t_d_std_ms": ok["t_d_std_ms"].mean()}
+
+    table = by_group(runs, ("light_ratio", "polarity"), row)
+    means = table["apparent_ms_mean"]
+    inverse = table.set_index(["light_ratio", "polarity"])["apparent_ms_mean"]
+    swapped = list(zip(1.0 / table["light_ratio"], table["polarity"], strict=True))
+    return table.assign(swapped_ms=0.5 * (means + inverse.reindex(swapped).to_numpy()))
+
+
+def latency_figure(summary: pd.DataFrame) -> Figure:
+    """Draw the apparent offset against the ratio of the lights, by polarity."""
+    figure, ((axes,),) = panels(3.6)
+    by_polarity = dict(list(summary.groupby("polarity")))
+    for polarity, (color, marker, label) in _LOOKS.items():
+        part = by_polarity[polarity]
+        axes.errorbar(
+            part["light_ratio"], part["apparent_ms_mean"], part["apparent_ms_std"], color=color,
+            marker=marker, ms=5, lw=0.9, label=label,
+        )  # fmt: skip
+    both = by_polarity["both"]
+    axes.plot(both["light_ratio"], both["swapped_ms"], color="0.5", ls=":", marker="x",
+              label="mean with the lights swapped")  # fmt: skip
+    axes.set(xscale="log", xticks=RATIOS)
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.xaxis.set_minor_formatter("")
+    axes.set_xlabel("light of camera 2 over that of camera 1")
+    axes.set_ylabel("apparent offset less the clocks' [ms]")
+    axes.legend(fontsize=8, frameon=False)
+    return figure
+
+
+def latency_page(results: Results) -> str:
+    """Lay the apparent offsets out by the ratio of the lights and by polarity [ms]."""
+    rows = []
+    for ratio, of_ratio in results.table("light_latency").groupby("light_ratio", sort=True):
+        by = of_ratio.set_index("polarity")
+        both, apparent = by.loc["both"], by["apparent_ms_mean"]
+        rows.append(
+            [
+                *(f"{ratio:g}", *(f"{apparent[name]:.2f}" for name in POLARITIES)),
+                *(digits(float(both["t_d_std_ms"])), f"{both['swapped_ms']:.2f}"),
+                f"{int(both['answered'])} of {int(both['runs'])}",
+            ]
+        )
+    header = ["light 2 / 1", "apparent", "ON alone", "OFF alone", "stated 1 sigma"]
+    return markdown_table([*header, "half sum with its inverse", "answered"], rows)
+
+
+LATENCY = Study(
+    "light_latency",
+    "Offsets that appear where two cameras are lit differently",
+    light_cells,
+    bench.PHYSICAL,
+    Runs("light_latency_runs.csv", ("light_ratio", "polarity", "flight")),
+    (made_of("light_latency.csv", latency_table, "light_latency_runs"),
+     made_of("light_latency.png", latency_figure, "light_latency")),
+    numbers={"table.latency": latency_page},
+    checks=(("as many are answered as ran", ordered("light_latency", "answered", "runs")),
+            *scored_checks("light_latency_runs")),
+    config={"n_recordings": LIGHT_RECORDINGS, "first_flight": LIGHT_FIRST,
+            "duration_s": LIGHT_S, "angle_deg": LIGHT_ANGLE_DEG, "t_d_ms": LIGHT_T_D_MS,
+            "ratios": RATIOS, "illuminance_lux": ILLUMINANCE_LUX, "method": LIGHT_METHOD,
+            "bench": lit(1.0, None, 0)},
+    command=bench.COMMAND,
+)  # fmt: skip
+
+STUDIES = (*TABLES, BUDGET, LATENCY)
+
+command = command_of(
+    {"tables": TABLES, "budget": (BUDGET,), "latency": (LATENCY,)},
+    "Simulate the paper's small-scale physical set-up: its tables, and what each fault costs.\n\n"
+    "What is finished is kept in the cache, so that an interrupted run goes on where it was.",
+)
