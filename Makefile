@@ -46,7 +46,7 @@ report: ## all results on one HTML page -> out/report.html
 verify: ## check that results/ is complete and follows from its runs; rerun a few (two minutes)
 
 test: .venv/.ready ## all tests, on up to four cores
-	@$(RUN) pytest --numprocesses auto --maxprocesses 4 --dist loadfile
+	@$(RUN) pytest --numprocesses auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder
 
 lint: .venv/.ready ## ruff: rules and formatting; import-linter: which way imports go
 	@$(RUN) ruff check
