@@ -151,9 +151,25 @@ class _LazyGroup(TyperGroup):
 
 
 class _ListingCommand(TyperCommand):
-    """A command with lists below its help."""
+    """A command whose arguments are shown as they are written, and with lists below its help."""
 
     sections: Callable[[], Sections] = dict
+
+    def collect_usage_pieces(self, ctx: Any) -> list[str]:
+        """Show a required argument without braces."""
+        pieces = super().collect_usage_pieces(ctx)
+        return [piece.replace("{", "").replace("}", "") for piece in pieces]
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Write arguments without their Python types, then options."""
+        rows: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": []}
+        for param in self.get_params(ctx):
+            record = param.get_help_record(ctx)
+            if record is not None and param.param_type_name == "argument":
+                rows["Arguments"].append((record[0].partition(" <")[0], record[1]))
+            elif record is not None:
+                rows["Options"].append(record)
+        _write({heading: some for heading, some in rows.items() if some}, formatter)
 
     def format_epilog(self, ctx: Any, formatter: Any) -> None:
         """Add the lists."""

@@ -61,7 +61,8 @@ def test_a_command_is_imported_and_run_and_its_help_has_its_lists(capsys):
     capsys.readouterr()
     assert ssac("greet", "--help") == DONE
     shown = " ".join(capsys.readouterr().out.split())
-    assert shown.startswith("Usage: ssac greet [OPTIONS] {NAME} Say hello.")
+    usage = "Usage: ssac greet [OPTIONS] NAME Say hello. Arguments: NAME [required]"
+    assert shown.startswith(usage)
     assert shown.endswith("People: ada wrote programs")
 
 
