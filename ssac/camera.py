@@ -18,6 +18,9 @@ DISTORTION_LENGTHS = {"none": (0,), "radtan": (4, 5, 8), "equidistant": (4,)}
 
 # Deviations where a calibration says nothing of them: a share of focal lengths, and of centres.
 GOOD_FOCAL, GOOD_CENTRE_PX = 0.001, 0.3
+LEAST_FOCAL_SIDES, MOST_FOCAL_SIDES = 0.1, 100.0
+"""Bounds of a focal length, in sides of the image: beyond, it is not in pixels of this image."""
+
 MAX_PIXELS = 200_000_000  # of a camera: as many as tables of all pixels leave memory for
 MAX_READOUT_S = 0.2  # of a rolling shutter: the slowest sensors of still cameras
 READOUT_STD_S = 0.015  # from 0, of a readout of which nothing is known: phones have 10 to 30 ms
@@ -45,6 +48,12 @@ class Camera:
             focal_px = GOOD_FOCAL * np.ravel(K)[:5:4]
             deviations_px = (*focal_px.tolist(), GOOD_CENTRE_PX, GOOD_CENTRE_PX)
             object.__setattr__(self, "intrinsics_std_px", deviations_px)
+
+    @property
+    def has_centre(self) -> bool:
+        """Whether the principal point lies in the image, as that of any image not cropped does."""
+        pu, pv = self.K[:2, 2]
+        return bool(0.0 <= pu <= self.width - 1 and 0.0 <= pv <= self.height - 1)
 
 
 @dataclass(frozen=True)
@@ -138,6 +147,14 @@ def check_camera(camera: Camera, name: str = "camera") -> None:
         said = (
             f"the resolution must be at least 1 x 1 px and at most {MAX_PIXELS} pixels, "
             f"got {camera.width} x {camera.height}: give it as [width, height]"
+        )
+    elif not all(
+        LEAST_FOCAL_SIDES <= K[axis, axis] / side <= MOST_FOCAL_SIDES
+        for axis, side in enumerate(size)
+    ):
+        said = (
+            f"focal lengths of {K[0, 0]:g} and {K[1, 1]:g} px are no camera's of"
+            f" {camera.width} x {camera.height} px: give them in pixels of this resolution, not mm"
         )
     elif model not in tuple(DISTORTION_LENGTHS):
         known = ", ".join(DISTORTION_LENGTHS)

@@ -75,10 +75,12 @@ POSE_IS_OPEN = (Status.AMBIGUOUS_POSE, Status.DEGENERATE_POSE)
 SETTLED_BY: dict[str, tuple[Status, ...]] = {
     "joint": (Status.AMBIGUOUS_OFFSET, Status.AMBIGUOUS_POSE, Status.DEGENERATE_POSE),
     "tangency": (Status.AMBIGUOUS_OFFSET, Status.DEGENERATE_POSE, Status.POOR_FIT),
+    "fast": (Status.NO_CONVERGENCE, Status.CLOCK_JUMP, Status.NO_MATCH, Status.POOR_FIT),
     "pieces": (Status.CLOCK_JUMP, Status.POOR_FIT),
 }
 """Which refusals a later stage may overrule: the refinement of positions those of the search, that
-of tangents those of `joint`, and a clock of pieces those of one constant skew."""
+of tangents those of `joint`; a fast clock those of ordinary ones, and one of pieces those of one
+constant skew."""
 
 
 @dataclass(frozen=True)
@@ -143,6 +145,12 @@ class Estimate:
     jump: ClockJump | None = None  # with status "clock_jump"
     n_samples: int = 0  # valid pairs at the offset found
     d_avg_px: float = np.nan  # the paper's Eq. 4 at the offset found
+    per_focal_deg: Array = field(default_factory=_unknown)
+    """Angles (2,) by which R and t turn for focal lengths of both cameras that are twice as long,
+    to first order: what is wrong with both alike is hardly seen."""
+    against: float = 0.0  # by how many deviations what is seen speaks against the rig's intrinsics
+    shift: float = 0.0  # to those that fit best, in the rig's deviations
+    misfit: str = ""  # which these are, where that is much, as a sentence
     doubt: str = ""  # what is not ordinary in the last step's fit, as a sentence
     candidates_s: Array = field(default_factory=lambda: np.empty(0))  # (M,) offsets tried
     costs: Array = field(default_factory=lambda: np.empty(0))  # (M,) d_avg [px] or -correlation

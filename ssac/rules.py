@@ -352,6 +352,7 @@ class FitRules:
     least_curvature: float = 0.25  # of any direction, as a share of the mean
     least_mean_curvature: float = 0.05  # of the loss, whose curvature is 1 at zero
     least_common: float = 0.5  # factor by which common errors may lessen a variance
+    most_shift: float = 0.5  # of intrinsics, as a share of the focal length: no fit leads further
     told_combinations: int = 2  # of the intrinsics, that two views of one path tell
     # Largest change, in deviations, by the last iteration: events that enter the windows move it.
     max_last_change: float = 0.5
@@ -371,6 +372,7 @@ class VerdictRules:
     small_share: float = 0.06
     # From the rig's intrinsics to those that fit best, in their stated deviations.
     max_against: float = 3.5
+    in_doubt: float = 2.0  # of those, from which on the intrinsics count as less certain
 
 
 @dataclass(frozen=True)

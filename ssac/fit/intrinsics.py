@@ -11,12 +11,23 @@ pu by s fu.
 """
 
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ssac.camera import Camera, Rig, distort_points
-from ssac.fit.least_squares import Column, Parameters, Prior, Problem, Residuals, linearise
+from ssac.fit.least_squares import (
+    FIRST_COLUMN,
+    T_D,
+    Column,
+    Parameters,
+    Prior,
+    Problem,
+    Residuals,
+    linearise,
+    solve,
+)
 from ssac.geometry.epipolar import fundamental_from_pose, robust_deviation
 
 Array = NDArray[np.float64]
@@ -137,35 +148,102 @@ def fundamental_of(problem: Problem, parameters: Parameters) -> Array:
     return fundamental_from_pose(Ks[0], Ks[1], parameters.R, parameters.t)
 
 
-def evidence(residuals: Residuals, hidden_px: Array | None = None) -> float:
-    """Give how many deviations the intrinsics that fit best are from those of the rig.
+def evidence(residuals: Residuals, hidden_px: Array | None = None) -> tuple[float, float]:
+    """Give how much speaks against a rig's intrinsics, and how far off those are that fit best.
 
-    Of each combination that the views tell, the value that fits best by itself is compared with its
-    deviation: the prior's and that of the fit together. It is 0 without what `Allowance` adds, and
-    with a known pose too, where a bias of the positions, or of the pose, speaks as loud as one of
-    the intrinsics. Hidden errors are as for `Residuals.hidden_covariance`.
+    Of each combination that the views tell, the value that fits best by itself is the second, in
+    deviations of the rig; the first is its ratio to its own deviation, the rig's and that of the
+    fit together. Both are 0 without what `Allowance` adds, and with a known pose too, where a bias
+    of the positions, or of the pose, speaks as loud as one of the intrinsics. Hidden errors are as
+    for `Residuals.hidden_covariance`.
     """
-    problem = residuals.problem
+    problem, worst = residuals.problem, (0.0, 0.0)
     n = problem.n_of_cameras
     if n == 0 or problem.pose_is_known:
-        return 0.0
-    first = problem.size - n
+        return worst
+    first, told = problem.size - n, problem.rules.told_combinations
     deviations = np.array([prior.deviation for prior in problem.priors[-n:]])
     others = residuals.jacobian[:, [place for place in problem.free if place < first]]
     effects = residuals.jacobian[:, first:] * deviations
     left = effects - others @ np.linalg.lstsq(others, effects)[0]
     _, sizes, axes = np.linalg.svd(left, full_matrices=False)
-    roots = np.sqrt(residuals.weights[0])
-    # One combination in place of all, and without a prior.
-    one = replace(problem, columns=problem.columns[: 1 - n or None], priors=problem.priors[:-n])
-    told, worst = problem.rules.told_combinations, 0.0
     for axis in axes[:told][sizes[:told] > 1e-6 * sizes[0]]:  # less is told by nothing
-        jacobian = np.column_stack([residuals.jacobian[:, :first], effects @ axis])
-        alone = replace(residuals, problem=one, jacobian=jacobian)
-        step = np.linalg.lstsq(roots[:, None] * alone.free, -roots * residuals.distances_px)[0][-1]
+        value = float(axis @ (residuals.parameters.columns[-n:] / deviations))
+        alone = _with_only(residuals, axis * deviations, value)
+        shift = float(alone.parameters.columns[-1])
+        if np.max(np.abs(shift * axis * deviations)) > problem.rules.most_shift:
+            continue  # so little is told of it that the fit runs away
         covariance = alone.covariance()
         if hidden_px is not None:
             covariance = covariance + alone.hidden_covariance(hidden_px)
-        value = float(axis @ (residuals.parameters.columns[-n:] / deviations) + step)
-        worst = max(worst, abs(value) / float(np.sqrt(1.0 + covariance[-1, -1])))
+        worst = max(worst, (abs(shift) / float(np.sqrt(1.0 + covariance[-1, -1])), abs(shift)))
     return worst
+
+
+def _with_only(residuals: Residuals, amounts: Array, value: float = 0.0) -> Residuals:
+    """Fit one combination (n,) of the intrinsics, free of priors, in place of all of them."""
+    n, problem = len(amounts), residuals.problem
+    own = list(zip(problem.columns[-n:], amounts, strict=True))
+    dp1_px = np.sum([amount * column.dp1_px for column, amount in own], axis=0)
+    dp2_px = np.sum([amount * column.dp2_px for column, amount in own], axis=0)
+    columns = (*problem.columns[:-n], Column(dp1_px, dp2_px, is_of_camera=True))
+    one = replace(problem, columns=columns, priors=problem.priors[:-n])
+    start = residuals.parameters
+    start = replace(start, columns=np.append(start.columns[:-n], value))
+    return linearise(one, solve(one, start).parameters)
+
+
+_CHANGES: tuple[tuple[str, tuple[int, ...], str, tuple[str, str]], ...] = (
+    ("focal length", (0, 1), "% ", ("longer", "shorter")),
+    ("principal point", (2,), "px further to the ", ("right", "left")),
+    ("principal point", (3,), "px ", ("lower", "higher")),
+)
+"""What may be wrong with a camera: a name, places of it, its unit, and words for its two signs."""
+
+
+def wanted(residuals: Residuals) -> str:
+    """Say which change of one camera, or of the other, explains most of what is misfit."""
+    problem, parameters = residuals.problem, residuals.parameters
+    ones = uncertain_ones(problem.rig)[: problem.n_of_cameras]
+    plain = replace(problem, columns=problem.columns[: -len(ones)], priors=())
+    at_rig = replace(parameters, columns=parameters.columns[: -len(ones)])
+    scale_px = problem.turn * robust_deviation(linearise(plain, at_rig).distances_px)
+    found: list[tuple[float, str, str]] = []
+    for camera, (name, places, unit, words) in product((0, 1), _CHANGES):
+        amounts = [float(one.camera == camera and one.place in places) for one in ones]
+        changed = _with_only(residuals, np.array(amounts)) if any(amounts) else None
+        share = np.inf if changed is None else float(changed.parameters.columns[-1])
+        if changed is None or abs(share) > problem.rules.most_shift:
+            continue
+        loss = float(np.sum(np.log1p((changed.distances_px / scale_px) ** 2)))
+        K, axis = (problem.rig.cam1, problem.rig.cam2)[camera].K, places[0] % 2
+        # To first order in the columns: what is seen at 1 / (1 + s) of its ray fits at -s.
+        size = 100.0 * share / (1.0 - share) if places[0] < 2 else share * K[axis, axis]
+        by = f"{abs(size):.2g} {unit}{words[int(size < 0.0)]}"
+        found.append((loss, name, f"camera {camera + 1}'s {name} wants to be {by}"))
+    found.sort()
+    return ", or ".join([said for _, name, said in found if name == found[0][1]][:2])
+
+
+def turned_by_focals(residuals: Residuals) -> Array:
+    """Angles (2,) [rad] by which R and t turn for focal lengths that are longer by a share of 1.
+
+    What is wrong with those of both cameras alike is hardly seen in a fit, and goes into the pose.
+    """
+    problem, parameters = residuals.problem, residuals.parameters
+    dp1_px, dp2_px = (
+        np.sum(moves_of(camera, p_px)[:2], axis=0)
+        for camera, p_px in (
+            (problem.rig.cam1, problem.pairs.p1_px),
+            (problem.rig.cam2, problem.pairs.p2_px),
+        )
+    )
+    both = Column(dp1_px, dp2_px, is_of_camera=True)
+    at = replace(parameters, columns=np.append(parameters.columns, 0.0))
+    longer = linearise(replace(problem, columns=(*problem.columns, both)), at)
+    own = problem.free[problem.free < problem.size - problem.n_of_cameras]
+    system = np.sqrt(longer.weights[0])[:, None] * longer.jacobian
+    turned = np.zeros(problem.size)
+    turned[own] = np.linalg.lstsq(system[:, own], -system[:, -1])[0]
+    R, t = turned[T_D + 1 : T_D + 4], turned[T_D + 4 : FIRST_COLUMN]
+    return np.array([np.linalg.norm(R), np.linalg.norm(t)])

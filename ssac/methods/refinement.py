@@ -13,7 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssac.estimate import Estimate, Status
-from ssac.fit.intrinsics import Allowance, evidence, fundamental_of
+from ssac.fit.intrinsics import (
+    Allowance,
+    evidence,
+    fundamental_of,
+    turned_by_focals,
+    wanted,
+)
 from ssac.fit.least_squares import (
     Parameters,
     Problem,
@@ -141,7 +147,9 @@ class Refinement(ABC):
         problem, parameters = residuals.problem, residuals.parameters
         fitted = with_fit(start, residuals.F, residuals.p1_px, residuals.p2_px)
         F = fundamental_of(problem, parameters)
-        against = evidence(residuals, hidden_px)
+        rules = self.rules.verdict
+        against, shift = evidence(residuals, hidden_px)
+        misfit = wanted(residuals) if against > rules.in_doubt else ""
         return replace(
             fitted,
             F=F / np.linalg.norm(F),
@@ -150,5 +158,9 @@ class Refinement(ABC):
             R=parameters.R,
             t=parameters.t,
             covariance=None if problem.pose_is_known else covariance[:6, :6],
-            doubt=doubt(residuals.distances_px, self.size_px, self.rules.verdict, against),
+            per_focal_deg=np.degrees(turned_by_focals(residuals)),
+            against=against,
+            shift=shift,
+            misfit=misfit,
+            doubt=doubt(residuals.distances_px, self.size_px, rules, against, misfit),
         )

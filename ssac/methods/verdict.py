@@ -74,7 +74,11 @@ def refused(estimate: Estimate, refusal: Refusal, found: list[Valley] | None = N
 
 
 def doubt(
-    distances_px: Array, object_px: float, rules: VerdictRules, against_intrinsics: float = 0.0
+    distances_px: Array,
+    object_px: float,
+    rules: VerdictRules,
+    against_intrinsics: float = 0.0,
+    misfit: str = "",
 ) -> str:
     """Say what is not ordinary in a fit's last step; empty when all is.
 
@@ -83,7 +87,8 @@ def doubt(
     those others lie far out, or all do.
 
     Distances (n,) are signed and weighed, of the parameters found; the object's size is the rms of
-    both images together; `against_intrinsics` is of `ssac.fit.intrinsics.evidence`.
+    both images together; `against_intrinsics` is of `ssac.fit.intrinsics.evidence`, and `misfit`
+    of `ssac.fit.intrinsics.wanted`.
     """
     mean_px, spread_px = float(np.mean(np.abs(distances_px))), robust_deviation(distances_px)
     has_tail = mean_px > rules.max_tail * spread_px
@@ -99,8 +104,8 @@ def doubt(
     if against_intrinsics > rules.max_against:
         return (
             f"other intrinsics fit better, {against_intrinsics:.1f} of their stated deviations from"
-            " the rig's: calibrate again, or state larger ones (intrinsics_std, --focal-std,"
-            " --centre-std)"
+            f" the rig's: {misfit}; calibrate again, or state larger ones (intrinsics_std,"
+            " --focal-std, --centre-std)"
         )
     return ""
 

@@ -52,6 +52,7 @@ def report_json(answer: Answer) -> dict[str, Any]:
         "readout_std_s": plain(estimate.readouts_std_s),
         "R": plain(estimate.R),
         "t": plain(estimate.t),
+        "deg_per_percent_of_focals": plain(0.01 * estimate.per_focal_deg),
         "status": str(estimate.status),
         "reason": estimate.reason,
         "note": answer.note,
@@ -185,12 +186,17 @@ def _pose_rows(estimate: Estimate, R: Array, t: Array) -> list[tuple[str, str]]:
     rotation = Rotation.from_matrix(R).as_rotvec(degrees=True)
     sigmas = [f", 1 sigma {std:.3f} deg" if np.isfinite(std) else "" for std in stds_deg]
     apart_deg = np.degrees(np.arccos(np.clip(R[2, 2], -1.0, 1.0)))
-    return [
+    rows = [
         ("lines of sight", f"{apart_deg:.2f} deg apart"),
         ("rotation", f"vector {_vector(rotation, 3)} deg{sigmas[0]}; x2 = R x1 + t"),
         ("translation", f"t = {_vector(t, 4)}, of unknown length{sigmas[1]}"),
         ("", f"camera 2 lies towards {_vector(-R.T @ t, 3)} of camera 1 (right, down, forward)"),
     ]
+    if np.isfinite(estimate.per_focal_deg).all():
+        R_deg, t_deg = 0.01 * estimate.per_focal_deg
+        both = f"1 % of both focal lengths turns R by {R_deg:.2f} deg and t by {t_deg:.2f} deg"
+        rows.append(("rests on", both))
+    return rows
 
 
 def _samples(answer: Answer) -> str:
