@@ -373,6 +373,11 @@ class VerdictRules:
     # From the rig's intrinsics to those that fit best, in their stated deviations.
     max_against: float = 3.5
     in_doubt: float = 2.0  # of those, from which on the intrinsics count as less certain
+    max_against_less_sure: float = 2.5  # of these
+    # What is known at least of intrinsics that are of use, as of a careless calibration: a share
+    # of the focal lengths, and of the centre.
+    least_focal: float = 0.01
+    least_centre_px: float = 5.0
 
 
 @dataclass(frozen=True)
@@ -579,6 +584,28 @@ class GroundRules:
 
 
 @dataclass(frozen=True)
+class RetryRules:
+    """What is tried where the usual gives nothing (`ssac.pipeline.retries`)."""
+
+    far_skew: float = 3.0  # prior deviations of a skew, beyond which the prior is wrong
+    fast_ppm: float = 1000.0  # prior deviation of one that runs at a rate of its own
+    # Of clocks that count frames at a rate that varies: a frame more or less in 5 s, of 30 a
+    # second, is 6700 ppm. On pairs of phones of drone-tracking's data set 4.
+    roughnesses_ppm: tuple[float, float] = (2000.0, 6000.0)
+    any_rate: tuple[float, float] = (0.5, 2.0)  # of a track, by the other camera's
+    # Of an object that gives few events: halves of windows, and events that one holds at least;
+    # and the background of a pixel [Hz] below which nothing needs to be filtered.
+    longer_s: float = 0.04
+    longest_s: float = 0.05
+    fewest: int = 8
+    quiet_hz: float = 1e-3
+    # Two drones that cross again and again, or keep near each other; one drone often seems two.
+    closer: ObjectRules = ObjectRules(
+        several_share=0.005, cell_widths=1 / 86, apart_sizes=0.1, lasting_bins=25
+    )
+
+
+@dataclass(frozen=True)
 class Rules:
     """The rules of all stages; the defaults are what every committed result was made with."""
 
@@ -605,6 +632,7 @@ class Rules:
     tangency: TangencyRules = TangencyRules()
     albl: AlblRules = AlblRules()
     signals: SignalRules = SignalRules()
+    retry: RetryRules = RetryRules()
 
 
 def check_rules(rules: object) -> None:

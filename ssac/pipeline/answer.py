@@ -36,7 +36,8 @@ class Answer:
     config: Config  # with nothing left open; its interval is the one searched
     rig_name: str = "the rig"
     start: Start | None = None  # of a search over all offsets, if there was one
-    wanders: bool = False  # one skew did not fit a track, so its clock is of pieces unasked
+    clock: str = ""  # of which kind camera 2's is, where the kind asked for did not fit
+    misfit: str = ""  # what of the rig seems wrong, where its deviations were taken for larger ones
     is_start: bool = False  # the object is tiny: the estimate is that of `method.starts_from`
     seconds: dict[str, float] = field(default_factory=dict)  # by part, in the order they ran
 
@@ -60,13 +61,26 @@ class Answer:
     def notes(self) -> tuple[str, ...]:
         """What a user of the offset must know beside its status, a sentence each."""
         estimate, said = self.estimate, list[str]()
-        if self.wanders:
+        for number, camera in enumerate((self.rig.cam1, self.rig.cam2), start=1):
+            if not camera.has_centre:
+                pu, pv = camera.K[:2, 2]
+                said.append(
+                    f"camera {number}'s principal point, ({pu:g}, {pv:g}) px, lies outside of its"
+                    f" image of {camera.width} x {camera.height} px: if the image is not cropped,"
+                    " the rig is of another camera or resolution, or in another order"
+                )
+        if self.clock == "pieces":
             said.append(
                 "no one skew fits these tracks: a clock wanders, as those of phones do, and is"
                 " followed piece by piece (--clock pieces); the offset alone holds at its time only"
             )
         if not estimate.has_offset:
             return tuple(said)
+        if self.misfit:
+            said.append(
+                f"what is seen contradicts the rig: {self.misfit}; its intrinsics count as less"
+                " certain than it says, and the deviations are the larger for it: calibrate again"
+            )
         if self.is_start:
             said.append(
                 "the object is too small for an outline that says more than the mean of its events:"

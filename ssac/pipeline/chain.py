@@ -24,11 +24,20 @@ from threadpoolctl import ThreadpoolController
 from ssac.camera import Cameras, Rig, check_cameras
 from ssac.config import Config, Interval, validated
 from ssac.errors import SsacError
-from ssac.estimate import SETTLED_BY, Estimate, Refusal, Status
+from ssac.estimate import Estimate, Refusal, Status
 from ssac.methods.method import Input, Method
 from ssac.methods.verdict import less_sure, quantum_s
 from ssac.pipeline.answer import Answer, Log, Stopwatch, quiet
 from ssac.pipeline.registry import choose_method, load
+from ssac.pipeline.retries import (
+    WANDERING,
+    is_truer,
+    less_certain,
+    lies_elsewhere,
+    other_clocks,
+    other_ways,
+    usual_mistake,
+)
 from ssac.search.offset_search import has_common_time, unusable
 from ssac.search.one_object import one_object
 from ssac.search.start import Start, start_of
@@ -37,9 +46,6 @@ from ssac.track.clean import Clean, clean
 from ssac.track.observation import Observation, check_seen
 
 Found = TypeVar("Found")
-
-WANDERING = "pieces"
-"""Clock of tracks that none of one skew fits: those of phones and camcorders change theirs."""
 
 MEANS, IMAGES = "means", "images"
 """What a method takes of intensity frames: one number each, or all of them."""
@@ -196,19 +202,58 @@ class Chain:
             return self._once(key, lambda: self._answered(chosen, (i, j), config))
 
     def _answered(self, method: Method, places: tuple[int, int], config: Config) -> Answer:
-        rig, of_frames = self.rig.pair(*places), method.input is Input.FRAMES
+        """Answer as asked; or, where that gives nothing, as what is seen may be seen otherwise."""
+        answer = self._asked(method, places, config)
+        if answer.estimate.has_offset or method.input is not Input.TRACKS:
+            return answer
+        for way in other_ways(self.config, answer.cleans, answer.estimate):
+            chain = self.under(way)
+            other = chain._asked(method, places, way.resolved(self._has_track(*places)))
+            if other.estimate.status == Status.OK:
+                return other
+        return answer
+
+    def _asked(self, method: Method, places: tuple[int, int], config: Config) -> Answer:
+        """Search the offsets that are asked for; all, where that is open and they give nothing."""
+        rig, of_tracks = self.rig.pair(*places), method.input is Input.TRACKS
         cleans = self._given(method, places[0]), self._given(method, places[1])
         pair = _Pair(method, places, cleans, cleans, method.rig_of(rig), config)
         _check_two(self.name(places[0]), self.name(places[1]), *cleans)
-        tries_all = method.input is Input.TRACKS and self._searches_all(*cleans)
-        if method.of_one_object and config.choose_object and not of_frames:
-            cleans, refusal = self._one_object(places, config.offsets_s)
+        tries_all = of_tracks and self._searches_all(*cleans)
+        answer = self._of_one(pair, tries_all)
+        if not of_tracks or answer.estimate.has_offset:
+            return answer
+        if not tries_all and lies_elsewhere(self.config, answer.estimate):
+            wider = self._of_one(pair, True)
+            if wider.estimate.has_offset:
+                return wider
+            answer = wider if is_truer(wider.estimate, answer.estimate) else answer
+        mistake = usual_mistake(pair.rig, answer.cleans, answer.estimate)
+        if mistake is None:
+            return answer
+        hint, rig, cleans = mistake
+        mended = self._compared(replace(pair, rig=rig, cleans=cleans, seen=cleans), tries_all)
+        if not mended.estimate.has_offset:
+            return answer
+        reason = f"{answer.estimate.reason}; all agrees if {hint}"
+        return replace(answer, estimate=replace(answer.estimate, reason=reason))
+
+    def _of_one(self, pair: _Pair, tries_all: bool) -> Answer:
+        """Answer with the one object that all cameras saw, for methods that look at one."""
+        method, config = pair.method, pair.config
+        if method.of_one_object and config.choose_object and method.input is not Input.FRAMES:
+            cleans, refusal = self._one_object(pair.places, None if tries_all else config.offsets_s)
             pair = replace(pair, cleans=cleans, seen=cleans)
             if refusal is not None:
                 return self._refused(pair, refusal)
         if method.input is not Input.TRACKS:
             return self._answer(pair, self._run(pair))
-        views = self._views(cleans, rig.unposed, config)
+        return self._compared(pair, tries_all)
+
+    def _compared(self, pair: _Pair, tries_all: bool) -> Answer:
+        """Search offsets of what two cameras saw of one object, and refine the best."""
+        cleans, config = pair.cleans, pair.config
+        views = self._views(cleans, pair.rig.unposed, config)
         refusal = unusable(views, cleans, None if tries_all else config.offsets_s)
         if refusal is None and tries_all:
             start = self._start(pair, views)
@@ -216,23 +261,33 @@ class Chain:
             if start.has_guess:
                 key = "seen", id(cleans[1]), start.guess.rate, start.anchor_s
                 other = self._once(key, partial(start.as_seen, cleans[1]), cleans)
-                pair = replace(pair, seen=(cleans[0], other), config=start.config(config))
+                near = start.config(config)
+                if not self._searches_all(*cleans):  # nobody asked for all: as much must be seen
+                    near = replace(near, min_swings=config.min_swings)
+                pair = replace(pair, seen=(cleans[0], other), config=near)
         return self._refined(pair) if refusal is None else self._refused(pair, refusal)
 
     def _refined(self, pair: _Pair) -> Answer:
-        """Run the method from where it is to begin, with a clock of pieces where no other fits."""
-        found, wanders = self._run(pair), False
+        """Run the method, with other clocks where its own fits ill, and with a less certain rig."""
+        found, clock, misfit = self._run(pair), "", ""
         of_track = any(one.has_track for one in pair.cleans)
-        tries = of_track and self.config.clock == "auto" and pair.config.prior_ppm > 0.0
-        if tries and found.status in SETTLED_BY["pieces"]:
-            other = replace(pair, config=replace(pair.config, clock=WANDERING))
-            wandering = self._run(other)
-            if wandering.has_offset:
-                pair, found, wanders = other, wandering, True
+        for name, config in other_clocks(self.config, pair.config, of_track, found):
+            other = replace(pair, config=config)
+            by_other = self._run(other)
+            if by_other.has_offset:
+                pair, found, clock = other, by_other, name
+                break
+        rules = pair.config.rules.verdict
+        if found.against > rules.in_doubt and found.status in (Status.OK, Status.POOR_FIT):
+            other = replace(pair, rig=less_certain(pair.rig, found, rules))
+            by_other = self._run(other)
+            if by_other.has_offset and by_other.against <= rules.max_against_less_sure:
+                pair, found, misfit = other, by_other, found.misfit
         is_start = bool(pair.method.keeps_start) and pair.method.keeps(
             self._views(pair.seen, pair.rig.unposed, pair.config)
         )
-        return replace(self._answer(pair, found), wanders=wanders, is_start=is_start)
+        answer = self._answer(pair, found)
+        return replace(answer, clock=clock, misfit=misfit, is_start=is_start)
 
     def _run(self, pair: _Pair) -> Estimate:
         """Run a method, after those that it starts from, and put it on camera 2's own clock."""
@@ -247,7 +302,7 @@ class Chain:
         config = pair.config
         if method.input is Input.TRACKS and not method.starts_from and method.runs:
             config = config.searching
-        key = "estimate", method, _ids(pair.seen), config
+        key = "estimate", method, _ids(pair.seen), _key_of(pair.rig), config
         return self._once(key, lambda: self._found(method, pair), pair.seen)
 
     def _found(self, method: Method, pair: _Pair) -> Estimate:
@@ -256,6 +311,7 @@ class Chain:
         if method.input is not Input.TRACKS:
             return method.function(*pair.seen, pair.config)
         views = self._views(pair.seen, pair.rig.unposed, pair.config)
+        views = replace(views, rig=pair.rig.unposed)  # which may be less certain
         if method.needs_extrinsics:
             views = views.with_pose(pair.rig)
         if not method.starts_from:
@@ -322,7 +378,7 @@ class Chain:
         return self._once(("frames", k, frames), framed)
 
     def _one_object(
-        self, places: tuple[int, int], interval_s: Interval
+        self, places: tuple[int, int], interval_s: Interval | None
     ) -> tuple[tuple[Clean, Clean], Refusal | None]:
         """Give two cameras with the events of the one object that is chosen for the whole rig."""
         config = self.config
@@ -360,13 +416,26 @@ class Chain:
         return has_track or not has_common_time((one, other), config.offsets_s)
 
     def _start(self, pair: _Pair, views: TwoViews) -> Start:
-        def found() -> Start:
+        """Search all offsets; of a track at any rate, where none fits at about the other's."""
+
+        def found(rates: Interval | None) -> Start:
             with self.watch.part("search") as say:
-                start = start_of(views, pair.config.rates, _progress(self.watch.log))
+                start = start_of(views, rates, _progress(self.watch.log))
                 say(start.words)
             return start
 
-        return self._once(("start", _ids(pair.cleans), pair.config), found, pair.cleans)
+        def any_rate() -> Start:
+            start, rates = found(pair.config.rates), pair.config.rates
+            if (
+                start.refusal is None
+                or rates is not None
+                or not any(one.has_track for one in pair.cleans)
+            ):
+                return start
+            other = found(pair.config.rules.retry.any_rate)
+            return start if other.refusal is not None else other
+
+        return self._once(("start", _ids(pair.cleans), pair.config), any_rate, pair.cleans)
 
     def _views(self, cleans: tuple[Clean, Clean], rig: Rig, config: Config) -> TwoViews:
         key = "views", _ids(cleans), config.windows, config.offsets_s
@@ -395,6 +464,12 @@ def _cameras_of(rig: Cameras | Rig) -> Cameras:
 
 def _kind(value: object) -> str:
     return type(value).__name__
+
+
+def _key_of(rig: Rig) -> Hashable:
+    """Tell rigs of the same cameras apart."""
+    pose = None if rig.T_2_1 is None else rig.T_2_1.tobytes()
+    return rig.cam1.intrinsics_std_px, rig.cam2.intrinsics_std_px, pose
 
 
 def _ids(cleans: tuple[Clean, Clean]) -> tuple[int, int]:

@@ -71,7 +71,7 @@ def same_pixel(x):
     ("cameras", "interval_s", "statuses"),
     [
         (lambda one, two, other: (one, other), None, OUTSIDE),  # different objects
-        (lambda one, two, other: (one, two.delayed(2.5)), None, OUTSIDE),  # outside the search
+        (lambda one, two, other: (one, two.delayed(2.5)), (-1.0, 1.0), OUTSIDE),  # of the search
         (lambda one, two, other: (one, two.delayed(100.0)), (-1.0, 1.0), ("no_common_time",)),
         # Bug: the fit of F divided by the points' spread, zero here.
         (lambda *_: (same_pixel(100), same_pixel(120)), None, ("no_motion", "too_few_samples")),

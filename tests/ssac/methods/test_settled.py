@@ -10,7 +10,7 @@ from ssac import Chain, Config, Estimate, Status, two_views
 from ssac.estimate import SETTLED_BY
 from ssac.methods.hypotheses import Choice
 from ssac.methods.tangency import tangency_from
-from ssac.rules import Rules
+from ssac.rules import RetryRules, Rules
 from ssac.track.observation import tracked
 from tests.ssac.box import CLEAN, box_events, observations
 from tests.ssac.synthetic import make_scene
@@ -84,11 +84,14 @@ def answered(config, status, helps, monkeypatch):
 def test_a_clock_of_pieces_settles_what_the_table_names_of_tracks(status, helps, monkeypatch):
     answer, tried = answered(Config(), status, helps, monkeypatch)
     is_settled = status in SETTLED_BY["pieces"]
-    assert tried == (["affine", "pieces"] if is_settled else ["affine"])
-    assert answer.wanders == (is_settled and helps)
-    assert answer.estimate.status == (Status.OK if answer.wanders else status)
-    assert answer.config.clock == ("pieces" if answer.wanders else "affine")
-    assert ("a clock wanders" in answer.note) == answer.wanders
+    # The smoothest first, then rougher ones.
+    n_tried = (1 if helps else 1 + len(RetryRules.roughnesses_ppm)) if is_settled else 0
+    assert tried == ["affine", *n_tried * ["pieces"]]
+    wanders = answer.clock == "pieces"
+    assert wanders == (is_settled and helps)
+    assert answer.estimate.status == (Status.OK if wanders else status)
+    assert answer.config.clock == ("pieces" if wanders else "affine")
+    assert ("a clock wanders" in answer.note) == wanders
 
 
 @pytest.mark.parametrize(
@@ -96,4 +99,4 @@ def test_a_clock_of_pieces_settles_what_the_table_names_of_tracks(status, helps,
 )
 def test_a_clock_that_was_asked_for_stays(config, monkeypatch):
     answer, tried = answered(config, Status.CLOCK_JUMP, True, monkeypatch)
-    assert (answer.estimate.status, answer.wanders, tried) == ("clock_jump", False, ["affine"])
+    assert (answer.estimate.status, answer.clock, tried) == ("clock_jump", "", ["affine"])
