@@ -46,6 +46,8 @@ COMMANDS = (
           "experiments.studies.outdoor", "command"),
     Entry("network", REPRODUCE, "Many cameras at once: errors of four, run time with eight.",
           "experiments.studies.network", "command"),
+    Entry("by-hand", REPRODUCE, "Ordinary and odd recordings: the default beside settings by hand.",
+          "experiments.studies.by_hand", "command"),
     Entry("physical", REPRODUCE, "The paper's small-scale experiment, simulated; error budget.",
           "experiments.studies.physical", "command"),
     Entry("bench", REPRODUCE, "Speed and memory, beside the reference tools.",

@@ -18,6 +18,7 @@ FILES = (
     "fidelity",
     "ablations",
     "spread",
+    "by_hand",
     "physical",
     "outdoor",
     "network",

@@ -1,0 +1,340 @@
+"""Ordinary and odd recordings: the default of `ssac sync` beside settings by hand.
+
+A user should not need a setting that the default could have found out. Of each recording, which is
+drawn from its number, the default is judged; where it is not right, eight settings are tried that
+a user would try.
+
+    ssac by-hand --base 1 --recordings 72 --out out       # numbers 0 to 71; kinds take turns
+    ssac by-hand --base 1 --first 17 --recordings 1 --every --out out
+"""
+
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from experiments.lab.cache import Cache
+from experiments.lab.cell import Flight, Measure
+from experiments.lab.command import command_of
+from experiments.lab.results import Results
+from experiments.lab.score import Truth
+from experiments.lab.study import Made, Runs, Study
+from experiments.scenes.options import MAX_SEED
+from experiments.studies.coverage import QUANTITIES
+from experiments.studies.imperfect import ImperfectRow, given_columns, held
+from experiments.worlds.odd import KINDS, SHORT_S, WRONG_RIG, OddCell, drawn, recorded, truth_of
+from ssac.camera import with_deviations
+from ssac.cli.options import flag, named, number
+from ssac.config import Config
+from ssac.errors import SsacError
+from ssac.pipeline.chain import Chain
+from ssac.pipeline.registry import DEFAULT
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+BoolArray = NDArray[np.bool_]
+FloatArray = NDArray[np.float64]
+UNASKED = "default"
+SPARED = "spared"
+"""Status of a setting that was not tried, as the default is right."""
+
+MAX_SIGMAS, MAX_ERROR_MS, MAX_ERROR_DEG = 4.0, 10.0, 3.0
+"""An estimate is right if its offset is within both bounds of it, and its pose within one."""
+
+HELD = {name: QUANTITIES[name] for name in ("t_d", "R", "t")}
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What a user types behind the files."""
+
+    config: Config = field(default_factory=Config)
+    method: str = DEFAULT
+    deviations: tuple[float | None, float | None] = (None, None)  # focal lengths, centres [px]
+
+
+SETTINGS: Mapping[str, Setting] = {
+    UNASKED: Setting(),
+    "--search-all": Setting(Config(search="all")),
+    "--no-denoise --half-window 0.05 --n-min 8": Setting(
+        Config(denoise=False, half_window_s=0.05, n_min=8)
+    ),
+    "--clock pieces": Setting(Config(clock="pieces")),
+    "--skew-prior 3000": Setting(Config(skew_prior_ppm=3000.0)),
+    "--focal-std 3 --centre-std 10": Setting(deviations=(0.03, 10.0)),
+    "--method joint": Setting(method="joint"),
+    "--half-window 0.04": Setting(Config(half_window_s=0.04)),
+    "--neighbours 3 --n-min 8": Setting(Config(n_neighbours=3, n_min=8)),
+}
+
+
+@dataclass(frozen=True)
+class HandCell:
+    """A setting on one recording."""
+
+    recording: OddCell
+    setting: str
+    every: bool  # even where the default is right
+
+    @property
+    def recordings(self) -> tuple[Flight, ...]:
+        """The one flight."""
+        return self.recording.recordings
+
+    @property
+    def columns(self) -> dict[str, Any]:
+        """Which run it is."""
+        return {**self.recording.columns, "setting": self.setting}
+
+    @property
+    def inputs(self) -> tuple[Any, ...]:
+        """What the row depends on beside recording and code."""
+        return *self.recording.inputs, self.setting, self.every
+
+
+@dataclass(frozen=True)
+class HandRow(ImperfectRow):
+    """What was said, its errors, and what it took."""
+
+    t_d_estimate_ms: float = np.nan  # given or not
+    cpu_s: float = np.nan  # with denoising for the default, and without where that was done before
+
+
+def hand_cells(
+    base: Annotated[int, number("Seed of all draws.", 0, MAX_SEED)] = 0,
+    first: Annotated[int, number("Number of the first recording.", 0, MAX_SEED)] = 0,
+    recordings: Annotated[int, number("How many numbers.", 1, MAX_SEED, metavar="COUNT")] = 45,
+    kind: Annotated[str, named("NAME", "Those of these numbers that are of one kind.")] = "",
+    far: Annotated[float, number("Share of offsets beyond 1 s in most kinds.", 0, 1)] = 0.5,
+    every: Annotated[bool, flag("every", "Try settings where the default is right too.")] = False,
+) -> list[HandCell]:
+    """List all settings on recordings that are drawn by their numbers."""
+    if kind and kind not in KINDS:
+        raise SsacError(f"--kind: expected one of {', '.join(KINDS)}, got {kind!r}")
+    drawn_ones = (drawn(base, one, far) for one in range(first, first + recordings))
+    return [
+        HandCell(one, setting, every and setting != UNASKED)
+        for one in drawn_ones
+        if kind in ("", one.kind)
+        for setting in SETTINGS
+    ]
+
+
+@dataclass
+class Tried:
+    """A recording, and what the default says of it, which is found once."""
+
+    chain: Chain
+    truth: Truth
+    default: HandRow | None = None
+
+    def said(self, setting: Setting) -> HandRow:
+        """Run a setting, and score what it says."""
+        chain = self.chain
+        if setting.deviations != (None, None):
+            cameras = (with_deviations(one, *setting.deviations) for one in chain.rig.cameras)
+            cleans = chain.clean(0), chain.clean(1)
+            chain = Chain(cleans, replace(chain.rig, cameras=tuple(cameras)))
+        start_s = time.process_time()
+        estimate = chain.under(setting.config).estimate(setting.method)
+        cpu_s = time.process_time() - start_s
+        return HandRow(
+            **given_columns(estimate, self.truth) | {"t_d_estimate_ms": 1e3 * estimate.t_d_s},
+            n_events_cam1=chain.clean(0).n_recorded,
+            n_events_cam2=chain.clean(1).n_recorded,
+            cpu_s=cpu_s,
+        )
+
+    def by_default(self) -> HandRow:
+        """Run the default."""
+        if self.default is None:
+            self.default = self.said(SETTINGS[UNASKED])
+        return self.default
+
+
+def load_tried(cells: Sequence[HandCell], cache: Cache) -> Tried:
+    """Load the recording that the cells share."""
+    pair = recorded(cells[0].recording, cache)
+    truth = truth_of(cells[0].recording, pair)
+    return Tried(Chain((pair.cam1, pair.cam2), pair.rig), truth)
+
+
+def hand_row(cell: HandCell, tried: Tried) -> HandRow:
+    """Run one setting on one recording, unless the default is right and gives all."""
+    if cell.setting == UNASKED:
+        return tried.by_default()
+    if not cell.every:
+        with suppress(SsacError):  # of which the default's own row tells
+            default = tried.by_default()
+            if default.pose_given and right(pd.DataFrame([vars(default)]))[0]:
+                return HandRow(SPARED)
+    return tried.said(SETTINGS[cell.setting])
+
+
+def beyond(runs: pd.DataFrame) -> dict[str, BoolArray]:
+    """Tell of t_d, R and t whether they are given and over `MAX_SIGMAS` deviations off."""
+    most = chi2.sf(MAX_SIGMAS**2, 1)  # of several angles together one that is as improbable
+    return {
+        name: chi2.sf(np.square(_numbers(runs, one.column)), one.parameters) < most
+        for name, one in HELD.items()
+    }
+
+
+def right(runs: pd.DataFrame) -> BoolArray:
+    """Tell which runs (n,) give an offset, and nothing that is wrong."""
+    far = beyond(runs)
+    bad = far["t_d"] | ~(_numbers(runs, "t_d_error_ms") < MAX_ERROR_MS)
+    for name, column in (("R", "r_error_deg"), ("t", "t_error_deg")):
+        bad |= far[name] & (_numbers(runs, column) > MAX_ERROR_DEG)
+    return np.asarray(runs["offset_given"].astype(bool)) & ~bad
+
+
+def _numbers(runs: pd.DataFrame, column: str) -> FloatArray:
+    return runs[column].to_numpy(np.float64)
+
+
+def hand_table(runs: pd.DataFrame) -> pd.DataFrame:
+    """Sum up by kind what the default says, and what settings by hand would.
+
+    Returns
+    -------
+    pd.DataFrame
+        One row for all recordings, for those whose rig is as it says, for those under `SHORT_S`,
+        and for each kind: `recordings`; `answered`, those with an offset, and `posed`, with a pose
+        too. Each is one of `wrong`, `settled`, where a setting is right and gives more, be it an
+        offset or a pose, `right`, and refused by all. Of t_d, R and t how many are given, and the
+        share whose interval or region of 95 % holds the truth; `beyond`, with one of them over
+        `MAX_SIGMAS` deviations off, and `worst`, the number of the recording that is farthest off
+        and by how many; `refused`, the statuses of those without an offset, and `settings`, which
+        are right where these are `settled`, with their counts; median and largest `cpu_s`.
+    """
+    runs = runs.assign(is_right=right(runs), is_beyond=np.any(list(beyond(runs).values()), axis=0))
+    runs["gives"] = runs["offset_given"].astype(int) + runs["pose_given"].astype(int)
+    default = pd.DataFrame([_judged(group) for _, group in runs.groupby(["base", "flight"])])
+    parts = {
+        "all": default,
+        "rig as stated": default[default["kind"] != WRONG_RIG],
+        f"under {SHORT_S:g} s": default[default["duration_s"] < SHORT_S],
+    }
+    parts |= {kind: default[default["kind"] == kind] for kind in KINDS}
+    table: pd.DataFrame = pd.DataFrame(
+        [{"kind": kind, **_counts(some)} for kind, some in parts.items() if len(some)]
+    )
+    return table
+
+
+def _judged(runs: pd.DataFrame) -> "pd.Series[Any]":
+    """Give the row of the default on a recording, with what is to be said of it."""
+    default = runs[runs["setting"] == UNASKED].iloc[0]
+    better = runs[runs["is_right"] & (runs["gives"] > default["gives"])]["setting"]
+    verdict = "right" if default["is_right"] else "refused"
+    if default["gives"] and not default["is_right"]:
+        verdict, better = "wrong", better[:0]
+    elif len(better):
+        verdict = "settled"
+    judged: pd.Series[Any] = pd.concat(
+        [default, pd.Series({"verdict": verdict, "settings": list(better)})]
+    )
+    return judged
+
+
+def _counts(default: pd.DataFrame) -> dict[str, Any]:
+    given = default["offset_given"].astype(bool)
+    counts, _ = held(default, HELD)
+    row: dict[str, Any] = {
+        "recordings": len(default),
+        "answered": int(given.sum()),
+        "posed": int(default["pose_given"].astype(bool).sum()),
+        **{one: int((default["verdict"] == one).sum()) for one in ("right", "wrong", "settled")},
+    }
+    for name in HELD:
+        n_given = row[f"{name}_given"] = counts[f"{name}_given"]
+        row[f"{name}_held"] = counts[f"{name}_held"] / n_given if n_given else np.nan
+    return row | {
+        "beyond": int(default["is_beyond"].sum()),
+        "worst": _worst(default),
+        "refused": _listed(default["status"][~given]),
+        "settings": _listed(default["settings"].explode()),
+        "cpu_s_median": default["cpu_s"].median(),
+        "cpu_s_most": default["cpu_s"].max(),
+    }
+
+
+def _worst(default: pd.DataFrame) -> str:
+    off = default[[one.column for one in HELD.values()]].abs().max(axis=1)
+    if off.isna().all():
+        return ""
+    flight = default["flight"].iloc[int(np.nanargmax(off))]
+    return f"{flight}: {off.max():.1f}"
+
+
+def _listed(words: "pd.Series[Any]") -> str:
+    return "; ".join(f"{word} {count}" for word, count in words.value_counts().items())
+
+
+def hand_figure(table: pd.DataFrame) -> "Figure":
+    """Draw by kind what became of the recordings, and how often the 95 % intervals hold."""
+    from matplotlib.figure import Figure
+
+    from experiments.drawing.style import WIDTH_IN, quiet_axes
+
+    figure = Figure(figsize=(WIDTH_IN, 4.0), layout="constrained")
+    left, axes = figure.subplots(1, 2, sharey=True)
+    n = table["recordings"]
+    parts = {
+        "right": (table["right"], "#009E73"),
+        "wrong": (table["wrong"], "#D55E00"),
+        "a setting gives more": (table["settled"], "#E69F00"),
+        "refused by all": (n - table[["right", "wrong", "settled"]].sum(axis=1), "0.8"),
+    }
+    start: FloatArray = np.zeros(len(table))
+    for label, (count, color) in parts.items():
+        share = 100.0 * (count / n).to_numpy(np.float64)
+        left.barh(table["kind"], share, left=start, color=color, label=label)
+        start = start + share
+    for (name, quantity), marker in zip(HELD.items(), "Ds^", strict=True):
+        axes.plot(100.0 * table[f"{name}_held"], table["kind"], marker, ms=5, label=quantity.label)
+    axes.axvline(95.0, color="0.6", lw=0.8)
+    left.set_xlabel("recordings [%]")
+    axes.set_xlabel("in the interval of 95 % [%]")
+    left.invert_yaxis()
+    for one in (left, axes):
+        quiet_axes(one)
+        above = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0)}
+        one.legend(**above, ncols=2, fontsize=8, frameon=False)
+    return figure
+
+
+def _runs(results: Results) -> pd.DataFrame:
+    return results.table("by_hand_runs")
+
+
+STUDIES = (
+    Study(
+        "by_hand",
+        "Ordinary and odd recordings: the default beside settings by hand",
+        hand_cells,
+        Measure(load_tried, hand_row, HandRow),
+        Runs("by_hand_runs.csv", ("base", "flight", "setting"), took=("cpu_s",)),
+        (
+            Made("by_hand.csv", lambda results: hand_table(_runs(results))),
+            Made("by_hand.png", lambda results: hand_figure(results.table("by_hand"))),
+        ),
+        command="ssac by-hand",
+        shows="by_hand",
+        again=False,
+        is_committed=False,
+    ),
+)
+
+command = command_of(
+    {"by_hand": STUDIES},
+    "Ordinary and odd recordings: the default of `ssac sync` beside settings by hand.",
+)

@@ -1,0 +1,142 @@
+"""The default beside settings by hand: how recordings are drawn, judged and summed up."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from typer.testing import CliRunner
+
+from experiments.cli import app
+from experiments.studies import by_hand
+from experiments.studies.by_hand import (
+    SETTINGS,
+    SPARED,
+    UNASKED,
+    HandRow,
+    beyond,
+    hand_cells,
+    hand_figure,
+    hand_table,
+    right,
+)
+from experiments.worlds import odd
+from experiments.worlds.odd import KINDS, drawn
+from ssac.errors import SsacError
+from tests.experiments.reported import flown
+
+RIGHT = HandRow("ok", "", True, True, t_d_error_ms=0.2, t_d_normalised=2.0, r_error_deg=0.5,
+                r_mahalanobis=2.7, t_error_deg=0.5, t_mahalanobis=2.4, cpu_s=1.0)  # fmt: skip
+POSELESS = HandRow("degenerate_pose", "", True, t_d_error_ms=0.2, t_d_normalised=-1.0, cpu_s=1.0)
+REFUSED = HandRow("no_match", "two paths", cpu_s=1.0)
+
+
+def frame(*rows: HandRow) -> pd.DataFrame:
+    return pd.DataFrame([vars(row) for row in rows])
+
+
+def test_a_recording_follows_from_its_number_alone() -> None:
+    few, later = hand_cells(1, 0, 20), hand_cells(1, 10, 10)
+    assert few[10 * len(SETTINGS) :] == later
+    assert [one.recording.kind for one in few[:: len(SETTINGS)]] == (3 * list(KINDS))[:20]
+    assert drawn(1, 4).sim != drawn(2, 4).sim
+    assert drawn(1, 4).seed != drawn(1, 13).seed
+    # Where the clocks are alters nothing else.
+    near, far = drawn(1, 4, 0.0), drawn(1, 4, 1.0)
+    assert abs(near.sim.t_d_s) <= 1.0 <= abs(far.sim.t_d_s) <= 3600.0
+    assert replace(near.sim, t_d_s=0.0) == replace(far.sim, t_d_s=0.0)
+    assert replace(near, sim=far.sim) == far
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_recordings_are_as_their_kind_says(kind: str) -> None:
+    draw, first = KINDS[kind], list(KINDS).index(kind)
+    for one in (drawn(3, number) for number in range(first, 200, len(KINDS))):
+        sim = one.sim
+        assert one.kind == kind
+        assert draw.duration_s[0] <= sim.spline.duration_s <= draw.duration_s[1]
+        assert sim.drone_size_m is not None
+        size_px = sim.drone_size_m * sim.focal_px / sim.distance_m
+        assert size_px == pytest.approx(one.size_px, rel=0.01)  # it is rounded to a millimetre
+        assert sim.spline.max_radius_m + 0.5 * sim.drone_size_m < sim.distance_m
+        assert bool(one.spoilt_by) == (kind in ("clutter", "two objects", "wrong rig"))
+
+
+def test_what_is_right_is_near_in_deviations_and_in_units() -> None:
+    wrong = [
+        replace(RIGHT, t_d_normalised=-4.1),
+        replace(RIGHT, t_d_error_ms=10.1),
+        # 4.6 of two angles together are as improbable as 4.1 of one; below 3 deg they do no harm.
+        replace(RIGHT, t_mahalanobis=4.6, t_error_deg=3.1),
+        REFUSED,
+    ]
+    rows = frame(RIGHT, POSELESS, replace(RIGHT, r_mahalanobis=9.0), *wrong)
+    assert right(rows).tolist() == 3 * [True] + 4 * [False]
+    assert beyond(rows)["R"].tolist() == [False, False, True] + 4 * [False]
+    assert beyond(rows)["t_d"].tolist() == 3 * [False] + [True] + 3 * [False]
+    assert beyond(rows)["t"].tolist() == 5 * [False] + [True, False]
+
+
+def runs_of(*tried: tuple[HandRow, HandRow]) -> pd.DataFrame:
+    """Rows of the default and of one setting, on recordings of kinds in turns."""
+    cells = [drawn(1, number) for number in range(len(tried))]
+    rows = [
+        {**cell.columns, "setting": setting, **vars(row)}
+        for cell, pair in zip(cells, tried, strict=True)
+        for setting, row in zip((UNASKED, "--search-all"), pair, strict=True)
+    ]
+    return pd.DataFrame(rows)
+
+
+def test_the_table_says_what_became_of_each_recording() -> None:
+    table = hand_table(
+        runs_of(
+            (RIGHT, HandRow(SPARED)),
+            (replace(RIGHT, t_d_error_ms=20.0, t_d_normalised=7.0), RIGHT),
+            (REFUSED, RIGHT),
+            (POSELESS, RIGHT),
+            (POSELESS, REFUSED),
+            (REFUSED, replace(RIGHT, t_d_error_ms=20.0)),
+        )
+    ).set_index("kind")
+    row = table.loc["all"]
+    assert (row["recordings"], row["answered"], row["posed"]) == (6, 4, 2)
+    assert (row["right"], row["wrong"], row["settled"]) == (2, 1, 2)
+    assert (row["refused"], row["settings"]) == ("no_match 2", "--search-all 2")
+    assert (row["beyond"], row["worst"], row["cpu_s_median"]) == (1, "1: 7.0", 1.0)
+    # 2.0 deviations are outside of 1.96; 2.7 of three angles, and 2.4 of two, are inside.
+    assert (row["t_d_given"], row["t_d_held"]) == (4, 0.5)
+    assert (row["R_given"], row["R_held"], row["t_held"]) == (2, 1.0, 1.0)
+    assert table.loc["plain", "right"] == 1
+    assert table.loc["faint", "settings"] == ""
+    assert len(hand_figure(table.reset_index()).axes) == 2
+
+
+def test_the_command_tries_settings_where_the_default_is_not_right(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(odd, "recorded_pair", lambda *_: flown())
+    some = {name: SETTINGS[name] for name in (UNASKED, "--search-all", "--method joint")}
+    monkeypatch.setattr(by_hand, "SETTINGS", some)
+    line = ["by-hand", "--base", "1", "--first", "17", "--recordings", "1", "--workers", "1"]
+
+    def tried(*options: str) -> pd.DataFrame:
+        folders = ["--out", str(tmp_path), "--cache", str(tmp_path / "cache")]
+        result = CliRunner().invoke(app, [*line, *folders, *options], catch_exceptions=False)
+        assert result.exit_code == 0, result.output
+        return pd.read_csv(tmp_path / "by_hand_runs.csv").set_index("setting")
+
+    default, *others = tried("--far", "0").to_dict("records")
+    assert (default["status"], default["kind"]) == ("ok", "wide"), default["reason"]
+    assert {one["status"] for one in others} == {SPARED}
+    # A flight of 6 s: some ms at most, as its deviation says.
+    assert abs(default["t_d_normalised"]) < 4.0
+    assert default["cpu_s"] > 0.0
+    every = tried("--far", "0", "--every")
+    assert every.loc["--method joint", "status"] == "ok"
+    assert every.loc[UNASKED, "t_d_estimate_ms"] == default["t_d_estimate_ms"]
+
+
+def test_a_kind_that_is_none_is_one_line() -> None:
+    with pytest.raises(SsacError, match=r"--kind: expected one of plain, .*, got 'odd'"):
+        hand_cells(kind="odd")
