@@ -61,7 +61,7 @@ def other_clocks(
 
 
 def other_ways(asked: Config, cleans: tuple[Clean, Clean], found: Estimate) -> Iterator[Config]:
-    """Give other ways to see the object: closer, over longer windows, or without a filter."""
+    """Give other ways to see the object: closer, over longer windows, of fewer events."""
     of_events, plain, rules = [one for one in cleans if not one.has_track], Config(), asked.rules
     if not of_events:
         return
@@ -72,6 +72,7 @@ def other_ways(asked: Config, cleans: tuple[Clean, Clean], found: Estimate) -> I
     if not is_plain or found.status not in _FEW_EVENTS:
         return
     yield replace(asked, half_window_s=rules.retry.longer_s)
+    yield replace(asked, n_neighbours=rules.retry.few_neighbours, n_min=rules.retry.fewest)
     backgrounds_hz = [
         0.0 if one.clutter is None else one.clutter.background_hz for one in of_events
     ]
