@@ -45,9 +45,17 @@ class Camera:
         K = _floats(self.K)  # of nonsense NaN: `check_camera` says what is wrong
         object.__setattr__(self, "K", K)
         if self.intrinsics_std_px is None:
-            focal_px = GOOD_FOCAL * np.ravel(K)[:5:4]
-            deviations_px = (*focal_px.tolist(), GOOD_CENTRE_PX, GOOD_CENTRE_PX)
-            object.__setattr__(self, "intrinsics_std_px", deviations_px)
+            object.__setattr__(self, "intrinsics_std_px", self._good_std_px)
+
+    @property
+    def states_intrinsics(self) -> bool:
+        """Whether it says how well its intrinsics are known; else as of a good calibration."""
+        return tuple(self.intrinsics_std_px) != self._good_std_px
+
+    @property
+    def _good_std_px(self) -> tuple[float, ...]:
+        focal_px = GOOD_FOCAL * np.ravel(self.K)[:5:4]
+        return (*focal_px.tolist(), GOOD_CENTRE_PX, GOOD_CENTRE_PX)
 
     @property
     def has_centre(self) -> bool:

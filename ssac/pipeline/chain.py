@@ -31,6 +31,7 @@ from ssac.pipeline.answer import Answer, Log, Stopwatch, quiet
 from ssac.pipeline.registry import choose_method, load
 from ssac.pipeline.retries import (
     WANDERING,
+    doubt_from,
     is_truer,
     less_certain,
     lies_elsewhere,
@@ -278,7 +279,8 @@ class Chain:
                 pair, found, clock = other, by_other, name
                 break
         rules = pair.config.rules.verdict
-        if found.against > rules.in_doubt and found.status in (Status.OK, Status.POOR_FIT):
+        is_in_doubt = found.against > doubt_from(pair.rig, rules)
+        if is_in_doubt and found.status in (Status.OK, Status.POOR_FIT):
             other = replace(pair, rig=less_certain(pair.rig, found, rules))
             by_other = self._run(other)
             if by_other.has_offset and by_other.against <= rules.max_against_less_sure:

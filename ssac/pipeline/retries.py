@@ -81,6 +81,12 @@ def other_ways(asked: Config, cleans: tuple[Clean, Clean], found: Estimate) -> I
         yield replace(asked, half_window_s=longest_s, n_min=n_min, denoise=False)
 
 
+def doubt_from(rig: Rig, rules: VerdictRules) -> float:
+    """How much must speak against a rig that it counts as less certain; more if it states that."""
+    states = rig.cam1.states_intrinsics or rig.cam2.states_intrinsics
+    return rules.max_against if states else rules.in_doubt
+
+
 def less_certain(rig: Rig, found: Estimate, rules: VerdictRules) -> Rig:
     """Give a rig that is as uncertain as an estimate says, as far as that is ordinary.
 
