@@ -53,11 +53,18 @@ def other_clocks(
     is_far = abs(found.skew_ppm) > rules.far_skew * config.prior_ppm
     if asked.skew_prior_ppm is None and not of_track:
         if is_far or found.status in SETTLED_BY[FAST]:
-            yield FAST, replace(config, skew_prior_ppm=rules.fast_ppm)
+            yield FAST, _with_fast_clock(config)
     elif asked.clock == "auto" and of_track and found.status in SETTLED_BY[WANDERING]:
         rougher = (one for one in rules.roughnesses_ppm if one > config.roughness_ppm)
         for roughness_ppm in (config.roughness_ppm, *rougher):
             yield WANDERING, replace(config, clock=WANDERING, roughness_ppm=roughness_ppm)
+
+
+def _with_fast_clock(config: Config) -> Config:
+    """Let the skew be free; then less is enough for a jump, which a skew would take for its own."""
+    rules = config.rules
+    clock = replace(rules.clock, jump_sigmas=rules.clock.fewer_sigmas)
+    return replace(config, skew_prior_ppm=rules.retry.fast_ppm, rules=replace(rules, clock=clock))
 
 
 def other_ways(asked: Config, cleans: tuple[Clean, Clean], found: Estimate) -> Iterator[Config]:
