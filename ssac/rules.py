@@ -590,6 +590,8 @@ class RetryRules:
 
     far_skew: float = 3.0  # prior deviations of a skew, beyond which the prior is wrong
     fast_ppm: float = 1000.0  # prior deviation of one that runs at a rate of its own
+    # Least skew that is believed in place of a jump: one of 5 ms in 20 s looks like 470 ppm.
+    least_fast_ppm: float = 600.0
     # Of clocks that count frames at a rate that varies: a frame more or less in 5 s, of 30 a
     # second, is 6700 ppm. On pairs of phones of drone-tracking's data set 4.
     roughnesses_ppm: tuple[float, float] = (2000.0, 6000.0)

@@ -32,6 +32,7 @@ from ssac.pipeline.registry import choose_method, load
 from ssac.pipeline.retries import (
     WANDERING,
     doubt_from,
+    is_settled_by,
     is_truer,
     less_certain,
     lies_elsewhere,
@@ -275,7 +276,7 @@ class Chain:
         for name, config in other_clocks(self.config, pair.config, of_track, found):
             other = replace(pair, config=config)
             by_other = self._run(other)
-            if by_other.has_offset:
+            if is_settled_by(by_other, found, name, config.rules.retry):
                 pair, found, clock = other, by_other, name
                 break
         rules = pair.config.rules.verdict

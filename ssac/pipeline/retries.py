@@ -13,7 +13,7 @@ import numpy as np
 from ssac.camera import Rig, same_camera
 from ssac.config import Config
 from ssac.estimate import SETTLED_BY, Estimate, Status
-from ssac.rules import VerdictRules
+from ssac.rules import RetryRules, VerdictRules
 from ssac.track.clean import Clean
 
 FAST, WANDERING = "fast", "pieces"
@@ -53,18 +53,19 @@ def other_clocks(
     is_far = abs(found.skew_ppm) > rules.far_skew * config.prior_ppm
     if asked.skew_prior_ppm is None and not of_track:
         if is_far or found.status in SETTLED_BY[FAST]:
-            yield FAST, _with_fast_clock(config)
+            yield FAST, replace(config, skew_prior_ppm=rules.fast_ppm)
     elif asked.clock == "auto" and of_track and found.status in SETTLED_BY[WANDERING]:
         rougher = (one for one in rules.roughnesses_ppm if one > config.roughness_ppm)
         for roughness_ppm in (config.roughness_ppm, *rougher):
             yield WANDERING, replace(config, clock=WANDERING, roughness_ppm=roughness_ppm)
 
 
-def _with_fast_clock(config: Config) -> Config:
-    """Let the skew be free; then less is enough for a jump, which a skew would take for its own."""
-    rules = config.rules
-    clock = replace(rules.clock, jump_sigmas=rules.clock.fewer_sigmas)
-    return replace(config, skew_prior_ppm=rules.retry.fast_ppm, rules=replace(rules, clock=clock))
+def is_settled_by(by_other: Estimate, found: Estimate, clock: str, rules: RetryRules) -> bool:
+    """Whether another clock's answer holds; a fast one must be faster than a jump looks."""
+    is_slow = abs(by_other.skew_ppm) < rules.least_fast_ppm
+    return by_other.has_offset and not (
+        clock == FAST and found.status == Status.CLOCK_JUMP and is_slow
+    )
 
 
 def other_ways(asked: Config, cleans: tuple[Clean, Clean], found: Estimate) -> Iterator[Config]:
