@@ -48,8 +48,8 @@ def long_tailed():
         (normal(1.4), OBJECT_PX, 0.0, "far for an object of 10.0 px rms"),
         (normal(1.1), 0.5 * OBJECT_PX, 0.0, "far for an object of 5.0 px rms"),
         (one_in_ten_far_out(), OBJECT_PX, 0.0, "something else moves in view"),
-        (normal(0.3), OBJECT_PX, 3.4, ""),
-        (normal(0.3), OBJECT_PX, 3.6, "calibrate again"),
+        (normal(0.3), OBJECT_PX, 3.9, ""),
+        (normal(0.3), OBJECT_PX, 4.1, "calibrate again"),
     ],
 )
 def test_what_is_not_ordinary_is_said(distances_px, object_px, against, words):
