@@ -2,17 +2,36 @@
 
 Colours are of Okabe and Ito's set, which stays apart for colour-blind people, beside those of
 `ssac.pipeline.plots`. A method that is given the extrinsics has its sibling's colour and a hollow
-marker.
+marker. Matplotlib is imported when a figure is drawn: studies are listed without it.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
 
-from matplotlib.axes import Axes
+from numpy.typing import NDArray
 
-from ssac.network.comparison import Comparison
-from ssac.pipeline.plots import save_comparison
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from ssac.network.comparison import Comparison
+else:
+    Axes = Figure = Comparison = Any
+
+__all__ = [  # Axes and Figure too, for studies that only name these types
+    "WIDTH_IN",
+    "Axes",
+    "Figure",
+    "Look",
+    "comparison_png",
+    "legend_below",
+    "method_looks",
+    "panels",
+    "quiet_axes",
+]
 
 WIDTH_IN = 9.0
 """Of every figure; at DPI it is as wide as a README shows."""
@@ -62,8 +81,33 @@ def quiet_axes(axes: Axes) -> None:
     axes.tick_params(labelsize=8)
 
 
+def panels(
+    height_in: float, rows: int = 1, columns: int = 1, **shared: Any
+) -> tuple[Figure, NDArray[Any]]:
+    """Make a figure and its axes (rows, columns)."""
+    from matplotlib import figure
+
+    made = figure.Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
+    grid = made.subplots(rows, columns, squeeze=False, **shared)
+    for axes in grid.flat:
+        quiet_axes(axes)
+    return made, grid
+
+
+def legend_below(figure: Figure, ncols: int, handles: Sequence[Any] | None = None) -> None:
+    """Name what is drawn: some handles, or all of the first axes."""
+    if handles is None:
+        handles = figure.axes[0].get_legend_handles_labels()[0]
+    labels = [str(one.get_label()) for one in handles]
+    figure.legend(
+        handles, labels, loc="outside lower center", ncols=ncols, fontsize=8, frameon=False
+    )
+
+
 def comparison_png(comparison: Comparison) -> bytes:
     """Draw a path beside the truth as `ssac compare` does it."""
+    from ssac.pipeline.plots import save_comparison
+
     with TemporaryDirectory() as folder:
         file = Path(folder) / "comparison.png"
         save_comparison(file, comparison)

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 from scipy.stats import t as student
 
-from experiments.drawing.panels import Figure, legend_below, panels
+from experiments.drawing.style import Figure, legend_below, panels
 from experiments.lab.grid import GridConfig, config_names, named_config
 from experiments.lab.markdown import digits, markdown_table
 from experiments.lab.results import Results

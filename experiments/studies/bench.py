@@ -15,7 +15,7 @@ import pandas as pd
 import typer
 from numpy.typing import ArrayLike
 
-from experiments.drawing.panels import Axes, Figure, legend_below, panels
+from experiments.drawing.style import Axes, Figure, legend_below, panels
 from experiments.lab.command import command_of
 from experiments.lab.markdown import markdown_table
 from experiments.lab.results import Results

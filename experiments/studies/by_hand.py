@@ -12,19 +12,20 @@ import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from experiments.drawing.style import Figure, panels
 from experiments.lab.cache import Cache
 from experiments.lab.cell import Flight, Measure
 from experiments.lab.command import command_of
-from experiments.lab.results import Results
 from experiments.lab.score import Truth
-from experiments.lab.study import Made, Runs, Study
+from experiments.lab.study import Runs, Study
+from experiments.lab.summary import made_of
 from experiments.scenes.options import MAX_SEED
 from experiments.studies.coverage import QUANTITIES
 from experiments.studies.imperfect import ImperfectRow, given_columns, held
@@ -35,9 +36,6 @@ from ssac.config import Config
 from ssac.errors import SsacError
 from ssac.pipeline.chain import Chain
 from ssac.pipeline.registry import DEFAULT
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 BoolArray = NDArray[np.bool_]
 FloatArray = NDArray[np.float64]
@@ -279,14 +277,10 @@ def _listed(words: "pd.Series[Any]") -> str:
     return "; ".join(f"{word} {count}" for word, count in words.value_counts().items())
 
 
-def hand_figure(table: pd.DataFrame) -> "Figure":
+def hand_figure(table: pd.DataFrame) -> Figure:
     """Draw by kind what became of the recordings, and how often the 95 % intervals hold."""
-    from matplotlib.figure import Figure
-
-    from experiments.drawing.style import WIDTH_IN, quiet_axes
-
-    figure = Figure(figsize=(WIDTH_IN, 4.0), layout="constrained")
-    left, axes = figure.subplots(1, 2, sharey=True)
+    figure, grid = panels(4.0, columns=2, sharey=True)
+    left, axes = grid[0]
     n = table["recordings"]
     parts = {
         "right": (table["right"], "#009E73"),
@@ -306,14 +300,9 @@ def hand_figure(table: pd.DataFrame) -> "Figure":
     axes.set_xlabel("in the interval of 95 % [%]")
     left.invert_yaxis()
     for one in (left, axes):
-        quiet_axes(one)
         above = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0)}
         one.legend(**above, ncols=2, fontsize=8, frameon=False)
     return figure
-
-
-def _runs(results: Results) -> pd.DataFrame:
-    return results.table("by_hand_runs")
 
 
 STUDIES = (
@@ -324,8 +313,8 @@ STUDIES = (
         Measure(load_tried, hand_row, HandRow),
         Runs("by_hand_runs.csv", ("base", "flight", "setting"), took=("cpu_s",)),
         (
-            Made("by_hand.csv", lambda results: hand_table(_runs(results))),
-            Made("by_hand.png", lambda results: hand_figure(results.table("by_hand"))),
+            made_of("by_hand.csv", hand_table, "by_hand_runs"),
+            made_of("by_hand.png", hand_figure, "by_hand"),
         ),
         command="ssac by-hand",
         shows="by_hand",

@@ -14,7 +14,7 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.stats import beta, chi2
 
-from experiments.drawing.panels import Axes, Figure, legend_below, panels
+from experiments.drawing.style import Axes, Figure, legend_below, method_looks, panels
 from experiments.lab.grid import named_config
 from experiments.lab.markdown import listed, markdown_table
 from experiments.lab.results import Results
@@ -135,8 +135,6 @@ def coverage_figure(runs: pd.DataFrame) -> Figure:
 
 
 def _draw_panel(axes: Axes, runs: pd.DataFrame, quantity: Quantity) -> None:
-    from experiments.drawing.style import method_looks
-
     nominal, most = np.linspace(0.0, 1.0, 101), 0
     for method, look in method_looks(method_order(runs["method"])).items():
         values = quantity.normalised(runs[runs["method"] == method])

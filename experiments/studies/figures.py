@@ -13,7 +13,7 @@ from typing import Annotated, Any
 
 import typer
 
-from experiments.drawing.panels import Figure
+from experiments.drawing.style import Figure
 from experiments.lab.cache import DEFAULT_FOLDER, Cache
 from experiments.lab.cell import Flight
 from experiments.lab.files import record_checksums

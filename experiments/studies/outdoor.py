@@ -15,6 +15,7 @@ import pandas as pd
 import typer
 from numpy.typing import NDArray
 
+from experiments.drawing.style import comparison_png
 from experiments.lab.cache import Cache
 from experiments.lab.cell import Flight, Measure, PlainCell, RunRow
 from experiments.lab.command import command_of
@@ -272,8 +273,6 @@ def first_recording(duration: float = DURATION_S, **_: Any) -> tuple[Flight, ...
 
 def first_flight(_: Results, folder: Path) -> bytes | None:
     """Draw the first flight, all adjusted at once, beside its RTK; None if it was refused."""
-    from experiments.drawing.style import comparison_png
-
     truths, cell = truths_of((folder,)), OutdoorCell(0, TWO_AT_ONCE)
     answer = at_once((folder,), truths, cell)
     if not answer.paths:

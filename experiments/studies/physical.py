@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from experiments.drawing.panels import Figure, legend_below, panels
+from experiments.drawing.style import Figure, legend_below, method_looks, panels
 from experiments.lab.command import command_of
 from experiments.lab.markdown import digits, markdown_table
 from experiments.lab.results import Results
@@ -198,8 +198,6 @@ def budget_figure(summary: pd.DataFrame) -> Figure:
     stand where there is none and where there are all.
     """
     from matplotlib.ticker import LogLocator
-
-    from experiments.drawing.style import method_looks
 
     places, looks = np.arange(len(IMPERFECTIONS)), method_looks([*METHODS])
     height_in = 1.2 + 0.22 * len(places) * len(METHODS)

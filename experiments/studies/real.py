@@ -17,7 +17,7 @@ import pandas as pd
 import typer
 from numpy.typing import NDArray
 
-from experiments.drawing.panels import Axes, Figure, panels
+from experiments.drawing.style import Axes, Figure, comparison_png, panels
 from experiments.lab.command import OutOption, check_is_folder
 from experiments.lab.files import csv_text, png_bytes, record_checksums, save_text
 from experiments.lab.markdown import markdown_table
@@ -75,8 +75,6 @@ def real_command(
 
     The data are not part of this suite: github.com/CenekAlbl/drone-tracking-datasets.
     """
-    from experiments.drawing.style import comparison_png
-
     check_is_folder(out)
     start_s, paths, sets = time.perf_counter(), list[tracks.Row](), list[tracks.DataSet]()
     pictures = dict[str, bytes]()

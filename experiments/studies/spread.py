@@ -18,7 +18,7 @@ import pandas as pd
 import typer
 from scipy.spatial.transform import Rotation
 
-from experiments.drawing.panels import Figure, legend_below, panels
+from experiments.drawing.style import Figure, legend_below, panels
 from experiments.lab.cell import Measure, PlainCell, RunRow
 from experiments.lab.study import How, Runs, Study
 from experiments.lab.summary import answered, made_of

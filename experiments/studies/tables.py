@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 from scipy.stats import gmean
 
-from experiments.drawing.panels import Figure
+from experiments.drawing.style import Figure
 from experiments.lab.cell import CRASHED
 from experiments.lab.command import CheckOption, RendererOption, command_of, drawn_by
 from experiments.lab.grid import Cell

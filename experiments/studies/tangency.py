@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from experiments.drawing.panels import Figure, panels
+from experiments.drawing.style import Figure, method_looks, panels
 from experiments.lab.cache import Cache
 from experiments.lab.cell import FlightCell, Measure, RunRow
 from experiments.lab.recorded import recorded_pair
@@ -149,8 +149,6 @@ def study_figure(means: pd.DataFrame) -> Figure:
     A bar is the mean over all flights, a tick t_d's mean at the worst angle; the method as it is
     comes first, in black, and its mean is the dotted line. `joint` is left out: it is far off.
     """
-    from experiments.drawing.style import method_looks
-
     variants = means[means["variant"] != JOINT]
     as_it_is = variants["variant"] == AS_IT_IS
     colors = [method_looks(["tangency"])["tangency"].color if it else "0.65" for it in as_it_is]
