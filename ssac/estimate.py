@@ -77,10 +77,31 @@ SETTLED_BY: dict[str, tuple[Status, ...]] = {
     "tangency": (Status.AMBIGUOUS_OFFSET, Status.DEGENERATE_POSE, Status.POOR_FIT),
     "fast": (Status.NO_CONVERGENCE, Status.CLOCK_JUMP, Status.NO_MATCH, Status.POOR_FIT),
     "pieces": (Status.CLOCK_JUMP, Status.POOR_FIT),
+    "all offsets": (
+        Status.SEVERAL_OBJECTS,
+        Status.NO_COMMON_TIME,
+        Status.TOO_FEW_SAMPLES,
+        Status.SEARCH_BOUND,
+        Status.TOO_LITTLE_MOTION,
+        Status.NO_CONVERGENCE,
+        Status.CLOCK_JUMP,
+        Status.NO_MATCH,
+        Status.POOR_FIT,
+        Status.AMBIGUOUS_OFFSET,
+    ),
+    "closer": (
+        Status.SEVERAL_OBJECTS,
+        Status.CLOCK_JUMP,
+        Status.NO_MATCH,
+        Status.POOR_FIT,
+        Status.AMBIGUOUS_OFFSET,
+    ),
+    "few events": (Status.NO_MOTION, Status.TOO_FEW_SAMPLES, Status.TOO_LITTLE_MOTION),
+    "rig": (Status.SEARCH_BOUND, Status.NO_CONVERGENCE, Status.NO_MATCH, Status.POOR_FIT),
 }
 """Which refusals a later stage may overrule: the refinement of positions those of the search, that
 of tangents those of `joint`; a fast clock those of ordinary ones, and one of pieces those of one
-constant skew."""
+constant skew; and what `ssac.pipeline.retries` tries, those of what was seen as usual."""
 
 
 @dataclass(frozen=True)

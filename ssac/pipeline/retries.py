@@ -2,7 +2,8 @@
 
 Nobody should need an option for what can be found out: clocks far apart, fast ones and those that
 wander; objects that give few events, or are several; a rig whose intrinsics are less certain than
-it says. What the config asks for is kept, and nothing is tried where the default gives an answer.
+it says. What the config asks for is kept, and nothing is tried where the default gives an answer,
+but for a skew or a rig that is in doubt.
 """
 
 from collections.abc import Iterator
@@ -19,28 +20,17 @@ from ssac.track.clean import Clean
 FAST, WANDERING = "fast", "pieces"
 """Clocks of one skew far beyond that of oscillators; and of phones, whose skew changes."""
 
-_INTERVAL = (Status.NO_COMMON_TIME, Status.SEARCH_BOUND, Status.NO_MATCH)
-_OFFSETS = (
-    *(*_INTERVAL, Status.SEVERAL_OBJECTS, Status.TOO_FEW_SAMPLES, Status.TOO_LITTLE_MOTION),
-    *(Status.NO_CONVERGENCE, Status.CLOCK_JUMP, Status.POOR_FIT, Status.AMBIGUOUS_OFFSET),
-)
-_OBJECTS = (
-    *(Status.SEVERAL_OBJECTS, Status.CLOCK_JUMP, Status.NO_MATCH, Status.POOR_FIT),
-    Status.AMBIGUOUS_OFFSET,
-)
-_FEW_EVENTS = (Status.NO_MOTION, Status.TOO_FEW_SAMPLES, Status.TOO_LITTLE_MOTION)
-_RIG = (Status.NO_CONVERGENCE, Status.NO_MATCH, Status.POOR_FIT, Status.SEARCH_BOUND)
-
 
 def lies_elsewhere(asked: Config, found: Estimate) -> bool:
     """Whether an interval that nobody asked for gave nothing, and other offsets may."""
     is_asked = asked.interval_s is not None or asked.rates is not None or asked.search != "auto"
-    return not is_asked and found.status in _OFFSETS
+    return not is_asked and found.status in SETTLED_BY["all offsets"]
 
 
 def is_truer(wider: Estimate, found: Estimate) -> bool:
     """Whether a search of all offsets says more than that an interval held none."""
-    return found.status in _INTERVAL and wider.status == Status.NO_MATCH
+    of_interval = (Status.NO_COMMON_TIME, Status.SEARCH_BOUND, Status.NO_MATCH)
+    return found.status in of_interval and wider.status == Status.NO_MATCH
 
 
 def other_clocks(
@@ -73,11 +63,15 @@ def other_ways(asked: Config, cleans: tuple[Clean, Clean], found: Estimate) -> I
     of_events, plain, rules = [one for one in cleans if not one.has_track], Config(), asked.rules
     if not of_events:
         return
-    if asked.choose_object and rules.objects == plain.rules.objects and found.status in _OBJECTS:
+    if (
+        asked.choose_object
+        and rules.objects == plain.rules.objects
+        and found.status in SETTLED_BY["closer"]
+    ):
         yield replace(asked, rules=replace(rules, objects=rules.retry.closer))
     fields = ("half_window_s", "n_min", "denoise", "n_neighbours")
     is_plain = all(getattr(asked, name) == getattr(plain, name) for name in fields)
-    if not is_plain or found.status not in _FEW_EVENTS:
+    if not is_plain or found.status not in SETTLED_BY["few events"]:
         return
     yield replace(asked, half_window_s=rules.retry.longer_s)
     yield replace(asked, n_neighbours=rules.retry.few_neighbours, n_min=rules.retry.fewest)
@@ -118,7 +112,7 @@ def usual_mistake(
 ) -> tuple[str, Rig, tuple[Clean, Clean]] | None:
     """Give the mistake in a rig that may explain a refusal, and all as if it were mended."""
     one, other = cleans
-    if found.status not in _RIG:
+    if found.status not in SETTLED_BY["rig"]:
         return None
     if rig.T_2_1 is not None:
         inverse = np.linalg.inv(rig.T_2_1).astype(np.float64)
