@@ -384,20 +384,18 @@ class Chain:
         self, places: tuple[int, int], interval_s: Interval | None
     ) -> tuple[tuple[Clean, Clean], Refusal | None]:
         """Give two cameras with the events of the one object that is chosen for the whole rig."""
-        config = self.config
+        config, cleans = self.config, [self.clean(k) for k in range(len(self))]
+        if any(self._searches_all(*two) for two in combinations(cleans, 2)):
+            interval_s = None
 
         def chosen() -> tuple[tuple[Clean, ...], Refusal | None]:
-            cleans = [self.clean(k) for k in range(len(self))]
-            tries_all = any(self._searches_all(*two) for two in combinations(cleans, 2))
             with self.watch.part("objects") as say:
-                found = one_object(cleans, config.rules, None if tries_all else interval_s)
+                found = one_object(cleans, config.rules, interval_s)
                 if any(len(one.events) for one in cleans):
                     say(_objects_seen(*found))
             return found
 
-        searched = interval_s, config.interval_s, config.search, config.rates
-        key = "object", config.cleaning, config.rules, *searched
-        every, refusal = self._once(key, chosen)
+        every, refusal = self._once(("object", config.cleaning, config.rules, interval_s), chosen)
         two = every[places[0]], every[places[1]]
         lost = [k for k in places if every[k].used.seen > 1 and every[k].used.share == 0.0]
         if refusal is None and lost:
