@@ -211,9 +211,11 @@ def wanted(residuals: Residuals) -> str:
     found: list[tuple[float, str, str]] = []
     for camera, (name, places, unit, words) in product((0, 1), _CHANGES):
         amounts = [float(one.camera == camera and one.place in places) for one in ones]
-        changed = _with_only(residuals, np.array(amounts)) if any(amounts) else None
-        share = np.inf if changed is None else float(changed.parameters.columns[-1])
-        if changed is None or abs(share) > problem.rules.most_shift:
+        if not any(amounts):
+            continue  # these are exact
+        changed = _with_only(residuals, np.array(amounts))
+        share = float(changed.parameters.columns[-1])
+        if abs(share) > problem.rules.most_shift:
             continue
         loss = float(np.sum(np.log1p((changed.distances_px / scale_px) ** 2)))
         K, axis = (problem.rig.cam1, problem.rig.cam2)[camera].K, places[0] % 2
@@ -228,9 +230,12 @@ def wanted(residuals: Residuals) -> str:
 def turned_by_focals(residuals: Residuals) -> Array:
     """Angles (2,) [rad] by which R and t turn for focal lengths that are longer by a share of 1.
 
-    What is wrong with those of both cameras alike is hardly seen in a fit, and goes into the pose.
+    What is wrong with those of both cameras alike is hardly seen in a fit, and goes into the pose;
+    NaN where that is known.
     """
     problem, parameters = residuals.problem, residuals.parameters
+    if problem.pose_is_known:
+        return np.full(2, np.nan)
     dp1_px, dp2_px = (
         np.sum(moves_of(camera, p_px)[:2], axis=0)
         for camera, p_px in (

@@ -102,9 +102,10 @@ def doubt(
             " calibration is of other cameras"
         )
     if against_intrinsics > rules.max_against:
+        which = f": {misfit}" if misfit else ""
         return (
             f"other intrinsics fit better, {against_intrinsics:.1f} of their stated deviations from"
-            f" the rig's: {misfit}; calibrate again, or state larger ones (intrinsics_std,"
+            f" the rig's{which}; calibrate again, or state larger ones (intrinsics_std,"
             " --focal-std, --centre-std)"
         )
     return ""

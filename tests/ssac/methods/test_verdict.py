@@ -49,7 +49,7 @@ def long_tailed():
         (normal(1.1), 0.5 * OBJECT_PX, 0.0, "far for an object of 5.0 px rms"),
         (one_in_ten_far_out(), OBJECT_PX, 0.0, "something else moves in view"),
         (normal(0.3), OBJECT_PX, 3.9, ""),
-        (normal(0.3), OBJECT_PX, 4.1, "calibrate again"),
+        (normal(0.3), OBJECT_PX, 4.1, "from the rig's; calibrate again"),
     ],
 )
 def test_what_is_not_ordinary_is_said(distances_px, object_px, against, words):

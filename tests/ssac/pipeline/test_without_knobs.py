@@ -125,6 +125,8 @@ def test_a_principal_point_outside_of_the_image_is_told(events):
 
 def test_an_inverse_transform_is_told(events):
     inverse = replace(SCENE.rig, T_2_1=np.linalg.inv(SCENE.rig.T_2_1))
+    known = ssac.sync(*events, SCENE.rig, known_extrinsics=True)
+    assert known.to_dict()["deg_per_percent_of_focals"] == [None, None]  # no pose is estimated
     result = ssac.sync(*events, inverse, known_extrinsics=True)
     assert not result.estimate.has_offset
     assert result.reason.endswith(
