@@ -74,6 +74,11 @@ class Answer:
                 "no one skew fits these tracks: a clock wanders, as those of phones do, and is"
                 " followed piece by piece (--clock pieces); the offset alone holds at its time only"
             )
+        if self.clock == "fast":
+            said.append(
+                "no skew of ordinary oscillators fits: camera 2's clock is taken to run at its own"
+                f" rate, with a prior deviation of {self.config.prior_ppm:g} ppm (--skew-prior)"
+            )
         if not estimate.has_offset:
             return tuple(said)
         if self.misfit:

@@ -50,6 +50,7 @@ def test_a_fast_clock_is_no_jump(events, skew_ppm):
     result = ssac.sync(one, fast, [CAMERA, CAMERA])
     assert result.status == Status.OK
     assert abs(result.skew_ppm - skew_ppm) < 4.0 * result.skew_std_ppm
+    assert "prior deviation of 1000 ppm" in result.to_dict()["note"]
 
 
 def test_a_jump_stays_one(events):
