@@ -76,6 +76,7 @@ SETTLED_BY: dict[str, tuple[Status, ...]] = {
     "joint": (Status.AMBIGUOUS_OFFSET, Status.AMBIGUOUS_POSE, Status.DEGENERATE_POSE),
     "tangency": (Status.AMBIGUOUS_OFFSET, Status.DEGENERATE_POSE, Status.POOR_FIT),
     "fast": (Status.NO_CONVERGENCE, Status.CLOCK_JUMP, Status.NO_MATCH, Status.POOR_FIT),
+    "rates": (Status.NO_CONVERGENCE, Status.NO_MATCH, Status.AMBIGUOUS_OFFSET),
     "pieces": (Status.CLOCK_JUMP, Status.POOR_FIT),
     "all offsets": (
         Status.SEVERAL_OBJECTS,
@@ -100,8 +101,8 @@ SETTLED_BY: dict[str, tuple[Status, ...]] = {
     "rig": (Status.SEARCH_BOUND, Status.NO_CONVERGENCE, Status.NO_MATCH, Status.POOR_FIT),
 }
 """Which refusals a later stage may overrule: the refinement of positions those of the search, that
-of tangents those of `joint`; a fast clock those of ordinary ones, and one of pieces those of one
-constant skew; and what `ssac.pipeline.retries` tries, those of what was seen as usual."""
+of tangents those of `joint`; a fast clock, or rate, those of ordinary ones, and one of pieces those
+of one constant skew; and what `ssac.pipeline.retries` tries, those of what was seen as usual."""
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from ssac.methods.hypotheses import Choice
 from ssac.methods.joint import refine
 from ssac.methods.method import method
 from ssac.methods.refinement import Refinement, Round
-from ssac.methods.verdict import certain
+from ssac.methods.verdict import certain, widened
 from ssac.rules import TangencyRules
 from ssac.search.two_views import TwoViews
 from ssac.track.motion import ObjectMotion
@@ -177,7 +177,10 @@ def tangency_from(start: Estimate, views: TwoViews) -> Estimate:
         # The refinement of this search was refused for its covariance.
         found = certain(refine_tangents(Choice(views, refine).settled(search), views), rules)
         strays_s, most = abs(found.t_d_s - start.t_d_s), views.rules.tangency.max_sigmas
-        return start if strays_s > most * start.t_d_std_s or found.status != Status.OK else found
+        if found.status != Status.OK:  # what fits poorly is not to be relied upon in part
+            return found if found.status == Status.POOR_FIT else start
+        # Where both disagree, either may be wrong: nothing is surer than their difference.
+        return widened(start, strays_s**2) if strays_s > most * start.t_d_std_s else found
     if views.alone.repeats or len(search.alternatives_s) == 0:  # the motion leaves the offset open
         return start
     found = certain(Choice(views, _from_search, by_own_pairs=True).settled(search), rules)

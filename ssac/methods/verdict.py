@@ -172,7 +172,11 @@ def less_sure(estimate: Estimate, quanta_s: tuple[float, float]) -> Estimate:
     Times cut off below a step of q are late by q / 2 on average, rounded ones are not: +-1.96
     deviations of an even distribution of width q hold both.
     """
-    hidden = sum(step_s**2 for step_s in quanta_s) / 12.0
+    return widened(estimate, sum(step_s**2 for step_s in quanta_s) / 12.0)
+
+
+def widened(estimate: Estimate, hidden: float) -> Estimate:
+    """Widen the offset's deviation by an error of its own, of this variance [s^2]."""
     if hidden == 0.0 or not np.isfinite(estimate.t_d_std_s):
         return estimate
     covariance = estimate.covariance

@@ -30,6 +30,7 @@ from ssac.methods.verdict import less_sure, quantum_s
 from ssac.pipeline.answer import Answer, Log, Stopwatch, quiet
 from ssac.pipeline.registry import choose_method, load
 from ssac.pipeline.retries import (
+    FAST,
     WANDERING,
     doubt_from,
     is_settled_by,
@@ -37,6 +38,7 @@ from ssac.pipeline.retries import (
     less_certain,
     lies_elsewhere,
     other_clocks,
+    other_rates,
     other_ways,
     usual_mistake,
 )
@@ -230,6 +232,11 @@ class Chain:
             if wider.estimate.has_offset:
                 return wider
             answer = wider if is_truer(wider.estimate, answer.estimate) else answer
+        rates = other_rates(self.config, config, pair.cleans, answer.estimate)
+        if rates is not None:
+            rated = self._of_one(replace(pair, config=replace(config, rates=rates)), True)
+            if rated.estimate.has_offset:
+                return replace(rated, clock=FAST)
         mistake = usual_mistake(pair.rig, answer.cleans, answer.estimate)
         if mistake is None:
             return answer

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from ssac.camera import Rig, same_camera
-from ssac.config import Config
+from ssac.config import Config, Interval
 from ssac.estimate import SETTLED_BY, Estimate, Status
 from ssac.rules import RetryRules, VerdictRules
 from ssac.track.clean import Clean
@@ -48,6 +48,16 @@ def other_clocks(
         rougher = (one for one in rules.roughnesses_ppm if one > config.roughness_ppm)
         for roughness_ppm in (config.roughness_ppm, *rougher):
             yield WANDERING, replace(config, clock=WANDERING, roughness_ppm=roughness_ppm)
+
+
+def other_rates(
+    asked: Config, config: Config, cleans: tuple[Clean, Clean], found: Estimate
+) -> Interval | None:
+    """Give the rates of a fast clock to search with all offsets, where events match at none."""
+    is_asked = asked.skew_prior_ppm is not None or asked.rates is not None
+    is_asked |= asked.interval_s is not None or any(one.has_track for one in cleans)
+    is_open = not is_asked and found.status in SETTLED_BY["rates"]
+    return config.rules.retry.fast_rates if is_open else None
 
 
 def is_settled_by(by_other: Estimate, found: Estimate, clock: str, rules: RetryRules) -> bool:

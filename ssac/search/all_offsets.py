@@ -128,6 +128,10 @@ class Guess:
         """By which camera 2's clock runs fast."""
         return 1e6 * (self.rate - 1.0)
 
+    def at(self, time_s: float) -> float:
+        """Give the offset [s] at a time [s] of camera 1's clock."""
+        return self.t_d_s + (self.rate - 1.0) * (time_s - self.t_ref_s)
+
 
 @dataclass(frozen=True)
 class AllOffsets:
@@ -287,7 +291,7 @@ class _Search:
                 break
         apart: list[Guess] = []
         for guess in sorted(found, key=lambda one: one.cost):
-            if all(abs(guess.lag_s - other.lag_s) > apart_s for other in apart):
+            if all(abs(guess.t_d_s - other.at(guess.t_ref_s)) > apart_s for other in apart):
                 apart.append(guess)
         return replace(self.shown(scans[0]), guesses=apart)
 

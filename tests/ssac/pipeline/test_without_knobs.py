@@ -53,6 +53,14 @@ def test_a_fast_clock_is_no_jump(events, skew_ppm):
     assert "prior deviation of 1000 ppm" in result.to_dict()["note"]
 
 
+def test_a_fast_clock_far_away_is_found():
+    one, other = make_events(make_scene(1, duration_s=16.0), 1, T_D_S, 20_000.0, 0.1)
+    fast = clocked(other, lambda t: 1.003 * t + 42e6)
+    result = ssac.sync(one, fast, [CAMERA, CAMERA])
+    assert result.status == Status.OK
+    assert abs(result.skew_ppm - 3000.0) < 4.0 * result.skew_std_ppm
+
+
 def test_a_jump_stays_one(events):
     one, other = events
     result = ssac.sync(one, clocked(other, lambda t: t + 20_000.0 * (t > 4e6)), [CAMERA, CAMERA])
