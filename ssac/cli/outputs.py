@@ -9,6 +9,7 @@ import numpy as np
 from ssac.errors import SsacError
 from ssac.files.damage import Reading
 from ssac.files.event_files import WRITTEN, check_written, load_events, write_synced
+from ssac.files.ros_bags import file_of
 from ssac.files.track_files import TRACK_SUFFIX, is_track_file, load_track, save_track
 from ssac.files.whole_file import FIGURE_SUFFIXES, check_folder, check_targets
 from ssac.pipeline.answer import Log, Stopwatch
@@ -45,7 +46,7 @@ def check_outputs(inputs: Sequence[Path], outputs: Outputs) -> None:
                 f"{', '.join(FIGURE_SUFFIXES)}"
             )
         check_folder(plot)
-    check_targets(files, inputs)
+    check_targets(files, [file_of(path) for path in inputs])
 
 
 def write_outputs(result: Result, outputs: Outputs, cam2: Path, reading: Reading, log: Log) -> None:
