@@ -331,6 +331,34 @@ def test_unusable_files_are_refused(tmp_path, name, content, message):
         load_events(tmp_path / name)
 
 
+@pytest.mark.parametrize(
+    ("name", "per_s", "form", "message"),
+    [
+        ("a.csv", 10**9, "{:.0f}", "t must be in microseconds, .* 50000 events last 19999.6 s: "
+         "if it is in nanoseconds, divide"),
+        ("a.csv", 10**3, "{:.0f}", "t must be in microseconds, .* last 0.02 s: if it is in "
+         "milliseconds, multiply"),
+        ("a.txt", 10**3, "{:.1f}", "t must be in seconds, .* if it is in milliseconds, divide"),
+        ("a.txt", 10**3, "{:.0f}", "whole numbers, up to 20000, as of milliseconds: .* 1000$"),
+        ("a.txt", 10**6, "{:.0f}", "as of microseconds: divide them by 1000000$"),
+        ("a.txt", 10**9, "{:.0f}", "as of nanoseconds: divide them by 1000000000$"),
+    ],
+)  # fmt: skip
+def test_times_in_another_unit_are_said_to_be(name, per_s, form, message, tmp_path):
+    times_s = 0.00049 + 0.0004 * np.arange(50_000)
+    text = "".join(
+        ("{},1,2,1\n" if name == "a.csv" else "{} 1 2 1\n").format(form.format(per_s * t_s))
+        for t_s in times_s
+    )
+    (tmp_path / name).write_text(f"t,x,y,p\n{text}" if name == "a.csv" else text)
+    if "whole" in message or "as of" in message:
+        with pytest.raises(SsacError, match=message):
+            load_events(tmp_path / name)
+    else:
+        with pytest.warns(UserWarning, match=message):
+            load_events(tmp_path / name)
+
+
 def test_reading_needs_little_more_memory_than_the_events(tmp_path):
     events = random_events(200_000)
     save_events_h5(tmp_path / "cam1.h5", events, WIDTH, HEIGHT)
