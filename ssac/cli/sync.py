@@ -133,6 +133,10 @@ OPTIONS = {
         named("FILE", "Write the object's path in space: .csv (with deviations), else TUM."),
         type=_FILE,
     ),
+    "write_rig": Option(
+        named("FILE", "Write the rig with the pose found (Kalibr YAML), for --known-extrinsics."),
+        type=_FILE,
+    ),
     "distance": Option(
         number("Distance between cameras 1 and 2, which sets the scale.", 1e-3, 1e6, "m"),
         type=float | None,
@@ -234,7 +238,9 @@ def sync_command(
     reading, has_more = Reading(given.allow_damaged, given.sort), len(files) > 2
     config = config_of(OPTIONS, options)
     with warnings_as_lines():
-        outputs = Outputs(given.json_file, given.plot, given.write_synced, given.trajectory)
+        outputs = Outputs(
+            given.json_file, given.plot, given.write_synced, given.trajectory, given.write_rig
+        )
         check_outputs([*files, rig, *filter(None, (given.positions, given.rtk))], outputs)
         known = known_of(given.distance, given.positions, given.rtk, given.lever_arm)
         for_two = {
@@ -250,7 +256,7 @@ def sync_command(
                 f"{refused[0]}: is for two cameras, and more were given: leave it out, or give two"
             )
         if not has_more:
-            _check_known_of_two(known, given.trajectory is not None)
+            _check_known_of_two(known, given.trajectory is not None, given.write_rig is not None)
         call: Callable[..., Any] = sync
         result = call(
             *((files, rig, None) if has_more else (*files, rig)),
@@ -272,10 +278,14 @@ def sync_command(
                 from ssac.pipeline.many import write_path_of_two
 
                 write_path_of_two(given.trajectory, result.answer, known, _to_stderr)
+            if given.write_rig is not None:
+                from ssac.pipeline.many import write_rig_of_two
+
+                write_rig_of_two(given.write_rig, result.answer, known, _to_stderr)
         else:
             from ssac.pipeline.many import write_many
 
-            write_many(result, given.json_file, given.trajectory, _to_stderr)
+            write_many(result, given.json_file, given.trajectory, given.write_rig, _to_stderr)
     if result.status != "ok":
         raise typer.Exit(NO_ESTIMATE)
 
@@ -334,14 +344,14 @@ def help_sections() -> Sections:
     return {"Methods": list(all_summaries().items()), "Statuses": statuses}
 
 
-def _check_known_of_two(known: "Known", has_trajectory: bool) -> None:
-    """Refuse what two cameras cannot use: of these, the path alone has a scale and a frame."""
+def _check_known_of_two(known: "Known", has_trajectory: bool, has_rig: bool) -> None:
+    """Refuse what two cameras cannot use: a path has a scale and a frame, a rig a scale alone."""
     if known.positions is not None:
         raise SsacError(
             "--positions: needs three cameras or more, and two were given: give --distance"
         )
     name = "--distance" if known.distance_m is not None else "--rtk"
-    if known != type(known)() and not has_trajectory:
+    if known != type(known)() and not (has_trajectory or (has_rig and known.distance_m)):
         raise SsacError(f"{name}: is for the object's path: give --trajectory too, or leave it out")
 
 

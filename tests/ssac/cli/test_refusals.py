@@ -124,6 +124,8 @@ EVENTS = [
     ("cam1.h5 --json a.txt --write-synced a.txt", "a.txt: is named for two outputs"),
     ("cam1.h5 --json a.txt --trajectory a.txt", "a.txt: is named for two outputs"),
     ("cam1.h5 --distance 3", "--distance: is for the object's path: give --trajectory too"),
+    ("cam1.h5 --distance 3 --write-rig rig.txt", "rig.txt: cannot write the extension '.txt'"),
+    ("cam1.h5 --write-rig rig.yaml", "rig.yaml: is one of the inputs"),
     ("cam1.h5 --positions where.csv", "--positions: needs three cameras or more"),
     ("cam1.h5 --positions zero.h5", "zero.h5: the first line must be camera,x_m,y_m,z_m"),
     ("cam1.h5 --positions cam1.h5", "cam1.h5: not a text file of positions"),
