@@ -239,7 +239,7 @@ def sync_command(
     config = config_of(OPTIONS, options)
     with warnings_as_lines():
         outputs = Outputs(
-            given.json_file, given.plot, given.write_synced, given.trajectory, given.write_rig
+            given.json_file, given.plot, given.write_synced, given.trajectory, rig=given.write_rig
         )
         check_outputs([*files, rig, *filter(None, (given.positions, given.rtk))], outputs)
         known = known_of(given.distance, given.positions, given.rtk, given.lever_arm)

@@ -1,6 +1,7 @@
 """Clocks and poses of all cameras of a rig, and the path that they saw, from all its pairs."""
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations, pairwise
 from pathlib import Path
@@ -163,9 +164,9 @@ def solve_pairs(
 ) -> NetworkAnswer:
     """Solve two cameras or more, `distance_m` between the first two; None: the unit of lengths."""
     seen = []
-    for k in range(len(chain)):
+    for k, name in enumerate(short_names([chain.name(k) for k in range(len(chain))])):
         with chain.watch.part("follow") as say:
-            seen.append(_sightings(chain, k, pairs))
+            seen.append(_sightings(chain, k, name, pairs))
             say(f"{chain.name(k)}: {len(seen[-1])} positions")
     links = dict[Pair, Link]()
     for pair, answer in pairs.items():
@@ -287,10 +288,20 @@ def write_paths(file: Path, answer: NetworkAnswer, log: Log) -> None:
         log(f"not written: {file}, since no cameras see the object's path together")
 
 
-def _sightings(chain: Chain, k: int, pairs: dict[Pair, Answer]) -> Sightings:
+def short_names(names: Sequence[str]) -> list[str]:
+    """Give of each path's end, without an extension, as much as tells them all apart."""
+    parts = [(*Path(name).parent.parts, Path(name).stem) for name in names]
+    for n in range(1, max(map(len, parts)) + 1):
+        ends = ["/".join(one[-n:]) for one in parts]
+        if len(set(ends)) == len(ends):
+            return ends
+    return list(names)
+
+
+def _sightings(chain: Chain, k: int, name: str, pairs: dict[Pair, Answer]) -> Sightings:
     """Say where a camera saw the object; nowhere, of one whose events show none."""
     clean = next(answer.cleans[pair.index(k)] for pair, answer in pairs.items() if k in pair)
-    name, rules = Path(chain.name(k)).stem, chain.config.rules.points
+    rules = chain.config.rules.points
     if clean.track is not None:
         return sightings(clean.track, clean.camera, name, clean.has_track, rules)
     try:

@@ -11,6 +11,7 @@ import yaml
 from ssac.files.rigs import load_rig
 from ssac.files.track_files import save_track
 from ssac.network.tum import read_path
+from ssac.pipeline.many import short_names
 from ssac.points import PointTrack
 from tests.ssac.command import read_json, run
 from tests.ssac.network.flights import DURATION_S, Flight, make_flight
@@ -81,6 +82,20 @@ def test_three_cameras(files, tmp_path):
     assert sum(shifts_s) == pytest.approx(cam3["t_d_s"], abs=1e-2)
     assert files.rms_off_m(path_file) < 0.1  # 5 ms of readouts, at some 5 m/s, and 9 mm of noise
     assert np.ptp(read_path(path_file).times_s) > 0.7 * DURATION_S  # all three see it most of it
+
+
+@pytest.mark.parametrize(
+    ("names", "short"),
+    [
+        (["a/cam1.h5", "b/cam2.csv"], ["cam1", "cam2"]),
+        (["a/left/x.h5", "a/right/x.h5", "x.csv"], ["left/x", "right/x", "x"]),
+        (["two.bag/1/events", "two.bag/2/events"], ["1/events", "2/events"]),
+        (["a/x.h5", "a/x.csv"], ["a/x.h5", "a/x.csv"]),
+        (["camera 1", "camera 2"], ["camera 1", "camera 2"]),
+    ],
+)
+def test_files_of_one_name_are_told_apart_by_their_folders(names, short):
+    assert short_names(names) == short
 
 
 def test_options_reach_every_pair(files):
