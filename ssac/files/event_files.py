@@ -15,8 +15,8 @@ suffix        format                                         absolute time
 .raw          Prophesee EVT3 (`makers`)                      modulo 2^24 us = 16.8 s
 .dat          Prophesee DAT (`makers`)                       modulo 2^32 us = 71.6 min
 .es           Event Stream (`makers`)                        only if its writer kept it
-.bag          ROS 1 bag (`ros_bags`)                         as its messages' encoding
-.db3, .mcap   ROS 2 bag (`ros_bags`)                         as its messages' encoding
+.bag          ROS 1 bag (`ros_bags`)                         kept; of EVT3 as of .raw
+.db3, .mcap   ROS 2 bag (`ros_bags`)                         kept; of EVT3 as of .raw
 ============  =============================================  ==========================
 
 To add a format is to add a module that reads it, and perhaps writes it, and its line in FORMATS.

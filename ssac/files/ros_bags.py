@@ -5,8 +5,8 @@ the folder of a ROS 2 bag. Without a topic the only one with events is taken; wi
 one with points, which is a track (x and y [px], at the header's time). Events have times of their
 own: those at which messages were sent or written do not count.
 
-The library's own decoding would make an object of each event, 50 times as slow, and runs code that
-it makes from definitions in the bag.
+The library's own decoding would make an object of each event, some 40 times as slow, and runs
+code that it makes from definitions in the bag.
 """
 
 import struct
