@@ -12,7 +12,7 @@ from ssac.cli.exits import guarded
 REPRODUCE = "Reproduce"
 
 COMMANDS = (
-    Entry("simulate", USE, "Simulate two event cameras that watch a drone, with ground truth.",
+    Entry("simulate", USE, "Simulate event cameras that watch a drone, with ground truth.",
           "experiments.scenes.simulate", "simulate_command"),
     SYNC,
     Entry("demo", USE, "Simulate 20 s, recover offset and pose, draw one figure.",

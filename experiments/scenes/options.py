@@ -57,6 +57,10 @@ def _own(type_: Any, default: Any, info: Any, field: str = "") -> SimOption:
 
 OPTIONS: Mapping[str, SimOption] = {
     "angle": _of("angle_deg", number("Angle between the two lines of sight.", 1, 179, "degrees")),
+    "cameras": _own(int, 2, number(
+        "Number of cameras, each turned by --angle from the one before, its clock off by --t-d.",
+        2, 100, metavar="COUNT",
+    )),
     "duration": _of("spline.duration_s", number("Duration of the flight.", 1, 3600, "seconds")),
     "t_d": _of(
         "t_d_s", number("Time offset: t_cam2 = t_cam1 + t_d.", -86400, 86400, "seconds")

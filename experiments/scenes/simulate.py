@@ -1,9 +1,11 @@
-"""`ssac simulate`: two event cameras that watch one drone, recorded into a folder."""
+"""`ssac simulate`: event cameras that watch one drone, recorded into a folder."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from scipy.spatial.transform import Rotation
 
 from experiments.lab.bridge import check_mesh, rig_of
 from experiments.lab.cache import recording_bytes
@@ -12,17 +14,52 @@ from experiments.scenes.options import OPTIONS, chosen, chosen_sensor
 from experiments.scenes.scene import pair_figures, scene_table
 from sim.disturb import DisturbConfig, record_disturbed
 from sim.errors import SimError
-from sim.recording import SimConfig
+from sim.recording import Scene, SimConfig
 from sim.render.config import RenderConfig
 from sim.render.lattice import Lattice
 from sim.scene.flyers import DRONES
+from sim.scene.rig import look_at_rig
 from sim.scene.trajectory import SplineConfig
 from sim.storage import Recorded, record
 from ssac.cli.options import with_options
 from ssac.cli.progress import progress
 from ssac.files.hdf5 import load_events_h5
 from ssac.files.whole_file import check_folder, remove_left_over
+from ssac.network.tum import Path as SpacePath
+from ssac.network.tum import write_path
 from ssac.track.observation import Observation
+
+
+@dataclass(frozen=True)
+class ManyCameras(SimConfig):
+    """A recording by equal cameras before equal backgrounds; each clock is `t_d_s` on."""
+
+    n_cameras: int = 3
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 2 <= self.n_cameras < 360.0 / self.angle_deg + 1.0:
+            raise SimError(
+                f"cameras: {self.n_cameras} of them, {self.angle_deg:g} deg from each to the next, "
+                f"go once round: use an angle below {360.0 / (self.n_cameras - 1):g} deg"
+            )
+        if len(self.background_files) > 1:
+            raise SimError("background: more than two cameras have one image for all, or none")
+
+    def scene(self, seed: int) -> Scene:
+        """Build the scene of two cameras, with more of them."""
+        two = super().scene(seed)
+        rig = look_at_rig(
+            [self.angle_deg * k for k in range(self.n_cameras)],
+            distance_m=self.distance_m,
+            focal_px=self.focal_px,
+            resolution=self.resolution,
+            principal_point=self.principal_point,
+            distortion_model=self.distortion_model,
+            distortion_coeffs=self.distortion_coeffs,
+            time_offsets_s=[self.t_d_s * k for k in range(self.n_cameras)],
+        )
+        return Scene(rig, two.backgrounds[:1] * self.n_cameras, two.drone, two.trajectory)
 
 
 @with_options(OPTIONS)
@@ -33,7 +70,7 @@ def simulate_command(
     ],
     **options: Any,
 ) -> None:
-    """Simulate two event cameras that watch one drone, and write the recording as a folder."""
+    """Simulate event cameras that watch one drone, and write the recording as a folder."""
     given = dict(options)
     width, height = given["resolution"]
     spread, default = given["spread"], SplineConfig()
@@ -54,7 +91,10 @@ def simulate_command(
         sensor=sensor.sensor,
         effects=sensor.effects,
     )
-    check_folder(out_dir, recording_bytes(config))
+    n_cameras = given["cameras"]
+    if n_cameras > 2:
+        config = ManyCameras(**vars(config), n_cameras=n_cameras)
+    check_folder(out_dir, recording_bytes(config) * n_cameras // 2)
     existing = next(folder for folder in out_dir.resolve().parents if folder.exists())
     remove_left_over(existing, out_dir.name)  # of a run that was killed while it wrote
     recorded = record_with_progress(config, given["seed"], out_dir, given["text"], disturb)
@@ -84,8 +124,14 @@ def record_with_progress(
             advance(round(100 * share))
 
         if disturb is None or disturb.is_none:
-            return record(config, seed, out_dir, provenance, text, show)
-        return record_disturbed(config, disturb, seed, out_dir, provenance, text, show)
+            recorded = record(config, seed, out_dir, provenance, text, show)
+        else:
+            recorded = record_disturbed(config, disturb, seed, out_dir, provenance, text, show)
+    truth = recorded.flight.truth
+    attitudes = Rotation.from_matrix(truth.T_W_B[:, :3, :3]).as_quat()
+    path = SpacePath(truth.times_s, truth.T_W_B[:, :3, 3], quaternions=attitudes)
+    write_path(out_dir / "truth.tum", path)
+    return recorded
 
 
 def summary(recorded: Recorded, out_dir: Path) -> str:

@@ -27,11 +27,10 @@ from experiments.lab.results import Results
 from experiments.lab.study import Runs, Study
 from experiments.lab.summary import answered, by_group, made_of, shown_table, statistics
 from experiments.lab.verify import between, follows
+from experiments.scenes.simulate import ManyCameras
 from experiments.studies import network_growth
 from experiments.studies.outdoor import PlacedRow, placed_errors
 from experiments.worlds.outdoor import true_track
-from sim.recording import Scene, SimConfig
-from sim.scene.rig import look_at_rig
 from sim.sensor.frames import FrameConfig
 from ssac.cli.options import number
 from ssac.clock import Clock
@@ -71,23 +70,12 @@ Flights = Annotated[int, number("Flights seen by four cameras.", 1, 1000, metava
 
 
 @dataclass(frozen=True)
-class FourCameras(SimConfig):
+class FourCameras(ManyCameras):
     """The default flight and drone, before four cameras with ideal sensors and equal clocks."""
 
     angle_deg: float = ANGLE_DEG
     frames: FrameConfig = field(default_factory=lambda: FrameConfig(rate_hz=0.0))
-
-    def scene(self, seed: int) -> Scene:
-        """Build the default scene, with more cameras: all equal, as are their backgrounds."""
-        two = super().scene(seed)
-        rig = look_at_rig(
-            [self.angle_deg * k for k in range(N_CAMERAS)],
-            distance_m=self.distance_m,
-            focal_px=self.focal_px,
-            resolution=self.resolution,
-            principal_point=self.principal_point,
-        )
-        return Scene(rig, two.backgrounds[:1] * N_CAMERAS, two.drone, two.trajectory)
+    n_cameras: int = N_CAMERAS
 
 
 @dataclass(frozen=True)

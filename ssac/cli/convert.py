@@ -53,6 +53,7 @@ def track_command(
     from ssac.files.damage import Reading
     from ssac.files.event_files import load_events
     from ssac.files.rigs import check_resolution, load_camera
+    from ssac.files.ros_bags import file_of
     from ssac.files.track_files import TRACK_SUFFIX, is_track_file, save_track
     from ssac.files.whole_file import check_targets
     from ssac.pipeline.object_track import things_seen, track_of_events
@@ -64,7 +65,7 @@ def track_command(
         raise SsacError(f"{out}: a track is written as {TRACK_SUFFIX}: name such a file")
     if given.faint and given.no_denoise:
         raise SsacError("--faint tells the object from noise, --no-denoise keeps it: leave one out")
-    check_targets((out,), (cam,))
+    check_targets((out,), (file_of(cam),))
     if is_track_file(cam):
         raise SsacError(f"{cam}: is a track already: give a camera's events")
     calibrated, name = load_camera(rig, given.camera), f"camera {given.camera} of {rig}"

@@ -9,6 +9,8 @@ import numpy as np
 from ssac.errors import SsacError
 from ssac.files.damage import Reading
 from ssac.files.event_files import WRITTEN, check_written, load_events, write_synced
+from ssac.files.rigs import RIG_SUFFIXES
+from ssac.files.ros_bags import file_of
 from ssac.files.track_files import TRACK_SUFFIX, is_track_file, load_track, save_track
 from ssac.files.whole_file import FIGURE_SUFFIXES, check_folder, check_targets
 from ssac.pipeline.answer import Log, Stopwatch
@@ -25,6 +27,7 @@ class Outputs:
     plot: Path | None = None  # a folder, or one file for all figures
     synced: Path | None = None  # camera 2's events on camera 1's clock
     trajectory: Path | None = None  # the object's path
+    rig: Path | None = None  # with the pose found
 
 
 def check_outputs(inputs: Sequence[Path], outputs: Outputs) -> None:
@@ -35,7 +38,9 @@ def check_outputs(inputs: Sequence[Path], outputs: Outputs) -> None:
     synced, plot = outputs.synced, outputs.plot
     if synced is not None:
         check_written(synced, (TRACK_SUFFIX,) if is_track_file(inputs[1]) else WRITTEN)
-    files = [outputs.json_file, synced, outputs.trajectory]
+    if outputs.rig is not None:
+        check_written(outputs.rig, RIG_SUFFIXES)
+    files = [outputs.json_file, synced, outputs.trajectory, outputs.rig]
     if plot is not None and plot.suffix.lower() in FIGURE_SUFFIXES:
         files.append(plot)
     elif plot is not None:
@@ -45,7 +50,7 @@ def check_outputs(inputs: Sequence[Path], outputs: Outputs) -> None:
                 f"{', '.join(FIGURE_SUFFIXES)}"
             )
         check_folder(plot)
-    check_targets(files, inputs)
+    check_targets(files, [file_of(path) for path in inputs])
 
 
 def write_outputs(result: Result, outputs: Outputs, cam2: Path, reading: Reading, log: Log) -> None:

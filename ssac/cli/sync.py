@@ -5,6 +5,7 @@ What takes long to import is imported when the command runs, not for its help.
 
 from collections.abc import Callable
 from importlib import import_module
+from itertools import count, takewhile
 from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Annotated, Any
@@ -40,6 +41,10 @@ def complete_method(incomplete: str) -> list[tuple[str, str]]:
 _FILE = Path | None
 
 OPTIONS = {
+    "topics": Option(
+        named("T1 T2", "Topics of cameras 1 and 2, of ROS bags with several (BAG/TOPIC does too)."),
+        type=tuple[str, str] | None,
+    ),
     "known_extrinsics": Option(
         flag("known-extrinsics", "Take the pose from the rig file and find only the offset.")
     ),
@@ -128,6 +133,10 @@ OPTIONS = {
         named("FILE", "Write the object's path in space: .csv (with deviations), else TUM."),
         type=_FILE,
     ),
+    "write_rig": Option(
+        named("FILE", "Write the rig with the pose found (Kalibr YAML), for --known-extrinsics."),
+        type=_FILE,
+    ),
     "distance": Option(
         number("Distance between cameras 1 and 2, which sets the scale.", 1e-3, 1e6, "m"),
         type=float | None,
@@ -188,15 +197,25 @@ OPTIONS = {
 def sync_command(
     cam1: Annotated[
         Path,
-        typer.Argument(metavar="CAM1", help="Event or track file of camera 1.", show_default=False),
+        typer.Argument(
+            metavar="CAM1",
+            help="Event or track file of camera 1; or alone a folder of ssac simulate, or a ROS bag"
+            " of both cameras with --topics.",
+            show_default=False,
+        ),
     ],
     cam2: Annotated[
-        Path,
+        Path | None,
         typer.Argument(metavar="CAM2", help="Event or track file of camera 2.", show_default=False),
-    ],
+    ] = None,
     rig: Annotated[
-        Path, named("FILE", "Calibration of the cameras: Kalibr or OpenCV YAML.", False)
-    ],
+        Path | None,
+        named(
+            "FILE",
+            "Calibration of the cameras: Kalibr or OpenCV YAML. Of a folder: its own by default.",
+            False,
+        ),
+    ] = None,
     more: Annotated[
         list[Path] | None,
         typer.Argument(metavar="CAM3", help="Files of further cameras.", show_default=False),
@@ -214,10 +233,14 @@ def sync_command(
     from ssac.files.damage import Reading
     from ssac.pipeline.api import Result, sync
 
-    files, reading = [cam1, cam2, *(more or ())], Reading(given.allow_damaged, given.sort)
+    files = _files([cam1, *filter(None, [cam2]), *(more or ())], given.topics)
+    rig = rig or _rig_of_folder(cam1, given.known_extrinsics)
+    reading, has_more = Reading(given.allow_damaged, given.sort), len(files) > 2
     config = config_of(OPTIONS, options)
     with warnings_as_lines():
-        outputs = Outputs(given.json_file, given.plot, given.write_synced, given.trajectory)
+        outputs = Outputs(
+            given.json_file, given.plot, given.write_synced, given.trajectory, rig=given.write_rig
+        )
         check_outputs([*files, rig, *filter(None, (given.positions, given.rtk))], outputs)
         known = known_of(given.distance, given.positions, given.rtk, given.lever_arm)
         for_two = {
@@ -227,16 +250,16 @@ def sync_command(
             "--known-extrinsics": given.known_extrinsics,
             "--estimate-readout": given.estimate_readout,
         }
-        refused = [name for name, value in for_two.items() if value and more]
+        refused = [name for name, value in for_two.items() if value and has_more]
         if refused:
             raise SsacError(
                 f"{refused[0]}: is for two cameras, and more were given: leave it out, or give two"
             )
-        if not more:
-            _check_known_of_two(known, given.trajectory is not None)
+        if not has_more:
+            _check_known_of_two(known, given.trajectory is not None, given.write_rig is not None)
         call: Callable[..., Any] = sync
         result = call(
-            *((files, rig, None) if more else (cam1, cam2, rig)),
+            *((files, rig, None) if has_more else (*files, rig)),
             given.method,
             config,
             known_extrinsics=given.known_extrinsics,
@@ -245,22 +268,59 @@ def sync_command(
             centre_std_px=given.centre_std,
             estimate_readout=given.estimate_readout,
             reading=reading,
-            known=known if more else type(known)(),
+            known=known if has_more else type(known)(),
             log=_to_stderr,
         )
         typer.echo(result.summary())
         if isinstance(result, Result):
-            write_outputs(result, outputs, cam2, reading, _to_stderr)
+            write_outputs(result, outputs, files[1], reading, _to_stderr)
             if given.trajectory is not None:
                 from ssac.pipeline.many import write_path_of_two
 
                 write_path_of_two(given.trajectory, result.answer, known, _to_stderr)
+            if given.write_rig is not None:
+                from ssac.pipeline.many import write_rig_of_two
+
+                write_rig_of_two(given.write_rig, result.answer, known, _to_stderr)
         else:
             from ssac.pipeline.many import write_many
 
-            write_many(result, given.json_file, given.trajectory, _to_stderr)
+            write_many(result, given.json_file, given.trajectory, given.write_rig, _to_stderr)
     if result.status != "ok":
         raise typer.Exit(NO_ESTIMATE)
+
+
+def _files(given: list[Path], topics: tuple[str, str] | None) -> list[Path]:
+    """Give each camera's file: a simulated folder stands for all of its, a bag for two topics."""
+    from ssac.files.ros_bags import bag_of, topic_of
+
+    if topics is not None:
+        bags = 2 * given if len(given) == 1 else given
+        if len(bags) != 2 or any((bag_of(bag) or ("", "/"))[1] for bag in bags):
+            raise SsacError(
+                f"--topics: expected one ROS bag or two, got {' '.join(map(str, given))}: leave it"
+                " out, or name each topic behind its bag, as BAG/TOPIC"
+            )
+        return [bag / topic.strip("/") for bag, topic in zip(bags, topics, strict=True)]
+    if len(given) > 1:
+        return given
+    only = given[0]
+    if bag_of(only) is not None:
+        found = topic_of(only)  # of several it says which there are
+        raise SsacError(f"{only}: has one topic of events or points, {found.name}: give another")
+    recorded = [*takewhile(Path.is_file, (only / f"cam{k}.h5" for k in count(1)))]
+    if len(recorded) < 2:
+        raise SsacError(
+            f"{only}: expected two cameras, or a folder with cam1.h5, cam2.h5 and rig.yaml as ssac"
+            " simulate writes it: give the files of both cameras"
+        )
+    return recorded
+
+
+def _rig_of_folder(folder: Path, with_extrinsics: bool) -> Path:
+    if not (folder / "cam1.h5").is_file():
+        raise SsacError("Missing option '--rig': give the calibration of the cameras")
+    return folder / ("rig_extrinsics.yaml" if with_extrinsics else "rig.yaml")
 
 
 def _check_search(given: SimpleNamespace) -> None:
@@ -284,14 +344,14 @@ def help_sections() -> Sections:
     return {"Methods": list(all_summaries().items()), "Statuses": statuses}
 
 
-def _check_known_of_two(known: "Known", has_trajectory: bool) -> None:
-    """Refuse what two cameras cannot use: of these, the path alone has a scale and a frame."""
+def _check_known_of_two(known: "Known", has_trajectory: bool, has_rig: bool) -> None:
+    """Refuse what two cameras cannot use: a path has a scale and a frame, a rig a scale alone."""
     if known.positions is not None:
         raise SsacError(
             "--positions: needs three cameras or more, and two were given: give --distance"
         )
     name = "--distance" if known.distance_m is not None else "--rtk"
-    if known != type(known)() and not has_trajectory:
+    if known != type(known)() and not (has_trajectory or (has_rig and known.distance_m)):
         raise SsacError(f"{name}: is for the object's path: give --trajectory too, or leave it out")
 
 

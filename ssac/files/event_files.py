@@ -15,6 +15,8 @@ suffix        format                                         absolute time
 .raw          Prophesee EVT3 (`makers`)                      modulo 2^24 us = 16.8 s
 .dat          Prophesee DAT (`makers`)                       modulo 2^32 us = 71.6 min
 .es           Event Stream (`makers`)                        only if its writer kept it
+.bag          ROS 1 bag (`ros_bags`)                         kept; of EVT3 as of .raw
+.db3, .mcap   ROS 2 bag (`ros_bags`)                         kept; of EVT3 as of .raw
 ============  =============================================  ==========================
 
 To add a format is to add a module that reads it, and perhaps writes it, and its line in FORMATS.
@@ -32,6 +34,7 @@ from ssac.errors import SsacError
 from ssac.events import US_PER_S, EventFile
 from ssac.files.damage import STRICT, Reading
 from ssac.files.readable import check_is_file
+from ssac.files.ros_bags import BAG_SUFFIXES, bag_of, load_events_bag
 
 
 class Format(NamedTuple):
@@ -50,6 +53,7 @@ class Format(NamedTuple):
 _HDF5 = Format("hdf5", "load_events_h5", "save_events_h5")
 _NUMPY = Format("numpy_files", "load_events_numpy", "save_events_numpy")
 _MAKERS = Format("makers", "load_makers_file")
+_BAGS = Format("ros_bags", "load_events_bag")
 
 FORMATS = {
     ".txt": Format("text", "load_events_text", "save_events_text"),
@@ -57,21 +61,19 @@ FORMATS = {
     **dict.fromkeys((".h5", ".hdf5"), _HDF5),
     **dict.fromkeys((".npy", ".npz"), _NUMPY),
     **dict.fromkeys((".aedat4", ".raw", ".dat", ".es"), _MAKERS),
+    **dict.fromkeys(BAG_SUFFIXES, _BAGS),
 }
 
 WRITTEN = tuple(suffix for suffix, form in FORMATS.items() if form.writer)
 """Extensions of the formats that can be written."""
 
 _VIDEO = "; of a video, give the object's track (docs/sync.md, Tracks of any camera)"
-_BAG = "; convert the events of a ROS bag to one of these (docs/sync.md, Event files)"
-_WAYS = dict.fromkeys((".avi", ".mkv", ".mov", ".mp4"), _VIDEO) | dict.fromkeys(
-    (".bag", ".db3", ".mcap"), _BAG
-)
+_WAYS = dict.fromkeys((".avi", ".mkv", ".mov", ".mp4"), _VIDEO)
 """What to do with files that are likely to be given, and are no event files."""
 
 
 def load_events(path: Path | str, reading: Reading = STRICT) -> EventFile:
-    """Read an event file of any format in the table above, by its extension.
+    """Read an event file of any format in the table above, by its extension; or BAG/TOPIC of a bag.
 
     Returns
     -------
@@ -86,6 +88,8 @@ def load_events(path: Path | str, reading: Reading = STRICT) -> EventFile:
         unsorted, damaged, or has events outside its own sensor. The message names the file.
     """
     path = Path(path)
+    if bag_of(path) is not None:
+        return load_events_bag(path, reading)
     if path.is_dir():
         raise SsacError(f"{path}: is a folder: give a file of one camera's events in it")
     form = FORMATS.get(path.suffix.lower())

@@ -49,10 +49,14 @@ _MAGIC = b"#!AER-DAT4.0\r\n"
 _STREAM = re.compile(rb'<node name="(\d+)"')
 
 
-def load_makers_file(path: Path, reading: Reading) -> EventFile:
-    """Read a camera maker's file; SsacError if it is damaged, or encoded as faery cannot read."""
-    refuse_damaged(path, _signs(path), reading)
-    file = checked_file(*_decoded(path, reading), path, reading)
+def load_makers_file(path: Path, reading: Reading, named: Path | None = None) -> EventFile:
+    """Read a camera maker's file; SsacError if it is damaged, or encoded as faery cannot read.
+
+    Messages call it as it is named, where its words are out of another file.
+    """
+    name = named or path
+    refuse_damaged(name, _signs(path), reading)
+    file = checked_file(*_decoded(path, reading, name), name, reading)
     if path.suffix.lower() == ".es" and file.events["t"][0] == 0:
         warnings.warn(
             f"{path} starts at time 0: whoever wrote it may have subtracted its first timestamp, "
@@ -63,13 +67,13 @@ def load_makers_file(path: Path, reading: Reading) -> EventFile:
 
 
 def _decoded(
-    path: Path, reading: Reading
+    path: Path, reading: Reading, name: Path
 ) -> tuple[NDArray[np.void], tuple[int | None, int | None]]:
     """Events, and the sensor's size; fewer of them where that is allowed."""
     import faery  # here, as it takes long: other formats do without it
 
     blocks: list[NDArray[Any]] = [np.empty(0, faery.EVENTS_DTYPE)]
-    with _readable(path), silenced():
+    with _readable(name), silenced():
         stream = faery.events_stream_from_file(path, dimensions_fallback=UNKNOWN_SIZE)
         width, height = stream.dimensions()
         try:
@@ -79,7 +83,7 @@ def _decoded(
                 raise
             n_read = sum(map(len, blocks))
             warnings.warn(
-                f"{path} can be read no further than its first {n_read} events ({brief(error)})",
+                f"{name} can be read no further than its first {n_read} events ({brief(error)})",
                 stacklevel=4,
             )
     # Both dtypes have the fields t, x, y, p of 8, 2, 2 and 1 bytes in this order.

@@ -1,8 +1,8 @@
-"""Rig files: Kalibr camchain YAML and OpenCV stereo YAML."""
+"""Rig files: Kalibr camchain YAML, which is written too, and OpenCV stereo YAML."""
 
 import re
 import reprlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,10 +11,14 @@ import cv2
 import numpy as np
 import yaml
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
-from ssac.camera import MAX_READOUT_S, Camera, Rig, check_camera, check_transform
+from ssac.camera import MAX_READOUT_S, Camera, Cameras, Rig, check_camera, check_transform
 from ssac.errors import SsacError
 from ssac.files.readable import check_is_file, readable, silenced
+from ssac.files.whole_file import whole_file
+
+RIG_SUFFIXES = (".yaml", ".yml")
 
 _CAMERA = re.compile(r"cam\d+")
 
@@ -52,7 +56,7 @@ def load_rig(path: Path | str, cameras: tuple[int, int] = (1, 2)) -> Rig:
         ones), and of a good calibration where there is none (`ssac.camera.Camera`).
     """
     path = Path(path)
-    if path.suffix.lower() not in (".yaml", ".yml"):
+    if path.suffix.lower() not in RIG_SUFFIXES:
         raise SsacError(f"{path}: unknown extension {path.suffix!r} of a rig: use .yaml or .yml")
     check_is_file(path)
     most_bytes = 1 << 20  # of a hundred cameras it has less
@@ -65,6 +69,42 @@ def load_rig(path: Path | str, cameras: tuple[int, int] = (1, 2)) -> Rig:
         if "!!opencv-matrix" in text:
             return _rig_from_opencv(path, text, cameras)
         return _rig_from_kalibr(path, yaml.safe_load(text), cameras)
+
+
+def save_rig(path: Path, rig: Cameras, shifts_s: Sequence[float], comment: str) -> None:
+    """Write a Kalibr camchain that `load_rig` reads; the file appears only when it is complete.
+
+    `T_cn_cnm1` of a camera is its step in the rig, and `timeshift_cn_cnm1` what its clock shows
+    more than that of the camera before [s], NaN where that is not known. Comments publish each step
+    in ROS.
+    """
+    chain, lines = dict[str, dict[str, Any]](), [f"# {comment}"]
+    for k, camera in enumerate(rig.cameras):
+        has_k3 = camera.distortion_model == "radtan" and len(camera.distortion_coeffs) == 5
+        entry = chain[f"cam{k}"] = {
+            "camera_model": "pinhole",
+            "intrinsics": [*np.diag(camera.K)[:2].tolist(), *camera.K[:2, 2].tolist()],
+            "distortion_model": "plumb_bob" if has_k3 else camera.distortion_model,
+            "distortion_coeffs": list(camera.distortion_coeffs),
+            "resolution": [camera.width, camera.height],
+        }
+        if camera.states_intrinsics:
+            entry["intrinsics_std"] = list(camera.intrinsics_std_px)
+        if camera.readout_s is not None:
+            entry["readout_s"] = camera.readout_s
+        T = rig.steps[k - 1] if k else None
+        if T is not None:
+            entry["T_cn_cnm1"] = T.tolist()
+            values = *(-T[:3, :3].T @ T[:3, 3]), *Rotation.from_matrix(T[:3, :3].T).as_quat()
+            names = ("x", "y", "z", "qx", "qy", "qz", "qw")
+            place = " ".join(f"--{name} {v:.9g}" for name, v in zip(names, values, strict=True))
+            frames = f"--frame-id cam{k - 1} --child-frame-id cam{k}"
+            lines.append(f"# ros2 run tf2_ros static_transform_publisher {place} {frames}")
+        if k and np.isfinite(shifts_s[k - 1]):
+            entry["timeshift_cn_cnm1"] = float(shifts_s[k - 1])
+    text = yaml.safe_dump(chain, default_flow_style=None, sort_keys=False)
+    with whole_file(path) as temporary:
+        temporary.write_text("\n".join([*lines, text]), encoding="utf-8")
 
 
 def load_camera(path: Path | str, number: int) -> Camera:

@@ -8,6 +8,7 @@ lines are missing it is a shorter recording.
 """
 
 import csv
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,11 @@ from ssac.files.readable import brief, check_text, side_px
 from ssac.files.whole_file import whole_file
 
 _SIZE = "the sensor's size in the first line must be"
+
+# Of what moves before it a camera gives thousands of events a second, and for minutes: times of
+# fewer, or of longer, are in another unit.
+_LEAST_HZ, _LONGEST_S, _SHORTEST_S = 1000.0, 1000.0, 0.1
+_PER_S = {"milliseconds": 10**3, "microseconds": 10**6, "nanoseconds": 10**9}
 
 LINES_PER_BLOCK = 1_000_000
 """Lines held at once, so that reading needs little more memory than the events."""
@@ -37,7 +43,8 @@ def load_events_text(path: Path, reading: Reading = STRICT) -> EventFile:
             f"{' '.join(first_line)[:60]!r}: convert the file"
         )
     events = _read_table(path, r"\s+", list("txyp"), has_header=width is not None, in_seconds=True)
-    return checked_file(events, (width, height), path, reading, is_text=True)
+    file = checked_file(events, (width, height), path, reading, is_text=True)
+    return _noting_unit(file, path, "seconds")
 
 
 def load_events_csv(path: Path, reading: Reading = STRICT) -> EventFile:
@@ -59,7 +66,8 @@ def load_events_csv(path: Path, reading: Reading = STRICT) -> EventFile:
         )
     events = _read_table(path, ",", columns, has_header=True, in_seconds=False)
     size_px = sizes.get("x"), sizes.get("y")
-    return checked_file(events, size_px, path, reading, is_text=True)
+    file = checked_file(events, size_px, path, reading, is_text=True)
+    return _noting_unit(file, path, "microseconds")
 
 
 def save_events_text(
@@ -138,9 +146,34 @@ def _microseconds_from_seconds(t_s: NDArray[np.float64], path: Path) -> NDArray[
             f"{path}: times must be finite, got nan, inf or more than {most_s:g} s: convert the "
             "file again"
         )
-    if len(t_s) > 1 and t_s[-1] - t_s[0] > 1000.0 and np.array_equal(t_s, np.rint(t_s)):
+    span_s = t_s[-1] - t_s[0] if len(t_s) > 1 else 0.0
+    if span_s > _LONGEST_S and np.array_equal(t_s, np.rint(t_s)):
+        likely = (
+            unit
+            for unit, per_s in _PER_S.items()
+            if span_s / per_s < min(_LONGEST_S, len(t_s) / _LEAST_HZ)
+        )
+        unit = next(likely, "microseconds")
         raise SsacError(
             f"{path}: t must be in seconds, but all times are whole numbers, up to {t_s[-1]:.0f}, "
-            "as of microseconds: divide them by 1000000"
+            f"as of {unit}: divide them by {_PER_S[unit]}"
         )
     return np.rint(t_s * US_PER_S).astype(np.int64)
+
+
+def _noting_unit(file: EventFile, path: Path, unit: str) -> EventFile:
+    """Give a file back, and warn where its times look as if they were in another unit."""
+    n, span_s = len(file.events), float(np.ptp(file.events["t"])) / US_PER_S
+    said = ""
+    if span_s > _LONGEST_S and n < _LEAST_HZ * span_s:
+        finer = {"seconds": "milliseconds", "microseconds": "nanoseconds"}[unit]
+        said = f"{finer}, divide it by 1000"
+    elif unit == "microseconds" and span_s < _SHORTEST_S and n > _LEAST_HZ:
+        said = "milliseconds, multiply it by 1000"
+    if said:
+        warnings.warn(
+            f"{path}: t must be in {unit}, by which its {n} events last {span_s:.6g} s: if it is in"
+            f" {said}",
+            stacklevel=4,
+        )
+    return file

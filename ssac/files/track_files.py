@@ -1,7 +1,7 @@
 """Track files: comma-separated `t_s,x_px,y_px`, and optionally `sigma_px`.
 
 Times are seconds on the camera's own clock, pixels those of the distorted image, one object, rows
-in time order; where it was not seen, rows are missing.
+in time order; where it was not seen, rows are missing. Or a ROS bag's topic of points (`ros_bags`).
 """
 
 import csv
@@ -11,6 +11,7 @@ import numpy as np
 
 from ssac.errors import SsacError
 from ssac.files.readable import check_is_file, check_text, readable
+from ssac.files.ros_bags import bag_of, load_track_bag, topic_of
 from ssac.files.whole_file import whole_file
 from ssac.points import PointTrack
 
@@ -20,7 +21,9 @@ _SIGMA = "sigma_px"
 
 
 def is_track_file(path: Path) -> bool:
-    """Whether a file is a track by its extension and its first line."""
+    """Whether a file is a track by its extension and its first line, or a bag's topic is one."""
+    if bag_of(path) is not None:
+        return topic_of(path).is_track
     if path.suffix.lower() != TRACK_SUFFIX or not path.is_file():
         return False
     with path.open("rb") as file:
@@ -36,6 +39,8 @@ def load_track(path: Path | str) -> PointTrack:
     import pandas as pd  # here, as it takes long: recordings of events do without it
 
     path = Path(path)
+    if bag_of(path) is not None:
+        return load_track_bag(path)
     check_is_file(path)
     check_text(path)
     with readable(path, "a track file, every row of which must be numbers"):

@@ -1,16 +1,21 @@
 """Clocks and poses of all cameras of a rig, and the path that they saw, from all its pairs."""
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from ssac.camera import Cameras
+from ssac.clock import Clock
 from ssac.errors import SsacError
 from ssac.estimate import Status
+from ssac.files.rigs import save_rig
 from ssac.files.whole_file import whole_file
 from ssac.methods.method import Method
 from ssac.network.graph import Link, Pair
@@ -159,9 +164,9 @@ def solve_pairs(
 ) -> NetworkAnswer:
     """Solve two cameras or more, `distance_m` between the first two; None: the unit of lengths."""
     seen = []
-    for k in range(len(chain)):
+    for k, name in enumerate(short_names([chain.name(k) for k in range(len(chain))])):
         with chain.watch.part("follow") as say:
-            seen.append(_sightings(chain, k, pairs))
+            seen.append(_sightings(chain, k, name, pairs))
             say(f"{chain.name(k)}: {len(seen[-1])} positions")
     links = dict[Pair, Link]()
     for pair, answer in pairs.items():
@@ -194,16 +199,71 @@ def write_path_of_two(file: Path, answer: Answer, known: Known, log: Log) -> Non
     if answer.estimate.status != Status.OK or answer.estimate.R is None:
         log(f"not written: {file}, since there is no reliable pose")
         return
-    distance_m, T_2_1 = known.distance_m, answer.rig.T_2_1
-    if distance_m is None and answer.method.needs_extrinsics and T_2_1 is not None:
-        distance_m = float(np.linalg.norm(T_2_1[:3, 3]))
     chain = Chain(answer.cleans, answer.rig, answer.config)
-    found = solve_pairs(chain, {(0, 1): answer}, distance_m)
+    found = solve_pairs(chain, {(0, 1): answer}, _distance_m(answer, known))
     write_paths(file, grounded(found, known, answer.config.rules.ground)[0], log)
 
 
+def _distance_m(answer: Answer, known: Known) -> float | None:
+    """Give the distance of two cameras where it was stated, or is the rig's."""
+    T_2_1 = answer.rig.T_2_1
+    if known.distance_m is None and answer.method.needs_extrinsics and T_2_1 is not None:
+        return float(np.linalg.norm(T_2_1[:3, 3]))
+    return known.distance_m
+
+
+def write_rig_of_two(file: Path, answer: Answer, known: Known, log: Log) -> None:
+    """Write the rig with the pose found, and say so; or why there is none."""
+    estimate = answer.estimate
+    if estimate.status != Status.OK or estimate.R is None or estimate.t is None:
+        log(f"not written: {file}, since there is no reliable pose")
+        return
+    distance_m, T = _distance_m(answer, known), np.eye(4)
+    T[:3, :3], T[:3, 3] = estimate.R, estimate.t * (distance_m or 1.0)
+    rig = Cameras((answer.rig.cam1, answer.rig.cam2), (T,))
+    _save_rig(file, rig, [estimate.t_d_s], distance_m is not None, log)
+
+
+def write_rig_of_many(file: Path, result: NetworkResult, log: Log) -> None:
+    """Write the rig with all poses found, each from the camera before in its group."""
+    found, rigs = (
+        result.network.cameras,
+        [result.pairs[0, k].rig for k in range(1, len(result.names))],
+    )
+    steps, shifts_s = list[NDArray[np.float64] | None](), []
+    for one, other in pairwise(found):
+        is_placed = one.group == other.group and one.R is not None and other.R is not None
+        steps.append(_transform(other) @ np.linalg.inv(_transform(one)) if is_placed else None)
+        shift_s = _shown_s(other, other.t_ref_s) - _shown_s(one, other.t_ref_s)
+        shifts_s.append(shift_s if is_placed else np.nan)
+    rig = Cameras((rigs[0].cam1, *(one.cam2 for one in rigs)), tuple(steps))
+    _save_rig(file, rig, shifts_s, result.scale_is_known, log)
+
+
+def _save_rig(file: Path, rig: Cameras, shifts_s: list[float], in_metres: bool, log: Log) -> None:
+    unit = "metres" if in_metres else "distances of the first two cameras"
+    save_rig(file, rig, shifts_s, f"lengths in {unit}; t_cn = t_cnm1 + timeshift_cn_cnm1")
+    log(f"wrote {file}")
+
+
+def _transform(camera: CameraAnswer) -> NDArray[np.float64]:
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = camera.R, camera.t
+    return T
+
+
+def _shown_s(camera: CameraAnswer, time_s: float) -> float:
+    """Give what a camera's clock shows at a time of its group's first."""
+    clock = Clock(camera.t_d_s, camera.skew_ppm, camera.t_ref_s, camera.knots_s, camera.strays_s)
+    return float(clock.cam2_from_cam1(time_s))
+
+
 def write_many(
-    result: NetworkResult, json_file: Path | None, trajectory: Path | None, log: Log
+    result: NetworkResult,
+    json_file: Path | None,
+    trajectory: Path | None,
+    rig: Path | None,
+    log: Log,
 ) -> None:
     """Write what was asked for, and say so."""
     if json_file is not None:
@@ -213,6 +273,8 @@ def write_many(
         log(f"wrote {json_file}")
     if trajectory is not None:
         write_paths(trajectory, result.network, log)
+    if rig is not None:
+        write_rig_of_many(rig, result, log)
 
 
 def write_paths(file: Path, answer: NetworkAnswer, log: Log) -> None:
@@ -226,10 +288,20 @@ def write_paths(file: Path, answer: NetworkAnswer, log: Log) -> None:
         log(f"not written: {file}, since no cameras see the object's path together")
 
 
-def _sightings(chain: Chain, k: int, pairs: dict[Pair, Answer]) -> Sightings:
+def short_names(names: Sequence[str]) -> list[str]:
+    """Give of each path's end, without an extension, as much as tells them all apart."""
+    parts = [(*Path(name).parent.parts, Path(name).stem) for name in names]
+    for n in range(1, max(map(len, parts)) + 1):
+        ends = ["/".join(one[-n:]) for one in parts]
+        if len(set(ends)) == len(ends):
+            return ends
+    return list(names)
+
+
+def _sightings(chain: Chain, k: int, name: str, pairs: dict[Pair, Answer]) -> Sightings:
     """Say where a camera saw the object; nowhere, of one whose events show none."""
     clean = next(answer.cleans[pair.index(k)] for pair, answer in pairs.items() if k in pair)
-    name, rules = Path(chain.name(k)).stem, chain.config.rules.points
+    rules = chain.config.rules.points
     if clean.track is not None:
         return sightings(clean.track, clean.camera, name, clean.has_track, rules)
     try:

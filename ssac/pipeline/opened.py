@@ -22,6 +22,7 @@ from ssac.events import US_PER_S, EventFile, check_events, events_of_array
 from ssac.files.damage import STRICT, Reading
 from ssac.files.readable import check_is_file
 from ssac.files.rigs import check_resolution, load_rig
+from ssac.files.ros_bags import bag_of, topic_of
 from ssac.files.track_files import is_track_file, load_track
 from ssac.pipeline.chain import MEANS
 from ssac.points import PointTrack, check_track
@@ -164,6 +165,8 @@ def opened(
             raise SsacError(f"camera {a} of {rig.name} is given for both: name two cameras")
         if _same_file(one, other):
             what = one if isinstance(one, (str, Path)) else "one recording"
+            if isinstance(one, (str, Path)) and bag_of(Path(one)) is not None:
+                topic_of(Path(one))  # of several it says which there are
             whose = "both cameras" if len(seen) == 2 else f"cameras {a} and {b}"
             raise SsacError(f"{what}: given for {whose}: give each camera's own file")
     return tuple(
@@ -191,7 +194,7 @@ def _opened(
 ) -> Observation | Recording:
     if isinstance(seen, (str, Path)):
         path = Path(seen)
-        if not path.is_dir():  # which the reader says
+        if bag_of(path) is None and not path.is_dir():  # which the reader says
             check_is_file(path)
         return Recording(path, camera, f"camera {number} of {rig_name}", reading)
     if isinstance(seen, Observation):
@@ -223,6 +226,8 @@ def _same_file(one: object, other: object) -> bool:
     if not (isinstance(one, (str, Path)) and isinstance(other, (str, Path))):
         return one is other
     first, second = Path(one), Path(other)
+    if first == second and bag_of(first) is not None:  # and perhaps a topic in it
+        return True
     return first.exists() and second.exists() and first.samefile(second)
 
 

@@ -9,6 +9,7 @@ from typing import get_args
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner, Result
 
 from experiments.cli import app
@@ -26,6 +27,7 @@ from ssac.errors import SsacError
 from ssac.files.event_files import load_events
 from ssac.files.hdf5 import load_frames
 from ssac.files.rigs import load_rig
+from ssac.network.tum import read_path
 from tests.left_over import ended_process, made_by
 
 FAST = ["--duration", "2", "--max-step", "2", "--lattice", "2", "0"]
@@ -58,7 +60,7 @@ def plain(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_folder_holds_what_the_design_says(plain: Path) -> None:
     assert {path.name for path in plain.iterdir()} == {
         "cam1.h5", "cam2.h5", "cam1.txt", "cam2.txt", "rig.yaml", "rig_extrinsics.yaml",
-        "truth.json",
+        "truth.json", "truth.tum",
     }  # fmt: skip
     truth = truth_of(plain)
     assert truth["t_d_s"] == 0.05
@@ -71,10 +73,37 @@ def test_the_folder_holds_what_the_design_says(plain: Path) -> None:
         binary, text = load_events(plain / f"{name}.h5"), load_events(plain / f"{name}.txt")
         np.testing.assert_array_equal(binary.events, text.events)
         assert (binary.width, binary.height) == (text.width, text.height) == (346, 260)
+    path = read_path(plain / "truth.tum")
+    np.testing.assert_allclose(path.times_s, truth["times_s"], atol=1e-7)  # a TUM file's digits
+    np.testing.assert_allclose(path.positions_m, truth["drone_position_W_m"], atol=1e-8)
+    turns = (
+        Rotation.from_quat(path.quaternions)
+        * Rotation.from_quat(truth["drone_quaternion_W_B_xyzw"]).inv()
+    )
+    assert turns.magnitude().max() < 1e-7
     frames = load_frames(plain / "cam2.h5")
     assert frames is not None
     # Middle of the first exposure on camera 2's clock, which is 1 ms behind in the first second.
     assert frames[0][0] == pytest.approx(50_000 + 2_500 - 1_000, abs=3)
+
+
+@pytest.mark.render
+def test_more_cameras_are_spread_by_the_angle_and_their_clocks_by_the_offset(
+    tmp_path: Path,
+) -> None:
+    options = ["--cameras", 3, "--angle", 50, "--t-d", 0.05, "--frame-rate", 0, "--lamp", 4]
+    assert run(tmp_path / "a", *FAST, *options).exit_code == 0
+    cameras = truth_of(tmp_path / "a")["cameras"]
+    assert [one["time_offset_s"] for one in cameras.values()] == [0.0, 0.05, 0.1]
+    views = [np.array(one["T_C_W"])[:3, :3] for one in cameras.values()]
+    for k in (1, 2):
+        turn = Rotation.from_matrix(views[k] @ views[0].T)
+        assert np.degrees(turn.magnitude()) == pytest.approx(50.0 * k)
+        rig = load_rig(tmp_path / "a" / "rig_extrinsics.yaml", (k, k + 1))
+        np.testing.assert_allclose(rig.T_2_1[:3, :3], views[k] @ views[k - 1].T, atol=1e-12)
+        starts_us = [load_events(tmp_path / "a" / f"cam{n}.h5").events["t"][0] for n in (k, k + 1)]
+        # The lamp flickers from the start, at 100 Hz.
+        assert np.diff(starts_us) == pytest.approx(50_000, abs=10_000)
 
 
 @pytest.mark.render
@@ -122,6 +151,9 @@ def test_a_second_flight_is_seen_by_both_and_the_rig_is_wrong_as_stated(tmp_path
     ("arguments", "message"),
     [
         (["--angle", 180], "--angle: expected 1 to 179 degrees, got 180"),
+        (["--cameras", 5], "5 of them, 90 deg from each to the next, go once round: use an angle "
+         "below 90 deg"),
+        (["--cameras", 3, "--background", "a.png", "--background", "b.png"], "one image for all"),
         (["--duration", "nan"], "--duration: expected 1 to 3600 seconds, got nan"),
         (["--t-d", "inf"], "--t-d: expected -86400 to 86400 seconds, got inf"),
         (["--skew-ppm", 1e6], "--skew-ppm: expected -100000 to 100000 ppm, got 1000000"),

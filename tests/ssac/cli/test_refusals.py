@@ -13,6 +13,7 @@ from ssac.files.event_files import load_events
 from ssac.files.hdf5 import save_events_h5
 from ssac.files.text import save_events_text
 from ssac.files.track_files import load_track, save_track
+from tests.ssac.bags import arrays, mono, write_bag
 from tests.ssac.cluttered import lamp, noise
 from tests.ssac.command import run_sync
 from tests.ssac.synthetic import HEIGHT, WIDTH, make_events
@@ -47,6 +48,9 @@ def make_events_of_all_kinds(recorded, folder: Path) -> None:
         save_events_h5(folder / f"{name}.h5", some, WIDTH, HEIGHT)
     rig = (recorded / "rig.yaml").read_text()
     (folder / "large.yaml").write_text(rig.replace(f"[{WIDTH}, {HEIGHT}]", "[640, 480]"))
+    topics = {"/left": arrays(events[:300]), "/right": mono(copied[:300])}
+    write_bag(folder / "both.bag", topics)
+    write_bag(folder / "one.bag", {"/left": topics["/left"]})
     (folder / "where.csv").write_text("camera,x_m,y_m,z_m\n1,0,0,0\n2,1,0,0\n")
 
 
@@ -120,10 +124,19 @@ EVENTS = [
     ("cam1.h5 --json a.txt --write-synced a.txt", "a.txt: is named for two outputs"),
     ("cam1.h5 --json a.txt --trajectory a.txt", "a.txt: is named for two outputs"),
     ("cam1.h5 --distance 3", "--distance: is for the object's path: give --trajectory too"),
+    ("cam1.h5 --distance 3 --write-rig rig.txt", "rig.txt: cannot write the extension '.txt'"),
+    ("cam1.h5 --write-rig rig.yaml", "rig.yaml: is one of the inputs"),
     ("cam1.h5 --positions where.csv", "--positions: needs three cameras or more"),
     ("cam1.h5 --positions zero.h5", "zero.h5: the first line must be camera,x_m,y_m,z_m"),
     ("cam1.h5 --positions cam1.h5", "cam1.h5: not a text file of positions"),
     ("cam1.h5 --estimate-readout", "expected a track of a frame camera, got events only"),
+    ("both.bag", "both.bag: events or points are on 2 topics, /left, /right: .* --topics /left /r"),
+    (
+        "both.bag/up",
+        r"both.bag: expected these on the topic /up .*, got the topics /left .*, /right",
+    ),
+    ("cam1.h5 --topics /left /right", "--topics: expected one ROS bag or two, got cam1.h5 cam2.h5"),
+    ("both.bag/left --json both.bag", "both.bag: is one of the inputs"),
     ("cam1.h5 --search -1", "Option '--search' requires 2 arguments; see .*ssac.cli sync --help$"),
     ("cam1.h5 --n-samples many", "Invalid value for '--n-samples'"),
 ]
@@ -183,6 +196,25 @@ CASES = [
     *(("tracks", "{} cam2.csv", "rig.yaml", *case) for case in TRACKS),
     *(("tracks", "cam1.csv cam2.csv {}", "three.yaml", *case) for case in MANY),
     (".", "cam1.h5 {}", None, "cam2.h5", "Missing option '--rig'"),
+    (".", "{}", "rig.yaml", "cam1.h5", "cam1.h5: expected two cameras, or a folder with cam1.h5"),
+    (".", "{}", "rig.yaml", "folder.h5", "folder.h5: expected two cameras, or a folder"),
+    (".", "{}", "rig.yaml", "one.bag", "one.bag: has one topic of events or points, /left: give"),
+    (
+        ".",
+        "{}",
+        "rig.yaml",
+        "both.bag",
+        "both.bag: events or points are on 2 topics, /left, /right",
+    ),
+    (".", "one.bag {}", "rig.yaml", "one.bag", "one.bag: given for both cameras"),
+    (".", "both.bag {}", "rig.yaml", "both.bag", "both.bag: events or points are on 2 topics"),
+    (
+        ".",
+        "{}",
+        "rig.yaml",
+        "both.bag --topics /left /left",
+        "both.bag/left: given for both cameras",
+    ),
 ]
 
 

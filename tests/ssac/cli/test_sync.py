@@ -11,8 +11,10 @@ from ssac.clock import Clock
 from ssac.events import slice_time
 from ssac.files.event_files import load_events
 from ssac.files.hdf5 import save_events_h5
+from ssac.files.rigs import load_rig
 from ssac.files.whole_file import FIGURE_SUFFIXES
 from tests.recorded import DURATION_S, T_D_S
+from tests.ssac.bags import arrays, mono, write_bag
 from tests.ssac.cluttered import lamp, merged
 from tests.ssac.command import read_json, run_sync
 from tests.ssac.synthetic import HEIGHT, WIDTH, angle_deg, rotation_angle_deg
@@ -86,6 +88,61 @@ def test_known_extrinsics_are_used(recorded, tmp_path):
     assert found["method"] == "tangency-known"
     np.testing.assert_allclose(found["R"], recorded.scene.R, atol=1e-12)
     assert f"as given in {rig}" in result.stdout
+
+
+def _without_names(answer):
+    return {
+        key: value for key, value in answer.items() if key not in ("cam1", "cam2", "rig", "seconds")
+    }
+
+
+@pytest.mark.parametrize("suffix", [".bag", ".mcap"])
+def test_bags_give_what_the_files_give_that_they_were_made_of(suffix, recorded, tmp_path):
+    out, bag = tmp_path / "out.json", tmp_path / f"flight{suffix}"
+    cam1, cam2 = (load_events(path).events for path in recorded.pair)
+    write_bag(bag, {"/cam2/events": mono(cam2), "/cam1/events": arrays(cam1)})
+    args = ("--rig", recorded / "rig.yaml", "--method", "joint", "--json", out)
+    assert run_sync(*recorded.pair, *args).exit_code == 0
+    expected = _without_names(read_json(out))
+    for cameras in (
+        (bag, "--topics", "/cam1/events", "/cam2/events"),
+        (bag, bag, "--topics", "cam1/events", "cam2/events"),
+        (bag / "cam1/events", bag / "cam2/events"),
+        (recorded / "cam1.h5", bag / "cam2/events"),
+    ):
+        assert run_sync(*cameras, *args).exit_code == 0
+        assert _without_names(read_json(out)) == expected
+
+
+def test_the_rig_that_is_written_gives_the_same_offset_with_its_extrinsics(recorded, tmp_path):
+    out, rig = tmp_path / "out.json", tmp_path / "found.yaml"
+    args = ("--rig", recorded / "rig.yaml", "--json", out, "--write-rig", rig, "--distance", 7)
+    assert run_sync(*recorded.pair, *args).exit_code == 0
+    found = read_json(out)
+    T_2_1 = load_rig(rig).T_2_1
+    np.testing.assert_array_equal(T_2_1[:3, :3], found["R"])
+    np.testing.assert_allclose(T_2_1[:3, 3], 7.0 * np.array(found["t"]), rtol=1e-12)
+    assert f"timeshift_cn_cnm1: {found['t_d_s']!r}\n" in rig.read_text()
+    assert (
+        run_sync(*recorded.pair, "--rig", rig, "--known-extrinsics", "--json", out).exit_code == 0
+    )
+    again = read_json(out)
+    np.testing.assert_allclose(again["t"], found["t"], atol=1e-12)
+    # The pose that fits best is not given up: the offset stays where it was, to its deviation.
+    assert abs(again["t_d_s"] - found["t_d_s"]) < found["t_d_std_s"]
+
+
+def test_a_folder_as_it_was_simulated_is_enough(recorded, tmp_path):
+    out = tmp_path / "out.json"
+    for method, rig in (
+        (("--method", "ssac"), "rig.yaml"),
+        (("--known-extrinsics",), "rig_extrinsics.yaml"),
+    ):
+        assert run_sync(recorded.folder, *method, "--json", out).exit_code == 0
+        found = read_json(out)
+        args = (*recorded.pair, "--rig", recorded / rig, *method, "--json", out)
+        assert run_sync(*args).exit_code == 0
+        assert {**read_json(out), "seconds": 0} == {**found, "seconds": 0}
 
 
 def test_recordings_of_unequal_start_and_length(recorded, tmp_path):

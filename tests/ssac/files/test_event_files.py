@@ -22,6 +22,8 @@ from ssac.files.event_files import FORMATS, WRITTEN, load_events, write_synced
 from ssac.files.hdf5 import save_events_h5
 from ssac.files.numpy_files import save_events_numpy
 from ssac.files.text import save_events_text
+from tests.ssac.bags import arrays as event_arrays
+from tests.ssac.bags import mono, packets, write_bag
 
 WIDTH, HEIGHT = 346, 260
 FIRST_US = 20_000_000  # EVT3's 24-bit clock has overflowed once by then
@@ -106,6 +108,26 @@ def four_arrays(path, events):
     np.savez(path, **{name: events[name] for name in "txyp"}, width=WIDTH, height=HEIGHT)
 
 
+def bag_of(messages):
+    return lambda path, events: write_bag(path, {"/camera/events": messages(events)})
+
+
+def bag_of_words(encoding, of_a_camera, n_bytes, is_bigendian=False):
+    """Words of a camera, cut into packets anywhere; the first of them tell no time yet."""
+
+    def write(path, events):
+        of_a_camera(path, events)
+        data = path.read_bytes().partition(b"% end\n")[2]
+        some = [data[k : k + n_bytes] for k in range(0, len(data), n_bytes)]
+        unknown = {"evt2": 4 * b"\1", "evt3": 2 * b"\1"}[encoding]
+        if is_bigendian:
+            some = [np.frombuffer(one, "<u4").astype(">u4").tobytes() for one in some]
+        data = [(0, unknown), *((0, one) for one in some)]
+        write_bag(path, {"/camera/events": packets(encoding, data, is_bigendian)})
+
+    return write
+
+
 FORMS = {
     "ours.h5": ours(save_events_h5),
     "ours.hdf5": ours(save_events_h5),
@@ -124,6 +146,13 @@ FORMS = {
     "evt3.raw": evt3_of_a_camera,
     "faery.dat": faerys("dat2"),
     "faery.es": faerys(zero_t0=False),
+    "dvs.bag": bag_of(event_arrays),
+    "dvs.mcap": bag_of(event_arrays),
+    "prophesee.db3": bag_of(lambda events: event_arrays(events, "prophesee_event_msgs")),
+    "mono.bag": bag_of(mono),
+    "mono.db3": bag_of(lambda events: mono(events, ">")),
+    "evt2.mcap": bag_of_words("evt2", evt2_of_a_camera, 36, is_bigendian=True),
+    "evt3.bag": bag_of_words("evt3", evt3_of_a_camera, 2000),
 }
 WITHOUT_SIZE = ("dsec.h5", "array.npy")
 
@@ -250,7 +279,7 @@ SECONDS = "".join(f"{t} 1 2 1\n" for t in range(0, 2_000_000, 1000))
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
-        ("a.bag", "x", r"unknown extension '\.bag': use one of \.aedat4, \.csv.* convert the"),
+        ("a.bag", "hello", r"not a readable ROS bag \(File magic is invalid"),
         ("a.MP4", "x", r"unknown extension '\.MP4': .*; of a video, give the object's track"),
         ("a.h5", "", r"the file is empty \(0 bytes\)"),
         ("a.h5", None, "there is no such file"),
@@ -300,6 +329,34 @@ def test_unusable_files_are_refused(tmp_path, name, content, message):
         (tmp_path / name).write_bytes(content if isinstance(content, bytes) else content.encode())
     with pytest.raises(SsacError, match=rf"{name.replace('.', '[.]')}: .*{message}"):
         load_events(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("name", "per_s", "form", "message"),
+    [
+        ("a.csv", 10**9, "{:.0f}", "t must be in microseconds, .* 50000 events last 19999.6 s: "
+         "if it is in nanoseconds, divide"),
+        ("a.csv", 10**3, "{:.0f}", "t must be in microseconds, .* last 0.02 s: if it is in "
+         "milliseconds, multiply"),
+        ("a.txt", 10**3, "{:.1f}", "t must be in seconds, .* if it is in milliseconds, divide"),
+        ("a.txt", 10**3, "{:.0f}", "whole numbers, up to 20000, as of milliseconds: .* 1000$"),
+        ("a.txt", 10**6, "{:.0f}", "as of microseconds: divide them by 1000000$"),
+        ("a.txt", 10**9, "{:.0f}", "as of nanoseconds: divide them by 1000000000$"),
+    ],
+)  # fmt: skip
+def test_times_in_another_unit_are_said_to_be(name, per_s, form, message, tmp_path):
+    times_s = 0.00049 + 0.0004 * np.arange(50_000)
+    text = "".join(
+        ("{},1,2,1\n" if name == "a.csv" else "{} 1 2 1\n").format(form.format(per_s * t_s))
+        for t_s in times_s
+    )
+    (tmp_path / name).write_text(f"t,x,y,p\n{text}" if name == "a.csv" else text)
+    if "whole" in message or "as of" in message:
+        with pytest.raises(SsacError, match=message):
+            load_events(tmp_path / name)
+    else:
+        with pytest.warns(UserWarning, match=message):
+            load_events(tmp_path / name)
 
 
 def test_reading_needs_little_more_memory_than_the_events(tmp_path):

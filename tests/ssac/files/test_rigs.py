@@ -4,10 +4,11 @@ import cv2
 import numpy as np
 import pytest
 import yaml
+from scipy.spatial.transform import Rotation
 
-from ssac.camera import Camera
+from ssac.camera import Camera, Cameras, same_camera
 from ssac.errors import SsacError
-from ssac.files.rigs import check_resolution, load_camera, load_rig
+from ssac.files.rigs import check_resolution, load_camera, load_rig, save_rig
 
 K = np.array([[200.0, 0.0, 173.0], [0.0, 201.0, 130.0], [0.0, 0.0, 1.0]])
 R = cv2.Rodrigues(np.array([0.1, -1.4, 0.2]))[0]
@@ -56,6 +57,39 @@ def test_deviations_of_the_intrinsics_and_the_readout(tmp_path):
     assert rig.cam1.intrinsics_std_px == (2.0, 2.5, 3.0, 0.0)
     assert (rig.cam1.readout_s, rig.cam2.readout_s) == (0.02, None)
     np.testing.assert_allclose(rig.cam2.intrinsics_std_px, (0.200, 0.201, 0.3, 0.3), rtol=1e-12)
+
+
+def test_a_rig_that_was_written_is_read_as_it_was(tmp_path):
+    cameras = (
+        Camera(K, 346, 260),
+        Camera(K, 640, 480, "radtan", (-0.3, 0.1, 0.001, -0.0005), (2.0, 2.5, 1e-7, 0.0)),
+        Camera(K, 346, 260, "radtan", tuple(FIVE), readout_s=0.02),
+        Camera(K, 346, 260, "equidistant", (0.1, 0.0, 1 / 3, 0.0)),
+    )
+    steps, path = (T_2_1, None, np.linalg.inv(T_2_1)), tmp_path / "rig.yaml"
+    save_rig(path, Cameras(cameras, steps), [1 / 3, np.nan, -2.0], "made of nothing")
+    for k, step in enumerate(steps, start=1):
+        rig = load_rig(path, (k, k + 1))
+        for found, camera in ((rig.cam1, cameras[k - 1]), (rig.cam2, cameras[k])):
+            assert same_camera(found, camera)
+            assert found.intrinsics_std_px == camera.intrinsics_std_px
+        np.testing.assert_array_equal(rig.T_2_1, step)
+    entries = yaml.safe_load(path.read_text())
+    shifts_s = [entry.get("timeshift_cn_cnm1") for entry in entries.values()]
+    assert shifts_s == [None, 1 / 3, None, -2.0]
+
+
+def test_ros_takes_the_second_camera_to_where_it_stands(tmp_path):
+    rig = Cameras((Camera(K, 346, 260),) * 2, (T_2_1,))
+    save_rig(tmp_path / "rig.yaml", rig, [0.0], "a comment")
+    lines = (tmp_path / "rig.yaml").read_text().splitlines()
+    (words,) = [line.split() for line in lines if "static_transform_publisher" in line]
+    given = dict(zip(words[5::2], words[6::2], strict=True))
+    assert (given["--frame-id"], given["--child-frame-id"]) == ("cam0", "cam1")
+    place = [float(given[f"--{name}"]) for name in ("x", "y", "z")]
+    turn = Rotation.from_quat([float(given[f"--{name}"]) for name in ("qx", "qy", "qz", "qw")])
+    # A point of the second frame, seen from the first; nine digits are written.
+    np.testing.assert_allclose(turn.apply(R @ T + T) + place, T, atol=1e-7)
 
 
 FIVE = [-0.3, 0.1, 0.001, -0.0005, 0.02]

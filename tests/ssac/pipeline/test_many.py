@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 import yaml
 
+from ssac.files.rigs import load_rig
 from ssac.files.track_files import save_track
 from ssac.network.tum import read_path
+from ssac.pipeline.many import short_names
 from ssac.points import PointTrack
 from tests.ssac.command import read_json, run
 from tests.ssac.network.flights import DURATION_S, Flight, make_flight
@@ -56,7 +58,8 @@ def sync(files, cameras, *more):
 def test_three_cameras(files, tmp_path):
     flight, out, path_file = files.flight, tmp_path / "out.json", tmp_path / "path.tum"
     options = ("--json", out, "--trajectory", path_file, "--distance", flight.distance_m)
-    code, text, err = sync(files, files.cameras(3), *options)
+    rig_file = tmp_path / "rig.yaml"
+    code, text, err = sync(files, files.cameras(3), *options, "--write-rig", rig_file)
     assert code == 0, err
     assert "cam3" in text
     found = read_json(out)
@@ -67,8 +70,32 @@ def test_three_cameras(files, tmp_path):
         assert abs(camera["t_d_s"] - true_s) < 4.0 * camera["t_d_std_s"]
         assert camera["t_d_std_s"] < 0.02
     assert np.linalg.norm(found["cameras"][1]["t"]) == pytest.approx(flight.distance_m, rel=1e-4)
+    cam2, cam3 = found["cameras"][1:]
+    rig = load_rig(rig_file, (1, 3))
+    np.testing.assert_allclose(rig.T_2_1[:3, :3], cam3["R"], atol=1e-12)  # by way of camera 2
+    np.testing.assert_allclose(rig.T_2_1[:3, 3], cam3["t"], atol=1e-9)
+    shifts_s = [
+        entry.get("timeshift_cn_cnm1", 0.0) for entry in yaml.safe_load(rig_file.open()).values()
+    ]
+    # The clocks' skews, of some 100 ppm, between the middles of what the cameras saw.
+    assert shifts_s[1] == pytest.approx(cam2["t_d_s"], abs=1e-3)
+    assert sum(shifts_s) == pytest.approx(cam3["t_d_s"], abs=1e-2)
     assert files.rms_off_m(path_file) < 0.1  # 5 ms of readouts, at some 5 m/s, and 9 mm of noise
     assert np.ptp(read_path(path_file).times_s) > 0.7 * DURATION_S  # all three see it most of it
+
+
+@pytest.mark.parametrize(
+    ("names", "short"),
+    [
+        (["a/cam1.h5", "b/cam2.csv"], ["cam1", "cam2"]),
+        (["a/left/x.h5", "a/right/x.h5", "x.csv"], ["left/x", "right/x", "x"]),
+        (["two.bag/1/events", "two.bag/2/events"], ["1/events", "2/events"]),
+        (["a/x.h5", "a/x.csv"], ["a/x.h5", "a/x.csv"]),
+        (["camera 1", "camera 2"], ["camera 1", "camera 2"]),
+    ],
+)
+def test_files_of_one_name_are_told_apart_by_their_folders(names, short):
+    assert short_names(names) == short
 
 
 def test_options_reach_every_pair(files):
@@ -91,11 +118,14 @@ def test_where_nothing_fits_that_is_told_and_no_error_of_the_frame(files, tmp_pa
     rtk, out, path = tmp_path / "rtk.csv", tmp_path / "out.json", tmp_path / "path.tum"
     rtk.write_text("t_s,x_m,y_m,z_m\n0,1,2,3\n1,2,2,3\n2,2,3,3\n")
     strangers = [save_another(tmp_path / f"{k}.csv", 1e3 * k) for k in range(1, n_cameras)]
-    options = ("--rtk", rtk, "--trajectory", path, "--json", out)
+    rig = tmp_path / "found.yaml"
+    options = ("--rtk", rtk, "--trajectory", path, "--json", out, "--write-rig", rig)
     code, _, err = sync(files, [*files.cameras(1), *strangers], *options)
     assert code == 1, err
     assert f"not written: {path}" in err
     assert not path.exists()
+    assert (n_cameras == 2) == (f"not written: {rig}" in err)
+    assert not rig.exists() or load_rig(rig).T_2_1 is None
     assert read_json(out)["status"] != "ok"
 
 
@@ -121,6 +151,8 @@ def test_the_path_of_known_extrinsics_has_their_scale(files, tmp_path):
     rig["cam1"]["T_cn_cnm1"] = T_2_1.tolist()
     (tmp_path / "rig.yaml").write_text(yaml.safe_dump(rig))
     options = ("--rig", tmp_path / "rig.yaml", "--known-extrinsics", "--trajectory", out)
-    code, _, err = run("sync", *files.cameras(2), *options)
+    again = tmp_path / "again.yaml"
+    code, _, err = run("sync", *files.cameras(2), *options, "--write-rig", again)
     assert code == 0, err
+    np.testing.assert_allclose(load_rig(again).T_2_1, T_2_1, atol=1e-12)
     assert files.rms_off_m(out) < 0.15  # as where --distance says the scale

@@ -1,0 +1,283 @@
+"""ROS 1 and ROS 2 bags, which the library rosbags opens; messages are taken apart here.
+
+A path may lead into a bag: BAG/TOPIC is one topic of it, where BAG is a file (.bag, .db3, .mcap) or
+the folder of a ROS 2 bag. Without a topic the only one with events is taken; without any, the only
+one with points, which is a track (x and y [px], at the header's time). Events have times of their
+own: those at which messages were sent or written do not count.
+
+The library's own decoding would make an object of each event, some 40 times as slow, and runs
+code that it makes from definitions in the bag.
+"""
+
+import struct
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ssac.errors import SsacError
+from ssac.events import EVENT_DTYPE, EventFile, events_from_arrays
+from ssac.files.damage import STRICT, Reading, checked_file, refuse_damaged
+from ssac.files.readable import readable, side_px
+from ssac.points import PointTrack
+
+BAG_SUFFIXES = (".bag", ".db3", ".mcap")
+
+_ARRAYS = ("dvs_msgs/msg/EventArray", "prophesee_event_msgs/msg/EventArray")
+_PACKETS = "event_camera_msgs/msg/EventPacket"
+_POINTS = "geometry_msgs/msg/PointStamped"
+_KINDS = (*_ARRAYS, _PACKETS, _POINTS)
+
+_METADATA = "metadata.yaml"  # of a ROS 2 bag's folder
+_READABLE = "a readable ROS bag"
+_EVT = {"evt2": ("u4", 28), "evt3": ("u2", 12)}  # a word, and its bits behind the four of its kind
+_TIME_HIGH = 0x8
+_EVENT_BYTES = 13  # of ROS 1; ROS 2 aligns numbers, so that events begin 16 apart
+
+
+@dataclass(frozen=True)
+class Topic:
+    """One topic of a bag."""
+
+    path: Path  # as it was given, for messages
+    bag: Path
+    name: str
+    kind: str  # of its messages
+
+    @property
+    def is_track(self) -> bool:
+        """Whether it holds points, not events."""
+        return self.kind == _POINTS
+
+
+def bag_of(path: Path) -> tuple[Path, str] | None:
+    """Split a path into a bag that exists and the topic in it, "" for none; None: of no bag."""
+    for bag in (path,) if path.exists() else path.parents:
+        if (bag.suffix.lower() in BAG_SUFFIXES and bag.is_file()) or (bag / _METADATA).is_file():
+            return bag, "/".join(path.relative_to(bag).parts)
+    return None
+
+
+def file_of(path: Path) -> Path:
+    """Give the bag that a path leads into, or the path itself where that is none."""
+    found = bag_of(path)
+    return path if found is None else found[0]
+
+
+def topic_of(path: Path) -> Topic:
+    """Find the topic that a path names, or the only one that can be used; SsacError if none can."""
+    found = bag_of(path)
+    if found is None:
+        raise SsacError(f"{path}: there is no such bag: check the path")
+    bag, wanted = found
+    with readable(bag, _READABLE), _reader(bag) as reader:
+        kinds = {str(one.topic): str(one.msgtype) for one in reader.connections}
+    of_events = [name for name, kind in kinds.items() if kind in _KINDS and kind != _POINTS]
+    usable = of_events or [name for name, kind in kinds.items() if kind == _POINTS]
+    if wanted:
+        usable = [name for name in kinds if name.strip("/") == wanted]
+    if len(usable) == 1 and kinds[usable[0]] in _KINDS:
+        return Topic(path, bag, usable[0], kinds[usable[0]])
+    there = ", ".join(f"{name} ({kinds[name]})" for name in sorted(kinds)[:10]) or "none"
+    if len(usable) > 1:
+        names = sorted(usable)
+        raise SsacError(
+            f"{bag}: events or points are on {len(names)} topics, {', '.join(names)}: name each "
+            f"camera's with --topics {' '.join(names[:2])}, or behind the bag, {bag}{names[0]}"
+        )
+    what = "a topic of events or points" if not wanted else f"these on the topic /{wanted}"
+    raise SsacError(f"{bag}: expected {what} ({', '.join(_KINDS)}), got the topics {there}")
+
+
+def load_events_bag(path: Path, reading: Reading) -> EventFile:
+    """Read the events of a topic, message by message.
+
+    SsacError if the bag is damaged, its messages are of another layout or encoding, or the events
+    fail `checked_file`.
+    """
+    topic = topic_of(path)
+    if topic.is_track:
+        raise SsacError(f"{path}: {topic.name} holds points, a track: expected a topic of events")
+    forms: set[tuple[int, int, str]] = set()  # width, height and encoding
+    blocks: list[NDArray[np.void]] = [np.empty(0, EVENT_DTYPE)]
+    with TemporaryDirectory() as folder:
+        words = _Words(Path(folder) / "events.raw")
+
+        def take(message: _Message) -> None:
+            message.header_ns()
+            height, width = message.number("I"), message.number("I")
+            if topic.kind != _PACKETS:
+                forms.add((width, height, "events"))
+                blocks.append(message.events(str(path)))
+                return
+            message.number("Q")  # of the packet
+            base_ns = message.number("Q")
+            encoding = message.text().rstrip(b"\0").decode("ascii", "replace")
+            order = ">" if message.number("B") else "<"
+            forms.add((width, height, encoding))
+            if encoding == "mono":
+                blocks.append(_of_mono(message.text(), base_ns, order, str(path)))
+            elif encoding in _EVT:
+                words.add(message.text(), encoding, order, f"width={width};height={height}")
+            else:
+                raise SsacError(
+                    f"{path}: expected the encoding mono, evt2 or evt3, got {encoding[:40]!r}: "
+                    "record or convert it to one of them"
+                )
+
+        _for_each(topic, take, reading)
+        if len(forms) > 1:
+            got = ", ".join(f"{w} x {h} px of {form}" for w, h, form in sorted(forms)[:5])
+            raise SsacError(f"{path}: expected one camera's events on a topic, got {got}: split it")
+        if words.path.exists():
+            from ssac.files.makers import load_makers_file
+
+            return load_makers_file(words.path, reading, path)
+    sides = max(forms)[:2] if forms else (0, 0)
+    said = "a message's width and height must be"
+    width, height = (side_px(side, said, path) if side else None for side in sides)
+    return checked_file(np.concatenate(blocks), (width, height), path, reading)
+
+
+def load_track_bag(path: Path) -> PointTrack:
+    """Read the points of a topic; `ssac.points.check_track` looks at them."""
+    rows: list[tuple[float, float, float]] = []
+
+    def take(message: _Message) -> None:
+        time_s = 1e-9 * message.header_ns()
+        rows.append((time_s, message.number("d"), message.number("d")))
+
+    _for_each(topic_of(path), take, STRICT)
+    table = np.array(rows, np.float64).reshape(-1, 3)
+    return PointTrack(table[:, 0], table[:, 1:])
+
+
+def _reader(bag: Path) -> Any:
+    """Open a bag by the library's reader of its kind."""
+    try:
+        from rosbags import rosbag1, rosbag2
+    except ImportError as error:
+        raise SsacError(
+            f"{bag}: ROS bags need the package rosbags, which is not installed: pip install rosbags"
+        ) from error
+    return rosbag1.Reader(bag) if _is_ros1(bag) else rosbag2.Reader(bag)
+
+
+def _is_ros1(bag: Path) -> bool:
+    return bag.suffix.lower() == ".bag" and bag.is_file()
+
+
+class _Message:
+    """The fields of a message one after another, as ROS 1 or ROS 2 (CDR) lays them out."""
+
+    def __init__(self, raw: bytes, is_ros1: bool) -> None:
+        self.raw, self.is_ros1 = raw, is_ros1
+        self.start = 0 if is_ros1 else 4  # behind what CDR says of itself
+        self.order = "<" if is_ros1 or raw[1] & 1 else ">"
+        self.at = self.start
+
+    def number(self, code: str) -> Any:
+        """Read a number of one of struct's codes."""
+        n_bytes = struct.calcsize(f"={code}")
+        if not self.is_ros1:
+            self.at += (self.start - self.at) % n_bytes
+        (value,) = struct.unpack_from(f"{self.order}{code}", self.raw, self.at)
+        self.at += n_bytes
+        return value
+
+    def text(self) -> bytes:
+        """Read a string, or a list of bytes."""
+        n_bytes = self.number("I")
+        if n_bytes > len(self.raw) - self.at:
+            raise ValueError(f"{n_bytes} bytes in a message that has {len(self.raw) - self.at}")
+        found = self.raw[self.at : self.at + n_bytes]
+        self.at += n_bytes
+        return found
+
+    def header_ns(self) -> int:
+        """Read a std_msgs/Header: its time."""
+        if self.is_ros1:
+            self.number("I")
+        seconds, rest_ns = self.number("I" if self.is_ros1 else "i"), self.number("I")
+        self.text()
+        return int(seconds) * 10**9 + int(rest_ns)
+
+    def events(self, name: str) -> NDArray[np.void]:
+        """Read a list of x, y, time and polarity, which ends the message."""
+        n, first = self.number("I"), self.at
+        ends = first + (_EVENT_BYTES * n if self.is_ros1 else 16 * n - 3 * (n > 0))
+        # ROS 2 may fill up the last four bytes.
+        if not 0 <= len(self.raw) - ends < (1 if self.is_ros1 else 4):
+            raise ValueError(f"{n} events in a message of {len(self.raw)} bytes")
+        gap = 0 if self.is_ros1 else 2
+        about: Any = {
+            "names": ["x", "y", "s", "ns", "p"],
+            "formats": [f"{self.order}{code}" for code in ("u2", "u2", "u4", "u4", "u1")],
+            "offsets": [0, 2, 4 + gap, 8 + gap, 12 + gap],
+            "itemsize": _EVENT_BYTES if self.is_ros1 else 16,
+        }
+        # All but the first begin two bytes before a multiple of four, and its own x and y do not.
+        events = np.frombuffer(self.raw + b"\0", np.dtype(about), n, first - gap)
+        x, y = events["x"].copy(), events["y"].copy()
+        if n:
+            x[0], y[0] = struct.unpack_from(f"{self.order}HH", self.raw, first)
+        t_us = 1_000_000 * events["s"].astype(np.int64) + _us_from_ns(events["ns"])
+        return events_from_arrays(t_us, x, y, events["p"], name)
+
+
+class _Words:
+    """A camera's EVT words of all packets, as the file that its maker's decoder reads."""
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.has_time = path, False
+
+    def add(self, data: bytes, encoding: str, order: str, size: str) -> None:
+        """Write a packet; words before the first that tells the time tell nothing."""
+        code, n_bits = _EVT[encoding]
+        words = np.frombuffer(data, order + code)
+        if not self.path.exists():
+            version = encoding.removeprefix("evt")
+            header = f"% evt {version}.0\n% format EVT{version};{size}\n% end\n"
+            self.path.write_bytes(header.encode())
+        if not self.has_time:
+            tells = words >> n_bits == _TIME_HIGH
+            self.has_time = bool(tells.any())
+            words = words[int(np.argmax(tells)) if self.has_time else len(words) :]
+        with self.path.open("ab") as file:
+            file.write(words.astype("<" + code).tobytes())
+
+
+def _of_mono(data: bytes, base_ns: int, order: str, name: str) -> NDArray[np.void]:
+    """Take apart words of p (1 bit), y (15), x (16) and the time since the base (32) [ns]."""
+    words = np.frombuffer(data, order + "u8").astype(np.int64)
+    t_us = _us_from_ns(base_ns + (words & 0xFFFFFFFF))
+    return events_from_arrays(t_us, words >> 32 & 0xFFFF, words >> 48 & 0x7FFF, words < 0, name)
+
+
+def _us_from_ns(times_ns: NDArray[Any]) -> NDArray[np.int64]:
+    return (times_ns.astype(np.int64) + 500) // 1000
+
+
+def _for_each(topic: Topic, take: Callable[[_Message], None], reading: Reading) -> None:
+    """Hand on the messages of a topic; of a damaged bag those before the damage, if allowed."""
+    n = n_said = 0
+    try:
+        with readable(topic.path, _READABLE), _reader(topic.bag) as reader:
+            chosen = [one for one in reader.connections if one.topic == topic.name]
+            n_said = sum(one.msgcount for one in chosen)
+            for _, _, raw in reader.messages(chosen):
+                take(_Message(bytes(raw), _is_ros1(topic.bag)))
+                n += 1
+    except SsacError as error:
+        if not (n and reading.allow_damaged):
+            raise
+        said = f"{topic.path} can be read no further than its first {n} messages ({error})"
+        warnings.warn(said, stacklevel=4)
+    else:
+        lost = [f"{n_said - n} of {n_said} messages are missing"] if n < n_said else []
+        refuse_damaged(topic.path, lost, reading)
