@@ -245,7 +245,7 @@ class Chain:
         with self.watch.part("follow"):
             seen = self.recorded(k)
             found = followed(seen, cleaned, rules.noise, rules.retry.followed)
-            return found, hidden(self.name(k), seen, cleaned, found, rules.retry)
+            return found, hidden(f"camera {k + 1}", seen, cleaned, found, rules.retry)
 
     def _asked(
         self,
