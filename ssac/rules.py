@@ -102,7 +102,8 @@ class FaintRules:
 
     # Of the radius filter: a 6 px image at 60 px/s makes some 500 events a second, noise and the
     # edges of clouds two in this ball, by chance ten; their clumps melt when filtered again.
-    n_neighbours: int = 10
+    n_neighbours: int = 10  # and more, where noise leaves more than an event in a window
+    most_neighbours: int = 200
     ms_per_px: float = 8.0
     rounds: int = 4
     bin_us: int = 20_000  # in which a slow object goes less than its own size
@@ -132,6 +133,7 @@ class FaintRules:
     max_variance_px2: float = 64.0
     least_around_px2: float = 50.0
     least_background: float = 1e-4  # events in a bin and a pixel
+    max_sigma_px: float = 1.0  # of a track's points: half the size of the least image
 
 
 @dataclass(frozen=True)
@@ -608,6 +610,18 @@ class RetryRules:
     closer: ObjectRules = ObjectRules(
         several_share=0.005, cell_widths=1 / 86, apart_sizes=0.1, lasting_bins=25
     )
+    # A faint object that turns at up to 700 px/s^2, where no clouds are about: of those of
+    # `ssac by-hand --kind faint --base 2` and 3.
+    followed: FaintRules = FaintRules(
+        n_neighbours=5,
+        rounds=2,
+        acceleration=6000.0,
+        max_speed_variance=1e7,
+        min_clump_events=10,
+    )
+    # Share of a recording in which a faint object is followed, below which noise hides it: those
+    # recordings with an answer had 0.43 or more, and those without 0.33 or less, but for one.
+    min_followed_share: float = 0.4
 
 
 @dataclass(frozen=True)

@@ -91,13 +91,21 @@ class Answer:
                 "the object is too small for an outline that says more than the mean of its events:"
                 f" this is the answer of {self.method.starts_from}"
             )
+        if any(seen.n_followed for seen in self.cleans):
+            said.append(
+                "the object makes too few events for windows: it is followed through the noise, and"
+                f" the path stands in place of the events (method {estimate.method})"
+            )
         if not np.isfinite(estimate.t_d_std_s):
             said.append(
                 f"{estimate.method} states no standard deviation, so nothing says how far off this"
                 " offset is: compare it with that of a method that states one, such as tangency"
             )
         elif any(
-            seen.has_track and camera.readout_s is None and not camera.readout_std_s
+            seen.has_track
+            and not seen.n_followed
+            and camera.readout_s is None
+            and not camera.readout_std_s
             for camera, seen in zip((self.rig.cam1, self.rig.cam2), self.cleans, strict=True)
         ):
             said.append(

@@ -24,7 +24,7 @@ from threadpoolctl import ThreadpoolController
 from ssac.camera import Cameras, Rig, check_cameras
 from ssac.config import Config, Interval, validated
 from ssac.errors import SsacError
-from ssac.estimate import Estimate, Refusal, Status
+from ssac.estimate import SETTLED_BY, Estimate, Refusal, Status
 from ssac.methods.method import Input, Method
 from ssac.methods.verdict import less_sure, quantum_s
 from ssac.pipeline.answer import Answer, Log, Stopwatch, quiet
@@ -33,6 +33,8 @@ from ssac.pipeline.retries import (
     FAST,
     WANDERING,
     doubt_from,
+    hidden,
+    is_faint,
     is_settled_by,
     is_truer,
     less_certain,
@@ -46,7 +48,7 @@ from ssac.search.offset_search import has_common_time, unusable
 from ssac.search.one_object import one_object
 from ssac.search.start import Start, start_of
 from ssac.search.two_views import TwoViews, views_of
-from ssac.track.clean import Clean, clean
+from ssac.track.clean import Clean, clean, followed
 from ssac.track.observation import Observation, check_seen
 
 Found = TypeVar("Found")
@@ -210,6 +212,10 @@ class Chain:
         answer = self._asked(method, places, config)
         if answer.estimate.has_offset or method.input is not Input.TRACKS:
             return answer
+        if is_faint(self.config, answer.cleans, answer.estimate) and method.runs:
+            answer = self._of_faint(method, places, answer)
+            if answer.estimate.has_offset:
+                return answer
         for way in other_ways(self.config, answer.cleans, answer.estimate):
             chain = self.under(way)
             other = chain._asked(method, places, way.resolved(self._has_track(*places)))
@@ -217,10 +223,42 @@ class Chain:
                 return other
         return answer
 
-    def _asked(self, method: Method, places: tuple[int, int], config: Config) -> Answer:
+    def _of_faint(self, method: Method, places: tuple[int, int], answer: Answer) -> Answer:
+        """Answer with the tracks of a faint object, where these say more than its windows."""
+        key = self.config.cleaning, self.config.rules.retry
+        both = [self._once(("followed", k, *key), partial(self._followed, k)) for k in places]
+        refusals = [refusal for _, refusal in both if refusal is not None]
+        if refusals and answer.estimate.status in SETTLED_BY["few events"]:
+            status, reason = refusals[0].status, refusals[0].reason
+            estimate = replace(answer.estimate, status=status, reason=reason)
+            answer = replace(answer, estimate=estimate)
+        (one, _), (other, _) = both
+        if one is None or other is None:
+            return answer
+        if method.without_tracks:
+            method = choose_method(None, method.needs_extrinsics, has_track=True)
+        config = replace(self.config, choose_object=False).resolved(has_track=False)
+        found = self._asked(method, places, config, (one, other))
+        return found if found.estimate.status == Status.OK else answer
+
+    def _followed(self, k: int) -> tuple[Clean | None, Refusal | None]:
+        """Follow a faint object in one camera's events; or say that noise hides it."""
+        rules, cleaned = self.config.rules, self.clean(k)
+        with self.watch.part("follow"):
+            seen = self.recorded(k)
+            found = followed(seen, cleaned, rules.noise, rules.retry.followed)
+            return found, hidden(f"camera {k + 1}", seen, cleaned, found, rules.retry)
+
+    def _asked(
+        self,
+        method: Method,
+        places: tuple[int, int],
+        config: Config,
+        cleans: tuple[Clean, Clean] | None = None,
+    ) -> Answer:
         """Search the offsets that are asked for; all, where that is open and they give nothing."""
         rig, of_tracks = self.rig.pair(*places), method.input is Input.TRACKS
-        cleans = self._given(method, places[0]), self._given(method, places[1])
+        cleans = cleans or (self._given(method, places[0]), self._given(method, places[1]))
         pair = _Pair(method, places, cleans, cleans, method.rig_of(rig), config)
         _check_two(self.name(places[0]), self.name(places[1]), *cleans)
         tries_all = of_tracks and self._searches_all(*cleans)
@@ -279,7 +317,7 @@ class Chain:
     def _refined(self, pair: _Pair) -> Answer:
         """Run the method, with other clocks where its own fits ill, and with a less certain rig."""
         found, clock, misfit = self._run(pair), "", ""
-        of_track = any(one.has_track for one in pair.cleans)
+        of_track = self._has_track(*pair.places)
         for name, config in other_clocks(self.config, pair.config, of_track, found):
             other = replace(pair, config=config)
             by_other = self._run(other)
@@ -434,11 +472,7 @@ class Chain:
 
         def any_rate() -> Start:
             start, rates = found(pair.config.rates), pair.config.rates
-            if (
-                start.refusal is None
-                or rates is not None
-                or not any(one.has_track for one in pair.cleans)
-            ):
+            if start.refusal is None or rates is not None or not self._has_track(*pair.places):
                 return start
             other = found(pair.config.rules.retry.any_rate)
             return start if other.refusal is not None else other

@@ -219,7 +219,9 @@ def _clutter_rows(answer: Answer) -> list[tuple[str, str]]:
                 f"{clutter.masked_pixels} px that fire by themselves masked"
                 f" ({clutter.masked_events} events)"
             )
-        if clutter is not None and clutter.is_adapted:
+        if camera.n_followed:
+            parts.append(f"a faint object followed, of {camera.n_followed} events")
+        elif clutter is not None and clutter.is_adapted:
             parts.append(
                 f"with a background of {clutter.background_hz:.2g} Hz/px an event needs"
                 f" {clutter.n_neighbours} others within {clutter.radius_px:g} px, ms, and a"

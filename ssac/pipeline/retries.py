@@ -12,10 +12,11 @@ from dataclasses import replace
 import numpy as np
 
 from ssac.camera import Rig, same_camera
-from ssac.config import Config, Interval
-from ssac.estimate import SETTLED_BY, Estimate, Status
+from ssac.config import N_MIN, Config, Interval
+from ssac.estimate import SETTLED_BY, Estimate, Refusal, Status
 from ssac.rules import RetryRules, VerdictRules
 from ssac.track.clean import Clean
+from ssac.track.observation import Observation
 
 FAST, WANDERING = "fast", "pieces"
 """Clocks of one skew far beyond that of oscillators; and of phones, whose skew changes."""
@@ -68,6 +69,47 @@ def is_settled_by(by_other: Estimate, found: Estimate, clock: str, rules: RetryR
     )
 
 
+def is_faint(asked: Config, cleans: tuple[Clean, Clean], found: Estimate) -> bool:
+    """Whether one faint object may be followed, where the usual windows give nothing."""
+    if any(one.has_track for one in cleans) or not _has_usual_windows(asked):
+        return False
+    is_thin = any(one.clutter is not None and one.clutter.n_min < N_MIN for one in cleans)
+    return found.status in SETTLED_BY["few events"] or (
+        is_thin and found.status in SETTLED_BY["thin"]
+    )
+
+
+def hidden(
+    name: str, seen: Observation, cleaned: Clean, found: Clean | None, rules: RetryRules
+) -> Refusal | None:
+    """Refuse what a camera saw of a faint object, of which noise hides too much."""
+    noise_hz = 0.0 if cleaned.clutter is None else cleaned.clutter.background_hz
+    if noise_hz < rules.quiet_hz:
+        return None
+    reason = f"of {len(seen.events)} events of {name} "
+    if found is None or found.track is None:
+        reason += "too few keep together to be an object's"
+    else:
+        start_s, end_s = seen.span_s
+        known_s = 1e-6 * rules.followed.bin_us * len(found.track)
+        if known_s > rules.min_followed_share * (end_s - start_s):
+            return None
+        reason += (
+            f"{found.n_followed} are surely the object's, which tell where it is in {known_s:.1f} s"
+            f" of {end_s - start_s:.1f} s"
+        )
+    reason += (
+        f": no object moves, or noise of {noise_hz:.2g} Hz of each pixel hides it: record it"
+        " nearer, with a longer lens or in more light, or lower the sensor's noise"
+    )
+    return Refusal(Status.NO_MOTION, reason)
+
+
+def _has_usual_windows(asked: Config) -> bool:
+    plain, fields = Config(), ("half_window_s", "n_min", "denoise", "n_neighbours")
+    return all(getattr(asked, name) == getattr(plain, name) for name in fields)
+
+
 def other_ways(asked: Config, cleans: tuple[Clean, Clean], found: Estimate) -> Iterator[Config]:
     """Give other ways to see the object: closer, over longer windows, of fewer events."""
     of_events, plain, rules = [one for one in cleans if not one.has_track], Config(), asked.rules
@@ -79,9 +121,7 @@ def other_ways(asked: Config, cleans: tuple[Clean, Clean], found: Estimate) -> I
         and found.status in SETTLED_BY["closer"]
     ):
         yield replace(asked, rules=replace(rules, objects=rules.retry.closer))
-    fields = ("half_window_s", "n_min", "denoise", "n_neighbours")
-    is_plain = all(getattr(asked, name) == getattr(plain, name) for name in fields)
-    if not is_plain or found.status not in SETTLED_BY["few events"]:
+    if not _has_usual_windows(asked) or found.status not in SETTLED_BY["few events"]:
         return
     yield replace(asked, half_window_s=rules.retry.longer_s)
     yield replace(asked, n_neighbours=rules.retry.few_neighbours, n_min=rules.retry.fewest)

@@ -14,7 +14,9 @@ from ssac.camera import Camera, check_camera, same_camera
 from ssac.config import N_MIN, Cleaning
 from ssac.events import US_PER_S, check_events, no_gaps
 from ssac.points import check_track
+from ssac.rules import FaintRules, NoiseRules
 from ssac.track.denoise import Clutter, without_noise
+from ssac.track.faint import faint_track
 from ssac.track.observation import Observation
 from ssac.track.thin_line import events_on_line
 
@@ -35,6 +37,7 @@ class Clean(Observation):
     n_recorded: int = 0  # events before anything was left out
     denoised: bool = False  # the noise has left the events: it does not come back
     clutter: Clutter | None = None  # what denoising did; None: nothing, or it was done elsewhere
+    n_followed: int = 0  # events of a faint object, in whose place its track stands
     gaps_us: NDArray[np.int64] = field(default_factory=no_gaps)
     """Times (g, 2) [us], ascending, from and up to which events of the object were taken out with
     others: windows that reach into them hold a part of what was seen."""
@@ -76,6 +79,19 @@ def clean(seen: Observation, camera: Camera, how: Cleaning, name: str = "camera"
     left, clutter = without_noise(events, *size, how.n_neighbours, how.noise)
     on_line = events_on_line(events, left, *size, how.line)
     return replace(seen, events=left, denoised=True, clutter=clutter, on_line=on_line)
+
+
+def followed(
+    seen: Observation, cleaned: Clean, noise: NoiseRules, rules: FaintRules
+) -> Clean | None:
+    """Put the track of a faint object in place of a camera's events; None where there is none."""
+    camera = cleaned.camera
+    found = faint_track(seen.events, camera.width, camera.height, noise, rules)
+    if found is None:
+        return None
+    track, n = found
+    none = cleaned.events[:0]
+    return replace(cleaned, events=none, track=track, n_followed=n, on_line=None)
 
 
 def _checked(seen: Observation, camera: Camera, name: str) -> Clean:

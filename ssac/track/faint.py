@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssac.errors import SsacError
-from ssac.rules import FaintRules, Rules
+from ssac.points import PointTrack
+from ssac.rules import FaintRules, NoiseRules, Rules
 from ssac.track.clutter import activity, masked_pixels, unmasked
-from ssac.track.denoise import radius_filter
+from ssac.track.denoise import least_neighbours, radius_filter
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -32,6 +33,7 @@ class Followed:
     start_us: int
     positions_px: Array  # (n, 2) at the bins' middles
     velocities_px_s: Array  # (n, 2)
+    variances_px2: Array  # (n, 2) of the positions
     half_sizes_px: Array  # (n, 2) of the corridor
     seen: Flags  # (n,)
     events: Events  # of the corridor, where the object is seen
@@ -72,17 +74,54 @@ def faint_object_events(events: Events, width: int, height: int, by: Rules | Non
     """
     by = by or Rules()
     rules = by.faint
-    kept = unmasked(events, masked_pixels(activity(events, width, height, by.noise), by.noise))
-    sure, n = kept, rules.n_neighbours
-    for _ in range(rules.rounds):
-        sure = radius_filter(sure, ms_per_unit=rules.ms_per_px, n_neighbours=n)
+    kept, sure = _sure(events, width, height, by.noise, rules)
     if not len(sure):
         raise SsacError(
-            f"of {len(events)} events none keeps {n} neighbours within 5 px (a px being"
-            f" {rules.ms_per_px:g} ms): no object is seen, or it is too faint even for --faint"
+            f"of {len(events)} events none keeps {rules.n_neighbours} neighbours or more within 5"
+            f" px (a px being {rules.ms_per_px:g} ms): no object is seen, or it is too faint even"
+            " for --faint"
         )
     found = follow(kept, sure, width, height, rules)
     return sure if found is None else found.events
+
+
+def faint_track(
+    events: Events, width: int, height: int, noise: NoiseRules, rules: FaintRules
+) -> tuple[PointTrack, int] | None:
+    """Follow one object that makes too few events for a window to hold enough of them.
+
+    Gives a point of each bin in which its place is known well, and how many events are the
+    object's. A place is smoothed: it rests on the events before and after, of a time in which the
+    object may go many times its own size. None where too little is sure to follow it.
+    """
+    kept, sure = _sure(events, width, height, noise, rules)
+    found = follow(kept, sure, width, height, rules) if len(sure) else None
+    if found is None:
+        return None
+    variances_px2 = np.max(found.variances_px2, axis=1)
+    is_sound = np.all(found.variances_px2 > 0.0, axis=1)  # but for where rounding spoils it
+    known = np.flatnonzero(found.seen & is_sound & (variances_px2 < rules.max_sigma_px**2))
+    times_s = 1e-6 * (found.start_us + rules.bin_us * (known.astype(np.float64) + 0.5))
+    if not len(known):
+        return None
+    sigmas_px: Array = np.sqrt(variances_px2[known])
+    track = PointTrack(times_s, found.positions_px[known], sigmas_px)
+    return track, len(found.events)
+
+
+def _sure(
+    events: Events, width: int, height: int, noise: NoiseRules, rules: FaintRules
+) -> tuple[Events, Events]:
+    """Leave out what fires by itself; and find those of the rest that are surely an object's."""
+    found = activity(events, width, height, noise)
+    kept = unmasked(events, masked_pixels(found, noise))
+    as_large_px = rules.ms_per_px ** (1 / 3) * noise.ball_px  # in which a px is 1 ms
+    hz, most = found.background_hz, rules.most_neighbours
+    n = max(rules.n_neighbours, least_neighbours(hz, width * height, as_large_px, most, noise))
+    sure = kept
+    for _ in range(rules.rounds):
+        sure = radius_filter(sure, noise.ball_px, rules.ms_per_px, n)
+    return kept, sure
 
 
 def follow(
@@ -113,7 +152,7 @@ def follow(
     is_sure = (_around(counts, rules.sure_bins) >= rules.min_sure_events) & seen
     seen = seen & ~_dead_ends(seen, is_sure, rules.dead_end_bins)
     half_sizes_px = rules.corridor_sigmas * np.sqrt(sizes_px2)
-    where = path.positions_px, path.velocities_px_s, half_sizes_px
+    where = path.positions_px, path.velocities_px_s, path.variances_px2, half_sizes_px
     bin_of_event = bins.of(events)
     in_seen = np.flatnonzero(seen[bin_of_event])
     k, ages_s = bin_of_event[in_seen], bins.ages_s[in_seen, None]
@@ -211,7 +250,8 @@ def _rates(
     """Events of the object in each bin, of all else in a bin and a pixel, and where it is seen."""
     nothing, around = np.zeros(len(bins)), rules.window_bins
     sums, known = _sums(bins, path, sizes_px2, nothing, nothing, rules), path.known
-    area_px2 = np.pi * np.sqrt(np.prod(sizes_px2 + path.variances_px2, axis=1))
+    variances_px2 = sizes_px2 + np.where(known[:, None], path.variances_px2, 0.0)
+    area_px2 = np.pi * np.sqrt(np.prod(variances_px2, axis=1))
     low = np.maximum(path.positions_px - rules.half_px, -0.5)
     high = np.minimum(path.positions_px + rules.half_px, np.array(size) - 0.5)
     around_px2 = np.prod(high - low, axis=1) - rules.around * area_px2

@@ -8,6 +8,7 @@ import pytest
 import ssac
 from ssac.camera import Camera, Rig
 from ssac.estimate import Status
+from tests.ssac.cluttered import merged, noise
 from tests.ssac.synthetic import CAMERA, HEIGHT, WIDTH, K, make_events, make_scene
 from tests.ssac.tracks import frame_track
 
@@ -150,3 +151,21 @@ def test_exchanged_cameras_are_told():
     result = ssac.sync(*events, Rig(scene.cam2, UNSTATED))
     assert not result.estimate.has_offset
     assert "the intrinsics of the cameras are exchanged in the rig" in result.reason
+
+
+@pytest.mark.parametrize("seen_hz", [150.0, 0.0])
+def test_a_faint_object_is_followed_through_noise_or_said_to_be_hidden(seen_hz):
+    scene, noise_hz = make_scene(1, duration_s=12.0), 0.25  # as of a DAVIS346
+    faint = make_events(scene, 1, T_D_S, max(seen_hz, 1.0), 0.0)
+    noisy = [
+        merged(one if seen_hz else one[:0], noise(WIDTH, HEIGHT, noise_hz, 12_000_000, seed))
+        for seed, one in enumerate(faint)
+    ]
+    result = ssac.sync(*noisy, [CAMERA, CAMERA])
+    if seen_hz:
+        assert result.status == Status.OK
+        assert abs(result.t_d_s - T_D_S) < 4.0 * result.t_d_std_s
+        assert "followed through the noise" in result.to_dict()["note"]
+    else:
+        assert result.status == Status.NO_MOTION
+        assert "0.25 Hz of each pixel hides it" in result.estimate.reason
