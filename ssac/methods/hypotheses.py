@@ -56,7 +56,7 @@ def choose(start: Estimate, solutions: list[Solution], rules: Rules) -> Estimate
     if n_others and estimate.status == Status.OK:
         reason = (
             f"{n_others + 1} poses fit about as well, {np.degrees(max(apart)):.0f} deg apart, as"
-            " for a path in a plane; the offset is the same with each"
+            " for a path in a plane; the offset is the same with each: fly in all directions"
         )
         return replace(estimate, status=Status.AMBIGUOUS_POSE, reason=reason, R=None, t=None)
     return estimate
