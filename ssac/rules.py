@@ -490,9 +490,11 @@ class ClockRules:
     jump_margin_s: float = 2.0  # from both ends: a bias does not average out in less
     max_tried: int = 200
     jump_near_s: float = 2.0  # of the best of these, the jump is looked for closely
-    # One so large that the views match on one side of it alone: by how much the shares of pairs
-    # that match differ; how far the other side's offset is. Causes of `ssac study reasons`, base 1.
-    large_contrast: float = 0.6
+    # One so large that the views match on one side of it alone: up to how many lower quartiles of
+    # the distances pairs match, by how much their shares differ, and how far the other offset is.
+    # Causes of `ssac study reasons`, bases 1 and 20.
+    large_quartiles: float = 6.0
+    large_contrast: float = 0.4
     large_jump_s: float = 1.0
 
 

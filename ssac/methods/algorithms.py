@@ -82,13 +82,14 @@ def straight_path(views: TwoViews, lines: tuple[View, View]) -> Estimate:
     if estimate.status != Status.OK:
         return estimate
     misfit_px = float(cost_px(np.array([estimate.t_d_s]))[0])
+    n_swings = views.swings(views.pairs_at(estimate.t_d_s))
+    little = too_little_motion(n_swings, views.rules.search.min_swings_of_line)
     estimate = _checked(estimate, misfit_px, views)
     if estimate.status != Status.OK:
-        return estimate
-    n_swings = views.swings(views.pairs_at(estimate.t_d_s))
-    refusal = too_little_motion(n_swings, views.rules.search.min_swings_of_line)
-    if refusal is not None:
-        return refused(estimate, refusal)
+        also = "" if little is None else f"; {little.reason}"
+        return replace(estimate, reason=estimate.reason + also)
+    if little is not None:
+        return refused(estimate, little)
     t_d_s, std_s, n_samples = _refined(lines, views, estimate.t_d_s)
     return replace(
         estimate,
@@ -272,7 +273,8 @@ def _large_jump(t_d_s: float, F: Array, views: TwoViews) -> ClockJump | None:
     if n < 2:
         return None
     times_s = pairs.times_s
-    near = epipolar_distance(F, *pairs.points_px) <= most_px
+    distances_px = epipolar_distance(F, *pairs.points_px)
+    near = distances_px <= min(most_px, rules.large_quartiles * np.quantile(distances_px, 0.25))
     before = np.cumsum(near)[:-1] / np.arange(1.0, n)
     after = np.cumsum(near[::-1])[-2::-1] / np.arange(n - 1.0, 0.0, -1.0)
     inside = times_s[1:] - times_s[0] >= rules.jump_margin_s
@@ -295,7 +297,8 @@ def _large_jump(t_d_s: float, F: Array, views: TwoViews) -> ClockJump | None:
     for reach_s, step_s in ((rules.large_jump_s, 0.01), (0.01, FINE_STEP_S)):
         tried_s = other_s + np.arange(-reach_s, reach_s + 0.5 * step_s, step_s)
         other_s = float(tried_s[np.argmin([cost_px(offset_s) for offset_s in tried_s.tolist()])])
-    if cost_px(other_s) > most_px or abs(other_s - t_d_s) < rules.min_jump_s:
+    left_px = cost_px(other_s)
+    if not (left_px <= most_px and 2.0 * left_px <= cost_px(t_d_s)):
         return None
     before_s, after_s = (t_d_s, other_s) if is_later else (other_s, t_d_s)
     return ClockJump(float(times_s[k + 1]), after_s - before_s, np.nan, before_s, after_s)

@@ -99,8 +99,9 @@ def doubt(
         return (
             f"half of the pairs lie over {np.median(np.abs(distances_px)):.2f} px from their"
             f" epipolar lines, and {100 * share:.0f} % over {far_px:.2f} px, far for an object of"
-            f" {object_px:.1f} px rms: something else moves in view, a clock jumps, or the"
-            " calibration is of other cameras; record one object by itself, or calibrate again"
+            f" {object_px:.1f} px rms: something else moves in view, the cameras see different"
+            " objects or times, a clock jumps, or the calibration is of other cameras; record one"
+            " object by itself, record one flight with both cameras, or calibrate again"
         )
     if against_intrinsics > rules.max_against:
         which = f": {misfit}" if misfit else ""

@@ -36,8 +36,8 @@ def narrows(asked: Config, found: Estimate) -> bool:
 
 def is_truer(wider: Estimate, found: Estimate) -> bool:
     """Whether a search of all offsets says more than that an interval held none."""
-    of_interval = (Status.NO_COMMON_TIME, Status.SEARCH_BOUND, Status.NO_MATCH)
-    return found.status in of_interval and wider.status == Status.NO_MATCH
+    is_narrow = found.status in (Status.NO_COMMON_TIME, Status.SEARCH_BOUND)
+    return is_narrow or found.status == wider.status == Status.NO_MATCH
 
 
 def other_clocks(

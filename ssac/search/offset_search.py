@@ -286,7 +286,8 @@ def too_little_motion(n_swings: float, least: float) -> Refusal | None:
     """Refuse a path too short to tell an offset and a pose from chance."""
     reason = (
         f"the object goes to and fro {n_swings:.1f} times while both cameras see it, and"
-        f" {least} are needed to tell offset and pose: record longer, or a livelier flight"
+        f" {least} are needed to tell offset and pose from chance, as of different objects: record"
+        " longer, or a livelier flight"
     )
     return None if n_swings >= least else Refusal(Status.TOO_LITTLE_MOTION, reason)
 

@@ -143,7 +143,9 @@ def start_of(
     found = search_all_offsets(*motions, rules, rates or (1.0, 1.0), freedom, progress)
     refusal = _refusal(found, views.alone.repeats, rules)
     if refusal is not None and found.guesses:
-        refusal = too_little_motion(_most_swings(views), rules.unique_swings) or refusal
+        little = too_little_motion(_most_swings(views), rules.unique_swings)
+        if little is not None:
+            refusal = replace(little, reason=f"{little.reason}; {refusal.reason}")
     return Start(found, refusal, freedom > 0.0 or rates is not None)
 
 
@@ -173,7 +175,9 @@ def _refusal(found: AllOffsets, repeats: bool, rules: AllOffsetsRules) -> Refusa
         )
         return Refusal(Status.TOO_FEW_SAMPLES, reason)
     best = found.guesses[0]
-    rivals = [one for one in found.guesses[1:] if one.cost < rules.rival * best.cost]
+    # What is nearer is within reach of the search that follows, which tells it from the best.
+    far = [one for one in found.guesses[1:] if abs(one.t_d_s - best.t_d_s) > rules.reach_s]
+    rivals = [one for one in far if one.cost < rules.rival * best.cost]
     if best.cost > rules.max_cost and not (rivals and repeats):
         return Refusal(
             Status.NO_MATCH,
