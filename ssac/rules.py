@@ -281,6 +281,8 @@ class SearchRules:
     min_extent: float = 0.6  # rms distance of a track from its middle, over the object's rms size
     max_residual: float = 0.4  # mean epipolar distance over the rms size: else no one object
     min_second_best: float = 7.0  # times worse that another F must fit the pairs
+    # Times to and fro along a straight line, as 3.5 of any path: half as many unknowns as with F.
+    min_swings_of_line: float = 1.75
 
 
 @dataclass(frozen=True)
@@ -490,6 +492,12 @@ class ClockRules:
     jump_margin_s: float = 2.0  # from both ends: a bias does not average out in less
     max_tried: int = 200
     jump_near_s: float = 2.0  # of the best of these, the jump is looked for closely
+    # One so large that the views match on one side of it alone: up to how many lower quartiles of
+    # the distances pairs match, by how much their shares differ, and how far the other offset is.
+    # Causes of `ssac study reasons`, bases 1 and 20.
+    large_quartiles: float = 6.0
+    large_contrast: float = 0.4
+    large_jump_s: float = 1.0
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ FILES = (
     "coverage",
     "efficiency",
     "refusal",
+    "reasons",
     "imperfect",
     "requirements",
     "tangency",

@@ -170,7 +170,11 @@ def possible_poses(p1_px: Array, p2_px: Array, rig: Rig, rules: SearchRules) -> 
 
 
 def homography_poses(x1: Array, x2: Array) -> tuple[float, list[Pose]]:
-    """Median distance of rays (n, 3) from the homography between them, and its poses."""
+    """Median distance of rays (n, 3) from the homography between them, and its poses.
+
+    The decomposition is that of Ma et al., An Invitation to 3-D Vision, Sec. 5.3.3, as OpenCV's
+    takes both cameras to be on the same side of the plane.
+    """
     found, _ = cv2.findHomography(x1[:, :2], x2[:, :2], cv2.LMEDS)
     if found is None:
         return np.inf, []
@@ -178,13 +182,22 @@ def homography_poses(x1: Array, x2: Array) -> tuple[float, list[Pose]]:
     mapped = x1 @ H.T
     with np.errstate(divide="ignore", invalid="ignore"):
         distances = np.linalg.norm(mapped[:, :2] / mapped[:, 2:] - x2[:, :2], axis=1)
-    _, turns, shifts, _ = cv2.decomposeHomographyMat(H, np.eye(3))
+    _, sizes, axes = np.linalg.svd(H)
+    H = H * np.sign(np.median(mapped[:, 2])) / sizes[1]  # depths are positive in both views
+    squares = (sizes / sizes[1]) ** 2
     poses: list[Pose] = []
-    for turn, shift in zip(turns, shifts, strict=True):
-        R, t = np.asarray(turn, dtype=np.float64), np.asarray(shift, dtype=np.float64)[:, 0]
-        length = np.linalg.norm(t)
-        if length > 1e-9:  # less is that of a turn without a baseline
-            poses += [(R, t / length), (R, -t / length)]
+    along, across = np.sqrt(1.0 - squares[2]) * axes[0], np.sqrt(squares[0] - 1.0) * axes[2]
+    for u in (along + across, along - across):  # in the plane, as the second axis is
+        length = np.linalg.norm(u)
+        if not length > 1e-9:
+            continue  # a turn without a baseline
+        first, second = axes[1], u / length
+        before = np.column_stack([first, second, np.cross(first, second)])
+        turned = H @ first, H @ second
+        R = np.column_stack([*turned, np.cross(*turned)]) @ before.T
+        t = (H - R) @ before[:, 2]
+        t = t / np.linalg.norm(t)
+        poses += [(R, t), (R, -t)]
     return float(np.median(distances)), poses
 
 

@@ -8,13 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssac.camera import known_pose
-from ssac.estimate import Estimate, Refusal, Status
+from ssac.estimate import ClockJump, Estimate, Refusal, Status
 from ssac.geometry.epipolar import cauchy_weights, epipolar_distance, fundamental_from_pose
 from ssac.geometry.fundamental import lmeds_fundamental, magsac_fundamental, reweighted_fundamental
 from ssac.geometry.pose import nearest_pose, pose_from_fundamental
 from ssac.methods.method import method
-from ssac.methods.verdict import offset_estimate, refused
+from ssac.methods.verdict import jumped, offset_estimate, refused
 from ssac.search.offset_search import (
+    FINE_STEP_S,
     ambiguous_offset,
     mean_epipolar_distance,
     no_match,
@@ -81,15 +82,20 @@ def straight_path(views: TwoViews, lines: tuple[View, View]) -> Estimate:
     if estimate.status != Status.OK:
         return estimate
     misfit_px = float(cost_px(np.array([estimate.t_d_s]))[0])
+    n_swings = views.swings(views.pairs_at(estimate.t_d_s))
+    little = too_little_motion(n_swings, views.rules.search.min_swings_of_line)
     estimate = _checked(estimate, misfit_px, views)
     if estimate.status != Status.OK:
-        return estimate
+        also = "" if little is None else f"; {little.reason}"
+        return replace(estimate, reason=estimate.reason + also)
+    if little is not None:
+        return refused(estimate, little)
     t_d_s, std_s, n_samples = _refined(lines, views, estimate.t_d_s)
     return replace(
         estimate,
         status=Status.DEGENERATE_POSE,
         reason="the object flies along a straight line, which leaves the pose open; the offset is"
-        " from its speed along the line",
+        " from its speed along the line: fly in all directions",
         t_d_s=t_d_s,
         t_d_std_s=std_s,
         unobservable=np.eye(6)[1:],
@@ -195,7 +201,7 @@ def algorithm_2(views: TwoViews) -> Estimate:
     or "ambiguous_pose" or "degenerate_pose", with an offset that holds but without R and t.
     """
     config, rules, (view1, view2) = views.config, views.rules.search, views.alone.views
-    if view1 is not None and view2 is not None and view1.is_straight and view2.is_straight:
+    if view1 is not None and view2 is not None and views.alone.are_straight:
         return straight_path(views, (view1, view2))
 
     def d_avg_px(fit: Callable[..., Array], n_samples: int, t_d_s: Array) -> Array:  # lines 2 to 9
@@ -223,7 +229,7 @@ def algorithm_2(views: TwoViews) -> Estimate:
         refusal = Refusal(
             Status.TOO_FEW_SAMPLES,
             f"{len(pairs)} sample times are valid in both views at the best offset:"
-            f" {rules.min_pairs_of_pose} are needed to find the pose as well",
+            f" {rules.min_pairs_of_pose} are needed to find the pose as well; record longer",
         )
     if refusal is not None:
         return refused(estimate, refusal)
@@ -252,8 +258,50 @@ def _checked(estimate: Estimate, distance_px: float, views: TwoViews) -> Estimat
     rules = views.rules.search
     found = valleys(estimate.candidates_s, estimate.costs, estimate.t_d_s, rules)
     differ = no_match(distance_px, views.object_px, rules)
+    if differ is not None and estimate.F is not None:
+        jump = _large_jump(estimate.t_d_s, estimate.F, views)
+        if jump is not None:
+            return jumped(estimate, jump)
     refusal = differ or ambiguous_offset(found, views.config.max_valley_s)
     return estimate if refusal is None else refused(estimate, refusal, found)
+
+
+def _large_jump(t_d_s: float, F: Array, views: TwoViews) -> ClockJump | None:
+    """Find an instant from which on, or up to which, the views match at another offset alone."""
+    rules, pairs = views.rules.clock, views.pairs_at(t_d_s)
+    most_px, n = views.rules.search.max_residual * views.object_px, len(pairs)
+    if n < 2:
+        return None
+    times_s = pairs.times_s
+    distances_px = epipolar_distance(F, *pairs.points_px)
+    near = distances_px <= min(most_px, rules.large_quartiles * np.quantile(distances_px, 0.25))
+    before = np.cumsum(near)[:-1] / np.arange(1.0, n)
+    after = np.cumsum(near[::-1])[-2::-1] / np.arange(n - 1.0, 0.0, -1.0)
+    inside = times_s[1:] - times_s[0] >= rules.jump_margin_s
+    inside &= times_s[-1] - times_s[1:] >= rules.jump_margin_s
+    contrast = np.where(inside, np.abs(before - after), 0.0)
+    k = int(np.argmax(contrast))
+    if contrast[k] < rules.large_contrast:
+        return None
+    is_later = before[k] > after[k]  # what does not match
+    rest = slice(k + 1, None) if is_later else slice(None, k + 1)
+
+    def cost_px(offset_s: float) -> float:
+        track = views.motion2.at(views.on_clock_2(times_s[rest], offset_s))
+        if np.mean(track.valid) < 0.5:
+            return np.inf
+        p1, p2 = pairs.p1_px[rest][track.valid], track.positions_px[track.valid]
+        return float(np.median(epipolar_distance(F, p1, p2)))
+
+    other_s = t_d_s
+    for reach_s, step_s in ((rules.large_jump_s, 0.01), (0.01, FINE_STEP_S)):
+        tried_s = other_s + np.arange(-reach_s, reach_s + 0.5 * step_s, step_s)
+        other_s = float(tried_s[np.argmin([cost_px(offset_s) for offset_s in tried_s.tolist()])])
+    left_px = cost_px(other_s)
+    if not (left_px <= most_px and 2.0 * left_px <= cost_px(t_d_s)):
+        return None
+    before_s, after_s = (t_d_s, other_s) if is_later else (other_s, t_d_s)
+    return ClockJump(float(times_s[k + 1]), after_s - before_s, np.nan, before_s, after_s)
 
 
 def _distance_px(estimate: Estimate) -> float:
@@ -283,7 +331,8 @@ def with_pose(
     if pose.in_front < least:
         reason = (
             f"only {100 * pose.in_front:.0f} % of the pairs lie in front of both cameras with the"
-            f" best of the four poses; {100 * least:.0f} % are needed"
+            f" best of the four poses; {100 * least:.0f} % are needed: calibrate again, or fly in"
+            " all directions"
         )
         return replace(estimate, status=Status.AMBIGUOUS_POSE, reason=reason)
     pose = nearest_pose(pose, F, K1, K2, p1_px, p2_px)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssac.clock import PPM, Clock
-from ssac.estimate import SETTLED_BY, ClockJump, Estimate, Refusal, Status
+from ssac.estimate import SETTLED_BY, ClockJump, Estimate, Status
 from ssac.fit.least_squares import (
     FIRST_COLUMN,
     T_D,
@@ -31,7 +31,7 @@ from ssac.fit.least_squares import (
 )
 from ssac.geometry.epipolar import CAUCHY, robust_deviation
 from ssac.methods.algorithms import algorithm_1, algorithm_2
-from ssac.methods.verdict import refused
+from ssac.methods.verdict import jumped
 from ssac.rules import ClockRules
 from ssac.search.two_views import Shutters, TwoViews, shutters_of
 
@@ -248,14 +248,7 @@ def checked_clock(estimate: Estimate, model: ClockModel, last: Residuals) -> Est
     if abs(size_s) < max(rules.min_jump_s, least * std_s):
         return estimate
     before_s = float(model.clock(found).cam2_from_cam1(at_s)) - at_s
-    jump = ClockJump(at_s, size_s, std_s, before_s, before_s + size_s)
-    reason = (
-        f"camera 2's clock jumps by {1e3 * size_s:+.1f} ms (1 sigma {1e3 * std_s:.1f} ms) at"
-        f" {at_s:.2f} s of camera 1's clock: t_d is {1e3 * jump.before_s:.1f} ms before and"
-        f" {1e3 * jump.after_s:.1f} ms after; cut the recordings there,"
-        " or give --clock pieces if it rather wanders"
-    )
-    return replace(refused(estimate, Refusal(Status.CLOCK_JUMP, reason)), jump=jump)
+    return jumped(estimate, ClockJump(at_s, size_s, std_s, before_s, before_s + size_s))
 
 
 def _likely(residuals: Residuals, rules: ClockRules) -> float | None:

@@ -56,7 +56,7 @@ def choose(start: Estimate, solutions: list[Solution], rules: Rules) -> Estimate
     if n_others and estimate.status == Status.OK:
         reason = (
             f"{n_others + 1} poses fit about as well, {np.degrees(max(apart)):.0f} deg apart, as"
-            " for a path in a plane; the offset is the same with each"
+            " for a path in a plane; the offset is the same with each: fly in all directions"
         )
         return replace(estimate, status=Status.AMBIGUOUS_POSE, reason=reason, R=None, t=None)
     return estimate
@@ -106,13 +106,18 @@ class Choice:
         if not tried:
             return start
         found = self._weighed(start) if start.status == Status.OK else []
+        jumping = None
         for hypothesis in tried:
             estimate = self.refine(hypothesis, self.views)
+            if estimate.status == Status.CLOCK_JUMP:
+                jumping = jumping or estimate
             if estimate.status == Status.OK and self._in_front(estimate):
                 found += self._weighed(estimate)
             rivals = _rivals(found, rules.hypotheses.clearly)
             if len(_distinct_offsets(rivals, rules.hypotheses.same_s)) >= rules.hypotheses.enough:
                 break  # many offsets fit as well
+        if not found and jumping is not None:
+            return jumping
         return choose(start, found, rules)
 
     def confirmed(self, estimate: Estimate, start: Estimate) -> Estimate:

@@ -29,6 +29,7 @@ from ssac.fit.least_squares import (
     linearise,
 )
 from ssac.geometry.epipolar import CAUCHY
+from ssac.geometry.pose import homography_poses, rays_of
 from ssac.methods.algorithms import with_fit
 from ssac.methods.clocks import checked_clock, clock_model
 from ssac.methods.verdict import doubt
@@ -126,6 +127,13 @@ class Refinement(ABC):
         told = model.told(start, residuals, covariance)
         return checked_clock(self._told(told, residuals, covariance, hidden_px), model, residuals)
 
+    def _is_flat(self, residuals: Residuals) -> bool:
+        """Whether the pairs lie in a plane, so that they tell nothing of intrinsics."""
+        rig = residuals.problem.rig
+        rays = rays_of(rig.cam1.K, residuals.p1_px), rays_of(rig.cam2.K, residuals.p2_px)
+        distance_px = homography_poses(*rays)[0] * rig.cam2.K[0, 0]
+        return bool(distance_px <= self.rules.hypotheses.flat * self.size_px)
+
     def no_convergence(self, reason: str) -> Estimate:
         """Refuse what the iterations do not lead to."""
         return replace(self.start, status=Status.NO_CONVERGENCE, reason=reason)
@@ -149,6 +157,8 @@ class Refinement(ABC):
         F = fundamental_of(problem, parameters)
         rules = self.rules.verdict
         against, shift = evidence(residuals, hidden_px)
+        if against > rules.in_doubt and self._is_flat(residuals):
+            against, shift = 0.0, 0.0  # any intrinsics fit a path in a plane, each with its pose
         misfit = wanted(residuals) if against > rules.in_doubt else ""
         return replace(
             fitted,

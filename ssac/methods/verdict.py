@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssac.config import N_MIN
-from ssac.estimate import Estimate, Refusal, Status
+from ssac.estimate import ClockJump, Estimate, Refusal, Status
 from ssac.events import US_PER_S, time_quantum_s
 from ssac.geometry.epipolar import robust_deviation
 from ssac.geometry.pose import tangent_basis
@@ -31,7 +31,8 @@ def offset_estimate(method: str, search: OffsetSearch, views: TwoViews) -> Estim
         status = Status.TOO_FEW_SAMPLES
         reason = (
             f"at no {where} are {views.rules.search.min_pairs} of {views.config.n_samples}"
-            f" sample times valid in both views: {_needed(views)}"
+            f" sample times valid in both views: {_needed(views)}; record longer, or closer to the"
+            " object"
         )
     elif search.at_bound:
         status = Status.SEARCH_BOUND
@@ -94,12 +95,13 @@ def doubt(
     has_tail = mean_px > rules.max_tail * spread_px
     has_tail = has_tail and mean_px > rules.small_px + rules.small_share * object_px
     if has_tail or is_spread(distances_px, object_px, rules):
-        share = np.mean(np.abs(distances_px) > 3.0 * spread_px)
+        far_px, share = 3.0 * spread_px, np.mean(np.abs(distances_px) > 3.0 * spread_px)
         return (
-            f"pairs lie {mean_px:.2f} px from their epipolar lines on average (robust deviation"
-            f" {spread_px:.2f} px, {100 * share:.0f} % beyond three of them), far for an object of"
-            f" {object_px:.1f} px rms: something else moves in view, a clock jumps, or the"
-            " calibration is of other cameras"
+            f"half of the pairs lie over {np.median(np.abs(distances_px)):.2f} px from their"
+            f" epipolar lines, and {100 * share:.0f} % over {far_px:.2f} px, far for an object of"
+            f" {object_px:.1f} px rms: something else moves in view, the cameras see different"
+            " objects or times, a clock jumps, or the calibration is of other cameras; record one"
+            " object by itself, record one flight with both cameras, or calibrate again"
         )
     if against_intrinsics > rules.max_against:
         which = f": {misfit}" if misfit else ""
@@ -109,6 +111,19 @@ def doubt(
             " --focal-std, --centre-std)"
         )
     return ""
+
+
+def jumped(estimate: Estimate, jump: ClockJump) -> Estimate:
+    """Refuse an estimate as camera 2's clock jumps."""
+    is_sure = np.isfinite(jump.size_std_s)
+    sigma = f" (1 sigma {1e3 * jump.size_std_s:.1f} ms)" if is_sure else ""
+    reason = (
+        f"camera 2's clock jumps by {1e3 * jump.size_s:+.1f} ms{sigma} at"
+        f" {jump.at_s:.2f} s of camera 1's clock: t_d is {1e3 * jump.before_s:.1f} ms before and"
+        f" {1e3 * jump.after_s:.1f} ms after; cut the recordings there,"
+        " or give --clock pieces if it rather wanders"
+    )
+    return replace(refused(estimate, Refusal(Status.CLOCK_JUMP, reason)), jump=jump)
 
 
 def is_spread(distances_px: Array, object_px: float, rules: VerdictRules) -> bool:
@@ -125,7 +140,8 @@ def certain(estimate: Estimate, rules: VerdictRules) -> Estimate:
     if not estimate.t_d_std_s <= rules.max_t_d_std_s:
         reason = (
             f"the offset has a standard deviation of {1e3 * estimate.t_d_std_s:.3g} ms, more than"
-            f" {1e3 * rules.max_t_d_std_s:.0f} ms: the motion hardly tells it"
+            f" {1e3 * rules.max_t_d_std_s:.0f} ms: the motion hardly tells it; record longer, or a"
+            " livelier flight"
         )
         return refused(estimate, Refusal(Status.AMBIGUOUS_OFFSET, reason))
     if estimate.covariance is None or estimate.t is None:
@@ -140,7 +156,10 @@ def certain(estimate: Estimate, rules: VerdictRules) -> Estimate:
     unobservable[:, 1:] = directions[:, is_open].T
     worst_deg = np.degrees(np.sqrt(np.max(variances)))
     named = "; ".join(_in_words(direction, estimate.t) for direction in unobservable)
-    reason = f"the motion leaves the pose open by {worst_deg:.0f} deg (1 sigma): {named}"
+    reason = (
+        f"the motion leaves the pose open by {worst_deg:.0f} deg (1 sigma): {named}; fly in all"
+        " directions, and closer to the cameras"
+    )
     open_pose = replace(estimate, status=Status.DEGENERATE_POSE, reason=reason, R=None, t=None)
     return replace(open_pose, unobservable=unobservable)
 

@@ -35,16 +35,18 @@ from ssac.pipeline.retries import (
     doubt_from,
     hidden,
     is_faint,
+    is_mended,
     is_settled_by,
     is_truer,
     less_certain,
     lies_elsewhere,
+    narrows,
     other_clocks,
     other_rates,
     other_ways,
     usual_mistake,
 )
-from ssac.search.offset_search import has_common_time, unusable
+from ssac.search.offset_search import has_common_time, overlapping, unusable
 from ssac.search.one_object import one_object
 from ssac.search.start import Start, start_of
 from ssac.search.two_views import TwoViews, views_of
@@ -275,15 +277,17 @@ class Chain:
             rated = self._of_one(replace(pair, config=replace(config, rates=rates)), True)
             if rated.estimate.has_offset:
                 return replace(rated, clock=FAST)
+        if not tries_all and narrows(self.config, answer.estimate):
+            outside = "or the offset lies outside the search: leave out --search, and all are tried"
+            answer = _with_reason(answer, outside)
         mistake = usual_mistake(pair.rig, answer.cleans, answer.estimate)
         if mistake is None:
             return answer
         hint, rig, cleans = mistake
         mended = self._compared(replace(pair, rig=rig, cleans=cleans, seen=cleans), tries_all)
-        if not mended.estimate.has_offset:
+        if not is_mended(mended.estimate, config.rules.verdict):
             return answer
-        reason = f"{answer.estimate.reason}; all agrees if {hint}"
-        return replace(answer, estimate=replace(answer.estimate, reason=reason))
+        return _with_reason(answer, f"all agrees if {hint}")
 
     def _of_one(self, pair: _Pair, tries_all: bool) -> Answer:
         """Answer with the one object that all cameras saw, for methods that look at one."""
@@ -302,7 +306,10 @@ class Chain:
         cleans, config = pair.cleans, pair.config
         views = self._views(cleans, pair.rig.unposed, config)
         refusal = unusable(views, cleans, None if tries_all else config.offsets_s)
-        if refusal is None and tries_all:
+        if refusal is None and tries_all and views.alone.are_straight:
+            # Any F fits at any offset: only the speed along the line tells it.
+            pair = replace(pair, config=replace(config, interval_s=overlapping(cleans)))
+        elif refusal is None and tries_all:
             start = self._start(pair, views)
             pair, refusal = replace(pair, start=start), start.refusal
             if start.has_guess:
@@ -472,7 +479,12 @@ class Chain:
 
         def any_rate() -> Start:
             start, rates = found(pair.config.rates), pair.config.rates
-            if start.refusal is None or rates is not None or not self._has_track(*pair.places):
+            if (
+                start.refusal is None
+                or rates is not None
+                or not self._has_track(*pair.places)
+                or views.alone.repeats  # which tells a rate as little as an offset
+            ):
                 return start
             other = found(pair.config.rules.retry.any_rate)
             return start if other.refusal is not None else other
@@ -531,6 +543,12 @@ def _check_two(name1: str, name2: str, one: Clean, other: Clean) -> None:
             f"{name1} and {name2} hold the same points: one is a copy of the other, and there is no"
             " baseline between a camera and itself: give what each camera recorded"
         )
+
+
+def _with_reason(answer: Answer, more: str) -> Answer:
+    """Add to the reason of a refusal."""
+    estimate = answer.estimate
+    return replace(answer, estimate=replace(estimate, reason=f"{estimate.reason}; {more}"))
 
 
 def _held(seen: Observation, name: str) -> str:

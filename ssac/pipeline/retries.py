@@ -28,10 +28,17 @@ def lies_elsewhere(asked: Config, found: Estimate) -> bool:
     return not is_asked and found.status in SETTLED_BY["all offsets"]
 
 
+def narrows(asked: Config, found: Estimate) -> bool:
+    """Whether an interval that was asked for may be why nothing was found."""
+    is_asked = asked.interval_s is not None or asked.search == "interval"
+    may_be = Status.SEARCH_BOUND, Status.TOO_LITTLE_MOTION, Status.NO_MATCH, Status.POOR_FIT
+    return is_asked and found.status in (*may_be, Status.AMBIGUOUS_OFFSET)
+
+
 def is_truer(wider: Estimate, found: Estimate) -> bool:
     """Whether a search of all offsets says more than that an interval held none."""
-    of_interval = (Status.NO_COMMON_TIME, Status.SEARCH_BOUND, Status.NO_MATCH)
-    return found.status in of_interval and wider.status == Status.NO_MATCH
+    is_narrow = found.status in (Status.NO_COMMON_TIME, Status.SEARCH_BOUND)
+    return is_narrow or found.status == wider.status == Status.NO_MATCH
 
 
 def other_clocks(
@@ -155,6 +162,11 @@ def less_certain(rig: Rig, found: Estimate, rules: VerdictRules) -> Rig:
             wider_px = np.maximum(stds_px, np.minimum(wider_px, most_px))
         cameras.append(replace(camera, intrinsics_std_px=tuple(wider_px.tolist())))
     return Rig(cameras[0], cameras[1], rig.T_2_1)
+
+
+def is_mended(by_other: Estimate, rules: VerdictRules) -> bool:
+    """Whether all agrees with a mended rig."""
+    return by_other.status == Status.OK and by_other.against <= rules.in_doubt
 
 
 def usual_mistake(

@@ -223,13 +223,20 @@ def _no_common_time(cleans: tuple[Clean, Clean], interval_s: Interval) -> Refusa
     (start1, end1), (start2, end2) = (one.span_s for one in cleans)
     if has_common_time(cleans, interval_s) or not np.isfinite([start1, start2]).all():
         return None
-    low, high, shift_s = *interval_s, start2 - start1
+    low, high = interval_s
     return Refusal(
         Status.NO_COMMON_TIME,
         f"camera 1 ({start1:.3f} to {end1:.3f} s) and camera 2 ({start2:.3f} to {end2:.3f} s) have"
-        f" no common time at any offset between {low:g} and {high:g} s: search where they do, for"
-        f" example --search {shift_s - 1.0:.1f} {shift_s + 1.0:.1f}",
+        f" no common time at any offset between {low:g} and {high:g} s: leave out --search, and all"
+        " are tried",
     )
+
+
+def overlapping(cleans: tuple[Clean, Clean]) -> Interval:
+    """Give the offsets at which recordings have at least half of the shorter one in common."""
+    (start1, end1), (start2, end2) = (one.span_s for one in cleans)
+    half_s = 0.5 * min(end1 - start1, end2 - start2)
+    return start2 - end1 + half_s, end2 - start1 - half_s
 
 
 def has_common_time(cleans: tuple[Clean, Clean], interval_s: Interval) -> bool:
@@ -269,7 +276,8 @@ def at_rest(views: tuple[View | None, View | None], rules: SearchRules) -> Refus
             return Refusal(
                 Status.NO_MOTION,
                 f"in camera {number} the object moves by {view.extent_px:.1f} px rms only, of its"
-                f" own rms size of {view.size_px:.1f} px: it is at rest, or lost in noise",
+                f" own rms size of {view.size_px:.1f} px: it is at rest, or lost in noise; record"
+                " a livelier flight, or closer to the object",
             )
     return None
 
@@ -278,7 +286,8 @@ def too_little_motion(n_swings: float, least: float) -> Refusal | None:
     """Refuse a path too short to tell an offset and a pose from chance."""
     reason = (
         f"the object goes to and fro {n_swings:.1f} times while both cameras see it, and"
-        f" {least} are needed to tell offset and pose: record longer, or a livelier flight"
+        f" {least} are needed to tell offset and pose from chance, as of different objects: record"
+        " longer, or a livelier flight"
     )
     return None if n_swings >= least else Refusal(Status.TOO_LITTLE_MOTION, reason)
 
@@ -287,8 +296,9 @@ def no_match(distance_px: float, object_px: float, rules: SearchRules) -> Refusa
     """Refuse what fits the two views no better than two unrelated paths."""
     reason = (
         f"at the best offset the two paths still disagree by {distance_px:.1f} px, and the object's"
-        f" rms size is {object_px:.1f} px: the cameras see different objects, or the offset lies"
-        " outside the search"
+        f" rms size is {object_px:.1f} px: the cameras see different objects, a clock jumps or runs"
+        " at a rate of its own, or the rig is of other cameras; record one flight with both"
+        " cameras, give --rate-range, or calibrate again"
     )
     is_far = distance_px > rules.max_residual * object_px
     return Refusal(Status.NO_MATCH, reason) if is_far else None
@@ -298,7 +308,7 @@ def open_fundamental(p1_px: Array, p2_px: Array, rules: SearchRules) -> Refusal 
     """Refuse the pose of pairs (n, 2) [px] that another F fits nearly as well as the best."""
     reason = (
         "the path lies near a plane, or near another surface on which many fundamental matrices"
-        " fit as well: F leaves the pose open"
+        " fit as well: F leaves the pose open, so fly in all directions"
     )
     is_open = not second_best(p1_px, p2_px) >= rules.min_second_best
     return Refusal(Status.DEGENERATE_POSE, reason) if is_open else None
@@ -329,8 +339,8 @@ def ambiguous_offset(found: list[Valley], longest_s: float) -> Refusal | None:
     first, *others = found
     alternatives_s = sorted(valley.least_s for valley in others)
     reason = (
-        f"all offsets from {first.first_s:.2f} to {first.last_s:.2f} s fit alike: uniform motion"
-        " along a line, circle or helix does not tell the offset"
+        f"all offsets from {first.first_s:.2f} to {first.last_s:.2f} s fit alike: the motion is"
+        f" uniform along a line, circle or helix, {_NOT_ONE}"
     )
     if alternatives_s:
         reason = other_offsets(alternatives_s)
@@ -343,6 +353,12 @@ def other_offsets(alternatives_s: list[float]) -> str:
     named = ", ".join(f"{offset_s:.3f}" for offset_s in alternatives_s[:5])
     more = f" and {len(alternatives_s) - 5} more" if len(alternatives_s) > 5 else ""
     return (
-        f"other offsets fit about as well: {named} s{more}; the motion repeats itself, or is"
-        " uniform along a circle or helix"
+        f"other offsets fit about as well: {named} s{more}; the motion repeats itself, is uniform"
+        f" along a line, circle or helix, {_NOT_ONE}"
     )
+
+
+_NOT_ONE = (
+    "or is not one object's (noise, or several things): fly in all directions, or record one object"
+    " by itself"
+)

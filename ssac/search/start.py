@@ -16,6 +16,7 @@ from ssac.estimate import ClockJump, Estimate, Refusal, Status
 from ssac.events import US_PER_S
 from ssac.rules import AllOffsetsRules
 from ssac.search.all_offsets import AllOffsets, Guess, Progress, search_all_offsets
+from ssac.search.offset_search import too_little_motion
 from ssac.search.two_views import TwoViews
 from ssac.track.clean import Clean
 from ssac.track.motion import PointMotion
@@ -140,32 +141,57 @@ def start_of(
     has_track = any(isinstance(motion, PointMotion) for motion in motions)
     freedom = rules.rate_freedom if has_track else 0.0
     found = search_all_offsets(*motions, rules, rates or (1.0, 1.0), freedom, progress)
-    return Start(found, _refusal(found, rules), freedom > 0.0 or rates is not None)
+    refusal = _refusal(found, views.alone.repeats, rules)
+    if refusal is not None and found.guesses:
+        little = too_little_motion(_most_swings(views), rules.unique_swings)
+        if little is not None:
+            refusal = replace(little, reason=f"{little.reason}; {refusal.reason}")
+    return Start(found, refusal, freedom > 0.0 or rates is not None)
 
 
-def _refusal(found: AllOffsets, rules: AllOffsetsRules) -> Refusal | None:
-    """Refuse what no offset of all explains, or several do."""
+_SEEN_TWICE = "the motion repeats itself, as on a circle or helix: fly in all directions, no loop"
+_LITTLE_SEEN = (
+    "the motion is uniform along a circle or helix, or repeats itself (fly in all directions); the"
+    " cameras see different objects, or too little of one flight (record longer; record one flight"
+    " with both cameras); or a clock runs at a rate of its own (--rate-range)"
+)
+
+
+def _most_swings(views: TwoViews) -> float:
+    """How often the object goes to and fro at the most, however much of it is common."""
+    both = zip((views.motion1, views.motion2), views.alone.views, strict=True)
+    return min(
+        0.0 if view is None else view.swing_hz * float(np.ptp(motion.span_s))
+        for motion, view in both
+    )
+
+
+def _refusal(found: AllOffsets, repeats: bool, rules: AllOffsetsRules) -> Refusal | None:
+    """Refuse what no offset of all explains, or several do, as of a path that repeats itself."""
     if not found.guesses:
         reason = (
             "at no offset do both cameras see the object move for long enough to compare its paths:"
-            " check that they saw one flight"
+            " record longer, and record one flight with both cameras"
         )
         return Refusal(Status.TOO_FEW_SAMPLES, reason)
     best = found.guesses[0]
-    rivals = [one for one in found.guesses[1:] if one.cost < rules.rival * best.cost]
-    if best.cost > rules.max_cost:
+    # What is nearer is within reach of the search that follows, which tells it from the best.
+    far = [one for one in found.guesses[1:] if abs(one.t_d_s - best.t_d_s) > rules.reach_s]
+    rivals = [one for one in far if one.cost < rules.rival * best.cost]
+    if best.cost > rules.max_cost and not (rivals and repeats):
         return Refusal(
             Status.NO_MATCH,
             f"at the best of all offsets, {best.t_d_s:.1f} s, the two paths still disagree by"
-            f" {100.0 * best.cost:.0f} % of their width: the cameras see different objects, too"
-            " little of one flight, or a clock runs at a rate of its own (--rate-range)",
+            f" {100.0 * best.cost:.0f} % of their width: the cameras see different objects or too"
+            " little of one flight, a clock jumps, or runs at a rate of its own; record one flight"
+            " with both cameras, or give --rate-range",
         )
     if rivals:
         others = ", ".join(f"{guess.t_d_s:.1f}" for guess in rivals[:5])
         return Refusal(
             Status.AMBIGUOUS_OFFSET,
-            f"of all offsets {best.t_d_s:.1f} s fits best, and {others} s about as well: too little"
-            " of one flight is common, or a clock runs at a rate of its own (--rate-range)",
+            f"of all offsets {best.t_d_s:.1f} s fits best, and {others} s about as well:"
+            f" {_SEEN_TWICE if repeats else _LITTLE_SEEN}",
             best.t_d_s,
             tuple(guess.t_d_s for guess in rivals),
         )

@@ -270,6 +270,11 @@ class Alone:
         """Each view summed up; None without valid samples."""
         return view_of(self.motions[0], self.rules), view_of(self.motions[1], self.rules)
 
+    @property
+    def are_straight(self) -> bool:
+        """Whether the path is a straight line in both views."""
+        return all(view is not None and view.is_straight for view in self.views)
+
     @cached_property
     def returns_s(self) -> Array:
         """Lags (k,) [s] after which camera 1's path repeats itself."""

@@ -10,6 +10,7 @@ from ssac.geometry.epipolar import fundamental_from_pose
 from ssac.geometry.fundamental import reweighted_fundamental
 from ssac.geometry.pose import (
     depths,
+    homography_poses,
     nearest_pose,
     pose_from_fundamental,
     possible_poses,
@@ -89,3 +90,21 @@ def test_tangent_basis_is_orthonormal():
         t = t / np.linalg.norm(t)
         frame = np.vstack([t, tangent_basis(t)])
         assert np.allclose(frame @ frame.T, np.eye(3), atol=1e-12)
+
+
+def test_a_plane_between_the_cameras_gives_their_pose():
+    rng = np.random.default_rng(3)
+    R = Rotation.from_euler("y", 120.0, degrees=True).as_matrix()
+    middle = np.array([0.0, 0.0, 5.0])
+    t = middle - R @ middle  # both look at the middle
+    # The plane of points, x + 0.2 z = 1, has camera 1 on one side and camera 2 on the other.
+    points = rng.uniform(-1.0, 1.0, (50, 3)) + middle
+    points[:, 0] = 1.0 - 0.2 * points[:, 2]
+    seen = [p / p[:, 2:] for p in (points, points @ R.T + t)]
+    sides = np.array([-1.0, -R.T[0] @ t - 0.2 * R.T[2] @ t - 1.0])
+    assert sides[0] * sides[1] < 0.0
+    distance, poses = homography_poses(*seen)
+    assert distance < ROUNDING  # as OpenCV solves for a homography
+    t = t / np.linalg.norm(t)
+    errors = [np.abs(at_R - R).max() + np.abs(at_t - t).max() for at_R, at_t in poses]
+    assert min(errors) < ROUNDING

@@ -124,7 +124,7 @@ def test_what_cannot_be_searched_is_refused_with_advice():
             (moves, later(moves, 100.0)),
             (
                 "camera 1 (0.000 to 8.000 s) and camera 2 (100.000 to 108.000 s)",
-                "between -1 and 1 s: search where they do, for example --search 99.0 101.0",
+                "between -1 and 1 s: leave out --search",
             ),
         ),
         (
