@@ -24,13 +24,14 @@ from threadpoolctl import ThreadpoolController
 from ssac.camera import Cameras, Rig, check_cameras
 from ssac.config import Config, Interval, validated
 from ssac.errors import SsacError
-from ssac.estimate import Estimate, Refusal, Status
+from ssac.estimate import SETTLED_BY, Estimate, Refusal, Status
 from ssac.methods.method import Input, Method
 from ssac.methods.verdict import less_sure, quantum_s
 from ssac.pipeline.answer import Answer, Log, Stopwatch, quiet
 from ssac.pipeline.registry import choose_method, load
 from ssac.pipeline.retries import (
     WANDERING,
+    by_several,
     doubt_from,
     is_settled_by,
     is_truer,
@@ -213,7 +214,9 @@ class Chain:
             other = chain._asked(method, places, way.resolved(self._has_track(*places)))
             if other.estimate.status == Status.OK:
                 return other
-        return answer
+            if answer.estimate.status in SETTLED_BY["closer"] and other.sees_several:
+                answer = other
+        return replace(answer, estimate=by_several(answer.cleans, answer.estimate))
 
     def _asked(self, method: Method, places: tuple[int, int], config: Config) -> Answer:
         """Search the offsets that are asked for; all, where that is open and they give nothing."""

@@ -7,8 +7,10 @@ import pytest
 
 import ssac
 from ssac.camera import Camera, Rig
-from ssac.estimate import Status
-from tests.ssac.synthetic import CAMERA, HEIGHT, WIDTH, K, make_events, make_scene
+from ssac.estimate import Estimate, Status
+from ssac.pipeline.retries import by_several
+from ssac.track.clean import ObjectsUsed
+from tests.ssac.synthetic import CAMERA, HEIGHT, WIDTH, K, denoised, make_events, make_scene
 from tests.ssac.tracks import frame_track
 
 T_D_S = 0.05
@@ -142,3 +144,21 @@ def test_exchanged_cameras_are_told():
     result = ssac.sync(*events, Rig(scene.cam2, UNSTATED))
     assert not result.estimate.has_offset
     assert "the intrinsics of the cameras are exchanged in the rig" in result.reason
+
+
+@pytest.mark.parametrize(
+    ("status", "things", "said"),
+    [
+        (Status.AMBIGUOUS_OFFSET, 2, Status.SEVERAL_OBJECTS),
+        (Status.TOO_LITTLE_MOTION, 2, Status.SEVERAL_OBJECTS),
+        (Status.AMBIGUOUS_OFFSET, 1, Status.AMBIGUOUS_OFFSET),
+        (Status.CLOCK_JUMP, 2, Status.CLOCK_JUMP),
+        (Status.DEGENERATE_POSE, 2, Status.DEGENERATE_POSE),
+        (Status.OK, 2, Status.OK),
+    ],
+)
+def test_what_is_left_of_several_things_is_refused_as_that(events, status, things, said):
+    seen = [replace(denoised(one), used=ObjectsUsed(things, 0.4)) for one in events]
+    found = by_several(seen, Estimate("joint", status, "why"))
+    assert found.status == said
+    assert "why" in found.reason
