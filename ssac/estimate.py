@@ -97,13 +97,23 @@ SETTLED_BY: dict[str, tuple[Status, ...]] = {
         Status.POOR_FIT,
         Status.AMBIGUOUS_OFFSET,
     ),
+    "one object": (
+        Status.NO_MOTION,
+        Status.TOO_FEW_SAMPLES,
+        Status.TOO_LITTLE_MOTION,
+        Status.NO_CONVERGENCE,
+        Status.NO_MATCH,
+        Status.POOR_FIT,
+        Status.AMBIGUOUS_OFFSET,
+    ),
     "few events": (Status.NO_MOTION, Status.TOO_FEW_SAMPLES, Status.TOO_LITTLE_MOTION),
     "thin": (Status.NO_MATCH, Status.AMBIGUOUS_OFFSET),
     "rig": (Status.SEARCH_BOUND, Status.NO_CONVERGENCE, Status.NO_MATCH, Status.POOR_FIT),
 }
 """Which refusals a later stage may overrule: the refinement of positions those of the search, that
 of tangents those of `joint`; a fast clock, or rate, those of ordinary ones, and one of pieces those
-of one constant skew; and what `ssac.pipeline.retries` tries, those of what was seen as usual."""
+of one constant skew; what `ssac.pipeline.retries` tries, those of what was seen as usual; and one
+object of several, of which too little is told, those of that little."""
 
 
 @dataclass(frozen=True)

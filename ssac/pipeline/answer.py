@@ -125,6 +125,11 @@ class Answer:
         """Whether the method was given one object of those that the cameras saw."""
         return self.method.of_one_object and self.config.choose_object
 
+    @property
+    def sees_several(self) -> bool:
+        """Whether a camera saw several things, of which one was to be chosen."""
+        return any(one.used.seen > 1 for one in self.cleans)
+
 
 class Stopwatch:
     """Measures the parts of a run and logs a line for each that has something to say."""

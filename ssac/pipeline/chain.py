@@ -32,6 +32,7 @@ from ssac.pipeline.registry import choose_method, load
 from ssac.pipeline.retries import (
     FAST,
     WANDERING,
+    by_several,
     doubt_from,
     hidden,
     is_faint,
@@ -223,7 +224,9 @@ class Chain:
             other = chain._asked(method, places, way.resolved(self._has_track(*places)))
             if other.estimate.status == Status.OK:
                 return other
-        return answer
+            if answer.estimate.status in SETTLED_BY["closer"] and other.sees_several:
+                answer = other
+        return replace(answer, estimate=by_several(answer.cleans, answer.estimate))
 
     def _of_faint(self, method: Method, places: tuple[int, int], answer: Answer) -> Answer:
         """Answer with the tracks of a faint object, where these say more than its windows."""

@@ -6,7 +6,7 @@ it says. What the config asks for is kept, and nothing is tried where the defaul
 but for a skew or a rig that is in doubt.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -138,6 +138,19 @@ def other_ways(asked: Config, cleans: tuple[Clean, Clean], found: Estimate) -> I
     if max(backgrounds_hz) < rules.retry.quiet_hz:
         longest_s, n_min = rules.retry.longest_s, rules.retry.fewest
         yield replace(asked, half_window_s=longest_s, n_min=n_min, denoise=False)
+
+
+def by_several(seen: Sequence[Clean], found: Estimate) -> Estimate:
+    """Give a refusal of what was left of several things as what it comes from."""
+    counts = [one.used.seen for one in seen]
+    if max(counts) == 1 or found.status not in SETTLED_BY["one object"]:
+        return found
+    things = " and ".join(str(count) for count in counts)
+    reason = (
+        f"the cameras see {things} things at a time, and what is left of one of them does not"
+        f" do ({found.reason}): record one object, or mask the others"
+    )
+    return replace(found, status=Status.SEVERAL_OBJECTS, reason=reason)
 
 
 def doubt_from(rig: Rig, rules: VerdictRules) -> float:

@@ -3,14 +3,15 @@
 Nearly all recordings show one thing that moves, and pass as they are. Where a camera sees several,
 those pieces of paths are taken that one epipolar geometry and one offset explain in both views.
 
-Long chains of one view and of the other are paired, and all offsets are tried for each pair of
-them, as far as whole bins of time go. What is best for some pair is a hypothesis: an offset and an
-F. It is judged by the time in which any pieces of both views, of that chain or not, bear it out.
+All offsets are tried, as far as whole bins of time go. At each, two pieces of one view and those of
+the other at that time give an F: a piece alone fits too many. Of these hypotheses, an offset and an
+F, the best are what the most pieces bear out, whichever object each is of. Each is then judged by
+the time in which pieces that may be one object's do.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations, product
+from itertools import combinations, combinations_with_replacement
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,12 +19,12 @@ from numpy.typing import NDArray
 from ssac.config import Interval
 from ssac.estimate import Refusal, Status
 from ssac.geometry.epipolar import sampson_distance
-from ssac.geometry.fundamental import lmeds_fundamental, reweighted_fundamental
+from ssac.geometry.fundamental import reweighted_fundamental
 from ssac.rules import Rules
-from ssac.search.all_offsets import Grid, costs_at_lags, local_minima
+from ssac.search.all_offsets import Grid
 from ssac.track.clean import Clean, ObjectsUsed
 from ssac.track.motion import point_motion
-from ssac.track.objects import Objects, Piece, chains_of, objects_of, seem_several
+from ssac.track.objects import Objects, Piece, objects_of, seem_several
 
 Array = NDArray[np.float64]
 
@@ -41,7 +42,8 @@ class Match:
 
 
 Pieces = tuple[list[Piece], list[Piece]]  # of both views
-Chains = tuple[list[int], list[int]]  # places of pieces
+
+SCALE_PX = 100.0  # that makes coordinates about 1, as Hartley's normalisation does
 
 
 class _Matching:
@@ -55,23 +57,14 @@ class _Matching:
 
     def matches(self) -> list[Match]:
         """Find offsets at which pieces of both views are of one object, the best first."""
-        one, other = (self._chains(of_view) for of_view in self.pieces)
-        starts = [
-            (cost, lag, chains)
-            for chains in product(one, other)
-            for cost, lag in self._minima(*self._joined(chains))
-        ]
-        starts.sort(key=lambda start: start[:2])
-        found: list[Match] = []
-        for _, lag, chains in starts[: self.match.starts]:
-            F = lmeds_fundamental(*_common(*self._joined(chains), lag), self.match.trials)
-            match = self._grown(lag, F, chains) if np.isfinite(F).all() else None
-            found += [] if match is None else [match]
+        found = [match for lag, F in self._starts() if (match := self._grown(lag, F)) is not None]
         left = sorted(found, key=lambda match: -match.common)
         kept: list[Match] = []  # one for each offset: of two that bear out the same, that of more
         while left:
             same = [one for one in left if abs(one.lag - left[0].lag) <= self.match.same_lag]
             often = [one for one in same if one.common >= self.match.as_often * same[0].common]
+            most_px = self.match.as_near * min(one.distance_px for one in often)
+            often = [one for one in often if one.distance_px <= most_px]
             kept.append(max(often, key=lambda match: match.n_events))
             left = [one for one in left if abs(one.lag - left[0].lag) > self.match.same_lag]
         return kept
@@ -84,13 +77,6 @@ class _Matching:
         )
         return len(seen1 & {k - lag for k in seen2})
 
-    def _chains(self, pieces: list[Piece]) -> list[list[int]]:
-        """Longest chains, and the longest pieces by themselves: no wrong turn is in these."""
-        chains = chains_of(pieces, self.rules.objects)[: self.match.max_chains]
-        longest = np.argsort([-len(piece.positions_px) for piece in pieces], kind="stable")
-        alone = [[int(i)] for i in longest[: self.match.max_alone]]
-        return chains + [piece for piece in alone if piece not in chains]
-
     def _sampled(self, piece: Piece) -> Grid:
         """Sample a piece at half bins, in between by the mean of its neighbours."""
         positions = piece.positions_px
@@ -99,41 +85,89 @@ class _Matching:
         known, least_px = np.isfinite(sampled[:, 0]), self.match.least_moved_px
         return Grid(2 * piece.first, np.nan_to_num(sampled), known, least_px)
 
-    def _joined(self, chains: Chains) -> tuple[Grid, Grid]:
-        """Put pieces that follow each other on one grid, of each view."""
-        joined = []
-        for of_view, chain in zip(self.grids, chains, strict=True):
-            grids = [of_view[i] for i in chain]
-            first, last = grids[0].first, grids[-1].first + len(grids[-1].valid)
-            positions, valid = np.zeros((last - first, 2)), np.zeros(last - first, np.bool_)
-            for grid in grids:
-                part = slice(grid.first - first, grid.first - first + len(grid.valid))
-                positions[part], valid[part] = grid.p_px, grid.valid
-            joined.append(Grid(first, positions, valid, grids[0].least_px))
-        return joined[0], joined[1]
+    def _starts(self) -> list[tuple[int, Array]]:
+        """Find the offsets [half bins] that pieces bear out for longest, with the F of each."""
+        starts = sorted(
+            (start for lag in self._lags() if (start := self._start(lag)) is not None),
+            key=lambda start: start[:2],
+        )
+        kept: list[tuple[int, Array]] = []
+        for _, lag, F in starts:
+            if all(abs(lag - other) > self.match.same_lag for other, _ in kept):
+                kept.append((lag, F))
+        return kept[: self.match.starts]
 
-    def _minima(self, one: Grid, other: Grid) -> list[tuple[float, int]]:
-        """Find the costs of the best offsets of two chains, and these offsets [half bins]."""
-        shift, half_bin_s = other.first - one.first, 0.5e-6 * self.rules.objects.bin_us
-        first, last = 1 - len(one.valid), len(other.valid) - 1
+    def _lags(self) -> range:
+        """Offsets [half bins] at which pieces of both views are seen at a time."""
+        spans = [
+            (min(one.first for one in grids), max(one.first + len(one.valid) for one in grids))
+            for grids in self.grids
+            if grids
+        ]
+        if len(spans) < 2:
+            return range(0)
+        first, last = spans[1][0] - spans[0][1], spans[1][1] - spans[0][0]
         if self.interval_s is not None:
-            low, high = (bound_s / half_bin_s - shift for bound_s in self.interval_s)
+            low, high = (bound / (0.5e-6 * self.rules.objects.bin_us) for bound in self.interval_s)
             first, last = max(first, int(np.ceil(low))), min(last, int(np.floor(high)))
-        lags, match = np.arange(first, last + 1, dtype=np.int64), self.match
-        least = match.least_pairs
-        costs, counts = costs_at_lags(one, other, lags, match.pairs, least, match.iterations)
-        shared = costs / np.maximum(counts, 1)
-        best = local_minima(shared, match.minima)
-        return [(float(shared[m]), int(lags[m]) + shift) for m in best]
+        return range(first, last + 1, self.match.lag_step)
 
-    def _grown(self, lag: int, F: Array, chains: Chains) -> Match | None:
+    def _start(self, lag: int) -> tuple[float, int, Array] | None:
+        """Give the F of two pairs of pieces that most pieces bear out at an offset.
+
+        The first number is the less, the longer they do.
+        """
+        match = self.match
+        together = sorted(self._together(lag), key=lambda pair: -len(pair[2]))[: match.max_pairs]
+        lengths = np.array([len(p1) for _, _, p1, _ in together])
+        if np.sum(lengths) < match.least_pairs:
+            return None
+        at = [np.linspace(0, n - 1, match.points).astype(np.int64) for n in lengths]
+        x1, T1 = _centred(np.stack([p1[k] for k, (_, _, p1, _) in zip(at, together, strict=True)]))
+        x2, T2 = _centred(np.stack([p2[k] for k, (_, _, _, p2) in zip(at, together, strict=True)]))
+        products = (_with_one(x2)[..., :, None] * _with_one(x1)[..., None, :]).reshape(
+            *x1.shape[:2], 9
+        )
+        moments = np.einsum("npi,npj->nij", products, products)
+        longest = range(min(match.long_pairs, len(together)))
+        a, b = np.array(list(combinations_with_replacement(longest, 2))).T
+        _, vectors = np.linalg.eigh(moments[a] + moments[b])
+        limits_px = np.array([self._near_px(i, j) for i, j, _, _ in together])
+        places = [i for i, *_ in together]
+        best, best_F = 0.0, np.zeros((3, 3), np.float64)
+        for F in vectors[:, :, 0].reshape(-1, 3, 3):
+            distances = np.abs(sampson_distance(F, x1.reshape(-1, 2), x2.reshape(-1, 2)))
+            is_near = np.median(distances.reshape(x1.shape[:2]), axis=1) < limits_px / SCALE_PX
+            of_piece = np.zeros(len(self.grids[0]))  # at a time it is one of the other view's
+            np.maximum.at(of_piece, places, is_near * lengths)
+            if np.sum(of_piece) > best:
+                best, best_F = float(np.sum(of_piece)), np.asarray(F)
+        return -best, lag, T2.T @ best_F @ T1
+
+    def _together(self, lag: int) -> Iterator[tuple[int, int, Array, Array]]:
+        """Give the pieces seen at a time at an offset, by number, and where (n, 2) each then is."""
+        firsts = np.array([other.first for other in self.grids[1]]) - lag
+        lasts = firsts + [len(other.valid) for other in self.grids[1]]
+        for i, one in enumerate(self.grids[0]):
+            common = np.minimum(one.first + len(one.valid), lasts) - np.maximum(one.first, firsts)
+            for j in map(int, np.flatnonzero(common >= self.match.least_common)):
+                p1, p2 = _common(one, self.grids[1][j], lag)
+                if len(p1) >= self.match.least_common:
+                    yield i, j, p1, p2
+
+    def _near_px(self, i: int, j: int) -> float:
+        """Distance from their epipolar lines of pieces of one object."""
+        size_px = float(np.hypot(self.pieces[0][i].size_px, self.pieces[1][j].size_px))
+        return self.match.near_px + self.match.near_share * size_px
+
+    def _grown(self, lag: int, F: Array) -> Match | None:
         """Take the pieces that bear an offset and an F out, refine both with these, and again."""
         best: Match | None = None
         for _ in range(self.match.rounds):
             most_px = np.inf
             if best is not None:
                 most_px = self.match.firm_px + self.match.firm_times * best.distance_px
-            taken = self._consistent(lag, F, chains, most_px)
+            taken = self._consistent(lag, F, most_px)
             if not taken:
                 return best
             p1, p2 = self._positions(taken, lag)
@@ -158,26 +192,15 @@ class _Matching:
         p1, p2 = (np.concatenate(side) for side in zip(*of_each, strict=True))
         return p1, p2
 
-    def _consistent(
-        self, lag: int, F: Array, chains: Chains, most_px: float
-    ) -> list[tuple[int, int]]:
-        """Pairs of pieces near their epipolar lines, those of the chains first, one at a time."""
-        order, match, (pieces1, pieces2) = [], self.match, self.pieces
+    def _consistent(self, lag: int, F: Array, most_px: float) -> list[tuple[int, int]]:
+        """Pairs of pieces near their epipolar lines, the longest first, one at a time."""
+        order, (pieces1, pieces2) = [], self.pieces
         is_near: dict[tuple[int, int], bool] = {}
-        firsts = np.array([other.first for other in self.grids[1]]) - lag
-        lasts = firsts + [len(other.valid) for other in self.grids[1]]
-        for i, one in enumerate(self.grids[0]):
-            common = np.minimum(one.first + len(one.valid), lasts) - np.maximum(one.first, firsts)
-            for j in map(int, np.flatnonzero(common >= match.least_common)):
-                p1, p2 = _common(one, self.grids[1][j], lag)
-                if len(p1) < match.least_common:
-                    continue
-                size_px = float(np.hypot(pieces1[i].size_px, pieces2[j].size_px))
-                limit_px = min(match.near_px + match.near_share * size_px, most_px)
-                is_near[i, j] = _distance_px(F, p1, p2) < limit_px
-                order.append((-(i in chains[0]) - (j in chains[1]), -len(p1), i, j))
+        for i, j, p1, p2 in self._together(lag):
+            is_near[i, j] = _distance_px(F, p1, p2) < min(self._near_px(i, j), most_px)
+            order.append((-len(p1), i, j))
         taken: list[tuple[int, int]] = []
-        for _, _, i, j in sorted(order):
+        for _, i, j in sorted(order):
             if is_near[i, j] and all(
                 (k == i or not _meet(pieces1[i], pieces1[k]))
                 and (m == j or not _meet(pieces2[j], pieces2[m]))
@@ -212,6 +235,18 @@ def _common(one: Grid, other: Grid, lag: int) -> tuple[Array, Array]:
     there = slice(first + lag - other.first, last + lag - other.first)
     both = one.valid[here] & other.valid[there]
     return one.p_px[here][both], other.p_px[there][both]
+
+
+def _centred(p_px: Array) -> tuple[Array, Array]:
+    """Centre and scale points (..., 2); and the transform (3, 3) that does so."""
+    centre = np.mean(p_px.reshape(-1, 2), axis=0)
+    T = np.diag([1.0 / SCALE_PX, 1.0 / SCALE_PX, 1.0])
+    T[:2, 2] = -centre / SCALE_PX
+    return (p_px - centre) / SCALE_PX, T
+
+
+def _with_one(x: Array) -> Array:
+    return np.concatenate([x, np.ones((*x.shape[:-1], 1))], axis=-1)
 
 
 def _distance_px(F: Array, p1_px: Array, p2_px: Array) -> float:

@@ -92,58 +92,15 @@ def objects_of(events: Events, camera: Camera, rules: ObjectRules) -> Objects:
     share_still = float(np.mean(cells.still[rows, columns]))
     blobs, labels, _ = _blobs(events, bounds, cells, rules)
     paths = [path for path in _paths(blobs, len(bounds), rules) if len(path) >= rules.least_bins]
-    pieces = [_piece(path, blobs, camera) for path in paths]
-    share_apart = _bins_of_their_own_way(pieces, rules) / len(bounds)
-    are_several = share_still > rules.several_share or share_apart > 0.5 * rules.several_share
-    # Of a large object that comes apart now here and now there, no part lasts.
+    extent_px = _extent_px(blobs, len(bounds))
+    is_part = _are_parts(blobs, extent_px)
+    pieces = [_piece(path, blobs, camera) for path in paths if np.mean(is_part[path]) < 0.5]
+    share_apart = _bins_of_their_own_way(pieces, extent_px, rules) / len(bounds)
+    # A large object fills cells for long too, but comes apart now here and now there.
     longest = max((len(piece.positions_px) for piece in pieces), default=0)
-    are_several = are_several and longest >= rules.lasting_bins
+    has_still = share_still > rules.several_share and longest >= rules.lasting_bins
+    are_several = has_still or share_apart > 0.5 * rules.several_share
     return Objects(int(events["t"][0]), rules.bin_us, are_several, n_seen, pieces, labels)
-
-
-def chains_of(pieces: list[Piece], rules: ObjectRules) -> list[list[int]]:
-    """Link pieces that one thing may have gone one after the other, the likeliest first.
-
-    Where two things meet, both their pieces end, and new ones begin where they part. Which
-    continues which is told by where they lead, and by how large and how bright the image is: a
-    guess, which the two views have to bear out. Of each chain the pieces' numbers are in order of
-    time; the chains come in the order of the bins in which they are seen, the longest first.
-    """
-    links = sorted(
-        (cost, i, j)
-        for i, one in enumerate(pieces)
-        for j, other in enumerate(pieces)
-        if one.last <= other.first <= one.last + rules.max_link_bins
-        if (cost := _link_cost(one, other, rules)) < rules.max_link_cost
-    )
-    following: dict[int, int] = {}
-    taken: set[int] = set()
-    for _, i, j in links:
-        if i not in following and j not in taken:
-            following[i] = j
-            taken.add(j)
-    chains = []
-    for i in range(len(pieces)):
-        if i in taken:
-            continue
-        chain = [i]
-        while chain[-1] in following:
-            chain.append(following[chain[-1]])
-        chains.append(chain)
-    return sorted(chains, key=lambda chain: -sum(len(pieces[i].positions_px) for i in chain))
-
-
-def _link_cost(one: Piece, other: Piece, rules: ObjectRules) -> float:
-    """How ill a piece continues another: 1 for each of what is ordinary."""
-    gap, n = other.first - one.last + 1, rules.link_velocity_bins
-    before, after = one.positions_px[-n:], other.positions_px[:n]
-    steps_px = 0.5 * (_step_px(before) + _step_px(after))  # an even turn, in between
-    miss_px = float(np.hypot(*(after[0] - before[-1] - gap * steps_px)))
-    brighter = np.mean(other.n_events[:n]) / np.mean(one.n_events[-n:])
-    larger = (other.size_px + 1.0) / (one.size_px + 1.0)
-    unlike = abs(np.log(brighter)) / np.log(rules.brighter_ratio)
-    unlike = unlike + abs(np.log(larger)) / np.log(rules.larger_ratio)
-    return float(miss_px / (rules.link_px + rules.link_px_per_bin * gap) + unlike)
 
 
 def _step_px(positions_px: Array) -> Array:
@@ -221,10 +178,32 @@ def _are_apart(one: Array, other: Array, cell_px: int, rules: ObjectRules) -> bo
     return bool(gap_px > max(rules.apart_cells * cell_px, rules.apart_sizes * larger_px))
 
 
-def _bins_of_their_own_way(pieces: list[Piece], rules: ObjectRules) -> int:
+def _extent_px(blobs: Blobs, n_bins: int) -> float:
+    """Median of each bin's longest diagonal of a blob."""
+    longest_px = np.zeros(n_bins)
+    diagonals_px = np.hypot(*(blobs.corners_px[:, 2:] - blobs.corners_px[:, :2]).T)
+    np.maximum.at(longest_px, blobs.bins, diagonals_px)
+    return float(np.median(longest_px[longest_px > 0.0])) if longest_px.any() else 0.0
+
+
+def _are_parts(blobs: Blobs, extent_px: float) -> Mask:
+    """Tell which blobs (k,) are seen nearer to a brighter one than a whole object is long."""
+    are_parts = np.zeros(len(blobs.bins), np.bool_)
+    for step in range(1, int(np.max(np.bincount(blobs.bins), initial=0))):
+        here, there = slice(None, -step), slice(step, None)
+        apart_px = np.hypot(*(blobs.centres_px[there] - blobs.centres_px[here]).T)
+        near = (blobs.bins[there] == blobs.bins[here]) & (apart_px < extent_px)
+        is_fainter = blobs.n_events[there] < blobs.n_events[here]
+        are_parts[there] |= near & is_fainter
+        are_parts[here] |= near & ~is_fainter
+    return are_parts
+
+
+def _bins_of_their_own_way(pieces: list[Piece], extent_px: float, rules: ObjectRules) -> int:
     """Count the bins in which two pieces are seen that move apart, or towards each other.
 
-    The parts of a large object, which may hang together in some bins and not in others, do not.
+    The parts of a large object, which may hang together in some bins and not in others, do not, or
+    are nearer to each other than its extent.
     """
     n = 0
     for k, other in enumerate(pieces):
@@ -239,7 +218,7 @@ def _bins_of_their_own_way(pieces: list[Piece], rules: ObjectRules) -> int:
             moved_px = float(np.hypot(*(gaps_px[-1] - gaps_px[0])))
             gap_px = float(np.mean(np.hypot(*gaps_px.T)))
             least_px = rules.own_way_px + rules.own_way_share * gap_px
-            n += (last - first) * (moved_px > least_px)
+            n += (last - first) * (moved_px > least_px and gap_px > extent_px)
     return n
 
 

@@ -7,9 +7,11 @@ import pytest
 
 import ssac
 from ssac.camera import Camera, Rig
-from ssac.estimate import Status
+from ssac.estimate import Estimate, Status
+from ssac.pipeline.retries import by_several
+from ssac.track.clean import ObjectsUsed
 from tests.ssac.cluttered import merged, noise
-from tests.ssac.synthetic import CAMERA, HEIGHT, WIDTH, K, make_events, make_scene
+from tests.ssac.synthetic import CAMERA, HEIGHT, WIDTH, K, denoised, make_events, make_scene
 from tests.ssac.tracks import frame_track
 
 T_D_S = 0.05
@@ -169,3 +171,21 @@ def test_a_faint_object_is_followed_through_noise_or_said_to_be_hidden(seen_hz):
     else:
         assert result.status == Status.NO_MOTION
         assert "0.25 Hz of each pixel hides it" in result.estimate.reason
+
+
+@pytest.mark.parametrize(
+    ("status", "things", "said"),
+    [
+        (Status.AMBIGUOUS_OFFSET, 2, Status.SEVERAL_OBJECTS),
+        (Status.TOO_LITTLE_MOTION, 2, Status.SEVERAL_OBJECTS),
+        (Status.AMBIGUOUS_OFFSET, 1, Status.AMBIGUOUS_OFFSET),
+        (Status.CLOCK_JUMP, 2, Status.CLOCK_JUMP),
+        (Status.DEGENERATE_POSE, 2, Status.DEGENERATE_POSE),
+        (Status.OK, 2, Status.OK),
+    ],
+)
+def test_what_is_left_of_several_things_is_refused_as_that(events, status, things, said):
+    seen = [replace(denoised(one), used=ObjectsUsed(things, 0.4)) for one in events]
+    found = by_several(seen, Estimate("joint", status, "why"))
+    assert found.status == said
+    assert "why" in found.reason

@@ -1,13 +1,11 @@
 """Several things before one camera: whether there are, and how far each can be followed."""
 
-from itertools import pairwise
-
 import numpy as np
 import pytest
 
 from ssac.events import EVENT_DTYPE
 from ssac.rules import ObjectRules
-from ssac.track.objects import chains_of, objects_of, seem_several
+from ssac.track.objects import objects_of, seem_several
 from tests.ssac.crowds import branches, flight, mixed
 from tests.ssac.synthetic import CAMERA, make_events, make_scene, track_pair
 
@@ -78,14 +76,3 @@ def test_what_stays_in_its_place_is_no_piece():
     assert len(chosen) > 0.3 * np.count_nonzero(thing == 0)
     # Leaves beyond the cells that they fill in a third of the bins are few.
     assert np.mean(chosen) < 0.02
-
-
-def test_chains_go_on_with_the_same_thing(both):
-    _, thing, found = both
-    chains = chains_of(found.pieces, RULES)
-    assert sorted(i for chain in chains for i in chain) == list(range(len(found.pieces)))
-    for chain in chains[:2]:
-        assert all(found.pieces[i].last <= found.pieces[j].first for i, j in pairwise(chain))
-        of_chain = thing[found.events_of([found.pieces[i] for i in chain])]
-        share = np.mean(of_chain)
-        assert max(share, 1.0 - share) > 0.6  # a wrong turn is for the two views to find
