@@ -600,7 +600,7 @@ class RetryRules:
     # second, is 6700 ppm. On pairs of phones of drone-tracking's data set 4.
     roughnesses_ppm: tuple[float, float] = (2000.0, 6000.0)
     any_rate: tuple[float, float] = (0.5, 2.0)  # of a track, by the other camera's
-    fast_rates: tuple[float, float] = (0.997, 1.003)  # of events, as far as quartz may be off
+    fast_rates: tuple[float, float] = (0.9967, 1.0033)  # of events: up to 3000 ppm and a tenth
     # Of an object that gives few events: halves of windows, neighbours, and events that a window
     # holds at least; the background of a pixel [Hz] below which nothing needs to be filtered.
     longer_s: float = 0.04

@@ -39,6 +39,7 @@ from ssac.pipeline.retries import (
     is_mended,
     is_settled_by,
     is_truer,
+    is_within,
     less_certain,
     lies_elsewhere,
     narrows,
@@ -270,15 +271,18 @@ class Chain:
         answer = self._of_one(pair, tries_all)
         if not of_tracks or answer.estimate.has_offset:
             return answer
+        widest = answer
         if not tries_all and lies_elsewhere(self.config, answer.estimate):
             wider = self._of_one(pair, True)
             if wider.estimate.has_offset:
                 return wider
+            widest = wider
             answer = wider if is_truer(wider.estimate, answer.estimate) else answer
-        rates = other_rates(self.config, config, pair.cleans, answer.estimate)
+        rates = other_rates(self.config, config, pair.cleans, widest.estimate)
         if rates is not None:
             rated = self._of_one(replace(pair, config=replace(config, rates=rates)), True)
-            if rated.estimate.has_offset:
+            found, rules = rated.estimate, config.rules.retry
+            if is_within(found, rates) and is_settled_by(found, widest.estimate, FAST, rules):
                 return replace(rated, clock=FAST)
         if not tries_all and narrows(self.config, answer.estimate):
             outside = "or the offset lies outside the search: leave out --search, and all are tried"

@@ -65,6 +65,8 @@ def other_rates(
     is_asked = asked.skew_prior_ppm is not None or asked.rates is not None
     is_asked |= asked.interval_s is not None or any(one.has_track for one in cleans)
     is_open = not is_asked and found.status in SETTLED_BY["rates"]
+    if found.status == Status.AMBIGUOUS_OFFSET:  # of several, and not one that is vague
+        is_open &= len(found.alternatives_s) > 0
     return config.rules.retry.fast_rates if is_open else None
 
 
@@ -74,6 +76,11 @@ def is_settled_by(by_other: Estimate, found: Estimate, clock: str, rules: RetryR
     return by_other.has_offset and not (
         clock == FAST and found.status == Status.CLOCK_JUMP and is_slow
     )
+
+
+def is_within(found: Estimate, rates: Interval) -> bool:
+    """Whether a clock runs at one of these rates: a jump may look faster."""
+    return rates[0] <= 1.0 + 1e-6 * found.skew_ppm <= rates[1]
 
 
 def is_faint(asked: Config, cleans: tuple[Clean, Clean], found: Estimate) -> bool:
