@@ -73,7 +73,7 @@ def report_page(
                 }
                 for (a, b), answer in answers.items()
             ],
-            samples=sample_charts(cameras, most),
+            samples=sample_charts(cameras, max(300, 2 * _MOST_DOTS // len(cameras))),
             cameras=cameras,
             rig=answers[0, 1].rig_name,
             command=command,

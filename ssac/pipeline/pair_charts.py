@@ -80,6 +80,8 @@ def _cost_charts(material: Material) -> list[Chart]:
         of_correlation = estimate.F is None and np.nanmin(costs) < 0.0
         costs = -costs if of_correlation else costs
         what = "Correlation" if of_correlation else "Mean distance from the epipolar lines"
+        # Clocks may be years apart, and ticks must tell them from each other.
+        base_s = float(round(t_d_s)) if abs(t_d_s) > 100.0 else 0.0
         top = spread(costs)[1]
         found = f" The best lies at {t_d_s:.4f} s." if np.isfinite(t_d_s) else ""
         others = ", ".join(f"{one_s:.3f}" for one_s in estimate.alternatives_s)
@@ -88,37 +90,39 @@ def _cost_charts(material: Material) -> list[Chart]:
             "Cost over the search interval",
             f"{what} at each offset that was tried: one deep, narrow minimum means one answer."
             + found + more,
-            "offset [s]",
+            f"offset - {base_s:.0f} s [s]" if base_s else "offset [s]",
             "correlation" if of_correlation else "distance [px]",
-            spread(offsets_s, 0.0),
+            spread(offsets_s - base_s, 0.0),
             (min(0.0, float(np.nanmin(costs))), top),
         )  # fmt: skip
-        chart.line("soft", offsets_s, costs)
+        chart.line("soft", offsets_s - base_s, costs)
         if np.isfinite(t_d_s):
-            chart.upright("found", t_d_s, "offset found" if estimate.has_offset else "best of all")
+            chart.upright(
+                "found", t_d_s - base_s, "offset found" if estimate.has_offset else "best of all"
+            )
         for k, other_s in enumerate(estimate.alternatives_s.tolist()):
-            chart.upright("other", other_s, "" if k else "also possible")
+            chart.upright("other", other_s - base_s, "" if k else "also possible")
         charts.append(chart)
     if estimate.F is not None and np.isfinite(t_d_s):
-        near_s = t_d_s + np.linspace(-ZOOM_S, ZOOM_S, 121, dtype=np.float64)
-        costs_px = d_avg_px(material, near_s)
-        if np.isfinite(costs_px).any():
-            chart = Chart(
-                "Near the minimum",
-                "The same within 3 ms of the offset found, with the final geometry: its width says"
-                " how sharply the motion tells the offset.",
-                "offset - offset found [ms]",
-                "distance [px]",
-                (-1e3 * ZOOM_S, 1e3 * ZOOM_S),
-                (0.0, spread(costs_px)[1]),
-            )
-            std_ms = 1e3 * estimate.t_d_std_s
-            if np.isfinite(std_ms):
-                ends = SIGMAS_95 * np.array([-std_ms, std_ms]).clip(-1e3 * ZOOM_S, 1e3 * ZOOM_S)
-                chart.band("sure", ends, np.zeros(2), np.full(2, chart.y[1]), "95 % interval")
-            chart.line("soft", 1e3 * (near_s - t_d_s), costs_px)
-            chart.upright("found", 0.0, "offset found")
-            charts.append(chart)
+        half_s, ends_s = ZOOM_S, SIGMAS_95 * estimate.t_d_std_s * np.array([-1.0, 1.0])
+        if np.isfinite(estimate.t_d_std_s):
+            half_s = max(half_s, 2.0 * float(ends_s[1]))
+        near_s = np.linspace(-half_s, half_s, 121, dtype=np.float64)
+        costs_px = d_avg_px(material, t_d_s + near_s)
+        chart = Chart(
+            "Near the minimum",
+            "The same about the offset found, with the final geometry: how wide it is says how"
+            " sharply the motion tells the offset.",
+            "offset - offset found [ms]",
+            "distance [px]",
+            (-1e3 * half_s, 1e3 * half_s),
+            (0.0, spread(costs_px)[1]),
+        )
+        if np.isfinite(estimate.t_d_std_s):
+            chart.band("sure", 1e3 * ends_s, np.zeros(2), np.full(2, chart.y[1]), "95 % interval")
+        chart.line("soft", 1e3 * near_s, costs_px)
+        chart.upright("found", 0.0, "offset found")
+        charts.append(chart)
     return charts
 
 
@@ -200,8 +204,9 @@ def sample_charts(cameras: Sequence[Seen], most: int) -> list[Chart]:
     for k, seen in enumerate(cameras):
         times_s = np.linspace(*seen.span_s, most, dtype=np.float64)
         track, motion, grid = seen.motion.at(times_s), seen.motion, grid_of(seen.clean.camera)
-        few, why = ~track.valid, "in gaps of the track"
+        few, why, of_events = ~track.valid, "in gaps of the track", False
         if isinstance(motion, ObjectMotion):
+            of_events = True
             few = few & (track.counts < motion.n_min)
             why = f"with fewer than {motion.n_min} events within {1e3 * motion.half_window_s:g} ms"
         edge = ~track.valid & ~few
@@ -211,11 +216,11 @@ def sample_charts(cameras: Sequence[Seen], most: int) -> list[Chart]:
             f" {np.count_nonzero(few)} {why} and {np.count_nonzero(edge)} that touch the border or"
             " a gap. Grey: all events.",
             seen.clean.camera,
-            png=density_png(seen.shown, grid),
+            png=density_png(seen, grid),
         )
         for look, which, name in (
             ("good", track.valid, "valid"),
-            ("few", few, "too few events"),
+            ("few", few, "too few events" if of_events else "gap"),
             ("edge", edge, "at the border, or a gap"),
         ):
             x, y = track.positions_px[which].T

@@ -10,6 +10,7 @@ import warnings
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -22,9 +23,10 @@ from ssac.errors import SsacError
 from ssac.events import US_PER_S, slice_time
 from ssac.files.damage import Reading
 from ssac.files.event_files import load_events
+from ssac.geometry.epipolar import epipolar_distance
 from ssac.network.graph import Pair
 from ssac.pipeline.answer import Answer
-from ssac.pipeline.plots import Material, d_avg_px, epipolar_rows
+from ssac.pipeline.plots import Material, d_avg_px
 from ssac.track.clean import Clean
 from ssac.track.motion import Motion
 
@@ -33,11 +35,12 @@ Indices = NDArray[np.int64]
 
 # Bounds of a page's size and of what an eye can tell; nothing is decided by them.
 _LONGEST_S = 120.0
-_MOST_EVENTS = 900_000  # of all cameras: some 1.6 MB of the page
+_MOST_EVENTS = 1_200_000  # of all cameras: 1 MB of the page; of noise 2.4
 _MOST_FRAMES, _LEAST_FRAME_S = 6000, 0.01
 _MOST_COLUMNS = 400  # of a frame
 _REACH_S = 1.0  # by which the offset can be moved where none was found
 _LEAST_REACH_S, _MOST_REACH_S = 0.1, 3.0  # and from what was found
+_FAR_PX = 60.0  # farther off the line than this tells no more
 _INVALID = -32768
 
 
@@ -55,6 +58,31 @@ class Seen:
         """First and last time of its clock; 0 of a recording without events."""
         first_s, last_s = self.shown.span_s
         return (first_s, last_s) if first_s <= last_s else (0.0, 0.0)
+
+    def points(
+        self, span_s: tuple[float, float], most: int
+    ) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """Give times (n,), undistorted points (n, 2), and which are brighter, about `most` of them.
+
+        They are events between two times of its clock, or points of its track.
+        """
+        camera, track = self.shown.camera, self.shown.track
+        if track is not None:
+            inside = (track.times_s >= span_s[0]) & (track.times_s <= span_s[1])
+            points = undistort_points(camera, track.points_px[inside])
+            return track.times_s[inside], points, np.ones(len(points), np.bool_)
+        # One microsecond more, as the end is not within a slice.
+        start_us, end_us = (round(side_s * US_PER_S) for side_s in span_s)
+        events = slice_time(self.shown.events, start_us, end_us + 1)
+        events = events[:: 1 + len(events) // most]
+        points = np.column_stack([events["x"], events["y"]]).astype(np.float64)
+        if camera.distortion_model != "none":
+            points = self._ideal[events["y"], events["x"]]
+        return events["t"] / US_PER_S, points, events["p"] > 0
+
+    @cached_property
+    def _ideal(self) -> Array:
+        return undistortion_map(self.shown.camera)
 
 
 @dataclass(frozen=True)
@@ -81,8 +109,10 @@ def grid_of(camera: Camera) -> Grid:
     size = np.array([camera.width, camera.height], np.float64)
     left, top, right, bottom = -0.5, -0.5, size[0] - 0.5, size[1] - 0.5
     if camera.distortion_model != "none":
+        sides = (np.linspace(0.0, side - 1.0, 33, dtype=np.float64) for side in size)
+        ideal = undistort_points(camera, np.stack(np.meshgrid(*sides), axis=-1).reshape(-1, 2))
+        ends = np.nanmin(ideal, axis=0), np.nanmax(ideal, axis=0)
         # The corners of a strong lens lie far out, and all else would be small beside them.
-        ends = np.nanpercentile(undistortion_map(camera).reshape(-1, 2), (0.5, 99.5), axis=0)
         (left, top), (right, bottom) = np.clip(ends, -0.5 * size, 1.5 * size).tolist()
     cell = max(1.0, float(right - left) / _MOST_COLUMNS)
     columns, rows = (
@@ -145,14 +175,14 @@ def _view(seen: Seen, span_s: tuple[float, float], most: int) -> dict[str, Any]:
     start_s, length_s = span_s[0], max(span_s[1] - span_s[0], _LEAST_FRAME_S)
     frame_s = max(_LEAST_FRAME_S, length_s / _MOST_FRAMES)
     n_frames, grid = int(np.ceil(length_s / frame_s)), grid_of(seen.clean.camera)
-    times_s, points_px, brighter = _points(seen.shown, span_s, 3 * most)
+    times_s, points_px, brighter = seen.points(span_s, 3 * most)
     cells, inside = grid.cells(points_px)
     n_cells = grid.rows * grid.columns
     frames = ((times_s - start_s) / frame_s).astype(np.int64).clip(0, n_frames - 1)
     # Reversed, so that the last event of a pixel in a frame is the one that stays.
     keys, last = np.unique((frames * n_cells + cells)[inside][::-1], return_index=True)
-    thin = slice(None, None, 1 + len(keys) // most)
-    keys, signs = keys[thin], brighter[inside][::-1][last][thin]
+    kept = np.random.default_rng(0).random(len(keys)) < most / max(len(keys), 1)  # no pattern
+    keys, signs = keys[kept], brighter[inside][::-1][last][kept]
     frames, cells = np.divmod(keys, n_cells)
     steps = np.where(np.diff(frames, prepend=-1) > 0, cells, np.diff(cells, prepend=0))
     ends_s: Array = start_s + frame_s * np.arange(n_frames + 1, dtype=np.float64)
@@ -178,27 +208,9 @@ def _view(seen: Seen, span_s: tuple[float, float], most: int) -> dict[str, Any]:
     }
 
 
-def _points(
-    clean: Clean, span_s: tuple[float, float], most: int
-) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Give times (n,), undistorted points (n, 2), and which are brighter, about `most` at most."""
-    if clean.track is not None:
-        inside = (clean.track.times_s >= span_s[0]) & (clean.track.times_s <= span_s[1])
-        points = undistort_points(clean.camera, clean.track.points_px[inside])
-        return clean.track.times_s[inside], points, np.ones(len(points), np.bool_)
-    # One microsecond more: the end is not within a slice.
-    start_us, end_us = (round(side_s * US_PER_S) for side_s in span_s)
-    events = slice_time(clean.events, start_us, end_us + 1)
-    events = events[:: 1 + len(events) // most]
-    points = np.column_stack([events["x"], events["y"]]).astype(np.float64)
-    if clean.camera.distortion_model != "none":
-        points = undistortion_map(clean.camera)[events["y"], events["x"]]
-    return events["t"] / US_PER_S, points, events["p"] > 0
-
-
-def density_png(clean: Clean, grid: Grid) -> str:
+def density_png(seen: Seen, grid: Grid) -> str:
     """Draw where a camera had events, the more the darker, as a PNG in base64."""
-    _, points_px, _ = _points(clean, clean.span_s, 3 * _MOST_EVENTS)
+    _, points_px, _ = seen.points(seen.span_s, 3 * _MOST_EVENTS)
     cells, inside = grid.cells(points_px)
     counts = np.bincount(cells[inside], minlength=grid.rows * grid.columns)
     shades = np.log1p(counts) / np.log1p(max(1.0, float(np.percentile(counts, 99.9))))
@@ -222,6 +234,7 @@ def _pair(pair: Pair, material: Material, views: list[dict[str, Any]]) -> dict[s
         apart_s = views[pair[1]]["start"] - views[pair[0]]["start"]
         middle_s = 0.0 if abs(apart_s) < _LONGEST_S else apart_s
     reach_s = _reach_s(estimate.t_d_s)
+    before_s = float(np.clip(0.0, middle_s - reach_s, middle_s + reach_s))
     curve_px = d_avg_px(
         material, np.linspace(middle_s - reach_s, middle_s + reach_s, 301, dtype=np.float64)
     )
@@ -229,7 +242,7 @@ def _pair(pair: Pair, material: Material, views: list[dict[str, Any]]) -> dict[s
         "cameras": pair,
         "found": middle_s if is_known else None,
         "holds": estimate.has_offset,
-        "before": float(np.clip(0.0, middle_s - reach_s, middle_s + reach_s)),
+        "before": before_s,
         "low": middle_s - reach_s,
         "high": middle_s + reach_s,
         "F": None if estimate.F is None else estimate.F.tolist(),
@@ -238,16 +251,20 @@ def _pair(pair: Pair, material: Material, views: list[dict[str, Any]]) -> dict[s
         "knots": clock.knots_s.tolist(),
         "strays": clock.strays_s.tolist(),
         "curve": [round(px, 3) if np.isfinite(px) else None for px in curve_px.tolist()],
-        "still": _telling_time_s(material, views[pair[0]]),
+        "still": _telling_time_s(material, views[pair[0]], before_s),
     }
 
 
-def _telling_time_s(material: Material, view: dict[str, Any]) -> float:
-    """Give a time at which a picture tells much: before, the object is off its line."""
-    estimate, motion = material.estimate, material.motions[0]
-    if estimate.F is not None and len(material.views.pairs_at(estimate.t_d_s)):
-        return epipolar_rows(material)[0].time_s
-    times_s = view["start"] + view["frame"] * np.arange(view["n_frames"])
-    valid = motion.at(times_s).valid
-    seen_s = times_s[valid] if valid.any() else times_s
-    return float(seen_s[len(seen_s) // 2])
+def _telling_time_s(material: Material, view: dict[str, Any], before_s: float) -> float:
+    """Give a time at which a picture tells much: before, the object is far off its line."""
+    views, F, t_d_s = material.views, material.estimate.F, material.estimate.t_d_s
+    times_s: Array = view["start"] + view["frame"] * np.arange(view["n_frames"], dtype=np.float64)
+    one = views.motion1.at(times_s)
+    seen, worth = one.valid, -np.abs(times_s - np.mean(times_s))
+    if F is not None and np.isfinite(t_d_s):
+        before, after = (
+            views.motion2.at(views.on_clock_2(times_s, offset_s)) for offset_s in (before_s, t_d_s)
+        )
+        off_px = epipolar_distance(F, one.positions_px, before.positions_px)
+        seen, worth = seen & after.valid, np.where(before.valid, np.minimum(off_px, _FAR_PX), 0.0)
+    return float(times_s[np.argmax(np.where(seen, worth, -np.inf) if seen.any() else worth)])
