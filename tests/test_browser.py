@@ -1,7 +1,7 @@
 """The HTML pages in a real browser: no message, no network, all by keyboard, and for all readers.
 
-They need Playwright's Python package and Chromium; what axe finds needs axe-core besides, as
-`npm install --prefix out axe-core` gets it. Each is skipped, with the reason, where it is missing.
+`make browser` installs what they need: Playwright's Python package, Chromium and axe. Where one is
+missing they are skipped, with the reason.
 """
 
 import os
@@ -23,9 +23,7 @@ from tests.experiments.reported import made_up_runs, record_flight, write_result
 from tests.ssac.synthetic import HEIGHT, WIDTH, K
 from tests.ssac.tracks import frame_track
 
-playwright = pytest.importorskip(
-    "playwright.sync_api", reason="needs Playwright: .venv/bin/pip install playwright"
-)
+playwright = pytest.importorskip("playwright.sync_api", reason="needs Playwright: make browser")
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 AXE = Path(__file__).parents[1] / "out/node_modules/axe-core/axe.min.js"
 SCREENS = [(width, scheme) for width in (1400, 400) for scheme in ("light", "dark")]
@@ -35,7 +33,7 @@ KINDS = ("answered", "refused", "several", "results")
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
     if CHROMIUM is None:
-        pytest.skip("needs Chromium: apt-get install chromium")
+        pytest.skip("needs Chromium: make browser")
     with playwright.sync_playwright() as running:
         arguments = ["--no-sandbox"] if os.geteuid() == 0 else []  # as in a container
         browser = running.chromium.launch(executable_path=CHROMIUM, args=arguments)
@@ -167,7 +165,7 @@ def test_the_keyboard_reaches_and_moves_all_controls(kind: str, opened: Any) -> 
 @pytest.mark.parametrize("kind", KINDS)
 def test_all_readers_can_read_it(kind: str, width: int, scheme: str, opened: Any) -> None:
     if not AXE.exists():
-        pytest.skip(f"needs {AXE.name}: npm install --prefix out axe-core")
+        pytest.skip("needs axe: make browser")
     page = opened(kind, width, scheme)
     page.page.evaluate(
         "document.querySelectorAll('details').forEach((one) => { one.open = true; })"
