@@ -124,7 +124,7 @@ def player_of(
 def seen_by(
     answers: Answers, materials: Mapping[Pair, Material], network: NetworkAnswer | None = None
 ) -> list[Seen]:
-    """Give all cameras as the page shows them: one that was refused with all of its events."""
+    """Give all cameras as the page shows them: refused or faint ones with all of their events."""
     later_s = {b: one.estimate.t_d_s for (a, b), one in answers.items() if a == 0}
     if network is not None and network.cameras[0].group == 1:
         placed = enumerate(network.cameras)
@@ -135,8 +135,8 @@ def seen_by(
         of_it = {pair: answer for pair, answer in answers.items() if k in pair}
         pair, answer = next(iter(of_it.items()))
         clean, motion = answer.cleans[pair.index(k)], materials[pair].motions[pair.index(k)]
-        is_refused = not any(one.estimate.has_offset for one in of_it.values())
-        shown = as_recorded(clean) if is_refused else clean
+        is_answered = any(one.estimate.has_offset for one in of_it.values())
+        shown = clean if is_answered and clean.track is None else as_recorded(clean)
         is_known = bool(np.isfinite(later_s[k]))
         cameras.append(Seen(clean, shown, motion, float(later_s[k]) if is_known else None))
     return cameras

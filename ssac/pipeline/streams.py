@@ -123,7 +123,7 @@ def grid_of(camera: Camera) -> Grid:
 
 def as_recorded(clean: Clean) -> Clean:
     """Give a camera with all events of its file, noise too; as it is where there is none."""
-    if clean.track is not None or clean.n_recorded == len(clean.events):
+    if clean.n_recorded == len(clean.events):  # a track's too, which has none
         return clean
     try:
         with warnings.catch_warnings():
@@ -131,7 +131,8 @@ def as_recorded(clean: Clean) -> Clean:
             events = load_events(Path(clean.name), Reading(True, True)).events
     except (SsacError, OSError):
         return clean
-    return replace(clean, events=events) if len(events) == clean.n_recorded else clean
+    is_it = len(events) == clean.n_recorded
+    return replace(clean, events=events, track=None) if is_it else clean
 
 
 def streams(

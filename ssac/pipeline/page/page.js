@@ -260,8 +260,10 @@
       }
     }
     if (point) {
-      spot(pen, point, 6.5 * unit, colors.halo, true);
-      spot(pen, point, 4.5 * unit, colors.ink, true);
+      [[5, colors.halo], [2, colors.ink]].forEach(([thick, color]) => { // a ring: the object may be tiny
+        pen.lineWidth = thick * unit;
+        spot(pen, point, 6.5 * unit, color, false);
+      });
     }
     return distance;
   };
