@@ -7,7 +7,7 @@ why. Nothing here decides anything; all numbers come from the answers.
 import json
 import platform
 from collections.abc import Mapping
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -77,8 +77,7 @@ def report_page(
             cameras=cameras,
             rig=answers[0, 1].rig_name,
             command=command,
-            versions=[("Python", platform.python_version())]
-            + [(name, version(name)) for name in _PACKAGES],
+            versions={"Python": platform.python_version(), **{n: _version(n) for n in _PACKAGES}},
             seconds=answers[0, 1].seconds,
             summary=_rows(summary),
         )
@@ -275,6 +274,13 @@ def _graph(answers: Answers, network: NetworkAnswer) -> dict[str, Any]:
         )
     closures = {tuple(k + 1 for k in one): off_s for one, off_s in network.closures_s.items()}
     return {"places": places.tolist(), "edges": edges, "closures": closures}
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:  # run from its source, or brought by another package
+        return "not known"
 
 
 def _rows(summary: str) -> list[tuple[str, list[str]]]:
