@@ -14,7 +14,7 @@ RUN := .venv/bin/python -m
 
 .DELETE_ON_ERROR:
 .PHONY: help setup demo tables ablations studies figures numbers report verify test lint types bench \
-	audit torture scene fidelity real outdoor network physical docs wheel clean-cache clean moved
+	audit browser torture scene fidelity real outdoor network physical docs wheel clean-cache clean moved
 .DEFAULT_GOAL := help
 
 help: ## list these commands
@@ -65,6 +65,19 @@ docs: .venv/.ready ## these pages, the tour (executed) and the API reference as 
 
 wheel: .venv/.ready ## build the wheel, install it in a clean environment, use it there
 	@.ci/wheel
+
+# For tests/test_browser.py, which skips what is not there.
+PLAYWRIGHT := playwright==1.65.2
+AXE := axe-core@4.14.1
+
+browser: .venv/.ready ## Playwright, Chromium and axe, with which `make test` looks at the pages
+	@.venv/bin/python -m pip install --quiet --disable-pip-version-check --no-input $(PLAYWRIGHT) 2>/dev/null \
+		|| echo 'make browser: $(PLAYWRIGHT) cannot be installed' >&2
+	@command -v chromium >/dev/null || { [ "$$(id -u)" = 0 ] || sudo=sudo; \
+		$$sudo apt-get -qq install --no-install-recommends chromium >/dev/null 2>&1; } \
+		|| echo 'make browser: chromium cannot be installed' >&2
+	@mkdir -p out && npm install --silent --no-fund --no-audit --prefix out $(AXE) >/dev/null 2>&1 \
+		|| echo 'make browser: $(AXE) cannot be installed' >&2
 
 # A peer of the sensor model, which nothing else needs: without it a row of the benchmark says so.
 PEER := eventify-dvs==0.2.0

@@ -18,46 +18,85 @@ class Status(str, Enum):
     """
 
     meaning: str  # for users
+    remedy: str  # what to do
 
-    OK = "ok", "all that is given is to be relied upon"
+    OK = "ok", "all that is given is to be relied upon", ""
     SEVERAL_OBJECTS = (
         "several_objects",
         "several things move, and no pair of them in both views is clearly one object",
+        "cut out a part of the recordings in which one object moves, or mask the others",
     )
     NO_COMMON_SIGNAL = (
         "no_common_signal",
         "at no lag searched do the signals of both cameras overlap by half and vary",
+        "check the times of both files, or take a method that looks at positions",
     )
-    NO_MOTION = "no_motion", "the object hardly leaves its own outline, or is lost in noise"
-    NO_COMMON_TIME = "no_common_time", "at no offset searched do both cameras record at a time"
+    NO_MOTION = (
+        "no_motion",
+        "the object hardly leaves its own outline, or is lost in noise",
+        "let the object move through the view, or record with less noise",
+    )
+    NO_COMMON_TIME = (
+        "no_common_time",
+        "at no offset searched do both cameras record at a time",
+        "leave out --search, or widen it",
+    )
     TOO_FEW_SAMPLES = (
         "too_few_samples",
         "the object is seen well by both cameras at too few sample times",
+        "record for longer, with the object in both views",
     )
-    SEARCH_BOUND = "search_bound", "the best offset lies at a bound of the search: widen it"
+    SEARCH_BOUND = (
+        "search_bound",
+        "the best offset lies at a bound of the search: widen it",
+        "widen --search, or give --search-all",
+    )
     TOO_LITTLE_MOTION = (
         "too_little_motion",
         "the object turns back too seldom to tell an offset and a pose from chance",
+        "record for longer, with more turns; or give the pose with --known-extrinsics",
     )
-    NO_CONVERGENCE = "no_convergence", "the iterations ran out, or left the minimum they began in"
-    CLOCK_JUMP = "clock_jump", "camera 2's clock jumps: no one offset holds all along"
-    NO_MATCH = "no_match", "at no offset do the two views show one object's path"
+    NO_CONVERGENCE = (
+        "no_convergence",
+        "the iterations ran out, or left the minimum they began in",
+        "check the rig: cameras, their order, resolution and lens",
+    )
+    CLOCK_JUMP = (
+        "clock_jump",
+        "camera 2's clock jumps: no one offset holds all along",
+        "cut both recordings at the jump, and synchronise each part by itself",
+    )
+    NO_MATCH = (
+        "no_match",
+        "at no offset do the two views show one object's path",
+        "check that both files are of one flight, and the rig of these cameras, in this order",
+    )
     POOR_FIT = (
         "poor_fit",
         "what was refined fits far worse than one object seen by calibrated cameras does",
+        "check the rig, and whether it is one rigid object; calibrate again",
     )
     AMBIGUOUS_OFFSET = (
         "ambiguous_offset",
         "several offsets fit alike, or the motion hardly tells one from another",
+        "record for longer, on a path that is no line, circle or repeated loop; or narrow --search",
     )
-    DEGENERATE_POSE = "degenerate_pose", "the offset holds, but the path leaves the pose open"
-    AMBIGUOUS_POSE = "ambiguous_pose", "the offset holds, but several poses fit alike"
+    DEGENERATE_POSE = (
+        "degenerate_pose",
+        "the offset holds, but the path leaves the pose open",
+        "use the offset; for the pose let the object move in all directions",
+    )
+    AMBIGUOUS_POSE = (
+        "ambiguous_pose",
+        "the offset holds, but several poses fit alike",
+        "use the offset; for the pose let the object leave the plane in which it moved",
+    )
 
-    def __new__(cls, word: str, meaning: str) -> "Status":
+    def __new__(cls, word: str, meaning: str, remedy: str) -> "Status":
         """Make a member that is its word."""
         member = str.__new__(cls, word)
         member._value_ = word
-        member.meaning = meaning
+        member.meaning, member.remedy = meaning, remedy
         return member
 
     def __str__(self) -> str:
@@ -186,6 +225,7 @@ class Estimate:
     per_focal_deg: Array = field(default_factory=_unknown)
     """Angles (2,) by which R and t turn for focal lengths of both cameras that are twice as long,
     to first order: what is wrong with both alike is hardly seen."""
+    Ks: tuple[Array, Array] | None = None  # (3, 3) each: intrinsics that were fitted with the rest
     against: float = 0.0  # by how many deviations what is seen speaks against the rig's intrinsics
     shift: float = 0.0  # to those that fit best, in the rig's deviations
     misfit: str = ""  # which these are, where that is much, as a sentence

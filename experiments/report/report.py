@@ -8,23 +8,17 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import PackageLoader
 
 from experiments.lab.cache import DEFAULT_FOLDER, Cache
 from experiments.lab.files import save_text
 from experiments.paper.comparison import PUBLISHED_RUNS, RULE
 from experiments.report import tables
-from experiments.report.animation import (
-    METHOD,
-    T_D_S,
-    Animation,
-    make_animation,
-    player_json,
-    stills,
-)
+from experiments.report.animation import METHOD, T_D_S, Animation, make_animation
 from experiments.report.data import Results, load_results
 from experiments.studies.figures import FLIGHT, SEED
 from ssac.errors import SsacError
+from ssac.pipeline import html_report
 
 _PAGE = files("experiments.report") / "page"
 
@@ -54,23 +48,14 @@ def report_command(
 
 def report_page(results: Results, animation: Animation) -> str:
     """Lay out the page: the same input gives the same bytes."""
-    environment = Environment(
-        loader=PackageLoader("experiments.report", "page"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+    environment = html_report.environment(PackageLoader("experiments.report", "page"))
     environment.filters["base64"] = lambda data: base64.b64encode(data).decode("ascii")
     environment.filters["number"] = tables.number
     environment.globals["json"] = partial(json.dumps, indent=1)
-    # The style, the script and the player's data are put in as they are: all three are ours.
-    return environment.get_template("report.html").render(
+    return environment.get_template("results_page.html").render(
         style=_PAGE.joinpath("report.css").read_text(encoding="utf-8").strip(),
-        script=_PAGE.joinpath("player.js").read_text(encoding="utf-8").strip(),
-        player_json=player_json(animation),
         animation=animation,
-        stills=stills(animation),
+        player=animation.player,
         angle_deg=FLIGHT.angle_deg,
         true_ms=1e3 * T_D_S,
         method=METHOD,

@@ -1,8 +1,11 @@
 """The files that `ssac sync` writes of two cameras, and those on scale and frame that it reads."""
 
+import shlex
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,6 +21,9 @@ from ssac.pipeline.api import Result
 from ssac.pipeline.opened import Known
 from ssac.pipeline.report import save_json
 
+if TYPE_CHECKING:
+    from ssac.pipeline.many import NetworkResult
+
 
 @dataclass(frozen=True)
 class Outputs:
@@ -28,6 +34,7 @@ class Outputs:
     synced: Path | None = None  # camera 2's events on camera 1's clock
     trajectory: Path | None = None  # the object's path
     rig: Path | None = None  # with the pose found
+    report: Path | None = None  # an HTML page
 
 
 def check_outputs(inputs: Sequence[Path], outputs: Outputs) -> None:
@@ -40,7 +47,7 @@ def check_outputs(inputs: Sequence[Path], outputs: Outputs) -> None:
         check_written(synced, (TRACK_SUFFIX,) if is_track_file(inputs[1]) else WRITTEN)
     if outputs.rig is not None:
         check_written(outputs.rig, RIG_SUFFIXES)
-    files = [outputs.json_file, synced, outputs.trajectory, outputs.rig]
+    files = [outputs.json_file, synced, outputs.trajectory, outputs.rig, outputs.report]
     if plot is not None and plot.suffix.lower() in FIGURE_SUFFIXES:
         files.append(plot)
     elif plot is not None:
@@ -60,10 +67,6 @@ def write_outputs(result: Result, outputs: Outputs, cam2: Path, reading: Reading
     if outputs.json_file is not None:
         save_json(outputs.json_file, result.answer)
         log(f"wrote {outputs.json_file}")
-    if outputs.plot is not None:
-        with clock.part("draw") as say:
-            drawn = result.plotted(outputs.plot)
-            say(", ".join(map(str, drawn)) or "nothing: the method left no curve and no track")
     if synced is not None and estimate.has_offset:
         with clock.part("write") as say:
             # Read again, whole: what is in memory has been denoised.
@@ -77,6 +80,18 @@ def write_outputs(result: Result, outputs: Outputs, cam2: Path, reading: Reading
             say(str(synced) if known else f"{synced}, by an offset of unknown accuracy")
     elif synced is not None:
         log(f"not written: {synced}, since there is no reliable offset")
+
+
+def write_pages(result: "Result | NetworkResult", outputs: Outputs, log: Log) -> None:
+    """Draw figures and write the page, of two cameras or more, where they were asked for."""
+    clock = Stopwatch(log)
+    if outputs.plot is not None:
+        with clock.part("draw") as say:
+            drawn = result.plotted(outputs.plot)
+            say(", ".join(map(str, drawn)) or "nothing: the method left no curve and no track")
+    if outputs.report is not None:
+        with clock.part("report") as say:
+            say(str(result.report(outputs.report, shlex.join(["ssac", *sys.argv[1:]]))))
 
 
 def known_of(

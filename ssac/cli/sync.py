@@ -3,6 +3,7 @@
 What takes long to import is imported when the command runs, not for its help.
 """
 
+import webbrowser
 from collections.abc import Callable
 from importlib import import_module
 from itertools import count, takewhile
@@ -125,6 +126,11 @@ OPTIONS = {
     "plot": Option(
         named("PATH", "Draw figures: into a folder, or one file (.png, .pdf, .svg)."), type=_FILE
     ),
+    "report": Option(
+        named("FILE", "Write all of it as an HTML page, with a player, that needs no other file."),
+        type=_FILE,
+    ),
+    "open_report": Option(flag("open", "Open the page of --report in a browser.")),
     "write_synced": Option(
         named("FILE", "Write camera 2's events (.h5, .txt) or track (.csv) on camera 1's clock."),
         type=_FILE,
@@ -229,7 +235,9 @@ def sync_command(
     """
     given = SimpleNamespace(**options)
     _check_search(given)
-    from ssac.cli.outputs import Outputs, check_outputs, known_of, write_outputs
+    if given.open_report and given.report is None:
+        raise SsacError("--open: opens the page of --report: give that too, or leave it out")
+    from ssac.cli.outputs import Outputs, check_outputs, known_of, write_outputs, write_pages
     from ssac.files.damage import Reading
     from ssac.pipeline.api import Result, sync
 
@@ -239,13 +247,17 @@ def sync_command(
     config = config_of(OPTIONS, options)
     with warnings_as_lines():
         outputs = Outputs(
-            given.json_file, given.plot, given.write_synced, given.trajectory, rig=given.write_rig
+            given.json_file,
+            given.plot,
+            given.write_synced,
+            given.trajectory,
+            given.write_rig,
+            given.report,
         )
         check_outputs([*files, rig, *filter(None, (given.positions, given.rtk))], outputs)
         known = known_of(given.distance, given.positions, given.rtk, given.lever_arm)
         for_two = {
             "--cameras": given.cameras != (1, 2),
-            "--plot": given.plot,
             "--write-synced": given.write_synced,
             "--known-extrinsics": given.known_extrinsics,
             "--estimate-readout": given.estimate_readout,
@@ -286,6 +298,9 @@ def sync_command(
             from ssac.pipeline.many import write_many
 
             write_many(result, given.json_file, given.trajectory, given.write_rig, _to_stderr)
+        write_pages(result, outputs, _to_stderr)
+        if given.open_report:
+            webbrowser.open(given.report.resolve().as_uri())
     if result.status != "ok":
         raise typer.Exit(NO_ESTIMATE)
 

@@ -140,12 +140,17 @@ def moves_of(camera: Camera, points_px: Array) -> Array:
 
 def fundamental_of(problem: Problem, parameters: Parameters) -> Array:
     """F (3, 3) of the undistorted points as they came, with the intrinsics that were found."""
+    return fundamental_from_pose(*intrinsics_of(problem, parameters), parameters.R, parameters.t)
+
+
+def intrinsics_of(problem: Problem, parameters: Parameters) -> tuple[Array, Array]:
+    """Give K (3, 3) of both cameras as they were found."""
     Ks, n = [problem.rig.cam1.K.copy(), problem.rig.cam2.K.copy()], problem.n_of_cameras
     values = parameters.columns[len(parameters.columns) - n :]
     for one, value in zip(uncertain_ones(problem.rig)[:n], values, strict=True):
         K, axis = Ks[one.camera], one.place % 2
         K[axis, axis if one.place < 2 else 2] += value * K[axis, axis]
-    return fundamental_from_pose(Ks[0], Ks[1], parameters.R, parameters.t)
+    return Ks[0], Ks[1]
 
 
 def evidence(residuals: Residuals, hidden_px: Array | None = None) -> tuple[float, float]:

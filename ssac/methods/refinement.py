@@ -17,6 +17,7 @@ from ssac.fit.intrinsics import (
     Allowance,
     evidence,
     fundamental_of,
+    intrinsics_of,
     turned_by_focals,
     wanted,
 )
@@ -169,6 +170,7 @@ class Refinement(ABC):
             t=parameters.t,
             covariance=None if problem.pose_is_known else covariance[:6, :6],
             per_focal_deg=np.degrees(turned_by_focals(residuals)),
+            Ks=intrinsics_of(problem, parameters),
             against=against,
             shift=shift,
             misfit=misfit,

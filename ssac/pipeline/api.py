@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from ssac.pipeline.many import NetworkResult
-    from ssac.pipeline.plots import Material
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -65,25 +64,26 @@ class Result:
 
         With a path it is written too: a file (.png, .pdf, .svg), or a folder of one PNG each.
         """
-        from ssac.pipeline.plots import page_of
+        from ssac.pipeline.plots import material_of, page_of
 
         if path is not None:
             self.plotted(Path(path))
-        return page_of(self._material)
+        return page_of(material_of(self.answer))
 
     def plotted(self, path: Path) -> list[Path]:
         """Draw as `plot` does, and give the files that were written."""
-        from ssac.pipeline.plots import save_figures
+        from ssac.pipeline.plots import material_of, save_figures
 
-        return save_figures(path, self._material)
+        return save_figures(path, material_of(self.answer))
 
-    @property
-    def _material(self) -> "Material":
-        from ssac.pipeline.plots import Material
+    def report(self, path: Path | str, command: str = "") -> Path:
+        """Write all that is known as an HTML page that needs no other file; give its path.
 
-        one, other = self.answer.cleans
-        views = self.answer.views.under(self.estimate.clock)
-        return Material(self.estimate, (one.events, other.events), views)
+        The command that led to the result is shown on it, where it is given.
+        """
+        from ssac.pipeline.html_report import save_report
+
+        return save_report(Path(path), {(0, 1): self.answer}, None, self.summary(), command)
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_") or name == "answer":

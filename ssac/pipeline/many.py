@@ -16,7 +16,7 @@ from ssac.clock import Clock
 from ssac.errors import SsacError
 from ssac.estimate import Status
 from ssac.files.rigs import save_rig
-from ssac.files.whole_file import whole_file
+from ssac.files.whole_file import FIGURE_SUFFIXES, whole_file
 from ssac.methods.method import Method
 from ssac.network.graph import Link, Pair
 from ssac.network.ground import Ground, ground_of_positions, ground_of_rtk, in_frame
@@ -128,6 +128,30 @@ class NetworkResult:
             "rig": self.rig_name,
             "seconds": {part: round(value, 3) for part, value in self.seconds.items()},
         }
+
+    def plotted(self, path: Path) -> list[Path]:
+        """Draw each pair as `Result.plot` does, into `path/I-J` or `PATH-I-J.png`; give the files.
+
+        I and J are the numbers of both cameras, from 1 on.
+        """
+        from ssac.pipeline.plots import material_of, save_figures
+
+        drawn = list[Path]()
+        for (a, b), answer in self.pairs.items():
+            pair, suffix = f"{a + 1}-{b + 1}", path.suffix
+            is_file = suffix.lower() in FIGURE_SUFFIXES
+            target = path.with_name(f"{path.stem}-{pair}{suffix}") if is_file else path / pair
+            drawn += save_figures(target, material_of(answer))
+        return drawn
+
+    def report(self, path: Path | str, command: str = "") -> Path:
+        """Write all that is known as an HTML page that needs no other file; give its path.
+
+        The command that led to the result is shown on it, where it is given.
+        """
+        from ssac.pipeline.html_report import save_report
+
+        return save_report(Path(path), self.pairs, self.network, self.summary(), command)
 
     def __repr__(self) -> str:
         placed = sum(camera.status == Status.OK for camera in self.network.cameras)

@@ -26,6 +26,7 @@ from ssac.events import US_PER_S, slice_time
 from ssac.files.whole_file import FIGURE_SUFFIXES, whole_file
 from ssac.geometry.epipolar import epipolar_distance, epipolar_lines_1
 from ssac.geometry.pose import rays_of
+from ssac.pipeline.answer import Answer
 from ssac.search.offset_search import mean_epipolar_distance
 from ssac.search.two_views import TwoViews
 from ssac.track.motion import Motion
@@ -85,6 +86,13 @@ class Material:
             return events, np.stack([events["x"], events["y"]], axis=1).astype(np.float64)
         table = undistortion_map(self.cameras[camera])
         return events, np.asarray(table[events["y"], events["x"]])
+
+
+def material_of(answer: Answer) -> Material:
+    """Give what may be drawn of two cameras."""
+    one, other = answer.cleans
+    views = answer.views.under(answer.estimate.clock)
+    return Material(answer.estimate, (one.events, other.events), views)
 
 
 @dataclass(frozen=True)

@@ -172,7 +172,6 @@ MANY = [
     ("third.csv --lever-arm 0 0 1", "give --rtk too"),
     ("third.csv --distance 3 --rtk rtk.csv", "--distance: not with --rtk"),
     ("third.csv --cameras 2 3", "--cameras: is for two cameras"),
-    ("third.csv --plot figures", "--plot: is for two cameras"),
     ("third.csv --write-synced synced.csv", "--write-synced: is for two cameras"),
     ("third.csv --known-extrinsics", "--known-extrinsics: is for two cameras"),
     ("third.csv --estimate-readout", "--estimate-readout: is for two cameras"),

@@ -1,0 +1,271 @@
+"""What the player on an HTML page draws: each camera's events, and how two of them fit together.
+
+Events are put into short frames, of each of which the pixels are kept in which something happened:
+what an eye can tell, at about a byte an event. Beside them stand the object's positions, so that
+the player draws epipolar lines at any time and with any offset.
+"""
+
+import base64
+import warnings
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from ssac.camera import Camera, undistort_points, undistortion_map
+from ssac.errors import SsacError
+from ssac.events import US_PER_S, slice_time
+from ssac.files.damage import Reading
+from ssac.files.event_files import load_events
+from ssac.geometry.epipolar import epipolar_distance
+from ssac.network.graph import Pair
+from ssac.pipeline.answer import Answer
+from ssac.pipeline.plots import Material, d_avg_px
+from ssac.track.clean import Clean
+from ssac.track.motion import Motion
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+# Bounds of a page's size and of what an eye can tell; nothing is decided by them.
+_LONGEST_S = 120.0
+_MOST_EVENTS = 1_200_000  # of all cameras: 1 MB of the page; of noise 2.4
+_MOST_FRAMES, _LEAST_FRAME_S = 6000, 0.01
+_MOST_COLUMNS = 400  # of a frame
+_REACH_S = 1.0  # by which the offset can be moved where none was found
+_LEAST_REACH_S, _MOST_REACH_S = 0.1, 3.0  # and from what was found
+_FAR_PX = 60.0  # farther off the line than this tells no more
+_INVALID = -32768
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """One camera, as the page shows it."""
+
+    clean: Clean  # as methods saw it
+    shown: Clean  # of a refused recording with all of its events
+    motion: Motion  # of the object
+    later_s: float | None  # what its clock shows more than the first camera's; None: not known
+
+    @property
+    def span_s(self) -> tuple[float, float]:
+        """First and last time of its clock; 0 of a recording without events."""
+        first_s, last_s = self.shown.span_s
+        return (first_s, last_s) if first_s <= last_s else (0.0, 0.0)
+
+    def points(
+        self, span_s: tuple[float, float], most: int
+    ) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """Give times (n,), undistorted points (n, 2), and which are brighter, about `most` of them.
+
+        They are events between two times of its clock, or points of its track.
+        """
+        camera, track = self.shown.camera, self.shown.track
+        if track is not None:
+            inside = (track.times_s >= span_s[0]) & (track.times_s <= span_s[1])
+            points = undistort_points(camera, track.points_px[inside])
+            return track.times_s[inside], points, np.ones(len(points), np.bool_)
+        # One microsecond more, as the end is not within a slice.
+        start_us, end_us = (round(side_s * US_PER_S) for side_s in span_s)
+        events = slice_time(self.shown.events, start_us, end_us + 1)
+        events = events[:: 1 + len(events) // most]
+        points = np.column_stack([events["x"], events["y"]]).astype(np.float64)
+        if camera.distortion_model != "none":
+            points = self._ideal[events["y"], events["x"]]
+        return events["t"] / US_PER_S, points, events["p"] > 0
+
+    @cached_property
+    def _ideal(self) -> Array:
+        return undistortion_map(self.shown.camera)
+
+
+@dataclass(frozen=True)
+class Grid:
+    """The cells in which a camera's undistorted image is shown."""
+
+    left_px: float
+    top_px: float
+    cell_px: float
+    columns: int
+    rows: int
+
+    def cells(self, points_px: Array) -> tuple[Indices, NDArray[np.bool_]]:
+        """Give the cells (n,), row by row, of points (n, 2), and which of these lie in one."""
+        with np.errstate(invalid="ignore"):
+            places = np.floor((points_px - (self.left_px, self.top_px)) / self.cell_px)
+            inside = np.all((places >= 0) & (places < (self.columns, self.rows)), axis=1)
+        x, y = np.where(inside[:, None], places, 0).astype(np.int64).T
+        return y * self.columns + x, inside
+
+
+def grid_of(camera: Camera) -> Grid:
+    """Lay cells over what a camera sees, its lens taken out."""
+    size = np.array([camera.width, camera.height], np.float64)
+    left, top, right, bottom = -0.5, -0.5, size[0] - 0.5, size[1] - 0.5
+    if camera.distortion_model != "none":
+        sides = (np.linspace(0.0, side - 1.0, 33, dtype=np.float64) for side in size)
+        ideal = undistort_points(camera, np.stack(np.meshgrid(*sides), axis=-1).reshape(-1, 2))
+        ends = np.nanmin(ideal, axis=0), np.nanmax(ideal, axis=0)
+        # The corners of a strong lens lie far out, and all else would be small beside them.
+        (left, top), (right, bottom) = np.clip(ends, -0.5 * size, 1.5 * size).tolist()
+    cell = max(1.0, float(right - left) / _MOST_COLUMNS)
+    columns, rows = (
+        max(1, int(np.ceil(side / cell - 1e-9))) for side in (right - left, bottom - top)
+    )
+    return Grid(float(left), float(top), cell, columns, rows)
+
+
+def as_recorded(clean: Clean) -> Clean:
+    """Give a camera with all events of its file, noise too; as it is where there is none."""
+    if clean.n_recorded == len(clean.events):  # a track's too, which has none
+        return clean
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # they were said when it was read for the estimate
+            events = load_events(Path(clean.name), Reading(True, True)).events
+    except (SsacError, OSError):
+        return clean
+    is_it = len(events) == clean.n_recorded
+    return replace(clean, events=events, track=None) if is_it else clean
+
+
+def streams(
+    answers: Mapping[Pair, Answer], materials: Mapping[Pair, Material], cameras: list[Seen]
+) -> dict[str, Any]:
+    """Lay out what the player draws of both, as plain lists, numbers and base64 for JSON."""
+    begin_s, end_s = _stretch(cameras[0])
+    views = []
+    for k, seen in enumerate(cameras):
+        first_s, last_s = seen.span_s
+        later_s = first_s - cameras[0].span_s[0] if seen.later_s is None else seen.later_s
+        reach_s = max(_reach_s(m.estimate.t_d_s) for pair, m in materials.items() if k in pair)
+        span_s = max(first_s, begin_s + later_s - reach_s), min(last_s, end_s + later_s + reach_s)
+        views.append(_view(seen, span_s, _MOST_EVENTS // len(cameras)))
+    pairs = [_pair(pair, materials[pair], views) for pair in answers]
+    return {"views": views, "pairs": pairs}
+
+
+def _stretch(seen: Seen) -> tuple[float, float]:
+    """Give start and end [s] of what is shown of a camera: where it sees the object most."""
+    first_s, last_s = seen.span_s
+    if last_s - first_s <= _LONGEST_S:
+        return first_s, last_s
+    times_s = np.linspace(first_s, last_s, _MOST_FRAMES, dtype=np.float64)
+    seen_s = times_s[seen.motion.at(times_s).valid]
+    if len(seen_s) == 0:
+        return first_s, first_s + _LONGEST_S
+    many = np.searchsorted(seen_s, seen_s + _LONGEST_S) - np.arange(len(seen_s))
+    start_s = float(seen_s[int(np.argmax(many))])
+    return start_s, min(start_s + _LONGEST_S, last_s)
+
+
+def _reach_s(t_d_s: float) -> float:
+    if not np.isfinite(t_d_s):
+        return _REACH_S
+    return float(np.clip(1.25 * abs(t_d_s), _LEAST_REACH_S, _MOST_REACH_S))
+
+
+def _view(seen: Seen, span_s: tuple[float, float], most: int) -> dict[str, Any]:
+    """Lay out one camera's frames and the object's positions between two times of its clock."""
+    start_s, length_s = span_s[0], max(span_s[1] - span_s[0], _LEAST_FRAME_S)
+    frame_s = max(_LEAST_FRAME_S, length_s / _MOST_FRAMES)
+    n_frames, grid = int(np.ceil(length_s / frame_s)), grid_of(seen.clean.camera)
+    times_s, points_px, brighter = seen.points(span_s, 3 * most)
+    cells, inside = grid.cells(points_px)
+    n_cells = grid.rows * grid.columns
+    frames = ((times_s - start_s) / frame_s).astype(np.int64).clip(0, n_frames - 1)
+    # Reversed, so that the last event of a pixel in a frame is the one that stays.
+    keys, last = np.unique((frames * n_cells + cells)[inside][::-1], return_index=True)
+    kept = np.random.default_rng(0).random(len(keys)) < most / max(len(keys), 1)  # no pattern
+    keys, signs = keys[kept], brighter[inside][::-1][last][kept]
+    frames, cells = np.divmod(keys, n_cells)
+    steps = np.where(np.diff(frames, prepend=-1) > 0, cells, np.diff(cells, prepend=0))
+    ends_s: Array = start_s + frame_s * np.arange(n_frames + 1, dtype=np.float64)
+    track = seen.motion.at(ends_s)
+    unit_px = grid.cell_px * max(grid.columns, grid.rows) / 30_000
+    places = (track.positions_px - (grid.left_px, grid.top_px)) / unit_px
+    return {
+        "start": round(start_s, 6),
+        "begin": round(seen.span_s[0], 6),  # of the recording
+        "frame": frame_s,
+        "n_frames": n_frames,
+        "columns": grid.columns,
+        "rows": grid.rows,
+        "cell": grid.cell_px,
+        "left": grid.left_px,
+        "top": grid.top_px,
+        "counts": packed(np.bincount(frames, minlength=n_frames), "<u4"),
+        "events": packed(2 * steps + signs, "<u4"),
+        "unit": unit_px,
+        "track": packed(
+            np.where(track.valid[:, None], places, _INVALID).clip(_INVALID, 32767), "<i2"
+        ),
+    }
+
+
+def density_png(seen: Seen, grid: Grid) -> str:
+    """Draw where a camera had events, the more the darker, as a PNG in base64."""
+    _, points_px, _ = seen.points(seen.span_s, 3 * _MOST_EVENTS)
+    cells, inside = grid.cells(points_px)
+    counts = np.bincount(cells[inside], minlength=grid.rows * grid.columns)
+    shades = np.log1p(counts) / np.log1p(max(1.0, float(np.percentile(counts, 99.9))))
+    image = np.full((grid.rows, grid.columns, 4), 128, np.uint8)
+    image[..., 3] = (32 * shades.clip(0.0, 1.0)).astype(np.uint8).reshape(grid.rows, -1) * 5
+    return base64.b64encode(cv2.imencode(".png", image)[1].tobytes()).decode("ascii")
+
+
+def packed(values: NDArray[Any], dtype: DTypeLike) -> str:
+    """Deflate numbers (n,), or (n, 2), their bytes of equal worth side by side, as base64."""
+    numbers = np.ascontiguousarray(values.astype(dtype)).ravel()
+    planes = numbers.view(np.uint8).reshape(len(numbers), -1).T
+    return base64.b64encode(zlib.compress(planes.tobytes())).decode("ascii")
+
+
+def _pair(pair: Pair, material: Material, views: list[dict[str, Any]]) -> dict[str, Any]:
+    """Lay out how two cameras fit: F, the clock and the cost over the offsets that can be tried."""
+    estimate, clock = material.estimate, material.estimate.clock
+    is_known, middle_s = bool(np.isfinite(estimate.t_d_s)), estimate.t_d_s
+    if not is_known:  # clocks as they are; or, where they have nothing in common, from both starts
+        apart_s = views[pair[1]]["start"] - views[pair[0]]["start"]
+        middle_s = 0.0 if abs(apart_s) < _LONGEST_S else apart_s
+    reach_s = _reach_s(estimate.t_d_s)
+    before_s = float(np.clip(0.0, middle_s - reach_s, middle_s + reach_s))
+    curve_px = d_avg_px(
+        material, np.linspace(middle_s - reach_s, middle_s + reach_s, 301, dtype=np.float64)
+    )
+    return {
+        "cameras": pair,
+        "found": middle_s if is_known else None,
+        "holds": estimate.has_offset,
+        "before": before_s,
+        "low": middle_s - reach_s,
+        "high": middle_s + reach_s,
+        "F": None if estimate.F is None else estimate.F.tolist(),
+        "skew": 1e-6 * clock.skew_ppm,
+        "t_ref": clock.t_ref_s,
+        "knots": clock.knots_s.tolist(),
+        "strays": clock.strays_s.tolist(),
+        "curve": [round(px, 3) if np.isfinite(px) else None for px in curve_px.tolist()],
+        "still": _telling_time_s(material, views[pair[0]], before_s),
+    }
+
+
+def _telling_time_s(material: Material, view: dict[str, Any], before_s: float) -> float:
+    """Give a time at which a picture tells much: before, the object is far off its line."""
+    views, F, t_d_s = material.views, material.estimate.F, material.estimate.t_d_s
+    times_s: Array = view["start"] + view["frame"] * np.arange(view["n_frames"], dtype=np.float64)
+    one = views.motion1.at(times_s)
+    seen, worth = one.valid, -np.abs(times_s - np.mean(times_s))
+    if F is not None and np.isfinite(t_d_s):
+        before, after = (
+            views.motion2.at(views.on_clock_2(times_s, offset_s)) for offset_s in (before_s, t_d_s)
+        )
+        off_px = epipolar_distance(F, one.positions_px, before.positions_px)
+        seen, worth = seen & after.valid, np.where(before.valid, np.minimum(off_px, _FAR_PX), 0.0)
+    return float(times_s[np.argmax(np.where(seen, worth, -np.inf) if seen.any() else worth)])
