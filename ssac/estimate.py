@@ -115,12 +115,7 @@ SETTLED_BY: dict[str, tuple[Status, ...]] = {
     "joint": (Status.AMBIGUOUS_OFFSET, Status.AMBIGUOUS_POSE, Status.DEGENERATE_POSE),
     "tangency": (Status.AMBIGUOUS_OFFSET, Status.DEGENERATE_POSE, Status.POOR_FIT),
     "fast": (Status.NO_CONVERGENCE, Status.CLOCK_JUMP, Status.NO_MATCH, Status.POOR_FIT),
-    "rates": (
-        Status.NO_CONVERGENCE,
-        Status.CLOCK_JUMP,
-        Status.NO_MATCH,
-        Status.AMBIGUOUS_OFFSET,
-    ),
+    "rates": (Status.NO_CONVERGENCE, Status.NO_MATCH, Status.AMBIGUOUS_OFFSET),
     "pieces": (Status.CLOCK_JUMP, Status.POOR_FIT),
     "all offsets": (
         Status.SEVERAL_OBJECTS,

@@ -300,6 +300,10 @@ def _large_jump(t_d_s: float, F: Array, views: TwoViews) -> ClockJump | None:
     left_px = cost_px(other_s)
     if not (left_px <= most_px and 2.0 * left_px <= cost_px(t_d_s)):
         return None
+    # A fast clock's offsets are as far apart in the means of both parts.
+    drift_s = (views.rules.retry.fast_rates[1] - 1.0) * float(times_s[-1] - times_s[0])
+    if abs(other_s - t_d_s) <= 0.5 * drift_s:
+        return None
     before_s, after_s = (t_d_s, other_s) if is_later else (other_s, t_d_s)
     return ClockJump(float(times_s[k + 1]), after_s - before_s, np.nan, before_s, after_s)
 

@@ -281,8 +281,7 @@ class Chain:
         rates = other_rates(self.config, config, pair.cleans, widest.estimate)
         if rates is not None:
             rated = self._of_one(replace(pair, config=replace(config, rates=rates)), True)
-            found, rules = rated.estimate, config.rules.retry
-            if is_within(found, rates) and is_settled_by(found, widest.estimate, FAST, rules):
+            if is_within(rated.estimate, rates):
                 return replace(rated, clock=FAST)
         if not tries_all and narrows(self.config, answer.estimate):
             outside = "or the offset lies outside the search: leave out --search, and all are tried"

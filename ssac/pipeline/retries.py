@@ -79,8 +79,8 @@ def is_settled_by(by_other: Estimate, found: Estimate, clock: str, rules: RetryR
 
 
 def is_within(found: Estimate, rates: Interval) -> bool:
-    """Whether a clock runs at one of these rates: a jump may look faster."""
-    return rates[0] <= 1.0 + 1e-6 * found.skew_ppm <= rates[1]
+    """Whether an answer's clock runs at one of these rates: a jump may look faster."""
+    return found.has_offset and rates[0] <= 1.0 + 1e-6 * found.skew_ppm <= rates[1]
 
 
 def is_faint(asked: Config, cleans: tuple[Clean, Clean], found: Estimate) -> bool:
