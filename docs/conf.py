@@ -107,6 +107,13 @@ def plain(
     lines[:] = "".join([*blocks, *sections]).split("\n")
 
 
+def take_page(app: Sphinx, error: Exception | None) -> None:
+    """Lay the page that the tour wrote beside the tour."""
+    page = ROOT / "docs" / "tour" / "report.html"
+    if error is None and page.exists():
+        page.replace(Path(app.outdir) / "docs" / "generated" / "tour" / page.name)
+
+
 def short_signature(
     app: Sphinx, what: str, name: str, obj: object, options: object, arguments: str, returned: str
 ) -> tuple[str, str]:
@@ -130,6 +137,7 @@ ModuleAnalyzer.__init__ = with_comments_of_fields
 def setup(app: Sphinx) -> None:
     """Connect them."""
     app.connect("autodoc-process-signature", short_signature)
+    app.connect("build-finished", take_page)
     app.connect("builder-inited", write_reference)
     app.connect("source-read", add_contents)
     app.connect("autodoc-process-docstring", plain, priority=400)
