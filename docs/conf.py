@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 
 from sphinx.application import Sphinx
+from sphinx.pycode import ModuleAnalyzer
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
@@ -24,6 +25,10 @@ exclude_patterns = [".*", "cache", "out", "build", "tests", "docs/tour"]
 html_theme = "furo"
 html_title = project
 html_copy_source = False
+html_static_path = ["static"]
+html_css_files = ["site.css"]
+html_js_files = ["figures.js"]
+python_maximum_signature_line_length = 90
 myst_heading_anchors = 3
 default_role = "code"
 napoleon_google_docstring = False
@@ -42,15 +47,16 @@ sphinx_gallery_conf = {  # runs the tour; an error in it ends the build
 }
 autodoc_default_options = {"members": True}
 
+API = "docs/generated/api"
 CHAPTERS = {
     "Use": "docs/generated/tour/tour docs/sync docs/network docs/compare docs/refusal"
-    " docs/uncertainty",
-    "Results": "docs/results results/README docs/physical docs/outdoor docs/real docs/tangency"
-    " docs/zncc docs/speed",
-    "Research": "docs/simulate docs/sensor docs/sweeps docs/methods",
-    "Code": "docs/architecture docs/testing docs/security CONTRIBUTING CHANGELOG",
+    " docs/uncertainty docs/security CHANGELOG",
+    "Reproduce": "docs/results results/README docs/physical docs/outdoor docs/real docs/speed",
+    "Extend": f"docs/simulate docs/sensor docs/methods docs/sweeps docs/testing CONTRIBUTING"
+    f" {API}/ssac {API}/index",
+    "Understand": "docs/tangency docs/zncc docs/architecture",
 }
-"""The navigation. It hangs from the README, where only Sphinx shall see it."""
+"""The navigation, by reader. It hangs from the README, where only Sphinx shall see it."""
 
 # `ssac` imports a name when it is asked for; autodoc looks at what is there.
 vars(ssac).update({name: getattr(ssac, name) for name in ssac.__all__})
@@ -58,7 +64,7 @@ vars(ssac).update({name: getattr(ssac, name) for name in ssac.__all__})
 
 def write_reference(app: Sphinx) -> None:
     """Write the source of the API reference: a page for each folder, a section for each module."""
-    target = ROOT / "docs" / "generated" / "api"
+    target = ROOT / API
     target.mkdir(parents=True, exist_ok=True)
     pages = []
     for package in ("ssac", "sim", "experiments"):
@@ -66,10 +72,13 @@ def write_reference(app: Sphinx) -> None:
             page = ".".join(folder.relative_to(ROOT).parts)
             modules = [f"{page}.{path.stem}" for path in sorted(folder.glob("[!_]*.py"))]
             sections = [f"{name}\n{'-' * len(name)}\n\n.. automodule:: {name}" for name in modules]
-            head = f"{page}\n{'=' * len(page)}\n\n.. automodule:: {page}"
+            title = "Python: ssac" if page == "ssac" else page
+            head = f"{title}\n{'=' * len(title)}\n\n.. automodule:: {page}"
             (target / f"{page}.rst").write_text("\n\n".join([head, *sections, ""]))
-            pages.append(f"docs/generated/api/{page}")
-    CHAPTERS["API reference"] = " ".join(pages)
+            pages.append(page)
+    listed = "\n   ".join(page for page in pages if page != "ssac")
+    head = "All modules\n===========\n\n.. toctree::\n   :maxdepth: 1\n"
+    (target / "index.rst").write_text(f"{head}\n   {listed}\n")
 
 
 def add_contents(app: Sphinx, page: str, source: list[str]) -> None:
@@ -98,8 +107,37 @@ def plain(
     lines[:] = "".join([*blocks, *sections]).split("\n")
 
 
+def take_page(app: Sphinx, error: Exception | None) -> None:
+    """Lay the page that the tour wrote beside the tour."""
+    page = ROOT / "docs" / "tour" / "report.html"
+    if error is None and page.exists():
+        page.replace(Path(app.outdir) / "docs" / "generated" / "tour" / page.name)
+
+
+def short_signature(
+    app: Sphinx, what: str, name: str, obj: object, options: object, arguments: str, returned: str
+) -> tuple[str, str]:
+    """Write arrays as their annotations do, and a default that is no literal as dots."""
+    array = r"~?(?:numpy[.])?ndarray\[.*?dtype\[~?(?:numpy[.])?(\w+)\]\]"
+    short = (re.sub(array, r"NDArray[\1]", one or "") for one in (arguments, returned))
+    arguments, returned = (re.sub(r"<[^<>]*(<[^<>]*>)?[^<>]*>", "...", one) for one in short)
+    return arguments or None, returned or None
+
+
+def with_comments_of_fields(analyzer: ModuleAnalyzer, source: str, *names: str) -> None:
+    """Read a module; what stands behind a dataclass's field, as a comment, is that field's text."""
+    commented = re.sub(r"(?m)^( {4}\w+: .*?)  # (?!type:|noqa|fmt:)", r"\1  #: ", source)
+    read_module(analyzer, commented, *names)
+
+
+read_module = ModuleAnalyzer.__init__
+ModuleAnalyzer.__init__ = with_comments_of_fields
+
+
 def setup(app: Sphinx) -> None:
     """Connect them."""
+    app.connect("autodoc-process-signature", short_signature)
+    app.connect("build-finished", take_page)
     app.connect("builder-inited", write_reference)
     app.connect("source-read", add_contents)
     app.connect("autodoc-process-docstring", plain, priority=400)

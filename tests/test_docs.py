@@ -29,10 +29,14 @@ example, track_video = (_script(name) for name in ("example", "track_video"))
 
 
 @pytest.mark.render
-def test_the_tour_runs_and_finds_what_it_says(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_tour_runs_and_finds_what_it_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
     runpy.run_path(str(ROOT / "docs" / "tour" / "tour.py"))
     said = capsys.readouterr().out
     assert len(plt.get_fignums()) == 1
+    assert "<script" in (tmp_path / "report.html").read_text(encoding="utf-8")
     plt.close("all")
     assert re.search(r"^status ok$", said, re.MULTILINE)
     # 6 s of flight: a few times the mean error of `tangency` over 10 s.

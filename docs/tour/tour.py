@@ -59,6 +59,12 @@ print(f"offset off by {errors.t_d_error_ms:.3f} ms")
 print(f"R off by {errors.r_error_deg:.3f} deg, t by {errors.t_error_deg:.3f} deg")
 
 # %%
+# `report` writes all of it as `one page <report.html>`_ with a player of both streams, which needs
+# no other file and can be sent to somebody; `ssac sync --report` does the same.
+
+print(result.report("report.html"))
+
+# %%
 # 3. What the method saw
 # ----------------------
 #

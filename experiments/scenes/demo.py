@@ -14,14 +14,15 @@ from scipy.spatial.transform import Rotation
 from experiments.lab.provenance import plain
 from experiments.lab.score import score
 from experiments.scenes.options import MAX_SEED
-from experiments.scenes.simulate import record_with_progress, summary
+from experiments.scenes.simulate import drawable, record_with_progress, summary
 from sim.recorded import Truth
 from sim.recording import SimConfig
 from ssac.cli.options import number
+from ssac.cli.progress import compilation_told
 from ssac.estimate import Estimate
 from ssac.pipeline.api import sync
 
-DEMO = SimConfig(angle_deg=90.0, t_d_s=0.05)  # 20 s, as in the paper
+DEMO = drawable(SimConfig(angle_deg=90.0, t_d_s=0.05))  # 20 s, as in the paper
 METHODS = ("ssac", "tangency")
 
 
@@ -37,10 +38,11 @@ def demo_command(
         shutil.rmtree(folder, ignore_errors=True)
     recorded = record_with_progress(DEMO, seed, folder)
     typer.echo(summary(recorded, folder))
-    results = [
-        sync(folder / "cam1.h5", folder / "cam2.h5", folder / "rig.yaml", method)
-        for method in METHODS
-    ]
+    with compilation_told():
+        results = [
+            sync(folder / "cam1.h5", folder / "cam2.h5", folder / "rig.yaml", method)
+            for method in METHODS
+        ]
     for result in results:
         typer.echo("\n" + comparison(result.estimate, recorded.flight.truth))
     last = results[-1]

@@ -1,6 +1,7 @@
 """`ssac simulate`: event cameras that watch one drone, recorded into a folder."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -22,7 +23,7 @@ from sim.scene.rig import look_at_rig
 from sim.scene.trajectory import SplineConfig
 from sim.storage import Recorded, record
 from ssac.cli.options import with_options
-from ssac.cli.progress import progress
+from ssac.cli.progress import compilation_told, progress
 from ssac.files.hdf5 import load_events_h5
 from ssac.files.whole_file import check_folder, remove_left_over
 from ssac.network.tum import Path as SpacePath
@@ -95,6 +96,7 @@ def simulate_command(
     if n_cameras > 2:
         config = ManyCameras(**vars(config), n_cameras=n_cameras)
     check_folder(out_dir, recording_bytes(config) * n_cameras // 2)
+    config = drawable(config)
     existing = next(folder for folder in out_dir.resolve().parents if folder.exists())
     remove_left_over(existing, out_dir.name)  # of a run that was killed while it wrote
     recorded = record_with_progress(config, given["seed"], out_dir, given["text"], disturb)
@@ -109,6 +111,13 @@ def simulate_command(
         typer.echo(scene_table(pair_figures(cam1, cam2, rig, flight.truth.t_d_s)))
 
 
+def drawable(config: SimConfig) -> SimConfig:
+    """Leave the comparison with OpenGL out where pyrender is not installed."""
+    if find_spec("pyrender") is not None:
+        return config
+    return replace(config, render=replace(config.render, check=False))
+
+
 def record_with_progress(
     config: SimConfig,
     seed: int,
@@ -118,7 +127,10 @@ def record_with_progress(
 ) -> Recorded:
     """Simulate into a folder, and show on stderr how far it is."""
     provenance = {"config": plain(config), "seed": seed, "versions": versions()}
-    with progress(100, "simulating", is_brief=True) as advance:  # no bar before bad input is found
+    with (
+        compilation_told(),
+        progress(100, "simulating", is_brief=True) as advance,  # no bar before bad input is found
+    ):
 
         def show(share: float) -> None:
             advance(round(100 * share))
@@ -148,9 +160,11 @@ def summary(recorded: Recorded, out_dir: Path) -> str:
     lines.append(f"{rendered} {native if check.n_instants else by_gl}")
     if check.n_instants:
         lines.append(
-            f"{check.n_instants} of them with {by_gl} too: luminance differs by "
+            f"{check.n_instants} of them with {by_gl} too:\n    luminance differs by "
             f"{check.mean_difference:.0e} in the mean, {check.max_difference:.0e} at most"
         )
+    elif find_spec("pyrender") is None:
+        lines.append("none of them compared with OpenGL, as pyrender is not installed")
     return "\n".join([*lines, f"written to {out_dir}"])
 
 

@@ -64,6 +64,7 @@ def compare_command(
     from ssac.files.whole_file import FIGURE_SUFFIXES, check_targets, whole_file
     from ssac.network.comparison import compare
     from ssac.network.tum import read_path
+    from ssac.pipeline.report import text_of
 
     if scale not in SCALES:
         raise SsacError(f"--scale: expected {' or '.join(SCALES)}, got {scale!r}")
@@ -80,20 +81,23 @@ def compare_command(
         from ssac.pipeline.plots import save_comparison
 
         save_comparison(plot, found)
-    if found.in_time is None:
-        typer.echo("at equal times  no: there are no times in both")
-    else:
+    rows = [("at equal times", "no: there are no times in both")]
+    if found.in_time is not None:
         clock = found.in_time.clock
-        typer.echo(
-            f"clock           truth = estimate {clock.t_d_s:+.4f} s, {clock.skew_ppm:+.1f} ppm; "
-            f"holds at {clock.t_ref_s:.3f} s of the estimate's"
-        )
-        typer.echo(
-            f"at equal times  {_in_words(found.in_time.figures())}, "
-            f"{100.0 * found.in_time.coverage:.1f} % of the truth's covered, "
-            f"{100.0 * found.in_time.explained:.2f} % of its motion explained"
-        )
-    typer.echo(f"as shapes, ICP  {_in_words(found.as_shape.figures())}")
+        rows = [
+            (
+                "clock",
+                f"truth = estimate {clock.t_d_s:+.4f} s, {clock.skew_ppm:+.1f} ppm; "
+                f"holds at {clock.t_ref_s:.3f} s of the estimate's",
+            ),
+            (
+                "at equal times",
+                f"{_in_words(found.in_time.figures())}, "
+                f"{100.0 * found.in_time.coverage:.1f} % of the truth's covered, "
+                f"{100.0 * found.in_time.explained:.2f} % of its motion explained",
+            ),
+        ]
+    typer.echo(text_of([*rows, ("as shapes, ICP", _in_words(found.as_shape.figures()))]))
 
 
 def _in_words(figures: dict[str, float | int]) -> str:

@@ -49,6 +49,7 @@ def track_command(
 ) -> None:
     """Write the path of the one moving object as a track file: t_s,x_px,y_px,sigma_px."""
     given = SimpleNamespace(**options)
+    from ssac.cli.progress import compilation_told
     from ssac.events import check_events
     from ssac.files.damage import Reading
     from ssac.files.event_files import load_events
@@ -74,13 +75,15 @@ def track_command(
     check_resolution(calibrated, file.width, file.height, name, str(cam))
     check_events(file.events, calibrated.width, calibrated.height, f"{cam} with {name}")
     config = config_of(OPTIONS, options | {"no_denoise": given.no_denoise or given.faint})
+    shape = calibrated.width, calibrated.height
     try:
-        events = file.events
-        if given.faint:
-            events = faint_object_events(events, calibrated.width, calibrated.height, config.rules)
-        seen = clean(Observation(events), calibrated, config.cleaning)
-        track = track_of_events(seen, config)
-        n_things = things_seen(seen, config.rules.objects)
+        with compilation_told():
+            events = file.events
+            if given.faint:
+                events = faint_object_events(events, *shape, config.rules)
+            seen = clean(Observation(events), calibrated, config.cleaning)
+            track = track_of_events(seen, config)
+            n_things = things_seen(seen, config.rules.objects)
     except SsacError as error:
         raise SsacError(f"{cam}: {error}") from error
     if n_things > 1:

@@ -93,6 +93,26 @@ def _repeated(call: Callable[[], None]) -> Iterator[None]:
         thread.join()
 
 
+@contextmanager
+def compilation_told() -> Iterator[None]:
+    """Say so, once, where the block compiles kernels: an installation's first run takes longer."""
+    from numba.core.event import Event, Listener, install_listener
+
+    class Teller(Listener):
+        is_told = False
+
+        def on_start(self, event: Event) -> None:
+            if not self.is_told:
+                say("compiling kernels for later runs too: this one takes a minute longer")
+            self.is_told = True
+
+        def on_end(self, event: Event) -> None:
+            del event
+
+    with install_listener("numba:compile", Teller()):
+        yield
+
+
 def say(line: str) -> None:
     """Say something else on stderr, above the bar where there is one."""
     tqdm.write(line, file=sys.stderr)

@@ -238,6 +238,7 @@ def sync_command(
     if given.open_report and given.report is None:
         raise SsacError("--open: opens the page of --report: give that too, or leave it out")
     from ssac.cli.outputs import Outputs, check_outputs, known_of, write_outputs, write_pages
+    from ssac.cli.progress import compilation_told
     from ssac.files.damage import Reading
     from ssac.pipeline.api import Result, sync
 
@@ -245,7 +246,7 @@ def sync_command(
     rig = rig or _rig_of_folder(cam1, given.known_extrinsics)
     reading, has_more = Reading(given.allow_damaged, given.sort), len(files) > 2
     config = config_of(OPTIONS, options)
-    with warnings_as_lines():
+    with warnings_as_lines(), compilation_told():
         outputs = Outputs(
             given.json_file,
             given.plot,
@@ -268,7 +269,7 @@ def sync_command(
                 f"{refused[0]}: is for two cameras, and more were given: leave it out, or give two"
             )
         if not has_more:
-            _check_known_of_two(known, given.trajectory is not None, given.write_rig is not None)
+            _check_known_of_two(known, given.trajectory is not None)
         call: Callable[..., Any] = sync
         result = call(
             *((files, rig, None) if has_more else (*files, rig)),
@@ -280,7 +281,7 @@ def sync_command(
             centre_std_px=given.centre_std,
             estimate_readout=given.estimate_readout,
             reading=reading,
-            known=known if has_more else type(known)(),
+            known=known if has_more else type(known)(known.distance_m),
             log=_to_stderr,
         )
         typer.echo(result.summary())
@@ -293,7 +294,7 @@ def sync_command(
             if given.write_rig is not None:
                 from ssac.pipeline.many import write_rig_of_two
 
-                write_rig_of_two(given.write_rig, result.answer, known, _to_stderr)
+                write_rig_of_two(given.write_rig, result.answer, _to_stderr)
         else:
             from ssac.pipeline.many import write_many
 
@@ -359,15 +360,14 @@ def help_sections() -> Sections:
     return {"Methods": list(all_summaries().items()), "Statuses": statuses}
 
 
-def _check_known_of_two(known: "Known", has_trajectory: bool, has_rig: bool) -> None:
-    """Refuse what two cameras cannot use: a path has a scale and a frame, a rig a scale alone."""
+def _check_known_of_two(known: "Known", has_trajectory: bool) -> None:
+    """Refuse what two cameras cannot use: RTK is for the path alone."""
     if known.positions is not None:
         raise SsacError(
             "--positions: needs three cameras or more, and two were given: give --distance"
         )
-    name = "--distance" if known.distance_m is not None else "--rtk"
-    if known != type(known)() and not (has_trajectory or (has_rig and known.distance_m)):
-        raise SsacError(f"{name}: is for the object's path: give --trajectory too, or leave it out")
+    if known.rtk is not None and not has_trajectory:
+        raise SsacError("--rtk: is for the object's path: give --trajectory too, or leave it out")
 
 
 def _to_stderr(line: str) -> None:

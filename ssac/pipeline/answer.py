@@ -1,5 +1,6 @@
 """What the pipeline says of two cameras: an estimate, how it came about, and what to know of it."""
 
+import textwrap
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -38,6 +39,7 @@ class Answer:
     start: Start | None = None  # of a search over all offsets, if there was one
     clock: str = ""  # of which kind camera 2's is, where the kind asked for did not fit
     misfit: str = ""  # what of the rig seems wrong, where its deviations were taken for larger ones
+    distance_m: float | None = None  # between the cameras, where it was stated
     is_start: bool = False  # the object is tiny: the estimate is that of `method.starts_from`
     seconds: dict[str, float] = field(default_factory=dict)  # by part, in the order they ran
 
@@ -131,6 +133,16 @@ class Answer:
         return any(one.used.seen > 1 for one in self.cleans)
 
 
+COLUMNS = 100
+"""Of a screen: every line fits that has no longer word, such as a path."""
+
+
+def folded(text: str, columns: int) -> list[str]:
+    """Break a text into lines of so many columns, between words; at least one line."""
+    lines = textwrap.wrap(text, columns, break_long_words=False, break_on_hyphens=False)
+    return lines or [""]
+
+
 class Stopwatch:
     """Measures the parts of a run and logs a line for each that has something to say."""
 
@@ -147,5 +159,6 @@ class Stopwatch:
         took_s = time.perf_counter() - start_s
         self.seconds[name] = self.seconds.get(name, 0.0) + took_s
         if lines:
-            between = "\n" + 19 * " "
-            self.log(f"{name:9}{took_s:6.2f} s  {between.join(lines)}")
+            head = f"{name:9}{took_s:6.2f} s  "
+            parts = [part for line in lines for part in folded(line, COLUMNS - len(head))]
+            self.log(head + ("\n" + " " * len(head)).join(parts))

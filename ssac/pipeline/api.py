@@ -164,7 +164,7 @@ def sync(
     reading
         What may be made of event files that are damaged or unsorted.
     known
-        Of more than two cameras: what is known of scale and frame.
+        What is known of scale and frame; of two cameras their distance alone.
     log
         Called with a line of progress after each part.
 
@@ -198,8 +198,11 @@ def sync(
             raise SsacError(f"{name}: expected a ssac.{kind.__name__}, got {given!r}")
     if not callable(log):
         raise SsacError(f"log: expected a function of a line of text, such as print, got {log!r}")
-    if of_two and known != NOTHING:
-        raise SsacError("known: is for more than two cameras, and two were given: leave it out")
+    if of_two and known != Known(known.distance_m):
+        raise SsacError(
+            "known: positions and RTK are for more than two cameras, and two were given: give"
+            " distance_m, or leave it out"
+        )
     of_two_alone = {
         "cameras": cameras != (1, 2),
         "known_extrinsics": known_extrinsics,
@@ -226,7 +229,7 @@ def sync(
     chain = Chain(sources, models, border.config_of(config, fields), log)
     found: Result | NetworkResult
     if of_two:
-        found = Result(chain.answer(chosen))
+        found = Result(replace(chain.answer(chosen), distance_m=known.distance_m))
         cleans: tuple[Clean, ...] = found.answer.cleans
     else:
         from ssac.pipeline.many import network

@@ -27,7 +27,7 @@ from ssac.pipeline.answer import Answer, Log, Stopwatch
 from ssac.pipeline.chain import Chain, one_thread
 from ssac.pipeline.object_track import ShapedTrack, shaped_track_of_events, track_of_events
 from ssac.pipeline.opened import NOTHING, Known
-from ssac.pipeline.report import html_of, plain
+from ssac.pipeline.report import html_of, plain, text_of
 from ssac.points import PointTrack
 from ssac.rules import GroundRules
 from ssac.track.body import LEAST_VIEWS
@@ -68,7 +68,7 @@ class NetworkResult:
         if self.ground is not None:
             rows.append(("frame", self.ground.said))
         for camera in answer.cameras:
-            rows += _camera_rows(camera)
+            rows += _camera_rows(camera, " m" if self.scale_is_known else "")
         notes = dict[str, list[str]]()  # each with the pairs that it is said of
         for (a, b), pair in self.pairs.items():
             for note in pair.notes:
@@ -76,7 +76,7 @@ class NetworkResult:
         rows += [("note", f"{note} (cameras {', '.join(of)})") for note, of in notes.items()]
         for (a, b), off_s in answer.wrong_pairs.items():
             rows.append(("wrong pair", f"{a + 1} and {b + 1}: its clock is {off_s:+.3f} s off"))
-        unit = "m" if self.scale_is_known else "distances of the first two cameras"
+        unit = _unit(self.scale_is_known)
         for k, found in enumerate(answer.paths, start=1):
             stds = found.path.deviations_m
             medians = np.full(3, np.nan) if stds is None or not len(stds) else np.median(stds, 0)
@@ -84,7 +84,7 @@ class NetworkResult:
             rows.append((f"path {k}", f"{len(found.path)} samples, 1 sigma ({sigma}), in {unit}"))
             for start_s, end_s in found.spans_s:
                 rows.append(("", f"holds from {start_s:.3f} to {end_s:.3f} s"))
-        return "\n".join(f"{name:15}{value}" for name, value in rows)
+        return text_of(rows)
 
     def to_dict(self) -> dict[str, Any]:
         """Lay it out for machines, None for what is missing: what `ssac sync --json` writes."""
@@ -224,25 +224,27 @@ def write_path_of_two(file: Path, answer: Answer, known: Known, log: Log) -> Non
         log(f"not written: {file}, since there is no reliable pose")
         return
     chain = Chain(answer.cleans, answer.rig, answer.config)
-    found = solve_pairs(chain, {(0, 1): answer}, _distance_m(answer, known))
-    write_paths(file, grounded(found, known, answer.config.rules.ground)[0], log)
+    distance_m = _distance_m(answer)
+    found = solve_pairs(chain, {(0, 1): answer}, distance_m)
+    found, ground = grounded(found, known, answer.config.rules.ground)
+    write_paths(file, found, distance_m is not None or ground is not None, log)
 
 
-def _distance_m(answer: Answer, known: Known) -> float | None:
+def _distance_m(answer: Answer) -> float | None:
     """Give the distance of two cameras where it was stated, or is the rig's."""
     T_2_1 = answer.rig.T_2_1
-    if known.distance_m is None and answer.method.needs_extrinsics and T_2_1 is not None:
+    if answer.distance_m is None and answer.method.needs_extrinsics and T_2_1 is not None:
         return float(np.linalg.norm(T_2_1[:3, 3]))
-    return known.distance_m
+    return answer.distance_m
 
 
-def write_rig_of_two(file: Path, answer: Answer, known: Known, log: Log) -> None:
+def write_rig_of_two(file: Path, answer: Answer, log: Log) -> None:
     """Write the rig with the pose found, and say so; or why there is none."""
     estimate = answer.estimate
     if estimate.status != Status.OK or estimate.R is None or estimate.t is None:
         log(f"not written: {file}, since there is no reliable pose")
         return
-    distance_m, T = _distance_m(answer, known), np.eye(4)
+    distance_m, T = _distance_m(answer), np.eye(4)
     T[:3, :3], T[:3, 3] = estimate.R, estimate.t * (distance_m or 1.0)
     rig = Cameras((answer.rig.cam1, answer.rig.cam2), (T,))
     _save_rig(file, rig, [estimate.t_d_s], distance_m is not None, log)
@@ -265,9 +267,13 @@ def write_rig_of_many(file: Path, result: NetworkResult, log: Log) -> None:
 
 
 def _save_rig(file: Path, rig: Cameras, shifts_s: list[float], in_metres: bool, log: Log) -> None:
-    unit = "metres" if in_metres else "distances of the first two cameras"
-    save_rig(file, rig, shifts_s, f"lengths in {unit}; t_cn = t_cnm1 + timeshift_cn_cnm1")
-    log(f"wrote {file}")
+    lengths = f"lengths in {_unit(in_metres)}"
+    save_rig(file, rig, shifts_s, f"{lengths}; t_cn = t_cnm1 + timeshift_cn_cnm1")
+    log(f"wrote {file}, {lengths}")
+
+
+def _unit(in_metres: bool) -> str:
+    return "metres" if in_metres else "distances of the first two cameras"
 
 
 def _transform(camera: CameraAnswer) -> NDArray[np.float64]:
@@ -296,18 +302,19 @@ def write_many(
             temporary.write_text(text + "\n", encoding="utf-8")
         log(f"wrote {json_file}")
     if trajectory is not None:
-        write_paths(trajectory, result.network, log)
+        write_paths(trajectory, result.network, result.scale_is_known, log)
     if rig is not None:
         write_rig_of_many(rig, result, log)
 
 
-def write_paths(file: Path, answer: NetworkAnswer, log: Log) -> None:
+def write_paths(file: Path, answer: NetworkAnswer, in_metres: bool, log: Log) -> None:
     """Write the path of the first group, and say so; that of another group beside it."""
     for k, found in enumerate(answer.paths):
         other = file if k == 0 else file.with_name(f"{file.stem}-{k + 1}{file.suffix}")
         write_path(other, found.path)
         spans = ", ".join(f"{start_s:.3f} to {end_s:.3f} s" for start_s, end_s in found.spans_s)
-        log(f"wrote {other}: {len(found.path)} samples, which hold from {spans}")
+        held = f"{len(found.path)} samples in {_unit(in_metres)}, which hold from {spans}"
+        log(f"wrote {other}: {held}")
     if not answer.paths:
         log(f"not written: {file}, since no cameras see the object's path together")
 
@@ -364,7 +371,7 @@ def _camera(camera: CameraAnswer, name: str) -> dict[str, Any]:
     }
 
 
-def _camera_rows(camera: CameraAnswer) -> list[tuple[str, str]]:
+def _camera_rows(camera: CameraAnswer, unit: str) -> list[tuple[str, str]]:
     if camera.status != Status.OK or camera.R is None or camera.t is None:
         return [(camera.name, f"{camera.status}: {camera.reason}")]
     stands = "({})".format(", ".join(f"{value:.3f}" for value in -camera.R.T @ camera.t))
@@ -379,5 +386,9 @@ def _camera_rows(camera: CameraAnswer) -> list[tuple[str, str]]:
             f"{camera.t_ref_s:.2f} s; skew {camera.skew_ppm:+.1f} ppm, 1 sigma "
             f"{camera.skew_std_ppm:.1f}",
         ),
-        ("", f"at {stands}, turned by {turn_deg:.2f} deg, 1 sigma {camera.r_std_deg:.3f}; {used}"),
+        (
+            "",
+            f"at {stands}{unit}, turned by {turn_deg:.2f} deg, 1 sigma "
+            f"{camera.r_std_deg:.3f}; {used}",
+        ),
     ]

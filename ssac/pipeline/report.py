@@ -1,6 +1,7 @@
 """What is found of two cameras, as text for people and as JSON for machines."""
 
 import json
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -12,9 +13,11 @@ from scipy.spatial.transform import Rotation
 from ssac.estimate import Estimate
 from ssac.files.whole_file import whole_file
 from ssac.methods.method import Input, Method
-from ssac.pipeline.answer import Answer
+from ssac.pipeline.answer import COLUMNS, Answer, folded
 
 Array = NDArray[np.float64]
+
+_NAME = 15  # columns of a row's name
 
 _OF_CLOCK = ("t_d_s", "t_d_std_s", "t_ref_s", "skew_ppm", "skew_std_ppm")
 
@@ -33,14 +36,23 @@ def report_text(answer: Answer) -> str:
     if answer.method.needs_extrinsics:
         rows.append(("pose", f"as given in {answer.rig_name}"))
     elif estimate.R is not None and estimate.t is not None:
-        rows += _pose_rows(estimate, estimate.R, estimate.t)
+        rows += _pose_rows(estimate, estimate.R, estimate.t, answer.distance_m)
     if answer.method.input is Input.TRACKS:
         rows.append(("samples", _samples(answer)))
     rows += _clutter_rows(answer)
     if np.isfinite(estimate.d_avg_px):
         rows.append(("d_avg", f"{estimate.d_avg_px:.3f} px from point to epipolar line"))
     rows.append(("method", f"{answer.method.name}: {answer.method.summary}"))
-    return "\n".join(f"{name:15}{value}" for name, value in rows)
+    return text_of(rows)
+
+
+def text_of(rows: Sequence[tuple[str, str]]) -> str:
+    """Lay out rows of a name, which may be empty, and a value; long values are folded."""
+    lines = []
+    for name, value in rows:
+        first, *others = folded(value, COLUMNS - _NAME)
+        lines += [f"{name:{_NAME}}{first}", *(f"{'':{_NAME}}{other}" for other in others)]
+    return "\n".join(lines)
 
 
 def report_json(answer: Answer) -> dict[str, Any]:
@@ -52,6 +64,7 @@ def report_json(answer: Answer) -> dict[str, Any]:
         "readout_std_s": plain(estimate.readouts_std_s),
         "R": plain(estimate.R),
         "t": plain(estimate.t),
+        "distance_m": answer.distance_m,
         "deg_per_percent_of_focals": plain(0.01 * estimate.per_focal_deg),
         "status": str(estimate.status),
         "reason": estimate.reason,
@@ -109,7 +122,7 @@ def html_of(text: str) -> str:
     """Lay out the lines of a summary as a table, for notebooks."""
     from html import escape
 
-    rows = [(line[:15].strip(), line[15:].strip()) for line in text.splitlines()]
+    rows = [(line[:_NAME].strip(), line[_NAME:].strip()) for line in text.splitlines()]
     cells = "".join(
         f"<tr><th style='text-align:left'>{escape(name)}</th>"
         f"<td style='text-align:left'>{escape(value)}</td></tr>"
@@ -153,10 +166,13 @@ def _skew_rows(estimate: Estimate, answer: Answer) -> list[tuple[str, str]]:
         return []
     std_ppm = estimate.skew_std_ppm
     sigma = f", 1 sigma {std_ppm:.1f} ppm" if np.isfinite(std_ppm) else ""
-    fast, ppm = ("fast" if estimate.skew_ppm >= 0.0 else "slow"), abs(estimate.skew_ppm)
+    ppm, is_fast = abs(estimate.skew_ppm), estimate.skew_ppm >= 0.0
+    runs = f"camera 2's clock runs {'fast' if is_fast else 'slow'}"
+    if ppm <= std_ppm:
+        runs = "the clocks run alike, as far as this tells"
     rows = [
         ("clock skew", f"{estimate.skew_ppm:+.1f} ppm{sigma}"),
-        ("", f"camera 2's clock runs {fast}; t_d holds at {estimate.t_ref_s:.3f} s of camera 1's"),
+        ("", f"{runs}; t_d holds at {estimate.t_ref_s:.3f} s of camera 1's"),
     ]
     if len(estimate.knots_s):
         most_ms = 1e3 * float(np.max(np.abs(estimate.strays_s)))
@@ -180,8 +196,13 @@ def _readout_rows(estimate: Estimate) -> list[tuple[str, str]]:
     return [("readout", "; ".join(found))] if found else []
 
 
-def _pose_rows(estimate: Estimate, R: Array, t: Array) -> list[tuple[str, str]]:
+def _pose_rows(
+    estimate: Estimate, R: Array, t: Array, distance_m: float | None
+) -> list[tuple[str, str]]:
     """Rows on the pose x2 = R x1 + t, with its deviations where they are known."""
+    length, unit = ", of unknown length", ""
+    if distance_m is not None:
+        t, length, unit = distance_m * t, f" m, {distance_m:g} m long as stated", " m"
     stds_deg = estimate.r_std_deg, estimate.t_std_deg
     rotation = Rotation.from_matrix(R).as_rotvec(degrees=True)
     sigmas = [f", 1 sigma {std:.3f} deg" if np.isfinite(std) else "" for std in stds_deg]
@@ -189,8 +210,12 @@ def _pose_rows(estimate: Estimate, R: Array, t: Array) -> list[tuple[str, str]]:
     rows = [
         ("lines of sight", f"{apart_deg:.2f} deg apart"),
         ("rotation", f"vector {_vector(rotation, 3)} deg{sigmas[0]}; x2 = R x1 + t"),
-        ("translation", f"t = {_vector(t, 4)}, of unknown length{sigmas[1]}"),
-        ("", f"camera 2 lies towards {_vector(-R.T @ t, 3)} of camera 1 (right, down, forward)"),
+        ("translation", f"t = {_vector(t, 4)}{length}{sigmas[1]}"),
+        (
+            "",
+            f"camera 2 lies {'at' if unit else 'towards'} {_vector(-R.T @ t, 3)}{unit} of camera 1"
+            " (right, down, forward)",
+        ),
     ]
     if np.isfinite(estimate.per_focal_deg).all():
         R_deg, t_deg = 0.01 * estimate.per_focal_deg

@@ -22,7 +22,20 @@ def run(*args: object) -> Run:
     out, err = io.StringIO(), io.StringIO()
     with redirect_stdout(out), redirect_stderr(err):
         code = main([*map(str, args)])
-    return Run(code, out.getvalue(), err.getvalue())
+    return Run(code, unfolded(out.getvalue()), unfolded(err.getvalue()))
+
+
+def unfolded(text: str) -> str:
+    """Join the lines of rows that were too long for a screen of 100 columns."""
+    rows, before = list[str](), ""
+    for line in text.splitlines():
+        word = line.split(maxsplit=1)[:1]
+        if word and line.startswith(15 * " ") and len(f"{before} {word[0]}") > 100:
+            rows[-1] += f" {line.strip()}"
+        else:
+            rows.append(line)
+        before = line
+    return "".join(f"{row}\n" for row in rows)
 
 
 run_sync = partial(run, "sync")

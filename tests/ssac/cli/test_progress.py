@@ -3,10 +3,23 @@
 import sys
 import time
 
+import numba
 import pytest
 
 from ssac.cli import progress as module
-from ssac.cli.progress import Lines, progress, say
+from ssac.cli.progress import Lines, compilation_told, progress, say
+
+
+def test_compiling_is_told_once_and_only_where_something_is_compiled(capsys):
+    with compilation_told():
+        one, other = (numba.njit(lambda x, k=k: x + k) for k in (1, 2))
+        assert capsys.readouterr().err == ""
+        assert one(1) + other(1) == 5
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("compiling kernels")
+    with compilation_told():
+        one(1)
+    assert capsys.readouterr().err == ""
 
 
 class Clock:

@@ -119,6 +119,7 @@ def test_the_rig_that_is_written_gives_the_same_offset_with_its_extrinsics(recor
     args = ("--rig", recorded / "rig.yaml", "--json", out, "--write-rig", rig, "--distance", 7)
     assert run_sync(*recorded.pair, *args).exit_code == 0
     found = read_json(out)
+    assert found["distance_m"] == 7.0
     T_2_1 = load_rig(rig).T_2_1
     np.testing.assert_array_equal(T_2_1[:3, :3], found["R"])
     np.testing.assert_allclose(T_2_1[:3, 3], 7.0 * np.array(found["t"]), rtol=1e-12)

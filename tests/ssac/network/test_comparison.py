@@ -91,7 +91,7 @@ def test_the_command_prints_and_writes_what_it_found(tmp_path):
     outputs = "--json", tmp_path / "out.json", "--plot", tmp_path / "out.png"
     code, out, err = run("compare", *args, *outputs)
     assert code == 0, err
-    assert "at equal times  RMSE 0.05" in out
+    assert "at equal times RMSE 0.05" in out
     assert (tmp_path / "out.png").read_bytes().startswith(b"\x89PNG")
     told = read_json(tmp_path / "out.json")
     assert told["in_time"]["n_samples"] == 400

@@ -296,7 +296,7 @@ OPTIONS = {
     "estimate_readout": (True, "^--estimate-readout: expected a track of a frame camera, got ev"),
     "known_extrinsics": (True, "^the rig: tangency-known needs the extrinsics"),
     "reading": (3, "^reading: expected a ssac.Reading, got 3"),
-    "known": (Known(distance_m=3.0), "^known: is for more than two cameras, and two were given"),
+    "known": (Known(positions="at.csv"), "^known: positions and RTK are for more than two cameras"),
     "log": (3, "^log: expected a function of a line of text, such as print, got 3"),
 }
 

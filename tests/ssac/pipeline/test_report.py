@@ -12,6 +12,7 @@ from ssac.pipeline.registry import METHODS
 from ssac.pipeline.report import report_json, report_text
 from ssac.track.clean import ObjectsUsed
 from ssac.track.denoise import Clutter
+from tests.ssac.command import unfolded
 
 
 @pytest.fixture(scope="module")
@@ -73,6 +74,37 @@ def test_clocks_are_told(answer):
     assert (report["t_d_s"], report["t_d_is_reliable"]) == (None, False)
 
 
+def test_a_clock_runs_fast_or_slow_beyond_one_deviation_only(answer):
+    clock = {"t_ref_s": 5.0, "skew_std_ppm": 20.0}
+    for skew_ppm, words in (
+        (-20.0, "the clocks run alike, as far as this tells"),
+        (-20.1, "camera 2's clock runs slow"),
+        (20.1, "camera 2's clock runs fast"),
+    ):
+        text, _ = told(answer, skew_ppm=skew_ppm, **clock)
+        assert f"\n               {words}; t_d holds at 5.000 s of camera 1's\n" in text
+
+
+def test_a_length_that_was_stated_is_told_with_its_unit(answer):
+    direction = answer.estimate.t
+    assert "of unknown length" in report_text(answer)
+    near = replace(answer, distance_m=0.5)
+    vector = ", ".join(f"{value:.4f}" for value in 0.5 * direction)
+    assert f"t = ({vector}) m, 0.5 m long as stated" in report_text(near)
+    assert "camera 2 lies at (" in report_text(near)
+    report = report_json(near)
+    assert (report["distance_m"], report["t"]) == (0.5, direction.tolist())
+
+
+def test_every_line_fits_a_screen(answer):
+    reason = "other offsets fit about as well: " * 9
+    text, _ = told(answer, status="ambiguous_offset", reason=reason, R=None, t=None)
+    lines = text.splitlines()
+    assert max(map(len, lines)) <= 100
+    assert [line[:15].strip() for line in lines[:3]] == ["no estimate", "", ""]
+    assert " ".join(line[15:] for line in lines).count("other offsets fit about as well:") == 9
+
+
 def test_clutter_is_told(answer):
     assert "clutter" not in report_text(answer)
     plain = report_json(answer)["clutter"]
@@ -81,14 +113,14 @@ def test_clutter_is_told(answer):
     one, other = answer.cleans
     lamp = replace(one, clutter=Clutter(36, 7200, 0.2, 5.0, 20, 200))
     noisy = replace(other, clutter=Clutter(0, 0, 9.8, 3.0, 12, 150))
-    text = report_text(replace(answer, cleans=(lamp, noisy)))
+    text = unfolded(report_text(replace(answer, cleans=(lamp, noisy))))
     assert "clutter        camera 1: 36 px that fire by themselves masked (7200 events)\n" in text
     assert (
         "clutter        camera 2: with a background of 9.8 Hz/px an event needs 12 others within"
         " 3 px, ms, and a position 150 events\n"
     ) in text
     held = np.arange(len(one.events)) % 10 == 0
-    text = report_text(replace(answer, cleans=(replace(one, on_line=held), other)))
+    text = unfolded(report_text(replace(answer, cleans=(replace(one, on_line=held), other))))
     assert (
         "clutter        camera 1: a line that holds the object is seen, and no part of its outline"
         f" ({held.sum()} events)\n"
