@@ -115,7 +115,7 @@ SETTLED_BY: dict[str, tuple[Status, ...]] = {
     "joint": (Status.AMBIGUOUS_OFFSET, Status.AMBIGUOUS_POSE, Status.DEGENERATE_POSE),
     "tangency": (Status.AMBIGUOUS_OFFSET, Status.DEGENERATE_POSE, Status.POOR_FIT),
     "fast": (Status.NO_CONVERGENCE, Status.CLOCK_JUMP, Status.NO_MATCH, Status.POOR_FIT),
-    "rates": (Status.NO_CONVERGENCE, Status.NO_MATCH, Status.AMBIGUOUS_OFFSET),
+    "rates": (Status.NO_CONVERGENCE, Status.NO_MATCH),
     "pieces": (Status.CLOCK_JUMP, Status.POOR_FIT),
     "all offsets": (
         Status.SEVERAL_OBJECTS,
@@ -146,7 +146,7 @@ SETTLED_BY: dict[str, tuple[Status, ...]] = {
         Status.AMBIGUOUS_OFFSET,
     ),
     "few events": (Status.NO_MOTION, Status.TOO_FEW_SAMPLES, Status.TOO_LITTLE_MOTION),
-    "thin": (Status.NO_MATCH, Status.AMBIGUOUS_OFFSET),
+    "thin": (Status.TOO_LITTLE_MOTION, Status.NO_MATCH, Status.AMBIGUOUS_OFFSET),
     "rig": (Status.SEARCH_BOUND, Status.NO_CONVERGENCE, Status.NO_MATCH, Status.POOR_FIT),
 }
 """Which refusals a later stage may overrule: the refinement of positions those of the search, that

@@ -65,8 +65,6 @@ def other_rates(
     is_asked = asked.skew_prior_ppm is not None or asked.rates is not None
     is_asked |= asked.interval_s is not None or any(one.has_track for one in cleans)
     is_open = not is_asked and found.status in SETTLED_BY["rates"]
-    if found.status == Status.AMBIGUOUS_OFFSET:  # of several, and not one that is vague
-        is_open &= len(found.alternatives_s) > 0
     return config.rules.retry.fast_rates if is_open else None
 
 
@@ -88,9 +86,8 @@ def is_faint(asked: Config, cleans: tuple[Clean, Clean], found: Estimate) -> boo
     if any(one.has_track for one in cleans) or not _has_usual_windows(asked):
         return False
     is_thin = any(one.clutter is not None and one.clutter.n_min < N_MIN for one in cleans)
-    return found.status in SETTLED_BY["few events"] or (
-        is_thin and found.status in SETTLED_BY["thin"]
-    )
+    is_lost = found.status in (Status.NO_MOTION, Status.TOO_FEW_SAMPLES)
+    return is_lost or (is_thin and found.status in SETTLED_BY["thin"])
 
 
 def hidden(
