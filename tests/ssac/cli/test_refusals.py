@@ -239,7 +239,10 @@ def test_bad_input_is_refused_in_one_line(where, form, rig, args, message, folde
     [
         ("isolated.txt cam2.h5", "camera 1: denoising left 0 of 2 events: check .*--no-denoise"),
         ("sparse.txt cam2.h5 --n-min 200", "1: no window of 40 ms holds 200 events.*--n-min"),
-        ("late.h5 cam2.h5 --search -1 1", r"camera 1 .60.* have no common time .*leave out --search"),
+        (
+            "late.h5 cam2.h5 --search -1 1",
+            r"camera 1 .60.* have no common time .*leave out --search",
+        ),
         ("late.h5 cam2.h5 --search -1 1 --method ssac", r"no common time .*leave out --search"),
         ("still.h5 cam2.h5", "no_motion: in camera 1 the object moves by .*: it is at rest"),
         ("still.h5 cam2.h5 --search-all", "no_motion: in camera 1 the object moves by .*at rest"),
