@@ -91,7 +91,8 @@ def test_a_refusal_is_made_anew_since_it_names_offsets(fresh, monkeypatch):
 
     with_method(monkeypatch, mine, follows_clock=True)
     row = scored_row(cell_of("mine", 0.5, unguarded(0.5)), fresh)
-    assert (row.status, row.reason) == ("search_bound", "from -0.500 s on")
+    assert row.status == "search_bound"
+    assert row.reason.startswith("from -0.500 s on")
 
 
 def test_an_unusable_recording_is_so_at_all_offsets(fresh, monkeypatch):

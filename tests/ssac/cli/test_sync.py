@@ -163,11 +163,10 @@ def test_clocks_with_unlike_epochs_need_nothing_more(recorded, tmp_path):
     args = (recorded / "cam1.h5", tmp_path / "2.h5", "--rig", recorded / "rig.yaml")
     refused = run_sync(*args, "--search", "-1", "1")
     assert refused.exit_code == NO_ESTIMATE
-    advice = refused.stdout.splitlines()[0].rsplit("for example ", 1)[1].split()
+    assert "leave out --search" in " ".join(refused.stdout.split())
     out = tmp_path / "out.json"
-    for more in (advice, ()):  # or every offset is searched
-        assert run_sync(*args, *more, "--json", out).exit_code == 0
-        assert abs(read_json(out)["t_d_s"] - epoch_s - T_D_S) < TOLERANCE_S
+    assert run_sync(*args, "--json", out).exit_code == 0
+    assert abs(read_json(out)["t_d_s"] - epoch_s - T_D_S) < TOLERANCE_S
 
 
 @pytest.mark.parametrize("method", ["ssac", "albl", "zncc_e", "zncc_f", "event_rate"])
