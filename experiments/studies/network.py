@@ -290,7 +290,9 @@ STUDIES = (
              follows("network_runs", "skew_error_ppm", _normal("skew", "ppm"), within=1e-4)),
         ),
         config={"n_flights": N_FLIGHTS, "first_seed": FIRST_SEED, "angle_deg": ANGLE_DEG,
-                "t_d_s": T_D_S, "kinds": KINDS, "sim": plain(FourCameras())},
+                "t_d_s": T_D_S, "kinds": KINDS,
+                "sim": {name: value for name, value in plain(FourCameras()).items()
+                        if name != "n_cameras"}},  # which `t_d_s` has
         command=network_growth.COMMAND,
     ),
 )  # fmt: skip

@@ -123,7 +123,7 @@ EVENTS = [
     ("cam1.h5 --plot cam1.h5/figures", "cam1.h5 is a file: name a folder"),
     ("cam1.h5 --json a.txt --write-synced a.txt", "a.txt: is named for two outputs"),
     ("cam1.h5 --json a.txt --trajectory a.txt", "a.txt: is named for two outputs"),
-    ("cam1.h5 --rtk zero.h5", "--rtk: is for the object's path: give --trajectory too"),
+    ("cam1.h5 --rtk zero.h5", "zero.h5: there are no points: give a path of some"),
     ("cam1.h5 --distance 3 --write-rig rig.txt", "rig.txt: cannot write the extension '.txt'"),
     ("cam1.h5 --write-rig rig.yaml", "rig.yaml: is one of the inputs"),
     ("cam1.h5 --positions where.csv", "--positions: needs three cameras or more"),
