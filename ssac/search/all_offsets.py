@@ -121,7 +121,6 @@ class Guess:
     t_ref_s: float  # camera 1's clock: the middle of the common time
     rate: float  # camera 2's clock runs so many times as fast
     cost: float
-    lag_s: float  # t_cam2 / rate = t_cam1 + lag
 
     @property
     def skew_ppm(self) -> float:
@@ -328,8 +327,7 @@ class _Search:
         value, (t_d_s, rate) = best
         if not np.isfinite(value):
             return None
-        lag_s = (t_ref_s + t_d_s) / rate - t_ref_s
-        return Guess(t_d_s, t_ref_s, rate, value * most / count, lag_s)
+        return Guess(t_d_s, t_ref_s, rate, value * most / count)
 
 
 def _compass(
