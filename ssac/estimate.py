@@ -146,6 +146,7 @@ SETTLED_BY: dict[str, tuple[Status, ...]] = {
         Status.AMBIGUOUS_OFFSET,
     ),
     "few events": (Status.NO_MOTION, Status.TOO_FEW_SAMPLES, Status.TOO_LITTLE_MOTION),
+    "lost": (Status.NO_MOTION, Status.TOO_FEW_SAMPLES),
     "thin": (Status.TOO_LITTLE_MOTION, Status.NO_MATCH, Status.AMBIGUOUS_OFFSET),
     "rig": (Status.SEARCH_BOUND, Status.NO_CONVERGENCE, Status.NO_MATCH, Status.POOR_FIT),
 }

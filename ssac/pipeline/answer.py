@@ -4,7 +4,7 @@ import textwrap
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -126,6 +126,11 @@ class Answer:
     def looks_at_one_object(self) -> bool:
         """Whether the method was given one object of those that the cameras saw."""
         return self.method.of_one_object and self.config.choose_object
+
+    def because(self, more: str) -> "Answer":
+        """Add to the reason of a refusal."""
+        reason = f"{self.estimate.reason}; {more}"
+        return replace(self, estimate=replace(self.estimate, reason=reason))
 
     @property
     def sees_several(self) -> bool:

@@ -285,7 +285,7 @@ class Chain:
                 return replace(rated, clock=FAST)
         if not tries_all and narrows(self.config, answer.estimate):
             outside = "or the offset lies outside the search: leave out --search, and all are tried"
-            answer = _with_reason(answer, outside)
+            answer = answer.because(outside)
         mistake = usual_mistake(pair.rig, answer.cleans, answer.estimate)
         if mistake is None:
             return answer
@@ -293,7 +293,7 @@ class Chain:
         mended = self._compared(replace(pair, rig=rig, cleans=cleans, seen=cleans), tries_all)
         if not is_mended(mended.estimate, config.rules.verdict):
             return answer
-        return _with_reason(answer, f"all agrees if {hint}")
+        return answer.because(f"all agrees if {hint}")
 
     def _of_one(self, pair: _Pair, tries_all: bool) -> Answer:
         """Answer with the one object that all cameras saw, for methods that look at one."""
@@ -549,12 +549,6 @@ def _check_two(name1: str, name2: str, one: Clean, other: Clean) -> None:
             f"{name1} and {name2} hold the same points: one is a copy of the other, and there is no"
             " baseline between a camera and itself: give what each camera recorded"
         )
-
-
-def _with_reason(answer: Answer, more: str) -> Answer:
-    """Add to the reason of a refusal."""
-    estimate = answer.estimate
-    return replace(answer, estimate=replace(estimate, reason=f"{estimate.reason}; {more}"))
 
 
 def _held(seen: Observation, name: str) -> str:

@@ -86,8 +86,7 @@ def is_faint(asked: Config, cleans: tuple[Clean, Clean], found: Estimate) -> boo
     if any(one.has_track for one in cleans) or not _has_usual_windows(asked):
         return False
     is_thin = any(one.clutter is not None and one.clutter.n_min < N_MIN for one in cleans)
-    is_lost = found.status in (Status.NO_MOTION, Status.TOO_FEW_SAMPLES)
-    return is_lost or (is_thin and found.status in SETTLED_BY["thin"])
+    return found.status in SETTLED_BY["lost"] or (is_thin and found.status in SETTLED_BY["thin"])
 
 
 def hidden(
