@@ -190,30 +190,22 @@ MANY = [
     ("cam1.csv", "given for cameras 1 and 3"),
 ]
 
+ONE = [
+    ("cam1.h5", "cam1.h5: expected two cameras, or a folder with cam1.h5"),
+    ("folder.h5", "folder.h5: expected two cameras, or a folder"),
+    ("one.bag", "one.bag: has one topic of events or points, /left: give"),
+    ("both.bag", "both.bag: events or points are on 2 topics, /left, /right"),
+    ("both.bag --topics /left /left", "both.bag/left: given for both cameras"),
+]
+
 CASES = [
     *((".", "{} cam2.h5", "rig.yaml", *case) for case in EVENTS),
     *(("tracks", "{} cam2.csv", "rig.yaml", *case) for case in TRACKS),
     *(("tracks", "cam1.csv cam2.csv {}", "three.yaml", *case) for case in MANY),
     (".", "cam1.h5 {}", None, "cam2.h5", "Missing option '--rig'"),
-    (".", "{}", "rig.yaml", "cam1.h5", "cam1.h5: expected two cameras, or a folder with cam1.h5"),
-    (".", "{}", "rig.yaml", "folder.h5", "folder.h5: expected two cameras, or a folder"),
-    (".", "{}", "rig.yaml", "one.bag", "one.bag: has one topic of events or points, /left: give"),
-    (
-        ".",
-        "{}",
-        "rig.yaml",
-        "both.bag",
-        "both.bag: events or points are on 2 topics, /left, /right",
-    ),
+    *((".", "{}", "rig.yaml", *case) for case in ONE),
     (".", "one.bag {}", "rig.yaml", "one.bag", "one.bag: given for both cameras"),
     (".", "both.bag {}", "rig.yaml", "both.bag", "both.bag: events or points are on 2 topics"),
-    (
-        ".",
-        "{}",
-        "rig.yaml",
-        "both.bag --topics /left /left",
-        "both.bag/left: given for both cameras",
-    ),
 ]
 
 
