@@ -43,8 +43,8 @@ from ssac.errors import SsacError
 from ssac.estimate import Estimate, Status
 from ssac.pipeline.chain import Chain
 
-BASE = 40
-N_RECORDINGS = 5  # of each cause
+BASE = 61
+N_RECORDINGS = 20  # of each cause
 FIRST_FLIGHT, BASE_STEP, OTHER_FLIGHT = 60_000, 100, 50_000
 ALL = "all"  # kind of the row over all causes
 
