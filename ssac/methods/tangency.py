@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from ssac.errors import SsacError
 from ssac.estimate import POSE_IS_OPEN, SETTLED_BY, Estimate, Status
 from ssac.fit.least_squares import Parameters, Residuals, WeighedPairs
-from ssac.geometry.pose import pencils
+from ssac.geometry.epipolar import robust_deviation
+from ssac.geometry.pose import pencils, rays_of
 from ssac.methods.hypotheses import Choice
 from ssac.methods.joint import refine
 from ssac.methods.method import method
@@ -246,16 +247,23 @@ class _OfTangents(Refinement):
             problem = replace(last.problem, turn=rules.cauchy)
             self.allowance.learn(problem, last.found.parameters)
 
-    def hidden_px(self, last: Round, residuals: Residuals) -> Array | None:
-        """Give the changes (n, 2) of the residuals by such an error of upper and lower tangents."""
-        if not self.views.pose_is_known:  # a free pose takes it away
-            return None
-        pairs = residuals.problem.pairs
-        share = last.seen.lasting_share(residuals.parameters.t_d_s, 400)
-        starts = np.concatenate([[0], np.flatnonzero(np.diff(pairs.times_s) < 0.0) + 1])
-        side = np.searchsorted(starts, np.arange(len(pairs.times_s)), side="right") - 1
-        of_side = (side[:, None] == np.arange(len(starts))).astype(np.float64)
-        return share * np.asarray(self.rules.tangency.hidden_px * pairs.weights[:, None] * of_side)
+    def hidden_px(self, last: Round, residuals: Residuals) -> Array:
+        """Give what outlines that are off all along do to the residuals: (n, 4) or (n, 2).
+
+        Where the pose is free: images that are too wide in one part of a view, by either axis.
+        Where it is known, which cannot take them away: upper, or lower, tangents that are off.
+        """
+        pairs, rules = residuals.problem.pairs, self.rules.tangency
+        starts = np.append(True, np.diff(pairs.times_s) < 0.0)
+        of_side = (np.cumsum(starts)[:, None] == np.arange(1, 1 + np.sum(starts))).astype(float)
+        if self.views.pose_is_known:
+            share = last.seen.lasting_share(residuals.parameters.t_d_s, 400)
+            return share * np.asarray(rules.hidden_px * pairs.weights[:, None] * of_side)
+        outward_px = robust_deviation(residuals.distances_px) * pairs.weights
+        outward_px *= np.where(of_side[:, 0], 1.0, -1.0)
+        rays1 = rays_of(self.views.rig.cam1.K, residuals.p1_px)[:, :2]
+        rays2 = rays_of(self.views.rig.cam2.K, residuals.p2_px)[:, :2]
+        return rules.hidden_slope * outward_px[:, None] * np.hstack([rays1, rays2])
 
     def _is_near(self, last: Round, factor: float) -> bool:
         """Whether a round's changes are at most `factor` times the last ones."""
