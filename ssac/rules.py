@@ -548,9 +548,9 @@ class TangencyRules:
     apart: bool = True  # each tangent is a pair; else the point midway between the two is
     # What outlines are off by all along where the pose is given: no residual shows it.
     hidden_px: float = 0.2
-    # Where it is free: how much too wide images are in one part of a view, a unit of x / z or y / z
-    # away, in robust deviations of the tangents: by 131 odd flights of seeds 1 to 9, 3 to 60 s.
-    hidden_slope: float = 0.6
+    # Where it is free: how much too wide, or too narrow, both images are, in robust deviations of
+    # the tangents: by 82 odd flights of seeds 1 to 9 (numbers k with k // 9 even), 3 to 60 s.
+    hidden_width: float = 1.8
     # Rms size of both images together from which there is an outline: else pixels are too few.
     least_size_px: float = 3.5
     max_sigmas: float = 3.0  # from the start's offset to the tangents', in the start's deviations

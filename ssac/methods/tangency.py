@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from ssac.errors import SsacError
 from ssac.estimate import POSE_IS_OPEN, SETTLED_BY, Estimate, Status
 from ssac.fit.least_squares import Parameters, Residuals, WeighedPairs
-from ssac.geometry.epipolar import robust_deviation
-from ssac.geometry.pose import pencils, rays_of
+from ssac.geometry.epipolar import epipolar_lines_1, robust_deviation
+from ssac.geometry.pose import pencils
 from ssac.methods.hypotheses import Choice
 from ssac.methods.joint import refine
 from ssac.methods.method import method
@@ -248,10 +248,12 @@ class _OfTangents(Refinement):
             self.allowance.learn(problem, last.found.parameters)
 
     def hidden_px(self, last: Round, residuals: Residuals) -> Array:
-        """Give what outlines that are off all along do to the residuals: (n, 4) or (n, 2).
+        """Give what outlines that are off all along do to the residuals: (n, 1) or (n, 2).
 
-        Where the pose is free: images that are too wide in one part of a view, by either axis.
-        Where it is known, which cannot take them away: upper, or lower, tangents that are off.
+        Where the pose is free: by as many pixels in both views, as sensors that are alike see them.
+        That is another angle of the planes in the view that is nearer, and where which one is
+        changes, a pose takes it away; errors in proportion to the image's size cancel. Where the
+        pose is known, which cannot take them away: upper, or lower, tangents that are off.
         """
         pairs, rules = residuals.problem.pairs, self.rules.tangency
         starts = np.append(True, np.diff(pairs.times_s) < 0.0)
@@ -259,11 +261,13 @@ class _OfTangents(Refinement):
         if self.views.pose_is_known:
             share = last.seen.lasting_share(residuals.parameters.t_d_s, 400)
             return share * np.asarray(rules.hidden_px * pairs.weights[:, None] * of_side)
-        outward_px = robust_deviation(residuals.distances_px) * pairs.weights
-        outward_px *= np.where(of_side[:, 0], 1.0, -1.0)
-        rays1 = rays_of(self.views.rig.cam1.K, residuals.p1_px)[:, :2]
-        rays2 = rays_of(self.views.rig.cam2.K, residuals.p2_px)[:, :2]
-        return rules.hidden_slope * outward_px[:, None] * np.hstack([rays1, rays2])
+        lines1 = epipolar_lines_1(residuals.F, residuals.p2_px)
+        lines2 = epipolar_lines_1(residuals.F.T, residuals.p1_px)
+        slopes1, slopes2 = (np.hypot(lines[:, 0], lines[:, 1]) for lines in (lines1, lines2))
+        outward = (slopes1 - slopes2) / np.hypot(slopes1, slopes2)  # of distances, a pixel
+        outward *= np.where(of_side[:, 0], 1.0, -1.0) * pairs.weights
+        wide_px = rules.hidden_width * robust_deviation(residuals.distances_px)
+        return np.asarray(wide_px * outward[:, None])
 
     def _is_near(self, last: Round, factor: float) -> bool:
         """Whether a round's changes are at most `factor` times the last ones."""

@@ -69,12 +69,12 @@ def test_deviations_are_neither_too_small_nor_too_large():
         assert 0.65 < np.sqrt(np.mean(np.square(normalised))) < 1.6
 
 
-def test_an_outline_that_is_too_wide_in_part_of_a_view_is_allowed_for():
+def test_outlines_that_are_too_wide_in_both_views_are_allowed_for():
     """Deviations grow by it as errors that are independent of the others, and nothing else does."""
     scene = synthetic.make_scene(0, duration_s=DURATION_S)
     chain, found = Chain(seen(scene), scene.rig, NEAR), []
-    for slope in (0.0, 1.0, 2.0):
-        rules = replace(NEAR.rules, tangency=TangencyConfig(hidden_slope=slope))
+    for width in (0.0, 1.0, 2.0):
+        rules = replace(NEAR.rules, tangency=TangencyConfig(hidden_width=width))
         found.append(chain.under(replace(NEAR, rules=rules)).estimate("tangency"))
     none, once, twice = found
     assert (once.t_d_s, *once.R.flat, *once.t) == (none.t_d_s, *none.R.flat, *none.t)
