@@ -345,7 +345,8 @@ class MatchRules:
 class FitRules:
     """The robust fits of every refinement (`ssac.fit`), by 126 flights (docs/uncertainty.md)."""
 
-    # Components of the errors' correlation: white noise, and what fades in three times [s].
+    # Components of the errors' correlation: white noise, and what fades in three times [s]. For the
+    # deviations that are stated there are no more degrees of freedom than longest ones.
     fading_s: tuple[float, float, float] = (0.05, 0.2, 0.8)
     least_curvature: float = 0.25  # of any direction, as a share of the mean
     least_mean_curvature: float = 0.05  # of the loss, whose curvature is 1 at zero
@@ -541,6 +542,9 @@ class TangencyRules:
     apart: bool = True  # each tangent is a pair; else the point midway between the two is
     # What outlines are off by all along where the pose is given: no residual shows it.
     hidden_px: float = 0.2
+    # Where it is free: how much too wide, or too narrow, both images are, in robust deviations of
+    # the tangents: by 82 odd flights of seeds 1 to 9 (numbers k with k // 9 even), 3 to 60 s.
+    hidden_width: float = 1.8
     # Rms size of both images together from which there is an outline: else pixels are too few.
     least_size_px: float = 3.5
     max_sigmas: float = 3.0  # from the start's offset to the tangents', in the start's deviations

@@ -9,7 +9,8 @@ sum_k a_k exp(-|lag| / T_k), a_k >= 0, of white noise and of what fades in some 
 those for which the residuals' quadratic forms are as large as expected *after* the fit (variance
 components by moments: Rao's MINQUE). Two limits keep the result from being too sure: a direction in
 which the loss is hardly curved counts as if it were curved a little, and the degrees of freedom are
-those of independent residuals, which widens 1.96 deviations to Student's 95 %.
+those of independent residuals, which widens 1.96 deviations to Student's 95 %. A short time shows
+little of the slowest errors, so there are no more degrees of freedom than fading times of these.
 
 Series, such as the upper and the lower tangents, may have errors in common. Those count for the
 parameters of the clock, t_d first, and are left out for the pose. Where there are no others, the
@@ -45,6 +46,7 @@ def correlated_covariance(
     prior_scales_px: Array | None = None,
     common: Indices | None = None,
     lessens: bool = True,
+    cautious: bool = False,
 ) -> Array:
     """Covariance (p, p) of M-estimated parameters whose residuals (n,) are correlated in time.
 
@@ -57,7 +59,9 @@ def correlated_covariance(
     None, and may lessen the first one's variance, too, if it `lessens`.
 
     Deviations are such that +-1.96 of them hold the truth in 95 %; of a direction that the data do
-    not determine, they are those of the prior and more.
+    not determine, they are those of the prior and more. A short time shows few of the slowest
+    errors, and by chance none: where `cautious`, it has no more degrees of freedom than fading
+    times of these.
     """
     n, p = jacobian.shape
     curvature = mean_curvature(curvatures, rules)
@@ -94,7 +98,10 @@ def correlated_covariance(
             factors[k] = np.sqrt(factor if may_lessen else max(factor, 1.0))
     # Parameters, or parts of them, that are from the data and not from what was known beforehand.
     told = p - float(np.sum(Q_prior[deviations < PRIOR] ** 2))
-    factors *= float(stdtrit(max(independent - told, 1.0), 0.975)) / NORMAL_95
+    freedom = independent - told
+    if cautious:
+        freedom = min(freedom, float(np.ptp(times_s)) / max(rules.fading_s))
+    factors *= float(stdtrit(max(freedom, 1.0), 0.975)) / NORMAL_95
     return np.asarray(np.outer(factors, factors) * (root @ meat @ root.T))
 
 

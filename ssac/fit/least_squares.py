@@ -158,10 +158,10 @@ class Residuals:
         system = np.vstack([system, rows[:, problem.free]])
         return system, np.append(target, rows @ (means - values))
 
-    def covariance(self, lessens: bool = True) -> Array:
+    def covariance(self, lessens: bool = True, cautious: bool = False) -> Array:
         """Covariance (f, f) of the free parameters, for errors that the residuals show.
 
-        The parameters are the solution; `lessens` is as for `correlated_covariance`.
+        The parameters are the solution; the options are those of `correlated_covariance`.
         """
         problem, (weights, curvatures) = self.problem, self.weights
         deviations = np.full(problem.size, covariance.PRIOR)
@@ -178,6 +178,7 @@ class Residuals:
             scales_px[problem.free],
             np.flatnonzero([place in problem.of_clock for place in problem.free]),
             lessens,
+            cautious,
         )
 
     def hidden_covariance(self, errors_px: Array) -> Array:

@@ -115,7 +115,7 @@ class Refinement(ABC):
                 return refused
         residuals = linearise(replace(problem, turn=self.last_turn), parameters)
         hidden_px = self.hidden_px(last, residuals)
-        covariance = residuals.covariance(self.lessens)
+        covariance = residuals.covariance(self.lessens, cautious=True)
         if hidden_px is not None:
             covariance = covariance + residuals.hidden_covariance(hidden_px)
         unfinished = [] if settles else [found.change]

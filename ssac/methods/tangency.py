@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from ssac.errors import SsacError
 from ssac.estimate import POSE_IS_OPEN, SETTLED_BY, Estimate, Status
 from ssac.fit.least_squares import Parameters, Residuals, WeighedPairs
+from ssac.geometry.epipolar import epipolar_lines_1, robust_deviation
 from ssac.geometry.pose import pencils
 from ssac.methods.hypotheses import Choice
 from ssac.methods.joint import refine
@@ -246,16 +247,27 @@ class _OfTangents(Refinement):
             problem = replace(last.problem, turn=rules.cauchy)
             self.allowance.learn(problem, last.found.parameters)
 
-    def hidden_px(self, last: Round, residuals: Residuals) -> Array | None:
-        """Give the changes (n, 2) of the residuals by such an error of upper and lower tangents."""
-        if not self.views.pose_is_known:  # a free pose takes it away
-            return None
-        pairs = residuals.problem.pairs
-        share = last.seen.lasting_share(residuals.parameters.t_d_s, 400)
-        starts = np.concatenate([[0], np.flatnonzero(np.diff(pairs.times_s) < 0.0) + 1])
-        side = np.searchsorted(starts, np.arange(len(pairs.times_s)), side="right") - 1
-        of_side = (side[:, None] == np.arange(len(starts))).astype(np.float64)
-        return share * np.asarray(self.rules.tangency.hidden_px * pairs.weights[:, None] * of_side)
+    def hidden_px(self, last: Round, residuals: Residuals) -> Array:
+        """Give what outlines that are off all along do to the residuals: (n, 1) or (n, 2).
+
+        Where the pose is free: by as many pixels in both views, as sensors that are alike see them.
+        That is another angle of the planes in the view that is nearer, and where which one is
+        changes, a pose takes it away; errors in proportion to the image's size cancel. Where the
+        pose is known, which cannot take them away: upper, or lower, tangents that are off.
+        """
+        pairs, rules = residuals.problem.pairs, self.rules.tangency
+        starts = np.append(True, np.diff(pairs.times_s) < 0.0)
+        of_side = (np.cumsum(starts)[:, None] == np.arange(1, 1 + np.sum(starts))).astype(float)
+        if self.views.pose_is_known:
+            share = last.seen.lasting_share(residuals.parameters.t_d_s, 400)
+            return share * np.asarray(rules.hidden_px * pairs.weights[:, None] * of_side)
+        lines1 = epipolar_lines_1(residuals.F, residuals.p2_px)
+        lines2 = epipolar_lines_1(residuals.F.T, residuals.p1_px)
+        slopes1, slopes2 = (np.hypot(lines[:, 0], lines[:, 1]) for lines in (lines1, lines2))
+        outward = (slopes1 - slopes2) / np.hypot(slopes1, slopes2)  # of distances, a pixel
+        outward *= np.where(of_side[:, 0], 1.0, -1.0) * pairs.weights
+        wide_px = rules.hidden_width * robust_deviation(residuals.distances_px)
+        return np.asarray(wide_px * outward[:, None])
 
     def _is_near(self, last: Round, factor: float) -> bool:
         """Whether a round's changes are at most `factor` times the last ones."""

@@ -69,6 +69,22 @@ def test_deviations_are_neither_too_small_nor_too_large():
         assert 0.65 < np.sqrt(np.mean(np.square(normalised))) < 1.6
 
 
+def test_outlines_that_are_too_wide_in_both_views_are_allowed_for():
+    """Deviations grow by it as errors that are independent of the others, and nothing else does."""
+    scene = synthetic.make_scene(0, duration_s=DURATION_S)
+    chain, found = Chain(seen(scene), scene.rig, NEAR), []
+    for width in (0.0, 1.0, 2.0):
+        rules = replace(NEAR.rules, tangency=TangencyConfig(hidden_width=width))
+        found.append(chain.under(replace(NEAR, rules=rules)).estimate("tangency"))
+    none, once, twice = found
+    assert (once.t_d_s, *once.R.flat, *once.t) == (none.t_d_s, *none.R.flat, *none.t)
+    assert once.r_std_deg > 1.01 * none.r_std_deg
+    added = once.covariance - none.covariance
+    # Rounding, of the whole covariance.
+    atol = 1e-12 * np.abs(none.covariance).max()
+    np.testing.assert_allclose(twice.covariance - none.covariance, 4.0 * added, 1e-6, atol)
+
+
 def test_the_pose_is_the_nearest_to_the_fundamental_matrix():
     scene = synthetic.make_scene(0, angle_deg=30.0, duration_s=DURATION_S)
     estimate = Chain(seen(scene), scene.rig, NEAR).estimate("ssac")
