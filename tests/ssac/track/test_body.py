@@ -8,7 +8,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from ssac.rules import BodyRules
-from ssac.track.body import Look, View, body_moves, perspective_shifts, second_moments
+from ssac.track.body import Look, body_moves
+from ssac.track.moments import View, perspective_shifts, second_moments
 
 FOCAL_PX, DISTANCE_M, WIDTH = 200.0, 5.0, 45
 ANGLES_DEG = (0.0, 60.0, 120.0, 180.0)
