@@ -7,11 +7,15 @@ as the body's second moments say, and these are told by its images'.
 
 from dataclasses import dataclass
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
+from ssac.rules import BodyRules
+
 Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
 
 LEAST_VIEWS = 3
 """Cameras that tell all second moments: two have one of theirs in common."""
@@ -36,10 +40,10 @@ class View:
         return np.asarray(by_local @ self.R)
 
 
-def second_moments(views: list[View], smoothing: float) -> Array:
+def second_moments(views: list[View], smoothing: float, least_views: int = LEAST_VIEWS) -> Array:
     """Find the object's second moments (n, 3, 3) in X at n even times, smoothed over some of them.
 
-    NaN where too few views tell them.
+    NaN where too few views tell them; of the one that two leave open it may be any.
     """
     n = len(views[0].points)
     normal, right = np.zeros((n, 6, 6)), np.zeros((n, 6))
@@ -55,7 +59,7 @@ def second_moments(views: list[View], smoothing: float) -> Array:
             row = np.column_stack([a * b, *mixed])
             normal += row[:, :, None] * row[:, None, :]
             right += row * spread[:, None]
-    enough = counts >= LEAST_VIEWS
+    enough = counts >= least_views
     scales = np.trace(normal, axis1=1, axis2=2) + 1e-300
     # A ridge, as views from nearly one direction leave depth open.
     normal += (1e-9 * scales + np.where(enough, 0.0, 1.0))[:, None, None] * np.eye(6)
@@ -77,3 +81,83 @@ def perspective_shifts(view: View, moments: Array, depth_power: float) -> Array:
     depths = view.points[:, 2:]
     towards = local[:, :2, 2] - view.points[:, :2] / depths * local[:, 2, 2][:, None]
     return np.asarray(-depth_power * view.focal_px * towards / depths**2)
+
+
+def moments_of_two(views: list[View], smoothing: float, step: int, rules: BodyRules) -> Array:
+    """Find the second moments (n, 3, 3) of a rigid body in X from two views, as `second_moments`.
+
+    Two views leave one combination open: that of both rays. It is looked for at every `step`-th
+    time, such that the body's three deviations are the same all along, and that it turns smoothly.
+    """
+    told = second_moments(views, smoothing, least_views=2)
+    seen = [np.isfinite(view.spreads_px2).all(axis=1) for view in views]
+    places = np.flatnonzero(seen[0] & seen[1])[::step]
+    if len(places) < rules.least_instants:
+        return np.full_like(told, np.nan)
+    first, second = (
+        view.points / np.linalg.norm(view.points, axis=1)[:, None] @ view.R for view in views
+    )
+    both = first[:, :, None] * second[:, None, :]
+    both += both.transpose(0, 2, 1)
+    basis = np.linalg.inv(np.stack([first, second, np.cross(first, second)], axis=2)[places])
+    within = basis @ told[places] @ basis.transpose(0, 2, 1)
+    size = float(np.sqrt(np.median(np.trace(told[places], axis1=1, axis2=2))))
+    # Where the least of the variances is none: by what each ray has beside the normal's part.
+    a, b, c = (np.maximum(within[:, k, k], (rules.open_least * size) ** 2) for k in range(3))
+    p, q = (np.clip(within[:, k, 2], -np.sqrt(d * c), np.sqrt(d * c)) for k, d in ((0, a), (1, b)))
+    half = np.sqrt(np.maximum(a - p**2 / c, 0.0) * np.maximum(b - q**2 / c, 0.0))
+    lanes = np.linspace(-1.0, 1.0, rules.open_values)
+    amounts = (p * q / c - within[:, 0, 1])[:, None] + half[:, None] * lanes
+    tried = told[places, None] + amounts[..., None, None] * both[places, None]
+    deviations = np.sqrt(np.maximum(np.linalg.eigvalsh(tried), 0.0))
+    flat = tried.reshape(*amounts.shape, 9)[..., [0, 1, 2, 4, 5, 8]] / size**2
+    least = np.inf
+    chosen: Indices = np.zeros(len(places), np.int64)
+    for start in rules.open_starts:
+        shape = np.array(start)
+        for _ in range(rules.open_rounds):
+            found, cost = _smoothest(flat, deviations / size, shape, rules.open_change)
+            before = shape
+            shape = np.median(deviations[np.arange(len(places)), found], axis=0) / size
+            if np.max(np.abs(shape - before)) < rules.open_settled:
+                break
+        if cost < least:
+            least, chosen = cost, found
+    amount = np.interp(np.arange(len(told)), places, amounts[np.arange(len(places)), chosen])
+    amount = gaussian_filter1d(amount, 0.5 * step)
+    return np.asarray(told + amount[:, None, None] * both)
+
+
+@numba.njit(cache=True)
+def _smoothest(
+    tensors: Array, deviations: Array, shape: Array, weight: float
+) -> tuple[Indices, float]:
+    """Choose at each of m times one of k tensors (m, k, 6), by dynamic programming.
+
+    Their deviations (m, k, 3) are to be like the shape's (3,), and tensors like the ones before
+    with such a weight. Gives the choice (m,) and the mean of what it costs.
+    """
+    m, k = deviations.shape[:2]
+    back = np.zeros((m, k), np.int64)
+    costs, before = np.zeros(k), np.zeros(k)
+    for i in range(m):
+        before[:] = costs
+        for b in range(k):
+            best = 0.0
+            if i:
+                best = np.inf
+                for a in range(k):
+                    total = before[a]
+                    for j in range(6):
+                        times = 1.0 if j == 0 or j == 3 or j == 5 else 2.0
+                        total += weight * times * (tensors[i, b, j] - tensors[i - 1, a, j]) ** 2
+                    if total < best:
+                        best, back[i, b] = total, a
+            for j in range(3):
+                best += (deviations[i, b, j] - shape[j]) ** 2
+            costs[b] = best
+    chosen = np.zeros(m, np.int64)
+    chosen[m - 1] = np.argmin(costs)
+    for i in range(m - 1, 0, -1):
+        chosen[i - 1] = back[i, chosen[i]]
+    return chosen, float(np.min(costs)) / m
