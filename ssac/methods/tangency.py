@@ -327,11 +327,13 @@ class _OfTangents(Refinement):
             starts = np.concatenate([[0], np.flatnonzero(np.diff(pairs.times_s) < 0.0) + 1])
             side = np.searchsorted(starts, np.arange(len(pairs.times_s)), side="right") - 1
             of_side = (side[:, None] == np.arange(len(starts))).astype(np.float64)
-            parts.append(share * self.rules.tangency.hidden_px * of_side)
+            of_side = self.rules.tangency.hidden_px * pairs.weights[:, None] * of_side
+            parts.append(share * np.asarray(of_side))
         if pairs.kinds is not None:
-            errors = self._of_body(residuals) * (pairs.kinds == 1)[:, None]
-            parts = [part * (pairs.kinds == 0)[:, None] for part in parts] + [errors]
-        return pairs.weights[:, None] * np.hstack(parts) if parts else None
+            errors = pairs.weights[:, None] * self._of_body(residuals)
+            parts = [part * (pairs.kinds == 0)[:, None] for part in parts]
+            parts.append(errors * (pairs.kinds == 1)[:, None])
+        return np.hstack(parts) if parts else None
 
     def _of_body(self, residuals: Residuals) -> Array:
         """Give the changes (n, 13) by errors of the body's shape, and of when its images are."""

@@ -66,14 +66,15 @@ def improved(body: Voxels, drawn: Drawn) -> Array:
     seen, shown = np.full(m, _NONE), np.full(m, _NONE)
     for i in range(len(images)):
         view = turns[i], points[i], focals[i], corners[i]
-        _draw(depths, body, view)
-        for y in range(width):
-            for x in range(width):
+        top, bottom, left, right = _draw(depths, body, view)
+        for y in range(top, bottom):
+            for x in range(left, right):
                 share = _share_of(depths, y, x)
                 for row in range(FINE * y, FINE * y + FINE):
                     for col in range(FINE * x, FINE * x + FINE):
                         by_image[row, col] = depths[row, col] * images[i, y, x]
                         by_drawn[row, col] = depths[row, col] * share
+                        depths[row, col] = 0.0
         for j in range(m):
             b, a, q, p, _ = _placed(voxels[j], view, FINE, fine)
             if b < 0:
@@ -169,11 +170,15 @@ def _normal(
     axes. The room for work is all zero again.
     """
     depths, slopes = work
-    _draw_sloped(depths, slopes, body, view, first)
+    top, bottom, left, right = _draw_sloped(depths, slopes, body, view, first)
     by, J, r = np.zeros(5), np.zeros((5, 5)), np.zeros(5)
-    cost, whole = 0.0, 0.0
+    whole = 0.0
     for y in range(len(image)):
         for x in range(len(image)):
+            whole += image[y, x] ** 2
+    cost = whole
+    for y in range(top, bottom):
+        for x in range(left, right):
             share = 0.0
             by[:] = 0.0
             for row in range(FINE * y, FINE * y + FINE):
@@ -186,8 +191,7 @@ def _normal(
                         depths[row, col] = 0.0
                         slopes[row, col] = 0.0
             off = image[y, x] - share
-            cost += off**2
-            whole += image[y, x] ** 2
+            cost += off**2 - image[y, x] ** 2
             if share == 0.0:
                 continue
             for a in range(first, 5):
@@ -221,37 +225,43 @@ def _placed(
 
 
 @numba.njit(cache=True)
-def _draw(depths: Array, body: Voxels, view: View) -> None:
-    """Sum up optical depths (FINE w, FINE w), in place."""
+def _draw(depths: Array, body: Voxels, view: View) -> tuple[int, int, int, int]:
+    """Add optical depths (FINE w, FINE w), in place; give the first and past the last pixels."""
     voxels, densities, step = body
-    depths[:] = 0.0
+    bounds = _no_bounds(len(depths))
     area = (FINE * step) ** 2 * view[2][0] * view[2][1]
     for j in range(len(voxels)):
         b, a, q, p, z = _placed(voxels[j], view, FINE, len(depths))
         if b < 0:
             continue
+        bounds = _widened(bounds, b, a)
         depth = densities[j] * area / z**2
         depths[b, a] += depth * (1.0 - p) * (1.0 - q)
         depths[b, a + 1] += depth * p * (1.0 - q)
         depths[b + 1, a] += depth * (1.0 - p) * q
         depths[b + 1, a + 1] += depth * p * q
+    return _of_pixels(bounds)
 
 
 @numba.njit(cache=True)
-def _draw_sloped(depths: Array, slopes: Array, body: Voxels, view: View, first: int) -> None:
-    """Add optical depths and, from `first` on, how they change: in place.
+def _draw_sloped(
+    depths: Array, slopes: Array, body: Voxels, view: View, first: int
+) -> tuple[int, int, int, int]:
+    """Add optical depths and, from `first` on, how they change, as `_draw` does.
 
     Slopes (FINE w, FINE w, 5) are by turns [rad] about the body's axes and by moves [px].
     """
     voxels, densities, step = body
     turn, focal = view[0], view[2]
     area = (FINE * step) ** 2 * focal[0] * focal[1]
+    bounds = _no_bounds(len(depths))
     by_u, by_v = np.zeros(5), np.zeros(5)
     by_u[3], by_v[4] = FINE, FINE
     for j in range(len(voxels)):
         b, a, q, p, z = _placed(voxels[j], view, FINE, len(depths))
         if b < 0:
             continue
+        bounds = _widened(bounds, b, a)
         depth = densities[j] * area / z**2
         if first == 0:
             x, y, h = voxels[j]
@@ -282,6 +292,26 @@ def _draw_sloped(depths: Array, slopes: Array, body: Voxels, view: View, first: 
             slopes[b, a + 1, k] += du * (1.0 - q) - dv * p
             slopes[b + 1, a, k] += dv * (1.0 - p) - du * q
             slopes[b + 1, a + 1, k] += du * q + dv * p
+    return _of_pixels(bounds)
+
+
+@numba.njit(cache=True)
+def _no_bounds(fine: int) -> tuple[int, int, int, int]:
+    return fine, 0, fine, 0
+
+
+@numba.njit(cache=True)
+def _widened(bounds: tuple[int, int, int, int], row: int, col: int) -> tuple[int, int, int, int]:
+    """Let bounds hold a fine pixel, and the ones right and below."""
+    top, bottom, left, right = bounds
+    return min(top, row), max(bottom, row + 2), min(left, col), max(right, col + 2)
+
+
+@numba.njit(cache=True)
+def _of_pixels(bounds: tuple[int, int, int, int]) -> tuple[int, int, int, int]:
+    """Give the pixels that hold fine ones."""
+    top, bottom, left, right = bounds
+    return top // FINE, -(-bottom // FINE), left // FINE, -(-right // FINE)
 
 
 @numba.njit(cache=True)
