@@ -121,7 +121,7 @@ class _OfPositions(Refinement):
         bias = self.size_px, np.array([rules.bias_slope, rules.bias_slope, offset])
         # Distances are weighed by the inverse of the image's size, and the bias is a part of it: so
         # the weights drop out.
-        return smooth_errors(residuals, *bias, rig)
+        return smooth_errors(residuals.F, residuals.p1_px, residuals.p2_px, *bias, rig)
 
 
 def sharp_pairs(track1: SharpTrack, track2: SharpTrack, t_d_s: float) -> tuple[WeighedPairs, float]:

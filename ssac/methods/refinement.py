@@ -179,7 +179,9 @@ class Refinement(ABC):
         )
 
 
-def smooth_errors(residuals: Residuals, size_px: float, bias: Array, rig: Rig) -> Array:
+def smooth_errors(
+    F: Array, p1_px: Array, p2_px: Array, size_px: float, bias: Array, rig: Rig
+) -> Array:
     """Give what each part of a bias in both views, one deviation of it, does to distances: (n, 12).
 
     What is taken for the object's place lies elsewhere on it as this is seen from elsewhere, and a
@@ -187,8 +189,11 @@ def smooth_errors(residuals: Residuals, size_px: float, bias: Array, rig: Rig) -
     shows it. Its parts (3,) are shares of the object's size: per unit of x / z and y / z, and
     anywhere. Distances are not weighed.
     """
-    F, p1, p2, parts = residuals.F, residuals.p1_px, residuals.p2_px, []
-    for F_there, there, here, K in ((F.T, p2, p1, rig.cam1.K), (F, p1, p2, rig.cam2.K)):
+    parts = []
+    for F_there, there, here, K in (
+        (F.T, p2_px, p1_px, rig.cam1.K),
+        (F, p1_px, p2_px, rig.cam2.K),
+    ):
         shifts = size_px * rays_of(K, here) * bias
         for axis in np.eye(2):
             along = np.tile(axis, (len(here), 1))

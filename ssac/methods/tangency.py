@@ -339,9 +339,9 @@ class _OfTangents(Refinement):
         """Give the changes (n, 13) by errors of the body's shape, and of when its images are."""
         rules, v2 = self.rules.tangency, residuals.problem.pairs.v2_px_s
         bias = np.array([rules.body_slope, rules.body_slope, rules.body_offset])
-        errors = smooth_errors(residuals, self.size_px, bias, self.views.rig)
-        ahead = rules.body_lag_px * v2 / (np.linalg.norm(v2, axis=1)[:, None] + 1e-9)
         points = residuals.F, residuals.p1_px, residuals.p2_px
+        errors = smooth_errors(*points, self.size_px, bias, self.views.rig)
+        ahead = rules.body_lag_px * v2 / (np.linalg.norm(v2, axis=1)[:, None] + 1e-9)
         return np.column_stack([errors, sampson_derivative(*points, ahead)])
 
     def _is_near(self, last: Round, factor: float) -> bool:
