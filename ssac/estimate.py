@@ -225,6 +225,7 @@ class Estimate:
     against: float = 0.0  # by how many deviations what is seen speaks against the rig's intrinsics
     shift: float = 0.0  # to those that fit best, in the rig's deviations
     misfit: str = ""  # which these are, where that is much, as a sentence
+    without_body: str = ""  # why tangents are not joined with a rigid body, as a part of a sentence
     doubt: str = ""  # what is not ordinary in the last step's fit, as a sentence
     candidates_s: Array = field(default_factory=lambda: np.empty(0))  # (M,) offsets tried
     costs: Array = field(default_factory=lambda: np.empty(0))  # (M,) d_avg [px] or -correlation

@@ -197,27 +197,65 @@ class SilhouetteRules:
     max_off_sizes: float = 1.0  # of the centre from the mean of the events
 
 
+Shape = tuple[float, float, float]
+
+
 @dataclass(frozen=True)
 class BodyRules:
     """When one point of a rigid body is followed in several cameras' silhouettes."""
 
     # Power of its depth with which a part of the image counts: 3 for a ball, 4 for a flat thing.
     depth_power: float = 4.0
-    step_s: float = 0.1  # between the instants of attitudes, which are interpolated in between
+    step_s: float = 0.05  # between the instants of attitudes, which are interpolated in between
     max_left: float = 0.15  # share of the images, as squares, that a rigid body may leave
-    least_instants: int = 30
-    most_instants: int = 100  # of those that tell the shape
+    least_instants: int = 60
+    most_learnt: int = 100  # of those at which the shape is learnt; and of those it is fitted to
+    most_fitted: int = 60
+    full_px: float = 8.0  # largest deviation of the shape in images: of larger ones pixels join
     reach_sizes: float = 2.1  # of the voxels, in largest deviations of the shape
     thickness_sizes: float = 0.5
-    voxels_across: float = 30.0  # from the middle to the reach
+    voxels_across: float = 20.0  # from the middle to the reach
     covered_share: float = 0.2  # of an image at a voxel
-    carved_shares: tuple[float, float, float] = (0.7, 0.7, 0.85)  # of the images that cover a voxel
-    fit_steps: tuple[int, int, int, int] = (6, 6, 6, 15)  # in these rounds, and in a last one
+    # Of the images that cover a voxel, in the first rounds.
+    carved_shares: tuple[float, float, float, float, float] = (0.6, 0.65, 0.7, 0.8, 0.85)
+    fit_steps: int = 6  # in a round, and in the last one
+    last_fit_steps: int = 15
+    max_rounds: int = 10
+    least_rounds: int = 2  # before the last
+    yaw_rounds: int = 6  # in which other yaws are tried
+    yaws_deg: tuple[float, float, float, float, float] = (30.0, -30.0, 60.0, -60.0, 90.0)
+    ill: float = 1.3  # of the median of what is left: there they are, and everywhere at first
+    # What is left, in the median, of a body that is good if so many instants are within twice that;
+    # and of one that is fair, once a round leaves more than such a share of what was left before.
+    good: float = 0.06
+    good_share: float = 0.8
+    fair: float = 0.1
+    settled: float = 0.97
     least_depth: float = 0.02  # of a voxel: those below are nothing
     outlier: float = 2.5  # of the median of what is left
-    better: float = 0.95  # of what is left with another attitude
+    better: float = 0.98  # of what is left with another attitude
     max_gap_s: float = 0.35  # between instants of known attitudes
     alignments: int = 2
+    last_alignments: int = 4
+    learnt_steps: int = 2  # between instants at which the shape is learnt, or twice as many
+
+    seen_step_s: float = 0.02  # of two views: between silhouettes
+    longest_s: float = 120.0  # of two views: images of more fill the memory
+    # Halves of windows of the centres of area, and of the body's point.
+    centre_window_s: float = 0.03
+    point_window_s: float = 0.04
+    smoothing_s: float = 0.1  # of second moments, between whose times there is such a step
+    moments_step_s: float = 0.01
+
+    # The second moment that two views leave open: values tried, and the deviations of a body's
+    # shape to begin with, as shares of its size.
+    open_step_s: float = 0.05
+    open_values: int = 41
+    open_rounds: int = 8
+    open_starts: tuple[Shape, Shape, Shape] = ((0.1, 0.65, 0.75), (0.2, 0.5, 0.85), (0.3, 0.6, 0.7))
+    open_settled: float = 1e-3
+    open_least: float = 0.05  # deviation in any direction, as such a share: noise leaves less
+    open_change: float = 0.3  # weight of the tensor's change between those steps
 
 
 @dataclass(frozen=True)
@@ -552,6 +590,18 @@ class TangencyRules:
     steps: int = 3  # of Gauss-Newton in a round: the tangents move more than a fourth would
     last_turn: float = 1e-4  # [rad] of the pose, between rounds
     far: float = 300.0  # times those last changes: then the outline is looked for anew
+
+    joins_body: bool = True  # of a rigid body that both views' silhouettes tell
+    body_error: float = 0.6  # of its one point, in errors of tangents
+    # Deviations of errors of its point that no residual shows, in image sizes: anywhere, and per
+    # unit of x / z and y / z; and of how far one view's images are ahead of the other's. By 71
+    # flights of five kinds of object (seeds 500100 to 500199), so that intervals hold.
+    body_offset: float = 0.007
+    body_slope: float = 0.012
+    body_lag_px: float = 0.02
+    # From the tangents' answer to the joined one, in deviations of the former: of those flights two
+    # are above 3.5, whose tangents are too sure.
+    max_apart: float = 4.0
 
 
 @dataclass(frozen=True)

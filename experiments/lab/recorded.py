@@ -18,7 +18,7 @@ from ssac.config import Cleaning
 from ssac.events import EVENT_DTYPE
 from ssac.files.hdf5 import load_events_h5
 from ssac.files.rigs import load_rig
-from ssac.track.clean import Clean, clean
+from ssac.track.clean import Clean, Recorded, clean
 from ssac.track.denoise import Clutter
 from ssac.track.observation import Observation
 
@@ -133,11 +133,18 @@ def clean_pair(
 
     names = [f"{name}_{what}" for name in _CAMERAS for what in _TOLD]
     told = cache.told("denoised", folder, DENOISED_CODE, names, denoised, how.n_neighbours)
-    first, second = (_clean(told, name, camera) for name, camera in cameras.items())
+    first, second = (
+        _clean(told, name, camera, _events_of(load, k))
+        for k, (name, camera) in enumerate(cameras.items())
+    )
     return first, second
 
 
-def _clean(told: Arrays, name: str, camera: Camera) -> Clean:
+def _events_of(load: Callable[[], Pair], k: int) -> Recorded:
+    return lambda: load()[:2][k].events
+
+
+def _clean(told: Arrays, name: str, camera: Camera, recorded: Recorded) -> Clean:
     pixels, masked, hz, radius_px, n_neighbours, n_min = told[f"{name}_clutter"].tolist()
     on_line = told[f"{name}_on_line"]
     return Clean(
@@ -147,6 +154,7 @@ def _clean(told: Arrays, name: str, camera: Camera) -> Clean:
         denoised=True,
         clutter=Clutter(int(pixels), int(masked), hz, radius_px, int(n_neighbours), int(n_min)),
         on_line=on_line if len(on_line) else None,
+        recorded=recorded,
     )
 
 

@@ -5,10 +5,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from ssac.estimate import Estimate
-from ssac.geometry.pose import tangent_basis
+from ssac.geometry.pose import pose_step
 
 FloatArray = NDArray[np.float64]
 
@@ -114,11 +113,7 @@ def pose_errors_rad(
     R: FloatArray, t: FloatArray, R_true: FloatArray, t_true: FloatArray
 ) -> FloatArray:
     """Errors (5,) of a pose: the step that `moved_pose` would take to the truth, negated."""
-    along = tangent_basis(t) @ t_true
-    length = np.linalg.norm(along)
-    direction = along / length if length > 0.0 else np.array([1.0, 0.0])
-    turn = Rotation.from_matrix(R_true @ R.T).as_rotvec()
-    return np.asarray(-np.append(turn, np.deg2rad(angle_between_deg(t, t_true)) * direction))
+    return -pose_step(R, t, R_true, t_true)
 
 
 def rotation_angle_deg(R: FloatArray) -> float:

@@ -57,7 +57,7 @@ def track_command(
     from ssac.files.ros_bags import file_of
     from ssac.files.track_files import TRACK_SUFFIX, is_track_file, save_track
     from ssac.files.whole_file import check_targets
-    from ssac.pipeline.object_track import things_seen, track_of_events
+    from ssac.search.object_track import things_seen, track_of_events
     from ssac.track.clean import clean
     from ssac.track.faint import faint_object_events
     from ssac.track.observation import Observation

@@ -5,12 +5,13 @@ its events, strays with attitude, slowly. So n residuals tell less than n indepe
 fit takes part of the slow error away, so that they look less correlated than they are.
 
 The loss's gradients are taken to be, in each series, a stationary process with the autocovariance
-sum_k a_k exp(-|lag| / T_k), a_k >= 0, of white noise and of what fades in some times. The a_k are
-those for which the residuals' quadratic forms are as large as expected *after* the fit (variance
-components by moments: Rao's MINQUE). Two limits keep the result from being too sure: a direction in
-which the loss is hardly curved counts as if it were curved a little, and the degrees of freedom are
-those of independent residuals, which widens 1.96 deviations to Student's 95 %. A short time shows
-little of the slowest errors, so there are no more degrees of freedom than fading times of these.
+sum_k a_k exp(-|lag| / T_k), a_k >= 0, of white noise and of what fades in some times, alike in all
+series of one kind, such as tangents. The a_k are those for which the residuals' quadratic forms are
+as large as expected *after* the fit (variance components by moments: Rao's MINQUE). Two limits keep
+the result from being too sure: a direction in which the loss is hardly curved counts as if it were
+curved a little, and the degrees of freedom are those of independent residuals, which widens 1.96
+deviations to Student's 95 %. A short time shows little of the slowest errors, so there are no more
+degrees of freedom than fading times of these.
 
 Series, such as the upper and the lower tangents, may have errors in common. Those count for the
 parameters of the clock, t_d first, and are left out for the pose. Where there are no others, the
@@ -47,6 +48,7 @@ def correlated_covariance(
     common: Indices | None = None,
     lessens: bool = True,
     cautious: bool = False,
+    kinds: Indices | None = None,
 ) -> Array:
     """Covariance (p, p) of M-estimated parameters whose residuals (n,) are correlated in time.
 
@@ -57,6 +59,9 @@ def correlated_covariance(
     residual that is independent of the others where NaN, and everywhere when None. What the series'
     errors have in common counts for the parameters at the places `common` (c,), the first when
     None, and may lessen the first one's variance, too, if it `lessens`.
+
+    Kinds (n,), from 0 on, tell residuals whose errors are of another process apart; those of one
+    series are of one kind. All are when None.
 
     Deviations are such that +-1.96 of them hold the truth in 95 %; of a direction that the data do
     not determine, they are those of the prior and more. A short time shows few of the slowest
@@ -75,7 +80,7 @@ def correlated_covariance(
     Q, triangle = np.linalg.qr(np.vstack([jacobian, prior]))
     Q, Q_prior = Q[:n], Q[n:]
     left_px = slopes_px - Q @ (Q.T @ slopes_px)
-    meat, independent = _gradient_covariance(times_s, Q, left_px, rules)
+    meat, independent = _gradient_covariance(times_s, Q, left_px, rules, kinds)
     several = bool(np.any(np.diff(times_s) < 0.0))
     common = np.zeros(1, np.intp) if common is None else common
     is_clock = len(common) == p  # and nothing else: the pose is known
@@ -129,17 +134,21 @@ def repeats(times_s: Array, jacobian: Array, slopes_px: Array, rules: FitRules) 
 
 
 def _gradient_covariance(
-    times_s: Array, Q: Array, left_px: Array, rules: FitRules
+    times_s: Array, Q: Array, left_px: Array, rules: FitRules, kinds: Indices | None = None
 ) -> tuple[Array, float]:
     """Covariance of Q' g for gradients g (n,), and how many independent ones tell as much."""
     # Q (n, p) has orthonormal columns, and left = (1 - Q Q') g is what the fit leaves of g.
-    p, size = Q.shape[1], 1 + len(rules.fading_s)
+    p, each = Q.shape[1], 1 + len(rules.fading_s)
+    n_kinds = 1 if kinds is None else int(np.max(kinds)) + 1
+    size = n_kinds * each
     forms = np.zeros(size)  # left' L_k left, with L_k the correlations of component k
     traces = np.zeros((size, size))  # of L_k L_l
     projected = np.zeros((size, p, p))  # Q' L_k Q
     products = np.zeros((size, size))  # traces of Q' L_k L_l Q
     pairs = np.zeros(size)  # sums of L_k
     for part, bins, step_s in _series(times_s):
+        kind = 0 if kinds is None else int(kinds[part.start])
+        own = slice(kind * each, (kind + 1) * each)
         n_bins = int(bins[-1]) + 1
         size_fft = 1 << int(2 * n_bins - 1).bit_length()  # room for both signs of the lag
         lags_s = step_s * np.arange(n_bins, dtype=np.float64)
@@ -151,25 +160,29 @@ def _gradient_covariance(
         # Sums of products at each lag, both signs of it: of the residuals, and of their number.
         sums = np.fft.irfft(np.abs(spectra[:, p:]) ** 2, axis=0)[:n_bins]
         sums[1:] *= 2.0
-        forms += fading @ sums[:, 0]
-        pairs += fading @ sums[:, 1]
-        traces += fading * sums[:, 1] @ fading.T
-        kernels = np.zeros((size, size_fft))  # even functions of the lag, which goes round
+        forms[own] += fading @ sums[:, 0]
+        pairs[own] += fading @ sums[:, 1]
+        traces[own, own] += fading * sums[:, 1] @ fading.T
+        kernels = np.zeros((each, size_fft))  # even functions of the lag, which goes round
         kernels[:, :n_bins] = fading
         kernels[:, size_fft - n_bins + 1 :] = fading[:, :0:-1]
         spread = np.fft.irfft(np.fft.rfft(kernels)[:, :, None] * spectra[:, :p], axis=1)
         spread = spread[:, :n_bins]
-        projected += values[:, :p].T @ spread
+        projected[own] += values[:, :p].T @ spread
         there = values[:, p + 1, None] * spread
-        products += np.einsum("kti,lti->kl", there, spread)
+        products[own, own] += np.einsum("kti,lti->kl", there, spread)
     expected = traces - 2.0 * products + np.einsum("kij,lij->kl", projected, projected)
     diagonal = np.diag(expected)  # rows and columns are scaled alike, to one of ones
     scales = np.sqrt(np.maximum(diagonal, 1e-12 * max(np.max(diagonal), 1e-300)))
     amounts = _best_positive(expected / np.outer(scales, scales), forms / scales) / scales
-    variance = float(np.sum(amounts))
-    if not variance > 0.0:
+    independent = 0.0
+    for kind in range(n_kinds):
+        own = slice(kind * each, (kind + 1) * each)
+        n = len(times_s) if kinds is None else np.count_nonzero(kinds == kind)
+        if np.sum(amounts[own]) > 0.0:
+            independent += n**2 * float(np.sum(amounts[own])) / float(amounts[own] @ pairs[own])
+    if independent == 0.0:
         return np.zeros((p, p)), 0.0
-    independent = len(times_s) ** 2 * variance / float(amounts @ pairs)
     return np.einsum("k,kij->ij", amounts, projected), independent
 
 

@@ -51,6 +51,7 @@ class WeighedPairs:
     v2_px_s: Array  # (n, 2) velocity of p2
     weights: Array  # (n,) of the distances, with a median of 1
     t_d_s: float  # at which p2 was sampled
+    kinds: Indices | None = None  # (n,) from 0 on, of errors that are unlike; None: all are alike
 
 
 @dataclass(frozen=True)
@@ -179,6 +180,7 @@ class Residuals:
             np.flatnonzero([place in problem.of_clock for place in problem.free]),
             lessens,
             cautious,
+            problem.pairs.kinds,
         )
 
     def hidden_covariance(self, errors_px: Array) -> Array:

@@ -99,6 +99,16 @@ def moved_pose(R: Array, t: Array, step: Array) -> tuple[Array, Array]:
     return Rotation.from_rotvec(step[:3]).as_matrix() @ R, moved_t / np.linalg.norm(moved_t)
 
 
+def pose_step(R: Array, t: Array, R_to: Array, t_to: Array) -> Array:
+    """Give the small change (5,) [rad] by which `moved_pose` takes a pose to another one."""
+    along = tangent_basis(t) @ t_to
+    length = float(np.linalg.norm(along))
+    direction = along / length if length > 0.0 else np.array([1.0, 0.0])
+    turn = Rotation.from_matrix(R_to @ R.T).as_rotvec()
+    angle = np.arctan2(np.linalg.norm(np.cross(t, t_to)), t @ t_to)
+    return np.append(turn, angle * direction)
+
+
 def tangent_basis(t: Array) -> Array:
     """Two unit vectors (2, 3), orthogonal to each other and to the unit vector t (3,)."""
 

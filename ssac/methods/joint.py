@@ -14,15 +14,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ssac.camera import Rig
 from ssac.estimate import Estimate, Status
 from ssac.fit.least_squares import Parameters, Residuals, WeighedPairs, linearise
-from ssac.geometry.epipolar import sampson_derivative
-from ssac.geometry.pose import rays_of
 from ssac.methods.clocks import checked_clock, with_coarse_skew
 from ssac.methods.hypotheses import Choice
 from ssac.methods.method import method
-from ssac.methods.refinement import Refinement, Round
+from ssac.methods.refinement import Refinement, Round, smooth_errors
 from ssac.methods.verdict import certain, doubt, is_spread
 from ssac.search.two_views import TwoViews
 from ssac.track.motion import SharpTrack
@@ -122,7 +119,9 @@ class _OfPositions(Refinement):
             seen = self.model.views(self.views, parameters)
             offset = max(offset, rules.known_bias_offset * seen.lasting_share(parameters.t_d_s))
         bias = self.size_px, np.array([rules.bias_slope, rules.bias_slope, offset])
-        return _hidden_errors(residuals.F, residuals.p1_px, residuals.p2_px, *bias, rig)
+        # Distances are weighed by the inverse of the image's size, and the bias is a part of it: so
+        # the weights drop out.
+        return smooth_errors(residuals.F, residuals.p1_px, residuals.p2_px, *bias, rig)
 
 
 def sharp_pairs(track1: SharpTrack, track2: SharpTrack, t_d_s: float) -> tuple[WeighedPairs, float]:
@@ -142,21 +141,3 @@ def sharp_pairs(track1: SharpTrack, track2: SharpTrack, t_d_s: float) -> tuple[W
         t_d_s,
     )
     return pairs, size_px
-
-
-def _hidden_errors(F: Array, p1: Array, p2: Array, size_px: float, bias: Array, rig: Rig) -> Array:
-    """Give what each part of the hidden bias, one deviation of it, does to the distances: (n, 12).
-
-    The mean of the events lies elsewhere on the object as this is seen from elsewhere, and a change
-    of pose can take such a smooth function of the image position away, so that no residual shows
-    it. Distances are weighed by the inverse of the image's size, and the bias (3,) is a part of it:
-    so the weights drop out.
-    """
-    parts = []
-    for F_there, there, here, K in ((F.T, p2, p1, rig.cam1.K), (F, p1, p2, rig.cam2.K)):
-        shifts = size_px * rays_of(K, here) * bias
-        for axis in np.eye(2):
-            along = np.tile(axis, (len(here), 1))
-            by_shift = sampson_derivative(F_there, there, here, along)
-            parts.append(by_shift[:, None] * shifts)
-    return np.hstack(parts)

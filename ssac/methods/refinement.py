@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ssac.camera import Rig
 from ssac.estimate import Estimate, Status
 from ssac.fit.intrinsics import (
     Allowance,
@@ -29,7 +30,7 @@ from ssac.fit.least_squares import (
     WeighedPairs,
     linearise,
 )
-from ssac.geometry.epipolar import CAUCHY
+from ssac.geometry.epipolar import CAUCHY, sampson_derivative
 from ssac.geometry.pose import homography_poses, rays_of
 from ssac.methods.algorithms import with_fit
 from ssac.methods.clocks import checked_clock, clock_model
@@ -176,3 +177,26 @@ class Refinement(ABC):
             misfit=misfit,
             doubt=doubt(residuals.distances_px, self.size_px, rules, against, misfit),
         )
+
+
+def smooth_errors(
+    F: Array, p1_px: Array, p2_px: Array, size_px: float, bias: Array, rig: Rig
+) -> Array:
+    """Give what each part of a bias in both views, one deviation of it, does to distances: (n, 12).
+
+    What is taken for the object's place lies elsewhere on it as this is seen from elsewhere, and a
+    change of pose can take such a smooth function of the image position away, so that no residual
+    shows it. Its parts (3,) are shares of the object's size: per unit of x / z and y / z, and
+    anywhere. Distances are not weighed.
+    """
+    parts = []
+    for F_there, there, here, K in (
+        (F.T, p2_px, p1_px, rig.cam1.K),
+        (F, p1_px, p2_px, rig.cam2.K),
+    ):
+        shifts = size_px * rays_of(K, here) * bias
+        for axis in np.eye(2):
+            along = np.tile(axis, (len(here), 1))
+            by_shift = sampson_derivative(F_there, there, here, along)
+            parts.append(by_shift[:, None] * shifts)
+    return np.hstack(parts)

@@ -19,16 +19,17 @@ from numpy.typing import NDArray
 from ssac.errors import SsacError
 from ssac.estimate import POSE_IS_OPEN, SETTLED_BY, Estimate, Status
 from ssac.fit.least_squares import Parameters, Residuals, WeighedPairs
-from ssac.geometry.epipolar import epipolar_lines_1, robust_deviation
-from ssac.geometry.pose import pencils
+from ssac.geometry.epipolar import epipolar_lines_1, robust_deviation, sampson_derivative
+from ssac.geometry.pose import pencils, pose_step
 from ssac.methods.hypotheses import Choice
 from ssac.methods.joint import refine
 from ssac.methods.method import method
-from ssac.methods.refinement import Refinement, Round
+from ssac.methods.refinement import Refinement, Round, smooth_errors
+from ssac.methods.rigid_body import body_points
 from ssac.methods.verdict import certain, widened
 from ssac.rules import TangencyRules
 from ssac.search.two_views import TwoViews
-from ssac.track.motion import ObjectMotion
+from ssac.track.motion import ObjectMotion, PointMotion
 from ssac.track.outline import OutlineEvents, Tangents, near_outline, tangents
 
 Array = NDArray[np.float64]
@@ -138,7 +139,7 @@ def is_tiny(views: TwoViews) -> bool:
     known_variant="tangency-known",
     starts_from="joint",
     keeps_start="is_tiny",
-    counts="pairs of tangents to the object's outline",
+    counts="pairs of tangents to the outline, and of a body's point",
     needs_events=True,
     follows_clock=True,
     of_one_object=True,
@@ -150,7 +151,7 @@ def is_tiny(views: TwoViews) -> bool:
     needs_extrinsics=True,
     starts_from="joint-known",
     keeps_start="is_tiny",
-    counts="pairs of tangents to the object's outline",
+    counts="pairs of tangents to the outline, and of a body's point",
     needs_events=True,
     follows_clock=True,
     of_one_object=True,
@@ -162,6 +163,8 @@ def tangency_from(start: Estimate, views: TwoViews) -> Estimate:
     for the tangents: where `joint` refuses, they are tried from the search that it started from.
     The mean of a tiny object's events is better than its outline: there the start is the answer.
 
+    Last, one point of a rigid body joins the tangents, where both views' silhouettes tell one.
+
     The start is what `joint_from` found of the same views. The result has `t_d_std_s` and
     `covariance`; its `n_samples` and `d_avg_px` are of the pairs of tangents. Its status may be
     that of the start, or "no_convergence", "clock_jump", "poor_fit".
@@ -172,7 +175,7 @@ def tangency_from(start: Estimate, views: TwoViews) -> Estimate:
     if is_tiny(views):
         return start
     if views.pose_is_known or start.status not in SETTLED_BY["tangency"] or search is None:
-        return certain(refine_tangents(start, views), rules)
+        return with_body(certain(refine_tangents(start, views), rules), views)
     search = replace(search, method=name, start=start)
     if search.status in (Status.OK, *POSE_IS_OPEN):
         # The refinement of this search was refused for its covariance.
@@ -181,16 +184,61 @@ def tangency_from(start: Estimate, views: TwoViews) -> Estimate:
         if found.status != Status.OK:  # what fits poorly is not to be relied upon in part
             return found if found.status == Status.POOR_FIT else start
         # Where both disagree, either may be wrong: nothing is surer than their difference.
-        return widened(start, strays_s**2) if strays_s > most * start.t_d_std_s else found
+        is_astray = strays_s > most * start.t_d_std_s
+        return widened(start, strays_s**2) if is_astray else with_body(found, views)
     if views.alone.repeats or len(search.alternatives_s) == 0:  # the motion leaves the offset open
         return start
     found = certain(Choice(views, _from_search, by_own_pairs=True).settled(search), rules)
-    return found if found.status == Status.OK else start
+    return with_body(found, views) if found.status == Status.OK else start
 
 
 def _from_search(start: Estimate, views: TwoViews) -> Estimate:
     """Refine by positions, which lead to where tangents may be found, and by these."""
     return refine_tangents(refine(start, views), views)
+
+
+def with_body(found: Estimate, views: TwoViews) -> Estimate:
+    """Join tangents with the pairs of one point of a rigid body, where both views show one.
+
+    What was found by tangents stays where there is no body, and where the body contradicts it: then
+    `without_body` says why, and deviations become as wide as the contradiction.
+    """
+    rules = views.rules.tangency
+    if not rules.joins_body or found.status != Status.OK or found.R is None or found.t is None:
+        return found
+    body = body_points(found, views)
+    if isinstance(body, str):
+        return replace(found, without_body=body)
+    joined = _OfTangents(found, for_blind(views), body).estimate(found.R, found.t)
+    joined = certain(joined, views.rules.verdict)
+    if joined.status != Status.OK:
+        return replace(found, without_body=f"with the body it were {joined.status}")
+    change = _change(found, joined)
+    if _in_deviations(change, found) > rules.max_apart:
+        return replace(_wider(found, change), without_body="the body contradicts the tangents")
+    return joined
+
+
+def _change(one: Estimate, other: Estimate) -> Array:
+    """Give the change (6,) of t_d [s] and the pose [rad] from one estimate to another."""
+    if one.R is None or one.t is None or other.R is None or other.t is None:
+        return np.full(6, np.nan)
+    step = pose_step(one.R, one.t, other.R, other.t)
+    return np.concatenate([[other.t_d_s - one.t_d_s], step])
+
+
+def _in_deviations(change: Array, found: Estimate) -> float:
+    """Give the length of a change in an estimate's deviations."""
+    if found.covariance is None:
+        return float(abs(change[0]) / found.t_d_std_s)
+    return float(np.sqrt(change @ np.linalg.solve(found.covariance, change)))
+
+
+def _wider(found: Estimate, change: Array) -> Estimate:
+    """Widen what an estimate states by a change that may be right."""
+    known = found.covariance
+    covariance = None if known is None else known + np.outer(change, change)
+    return replace(widened(found, change[0] ** 2), covariance=covariance)
 
 
 def refine_tangents(start: Estimate, views: TwoViews) -> Estimate:
@@ -205,10 +253,16 @@ def refine_tangents(start: Estimate, views: TwoViews) -> Estimate:
 
 
 class _OfTangents(Refinement):
-    """Pairs of tangents, found anew as long as the parameters move far."""
+    """Pairs of tangents, found anew as long as the parameters move far; and of a body's point."""
 
-    def __init__(self, start: Estimate, views: TwoViews) -> None:
+    def __init__(
+        self,
+        start: Estimate,
+        views: TwoViews,
+        body: tuple[PointMotion, PointMotion] | None = None,
+    ) -> None:
         super().__init__(start, views)
+        self.body = body
         rules = self.rules.tangency
         self.max_rounds, self.size_px = rules.max_rounds, views.object_px
         self.turn, self.last_turn = rules.wider_cauchy, rules.cauchy
@@ -227,7 +281,25 @@ class _OfTangents(Refinement):
     def pairs(self, seen: TwoViews, parameters: Parameters) -> WeighedPairs:
         near = None if self.is_far else self.near
         pairs, self.near = tangents_under(parameters, seen, self.times_s, near)
-        return pairs
+        return pairs if self.body is None else self._joined(pairs, seen, parameters)
+
+    def _joined(self, pairs: WeighedPairs, seen: TwoViews, parameters: Parameters) -> WeighedPairs:
+        """Add the pairs of the body's point."""
+        assert self.body is not None
+        times_s = self.times_s, seen.on_clock_2(self.times_s, parameters.t_d_s)
+        one, two = (of.sharp_at(at) for of, at in zip(self.body, times_s, strict=True))
+        k = one.valid & two.valid
+        weights = np.full(int(k.sum()), 1.0 / self.rules.tangency.body_error)
+        weights = np.concatenate([pairs.weights, weights])
+        return WeighedPairs(
+            np.concatenate([pairs.times_s, times_s[0][k]]),
+            np.concatenate([pairs.p1_px, one.positions_px[k]]),
+            np.concatenate([pairs.p2_px, two.positions_px[k]]),
+            np.concatenate([pairs.v2_px_s, two.velocities_px_s[k]]),
+            weights / np.median(weights),
+            pairs.t_d_s,
+            np.repeat([0, 1], [len(pairs.times_s), int(k.sum())]),
+        )
 
     def unseen(self, n_pairs: int, parameters: Parameters) -> Estimate:
         reason = (
@@ -248,26 +320,39 @@ class _OfTangents(Refinement):
             self.allowance.learn(problem, last.found.parameters)
 
     def hidden_px(self, last: Round, residuals: Residuals) -> Array:
-        """Give what outlines that are off all along do to the residuals: (n, 1) or (n, 2).
+        """Give what errors that last all along do to the residuals: (n, 1 or 2), 13 more of a body.
 
-        Where the pose is free: by as many pixels in both views, as sensors that are alike see them.
-        That is another angle of the planes in the view that is nearer, and where which one is
-        changes, a pose takes it away; errors in proportion to the image's size cancel. Where the
-        pose is known, which cannot take them away: upper, or lower, tangents that are off.
+        Outlines are off, where the pose is free, by as many pixels in both views, as sensors that
+        are alike see them. That is another angle of the planes in the view that is nearer, and
+        where which one is changes, a pose takes it away; errors in proportion to the image's size
+        cancel. Where the pose is known, which cannot take them away: upper, or lower, tangents.
         """
         pairs, rules = residuals.problem.pairs, self.rules.tangency
+        of_body = np.zeros(len(pairs.times_s), bool) if pairs.kinds is None else pairs.kinds == 1
         starts = np.append(True, np.diff(pairs.times_s) < 0.0)
-        of_side = (np.cumsum(starts)[:, None] == np.arange(1, 1 + np.sum(starts))).astype(float)
+        of_side = (np.cumsum(starts)[:, None] == (1, 2)).astype(float)
         if self.views.pose_is_known:
             share = last.seen.lasting_share(residuals.parameters.t_d_s, 400)
-            return share * np.asarray(rules.hidden_px * pairs.weights[:, None] * of_side)
-        lines1 = epipolar_lines_1(residuals.F, residuals.p2_px)
-        lines2 = epipolar_lines_1(residuals.F.T, residuals.p1_px)
-        slopes1, slopes2 = (np.hypot(lines[:, 0], lines[:, 1]) for lines in (lines1, lines2))
-        outward = (slopes1 - slopes2) / np.hypot(slopes1, slopes2)  # of distances, a pixel
-        outward *= np.where(of_side[:, 0], 1.0, -1.0) * pairs.weights
-        wide_px = rules.hidden_width * robust_deviation(residuals.distances_px)
-        return np.asarray(wide_px * outward[:, None])
+            errors = share * rules.hidden_px * of_side
+        else:
+            lines1 = epipolar_lines_1(residuals.F, residuals.p2_px)
+            lines2 = epipolar_lines_1(residuals.F.T, residuals.p1_px)
+            slopes1, slopes2 = (np.hypot(lines[:, 0], lines[:, 1]) for lines in (lines1, lines2))
+            outward = (slopes1 - slopes2) / np.hypot(slopes1, slopes2)  # of distances, a pixel
+            wide_px = rules.hidden_width * robust_deviation(residuals.distances_px[~of_body])
+            errors = wide_px * outward[:, None] * (of_side[:, :1] - of_side[:, 1:])
+        if pairs.kinds is not None:
+            errors = np.hstack([errors, of_body[:, None] * self._of_body(residuals)])
+        return np.asarray(pairs.weights[:, None] * errors)
+
+    def _of_body(self, residuals: Residuals) -> Array:
+        """Give the changes (n, 13) by errors of the body's shape, and of when its images are."""
+        rules, v2 = self.rules.tangency, residuals.problem.pairs.v2_px_s
+        bias = np.array([rules.body_slope, rules.body_slope, rules.body_offset])
+        points = residuals.F, residuals.p1_px, residuals.p2_px
+        errors = smooth_errors(*points, self.size_px, bias, self.views.rig)
+        ahead = rules.body_lag_px * v2 / (np.linalg.norm(v2, axis=1)[:, None] + 1e-9)
+        return np.column_stack([errors, sampson_derivative(*points, ahead)])
 
     def _is_near(self, last: Round, factor: float) -> bool:
         """Whether a round's changes are at most `factor` times the last ones."""

@@ -12,7 +12,8 @@ from ssac.network.normal import Solved, knots_for
 from ssac.network.placing import Group, Placed, first_path, grown, place_all, rebased, triangulate
 from ssac.network.state import CameraState, Priors, Sightings, is_near, network_times, with_strays
 from ssac.rules import BodyRules, NetworkRules
-from ssac.track.body import Look, View, body_moves, perspective_shifts, second_moments
+from ssac.track.body import Look, body_moves
+from ssac.track.moments import View, perspective_shifts, second_moments
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -98,6 +98,8 @@ class Answer:
                 "the object makes too few events for windows: it is followed through the noise, and"
                 f" the path stands in place of the events (method {estimate.method})"
             )
+        if estimate.without_body:
+            said.append(f"this is of the outline's tangents alone: {estimate.without_body}")
         if not np.isfinite(estimate.t_d_std_s):
             said.append(
                 f"{estimate.method} states no standard deviation, so nothing says how far off this"

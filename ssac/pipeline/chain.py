@@ -373,6 +373,8 @@ class Chain:
             return method.function(*pair.seen, pair.config)
         views = self._views(pair.seen, pair.rig.unposed, pair.config)
         views = replace(views, rig=pair.rig.unposed)  # which may be less certain
+        if len(self) > 2:  # a network follows a body in all of its cameras together
+            views = replace(views, cleans=None)
         if method.needs_extrinsics:
             views = views.with_pose(pair.rig)
         if not method.starts_from:
@@ -425,7 +427,8 @@ class Chain:
             found = clean(seen, self.rig.cameras[k], how, name)
             if found.clutter is not None:
                 say(f"{name}: {len(found.events)} of {found.n_recorded} events left")
-        return found
+        # What a file has need not be kept.
+        return replace(found, recorded=lambda: self.recorded(k).events)
 
     def _framed(self, k: int, method: Method) -> Observation:
         frames = MEANS if method.takes_means else IMAGES

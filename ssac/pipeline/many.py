@@ -25,12 +25,12 @@ from ssac.network.state import Sightings, sightings
 from ssac.network.tum import write_path
 from ssac.pipeline.answer import Answer, Log, Stopwatch
 from ssac.pipeline.chain import Chain, one_thread
-from ssac.pipeline.object_track import ShapedTrack, shaped_track_of_events, track_of_events
 from ssac.pipeline.opened import NOTHING, Known
 from ssac.pipeline.report import html_of, plain, text_of
 from ssac.points import PointTrack
 from ssac.rules import GroundRules
-from ssac.track.body import LEAST_VIEWS
+from ssac.search.object_track import ShapedTrack, shaped_track_of_events, track_of_events
+from ssac.track.moments import LEAST_VIEWS
 
 
 @dataclass(frozen=True, eq=False, repr=False)

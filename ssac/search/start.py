@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ssac.clock import PPM
 from ssac.config import Config, Interval
@@ -18,7 +19,7 @@ from ssac.rules import AllOffsetsRules
 from ssac.search.all_offsets import AllOffsets, Guess, Progress, search_all_offsets
 from ssac.search.offset_search import too_little_motion
 from ssac.search.two_views import TwoViews
-from ssac.track.clean import Clean
+from ssac.track.clean import Clean, on_clock
 from ssac.track.motion import PointMotion
 
 
@@ -81,13 +82,18 @@ class Start:
         if rate == 1.0:
             return cam2
         events, track, gaps_us = cam2.events, cam2.track, cam2.gaps_us
+        recorded = cam2.recorded
         if track is not None:
             track = replace(track, times_s=anchor_s + (track.times_s - anchor_s) / rate)
         elif len(events):
             events, anchor_us = events.copy(), anchor_s * US_PER_S
-            events["t"] = np.rint(anchor_us + (events["t"] - anchor_us) / rate).astype(np.int64)
-            gaps_us = np.rint(anchor_us + (gaps_us - anchor_us) / rate).astype(np.int64)
-        return replace(cam2, events=events, track=track, gaps_us=gaps_us)
+
+            def seen_us(times_us: NDArray[np.int64]) -> NDArray[np.int64]:
+                return np.asarray(np.rint(anchor_us + (times_us - anchor_us) / rate), np.int64)
+
+            events["t"], gaps_us = seen_us(events["t"]), seen_us(gaps_us)
+            recorded = on_clock(recorded, seen_us)
+        return replace(cam2, events=events, track=track, gaps_us=gaps_us, recorded=recorded)
 
     def as_recorded(self, estimate: Estimate) -> Estimate:
         """Put an estimate on camera 2's own clock.

@@ -75,6 +75,7 @@ class TwoViews:
     pose_is_known: bool = False  # the rig's extrinsics hold: only the offset is in question
     clock: Clock = field(default_factory=Clock)  # of camera 2, beside the offset that is tried
     alone: Alone = field(default=None, repr=False)  # type: ignore[assignment] # kept while it holds
+    cleans: tuple[Clean, Clean] | None = field(default=None, repr=False)  # of which the motions are
 
     def under(self, clock: Clock) -> "TwoViews":
         """Return the same views with the skew and the strays of a clock, and any offset."""
@@ -195,7 +196,7 @@ def views_of(
     The rig's extrinsics count only where `pose_is_known`: then only the offset is in question.
     """
     motions = motion_of(one, config.windows), motion_of(other, config.windows)
-    return TwoViews(*motions, rig, config, pose_is_known)
+    return TwoViews(*motions, rig, config, pose_is_known, cleans=(one, other))
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,102 +1,35 @@
 """One point of a rigid body in the images of several cameras, in place of its images' centres.
 
 The centre of an image's area is that of no point of the body: parts hide others, and what is nearer
-looks larger, each as the body turns. Perspective alone shifts it by several millimetres for a body
-of half a metre at 5 m: to first order as the body's second moments say, and these are told by its
-images'.
-
-Beyond that, the body's shape and its attitudes are told from all of the images together: voxels
-that are drawn as these are, and the turns by which they are (the same body seen from ever other
-sides, as of Cheung, Baker and Kanade, CVPR 2003). Drawings are then moved until they are as the
-images, and by so much is the body's origin off where it was thought to be.
+looks larger, each as the body turns (`ssac.track.moments` takes away what perspective alone does).
+The body's shape and its attitudes are told from all of the images together: voxels that are drawn
+as these are, and the turns by which they are (the same body seen from ever other sides, as of
+Cheung, Baker and Kanade, CVPR 2003). Drawings are then moved until they are as the images, and by
+so much is the body's origin off where it was thought to be.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation, Slerp
 
 from ssac.rules import BodyRules
 from ssac.track.body_kernels import (
     Drawn,
+    Seen,
     Voxels,
     aligned,
     improved,
     registered,
     seen_shares,
 )
+from ssac.track.moments import LEAST_VIEWS
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 Indices = NDArray[np.int64]
-
-LEAST_VIEWS = 3
-"""Cameras that tell all second moments: two have one of theirs in common."""
-
-
-@dataclass(frozen=True, eq=False)
-class View:
-    """One camera's, at n times."""
-
-    R: Array  # (3, 3) x = R X + t
-    focal_px: Array  # (2,)
-    points: Array  # (n, 3) of the object, in the camera's frame
-    spreads_px2: Array  # (n, 3) second moments xx, xy and yy of its image; NaN: not known
-
-    def by_point(self) -> Array:
-        """Give the derivatives (n, 2, 3) of the image by the object's place, X."""
-        depths = self.points[:, 2]
-        by_local = np.zeros((len(depths), 2, 3))
-        for axis in (0, 1):
-            by_local[:, axis, axis] = self.focal_px[axis] / depths
-            by_local[:, axis, 2] = -self.focal_px[axis] * self.points[:, axis] / depths**2
-        return np.asarray(by_local @ self.R)
-
-
-def second_moments(views: list[View], smoothing: float) -> Array:
-    """Find the object's second moments (n, 3, 3) in X at n even times, smoothed over some of them.
-
-    NaN where too few views tell them.
-    """
-    n = len(views[0].points)
-    normal, right = np.zeros((n, 6, 6)), np.zeros((n, 6))
-    counts = np.zeros(n)
-    for view in views:
-        seen = np.isfinite(view.spreads_px2).all(axis=1) & (view.points[:, 2] > 0.0)
-        counts += seen
-        J = np.where(seen[:, None, None], view.by_point(), 0.0)
-        spreads = np.where(seen[:, None], view.spreads_px2, 0.0)
-        for spread, (i, j) in zip(spreads.T, ((0, 0), (0, 1), (1, 1)), strict=True):
-            a, b = J[:, i], J[:, j]
-            mixed = [a[:, p] * b[:, q] + a[:, q] * b[:, p] for p, q in ((0, 1), (0, 2), (1, 2))]
-            row = np.column_stack([a * b, *mixed])
-            normal += row[:, :, None] * row[:, None, :]
-            right += row * spread[:, None]
-    enough = counts >= LEAST_VIEWS
-    scales = np.trace(normal, axis1=1, axis2=2) + 1e-300
-    # A ridge, as views from nearly one direction leave depth open.
-    normal += (1e-9 * scales + np.where(enough, 0.0, 1.0))[:, None, None] * np.eye(6)
-    found = np.linalg.solve(normal, right[..., None])[..., 0] * enough[:, None]
-    weights = gaussian_filter1d(enough.astype(np.float64), smoothing, truncate=3.0)
-    smooth = gaussian_filter1d(found, smoothing, axis=0, truncate=3.0)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        smooth = np.where(weights[:, None] > 1e-6, smooth / weights[:, None], np.nan)
-    places = [[0, 3, 4], [3, 1, 5], [4, 5, 2]]
-    return np.asarray(smooth[:, places])
-
-
-def perspective_shifts(view: View, moments: Array, depth_power: float) -> Array:
-    """Give the centre of the image's area less the image of the object's centre (n, 2) [px].
-
-    The moments (n, 3, 3) are in X; shifts are NaN where these are.
-    """
-    local = view.R @ moments @ view.R.T
-    depths = view.points[:, 2:]
-    towards = local[:, :2, 2] - view.points[:, :2] / depths * local[:, 2, 2][:, None]
-    return np.asarray(-depth_power * view.focal_px * towards / depths**2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,6 +42,22 @@ class Look:
     points: Array  # (n, 3) where the body is thought to be, in the camera's frame
     shares: NDArray[np.float32]  # (n, w, w) of pixels that are covered
     corners_px: Array  # (n, 2) of the first pixel of each, from the principal point; NaN: no image
+
+    @property
+    def px_per_length(self) -> float:
+        """How many pixels a unit of length has in the image, in the median."""
+        return float(np.median(self.focal_px[0] / self.points[:, 2]))
+
+    def coarser(self, factor: int) -> "Look":
+        """Give the same with pixels of so many times the width."""
+        if factor == 1:
+            return self
+        beyond = -self.shares.shape[1] % factor
+        shares = np.pad(self.shares, ((0, 0), (0, beyond), (0, beyond)))
+        n, width = len(shares), shares.shape[1] // factor
+        shares = shares.reshape(n, width, factor, width, factor).mean(axis=(2, 4))
+        corners = (self.corners_px + 0.5 * (factor - 1)) / factor
+        return replace(self, focal_px=self.focal_px / factor, shares=shares, corners_px=corners)
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,11 +72,18 @@ class _Instants:
     views: Array  # (c, 3, 3)
     focals_px: Array  # (c, 2)
 
-    def at(self, i: int) -> Drawn:
-        """Give what `registered` takes of one instant."""
-        k = self.seen[i]
-        found = self.shares[i, k], self.corners_px[i, k], self.points[i, k]
-        return *found, self.views[k], self.focals_px[k]
+    @property
+    def all(self) -> Seen:
+        """Give what `registered` takes."""
+        images = self.shares, self.corners_px, self.points, self.seen
+        return *images, self.views, self.focals_px
+
+    def of(self, chosen: Indices) -> "_Instants":
+        """Give some of them."""
+        images = self.shares[chosen], self.corners_px[chosen], self.points[chosen]
+        return _Instants(
+            self.times_s[chosen], *images, self.seen[chosen], self.views, self.focals_px
+        )
 
     def flat(self, chosen: Indices, attitudes: Array) -> Drawn:
         """Give what `improved` takes of some instants."""
@@ -147,38 +103,76 @@ def body_moves(
     for each camera (n, 2) [px]: where the origin is less where it was thought to be; NaN where that
     is not known. None where the images are not those of a rigid body, or too few.
     """
-    instants, attitudes, size = _instants(looks, shape_s, moments, rules.step_s)
+    is_told = np.isfinite(moments[:, 0, 0])
+    if not is_told.any():
+        return None
+    size = float(np.sqrt(np.median(np.linalg.eigvalsh(moments[is_told])[:, 2])))
+    factor = max(1, *(round(size * look.px_per_length / rules.full_px) for look in looks))
+    looks = [look.coarser(factor) for look in looks]
+    instants, attitudes = _instants(looks, shape_s, moments, rules.step_s)
     if len(attitudes) < rules.least_instants:
         return None
+    some = _learnt(len(attitudes), rules)
+    body, good, found = _learned(instants.of(some), attitudes[some], size, rules)
+    known_s, times_s = instants.times_s[some[good]], instants.times_s
+    between = Slerp(known_s, Rotation.from_matrix(found))
+    attitudes = between(np.clip(times_s, known_s[0], known_s[-1])).as_matrix()
+    every = np.arange(len(attitudes))
+    attitudes, costs = registered(body, instants.all, every, attitudes, rules.last_alignments)
+    attitudes, costs = _taken_over(body, instants, attitudes, costs, rules)
+    good = np.flatnonzero(costs <= rules.outlier * np.median(costs))
+    if np.median(costs) > rules.max_left or len(good) < rules.least_instants:
+        return None
+    return [factor * _moves(body, look, times_s[good], attitudes[good], rules) for look in looks]
+
+
+def _learnt(n: int, rules: BodyRules) -> Indices:
+    """Choose of n instants those that tell the shape: of many every other, of more the middle."""
+    chosen = np.arange(
+        0, n, rules.learnt_steps * (1 + (n > rules.learnt_steps * rules.most_learnt))
+    )
+    beyond = max(len(chosen) - rules.most_learnt, 0) // 2
+    return np.asarray(chosen[beyond : len(chosen) - beyond], np.int64)
+
+
+def _learned(
+    instants: _Instants, attitudes: Array, size: float, rules: BodyRules
+) -> tuple[Voxels, Indices, Array]:
+    """Find a body's shape; at which of the instants (k,) it is as seen; its attitudes then."""
     step = size * rules.reach_sizes / rules.voxels_across
     body: Voxels = np.empty((0, 3)), np.empty(0), step
-    chosen: Indices = np.arange(len(attitudes), dtype=np.int64)
-    costs: Array = np.empty(0)
-    for share, steps in zip((*rules.carved_shares, None), rules.fit_steps, strict=True):
-        few = chosen[:: 1 + len(chosen) // rules.most_instants]
-        flat = instants.flat(few, attitudes)
-        if share is not None:
-            body = _carved(step, size, flat, share, rules)
-        for _ in range(steps):
+    every: Indices = np.arange(len(attitudes), dtype=np.int64)
+    good = every
+    left, is_last = np.inf, False
+    for number in range(rules.max_rounds):
+        is_last |= number == rules.max_rounds - 1
+        flat = instants.flat(good[:: 1 + len(good) // rules.most_fitted], attitudes)
+        if number < len(rules.carved_shares) and not is_last:
+            body = _carved(step, size, flat, rules.carved_shares[number], rules)
+        for _ in range(rules.last_fit_steps if is_last else rules.fit_steps):
             densities = improved(body, flat)
             kept = densities > rules.least_depth
             body = body[0][kept], densities[kept], step
-        found = [_turned(body, instants, i, one, rules) for i, one in enumerate(attitudes)]
-        attitudes = np.array([attitude for attitude, _ in found])
-        costs = np.array([cost for _, cost in found])
-        if share is not None:
+        attitudes, costs = registered(body, instants.all, every, attitudes, rules.alignments)
+        if not is_last:
+            ill = costs > (rules.ill * np.median(costs) if number else -np.inf)
+            if number < rules.yaw_rounds:
+                attitudes, costs = _yawed(body, instants, attitudes, costs, ill, rules)
             attitudes, costs = _taken_over(body, instants, attitudes, costs, rules)
-        chosen = np.flatnonzero(costs <= rules.outlier * np.median(costs)).astype(np.int64)
-    if np.median(costs) > rules.max_left or len(chosen) < rules.least_instants:
-        return None
-    times_s = instants.times_s[chosen]
-    return [_moves(body, look, times_s, attitudes[chosen], rules) for look in looks]
+        before, left = left, float(np.median(costs))
+        good = np.flatnonzero(costs <= rules.outlier * left).astype(np.int64)
+        if is_last:
+            break
+        is_good = left < rules.good and np.mean(costs < 2.0 * left) > rules.good_share
+        is_done = left < rules.fair and left > rules.settled * before
+        is_last = number >= rules.least_rounds and bool(is_good or is_done)
+    return body, good, attitudes[good]
 
 
 def _instants(
     looks: list[Look], shape_s: Array, moments: Array, step_s: float
-) -> tuple[_Instants, Array, float]:
-    """Gather what is seen at even instants; give attitudes to begin with, and the body's size.
+) -> tuple[_Instants, Array]:
+    """Gather what is seen at even instants; give attitudes to begin with.
 
     Its axes are those of the second moments: which of two is the longer, and which way each points,
     is told later, by its neighbours.
@@ -200,18 +194,16 @@ def _instants(
         w = look.shares.shape[1]
         shares[own, k, :w, :w] = look.shares[at[own]]
         corners[own, k], points[own, k] = look.corners_px[at[own]], look.points[at[own]]
-    good = (seen.sum(axis=1) >= LEAST_VIEWS) & np.isfinite(moments[:, 0, 0])
+    good = (seen.sum(axis=1) >= min(LEAST_VIEWS, c)) & np.isfinite(moments[:, 0, 0])
     views = np.array([look.R for look in looks])
     focals = np.array([look.focal_px for look in looks])
     kept = shares[good], corners[good], points[good], seen[good]
-    values, axes = np.linalg.eigh(moments[good])
-    axes = axes[:, :, ::-1].copy()
+    axes = np.linalg.eigh(moments[good])[1][:, :, ::-1].copy()
     for i in range(len(axes)):
         if i:
             axes[i] *= np.where(np.sum(axes[i] * axes[i - 1], axis=0) < 0.0, -1.0, 1.0)
         axes[i, :, 1] = np.cross(axes[i, :, 2], axes[i, :, 0])
-    size = float(np.sqrt(np.median(values[:, 2]))) if len(values) else 0.0
-    return _Instants(times_s[good], *kept, views, focals), axes, size
+    return _Instants(times_s[good], *kept, views, focals), axes
 
 
 def _carved(step: float, size: float, flat: Drawn, share: float, rules: BodyRules) -> Voxels:
@@ -224,6 +216,20 @@ def _carved(step: float, size: float, flat: Drawn, share: float, rules: BodyRule
     return voxels, np.full(len(voxels), 0.5), step
 
 
+def _yawed(
+    body: Voxels, instants: _Instants, attitudes: Array, costs: Array, ill: Mask, rules: BodyRules
+) -> tuple[Array, Array]:
+    """Try turns about the least axis, which second moments tell less well than the axis itself."""
+    attitudes, costs, places = attitudes.copy(), costs.copy(), np.flatnonzero(ill)
+    yaws = Rotation.from_rotvec(np.outer(np.deg2rad(rules.yaws_deg), [0.0, 0.0, 1.0])).as_matrix()
+    start = attitudes[places]
+    for yaw in yaws:
+        found, left = registered(body, instants.all, places, start @ yaw, rules.alignments)
+        better = left < rules.better * costs[places]
+        attitudes[places[better]], costs[places[better]] = found[better], left[better]
+    return attitudes, costs
+
+
 def _taken_over(
     body: Voxels, instants: _Instants, attitudes: Array, costs: Array, rules: BodyRules
 ) -> tuple[Array, Array]:
@@ -233,18 +239,11 @@ def _taken_over(
     for order, off in ((range(1, n), -1), (range(n - 2, -1, -1), 1)):
         for i in order:
             if costs[i] > costs[i + off]:
-                attitude, cost = _turned(body, instants, i, attitudes[i + off], rules)
-                if cost < rules.better * costs[i]:
-                    attitudes[i], costs[i] = attitude, cost
+                start, place = attitudes[i + off : i + off + 1], np.array([i])
+                found, left = registered(body, instants.all, place, start, rules.alignments)
+                if left[0] < rules.better * costs[i]:
+                    attitudes[i], costs[i] = found[0], left[0]
     return attitudes, costs
-
-
-def _turned(
-    body: Voxels, instants: _Instants, i: int, attitude: Array, rules: BodyRules
-) -> tuple[Array, float]:
-    """Turn the body at an instant; give its attitude, and what is left of the images."""
-    attitude, _, cost = registered(body, instants.at(i), attitude, True, rules.alignments)
-    return attitude, float(cost)
 
 
 def _moves(body: Voxels, look: Look, times_s: Array, attitudes: Array, rules: BodyRules) -> Array:

@@ -4,11 +4,14 @@ A voxel darkens the pixels it is before; what shines through all of them is not 
 depths are summed on pixels of half the size, shares are their means.
 """
 
+from typing import Any
+
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
 Images = NDArray[np.float32]
 Voxels = tuple[Array, Array, float]
 """Voxels (m, 3) in the body's frame, their optical depths (m,) and their width."""
@@ -18,6 +21,11 @@ Drawn = tuple[Images, Array, Array, Array, Array]
 the principal point (n, 2) [px], the body's origin in the cameras' frames (n, 3), its axes there, or
 what turns the axes' frame to the cameras' (n, 3, 3), and focal lengths (n, 2) [px]."""
 
+Seen = tuple[NDArray[np.float32], Array, Array, NDArray[np.bool_], Array, Array]
+"""What c cameras saw at n instants: shares (n, c, w, w), where their first pixels are (n, c, 2) and
+the body's origin is (n, c, 3), which there are (n, c); what turns the axes' frame to the cameras'
+(c, 3, 3), and focal lengths (c, 2)."""
+
 View = tuple[Array, Array, Array, Array]
 """Of one image the same but for the image itself, and the body's axes first: as a camera has it."""
 
@@ -25,6 +33,8 @@ FINE = 2
 """Pixels of a drawing across one of the image."""
 
 _NONE = 1e-9
+_LEAST_CURVATURE = 1e-6
+_MOST_TURN_RAD, _MOST_MOVE_PX = 0.15, 1.0  # of one round
 
 
 @numba.njit(cache=True)
@@ -56,15 +66,15 @@ def improved(body: Voxels, drawn: Drawn) -> Array:
     seen, shown = np.full(m, _NONE), np.full(m, _NONE)
     for i in range(len(images)):
         view = turns[i], points[i], focals[i], corners[i]
-        _draw(depths, body, view)
-        for y in range(width):
-            for x in range(width):
+        top, bottom, left, right = _draw(depths, body, view)
+        for y in range(top, bottom):
+            for x in range(left, right):
                 share = _share_of(depths, y, x)
                 for row in range(FINE * y, FINE * y + FINE):
                     for col in range(FINE * x, FINE * x + FINE):
-                        through = np.exp(-depths[row, col])
-                        by_image[row, col] = through * images[i, y, x]
-                        by_drawn[row, col] = through * share
+                        by_image[row, col] = depths[row, col] * images[i, y, x]
+                        by_drawn[row, col] = depths[row, col] * share
+                        depths[row, col] = 0.0
         for j in range(m):
             b, a, q, p, _ = _placed(voxels[j], view, FINE, fine)
             if b < 0:
@@ -82,74 +92,42 @@ def improved(body: Voxels, drawn: Drawn) -> Array:
 
 @numba.njit(cache=True)
 def registered(
-    body: Voxels, drawn: Drawn, attitude: Array, turning: bool, rounds: int
-) -> tuple[Array, Array, float]:
-    """Turn the body, and move each of its drawings, until they are as c images of one instant.
+    body: Voxels, seen: Seen, places: Indices, attitudes: Array, rounds: int
+) -> tuple[Array, Array]:
+    """Turn the body at m instants, and move each of its drawings, until they are as their images.
 
-    By rounds of least squares from an attitude (3, 3) on, its axes in the frame that `drawn` turns
-    to the cameras'; without turning, drawings are only moved. Gives the attitude; how far the
-    drawings were moved (c, 2) [px]; which share of the images was left, as squares, before the last
-    round's step.
+    By rounds of least squares from attitudes (m, 3, 3) on, at places (m,) among the instants. Gives
+    the attitudes, and which share of the images was left (m,), as squares, before the last step.
     """
-    images, corners, points, views, focals = drawn
-    turn_rad, move_px = 0.02, 0.1  # steps of the derivatives
-    most_turn_rad, most_move_px = 0.15, 1.0  # of one round
-    c, width = len(images), images.shape[1]
-    moves, cost, whole = np.zeros((c, 2)), 0.0, _NONE
-    depths = np.zeros((FINE * width, FINE * width))
-    shares = np.zeros((6, width, width))
-    for _ in range(rounds):
-        cost, whole = 0.0, _NONE
-        normal, right = np.eye(3), np.zeros(3)  # a prior: 1 rad as 1 px^2 of an image
-        own = np.zeros((c, 2, 2))
-        mixed = np.zeros((c, 2, 3))
-        left = np.zeros((c, 2))
-        for k in range(c):
-            corner = corners[k] - moves[k]
-            for changed in range(6):
-                if 1 <= changed <= 3 and not turning:
+    images, corners, points, is_seen, views, focals = seen
+    m, c, width = len(places), images.shape[1], images.shape[2]
+    found, costs = attitudes.copy(), np.zeros(m)
+    work = _work(width)
+    for i in range(m):
+        at = places[i]
+        moves = np.zeros((c, 2))
+        for _ in range(rounds):
+            cost, whole = 0.0, _NONE
+            normal, right = np.eye(3), np.zeros(3)  # a prior: 1 rad as 1 px^2 of an image
+            own, mixed, left = np.zeros((c, 2, 2)), np.zeros((c, 2, 3)), np.zeros((c, 2))
+            for k in range(c):
+                if not is_seen[at, k]:
                     continue
-                axes, off = attitude, corner.copy()
-                if 1 <= changed <= 3:
-                    small = np.zeros(3)
-                    small[changed - 1] = turn_rad
-                    axes = attitude @ _turned(small)
-                elif changed:
-                    off[changed - 4] -= move_px
-                _draw(depths, body, (views[k] @ axes, points[k], focals[k], off))
-                for y in range(width):
-                    for x in range(width):
-                        shares[changed, y, x] = _share_of(depths, y, x)
-            by = np.zeros(5)
-            J, r = np.zeros((5, 5)), np.zeros(5)
-            for y in range(width):
-                for x in range(width):
-                    share = shares[0, y, x]
-                    off_share = images[k, y, x] - share
-                    cost += off_share**2
-                    whole += images[k, y, x] ** 2
-                    if share == 0.0:
-                        continue
-                    for a in range(3):
-                        by[a] = (shares[a + 1, y, x] - share) / turn_rad if turning else 0.0
-                    for a in range(2):
-                        by[3 + a] = (shares[a + 4, y, x] - share) / move_px
-                    for a in range(5):
-                        r[a] += by[a] * off_share
-                        for b in range(5):
-                            J[a, b] += by[a] * by[b]
-            own[k] = np.linalg.inv(J[3:, 3:] + 1e-6 * np.eye(2))
-            mixed[k] = J[3:, :3]
-            left[k] = r[3:]
-            normal += J[:3, :3] - mixed[k].T @ own[k] @ mixed[k]
-            right += r[:3] - mixed[k].T @ own[k] @ left[k]
-        turn = np.linalg.solve(normal, right) if turning else np.zeros(3)
-        turn *= min(1.0, most_turn_rad / (np.sqrt(np.sum(turn**2)) + _NONE))
-        for k in range(c):
-            move = own[k] @ (left[k] - mixed[k] @ turn)
-            moves[k] += move * min(1.0, most_move_px / (np.sqrt(np.sum(move**2)) + _NONE))
-        attitude = attitude @ _turned(turn)
-    return attitude, moves, cost / whole
+                corner = corners[at, k] - moves[k]
+                view = views[k] @ found[i], points[at, k], focals[k], corner
+                J, r, squares, all_squares = _normal(work, body, view, images[at, k], 0)
+                cost, whole = cost + squares, whole + all_squares
+                own[k] = np.linalg.inv(J[3:, 3:] + _LEAST_CURVATURE * np.eye(2))
+                mixed[k] = J[3:, :3]
+                left[k] = r[3:]
+                normal += J[:3, :3] - mixed[k].T @ own[k] @ mixed[k]
+                right += r[:3] - mixed[k].T @ own[k] @ left[k]
+            turn = _within(np.linalg.solve(normal, right), _MOST_TURN_RAD)
+            for k in range(c):
+                moves[k] += _within(own[k] @ (left[k] - mixed[k] @ turn), _MOST_MOVE_PX)
+            found[i] = found[i] @ _turned(turn)
+            costs[i] = cost / whole
+    return found, costs
 
 
 @numba.njit(cache=True)
@@ -158,13 +136,72 @@ def aligned(body: Voxels, drawn: Drawn, rounds: int) -> tuple[Array, Array]:
     images, corners, points, turns, focals = drawn
     n = len(images)
     moves, costs = np.zeros((n, 2)), np.zeros(n)
-    view = np.eye(3).reshape(1, 3, 3)
+    work = _work(images.shape[1])
     for i in range(n):
-        k = slice(i, i + 1)
-        one = images[k], corners[k], points[k], view, focals[k]
-        _, move, costs[i] = registered(body, one, turns[i], False, rounds)
-        moves[i] = move[0]
+        for _ in range(rounds):
+            view = turns[i], points[i], focals[i], corners[i] - moves[i]
+            J, r, squares, all_squares = _normal(work, body, view, images[i], 3)
+            step = np.linalg.solve(J[3:, 3:] + _LEAST_CURVATURE * np.eye(2), r[3:])
+            moves[i] += _within(step, _MOST_MOVE_PX)
+            costs[i] = squares / (all_squares + _NONE)
     return moves, costs
+
+
+@numba.njit(cache=True)
+def _work(width: int) -> tuple[Array, Array]:
+    """Give room for depths, and for how they change by three turns and two moves; all zero."""
+    fine = FINE * width
+    return np.zeros((fine, fine)), np.zeros((fine, fine, 5))
+
+
+@numba.njit(cache=True)
+def _within(step: NDArray[Any], most: float) -> Array:
+    """Shorten a step that is too long."""
+    return np.asarray(step * min(1.0, most / (np.sqrt(np.sum(step**2)) + _NONE)))
+
+
+@numba.njit(cache=True)
+def _normal(
+    work: tuple[Array, Array], body: Voxels, view: View, image: NDArray[np.float32], first: int
+) -> tuple[Array, Array, float, float]:
+    """Give the normal equations of turns and moves, from `first` on: (5, 5) and (5,).
+
+    Then the squares of what is left of the image, and of all of it. Turns are about the body's
+    axes. The room for work is all zero again.
+    """
+    depths, slopes = work
+    top, bottom, left, right = _draw_sloped(depths, slopes, body, view, first)
+    by, J, r = np.zeros(5), np.zeros((5, 5)), np.zeros(5)
+    whole = 0.0
+    for y in range(len(image)):
+        for x in range(len(image)):
+            whole += image[y, x] ** 2
+    cost = whole
+    for y in range(top, bottom):
+        for x in range(left, right):
+            share = 0.0
+            by[:] = 0.0
+            for row in range(FINE * y, FINE * y + FINE):
+                for col in range(FINE * x, FINE * x + FINE):
+                    if depths[row, col] > 0.0:
+                        through = np.exp(-depths[row, col])
+                        share += (1.0 - through) / FINE**2
+                        for a in range(first, 5):
+                            by[a] += through * slopes[row, col, a] / FINE**2
+                        depths[row, col] = 0.0
+                        slopes[row, col] = 0.0
+            off = image[y, x] - share
+            cost += off**2 - image[y, x] ** 2
+            if share == 0.0:
+                continue
+            for a in range(first, 5):
+                r[a] += by[a] * off
+                for b in range(first, a + 1):
+                    J[a, b] += by[a] * by[b]
+    for a in range(first, 5):
+        for b in range(first, a):
+            J[b, a] = J[a, b]
+    return J, r, cost, whole
 
 
 @numba.njit(cache=True)
@@ -188,30 +225,106 @@ def _placed(
 
 
 @numba.njit(cache=True)
-def _draw(depths: Array, body: Voxels, view: View) -> None:
-    """Sum up optical depths (FINE w, FINE w), in place."""
+def _draw(depths: Array, body: Voxels, view: View) -> tuple[int, int, int, int]:
+    """Add optical depths (FINE w, FINE w), in place; give the first and past the last pixels."""
     voxels, densities, step = body
-    depths[:] = 0.0
+    bounds = _no_bounds(len(depths))
     area = (FINE * step) ** 2 * view[2][0] * view[2][1]
     for j in range(len(voxels)):
         b, a, q, p, z = _placed(voxels[j], view, FINE, len(depths))
         if b < 0:
             continue
+        bounds = _widened(bounds, b, a)
         depth = densities[j] * area / z**2
         depths[b, a] += depth * (1.0 - p) * (1.0 - q)
         depths[b, a + 1] += depth * p * (1.0 - q)
         depths[b + 1, a] += depth * (1.0 - p) * q
         depths[b + 1, a + 1] += depth * p * q
+    return _of_pixels(bounds)
+
+
+@numba.njit(cache=True)
+def _draw_sloped(
+    depths: Array, slopes: Array, body: Voxels, view: View, first: int
+) -> tuple[int, int, int, int]:
+    """Add optical depths and, from `first` on, how they change, as `_draw` does.
+
+    Slopes (FINE w, FINE w, 5) are by turns [rad] about the body's axes and by moves [px].
+    """
+    voxels, densities, step = body
+    turn, focal = view[0], view[2]
+    area = (FINE * step) ** 2 * focal[0] * focal[1]
+    bounds = _no_bounds(len(depths))
+    by_u, by_v = np.zeros(5), np.zeros(5)
+    by_u[3], by_v[4] = FINE, FINE
+    for j in range(len(voxels)):
+        b, a, q, p, z = _placed(voxels[j], view, FINE, len(depths))
+        if b < 0:
+            continue
+        bounds = _widened(bounds, b, a)
+        depth = densities[j] * area / z**2
+        if first == 0:
+            x, y, h = voxels[j]
+            # What is there less the origin of the image's rays, over the depth.
+            u = ((a + p - 0.5 * (FINE - 1)) / FINE + view[3][0]) / focal[0]
+            v = ((b + q - 0.5 * (FINE - 1)) / FINE + view[3][1]) / focal[1]
+            for k in range(3):
+                # The voxel moves by axis x voxel.
+                d0, d1, d2 = 0.0, 0.0, 0.0
+                if k == 0:
+                    d1, d2 = -h, y
+                elif k == 1:
+                    d0, d2 = h, -x
+                else:
+                    d0, d1 = -y, x
+                dx = turn[0, 0] * d0 + turn[0, 1] * d1 + turn[0, 2] * d2
+                dy = turn[1, 0] * d0 + turn[1, 1] * d1 + turn[1, 2] * d2
+                dz = turn[2, 0] * d0 + turn[2, 1] * d1 + turn[2, 2] * d2
+                by_u[k] = FINE * focal[0] * (dx - u * dz) / z
+                by_v[k] = FINE * focal[1] * (dy - v * dz) / z
+        depths[b, a] += depth * (1.0 - p) * (1.0 - q)
+        depths[b, a + 1] += depth * p * (1.0 - q)
+        depths[b + 1, a] += depth * (1.0 - p) * q
+        depths[b + 1, a + 1] += depth * p * q
+        for k in range(first, 5):
+            du, dv = depth * by_u[k], depth * by_v[k]
+            slopes[b, a, k] -= du * (1.0 - q) + dv * (1.0 - p)
+            slopes[b, a + 1, k] += du * (1.0 - q) - dv * p
+            slopes[b + 1, a, k] += dv * (1.0 - p) - du * q
+            slopes[b + 1, a + 1, k] += du * q + dv * p
+    return _of_pixels(bounds)
+
+
+@numba.njit(cache=True)
+def _no_bounds(fine: int) -> tuple[int, int, int, int]:
+    return fine, 0, fine, 0
+
+
+@numba.njit(cache=True)
+def _widened(bounds: tuple[int, int, int, int], row: int, col: int) -> tuple[int, int, int, int]:
+    """Let bounds hold a fine pixel, and the ones right and below."""
+    top, bottom, left, right = bounds
+    return min(top, row), max(bottom, row + 2), min(left, col), max(right, col + 2)
+
+
+@numba.njit(cache=True)
+def _of_pixels(bounds: tuple[int, int, int, int]) -> tuple[int, int, int, int]:
+    """Give the pixels that hold fine ones."""
+    top, bottom, left, right = bounds
+    return top // FINE, -(-bottom // FINE), left // FINE, -(-right // FINE)
 
 
 @numba.njit(cache=True)
 def _share_of(depths: Array, y: int, x: int) -> float:
-    """Give which share of a pixel is covered."""
+    """Give which share of a pixel is covered; depths become what shines through them, in place."""
     share = 0.0
     for row in range(FINE * y, FINE * y + FINE):
         for col in range(FINE * x, FINE * x + FINE):
+            through = 1.0
             if depths[row, col] > 0.0:
-                share += 1.0 - np.exp(-depths[row, col])
+                through = np.exp(-depths[row, col])
+            depths[row, col] = through
+            share += 1.0 - through
     return share / FINE**2
 
 

@@ -3,7 +3,7 @@
 Everything that looks for the object starts from here. Nothing of how it moves is known yet.
 """
 
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -12,13 +12,17 @@ from numpy.typing import NDArray
 
 from ssac.camera import Camera, check_camera, same_camera
 from ssac.config import N_MIN, Cleaning
-from ssac.events import US_PER_S, check_events, no_gaps
+from ssac.events import US_PER_S, check_events, copied, no_gaps
 from ssac.points import check_track
 from ssac.rules import FaintRules, NoiseRules
 from ssac.track.denoise import Clutter, without_noise
 from ssac.track.faint import faint_track
 from ssac.track.observation import Observation
 from ssac.track.thin_line import events_on_line
+
+Times = NDArray[np.int64]
+Recorded = Callable[[], NDArray[np.void]]
+"""Gives all events that a camera recorded, read once more where they come from a file."""
 
 
 @dataclass(frozen=True)
@@ -44,9 +48,15 @@ class Clean(Observation):
     on_line: NDArray[np.bool_] | None = None
     """Which events (n,) lie where a thin line holds the object; None: there is none."""
     used: ObjectsUsed = ObjectsUsed(1, 1.0)
+    recorded: Recorded | None = field(default=None, repr=False, compare=False)
+    """All that the camera recorded, noise among it; None where that left for good."""
     kept: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
     """What was summed up of these events, by what it is: found once, and delayed with them. What
     `replace` makes of this has none."""
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave to a copy what can be found of the events again, and no way to a file."""
+        return {**vars(self), "recorded": None, "kept": {}}
 
     def n_min(self, asked: int | None) -> int:
         """Events that a window holds at least: as asked for, or as denoising found."""
@@ -54,12 +64,32 @@ class Clean(Observation):
             return asked
         return N_MIN if self.clutter is None else self.clutter.n_min
 
+    def all_events(self) -> NDArray[np.void] | None:
+        """Give all events (n,) that the camera recorded; None where the noise left for good."""
+        if not self.denoised:
+            return self.events
+        return None if self.recorded is None else self.recorded()
+
     def delayed(self, t_d_s: float) -> "Clean":
         """As if the camera's clock had shown `t_d_s` [s] more; what was summed up stays so."""
         later, shift_us = super().delayed(t_d_s), round(t_d_s * US_PER_S)
-        later = replace(later, gaps_us=self.gaps_us + shift_us)
+        recorded = on_clock(self.recorded, lambda times_us: times_us + shift_us)
+        later = replace(later, gaps_us=self.gaps_us + shift_us, recorded=recorded)
         later.kept.update({key: value.delayed(shift_us) for key, value in self.kept.items()})
         return later
+
+
+def on_clock(recorded: Recorded | None, shown_us: Callable[[Times], Times]) -> Recorded | None:
+    """Give what gives events, as if the camera's clock had shown other times [us]."""
+    if recorded is None:
+        return None
+
+    def shown() -> NDArray[np.void]:
+        events = copied(recorded())
+        events["t"] = shown_us(events["t"])
+        return events
+
+    return shown
 
 
 def clean(seen: Observation, camera: Camera, how: Cleaning, name: str = "camera") -> Clean:
@@ -78,7 +108,8 @@ def clean(seen: Observation, camera: Camera, how: Cleaning, name: str = "camera"
     events, size = seen.events, (camera.width, camera.height)
     left, clutter = without_noise(events, *size, how.n_neighbours, how.noise)
     on_line = events_on_line(events, left, *size, how.line)
-    return replace(seen, events=left, denoised=True, clutter=clutter, on_line=on_line)
+    left_by = replace(seen, events=left, denoised=True, clutter=clutter, on_line=on_line)
+    return replace(left_by, recorded=lambda: events)
 
 
 def followed(

@@ -215,10 +215,15 @@ def _image_sums(
     # The first event of each stay in the box is found from the one of the stay before.
     following = np.full(m, NONE, np.int32)
     coming = np.full(shape, NONE, np.int32)
+    never_us = np.iinfo(np.int64).max // 2
+    coming_us = np.full(shape, never_us, np.int64)  # its time
+    coming_level = np.zeros(shape, np.int32)
     for e in range(m - 1, -1, -1):
         following[e] = coming[y[e], x[e]]
         if before[e] == NONE:
             coming[y[e], x[e]] = e
+            coming_us[y[e], x[e]] = times_us[e]
+            coming_level[y[e], x[e]] = abs(levels[e])
     whole = 1.0 - np.exp(-curvature)
     size = images.shape[1]
     e = 0
@@ -227,7 +232,12 @@ def _image_sums(
         time_us = samples_us[i]
         while e < m and times_us[e] <= time_us:
             last[y[e], x[e]] = e
-            coming[y[e], x[e]] = following[e]
+            following_e = following[e]
+            if coming[y[e], x[e]] != following_e:
+                coming[y[e], x[e]] = following_e
+                is_none = following_e == NONE
+                coming_us[y[e], x[e]] = never_us if is_none else times_us[following_e]
+                coming_level[y[e], x[e]] = 0 if is_none else abs(levels[following_e])
             e += 1
         area, sum_x, sum_y, sum_xx, sum_xy, sum_yy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for row in range(top, bottom + 1):
@@ -240,6 +250,10 @@ def _image_sums(
                 inside[row, col] = i
                 sums[i, 6] += not seen_bare[row, col]
                 a = last[row, col]
+                if a == NONE:
+                    ahead_us = float(coming_us[row, col] - time_us)
+                    if ahead_us >= max(ramps_us[i] * coming_level[row, col], 1.0):
+                        continue  # the next event does not yet show
                 b = after[a] if a != NONE else coming[row, col]
                 level = _level_at(time_us, a, b, times_us, levels, before, after, ramps_us[i])
                 if level <= 0.0:

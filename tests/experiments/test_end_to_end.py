@@ -17,9 +17,9 @@ from experiments.lab.score import score
 from sim.recording import SimConfig, simulate
 from sim.render.config import SamplingConfig
 from sim.scene.trajectory import SplineConfig
-from sim.sensor.events import PRESETS
+from sim.sensor.events import PRESETS, SensorConfig
 from sim.sensor.frames import FrameConfig
-from ssac import joint, joint_known, ssac, ssac_known
+from ssac import joint, joint_known, ssac, ssac_known, tangency
 from ssac.config import Config
 from ssac.pipeline.api import usable_events
 from ssac.track.observation import Observation
@@ -86,3 +86,16 @@ def test_distortion(model, coefficients):
     ideal = replace(rig.cam1, distortion_model="none", distortion_coeffs=())
     ignored = ssac(*cameras, replace(rig, cam1=ideal, cam2=ideal), CLEAN)
     assert ignored.d_avg_px > ssac(*cameras, rig, CLEAN).d_avg_px
+
+
+def test_a_rigid_body_joins_the_tangents_where_noise_leaves_outlines_closed():
+    estimates = []
+    for sensor in (SensorConfig(), PRESETS["davis346"]):
+        recording = simulate(replace(SHORT, sensor=sensor), seed=1)
+        cameras, rig = observations(recording), rig_of(recording)
+        estimates.append(tangency(*cameras, rig))
+        assert_close(estimates[-1], recording.truth, SHORT.t_d_s)
+    joined, alone = estimates
+    assert joined.without_body == ""
+    assert "does not close" in alone.without_body
+    assert joined.t_d_std_s < alone.t_d_std_s

@@ -15,11 +15,11 @@ from ssac.files.event_files import load_events
 from ssac.files.hdf5 import save_events_h5
 from ssac.files.rigs import load_rig
 from ssac.files.track_files import load_track, save_track
-from ssac.pipeline.object_track import track_of_events
 from ssac.pipeline.registry import choose_method
 from ssac.pipeline.report import report_text
 from ssac.points import PointTrack
 from ssac.rules import Rules, TrackRules
+from ssac.search.object_track import track_of_events
 from ssac.track.clean import clean
 from ssac.track.observation import Observation
 from tests.recorded import T_D_S

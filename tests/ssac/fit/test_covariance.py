@@ -62,13 +62,19 @@ def gapped_series(rng):
     return np.concatenate(parts), np.repeat([0, 1], [len(part) for part in parts])
 
 
-def test_it_is_the_dense_estimator():
+@pytest.mark.parametrize("are_alike", [True, False])
+def test_it_is_the_dense_estimator(are_alike):
     rng = np.random.default_rng(0)
     times_s, series = gapped_series(rng)
     n, p = len(times_s), 4
+    kinds = np.zeros(n, np.int64) if are_alike else series
     jacobian, curvatures = waves(times_s, p, rng), rng.uniform(0.5, 1.0, n)
-    kernels = [correlation(times_s, series, time_s) for time_s in (0.0, *RULES.fading_s)]
-    noise = np.linalg.cholesky(kernels[0] + 2.0 * kernels[2]) @ rng.normal(size=n)
+    kernels = [
+        correlation(times_s, series, time_s) * (kinds == kind)
+        for kind in range(1 + kinds.max())
+        for time_s in (0.0, *RULES.fading_s)
+    ]
+    noise = np.linalg.cholesky(kernels[0] + 2.0 * kernels[2] + kernels[-1]) @ rng.normal(size=n)
     M = np.eye(n) - jacobian @ np.linalg.pinv(jacobian)
     slopes = M @ noise
     A = np.array([[np.trace(k @ M @ m @ M) for m in kernels] for k in kernels])
@@ -77,10 +83,13 @@ def test_it_is_the_dense_estimator():
     amounts = nnls(A / np.outer(scales, scales), forms / scales)[0] / scales
     gamma = sum(a * k for a, k in zip(amounts, kernels, strict=True))
     bread = np.linalg.inv(jacobian.T @ (curvatures[:, None] * jacobian))
-    independent = n**2 * np.sum(amounts) / np.sum(gamma)
+    independent = sum(
+        np.sum(own) ** 2 * np.sum(amounts.reshape(-1, 4)[kind]) / np.sum(gamma[own][:, own])
+        for kind, own in ((kind, kinds == kind) for kind in range(1 + kinds.max()))
+    )
     widening = student.ppf(0.975, independent - p) / 1.96
     expected = widening**2 * bread @ jacobian.T @ gamma @ jacobian @ bread
-    found = covariance_of(times_s, jacobian, slopes, curvatures)
+    found = covariance_of(times_s, jacobian, slopes, curvatures, kinds=kinds)
     found, expected = found[1:, 1:], expected[1:, 1:]  # without what series have in common
     # The prior of 1e3 per parameter, and rounding.
     np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-6 * np.abs(expected).max())

@@ -8,7 +8,8 @@ import pytest
 
 from ssac.fit.least_squares import Parameters, Problem, linearise, moved, solve
 from ssac.geometry.epipolar import cross_matrix, fundamental_from_pose, sampson_distance
-from ssac.methods.joint import _hidden_errors, refine, sharp_pairs
+from ssac.methods.joint import refine, sharp_pairs
+from ssac.methods.refinement import smooth_errors
 from ssac.rules import FitRules, JointRules
 from tests.ssac.methods.white import T_D_S, truth_of, white_views
 from tests.ssac.synthetic import OTHER, K, angle_deg, make_scene, rotation_angle_deg, track_pair
@@ -108,7 +109,7 @@ def test_hidden_errors_are_what_a_bias_of_a_view_does(view, part):
     K1, K2 = scene.rig.cam1.K, scene.rig.cam2.K
     F = fundamental_from_pose(K1, K2, scene.R, scene.t)
     size_px, bias, step = 8.0, np.array([0.04, 0.03, 0.01]), 1e-5
-    found = _hidden_errors(F, *points, size_px, bias, scene.rig)
+    found = smooth_errors(F, *points, size_px, bias, scene.rig)
     rays = np.column_stack([points[view], np.ones(50)]) @ np.linalg.inv((K1, K2)[view]).T
     for axis in range(2):
         shift = np.outer(size_px * bias[part] * rays[:, part], np.eye(2)[axis])

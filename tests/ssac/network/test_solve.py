@@ -13,7 +13,7 @@ from ssac.network.solve import NetworkAnswer, answer_of, path_at
 from ssac.network.state import BEHIND
 from ssac.points import PointTrack
 from ssac.rules import BodyRules
-from ssac.track.body import View, perspective_shifts
+from ssac.track.moments import View, perspective_shifts
 from tests.ssac.network.flights import CAMERA, RULES, Flight, make_flight, seen_by
 
 MOMENTS_M2 = np.array([[0.5, 0.1, 0.3], [0.1, 0.1, -0.05], [0.3, -0.05, 0.6]])

@@ -135,7 +135,7 @@ def test_clutter_is_told(answer):
 
 def test_a_start_that_is_the_answer_is_called_so(recorded):
     answer = sync(*recorded.pair, recorded / "rig.yaml").answer
-    assert "tangents to the object" in report_text(answer)
+    assert "tangents to the outline" in report_text(answer)
     text = report_text(replace(answer, is_start=True))
     assert "note           the object is too small for an outline" in text
     assert "pairs of positions used, of 400 sample times" in text

@@ -8,67 +8,29 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from ssac.rules import BodyRules
-from ssac.track.body import Look, View, body_moves, perspective_shifts, second_moments
+from ssac.track.body import Look, body_moves
+from ssac.track.moments import View, perspective_shifts, second_moments
+from tests.ssac.balls import BALL_M, BODY_M, attitudes, drawn_at, moments_of
 
 FOCAL_PX, DISTANCE_M, WIDTH = 200.0, 5.0, 45
 ANGLES_DEG = (0.0, 60.0, 120.0, 180.0)
-TIMES_S = np.arange(0.0, 4.0, 0.1)
-FINE = 4  # samples across a pixel
+TIMES_S = np.arange(0.0, 4.0, 0.05)
 RULES = BodyRules()
-
-BODY_M = np.array([
-    [0.30, 0.22, 0.0, 0.06], [0.30, -0.22, 0.0, 0.06], [-0.30, 0.22, 0.0, 0.06],
-    [-0.30, -0.22, 0.0, 0.06], [0.0, 0.0, 0.03, 0.09], [0.12, 0.0, 0.03, 0.06],
-    [0.15, 0.11, 0.0, 0.04], [0.15, -0.11, 0.0, 0.04], [-0.15, 0.11, 0.0, 0.04],
-    [-0.15, -0.11, 0.0, 0.04],
-])  # fmt: skip
-"""Balls: centre and radius. Those in the middle are above the arms, as of a drone."""
-
-BALL_M = np.array([[0.0, 0.0, 0.0, 0.25]])
-
-
-def attitudes(turning_deg_s: float) -> Rotation:
-    """Tilts that come and go, and a slow turn about the upright."""
-    tilt_deg = 15.0 * np.stack([np.sin(1.3 * TIMES_S), np.cos(0.9 * TIMES_S)], axis=1)
-    yaw_deg = 20.0 + turning_deg_s * TIMES_S
-    # y is down in the frame of the first camera.
-    upright = Rotation.from_euler("x", 90.0, degrees=True)
-    turns = np.column_stack([yaw_deg, tilt_deg])
-    return upright * Rotation.from_euler("ZYX", turns, degrees=True)
 
 
 @cache
 def drawn(shape: str) -> tuple[list[Look], np.ndarray, list[np.ndarray]]:
     """What cameras see of it; its second moments; the centres of area less the origin's images."""
-    balls = BODY_M if shape == "body" else BALL_M
-    turns = attitudes(25.0)
-    local = (np.arange(WIDTH * FINE) + 0.5) / FINE - 0.5
-    u, v = np.meshgrid(local, local)
+    body, turns = BODY_M if shape == "body" else BALL_M, attitudes(TIMES_S, 25.0)
     looks, shifts = [], []
     for angle_deg in ANGLES_DEG:
-        R = Rotation.from_euler("y", angle_deg, degrees=True).as_matrix()
-        point = np.array([0.3, -0.2, DISTANCE_M])
-        there = FOCAL_PX * point[:2] / point[2]
-        corner = np.rint(there) - WIDTH // 2
-        shares = np.zeros((len(TIMES_S), WIDTH, WIDTH), np.float32)
-        off = np.zeros((len(TIMES_S), 2))
-        rays = np.stack([(u + corner[0]) / FOCAL_PX, (v + corner[1]) / FOCAL_PX, 0 * u + 1], -1)
-        rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
-        for i, turn in enumerate(turns):
-            centres = turn.apply(balls[:, :3]) @ R.T + point
-            covered = np.zeros(u.shape, np.bool_)
-            for centre, radius in zip(centres, balls[:, 3], strict=True):
-                covered |= centre @ centre - (rays @ centre) ** 2 < radius**2
-            shares[i] = covered.reshape(WIDTH, FINE, WIDTH, FINE).mean(axis=(1, 3))
-            off[i] = np.array([u[covered].mean(), v[covered].mean()]) + corner - there
-        points, corners = np.tile(point, (len(TIMES_S), 1)), np.tile(corner, (len(TIMES_S), 1))
-        looks.append(Look(TIMES_S, R, np.full(2, FOCAL_PX), points, shares, corners))
+        view = Rotation.from_euler("y", angle_deg, degrees=True)
+        points = np.tile([0.3, -0.2, DISTANCE_M], (len(TIMES_S), 1))
+        shares, corners, off, _ = drawn_at(body, view * turns, points, FOCAL_PX, WIDTH)
+        focal_px = np.full(2, FOCAL_PX)
+        looks.append(Look(TIMES_S, view.as_matrix(), focal_px, points, shares, corners))
         shifts.append(off)
-    weights = balls[:, 3] ** 2
-    flat = (balls[:, :3] * weights[:, None]).T @ balls[:, :3] / weights.sum()
-    flat += np.eye(3) * 0.2 * np.sum(weights * balls[:, 3] ** 2) / weights.sum()
-    axes = turns.as_matrix()
-    return looks, axes @ flat @ axes.transpose(0, 2, 1), shifts
+    return looks, moments_of(body, turns), shifts
 
 
 @cache

@@ -1,6 +1,6 @@
 """The track of the object through the events of one camera."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,30 @@ class ShapedTrack:
     """(n, 3) second moments xx, xy, yy of the silhouettes whose centres the points are; NaN where
     one is a mean of events; None where all are."""
     images: Images | None = None  # at each point; None where there are no silhouettes
+
+    def delayed(self, shift_us: int) -> "ShapedTrack":
+        """As if the camera's clock had shown `shift_us` [us] more."""
+        times_s = self.track.times_s + 1e-6 * shift_us
+        return replace(self, track=replace(self.track, times_s=times_s))
+
+
+def shaped_track_of(clean: Clean, config: Config) -> ShapedTrack | None:
+    """Follow a body as `shaped_track_of_events` does, once; None: noise has left for good.
+
+    Points are such a step apart as a body of two views needs. What is found is kept with what is
+    clean.
+    """
+    rules = config.rules
+    seen = replace(rules, track=replace(rules.track, step_s=rules.body.seen_step_s))
+    config = replace(config, rules=seen)
+    key = "shaped", config.windows, seen.track, seen.silhouette
+    if key not in clean.kept:
+        events = clean.all_events()
+        if events is None:
+            return None
+        clean.kept[key] = shaped_track_of_events(clean, events, config)
+    found: ShapedTrack = clean.kept[key]
+    return found
 
 
 def track_of_events(clean: Clean, config: Config) -> PointTrack:

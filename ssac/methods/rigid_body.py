@@ -1,0 +1,148 @@
+"""One point of a rigid body in two views, which pairs as an image of one point does.
+
+Beyond the paper. Tangents of outlines miss thin parts in one view and not in the other. A body of
+voxels that turns as one does not: both views' silhouettes together tell its shape and attitudes
+(`ssac.track.body`), and where it is in each image is told by all of its image. For that it must be
+known roughly where the body is: its place is triangulated with an offset and a pose, and by how
+much its drawings must be moved in each view is what the images say against these.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ssac.errors import SsacError
+from ssac.estimate import Estimate
+from ssac.geometry.pose import depths, rays_of
+from ssac.points import PointTrack
+from ssac.search.object_track import ShapedTrack, shaped_track_of
+from ssac.search.two_views import TwoViews
+from ssac.track.body import Look, body_moves
+from ssac.track.moments import View, moments_of_two
+from ssac.track.motion import PointMotion, point_motion
+from ssac.track.silhouette import Images
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class _Shape:
+    """What silhouettes tell of the object in one view, at n times of its own clock."""
+
+    K: Array  # (3, 3)
+    times_s: Array  # (n,)
+    centres: PointMotion  # of area
+    spreads_px2: Array  # (n, 3)
+    images: Images
+
+    def spreads_at(self, times_s: Array, reach_s: float) -> Array:
+        """Take the second moments (m, 3) next to times (m,); NaN where none is within reach."""
+        after = np.clip(np.searchsorted(self.times_s, times_s), 1, len(self.times_s) - 1)
+        later = self.times_s[after] - times_s < times_s - self.times_s[after - 1]
+        nearest = np.where(later, after, after - 1)
+        is_near = np.abs(self.times_s[nearest] - times_s) < reach_s
+        return np.where(is_near[:, None], self.spreads_px2[nearest], np.nan)
+
+
+def body_points(found: Estimate, views: TwoViews) -> tuple[PointMotion, PointMotion] | str:
+    """Follow one point of the body in both views, about where an offset and a pose put it.
+
+    Of it there are images on each camera's own clock. A sentence says why there are none; it is
+    empty where nothing could be tried, as noise had left the events before.
+    """
+    if views.cleans is None or found.R is None or found.t is None:
+        return ""
+    start_s, end_s = views.common_s(found.t_d_s)
+    if end_s - start_s > views.rules.body.longest_s:
+        return f"it is over {views.rules.body.longest_s:.0f} s long, for which they are enough"
+    if any(clean.on_line is not None for clean in views.cleans):
+        return "a line holds the object, which belongs to its silhouette"
+    shapes = []
+    for k, clean in enumerate(views.cleans, start=1):
+        try:
+            shaped = shaped_track_of(clean, views.config)
+        except SsacError:  # of a window that shows no object
+            shaped = None
+        if shaped is None:
+            return ""
+        shape = _shape_of(shaped, views, k)
+        if isinstance(shape, str):
+            return shape
+        shapes.append(shape)
+    return _followed(found, views, (shapes[0], shapes[1]))
+
+
+def _shape_of(shaped: ShapedTrack, views: TwoViews, k: int) -> _Shape | str:
+    """Take the silhouettes of camera k; or say why there are none of use."""
+    camera = views.rig.cam1 if k == 1 else views.rig.cam2
+    if camera.distortion_coeffs:
+        return f"camera {k}'s lens distorts its image"
+    if shaped.spreads_px2 is None or shaped.images is None:
+        return f"the outline does not close in camera {k}: noise, or too small an object"
+    known = np.isfinite(shaped.spreads_px2[:, 0])
+    times_s, centres = shaped.track.times_s[known], shaped.track.points_px[known]
+    rules = views.rules.body
+    track = PointTrack(times_s, centres, np.ones(len(times_s)))
+    motion = point_motion(track, camera, views.rules.points, rules.centre_window_s)
+    return _Shape(camera.K, times_s, motion, shaped.spreads_px2[known], shaped.images.of(known))
+
+
+def _followed(
+    found: Estimate, views: TwoViews, shapes: tuple[_Shape, _Shape]
+) -> tuple[PointMotion, PointMotion] | str:
+    rules, clock, (R, t) = views.rules.body, found.clock, (found.R, found.t)
+    assert R is not None
+    assert t is not None
+    poses = (np.eye(3), np.zeros(3)), (R, t)
+
+    def points(times_s: Array) -> Array:
+        """Where the object is (n, 3), in camera 1's frame, at times (n,) of camera 1's clock."""
+        places = [
+            shape.centres.at(own_s).positions_px
+            for shape, own_s in zip(shapes, (times_s, clock.cam2_from_cam1(times_s)), strict=True)
+        ]
+        rays1, rays2 = (
+            rays_of(shape.K, place) for shape, place in zip(shapes, places, strict=True)
+        )
+        depths1, depths2 = depths(R, t, rays1, rays2)
+        middle = 0.5 * (rays1 * depths1[:, None] + (rays2 * depths2[:, None] - t) @ R)
+        is_there = (depths1 > 0.0) & (depths2 > 0.0)
+        return np.where(is_there[:, None], middle, np.nan)
+
+    own_s = shapes[0].times_s, clock.cam1_from_cam2(shapes[1].times_s)
+    start_s, end_s = max(one[0] for one in own_s), min(one[-1] for one in own_s)
+    even_s = np.arange(start_s, end_s, rules.moments_step_s)
+    looks, even = [], []
+    for shape, (R_k, t_k), times_s, even_k_s in zip(
+        shapes, poses, own_s, (even_s, clock.cam2_from_cam1(even_s)), strict=True
+    ):
+        focal = np.diag(shape.K)[:2]
+        spreads = shape.spreads_at(even_k_s, 1.5 * rules.moments_step_s)
+        seen, there = (_in_front(points(at) @ R_k.T + t_k) for at in (even_s, times_s))
+        even.append(View(R_k, focal, seen[0], np.where(seen[1][:, None], spreads, np.nan)))
+        corners = shape.images.corners_px - shape.K[:2, 2]
+        corners = np.where(there[1][:, None], corners, np.nan)
+        looks.append(Look(times_s, R_k, focal, there[0], shape.images.shares, corners))
+    steps = round(rules.open_step_s / rules.moments_step_s)
+    smoothing = rules.smoothing_s / rules.moments_step_s
+    moments = moments_of_two(even, smoothing, steps, rules)
+    moves = body_moves(looks, even_s, moments, rules)
+    if moves is None:
+        return "no one rigid body is seen in both silhouettes: parts of it turn, or they are few"
+    motions = []
+    for k, (shape, look, move) in enumerate(zip(shapes, looks, moves, strict=True)):
+        places = look.focal_px * look.points[:, :2] / look.points[:, 2:] + shape.K[:2, 2] + move
+        known = np.isfinite(places[:, 0])
+        if np.count_nonzero(known) < views.rules.search.min_pairs:
+            return "no one rigid body is seen in both silhouettes for long"
+        track = PointTrack(shape.times_s[known], places[known], np.ones(int(known.sum())))
+        camera = (views.rig.cam1, views.rig.cam2)[k]
+        motions.append(point_motion(track, camera, views.rules.points, rules.point_window_s))
+    return motions[0], motions[1]
+
+
+def _in_front(points: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Give points (n, 3), anywhere in front where they are not known, and where they are."""
+    known = np.isfinite(points[:, 2]) & (points[:, 2] > 0.0)
+    return np.where(known[:, None], points, np.array([0.0, 0.0, 1.0])), known

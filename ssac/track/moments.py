@@ -1,0 +1,163 @@
+"""The second moments of an object, told by those of its images in several cameras.
+
+The centre of an image's area is that of no point of the object: what is nearer looks larger.
+Perspective alone shifts it by several millimetres for a body of half a metre at 5 m: to first order
+as the body's second moments say, and these are told by its images'.
+"""
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
+
+from ssac.rules import BodyRules
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+LEAST_VIEWS = 3
+"""Cameras that tell all second moments: two have one of theirs in common."""
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """One camera's, at n times."""
+
+    R: Array  # (3, 3) x = R X + t
+    focal_px: Array  # (2,)
+    points: Array  # (n, 3) of the object, in the camera's frame
+    spreads_px2: Array  # (n, 3) second moments xx, xy and yy of its image; NaN: not known
+
+    def by_point(self) -> Array:
+        """Give the derivatives (n, 2, 3) of the image by the object's place, X."""
+        depths = self.points[:, 2]
+        by_local = np.zeros((len(depths), 2, 3))
+        for axis in (0, 1):
+            by_local[:, axis, axis] = self.focal_px[axis] / depths
+            by_local[:, axis, 2] = -self.focal_px[axis] * self.points[:, axis] / depths**2
+        return np.asarray(by_local @ self.R)
+
+
+def second_moments(views: list[View], smoothing: float, least_views: int = LEAST_VIEWS) -> Array:
+    """Find the object's second moments (n, 3, 3) in X at n even times, smoothed over some of them.
+
+    NaN where too few views tell them; of the one that two leave open it may be any.
+    """
+    n = len(views[0].points)
+    normal, right = np.zeros((n, 6, 6)), np.zeros((n, 6))
+    counts = np.zeros(n)
+    for view in views:
+        seen = np.isfinite(view.spreads_px2).all(axis=1) & (view.points[:, 2] > 0.0)
+        counts += seen
+        J = np.where(seen[:, None, None], view.by_point(), 0.0)
+        spreads = np.where(seen[:, None], view.spreads_px2, 0.0)
+        for spread, (i, j) in zip(spreads.T, ((0, 0), (0, 1), (1, 1)), strict=True):
+            a, b = J[:, i], J[:, j]
+            mixed = [a[:, p] * b[:, q] + a[:, q] * b[:, p] for p, q in ((0, 1), (0, 2), (1, 2))]
+            row = np.column_stack([a * b, *mixed])
+            normal += row[:, :, None] * row[:, None, :]
+            right += row * spread[:, None]
+    enough = counts >= least_views
+    scales = np.trace(normal, axis1=1, axis2=2) + 1e-300
+    # A ridge, as views from nearly one direction leave depth open.
+    normal += (1e-9 * scales + np.where(enough, 0.0, 1.0))[:, None, None] * np.eye(6)
+    found = np.linalg.solve(normal, right[..., None])[..., 0] * enough[:, None]
+    weights = gaussian_filter1d(enough.astype(np.float64), smoothing, truncate=3.0)
+    smooth = gaussian_filter1d(found, smoothing, axis=0, truncate=3.0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        smooth = np.where(weights[:, None] > 1e-6, smooth / weights[:, None], np.nan)
+    places = [[0, 3, 4], [3, 1, 5], [4, 5, 2]]
+    return np.asarray(smooth[:, places])
+
+
+def perspective_shifts(view: View, moments: Array, depth_power: float) -> Array:
+    """Give the centre of the image's area less the image of the object's centre (n, 2) [px].
+
+    The moments (n, 3, 3) are in X; shifts are NaN where these are.
+    """
+    local = view.R @ moments @ view.R.T
+    depths = view.points[:, 2:]
+    towards = local[:, :2, 2] - view.points[:, :2] / depths * local[:, 2, 2][:, None]
+    return np.asarray(-depth_power * view.focal_px * towards / depths**2)
+
+
+def moments_of_two(views: list[View], smoothing: float, step: int, rules: BodyRules) -> Array:
+    """Find the second moments (n, 3, 3) of a rigid body in X from two views, as `second_moments`.
+
+    Two views leave one combination open: that of both rays. It is looked for at every `step`-th
+    time, such that the body's three deviations are the same all along, and that it turns smoothly.
+    """
+    told = second_moments(views, smoothing, least_views=2)
+    seen = [np.isfinite(view.spreads_px2).all(axis=1) for view in views]
+    places = np.flatnonzero(seen[0] & seen[1])[::step]
+    if len(places) < rules.least_instants:
+        return np.full_like(told, np.nan)
+    first, second = (
+        view.points / np.linalg.norm(view.points, axis=1)[:, None] @ view.R for view in views
+    )
+    both = first[:, :, None] * second[:, None, :]
+    both += both.transpose(0, 2, 1)
+    basis = np.linalg.inv(np.stack([first, second, np.cross(first, second)], axis=2)[places])
+    within = basis @ told[places] @ basis.transpose(0, 2, 1)
+    size = float(np.sqrt(np.median(np.trace(told[places], axis1=1, axis2=2))))
+    # Where the least of the variances is none: by what each ray has beside the normal's part.
+    a, b, c = (np.maximum(within[:, k, k], (rules.open_least * size) ** 2) for k in range(3))
+    p, q = (np.clip(within[:, k, 2], -np.sqrt(d * c), np.sqrt(d * c)) for k, d in ((0, a), (1, b)))
+    half = np.sqrt(np.maximum(a - p**2 / c, 0.0) * np.maximum(b - q**2 / c, 0.0))
+    lanes = np.linspace(-1.0, 1.0, rules.open_values)
+    amounts = (p * q / c - within[:, 0, 1])[:, None] + half[:, None] * lanes
+    tried = told[places, None] + amounts[..., None, None] * both[places, None]
+    deviations = np.sqrt(np.maximum(np.linalg.eigvalsh(tried), 0.0))
+    flat = tried.reshape(*amounts.shape, 9)[..., [0, 1, 2, 4, 5, 8]] / size**2
+    least = np.inf
+    chosen: Indices = np.zeros(len(places), np.int64)
+    for start in rules.open_starts:
+        shape = np.array(start)
+        for _ in range(rules.open_rounds):
+            found, cost = _smoothest(flat, deviations / size, shape, rules.open_change)
+            before = shape
+            shape = np.median(deviations[np.arange(len(places)), found], axis=0) / size
+            if np.max(np.abs(shape - before)) < rules.open_settled:
+                break
+        if cost < least:
+            least, chosen = cost, found
+    amount = np.interp(np.arange(len(told)), places, amounts[np.arange(len(places)), chosen])
+    amount = gaussian_filter1d(amount, 0.5 * step)
+    return np.asarray(told + amount[:, None, None] * both)
+
+
+@numba.njit(cache=True)
+def _smoothest(
+    tensors: Array, deviations: Array, shape: Array, weight: float
+) -> tuple[Indices, float]:
+    """Choose at each of m times one of k tensors (m, k, 6), by dynamic programming.
+
+    Their deviations (m, k, 3) are to be like the shape's (3,), and tensors like the ones before
+    with such a weight. Gives the choice (m,) and the mean of what it costs.
+    """
+    m, k = deviations.shape[:2]
+    back = np.zeros((m, k), np.int64)
+    costs, before = np.zeros(k), np.zeros(k)
+    for i in range(m):
+        before[:] = costs
+        for b in range(k):
+            best = 0.0
+            if i:
+                best = np.inf
+                for a in range(k):
+                    total = before[a]
+                    for j in range(6):
+                        times = 1.0 if j == 0 or j == 3 or j == 5 else 2.0
+                        total += weight * times * (tensors[i, b, j] - tensors[i - 1, a, j]) ** 2
+                    if total < best:
+                        best, back[i, b] = total, a
+            for j in range(3):
+                best += (deviations[i, b, j] - shape[j]) ** 2
+            costs[b] = best
+    chosen = np.zeros(m, np.int64)
+    chosen[m - 1] = np.argmin(costs)
+    for i in range(m - 1, 0, -1):
+        chosen[i - 1] = back[i, chosen[i]]
+    return chosen, float(np.min(costs)) / m
