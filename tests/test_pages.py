@@ -88,7 +88,7 @@ def test_how_to_cite_names_this_version_and_the_paper() -> None:
     assert f'version = "{citation["version"]}"' in project
     assert citation["license"] == "MIT"
     assert len(citation["preferred-citation"]["authors"]) == 5
-    assert "## [Unreleased]" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    assert f"## [{citation['version']}]" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
 
 
 def test_the_packages_carry_their_types() -> None:
