@@ -7,11 +7,13 @@ known roughly where the body is: its place is triangulated with an offset and a 
 much its drawings must be moved in each view is what the images say against these.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
+from ssac.clock import Clock
 from ssac.errors import SsacError
 from ssac.estimate import Estimate
 from ssac.geometry.pose import depths, rays_of
@@ -35,14 +37,6 @@ class _Shape:
     centres: PointMotion  # of area
     spreads_px2: Array  # (n, 3)
     images: Images
-
-    def spreads_at(self, times_s: Array, reach_s: float) -> Array:
-        """Take the second moments (m, 3) next to times (m,); NaN where none is within reach."""
-        after = np.clip(np.searchsorted(self.times_s, times_s), 1, len(self.times_s) - 1)
-        later = self.times_s[after] - times_s < times_s - self.times_s[after - 1]
-        nearest = np.where(later, after, after - 1)
-        is_near = np.abs(self.times_s[nearest] - times_s) < reach_s
-        return np.where(is_near[:, None], self.spreads_px2[nearest], np.nan)
 
 
 def body_points(found: Estimate, views: TwoViews) -> tuple[PointMotion, PointMotion] | str:
@@ -91,15 +85,13 @@ def _shape_of(shaped: ShapedTrack, views: TwoViews, k: int) -> _Shape | str:
 def _followed(
     found: Estimate, views: TwoViews, shapes: tuple[_Shape, _Shape]
 ) -> tuple[PointMotion, PointMotion] | str:
-    rules, clock, (R, t) = views.rules.body, found.clock, (found.R, found.t)
-    assert R is not None
-    assert t is not None
+    rules, (clock, R, t) = views.rules.body, _rounded(found)
     poses = (np.eye(3), np.zeros(3)), (R, t)
 
     def points(times_s: Array) -> Array:
         """Where the object is (n, 3), in camera 1's frame, at times (n,) of camera 1's clock."""
         places = [
-            shape.centres.at(own_s).positions_px
+            np.round(shape.centres.at(own_s).positions_px, 4)
             for shape, own_s in zip(shapes, (times_s, clock.cam2_from_cam1(times_s)), strict=True)
         ]
         rays1, rays2 = (
@@ -111,14 +103,13 @@ def _followed(
         return np.where(is_there[:, None], middle, np.nan)
 
     own_s = shapes[0].times_s, clock.cam1_from_cam2(shapes[1].times_s)
+    own_s = np.round(own_s[0], 6), np.round(own_s[1], 6)
     start_s, end_s = max(one[0] for one in own_s), min(one[-1] for one in own_s)
     even_s = np.arange(start_s, end_s, rules.moments_step_s)
     looks, even = [], []
-    for shape, (R_k, t_k), times_s, even_k_s in zip(
-        shapes, poses, own_s, (even_s, clock.cam2_from_cam1(even_s)), strict=True
-    ):
+    for shape, (R_k, t_k), times_s in zip(shapes, poses, own_s, strict=True):
         focal = np.diag(shape.K)[:2]
-        spreads = shape.spreads_at(even_k_s, 1.5 * rules.moments_step_s)
+        spreads = _nearest(shape.spreads_px2, times_s, even_s, 1.5 * rules.moments_step_s)
         seen, there = (_in_front(points(at) @ R_k.T + t_k) for at in (even_s, times_s))
         even.append(View(R_k, focal, seen[0], np.where(seen[1][:, None], spreads, np.nan)))
         corners = shape.images.corners_px - shape.K[:2, 2]
@@ -140,6 +131,34 @@ def _followed(
         camera = (views.rig.cam1, views.rig.cam2)[k]
         motions.append(point_motion(track, camera, views.rules.points, rules.point_window_s))
     return motions[0], motions[1]
+
+
+def _rounded(found: Estimate) -> tuple[Clock, Array, Array]:
+    """Give the clock, R and t of an estimate, rounded by less than an image can tell.
+
+    What is seen of a body is found by many comparisons, and would tell rounding errors of what it
+    is found from: the same recording with a delayed clock would differ by more than these.
+    """
+    assert found.R is not None
+    assert found.t is not None
+    clock = found.clock
+    clock = replace(
+        clock,
+        t_d_s=round(clock.t_d_s, 6),
+        skew_ppm=round(clock.skew_ppm, 3),
+        strays_s=np.round(clock.strays_s, 6),
+    )
+    turn = Rotation.from_matrix(found.R).as_rotvec()
+    return clock, Rotation.from_rotvec(np.round(turn, 5)).as_matrix(), np.round(found.t, 5)
+
+
+def _nearest(values: Array, at_s: Array, times_s: Array, reach_s: float) -> Array:
+    """Take the values (n, k) next to times (m,); NaN where there is none within reach."""
+    after = np.clip(np.searchsorted(at_s, times_s), 1, len(at_s) - 1)
+    later = at_s[after] - times_s < times_s - at_s[after - 1]
+    nearest = np.where(later, after, after - 1)
+    is_near = np.abs(at_s[nearest] - times_s) < reach_s
+    return np.where(is_near[:, None], values[nearest], np.nan)
 
 
 def _in_front(points: Array) -> tuple[Array, NDArray[np.bool_]]:

@@ -61,8 +61,10 @@ def second_moments(views: list[View], smoothing: float, least_views: int = LEAST
             right += row * spread[:, None]
     enough = counts >= least_views
     scales = np.trace(normal, axis1=1, axis2=2) + 1e-300
-    # A ridge, as views from nearly one direction leave depth open.
-    normal += (1e-9 * scales + np.where(enough, 0.0, 1.0))[:, None, None] * np.eye(6)
+    # A ridge, as views from nearly one direction leave depth open; two always leave one open, which
+    # would else be as large as rounding errors make it.
+    ridge = 1e-9 if least_views >= LEAST_VIEWS else 1e-6
+    normal += (ridge * scales + np.where(enough, 0.0, 1.0))[:, None, None] * np.eye(6)
     found = np.linalg.solve(normal, right[..., None])[..., 0] * enough[:, None]
     weights = gaussian_filter1d(enough.astype(np.float64), smoothing, truncate=3.0)
     smooth = gaussian_filter1d(found, smoothing, axis=0, truncate=3.0)

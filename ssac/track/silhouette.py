@@ -77,17 +77,21 @@ def silhouettes(
     """
     if len(times_s) < 2 or float(np.median(sizes_px)) < rules.min_size_px:
         return None
-    where_px = distort_points(camera, points_px)
-    samples_us, boxes, own = _boxes(times_s, where_px, sizes_px, camera, rules)
+    # Whole microseconds, as events have, and places without rounding errors: what follows is then
+    # the same to the last bit where the camera's clock shows more.
+    times_us = np.rint(1e6 * times_s).astype(np.int64)
+    where_px, sizes_px = np.round(distort_points(camera, points_px), 4), np.round(sizes_px, 4)
+    samples_us, boxes, own = _boxes(times_us, where_px, sizes_px, camera, rules)
     first = int(np.searchsorted(events["t"], samples_us[0]))
-    times_us, x, y, polarities = (np.ascontiguousarray(events[name]) for name in "txyp")
-    seen: Seen = (times_us, x, y), (camera.height, camera.width), (samples_us, boxes)
+    t_us, x, y, polarities = (np.ascontiguousarray(events[name]) for name in "txyp")
+    seen: Seen = (t_us, x, y), (camera.height, camera.width), (samples_us, boxes)
     levels, before, after, rests, closed = _linked_levels(seen, polarities)
     if first == len(events) or closed < rules.min_closed_share * rests:
         return None
-    moving = np.gradient(where_px, times_s, axis=0)
+    since_s = 1e-6 * (times_us - times_us[0])
+    moving = np.gradient(where_px, since_s, axis=0)
     speeds = np.maximum(np.linalg.norm(moving, axis=1), rules.least_speed_px_s)
-    ramps_us = np.interp(1e-6 * samples_us, times_s, 1e6 * rules.ramp_px / speeds)
+    ramps_us = np.interp(1e-6 * (samples_us - times_us[0]), since_s, 1e6 * rules.ramp_px / speeds)
     full = float(np.percentile(np.abs(levels[first:]), rules.full_percentile))
     half = int(np.ceil(rules.window_sizes * np.percentile(sizes_px, rules.large_percentile)))
     corners = np.rint(where_px).astype(np.int64) - half
@@ -106,7 +110,7 @@ def silhouettes(
 
 
 def _boxes(
-    times_s: Array, where_px: Array, sizes_px: Array, camera: Camera, rules: SilhouetteRules
+    times_us: Indices, where_px: Array, sizes_px: Array, camera: Camera, rules: SilhouetteRules
 ) -> tuple[Indices, Indices, NDArray[np.intp]]:
     """Give times [us] and boxes of samples, and which of them are the track's points.
 
@@ -118,15 +122,15 @@ def _boxes(
     low = np.clip(np.floor(where_px - reach_px[:, None]), 0, most)
     high = np.clip(np.ceil(where_px + reach_px[:, None]), 0, most)
     boxes = np.column_stack([low[:, 0], high[:, 0], low[:, 1], high[:, 1]]).astype(np.int64)
-    steps_s = np.diff(times_s)
-    gaps = np.flatnonzero(steps_s > rules.gap_steps * np.median(steps_s)) + 1
+    steps_us = np.diff(times_us)
+    gaps = np.flatnonzero(steps_us > rules.gap_steps * np.median(steps_us)) + 1
     places = np.concatenate([[0], gaps])
-    between_s = np.concatenate([[times_s[0] - 1e-3], times_s[gaps] - 0.5 * steps_s[gaps - 1]])
+    between_us = np.concatenate([[times_us[0] - 1000], times_us[gaps] - steps_us[gaps - 1] // 2])
     whole_view = np.array([0, camera.width - 1, 0, camera.height - 1])
-    samples_s = np.insert(times_s, places, between_s)
+    samples_us = np.insert(times_us, places, between_us)
     boxes = np.insert(boxes, places, whole_view, axis=0)
-    own = np.arange(len(times_s)) + np.searchsorted(places, np.arange(len(times_s)), side="right")
-    return np.rint(1e6 * samples_s).astype(np.int64), boxes, own
+    indices = np.arange(len(times_us))
+    return samples_us, boxes, indices + np.searchsorted(places, indices, side="right")
 
 
 @numba.njit(cache=True)
