@@ -99,6 +99,19 @@ def test_exchanged_cameras_show_the_same_point():
         assert np.sqrt(np.mean((places[0] - places[1]) ** 2)) < 0.1
 
 
+@pytest.mark.parametrize("shift_us", [5_000, 123_457])
+def test_a_delay_of_camera_2_changes_nothing_but_the_offset(monkeypatch, shift_us):
+    later = [shaped()[0], shaped()[1].delayed(shift_us)]
+    before = body()
+    monkeypatch.setattr("tests.ssac.methods.test_rigid_body.shaped", lambda: later)
+    found = off_the_truth()
+    after = followed(replace(found, t_d_s=found.t_d_s + 1e-6 * shift_us))
+    for one, other in zip(before, after, strict=True):
+        # Not to the last bit, as places are the points of tracks that are told on another clock:
+        # by the rounding errors of times, and no comparison that falls out otherwise.
+        np.testing.assert_allclose(one.points_px, other.points_px, rtol=0.0, atol=1e-9)
+
+
 def test_it_says_why_there_is_no_body(monkeypatch):
     found = off_the_truth()
     assert rigid_body.body_points(found, views()) == ""  # of tracks nothing could be tried
