@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from ssac.arrays import Array
 from ssac.errors import SsacError
 
 DISTORTION_LENGTHS = {"none": (0,), "radtan": (4, 5, 8), "equidistant": (4,)}
@@ -31,7 +31,7 @@ MAX_ROUND_TRIP_PX = 1e-6  # from an undistorted point that is accepted, distorte
 class Camera:
     """Intrinsics of one camera (Kalibr's pinhole model)."""
 
-    K: NDArray[np.float64]  # (3, 3) [px], pixel centres at integer coordinates
+    K: Array  # (3, 3) [px], pixel centres at integer coordinates
     width: int  # [px]
     height: int  # [px]
     distortion_model: str = "none"  # "none", "radtan" or "equidistant"
@@ -70,7 +70,7 @@ class Rig:
 
     cam1: Camera
     cam2: Camera
-    T_2_1: NDArray[np.float64] | None = None  # (4, 4), x2 = T_2_1 x1, [m]
+    T_2_1: Array | None = None  # (4, 4), x2 = T_2_1 x1, [m]
 
     @property
     def unposed(self) -> "Rig":
@@ -83,7 +83,7 @@ class Cameras:
     """Any number of cameras and, where they are known, the transforms from each to the next."""
 
     cameras: tuple[Camera, ...]
-    steps: tuple[NDArray[np.float64] | None, ...] = ()  # (4, 4) each, x_next = T x, [m]
+    steps: tuple[Array | None, ...] = ()  # (4, 4) each, x_next = T x, [m]
     name: str = "the rig"  # for messages: a file's path
 
     def __len__(self) -> int:
@@ -204,7 +204,7 @@ def check_cameras(rig: Cameras) -> None:
             check_transform(_floats(step), f"{rig.name}, from camera {k} to camera {k + 1}")
 
 
-def check_transform(T: NDArray[np.float64], name: str) -> None:
+def check_transform(T: Array, name: str) -> None:
     """Raise SsacError, starting with `name`, unless `T` is a rigid transform (4, 4)."""
     if T.shape != (4, 4) or not np.isfinite(T).all():
         raise SsacError(
@@ -220,7 +220,7 @@ def check_transform(T: NDArray[np.float64], name: str) -> None:
         )
 
 
-def _floats(values: object) -> NDArray[np.float64]:
+def _floats(values: object) -> Array:
     """Give an array of numbers, of the same shape; a NaN for what holds none."""
     try:
         return np.asarray(values, dtype=np.float64)
@@ -228,7 +228,7 @@ def _floats(values: object) -> NDArray[np.float64]:
         return np.array([np.nan])
 
 
-def undistort_points(camera: Camera, points_px: NDArray[np.float64]) -> NDArray[np.float64]:
+def undistort_points(camera: Camera, points_px: Array) -> Array:
     """Ideal pixel coordinates (N, 2) of measured points, as a lens without distortion shows them.
 
     They are in the image of the same K; NaN where no ray reaches a point under the lens model (far
@@ -254,7 +254,7 @@ def undistort_points(camera: Camera, points_px: NDArray[np.float64]) -> NDArray[
     return ideal_points
 
 
-def distort_points(camera: Camera, points_px: NDArray[np.float64]) -> NDArray[np.float64]:
+def distort_points(camera: Camera, points_px: Array) -> Array:
     """Measured coordinates (N, 2) [px] of ideal ones: the inverse of `undistort_points`."""
     check_camera(camera)
     ideal = _checked_points(points_px)
@@ -270,7 +270,7 @@ def distort_points(camera: Camera, points_px: NDArray[np.float64]) -> NDArray[np
     return np.asarray(measured, dtype=np.float64).reshape(-1, 2)
 
 
-def undistortion_map(camera: Camera) -> NDArray[np.float64]:
+def undistortion_map(camera: Camera) -> Array:
     """Ideal (x, y) of every pixel (height, width, 2) [px], at [y, x]; NaN where no ray reaches."""
     check_camera(camera)
     y, x = np.mgrid[: camera.height, : camera.width]
@@ -278,7 +278,7 @@ def undistortion_map(camera: Camera) -> NDArray[np.float64]:
     return undistort_points(camera, pixels).reshape(camera.height, camera.width, 2)
 
 
-def _checked_points(points_px: NDArray[np.float64]) -> NDArray[np.float64]:
+def _checked_points(points_px: Array) -> Array:
     """Copy of the points as float64; SsacError unless their shape is (N, 2)."""
     points = np.array(points_px, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 2:
@@ -286,7 +286,7 @@ def _checked_points(points_px: NDArray[np.float64]) -> NDArray[np.float64]:
     return points
 
 
-def known_pose(rig: Rig) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def known_pose(rig: Rig) -> tuple[Array, Array]:
     """R (3, 3) and t (3,) of length 1 of the rig; SsacError when they are unknown."""
     if rig.T_2_1 is None:
         raise SsacError("known extrinsics were asked for, but the rig has no T_2_1")

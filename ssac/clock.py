@@ -10,9 +10,8 @@ A clock that is not affine strays from this by a piecewise linear function of t_
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from ssac.arrays import Array
 
 PPM = 1e-6
 

@@ -4,11 +4,9 @@ from dataclasses import dataclass, field, replace
 from enum import Enum
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ssac.arrays import Array
 from ssac.clock import Clock
-
-Array = NDArray[np.float64]
 
 
 class Status(str, Enum):

@@ -9,6 +9,7 @@ import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ssac.arrays import Array, Events, Indices, IntArray, Pixels
 from ssac.errors import SsacError
 
 EVENT_DTYPE = np.dtype([("t", "<i8"), ("x", "<u2"), ("y", "<u2"), ("p", "u1")])
@@ -23,14 +24,14 @@ QUANTA_S = (0.010, 0.001)  # to which recorders are known to round times
 class EventFile:
     """What an event file holds: the events and, where the file says so, the sensor's size."""
 
-    events: NDArray[np.void]  # EVENT_DTYPE, shape (N,), sorted by t
+    events: Events  # EVENT_DTYPE, shape (N,), sorted by t
     width: int | None  # [px]
     height: int | None  # [px]
 
 
 def events_from_arrays(
     t: ArrayLike, x: ArrayLike, y: ArrayLike, p: ArrayLike, name: str = "events"
-) -> NDArray[np.void]:
+) -> Events:
     """Build the event array from one array (N,) per field, in the order given.
 
     Times [us], pixel columns and rows [px] and polarities are of an integer (or boolean) dtype; the
@@ -45,7 +46,7 @@ def events_from_arrays(
     return events
 
 
-def events_of_array(array: NDArray[Any], name: str = "events") -> NDArray[np.void]:
+def events_of_array(array: NDArray[Any], name: str = "events") -> Events:
     """Give a structured array as events: its fields t [us], x, y and p in any order and width.
 
     The Metavision SDK's (x, y, p, t) is one; one of EVENT_DTYPE is given back. SsacError if a field
@@ -103,9 +104,7 @@ def check_event_array(events: Any, name: str) -> None:
         )
 
 
-def check_events(
-    events: NDArray[np.void], width: int | None, height: int | None, name: str
-) -> None:
+def check_events(events: Events, width: int | None, height: int | None, name: str) -> None:
     """Raise SsacError unless events are there, sorted, within the sensor, of p 0 or 1."""
     check_event_array(events, name)
     if len(events) == 0:
@@ -131,7 +130,7 @@ def check_events(
 
 @numba.njit(cache=True)
 def _look_through(
-    t: NDArray[np.int64], x: NDArray[np.uint16], y: NDArray[np.uint16], p: NDArray[np.uint8]
+    t: IntArray, x: Pixels, y: Pixels, p: NDArray[np.uint8]
 ) -> tuple[int, int, int, int]:
     """Index of the first event before the one ahead of it, or n; the largest x, y and p."""
     largest_x, largest_y, largest_p = x[0], y[0], p[0]
@@ -149,19 +148,19 @@ def _look_through(
     return first, largest_x, largest_y, largest_p
 
 
-def copied(events: NDArray[np.void]) -> NDArray[np.void]:
+def copied(events: Events) -> Events:
     """Copy events (n,) whole, four times as fast as NumPy does, which copies field by field."""
     whole = np.dtype((np.void, events.dtype.itemsize))
     return events.view(whole).copy().view(events.dtype)
 
 
 @numba.njit(cache=True)
-def first_from(times_us: NDArray[np.int64], bounds_us: NDArray[Any]) -> NDArray[np.intp]:
+def first_from(times_us: IntArray, bounds_us: NDArray[Any]) -> Indices:
     """Index (m,) of the first of n times at or after each bound [us], without copies."""
     return np.searchsorted(times_us, bounds_us)
 
 
-def no_gaps() -> NDArray[np.int64]:
+def no_gaps() -> IntArray:
     """Give the gaps (0, 2) [us] of a recording of which nothing was taken out."""
     return np.empty((0, 2), np.int64)
 
@@ -179,13 +178,13 @@ def wrap_message(place: str) -> str:
     )
 
 
-def is_whole(values: NDArray[np.float64]) -> bool:
+def is_whole(values: Array) -> bool:
     """Whether all values (n,) are whole numbers, but for rounding."""
     rounding = 1e-6 * np.maximum(np.abs(values), 1.0)  # as a file's last digit may bring it
     return bool(np.all(np.abs(values - np.rint(values)) < rounding))
 
 
-def time_quantum_s(times_s: NDArray[np.float64]) -> float:
+def time_quantum_s(times_s: Array) -> float:
     """Step [s] of QUANTA_S to which times (n,) were rounded; 0 where they are finer."""
     enough = 20  # times that tell a grid from chance
     if len(times_s) < enough or not is_whole(times_s[:enough] / QUANTA_S[-1]):
@@ -196,7 +195,7 @@ def time_quantum_s(times_s: NDArray[np.float64]) -> float:
     return 0.0 if least_s > 0.0 and is_whole(gaps_s / least_s) else quantum_s
 
 
-def slice_time(events: NDArray[np.void], start_us: int, end_us: int) -> NDArray[np.void]:
+def slice_time(events: Events, start_us: int, end_us: int) -> Events:
     """View of sorted events with start_us <= t < end_us, found by bisection; may be empty."""
     t = events["t"]
     first = bisect_left(t, start_us)

@@ -3,12 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ssac.arrays import Array, Mask
 from ssac.errors import SsacError
 from ssac.events import is_whole, wrap_message, wrapped
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -77,5 +75,5 @@ def _check_order(times_s: Array, name: str) -> None:
     )
 
 
-def _first(is_bad: NDArray[np.bool_]) -> int:
+def _first(is_bad: Mask) -> int:
     return int(np.argmax(is_bad))

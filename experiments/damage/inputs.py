@@ -23,6 +23,7 @@ from experiments.lab.grid import CONFIGS, load_config
 from experiments.worlds.bound import load_truth
 from sim.scene.flyers import quadrotor
 from sim.scene.trajectory import trajectory_from_csv
+from ssac.arrays import Events
 from ssac.events import EVENT_DTYPE
 from ssac.files.damage import STRICT, Reading
 from ssac.files.event_files import load_events
@@ -31,8 +32,6 @@ from ssac.files.rigs import load_rig
 from ssac.files.text import save_events_text
 from ssac.files.track_files import load_track, save_track
 from ssac.points import PointTrack, check_track
-
-Events = NDArray[np.void]
 
 WIDTH, HEIGHT = 346, 260
 N_EVENTS = 3000

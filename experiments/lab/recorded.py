@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from experiments.lab.cache import DENOISED_CODE, Arrays, Cache
 from sim.recording import SimConfig
+from ssac.arrays import Array, Events, IntArray
 from ssac.camera import Camera, Rig
 from ssac.clock import Clock
 from ssac.config import Cleaning
@@ -21,8 +22,6 @@ from ssac.files.rigs import load_rig
 from ssac.track.clean import Clean, Recorded, clean
 from ssac.track.denoise import Clutter
 from ssac.track.observation import Observation
-
-FloatArray = NDArray[np.float64]
 
 RIG_FILE = "rig_extrinsics.yaml"
 _CAMERAS = ("cam1", "cam2")
@@ -35,13 +34,13 @@ Made = TypeVar("Made")
 class FlightTruth:
     """What is true of a recorded flight."""
 
-    times_s: FloatArray  # (n,) camera 1's clock
-    positions_m: FloatArray  # (n, 3) of the drone's origin, in the world's frame
-    quaternions: FloatArray  # (n, 4) body to world
-    centres_px: tuple[FloatArray, ...]  # of each camera (n, 2): images of the origin, or NaN
-    poses: tuple[FloatArray, ...]  # of each camera (4, 4): T_k_1, from the first camera's frame
-    R: FloatArray  # (3, 3) x2 = R x1 + t, of the first two cameras
-    t: FloatArray  # (3,) of length 1
+    times_s: Array  # (n,) camera 1's clock
+    positions_m: Array  # (n, 3) of the drone's origin, in the world's frame
+    quaternions: Array  # (n, 4) body to world
+    centres_px: tuple[Array, ...]  # of each camera (n, 2): images of the origin, or NaN
+    poses: tuple[Array, ...]  # of each camera (4, 4): T_k_1, from the first camera's frame
+    R: Array  # (3, 3) x2 = R x1 + t, of the first two cameras
+    t: Array  # (3,) of length 1
     baseline_m: float
     clock: Clock  # camera 2's
 
@@ -165,7 +164,7 @@ What is beyond that, after a pause, is a leap: the event's number and what is mi
 """
 
 
-def packed(events: NDArray[np.void]) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
+def packed(events: Events) -> tuple[NDArray[np.uint8], IntArray]:
     """Pack sorted events (n,) of EVENT_DTYPE: the bytes (n, 6) of `_PACKED`, and leaps (k, 2)."""
     found = np.empty(len(events), _PACKED)
     gaps_us = np.diff(events["t"], prepend=0)
@@ -178,7 +177,7 @@ def packed(events: NDArray[np.void]) -> tuple[NDArray[np.uint8], NDArray[np.int6
     return found.view(np.uint8).reshape(len(events), _PACKED.itemsize), leaps
 
 
-def unpacked(found: NDArray[np.uint8], leaps: NDArray[np.int64]) -> NDArray[np.void]:
+def unpacked(found: NDArray[np.uint8], leaps: IntArray) -> Events:
     """Give the events that were `packed`."""
     packed_events = found.reshape(-1).view(_PACKED)
     gaps_us = packed_events["gap_us"].astype(np.int64)

@@ -5,14 +5,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from experiments.lab.files import read_table
+from ssac.arrays import Array
 from ssac.errors import SsacError
-
-FloatArray = NDArray[np.float64]
 
 PROVENANCE = ".provenance.json"
 
@@ -77,9 +74,9 @@ class Results:
         """Return the number of the one row that these values single out."""
         return float(self._column(self.one(name, **where), name, column))
 
-    def column(self, name: str, column: str, /, **where: Any) -> FloatArray:
+    def column(self, name: str, column: str, /, **where: Any) -> Array:
         """Return a column's numbers in these rows, NaN where a cell is empty."""
-        values: FloatArray = self._column(self.rows(name, **where), name, column).to_numpy(float)
+        values: Array = self._column(self.rows(name, **where), name, column).to_numpy(float)
         return values
 
     def provenances(self, name: str) -> list[dict[str, Any]]:

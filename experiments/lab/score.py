@@ -4,12 +4,10 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ssac.arrays import Array
 from ssac.estimate import Estimate
 from ssac.geometry.pose import pose_step
-
-FloatArray = NDArray[np.float64]
 
 POSE_SCORES = (
     "r_std_deg",  # of R's angle: root of the trace of its covariance
@@ -30,8 +28,8 @@ class Truth:
     """What an estimate is held against: x2 = R x1 + t, and `t_cam2 = t_cam1 + t_d`."""
 
     t_d_s: float  # in the middle; NaN: there is none, and any offset is wrong
-    R: FloatArray  # (3, 3)
-    t: FloatArray  # (3,) unit length
+    R: Array  # (3, 3)
+    t: Array  # (3,) unit length
     skew_ppm: float = 0.0
     t_mid_s: float = 0.0  # camera 1's clock
 
@@ -85,7 +83,7 @@ def _over(error: float, std: float) -> float:
     return error / std if std else np.nan
 
 
-def score(estimate: Estimate, t_d_s: float, R: FloatArray, t: FloatArray) -> Score:
+def score(estimate: Estimate, t_d_s: float, R: Array, t: Array) -> Score:
     """Score an estimate: `t_cam2 = t_cam1 + t_d` [s], x2 = R x1 + t with t (3,) of length 1."""
     return Score(
         t_d_error_ms=abs(estimate.t_d_s - t_d_s) * 1e3,
@@ -94,7 +92,7 @@ def score(estimate: Estimate, t_d_s: float, R: FloatArray, t: FloatArray) -> Sco
     )
 
 
-def pose_score(estimate: Estimate, R: FloatArray, t: FloatArray) -> dict[str, float]:
+def pose_score(estimate: Estimate, R: Array, t: Array) -> dict[str, float]:
     """Give POSE_SCORES of an estimate, NaN if it has no covariance; parameters as for `score`."""
     if estimate.covariance is None or estimate.R is None or estimate.t is None:
         return dict.fromkeys(POSE_SCORES, np.nan)
@@ -109,19 +107,17 @@ def pose_score(estimate: Estimate, R: FloatArray, t: FloatArray) -> dict[str, fl
     return dict(zip(POSE_SCORES, values, strict=True))
 
 
-def pose_errors_rad(
-    R: FloatArray, t: FloatArray, R_true: FloatArray, t_true: FloatArray
-) -> FloatArray:
+def pose_errors_rad(R: Array, t: Array, R_true: Array, t_true: Array) -> Array:
     """Errors (5,) of a pose: the step that `moved_pose` would take to the truth, negated."""
     return -pose_step(R, t, R_true, t_true)
 
 
-def rotation_angle_deg(R: FloatArray) -> float:
+def rotation_angle_deg(R: Array) -> float:
     """Angle [deg] by which a rotation matrix (3, 3) turns, exact for small angles too."""
     sine = 0.5 * np.linalg.norm([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
     return float(np.rad2deg(np.arctan2(sine, 0.5 * (np.trace(R) - 1.0))))
 
 
-def angle_between_deg(a: FloatArray, b: FloatArray) -> float:
+def angle_between_deg(a: Array, b: Array) -> float:
     """Angle [deg] between two vectors (3,), exact for small angles too."""
     return float(np.rad2deg(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b)))

@@ -15,6 +15,7 @@ from experiments.lab.cell import UNUSABLE, Measure
 from experiments.lab.grid import Cell
 from experiments.lab.recorded import RIG_FILE, clean_pair, load_pair
 from experiments.lab.score import Truth, kept, scored
+from ssac.arrays import Array, IntArray
 from ssac.camera import Rig, known_pose
 from ssac.errors import SsacError
 from ssac.estimate import Estimate, Status
@@ -32,8 +33,7 @@ GUARDED = 10
 ROUNDING = 1e-9
 """Largest difference [s, and of entries of R and t] that rounding makes."""
 
-FloatArray = NDArray[np.float64]
-Frames = tuple[NDArray[np.generic] | None, FloatArray | None]
+Frames = tuple[NDArray[np.generic] | None, Array | None]
 """Images (n, height, width) and their times (n,) [s], or neither."""
 
 
@@ -192,7 +192,7 @@ def frames_of(
     return first, second
 
 
-def _timed(times_us: NDArray[np.int64], images: NDArray[np.generic]) -> Frames:
+def _timed(times_us: IntArray, images: NDArray[np.generic]) -> Frames:
     if len(images) == 0:
         return None, None
     return images.reshape(len(images), *(images.shape[1:] or (1, 1))), times_us / US_PER_S

@@ -26,6 +26,7 @@ from sim.scene.flyers import quadrotor
 from sim.scene.rig import two_view_rig
 from sim.scene.trajectory import SplineConfig, random_spline
 from sim.sensor.events import Sensor, SensorConfig
+from ssac.arrays import Array
 
 REPEATS = 3  # the best of as many is taken
 
@@ -54,7 +55,7 @@ def bench_render(by: str) -> list[Measurement]:
     camera, drone = two_view_rig(90.0).cameras[0], quadrotor()
     flight = random_spline(SplineConfig(), np.random.default_rng(0))
     # As dense as adaptive sampling is, for neighbours to share their tile size as they do there.
-    times_s: NDArray[np.float64] = np.linspace(0.0, 5.0, N_POSES, dtype=np.float64)
+    times_s: Array = np.linspace(0.0, 5.0, N_POSES, dtype=np.float64)
     T_W_B = flight.poses(times_s)
     background = uniform_background(camera, 0.4)
     some = range(0, N_POSES, N_POSES // N_FULL_FRAMES)
@@ -141,7 +142,7 @@ def beside_peers(ours_per_s: float, peer_per_s: float | None) -> list[Measuremen
     ]
 
 
-def _peer_frames_per_s(frames: NDArray[np.float32], times_s: NDArray[np.float64]) -> float | None:
+def _peer_frames_per_s(frames: NDArray[np.float32], times_s: Array) -> float | None:
     """Frames per second of the peer's core; None where it is not installed."""
     try:
         compare: Callable[..., Any] = import_module("eventify.dvs").frame_to_event_tuples
@@ -159,11 +160,11 @@ def _peer_frames_per_s(frames: NDArray[np.float32], times_s: NDArray[np.float64]
     return best_rate(run, REPEATS)
 
 
-def _moving_object() -> tuple[NDArray[np.float32], NDArray[np.float64], Any, Any, Any]:
+def _moving_object() -> tuple[NDArray[np.float32], Array, Any, Any, Any]:
     """Return frames of the default drone at 200 px/s, their times, and crops of them."""
     camera, n = two_view_rig(90.0).cameras[0], N_FRAMES
     step_s, depth_m = STEP_PX / OBJECT_SPEED_PX_S, 5.0
-    times_s: NDArray[np.float64] = np.linspace(0.0, (n - 1) * step_s, n, dtype=np.float64)
+    times_s: Array = np.linspace(0.0, (n - 1) * step_s, n, dtype=np.float64)
     T_W_B = np.tile(np.eye(4), (n, 1, 1))
     T_W_B[:, 0, 3] = (np.arange(n) - n / 2) * STEP_PX * depth_m / float(camera.K[0, 0])
     background = uniform_background(camera, 0.4)

@@ -21,6 +21,7 @@ from threadpoolctl import threadpool_limits
 from experiments.machine.parts import Measurement, best_seconds
 from sim.recording import SimConfig
 from sim.storage import record
+from ssac.arrays import Events
 from ssac.camera import Cameras
 from ssac.config import Config
 from ssac.errors import SsacError
@@ -38,8 +39,6 @@ from ssac.pipeline.registry import OURS, Input, Method
 from ssac.search.two_views import TwoViews, views_of
 from ssac.track.clean import Clean, clean
 from ssac.track.observation import Observation
-
-Events = NDArray[np.void]
 
 REPEATS = 5  # the best of as many is taken
 MARKS_S = {"joint": 0.2, "tangency": 0.35}

@@ -28,9 +28,8 @@ from scipy.stats import t as student
 
 from experiments.paper.grids import DURATIONS_S
 from experiments.paper.quantities import R_ERROR, T_D_ERROR, T_ERROR
+from ssac.arrays import Array
 from ssac.errors import SsacError
-
-FloatArray = NDArray[np.float64]
 
 PUBLISHED_SHA256 = {
     "published/esim_10.csv": "e4fc65f27fe6e67e162c81d89ccf66debf49f560e766675ead3288fc09b21cd7",
@@ -122,7 +121,7 @@ class Sample(NamedTuple):
 
 def difference_interval(
     ours: Sample, published: Sample, resolution: float, confidence: float
-) -> tuple[FloatArray, FloatArray]:
+) -> tuple[Array, Array]:
     """Welch's confidence interval of the difference of two means, ours less the published one.
 
     Half a unit of the last printed digit, `resolution`, is added on both sides. Both ends are NaN

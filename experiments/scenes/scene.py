@@ -5,21 +5,19 @@ from typing import Annotated
 
 import numpy as np
 import typer
-from numpy.typing import NDArray
 
 from experiments.lab.bridge import observations, rig_of
 from sim.recorded import Recording
 from sim.recording import SimConfig, simulate
 from sim.scene.flyers import DRONES
 from sim.sensor.frames import FrameConfig
+from ssac.arrays import Array
 from ssac.camera import Rig, known_pose
 from ssac.cli.options import number
 from ssac.config import Config
 from ssac.geometry.epipolar import epipolar_distance, fundamental_from_pose
 from ssac.pipeline.chain import Chain
 from ssac.track.observation import Observation
-
-FloatArray = NDArray[np.float64]
 
 SLOPE_STEP_S = 0.010  # the slope of d_avg is read 10 ms on each side of the truth
 _WIDTH_QUANTILES = (0.01, 0.99)  # of the columns of a window's events: its width without strays
@@ -110,7 +108,7 @@ def scene_table(figures: SceneFigures) -> str:
     return "\n".join(["| quantity | authors' sample | ours |", "|---|---|---|", *rows])
 
 
-def _widths_px(camera: Observation, times_s: FloatArray, half_window_s: float) -> list[float]:
+def _widths_px(camera: Observation, times_s: Array, half_window_s: float) -> list[float]:
     """Width of the event image around each time on the camera's clock [px]."""
     t_us, x = camera.events["t"], camera.events["x"]
     first = np.searchsorted(t_us, (times_s - half_window_s) * 1e6)

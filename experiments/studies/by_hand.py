@@ -16,7 +16,6 @@ from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from experiments.drawing.style import Figure, panels
@@ -30,6 +29,7 @@ from experiments.scenes.options import MAX_SEED
 from experiments.studies.coverage import QUANTITIES
 from experiments.studies.imperfect import ImperfectRow, given_columns, held
 from experiments.worlds.odd import KINDS, SHORT_S, WRONG_RIG, OddCell, drawn, recorded, truth_of
+from ssac.arrays import Array, Mask
 from ssac.camera import with_deviations
 from ssac.cli.options import flag, named, number
 from ssac.config import Config
@@ -37,8 +37,6 @@ from ssac.errors import SsacError
 from ssac.pipeline.chain import Chain
 from ssac.pipeline.registry import DEFAULT
 
-BoolArray = NDArray[np.bool_]
-FloatArray = NDArray[np.float64]
 UNASKED = "default"
 SPARED = "spared"
 """Status of a setting that was not tried, as the default is right."""
@@ -176,7 +174,7 @@ def hand_row(cell: HandCell, tried: Tried) -> HandRow:
     return tried.said(SETTINGS[cell.setting])
 
 
-def beyond(runs: pd.DataFrame) -> dict[str, BoolArray]:
+def beyond(runs: pd.DataFrame) -> dict[str, Mask]:
     """Tell of t_d, R and t whether they are given and over `MAX_SIGMAS` deviations off."""
     most = chi2.sf(MAX_SIGMAS**2, 1)  # of several angles together one that is as improbable
     return {
@@ -185,7 +183,7 @@ def beyond(runs: pd.DataFrame) -> dict[str, BoolArray]:
     }
 
 
-def right(runs: pd.DataFrame) -> BoolArray:
+def right(runs: pd.DataFrame) -> Mask:
     """Tell which runs (n,) give an offset, and nothing that is wrong."""
     far = beyond(runs)
     bad = far["t_d"] | ~(_numbers(runs, "t_d_error_ms") < MAX_ERROR_MS)
@@ -194,7 +192,7 @@ def right(runs: pd.DataFrame) -> BoolArray:
     return np.asarray(runs["offset_given"].astype(bool)) & ~bad
 
 
-def _numbers(runs: pd.DataFrame, column: str) -> FloatArray:
+def _numbers(runs: pd.DataFrame, column: str) -> Array:
     return runs[column].to_numpy(np.float64)
 
 
@@ -288,7 +286,7 @@ def hand_figure(table: pd.DataFrame) -> Figure:
         "a setting gives more": (table["settled"], "#E69F00"),
         "refused by all": (n - table[["right", "wrong", "settled"]].sum(axis=1), "0.8"),
     }
-    start: FloatArray = np.zeros(len(table))
+    start: Array = np.zeros(len(table))
     for label, (count, color) in parts.items():
         share = 100.0 * (count / n).to_numpy(np.float64)
         left.barh(table["kind"], share, left=start, color=color, label=label)

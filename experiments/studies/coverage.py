@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from scipy.stats import beta, chi2
 
 from experiments.drawing.style import Axes, Figure, legend_below, method_looks, panels
@@ -23,9 +22,8 @@ from experiments.lab.study import Runs, Study
 from experiments.lab.summary import answered, made_of, quoted
 from experiments.lab.verify import scored_checks
 from experiments.paper.esim import method_order
+from ssac.arrays import Array
 from ssac.fit.covariance import NORMAL_95
-
-FloatArray = NDArray[np.float64]
 
 GRID = named_config("coverage")
 METHODS = ("joint", "tangency", "joint-known", "tangency-known")
@@ -43,7 +41,7 @@ class Quantity:
     parameters: int
     label: str = ""  # of its panel in the figure; "": none
 
-    def normalised(self, runs: pd.DataFrame) -> FloatArray:
+    def normalised(self, runs: pd.DataFrame) -> Array:
         """Values over the runs that are "ok" and give it."""
         return np.asarray(answered(runs)[self.column].dropna(), dtype=np.float64)
 
@@ -95,7 +93,7 @@ def _coverage(runs: pd.DataFrame, quantity: Quantity) -> Mapping[str, Any]:
     return row
 
 
-def confidence(normalised: FloatArray, parameters: int) -> FloatArray:
+def confidence(normalised: Array, parameters: int) -> Array:
     """Level (n,) of the interval or region on whose border the truth lies: uniform if all is well.
 
     `normalised` (n,) are errors over their deviations, or Mahalanobis distances of so many

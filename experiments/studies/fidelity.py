@@ -25,6 +25,7 @@ from sim.recording import SimConfig
 from sim.render.config import SamplingConfig
 from sim.render.lattice import Lattice
 from sim.sensor.frames import FrameConfig
+from ssac.arrays import IntArray
 from ssac.pipeline.chain import Chain
 
 SHARES = ("median_us", "p95_us", "spurious", "missing")
@@ -135,7 +136,7 @@ def _offsets_ms(pair: Pair) -> dict[str, float]:
     return {name: 1e3 * chain.estimate(name).t_d_s for name in METHOD_NAMES}
 
 
-def _sort_by_pixel(events: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _sort_by_pixel(events: NDArray[Any]) -> tuple[IntArray, IntArray]:
     """Return (pixel and polarity as one number, time [us]), sorted by both."""
     pixel = (events["y"].astype(np.int64) << 17) | (events["x"].astype(np.int64) << 1) | events["p"]
     order = np.lexsort((events["t"], pixel))
@@ -144,12 +145,8 @@ def _sort_by_pixel(events: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[np.
 
 @njit(cache=True)
 def _match(
-    pixel_a: NDArray[np.int64],
-    t_a: NDArray[np.int64],
-    pixel_b: NDArray[np.int64],
-    t_b: NDArray[np.int64],
-    window_us: int,
-) -> NDArray[np.int64]:
+    pixel_a: IntArray, t_a: IntArray, pixel_b: IntArray, t_b: IntArray, window_us: int
+) -> IntArray:
     """Walk along both, pixel by pixel and in order of time; return distances of pairs [us]."""
     differences = np.empty(min(t_a.size, t_b.size), np.int64)
     i = j = n = 0

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from experiments.lab.cache import Cache
@@ -28,6 +27,7 @@ from experiments.studies.coverage import QUANTITIES, Quantity, confidence, sampl
 from experiments.worlds import spoilt
 from experiments.worlds.spoilt import CARELESS, GOOD, ORDINARY, SCENES, T_D_S, Kind, KindCell
 from sim.disturb import DisturbConfig
+from ssac.arrays import Mask
 from ssac.camera import known_pose
 from ssac.estimate import Estimate
 from ssac.pipeline.chain import Chain
@@ -196,9 +196,7 @@ def answers(runs: pd.DataFrame) -> dict[str, Any]:
     return {"runs": len(runs), "answered": int(given.sum()), "refused": statuses}
 
 
-def held(
-    runs: pd.DataFrame, quantities: Mapping[str, Quantity]
-) -> tuple[dict[str, int], NDArray[np.bool_]]:
+def held(runs: pd.DataFrame, quantities: Mapping[str, Quantity]) -> tuple[dict[str, int], Mask]:
     """Count `<name>_given` and `<name>_held` of quantities; tell the runs (n,) that are wrong.
 
     A run is confidently wrong if any of its quantities is.

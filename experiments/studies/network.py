@@ -13,7 +13,6 @@ from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
@@ -32,6 +31,7 @@ from experiments.studies import network_growth
 from experiments.studies.outdoor import PlacedRow, placed_errors
 from experiments.worlds.outdoor import true_track
 from sim.sensor.frames import FrameConfig
+from ssac.arrays import Array
 from ssac.cli.options import number
 from ssac.clock import Clock
 from ssac.estimate import Status
@@ -45,8 +45,6 @@ from ssac.network.solve import NetworkAnswer
 from ssac.network.state import ROTATION, TRANSLATION
 from ssac.network.tum import Path as SpacePath
 from ssac.pipeline.api import sync
-
-Array = NDArray[np.float64]
 
 T_D_S = (0.0, 0.05, -0.23, 0.41)
 """By how much each clock shows more than the first; added where events are written."""

@@ -15,21 +15,19 @@ from typing import Any
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
 from experiments.lab.cell import Measure, PlainCell, RunRow
 from experiments.lab.study import How, Runs, Study
 from experiments.lab.verify import between, one_of
 from sim.scene.rig import Rig, kalibr_yaml, look_at_rig
 from sim.scene.trajectory import SplineConfig, random_spline
+from ssac.arrays import Array
 from ssac.clock import Clock
 from ssac.estimate import Status
 from ssac.files.track_files import save_track
 from ssac.pipeline.api import sync
 from ssac.pipeline.many import NetworkResult
 from ssac.points import PointTrack
-
-Array = NDArray[np.float64]
 
 COMMAND = "ssac network"
 N_CAMERAS = 8

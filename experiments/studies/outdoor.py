@@ -13,7 +13,6 @@ from typing import Annotated, Any
 import numpy as np
 import pandas as pd
 import typer
-from numpy.typing import NDArray
 
 from experiments.drawing.style import comparison_png
 from experiments.lab.cache import Cache
@@ -28,6 +27,7 @@ from experiments.lab.verify import between, ordered
 from experiments.worlds import outdoor as world
 from experiments.worlds.outdoor import DURATION_S, outdoor_config, seed_of
 from sim.recording import SimConfig
+from ssac.arrays import Array
 from ssac.cli.options import number
 from ssac.config import Config
 from ssac.estimate import Estimate, Status
@@ -39,8 +39,6 @@ from ssac.network.tum import Path as SpacePath
 from ssac.pipeline.answer import Answer
 from ssac.pipeline.api import chain_of, sync
 from ssac.pipeline.many import network
-
-Array = NDArray[np.float64]
 
 N_FLIGHTS = 10
 TWO_AT_ONCE, THREE_CAMERAS = "two_at_once", "three_cameras"

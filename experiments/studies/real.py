@@ -15,7 +15,6 @@ from typing import Annotated, Any
 import numpy as np
 import pandas as pd
 import typer
-from numpy.typing import NDArray
 
 from experiments.drawing.style import Axes, Figure, comparison_png, panels
 from experiments.lab.command import OutOption, check_is_folder
@@ -29,6 +28,7 @@ from experiments.lab.summary import shown_table
 from experiments.lab.verify import one_of, ordered
 from experiments.worlds import tracks
 from experiments.worlds.tracks import DATA_SETS, UNKNOWN_RATES, VARIABLE_RATES
+from ssac.arrays import Array
 from ssac.cli.progress import say
 from ssac.clock import PPM, Clock
 from ssac.config import CLOCKS
@@ -37,7 +37,6 @@ from ssac.files.whole_file import whole_file
 from ssac.fit.covariance import NORMAL_95
 from ssac.network.graph import closures_s
 
-FloatArray = NDArray[np.float64]
 Key = tuple[int, int, int]  # data set and two cameras
 
 PAIRS, TRIPLES, STRAYS, PATHS = "real_pairs", "real_triples", "real_strays", "real_paths"
@@ -357,7 +356,7 @@ def paths_table(results: Results) -> str:
     })  # fmt: skip
 
 
-def _closures_ms(results: Results, number: int) -> FloatArray:
+def _closures_ms(results: Results, number: int) -> Array:
     """Give the closures (k,) of a data set's triples, of which there may be none."""
     return results.table(TRIPLES).query(f"data_set == {number}")["closure_ms"].to_numpy(np.float64)
 

@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from experiments.lab.cache import Cache
 from experiments.lab.cell import FlightCell, Measure, RunRow
@@ -31,6 +30,7 @@ from sim.render.config import SamplingConfig
 from sim.scene.rig import Camera, look_at_rig
 from sim.scene.trajectory import SplineConfig, Trajectory, random_spline
 from sim.seeds import generator
+from ssac.arrays import Array
 from ssac.config import Config
 from ssac.errors import SsacError
 from ssac.estimate import Estimate
@@ -40,8 +40,6 @@ from ssac.methods.correlations import Signal, binned, counted, lags_of, zncc
 from ssac.pipeline.chain import Chain
 from ssac.rules import SignalRules
 from ssac.track.observation import Observation
-
-Array = NDArray[np.float64]
 
 _SIGNALS = SignalRules()
 ZNCC_BIN_S, FRAME_S = _SIGNALS.zncc_bin_s, _SIGNALS.frame_s

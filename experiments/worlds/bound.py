@@ -30,9 +30,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from ssac.arrays import Array
 from ssac.camera import Rig, known_pose
 from ssac.files.readable import readable
 from ssac.fit.least_squares import Parameters
@@ -46,8 +46,6 @@ from ssac.geometry.pose import pose_jacobian
 from ssac.methods.joint import sharp_pairs
 from ssac.methods.tangency import tangent_times, tangents_under
 from ssac.search.two_views import TwoViews
-
-Array = NDArray[np.float64]
 
 _MAX_CONDITION = 1e14  # of the information; beyond it a parameter is not seen at all
 

@@ -10,7 +10,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from numpy.typing import NDArray
 
 from experiments.lab.cache import Cache
 from experiments.lab.recorded import Pair, recorded_pair
@@ -20,11 +19,11 @@ from sim.scene.trajectory import SplineConfig, Trajectory, random_spline, trajec
 from sim.seeds import generator
 from sim.sensor.events import PRESETS
 from sim.sensor.frames import FrameConfig
+from ssac.arrays import Array
 from ssac.camera import Rig, known_pose
 from ssac.config import Config
 from ssac.track.observation import Observation
 
-Array = NDArray[np.float64]
 Position = Callable[[Array], Array]  # (n,) [s] -> (n, 3) [m], world frame
 
 T_D_S = 0.05

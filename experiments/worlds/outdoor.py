@@ -25,6 +25,7 @@ from sim.scene.trajectory import SplineConfig
 from sim.seeds import generator
 from sim.sensor.events import PRESETS
 from sim.sensor.frames import FrameConfig
+from ssac.arrays import Array
 from ssac.clock import Clock
 from ssac.events import EventFile
 from ssac.files.event_files import load_events, write_synced
@@ -32,8 +33,6 @@ from ssac.files.track_files import save_track
 from ssac.network.tum import Path as SpacePath
 from ssac.points import PointTrack
 from ssac.track.faint import faint_object_events
-
-Array = NDArray[np.float64]
 
 DURATION_S = 120.0
 T_D_S = 3.217

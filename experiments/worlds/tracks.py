@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from ssac.arrays import Array
 from ssac.clock import Clock
 from ssac.config import SKEW_PRIOR_PPM, Config
 from ssac.errors import SsacError
@@ -30,7 +30,6 @@ from ssac.pipeline.api import chain_of, sync
 from ssac.pipeline.chain import Chain
 from ssac.pipeline.many import solve_pairs
 
-Array = NDArray[np.float64]
 Log = Callable[[str], None]
 Row = dict[str, Any]
 

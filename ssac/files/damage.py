@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ssac.arrays import Events, IntArray
 from ssac.errors import SsacError
 from ssac.events import US_PER_S, EventFile, check_events, wrap_message, wrapped
 
@@ -49,7 +49,7 @@ def refuse_damaged(path: Path, signs: Sequence[str], reading: Reading) -> None:
 
 
 def checked_file(
-    events: NDArray[np.void],
+    events: Events,
     size_px: tuple[int | None, int | None],
     path: Path,
     reading: Reading,
@@ -71,9 +71,7 @@ def checked_file(
     return EventFile(events, *size_px)
 
 
-def _in_order(
-    events: NDArray[np.void], path: Path, reading: Reading, is_text: bool
-) -> NDArray[np.void]:
+def _in_order(events: Events, path: Path, reading: Reading, is_text: bool) -> Events:
     """Look closely at events whose times may be wrong, or of which some may stand there often."""
     t, x, y = (events[field] for field in "txy")
     steps_us, is_back = np.diff(t), t[1:] < t[:-1]
@@ -120,9 +118,7 @@ def _in_order(
     return events
 
 
-def _inside(
-    events: NDArray[np.void], size_px: tuple[int | None, int | None], path: Path
-) -> NDArray[np.void]:
+def _inside(events: Events, size_px: tuple[int | None, int | None], path: Path) -> Events:
     """Leave out events that lie outside the sensor, or of no polarity, and warn."""
     keep = events["p"] <= 1
     for field, size in zip("xy", size_px, strict=True):
@@ -138,7 +134,7 @@ def _inside(
     return events[keep] if n_lost else events
 
 
-def _longest(events: NDArray[np.void]) -> NDArray[np.void]:
+def _longest(events: Events) -> Events:
     """Keep as many events as are in order; of the parts between leaps of time, the largest."""
     events = events[_in_sequence(events["t"])]
     ends = np.append(1 + np.flatnonzero(np.diff(events["t"]) > _LONGEST_GAP_US), len(events))
@@ -147,7 +143,7 @@ def _longest(events: NDArray[np.void]) -> NDArray[np.void]:
     return events[starts[k] : ends[k]]
 
 
-def _in_sequence(t: NDArray[np.int64]) -> list[int]:
+def _in_sequence(t: IntArray) -> list[int]:
     """Give the indices of the longest subsequence of times (n,) that never runs back."""
     least_us: list[int] = []  # of sequences by length: the time with which one ends first
     last: list[int] = []  # index of that time

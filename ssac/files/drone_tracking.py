@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
+from ssac.arrays import Array
 from ssac.errors import SsacError
 from ssac.files.readable import is_number, readable
 from ssac.files.track_files import save_track
@@ -118,7 +118,7 @@ def _calibration(folder: Path, model: str, number: int) -> tuple[dict[str, Any],
     return entry, fps
 
 
-def _detections(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _detections(path: Path) -> tuple[Array, Array]:
     """Frames (n,) and points (n, 2) [px]; a header is passed over."""
     try:
         lines = path.read_text(encoding="utf-8").splitlines()

@@ -19,6 +19,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from ssac.arrays import Events, IntArray
 from ssac.errors import SsacError
 from ssac.events import EVENT_DTYPE, EventFile, check_lengths, field_values
 from ssac.files.damage import STRICT, Reading, checked_file, refuse_damaged
@@ -80,7 +81,7 @@ def load_events_h5(path: Path, reading: Reading = STRICT) -> EventFile:
 
 def load_frames(
     path: Path | str, summary: Callable[[NDArray[np.uint8]], NDArray[Any]] | None = None
-) -> tuple[NDArray[np.int64], NDArray[Any]] | None:
+) -> tuple[IntArray, NDArray[Any]] | None:
     """Read the intensity frames of a recording; only our HDF5 layout can hold any.
 
     Gives times of mid-exposure (n,) [us] and uint8 images (n, height, width), or None where there
@@ -110,9 +111,7 @@ def load_frames(
     return times_us.astype(np.int64), kept
 
 
-def save_events_h5(
-    path: Path | str, events: NDArray[np.void], width: int | None, height: int | None
-) -> None:
+def save_events_h5(path: Path | str, events: Events, width: int | None, height: int | None) -> None:
     """Write events in our HDF5 layout; the file appears only when it is complete.
 
     The sensor's size [px] is an attribute; None leaves it out.
@@ -128,7 +127,7 @@ def save_events_h5(
 
 def _read_blocks(
     n_events: int, read: Callable[[slice], Mapping[str, NDArray[Any]]], path: Path
-) -> NDArray[np.void]:
+) -> Events:
     """Event array filled block by block; `read` gives the fields of a slice of the events."""
     events = np.empty(n_events, dtype=EVENT_DTYPE)
     for first in range(0, n_events, EVENTS_PER_BLOCK):

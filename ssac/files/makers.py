@@ -29,6 +29,7 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
+from ssac.arrays import Events, Mask
 from ssac.errors import SsacError
 from ssac.events import EVENT_DTYPE, EventFile
 from ssac.files.damage import REPEATED, Reading, checked_file, refuse_damaged
@@ -68,7 +69,7 @@ def load_makers_file(path: Path, reading: Reading, named: Path | None = None) ->
 
 def _decoded(
     path: Path, reading: Reading, name: Path
-) -> tuple[NDArray[np.void], tuple[int | None, int | None]]:
+) -> tuple[Events, tuple[int | None, int | None]]:
     """Events, and the sensor's size; fewer of them where that is allowed."""
     import faery  # here, as it takes long: other formats do without it
 
@@ -189,7 +190,7 @@ def _meaningless(kinds: Words, alone: tuple[int, ...], going_on: tuple[int, ...]
     return np.count_nonzero(~(np.isin(kinds, alone) | goes_on))
 
 
-def _repeated(words: Words, is_event: NDArray[np.bool_]) -> int:
+def _repeated(words: Words, is_event: Mask) -> int:
     """Count the words of events that stand there `REPEATED` times in a row or more."""
     same = np.flatnonzero((words[1:] == words[:-1]) & is_event[1:])
     starts = np.flatnonzero(np.diff(same, prepend=-2) != 1)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ssac.arrays import Events
 from ssac.errors import SsacError
 from ssac.events import EVENT_DTYPE, EventFile, events_from_arrays, events_of_array
 from ssac.files.damage import STRICT, Reading, checked_file
@@ -37,7 +38,7 @@ def load_events_numpy(path: Path, reading: Reading = STRICT) -> EventFile:
 
 
 def save_events_numpy(
-    path: Path | str, events: NDArray[np.void], width: int | None, height: int | None
+    path: Path | str, events: Events, width: int | None, height: int | None
 ) -> None:
     """Write events, into an archive with the sensor's size [px] beside them where it is known."""
     path = Path(path)
@@ -51,7 +52,7 @@ def save_events_numpy(
             np.savez(file, allow_pickle=False, events=events, **arrays)
 
 
-def _events(arrays: dict[str, NDArray[Any]], path: Path) -> NDArray[np.void]:
+def _events(arrays: dict[str, NDArray[Any]], path: Path) -> Events:
     if "events" in arrays and arrays["events"].ndim == 1:
         return events_of_array(arrays["events"], str(path))
     if all(field in arrays for field in _FIELDS):

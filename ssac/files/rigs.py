@@ -10,9 +10,9 @@ from typing import Any
 import cv2
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from ssac.arrays import Array
 from ssac.camera import MAX_READOUT_S, Camera, Cameras, Rig, check_camera, check_transform
 from ssac.errors import SsacError
 from ssac.files.readable import check_is_file, readable, silenced
@@ -227,7 +227,7 @@ def _camera_from_opencv(storage: cv2.FileStorage, path: Path, i: int) -> Camera:
     return _checked_camera(f"{path}, camera {i}", K, _opencv_size(storage, path), model, coeffs)
 
 
-def _opencv_matrix(storage: cv2.FileStorage, keys: list[str], path: Path) -> NDArray[np.float64]:
+def _opencv_matrix(storage: cv2.FileStorage, keys: list[str], path: Path) -> Array:
     """Matrix under the first of the keys that the file has."""
     for key in keys:
         node = storage.getNode(key)
@@ -251,11 +251,11 @@ def _opencv_size(storage: cv2.FileStorage, path: Path) -> tuple[float, float]:
 
 def _checked_camera(
     name: str,
-    K: NDArray[np.float64],
+    K: Array,
     size: Iterable[float],
     distortion_model: str,
-    coeffs: NDArray[np.float64],
-    deviations_px: NDArray[np.float64] | None = None,
+    coeffs: Array,
+    deviations_px: Array | None = None,
 ) -> Camera:
     """Return the camera; the model "none" may come with zeros for coefficients."""
     if distortion_model == "none" and not coeffs.any():
@@ -268,7 +268,7 @@ def _checked_camera(
     return camera
 
 
-def _numbers(value: Any, shape: tuple[int, ...], name: str) -> NDArray[np.float64]:
+def _numbers(value: Any, shape: tuple[int, ...], name: str) -> Array:
     """Finite array of the given shape (-1: any length); SsacError otherwise."""
     try:
         numbers = np.array(value if _is_shaped(value, shape) else np.nan, dtype=np.float64)

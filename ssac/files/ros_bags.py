@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ssac.arrays import Events, IntArray
 from ssac.errors import SsacError
 from ssac.events import EVENT_DTYPE, EventFile, events_from_arrays
 from ssac.files.damage import STRICT, Reading, checked_file, refuse_damaged
@@ -104,7 +105,7 @@ def load_events_bag(path: Path, reading: Reading) -> EventFile:
     if topic.is_track:
         raise SsacError(f"{path}: {topic.name} holds points, a track: expected a topic of events")
     forms: set[tuple[int, int, str]] = set()  # width, height and encoding
-    blocks: list[NDArray[np.void]] = [np.empty(0, EVENT_DTYPE)]
+    blocks: list[Events] = [np.empty(0, EVENT_DTYPE)]
     with TemporaryDirectory() as folder:
         words = _Words(Path(folder) / "events.raw")
 
@@ -207,7 +208,7 @@ class _Message:
         self.text()
         return int(seconds) * 10**9 + int(rest_ns)
 
-    def events(self, name: str) -> NDArray[np.void]:
+    def events(self, name: str) -> Events:
         """Read a list of x, y, time and polarity, which ends the message."""
         n, first = self.number("I"), self.at
         ends = first + (_EVENT_BYTES * n if self.is_ros1 else 16 * n - 3 * (n > 0))
@@ -252,14 +253,14 @@ class _Words:
             file.write(words.astype("<" + code).tobytes())
 
 
-def _of_mono(data: bytes, base_ns: int, order: str, name: str) -> NDArray[np.void]:
+def _of_mono(data: bytes, base_ns: int, order: str, name: str) -> Events:
     """Take apart words of p (1 bit), y (15), x (16) and the time since the base (32) [ns]."""
     words = np.frombuffer(data, order + "u8").astype(np.int64)
     t_us = _us_from_ns(base_ns + (words & 0xFFFFFFFF))
     return events_from_arrays(t_us, words >> 32 & 0xFFFF, words >> 48 & 0x7FFF, words < 0, name)
 
 
-def _us_from_ns(times_ns: NDArray[Any]) -> NDArray[np.int64]:
+def _us_from_ns(times_ns: NDArray[Any]) -> IntArray:
     return (times_ns.astype(np.int64) + 500) // 1000
 
 

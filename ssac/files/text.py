@@ -12,8 +12,8 @@ import warnings
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ssac.arrays import Array, Events, IntArray
 from ssac.errors import SsacError
 from ssac.events import EVENT_DTYPE, US_PER_S, EventFile, events_from_arrays
 from ssac.files.damage import STRICT, Reading, checked_file
@@ -71,7 +71,7 @@ def load_events_csv(path: Path, reading: Reading = STRICT) -> EventFile:
 
 
 def save_events_text(
-    path: Path | str, events: NDArray[np.void], width: int | None, height: int | None
+    path: Path | str, events: Events, width: int | None, height: int | None
 ) -> None:
     """Write ESIM text, exact to the microsecond; the file appears only when it is complete.
 
@@ -101,11 +101,11 @@ def _is_whole_number(word: str) -> bool:
 
 def _read_table(
     path: Path, separator: str, columns: list[str], has_header: bool, in_seconds: bool
-) -> NDArray[np.void]:
+) -> Events:
     """Events of a table of numbers; times in seconds are rounded to whole microseconds."""
     import pandas as pd  # here, as it takes long: other formats do without it
 
-    blocks: list[NDArray[np.void]] = [np.empty(0, EVENT_DTYPE)]
+    blocks: list[Events] = [np.empty(0, EVENT_DTYPE)]
     try:
         with (
             np.errstate(invalid="ignore"),
@@ -138,7 +138,7 @@ def _read_table(
     return np.concatenate(blocks)
 
 
-def _microseconds_from_seconds(t_s: NDArray[np.float64], path: Path) -> NDArray[np.int64]:
+def _microseconds_from_seconds(t_s: Array, path: Path) -> IntArray:
     """Nearest whole microseconds; SsacError for nan and inf."""
     most_s = 2.0**62 / US_PER_S  # what a time in whole microseconds holds
     if not (np.abs(t_s) < most_s).all():  # NaN is not either

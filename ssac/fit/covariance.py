@@ -23,13 +23,10 @@ from itertools import pairwise
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import stdtrit
 
+from ssac.arrays import Array, Indices, IntArray
 from ssac.rules import FitRules
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 NORMAL_95 = 1.96
 
@@ -207,7 +204,7 @@ def _sum_variance(times_s: Array, effects: Array, rules: FitRules) -> tuple[floa
     return m * variance[0, 0], independent
 
 
-def _series(times_s: Array) -> list[tuple[slice, NDArray[np.int64], float]]:
+def _series(times_s: Array) -> list[tuple[slice, IntArray, float]]:
     """Split into ascending series: where each stands, its places on an even grid, the step [s]."""
     bounds = [0, *(np.flatnonzero(np.diff(times_s) < 0.0) + 1), len(times_s)]
     found = []

@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ssac.arrays import Array
 from ssac.camera import Camera, Rig, distort_points
 from ssac.fit.least_squares import (
     FIRST_COLUMN,
@@ -29,8 +29,6 @@ from ssac.fit.least_squares import (
     solve,
 )
 from ssac.geometry.epipolar import fundamental_from_pose, robust_deviation
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

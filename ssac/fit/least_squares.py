@@ -13,16 +13,13 @@ from dataclasses import dataclass, field, replace
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
+from ssac.arrays import Array, Indices
 from ssac.camera import Rig
 from ssac.fit import covariance
 from ssac.geometry import epipolar
 from ssac.geometry.pose import moved_pose, pose_jacobian
 from ssac.rules import FitRules
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 T_D = 0
 """Place of the offset among the parameters."""

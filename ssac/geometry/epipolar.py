@@ -9,22 +9,22 @@ from typing import TypeVar
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
-Matrix = NDArray[np.float64]
-Entries = Matrix | Sequence[float]
-T = TypeVar("T", float, Matrix)
+from ssac.arrays import Array
+
+Entries = Array | Sequence[float]
+T = TypeVar("T", float, Array)
 
 CAUCHY = 2.385  # robust deviations where Cauchy's loss turns: 95 % efficiency on Gaussian noise
 TO_DEVIATION = 1.4826  # from the median absolute value of Gaussian noise to its deviation
 
 
-def robust_deviation(residuals: Matrix) -> float:
+def robust_deviation(residuals: Array) -> float:
     """Deviation, from zero, of Gaussian noise with the same median absolute value."""
     return float(TO_DEVIATION * np.median(np.abs(residuals)))
 
 
-def cauchy_weights(residuals: Matrix, turn: float = CAUCHY) -> tuple[Matrix, Matrix]:
+def cauchy_weights(residuals: Array, turn: float = CAUCHY) -> tuple[Array, Array]:
     """First derivative over residual, and second derivative, of Cauchy's loss: both (n,).
 
     The loss turns `turn` robust standard deviations from zero.
@@ -34,27 +34,27 @@ def cauchy_weights(residuals: Matrix, turn: float = CAUCHY) -> tuple[Matrix, Mat
     return 1.0 / (1.0 + squares), (1.0 - squares) / (1.0 + squares) ** 2
 
 
-def cross_matrix(v: Matrix) -> Matrix:
+def cross_matrix(v: Array) -> Array:
     """Return [v]x (3, 3), with which [v]x w is the cross product of v and w."""
     return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
 
 
-def fundamental_from_pose(K1: Matrix, K2: Matrix, R: Matrix, t: Matrix) -> Matrix:
+def fundamental_from_pose(K1: Array, K2: Array, R: Array, t: Array) -> Array:
     """F = K2^-T [t]x R K1^-1 of the relative pose x2 = R x1 + t, as below the paper's Eq. 2."""
     return fundamental_from_essential(cross_matrix(t) @ R, K1, K2)
 
 
-def fundamental_from_essential(E: Matrix, K1: Matrix, K2: Matrix) -> Matrix:
+def fundamental_from_essential(E: Array, K1: Array, K2: Array) -> Array:
     """F = K2^-T E K1^-1; linear in E (..., 3, 3), so it also takes dE to dF."""
     return np.asarray(np.linalg.inv(K2).T @ E @ np.linalg.inv(K1))
 
 
-def essential_from_fundamental(F: Matrix, K1: Matrix, K2: Matrix) -> Matrix:
+def essential_from_fundamental(F: Array, K1: Array, K2: Array) -> Array:
     """E = K2' F K1; its two non-zero singular values differ as far as F is not exact."""
     return np.asarray(K2.T @ F @ K1)
 
 
-def epipolar_lines_1(F: Matrix, p2_px: Matrix) -> Matrix:
+def epipolar_lines_1(F: Array, p2_px: Array) -> Array:
     """Epipolar lines (..., 3) in image 1 of points (..., 2) in image 2.
 
     They are l1 = F' p2, as (a, b, c) of a x + b y + c = 0, not normalised.
@@ -63,7 +63,7 @@ def epipolar_lines_1(F: Matrix, p2_px: Matrix) -> Matrix:
     return np.asarray(p2_px @ F[:2] + F[2])
 
 
-def epipolar_distance(F: Matrix, p1_px: Matrix, p2_px: Matrix) -> Matrix:
+def epipolar_distance(F: Array, p1_px: Array, p2_px: Array) -> Array:
     """Distances d(p1, l1) (...,) [px] in image 1 of pairs (..., 2), the summands of Eq. 4.
 
     NaN where p2 is the epipole, which has no epipolar line; infinite where the line is that at
@@ -89,7 +89,7 @@ def epipolar_terms(f: Entries, u1: T, v1: T, u2: T, v2: T) -> tuple[T, T, T, T, 
     return u2 * a2 + v2 * b2 + (f[6] * u1 + f[7] * v1 + f[8]), a2, b2, a1, b1
 
 
-def sampson_distance(F: Matrix, p1_px: Matrix, p2_px: Matrix) -> Matrix:
+def sampson_distance(F: Array, p1_px: Array, p2_px: Array) -> Array:
     """Signed Sampson distances (N,) [px]: to first order, how far pairs (N, 2) are from Eq. 2.
 
     They are p2' F p1 / sqrt(|(F p1)_12|^2 + |(F' p2)_12|^2). Noise of deviation sigma in all four
@@ -99,13 +99,13 @@ def sampson_distance(F: Matrix, p1_px: Matrix, p2_px: Matrix) -> Matrix:
     return np.asarray(products / np.linalg.norm(np.stack(gradients), axis=0))
 
 
-def sampson_derivative(F: Matrix, p1_px: Matrix, p2_px: Matrix, dp2_px: Matrix) -> Matrix:
+def sampson_derivative(F: Array, p1_px: Array, p2_px: Array, dp2_px: Array) -> Array:
     """Differentiate `sampson_distance` (N,), with p2 moving at the rate dp2."""
     points = (np.ascontiguousarray(points_px) for points_px in (p1_px, p2_px, dp2_px))
     return np.asarray(_derivatives(F.ravel(), *points))
 
 
-def sampson_gradient(F: Matrix, p1_px: Matrix, p2_px: Matrix) -> Matrix:
+def sampson_gradient(F: Array, p1_px: Array, p2_px: Array) -> Array:
     """Differentiate `sampson_distance` by the entries of F: (N, 3, 3)."""
     points = (np.ascontiguousarray(points_px) for points_px in (p1_px, p2_px))
     return np.asarray(_by_entries(F.ravel(), *points))
@@ -117,7 +117,7 @@ _terms: Callable[..., tuple[float, float, float, float, float]] = numba.njit(cac
 
 
 @numba.njit(cache=True, error_model="numpy")  # no line at an epipole: NaN, not an exception
-def _derivatives(f: Matrix, p1: Matrix, p2: Matrix, dp2: Matrix) -> Matrix:
+def _derivatives(f: Array, p1: Array, p2: Array, dp2: Array) -> Array:
     found = np.empty(len(p1))
     for i in range(len(p1)):
         u1, v1, u2, v2, du2, dv2 = p1[i, 0], p1[i, 1], p2[i, 0], p2[i, 1], dp2[i, 0], dp2[i, 1]
@@ -132,7 +132,7 @@ def _derivatives(f: Matrix, p1: Matrix, p2: Matrix, dp2: Matrix) -> Matrix:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _by_entries(f: Matrix, p1: Matrix, p2: Matrix) -> Matrix:
+def _by_entries(f: Array, p1: Array, p2: Array) -> Array:
     found = np.empty((len(p1), 3, 3))
     for i in range(len(p1)):
         u1, v1, u2, v2 = p1[i, 0], p1[i, 1], p2[i, 0], p2[i, 1]

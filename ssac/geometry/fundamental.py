@@ -14,18 +14,16 @@ from functools import lru_cache
 import cv2
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
+from ssac.arrays import Array, IntArray
 from ssac.geometry.epipolar import CAUCHY, TO_DEVIATION, epipolar_terms, fundamental_from_essential
-
-Matrix = NDArray[np.float64]
 
 _BLOCK = 64  # pairs counted between two looks at the count: enough for vector instructions
 _SIDE_BY_SIDE = 32  # subsets: enough for vector instructions, and few enough for the nearest cache
 
 
 @numba.njit(cache=True)
-def best_subset(x1: Matrix, x2: Matrix, uniform: Matrix) -> Matrix:
+def best_subset(x1: Array, x2: Array, uniform: Array) -> Array:
     """F (rank 3) of the subset of eight pairs with the least median squared Sampson distance.
 
     One subset per row of `uniform` (trials, 8), numbers in [0, 1), without repetition after Floyd.
@@ -69,7 +67,7 @@ def best_subset(x1: Matrix, x2: Matrix, uniform: Matrix) -> Matrix:
 
 
 @numba.njit(cache=True)
-def _draw(uniform: Matrix, n: int, subset: NDArray[np.int64]) -> None:
+def _draw(uniform: Array, n: int, subset: IntArray) -> None:
     """Fill in eight of n places, from as many random numbers."""
     for row in range(8):
         last = n - 8 + row
@@ -82,7 +80,7 @@ def _draw(uniform: Matrix, n: int, subset: NDArray[np.int64]) -> None:
 
 
 @numba.njit(cache=True)
-def in_blocks(x1: Matrix, x2: Matrix) -> Matrix:
+def in_blocks(x1: Array, x2: Array) -> Array:
     """Lay the pairs' coordinates (4, ...) side by side for each _BLOCK of them."""
     n = x1.shape[1]
     blocks = np.zeros((-(-n // _BLOCK), 4, _BLOCK))
@@ -94,7 +92,7 @@ def in_blocks(x1: Matrix, x2: Matrix) -> Matrix:
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz"})
-def _solve_side_by_side(A: Matrix, solutions: Matrix, least_pivots: Matrix, work: Matrix) -> None:
+def _solve_side_by_side(A: Array, solutions: Array, least_pivots: Array, work: Array) -> None:
     """Solve A f = 0 for f (9, M), the last entry 1, of M systems A (8, 9, M), which are used up."""
     # By elimination, in which the larger of two rows takes the other's entry away: of both,
     # whichever it is, the same is done. A small one of the least pivots (M,) is of an F whose last
@@ -133,7 +131,7 @@ def _solve_side_by_side(A: Matrix, solutions: Matrix, least_pivots: Matrix, work
 
 
 @numba.njit(cache=True)
-def count_near(limit: float, F: Matrix, n: int, blocks: Matrix, most: int) -> int:
+def count_near(limit: float, F: Array, n: int, blocks: Array, most: int) -> int:
     """Count the n pairs of `in_blocks` with a squared Sampson distance below the limit.
 
     Stops, at up to `most`, where the pairs left cannot bring the count above it.
@@ -151,7 +149,7 @@ def count_near(limit: float, F: Matrix, n: int, blocks: Matrix, most: int) -> in
 
 @numba.njit(cache=True, fastmath=True)
 def _count_in_block(
-    limit: float, f: tuple[float, ...], u1: Matrix, v1: Matrix, u2: Matrix, v2: Matrix, n: int
+    limit: float, f: tuple[float, ...], u1: Array, v1: Array, u2: Array, v2: Array, n: int
 ) -> int:
     """Of the first n pairs, those with a squared distance below the limit."""
     count = 0
@@ -162,7 +160,7 @@ def _count_in_block(
 
 
 @numba.njit(cache=True)
-def _monomials(x1: Matrix, x2: Matrix, i: int, row: Matrix) -> None:
+def _monomials(x1: Array, x2: Array, i: int, row: Array) -> None:
     """Fill in the coefficients (9,) of F's entries, row by row, in x2' F x1 of pair i."""
     row[0], row[1], row[2] = x2[0, i] * x1[0, i], x2[0, i] * x1[1, i], x2[0, i]
     row[3], row[4], row[5] = x2[1, i] * x1[0, i], x2[1, i] * x1[1, i], x2[1, i]
@@ -170,7 +168,7 @@ def _monomials(x1: Matrix, x2: Matrix, i: int, row: Matrix) -> None:
 
 
 @numba.njit(cache=True, error_model="numpy")  # no line at an epipole: NaN, not an exception
-def sampson(F: Matrix, x1: Matrix, x2: Matrix) -> tuple[Matrix, Matrix]:
+def sampson(F: Array, x1: Array, x2: Array) -> tuple[Array, Array]:
     """Squared Sampson distances (N,) and their squared denominators (N,)."""
     n = x1.shape[1]
     squares, squared_norms = np.empty(n), np.empty(n)
@@ -182,7 +180,7 @@ def sampson(F: Matrix, x1: Matrix, x2: Matrix) -> tuple[Matrix, Matrix]:
 
 
 @numba.njit(cache=True)
-def _entries(f: Matrix) -> tuple[float, ...]:
+def _entries(f: Array) -> tuple[float, ...]:
     """Put nine entries in a tuple, so that loops keep them in registers."""
     return f[0], f[1], f[2], f[3], f[4], f[5], f[6], f[7], f[8]
 
@@ -202,7 +200,7 @@ def _product_and_norm(
 
 
 @numba.njit(cache=True, fastmath=True)
-def _solve_null_vector(A: Matrix, F: Matrix) -> bool:
+def _solve_null_vector(A: Array, F: Array) -> bool:
     """Solve A f = 0 for f = F row by row; False when the rank of A (8, 9), used up, is below 8."""
     # By Gaussian elimination with the row's largest entry as pivot: columns are exchanged, so that
     # the last one left, whose unknown is set to 1, is never one that the others determine to be 0.
@@ -241,7 +239,7 @@ _NOT_YET = np.zeros((3, 3))  # an F
 _TWO_COORDINATES = ((0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2))  # of (u, v, 1)
 
 
-def lmeds_fundamental(p1_px: Matrix, p2_px: Matrix, trials: int, seed: int = 0) -> Matrix:
+def lmeds_fundamental(p1_px: Array, p2_px: Array, trials: int, seed: int = 0) -> Array:
     """F by least median of squares over Sampson distances, then reweighted least squares.
 
     Of pairs (N, 2) [px], N >= 8, and as many random subsets of eight as there are trials; F has
@@ -254,7 +252,7 @@ def lmeds_fundamental(p1_px: Matrix, p2_px: Matrix, trials: int, seed: int = 0) 
     return np.asarray(T2.T @ _reweighted(x1, x2, F) @ T1)
 
 
-def reweighted_fundamental(p1_px: Matrix, p2_px: Matrix) -> Matrix:
+def reweighted_fundamental(p1_px: Array, p2_px: Array) -> Array:
     """F by the eight-point algorithm, then reweighted least squares: cheaper, for few outliers.
 
     Pairs and result as for `lmeds_fundamental`.
@@ -266,7 +264,7 @@ def reweighted_fundamental(p1_px: Matrix, p2_px: Matrix) -> Matrix:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def median_after_fit(p1_px: Matrix, p2_px: Matrix, iterations: int) -> float:
+def median_after_fit(p1_px: Array, p2_px: Array, iterations: int) -> float:
     """Median Sampson distance [px] of pairs (n, 2) from the F that fits most of them.
 
     As `reweighted_fundamental`, in fewer iterations, for loops that are compiled.
@@ -278,7 +276,7 @@ def median_after_fit(p1_px: Matrix, p2_px: Matrix, iterations: int) -> float:
     return median_px
 
 
-def second_best(p1_px: Matrix, p2_px: Matrix) -> float:
+def second_best(p1_px: Array, p2_px: Array) -> float:
     """How many times worse than the best F another one fits the pairs, one as unlike it as can be.
 
     The ratio of the two least singular values of the weighted eight-point system. Near 1 the pairs
@@ -298,7 +296,7 @@ def second_best(p1_px: Matrix, p2_px: Matrix) -> float:
     return float(np.sqrt(max(values[1], rounding) / max(values[0], rounding)))
 
 
-def magsac_fundamental(p1_px: Matrix, p2_px: Matrix, K1: Matrix, K2: Matrix) -> Matrix:
+def magsac_fundamental(p1_px: Array, p2_px: Array, K1: Array, K2: Array) -> Array:
     """F of the essential matrix that OpenCV's MAGSAC++ finds, with the help of the intrinsics.
 
     NaN when it finds none.
@@ -312,7 +310,7 @@ def magsac_fundamental(p1_px: Matrix, p2_px: Matrix, K1: Matrix, K2: Matrix) -> 
 
 
 @lru_cache(maxsize=4)
-def _uniform(trials: int, seed: int) -> Matrix:
+def _uniform(trials: int, seed: int) -> Array:
     """Numbers (trials, 8) in [0, 1), drawn once for all candidates of a search; read only."""
     numbers = np.random.default_rng(seed).random((trials, 8))
     numbers.flags.writeable = False
@@ -320,7 +318,7 @@ def _uniform(trials: int, seed: int) -> Matrix:
 
 
 @numba.njit(cache=True)
-def _normalised(p1_px: Matrix, p2_px: Matrix) -> tuple[Matrix, Matrix, Matrix, Matrix]:
+def _normalised(p1_px: Array, p2_px: Array) -> tuple[Array, Array, Array, Array]:
     """Both images' points (2, N), centred and scaled, and the transforms (3, 3) that do so."""
     # Hartley's normalisation, but with one scale for both images, which keeps Sampson distances
     # proportional to those in pixels.
@@ -341,7 +339,7 @@ def _normalised(p1_px: Matrix, p2_px: Matrix) -> tuple[Matrix, Matrix, Matrix, M
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _reweighted(x1: Matrix, x2: Matrix, F: Matrix, iterations: int = _POLISH_ITERATIONS) -> Matrix:
+def _reweighted(x1: Array, x2: Array, F: Array, iterations: int = _POLISH_ITERATIONS) -> Array:
     """Iterate the weighted eight-point fit with Sampson and Cauchy weights, from F if not zero."""
     if not F.any():
         F = _eight_point(x1, x2, np.ones(x1.shape[1]))
@@ -353,17 +351,17 @@ def _reweighted(x1: Matrix, x2: Matrix, F: Matrix, iterations: int = _POLISH_ITE
 
 
 @numba.njit(cache=True)
-def _eight_point(x1: Matrix, x2: Matrix, weights: Matrix) -> Matrix:
+def _eight_point(x1: Array, x2: Array, weights: Array) -> Array:
     """F (rank 2) near the least weighted sum of (x2' F x1)^2: the eight-point algorithm."""
     _, vectors = np.linalg.eigh(_moments(x1, x2, weights))
     U, singular, Vt = np.linalg.svd(np.ascontiguousarray(vectors[:, 0]).reshape(3, 3))
     singular[2] = 0.0
-    F: Matrix = (U * singular) @ Vt
+    F: Array = (U * singular) @ Vt
     return F
 
 
 @numba.njit(cache=True, fastmath=True)
-def _moments(x1: Matrix, x2: Matrix, weights: Matrix) -> Matrix:
+def _moments(x1: Array, x2: Array, weights: Array) -> Array:
     """Weighted sums (9, 9) of the products of two monomials, the lower triangle that eigh reads."""
     # Such a product is one of two coordinates of x2 times one of two coordinates of x1, the third
     # coordinate being 1: six times six sums, each over whole arrays.

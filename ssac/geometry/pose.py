@@ -8,15 +8,14 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from ssac.arrays import Array
 from ssac.camera import Rig
 from ssac.geometry import epipolar
 from ssac.geometry.fundamental import reweighted_fundamental
 from ssac.rules import SearchRules
 
-Array = NDArray[np.float64]
 Pose = tuple[Array, Array]  # R (3, 3) and t (3,) of length 1
 
 

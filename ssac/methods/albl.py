@@ -13,9 +13,9 @@ from typing import cast
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
+from ssac.arrays import Array, Indices, Mask
 from ssac.estimate import Estimate, Status
 from ssac.geometry.epipolar import sampson_distance
 from ssac.geometry.fundamental import count_near, in_blocks, reweighted_fundamental, sampson
@@ -25,8 +25,6 @@ from ssac.rules import AlblRules, Rules
 from ssac.search.offset_search import candidate_offsets
 from ssac.search.two_views import Pairs, TwoViews
 from ssac.track.motion import Track
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -58,7 +56,7 @@ class _Agreement:
 
     pairs: _Linearised
     shift_s: float
-    inliers: NDArray[np.bool_]  # (n,) of the pairs
+    inliers: Mask  # (n,) of the pairs
 
     @property
     def inlier_share(self) -> float:
@@ -213,7 +211,7 @@ def _linearised(pairs: Pairs, ahead: Track, step_s: float, m: int) -> _Linearise
 
 @numba.njit(cache=True)
 def _centred(
-    p1_px: Array, p2_px: Array, ahead_px: Array, valid: NDArray[np.bool_], step_s: float
+    p1_px: Array, p2_px: Array, ahead_px: Array, valid: Mask, step_s: float
 ) -> tuple[Array, Array]:
     """Take the n valid pairs about their means and their secants (3, 2, n); squares (2, n, 2)."""
     n = np.count_nonzero(valid)
@@ -258,9 +256,7 @@ def _ransac(
     return _Agreement(pairs, shift_s, squares < limit)
 
 
-def _solutions(
-    A: Array, B: Array, subsets: NDArray[np.intp], longest_s: float
-) -> tuple[Array, Array]:
+def _solutions(A: Array, B: Array, subsets: Indices, longest_s: float) -> tuple[Array, Array]:
     """All real solutions of (A + b B) f = 0 for subsets (T, 9): shifts b (S,) [s], F (S, 3, 3).
 
     B has no entries in f's last three columns: with X (9, 6) = A^-1 B of the first six,
@@ -281,7 +277,7 @@ def _solutions(
 
 
 @numba.njit(cache=True)
-def _quotients(A: Array, B: Array, subsets: NDArray[np.intp]) -> Array:
+def _quotients(A: Array, B: Array, subsets: Indices) -> Array:
     """A^-1 B of the rows in each subset, (T, 9, 6), by Gaussian elimination with pivoting."""
     # At the true offset A is singular but for noise. A pivot of zero is then taken as the least
     # number that can be divided by, on coordinates of order 1: the shift b comes out as zero.

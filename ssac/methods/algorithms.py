@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ssac.arrays import Array
 from ssac.camera import known_pose
 from ssac.estimate import ClockJump, Estimate, Refusal, Status
 from ssac.geometry.epipolar import cauchy_weights, epipolar_distance, fundamental_from_pose
@@ -26,8 +26,6 @@ from ssac.search.offset_search import (
 )
 from ssac.search.two_views import TwoViews
 from ssac.search.view import View
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

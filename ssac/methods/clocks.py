@@ -13,8 +13,8 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ssac.arrays import Array
 from ssac.clock import PPM, Clock
 from ssac.estimate import SETTLED_BY, ClockJump, Estimate, Status
 from ssac.fit.least_squares import (
@@ -34,8 +34,6 @@ from ssac.methods.algorithms import algorithm_1, algorithm_2
 from ssac.methods.verdict import jumped
 from ssac.rules import ClockRules
 from ssac.search.two_views import Shutters, TwoViews, shutters_of
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 
+from ssac.arrays import Array, IntArray
 from ssac.config import Config
 from ssac.errors import SsacError
 from ssac.estimate import Estimate, Status
@@ -14,8 +15,6 @@ from ssac.events import US_PER_S
 from ssac.methods.method import Input, method
 from ssac.rules import SignalRules
 from ssac.track.observation import Observation
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -26,7 +25,7 @@ class Signal:
     values: Array  # (n,)
 
 
-def counted(times_us: NDArray[np.int64], bin_us: int) -> Signal:
+def counted(times_us: IntArray, bin_us: int) -> Signal:
     """Count times (n,) [us], ascending, maybe none, in each bin from the first time to the last."""
     if len(times_us) == 0:
         return Signal(0, np.empty(0))
@@ -51,10 +50,7 @@ def binned(times_s: Array, values: Array | None, bin_s: float) -> Signal:
 
 
 def zncc(
-    signal1: Signal,
-    signal2: Signal,
-    lags: NDArray[np.int64],
-    min_overlap: float = SignalRules.min_overlap,
+    signal1: Signal, signal2: Signal, lags: IntArray, min_overlap: float = SignalRules.min_overlap
 ) -> Array:
     """Zero-normalised cross-correlation of signal1 at bin b with signal2 at bin b + lag.
 
@@ -76,7 +72,7 @@ def zncc(
     return curve
 
 
-def lags_of(config: Config, bin_s: float) -> NDArray[np.int64]:
+def lags_of(config: Config, bin_s: float) -> IntArray:
     """All whole lags [bins] within the search interval."""
     low, high = config.offsets_s
     first, last = np.ceil(low / bin_s - 1e-9), np.floor(high / bin_s + 1e-9)
@@ -110,7 +106,7 @@ def event_rate_of_events(one: Observation, other: Observation, config: Config) -
         signal.values - np.sum(signal.values) / max(len(signal.values), 1) for signal in signals
     )
     power = float(np.linalg.norm(rate1) * np.linalg.norm(rate2))
-    curve: NDArray[np.float64] = np.full(len(lags), np.nan)
+    curve: Array = np.full(len(lags), np.nan)
     if power > 0.0:
         n = len(rate2) + len(rate1) - 1
         n_fast = next_fast_len(n, real=True)
@@ -172,7 +168,7 @@ def mean_brightness(observation: Observation, name: str, frame_s: float) -> Sign
     return binned(times_s, frame_means(frames), frame_s)
 
 
-def frame_means(frames: NDArray[np.generic]) -> NDArray[np.float64]:
+def frame_means(frames: NDArray[np.generic]) -> Array:
     """Means (n,) of frames (n, height, width), exact for integers."""
     kind = np.float64 if frames.dtype.kind == "f" else np.int64
     size = math.prod(frames.shape[1:])

@@ -10,7 +10,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ssac.camera import known_pose
 from ssac.estimate import POSE_IS_OPEN, SETTLED_BY, Estimate, Refusal, Status
@@ -20,8 +19,6 @@ from ssac.methods.verdict import certain, refused
 from ssac.rules import Rules
 from ssac.search.offset_search import no_match, open_fundamental, other_offsets, valleys
 from ssac.search.two_views import TwoViews, shutters_of
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,8 @@ by the inverse of its images' size.
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ssac.arrays import Array
 from ssac.estimate import Estimate, Status
 from ssac.fit.least_squares import Parameters, Residuals, WeighedPairs, linearise
 from ssac.methods.clocks import checked_clock, with_coarse_skew
@@ -23,8 +23,6 @@ from ssac.methods.refinement import Refinement, Round, smooth_errors
 from ssac.methods.verdict import certain, doubt, is_spread
 from ssac.search.two_views import TwoViews
 from ssac.track.motion import SharpTrack
-
-Array = NDArray[np.float64]
 
 
 @method(

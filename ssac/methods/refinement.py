@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ssac.arrays import Array
 from ssac.camera import Rig
 from ssac.estimate import Estimate, Status
 from ssac.fit.intrinsics import (
@@ -36,8 +36,6 @@ from ssac.methods.algorithms import with_fit
 from ssac.methods.clocks import checked_clock, clock_model
 from ssac.methods.verdict import doubt
 from ssac.search.two_views import TwoViews
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

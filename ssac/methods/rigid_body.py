@@ -10,9 +10,9 @@ much its drawings must be moved in each view is what the images say against thes
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from ssac.arrays import Array, Mask
 from ssac.clock import Clock
 from ssac.errors import SsacError
 from ssac.estimate import Estimate
@@ -24,8 +24,6 @@ from ssac.track.body import Look, body_moves
 from ssac.track.moments import View, moments_of_two
 from ssac.track.motion import PointMotion, point_motion
 from ssac.track.silhouette import Images
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,7 +159,7 @@ def _nearest(values: Array, at_s: Array, times_s: Array, reach_s: float) -> Arra
     return np.where(is_near[:, None], values[nearest], np.nan)
 
 
-def _in_front(points: Array) -> tuple[Array, NDArray[np.bool_]]:
+def _in_front(points: Array) -> tuple[Array, Mask]:
     """Give points (n, 3), anywhere in front where they are not known, and where they are."""
     known = np.isfinite(points[:, 2]) & (points[:, 2] > 0.0)
     return np.where(known[:, None], points, np.array([0.0, 0.0, 1.0])), known

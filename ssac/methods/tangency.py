@@ -14,8 +14,8 @@ seen in the other. So the loss turns early, and a pair counts by how sharp its o
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ssac.arrays import Array
 from ssac.errors import SsacError
 from ssac.estimate import POSE_IS_OPEN, SETTLED_BY, Estimate, Status
 from ssac.fit.least_squares import Parameters, Residuals, WeighedPairs
@@ -32,7 +32,6 @@ from ssac.search.two_views import TwoViews
 from ssac.track.motion import ObjectMotion, PointMotion
 from ssac.track.outline import OutlineEvents, Tangents, near_outline, tangents
 
-Array = NDArray[np.float64]
 TangencyConfig = TangencyRules  # as studies of its variants call it
 
 

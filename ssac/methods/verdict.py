@@ -3,8 +3,8 @@
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ssac.arrays import Array
 from ssac.config import N_MIN
 from ssac.estimate import ClockJump, Estimate, Refusal, Status
 from ssac.events import US_PER_S, time_quantum_s
@@ -15,8 +15,6 @@ from ssac.search.offset_search import OffsetSearch, Valley
 from ssac.search.two_views import TwoViews
 from ssac.track.motion import PointMotion
 from ssac.track.observation import Observation
-
-Array = NDArray[np.float64]
 
 
 def offset_estimate(method: str, search: OffsetSearch, views: TwoViews) -> Estimate:

@@ -8,18 +8,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ssac.arrays import Array, IntArray, Mask
 from ssac.geometry.epipolar import CAUCHY, TO_DEVIATION
 from ssac.network import state as layout
 from ssac.network.graph import Pair, PairConstraint, shared_by
 from ssac.network.normal import Linear, Normal, Solved, Spline, basis, jerks, products, solve
 from ssac.network.state import CameraState, Priors, Sightings, network_times, projected
 from ssac.rules import NetworkRules
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +50,7 @@ class Fit:
         return deviation_px(self.residuals_px[self.used])
 
 
-def border_offsets(network: Network) -> Indices:
+def border_offsets(network: Network) -> IntArray:
     """Give where each camera's parameters begin in the border (c + 1,)."""
     return np.concatenate([[0], np.cumsum([state.size for state in network.states])]).astype(int)
 
@@ -85,7 +81,7 @@ def known(network: Network) -> tuple[Array, Array]:
     rows, residuals = list[Array](), list[float]()
     cameras, rules, offsets = network.cameras, network.rules, border_offsets(network)
 
-    def add(places: Indices | list[int], values: Array | list[float], residual: float) -> None:
+    def add(places: IntArray | list[int], values: Array | list[float], residual: float) -> None:
         row = np.zeros(int(offsets[-1]))
         row[places] = values
         rows.append(row)
@@ -168,7 +164,7 @@ def adjust(network: Network, rounds: int, with_intrinsics: bool = True) -> tuple
     return network, solve(_normal(network)[0], free)
 
 
-def _free(network: Network, with_intrinsics: bool) -> Indices:
+def _free(network: Network, with_intrinsics: bool) -> IntArray:
     """Which of all cameras' parameters are free."""
     free = list[int]()
     for k, (prior, seen) in enumerate(zip(network.priors, network.cameras, strict=True)):
@@ -185,7 +181,7 @@ def _free(network: Network, with_intrinsics: bool) -> Indices:
     return np.array(sorted(free), dtype=np.int64)
 
 
-def _minimised(network: Network, free: Indices) -> tuple[Network, float, Solved]:
+def _minimised(network: Network, free: IntArray) -> tuple[Network, float, Solved]:
     """Take steps as long as they lower the cost, at given deviations and smoothness."""
     normal, cost = _normal(network)
     damping, least_damping = 0.0, 1e-4

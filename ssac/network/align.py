@@ -13,18 +13,15 @@ Deviation: the paper does not align times; it registers both paths as sets of po
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.interpolate import Akima1DInterpolator, BSpline, PPoly, make_lsq_spline
 from scipy.spatial.transform import Rotation
 
+from ssac.arrays import Array, Mask
 from ssac.clock import PPM, Clock
 from ssac.errors import SsacError
 from ssac.geometry.epipolar import cauchy_weights, robust_deviation
 from ssac.network.tum import Path
-
-Array = NDArray[np.float64]
-
 
 RATE_STD_PPM = 50.0
 """Prior deviation of the rate between two oscillators; phones and camcorders need 1000."""
@@ -113,7 +110,7 @@ class InTime:
         """Give velocities (n, 3) [1/s]; NaN where there are no positions."""
         return np.where(self.covers(times_s)[:, None], self._velocity(times_s), np.nan)
 
-    def covers(self, times_s: Array) -> NDArray[np.bool_]:
+    def covers(self, times_s: Array) -> Mask:
         """Say at which times (n,) there is a position; at each point itself there is."""
         inside = (times_s >= self.times_s[0]) & (times_s <= self.times_s[-1])
         piece = np.searchsorted(self.times_s, times_s, side="right") - 1

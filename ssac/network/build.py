@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ssac.arrays import Array, Mask
 from ssac.network.adjustment import Network, adjust, fit_of
 from ssac.network.graph import Link, Pair, agreeing, supports
 from ssac.network.normal import Solved, knots_for
@@ -14,9 +14,6 @@ from ssac.network.state import CameraState, Priors, Sightings, is_near, network_
 from ssac.rules import BodyRules, NetworkRules
 from ssac.track.body import Look, body_moves
 from ssac.track.moments import View, perspective_shifts, second_moments
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,16 +11,14 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
+from ssac.arrays import Array
 from ssac.clock import Clock
 from ssac.errors import SsacError
 from ssac.network.align import RATE_STD_PPM, Similarity, best_shift, interpolated, similarity
 from ssac.network.tum import Path
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

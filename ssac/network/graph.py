@@ -11,18 +11,17 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
 
+from ssac.arrays import Array
 from ssac.clock import PPM, Clock
 from ssac.estimate import Estimate, Status
 from ssac.geometry.pose import tangent_basis
 from ssac.network.state import DELAY, RATE, ROTATION, TRANSLATION, CameraState
 from ssac.rules import NetworkRules
 
-Array = NDArray[np.float64]
 Pair = tuple[int, int]
 Triple = tuple[int, int, int]
 

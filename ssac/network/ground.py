@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ssac.arrays import Array
 from ssac.errors import SsacError
 from ssac.files.readable import check_is_file, readable
 from ssac.network.align import Similarity, similarity
@@ -14,8 +14,6 @@ from ssac.network.comparison import compare, without_lever_arm
 from ssac.network.solve import CameraAnswer, NetworkAnswer, path_of
 from ssac.network.tum import read_path
 from ssac.rules import GroundRules
-
-Array = NDArray[np.float64]
 
 POSITION_COLUMNS = ("camera", "x_m", "y_m", "z_m")
 

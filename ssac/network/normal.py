@@ -11,12 +11,10 @@ from dataclasses import dataclass, field
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, cholesky_banded
 from scipy.sparse import csr_array
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
+from ssac.arrays import Array, IntArray
 
 BAND = 12
 """Entries of a column of the lower band: four neighbouring coefficients of three axes."""
@@ -55,7 +53,7 @@ def knots_for(times_s: Array, step_s: float, max_gap_s: float) -> Array:
     return np.concatenate([np.repeat(inner[0], 3), inner, np.repeat(inner[-1], 3)])
 
 
-def basis(knots_s: Array, times_s: Array, derivative: int = 0) -> tuple[Indices, Array]:
+def basis(knots_s: Array, times_s: Array, derivative: int = 0) -> tuple[IntArray, Array]:
     """Evaluate the splines that are not zero at times (n,): de Boor's recursion.
 
     Gives the first of four neighbouring coefficients (n,), and what each counts (n, 4); of the
@@ -81,13 +79,13 @@ def basis(knots_s: Array, times_s: Array, derivative: int = 0) -> tuple[Indices,
     return (span - ORDER + 1).astype(np.int64), weights
 
 
-def products(first: Indices, weights: Array, coefficients: Array) -> Array:
+def products(first: IntArray, weights: Array, coefficients: Array) -> Array:
     """Sum up four neighbouring coefficients (m, 3) each, as of `basis`: (n, 3)."""
     around = coefficients[first[:, None] + np.arange(ORDER)]
     return np.asarray(np.einsum("na,nax->nx", weights, around))
 
 
-def jerks(knots_s: Array) -> tuple[Indices, Array]:
+def jerks(knots_s: Array) -> tuple[IntArray, Array]:
     """Give each span's third derivative [s^-2.5], of squares that sum to its integral."""
     inner = knots_s[ORDER - 1 : len(knots_s) - ORDER + 1]
     first, weights = basis(knots_s, 0.5 * (inner[:-1] + inner[1:]), 3)
@@ -98,14 +96,14 @@ def jerks(knots_s: Array) -> tuple[Indices, Array]:
 class Linear:
     """Sightings of one camera, linearised, all over their deviations."""
 
-    first: Indices  # (n,) of the path's coefficients
+    first: IntArray  # (n,) of the path's coefficients
     weights: Array  # (n, 4)
     by_point: Array  # (n, 2, 3)
     by_camera: Array  # (n, 2, p)
-    columns: Indices  # (n, p) among the border's
+    columns: IntArray  # (n, p) among the border's
     residuals: Array  # (n, 2)
 
-    def weighed(self, rows: Indices, scale: Array, offset: int) -> "Linear":
+    def weighed(self, rows: IntArray, scale: Array, offset: int) -> "Linear":
         """Give some rows, times a scale each, of a camera whose columns begin at an offset."""
         by_point, by_camera = (
             part[rows] * scale[:, None, None] for part in (self.by_point, self.by_camera)
@@ -134,7 +132,7 @@ class Normal:
         places = linear.first, linear.columns
         _add_sightings(places, weights, by_point, by_camera, residuals, path, border, self.mixed)
 
-    def add_smoothness(self, first: Indices, weights: Array, coefficients: Array) -> Array:
+    def add_smoothness(self, first: IntArray, weights: Array, coefficients: Array) -> Array:
         """Add rows (k, 4) of all axes, whose products (k, 3) with the path are to be 0."""
         values = products(first, weights, coefficients)
         for a in range(ORDER):
@@ -158,10 +156,10 @@ class Solved:
 
     path: Array  # (m / 3, 3)
     border: Array  # (b,) 0 where held
-    free: Indices  # (f,) of the border's
+    free: IntArray  # (f,) of the border's
     factor: Array  # (BAND, m) of the band
     half: Array  # (f, m) L^-1 of what path and cameras share, L being the factor
-    spans: Indices  # (f, 2) where that is not 0
+    spans: IntArray  # (f, 2) where that is not 0
     schur: tuple[Array, bool] = field(repr=False)
 
     def border_covariance(self) -> Array:
@@ -170,7 +168,7 @@ class Solved:
         covariance[np.ix_(self.free, self.free)] = cho_solve(self.schur, np.eye(len(self.free)))
         return covariance
 
-    def path_covariances(self, first: Indices, weights: Array, with_cameras: bool = True) -> Array:
+    def path_covariances(self, first: IntArray, weights: Array, with_cameras: bool = True) -> Array:
         """Covariances (n, 3, 3) of the path's points, as of `basis`; of known cameras if not."""
         inverse = np.asarray(_inverse_band(self.factor), np.float64)
         if with_cameras and len(self.free):
@@ -189,7 +187,7 @@ class Solved:
         return np.asarray(_point_covariances(first, weights, inverse))
 
 
-def solve(normal: Normal, free: Indices, damping: float = 0.0) -> Solved:
+def solve(normal: Normal, free: IntArray, damping: float = 0.0) -> Solved:
     """Solve for the path and the free parameters; LinAlgError if the data leave some open."""
     band = normal.band.copy()
     band[0] *= 1.0 + damping
@@ -218,7 +216,7 @@ def solve(normal: Normal, free: Indices, damping: float = 0.0) -> Solved:
     return Solved(path.reshape(-1, 3), full, free, factor, half, spans, (chol, low))
 
 
-def _blocks(spans: Indices, m: int, more: int = 0) -> Iterator[tuple[int, int, Indices]]:
+def _blocks(spans: IntArray, m: int, more: int = 0) -> Iterator[tuple[int, int, IntArray]]:
     """Cut m places into blocks, and say which rows, of spans (f, 2), are not 0 there."""
     block = 256
     for start in range(0, m, block):
@@ -229,7 +227,7 @@ def _blocks(spans: Indices, m: int, more: int = 0) -> Iterator[tuple[int, int, I
 
 @numba.njit(cache=True)
 def _add_sightings(
-    places: tuple[Indices, Indices],
+    places: tuple[IntArray, IntArray],
     weights: Array,
     by_point: Array,
     by_camera: Array,
@@ -267,7 +265,7 @@ def _add_sightings(
 
 
 @numba.njit(cache=True)
-def _forward(factor: Array, mixed: Array, chosen: Indices) -> tuple[Array, Indices]:
+def _forward(factor: Array, mixed: Array, chosen: IntArray) -> tuple[Array, IntArray]:
     """Solve L y = x for some rows (f,) of a matrix (b, m), where they are not next to nothing.
 
     L is in lower form (BAND, m). What is short in time, as a piece of a clock, has an end in y too:
@@ -297,7 +295,7 @@ def _forward(factor: Array, mixed: Array, chosen: Indices) -> tuple[Array, Indic
 
 
 @numba.njit(cache=True)
-def _backward(factor: Array, right: Array, spans: Indices) -> tuple[Array, Indices]:
+def _backward(factor: Array, right: Array, spans: IntArray) -> tuple[Array, IntArray]:
     """Solve L' y = x for rows x, each of a span as of `forward`, which gives y alike."""
     m = factor.shape[1]
     solved, found = np.zeros(right.shape), np.zeros(spans.shape, np.int64)
@@ -338,7 +336,7 @@ def _inverse_band(factor: Array) -> Array:
 
 
 @numba.njit(cache=True)
-def _point_covariances(first: Indices, weights: Array, inverse: Array) -> Array:
+def _point_covariances(first: IntArray, weights: Array, inverse: Array) -> Array:
     """Covariances (n, 3, 3) of a path's points, from the band of its inverse normal matrix."""
     n = len(first)
     found = np.zeros((n, 3, 3))

@@ -9,14 +9,12 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from ssac.arrays import Array, Mask
 from ssac.network.graph import Link, Pair
 from ssac.network.normal import Linear, Normal, Spline, basis, jerks, solve
 from ssac.network.state import CameraState, Sightings
 from ssac.rules import NetworkRules
-
-Array = NDArray[np.float64]
 
 
 def triangulate(
@@ -62,7 +60,7 @@ def triangulate(
     return points
 
 
-def are_apart(rays: Array, seen_by: NDArray[np.bool_], least_deg: float) -> NDArray[np.bool_]:
+def are_apart(rays: Array, seen_by: Mask, least_deg: float) -> Mask:
     """Whether any two of the rays (c, n, 3) that are seen at each time tell a depth (n,)."""
     found = np.zeros(rays.shape[1], dtype=bool)
     least = np.sin(np.deg2rad(least_deg))

@@ -5,8 +5,8 @@ from dataclasses import dataclass, field, replace
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ssac.arrays import Array, Mask
 from ssac.camera import READOUT_STD_S, Camera
 from ssac.clock import PPM, Clock
 from ssac.estimate import Estimate, Status
@@ -21,9 +21,6 @@ from ssac.network.state import Priors, Sightings, is_near, network_times
 from ssac.network.tum import Path
 from ssac.rules import Rules
 from ssac.search.all_offsets import Guess
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)

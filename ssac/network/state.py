@@ -15,9 +15,9 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from ssac.arrays import Array, IntArray, Mask
 from ssac.camera import Camera, undistort_points
 from ssac.clock import PPM
 from ssac.geometry.pose import rays_of
@@ -25,9 +25,6 @@ from ssac.points import PointTrack
 from ssac.rules import PointRules
 from ssac.track.motion import PointMotion, point_motion
 from ssac.track.silhouette import Images
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +90,7 @@ def sightings(
     return Sightings(name, camera, motion.times_s, *points, motion, has_frames, spreads, images)
 
 
-def is_near(times_s: Array, seen_s: Array, reach_s: float) -> NDArray[np.bool_]:
+def is_near(times_s: Array, seen_s: Array, reach_s: float) -> Mask:
     """Whether any of the times (m,) that a camera saw something is within reach of times (n,)."""
     if not len(seen_s):
         return np.zeros(len(times_s), dtype=bool)
@@ -191,10 +188,10 @@ class Projected:
     """Where a camera is to see points of the path, and what changes that."""
 
     points_px: Array  # (n, 2)
-    in_front: NDArray[np.bool_]  # (n,)
+    in_front: Mask  # (n,)
     by_point: Array  # (n, 2, 3)
     by_camera: Array  # (n, 2, p) of the parameters at `columns`
-    columns: Indices  # (n, p) places among the camera's own
+    columns: IntArray  # (n, p) places among the camera's own
 
 
 def projected(state: CameraState, seen: Sightings, points: Array, velocities: Array) -> Projected:

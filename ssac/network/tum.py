@@ -10,13 +10,11 @@ import pathlib
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ssac.arrays import Array
 from ssac.errors import SsacError
 from ssac.files.readable import check_is_file, is_number
 from ssac.files.whole_file import whole_file
-
-Array = NDArray[np.float64]
 
 PATH_COLUMNS = ("t_s", "x_m", "y_m", "z_m")
 DEVIATION_COLUMNS = ("sigma_x_m", "sigma_y_m", "sigma_z_m")

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ssac.arrays import Events
 from ssac.camera import to_be_read_out, with_deviations
 from ssac.config import Config
 from ssac.errors import SsacError
@@ -262,7 +262,7 @@ def two_views(
 
 def usable_events(
     cam1: CameraInput, cam2: CameraInput, rig: RigInput, config: Config | None = None
-) -> tuple[NDArray[np.void], NDArray[np.void]]:
+) -> tuple[Events, Events]:
     """Give both cameras' events, checked, and denoised (Sec. IV-A) if the config asks for it.
 
     SsacError if the events of a camera are empty, unsorted or outside its sensor.

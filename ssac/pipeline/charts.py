@@ -9,9 +9,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from ssac.arrays import Array
 
 _BOX = 1000.0
 

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from ssac.arrays import Array
 from ssac.camera import Cameras
 from ssac.clock import Clock
 from ssac.errors import SsacError
@@ -256,7 +256,7 @@ def write_rig_of_many(file: Path, result: NetworkResult, log: Log) -> None:
         result.network.cameras,
         [result.pairs[0, k].rig for k in range(1, len(result.names))],
     )
-    steps, shifts_s = list[NDArray[np.float64] | None](), []
+    steps, shifts_s = list[Array | None](), []
     for one, other in pairwise(found):
         is_placed = one.group == other.group and one.R is not None and other.R is not None
         steps.append(_transform(other) @ np.linalg.inv(_transform(one)) if is_placed else None)
@@ -276,7 +276,7 @@ def _unit(in_metres: bool) -> str:
     return "metres" if in_metres else "distances of the first two cameras"
 
 
-def _transform(camera: CameraAnswer) -> NDArray[np.float64]:
+def _transform(camera: CameraAnswer) -> Array:
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = camera.R, camera.t
     return T

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ssac.arrays import Array, Events
 from ssac.camera import Camera, Cameras, Rig, check_cameras
 from ssac.config import Config
 from ssac.errors import SsacError
@@ -29,7 +30,7 @@ from ssac.points import PointTrack, check_track
 from ssac.track.motion import check_readout
 from ssac.track.observation import Observation, check_seen, tracked
 
-CameraInput = Path | str | NDArray[np.void] | Observation | EventFile | PointTrack
+CameraInput = Path | str | Events | Observation | EventFile | PointTrack
 """A file of events or of a track, events as a structured array, or either as it was loaded."""
 
 RigInput = Path | str | Rig | Cameras | Sequence[Camera]
@@ -237,7 +238,7 @@ def _kind(value: object) -> str:
     return f"{type(value).__name__} {text if len(text) < 40 else ''}".strip()
 
 
-def _pixels_of_mean(frames: NDArray[np.uint8]) -> NDArray[np.float64]:
+def _pixels_of_mean(frames: NDArray[np.uint8]) -> Array:
     """Means of frames (n, height, width), as images of one pixel (n, 1, 1)."""
     from ssac.methods.correlations import frame_means
 

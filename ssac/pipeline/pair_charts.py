@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ssac.arrays import Array, Mask
 from ssac.camera import Camera
 from ssac.estimate import Status
 from ssac.fit.least_squares import Parameters
@@ -17,8 +17,6 @@ from ssac.pipeline.charts import Chart, spread
 from ssac.pipeline.plots import ZOOM_S, Material, d_avg_px, search_curve
 from ssac.pipeline.streams import Seen, density_png, grid_of
 from ssac.track.motion import ObjectMotion
-
-Array = NDArray[np.float64]
 
 SIGMAS_95 = 1.96  # from the middle of a normal distribution to either end of 95 % of it
 
@@ -231,7 +229,7 @@ def sample_charts(cameras: Sequence[Seen], most: int) -> list[Chart]:
     return charts
 
 
-def _runs(times_s: Array, which: NDArray[np.bool_], y: float) -> tuple[Array, Array]:
+def _runs(times_s: Array, which: Mask, y: float) -> tuple[Array, Array]:
     """Give a level line (m,) over the times (n,) that are meant, broken elsewhere."""
     if len(times_s) < 2 or not which.any():
         return np.empty(0), np.empty(0)

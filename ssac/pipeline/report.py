@@ -7,15 +7,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from ssac.arrays import Array
 from ssac.estimate import Estimate
 from ssac.files.whole_file import whole_file
 from ssac.methods.method import Input, Method
 from ssac.pipeline.answer import COLUMNS, Answer, folded
-
-Array = NDArray[np.float64]
 
 _NAME = 15  # columns of a row's name
 

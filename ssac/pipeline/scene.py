@@ -3,15 +3,13 @@
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ssac.arrays import Array
 from ssac.estimate import Status
 from ssac.geometry.epipolar import cross_matrix, robust_deviation, sampson_distance
 from ssac.geometry.pose import depths, rays_of, tangent_basis
 from ssac.network.solve import NetworkAnswer
 from ssac.pipeline.plots import Material
-
-Array = NDArray[np.float64]
 
 _MOST_POINTS = 1500  # of the path
 _CROSSES = 60  # of deviations along it

@@ -18,6 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from ssac.arrays import Array, IntArray, Mask
 from ssac.camera import Camera, undistort_points, undistortion_map
 from ssac.errors import SsacError
 from ssac.events import US_PER_S, slice_time
@@ -29,9 +30,6 @@ from ssac.pipeline.answer import Answer
 from ssac.pipeline.plots import Material, d_avg_px
 from ssac.track.clean import Clean
 from ssac.track.motion import Motion
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 # Bounds of a page's size and of what an eye can tell; nothing is decided by them.
 _LONGEST_S = 120.0
@@ -59,9 +57,7 @@ class Seen:
         first_s, last_s = self.shown.span_s
         return (first_s, last_s) if first_s <= last_s else (0.0, 0.0)
 
-    def points(
-        self, span_s: tuple[float, float], most: int
-    ) -> tuple[Array, Array, NDArray[np.bool_]]:
+    def points(self, span_s: tuple[float, float], most: int) -> tuple[Array, Array, Mask]:
         """Give times (n,), undistorted points (n, 2), and which are brighter, about `most` of them.
 
         They are events between two times of its clock, or points of its track.
@@ -95,7 +91,7 @@ class Grid:
     columns: int
     rows: int
 
-    def cells(self, points_px: Array) -> tuple[Indices, NDArray[np.bool_]]:
+    def cells(self, points_px: Array) -> tuple[IntArray, Mask]:
         """Give the cells (n,), row by row, of points (n, 2), and which of these lie in one."""
         with np.errstate(invalid="ignore"):
             places = np.floor((points_px - (self.left_px, self.top_px)) / self.cell_px)

@@ -14,13 +14,12 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
+from ssac.arrays import Array, IntArray, Mask
 from ssac.geometry.fundamental import median_after_fit
 from ssac.rules import AllOffsetsRules
 from ssac.track.motion import Motion
 
-Array = NDArray[np.float64]
 Progress = Callable[[float], None]  # called with the share that is done
 
 
@@ -29,7 +28,7 @@ class Grid(NamedTuple):
 
     first: int  # steps from time zero
     p_px: Array  # (n, 2)
-    valid: NDArray[np.bool_]  # (n,)
+    valid: Mask  # (n,)
     least_px: float  # that it moves between samples that count
 
 
@@ -44,13 +43,8 @@ def local_minima(costs: Array, most: int) -> list[int]:
 
 @numba.njit(cache=True)
 def costs_at_lags(
-    one: Grid,
-    other: Grid,
-    lags: NDArray[np.int64],
-    n_pairs: int,
-    least_pairs: int,
-    iterations: int,
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    one: Grid, other: Grid, lags: IntArray, n_pairs: int, least_pairs: int, iterations: int
+) -> tuple[Array, IntArray]:
     """Cost (m,) of pairing sample i of track 1 with sample i + lag of track 2, and pairs (m,).
 
     The cost is the median Sampson distance from the F that fits best, over the least of both paths'
@@ -76,7 +70,7 @@ def costs_at_lags(
 
 
 @numba.njit(cache=True)
-def moving_pairs(one: Grid, other: Grid, lag: int, chosen: NDArray[np.int64]) -> int:
+def moving_pairs(one: Grid, other: Grid, lag: int, chosen: IntArray) -> int:
     """Fill in the samples of track 1 that count beside those a lag later; give their number."""
     count = 0
     x1 = y1 = x2 = y2 = 1e12
@@ -95,7 +89,7 @@ def moving_pairs(one: Grid, other: Grid, lag: int, chosen: NDArray[np.int64]) ->
 
 
 @numba.njit(cache=True)
-def relative_cost(p1_px: NDArray[np.float64], p2_px: NDArray[np.float64], iterations: int) -> float:
+def relative_cost(p1_px: Array, p2_px: Array, iterations: int) -> float:
     """Median distance from the F that fits pairs (n, 2) best, over the thinner path's deviation."""
     width_px = min(width_of(p1_px), width_of(p2_px))
     if not width_px > 0.0:
@@ -104,7 +98,7 @@ def relative_cost(p1_px: NDArray[np.float64], p2_px: NDArray[np.float64], iterat
 
 
 @numba.njit(cache=True)
-def width_of(points_px: NDArray[np.float64]) -> float:
+def width_of(points_px: Array) -> float:
     """Deviation [px] of points (n, 2) across their longest direction."""
     x, y = points_px[:, 0] - np.mean(points_px[:, 0]), points_px[:, 1] - np.mean(points_px[:, 1])
     xx, yy, xy = np.mean(x * x), np.mean(y * y), np.mean(x * y)
@@ -204,7 +198,7 @@ class _Scan:
     """Costs at all lags, for one rate of camera 2's clock."""
 
     rate: float
-    lags: NDArray[np.int64]  # (m,) of the grids' indices
+    lags: IntArray  # (m,) of the grids' indices
     shift: int  # to be added to a lag for steps of time
     costs: Array  # (m,) for comparison: the less common path, the more
     most: int  # samples that count, at the best of the lags

@@ -3,8 +3,8 @@
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ssac.arrays import Array, Events
 from ssac.camera import distort_points
 from ssac.config import Config
 from ssac.errors import SsacError
@@ -22,7 +22,7 @@ class ShapedTrack:
     """A track with the shape of the object's image at each point."""
 
     track: PointTrack
-    spreads_px2: NDArray[np.float64] | None
+    spreads_px2: Array | None
     """(n, 3) second moments xx, xy, yy of the silhouettes whose centres the points are; NaN where
     one is a mean of events; None where all are."""
     images: Images | None = None  # at each point; None where there are no silhouettes
@@ -72,7 +72,7 @@ def things_seen(clean: Clean, rules: ObjectRules) -> int:
     return found.n_seen if found.are_several else 1
 
 
-def shaped_track_of_events(clean: Clean, recorded: NDArray[np.void], config: Config) -> ShapedTrack:
+def shaped_track_of_events(clean: Clean, recorded: Events, config: Config) -> ShapedTrack:
     """Follow the centre of its area, where all events recorded tell it, or else their mean."""
     points, sharp = _followed(clean, config)
     rules, times_s, sizes_px = config.rules.track, sharp.times_s, sharp.sizes_px
@@ -85,7 +85,7 @@ def shaped_track_of_events(clean: Clean, recorded: NDArray[np.void], config: Con
     return ShapedTrack(PointTrack(times_s, points, sigmas), found.spreads_px2, found.images)
 
 
-def _followed(clean: Clean, config: Config) -> tuple[NDArray[np.float64], SharpTrack]:
+def _followed(clean: Clean, config: Config) -> tuple[Array, SharpTrack]:
     """Give the points (n, 2), distorted, at which the object is in the image, and all of them."""
     motion, camera = motion_of(clean, config.windows), clean.camera
     seen = seen_of(motion, config.rules.track.step_s)
@@ -104,5 +104,5 @@ def _followed(clean: Clean, config: Config) -> tuple[NDArray[np.float64], SharpT
     return points[good], SharpTrack(**kept)
 
 
-def _sigmas_px(sharp: SharpTrack, share: float, config: Config) -> NDArray[np.float64]:
+def _sigmas_px(sharp: SharpTrack, share: float, config: Config) -> Array:
     return np.asarray(np.maximum(share * sharp.sizes_px, config.rules.track.least_sigma_px))

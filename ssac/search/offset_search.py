@@ -9,8 +9,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ssac.arrays import Array, Indices, Mask
 from ssac.config import Config, Interval
 from ssac.estimate import Refusal, Status, first
 from ssac.events import US_PER_S
@@ -21,7 +21,6 @@ from ssac.search.two_views import Pairs, TwoViews
 from ssac.search.view import View
 from ssac.track.clean import Clean
 
-Array = NDArray[np.float64]
 Cost = Callable[[Array], Array]  # offsets (M,) [s] -> d_avg (M,) [px], NaN where it has none
 
 FINE_STEP_S = 0.001  # of the paper's exhaustive search, on whose grid all candidates lie
@@ -138,7 +137,7 @@ def coarse_to_fine_search(
     return _minimum(offsets_s[tried], d_avg_px[tried], np.isin(tried, grid))
 
 
-def _least_within(values: Array, centres: NDArray[np.intp], reach: int) -> NDArray[np.intp]:
+def _least_within(values: Array, centres: Indices, reach: int) -> Indices:
     """Find the index of the least known value within the reach of each centre that has one."""
     found = []
     for centre in centres.tolist():
@@ -149,7 +148,7 @@ def _least_within(values: Array, centres: NDArray[np.intp], reach: int) -> NDArr
     return np.array(found, np.intp)
 
 
-def _least_local_minima(values: Array, indices: NDArray[np.intp], most: int) -> NDArray[np.intp]:
+def _least_local_minima(values: Array, indices: Indices, most: int) -> Indices:
     """Find the few least local minima among the values at these ascending indices."""
     tried = np.where(np.isnan(values[indices]), np.inf, values[indices])
     padded = np.pad(tried, 1, constant_values=np.inf)
@@ -158,15 +157,13 @@ def _least_local_minima(values: Array, indices: NDArray[np.intp], most: int) -> 
     return indices[minima[np.argsort(tried[minima])[:most]]]
 
 
-def _neighbourhood(
-    centres: NDArray[np.intp], around: NDArray[np.intp], size: int
-) -> NDArray[np.intp]:
+def _neighbourhood(centres: Indices, around: Indices, size: int) -> Indices:
     """Collect the indices at the steps `around` any centre, ascending, from 0 up to the size."""
     indices = np.unique(centres[:, None] + around)
     return np.asarray(indices[(indices >= 0) & (indices < size)])
 
 
-def _minimum(candidates_s: Array, d_avg_px: Array, eligible: NDArray[np.bool_]) -> OffsetSearch:
+def _minimum(candidates_s: Array, d_avg_px: Array, eligible: Mask) -> OffsetSearch:
     """Take the least of the eligible candidates, refined between candidates.
 
     Deviation: the paper takes the best. Events that enter and leave the windows make

@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 from itertools import combinations, combinations_with_replacement
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ssac.arrays import Array
 from ssac.config import Interval
 from ssac.estimate import Refusal, Status
 from ssac.geometry.epipolar import sampson_distance
@@ -25,8 +25,6 @@ from ssac.search.all_offsets import Grid
 from ssac.track.clean import Clean, ObjectsUsed
 from ssac.track.motion import point_motion
 from ssac.track.objects import Objects, Piece, objects_of, seem_several
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ssac.arrays import IntArray
 from ssac.clock import PPM
 from ssac.config import Config, Interval
 from ssac.estimate import ClockJump, Estimate, Refusal, Status
@@ -88,7 +88,7 @@ class Start:
         elif len(events):
             events, anchor_us = events.copy(), anchor_s * US_PER_S
 
-            def seen_us(times_us: NDArray[np.int64]) -> NDArray[np.int64]:
+            def seen_us(times_us: IntArray) -> IntArray:
                 return np.asarray(np.rint(anchor_us + (times_us - anchor_us) / rate), np.int64)
 
             events["t"], gaps_us = seen_us(events["t"]), seen_us(gaps_us)

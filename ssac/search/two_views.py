@@ -9,8 +9,8 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ssac.arrays import Array, Mask
 from ssac.camera import MAX_READOUT_S, Rig, distort_points
 from ssac.clock import Clock
 from ssac.config import MIN_SWINGS, Config
@@ -21,8 +21,6 @@ from ssac.search.view import Alone, seen_by_both, size_px, swing_hz
 from ssac.track.clean import Clean
 from ssac.track.motion import Motion, PointMotion, SharpTrack, motion_of
 
-Array = NDArray[np.float64]
-
 
 @dataclass(frozen=True)
 class Pairs:
@@ -32,7 +30,7 @@ class Pairs:
     times_s: Array  # (M, N) [s], camera 1's clock
     p1_px: Array  # (M, N, 2) p1(t), undistorted
     p2_px: Array  # (M, N, 2) p2(t + t_d), undistorted
-    valid: NDArray[np.bool_]  # (M, N) both samples pass the rules of the paper's Sec. IV-A
+    valid: Mask  # (M, N) both samples pass the rules of the paper's Sec. IV-A
 
     def valid_positions(self, m: int) -> tuple[Array, Array]:
         """p1 and p2 (n, 2) [px] of the valid pairs of offset m."""

@@ -13,15 +13,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ssac.arrays import Array, Indices, IntArray, Mask
 from ssac.geometry.epipolar import robust_deviation
 from ssac.rules import BlindRules, ViewRules
 from ssac.track.motion import Motion, ObjectMotion
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-Spans = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -81,14 +77,14 @@ def seen_by_both(one: Seen, other: Seen, t_d_s: float, n: int, even_share: float
 class Blind:
     """When a camera was blind."""
 
-    spans_us: Spans  # (g, 2) [us] in its clock, ascending
+    spans_us: IntArray  # (g, 2) [us] in its clock, ascending
     period_s: float = np.nan  # from one to the next; NaN of none
 
 
 NEVER = Blind(np.empty((0, 2), np.int64))
 
 
-def blind_spans(times_us: NDArray[np.int64], rules: BlindRules) -> Blind:
+def blind_spans(times_us: IntArray, rules: BlindRules) -> Blind:
     """Find the readouts of frames among the sorted times of events.
 
     There are none unless most of the events lie in one rhythm of silences.
@@ -119,7 +115,7 @@ def blind_spans(times_us: NDArray[np.int64], rules: BlindRules) -> Blind:
     return Blind(spans_us, 1e-6 * period_us) if is_cut else NEVER
 
 
-def _sudden_silences(times_us: NDArray[np.int64], rules: BlindRules) -> Spans:
+def _sudden_silences(times_us: IntArray, rules: BlindRules) -> IntArray:
     """Find the silences (g, 2) of busy times, too long for chance."""
     at = np.flatnonzero(np.diff(times_us) >= rules.shortest_us)
     starts_us, ends_us = times_us[at], times_us[at + 1]
@@ -131,7 +127,7 @@ def _sudden_silences(times_us: NDArray[np.int64], rules: BlindRules) -> Spans:
     return np.asarray(np.column_stack([starts_us, ends_us])[sudden])
 
 
-def _filled(spans_us: Spans, beats: NDArray[np.intp]) -> Spans:
+def _filled(spans_us: IntArray, beats: Indices) -> IntArray:
     """Add the spans between those that are several beats apart."""
     parts = [spans_us]
     for k in np.flatnonzero(beats > 1):
@@ -142,7 +138,7 @@ def _filled(spans_us: Spans, beats: NDArray[np.intp]) -> Spans:
     return joined[np.argsort(joined[:, 0])]
 
 
-def _cut(times_us: NDArray[np.int64], spans_us: Spans, period_us: float, rules: BlindRules) -> bool:
+def _cut(times_us: IntArray, spans_us: IntArray, period_us: float, rules: BlindRules) -> bool:
     """Whether next to no events lie within the spans, and most lie between them."""
     lengths_us = np.diff(spans_us)[:, 0]
     middles_us = spans_us + np.outer(lengths_us // 10, [1, -1])  # ends are not to the microsecond

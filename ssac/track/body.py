@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
+from ssac.arrays import Array, IntArray, Mask
 from ssac.rules import BodyRules
 from ssac.track.body_kernels import (
     Drawn,
@@ -25,11 +26,6 @@ from ssac.track.body_kernels import (
     seen_shares,
 )
 from ssac.track.moments import LEAST_VIEWS
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-
-Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,14 +74,14 @@ class _Instants:
         images = self.shares, self.corners_px, self.points, self.seen
         return *images, self.views, self.focals_px
 
-    def of(self, chosen: Indices) -> "_Instants":
+    def of(self, chosen: IntArray) -> "_Instants":
         """Give some of them."""
         images = self.shares[chosen], self.corners_px[chosen], self.points[chosen]
         return _Instants(
             self.times_s[chosen], *images, self.seen[chosen], self.views, self.focals_px
         )
 
-    def flat(self, chosen: Indices, attitudes: Array) -> Drawn:
+    def flat(self, chosen: IntArray, attitudes: Array) -> Drawn:
         """Give what `improved` takes of some instants."""
         i, k = np.nonzero(self.seen[chosen])
         i = chosen[i]
@@ -126,7 +122,7 @@ def body_moves(
     return [factor * _moves(body, look, times_s[good], attitudes[good], rules) for look in looks]
 
 
-def _learnt(n: int, rules: BodyRules) -> Indices:
+def _learnt(n: int, rules: BodyRules) -> IntArray:
     """Choose of n instants those that tell the shape: of many every other, of more the middle."""
     chosen = np.arange(
         0, n, rules.learnt_steps * (1 + (n > rules.learnt_steps * rules.most_learnt))
@@ -137,11 +133,11 @@ def _learnt(n: int, rules: BodyRules) -> Indices:
 
 def _learned(
     instants: _Instants, attitudes: Array, size: float, rules: BodyRules
-) -> tuple[Voxels, Indices, Array]:
+) -> tuple[Voxels, IntArray, Array]:
     """Find a body's shape; at which of the instants (k,) it is as seen; its attitudes then."""
     step = size * rules.reach_sizes / rules.voxels_across
     body: Voxels = np.empty((0, 3)), np.empty(0), step
-    every: Indices = np.arange(len(attitudes), dtype=np.int64)
+    every: IntArray = np.arange(len(attitudes), dtype=np.int64)
     good = every
     left, is_last = np.inf, False
     for number in range(rules.max_rounds):

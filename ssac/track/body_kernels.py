@@ -10,8 +10,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
+from ssac.arrays import Array, IntArray, Mask
+
 Images = NDArray[np.float32]
 Voxels = tuple[Array, Array, float]
 """Voxels (m, 3) in the body's frame, their optical depths (m,) and their width."""
@@ -21,7 +21,7 @@ Drawn = tuple[Images, Array, Array, Array, Array]
 the principal point (n, 2) [px], the body's origin in the cameras' frames (n, 3), its axes there, or
 what turns the axes' frame to the cameras' (n, 3, 3), and focal lengths (n, 2) [px]."""
 
-Seen = tuple[NDArray[np.float32], Array, Array, NDArray[np.bool_], Array, Array]
+Seen = tuple[NDArray[np.float32], Array, Array, Mask, Array, Array]
 """What c cameras saw at n instants: shares (n, c, w, w), where their first pixels are (n, c, 2) and
 the body's origin is (n, c, 3), which there are (n, c); what turns the axes' frame to the cameras'
 (c, 3, 3), and focal lengths (c, 2)."""
@@ -92,7 +92,7 @@ def improved(body: Voxels, drawn: Drawn) -> Array:
 
 @numba.njit(cache=True)
 def registered(
-    body: Voxels, seen: Seen, places: Indices, attitudes: Array, rounds: int
+    body: Voxels, seen: Seen, places: IntArray, attitudes: Array, rounds: int
 ) -> tuple[Array, Array]:
     """Turn the body at m instants, and move each of its drawings, until they are as their images.
 

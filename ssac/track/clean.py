@@ -7,9 +7,7 @@ from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from ssac.arrays import Events, IntArray, Mask
 from ssac.camera import Camera, check_camera, same_camera
 from ssac.config import N_MIN, Cleaning
 from ssac.events import US_PER_S, check_events, copied, no_gaps
@@ -20,8 +18,7 @@ from ssac.track.faint import faint_track
 from ssac.track.observation import Observation
 from ssac.track.thin_line import events_on_line
 
-Times = NDArray[np.int64]
-Recorded = Callable[[], NDArray[np.void]]
+Recorded = Callable[[], Events]
 """Gives all events that a camera recorded, read once more where they come from a file."""
 
 
@@ -42,10 +39,10 @@ class Clean(Observation):
     denoised: bool = False  # the noise has left the events: it does not come back
     clutter: Clutter | None = None  # what denoising did; None: nothing, or it was done elsewhere
     n_followed: int = 0  # events of a faint object, in whose place its track stands
-    gaps_us: NDArray[np.int64] = field(default_factory=no_gaps)
+    gaps_us: IntArray = field(default_factory=no_gaps)
     """Times (g, 2) [us], ascending, from and up to which events of the object were taken out with
     others: windows that reach into them hold a part of what was seen."""
-    on_line: NDArray[np.bool_] | None = None
+    on_line: Mask | None = None
     """Which events (n,) lie where a thin line holds the object; None: there is none."""
     used: ObjectsUsed = ObjectsUsed(1, 1.0)
     recorded: Recorded | None = field(default=None, repr=False, compare=False)
@@ -64,7 +61,7 @@ class Clean(Observation):
             return asked
         return N_MIN if self.clutter is None else self.clutter.n_min
 
-    def all_events(self) -> NDArray[np.void] | None:
+    def all_events(self) -> Events | None:
         """Give all events (n,) that the camera recorded; None where the noise left for good."""
         if not self.denoised:
             return self.events
@@ -79,12 +76,14 @@ class Clean(Observation):
         return later
 
 
-def on_clock(recorded: Recorded | None, shown_us: Callable[[Times], Times]) -> Recorded | None:
+def on_clock(
+    recorded: Recorded | None, shown_us: Callable[[IntArray], IntArray]
+) -> Recorded | None:
     """Give what gives events, as if the camera's clock had shown other times [us]."""
     if recorded is None:
         return None
 
-    def shown() -> NDArray[np.void]:
+    def shown() -> Events:
         events = copied(recorded())
         events["t"] = shown_us(events["t"])
         return events

@@ -12,21 +12,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, find_objects, label
 
+from ssac.arrays import Events, Indices, IntArray, Mask, Pixels
 from ssac.rules import NoiseRules
-
-Events = NDArray[np.void]
-Pixels = NDArray[np.uint16]
-Counts = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
 class Activity:
     """What the pixels of a sensor did, over the bins of time in which any did something."""
 
-    counts: Counts  # (height, width) events
+    counts: IntArray  # (height, width) events
     active: NDArray[np.int32]  # (parts, height, width) bins with events, by part of the recording
-    n_bins: Counts  # (parts,)
+    n_bins: IntArray  # (parts,)
     background_hz: float  # of an ordinary pixel
 
 
@@ -73,7 +69,7 @@ def of_pixels(chosen: Mask, x: Pixels, y: Pixels) -> Mask:
 
 
 @numba.njit(cache=True)
-def _starts_of_bins(t: NDArray[np.int64], bin_us: int) -> NDArray[np.intp]:
+def _starts_of_bins(t: IntArray, bin_us: int) -> Indices:
     """Index of the first event of each bin in which there are events, and their number at last."""
     starts, first = [0], 0
     while first < len(t):
@@ -85,14 +81,8 @@ def _starts_of_bins(t: NDArray[np.int64], bin_us: int) -> NDArray[np.intp]:
 
 @numba.njit(cache=True)
 def _count(
-    starts: NDArray[np.intp],
-    x: Pixels,
-    y: Pixels,
-    width: int,
-    height: int,
-    parts: int,
-    square_px: int,
-) -> tuple[Counts, NDArray[np.int32], Counts, Counts]:
+    starts: Indices, x: Pixels, y: Pixels, width: int, height: int, parts: int, square_px: int
+) -> tuple[IntArray, NDArray[np.int32], IntArray, IntArray]:
     """Count events and active bins by pixel, bins by part, and squares by their events in a bin.
 
     Each event is counted once, in its bin; all else is of the pixels that the bin touched.
@@ -127,7 +117,7 @@ def _count(
     return counts.reshape(shape), active.reshape((parts, *shape)), n_bins, squares
 
 
-def _lone_pixels(counts: Counts, rules: NoiseRules) -> Mask:
+def _lone_pixels(counts: IntArray, rules: NoiseRules) -> Mask:
     """Whether each pixel (height, width) has many events, and too few of those around it have.
 
     Whatever an object does, its image is larger than a pixel, and an edge of it that passes, or

@@ -8,18 +8,13 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import pdtrc
 
+from ssac.arrays import Events, IntArray, Mask, Pixels
 from ssac.config import N_MIN
 from ssac.events import first_from
 from ssac.rules import NoiseRules
 from ssac.track.clutter import activity, masked_pixels, unmasked
-
-Events = NDArray[np.void]
-Times = NDArray[np.int64]
-Pixels = NDArray[np.uint16]
-Mask = NDArray[np.bool_]
 
 US_PER_MS = 1000.0
 
@@ -156,7 +151,7 @@ def _core(squared_px: float, n_rows: int) -> tuple[int, ...]:
     return tuple(found)
 
 
-def _ball(radius_px: float, us_per_px: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _ball(radius_px: float, us_per_px: float) -> tuple[IntArray, IntArray]:
     """Pixels (k, 2) [px] that a ball about a pixel reaches, the nearest first, and how far (k,).
 
     That is the most that two events of these pixels may lie apart in time [us].
@@ -174,12 +169,12 @@ def _ball(radius_px: float, us_per_px: float) -> tuple[NDArray[np.int64], NDArra
 
 @numba.njit(cache=True)
 def _has_neighbours(
-    t: Times,
+    t: IntArray,
     x: Pixels,
     y: Pixels,
     sensor: tuple[int, int, int],
-    steps: NDArray[np.int64],
-    spans_us: Times,
+    steps: IntArray,
+    spans_us: IntArray,
     core: tuple[int, ...],
     core_us: int,
     longest_us: int,
@@ -256,7 +251,7 @@ def _has_neighbours(
 
 
 @numba.njit(cache=True)
-def _most_within(t: Times, duration_us: int) -> int:
+def _most_within(t: IntArray, duration_us: int) -> int:
     """Bound the events of the busiest stretch of time, both ends included, from above."""
     look = 64  # events between two that are looked at
     most = end = 0

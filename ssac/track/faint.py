@@ -11,19 +11,13 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
+from ssac.arrays import Array, Events, IntArray, Mask, Pixels
 from ssac.errors import SsacError
 from ssac.points import PointTrack
 from ssac.rules import FaintRules, NoiseRules, Rules
 from ssac.track.clutter import activity, masked_pixels, unmasked
 from ssac.track.denoise import least_neighbours, radius_filter
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
-Events = NDArray[np.void]
-Indices = NDArray[np.int64]
-Pixels = NDArray[np.uint16]
 
 
 @dataclass(frozen=True)
@@ -35,7 +29,7 @@ class Followed:
     velocities_px_s: Array  # (n, 2)
     variances_px2: Array  # (n, 2) of the positions
     half_sizes_px: Array  # (n, 2) of the corridor
-    seen: Flags  # (n,)
+    seen: Mask  # (n,)
     events: Events  # of the corridor, where the object is seen
 
 
@@ -47,12 +41,12 @@ class _Binned:
     start_us: int
     bin_us: int
     ages_s: Array  # (m,) from the middle of the bin on
-    bounds: Indices  # (n + 1,) first event of each bin
+    bounds: IntArray  # (n + 1,) first event of each bin
 
     def __len__(self) -> int:
         return len(self.bounds) - 1
 
-    def of(self, events: Events) -> Indices:
+    def of(self, events: Events) -> IntArray:
         """Give the bin of each of some events (k,)."""
         return np.asarray((events["t"] - self.start_us) // self.bin_us)
 
@@ -62,7 +56,7 @@ class _Path:
     positions_px: Array  # (n, 2)
     velocities_px_s: Array  # (n, 2)
     variances_px2: Array  # (n, 2) of the positions
-    known: Flags  # (n,) well enough to look for events
+    known: Mask  # (n,) well enough to look for events
 
 
 def faint_object_events(events: Events, width: int, height: int, by: Rules | None = None) -> Events:
@@ -195,7 +189,7 @@ def _lasting(sure: Events, bins: _Binned, rules: FaintRules) -> Events:
     return np.asarray(sure[in_clump[clump[bin_of_sure]] >= rules.min_clump_events])
 
 
-def _means(events: Events, bin_of_event: Indices, n_bins: int) -> tuple[Array, Array]:
+def _means(events: Events, bin_of_event: IntArray, n_bins: int) -> tuple[Array, Array]:
     """Count the events of each bin (n,), and give their means (n, 2)."""
     counts = np.bincount(bin_of_event, minlength=n_bins).astype(np.float64)
     sums = [np.bincount(bin_of_event, events[name], minlength=n_bins) for name in ("x", "y")]
@@ -203,7 +197,7 @@ def _means(events: Events, bin_of_event: Indices, n_bins: int) -> tuple[Array, A
 
 
 def _sizes(
-    sure: Events, bin_of_sure: Indices, counts: Array, means_px: Array, rules: FaintRules
+    sure: Events, bin_of_sure: IntArray, counts: Array, means_px: Array, rules: FaintRules
 ) -> Array | None:
     """Variances (n, 2) of the object's events about its place; in between where it is not sure."""
     good = counts >= rules.min_bin_events
@@ -246,7 +240,7 @@ def _smoothed(
 
 def _rates(
     bins: _Binned, path: _Path, sizes_px2: Array, size: tuple[int, int], rules: FaintRules
-) -> tuple[Array, Array, Flags]:
+) -> tuple[Array, Array, Mask]:
     """Events of the object in each bin, of all else in a bin and a pixel, and where it is seen."""
     nothing, around = np.zeros(len(bins)), rules.window_bins
     sums, known = _sums(bins, path, sizes_px2, nothing, nothing, rules), path.known
@@ -285,7 +279,7 @@ def _sums(
     return _sums_in_bins(events, expected, limits, rates, background)
 
 
-def _dead_ends(seen: Flags, is_sure: Flags, dead_end_bins: int) -> Flags:
+def _dead_ends(seen: Mask, is_sure: Mask, dead_end_bins: int) -> Mask:
     """Bins (n,) of paths that do not lead from where the object is sure to where it is again.
 
     Such a path may have taken a cloud for the object: only its first half second is kept.
@@ -370,8 +364,8 @@ def smoothed_path(
 
 @numba.njit(cache=True)
 def _sums_in_bins(
-    events: tuple[Array, Pixels, Pixels, Indices],
-    path: tuple[Flags, Array, Array, Array],
+    events: tuple[Array, Pixels, Pixels, IntArray],
+    path: tuple[Mask, Array, Array, Array],
     limits: tuple[float, float, float, float],
     rates: Array,
     background: Array,

@@ -9,13 +9,10 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
+from ssac.arrays import Array, IntArray
 from ssac.rules import BodyRules
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 LEAST_VIEWS = 3
 """Cameras that tell all second moments: two have one of theirs in common."""
@@ -114,7 +111,7 @@ def moments_of_two(views: list[View], smoothing: float, step: int, rules: BodyRu
     deviations = np.sqrt(np.maximum(np.linalg.eigvalsh(tried), 0.0))
     flat = tried.reshape(*amounts.shape, 9)[..., [0, 1, 2, 4, 5, 8]] / size**2
     least = np.inf
-    chosen: Indices = np.zeros(len(places), np.int64)
+    chosen: IntArray = np.zeros(len(places), np.int64)
     for start in rules.open_starts:
         shape = np.array(start)
         for _ in range(rules.open_rounds):
@@ -133,7 +130,7 @@ def moments_of_two(views: list[View], smoothing: float, step: int, rules: BodyRu
 @numba.njit(cache=True)
 def _smoothest(
     tensors: Array, deviations: Array, shape: Array, weight: float
-) -> tuple[Indices, float]:
+) -> tuple[IntArray, float]:
     """Choose at each of m times one of k tensors (m, k, 6), by dynamic programming.
 
     Their deviations (m, k, 3) are to be like the shape's (3,), and tensors like the ones before

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ssac.arrays import Array, Events, Indices, IntArray, Mask
 from ssac.camera import Camera, undistort_points, undistortion_map
 from ssac.config import Windows
 from ssac.errors import SsacError
@@ -34,10 +35,6 @@ from ssac.track.motion_kernels import (
     window_sums,
 )
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
-Mask = NDArray[np.bool_]
-
 
 @dataclass(frozen=True)
 class Track:
@@ -45,7 +42,7 @@ class Track:
 
     times_s: Array  # (...,) [s]
     positions_px: Array  # (..., 2) undistorted; NaN without events
-    counts: NDArray[np.int64]  # (...,) events in the window
+    counts: IntArray  # (...,) events in the window
     valid: Mask  # (...,) passes N_min and the margin rule
 
 
@@ -87,7 +84,7 @@ def _summed_up(clean: Clean, how: Windows, n_min: int) -> "ObjectMotion":
 class ObjectMotion:
     """Cumulative sums over the n events of one camera, from which `at` reads window means."""
 
-    times_us: NDArray[np.int64]  # (n,) [us], sorted
+    times_us: IntArray  # (n,) [us], sorted
     position_sums_px: Array  # (n + 1, 2) of undistorted coordinates [px]
     border_sums: NDArray[np.int32]  # (n + 1,) of events on the border
     slice_bits: int  # the recording is cut into slices of 2**slice_bits us
@@ -95,7 +92,7 @@ class ObjectMotion:
     half_window_s: float  # [s] on each side of a sample time
     n_min: int  # events a valid sample's window holds at least
     max_border_fraction: float  # of a valid sample's events may lie on the border
-    gaps_us: NDArray[np.int64] = field(default_factory=no_gaps)  # (g, 2) as of `Clean`
+    gaps_us: IntArray = field(default_factory=no_gaps)  # (g, 2) as of `Clean`
     bare: "ObjectMotion | None" = None  # without the events where a line holds the object, if so
 
     @property
@@ -223,7 +220,7 @@ class ObjectMotion:
 
 
 def object_motion(
-    events: NDArray[np.void],
+    events: Events,
     camera: Camera,
     half_window_s: float = 0.020,
     n_min: int = 200,
@@ -255,7 +252,7 @@ def object_motion(
     return ObjectMotion(*sums, slice_bits, slice_starts, *rules)
 
 
-def _slices(times_us: NDArray[np.int64]) -> tuple[int, int]:
+def _slices(times_us: IntArray) -> tuple[int, int]:
     """Cut sorted times into slices of 2**bits us, of 4 events or more on average: bits, number."""
     n = len(times_us)
     if n == 0:

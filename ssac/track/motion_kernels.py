@@ -4,13 +4,11 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Times = NDArray[np.int64]
-Indices = NDArray[np.intp]
-Pixels = NDArray[np.uint16]
+from ssac.arrays import Array, Indices, IntArray, Pixels
+
 Starts = NDArray[np.int32]
 
-Sliced = tuple[Times, int, Starts]
+Sliced = tuple[IntArray, int, Starts]
 """Sorted times [us], and the slices of 2**bits us that they are cut into: bits, and starts."""
 
 TIE_US = 1e-3
@@ -23,13 +21,13 @@ for must not depend on the clock's zero.
 
 @numba.njit(cache=True)
 def sum_up(
-    t: Times,
+    t: IntArray,
     x: Pixels,
     y: Pixels,
     ideal: Array | None,
     border: tuple[int, int, int],
     slice_bits: int,
-    times_us: Times,
+    times_us: IntArray,
     position_sums_px: Array,
     border_sums: Starts,
     slice_starts: Starts,
@@ -89,7 +87,7 @@ def _slice_of(time_us: np.int64, sliced: Sliced) -> tuple[int, int]:
 
 
 @numba.njit(cache=True)
-def _first_within(time_us: np.int64, times_us: Times, low: int, high: int) -> int:
+def _first_within(time_us: np.int64, times_us: IntArray, low: int, high: int) -> int:
     while low < high:
         middle = (low + high) >> 1
         if times_us[middle] < time_us:
@@ -117,7 +115,7 @@ def window_sums(
     middles_s: Array,
     half_window_s: float,
     row_length: int,
-) -> tuple[Array, Times, Times]:
+) -> tuple[Array, IntArray, IntArray]:
     """Mean positions (n, 2) [px], NaN of none; numbers of events (n,), and of those on the border.
 
     This waits for memory, not for arithmetic. So of rows of samples, one for each offset that is
@@ -158,7 +156,7 @@ def window_sums(
 
 
 @numba.njit(cache=True)
-def mean_times_us(times_us: Times, first: Indices, last: Indices) -> Array:
+def mean_times_us(times_us: IntArray, first: Indices, last: Indices) -> Array:
     """Mean (n,) of the times from `first` up to `last`, since the first of all; NaN of none.
 
     Not by cumulative sums, as positions are: these means are few, and the sums would take half as
@@ -176,7 +174,7 @@ def mean_times_us(times_us: Times, first: Indices, last: Indices) -> Array:
 
 @numba.njit(cache=True)
 def sharp_centres(
-    times_us: Times,
+    times_us: IntArray,
     position_sums_px: Array,
     first: Indices,
     last: Indices,
@@ -229,7 +227,7 @@ def sharp_centres(
 
 @numba.njit(cache=True)
 def _cells_at(
-    times_us: Times,
+    times_us: IntArray,
     sums_px: Array,
     middle_us: float,
     velocity: tuple[float, float],
@@ -265,7 +263,7 @@ def local_parabolas_at(
     wanted_s: Array,
     half_window_s: float,
     max_gap_s: float,
-) -> tuple[Array, Array, Array, Times]:
+) -> tuple[Array, Array, Array, IntArray]:
     """Positions, velocities, deviations and counts of points at m wanted times.
 
     Parabolas are fitted to the points within the window, weighed by (1 - (age / window)^2)^2 and by

@@ -12,22 +12,17 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from ssac.arrays import Array, Events, IntArray, Mask, Pixels
 from ssac.camera import Camera, undistort_points
 from ssac.events import first_from
 from ssac.rules import ObjectRules
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
-Mask = NDArray[np.bool_]
-Events = NDArray[np.void]
-Pixels = NDArray[np.uint16]
 
 
 @dataclass(frozen=True)
 class Blobs:
     """Clusters of events, bin by bin."""
 
-    bins: Indices  # (k,) ascending
+    bins: IntArray  # (k,) ascending
     n_events: Array  # (k,)
     centres_px: Array  # (k, 2) of the raw pixels
     sizes_px: Array  # (k,) rms
@@ -43,7 +38,7 @@ class Piece:
     positions_px: Array  # (n, 2) undistorted, one for each bin
     n_events: Array  # (n,)
     size_px: float  # median rms size of the image
-    blobs: Indices  # (n,)
+    blobs: IntArray  # (n,)
 
     @property
     def last(self) -> int:
@@ -123,7 +118,7 @@ class _Cells:
         return _Cells(size_px, np.zeros(shape, np.bool_))
 
 
-def _bounds(events: Events, bin_us: int, every: int = 1) -> Indices:
+def _bounds(events: Events, bin_us: int, every: int = 1) -> IntArray:
     """First event of each `every`-th bin, and the one after its last (b, 2).
 
     Bins count from the first event on, so that a clock that shows more changes nothing.
@@ -136,8 +131,8 @@ def _bounds(events: Events, bin_us: int, every: int = 1) -> Indices:
 
 
 def _blobs(
-    events: Events, bounds: Indices, cells: _Cells, rules: ObjectRules
-) -> tuple[Blobs, NDArray[np.int32], Indices]:
+    events: Events, bounds: IntArray, cells: _Cells, rules: ObjectRules
+) -> tuple[Blobs, NDArray[np.int32], IntArray]:
     """Find the blobs, that of each event (n,), -1 of none, and in how many bins cells are full."""
     x, y, least = events["x"], events["y"], rules.full_cell_events
     labels, bins, at_still, n_full = _labelled(x, y, bounds, cells.size_px, cells.still, least)
@@ -152,7 +147,7 @@ def _blobs(
     return Blobs(bins, n, means, sizes, sums[:, 5:], at_still), labels, n_full
 
 
-def _things(blobs: Blobs, n_bins: int, cell_px: int, rules: ObjectRules) -> Indices:
+def _things(blobs: Blobs, n_bins: int, cell_px: int, rules: ObjectRules) -> IntArray:
     """Count the things (b,) in each bin: blobs well apart, the largest first."""
     counts = np.bincount(blobs.bins, minlength=n_bins)
     starts = np.cumsum(counts) - counts
@@ -301,8 +296,8 @@ def _piece(path: list[int], blobs: Blobs, camera: Camera) -> Piece:
 
 @numba.njit(cache=True)
 def _labelled(
-    x: Pixels, y: Pixels, bounds: Indices, cell_px: int, still: Mask, full: int
-) -> tuple[NDArray[np.int32], Indices, Mask, Indices]:
+    x: Pixels, y: Pixels, bounds: IntArray, cell_px: int, still: Mask, full: int
+) -> tuple[NDArray[np.int32], IntArray, Mask, IntArray]:
     """Label connected clusters of cells with events, bin by bin of time, but for still cells.
 
     Bounds (b, 2) are the first event of each bin and the one after its last. So many events of a
@@ -342,7 +337,7 @@ def _labelled(
 
 @numba.njit(cache=True)
 def _summed(
-    x: Pixels, y: Pixels, bounds: Indices, labels: NDArray[np.int32], n_labels: int
+    x: Pixels, y: Pixels, bounds: IntArray, labels: NDArray[np.int32], n_labels: int
 ) -> Array:
     """Sum up the events of each label (k, 9): number, x, y, x^2, y^2, least x, y, largest x, y."""
     sums = np.zeros((n_labels, 9))
@@ -365,10 +360,10 @@ def _fill(
     column: int,
     label: int,
     full: int,
-    counts: Indices,
-    of_cell: Indices,
+    counts: IntArray,
+    of_cell: IntArray,
     still: Mask,
-    stack: Indices,
+    stack: IntArray,
 ) -> bool:
     """Label a full cell, all full ones that hang together with it, and the others beside these.
 

@@ -6,11 +6,11 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from ssac.arrays import Array, Events
 from ssac.errors import SsacError
 from ssac.events import EVENT_DTYPE, US_PER_S, check_event_array, copied
 from ssac.points import PointTrack
 
-Array = NDArray[np.float64]
 Seen = TypeVar("Seen", bound="Observation")
 
 
@@ -18,7 +18,7 @@ Seen = TypeVar("Seen", bound="Observation")
 class Observation:
     """Events, a track of points in their place, and intensity frames where there are any."""
 
-    events: NDArray[np.void]  # (n,) of EVENT_DTYPE, sorted by time
+    events: Events  # (n,) of EVENT_DTYPE, sorted by time
     frames: NDArray[np.generic] | None = None  # (m, height, width) intensities, for ZNCC_F
     frame_times_s: Array | None = None  # (m,) [s], ascending
     track: PointTrack | None = None  # in place of events, of which there are then none

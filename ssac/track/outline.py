@@ -14,9 +14,9 @@ says why.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter1d
 
+from ssac.arrays import Array, Indices, IntArray, Mask
 from ssac.events import first_from
 from ssac.geometry.pose import Pencil
 from ssac.rules import OutlineRules
@@ -30,9 +30,6 @@ from ssac.track.outline_kernels import (
     ranked_in_windows,
 )
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
-Mask = NDArray[np.bool_]
 OutlineConfig = OutlineRules
 
 
@@ -40,7 +37,7 @@ OutlineConfig = OutlineRules
 class OutlineEvents:
     """Events of one camera near one tangent, and the course from which they are ranked."""
 
-    times_us: NDArray[np.int64]  # (m,) [us], sorted
+    times_us: IntArray  # (m,) [us], sorted
     points_px: Array  # (m, 2) undistorted
     on_border: Mask  # (m,)
     course_rad: Array  # (n,) at the sample times, from the track's angle, towards the side
@@ -162,14 +159,14 @@ class _Blocks:
     So windows are of any whole number of half steps on each side.
     """
 
-    times_us: NDArray[np.int64]  # (m,) of the events
+    times_us: IntArray  # (m,) of the events
     times_s: Array  # (n,) of the samples
     padding: int  # blocks before the first sample and after the last
     edges_us: Array  # (b + 1,)
     bounds: Indices  # (b + 1,) index of the first event at or after each edge
 
     @staticmethod
-    def of(events_us: NDArray[np.int64], times_s: Array, config: OutlineConfig) -> "_Blocks":
+    def of(events_us: IntArray, times_s: Array, config: OutlineConfig) -> "_Blocks":
         n = len(times_s)
         length_us = 1e6 * (times_s[-1] - times_s[0]) / (n - 1) / 2
         longest_s = max(config.half_window_s, config.rough_half_window_s)

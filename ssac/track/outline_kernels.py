@@ -8,8 +8,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
+from ssac.arrays import Array, Indices, IntArray, Mask
 
 _TIE = 1e-12
 """Differences of tangents that rounding may make: the earlier event then counts as the higher.
@@ -20,7 +19,7 @@ Two events of one instant on one epipolar line are a tie, as such a line may be 
 
 @numba.njit(cache=True, error_model="numpy")
 def angles_from_course(
-    times_us: NDArray[np.int64],
+    times_us: IntArray,
     points_px: Array,
     bounds: Indices,
     edges_us: Array,
@@ -57,7 +56,7 @@ def _course_of_block(edges_us: Array, course: Array, i: int) -> tuple[float, flo
 @numba.njit(cache=True, error_model="numpy")
 def _tangents(
     points_px: Array,
-    times_us: NDArray[np.int64],
+    times_us: IntArray,
     start_us: float,
     line: tuple[float, float, float, float],
     sine: Array,
@@ -108,7 +107,7 @@ def ranked_in_windows(
     at: Indices,
     firsts: Indices,
     length: int,
-    usable: NDArray[np.bool_],
+    usable: Mask,
     rank: int,
     deeper_rank: int,
 ) -> tuple[Array, Indices]:

@@ -18,18 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 
+from ssac.arrays import Array, Events, Indices, IntArray, Mask, Pixels
 from ssac.camera import Camera, distort_points
 from ssac.rules import SilhouetteRules
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-
-Indices = NDArray[np.int64]
 Levels = NDArray[np.int32]
-Pixels = NDArray[np.uint16]
 
 Linked = tuple[Levels, Levels, Levels]
-Seen = tuple[tuple[Indices, Pixels, Pixels], tuple[int, int], tuple[Indices, Indices]]
+Seen = tuple[tuple[IntArray, Pixels, Pixels], tuple[int, int], tuple[IntArray, IntArray]]
 """Events: times [us], columns and rows; the sensor's height and width; samples [us] and boxes."""
 
 NONE = -1
@@ -41,7 +37,7 @@ class Images:
     """Of the object alone, in square windows: n of them, w pixels wide."""
 
     shares: NDArray[np.float32]  # (n, w, w) of each pixel that is covered
-    corners_px: NDArray[np.int64]  # (n, 2) column and row of the first pixel
+    corners_px: IntArray  # (n, 2) column and row of the first pixel
 
     def of(self, chosen: Mask) -> "Images":
         """Give some of them."""
@@ -63,7 +59,7 @@ class Silhouettes:
 
 
 def silhouettes(
-    events: NDArray[np.void],
+    events: Events,
     camera: Camera,
     times_s: Array,
     points_px: Array,
@@ -110,8 +106,8 @@ def silhouettes(
 
 
 def _boxes(
-    times_us: Indices, where_px: Array, sizes_px: Array, camera: Camera, rules: SilhouetteRules
-) -> tuple[Indices, Indices, NDArray[np.intp]]:
+    times_us: IntArray, where_px: Array, sizes_px: Array, camera: Camera, rules: SilhouetteRules
+) -> tuple[IntArray, IntArray, Indices]:
     """Give times [us] and boxes of samples, and which of them are the track's points.
 
     Where there are none, at the beginning and in gaps, the object may be anywhere.
@@ -197,7 +193,7 @@ def _image_sums(
     linked: Linked,
     ramps_us: Array,
     share_of: tuple[float, float],
-    corners: Indices,
+    corners: IntArray,
     images: NDArray[np.float32],
 ) -> Array:
     """Sum up the images of the object at n samples, by what `_linked_levels` gave.
@@ -289,7 +285,7 @@ def _level_at(
     time_us: int,
     a: int,
     b: int,
-    times_us: Indices,
+    times_us: IntArray,
     levels: Levels,
     before: Levels,
     after: Levels,

@@ -10,15 +10,11 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
+from ssac.arrays import Array, Events, IntArray, Mask
 from ssac.events import first_from
 from ssac.rules import LineRules
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-Events = NDArray[np.void]
 
 
 @dataclass(frozen=True)
@@ -137,7 +133,7 @@ def _voted(window: _Window, rules: LineRules) -> _Line | None:
 
 
 @numba.njit(cache=True)
-def _votes(points: Array, start_px: float, n_directions: int, most_px: int) -> NDArray[np.int64]:
+def _votes(points: Array, start_px: float, n_directions: int, most_px: int) -> IntArray:
     """Count the events of strips of a pixel (directions, 2 * most_px + 1), by their offsets."""
     found = np.zeros((n_directions, 2 * most_px + 1), np.int64)
     step_rad = 2.0 * np.pi / n_directions
@@ -195,7 +191,7 @@ def _turned(points: Array, angle_rad: float | Array) -> tuple[Array, Array]:
     return np.asarray(x * c + y * s), np.asarray(y * c - x * s)
 
 
-def _beside(kept: Events, middles_us: NDArray[np.int64], course: Array, rules: LineRules) -> Mask:
+def _beside(kept: Events, middles_us: IntArray, course: Array, rules: LineRules) -> Mask:
     """Tell the events near the line whose course (m, 6) is known in some windows."""
     middles = middles_us.astype(np.float64)
     turns = np.isfinite(course[:, 4])
