@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from experiments.lab.cache import BRIGHTNESS_CODE, Cache
-from experiments.lab.cell import UNUSABLE, Measure
+from experiments.lab.cell import UNUSABLE, Measure, RunRow
 from experiments.lab.grid import Cell
 from experiments.lab.recorded import RIG_FILE, clean_pair, load_pair
 from experiments.lab.score import Truth, kept, scored
@@ -38,11 +38,9 @@ Frames = tuple[NDArray[np.generic] | None, Array | None]
 
 
 @dataclass(frozen=True)
-class Row:
-    """One scored run; NaN for what the method does not give."""
+class Row(RunRow):
+    """One scored run, or "skipped"; NaN for what the method does not give."""
 
-    status: str  # the estimate's, or "skipped", UNUSABLE, CRASHED
-    reason: str = ""
     t_d_estimate_ms: float = np.nan
     t_d_error_ms: float = np.nan
     r_error_deg: float = np.nan  # NaN for a method that was given the pose, as is t_error_deg

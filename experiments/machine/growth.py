@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from experiments.lab.cache import Cache
-from experiments.lab.cell import Measure
+from experiments.lab.cell import Measure, PlainCell, RunRow
 from experiments.machine.parts import peak_memory_mb
 from sim.recording import SimConfig
 from sim.storage import record
@@ -64,31 +64,22 @@ POINTS = tuple(
 
 
 @dataclass(frozen=True)
-class StepCell:
+class StepCell(PlainCell):
     """One step of a point; the recording is made by the one before."""
 
     point: Point
     step: str
-
-    recordings = ()
 
     @property
     def columns(self) -> dict[str, Any]:
         """Columns that say which step it is."""
         return {"sensor": self.point.sensor, "duration_s": self.point.duration_s, "step": self.step}
 
-    @property
-    def inputs(self) -> tuple[Any, ...]:
-        """What it depends on beside the machine."""
-        return self.point, self.step
-
 
 @dataclass(frozen=True)
-class StepRow:
+class StepRow(RunRow):
     """What a step took."""
 
-    status: str
-    reason: str = ""
     events_per_camera: float = np.nan  # of both, the mean
     wall_s: float = np.nan
     cpu_s: float = np.nan

@@ -8,13 +8,13 @@ what that command does, and no more.
 import resource
 import tempfile
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from importlib import import_module
 from pathlib import Path
 from typing import Any, TypeVar
 
-from experiments.lab.cell import Measure
+from experiments.lab.cell import Measure, PlainCell, RunRow, load_nothing
 
 Result = TypeVar("Result")
 
@@ -71,38 +71,20 @@ def peak_memory_mb() -> float:
 
 
 @dataclass(frozen=True)
-class PartCell:
+class PartCell(PlainCell):
     """One part."""
 
     part: str
 
-    recordings = ()
-
-    @property
-    def columns(self) -> dict[str, Any]:
-        """Columns that say which part it is."""
-        return {"part": self.part}
-
-    @property
-    def inputs(self) -> str:
-        """What it depends on beside the machine."""
-        return self.part
-
 
 @dataclass(frozen=True)
-class PartRow:
+class PartRow(RunRow):
     """What was measured."""
 
-    status: str
-    reason: str = ""
     measurements: list[dict[str, Any]] = field(default_factory=list)  # of `Measurement`
 
 
-def load_nothing(cells: Sequence[PartCell], cache: object) -> None:
-    """Parts share nothing."""
-
-
-def part_row(cell: PartCell, _: None) -> PartRow:
+def part_row(cell: PartCell, _: object) -> PartRow:
     """Measure a part."""
     module, function, arguments = PARTS[cell.part]
     measure = getattr(import_module(f"experiments.machine.{module}"), function)

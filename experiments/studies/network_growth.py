@@ -7,7 +7,6 @@ after a short one that loads the kernels.
 
 import resource
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -16,7 +15,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from experiments.lab.cell import Measure, PlainCell, RunRow
+from experiments.lab.cell import Measure, PlainCell, RunRow, load_nothing
 from experiments.lab.study import How, Runs, Study
 from experiments.lab.verify import between, one_of
 from sim.scene.rig import Rig, kalibr_yaml, look_at_rig
@@ -75,11 +74,7 @@ def cells() -> list[GrowthCell]:
     return [GrowthCell(duration_s) for duration_s in DURATIONS_S]
 
 
-def load_nothing(cells: Sequence[GrowthCell], cache: Any) -> None:
-    """Load nothing: a flight is drawn where it is solved."""
-
-
-def growth_row(cell: GrowthCell, _: None) -> GrowthRow:
+def growth_row(cell: GrowthCell, _: object) -> GrowthRow:
     """Solve a flight in this process."""
     with TemporaryDirectory() as name:
         short, whole = Path(name) / "short", Path(name) / "whole"

@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 
 from experiments.lab.cache import Cache
-from experiments.lab.cell import Measure
+from experiments.lab.cell import Measure, load_nothing
 from experiments.lab.results import Results
 from experiments.lab.study import Runs, Study
 from experiments.lab.summary import made_of, quoted
@@ -25,17 +25,8 @@ from experiments.paper.grids import ANGLES_DEG
 from experiments.scenes.options import MAX_SEED
 from experiments.studies.by_hand import right
 from experiments.studies.imperfect import ImperfectRow, given_columns
-from experiments.worlds.causes import (
-    CAUSES,
-    DURATION_S,
-    LONG_S,
-    Cause,
-    Scene,
-    cut,
-    exchanged,
-    inverted,
-    jump_of,
-)
+from experiments.worlds import causes
+from experiments.worlds.causes import CAUSES, DURATION_S, LONG_S, Cause, Scene
 from experiments.worlds.open_flights import OpenCase, flight_config
 from experiments.worlds.spoilt import ORDINARY, KindCell, kind_cells
 from ssac.cli.options import number
@@ -102,13 +93,13 @@ def _cut(scene: Scene, case: OpenCase, estimate: Estimate) -> list[OpenCase]:
     jump, t_d_s = estimate.jump, case.truth.t_d_s
     assert jump is not None
     ends_s = (-np.inf, jump.at_s, jump.before_s, t_d_s), (
-        jump.at_s, np.inf, jump.after_s, t_d_s + jump_of(scene)[1],
+        jump.at_s, np.inf, jump.after_s, t_d_s + causes.jump_of(scene)[1],
     )  # fmt: skip
     return [
         replace(
             case,
-            cam1=cut(case.cam1, from_s, to_s),
-            cam2=cut(case.cam2, from_s + shown_s, to_s + shown_s),
+            cam1=causes.cut(case.cam1, from_s, to_s),
+            cam2=causes.cut(case.cam2, from_s + shown_s, to_s + shown_s),
             truth=replace(case.truth, t_d_s=true_s),
         )
         for from_s, to_s, shown_s, true_s in ends_s
@@ -125,8 +116,8 @@ ADVICE: Mapping[str, Follow] = {
     "--rate-range": _asked(rates=(0.5, 2.0)),
     "--clock pieces": _asked(clock="pieces"),
     "calibrate again": _mended("calibrate again"),
-    "give its inverse": lambda scene, case, estimate: [inverted(case)],
-    "exchange them": lambda scene, case, estimate: [exchanged(case)],
+    "give its inverse": lambda scene, case, estimate: [causes.inverted(case)],
+    "exchange them": lambda scene, case, estimate: [causes.exchanged(case)],
     "record one object": _mended("record one object"),
 }
 """What phrases of reasons ask for."""
@@ -175,11 +166,6 @@ def said(cause: Cause, case: OpenCase) -> tuple[Estimate, ReasonRow]:
     names = estimate.status in cause.named_by and re.search(cause.words, estimate.reason)
     is_right = bool(right(pd.DataFrame([vars(row)]))[0])
     return estimate, replace(row, is_right=is_right, is_named=bool(names))
-
-
-def load_nothing(cells: Sequence[KindCell], cache: Cache) -> Cache:
-    """Give the cache: a cause says what it films."""
-    return cache
 
 
 def reasons_table(runs: pd.DataFrame) -> pd.DataFrame:

@@ -1,7 +1,6 @@
 """A tiny study, and a folder of results as its command leaves it; no OpenGL, no recordings."""
 
 import os
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from experiments.lab.cache import Cache
-from experiments.lab.cell import Measure
+from experiments.lab.cell import Measure, load_nothing
 from experiments.lab.files import csv_text, record_checksums, save_text
 from experiments.lab.provenance import provenance
 from experiments.lab.results import Results
@@ -45,11 +44,7 @@ class SquareRow:
     square: float = np.nan
 
 
-def load_nothing(cells: Sequence[SquareCell], cache: Cache) -> None:
-    return None
-
-
-def squared(cell: SquareCell, loaded: None) -> SquareRow:
+def squared(cell: SquareCell, loaded: object) -> SquareRow:
     return SquareRow("ok", "", float(cell.number**2))
 
 
@@ -95,7 +90,7 @@ def write_squares(folder: Path) -> None:
     record_checksums(folder, save_made(SQUARES, folder, Cache(folder / "none"), content))
 
 
-def process_row(cell: SquareCell, loaded: None) -> SquareRow:
+def process_row(cell: SquareCell, loaded: object) -> SquareRow:
     """Give the id of this process, which 4 ends."""
     if cell.number == 4:
         os._exit(3)
