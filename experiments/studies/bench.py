@@ -6,9 +6,8 @@ summed up in the benchmark's last rows.
 
 from collections.abc import Iterator
 from dataclasses import asdict
-from enum import Enum
 from functools import partial
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -36,23 +35,17 @@ MIN_MARKED_EVENTS = 50e6  # that the largest point has, to be held against these
 _HELD = {SIMULATE: 1, SYNCHRONISE: 2}  # cameras whose events are in memory at a time
 
 
-class Extent(str, Enum):
-    """How far the growth is followed."""
-
-    FULL = "full"
-    SHORT = "short"
-
-    def __str__(self) -> str:
-        return self.value
+Extent = Literal["full", "short"]
+"""How far the growth is followed."""
 
 
 def points_of(extent: Extent) -> list[Point]:
     """List the points of a run, the smallest first."""
-    limit = SHORT_EVENTS if extent is Extent.SHORT else np.inf
+    limit = SHORT_EVENTS if extent == "short" else np.inf
     return [one for one in POINTS if one.events_per_s * one.duration_s <= limit]
 
 
-COMMITTED = {"growth": Extent.FULL}
+COMMITTED: dict[str, Extent] = {"growth": "full"}
 """How far `results/` go; the rest takes as long again as the short run of `make bench`."""
 
 Growth = Annotated[
@@ -60,7 +53,7 @@ Growth = Annotated[
 ]
 
 
-def growth_cells(growth: Growth = Extent.SHORT) -> list[StepCell]:
+def growth_cells(growth: Growth = "short") -> list[StepCell]:
     """List the steps of each point."""
     return [StepCell(point, step) for point in points_of(growth) for step in STEPS]
 
@@ -72,7 +65,7 @@ def growth_table(rows: pd.DataFrame, _: Results) -> pd.DataFrame:
     return rows.assign(events_per_camera=rows["events_per_camera"].ffill(), status=status)
 
 
-def part_cells(growth: Growth = Extent.SHORT) -> list[PartCell]:
+def part_cells(growth: Growth = "short") -> list[PartCell]:
     """List the parts; the growth is another study of the same command."""
     del growth
     return [PartCell(part) for part in PARTS]

@@ -21,7 +21,7 @@ from experiments.machine.synchronising import MARKS_S, bench_sync
 from experiments.machine.tables import measured_cells
 from experiments.paper.grids import n_recordings, table_cells
 from experiments.studies import bench
-from experiments.studies.bench import GROWTH, Extent, bench_table, growth_rows, growth_table
+from experiments.studies.bench import GROWTH, bench_table, growth_rows, growth_table
 from sim.recording import SimConfig
 from sim.scene.trajectory import SplineConfig
 from ssac.pipeline.registry import OURS
@@ -121,13 +121,13 @@ def test_the_measured_recordings_are_some_of_the_tables() -> None:
 
 
 def test_a_short_run_leaves_the_largest_points_out() -> None:
-    short, full = bench.points_of(Extent.SHORT), bench.points_of(Extent.FULL)
+    short, full = bench.points_of("short"), bench.points_of("full")
     assert set(short) < set(full)
     assert {one.sensor for one in short} == {"346 x 260", "1280 x 720"}
     assert [one.duration_s for one in full] == 2 * [5.0, 20.0, 60.0, 120.0]
-    cells = bench.growth_cells(Extent.FULL)
+    cells = bench.growth_cells("full")
     assert len({tuple(cell.columns.values()) for cell in cells}) == len(cells) == 16
-    assert bench.growth_cells() == bench.growth_cells(Extent.SHORT) != cells
+    assert bench.growth_cells() == bench.growth_cells("short") != cells
 
 
 def test_an_exponent_is_that_of_the_power() -> None:
