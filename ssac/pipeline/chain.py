@@ -27,27 +27,9 @@ from ssac.errors import SsacError
 from ssac.estimate import SETTLED_BY, Estimate, Refusal, Status
 from ssac.methods.method import Input, Method
 from ssac.methods.verdict import less_sure, quantum_s
+from ssac.pipeline import retries
 from ssac.pipeline.answer import Answer, Log, Stopwatch, quiet
 from ssac.pipeline.registry import choose_method, load
-from ssac.pipeline.retries import (
-    FAST,
-    WANDERING,
-    by_several,
-    doubt_from,
-    hidden,
-    is_faint,
-    is_mended,
-    is_settled_by,
-    is_truer,
-    is_within,
-    less_certain,
-    lies_elsewhere,
-    narrows,
-    other_clocks,
-    other_rates,
-    other_ways,
-    usual_mistake,
-)
 from ssac.search.offset_search import has_common_time, overlapping, unusable
 from ssac.search.one_object import one_object
 from ssac.search.start import Start, start_of
@@ -216,18 +198,18 @@ class Chain:
         answer = self._asked(method, places, config)
         if answer.estimate.has_offset or method.input is not Input.TRACKS:
             return answer
-        if is_faint(self.config, answer.cleans, answer.estimate) and method.runs:
+        if retries.is_faint(self.config, answer.cleans, answer.estimate) and method.runs:
             answer = self._of_faint(method, places, answer)
             if answer.estimate.has_offset:
                 return answer
-        for way in other_ways(self.config, answer.cleans, answer.estimate):
+        for way in retries.other_ways(self.config, answer.cleans, answer.estimate):
             chain = self.under(way)
             other = chain._asked(method, places, way.resolved(self._has_track(*places)))
             if other.estimate.status == Status.OK:
                 return other
             if answer.estimate.status in SETTLED_BY["closer"] and other.sees_several:
                 answer = other
-        return replace(answer, estimate=by_several(answer.cleans, answer.estimate))
+        return replace(answer, estimate=retries.by_several(answer.cleans, answer.estimate))
 
     def _of_faint(self, method: Method, places: tuple[int, int], answer: Answer) -> Answer:
         """Answer with the tracks of a faint object, where these say more than its windows."""
@@ -253,7 +235,7 @@ class Chain:
         with self.watch.part("follow"):
             seen = self.recorded(k)
             found = followed(seen, cleaned, rules.noise, rules.retry.followed)
-            return found, hidden(f"camera {k + 1}", seen, cleaned, found, rules.retry)
+            return found, retries.hidden(f"camera {k + 1}", seen, cleaned, found, rules.retry)
 
     def _asked(
         self,
@@ -272,26 +254,26 @@ class Chain:
         if not of_tracks or answer.estimate.has_offset:
             return answer
         widest = answer
-        if not tries_all and lies_elsewhere(self.config, answer.estimate):
+        if not tries_all and retries.lies_elsewhere(self.config, answer.estimate):
             wider = self._of_one(pair, True)
             if wider.estimate.has_offset:
                 return wider
             widest = wider
-            answer = wider if is_truer(wider.estimate, answer.estimate) else answer
-        rates = other_rates(self.config, config, pair.cleans, widest.estimate)
+            answer = wider if retries.is_truer(wider.estimate, answer.estimate) else answer
+        rates = retries.other_rates(self.config, config, pair.cleans, widest.estimate)
         if rates is not None:
             rated = self._of_one(replace(pair, config=replace(config, rates=rates)), True)
-            if is_within(rated.estimate, rates):
-                return replace(rated, clock=FAST)
-        if not tries_all and narrows(self.config, answer.estimate):
+            if retries.is_within(rated.estimate, rates):
+                return replace(rated, clock=retries.FAST)
+        if not tries_all and retries.narrows(self.config, answer.estimate):
             outside = "or the offset lies outside the search: leave out --search, and all are tried"
             answer = answer.because(outside)
-        mistake = usual_mistake(pair.rig, answer.cleans, answer.estimate)
+        mistake = retries.usual_mistake(pair.rig, answer.cleans, answer.estimate)
         if mistake is None:
             return answer
         hint, rig, cleans = mistake
         mended = self._compared(replace(pair, rig=rig, cleans=cleans, seen=cleans), tries_all)
-        if not is_mended(mended.estimate, config.rules.verdict):
+        if not retries.is_mended(mended.estimate, config.rules.verdict):
             return answer
         return answer.because(f"all agrees if {hint}")
 
@@ -331,16 +313,16 @@ class Chain:
         """Run the method, with other clocks where its own fits ill, and with a less certain rig."""
         found, clock, misfit = self._run(pair), "", ""
         of_track = self._has_track(*pair.places)
-        for name, config in other_clocks(self.config, pair.config, of_track, found):
+        for name, config in retries.other_clocks(self.config, pair.config, of_track, found):
             other = replace(pair, config=config)
             by_other = self._run(other)
-            if is_settled_by(by_other, found, name, config.rules.retry):
+            if retries.is_settled_by(by_other, found, name, config.rules.retry):
                 pair, found, clock = other, by_other, name
                 break
         rules = pair.config.rules.verdict
-        is_in_doubt = found.against > doubt_from(pair.rig, rules)
+        is_in_doubt = found.against > retries.doubt_from(pair.rig, rules)
         if is_in_doubt and found.status in (Status.OK, Status.POOR_FIT):
-            other = replace(pair, rig=less_certain(pair.rig, found, rules))
+            other = replace(pair, rig=retries.less_certain(pair.rig, found, rules))
             by_other = self._run(other)
             if by_other.has_offset and by_other.against <= rules.max_against_less_sure:
                 pair, found, misfit = other, by_other, found.misfit
@@ -354,7 +336,7 @@ class Chain:
         """Run a method, after those that it starts from, and put it on camera 2's own clock."""
         with self.watch.part("estimate") as say:
             estimate = self._by(pair.method, pair)
-            wanders = pair.config.clock == WANDERING
+            wanders = pair.config.clock == retries.WANDERING
             say(pair.method.name + (", with a clock that wanders" if wanders else ""))
         return estimate if pair.start is None else pair.start.as_recorded(estimate)
 
