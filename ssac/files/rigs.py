@@ -13,7 +13,7 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 from ssac.arrays import Array
-from ssac.camera import MAX_READOUT_S, Camera, Cameras, Rig, check_camera, check_transform
+from ssac.camera import Camera, Cameras, Rig, check_camera, check_transform
 from ssac.errors import SsacError
 from ssac.files.readable import check_is_file, readable, silenced
 from ssac.files.whole_file import whole_file
@@ -183,22 +183,11 @@ def _camera_from_kalibr(name: str, entry: Any) -> Camera:
     deviations = None
     if "intrinsics_std" in entry:
         deviations = _numbers(entry["intrinsics_std"], (4,), f"{name}, intrinsics_std")
+    readout_s = entry.get("readout_s")  # of a rolling shutter, 0 of a global one
+    if readout_s is not None:
+        readout_s = float(_numbers(readout_s, (), f"{name}, readout_s"))
     model = _KALIBR_MODELS.get(model, model)
-    camera = _checked_camera(name, K, size, model, coeffs, deviations)
-    return replace(camera, readout_s=_readout_s(name, entry))
-
-
-def _readout_s(name: str, entry: Mapping[str, Any]) -> float | None:
-    """Readout [s] of a rolling shutter, 0 of a global one; None where the entry has none."""
-    if entry.get("readout_s") is None:
-        return None
-    readout_s = float(_numbers(entry["readout_s"], (), f"{name}, readout_s"))
-    if not 0.0 <= readout_s <= MAX_READOUT_S:
-        raise SsacError(
-            f"{name}, readout_s: expected 0 to {MAX_READOUT_S:g} s from the first row to the "
-            f"last, got {readout_s:g}: give seconds"
-        )
-    return readout_s
+    return _checked_camera(name, K, size, model, coeffs, deviations, readout_s)
 
 
 def _rig_from_opencv(path: Path, text: str, cameras: tuple[int, int]) -> Rig:
@@ -256,12 +245,13 @@ def _checked_camera(
     distortion_model: str,
     coeffs: Array,
     deviations_px: Array | None = None,
+    readout_s: float | None = None,
 ) -> Camera:
     """Return the camera; the model "none" may come with zeros for coefficients."""
     if distortion_model == "none" and not coeffs.any():
         coeffs = coeffs[:0]
     width, height = map(int, size)
-    camera = Camera(K, width, height, distortion_model, tuple(coeffs.tolist()))
+    camera = Camera(K, width, height, distortion_model, tuple(coeffs.tolist()), readout_s=readout_s)
     if deviations_px is not None:
         camera = replace(camera, intrinsics_std_px=tuple(deviations_px.tolist()))
     check_camera(camera, name)

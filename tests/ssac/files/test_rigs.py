@@ -123,7 +123,7 @@ MISSING = object()
         ("cam0", "intrinsics", [-200.0, 201.0, 173.0, 130.0], "cam0: focal lengths must be pos"),
         ("cam0", "intrinsics", "200", "cam0, intrinsics: expected 4 finite numbers, got 200"),
         ("cam0", "intrinsics_std", [0.1], "cam0, intrinsics_std: expected 4 finite num"),
-        ("cam1", "readout_s", -0.01, "readout_s: expected 0 to 0.2 s"),
+        ("cam1", "readout_s", -0.01, "the readout must take 0 to 0.2 s"),
         ("cam1", "readout_s", "fast", "readout_s: expected a finite number, got fast"),
         ("cam0", "intrinsics_std", [0, 0, 0, -1], "cam0: intrinsics_std must be 4 devi"),
         ("cam0", "resolution", [346], "cam0, resolution: expected 2 finite numbers"),
