@@ -1,12 +1,11 @@
 """The paper's simulation tables, made of runs: one row for each angle and offset.
 
-A run is one method on one flight with one offset. A table is made only from a whole grid: every
-flight with every method at every angle and offset, each once, failed runs included.
+A run is one method on one flight with one offset. Whether all are there, each once, is for
+`lab.study.check_runs` to say; failed runs are counted, and enter no mean.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
 from io import StringIO
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -22,32 +21,18 @@ RUN_COLUMNS = (
     "t_std_deg", "r_mahalanobis", "t_mahalanobis", "n_samples", "d_avg_px", "n_events_cam1",
     "n_events_cam2",
 )  # fmt: skip
-YOUNGER = ("r_std_deg", "t_std_deg", "r_mahalanobis", "t_mahalanobis")
-"""Columns that older runs lack: there they are unknown."""
 
 KEY = ["duration_s", "angle_deg", "t_d_ms", "flight", "method"]
 """Columns that say which run a row is; `seed` beside them is what `ssac simulate` makes it of."""
 
 _TEXT = ("method", "status", "reason")
 _WHOLE = ("flight", "seed", "n_samples", "n_events_cam1", "n_events_cam2")
-_SHOWN = 5  # runs that an error message lists
 
 
 def ordered_runs(runs: pd.DataFrame) -> pd.DataFrame:
-    """Check that runs make a whole grid, and put them into the order of `runs.csv`.
-
-    Further columns are dropped, YOUNGER ones may be absent; counts become whole numbers. SsacError
-    if a column or a run is missing, a run is there twice, or a run that is "ok" has no error.
-    """
-    _check_columns(runs)
-    if runs.empty:
-        raise SsacError("expected runs to make a table of, got none")
-    runs = runs.reindex(columns=list(RUN_COLUMNS))
-    _check_listed("there more than once", runs.loc[runs.duplicated(KEY), KEY])
-    _check_listed("missing", missing_runs(runs))
-    without_error = (runs["status"] == "ok") & runs["t_d_error_ms"].isna()
-    _check_listed('"ok" without an error of t_d', runs.loc[without_error, KEY])
-    whole: pd.DataFrame = in_order(runs, KEY).astype(dict.fromkeys(_WHOLE, "Int64"))
+    """Put runs into the order of `runs.csv`; further columns go, counts become whole numbers."""
+    runs = in_order(runs.reindex(columns=list(RUN_COLUMNS)), KEY)
+    whole: pd.DataFrame = runs.astype(dict.fromkeys(_WHOLE, "Int64"))
     return whole
 
 
@@ -60,21 +45,6 @@ def in_order(rows: pd.DataFrame, keys: Sequence[str]) -> pd.DataFrame:
         ignore_index=True,
     )
     return ordered
-
-
-def missing_runs(runs: pd.DataFrame) -> pd.DataFrame:
-    """List the runs (columns KEY) that the others of their duration imply, but that are not there.
-
-    A duration implies all combinations of its angles, offsets, flights and methods.
-    """
-    there = set(runs[KEY].itertuples(index=False, name=None))
-    implied = [
-        key
-        for duration_s, part in runs.groupby("duration_s")
-        for key in product([duration_s], *(part[column].unique() for column in KEY[1:]))
-    ]
-    missing: pd.DataFrame = pd.DataFrame([key for key in implied if key not in there], columns=KEY)
-    return missing
 
 
 def method_order(methods: Iterable[str]) -> list[str]:
@@ -142,28 +112,13 @@ def runs_from_csv(text: str) -> pd.DataFrame:
         numeric: pd.DataFrame = table.astype(dict.fromkeys(numbers, np.float64))
     except ValueError as error:  # pandas' parser errors are ValueErrors
         raise SsacError(f"not a table of runs: {error}") from error
-    _check_columns(numeric)
-    younger = {name: np.nan for name in YOUNGER if name not in numeric}
-    whole: pd.DataFrame = numeric.assign(**younger)
-    return whole
+    absent = [name for name in RUN_COLUMNS if name not in numeric]
+    if absent:
+        raise SsacError(f"runs need the columns {', '.join(RUN_COLUMNS)}; not there: {absent}")
+    return numeric
 
 
 def describe(run: Mapping[Any, Any]) -> str:
     """Name a run by its key, for messages."""
     names = "{duration_s:g} s, {angle_deg:g} deg, t_d {t_d_ms:g} ms, flight {flight:g}, {method}"
     return names.format_map(run)
-
-
-def _check_columns(runs: pd.DataFrame) -> None:
-    absent = [name for name in RUN_COLUMNS if name not in runs and name not in YOUNGER]
-    if absent:
-        raise SsacError(f"runs need the columns {', '.join(RUN_COLUMNS)}; not there: {absent}")
-
-
-def _check_listed(fault: str, runs: pd.DataFrame) -> None:
-    """Raise SsacError that lists the first of the runs at fault (columns KEY), if any."""
-    if runs.empty:
-        return
-    rest = f" and {len(runs) - _SHOWN} more" if len(runs) > _SHOWN else ""
-    first = "; ".join(describe(run) for run in runs.head(_SHOWN).to_dict("records"))
-    raise SsacError(f"runs {fault}: {first}{rest}")

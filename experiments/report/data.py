@@ -11,7 +11,7 @@ import pandas as pd
 
 from experiments.lab.grid import config_names, named_config
 from experiments.lab.results import PROVENANCE
-from experiments.paper.esim import RUN_COLUMNS, runs_from_csv
+from experiments.paper.esim import runs_from_csv
 from experiments.paper.grids import DURATIONS_S
 from experiments.paper.quantities import T_D_ERROR
 from ssac.errors import SsacError
@@ -99,7 +99,7 @@ def load_results(folder: Path) -> Results:
 
 
 def _runs(content: bytes) -> pd.DataFrame:
-    return _with_columns(runs_from_csv(content.decode("utf-8")), RUN_COLUMNS)
+    return runs_from_csv(content.decode("utf-8"))
 
 
 def _table(content: bytes) -> pd.DataFrame:
