@@ -20,7 +20,7 @@ from experiments.lab.cell import CRASHED, AnyCell
 from experiments.lab.files import SUMS_FILE, csv_text, read_checksums, read_table, sha256
 from experiments.lab.provenance import plain, processor, versions
 from experiments.lab.results import PROVENANCE, Results
-from experiments.lab.study import SHARD, Check, How, Made, Study, check_keys, check_runs
+from experiments.lab.study import CELL, SHARD, Check, How, Made, Study, check_keys, check_runs
 from sim.errors import SimError
 from sim.render.gl_context import context_or_none
 from ssac.errors import SsacError
@@ -207,16 +207,15 @@ def scored_checks(name: str) -> tuple[Check, ...]:
     def off(runs: pd.DataFrame) -> "pd.Series[bool]":
         t_d_ms = runs["t_d_ms"] if "t_d_ms" in runs else 1e3 * runs["sim.t_d_s"]
         off_ms = (runs["t_d_estimate_ms"] - t_d_ms).abs() - runs["t_d_error_ms"]
-        off_ppm = (runs["skew_ppm"] - runs.get("sim.skew_ppm", 0.0)).abs() - runs["skew_error_ppm"]
         wrong = ~(off_ms.abs() <= _ROUNDING_MS)
-        wrong |= off_ppm.abs() > _ROUNDING_PPM + 1e-5 * runs["skew_error_ppm"].abs()
-        wrong |= off_ppm.isna() & (runs["skew_ppm"].notna() | runs["skew_error_ppm"].notna())
+        if "skew_ppm" in runs:
+            wrong |= _unlike_skews(runs)
         return wrong & runs["t_d_estimate_ms"].notna()  # of the others nothing is known
 
     def recordings(results: Results) -> list[str]:
         runs = results.table(name)
-        at = list(runs.columns[1 : runs.columns.get_loc("flight")])
-        of = [one for one in at if not one.startswith("ssac.") and one not in _OFFSETS]
+        at = list(runs.columns[: runs.columns.get_loc("flight")])
+        of = [one for one in at if not one.startswith("ssac.") and one not in (CELL, *_OFFSETS)]
         seen = runs[runs["status"] != CRASHED].groupby([*of, "flight"], dropna=False)
         counts = seen[["seed", "n_events_cam1", "n_events_cam2"]].nunique()
         several = counts.index[(counts > 1).any(axis=1)]
@@ -226,8 +225,16 @@ def scored_checks(name: str) -> tuple[Check, ...]:
         ("errors are those of the estimates",
          _each(name, off, lambda _: "its errors are not those of its estimate")),
         ("all runs on a flight saw the same events", recordings),
-        ("angles are angles", between(name, "r_error_deg", 0.0, 180.0)),
+        *(("angles are angles", between(name, one, 0.0, 180.0))
+          for one in ("r_error_deg", "t_error_deg")),
     )  # fmt: skip
+
+
+def _unlike_skews(runs: pd.DataFrame) -> "pd.Series[bool]":
+    """Tell the runs (n,) whose errors of the skew are not those of their estimates."""
+    off_ppm = (runs["skew_ppm"] - runs.get("sim.skew_ppm", 0.0)).abs() - runs["skew_error_ppm"]
+    wrong = off_ppm.abs() > _ROUNDING_PPM + 1e-5 * runs["skew_error_ppm"].abs()
+    return wrong | off_ppm.isna() & (runs["skew_ppm"].notna() | runs["skew_error_ppm"].notna())
 
 
 def _changed(results: Path, files: Iterable[str]) -> list[str]:
