@@ -6,7 +6,7 @@ Everything is addressed by its content: by all parameters and by all code that m
     recordings/<key>/     as sim.storage writes them, with t_d = 0: ordinary input of `ssac sync`
     recordings/<key>.sha256  checksums of its files: it is not there without them
     brightness/<key>.npz  the mean of each of their frames
-    denoised/<key>.npz    the events that denoising leaves, in 6 bytes each
+    denoised/<key>.npz    the events that denoising leaves
     runs/<ab>/<key>.json  one measured row, and its checksum
     damaged/              entries that were not what had been written
 

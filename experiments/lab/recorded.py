@@ -8,15 +8,13 @@ from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from experiments.lab.cache import DENOISED_CODE, Arrays, Cache
 from sim.recording import SimConfig
-from ssac.arrays import Array, Events, IntArray
+from ssac.arrays import Array
 from ssac.camera import Camera, Rig
 from ssac.clock import Clock
 from ssac.config import Cleaning
-from ssac.events import EVENT_DTYPE
 from ssac.files.hdf5 import load_events_h5
 from ssac.files.rigs import load_rig
 from ssac.track.clean import Clean, Recorded, clean
@@ -25,7 +23,7 @@ from ssac.track.observation import Observation
 
 RIG_FILE = "rig_extrinsics.yaml"
 _CAMERAS = ("cam1", "cam2")
-_TOLD = ("events", "leaps", "clutter", "on_line", "n_recorded")
+_TOLD = ("events", "clutter", "on_line", "n_recorded")
 
 Made = TypeVar("Made")
 
@@ -124,7 +122,7 @@ def clean_pair(
         for seen, (name, camera) in zip(load()[:2], cameras.items(), strict=True):
             one = clean(seen, camera, how, name)
             assert one.clutter is not None  # of a recording, which was not denoised before
-            told[f"{name}_events"], told[f"{name}_leaps"] = packed(one.events)
+            told[f"{name}_events"] = one.events
             told[f"{name}_clutter"] = np.array(astuple(one.clutter), dtype=np.float64)
             told[f"{name}_on_line"] = np.empty(0, bool) if one.on_line is None else one.on_line
             told[f"{name}_n_recorded"] = np.array(one.n_recorded)
@@ -147,7 +145,7 @@ def _clean(told: Arrays, name: str, camera: Camera, recorded: Recorded) -> Clean
     pixels, masked, hz, radius_px, n_neighbours, n_min = told[f"{name}_clutter"].tolist()
     on_line = told[f"{name}_on_line"]
     return Clean(
-        unpacked(told[f"{name}_events"], told[f"{name}_leaps"]),
+        told[f"{name}_events"],
         camera=camera,
         n_recorded=int(told[f"{name}_n_recorded"]),
         denoised=True,
@@ -155,35 +153,3 @@ def _clean(told: Arrays, name: str, camera: Camera, recorded: Recorded) -> Clean
         on_line=on_line if len(on_line) else None,
         recorded=recorded,
     )
-
-
-_PACKED = np.dtype([("gap_us", "u1"), ("x", "<u2"), ("y", "<u2"), ("p", "u1")])
-"""An event in less than half of its memory: `gap_us` is the time since the one before it, mod 256.
-
-What is beyond that, after a pause, is a leap: the event's number and what is missing [us].
-"""
-
-
-def packed(events: Events) -> tuple[NDArray[np.uint8], IntArray]:
-    """Pack sorted events (n,) of EVENT_DTYPE: the bytes (n, 6) of `_PACKED`, and leaps (k, 2)."""
-    found = np.empty(len(events), _PACKED)
-    gaps_us = np.diff(events["t"], prepend=0)
-    found["gap_us"] = gaps_us & 255
-    for name in "xyp":
-        found[name] = events[name]
-    missing_us = gaps_us - found["gap_us"]
-    places = np.flatnonzero(missing_us)
-    leaps = np.column_stack([places, missing_us[places]])
-    return found.view(np.uint8).reshape(len(events), _PACKED.itemsize), leaps
-
-
-def unpacked(found: NDArray[np.uint8], leaps: IntArray) -> Events:
-    """Give the events that were `packed`."""
-    packed_events = found.reshape(-1).view(_PACKED)
-    gaps_us = packed_events["gap_us"].astype(np.int64)
-    gaps_us[leaps[:, 0]] += leaps[:, 1]
-    events = np.empty(len(found), EVENT_DTYPE)
-    events["t"] = np.cumsum(gaps_us)
-    for name in "xyp":
-        events[name] = packed_events[name]
-    return events

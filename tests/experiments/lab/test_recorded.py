@@ -8,10 +8,9 @@ import pytest
 
 from experiments.lab import recorded as module
 from experiments.lab.cache import Cache
-from experiments.lab.recorded import Pair, clean_pair, load_pair, packed, unpacked
+from experiments.lab.recorded import Pair, clean_pair, load_pair
 from ssac.camera import same_camera
 from ssac.config import Cleaning
-from ssac.events import events_from_arrays
 from ssac.pipeline.chain import Chain
 from ssac.pipeline.registry import OURS, Input
 from ssac.track.clean import Clean, clean
@@ -65,17 +64,3 @@ def test_of_a_camera_of_which_nothing_is_left_every_method_says_so(
             if method.input is not Input.FRAMES:
                 found = chain.estimate(method)
                 assert found.status in ("too_few_samples", "no_common_signal"), found
-
-
-@pytest.mark.parametrize("n", [0, 1, 1000])
-def test_packed_events_come_back_whatever_the_time_between_them(n: int) -> None:
-    rng = np.random.default_rng(n)
-    gaps_us = rng.choice([0, 1, 255, 256, 257, 511, 512, 10**9, 10**13], n)
-    events = events_from_arrays(
-        np.cumsum(gaps_us) - 10**6 if n else gaps_us,
-        *rng.integers(0, 1 << 16, (2, n)),
-        rng.integers(0, 2, n),
-    )
-    found, leaps = packed(events)
-    assert found.nbytes == 6 * n
-    np.testing.assert_array_equal(unpacked(found, leaps), events, strict=True)
