@@ -56,9 +56,10 @@ def quoted(table: str, form: str, **where: Any) -> Callable[[Results], str]:
 
 def shown_table(rows: pd.DataFrame, columns: Mapping[str, str]) -> str:
     """Lay rows out as Markdown: under each heading their columns, as "{runs:.0f}" shows them."""
-    cells = [[form.format(**row) for form in columns.values()] for row in _records(rows)]
+    cells = [[form.format(**row) for form in columns.values()] for row in records(rows)]
     return markdown_table(list(columns), cells)
 
 
-def _records(rows: pd.DataFrame) -> list[dict[str, Any]]:
+def records(rows: pd.DataFrame) -> list[dict[str, Any]]:
+    """Give rows as dictionaries; each column keeps its own type."""
     return [{str(name): value for name, value in row.items()} for row in rows.to_dict("records")]

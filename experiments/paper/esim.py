@@ -5,7 +5,6 @@ A run is one method on one flight with one offset. Whether all are there, each o
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from io import StringIO
 from typing import Any
 
 import numpy as np
@@ -25,7 +24,6 @@ RUN_COLUMNS = (
 KEY = ["duration_s", "angle_deg", "t_d_ms", "flight", "method"]
 """Columns that say which run a row is; `seed` beside them is what `ssac simulate` makes it of."""
 
-_TEXT = ("method", "status", "reason")
 _WHOLE = ("flight", "seed", "n_samples", "n_events_cam1", "n_events_cam2")
 
 
@@ -94,28 +92,6 @@ def esim_table(runs: pd.DataFrame, duration_s: float) -> pd.DataFrame:
 def esim_tables(runs: pd.DataFrame) -> dict[float, pd.DataFrame]:
     """Make the table of each duration [s] that the runs have."""
     return {float(value): esim_table(runs, value) for value in sorted(runs["duration_s"].unique())}
-
-
-def runs_from_csv(text: str) -> pd.DataFrame:
-    """Read `runs.csv`: the inverse of `csv_text(ordered_runs(runs))`, but for its rounding.
-
-    SsacError if the text is no such table.
-    """
-    # An empty cell is an unknown number, but an empty reason is just that.
-    unknown = {name: [""] for name in RUN_COLUMNS if name not in _TEXT}
-    try:
-        table = pd.read_csv(
-            StringIO(text), dtype=dict.fromkeys(_TEXT, str), keep_default_na=False,
-            na_values=unknown, float_precision="round_trip",
-        )  # fmt: skip
-        numbers = [name for name in table.columns if name not in _TEXT]
-        numeric: pd.DataFrame = table.astype(dict.fromkeys(numbers, np.float64))
-    except ValueError as error:  # pandas' parser errors are ValueErrors
-        raise SsacError(f"not a table of runs: {error}") from error
-    absent = [name for name in RUN_COLUMNS if name not in numeric]
-    if absent:
-        raise SsacError(f"runs need the columns {', '.join(RUN_COLUMNS)}; not there: {absent}")
-    return numeric
 
 
 def describe(run: Mapping[Any, Any]) -> str:

@@ -12,6 +12,7 @@ import pandas as pd
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from experiments.lab.markdown import markdown_table, means_with_stds, number, paragraph
+from experiments.lab.summary import records
 from experiments.paper.comparison import (
     PUBLISHED_ERRORS,
     PUBLISHED_RUNS,
@@ -87,11 +88,6 @@ def label(name: str) -> str:
     return f"`{method}` {ERRORS[error].heading}"
 
 
-def _records(table: pd.DataFrame) -> list[dict[str, Any]]:
-    """Rows as dictionaries; each column keeps its own type."""
-    return [{str(key): value for key, value in row.items()} for row in table.to_dict("records")]
-
-
 def _place(row: Mapping[str, Any]) -> list[str]:
     return [label(row["quantity"]), f"{row['duration_s']:g} s"]
 
@@ -109,7 +105,7 @@ def _against_the_paper(summary: pd.DataFrame) -> Rows:
             _from_to(row["ratio_min"], row["ratio_max"], 2),
             f"{number(100 * row['visible'], 0)} %",
         ]
-        for row in _records(summary)
+        for row in records(summary)
     ]  # fmt: skip
 
 
@@ -121,7 +117,7 @@ def _further_flights(summary: pd.DataFrame) -> Rows:
             str(row["changed"]), f"{number(row['first_ratio'], 2)} -> {number(row['ratio'], 2)}",
             *(number(row[name], 2) for name in ("first_factor", "factor", "factor_paper")),
         ]
-        for row in _records(summary)
+        for row in records(summary)
     ]  # fmt: skip
 
 
@@ -134,7 +130,7 @@ def _changed_verdicts(comparison: pd.DataFrame) -> Rows:
             f"{angle_deg:g}: {', '.join(f'{t_d_ms:g}' for t_d_ms in at_angle['t_d_ms'])}"
             for angle_deg, at_angle in part.groupby("angle_deg")
         ]
-        first = _records(part)[0]
+        first = records(part)[0]
         rows.append([*_place(first), first["first_verdict"], first["verdict"], "; ".join(cells)])
     return rows
 
@@ -153,7 +149,7 @@ def _goals(
         sized = ssac["paper_size_or_better"] == "yes"
         missed = "; ".join(
             f"{row['duration_s']:g} s, {row['angle_deg']:g} deg, {row['t_d_ms']:g} ms"
-            for row in _records(ssac[~sized])
+            for row in records(ssac[~sized])
         )
         words = "`ssac`: mean t_d of the paper's size or better in every cell"
         more = f", not in {missed}" if missed else ""
@@ -163,7 +159,7 @@ def _goals(
         ratios = ", ".join(
             f"{ERRORS[split_quantity(row['quantity'])[1]].symbol} {number(row['ratio'], 2)} "
             f"over {row['duration_s']:g} s"
-            for row in _records(of_ssac)
+            for row in records(of_ssac)
         )
         words = f"`ssac`: ours / paper at most {_RATIO_GOAL:g} over the cells of each table"
         n_met = int((of_ssac["ratio"] <= _RATIO_GOAL).sum())
@@ -268,7 +264,7 @@ def _differences(comparison: pd.DataFrame) -> Rows:
             number(row["ours_mean"], 3), number(row["published_mean"], 2),
             _from_to(row["difference_low"], row["difference_high"], 3), row["note"] or "not known",
         ]
-        for row in _records(comparison[comparison["verdict"] == "differs"])
+        for row in records(comparison[comparison["verdict"] == "differs"])
     ]  # fmt: skip
 
 

@@ -9,9 +9,10 @@ from typing import Any, NamedTuple, TypeVar
 
 import pandas as pd
 
+from experiments.lab.files import read_table
 from experiments.lab.grid import config_names, named_config
 from experiments.lab.results import PROVENANCE
-from experiments.paper.esim import runs_from_csv
+from experiments.paper.esim import RUN_COLUMNS
 from experiments.paper.grids import DURATIONS_S
 from experiments.paper.quantities import T_D_ERROR
 from ssac.errors import SsacError
@@ -99,11 +100,11 @@ def load_results(folder: Path) -> Results:
 
 
 def _runs(content: bytes) -> pd.DataFrame:
-    return runs_from_csv(content.decode("utf-8"))
+    return _with_columns(read_table(content.decode("utf-8")), RUN_COLUMNS)
 
 
 def _table(content: bytes) -> pd.DataFrame:
-    return _with_columns(pd.read_csv(BytesIO(content)), ("angle_deg", "t_d_ms", "n_runs"))
+    return _with_columns(read_table(content.decode("utf-8")), ("angle_deg", "t_d_ms", "n_runs"))
 
 
 def _comparison(content: bytes) -> pd.DataFrame:

@@ -11,6 +11,7 @@ from scipy.stats import gmean
 from experiments.drawing.style import Figure
 from experiments.lab.cell import CRASHED
 from experiments.lab.command import CheckOption, RendererOption, command_of, drawn_by
+from experiments.lab.files import read_table
 from experiments.lab.grid import Cell
 from experiments.lab.markdown import digits, listed, markdown_table
 from experiments.lab.results import Results
@@ -61,7 +62,7 @@ def runs_of(results: Results) -> pd.DataFrame:
 
 @lru_cache(maxsize=1)
 def _read(text: str) -> pd.DataFrame:
-    return esim.ordered_runs(esim.runs_from_csv(text))
+    return esim.ordered_runs(read_table(text))
 
 
 def table(results: Results, duration_s: float) -> pd.DataFrame:
@@ -121,11 +122,11 @@ def _poses_at_times(runs: pd.DataFrame) -> list[str]:
 
 
 def _unexplained(runs: pd.DataFrame) -> list[str]:
-    return _described(runs[(runs["status"] != "ok") & (runs["reason"] == "")])
+    return _described(runs[(runs["status"] != "ok") & runs["reason"].isna()])
 
 
 def _check(what: str, faults: Callable[[pd.DataFrame], list[str]]) -> Check:
-    return what, lambda results: faults(esim.runs_from_csv(results.text("runs.csv")))
+    return what, lambda results: faults(results.table("runs"))
 
 
 CHECKS = (

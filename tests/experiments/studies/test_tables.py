@@ -11,10 +11,10 @@ from typer.testing import CliRunner
 from experiments.cli import app
 from experiments.lab import study as lab
 from experiments.lab.cell import CRASHED
-from experiments.lab.files import SUMS_FILE, csv_text
+from experiments.lab.files import SUMS_FILE, csv_text, read_table
 from experiments.lab.results import Results
 from experiments.lab.schedule import Outcome
-from experiments.paper.esim import ordered_runs, runs_from_csv
+from experiments.paper.esim import ordered_runs
 from experiments.studies import tables
 from experiments.studies.tables import CHECKS, STUDIES
 from ssac.cli.exits import BUG
@@ -56,7 +56,7 @@ def test_every_file_is_written_in_the_order_of_the_cells_with_the_runs_that_cras
     content = json.loads((tmp_path / "esim_20.provenance.json").read_text())
     assert (content["recordings_simulated"], content["peak_mb_per_worker"]) == (60, 800)
     assert len(asked) == 10 * 2 * 5 * 3 * FLIGHTS
-    written = runs_from_csv((tmp_path / "runs.csv").read_text())
+    written = read_table((tmp_path / "runs.csv").read_text())
     assert (written["status"] == CRASHED).sum() == 2
     for name in ("duration_s", "angle_deg", "t_d_ms", "flight", "method", "seed"):
         assert [cell.columns[name] for cell in asked] == list(written[name])
