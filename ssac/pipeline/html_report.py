@@ -17,10 +17,11 @@ from jinja2 import BaseLoader, ChoiceLoader, Environment, PackageLoader, StrictU
 
 from ssac.estimate import Estimate, Status
 from ssac.files.whole_file import whole_file
+from ssac.fit.covariance import NORMAL_95
 from ssac.network.graph import Pair
 from ssac.network.solve import NetworkAnswer
 from ssac.pipeline.answer import Answer
-from ssac.pipeline.pair_charts import SIGMAS_95, charts_of, sample_charts
+from ssac.pipeline.pair_charts import charts_of, sample_charts
 from ssac.pipeline.plots import Material, material_of
 from ssac.pipeline.scene import scene_of_network, scene_of_two
 from ssac.pipeline.streams import Seen, as_recorded, streams
@@ -210,7 +211,7 @@ def _cards(answer: Answer) -> list[tuple[str, str, str]]:
 def _interval(value: float, std: float, unit: str, digits: int) -> str:
     if not np.isfinite(std):
         return "of unknown accuracy"
-    low, high = (f"{value + side * SIGMAS_95 * std:.{digits}f}" for side in (-1, 1))
+    low, high = (f"{value + side * NORMAL_95 * std:.{digits}f}" for side in (-1, 1))
     return f"95 % interval {low} to {high} {unit}; 1 sigma {std:.{digits}f} {unit}"
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from ssac.arrays import Array, Mask
 from ssac.camera import Camera
 from ssac.estimate import Status
+from ssac.fit.covariance import NORMAL_95
 from ssac.fit.least_squares import Parameters
 from ssac.geometry.epipolar import robust_deviation, sampson_distance
 from ssac.methods.joint import sharp_pairs
@@ -17,8 +18,6 @@ from ssac.pipeline.charts import Chart, spread
 from ssac.pipeline.plots import ZOOM_S, Material, d_avg_px, search_curve
 from ssac.pipeline.streams import Seen, density_png, grid_of
 from ssac.track.motion import ObjectMotion
-
-SIGMAS_95 = 1.96  # from the middle of a normal distribution to either end of 95 % of it
 
 
 @dataclass(frozen=True)
@@ -102,7 +101,7 @@ def _cost_charts(material: Material) -> list[Chart]:
             chart.upright("other", other_s - base_s, "" if k else "also possible")
         charts.append(chart)
     if estimate.F is not None and np.isfinite(t_d_s):
-        half_s, ends_s = ZOOM_S, SIGMAS_95 * estimate.t_d_std_s * np.array([-1.0, 1.0])
+        half_s, ends_s = ZOOM_S, NORMAL_95 * estimate.t_d_std_s * np.array([-1.0, 1.0])
         if np.isfinite(estimate.t_d_std_s):
             half_s = max(half_s, 2.0 * float(ends_s[1]))
         near_s = np.linspace(-half_s, half_s, 121, dtype=np.float64)
@@ -261,7 +260,7 @@ def _clock_charts(material: Material) -> list[Chart]:
     knots_s = estimate.knots_s[(estimate.knots_s > begin_s) & (estimate.knots_s < end_s)]
     times_s = np.sort(np.concatenate([np.linspace(begin_s, end_s, 121, dtype=np.float64), knots_s]))
     more_ms = 1e3 * estimate.clock.added_s(times_s)
-    off_ms = SIGMAS_95 * 1e3 * np.nan_to_num(estimate.clock_std_s(times_s))
+    off_ms = NORMAL_95 * 1e3 * np.nan_to_num(estimate.clock_std_s(times_s))
     since_s = times_s - material.motions[0].span_s[0]
     words = "A straight line is a constant skew"
     if len(estimate.knots_s):
