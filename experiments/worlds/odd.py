@@ -151,10 +151,7 @@ def _offset_s(rng: Rng, far: float) -> float:
 
 
 def _spline(rng: Rng, duration_s: float, distance_m: float, size_px: float) -> SplineConfig:
-    """Fill the view with the flight, less so for large objects; long flights may be slower.
-
-    A distant flight that would be too fast is slower and fills less.
-    """
+    """Fill the view with the flight, less so for large objects, slower if long or fast."""
     plain, slowest = SplineConfig(), float(np.clip(duration_s / 8.0, 1.0, 2.5))
     slowness = _log_uniform(rng, 1.0, slowest)
     spread = distance_m / DISTANCE_M * rng.uniform(0.6, 1.0) * (1.0 - size_px / 240.0)

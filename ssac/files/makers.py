@@ -199,10 +199,7 @@ def _repeated(words: Words, is_event: Mask) -> int:
 
 
 def _signs_of_packets(path: Path) -> list[str]:
-    """Say what is wrong with an AEDAT 4 file that still leaves packets to read.
-
-    SsacError if its header is none.
-    """
+    """Say what is wrong with an AEDAT 4 file that has a header and still leaves packets to read."""
     kind = f"a complete {path.suffix} file"
     with _readable(path), path.open("rb") as file:
         size = path.stat().st_size

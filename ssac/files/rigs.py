@@ -279,15 +279,13 @@ def _shown(value: Any) -> str:
 
 
 def _is_shaped(value: Any, shape: tuple[int, ...]) -> bool:
-    """Whether lists in lists are of a shape, seen before they are made: YAML's may be endless.
-
-    No lens model of OpenCV has more than 14 coefficients.
-    """
+    """Whether lists in lists are of a shape, seen before they are made: YAML's may be endless."""
     if isinstance(value, np.ndarray):
         return bool(value.shape == shape)
     if not shape:
         return isinstance(value, (int, float, str))
     if not isinstance(value, (list, tuple)):
         return False
-    right = len(value) <= 14 if shape[0] == -1 else len(value) == shape[0]
+    most = 14  # coefficients of any lens model of OpenCV
+    right = len(value) <= most if shape[0] == -1 else len(value) == shape[0]
     return right and all(_is_shaped(item, shape[1:]) for item in value)

@@ -83,10 +83,7 @@ def _starts_of_bins(t: IntArray, bin_us: int) -> Indices:
 def _count(
     starts: Indices, x: Pixels, y: Pixels, width: int, height: int, parts: int, square_px: int
 ) -> tuple[IntArray, NDArray[np.int32], IntArray, IntArray]:
-    """Count events and active bins by pixel, bins by part, and squares by their events in a bin.
-
-    Each event is counted once, in its bin; all else is of the pixels that the bin touched.
-    """
+    """Count events and active bins by pixel, bins by part, and squares by their events in a bin."""
     n_pixels = height * width
     counts, active = np.zeros(n_pixels, np.int64), np.zeros((parts, n_pixels), np.int32)
     in_bin, touched = np.zeros(n_pixels, np.int32), np.empty(n_pixels + 1, np.int32)

@@ -169,10 +169,7 @@ def _binned(events: Events, bin_us: int) -> _Binned:
 
 
 def _lasting(sure: Events, bins: _Binned, rules: FaintRules) -> Events:
-    """Leave out what cannot be the one object: bins in two places, and clumps that do not last.
-
-    If such a clump is the object's after all, it is found again when the object is followed.
-    """
+    """Leave out what cannot be the one object: bins in two places, and clumps that do not last."""
     for _ in range(2):  # the second time by means without what the first left out
         bin_of_sure = bins.of(sure)
         means_px = _means(sure, bin_of_sure, len(bins))[1][bin_of_sure]
@@ -280,10 +277,7 @@ def _sums(
 
 
 def _dead_ends(seen: Mask, is_sure: Mask, dead_end_bins: int) -> Mask:
-    """Bins (n,) of paths that do not lead from where the object is sure to where it is again.
-
-    Such a path may have taken a cloud for the object: only its first half second is kept.
-    """
+    """Bins (n,) of paths that do not lead from where the object is sure to where it is again."""
     dead = np.zeros(len(seen), np.bool_)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], seen & ~is_sure, [False]])))
     for first, last in edges.reshape(-1, 2):

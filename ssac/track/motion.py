@@ -384,11 +384,7 @@ def check_readout(times_s: Array, readout_s: float, name: str) -> None:
 
 
 def _noise_px(times_s: Array, points: Array, max_gap_s: float, least_px: float) -> float:
-    """Deviation [px] of white noise on each coordinate: what lies off the cubic through neighbours.
-
-    Of five points an even time apart, the middle one less what the cubic through the other four
-    has there.
-    """
+    """Deviation [px] of white noise on a coordinate: what lies off the cubic through neighbours."""
     if len(times_s) <= 4:
         return 1.0
     gaps_s = np.diff(times_s)

@@ -195,11 +195,7 @@ def _are_parts(blobs: Blobs, extent_px: float) -> Mask:
 
 
 def _bins_of_their_own_way(pieces: list[Piece], extent_px: float, rules: ObjectRules) -> int:
-    """Count the bins in which two pieces are seen that move apart, or towards each other.
-
-    The parts of a large object, which may hang together in some bins and not in others, do not, or
-    are nearer to each other than its extent.
-    """
+    """Count the bins in which two pieces move apart, or together, as parts of one do not."""
     n = 0
     for k, other in enumerate(pieces):
         for one in pieces[:k]:
@@ -365,10 +361,7 @@ def _fill(
     still: Mask,
     stack: IntArray,
 ) -> bool:
-    """Label a full cell, all full ones that hang together with it, and the others beside these.
-
-    Whether any of them lies beside a still cell.
-    """
+    """Label a full cell and all that hangs together with it; say if any is beside a still one."""
     rows, columns = counts.shape
     of_cell[row, column] = label
     stack[0] = row * columns + column

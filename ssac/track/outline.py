@@ -154,10 +154,7 @@ class _Extremes:
 
 @dataclass(frozen=True)
 class _Blocks:
-    """Events in blocks of half a sample step, which begin and end at the samples' windows' ends.
-
-    So windows are of any whole number of half steps on each side.
-    """
+    """Events in blocks of half a sample step, which begin and end at the samples' windows' ends."""
 
     times_us: IntArray  # (m,) of the events
     times_s: Array  # (n,) of the samples

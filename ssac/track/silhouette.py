@@ -108,10 +108,7 @@ def silhouettes(
 def _boxes(
     times_us: IntArray, where_px: Array, sizes_px: Array, camera: Camera, rules: SilhouetteRules
 ) -> tuple[IntArray, IntArray, Indices]:
-    """Give times [us] and boxes of samples, and which of them are the track's points.
-
-    Where there are none, at the beginning and in gaps, the object may be anywhere.
-    """
+    """Give times [us] and boxes of samples, all of the view in gaps, and which are points."""
     largest_px = maximum_filter1d(sizes_px, 2 * rules.box_points + 1)
     reach_px = rules.box_sizes * largest_px + rules.box_px
     most = np.array([camera.width - 1, camera.height - 1])
