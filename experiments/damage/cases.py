@@ -105,10 +105,7 @@ class Ended(NamedTuple):
 
 
 def run_forked(work: Callable[[], int], folder: Path, within_s: float = MAX_S) -> Ended:
-    """Do one thing, which returns a number, in a process forked from this one.
-
-    `folder` is for temporary files and for tracebacks. A process that takes longer is killed.
-    """
+    """Do one thing, which returns a number, in a process forked from this one."""
     reading, writing = os.pipe()
     with tempfile.TemporaryFile(dir=folder) as stderr:
         sys.stdout.flush()

@@ -225,11 +225,7 @@ def grid_from_content(name: str, content: Mapping[str, Any]) -> GridConfig:
 
 
 def configs_of(parameters: Mapping[str, Any]) -> tuple[SimConfig, Config]:
-    """Set parameters, by dotted names, in the default configurations.
-
-    SsacError if there is no such parameter, or its value has the wrong type; a value that makes no
-    sense raises what the configuration raises.
-    """
+    """Set parameters, by dotted names, in the default configurations."""
     roots = dict(_ROOTS)
     for name, value in parameters.items():
         root, _, path = name.partition(".")

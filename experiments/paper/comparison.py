@@ -154,10 +154,7 @@ def load_published(
     durations_s: Sequence[float] = DURATIONS_S,
     errors: tuple[PublishedError, ...] = PUBLISHED_ERRORS,
 ) -> dict[float, pd.DataFrame]:
-    """Read the paper's tables `<name>_<duration>.csv`, by duration [s].
-
-    By default those of the simulations. SsacError if one cannot be read, or lacks one of `errors`.
-    """
+    """Read the paper's tables `<name>_<duration>.csv`, by duration [s]."""
     tables = {}
     for duration_s in durations_s:
         path = folder / f"{name}_{duration_s:g}.csv"

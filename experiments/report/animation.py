@@ -33,10 +33,7 @@ class Animation:
 
 
 def make_animation(folder: Path) -> Animation:
-    """Estimate the offset of a recording with t_d = 0 whose camera 2 is set T_D_S ahead.
-
-    SimError when it gives no estimate.
-    """
+    """Estimate the offset of a recording with t_d = 0 whose camera 2 is set T_D_S ahead."""
     files = folder / "cam1.h5", folder / "cam2.h5"
     answer = chain_of(files, folder / "rig.yaml").delayed(T_D_S).answer(METHOD)
     estimate = answer.estimate

@@ -69,10 +69,7 @@ class Results:
 
 
 def load_results(folder: Path) -> Results:
-    """Read all that the report shows, as `make tables ablations figures` writes it.
-
-    SsacError, which names the command that makes it, if a file is missing or is not as it should.
-    """
+    """Read all that the report shows, as `make tables ablations figures` writes it."""
 
     def read(file: str, command: str, parse: Callable[[bytes], Content]) -> Content:
         path = folder / file

@@ -176,10 +176,7 @@ OPTIONS: Mapping[str, SimOption] = {
 
 
 def chosen(options: Mapping[str, Any], **more: Any) -> tuple[SimConfig, DisturbConfig]:
-    """Make the configurations that options ask for; those that set no field are left out.
-
-    `more` are further fields of SimConfig: of dataclasses, options may set fields too.
-    """
+    """Make the configurations that options ask for; those that set no field are left out."""
     values = {OPTIONS[name].field: value for name, value in options.items() if OPTIONS[name].field}
     disturb = {name: values.pop(name) for name in list(values) if name.startswith(_DISTURB)}
     of_disturb = {name.removeprefix(_DISTURB): value for name, value in disturb.items()}
@@ -201,10 +198,7 @@ def _changed(default: Any, values: Mapping[str, Any]) -> Any:
 
 
 def chosen_sensor(options: Mapping[str, Any]) -> SensorPreset:
-    """Make the sensor that the options ask for: what is given takes the place of the preset's.
-
-    SimError when a name is unknown, a value makes no sense, or two options contradict each other.
-    """
+    """Make the sensor that the options ask for: what is given takes the place of the preset's."""
     preset, noise = options["preset"], options["noise"]
     if noise not in PRESETS:
         raise SimError(f"--noise: expected one of {', '.join(PRESETS)}, got {noise!r}")

@@ -145,10 +145,7 @@ _GUIDE: dict[str, Any] = {"color": "0.7", "lw": 1.0, "ls": ":", "zorder": 1}
 
 
 def growth_figure(table: pd.DataFrame) -> Figure:
-    """Draw time and memory on logarithmic axes: the smaller sensor's points are hollow.
-
-    What could not be measured is left out.
-    """
+    """Draw time and memory on logarithmic axes: the smaller sensor's points are hollow."""
     from matplotlib.lines import Line2D
 
     looks: dict[str, dict[str, Any]] = {SIMULATE: {"color": "#0072B2", "marker": "o"},

@@ -82,10 +82,7 @@ def bound_cells() -> list[BoundCell]:
 
 
 def runs_beside_bounds(runs: pd.DataFrame, bounds: pd.DataFrame) -> pd.DataFrame:
-    """Put the bound of each run that is "ok" beside its errors.
-
-    The runs are in the order of their duration, angle, offset, flight and method.
-    """
+    """Put the bound of each run that is "ok" beside its errors."""
     found = [f"{parameter}_bound_{unit}" for parameter, unit in UNITS.items()]
     good = answered(runs)[[*FLIGHT, "t_d_ms", *ERRORS]]
     bounded = answered(bounds)[[*FLIGHT, "sigma_px", "n_samples", *found]]

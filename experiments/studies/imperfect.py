@@ -197,10 +197,7 @@ def answers(runs: pd.DataFrame) -> dict[str, Any]:
 
 
 def held(runs: pd.DataFrame, quantities: Mapping[str, Quantity]) -> tuple[dict[str, int], Mask]:
-    """Count `<name>_given` and `<name>_held` of quantities; tell the runs (n,) that are wrong.
-
-    A run is confidently wrong if any of its quantities is.
-    """
+    """Count `<name>_given` and `<name>_held` of quantities; tell the runs (n,) that are wrong."""
     counts, wrong = {}, np.zeros(len(runs), bool)
     for name, quantity in quantities.items():
         # The level of the interval on whose border the truth lies.

@@ -263,10 +263,7 @@ MAX_STEP_PX = 1.0  # four times the default: a third of the time, correlations w
 
 
 def signal_cells() -> list[SignalCell]:
-    """List every signal of the rendered flights, then of the modelled ones.
-
-    Of these the factors of the event rate are listed in the default scene alone.
-    """
+    """List every signal of the rendered flights, then of the modelled ones."""
     cells: list[SignalCell] = []
     for scene, angles_deg in RENDERED_AT.items():
         spline = replace(SCENES[scene], duration_s=RENDERED_S)

@@ -157,10 +157,7 @@ def _slowed(position: Position, pace: float) -> Position:
 
 
 def open_case(kind: str, recording: Pair, other: Callable[[], Pair]) -> OpenCase:
-    """Make of a recording of `flight_of` what the methods are given in a kind.
-
-    The other flight is before the same cameras; camera 2 sees it in the kind OTHER_OBJECT.
-    """
+    """Make of a recording of `flight_of` what the methods are given in a kind."""
     cam1, cam2, rig = recording
     t_d_s, config = T_D_S, Config(denoise=kind != "noise-kept")
     if kind == "periodic-wide":

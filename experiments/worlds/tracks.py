@@ -194,10 +194,7 @@ def _synchronised(number: int, pair: Pair, tracks: list[Path], rig: Path) -> Ans
 
 
 def pair_tables(sets: Iterable[DataSet]) -> dict[str, pd.DataFrame]:
-    """Lay out what the pairs of data sets gave, by the tables' names.
-
-    A row is a pair; a triple of which all pairs are answered; or a knot of a clock that wanders.
-    """
+    """Lay out what the pairs of data sets gave, by the tables' names."""
     pairs, triples, strays = list[Row](), list[Row](), list[Row]()
     for one in sets:
         clocks = {pair: _clock(one.pairs[pair]) for pair in one.pairs}
@@ -286,11 +283,7 @@ def _strays(row: Row, estimate: Estimate) -> list[Row]:
 
 
 def path_of(one: DataSet) -> tuple[Row, Comparison]:
-    """Solve all cameras of a data set at once, from what its pairs gave, and compare with RTK.
-
-    Gives the row of the table (PATH_COLUMNS), and how the path lies beside RTK. SsacError if no
-    cameras see a path together, or RTK cannot be read.
-    """
+    """Solve all cameras of a data set at once, from what its pairs gave, and compare with RTK."""
     start_s = time.process_time()
     answer = solve_pairs(chain_of(one.tracks, one.rig), one.pairs)
     network_s = time.process_time() - start_s
