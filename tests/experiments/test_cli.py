@@ -56,7 +56,7 @@ def test_exit_codes(error, code, said, monkeypatch, capsys, tmp_path):
 )
 def test_an_interrupted_simulation_leaves_nothing(tmp_path, number, said, code):
     """One line at most, no bar, and none of what was written until then."""
-    command = [sys.executable, "-m", "experiments", "simulate", "out", "--duration", "60"]
+    command = [sys.executable, "-m", "experiments", "simulate", "out", "--duration", "20"]
     process = subprocess.Popen(
         command, cwd=tmp_path, stderr=subprocess.PIPE, text=True,
         env=os.environ | {"PYTHONPATH": os.getcwd()},

@@ -79,7 +79,7 @@ def test_two_runs_that_share_a_cache_simulate_no_recording_twice(folder, plugin,
 def test_an_interrupted_sweep_says_how_to_go_on_and_leaves_nothing_half_made(folder, plugin):
     out, cache = folder / "interrupted.csv", folder / "cache_interrupted"
     longer = folder / "longer.toml"  # so that both are at it when they are interrupted
-    longer.write_text(TOML.format(methods='"ssac"').replace("duration_s = 3.0", "duration_s = 300"))
+    longer.write_text(TOML.format(methods='"ssac"').replace("duration_s = 3.0", "duration_s = 30"))
     run = started(folder, plugin, longer, out, cache, "--workers", "2")
     while len(list(cache.glob("recordings/.*.claim"))) < 2:  # both workers simulate
         assert run.poll() is None
