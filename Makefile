@@ -230,9 +230,10 @@ gl=$$(gl_backend)
     "$$python" -m venv --clear .venv
 echo "make setup: installing Python packages into .venv ($$(.venv/bin/python --version))" >&2
 pip() { .venv/bin/python -m pip install --quiet --disable-pip-version-check --no-input --no-deps "$$@"; }
-pip -r requirements.txt
+pip --no-compile -r requirements.txt
 pip --no-build-isolation --editable .
 # Here, since containers often forbid Python to keep what it compiled: each command would do it again.
-.venv/bin/python -m compileall -q ssac sim experiments
+# pip would use one core, and stop at nothing that is no Python either.
+.venv/bin/python -m compileall -qq -j 0 -x /tests/ .venv/lib ssac sim experiments || true
 endef
 export GL_BACKEND SETUP
