@@ -21,20 +21,20 @@ help: ## list these commands
 	@awk -F ' *## *' '/^[a-z-]+:.*## / { sub(/:.*/, "", $$1); printf "  make %-11s %s\n", $$1, $$2 }' Makefile
 
 # Commands of `ssac` with their own names; what each makes stands below.
-demo tables figures numbers report verify torture scene outdoor network physical: .venv/.ready
+demo tables figures numbers report verify torture scene outdoor network physical: .venv/.kernels
 	@.venv/bin/ssac $@
 
-setup: .venv/.ready ## virtual environment, packages, OpenGL libraries (the others run this first)
+setup: .venv/.kernels ## virtual environment, packages, OpenGL libraries (the others run this first)
 	@:
 
 demo: ## simulate two cameras, recover offset and pose, draw one figure (a minute) -> out/demo
 
 tables: ## the paper's simulation tables, 300 recordings (20 minutes from nothing) -> results/esim_*.csv
 
-ablations: .venv/.ready ## one parameter varied at a time (half an hour) -> results/ablation_*.csv, *.png
+ablations: .venv/.kernels ## one parameter varied at a time (half an hour) -> results/ablation_*.csv, *.png
 	@.venv/bin/ssac ablate
 
-studies: .venv/.ready ## coverage of the intervals, refusals, Cramer-Rao bound, ... (over an hour) -> results/
+studies: .venv/.kernels ## coverage of the intervals, refusals, Cramer-Rao bound, ... (over an hour) -> results/
 	@.venv/bin/ssac study efficiency coverage refusal reasons imperfect marks tangency zncc
 
 figures: ## the paper's figures, and errors against the angle -> results/*.png
@@ -45,7 +45,7 @@ report: ## all results on one HTML page -> out/report.html
 
 verify: ## check that results/ is complete and follows from its runs; rerun a few (two minutes)
 
-test: .venv/.ready ## all tests, on up to four cores
+test: .venv/.kernels ## all tests, on up to four cores
 	@$(RUN) pytest --numprocesses auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder
 
 lint: .venv/.ready ## ruff: rules and formatting; import-linter: which way imports go
@@ -56,7 +56,7 @@ lint: .venv/.ready ## ruff: rules and formatting; import-linter: which way impor
 types: .venv/.ready ## mypy --strict on sim, ssac and experiments
 	@$(RUN) mypy
 
-docs: .venv/.ready ## these pages, the tour (executed) and the API reference as HTML -> out/docs/index.html
+docs: .venv/.kernels ## these pages, the tour (executed) and the API reference as HTML -> out/docs/index.html
 	@rm -rf out/docs docs/generated
 	@.venv/bin/sphinx-build --fail-on-warning --keep-going --quiet --jobs auto --fresh-env \
 		--conf-dir docs --doctree-dir out/doctrees . out/docs
@@ -89,17 +89,17 @@ audit: .venv/.ready ## known vulnerabilities of the pinned packages, by pip-audi
 
 torture: ## 20,000 damaged inputs (an hour) -> results/reliability.csv
 
-bench: .venv/.ready ## speed, memory and their growth, as ratios (15 minutes) -> results/bench*.csv
+bench: .venv/.kernels ## speed, memory and their growth, as ratios (15 minutes) -> results/bench*.csv
 	@.venv/bin/python -m pip install --quiet --disable-pip-version-check --no-input --no-deps $(PEER) \
 		2>/dev/null || echo 'make bench: $(PEER) cannot be installed, so it is not measured' >&2
 	@.venv/bin/ssac bench
 
 scene: ## statistics of the default scene, beside the authors' sample (2 minutes)
 
-fidelity: .venv/.ready ## events against dense references, 20 flights (an hour) -> results/fidelity.csv
+fidelity: .venv/.kernels ## events against dense references, 20 flights (an hour) -> results/fidelity.csv
 	@.venv/bin/ssac study fidelity
 
-real: .venv/.ready ## drone-tracking data sets, downloaded to DATA=folder: offsets, paths -> results/real_*.csv
+real: .venv/.kernels ## drone-tracking data sets, downloaded to DATA=folder: offsets, paths -> results/real_*.csv
 	@.venv/bin/ssac real $(DATA)
 
 outdoor: ## the paper's outdoor experiment, simulated: 10 flights (2 minutes each) -> results/outdoor.csv
@@ -129,6 +129,12 @@ endif
 .venv/.ready: requirements.txt pyproject.toml
 	@PYTHON='$(PYTHON)' sh -euc "$$SETUP" </dev/null
 	@pwd -P >$@
+
+# Apart from the packages, as what does not simulate or estimate need not wait for them.
+.venv/.kernels: .venv/.ready
+	@echo "make setup: compiling kernels" >&2
+	@.venv/bin/python -m experiments.warm_up
+	@touch $@
 
 # Prints what renders: osmesa (pyglet, inside pyrender, loads EGL even then), or egl where it really
 # opens a display without a screen, as drivers are found only at run time.
@@ -224,11 +230,10 @@ gl=$$(gl_backend)
     "$$python" -m venv --clear .venv
 echo "make setup: installing Python packages into .venv ($$(.venv/bin/python --version))" >&2
 pip() { .venv/bin/python -m pip install --quiet --disable-pip-version-check --no-input --no-deps "$$@"; }
-pip -r requirements.txt
+pip --no-compile -r requirements.txt
 pip --no-build-isolation --editable .
 # Here, since containers often forbid Python to keep what it compiled: each command would do it again.
-.venv/bin/python -m compileall -q ssac sim experiments
-echo "make setup: compiling kernels" >&2
-.venv/bin/python -m experiments.warm_up
+# pip would use one core, and stop at nothing that is no Python either.
+.venv/bin/python -m compileall -qq -j 0 -x /tests/ .venv/lib ssac sim experiments || true
 endef
 export GL_BACKEND SETUP

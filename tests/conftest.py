@@ -1,6 +1,13 @@
+from pathlib import Path
+
 import pytest
 
 from tests.recorded import Recorded, record
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the longest files, those beside this one: else one worker ends with them alone."""
+    items.sort(key=lambda item: item.path.parent != Path(__file__).parent)
 
 
 @pytest.fixture(scope="session")

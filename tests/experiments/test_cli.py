@@ -64,6 +64,8 @@ def test_an_interrupted_simulation_leaves_nothing(tmp_path, number, said, code):
     while process.poll() is None and not list(tmp_path.glob("*/cam1.h5")):
         time.sleep(0.1)
     process.send_signal(number)
-    assert process.communicate(timeout=120)[1] == said
+    shown = process.communicate(timeout=120)[1].splitlines(keepends=True)
+    # On a slow machine it has said by then how far it was.
+    assert [line for line in shown if not line.startswith("simulating: ")] == [said]
     assert process.returncode == code
     assert list(tmp_path.iterdir()) == []

@@ -70,24 +70,23 @@ def test_what_a_killed_process_held_is_free_at_once(path):
 
 
 def test_a_holder_elsewhere_keeps_it_until_it_is_silent_for_long(path, monkeypatch):
-    monkeypatch.setattr(cache, "LAPSES_S", 1.5)
+    now_s = 0.0
+    monkeypatch.setattr(time, "monotonic", lambda: now_s)
     text = write_elsewhere(path)
 
-    def is_free() -> bool:
+    def is_free_after(share: float) -> bool:
+        nonlocal now_s
+        now_s += share * cache.LAPSES_S
         with claimed(path) as is_ours:
             return is_ours
 
-    begun_s = time.monotonic()
-    while time.monotonic() < begun_s + 1.0:
-        assert not is_free()
-        time.sleep(0.2)
+    assert not is_free_after(0.0)
+    assert not is_free_after(0.9)
     assert path.read_text() == text
     os.utime(path)  # a sign of life
-    assert not is_free()
-    time.sleep(1.0)
-    assert not is_free()
-    time.sleep(1.0)
-    assert is_free()
+    assert not is_free_after(0.9)
+    assert not is_free_after(0.9)
+    assert is_free_after(0.2)
     assert list(path.parent.iterdir()) == []
 
 

@@ -11,7 +11,7 @@ from experiments import commands
 from experiments.commands import page_findings
 from experiments.lab.files import SUMS_FILE, record_checksums
 from experiments.lab.results import Results
-from experiments.lab.study import How, Runs
+from experiments.lab.study import Runs
 from experiments.lab.verify import (
     Finding,
     between,
@@ -257,12 +257,3 @@ def test_a_number_typed_by_hand_or_deleted_from_a_page_is_found(tmp_path, monkey
         else:
             assert fault in finding.faults[0]
     assert not page_findings(tmp_path)  # results of another place: no page quotes them
-
-
-def test_what_is_committed_is_what_our_studies_say_and_quoted_the_other_way_round():
-    (finding,) = page_findings(RESULTS)
-    assert finding.faults == ()
-    committed = [study for study in all_studies().values() if study.is_committed]
-    assert not faulty(file_findings(RESULTS, committed, commands.PUBLISHED_SHA256))
-    for study in all_studies().values():
-        assert (study.how is How.GIVEN or study.runs is None) or len(study.cells()) > 0

@@ -3,6 +3,7 @@
 import math
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -12,8 +13,9 @@ from experiments.lab.cache import Cache
 from experiments.lab.files import csv_text, png_bytes
 from experiments.lab.pool import Processes, in_new_process
 from experiments.lab.results import Results
-from experiments.lab.schedule import run_alone
+from experiments.lab.schedule import Workers, run_cells
 from experiments.lab.task import Task, run_task
+from experiments.machine import growth
 from experiments.machine.growth import POINTS, STEP, STEPS, Point, StepCell
 from experiments.machine.parts import PART, Measurement, PartCell
 from experiments.machine.simulating import ESIM_FRAMES_PER_S, bench_sensor, beside_peers
@@ -24,6 +26,7 @@ from experiments.studies import bench
 from experiments.studies.bench import GROWTH, bench_table, growth_rows, growth_table
 from sim.recording import SimConfig
 from sim.scene.trajectory import SplineConfig
+from ssac.estimate import Estimate
 from ssac.pipeline.registry import OURS
 
 
@@ -174,22 +177,30 @@ def test_a_point_that_was_not_measured_is_a_row_and_left_out_elsewhere() -> None
 
 
 @pytest.mark.render
-def test_steps_of_a_point_are_measured_in_processes_of_their_own_or_say_why_not() -> None:
-    steps = [StepCell(Point(96, 72, 60.0, 0.5, 1e4), step) for step in STEPS]
-    none = StepCell(Point(0, 0, 60.0, 0.5, 1e4), STEPS[0])
-    runs = run_alone([StepCell(POINTS[0], STEPS[0]), *steps, none], STEP, "growth").runs
-    table = growth_table(runs.iloc[1:].reset_index(drop=True), Results(Path()))
+def test_steps_of_a_point_are_measured_or_say_why_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def synced(*files: Path) -> SimpleNamespace:
+        assert all(file.exists() for file in files)
+        return SimpleNamespace(estimate=Estimate("tangency", t_d_s=growth.T_D_S + 1e-3))
+
+    tiny, none = Point(96, 72, 60.0, 0.5, 1e4), Point(0, 0, 60.0, 0.5, 1e4)
+    monkeypatch.setattr(growth, "POINTS", (tiny,))
+    monkeypatch.setattr(growth, "sync", synced)
+    cells = [*(StepCell(tiny, step) for step in STEPS), StepCell(none, STEPS[0])]
+    runs = run_cells(cells, Cache(tmp_path), Workers(1), measure=STEP).runs
+    table = growth_table(runs, Results(Path()))
     assert (table.loc[:1, ["wall_s", "cpu_s", "peak_mb"]] > 0.0).all(axis=None)
-    assert table["status"][0] == "ok"
-    assert table["status"][1] not in ("ok", "")  # half a second tells no offset
+    assert list(table["status"][:2]) == ["ok", "ok"]
+    assert table["t_d_error_ms"][1] == pytest.approx(1.0)
     assert len(set(table["events_per_camera"])) == 1
     assert table["status"][2].startswith("not measured (")
     assert np.isnan(table["wall_s"][2])
 
 
 def test_results_that_make_no_sense_are_found(tmp_path: Path) -> None:
-    growth, one = made_up_growth(), Measurement("drawing", 2.0, "s", 3.0)
-    (tmp_path / "bench_growth.csv").write_text(csv_text(growth))
+    grown, one = made_up_growth(), Measurement("drawing", 2.0, "s", 3.0)
+    (tmp_path / "bench_growth.csv").write_text(csv_text(grown))
     row = {"part": "x", "status": "ok", "reason": "", "measurements": [vars(one)]}
     table = bench_table(pd.DataFrame([row]), Results(tmp_path))
     (tmp_path / "bench.csv").write_text(csv_text(table))
@@ -201,10 +212,10 @@ def test_results_that_make_no_sense_are_found(tmp_path: Path) -> None:
             (table.iloc[:-1], "are not those of bench_growth.csv"),
             (table.drop(columns="mark"), "its columns are"),
         )),
-        ("bench_growth.csv", growth, bench.growth_faults, (
-            (growth.iloc[1:], "its steps are not the 16"),
-            (growth.assign(status="no_match", cpu_s=np.nan), "simulate: no_match"),
-            (growth.assign(peak_mb=2 * growth["peak_mb"]), "do not follow from"),
+        ("bench_growth.csv", grown, bench.growth_faults, (
+            (grown.iloc[1:], "its steps are not the 16"),
+            (grown.assign(status="no_match", cpu_s=np.nan), "simulate: no_match"),
+            (grown.assign(peak_mb=2 * grown["peak_mb"]), "do not follow from"),
         )),
     ):  # fmt: skip
         assert not check(Results(tmp_path))
