@@ -27,7 +27,7 @@ demo tables figures numbers report verify torture scene outdoor network physical
 setup: .venv/.ready ## virtual environment, packages, OpenGL libraries (the others run this first)
 	@:
 
-demo: ## simulate two cameras, recover offset and pose, draw one figure (a minute) -> out/demo
+demo: ## simulate two cameras, recover offset and pose, write a report (a minute) -> out/demo
 
 tables: ## the paper's simulation tables, 300 recordings (20 minutes from nothing) -> results/esim_*.csv
 

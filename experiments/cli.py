@@ -15,7 +15,7 @@ COMMANDS = (
     Entry("simulate", USE, "Simulate event cameras that watch a drone, with ground truth.",
           "experiments.scenes.simulate", "simulate_command"),
     SYNC,
-    Entry("demo", USE, "Simulate 20 s, recover offset and pose, draw one figure.",
+    Entry("demo", USE, "Simulate 20 s, recover offset and pose, write a report.",
           "experiments.scenes.demo", "demo_command"),
     TRACK,
     IMPORT,

@@ -1,4 +1,4 @@
-"""The paper's Fig. 3 to 5 and the alignment of two cameras, each drawn of one recording.
+"""The paper's Fig. 3 to 5, and how two cameras' views come together, each of one recording.
 
 `ssac figures` draws them, and those of the tables. A picture is the same bytes whenever it is made
 from the same runs and recordings.
@@ -47,21 +47,22 @@ NOISY_SEED = flight_seed(10.0, 90.0, 0)
 """Of these flights: each is the first of its duration and angle."""
 
 EPIPOLAR_T_D_S = 0.05  # at the tables' 50 ms the distance before alignment is seen at a glance
+ALIGNED_T_D_S = 0.3  # of the animation: the views come together over many of its pictures
 
 _OF: Mapping[str, tuple[str, float, Flight]] = {
     "fig3_preprocessing": ("preprocessing_figure", 0.0, (NOISY_FLIGHT, NOISY_SEED)),
     "fig4_epipolar": ("epipolar_figure", EPIPOLAR_T_D_S, (FLIGHT, SEED)),
     "fig5_d_avg": ("d_avg_figure", 0.0, (FLIGHT, SEED)),
-    "alignment": ("alignment_figure", EPIPOLAR_T_D_S, (FLIGHT, SEED)),
+    "alignment": ("alignment_animation", ALIGNED_T_D_S, (FLIGHT, SEED)),
 }
 """By its file: function of `drawing.events`, offset that is added, recording."""
 
 
-def _drawn(name: str, _: Results, folder: Path) -> Figure:
+def _drawn(name: str, _: Results, folder: Path) -> Figure | bytes:
     from experiments.drawing import events
 
     function, t_d_s, _flight = _OF[name]
-    figure: Figure = getattr(events, function)(events.load_recording(folder, t_d_s))
+    figure: Figure | bytes = getattr(events, function)(events.load_recording(folder, t_d_s))
     return figure
 
 

@@ -108,13 +108,13 @@ class EpipolarRow:
     distance_px: float
 
 
-def save_figures(target: Path, material: Material) -> list[Path]:
+def save_figures(target: Path, material: Material, only: str = "") -> list[Path]:
     """Draw what an estimate allows; give the files written, none when there is nothing to draw.
 
     The target is a folder, made if need be, for one PNG per figure; or a file of FIGURE_SUFFIXES
-    for all figures, one below the other.
+    for all figures, one below the other. `only` names the one figure that is wanted.
     """
-    figures = figures_of(material)
+    figures = [figure for figure in figures_of(material) if only in ("", figure[0])]
     if not figures:
         return []
     if target.suffix.lower() in FIGURE_SUFFIXES:
@@ -274,7 +274,7 @@ def d_avg_px(material: Material, offsets_s: Array) -> Array:
 
 
 def epipolar_rows(material: Material) -> list[EpipolarRow]:
-    """Rows before, if a time is valid, and after, at one time where d is seen well."""
+    """Rows before, if a time is valid, and after, at one time where d before is its median."""
     F = np.asarray(material.estimate.F)
     motion1, motion2 = material.motions
     t_d_s = material.estimate.t_d_s
@@ -290,7 +290,7 @@ def epipolar_rows(material: Material) -> list[EpipolarRow]:
     else:
         pairings = pairings[1:]
         distances = epipolar_distance(F, *pairs.points_px)
-    time_s = float(times_s[np.argmin(np.abs(distances - 15.0))])  # px: seen at a glance
+    time_s = float(times_s[np.argmin(np.abs(distances - np.median(distances)))])
     rows = []
     for name, offset_s in pairings:
         p1 = motion1.at(np.array([time_s])).positions_px

@@ -45,6 +45,12 @@ def test_all_figures_are_drawn_when_none_is_named(tmp_path: Path) -> None:
     choose(["fig4_epipolar"], tmp_path)  # needs none
 
 
+def test_the_readme_shows_an_animation_that_loads_at_once() -> None:
+    path = RESULTS / "alignment.png"
+    assert b"acTL" in path.read_bytes()[:1000]  # an animated PNG's chunk
+    assert path.stat().st_size < 2e6
+
+
 @pytest.mark.parametrize(
     ("name", "flight"),
     [("esim_20", (FLIGHT, SEED)), ("ablation_davis346", (NOISY_FLIGHT, NOISY_SEED))],
