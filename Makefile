@@ -37,7 +37,7 @@ ablations: .venv/.ready ## one parameter varied at a time (half an hour) -> resu
 studies: .venv/.ready ## coverage of the intervals, refusals, Cramer-Rao bound, ... (over an hour) -> results/
 	@.venv/bin/ssac study efficiency coverage refusal reasons imperfect marks tangency zncc
 
-figures: ## the paper's figures, and errors against the angle -> results/*.png
+figures: ## the paper's figures, and those of all studies anew -> results/*.png
 
 numbers: ## update the numbers quoted in README.md and docs/ from results/
 

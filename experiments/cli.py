@@ -32,7 +32,7 @@ COMMANDS = (
           "experiments.commands", "merge_command"),
     Entry("scene", REPRODUCE, "Statistics of the default scene, beside the authors' sample.",
           "experiments.scenes.scene", "scene_command"),
-    Entry("figures", REPRODUCE, "Draw the paper's figures, and errors against the angle.",
+    Entry("figures", REPRODUCE, "Draw the paper's figures, and those of all studies anew.",
           "experiments.studies.figures", "figures_command"),
     Entry("report", REPRODUCE, "All results on one HTML page.",
           "experiments.report.report", "report_command"),

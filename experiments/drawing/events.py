@@ -67,7 +67,7 @@ DARK: dict[str, Any] = {
     "xtick.color": "#9aa3ae",
     "ytick.color": "#9aa3ae",
     "text.color": "#e6e8eb",
-    "font.size": 15.0,
+    "font.size": 13.0,
     "image.interpolation": "nearest",
 }
 """Colours of the report's player on a dark ground, which suits a light page and a dark one."""
@@ -165,7 +165,7 @@ class _Scene:
         self.span_s = start_s, start_s + length_s
         self._material, self._half_s = material, material.views.config.half_window_s
         self._F = np.asarray(material.estimate.F)
-        self._figure = Figure(figsize=(WIDTH_IN, 7.0), layout="constrained")
+        self._figure = Figure(figsize=(WIDTH_IN, 6.4), layout="constrained")
         self._canvas: Any = FigureCanvasAgg(self._figure)
         views, (clouds, curve) = self._figure.subplots(2, 2, height_ratios=(1.6, 1.0))
         self._title = self._figure.suptitle("", weight="bold")

@@ -204,8 +204,12 @@ def draw_epipolar(canvas: Canvas, material: Material) -> None:
         left.plot(*np.stack([row.p1, foot]).T, color=RED, lw=3, label="distance $d$")
         left.plot(*row.p1, **_POINT, label="$p_1$, $p_2$")
         right.plot(*row.p2, **_POINT)
-        left.set_title(f"Camera 1 at {row.time_s:.4f} s: $d$ = {row.distance_px:.2f} px")
-        right.set_title(f"Camera 2 at {row.time_s + row.offset_s:.4f} s: {row.name}")
+        left.set_title(
+            f"Camera 1 at {row.time_s:.4f} s: $d$ = {row.distance_px:.2f} px", fontsize="medium"
+        )
+        right.set_title(
+            f"Camera 2 at {row.time_s + row.offset_s:.4f} s: {row.name}", fontsize="medium"
+        )
         for axes, centre in ((left, row.p1), (right, row.p2)):
             axes.set(xlabel="x [px]", ylabel="y [px]", aspect="equal")
             axes.set_xlim(centre[0] - reach_px, centre[0] + reach_px)
@@ -381,6 +385,11 @@ def _draw_angles(
 
 
 def save_comparison(file: Path, comparison: "Comparison") -> None:
+    """Write what `draw_comparison` draws."""
+    _save(draw_comparison(comparison), file, 130)
+
+
+def draw_comparison(comparison: "Comparison") -> Figure:
     """Draw both paths in space and, where there are times, x, y and z with their differences."""
     in_time = comparison.in_time
     page = Figure(figsize=(6.0 if in_time is None else 12.0, 6.5), layout="constrained")
@@ -390,7 +399,7 @@ def save_comparison(file: Path, comparison: "Comparison") -> None:
         left, right = page.subfigures(1, 2)
         _draw_shape(left, comparison)
         _draw_over_time(right, in_time)
-    _save(page, file, 130)
+    return page
 
 
 def _draw_shape(canvas: Canvas, comparison: "Comparison") -> None:
