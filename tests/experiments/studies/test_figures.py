@@ -38,7 +38,7 @@ def test_all_figures_are_drawn_when_none_is_named(tmp_path: Path) -> None:
     # Every picture of results/, but for the paths, which need the recordings.
     committed = {path.stem for path in RESULTS.glob("*.png")}
     paths = {name for name in committed if name == "outdoor" or name.startswith("real_path")}
-    assert {*all_of_them, *paths} == committed
+    assert committed <= {*all_of_them, *paths}
     assert list(choose([], RESULTS)) == all_of_them
     assert list(choose(["fig5_d_avg"], RESULTS)) == ["fig5_d_avg"]
     with pytest.raises(SsacError, match="unknown figure 'fig6': expected some of fig3"):
