@@ -27,7 +27,7 @@ demo tables figures numbers report verify torture scene outdoor network physical
 setup: .venv/.kernels ## virtual environment, packages, OpenGL libraries (the others run this first)
 	@:
 
-demo: ## simulate two cameras, recover offset and pose, draw one figure (a minute) -> out/demo
+demo: ## simulate two cameras, recover offset and pose, write a report (a minute) -> out/demo
 
 tables: ## the paper's simulation tables, 300 recordings (20 minutes from nothing) -> results/esim_*.csv
 
@@ -37,7 +37,7 @@ ablations: .venv/.kernels ## one parameter varied at a time (half an hour) -> re
 studies: .venv/.kernels ## coverage of the intervals, refusals, Cramer-Rao bound, ... (over an hour) -> results/
 	@.venv/bin/ssac study efficiency coverage refusal reasons imperfect marks tangency zncc
 
-figures: ## the paper's figures, and errors against the angle -> results/*.png
+figures: ## the paper's figures, and those of all studies anew -> results/*.png
 
 numbers: ## update the numbers quoted in README.md and docs/ from results/
 

@@ -1,7 +1,8 @@
 """Errors of an ablation against the value that it varies.
 
 A row of axes for each method, a column for each error; one line for each angle, or for whatever
-else the grid varies. Where runs failed, one more column shows their share.
+else the grid varies. Where runs failed, the means of the others are hollow, and one more column
+shows the share of those that failed.
 """
 
 import re
@@ -10,15 +11,20 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullLocator
 from numpy.typing import NDArray
 
-from experiments.drawing.style import WIDTH_IN, quiet_axes
+from experiments.drawing.style import (
+    STANDARD_ERROR,
+    SURVIVORS,
+    Figure,
+    mark_survivors,
+    panels,
+    value_color,
+)
 from experiments.lab.grid import FigureConfig, GridConfig, configs_of
 from experiments.paper.esim import method_order
 from experiments.paper.quantities import ERRORS
@@ -30,10 +36,10 @@ FAILED = "failed"
 
 _PARTS = ("mean", "std")  # of an error's columns
 # Of a line, by the parameter that it stands for.
-_NAMES = {"sim.angle_deg": "{:g} deg", "sim.spline.duration_s": "{:g} s", "sim.drone": "{}"}
+_NAMES = {"sim.angle_deg": "{:g} deg", "sim.spline.duration_s": "{:g} s", "sim.drone": "{}",
+          "sim.t_d_s": "offset {:g} s"}  # fmt: skip
 _MARKERS = "osD^vPX"
 _DASHES = ("-", (0, (1.2, 1.2)), (0, (5.0, 1.5)), "-.")  # of a second parameter's values
-_LIGHTEST = 0.82  # of the colour map: what follows is too light on white
 _LOG_FROM = 8.0  # largest over least mean from which an error's axis is logarithmic
 _MAX_VALUES = 6  # of the parameter, all of which are written below the axis
 _DECADES = 1.6  # up to which an axis is labelled at 1, 2 and 5
@@ -59,12 +65,11 @@ def ablation_figure(means: pd.DataFrame, grid: GridConfig) -> Figure:
     quantities = [error for error in ERRORS if means[f"{error}_mean"].notna().any()]
     if (means[FAILED] > 0).any():
         quantities.append(FAILED)
-    figure = Figure(figsize=(WIDTH_IN, 1.1 + 2.0 * len(methods)), layout="constrained")
-    rows = figure.subplots(len(methods), len(quantities), sharex=True, sharey="col", squeeze=False)
+    shape = len(methods), len(quantities)
+    figure, rows = panels("", 1.4 + 2.0 * shape[0], *shape, sharex=True, sharey="col")
     lines = _lines(means, others)
     for row, method in zip(rows, methods, strict=True):
         for axes, quantity in zip(row, quantities, strict=True):
-            quiet_axes(axes)
             for part, style in lines.values():
                 _draw_line(axes, part[part["method"] == method], look, quantity, style)
         row[0].set_ylabel(method, weight="bold")
@@ -83,8 +88,10 @@ def ablation_figure(means: pd.DataFrame, grid: GridConfig) -> Figure:
     ]
     label = f"default: {default:g}{'' if on_axis else ', not on this axis'}"
     handles.append(Line2D([], [], color="0.4", ls="--" if on_axis else "none", label=label))
-    figure.legend(handles=handles, loc="outside upper center",
-                  ncols=6 if len(handles) <= 6 else 4, fontsize=9, frameon=False)  # fmt: skip
+    said = (STANDARD_ERROR, SURVIVORS) if FAILED in quantities else (STANDARD_ERROR,)
+    handles += [Line2D([], [], **{"color": "0.3", **style}, label=words) for words, style in said]
+    figure.legend(handles=handles, loc="outside upper center", ncols=3 if len(handles) <= 6 else 4,
+                  fontsize=8, frameon=False, title=grid.title, title_fontsize=12)  # fmt: skip
     return figure
 
 
@@ -104,26 +111,27 @@ def _lines(
 ) -> dict[str, tuple[pd.DataFrame, dict[str, Any]]]:
     """Split the means by the other parameters: rows and look of each line, by what it is of.
 
-    The first parameter sets the colour, from dark to light, which stays in order in grey. A second
-    one sets marker and dashes; the first sets the marker where it is alone.
+    The first parameter sets the colour (`style.value_color`). A second one sets marker and dashes;
+    the first sets the marker where it is alone.
     """
     if not others:
-        return {"mean": (means, _look(0.0, 0, 0))}
+        return {"mean": (means, _look(value_color("", 0, 0.0), 0, 0))}
     parts = list(means.groupby(others, sort=True))
     values = [means[name].nunique() for name in others]
     n_inner = values[1] if len(values) == 2 else 1
-    shades = np.linspace(0.0, _LIGHTEST, len(parts) // n_inner)
+    places = np.linspace(0.0, 1.0, len(parts) // n_inner)
     lines = {}
     for k, (key, part) in enumerate(parts):
         outer, inner = divmod(k, n_inner)
-        style = _look(shades[outer], *((outer, 0) if n_inner == 1 else (inner, inner)))
+        color = value_color(others[0], key[0], places[outer])
+        style = _look(color, *((outer, 0) if n_inner == 1 else (inner, inner)))
         lines[", ".join(map(_line_name, others, key))] = part, style
     return lines
 
 
-def _look(shade: float, kind: int, dash: int) -> dict[str, Any]:
+def _look(color: Any, kind: int, dash: int) -> dict[str, Any]:
     marker, dashes = _MARKERS[kind % len(_MARKERS)], _DASHES[dash % len(_DASHES)]
-    return {"color": colormaps["viridis"](shade), "marker": marker, "ls": dashes}
+    return {"color": color, "marker": marker, "ls": dashes}
 
 
 def _line_name(name: str, value: Any) -> str:
@@ -142,9 +150,11 @@ def _draw_line(
     if quantity == FAILED:
         axes.plot(x, 100.0 * rows[FAILED] / rows["n_runs"], lw=1.2, ms=4.5, **style)
     elif rows[f"{quantity}_mean"].notna().any():
-        n_ok = (rows["n_runs"] - rows[FAILED]).clip(lower=1).to_numpy(np.float64)
+        n_ok = (rows["n_runs"] - rows[FAILED]).to_numpy(np.float64)
         mean, std = (rows[f"{quantity}_{part}"].to_numpy(np.float64) for part in _PARTS)
-        axes.errorbar(x, mean, std / np.sqrt(n_ok), lw=1.2, ms=4.5, elinewidth=0.9, **style)
+        error = std / np.sqrt(n_ok.clip(min=1))
+        axes.errorbar(x, mean, error, lw=1.2, ms=4.5, elinewidth=0.9, **style)
+        mark_survivors(axes, x, mean, n_ok, rows["n_runs"], ms=4.5, **style)
 
 
 def _set_scales(axes: Axes, means: pd.DataFrame, look: FigureConfig, quantity: str) -> None:

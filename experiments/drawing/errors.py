@@ -12,11 +12,19 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullLocator
 
-from experiments.drawing.style import WIDTH_IN, Look, method_looks, quiet_axes
+from experiments.drawing.style import (
+    STANDARD_ERROR,
+    SURVIVORS,
+    Figure,
+    Look,
+    legend_below,
+    mark_survivors,
+    method_looks,
+    panels,
+)
 from experiments.paper.comparison import PUBLISHED_ERRORS, PUBLISHED_RUNS
 from experiments.paper.esim import method_order
 from experiments.paper.quantities import ANGLE_LABEL, ERRORS, T_D_ERROR, Quantity
@@ -28,11 +36,10 @@ REFINED = ("ssac", "joint", "tangency")
 _LEAST = 0.01  # of each error, in its own unit: what is below is drawn there
 _ANGLE_STEP_DEG = 30.0  # at most
 
-_PAPER = Look("#555555", "*", hollow=True)
+_PAPER = Look("#555555", "*")
+_THRESHOLD = 1.0  # of each error, in its unit: the largest of the success curves
 _MARK_COLOR = "#D55E00"
 _SPREAD_DEG = 2.0  # between the columns of neighbouring methods, so that bars do not cover
-
-_BAR = ("standard error of a mean", {"marker": "|", "ls": "none", "ms": 9, "mew": 1.2})
 
 
 def error_figure(runs: pd.DataFrame, published: Mapping[float, pd.DataFrame]) -> Figure:
@@ -48,19 +55,22 @@ def error_figure(runs: pd.DataFrame, published: Mapping[float, pd.DataFrame]) ->
         drawn = [m for m in looks if runs.loc[runs["method"] == m, error.column].notna().any()]
         for method, shift_deg in _columns(drawn, 0.84 * step_deg):
             look = looks[method]
-            ok = _answered(part[part["method"] == method], error.column)
+            own = part[part["method"] == method]
+            ok = _answered(own, error.column)
             if len(ok):
                 axes.plot(
                     ok["angle_deg"] + shift_deg, ok[error.column].clip(lower=_LEAST), ls="none",
                     marker=".", ms=3.0, mew=0.0, color=look.color, alpha=0.5, zorder=2,
                 )  # fmt: skip
-                means = flight_means(ok, error.column).assign(
+                means = flight_means(own, error.column).assign(
                     mean=lambda of: of["mean"].clip(lower=_LEAST)
                 )
                 _draw_bars(axes, means, look, shift_deg, lw=0.8, elinewidth=1.2, zorder=4)
             paper = published_means(published, duration_s, method, error.column)
             if paper is not None:
-                _draw_bars(axes, paper, replace(look, marker="*", hollow=True), shift_deg, ls=":")
+                _draw_bars(
+                    axes, paper, replace(look, marker="*", is_known=False), shift_deg, ls=":"
+                )
         for left, right in pairwise(angles_deg):
             axes.axvline(0.5 * (left + right), color="0.9", lw=0.6, zorder=0)
 
@@ -70,12 +80,15 @@ def error_figure(runs: pd.DataFrame, published: Mapping[float, pd.DataFrame]) ->
         failed = int((own["status"] != "ok").sum())
         labelled[f"{method} ({failed} of {len(own)} failed)" if failed else method] = look
     styles = (
-        ("the paper's mean", {"marker": "*", "mfc": "white", "ls": ":", "ms": 9}),
-        _BAR,
+        ("the paper's mean", {"marker": "*", "ls": ":", "ms": 9}),
+        STANDARD_ERROR,
         ("a single run", {"marker": ".", "ls": "none", "ms": 5, "mew": 0.0}),
+        *([SURVIVORS] if (runs["status"] != "ok").any() else []),
     )
     handles = _handles(labelled, 0.8, *styles)
-    return _error_grid(runs, 9.6, draw, handles, 0.85 * _LEAST, height_ratios=(1.7, 1.0, 1.0))
+    ratios = {"height_ratios": (1.7, 1.0, 1.0)}
+    title = "Mean errors of all methods, beside the paper's"
+    return _error_grid(title, runs, 10.0, draw, handles, 0.85 * _LEAST, **ratios)
 
 
 def beyond_figure(runs: pd.DataFrame, published: Mapping[float, pd.DataFrame]) -> Figure:
@@ -107,10 +120,14 @@ def beyond_figure(runs: pd.DataFrame, published: Mapping[float, pd.DataFrame]) -
             within += [*lower, *(means["mean"] + means["standard_error"])]
         axes.set_ylim(0.9 * min(within), 1.1 * max(within))
 
-    first = Line2D([], [], color=_PAPER.color, marker="*", mfc="white", ls=":", ms=9,
-                   label="the paper")  # fmt: skip
-    mark = ("mark for tangency", {"color": _MARK_COLOR, "ls": "--", "lw": 1.0})
-    return _error_grid(runs, 8.0, draw, [first, *_handles(looks, 1.2, _BAR, mark)])
+    first = Line2D([], [], color=_PAPER.color, marker="*", ls=":", ms=9, label="the paper")
+    styles = (
+        STANDARD_ERROR,
+        ("mark for tangency", {"color": _MARK_COLOR, "ls": "--", "lw": 1.0}),
+        *([SURVIVORS] if (runs.loc[runs["method"].isin(methods), "status"] != "ok").any() else []),
+    )
+    title = "Mean errors of each refinement, beside the paper's"
+    return _error_grid(title, runs, 8.4, draw, [first, *_handles(looks, 1.2, *styles)])
 
 
 def efficiency_figure(cells: pd.DataFrame) -> Figure:
@@ -133,17 +150,52 @@ def efficiency_figure(cells: pd.DataFrame) -> Figure:
             bounds, errors = (values[column].to_numpy(np.float64) for column in columns)
             axes.vlines(x, bounds, errors, color=look.color, lw=1.2, alpha=0.6, zorder=2)
             axes.plot(x, bounds, ls="none", marker="_", ms=8, mew=1.8, color=look.color, zorder=3)
-            axes.plot(x, errors, ls="none", marker=look.marker, ms=5, mfc=look.face,
-                      mec=look.color, zorder=4)  # fmt: skip
+            axes.plot(x, errors, ls="none", ms=5, zorder=4, **look.style)
 
     styles = (
         ("root mean square error", {"marker": "o", "ms": 5, "lw": 0}),
         ("its Cramer-Rao bound", {"marker": "_", "ms": 8, "mew": 1.8, "lw": 0}),
     )
-    return _error_grid(cells, 8.0, draw, _handles(looks, 0, *styles))
+    title = "Errors, and the least that the flights' noise allows"
+    return _error_grid(title, cells, 8.4, draw, _handles(looks, 0, *styles))
+
+
+def success_figure(runs: pd.DataFrame, _: Any = None) -> Figure:
+    """Draw the share of all runs, the refused among them, whose error is below a threshold.
+
+    Beside each method stands the area under its curve, in percent of all there is.
+    """
+    looks = method_looks(method_order(runs["method"]))
+    durations_s = sorted(runs["duration_s"].unique())
+    title = "Runs within a threshold, and the area under each curve (AUC)"
+    shape = len(ERRORS), len(durations_s)
+    figure, grid = panels(title, 9.0, *shape, sharex="row", sharey=True)
+    for row, error in zip(grid, ERRORS.values(), strict=True):
+        for axes, duration_s in zip(row, durations_s, strict=True):
+            part = runs[runs["duration_s"] == duration_s]
+            for method, look in looks.items():
+                of, there = part[part["method"] == method], runs["method"] == method
+                if runs.loc[there, error.column].isna().all():
+                    continue  # it gives none
+                ok = np.sort(_answered(of, error.column)[error.column].to_numpy(np.float64))
+                shares = 100.0 * np.arange(len(ok) + 1) / max(len(of), 1)
+                left = np.clip(1.0 - ok / _THRESHOLD, 0.0, None).sum() / max(len(of), 1)
+                axes.step(
+                    [0.0, *ok, max(_THRESHOLD, *ok[-1:])], [*shares, shares[-1]], where="post",
+                    ls="--" if look.is_known else "-", color=look.color, lw=1.3,
+                    label=f"{method} {100.0 * left:.1f}",
+                )  # fmt: skip
+            axes.set(xlim=(0.0, _THRESHOLD), ylim=(0.0, 102.0))
+            axes.legend(fontsize=7, loc="center right", title="AUC [%]", title_fontsize=7)
+            axes.set_xlabel(error.label)
+        row[0].set_ylabel("runs [%]")
+    for axes, duration_s in zip(grid[0], durations_s, strict=True):
+        axes.set_title(f"Recordings of {duration_s:g} s", fontsize=11)
+    return figure
 
 
 def _error_grid(
+    title: str,
     table: pd.DataFrame,
     height_in: float,
     draw: Callable[[Axes, float, pd.DataFrame, Quantity], None],
@@ -156,13 +208,11 @@ def _error_grid(
     They are within a decade or two, but for those of t_d of all methods, from `bottom` on.
     """
     durations_s, angles_deg = (sorted(table[name].unique()) for name in ("duration_s", "angle_deg"))
-    figure = Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
     shape = len(ERRORS), len(durations_s)
-    grid = figure.subplots(*shape, sharex=True, sharey="row", squeeze=False, **ratios)
+    figure, grid = panels(title, height_in, *shape, sharex=True, sharey="row", **ratios)
     for row, error in zip(grid, ERRORS.values(), strict=True):
         for axes, duration_s in zip(row, durations_s, strict=True):
             draw(axes, float(duration_s), table[table["duration_s"] == duration_s], error)
-            quiet_axes(axes)
             axes.set(yscale="log", xticks=angles_deg)
             if bottom is not None:
                 axes.set_ylim(bottom=bottom)
@@ -175,7 +225,7 @@ def _error_grid(
     for column, duration_s in zip(grid.T, durations_s, strict=True):
         column[0].set_title(f"Recordings of {duration_s:g} s", fontsize=11)
         column[-1].set_xlabel(ANGLE_LABEL)
-    figure.legend(handles=handles, loc="outside lower center", ncols=4, fontsize=8, frameon=False)
+    legend_below(figure, 4, handles)
     return figure
 
 
@@ -186,15 +236,19 @@ def _columns(methods: Sequence[str], width_deg: float) -> list[tuple[str, float]
 
 
 def flight_means(runs: pd.DataFrame, error: str) -> pd.DataFrame:
-    """Mean error by angle over all runs that are "ok", and its standard error.
+    """Mean error by angle over all runs that are "ok", its standard error, and how many runs.
 
     All offsets of a flight share its recording, so a flight counts once in the standard error.
     """
     ok = _answered(runs, error)
     of_flight = ok.groupby(["angle_deg", "flight"])[error].mean().groupby("angle_deg")
     standard_error = of_flight.std(ddof=0) / np.sqrt(of_flight.size())
-    means = ok.groupby("angle_deg")[error].mean()
-    return pd.DataFrame({"mean": means, "standard_error": standard_error})
+    by_angle = ok.groupby("angle_deg")[error]
+    n_runs = runs.groupby("angle_deg").size().reindex(standard_error.index)
+    return pd.DataFrame({
+        "mean": by_angle.mean(), "standard_error": standard_error,
+        "answered": by_angle.size(), "runs": n_runs,
+    })  # fmt: skip
 
 
 def published_means(
@@ -229,11 +283,13 @@ def _answered(runs: pd.DataFrame, error: str) -> pd.DataFrame:
 
 def _draw_bars(axes: Axes, means: pd.DataFrame, look: Look, shift_deg: float, **style: Any) -> None:
     """Draw means by angle, a line through them, and their standard errors."""
-    axes.errorbar(
-        means.index.to_numpy(np.float64) + shift_deg, means["mean"], means["standard_error"],
-        color=look.color, marker=look.marker, ms=9 if look.marker == "*" else 5, mfc=look.face,
-        mec=look.color, **{"ls": "-", "lw": 1.2, "elinewidth": 1.0, "zorder": 3, **style},
-    )  # fmt: skip
+    x, marks = means.index.to_numpy(np.float64) + shift_deg, {"ms": 5, **look.style}
+    if look.marker == "*":
+        marks["ms"] = 9
+    style = {"ls": "-", "lw": 1.2, "elinewidth": 1.0, "zorder": 3, **style}
+    axes.errorbar(x, means["mean"], means["standard_error"], **marks, **style)
+    if "runs" in means:
+        mark_survivors(axes, x, means["mean"], means["answered"], means["runs"], **marks)
 
 
 def _handles(
@@ -241,8 +297,6 @@ def _handles(
 ) -> list[Line2D]:
     """Name looks in a legend, then other marks."""
     named = [
-        Line2D([], [], color=look.color, marker=look.marker, mfc=look.face, lw=width, ms=5,
-               label=name)
-        for name, look in looks.items()
-    ]  # fmt: skip
+        Line2D([], [], lw=width, ms=5, label=name, **look.style) for name, look in looks.items()
+    ]
     return named + [Line2D([], [], label=text, **{"color": "0.3", **st}) for text, st in others]

@@ -3,22 +3,32 @@
 Fig. 3  raw events, denoised events, and the object's positions p(t), in x-y-t
 Fig. 4  p1, p2, the line l1 and the distance d, before and after the clocks are aligned
 Fig. 5  d_avg over +-1 s and +-3 ms of offset, where the true offset is zero
+Alignment: both cameras' events and epipolar lines, while the offset is turned to where it fits
 """
 
+import io
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib import rc_context
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
+from PIL import Image
 
 from experiments.drawing.style import WIDTH_IN, quiet_axes
 from ssac.camera import Camera, known_pose
 from ssac.config import N_MIN, Config
 from ssac.errors import SsacError
 from ssac.events import US_PER_S, slice_time
-from ssac.geometry.epipolar import epipolar_distance, fundamental_from_pose
+from ssac.geometry.epipolar import (
+    epipolar_distance,
+    epipolar_lines_1,
+    fundamental_from_pose,
+)
 from ssac.geometry.fundamental import lmeds_fundamental
 from ssac.pipeline.api import chain_of
 from ssac.pipeline.chain import Chain
@@ -29,8 +39,10 @@ from ssac.pipeline.plots import (
     ZOOM_S,
     Array,
     Material,
-    draw_alignment,
+    d_avg_px,
     draw_epipolar,
+    plane_angles,
+    telling_stretch,
 )
 from ssac.search.offset_search import mean_epipolar_distance
 from ssac.search.two_views import TwoViews
@@ -41,6 +53,29 @@ STRETCH_S = (0.2, 2.2)
 SEARCH_S = 1.0
 """Half the width of Fig. 5 (a)."""
 
+PICTURES = 12, 30, 20
+"""Of the animation: before the offset moves, while it does, and after."""
+
+PICTURE_MS = 80
+
+CAMERAS, GAP = ("#5fa8ee", "#f0a63c"), "#ff5c93"
+DARK: dict[str, Any] = {
+    "figure.facecolor": "#0d1117",
+    "axes.facecolor": "#0d1117",
+    "axes.edgecolor": "#454c56",
+    "axes.labelcolor": "#9aa3ae",
+    "xtick.color": "#9aa3ae",
+    "ytick.color": "#9aa3ae",
+    "text.color": "#e6e8eb",
+    "font.size": 13.0,
+    "image.interpolation": "nearest",
+}
+"""Colours of the report's player on a dark ground, which suits a light page and a dark one."""
+
+_PALETTE_SIZE = 48
+_CLOUD = 1500  # events of each camera
+_SHAPE = 0.75  # height of a view over its width
+_MARGIN_PX = 30.0  # between the object's path and the edge of a view
 _TRACK_STEP_S = 0.004
 _MAX_EVENTS = 15000  # drawn of the raw stretch: more would only blot the picture
 _SEARCH_STEP_S, _ZOOM_STEP_S = 5e-3, 50e-6
@@ -95,11 +130,115 @@ def epipolar_figure(chain: Chain) -> Figure:
     return figure
 
 
-def alignment_figure(chain: Chain) -> Figure:
-    """Draw what both cameras see before and after alignment, as `tangency` finds it."""
-    figure = Figure(figsize=(WIDTH_IN, 7.0), layout="constrained")
-    draw_alignment(figure, _estimated(chain, "tangency"))
-    return figure
+def alignment_animation(chain: Chain) -> bytes:
+    """Draw how both cameras' views come together, as an animated PNG of `tangency`'s estimate.
+
+    Time runs through a telling stretch. Camera 2 is looked at an offset later, which is zero at
+    first, then moves to the one found, and stays there. Who shows no animation shows its end.
+    """
+    material = _estimated(chain, "tangency")
+    n_before, n_moving, n_after = PICTURES
+    eased = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, n_moving))
+    shares = np.concatenate([np.zeros(n_before), eased, np.ones(n_after)])
+    with rc_context(DARK):
+        scene = _Scene(material)
+        pictures = [
+            scene.picture(float(time_s), float(share) * material.estimate.t_d_s)
+            for time_s, share in zip(np.linspace(*scene.span_s, len(shares)), shares, strict=True)
+        ]
+    palette = pictures[0].quantize(_PALETTE_SIZE, Image.Quantize.MAXCOVERAGE)
+    shown = [one.quantize(palette=palette, dither=Image.Dither.NONE) for one in pictures]
+    whole = io.BytesIO()
+    shown[-1].save(
+        whole, "PNG", save_all=True, append_images=shown, default_image=True,
+        duration=PICTURE_MS, loop=0, optimize=True,
+    )  # fmt: skip
+    return whole.getvalue()
+
+
+class _Scene:
+    """Two views over two charts, in which a few parts move from picture to picture."""
+
+    def __init__(self, material: Material) -> None:
+        start_s, length_s = telling_stretch(material)
+        t_d_s = material.estimate.t_d_s
+        self.span_s = start_s, start_s + length_s
+        self._material, self._half_s = material, material.views.config.half_window_s
+        self._F = np.asarray(material.estimate.F)
+        self._figure = Figure(figsize=(WIDTH_IN, 6.4), layout="constrained")
+        self._canvas: Any = FigureCanvasAgg(self._figure)
+        views, (clouds, curve) = self._figure.subplots(2, 2, height_ratios=(1.6, 1.0))
+        self._title = self._figure.suptitle("", weight="bold")
+
+        ends_s = [(start_s, start_s + length_s + shift_s) for shift_s in (0.0, t_d_s)]
+        middles_px, reach_px = self._area(ends_s)
+        self._views, self._clouds = [], []
+        for k, (axes, size) in enumerate(zip(views, (4.5, 2.0), strict=True)):
+            self._views.append(self._view(axes, k, middles_px[k], reach_px))
+            half_s = 0.5 * (ends_s[k][1] - start_s)
+            events, points = material.window(k, start_s + half_s, half_s, most=_CLOUD)
+            cloud = events["t"] / US_PER_S, plane_angles(material, k, points)
+            (dots,) = clouds.plot(*cloud, ".", ms=size, mew=0.0, color=CAMERAS[k])
+            self._clouds.append((dots, cloud[0]))
+        grey = DARK["xtick.color"]
+        self._now = clouds.axvline(start_s, color=grey, lw=1.0)
+        clouds.set(xlim=self.span_s, xlabel="time [s]", ylabel="[deg]")
+        clouds.set_title("Epipolar plane of each event")
+
+        offsets_s = t_d_s * np.linspace(-0.4, 2.0, 481, dtype=np.float64)
+        curve.plot(1e3 * offsets_s, d_avg_px(material, offsets_s), color=grey, lw=2.0)
+        (self._at,) = curve.plot([], [], "o", ms=12, color=GAP, zorder=4)
+        curve.set(xlabel="offset $t_d$ [ms]", ylabel="[px]", ylim=(0.0, None))
+        curve.set_title("Mean distance from the lines")
+
+    def _area(self, ends_s: list[tuple[float, float]]) -> tuple[list[Array], float]:
+        """Give the middle of each view's area [px], and the half width of both."""
+        middles, reaches = [], []
+        for motion, ends in zip(self._material.motions, ends_s, strict=True):
+            times_s: Array = np.linspace(*ends, 200, dtype=np.float64)
+            track = motion.at(times_s)
+            points = track.positions_px[track.valid]
+            middles.append(0.5 * (points.min(axis=0) + points.max(axis=0)))
+            reaches.append(0.5 * np.ptp(points, axis=0) * (1.0, 1.0 / _SHAPE))
+        return middles, float(np.max(reaches)) + _MARGIN_PX
+
+    def _view(self, axes: Any, camera: int, middle_px: Array, reach_px: float) -> tuple[Any, ...]:
+        """Prepare a camera's view: its events, the other's epipolar line, and the distance."""
+        image = axes.imshow([[np.nan]], cmap=ListedColormap([CAMERAS[camera]]), zorder=3)
+        (line,) = axes.plot([], [], color=CAMERAS[1 - camera], lw=2.2)
+        (gap,) = axes.plot([], [], color=GAP, lw=4.0, solid_capstyle="butt", zorder=4)
+        (x, y), reach_y_px = middle_px, _SHAPE * reach_px
+        axes.set(xlim=(x - reach_px, x + reach_px), ylim=(y + reach_y_px, y - reach_y_px))
+        axes.set(xticks=[], yticks=[])
+        axes.set_title(f"Camera {camera + 1}", color=CAMERAS[camera], weight="bold")
+        return image, line, gap
+
+    def picture(self, time_s: float, offset_s: float) -> Image.Image:
+        """Draw all at a time of camera 1's clock; camera 2 is looked at an offset later."""
+        material, at_s = self._material, (time_s, time_s + offset_s)
+        p1, p2 = (material.motions[k].at(np.array([at_s[k]])).positions_px[0] for k in (0, 1))
+        lines = epipolar_lines_1(self._F, p2), epipolar_lines_1(self._F.T, p1)
+        for k, ((image, line, gap), p, abc) in enumerate(
+            zip(self._views, (p1, p2), lines, strict=True)
+        ):
+            shape = material.cameras[k]
+            events, _ = material.window(k, at_s[k], self._half_s)
+            pixels = np.full((shape.height, shape.width), np.nan)
+            pixels[events["y"], events["x"]] = 1.0
+            image.set(data=pixels, extent=(-0.5, shape.width - 0.5, shape.height - 0.5, -0.5))
+            a, b, c = abc / np.hypot(*abc[:2])
+            foot = p - (a * p[0] + b * p[1] + c) * np.array([a, b])
+            line.set_data(*(foot + 1e3 * np.outer([-1.0, 1.0], [-b, a])).T)
+            gap.set_data(*np.stack([p, foot]).T)
+        for (dots, times_s), shift_s in zip(self._clouds, (0.0, offset_s), strict=True):
+            dots.set_xdata(times_s - shift_s)
+        self._now.set_xdata([time_s, time_s])
+        d_px = float(d_avg_px(material, np.array([offset_s]))[0])
+        self._at.set_data([1e3 * offset_s], [d_px])
+        how = "found" if offset_s == material.estimate.t_d_s else "tried"
+        self._title.set_text(f"Offset {how}: {1e3 * offset_s:.0f} ms, {d_px:.1f} px from the lines")
+        self._canvas.draw()
+        return Image.fromarray(np.asarray(self._canvas.buffer_rgba())).convert("RGB")
 
 
 def _estimated(chain: Chain, method: str) -> Material:

@@ -1,40 +1,57 @@
 """Looks that figures share.
 
-Colours are of Okabe and Ito's set, which stays apart for colour-blind people, beside those of
-`ssac.pipeline.plots`. A method that is given the extrinsics has its sibling's colour and a hollow
-marker. Matplotlib is imported when a figure is drawn: studies are listed without it.
+Colours of methods are of Okabe and Ito's set, which stays apart for colour-blind people; those of
+cameras and polarities are in `ssac.pipeline.plots`. A method that is given the extrinsics has its
+sibling's colour and a half-filled marker; a hollow one is of a mean over what was not refused.
+Matplotlib is imported when a figure is drawn: studies are listed without it.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
-from numpy.typing import NDArray
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-    from ssac.network.comparison import Comparison
 else:
-    Axes = Figure = Comparison = Any
+    Axes = Figure = Any
 
 __all__ = [  # Axes and Figure too, for studies that only name these types
+    "STANDARD_ERROR",
+    "SURVIVORS",
     "WIDTH_IN",
     "Axes",
     "Figure",
     "Look",
-    "comparison_png",
     "legend_below",
+    "mark_survivors",
     "method_looks",
     "panels",
     "quiet_axes",
+    "value_color",
 ]
 
-WIDTH_IN = 9.0
-"""Of every figure; at DPI it is as wide as a README shows."""
+WIDTH_IN = 8.0
+"""Of every figure; at DPI it is twice as wide as a README shows."""
+
+_LIGHTEST = 0.82  # of a colour map: what follows is too light on white
+_DURATIONS = {10.0: "#AA3377", 20.0: "#CCBB44"}
+_ANGLES_DEG = 30.0, 150.0  # of the tables: the darkest and the lightest
+
+Named = tuple[str, dict[str, Any]]
+"""Words and look of an entry of a legend."""
+
+STANDARD_ERROR: Named = (
+    "bar: standard error of the mean",
+    {"marker": "|", "ls": "none", "ms": 9, "mew": 1},
+)
+SURVIVORS: Named = (
+    "hollow: mean of so many, others refused",
+    {"marker": "o", "ls": "none", "ms": 5, "mfc": "white"},
+)
 
 
 @dataclass(frozen=True)
@@ -43,21 +60,22 @@ class Look:
 
     color: str
     marker: str
-    hollow: bool = False
+    is_known: bool = False  # the extrinsics are given
 
     @property
-    def face(self) -> str:
-        """Colour inside the marker."""
-        return "white" if self.hollow else self.color
+    def style(self) -> dict[str, Any]:
+        """Colour and marker, as Matplotlib takes them."""
+        fill = {"fillstyle": "left" if self.is_known else "full", "markerfacecoloralt": "white"}
+        return {"color": self.color, "marker": self.marker, **fill}
 
 
 _LOOKS = {
     "ssac": Look("#0072B2", "o"),
-    "ssac-known": Look("#0072B2", "o", hollow=True),
+    "ssac-known": Look("#0072B2", "o", is_known=True),
     "joint": Look("#009E73", "s"),
-    "joint-known": Look("#009E73", "s", hollow=True),
+    "joint-known": Look("#009E73", "s", is_known=True),
     "tangency": Look("#000000", "D"),
-    "tangency-known": Look("#000000", "D", hollow=True),
+    "tangency-known": Look("#000000", "D", is_known=True),
     "albl": Look("#CC79A7", "^"),
     "zncc_e": Look("#D55E00", "v"),
     "zncc_f": Look("#E69F00", "P"),
@@ -73,6 +91,40 @@ def method_looks(methods: list[str]) -> dict[str, Look]:
     return {method: _LOOKS.get(method) or spare[method] for method in methods}
 
 
+def value_color(name: str, value: Any, place: float) -> Any:
+    """Give a parameter's value its colour: angles and durations have fixed ones.
+
+    Others have theirs by their place, from 0 to 1, among the values that are shown.
+    """
+    from matplotlib import colormaps
+
+    if name == "sim.spline.duration_s" and value in _DURATIONS:
+        return _DURATIONS[value]
+    if name == "sim.angle_deg":
+        place = float(np.clip(np.interp(value, _ANGLES_DEG, (0.0, 1.0)), 0.0, 1.0))
+    return colormaps["viridis"](_LIGHTEST * place)
+
+
+def mark_survivors(
+    axes: Axes,
+    x: ArrayLike,
+    means: ArrayLike,
+    answered: ArrayLike,
+    runs: ArrayLike,
+    **look: Any,
+) -> None:
+    """Draw those means hollow that are not over all runs, with the number that they are over."""
+    for place, mean, n, of in np.broadcast(x, means, answered, runs):
+        if n < of and np.isfinite(mean):
+            axes.plot(place, mean, **{**look, "mfc": "white", "ls": "none", "zorder": 5})
+            above: dict[str, Any] = {
+                "xytext": (2.0, 4.0),
+                "textcoords": "offset points",
+                "fontsize": 7,
+            }
+            axes.annotate(f"{n:.0f}", (place, mean), **above)
+
+
 def quiet_axes(axes: Axes) -> None:
     """Leave only what is read: light horizontal lines, and no frame above and on the right."""
     axes.spines[["top", "right"]].set_visible(False)
@@ -82,12 +134,13 @@ def quiet_axes(axes: Axes) -> None:
 
 
 def panels(
-    height_in: float, rows: int = 1, columns: int = 1, **shared: Any
+    title: str, height_in: float, rows: int = 1, columns: int = 1, **shared: Any
 ) -> tuple[Figure, NDArray[Any]]:
-    """Make a figure and its axes (rows, columns)."""
+    """Make a figure, which says what it shows, and its axes (rows, columns)."""
     from matplotlib import figure
 
     made = figure.Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
+    made.suptitle(title, fontsize=12)
     grid = made.subplots(rows, columns, squeeze=False, **shared)
     for axes in grid.flat:
         quiet_axes(axes)
@@ -102,13 +155,3 @@ def legend_below(figure: Figure, ncols: int, handles: Sequence[Any] | None = Non
     figure.legend(
         handles, labels, loc="outside lower center", ncols=ncols, fontsize=8, frameon=False
     )
-
-
-def comparison_png(comparison: Comparison) -> bytes:
-    """Draw a path beside the truth as `ssac compare` does it."""
-    from ssac.pipeline.plots import save_comparison
-
-    with TemporaryDirectory() as folder:
-        file = Path(folder) / "comparison.png"
-        save_comparison(file, comparison)
-        return file.read_bytes()

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 SUMS_FILE = "SHA256SUMS"
 
-DPI = 110
+DPI = 220
 
 _PALETTE_SIZE = 96  # colours of a PNG: a third of the bytes, and no difference to be seen
 

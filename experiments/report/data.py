@@ -22,6 +22,7 @@ _COMPARED = ("duration_s", "angle_deg", "t_d_ms", "quantity", "ours_mean", "ours
 _FIGURES = {
     "error_vs_angle": "make figures",
     "beyond_paper": "make figures",
+    "success": "make figures",
     "efficiency": "make studies",
     "fig3_preprocessing": "make figures",
     "fig4_epipolar": "make figures",

@@ -222,7 +222,7 @@ def _chart_row(
         "method": method,
         "summary": METHODS[method].summary if method in METHODS else "",
         "color": "currentColor" if look.color == "#000000" else look.color,
-        "hollow": look.hollow,
+        "hollow": look.is_known,
         "shortest_s": min(DURATIONS_S),
         "dots": [(*place(cell["mean"], cell["angle_deg"]), cell)
                  for cell in cells.to_dict("records")],

@@ -1,4 +1,4 @@
-"""The main chain on one flight, from nothing to a figure: `ssac demo`."""
+"""The main chain on one flight, from nothing to a figure and a report: `ssac demo`."""
 
 import json
 import shutil
@@ -32,7 +32,9 @@ def demo_command(
     ] = Path("out/demo"),
     seed: Annotated[int, number("Seed of the simulated flight.", 0, MAX_SEED)] = 0,
 ) -> None:
-    """Simulate 20 s at 90 deg with an offset of 50 ms, recover it, and draw one figure."""
+    """Simulate 20 s at 90 deg with an offset of 50 ms, recover it; a figure and a report."""
+    from ssac.pipeline.plots import material_of, save_figures
+
     folder = out_dir / "recording"
     if is_of_a_demo(folder):
         shutil.rmtree(folder, ignore_errors=True)
@@ -46,9 +48,11 @@ def demo_command(
     for result in results:
         typer.echo("\n" + comparison(result.estimate, recorded.flight.truth))
     last = results[-1]
-    figure = out_dir / "demo.png"
-    last.plotted(figure)
-    typer.echo(f"\nfigure: {figure}")
+    written = [
+        *save_figures(out_dir / "demo.png", material_of(last.answer), only="epipolar"),
+        last.report(out_dir / "report.html", "ssac demo"),
+    ]
+    typer.echo("\nwritten to " + ", ".join(map(str, written)))
 
 
 def is_of_a_demo(folder: Path) -> bool:

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 from scipy.stats import t as student
 
-from experiments.drawing.style import Figure, legend_below, panels
+from experiments.drawing.style import Figure, legend_below, mark_survivors, panels
 from experiments.lab.grid import GridConfig, config_names, named_config
 from experiments.lab.markdown import digits, markdown_table
 from experiments.lab.results import Results
@@ -146,17 +146,21 @@ def points_figure(points: pd.DataFrame, varied: Sequence[str]) -> Figure:
     numbers = [name for name in varied if pd.api.types.is_numeric_dtype(points[name])]
     x = numbers[0] if numbers else "method"
     others = [name for name in (*varied, "method") if name != x]
-    figure, (panel_of,) = panels(3.8, columns=len(drawn))
+    title = f"Mean errors; a bar is the interval of {LEVEL:.0%}"
+    figure, (panel_of,) = panels(title, 3.8, columns=len(drawn))
     for axes, error in zip(panel_of, drawn, strict=True):
         lines = points.groupby(others, sort=False, dropna=False) if others else [((), points)]
         for point, line in lines:
             line = line.sort_values(x) if numbers else line
             mean = line[f"{error}_mean"]
+            label = ", ".join(str(value) for value in point)
             below, above = mean - line[f"{error}_low"], line[f"{error}_high"] - mean
-            axes.errorbar(
+            drawn_line = axes.errorbar(
                 line[x].to_numpy(), mean.to_numpy(), np.nan_to_num([below, above]), marker="o",
-                ms=4, lw=1.2, elinewidth=0.9, label=", ".join(str(value) for value in point),
+                ms=4, lw=1.2, elinewidth=0.9, label=label,
             )  # fmt: skip
+            look = {"marker": "o", "ms": 4, "color": drawn_line.lines[0].get_color()}
+            mark_survivors(axes, line[x], mean, line["answered"], line["runs"], **look)
         axes.set_ylim(bottom=0.0)
         axes.set_xlabel(x, fontsize=9)
         axes.set_title(ERRORS[error].label, fontsize=10)

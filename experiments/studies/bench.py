@@ -150,7 +150,7 @@ def growth_figure(table: pd.DataFrame) -> Figure:
 
     looks: dict[str, dict[str, Any]] = {SIMULATE: {"color": "#0072B2", "marker": "o"},
              SYNCHRONISE: {"color": "#000000", "marker": "D"}}  # fmt: skip
-    figure, (both,) = panels(4.2, columns=2)
+    figure, (both,) = panels("How run time and memory grow with the recording", 4.4, columns=2)
     measured = table[table["wall_s"].notna()]
     sensors = list(dict.fromkeys(measured["sensor"]))
     for axes, (column, label) in zip(both, _WHAT.items(), strict=True):

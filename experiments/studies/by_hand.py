@@ -277,7 +277,7 @@ def _listed(words: "pd.Series[Any]") -> str:
 
 def hand_figure(table: pd.DataFrame) -> Figure:
     """Draw by kind what became of the recordings, and how often the 95 % intervals hold."""
-    figure, grid = panels(4.0, columns=2, sharey=True)
+    figure, grid = panels("The default, beside settings by hand", 4.2, columns=2, sharey=True)
     left, axes = grid[0]
     n = table["recordings"]
     parts = {

@@ -125,7 +125,7 @@ def coverage_figure(runs: pd.DataFrame) -> Figure:
     The band is where 95 % of the runs' shares would lie if the deviations were right.
     """
     runs, drawn = _with_clocks(runs), [one for one in QUANTITIES.values() if one.label]
-    figure, grid = panels(3.6, columns=len(drawn))
+    figure, grid = panels("How often the stated intervals hold the truth", 3.4, columns=len(drawn))
     for axes, quantity in zip(grid[0], drawn, strict=True):
         _draw_panel(axes, runs, quantity)
     legend_below(figure, 5)
@@ -139,7 +139,7 @@ def _draw_panel(axes: Axes, runs: pd.DataFrame, quantity: Quantity) -> None:
         if len(values) == 0:
             continue
         observed = np.mean(confidence(values, quantity.parameters)[:, None] <= nominal, axis=0)
-        style = "--" if look.hollow else "-"
+        style = "--" if look.is_known else "-"
         axes.plot(100 * nominal, 100 * observed, style, color=look.color, lw=1.4, label=method)
         most = max(most, len(values))
     axes.plot([0, 100], [0, 100], color="0.6", lw=0.8)
@@ -147,7 +147,7 @@ def _draw_panel(axes: Axes, runs: pd.DataFrame, quantity: Quantity) -> None:
         half = NORMAL_95 * np.sqrt(nominal * (1.0 - nominal) / most)
         axes.fill_between(
             100 * nominal, 100 * (nominal - half), 100 * (nominal + half), color="0.9", lw=0,
-            label=f"sampling error of {most} runs",
+            label=f"sampling error (95 %) of {most} runs",
         )  # fmt: skip
     axes.set(xlim=(0, 100), ylim=(0, 100), aspect="equal", xlabel="nominal coverage [%]")
     axes.set_ylabel("observed coverage [%]")

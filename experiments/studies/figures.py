@@ -1,11 +1,11 @@
-"""The paper's Fig. 3 to 5 and the alignment of two cameras, each drawn of one recording.
+"""The paper's Fig. 3 to 5, and how two cameras' views come together, each of one recording.
 
-`ssac figures` draws them, and those of the tables. A picture is the same bytes whenever it is made
-from the same runs and recordings.
+`ssac figures` draws them, and those of all studies that follow from the CSVs, whose runs it leaves
+as they are. A picture is the same bytes whenever it is made from the same runs and recordings.
 """
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -22,7 +22,7 @@ from experiments.lab.provenance import provenance, write_provenance
 from experiments.lab.results import PROVENANCE, Results
 from experiments.lab.scored import SCORED
 from experiments.lab.study import Made, Study
-from experiments.studies import tables
+from experiments.studies import all_studies
 from sim.recording import SimConfig
 from sim.render.gl_context import context_or_none
 from sim.sensor.events import PRESETS
@@ -47,21 +47,22 @@ NOISY_SEED = flight_seed(10.0, 90.0, 0)
 """Of these flights: each is the first of its duration and angle."""
 
 EPIPOLAR_T_D_S = 0.05  # at the tables' 50 ms the distance before alignment is seen at a glance
+ALIGNED_T_D_S = 0.3  # of the animation: the views come together over many of its pictures
 
 _OF: Mapping[str, tuple[str, float, Flight]] = {
     "fig3_preprocessing": ("preprocessing_figure", 0.0, (NOISY_FLIGHT, NOISY_SEED)),
     "fig4_epipolar": ("epipolar_figure", EPIPOLAR_T_D_S, (FLIGHT, SEED)),
     "fig5_d_avg": ("d_avg_figure", 0.0, (FLIGHT, SEED)),
-    "alignment": ("alignment_figure", EPIPOLAR_T_D_S, (FLIGHT, SEED)),
+    "alignment": ("alignment_animation", ALIGNED_T_D_S, (FLIGHT, SEED)),
 }
 """By its file: function of `drawing.events`, offset that is added, recording."""
 
 
-def _drawn(name: str, _: Results, folder: Path) -> Figure:
+def _drawn(name: str, _: Results, folder: Path) -> Figure | bytes:
     from experiments.drawing import events
 
     function, t_d_s, _flight = _OF[name]
-    figure: Figure = getattr(events, function)(events.load_recording(folder, t_d_s))
+    figure: Figure | bytes = getattr(events, function)(events.load_recording(folder, t_d_s))
     return figure
 
 
@@ -69,24 +70,27 @@ def _recording(name: str, **_: Any) -> tuple[Flight, ...]:
     return (_OF[name][2],)
 
 
-DRAWINGS = {
-    **{
-        name: Made(f"{name}.png", partial(_drawn, name), recordings=partial(_recording, name))
-        for name in _OF
-    },
-    **{
-        made.file.removesuffix(".png"): made
-        for made in tables.STUDIES[0].makes
-        if made.file.endswith(".png")
-    },
+OF_RECORDINGS = {
+    name: Made(f"{name}.png", partial(_drawn, name), recordings=partial(_recording, name))
+    for name in _OF
 }
-"""Every figure that the command draws."""
 
 
-def config(names: Sequence[str] = tuple(DRAWINGS)) -> dict[str, Any]:
-    """Give what figures are made with, for their provenance."""
+def drawings() -> dict[str, Made]:
+    """Give every figure that the command draws."""
+    of_studies = {
+        made.file.removesuffix(".png"): made
+        for study in all_studies().values()
+        for made in study.makes
+        if study.is_committed and made.follows and made.file.endswith(".png")
+    }
+    return {**OF_RECORDINGS, **of_studies}
+
+
+def config(names: Collection[str] = tuple(_OF)) -> dict[str, Any]:
+    """Give what figures of recordings are made with, for their provenance."""
     recordings = {name: flight[0] for name, (_, _, flight) in _OF.items() if name in names}
-    return {"figures": list(names), "recordings": recordings, "flight": 0}
+    return {"figures": list(recordings), "recordings": recordings, "flight": 0}
 
 
 def _folder(words: str) -> Any:
@@ -102,7 +106,7 @@ def figures_command(
     cache: Annotated[Path, _folder("Folder of cached recordings.")] = DEFAULT_FOLDER,
     out: Annotated[Path, _folder("Folder for the PNGs.")] = Path("results"),
 ) -> None:
-    """Draw the paper's Fig. 3 to 5, and all methods' errors; studies draw their own figures."""
+    """Draw the paper's Fig. 3 to 5, and all figures that follow from the CSVs, anew."""
     start = time.perf_counter()
     chosen = choose(names or (), results)
     out.mkdir(parents=True, exist_ok=True)
@@ -111,15 +115,17 @@ def figures_command(
         try:
             picture = made.bytes_of(Results(results), *folders)
         except SsacError as error:
-            raise SsacError(f"{results if folders else results / 'runs.csv'}: {error}") from error
+            raise SsacError(f"{made.file}: {error}") from error
         with whole_file(out / made.file) as temporary:
             temporary.write_bytes(picture or b"")
         typer.echo(f"written to {out / made.file}")
-    line, took_s = " ".join([COMMAND, *(names or ())]), time.perf_counter() - start
-    content = provenance(line, config(tuple(chosen)), took_s, context_or_none())
-    write_provenance(out / "figures.png", content)
-    written = [*(made.file for made in chosen.values()), f"figures{PROVENANCE}"]
-    record_checksums(out, [out / file for file in written])
+    written = [out / made.file for made in chosen.values()]
+    if any(name in OF_RECORDINGS for name in chosen):  # of the others, studies have it
+        line, took_s = " ".join([COMMAND, *(names or ())]), time.perf_counter() - start
+        content = provenance(line, config(chosen), took_s, context_or_none())
+        write_provenance(out / "figures.png", content)
+        written.append(out / f"figures{PROVENANCE}")
+    record_checksums(out, written)
 
 
 def choose(names: Sequence[str], results: Path) -> dict[str, Made]:
@@ -127,10 +133,11 @@ def choose(names: Sequence[str], results: Path) -> dict[str, Made]:
 
     SsacError, before any work is done, for an unknown name, or when the tables' runs are missing.
     """
+    known = drawings()
     for name in names:
-        if name not in DRAWINGS:
-            raise SsacError(f"unknown figure {name!r}: expected some of {', '.join(DRAWINGS)}")
-    chosen = {name: DRAWINGS[name] for name in names or DRAWINGS}
+        if name not in known:
+            raise SsacError(f"unknown figure {name!r}: expected some of {', '.join(known)}")
+    chosen = {name: known[name] for name in names or known}
     path = results / "runs.csv"
     for name, made in chosen.items():
         if not made.recordings and not path.is_file():
@@ -148,7 +155,7 @@ STUDIES = (
         lambda: (),
         SCORED,
         None,
-        tuple(made for made in DRAWINGS.values() if made.recordings),
+        tuple(OF_RECORDINGS.values()),
         config=config(),
         command=COMMAND,
     ),

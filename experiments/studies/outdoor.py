@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 import typer
 
-from experiments.drawing.style import comparison_png
+from experiments.drawing.style import Figure
 from experiments.lab.cache import Cache
 from experiments.lab.cell import Flight, Measure, PlainCell, RunRow
 from experiments.lab.command import command_of
@@ -269,13 +269,15 @@ def first_recording(duration: float = DURATION_S, **_: Any) -> tuple[Flight, ...
     return ((outdoor_config(duration), seed_of(0)),)
 
 
-def first_flight(_: Results, folder: Path) -> bytes | None:
+def first_flight(_: Results, folder: Path) -> Figure | None:
     """Draw the first flight, all adjusted at once, beside its RTK; None if it was refused."""
+    from ssac.pipeline.plots import draw_comparison
+
     truths, cell = truths_of((folder,)), OutdoorCell(0, TWO_AT_ONCE)
     answer = at_once((folder,), truths, cell)
     if not answer.paths:
         return None
-    return comparison_png(compared(answer.paths[0].path, truths[0], cell.flight))
+    return draw_comparison(compared(answer.paths[0].path, truths[0], cell.flight))
 
 
 def page_table(results: Results) -> str:

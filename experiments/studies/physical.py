@@ -194,21 +194,22 @@ def budget_table(runs: pd.DataFrame) -> pd.DataFrame:
 def budget_figure(summary: pd.DataFrame) -> Figure:
     """Draw, for each method and error, what each imperfection adds alone and what its lack spares.
 
-    The mean over the angles of each imperfection alone (filled) and of all but it (hollow); lines
+    The mean over the angles of each imperfection alone (dot) and of all but it (cross); lines
     stand where there is none and where there are all.
     """
     from matplotlib.ticker import LogLocator
 
     places, looks = np.arange(len(IMPERFECTIONS)), method_looks([*METHODS])
-    height_in = 1.2 + 0.22 * len(places) * len(METHODS)
-    figure, grid = panels(height_in, len(METHODS), len(ERRORS), sharey=True)
+    height_in = 1.5 + 0.22 * len(places) * len(METHODS)
+    title = "What each imperfection of a bench adds"
+    figure, grid = panels(title, height_in, len(METHODS), len(ERRORS), sharey=True)
     for row, method in zip(grid, METHODS, strict=True):
         dots: dict[str, Any] = {"ms": 5, "color": looks[method].color}
         for axes, (name, quantity) in zip(row, ERRORS.items(), strict=True):
             values = _budget_means(summary, name).xs(method, level="method")
             alone, without = (values[[*map(of, IMPERFECTIONS)]] for of in (only, all_but))
             axes.plot(alone, places, "o", label="alone", **dots)
-            axes.plot(without, places, "o", mfc="white", label="all but it", **dots)
+            axes.plot(without, places, "x", label="all but it", **dots)
             axes.axvline(values[NONE], color="0.3", lw=0.8, ls=":", label="none")
             axes.axvline(values[ALL], color="0.3", lw=0.8, ls="--", label="all")
             axes.set(xscale="log")
@@ -278,12 +279,6 @@ ILLUMINANCE_LUX = 100.0
 
 POLARITIES = {"both": None, "on": 1, "off": 0}  # events that are used
 
-_LOOKS = {
-    "both": ("#000000", "D", "both polarities"),
-    "on": ("#D55E00", "^", "ON events alone"),
-    "off": ("#0072B2", "v", "OFF events alone"),
-}
-
 
 def lit(ratio: float, polarity: int | None, setup: int) -> bench.SetUp:
     """Give a bench whose photoreceptors are real ones, all else ideal, and whose lights differ."""
@@ -329,9 +324,16 @@ def latency_table(runs: pd.DataFrame) -> pd.DataFrame:
 
 def latency_figure(summary: pd.DataFrame) -> Figure:
     """Draw the apparent offset against the ratio of the lights, by polarity."""
-    figure, ((axes,),) = panels(3.6)
+    from ssac.pipeline.plots import BLUE, YELLOW
+
+    figure, ((axes,),) = panels("What unequal light does to the offset", 3.9)
     by_polarity = dict(list(summary.groupby("polarity")))
-    for polarity, (color, marker, label) in _LOOKS.items():
+    looks = (
+        ("both", "black", "D", "both polarities"),
+        ("on", YELLOW, "^", "brighter alone (ON)"),
+        ("off", BLUE, "v", "darker alone (OFF)"),
+    )
+    for polarity, color, marker, label in looks:
         part = by_polarity[polarity]
         axes.errorbar(
             part["light_ratio"], part["apparent_ms_mean"], part["apparent_ms_std"], color=color,
@@ -345,7 +347,8 @@ def latency_figure(summary: pd.DataFrame) -> Figure:
     axes.xaxis.set_minor_formatter("")
     axes.set_xlabel("light of camera 2 over that of camera 1")
     axes.set_ylabel("apparent offset less the clocks' [ms]")
-    axes.legend(fontsize=8, frameon=False)
+    axes.legend(fontsize=8, frameon=False, title_fontsize=8,
+                title="bar: deviation over the recordings")  # fmt: skip
     return figure
 
 

@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 import typer
 
-from experiments.drawing.style import Axes, Figure, comparison_png, panels
+from experiments.drawing.style import Axes, Figure, panels
 from experiments.lab.command import OutOption, check_is_folder
 from experiments.lab.files import csv_text, png_bytes, record_checksums, save_text
 from experiments.lab.markdown import markdown_table
@@ -74,6 +74,8 @@ def real_command(
 
     The data are not part of this suite: github.com/CenekAlbl/drone-tracking-datasets.
     """
+    from ssac.pipeline.plots import draw_comparison
+
     check_is_folder(out)
     start_s, paths, sets = time.perf_counter(), list[tracks.Row](), list[tracks.DataSet]()
     pictures = dict[str, bytes]()
@@ -82,17 +84,17 @@ def real_command(
             sets.append(one)
             row, comparison = tracks.path_of(one)
             paths.append(row)
-            pictures[PATH_FIGURE.format(one.number)] = comparison_png(comparison)
+            pictures[PATH_FIGURE.format(one.number)] = png_bytes(draw_comparison(comparison))
             say(
                 f"{one.number}: {row['cameras']} cameras, RMSE {row['rmse_m']:.3f} m at "
                 f"{row['n_rtk']} samples of RTK, {row['network_s']:.0f} s"
             )
     tables = {**tracks.pair_tables(sets), PATHS: pd.DataFrame(paths, columns=COLUMNS[PATHS])}
-    pictures[OFFSETS_FIGURE] = png_bytes(real_figure(tables[PAIRS], tables[STRAYS]))
     content = provenance(COMMAND, config(), time.perf_counter() - start_s, None)
     for name, table in tables.items():
         save_text(out / f"{name}.csv", csv_text(table, _DIGITS))
         write_provenance(out / f"{name}.csv", content)
+    pictures[OFFSETS_FIGURE] = png_bytes(real_figure(Results(out)))
     for file, picture in pictures.items():
         with whole_file(out / file) as temporary:
             temporary.write_bytes(picture)
@@ -110,11 +112,12 @@ def config() -> dict[str, Any]:
     return {"data_sets": DATA_SETS, "rates": rates, "variable_rates": roughnesses}
 
 
-def real_figure(pairs: pd.DataFrame, strays: pd.DataFrame) -> Figure:
+def real_figure(results: Results) -> Figure:
     """Draw how far readouts move the offsets, and how far the clocks of frames wander."""
-    figure, ((left, right),) = panels(3.6, columns=2)
-    _draw_readouts(left, pairs[pairs["by_readouts_ms"].notna()])
-    _draw_strays(right, strays)
+    pairs, title = results.table(PAIRS), "Public videos: what shutters and clocks do to the offsets"
+    figure, ((above,), (below,)) = panels(title, 7.4, rows=2)
+    _draw_readouts(above, pairs[pairs["by_readouts_ms"].notna()])
+    _draw_strays(below, results.table(STRAYS))
     return figure
 
 
@@ -130,9 +133,10 @@ def _draw_readouts(axes: Axes, pairs: pd.DataFrame) -> None:
             color=color, label=label,
         )  # fmt: skip
     names = [f"{one.data_set}: {one.camera_1}-{one.camera_2}" for one in pairs.itertuples()]
-    axes.set_xticks(places, names, rotation=90, fontsize=6)
+    axes.set_xticks(places, names, rotation=90, fontsize=7)
+    axes.set_xlabel("data set: pair of cameras; a bar is the interval of 95 %")
     axes.set_ylabel("offset, moved by readouts [ms]")
-    axes.legend(fontsize=7, frameon=False)
+    axes.legend(fontsize=8, frameon=False)
 
 
 def _draw_strays(axes: Axes, strays: pd.DataFrame) -> None:
@@ -145,7 +149,9 @@ def _draw_strays(axes: Axes, strays: pd.DataFrame) -> None:
     axes.set_xlabel("time of the first camera's clock [s]")
     axes.set_ylabel("stray from an affine clock [ms]")
     if len(strays):
-        axes.legend(fontsize=6, frameon=False, ncols=2)
+        axes.legend(fontsize=8, frameon=False, ncols=7, loc="upper center",
+                    bbox_to_anchor=(0.5, -0.16), title="data set: pair of cameras",
+                    title_fontsize=8)  # fmt: skip
 
 
 # --- What the tables must say of themselves and of each other ---
@@ -385,12 +391,10 @@ STUDIES = (
         lambda: (),
         SCORED,
         Runs(f"{PAIRS}.csv", tuple(KEY), numbered=False, digits=_DIGITS),
-        tuple(
-            Made(file, None, _DIGITS)
-            for file in (
-                *(f"{name}.csv" for name in (TRIPLES, STRAYS, PATHS)),
-                *(OFFSETS_FIGURE, *map(PATH_FIGURE.format, DATA_SETS)),
-            )
+        (
+            *(Made(f"{name}.csv", None, _DIGITS) for name in (TRIPLES, STRAYS, PATHS)),
+            *(Made(PATH_FIGURE.format(number), None) for number in DATA_SETS),
+            Made(OFFSETS_FIGURE, real_figure),
         ),
         numbers={
             "real.closure.4": partial(largest_closure, number=WITH_TRUTH),

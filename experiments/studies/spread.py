@@ -134,7 +134,9 @@ def _deviations(ok: pd.DataFrame) -> dict[str, tuple[Any, float]]:
 def spread_figure(runs: pd.DataFrame) -> Figure:
     """Draw t_d with its stated deviation against the half-window, a panel for each method."""
     by_method = runs.groupby("method", sort=False)
-    figure, (panel_of,) = panels(3.4, columns=by_method.ngroups, sharey=True)
+    figure, (panel_of,) = panels(
+        "t_d and its stated deviation (bar)", 3.4, columns=by_method.ngroups, sharey=True
+    )
     for axes, (method, group) in zip(panel_of, by_method, strict=True):
         for n_min, line in answered(group).groupby("n_min"):
             axes.errorbar(

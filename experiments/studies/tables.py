@@ -246,6 +246,7 @@ STUDIES = (
             Made("README.md", page),
             Made("error_vs_angle.png", partial(figure, name="error_figure")),
             Made("beyond_paper.png", partial(figure, name="beyond_figure")),
+            Made("success.png", partial(figure, name="success_figure")),
         ),
         numbers=NUMBERS,
         checks=CHECKS,

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from experiments.drawing.style import Figure, method_looks, panels
+from experiments.drawing.style import Figure, legend_below, method_looks, panels
 from experiments.lab.cache import Cache
 from experiments.lab.cell import FlightCell, Measure, RunRow
 from experiments.lab.recorded import recorded_pair
@@ -153,15 +153,20 @@ def study_figure(means: pd.DataFrame) -> Figure:
     as_it_is = variants["variant"] == AS_IT_IS
     colors = [method_looks(["tangency"])["tangency"].color if it else "0.65" for it in as_it_is]
     lines = np.arange(len(variants))
-    figure, (axes,) = panels(0.8 + 0.22 * len(variants), columns=2, sharey=True)
+    title = "Mean errors (bars) of variants of tangency"
+    figure, (axes,) = panels(title, 1.4 + 0.22 * len(variants), columns=2, sharey=True)
     for ax, error in zip(axes, (T_D_ERROR, R_ERROR), strict=True):
         ax.grid(visible=False)
         ax.barh(lines, variants[error.column], color=colors, height=0.7)
-        ax.axvline(float(variants.loc[as_it_is, error.column].iloc[0]), color="0.3", lw=0.8, ls=":")
+        own = float(variants.loc[as_it_is, error.column].iloc[0])
+        ax.axvline(own, color="0.3", lw=0.8, ls=":", label="the method as it is")
         ax.set_xlabel(error.label, fontsize=9)
-    axes[0].plot(variants[_WORST], lines, "|", color="#D55E00", ms=9, mew=1.5)
+    axes[0].plot(
+        variants[_WORST], lines, "|", color="#D55E00", ms=9, mew=1.5, label="at the worst angle"
+    )
     axes[0].set_yticks(lines, variants["variant"], fontsize=8)
-    axes[0].invert_yaxis()
+    axes[0].set_ylim(len(variants) - 0.4, -0.6)
+    legend_below(figure, 2)
     return figure
 
 

@@ -108,13 +108,13 @@ class EpipolarRow:
     distance_px: float
 
 
-def save_figures(target: Path, material: Material) -> list[Path]:
+def save_figures(target: Path, material: Material, only: str = "") -> list[Path]:
     """Draw what an estimate allows; give the files written, none when there is nothing to draw.
 
     The target is a folder, made if need be, for one PNG per figure; or a file of FIGURE_SUFFIXES
-    for all figures, one below the other.
+    for all figures, one below the other. `only` names the one figure that is wanted.
     """
-    figures = figures_of(material)
+    figures = [figure for figure in figures_of(material) if only in ("", figure[0])]
     if not figures:
         return []
     if target.suffix.lower() in FIGURE_SUFFIXES:
@@ -204,8 +204,12 @@ def draw_epipolar(canvas: Canvas, material: Material) -> None:
         left.plot(*np.stack([row.p1, foot]).T, color=RED, lw=3, label="distance $d$")
         left.plot(*row.p1, **_POINT, label="$p_1$, $p_2$")
         right.plot(*row.p2, **_POINT)
-        left.set_title(f"Camera 1 at {row.time_s:.4f} s: $d$ = {row.distance_px:.2f} px")
-        right.set_title(f"Camera 2 at {row.time_s + row.offset_s:.4f} s: {row.name}")
+        left.set_title(
+            f"Camera 1 at {row.time_s:.4f} s: $d$ = {row.distance_px:.2f} px", fontsize="medium"
+        )
+        right.set_title(
+            f"Camera 2 at {row.time_s + row.offset_s:.4f} s: {row.name}", fontsize="medium"
+        )
         for axes, centre in ((left, row.p1), (right, row.p2)):
             axes.set(xlabel="x [px]", ylabel="y [px]", aspect="equal")
             axes.set_xlim(centre[0] - reach_px, centre[0] + reach_px)
@@ -274,7 +278,7 @@ def d_avg_px(material: Material, offsets_s: Array) -> Array:
 
 
 def epipolar_rows(material: Material) -> list[EpipolarRow]:
-    """Rows before, if a time is valid, and after, at one time where d is seen well."""
+    """Rows before, if a time is valid, and after, at one time where d before is its median."""
     F = np.asarray(material.estimate.F)
     motion1, motion2 = material.motions
     t_d_s = material.estimate.t_d_s
@@ -290,7 +294,7 @@ def epipolar_rows(material: Material) -> list[EpipolarRow]:
     else:
         pairings = pairings[1:]
         distances = epipolar_distance(F, *pairs.points_px)
-    time_s = float(times_s[np.argmin(np.abs(distances - 15.0))])  # px: seen at a glance
+    time_s = float(times_s[np.argmin(np.abs(distances - np.median(distances)))])
     rows = []
     for name, offset_s in pairings:
         p1 = motion1.at(np.array([time_s])).positions_px
@@ -381,6 +385,11 @@ def _draw_angles(
 
 
 def save_comparison(file: Path, comparison: "Comparison") -> None:
+    """Write what `draw_comparison` draws."""
+    _save(draw_comparison(comparison), file, 130)
+
+
+def draw_comparison(comparison: "Comparison") -> Figure:
     """Draw both paths in space and, where there are times, x, y and z with their differences."""
     in_time = comparison.in_time
     page = Figure(figsize=(6.0 if in_time is None else 12.0, 6.5), layout="constrained")
@@ -390,7 +399,7 @@ def save_comparison(file: Path, comparison: "Comparison") -> None:
         left, right = page.subfigures(1, 2)
         _draw_shape(left, comparison)
         _draw_over_time(right, in_time)
-    _save(page, file, 130)
+    return page
 
 
 def _draw_shape(canvas: Canvas, comparison: "Comparison") -> None:

@@ -25,7 +25,7 @@ METHODS = (
     "zncc_f", "event_rate",
 )  # fmt: skip
 FIGURES = ("fig3_preprocessing", "fig4_epipolar", "fig5_d_avg", "error_vs_angle", "beyond_paper",
-           "efficiency")  # fmt: skip
+           "success", "efficiency")  # fmt: skip
 
 
 def made_up_runs(methods: tuple[str, ...] = METHODS, flights: int = 10) -> pd.DataFrame:

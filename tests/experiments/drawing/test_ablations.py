@@ -8,6 +8,7 @@ import pandas as pd
 import pytest
 
 from experiments.drawing.ablations import ablation_figure, default_value
+from experiments.drawing.style import STANDARD_ERROR, value_color
 from experiments.lab.grid import GridConfig, named_config
 from sim.recording import SimConfig
 from ssac.config import N_MIN, Config
@@ -63,7 +64,8 @@ def test_a_default_that_a_logarithm_lacks_is_written() -> None:
     figure = ablation_figure(make_means(grid), grid)
     dashed = [line for axes in figure.axes for line in axes.lines if line.get_linestyle() == "--"]
     assert not dashed
-    assert figure.legends[0].get_texts()[-1].get_text() == "default: 0, not on this axis"
+    words = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert words[-2:] == ["default: 0, not on this axis", STANDARD_ERROR[0]]
     assert default_value("ssac.n_min") == N_MIN
     assert default_value("sim.spline.sampling_hz") == SimConfig().spline.sampling_hz
     assert default_value("sim.drone_size_m") == 0.65  # None in SimConfig: the quadrotor's own
@@ -79,6 +81,9 @@ def test_failures_have_axes_only_where_there_are_some_and_leave_a_gap() -> None:
     assert axes[3].get_title() == "failed runs [%]"
     shares = [line.get_ydata() for line in axes[3].lines if line.get_linestyle() == "-"]
     assert [float(share[-1]) for share in shares] == [0.0, 30.0, 0.0]
+    hollow = [line for line in axes[0].lines if line.get_markerfacecolor() == "white"]
+    assert [float(line.get_xdata()[0]) for line in hollow] == [1600.0]
+    assert [text.get_text() for text in axes[0].texts] == ["7"]  # of 10
     means.loc[lost, [f"{error}_{part}" for error in ERRORS for part in ("mean", "std")]] = np.nan
     for line in drawn(ablation_figure(means, grid).axes[0]):
         assert np.isnan(line[-1, 1])
@@ -104,3 +109,9 @@ def test_what_cannot_be_drawn_is_named() -> None:
         ablation_figure(means, replace(grid, figure=None))
     with pytest.raises(SsacError, match=r"lack the columns ssac\.half_window_s, failed"):
         ablation_figure(means.drop(columns=["ssac.half_window_s", "failed"]), grid)
+
+
+def test_an_angle_and_a_duration_have_one_colour_in_every_company() -> None:
+    for name, value in (("sim.angle_deg", 90.0), ("sim.spline.duration_s", 20.0)):
+        assert value_color(name, value, 0.0) == value_color(name, value, 1.0)
+    assert value_color("sim.t_d_s", 90.0, 0.0) != value_color("sim.t_d_s", 90.0, 1.0)

@@ -14,6 +14,7 @@ from experiments.drawing.errors import (
     error_figure,
     flight_means,
     published_means,
+    success_figure,
 )
 from experiments.drawing.style import WIDTH_IN, method_looks
 from experiments.lab.files import DPI, png_bytes
@@ -59,7 +60,8 @@ def test_means_are_over_the_runs_that_did_not_fail_and_a_flight_counts_once() ->
     of_one = runs[runs["t_d_ms"] == 50.0]
     thrice = pd.concat([of_one.assign(t_d_ms=t_d_ms) for t_d_ms in (5.0, 50.0, 500.0)])
     once, repeated = flight_means(of_one, "r_error_deg"), flight_means(thrice, "r_error_deg")
-    np.testing.assert_allclose(repeated, once)
+    columns = ["mean", "standard_error"]
+    np.testing.assert_allclose(repeated[columns], once[columns])
     deviation = at_30.loc[at_30["t_d_ms"] == 50.0, "r_error_deg"].std(ddof=0)
     assert once["standard_error"].iloc[0] == pytest.approx(deviation / np.sqrt(4))
 
@@ -124,9 +126,26 @@ def test_the_legend_counts_failures_and_what_the_paper_lacks_is_drawn_alone() ->
     assert labels(figure)[:2] == ["ssac (2 of 120 failed)", "ssac-known (120 of 120 failed)"]
     assert "zncc_e" in labels(figure)
     assert len(drawn_means(figure.axes[0])) == 5  # one that always fails is only in the legend
+    assert "hollow: mean of so many, others refused" in labels(figure)
+    hollow = [one for one in figure.axes[0].lines if one.get_markerfacecolor() == "white"]
+    assert len(hollow) == 1  # both runs are of one angle
+    assert [text.get_text() for text in figure.axes[0].texts] == ["10"]
     runs = runs_of(20.0).assign(duration_s=5.0)
     assert len(drawn_means(error_figure(runs, PUBLISHED).axes[0])) == 4
     assert len(drawn_means(beyond_figure(runs, PUBLISHED).axes[0])) == 1
+
+
+def test_the_area_under_a_success_curve_counts_the_refused() -> None:
+    runs = runs_of(20.0)
+    own = runs["method"] == "ssac"
+    runs.loc[own, "t_d_error_ms"] = 0.25
+    runs.loc[runs.index[own][: own.sum() // 2], "status"] = "search_bound"
+    axes = success_figure(runs).axes[0]
+    curves = dict(zip(axes.get_legend_handles_labels()[1], axes.lines, strict=True))
+    x, shares = curves["ssac 37.5"].get_data()  # half of the runs, over three quarters
+    assert np.all(x[1:-1] == 0.25)
+    assert (shares[0], shares[-1]) == (0.0, 50.0)
+    assert len(success_figure(runs).axes[2].lines) == 2  # of those that give a pose
 
 
 def test_the_refinements_stand_beside_the_paper_and_the_marks() -> None:
@@ -169,4 +188,4 @@ def test_no_two_methods_look_alike_and_each_the_same_in_every_company() -> None:
     assert len(set(looks.values())) == len(looks)
     assert method_looks(["ssac"])["ssac"] == looks["ssac"]
     assert looks["ssac-known"].color == looks["ssac"].color
-    assert looks["ssac-known"].face != looks["ssac"].face
+    assert looks["ssac-known"].style["fillstyle"] != looks["ssac"].style["fillstyle"]

@@ -1,11 +1,15 @@
-"""The paper's Fig. 3 to 5 and the alignment, of a synthetic recording."""
+"""The paper's Fig. 3 to 5 and the animation, of a synthetic recording."""
+
+import io
 
 import numpy as np
 import pytest
+from PIL import Image, ImageColor
 
 from experiments.drawing.events import (
+    GAP,
     STRETCH_S,
-    alignment_figure,
+    alignment_animation,
     d_avg_curves,
     d_avg_figure,
     epipolar_figure,
@@ -85,13 +89,17 @@ def test_fig_4_shows_the_distance_before_and_after(recorded) -> None:
     assert after < 0.2 * before
 
 
-def test_alignment_brings_both_cameras_planes_together(recorded) -> None:
-    figure = alignment_figure(load_recording(recorded.folder))
-    apart = []
-    for axes in figure.axes[2:4]:  # the line of each camera, without what is beneath for contrast
-        courses = [line for line in axes.lines if str(line.get_label()).startswith("camera")]
-        apart.append(np.nanmedian(np.abs(np.subtract(*(line.get_ydata() for line in courses)))))
-    assert apart[1] < 0.2 * apart[0]
+def test_the_animation_moves_the_offset_and_the_gap_closes(recorded, monkeypatch) -> None:
+    monkeypatch.setattr("experiments.drawing.events.PICTURES", (1, 2, 1))  # all: in 10 s
+    moving = Image.open(io.BytesIO(alignment_animation(load_recording(recorded.folder, 0.3))))
+    gaps = []
+    for number in range(moving.n_frames):
+        moving.seek(number)
+        views = np.asarray(moving.convert("RGB"), dtype=float)[: moving.height // 2]
+        gaps.append(np.count_nonzero(np.abs(views - ImageColor.getrgb(GAP)).max(axis=-1) < 40))
+    shown, before, *_, after = gaps  # first what is shown where nothing moves
+    assert shown == after < 0.2 * before
+    assert len(gaps) == 1 + 4
 
 
 def test_fig_3_shows_noise_going_and_the_object_staying(aligned) -> None:

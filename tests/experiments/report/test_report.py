@@ -17,11 +17,10 @@ from experiments.report.data import Results, load_results
 from experiments.report.report import report_command, report_page
 from experiments.report.tables import number
 from experiments.studies.ablations import ABLATIONS
-from experiments.studies.figures import DRAWINGS
 from sim.errors import SimError
 from ssac.errors import SsacError
 from ssac.files.hdf5 import load_events_h5, save_events_h5
-from tests.experiments.reported import METHODS, made_up_runs, record_flight, write_results
+from tests.experiments.reported import FIGURES, METHODS, made_up_runs, record_flight, write_results
 from tests.html_pages import EVIL, check_page
 from tests.ssac.synthetic import HEIGHT, WIDTH
 
@@ -128,7 +127,7 @@ def test_a_method_from_outside_is_shown_like_ours(tmp_path: Path, animation: Ani
 
 
 def test_the_figures_are_those_that_are_drawn(results: Results, page: str) -> None:
-    n_figures = len(DRAWINGS) + len(ABLATIONS)  # which their studies draw
+    n_figures = len(FIGURES) + len(ABLATIONS)
     assert len(results.figures) == n_figures
     assert page.count('<img src="data:image/png;base64,') == n_figures
     assert results.figures[0].size_px == (60, 30)
