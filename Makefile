@@ -35,7 +35,7 @@ ablations: .venv/.ready ## one parameter varied at a time (half an hour) -> resu
 	@.venv/bin/ssac ablate
 
 studies: .venv/.ready ## coverage of the intervals, refusals, Cramer-Rao bound, ... (over an hour) -> results/
-	@.venv/bin/ssac study efficiency coverage refusal reasons imperfect marks tangency zncc
+	@.venv/bin/ssac study efficiency coverage refusal reasons by_hand imperfect marks tangency zncc
 
 figures: ## the paper's figures, and errors against the angle -> results/*.png
 
