@@ -4,7 +4,8 @@ A user should not need a setting that the default could have found out. Of each 
 drawn from its number, the default is judged; where it is not right, eight settings are tried that
 a user would try.
 
-    ssac by-hand --base 1 --recordings 72 --out out       # numbers 0 to 71; kinds take turns
+    ssac by-hand                                          # what is committed; kinds take turns
+    ssac by-hand --base 1 --recordings 72 --out out       # numbers 0 to 71 of another base
     ssac by-hand --base 1 --first 17 --recordings 1 --every --out out
 """
 
@@ -24,7 +25,7 @@ from experiments.lab.cell import Flight, Measure
 from experiments.lab.command import command_of
 from experiments.lab.score import Truth
 from experiments.lab.study import Runs, Study
-from experiments.lab.summary import made_of
+from experiments.lab.summary import made_of, quoted
 from experiments.scenes.options import MAX_SEED
 from experiments.studies.coverage import QUANTITIES
 from experiments.studies.imperfect import ImperfectRow, given_columns, held
@@ -36,6 +37,9 @@ from ssac.config import Config
 from ssac.errors import SsacError
 from ssac.pipeline.chain import Chain
 from ssac.pipeline.registry import DEFAULT
+
+BASE, N_RECORDINGS = 100, 90
+"""No choice was made on flights of this base."""
 
 UNASKED = "default"
 SPARED = "spared"
@@ -104,9 +108,11 @@ class HandRow(ImperfectRow):
 
 
 def hand_cells(
-    base: Annotated[int, number("Seed of all draws.", 0, MAX_SEED)] = 0,
+    base: Annotated[int, number("Seed of all draws.", 0, MAX_SEED)] = BASE,
     first: Annotated[int, number("Number of the first recording.", 0, MAX_SEED)] = 0,
-    recordings: Annotated[int, number("How many numbers.", 1, MAX_SEED, metavar="COUNT")] = 45,
+    recordings: Annotated[
+        int, number("How many numbers.", 1, MAX_SEED, metavar="COUNT")
+    ] = N_RECORDINGS,
     kind: Annotated[str, named("NAME", "Those of these numbers that are of one kind.")] = "",
     far: Annotated[float, number("Share of offsets beyond 1 s in most kinds.", 0, 1)] = 0.5,
     every: Annotated[bool, flag("every", "Try settings where the default is right too.")] = False,
@@ -317,7 +323,17 @@ STUDIES = (
         command="ssac by-hand",
         shows="by_hand",
         again=False,
-        is_committed=False,
+        numbers={
+            f"by_hand.{name}": quoted("by_hand", form, kind="all")
+            for name, form in {
+                "recordings": "{recordings:.0f}",
+                "right": "{right:.0f}",
+                "wrong": "{wrong:.0f}",
+                "settled": "{settled:.0f}",
+                "held": "{t_d_held:.0%}, {R_held:.0%} and {t_held:.0%}",
+                "beyond": "{beyond:.0f}",
+            }.items()
+        },
     ),
 )
 

@@ -44,7 +44,8 @@ def test_keys_tell_all_cells_apart_and_seeds_follow_from_the_columns(name: str) 
         if name.startswith(("network", "outdoor", "mini", "error", "light")):
             continue  # scenes of their own, whose seeds are counted
         sim, seed = cell.recordings[0]
-        expected = flight_seed(sim.spline.duration_s, sim.angle_deg, cell.columns["flight"])
+        number, base = cell.columns["flight"], cell.columns.get("base", 0)
+        expected = flight_seed(sim.spline.duration_s, sim.angle_deg, number, base)
         assert seed == cell.columns["seed"] == expected
 
 
