@@ -24,6 +24,7 @@ from experiments.paper import esim
 from experiments.paper.grids import DURATIONS_S, TABLES, offset_ms, table_cells, table_grids
 from experiments.paper.page import results_page
 from experiments.paper.quantities import ERRORS, POSE_ERRORS, T_D_ERROR
+from ssac.errors import SsacError
 
 METHODS = ("ssac", "ssac-known", "joint", "joint-known", "tangency", "tangency-known")
 SYMBOLS = {error.symbol: error for error in ERRORS.values()}
@@ -62,7 +63,11 @@ def runs_of(results: Results) -> pd.DataFrame:
 
 @lru_cache(maxsize=1)
 def _read(text: str) -> pd.DataFrame:
-    return esim.ordered_runs(read_table(text))
+    runs = read_table(text)
+    absent = [column for column in esim.RUN_COLUMNS if column not in runs]
+    if absent:
+        raise SsacError(f"runs.csv: lacks the columns {listed(absent)}: run make tables again")
+    return esim.ordered_runs(runs)
 
 
 def table(results: Results, duration_s: float) -> pd.DataFrame:

@@ -77,7 +77,7 @@ def test_failures_have_axes_only_where_there_are_some_and_leave_a_gap() -> None:
     lost = (means["ssac.n_min"] == 1600) & (means["method"] == "ssac")
     means.loc[lost & (means["sim.angle_deg"] == 90), "failed"] = 3
     axes = ablation_figure(means, grid).axes
-    assert len(axes) == 8
+    assert len(axes) == 12
     assert axes[3].get_title() == "failed runs [%]"
     shares = [line.get_ydata() for line in axes[3].lines if line.get_linestyle() == "-"]
     assert [float(share[-1]) for share in shares] == [0.0, 30.0, 0.0]

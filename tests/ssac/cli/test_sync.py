@@ -34,7 +34,7 @@ def test_offset_and_pose_are_found(joint_run, recorded):
     result, found, _ = joint_run
     assert result.exit_code == 0, result.stderr
     assert set(found) >= KEYS
-    assert found["note"] == ""
+    assert "the outline does not close" in found["note"]  # of a cloud of pixels
     assert (found["status"], found["reason"], found["method"]) == ("ok", "", "tangency")
     assert abs(found["t_d_s"] - T_D_S) < TOLERANCE_S
     assert 0.0 < found["t_d_std_s"] < TOLERANCE_S
@@ -49,7 +49,7 @@ def test_results_are_on_stdout_and_progress_on_stderr(joint_run):
     shown_ms = f"{1e3 * found['t_d_s']:.3f} ms"
     assert f"t_d = {shown_ms}" in result.stdout
     assert f"camera 2's clock shows {shown_ms} more than camera 1's; subtract it" in result.stdout
-    assert f"{found['n_samples']} pairs of tangents to the object's outline used\n" in result.stdout
+    assert f"{found['n_samples']} pairs of tangents to the outline" in result.stdout
     for part in ("read", "denoise", "estimate", "write"):
         assert part not in result.stdout
         assert any(line.startswith(part) and " s  " in line for line in result.stderr.splitlines())
