@@ -238,7 +238,8 @@ def kinds(results: Results, column: str) -> str:
     table = results.rows("imperfect", method="tangency")
     table = table[table["kind"] != ALL].assign(not_answered=table["runs"] - table["answered"])
     listed = table[table[column] > 0][["kind", column, "runs"]].itertuples(index=False)
-    return "; ".join(f"{kind}: {n:.0f} of {runs:.0f}" for kind, n, runs in listed)
+    shown = [f"{kind}: {n:.0f} of {runs:.0f}" for kind, n, runs in listed]
+    return "; ".join(shown) or "none"
 
 
 STUDIES = (
