@@ -37,7 +37,8 @@ FAILED = "failed"
 _PARTS = ("mean", "std")  # of an error's columns
 # Of a line, by the parameter that it stands for.
 _NAMES = {"sim.angle_deg": "{:g} deg", "sim.spline.duration_s": "{:g} s", "sim.drone": "{}",
-          "sim.t_d_s": "offset {:g} s"}  # fmt: skip
+          "sim.t_d_s": "offset {:g} s",
+          "ssac.rules.tangency.joins_body": "body joined: {}"}  # fmt: skip
 _MARKERS = "osD^vPX"
 _DASHES = ("-", (0, (1.2, 1.2)), (0, (5.0, 1.5)), "-.")  # of a second parameter's values
 _LOG_FROM = 8.0  # largest over least mean from which an error's axis is logarithmic
