@@ -136,7 +136,8 @@ def _gradient_covariance(
     """Covariance of Q' g for gradients g (n,), and how many independent ones tell as much."""
     # Q (n, p) has orthonormal columns, and left = (1 - Q Q') g is what the fit leaves of g.
     p, each = Q.shape[1], 1 + len(rules.fading_s)
-    n_kinds = 1 if kinds is None else int(np.max(kinds)) + 1
+    kinds = np.zeros(len(times_s), np.intp) if kinds is None else kinds
+    n_kinds = int(np.max(kinds, initial=0)) + 1
     size = n_kinds * each
     forms = np.zeros(size)  # left' L_k left, with L_k the correlations of component k
     traces = np.zeros((size, size))  # of L_k L_l
@@ -144,8 +145,7 @@ def _gradient_covariance(
     products = np.zeros((size, size))  # traces of Q' L_k L_l Q
     pairs = np.zeros(size)  # sums of L_k
     for part, bins, step_s in _series(times_s):
-        kind = 0 if kinds is None else int(kinds[part.start])
-        own = slice(kind * each, (kind + 1) * each)
+        own = slice(kinds[part.start] * each, (kinds[part.start] + 1) * each)
         n_bins = int(bins[-1]) + 1
         size_fft = 1 << int(2 * n_bins - 1).bit_length()  # room for both signs of the lag
         lags_s = step_s * np.arange(n_bins, dtype=np.float64)
@@ -175,7 +175,7 @@ def _gradient_covariance(
     independent = 0.0
     for kind in range(n_kinds):
         own = slice(kind * each, (kind + 1) * each)
-        n = len(times_s) if kinds is None else np.count_nonzero(kinds == kind)
+        n = np.count_nonzero(kinds == kind)
         if np.sum(amounts[own]) > 0.0:
             independent += n**2 * float(np.sum(amounts[own])) / float(amounts[own] @ pairs[own])
     if independent == 0.0:

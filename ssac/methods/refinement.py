@@ -85,8 +85,8 @@ class Refinement(ABC):
         """Give up after a round, or make ready for the next one."""
 
     @abstractmethod
-    def hidden_px(self, last: Round, residuals: Residuals) -> Array | None:
-        """Give what errors that no residual shows do to the distances: (n, m); None for none."""
+    def hidden_px(self, last: Round, residuals: Residuals) -> Array:
+        """Give what errors that no residual shows do to the distances: (n, m)."""
 
     def estimate(self, R: Array, t: Array) -> Estimate:
         """Refine the start's offset, and a pose if it is not known.
@@ -115,8 +115,7 @@ class Refinement(ABC):
         residuals = linearise(replace(problem, turn=self.last_turn), parameters)
         hidden_px = self.hidden_px(last, residuals)
         covariance = residuals.covariance(self.lessens, cautious=True)
-        if hidden_px is not None:
-            covariance = covariance + residuals.hidden_covariance(hidden_px)
+        covariance = covariance + residuals.hidden_covariance(hidden_px)
         unfinished = [] if settles else [found.change]
         unfinished += [] if found.converged else [found.last_step]
         # The last change, or step, of the free parameters may not matter beside their deviations.
@@ -149,7 +148,7 @@ class Refinement(ABC):
         return self.no_convergence(f"{self.moved(parameters)}, further than {furthest_ms:.0f} ms")
 
     def _told(
-        self, start: Estimate, residuals: Residuals, covariance: Array, hidden_px: Array | None
+        self, start: Estimate, residuals: Residuals, covariance: Array, hidden_px: Array
     ) -> Estimate:
         """Put the parameters found, and the covariance of those that were free, into the start."""
         problem, parameters = residuals.problem, residuals.parameters

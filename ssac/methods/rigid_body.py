@@ -21,7 +21,7 @@ from ssac.points import PointTrack
 from ssac.search.object_track import ShapedTrack, shaped_track_of
 from ssac.search.two_views import TwoViews
 from ssac.track.body import Look, body_moves
-from ssac.track.moments import View, moments_of_two
+from ssac.track.moments import View, moments_of_two, spreads_near
 from ssac.track.motion import PointMotion, point_motion
 from ssac.track.silhouette import Images
 
@@ -107,7 +107,7 @@ def _followed(
     looks, even = [], []
     for shape, (R_k, t_k), times_s in zip(shapes, poses, own_s, strict=True):
         focal = np.diag(shape.K)[:2]
-        spreads = _nearest(shape.spreads_px2, times_s, even_s, 1.5 * rules.moments_step_s)
+        spreads = spreads_near(shape.spreads_px2, times_s, even_s, 1.5 * rules.moments_step_s)
         seen, there = (_in_front(points(at) @ R_k.T + t_k) for at in (even_s, times_s))
         even.append(View(R_k, focal, seen[0], np.where(seen[1][:, None], spreads, np.nan)))
         corners = shape.images.corners_px - shape.K[:2, 2]
@@ -148,15 +148,6 @@ def _rounded(found: Estimate) -> tuple[Clock, Array, Array]:
     )
     turn = Rotation.from_matrix(found.R).as_rotvec()
     return clock, Rotation.from_rotvec(np.round(turn, 5)).as_matrix(), np.round(found.t, 5)
-
-
-def _nearest(values: Array, at_s: Array, times_s: Array, reach_s: float) -> Array:
-    """Take the values (n, k) next to times (m,); NaN where there is none within reach."""
-    after = np.clip(np.searchsorted(at_s, times_s), 1, len(at_s) - 1)
-    later = at_s[after] - times_s < times_s - at_s[after - 1]
-    nearest = np.where(later, after, after - 1)
-    is_near = np.abs(at_s[nearest] - times_s) < reach_s
-    return np.where(is_near[:, None], values[nearest], np.nan)
 
 
 def _in_front(points: Array) -> tuple[Array, Mask]:

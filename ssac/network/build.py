@@ -13,7 +13,7 @@ from ssac.network.placing import Group, Placed, first_path, grown, place_all, re
 from ssac.network.state import CameraState, Priors, Sightings, is_near, network_times, with_strays
 from ssac.rules import BodyRules, NetworkRules
 from ssac.track.body import Look, body_moves
-from ssac.track.moments import View, perspective_shifts, second_moments
+from ssac.track.moments import View, perspective_shifts, second_moments, spreads_near
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,8 +212,4 @@ def _spreads_at(own_s: Array, seen: Sightings) -> Array:
     """Take the silhouettes' second moments (n, 3) next to times of its clock; NaN where none is."""
     if seen.spreads_px2 is None:
         return np.full((len(own_s), 3), np.nan)
-    after = np.clip(np.searchsorted(seen.times_s, own_s), 1, len(seen) - 1)
-    later = seen.times_s[after] - own_s < own_s - seen.times_s[after - 1]
-    nearest = np.where(later, after, after - 1)
-    is_there = np.abs(seen.times_s[nearest] - own_s) < 1.5 * seen.interval_s
-    return np.asarray(np.where(is_there[:, None], seen.spreads_px2[nearest], np.nan))
+    return spreads_near(seen.spreads_px2, seen.times_s, own_s, 1.5 * seen.interval_s)

@@ -25,7 +25,7 @@ from ssac.track.body_kernels import (
     registered,
     seen_shares,
 )
-from ssac.track.moments import LEAST_VIEWS
+from ssac.track.moments import LEAST_VIEWS, nearest
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,11 +181,12 @@ def _instants(
     corners, points = np.zeros((n, c, 2)), np.ones((n, c, 3))
     seen = np.zeros((n, c), np.bool_)
     for k, look in enumerate(looks):
-        after = np.clip(np.searchsorted(look.times_s, times_s), 1, len(look.times_s) - 1)
-        later = look.times_s[after] - times_s < times_s - look.times_s[after - 1]
-        at = np.where(later, after, after - 1)
-        seen[:, k] = np.abs(look.times_s[at] - times_s) < 0.25 * step_s
-        seen[:, k] &= np.isfinite(look.corners_px[at, 0]) & (look.points[at, 2] > 0.0)
+        at, apart_s = nearest(look.times_s, times_s)
+        seen[:, k] = (
+            (apart_s < 0.25 * step_s)
+            & np.isfinite(look.corners_px[at, 0])
+            & (look.points[at, 2] > 0.0)
+        )
         own = seen[:, k]
         w = look.shares.shape[1]
         shares[own, k, :w, :w] = look.shares[at[own]]

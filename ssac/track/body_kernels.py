@@ -21,7 +21,7 @@ Drawn = tuple[Images, Array, Array, Array, Array]
 the principal point (n, 2) [px], the body's origin in the cameras' frames (n, 3), its axes there, or
 what turns the axes' frame to the cameras' (n, 3, 3), and focal lengths (n, 2) [px]."""
 
-Seen = tuple[NDArray[np.float32], Array, Array, Mask, Array, Array]
+Seen = tuple[Images, Array, Array, Mask, Array, Array]
 """What c cameras saw at n instants: shares (n, c, w, w), where their first pixels are (n, c, 2) and
 the body's origin is (n, c, 3), which there are (n, c); what turns the axes' frame to the cameras'
 (c, 3, 3), and focal lengths (c, 2)."""
@@ -236,10 +236,7 @@ def _draw(depths: Array, body: Voxels, view: View) -> tuple[int, int, int, int]:
             continue
         bounds = _widened(bounds, b, a)
         depth = densities[j] * area / z**2
-        depths[b, a] += depth * (1.0 - p) * (1.0 - q)
-        depths[b, a + 1] += depth * p * (1.0 - q)
-        depths[b + 1, a] += depth * (1.0 - p) * q
-        depths[b + 1, a + 1] += depth * p * q
+        _add(depths, b, a, q, p, depth)
     return _of_pixels(bounds)
 
 
@@ -282,10 +279,7 @@ def _draw_sloped(
                 dz = turn[2, 0] * d0 + turn[2, 1] * d1 + turn[2, 2] * d2
                 by_u[k] = FINE * focal[0] * (dx - u * dz) / z
                 by_v[k] = FINE * focal[1] * (dy - v * dz) / z
-        depths[b, a] += depth * (1.0 - p) * (1.0 - q)
-        depths[b, a + 1] += depth * p * (1.0 - q)
-        depths[b + 1, a] += depth * (1.0 - p) * q
-        depths[b + 1, a + 1] += depth * p * q
+        _add(depths, b, a, q, p, depth)
         for k in range(first, 5):
             du, dv = depth * by_u[k], depth * by_v[k]
             slopes[b, a, k] -= du * (1.0 - q) + dv * (1.0 - p)
@@ -293,6 +287,15 @@ def _draw_sloped(
             slopes[b + 1, a, k] += dv * (1.0 - p) - du * q
             slopes[b + 1, a + 1, k] += du * q + dv * p
     return _of_pixels(bounds)
+
+
+@numba.njit(cache=True)
+def _add(depths: Array, row: int, col: int, down: float, right: float, depth: float) -> None:
+    """Add a depth to the four pixels that a voxel is between, as `_placed` gives its place."""
+    depths[row, col] += depth * (1.0 - right) * (1.0 - down)
+    depths[row, col + 1] += depth * right * (1.0 - down)
+    depths[row + 1, col] += depth * (1.0 - right) * down
+    depths[row + 1, col + 1] += depth * right * down
 
 
 @numba.njit(cache=True)

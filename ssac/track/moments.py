@@ -37,6 +37,19 @@ class View:
         return np.asarray(by_local @ self.R)
 
 
+def nearest(at_s: Array, times_s: Array) -> tuple[IntArray, Array]:
+    """Give which of two or more ascending times (n,) are next to others (m,), and how far [s]."""
+    after = np.clip(np.searchsorted(at_s, times_s), 1, len(at_s) - 1)
+    places = np.where(at_s[after] - times_s < times_s - at_s[after - 1], after, after - 1)
+    return places, np.abs(at_s[places] - times_s)
+
+
+def spreads_near(spreads_px2: Array, at_s: Array, times_s: Array, reach_s: float) -> Array:
+    """Take the second moments (n, 3) next to times (m,); NaN where there are none within reach."""
+    places, apart_s = nearest(at_s, times_s)
+    return np.where((apart_s < reach_s)[:, None], spreads_px2[places], np.nan)
+
+
 def second_moments(views: list[View], smoothing: float, least_views: int = LEAST_VIEWS) -> Array:
     """Find the object's second moments (n, 3, 3) in X at n even times, smoothed over some of them.
 
