@@ -55,7 +55,10 @@ def main() -> None:
         for n_done, (task, measure) in enumerate(tasks, 1):
             run_task(task, cache, measure)
             advance(n_done)
-        cam1, cam2, rig = recorded_pair(cache, *tasks[0][0].recordings[0])
+        (sim, seed), *_ = tasks[0][0].recordings
+        # Long enough for a rigid body to be told.
+        longer = replace(sim, spline=replace(sim.spline, duration_s=2.0 * DURATION_S))
+        cam1, cam2, rig = recorded_pair(cache, longer, seed)
         chain = Chain((cam1, cam2), rig, Config(search="all"))
         solve_pairs(chain, {(0, 1): chain.answer()})
         with suppress(SsacError):  # whatever it finds, it is compiled
