@@ -96,6 +96,11 @@ def with_options(
     return given
 
 
+def file_option(help_text: str, metavar: str = "FILE") -> Option:
+    """Make an option whose value is a file's path."""
+    return Option(named(metavar, help_text), type=Path | None)
+
+
 def config_of(options: Mapping[str, Option], given: Mapping[str, Any]) -> Config:
     """Make the configuration that options ask for."""
     fields = {}

@@ -21,6 +21,7 @@ from ssac.cli.options import (
     Option,
     argument,
     config_of,
+    file_option,
     flag,
     named,
     number,
@@ -35,8 +36,6 @@ def complete_method(incomplete: str) -> list[tuple[str, str]]:
     """List the methods for a shell that completes a name."""
     return [pair for pair in all_summaries().items() if pair[0].startswith(incomplete)]
 
-
-_FILE = Path | None
 
 OPTIONS = {
     "topics": Option(
@@ -118,37 +117,26 @@ OPTIONS = {
         )
     ),
     "json_file": JSON_FILE,
-    "plot": Option(
-        named("PATH", "Draw figures: into a folder, or one file (.png, .pdf, .svg)."), type=_FILE
-    ),
-    "report": Option(
-        named("FILE", "Write all of it as an HTML page, with a player, that needs no other file."),
-        type=_FILE,
+    "plot": file_option("Draw figures: into a folder, or one file (.png, .pdf, .svg).", "PATH"),
+    "report": file_option(
+        "Write all of it as an HTML page, with a player, that needs no other file."
     ),
     "open_report": Option(flag("open", "Open the page of --report in a browser.")),
-    "write_synced": Option(
-        named("FILE", "Write camera 2's events (.h5, .txt) or track (.csv) on camera 1's clock."),
-        type=_FILE,
+    "write_synced": file_option(
+        "Write camera 2's events (.h5, .txt) or track (.csv) on camera 1's clock."
     ),
-    "trajectory": Option(
-        named("FILE", "Write the object's path in space: .csv (with deviations), else TUM."),
-        type=_FILE,
+    "trajectory": file_option(
+        "Write the object's path in space: .csv (with deviations), else TUM."
     ),
-    "write_rig": Option(
-        named("FILE", "Write the rig with the pose found (Kalibr YAML), for --known-extrinsics."),
-        type=_FILE,
+    "write_rig": file_option(
+        "Write the rig with the pose found (Kalibr YAML), for --known-extrinsics."
     ),
     "distance": Option(
         number("Distance between cameras 1 and 2, which sets the scale.", 1e-3, 1e6, "m"),
         type=float | None,
     ),
-    "positions": Option(
-        named("FILE", "CSV of camera positions, camera,x_m,y_m,z_m: sets frame and scale."),
-        type=_FILE,
-    ),
-    "rtk": Option(
-        named("FILE", "The object's path by RTK, on any clock: sets frame and scale."), type=_FILE
-    ),
+    "positions": file_option("CSV of camera positions, camera,x_m,y_m,z_m: sets frame and scale."),
+    "rtk": file_option("The object's path by RTK, on any clock: sets frame and scale."),
     "lever_arm": LEVER_ARM,
     "focal_std": Option(
         number(

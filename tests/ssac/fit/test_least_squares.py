@@ -40,11 +40,10 @@ def rate_problem(
 
     Their noise has the deviation `noise_px`, and fades in so many samples.
     """
-    p1, p2 = track_pair(SCENE, TIMES_S)
-    late_s = T_D_S + rate * SINCE_S
-    seen_at = TIMES_S - late_s  # camera 2's clock shows TIMES_S then
-    p2 = track_pair(SCENE, seen_at)[1]
-    v2 = (track_pair(SCENE, seen_at + 1e-4)[1] - track_pair(SCENE, seen_at - 1e-4)[1]) / 2e-4
+    p1, _ = track_pair(SCENE, TIMES_S)
+    seen_at = TIMES_S - (T_D_S + rate * SINCE_S)  # camera 2's clock shows TIMES_S then
+    p2, late, early = (track_pair(SCENE, seen_at + step)[1] for step in (0.0, 1e-4, -1e-4))
+    v2 = (late - early) / 2e-4
     noise = np.random.default_rng(seed).normal(0.0, noise_px, (2, N, 2))
     if fades_in:
         kept = np.exp(-1.0 / fades_in)
