@@ -37,7 +37,7 @@ def events_from_arrays(
     The polarity of a darker event may be 0 or -1. SsacError, led by `name`, if the lengths differ
     or a value does not fit its field; `check_events` looks at the rest.
     """
-    columns = dict(zip("txyp", map(np.asarray, (t, x, y, p)), strict=True))
+    columns = {field: np.asarray(one) for field, one in zip("txyp", (t, x, y, p), strict=True)}
     check_lengths({field: column.shape for field, column in columns.items()}, name)
     events = np.empty(len(columns["t"]), dtype=EVENT_DTYPE)
     for field, column in columns.items():

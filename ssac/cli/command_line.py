@@ -52,8 +52,14 @@ SYNC, TRACK, IMPORT, COMPARE = COMMANDS
 def command_line(entries: Sequence[Entry], description: str) -> typer.Typer:
     """Make the command line of a table of commands."""
     table = {entry.name: entry for entry in entries}
+
+    class Commands(_LazyGroup):
+        """The group of these commands."""
+
+        entries = table
+
     app = typer.Typer(
-        cls=type("Commands", (_LazyGroup,), {"entries": table}),
+        cls=Commands,
         invoke_without_command=True,
         pretty_exceptions_enable=False,
         rich_markup_mode=None,

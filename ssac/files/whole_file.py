@@ -131,9 +131,11 @@ def remove_left_over(folder: Path, name: str = "") -> None:
     for path in folder.glob(f"{prefix}*"):
         if not is_left_over(path):
             continue
-        remove = shutil.rmtree if path.is_dir() else Path.unlink
         with suppress(OSError):  # another one was faster
-            remove(path)
+            if path.is_dir():
+                shutil.rmtree(path)
+            else:
+                path.unlink()
 
 
 def _idle_s(path: Path) -> float:
