@@ -8,11 +8,10 @@
 
 Nothing here knows the truth. All that a method of your own needs is here too: see docs/methods.md.
 
-A name is imported when it is first asked for, so that a command line that only prints its help, or
-a caller that only reads files, does not wait for compilers and solvers.
+A name is imported when it is first asked for: no help waits for compilers and solvers.
 """
 
-import ast
+import re
 from functools import cache
 from importlib import import_module
 from pathlib import Path
@@ -77,15 +76,8 @@ if TYPE_CHECKING:  # the list of public names, which is read below too
 @cache
 def _homes() -> dict[str, str]:
     """Read off this file in which module each public name is defined."""
-    tree = ast.parse(Path(__file__).read_text(encoding="utf-8"))
-    listed = next(node for node in tree.body if isinstance(node, ast.If))
-    return {
-        alias.name: str(node.module)
-        for node in listed.body
-        if isinstance(node, ast.ImportFrom)
-        for alias in node.names
-        if alias.asname == alias.name
-    }
+    text = Path(__file__).read_text(encoding="utf-8")
+    return {name: module for module, name in re.findall(r"from (\S+) import (\w+) as \2\n", text)}
 
 
 def _names() -> list[str]:

@@ -119,11 +119,8 @@ def to_be_read_out(camera: Camera) -> Camera:
 
 def same_camera(a: Camera, b: Camera) -> bool:
     """Whether two cameras map points alike; `==` cannot tell, as K is an array."""
-    if a is b:
-        return True
-    names = ("width", "height", "distortion_model", "distortion_coeffs")
-    shutters = ("readout_s", "readout_std_s")
-    same = all(getattr(a, name) == getattr(b, name) for name in names + shutters)
+    names = "width", "height", "distortion_model", "distortion_coeffs", "readout_s", "readout_std_s"
+    same = all(getattr(a, name) == getattr(b, name) for name in names)
     return same and np.array_equal(a.K, b.K)
 
 
@@ -229,10 +226,10 @@ def _floats(values: object) -> Array:
 
 
 def undistort_points(camera: Camera, points_px: Array) -> Array:
-    """Ideal pixel coordinates (N, 2) of measured points, as a lens without distortion shows them.
+    """Ideal pixel coordinates (N, 2) of measured points, in the image of the same K.
 
-    They are in the image of the same K; NaN where no ray reaches a point under the lens model (far
-    out, where a fitted polynomial turns back). SsacError where camera or points are invalid.
+    NaN where no ray reaches a point under the lens model (far out, where a fitted polynomial turns
+    back).
     """
     check_camera(camera)
     measured = _checked_points(points_px)

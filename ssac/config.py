@@ -20,11 +20,8 @@ MAX_VALLEY_S = 0.3
 MAX_COUNT = 10_000_000
 """Largest of all counts: more would fill the memory before anything is found."""
 
-_COUNTS = {
-    **dict.fromkeys(("n_samples", "n_min", "n_neighbours", "trials", "final_trials"), 1),
-    "border_px": 0,
-}
-"""Fields that are whole numbers, and the least of each."""
+_COUNTS = "n_samples", "n_min", "n_neighbours", "trials", "final_trials"
+"""Fields that are whole numbers, and 1 at least."""
 
 CLOCKS = ("auto", "affine", "pieces")
 
@@ -167,8 +164,9 @@ def validated(config: Config | None) -> Config:
     if config.interval_s is not None and (config.search == "all" or config.rates is not None):
         other = 'search="all"' if config.search == "all" else "rates"
         raise SsacError(f"interval_s: not with {other}, which tries every offset: leave one out")
-    for name, least in _COUNTS.items():
-        _check_count(name, getattr(config, name), least)
+    for name in _COUNTS:
+        _check_count(name, getattr(config, name), 1)
+    _check_count("border_px", config.border_px, 0)
     _check_count("seed", config.seed, 0, 2**32 - 1)
     for name in ("exhaustive", "denoise", "search_skews", "choose_object"):
         if not isinstance(getattr(config, name), (bool, np.bool_)):
@@ -207,8 +205,6 @@ def _check_count(name: str, value: object, least: int, most: int = MAX_COUNT) ->
 
 def _are_bounds(bounds: object) -> bool:
     """Whether these are two finite numbers, the smaller one first."""
-    if not (isinstance(bounds, (tuple, list)) and len(bounds) == 2):
-        return False
-    if not all(map(is_number, bounds)):
+    if not (isinstance(bounds, (tuple, list)) and len(bounds) == 2 and all(map(is_number, bounds))):
         return False
     return bool(np.isfinite(bounds).all() and bounds[0] < bounds[1])

@@ -110,48 +110,26 @@ POSE_IS_OPEN = (Status.AMBIGUOUS_POSE, Status.DEGENERATE_POSE)
 """Statuses of estimates whose offset holds all the same."""
 
 SETTLED_BY: dict[str, tuple[Status, ...]] = {
-    "joint": (Status.AMBIGUOUS_OFFSET, Status.AMBIGUOUS_POSE, Status.DEGENERATE_POSE),
-    "tangency": (Status.AMBIGUOUS_OFFSET, Status.DEGENERATE_POSE, Status.POOR_FIT),
-    "fast": (Status.NO_CONVERGENCE, Status.CLOCK_JUMP, Status.NO_MATCH, Status.POOR_FIT),
-    "rates": (Status.NO_CONVERGENCE, Status.NO_MATCH),
-    "pieces": (Status.CLOCK_JUMP, Status.POOR_FIT),
-    "all offsets": (
-        Status.SEVERAL_OBJECTS,
-        Status.NO_COMMON_TIME,
-        Status.TOO_FEW_SAMPLES,
-        Status.SEARCH_BOUND,
-        Status.TOO_LITTLE_MOTION,
-        Status.NO_CONVERGENCE,
-        Status.CLOCK_JUMP,
-        Status.NO_MATCH,
-        Status.POOR_FIT,
-        Status.AMBIGUOUS_OFFSET,
-    ),
-    "closer": (
-        Status.SEVERAL_OBJECTS,
-        Status.CLOCK_JUMP,
-        Status.NO_MATCH,
-        Status.POOR_FIT,
-        Status.AMBIGUOUS_OFFSET,
-    ),
-    "one object": (
-        Status.NO_MOTION,
-        Status.TOO_FEW_SAMPLES,
-        Status.TOO_LITTLE_MOTION,
-        Status.NO_CONVERGENCE,
-        Status.NO_MATCH,
-        Status.POOR_FIT,
-        Status.AMBIGUOUS_OFFSET,
-    ),
-    "few events": (Status.NO_MOTION, Status.TOO_FEW_SAMPLES, Status.TOO_LITTLE_MOTION),
-    "lost": (Status.NO_MOTION, Status.TOO_FEW_SAMPLES),
-    "thin": (Status.TOO_LITTLE_MOTION, Status.NO_MATCH, Status.AMBIGUOUS_OFFSET),
-    "rig": (Status.SEARCH_BOUND, Status.NO_CONVERGENCE, Status.NO_MATCH, Status.POOR_FIT),
+    stage: tuple(status for word in words.split() for status in Status if status == word)
+    for stage, words in {
+        "joint": "ambiguous_offset ambiguous_pose degenerate_pose",
+        "tangency": "ambiguous_offset degenerate_pose poor_fit",
+        "fast": "no_convergence clock_jump no_match poor_fit",
+        "rates": "no_convergence no_match",
+        "pieces": "clock_jump poor_fit",
+        "all offsets": "several_objects no_common_time too_few_samples search_bound "
+        "too_little_motion no_convergence clock_jump no_match poor_fit ambiguous_offset",
+        "closer": "several_objects clock_jump no_match poor_fit ambiguous_offset",
+        "one object": "no_motion too_few_samples too_little_motion no_convergence no_match "
+        "poor_fit ambiguous_offset",
+        "few events": "no_motion too_few_samples too_little_motion",
+        "lost": "no_motion too_few_samples",
+        "thin": "too_little_motion no_match ambiguous_offset",
+        "rig": "search_bound no_convergence no_match poor_fit",
+    }.items()
 }
-"""Which refusals a later stage may overrule: the refinement of positions those of the search, that
-of tangents those of `joint`; a fast clock, or rate, those of ordinary ones, and one of pieces those
-of one constant skew; what `ssac.pipeline.retries` tries, those of what was seen as usual; and one
-object of several, of which too little is told, those of that little."""
+"""Which refusals a later stage may overrule: a refinement those of the one before, a fast clock, or
+one of pieces, those of an ordinary one, and what `ssac.pipeline.retries` tries the usual ones."""
 
 
 @dataclass(frozen=True)
@@ -165,7 +143,7 @@ class Refusal:
 
 
 def first(*refusals: Refusal | None) -> Refusal | None:
-    """Give the refusal whose status comes first in `Status`; None where there is none."""
+    """Give the refusal whose status comes first in `Status`."""
     there = [refusal for refusal in refusals if refusal is not None]
     return min(there, key=lambda refusal: list(Status).index(refusal.status), default=None)
 

@@ -32,13 +32,12 @@ class EventFile:
 def events_from_arrays(
     t: ArrayLike, x: ArrayLike, y: ArrayLike, p: ArrayLike, name: str = "events"
 ) -> Events:
-    """Build the event array from one array (N,) per field, in the order given.
+    """Build the event array from whole times [us], pixel columns, rows and polarities (N,).
 
-    Times [us], pixel columns and rows [px] and polarities are of an integer (or boolean) dtype; the
-    polarity of a darker event may be 0 or -1. SsacError, led by `name`, if the lengths differ or a
-    value does not fit its field; `check_events` looks at the rest.
+    The polarity of a darker event may be 0 or -1. SsacError, led by `name`, if the lengths differ
+    or a value does not fit its field; `check_events` looks at the rest.
     """
-    columns = {"t": np.asarray(t), "x": np.asarray(x), "y": np.asarray(y), "p": np.asarray(p)}
+    columns = {field: np.asarray(one) for field, one in zip("txyp", (t, x, y, p), strict=True)}
     check_lengths({field: column.shape for field, column in columns.items()}, name)
     events = np.empty(len(columns["t"]), dtype=EVENT_DTYPE)
     for field, column in columns.items():
@@ -47,11 +46,7 @@ def events_from_arrays(
 
 
 def events_of_array(array: NDArray[Any], name: str = "events") -> Events:
-    """Give a structured array as events: its fields t [us], x, y and p in any order and width.
-
-    The Metavision SDK's (x, y, p, t) is one; one of EVENT_DTYPE is given back. SsacError if a field
-    is missing, or a value does not fit its own.
-    """
+    """Give a structured array, with fields t [us], x, y, p in any order and width, as events."""
     if array.dtype == EVENT_DTYPE:
         return array
     missing = [field for field in EVENT_DTYPE.names or () if field not in (array.dtype.names or ())]
@@ -94,7 +89,7 @@ def field_values(field: str, column: NDArray[Any], name: str) -> NDArray[Any]:
 
 
 def check_event_array(events: Any, name: str) -> None:
-    """Raise SsacError, starting with `name`, unless these are events at all, whatever they say."""
+    """Raise SsacError, starting with `name`, unless these are events at all."""
     is_array = isinstance(events, np.ndarray)
     if not is_array or events.ndim != 1 or events.dtype != EVENT_DTYPE:
         what = f"{events.ndim}-D {events.dtype}" if is_array else type(events).__name__
@@ -134,17 +129,12 @@ def _look_through(
 ) -> tuple[int, int, int, int]:
     """Index of the first event before the one ahead of it, or n; the largest x, y and p."""
     largest_x, largest_y, largest_p = x[0], y[0], p[0]
-    before, is_sorted = t[0], True
+    first = len(t)
     for i in range(len(t)):
         largest_x, largest_y = max(largest_x, x[i]), max(largest_y, y[i])
         largest_p = max(largest_p, p[i])
-        is_sorted &= before <= t[i]
-        before = t[i]
-    first = len(t)
-    if not is_sorted:
-        first = 1
-        while t[first - 1] <= t[first]:
-            first += 1
+        if i > 0 and t[i] < t[i - 1]:
+            first = min(first, i)
     return first, largest_x, largest_y, largest_p
 
 

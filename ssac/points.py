@@ -40,7 +40,15 @@ def check_track(track: PointTrack, width: int, height: int, name: str) -> None:
             f"{name}: point {_first(~finite)} has a value that is no finite number: leave out the "
             "rows in which the object was not seen"
         )
-    _check_order(times_s, name)
+    backwards = np.diff(times_s) <= 0.0
+    if backwards.any():
+        k = _first(backwards) + 1
+        if wrapped(times_s[k - 1], times_s[k]):
+            raise SsacError(f"{name}: {wrap_message(f'point {k}')}")
+        raise SsacError(
+            f"{name}: rows must be in time order, but point {k} is at {times_s[k]:g} s, after one "
+            f"at {times_s[k - 1]:g} s: sort the rows, one object and one point a time"
+        )
     longest_s = 100.0  # no track of an object has its points so far apart
     if n > 2 and is_whole(times_s) and np.median(np.diff(times_s)) > longest_s:
         raise SsacError(
@@ -60,19 +68,6 @@ def check_track(track: PointTrack, width: int, height: int, name: str) -> None:
             f"{name}: sigma_px must be positive, got {sigmas.min():g} at point "
             f"{_first(~(sigmas > 0.0))}: correct it, or leave the column out"
         )
-
-
-def _check_order(times_s: Array, name: str) -> None:
-    backwards = np.diff(times_s) <= 0.0
-    if not backwards.any():
-        return
-    k = int(np.argmax(backwards)) + 1
-    if wrapped(times_s[k - 1], times_s[k]):
-        raise SsacError(f"{name}: {wrap_message(f'point {k}')}")
-    raise SsacError(
-        f"{name}: rows must be in time order, but point {k} is at {times_s[k]:g} s, after one at "
-        f"{times_s[k - 1]:g} s: sort the rows, one object and one point a time"
-    )
 
 
 def _first(is_bad: Mask) -> int:

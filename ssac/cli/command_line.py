@@ -26,10 +26,7 @@ Sections = Mapping[str, Sequence[tuple[str, str]]]
 
 @dataclass(frozen=True)
 class Entry:
-    """One command, not yet imported.
-
-    Its module may have a function `help_sections() -> Sections` with lists for the end of its help.
-    """
+    """One command, not yet imported; its module may have `help_sections() -> Sections`."""
 
     name: str
     group: str  # heading under which it is listed
@@ -38,8 +35,7 @@ class Entry:
     function: str
 
 
-USE = "Use"
-"""Heading of the commands for recordings of one's own; the others reproduce results."""
+USE = "Use"  # of recordings of one's own; other commands reproduce results
 
 COMMANDS = tuple(
     Entry(name, USE, summary, f"ssac.cli.{module}", f"{name}_command")
@@ -91,10 +87,7 @@ def run(app: typer.Typer, args: Sequence[str], program: str) -> int:
 
 
 def _make_ready() -> None:
-    """Spare the imports to come the threads of BLAS, and the looks for garbage.
-
-    Matrices are small: threads would only wait for work, and sums would depend on their number.
-    """
+    """Spare imports the threads of BLAS, on which sums depend, and looks for garbage."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # Imports make 230,000 objects, those of figures 350,000: looking at them took 0.13 s.
     gc.set_threshold(400_000)

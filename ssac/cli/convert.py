@@ -10,13 +10,14 @@ import typer
 from ssac.cli.exits import warnings_as_lines
 from ssac.cli.options import (
     NO_DENOISE,
+    OF_EVENTS,
     READING,
     Option,
+    argument,
     config_of,
     flag,
     named,
     number,
-    of_events,
     with_options,
 )
 from ssac.errors import SsacError
@@ -34,15 +35,13 @@ OPTIONS = {
         )
     ),
     **READING,
-    **of_events("a point"),
+    **OF_EVENTS,
 }
 
 
 @with_options(OPTIONS)
 def track_command(
-    cam: Annotated[
-        Path, typer.Argument(metavar="CAM", help="Event file of one camera.", show_default=False)
-    ],
+    cam: Annotated[Path, argument("CAM", "Event file of one camera.")],
     rig: Annotated[Path, named("FILE", "Calibration: Kalibr or OpenCV YAML.", False)],
     out: Annotated[Path, named("FILE", "Track file to write (.csv).", False)],
     **options: Any,
@@ -100,16 +99,9 @@ def track_command(
 
 
 def import_command(
-    form: Annotated[
-        Literal["drone-tracking"],
-        typer.Argument(metavar="FORM", help="Data set: drone-tracking.", show_default=False),
-    ],
-    folder: Annotated[
-        Path, typer.Argument(metavar="FOLDER", help="Folder of one data set.", show_default=False)
-    ],
-    out: Annotated[
-        Path, typer.Argument(metavar="OUT", help="Folder to write cam*.csv and rig.yaml to.")
-    ],
+    form: Annotated[Literal["drone-tracking"], argument("FORM", "Data set: drone-tracking.")],
+    folder: Annotated[Path, argument("FOLDER", "Folder of one data set.")],
+    out: Annotated[Path, argument("OUT", "Folder to write cam*.csv and rig.yaml to.")],
 ) -> None:
     """Turn a public data set into track files and a rig.
 

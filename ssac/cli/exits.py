@@ -19,30 +19,18 @@ from ssac.errors import PluginError, SsacError
 from ssac.files.whole_file import whole_file
 
 DONE = 0
-NO_ESTIMATE = 1
-"""The data give no reliable estimate; for `ssac verify`, something differs. Never a crash."""
-
-BAD_INPUT = 2
-"""Wrong usage, or a file that cannot be read or written."""
-
-BUG = 3
-"""A mistake of ours, or of a package whose method was run."""
-
-INTERRUPTED = 128 + 2
-"""Ctrl-C, as shells count it: 128 and the signal's number."""
-
-TERMINATED = 128 + 15
-"""SIGTERM, which `kill`, `timeout` and job schedulers send, after what was half made is removed."""
-
-PIPE_CLOSED = 128 + 13
-"""Whoever read our output stopped reading, as `head` does."""
+NO_ESTIMATE = 1  # for `ssac verify`, something differs; never a crash
+BAD_INPUT = 2  # wrong usage, or a file that cannot be read or written
+BUG = 3  # a mistake of ours, or of a package whose method was run
+INTERRUPTED = 128 + 2  # Ctrl-C, as shells count it: 128 and the signal's number
+TERMINATED = 128 + 15  # SIGTERM, which `kill`, `timeout` and job schedulers send
+PIPE_CLOSED = 128 + 13  # whoever read our output stopped reading, as `head` does
 
 
 def guarded(run: Callable[[], int], blames_input: tuple[type[Exception], ...] = ()) -> int:
     """Run a command, and turn whatever it raises into one line and an exit code.
 
     `blames_input` are errors that say what is wrong with the input, besides SsacError and OSError.
-    What the command imports is guarded too.
     """
     faults_of_input: tuple[type[Exception], ...] = (SsacError, OSError, *blames_input)
     try:
@@ -83,15 +71,10 @@ def warnings_as_lines() -> Iterator[None]:
 
 @contextmanager
 def _signals_as_exceptions() -> Iterator[None]:
-    """Leave the block as an exception does on Ctrl-C and SIGTERM, where nobody has other wishes.
-
-    KeyboardInterrupt is raised again and again until the block is left: packages that try an import
-    and catch whatever comes of it would else swallow the only one. SIGTERM would end the process on
-    the spot.
-    """
+    """Leave the block as an exception does on Ctrl-C and SIGTERM, where nobody has other wishes."""
 
     def interrupt(*_: object) -> None:
-        # In 3 s worker processes can end and temporary files be removed.
+        # Again and again, as imports swallow some; in 3 s temporary files can be removed.
         signal.setitimer(signal.ITIMER_REAL, 3.0)
         raise KeyboardInterrupt
 

@@ -3,13 +3,15 @@
 import inspect
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from functools import cache
+from pathlib import Path
 from typing import Annotated, Any, get_type_hints
 
 import typer
 
 from ssac.config import N_MIN, Config
 from ssac.errors import SsacError
+
+_TYPES = get_type_hints(Config)
 
 
 def number(
@@ -22,38 +24,33 @@ def number(
 ) -> Any:
     """Make an option of one or several numbers that must lie between two bounds, both allowed.
 
-    The unit is a word, "seconds", and shown for the value in capitals where there is no `metavar`;
-    `default_words` stand in place of a default that is no number.
+    The unit is a word, "seconds"; `default_words` stand in place of a default that is no number.
     """
-    bounds = f"{_plain(low)} to {_plain(high)}"
+    bounds = f"{low:.10g} to {high:.10g}"
+
+    def check(param: typer.CallbackParam, value: Any) -> Any:
+        for each in value if isinstance(value, Iterable) else (value,):
+            if each is not None and not low <= each <= high:  # NaN is not within either
+                expected = f"{bounds} {unit}".strip()
+                raise SsacError(f"{param.opts[0]}: expected {expected}, got {each:.10g}")
+        return value
+
     return typer.Option(
         help=f"{help_text} From {bounds}{f' {unit}' if unit else ''}.",
         metavar=metavar or unit.upper() or "NUMBER",
-        callback=_within(low, high, f"{bounds} {unit}".strip()),
+        callback=check,
         show_default=default_words or True,
     )
-
-
-def _within(low: float, high: float, expected: str) -> Callable[[typer.CallbackParam, Any], Any]:
-    """Make the check of an option's value; None stands for an option that is not given."""
-
-    def check(param: typer.CallbackParam, value: Any) -> Any:
-        values = value if isinstance(value, Iterable) else (value,)
-        for each in values:
-            if each is not None and not low <= each <= high:  # NaN is not within either
-                raise SsacError(f"{param.opts[0]}: expected {expected}, got {_plain(each)}")
-        return value
-
-    return check
-
-
-def _plain(value: float) -> str:
-    return f"{value:.10g}"
 
 
 def named(metavar: str, help_text: str, shown: bool | str = True) -> Any:
     """Make an option whose value is a name, a path or the like; `shown` is its default in help."""
     return typer.Option(metavar=metavar, help=help_text, show_default=shown)
+
+
+def argument(metavar: str, help_text: str) -> Any:
+    """Make an argument."""
+    return typer.Argument(metavar=metavar, help=help_text, show_default=False)
 
 
 def flag(name: str, help_text: str) -> Any:
@@ -77,12 +74,7 @@ class Option:
         if self.value is not None or not self.field:
             default = False if self.default is None and self.type is bool else self.default
             return Annotated[self.type, self.info], default
-        return Annotated[_types()[self.field], self.info], getattr(Config, self.field)
-
-
-@cache
-def _types() -> dict[str, Any]:
-    return get_type_hints(Config)
+        return Annotated[_TYPES[self.field], self.info], getattr(Config, self.field)
 
 
 def with_options(
@@ -104,6 +96,11 @@ def with_options(
     return given
 
 
+def file_option(help_text: str, metavar: str = "FILE") -> Option:
+    """Make an option whose value is a file's path."""
+    return Option(named(metavar, help_text), type=Path | None)
+
+
 def config_of(options: Mapping[str, Option], given: Mapping[str, Any]) -> Config:
     """Make the configuration that options ask for."""
     fields = {}
@@ -113,28 +110,35 @@ def config_of(options: Mapping[str, Option], given: Mapping[str, Any]) -> Config
     return Config(**fields)
 
 
-def of_events(position: str) -> dict[str, Option]:
-    """Make the options on windows of events; `position` is what these give: "a position"."""
-    return {
-        "half_window": Option(
-            number(
-                f"Half of the time window whose events give {position}.", 0.001, 0.25, "seconds"
-            ),
-            "half_window_s",
+OF_EVENTS = {
+    "half_window": Option(
+        number("Half of the time window whose events give a position.", 0.001, 0.25, "seconds"),
+        "half_window_s",
+    ),
+    "n_min": Option(
+        number(
+            "Least number of events for a position.",
+            1,
+            100_000,
+            metavar="COUNT",
+            default_words=f"{N_MIN}; fewer for a thin object",
         ),
-        "n_min": Option(
-            number(
-                f"Least number of events for {position}.",
-                1,
-                100_000,
-                metavar="COUNT",
-                default_words=f"{N_MIN}; fewer for a thin object",
-            ),
-            "n_min",
-        ),
-    }
-
-
+        "n_min",
+    ),
+}
+JSON_FILE = Option(
+    typer.Option("--json", metavar="FILE", help="Write the result as JSON."), type=Path | None
+)
+LEVER_ARM = Option(
+    number(
+        "Position of RTK's antenna in the body: forward, left, up. Needs its attitude.",
+        -100,
+        100,
+        "metres",
+        metavar="X Y Z",
+    ),
+    type=tuple[float, float, float] | None,
+)
 NO_DENOISE = Option(
     flag("no-denoise", "Do not filter hot pixels and isolated events."), "denoise", value=False
 )

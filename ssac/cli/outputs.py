@@ -1,4 +1,4 @@
-"""The files that `ssac sync` writes of two cameras, and those on scale and frame that it reads."""
+"""The files that `ssac sync` writes, and those on scale and frame that it reads."""
 
 import shlex
 import sys
@@ -27,27 +27,24 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Outputs:
-    """Where to write; None: not asked for."""
+    """Where to write, by the names of the command's options; None: not asked for."""
 
-    json_file: Path | None = None
-    plot: Path | None = None  # a folder, or one file for all figures
-    synced: Path | None = None  # camera 2's events on camera 1's clock
-    trajectory: Path | None = None  # the object's path
-    rig: Path | None = None  # with the pose found
-    report: Path | None = None  # an HTML page
+    json_file: Path | None
+    plot: Path | None  # a folder, or one file for all figures
+    write_synced: Path | None  # camera 2's events on camera 1's clock
+    trajectory: Path | None  # the object's path
+    write_rig: Path | None  # with the pose found
+    report: Path | None  # an HTML page
 
 
 def check_outputs(inputs: Sequence[Path], outputs: Outputs) -> None:
-    """Raise SsacError, before any work is done, for outputs that cannot be written.
-
-    Of the inputs, camera 2's file is the second.
-    """
-    synced, plot = outputs.synced, outputs.plot
+    """Raise SsacError for outputs that cannot be written; of the inputs, camera 2 is the second."""
+    synced, plot, rig = outputs.write_synced, outputs.plot, outputs.write_rig
     if synced is not None:
         check_written(synced, (TRACK_SUFFIX,) if is_track_file(inputs[1]) else WRITTEN)
-    if outputs.rig is not None:
-        check_written(outputs.rig, RIG_SUFFIXES)
-    files = [outputs.json_file, synced, outputs.trajectory, outputs.rig, outputs.report]
+    if rig is not None:
+        check_written(rig, RIG_SUFFIXES)
+    files = [outputs.json_file, synced, outputs.trajectory, rig, outputs.report]
     if plot is not None and plot.suffix.lower() in FIGURE_SUFFIXES:
         files.append(plot)
     elif plot is not None:
@@ -60,30 +57,21 @@ def check_outputs(inputs: Sequence[Path], outputs: Outputs) -> None:
     check_targets(files, [file_of(path) for path in inputs])
 
 
-def write_outputs(result: Result, outputs: Outputs, cam2: Path, reading: Reading, log: Log) -> None:
-    """Write what was asked for and say so; synchronised events only where the offset holds."""
-    clock = Stopwatch(log)
-    estimate, synced = result.estimate, outputs.synced
-    if outputs.json_file is not None:
-        save_json(outputs.json_file, result.answer)
-        log(f"wrote {outputs.json_file}")
-    if synced is not None and estimate.has_offset:
-        with clock.part("write") as say:
-            # Read again, whole: what is in memory has been denoised.
-            if is_track_file(cam2):
-                track = load_track(cam2)
-                times_s = estimate.clock.cam1_from_cam2(track.times_s)
-                save_track(synced, replace(track, times_s=times_s))
-            else:
-                write_synced(synced, load_events(cam2, reading), estimate.clock)
-            known = np.isfinite(estimate.t_d_std_s)
-            say(str(synced) if known else f"{synced}, by an offset of unknown accuracy")
-    elif synced is not None:
-        log(f"not written: {synced}, since there is no reliable offset")
+def write_outputs(
+    result: "Result | NetworkResult",
+    outputs: Outputs,
+    cam2: Path,
+    reading: Reading,
+    known: Known,
+    log: Log,
+) -> None:
+    """Write what was asked for and say so, figures and page last."""
+    if isinstance(result, Result):
+        _write_of_two(result, outputs, cam2, reading, known, log)
+    else:
+        from ssac.pipeline.many import write_many
 
-
-def write_pages(result: "Result | NetworkResult", outputs: Outputs, log: Log) -> None:
-    """Draw figures and write the page, of two cameras or more, where they were asked for."""
+        write_many(result, outputs.json_file, outputs.trajectory, outputs.write_rig, log)
     clock = Stopwatch(log)
     if outputs.plot is not None:
         with clock.part("draw") as say:
@@ -94,11 +82,41 @@ def write_pages(result: "Result | NetworkResult", outputs: Outputs, log: Log) ->
             say(str(result.report(outputs.report, shlex.join(["ssac", *sys.argv[1:]]))))
 
 
+def _write_of_two(
+    result: Result, outputs: Outputs, cam2: Path, reading: Reading, known: Known, log: Log
+) -> None:
+    estimate, synced = result.estimate, outputs.write_synced
+    if outputs.json_file is not None:
+        save_json(outputs.json_file, result.answer)
+        log(f"wrote {outputs.json_file}")
+    if synced is not None and not estimate.has_offset:
+        log(f"not written: {synced}, since there is no reliable offset")
+    elif synced is not None:
+        with Stopwatch(log).part("write") as say:
+            # Read again, whole: what is in memory has been denoised.
+            if is_track_file(cam2):
+                track = load_track(cam2)
+                times_s = estimate.clock.cam1_from_cam2(track.times_s)
+                save_track(synced, replace(track, times_s=times_s))
+            else:
+                write_synced(synced, load_events(cam2, reading), estimate.clock)
+            is_sure = np.isfinite(estimate.t_d_std_s)
+            say(str(synced) if is_sure else f"{synced}, by an offset of unknown accuracy")
+    if outputs.trajectory is not None:
+        from ssac.pipeline.many import write_path_of_two
+
+        write_path_of_two(outputs.trajectory, result.answer, known, log)
+    if outputs.write_rig is not None:
+        from ssac.pipeline.many import write_rig_of_two
+
+        write_rig_of_two(outputs.write_rig, result.answer, log)
+
+
 def known_of(
     distance_m: float | None,
     positions: Path | None,
     rtk: Path | None,
-    lever_arm_m: tuple[float, float, float] | None = None,
+    lever_arm_m: tuple[float, float, float] | None,
 ) -> Known:
     """Sum up options on the scale and the frame, and check their files before hours of work."""
     given = {"--distance": distance_m, "--positions": positions, "--rtk": rtk}

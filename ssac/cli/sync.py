@@ -1,7 +1,4 @@
-"""The command `ssac sync`: offsets and poses of two or more cameras.
-
-What takes long to import is imported when the command runs, not for its help.
-"""
+"""The command `ssac sync`; what takes long to import is imported when it runs, not for its help."""
 
 import webbrowser
 from collections.abc import Callable
@@ -9,37 +6,36 @@ from importlib import import_module
 from itertools import count, takewhile
 from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from ssac.cli.command_line import Sections
 from ssac.cli.exits import NO_ESTIMATE, warnings_as_lines
 from ssac.cli.options import (
+    JSON_FILE,
+    LEVER_ARM,
     NO_DENOISE,
+    OF_EVENTS,
     READING,
     Option,
+    argument,
     config_of,
+    file_option,
     flag,
     named,
     number,
-    of_events,
     with_options,
 )
 from ssac.config import CLOCKS, EVENT_SKEW_PRIOR_PPM, INTERVAL_S, MAX_SKEW_PPM
 from ssac.errors import SsacError
 from ssac.methods.method import DEFAULT, OF_TRACKS, all_summaries
 
-if TYPE_CHECKING:
-    from ssac.pipeline.opened import Known
-
 
 def complete_method(incomplete: str) -> list[tuple[str, str]]:
     """List the methods for a shell that completes a name."""
     return [pair for pair in all_summaries().items() if pair[0].startswith(incomplete)]
 
-
-_FILE = Path | None
 
 OPTIONS = {
     "topics": Option(
@@ -120,50 +116,28 @@ OPTIONS = {
             "Estimate rolling-shutter readout times that the rig does not give (tracks only).",
         )
     ),
-    "json_file": Option(
-        typer.Option("--json", metavar="FILE", help="Write the result as JSON."), type=_FILE
-    ),
-    "plot": Option(
-        named("PATH", "Draw figures: into a folder, or one file (.png, .pdf, .svg)."), type=_FILE
-    ),
-    "report": Option(
-        named("FILE", "Write all of it as an HTML page, with a player, that needs no other file."),
-        type=_FILE,
+    "json_file": JSON_FILE,
+    "plot": file_option("Draw figures: into a folder, or one file (.png, .pdf, .svg).", "PATH"),
+    "report": file_option(
+        "Write all of it as an HTML page, with a player, that needs no other file."
     ),
     "open_report": Option(flag("open", "Open the page of --report in a browser.")),
-    "write_synced": Option(
-        named("FILE", "Write camera 2's events (.h5, .txt) or track (.csv) on camera 1's clock."),
-        type=_FILE,
+    "write_synced": file_option(
+        "Write camera 2's events (.h5, .txt) or track (.csv) on camera 1's clock."
     ),
-    "trajectory": Option(
-        named("FILE", "Write the object's path in space: .csv (with deviations), else TUM."),
-        type=_FILE,
+    "trajectory": file_option(
+        "Write the object's path in space: .csv (with deviations), else TUM."
     ),
-    "write_rig": Option(
-        named("FILE", "Write the rig with the pose found (Kalibr YAML), for --known-extrinsics."),
-        type=_FILE,
+    "write_rig": file_option(
+        "Write the rig with the pose found (Kalibr YAML), for --known-extrinsics."
     ),
     "distance": Option(
         number("Distance between cameras 1 and 2, which sets the scale.", 1e-3, 1e6, "m"),
         type=float | None,
     ),
-    "positions": Option(
-        named("FILE", "CSV of camera positions, camera,x_m,y_m,z_m: sets frame and scale."),
-        type=_FILE,
-    ),
-    "rtk": Option(
-        named("FILE", "The object's path by RTK, on any clock: sets frame and scale."), type=_FILE
-    ),
-    "lever_arm": Option(
-        number(
-            "Position of the RTK antenna in the body: forward, left, up. Needs its attitude.",
-            -100,
-            100,
-            "metres",
-            metavar="X Y Z",
-        ),
-        type=tuple[float, float, float] | None,
-    ),
+    "positions": file_option("CSV of camera positions, camera,x_m,y_m,z_m: sets frame and scale."),
+    "rtk": file_option("The object's path by RTK, on any clock: sets frame and scale."),
+    "lever_arm": LEVER_ARM,
     "focal_std": Option(
         number(
             "Standard deviation of both focal lengths, overriding the rig file.", 0, 20, "percent"
@@ -184,7 +158,7 @@ OPTIONS = {
         ),
         "n_samples",
     ),
-    **of_events("a position"),
+    **OF_EVENTS,
     "neighbours": Option(
         number(
             "Noise filter: events needed within 5 px and 5 ms to keep an event.",
@@ -203,17 +177,13 @@ OPTIONS = {
 def sync_command(
     cam1: Annotated[
         Path,
-        typer.Argument(
-            metavar="CAM1",
-            help="Event or track file of camera 1; or alone a folder of ssac simulate, or a ROS bag"
+        argument(
+            "CAM1",
+            "Event or track file of camera 1; or alone a folder of ssac simulate, or a ROS bag"
             " of both cameras with --topics.",
-            show_default=False,
         ),
     ],
-    cam2: Annotated[
-        Path | None,
-        typer.Argument(metavar="CAM2", help="Event or track file of camera 2.", show_default=False),
-    ] = None,
+    cam2: Annotated[Path | None, argument("CAM2", "Event or track file of camera 2.")] = None,
     rig: Annotated[
         Path | None,
         named(
@@ -222,10 +192,7 @@ def sync_command(
             False,
         ),
     ] = None,
-    more: Annotated[
-        list[Path] | None,
-        typer.Argument(metavar="CAM3", help="Files of further cameras.", show_default=False),
-    ] = None,
+    more: Annotated[list[Path] | None, argument("CAM3", "Files of further cameras.")] = None,
     **options: Any,
 ) -> None:
     """Find the time offset and relative pose of two or more cameras from one moving object.
@@ -237,39 +204,20 @@ def sync_command(
     _check_search(given)
     if given.open_report and given.report is None:
         raise SsacError("--open: opens the page of --report: give that too, or leave it out")
-    from ssac.cli.outputs import Outputs, check_outputs, known_of, write_outputs, write_pages
+    from ssac.cli.outputs import Outputs, check_outputs, known_of, write_outputs
     from ssac.cli.progress import compilation_told
     from ssac.files.damage import Reading
-    from ssac.pipeline.api import Result, sync
+    from ssac.pipeline.api import sync
 
     files = _files([cam1, *filter(None, [cam2]), *(more or ())], given.topics)
     rig = rig or _rig_of_folder(cam1, given.known_extrinsics)
     reading, has_more = Reading(given.allow_damaged, given.sort), len(files) > 2
     config = config_of(OPTIONS, options)
+    outputs = Outputs(**{name: options[name] for name in Outputs.__annotations__})
     with warnings_as_lines(), compilation_told():
-        outputs = Outputs(
-            given.json_file,
-            given.plot,
-            given.write_synced,
-            given.trajectory,
-            given.write_rig,
-            given.report,
-        )
         check_outputs([*files, rig, *filter(None, (given.positions, given.rtk))], outputs)
         known = known_of(given.distance, given.positions, given.rtk, given.lever_arm)
-        for_two = {
-            "--cameras": given.cameras != (1, 2),
-            "--write-synced": given.write_synced,
-            "--known-extrinsics": given.known_extrinsics,
-            "--estimate-readout": given.estimate_readout,
-        }
-        refused = [name for name, value in for_two.items() if value and has_more]
-        if refused:
-            raise SsacError(
-                f"{refused[0]}: is for two cameras, and more were given: leave it out, or give two"
-            )
-        if not has_more:
-            _check_known_of_two(known, given.trajectory is not None)
+        _check_number(given, has_more)
         call: Callable[..., Any] = sync
         result = call(
             *((files, rig, None) if has_more else (*files, rig)),
@@ -285,21 +233,7 @@ def sync_command(
             log=_to_stderr,
         )
         typer.echo(result.summary())
-        if isinstance(result, Result):
-            write_outputs(result, outputs, files[1], reading, _to_stderr)
-            if given.trajectory is not None:
-                from ssac.pipeline.many import write_path_of_two
-
-                write_path_of_two(given.trajectory, result.answer, known, _to_stderr)
-            if given.write_rig is not None:
-                from ssac.pipeline.many import write_rig_of_two
-
-                write_rig_of_two(given.write_rig, result.answer, _to_stderr)
-        else:
-            from ssac.pipeline.many import write_many
-
-            write_many(result, given.json_file, given.trajectory, given.write_rig, _to_stderr)
-        write_pages(result, outputs, _to_stderr)
+        write_outputs(result, outputs, files[1], reading, known, _to_stderr)
         if given.open_report:
             webbrowser.open(given.report.resolve().as_uri())
     if result.status != "ok":
@@ -360,13 +294,24 @@ def help_sections() -> Sections:
     return {"Methods": list(all_summaries().items()), "Statuses": statuses}
 
 
-def _check_known_of_two(known: "Known", has_trajectory: bool) -> None:
-    """Refuse what two cameras cannot use: RTK is for the path alone."""
-    if known.positions is not None:
+def _check_number(given: SimpleNamespace, has_more: bool) -> None:
+    """Refuse options that are not for this number of cameras."""
+    for_two = {
+        "--cameras": given.cameras != (1, 2),
+        "--write-synced": given.write_synced,
+        "--known-extrinsics": given.known_extrinsics,
+        "--estimate-readout": given.estimate_readout,
+    }
+    refused = [name for name, value in for_two.items() if value and has_more]
+    if refused:
+        raise SsacError(
+            f"{refused[0]}: is for two cameras, and more were given: leave it out, or give two"
+        )
+    if given.positions is not None and not has_more:
         raise SsacError(
             "--positions: needs three cameras or more, and two were given: give --distance"
         )
-    if known.rtk is not None and not has_trajectory:
+    if given.rtk is not None and given.trajectory is None and not has_more:
         raise SsacError("--rtk: is for the object's path: give --trajectory too, or leave it out")
 
 

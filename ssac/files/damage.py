@@ -1,9 +1,8 @@
 """What becomes of event files that are damaged, or out of order.
 
-A file with signs of damage is refused: what is left of it is not what was recorded. Whoever wants
-that nevertheless says so (`Reading.allow_damaged`), and is told how much was lost. Events that are
-out of order by microseconds, as some cameras' drivers write them, are another matter: they are
-sorted where that is asked for (`Reading.sort`).
+A file with signs of damage is refused, or read as far as it goes, with a warning, where that is
+asked for. Events that are out of order by microseconds, as some cameras' drivers write them, are
+another matter: they are sorted where that is asked for.
 """
 
 import warnings
@@ -16,7 +15,7 @@ import numpy as np
 
 from ssac.arrays import Events, IntArray
 from ssac.errors import SsacError
-from ssac.events import US_PER_S, EventFile, check_events, wrap_message, wrapped
+from ssac.events import US_PER_S, EventFile, check_events
 
 REPEATED = 32
 """So many equal words, or events, in a row are none of a sensor: a block was overwritten."""
@@ -58,15 +57,25 @@ def checked_file(
     """Give the events of a file as they are if it is whole, else what `reading` makes of them.
 
     In text, whose times may be rounded, one event may stand often. SsacError if time runs back or
-    leaps, one event stands there many times, or events lie outside the sensor (of a size that may
-    be None), and that is not allowed; or if there are none.
+    leaps, one event is repeated, or events lie outside the sensor, and that is not allowed; or if
+    there are none.
     """
     t = np.ascontiguousarray(events["t"])
     is_odd = np.any(t[1:] < t[:-1]) or np.any(t[REPEATED - 1 :] == t[: 1 - REPEATED])
     if is_odd or (len(t) and int(t[-1]) - int(t[0]) > _LONGEST_GAP_US):
         events = _in_order(events, path, reading, is_text)
     if reading.allow_damaged:
-        events = _inside(events, size_px, path)
+        is_inside = events["p"] <= 1
+        for field, size in zip("xy", size_px, strict=True):
+            is_inside &= events[field] < (1 << 16 if size is None else size)
+        n_lost = len(events) - np.count_nonzero(is_inside)
+        if n_lost:
+            warnings.warn(
+                f"{path}: {n_lost} of {len(events)} events lie outside the sensor, or have no"
+                " polarity, and are left out",
+                stacklevel=3,
+            )
+            events = events[is_inside]
     check_events(events, *size_px, name=str(path))
     return EventFile(events, *size_px)
 
@@ -89,14 +98,7 @@ def _in_order(events: Events, path: Path, reading: Reading, is_text: bool) -> Ev
         warnings.warn(f"{path}: {late[0]} events came {late[1]} and were sorted", stacklevel=3)
         events, n_back = events[np.argsort(t, kind="stable")], 0
     elif n_back and not reading.allow_damaged:
-        i = int(np.argmax(is_back)) + 1
-        if wrapped(t[i - 1] / US_PER_S, t[i] / US_PER_S):
-            raise SsacError(f"{path}: {wrap_message(f'event {i}')}")
-        raise SsacError(
-            f"{path}: events must be sorted by time, but event {i} is at {t[i]} us, after one at "
-            f"{t[i - 1]} us: sort the file, or check that it is undamaged (--allow-damaged reads "
-            "what is in order)"
-        )
+        return events  # which are refused for it
     signs: list[str] = []
     if n_leaps:
         signs.append(f"{n_leaps} leaps of time by more than {_LONGEST_GAP_US / US_PER_S:g} s")
@@ -116,22 +118,6 @@ def _in_order(events: Events, path: Path, reading: Reading, is_text: bool) -> Ev
         events = kept
     refuse_damaged(path, signs, reading)
     return events
-
-
-def _inside(events: Events, size_px: tuple[int | None, int | None], path: Path) -> Events:
-    """Leave out events that lie outside the sensor, or of no polarity, and warn."""
-    keep = events["p"] <= 1
-    for field, size in zip("xy", size_px, strict=True):
-        if size is not None:
-            keep &= events[field] < size
-    n_lost = len(events) - np.count_nonzero(keep)
-    if n_lost:
-        warnings.warn(
-            f"{path}: {n_lost} of {len(events)} events lie outside the sensor, or have no polarity,"
-            " and are left out",
-            stacklevel=4,
-        )
-    return events[keep] if n_lost else events
 
 
 def _longest(events: Events) -> Events:

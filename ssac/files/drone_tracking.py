@@ -47,8 +47,8 @@ class ImportedCamera:
     n_outside: int  # points beyond the image, left out
 
 
-def load_data_set(folder: Path) -> list[ImportedCamera]:
-    """Read all cameras of one data set; SsacError if a file is missing or not of this form."""
+def import_data_set(folder: Path, out: Path) -> list[ImportedCamera]:
+    """Write `camK.csv` for each camera of a data set, and `rig.yaml` with the same names."""
     listing = folder / "cameras.txt"
     if not listing.is_file():
         raise SsacError(
@@ -59,12 +59,7 @@ def load_data_set(folder: Path) -> list[ImportedCamera]:
     if not rows:
         raise SsacError(f"{listing}: expected lines like `cam0 - gopro3`: get the file again")
     number = int("".join(re.findall(r"\d+$", folder.resolve().name)) or 0)
-    return [_camera(folder, f"cam{k}", model, number) for k, model in rows]
-
-
-def import_data_set(folder: Path, out: Path) -> list[ImportedCamera]:
-    """Write `camK.csv` for each camera of a data set, and `rig.yaml` with the same names."""
-    cameras = load_data_set(folder)
+    cameras = [_camera(folder, f"cam{k}", model, number) for k, model in rows]
     out.mkdir(parents=True, exist_ok=True)
     for camera in cameras:
         save_track(out / f"{camera.name}.csv", camera.track)

@@ -1,7 +1,6 @@
 """Event files of all formats, by their extensions.
 
-The offset between two cameras is the difference of their clocks, so a file is only of use when its
-absolute timestamps survive reading:
+An offset is the difference of clocks, so a file is only of use when absolute times survive reading:
 
 ============  =============================================  ==========================
 suffix        format                                         absolute time
@@ -50,26 +49,23 @@ class Format(NamedTuple):
         return found
 
 
-_HDF5 = Format("hdf5", "load_events_h5", "save_events_h5")
-_NUMPY = Format("numpy_files", "load_events_numpy", "save_events_numpy")
-_MAKERS = Format("makers", "load_makers_file")
-_BAGS = Format("ros_bags", "load_events_bag")
-
 FORMATS = {
-    ".txt": Format("text", "load_events_text", "save_events_text"),
-    ".csv": Format("text", "load_events_csv"),
-    **dict.fromkeys((".h5", ".hdf5"), _HDF5),
-    **dict.fromkeys((".npy", ".npz"), _NUMPY),
-    **dict.fromkeys((".aedat4", ".raw", ".dat", ".es"), _MAKERS),
-    **dict.fromkeys(BAG_SUFFIXES, _BAGS),
+    suffix: form
+    for suffixes, form in (
+        (".txt", Format("text", "load_events_text", "save_events_text")),
+        (".csv", Format("text", "load_events_csv")),
+        (".h5 .hdf5", Format("hdf5", "load_events_h5", "save_events_h5")),
+        (".npy .npz", Format("numpy_files", "load_events_numpy", "save_events_numpy")),
+        (".aedat4 .raw .dat .es", Format("makers", "load_makers_file")),
+        (" ".join(BAG_SUFFIXES), Format("ros_bags", "load_events_bag")),
+    )
+    for suffix in suffixes.split()
 }
 
 WRITTEN = tuple(suffix for suffix, form in FORMATS.items() if form.writer)
 """Extensions of the formats that can be written."""
 
-_VIDEO = "; of a video, give the object's track (docs/sync.md, Tracks of any camera)"
-_WAYS = dict.fromkeys((".avi", ".mkv", ".mov", ".mp4"), _VIDEO)
-"""What to do with files that are likely to be given, and are no event files."""
+_VIDEOS = (".avi", ".mkv", ".mov", ".mp4")
 
 
 def load_events(path: Path | str, reading: Reading = STRICT) -> EventFile:
@@ -84,19 +80,20 @@ def load_events(path: Path | str, reading: Reading = STRICT) -> EventFile:
     Raises
     ------
     SsacError
-        If the file is missing, of unknown extension, empty, truncated (where that can be seen),
-        unsorted, damaged, or has events outside its own sensor. The message names the file.
+        If the file cannot be read, or is damaged or unsorted. The message names the file.
     """
     path = Path(path)
     if bag_of(path) is not None:
         return load_events_bag(path, reading)
     if path.is_dir():
         raise SsacError(f"{path}: is a folder: give a file of one camera's events in it")
-    form = FORMATS.get(path.suffix.lower())
+    suffix = path.suffix.lower()
+    form = FORMATS.get(suffix)
     if form is None:
+        way = "; of a video, give the object's track (docs/sync.md, Tracks of any camera)"
         raise SsacError(
             f"{path}: unknown extension {path.suffix!r}: use one of {', '.join(sorted(FORMATS))}"
-            f"{_WAYS.get(path.suffix.lower(), '')}"
+            f"{way if suffix in _VIDEOS else ''}"
         )
     check_is_file(path)
     if path.stat().st_size == 0:

@@ -1,21 +1,20 @@
 """HDF5 recordings: events and intensity frames.
 
 Three layouts are read: ours (`events/t`, `x`, `y`, `p`; the sensor's width and height as attributes
-of the file or of `events`), DSEC's (the same datasets, times relative to the dataset `t_offset`,
-blosc compression) and Prophesee's (`CD/events`, size in the attribute `geometry`). All of them
-carry absolute time. Ours and DSEC's are compressed with codecs of the package hdf5plugin.
+of the file or of `events`), DSEC's (the same datasets, times relative to the dataset `t_offset`)
+and Prophesee's (`CD/events`, size in the attribute `geometry`).
 
-Its sizes are what a file says: before memory is taken they are held against what it really stores.
-Nothing in it leads out of it: links to other files are refused.
+Before memory is taken, the sizes that a file says are held against what it really stores. Links
+out of it are refused.
 """
 
 import math
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import h5py
+import hdf5plugin  # noqa: F401  its import registers blosc and other filters with h5py
 import numpy as np
 from numpy.typing import NDArray
 
@@ -26,34 +25,22 @@ from ssac.files.damage import STRICT, Reading, checked_file, refuse_damaged
 from ssac.files.readable import readable, side_px
 from ssac.files.whole_file import check_writable, whole_file
 
-with suppress(ImportError):  # then what needs it is refused
-    import hdf5plugin  # noqa: F401  its import registers blosc and other filters with h5py
-
 HDF5_SUFFIXES = (".h5", ".hdf5")
 FIELDS = ("t", "x", "y", "p")
 
-EVENTS_PER_BLOCK = 1 << 18
-"""Events read at once: few enough to stay in the processor's cache until they are in place."""
-
-BYTES_PER_BLOCK = 1 << 24
-"""Frames read at once when each of them is summed up."""
-
+EVENTS_PER_BLOCK = 1 << 18  # read at once: they stay in the processor's cache until in place
+BYTES_PER_BLOCK = 1 << 24  # of frames read at once when each of them is summed up
 _KIND = "a readable HDF5 file"
-_PROPHESEE_ECF = 0x8ECF  # number of the codec of Prophesee's newer HDF5 files, not in hdf5plugin
 
 
 def load_events_h5(path: Path, reading: Reading = STRICT) -> EventFile:
-    """Read the events of an HDF5 file in any of the three layouts.
-
-    SsacError if it is damaged, in another layout, or its events fail `checked_file`.
-    """
+    """Read the events of an HDF5 file in any of the three layouts."""
     with readable(path, _KIND), h5py.File(path, "r") as file:
         size_px = _sensor_size(file, path)
         cd = _dataset(file, "CD/events", path)
         columns = {field: _dataset(file, f"events/{field}", path) for field in FIELDS}
         if cd is not None:
-            names = cd.dtype.names or ()
-            if cd.ndim != 1 or not set(FIELDS) <= set(names):
+            if cd.ndim != 1 or not set(FIELDS) <= set(cd.dtype.names or ()):
                 raise SsacError(
                     f"{path}: CD/events must be a list of x, y, p, t, got the shape {cd.shape} of "
                     f"{cd.dtype}: convert it again"
@@ -82,11 +69,10 @@ def load_events_h5(path: Path, reading: Reading = STRICT) -> EventFile:
 def load_frames(
     path: Path | str, summary: Callable[[NDArray[np.uint8]], NDArray[Any]] | None = None
 ) -> tuple[IntArray, NDArray[Any]] | None:
-    """Read the intensity frames of a recording; only our HDF5 layout can hold any.
+    """Read a recording's times of mid-exposure (n,) [us] and frames (n, height, width) uint8.
 
-    Gives times of mid-exposure (n,) [us] and uint8 images (n, height, width), or None where there
-    are none. A summary of frames, (k, height, width) in, (k, ...) out, is called with some at a
-    time, so that never all are in memory; what it gives is then kept in their place.
+    None where there are none. A summary of frames, (k, height, width) in, (k, ...) out, is called
+    with some at a time, and what it gives is kept in their place.
     """
     path = Path(path)
     if path.suffix.lower() not in HDF5_SUFFIXES:
@@ -112,10 +98,7 @@ def load_frames(
 
 
 def save_events_h5(path: Path | str, events: Events, width: int | None, height: int | None) -> None:
-    """Write events in our HDF5 layout; the file appears only when it is complete.
-
-    The sensor's size [px] is an attribute; None leaves it out.
-    """
+    """Write events in our HDF5 layout, with the sensor's size [px] where it is known."""
     check_writable(Path(path), EVENT_DTYPE.itemsize * len(events))
     with whole_file(Path(path)) as temporary, h5py.File(temporary, "w") as file:
         for field in FIELDS:
@@ -128,7 +111,6 @@ def save_events_h5(path: Path | str, events: Events, width: int | None, height: 
 def _read_blocks(
     n_events: int, read: Callable[[slice], Mapping[str, NDArray[Any]]], path: Path
 ) -> Events:
-    """Event array filled block by block; `read` gives the fields of a slice of the events."""
     events = np.empty(n_events, dtype=EVENT_DTYPE)
     for first in range(0, n_events, EVENTS_PER_BLOCK):
         block = slice(first, first + EVENTS_PER_BLOCK)
@@ -154,17 +136,14 @@ def _offset_us(file: h5py.File, path: Path) -> int:
     offset = _dataset(file, "t_offset", path)
     if offset is None:
         return 0
-    if offset.size != 1 or offset.dtype.kind not in "iuf":
-        raise SsacError(
-            f"{path}: t_offset must be one number of microseconds, got the shape {offset.shape} of "
-            f"{offset.dtype}: convert it again"
-        )
-    value = float(np.ravel(offset[()])[0])
+    is_number = offset.size == 1 and offset.dtype.kind in "iuf"
+    value = np.ravel(offset[()])[0] if is_number else np.nan
     if not abs(value) < 2.0**60:  # NaN is not either
         raise SsacError(
-            f"{path}: t_offset must be a time in microseconds, got {value:g}: convert it again"
+            f"{path}: t_offset must be one number of microseconds, got {value:g}, of the shape "
+            f"{offset.shape} of {offset.dtype}: convert it again"
         )
-    return int(np.ravel(offset[()])[0])
+    return int(value)
 
 
 def _dataset(file: h5py.File, name: str, path: Path) -> Any:
@@ -183,8 +162,23 @@ def _dataset(file: h5py.File, name: str, path: Path) -> Any:
         raise SsacError(f"{path}: {name} must be a dataset, got {found!r}: convert the file again")
     if found.external or found.is_virtual:
         raise SsacError(f"{path}: {name} is stored in other files: copy it into this one")
-    _check_codec(found, name, path)
-    _check_size(found, name, path)
+    filters = found.id.get_create_plist()
+    for k in range(filters.get_nfilters()):
+        code, _, _, codec = filters.get_filter(k)
+        if not h5py.h5z.filter_avail(code):
+            raise SsacError(
+                f"{path}: {name} is compressed with {codec.decode(errors='replace')} (number "
+                f"{code}), which this HDF5 library does not have: install its plugin, or convert "
+                "the file"
+            )
+    largest = max(found.size, math.prod(found.chunks or (0,))) * found.dtype.itemsize
+    stored = found.id.get_storage_size()
+    # A megabyte is no matter, and no codec makes more than 1000 bytes of one.
+    if largest > max(1 << 20, 1000 * stored):
+        raise SsacError(
+            f"{path}: {name} says that it has {found.size} values, but {stored} bytes of it are "
+            "stored: the file is damaged, copy or record it again"
+        )
     return found
 
 
@@ -208,45 +202,13 @@ def _sensor_size(file: h5py.File, path: Path) -> tuple[int | None, int | None]:
         geometry = file.attrs["geometry"]
         text = geometry.decode() if isinstance(geometry, bytes) else str(geometry)
         columns, _, rows = text.partition("x")
-        return _side_px(columns, "geometry", path), _side_px(rows, "geometry", path)
+        said = "the attribute geometry must be WIDTHxHEIGHT of"
+        return side_px(columns, said, path), side_px(rows, said, path)
     link = file.get("events", getlink=True)
     group = file["events"] if isinstance(link, h5py.HardLink) else file
     sizes = {key: file.attrs.get(key, group.attrs.get(key)) for key in ("width", "height")}
     width, height = (
-        None if size is None else _side_px(size, key, path) for key, size in sizes.items()
+        None if size is None else side_px(size, f"the attribute {key} must be a number of", path)
+        for key, size in sizes.items()
     )
     return width, height
-
-
-def _side_px(value: Any, key: str, path: Path) -> int:
-    expected = "WIDTHxHEIGHT" if key == "geometry" else "a number"
-    return side_px(value, f"the attribute {key} must be {expected} of", path)
-
-
-def _check_codec(found: Any, name: str, path: Path) -> None:
-    """Raise SsacError when a dataset is compressed with what this HDF5 library cannot read."""
-    filters = found.id.get_create_plist()
-    for k in range(filters.get_nfilters()):
-        code, _, _, codec = filters.get_filter(k)
-        if not h5py.h5z.filter_avail(code):
-            remedy = (
-                "install Prophesee's HDF5 plugin, or convert the file to RAW"
-                if code == _PROPHESEE_ECF
-                else "pip install hdf5plugin"
-            )
-            known_as = codec.decode(errors="replace").partition(";")[0] or "a codec"
-            raise SsacError(
-                f"{path}: {name} is compressed with {known_as} (number {code}), which this "
-                f"HDF5 library does not have: {remedy}"
-            )
-
-
-def _check_size(found: Any, name: str, path: Path) -> None:
-    largest = max(found.size, math.prod(found.chunks or (0,))) * found.dtype.itemsize
-    stored = found.id.get_storage_size()
-    # A megabyte is no matter, and no codec makes more than 1000 bytes of one.
-    if largest > max(1 << 20, 1000 * stored):
-        raise SsacError(
-            f"{path}: {name} says that it has {found.size} values, but {stored} bytes of it are "
-            "stored: the file is damaged, copy or record it again"
-        )

@@ -1,15 +1,11 @@
 """Camera makers' files, which the library faery decodes: RAW, DAT, AEDAT 4 and Event Stream.
 
-faery follows the overflows of an EVT3 or DAT clock from the file's start on, and adds the start
-back that it stores in the header of the EVT and DAT files it writes itself. An Event Stream file
-has no such place: faery and others subtract the first timestamp on writing, and it is lost, so a
-file that starts at time 0 gives a warning. RAW, DAT and ES files have no end mark: a truncated one
-is a shorter recording.
+An Event Stream file has no place for its absolute start: faery and others subtract the first
+timestamp on writing, so a file that starts at time 0 gives a warning. RAW, DAT and ES files have no
+end mark: a truncated one is a shorter recording.
 
 What is damaged in the middle faery passes over, or is taken down by it, so this is looked at
-before. The decoder takes a clock that runs back for one that began anew, so that of a file from
-which a byte is missing it gives a third of the events at times of years. What a sensor writes has
-none of these:
+before. What a sensor writes has none of these:
 
 EVT2, EVT3  words of unknown type, or that continue nothing; a clock that runs back, or leaps where
             it is written all the time; one and the same word again and again
@@ -21,7 +17,6 @@ AEDAT 4     a size that is nonsense, for which faery takes as much memory and en
 import re
 import struct
 import warnings
-from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, BinaryIO
 from xml.etree import ElementTree
@@ -37,10 +32,7 @@ from ssac.files.readable import brief, readable, silenced
 
 Words = NDArray[Any]
 
-_ENDS = (KeyboardInterrupt, SystemExit)
-
-UNKNOWN_SIZE = (65535, 65535)
-"""What faery is told to assume when a header does not give the sensor's size."""
+UNKNOWN_SIZE = (65535, 65535)  # assumed by faery when a header does not give the sensor's size
 
 _KINDS = ("words that mean nothing", "times that run back", "leaps of the clock", "repeated words")
 
@@ -51,10 +43,7 @@ _STREAM = re.compile(rb'<node name="(\d+)"')
 
 
 def load_makers_file(path: Path, reading: Reading, named: Path | None = None) -> EventFile:
-    """Read a camera maker's file; SsacError if it is damaged, or encoded as faery cannot read.
-
-    Messages call it as it is named, where its words are out of another file.
-    """
+    """Read a camera maker's file; messages call it as it is named."""
     name = named or path
     refuse_damaged(name, _signs(path), reading)
     file = checked_file(*_decoded(path, reading, name), name, reading)
@@ -74,13 +63,17 @@ def _decoded(
     import faery  # here, as it takes long: other formats do without it
 
     blocks: list[NDArray[Any]] = [np.empty(0, faery.EVENTS_DTYPE)]
-    with _readable(name), silenced():
+    with readable(name, f"a complete {name.suffix} file"), silenced():
         stream = faery.events_stream_from_file(path, dimensions_fallback=UNKNOWN_SIZE)
         width, height = stream.dimensions()
         try:
             blocks.extend(stream)
         except BaseException as error:  # the library's panics are no Exception
-            if len(blocks) == 1 or not reading.allow_damaged or isinstance(error, _ENDS):
+            if (
+                len(blocks) == 1
+                or not reading.allow_damaged
+                or isinstance(error, KeyboardInterrupt | SystemExit)
+            ):
                 raise
             n_read = sum(map(len, blocks))
             warnings.warn(
@@ -90,10 +83,6 @@ def _decoded(
     # Both dtypes have the fields t, x, y, p of 8, 2, 2 and 1 bytes in this order.
     events = np.concatenate(blocks).view(EVENT_DTYPE)
     return events, (None, None) if (width, height) == UNKNOWN_SIZE else (width, height)
-
-
-def _readable(path: Path) -> AbstractContextManager[None]:
-    return readable(path, f"a complete {path.suffix} file")
 
 
 def _signs(path: Path) -> list[str]:
@@ -124,7 +113,8 @@ def _evt_version(path: Path) -> str:
     """Version in a RAW file's header; SsacError without one that faery can decode."""
     import faery
 
-    with _readable(path), silenced(), faery.evt.Decoder(path, UNKNOWN_SIZE, None) as decoder:
+    kind = "a complete .raw file"
+    with readable(path, kind), silenced(), faery.evt.Decoder(path, UNKNOWN_SIZE, None) as decoder:
         version = str(decoder.version)
     if version not in ("evt2", "evt3"):
         raise SsacError(f"{path}: its encoding is {version}: convert it to EVT2 or EVT3")
@@ -139,13 +129,9 @@ def _words(path: Path, dtype: np.dtype[Any], n_about: int) -> tuple[Words, int]:
             start = file.tell()
             if line.startswith(b"% end"):
                 break
-        start += n_about
-        n_bytes = max(0, path.stat().st_size - start)
-        count = n_bytes // dtype.itemsize
-        if not count:
-            return np.empty(0, dtype), n_bytes
-        words = np.fromfile(path, dtype, count, offset=start)
-    return words, n_bytes - len(words) * dtype.itemsize
+        n_bytes = max(0, path.stat().st_size - start - n_about)
+        words = np.fromfile(path, dtype, n_bytes // dtype.itemsize, offset=start + n_about)
+    return words, n_bytes % dtype.itemsize
 
 
 def _signs_of_evt2(words: Words) -> tuple[int, ...]:
@@ -201,17 +187,15 @@ def _repeated(words: Words, is_event: Mask) -> int:
 def _signs_of_packets(path: Path) -> list[str]:
     """Say what is wrong with an AEDAT 4 file that has a header and still leaves packets to read."""
     kind = f"a complete {path.suffix} file"
-    with _readable(path), path.open("rb") as file:
+    with readable(path, kind), path.open("rb") as file:
         size = path.stat().st_size
         if file.read(len(_MAGIC)) != _MAGIC:
-            raise SsacError(f"{path}: not {kind} (its first line is none): copy it again")
+            raise ValueError("its first line is none")
         (n_header,) = struct.unpack("<I", file.read(4))
         if not 16 <= n_header <= min(1 << 24, size - file.tell()):
-            raise SsacError(
-                f"{path}: not {kind} (its header says that it has {n_header} bytes): copy it again"
-            )
+            raise ValueError(f"its header says that it has {n_header} bytes")
         header = file.read(n_header)
-        _check_description(header, path)
+        _check_description(header)
         streams = {int(number) for number in _STREAM.findall(header)}
         place = _field_place(header, 1)  # of the position of the table of packets, behind them
         table = struct.unpack_from("<q", header, place)[0] if place else 0
@@ -235,8 +219,8 @@ def _broken(file: BinaryIO, end: int, streams: set[int]) -> list[str]:
     return signs if at == end else [*signs, f"{end - at} bytes beyond the last packet"]
 
 
-def _check_description(header: bytes, path: Path) -> None:
-    """Raise SsacError unless the header's XML can be parsed: else the library may abort."""
+def _check_description(header: bytes) -> None:
+    """Raise ValueError unless the header's XML can be parsed: else the library may abort."""
     place = _field_place(header, 2)
     start = place + struct.unpack_from("<I", header, place)[0] if place else 0
     (length,) = struct.unpack_from("<I", header, start) if place else (0,)
@@ -246,10 +230,7 @@ def _check_description(header: bytes, path: Path) -> None:
             raise ValueError("its description of streams is cut off, or no plain one")
         ElementTree.fromstring(text.decode("utf-8"))
     except (ValueError, ElementTree.ParseError) as error:
-        raise SsacError(
-            f"{path}: not a complete {path.suffix} file (its header's XML: {brief(error)}): copy "
-            "it again"
-        ) from error
+        raise ValueError(f"its header's XML: {error}") from error
 
 
 def _field_place(header: bytes, number: int) -> int:

@@ -22,7 +22,7 @@ _FIELDS = ("t", "x", "y", "p")
 
 
 def load_events_numpy(path: Path, reading: Reading = STRICT) -> EventFile:
-    """Read events that NumPy saved; SsacError if the file is damaged or holds something else."""
+    """Read events that NumPy saved."""
     with readable(path, f"a complete {path.suffix} file of NumPy"):
         if path.suffix.lower() == ".npy":
             arrays = {"events": np.array(np.load(path, mmap_mode="r", allow_pickle=False))}
@@ -30,11 +30,11 @@ def load_events_numpy(path: Path, reading: Reading = STRICT) -> EventFile:
             with np.load(path, allow_pickle=False) as archive:
                 wanted = {"events", *_FIELDS, "width", "height"}.intersection(archive.files)
                 arrays = {name: archive[name] for name in wanted}
-    sides = [
+    width, height = (
         side_px(arrays[name], f"{name} must be a number of", path) if name in arrays else None
         for name in ("width", "height")
-    ]
-    return checked_file(_events(arrays, path), (sides[0], sides[1]), path, reading)
+    )
+    return checked_file(_events(arrays, path), (width, height), path, reading)
 
 
 def save_events_numpy(

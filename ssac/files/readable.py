@@ -19,11 +19,9 @@ def check_is_file(path: Path) -> None:
 
 @contextmanager
 def readable(path: Path, kind: str) -> Iterator[None]:
-    """Turn whatever the block raises into one SsacError, but for our own errors and interrupts.
+    """Turn whatever a library raises in the block into one SsacError: panics are no Exception.
 
-    Libraries raise more than they document: KeyError and RuntimeError from damaged HDF5,
-    MemoryError from a size that is nonsense, RecursionError from nested YAML, and, compiled from
-    Rust, panics that are no Exception at all. `kind` is what it is to be: "a readable HDF5 file".
+    `kind` is what the file is to be: "a readable HDF5 file".
     """
     try:
         yield
@@ -41,10 +39,7 @@ def brief(error: BaseException, longest: int = 200) -> str:
 
 @contextmanager
 def silenced() -> Iterator[None]:
-    """Keep what compiled code writes to stderr from it: a panic prints lines of its own.
-
-    Python's own output is not held back for long: nothing else is to run in the block.
-    """
+    """Keep what compiled code writes to stderr from it: a panic prints lines of its own."""
     try:
         kept = os.dup(2)
     except OSError:  # there is no stderr
@@ -72,7 +67,7 @@ def check_text(path: Path) -> None:
 
 
 def is_number(word: str) -> bool:
-    """Return whether a word is a number, as `float` reads it: "nan" and "1e3" are."""
+    """Return whether `float` reads a word."""
     try:
         float(word)
     except ValueError:

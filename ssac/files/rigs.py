@@ -3,7 +3,6 @@
 import re
 import reprlib
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,16 +21,11 @@ RIG_SUFFIXES = (".yaml", ".yml")
 
 _CAMERA = re.compile(r"cam\d+")
 
-_KALIBR_MODELS = {"plumb_bob": "radtan"}  # names of one lens model
 # The spellings of OpenCV's stereo samples, of its documentation and of common tools.
 _OPENCV_K = ("K{}", "M{}", "cameraMatrix{}", "camera_matrix_{}")
 _OPENCV_D = ("D{}", "distCoeffs{}", "dist_coeffs_{}")
 _OPENCV_SIZE = ("size", "imageSize", "image_size")
-_OPENCV_WIDTH_HEIGHT = (
-    ("width", "height"),
-    ("imageWidth", "imageHeight"),
-    ("image_width", "image_height"),
-)
+_OPENCV_SIDES = ("width", "height"), ("imageWidth", "imageHeight"), ("image_width", "image_height")
 
 
 def load_rig(path: Path | str, cameras: tuple[int, int] = (1, 2)) -> Rig:
@@ -72,11 +66,10 @@ def load_rig(path: Path | str, cameras: tuple[int, int] = (1, 2)) -> Rig:
 
 
 def save_rig(path: Path, rig: Cameras, shifts_s: Sequence[float], comment: str) -> None:
-    """Write a Kalibr camchain that `load_rig` reads; the file appears only when it is complete.
+    """Write a Kalibr camchain that `load_rig` reads, with comments that publish each step in ROS.
 
-    `T_cn_cnm1` of a camera is its step in the rig, and `timeshift_cn_cnm1` what its clock shows
-    more than that of the camera before [s], NaN where that is not known. Comments publish each step
-    in ROS.
+    `timeshift_cn_cnm1` of a camera is what its clock shows more than that of the camera before [s],
+    of `shifts_s`, NaN where that is not known.
     """
     chain, lines = dict[str, dict[str, Any]](), [f"# {comment}"]
     for k, camera in enumerate(rig.cameras):
@@ -108,17 +101,14 @@ def save_rig(path: Path, rig: Cameras, shifts_s: Sequence[float], comment: str) 
 
 
 def load_camera(path: Path | str, number: int) -> Camera:
-    """Read one camera of a rig, by its number from 1 on; as `load_rig`, and so are its errors."""
+    """Read one camera of a rig, by its number from 1 on."""
     return load_rig(path, (number, number)).cam1
 
 
 def check_resolution(
     camera: Camera, width: int | None, height: int | None, camera_name: str, events_name: str
 ) -> None:
-    """Raise SsacError unless a calibration is for the size of the recording, where that is known.
-
-    The names are for the message: "rig.yaml, cam0" and "cam1.h5".
-    """
+    """Raise SsacError unless a calibration is for the size of the recording, where it is known."""
     for recorded, calibrated in ((width, camera.width), (height, camera.height)):
         if recorded is not None and recorded != calibrated:
             raise SsacError(
@@ -129,7 +119,6 @@ def check_resolution(
 
 
 def _rig_from_kalibr(path: Path, document: Any, cameras: tuple[int, int]) -> Rig:
-    """Rig of two cameras of a parsed camchain file."""
     keys = document if isinstance(document, Mapping) else ()
     known = [key for key in keys if _CAMERA.fullmatch(str(key))]
     if not known:
@@ -165,9 +154,8 @@ def _camera_from_kalibr(name: str, entry: Any) -> Camera:
         raise SsacError(f"{name}: {', '.join(missing)} missing: calibrate with Kalibr, or add it")
     if entry["camera_model"] != "pinhole":
         raise SsacError(
-            f"{name}: camera_model must be pinhole, got "
-            f"{_shown(entry['camera_model'])!r}: calibrate with "
-            "pinhole-radtan or pinhole-equi"
+            f"{name}: camera_model must be pinhole, got {_shown(entry['camera_model'])!r}: "
+            "calibrate with pinhole-radtan or pinhole-equi"
         )
     fu, fv, pu, pv = _numbers(entry["intrinsics"], (4,), f"{name}, intrinsics")
     size = _numbers(entry["resolution"], (2,), f"{name}, resolution")
@@ -180,18 +168,18 @@ def _camera_from_kalibr(name: str, entry: Any) -> Camera:
             f"{name}: plumb_bob needs 5 coefficients k1 k2 p1 p2 k3, got {len(coeffs)}: "
             "add those missing, as 0 where they are"
         )
-    deviations = None
+    deviations = None  # those of a good calibration
     if "intrinsics_std" in entry:
-        deviations = _numbers(entry["intrinsics_std"], (4,), f"{name}, intrinsics_std")
+        numbers = _numbers(entry["intrinsics_std"], (4,), f"{name}, intrinsics_std")
+        deviations = tuple(numbers.tolist())
     readout_s = entry.get("readout_s")  # of a rolling shutter, 0 of a global one
     if readout_s is not None:
         readout_s = float(_numbers(readout_s, (), f"{name}, readout_s"))
-    model = _KALIBR_MODELS.get(model, model)
+    model = "radtan" if model == "plumb_bob" else model
     return _checked_camera(name, K, size, model, coeffs, deviations, readout_s)
 
 
 def _rig_from_opencv(path: Path, text: str, cameras: tuple[int, int]) -> Rig:
-    """Rig of the text of an OpenCV stereo file."""
     if not set(cameras) <= {1, 2}:
         raise SsacError(
             f"{path}: an OpenCV stereo file has cameras 1 and 2, but camera {max(cameras)} was "
@@ -231,8 +219,8 @@ def _opencv_size(storage: cv2.FileStorage, path: Path) -> tuple[float, float]:
         node = storage.getNode(key)
         if node.isSeq() and node.size() == 2:
             return node.at(0).real(), node.at(1).real()
-    for width_key, height_key in _OPENCV_WIDTH_HEIGHT:
-        width, height = storage.getNode(width_key), storage.getNode(height_key)
+    for keys in _OPENCV_SIDES:
+        width, height = map(storage.getNode, keys)
         if not width.empty() and not height.empty():
             return width.real(), height.real()
     raise SsacError(f"{path}: the image size is missing: add the line `size: [ width, height ]`")
@@ -244,16 +232,13 @@ def _checked_camera(
     size: Iterable[float],
     distortion_model: str,
     coeffs: Array,
-    deviations_px: Array | None = None,
-    readout_s: float | None = None,
+    *more: Any,
 ) -> Camera:
     """Return the camera; the model "none" may come with zeros for coefficients."""
     if distortion_model == "none" and not coeffs.any():
         coeffs = coeffs[:0]
     width, height = map(int, size)
-    camera = Camera(K, width, height, distortion_model, tuple(coeffs.tolist()), readout_s=readout_s)
-    if deviations_px is not None:
-        camera = replace(camera, intrinsics_std_px=tuple(deviations_px.tolist()))
+    camera = Camera(K, width, height, distortion_model, tuple(coeffs.tolist()), *more)
     check_camera(camera, name)
     return camera
 

@@ -96,49 +96,43 @@ def topic_of(path: Path) -> Topic:
 
 
 def load_events_bag(path: Path, reading: Reading) -> EventFile:
-    """Read the events of a topic, message by message.
-
-    SsacError if the bag is damaged, its messages are of another layout or encoding, or the events
-    fail `checked_file`.
-    """
+    """Read the events of a topic, message by message."""
     topic = topic_of(path)
     if topic.is_track:
         raise SsacError(f"{path}: {topic.name} holds points, a track: expected a topic of events")
     forms: set[tuple[int, int, str]] = set()  # width, height and encoding
     blocks: list[Events] = [np.empty(0, EVENT_DTYPE)]
-    with TemporaryDirectory() as folder:
-        words = _Words(Path(folder) / "events.raw")
+    words: list[NDArray[Any]] = []  # of EVT, which its maker's decoder reads
 
-        def take(message: _Message) -> None:
-            message.header_ns()
-            height, width = message.number("I"), message.number("I")
-            if topic.kind != _PACKETS:
-                forms.add((width, height, "events"))
-                blocks.append(message.events(str(path)))
-                return
-            message.number("Q")  # of the packet
-            base_ns = message.number("Q")
-            encoding = message.text().rstrip(b"\0").decode("ascii", "replace")
-            order = ">" if message.number("B") else "<"
-            forms.add((width, height, encoding))
-            if encoding == "mono":
-                blocks.append(_of_mono(message.text(), base_ns, order, str(path)))
-            elif encoding in _EVT:
-                words.add(message.text(), encoding, order, f"width={width};height={height}")
-            else:
-                raise SsacError(
-                    f"{path}: expected the encoding mono, evt2 or evt3, got {encoding[:40]!r}: "
-                    "record or convert it to one of them"
-                )
+    def take(message: _Message) -> None:
+        message.header_ns()
+        height, width = message.number("I"), message.number("I")
+        if topic.kind != _PACKETS:
+            forms.add((width, height, "events"))
+            blocks.append(message.events(str(path)))
+            return
+        message.number("Q")  # of the packet
+        base_ns = message.number("Q")
+        encoding = message.text().rstrip(b"\0").decode("ascii", "replace")
+        order = ">" if message.number("B") else "<"
+        forms.add((width, height, encoding))
+        if encoding == "mono":
+            blocks.append(_of_mono(message.text(), base_ns, order, str(path)))
+        elif encoding in _EVT:
+            code = _EVT[encoding][0]
+            words.append(np.frombuffer(message.text(), order + code).astype("<" + code))
+        else:
+            raise SsacError(
+                f"{path}: expected the encoding mono, evt2 or evt3, got {encoding[:40]!r}: "
+                "record or convert it to one of them"
+            )
 
-        _for_each(topic, take, reading)
-        if len(forms) > 1:
-            got = ", ".join(f"{w} x {h} px of {form}" for w, h, form in sorted(forms)[:5])
-            raise SsacError(f"{path}: expected one camera's events on a topic, got {got}: split it")
-        if words.path.exists():
-            from ssac.files.makers import load_makers_file
-
-            return load_makers_file(words.path, reading, path)
+    _for_each(topic, take, reading)
+    if len(forms) > 1:
+        got = ", ".join(f"{w} x {h} px of {form}" for w, h, form in sorted(forms)[:5])
+        raise SsacError(f"{path}: expected one camera's events on a topic, got {got}: split it")
+    if words:
+        return _of_words(np.concatenate(words), *max(forms), path, reading)
     sides = max(forms)[:2] if forms else (0, 0)
     said = "a message's width and height must be"
     width, height = (side_px(side, said, path) if side else None for side in sides)
@@ -231,26 +225,21 @@ class _Message:
         return events_from_arrays(t_us, x, y, events["p"], name)
 
 
-class _Words:
-    """A camera's EVT words of all packets, as the file that its maker's decoder reads."""
+def _of_words(
+    words: NDArray[Any], width: int, height: int, encoding: str, path: Path, reading: Reading
+) -> EventFile:
+    """Read words by way of a file; those before the first that tells the time tell nothing."""
+    from ssac.files.makers import load_makers_file
 
-    def __init__(self, path: Path) -> None:
-        self.path, self.has_time = path, False
-
-    def add(self, data: bytes, encoding: str, order: str, size: str) -> None:
-        """Write a packet; words before the first that tells the time tell nothing."""
-        code, n_bits = _EVT[encoding]
-        words = np.frombuffer(data, order + code)
-        if not self.path.exists():
-            version = encoding.removeprefix("evt")
-            header = f"% evt {version}.0\n% format EVT{version};{size}\n% end\n"
-            self.path.write_bytes(header.encode())
-        if not self.has_time:
-            tells = words >> n_bits == _TIME_HIGH
-            self.has_time = bool(tells.any())
-            words = words[int(np.argmax(tells)) if self.has_time else len(words) :]
-        with self.path.open("ab") as file:
-            file.write(words.astype("<" + code).tobytes())
+    version = encoding.removeprefix("evt")
+    size = f"width={width};height={height}"
+    header = f"% evt {version}.0\n% format EVT{version};{size}\n% end\n"
+    tells = words >> _EVT[encoding][1] == _TIME_HIGH
+    first = int(np.argmax(tells)) if tells.any() else len(words)
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / "events.raw"
+        file.write_bytes(header.encode() + words[first:].tobytes())
+        return load_makers_file(file, reading, path)
 
 
 def _of_mono(data: bytes, base_ns: int, order: str, name: str) -> Events:

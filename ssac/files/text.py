@@ -3,8 +3,7 @@
 ESIM text is `t x y p` per line, t in seconds, with an optional first line `width height`. The csv
 form has a first line that names its columns (t, x, y and p, in any order), t in whole microseconds;
 names may carry the sensor's size as faery writes it (`x@346`), and `on` stands for `p`. Polarity of
-a darker event is 0 or -1. Both carry absolute time. A text file has no end mark: when its last
-lines are missing it is a shorter recording.
+a darker event is 0 or -1.
 """
 
 import csv
@@ -17,7 +16,7 @@ from ssac.arrays import Array, Events, IntArray
 from ssac.errors import SsacError
 from ssac.events import EVENT_DTYPE, US_PER_S, EventFile, events_from_arrays
 from ssac.files.damage import STRICT, Reading, checked_file
-from ssac.files.readable import brief, check_text, side_px
+from ssac.files.readable import brief, check_text, readable, side_px
 from ssac.files.whole_file import whole_file
 
 _SIZE = "the sensor's size in the first line must be"
@@ -25,14 +24,12 @@ _SIZE = "the sensor's size in the first line must be"
 # Of what moves before it a camera gives thousands of events a second, and for minutes: times of
 # fewer, or of longer, are in another unit.
 _LEAST_HZ, _LONGEST_S, _SHORTEST_S = 1000.0, 1000.0, 0.1
-_PER_S = {"milliseconds": 10**3, "microseconds": 10**6, "nanoseconds": 10**9}
 
-LINES_PER_BLOCK = 1_000_000
-"""Lines held at once, so that reading needs little more memory than the events."""
+LINES_PER_BLOCK = 1_000_000  # so that reading needs little more memory than the events
 
 
 def load_events_text(path: Path, reading: Reading = STRICT) -> EventFile:
-    """Read ESIM text; SsacError if a line is none, or the events fail `checked_file`."""
+    """Read ESIM text."""
     first_line = _first_line(path).split()
     width, height = None, None
     if len(first_line) == 2 and all(map(_is_whole_number, first_line)):
@@ -48,10 +45,7 @@ def load_events_text(path: Path, reading: Reading = STRICT) -> EventFile:
 
 
 def load_events_csv(path: Path, reading: Reading = STRICT) -> EventFile:
-    """Read comma-separated events whose first line names the columns t, x, y and p.
-
-    SsacError if it does not, if a line does not fit it, or the events fail `checked_file`.
-    """
+    """Read comma-separated events whose first line names the columns t, x, y and p."""
     columns, sizes = [], {}
     for word in _first_line(path).lower().split(","):
         name, _, size = word.strip().partition("@")
@@ -73,10 +67,7 @@ def load_events_csv(path: Path, reading: Reading = STRICT) -> EventFile:
 def save_events_text(
     path: Path | str, events: Events, width: int | None, height: int | None
 ) -> None:
-    """Write ESIM text, exact to the microsecond; the file appears only when it is complete.
-
-    The sensor's size [px] is the first line; None leaves it out.
-    """
+    """Write ESIM text, exact to the microsecond, with the sensor's size [px] where it is known."""
     with whole_file(Path(path)) as temporary, temporary.open("w", encoding="utf-8") as file:
         if width is not None and height is not None:
             file.write(f"{width} {height}\n")
@@ -86,13 +77,9 @@ def save_events_text(
 
 
 def _first_line(path: Path) -> str:
-    """Return the first line of the file; SsacError when it is not text."""
     check_text(path)
-    try:
-        with path.open(encoding="utf-8-sig") as file:
-            return file.readline(4096)
-    except UnicodeDecodeError as error:
-        raise SsacError(f"{path}: not a text file: give it the extension of its format") from error
+    with readable(path, "a text file"), path.open(encoding="utf-8-sig") as file:
+        return file.readline(4096)
 
 
 def _is_whole_number(word: str) -> bool:
@@ -148,15 +135,9 @@ def _microseconds_from_seconds(t_s: Array, path: Path) -> IntArray:
         )
     span_s = t_s[-1] - t_s[0] if len(t_s) > 1 else 0.0
     if span_s > _LONGEST_S and np.array_equal(t_s, np.rint(t_s)):
-        likely = (
-            unit
-            for unit, per_s in _PER_S.items()
-            if span_s / per_s < min(_LONGEST_S, len(t_s) / _LEAST_HZ)
-        )
-        unit = next(likely, "microseconds")
         raise SsacError(
             f"{path}: t must be in seconds, but all times are whole numbers, up to {t_s[-1]:.0f}, "
-            f"as of {unit}: divide them by {_PER_S[unit]}"
+            "as of milliseconds or finer: convert them"
         )
     return np.rint(t_s * US_PER_S).astype(np.int64)
 

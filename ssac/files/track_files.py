@@ -32,10 +32,7 @@ def is_track_file(path: Path) -> bool:
 
 
 def load_track(path: Path | str) -> PointTrack:
-    """Read a track file; `ssac.points.check_track` looks at what stands in it.
-
-    SsacError if its first line does not name the columns, or a row is not of numbers.
-    """
+    """Read a track file; `ssac.points.check_track` looks at what stands in it."""
     import pandas as pd  # here, as it takes long: recordings of events do without it
 
     path = Path(path)
@@ -70,30 +67,18 @@ def load_track(path: Path | str) -> PointTrack:
 
 def save_track(path: Path | str, track: PointTrack) -> None:
     """Write a track file, times to 0.1 us and pixels to 1e-4; it appears when it is complete."""
-    names = [*TRACK_COLUMNS]
-    columns = [track.times_s, *track.points_px.T]
-    formats = ["%.7f", "%.4f", "%.4f"]
+    names, columns = [*TRACK_COLUMNS], [track.times_s, *track.points_px.T]
     if track.sigmas_px is not None:
-        names.append(_SIGMA)
-        columns.append(track.sigmas_px)
-        formats.append("%.4f")
+        names, columns = [*names, _SIGMA], [*columns, track.sigmas_px]
+    formats, header = ["%.7f", *["%.4f"] * (len(names) - 1)], ",".join(names)
     with whole_file(Path(path)) as temporary:
-        np.savetxt(
-            temporary,
-            np.column_stack(columns),
-            fmt=formats,
-            delimiter=",",
-            header=",".join(names),
-            comments="",
-        )
+        np.savetxt(temporary, np.column_stack(columns), formats, ",", header=header, comments="")
 
 
 def _check_fields(path: Path, n_columns: int) -> None:
     """Raise SsacError where a row has more fields than columns, of which pandas takes the first."""
     with path.open(encoding="utf-8") as file:
         for k, line in enumerate(file):
-            if line.count(",") < n_columns:
-                continue
             n_fields = line.rstrip(", \t\r\n").count(",") + 1
             if n_fields > n_columns:
                 raise SsacError(

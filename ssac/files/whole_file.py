@@ -1,20 +1,16 @@
 """Files that appear under their names only when they are complete, and never over an input.
 
-They are written under a temporary name in the same folder, which tells who made it:
-
-    .NAME.HOST.PROCESS.RANDOM.part
-
-Equal process ids on two hosts that share a disk, in two containers of one host, or before and after
-a restart are three different makers. So what a killed process left behind can be told from what
-another one is just writing, and be removed. `sim.storage` gives folders such names.
+They are written under a temporary name in the same folder, .NAME.HOST.PROCESS.RANDOM.part, so that
+what a killed process left behind can be told from what another one is just writing, and be removed.
+`sim.storage` gives folders such names.
 """
 
 import glob
 import os
 import platform
 import re
-import resource
 import shutil
+import time
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
@@ -24,7 +20,6 @@ from pathlib import Path
 from ssac.errors import SsacError, WriteError
 
 FIGURE_SUFFIXES = (".png", ".pdf", ".svg")
-"""Kinds of figure files."""
 
 LEFT_OVER_S = 86_400.0
 """After a day without a write, what a process of another host was writing is left over."""
@@ -35,10 +30,7 @@ _NAME_LENGTH = 32  # of 255 bytes that a file's name may have, four for each of 
 
 
 def check_targets(outputs: Iterable[Path | None], inputs: Collection[Path]) -> None:
-    """Raise SsacError, before any work is done, unless each output but None can be written.
-
-    None may be an input, and no two one file.
-    """
+    """Raise SsacError unless each output can be written: none is an input, and no two one file."""
     named: set[Path] = set()
     for output in outputs:
         if output is None:
@@ -99,20 +91,11 @@ def check_folder(folder: Path, n_bytes: int = 0) -> None:
             f"{folder}: {free} bytes are free on this disk, and {needed} are needed: make room, or "
             "name another place"
         )
-    limit = resource.getrlimit(resource.RLIMIT_FSIZE)[0]
-    if limit != resource.RLIM_INFINITY and limit < needed:
-        raise WriteError(
-            f"{folder}: files may have {limit} bytes here, and {needed} are needed: raise the limit"
-            " (ulimit -f)"
-        )
 
 
 @cache
 def host() -> str:
-    """Name the place in which a process id has one meaning: a machine, since it was started.
-
-    A container counts as a machine of its own.
-    """
+    """Name the place in which a process id has one meaning: a machine, or a container, now."""
     node = platform.node()
     place = [node]
     with suppress(OSError):  # not Linux
@@ -130,51 +113,37 @@ def temporary_path(path: Path) -> Path:
 
 
 def is_left_over(path: Path) -> bool:
-    """Say whether a temporary file or folder of ours is one that nobody writes to any more.
+    """Say whether a path is a temporary one of ours that nobody writes to any more.
 
-    For a process of this host, that it has ended decides; for one of another host, that nothing was
-    written for `LEFT_OVER_S`. False for a name that is not of ours.
+    Of this host's processes that is one that has ended; of others, nothing is known but the time.
     """
     made = _MADE.fullmatch(path.name)
     if made is None:
         return False
     if made["host"] != host():
-        return idle_s(path) > LEFT_OVER_S
+        return _idle_s(path) > LEFT_OVER_S
     return not _runs(int(made["process"]))
 
 
 def remove_left_over(folder: Path, name: str = "") -> None:
-    """Remove the temporary files and folders in a folder that nobody writes to any more.
-
-    With a name, only those that would have become it; what lies deeper is left alone.
-    """
+    """Remove what nobody writes to any more in a folder, or only what would have become a name."""
     prefix = f".{glob.escape(name[:_NAME_LENGTH])}." if name else "."
     for path in folder.glob(f"{prefix}*"):
         if not is_left_over(path):
             continue
-        if path.is_dir() and not path.is_symlink():
-            shutil.rmtree(path, ignore_errors=True)
-        else:
-            with suppress(OSError):  # another one was faster
+        with suppress(OSError):  # another one was faster
+            if path.is_dir():
+                shutil.rmtree(path)
+            else:
                 path.unlink()
 
 
-def idle_s(path: Path) -> float:
-    """Time since a file, or anything in a folder, was written [s], by the clock of its disk.
-
-    A network disk has a clock of its own, and so has every host: only times of one clock compare.
-    0 when the file is gone, or when the disk takes no file that would tell its time.
-    """
-    probe = temporary_path(path.parent / "clock")
+def _idle_s(path: Path) -> float:
+    """Time since a file, or anything in a folder, was written [s]; 0 when it is gone."""
     try:
-        written_s = max(one.stat().st_mtime for one in (path, *path.rglob("*")))
-        probe.touch(exist_ok=False)
-        return probe.stat().st_mtime - written_s
+        return time.time() - max(one.stat().st_mtime for one in (path, *path.rglob("*")))
     except OSError:
         return 0.0
-    finally:
-        with suppress(OSError):
-            probe.unlink(missing_ok=True)
 
 
 def _runs(process: int) -> bool:

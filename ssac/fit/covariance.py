@@ -7,16 +7,13 @@ fit takes part of the slow error away, so that they look less correlated than th
 The loss's gradients are taken to be, in each series, a stationary process with the autocovariance
 sum_k a_k exp(-|lag| / T_k), a_k >= 0, of white noise and of what fades in some times, alike in all
 series of one kind, such as tangents. The a_k are those for which the residuals' quadratic forms are
-as large as expected *after* the fit (variance components by moments: Rao's MINQUE). Two limits keep
-the result from being too sure: a direction in which the loss is hardly curved counts as if it were
-curved a little, and the degrees of freedom are those of independent residuals, which widens 1.96
-deviations to Student's 95 %. A short time shows little of the slowest errors, so there are no more
-degrees of freedom than fading times of these.
+as large as expected *after* the fit (variance components by moments: Rao's MINQUE). A direction in
+which the loss is hardly curved counts as if it were curved a little, and 1.96 deviations are
+widened to Student's 95 % for the degrees of freedom of independent residuals.
 
 Series, such as the upper and the lower tangents, may have errors in common. Those count for the
 parameters of the clock, t_d first, and are left out for the pose. Where there are no others, the
-sum of the gradients at an instant is itself taken for the process. `docs/uncertainty.md` says
-how far this can be trusted.
+sum of the gradients at an instant is itself the process. See `docs/uncertainty.md`.
 """
 
 from itertools import pairwise
@@ -60,10 +57,8 @@ def correlated_covariance(
     Kinds (n,), from 0 on, tell residuals whose errors are of another process apart; those of one
     series are of one kind. All are when None.
 
-    Deviations are such that +-1.96 of them hold the truth in 95 %; of a direction that the data do
-    not determine, they are those of the prior and more. A short time shows few of the slowest
-    errors, and by chance none: where `cautious`, it has no more degrees of freedom than fading
-    times of these.
+    A short time shows few of the slowest errors, and by chance none: where `cautious`, it has no
+    more degrees of freedom than fading times of these.
     """
     n, p = jacobian.shape
     curvature = mean_curvature(curvatures, rules)

@@ -2,9 +2,7 @@
 
 Each of a camera's fu, fv, pu and pv whose deviation is not 0 is one more `Column` with a `Prior`.
 Two views of one path tell two combinations of the eight at most, as F has seven parameters and the
-pose takes five: the rest of what is said of them are the priors. So a column for each of the four
-numbers, as the rig file has a deviation for each, costs nothing, and a common scale in place of fu
-and fv would leave out the ratio of the two, which is what the views tell best.
+pose takes five: the rest of what is said of them are the priors.
 
 Values are shares of the focal length along their axis: a value s makes fu to (1 + s) fu, or moves
 pu by s fu.
@@ -54,7 +52,7 @@ class Allowance:
     """What a refinement allows for, once a fit has told what the priors weigh.
 
     Until then a clock's priors weigh as if all residuals were independent, and intrinsics are
-    exact. A problem may have priors of its own, as that of a clock.
+    exact.
     """
 
     def __init__(self, rig: Rig, has_priors: bool = False) -> None:
@@ -66,10 +64,8 @@ class Allowance:
     def learn(self, problem: Problem, parameters: Parameters) -> None:
         """Take from a fit, whose loss turns where the last one's will, what priors weigh.
 
-        A skew's weighs against what the residuals tell of that very parameter. Of each of the
-        intrinsics, of readouts and of what a clock strays they tell next to nothing, or nothing
-        without the priors of the others: these weigh by how many residuals tell as much as an
-        independent one.
+        A skew's weighs against what the residuals tell of that very parameter, of others, of which
+        they tell next to nothing, by how many residuals tell as much as an independent one.
         """
         if self.is_made:
             return
@@ -156,9 +152,8 @@ def evidence(residuals: Residuals, hidden_px: Array | None = None) -> tuple[floa
 
     Of each combination that the views tell, the value that fits best by itself is the second, in
     deviations of the rig; the first is its ratio to its own deviation, the rig's and that of the
-    fit together. Both are 0 without what `Allowance` adds, and with a known pose too, where a bias
-    of the positions, or of the pose, speaks as loud as one of the intrinsics. Hidden errors are as
-    for `Residuals.hidden_covariance`.
+    fit together. Both are 0 without what `Allowance` adds, and with a known pose, whose bias speaks
+    as loud. Hidden errors are as for `Residuals.hidden_covariance`.
     """
     problem, worst = residuals.problem, (0.0, 0.0)
     n = problem.n_of_cameras
@@ -231,11 +226,7 @@ def wanted(residuals: Residuals) -> str:
 
 
 def turned_by_focals(residuals: Residuals) -> Array:
-    """Angles (2,) [rad] by which R and t turn for focal lengths that are longer by a share of 1.
-
-    What is wrong with those of both cameras alike is hardly seen in a fit, and goes into the pose;
-    NaN where that is known.
-    """
+    """Angles (2,) [rad] by which R and t turn for focal lengths of both that are longer by 1."""
     problem, parameters = residuals.problem, residuals.parameters
     if problem.pose_is_known:
         return np.full(2, np.nan)

@@ -21,11 +21,8 @@ from ssac.geometry import epipolar
 from ssac.geometry.pose import moved_pose, pose_jacobian
 from ssac.rules import FitRules
 
-T_D = 0
-"""Place of the offset among the parameters."""
-
-FIRST_COLUMN = 6
-"""Place of the first column's value; the pose's five changes stand between."""
+T_D, FIRST_COLUMN = 0, 6
+"""Places of the offset and of the first column's value; the pose's five changes stand between."""
 
 
 @dataclass(frozen=True)
@@ -55,8 +52,7 @@ class WeighedPairs:
 class Column:
     """One more parameter, which moves the points in proportion to its value.
 
-    A clock that runs fast by the share r moves p2 by r (t - t_ref) v2; a focal length that is
-    longer by the share f moves the points by f times their distance from the principal point.
+    A clock that runs fast by the share r moves p2 by r (t - t_ref) v2.
     """
 
     dp1_px: Array  # (n, 2) for a value of one
@@ -113,10 +109,7 @@ class Problem:
 
 @dataclass(frozen=True)
 class Residuals:
-    """What is left of a problem's n pairs at some parameters, and its derivatives by all of them.
-
-    Free parameters are f of the p, and priors q.
-    """
+    """What is left of a problem's n pairs at p parameters, f of them free, with q priors."""
 
     problem: Problem
     parameters: Parameters
@@ -137,10 +130,7 @@ class Residuals:
         return self.jacobian[:, self.problem.free]
 
     def system(self) -> tuple[Array, Array]:
-        """Give the rows (n + q, f) of the next step of the free parameters, and its target.
-
-        The first n are of the residuals, times the roots of their weights, the others of priors.
-        """
+        """Give the rows (n + q, f), residuals' before priors', of the next step, and its target."""
         problem, parameters = self.problem, self.parameters
         root_weights = np.sqrt(self.weights[0])
         system = root_weights[:, None] * self.free
@@ -157,10 +147,7 @@ class Residuals:
         return system, np.append(target, rows @ (means - values))
 
     def covariance(self, lessens: bool = True, cautious: bool = False) -> Array:
-        """Covariance (f, f) of the free parameters, for errors that the residuals show.
-
-        The parameters are the solution; the options are those of `correlated_covariance`.
-        """
+        """Covariance (f, f) of the free parameters, as `correlated_covariance` has it."""
         problem, (weights, curvatures) = self.problem, self.weights
         deviations = np.full(problem.size, covariance.PRIOR)
         scales_px = np.full(problem.size, np.nan)
@@ -196,10 +183,8 @@ class Residuals:
     def fair_scales(self) -> Array:
         """Give what one deviation of a prior is to count as, by free parameter: shape (f,) [px].
 
-        Residuals whose errors are correlated tell less of a parameter than so many independent
-        ones, and of each another share of it, by how its derivative goes with time. With these
-        scales a prior and the data share in a parameter by their variances. The problem's own
-        priors do not count.
+        With these scales a prior and the data, whose errors are correlated, share in a parameter by
+        their variances. The problem's own priors do not count.
         """
         plain = replace(self, problem=replace(self.problem, priors=()))
         variances, rules = np.diag(plain.covariance()), self.problem.rules
@@ -273,10 +258,10 @@ def solve(
     max_steps: int = 20,
     last_step: float = 1e-6,
 ) -> Solution:
-    """Minimise Cauchy's loss by Gauss-Newton steps on reweighted residuals.
+    """Minimise Cauchy's loss by Gauss-Newton steps; columns that the start lacks begin at zero.
 
-    Columns that the start lacks begin at zero. A step whose norm [s, rad, and the columns' units]
-    is below `last_step` ends the iteration; at 0 all steps are made.
+    A step whose norm [s, rad, and the columns' units] is below `last_step` ends the iteration; at 0
+    all steps are made.
     """
     columns = np.zeros(len(problem.columns))
     kept = start.columns[: len(columns)]
@@ -294,11 +279,7 @@ def solve(
 
 
 def _least_squares(system: Array, target: Array) -> Array:
-    """Solve as `np.linalg.lstsq` does, for many rows (n, f) of few columns.
-
-    Householder's reflections leave a triangle with the system's own singular values. BLAS would do
-    so with all its threads, most of which would wait.
-    """
+    """Solve as `np.linalg.lstsq` does, for many rows (n, f) of few columns, without threads."""
     n, f = system.shape
     if n <= f + 1:
         return np.asarray(np.linalg.lstsq(system, target)[0])

@@ -66,8 +66,7 @@ def epipolar_lines_1(F: Array, p2_px: Array) -> Array:
 def epipolar_distance(F: Array, p1_px: Array, p2_px: Array) -> Array:
     """Distances d(p1, l1) (...,) [px] in image 1 of pairs (..., 2), the summands of Eq. 4.
 
-    NaN where p2 is the epipole, which has no epipolar line; infinite where the line is that at
-    infinity.
+    NaN where p2 is the epipole; infinite where its line is that at infinity.
     """
     lines = epipolar_lines_1(F, p2_px)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -79,8 +78,7 @@ def epipolar_distance(F: Array, p1_px: Array, p2_px: Array) -> Array:
 def epipolar_terms(f: Entries, u1: T, v1: T, u2: T, v2: T) -> tuple[T, T, T, T, T]:
     """p2' F p1, and the first two coordinates of the lines F p1 in image 2 and F' p2 in image 1.
 
-    All that Sampson distances are made of. One definition for arrays and, compiled, for the kernels
-    here and of `fundamental`; f has the nine entries of F, row by row.
+    For arrays and, compiled, for kernels; f has the nine entries of F, row by row.
     """
     a2 = f[0] * u1 + f[1] * v1 + f[2]
     b2 = f[3] * u1 + f[4] * v1 + f[5]

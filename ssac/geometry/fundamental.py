@@ -4,8 +4,7 @@ Deviation: the paper names LMedS only, and its sample uses OpenCV's. That one st
 trials (at confidence 0.999), whatever number it is asked for, and returns the seven-point solution
 of its best trial, which makes d_avg a jagged curve. Here every trial asked for is made, with eight
 pairs, whose solution is linear, and the best one starts the reweighted least squares with which
-Rousseeuw's LMedS ends. Of most subsets a quick F, found for many of them side by side by vector
-instructions, tells that they are not the best; where it leaves a doubt, the subset is solved alone.
+Rousseeuw's LMedS ends.
 """
 
 from collections.abc import Callable
@@ -19,7 +18,6 @@ from ssac.arrays import Array, IntArray
 from ssac.geometry.epipolar import CAUCHY, TO_DEVIATION, epipolar_terms, fundamental_from_essential
 
 _BLOCK = 64  # pairs counted between two looks at the count: enough for vector instructions
-_SIDE_BY_SIDE = 32  # subsets: enough for vector instructions, and few enough for the nearest cache
 
 
 @numba.njit(cache=True)
@@ -30,39 +28,22 @@ def best_subset(x1: Array, x2: Array, uniform: Array) -> Array:
     """
     n = x1.shape[1]
     middle = n // 2
-    least_pivot = 1e-6  # of a quick F good to 1e-8, and so are its distances
-    wider, floor = 1.0 + 1e-4, 1e-12  # of a squared distance: more than those errors make
-    subsets = np.empty((_SIDE_BY_SIDE, 8), np.int64)
-    systems, solutions = np.empty((8, 9, _SIDE_BY_SIDE)), np.ones((9, _SIDE_BY_SIDE))
-    least_pivots, work = np.empty(_SIDE_BY_SIDE), np.empty((2, _SIDE_BY_SIDE))
     blocks = in_blocks(x1, x2)
-    system = np.empty((8, 9))
+    subset, system = np.empty(8, np.int64), np.empty((8, 9))
     F, best_F = np.empty((3, 3)), np.zeros((3, 3))
     best_median = np.inf
-    for first in range(0, len(uniform), _SIDE_BY_SIDE):
-        n_subsets = min(_SIDE_BY_SIDE, len(uniform) - first)
-        for m in range(n_subsets):
-            _draw(uniform[first + m], n, subsets[m])
-            for row in range(8):
-                _monomials(x1, x2, subsets[m, row], systems[row, :, m])
-        _solve_side_by_side(systems, solutions, least_pivots, work)
-        for m in range(n_subsets):
-            limit = wider * best_median + floor
-            if (
-                least_pivots[m] > least_pivot
-                and count_near(limit, solutions[:, m], n, blocks, middle) <= middle
-            ):
-                continue
-            for row in range(8):
-                _monomials(x1, x2, subsets[m, row], system[row])
-            # A count tells whether the median would be a new best; few need the median itself.
-            if (
-                _solve_null_vector(system, F)
-                and count_near(best_median, F.ravel(), n, blocks, middle) > middle
-            ):
-                squares, _ = sampson(F, x1, x2)
-                best_median = np.sort(squares)[middle]
-                best_F[:] = F
+    for numbers in uniform:
+        _draw(numbers, n, subset)
+        for row in range(8):
+            _monomials(x1, x2, subset[row], system[row])
+        # A count tells whether the median would be a new best; few need the median itself.
+        if (
+            _solve_null_vector(system, F)
+            and count_near(best_median, F.ravel(), n, blocks, middle) > middle
+        ):
+            squares, _ = sampson(F, x1, x2)
+            best_median = np.sort(squares)[middle]
+            best_F[:] = F
     return best_F
 
 
@@ -89,45 +70,6 @@ def in_blocks(x1: Array, x2: Array) -> Array:
         block[0, place], block[1, place] = x1[0, i], x1[1, i]
         block[2, place], block[3, place] = x2[0, i], x2[1, i]
     return blocks
-
-
-@numba.njit(cache=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz"})
-def _solve_side_by_side(A: Array, solutions: Array, least_pivots: Array, work: Array) -> None:
-    """Solve A f = 0 for f (9, M), the last entry 1, of M systems A (8, 9, M), which are used up."""
-    # By elimination, in which the larger of two rows takes the other's entry away: of both,
-    # whichever it is, the same is done. A small one of the least pivots (M,) is of an F whose last
-    # entry is nearly 0, or of pairs that leave F open, and f is not to be relied on.
-    swapped, ratio = work[0], work[1]
-    for k in range(8):
-        pivot = A[k, k]
-        for i in range(k + 1, 8):
-            other = A[i, k]
-            for m in range(_SIDE_BY_SIDE):
-                a, b = pivot[m], other[m]
-                is_less = abs(a) < abs(b)
-                larger, smaller = (b if is_less else a), (a if is_less else b)
-                swapped[m] = 1.0 if is_less else 0.0
-                ratio[m] = smaller / larger
-                pivot[m] = larger
-            for j in range(k + 1, 9):
-                upper, lower = A[k, j], A[i, j]
-                for m in range(_SIDE_BY_SIDE):
-                    a, b = upper[m], lower[m]
-                    kept, changed = (b, a) if swapped[m] > 0.5 else (a, b)
-                    upper[m] = kept
-                    lower[m] = changed - ratio[m] * kept
-    least_pivots[:] = np.inf
-    for k in range(7, -1, -1):
-        pivot, last, f = A[k, k], A[k, 8], solutions[k]
-        for m in range(_SIDE_BY_SIDE):
-            least_pivots[m] = min(least_pivots[m], abs(pivot[m]))
-            f[m] = last[m]
-        for j in range(k + 1, 8):
-            entry, known = A[k, j], solutions[j]
-            for m in range(_SIDE_BY_SIDE):
-                f[m] += entry[m] * known[m]
-        for m in range(_SIDE_BY_SIDE):
-            f[m] = -f[m] / pivot[m]
 
 
 @numba.njit(cache=True)
@@ -280,9 +222,8 @@ def second_best(p1_px: Array, p2_px: Array) -> float:
     """How many times worse than the best F another one fits the pairs, one as unlike it as can be.
 
     The ratio of the two least singular values of the weighted eight-point system. Near 1 the pairs
-    leave F open: those of a planar path allow a family of them, whatever the noise.
-
-    Pairs as for `lmeds_fundamental`; 1 when they allow no F at all, as those of an object at rest.
+    leave F open, as those of a planar path do; 1 when they allow none, as those of an object at
+    rest.
     """
     x1, x2, _, _ = _normalised(p1_px, p2_px)
     if not (x1.any() or x2.any()):
@@ -311,10 +252,8 @@ def magsac_fundamental(p1_px: Array, p2_px: Array, K1: Array, K2: Array) -> Arra
 
 @lru_cache(maxsize=4)
 def _uniform(trials: int, seed: int) -> Array:
-    """Numbers (trials, 8) in [0, 1), drawn once for all candidates of a search; read only."""
-    numbers = np.random.default_rng(seed).random((trials, 8))
-    numbers.flags.writeable = False
-    return numbers
+    """Numbers (trials, 8) in [0, 1), drawn once for all candidates of a search."""
+    return np.random.default_rng(seed).random((trials, 8))
 
 
 @numba.njit(cache=True)

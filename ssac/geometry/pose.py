@@ -33,10 +33,8 @@ def pose_from_fundamental(
 ) -> RelativePose:
     """Decompose F, and choose the pose for which most points lie in front of both cameras.
 
-    A pair that satisfies the epipolar constraint lies in front of both cameras for exactly one of
-    the four poses, so a share `in_front` far from 1 says that the pairs, at least one, disagree
-    about the pose. It is that of the closest true essential matrix: E's two singular values are
-    made equal.
+    A share `in_front` far from 1 says that pairs disagree about the pose. It is that of the closest
+    true essential matrix: E's two singular values are made equal.
     """
     U, _, Vt = np.linalg.svd(epipolar.essential_from_fundamental(F, K1, K2))
     W = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
@@ -59,16 +57,16 @@ def nearest_pose(
     from even over its entries, and `pose_from_fundamental` weighs them all alike; here the mean
     squared difference between the Sampson distances under the pose and under F is made least.
     """
+
+    def distances_at(R: Array, t: Array) -> Array:
+        at = epipolar.fundamental_from_pose(K1, K2, R, t)
+        return epipolar.sampson_distance(at, p1_px, p2_px)
+
     target = epipolar.sampson_distance(F, p1_px, p2_px)
-    start = epipolar.sampson_distance(
-        epipolar.fundamental_from_pose(K1, K2, pose.R, pose.t), p1_px, p2_px
-    )
-    target = target * np.sign(target @ start)  # F's sign is free
+    target = target * np.sign(target @ distances_at(pose.R, pose.t))  # F's sign is free
     R, t = pose.R, pose.t
     for _ in range(10):
-        distances = epipolar.sampson_distance(
-            epipolar.fundamental_from_pose(K1, K2, R, t), p1_px, p2_px
-        )
+        distances = distances_at(R, t)
         jacobian = pose_jacobian(R, t, K1, K2, p1_px, p2_px)
         step = np.linalg.lstsq(jacobian, target - distances)[0]
         R, t = moved_pose(R, t, step)
@@ -149,10 +147,7 @@ def rays_of(K: Array, p_px: Array) -> Array:
 
 
 def possible_poses(p1_px: Array, p2_px: Array, rig: Rig, rules: SearchRules) -> list[Pose]:
-    """Poses that the pairs may have, of F, of E and of a homography; the best fit comes first.
-
-    None where the pairs are too few, or those of an object at rest.
-    """
+    """Poses that the pairs may have, of F, of E and of a homography; the best fit comes first."""
     if len(p1_px) < rules.min_pairs:
         return []
     K1, K2 = rig.cam1.K, rig.cam2.K

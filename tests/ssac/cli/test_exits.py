@@ -47,14 +47,9 @@ def test_what_is_wrong_with_the_input_is_one_line(error, line, capsys):
 @pytest.mark.parametrize(
     ("error", "start"),
     [
-        *(
-            (error, f"a bug in this program, {type(error).__name__}")
-            for error in (OwnError("x"), KeyError("x"), RuntimeError(), MemoryError())
-        ),
-        (  # of another package, which is not called ours
-            PluginError("mine 1.2: KeyError (mine.py, line 3)"),
-            "mine 1.2: KeyError (mine.py, line 3); please report it with",
-        ),
+        (OwnError("x"), "a bug in this program, OwnError"),
+        (MemoryError(), "a bug in this program, MemoryError"),
+        (PluginError("mine 1.2: KeyError"), "mine 1.2: KeyError; please report it"),  # not ours
     ],
 )
 def test_a_bug_is_one_line_and_a_traceback_in_a_file(error, start, capsys, tmp_path, monkeypatch):
@@ -84,11 +79,9 @@ def run():
 {body}
 sys.exit(guarded(run))
 """
-    command, heed = (
-        [sys.executable, "-c", code],
-        partial(signal.signal, signal.SIGINT, signal.SIG_DFL),
-    )
     # Whoever runs the tests in the background may have made them deaf to interrupts.
+    heed = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
+    command = [sys.executable, "-c", code]
     return subprocess.Popen(command, stderr=subprocess.PIPE, preexec_fn=heed, **options)
 
 

@@ -1,13 +1,12 @@
 """Progress on stderr: lines where it is a file, and a bar on a terminal."""
 
 import sys
-import time
 
 import numba
 import pytest
 
 from ssac.cli import progress as module
-from ssac.cli.progress import Lines, compilation_told, progress, say
+from ssac.cli.progress import compilation_told, progress, say
 
 
 def test_compiling_is_told_once_and_only_where_something_is_compiled(capsys):
@@ -22,60 +21,38 @@ def test_compiling_is_told_once_and_only_where_something_is_compiled(capsys):
     assert capsys.readouterr().err == ""
 
 
-class Clock:
-    """A clock that is set by hand."""
-
-    now_s = 0.0
-
-    def __call__(self) -> float:
-        return self.now_s
-
-
-def said(capsys, total: int, step_s: float, n_done: int = 0, **options: bool) -> list[str]:
+@pytest.fixture
+def said(capsys, monkeypatch):
     """Do things of equal length, one after the other; give the lines."""
-    clock = Clock()
-    lines = Lines(total, "flights", clock=clock, **options)
-    for n in range(1, (n_done or total) + 1):
-        clock.now_s += step_s
-        lines(n)
-    return capsys.readouterr().err.splitlines()
+
+    def lines(total, step_s, n_done, is_brief):
+        now_s = [0.0]
+        monkeypatch.setattr(module.time, "monotonic", lambda: now_s[0])
+        with progress(total, "flights", is_brief) as advance:
+            for n in range(1, n_done + 1):
+                now_s[0] += step_s
+                advance(n)
+        return capsys.readouterr().err.splitlines()
+
+    return lines
 
 
-def test_each_tenth_is_a_line(capsys):
-    lines = said(capsys, 300, 0.5)
-    assert [line.split(" done")[0] for line in lines] == [
-        f"flights: {n} of 300" for n in range(30, 301, 30)
-    ]
-    assert lines[0] == "flights: 30 of 300 done after 00:15, 02:15 left"
-    assert lines[-1] == "flights: 300 of 300 done after 02:30"
-
-
-def test_between_tenths_there_is_a_line_every_30_s_and_before_the_first_is_done(capsys):
-    lines = said(capsys, 100, 12.0, n_done=9)
-    assert [line[:10] for line in lines] == ["flights: 3", "flights: 6", "flights: 9"]
-    clock = Clock()
-    waiting = Lines(2, "flights", clock=clock)
-    for _ in range(70):
-        clock.now_s += 1.0
-        waiting.look()
-    assert capsys.readouterr().err.splitlines() == [
-        "flights: 0 of 2 done after 00:30",
-        "flights: 0 of 2 done after 01:00",
-    ]
-
-
-@pytest.mark.parametrize("total", [1, 3, 7, 12])
-def test_few_things_are_a_line_each_and_the_last_says_all(capsys, total):
-    lines = said(capsys, total, 1.0)
-    assert len(lines) == min(total, 10)
-    assert lines[-1].startswith(f"flights: {total} of {total} done after ")
-
-
-def test_brief_work_says_nothing_until_it_is_long(capsys):
-    assert said(capsys, 100, 0.2, is_brief=True) == []
-    lines = said(capsys, 100, 1.0, is_brief=True)
-    assert lines[0] == "flights: 30 of 100 done after 00:30, 01:10 left"
-    assert lines[-1] == "flights: 100 of 100 done after 01:40"
+@pytest.mark.parametrize(
+    ("total", "step_s", "n_done", "is_brief", "told"),
+    [
+        (300, 0.5, 300, False, range(30, 301, 30)),  # each tenth
+        (100, 12.0, 9, False, (3, 6, 9)),  # every 30 s
+        *((n, 1.0, n, False, range(1, n + 1)) for n in (1, 3, 7)),  # of few things each
+        (100, 0.2, 100, True, ()),  # brief work says nothing until it is long
+        (100, 1.0, 100, True, range(30, 101, 10)),
+    ],
+)
+def test_lines_come_at_each_tenth_and_every_30_s(total, step_s, n_done, is_brief, told, said):
+    lines = said(total, step_s, n_done, is_brief)
+    assert [line.split(" done")[0] for line in lines] == [f"flights: {n} of {total}" for n in told]
+    if total == 300:
+        assert lines[0] == "flights: 30 of 300 done after 00:15, 02:15 left"
+        assert lines[-1] == "flights: 300 of 300 done after 02:30"
 
 
 def shown(total: int) -> None:
@@ -101,18 +78,6 @@ def test_where_stderr_is_no_terminal_nothing_is_written_over(capsys):
         "a worker died",
         "flights: 2 of 2 done after 00:00",
     ]
-
-
-def test_one_thing_that_takes_long_is_not_silent(capsys, monkeypatch):
-    monkeypatch.setattr(module, "EVERY_S", 0.01)
-    monkeypatch.setattr(module, "_LOOK_S", 0.01)
-    said = ""
-    with progress(1, "flights") as advance:
-        while said.count("\n") < 3:
-            time.sleep(0.01)
-            said += capsys.readouterr().err
-        advance(1)
-    assert set(said.splitlines()) == {"flights: 0 of 1 done after 00:00"}
 
 
 def test_a_terminal_has_a_bar(capsys, monkeypatch):

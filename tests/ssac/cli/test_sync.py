@@ -8,7 +8,6 @@ import pytest
 from ssac import sync
 from ssac.cli.exits import NO_ESTIMATE
 from ssac.clock import Clock
-from ssac.events import slice_time
 from ssac.files.event_files import load_events
 from ssac.files.hdf5 import save_events_h5
 from ssac.files.rigs import load_rig
@@ -74,20 +73,7 @@ def test_swapped_cameras_have_the_opposite_sign(recorded):
     assert "less than camera 1's; add it to camera 2's timestamps" in result.stdout
 
 
-def test_known_extrinsics_are_used(recorded, tmp_path):
-    rig, out = recorded / "rig_extrinsics.yaml", tmp_path / "out.json"
-    result = run_sync(*recorded.pair, "--rig", rig, "--known-extrinsics", "--json", out)
-    assert result.exit_code == 0
-    found = read_json(out)
-    assert found["method"] == "tangency-known"
-    np.testing.assert_allclose(found["R"], recorded.scene.R, atol=1e-12)
-    assert f"as given in {rig}" in result.stdout
-
-
-def _without_names(answer):
-    return {
-        key: value for key, value in answer.items() if key not in ("cam1", "cam2", "rig", "seconds")
-    }
+NAMES = {"cam1", "cam2", "rig", "seconds"}
 
 
 @pytest.mark.parametrize("suffix", [".bag", ".mcap"])
@@ -97,7 +83,7 @@ def test_bags_give_what_the_files_give_that_they_were_made_of(suffix, recorded, 
     write_bag(bag, {"/cam2/events": mono(cam2), "/cam1/events": arrays(cam1)})
     args = ("--rig", recorded / "rig.yaml", "--method", "joint", "--json", out)
     assert run_sync(*recorded.pair, *args).exit_code == 0
-    expected = _without_names(read_json(out))
+    expected = read_json(out)
     for cameras in (
         (bag, "--topics", "/cam1/events", "/cam2/events"),
         (bag, bag, "--topics", "cam1/events", "cam2/events"),
@@ -105,7 +91,8 @@ def test_bags_give_what_the_files_give_that_they_were_made_of(suffix, recorded, 
         (recorded / "cam1.h5", bag / "cam2/events"),
     ):
         assert run_sync(*cameras, *args).exit_code == 0
-        assert _without_names(read_json(out)) == expected
+        found = read_json(out)
+        assert {key for key in found | expected if found[key] != expected[key]} <= NAMES
 
 
 def test_the_rig_that_is_written_gives_the_same_offset_with_its_extrinsics(recorded, tmp_path):
@@ -118,10 +105,11 @@ def test_the_rig_that_is_written_gives_the_same_offset_with_its_extrinsics(recor
     np.testing.assert_array_equal(T_2_1[:3, :3], found["R"])
     np.testing.assert_allclose(T_2_1[:3, 3], 7.0 * np.array(found["t"]), rtol=1e-12)
     assert f"timeshift_cn_cnm1: {found['t_d_s']!r}\n" in rig.read_text()
-    assert (
-        run_sync(*recorded.pair, "--rig", rig, "--known-extrinsics", "--json", out).exit_code == 0
-    )
+    known = run_sync(*recorded.pair, "--rig", rig, "--known-extrinsics", "--json", out)
+    assert known.exit_code == 0
+    assert f"as given in {rig}" in known.stdout
     again = read_json(out)
+    assert again["method"] == "tangency-known"
     np.testing.assert_allclose(again["t"], found["t"], atol=1e-12)
     # The pose that fits best is not given up: the offset stays where it was, to its deviation.
     assert abs(again["t_d_s"] - found["t_d_s"]) < found["t_d_std_s"]
@@ -129,38 +117,13 @@ def test_the_rig_that_is_written_gives_the_same_offset_with_its_extrinsics(recor
 
 def test_a_folder_as_it_was_simulated_is_enough(recorded, tmp_path):
     out = tmp_path / "out.json"
-    for method, rig in (
-        (("--method", "ssac"), "rig.yaml"),
-        (("--known-extrinsics",), "rig_extrinsics.yaml"),
-    ):
+    known = ("--known-extrinsics",), "rig_extrinsics.yaml"
+    for method, rig in ((("--method", "ssac"), "rig.yaml"), known):
         assert run_sync(recorded.folder, *method, "--json", out).exit_code == 0
         found = read_json(out)
         args = (*recorded.pair, "--rig", recorded / rig, *method, "--json", out)
         assert run_sync(*args).exit_code == 0
         assert {**read_json(out), "seconds": 0} == {**found, "seconds": 0}
-
-
-def test_recordings_of_unequal_start_and_length(recorded, tmp_path):
-    events1, events2 = (load_events(recorded / name).events for name in ("cam1.h5", "cam2.h5"))
-    save_events_h5(tmp_path / "1.h5", slice_time(events1, 1_300_000, 8_000_000), WIDTH, HEIGHT)
-    save_events_h5(tmp_path / "2.h5", slice_time(events2, 0, 7_100_000), WIDTH, HEIGHT)
-    result = sync(tmp_path / "1.h5", tmp_path / "2.h5", recorded / "rig.yaml")
-    assert result.estimate.status == "ok"
-    assert abs(result.estimate.t_d_s - T_D_S) < TOLERANCE_S
-
-
-def test_clocks_with_unlike_epochs_need_nothing_more(recorded, tmp_path):
-    events = load_events(recorded / "cam2.h5").events.copy()
-    epoch_s = 1_700_000_000
-    events["t"] += epoch_s * 1_000_000
-    save_events_h5(tmp_path / "2.h5", events, WIDTH, HEIGHT)
-    args = (recorded / "cam1.h5", tmp_path / "2.h5", "--rig", recorded / "rig.yaml")
-    refused = run_sync(*args, "--search", "-1", "1")
-    assert refused.exit_code == NO_ESTIMATE
-    assert "leave out --search" in " ".join(refused.stdout.split())
-    out = tmp_path / "out.json"
-    assert run_sync(*args, "--json", out).exit_code == 0
-    assert abs(read_json(out)["t_d_s"] - epoch_s - T_D_S) < TOLERANCE_S
 
 
 @pytest.mark.parametrize("method", ["ssac", "albl", "zncc_e", "zncc_f", "event_rate"])

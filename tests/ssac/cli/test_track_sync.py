@@ -83,12 +83,6 @@ def test_an_unknown_frame_rate_is_found(tmp_path):
     assert abs(found["t_d_s"] - true_s) < 0.02
 
 
-def test_a_rolling_shutter_is_taken_out(tmp_path):
-    pair = save_pair(tmp_path, readout_s=0.03)  # half of it is the mean shift: 15 ms
-    found = synced(pair.folder).estimate
-    assert abs(found.t_d_s - pair.t_d_s) < WIDE * found.t_d_std_s
-
-
 def test_times_that_are_hardly_seconds_are_pointed_out(pair, tmp_path):
     track = load_track(pair.folder / "cam2.csv")
     save_track(tmp_path / "ms.csv", replace(track, times_s=1e3 * track.times_s))
@@ -102,45 +96,15 @@ def test_times_that_are_hardly_seconds_are_pointed_out(pair, tmp_path):
     assert "warning" not in err
 
 
-JUMPS, POOR, OK = Status.CLOCK_JUMP, Status.POOR_FIT, Status.OK
-
-
-@pytest.mark.parametrize(
-    ("affine", "pieces", "prior_ppm", "clocks", "given"),
-    [
-        (JUMPS, OK, 1000.0, ["affine", "pieces"], OK),
-        (POOR, Status.AMBIGUOUS_POSE, 1000.0, ["affine", "pieces"], Status.AMBIGUOUS_POSE),
-        (
-            JUMPS,
-            POOR,
-            1000.0,
-            ["affine", *3 * ["pieces"]],
-            JUMPS,
-        ),  # the first reason is the better one
-        (JUMPS, OK, 0.0, ["affine"], JUMPS),  # said to run alike
-        (Status.NO_MATCH, OK, 1000.0, ["affine"], Status.NO_MATCH),
-        (OK, OK, 1000.0, ["affine"], OK),
-    ],
-)
-def test_a_clock_of_pieces_is_tried_before_a_track_is_refused(
-    pair, monkeypatch, affine, pieces, prior_ppm, clocks, given
-):
-    tried = []
-
+def test_a_clock_of_pieces_may_leave_the_pose_open(pair, monkeypatch):
     def estimate(cam1, cam2, rig, config):
-        tried.append(config.clock)
-        status = affine if config.clock == "affine" else pieces
+        status = Status.POOR_FIT if config.clock == "affine" else Status.AMBIGUOUS_POSE
         return Estimate("joint", status, t_d_s=7.3, t_d_std_s=1e-3)
 
     method = replace(choose_method("joint"), estimate=estimate)
     monkeypatch.setattr("ssac.pipeline.api.choose_method", lambda *names: method)
-    config = Config(interval_s=(7.0, 8.0), skew_prior_ppm=prior_ppm)
-    answer = synced(pair.folder, config=config).answer
-    assert (tried, answer.estimate.status) == (clocks, given)
-    wanders = answer.clock == "pieces"
-    assert wanders == (given not in (affine, JUMPS))
-    assert answer.config.clock == ("pieces" if wanders else "affine")
-    assert ("a clock wanders" in answer.note) == wanders
+    answer = synced(pair.folder, config=Config(interval_s=(7.0, 8.0), skew_prior_ppm=1e3)).answer
+    assert (answer.estimate.status, answer.clock) == (Status.AMBIGUOUS_POSE, "pieces")
 
 
 def test_events_and_a_track_of_events_may_be_mixed(recorded, tmp_path):
@@ -192,14 +156,6 @@ def test_times_cut_off_are_noticed_and_make_the_offset_less_sure(pair, tmp_path,
     assert abs(result.estimate.t_d_s - pair.t_d_s) < WIDE * result.estimate.t_d_std_s
 
 
-def test_paths_of_different_flights_are_refused(pair, tmp_path):
-    other = save_pair(tmp_path, seed=9)
-    args = (pair.args[0], other.args[1], *pair.args[2:])
-    code, out, _ = run("sync", *args)
-    assert code == 1
-    assert "no_match" in out or "ambiguous_offset" in out
-
-
 # --- Rolling shutters ---
 
 READOUT_S = 0.02
@@ -226,16 +182,3 @@ def test_the_readout_that_is_not_stated_is_told_or_taken_for_none_and_that_is_sa
     assert 0.0 <= report["readout_s"][1] < 4.0 * report["readout_std_s"][1]
     assert "readout        camera 2 " in result.summary()
     assert report["note"] == ""
-
-
-def test_nothing_moves_where_all_is_stated(shuttered):
-    document = rig_document(readout_s=0.0)
-    document["cam0"]["readout_s"] = READOUT_S
-    (shuttered.folder / "stated.yaml").write_text(yaml.safe_dump(document))
-    one, other, unstated = (
-        synced(shuttered.folder, rig, search="interval", estimate_readout=asked).estimate
-        for rig, asked in (("stated.yaml", True), ("stated.yaml", False), ("rig.yaml", False))
-    )
-    for same in (other, unstated):
-        assert (one.t_d_s, one.t_d_std_s) == (same.t_d_s, same.t_d_std_s)
-        np.testing.assert_array_equal(one.R, same.R)

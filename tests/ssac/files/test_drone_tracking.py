@@ -31,12 +31,8 @@ OFFSET_S = 4.0
 
 
 def calibrated(**changed):
-    camera = {
-        "K-matrix": K.tolist(),
-        "distCoeff": [0.0] * 4,
-        "fps": 30,
-        "resolution": [WIDTH, HEIGHT],
-    }
+    size = [WIDTH, HEIGHT]
+    camera = {"K-matrix": K.tolist(), "distCoeff": [0.0] * 4, "fps": 30, "resolution": size}
     return json.dumps(camera | changed)
 
 
@@ -48,9 +44,8 @@ def data(tmp_path_factory):
     (folder / "detections").mkdir(parents=True)
     (folder / "cameras.txt").write_text("cam0 - phone\ncam1 - camcorder\n")
     scene = make_scene(1)
-    for k, (model, fps, offset_s) in enumerate(
-        (("phone", FPS[0], 0.0), ("camcorder", FPS[1], OFFSET_S))
-    ):
+    cameras = ("phone", FPS[0], 0.0), ("camcorder", FPS[1], OFFSET_S)
+    for k, (model, fps, offset_s) in enumerate(cameras):
         track = frame_track(scene, k + 1, fps, offset_s, seed=k)
         frames = np.rint(track.times_s * fps)
         rows = np.zeros((int(frames[-1]) + 1, 3))

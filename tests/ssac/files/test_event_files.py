@@ -339,9 +339,10 @@ def test_unusable_files_are_refused(tmp_path, name, content, message):
         ("a.csv", 10**3, "{:.0f}", "t must be in microseconds, .* last 0.02 s: if it is in "
          "milliseconds, multiply"),
         ("a.txt", 10**3, "{:.1f}", "t must be in seconds, .* if it is in milliseconds, divide"),
-        ("a.txt", 10**3, "{:.0f}", "whole numbers, up to 20000, as of milliseconds: .* 1000$"),
-        ("a.txt", 10**6, "{:.0f}", "as of microseconds: divide them by 1000000$"),
-        ("a.txt", 10**9, "{:.0f}", "as of nanoseconds: divide them by 1000000000$"),
+        *(
+            ("a.txt", 10**n, "{:.0f}", "whole numbers, up to .*, as of milliseconds or finer")
+            for n in (3, 6, 9)
+        ),
     ],
 )  # fmt: skip
 def test_times_in_another_unit_are_said_to_be(name, per_s, form, message, tmp_path):
@@ -351,7 +352,7 @@ def test_times_in_another_unit_are_said_to_be(name, per_s, form, message, tmp_pa
         for t_s in times_s
     )
     (tmp_path / name).write_text(f"t,x,y,p\n{text}" if name == "a.csv" else text)
-    if "whole" in message or "as of" in message:
+    if "whole" in message:
         with pytest.raises(SsacError, match=message):
             load_events(tmp_path / name)
     else:
@@ -407,15 +408,12 @@ def _lost_block(file):
         (_attribute("height", np.nan), "the attribute height must be a number"),
         (_instead("events/t", 5), "must be of one length"),
         (_instead("events/x", np.zeros(3, np.uint16)), "t, x, y and p must be of one length"),
-        (
-            _instead("events", [0.0, 1.0], "events/ts"),
-            r"expected the datasets events/t, .* has \['events'\]",
-        ),
+        (_instead("events", [0.0, 1.0], "events/ts"), r"expected the datasets .* \['events'\]"),
         (_instead("events/t", 0, "events/t/no"), "events/t must be a dataset"),
         (_instead("events/t", h5py.SoftLink("/events/t")), "events/t is a link to elsewhere"),
         (_instead("events", h5py.ExternalLink("other.h5", "/")), "is a link to elsewhere"),
         (lambda file: file.create_dataset("t_offset", data="now"), "t_offset must be one number"),
-        (lambda file: file.create_dataset("t_offset", data=np.nan), "t_offset must be a time"),
+        (lambda file: file.create_dataset("t_offset", data=np.nan), "t_offset must be one number"),
         (lambda file: file.create_dataset("CD/events", data=5), "CD/events must be a list of x"),
         (_declared, "says that it has 4000000000 values, but 0 bytes of it are stored"),
         (_lost_block, "is damaged: 1 of 4 blocks of events/t are lost"),
@@ -431,39 +429,13 @@ def test_hdf5_that_is_not_what_it_says_is_one_error(tmp_path, change, message):
     assert "cam1.h5" in str(raised.value)
 
 
-@pytest.mark.parametrize(
-    ("dataset", "data", "codec", "number", "remedy"),
-    [
-        ("CD/events", random_events(9), hdf5plugin.Blosc(), 32001, "pip install hdf5plugin"),
-        (
-            "frames/images",
-            np.zeros((1, 4, 5), "u1"),
-            hdf5plugin.Zstd(),
-            32015,
-            "pip install hdf5pl",
-        ),
-        (
-            "CD/events",
-            random_events(9),
-            hdf5plugin.Blosc(),
-            32001,
-            "install Prophesee's HDF5 plugin",
-        ),
-    ],
-)
-def test_a_codec_that_is_not_installed_is_named_with_its_package(
-    dataset, data, codec, number, remedy, tmp_path, monkeypatch
-):
-    path = tmp_path / "cam1.h5"
-    with h5py.File(path, "w") as file:
-        file.create_dataset(dataset, data=data, **codec)
-        file["frames/t"] = [0]
-    if remedy.startswith("install"):
-        monkeypatch.setattr(hdf5, "_PROPHESEE_ECF", number)
+def test_a_codec_that_is_not_installed_is_named(tmp_path, monkeypatch):
+    with h5py.File(tmp_path / "cam1.h5", "w") as file:
+        file.create_dataset("CD/events", data=random_events(9), **hdf5plugin.Blosc())
     monkeypatch.setattr(h5py.h5z, "filter_avail", lambda code: False)
-    message = rf"{dataset} is compressed with .* \(number {number}\), which this HDF5 .*: {remedy}"
+    message = r"CD/events is compressed with blosc.* \(number 32001\), .*: install its plugin"
     with pytest.raises(SsacError, match=rf"cam1\.h5: {message}"):
-        (hdf5.load_frames if dataset == "frames/images" else load_events)(path)
+        load_events(tmp_path / "cam1.h5")
 
 
 # --- Frames beside the events ---

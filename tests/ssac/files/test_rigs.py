@@ -245,11 +245,8 @@ def test_a_camchain_of_several_cameras_gives_any_two_of_them(tmp_path):
     document, T_3_2 = _kalibr(), np.eye(4)
     # Another turn about another axis: which of the two steps comes first makes a difference.
     T_3_2[:3, :3], T_3_2[:3, 3] = cv2.Rodrigues(np.array([0.7, 0.1, -0.3]))[0], (-1.0, 2.0, 0.5)
-    document["cam2"] = {
-        **document["cam1"],
-        "intrinsics": [300.0, 301.0, 173.0, 130.0],
-        "T_cn_cnm1": T_3_2.tolist(),
-    }
+    other = {"intrinsics": [300.0, 301.0, 173.0, 130.0], "T_cn_cnm1": T_3_2.tolist()}
+    document["cam2"] = document["cam1"] | other
     path = _write(tmp_path / "rig.yaml", document)
     rig = load_rig(path, (1, 3))
     assert rig.cam2.K[0, 0] == 300.0

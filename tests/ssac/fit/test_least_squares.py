@@ -40,11 +40,10 @@ def rate_problem(
 
     Their noise has the deviation `noise_px`, and fades in so many samples.
     """
-    p1, p2 = track_pair(SCENE, TIMES_S)
-    late_s = T_D_S + rate * SINCE_S
-    seen_at = TIMES_S - late_s  # camera 2's clock shows TIMES_S then
-    p2 = track_pair(SCENE, seen_at)[1]
-    v2 = (track_pair(SCENE, seen_at + 1e-4)[1] - track_pair(SCENE, seen_at - 1e-4)[1]) / 2e-4
+    p1, _ = track_pair(SCENE, TIMES_S)
+    seen_at = TIMES_S - (T_D_S + rate * SINCE_S)  # camera 2's clock shows TIMES_S then
+    p2, late, early = (track_pair(SCENE, seen_at + step)[1] for step in (0.0, 1e-4, -1e-4))
+    v2 = (late - early) / 2e-4
     noise = np.random.default_rng(seed).normal(0.0, noise_px, (2, N, 2))
     if fades_in:
         kept = np.exp(-1.0 / fades_in)
@@ -109,28 +108,22 @@ def test_a_prior_weighs_as_much_as_its_deviation_says(turn):
 @pytest.mark.parametrize("turn", TURNS.values(), ids=TURNS)
 @pytest.mark.parametrize("fades_in", [0.0, 20.0], ids=["white", "slow"])
 def test_a_fair_prior_and_the_data_share_by_their_variances(fades_in, turn):
-    shares = []
+    shares, unfair = [], []
     for seed in range(6):
         free = rate_problem(seed, turn=turn, fades_in=fades_in)
         found = solve(free, truth(), max_steps=100).parameters
         residuals = linearise(free, found)
         std = np.sqrt(residuals.covariance()[-1, -1])
         assert 0.05 * RATE < std < RATE  # neither tells all
-        prior = Prior(FIRST_COLUMN, 0.0, std, residuals.fair_scales()[-1])
-        held = solve(replace(free, priors=(prior,)), truth(), max_steps=100).parameters
-        shares.append(held.columns[0] / found.columns[0])
+        for scale_px, given in ((residuals.fair_scales()[-1], shares), (np.nan, unfair)):
+            prior = Prior(FIRST_COLUMN, 0.0, std, scale_px)
+            held = solve(replace(free, priors=(prior,)), truth(), max_steps=100).parameters
+            given.append(held.columns[0] / found.columns[0])
     # One half each. A loss that turns within slow noise has several minima, and a prior may leave
     # one for another: hence the median.
     assert np.median(shares) == pytest.approx(0.5, abs=0.1)
-
-
-def test_an_unfair_prior_is_outvoted_by_slow_errors():
-    """The same with what one independent residual would count: so the test above can fail."""
-    free = rate_problem(fades_in=20.0)
-    found = solve(free, truth(), max_steps=100).parameters
-    std = np.sqrt(linearise(free, found).covariance()[-1, -1])
-    held = solve(replace(free, priors=(Prior(FIRST_COLUMN, 0.0, std),)), truth()).parameters
-    assert held.columns[0] / found.columns[0] > 0.8
+    if fades_in and turn == CAUCHY:  # what an independent residual counts, slow errors outvote
+        assert unfair[0] > 0.8
 
 
 def test_a_prior_of_the_offset_holds_it():
