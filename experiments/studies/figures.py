@@ -5,9 +5,8 @@ as they are. A picture is the same bytes whenever it is made from the same runs 
 """
 
 import time
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -49,31 +48,26 @@ NOISY_SEED = flight_seed(10.0, 90.0, 0)
 EPIPOLAR_T_D_S = 0.05  # at the tables' 50 ms the distance before alignment is seen at a glance
 ALIGNED_T_D_S = 0.3  # of the animation: the views come together over many of its pictures
 
-_OF: Mapping[str, tuple[str, float, Flight]] = {
-    "fig3_preprocessing": ("preprocessing_figure", 0.0, (NOISY_FLIGHT, NOISY_SEED)),
-    "fig4_epipolar": ("epipolar_figure", EPIPOLAR_T_D_S, (FLIGHT, SEED)),
-    "fig5_d_avg": ("d_avg_figure", 0.0, (FLIGHT, SEED)),
-    "alignment": ("alignment_animation", ALIGNED_T_D_S, (FLIGHT, SEED)),
-}
-"""By its file: function of `drawing.events`, offset that is added, recording."""
+
+def _of(name: str, function: str, t_d_s: float, flight: Flight) -> Made:
+    """Declare a figure: a function of `drawing.events`, the offset that is added, the recording."""
+
+    def draw(_: Results, folder: Path) -> Figure | bytes:
+        from experiments.drawing import events
+
+        drawn: Figure | bytes = getattr(events, function)(events.load_recording(folder, t_d_s))
+        return drawn
+
+    return Made(f"{name}.png", draw, recordings=lambda **_: (flight,))
 
 
-def _drawn(name: str, _: Results, folder: Path) -> Figure | bytes:
-    from experiments.drawing import events
-
-    function, t_d_s, _flight = _OF[name]
-    figure: Figure | bytes = getattr(events, function)(events.load_recording(folder, t_d_s))
-    return figure
-
-
-def _recording(name: str, **_: Any) -> tuple[Flight, ...]:
-    return (_OF[name][2],)
-
-
-OF_RECORDINGS = {
-    name: Made(f"{name}.png", partial(_drawn, name), recordings=partial(_recording, name))
-    for name in _OF
-}
+_MADE = (
+    _of("fig3_preprocessing", "preprocessing_figure", 0.0, (NOISY_FLIGHT, NOISY_SEED)),
+    _of("fig4_epipolar", "epipolar_figure", EPIPOLAR_T_D_S, (FLIGHT, SEED)),
+    _of("fig5_d_avg", "d_avg_figure", 0.0, (FLIGHT, SEED)),
+    _of("alignment", "alignment_animation", ALIGNED_T_D_S, (FLIGHT, SEED)),
+)
+OF_RECORDINGS = {made.file.removesuffix(".png"): made for made in _MADE}
 
 
 def drawings() -> dict[str, Made]:
@@ -87,10 +81,11 @@ def drawings() -> dict[str, Made]:
     return {**OF_RECORDINGS, **of_studies}
 
 
-def config(names: Collection[str] = tuple(_OF)) -> dict[str, Any]:
+def config(names: Collection[str] = tuple(OF_RECORDINGS)) -> dict[str, Any]:
     """Give what figures of recordings are made with, for their provenance."""
-    recordings = {name: flight[0] for name, (_, _, flight) in _OF.items() if name in names}
-    return {"figures": list(recordings), "recordings": recordings, "flight": 0}
+    chosen = {name: made for name, made in OF_RECORDINGS.items() if name in names}
+    recordings = {name: sim for name, made in chosen.items() for sim, _ in made.filmed()}
+    return {"figures": list(chosen), "recordings": recordings, "flight": 0}
 
 
 def _folder(words: str) -> Any:
@@ -138,25 +133,17 @@ def choose(names: Sequence[str], results: Path) -> dict[str, Made]:
         if name not in known:
             raise SsacError(f"unknown figure {name!r}: expected some of {', '.join(known)}")
     chosen = {name: known[name] for name in names or known}
+    drawn_of_runs = [name for name, made in chosen.items() if not made.recordings]
     path = results / "runs.csv"
-    for name, made in chosen.items():
-        if not made.recordings and not path.is_file():
-            raise SsacError(
-                f"{path}: missing, and {name} is drawn from it: run `make tables` first, or "
-                "name the figures to draw"
-            )
+    if drawn_of_runs and not path.is_file():
+        raise SsacError(
+            f"{path}: missing, and {drawn_of_runs[0]} is drawn from it: run `make tables` first, "
+            "or name the figures to draw"
+        )
     return chosen
 
 
 STUDIES = (
-    Study(
-        "figures",
-        "The paper's figures",
-        lambda: (),
-        SCORED,
-        None,
-        tuple(OF_RECORDINGS.values()),
-        config=config(),
-        command=COMMAND,
-    ),
-)
+    Study("figures", "The paper's figures", lambda: (), SCORED, None, _MADE,
+          config=config(), command=COMMAND),
+)  # fmt: skip

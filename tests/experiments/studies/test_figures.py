@@ -3,8 +3,6 @@
 from pathlib import Path
 
 import pytest
-import typer
-from typer.testing import CliRunner
 
 from experiments.lab.files import csv_text, read_checksums
 from experiments.lab.grid import named_config
@@ -21,14 +19,6 @@ from ssac.errors import SsacError
 from tests.experiments.reported import made_up_runs
 
 RESULTS = Path(__file__).resolve().parents[3] / "results"
-
-
-def run(*arguments: str | Path) -> str:
-    app = typer.Typer()
-    app.command()(figures_command)
-    result = CliRunner().invoke(app, [str(one) for one in arguments], catch_exceptions=False)
-    assert result.exit_code == 0
-    return result.stdout
 
 
 def test_all_figures_are_drawn_when_none_is_named(tmp_path: Path) -> None:
@@ -63,12 +53,12 @@ def test_flights_are_of_tables(name: str, flight: tuple) -> None:
     assert (flight[0].sensor.shot_noise_hz > 0.0) == (name == "ablation_davis346")
 
 
-def test_a_figure_is_drawn_from_its_table_the_same_every_time(tmp_path: Path) -> None:
+def test_a_figure_is_drawn_from_its_table_the_same_every_time(tmp_path: Path, capsys) -> None:
     (tmp_path / "runs.csv").write_text(csv_text(made_up_runs(("ssac", "tangency"), 2)))
     pictures = []
     for out in (tmp_path / "first", tmp_path / "second"):
-        text = run("beyond_paper", "--results", tmp_path, "--out", out)
-        assert text == f"written to {out / 'beyond_paper.png'}\n"
+        figures_command(["beyond_paper"], tmp_path, out=out)
+        assert capsys.readouterr().out == f"written to {out / 'beyond_paper.png'}\n"
         pictures.append((out / "beyond_paper.png").read_bytes())
     assert pictures[0] == pictures[1]
     assert len(pictures[0]) < 200_000
@@ -78,4 +68,4 @@ def test_a_figure_is_drawn_from_its_table_the_same_every_time(tmp_path: Path) ->
     assert {path.name for path in first.iterdir()} == {"beyond_paper.png", "SHA256SUMS"}
     (tmp_path / "runs.csv").write_text("a,b\n1,2\n")
     with pytest.raises(SsacError, match=r"error_vs_angle.png: "):
-        run("error_vs_angle", "--results", tmp_path, "--out", tmp_path)
+        figures_command(["error_vs_angle"], tmp_path, out=tmp_path)
