@@ -4,6 +4,7 @@ What its tables show is laid out here, for the HTML report too; the page's words
 `page.md.jinja`. Every mean also stands in one of the CSV files.
 """
 
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -11,7 +12,13 @@ from typing import Any, NamedTuple
 import pandas as pd
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from experiments.lab.markdown import markdown_table, means_with_stds, number, paragraph
+from experiments.lab.markdown import (
+    UNKNOWN,
+    markdown_table,
+    means_with_stds,
+    number,
+    paragraph,
+)
 from experiments.lab.summary import records
 from experiments.paper.comparison import (
     PUBLISHED_ERRORS,
@@ -74,12 +81,20 @@ def page_content(
     """Lay out the tables and counts of the page, whatever it is written in."""
     summary = summary_table(comparison)
     ssac = comparison[comparison["quantity"] == "ssac_t_d_error_ms"]
+    differing = comparison[comparison["verdict"] == "differs"]
     growth = _growth(comparison)
     return {
         "rule": RULE,
         "n_published": PUBLISHED_RUNS,
-        "against": _against_the_paper(summary),
-        "further": _further_flights(summary),
+        "against": _shown(
+            summary.assign(
+                low=summary["ratio"] / summary["factor"],
+                high=summary["ratio"] * summary["factor"],
+                percent=100 * summary["visible"],
+            ),
+            _AGAINST,
+        ),
+        "further": _shown(summary, _FURTHER),
         "changes": _changed_verdicts(comparison),
         "goals": _goals(tables, ssac, summary, growth),
         "n_lower": int((ssac["mean_at_most_published"] == "yes").sum()),
@@ -87,7 +102,7 @@ def page_content(
         "durations": [
             _flights(runs, duration_s, table, comparison) for duration_s, table in tables.items()
         ],
-        "differing": _differences(comparison),
+        "differing": _shown(differing.replace({"note": {"": "not known"}}), _DIFFERENCES),
         "failed": _failures(runs),
         "n_failed": int((runs["status"] != "ok").sum()),
         "n_runs": len(runs),
@@ -100,44 +115,42 @@ def label(name: str) -> str:
     return f"`{method}` {ERRORS[error].heading}"
 
 
-def _place(row: Mapping[str, Any]) -> list[str]:
-    return [label(row["quantity"]), f"{row['duration_s']:g} s"]
+_WHICH = {"mean error": "{error}", "flights": "{duration_s:g} s"}
+
+_AGAINST = {
+    **_WHICH,
+    **{name: f"{{{name}}}" for name in ("cells", *VERDICTS)},
+    "ours / paper": "{ratio:.2f}",
+    "95 %": "{low:.2f} to {high:.2f}",
+    "in single cells": "{ratio_min:.2f} to {ratio_max:.2f}",
+    "visible from": "{percent:.0f} %",
+}
+_FURTHER = {
+    **_WHICH,
+    **{word: f"{{first_{word}}} -> {{{word}}}" for word in VERDICTS},
+    "changed": "{changed}",
+    "ours / paper": "{first_ratio:.2f} -> {ratio:.2f}",
+    f"to a factor of: first {PUBLISHED_RUNS}": "{first_factor:.2f}",
+    "all": "{factor:.2f}",
+    f"paper's {PUBLISHED_RUNS} alone": "{factor_paper:.2f}",
+}
+_DIFFERENCES = {
+    **_WHICH,
+    "angle [deg]": "{angle_deg:g}",
+    "t_d [ms]": "{t_d_ms:g}",
+    "ours": "{ours_mean:.3f}",
+    "paper": "{published_mean:.2f}",
+    "95 % interval of the difference": "{difference_low:.3f} to {difference_high:.3f}",
+    "reason": "{note}",
+}
+"""By its head: what a column shows of a row."""
 
 
-def _from_to(low: float, high: float, decimals: int) -> str:
-    return f"{number(low, decimals)} to {number(high, decimals)}"
-
-
-def _against_the_paper(summary: pd.DataFrame) -> Table:
-    head = ["mean error", "flights", "cells", *VERDICTS, "ours / paper", "95 %",
-            "in single cells", "visible from"]  # fmt: skip
-    rows = [
-        [
-            *_place(row), *(str(row[word]) for word in ("cells", *VERDICTS)),
-            number(row["ratio"], 2),
-            _from_to(row["ratio"] / row["factor"], row["ratio"] * row["factor"], 2),
-            _from_to(row["ratio_min"], row["ratio_max"], 2),
-            f"{number(100 * row['visible'], 0)} %",
-        ]
-        for row in records(summary)
-    ]  # fmt: skip
-    return Table(head, rows)
-
-
-def _further_flights(summary: pd.DataFrame) -> Table:
-    """Show which verdicts and intervals our further flights changed."""
-    n = PUBLISHED_RUNS
-    head = ["mean error", "flights", *VERDICTS, "changed", "ours / paper",
-            f"to a factor of: first {n}", "all", f"paper's {n} alone"]  # fmt: skip
-    rows = [
-        [
-            *_place(row), *(f"{row[f'first_{word}']} -> {row[word]}" for word in VERDICTS),
-            str(row["changed"]), f"{number(row['first_ratio'], 2)} -> {number(row['ratio'], 2)}",
-            *(number(row[name], 2) for name in ("first_factor", "factor", "factor_paper")),
-        ]
-        for row in records(summary)
-    ]  # fmt: skip
-    return Table(head, rows)
+def _shown(rows: pd.DataFrame, columns: Mapping[str, str]) -> Table:
+    named = records(rows.assign(error=rows["quantity"].map(label)))
+    cells = [[form.format(**row) for form in columns.values()] for row in named]
+    known = [[re.sub(r"\bnan\b", UNKNOWN, cell) for cell in row] for row in cells]
+    return Table(list(columns), known)
 
 
 def _changed_verdicts(comparison: pd.DataFrame) -> Table:
@@ -150,7 +163,8 @@ def _changed_verdicts(comparison: pd.DataFrame) -> Table:
             for angle_deg, at_angle in part.groupby("angle_deg")
         ]
         first = records(part)[0]
-        rows.append([*_place(first), first["first_verdict"], first["verdict"], "; ".join(cells)])
+        verdicts = first["first_verdict"], first["verdict"], "; ".join(cells)
+        rows.append([label(first["quantity"]), f"{first['duration_s']:g} s", *verdicts])
     return Table(["mean error", "flights", f"first {PUBLISHED_RUNS}", "all", "cells"], rows)
 
 
@@ -270,21 +284,6 @@ def _places(rows: pd.DataFrame) -> list[tuple[str, list[str]]]:
 def _table(columns: Sequence[tuple[str, list[str]]]) -> Table:
     rows = zip(*(cells for _, cells in columns), strict=True)
     return Table([head for head, _ in columns], [list(row) for row in rows])
-
-
-def _differences(comparison: pd.DataFrame) -> Table:
-    """List the cells that differ, with the reasons known."""
-    head = ["mean error", "flights", "angle [deg]", "t_d [ms]", "ours", "paper",
-            "95 % interval of the difference", "reason"]  # fmt: skip
-    rows = [
-        [
-            *_place(row), f"{row['angle_deg']:g}", f"{row['t_d_ms']:g}",
-            number(row["ours_mean"], 3), number(row["published_mean"], 2),
-            _from_to(row["difference_low"], row["difference_high"], 3), row["note"] or "not known",
-        ]
-        for row in records(comparison[comparison["verdict"] == "differs"])
-    ]  # fmt: skip
-    return Table(head, rows)
 
 
 def _failures(runs: pd.DataFrame) -> Table:
