@@ -110,7 +110,7 @@ def test_the_command_flies_what_it_is_told_and_shows_each_figure(
     monkeypatch.setattr(scene, "scene_figures", lambda figures: figures)
     scene.scene_command(seeds=2, first_seed=9100, drone="two-tone")
     assert flown == [("two-tone", 90.0, 20.0, seed) for seed in (9100, 9101)]
-    lines = capsys.readouterr().out.splitlines()
+    lines = [" ".join(line.split()) for line in capsys.readouterr().out.splitlines()]
     assert len(lines) == 2 + len(SHOWN)
     assert lines[2] == "| median image speed [px/s] | 198 | 198 |"
     assert lines[3] == "| sample times valid in both views | 348 of 400 | 348 of 400 |"
