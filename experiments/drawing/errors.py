@@ -274,13 +274,13 @@ def published_means(
 
     None where the paper has none.
     """
-    columns = [q.published for q in PUBLISHED_ERRORS if (q.method, q.error) == (method, error)]
+    start = {q.name: q.published for q in PUBLISHED_ERRORS}.get(f"{method}_{error}")
     table = published.get(duration_s)
-    if table is None or not columns or f"{columns[0]}_mean" not in table:
+    if table is None or f"{start}_mean" not in table:
         return None
-    by_angle = table.assign(variance=table[f"{columns[0]}_std"] ** 2).groupby("angle_deg")
+    by_angle = table.assign(variance=table[f"{start}_std"] ** 2).groupby("angle_deg")
     standard_error = np.sqrt(by_angle["variance"].mean() / PUBLISHED_RUNS)
-    means = by_angle[f"{columns[0]}_mean"].mean()
+    means = by_angle[f"{start}_mean"].mean()
     return pd.DataFrame({"mean": means, "standard_error": standard_error})
 
 

@@ -172,7 +172,7 @@ def _goals(
     tables: Mapping[float, pd.DataFrame], ssac: pd.DataFrame, summary: pd.DataFrame, growth: Table
 ) -> Table:
     """Say of each goal whether it is met, and what was reached."""
-    rows = []
+    rows: list[list[str]] = []
 
     def add(words: str, met: Sequence[bool], what: str, more: str = "") -> None:
         said = "met" if all(met) else "**not met**"

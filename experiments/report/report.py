@@ -22,6 +22,7 @@ from jinja2 import PackageLoader
 from markupsafe import Markup, escape
 
 from experiments.lab.cache import DEFAULT_FOLDER, Cache
+from experiments.lab.command import CacheOption
 from experiments.lab.files import save_text
 from experiments.lab.grid import config_names, named_config
 from experiments.lab.markdown import digits
@@ -32,7 +33,7 @@ from experiments.paper.comparison import VERDICTS
 from experiments.paper.esim import esim_tables
 from experiments.paper.page import page_content
 from experiments.paper.quantities import ERRORS
-from experiments.studies.figures import FLIGHT, SEED
+from experiments.studies.figures import FLIGHT, SEED, ResultsOption
 from experiments.studies.tables import comparison, runs_of
 from sim.errors import SimError
 from ssac.errors import SsacError
@@ -59,15 +60,8 @@ _SOUND_SHARE = 0.9  # of a method's runs give an estimate, or it cannot be calle
 
 
 def report_command(
-    results: Annotated[
-        Path,
-        typer.Option(
-            help="Folder with the results, as `ssac tables` writes them.", metavar="FOLDER"
-        ),
-    ] = Path("results"),
-    cache: Annotated[
-        Path, typer.Option(help="Folder of cached recordings.", metavar="FOLDER")
-    ] = DEFAULT_FOLDER,
+    results: ResultsOption = Path("results"),
+    cache: CacheOption = DEFAULT_FOLDER,
     out: Annotated[Path, typer.Option(help="HTML to write.", metavar="FILE")] = Path(
         "out/report.html"
     ),

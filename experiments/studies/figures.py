@@ -15,6 +15,7 @@ import typer
 from experiments.drawing.style import Figure
 from experiments.lab.cache import DEFAULT_FOLDER, Cache
 from experiments.lab.cell import Flight
+from experiments.lab.command import CacheOption, OutOption
 from experiments.lab.files import record_checksums
 from experiments.lab.grid import flight_seed
 from experiments.lab.provenance import provenance, write_provenance
@@ -88,8 +89,7 @@ def config(names: Collection[str] = tuple(OF_RECORDINGS)) -> dict[str, Any]:
     return {"figures": list(chosen), "recordings": recordings, "flight": 0}
 
 
-def _folder(words: str) -> Any:
-    return typer.Option(help=words, metavar="FOLDER")
+ResultsOption = Annotated[Path, typer.Option(help="Folder with the results.", metavar="FOLDER")]
 
 
 def figures_command(
@@ -97,13 +97,13 @@ def figures_command(
         list[str] | None,
         typer.Argument(help="Figures to draw, by file name.  [default: all]", metavar="NAME"),
     ] = None,
-    results: Annotated[Path, _folder("Folder with the CSVs.")] = Path("results"),
-    cache: Annotated[Path, _folder("Folder of cached recordings.")] = DEFAULT_FOLDER,
-    out: Annotated[Path, _folder("Folder for the PNGs.")] = Path("results"),
+    results: ResultsOption = Path("results"),
+    cache: CacheOption = DEFAULT_FOLDER,
+    out: OutOption = Path("results"),
 ) -> None:
     """Draw the paper's Fig. 3 to 5, and all figures that follow from the CSVs, anew."""
     start = time.perf_counter()
-    chosen = choose(names or (), results)
+    chosen = choose(names or ())
     out.mkdir(parents=True, exist_ok=True)
     for made in chosen.values():
         folders = [Cache(cache).recording_folder(*flight) for flight in made.filmed()]
@@ -123,24 +123,13 @@ def figures_command(
     record_checksums(out, written)
 
 
-def choose(names: Sequence[str], results: Path) -> dict[str, Made]:
-    """Look up figures; all of them when none is named.
-
-    SsacError, before any work is done, for an unknown name, or when the tables' runs are missing.
-    """
+def choose(names: Sequence[str]) -> dict[str, Made]:
+    """Look up figures; all of them when none is named. SsacError for an unknown name."""
     known = drawings()
     for name in names:
         if name not in known:
             raise SsacError(f"unknown figure {name!r}: expected some of {', '.join(known)}")
-    chosen = {name: known[name] for name in names or known}
-    drawn_of_runs = [name for name, made in chosen.items() if not made.recordings]
-    path = results / "runs.csv"
-    if drawn_of_runs and not path.is_file():
-        raise SsacError(
-            f"{path}: missing, and {drawn_of_runs[0]} is drawn from it: run `make tables` first, "
-            "or name the figures to draw"
-        )
-    return chosen
+    return {name: known[name] for name in names or known}
 
 
 STUDIES = (

@@ -61,9 +61,6 @@ def test_provenance_holds_all_that_a_result_depends_on(tmp_path: Path) -> None:
     text = (tmp_path / "a.provenance.json").read_text()
     for word in ("ssac x", code_commit(), versions()["numpy"], "max_step_px", '"wall_time_s": 1.2'):
         assert word in text
-
-
-def test_plain_keeps_structure(tmp_path: Path) -> None:
     assert plain({"a": (1, tmp_path), 2: [None]}) == {"a": [1, str(tmp_path)], "2": [None]}
     assert plain(SimConfig())["render"]["lattice"] == {"a": 16, "b": 1}
     with pytest.raises(KeyError):
