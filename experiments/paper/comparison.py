@@ -257,7 +257,7 @@ def summary_table(comparison: pd.DataFrame) -> pd.DataFrame:
     rows = []
     order = [quantity.name for quantity in PUBLISHED_ERRORS]
     groups = comparison.groupby(["quantity", "duration_s"])
-    for (name, duration_s), part in sorted(groups, key=lambda group: order.index(group[0][0])):
+    for (name, duration_s), part in sorted(groups, key=lambda group: order.index(str(group[0][0]))):
         published = part["published_mean"].to_numpy()
         ratios, first_ratios = (
             part[f"{whose}_mean"].to_numpy() / published for whose in ("ours", "first")
